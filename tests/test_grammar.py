@@ -72,10 +72,10 @@ def test_a_quantity_is_read_in_any_unit_of_its_dimension(text: str, unit: str, v
         ("nan", "N", "'nan' is not finite"),
         ("-inf", "N", "'-inf' is not finite"),
         ("1e999", "N", "'1e999' is not finite"),
-        ("abc", "rpm", "'abc' is no number; give a number, bare in rpm or with a unit: rpm, rad/s"),
-        ("1.2.3", "N", "'1.2.3' is no number"),
-        ("60 00", "rpm", "'60 00' is no number"),
-        ("5-6", "N", "'5-6' is no number"),
+        ("abc", "rpm", "'abc' is not a number; give a number, bare in rpm or with a unit: rpm, rad/s"),
+        ("1.2.3", "N", "'1.2.3' is not a number"),
+        ("60 00", "rpm", "'60 00' is not a number"),
+        ("5-6", "N", "'5-6' is not a number"),
         ("5Mm", "m", "unit 'Mm' in '5Mm' is unknown"),  # not millimetres
         ("3MN", "N", "unit 'MN' in '3MN' is unknown"),
         ("5m", "", "'5m' has a unit, 'm'; give the number alone, it takes none"),
@@ -134,13 +134,13 @@ def test_other_forms() -> None:
 @pytest.mark.parametrize(
     ("read", "text", "message"),
     [
-        (read_values, "3000:1000:500", "holds no value"),
-        (read_values, "1:2:3:4", "is no range"),
+        (read_values, "3000:1000:500", "contains no value"),
+        (read_values, "1:2:3:4", "is not a range"),
         (read_values, "1:1e9:1", "larger steps"),
         (read_values, "5,,6", "'5,,6' lacks a number"),
         (read_rotor_pair, "1,2,3", "neither one value nor two"),
-        (read_stepped_range, "3:1", "holds no two values"),
-        (read_interval, "3", "is no band; write LOW:HIGH (Hz)"),
+        (read_stepped_range, "3:1", "contains no two values"),
+        (read_interval, "3", "is not a frequency band; write LOW:HIGH (Hz)"),
         (read_vector, "0,5", "'0,5' holds 2 numbers"),
         (read_value_with_std, "1+--2", "negative standard deviation"),
     ],
@@ -148,7 +148,7 @@ def test_other_forms() -> None:
 def test_other_forms_are_refused(read, text: str, message: str) -> None:
     with pytest.raises(InputError, match=re.escape(message)):
         read("--x", text, "Hz")
-    with pytest.raises(InputError, match=re.escape("'2.5' is no whole number")):
+    with pytest.raises(InputError, match=re.escape("'2.5' is not a whole number")):
         read_integer("--x", "2.5")
 
 

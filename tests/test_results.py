@@ -220,7 +220,7 @@ def test_a_vehicle_a_mission_and_a_controller_have_short_representations() -> No
     ):
         shown = repr(one)
         assert one.name in shown.splitlines()[0]
-        assert len(shown.splitlines()) <= 15, shown
+        assert len(shown.splitlines()) <= 10, shown
         assert max(map(len, shown.splitlines())) <= 110, shown
     vehicle = repr(load_vehicle("mufly-1.1"))
     assert "mass 0.095 kg" in vehicle

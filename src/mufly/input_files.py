@@ -9,6 +9,7 @@ pydantic's list of faults into the one line that a user can act on. A model's ow
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from collections.abc import Mapping
 from importlib.resources.abc import Traversable
@@ -74,12 +75,26 @@ def read_toml(name_or_path: str | Path, folder: Traversable, kind: str) -> tuple
             raise InputError(name, "", f"no such {kind} or file", remedy)
         try:
             text = path.read_text(encoding="utf-8-sig")
-        except (OSError, UnicodeDecodeError) as error:
-            raise InputError(where, "", f"cannot be read ({error})", "give a text file in UTF-8") from error
+        except OSError as error:
+            raise InputError(where, "", f"cannot be read ({error.strerror})", "give a readable text file") from error
+        except UnicodeDecodeError as error:
+            raise InputError(where, "", "is not text in UTF-8", "save it in UTF-8") from error
     try:
         return tomllib.loads(text), where
     except tomllib.TOMLDecodeError as error:
-        raise InputError(where, "", f"is not valid TOML ({error})", "correct that line") from error
+        raise _toml_error(text, where, str(error)) from error
+
+
+def _toml_error(text: str, where: str, message: str) -> InputError:
+    """Return the error of text that is no TOML, with the line at fault."""
+    found = re.search(r"line (\d+), column (\d+)", message)
+    if found is None:
+        return InputError(where, "", "ends inside a value", "close its brackets or quotes")
+    lines = text.splitlines()
+    number = min(int(found[1]), len(lines))
+    shown = _shorten_value(lines[number - 1].strip()) if lines else '""'
+    problem = f"column {found[2]} of {shown} is not valid TOML"
+    return InputError(where, f"line {number}", problem, "correct the line: key = value")
 
 
 def validate_model(model: type[ModelT], tables: Mapping[str, Any], where: str) -> ModelT:
@@ -106,6 +121,17 @@ def model_error(problem: str, remedy: str, key: str = "") -> PydanticCustomError
     return PydanticCustomError("mufly", "{problem}; {remedy}", context)
 
 
+# The checker's types of faults -> what a value is not, and what to do.
+_TYPE_WORDS = {
+    **dict.fromkeys(("float_type", "float_parsing"), ("a number", "give a number without quotes")),
+    **dict.fromkeys(
+        ("int_type", "int_parsing", "int_from_float"), ("a whole number", "give a whole number without quotes")
+    ),
+    **dict.fromkeys(("bool_type", "bool_parsing"), ("true or false", "give true or false, without quotes")),
+    "string_type": ("a text", "give a text in quotes"),
+}
+
+
 def _first_model_error(error: ValidationError, model: type[BaseModel], where: str) -> InputError:
     faults = error.errors()
     # An unknown key is usually the reason for a missing one, so it is named first.
@@ -127,22 +153,22 @@ def _first_model_error(error: ValidationError, model: type[BaseModel], where: st
     elif kind == "missing":
         problem, remedy = "is missing", _describe_missing_key(str(loc[-1]), field)
     elif kind in ("length", "too_long"):
-        wanted = len(getattr(field.annotation, "__args__", ())) if field is not None else 0
-        problem, remedy = f"{_shorten_value(given)} has the wrong length", f"give {wanted} numbers: {meaning}"
+        absent = sum(f["type"] == "missing" and f["loc"][:-1] == loc for f in faults)
+        wanted = context.get("max_length") or (len(given) + absent if isinstance(given, list | tuple) else 1)
+        problem = f"{_shorten_value(given)} has the wrong length"
+        remedy = f"give {wanted} numbers" + (f": {meaning}" if meaning else "")
     elif kind in _LIMIT_WORDS:
         name, words = _LIMIT_WORDS[kind]
-        problem, remedy = (
-            f"{_shorten_value(given)} is not sensible",
-            f"give a number {words} {context[name]:g}",
-        )
+        problem, remedy = f"{_shorten_value(given)} is out of range", f"give a number {words} {context[name]:g}"
     elif kind == "finite_number":
-        problem, remedy = f"{given} is not a number", "give a finite number"
+        problem, remedy = f"{given} is not a finite number", "give a finite number"
     elif isinstance(given, int) and abs(given) > _MAX_ORDINARY_INTEGER:
         problem, remedy = TOO_MANY_DIGITS
-    elif kind in ("float_type", "float_parsing"):
-        problem, remedy = f"{_shorten_value(given)} is not a number", "give a number without quotes"
-    elif kind in ("int_type", "int_parsing", "int_from_float"):
-        problem, remedy = f"{given!r} is not a whole number", "give a whole number without quotes"
+    elif kind in _TYPE_WORDS:
+        what, remedy = _TYPE_WORDS[kind]
+        problem = f"{_shorten_value(given)} is not {what}"
+    elif kind in ("string_too_short", "too_short"):
+        problem, remedy = f"{_shorten_value(given)} is empty", f"give {meaning}" if meaning else "give one or more"
     elif kind == "literal_error":
         problem, remedy = f"{_shorten_value(given)} is unknown", f"give {context['expected']}"
     elif kind == "tuple_type":
@@ -153,7 +179,7 @@ def _first_model_error(error: ValidationError, model: type[BaseModel], where: st
     elif kind in ("model_type", "model_attributes_type"):
         problem, remedy = f"{_shorten_value(given)} is not a table", "write its keys under it"
     else:
-        problem, remedy = f"{_shorten_value(given)} is wrong ({fault['msg']})", "correct the value"
+        problem, remedy = f"{_shorten_value(given)} does not fit", f"give {meaning}" if meaning else "correct the value"
     # A key missing beside an unknown one is the same fault, not another.
     same = sum(f["type"] == "missing" and f["loc"][:-1] == fault["loc"][:-1] for f in faults)
     more = len(faults) - 1 - (same if fault["type"] == "extra_forbidden" else 0)

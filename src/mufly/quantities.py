@@ -488,11 +488,11 @@ def split_signal_name(text: str, where: str) -> tuple[Quantity | None, str, str 
     known = find_quantity(variable)
     if known is not None and label and known.component_labels and label not in map(str, known.component_labels):
         wanted = ", ".join(f"{variable}.{k}" for k in known.component_labels)
-        raise InputError(where, text, "is no component of this signal", f"use one of: {wanted}")
+        raise InputError(where, text, "is not a component of this signal", f"use one of: {wanted}")
     if known is not None and label and known.dim is None:
         raise InputError(where, text, "is a scalar", f"write {variable}")
     if known is None and not variable.isidentifier():
-        raise InputError(where, text, "is no name for a signal", "use letters, digits and underscores")
+        raise InputError(where, text, "is not a name for a signal", "use letters, digits and underscores")
     if label and known is None:
         raise InputError(where, text, "is not a signal with components", f"write {variable}_{label}")
     return known, variable, label or None

@@ -143,7 +143,7 @@ def read_integer(where: str, text: str) -> int:
         pass
     value = _split_number_and_unit(where, text, "")
     if value.unit or not value.value.is_integer():
-        raise InputError(where, "", f"{text!r} is no whole number", "give a whole number, without a unit")
+        raise InputError(where, "", f"{text!r} is not a whole number", "give a whole number, without a unit")
     return int(value.value)
 
 
@@ -163,7 +163,7 @@ def read_values(where: str, text: str, unit: str, *, bare: bool = True, most: in
     for part in parts:
         written = [next(numbers) for _ in part]
         if len(written) > 3:
-            raise InputError(where, "", f"{':'.join(part)!r} is no range", "write FIRST:LAST:STEP")
+            raise InputError(where, "", f"{':'.join(part)!r} is not a range", "write FIRST:LAST:STEP")
         out += _expand_range(where, written, unit, text, bare, most)
         if len(out) > most:
             raise InputError(where, "", f"{len(out)} values in {text!r}", f"give {most} values at most")
@@ -201,14 +201,14 @@ def read_stepped_range(where: str, text: str, unit: str) -> tuple[float, float |
     """Return first, last and step of ``"2500:6000"`` or ``"-1:3:0.5m/s"``; last and step None where there is none."""
     parts = text.split(":")
     if len(parts) > 3:
-        raise InputError(where, "", f"{text!r} is no range", "write FIRST:LAST or FIRST:LAST:STEP")
+        raise InputError(where, "", f"{text!r} is not a range", "write FIRST:LAST or FIRST:LAST:STEP")
     written = _share_units([_split_number_and_unit(where, part, unit, text) for part in parts])
     first, *rest = (_convert_to_unit(where, one, unit, text, bare=True) for one in written)
     last, step = (*rest, None, None)[:2]
     if (last is not None and last <= first) or (
         step is not None and last is not None and not 0 < step <= (last - first) * (1 + 1e-9)
     ):
-        raise InputError(where, "", f"{text!r} holds no two values", "let it rise, by a step no longer than that")
+        raise InputError(where, "", f"{text!r} contains no two values", "let it rise, by a step no longer than that")
     return first, last, step
 
 
@@ -228,7 +228,7 @@ def read_interval(where: str, text: str, unit: str) -> tuple[float, float]:
     """Return the ends of ``"0.1:3"``, the lower first."""
     first, last, step = read_stepped_range(where, text, unit)
     if last is None or step is not None:
-        raise InputError(where, "", f"{text!r} is no band", f"write LOW:HIGH ({unit}), as 0.1:3")
+        raise InputError(where, "", f"{text!r} is not a frequency band", f"write LOW:HIGH ({unit}), as 0.1:3")
     return first, last
 
 
@@ -254,7 +254,7 @@ def read_time_span(where: str, text: str) -> tuple[float, float]:
     begin = read_quantity(where, start, "s") if start.strip() else 0.0
     end = begin + read_quantity(where, duration, "s") if sign else math.inf
     if not 0.0 <= begin < end:
-        raise InputError(where, "", f"{text!r} is no time", "write STARTs+DURATIONs, as 15s+2s")
+        raise InputError(where, "", f"{text!r} is not a time", "write STARTs+DURATIONs, as 15s+2s")
     return begin, end
 
 
@@ -282,7 +282,7 @@ def _split_number_and_unit(where: str, part: str, unit: str, whole: str = "") ->
         raise InputError(where, "", problem, f"give {_describe_wanted(unit)}")
     match = _QUANTITY_PATTERN.fullmatch(text)
     if match is None or match[2][:1] in tuple(".,+-") or re.match(r"\d(?!/)", match[2]):
-        raise InputError(where, "", f"{part.strip()!r} is no number", f"give {_describe_wanted(unit)}")
+        raise InputError(where, "", f"{part.strip()!r} is not a number", f"give {_describe_wanted(unit)}")
     value = float(match[1])
     if not math.isfinite(value):
         raise InputError(where, "", f"{part.strip()!r} is not finite", f"give {_describe_wanted(unit)}")
@@ -311,7 +311,7 @@ def _expand_range(
         written = [WrittenNumber(_convert_to_unit(where, one, unit, text, bare), unit) for one in written]
     first, last, step = (*(one.value for one in written), 1.0)[:3]
     if step <= 0 or last < first:
-        raise InputError(where, "", f"{first:g}:{last:g}:{step:g} holds no value", "let it rise by a step above 0")
+        raise InputError(where, "", f"{first:g}:{last:g}:{step:g} contains no value", "let it rise by a step above 0")
     count = (last - first) / step + 1
     if count > most:
         problem, remedy = f"{text!r} holds {count:.0f} values", f"take larger steps ({most} values at most)"

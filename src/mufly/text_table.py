@@ -198,7 +198,7 @@ class TextTable:
                 frame = _parse_csv_cells(stream, self.separator, [str] * width)
             except faults as error:
                 reason = " ".join(str(error).split()).removeprefix("Error tokenizing data. C error: ")
-                problem = f"is no table ({reason.partition('. ')[0]})"
+                problem = f"is not a table ({reason.partition('. ')[0]})"
                 raise InputError(self.where, "", problem, "give every row as many cells as the header") from error
         return [_to_numbers(frame.iloc[:, k], self.decimal) for k in range(width)]
 
@@ -230,7 +230,7 @@ def read_text_table(path: str | Path, *, short_rows: Literal["refuse", "cut", "d
         raise InputError(where, "", f"cannot be read ({error.strerror})", "give a text file") from error
     text = decode_text(data)
     if "\0" in text:
-        raise InputError(where, "", "is no text", "save it as CSV, in UTF-8")
+        raise InputError(where, "", "is not text", "save it as CSV, in UTF-8")
     lines, numbers = split_lines(text)
     first = next((k for k, s in enumerate(lines) if _is_content_line(s)), None)
     if first is None:

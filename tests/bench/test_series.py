@@ -153,7 +153,7 @@ def test_a_series_that_cannot_be_trusted_is_refused(fault, kind):
     made = plan(repetitions=1, limits=BenchLimits(current_A=9, thrust_N=50, torque_Nm=1))
     record = measured(made, SimulatedRig(1, faults=fault))
     if kind in ("speed", "nonsense"):
-        with pytest.raises(InputError, match="holds no point that can be used"):
+        with pytest.raises(InputError, match="contains no point that can be used"):
             analyse_series(record)
         return
     assert kind in {d.kind for d in analyse_series(record).fatal_issues}
@@ -215,7 +215,7 @@ def test_a_kill_at_any_moment_loses_at_most_the_point_that_was_measured(tmp_path
     other = read_record(tmp_path)
     with pytest.raises(InputError, match="not the one of this record"):
         run_series(plan(seed=9), SimulatedRig(3), other)
-    with pytest.raises(InputError, match="calibration: is not as on the bench on which this series began"):
+    with pytest.raises(InputError, match="calibration: differs from the bench on which this series began"):
         run_series(made, SimulatedRig(4, time_s=3600.0), other)
 
 

@@ -89,7 +89,7 @@ def test_columns_are_mapped(tmp_path):
     assert set(table.columns) == {"speed_lower", "thrust_lower", "speed_upper", "thrust_upper"}
     with pytest.raises(InputError, match="T_C: is not among the columns"):
         read_bench_file(path, columns=["thrust=T_C(N)"])
-    with pytest.raises(InputError, match="wind: is no quantity of a bench"):
+    with pytest.raises(InputError, match="wind: is not a quantity of a bench"):
         read_bench_file(path, columns={"wind": "RPM"})
     with pytest.raises(InputError, match="the unit 'mm' is none of thrust"):
         read_bench_file(path, columns=["thrust=T_A(mm)"])
@@ -140,7 +140,7 @@ def test_a_short_line_shifts_nothing_and_is_named(tmp_path, separator):
 @pytest.mark.parametrize(
     ("text", "what"),
     [
-        ("RPM,T(N)\n", "holds no measurements"),
+        ("RPM,T(N)\n", "contains no measurements"),
         ("a,b\n1,2\n", "no column is understood"),
         ("RPM,T(N)\n1000,x\n", "line 2, T.N.: 'x' is not a number"),
         ("RPM,T(N)\n1000,inf\n", "line 2, T.N.: is inf"),

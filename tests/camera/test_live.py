@@ -111,7 +111,7 @@ def test_what_cannot_be_opened_is_one_line(server: StreamServer) -> None:
             LivePictures(place, CAMERA)
     with pytest.raises(InputError, match="/dev/video77: there is no such device; list them"):
         LivePictures("77", CAMERA, opencv=lambda: None)
-    with pytest.raises(InputError, match="a device stamps no pictures"):
+    with pytest.raises(InputError, match="a camera device sends no time stamps"):
         LivePictures("0", CAMERA, clock="sender", opencv=lambda: None)
     server.publish_picture(encode_jpeg(np.zeros((48, 64), np.uint8), 80), 0.0)
     with pytest.raises(InputError, match="is 64 by 48 pixels"), LivePictures(server.url, CAMERA) as live:

@@ -122,5 +122,5 @@ def test_addresses() -> None:
     assert parse_address("0.0.0.0:80") == ("0.0.0.0", 80)
     assert parse_address("[::1]:80") == ("::1", 80)
     for text in ("x", "1.2.3.4:", ":99999", "a:-1"):
-        with pytest.raises(InputError, match="is no port"):
+        with pytest.raises(InputError, match="is not a port"):
             parse_address(text)

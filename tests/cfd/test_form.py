@@ -131,7 +131,7 @@ def test_three_blades_share_a_hub_and_the_file_s_square_tip_is_the_same_as_none(
 @pytest.mark.parametrize(
     ("made", "message"),
     [
-        (lambda: make_blade_geometry("pointed"), "is no tip"),
+        (lambda: make_blade_geometry("pointed"), "is not a tip"),
         (lambda: BladeTip(length=1.0, taper=0.0), "a point cannot be meshed"),
         (lambda: BladeTip(length=0.1, aft=2.0), "slope more than 65"),
         (lambda: BladeTip(cant_rad=1.5, height=1.0), "a plate stands at 90"),

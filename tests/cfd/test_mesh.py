@@ -263,5 +263,5 @@ def test_impossible_rotors_are_refused_in_one_line(rotor: Callable[[], Rotor], p
 def test_a_domain_that_cuts_the_blade_is_refused() -> None:
     with pytest.raises(InputError, match="domain"):
         MeshDomain(radius=1.0)
-    with pytest.raises(InputError, match="is no level"):
+    with pytest.raises(InputError, match="is unknown"):
         make_sector_mesh(load_rotor("naca0012-r60-c20"), 0.2, level="huge")

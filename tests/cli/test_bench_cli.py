@@ -36,7 +36,7 @@ def series(tmp_path_factory):
     words = ("--pitch", "12", "--rpm", "3000:7000:2000", "--reference-pitch", "10", "--warm-up", "60")
     said = json.loads(output("bench", "plan", "--rotor", NACA, *words, "--out", str(plan), "--json"))
     assert said["points"] == 12
-    assert "is there already" in refused("bench", "plan", "--rotor", NACA, "--out", str(plan))
+    assert "already exists" in refused("bench", "plan", "--rotor", NACA, "--out", str(plan))
     said = output("bench", "run", str(plan), "--out", str(folder / "s"), "--seed", "2")
     assert "12 points on simulated" in said
     assert "Done" in output("bench", "run", str(plan), "--out", str(folder / "s"), "--seed", "2")
@@ -70,7 +70,7 @@ def test_what_is_wrong_is_said_before_anything_turns(series):
     plan = str(series / "plan.toml")
     assert "no such plan" in refused("bench", "run", "nowhere.toml")
     assert "no such bench" in refused("bench", "run", plan, "--rig", "nowhere.toml", "--out", str(series / "x"))
-    assert "is no number" in refused("bench", "plan", "--rotor", NACA, "--rpm", "fast")
+    assert "is not a number" in refused("bench", "plan", "--rotor", NACA, "--rpm", "fast")
     assert "no such rotor" in refused("bench", "plan", "--rotor", "nobody")
     assert "unknown" in refused("bench", "plan", "--rotor", NACA, "--axis", "middle")
-    assert "holds no raw.jsonl" in refused("bench", "analyse", str(series))
+    assert "contains no raw.jsonl" in refused("bench", "analyse", str(series))

@@ -67,7 +67,7 @@ def test_hover_at_the_edge_is_said() -> None:
         (("walkera",), "no such rotor"),
         (("walkera-5g6", "--spacing", "40"), "--spacing: 40 m is out of range"),
         (("walkera-5g6", "--spacing", "0mm"), "out of range"),
-        (("walkera-5g6", "--rpm", "fast"), "--rpm: 'fast' is no number"),
+        (("walkera-5g6", "--rpm", "fast"), "--rpm: 'fast' is not a number"),
         (("walkera-5g6", "--rpm", "0:4000"), "--rpm: 0 rpm is out of range"),
         (("walkera-5g6", "--ratio", "1.6:0.6"), "let it rise"),
         (("walkera-5g6", "--climb", "1:2"), "leaves out 0"),

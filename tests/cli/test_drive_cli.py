@@ -61,7 +61,7 @@ def test_sweep_gives_the_curves_of_fig_3_7(tmp_path) -> None:
         (("show", "turbine"), "no such drive"),
         (("show", "--rotor", "naca4412-r60-c20"), "--pitch: is missing"),
         (("show", "--pitch", "12"), "leave it out"),
-        (("sweep", "--gear", "8:1:1"), "holds no value"),
+        (("sweep", "--gear", "8:1:1"), "contains no value"),
         (("sweep", "--gear", "0:8:1"), "--gear: 0 is out of range"),
         (("sweep", "--duty", "1.5"), "0.01 to 1"),
     ],

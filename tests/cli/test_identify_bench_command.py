@@ -166,7 +166,7 @@ def test_plan(tmp_path):
         (("--free", "Izz", "--delay", "0.013"), "--delay"),
         (("--free", "Izz", "--sample", "0.0105"), "--sample"),
         (("--free", "Izz", "--duration", "1"), "--duration"),
-        (("--free", "Izz", "--noise", "height=x"), "is no number"),
+        (("--free", "Izz", "--noise", "height=x"), "is not a number"),
     ],
 )
 def test_plan_refuses(arguments, what):

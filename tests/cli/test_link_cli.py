@@ -24,7 +24,7 @@ from mufly.logs import read_log
         (["--link", "udpin:14998", "--link", "udpin:127.0.0.1:14998"], "given twice"),
         (["--system", "0"], "--system"),
         (["--origin", "north pole"], "no place on the globe"),
-        (["--wind", "strong"], "--wind: 'strong' is no number"),
+        (["--wind", "strong"], "--wind: 'strong' is not a number"),
         (["no-such-mission"], "no such mission"),
         (["--vehicle", "no-such-vehicle"], "no such vehicle"),
     ],

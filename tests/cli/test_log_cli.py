@@ -71,7 +71,7 @@ def test_info_in_json_holds_the_same(log):
 def test_info_of_a_sound_log_says_so(tmp_path):
     path = tmp_path / "sound.csv"
     np.savetxt(path, np.column_stack([TIME, np.sin(TIME)]), delimiter=",", header="t_s,x_m", comments="")
-    assert "Nothing wrong found." in run("info", path).output
+    assert "No faults found." in run("info", path).output
 
 
 def test_plot_writes_pictures_of_each_kind_and_spectra(log, tmp_path):
@@ -130,7 +130,7 @@ def test_a_wrong_file_gives_one_line_and_status_1(tmp_path):
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 1
-    assert done.stderr.strip().splitlines()[-1].startswith(f"mufly: {path}: is no log")
+    assert done.stderr.strip().splitlines()[-1].startswith(f"mufly: {path}: is not a log")
     assert "Traceback" not in done.stderr
 
 

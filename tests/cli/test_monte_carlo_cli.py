@@ -70,10 +70,10 @@ def test_failed_flights_are_recorded_and_their_command_flies_them_again(monkeypa
     ("words", "why"),
     [
         (("--vary", "m=+-2furlong"), "mufly: --vary: m=+-2furlong: unit 'furlong' in '2 furlong' is unknown"),
-        (("--wind", "fast"), "--wind: 'fast' is no number; give a number"),
+        (("--wind", "fast"), "--wind: 'fast' is not a number; give a number"),
         (("--flights", "0"), "--flights: no flights"),
         (("--tolerance", "0"), "--tolerance: 0 m"),
-        (("--fault", "sonar.jump"), "--fault: sonar.jump@0s: what is true has no faults"),
+        (("--fault", "sonar.jump"), "--fault: sonar.jump@0s: the true state has no sensor faults"),
         (("--flights", "0", "--search", "3"), "--search: nothing varies"),
     ],
 )

@@ -221,14 +221,14 @@ def test_every_quantity_takes_units_and_refuses_what_is_none_in_our_words() -> N
     ("words", "message"),
     [
         (("drive", "show", "--thrust", "0,9"), "--thrust: '0,9' has a decimal comma; write 0.9"),
-        (("monte-carlo", "--flights", "3.5"), "--flights: '3.5' is no whole number"),
+        (("monte-carlo", "--flights", "3.5"), "--flights: '3.5' is not a whole number"),
         (("monte-carlo", "--flights=-3"), "--flights: -3 is out of range; give 0 or more"),
         (("fly", "--wind", "0,5"), "--wind: '0,5' holds 2 numbers"),
         (("fly", "demonstraton"), "did you mean 'demonstration'?"),
         (("fly", "--vehicle", "mufly-1.l"), "did you mean 'mufly-1.1'"),
         (("rotor", "show", "naca4412-r60-c21"), "did you mean 'naca4412-r60-c20'"),
         (("rotor", "hover", "--rpm", "5000", "--pitch", "12", "--engine", "xfol"), "did you mean 'xfoil'"),
-        (("fly", "--fault", "sonr.jump"), "--fault: sonr: is no sensor; did you mean 'sonar'?"),
+        (("fly", "--fault", "sonr.jump"), "--fault: sonr: is not a sensor; did you mean 'sonar'?"),
         (("fly", "--fault", "sonar.jump=3kg"), "'3kg' is in kg, which cannot become m"),
         (("coax", "hover", "--spacing", "20"), "--spacing: 20 m is out of range: no pair is built so"),
         (
@@ -247,7 +247,7 @@ def test_wind_means_the_same_in_every_command() -> None:
     assert parse_wind("0.5") == parse_wind("0.5m/s") == 0.5
     assert parse_wind("1.8km/h,0,0") is not None
     assert parse_wind("0.5,0,0") == parse_wind("0.5m/s,0,0m/s") == (0.5, 0.0, 0.0)
-    with pytest.raises(InputError, match="is no wind"):
+    with pytest.raises(InputError, match="is not a wind speed"):
         parse_wind("-0.5")
     found, again, other = (
         resolve_wind("0.5", None, 7),

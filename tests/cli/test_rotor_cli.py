@@ -163,7 +163,7 @@ def test_parameters_are_listed_with_units() -> None:
     ("arguments", "message"),
     [
         (("hover", "--pitch", "12"), "needs two of"),
-        (("hover", "--pitch", "steep", "--rpm", "5000"), "--pitch: 'steep' is no number"),
+        (("hover", "--pitch", "steep", "--rpm", "5000"), "--pitch: 'steep' is not a number"),
         (("hover", "--pitch", "12mm", "--rpm", "5000"), "--pitch: '12mm' is in mm, which cannot become deg"),
         (("hover", "propeller", "--pitch", "12", "--rpm", "5000"), "no such rotor"),
         (("hover", "--pitch", "12", "--rpm", "5000", "--model", "magic"), "use one of: full, plain, thesis"),
@@ -173,7 +173,7 @@ def test_parameters_are_listed_with_units() -> None:
         (("sweep", "--vary", "chord=1:2:1", "--set", "speed=5000rpm"), "'1:2:1' has no unit"),
         (("sweep", "--vary", "pitch=6:8:1deg", "--set", "pitch=6deg"), "is varied too"),
         (("sweep", "--vary", "pitch=6:8:1deg", "--set", "thrust=0.1,0.2N"), "vary it with --vary"),
-        (("sweep", "--vary", "pitch=6deg", "--set", "speed=5000rpm", "--plot", "beauty"), "is no result"),
+        (("sweep", "--vary", "pitch=6deg", "--set", "speed=5000rpm", "--plot", "beauty"), "is not a result"),
         (("rank", "--set", "pitch=6deg"), "holds what a ranking varies"),
         (("compare", "naca0012-r60-c20", "nothing.csv"), "cannot be read"),
         (("hover", "--pitch", "12", "--rpm", "5000", "--section", "guessed"), "add --band"),

@@ -177,7 +177,7 @@ def test_new_writes_files_that_load_and_marks_guesses(tmp_path: Path) -> None:
     assert all(notes[key].startswith("guess:") for key in ("body.inertia_xx", "motor.friction", "battery.capacity"))
     assert float(load_rotor(folder / "rotor.toml").radius) == 0.09
     assert load_mission(folder / "mission.toml").waypoint == load_mission("demonstration").waypoint
-    with pytest.raises(InputError, match="is there already"):
+    with pytest.raises(InputError, match="already exists"):
         runner.invoke(whole, given, catch_exceptions=False)
     with pytest.raises(InputError, match="--radius: is missing"):
         runner.invoke(whole, ["new", "other", "--mass", "120"], catch_exceptions=False)

@@ -282,7 +282,7 @@ class TestFaultsAreNamed:
          ("regularisation", -1e-3), ("gamma_max", 0.0)],
     )  # fmt: skip
     def test_impossible_arguments(self, name: str, value: float) -> None:
-        with pytest.raises(InputError, match=f"^{name}: {value:g} is not possible; give "):
+        with pytest.raises(InputError, match=f"^{name}: {value:g} is out of range; give "):
             hinfsyn(scalar(1.0), 1, 1, **{name: value})
 
 

@@ -155,7 +155,7 @@ def test_a_pure_gain_is_that_gain() -> None:
 
 def test_faults_are_named(appendix_b: ModuleType) -> None:
     G = appendix_b.linear().heave_yaw
-    with pytest.raises(MuflyError, match="reference 'height' is no output"):
+    with pytest.raises(MuflyError, match="reference 'height' is not an output"):
         two_degree_plant(G, ["height"], TwoDegreeWeights())
     with pytest.raises(MuflyError, match=r"W_M\[z\].*higher degree"):
         two_degree_plant(G, ["z"], TwoDegreeWeights(reference_model=TransferFunction((1.0, 0.0), (1.0,))))

@@ -77,10 +77,10 @@ def test_data_sheet_motor_does_what_its_sheet_says(tmp_path) -> None:
     ("change", "message"),
     [
         (lambda t: t.pop("datasheet"), r"motor: neither \[motor\] nor \[datasheet\] is given"),
-        (lambda t: t["gear"].update(ratio=q(-1, "1")), "gear.ratio: -1 1 is not possible"),
+        (lambda t: t["gear"].update(ratio=q(-1, "1")), "gear.ratio: -1 1 is out of range"),
         (lambda t: t["gear"].pop("efficiency"), "gear.efficiency: is missing"),
         (lambda t: t["datasheet"]["speed_constant"].update(unit="rpm"), "datasheet.speed_constant.*rpm/V"),
-        (lambda t: t["datasheet"]["speed_constant"].update(value="fast"), "'fast' is not possible"),
+        (lambda t: t["datasheet"]["speed_constant"].update(value="fast"), "'fast' is out of range"),
         (lambda t: t["datasheet"].update(no_load_current=q(90, "A")), "resistance alone takes 10.8 V"),
         (lambda t: t.update(rotors=0), "rotors: 0"),
         (lambda t: t.update(colour="red"), "colour: unknown key"),

@@ -40,7 +40,7 @@ def tree(vehicle, tmp_path_factory):
 
 
 def test_any_bytes_are_borne_and_a_fault_is_found(tree) -> None:
-    """A short run; then with the guard of the sine taken away, whose cast of what is no number C leaves undefined."""
+    """A short run; then with the guard of the sine taken away, whose cast of NaN C leaves undefined."""
     if absent := missing_fuzzer_tools():
         pytest.skip(absent)
     sound = run_fuzzer(tree, seconds=2)

@@ -44,8 +44,8 @@ def test_faults_of_the_camera_are_read_or_refused_in_a_line() -> None:
     assert math.isinf(parse_camera_fault("unplugged").stop_s)
     for text, words in (
         ("blind@3s", "use one of: covered, dark, unplugged"),
-        ("dark@x", "'x' is no number"),
-        ("dark@3s+0s", "is no time"),
+        ("dark@x", "'x' is not a number"),
+        ("dark@3s+0s", "is not a time"),
     ):
         with pytest.raises(MuflyError, match=words):
             parse_camera_fault(text)
@@ -284,7 +284,7 @@ def test_who_wants_a_camera_gets_one_line_without_opencv(monkeypatch: pytest.Mon
             fly_mission("mufly-1.1", sensors="fitted", eye=CameraConfig(load_camera("webcam")))
     finally:
         load_opencv.cache_clear()
-    with pytest.raises(MuflyError, match="pictures are nothing for ideal sensors"):
+    with pytest.raises(MuflyError, match="ideal sensors use no pictures"):
         fly_mission("mufly-1.1", eye=CameraConfig(load_camera("webcam")))
 
 
@@ -316,5 +316,5 @@ def test_a_flight_on_places_from_outside_sends_its_pictures() -> None:
     assert sent[-1][1].std() > 10
     sensor.close()
     assert not sent
-    with pytest.raises(MuflyError, match="nobody sees its pictures"):
+    with pytest.raises(MuflyError, match="its pictures have no receiver"):
         Flight(vehicle, "demonstration", eye=eye, outside=True, sensors="fitted")

@@ -131,7 +131,7 @@ def test_an_identified_covariance_is_drawn_from(tmp_path: Path, vehicle: Vehicle
         (["wings=5%"], "no parameter of mufly-1.1"),
         (["m=+-2furlong"], "use one of: kg, g, mg, lb, oz, or %"),
         (["rotors=+-2"], "vary them in %"),
-        (["m=100:90g"], "holds nothing"),
+        (["m=100:90g"], "contains nothing"),
         (["m=100%"], "reaches zero"),
         (["m=0%"], "above 0"),
         (["motor.friction_torque=5%"], "a share of 0 is 0"),

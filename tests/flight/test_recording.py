@@ -191,7 +191,7 @@ def test_another_programs_mcap_is_refused(tmp_path):
 def test_a_recording_without_rows_is_refused(tmp_path):
     with FlightRecorder(tmp_path / "flight.mcap"):
         pass
-    with pytest.raises(InputError, match="holds no rows"):
+    with pytest.raises(InputError, match="contains no rows"):
         read_recording(tmp_path / "flight.mcap")
 
 

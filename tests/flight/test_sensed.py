@@ -314,7 +314,7 @@ def sensed(tmp_path_factory):
 
 def test_a_hop_on_sensors_succeeds_and_shows_what_it_believed(sensed) -> None:
     folder, data, said = sensed
-    assert "It flies on its sensors: imu, sonar" in said
+    assert "Flies on its sensors: imu, sonar" in said
     assert data.attrs["outcome"] == "succeeded"
     assert data.attrs["faults"] == ["sonar.dropout@9s+1s"]
     off = (data.estimated_position - data.truth_position).values
@@ -463,8 +463,8 @@ def test_a_vehicle_without_sensors_says_so_and_flies_on_what_is_true(vehicle, co
     told: list[str] = []
     flight = fly_mission(bare, HOP, controller=controller, sensors="fitted", on_event=lambda e: told.append(e.text))
     assert flight.attrs["outcome"] == "succeeded"
-    assert told[0] == "mufly-1.1 has no table [sensors]: it flies on what is true"
+    assert told[0] == "mufly-1.1 has no table [sensors]: it flies on the true state"
     with pytest.raises(InputError, match="no table"):
         Flight(bare, HOP, controller=controller, sensors="fitted", faults=[parse_fault("sonar.jump")])
-    with pytest.raises(InputError, match="flies on what is true"):
+    with pytest.raises(InputError, match="flies on the true state"):
         Flight(vehicle, HOP, controller=controller, faults=[parse_fault("sonar.jump")])

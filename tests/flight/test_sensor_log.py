@@ -78,4 +78,4 @@ def test_the_command_tells_the_same_as_json_and_refuses_in_one_line(tmp_path, ho
     assert "outliers" in runner.invoke(app, ["sensors", "faults"]).stdout
     wrong = runner.invoke(app, ["sensors", "simulate", "--fault", "gyro.melt"]).exception
     assert isinstance(wrong, InputError)
-    assert "melt: is no fault" in str(wrong)
+    assert "melt: is not a fault" in str(wrong)

@@ -84,7 +84,7 @@ def test_provenance_sets_the_prior(vehicle):
         (["cTdw"], "did you mean 'cT_dw'"),
         (["IXX"], "did you mean 'Ixx'"),
         (["qqqqqqqq"], "use symbols of `mufly vehicle show`"),
-        (["legs"], "is no parameter"),
+        (["legs"], "is not a parameter"),
         (["Izz", "Izz"], "is named twice"),
         (["bias_yaw"], "bias of nothing"),
         ([], "no parameter is free"),

@@ -84,7 +84,7 @@ def test_a_recording_survives_the_round_trip():
     [
         (lambda t: t[::-1], "does not rise"),
         (lambda t: np.where(t > 3, t + 1.0, t), "has a gap of 1"),
-        (lambda t: np.where(t > 3, np.nan, t), "holds NaN"),
+        (lambda t: np.where(t > 3, np.nan, t), "contains NaN"),
     ],
 )  # fmt: skip
 def test_clocks_that_cannot_be_are_refused(change, words):
@@ -134,5 +134,5 @@ def test_a_table_without_header_may_have_decimal_commas(tmp_path, separator):
     path.write_text("\n".join(rows).replace(".", ",").replace(" ", separator) + "\n", encoding="utf-8")
     found = read_columns(path, columns=("time=1", "u=2", "y=3"))
     assert found.columns["y"] == pytest.approx(1.5 - 0.01 * np.arange(60))
-    with pytest.raises(InputError, match="4: is no column of this log; it has: 2, 3"):
+    with pytest.raises(InputError, match="4: is not a column of this log; it has: 2, 3"):
         read_columns(path, columns=("time=1", "u=4"))

@@ -359,7 +359,7 @@ def test_a_sum_of_columns_is_an_input_and_what_is_none_is_said():
     assert r.stack_columns({"lat": "m2-m1", "lon": "-0.5*m1+1e-1*m2", "ped": "a-b"}, "inputs") == pytest.approx(
         np.c_[t, -0.3 * t, 3 * t]
     )
-    with pytest.raises(InputError, match="'k' is no number"):
+    with pytest.raises(InputError, match="'k' is not a number"):
         r.stack_columns({"lat": "k*m1"}, "inputs")
 
 
@@ -426,7 +426,7 @@ def test_degrees_are_refused_or_converted_where_the_header_says_so(tmp_path):
     wrong = read_columns(tmp_path / "wrong.csv")
     with pytest.raises(InputError, match=r"p: seems to be in deg/s"):
         identify_linear_model(wrong, {"lat": "lat"}, {"p": "p"}, model="first-order", starts=1)
-    with pytest.raises(InputError, match="holds no numbers"):
+    with pytest.raises(InputError, match="contains no numbers"):
         wrong.find_column("none", "outputs")
 
 

@@ -99,7 +99,7 @@ def test_duty_and_supply_current():
     }  # fmt: skip
     headers = {k: k for k in columns}
     assert_allclose(values(fit_motor(BenchTable("b.csv", columns, headers, table.line))), TRUTH, rtol=1e-9)
-    with pytest.raises(InputError, match=r"line 2, duty: 50 is no share"):
+    with pytest.raises(InputError, match=r"line 2, duty: 50 is not a share"):
         fit_motor(BenchTable("b.csv", {**columns, "duty": 100 * duty}, headers, table.line))
     del columns["duty"]
     with pytest.raises(InputError, match="add the column duty"):
@@ -197,7 +197,7 @@ def test_noise_is_read():
     assert noise["current"] == ChannelNoise(0.01, 0.0, 0.02)
     assert noise["voltage"] == ChannelNoise()
     assert_allclose(noise["speed"].error_std(np.array([0.0, 100.0])), [0.5, 0.5])
-    for text, what in (("wind=1%", "is no channel"), ("current=x", "is no amount"), ("current=0", "is zero")):
+    for text, what in (("wind=1%", "is not a channel"), ("current=x", "is not an amount"), ("current=0", "is zero")):
         with pytest.raises(InputError, match=what):
             parse_noise(text, ("current",))
     fit = fit_motor(bench(0, 0.01), noise=noise)
@@ -249,11 +249,12 @@ def test_idle_lines_of_a_stand_are_left_out(tmp_path, at_rest):
 def test_a_resistance_below_zero_is_refused_with_what_is_missing(tmp_path):
     text = stand().replace("ESC signal (µs)", "Servo 1 (µs)")
     with pytest.raises(
-        InputError, match=r"the fit gives Rohm = -.* ohm, which no motor has; Voltage .*add a column duty"
+        InputError,
+        match=r"the fit gives Rohm = -.* ohm, which is outside the range of real motors; Voltage .*add a column duty",
     ):
         fit_motor(read(tmp_path, text))
     table = bench()
-    with pytest.raises(InputError, match="which no motor has; check signs, units"):
+    with pytest.raises(InputError, match="which is outside the range of real motors; check signs, units"):
         fit_motor(changed(table, voltage=3.0 * TRUTH[0] * table["speed"] - table["current"]))
 
 
@@ -297,5 +298,7 @@ def test_units_of_a_stand_that_cannot_be_are_blamed(tmp_path, old, new, what):
 
 
 def test_pulses_beyond_two_milliseconds_are_refused(tmp_path):
-    with pytest.raises(InputError, match=r"line 18, ESC signal .*: 1.2 is no share of the voltage; .*1000 to 2000 us"):
+    with pytest.raises(
+        InputError, match=r"line 18, ESC signal .*: 1.2 is not a share of the voltage; .*1000 to 2000 us"
+    ):
         fit_motor(read(tmp_path, stand() + "16,2200,0.01,1,8,3,30000\n"))

@@ -61,11 +61,11 @@ def test_what_xarray_writes_of_datetimes_and_timedeltas_is_read(tmp_path):
 def test_a_netcdf_time_of_another_name_is_found_and_of_an_unknown_unit_refused(tmp_path):
     path = netcdf(tmp_path / "a.nc", 1e3 * SECONDS, {"units": "ms"}, dim="sample_time")
     assert read_raw(path)["table"].time == pytest.approx(SECONDS)
-    with pytest.raises(InputError, match=r"time: 'fortnights' is no unit of time"):
+    with pytest.raises(InputError, match=r"time: 'fortnights' is not a unit of time"):
         read_raw(netcdf(tmp_path / "b.nc", SECONDS, {"units": "fortnights"}))
     far = read_raw(netcdf(tmp_path / "far.nc", 1e18 + 1e15 * SECONDS, {"units": "s since 2020-01-01"}))
     assert far.start_time == ""
-    with pytest.raises(InputError, match="'the flood' is no date"):
+    with pytest.raises(InputError, match="'the flood' is not a date"):
         read_raw(netcdf(tmp_path / "c.nc", SECONDS, {"units": "days since the flood"}))
 
 

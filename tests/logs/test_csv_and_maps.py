@@ -194,7 +194,7 @@ def test_a_column_of_times_is_one_if_most_of_its_cells_are(table, bad, refused):
     cells = ["?" if k < bad else f"2025-03-01T12:00:{k:02d}Z" for k in range(50)]
     path = table("time,U_V\n" + "\n".join(f"{c},1" for c in cells))
     if refused:
-        with pytest.raises(InputError, match=r"'\?' is no time"):
+        with pytest.raises(InputError, match=r"'\?' is not a time"):
             read_raw(path)
     else:
         assert np.isnan(read_raw(path)["table"].time).sum() == bad
@@ -209,7 +209,7 @@ def test_times_of_day_are_read(table):
 
 def test_cells_that_are_no_numbers_are_missing_and_counted(table):
     text = rows("t_s,U_V,I_A").replace("\n0.05,", "\n0.05,oops").replace("\n0.07,", "\n0.07,nan ,0\n0.075,")
-    with pytest.warns(LogWarning, match="column U: 1 cell is no number"):
+    with pytest.warns(LogWarning, match="column U: 1 cell is not a number"):
         data = read_log(table(text))
     assert np.isnan(data.U).sum() == 2
 
@@ -288,12 +288,12 @@ def test_a_quaternion_in_a_table_becomes_angles(table):
         ({"battery_voltage": "V0lt"}, "there is no such column"),
         ({"battery_voltage": "U(furlong)"}, "is unknown"),
         ({"battery_voltage": "U(deg)"}, "cannot become V"),
-        ({"measured_attitude.rol": "U"}, "is no component"),
+        ({"measured_attitude.rol": "U"}, "is not a component"),
         ({"measured_attitude": "U"}, "give 3"),
-        ({"battery voltage": "U"}, "is no name for a signal"),
+        ({"battery voltage": "U"}, "is not a name for a signal"),
         ({"signal": [{"name": "x", "column": "U"}]}, "did you mean 'columns'"),
         (["battery_voltage"], "write NAME=COLUMN"),
-        ({"time": "clock", "battery_voltage": "U"}, "is no column"),
+        ({"time": "clock", "battery_voltage": "U"}, "is not a column"),
     ],
 )
 def test_maps_that_do_not_fit_are_refused_in_one_line(table, columns, words):
@@ -392,7 +392,7 @@ def test_what_a_comma_means_is_told_by_the_whole_table(table):
         2345,
     ]
     assert read_raw(table("t_s\ta\n0\t1,234\n1\t2,345"))["table"].fields["a"].tolist() == [1.234, 2.345]
-    with pytest.raises(InputError, match="is no text"):
+    with pytest.raises(InputError, match="is not text"):
         read_text_table(table("\0\1\2,3\n4,5"))
 
 

@@ -389,7 +389,7 @@ def test_a_recording_without_a_whole_row_says_why(tmp_path, make_signals):
     content[at + length // 2] ^= 1
     path.write_bytes(content)
     for read in (read_recording, read_log):
-        with pytest.raises(InputError, match=r"holds no rows that can be read .a chunk of \d+ bytes at byte \d+"):
+        with pytest.raises(InputError, match=r"contains no rows that can be read .a chunk of \d+ bytes at byte \d+"):
             read(path)
 
 

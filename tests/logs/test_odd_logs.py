@@ -246,7 +246,7 @@ def test_a_log_that_begins_before_0_is_shifted_for_formats_that_know_no_sign(wri
     assert moved.time.values == pytest.approx(data.time.values + 4.0)
     back = quietly(write_log(moved, tmp_path / "out.ulg"))
     assert np.array_equal(back.time, moved.time)
-    with pytest.raises(InputError, match="is no time"):
+    with pytest.raises(InputError, match="is not a time"):
         read_log(path, start_s=np.nan)
 
 

@@ -275,7 +275,7 @@ def test_unsound_contours_are_refused(tmp_path, points, words):
 def test_unreadable_lines_are_named(tmp_path):
     points = naca_contour("0012", 40)
     broken = f"wing\n{rows(points[:20])}\n0.5 abc\n{rows(points[20:])}\n"
-    with pytest.raises(InputError, match=r"line 22: '0.5 abc' is no point"):
+    with pytest.raises(InputError, match=r"line 22: '0.5 abc' is not a point"):
         load_airfoil(written(tmp_path, broken))
     with pytest.raises(InputError, match=r"announces 30 \+ 40 points"):
         load_airfoil(written(tmp_path, f"wing\n30. 40.\n{rows(points)}\n"))

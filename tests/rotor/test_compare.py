@@ -109,7 +109,7 @@ def test_a_rotor_will_do_where_a_blading_does(case):
     ("text", "message"),
     [
         ("pitch_deg,speed_rpm\n1,2\n", "thrust: is not among the columns"),
-        ("pitch_deg,speed_rpm,thrust_N\n", "holds no measurements"),
+        ("pitch_deg,speed_rpm,thrust_N\n", "contains no measurements"),
         ("pitch_deg,speed_rpm,thrust_N\n1,2,x\n", "line 2, thrust_N: 'x' is not a number"),
         ("pitch_deg,speed_rpm,thrust_N\n1,nan,3\n", "line 2, speed_rpm: is nan"),
         ("pitch_deg,speed_rpm,thrust_N\n400,2,3\n", "line 2, pitch_deg: is 6.98132 .* within 90 degrees"),

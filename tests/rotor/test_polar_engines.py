@@ -317,13 +317,13 @@ def test_user_table_over_reynolds_numbers(tmp_path):
     [
         ("alpha_deg,cl\n0,0\n", "cd: the column is missing"),
         ("alpha_deg,cl,cd,mach\n0,0,1,0\n", "mach: unknown column"),
-        ("alpha_deg,cl,cd\n0,0,1\n1,x,1\n2,0,1\n", "line 3: cl 'x' is no number"),
+        ("alpha_deg,cl,cd\n0,0,1\n1,x,1\n2,0,1\n", "line 3: cl 'x' is not a number"),
         ("alpha_deg,cl,cd\n0,0,1\n1,0\n", "line 3: 2 cells"),
         ("alpha_deg,cl,cd\n0,0,1\n0,0,1\n2,0,1\n", "an angle appears twice"),
         ("alpha_deg,cl,cd\n0,0,1\n1,0,1\n", "2 angles are too few"),
-        ("alpha_deg,cl,cd\n0,0,0\n1,0,1\n2,0,1\n", "cd 0 is not possible"),
+        ("alpha_deg,cl,cd\n0,0,0\n1,0,1\n2,0,1\n", "cd 0 is out of range"),
         ("alpha_deg,cl,cd\n0,0,1\n1,0,1\n200,0,1\n", "give -180 to 180"),
-        ("alpha_deg,cl,cd,reynolds\n0,0,1,-5\n", "reynolds -5 is not possible"),
+        ("alpha_deg,cl,cd,reynolds\n0,0,1,-5\n", "reynolds -5 is out of range"),
         ("alpha_deg,cl,cd\n", "has no rows"),
         ("", "is empty"),
     ],
@@ -444,14 +444,14 @@ def test_polars_in_other_codes(tmp_path, raw):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (table("alpha_deg,cl,cd,reynolds", form="{a:g},{cl:.4f},{cd:.5f},0.05"), "0.05 is no Reynolds number"),
+        (table("alpha_deg,cl,cd,reynolds", form="{a:g},{cl:.4f},{cd:.5f},0.05"), "0.05 is not a Reynolds number"),
         (table("alpha_deg,cl,cd,re (bananas)", form="{a:g},{cl:.4f},{cd:.5f},1"), "has the unit 'bananas'"),
         (table("alpha,cl,cd", scale=math.pi / 180, form="{a:.6f},{cl:.4f},{cd:.5f}"), "degrees or radians"),
         (table("alpha_deg,cl,cd", scale=math.pi / 180, form="{a:.6f},{cl:.4f},{cd:.5f}"), "a degree"),
         (table("alpha (mm),cl,cd"), "has the unit 'mm'"),
         (table("alpha_deg,cl,cd,CL", form="{a:g},{cl:.4f},{cd:.5f},1"), "is cl again"),
         (table("alpha_deg,cl,cd").replace("2,0.4000", "2"), "line 5: 2 cells"),
-        (table("alpha_deg,cl,cd").replace("0.4000", "nan"), "line 5: cl 'nan' is no number"),
+        (table("alpha_deg,cl,cd").replace("0.4000", "nan"), "line 5: cl 'nan' is not a number"),
         (table("alpha_rad,cl,cd"), "give -180 to 180"),
     ],
 )  # fmt: skip

@@ -106,12 +106,12 @@ def test_the_command_that_imports_a_body_takes_its_unit(rotor, tmp_path):
     assert CliRunner().invoke(app, [*run, "--unit", "m"]).exit_code == 0
     assert load_rotor(tmp_path / "p.toml").radius_m == pytest.approx(0.06, rel=1e-3)
     wrong = CliRunner().invoke(app, [*run, "--unit", "bananas"]).exception
-    assert "'bananas' is no length" in str(wrong)
+    assert "'bananas' is not a length" in str(wrong)
 
 
 def test_what_is_no_body_is_said(rotor, tmp_path):
     (tmp_path / "a.stl").write_text("hello")
-    with pytest.raises(InputError, match="is no STL file"):
+    with pytest.raises(InputError, match="is not an STL file"):
         read_stl(tmp_path / "a.stl")
     (tmp_path / "b.stl").write_text("solid\n" + "vertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\n" * 3)
     with pytest.raises(InputError, match="no closed sections"):

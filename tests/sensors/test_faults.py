@@ -37,8 +37,8 @@ def test_faults_are_written_in_words() -> None:
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ("sonar", "write NAME.KIND"), ("radar.jump@1s", "is no sensor; use one of: accelerometer"),
-        ("sonar.explode@1s", "is no fault; use one of: freeze"), ("sonar.jump@5s+0s", "is no time"),
+        ("sonar", "write NAME.KIND"), ("radar.jump@1s", "is not a sensor; use one of: accelerometer"),
+        ("sonar.explode@1s", "is not a fault; use one of: freeze"), ("sonar.jump@5s+0s", "is not a time"),
         ("sonar.jump=1e@3s", "unit 'e' in '1e' is unknown"), ("sonar.jump@1e999s", "is not finite"),
     ],
 )  # fmt: skip

@@ -211,7 +211,7 @@ def test_at_the_dissertations_quality_it_knows_where_it_is_and_finds_itself_agai
     first = next(k for k, a in enumerate(here) if a.trusted)
     assert np.hypot(*(here[first].position - made[60 + first][1].position)[:2]) < 0.1
     (tmp_path / "map").write_bytes(b"PK damaged")
-    with pytest.raises(InputError, match="is no map"):
+    with pytest.raises(InputError, match="is not a map"):
         FloorMap.load(tmp_path / "map")
 
 

@@ -80,7 +80,7 @@ def test_layouts_say_the_same(layouts: dict[str, Path]) -> None:
 
 
 def test_what_is_wrong_is_one_line(layouts: dict[str, Path], tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="holds no pictures"):
+    with pytest.raises(InputError, match="contains no pictures"):
         open_pictures(tmp_path, CAMERA, height_m=1.0)
     data = encode_jpeg(np.zeros((240, 320), np.uint8), 80)
     (tmp_path / "1.0.jpg").write_bytes(data)
@@ -96,7 +96,7 @@ def test_what_is_wrong_is_one_line(layouts: dict[str, Path], tmp_path: Path) -> 
     (tmp_path / "2.0.jpg").unlink()
     some = source.read_frames()
     (tmp_path / "x.png").write_bytes(data)
-    with pytest.raises(InputError, match=r"x\.png: is no time"):
+    with pytest.raises(InputError, match=r"x\.png: is not a time"):
         open_pictures(tmp_path, CAMERA, height_m=1.0)
     (tmp_path / "pictures.csv").write_text("time_s,file\n1.0,a.jpg\n0.5,b.jpg\n")
     with pytest.raises(InputError, match=r"b\.jpg: its time, 0\.500000 s, is not after"):
@@ -153,7 +153,7 @@ def test_pictures_of_a_recording_or_what_is_wrong_with_it(layouts: dict[str, Pat
     cut.write_bytes(whole[: len(whole) - 400])
     assert open_pictures(cut, CAMERA).frame_count == len(frames)  # its index alone is gone
     cut.write_bytes(whole[:2000])
-    with pytest.raises(InputError, match=r"holds no pictures; give camera\.mcap of a flight on the camera"):
+    with pytest.raises(InputError, match=r"contains no pictures; give camera\.mcap of a flight on the camera"):
         open_pictures(cut, CAMERA)
     cut.write_bytes(b"no such thing")
     with pytest.raises(InputError, match="is not an MCAP file"):
@@ -179,7 +179,7 @@ def test_a_video_with_times_and_a_recording_beside_it(layouts: dict[str, Path], 
     for f in list(open_pictures(layouts["mufly"], CAMERA).read_frames())[:5]:
         out.write(cv2.cvtColor(f.picture, cv2.COLOR_GRAY2BGR))
     out.release()
-    with pytest.raises(InputError, match="does not tell the height above the floor; give --height or --telemetry"):
+    with pytest.raises(InputError, match="does not state the height above the floor; give --height or --telemetry"):
         open_pictures(film, CAMERA)
     told = read_telemetry(layouts["mufly"] / "telemetry.csv", -100.0)
     (tmp_path / "film.csv").write_text("time,frame\n" + "".join(f"{100.1 + 0.04 * k},{k}\n" for k in range(5)))
@@ -228,11 +228,11 @@ def test_what_was_answered_before_a_fault_is_written(layouts: dict[str, Path], t
     [
         (["/dev/video99", "--camera", "webcam", "--height", "1"], "there is no such device"),
         (["http://127.0.0.1:9/stream", "--camera", "webcam", "--height", "1"], "refused"),
-        (["http://127.0.0.1:9/stream"], "does not tell of its camera; give --camera"),
+        (["http://127.0.0.1:9/stream"], "does not name its camera; give --camera"),
         (["http://127.0.0.1:9/stream", "--camera", "webcam"], "give --height or --telemetry"),
         (["nowhere"], "no such folder, video or recording"),
         ([".", "--clock", "mine"], "--clock"),
-        (["FOLDER", "--camera", "webcam"], "camera.toml|is not there|holds no pictures"),
+        (["FOLDER", "--camera", "webcam"], "camera.toml|is missing|contains no pictures"),
     ],
 )
 def test_what_is_wrong_with_the_words_is_one_line(words: list[str], why: str, tmp_path: Path) -> None:
@@ -487,7 +487,7 @@ def test_from_rendering_to_errors_on_the_command_line(tmp_path: Path) -> None:
     assert made.exit_code == 0, made.output
     flown = call(app, ["slam", "run", data, "-o", str(out), "--save-map", str(tmp_path / "m")])
     assert flown.exit_code == 0, flown.output
-    assert "20 of 20 pictures answered" in flown.output or "21 of 21" in flown.output
+    assert "20 of 20 pictures have a position" in flown.output or "21 of 21" in flown.output
     assert {p.name for p in out.iterdir()} == {"trajectory.txt", "trajectory.mcap", "trajectory.png"}
     judged = call(app, ["slam", "evaluate", str(out / "trajectory.txt"), data, "--json"])
     assert judged.exit_code == 0, judged.output

@@ -73,7 +73,7 @@ def test_who_never_took_off_is_aligned_by_the_start_and_that_is_said() -> None:
     c = RecordingComparison(A, still)
     assert c.alignment_note == "no take-off in still.mcap: aligned by the start"
     assert c.total_shift_s == -100.0
-    with pytest.raises(ArgumentError, match="is no event"):
+    with pytest.raises(ArgumentError, match="is not an event"):
         RecordingComparison(A, still, "noon")
 
 

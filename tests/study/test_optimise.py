@@ -89,10 +89,10 @@ def test_limits_are_read_with_units() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("radius<60mm", "is no limit"),
+        ("radius<60mm", "is not a limit"),
         ("radius<=60", "has no unit"),
         ("colour>=2", "cannot be limited"),
-        ("thickness_mm>=thick", "is no number"),
+        ("thickness_mm>=thick", "is not a number"),
     ],
 )
 def test_faulty_limits_are_named(text: str, message: str) -> None:
@@ -107,7 +107,7 @@ def test_what_makes_no_sense_is_refused(start: StudySetup) -> None:
         optimise_rotor(start, "thrust-per-power", ["airfoil"])
     with pytest.raises(InputError, match="no goal"):
         optimise_rotor(start, "beauty", ["chord"])
-    with pytest.raises(InputError, match="holds nothing"):
+    with pytest.raises(InputError, match="contains nothing"):
         search_bounds("radius", [parse_limit("radius<=50mm"), parse_limit("radius>=60mm")])
     with pytest.raises(MuflyError, match=r"no rotor within the limits.*speed_rpm <= 100"):
         optimise_rotor(start, "thrust-per-power", ["chord"], limits=[parse_limit("speed_rpm<=100")], generations=2)

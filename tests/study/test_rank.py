@@ -68,7 +68,7 @@ def test_less_drag_ranks_higher_and_failures_come_last(setup: StudySetup, tmp_pa
     assert ranking.thrust_per_power_N_W.values[0] == one.thrust_per_power_N_W.values.max()
     assert ranking.pitch.values[0] == one.pitch.values[one.thrust_per_power_N_W.values[0].argmax()]
     assert len(ranking_picture(ranking).axes) == 1
-    with pytest.raises(InputError, match="is no result"):
+    with pytest.raises(InputError, match="is not a result"):
         rank_airfoils(free, names, [0.2], by="beauty")
 
 

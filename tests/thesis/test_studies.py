@@ -60,7 +60,7 @@ def test_a_figure_is_found_as_people_write_it(text: str) -> None:
 
 
 def test_unknown_study_is_named_and_a_photograph_is_no_study() -> None:
-    with pytest.raises(InputError, match=r"fig-9\.9: is no figure or table"):
+    with pytest.raises(InputError, match=r"fig-9\.9: is not a figure or table"):
         run_study("fig-9.9")
     with pytest.raises(InputError, match=r"fig-2\.2: is a photograph.*mufly thesis show fig-2\.2"):
         run_study("fig-2.2")

@@ -220,7 +220,7 @@ def _mapped_header(header: str, line: ColumnLine) -> str:
     known = parse_header(line.name)
     if known is None:
         remedy = f"use one of {', '.join(_QUANTITY_NAMES)}, with _upper, _lower or _raw"
-        raise ArgumentError("columns", line.name, "is no quantity of a bench", remedy)
+        raise ArgumentError("columns", line.name, "is not a quantity of a bench", remedy)
     si = SI_UNITS[known.base_quantity]
     problem = f"the unit {line.unit!r} is none of {known.base_quantity} that is known"
     raise ArgumentError("columns", line.name, problem, f"use one of: {', '.join(compatible_units(si))}")
@@ -230,7 +230,7 @@ def _read_columns(written: TextTable, mapped: Mapping[int, list[tuple[str, float
     """The quantities of a table, by its headers and by a column map: header and sign of the columns that it names."""
     where = Path(written.where).name
     if not written.rows:
-        raise InputError(where, "", "holds no measurements", "give a header and at least one line")
+        raise InputError(where, "", "contains no measurements", "give a header and at least one line")
     notes = list(written.notes)
     if written.cut_line:  # its last number may have lost digits, which nobody can see
         cut = f"line {written.cut_line}, the last, is cut short and left out"

@@ -200,7 +200,7 @@ def _parse_calibration(
         _parse_float(v.get(f"image_{side}", v.get(side))) for side in ("width", "height")
     ]
     if len(focus) != 4 or not all(map(math.isfinite, [*focus, width, height])):
-        raise InputError(where, "", "is no calibration that is known here, or has no size or focal lengths",
+        raise InputError(where, "", "is not a calibration that is known here, or has no size or focal lengths",
                          "give a camera file (TOML), or the YAML of Kalibr, ROS, OpenCV or EuRoC")  # fmt: skip
     names = ("distortion_coeffs", "distortion_coefficients", "distortion_coefficents", "dist_coeffs", "d")
     distortion = _find_numbers(v, names) or [_parse_float(v.get(name, 0)) for name in _DISTORTION_NAMES]

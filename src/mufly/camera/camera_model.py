@@ -208,7 +208,7 @@ def parse_camera(text: str, where: str) -> Camera:
     try:
         tables = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise InputError(where, "", f"is no TOML ({error})", "give --camera") from error
+        raise InputError(where, "", f"is not valid TOML ({error})", "give --camera") from error
     return validate_model(Camera, tables, where)
 
 
@@ -286,6 +286,6 @@ def check_picture_size(camera: Camera, shape: tuple[int, ...], where: str) -> No
     wanted = (camera.sensor.height, camera.sensor.width)
     if tuple(shape[:2]) != wanted:
         raise InputError(
-            where, "", f"is {shape[1]} by {shape[0]} pixels, the camera file says {wanted[1]} by {wanted[0]}",
+            where, "", f"is {shape[1]} by {shape[0]} pixels, the camera file states {wanted[1]} by {wanted[0]}",
             "give the camera file of these pictures",
         )  # fmt: skip

@@ -86,9 +86,11 @@ def make_floor(kind: str = "rich", seed: int = 0, *, size: int = 4096, shadows: 
         Share of the light that the darkest shadows remove, 0 to 1.
     """
     if kind not in FLOOR_KINDS:
-        raise ArgumentError("floor", kind, "is no kind of floor", f"use one of: {', '.join(FLOOR_KINDS)}, or a picture")
+        raise ArgumentError(
+            "floor", kind, "is not a kind of floor", f"use one of: {', '.join(FLOOR_KINDS)}, or a picture"
+        )
     if size < 128 or size & (size - 1):
-        raise ArgumentError("size", str(size), "is no power of two from 128", "give 1024, 2048 or 4096")
+        raise ArgumentError("size", str(size), "is not power of two from 128", "give 1024, 2048 or 4096")
     rng = np.random.default_rng([seed, FLOOR_KINDS.index(kind)])
     n = TILE_PIXELS if kind == "tiles" else size
     picture = _MEAN_GREY + _CONTRAST_BY_KIND[kind] * _make_pink_noise(rng, n)
@@ -120,12 +122,12 @@ def load_floor_picture(path: str | Path, width_m: float, *, seed: int = 0, shado
     from PIL import Image, UnidentifiedImageError
 
     if not 0.01 <= width_m <= 1e4:
-        raise ArgumentError("width", f"{width_m:g} m", "is no width of a floor", "give 0.01 to 10 000 m")
+        raise ArgumentError("width", f"{width_m:g} m", "is out of range", "give 0.01 to 10 000 m")
     try:
         with Image.open(path) as opened:
             picture = opened.convert("L")
     except (OSError, UnidentifiedImageError, ValueError) as error:
-        raise InputError(str(path), "", f"is no picture that can be read ({error})", "give a PNG or JPEG") from error
+        raise InputError(str(path), "", f"is not a picture that can be read ({error})", "give a PNG or JPEG") from error
     height_m = width_m * picture.height / picture.width
     wide, high = (min(8192, max(64, 1 << (n - 1).bit_length())) for n in picture.size)
     grey = np.asarray(picture.resize((wide, high), Image.Resampling.LANCZOS))[::-1]  # rows increase northwards

@@ -199,7 +199,7 @@ class LivePictures:
             raise InputError("--delay", "", f"{delay_s:g} s is out of range", "give 0 to 5")
         device = not place.startswith("http")
         if device and clock == "sender":
-            raise InputError("--clock", "", "a device stamps no pictures", "leave it out, and give --delay")
+            raise InputError("--clock", "", "a camera device sends no time stamps", "leave it out, and give --delay")
         self._camera, self._delay_s, self._clock = camera, delay_s, clock
         self._give_up_s, self._say = give_up_s, say
         assert not device or opencv is not None

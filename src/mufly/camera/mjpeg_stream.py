@@ -47,7 +47,7 @@ def parse_address(text: str, where: str = "--stream") -> tuple[str, int]:
     """
     host, _, port = text.strip().rpartition(":")
     if not (port.isdecimal() and 0 <= int(port) <= 65535):
-        raise ArgumentError(where, text, "is no port", "write PORT or HOST:PORT, as 8090 or 0.0.0.0:8090")
+        raise ArgumentError(where, text, "is not a port", "write PORT or HOST:PORT, as 8090 or 0.0.0.0:8090")
     return host.strip("[]") or "127.0.0.1", int(port)
 
 

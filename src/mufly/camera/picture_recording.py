@@ -168,7 +168,7 @@ def read_pictures(path: Path) -> RecordedPictures:
         raise InputError(
             str(path),
             "",
-            "holds no pictures",
+            "contains no pictures",
             f"give {CAMERA_FILE_NAME} of a flight on the camera (mufly fly --position camera), or one with "
             f"{IMAGE_SCHEMA_NAME} in JSON",
         )
@@ -213,5 +213,5 @@ def find_camera(place: Path, given: str | None = None) -> Camera:
     names = ("camera.toml", "mav0/cam0/sensor.yaml", "cam0/sensor.yaml")
     beside = next((place / name for name in names if (place / name).is_file()), None)
     if beside is None:
-        raise InputError(str(place), "camera.toml", "is not there", "give --camera")
+        raise InputError(str(place), "camera.toml", "is missing", "give --camera")
     return load_camera(beside)

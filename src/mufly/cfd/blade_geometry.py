@@ -177,7 +177,7 @@ def make_blade_geometry(
         If there is no such tip, or a value is impossible.
     """
     if tip not in BLADE_TIPS:
-        raise InputError("tip", tip, "is no tip", f"use one of: {', '.join(BLADE_TIPS)}")
+        raise InputError("tip", tip, "is not a tip", f"use one of: {', '.join(BLADE_TIPS)}")
     return BladeGeometry(BLADE_TIPS[tip], HubCylinder(hub_m, 0.5 * hub_m, hub_joined) if hub_m else None, gurney)
 
 

@@ -99,7 +99,7 @@ def read_solution(folder: Path, mesh: PolyMesh | None = None, *, patch: str = "b
     point = read_point(folder)
     at = [t for t in list_complete_states(folder) if t > 0]
     if not at:
-        raise InputError(str(folder), "", "holds no solution", "run it first: mufly cfd run")
+        raise InputError(str(folder), "", "contains no solution", "run it first: mufly cfd run")
     mesh = mesh or read_poly_mesh(folder)
     place = folder / str(at[-1])
     velocity, pressure = read_field(place / "U", mesh.cell_count), read_field(place / "p", mesh.cell_count)
@@ -236,7 +236,7 @@ def read_flow(folder: Path, mesh: PolyMesh) -> FlowField:
     """
     at = [t for t in list_complete_states(folder) if t > 0]
     if not at:
-        raise InputError(str(folder), "", "holds no solution", "run it first: mufly cfd run")
+        raise InputError(str(folder), "", "contains no solution", "run it first: mufly cfd run")
     velocity = read_field(folder / str(at[-1]) / "U", mesh.cell_count)
     return FlowField(velocity, velocity_gradient(mesh, velocity, read_point(folder).patch_speeds_rad_s))
 
@@ -417,7 +417,7 @@ def scale_state(folder: Path, mesh: PolyMesh, ratio: float) -> dict[str, Array]:
     """
     at = [t for t in list_complete_states(folder) if t > 0]
     if not at:
-        raise InputError(str(folder), "", "holds no solution", "run it first: mufly cfd run")
+        raise InputError(str(folder), "", "contains no solution", "run it first: mufly cfd run")
     before = read_poly_mesh(folder)
     of = _match_faces(before, mesh)
     if of is None:

@@ -427,7 +427,9 @@ def read_poly_mesh(case: Path) -> PolyMesh:
             for name, count, start in re.findall(r"(\w+) \{ type.*?nFaces (\d+); startFace (\d+);", text)
         }
     except (OSError, ValueError, KeyError, IndexError) as error:
-        raise InputError(str(folder), "", f"is no whole mesh of ours ({error})", "write it again") from error
+        raise InputError(
+            str(folder), "", f"is not a complete mesh of `mufly cfd` ({error})", "write it again"
+        ) from error
     return PolyMesh(
         points,
         faces.astype(np.int64),

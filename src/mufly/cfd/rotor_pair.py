@@ -216,7 +216,7 @@ def write_actuator_disc(folder: Path, mesh: PolyMesh, point: OperatingPoint, dis
     if not np.all((part > 0.5) & (part < 2.0)):
         raise MuflyError(
             f"{folder}: the other rotor's loads nearly cancel along its blades (thrust {disc.thrust_N:.3g} N, torque "
-            f"{disc.torque_Nm:.3g} N m): as a disc of force they are not to be told"
+            f"{disc.torque_Nm:.3g} N m): a disc of force cannot represent them"
         )
     lift, drag = part[0] * lift, part[1] * drag
     blade = "\n".join(f"        (at{i} ({x:.9g} 0 1))" for i, x in enumerate(r))
@@ -265,4 +265,4 @@ def read_actuator_disc(folder: Path) -> ActuatorDisc | None:
         found: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in told.items()}
         return ActuatorDisc(**found)
     except (OSError, ValueError, TypeError) as error:
-        raise InputError(str(file), "", "is no whole disc of ours", "delete the case and run it again") from error
+        raise InputError(str(file), "", "is not a complete disc file", "delete the case and run it again") from error

@@ -196,7 +196,7 @@ def make_sector_mesh(
     """
     domain, form = domain or MeshDomain(), form or BladeGeometry()
     if isinstance(level, str) and level not in MESH_LEVELS:
-        raise InputError("mesh", level, "is no level", f"use one of: {', '.join(MESH_LEVELS)}")
+        raise InputError("mesh", level, "is unknown", f"use one of: {', '.join(MESH_LEVELS)}")
     k = _refine_for_geometry(MESH_LEVELS[level] if isinstance(level, str) else level, form)
     radius, root = rotor.radius_m, rotor.hub_radius_m
     _check_rotor(rotor, pitch_rad, form)

@@ -144,7 +144,7 @@ def print_pair(setup: StudySetup, point: SystemSolution, alone: tuple[RotorResul
     share = max(up.outside_share, low.outside_share)
     if share > 0.0:
         c.print(
-            f"sections beyond what the polars' engine computed carry up to {share:.0%} of a rotor's thrust",
+            f"sections outside the range of the polars carry up to {share:.0%} of a rotor's thrust",
             style="yellow", highlight=False,
         )  # fmt: skip
 
@@ -256,7 +256,7 @@ def trim(
     --free lower-pitch
     """
     if thrust is not None and not thrust > 0.0:
-        raise InputError("--thrust", "", f"{thrust:g} N is not possible", "give a number above 0")
+        raise InputError("--thrust", "", f"{thrust:g} N is out of range", "give a number above 0")
     above, below = parse_pitch_angles(pitch)
     fixed: dict[str, float | str] = {
         "spacing": spacing, "upper_pitch": above, "climb": climb, "density": density
@@ -287,7 +287,7 @@ def _solve_and_print(setup: StudySetup, isolated: bool, out: Path | None, as_jso
     if not point.converged:
         if out is not None:
             write_pair(point, None, out)
-        raise MuflyError(f"coaxial wake: {point.message}" + ("" if out is None else f"; its history lies in {out}"))
+        raise MuflyError(f"coaxial wake: {point.message}" + ("" if out is None else f"; its history is in {out}"))
     single = None
     if isolated:
         with wake_progress("each rotor alone", wakes and not as_json, out) as progress:
@@ -376,7 +376,7 @@ def compute_coax_map(
     ratios = read_range("--ratio", ratio, "1", 5 if wakes else 11)
     climbs = read_range("--climb", climb, "m/s", 5 if wakes else 9)
     if out is not None and out.suffix != ".toml":
-        raise InputError("--out", str(out), "is no name of a map file", "let it end in .toml")
+        raise InputError("--out", str(out), "does not end in .toml", "give a name that ends in .toml")
     pitches = parse_pitch_angles(pitch)
     settings, stations = theory.wake_settings(turns=3.0, tolerance=3e-3)
     blades = [theory.prepare_blading(load_rotor(r), stations) for r in (upper, upper if lower is None else lower)]
@@ -394,7 +394,7 @@ def compute_coax_map(
             )  # fmt: skip
     except KeyboardInterrupt:
         if kept is not None:
-            typer.echo(f"stopped; the points so far are in {kept}, and the same command goes on", err=True)
+            typer.echo(f"stopped; the points so far are in {kept}; the same command resumes", err=True)
         raise
     files = []
     if out is not None:
@@ -428,7 +428,8 @@ def _print_map(made: CoefficientMap) -> None:
     )  # fmt: skip
     if t.climb_ratio[0] == 0.0 or t.climb_ratio[-1] == 0.0:
         c.print(
-            "Hover lies at the edge of the map, where it is held: damping in heave shows on one side only. Let --climb "
+            "Hover is at the edge of the map, beyond which coefficients are constant: heave damping acts on one side "
+            "only. Let --climb "
             "reach beyond 0 on both sides.",
             style="yellow",
         )

@@ -172,7 +172,10 @@ def show(
         for k, e in enumerate(lasts)
     ]
     print_result_table(rows, [*_POINT_COLUMNS, "endurance*"], title=name)
-    print_lines("* from a full battery, all rotors at this thrust, electronics on; - where it cannot", style="dim")
+    print_lines(
+        "* from a full battery, all rotors at this thrust, with electronics; -: the battery cannot supply it",
+        style="dim",
+    )
 
 
 @app.command()

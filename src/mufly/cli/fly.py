@@ -175,19 +175,19 @@ def _make_camera(
 ) -> CameraConfig | None:
     """What ``--position`` and the options of a camera say; None where there is no camera."""
     if position == "link" and sensors == "ideal":
-        raise InputError("--position", "", "what is true needs no fixes", "leave out --sensors ideal")
+        raise InputError("--position", "", "the true state needs no position fixes", "leave out --sensors ideal")
     # Behind a link somebody else looks at the pictures, if they are sent.
     lacking = {"fix": "there is no camera without --position camera", "camera": ""}.get(
-        position, "" if stream else "nobody sees its pictures without --stream"
+        position, "" if stream else "its pictures are sent only with --stream"
     )
     given = {"--camera": camera, "--floor": floor, "--camera-fault": faults, "--stream": stream}
     for name, one in given.items():
         if one and lacking:
-            raise InputError(name, "", lacking, "add it, or leave this out")
+            raise InputError(name, "", lacking, "add that option, or leave this one out")
     if position != "camera" and not stream:
         return None
     if sensors == "ideal":
-        raise InputError("--position", "", "what is true needs no camera", "leave out --sensors ideal")
+        raise InputError("--position", "", "the true state needs no camera", "leave out --sensors ideal")
     from mufly.camera import FLOOR_KINDS, load_camera, parse_address
     from mufly.flight.camera_sensor import CameraConfig
     from mufly.flight.onboard_camera import parse_camera_fault
@@ -315,7 +315,7 @@ def fly_mission(
         )  # fmt: skip
         if order.has_external_position and not ends:
             remedy = "add --link, as --link udpin:127.0.0.1:14560"
-            raise InputError("--position", "", "nobody could send a position", remedy)
+            raise InputError("--position", "", "has no source of positions", remedy)
         if order.camera is not None and not order.has_external_position:
             from mufly.flight.camera_sensor import with_camera
 
@@ -342,21 +342,21 @@ def fly_mission(
             outcome = _fly_in_real_time(order, show)
             if ending.is_hurried or (ending.stop_requested.is_set() and outcome != "succeeded"):
                 # A summary of half a flight is worth less than an end when it is asked for.
-                what = "the recording up to here is in" if outcome else "it did not fly; what was recorded is in"
+                what = "the recording up to here is in" if outcome else "no flight took place; the recording is in"
                 terminal.print(f"Stopped; {what} {recording}")
                 raise typer.Exit(ending.exit_status)
             found = _read_partial_recording(recording)
             if found is None or _stayed_on_ground(found):
-                terminal.print(f"It did not fly; what was recorded is in {folder}")
+                terminal.print(f"No flight took place; the recording is in {folder}")
                 raise typer.Exit(1)
             dataset, heard = found, [] if show.page_address is None else sorted(folder.glob("station*.*"))
         else:
             dataset = _fly_in_terminal(order, show)
     ended_s = float(dataset["time"][-1])
     acted = [f for f in faults if f.start_s <= ended_s]
-    print_lines(*(f"{f} acted; what the software noticed of it is among its events" for f in acted), mark="Fault")
+    print_lines(*(f"{f} was active; the events show its detection" for f in acted), mark="Fault")
     print_lines(
-        *(f"{f} never came: the flight ended at {ended_s:.1f} s" for f in faults if f.start_s > ended_s),
+        *(f"{f} did not occur: the flight ended at {ended_s:.1f} s" for f in faults if f.start_s > ended_s),
         mark="Warning", style="yellow",
     )  # fmt: skip
     seen = order.camera is not None and not order.has_external_position
@@ -376,9 +376,11 @@ def _prepare_flight(order: FlightOrder, show: FlightDisplay, firmware: bool) -> 
         from mufly.camera import is_local_host
 
         host, number = order.camera.stream_address
-        terminal.print(f"Its camera is at http://{host}:{number}/stream", highlight=False, markup=False)
+        terminal.print(f"The camera's pictures are at http://{host}:{number}/stream", highlight=False, markup=False)
         if not is_local_host(host):
-            print_lines(f"anyone who reaches {host}:{number} sees its pictures", mark="Warning", style="yellow")
+            print_lines(
+                f"the pictures are open to every program that can reach {host}:{number}", mark="Warning", style="yellow"
+            )
     show.startup.begin_stage("building the estimator")
     if by := describe_computation(order.vehicle, order.sensors, firmware):
         terminal.print(by, highlight=False, markup=False)
@@ -442,7 +444,7 @@ def _fly_in_real_time(order: FlightOrder, show: FlightDisplay) -> str:
     with show.shutdown:
         if show.page_address is None or show.start_page is None:
             for end in order.extra_links:
-                show.terminal.print(f"It {end.explanation}", highlight=False)
+                show.terminal.print(f"The vehicle {end.explanation}", highlight=False)
             process = _start_vehicle_process(order, order.extra_links, True, show.startup)
             try:
                 return fly_behind_link(process, show.startup, on_event=on_event, stop=stop)

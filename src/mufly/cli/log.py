@@ -82,10 +82,10 @@ def convert_log(
     from mufly.logs import LOG_WRITERS, LogWarning, read_log, write_log
 
     if out.suffix.lower() not in LOG_WRITERS:
-        problem = f"the ending {out.suffix!r} says nothing"
+        problem = f"the ending {out.suffix!r} is unknown"
         raise InputError(str(out), "", problem, f"use one of: {', '.join(LOG_WRITERS)}")
     if out.exists() and not force:
-        raise InputError(str(out), "", "is already there", "choose another name, or add --force")
+        raise InputError(str(out), "", "already exists", "choose another name, or add --force")
     columns = column_map_from_options(map_file, column)
     with progress_bar("Reading", True) as progress, warnings.catch_warnings():
         warnings.simplefilter("ignore", LogWarning)  # printed below
@@ -111,9 +111,9 @@ def convert_log(
         f"{step}"
     )
     if text:
-        print_lines(f"Text does not go into a recording and is left out: {', '.join(text)}", style="dim")
+        print_lines(f"A recording holds no text signals; left out: {', '.join(text)}", style="dim")
     if kind == ".csv" and len(over_time) < len(data.data_vars):
-        print_lines("Events are not in a CSV file; .mcap, .nc, .parquet and .ulg keep them.", style="dim")
+        print_lines("A CSV file holds no events; .mcap, .nc, .parquet and .ulg do.", style="dim")
 
 
 app = CommandGroup(
@@ -218,7 +218,7 @@ def plot(
     if not kept:
         start, end = raw.time_span
         raise InputError(
-            str(log), "", "there is nothing to draw there", f"the log lasts from {start:.2f} to {end:.2f} s"
+            str(log), "", "has no data in this time span", f"the log lasts from {start:.2f} to {end:.2f} s"
         )
     pictures = group_channels(kept)
     suffix = "-spectrum" if spectrum else ""
@@ -258,7 +258,7 @@ def _plot_two_logs(
     found = find_shared_signals(c, names)
     if c.alignment_note:
         typer.secho(c.alignment_note, fg=typer.colors.YELLOW, err=True)
-    print_lines(f"{second.name} is moved by {c.total_shift_s:+.2f} s ({align})")
+    print_lines(f"{second.name} is shifted by {c.total_shift_s:+.2f} s ({align})")
     folder = out or Path(f"{log.stem}-with-{beside.stem}")
     for quantity, members in found.items():
         figure = draw_comparison(c, members, title=quantity.replace("_", " "))

@@ -81,16 +81,22 @@ and the way around obstacles that the file names.
     print_table(heads, lines, text=())
     obstacles = m.world.names[: len(m.world.boxes) + len(m.world.cylinders)]
     if obstacles or m.room:
-        print_lines(f"In the world: {', '.join([*obstacles, *(['a room'] if m.room else [])])}.")
+        print_lines(f"Obstacles: {', '.join([*obstacles, *(['a room'] if m.room else [])])}.")
     end = {"land": "lands there", "hover": "hovers there", "return": "returns and lands"}[m.at_end]
-    how = "scanning for obstacles" if m.scans_with_nose else "avoiding obstacles" if m.avoidance.enabled else "blindly"
+    how = (
+        "scanning for obstacles"
+        if m.scans_with_nose
+        else "avoiding obstacles"
+        if m.avoidance.enabled
+        else "without obstacle avoidance"
+    )
     if m.fence is not None:
         ceiling = "no ceiling" if m.fence.ceiling_m is None else f"ceiling {m.fence.ceiling_m:g} m"
         print_lines(f"Geofence: {len(fence_outlines(m.fence))} zones, {ceiling}; outside it, {m.fence.action}.")
     timing = compute_timing(m)
     print_lines(f"About {timing.landed_s:.0f} s and {timing.path_length_m:.1f} m, the landing included.")
     print_lines(
-        f"Way: {m.path.kind}, at most {m.trajectory_limits.speed:g} m/s, {how}; at the end it {end}.",
+        f"Path: {m.path.kind}, at most {m.trajectory_limits.speed:g} m/s, {how}; at the end it {end}.",
         style="dim",
     )
 

@@ -161,7 +161,7 @@ def run_monte_carlo(
         raise InputError(
             "--search",
             "",
-            "nothing varies but chance",
+            "only the noise varies",
             "vary something with --vary or --wind, or leave it out",
         )
     if not as_json:
@@ -186,15 +186,15 @@ def run_monte_carlo(
                 )  # fmt: skip
     if stop():
         done = f"{len(flown)} of {flights} flights" + (f" and {len(sought)} of the search" if search else "")
-        make_console(stderr=True).print(f"Stopped: {done} are in {out}; the same command goes on", highlight=False)
+        make_console(stderr=True).print(f"Stopped: {done} are in {out}; the same command resumes", highlight=False)
         raise typer.Exit(ending.exit_status)
     _write_and_print_results(campaign, flown, sought, out, recorded, as_json)
 
 
 def _print_campaign(campaign: Campaign) -> None:
     keys = {key for v in campaign.variations for key in v.keys}
-    varied = f", {len(keys)} parameters vary" if keys else ", all alike but for chance"
-    software = "made for each" if campaign.redesign else f"those of {campaign.vehicle.name}"
+    varied = f", {len(keys)} parameters vary" if keys else ", only the noise varies"
+    software = "designed for each" if campaign.redesign else f"those of {campaign.vehicle.name}"
     print_lines(f"{campaign.vehicle.name} flies {campaign.mission_name}{varied}; controllers and filter are {software}")
     print_lines(describe_sensor_source(campaign.vehicle, campaign.sensors))
     print_lines(*(f"{v.request_text}: {v.note}" for v in campaign.variations if v.note), mark="Note", style="yellow")
@@ -227,13 +227,13 @@ def _write_and_print_results(
             print_blocks(*outcome.shown_blocks())
         for f in worst:
             share = flight_severity(f, campaign.tolerance_m)
-            said = f"it failed: {f.reason}" if not f.success else f"{100 * share:.0f} % of what is allowed"
+            said = f"failed: {f.reason}" if not f.success else f"{100 * share:.0f} % of the limits"
             print_lines(f"Worst of {len(sought)} flights of the search is {f.index}: {said}")
         if commands:
-            print_lines("", "To fly these again:", *commands[:_MAX_PRINTED_COMMANDS])
+            print_lines("", "Commands that repeat these flights:", *commands[:_MAX_PRINTED_COMMANDS])
         if len(commands) > _MAX_PRINTED_COMMANDS:
             print_lines(f"and {len(commands) - _MAX_PRINTED_COMMANDS} more, in {out / 'commands.txt'}")
         if recorded.recordings:
-            print_lines(f"Recorded already: {len(recorded.recordings)} (flight.mcap in their folders).")
+            print_lines(f"Recordings: {len(recorded.recordings)} (flight.mcap in their folders).")
 
     print_answer(as_json, content, print_outcome, files)

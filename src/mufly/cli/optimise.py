@@ -189,9 +189,9 @@ def optimise_pairs(
     from mufly.study import PAIR_FREE_PARAMETERS, optimise_pair, parse_pair_limit, verify_by_wake
 
     if not 0.0 < thrust < math.inf:
-        raise InputError("--thrust", "", f"{thrust:g} N is not possible", "give a number above 0")
+        raise InputError("--thrust", "", f"{thrust:g} N is out of range", "give a number above 0")
     if generations < 1:
-        raise InputError("--generations", "", f"{generations} is not possible", "give 1 or more")
+        raise InputError("--generations", "", f"{generations} is out of range", "give 1 or more")
     names = [n.strip() for n in vary.split(",") if n.strip()]
     for name in names:
         if name not in PAIR_FREE_PARAMETERS:
@@ -267,11 +267,11 @@ def _print_pair_optimum(best: PairOptimum, checked: tuple[SystemSolution | str, 
     print_table(heads, rows, text=(0, 1))
     for point in checked or ():
         if isinstance(point, str):
-            c.print(f"Not confirmed by the wake: {point}", style="yellow", highlight=False)
+            c.print(f"The wake method finds no solution: {point}", style="yellow", highlight=False)
     share = max(best.after.upper.outside_share, best.after.lower.outside_share)
     if share > 0.0:
         c.print(
-            f"At the optimum sections beyond what the polars' engine computed carry up to {share:.0%} of a thrust",
+            f"At the optimum sections outside the range of the polars carry up to {share:.0%} of a thrust",
             style="yellow", highlight=False,
         )  # fmt: skip
     c.print(f"{best.evaluations} pairs computed.", style="dim", highlight=False)

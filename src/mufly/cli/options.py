@@ -479,7 +479,7 @@ class WakeOptions(PolarOptions):
             if not equals or name not in (*known, "stations"):
                 otherwise = f"use NAME=VALUE with {', '.join(known)}, stations"
                 remedy = suggest_name(name, [*known, "stations"], otherwise) if equals else otherwise
-                raise InputError("--wake-set", text, "is no setting", remedy)
+                raise InputError("--wake-set", text, "is unknown", remedy)
             where = f"--wake-set: {name}"
             unit = split_unit_suffix(name)[1]
             given[name] = (
@@ -604,7 +604,7 @@ def read_optional_with_std(option: str, text: str | None, unit: str) -> tuple[fl
         return None, 0.0
     value, std = read_value_with_std(option, text, unit)
     if not value > 0.0:
-        raise InputError(option, "", f"{text} is not possible", "give a number above 0")
+        raise InputError(option, "", f"{text} is out of range", "give a number above 0")
     return value, std
 
 

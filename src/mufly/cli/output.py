@@ -249,7 +249,7 @@ def ensure_folder(option: str, folder: Path | None) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(option, str(folder), f"cannot be made ({error.strerror})", "give another folder") from error
+        raise InputError(option, str(folder), f"cannot be created ({error.strerror})", "give another folder") from error
     if not os.access(folder, os.W_OK):
         raise InputError(option, str(folder), "cannot be written to", "give another folder")
 
@@ -267,7 +267,7 @@ def check_writable_file(option: str, file: Path | None) -> None:
     if file.is_dir():
         raise InputError(option, str(file), "is a folder", "give the name of a file")
     if not file.parent.is_dir():
-        raise InputError(option, str(file), "its folder is not there", "make it, or give another place")
+        raise InputError(option, str(file), "its folder does not exist", "create it, or give another file")
     if not os.access(file if file.exists() else file.parent, os.W_OK):
         raise InputError(option, str(file), "cannot be written", "give another place")
 

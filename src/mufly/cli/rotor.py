@@ -168,7 +168,7 @@ def show(
     )  # fmt: skip
     print_result_table(to_records(stations), columns)
     c.print(
-        "Where the numbers come from: "
+        "Sources of the values: "
         + ", ".join(
             f"{key} {q.source}"
             for key, q in (
@@ -229,10 +229,10 @@ def import_blade(
     from mufly.rotor import format_rotor_toml, read_blade, replace_rotor
 
     if out is not None and out.suffix != ".toml":
-        raise InputError("--out", str(out), "is no rotor file", "give a name that ends with .toml")
+        raise InputError("--out", str(out), "does not end in .toml", "give a name that ends in .toml")
     radius = None if diameter is None else 0.5 * diameter
     if unit is not None and (unit not in compatible_units("m") or blade.suffix.lower() != ".stl"):
-        problem, remedy = f"{unit!r} is no length", f"use one of: {', '.join(compatible_units('m'))}"
+        problem, remedy = f"{unit!r} is not a length", f"use one of: {', '.join(compatible_units('m'))}"
         if blade.suffix.lower() != ".stl":
             problem, remedy = "is of STL files", f"leave it out: {blade.name} has units of its own"
         raise InputError("--unit", "", problem, remedy)
@@ -335,11 +335,11 @@ def hover(
         return solve_point(rotor, case, rpm=rpm, climb=climb, out=out or Path("case"), as_json=as_json)
     settings, count = theory.wake_settings()
     if band is not None and theory.method == "wake":
-        raise InputError("--band", "", "is of blade element theory", "leave --method wake or --band out")
+        raise InputError("--band", "", "applies to blade element theory only", "leave --method wake or --band out")
     if section != "known" and band is None:
-        raise InputError("--section", section, "changes an interval only", "add --band 0.9")
+        raise InputError("--section", section, "applies to an interval only", "add --band 0.9")
     if family and section != "guessed":
-        raise InputError("--family", family, "says what a guessed section may be", "add --section guessed")
+        raise InputError("--family", family, "applies to guessed sections only", "add --section guessed")
     r, d, air = load_rotor(rotor), load_drive_option(drive), Air(density_kg_m3=density)
     blading = theory.prepare_blading(r, count)
     theta = math.radians(pitch) if pitch is not None else None
@@ -352,7 +352,7 @@ def hover(
     result, solution = found.rotors[0], found if found.wakes else None
     files = write_wakes(found, out) if solution is not None and out is not None else []
     if not found.converged:
-        kept = "" if out is None else f"; its history lies in {out}"
+        kept = "" if out is None else f"; its history is in {out}"
         raise MuflyError(f"wake: {found.message}{kept}")
     point = None
     if d is not None and result.thrust_N > 0:
@@ -391,7 +391,7 @@ def hover(
     rows = []
     if around is not None and section == "guessed" and r.fit is None:
         mean = f"{around.thrust_N[0]:.4g} N, {around.torque_Nm[0]:.4g} N m"
-        rows = [("mean over what the section may be", f"{mean}; the intervals are about it")]
+        rows = [("mean over likely sections", f"{mean}; the intervals are centred on it")]
     rows += [
         ("thrust", f"{result.thrust_N:.4g} N{reach[0]}"),
         ("torque", f"{result.torque_Nm:.4g} N m{reach[1]}"),
@@ -430,7 +430,7 @@ def hover(
     )
     if result.outside_share > 0:
         c.print(
-            f"* beyond the angles or Reynolds numbers of the polar; such sections carry {result.outside_share:.0%} of "
+            f"* outside the angles or Reynolds numbers of the polar; such sections carry {result.outside_share:.0%} of "
             "the thrust.",
             style="yellow",
         )
@@ -443,7 +443,7 @@ def _point_index(name: str, line: int, bench: RotorMeasurements) -> int:
 
     n = bench.thrust_N.size
     if not 1 <= line <= n:
-        raise InputError(name, str(line), f"is no point: there are {n}", f"count from 1 to {n}")
+        raise InputError(name, str(line), f"is not a point: there are {n}", f"count from 1 to {n}")
     return line - 1
 
 
@@ -468,10 +468,10 @@ def _read_measurements(
     for note in bench.notes if not quiet else ():
         typer.echo(f"note: {note}")
     if density is None and bench.air != Air() and not quiet:
-        typer.echo(f"air of {bench.air.density_kg_m3:.4g} kg/m3, as the file says")
+        typer.echo(f"air of {bench.air.density_kg_m3:.4g} kg/m3, from the file")
     if pitch is None and not bench.pitch_rad.any() and not quiet:
         stands = math.degrees(float(rotor.twist_rad(0.75)))
-        typer.echo(f"pitch 0: the blades stand as in the rotor file, {stands:.1f}° at 0.75 R (--pitch if not)")
+        typer.echo(f"pitch 0: blade angle of the rotor file, {stands:.1f}° at 0.75 R (--pitch gives another)")
     return bench
 
 
@@ -519,7 +519,7 @@ def fit(
     from mufly.rotor.rotor_fit import FIT_PARAMETERS
 
     if out is not None and out.suffix != ".toml":
-        raise InputError("--out", str(out), "is no rotor file", "give a name that ends with .toml")
+        raise InputError("--out", str(out), "does not end in .toml", "give a name that ends in .toml")
     r = load_rotor(rotor)
     bench = _read_measurements(measurements, r, columns, density, pitch, rpm, quiet=as_json)
     air = bench.air
@@ -552,7 +552,7 @@ def fit(
     size = [math.degrees(1.0), 100.0, 100.0, 1.0, 1.0]
     unit = ["°", " %", " %", "", ""]
     print_table(
-        ("of the first", "found", "known before to"),
+        ("correction of the first", "estimate", "prior std"),
         [
             (
                 name,
@@ -566,7 +566,7 @@ def fit(
         c.print(line, style="dim", highlight=False)
     rows = [("as given", found.before), ("fitted", found.after)]
     print_table(
-        ("mean size of the error", "thrust", "torque"),
+        ("mean absolute error", "thrust", "torque"),
         [
             *((name, *(_format_mean_error(e) for e in errors)) for name, errors in rows),
             (found.held_out_note, *(_format_mean_error(e) for e in found.held_out)),

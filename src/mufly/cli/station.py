@@ -76,7 +76,7 @@ def parse_wind(text: str | None) -> float | tuple[float, float, float] | None:
     least = 0.0 if len(numbers) == 1 else -MAX_WIND_M_S
     if not all(least <= n <= MAX_WIND_M_S for n in numbers):
         raise InputError(
-            "--wind", "", f"{text!r} is no wind",
+            "--wind", "", f"{text!r} is not a wind speed",
             f"give a speed of 0 to {MAX_WIND_M_S:g} m/s, or N,E,D as in 0.5,0,0, each that much at most",
         )  # fmt: skip
     return numbers[0] if len(numbers) == 1 else (numbers[0], numbers[1], numbers[2])
@@ -99,9 +99,9 @@ def resolve_wind(wind: str | None, gust: float | None, seed: int) -> list[float]
 
     given = parse_wind(wind)
     if gust is not None and not 0.0 <= gust <= MAX_GUST_M_S:
-        raise InputError("--gust", "", f"{gust:g} m/s is no gust", f"give 0 to {MAX_GUST_M_S:g} m/s")
+        raise InputError("--gust", "", f"{gust:g} m/s is out of range", f"give 0 to {MAX_GUST_M_S:g} m/s")
     if not 0 <= seed < 2**63:
-        raise InputError("--seed", "", f"{seed} is no seed", "give a whole number from 0 to 2^63 - 1")
+        raise InputError("--seed", "", f"{seed} is not a seed", "give a whole number from 0 to 2^63 - 1")
     return _steady_wind(given, seed)
 
 
@@ -141,7 +141,7 @@ def check_sensor_options(vehicle: Vehicle, sensors: str, faults: Sequence[str] |
 
     found = tuple(parse_fault(text) for text in faults or ())
     if found and sensors == "ideal":
-        raise InputError("--fault", str(found[0]), "what is true has no faults", "leave out --sensors ideal")
+        raise InputError("--fault", str(found[0]), "the true state has no sensor faults", "leave out --sensors ideal")
     check_faults(vehicle, found)
     return found
 
@@ -151,23 +151,23 @@ def describe_sensor_source(vehicle: Vehicle, sensors: str) -> str:
     from mufly.sensor_table import SENSORS
 
     if sensors == "ideal":
-        return "It flies on what is true (--sensors ideal)"
+        return "Flies on the true state (--sensors ideal)"
     if vehicle.sensors is None:
-        return f"{vehicle.name} has no table [sensors]: it flies on what is true"
+        return f"{vehicle.name} has no table [sensors] and flies on the true state"
     names = [name.replace("_", " ") for name in SENSORS if getattr(vehicle.sensors, name) is not None]
-    return f"It flies on its sensors: {', '.join(names)}"
+    return f"Flies on its sensors: {', '.join(names)}"
 
 
 def describe_computation(vehicle: Vehicle, sensors: str, firmware: bool) -> str:
     """Who computes law and estimator, in words; the estimator in C is built if it is not there yet."""
-    by = "The exported C code flies: mission and control law" if firmware else ""
+    by = "Mission and control law: exported C code" if firmware else ""
     if sensors == "ideal" or vehicle.sensors is None:
         return by
     from mufly.estimate.filter_backend import explain_numba_choice
 
     why = explain_numba_choice(vehicle)
-    estimator = "its estimator in C" if not why else f"its estimator compiled by Numba: {why}"
-    return f"{by}, with {estimator}" if firmware else f"It flies with {estimator}"
+    estimator = "estimator: C code" if not why else f"estimator: compiled by Numba ({why})"
+    return f"{by}; {estimator}" if firmware else estimator.capitalize()
 
 
 def parse_endpoints(
@@ -409,7 +409,7 @@ def print_page_address(address: PageAddress, links: list[str]) -> None:
         terminal.print(f"The station {link}", highlight=False)
     terminal.print(f"Page: [bold]{address.url}[/bold]   (Ctrl-C ends the station)", soft_wrap=True, highlight=False)
     if address.token:
-        terminal.print("Whoever has this address can command the vehicle; it travels unencrypted.", style="yellow")
+        terminal.print("This address gives control of the vehicle; the connection is not encrypted.", style="yellow")
 
 
 # ----------------------------------------------------------------------------
@@ -473,7 +473,7 @@ def run_link(
     """Run the simulated helicopter as a MAVLink vehicle, in real time."""
     endpoints = parse_endpoints(ends or _DEFAULT_LINK_ENDPOINTS, "vehicle", each="endpoint")
     if not 1 <= system <= 255:
-        raise InputError("--system", "", f"{system} is no MAVLink system", "give 1 to 255")
+        raise InputError("--system", "", f"{system} is not a MAVLink system", "give 1 to 255")
     steady = resolve_wind(wind, gust, seed)
     if out is not None:
         check_output_folder(out)
@@ -497,10 +497,10 @@ def run_link(
     terminal.print(f"[bold]{helicopter.name}[/bold] is MAVLink system {system}, with {plan.name}", highlight=False)
     print_lines(describe_sensor_source(helicopter, sensors))
     for end in endpoints:
-        print_lines(f"  it {end.explanation}")
+        print_lines(f"  the vehicle {end.explanation}")
         if end.is_beyond_loopback:
             print_lines(
-                f"  anyone who can reach {end.host} port {end.port} may command it: MAVLink has no password",
+                f"  every program that can reach {end.host} port {end.port} can command it: MAVLink has no password",
                 style="yellow",
             )
     startup = Startup()
@@ -558,7 +558,7 @@ def _format_loop_report(r: LoopReport) -> str:
     from mufly.link.telemetry_streams import SLOW_REAL_TIME_FACTOR
 
     s = r.state
-    who = f"commanded by {r.commander}" if r.commander else "nobody commands"
+    who = f"commanded by {r.commander}" if r.commander else "no commands"
     slipped = f", {r.slip_count} slips, {r.lost_time_s:.1f} s lost" if r.slip_count else ""
     slow = f"  {r.real_time_factor:.2f} OF REAL TIME" if r.real_time_factor < SLOW_REAL_TIME_FACTOR else ""
     return (

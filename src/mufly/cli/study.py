@@ -210,7 +210,7 @@ def sweep(
 
 def _select_plotted_result(data: xr.Dataset, asked: str | None) -> str:
     if asked is not None and asked not in data.data_vars:
-        raise InputError("--plot", "", f"{asked!r} is no result", suggest_name(asked, map(str, data.data_vars)))
+        raise InputError("--plot", "", f"{asked!r} is not a result", suggest_name(asked, map(str, data.data_vars)))
     return asked or ("thrust_per_power_N_W" if "thrust_per_power_N_W" in data else "figure_of_merit")
 
 
@@ -361,7 +361,7 @@ def sweep_pairs(
     from mufly.study.study_setup import PAIR_OUTPUTS
 
     if show not in PAIR_OUTPUTS:
-        raise InputError("--plot", "", f"{show!r} is no result", suggest_name(show, PAIR_OUTPUTS))
+        raise InputError("--plot", "", f"{show!r} is not a result", suggest_name(show, PAIR_OUTPUTS))
     varied, given = _parse_pair_settings(vary or []), _parse_pair_settings(set_ or [])
     if not varied:
         raise InputError("--vary", "", "nothing is varied", "give for example --vary spacing=10:40:10mm")

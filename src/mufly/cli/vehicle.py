@@ -108,7 +108,7 @@ def show(vehicle: VehicleArgument = "mufly-1.1", as_json: JsonOption = False, to
         elif not group.startswith("sensors."):
             print_parameter_group(group, list(members))
     if v.sensors is not None:
-        print_lines(f"\nWhat it feels with: mufly sensors show {vehicle}")
+        print_lines(f"\nSensors: mufly sensors show {vehicle}")
     print_lines(
         f"\nbattery.model = {v.battery.model!r}, range_ring.count = {v.range_ring.count}",
         _describe_coefficients(v),
@@ -138,11 +138,11 @@ def check(vehicle: VehicleArgument, as_json: JsonOption = False) -> None:
         return print_json({"name": v.name, "valid": True, "hover": h, "longest_step_s": step})
     _print_hover(v, h)
     if h.thrust_to_weight_half < 1.15:
-        print_lines("Little thrust is left to climb or to fight gusts with.", style="yellow")
+        print_lines("The thrust reserve for climb and gusts is small.", style="yellow")
     if step < DEFAULT_STEP_S:
         print_lines(
-            f"Its fastest part ({fastest_mode_key(p)}) needs steps below {step * 1e3:.2g} ms: too fast to be simulated "
-            f"at the usual {DEFAULT_STEP_S * 1e3:g} ms.",
+            f"The fastest mode ({fastest_mode_key(p)}) needs steps below {step * 1e3:.2g} ms: too fast for "
+            f"a simulation at the usual {DEFAULT_STEP_S * 1e3:g} ms.",
             style="yellow",
         )
 
@@ -313,7 +313,7 @@ def create_vehicle_project(
     files = {part: folder / f"{part}.toml" for part in ("vehicle", "rotor", "mission")}
     for file in files.values():
         if file.exists():
-            raise InputError(str(file), "", "is there already", "give another NAME, or --out")
+            raise InputError(str(file), "", "already exists", "give another NAME, or --out")
     mass = _ask_if_missing(mass, "--mass", "Take-off mass in g", _MASS_RANGE, needed=True)
     radius = _ask_if_missing(radius, "--radius", "Rotor radius in mm", _RADIUS_RANGE, needed=True)
     assert mass is not None  # needed
@@ -357,8 +357,8 @@ def create_vehicle_project(
     place = f"gear {float(vehicle.gear.ratio):.3g}, battery {float(vehicle.battery.capacity) / 3.6:.0f} mA h"
     print_lines(
         f"  {place}",
-        f"\n{guesses} of its {len(list_parameters(vehicle))} numbers are guesses, each with its rule in the file:",
-        f"  {files['vehicle']}    to be measured and filled in",
+        f"\n{guesses} of its {len(list_parameters(vehicle))} values are estimates, each with its rule in the file:",
+        f"  {files['vehicle']}    replace estimates by measured values",
         f"  {files['rotor']}      blades of mufly-1.1's shape",
         f"  {files['mission']}    a square; change it",
         "\nNext:",
@@ -386,7 +386,9 @@ def _ask_if_missing(
             raise InputError(name, "", "is missing", "give it: mufly new --help has an example")
         return None
     while True:
-        text = str(typer.prompt(question if needed else f"{question} (Enter: guess)", default="", show_default=False))
+        text = str(
+            typer.prompt(question if needed else f"{question} (Enter: estimate)", default="", show_default=False)
+        )
         if not text.strip() and not needed:
             return None
         try:

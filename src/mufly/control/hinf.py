@@ -368,7 +368,7 @@ def hinfsyn(
     ):
         if not (least <= value <= most and np.isfinite(value)):
             upto = f" to {most:g}" if np.isfinite(most) else " or more"
-            raise ArgumentError(name, "", f"{value:g} is not possible", f"give {least:g}{upto}")
+            raise ArgumentError(name, "", f"{value:g} is out of range", f"give {least:g}{upto}")
     nw, nz = P.ninputs - n_controls, P.noutputs - n_measurements
     if P.dt not in (0, None):
         raise MuflyError("H-infinity synthesis: the plant is in discrete time; give its continuous-time model")

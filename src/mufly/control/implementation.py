@@ -475,7 +475,7 @@ def discretise_controller(
             If the period is not positive or a mode is too fast for the period.
     """
     if not (np.isfinite(period_s) and period_s > 0):
-        raise MuflyError(f"discretisation: a period of {period_s} s is not possible; give a positive one")
+        raise MuflyError(f"discretisation: a period of {period_s} s is out of range; give a positive one")
     T = period_s
     n = controller.nstates
     left = np.eye(n) - controller.A * (T / 2)

@@ -177,7 +177,7 @@ def two_degree_plant(
     y, u, ref = list(plant.output_labels), list(plant.input_labels), list(references)
     unknown = [name for name in ref if name not in y]
     if unknown:
-        raise MuflyError(f"scheme: reference {unknown[0]!r} is no output of the plant ({', '.join(y)})")
+        raise MuflyError(f"scheme: reference {unknown[0]!r} is not an output of the plant ({', '.join(y)})")
     w, d = weights, _WeightedDiagram(plant)
     d.add_weight(w.input_disturbance, "W_dbar", "dbar", "w_dbar", u)
     d.add_weight(w.reference_rolloff, "W_rbar", "rbar", "w_rbar", ref)

@@ -148,7 +148,7 @@ class DatasheetMotor(ParameterGroup):
             or not isinstance(value, int | float)
             or not KV_RANGE[0] <= value * units[raw["unit"]] <= KV_RANGE[1]
         ):
-            raise model_error(f"{value!r} is not possible", "give {:g} to {:g} rad/s/V".format(*KV_RANGE))
+            raise model_error(f"{value!r} is out of range", "give {:g} to {:g} rad/s/V".format(*KV_RANGE))
         return {**raw, "value": value * units[raw["unit"]], "unit": "rad/s/V"}
 
     @model_validator(mode="after")
@@ -237,7 +237,7 @@ class DriveTrain(ParameterGroup):
             raise InputError(
                 self.name,
                 "torque_Nm_A",
-                f"{np.max(found.torque_Nm_A):g} N m/A is above the back-EMF constant: such a motor makes energy",
+                f"{np.max(found.torque_Nm_A):g} N m/A is above the back-EMF constant: such a motor generates energy",
                 f"give at most {np.min(found.back_emf_V_s):g}, or raise the back-EMF constant",
             )
         return found
@@ -353,7 +353,7 @@ Array = NDArray[np.float64]
 def open_circuit_voltage(battery: Battery, charge: float) -> float:
     """Return the battery's voltage at rest (V) with ``charge`` (0 to 1) left, as the flight model has it."""
     if not 0.0 <= charge <= 1.0:
-        raise InputError("battery", "charge", f"{charge:g} is not possible", "give a fraction from 0 to 1")
+        raise InputError("battery", "charge", f"{charge:g} is out of range", "give a fraction from 0 to 1")
     if battery.model == "constant":
         return float(battery.nominal_voltage)
     return float(interpolate_table(battery.open_circuit_voltage.sample_evenly(101), charge))

@@ -117,7 +117,7 @@ def gear_curve(
     """
     ratio = np.atleast_1d(np.asarray(ratios, dtype=np.float64))
     if ratio.ndim != 1 or ratio.size == 0:
-        raise InputError("gear", "ratio", "is no list of numbers", "give gear ratios, as in 0.5:8:0.1")
+        raise InputError("gear", "ratio", "is not a list of numbers", "give gear ratios, as in 0.5:8:0.1")
     point = find_operating_point(drive, load, duty=duty, supply_V=supply_V, gear_ratio=ratio)
     return xr.Dataset(
         {

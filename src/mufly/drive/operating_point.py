@@ -241,13 +241,13 @@ def find_operating_point(
     shape, value = values.shape, values.ravel()
     if not (np.all(np.isfinite(value)) and np.all(value > 0)) or (key == "duty" and np.any(value > 1)):
         remedy = "give a number above 0 and up to 1" if key == "duty" else "give a number above 0"
-        raise InputError(place, key, f"{np.array2string(value[:3])} is not possible", remedy)
+        raise InputError(place, key, f"{np.array2string(value[:3])} is out of range", remedy)
     if not (np.all(np.isfinite(ratio)) and np.all(ratio > 0)):
         raise InputError(place, "gear_ratio", "is not above 0", "give motor speed over rotor speed")
     low, full = battery_voltage_range(drive.battery)
     if supply_V is not None and not SUPPLY_VOLTAGE_SHARES[0] * low <= supply_V <= SUPPLY_VOLTAGE_SHARES[1] * full:
         raise ArgumentError(
-            "supply_V", "", f"{supply_V:g} V is nothing for {drive.name}, whose battery has {low:g} to {full:g} V",
+            "supply_V", "", f"{supply_V:g} V does not suit {drive.name}, whose battery has {low:g} to {full:g} V",
             f"give {SUPPLY_VOLTAGE_SHARES[0] * low:g} to {SUPPLY_VOLTAGE_SHARES[1] * full:g} V",
         )  # fmt: skip
     c = replace(own, gear_ratio=ratio.ravel().copy())

@@ -171,7 +171,7 @@ def find_trim(
     if charge is not None and voltage is not None:
         raise InputError("trim", "voltage", "given together with charge", "give one of them")
     if charge is not None and not 0.0 <= charge <= 1.0:
-        raise InputError("trim", "charge", f"{charge} is not possible", "give a fraction from 0 to 1")
+        raise InputError("trim", "charge", f"{charge} is out of range", "give a fraction from 0 to 1")
     constant = None
     if charge is None:
         constant = float(vehicle.battery.nominal_voltage) if voltage is None else voltage

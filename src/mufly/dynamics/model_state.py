@@ -224,7 +224,7 @@ def model_parameters(vehicle: Vehicle, voltage: float | None = None) -> np.void:
     Thesis: eqs 4.11, 4.12.
     """
     if voltage is not None and not (np.isfinite(voltage) and voltage > 0):
-        raise InputError(vehicle.name, "voltage", f"{voltage} V is not possible", "give a positive voltage")
+        raise InputError(vehicle.name, "voltage", f"{voltage} V is out of range", "give a positive voltage")
     b, r, c = vehicle.body, vehicle.rotors, vehicle.contact
     rho, radius = float(vehicle.air.density), float(r.radius)
     constant = voltage if voltage is not None else float(vehicle.battery.nominal_voltage)

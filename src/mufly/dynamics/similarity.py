@@ -93,17 +93,17 @@ def similar_vehicle(
         ("capacity_As", capacity_As),
     ):  # fmt: skip
         if value is not None and not (math.isfinite(value) and value > 0.0):
-            raise ArgumentError(key, "", f"{value:g} is not possible", "give a number above 0")
+            raise ArgumentError(key, "", f"{value:g} is out of range", "give a number above 0")
     for key, value, most, given_in in (
         ("mass_kg", mass_kg, 20.0, "grams"),
         ("radius_m", radius_m, 2.0, "millimetres"),
     ):
         if value > most:
             unit = key.rpartition("_")[2]
-            problem = f"{value:g} {unit} is no micro helicopter, and similarity does not reach there"
+            problem = f"{value:g} {unit} is outside the range of similarity"
             raise ArgumentError(key, "", problem, f"give {unit}, not {given_in}: {value / 1e3:g}")
     if cells is not None and not 1 <= cells <= 24:
-        raise ArgumentError("cells", "", f"{cells} is not possible", "give 1 to 24 cells in series")
+        raise ArgumentError("cells", "", f"{cells} is out of range", "give 1 to 24 cells in series")
     if (speed_constant_rad_Vs is None) != (resistance_ohm is None):
         missing = "speed_constant_rad_Vs" if speed_constant_rad_Vs is None else "resistance_ohm"
         raise ArgumentError(missing, "", "is missing", "give a motor's KV and its resistance together")

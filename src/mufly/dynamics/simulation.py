@@ -238,7 +238,7 @@ def simulate_open_loop(
     """
     for name, value in (("duration_s", duration_s), ("sample_s", sample_s), ("step_s", step_s)):
         if not (math.isfinite(value) and value > 0):
-            raise InputError("simulate", name, f"{value} s is not possible", "give a positive time")
+            raise InputError("simulate", name, f"{value} s is out of range", "give a positive time")
     p = model_parameters(vehicle, voltage)
     if min(step_s, sample_s) > longest_step(p):
         raise InputError(
@@ -265,7 +265,7 @@ def _check_shape(array: ArrayLike, shape: Sequence[int], name: str) -> NDArray[n
     if a.shape != tuple(shape):
         raise InputError("simulate", name, f"has shape {a.shape}", f"give shape {tuple(shape)}")
     if not np.all(np.isfinite(a)):
-        raise InputError("simulate", name, "holds NaN or infinity", "give finite numbers")
+        raise InputError("simulate", name, "contains NaN or infinity", "give finite numbers")
     return a
 
 

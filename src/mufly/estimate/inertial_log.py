@@ -194,14 +194,14 @@ def check_inertial_log(log: InertialLog, where: str) -> None:
     felt = np.nanmedian(log.acceleration[held], axis=0)
     size = float(np.nanmedian(np.linalg.norm(log.acceleration[held], axis=1)))
     if not np.isfinite(size):
-        raise InputError(where, "measured_acceleration", "holds no numbers", "choose another signal")
+        raise InputError(where, "measured_acceleration", "contains no numbers", "choose another signal")
     if abs(size - 1.0) < 0.2:
         raise InputError(
-            where, "measured_acceleration", f"feels {size:.3g}, which is gravity in g", "name its unit: ...(gee)"
+            where, "measured_acceleration", f"has a mean of {size:.3g}, gravity in g", "name its unit: ...(gee)"
         )  # fmt: skip
     if abs(size / GRAVITY - 1.0) > 0.2:
         raise InputError(
-            where, "measured_acceleration", f"feels {size:.3g} m/s^2 on average where gravity is 9.81",
+            where, "measured_acceleration", f"has a mean of {size:.3g} m/s^2 on average where gravity is 9.81",
             "name its unit, or another signal: it should be specific force, gravity not taken off",
         )  # fmt: skip
     if felt[2] > -0.5 * GRAVITY:

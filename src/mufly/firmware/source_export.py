@@ -98,7 +98,7 @@ def render_gains_source(controller: FlightController) -> str:
     """Return ``tables.c``: every number of a vehicle's controllers."""
     rate = controller.rate_Hz
     if rate != round(rate):
-        raise InputError("rate_Hz", f"{rate:g}", "is no whole number", "design for a whole rate")
+        raise InputError("rate_Hz", f"{rate:g}", "is not a whole number", "design for a whole rate")
     lines = [
         f"/* The numbers of {escape_comment(controller.vehicle_name)}, made by mufly {__version__}; do not edit. */",
         '#include "controllers.h"',

@@ -149,7 +149,9 @@ def with_camera(vehicle: Vehicle, camera: Camera) -> Vehicle:
         If it has no sensors that a filter could fly on.
     """
     if vehicle.sensors is None or vehicle.sensors.imu is None or vehicle.sensors.sonar is None:
-        raise MuflyError(f"{vehicle.name} has no inertial unit and sonar, without which pictures tell no place")
+        raise MuflyError(
+            f"{vehicle.name} has no inertial unit and sonar, which a camera's fixes require; add them to [sensors]"
+        )
     sensors = vehicle.sensors.model_copy(update={"position_fix": position_fix_errors(camera)})
     return vehicle.model_copy(update={"sensors": sensors})
 

@@ -156,12 +156,12 @@ class Flight:
         vehicle = vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle)
         mission = mission if isinstance(mission, Mission) else load_mission(mission)
         if outside and sensors != "fitted":
-            raise InputError("outside", "", "it flies on what is true", "fly on fitted sensors")
+            raise InputError("outside", "", "ideal sensors use no position fixes", "fly on fitted sensors")
         if outside and eye is not None and eye.stream_address is None:
-            raise InputError("eye", "stream", "nobody sees its pictures", "say where they are to be sent")
+            raise InputError("eye", "stream", "its pictures have no receiver", "give an address to stream to")
         if eye is not None and not outside:
             if sensors != "fitted":
-                raise InputError("eye", "", "pictures are nothing for ideal sensors", "fly on fitted sensors")
+                raise InputError("eye", "", "ideal sensors use no pictures", "fly on fitted sensors")
             vehicle = with_camera(vehicle, eye.camera)
             designed_for = None if designed_for is None else with_camera(designed_for, eye.camera)
         believed = vehicle if designed_for is None else designed_for
@@ -208,7 +208,7 @@ class Flight:
             estimator.fix_correlation_s = 0.0 if self.camera is None else self.camera.fix_drift_time_s
             weighed = {FIX_DRIFT_ATTRIBUTE: estimator.fix_correlation_s}
         self.missing_sensors_note = (
-            f"{vehicle.name} has no table [sensors]: it flies on what is true"
+            f"{vehicle.name} has no table [sensors]: it flies on the true state"
             if sensors == "fitted" and not sensed
             else ""
         )
@@ -385,9 +385,7 @@ class Flight:
             If the vehicle has no such sensor, or flies on what is true.
         """
         if not isinstance(self.sensors, FittedSensors):
-            raise InputError(
-                "fault", str(fault), "it flies on what is true, which has no faults", "fly on fitted sensors"
-            )
+            raise InputError("fault", str(fault), "the true state has no sensor faults", "fly on fitted sensors")
         fault = self.sensors.inject_fault(fault, self.time_s)
         self.log_event(f"fault injected: {fault}", "warning")
 

@@ -245,8 +245,8 @@ def apply_estimates(vehicle: Vehicle, estimates: Iterable[ParameterEstimate], no
         raise ArgumentError(
             "estimates",
             "",
-            "nothing was found that belongs into a vehicle file",
-            "see what is not seen above",
+            "no estimate has a key in a vehicle file",
+            "see the parameters marked 'not seen'",
         )
     if any(e.key == "body.mass" for e in found):
         tables["mass_budget"] = None  # it no longer adds up

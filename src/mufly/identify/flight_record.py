@@ -182,7 +182,7 @@ def _check_clock(r: FlightRecord) -> None:
     if len(r.time_s) < 50:
         raise InputError(r.name, "time", f"has {len(r.time_s)} samples", "give a record of 50 samples or more")
     if not np.all(np.isfinite(r.time_s)):
-        raise InputError(r.name, "time", "holds NaN", "remove these rows")
+        raise InputError(r.name, "time", "contains NaN", "remove these rows")
     if np.any(step <= 0):
         k = int(np.argmax(step <= 0))
         raise InputError(
@@ -218,7 +218,7 @@ def _clean_record(r: FlightRecord) -> FlightRecord:
     for k in range(4):
         good = np.isfinite(inputs[:, k])
         if not good.any():
-            raise InputError(r.name, FLIGHT_INPUTS[k], "holds no number", "map another column to it")
+            raise InputError(r.name, FLIGHT_INPUTS[k], "contains no number", "map another column to it")
         last = np.maximum.accumulate(np.where(good, np.arange(len(t)), -1))
         inputs[:, k] = inputs[np.where(last >= 0, last, int(np.argmax(good))), k]
     if "yaw" in r.outputs:
@@ -419,7 +419,7 @@ class EvenLogTable:
             If nothing is wanted, or a column is not there.
         """
         if not wanted:
-            raise ArgumentError(argument, "", "names nothing", "give names from the log, such as p,q")
+            raise ArgumentError(argument, "", "is empty", "give names from the log, such as p,q")
         sums = [self._parse_terms(text or name, argument) for name, text in wanted.items()]
         zero = np.zeros(len(self.time_s))
         return np.column_stack([sum((f * self.columns[c] for f, c in terms), zero) for terms in sums])
@@ -444,7 +444,7 @@ class EvenLogTable:
             try:
                 factor = float(size) if times else 1.0
             except ValueError:
-                raise ArgumentError(argument, text, f"{size!r} is no number", "write 9.81*COLUMN") from None
+                raise ArgumentError(argument, text, f"{size!r} is not a number", "write 9.81*COLUMN") from None
             column = self.full_column_name((name if times else size).strip(), argument)
             terms.append((-factor if part.startswith("-") else factor, column))
         return terms
@@ -542,7 +542,7 @@ def _name_columns(
         for name, column, sign in zip(names, line.columns, line.signs, strict=True):
             if column not in fields:
                 remedy = f"it has: {', '.join(fields)}"
-                raise ArgumentError("columns", column, "is no column of this log", remedy)
+                raise ArgumentError("columns", column, "is not a column of this log", remedy)
             mapped[name] = (column, sign, line.unit or units.get(column, ""))
     found = {}
     for name, (column, sign, unit) in (

@@ -116,7 +116,7 @@ def parse_noise(text: str | None, channels: tuple[str, ...]) -> dict[str, Channe
             continue
         name, _, amounts = (t.strip() for t in part.partition("="))
         if name not in result:
-            raise ArgumentError("noise", name, "is no channel", f"use one of {', '.join(channels)}")
+            raise ArgumentError("noise", name, "is not a channel", f"use one of {', '.join(channels)}")
         amount = {"reading_share": 0.0, "full_scale_share": 0.0, "absolute_std": 0.0}
         for piece in amounts.lower().replace(" ", "").split("+"):
             kind, number = "absolute_std", piece
@@ -130,7 +130,7 @@ def parse_noise(text: str | None, channels: tuple[str, ...]) -> dict[str, Channe
                 value = math.nan
             if not (math.isfinite(value) and value >= 0):
                 raise ArgumentError(
-                    "noise", name, f"{piece!r} is no amount", "write 1%, 0.5%fs or a number in SI units"
+                    "noise", name, f"{piece!r} is not an amount", "write 1%, 0.5%fs or a number in SI units"
                 )
             amount[kind] += value
         if not any(amount.values()):
@@ -304,7 +304,7 @@ def extract_motor_data(table: BenchTable) -> tuple[MotorData, list[str]]:
         if outside.size:
             raise InputError(
                 table.source, f"line {table.line[outside[0]]}, {table.headers['duty']}",
-                f"{duty[outside[0]]:g} is no share of the voltage",
+                f"{duty[outside[0]]:g} is not a share of the voltage",
                 "give duty from 0 to 1, duty_% up to 100, or a pulse of 1000 to 2000 us",
             )  # fmt: skip
         voltage = duty * voltage
@@ -358,7 +358,9 @@ def _check_physical(
                 "duty, or the ESC's signal in us"
             )
         value = f"{effective[k]:.4g} +- {quantile * std[k]:.2g} {unit}"
-        raise InputError(table.source, "", f"the fit gives {name} = {value}, which no motor has", remedy)
+        raise InputError(
+            table.source, "", f"the fit gives {name} = {value}, which is outside the range of real motors", remedy
+        )
 
 
 def _check_variation(table: BenchTable, data: MotorData) -> None:

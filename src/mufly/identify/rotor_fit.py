@@ -361,7 +361,7 @@ def fit_rotor_coefficients(
     Thesis: Table 5.2; Sec. 5.2.2.
     """
     if not (math.isfinite(radius_m) and radius_m > 0):
-        raise ArgumentError("radius_m", "", f"{radius_m:g} m is not possible", "give the rotor's radius in metres")
+        raise ArgumentError("radius_m", "", f"{radius_m:g} m is out of range", "give the rotor's radius in metres")
     loads, doubts = _resolve_speed_unit(loads, radius_m)
     density, words = resolve_air_density(loads.table, density_kg_m3)
     if len(loads.table) > 0:

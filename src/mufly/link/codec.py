@@ -421,7 +421,7 @@ def parse_origin(text: str) -> GlobalOrigin:
     parts = text.split(",")
     example = "give LAT,LON,ALT in degrees and metres, as in 47.3769,8.5417,408"
     if len(parts) != 3:
-        raise ArgumentError("origin", "", f"{text!r} is no place on the globe", example)
+        raise ArgumentError("origin", "", f"{text!r} is not a place on the globe", example)
     try:
         lat, lon, alt = (read_quantity("", p, u) for p, u in zip(parts, ("deg", "deg", "m"), strict=True))
     except InputError as error:

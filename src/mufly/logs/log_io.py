@@ -108,7 +108,7 @@ def detect_log_format(path: str | Path) -> str:
     if looks_like_table(head.rstrip(b"\0")):
         return "CSV"
     raise InputError(
-        where, "", "is no log that is known here",
+        where, "", "is not a log that is known here",
         "give MCAP, ULog, DataFlash (.bin, .log), MAVLink tlog, Crazyflie micro-SD, CSV, Parquet, Feather or NetCDF",
     )  # fmt: skip
 
@@ -288,7 +288,7 @@ def read_log(
             found_channels = select_channels(found_channels, signals, raw.path, "; or write topic/field")
         if not found_channels:
             remedy = f"name some (topic/field), or give a column map; topics are: {', '.join(list(raw)[:10])}"
-            raise InputError(str(path), "", "holds no signal with a name of ours", remedy)
+            raise InputError(str(path), "", "contains no signal with a name of ours", remedy)
         data = resample_channels(found_channels, rate_hz, notes)
         data.attrs |= {"start_time": raw.start_time, "complete": raw.is_complete}
         notes += raw.describe_damage()
@@ -302,7 +302,7 @@ def read_log(
 def _shift_start(data: xr.Dataset, start_s: float) -> xr.Dataset:
     """The same on a clock that begins at ``start_s``."""
     if not np.isfinite(start_s):
-        raise ArgumentError("start_s", "", f"{start_s:g} s is no time", "give a number, as start_s=0")
+        raise ArgumentError("start_s", "", f"{start_s:g} s is not a time", "give a number, as start_s=0")
     by = start_s - float(data["time"].values[0])
     time = data["time"]
     data = data.assign_coords(time=("time", time.values + by, time.attrs))
@@ -463,7 +463,7 @@ def cut_time_range(data: xr.Dataset, from_s: float | None, to_s: float | None, w
     kept = (time >= (-np.inf if from_s is None else from_s)) & (time <= (np.inf if to_s is None else to_s))
     if not kept.any():
         span = f"the log lasts from {time[0]:.3f} to {time[-1]:.3f} s"
-        raise ArgumentError("from_s", "", f"nothing of {where} lies in that part", span)
+        raise ArgumentError("from_s", "", f"nothing of {where} is in that time span", span)
     return data.isel(time=kept)
 
 

@@ -110,7 +110,7 @@ class LogReport:
         faults = self.list_faults()
         blocks: list[ShownBlock] = [
             show_lines(f"  {', '.join(facts)}", head=Path(raw.path).name),
-            show_table(("topic", "messages", "rate (Hz)", "fields", "gaps", "gives"), topics, text=(0, 5)),
+            show_table(("topic", "messages", "rate (Hz)", "fields", "gaps", "signals"), topics, text=(0, 5)),
         ]
         if rows:
             heads = ("signal", "unit", "min", "mean", "max", "std")
@@ -118,10 +118,10 @@ class LogReport:
         return [
             *blocks,
             *_section_blocks("Delays", [d.describe_delay() for d in self.delays]),
-            *_section_blocks("Said by the vehicle", said),
-            *_section_blocks("Guessed, repaired or refused", self.notes, "yellow"),
-            *_section_blocks("Found", faults, "yellow"),
-            *([] if faults else [show_lines("Nothing wrong found.")]),
+            *_section_blocks("Messages of the vehicle", said),
+            *_section_blocks("Assumed, repaired or refused", self.notes, "yellow"),
+            *_section_blocks("Faults", faults, "yellow"),
+            *([] if faults else [show_lines("No faults found.")]),
         ]
 
     def as_record(self) -> dict[str, Any]:

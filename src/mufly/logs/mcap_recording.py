@@ -103,7 +103,7 @@ def recording_from_contents(contents: McapContents, where: str) -> xr.Dataset:
         raise InputError(
             where,
             "",
-            f"holds no rows{f' that can be read ({damage})' if contents.lost_parts else ''}",
+            f"contains no rows{f' that can be read ({damage})' if contents.lost_parts else ''}",
             "give another copy of the file"
             if contents.lost_parts
             else "the flight ended before its first row was on disk",
@@ -218,7 +218,7 @@ def read_recording_summary(path: str | Path) -> dict[str, Any]:
             first, last, count = min(times, default=0), max(times, default=0), len(times)
             metadata, facts["complete"] = contents.metadata, contents.is_complete
     if not count:
-        raise InputError(str(path), "", "holds no messages", "it ended before its first second was on disk")
+        raise InputError(str(path), "", "contains no messages", "it ended before its first second was on disk")
     for name in (FLIGHT_METADATA, OUTCOME_METADATA):
         with suppress(KeyError, TypeError, ValueError):
             facts |= _parse_attributes(metadata[name])
@@ -497,7 +497,7 @@ def parse_json_topics(contents: McapContents, where: str) -> RawLog:
     if not any(contents.messages_by_topic.values()):
         damage = contents.describe_damage()
         raise InputError(
-            where, "", f"holds no messages{f' that can be read ({damage})' if damage else ''}",
+            where, "", f"contains no messages{f' that can be read ({damage})' if damage else ''}",
             "give another copy of the file" if contents.lost_parts else "the recording ended before its first second",
         )  # fmt: skip
     times = {k: np.array([t for t, _ in m], dtype=np.float64) / 1e9 for k, m in contents.messages_by_topic.items()}
@@ -523,7 +523,7 @@ def parse_json_topics(contents: McapContents, where: str) -> RawLog:
         fields = {name: _to_array([row.get(name) for row in rows]) for name in names}
         tables[topic] = RawTable(topic, time, fields, units.get(topic, {}))
     if not tables:
-        problem = f"holds no JSON messages (topics: {', '.join(unread) or 'none'})"
+        problem = f"contains no JSON messages (topics: {', '.join(unread) or 'none'})"
         raise InputError(where, "", problem, "convert its messages to JSON first")
     if unread:
         notes.append(f"topics in another encoding than JSON are left out: {', '.join(unread)}")

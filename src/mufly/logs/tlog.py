@@ -147,7 +147,7 @@ def read_tlog(path: str | Path, progress: Callable[[int, int], None] | None = No
     bad += sum(len(messages) for _, messages in raw_rows.values() if _is_unknown_message(messages[0]))
     rows, offset = _group_by_sender(raw_rows)
     if not rows:
-        raise InputError(where, "", "holds no packet that can be decoded", "give a MAVLink 1 or 2 log")
+        raise InputError(where, "", "contains no packet that can be decoded", "give a MAVLink 1 or 2 log")
     notes = [f"{bad} packets were damaged or unknown and are left out"] if bad else []
     came_us, number = _read_headers(data, offset)
     foreign, _ = find_foreign_stamps({str(key): came_us[places] / 1e6 for key, (places, _) in rows.items()})

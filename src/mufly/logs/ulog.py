@@ -508,7 +508,7 @@ def write_ulog(dataset: xr.Dataset, path: Path) -> None:
     for column in columns:
         if not _NAME_PATTERN.fullmatch(column.column_name):
             raise InputError(
-                str(path), column.column_name, "is no name for ULog", "use letters, digits and underscores"
+                str(path), column.column_name, "is not a name for ULog", "use letters, digits and underscores"
             )
         if column.values.dtype.kind in "US":
             known, number = np.unique(column.values, return_inverse=True)

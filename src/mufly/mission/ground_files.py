@@ -98,7 +98,7 @@ def read_ground_file(text: str, where: str) -> dict[str, Any]:
     head = text.lstrip("\ufeff \t\r\n")
     found = _parse_waypoint_file(head, where) if head.startswith(_WAYPOINT_FILE_HEADER) else _parse_plan(head, where)
     if not found.items:
-        raise InputError(where, "mission", "holds no items", "plan a take-off and waypoints first")
+        raise InputError(where, "mission", "contains no items", "plan a take-off and waypoints first")
     home = found.home or _first_global_place(found.items)
     try:
         plan = mission_from_items(found.items, Mission(), home)
@@ -155,7 +155,7 @@ def _parse_waypoint_file(text: str, where: str) -> GroundFile:
             *parameters, heading, north, east, height = map(float, rest)
         except ValueError:
             remedy = "save the file again in the ground station"
-            raise InputError(where, key, f"{line.strip()[:60]!r} is no waypoint", remedy) from None
+            raise InputError(where, key, f"{line.strip()[:60]!r} is not a waypoint", remedy) from None
         # These files have no word for "no heading", and their programs write 0.
         numbers = (*parameters, _NAN if heading == 0.0 else heading, north, east, height)
         items.append(_make_item(len(items), int(frame), int(command), numbers, where, key))
@@ -183,7 +183,7 @@ def _make_item(seq: int, frame: int, command: int, numbers: Sequence[float], whe
     scale = 1e4 if frame in LOCAL_FRAMES else 1e7
     p1, p2, p3, p4, *level, z = numbers
     if any(math.isinf(v) for v in numbers) or any(abs(v) * scale >= COORDINATE_NOT_GIVEN for v in level):
-        raise InputError(where, key, "has a number that is no place", _REMEDY)
+        raise InputError(where, key, "has a number that is not a place", _REMEDY)
     x, y = (COORDINATE_NOT_GIVEN if math.isnan(v) else round(v * scale) for v in level)
     return MissionItem(seq, frame, command, params=(p1, p2, p3, p4), x=x, y=y, z=z)
 
@@ -235,7 +235,7 @@ def _parse_fence_items(content: object, where: str) -> tuple[MissionItem, ...]:
     for k, (command, first, place) in enumerate(made):
         at = _parse_home(place)
         if at is None:
-            raise InputError(where, "geoFence", f"{place!r:.40} is no place", "save the plan again")
+            raise InputError(where, "geoFence", f"{place!r:.40} is not a place", "save the plan again")
         items.append(_make_item(k, 0, command, (first, 0.0, 0.0, 0.0, at.lat_deg, at.lon_deg, 0.0), where, "geoFence"))
     return tuple(items)
 

@@ -86,7 +86,7 @@ def read_blade(
     """
     where = Path(path).name
     if radius_m is not None and not 0.0 < radius_m < 100.0:
-        raise ArgumentError("radius", f"{radius_m:g} m", "is not possible", "give a length above 0")
+        raise ArgumentError("radius", f"{radius_m:g} m", "is out of range", "give a length above 0")
     notes: list[str] = []
     if Path(path).suffix.lower() == ".pe0":
         r, chord, twist, foils, radius, count = _read_apc_file(Path(path), notes)

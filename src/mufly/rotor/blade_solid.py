@@ -300,13 +300,13 @@ def read_step(path: str | Path) -> Array:
     """
     where, cad = Path(path).name, _import_build123d()
     if not Path(path).is_file():
-        raise InputError(where, "", "is not there", "give a STEP file")
+        raise InputError(where, "", "is missing", "give a STEP file")
     try:
         points, faces = cad.import_step(str(path)).tessellate(0.01, 0.1)
     except Exception as error:  # OCP raises its own exception classes
         raise InputError(where, "", f"cannot be read ({error})", "give a STEP file of a body") from None
     if not faces:
-        raise InputError(where, "", "holds no body", "give a STEP file of a body")
+        raise InputError(where, "", "contains no body", "give a STEP file of a body")
     xyz = np.array([(p.X, p.Y, p.Z) for p in points])
     return np.asarray(xyz[np.array(faces)] / _MM_PER_M, dtype=np.float64)
 
@@ -339,7 +339,7 @@ def read_stl(path: str | Path, unit_m: float = 1e-3) -> Array:
     except ValueError:
         rows = []
     if not rows or len(rows) % 3 or any(len(r) != 3 for r in rows):
-        raise InputError(where, "", "is no STL file", remedy)
+        raise InputError(where, "", "is not an STL file", remedy)
     return unit_m * np.array(rows).reshape(-1, 3, 3)
 
 
@@ -470,7 +470,7 @@ def rotor_from_body(
         ]
         raise ArgumentError(
             "unit", "", f"is not known: {where} reaches {written:.4g} along x, in mm no rotor's radius",
-            f"say what one of it is, as unit={' or '.join(likely) or 'mm'}",
+            f"give its unit, as unit={' or '.join(likely) or 'mm'}",
         )  # fmt: skip
     first = good[0].r_m
     wanted = first + (0.995 * radius - first) * 0.5 * (1.0 - np.cos(np.linspace(0.0, math.pi, stations)))

@@ -228,7 +228,7 @@ def _check_axes(axes: Sequence[Array]) -> None:
         if not np.all(np.isfinite(axis)) or np.any(np.diff(axis) <= 0):
             raise InputError("coax map", key, "does not rise", "give finite values, each above the last")
         if key != "climb" and axis[0] <= 0:
-            raise InputError("coax map", key, f"{axis[0]:g} is not possible", "give numbers above 0")
+            raise InputError("coax map", key, f"{axis[0]:g} is out of range", "give numbers above 0")
         if axis.size > 2 and np.ptp(np.diff(axis)) > 1e-6 * np.ptp(axis):
             raise InputError("coax map", key, "is not evenly spaced", "give equal steps")
     if not axes[2][0] <= 0.0 <= axes[2][-1]:

@@ -154,8 +154,8 @@ def solve_system(
             mach = compute_tip_mach(blading.rotors[which].radius_m, given, condition.air)
             if mach >= 1.0:
                 raise InputError(
-                    "rotor", "speed_rad_s", f"{given:g} ({given / RPM:.6g} rpm) moves the tips at Mach {mach:.1f}",
-                    "stay below 1, better below 0.7: no theory here knows of shocks; speeds are in rad/s, not in rpm",
+                    "rotor", "speed_rad_s", f"{given:g} ({given / RPM:.6g} rpm) gives a tip Mach number of {mach:.1f}",
+                    "stay below 1, better below 0.7: the methods have no shock model; speeds are in rad/s, not in rpm",
                 )  # fmt: skip
             warn_tip_mach(mach)
     found = _solve_unknowns(system, condition, method, pitch, speed, settings, start, progress)
@@ -214,7 +214,7 @@ def _solve_unknowns(
             solve_point, known_pitch, speed[0], thrust, start
         )  # secant steps may diverge where blades stall
     if pitch[0] is None or len(known_speed) != 2:
-        raise InputError("coaxial", "", "leaves too much open", "give the upper pitch and both speeds")
+        raise InputError("coaxial", "", "leaves more than one unknown", "give the upper pitch and both speeds")
     return _trim_lower_pitch(solve_point, pitch[0], known_speed, thrust, enough, start)
 
 
@@ -546,7 +546,7 @@ def _trim_lower_pitch(
         if now.method == "wake":
             start = now
         if not now.upper.torque_Nm > 0.0:
-            raise MuflyError("coaxial: the upper rotor takes no torque at this pitch, so nothing is to be balanced")
+            raise MuflyError("coaxial: the upper rotor takes no torque at this pitch, so no balance exists")
         if thrust_N is not None and not now.thrust_N > 0.0:
             raise MuflyError("coaxial: no thrust at these pitches, so no speed gives the one asked for")
         fault = math.log(max(now.lower.torque_Nm / now.upper.torque_Nm, 1e-3))

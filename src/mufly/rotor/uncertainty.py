@@ -168,7 +168,7 @@ def predict_interval(
     """
     if level not in _SIGMAS_BY_LEVEL:
         known = ", ".join(map(str, _SIGMAS_BY_LEVEL))
-        raise ArgumentError("band", f"{level:g}", "is no share an interval is known for", f"choose one of {known}")
+        raise ArgumentError("band", f"{level:g}", "is not a probability of a known interval", f"choose one of {known}")
     if section not in SECTION_KNOWLEDGE_LEVELS:
         raise InputError(
             "uncertainty",
@@ -178,8 +178,8 @@ def predict_interval(
         )
     if section == "measured" and rotor.fit is None:
         raise InputError(
-            f"rotor {rotor.name}", "fit", "is not there: its sections were never measured",
-            "run `mufly rotor fit` on a bench file, or say known or guessed",
+            f"rotor {rotor.name}", "fit", "is missing: its sections have no measurement",
+            "run `mufly rotor fit` on a bench file, or give section known or guessed",
         )  # fmt: skip
     guessed = section == "guessed" and rotor.fit is None
     unsure = doubt or (InputUncertainty.for_guessed_section() if guessed else InputUncertainty())

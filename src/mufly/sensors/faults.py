@@ -94,12 +94,12 @@ class Fault:
 
     def __post_init__(self) -> None:
         if self.name not in FAULT_TARGETS:
-            raise ArgumentError("fault", self.name, "is no sensor", suggest_name(self.name, FAULT_TARGETS))
+            raise ArgumentError("fault", self.name, "is not a sensor", suggest_name(self.name, FAULT_TARGETS))
         if self.kind not in FAULT_KINDS:
-            raise ArgumentError("fault", self.kind, "is no fault", suggest_name(self.kind, FAULT_KINDS))
+            raise ArgumentError("fault", self.kind, "is not a fault", suggest_name(self.kind, FAULT_KINDS))
         if not (0.0 <= self.start_s <= _MAX_START_S and self.stop_s > self.start_s):
             span = f"{self.start_s:g} to {self.stop_s:g} s"
-            raise ArgumentError("fault", str(self), f"{span} is no time", f"write {_FAULT_SYNTAX}")
+            raise ArgumentError("fault", str(self), f"{span} is not a time", f"write {_FAULT_SYNTAX}")
         if math.isnan(self.amount):
             object.__setattr__(self, "amount", FAULT_TARGETS[self.name].default_amounts.get(self.kind, 0.0))
         usual = FAULT_TARGETS[self.name].default_amounts
@@ -137,7 +137,7 @@ def parse_fault(text: str) -> Fault:
     if not (point and name and kind):
         raise ArgumentError("fault", text, "is none", f"write {_FAULT_SYNTAX}")
     if name not in FAULT_TARGETS:
-        raise ArgumentError("fault", name, "is no sensor", suggest_name(name, FAULT_TARGETS))
+        raise ArgumentError("fault", name, "is not a sensor", suggest_name(name, FAULT_TARGETS))
     unit = "s" if kind == "late" else FAULT_TARGETS[name].reading_unit
     try:
         size = read_quantity("", amount, unit) if amount.strip() else math.nan

@@ -118,7 +118,7 @@ def open_pictures(
             raise InputError(
                 str(where),
                 "",
-                "is no video",
+                "is not a video",
                 f"give a folder of pictures, a recording (.mcap), or one of {', '.join(VIDEO_SUFFIXES)}",
             )
         return _open_video(where, camera, rate_Hz, times, told or info_from_height(height_m, str(where)))
@@ -163,9 +163,9 @@ def info_from_height(height_m: float | None, where: str) -> Callable[[_Array], l
         If the height is missing or out of range.
     """
     if height_m is None:
-        raise InputError(where, "", "does not tell the height above the floor", "give --height or --telemetry")
+        raise InputError(where, "", "does not state the height above the floor", "give --height or --telemetry")
     if not 0.02 <= height_m <= 1000.0:
-        raise InputError("--height", "", f"{height_m:g} m is no height", "give it in metres above the floor")
+        raise InputError("--height", "", f"{height_m:g} m is out of range", "give it in metres above the floor")
     return lambda times: [
         FrameInfo(0.0, 0.0, height_m, tilt_sigma=_UNKNOWN_TILT_SIGMA_RAD, height_sigma=0.02) for _ in times
     ]
@@ -220,7 +220,7 @@ def _list_pictures(folder: Path, layout: DatasetLayout) -> tuple[list[str], _Arr
             raise InputError(
                 str(folder),
                 bad,
-                "is no time",
+                "is not a time",
                 "name pictures by their times (s or ns), or add pictures.csv (time, file)",
             ) from None
         base, names, where = folder, [n for _, n in pairs], str(folder)
@@ -236,7 +236,7 @@ def _list_pictures(folder: Path, layout: DatasetLayout) -> tuple[list[str], _Arr
             raise InputError(where, "", "has rows without time and file", "write a time and a file name in each row")
         times, names = table.read_numbers(0), table.read_texts(1)
     if not names:
-        raise InputError(where, "", "holds no pictures", f"give a folder with {', '.join(PICTURE_SUFFIXES)}")
+        raise InputError(where, "", "contains no pictures", f"give a folder with {', '.join(PICTURE_SUFFIXES)}")
     if times[0] > 1e12:
         times = times * 1e-9  # nanoseconds
     _check_rising_times(times, names, where)
@@ -383,7 +383,7 @@ def _telemetry_from_recording(file: Path) -> _Array:
     attitude, position = first_known_signal("attitude", *who), first_known_signal("position", *who)
     if attitude is None or position is None:
         what = "attitude" if attitude is None else "position"
-        raise InputError(str(file), what, "is not told", "give a recording with it, or leave out --telemetry")
+        raise InputError(str(file), what, "is missing", "give a recording with it, or leave out --telemetry")
     n = len(attitude)
     rates, rotors = first_known_signal("rates", *who), first_known_signal("rotor_speed", "measured", "truth")
     tilt, height = (
@@ -467,7 +467,7 @@ def _open_video(
     beside = next((f for f in names if f is not None and (f is times or f.is_file())), None)
     listed = None if beside is None else _read_video_times(beside)
     if listed is None and not 0.1 <= rate <= 1000.0:
-        raise InputError(str(file), "", f"says {rate:g} pictures a second", "give --rate or --times")
+        raise InputError(str(file), "", f"gives {rate:g} pictures a second", "give --rate or --times")
     if listed is not None and count > 0 and len(listed) != count:
         raise InputError(
             str(beside),
@@ -504,7 +504,7 @@ def _read_video_times(file: Path) -> _Array:
     """Return times (s) of a video's pictures, one a row; further columns and a header row are ignored."""
     times = read_text_table(file).read_numbers(0)
     if not len(times):
-        raise InputError(str(file), "", "holds no times", "write a time (s or ns) in each row")
+        raise InputError(str(file), "", "contains no times", "write a time (s or ns) in each row")
     times = times * 1e-9 if times[0] > 1e12 else times
     _check_rising_times(times, [f"row {k + 1}" for k in range(len(times))], str(file))
     return times

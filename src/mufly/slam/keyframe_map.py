@@ -280,7 +280,7 @@ class FloorMap:
                     out.keyframes.append(Keyframe(*kept))
         except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile, zipfile.LargeZipFile) as error:
             raise InputError(
-                str(path), "", f"is no map ({error})", "give a file that 'mufly slam run --map' wrote"
+                str(path), "", f"is not a map ({error})", "give a file that 'mufly slam run --map' wrote"
             ) from error
         if out.keyframes:
             out.optimise_graph()

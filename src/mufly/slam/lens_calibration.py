@@ -67,9 +67,11 @@ def calibrate_lens(
     """
     cv2 = load_opencv()
     if not (3 <= columns <= 50 and 3 <= rows <= 50 and columns != rows):
-        raise ArgumentError("board", f"{columns}x{rows}", "is no board", "give its inner corners, not alike: 9x6")
+        raise ArgumentError(
+            "board", f"{columns}x{rows}", "is not a board size", "give its inner corners, not alike: 9x6"
+        )
     if not 1e-3 <= square_m <= 1.0:
-        raise ArgumentError("square", f"{square_m:g} m", "is no side of a square", "give 0.001 to 1 m")
+        raise ArgumentError("square", f"{square_m:g} m", "is out of range", "give 0.001 to 1 m")
     board = np.zeros((rows * columns, 3), np.float32)
     board[:, :2] = np.mgrid[:columns, :rows].T.reshape(-1, 2) * square_m
     found = []
@@ -92,7 +94,7 @@ def calibrate_lens(
     sigma = np.ravel(deviations)[:9]
     if not all(math.isfinite(v) for v in values) or sigma[0] > 0.1 * values[0]:
         raise InputError(
-            "pictures", "", "they do not tell the lens: the board is seen from the same side in all of them",
+            "pictures", "", "they do not determine the lens: all show the board from the same side",
             "tilt it by 20 to 40 degrees, both ways, and fill the picture",
         )  # fmt: skip
     note = f"chessboard, {len(found)} pictures, residual {residual:.2f} pixels"
@@ -123,5 +125,5 @@ def list_board_pictures(folder: Path) -> list[Path]:
         raise InputError(str(folder), "", "no such folder", "give one with pictures of a chessboard")
     out = sorted(p for p in folder.iterdir() if p.suffix.lower() in PICTURE_SUFFIXES)
     if not out:
-        raise InputError(str(folder), "", "holds no pictures", f"give a folder with {', '.join(PICTURE_SUFFIXES)}")
+        raise InputError(str(folder), "", "contains no pictures", f"give a folder with {', '.join(PICTURE_SUFFIXES)}")
     return out

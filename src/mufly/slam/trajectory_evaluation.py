@@ -93,14 +93,14 @@ def read_poses(file: Path) -> PoseTable:
     except OSError as error:
         raise InputError(where, "", f"cannot be read ({error.strerror or error})", remedy) from error
     if "\0" in text:
-        raise InputError(where, "", "is no text", remedy)
+        raise InputError(where, "", "is not text", remedy)
     comments, lines = [], []
     for number, line in enumerate(text.splitlines(), 1):
         content, _, comment = line.replace("%", "#", 1).partition("#") if line[:1] == "%" else line.partition("#")
         comments += [comment] if comment else []
         lines += [(number, content)] if content.strip() else []
     if not lines:
-        raise InputError(where, "", "holds no rows", remedy)
+        raise InputError(where, "", "contains no rows", remedy)
     separator, decimal = detect_layout([content for _, content in lines[:: 1 + len(lines) // 200]])
     cells = [(n, _split_cells(content, separator, decimal)) for n, content in lines]
     if not _is_number(cells[0][1][0]):
@@ -174,7 +174,7 @@ def _parse_pose_rows(
             raise InputError(where, f"line {number}", f"{' '.join(row)[:60]!r} is not 8 numbers",
                              "correct that row: t x y z qx qy qz qw") from None  # fmt: skip
     if not len(rows):
-        raise InputError(where, "", "holds no rows", "give a trajectory: t x y z qx qy qz qw")
+        raise InputError(where, "", "contains no rows", "give a trajectory: t x y z qx qy qz qw")
     return rows, [row[_QUATERNION.stop :] for _, row in cells], [number for number, _ in cells]
 
 
@@ -282,7 +282,7 @@ class TrajectoryEvaluation:
     def shown_blocks(self) -> list[ShownBlock]:
         """Return the evaluation as a table."""
         rows = [
-            ("answered", f"{1 - self.lost:.1%}"),
+            ("pictures with a position", f"{1 - self.lost:.1%}"),
             ("horizontal error, rms (cm)", f"{100 * self.rms_m:.1f}"),
             ("... worst (cm)", f"{100 * self.worst_m:.1f}"),
             ("... at the end (cm)", f"{100 * self.end_m:.1f}"),
@@ -290,7 +290,7 @@ class TrajectoryEvaluation:
             ("heading error, rms (deg)", f"{math.degrees(self.heading_rms_rad):.2f}"),
             ("ATE (cm)", f"{100 * self.ate_m:.1f}"),
             ("RPE over 1 s (cm)", f"{100 * self.rpe_m:.1f}"),
-            ("way (m)", f"{self.way_m:.1f}"),
+            ("path length (m)", f"{self.way_m:.1f}"),
             ("NEES/n", "-" if math.isnan(self.nees) else f"{self.nees:.2f}"),
             ("inside the 95 % ellipsoid", "-" if math.isnan(self.inside) else f"{self.inside:.1%}"),
         ]

@@ -93,9 +93,9 @@ class RecordingComparison:
 
     def __post_init__(self) -> None:
         if self.alignment_event not in ALIGNMENTS:
-            raise ArgumentError("align", self.alignment_event, "is no event", f"use {', '.join(ALIGNMENTS)}")
+            raise ArgumentError("align", self.alignment_event, "is not an event", f"use {', '.join(ALIGNMENTS)}")
         if not math.isfinite(self.manual_offset_s):
-            raise ArgumentError("offset", f"{self.manual_offset_s:g}", "is no time", "give seconds")
+            raise ArgumentError("offset", f"{self.manual_offset_s:g}", "is not a time", "give seconds")
 
     @cached_property
     def _alignment(self) -> tuple[float, str]:

@@ -99,7 +99,7 @@ def open_recording(path: str | Path, progress: Callable[[int, int], None] | None
         data = read_log(path, progress=progress)
     times = data["time"].values.astype(np.float64)
     if not len(times):
-        raise InputError(str(path), "", "holds no samples", "choose another recording")
+        raise InputError(str(path), "", "contains no samples", "choose another recording")
     numbers = [c for c in component_channels(data) if c.values.dtype.kind in "fiub"]
     columns = {c.column_name: c.values.astype(np.float64) for c in numbers}
     states = np.full(len(times), "")

@@ -474,7 +474,7 @@ def build_condition(setup: StudySetup, case: StudyCase | None = None) -> Operati
     thrust, climb = number.get("thrust"), number.get("climb", 0.0)
     if setup.lower_rotor is None:
         if "duty" in number:
-            raise InputError("study", "duty", "is no condition of the rotor alone", "give a speed or a thrust")
+            raise InputError("study", "duty", "is not a condition of the rotor alone", "give a speed or a thrust")
         return OperatingCondition(number["pitch"], number.get("speed"), thrust, climb, air)
     above = number.get("upper_pitch", number.get("pitch"))
     below = None if setup.balance_by == "lower-pitch" else number.get("lower_pitch", number.get("pitch", above))

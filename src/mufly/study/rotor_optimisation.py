@@ -275,7 +275,7 @@ class OptimisationProblem:
         if setup.drive is None or "thrust" not in setup.fixed_parameters:
             raise InputError("optimise", "", "drive or thrust is missing", "give a drive and thrust=0.4N or the like")
         if goal not in ("thrust-per-power", "endurance"):
-            raise InputError("optimise", str(goal), "is no goal", "use thrust-per-power or endurance")
+            raise InputError("optimise", str(goal), "is unknown", "use thrust-per-power or endurance")
         for name in free:
             if name not in FREE_PARAMETERS:
                 raise InputError("optimise", name, "cannot be free", f"free some of: {', '.join(FREE_PARAMETERS)}")
@@ -490,7 +490,7 @@ def parse_pair_limit(text: str) -> DesignLimit:
     """
     match = re.fullmatch(r"\s*(\w+)\s*(>=|<=)\s*(.+?)\s*", text)
     if match is None:
-        raise InputError(text, "", "is no limit", "write for example upper_chord<=25mm")
+        raise InputError(text, "", "is not a limit", "write for example upper_chord<=25mm")
     name, sign, number = match.groups()
     if name not in PAIR_FREE_PARAMETERS:
         raise InputError(text, "", f"{name!r} cannot be limited", suggest_name(name, PAIR_FREE_PARAMETERS))
@@ -505,7 +505,7 @@ def _search_bounds(name: str, limits: Sequence[DesignLimit]) -> tuple[float, flo
         raise InputError(
             "limit",
             name,
-            f"{low:g} to {high:g} {PAIR_PARAMETERS[name].unit} holds nothing",
+            f"{low:g} to {high:g} {PAIR_PARAMETERS[name].unit} contains nothing",
             "widen the limits",
         )
     return low, high

@@ -173,9 +173,9 @@ def parse_values(
     values = read_values(text, listed, p.unit, bare=False)
     for value in values:
         if p.is_integer and value != round(value):
-            raise InputError(text, "", f"{name} {value:g} is no whole number", "give a whole number")
+            raise InputError(text, "", f"{name} {value:g} is not a whole number", "give a whole number")
         if p.is_positive and not value > 0:
-            raise InputError(text, "", f"{name} {value:g} is not possible", "give a number above 0")
+            raise InputError(text, "", f"{name} {value:g} is out of range", "give a number above 0")
     return name, values
 
 
@@ -265,7 +265,7 @@ def parse_limit(text: str) -> DesignLimit:
     """
     match = re.fullmatch(r"\s*(\w+)\s*(>=|<=)\s*(.+?)\s*", text)
     if match is None:
-        raise InputError(text, "", "is no limit", "write for example thickness_mm>=0.8 or radius<=60mm")
+        raise InputError(text, "", "is not a limit", "write for example thickness_mm>=0.8 or radius<=60mm")
     name, sign, number = match.groups()
     if name in DERIVED_LIMITS:
         value = read_quantity(text, number, split_unit_suffix(name)[1] or "1")
@@ -291,5 +291,5 @@ def search_bounds(name: str, limits: Sequence[DesignLimit]) -> tuple[float, floa
     high = min(tops) if tops else max(high, low)
     if low > high:
         unit = ROTOR_PARAMETERS[name].unit
-        raise InputError("limit", name, f"{low:g} to {high:g} {unit} holds nothing", "widen the limits")
+        raise InputError("limit", name, f"{low:g} to {high:g} {unit} contains nothing", "widen the limits")
     return low, high

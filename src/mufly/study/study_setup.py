@@ -247,7 +247,7 @@ def modify_naca_name(base: str, changes: Mapping[str, ParameterValue]) -> str:
     match = re.fullmatch(r"naca(\d)(\d)(\d\d)", re.sub(r"[\s_-]", "", base.lower()))
     if match is None:
         key = next(k for k in _NACA_PARAMETERS if k in changes)
-        raise InputError(key, "", f"{base} is no four-digit NACA section", "start from one, as in airfoil=naca4412")
+        raise InputError(key, "", f"{base} is not a four-digit NACA section", "start from one, as in airfoil=naca4412")
     digits = [int(digit) for digit in match.groups()]
     for place, (key, step, most) in enumerate(
         (("camber", 0.01, 9), ("camber_position", 0.1, 9), ("thickness", 0.01, 40))
@@ -279,7 +279,7 @@ def reshape_rotor(rotor: Rotor, changes: Mapping[str, ParameterValue]) -> Rotor:
     unknown = [key for key in changes if key not in GEOMETRY_PARAMETERS]
     if unknown:
         raise InputError(
-            "rotor", unknown[0], "is no parameter of a blade", f"use one of: {', '.join(GEOMETRY_PARAMETERS)}"
+            "rotor", unknown[0], "is not a parameter of a blade", f"use one of: {', '.join(GEOMETRY_PARAMETERS)}"
         )
     if not changes:
         return rotor

@@ -332,7 +332,7 @@ def read_results(file: str | Path) -> xr.Dataset:
         with xr.open_dataset(file, engine="scipy") as data:
             return data.load()
     except (OSError, ValueError, TypeError) as error:
-        raise InputError(str(file), "", f"is no result file ({error})", "give a .nc file of a sweep") from error
+        raise InputError(str(file), "", f"is not a result file ({error})", "give a .nc file of a sweep") from error
 
 
 def write_stations(result: RotorResult, folder: str | Path, name: str = "stations") -> Path:
@@ -413,7 +413,7 @@ def rank_airfoils(
     """
     key = by or ("thrust_per_power_N_W" if setup.drive is not None else "figure_of_merit")
     if key not in setup.output_meanings():
-        raise InputError("rank", key, "is no result", f"use one of: {', '.join(setup.output_meanings())}")
+        raise InputError("rank", key, "is not a result", f"use one of: {', '.join(setup.output_meanings())}")
     data = sweep_parameters(
         setup,
         {"airfoil": list(airfoils), "pitch": list(pitch_rad)},
@@ -533,7 +533,7 @@ def choose_airfoils(wanted: str | Sequence[str]) -> list[str]:
         elif item and Path(item).is_dir():
             files = sorted(str(f) for f in Path(item).iterdir() if f.suffix.lower() in _AIRFOIL_SUFFIXES)
             if not files:
-                raise InputError(item, "", "holds no airfoil file", "give a folder with .dat files")
+                raise InputError(item, "", "contains no airfoil file", "give a folder with .dat files")
             names += files
         elif item:
             names.append(item)

@@ -100,7 +100,7 @@ def _find_solved_cases(folder: Path) -> list[Path]:
         if any(t > 0 for t in list_complete_states(one)):
             found.append(one)
     if not found:
-        raise InputError(str(folder), "", "holds no solved case", "give a folder that `mufly cfd run --out` wrote")
+        raise InputError(str(folder), "", "contains no solved case", "give a folder that `mufly cfd run --out` wrote")
     return found
 
 
@@ -328,7 +328,7 @@ def run_study_with_case(name: str, case: Path) -> StudyFindings:
     if name not in CFD_CASE_STUDIES:
         raise InputError("thesis", name, "takes no case", f"use --case with one of: {', '.join(CFD_CASE_STUDIES)}")
     if not case.is_dir():
-        raise InputError(str(case), "", "is no folder", "give a folder that `mufly cfd run --out` wrote")
+        raise InputError(str(case), "", "is not a folder", "give a folder that `mufly cfd run --out` wrote")
     return CFD_CASE_STUDIES[name](None, case)
 
 

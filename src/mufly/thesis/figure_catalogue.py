@@ -77,6 +77,6 @@ def find_item(name: str) -> ThesisItem:
     raise InputError(
         "thesis",
         name,
-        "is no figure or table of the dissertation",
+        "is not a figure or table of the dissertation",
         "use a name of `mufly thesis list`, as fig-3.26",
     )

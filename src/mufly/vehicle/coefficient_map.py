@@ -185,7 +185,7 @@ def load_coefficient_map(name_or_path: str | Path, folder: Path | None = None) -
         place = folder / name_or_path
     tables, where = read_toml(place, _BUILTIN_MAPS_FOLDER, "coefficient map")
     if "table" not in tables:
-        raise InputError(where, "table", "is missing, so this is no coefficient map", "make one: mufly coax map")
+        raise InputError(where, "table", "is missing, so this is not a coefficient map", "make one: mufly coax map")
     return validate_model(CoefficientMap, tables, where)
 
 
@@ -199,7 +199,7 @@ def load_named_maps(tables: dict[str, Any], folder: Path | None, where: str) -> 
         raise InputError(
             where,
             "rotors.coefficient_map",
-            f"{name!r} is no name of a file",
+            f"{name!r} is not a name of a file",
             'write coefficient_map = "pair.toml"',
         )
     return {

@@ -103,7 +103,7 @@ def _check_limits(value: float, unit: str, limits: dict[str, Any]) -> None:
     if not abs(value) < _MAX_PLAUSIBLE_VALUE or not all(_LIMIT_OPERATORS[k](value, limit) for k, limit in set_.items()):
         words = " and ".join(f"{k.replace('_', ' ')} {limit:g}" for k, limit in set_.items())
         wanted = words or "of ordinary size"
-        raise model_error(f"{value:g} {unit} is not possible", f"give a value {wanted} ({unit})")
+        raise model_error(f"{value:g} {unit} is out of range", f"give a value {wanted} ({unit})")
 
 
 def _scale_value(value: Any, factor: float) -> Any:
@@ -175,6 +175,9 @@ def _format_first_values(rows: list[ParameterLine]) -> str:
     return ", ".join([*shown, *([f"{more} {'more' if shown else 'values'}"] if more else [])])
 
 
+_MAX_SHOWN_TABLES = 7  # of a repr
+
+
 class ParameterGroup(_FrozenModel):
     """A named group of parameters. Converts what the file says to SI and checks it against the declaration."""
 
@@ -196,7 +199,10 @@ class ParameterGroup(_FrozenModel):
         return "\n".join(out)
 
     def __repr__(self) -> str:
-        """Name, description and a line for each table with its first values; :meth:`__str__` has all of them."""
+        """Return name, description and the first values of the first tables, in ten lines at most.
+
+        :meth:`__str__` has all of them.
+        """
         title = f"{type(self).__name__} {getattr(self, 'name', '')}".strip()
         if said := getattr(self, "description", ""):
             title += f": {said}"
@@ -206,7 +212,10 @@ class ParameterGroup(_FrozenModel):
             if row.key not in ("name", "description"):
                 tables.setdefault(row.table.partition(".")[0], []).append(row)
         width = max((len(name) for name in tables), default=0)
-        out = [title, *(f"  {name:<{width}}  {_format_first_values(held)}" for name, held in tables.items())]
+        shown = dict(list(tables.items())[:_MAX_SHOWN_TABLES]) if len(tables) > _MAX_SHOWN_TABLES + 1 else tables
+        out = [title, *(f"  {name:<{width}}  {_format_first_values(held)}" for name, held in shown.items())]
+        if left := [name for name in tables if name not in shown]:
+            out.append(f"  and the tables {', '.join(left)}")
         return "\n".join([*out, f"  {len(rows)} values in all: print(...) shows each with its source"])
 
     def _repr_html_(self) -> str:

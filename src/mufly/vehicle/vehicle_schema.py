@@ -158,8 +158,8 @@ class Motor(ParameterGroup):
         k_e, k_m = float(self.back_emf_constant), float(self.torque_constant)
         if k_m > MAX_TORQUE_TO_EMF_RATIO * k_e:
             raise model_error(
-                f"{k_m:g} N m/A is above back_emf_constant, {k_e:g} V s: such a motor gives more power than it takes",
-                "lower torque_constant (in SI units it equals back_emf_constant, less what the iron takes)",
+                f"{k_m:g} N m/A is above back_emf_constant, {k_e:g} V s: such a motor generates power",
+                "lower torque_constant (in SI units it equals back_emf_constant, less the iron losses)",
                 "motor.torque_constant",
             )
         return self

@@ -687,7 +687,7 @@ def test_a_recording_is_opened_and_its_slider_moves_everything(fly: Fly, window:
         return [text.replace("\t", " ") for text in page.locator(".mf-flight-list tbody tr").all_inner_texts()]
 
     def broken() -> bool:
-        return any("broken.tlog" in r and "cannot be read: is no log" in r for r in rows())
+        return any("broken.tlog" in r and "cannot be read: is not a log" in r for r in rows())
 
     press(window, "text=Refresh", broken, "the broken file")
     assert page.locator("tr", has_text="broken.tlog").locator("[data-testid=open-recording]").is_disabled()

@@ -83,7 +83,7 @@ def test_fields_are_those_of_the_file_and_empty_ones_go_back_to_their_default() 
         ({"op": "put", "row": 1, "name": "speed_m_s", "value": 99}, "waypoint[1].speed_m_s"),
         ({"op": "put", "row": 1, "name": "name", "value": 1}, "use north, east, height"),
         ({"op": "put", "row": 1, "name": "north", "value": None}, "give metres"),
-        ({"op": "put", "row": 1, "name": "north", "value": "1"}, "is no number"),
+        ({"op": "put", "row": 1, "name": "north", "value": "1"}, "is not a number"),
         ({"op": "put", "row": 0, "name": "speed_m_s", "value": 1}, "take_off"),
         ({"op": "put", "row": 0, "name": "height", "value": 0.05}, "take_off.height_m"),
         ({"op": "move", "row": 3, "at": [0, 0, -1]}, "there is no waypoint 3"),

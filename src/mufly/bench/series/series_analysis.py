@@ -180,7 +180,9 @@ def analyse_series(
     good = everything.at_speed & everything.settled & ~everything.saturated & (everything.spike_share < 0.02)
     points = everything.select_readings(good)
     if not len(points):
-        raise InputError("record", "", "holds no point that can be used", doubts[0].text if doubts else "measure again")
+        raise InputError(
+            "record", "", "contains no point that can be used", doubts[0].text if doubts else "measure again"
+        )
     zeros = zeros.select_readings(~zeros.saturated & (zeros.spike_share < 0.02))
     density, relative, words = compute_air_density(points, facts)
     speed = axis_speeds(points, plan)

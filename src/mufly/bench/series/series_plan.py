@@ -76,9 +76,13 @@ class BladeMounting(ParameterGroup):
         if (self.axis == "pair") != bool(self.lower_rotor):
             raise model_error("a pair, and only a pair, has a lower_rotor", "name it, or change axis", "lower_rotor")
         if self.use == "reference" and self.axis == "pair":
-            raise model_error("the reference stands alone on an axis", "give axis 'upper' or 'lower'", "axis")
+            raise model_error(
+                "the reference rotor is measured on a single axis", "give axis 'upper' or 'lower'", "axis"
+            )
         if min(self.speeds_rpm) <= 0:
-            raise model_error("a speed is not above 0", "rest is measured by itself", "speeds_rpm")
+            raise model_error(
+                "a speed is not above 0", "leave it out: zero readings are taken automatically", "speeds_rpm"
+            )
         return self
 
     @property
@@ -116,7 +120,7 @@ class SeriesPlan(ParameterGroup):
             if fastest > self.limits.speed_rpm:
                 raise model_error(
                     f"{fastest:g} rpm is beyond the limit of {self.limits.speed_rpm:g}",
-                    "lower it, or raise limits.speed_rpm if the blades bear it", f"mounting[{k}].speeds_rpm",
+                    "lower it, or raise limits.speed_rpm if the blades withstand it", f"mounting[{k}].speeds_rpm",
                 )  # fmt: skip
         return self
 

@@ -99,7 +99,9 @@ def read_lines(path: Path) -> tuple[list[dict[str, Any]], int]:
             continue
         lines.append(json.loads(body))
     if lines and lines[0].get("kind") != "head":
-        raise InputError(str(path), "", "does not begin as a record does", "take the file out and measure again")
+        raise InputError(
+            str(path), "", "does not begin with the record's header", "take the file out and measure again"
+        )
     return lines, broken
 
 
@@ -113,11 +115,11 @@ def read_record(folder: str | Path) -> SeriesRecord:
     """
     path = Path(folder) / RECORD_FILE_NAME
     if not path.is_file():
-        raise InputError(str(folder), "", f"holds no {RECORD_FILE_NAME}", "name the folder of `mufly bench run`")
+        raise InputError(str(folder), "", f"contains no {RECORD_FILE_NAME}", "name the folder of `mufly bench run`")
     record = SeriesRecord()
     record.lines, record.broken_lines = read_lines(path)
     if not record.lines:
-        raise InputError(str(path), "", "holds no line that is whole", "measure again")
+        raise InputError(str(path), "", "contains no complete line", "measure again")
     return record
 
 

@@ -235,8 +235,8 @@ def _check_plan(plan: SeriesPlan, rig: BenchRig, record: SeriesRecord) -> None:
         facts.get("calibration", {}).pop("source", None)  # a file may move
     if other := [name for name in now if now[name] != then.get(name)]:
         raise InputError(
-            "rig", ", ".join(other), "is not as on the bench on which this series began",
-            "go on with that one (its file, calibration, seed), or give another folder",
+            "rig", ", ".join(other), "differs from the bench on which this series began",
+            "resume with that bench (its file, calibration, seed), or give another folder",
         )  # fmt: skip
 
 
@@ -320,7 +320,7 @@ class _SeriesRunner:
             block = self._collect_samples(0.5)
             if all(len(v) and abs(float(v[-1])) < _REST_SPEED_rad_s for k, v in block.items() if k.startswith("speed")):
                 return
-        raise LimitError("a rotor still turns, though it was told to stop; cut the power before going near it")
+        raise LimitError("a rotor still turns, after the command to stop; cut the power before going near it")
 
     def _run_warm_up(self, number: int, mounting: BladeMounting, speed_rpm: float, index: int, of: int) -> None:
         began, until = self.rig.now(), self.plan.times.warm_up_s

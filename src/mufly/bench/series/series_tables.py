@@ -28,7 +28,7 @@ def plan_blocks(plan: SeriesPlan) -> list[ShownBlock]:
         ),
     ]
     if pairs and len({m.speed_ratio for m in pairs}) < 2:
-        text = "One ratio of speeds shows the thrust of both rotors together only, --ratio 0.9,1,1.1 that of each."
+        text = "One speed ratio determines the total thrust only; --ratio 0.9,1,1.1 separates the two rotors."
         blocks.append(show_lines(text))
     return blocks
 
@@ -67,7 +67,9 @@ def series_blocks(found: SeriesResult) -> list[ShownBlock]:
         show_lines(*found.notes, *repeat),
     ]
     if all(s.mountings < 2 for s in found.settings):
-        text = "no setting was mounted twice: intervals are for the blades as they were mounted, not for their pitch"
+        text = (
+            "no setting was mounted twice: intervals hold for the blades as mounted, without the error of their pitch"
+        )
         blocks.append(show_lines(text))
     inside = [
         abs(load.value - s.truth[f"nominal_{name}"]) <= load.expanded

@@ -133,7 +133,7 @@ def plan(
         times=StepTimes(warm_up_s=warm_up), spacing_m=spacing,
     )  # fmt: skip
     if out.exists():
-        raise InputError("--out", str(out), "is there already", "give another name, or take it away")
+        raise InputError("--out", str(out), "already exists", "give another name, or remove the file")
     check_writable_file("--out", out)
     write_text_file(out, made.to_toml())
 
@@ -308,8 +308,8 @@ def analyse(
         raise InputError(
             str(series),
             "",
-            f"is not to be trusted ({kinds})",
-            "measure again, or --accept what you can explain",
+            f"fails its checks ({kinds})",
+            "measure again, or --accept the kinds that you can explain",
         )
 
 
@@ -358,7 +358,5 @@ def compare(
 
 def _require_accepted(found: SeriesResult, where: Path) -> SeriesResult:
     if found.fatal_issues:
-        raise InputError(
-            str(where), "", found.fatal_issues[0].text, "look at `mufly bench analyse`, or --accept the kind"
-        )
+        raise InputError(str(where), "", found.fatal_issues[0].text, "see `mufly bench analyse`, or --accept the kind")
     return found

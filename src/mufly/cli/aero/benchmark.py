@@ -116,7 +116,7 @@ def benchmark(
             "advancing_runs": [select_fields(s, _TUNNEL_KEYS) for s in advancing],
         }  # fmt: skip
         return print_answer(as_json, content, None, files)
-    _print_scores(rows, "mean size of the error, of rotors in a group")
+    _print_scores(rows, "mean absolute error over the rotors of a group")
     if len(by_family) > len(rows):
         _print_scores(by_family, "by family")
     if tunnel:
@@ -131,7 +131,7 @@ def benchmark(
     print_files(files)
     silent = sorted({r.code for r in rows} - {r.code for r in rows if r.without < r.points})
     if silent:
-        raise MuflyError(f"{', '.join(silent)}: has no answer for any point; see the lines above")
+        raise MuflyError(f"{', '.join(silent)}: has no prediction for any point; see the lines above")
 
 
 _GROUP_KEYS = (
@@ -156,7 +156,7 @@ def _print_scores(rows: list[ScoreRow], title: str) -> None:
 
     make_console().print(title, style="bold")
     print_table(
-        ("code", "of", "rotors", "points", "thrust (bias)", "torque (bias)", "held by 90 %"),
+        ("code", "of", "rotors", "points", "thrust (bias)", "torque (bias)", "inside 90 % (%)"),
         [
             (
                 r.code, r.group, f"{r.rotors}", f"{r.points}" + (f" ({r.without} without answer)" if r.without else ""),
@@ -174,9 +174,9 @@ def _format_error_and_bias(size: float, bias: float) -> str:
 
 
 def _print_tunnel_scores(rows: list[PropellerScoreRow]) -> None:
-    make_console().print("runs in a tunnel: mean size of the error, of rotors in a group", style="bold")
+    make_console().print("wind tunnel runs: mean absolute error over the rotors of a group", style="bold")
     print_table(
-        ("code", "of", "rotors", "runs", "greatest efficiency (bias)", "its advance ratio", "that without thrust"),
+        ("code", "of", "rotors", "runs", "peak efficiency (bias)", "its advance ratio", "zero-thrust advance ratio"),
         [
             (r.code, r.group, f"{r.rotors}", f"{r.runs}", *map(_format_error_and_bias, r.size, r.bias))
             for r in rows
@@ -217,7 +217,7 @@ def _read_solved_cases(folder: Path, case: RotorCase) -> RotorPrediction:
     from mufly.study.benchmark import RotorPrediction
 
     if not folder.is_dir():
-        raise InputError("--code", f"cfd:{folder}", "is no folder", "name one that holds cases of `mufly cfd run`")
+        raise InputError("--code", f"cfd:{folder}", "is not a folder", "name one that holds cases of `mufly cfd run`")
     m = case.measured
     thrust, torque = (np.full(m.thrust_N.size, np.nan) for _ in range(2))
     faults = []

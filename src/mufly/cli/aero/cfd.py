@@ -456,7 +456,7 @@ def show_convergence(
     def print_convergence() -> None:
         rows = [
             (c.name, *(f"{v:.5g}" for v in c.values[::-1]), f"{100 * c.last_step:+.2g} %", f"{c.order:.2f}",
-             f"{c.limit:.5g}", f"{100 * c.index:.2g} %", "" if c.sound else "not to be relied on")
+             f"{c.limit:.5g}", f"{100 * c.index:.2g} %", "" if c.sound else "not reliable")
             for c in found
         ]  # fmt: skip
         names = [f"{n} cells" for n in found[0].cells[::-1]]

@@ -45,7 +45,7 @@ def report_pair(folder: Path, rotor: Rotor | None, pair: PairSolution, as_json: 
         _print_pair_ratios(ratios)
         up, low = pair.between_m_s
         make_console().print(
-            f"Half way between the discs the air goes down at {up:.2f} m/s under the upper rotor's blades and at "
+            f"Half way between the discs the mean downward velocity is {up:.2f} m/s under the upper rotor's blades and "
             f"{low:.2f} m/s in the lower one's case.",
             highlight=False,
         )
@@ -198,14 +198,14 @@ def _print_solution(found: CfdSolution, others: list[SpanLoads], p: OperatingPoi
         highlight=False,
     )
     if p.geometry_note:
-        c.print(f"With {p.geometry_note}; blade elements and wake know the plain blade only.", highlight=False)
+        c.print(f"With {p.geometry_note}; blade elements and wake are computed for the plain blade.", highlight=False)
     rows = [("cfd", f"{v.thrust_N:.4f}", f"{1e3 * v.torque_Nm:.4f}", "", "")]
     rows += [
         (o.method, f"{o.thrust_N:.4f}", f"{1e3 * o.torque_Nm:.4f}", f"{100 * (v.thrust_N / o.thrust_N - 1):+.1f} %",
          f"{100 * (v.torque_Nm / o.torque_Nm - 1):+.1f} %")
         for o in others
     ]  # fmt: skip
-    print_table(("", "thrust (N)", "torque (mN m)", "cfd against it: thrust", "torque"), rows)
+    print_table(("", "thrust (N)", "torque (mN m)", "cfd, difference in thrust", "in torque"), rows)
     c.print(
         f"Drift {100 * v.drift:.2g} % and swing {100 * v.swing:.2g} % in the last 400 iterations, outflow "
         f"{1e3 * v.outflow_m3_s:.3g} l/s at the bottom, continuity {v.leak:.1e}; friction is "
@@ -221,6 +221,8 @@ def _print_solution(found: CfdSolution, others: list[SpanLoads], p: OperatingPoi
         highlight=False,
     )
     left = 100 * float(np.average(found.reversed_share, weights=found.dr_m))
-    c.print(f"The flow has left {left:.0f} % of the upper side (friction towards the nose).", highlight=False)
+    c.print(
+        f"The flow is separated on {left:.0f} % of the upper side (friction towards the leading edge).", highlight=False
+    )
     if not v.settled:
         c.print(f"Not settled ({v.what}): do not rely on these numbers.", style="yellow", highlight=False)

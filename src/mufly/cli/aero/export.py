@@ -49,7 +49,7 @@ def export(
 
     r, kind = load_rotor(rotor), out.suffix.lower()
     if kind not in _FILE_ENDINGS:
-        raise InputError("FILE", str(out), "is of no kind known here", f"let it end with {', '.join(_FILE_ENDINGS)}")
+        raise InputError("FILE", str(out), "has an unknown ending", f"use one of: {', '.join(_FILE_ENDINGS)}")
     if not hub < 1e3 * r.radius_m:
         raise InputError("--hub", f"{hub:g} mm", f"is not inside a rotor of {1e3 * r.radius_m:g} mm", "give less")
     if hub > 0.0 and not bore < hub:

@@ -139,7 +139,7 @@ def rotor(
     start = load_start_vehicle(vehicle, write)
     ensure_folder("--out", out)
     if place not in (None, "upper", "lower"):
-        raise InputError("--as", "", f"{place!r} is no rotor of a vehicle", "use upper or lower")
+        raise InputError("--as", "", f"{place!r} is not a rotor of a vehicle", "use upper or lower")
     blades = load_rotor(predict_with) if predict_with is not None else None
     tables = read_bench_files([*bench, *([calibration] if calibration else [])], columns=columns or ())
     cells = calibrate_cells(tables.pop()) if calibration else None
@@ -324,7 +324,7 @@ def plan(
             )  # fmt: skip
         print_lines(*unseen, mark="not seen")
         print_lines(
-            "These are bounds for the model as it is and white sensor noise; what the model leaves out makes real fits "
+            "These are lower bounds for this model with white sensor noise; unmodelled effects make real fits "
             "worse, often several times.",
             style="dim",
         )
@@ -347,7 +347,7 @@ def _check_time_grid(duration: float, delay: float, sample: float, window: float
         ("--duration", duration, 2.0 <= duration <= 300.0, "give 2 to 300 s"),
     ):  # fmt: skip
         if not fine:
-            raise InputError(its, "", f"{value:g} s is not possible", remedy)
+            raise InputError(its, "", f"{value:g} s is out of range", remedy)
 
 
 def _parse_named_numbers(
@@ -364,7 +364,7 @@ def _parse_named_numbers(
         unit = known[name]
         number = None if none and value == "none" else read_quantity(f"{option}: {name}", value, unit)
         if number is not None and not number > 0:
-            raise InputError(option, name, f"{value} is not possible", "give a number above 0")
+            raise InputError(option, name, f"{value} is out of range", "give a number above 0")
         found[name] = number
     return found
 
@@ -503,7 +503,7 @@ def motor(
     ratio, ratio_std = read_optional_with_std("--gear", gear_ratio, "1")
     eta, eta_std = read_optional_with_std("--gear-efficiency", gear_efficiency, "1")
     if eta is not None and eta > 1.0:
-        raise InputError("--gear-efficiency", "", f"{eta:g} is not possible", "give a number up to 1")
+        raise InputError("--gear-efficiency", "", f"{eta:g} is out of range", "give a number up to 1")
     table = read_bench_file(bench, columns=columns or ())
     fit = fit_motor(
         table, gear=GearKnowledge(ratio, eta, ratio_std, eta_std), vehicle=start,

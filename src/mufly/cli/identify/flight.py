@@ -162,11 +162,11 @@ def flight(
     from mufly.vehicle import load_vehicle
 
     if not 0.0 <= hold_out_share <= 0.8:
-        raise InputError("--hold-out-share", "", f"{hold_out_share:g} is no share", "give 0 to 0.8")
+        raise InputError("--hold-out-share", "", f"{hold_out_share:g} is not a share", "give 0 to 0.8")
     if not 0.0 <= delay_ms <= 1000.0:
-        raise InputError("--delay", "", f"{delay_ms:g} ms is not possible", "give 0 to 1000 ms")
+        raise InputError("--delay", "", f"{delay_ms:g} ms is out of range", "give 0 to 1000 ms")
     if window is not None and not window > 0.0:
-        raise InputError("--window", "", f"{window:g} s is no length", "give a number above 0, or leave it out")
+        raise InputError("--window", "", f"{window:g} s is not a length", "give a number above 0, or leave it out")
     chosen = None if outputs is None else [o.strip() for o in outputs.split(",") if o.strip()]
     for name in chosen or ():
         check_choice("--outputs", name, FLIGHT_OUTPUTS)
@@ -190,7 +190,7 @@ def flight(
         for path in kept:
             path.unlink(missing_ok=True)
     elif any(p.exists() for p in kept) and not as_json:
-        print_lines(f"Going on from {keep}.")
+        print_lines(f"Resuming from {keep}.")
     options: dict[str, Any] = {
         "held_out": held, "voltage": _parse_voltage(voltage), "delay_s": delay_ms / 1e3, "prior": not no_prior,
         "window_s": window, "method": method, "seed": seed, "restarts": restarts, "checkpoint": keep,
@@ -203,7 +203,7 @@ def flight(
             else:
                 fit = fit_flight_records(start, wanted, records, part=part, on_progress=on_progress, **options)
     except KeyboardInterrupt:
-        where = "" if keep is None else f"; the same command goes on from {keep}"
+        where = "" if keep is None else f"; the same command resumes from {keep}"
         typer.secho(f"mufly: stopped{where}", fg=typer.colors.YELLOW, err=True)
         raise typer.Exit(130) from None
     note = f"identified {format_today()} from {', '.join(p.name for p in logs)}"
@@ -278,13 +278,13 @@ def _write_report(fit: FitResult, folder: Path | None, shown: bool) -> list[Path
 
 def _print_fit_remarks(fit: FitResult) -> None:
     """Print what stands below the table: what is not seen, errors by record, how the fit ended."""
-    print_lines(*(f"{text}." for text in fit.unseen), mark="Not told apart", style="yellow")
-    print_lines(*(f"{text}." for text in fit.held), mark="In doubt for what was held")
+    print_lines(*(f"{text}." for text in fit.unseen), mark="Not distinguishable", style="yellow")
+    print_lines(*(f"{text}." for text in fit.held), mark="Uncertainty from held parameters")
     rows = []
     for r in fit.records:
         ratios = zip(r.output_names, r.rms_over_noise(), strict=True)
         rows.append((r.name, r.role, ", ".join(f"{o} {v:.2f}" for o, v in ratios)))
-    print_table(("record", "", "error over the sensor's noise (1: nothing else)"), rows, text=(0, 1, 2))
+    print_table(("record", "", "error over sensor noise (1: noise only)"), rows, text=(0, 1, 2))
     print_lines(*(f"{r.doubt}." for r in fit.records if r.doubt), mark="Warning", style="red")
     state = "Converged" if fit.converged else "NOT converged"
     detail = "" if fit.message == "converged" else f" ({fit.message})"

@@ -142,7 +142,7 @@ def linear(
     """
     ensure_folder("--out", out)
     if starts < 1:
-        raise InputError("--starts", "", f"{starts} is no number of searches", "give 1 or more")
+        raise InputError("--starts", "", f"{starts} is not a number of searches", "give 1 or more")
     records = [_read_record(log, columns, start_s, end_s) for log in logs]
     if method == "equation-error":
         held = [_read_record(log, columns, None, None) for log in hold_out or ()]
@@ -211,7 +211,7 @@ def _fit_by_equations(
         sections = [
             ReportSection("Equations", (), *e.equation_table(model)),
             ReportSection("How the terms were chosen", (), *e.stepwise_table(model)),
-            ReportSection("How well the equations tell the records", (e.SCORES_EXPLANATION,), *e.score_table(model)),
+            ReportSection("Fit of the records", (e.SCORES_EXPLANATION,), *e.score_table(model)),
         ]
         with progress_bar("pictures", not as_json) as progress:
             report.append(write_report(e.equation_fit_result(model), out, sections=sections, progress=progress))
@@ -219,7 +219,7 @@ def _fit_by_equations(
         return print_json(model)
     print_lines(*model.notes, mark="Note")
     print_table(*e.equation_table(model), title="Equations", text=(0, 1, 2, 3, 7))
-    print_table(*e.score_table(model), title="How well they tell the records (%)", text=(0, 1))
+    print_table(*e.score_table(model), title="Fit of the records (%)", text=(0, 1))
     print_lines(*(f"{k + 1}: {f.name}" for k, f in enumerate(model.records)), style="dim")
     print_lines(e.SCORES_EXPLANATION, style="dim")
     print_files(report, "Report")
@@ -260,8 +260,8 @@ def _print_linear(r: LinearResult) -> None:
             title=f"Held-out part, predicted a time ahead (low-passed at {r.slow_hz:g} Hz)",
         )
     for title, words in (
-        ("What the residuals of the fitted part show:", r.missing),
-        ("What the data cannot tell:", r.fit.unseen),
+        ("Effects in the residuals of the fitted part:", r.missing),
+        ("Parameters that the data do not determine:", r.fit.unseen),
     ):
         if words:
             print_lines(title, *(f"- {w}" for w in words))
@@ -379,7 +379,7 @@ def frequency(
         numbers = (f"{int(good.sum())} of {len(f)}", f"{data.partial[:, o, i].max():.2f}", size)
         rows.append((f"{data.inputs[i]} to {data.outputs[o]}", text, *numbers))
     heads = ("pair", f"coherence >= {MIN_COHERENCE:g} (Hz)", "points", "most", "random error")
-    print_table(heads, rows, title="Frequency responses, each input without what the others explain", text=(0, 1))
+    print_table(heads, rows, title="Frequency responses, each input conditioned on the others", text=(0, 1))
     for one in fits:
         _print_transfer(one)
     if unfitted:
@@ -568,7 +568,7 @@ def compatibility(
     below = ("", "rms residual", "its noise", "innovation over expected")
     print_table(below, [(o, f"{r:.2g}", f"{s:.2g}", f"{i:.2f}") for o, r, s, i in lines], title="The path, SI")
     if found.unseen:
-        print_lines("What the flight does not show:", *(f"- {w}" for w in found.unseen))
+        print_lines("Parameters that the flight does not determine:", *(f"- {w}" for w in found.unseen))
     print_lines("Converged" if found.converged else "NOT converged", style="green" if found.converged else "red")
     print_files(files)
 

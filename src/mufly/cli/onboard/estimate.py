@@ -148,8 +148,8 @@ def run(
         return
     if vehicle is not None:
         raise InputError(
-            "--vehicle", vehicle, "needs a flight of `mufly fly` on sensors, with no option of aids" if said else
-            "needs a flight of `mufly fly` on sensors: of this log no rotor model is used", "leave it out",
+            "--vehicle", vehicle, "needs a flight of `mufly fly` on sensors, without options of fixes" if said else
+            "needs a flight of `mufly fly` on sensors: other logs are estimated without a rotor model", "leave it out",
         )  # fmt: skip
     kinds = dict(parse_aid(text) for text in aid or ())
     asked = AidRequest(
@@ -207,8 +207,8 @@ def _estimate_foreign_log(
     after = began + _SETTLING_TIME_S
     if not any(e.valid and e.time_s + time[0] >= after for e in told):
         raise InputError(
-            str(path), "", f"has no valid estimate after {after:.1f} s: too few aids, or none believed",
-            "check units, axes and time of the aids (--aid, --aid-delay)",
+            str(path), "", f"has no valid estimate after {after:.1f} s: too few fixes, or all rejected",
+            "check units, axes and time of the fixes (--aid, --aid-delay)",
         )  # fmt: skip
     fore = aid_innovations(f.log, f.aids, told, from_s=after, to_s=float(time[-1]))
     figures: Consistency | None = None
@@ -225,13 +225,14 @@ def _estimate_foreign_log(
     def print_results() -> None:
         _print_noise(rest, noise, given)
         if figures is not None:
-            _print_consistency(figures, f"true, from {after:.1f} s")
+            _print_consistency(figures, f"from {after:.1f} s")
         if mounted is not None and f.mounting is not None:
             roll, pitch = (math.degrees(x) for x in f.mounting)
             print_lines(
-                f"The true attitude and the accelerometers are apart by {roll:+.2f} and {pitch:+.2f} degrees (roll, "
-                "pitch) at rest: mounting, or bias of the accelerometers.",
-                f"Less that: tilt {math.degrees(mounted.tilt_rms):.2f} degrees rms, NEES / n {mounted.nees:.2f}",
+                f"The true attitude and the accelerometers differ by {roll:+.2f} and {pitch:+.2f} degrees (roll, "
+                "pitch) at rest: a mounting angle, or accelerometer bias.",
+                f"Without this offset: tilt {math.degrees(mounted.tilt_rms):.2f} degrees rms, "
+                f"NEES / n {mounted.nees:.2f}",
             )  # fmt: skip
         _print_aid_innovations(fore)
 
@@ -276,7 +277,7 @@ def _add_bias_std(data: xr.Dataset, told: Sequence[Estimate]) -> xr.Dataset:
 
 def _print_noise(rest: InertialNoise, noise: InertialNoise, given: tuple[float | None, float | None]) -> None:
     rows = [
-        (name, f"{a:.2g}", f"{b:.2g}", "given" if told else "by how well the log foretells its aids", unit)
+        (name, f"{a:.2g}", f"{b:.2g}", "given" if told else "from the innovations of the fixes", unit)
         for name, a, b, told, unit in (
             ("gyroscopes", rest.gyro, noise.gyro, given[0], "rad/s/sqrt(Hz)"),
             ("accelerometers", rest.accelerometer, noise.accelerometer, given[1], "m/s^2/sqrt(Hz)"),
@@ -288,17 +289,17 @@ def _print_noise(rest: InertialNoise, noise: InertialNoise, given: tuple[float |
 def _print_aid_innovations(fore: AidInnovations) -> None:
     if fore.count:
         print_lines(
-            f"NIS / n {fore.nis:.2f} of {fore.count} aids (1 if it knows how well it foretells them); they were "
-            f"{100 * fore.off:.1f} cm rms from what was believed before they came"
+            f"NIS / n {fore.nis:.2f} of {fore.count} fixes (1 if consistent); rms innovation "
+            f"{100 * fore.off:.1f} cm"
         )  # fmt: skip
         if fore.nis > 5.0:
             print_lines(
-                "Aids and inertial unit hardly belong together: check axes, signs, units and --aid-delay.",
+                "Fixes and inertial unit are inconsistent: check axes, signs, units and --aid-delay.",
                 style="yellow",
             )
 
 
-def _print_consistency(c: Consistency, what: str = "by") -> None:
+def _print_consistency(c: Consistency, what: str = "") -> None:
     def format_cell(x: float, unit: str, digits: int) -> str:
         return f"{x:.{digits}f} {unit}" if math.isfinite(x) else ""
 
@@ -308,14 +309,12 @@ def _print_consistency(c: Consistency, what: str = "by") -> None:
         ("tilt", format_cell(math.degrees(c.tilt_rms), "deg", 2), format_cell(math.degrees(c.tilt_peak), "deg", 2)),
         ("heading", format_cell(math.degrees(c.yaw_rms), "deg", 2), ""),
     ]
-    print_table((f"off {what}", "rms", "worst"), rows, text=(0, 1, 2))
+    print_table((f"error {what}".strip(), "rms", "worst"), rows, text=(0, 1, 2))
     parts = ", ".join(
         f"{name} {x:.2f}" for name, x in zip(("position", "velocity", "attitude"), c.parts, strict=True)
         if math.isfinite(x)
     )  # fmt: skip
-    print_lines(
-        f"NEES / n {c.nees:.2f} (1 if it knows how good it is; {parts}); {c.inside:.1%} inside the 95 % ellipsoid"
-    )
+    print_lines(f"NEES / n {c.nees:.2f} (1 if consistent; {parts}); {c.inside:.1%} inside the 95 % ellipsoid")
 
 
 def _read_attached_vehicle(log: Path, vehicle: str | None) -> tuple[Vehicle, World]:
@@ -335,7 +334,7 @@ def _read_attached_vehicle(log: Path, vehicle: str | None) -> tuple[Vehicle, Wor
     if vehicle is not None:
         return load_vehicle(vehicle), world
     if "vehicle.toml" not in carried:
-        raise InputError(str(log), "", "carries no vehicle", "name it by --vehicle")
+        raise InputError(str(log), "", "contains no vehicle file", "give --vehicle")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "vehicle.toml"
         path.write_bytes(carried["vehicle.toml"])

@@ -91,8 +91,8 @@ def export(
     print_files([out])
     if helicopter.sensors is None:
         print_lines(
-            f"{helicopter.name} has no table [sensors]: the estimator in these files believes no sensor; give it the "
-            "position and attitude it flies on, or add the table (docs/reference/sensors.md).",
+            f"{helicopter.name} has no table [sensors]: the exported estimator uses no sensor; give it the "
+            "position and attitude to fly on, or add the table (docs/reference/sensors.md).",
             mark="Warning", style="yellow",
         )  # fmt: skip
     print_lines(
@@ -141,9 +141,9 @@ def sil(
     names = missions or ["demonstration", "box-on-leg"]
     if fixed_point:
         if wind is not None or gust is not None:
-            raise InputError("--fixed-point", "", "chooses its own gusts", "leave out --wind and --gust")
+            raise InputError("--fixed-point", "", "draws its own gusts", "leave out --wind and --gust")
         if fault or drawn:
-            raise InputError("--fixed-point", "", "flies on what is true", "leave out --fault and --drawn")
+            raise InputError("--fixed-point", "", "flies on the true state", "leave out --fault and --drawn")
         _compare_fixed_point(load_vehicle(vehicle), names, flights, keep, as_json)
         return
     if drawn and (fault or wind is not None or gust is not None):
@@ -184,7 +184,7 @@ def _print_sil(results: list[SilResult]) -> None:
     if any(off):
         print_lines(
             f"{off[0]} of {law} periods of the law, {off[1]} of {estimator} of the estimator and {off[2]} of {steps} "
-            "of the flight differ: the exported code is not what was flown.",
+            "of the flight differ: the exported code differs from the Python code.",
             style="red",
         )
     else:
@@ -227,7 +227,7 @@ def _print_fixed_law(vehicle: Vehicle, controller: FlightController, law: FixedP
     rows.append({**vars(measure_cascade_loss(vehicle, controller, law)), "taken": "yes"})
     figures = (ResultColumn(name, form=".4f") for name in ("peaks_dB", "gain_dB", "phase_dB", "delay_dB"))
     print_result_table(rows, ["loop", "form", "taken", *figures])
-    print_lines("Lost by whole coefficients of 16 bits: growth of peaks, loss of margins; phase and delay as ratios.")
+    print_lines("Loss by 16-bit coefficients: growth of peaks, loss of margins; phase and delay as ratios.")
     columns = (
         ResultColumn("name", head="controller"), "form",
         ResultColumn("proof.states.max", form=".2f", head="greatest state of 32 bits"),
@@ -237,7 +237,7 @@ def _print_fixed_law(vehicle: Vehicle, controller: FlightController, law: FixedP
     )  # fmt: skip
     print_result_table(law.controllers, columns)
     print_lines(
-        "Bounds for any inputs within their limits, by the L1 norm, as a share of what the bits hold: below 1 in all."
+        "Bounds for any inputs within their limits, by the L1 norm, as a share of the number range: all below 1."
     )
 
 
@@ -268,8 +268,8 @@ def _print_pil(results: list[PilResult], fixed_point: bool) -> None:
     print_result_table(results, columns)
     how = "Whole numbers, gcc -O2" if fixed_point else "Single precision, gcc -Os"
     print_lines(
-        f"{how}. Flight: the law, the mission and what watches over it, on made-up estimates; estimator: on a "
-        "made-up hop in a room. Flash: code and numbers of the whole tree; stack: deepest call."
+        f"{how}. Flight: law, mission and monitoring on synthetic estimates; estimator: on a "
+        "synthetic hop in a room. Flash: code and numbers of the whole tree; stack: deepest call."
     )
 
 
@@ -327,14 +327,12 @@ def fuzz(
     result = feed(load_vehicle(vehicle), seconds=60.0 * minutes, seed=seed)
 
     def print_result() -> None:
-        print_lines(
-            f"Fed: {', '.join(result.parts)}. {result.runs} inputs, {result.covered} places of the code reached."
-        )
+        print_lines(f"Fed: {', '.join(result.parts)}. {result.runs} inputs, {result.covered} code locations reached.")
         if result.found:
             print_lines(result.found, style="red")
             print_lines(f"Bytes: {result.input_hex}")
         else:
-            print_lines("Nothing crashed, nothing undefined was done, no output was out of range.")
+            print_lines("No crash, no undefined behaviour, no output out of range.")
 
     print_answer(as_json, {"fuzz": result}, print_result)
     if result.found:

@@ -48,7 +48,7 @@ def show(vehicle: VehicleArgument = "mufly-1.1", as_json: JsonOption = False) ->
     if as_json:
         return print_json([p._asdict() for p in rows])
     if not rows:
-        print_lines(f"{v.name} has no table [sensors]: it flies on what is true.")
+        print_lines(f"{v.name} has no table [sensors]: it flies on the true state.")
         return
     for group, members in groupby(rows, lambda row: row.key.rpartition(".")[0]):
         print_parameter_group(group.removeprefix("sensors."), list(members))
@@ -68,7 +68,7 @@ def faults(as_json: JsonOption = False) -> None:
     print_table(
         ("sensor", "unit", *kinds),
         [(name, t.reading_unit, *(f"{t.default_amounts[k]:g}" for k in kinds)) for name, t in FAULT_TARGETS.items()],
-        title="Amounts by default",
+        title="Default amounts",
         text=(0, 1),
     )
 
@@ -118,7 +118,7 @@ def simulate(
 
 
 def _print_reading_errors(errors: list[ReadingErrors]) -> None:
-    heads = ("", "Hz", "late (ms)", "invalid", "mean error", "std", "worst", "unit")
+    heads = ("", "Hz", "delay (ms)", "invalid", "mean error", "std", "worst", "unit")
     rows = [
         (e.name, f"{e.rate_Hz:.0f}", f"{1e3 * e.delay_s:.0f}", f"{e.invalid:.1%}",
          *(format_value(x, ".2g") for x in (e.mean, e.deviation, e.worst)), e.unit)

@@ -219,7 +219,7 @@ def run(
         if value is not None and not 0.0 < value <= most:
             raise InputError(name, "", f"{value:g} s is out of range", f"give up to {most:g}")
     if link is not None and not is_live_source(place):
-        raise InputError("--link", "", "is for pictures as they come", "give a camera or a stream, or --telemetry")
+        raise InputError("--link", "", "is for live pictures", "give a camera or a stream, or --telemetry")
     told = None if telemetry is None else read_telemetry(telemetry, offset)
     ensure_folder("--out", out)
     known = None if floor_map is None else FloorMap.load(floor_map)
@@ -228,7 +228,7 @@ def run(
         port: CompanionPort | None = None
         if is_live_source(place):
             if camera is None:
-                raise InputError(place, "", "does not tell of its camera", "give --camera, a name or a file")
+                raise InputError(place, "", "does not name its camera", "give --camera, a name or a file")
             lens = load_camera(camera)
             if told is None and link is None:
                 told = info_from_height(height, place)
@@ -278,7 +278,7 @@ def run(
 
         found = run_slam(slam, iterate_frames(), handle_answer)
     if port is not None and not found.pictures and not failed:
-        raise InputError("--link", str(link), "no vehicle told attitude and height there", "look at both its ends")
+        raise InputError("--link", str(link), "received no attitude and height", "check both ends of the link")
     if failed and len(found.time) < 3:
         raise failed[0]
     if len(found.time) < 3:
@@ -286,7 +286,7 @@ def run(
         raise InputError(
             place,
             "",
-            f"{len(found.time)} of {found.pictures} pictures were answered: {why}",
+            f"{len(found.time)} of {found.pictures} pictures have a position: {why}",
             "see docs/explanation/slam.md",
         )
     result = None
@@ -317,7 +317,7 @@ def run(
     }
 
     def print_result() -> None:
-        print_lines(f"{len(found.time)} of {found.pictures} pictures answered")
+        print_lines(f"{len(found.time)} of {found.pictures} pictures have a position")
         print_lines(f"{content['keyframes']} keyframes, {content['closures']} loops closed")
         print_lines(*(f"  {n} not: {why}" for why, n in sorted(found.reasons.items(), key=lambda r: -r[1])))
         print_lines(*(f"  {line}" for line in missed))
@@ -358,9 +358,11 @@ def serve(
     source = open_pictures(place, find_camera(place, camera), height_m=1.0)
     host, port = parse_address(at)
     with StreamServer(host, port) as server:
-        print_lines(f"{source.frame_count} pictures at {server.url}, as soon as somebody looks; Ctrl-C ends it")
+        print_lines(f"{source.frame_count} pictures at {server.url}, from the first viewer on; Ctrl-C ends the stream")
         if not is_local_host(host):
-            print_lines(f"anyone who reaches {host}:{port} sees them", mark="Warning", style="yellow")
+            print_lines(
+                f"the pictures are open to every program that can reach {host}:{port}", mark="Warning", style="yellow"
+            )
         try:
             while not server.watcher_count:
                 time.sleep(0.01)
@@ -372,7 +374,7 @@ def serve(
             time.sleep(0.2)
         except KeyboardInterrupt:
             return
-    print_lines("all were sent")
+    print_lines("All pictures were sent.")
 
 
 @app.command()
@@ -397,7 +399,7 @@ def evaluate(
     one = read_trajectory(trajectory)
     true = read_truth(truth)
     if true is None:
-        raise InputError(str(truth), "", "holds no truth", "give a folder with truth.txt, or a trajectory")
+        raise InputError(str(truth), "", "contains no truth", "give a folder with truth.txt, or a trajectory")
     time = one.time - offset
     covariance = one.covariance if np.isfinite(one.covariance).all() else None
     result = evaluate_trajectory(time, one.position, one.heading, covariance, *true, one.pictures)
@@ -407,9 +409,9 @@ def evaluate(
     def print_result() -> None:
         print_blocks(*result.shown_blocks())
         if better:
-            said = f"with y and z the other way round it fits better ({better}): are its axes those of the truth? "
+            said = f"with y and z inverted it fits better ({better}); its axes may differ from the truth's. "
             print_lines(
-                said + "A comment line tells them: # N-E-D, or # x north, y west, z up",
+                said + "A comment line states them: # N-E-D, or # x north, y west, z up",
                 mark="Note",
                 style="yellow",
             )
@@ -436,7 +438,7 @@ def calibrate(
     try:
         columns, rows = (int(n) for n in board.lower().split("x"))
     except ValueError:
-        raise InputError("--board", "", f"{board!r} is no board", "give inner corners: 9x6") from None
+        raise InputError("--board", "", f"{board!r} is not a board size", "give inner corners: 9x6") from None
     lens, files = load_camera(camera), list_board_pictures(pictures)
     with progress_bar("pictures", not as_json) as bar:
         found = calibrate_lens(files, lens, columns=columns, rows=rows, square_m=square, on_picture=bar)

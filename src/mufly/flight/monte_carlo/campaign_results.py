@@ -171,10 +171,10 @@ class CampaignOutcome:
             show_lines(f"{self.describe_success()}.", style="green" if self.successes == self.flights else "yellow")
         ]
         if self.claimed != self.successes:
-            text = f"By what the state machine says it would be {self.claimed}."
+            text = f"The state machine reports {self.claimed} successes."
             blocks.append(show_lines(text, style="yellow"))
         if self.refused:
-            text = f"{self.refused} draws were vehicles that cannot be; others were drawn in their place."
+            text = f"{self.refused} draws gave impossible vehicles and were repeated."
             blocks.append(show_lines(text))
         rows = [
             (w.label, f"{w.median:.3g}", f"{w.percentile_95:.3g}", f"{w.worst:.3g}", "" if w.unit == "1" else w.unit,
@@ -184,7 +184,7 @@ class CampaignOutcome:
         return [
             *blocks,
             show_lines(*(f"{count} x {reason}" for reason, count in self.reasons), mark="Failed"),
-            show_table(("", "median", "95 %", "worst", "unit", "flight", "beyond allowed"), rows),
+            show_table(("", "median", "95 %", "worst", "unit", "flight", "beyond limit"), rows),
         ]
 
 

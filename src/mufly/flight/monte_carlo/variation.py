@@ -148,7 +148,7 @@ def _select_parameters(name: str, text: str, vehicle: Vehicle) -> list[Parameter
     chosen = chosen or [p for p in numbers if p.symbol == name]
     if not chosen:
         raise ArgumentError(
-            "vary", text, f"{name!r} is no parameter of {vehicle.name}",
+            "vary", text, f"{name!r} is not a parameter of {vehicle.name}",
             suggest_name(name, _parameter_names(numbers), _NAMES_HELP),
         )  # fmt: skip
     return chosen
@@ -172,15 +172,15 @@ def _parse_assignment(text: str, vehicle: Vehicle) -> ParameterVariation:
     if match := _RANGE_PATTERN.fullmatch(how):
         low, high = (_to_si_amount(match[k], match["unit"], chosen, text) for k in ("low", "high"))
         if not low < high:
-            raise ArgumentError("vary", text, f"{how} holds nothing", "write LOW:HIGH with LOW below HIGH")
+            raise ArgumentError("vary", text, f"{how} contains nothing", "write LOW:HIGH with LOW below HIGH")
         half = np.full(len(keys), 0.5 * (high - low))
         return ParameterVariation(text, keys, "uniform", half + low, np.diag(half))
     match = _SPREAD_PATTERN.fullmatch(how)
     if match is None:
-        raise ArgumentError("vary", text, f"{how!r} is no spread", f"write {_SYNTAX_HELP}")
+        raise ArgumentError("vary", text, f"{how!r} is not a variation", f"write {_SYNTAX_HELP}")
     number, unit = _parse_number(match["number"], text), (match["unit"] or "").strip()
     if not number > 0.0:
-        raise ArgumentError("vary", text, f"{number:g} is no spread", "give a number above 0")
+        raise ArgumentError("vary", text, f"{number:g} is not a variation", "give a number above 0")
     if unit == "%":
         if number >= 100.0 and match["normal"] is None:
             raise ArgumentError("vary", text, f"{number:g} % either way reaches zero", "give less than 100 %")
@@ -207,7 +207,7 @@ def _parse_number(text: str, where: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise ArgumentError("vary", where, f"{text!r} is no number", f"write {_SYNTAX_HELP}") from None
+        raise ArgumentError("vary", where, f"{text!r} is not a number", f"write {_SYNTAX_HELP}") from None
 
 
 def _to_si_amount(number: str, unit: str, chosen: Sequence[Parameter], text: str) -> float:
@@ -242,13 +242,13 @@ def _read_variation_file(text: str, vehicle: Vehicle) -> ParameterVariation:
         raise ArgumentError(
             "vary",
             text,
-            f"is no result of an identification ({error})",
+            f"is not a result of an identification ({error})",
             "write one with `mufly identify flight --json`",
         ) from None
     known = {p.key for p in list_parameters(vehicle)}
     use = [k for k, (key, value, std, _) in enumerate(fitted) if key in known and value is not None and std is not None]
     if not use:
-        raise ArgumentError("vary", text, f"holds no parameter of {vehicle.name}", "identify some of its parameters")
+        raise ArgumentError("vary", text, f"contains no parameter of {vehicle.name}", "identify some of its parameters")
     held = [key for key, _, _, at_bound in (fitted[k] for k in use) if at_bound]
     left = [fitted[k][0] for k in range(len(fitted)) if k not in use and fitted[k][0]]
     std = np.array([0.0 if at_bound else float(s) for _, _, s, at_bound in (fitted[k] for k in use)])

@@ -127,7 +127,7 @@ class WorkerPool:
                     yield future.result()
         except BrokenProcessPool as error:
             raise MuflyError(
-                "a process that flew has died (out of memory, or killed); give fewer --jobs, the same command goes on"
+                "a worker process ended (out of memory, or killed); give fewer --jobs, the same command resumes"
             ) from error
         finally:
             for future in flying:
@@ -312,7 +312,7 @@ def search_worst_case(
     """
     n = campaign.search_dimension
     if n == 0:
-        raise ArgumentError("search", "", "nothing varies but chance", "vary something with --vary or --wind")
+        raise ArgumentError("search", "", "only the noise varies", "vary something with --vary or --wind")
     kept = _kept_flights(folder, campaign, "search.jsonl")
     size = 4 + int(3 * math.log(max(n, 2)))
     total = max(1, math.ceil(flights / size)) * size

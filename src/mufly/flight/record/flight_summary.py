@@ -131,7 +131,7 @@ class FlightSummary:
             told = ((w.reached_s, 1.0), (w.distance_at_reach_m, 100.0), (w.overshoot_m, 100.0))
             numbers = ("never" if value is None else f"{factor * value:.1f}" for value, factor in told)
             points.append((w.name, ", ".join(f"{x:g}" for x in w.position_m), *numbers))
-        heads = ("waypoint", "N, E, D (m)", "reached (s)", "off by (cm)", "overshoot (cm)")
+        heads = ("waypoint", "N, E, D (m)", "reached (s)", "error (cm)", "overshoot (cm)")
         return [show_table(("", ""), rows, text=(0, 1)), show_table(heads, points, text=(0, 1))]
 
 

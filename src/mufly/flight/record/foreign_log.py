@@ -85,7 +85,7 @@ def parse_aid(text: str, where: str = "--aid") -> tuple[str, str]:
     kind, _, signal = text.partition("=")
     if kind not in ("position", "heading") or not signal:
         raise InputError(
-            where, text, "is no aid", "write position=SIGNAL or heading=SIGNAL, as in position=truth_position"
+            where, text, "is not an aid", "write position=SIGNAL or heading=SIGNAL, as in position=truth_position"
         )
     return kind, signal
 

@@ -527,7 +527,7 @@ def design_excitation(
     outputs = [o for o in PART_OUTPUTS[part] if o in noise]
     if not outputs:
         have = ", ".join(PART_OUTPUTS[part])
-        raise ArgumentError("noise", ",".join(noise), f"nothing of {channel} is measured", f"add one of {have}")
+        raise ArgumentError("noise", ",".join(noise), f"no output of {channel} is measured", f"add one of {have}")
     free = choose_free_parameters(vehicle, symbols, outputs)
     support = design_pilot_support(vehicle, sample_s=sample_s, delay_s=delay_s)
     modes = _natural_frequencies(vehicle, support, part, sample_s)
@@ -595,7 +595,7 @@ def _max_safe_amplitude(
     """Return the greatest safe amplitude, the limit that binds and the share of the nearest limit that is used."""
     top = _MAX_AMPLITUDE if wanted is None else wanted
     if not (math.isfinite(top) and 0 < top <= _MAX_AMPLITUDE):
-        raise ArgumentError("amplitude", "", f"{top:g} is not possible", "give a share of the inputs' range, up to 1")
+        raise ArgumentError("amplitude", "", f"{top:g} is out of range", "give a share of the inputs' range, up to 1")
     low, high, low_share, binding = 0.0, top, math.inf, "as asked"
     ladder = np.geomspace(min(_MIN_AMPLITUDE, top), top, _AMPLITUDE_TRIALS)
     for step in (1, 2):

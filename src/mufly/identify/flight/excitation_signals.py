@@ -94,7 +94,7 @@ def make_excitation(
         raise ArgumentError(
             "band_rad_s",
             "",
-            f"{low / 2 / math.pi:.3g} to {high / 2 / math.pi:.3g} Hz is not possible",
+            f"{low / 2 / math.pi:.3g} to {high / 2 / math.pi:.3g} Hz is out of range",
             remedy,
         )
     n = round(duration_s / sample_s) + 1

@@ -116,8 +116,8 @@ def choose_free_parameters(
     """
     if vehicle.rotors.coefficient_map is not None:
         raise InputError(
-            vehicle.name, "rotors.coefficient_map", "stands in for the coefficients that a fit moves",
-            "take it out of the vehicle file, fit, and put it back",
+            vehicle.name, "rotors.coefficient_map", "replaces the coefficients that are fitted",
+            "remove it from the vehicle file for the fit",
         )  # fmt: skip
     if not symbols:
         raise ArgumentError("symbols", "", "no parameter is free", "name some, as in symbols=cT_dw,Izz")
@@ -143,7 +143,7 @@ def choose_free_parameters(
         if row is None or not isinstance(row.value, float):
             known = [s for s, r in rows.items() if isinstance(r.value, float)]
             remedy = suggest_name(symbol, [*known, "delay"], "use symbols of `mufly vehicle show`")
-            raise ArgumentError("symbols", symbol, "is no parameter of a vehicle that can be fitted", remedy)
+            raise ArgumentError("symbols", symbol, "is not a parameter of a vehicle that can be fitted", remedy)
         if row.value == 0.0:
             raise InputError(vehicle.name, row.key, "starts at 0", "give a start of the right size")
         std, factor, _ = PROVENANCE_DOUBT[row.source]

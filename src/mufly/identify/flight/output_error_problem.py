@@ -444,7 +444,7 @@ def make_problem(
         used = r.select_outputs(wanted)
         if not used.outputs or used.outputs == ("voltage",):
             have = ", ".join(r.outputs)
-            raise InputError(r.name, "", f"holds none of {', '.join(wanted)} (but {have})", "choose other outputs")
+            raise InputError(r.name, "", f"contains none of {', '.join(wanted)} (but {have})", "choose other outputs")
         flights.append(_prepare_record(vehicle, free, used, part, _motor_voltage(vehicle, used, voltage)))
     whole = OutputErrorProblem(vehicle, tuple(free), tuple(flights), part, False, prior, delay_s)
     return whole.with_windows(None)
@@ -508,7 +508,7 @@ def _motor_voltage(vehicle: Vehicle, r: FlightRecord, voltage: str | float) -> _
         return smooth_signal(r.voltage, r.sample_s)
     if isinstance(voltage, str) or not 0.0 < voltage < 1e3:
         raise ArgumentError(
-            "voltage", "", f"{voltage!r} is no voltage", "give measured, model, nominal or a number (V)"
+            "voltage", "", f"{voltage!r} is not a voltage", "give measured, model, nominal or a number (V)"
         )
     return voltage
 

@@ -237,7 +237,7 @@ def identify_equation_model(
     outs, names = tuple(outputs), tuple(inputs)
     for o in outs:
         if o not in SIGNAL_UNITS:
-            raise ArgumentError("outputs", o, "is no output of a linear model", f"use {', '.join(SIGNAL_UNITS)}")
+            raise ArgumentError("outputs", o, "is not an output of a linear model", f"use {', '.join(SIGNAL_UNITS)}")
     flown, notes = [], []
     for role, several in (("fit", records), ("held out", held_out)):
         for r in several:
@@ -266,7 +266,7 @@ def identify_equation_model(
     known = {coefficient_symbol(o, t): (o, t) for o in outs for t in terms}
     for symbol in without:
         if symbol not in known:
-            raise ArgumentError("without", symbol, "is no candidate", f"the candidates are {', '.join(known)}")
+            raise ArgumentError("without", symbol, "is not a candidate", f"the candidates are {', '.join(known)}")
     steps, found = len(outs) + len(flown), []
     for k, o in enumerate(outs):
         pool = [t for t in terms if coefficient_symbol(o, t) not in without]

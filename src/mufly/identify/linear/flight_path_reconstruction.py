@@ -208,7 +208,7 @@ def reconstruct_flight_path(
     for name in outputs:
         if name not in FLIGHT_PATH_STATES:
             raise ArgumentError(
-                "measured", name, "is no state of the kinematics", f"use {', '.join(FLIGHT_PATH_STATES)}"
+                "measured", name, "is not a state of the kinematics", f"use {', '.join(FLIGHT_PATH_STATES)}"
             )
     for name in FLIGHT_PATH_STATES[:3]:
         if name not in outputs:

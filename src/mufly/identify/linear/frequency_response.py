@@ -171,7 +171,7 @@ def average_cross_spectra(
     low_hz, high_hz = float(frequency_hz[0]), float(frequency_hz[-1])
     if not (0.0 < low_hz < high_hz <= 0.5 / dt * (1.0 + 1e-9)):
         raise InputError(
-            "frequency response", "", f"the band {low_hz:g} to {high_hz:g} Hz cannot be had from samples "
+            "frequency response", "", f"the band {low_hz:g} to {high_hz:g} Hz is not resolved by samples "
             f"{dt:g} s apart", f"give 0 < low < high <= {0.5 / dt:g} Hz",
         )  # fmt: skip
     if size < 8 or min(len(u) for u in inputs) < size:

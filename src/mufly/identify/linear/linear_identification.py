@@ -200,7 +200,7 @@ def identify_linear_model(
         If columns are missing, nothing moves, or no structure can be fitted.
     """
     if not 0.1 <= split <= 1.0:
-        raise ArgumentError("split", "", f"{split:g} is no share of the record", "give 0.1 to 1")
+        raise ArgumentError("split", "", f"{split:g} is not a share of the record", "give 0.1 to 1")
     us, y = record.stack_columns(inputs, "inputs"), record.stack_columns(outputs, "outputs")
     _refuse_degrees(record, outputs, y)
     cut = round(split * len(y)) if split_at_s is None else int((record.time_s < split_at_s).sum())

@@ -84,7 +84,7 @@ def extract_clock(
     if entry.column is not None:
         name = entry.column if entry.column in fields else split_header(entry.column)[0]
         if name not in fields:
-            raise InputError(where, entry.column, "is no column", f"columns are: {', '.join(fields)}")
+            raise InputError(where, entry.column, "is not a column", f"columns are: {', '.join(fields)}")
     else:
         joined = _join_nanoseconds(fields, units)
         name = joined or _find_clock_column(where, fields, units)
@@ -136,7 +136,7 @@ def _find_clock_column(where: str, fields: Mapping[str, NDArray[Any]], units: Ma
             (c for c in fields if _TIME_COLUMN_PATTERN.match(c) and not normalise_unit(units.get(c, ""))), ""
         )
         if strange:
-            problem = f"{units[strange]!r} is no unit of time"
+            problem = f"{units[strange]!r} is not a unit of time"
             raise InputError(where, strange, problem, "use s, ms, us, ns, min or h, or name it in a column map")
         remedy = "name it (time=COLUMN, or [time] column in a map), or give [time] rate_hz"
         raise InputError(where, "", f"has no column for the time among: {_format_names(fields)}", remedy)
@@ -177,7 +177,7 @@ def _parse_epoch(where: str, name: str, unit: str, text: str) -> float:
         stamp = pd.Timestamp(text)
         stamp = stamp.tz_localize("UTC") if stamp.tzinfo is None else stamp.tz_convert("UTC")
     except (ValueError, TypeError) as error:
-        problem = f"counts in {unit!r}, and {text!r} is no date"
+        problem = f"counts in {unit!r}, and {text!r} is not a date"
         raise InputError(where, name, problem, "write a date of the usual calendar, as 2024-08-09 10:00") from error
     return float(stamp.timestamp())
 
@@ -212,7 +212,7 @@ def _parse_text_stamps(where: str, name: str, values: NDArray[Any], day: NDArray
             if parts.shape[1] != 2 or not _TIME_OF_DAY_PATTERN.match(
                 _first_nonempty_text(parts[1].fillna("").to_numpy())
             ):
-                raise InputError(where, name, f"{first!r} is no time", "give seconds, or ISO 8601")
+                raise InputError(where, name, f"{first!r} is not a time", "give seconds, or ISO 8601")
             day, texts = parts[0].fillna("").to_numpy(), parts[1]
         else:
             if not _TIME_ZONE_PATTERN.search(first) and not re.search("utc|gmt", name, re.IGNORECASE):
@@ -226,7 +226,7 @@ def _parse_text_stamps(where: str, name: str, values: NDArray[Any], day: NDArray
         since = pd.to_timedelta(texts.str.strip().str.replace(r"^(\d+:\d\d)$", r"\1:00", regex=True), errors="coerce")
     valid = since.notna().to_numpy()
     if valid.mean() < 0.5:
-        raise InputError(where, name, f"{first!r} is no time", "give seconds, or ISO 8601")
+        raise InputError(where, name, f"{first!r} is not a time", "give seconds, or ISO 8601")
     ns = since.to_numpy(dtype="timedelta64[ns]").astype(np.int64)
     if day is None:
         return _TextStamps(ns, valid, False, [f"column {name} holds the time of the day without a date"])
@@ -248,7 +248,7 @@ def _parse_dates(where: str, values: NDArray[Any]) -> tuple[NDArray[np.datetime6
     whole = [r for r in readings + slashed if len(r) and not r.isna().any()]
     if not whole:
         first = filled[0] if len(filled) else ""
-        raise InputError(where, "", f"{first!r} is no date", "write dates as 2024-08-09")
+        raise InputError(where, "", f"{first!r} is not a date", "write dates as 2024-08-09")
     # Of two readings the one whose days lie together: the 4th and 5th of May, not April and May.
     best = min(whole, key=lambda r: r.max() - r.min())
     if len(whole) > 1 and all(r is not b for r in whole for b in readings):
@@ -296,7 +296,7 @@ def _clock_from_numbers(
         if why:
             said.append(f"column {name} names no unit: {why}")
     if not is_time_unit(unit):
-        raise InputError(where, name, f"{unit!r} is no unit of time", "use s, ms, us, ns, min or h")
+        raise InputError(where, name, f"{unit!r} is not a unit of time", "use s, ms, us, ns, min or h")
     _, factor, _ = unit_conversion(unit, "s")
     values, wrapped = unwrap_counter(values, factor)
     said += [f"column {name}: {w}" for w in wrapped]

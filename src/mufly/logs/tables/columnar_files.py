@@ -86,7 +86,7 @@ def read_arrow(path: str | Path, kind: str, time: TimeEntry | None = None) -> tu
         index = _pandas_index_columns(metadata)
     except Exception as error:  # whatever damage provokes in pyarrow, names that are no text included
         reason = " ".join(str(error).split())[:120]
-        raise InputError(where, "", f"is no sound {kind} file ({reason})", "give another copy") from error
+        raise InputError(where, "", f"is a damaged {kind} file ({reason})", "give another copy") from error
     if _METADATA_KEY in metadata:
         fields = dict(zip(names, columns, strict=True))
         units = {n: u for n, u in zip(names, given, strict=True) if u and n != "time"}
@@ -206,7 +206,7 @@ def read_netcdf(path: str | Path, time: TimeEntry | None = None) -> tuple[RawLog
         with xr.open_dataset(where, engine="scipy", decode_times=False) as stream:
             data = stream.load()
     except Exception as error:
-        raise InputError(where, "", f"is no sound NetCDF file ({error})", "give another copy") from error
+        raise InputError(where, "", f"is a damaged NetCDF file ({error})", "give another copy") from error
     for name in data.variables:
         if data[name].dtype.kind in "SO":
             data[name] = data[name].astype(str)

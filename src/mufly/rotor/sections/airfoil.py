@@ -164,7 +164,7 @@ def _parse_percent(where: str, text: str, what: str, size: str, most: float) -> 
     except ValueError:
         value = math.nan
     if not 0.0 < value <= most:
-        raise InputError(where, "", f"{what} of {text!r} % is not possible", f"give {size} above 0 and up to {most:g}")
+        raise InputError(where, "", f"{what} of {text!r} % is out of range", f"give {size} above 0 and up to {most:g}")
     return value / 100.0
 
 
@@ -263,10 +263,10 @@ def naca_contour(digits: str, per_side: int = _POINTS_PER_SIDE) -> Array:
     """
     where = f"naca{digits}"
     if not (digits.isdigit() and len(digits) in (4, 5)):
-        raise InputError(where, "", "is no NACA designation", "give four or five digits, as naca4412 or naca23012")
+        raise InputError(where, "", "is not a NACA designation", "give four or five digits, as naca4412 or naca23012")
     t = int(digits[-2:]) / 100
     if not 0.01 <= t <= 0.40:
-        raise InputError(where, "", f"a thickness of {t:.0%} is not possible", "let the last two digits be 01 to 40")
+        raise InputError(where, "", f"a thickness of {t:.0%} is out of range", "let the last two digits be 01 to 40")
     x = 0.5 * (1.0 - np.cos(np.linspace(0.0, math.pi, per_side)))
     if len(digits) == 4:
         m, p = int(digits[0]) / 100, int(digits[1]) / 10

@@ -150,7 +150,7 @@ def _read_points(path: Path, where: str) -> list[tuple[int, list[float]]]:
         if len(numbers) not in (2, 3) or (points and len(numbers) != len(points[0][1])):
             odd = odd or ((number, line.strip()) if points else None)
         elif odd is not None:
-            raise InputError(where, f"line {odd[0]}", f"{odd[1]!r} is no point", "give x and y on each line")
+            raise InputError(where, f"line {odd[0]}", f"{odd[1]!r} is not a point", "give x and y on each line")
         else:
             points.append((number, numbers))
     for number, numbers in points:

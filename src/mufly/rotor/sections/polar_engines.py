@@ -158,9 +158,9 @@ def _check_arguments(
     if engine not in ("neuralfoil", "xfoil", "table"):
         raise InputError("polar", "engine", f"{engine!r} is unknown", "use neuralfoil, xfoil or table")
     if not 0.0 <= n_crit <= 18.0:
-        raise InputError("polar", "n_crit", f"{n_crit:g} is not possible", "give 0 (noisy) to 18 (glider)")
+        raise InputError("polar", "n_crit", f"{n_crit:g} is out of range", "give 0 (noisy) to 18 (glider)")
     if len(xtr) != 2 or not all(0.0 <= x <= 1.0 for x in xtr):
-        raise InputError("polar", "xtr", f"{xtr} is not possible", "give two places x/c between 0 and 1")
+        raise InputError("polar", "xtr", f"{xtr} is out of range", "give two places x/c between 0 and 1")
     re = DEFAULT_REYNOLDS if reynolds is None else np.atleast_1d(np.asarray(reynolds, dtype=np.float64))
     steps = np.diff(np.log(re)) if np.all(re > 0) else np.array([-1.0])
     if re.ndim != 1 or not np.all(np.isfinite(re)) or np.any(steps <= 0):

@@ -192,7 +192,7 @@ def _read_rows(path: Path, where: str) -> list[tuple[int, dict[str, float]]]:
             except ValueError:
                 values[name] = math.nan
             if not math.isfinite(values[name]):
-                raise InputError(where, f"line {number}", f"{name} {cell!r} is no number", "give finite numbers")
+                raise InputError(where, f"line {number}", f"{name} {cell!r} is not a number", "give finite numbers")
         rows.append((number, values))
     _check_units(rows, dict(zip((n for n, _ in columns), header, strict=True)), where)
     return rows
@@ -258,7 +258,7 @@ def _check_units(rows: list[tuple[int, dict[str, float]]], headers: dict[str, st
     if np.any(numbers > 0) and float(np.max(numbers)) < _MIN_REYNOLDS:
         least, most = float(np.min(numbers)), float(np.max(numbers))
         raise InputError(
-            where, headers.get("reynolds", "reynolds"), f"{least:g} to {most:g} is no Reynolds number of a blade",
+            where, headers.get("reynolds", "reynolds"), f"{least:g} to {most:g} is not a Reynolds number of a blade",
             "name the column 'Re (millions)' if it counts those, or write 10000 for 0.01",
         )  # fmt: skip
 
@@ -269,9 +269,9 @@ def _group_by_reynolds(rows: list[tuple[int, dict[str, float]]], where: str) -> 
     for number, values in rows:
         re_, cd, alpha = values["reynolds"], values["cd"], values["alpha_deg"]
         if not re_ > 0:
-            raise InputError(where, f"line {number}", f"reynolds {re_:g} is not possible", "give values above 0")
+            raise InputError(where, f"line {number}", f"reynolds {re_:g} is out of range", "give values above 0")
         if not cd > 0:
-            raise InputError(where, f"line {number}", f"cd {cd:g} is not possible", "give values above 0")
+            raise InputError(where, f"line {number}", f"cd {cd:g} is out of range", "give values above 0")
         if not -180.0 - 1e-9 <= alpha <= 180.0 + 1e-9:
             raise InputError(where, f"line {number}", f"alpha_deg {alpha:g}", "give -180 to 180")
         point = [min(max(alpha, -180.0), 180.0), values["cl"], cd, values.get("cm", 0.0)]

@@ -302,7 +302,7 @@ def flat_plate_drag(aspect_ratio: float) -> float:
         Span over chord, above 0; infinity gives the two-dimensional value 2.01.
     """
     if not aspect_ratio > 0:
-        raise InputError("polar", "aspect_ratio", f"{aspect_ratio:g} is not possible", "give a value above 0")
+        raise InputError("polar", "aspect_ratio", f"{aspect_ratio:g} is out of range", "give a value above 0")
     return 1.11 + 0.018 * aspect_ratio if aspect_ratio <= 50 else 2.01
 
 

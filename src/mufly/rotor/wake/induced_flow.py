@@ -57,7 +57,7 @@ def induced_velocity(solution: SystemSolution, points_m: ArrayLike, azimuth_rad:
     points = np.asarray(points_m, dtype=np.float64)
     flat = points.reshape(-1, 3)
     if flat.shape[0] and not np.all(np.isfinite(flat)):
-        raise InputError("wake", "points_m", "hold NaN or infinity", "give finite points")
+        raise InputError("wake", "points_m", "contain NaN or infinity", "give finite points")
     azimuths = np.broadcast_to(np.asarray(azimuth_rad, dtype=np.float64), (len(solution.wakes),))
     total = _sum_wake_velocities(solution, flat, azimuths)
     ground = None if solution.settings is None else solution.settings.ground_m

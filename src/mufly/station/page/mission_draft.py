@@ -225,20 +225,20 @@ def apply_edit(draft: MissionDraft, order: Mapping[str, Any]) -> MissionDraft:
 def _read_row(order: Mapping[str, Any], name: str = "row") -> int:
     value = order.get(name)
     if not isinstance(value, int) or isinstance(value, bool):
-        raise InputError(ERROR_LOCATION, name, f"{value!r} is no whole number", "name a row of the table")
+        raise InputError(ERROR_LOCATION, name, f"{value!r} is not a whole number", "name a row of the table")
     return value
 
 
 def _read_number(value: object, key: str) -> float:
     if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
-        raise InputError(ERROR_LOCATION, key, f"{value!r} is no number", "give a finite one")
+        raise InputError(ERROR_LOCATION, key, f"{value!r} is not a number", "give a finite one")
     return float(value)
 
 
 def _read_place(order: Mapping[str, Any]) -> PlaceNED:
     at = order.get("at")
     if not isinstance(at, list | tuple) or len(at) != 3:
-        raise InputError(ERROR_LOCATION, "at", f"{at!r} is no place", "give N, E and D in metres")
+        raise InputError(ERROR_LOCATION, "at", f"{at!r} is not a place", "give N, E and D in metres")
     n, e, d = (_read_number(v, "at") for v in at)
     return n, e, d
 

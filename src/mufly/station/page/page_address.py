@@ -113,7 +113,7 @@ def bind_page_address(host: str = "127.0.0.1", port: int | None = None, token: s
     try:
         family, _, _, _, _ = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0]
     except OSError as error:
-        problem = f"is no address ({error.strerror})"
+        problem = f"is not an address ({error.strerror})"
         raise ArgumentError("host", host, problem, "give an address of this machine") from None
     for number in tried:
         bound = socket.socket(family, socket.SOCK_STREAM)

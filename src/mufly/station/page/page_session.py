@@ -630,7 +630,7 @@ def read_parameter_file(text: str, where: str, component: int = AUTOPILOT_COMPON
             number = float(int(value, 16)) if value.lower().startswith("0x") else float(value)
         except ValueError:
             remedy = "write NAME,value or the lines that QGroundControl writes"
-            raise InputError(where, f"line {k}", f"{whole.strip()[:60]!r} is no parameter", remedy) from None
+            raise InputError(where, f"line {k}", f"{whole.strip()[:60]!r} is not a parameter", remedy) from None
         if named and int(parts[1]) != component:
             others.add(parts[1])
             continue
@@ -642,5 +642,5 @@ def read_parameter_file(text: str, where: str, component: int = AUTOPILOT_COMPON
         problem = f"holds parameters of component {', '.join(sorted(others))}, none of component {component}"
         raise InputError(where, "", problem, "choose the file of the autopilot")
     if not out:
-        raise InputError(where, "", "holds no parameters", "choose another file")
+        raise InputError(where, "", "contains no parameters", "choose another file")
     return out

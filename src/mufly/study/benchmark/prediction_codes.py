@@ -93,7 +93,7 @@ def parse_code(text: str, *, n_crit: float | None = None, limit_s: float = 600.0
         raise InputError(
             "--code",
             text,
-            "is no code",
+            "is not a code",
             "use bemt, wake, module:function, or a command with {folder} among its words",
         )
     sys.path.insert(0, "") if "" not in sys.path else None

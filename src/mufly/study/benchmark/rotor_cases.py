@@ -149,7 +149,7 @@ def load_cases(folder: Path, only: str = "") -> tuple[list[RotorCase], list[str]
         raise InputError(
             "--data",
             str(folder),
-            "is no folder",
+            "is not a folder",
             _FETCH_REMEDY,
         )
     readers: dict[str, Callable[[Path], list[RotorCase]]] = {
@@ -172,7 +172,7 @@ def load_cases(folder: Path, only: str = "") -> tuple[list[RotorCase], list[str]
     chosen = [replace(c, tunnel_runs=tuple(load_tunnel_runs(folder, c))) for c in chosen]
     if not chosen:
         if not cases:
-            raise InputError("--data", str(folder), "holds no measurements that are known here", _FETCH_REMEDY)
+            raise InputError("--data", str(folder), "contains no measurements that are known here", _FETCH_REMEDY)
         names = ", ".join(sorted({c.group for c in cases}))
         raise InputError("--only", only, "is in the name of no rotor and of no group", f"choose of {names}")
     return chosen, missing
