@@ -246,7 +246,7 @@ def test_a_study_varies_one_thing_and_a_case_keeps_its_domain(tmp_path: Path) ->
 
 def test_a_state_cut_short_or_missing_is_said_in_one_line(tmp_path: Path) -> None:
     m = mesh()
-    with pytest.raises(InputError, match="no case of mufly cfd"):
+    with pytest.raises(InputError, match="not a case of mufly cfd"):
         read_point(tmp_path)
     solved_by_hand(tmp_path, np.zeros(m.cell_count), np.zeros((m.cell_count, 3)))
     p = tmp_path / "7" / "p"

@@ -213,7 +213,7 @@ def test_files_come_back_as_they_were(tmp_path: Path) -> None:
     assert again.blade_count == 3
     points = tmp_path / "constant" / "polyMesh" / "points"
     points.write_bytes(points.read_bytes()[:5000])
-    with pytest.raises(InputError, match="no whole mesh"):
+    with pytest.raises(InputError, match="not a complete mesh"):
         read_poly_mesh(tmp_path)
 
 

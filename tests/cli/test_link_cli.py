@@ -20,10 +20,10 @@ from mufly.logs import read_log
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--link", "bogus"], "no MAVLink endpoint"),
+        (["--link", "bogus"], "not a MAVLink endpoint"),
         (["--link", "udpin:14998", "--link", "udpin:127.0.0.1:14998"], "given twice"),
         (["--system", "0"], "--system"),
-        (["--origin", "north pole"], "no place on the globe"),
+        (["--origin", "north pole"], "not a place on the globe"),
         (["--wind", "strong"], "--wind: 'strong' is not a number"),
         (["no-such-mission"], "no such mission"),
         (["--vehicle", "no-such-vehicle"], "no such vehicle"),

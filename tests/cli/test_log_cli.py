@@ -114,7 +114,7 @@ def test_convert_resamples_and_keeps_gaps(log, tmp_path, ending):
 def test_export_is_convert_and_replaces_only_by_force(log, tmp_path):
     out = tmp_path / "out.csv"
     run("export", log, out, *COLUMNS)
-    with pytest.raises(InputError, match="already there"):
+    with pytest.raises(InputError, match="already exists"):
         run("export", log, out, *COLUMNS)
     run("export", log, out, *COLUMNS, "--force", "-s", "battery_voltage")
     assert list(read_log(out)) == ["battery_voltage"]

@@ -148,7 +148,7 @@ def test_a_blade_goes_out_as_a_body_and_comes_in_again(tmp_path) -> None:
     assert len(again["airfoils"]) == 15
     output("export", "naca0012-r60-c20", str(table), "--stations", "7")
     assert json.loads(output("import", str(table), "--json"))["airfoils"] == ["naca0012"]
-    assert "no kind" in fault("export", "naca0012-r60-c20", str(tmp_path / "b.obj"))
+    assert "unknown ending" in fault("export", "naca0012-r60-c20", str(tmp_path / "b.obj"))
     assert "--hub: belongs to a whole" in fault("export", "naca0012-r60-c20", str(body), "--hub", "5")
     assert "--out: is missing" in fault("import", str(body))
 

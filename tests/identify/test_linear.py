@@ -463,7 +463,7 @@ def test_names_are_found_by_their_end_and_ambiguity_is_said():
     ("arguments", "words"),
     [
         (["--model", "third-order"], "third-order"),
-        (["--outputs", "p,z=q"], "no output"),
+        (["--outputs", "p,z=q"], "not an output"),
         (["--inputs", "lat,collective"], "collective"),
         (["--outputs", "p=speed"], "speed"),
         (["--split", "0.001"], "--split"),

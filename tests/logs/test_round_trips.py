@@ -157,7 +157,7 @@ def test_without_pyarrow_parquet_says_what_to_install(tmp_path, data, monkeypatc
         (b"ULog\x01\x12\x35\x01" + b"\x00" * 8, "without data"),
         (b"PAR1" + b"\x00" * 40, "no sound Parquet"),
         (b"CDF\x01" + b"\x07" * 40, "no sound NetCDF"),
-        (b"Dear reader, this is a letter.", "no log that is known"),
+        (b"Dear reader, this is a letter.", "not a log that is known"),
         (b"\xa3\x95\x80" + b"\x01" * 100, "DataFlash"),
     ],
 )

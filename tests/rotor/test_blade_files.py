@@ -97,9 +97,9 @@ def test_an_untwisted_blade_needs_no_unit_and_shares_in_per_cent_are_refused(tmp
     r, _ = read_blade(written(tmp_path, "u.csv", "r_mm,chord_mm,beta\n10,2,0\n20,2,0\n"))
     assert float(r.twist_rad(0.75)) == 0.0
     text = "r/R,c/R,beta\n15,16,30\n100,8,10\n"
-    with pytest.raises(InputError, match="r/R: reaches 100: no share of the radius"):
+    with pytest.raises(InputError, match="r/R: reaches 100: not a share of the radius"):
         read_blade(written(tmp_path, "p.csv", text), radius_m=0.06)
-    with pytest.raises(InputError, match="c/R: reaches 16: no share of the radius"):
+    with pytest.raises(InputError, match="c/R: reaches 16: not a share of the radius"):
         read_blade(written(tmp_path, "p.csv", text.replace("15,", "0.15,").replace("100,", "1,")), radius_m=0.06)
 
 

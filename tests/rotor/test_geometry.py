@@ -104,7 +104,7 @@ GOOD = {"name": "r", "radius_m": 0.06, "chord_m": 0.02}
         ({"blades": 2.5}, "blades", "whole number"),
         ({"chord_m": [0.02, 0.02, 0.02]}, "blade.chord", "3 values for 2 stations"),
         ({"chord_m": -0.02}, "blade.chord", "above 0"),
-        ({"chord_m": math.nan}, "blade.chord", "not possible"),
+        ({"chord_m": math.nan}, "blade.chord", "out of range"),
         ({"r_over_R": (1.0, 0.2)}, "blade.r_over_R", "hub to tip"),
         ({"r_over_R": (0.2, 0.2, 1.0)}, "blade.r_over_R", "is not beyond station 1"),
         ({"r_over_R": (0.1, 0.9)}, "blade.r_over_R", "the tip, 1"),

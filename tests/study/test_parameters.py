@@ -50,7 +50,7 @@ def test_names_are_kept() -> None:
         ("chord=30:10:5mm", "contains no value"),
         ("chord=10:30:-5mm", "contains no value"),
         ("chord=1:2:3:4mm", "is not a range"),
-        ("chord=-5mm", "not possible"),
+        ("chord=-5mm", "out of range"),
         ("blades=2.5", "no whole number"),
         ("chord=1:1e9:1mm", "larger steps"),
     ],

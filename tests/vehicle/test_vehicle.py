@@ -65,7 +65,7 @@ FAULTS = [
     ('mass = { value = 0.1, source = "measured" }', "mass =", "body.mass", "unit is missing"),
     ("mass = 0.095", "mass =", "body.mass", "no unit"),
     ('mass = { value = -1, unit = "kg", source = "measured" }', "mass =", "body.mass", "at least 0.001"),
-    ('mass = { value = nan, unit = "kg", source = "measured" }', "mass =", "body.mass", "not possible"),
+    ('mass = { value = nan, unit = "kg", source = "measured" }', "mass =", "body.mass", "out of range"),
     ('mass = { value = 95, unit = "stone", source = "measured" }', "mass =", "body.mass", "use one of: kg, g"),
     ('mass = { value = "x", unit = "kg", source = "measured" }', "mass =", "body.mass", "not a number"),
     ('mass = { value = 0.095, unit = "kg", source = "guess" }', "mass =", "body.mass.source", "guess"),
