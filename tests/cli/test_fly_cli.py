@@ -139,7 +139,7 @@ def test_what_vehicle_and_mission_cannot_do_together_names_the_file(monkeypatch,
     for words, place in (
         ([high], f"{high}: waypoint[1].position_m: -100 m"),
         ([hop, "--vehicle", heavy], f"{heavy}: body.mass: too heavy"),
-        ([hop, "--out", hop / "below"], f"--out: {hop} is a file"),
+        ([hop, "--out", hop / "below"], f"--out: {hop}: is a file"),
     ):
         assert run(monkeypatch, "fly", *words) == 1
         shown = capsys.readouterr()

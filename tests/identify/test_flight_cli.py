@@ -64,7 +64,7 @@ def test_without_a_held_out_log_the_end_of_the_record_is_held_out(logs):
         (["--delay", "-5"], "-5 ms is out of range"),
         (["--window", "0"], "0 s is not a length"),
         (["--out", "no-such-folder/new.toml"], "its folder does not exist"),
-        (["--report", "/dev/null/report"], "cannot be made"),
+        (["--report", "/dev/null/report"], "cannot be created"),
         (["--hold-out-share", "2"], "is not a share"),
     ],
 )

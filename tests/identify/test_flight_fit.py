@@ -182,7 +182,7 @@ def test_the_checkpoint_of_another_fit_is_refused(truth, flights, tmp_path):
     with pytest.raises(InputError, match="belongs to a fit of other records"):
         fit_flight_records(truth, free, [flights["roll"]], part="roll-pitch", checkpoint=path)
     path.write_text("{")
-    with pytest.raises(InputError, match="is no checkpoint"):
+    with pytest.raises(InputError, match="is not a checkpoint"):
         roll_pitch(truth, flights, checkpoint=path)
 
 

@@ -10,9 +10,8 @@ from mufly.cli.options import CommandGroup, JsonOption, VehicleArgument, define_
 from mufly.cli.output import (
     print_answer,
     print_json,
-    report_place_errors,
 )
-from mufly.errors import InputError
+from mufly.errors import InputError, report_write_errors
 
 if TYPE_CHECKING:
     from mufly.control import FlightController
@@ -81,7 +80,7 @@ input, with the controller of full order, of reduced order, and sampled with one
 def _write_designs(controller: FlightController, folder: Path) -> list[Path]:
     from mufly.control.plots import draw_designs
 
-    with report_place_errors(folder, "give a folder that can be written"):
+    with report_write_errors("--out", "give a folder that can be written", str(folder)):
         target = folder / "design.json"
         written = [*draw_designs(controller, folder), target]
         target.write_text(json.dumps(controller.as_record(), indent=2) + "\n", encoding="utf-8")

@@ -23,7 +23,7 @@ from mufly.cli.options import (
     check_choice,
     define_option,
 )
-from mufly.cli.output import LiveDisplay, make_console, print_blocks, print_lines
+from mufly.cli.output import LiveDisplay, check_place, make_console, print_blocks, print_lines
 from mufly.cli.station import (
     BrowserOption,
     FaultOption,
@@ -36,7 +36,6 @@ from mufly.cli.station import (
     ShutdownHandler,
     TokenOption,
     WindOption,
-    check_output_folder,
     check_sensor_options,
     describe_computation,
     describe_sensor_source,
@@ -299,7 +298,7 @@ def fly_mission(
             show = replace(show, page_address=address, start_page=page)
         steady = resolve_wind(wind, gust, seed)
         folder = out if out is not None else new_dated_folder()
-        check_output_folder(folder)
+        check_place("--out", folder, make=False)
         ends = parse_endpoints(links, "vehicle")
         from mufly.mission import check_preflight, load_mission
         from mufly.vehicle import load_vehicle

@@ -16,9 +16,8 @@ from mufly.cli.output import (
     print_files,
     print_lines,
     progress_bar,
-    report_place_errors,
 )
-from mufly.errors import InputError
+from mufly.errors import InputError, report_write_errors
 
 if TYPE_CHECKING:
     from mufly.logs import ColumnMap
@@ -274,7 +273,7 @@ def _print_notes(log: Path, notes: Iterable[str]) -> None:
 
 def _save_figure(figure: Any, folder: Path, name: str) -> list[Path]:
     paths = [folder / f"{name}{ending}" for ending in (".png", ".svg")]
-    with report_place_errors(folder):
+    with report_write_errors("--out", key=str(folder)):
         folder.mkdir(parents=True, exist_ok=True)
         for path in paths:
             figure.savefig(path, dpi=130, bbox_inches="tight")

@@ -14,7 +14,7 @@ import typer
 
 from mufly.cli.options import ClusterOption, JsonOption, MissionArgument, VehicleOption, define_option
 from mufly.cli.output import (
-    ensure_folder,
+    check_place,
     make_console,
     print_answer,
     print_blocks,
@@ -130,7 +130,7 @@ def run_monte_carlo(
         raise InputError("--tolerance", "", f"{tolerance:g} m", "give more than 0, and 10 m at most")
     towards = parse_wind(wind)
     resolve_wind(None, gust, seed)
-    ensure_folder("--out", out)
+    check_place("--out", out)
 
     from mufly.mission import load_mission
     from mufly.vehicle import load_vehicle

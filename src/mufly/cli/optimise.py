@@ -27,7 +27,7 @@ from mufly.cli.options import (
     wake_progress,
 )
 from mufly.cli.output import (
-    ensure_folder,
+    check_place,
     make_console,
     print_answer,
     print_files,
@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 def _write_rotor_file(rotor: Rotor, path: Path) -> Path:
     from mufly.rotor import format_rotor_toml
 
-    ensure_folder("--out", path.parent)
+    check_place("--out", path.parent)
     return write_text_file(path, format_rotor_toml(rotor), "give another place")
 
 

@@ -18,7 +18,7 @@ from typer.core import TyperCommand
 from typer.models import OptionInfo
 
 from mufly.cli.output import (
-    check_writable_file,
+    check_place,
     make_console,
     save_figure,
     write_csv,
@@ -615,7 +615,7 @@ def load_start_vehicle(name: str | None, write: Path | None) -> Vehicle | None:
 
     if name is None and write is not None:
         raise InputError("--write", str(write), "needs a vehicle to start from", "add --vehicle mufly-1.1 or a file")
-    check_writable_file("--write", write)
+    check_place("--write", write, "file")
     return None if name is None else load_vehicle(name)
 
 

@@ -11,10 +11,10 @@ import json
 import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
@@ -184,16 +184,9 @@ def print_files(files: Iterable[Path], label: str = "Written") -> None:
         make_console().print(f"{label}: {file}", highlight=False, markup=False, soft_wrap=True)
 
 
-def report_place_errors(
-    place: Path, remedy: str = "give another folder", option: str = "--out"
-) -> AbstractContextManager[None]:
-    """Turn what goes wrong while a file is written into an InputError that names the option and the place."""
-    return report_write_errors(option, remedy, str(place))
-
-
 def write_text_file(path: Path, text: str, remedy: str = "give another folder", option: str = "--out") -> Path:
-    """Write a text, as :func:`report_place_errors` says what goes wrong; return where it stands."""
-    with report_place_errors(path, remedy, option):
+    """Write a text, return its path; an InputError names the option if it cannot be written."""
+    with report_write_errors(option, remedy, str(path)):
         path.write_text(text, encoding="utf-8")
     return path
 
@@ -206,7 +199,7 @@ def save_figure(figure: Figure, folder: Path, name: str, endings: Sequence[str] 
     InputError
         If it cannot be written.
     """
-    with report_place_errors(folder):
+    with report_write_errors("--out", key=str(folder)):
         folder.mkdir(parents=True, exist_ok=True)
         for ending in endings:
             figure.savefig(folder / f"{name}{ending}", dpi=150)
@@ -221,7 +214,7 @@ def write_csv(path: Path, heads: Sequence[str], rows: Iterable[Iterable[float | 
     InputError
         If it cannot be written.
     """
-    with report_place_errors(path.parent):
+    with report_write_errors("--out", key=str(path.parent)):
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("w", newline="", encoding="utf-8") as file:
             file.write(f"# {first}\n" if first else "")
@@ -236,40 +229,44 @@ def write_records(path: Path, records: Sequence[Mapping[str, Any]]) -> Path:
     return write_csv(path, list(records[0]), [record.values() for record in records])
 
 
-def ensure_folder(option: str, folder: Path | None) -> None:
-    """Make a folder that results will go to, so that a long fit does not end without a place for them.
+def check_place(
+    option: str, place: Path | None, kind: Literal["folder", "file"] = "folder", *, make: bool = True
+) -> None:
+    """Check that results can be written to a place, before the work that fills it.
+
+    Parameters
+    ----------
+    option : str
+        The option that gave the place.
+    place : Path or None
+        None: nothing is to be written.
+    kind : str
+        What the place is to be.
+    make : bool
+        Whether a folder is created if it does not exist.
 
     Raises
     ------
     InputError
-        If it cannot be made or written to.
+        If it cannot be created or written.
     """
-    if folder is None:
+    if place is None:
         return
+    shown = str(place) if len(str(place)) < 60 else f"{str(place)[:57]}..."
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        if kind == "folder" and make:
+            place.mkdir(parents=True, exist_ok=True)
+        nearest = next(p for p in (place, *place.absolute().parents) if p.exists())
     except OSError as error:
-        raise InputError(option, str(folder), f"cannot be created ({error.strerror})", "give another folder") from error
-    if not os.access(folder, os.W_OK):
-        raise InputError(option, str(folder), "cannot be written to", "give another folder")
-
-
-def check_writable_file(option: str, file: Path | None) -> None:
-    """Look whether a file can be written, before the work that fills it.
-
-    Raises
-    ------
-    InputError
-        If its folder is not there, or either may not be written.
-    """
-    if file is None:
-        return
-    if file.is_dir():
-        raise InputError(option, str(file), "is a folder", "give the name of a file")
-    if not file.parent.is_dir():
-        raise InputError(option, str(file), "its folder does not exist", "create it, or give another file")
-    if not os.access(file if file.exists() else file.parent, os.W_OK):
-        raise InputError(option, str(file), "cannot be written", "give another place")
+        raise InputError(option, shown, f"cannot be created ({error.strerror})", f"give another {kind}") from error
+    if kind == "file" and place.is_dir():
+        raise InputError(option, shown, "is a folder", "give the name of a file")
+    if kind == "file" and not place.parent.is_dir():
+        raise InputError(option, shown, "its folder does not exist", "create it, or give another file")
+    if kind == "folder" and not nearest.is_dir():
+        raise InputError(option, str(nearest), "is a file", "give a folder")
+    if not os.access(nearest, os.W_OK | os.X_OK if nearest.is_dir() else os.W_OK):
+        raise InputError(option, str(nearest), "cannot be written", f"give another {kind}")
 
 
 # --- how far the work is ----------------------------------------------------------------------------------------------

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from mufly.cli.options import OptionalMissionArgument, SeedOption, VehicleOption, define_option
-from mufly.cli.output import LiveDisplay, make_console, print_lines, progress_bar
+from mufly.cli.output import LiveDisplay, check_place, make_console, print_lines, progress_bar
 from mufly.errors import InputError
 from mufly.quantity_grammar import read_vector
 
@@ -186,19 +186,6 @@ def parse_endpoints(
     return found
 
 
-def check_output_folder(folder: Path) -> None:
-    """Refuse a folder that cannot be made or written, without making it yet."""
-    try:
-        nearest = next(p for p in (folder, *folder.absolute().parents) if p.exists())
-    except OSError as error:
-        shown = str(folder) if len(str(folder)) < 60 else f"{str(folder)[:57]}..."
-        raise InputError("--out", "", f"{shown}: {error.strerror}", "name another folder") from None
-    if not nearest.is_dir():
-        raise InputError("--out", "", f"{nearest} is a file", "name a folder")
-    if not os.access(nearest, os.W_OK | os.X_OK):
-        raise InputError("--out", "", f"{nearest} cannot be written", "name a folder that can")
-
-
 def new_dated_folder() -> Path:
     """``flights/<date-time>``, which does not exist yet."""
     base = Path("flights") / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
@@ -339,8 +326,7 @@ def open_station(
     words = connect or ([] if open_file is not None else [DEFAULT_ENDPOINT])
     endpoints = parse_endpoints(words, "station", "--connect")
     world = load_mission(mission) if mission is not None else None
-    if out.exists() and not out.is_dir():
-        raise InputError("--out", "", f"{out} is a file", "name a folder")
+    check_place("--out", out, make=False)
 
     from mufly.station.page.page_address import bind_page_address
     from mufly.station.page.start_page import StartPage, Startup
@@ -476,7 +462,7 @@ def run_link(
         raise InputError("--system", "", f"{system} is not a MAVLink system", "give 1 to 255")
     steady = resolve_wind(wind, gust, seed)
     if out is not None:
-        check_output_folder(out)
+        check_place("--out", out, make=False)
 
     # Whatever can be wrong with the input is found before the heavy libraries are loaded.
     from mufly.link.codec import parse_origin

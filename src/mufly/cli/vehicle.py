@@ -19,7 +19,7 @@ from mufly.cli.options import (
     define_option,
 )
 from mufly.cli.output import (
-    ensure_folder,
+    check_place,
     make_console,
     print_blocks,
     print_json,
@@ -344,7 +344,7 @@ def create_vehicle_project(
         "blade.chord": chord,
     }
     rotor = replace_rotor(blade, shape, source="estimated")
-    ensure_folder("--out", folder)
+    check_place("--out", folder)
     texts = {
         "vehicle": format_vehicle_toml(vehicle),
         "rotor": format_rotor_toml(rotor),

@@ -395,7 +395,7 @@ class EvenLogTable:
         if known:
             return known[0]
         shown = ", ".join(list(self.columns)[:24]) + (" ..." if len(self.columns) > 24 else "")
-        missing = "holds no numbers" if name in self.empty_columns else "is no column of this log"
+        missing = "contains no numbers" if name in self.empty_columns else "is not a column of this log"
         problem = "is in several columns" if best else missing
         remedy = f"write {name}=COLUMN with one of: {', '.join(best) or shown}"
         arrays = [c[:-1] for c in self.columns if c.endswith("0") and f"{c[:-1]}1" in self.columns]

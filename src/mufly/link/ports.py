@@ -201,7 +201,7 @@ def parse_endpoint(
     word, colon, rest = text.strip().partition(":")
     kind = ("udpout" if role == "vehicle" else "udpin") if word.lower() == "udp" else word.lower()
     if kind not in _ENDPOINT_KINDS or not colon:
-        raise make_error(" is no MAVLink endpoint")
+        raise make_error(" is not a MAVLink endpoint")
     if kind == "serial":
         device, colon, baud = rest.rpartition(":")
         # Names of devices may hold colons themselves (/dev/serial/by-path/pci-0000:00:14.0-usb-0:1).

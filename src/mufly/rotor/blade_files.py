@@ -208,7 +208,7 @@ def _check_columns(
         share = float(np.max(values, initial=0.0)) / (radius_m or math.nan)
         if known[quantity][1] < 0.0 and share > _MAX_RELATIVE_RADIUS:
             raise InputError(
-                where, header[quantity], f"reaches {share:.4g}: no share of the radius", "write 0.15 for 15 %"
+                where, header[quantity], f"reaches {share:.4g}: not a share of the radius", "write 0.15 for 15 %"
             )
 
 

@@ -123,7 +123,7 @@ class SectionCandidate(ParameterGroup):
     def _check_change_limits(self) -> SectionCandidate:
         if any(abs(v) > most for v, most in zip(self.change, (0.3, 1.5, 1.5, 1.0, 2.0), strict=True)):
             raise _make_validation_error(
-                "fit.candidates.change", f"{self.change} is no small correction", "fit the rotor again"
+                "fit.candidates.change", f"{self.change} is not a small correction", "fit the rotor again"
             )
         if any(len(row) != 5 for row in self.covariance):
             raise _make_validation_error("fit.candidates.covariance", "is no 5 by 5 matrix", "fit the rotor again")
@@ -190,7 +190,7 @@ class Rotor(ParameterGroup):
         edge = float(self.trailing_edge)
         if edge > 0.1 * widest:
             raise _make_validation_error(
-                "trailing_edge", f"{1e3 * edge:g} mm is no edge on a chord of {1e3 * widest:g} mm",
+                "trailing_edge", f"{1e3 * edge:g} mm does not fit a chord of {1e3 * widest:g} mm",
                 "check both, and their units",
             )  # fmt: skip
         if sum(v > float(self.hub_cutout) for v in x) < 1:

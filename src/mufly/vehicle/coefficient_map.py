@@ -129,7 +129,7 @@ def _parse_table(text: str) -> MapTables:
         if axis.size < least:
             raise _table_error(f"{name} has {axis.size} value", f"give {least} or more")
         if positive and not axis[0] > 0:
-            raise _table_error(f"{name} {axis[0]:g} is not possible", "give numbers above 0")
+            raise _table_error(f"{name} {axis[0]:g} is out of range", "give numbers above 0")
         if step.size and float(np.ptp(step)) > _MAX_STEP_DEVIATION * float(step.mean()) + 1e-5 * float(
             np.abs(axis).max()
         ):

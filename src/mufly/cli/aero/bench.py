@@ -21,7 +21,7 @@ from mufly.cli.options import (
     define_argument,
     define_option,
 )
-from mufly.cli.output import ensure_folder, make_console, print_answer, print_lines, write_text_file
+from mufly.cli.output import check_place, make_console, print_answer, print_lines, write_text_file
 from mufly.errors import InputError
 from mufly.quantity_grammar import read_values
 
@@ -119,7 +119,6 @@ def plan(
     """
     from mufly.bench.series.series_plan import StepTimes, make_plan
     from mufly.bench.series.series_tables import plan_blocks
-    from mufly.cli.output import check_writable_file
     from mufly.rotor import load_rotor
 
     for r in [*rotor, *([reference] if reference else [])]:
@@ -134,7 +133,7 @@ def plan(
     )  # fmt: skip
     if out.exists():
         raise InputError("--out", str(out), "already exists", "give another name, or remove the file")
-    check_writable_file("--out", out)
+    check_place("--out", out, "file")
     write_text_file(out, made.to_toml())
 
     print_answer(
@@ -186,7 +185,7 @@ def run(
     from mufly.cli.station import ShutdownHandler
 
     made = read_plan(plan)
-    ensure_folder("--out", out)
+    check_place("--out", out)
     real = _load_real_rig(rig, fault) if rig != "sim" else None
     record = SeriesRecord(out)
     last_s = float(record.lines[-1]["time"]) + 60.0 if record.lines else 0.0

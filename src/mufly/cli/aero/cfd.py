@@ -34,11 +34,10 @@ from mufly.cli.output import (
     print_blocks,
     print_result_table,
     print_table,
-    report_place_errors,
     save_figure,
     write_records,
 )
-from mufly.errors import InputError
+from mufly.errors import InputError, report_write_errors
 from mufly.quantity_grammar import read_values
 from mufly.results import ResultColumn, select_fields, tabulate_fields
 from mufly.units import RPM
@@ -141,7 +140,7 @@ def mesh(
     found = cfd.make_poly_mesh(sector)
     good, files = cfd.measure_mesh_quality(found), []
     if out is not None:
-        with report_place_errors(out):
+        with report_write_errors("--out", key=str(out)):
             files.append(cfd.write_poly_mesh(found, out))
         files.append(save_figure(cfd.mesh_picture(found), out, "mesh"))
 

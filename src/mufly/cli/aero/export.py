@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Annotated
 
 from mufly.cli.options import PITCH_RANGE, JsonOption, RotorArgument, define_argument, define_option
-from mufly.cli.output import make_console, print_files, print_json, report_place_errors, write_csv
+from mufly.cli.output import make_console, print_files, print_json, write_csv
+from mufly.errors import report_write_errors
 
 _FILE_ENDINGS = (".stl", ".step", ".stp", ".csv")
 
@@ -82,12 +83,12 @@ def export(
                 raise MuflyError(
                     f"{r.name}: {body.count_open_edges()} edges of the surface are open; give fewer stations"
                 )
-            with report_place_errors(out):
+            with report_write_errors("--out", key=str(out)):
                 bodies.write_stl(out, body, r.name)
         else:
             if whole:
                 raise InputError("--whole", "", "is for STL", "STEP holds one blade; a CAD program copies it")
-            with report_place_errors(out):
+            with report_write_errors("--out", key=str(out)):
                 bodies.write_step(out, sections * ([1.0, -1.0, 1.0] if clockwise else [1.0, 1.0, 1.0]))
         told = {
             "file": str(out), "triangles": len(body.triangles), "volume_mm3": 1e9 * body.volume_m3,

@@ -23,8 +23,7 @@ from mufly.cli.options import (
     write_vehicle,
 )
 from mufly.cli.output import (
-    check_writable_file,
-    ensure_folder,
+    check_place,
     make_console,
     print_estimates,
     print_files,
@@ -170,9 +169,9 @@ def flight(
     chosen = None if outputs is None else [o.strip() for o in outputs.split(",") if o.strip()]
     for name in chosen or ():
         check_choice("--outputs", name, FLIGHT_OUTPUTS)
-    check_writable_file("--out", out)
-    ensure_folder("--report", report)
-    check_writable_file("--checkpoint", checkpoint)
+    check_place("--out", out, "file")
+    check_place("--report", report)
+    check_place("--checkpoint", checkpoint, "file")
     start = load_vehicle(vehicle)
     records, said = _read_records(logs, columns, prefix, start, as_is)
     held, more = _read_records(hold_out or [], columns, prefix, start, as_is)
@@ -313,8 +312,8 @@ def demo(
     """
     from mufly.identify import run_identification_demo
 
-    ensure_folder("--report", report)
-    ensure_folder("--logs", logs)
+    check_place("--report", report)
+    check_place("--logs", logs)
     if logs is not None:
         _write_flights(logs, seed, moving)
     with _fit_progress(not as_json) as on_progress:

@@ -18,7 +18,7 @@ from mufly.cli.options import (
     define_option,
 )
 from mufly.cli.output import (
-    ensure_folder,
+    check_place,
     print_answer,
     print_files,
     print_json,
@@ -140,7 +140,7 @@ def linear(
 
     Example: mufly identify linear a.csv b.csv --hold-out c.csv --method equation-error --inputs lat,lon --outputs p,q
     """
-    ensure_folder("--out", out)
+    check_place("--out", out)
     if starts < 1:
         raise InputError("--starts", "", f"{starts} is not a number of searches", "give 1 or more")
     records = [_read_record(log, columns, start_s, end_s) for log in logs]
@@ -346,7 +346,7 @@ def frequency(
     from mufly.errors import ArgumentError
     from mufly.identify.linear.sweep_response import MIN_COHERENCE, fit_transfer_function
 
-    ensure_folder("--out", out)
+    check_place("--out", out)
     orders = None
     if fit is not None:
         try:
@@ -455,7 +455,7 @@ def bandwidth(
     from mufly.identify.linear.bandwidth import measure_bandwidth as read_off
     from mufly.identify.linear.sweep_response import MIN_COHERENCE
 
-    ensure_folder("--out", out)
+    check_place("--out", out)
     inputs, outputs = _parse_column_names(f"{input_},{others}"), _parse_column_names(output)
     if len(outputs) != 1:
         raise InputError("--output", "", f"{output!r} is not one output", "give one")
@@ -536,7 +536,7 @@ def compatibility(
     from mufly.identify.linear.flight_path_reconstruction import FLIGHT_PATH_STATES
     from mufly.identify.linear.flight_path_reconstruction import reconstruct_flight_path as reconstruct
 
-    ensure_folder("--out", out)
+    check_place("--out", out)
     found = reconstruct(
         _read_record(log, columns, start_s, end_s), _parse_column_names(imu), _parse_column_names(measured)
     )

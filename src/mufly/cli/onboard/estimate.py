@@ -21,14 +21,13 @@ from mufly.cli.options import (
     define_option,
 )
 from mufly.cli.output import (
-    ensure_folder,
+    check_place,
     print_answer,
     print_lines,
     print_table,
     progress_bar,
-    report_place_errors,
 )
-from mufly.errors import InputError
+from mufly.errors import InputError, report_write_errors
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -132,7 +131,7 @@ def run(
     from mufly.flight.record.foreign_log import AidRequest, parse_aid, read_foreign_log
     from mufly.logs import detect_log_format
 
-    ensure_folder("--out", out)
+    check_place("--out", out)
     of_aids = {
         "--map": map_file, "--column": column, "--aid": aid, "--aid-std": aid_std, "--aid-heading-std": aid_heading_std,
         "--aid-rate": aid_rate, "--aid-delay": aid_delay or None, "--gyro-noise": gyro_noise,
@@ -247,7 +246,7 @@ def _write_results(data: xr.Dataset, told: Sequence[Estimate], out: Path | None,
 
     if out is None:
         return []
-    with report_place_errors(out):
+    with report_write_errors("--out", key=str(out)):
         out.mkdir(parents=True, exist_ok=True)
         files = [*draw_estimate_pictures(_add_bias_std(data, told), out), out / "estimate.mcap"]
         write_log(data, files[-1])

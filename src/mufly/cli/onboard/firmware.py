@@ -16,7 +16,6 @@ from mufly.cli.output import (
     print_lines,
     print_result_table,
     progress_bar,
-    report_place_errors,
 )
 from mufly.cli.station import (
     FaultOption,
@@ -26,7 +25,7 @@ from mufly.cli.station import (
     check_sensor_options,
     resolve_wind,
 )
-from mufly.errors import InputError
+from mufly.errors import InputError, report_write_errors
 from mufly.results import ResultColumn
 
 if TYPE_CHECKING:
@@ -77,7 +76,7 @@ def export(
     flown = load_mission(mission)
     controller = design_flight_controller(helicopter)
     law = None
-    with report_place_errors(out):
+    with report_write_errors("--out", key=str(out)):
         files = firmware.export_firmware(controller, out, helicopter, flown.world, flown)
         if fixed_point:
             law = firmware.export_fixed_point(controller, out)
@@ -292,7 +291,7 @@ def report(
     from mufly.vehicle import load_vehicle
 
     helicopter = load_vehicle(vehicle)
-    with report_place_errors(out), progress_bar("sections", not as_json) as progress:
+    with report_write_errors("--out", key=str(out)), progress_bar("sections", not as_json) as progress:
 
         def show_progress(_: object, count: int, of: int) -> None:
             if progress is not None:

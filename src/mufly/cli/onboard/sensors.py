@@ -15,17 +15,17 @@ from mufly.cli.options import (
     VehicleOption,
 )
 from mufly.cli.output import (
-    ensure_folder,
+    check_place,
     print_answer,
     print_json,
     print_lines,
     print_table,
     progress_bar,
-    report_place_errors,
     save_figure,
 )
 from mufly.cli.station import FaultOption, GustOption, WindOption, resolve_wind
 from mufly.cli.vehicle import print_parameter_group
+from mufly.errors import report_write_errors
 from mufly.results import format_value, select_fields
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ def simulate(
 
     wrong = [parse_fault(text) for text in fault or []]
     steady = resolve_wind(wind, gust, seed)
-    ensure_folder("--out", out)
+    check_place("--out", out)
     with progress_bar("flight", not as_json) as progress:
         logs = log_sensors(
             load_vehicle(vehicle), load_mission(mission), seed=seed, faults=wrong,
@@ -111,7 +111,7 @@ def simulate(
     errors = [reading_errors(log) for log in logs.values()]
     files = []
     if out is not None:
-        with report_place_errors(out):
+        with report_write_errors("--out", key=str(out)):
             files = write_sensor_logs(logs, out)
         files.append(save_figure(draw_sensors(logs), out, "sensors"))
     print_answer(as_json, {"readings": errors}, lambda: _print_reading_errors(errors), files)

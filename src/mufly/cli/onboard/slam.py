@@ -10,16 +10,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 from mufly.cli.options import CommandGroup, JsonOption, SeedOption, define_argument, define_option
 from mufly.cli.output import (
-    ensure_folder,
+    check_place,
     print_answer,
     print_blocks,
     print_lines,
     progress_bar,
-    report_place_errors,
     save_figure,
     write_text_file,
 )
-from mufly.errors import InputError, MuflyError
+from mufly.errors import InputError, MuflyError, report_write_errors
 
 if TYPE_CHECKING:
     from mufly.slam import CameraFrame, TrackingResult
@@ -105,10 +104,10 @@ def render(
         duration = min(duration, float(path.time_s[-1] - path.time_s[0]))
     else:
         path = make_square_path(duration_s=duration, side_m=side, height_m=height, speed_m_s=speed, seed=seed)
-    ensure_folder("--out", out)
+    check_place("--out", out)
     made = render_frames(lens, ground, path, duration_s=duration, world=scatter_boxes(boxes, side, seed), seed=seed)
     total = int(duration / float(lens.sensor.period))
-    with report_place_errors(out), progress_bar("pictures", not as_json) as bar:
+    with report_write_errors("--out", key=str(out)), progress_bar("pictures", not as_json) as bar:
         count = write_dataset(
             out, lens, path, made, layout, (lambda k: None) if bar is None else (lambda k: bar(k + 1, total))
         )
@@ -221,7 +220,7 @@ def run(
     if link is not None and not is_live_source(place):
         raise InputError("--link", "", "is for live pictures", "give a camera or a stream, or --telemetry")
     told = None if telemetry is None else read_telemetry(telemetry, offset)
-    ensure_folder("--out", out)
+    check_place("--out", out)
     known = None if floor_map is None else FloorMap.load(floor_map)
     with contextlib.ExitStack() as stack:
         ending = ShutdownHandler(patient=False)
@@ -296,11 +295,11 @@ def run(
         )
     files = []
     if save_map is not None:
-        with report_place_errors(save_map, "give another file", "--save-map"):
+        with report_write_errors("--save-map", "give another file", str(save_map)):
             slam.floor_map.save(save_map)
         files.append(save_map)
     if out is not None:
-        with report_place_errors(out):
+        with report_write_errors("--out", key=str(out)):
             found.write(out / "trajectory.txt")
         files += [out / "trajectory.txt", write_log(found.to_dataset(), out / "trajectory.mcap")]
         files.append(save_figure(plot_trajectory(found, slam, truth), out, "trajectory"))

@@ -375,7 +375,7 @@ def problem_digest(problem: OutputErrorProblem, method: str) -> str:
     return hash_question(*parts, problem.vehicle.model_dump_json())
 
 
-_DAMAGED = ("is no checkpoint of a fit", "delete it to start anew")
+_DAMAGED = ("is not a checkpoint of a fit", "delete it to start anew")
 _OTHER_FIT = ("belongs to a fit of other records, parameters or method", "delete it to start anew")
 
 

@@ -44,7 +44,7 @@ def read_csv(path: str | Path, time: TimeEntry | None = None) -> RawLog:
     notes = [n for n in table.notes if n != table.damage] + notes
     for name, (_, bad) in zip(fields, columns, strict=True):
         if bad:
-            cells = "1 cell is no number and counts" if bad == 1 else f"{bad} cells are no numbers and count"
+            cells = "1 cell is not a number and counts" if bad == 1 else f"{bad} cells are not numbers and count"
             notes.append(f"column {name}: {cells} as missing")
     _set_blackbox_units(table.preamble, fields, units_of)
     clock, start, said = extract_clock(table.where, fields, units_of, time)
