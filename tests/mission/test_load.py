@@ -296,7 +296,7 @@ def test_a_waypoint_file_begins_with_its_home(tmp_path):
     [
         (WPL + "2\t0\t10\t16\t0\t0\t0\t0\t46.5\t7.5\t2\t1", "line 4", "relative to launch"),
         (WPL + "2\t0\t3\t16\t0\t0\t0\t0\t46.5\t7.5", "line 4", "has 10 columns"),
-        (WPL, "", "not a waypoint"),
+        (WPL, "", "no waypoint"),
         (plan_text(TAKE_OFF, THERE, simple(206, 0, 0, 0, 0, 0, 0, 0, frame=2)), "item 3", "DO_SET_CAM_TRIGG_DIST"),
         (plan_text(TAKE_OFF, {"type": "ComplexItem", "complexItemType": "fwLandingPattern"}), "item 2", "fwLanding"),
         (plan_text(TAKE_OFF, simple(16, 0, 0, 0, None, 46.6, 7.5, 2)), "item 2", "position_m"),
