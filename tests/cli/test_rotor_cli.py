@@ -135,7 +135,7 @@ def test_a_bench_without_pitch_is_told_of_or_given_one(tmp_path) -> None:
         for file, more in ((with_pitch, ()), (without, ("--pitch", "12")))
     ]
     assert points[0] == points[1]
-    assert "pitch 0: the blades stand as in the rotor file" in output("compare", "naca0012-r60-c20", str(without))
+    assert "pitch 0: blade angle of the rotor file" in output("compare", "naca0012-r60-c20", str(without))
     assert "is a column of the file" in fault("compare", "naca0012-r60-c20", str(with_pitch), "--pitch", "12")
 
 

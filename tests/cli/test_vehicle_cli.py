@@ -112,7 +112,7 @@ def test_check_warns(tmp_path) -> None:
     path.write_text(format_vehicle_toml(odd))
     text = output("check", str(path))
     assert "steps below 0.27 ms" in text
-    assert "Little thrust is left" in text
+    assert "The thrust reserve for climb and gusts is small" in text
 
 
 def fault(*arguments: str) -> MuflyError:

@@ -188,7 +188,7 @@ def test_into_a_vehicle_file():
     assert new.body == vehicle.body
     hidden = fit_motor(bench(0, 0.01), gear=GearKnowledge(None, None))
     assert float(apply_estimates(vehicle, hidden.estimates, "x").motor.torque_constant) == 0.0035
-    with pytest.raises(InputError, match="nothing was found"):
+    with pytest.raises(InputError, match="no estimate has a key"):
         apply_estimates(vehicle, [e for e in hidden.estimates if not e.key], "x")
 
 

@@ -168,7 +168,7 @@ def test_interval_holds_the_prediction_and_grows_with_doubt():
         n_crit=(), lift=0, drag=0, camber=0, thickness=0, pitch_rad=0, method_thrust=0, method_torque=0
     )
     assert_allclose(predict_interval(rotor, doubt=sure, **kw).thrust_high_N, known.thrust_N)
-    with pytest.raises(InputError, match="never measured"):
+    with pytest.raises(InputError, match="its sections have no measurement"):
         predict_interval(rotor, section="measured", **kw)
     with pytest.raises(InputError, match="family"):
         predict_interval(rotor, section="guessed", family="paper", **kw)
