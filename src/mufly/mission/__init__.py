@@ -1,4 +1,4 @@
-"""What does it intend? Mission files, trajectories, obstacle avoidance and the mission state machine."""
+"""Missions: files, trajectories, obstacle avoidance and the mission state machine."""
 
 from mufly.mission.geofence import (
     fence_depth,

@@ -1,4 +1,4 @@
-"""What eight range beams say about obstacles: the repulsive field, and a memory of points seen.
+"""Obstacle detection with eight range beams: the repulsive field, and a map of points that beams have hit.
 
 The repulsive field of Sec. 6.2.3, with l_i the range of beam i and l_t a threshold:
 
@@ -7,23 +7,23 @@ The repulsive field of Sec. 6.2.3, with l_i the range of beam i and l_t a thresh
     F = sum_i f_i (cos alpha_i, sin alpha_i)                            (6.16, 6.17)
 
 In Fig. 6.18 beam 0 looks forward and to the right, at pi/8 from x towards y, and the beams are numbered clockwise
-from above. Then alpha_i of eq. 6.15 is the direction of beam i plus pi: it is the direction of the force, away from
-what the beam sees, and F needs no minus sign. Here the direction of the beams comes from the vehicle, and the force of
-each is opposite to it, however the ring is numbered.
+from above. Then alpha_i of eq. 6.15 is the direction of beam i plus pi: the direction of the force, away from the
+obstacle, and F needs no minus sign. Here the vehicle gives the beam directions, and each force is opposite to its
+beam, for any numbering of the ring.
 
-Beams 45 degrees apart leave gaps, and the field forgets what a beam no longer hits. So points that were hit are kept:
-where a beam of range l and body direction u ends, x + l R u, with R the attitude. A hit closer than 5 cm to a known
-point confirms that. A point that has not been confirmed for 30 s is forgotten: by then it has gone, or it is far
-behind. (That a beam passes a point by proves nothing: it may graze the edge of a thin post.) Points just above the
-floor are floor. Own derivation.
+Beams 45 degrees apart leave gaps, and the field ignores obstacles that no beam hits at present. So hit points are
+stored: the end x + l R u of a beam of range l and body direction u, with R the attitude. A hit closer than 5 cm to a
+stored point confirms that point. A point without confirmation for 30 s is removed: the obstacle has gone or is far
+behind. (A beam that passes a point disproves nothing: it may graze the edge of a thin post.) Points just above the
+floor count as floor. Own derivation.
 
-Many points and beams are much work for a period of a small processor. So from one step of the mission to the next
-they are gone through in parts, some in every period (:func:`check_map_part`): an eighth of the beams, and a share of
-the points, of which a :class:`PathCheck` keeps what matters: what is in the way, and in each of sixteen directions the
-nearest point. The next step goes by that, with distances from where it is by then.
+Checking all points and beams in one period is too much work for a small processor. So the work is spread over the
+periods between two mission steps (:func:`check_map_part`): an eighth of the beams, and a share of the points each
+time. A :class:`PathCheck` keeps the points that matter: those on the path, and the nearest point in each of sixteen
+directions. The next step uses it, with distances from the position at that time.
 
-What stands here runs on board as C too (``avoid.c`` of :mod:`mufly.firmware`), equal to the last bit: sums keep their
-order, and lengths are square roots of sums.
+The same code runs on board in C (``avoid.c`` of :mod:`mufly.firmware`), equal to the last bit: sums keep their order,
+and lengths are square roots of sums.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ from mufly.portable_math import sine_cosine
 _Array = NDArray[np.float64]
 
 MAP_CAPACITY = 160
-"""Points remembered; at 5 cm from one another they cover 8 m of contour."""
+"""Capacity of the map; points 5 cm apart cover 8 m of contour."""
 
 POINT_LIFETIME_S = 30.0
-"""How long a point is believed in without being hit again (s)."""
+"""Time after which a point is removed without a new hit (s)."""
 
 _SEEN_S = 3
-"""Where the time at which a point was hit last stands, behind N, E, D."""
+"""Column of the time of the last hit, after N, E, D."""
 _MERGE_DISTANCE_M = 0.05
 _REPLACE_CANDIDATES = 8
 _FLOOR_HEIGHT_M = 0.12
@@ -64,7 +64,7 @@ class BeamRing:
     cos, sin : (n,) arrays
         Direction of each beam, from x towards y.
     max_range : float
-        What a beam that sees nothing returns (m).
+        Range of a beam that hits nothing (m).
     """
 
     cos: _Array
@@ -78,32 +78,32 @@ class BeamRing:
 
     @property
     def spacing(self) -> float:
-        """Angle between neighbours (rad)."""
+        """Angle between neighbouring beams (rad)."""
         return math.tau / len(self.cos)
 
 
 def make_beam_ring(count: int, first_angle: float, max_range: float) -> BeamRing:
-    """Ring of ``count`` beams evenly spread from ``first_angle`` (rad, from x towards y)."""
+    """Return a ring of ``count`` beams, evenly spaced from ``first_angle`` (rad, from x towards y)."""
     angles = first_angle + math.tau / count * np.arange(count)
     return BeamRing(np.cos(angles), np.sin(angles), max_range)
 
 
 def repulsive_force(ranges: Sequence[float], beams: BeamRing, threshold: float) -> tuple[float, float]:
-    """Sum of the repulsive forces (eqs 6.14 to 6.17).
+    """Return the sum of the repulsive forces (eqs 6.14 to 6.17).
 
     Parameters
     ----------
     ranges : (n,) sequence
         Measured ranges (m).
-    beams : Ring
-        Their directions.
+    beams : BeamRing
+        Directions of the beams.
     threshold : float
-        Range l_t from which obstacles repel (m).
+        Range l_t below which obstacles repel (m).
 
     Returns
     -------
     (2,) tuple
-        F along body x and y (1/m), away from what is seen; a range below 1 cm counts as 1 cm.
+            F along body x and y (1/m), away from obstacles; a range below 1 cm counts as 1 cm.
 
     Thesis: eqs 6.14 to 6.17; Fig. 6.19.
     """
@@ -118,9 +118,9 @@ def repulsive_force(ranges: Sequence[float], beams: BeamRing, threshold: float) 
 
 @dataclass(frozen=True, slots=True)
 class ObstacleMap:
-    """Points that beams have hit: in the first ``point_count`` rows N, E, D (m) and when they were hit last (s).
+    """Points that beams have hit: the first ``point_count`` rows hold N, E, D (m) and the time of the last hit (s).
 
-    Once all rows are in use, the oldest of eight makes room for the next, from row ``replace_index`` on.
+    In a full map a new point replaces the oldest of eight, from row ``replace_index`` on.
     """
 
     points: _Array
@@ -129,7 +129,7 @@ class ObstacleMap:
 
     @staticmethod
     def empty() -> ObstacleMap:
-        """Nothing seen yet."""
+        """Return an empty map."""
         return ObstacleMap(np.zeros((MAP_CAPACITY, 4)))
 
 
@@ -199,22 +199,22 @@ def insert_beam_hits(
     first: int = 0,
     count: int | None = None,
 ) -> ObstacleMap:
-    """Add what beams hit now to the memory.
+    """Add the beams' present hits to the map.
 
     Parameters
     ----------
-    memory : Memory
-        What was known.
-    beams : Ring
+    memory : ObstacleMap
+        Map before the hits.
+    beams : BeamRing
         The range ring.
     time_s : float
-        Now (s).
+        Present time (s).
     position, attitude : (3,) arrays
         N-E-D (m) and roll, pitch, yaw (rad).
     ranges : (n,) array
         Measured ranges (m).
     first, count : int
-        The beams that are taken, from which on and how many; after the last comes beam 0. All by default.
+        First beam and number of beams to add, in cyclic order. All by default.
     """
     known = _insert_hits(
         memory.points,
@@ -234,20 +234,20 @@ def insert_beam_hits(
 
 
 # ----------------------------------------------------------------------------
-# What seen points mean for a way: how near they are, whether they block it, how fast they may be approached.
+# Evaluation of stored points for a path: distance, blocking, permitted approach speed.
 
 
 LOOK_AHEAD_M = 1.2
-"""How far ahead on its way the helicopter minds obstacles."""
+"""Distance along the path within which obstacles count (m)."""
 
 _LEAVING_CLEAR_M = LOOK_AHEAD_M + 0.3
-"""So much of a way has to be clear where a contour is left."""
+"""Length of clear path required to leave a contour (m)."""
 
 BLOCKED_MARGIN_M = 0.05
-"""A way nearer to a seen point than the clearance and this is blocked (m)."""
+"""A path is blocked by points closer than the clearance plus this margin (m)."""
 
 _APPROACH_GAIN = 0.8
-"""lambda (1/s): slower than the position loop's lag of 0.3 s lets through."""
+"""lambda (1/s): slow enough for the position loop's lag of 0.3 s."""
 
 _RELEVANT_HEIGHT_M = 0.5
 
@@ -258,32 +258,32 @@ _SECTOR_SLOPE = math.sqrt(2.0) - 1.0  # tan(pi / 8)
 
 
 class PathCheck(NamedTuple):
-    """What seen points mean for a way, of those that have been gone through since it was begun.
+    """Check of a path against the stored points, accumulated over parts of the map.
 
     Attributes
     ----------
     from_north, from_east, from_down : float
-        From where it looks (m).
+        Start of the path (m).
     goal_north, goal_east, look_ahead_m : float
-        Where to, and how much of that way is looked at (m).
+        Goal, and length of path that is checked (m).
     points_checked : int
-        Points gone through.
+        Number of points checked so far.
     path_distance_sq : float
-        Square of the least distance of any point from the stretch of the way looked at (m2), where that is within twice
-        the one at which the way is blocked; else it may be infinite.
+        Square of the least distance of any point from the checked path (m2); may be infinite if beyond twice the
+        blocking distance.
     onward_distance_sq : float
-        Likewise from the first 1.5 m of it.
+        Likewise for the first 1.5 m of the path.
     goal_distance_sq : float
-        Square of the distance from the goal to the point nearest to it (m2).
+        Square of the least distance of any point from the goal (m2).
     lateral_offset_sum : float
-        Sum of the distances of the points that block it from the way, positive to the right (m).
+        Sum of the lateral offsets of blocking points from the path, positive to the right (m).
     blocker_count : int
-        How many these are.
+        Number of blocking points.
     blocker_distance_sq, blocker_north, blocker_east : float
-        The nearest of those that block it: square of its distance (m2), where it is (m).
+        Nearest blocking point: square of its distance (m2), position (m).
     nearest_points : (16, 2) array
-        In each of sixteen directions the nearest point within 2 m at about this height, N and E (m); infinite where
-        there is none. Others in its direction hardly bound a velocity more than it does.
+        Nearest point within 2 m at about this height in each of sixteen directions, N and E (m); infinite without a
+        point. Other points in that direction hardly tighten the velocity limit.
     """
 
     from_north: float
@@ -305,23 +305,22 @@ class PathCheck(NamedTuple):
 
     @property
     def mean_blocker_offset(self) -> float:
-        """Mean distance of the points that block the way from it, positive to the right (m)."""
+        """Mean lateral offset of the blocking points from the path, positive to the right (m)."""
         return self.lateral_offset_sum / self.blocker_count if self.blocker_count > 0 else 0.0
 
     def nearest_point(self, place: tuple[float, ...]) -> tuple[float, float, float]:
-        """Distance of the nearest point from a place N, E (m), and the unit vector N, E from that to the place."""
+        """Return the distance of the nearest point from a place N, E (m), and the unit vector N, E to the place."""
         return _find_nearest(self.nearest_points, place[0], place[1])
 
     def nearest_blocker(self, place: tuple[float, ...]) -> tuple[float, float, float]:
-        """As :meth:`nearest_point`, of the point that blocks the way."""
+        """Return the same as :meth:`nearest_point`, for the blocking point."""
         if self.blocker_distance_sq == math.inf:
             return math.inf, 0.0, 0.0
         return _direction_from(self.blocker_north, self.blocker_east, place[0], place[1])
 
 
 def begin_path_check(position: Sequence[float], goal: Sequence[float], ahead: float = LOOK_AHEAD_M) -> PathCheck:
-    """Begin to look from a position to a goal (N, E, D; m), ``look_ahead_m`` metres of that at most; nothing seen
-    yet."""
+    """Return an empty check of the path from a position to a goal (N, E, D; m), over at most ``ahead`` metres."""
     n, e, d = position
     none = math.inf
     return PathCheck(n, e, d, goal[0], goal[1], ahead, 0, none, none, none, 0.0, 0, none, 0.0, 0.0, _NO_NEAR_POINTS)
@@ -329,7 +328,7 @@ def begin_path_check(position: Sequence[float], goal: Sequence[float], ahead: fl
 
 _NO_NEAR_POINTS = np.full((SECTOR_COUNT, 2), np.inf)
 EMPTY_PATH_CHECK = begin_path_check((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-"""What is seen before anything is looked at."""
+"""Path check without any point."""
 
 
 @cached_njit
@@ -356,7 +355,7 @@ def _find_nearest(near: _Array, n: float, e: float) -> tuple[float, float, float
 
 @cached_njit
 def _distance_beyond(along: float, stretch: float) -> float:
-    """How far before or behind a stretch."""
+    """Return the signed distance before or after a stretch; 0 within it."""
     if along < 0.0:
         return along
     return along - stretch if along > stretch else 0.0
@@ -364,7 +363,7 @@ def _distance_beyond(along: float, stretch: float) -> float:
 
 @cached_njit
 def _sector_index(n: float, e: float) -> int:
-    """Which of sixteen directions it is; their order does not matter."""
+    """Return the index of one of sixteen directions, in arbitrary order."""
     an, ae = abs(n), abs(e)
     steep = an < ae
     long, short = (ae, an) if steep else (an, ae)
@@ -420,7 +419,7 @@ def _check_points(
         along = qn * wn + qe * we
         across = qe * wn - qn * we
         if not (abs(across) < wide and along > -wide):
-            continue  # neither in the way nor near it
+            continue  # neither on the path nor near it
         beyond, beyond_first = _distance_beyond(along, stretch), _distance_beyond(along, first)
         off = beyond * beyond + across * across
         near_first = beyond_first * beyond_first + across * across
@@ -428,7 +427,7 @@ def _check_points(
         onward = near_first if near_first < onward else onward
         if off < blocked_at * blocked_at and square < block:
             block, bn, be = square, pn, pe
-        # A blocker's whole visible width tells the side, not only the part inside the corridor.
+        # The whole visible width of a blocker decides the side, not only the part inside the corridor.
         if along > -blocked_at and along < stretch + blocked_at:
             across_all += across
             count += 1
@@ -456,19 +455,19 @@ def _check_points(
 def check_map_part(
     memory: ObstacleMap, sight: PathCheck, time_s: float, clearance: float, part: int = 1, parts: int = 1
 ) -> tuple[ObstacleMap, PathCheck]:
-    """Go through a part of the points: drop what has not been hit for long, see what the others mean for the way.
+    """Check a part of the points: remove expired ones, and evaluate the others for the path.
 
     Parameters
     ----------
-    memory : Memory
-    sight : Sight
-        What has been seen so far.
+    memory : ObstacleMap
+    sight : PathCheck
+        Check so far.
     time_s : float
-        Now (s).
+        Present time (s).
     clearance : float
         Distance to keep (m).
     part, parts : int
-        Which part this is (from 1), of how many; after the last all points have been gone through.
+        Number of this part (from 1) and of all parts; after the last part all points are checked.
     """
     points, used, seen = _check_points(
         memory.points, memory.point_count, sight, time_s, clearance + BLOCKED_MARGIN_M, part, parts
@@ -483,20 +482,19 @@ def check_path(
     clearance: float,
     ahead: float = LOOK_AHEAD_M,
 ) -> PathCheck:
-    """Judge the straight level way from ``position`` to ``goal_distance_sq`` (N, E, D; m), ``look_ahead_m`` metres of
-    it at most."""
+    """Check the straight level path from ``position`` to ``goal`` (N, E, D; m), over at most ``ahead`` metres."""
     return check_map_part(memory, begin_path_check(position, goal, ahead), -math.inf, clearance)[1]
 
 
 def is_path_blocked(sight: PathCheck, clearance: float) -> bool:
-    """Whether something stands in the way."""
+    """Return whether a point blocks the path."""
     at = clearance + BLOCKED_MARGIN_M
     return sight.path_distance_sq < at * at
 
 
 @cached_njit
 def _limit_approach(near: _Array, n: float, e: float, vn: float, ve: float, keep: float) -> tuple[float, float]:
-    """Least change of velocity that approaches no point faster than the barrier allows (cyclic projection)."""
+    """Return the velocity with the least change that respects the barrier of every point (cyclic projection)."""
     for _ in range(8):
         changed = False
         for k in range(near.shape[0]):
@@ -517,6 +515,6 @@ def _limit_approach(near: _Array, n: float, e: float, vn: float, ve: float, keep
 def limit_approach_velocity(
     sight: PathCheck, position: tuple[float, ...], velocity: tuple[float, float], keep: float
 ) -> tuple[float, float]:
-    """The velocity N, E (m/s) nearest to the wanted one that comes near ``keep`` (m) of a point only exponentially."""
+    """Return the velocity N, E (m/s) nearest to the given one that nears distance ``keep`` (m) only exponentially."""
     vn, ve = velocity
     return _limit_approach(sight.nearest_points, position[0], position[1], vn, ve, keep)

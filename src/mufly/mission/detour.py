@@ -1,28 +1,27 @@
-"""Around an obstacle and on to the goal, from what the range beams have seen.
+"""Detour around an obstacle to the goal, from the points that the range beams have hit.
 
-The repulsive field alone (`mufly.mission.avoidance`) stops in front of a box that stands across the way: attraction
-and repulsion balance there. So the helicopter goes along the obstacle's contour, as Bug algorithms do (Lumelsky and
-Stepanov 1987; Kamon, Rimon and Rivlin 1998):
+The repulsive field alone (`mufly.mission.avoidance`) stops in front of a box across the path: attraction and repulsion
+balance there. So the helicopter follows the obstacle's contour, as Bug algorithms do (Lumelsky and Stepanov 1987;
+Kamon, Rimon and Rivlin 1998):
 
-- Where a seen point lies nearer to the straight way than the clearance (c plus 5 cm), it picks a side: the one that
-  the blocking points leave more free. It keeps that side, unless it is stuck or has strayed too far, then it tries
-  the other, twice as far.
-- It flies along the contour: with n from the nearest seen point to the helicopter, t across n on the chosen side,
-  and e = d - d_f the error from the distance to follow at (c plus 15 cm), it wants
+- If a stored point is closer to the straight path than the clearance (c plus 5 cm), it chooses the side with fewer
+  blocking points. If it is stuck or has strayed too far, it tries the other side, twice as far.
+- It follows the contour. With n from the nearest stored point to the helicopter, t normal to n on the chosen side, and
+  e = d - d_f the error from the following distance (c plus 15 cm), the desired velocity is
   V (t cos a - n sin a), tan a = e / 0.4 m.
 - The repulsive field acts on the reference as in eqs 6.18 and 6.19, with the threshold at d_f, as a velocity k F.
-- Whatever is wanted, the approach to every seen point i is limited: -v.n_i <= lambda (d_i - c), which lets the
-  distance to it fall no faster than exponentially towards c (a control barrier).
-- It leaves the contour when it is nearer to the goal than where it met the obstacle and no seen point lies within c
-  plus 8 cm of the next 1.5 m of the straight way; that progress is what makes Bug algorithms arrive. The first two
-  times on a leg it also leaves, wherever it is, when the whole way to the goal is that clear. After a whole lap it
-  leaves at the place nearest to the goal that the lap came by.
-- Where the goal itself is too near to a seen point it keeps away and waits. After a stated time it gives up.
+- In all cases the approach to every stored point i is limited: -v.n_i <= lambda (d_i - c). So the distance falls no
+  faster than exponentially towards c (a control barrier).
+- It leaves the contour when it is nearer to the goal than where it met the obstacle and no stored point lies within c
+  plus 8 cm of the next 1.5 m of the straight path; this progress guarantees arrival for Bug algorithms. The first two
+  times on a leg it also leaves wherever the whole path to the goal is that clear. After a whole lap it leaves at the
+  lap's nearest point to the goal.
+- If the goal itself is too near to a stored point, it keeps its distance and waits. After a stated time it gives up.
 
-The reference is a point whose velocity follows what is wanted with limited acceleration and jerk. All in the
-horizontal plane; the height is held. Own derivation.
+The reference is a point whose velocity follows the desired one with limited acceleration and jerk, in the horizontal
+plane; the height is held. Own derivation.
 
-It runs on board as C too (``avoid.c`` of :mod:`mufly.firmware`), equal to the last bit.
+The same code runs on board in C (``avoid.c`` of :mod:`mufly.firmware`), equal to the last bit.
 """
 
 from __future__ import annotations
@@ -42,11 +41,12 @@ from mufly.mission.avoidance import (
 from mufly.portable_math import exp_decay, sine_cosine
 
 DETOUR_ACCELERATION_M_S2 = 1.0
-"""Acceleration that avoiding an obstacle may ask for: a tilt of 6 degrees."""
+"""Largest acceleration of a detour (m/s2): a tilt of 6 degrees."""
 
 LEAVE_MARGIN_M, FOLLOW_MARGIN_M, KEEP_MARGIN_M = 0.08, 0.15, 0.06
-"""Added to the clearance: a way this far from all points is clear; distance to follow a contour at; distance that is
-approached only exponentially. They cover the 5 cm between remembered points and the lag of the position loop."""
+"""Margins beyond the clearance (m): of a clear path, of the followed contour, and of the approach barrier.
+
+They cover the 5 cm between stored points and the lag of the position loop."""
 
 _REPULSION_GAIN = 0.15
 """k of eqs 6.18 and 6.19, as a velocity: m/s per 1/m."""
@@ -61,34 +61,34 @@ _ON_CONTOUR_MARGIN_M = 0.15
 
 @dataclass(frozen=True, slots=True)
 class Detour:
-    """A way around an obstacle, in progress.
+    """State of a detour around an obstacle.
 
     Attributes
     ----------
     position, velocity, acceleration : (3,) tuples
         The reference, N-E-D (m, m/s, m/s2).
     passing_side : float
-        +1 keeps the obstacle on the left (flies to the right around it), -1 the other way.
+        +1 keeps the obstacle on the left (passes to its right), -1 on the right.
     hit_point : (2,) tuple
         N, E where the obstacle was met (m).
     hit_goal_distance : float
         Distance from there to the goal (m).
     obstacle_count : int
-        How many times an obstacle was met on this leg.
+        Number of obstacles met on this leg.
     max_stray : float
-        Distance from the straight way between ``hit_point`` and the goal at which the other side is tried (m).
+        Distance from the line between ``hit_point`` and the goal at which the other side is tried (m).
     clear_duration_s, anchor_duration_s : float
-        For how long the way has been clear; since when ``anchor_point`` (2,) has not been left by 0.25 m (s).
+        Time for which the path has been clear; time within 0.25 m of ``anchor_point`` (2,) (s).
     lap_start : (2,) tuple or None
-        N, E of where it came to the contour (m).
+        N, E where the contour was reached (m).
     lap_count : int
-        Whole laps flown around it.
+        Whole laps around the obstacle.
     lap_distance, least_goal_distance : float
-        Way flown since then, and the least distance to the goal on it (m).
+        Distance flown since then, and the least distance to the goal on it (m).
     is_leaving : bool
-        Whether it brakes, to fly straight on from where it stops.
+        Whether the reference brakes, to continue straight from where it stops.
     obstacle_point : (2,) tuple
-        N, E of the point that was nearest last (m), for messages.
+        N, E of the last nearest point (m), for messages.
     """
 
     position: tuple[float, float, float]
@@ -131,7 +131,7 @@ def begin_detour(
     sight: PathCheck,
     before: Detour | None,
 ) -> Detour:
-    """Start a detour from where the reference is; ``before`` is the last one on this leg, if there was one."""
+    """Start a detour at the reference; ``before`` is the last one on this leg, or None."""
     here = (position[0], position[1])
     far = _planar_distance(goal, here)
     side = -1.0 if sight.mean_blocker_offset > 0.0 else 1.0
@@ -166,15 +166,15 @@ def follow_contour(
     speed: float,
     dt: float,
 ) -> Detour:
-    """One step of a detour.
+    """Run one step of a detour.
 
     Parameters
     ----------
     detour : Detour
-        As it was.
-    sight : Sight
-        What was seen since the last step, from the reference to the goal, all of that way.
-    beams : Ring
+        State before the step.
+    sight : PathCheck
+        Check of the whole path from the reference to the goal since the last step.
+    beams : BeamRing
         The range ring.
     position : (3,) tuple
         Measured N-E-D (m).
@@ -183,7 +183,7 @@ def follow_contour(
     ranges : list of n floats
         Measured ranges (m).
     goal : (3,) tuple
-        Where the helicopter wants to be, N-E-D (m).
+        Goal of the helicopter, N-E-D (m).
     clearance, speed : float
         Distance to keep (m) and speed to fly at (m/s).
     dt : float
@@ -193,7 +193,7 @@ def follow_contour(
     """
     reference = detour.position
     planned, real = sight.nearest_point(reference), sight.nearest_point(position)
-    # Plan from whichever is nearer to an obstacle: the reference, or the helicopter that the wind has moved off it.
+    # Plan from the reference or from the helicopter, which wind may displace, whichever is nearer to an obstacle.
     at = position if real[0] < planned[0] else reference
     distance, north, east = real if real[0] < planned[0] else planned
     to_goal = _planar_distance(goal, reference)
@@ -223,7 +223,7 @@ def follow_contour(
         vn, ve = push * north, push * east
     elif distance < LOOK_AHEAD_M + 0.5:
         far, n, e = distance, north, east
-        # Off any contour, or where a lap around the wrong one came nearest to the goal: make for the one in the way.
+        # Off any contour, or at a wrong contour's nearest point to the goal: head for the blocking point.
         block = sight.nearest_blocker(at)
         lost = detour.lap_count > 0 and nearer_goal and block[0] > follow + 0.05
         if (lost or not touching) and block[0] < math.inf:
@@ -231,7 +231,7 @@ def follow_contour(
         error = far - follow
         slant = _vector_norm(error, _CONTOUR_BLEND_M)
         along, inward = _CONTOUR_BLEND_M / slant, error / slant  # cos a, sin a
-        # Facing the obstacle, along -n, the way to the right is (n_E, -n_N).
+        # Facing the obstacle, along -n, the right-hand direction is (n_E, -n_N).
         vn = speed * (along * side * e - inward * n)
         ve = speed * (-along * side * n - inward * e)
     elif to_goal > 1e-6:
@@ -264,7 +264,7 @@ def _choose_side(
     touching: bool,
     dt: float,
 ) -> Detour:
-    """Change sides when stuck or far off; after a whole lap leave at the best place that it found."""
+    """Change sides if stuck or far off; after a whole lap leave at its nearest point to the goal."""
     side, stray, hit_distance = detour.passing_side, detour.max_stray, detour.hit_goal_distance
     anchor, anchor_s = detour.anchor_point, detour.anchor_duration_s + dt
     if _planar_distance(here, anchor) > 0.25:
@@ -301,7 +301,7 @@ def _choose_side(
 def _distance_from_line(
     here: tuple[float, float], start: tuple[float, float], goal: tuple[float, float, float]
 ) -> float:
-    """Distance of a point from the straight stretch between two others (m), in the horizontal plane."""
+    """Return the distance of a point from a line segment (m), in the horizontal plane."""
     n, e = goal[0] - start[0], goal[1] - start[1]
     square = n * n + e * e
     share = ((here[0] - start[0]) * n + (here[1] - start[1]) * e) / square if square > 0.0 else 0.0
@@ -310,7 +310,7 @@ def _distance_from_line(
 
 
 def _move_reference(detour: Detour, wanted: tuple[float, float, float], dt: float) -> Detour:
-    """Move the reference: velocity follows what is wanted, acceleration limited and low-pass filtered."""
+    """Step the reference: its velocity follows ``wanted``, with limited, low-pass filtered acceleration."""
     ask = [(w - v) / _VELOCITY_LAG_S for w, v in zip(wanted, detour.velocity, strict=True)]
     size = _vector_norm(*ask)
     scale = min(1.0, DETOUR_ACCELERATION_M_S2 / size) if size > 0.0 else 0.0

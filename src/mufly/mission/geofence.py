@@ -1,13 +1,13 @@
-"""The geofence: where a vehicle may be, how far that is from its bounds, and its items of MAVLink.
+"""Geofence of a vehicle: distances to its bounds, and its MAVLink items.
 
-Inside is what lies in the polygon and in the circle, below the ceiling and in no keep-out zone; what is not given
-bounds nothing. Distances are level for zones and vertical for the ceiling. The even-odd rule decides what a polygon
-holds.
+A place is inside if it lies in the polygon and in the circle, below the ceiling and in no keep-out zone; absent bounds
+do not limit. Distances are horizontal for zones and vertical for the ceiling. The even-odd rule defines the interior
+of a polygon.
 
-Items: NAV_FENCE_POLYGON_VERTEX_INCLUSION (5001) and _EXCLUSION (5002), a vertex each with their number in parameter 1;
-NAV_FENCE_CIRCLE_INCLUSION (5003) and _EXCLUSION (5004), radius in parameter 1; in LOCAL_NED (1; x, y in 1e-4 m) or,
-with an origin, on the globe. Ceiling and action do not travel as items: a vehicle keeps its own.
-https://mavlink.io/en/services/mission.html#geofence_fence.
+Items: NAV_FENCE_POLYGON_VERTEX_INCLUSION (5001) and _EXCLUSION (5002), a vertex each with the number of vertices in
+parameter 1; NAV_FENCE_CIRCLE_INCLUSION (5003) and _EXCLUSION (5004), radius in parameter 1. Coordinates are in
+LOCAL_NED (1; x, y in 1e-4 m) or, with an origin, on the globe. Ceiling and action have no items: a vehicle keeps its
+own. https://mavlink.io/en/services/mission.html#geofence_fence.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ EXCLUSION_VERTEX = MissionCommand.NAV_FENCE_POLYGON_VERTEX_EXCLUSION
 INCLUSION_CIRCLE = MissionCommand.NAV_FENCE_CIRCLE_INCLUSION
 EXCLUSION_CIRCLE = MissionCommand.NAV_FENCE_CIRCLE_EXCLUSION
 FENCE_MARGIN_M = 0.2
-"""So far inside its fence a mission and a place to fly to have to be (m): what a flight in gusts strays."""
+"""Margin inside the fence for missions and targets (m): the deviation of a flight in gusts."""
 _CIRCLE_POINT_COUNT = 48
 
 _Array = NDArray[np.float64]
 
 
 def fence_margins(fence: Fence, places: ArrayLike) -> tuple[_Array, list[str]]:
-    """Return how far places are inside each bound of a fence (m, negative outside), and what each bound is called.
+    """Return the distance of places inside each bound of a fence (m, negative outside), and the names of the bounds.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def fence_margins(fence: Fence, places: ArrayLike) -> tuple[_Array, list[str]]:
 
 
 def fence_fault(fence: Fence | None, places: ArrayLike, keep_m: float = 0.0) -> str:
-    """Return why places are not all inside a fence, in words; "" if they are, or where there is none.
+    """Return the reason why places are not all inside a fence; "" if they are, or without a fence.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def fence_fault(fence: Fence | None, places: ArrayLike, keep_m: float = 0.0) -> 
     places : (n, 3) array
         N, E, D (m).
     keep_m : float
-        So far inside they have to be (m).
+            Required distance inside the fence (m).
 
     Examples
     --------
@@ -113,15 +113,15 @@ def fence_fault(fence: Fence | None, places: ArrayLike, keep_m: float = 0.0) -> 
 
 
 def fence_depth(fence: Fence, place: ArrayLike) -> float:
-    """Return how far a place (3,) is inside a fence (m); negative outside."""
+    """Return the distance of a place (3,) inside a fence (m); negative outside."""
     margins, _ = fence_margins(fence, place)
     return float(np.where(np.isfinite(margins), margins, -math.inf).min()) if margins.size else math.inf
 
 
 def fence_path_fault(fence: Fence | None, here: ArrayLike, place: ArrayLike) -> str:
-    """Return why the way from a place (3,) to another leads out of a fence, in words: height first, then level.
+    """Return the reason why the path between two places (3,), first vertical, then level, leaves a fence; "" if not.
 
-    Whoever is outside already may come back any way.
+    From outside the fence any path is permitted.
     """
     a, b = (np.asarray(v, dtype=np.float64) for v in (here, place))
     if fence is None or fence_fault(fence, a):
@@ -134,12 +134,12 @@ def fence_path_fault(fence: Fence | None, here: ArrayLike, place: ArrayLike) -> 
 
 
 def check_fence(mission: Mission, where: str) -> None:
-    """Refuse a mission that leaves its own fence.
+    """Check that a mission stays inside its own fence.
 
     Raises
     ------
     InputError
-        Naming the key that leads outside, by how much and what would be right.
+        If it does not; the message names the key, the distance and the remedy.
     """
     fence = mission.fence
     if fence is None:
@@ -165,7 +165,7 @@ def _refuse_outside(fence: Fence, places: Sequence[Sequence[float]], where: str,
 
 
 def fence_outlines(fence: Fence) -> list[tuple[bool, list[tuple[float, float]]]]:
-    """Return the zones of a fence as outlines: whether to keep in, and corners N, E (m)."""
+    """Return the outlines of a fence's zones: whether to stay inside, and corners N, E (m)."""
     out = [(True, list(fence.polygon_m))] if fence.polygon_m else []
     if fence.centre_m is not None and fence.radius_m is not None:
         out.append((True, _circle_outline(*fence.centre_m, fence.radius_m)))
@@ -179,7 +179,7 @@ def _circle_outline(n: float, e: float, radius: float) -> list[tuple[float, floa
 
 
 def _polygon_depth(corners: Sequence[tuple[float, float]], at: _Array) -> _Array:
-    """How deep places (n, 3) are in a polygon (m); negative outside."""
+    """Return the depth of places (n, 3) in a polygon (m); negative outside."""
     a = np.array(corners, dtype=np.float64)
     b = np.roll(a, -1, axis=0)
     p = at[:, None, :2]
@@ -194,11 +194,11 @@ def _polygon_depth(corners: Sequence[tuple[float, float]], at: _Array) -> _Array
     return depth
 
 
-# ---- items of MAVLink
+# ---- MAVLink items
 
 
 def fence_to_items(fence: Fence | None, origin: GlobalOrigin | None = None) -> tuple[MissionItem, ...]:
-    """Return a fence as items: in LOCAL_NED or, with an origin, on the globe, as ground stations with a map want it."""
+    """Return a fence as items: on the globe with an origin, as ground stations with a map need it, else LOCAL_NED."""
     if fence is None:
         return ()
     made: list[tuple[int, float, float, float]] = []
@@ -211,21 +211,21 @@ def fence_to_items(fence: Fence | None, origin: GlobalOrigin | None = None) -> t
 
 
 def fence_from_items(items: Sequence[MissionItem], base: Fence | None, origin: GlobalOrigin | None) -> Fence | None:
-    """Return the fence that items describe; None for no items and no ceiling.
+    """Return the fence that items describe; None without items and ceiling.
 
     Parameters
     ----------
-    items : sequence of Item
-        Numbered from 0.
+    items : sequence of MissionItem
+        Items, numbered from 0.
     base : Fence or None
-        Ceiling and action are taken from it.
-    origin : Origin or None
-        For items on the globe.
+        Source of ceiling and action.
+    origin : GlobalOrigin or None
+        Origin for items on the globe.
 
     Raises
     ------
-    Refusal
-        If it cannot be kept as it is written.
+    MissionRefusedError
+        If the fence cannot be kept exactly as described.
     """
     zones: dict[int, list[list[tuple[float, float]]]] = {INCLUSION_VERTEX: [], EXCLUSION_VERTEX: []}
     circles: dict[int, list[tuple[float, float, float]]] = {INCLUSION_CIRCLE: [], EXCLUSION_CIRCLE: []}

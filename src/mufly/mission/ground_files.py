@@ -1,9 +1,9 @@
 """Mission files of other ground stations: QGroundControl's plan (JSON) and waypoint file ("QGC WPL 110").
 
-Both hold items of MAVLink, mostly on the globe. Places on the globe become metres north and east of the planned home
-(of a plan its ``plannedHomePosition``, of a waypoint file its first line), which is where the helicopter stands at the
-start; heights are those above home. Places in LOCAL_NED stay as they are. What cannot be flown as it is written is
-refused, with the item and what to do about it.
+Both hold MAVLink items, mostly on the globe. These are converted to metres north and east of the planned home, where
+the helicopter stands at the start: ``plannedHomePosition`` of a plan, the first line of a waypoint file. Heights are
+relative to home. Positions in LOCAL_NED stay as they are. An item that cannot be flown exactly as described is refused,
+with its number and a remedy.
 
 Sources: https://docs.qgroundcontrol.com/master/en/qgc-dev-guide/file_formats/plan.html and
 https://mavlink.io/en/file_formats/#mission_plain_text_file.
@@ -39,10 +39,10 @@ from mufly.mission.mission_items import (
 from mufly.mission.mission_schema import Mission
 
 FILE_ENDINGS = (".toml", ".plan", ".waypoints", ".txt")
-"""Endings of the mission files that are read."""
+"""Endings of readable mission files."""
 
 GROUND_FILE_DESCRIPTION = "from a ground station's file"
-"""So begins the description of a mission that was read from one."""
+"""Prefix of the description of a mission from a ground station's file."""
 
 _WAYPOINT_FILE_HEADER = "QGC WPL"
 _REMEDY = "change or delete it in the ground station, and save the plan again"
@@ -52,20 +52,20 @@ _TAKEN_TABLES: tuple[str, ...] = ("take_off", "waypoint", "at_end", "fence")
 
 @dataclass(frozen=True, slots=True)
 class GroundFile:
-    """What a ground station's file holds.
+    """Content of a ground station's file.
 
     Attributes
     ----------
-    items : tuple of Item
-        Numbered from 0.
+    items : tuple of MissionItem
+        Items, numbered from 0.
     item_locations : tuple of str
-        Where each item stands: "item 2", "line 4".
-    home : Origin or None
+        Location of each item: "item 2", "line 4".
+    home : GlobalOrigin or None
         The planned home.
     ignored_parts : tuple of str
-        What of the file is not flown, in words.
-    fence_items : tuple of Item
-        Its geofence.
+        Descriptions of the parts of the file that are not flown.
+    fence_items : tuple of MissionItem
+        Items of the geofence.
     """
 
     items: tuple[MissionItem, ...]
@@ -76,24 +76,25 @@ class GroundFile:
 
 
 def is_ground_file(text: str) -> bool:
-    """Whether a text is a file of another ground station, not TOML."""
+    """Return whether a text is a file of another ground station, not TOML."""
     head = text.lstrip("\ufeff \t\r\n")
     return head.startswith((_WAYPOINT_FILE_HEADER, "{"))
 
 
 def read_ground_file(text: str, where: str) -> dict[str, Any]:
-    """Return the tables of a mission file that say what a ground station's file says.
+    """Return the tables of a mission file for a ground station's file.
 
     Parameters
     ----------
     text : str
+        Content of the file.
     where : str
-        What an error calls the file.
+        Name of the file for error messages.
 
     Raises
     ------
     InputError
-        Naming the item or line that cannot be read or flown, and what to do.
+        If an item or line cannot be read or flown; the message names it and the remedy.
     """
     head = text.lstrip("\ufeff \t\r\n")
     found = _parse_waypoint_file(head, where) if head.startswith(_WAYPOINT_FILE_HEADER) else _parse_plan(head, where)
@@ -131,7 +132,7 @@ def _describe_mission(found: GroundFile, home: GlobalOrigin | None) -> str:
 
 
 def _first_global_place(items: Sequence[MissionItem]) -> GlobalOrigin | None:
-    """The first place on the globe, for want of a home."""
+    """Return the first place on the globe, as a substitute for a home."""
     first = next((i for i in items if is_global(i) and COORDINATE_NOT_GIVEN not in (i.x, i.y)), None)
     return None if first is None else GlobalOrigin(first.x / 1e7, first.y / 1e7, 0.0)
 
@@ -156,12 +157,12 @@ def _parse_waypoint_file(text: str, where: str) -> GroundFile:
         except ValueError:
             remedy = "save the file again in the ground station"
             raise InputError(where, key, f"{line.strip()[:60]!r} is not a waypoint", remedy) from None
-        # These files have no word for "no heading", and their programs write 0.
+        # These files cannot express "no heading"; their programs write 0.
         numbers = (*parameters, _NAN if heading == 0.0 else heading, north, east, height)
         items.append(_make_item(len(items), int(frame), int(command), numbers, where, key))
         places.append(key)
     home = None
-    # Its first line is the home: a waypoint, in height above the sea, before all others.
+    # The first line is the home: a waypoint in height above the sea.
     if (
         len(items) > 1
         and items[0].command == MissionCommand.NAV_WAYPOINT
@@ -216,7 +217,7 @@ def _parse_plan(text: str, where: str) -> GroundFile:
 
 
 def _parse_fence_items(content: object, where: str) -> tuple[MissionItem, ...]:
-    """The zones of a plan's geofence as items."""
+    """Return the zones of a plan's geofence as items."""
     if not isinstance(content, dict):
         return ()
     made: list[tuple[int, float, object]] = []
@@ -241,7 +242,7 @@ def _parse_fence_items(content: object, where: str) -> tuple[MissionItem, ...]:
 
 
 def _flatten_items(entry: Mapping[str, Any], where: str, key: str) -> list[Mapping[str, Any]]:
-    """The simple items of one entry: itself, or those that a survey was made into."""
+    """Return the simple items of an entry: itself, or the items of a survey."""
     if entry.get("type") != "ComplexItem":
         return [entry]
     made = entry.get("TransectStyleComplexItem")
@@ -267,7 +268,7 @@ def _parse_plan_item(seq: int, entry: Mapping[str, Any], where: str, key: str) -
 
 
 def _parse_home(value: object) -> GlobalOrigin | None:
-    """A home, unless it is missing, zero or no place."""
+    """Return the home, or None if it is missing, zero or no place."""
     if not isinstance(value, list) or len(value) < 2:
         return None
     numbers = [float(v) if isinstance(v, int | float) and not isinstance(v, bool) else _NAN for v in value[:3]]

@@ -1,7 +1,7 @@
-"""What the mission says in its log: one template each, with the numbers that go into it.
+"""Templates of the mission's log messages, with numbers to fill in.
 
-On board (:mod:`mufly.firmware`) an entry of the log is the place of its template here and the numbers; these templates
-make the same text of it on the ground. The order is that of ``words.h``.
+On board (:mod:`mufly.firmware`) a log entry is the index of its template here and the numbers; the ground station
+formats the same text from them. The order is that of ``words.h``.
 """
 
 from __future__ import annotations
@@ -11,15 +11,15 @@ from enum import Enum, unique
 
 @unique
 class LogMessage(Enum):
-    """Templates; called with numbers, one is a text."""
+    """Templates of log messages; calling one with numbers formats it."""
 
     NO_MESSAGE = ""
     GIVEN_TEXT = "{}"
-    """Words of whoever gave the signal, on board the number that he gave with it; or of the estimator on a sensor."""
+    """Text of the signal's sender, on board a number sent with the signal; or the estimator's text on a sensor."""
     READY_FOR_MISSION = "ready for {}"
     WAYPOINTS_LOADED = "{}: {:.0f} waypoints loaded"
     ONE_WAYPOINT_LOADED = "{}: {:.0f} waypoint loaded"
-    """Of a mission with this name, which a board does not keep; as READY."""
+    """With the name of the mission, which the board does not store; likewise READY_FOR_MISSION."""
     START_SIGNAL = "start signal"
     TAKE_OFF_SIGNAL = "take-off signal, to {:g} m"
     ALTITUDE_REACHED = "altitude reached: {:.2f} m"
@@ -76,7 +76,7 @@ class LogMessage(Enum):
     OFFBOARD_OFF_ON_FLOOR = "offboard off on the floor"
     MOTORS_OFF_AFTER_DESCENT = "motors off, where it came down"
     MEASUREMENT_LOST = "measurement lost: {}"
-    """On board a sum of bits: position 1, velocity 2, attitude 4, rates 8; none: all, which is frozen."""
+    """The number on board is a sum of bits: position 1, velocity 2, attitude 4, rates 8; 0: all of them are frozen."""
     WAITING_FOR_POSITION = "waits until it knows better where it is"
     POSITION_KNOWN_AGAIN = "position known again"
     OSCILLATES_UPPER = "motor_input upper oscillates by {:.2f} at {:.2g} Hz"

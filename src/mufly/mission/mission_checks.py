@@ -1,8 +1,8 @@
-"""Is the mission possible? Geometry against obstacles, time against the battery; asked before take-off.
+"""Feasibility checks before take-off: geometry against obstacles, and time against the battery.
 
-The helicopter hovers most of the time, so the charge that a mission takes is the hover current times the time of its
-reference trajectories and waits. Climbing at v_c adds m g v_c to the power: 0.5 W of 30 W for muFly at 0.5 m/s, left
-out like the savings of forward flight and descent. The `usable` fraction of the charge has to cover all that.
+The helicopter hovers most of the time, so a mission's charge is the hover current times the time of its reference
+trajectories and waits. Climbing at v_c adds the power m g v_c: 0.5 W of 30 W for muFly at 0.5 m/s. It is neglected, as
+are the savings of forward flight and descent. The `usable` fraction of the charge must cover the total.
 """
 
 from __future__ import annotations
@@ -37,28 +37,28 @@ from mufly.vehicle import Vehicle
 from mufly.world import World, obstacle_distance, obstacle_distances
 
 WAYPOINT_MARGIN_M = 0.1
-"""Waypoints keep this much more than the clearance from obstacles (m), so that avoiding one still reaches them."""
+"""Margin of waypoints from obstacles beyond the clearance (m), so that a detour can still reach them."""
 
 _COLUMN_START_DOWN_M = -0.05
 
 
 def check_geometry(mission: Mission, where: str) -> None:
-    """Refuse waypoints under the floor, in or too near an obstacle, and ways that the beams cannot make safe.
+    """Check waypoints and paths against the floor and obstacles.
 
-    Obstacles on a level leg are allowed where the beams can see them. Climbs, descents, take-off and landing have to
-    be free, since the beams look sideways only; and a leg must not pass closely over or under an obstacle.
+    Obstacles on a level leg are allowed if the beams can detect them. Climbs, descents, take-off and landing must be
+    free, since the beams look sideways only; and a leg must not pass closely over or under an obstacle.
 
     Parameters
     ----------
     mission : Mission
-        To be checked.
+        Mission to check.
     where : str
-        File that an error names.
+        File name for error messages.
 
     Raises
     ------
     InputError
-        Naming the key, the obstacle and what would be right.
+        If a check fails; the message names the key, the obstacle and the remedy.
     """
     if not mission.waypoint:
         raise InputError(where, "waypoint", "the mission has no waypoint", "add at least one [[waypoint]]")
@@ -134,7 +134,7 @@ def _check_column(mission: Mission, where: str, key: str, position: NDArray[np.f
 
 
 def _check_over_and_under(mission: Mission, where: str, key: str, track: NDArray[np.float64]) -> None:
-    """Obstacles whose top or foot the track passes closely: level beams go over or under them."""
+    """Refuse a track that passes an obstacle's top or foot closely: level beams pass over or under it."""
     world = mission.world
     spans = [(b.name, b.centre[2] - 0.5 * b.size[2], b.centre[2] + 0.5 * b.size[2]) for b in world.boxes]
     spans += [(c.name, -c.foot - c.height, -c.foot) for c in world.cylinders]
@@ -159,21 +159,21 @@ def _check_over_and_under(mission: Mission, where: str, key: str, track: NDArray
 
 
 _BEAM_HIT_MARGIN_M = 0.15
-"""How far inside an obstacle's height a beam has to be to hit it in spite of the tilt of a flying helicopter (m)."""
+"""Distance of a beam inside an obstacle's height that ensures a hit despite the helicopter's tilt (m)."""
 
 
 @result
 class MissionEstimate:
-    """What a mission takes, as planned.
+    """Planned time, length and charge of a mission.
 
     Attributes
     ----------
     duration_s : float
-        From the start signal until it has landed, rotors at rest (s).
+        Time from the start signal until landing with the rotors at rest (s).
     path_m : float
         Length of the reference from lift-off to touchdown (m).
     charge_Ah, fraction : float
-        Charge used, and as a fraction of the battery's.
+        Charge used, and its fraction of the battery's charge.
     """
 
     duration_s: float
@@ -183,18 +183,18 @@ class MissionEstimate:
 
 
 def check_mission(mission: Mission, *, hover_current_A: float, capacity_Ah: float, where: str = "") -> MissionEstimate:
-    """Estimate time and charge of a mission and refuse it if the battery does not last.
+    """Estimate time and charge of a mission, and refuse it if the battery does not suffice.
 
     Parameters
     ----------
     mission : Mission
-        Already checked for geometry.
+        Mission with checked geometry.
     hover_current_A : float
         Battery current in hover (A), electronics included.
     capacity_Ah : float
-        Charge of the full battery (A h); ``battery.usable`` of it may be planned with.
+        Charge of the full battery (A h), of which the share ``battery.usable`` is available.
     where : str
-        File that an error names; the mission's name by default.
+        File name for error messages; the mission's name by default.
 
     Returns
     -------
@@ -204,7 +204,8 @@ def check_mission(mission: Mission, *, hover_current_A: float, capacity_Ah: floa
     Raises
     ------
     InputError
-        Naming the height of take-off or the first waypoint, its wait or the landing that the charge does not reach.
+        If the charge does not suffice; the message names the first part beyond it: take-off height, waypoint, wait or
+        landing.
     """
     where = where or mission.name
     lasts = 3600.0 * mission.battery.usable * capacity_Ah / hover_current_A
@@ -258,14 +259,14 @@ def _format_seconds(t: float) -> str:
 
 
 # ----------------------------------------------------------------------------
-# From a mission file (TOML) to a checked `Mission`, and back.
+# Conversion of a mission file (TOML) to a checked `Mission`, and back.
 
 
 _BUILTIN_FOLDER = resources.files("mufly.mission") / "builtin"
 
 
 def list_builtin_missions() -> list[str]:
-    """Names of the missions that come with mufly."""
+    """Return the names of the missions that come with mufly."""
     return builtin_file_names(_BUILTIN_FOLDER)
 
 
@@ -275,18 +276,18 @@ def load_mission(name_or_path: str | Path) -> Mission:
     Parameters
     ----------
     name_or_path : str or Path
-        A name that `list_builtin_missions` lists, or the path of a mission file; also of a plan (``.plan``) or waypoint
-        file (``.waypoints``) of QGroundControl or Mission Planner.
+            A name from `list_builtin_missions`, or the path of a mission file, or of a plan (``.plan``) or waypoint
+            file (``.waypoints``) of QGroundControl or Mission Planner.
 
-    Returns
-    -------
-    Mission
-        Frozen and checked: nothing unknown, nothing impossible, every waypoint in free air.
+        Returns
+        -------
+        Mission
+            Immutable, checked mission: known keys, possible values, waypoints in free air.
 
-    Raises
-    ------
-    InputError
-        Naming file, key, value and remedy. Waypoints are counted from 1.
+        Raises
+        ------
+        InputError
+            If the file is invalid; the message names file, key, value and remedy. Waypoints are counted from 1.
     """
     name = str(name_or_path)
     if name not in list_builtin_missions() and Path(name).is_file():
@@ -304,13 +305,14 @@ def read_mission_tables(text: str, where: str) -> dict[str, Any]:
     Parameters
     ----------
     text : str
+        Content of the file.
     where : str
-        What an error calls the file; without a name of its own the mission is called so.
+        Name of the file for error messages, and of a mission without a name.
 
     Raises
     ------
     InputError
-        If it is none of them, or holds what cannot be flown.
+        If the text has none of these formats, or cannot be flown.
     """
     if is_ground_file(text):
         return {"name": Path(where).stem, **read_ground_file(text, where)}
@@ -322,19 +324,19 @@ def read_mission_tables(text: str, where: str) -> dict[str, Any]:
 
 
 def parse_mission(tables: Mapping[str, Any], where: str = "mission") -> Mission:
-    """Make a checked mission of nested dictionaries with the keys of a mission file.
+    """Return a checked mission from nested dictionaries with the keys of a mission file.
 
     Parameters
     ----------
     tables : mapping
         As TOML gives it: ``{"waypoint": [{"position_m": [1, 0, -1]}], ...}``.
     where : str
-        What an error calls the place.
+        Name of the source for error messages.
 
     Raises
     ------
     InputError
-        As for `load_mission`.
+        See `load_mission`.
     """
     mission = validate_model(Mission, tables, where)
     check_geometry(mission, where)
@@ -342,7 +344,7 @@ def parse_mission(tables: Mapping[str, Any], where: str = "mission") -> Mission:
 
 
 def dump_mission(mission: Mission) -> str:
-    """The mission as the text of a file that `load_mission` reads back to an equal mission, defaults included."""
+    """Return the text of a mission file, defaults included, which `load_mission` reads as an equal mission."""
     lines: list[str] = []
     tables: list[tuple[str, dict[str, Any]]] = []
     for key, value in mission.model_dump(exclude_none=True).items():
@@ -358,7 +360,7 @@ def dump_mission(mission: Mission) -> str:
 
 
 # ----------------------------------------------------------------------------
-# Can this vehicle fly this mission? Asked before anything runs, by the command line and by `mufly.flight.fly_mission`.
+# Check that a vehicle can fly a mission, called before a flight by the command line and by `mufly.flight.fly_mission`.
 
 
 def check_preflight(
@@ -369,18 +371,17 @@ def check_preflight(
     mission_file: str = "",
     able: TrajectoryLimits | None = None,
 ) -> MissionEstimate:
-    """Check that the vehicle hovers, that the mission suits it and that its battery lasts.
+    """Check that the vehicle hovers, that the mission suits it and that its battery suffices.
 
     Parameters
     ----------
     vehicle : Vehicle
     mission : Mission
-        Checked, as `load_mission` returns it.
+        Checked mission, as `load_mission` returns it.
     vehicle_file, mission_file : str
-        What an error calls them; their names by default.
-    able : Limits, optional
-        What the vehicle's controllers can follow (:func:`mufly.flight.controller_limits`): the mission is flown no
-        faster.
+        Names for error messages; the names of vehicle and mission by default.
+    able : TrajectoryLimits, optional
+        Limits of the vehicle's controllers (:func:`mufly.flight.controller_limits`): the mission is flown no faster.
 
     Returns
     -------
@@ -390,7 +391,7 @@ def check_preflight(
     Raises
     ------
     InputError
-        Naming file, key, value and remedy.
+        If a check fails; the message names file, key, value and remedy.
     """
     try:
         current = hover_current_A(vehicle)
@@ -408,33 +409,33 @@ def check_preflight(
 
 
 # ----------------------------------------------------------------------------
-# A mission no faster than its helicopter.
+# Reduction of a mission's limits to the helicopter's capability.
 #
-# A reference that is quicker than the helicopter is caught up with on the run and then overshot: what matters is not
-# the speed itself but that the reference can brake no harder than the helicopter. So each limit of the mission is
-# brought down to a share of what the controllers can follow, before the flight.
+# A helicopter overshoots a reference that is faster than itself. Decisive is not the speed but that the reference
+# brakes no harder than the helicopter can. So each limit of the mission is reduced, before the flight, to a share of
+# the controllers' limits.
 
 
 USABLE_LIMIT_SHARE = 0.8
-"""Of what the controllers can follow; the rest is for catching up."""
+"""Share of the controllers' limits available to a mission; the rest is for corrections."""
 
 
 def reduce_limits(mission: Mission, able: TrajectoryLimits) -> tuple[Mission, str]:
-    """Bring a mission's limits down to what the helicopter can follow.
+    """Reduce a mission's limits to the helicopter's capability.
 
     Parameters
     ----------
     mission : Mission
-        As asked for.
-    able : Limits
-        What the controllers can follow, SI units.
+        Mission with its own limits.
+    able : TrajectoryLimits
+        Limits of the controllers, SI units.
 
     Returns
     -------
     mission : Mission
-        The same one, where nothing has to be slower.
+        Mission with reduced limits; the same object if none changed.
     changes : str
-        What was changed, in words: ``"climb_m_s 0.8 in place of 2"``; empty if nothing was.
+        Description of the changes: ``"climb_m_s 0.8 in place of 2"``; empty without changes.
     """
     can = limits_to_file_units(able)
     most = USABLE_LIMIT_SHARE * able.speed

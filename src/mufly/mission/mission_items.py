@@ -1,26 +1,25 @@
-"""Items of MAVLink as a :class:`mufly.mission.Mission` and back.
+"""Conversion between MAVLink mission items and :class:`mufly.mission.Mission`.
 
 =========================  ======================================================================================
-item (MAV_CMD)             here
+item (MAV_CMD)             meaning
 =========================  ======================================================================================
 NAV_TAKEOFF (22)           height of the take-off, straight up (no x, y, heading); only before the first waypoint
-NAV_WAYPOINT (16)          waypoint; parameter 1: wait (s), 4: heading (deg; NaN: the nose points along the way)
-NAV_LOITER_TIME (19)       waypoint; parameter 1: wait (s); its parameter 4 is no heading but where fixed wings leave
-NAV_DELAY (93)             parameter 1: so much longer a wait (s) at the waypoint, or after the take-off, before it
+NAV_WAYPOINT (16)          waypoint; parameter 1: wait (s), 4: heading (deg; NaN: the nose points along the path)
+NAV_LOITER_TIME (19)       waypoint; parameter 1: wait (s); parameter 4 is not a heading (exit of fixed wings)
+NAV_DELAY (93)             parameter 1: longer wait (s) at the previous waypoint or after the take-off
 NAV_LOITER_UNLIM (17)      waypoint with parameter 4: heading, and hover there; only as the last item
 NAV_LAND (21)              fly to its x, y (unless not given), with parameter 4: heading, then land; only as the last
 NAV_RETURN_TO_LAUNCH (20)  fly home and land; only as the last item
 DO_CHANGE_SPEED (178)      parameter 2: speed (m/s) of the legs that follow, -2: the mission's own
-CONDITION_YAW (115)        parameter 1: heading (deg) of the next waypoint that has none itself; absolute only
+CONDITION_YAW (115)        parameter 1: heading (deg) of the next waypoint without a heading; absolute only
 =========================  ======================================================================================
 
 Frames: LOCAL_NED (1; x, y in 1e-4 m) and LOCAL_ENU (4); with a global origin also GLOBAL (0, 5: altitude above the
-sea) and GLOBAL_RELATIVE_ALT (3, 6: above the origin). Items without a place may be in any. A mission that ends
-without 17, 20 or 21 ends in a hover. Whatever cannot be flown as it is written is refused whole, with the field that
-is to blame.
+sea) and GLOBAL_RELATIVE_ALT (3, 6: above the origin). Items without a place may be in any frame. A mission that ends
+without 17, 20 or 21 ends in a hover. A mission with an item that cannot be flown exactly as described is refused as a
+whole, with the field at fault.
 
-Speeds, accelerations, obstacle avoidance and the room are those of the mission that was loaded before: items do not
-speak of them.
+Speeds, accelerations, obstacle avoidance and the room come from the mission loaded previously: items do not hold them.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ from pydantic import ValidationError
 from mufly.mission.mission_schema import MIN_WAYPOINT_HEIGHT_M, Mission, TakeOff, Waypoint
 
 COORDINATE_NOT_GIVEN = 2**31 - 1
-"""x or y of an item that gives none."""
+"""Value of an x or y that is not given."""
 FRAMES_ABOVE_SEA, FRAMES_ABOVE_ORIGIN, FRAMES_ABOVE_TERRAIN = (0, 5), (3, 6), (10, 11)
 """Values of MAV_FRAME on the globe, with altitude above the sea, above the origin, and above the terrain."""
 LOCAL_FRAMES = (1, 4, 7, 8, 9, 12, 20, 21)
@@ -48,7 +47,7 @@ _EARTH_ECCENTRICITY_SQ = 6.694379990141e-3
 
 @dataclass(frozen=True)
 class GlobalOrigin:
-    """Where N = E = D = 0 is: latitude and longitude (deg), altitude above the sea (m)."""
+    """Origin of N, E, D: latitude and longitude (deg), altitude above the sea (m)."""
 
     lat_deg: float
     lon_deg: float
@@ -68,7 +67,7 @@ class GlobalOrigin:
         return self.lat_deg + north / n, self.lon_deg + east / e, self.alt_m - down
 
     def to_local(self, lat_deg: float, lon_deg: float, alt_m: float, frame: int = 0) -> tuple[float, float, float]:
-        """Return N, E, D (m) of a place on the globe; its altitude is above the sea unless the MAV_FRAME says not."""
+        """Return N, E, D (m) of a place on the globe; its altitude is above the sea unless the MAV_FRAME differs."""
         n, e = self._metres_per_deg
         away = math.remainder(lon_deg - self.lon_deg, 360.0) if math.isfinite(lon_deg) else math.nan
         down = -alt_m if frame in FRAMES_ABOVE_ORIGIN else self.alt_m - alt_m
@@ -76,7 +75,7 @@ class GlobalOrigin:
 
 
 class MissionResult(IntEnum):
-    """MAV_MISSION_RESULT."""
+    """Result codes MAV_MISSION_RESULT."""
 
     ACCEPTED = 0
     ERROR = 1
@@ -98,7 +97,7 @@ class MissionResult(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class MissionItem:
-    """One mission item, as MISSION_ITEM_INT has it: x, y in 1e-4 m or 1e-7 deg, z in m."""
+    """Mission item with the fields of MISSION_ITEM_INT: x, y in 1e-4 m or 1e-7 deg, z in m."""
 
     seq: int
     frame: int
@@ -113,7 +112,7 @@ class MissionItem:
 
 
 class MissionCommand(IntEnum):
-    """MAV_CMD of items that are flown, or shown, here; by MAVLink's names."""
+    """MAV_CMD of items that are flown or displayed here, by MAVLink's names."""
 
     NAV_WAYPOINT = 16
     NAV_LOITER_UNLIM = 17
@@ -156,21 +155,21 @@ _UNSUPPORTED_COMMANDS: dict[int, str] = {
         MissionCommand.DO_JUMP,
     )
 }  # fmt: skip
-"""MAV_CMD that ground stations put into missions and that cannot be flown here."""
+"""MAV_CMD that ground stations use in missions and that cannot be flown here."""
 
 Triple = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
 class MissionWithItems:
-    """A mission and the items that it was made of, or that were made of it.
+    """A mission and the corresponding items.
 
     Attributes
     ----------
     mission : Mission
-    items : tuple of Item
+    items : tuple of MissionItem
     waypoint_item_index : tuple of int
-        Which item each waypoint of the mission came from.
+        Index of the item of each waypoint.
     """
 
     mission: Mission
@@ -178,12 +177,12 @@ class MissionWithItems:
     waypoint_item_index: tuple[int, ...]
 
     def first_waypoint_from_item(self, item: int) -> int | None:
-        """The first waypoint that comes from an item or a later one; None if there is none."""
+        """Return the first waypoint from this item or a later one; None if there is none."""
         return next((k for k, i in enumerate(self.waypoint_item_index) if i >= item), None)
 
 
 class MissionRefusedError(Exception):
-    """A mission that cannot be flown: the result to acknowledge, why, in words, and the item that is to blame."""
+    """Error for a mission that cannot be flown: result code to acknowledge, reason, and item at fault."""
 
     def __init__(self, result: MissionResult, why: str, item: int | None = None) -> None:
         super().__init__(f"mission: {why}" if item is None else f"mission item {item}: {why}")
@@ -199,17 +198,17 @@ def mission_from_items(items: Sequence[MissionItem], base: Mission, origin: Glob
 
     Parameters
     ----------
-    items : sequence of Item
-        Numbered from 0.
+    items : sequence of MissionItem
+        Items, numbered from 0.
     base : Mission
-        The rest is taken from it.
-    origin : Origin or None
-        For items on the globe.
+        Source of all other settings.
+    origin : GlobalOrigin or None
+        Origin for items on the globe.
 
     Raises
     ------
-    Refusal
-        If it cannot be flown as it is written.
+    MissionRefusedError
+        If the mission cannot be flown exactly as described.
     """
     waypoints: list[Waypoint] = []
     came_from: list[int] = []
@@ -326,17 +325,17 @@ def mission_to_items(mission: Mission) -> MissionWithItems:
 
 
 def is_global_frame(item: MissionItem) -> bool:
-    """Whether an item counts in degrees on the globe."""
+    """Return whether an item's frame has coordinates in degrees on the globe."""
     return item.frame in (*FRAMES_ABOVE_SEA, *FRAMES_ABOVE_ORIGIN, *FRAMES_ABOVE_TERRAIN)
 
 
 def is_global(item: MissionItem) -> bool:
-    """Whether an item names a place on the globe."""
+    """Return whether an item has a place on the globe."""
     return is_global_frame(item) and (item.x, item.y) != (0, 0)
 
 
 def scale_coordinate(number: int, factor: float) -> float:
-    """Return what x or y of an integer message says, ``number`` times ``factor``; NaN where it is not given."""
+    """Return an x or y of an integer message, ``number`` times ``factor``; NaN if it is not given."""
     return math.nan if number == COORDINATE_NOT_GIVEN else number * factor
 
 
@@ -348,7 +347,7 @@ def _command_name(number: int) -> str:
 def make_place_item(
     seq: int, command: int, first: float, north: float, east: float, origin: GlobalOrigin | None
 ) -> MissionItem:
-    """An item with a level place (m) and one parameter: on the globe where there is an origin, else in LOCAL_NED."""
+    """Return an item with a level place (m) and one parameter: on the globe with an origin, else in LOCAL_NED."""
     params = (first, 0.0, 0.0, 0.0)
     if origin is None:
         return MissionItem(
@@ -369,7 +368,7 @@ def _to_tenth_mm(metres: float) -> int:
 
 
 def _make_table(item: MissionItem, table: type, **values: Any) -> Any:
-    """A table of the mission, whose own bounds decide."""
+    """Return a table of the mission, checked against the table's own bounds."""
     try:
         return table(**values)
     except ValidationError as error:
@@ -424,7 +423,7 @@ def _read_speed(item: MissionItem, before: float | None) -> float | None:
 
 
 def _find_down(item: MissionItem, origin: GlobalOrigin | None) -> float | None:
-    """D of an item (m); None in a frame that is not known here, or needs an origin that is not given."""
+    """Return D of an item (m); None if the frame is unknown or its origin is missing."""
     if item.frame == FRAME_LOCAL_NED:
         return item.z
     if item.frame == FRAME_LOCAL_ENU or (item.frame in FRAMES_ABOVE_ORIGIN and origin is not None):
@@ -433,7 +432,7 @@ def _find_down(item: MissionItem, origin: GlobalOrigin | None) -> float | None:
 
 
 def _read_flight_height(item: MissionItem, origin: GlobalOrigin | None) -> float:
-    """D of an item (m), which has to be above the floor."""
+    """Return D of an item (m), which must be above the floor."""
     down = _find_down(item, origin)
     if down is None:
         why = f"frame {item.frame} is not known; use LOCAL_NED (1)"
@@ -452,21 +451,21 @@ def _read_flight_height(item: MissionItem, origin: GlobalOrigin | None) -> float
 
 
 def read_level_place(item: MissionItem, origin: GlobalOrigin | None) -> tuple[float, float]:
-    """N and E of an item (m); NaN where not given."""
+    """Return N and E of an item (m); NaN if not given."""
     if item.frame in (FRAME_LOCAL_NED, FRAME_LOCAL_ENU):
         a, b = (scale_coordinate(v, 1e-4) for v in (item.x, item.y))
         return (a, b) if item.frame == FRAME_LOCAL_NED else (b, a)
     if origin is None:
         return math.nan, math.nan
     if item.command == MissionCommand.NAV_LAND and (item.x, item.y) == (0, 0):
-        return math.nan, math.nan  # land where it is
+        return math.nan, math.nan  # land at the present place
     lat, lon = (scale_coordinate(v, 1e-7) for v in (item.x, item.y))
     n, e, _ = origin.to_local(lat, lon, 0.0)
     return n, e
 
 
 def read_place(item: MissionItem, origin: GlobalOrigin | None) -> Triple:
-    """N, E, D of an item (m); NaN where not given, or not known without an origin or the terrain's height."""
+    """Return N, E, D of an item (m); NaN if not given, or unknown without origin or terrain height."""
     down = _find_down(item, origin)
     return *read_level_place(item, origin), math.nan if down is None else down
 
@@ -482,7 +481,7 @@ def _read_flight_place(item: MissionItem, origin: GlobalOrigin | None) -> Triple
 
 
 def _place_before_landing(item: MissionItem, origin: GlobalOrigin | None, last: Waypoint) -> Triple | None:
-    """Where to fly before landing, at the height of the last waypoint; None if it is there, or no place is given."""
+    """Return the place to fly to before landing, at the last waypoint's height; None if already there or not given."""
     n, e = read_level_place(item, origin)
     before = last.position_m
     if math.isnan(n) or math.isnan(e) or math.dist((n, e), before[:2]) < _SAME_PLACE_M:

@@ -1,7 +1,7 @@
-"""What a mission file may say.
+"""Schema of a mission file.
 
-Lengths in metres, N-E-D from a point on the floor, so heights above the floor are negative D. Every key carries its
-unit. `docs/reference/missions.md` explains each one; a test holds that page and these models together.
+Lengths are in metres, N-E-D from a point on the floor, so heights above the floor are negative D. Every key carries its
+unit. `docs/reference/missions.md` explains each key; a test keeps that page and these models consistent.
 """
 
 from __future__ import annotations
@@ -19,9 +19,11 @@ from mufly.mission.trajectory import TrajectoryLimits as TrajectoryLimits
 from mufly.world import Box, Cylinder, Room, World, make_wall
 
 MAX_EXTENT_M = 10_000.0
-"""How far (m) anything in a mission may lie or reach: a flight indoors, on a floor that is flat."""
+"""Largest coordinate or length in a mission (m): flights are indoors, over a flat floor."""
 MAX_WIND_M_S, MAX_GUST_M_S = 50.0, 5.0
-"""Each component of the steady wind (a hurricane's), and gusts' rms; the model's own range is far smaller (m/s)."""
+"""Bounds of each component of the steady wind (a hurricane's) and of the gusts' rms (m/s).
+
+The model's own range of validity is far smaller."""
 
 BoundedNumber = Annotated[float, Strict(), Field(ge=-MAX_EXTENT_M, le=MAX_EXTENT_M)]
 PositiveNumber = Annotated[float, Strict(), Field(ge=1e-3, le=MAX_EXTENT_M)]
@@ -30,7 +32,7 @@ Pair = tuple[BoundedNumber, BoundedNumber]
 WindSpeed = Annotated[float, Strict(), Field(ge=-MAX_WIND_M_S, le=MAX_WIND_M_S)]
 
 MIN_WAYPOINT_HEIGHT_M = 0.2
-"""Least height of a waypoint above the floor (m): the legs and the ground's influence end below it."""
+"""Least height of a waypoint above the floor (m), above the legs and the ground effect."""
 
 
 class _MissionTable(BaseModel):
@@ -38,19 +40,19 @@ class _MissionTable(BaseModel):
 
 
 def _strict_field(default: Any, description: str, **bounds: Any) -> Any:
-    """A number, truth value or text that is taken as it stands: a text is no number."""
+    """Declare a number, boolean or text without conversion: a text is no number."""
     return Field(default=default, description=description, strict=True, **bounds)
 
 
 class TakeOff(_MissionTable):
-    """The first part of every mission."""
+    """Take-off, the first part of every mission."""
 
     height_m: float = _strict_field(1.0, "height to climb to", ge=MIN_WAYPOINT_HEIGHT_M, le=50.0)
     wait_s: float = _strict_field(2.5, "wait there", ge=0.0, le=3600.0)
 
 
 class Waypoint(_MissionTable):
-    """One place to fly to."""
+    """A waypoint."""
 
     position_m: Triple = Field(description="N, E, D; heights above the floor are negative D")
     wait_s: float = _strict_field(0.0, "wait once it is reached", ge=0.0, le=3600.0)
@@ -66,7 +68,7 @@ class Waypoint(_MissionTable):
 
 
 class Limits(_MissionTable):
-    """What the trajectories may ask for."""
+    """Limits of the trajectories."""
 
     speed_m_s: float = _strict_field(0.6, "horizontal speed", ge=0.01, le=3.0)
     climb_m_s: float = _strict_field(0.5, "rate of climb", ge=0.01, le=2.0)
@@ -81,7 +83,7 @@ class Limits(_MissionTable):
 
 
 class Path(_MissionTable):
-    """How to fly from waypoint to waypoint."""
+    """Kind of path between waypoints."""
 
     kind: Literal["straight", "spline"] = Field(
         default="straight",
@@ -91,7 +93,7 @@ class Path(_MissionTable):
 
 
 class Avoidance(_MissionTable):
-    """What to do about obstacles that the range beams see."""
+    """Settings for the avoidance of obstacles that the range beams detect."""
 
     enabled: bool = _strict_field(True, "whether to look for obstacles at all")
     clearance_m: float = _strict_field(
@@ -110,7 +112,7 @@ class Avoidance(_MissionTable):
 
 
 class Battery(_MissionTable):
-    """How much of it to use."""
+    """Use of the battery's charge."""
 
     low_V: float | None = _strict_field(
         None, "land below this voltage; without it the vehicle's own limit", gt=0.0, le=1000.0
@@ -119,7 +121,7 @@ class Battery(_MissionTable):
 
 
 class Wind(_MissionTable):
-    """Air that moves, for the simulation; the helicopter is not told."""
+    """Wind of the simulation, unknown to the helicopter."""
 
     steady_m_s: tuple[WindSpeed, WindSpeed, WindSpeed] = Field(
         default=(0.0, 0.0, 0.0), description="where the wind blows to, N, E, D"
@@ -128,7 +130,7 @@ class Wind(_MissionTable):
 
 
 class Fence(_MissionTable):
-    """Where the vehicle may be, and what it does when it is not."""
+    """Bounds for the vehicle's position, and its action outside them."""
 
     polygon_m: tuple[Pair, ...] = Field(default=(), description="corners N, E of the area to stay in, three or more")
     centre_m: Pair | None = Field(default=None, description="N, E of the middle of a circle to stay in")
@@ -166,7 +168,7 @@ class Fence(_MissionTable):
 
 
 def _crosses_itself(corners: tuple[Pair, ...]) -> bool:
-    """Whether any two sides of a polygon cross, or it has no area."""
+    """Return whether two sides of a polygon cross, or it has no area."""
 
     def cross_product(a: Pair, b: Pair, c: Pair) -> float:
         return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
@@ -196,7 +198,7 @@ class BoxTable(_MissionTable):
 
 
 class CylinderTable(_MissionTable):
-    """An upright round post."""
+    """An upright cylinder."""
 
     name: str = Field(default="cylinder", description="what messages call it")
     centre_m: Pair = Field(description="N, E of its axis")
@@ -216,7 +218,7 @@ class WallTable(_MissionTable):
 
 
 class RoomTable(_MissionTable):
-    """Walls and ceiling around the flight."""
+    """Room: walls and ceiling around the flight."""
 
     north_m: Pair = Field(description="least and greatest N inside")
     east_m: Pair = Field(description="least and greatest E inside")
@@ -226,7 +228,7 @@ class RoomTable(_MissionTable):
 
 
 class Mission(_MissionTable):
-    """A mission as its file states it. `mufly.mission.load_mission` reads and checks one.
+    """A mission as stated in its file; `mufly.mission.load_mission` reads and checks it.
 
     The keys carry the units of the file. `world`, `trajectory_limits` and `scans_with_nose` are derived from them.
     """
@@ -254,7 +256,7 @@ class Mission(_MissionTable):
     wall: tuple[WallTable, ...] = ()
 
     def __repr__(self) -> str:
-        """Name, way and what is not left to the defaults, in a few lines."""
+        """Return name, path and non-default settings in a few lines."""
         title = f"Mission {self.name}" + (f": {self.description}" if self.description else "")
         way = [self.start_m, *(w.position_m for w in self.waypoint)]
         lines = [f"  take-off to {self.take_off.height_m:g} m at N {way[0][0]:g}, E {way[0][1]:g} m"]
@@ -269,12 +271,12 @@ class Mission(_MissionTable):
     __str__ = __repr__
 
     def with_parts(self, **parts: Any) -> Mission:
-        """The same mission with other parts; checked, and derived anew, which a copy would not be."""
+        """Return the mission with other parts, checked and with derived values, unlike a plain copy."""
         return Mission(**{**{name: getattr(self, name) for name in Mission.model_fields}, **parts})
 
     @cached_property
     def world(self) -> World:
-        """Everything that stands in the way."""
+        """All obstacles."""
         boxes = [Box(b.centre_m, b.size_m, math.radians(b.yaw_deg), b.name) for b in self.box]
         boxes += [
             make_wall(w.start_m, w.end_m, height=w.height_m, thickness=w.thickness_m, name=w.name) for w in self.wall
@@ -286,18 +288,18 @@ class Mission(_MissionTable):
 
     @cached_property
     def scans_with_nose(self) -> bool:
-        """Whether the helicopter looks out for obstacles by swinging its nose."""
+        """Whether the helicopter scans for obstacles by swinging its nose."""
         chosen = self.avoidance.scan
         named = bool(self.box or self.cylinder or self.wall)
         return self.avoidance.enabled and (named if chosen is None else chosen)
 
     @cached_property
     def trajectory_limits(self) -> TrajectoryLimits:
-        """The limits in SI units and radians, with the slower speed of a flight that scans."""
+        """Limits in SI units and radians; a flight that scans is slower."""
         return self.leg_limits(None)
 
     def leg_limits(self, index: int | None) -> TrajectoryLimits:
-        """The same on the way to waypoint ``index`` (from 0), with its speed where it asks for one."""
+        """Return the limits on the leg to waypoint ``index`` (from 0), with the waypoint's own speed if it has one."""
         q = self.limits
         asked = None if index is None else self.waypoint[index].speed_m_s
         speed = q.speed_m_s if asked is None else asked
@@ -313,7 +315,7 @@ class Mission(_MissionTable):
 
 
 def limits_to_file_units(q: TrajectoryLimits) -> dict[str, float]:
-    """Limits of trajectories under the keys and in the units of a mission file."""
+    """Return limits of trajectories with the keys and units of a mission file."""
     return {
         "speed_m_s": q.speed,
         "climb_m_s": q.climb,
@@ -326,14 +328,14 @@ def limits_to_file_units(q: TrajectoryLimits) -> dict[str, float]:
 
 
 # ----------------------------------------------------------------------------
-# The legs of a mission: which trajectory leads to which waypoint.
+# Trajectories of the mission's legs.
 
 
 SPIN_UP_S = 3.0
-"""Time that the rotors take to speed up before lift-off (s)."""
+"""Time of the rotors' spin-up before lift-off (s)."""
 
 SLOW_LANDING_HEIGHT_M = 0.4
-"""Height (m) below which a landing goes at the touchdown speed."""
+"""Height below which a landing descends at touchdown speed (m)."""
 
 
 def plan_leg_trajectory(
@@ -345,22 +347,22 @@ def plan_leg_trajectory(
     nose_offset: float = 0.0,
     made: bool = True,
 ) -> Trajectory:
-    """The way to waypoint ``index`` (from 0) from wherever the helicopter is.
+    """Return the trajectory from any start to waypoint ``index`` (from 0).
 
     Parameters
     ----------
     mission : Mission
-        With its path kind and limits.
+        Source of path kind and limits.
     index : int
-        Which waypoint.
+        Number of the waypoint.
     start : (3,) array
         N, E, D (m).
     heading : float
         Heading at the start (rad).
     nose_offset : float
-        Angle of the nose from the direction of flight (rad) where the waypoint asks for no heading.
+        Angle of the nose from the direction of flight (rad), for waypoints without a heading.
     made : bool
-        A curve is made now; else it is to be (:meth:`mufly.mission.trajectory.Trajectory.finish_curve`).
+        Whether a curve is computed at once, or later by :meth:`mufly.mission.trajectory.Trajectory.finish_curve`.
     """
     waypoint = mission.waypoint[index]
     goal = np.array(waypoint.position_m)
@@ -369,7 +371,7 @@ def plan_leg_trajectory(
     if mission.path.kind == "straight":
         return plan_straight(start, goal, heading, limits, final_heading=final, nose_offset=nose_offset)
     before = np.array(mission.waypoint[index - 1].position_m) if index else take_off_position(mission)
-    # Chord directions through the neighbours (Catmull-Rom), so that the curve has no kink at a waypoint.
+    # Chord directions through the neighbours (Catmull-Rom) give a curve without kinks at waypoints.
     after = np.array(mission.waypoint[index + 1].position_m) if index + 1 < len(mission.waypoint) else goal
     further = np.array(mission.waypoint[index - 2].position_m) if index > 1 else take_off_position(mission)
     leaving = goal - further if index else goal - before
@@ -380,5 +382,5 @@ def plan_leg_trajectory(
 
 
 def take_off_position(mission: Mission) -> NDArray[np.float64]:
-    """Where the take-off ends, N, E, D (m)."""
+    """Return the end of the take-off, N, E, D (m)."""
     return np.array([*mission.start_m, -mission.take_off.height_m])

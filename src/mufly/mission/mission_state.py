@@ -1,4 +1,4 @@
-"""What goes in and out of the mission state machine, and what it remembers: states, signals, references, memory."""
+"""Inputs, outputs and memory of the mission state machine: states, signals, references."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Motors = Literal["off", "spin_up", "fly", "ramp_down", "blind"]
 
 
 class State(StrEnum):
-    """States of Fig. 6.15, and ``offboard``, which it does not have: a program streams set-points."""
+    """States of Fig. 6.15, and ``offboard``, in which a program streams set-points."""
 
     INIT = "init"
     TAKE_OFF = "take-off"
@@ -45,31 +45,31 @@ class Command:
     Attributes
     ----------
     start : bool
-        Take off and fly the mission; in a hover after a user's waypoint, a pause or RC, go on with it.
+        Take off and fly the mission; resume it in a hover after a user's waypoint, a pause or RC.
     first_waypoint : int or None
-        With ``start``: the waypoint (from 0) to fly to first; also while the mission is being flown.
+        With ``start``: the waypoint (from 0) to fly to first; also during the mission.
     take_off_height : float or None
         Take off to this height above the floor (m) and hold; the mission waits.
     pause : bool
-        Stop and hover; ``start`` goes on.
+        Stop and hover; ``start`` resumes.
     waypoint : (3,) tuple or None
-        Fly there (N, E, D; m) and hold; the mission waits.
+        Fly to this position (N, E, D; m) and hold; the mission waits.
     heading : float or None
-        Heading (rad) on the way to ``waypoint`` and there; without a waypoint: turn to it.
+        Heading (rad) during the flight to ``waypoint`` and there; without a waypoint: turn to it.
     return_requested : bool
-        Fly to above where it took off, and land.
+        Fly to above the take-off position and land.
     land : bool
-        Land now.
+        Land at once.
     stop_reason : str
-        Motors off at once, whatever the state; the text says why. "" is no signal.
+        Stop the motors at once, in any state; the text is the reason. "" is no signal.
     rc_active : bool
-        The pilot flies, for as long as this is set.
+        The pilot controls the vehicle while this is set.
     roll, pitch : float
         Pilot's attitude (rad).
     yaw_rate, climb_rate : float
-        Pilot's rate of turn (rad/s) and of climb (m/s, positive up).
+        Pilot's yaw rate (rad/s) and climb rate (m/s, positive up).
     program_set_point : SetPoint or None
-        A program flies, for as long as there is one.
+        Set-point of a program, which controls the vehicle while there is one.
     """
 
     start: bool = False
@@ -90,12 +90,12 @@ class Command:
 
 
 NO_COMMAND = Command()
-"""The usual one: nothing is asked for."""
+"""Command without any signal."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """What the controllers have to follow.
+    """Reference for the controllers.
 
     Attributes
     ----------
@@ -104,10 +104,10 @@ class Reference:
     heading, heading_rate : float
         Continuous heading (rad; not wrapped, near the measured one) and its rate (rad/s).
     motors : {"off", "spin_up", "fly", "ramp_down", "blind"}
-        What the motors are to do.
+        Mode of the motors.
     rc_active : bool
-        Whether roll and pitch come from the pilot in place of the position controller; height and heading are
-        followed as ever.
+        Whether roll and pitch come from the pilot instead of the position controller; height and heading are controlled
+        as usual.
     roll, pitch : float
         Pilot's attitude (rad).
     """
@@ -125,16 +125,16 @@ class Reference:
 
 @dataclass(frozen=True, slots=True)
 class MissionPlan:
-    """A mission with what its state machine has to know of the vehicle, all in SI units.
+    """A mission with the vehicle data that the state machine needs, in SI units.
 
     Attributes
     ----------
     mission : Mission
         The mission.
-    ring : Ring
+    ring : BeamRing
         The vehicle's range beams.
     low_battery_V : float
-        Voltage below which it lands (V).
+        Voltage below which the vehicle lands (V).
     """
 
     mission: Mission
@@ -148,29 +148,29 @@ class MissionPlan:
 
     @property
     def avoids_obstacles(self) -> bool:
-        """Whether it avoids obstacles."""
+        """Whether the vehicle avoids obstacles."""
         return self.mission.avoidance.enabled
 
     @property
     def scans_with_nose(self) -> bool:
-        """Whether it swings its nose to see them."""
+        """Whether the vehicle scans for obstacles with its nose."""
         return self.mission.scans_with_nose
 
 
 def prepare_plan(mission: Mission, vehicle: Vehicle) -> MissionPlan:
-    """Join a mission and the vehicle that is to fly it.
+    """Return the plan of a mission for a vehicle.
 
     Parameters
     ----------
     mission : Mission
-        Checked, as `load_mission` returns it.
+        Checked mission, as `load_mission` returns it.
     vehicle : Vehicle
-        Its range ring and battery limit are used.
+        Source of range ring and battery limit.
 
     Raises
     ------
     InputError
-        The mission says to land at a voltage above the nominal one of the battery.
+        If the mission's landing voltage is above the battery's nominal voltage.
     """
     low = mission.battery.low_V
     if low is not None and low > float(vehicle.battery.nominal_voltage):
@@ -190,78 +190,78 @@ _ORIGIN = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class MissionState:
-    """All that the state machine remembers from one step to the next.
+    """State of the mission state machine between steps.
 
     Attributes
     ----------
     state : State
         State of Fig. 6.15.
     time_s, state_entered_s, motion_clock_s : float
-        Time of the last step; when the state was entered; time on the present motion, which a gate can hold (s).
+        Time of the last step; time of entry to the state; time on the present motion, which a gate can hold (s).
     step_duration_s : float
         Length of the last step (s).
     motors : str
-        What the motors are to do.
+        Mode of the motors.
     waypoint_index : int
-        The waypoint that is flown to or comes next (from 0).
+        Present or next waypoint (from 0).
     outcome, reason : str
-        "" while it is open, then "succeeded" or "failed", and why.
+        "" while undecided, then "succeeded" or "failed", and the reason.
     finished : bool
-        Back on the floor with the motors off, after a mission.
+        On the floor with the motors off, after a mission.
     manual : bool
-        The user's signals have interrupted the mission; ``start`` goes on with it.
+        The user's signals have interrupted the mission; ``start`` resumes it.
     has_taken_off : bool
-        It has taken off, so that ``home_position`` is where it comes home to.
+        The vehicle has taken off, so ``home_position`` is valid.
     mission_begun : bool
-        The waypoints of the mission have been asked for.
+        The mission's waypoints have been requested.
     reached_count : int
-        How many of its waypoints were reached since take-off.
+        Number of waypoints reached since take-off.
     abort_reason : str
-        Why the user broke the mission off; counts once it is down.
+        Reason for the user's abort; counts after landing.
     returning_home : bool
-        The leg leads home, where it lands.
-    events : tuple of Event
+        The present leg leads home, to a landing.
+    events : tuple of FlightEvent
         Log, the latest `LOG_CAPACITY` entries.
     logged_count : int
-        How many entries there have been.
+        Number of entries ever logged.
     home_position, hold_position, goal : (3,) tuples
-        Where it stood before take-off; where it stays when it has no motion; where the state wants to be (m).
+        Position before take-off; position held without a motion; goal of the state (m).
     hold_heading : float
-        Heading to keep when there is no motion (rad).
-    motion : Trajectory, Stop or None
-        What it follows.
+        Heading held without a motion (rad).
+    motion : Trajectory, BrakingMotion or None
+        Present motion.
     hover_until_s : float
-        When a hover has lasted long enough (s).
+        End time of a hover (s).
     descent_rate, descent_acceleration : float
-        Rate of descent of a landing's reference and its change (m/s, m/s2).
+        Descent rate of a landing's reference and its derivative (m/s, m/s2).
     still_duration_s : float
-        For how long it has lain still on the floor (s).
+        Time at rest on the floor (s).
     touchdown_speed : float
-        Greatest rate of descent near the floor in this landing (m/s).
+        Greatest descent rate near the floor in this landing (m/s).
     battery_V, low_battery_duration_s : float
-        Filtered voltage; for how long it has been low (s).
-    obstacle_map : Memory
+        Filtered voltage; time for which it has been low (s).
+    obstacle_map : ObstacleMap
         Points that the beams have hit.
     next_beam : int
-        The beam that is taken next.
-    path_check : Sight
-        What the points mean for where it goes, as far as they have been gone through since the last step.
+        Next beam to be processed.
+    path_check : PathCheck
+        Check of the path against the points processed since the last step.
     detour : Detour or None
-        Way around an obstacle, or the last one on this leg.
+        Detour around an obstacle, or the last one on this leg.
     resume_state : State
-        Where to go once it is avoided.
+        State to resume after a detour.
     detour_duration_s : float
         Time spent on detours on this leg (s).
     resumed_after_detour : bool
-        The leg goes on after a detour.
+        The leg continues after a detour.
     scan_duration_s : float
-        For how long the nose has been swinging (s, at most 3; it counts down from 1 to stop).
+        Duration of the nose swing (s, at most 3; it counts down from 1 to stop).
     requested_heading : float or None
-        Heading that the user's waypoint asks for (rad).
+        Heading of the user's waypoint (rad).
     set_point_reference : TrajectoryPoint or None
         Reference that follows set-points.
     hover_after_take_off : bool
-        It was told to stop before it was off the floor, and does so once it is.
+        A pause was requested before lift-off and follows the take-off.
     """
 
     state: State = State.INIT
@@ -308,14 +308,14 @@ class MissionState:
 
 
 def initial_mission_state(plan: MissionPlan, estimate: Estimate) -> MissionState:
-    """State before the start signal: on the floor, motors off.
+    """Return the state before the start signal: on the floor, motors off.
 
     Parameters
     ----------
     plan : MissionPlan
         From `prepare_plan`.
     estimate : Estimate
-        Where it stands.
+        Present position.
     """
     n, e, d = estimate.position.tolist()
     return MissionState(
@@ -331,17 +331,17 @@ def initial_mission_state(plan: MissionPlan, estimate: Estimate) -> MissionState
 
 
 LOG_CAPACITY = 256
-"""Entries of the log that are kept; it stays that short in a flight of hours."""
+"""Number of log entries kept, also on flights of hours."""
 
 
 def log_event(s: MissionState, text: str, state: State | None = None, level: str = "info") -> MissionState:
-    """The state with one more entry in its log."""
+    """Return the state with a new log entry."""
     entry = FlightEvent(s.time_s, str(state or s.state), text, level)
     return replace(s, events=(*s.events[1 - LOG_CAPACITY :], entry), logged_count=s.logged_count + 1)
 
 
 def enter_state(s: MissionState, state: State, why: str, *, level: str = "info", **changes: object) -> MissionState:
-    """Change state, with the reason, and start the clock of its motion, which it has not unless one is given."""
+    """Enter a state with a reason and restart the motion clock; there is no motion unless one is given."""
     fresh = {
         "state": state,
         "state_entered_s": s.time_s,
@@ -356,17 +356,17 @@ def enter_state(s: MissionState, state: State, why: str, *, level: str = "info",
 def enter_hover(
     s: MissionState, why: str, at: Triple, heading: float, *, level: str = "info", **changes: object
 ) -> MissionState:
-    """Enter a hover at a place (N, E, D; m), with a heading (rad)."""
+    """Enter a hover at a position (N, E, D; m) with a heading (rad)."""
     return enter_state(s, State.HOVER, why, level=level, hold_position=at, goal=at, hold_heading=heading, **changes)
 
 
 def fail_mission(s: MissionState, why: str) -> MissionState:
-    """The mission has failed; the first reason stays."""
+    """Mark the mission as failed; the first reason stays."""
     return s if s.outcome == "failed" else replace(s, outcome="failed", reason=why)
 
 
 # ----------------------------------------------------------------------------
-# What may be asked of the vehicle in which state: one table for the state machine, the autopilot, links and pages.
+# Permitted requests in each state: one table for the state machine, the autopilot, links and pages.
 
 
 REQUEST_TABLE = """
@@ -384,28 +384,28 @@ sticks    seen      seen      seen      seen      seen      seen      seen      
 load      still     waits     waits     waits     waits     busy      busy      busy
 stop      yes       yes       yes       yes       yes       yes       yes       yes
 """
-"""What is asked, over the states of the mission; each word is a condition below, which says why not."""
+"""Permitted requests by state; each word names a condition below, which gives the reason for a refusal."""
 
 GO_AROUND_HEIGHT_M = 0.4
-"""Height above the floor from which a landing can be broken off (m)."""
+"""Height above the floor above which a landing can be aborted (m)."""
 
 OFF_FLOOR_HEIGHT_M = 0.2
-"""Height above where it stood from which a take-off can be broken off (m)."""
+"""Height above the standing position above which a take-off can be aborted (m)."""
 
 
 @dataclass(frozen=True, slots=True)
 class RequestAnswer:
-    """Whether something asked for is done; ``bool(answer)`` says so.
+    """Answer to a request; ``bool(answer)`` is True if it is accepted.
 
     Attributes
     ----------
     accepted : bool
     reason : str
-        Why not, with the remedy; or what to know about it.
+        Reason for a refusal, with the remedy; or a remark on an accepted request.
     is_temporary : bool
-        Refused for now; the same may be accepted later.
+        The request may be accepted later.
     short_reason : str
-        Why not, in two or three words for a button.
+        Reason in two or three words for a button.
     """
 
     accepted: bool
@@ -421,17 +421,17 @@ REQUEST_ACCEPTED = RequestAnswer(True)
 
 
 def deny_request(reason: str) -> RequestAnswer:
-    """Refused, whenever it is asked."""
+    """Return a permanent refusal."""
     return RequestAnswer(False, reason)
 
 
 def reject_temporarily(reason: str, brief: str = "") -> RequestAnswer:
-    """Refused for now."""
+    """Return a temporary refusal."""
     return RequestAnswer(False, reason, is_temporary=True, short_reason=brief or reason)
 
 
 class VehicleRequest(StrEnum):
-    """What may be asked of a vehicle."""
+    """Requests to a vehicle."""
 
     ARM = "arm"
     DISARM = "disarm"
@@ -448,7 +448,7 @@ class VehicleRequest(StrEnum):
 
 
 class RequestContext(Protocol):
-    """What decides: a :class:`MissionState`, or any record of a flight that has these."""
+    """Facts for the decision: a :class:`MissionState`, or any record of a flight with these attributes."""
 
     @property
     def state(self) -> str: ...
@@ -472,7 +472,7 @@ class _RequestFacts:
 
 
 MOTORS_STOPPING = "its motors are being stopped; ask again"
-"""Why nothing is taken between a stop and the step that carries it out."""
+"""Reason for refusals between a stop and the step that executes it."""
 
 _MEASUREMENTS_LOST = reject_temporarily("measurements are lost; it comes down by itself", "comes down")
 
@@ -482,7 +482,7 @@ def _allow_always(f: _RequestFacts) -> RequestAnswer:
 
 
 def _allow_at_rest(f: _RequestFacts) -> RequestAnswer:
-    # Armed now, motors that still run would be given back what was taken from them.
+    # Arming would restore power to motors that are being stopped.
     return REQUEST_ACCEPTED if f.armed or f.motors == "off" else reject_temporarily(MOTORS_STOPPING, "motors running")
 
 
@@ -515,7 +515,7 @@ def _deny_manual(f: _RequestFacts) -> RequestAnswer:
 
 
 def _allow_unless_failed(f: _RequestFacts) -> RequestAnswer:
-    """It knows where it is, and has not given up."""
+    """Accept if the vehicle knows its position and the mission has not failed."""
     failed = f.context.outcome == "failed"
     return _allow_unless_blind(f) and (
         reject_temporarily(f"it lands: {f.context.reason}", "landing") if failed else REQUEST_ACCEPTED
@@ -529,7 +529,7 @@ def _deny_landing(f: _RequestFacts) -> RequestAnswer:
 
 
 def _allow_go_around(f: _RequestFacts) -> RequestAnswer:
-    """Still high enough for a landing to be broken off."""
+    """Accept if the height suffices to abort a landing."""
     if f.context.outcome == "failed" or f.motors != "fly":
         return _deny_landing(f)
     low = f.height_m <= GO_AROUND_HEIGHT_M
@@ -541,7 +541,7 @@ def _allow_go_around(f: _RequestFacts) -> RequestAnswer:
 
 
 def _allow_lifted(f: _RequestFacts) -> RequestAnswer:
-    """Off the floor for good."""
+    """Accept if the vehicle is safely off the floor."""
     if f.motors == "spin_up" or f.height_m < OFF_FLOOR_HEIGHT_M:
         return _allow_unless_failed(f) and reject_temporarily(
             f"taking off; wait until it is {OFF_FLOOR_HEIGHT_M:g} m off the floor", "taking off"
@@ -560,7 +560,7 @@ def _allow_motors_off(f: _RequestFacts) -> RequestAnswer:
 
 
 def _allow_mission_waiting(f: _RequestFacts) -> RequestAnswer:
-    """It takes off by itself, hovers or flies where it was sent, and no mission is being flown."""
+    """Accept if the vehicle takes off, hovers or flies by user signals, and no mission is in progress."""
     if f.motors not in ("spin_up", "fly"):
         return _deny_busy(f)
     return (
@@ -607,19 +607,19 @@ def check_request(
     armed: bool = True,
     flying: bool | None = None,
 ) -> RequestAnswer:
-    """Whether the state that a vehicle is in lets it do something; what else there is against it is not asked here.
+    """Return whether the vehicle's state permits a request; other obstacles to it are not checked here.
 
     Parameters
     ----------
-    ask : Ask
-    situation : Situation
-        ``state`` may be one that is not ours (a flight mode of another autopilot): that counts as a hover or as the
-        floor. ``motors`` may be "" where it is not known.
+    ask : VehicleRequest
+    situation : RequestContext
+        ``state`` may be a flight mode of another autopilot: it counts as a hover or as on the floor. ``motors`` may be
+        "" if unknown.
     height_m : float
-        Above where it stood (m); NaN where it is not known.
+        Height above the standing position (m); NaN if unknown.
     armed : bool
     flying : bool, optional
-        Whether it is off the floor; by default its state says so.
+        Whether the vehicle is off the floor; derived from the state by default.
     """
     state = situation.state
     up = state not in ("", State.INIT) if flying is None else flying

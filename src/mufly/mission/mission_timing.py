@@ -1,13 +1,13 @@
-"""How long does a mission take? The one reckoning that every display and every judgement of endurance reads.
+"""Expected duration of a mission, used by all displays and endurance checks.
 
-From the start signal until it has landed with its rotors at rest: speeding up the rotors, the climb, each leg as its
-reference is flown (`mufly.mission.trajectory`: turn and height on the spot, then the way, from rest to rest), looking
-around before a leg where it scans, the way around obstacles that the file names, settling, waits, the way home, and
-the descent by the law of the landing with its slow end. Own derivation.
+The duration runs from the start signal until landing with the rotors at rest. It includes spin-up, climb, each leg's
+reference (`mufly.mission.trajectory`: turn and height on the spot, then the path, from rest to rest), a scan before a
+leg if the mission scans, detours around obstacles in the file, settling, waits, the return, and the landing with its
+slow end. Own derivation.
 
-A way around an obstacle: straight on until the contour at `FOLLOW_MARGIN_M` beyond the clearance, along that on the
-shorter side until the straight way to the goal keeps the clearance, then straight on from rest. So flies
-:mod:`mufly.mission.detour`, which sees the obstacle only as it comes.
+A detour around an obstacle runs straight to the contour at `FOLLOW_MARGIN_M` beyond the clearance. It follows the
+contour on the shorter side until the straight path to the goal keeps the clearance, then continues straight from rest.
+This is the behaviour of :mod:`mufly.mission.detour`, which however detects the obstacle only in flight.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ SETTLE_TIME_S = 0.25
 """Mean time from the end of a leg's reference until the waypoint counts as reached (s)."""
 
 LOOK_AROUND_TIME_S = 3.0
-"""Time that a scanning helicopter looks around before it leaves (s)."""
+"""Time of a scan before departure (s)."""
 
 RAMP_DOWN_TIME_S = 1.0
-"""Time that the rotors take to stop after touchdown (s)."""
+"""Time of the rotors' run-down after touchdown (s)."""
 
 DESCENT_LAG_S = 0.15
-"""Time constant with which a landing goes over to another rate of descent (s)."""
+"""Time constant of changes of the descent rate in a landing (s)."""
 
 _TOUCHDOWN_HEIGHT_M, _INTEGRATION_STEP_S = 0.03, 0.02
 _ARC_POINT_COUNT = 12
@@ -50,7 +50,7 @@ _Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class PlannedLeg:
-    """One waypoint in the plan: its trajectory and when the wait there is over (s since the start signal)."""
+    """A planned leg: waypoint, trajectory, and end of the wait there (s since the start signal)."""
 
     waypoint_number: int
     trajectory: Trajectory
@@ -61,20 +61,20 @@ class PlannedLeg:
 
 @dataclass(frozen=True, slots=True)
 class MissionTiming:
-    """When a mission is where; times in s since the start signal.
+    """Times of a mission in s since the start signal.
 
     Attributes
     ----------
     take_off_done_s : float
-        The take-off has reached its height.
-    legs : tuple of Leg
-        One a waypoint.
+        The take-off reaches its height.
+    legs : tuple of PlannedLeg
+        One leg a waypoint.
     above_landing_s : float
-        Above where it lands: after the last wait or, with ``at_end = "return"``, after the way home.
+        Above the landing place: after the last wait or, with ``at_end = "return"``, after the return leg.
     landed_s : float
         Landed, rotors at rest.
     path_length_m : float
-        Length of the reference from lift-off to touchdown, without ways around obstacles (m).
+        Length of the reference from lift-off to touchdown, without detours (m).
     """
 
     take_off_done_s: float
@@ -85,19 +85,19 @@ class MissionTiming:
 
 
 def compute_timing(mission: Mission) -> MissionTiming:
-    """Return when a mission is where, as it is expected to be flown.
+    """Return the expected times of a mission.
 
     Parameters
     ----------
     mission : Mission
-        With the limits that are flown: those of the file, brought down to what the controllers can follow
+        Mission with the limits as flown: those of the file, reduced to the controllers' capability
         (:func:`mufly.mission.reduce_limits`).
 
     Examples
     --------
-    >>> from mufly.mission import expected_timing, load_mission
-    >>> round(expected_timing(load_mission("demonstration")).landed_s)
-    77
+    >>> from mufly.mission import compute_timing, load_mission
+    >>> round(compute_timing(load_mission("demonstration")).landed_s)
+    78
     """
     plan = plan_legs(mission)
     up_s = compute_take_off_time(mission)
@@ -117,13 +117,13 @@ def compute_timing(mission: Mission) -> MissionTiming:
 
 
 def compute_take_off_time(mission: Mission) -> float:
-    """Time from the start signal until the take-off has reached its height (s)."""
+    """Return the time from the start signal until the take-off reaches its height (s)."""
     climb = plan_straight((0.0, 0.0, 0.0), (0.0, 0.0, -mission.take_off.height_m), 0.0, mission.trajectory_limits)
     return SPIN_UP_S + climb.duration_s
 
 
 def plan_legs(mission: Mission) -> list[PlannedLeg]:
-    """The planned legs, one a waypoint, with the times at which they are flown."""
+    """Return the planned legs, one a waypoint, with their times."""
     position, heading = take_off_position(mission), math.radians(mission.start_heading_deg)
     time = compute_take_off_time(mission) + mission.take_off.wait_s
     plan = []
@@ -138,13 +138,13 @@ def plan_legs(mission: Mission) -> list[PlannedLeg]:
 
 
 def plan_return_leg(mission: Mission, heading: float = 0.0) -> Trajectory | None:
-    """The way back from the last waypoint to above the start, as planned, where the mission ends with one.
+    """Return the planned leg from the last waypoint to above the start; None if the mission does not return.
 
     Parameters
     ----------
     mission : Mission
     heading : float
-        At the last waypoint (rad).
+        Heading at the last waypoint (rad).
     """
     if mission.at_end != "return" or not mission.waypoint:
         return None
@@ -153,21 +153,21 @@ def plan_return_leg(mission: Mission, heading: float = 0.0) -> Trajectory | None
 
 
 def compute_landing_rate(above: float, descent: float, touchdown: float, acceleration: float) -> float:
-    """Rate of descent that a landing asks for at a height ``above`` the floor (m/s).
+    """Return the descent rate of a landing at a height ``above`` the floor (m/s).
 
-    v^2 = v1^2 + 2 (a/2) h: half the acceleration brings it from descent to touchdown speed where that begins.
+    v^2 = v1^2 + 2 (a/2) h: half the acceleration reduces descent to touchdown speed at the slow landing height.
     """
     return min(descent, math.sqrt(touchdown * touchdown + max(0.0, above - SLOW_LANDING_HEIGHT_M) * acceleration))
 
 
 def compute_landing_time(height: float, mission: Mission) -> float:
-    """Time from the land signal, at rest at a ``height`` (m), until the rotors are at rest (s).
+    """Return the time from the land signal, at rest at a ``height`` (m), until the rotors are at rest (s).
 
-    The law is that of :func:`mufly.mission.phases.step_landing`.
+    The landing law is that of :func:`mufly.mission.phases.step_landing`.
     """
     q = mission.limits
     a, steady = q.climb_acceleration_m_s2, q.descent_m_s
-    # Where it sinks at a steady rate nothing happens that a step would tell.
+    # The phase of constant descent rate is skipped analytically.
     slow = SLOW_LANDING_HEIGHT_M + (steady * steady - q.touchdown_m_s * q.touchdown_m_s) / a
     skipped = max(0.0, height - slow - 4.0 * steady)
     above, speed, rate, time = height - skipped, 0.0, 0.0, skipped / steady
@@ -182,7 +182,7 @@ def compute_landing_time(height: float, mission: Mission) -> float:
 
 
 def compute_reach_time(mission: Mission, here: ArrayLike, place: ArrayLike) -> float:
-    """Time to fly from a place (3,) to another (3,) with a mission's limits, and to land there (s)."""
+    """Return the time to fly from one place (3,) to another (3,) with a mission's limits, and to land there (s)."""
     a, b = (np.asarray(v, dtype=np.float64) for v in (here, place))
     start = np.array([a[0], a[1], min(float(a[2]), -mission.take_off.height_m)]) if a[2] > -0.2 else a
     way = plan_straight(start, b, 0.0, mission.trajectory_limits)
@@ -190,8 +190,7 @@ def compute_reach_time(mission: Mission, here: ArrayLike, place: ArrayLike) -> f
 
 
 def _leg_time(mission: Mission, way: Trajectory, limits: TrajectoryLimits, number: int) -> tuple[float, float]:
-    """Time (s) and length of the reference (m) of a leg (``waypoint_number`` from 0), with what its reference does not
-    tell."""
+    """Return the time (s) and reference length (m) of a leg (``number`` from 0), with scan, detours and settling."""
     length = (
         way.path_profile.distance
         if way.spline_curve is not None
@@ -200,16 +199,16 @@ def _leg_time(mission: Mission, way: Trajectory, limits: TrajectoryLimits, numbe
     look_s = LOOK_AROUND_TIME_S if mission.scans_with_nose and way.path_profile.distance > 0.0 else 0.0
     around_s, near = _detour_time(mission, way, limits)
     if near and number:
-        look_s = 0.0  # an obstacle so near was seen from the leg before, and is gone around at once
+        look_s = 0.0  # the previous leg detected such a near obstacle, and the detour begins at once
     return way.duration_s + look_s + around_s + SETTLE_TIME_S, length
 
 
 # ----------------------------------------------------------------------------
-# Around the obstacles that a file names.
+# Detours around obstacles in the file.
 
 
 def _detour_time(mission: Mission, way: Trajectory, limits: TrajectoryLimits) -> tuple[float, bool]:
-    """How much longer a leg takes (s) for the obstacles on its level way; whether one is near its start."""
+    """Return a leg's extra time (s) for obstacles on its level path, and whether one is near its start."""
     clear, world = mission.avoidance.clearance_m, mission.world
     if not mission.avoidance.enabled or way.path_profile.distance == 0.0 or not (world.boxes or world.cylinders):
         return 0.0, False
@@ -223,7 +222,7 @@ def _detour_time(mission: Mission, way: Trajectory, limits: TrajectoryLimits) ->
         along, leave = _contour_detour(world, which, entry, goal, clear)
         straight_on = _distance_between(entry, at)
         near = near or (k == 0 and straight_on < LOOK_AHEAD_M)
-        # It comes to rest before it goes on, and goes along the contour at its own speed.
+        # The reference comes to rest before it continues, and follows the contour at its own speed.
         before = make_profile(_distance_between(goal, at), limits.speed, limits.acceleration).duration_s
         ramp = make_profile(math.inf, mission.avoidance.speed_m_s, limits.acceleration).ramp_s
         after = make_profile(_distance_between(goal, leave), limits.speed, limits.acceleration).duration_s
@@ -242,7 +241,7 @@ def _single_obstacle_world(world: World, k: int) -> World:
 
 
 def _first_obstacle(world: World, at: _Array, goal: _Array, clear: float) -> tuple[int, _Array] | None:
-    """The obstacle that is met first on a line, and where its contour is; None: the line is clear."""
+    """Return the first obstacle on a line and the point where its contour is met; None if the line is clear."""
     count = max(2, math.ceil(_distance_between(goal, at) / 0.02) + 1)
     line = at + np.linspace(0.0, 1.0, count)[:, None] * (goal - at)
     met: tuple[int, int] | None = None
@@ -257,7 +256,7 @@ def _first_obstacle(world: World, at: _Array, goal: _Array, clear: float) -> tup
 
 
 def _outline_around_obstacle(obstacle: Box | Cylinder, off: float) -> _Array:
-    """Points (n, 2) of the level contour at a distance from an obstacle, all around."""
+    """Return points (n, 2) of the closed level contour at a distance from an obstacle."""
     if isinstance(obstacle, Cylinder):
         turn = np.linspace(0.0, math.tau, 8 * _ARC_POINT_COUNT, endpoint=False)
         return np.array(obstacle.centre[:2]) + (obstacle.radius + off) * np.stack([np.cos(turn), np.sin(turn)], 1)
@@ -270,7 +269,7 @@ def _outline_around_obstacle(obstacle: Box | Cylinder, off: float) -> _Array:
 
 
 def _contour_detour(world: World, k: int, entry: _Array, goal: _Array, clear: float) -> tuple[float, _Array]:
-    """Length along the contour of obstacle ``k`` on the shorter side (m), and where it is left for the goal."""
+    """Return the length along the contour of obstacle ``k`` on the shorter side (m), and the point of departure."""
     n = len(world.boxes)
     obstacle = world.boxes[k] if k < n else world.cylinders[k - n]
     outline, alone = _outline_around_obstacle(obstacle, clear + FOLLOW_MARGIN_M), _single_obstacle_world(world, k)

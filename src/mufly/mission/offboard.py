@@ -1,21 +1,21 @@
-"""From set-points that a program streams to a reference that the helicopter can follow.
+"""Conversion of set-points streamed by a program to a reference that the helicopter can follow.
 
-Fig. 6.15 has no such state: there the user gives waypoints, and the helicopter makes the trajectory. Here somebody else
-makes it, and says where to be, how fast, or both, some ten times a second or more. The reference must not jump with it.
-So it is a point with a velocity v that goes after the wanted velocity w, with no more than the acceleration a:
+Fig. 6.15 has no such state: there the user gives waypoints, and the helicopter plans the trajectory. In offboard mode a
+program plans it and sends positions, velocities, or both, at ten or more messages a second. The reference must not
+jump with them. So it is a point with a velocity v that follows the desired velocity w, with at most the acceleration a:
 
     w = v_given + s(g) g / |g|,     v' = clip(2 b (w - v), a),     x' = v.
 
-g is the gap to the given position (zero on an axis without one) and s the speed at which half of a still brakes in
-time, linear near the goal, so that it comes to rest like a critically damped second-order lag of bandwidth b:
+g is the gap to the given position (zero on an axis without one) and s the speed from which half of a brakes in time.
+Near the goal s is linear, so that the reference settles like a critically damped second-order lag of bandwidth b:
 
     s(g) = k g                             for g < g0 = (a / 2) / k^2,   k = b / 2
     s(g) = sqrt(2 (a / 2) (g - g0 / 2))    beyond.
 
-w is limited in length to the greatest speed; v moves along a straight line towards w, never past it, so it stays within
+w is limited in length to the maximum speed. v moves along a straight line towards w, never past it, so v stays within
 any limit that w keeps (a disc is convex). The same holds for height, between its own limits, and for the heading. At
-both ends of the permitted height s() of the distance to it bounds the speed towards it. Where the helicopter trails
-its reference by more than half a metre, the reference waits for it. Own derivation.
+both ends of the permitted height s() of the distance limits the speed towards it. If the helicopter trails its
+reference by more than half a metre, the reference waits. Own derivation.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ MAX_HEIGHT_M = 50.0
 """Greatest height of a reference above the floor (m)."""
 
 TRACKER_BANDWIDTH_RAD_S = 3.0
-"""b (rad/s): half of what the position loop has, so that the loop does not lag behind the end of a braking."""
+"""b (rad/s): half the position loop's bandwidth, so that the loop does not lag at the end of braking."""
 
 _MAX_STEP_S = 0.02
 _MAX_LAG_M = 0.5
@@ -44,15 +44,14 @@ _NOT_GIVEN = (math.nan, math.nan, math.nan)
 
 @dataclass(frozen=True, slots=True)
 class SetPoint:
-    """What a program wants at this moment; NaN on an axis, or None, says nothing about it.
+    """Set-point of a program; NaN on an axis, or None, leaves it free.
 
     Attributes
     ----------
     position_m, velocity_m_s : (3,) tuple or None
-        N, E, D. With both on one axis the velocity is that of the moving position. An axis without either comes to
-        rest.
+        N, E, D. With both on one axis the velocity is that of the moving position. A free axis comes to rest.
     heading_rad, yaw_rate_rad_s : float or None
-        From north to east; likewise.
+        Heading from north to east, and its rate; likewise.
     """
 
     position_m: Triple | None = None
@@ -62,7 +61,7 @@ class SetPoint:
 
 
 def set_point_fault(s: SetPoint) -> str:
-    """What is wrong with a set-point, in words; "" if nothing is."""
+    """Return the fault of a set-point as a text; "" if there is none."""
     position, velocity = s.position_m or _NOT_GIVEN, s.velocity_m_s or _NOT_GIVEN
     if len(position) != 3 or len(velocity) != 3:
         return "position and velocity need three numbers each, N, E, D"
@@ -85,7 +84,7 @@ def set_point_fault(s: SetPoint) -> str:
 
 
 def needs_lift_off(s: SetPoint, standing: Triple) -> bool:
-    """Whether a helicopter that stands at ``standing`` (N, E, D; m) has to lift off for it."""
+    """Return whether a helicopter at rest at ``standing`` (N, E, D; m) must lift off for a set-point."""
     higher = s.position_m is not None and s.position_m[2] < min(standing[2] - 0.1, -MIN_WAYPOINT_HEIGHT_M + 1e-9)
     return higher or (s.velocity_m_s is not None and s.velocity_m_s[2] < -0.01)
 
@@ -98,22 +97,22 @@ def follow_set_point(
     dt: float,
     hold_off: Callable[[float, float], tuple[float, float]] | None = None,
 ) -> TrajectoryPoint:
-    """Advance the reference.
+    """Propagate the reference by one time step.
 
     Parameters
     ----------
-    tracker : Point
-        The reference as it was; its acceleration is smoothed, for feedforward.
+    tracker : TrajectoryPoint
+        Previous reference; its acceleration is smoothed, for feedforward.
     wanted : SetPoint
-        Without fault.
-    limits : Limits
-        What the reference may do.
+        Set-point without fault.
+    limits : TrajectoryLimits
+        Limits of the reference.
     measured : (3,) tuple
-        Where the helicopter is, N, E, D (m).
+        Position of the helicopter, N, E, D (m).
     dt : float
-        Time step (s); long ones are taken in parts.
+        Time step (s); long steps are divided.
     hold_off : callable, optional
-        Changes a wanted velocity N, E (m/s) to one that hits nothing.
+        Changes a desired velocity N, E (m/s) to one that avoids obstacles.
     """
     parts = max(1, math.ceil(dt / _MAX_STEP_S - 1e-9))
     for _ in range(parts if dt > 0.0 else 0):
@@ -144,7 +143,7 @@ def _step_set_point(
     slow = share * (limits.speed / fast if fast > limits.speed else 1.0)
     an, ae = _limited_acceleration(slow * wn - vn, slow * we - ve, limits.acceleration, dt)
 
-    # The greatest height first: where both are broken (a mad estimate), down is wrong and up is worse.
+    # The height limit comes first: if both are violated (a wild estimate), descending is the lesser risk.
     goal = min(max(target[2], -MAX_HEIGHT_M), -MIN_WAYPOINT_HEIGHT_M)
     gd = _gap_to(goal, d) if not math.isnan(target[2]) else 0.0
     wd = _or_zero(given[2]) + math.copysign(_approach_speed(abs(gd), limits.climb_acceleration), gd)
@@ -183,19 +182,19 @@ def _or_zero(x: float) -> float:
 
 
 def _approach_speed(gap: float, acceleration: float) -> float:
-    """s(g): speed from which half the acceleration brakes in time."""
+    """Return s(g): the speed from which half the acceleration brakes in time."""
     half, slope = 0.5 * acceleration, 0.5 * TRACKER_BANDWIDTH_RAD_S
     linear = half / (slope * slope)
     return slope * gap if gap < linear else math.sqrt(2.0 * half * (gap - 0.5 * linear))
 
 
 def _bound_velocity(gap: float, limits: TrajectoryLimits) -> float:
-    """Velocity with which a bound at ``gap`` (m, down) may be approached, or has to be returned to."""
+    """Return the permitted velocity towards a bound at ``gap`` (m, down), or the velocity back to it."""
     return math.copysign(_approach_speed(abs(gap), limits.climb_acceleration), gap)
 
 
 def _limited_acceleration(dx: float, dy: float, most: float, dt: float) -> tuple[float, float]:
-    """Acceleration towards a change of velocity (dx, dy): at most ``most``, and never past it."""
+    """Return the acceleration towards a change of velocity (dx, dy): at most ``most``, without overshoot."""
     gain = min(2.0 * TRACKER_BANDWIDTH_RAD_S, 1.0 / dt)
     size = gain * vector_length(dx, dy)
     scale = gain * (most / size if size > most else 1.0)

@@ -1,6 +1,6 @@
-"""What each state of the mission does by itself, how it is entered (Fig. 6.15), and the reference that comes of it.
+"""Behaviour of each mission state, the transitions into it (Fig. 6.15), and the resulting reference.
 
-Every function takes a state and returns the next one; nothing is kept anywhere else. What the user's signals do is in
+Every function takes a state and returns the next one; there is no other memory. The user's signals are handled in
 :mod:`mufly.mission.state_machine`.
 """
 
@@ -41,13 +41,13 @@ from mufly.mission.trajectory import (
 from mufly.portable_math import sine_cosine, vector_length
 
 NOSE_SWING_PERIOD_S = 4.0
-"""Period of the nose's swing while scanning; every direction is looked at once in half of it (s)."""
+"""Period of the nose swing while scanning (s); half of it covers every direction."""
 
 _ZERO_VECTOR = (0.0, 0.0, 0.0)
 
 
 def current_reference(s: MissionState) -> TrajectoryPoint:
-    """Where the reference is now, without the swing of the nose."""
+    """Return the present reference, without the swing of the nose."""
     if s.state is State.OBSTACLE and s.detour is not None:
         return TrajectoryPoint(s.detour.position, s.detour.velocity, s.detour.acceleration, s.hold_heading, 0.0)
     if s.state is State.OFFBOARD and s.set_point_reference is not None:
@@ -68,10 +68,10 @@ def current_reference(s: MissionState) -> TrajectoryPoint:
 
 
 def predict_reference(s: MissionState) -> TrajectoryPoint:
-    """Where the reference is once this step is over, as it moves now: what another motion has to go on from.
+    """Return the reference at the end of this step, from which another motion must continue.
 
-    A motion's clock has been moved on already; what a state integrates by itself (a detour, a landing's height, the
-    tracker of set-points) has not.
+    A motion's clock is already advanced. References that a state integrates itself (a detour, a landing's height, the
+    tracker of set-points) are not.
     """
     at = current_reference(s)
     if s.state not in (State.OBSTACLE, State.LANDING, State.OFFBOARD):
@@ -82,19 +82,19 @@ def predict_reference(s: MissionState) -> TrajectoryPoint:
 
 
 def has_departed(s: MissionState) -> bool:
-    """Whether height and heading are done and the way begins, on a trajectory."""
+    """Return whether a trajectory has finished height and heading and begun its path."""
     return isinstance(s.motion, Trajectory) and s.motion_clock_s >= s.motion.departure_s
 
 
 def is_scanning(plan: MissionPlan, s: MissionState) -> bool:
-    """Whether the nose is to swing: around an obstacle, and on a level way where the mission scans."""
+    """Return whether the nose swings: around an obstacle, and on a level path if the mission scans."""
     return s.state is State.OBSTACLE or (plan.scans_with_nose and s.state is State.WAYPOINT and has_departed(s))
 
 
 def scan_yaw(plan: MissionPlan, s: MissionState) -> tuple[float, float]:
-    """Angle and rate of the nose's swing (rad, rad/s): half the gap between two beams to either side.
+    """Return angle and rate of the nose swing (rad, rad/s), with an amplitude of half the gap between two beams.
 
-    It grows to that, and ends, within a second.
+    The amplitude grows and decays within a second.
     """
     if s.scan_duration_s <= 0.0:
         return 0.0, 0.0
@@ -106,7 +106,7 @@ def scan_yaw(plan: MissionPlan, s: MissionState) -> tuple[float, float]:
 
 
 def make_reference(plan: MissionPlan, s: MissionState, m: Estimate, c: Command) -> Reference:
-    """What the controllers have to follow now."""
+    """Return the reference for the controllers."""
     if s.state is State.RC:
         position = np.array((m.position[0], m.position[1], s.hold_position[2]))
         velocity = np.array((m.velocity[0], m.velocity[1], s.descent_rate))
@@ -136,7 +136,7 @@ def make_reference(plan: MissionPlan, s: MissionState, m: Estimate, c: Command) 
     )
 
 
-# Down to the floor: a landing, and the way down when the estimate is lost
+# Descent to the floor: landing, and descent without an estimate
 
 
 _STILL_DURATION_S = 0.3
@@ -145,21 +145,21 @@ _DRIFT_CHECK_HEIGHT_M, _DRIFT_SPEED_M_S, _DRIFT_DESCENT_M_S = (
     0.6,
     0.3,
     0.05,
-)  # it does not touch down while it drifts
-_MAX_DESCENT_LAG_M = 0.25  # how far it may be above where it is to be while it sinks
+)  # below this height (m), above this drift (m/s), the descent rate is limited to this (m/s)
+_MAX_DESCENT_LAG_M = 0.25  # largest height error during descent
 _STANDING_HEIGHT_M, _PRESSED_DEPTH_M, _PRESSED_DURATION_S = (
     0.02,
     0.03,
     0.05,
-)  # on an estimate: lower than, told to be lower by, for
-_CERTAIN_HEIGHT_M = 0.05  # ... whose height is this certain (standard deviation)
+)  # standing on the floor by the estimate: height, reference below it, duration
+_CERTAIN_HEIGHT_M = 0.05  # largest height deviation for this test
 
 HARD_TOUCHDOWN_M_S = 0.3
-"""Speed above which a touchdown is called hard (m/s): a fifth above the greatest that a mission may ask for."""
+"""Speed above which a touchdown counts as hard (m/s): a fifth above the greatest touchdown speed of missions."""
 
 
 def start_landing(s: MissionState, why: str, *, level: str = "info") -> MissionState:
-    """Begin to sink, above where it comes to rest."""
+    """Start a landing below the point where the reference comes to rest."""
     if s.motors == "spin_up":
         s = fail_mission(s, why) if s.mission_begun else s
         return enter_state(s, State.INIT, why, level=level, motors="ramp_down")
@@ -184,12 +184,12 @@ def start_landing(s: MissionState, why: str, *, level: str = "info") -> MissionS
 
 
 def step_landing(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionState:
-    """Sink, slower before the floor, and go on below it until the legs carry the weight; then stop the rotors.
+    """Descend, slower near the floor, then press down until the legs carry the weight, and stop the rotors.
 
-    On an estimate whose height is certain they stop as soon as it stands 3 cm higher than it is told to, within 2 cm
-    of the floor: it may drift, unknown to itself, and a controller that steers on after a place that is not there
-    lifts it over the leg that rubs. With friction mu, a centre of mass h above the floor and legs l aside a slide does
-    not tip it while mu h < l, but for what the rotors add: so they are not to lift while it slides.
+    With a certain height estimate they stop as soon as the vehicle is 3 cm above its reference, within 2 cm of the
+    floor. An undetected drift would otherwise make the controller chase a false position and lift the vehicle over the
+    rubbing leg. With friction mu, a centre of mass h above the floor and legs at distance l, a slide does not tip the
+    vehicle while mu h < l, without rotor thrust: so the rotors must not lift while it slides.
     """
     if s.motors == "ramp_down":
         if s.motion_clock_s < RAMP_DOWN_TIME_S:
@@ -208,9 +208,9 @@ def step_landing(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> 
     speed = s.descent_rate + rate * dt
     depth = s.hold_position[2] + speed * dt
     lying = m.position[2] > s.home_position[2] - 0.03 and depth > s.home_position[2] + 0.1
-    # What does not follow lies on something, or lower than it believes.
+    # A vehicle that does not follow lies on an object, or is lower than estimated.
     lying = lying or depth > m.position[2] + _MAX_DESCENT_LAG_M
-    # Who does not know how fast it drifts must not steer with a leg on the floor.
+    # With unknown drift the vehicle must not be steered with a leg on the floor.
     stands = m.auxiliary_states is not None and m.position[2] > s.home_position[2] - _STANDING_HEIGHT_M
     stands = (
         stands
@@ -219,7 +219,7 @@ def step_landing(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> 
     )
     still = s.still_duration_s + dt if stands or (lying and abs(m.velocity[2]) < 0.05) else 0.0
     near = m.position[2] > s.home_position[2] - _NEAR_FLOOR_HEIGHT_M
-    if m.auxiliary_states is not None:  # a filter that does not know of the floor yet goes on falling for a moment
+    if m.auxiliary_states is not None:  # a filter that has not detected the floor keeps falling for a moment
         near = near and m.position[2] < s.home_position[2] - LIFT_OFF_HEIGHT_M
     impact = max(s.touchdown_speed, float(m.velocity[2])) if near else s.touchdown_speed
     s = replace(
@@ -241,7 +241,7 @@ def _handle_touchdown(s: MissionState) -> MissionState:
 
 
 def _judge_outcome(s: MissionState) -> MissionState:
-    """How the flight went, now that it is down."""
+    """Set the outcome of the flight after landing."""
     if s.outcome != "":
         return s
     if s.abort_reason:
@@ -254,13 +254,13 @@ def _judge_outcome(s: MissionState) -> MissionState:
 
 
 def enter_blind_descent(s: MissionState, time_s: float, why: str) -> MissionState:
-    """Measurements are lost in flight: the flight software brings it down by itself."""
+    """Enter the descent without measurements, which the flight software controls by itself."""
     s = fail_mission(replace(s, time_s=time_s), why)
     return enter_state(s, State.LANDING, why, level="error", motors="blind", detour=None)
 
 
 def fail_and_land(s: MissionState, why: str) -> MissionState:
-    """It cannot go on: the mission has failed, and it comes down. A pilot is told, and decides."""
+    """Fail the mission and land; under RC only report the reason to the pilot."""
     if s.state in (State.INIT, State.RC):
         return log_event(s, why, level="error")
     s = fail_mission(s, why)
@@ -268,7 +268,7 @@ def fail_and_land(s: MissionState, why: str) -> MissionState:
 
 
 def finish_blind_descent(s: MissionState, time_s: float) -> MissionState:
-    """By now it has come down."""
+    """Finish the descent without measurements after its time."""
     s = replace(s, time_s=time_s)
     return enter_state(s, State.INIT, LogMessage.MOTORS_OFF_AFTER_DESCENT(), motors="off", finished=True)
 
@@ -280,7 +280,7 @@ _SETTLE_BEFORE_LANDING_S = 2.0
 
 
 def measured_position(m: Estimate) -> Triple:
-    """Position as three numbers (N, E, D; m)."""
+    """Return the measured position as three numbers (N, E, D; m)."""
     n, e, d = m.position.tolist()
     return n, e, d
 
@@ -289,34 +289,35 @@ def measured_position(m: Estimate) -> Triple:
 
 
 LIFT_OFF_HEIGHT_M, TIPPING_RATE_RAD_S = 0.02, 0.15
-"""Height above where it stood from which it counts as off the floor (m); rate in roll or pitch at which it leaves it on
-one side (rad/s): the wind's drag on the rotors tips it over its legs once these carry little."""
+"""Height above the standing position that counts as lift-off (m); roll or pitch rate that counts as tipping (rad/s).
+
+Wind drag on the rotors tips a vehicle whose legs carry little weight."""
 
 
 def has_lifted_off(s: MissionState, m: Estimate) -> bool:
-    """Whether it is off the floor."""
+    """Return whether the vehicle is off the floor."""
     return bool(m.position[2] < s.home_position[2] - LIFT_OFF_HEIGHT_M)
 
 
 def is_tipping(m: Estimate) -> bool:
-    """Whether it turns on its legs, light as it is by now: what does not steer against that tips over."""
+    """Return whether the vehicle, nearly lifted, rotates on its legs and needs attitude control."""
     return bool(max(abs(m.rates[0]), abs(m.rates[1])) > TIPPING_RATE_RAD_S)
 
 
 def has_spun_up(s: MissionState, m: Estimate) -> bool:
-    """Whether the rotors are up to speed, or lift it already: one lighter than its controllers were designed for."""
+    """Return whether the rotors are up to speed, or already lift a vehicle lighter than its controllers' model."""
     return s.motion_clock_s >= SPIN_UP_S or has_lifted_off(s, m)
 
 
 def step_on_floor(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionState:
-    """On the floor; the motors run down after a flight."""
+    """Step on the floor; the motors run down after a flight."""
     if s.motors == "ramp_down" and s.motion_clock_s > RAMP_DOWN_TIME_S:
         return replace(s, motors="off", finished=s.outcome != "")
     return s
 
 
 def reset_mission(s: MissionState, m: Estimate, **changes: Any) -> MissionState:
-    """A fresh flight from where it stands."""
+    """Return the state of a new flight from the present position."""
     x = measured_position(m)
     return MissionState(
         time_s=s.time_s,
@@ -339,7 +340,7 @@ def start_flight(
     height: float | None = None,
     first: int | None = None,
 ) -> MissionState:
-    """Start signal: a fresh flight from where it stands, of the mission or, with a ``height`` (m), only up to there."""
+    """Start a new flight: the mission or, with a ``height`` (m), a take-off only."""
     fresh = reset_mission(s, m, mission_begun=height is None, manual=height is not None, waypoint_index=first or 0)
     x = fresh.home_position
     up = plan.mission.take_off.height_m if height is None else height
@@ -350,7 +351,7 @@ def start_flight(
 
 
 def step_take_off(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionState:
-    """Spin up, climb, and judge whether that works."""
+    """Step the take-off: spin up, climb, and check progress."""
     if s.motors == "spin_up":
         return replace(s, motors="fly", motion_clock_s=0.0, state_entered_s=s.time_s) if has_spun_up(s, m) else s
     way = s.motion
@@ -368,7 +369,7 @@ def step_take_off(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) ->
         if late > 8.0 + 0.5 * way.duration_s:
             why = LogMessage.TAKE_OFF_SHORT(-m.position[2], -s.goal[2])
             return start_landing(fail_mission(s, why), why, level="warning")
-    # On its legs it cannot slide away from anything.
+    # On its legs the vehicle cannot avoid obstacles.
     return _detect_obstacle(plan, s) if m.position[2] < s.home_position[2] - 0.2 else s
 
 
@@ -376,7 +377,7 @@ def step_take_off(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) ->
 
 
 def step_hover(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionState:
-    """Wait, and give the next signal when it is time."""
+    """Step a hover: wait, then start the next leg or the landing."""
     if s.outcome == "failed":
         return start_landing(s, s.reason, level="warning") if s.time_s >= s.hover_until_s else s
     s = _detect_obstacle(plan, s)
@@ -395,12 +396,12 @@ def step_hover(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> Mi
 
 
 def nose_offset(plan: MissionPlan) -> float:
-    """Angle of the nose from the direction of flight (rad): while scanning a beam, not a gap, looks along it."""
+    """Return the angle of the nose from the direction of flight (rad), which points a beam along it when scanning."""
     return math.remainder(-plan.ring.first_angle, plan.ring.spacing) if plan.scans_with_nose else 0.0
 
 
 def _complete_mission(plan: MissionPlan, s: MissionState) -> MissionState:
-    """After the last wait: what the mission says."""
+    """Finish the mission after the last wait, as its file states."""
     if plan.mission.at_end == "hover":
         s = log_event(s, LogMessage.MISSION_COMPLETE_HOLDING())
         return replace(s, manual=True, outcome="succeeded", reason=LogMessage.MISSION_COMPLETE())
@@ -410,7 +411,7 @@ def _complete_mission(plan: MissionPlan, s: MissionState) -> MissionState:
 
 
 def plan_braking(plan: MissionPlan, s: MissionState) -> BrakingMotion:
-    """Come to rest from how the reference moves now."""
+    """Plan braking from the present motion of the reference."""
     now = predict_reference(s)
     return plan_stop(
         now.position,
@@ -429,7 +430,7 @@ def start_leg(
     way: Callable[[Triple, float], Trajectory],
     **flags: object,
 ) -> MissionState:
-    """Fly ``way(from where, with which heading)``, after a braking if the reference moves."""
+    """Start the leg ``way(position, heading)``, after braking if the reference moves."""
     at = current_reference(s)
     if vector_length(*at.velocity) > 0.01 or abs(at.heading_rate) > 0.01:
         brake = plan_braking(plan, s)
@@ -449,7 +450,7 @@ def start_leg(
 
 
 def start_leg_home(plan: MissionPlan, s: MissionState, why: str) -> MissionState:
-    """Fly to above where it took off, no lower than now, and land there."""
+    """Fly to above the take-off position, not descending, and land there."""
 
     def plan_way_home(at: Triple, heading: float) -> Trajectory:
         n, e, _ = s.home_position
@@ -460,7 +461,7 @@ def start_leg_home(plan: MissionPlan, s: MissionState, why: str) -> MissionState
 
 
 def step_leg(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionState:
-    """Fly to the goal and judge whether it is reached."""
+    """Step a leg and check whether the goal is reached."""
     way = s.motion
     assert isinstance(way, Trajectory)
     q = plan.mission.limits
@@ -507,7 +508,7 @@ def _hover_until(s: MissionState, why: str, at: Triple, ready_s: float) -> Missi
 
 
 def _fail_and_hover(s: MissionState, why: str) -> MissionState:
-    """Come to rest in a hover, from which it lands."""
+    """Brake to a hover, from which the vehicle lands."""
     now = current_reference(s)
     brake = plan_stop(now.position, now.velocity, now.heading, DETOUR_ACCELERATION_M_S2)
     at = brake.evaluate(math.inf).position
@@ -520,15 +521,15 @@ def _fail_and_hover(s: MissionState, why: str) -> MissionState:
 
 
 def _detect_obstacle(plan: MissionPlan, s: MissionState) -> MissionState:
-    """Obstacle detected?"""
+    """Start a detour if an obstacle is detected."""
     if not plan.avoids_obstacles or not s.obstacle_map.point_count:
         return s
     at = current_reference(s)
     clear = plan.mission.avoidance.clearance_m
-    # Only on its level way does it head for somewhere; elsewhere an obstacle has to come near.
+    # Only a level path has a direction of flight; otherwise the obstacle must come near.
     underway = s.state is State.WAYPOINT and has_departed(s)
     here, sight = at.position, s.path_check
-    if underway:  # it looks along the way since the step after it was sent elsewhere
+    if underway:  # the check covers this path from the step after the goal changed
         there = sight.goal_north == s.goal[0] and sight.goal_east == s.goal[1] and is_path_blocked(sight, clear)
     else:
         there = sight.nearest_point(here)[0] < clear
@@ -542,7 +543,7 @@ def _detect_obstacle(plan: MissionPlan, s: MissionState) -> MissionState:
 
 
 def step_detour(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionState:
-    """Go round the obstacle, then back to what it was doing."""
+    """Step a detour around an obstacle, then resume the previous state."""
     assert s.detour is not None
     q = plan.mission.avoidance
     detour = follow_contour(

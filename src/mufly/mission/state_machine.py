@@ -6,7 +6,7 @@
     any flying state --land signal, battery low--> landing --touchdown--> init
     any state --RC--> RC --RC off--> hover, or init when it stands on the floor
 
-and what a user of today expects beside it:
+Further transitions are not in the thesis:
 
     init --take-off signal--> take-off --> hover, where the mission waits
     take-off, waypoint, obstacle, landing --pause--> hover --start--> waypoint
@@ -14,15 +14,15 @@ and what a user of today expects beside it:
     init, take-off, hover, waypoint, obstacle --set-points--> offboard --no more--> hover, or init on the floor
     any state --stop--> init, motors off
 
-After the start signal the machine gives itself the waypoint signals of the mission file, and the land signal after
-the last one; signals of the user override it, where the state lets them (:mod:`mufly.mission.mission_state`). Each
-change of state is kept with its reason in `MissionState.take_events`.
+After the start signal the machine generates the waypoint signals of the mission file, and the land signal after the
+last one. Signals of the user override it, if the state permits them (:mod:`mufly.mission.mission_state`). Each change
+of state is logged with its reason in `MissionState.events`.
 
-One step takes what was measured and commanded and returns the next state and the `Reference` for the controllers. It
-runs at 50 Hz or so. Trajectories are made at transitions; a step in between only evaluates one. What each state does
-by itself is in `mufly.mission.phases`. Below that every function takes a state and returns the next one: first what
-the user's signals do, then what happens while a pilot (the thesis's state RC) or a program (offboard) flies. A
-reference that moves comes to rest before it does anything else, so that none of them makes it jump.
+One step takes measurements and commands and returns the next state and the `Reference` for the controllers. It runs at
+about 50 Hz. Trajectories are planned at transitions; other steps only evaluate one. `mufly.mission.phases` holds the
+behaviour of each state. Every function below takes a state and returns the next one: first the effects of the user's
+signals, then control by a pilot (the thesis's state RC) or a program (offboard). A moving reference comes to rest
+before any other motion, so that no transition makes it jump.
 """
 
 from __future__ import annotations
@@ -99,20 +99,20 @@ def step_mission(
     Parameters
     ----------
     plan : MissionPlan
-        From `prepare`: the mission and the vehicle's numbers.
-    state : MissionState
-        From `begin` or the step before.
-    estimate : Estimate
-        Measured now; the time step is the difference of its time and the state's (half a second at most).
-    command : Command
-        The user's signals.
+            From `prepare_plan`: the mission and the vehicle's data.
+        state : MissionState
+            From `initial_mission_state` or the previous step.
+        estimate : Estimate
+            Present estimate; the time step is its time minus the state's (at most 0.5 s).
+        command : Command
+            The user's signals.
 
-    Returns
-    -------
-    state : MissionState
-        The new state.
-    reference : Reference
-        What the controllers have to follow now.
+        Returns
+        -------
+        state : MissionState
+            The new state.
+        reference : Reference
+            Reference for the controllers.
 
     Thesis: Fig. 6.15; Sec. 6.2.1.
     """
@@ -136,16 +136,16 @@ def step_mission(
 def update_obstacle_map(
     plan: MissionPlan, state: MissionState, estimate: Estimate, part: int = 1, parts: int = 1
 ) -> MissionState:
-    """Between two steps: take an eighth of the beams, and a part of the points that the next step goes by.
+    """Process an eighth of the beams and a part of the points, between two mission steps.
 
-    Where it has just set out along a curve, that is made instead; it stands or brakes.
+    If the vehicle has just begun a leg along a curve, the curve is computed instead; the vehicle stands or brakes.
 
     Parameters
     ----------
     plan, state, estimate
-        As in `step_mission`.
+        See `step_mission`.
     part, parts : int
-        Which part this is (from 1), and of how many.
+        Number of this part (from 1) and of all parts.
     """
     s, m = state, estimate
     if not plan.avoids_obstacles or s.state not in _FLYING_STATES or _has_pending_curve(s):
@@ -166,14 +166,14 @@ def _has_pending_curve(s: MissionState) -> bool:
 
 
 def _finish_pending_curve(s: MissionState) -> MissionState:
-    """With a curve that has been made by now."""
+    """Return the state with its pending curve computed."""
     return (
         replace(s, motion=s.motion.finish_curve()) if _has_pending_curve(s) and isinstance(s.motion, Trajectory) else s
     )
 
 
 def _update_clocks(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionState:
-    """Move the clocks, watch the battery."""
+    """Advance the clocks and check the battery."""
     clock = s.motion_clock_s + dt
     if s.state is State.WAYPOINT and isinstance(s.motion, Trajectory):
         gate = s.motion.departure_s
@@ -194,7 +194,7 @@ def _update_clocks(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -
 
 
 def _may_depart(plan: MissionPlan, s: MissionState, m: Estimate, way: Trajectory) -> bool:
-    """Whether height and heading are adapted in fact, and the beams have had a look around."""
+    """Return whether height and heading are reached in fact, and the beams have scanned."""
     at = way.evaluate(way.departure_s)
     angle, _ = scan_yaw(plan, s)
     return (
@@ -210,16 +210,16 @@ def _may_depart(plan: MissionPlan, s: MissionState, m: Estimate, way: Trajectory
 
 
 def _apply_signals(plan: MissionPlan, s: MissionState, m: Estimate, c: Command, dt: float) -> MissionState:
-    """Transitions that do not depend on what the present state is busy with."""
+    """Apply the transitions that are possible in any state."""
     if c.stop_reason:
         return stop_motors(s, c.stop_reason)
     if s.state is not State.INIT and _has_tipped_over(s, m):
         return stop_motors(fail_mission(s, LogMessage.TIPPED_OVER()), LogMessage.TIPPED_MOTORS_OFF())
-    # Rotors that run down after touchdown stop first: sticks in their middle must not start them again.
+    # Rotors that run down after touchdown stop first: centred sticks must not restart them.
     if c.rc_active and s.motors != "ramp_down":
         s = s if s.state is State.RC else enter_manual(s, m)
         if s.motors == "fly" and s.low_battery_duration_s - dt <= _LOW_BATTERY_S < s.low_battery_duration_s:
-            # The pilot's own decision.
+            # The pilot decides.
             s = log_event(s, LogMessage.BATTERY_LOW_PILOT(s.battery_V, plan.low_battery_V), level="warning")
         return step_manual(s, m, c, dt)
     if s.state is State.RC:
@@ -230,7 +230,7 @@ def _apply_signals(plan: MissionPlan, s: MissionState, m: Estimate, c: Command, 
 
 
 def _handle_request(plan: MissionPlan, s: MissionState, m: Estimate, c: Command) -> MissionState:
-    """What the user wants, where the state lets it."""
+    """Execute the user's requests that the state permits."""
 
     def is_granted(ask: VehicleRequest) -> bool:
         return bool(check_request(ask, s, height_m=s.home_position[2] - float(m.position[2])))
@@ -280,15 +280,15 @@ def _has_tipped_over(s: MissionState, m: Estimate) -> bool:
 
 def _land_on_low_battery(plan: MissionPlan, s: MissionState) -> MissionState:
     why = LogMessage.BATTERY_LOW(s.battery_V, plan.low_battery_V)
-    # A mission that is complete and holds has not failed when its battery is used up.
+    # A completed mission that holds does not fail by using up its battery.
     return start_landing(s if s.outcome == "succeeded" else fail_mission(s, why), why, level="warning")
 
 
-# The user: stop, waypoints, pause, home
+# User signals: stop, waypoints, pause, home
 
 
 def stop_motors(s: MissionState, why: str) -> MissionState:
-    """Motors off, whatever the state."""
+    """Stop the motors in any state."""
     if s.state is State.INIT and s.motors == "off":
         return s
     if s.has_taken_off or s.mission_begun:
@@ -297,7 +297,7 @@ def stop_motors(s: MissionState, why: str) -> MissionState:
 
 
 def user_waypoint_fault(where: Triple | None, heading: float | None) -> str:
-    """Why a user's waypoint is refused; "" if it is not."""
+    """Return the reason to refuse a user's waypoint; "" if it is valid."""
     if heading is not None and not math.isfinite(heading):
         return LogMessage.HEADING_REFUSED(heading)
     if where is None:
@@ -312,7 +312,7 @@ def user_waypoint_fault(where: Triple | None, heading: float | None) -> str:
 def fly_to_user_waypoint(
     plan: MissionPlan, s: MissionState, where: Triple | None, heading: float | None
 ) -> MissionState:
-    """Waypoint signal: stop, go there and hold; the mission waits. Without ``where`` only turn, on the spot."""
+    """Stop, fly to ``where`` and hold; the mission waits. Without ``where`` only turn on the spot."""
     refused = user_waypoint_fault(where, heading)
     if refused:
         return s if s.events[-1].text == refused else log_event(s, refused, level="warning")
@@ -356,7 +356,7 @@ def pause_mission(plan: MissionPlan, s: MissionState, why: str = LogMessage.MISS
 
 
 def resume_mission(plan: MissionPlan, s: MissionState, first: int | None) -> MissionState:
-    """Start signal in flight: go on with the mission, or with another waypoint of it."""
+    """Resume the mission in flight, or fly to another waypoint of it."""
     n = len(plan.mission.waypoint)
     over = s.outcome == "succeeded" or s.waypoint_index >= n
     index = first if first is not None else 0 if over else s.waypoint_index
@@ -370,7 +370,7 @@ def resume_mission(plan: MissionPlan, s: MissionState, first: int | None) -> Mis
 
 
 def resume_after_take_off(s: MissionState, first: int | None) -> MissionState:
-    """Start signal during a take-off: the mission follows, from waypoint ``first`` (from 0) if given."""
+    """Let the mission follow the take-off, from waypoint ``first`` (from 0) if given."""
     s = log_event(
         s, LogMessage.MISSION_AFTER_TAKE_OFF_FROM(first + 1) if first else LogMessage.MISSION_AFTER_TAKE_OFF()
     )
@@ -385,7 +385,7 @@ def resume_after_take_off(s: MissionState, first: int | None) -> MissionState:
 
 
 def start_return_home(plan: MissionPlan, s: MissionState) -> MissionState:
-    """Return signal: to above where it took off, and down."""
+    """Start the return: fly to above the take-off position and land."""
     return (
         s
         if s.returning_home
@@ -398,7 +398,7 @@ def start_return_home(plan: MissionPlan, s: MissionState) -> MissionState:
 
 
 def start_land_now(plan: MissionPlan, s: MissionState) -> MissionState:
-    """Land signal."""
+    """Start a landing by the user's signal."""
     return start_landing(
         _set_abort_reason(plan, s, LogMessage.LAND_BEFORE_LAST_WAYPOINT, LogMessage.LAND_WITH_WAYPOINTS_LEFT),
         LogMessage.LAND_SIGNAL(),
@@ -412,11 +412,11 @@ def _set_abort_reason(plan: MissionPlan, s: MissionState, last: LogMessage, earl
     return replace(s, abort_reason=(early if left > 1 else last)(left))
 
 
-# RC
+# Manual control (RC)
 
 
 def enter_manual(s: MissionState, m: Estimate) -> MissionState:
-    """RC signal: the pilot takes over, from any state."""
+    """Give control to the pilot, from any state."""
     x, psi = measured_position(m), float(m.attitude[2])
     return enter_state(
         s,
@@ -431,7 +431,7 @@ def enter_manual(s: MissionState, m: Estimate) -> MissionState:
 
 
 def step_manual(s: MissionState, m: Estimate, c: Command, dt: float) -> MissionState:
-    """The pilot's sticks move the references of height and heading; a climb from the floor starts the rotors."""
+    """Move the references of height and heading by the pilot's sticks; a climb from the floor starts the rotors."""
     if s.motors == "off":
         x = measured_position(m)
         if c.climb_rate <= 0.0:
@@ -449,7 +449,7 @@ def step_manual(s: MissionState, m: Estimate, c: Command, dt: float) -> MissionS
         return replace(s, motors="spin_up", motion_clock_s=0.0, hold_position=x)
     if s.motors == "spin_up":
         return replace(s, motors="fly") if has_spun_up(s, m) else s
-    # The reference stays near the helicopter, so that the sticks answer at once.
+    # The reference stays near the helicopter, so that it responds to the sticks at once.
     depth = min(max(s.hold_position[2] - c.climb_rate * dt, m.position[2] - 0.5), m.position[2] + 0.5)
     n, e, _ = measured_position(m)
     return replace(
@@ -461,7 +461,7 @@ def step_manual(s: MissionState, m: Estimate, c: Command, dt: float) -> MissionS
 
 
 def exit_manual(s: MissionState, m: Estimate) -> MissionState:
-    """RC off: hover where it is, or back to init on the floor."""
+    """End manual control: hover at the present position, or return to init on the floor."""
     x, psi = measured_position(m), float(m.attitude[2])
     if s.motors != "fly" or _is_on_floor(s, m):
         if s.mission_begun and s.outcome == "":
@@ -472,8 +472,9 @@ def exit_manual(s: MissionState, m: Estimate) -> MissionState:
     brake = plan_stop(x, m.velocity, psi, DETOUR_ACCELERATION_M_S2)
     n, e, d = brake.evaluate(math.inf).position
     if d > s.home_position[2]:
-        # It falls too fast to stop above the floor. The reference must not lead below it, and the helicopter brakes all
-        # it can. A stop's way down goes with the rate of descent w times the speed: w sqrt(u^2 + w^2) for a level u.
+        # The descent is too fast to stop above the floor: the reference must stay above it, and the helicopter brakes
+        # fully. The stopping height goes with the descent rate w times the speed: w sqrt(u^2 + w^2) for a level speed
+        # u.
         u, w = vector_length(float(m.velocity[0]), float(m.velocity[1])), float(m.velocity[2])
         most = max(0.0, s.home_position[2] - x[2]) / (d - x[2]) * w * vector_length(u, w)
         w = math.sqrt(0.5 * (vector_length(u * u, 2.0 * most) - u * u))
@@ -494,11 +495,11 @@ def _end_on_floor(s: MissionState, why: str) -> MissionState:
     )
 
 
-# set-points
+# Set-points
 
 
 def enter_offboard(s: MissionState, m: Estimate, wanted: SetPoint) -> MissionState:
-    """A program takes over in flight; or on the floor, once it wants to go up."""
+    """Give control to a program in flight, or on the floor when its set-point requires lift-off."""
     if set_point_fault(wanted):
         return s
     if s.state is not State.INIT:
@@ -520,12 +521,12 @@ def enter_offboard(s: MissionState, m: Estimate, wanted: SetPoint) -> MissionSta
 
 
 def step_offboard(plan: MissionPlan, s: MissionState, m: Estimate, c: Command, dt: float) -> MissionState:
-    """Follow the set-point, no faster than the mission's limits and into nothing that the beams have seen."""
+    """Follow the set-point within the mission's limits, away from obstacles that the beams have hit."""
     if s.motors == "spin_up":
         if not has_spun_up(s, m):
             return s
         s = replace(s, motors="fly", set_point_reference=current_reference(replace(s, motion=None)))
-    # It was begun for the end of the step in which it was entered.
+    # The reference is predicted for the end of the step of entry.
     if (
         c.program_set_point is None
         or s.set_point_reference is None
@@ -544,7 +545,7 @@ def step_offboard(plan: MissionPlan, s: MissionState, m: Estimate, c: Command, d
 
 
 def exit_offboard(plan: MissionPlan, s: MissionState, m: Estimate) -> MissionState:
-    """No more set-points: hover where the reference comes to rest, or stay on the floor."""
+    """End offboard control: hover where the reference comes to rest, or stay on the floor."""
     if s.motors != "fly" or _is_on_floor(s, m):
         s = replace(s, outcome="succeeded", reason=LogMessage.LANDED()) if s.outcome == "" else s
         return _end_on_floor(s, LogMessage.OFFBOARD_OFF_ON_FLOOR())

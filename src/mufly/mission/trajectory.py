@@ -1,12 +1,12 @@
-"""How to move along a line in time: rest to rest, with limits on speed and acceleration.
+"""Motion along a line in time, from rest to rest, with limits on speed and acceleration.
 
-The speed rises from 0 to its peak V as V S(t / T_a), stays there, and falls the same way, with the quintic step
+The speed rises from 0 to its peak V as V S(t / T_a), stays there, and falls in the same way, with the quintic step
 
     S(x) = 10 x^3 - 15 x^4 + 6 x^5,   S' = 30 x^2 (1 - x)^2,   integral_0^x S = 5/2 x^4 - 3 x^5 + x^6,
 
-so that acceleration and jerk are continuous and zero at both ends. S' peaks at 15/8, hence T_a = 15 V / (8 a) uses
-the whole acceleration a; since integral_0^1 S = 1/2 both ramps together cover V T_a. A way d shorter than that is
-flown with the lower peak V = sqrt(8 a d / 15) and no cruise. Own derivation.
+so that acceleration and jerk are continuous and zero at both ends. S' peaks at 15/8, so T_a = 15 V / (8 a) uses the
+whole acceleration a; since integral_0^1 S = 1/2, both ramps together cover V T_a. A shorter distance d is flown with
+the lower peak V = sqrt(8 a d / 15) and no cruise. Own derivation.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ _PEAK_SPEED_RATIO = 15.0 / 8.0
 
 @dataclass(frozen=True, slots=True)
 class MotionProfile:
-    """Way over time, from rest to rest.
+    """Distance over time, from rest to rest.
 
     Attributes
     ----------
     distance : float
-        Total way (m or rad), not negative.
+        Total distance (m or rad), not negative.
     peak_speed : float
-        Peak speed (1/s of that).
+        Peak speed (m/s or rad/s).
     ramp_s, cruise_s : float
         Duration of one ramp and of the cruise (s).
     """
@@ -50,7 +50,7 @@ class MotionProfile:
         return 2.0 * self.ramp_s + self.cruise_s
 
     def evaluate(self, t: float) -> Triple:
-        """Way, speed and acceleration at time ``t`` (s); at rest before 0 and after the end."""
+        """Return distance, speed and acceleration at time ``t`` (s); at rest before 0 and after the end."""
         ramp = self.ramp_s
         if t <= 0.0 or ramp == 0.0:
             return (0.0 if t <= 0.0 else self.distance), 0.0, 0.0
@@ -68,19 +68,19 @@ class MotionProfile:
 
 
 def make_profile(way: float, speed: float, acceleration: float) -> MotionProfile:
-    """Make the quickest profile of this family.
+    """Return the quickest profile of this family.
 
     Parameters
     ----------
     way : float
-        Way to go (m or rad), at least 0.
+        Distance (m or rad), at least 0.
     speed, acceleration : float
         Limits, above 0.
 
     Returns
     -------
-    Profile
-        Its speed and acceleration never exceed the limits and reach at least one of them.
+    MotionProfile
+        Profile that keeps the limits of speed and acceleration and reaches at least one of them.
     """
     if way <= 0.0:
         return MotionProfile(0.0, 0.0, 0.0, 0.0)
@@ -90,7 +90,7 @@ def make_profile(way: float, speed: float, acceleration: float) -> MotionProfile
 
 
 def smooth_step_down(x: float) -> Triple:
-    """Smooth step from 1 to 0 over x in [0, 1]: value 1 - S, its slope, and its integral from 0 to x."""
+    """Return value 1 - S, slope and integral from 0 of a smooth step from 1 to 0 over x in [0, 1]."""
     if x <= 0.0:
         return 1.0, 0.0, 0.0
     if x >= 1.0:
@@ -104,7 +104,7 @@ def smooth_step_down(x: float) -> Triple:
 
 
 def smooth_stop_distance(speed: float, acceleration: float) -> tuple[float, float]:
-    """Time (s) and way to stop from ``peak_speed`` with `smooth_step_down` and no more than ``acceleration``."""
+    """Return time (s) and distance of a stop from ``speed`` by `smooth_step_down` with at most ``acceleration``."""
     duration = _PEAK_SPEED_RATIO * abs(speed) / acceleration
     return duration, 0.5 * abs(speed) * duration
 
@@ -114,49 +114,49 @@ def smooth_stop_distance(speed: float, acceleration: float) -> tuple[float, floa
 #
 #     P = A t^3 + B t^2 + C t + D,   t in [0, 1]                          (6.11)
 #     D = x0,  C = x0',  B = 3 (xg - x0) - 2 x0' - xg',  A = 2 (x0 - xg) + x0' + xg'   (6.12)
-#     T = 3 A t^2 + 2 B t + C,  Q = 6 A t + 2 B,  K = T x Q x T / |T|^4    (6.13, T with the 3 that the print lost)
+#     T = 3 A t^2 + 2 B t + C,  Q = 6 A t + 2 B,  K = T x Q x T / |T|^4    (6.13; the print lacks the 3 in T)
 #
-# The boundary derivatives are unit directions times the distance between the two points, which is how "normalised"
-# velocities are read here. (T x Q) x T / |T|^4 is the curvature vector: it points to the centre of curvature and its
-# length is one over the radius.
+# The boundary derivatives are unit directions times the distance between the two points: the interpretation of
+# "normalised" velocities here. (T x Q) x T / |T|^4 is the curvature vector: it points to the centre of curvature and
+# its length is one over the radius.
 #
-# Flying it: the way s(t) along the curve follows a `MotionProfile`, x = P(u(s)), so that
+# In flight the distance s(t) along the curve follows a `MotionProfile`, x = P(u(s)), so that
 #
 #     v = s' T/|T|,   a = s'' T/|T| + s'^2 K.
 #
 # u(s) comes from a table of arc lengths (Gauss-Legendre), refined by one Newton step. The peak speed V is the lowest
-# that any point of the curve asks for: the limit on horizontal speed, the climb and descent limits where the curve
+# that any point of the curve requires: the limit on horizontal speed, the climb and descent limits where the curve
 # rises or falls, and V^2 |K| <= a / sqrt(2), which with s'' <= a / sqrt(2) keeps |a| below its limit.
 
 
 _Array = NDArray[np.float64]
 _CubicCoefficients = tuple[float, float, float, float]
 _ARC_PIECES = 32
-"""Of the table of arc lengths; also the steps in which the worst points of a curve are sought."""
+"""Pieces of the arc length table, and steps of the search for the extreme points of a curve."""
 _REFINE_HALVINGS = 5
-"""Of a step, around each worst point."""
+"""Halvings of a step around each extreme point."""
 _GAUSS_NODES = tuple(float.fromhex(x) for x in ("-0x1.8c97ef43f7248p-1", "0x0.0p+0", "0x1.8c97ef43f7248p-1"))
 _GAUSS_WEIGHTS = tuple(
     float.fromhex(x) for x in ("0x1.1c71c71c71c72p-1", "0x1.c71c71c71c71cp-1", "0x1.1c71c71c71c72p-1")
 )
-"""Of Gauss and Legendre, three points; written out, so that they are the same everywhere."""
+"""Three-point Gauss-Legendre rule, written out for equal values on all machines."""
 _TINY = 1e-9
 
 
 @dataclass(frozen=True)
 class CubicSpline:
-    """One cubic piece; ``coefficients`` is the (4, 3) array A, B, C, D of eq. 6.12."""
+    """A cubic curve; ``coefficients`` is the (4, 3) array A, B, C, D of eq. 6.12."""
 
     coefficients: _Array
 
     def evaluate(self, t: ArrayLike) -> tuple[_Array, _Array, _Array]:
-        """Point P, tangent T and second derivative Q, each (..., 3), at parameters ``t`` (...)."""
+        """Return point P, tangent T and second derivative Q, each (..., 3), at parameters ``t`` (...)."""
         a, b, c, d = self.coefficients
         u = np.asarray(t, dtype=np.float64)[..., None]
         return ((a * u + b) * u + c) * u + d, (3.0 * a * u + 2.0 * b) * u + c, 6.0 * a * u + 2.0 * b
 
     def curvature_vector(self, t: ArrayLike) -> _Array:
-        """Curvature vectors K (..., 3) in 1/m (eq. 6.13); zero where the tangent vanishes."""
+        """Return curvature vectors K (..., 3) in 1/m (eq. 6.13); zero where the tangent vanishes."""
         _, tangent, second = self.evaluate(t)
         square = _squared_length(tangent)[..., None]
         bend = np.cross(np.cross(tangent, second), tangent)
@@ -164,7 +164,7 @@ class CubicSpline:
 
 
 def make_spline(x0: ArrayLike, xg: ArrayLike, dx0: ArrayLike, dxg: ArrayLike) -> CubicSpline:
-    """Cubic from x0 to xg (3,) with boundary derivatives dx0 and dxg (3,) (eq. 6.12).
+    """Return the cubic from x0 to xg (3,) with boundary derivatives dx0 and dxg (3,) (eq. 6.12).
 
     Thesis: eqs 6.11 to 6.13; Fig. 6.16.
     """
@@ -173,12 +173,12 @@ def make_spline(x0: ArrayLike, xg: ArrayLike, dx0: ArrayLike, dxg: ArrayLike) ->
 
 
 def _squared_length(x: _Array) -> _Array:
-    """Sum of squares over the last axis of three, from left to right."""
+    """Return the sum of squares over the last axis of three, added from left to right."""
     return x[..., 0] * x[..., 0] + x[..., 1] * x[..., 1] + x[..., 2] * x[..., 2]
 
 
 class TimedSpline(NamedTuple):
-    """A spline with its timing, laid out for quick evaluation."""
+    """A spline with its timing, stored for fast evaluation."""
 
     coefficients: tuple[_CubicCoefficients, ...]
     """A, B, C, D for each axis."""
@@ -187,13 +187,13 @@ class TimedSpline(NamedTuple):
     speed_profile: MotionProfile
 
     def evaluate(self, t: float) -> tuple[Triple, Triple, Triple]:
-        """Position, velocity and acceleration (3 each; m, m/s, m/s2) at time ``t`` (s)."""
+        """Return position, velocity and acceleration (3 each; m, m/s, m/s2) at time ``t`` (s)."""
         s, ds, dds = self.speed_profile.evaluate(t)
         arc = self.arc_lengths
         k = min(max(bisect.bisect_right(arc, s) - 1, 0), _ARC_PIECES - 1)
         u = (k + (s - arc[k]) / (arc[k + 1] - arc[k])) / _ARC_PIECES
         p, q, r = self.coefficients
-        # The table inverts s(u) linearly; a Newton step with the arc up to u makes it smooth.
+        # The table inverts s(u) linearly; a Newton step with the exact arc length makes it smooth.
         u -= (self._arc_length_at(k, u) - s) / _tangent_length(self.coefficients, u)
         tn, te, td = (_cubic_derivative(c, u) for c in (p, q, r))
         square = tn * tn + te * te + td * td
@@ -220,13 +220,13 @@ def _cubic_derivative(c: _CubicCoefficients, u: float) -> float:
 
 
 def _tangent_length(cubics: tuple[_CubicCoefficients, ...], u: float) -> float:
-    """Length of the tangent."""
+    """Return the length of the tangent."""
     n, e, d = (_cubic_derivative(c, u) for c in cubics)
     return math.sqrt(n * n + e * e + d * d)
 
 
 def _arc_length(cubics: tuple[_CubicCoefficients, ...], u: float, half: float) -> float:
-    """Arc length from a parameter on, over twice ``half``."""
+    """Return the arc length from parameter ``u`` to ``u`` plus twice ``half``."""
     total = 0.0
     for node, weight in zip(_GAUSS_NODES, _GAUSS_WEIGHTS, strict=True):
         total += weight * _tangent_length(cubics, u + half * (1.0 + node))
@@ -234,9 +234,9 @@ def _arc_length(cubics: tuple[_CubicCoefficients, ...], u: float, half: float) -
 
 
 def _curve_demands(cubics: tuple[_CubicCoefficients, ...], u: float) -> tuple[float, tuple[float, float, float, float]]:
-    """Square of the tangent's length; shares of the speed that are level, rise and sink, and curvature, all squared.
+    """Return the squared tangent length, and squared level, climbing and descending shares of speed and curvature.
 
-    Of rising and sinking, one is negative. Zero where there is no tangent.
+    Either the climbing or the descending share is negative. All are zero without a tangent.
     """
     n, e, d = (_cubic_derivative(c, u) for c in cubics)
     square = n * n + e * e + d * d
@@ -250,9 +250,9 @@ def _curve_demands(cubics: tuple[_CubicCoefficients, ...], u: float) -> tuple[fl
 
 
 def _find_extreme_demands(cubics: tuple[_CubicCoefficients, ...]) -> tuple[float, list[float]]:
-    """Least and greatest of what the points of a curve ask.
+    """Return the least squared tangent and the greatest demands over a curve.
 
-    Each greatest one is sought in equal steps, and in halves of a step to either side of the best yet.
+    Each maximum is searched in equal steps, then by halving the step around the best point.
     """
     least, worst, where = math.inf, [0.0] * 4, [0.0] * 4
     for k in range(_ARC_PIECES + 1):
@@ -282,17 +282,18 @@ def time_spline(
     Parameters
     ----------
     curve : Spline
-        The way to fly.
-    speed, climb, descent : float
-        Limits on horizontal speed, on rising and on sinking (m/s).
-    acceleration : float
-        Limit on the whole acceleration vector (m/s2).
+        curve : CubicSpline
+            Curve to fly.
+        speed, climb, descent : float
+            Limits of horizontal speed, climb rate and descent rate (m/s).
+        acceleration : float
+            Limit of the total acceleration (m/s2).
 
-    Returns
-    -------
-    SplinePath or None
-        None where the curve has a point without tangent (a cusp or no length) or so tight a bend that it would
-        have to be flown below 5 cm/s; a straight line is the better way then.
+        Returns
+        -------
+        TimedSpline or None
+            None if the curve has a point without tangent (a cusp or no length) or a bend that limits the speed to less
+            than 5 cm/s; a straight line is then better.
     """
     return PendingCurve(_axis_cubics(curve), speed, climb, descent, acceleration).time_curve()
 
@@ -303,9 +304,9 @@ def _axis_cubics(curve: CubicSpline) -> tuple[_CubicCoefficients, ...]:
 
 
 class PendingCurve(NamedTuple):
-    """A curve whose length and bends have not been looked at yet.
+    """A curve whose arc length and curvature are not yet computed.
 
-    On board that is too much for one period: it is done in those that follow (``trajectory.c``).
+    On board the computation exceeds one period and is spread over the following ones (``trajectory.c``).
     """
 
     coefficients: tuple[_CubicCoefficients, ...]
@@ -316,7 +317,7 @@ class PendingCurve(NamedTuple):
     acceleration: float
 
     def time_curve(self) -> TimedSpline | None:
-        """As :func:`time_spline`."""
+        """Return the timed curve, as :func:`time_spline`."""
         return _time_curve(*self)
 
 
@@ -342,19 +343,19 @@ def _time_curve(
 
 
 # ----------------------------------------------------------------------------
-# Trajectories: where to be, how fast, and where to look, as functions of time.
+# Trajectories: position, velocity and heading as functions of time.
 #
 # muFly reaches a waypoint in the simplest way (Sec. 6.2.2): first it adapts heading and height on the spot, then it
-# flies a straight level line. A cubic spline through the waypoints is the other kind. Either is a `Trajectory` of
-# two parts: on the spot (height and heading together) up to `departure_s`, then the way. The one who flies it holds the
-# clock at the gate until the helicopter is there in fact, which is the thesis's "if the desired point is reached".
+# flies a straight level line. The other kind is a cubic spline through the waypoints. Either is a `Trajectory` of two
+# parts: on the spot (height and heading together) up to `departure_s`, then the path. The caller holds the clock at
+# `departure_s` until the helicopter is there in fact: the thesis's "if the desired point is reached".
 #
-# Every part runs from rest to rest with continuous acceleration (`make_profile`). A turn takes the shorter way round;
-# the heading is continuous with the one it started from (it may pass +-pi and go on).
+# Every part runs from rest to rest with continuous acceleration (`make_profile`). A turn takes the shorter direction;
+# the heading is continuous with the initial one (it may pass +-pi).
 
 
 _MIN_DISTANCE_M = 1e-3
-"""Ways shorter than this (m) are no ways: there is no direction to look in."""
+"""Distance below which a path has no direction (m)."""
 
 
 class TrajectoryPoint(NamedTuple):
@@ -369,7 +370,7 @@ class TrajectoryPoint(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class TrajectoryLimits:
-    """What a trajectory may ask for, SI units.
+    """Limits of a trajectory, SI units.
 
     Attributes
     ----------
@@ -378,7 +379,7 @@ class TrajectoryLimits:
     acceleration, climb_acceleration : float
         Horizontal and vertical acceleration (m/s2).
     yaw_rate, yaw_acceleration : float
-        Turning (rad/s, rad/s2).
+        Yaw rate and acceleration (rad/s, rad/s2).
     """
 
     speed: float
@@ -392,7 +393,7 @@ class TrajectoryLimits:
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """On the spot to a height and a heading, then along a line or a curve.
+    """Height and heading on the spot, then a line or a curve.
 
     Attributes
     ----------
@@ -400,18 +401,18 @@ class Trajectory:
         N, E, D (m).
     start_heading, turn_angle : float
         Heading at the start and the turn on the spot (rad).
-    height_profile, yaw_profile, path_profile : Profile
+    height_profile, yaw_profile, path_profile : MotionProfile
         Timing of the change of height, of the turn, and of the level line.
     departure_s : float
-        When the part on the spot ends (s).
+        End of the part on the spot (s).
     duration_s : float
-        When all is done (s).
-    spline_curve : SplinePath or None
-        Flown in place of the line.
-    initial_braking : Stop or None
+        End of the trajectory (s).
+    spline_curve : TimedSpline or None
+        Curve flown in place of the line.
+    initial_braking : BrakingMotion or None
         Braking that comes first; `departure_s` and `duration_s` include it.
-    pending_curve : Unmade or None
-        The curve that it is to be once :meth:`finish_curve`; until then a line.
+    pending_curve : PendingCurve or None
+        Curve that :meth:`finish_curve` computes; until then the trajectory is a line.
 
     Thesis: Fig. 6.17; Sec. 6.2.2.
     """
@@ -430,7 +431,7 @@ class Trajectory:
     pending_curve: PendingCurve | None = None
 
     def finish_curve(self) -> Trajectory:
-        """The same with its curve, or the line where no curve can be flown."""
+        """Return the trajectory with its curve, or with the line if no curve can be flown."""
         path = None if self.pending_curve is None else self.pending_curve.time_curve()
         if path is None:
             return replace(self, pending_curve=None)
@@ -448,12 +449,12 @@ class Trajectory:
         return way if self.initial_braking is None else way.add_initial_braking(self.initial_braking)
 
     def add_initial_braking(self, brake: BrakingMotion) -> Trajectory:
-        """The same trajectory with a braking before it, which has to end where it starts."""
+        """Return the trajectory with a preceding braking, which must end at its start."""
         t = brake.rest_time_s
         return replace(self, initial_braking=brake, departure_s=self.departure_s + t, duration_s=self.duration_s + t)
 
     def evaluate(self, t: float) -> TrajectoryPoint:
-        """Evaluate at time ``t`` (s) after its start; at rest before 0 and after `duration_s`."""
+        """Return the point at time ``t`` (s) after the start; at rest before 0 and after `duration_s`."""
         gate = self.departure_s
         if self.initial_braking is not None:
             if t < self.initial_braking.rest_time_s:
@@ -483,7 +484,7 @@ _ZERO_VECTOR = (0.0, 0.0, 0.0)
 
 
 def wrap_turn(angle: float) -> float:
-    """The same turn the shorter way round, in [-pi, pi] (rad)."""
+    """Return the equivalent turn in [-pi, pi] (rad)."""
     return float(wrap_angle(angle))
 
 
@@ -496,7 +497,7 @@ def plan_straight(
     final_heading: float | None = None,
     nose_offset: float = 0.0,
 ) -> Trajectory:
-    """Heading and height first, then a straight level line (Sec. 6.2.2, Fig. 6.17).
+    """Plan heading and height first, then a straight level line (Sec. 6.2.2, Fig. 6.17).
 
     Parameters
     ----------
@@ -504,13 +505,13 @@ def plan_straight(
         N, E, D (m).
     heading : float
         Heading at the start (rad, may exceed +-pi).
-    limits : Limits
-        What it may ask for.
+    limits : TrajectoryLimits
+        Limits of the trajectory.
     final_heading : float, optional
-        Heading to fly with (rad, compass: any equivalent will do). By default along the line; a line shorter than
-        1 mm has no direction and keeps the heading.
+        Heading in flight (rad, modulo 2 pi). The default is along the line; a line shorter than 1 mm has no direction
+        and keeps the heading.
     nose_offset : float
-        Added to the direction of the line when no ``final_heading`` is given (rad).
+        Added to the direction of the line if there is no ``final_heading`` (rad).
     """
     a, b = _to_triple(start), _to_triple(goal)
     way = vector_length(b[0] - a[0], b[1] - a[1])
@@ -536,7 +537,7 @@ def plan_curved(
     final_heading: float | None = None,
     nose_offset: float = 0.0,
 ) -> Trajectory:
-    """Heading first, then a cubic spline (eqs 6.11 to 6.13), from rest to rest.
+    """Plan heading first, then a cubic spline (eqs 6.11 to 6.13), from rest to rest.
 
     Parameters
     ----------
@@ -545,12 +546,12 @@ def plan_curved(
     leaving, arriving : (3,) arrays
         Directions of the curve at its ends; their lengths do not matter.
     heading, limits, final_heading, nose_offset
-        As for `plan_straight`: the heading is that of the chord and does not follow the curve.
+        See `plan_straight`: the heading is that of the chord and does not follow the curve.
 
     Returns
     -------
     Trajectory
-        The straight one where no curve can be flown (no length, a cusp, a bend too tight).
+        The straight trajectory if no curve can be flown (no length, a cusp, too tight a bend).
     """
     way = plan_pending_curve(
         start, goal, leaving, arriving, heading, limits, final_heading=final_heading, nose_offset=nose_offset
@@ -569,7 +570,7 @@ def plan_pending_curve(
     final_heading: float | None = None,
     nose_offset: float = 0.0,
 ) -> Trajectory:
-    """As `plan_curved`, but its curve is not made yet."""
+    """Plan a trajectory as `plan_curved` does, but compute its curve later."""
     plain = plan_straight(start, goal, heading, limits, final_heading=final_heading, nose_offset=nose_offset)
     a, b = np.array(plain.start), np.array(plain.goal)
     reach = vector_length(*(b - a).tolist())
@@ -580,7 +581,7 @@ def plan_pending_curve(
         u = np.asarray(end, dtype=np.float64)
         size = vector_length(*u.tolist())
         ends.append(u / size * reach if size > 1e-9 else b - a)
-    # A curve that rises or sinks has its whole acceleration within the vertical limit.
+    # On a climbing or descending curve the total acceleration keeps the vertical limit.
     level = a[2] == b[2] and all(u[2] == 0.0 for u in ends)
     acceleration = limits.acceleration if level else min(limits.acceleration, limits.climb_acceleration)
     curve = _axis_cubics(make_spline(a, b, *ends))
@@ -589,7 +590,7 @@ def plan_pending_curve(
 
 @dataclass(frozen=True, slots=True)
 class BrakingMotion:
-    """Coming to rest from a given velocity along its own direction: v(t) = v0 (1 - S(t / T)); likewise turning."""
+    """Braking to rest along the velocity's own direction: v(t) = v0 (1 - S(t / T)); likewise for the yaw rate."""
 
     start: Triple
     velocity: Triple
@@ -600,11 +601,11 @@ class BrakingMotion:
 
     @property
     def rest_time_s(self) -> float:
-        """When both have come to rest (s)."""
+        """Time at which velocity and yaw rate are zero (s)."""
         return max(self.duration_s, self.turn_duration_s)
 
     def evaluate(self, t: float) -> TrajectoryPoint:
-        """Evaluate at time ``t`` (s) after the start; at rest after `rest_time_s`."""
+        """Return the point at time ``t`` (s) after the start; at rest after `rest_time_s`."""
         span = self.duration_s
         value, slope, way = smooth_step_down(t / span) if span > 0.0 else (0.0, 0.0, 0.0)
         (n, e, d), (u, v, w) = self.start, self.velocity
@@ -631,9 +632,9 @@ def plan_stop(
     heading_rate: float = 0.0,
     yaw_acceleration: float = math.inf,
 ) -> BrakingMotion:
-    """Brake from ``velocity`` (3,) at ``position`` (3,) with at most ``acceleration`` (m/s2).
+    """Plan braking from ``velocity`` (3,) at ``position`` (3,) with at most ``acceleration`` (m/s2).
 
-    A ``heading_rate`` (rad/s) is brought to rest with at most ``yaw_acceleration`` (rad/s2).
+    A ``heading_rate`` (rad/s) is reduced to zero with at most ``yaw_acceleration`` (rad/s2).
     """
     v = _to_triple(velocity)
     duration, _ = smooth_stop_distance(vector_length(*v), acceleration)

@@ -77,15 +77,14 @@ LOOP_MAX_CHI2 = 28.0  # of eight numbers: rejects one true closure in 2000
 _LOOP_SEARCH_SIGMAS = 2.5  # standard deviations within which keyframes are searched
 VARIANCE_INFLATION = 3.0
 """Ratio of the joint variance of all points to that of independent points, for correlated errors of neighbours.
-twelve floors (docs/log/2026-11-24-slam-accuracy.md): edges against the truth, with true tilts given, ask for 3.9,
-answers for less."""
+
+A compromise over twelve floors (docs/log/2026-11-24-slam-accuracy.md): edges with true tilts need 3.9, results less."""
 _WHITE_LEVEL, _MAX_WHITE_SHARE = 248, 0.02
 """Grey level, and largest share of brighter pixels in a keyframe: a camera that was covered overexposes for half a
 second, and white areas have no corners."""
 _STRAY_PX = 5.0  # maximum unexplained error of a point (pixels)
 _TILT_DRIFT_PER_HEIGHT = 0.005
-"""Of the height: what tilts told wrong move a place by from picture to picture
-(docs/log/2026-11-24-slam-accuracy.md)."""
+"""Change of position between pictures by tilt errors, over the height (docs/log/2026-11-24-slam-accuracy.md)."""
 _LOST_AFTER_S, _RELOCALIZE_INTERVAL = 0.7, 4
 _MIN_CONFIRMATIONS = 3
 _SHAKE_GAIN, _SHAKE_LEARNED_FRAMES, _SHAKE_REMAINING_SHARE = 0.02, 150, 0.3

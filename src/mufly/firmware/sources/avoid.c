@@ -2,12 +2,12 @@
 
 #include <stddef.h>
 
-#define POINT_LIFETIME_S REAL(30.0) /* a point is believed in without being hit again */
+#define POINT_LIFETIME_S REAL(30.0) /* a point is removed after this time without a hit */
 #define MERGE_DISTANCE_M REAL(0.05)
 #define REPLACE_CANDIDATES 8
 #define FLOOR_HEIGHT_M REAL(0.12)
 #define MERGE_HEIGHT_M REAL(0.15)
-#define RELEVANT_HEIGHT_M REAL(0.5) /* points further above or below do not matter */
+#define RELEVANT_HEIGHT_M REAL(0.5) /* points further above or below are ignored */
 #define NEAR_RANGE_M REAL(2.0)
 #define SECTOR_SLOPE REAL(0x1.a827999fcef34p-2) /* tan(pi / 8) */
 #define BLOCKED_MARGIN_M REAL(0.05)
@@ -24,7 +24,7 @@
 #define STUCK_TIME_S REAL(5.0)
 #define ON_CONTOUR_MARGIN_M REAL(0.15)
 #define PROJECTION_SWEEPS 8
-#define LEAVING_CLEAR_M (LOOK_AHEAD_M + REAL(0.3)) /* so much of a way has to be clear where a contour is left */
+#define LEAVING_CLEAR_M (LOOK_AHEAD_M + REAL(0.3)) /* length of clear path required to leave a contour */
 
 static real_t planar_distance(const real_t a[], const real_t b[])
 {
@@ -42,7 +42,7 @@ void clear_obstacle_map(obstacle_map_t *memory)
     memory->replace_index = 0;
 }
 
-/* Confirm the points that this is, or put it into a free row, or that of the oldest of a few, by turns. */
+/* Confirm the stored points near a hit, or store it in a free row, else in that of the oldest of a few, in turn. */
 static void insert_hit(obstacle_map_t *memory, const real_t hit[3], real_t time_s)
 {
     bool known = false;
@@ -109,7 +109,7 @@ void insert_beam_hits(obstacle_map_t *memory, const beam_ring_t *beams, real_t t
     }
 }
 
-/* How far before or behind a stretch. */
+/* Signed distance before or after a stretch; 0 within it. */
 static inline real_t distance_beyond(real_t along, real_t stretch)
 {
     real_t past = (along > stretch) ? (along - stretch) : REAL(0.0);
@@ -140,7 +140,7 @@ void begin_path_check(const real_t position[3], const real_t goal[2], real_t ahe
     }
 }
 
-/* Which of sixteen directions it is; their order does not matter. */
+/* Index of one of sixteen directions, in arbitrary order. */
 static inline int32_t sector_index(real_t n, real_t e)
 {
     const real_t an = real_abs(n);
@@ -151,7 +151,7 @@ static inline int32_t sector_index(real_t n, real_t e)
     return (((n < REAL(0.0)) ? 1 : 0) + ((e < REAL(0.0)) ? 2 : 0)) + ((steep ? 4 : 0) + (slanted ? 8 : 0));
 }
 
-/* In its direction from where it looks a point may be the nearest. */
+/* Keep a point if it is the nearest in its direction. */
 static inline void keep_nearest(path_check_t *s, const real_t p[4], real_t qn, real_t qe, real_t square)
 {
     real_t *const near = s->nearest_points[sector_index(qn, qe)];
@@ -210,7 +210,7 @@ void check_map_part(obstacle_map_t *memory, path_check_t *sight, real_t time_s, 
                     keep_nearest(sight, p, qn, qe, square);
                 }
                 from_goal = real_min(from_goal, (hn * hn) + (he * he));
-                if ((real_abs(across) < wide) && (along > -wide)) { /* else it is neither in the way nor near it */
+                if ((real_abs(across) < wide) && (along > -wide)) { /* else neither on the path nor near it */
                     const real_t past = distance_beyond(along, stretch);
                     const real_t past_first = distance_beyond(along, first);
                     const real_t off = (past * past) + (across * across);
@@ -222,7 +222,7 @@ void check_map_part(obstacle_map_t *memory, path_check_t *sight, real_t time_s, 
                         sight->blocker_point[0] = p[0];
                         sight->blocker_point[1] = p[1];
                     }
-                    /* A blocker's whole visible width tells the side, not only the part inside the corridor. */
+                    /* The whole visible width of a blocker decides the side, not only the part inside the corridor. */
                     if ((along > -blocked_at) && (along < (stretch + blocked_at))) {
                         sideways += across;
                         blockers++;
@@ -246,7 +246,7 @@ bool is_path_blocked(const path_check_t *sight, real_t clearance)
     return sight->path_distance_sq < (at * at);
 }
 
-/* Distance of a point from a place (m); the unit vector from that to the place. */
+/* Distance of a point from a place (m), and the unit vector towards the place. */
 static real_t direction_from(const real_t point[], const real_t place[], real_t from[2])
 {
     const real_t n = place[0] - point[0];
@@ -348,7 +348,7 @@ void begin_detour(detour_t *detour, const real_t position[3], const real_t veloc
     detour->is_leaving = false;
 }
 
-/* The repulsive field of the thesis, eqs 6.14 to 6.17: away from what is seen, along body x and y (1/m). */
+/* Repulsive field of the thesis, eqs 6.14 to 6.17: away from obstacles, along body x and y (1/m). */
 static void repulsive_force(const beam_ring_t *beams, const real_t ranges[], real_t threshold, real_t force[2])
 {
     force[0] = REAL(0.0);
@@ -363,7 +363,7 @@ static void repulsive_force(const beam_ring_t *beams, const real_t ranges[], rea
     }
 }
 
-/* Distance of a point from the straight stretch between two others (m), in the horizontal plane. */
+/* Distance of a point from a line segment (m), in the horizontal plane. */
 static real_t distance_from_line(const real_t here[], const real_t start[], const real_t goal[])
 {
     const real_t n = goal[0] - start[0];
@@ -378,7 +378,7 @@ static real_t distance_from_line(const real_t here[], const real_t start[], cons
     return real_hypot((here[0] - start[0]) - (along * n), (here[1] - start[1]) - (along * e));
 }
 
-/* Change sides when stuck or far off; after a whole lap leave at the best place that it found. */
+/* Change sides if stuck or far off; after a whole lap leave at its nearest point to the goal. */
 static void choose_side(detour_t *d, const real_t goal[3], real_t to_goal, bool touching, real_t dt)
 {
     const real_t before = d->passing_side;
@@ -392,7 +392,7 @@ static void choose_side(detour_t *d, const real_t goal[3], real_t to_goal, bool 
         d->passing_side = -d->passing_side;
         d->anchor_duration_s = REAL(0.0);
     } else {
-        /* under way */
+        /* not stuck */
     }
     if (distance_from_line(d->position, d->hit_point, goal) > d->max_stray) {
         d->passing_side = -d->passing_side;
@@ -412,11 +412,11 @@ static void choose_side(detour_t *d, const real_t goal[3], real_t to_goal, bool 
         d->lap_distance = REAL(0.0);
         d->least_goal_distance = to_goal;
     } else {
-        /* on its way around */
+        /* lap not complete */
     }
 }
 
-/* Move the reference: velocity follows what is wanted, acceleration limited and low-pass filtered. */
+/* Step the reference: its velocity follows wanted, with limited, low-pass filtered acceleration. */
 static void move_reference(detour_t *d, const real_t wanted[3], real_t dt)
 {
     const real_t blend = REAL(1.0) - exp_decay(dt / ACCELERATION_LAG_S);
@@ -438,15 +438,15 @@ static void move_reference(detour_t *d, const real_t wanted[3], real_t dt)
     }
 }
 
-/* What it goes along: the nearest point, from where it plans. */
+/* Nearest point of the contour, from the place where the path is planned. */
 typedef struct {
-    const real_t *at; /* the reference, or the helicopter that the wind has moved off it */
+    const real_t *at; /* reference, or helicopter if wind has displaced it */
     real_t far;
-    real_t from[2]; /* unit vector from the point to there */
+    real_t from[2]; /* unit vector from the point to at */
     bool touching;
 } contour_point_t;
 
-/* Along the contour: with n from the point to the helicopter and t across it, V (t cos a - n sin a). */
+/* Velocity along the contour: with n from the point to the helicopter and t normal to it, V (t cos a - n sin a). */
 static void contour_velocity(const detour_t *d, const path_check_t *sight, const contour_point_t *near, bool nearer_goal,
                           real_t distance, real_t speed, real_t wanted[3])
 {
@@ -460,7 +460,7 @@ static void contour_velocity(const detour_t *d, const path_check_t *sight, const
     real_t slant;
     real_t along;
     real_t inward;
-    /* Off any contour, or where a lap around the wrong one came nearest to the goal: make for the one in the way. */
+    /* Off any contour, or at a wrong contour's nearest point to the goal: head for the blocking point. */
     const bool lost = (d->lap_count > 0) && nearer_goal && (block > (distance + REAL(0.05)));
 
     if ((lost || !near->touching) && (block < REAL_INFINITY)) {
@@ -472,7 +472,7 @@ static void contour_velocity(const detour_t *d, const path_check_t *sight, const
     slant = real_hypot(error, CONTOUR_BLEND_M);
     along = CONTOUR_BLEND_M / slant;
     inward = error / slant;
-    /* Facing the obstacle, along -n, the way to the right is (n_E, -n_N). */
+    /* Facing the obstacle, along -n, the right-hand direction is (n_E, -n_N). */
     wanted[0] = speed * (((along * d->passing_side) * e) - (inward * n));
     wanted[1] = speed * (((-along * d->passing_side) * n) - (inward * e));
 }
@@ -514,7 +514,7 @@ void follow_contour(detour_t *detour, const path_check_t *sight, const beam_ring
     }
 
     if (detour->is_leaving) {
-        /* straight on, once it has stopped */
+        /* brakes, then continues straight */
     } else if (goal_blocked) {
         const real_t push = real_min(speed, real_max(REAL(0.0), distance - near.far));
         wanted[0] = push * near.from[0];
@@ -526,7 +526,7 @@ void follow_contour(detour_t *detour, const path_check_t *sight, const beam_ring
         wanted[0] = (pace * (goal[0] - detour->position[0])) / to_goal;
         wanted[1] = (pace * (goal[1] - detour->position[1])) / to_goal;
     } else {
-        /* there */
+        /* at the goal */
     }
 
     repulsive_force(beams, ranges, distance, force);

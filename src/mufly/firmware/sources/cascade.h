@@ -1,4 +1,4 @@
-/* From where it should be to how it should tilt: position proportional, velocity by H-infinity. */
+/* Position cascade: proportional position control and H-infinity velocity control, which command tilt. */
 #ifndef MUFLY_CASCADE_H
 #define MUFLY_CASCADE_H
 
@@ -32,10 +32,10 @@ typedef struct {
     real_t acceleration[3];
 } path_t;
 
-/* At rest. */
+/* Start at rest. */
 void position_init(position_state_t *state);
 
-/* One of its periods. position, velocity: believed, N, E, D; heading (rad); tilt: phi, theta to hold (rad). */
+/* Run one period. position, velocity: estimated, N, E, D; heading (rad); tilt: phi, theta references (rad). */
 void position_step(const position_gains_t *g, position_state_t *state, const path_t *reference,
                    const real_t position[3], const real_t velocity[3], real_t heading, real_t tilt[2]);
 

@@ -3,7 +3,7 @@
 #include "linear.h"
 #include "mixer.h"
 
-/* value += change; what the sum drops is added the next time. */
+/* value += change; the rounding error is added the next time. */
 static void add_compensated(real_t *value, real_t *dropped, real_t change)
 {
     const real_t more = change + *dropped;
@@ -13,12 +13,12 @@ static void add_compensated(real_t *value, real_t *dropped, real_t change)
     *value = total;
 }
 
-/* A reference filter: critically damped near the target, on a braking parabola far from it. */
+/* Step a reference filter: critically damped near the target, on a braking parabola far from it. */
 static void filter_reference(real_t *value, real_t *dropped, real_t *rate, real_t target, real_t target_rate,
                   real_t bandwidth, real_t acceleration, real_t speed, real_t period)
 {
     const real_t gap = target - *value;
-    const real_t braking = REAL(0.5) * acceleration; /* half the acceleration still brakes in time */
+    const real_t braking = REAL(0.5) * acceleration; /* half the acceleration brakes in time */
     const real_t slope = REAL(0.5) * bandwidth;
     const real_t linear = braking / (slope * slope);
     real_t wanted = slope * gap;
@@ -31,13 +31,13 @@ static void filter_reference(real_t *value, real_t *dropped, real_t *rate, real_
     add_compensated(value, dropped, period * *rate);
 }
 
-/* What of a rate goes the way of whole, and no further. */
+/* rate limited to the range between zero and whole. */
 static real_t limit_lead_rate(real_t rate, real_t whole)
 {
     return (whole > REAL(0.0)) ? real_clip(rate, REAL(0.0), whole) : real_clip(rate, whole, REAL(0.0));
 }
 
-/* A reading far off the design voltage is a fault of the sensor, not a battery. */
+/* A reading far from the design voltage is a sensor fault. */
 static real_t limit_voltage(const heave_yaw_gains_t *g, real_t voltage)
 {
     return real_clip(voltage, REAL(0.5) * g->design_voltage, REAL(1.5) * g->design_voltage);
@@ -105,7 +105,7 @@ void heave_yaw_step(const heave_yaw_gains_t *g, heave_yaw_state_t *state, const 
     state->voltage += g->voltage_blend * (limit_voltage(g, voltage) - state->voltage);
     top = state->voltage / g->design_voltage;
 
-    /* Lead only on the rate that the reference itself brings: a bare step must not be sharpened. */
+    /* Lead only on the reference's own rate: a bare step must not be sharpened. */
     e[0] = (state->shaped_z + (g->heave_lead * limit_lead_rate(state->shaped_w, reference[2]))) - state->origin_z;
     e[1] = (state->shaped_psi + (g->yaw_lead * limit_lead_rate(state->shaped_r, reference[3]))) - state->origin_psi;
     e[2] = state->origin_z - measured[0];
@@ -122,7 +122,7 @@ void heave_yaw_step(const heave_yaw_gains_t *g, heave_yaw_state_t *state, const 
     for (int32_t i = 0; i < HEAVE_YAW_ORDER; i++) {
         add_compensated(&state->x[i], &state->dropped[i], change[i]);
     }
-    /* top - |half| + |half| may be a little more than top: rounding. */
+    /* By rounding, top - |half| + |half| may exceed top. */
     motor_input[0] = real_clip((mean + half) / top, REAL(0.0), REAL(1.0));
     motor_input[1] = real_clip((mean - half) / top, REAL(0.0), REAL(1.0));
 }

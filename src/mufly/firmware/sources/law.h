@@ -1,7 +1,7 @@
-/* The control law: heave-yaw and roll-pitch by H-infinity, as designed; what it does and why: law.py of mufly.control.
+/* H-infinity control law of heave-yaw and roll-pitch. Explanation: law.py of mufly.control.
  *
  * A controller is  u = C x + D e,  x+ = x + F x + B e + M (sat(u) - u);  it starts at  x = E e + U u.
- * Units SI and radians; motor inputs 0..1 as (upper, lower), servo inputs -1..1. State belongs to the caller. */
+ * Units SI and radians; motor inputs 0..1 as (upper, lower), servo inputs -1..1. The caller owns all state. */
 #ifndef MUFLY_LAW_H
 #define MUFLY_LAW_H
 
@@ -39,9 +39,9 @@ typedef struct {
 typedef struct {
     real_t x[HEAVE_YAW_ORDER];
     real_t shaped_z, shaped_w, shaped_psi, shaped_r; /* filtered references and their rates */
-    real_t origin_z, origin_psi;                     /* where it was engaged */
+    real_t origin_z, origin_psi;                     /* height and heading at engagement */
     real_t voltage;                                  /* of the battery, filtered */
-    real_t dropped[HEAVE_YAW_ORDER];                 /* what additions to x dropped, and to the references */
+    real_t dropped[HEAVE_YAW_ORDER];                 /* rounding errors of x and of the references */
     real_t dropped_z, dropped_psi;
 } heave_yaw_state_t;
 
@@ -61,14 +61,14 @@ typedef struct {
     real_t x[ROLL_PITCH_ORDER];
 } roll_pitch_state_t;
 
-/* Engage heave-yaw without a bump from motors at motor_input; measured: z (m, down), psi, r; battery voltage (V). */
+/* Engage heave-yaw bumplessly from motors at motor_input; measured: z (m, down), psi, r; battery voltage (V). */
 void heave_yaw_init(const heave_yaw_gains_t *g, heave_yaw_state_t *state, const real_t measured[3],
                      const real_t motor_input[OUTPUT_PAIR], real_t voltage);
 
-/* In flight: let the filtered reference wait for a height z (m, down) that trails it by more than the slack. */
+/* In flight: make the filtered reference wait for a height z (m, down) that trails it by more than the slack. */
 void limit_heave_reference(const heave_yaw_gains_t *g, heave_yaw_state_t *state, real_t z);
 
-/* One period. reference: z, psi and their rates; measured: z, psi, r; voltage (V). */
+/* Run one period. reference: z, psi and their rates; measured: z, psi, r; voltage (V). */
 void heave_yaw_step(const heave_yaw_gains_t *g, heave_yaw_state_t *state, const real_t reference[4],
                     const real_t measured[3], real_t voltage, real_t motor_input[OUTPUT_PAIR]);
 
@@ -76,7 +76,7 @@ void heave_yaw_step(const heave_yaw_gains_t *g, heave_yaw_state_t *state, const 
 void roll_pitch_init(const roll_pitch_gains_t *g, roll_pitch_state_t *state,
                       const real_t measured[ROLL_PITCH_ERRORS]);
 
-/* One period. reference: phi, theta; measured: phi, theta, p, q. */
+/* Run one period. reference: phi, theta; measured: phi, theta, p, q. */
 void roll_pitch_step(const roll_pitch_gains_t *g, roll_pitch_state_t *state, const real_t reference[OUTPUT_PAIR],
                      const real_t measured[ROLL_PITCH_ERRORS], real_t servo_input[OUTPUT_PAIR]);
 

@@ -16,7 +16,7 @@
 #define OFF_FLOOR_HEIGHT_M REAL(0.2)
 #define PER_DEGREE (REAL(180.0) / REAL_PI)
 
-/* What may be asked in which state */
+/* Permitted requests in each state */
 
 typedef enum { DENY, ALLOW_ALWAYS, ALLOW_AT_REST, ALLOW_GROUNDED, ALLOW_ARMED, ALLOW_UNLESS_BLIND, ALLOW_UNLESS_FAILED, ALLOW_GO_AROUND, ALLOW_LIFTED, ALLOW_MOTORS_OFF, ALLOW_MISSION_WAITING } condition_t;
 
@@ -62,16 +62,16 @@ bool check_request(int32_t ask, const mission_t *s, real_t height, bool armed, b
     case ALLOW_UNLESS_FAILED:
         can = knows;
         break;
-    case ALLOW_GO_AROUND: /* still high enough for a landing to be broken off */
+    case ALLOW_GO_AROUND: /* high enough to abort a landing */
         can = knows && (s->motors == MOTORS_FLY) && !(height <= GO_AROUND_HEIGHT_M);
         break;
-    case ALLOW_LIFTED: /* off the floor for good */
+    case ALLOW_LIFTED: /* safely off the floor */
         can = knows && (s->motors != MOTORS_SPIN_UP) && !(height < OFF_FLOOR_HEIGHT_M);
         break;
     case ALLOW_MOTORS_OFF:
         can = off;
         break;
-    case ALLOW_MISSION_WAITING: /* it hovers or flies where it was sent, and no mission is being flown */
+    case ALLOW_MISSION_WAITING: /* hovers or flies by user signals, no mission in progress */
         can = knows && s->manual && ((s->motors == MOTORS_SPIN_UP) || (s->motors == MOTORS_FLY));
         break;
     default:
@@ -91,9 +91,9 @@ static bool is_in_flight(const mission_t *s)
     return (s->state != STATE_INIT) && (s->state != STATE_LANDING) && (s->state != STATE_RC);
 }
 
-/* Clocks, battery, what the beams see */
+/* Clocks, battery, obstacle map */
 
-/* Whether height and heading are adapted in fact, and the beams have had a look around. */
+/* Whether height and heading are reached in fact, and the beams have scanned. */
 static bool may_depart(const plan_t *plan, const mission_t *s, const estimate_t *m)
 {
     const trajectory_t *way = &s->course.way;
@@ -142,7 +142,7 @@ static void update_clocks(const plan_t *plan, mission_t *s, const estimate_t *m,
     s->low_battery_duration_s = (s->battery_V < plan->low_voltage) ? (s->low_battery_duration_s + dt) : REAL(0.0);
 }
 
-/* The user: stop, waypoints, pause, home */
+/* User signals: stop, waypoints, pause, home */
 
 void stop_motors(mission_t *s, const message_t *why)
 {
@@ -157,7 +157,7 @@ void stop_motors(mission_t *s, const message_t *why)
     }
 }
 
-/* Why a user's waypoint is refused; SAY_NO_MESSAGE if it is not. */
+/* Reason to refuse a user's waypoint; SAY_NO_MESSAGE if it is valid. */
 static message_t user_waypoint_fault(const command_t *c)
 {
     message_t fault = make_message(SAY_NO_MESSAGE);
@@ -173,10 +173,10 @@ static message_t user_waypoint_fault(const command_t *c)
         } else if ((where[2] < -MAX_HEIGHT_M) || (real_hypot(where[0], where[1]) > MAX_EXTENT_M)) {
             fault = make_message_4(SAY_USER_WAYPOINT_TOO_FAR, where[0], where[1], where[2], -MAX_HEIGHT_M);
         } else {
-            /* it can be flown to */
+            /* valid */
         }
     } else {
-        /* it turns on the spot */
+        /* turns on the spot */
     }
     return fault;
 }
@@ -198,7 +198,7 @@ static bool is_same_place(const real_t a[3], const real_t b[3])
     return same;
 }
 
-/* What the user asks for is what it does already. */
+/* Whether the vehicle already does what the user requests. */
 static bool is_already_requested(const mission_t *s, const command_t *c)
 {
     const bool heading = c->has_heading
@@ -235,7 +235,7 @@ static void fly_to_user_waypoint(const plan_t *plan, mission_t *s, const command
         }
         start_leg(plan, s, &what, &errand);
     } else {
-        /* it goes there already */
+        /* already flies there */
     }
 }
 
@@ -304,7 +304,7 @@ void reset_for_loaded_mission(const plan_t *plan, mission_t *s)
     log_event(s, &what, LEVEL_INFO);
     s->waypoint_index = 0;
     s->mission_begun = false;
-    if (s->state != STATE_INIT) { /* a flight that goes on is one without a mission until that is started */
+    if (s->state != STATE_INIT) { /* a flight in progress continues without a mission until the new one starts */
         s->outcome = OUTCOME_OPEN;
         s->reason = make_message(SAY_NO_MESSAGE);
         s->manual = true;
@@ -333,7 +333,7 @@ static void set_abort_reason(const plan_t *plan, mission_t *s, int32_t last, int
     }
 }
 
-/* A pilot */
+/* Manual control (RC) */
 
 static void enter_manual(mission_t *s, const estimate_t *m)
 {
@@ -374,7 +374,7 @@ static void step_manual(mission_t *s, const estimate_t *m, const command_t *c, r
             s->motors = MOTORS_FLY;
         }
     } else {
-        /* The reference stays near the helicopter, so that the sticks answer at once. */
+        /* The reference stays near the helicopter, so that it responds to the sticks at once. */
         s->hold_position[2] = real_min(real_max(s->hold_position[2] - (c->climb_rate * dt), x[2] - REAL(0.5)), x[2] + REAL(0.5));
         s->hold_position[0] = x[0];
         s->hold_position[1] = x[1];
@@ -414,7 +414,7 @@ static void exit_manual(mission_t *s, const estimate_t *m)
             s->outcome = OUTCOME_SUCCEEDED;
             s->reason = why;
         } else {
-            /* judged already, or never in the air */
+            /* outcome already set, or never in the air */
         }
         end_on_floor(s, SAY_RC_OFF_ON_FLOOR);
     } else {
@@ -425,7 +425,7 @@ static void exit_manual(mission_t *s, const estimate_t *m)
         plan_stop(x, v, psi, DETOUR_ACCELERATION_M_S2, REAL(0.0), REAL_INFINITY, &brake);
         braking_evaluate(&brake, REAL_INFINITY, &at);
         if (at.position[2] > s->home_position[2]) {
-            /* It falls too fast to stop above the floor: a way down goes with w sqrt(u^2 + w^2). */
+            /* The descent is too fast to stop above the floor: the stopping height goes with w sqrt(u^2 + w^2). */
             const real_t u = real_hypot(v[0], v[1]);
             const real_t w = v[2];
             const real_t most = ((real_max(REAL(0.0), s->home_position[2] - x[2]) / (at.position[2] - x[2])) * w) *
@@ -443,14 +443,14 @@ static void exit_manual(mission_t *s, const estimate_t *m)
     }
 }
 
-/* A program's set-points */
+/* Set-points of a program */
 
 static void enter_offboard(mission_t *s, const estimate_t *m, const set_point_t *wanted)
 {
     message_t why = make_message(SAY_OFFBOARD_ON);
 
     if (!is_set_point_valid(wanted)) {
-        /* nothing to follow */
+        /* invalid set-point */
     } else if (s->state != STATE_INIT) {
         trajectory_point_t at;
 
@@ -468,11 +468,11 @@ static void enter_offboard(mission_t *s, const estimate_t *m, const set_point_t 
         enter_state(s, STATE_OFFBOARD, &why, LEVEL_INFO);
         s->motors = MOTORS_SPIN_UP;
     } else {
-        /* it stays on the floor */
+        /* stays on the floor */
     }
 }
 
-/* Follow the set-point, no faster than the mission's limits and into nothing that the beams have seen. */
+/* Follow the set-point within the mission's limits, away from obstacles that the beams have hit. */
 static void step_offboard(const plan_t *plan, mission_t *s, const estimate_t *m, const command_t *c, real_t dt)
 {
     bool ready = true;
@@ -487,7 +487,7 @@ static void step_offboard(const plan_t *plan, mission_t *s, const estimate_t *m,
             s->has_set_point_reference = true;
         }
     }
-    /* It was begun for the end of the step in which it was entered. */
+    /* The reference is predicted for the end of the step of entry. */
     if (ready && (s->state_entered_s < s->time_s) && is_set_point_valid(&c->program_set_point)) {
         const bool guard = plan->avoid && (s->obstacle_map.point_count > 0);
 
@@ -514,7 +514,7 @@ static void exit_offboard(const plan_t *plan, mission_t *s, const estimate_t *m)
     }
 }
 
-/* What the user wants, where the state lets it */
+/* User requests that the state permits */
 
 static void pause_or_defer(const plan_t *plan, mission_t *s, const estimate_t *m)
 {
@@ -538,7 +538,7 @@ static void handle_request(const plan_t *plan, mission_t *s, const estimate_t *m
     const message_t land = make_message(SAY_LAND_SIGNAL);
     const message_t home = make_message(SAY_RETURN_SIGNAL);
     const int32_t first = (c->has_first_waypoint && (c->first_waypoint > 0)) ? c->first_waypoint : 0;
-    bool waits = true; /* for what is asked */
+    bool waits = true; /* whether no request has been handled yet */
     bool fresh;
 
     if (c->land && (s->state != STATE_LANDING) && is_granted(REQUEST_LAND, s, m)) {
@@ -575,7 +575,7 @@ static void handle_request(const plan_t *plan, mission_t *s, const estimate_t *m
     } else if (c->start && fresh && is_granted(REQUEST_START, s, m)) {
         resume_mission(plan, s, c->has_first_waypoint ? &first : NULL);
     } else {
-        /* nothing, or nothing that it may do */
+        /* no request, or none permitted */
     }
 }
 
@@ -591,14 +591,14 @@ static void land_on_low_battery(const plan_t *plan, mission_t *s)
 {
     const message_t why = make_message_2(SAY_BATTERY_LOW, s->battery_V, plan->low_voltage);
 
-    /* A mission that is complete and holds has not failed when its battery is used up. */
+    /* A completed mission that holds does not fail by using up its battery. */
     if (s->outcome != OUTCOME_SUCCEEDED) {
         fail_mission(s, &why);
     }
     start_landing(s, &why, LEVEL_WARNING);
 }
 
-/* Transitions that do not depend on what the present state is busy with. */
+/* Transitions that are possible in any state. */
 static void apply_signals(const plan_t *plan, mission_t *s, const estimate_t *m, const command_t *c, real_t dt)
 {
     message_t what;
@@ -612,12 +612,12 @@ static void apply_signals(const plan_t *plan, mission_t *s, const estimate_t *m,
         what = make_message(SAY_TIPPED_MOTORS_OFF);
         stop_motors(s, &what);
     } else if (c->rc_active && (s->motors != MOTORS_RAMP_DOWN)) {
-        /* Rotors that run down after touchdown stop first: sticks in their middle must not start them again. */
+        /* Rotors that run down after touchdown stop first: centred sticks must not restart them. */
         if (s->state != STATE_RC) {
             enter_manual(s, m);
         }
         if ((s->motors == MOTORS_FLY) && ((s->low_battery_duration_s - dt) <= LOW_BATTERY_S) && (LOW_BATTERY_S < s->low_battery_duration_s)) {
-            what = make_message_2(SAY_BATTERY_LOW_PILOT, s->battery_V, plan->low_voltage); /* the pilot's own decision */
+            what = make_message_2(SAY_BATTERY_LOW_PILOT, s->battery_V, plan->low_voltage); /* the pilot decides */
             log_event(s, &what, LEVEL_WARNING);
         }
         step_manual(s, m, c, dt);
@@ -626,13 +626,13 @@ static void apply_signals(const plan_t *plan, mission_t *s, const estimate_t *m,
     } else if (is_in_flight(s) && (s->low_battery_duration_s > LOW_BATTERY_S)) {
         land_on_low_battery(plan, s);
     } else if ((s->state == STATE_INIT) && (s->motors != MOTORS_OFF)) {
-        /* its motors run down */
+        /* motors run down */
     } else {
         handle_request(plan, s, m, c);
     }
 }
 
-/* Whether it has just set out along a curve, on which some work is left. */
+/* Whether the vehicle has just begun a curve whose computation is not complete. */
 static bool has_pending_curve(const mission_t *s)
 {
     return (s->course.kind == COURSE_TRAJECTORY) && (s->course.way.pending_parts > 0);
@@ -642,7 +642,7 @@ void step_mission(const plan_t *plan, mission_t *s, const estimate_t *m, const c
 {
     const real_t dt = real_min(real_max(m->time_s - s->time_s, REAL(0.0)), LONGEST_STEP_S);
 
-    while (has_pending_curve(s)) { /* a period was left out */
+    while (has_pending_curve(s)) { /* a period was skipped */
         advance_pending_curve(&s->course.way);
     }
     update_clocks(plan, s, m, dt);
@@ -662,7 +662,7 @@ void step_mission(const plan_t *plan, mission_t *s, const estimate_t *m, const c
 
 void update_obstacle_map(const plan_t *plan, mission_t *s, const estimate_t *m, int32_t part, int32_t parts)
 {
-    if (has_pending_curve(s)) { /* it stands or brakes */
+    if (has_pending_curve(s)) { /* the vehicle stands or brakes */
         advance_pending_curve(&s->course.way);
     } else if (plan->avoid && is_in_flight(s) && ((s->obstacle_map.point_count > 0) || sees_anything(plan, m))) {
         const int32_t count = (plan->ring.count + 7) / 8;
@@ -675,6 +675,6 @@ void update_obstacle_map(const plan_t *plan, mission_t *s, const estimate_t *m, 
             s->next_beam -= plan->ring.count;
         }
     } else {
-        /* there is nothing to look at */
+        /* nothing to check */
     }
 }

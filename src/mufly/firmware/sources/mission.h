@@ -1,7 +1,7 @@
-/* The mission: states, signals, references, and what is remembered from one step to the next.
+/* Mission state machine: states, signals, references, and memory between steps.
  *
- * What it does and why: machine.py, phases.py and state.py of mufly.mission. mission.c hears the user's signals, phases.c
- * is what each state does by itself. All state belongs to the caller. N, E, D; m, s, rad, V. */
+ * Explanation: state_machine.py, phases.py and mission_state.py of mufly.mission. mission.c handles the user's signals,
+ * phases.c the behaviour of each state. The caller owns all state. N, E, D; m, s, rad, V. */
 #ifndef MUFLY_MISSION_H
 #define MUFLY_MISSION_H
 
@@ -11,8 +11,8 @@
 #include "trajectory.h"
 #include "words.h"
 
-#define MISSION_WAYPOINTS 32 /* at most */
-#define MISSION_LOG 16       /* latest entries that are kept */
+#define MISSION_WAYPOINTS 32 /* most waypoints */
+#define MISSION_LOG 16       /* log entries kept */
 
 #define SPIN_UP_S REAL(3.0)
 #define RAMP_DOWN_TIME_S REAL(1.0)
@@ -30,53 +30,53 @@ enum { REQUEST_ARM, REQUEST_DISARM, REQUEST_TAKE_OFF, REQUEST_START, REQUEST_PAU
 typedef struct {
     real_t position[3];
     real_t wait_s;
-    real_t speed; /* horizontal, on the way there */
+    real_t speed; /* horizontal speed of the leg */
     bool has_heading;
-    real_t heading; /* on the way there and there */
+    real_t heading; /* heading on the leg and at the waypoint */
 } waypoint_t;
 
-/* A mission with what has to be known of the vehicle. */
+/* A mission with the vehicle data that the state machine needs. */
 typedef struct {
     int32_t count;
     waypoint_t waypoint[MISSION_WAYPOINTS];
     int32_t at_end;
-    bool spline;              /* fly curves, not lines */
-    real_t start[2];          /* where it begins, N, E */
+    bool spline;              /* curves instead of lines */
+    real_t start[2];          /* start position, N, E */
     real_t take_off_height;
     real_t take_off_wait_s;
     trajectory_limits_t limits;
-    real_t touchdown;         /* rate of descent near the floor (m/s) */
-    real_t reach, reach_speed; /* a place counts as reached from this near, when slower than this */
-    bool avoid, scan;         /* whether it minds obstacles; swings its nose to see them */
+    real_t touchdown;         /* descent rate near the floor (m/s) */
+    real_t reach, reach_speed; /* distance and speed below which a place counts as reached */
+    bool avoid, scan;         /* avoids obstacles; scans for them with its nose */
     real_t clearance;
     real_t avoid_speed;
     real_t give_up_s;
-    real_t nose_offset;       /* of the nose from the way (rad): one beam looks along it */
+    real_t nose_offset;       /* angle of the nose from the path (rad): one beam points along it */
     real_t low_voltage;
     beam_ring_t ring;
 } plan_t;
 
-/* The user's signals at one step; all zero is none. */
+/* The user's signals at one step; all zero is no signal. */
 typedef struct {
     bool start;
     bool has_first_waypoint;
     int32_t first_waypoint; /* with start: the waypoint (from 0) to fly to first */
     bool has_take_off_height;
-    real_t take_off_height; /* to this height, and hold */
+    real_t take_off_height; /* take-off to this height and hold */
     bool pause;
     bool has_waypoint;
     real_t waypoint[3];
     bool has_heading;
     real_t heading;
     bool return_requested, land;
-    int32_t stop_reason; /* motors off at once; 0 is no signal, else what the log says */
+    int32_t stop_reason; /* stops the motors at once; 0 is no signal, other values are logged */
     bool rc_active;
     real_t roll, pitch, yaw_rate, climb_rate; /* of the pilot */
     bool has_program_set_point;
     set_point_t program_set_point;
 } command_t;
 
-/* What the controllers have to follow. */
+/* Reference for the controllers. */
 typedef struct {
     path_t path;
     real_t heading, heading_rate;
@@ -93,7 +93,7 @@ typedef struct {
 
 enum { COURSE_NONE, COURSE_TRAJECTORY, COURSE_STOP };
 
-/* What it follows: nothing, a trajectory, or a braking. */
+/* Present motion: none, a trajectory, or a braking. */
 typedef struct {
     int32_t kind;
     trajectory_t way;
@@ -104,15 +104,15 @@ typedef struct {
     int32_t state;
     real_t time_s, state_entered_s, motion_clock_s, step_duration_s;
     int32_t motors;
-    int32_t waypoint_index; /* the waypoint that is flown to or comes next (from 0) */
+    int32_t waypoint_index; /* present or next waypoint (from 0) */
     int32_t outcome;
     message_t reason;
     bool finished, manual, has_taken_off, mission_begun;
     int32_t reached_count;
-    message_t abort_reason; /* why the user broke the mission off; counts once it is down */
+    message_t abort_reason; /* reason for the user's abort; counts after landing */
     bool returning_home;
     log_entry_t log[MISSION_LOG];
-    int32_t logged_count; /* entries so far; the latest is log[(logged - 1) % MISSION_LOG] */
+    int32_t logged_count; /* number of entries; the latest is log[(logged_count - 1) % MISSION_LOG] */
     real_t home_position[3], hold_position[3], goal[3];
     real_t hold_heading;
     course_t course;
@@ -120,8 +120,8 @@ typedef struct {
     real_t descent_rate, descent_acceleration, still_duration_s, touchdown_speed;
     real_t battery_V, low_battery_duration_s;
     obstacle_map_t obstacle_map;
-    int32_t next_beam; /* that is taken next */
-    path_check_t path_check; /* what the points mean for where it goes */
+    int32_t next_beam; /* next beam to be processed */
+    path_check_t path_check; /* check of the present path */
     bool has_detour;
     detour_t detour;
     int32_t resume_state;
@@ -135,38 +135,38 @@ typedef struct {
     bool hover_after_take_off;
 } mission_t;
 
-/* Before the start signal: on the floor, motors off. */
+/* State before the start signal: on the floor, motors off. */
 void initial_mission_state(mission_t *s, const estimate_t *m);
 
-/* Another plan is flown from now on, from its first waypoint when it is started. */
+/* Change to another plan, which is flown from its first waypoint at the next start. */
 void reset_for_loaded_mission(const plan_t *plan, mission_t *s);
 
-/* One step of the logic, 50 times a second or so. */
+/* Run one step of the state machine, at about 50 Hz. */
 void step_mission(const plan_t *plan, mission_t *s, const estimate_t *m, const command_t *command, reference_t *out);
 
-/* Between two steps, in a part (from 1) of parts: beams, and the points that the next step goes by. */
+/* Process one of several parts (from 1) of beams and points, between two steps. */
 void update_obstacle_map(const plan_t *plan, mission_t *s, const estimate_t *m, int32_t part, int32_t parts);
 
-/* Whether its state lets it do what is asked. height: above where it stood (m). */
+/* Whether the state permits a request. height: above the standing position (m). */
 bool check_request(int32_t ask, const mission_t *s, real_t height, bool armed, bool flying);
 
-/* Motors off, whatever the state. */
+/* Stop the motors in any state. */
 void stop_motors(mission_t *s, const message_t *why);
 
-/* Stop and hover; the mission waits. Go on with it, or with waypoint *first. */
+/* Stop and hover; the mission waits. Resume it, or fly to waypoint *first. */
 void pause_mission(const plan_t *plan, mission_t *s, const message_t *why);
 void resume_mission(const plan_t *plan, mission_t *s, const int32_t *first);
 
-/* Measurements are lost in flight; it cannot go on; by now it has come down. */
+/* Descend without measurements; fail and land; finish the descent without measurements. */
 void enter_blind_descent(mission_t *s, real_t time_s, const message_t *why);
 void fail_and_land(mission_t *s, const message_t *why);
 void finish_blind_descent(mission_t *s, real_t time_s);
 
 void log_event(mission_t *s, const message_t *what, int32_t level);
 
-/* Off the floor. */
+/* Whether the vehicle is off the floor. */
 bool has_lifted_off(const mission_t *s, const estimate_t *m);
-/* Whether it turns on its legs, light as it is by now. */
+/* Whether the vehicle, nearly lifted, rotates on its legs. */
 bool is_tipping(const estimate_t *m);
 
 #endif

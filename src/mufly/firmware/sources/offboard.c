@@ -10,7 +10,7 @@
 #define MAX_SPEED_M_S REAL(50.0)
 #define MAX_YAW_RATE_RAD_S REAL(50.0)
 
-/* A number that is given and beyond its bound sets this. */
+/* Set said if a number is given, and clear right if it is beyond its bound. */
 static void check_bound(real_t value, real_t most, bool *said, bool *right)
 {
     *said = *said || !real_is_nan(value);
@@ -58,13 +58,13 @@ static real_t approach_speed(real_t gap, real_t acceleration)
     return (gap < linear) ? (slope * gap) : real_sqrt((REAL(2.0) * half) * (gap - (REAL(0.5) * linear)));
 }
 
-/* Velocity with which a bound at gap (m, down) may be approached, or has to be returned to. */
+/* Permitted velocity towards a bound at gap (m, down), or velocity back to it. */
 static real_t bound_velocity(real_t gap, const trajectory_limits_t *limits)
 {
     return real_copysign(approach_speed(real_abs(gap), limits->climb_acceleration), gap);
 }
 
-/* What a change of velocity is multiplied with: at most this acceleration, and never past it. */
+/* Gain from a change of velocity to an acceleration of at most most, without overshoot. */
 static real_t limited_gain(real_t dx, real_t dy, real_t most, real_t dt)
 {
     const real_t gain = real_min(REAL(2.0) * TRACKER_BANDWIDTH_RAD_S, REAL(1.0) / dt);
@@ -114,7 +114,7 @@ static void step_set_point(trajectory_point_t *t, const set_point_t *wanted, con
     a[0] = gain * change[0];
     a[1] = gain * change[1];
 
-    /* The greatest height first: where both are broken (a mad estimate), down is wrong and up is worse. */
+    /* The height limit comes first: if both are violated (a wild estimate), descending is the lesser risk. */
     if (!real_is_nan(wanted->position[2])) {
         gd = real_min(real_max(wanted->position[2], -MAX_HEIGHT_M), -MIN_WAYPOINT_HEIGHT_M) - t->position[2];
     }

@@ -8,10 +8,10 @@
 #define NEAR_FLOOR_HEIGHT_M REAL(0.1)
 #define MAX_DESCENT_LAG_M REAL(0.25)
 #define STILL_DURATION_S REAL(0.3)
-#define STANDING_HEIGHT_M REAL(0.02) /* on an estimate: lower than, */
-#define PRESSED_DEPTH_M REAL(0.03) /* told to be lower by, */
-#define PRESSED_DURATION_S REAL(0.05) /* for, */
-#define CERTAIN_HEIGHT_M REAL(0.05)   /* its height as certain (standard deviation) */
+#define STANDING_HEIGHT_M REAL(0.02) /* standing on the floor by the estimate: height below this, */
+#define PRESSED_DEPTH_M REAL(0.03) /* reference below the estimate by this, */
+#define PRESSED_DURATION_S REAL(0.05) /* for this time, */
+#define CERTAIN_HEIGHT_M REAL(0.05)   /* with this height deviation at most */
 #define DRIFT_CHECK_HEIGHT_M REAL(0.6)
 #define DRIFT_SPEED_M_S REAL(0.3)
 #define DRIFT_DESCENT_M_S REAL(0.05)
@@ -40,7 +40,7 @@ static real_t distance_between(const real_t a[3], const real_t b[3])
     return real_vector_length(off);
 }
 
-/* The log, and how a state is entered */
+/* Log, and transitions between states */
 
 void log_event_as(mission_t *s, int32_t state, const message_t *what, int32_t level)
 {
@@ -138,7 +138,7 @@ void predict_reference(const mission_t *s, trajectory_point_t *out)
             out->position[i] += s->step_duration_s * out->velocity[i];
         }
     } else {
-        /* a motion's clock has been moved on already */
+        /* a motion's clock is already advanced */
     }
     if ((s->state == STATE_LANDING) || (s->state == STATE_OBSTACLE) || (s->state == STATE_OFFBOARD)) {
         out->heading += s->step_duration_s * out->heading_rate;
@@ -222,11 +222,11 @@ void make_reference(const plan_t *plan, const mission_t *s, const estimate_t *m,
     }
 }
 
-/* Down to the floor */
+/* Landing */
 
 void start_landing(mission_t *s, const message_t *why, int32_t level)
 {
-    const message_t reason = *why; /* it may be the one that is kept in s */
+    const message_t reason = *why; /* why may point to the message stored in s */
 
     if (s->motors == MOTORS_SPIN_UP) {
         if (s->mission_begun) {
@@ -277,7 +277,7 @@ static void handle_touchdown(mission_t *s)
     s->motion_clock_s = REAL(0.0);
 }
 
-/* How the flight went, now that it is down. */
+/* Set the outcome of the flight after landing. */
 static void judge_outcome(mission_t *s)
 {
     if (s->outcome == OUTCOME_OPEN) {
@@ -321,15 +321,15 @@ static void step_landing(const plan_t *plan, mission_t *s, const estimate_t *m, 
                      (m->motion.velocity[1] * m->motion.velocity[1])) > (DRIFT_SPEED_M_S * DRIFT_SPEED_M_S))) {
             wanted = real_min(wanted, DRIFT_DESCENT_M_S);
         } else {
-            /* as fast as it may */
+            /* full rate */
         }
         ask = real_min(real_max((wanted - s->descent_rate) / DESCENT_LAG_S, -a), a);
         s->descent_acceleration = s->descent_acceleration + ((ask - s->descent_acceleration) * real_min(REAL(1.0), dt / REAL(0.1)));
         s->descent_rate = s->descent_rate + (s->descent_acceleration * dt);
         s->hold_position[2] = s->hold_position[2] + (s->descent_rate * dt);
         lying = (z > (s->home_position[2] - REAL(0.03))) && (s->hold_position[2] > (s->home_position[2] + REAL(0.1)));
-        lying = lying || (s->hold_position[2] > (z + MAX_DESCENT_LAG_M)); /* on something, or lower than it believes */
-        /* Who does not know how fast it drifts must not steer with a leg on the floor. */
+        lying = lying || (s->hold_position[2] > (z + MAX_DESCENT_LAG_M)); /* on an object, or lower than estimated */
+        /* With unknown drift the vehicle must not be steered with a leg on the floor. */
         stands = m->judged && (z > (s->home_position[2] - STANDING_HEIGHT_M)) && (s->hold_position[2] > (z + PRESSED_DEPTH_M)) &&
                  (m->position_variance[2] < (CERTAIN_HEIGHT_M * CERTAIN_HEIGHT_M));
         if (stands || (lying && (real_abs(w) < REAL(0.05)))) {
@@ -338,7 +338,7 @@ static void step_landing(const plan_t *plan, mission_t *s, const estimate_t *m, 
             s->still_duration_s = REAL(0.0);
         }
         near = z > (s->home_position[2] - NEAR_FLOOR_HEIGHT_M);
-        if (m->judged) { /* a filter that does not know of the floor yet goes on falling for a moment */
+        if (m->judged) { /* a filter that has not detected the floor keeps falling for a moment */
             near = near && (z < (s->home_position[2] - LIFT_OFF_HEIGHT_M));
         }
         if (near) {
@@ -383,7 +383,7 @@ void finish_blind_descent(mission_t *s, real_t time_s)
     s->finished = true;
 }
 
-/* On the floor and up */
+/* On the floor and take-off */
 
 bool has_lifted_off(const mission_t *s, const estimate_t *m)
 {
@@ -408,7 +408,7 @@ static void step_on_floor(mission_t *s)
     }
 }
 
-/* All but the log, the clock and the battery as before the first flight. */
+/* Reset all but the log, the clock and the battery. */
 static void clear_mission(mission_t *s)
 {
     s->state = STATE_INIT;
@@ -537,10 +537,10 @@ static void step_take_off(const plan_t *plan, mission_t *s, const estimate_t *m)
             why = make_message_2(SAY_TAKE_OFF_SHORT, -z, -s->goal[2]);
             fail_mission(s, &why);
             start_landing(s, &why, LEVEL_WARNING);
-        } else if (z < (s->home_position[2] - REAL(0.2))) { /* on its legs it cannot slide away from anything */
+        } else if (z < (s->home_position[2] - REAL(0.2))) { /* on its legs the vehicle cannot avoid obstacles */
             detect_obstacle(plan, s);
         } else {
-            /* climbing off its legs */
+            /* climbing on its legs */
         }
     }
 }
@@ -556,7 +556,7 @@ void plan_braking(const plan_t *plan, const mission_t *s, braking_motion_t *out)
               out);
 }
 
-/* The way to waypoint index from wherever it is. */
+/* Plan the trajectory from any start to waypoint index. */
 static void plan_leg_trajectory(const plan_t *plan, int32_t index, const real_t from[3], real_t heading, trajectory_t *out)
 {
     const waypoint_t *w = &plan->waypoint[index];
@@ -568,7 +568,7 @@ static void plan_leg_trajectory(const plan_t *plan, int32_t index, const real_t 
     if (!plan->spline) {
         plan_straight(from, w->position, heading, &limits, final_heading, plan->nose_offset, out);
     } else {
-        /* Directions through the neighbours, so that the curve has no kink at a waypoint. */
+        /* Directions through the neighbours give a curve without kinks at waypoints. */
         const real_t *before = (index > 0) ? plan->waypoint[index - 1].position : above_start;
         const real_t *further = (index > 1) ? plan->waypoint[index - 2].position : above_start;
         const real_t *after = ((index + 1) < plan->count) ? plan->waypoint[index + 1].position : w->position;
@@ -637,7 +637,7 @@ void start_leg_home(const plan_t *plan, mission_t *s, const message_t *why)
     start_leg(plan, s, why, &home);
 }
 
-/* After the last wait: what the mission says. */
+/* Finish the mission after the last wait, as its file states. */
 static void complete_mission(const plan_t *plan, mission_t *s)
 {
     message_t why;
@@ -677,7 +677,7 @@ static void step_hover(const plan_t *plan, mission_t *s)
     }
 }
 
-/* Come to rest in a hover, from which it lands. */
+/* Brake to a hover, from which the vehicle lands. */
 static void fail_and_hover(mission_t *s, const message_t *why)
 {
     trajectory_point_t now;
@@ -744,7 +744,7 @@ static bool is_path_check_to(const path_check_t *sight, const real_t goal[3])
 static void detect_obstacle(const plan_t *plan, mission_t *s)
 {
     if (plan->avoid && (s->obstacle_map.point_count > 0)) {
-        /* Only on its level way does it head for somewhere; elsewhere an obstacle has to come near. */
+        /* Only a level path has a direction of flight; otherwise the obstacle must come near. */
         const bool underway = (s->state == STATE_WAYPOINT) && has_departed(s);
         const path_check_t *sight = &s->path_check;
         trajectory_point_t at;
@@ -753,7 +753,7 @@ static void detect_obstacle(const plan_t *plan, mission_t *s)
         bool there;
 
         current_reference(s, &at);
-        if (underway) { /* it looks along the way since the step after it was sent elsewhere */
+        if (underway) { /* the check covers this path from the step after the goal changed */
             far = real_sqrt(sight->path_distance_sq);
             there = is_path_check_to(sight, s->goal) && is_path_blocked(sight, plan->clearance);
         } else {
@@ -792,7 +792,7 @@ static void step_detour(const plan_t *plan, mission_t *s, const estimate_t *m, r
         s->course.kind = COURSE_TRAJECTORY;
         s->resumed_after_detour = true;
     } else {
-        /* on the way round */
+        /* on the detour */
     }
 }
 
@@ -817,7 +817,7 @@ void step_phase(const plan_t *plan, mission_t *s, const estimate_t *m, real_t dt
     case STATE_LANDING:
         step_landing(plan, s, m, dt);
         break;
-    default: /* flown by a pilot or a program */
+    default: /* controlled by a pilot or a program */
         break;
     }
 }

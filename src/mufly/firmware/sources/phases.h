@@ -1,4 +1,4 @@
-/* What each state of the mission does by itself, and how it is entered: what mission.c and phases.c share. */
+/* Behaviour of each mission state and transitions: functions shared by mission.c and phases.c. */
 #ifndef MUFLY_PHASES_H
 #define MUFLY_PHASES_H
 
@@ -6,11 +6,11 @@
 
 #define DETOUR_ACCELERATION_M_S2 REAL(1.0)
 
-/* Where a leg leads: set by whoever sets out. */
+/* Goal of a leg, set by the caller that starts it. */
 enum { LEG_TO_WAYPOINT, LEG_TO_USER_WAYPOINT, LEG_TO_HOME };
 typedef struct {
     int32_t kind;
-    bool has_goal; /* of the user: without one, turn on the spot */
+    bool has_goal; /* for a user's leg: without a goal, turn on the spot */
     real_t goal[3];
     bool has_heading;
     real_t heading;
@@ -22,7 +22,7 @@ void enter_state(mission_t *s, int32_t state, const message_t *why, int32_t leve
 void enter_hover(mission_t *s, const message_t *why, const real_t at[3], real_t heading, int32_t level);
 void fail_mission(mission_t *s, const message_t *why);
 
-/* The reference now, without the swing of the nose; and once this step is over. */
+/* Reference at present, without the swing of the nose; and at the end of this step. */
 void current_reference(const mission_t *s, trajectory_point_t *out);
 void predict_reference(const mission_t *s, trajectory_point_t *out);
 bool has_departed(const mission_t *s);
@@ -37,7 +37,7 @@ void plan_braking(const plan_t *plan, const mission_t *s, braking_motion_t *out)
 void start_leg(const plan_t *plan, mission_t *s, const message_t *why, const leg_request_t *errand);
 void start_leg_home(const plan_t *plan, mission_t *s, const message_t *why);
 
-/* One step of what the present state is busy with. */
+/* Run one step of the present state. */
 void step_phase(const plan_t *plan, mission_t *s, const estimate_t *m, real_t dt);
 
 void make_reference(const plan_t *plan, const mission_t *s, const estimate_t *m, const command_t *c,

@@ -3,14 +3,14 @@
 #include <stddef.h>
 
 #define PEAK_SPEED_RATIO REAL(1.875)
-#define MIN_DISTANCE_M REAL(1e-3) /* ways shorter than this are no ways: there is no direction to look in (m) */
+#define MIN_DISTANCE_M REAL(1e-3) /* distance below which a path has no direction (m) */
 #define MIN_DIAGONAL REAL(1e-9)
-#define MIN_CURVE_SPEED_M_S REAL(0.05) /* of a curve (m/s) */
+#define MIN_CURVE_SPEED_M_S REAL(0.05) /* least speed of a curve (m/s) */
 #define GAUSS_NODE_COUNT 3
-#define REFINE_HALVINGS 5 /* of a step, around each worst point of a curve */
+#define REFINE_HALVINGS 5 /* of a step, around each extreme point of a curve */
 #define ROOT_2 REAL(0x1.6a09e667f3bcdp+0)
 
-/* Gauss-Legendre of three points. */
+/* Three-point Gauss-Legendre rule. */
 static const real_t gauss_nodes[GAUSS_NODE_COUNT] = {REAL(-0x1.8c97ef43f7248p-1), REAL(0x0.0p+0), REAL(0x1.8c97ef43f7248p-1)};
 static const real_t gauss_weights[GAUSS_NODE_COUNT] = {REAL(0x1.1c71c71c71c72p-1), REAL(0x1.c71c71c71c71cp-1),
                                       REAL(0x1.1c71c71c71c72p-1)};
@@ -57,7 +57,7 @@ void profile_evaluate(const motion_profile_t *p, real_t t, real_t out[3])
 
     zero_triple(out);
     if (t <= REAL(0.0)) {
-        /* at its start */
+        /* at the start */
     } else if ((ramp <= REAL(0.0)) || (left <= REAL(0.0))) {
         out[0] = p->distance;
     } else if ((t >= ramp) && (left >= ramp)) {
@@ -77,9 +77,9 @@ void profile_evaluate(const motion_profile_t *p, real_t t, real_t out[3])
     }
 }
 
-/* Coming to rest */
+/* Braking to rest */
 
-/* From 1 to 0 over x in 0..1: value, slope, integral from 0. */
+/* Smooth step from 1 to 0 over x in 0..1: value, slope, integral from 0. */
 static void smooth_step_down(real_t x, real_t out[3])
 {
     if (x <= REAL(0.0)) {
@@ -181,7 +181,7 @@ static real_t tangent_length(const timed_spline_t *c, real_t u)
     return real_vector_length(tangent);
 }
 
-/* Arc length by Gauss and Legendre from u on, over twice half. */
+/* Arc length by the Gauss-Legendre rule from u to u plus twice half. */
 static real_t arc_length(const timed_spline_t *c, real_t u, real_t half)
 {
     real_t total = REAL(0.0);
@@ -202,7 +202,7 @@ static void tabulate_arc_length(timed_spline_t *c)
     }
 }
 
-/* Square of the tangent's length; shares of the speed that are level, rise and sink, and curvature, all squared. */
+/* Squared tangent length; squared level, climbing and descending shares of speed, and curvature. */
 static real_t curve_demands(const timed_spline_t *c, real_t u, real_t out[CURVE_DEMAND_COUNT])
 {
     real_t tangent[3];
@@ -229,7 +229,7 @@ static real_t curve_demands(const timed_spline_t *c, real_t u, real_t out[CURVE_
     return size;
 }
 
-/* Least size and greatest of what the points of a curve ask: each is sought in equal steps, */
+/* Search the least tangent and the greatest demands over a curve in equal steps, */
 static void find_extreme_demands(const timed_spline_t *c, curve_extremes_t *worst)
 {
     real_t asks[CURVE_DEMAND_COUNT];
@@ -252,7 +252,7 @@ static void find_extreme_demands(const timed_spline_t *c, curve_extremes_t *wors
     }
 }
 
-/* and in halves of a step to either side of the best yet. */
+/* then by halving the step around each best point. */
 static void refine_extreme_demands(const timed_spline_t *c, curve_extremes_t *worst)
 {
     real_t asks[CURVE_DEMAND_COUNT];
@@ -278,7 +278,7 @@ static void refine_extreme_demands(const timed_spline_t *c, curve_extremes_t *wo
     }
 }
 
-/* Give the curve its timing; false where it has a point without tangent or too tight a bend. */
+/* Time the curve; false if it has a point without tangent or too tight a bend. */
 static bool time_curve(timed_spline_t *c, const curve_extremes_t *worst, const real_t pace[4])
 {
     const real_t share = pace[3] / ROOT_2;
@@ -306,7 +306,7 @@ static real_t arc_length_at(const timed_spline_t *c, int32_t k, real_t u)
     return c->arc_lengths[k] + arc_length(c, start, REAL(0.5) * (u - start));
 }
 
-/* The piece of the table that holds the way s. */
+/* Index of the table piece that contains the arc length s. */
 static int32_t find_arc_piece(const timed_spline_t *c, real_t s)
 {
     int32_t low = 0;
@@ -338,7 +338,7 @@ static void timed_spline_evaluate(const timed_spline_t *c, real_t t, trajectory_
     profile_evaluate(&c->speed_profile, t, s);
     k = find_arc_piece(c, s[0]);
     u = ((real_t)k + ((s[0] - c->arc_lengths[k]) / (c->arc_lengths[k + 1] - c->arc_lengths[k]))) / (real_t)ARC_PIECES;
-    /* The table inverts the way linearly; a Newton step makes it smooth. */
+    /* The table inverts the arc length linearly; a Newton step makes the result smooth. */
     u -= (arc_length_at(c, k, u) - s[0]) / tangent_length(c, u);
     spline_tangent(c, u, tangent);
     for (int32_t i = 0; i < 3; i++) {
@@ -393,7 +393,7 @@ void plan_straight(const real_t start[3], const real_t goal[3], real_t heading, 
     out->pending_parts = 0;
 }
 
-/* The derivative at an end: a direction times the distance of both ends. */
+/* Derivative at an end: unit direction times the distance of both ends. */
 static void end_derivative(const real_t direction[3], real_t reach, const real_t chord[3], real_t out[3])
 {
     const real_t size = real_vector_length(direction);
@@ -432,7 +432,7 @@ void plan_pending_curve(const real_t start[3], const real_t goal[3], const real_
             c->coefficients[i][2] = first[i];
             c->coefficients[i][3] = p;
         }
-        /* One that rises or sinks has its whole acceleration within the vertical limit. */
+        /* On a climbing or descending curve the total acceleration keeps the vertical limit. */
         if ((real_abs(chord[2]) > REAL(0.0)) || (real_abs(first[2]) > REAL(0.0)) || (real_abs(last[2]) > REAL(0.0))) {
             acceleration = real_min(limits->acceleration, limits->climb_acceleration);
         }
@@ -466,7 +466,7 @@ void advance_pending_curve(trajectory_t *way)
             }
         }
     } else {
-        /* all is done */
+        /* no work left */
     }
     way->pending_parts = (way->pending_parts > 0) ? (way->pending_parts - 1) : 0;
 }
