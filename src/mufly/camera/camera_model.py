@@ -1,7 +1,8 @@
 """Model of a down-looking camera: lens, shutter, image degradation, and the radio link to the ground station.
 
-Projection is a pinhole with the distortion of Brown (1966), in the form of OpenCV and most calibrations. A point at
-(X, Y, Z) in the camera's axes (x to the right of the picture, y down it, z along the axis) has x = X / Z, y = Y / Z.
+Projection is a pinhole with the distortion of Brown (1966), in the form of OpenCV and most calibrations. The camera's
+axes are x to the right of the picture, y down it, z along the axis. A point at (X, Y, Z) has x = X / Z, y = Y / Z.
+
 With r^2 = x^2 + y^2 and the radial factor R = 1 + k1 r^2 + k2 r^4 + k3 r^6,
 
     x_d = x R + 2 p1 x y + p2 (r^2 + 2 x^2),    u = f_x x_d + c_x

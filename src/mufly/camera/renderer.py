@@ -33,9 +33,9 @@ from mufly.world.obstacles import BOX_CENTRE, BOX_COS, BOX_HALF, BOX_SIN
 
 _Array = NDArray[np.float64]
 _P_VELOCITY, _P_RATES, _P_ROTOR_SPEED, _P_ROTOR_PHASE = 3, 6, 9, 11
-"""Places in the row that a picture is drawn from, behind the position."""
+"""Indices in the motion array of a picture, after the position."""
 _SHAKE_Y, _LAST_COLUMN = 2, 3
-"""Where amplitude and phase along y stand in a rotor's shake; the last of the rows and columns that a box covers."""
+"""Columns of amplitude and phase along y in a rotor's vibration; column of the last pixel column of a box."""
 STRIP_ROWS = 16
 """Rows of a picture that are lost together, as with JPEG's blocks."""
 _EXPOSURE_SAMPLES = 3  # instants per exposure

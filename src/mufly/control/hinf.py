@@ -145,10 +145,9 @@ def _balance_states(P: control.StateSpace) -> control.StateSpace:
 def _signal_scales(P: control.StateSpace, ny: int, nu: int) -> tuple[Array, Array]:
     """Return factors on inputs and outputs (one for all of w, one for all of z) that bring every signal near one.
 
-    The size of a signal is the norm of its column of ``[B / sqrt(r); D]`` or row of ``[C / sqrt(r), D]``, with balanced
-    states and r the norm of A. If A is negligible, r is that of a loop closed over D12 or D21. So the units of states
-    and of time do not enter.
-    """
+    The size of a signal is the norm of its column of ``[B / sqrt(r); D]`` or row of ``[C / sqrt(r), D]``. The states
+    are balanced, and r is the norm of A. If A is negligible, r is that of a loop closed over D12 or D21. So the units
+    of states and of time do not enter."""
     inputs, outputs = np.ones(P.ninputs), np.ones(P.noutputs)
     nw, nz = P.ninputs - nu, P.noutputs - ny
     for _ in range(20):

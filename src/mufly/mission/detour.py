@@ -7,13 +7,13 @@ Kamon, Rimon and Rivlin 1998):
 - If a stored point is closer to the straight path than the clearance (c plus 5 cm), it chooses the side with fewer
   blocking points. If it is stuck or has strayed too far, it tries the other side, twice as far.
 - It follows the contour. With n from the nearest stored point to the helicopter, t normal to n on the chosen side, and
-  e = d - d_f the error from the following distance (c plus 15 cm), the desired velocity is
-  V (t cos a - n sin a), tan a = e / 0.4 m.
+  e = d - d_f the error from the following distance (c plus 15 cm), tan a = e / 0.4 m. The desired velocity is
+  V (t cos a - n sin a).
 - The repulsive field acts on the reference as in eqs 6.18 and 6.19, with the threshold at d_f, as a velocity k F.
 - In all cases the approach to every stored point i is limited: -v.n_i <= lambda (d_i - c). So the distance falls no
   faster than exponentially towards c (a control barrier).
-- It leaves the contour when it is nearer to the goal than where it met the obstacle and no stored point lies within c
-  plus 8 cm of the next 1.5 m of the straight path; this progress guarantees arrival for Bug algorithms. The first two
+- It leaves the contour when it is nearer to the goal than where it met the obstacle and the next 1.5 m of the straight
+  path are clear by c plus 8 cm. This progress guarantees arrival for Bug algorithms. The first two
   times on a leg it also leaves wherever the whole path to the goal is that clear. After a whole lap it leaves at the
   lap's nearest point to the goal.
 - If the goal itself is too near to a stored point, it keeps its distance and waits. After a stated time it gives up.

@@ -1,18 +1,16 @@
 """Conversion between MAVLink mission items and :class:`mufly.mission.Mission`.
 
-=========================  ======================================================================================
-item (MAV_CMD)             meaning
-=========================  ======================================================================================
-NAV_TAKEOFF (22)           height of the take-off, straight up (no x, y, heading); only before the first waypoint
-NAV_WAYPOINT (16)          waypoint; parameter 1: wait (s), 4: heading (deg; NaN: the nose points along the path)
-NAV_LOITER_TIME (19)       waypoint; parameter 1: wait (s); parameter 4 is not a heading (exit of fixed wings)
-NAV_DELAY (93)             parameter 1: longer wait (s) at the previous waypoint or after the take-off
-NAV_LOITER_UNLIM (17)      waypoint with parameter 4: heading, and hover there; only as the last item
-NAV_LAND (21)              fly to its x, y (unless not given), with parameter 4: heading, then land; only as the last
-NAV_RETURN_TO_LAUNCH (20)  fly home and land; only as the last item
-DO_CHANGE_SPEED (178)      parameter 2: speed (m/s) of the legs that follow, -2: the mission's own
-CONDITION_YAW (115)        parameter 1: heading (deg) of the next waypoint without a heading; absolute only
-=========================  ======================================================================================
+| item (MAV_CMD) | meaning |
+|---|---|
+| NAV_TAKEOFF (22) | height of the take-off, straight up (no x, y, heading); only before the first waypoint |
+| NAV_WAYPOINT (16) | waypoint; parameter 1: wait (s), 4: heading (deg; NaN: the nose points along the path) |
+| NAV_LOITER_TIME (19) | waypoint; parameter 1: wait (s); parameter 4 is not a heading (exit of fixed wings) |
+| NAV_DELAY (93) | parameter 1: longer wait (s) at the previous waypoint or after the take-off |
+| NAV_LOITER_UNLIM (17) | waypoint with parameter 4: heading, and hover there; only as the last item |
+| NAV_LAND (21) | fly to its x, y (unless not given), with parameter 4: heading, then land; only as the last |
+| NAV_RETURN_TO_LAUNCH (20) | fly home and land; only as the last item |
+| DO_CHANGE_SPEED (178) | parameter 2: speed (m/s) of the legs that follow, -2: the mission's own |
+| CONDITION_YAW (115) | parameter 1: heading (deg) of the next waypoint without a heading; absolute only |
 
 Frames: LOCAL_NED (1; x, y in 1e-4 m) and LOCAL_ENU (4); with a global origin also GLOBAL (0, 5: altitude above the
 sea) and GLOBAL_RELATIVE_ALT (3, 6: above the origin). Items without a place may be in any frame. A mission that ends

@@ -1,9 +1,9 @@
 """Expected duration of a mission, used by all displays and endurance checks.
 
-The duration runs from the start signal until landing with the rotors at rest. It includes spin-up, climb, each leg's
-reference (`mufly.mission.trajectory`: turn and height on the spot, then the path, from rest to rest), a scan before a
-leg if the mission scans, detours around obstacles in the file, settling, waits, the return, and the landing with its
-slow end. Own derivation.
+The duration runs from the start signal until landing with the rotors at rest. It includes spin-up, climb, the
+legs, settling, waits, the return, and the landing with its slow end. A leg is a turn and a change of height on the
+spot, then the path, from rest to rest (`mufly.mission.trajectory`). A scan and detours around obstacles in the file
+may be added. Own derivation.
 
 A detour around an obstacle runs straight to the contour at `FOLLOW_MARGIN_M` beyond the clearance. It follows the
 contour on the shorter side until the straight path to the goal keeps the clearance, then continues straight from rest.

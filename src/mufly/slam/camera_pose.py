@@ -9,9 +9,10 @@ floor, with heading psi sees the floor's point X there:
 and C = X_1 - h e^(i psi) m_1. Pairs are drawn at random; the pair with the most inliers wins. Pairs whose h disagrees
 with the sonar are rejected.
 
-**All points.** The unknowns are C (N, E), h, psi, two small errors u of the tilt, about the axes of the heading (x
-along the nose, y to the right), those of the keyframe, and for each rotor four amplitudes a, b of its vibration, in
-its phase W_k. For a row exposed s after the picture's middle, with R(s) = exp([u]) R exp([w s]) and velocity v,
+**All points.** The unknowns are C (N, E), h, psi, two small errors u of the tilt, and those of the keyframe. Errors of
+the tilt are about the axes of the heading (x along the nose, y to the right). For each rotor four amplitudes a, b of
+its vibration, in its phase W_k, are added. For a row exposed s after the picture's middle, with R(s) = exp([u]) R
+exp([w s]) and velocity v,
 
     c = A^T exp([w s])^T R^T (X - C - v s),    (x, y) = (c_x, c_y) / c_z
     pixel = f (x, y) + (z_x (1 + x^2) + z_y x y, z_x x y + z_y (1 + y^2)),    z = sum_k a_k cos(W_k s) + b_k sin(W_k s)
