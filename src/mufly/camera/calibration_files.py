@@ -114,7 +114,7 @@ def _flatten_json(value: Any, key: str) -> Iterator[tuple[str, Any]]:
         for name, inner in value.items():
             yield from _flatten_json(inner, f"{key}.{name}" if key else str(name))
     elif isinstance(value, list) and value and isinstance(value[0], dict):
-        yield from _flatten_json(value[0], key)  # the first of several cameras
+        yield from _flatten_json(value[0], key)  # only the first of several cameras is read
     else:
         yield key, _split_tokens(json.dumps(value)) if isinstance(value, list) else str(value)
 

@@ -111,21 +111,21 @@ class ControllerDesign:
     ----------
     name : str
     plant : control.StateSpace
-            Plant in physical units.
+        Plant in physical units.
     scaling : Scaling
     generalised : control.StateSpace
-            Generalised plant of the synthesis: scaled, with weights.
+        Generalised plant of the synthesis: scaled, with weights.
     controller : control.StateSpace
-            Controller: continuous, full order, physical units.
+        Controller: continuous, full order, physical units.
     gamma, gamma_optimal, norm : float
-            Level of the controller, smallest feasible level found, and computed norm of the closed loop with weights.
+        Level of the controller, smallest feasible level found, and computed norm of the closed loop with weights.
     reduction : Reduction
     reduced : control.StateSpace
-            Reduced controller: continuous, physical units.
+        Reduced controller: continuous, physical units.
     discrete : DiscreteController
     full_loop, reduced_loop, sampled_loop : LoopAnalysis
-            Analyses of the loop with the full, reduced and discrete controller, the last with hold and one sample of
-            delay.
+        Analyses of the loop with the full, reduced and discrete controller, the last with hold and one sample of
+        delay.
     plant_crossovers : tuple of float
         0 dB crossings of the unscaled plant's singular values, rad/s.
     feedback_inputs : tuple of int
@@ -223,9 +223,9 @@ class FlightController:
     ----------
     vehicle_name : str
     rate_Hz, period_s : float
-            Rate and period of the heave-yaw and roll-pitch controllers.
+        Rate and period of the heave-yaw and roll-pitch controllers.
     position_divider : int
-            The position cascade runs once in this number of periods.
+        The position cascade runs once in this number of periods.
     voltage_V : float
         Design voltage.
     motor_trim : array, shape (2,)
@@ -322,8 +322,8 @@ def design_flight_controller(
     ----------
     vehicle : Vehicle
     rate_Hz : float, optional
-            Rate of the control law; 200 Hz by default, the lowest of the usual rates at which the roll-pitch loop keeps
-            its peaks below 4.5 dB with one sample of delay.
+        Rate of the control law; 200 Hz by default, the lowest of the usual rates at which the roll-pitch loop keeps
+        its peaks below 4.5 dB with one sample of delay.
     voltage : float, optional
         Battery voltage of the linear model (V); the vehicle's nominal voltage by default.
     settings : DesignSettings, optional
@@ -336,10 +336,10 @@ def design_flight_controller(
     Raises
     ------
     ArgumentError
-            If the rate is out of range, or the voltage is outside the battery's range of use.
-        MuflyError
-            If the vehicle cannot hover, or a design fails: the message names the design and the failing mode, weight or
-            step.
+        If the rate is out of range, or the voltage is outside the battery's range of use.
+    MuflyError
+        If the vehicle cannot hover, or a design fails: the message names the design and the failing mode, weight or
+        step.
     """
     s = DesignSettings() if settings is None else settings
     rate = DEFAULT_RATE_HZ if rate_Hz is None else float(rate_Hz)

@@ -41,22 +41,22 @@ class HinfResult:
     Attributes
     ----------
     controller : control.StateSpace
-            Controller from measurements to controls.
+        Controller from measurements to controls.
     gamma : float
-            Level for which it was computed: the theoretical bound of the norm.
+        Level for which it was computed: the theoretical bound of the norm.
     gamma_optimal : float
         Smallest level found feasible (an upper bound of the optimum, within the tolerance).
     norm : float
         H-infinity norm of the closed loop, computed from it; at most ``gamma``.
     peak_frequency : float
-            Frequency at which the norm is attained (rad/s).
+        Frequency at which the norm is attained (rad/s).
     closed_loop : control.StateSpace
-            Closed loop from ``w`` to ``z``.
+        Closed loop from ``w`` to ``z``.
     actuation : array, shape (states, controls)
-            Input matrix of the control in the controller's plant model, for anti-windup. The central controller is an
-            observer ``xhat' = (..) xhat + actuation u + (..) y`` with ``u = C xhat + D y``.
-        iterations : int
-            Number of levels tried.
+        Input matrix of the control in the controller's plant model, for anti-windup. The central controller is an
+        observer ``xhat' = (..) xhat + actuation u + (..) y`` with ``u = C xhat + D y``.
+    iterations : int
+        Number of levels tried.
     """
 
     controller: control.StateSpace
@@ -326,20 +326,20 @@ def hinfsyn(
     Parameters
     ----------
     P : control.StateSpace
-            Generalised plant, continuous time; its last ``n_measurements`` outputs and ``n_controls`` inputs are those
-            of the controller.
+        Generalised plant, continuous time; its last ``n_measurements`` outputs and ``n_controls`` inputs are those
+        of the controller.
     n_measurements, n_controls : int
         Sizes of ``y`` and ``u``.
     gamma_tolerance : float
-            Relative width of the bisection on gamma, at least 0; limited by rounding.
+        Relative width of the bisection on gamma, at least 0; limited by rounding.
     relaxation : float
-            Factor (at least 1) of the controller's level above the smallest feasible one. At the optimum the central
-            controller has an infinitely fast mode; a few per cent cost little and keep it slow.
-        regularisation : float
-            Size of small extra weights and noises, relative to the balanced plant; 0 adds none. The level also holds
-            for the plant as given, since its loop is part of the extended one.
-        gamma_max : float, optional
-            Level above which the problem counts as infeasible; by default the numerical limit.
+        Factor (at least 1) of the controller's level above the smallest feasible one. At the optimum the central
+        controller has an infinitely fast mode; a few per cent cost little and keep it slow.
+    regularisation : float
+        Size of small extra weights and noises, relative to the balanced plant; 0 adds none. The level also holds
+        for the plant as given, since its loop is part of the extended one.
+    gamma_max : float, optional
+        Level above which the problem counts as infeasible; by default the numerical limit.
 
     Returns
     -------
@@ -348,10 +348,10 @@ def hinfsyn(
     Raises
     ------
     ArgumentError
-            If tolerance, relaxation, regularisation or ``gamma_max`` is out of range.
-        MuflyError
-            If an assumption is violated (the message names it with mode, signal or frequency), or no level up to
-            ``gamma_max`` is feasible.
+        If tolerance, relaxation, regularisation or ``gamma_max`` is out of range.
+    MuflyError
+        If an assumption is violated (the message names it with mode, signal or frequency), or no level up to
+        ``gamma_max`` is feasible.
 
     Notes
     -----

@@ -66,11 +66,11 @@ class ReducedCandidate:
     method : str
         ``"loop match"``, ``"loop truncate"``, ``"open match"`` or ``"open truncate"``.
     kept : int
-            Number of slow modes kept exactly.
+        Number of slow modes kept exactly.
     sensitivity_peak_dB, complementary_peak_dB : float
-            Peaks of S_u and T_u; inf if unstable.
+        Peaks of S_u and T_u; inf if unstable.
     norm : float
-            Norm from ``w`` to ``z``; nan if the peaks already exclude the candidate.
+        Norm from ``w`` to ``z``; nan if the peaks already exclude the candidate.
     passed : bool
     """
 
@@ -91,14 +91,14 @@ class Reduction:
     ----------
     controller : control.StateSpace
     actuation : array, shape (states, controls)
-            The anti-windup input in the reduced coordinates.
-        chosen : ReducedCandidate
-        tolerance_dB, norm_factor : float
-            The tolerance met.
+        The anti-windup input in the reduced coordinates.
+    chosen : ReducedCandidate
+    tolerance_dB, norm_factor : float
+        The tolerance met.
     full_order : int
     full_norm : float
-            Norm from ``w`` to ``z`` with the controller of full order.
-        candidates : tuple of ReducedCandidate
+        Norm from ``w`` to ``z`` with the controller of full order.
+    candidates : tuple of ReducedCandidate
     """
 
     controller: control.StateSpace
@@ -185,19 +185,19 @@ def reduce_controller(
     Parameters
     ----------
     generalised : control.StateSpace
-            Generalised plant of the synthesis, controller signals last.
+        Generalised plant of the synthesis, controller signals last.
     controller : control.StateSpace
-            Controller of the synthesis (scaled).
+        Controller of the synthesis (scaled).
     actuation : array, shape (states, controls)
-            ``HinfResult.actuation``; transformed like one more input.
+        ``HinfResult.actuation``; transformed like one more input.
     plant : control.StateSpace
         Scaled plant without weights.
     feedback_inputs : sequence of int
         Controller inputs that are errors of the plant's outputs, in their order.
     order_max, order_min : int
-            Range of the orders tried.
+        Range of the orders tried.
     tolerances : sequence of (float, float)
-            From strict to loose: permitted increase of the peaks of S_u and T_u (dB), permitted factor on the norm.
+        From strict to loose: permitted increase of the peaks of S_u and T_u (dB), permitted factor on the norm.
     slow : sequence of float
         Thresholds (rad/s) below which controller modes are kept exactly; each is tried.
 
@@ -208,7 +208,7 @@ def reduce_controller(
     Raises
     ------
     MuflyError
-            If no order up to ``order_max`` passes; the message names the best.
+        If no order up to ``order_max`` passes; the message names the best.
     """
     rows = list(feedback_inputs)
     judge = _LoopPeaks(plant, rows)
@@ -381,14 +381,14 @@ class DiscreteController:
     A, B, C, D : array
         Shapes (n, n), (n, inputs), (outputs, n), (outputs, inputs).
     M : array, shape (n, outputs)
-            Anti-windup gain.
+        Anti-windup gain.
     period_s : float
     form : str
         ``"modal"`` or ``"schur"``.
     anti_windup : str
-            ``"integrators"``, ``"observer"`` or ``"kalman"``; see the comment above this class.
-        inputs, outputs : tuple of str
-            Labels of the signals.
+        ``"integrators"``, ``"observer"`` or ``"kalman"``; see the comment above this class.
+    inputs, outputs : tuple of str
+        Labels of the signals.
     """
 
     A: Array
@@ -457,13 +457,13 @@ def discretise_controller(
     Parameters
     ----------
     controller : control.StateSpace
-            Controller: continuous, in physical units.
-        actuation : array, shape (n, outputs)
-            Effect on its states of actuation beyond its own command, per unit (see ``hinf.HinfResult.actuation``).
-        period_s : float
-        windup_rate : float, optional
-            Rate at which the integrators follow saturated actuators (rad/s). Without it, or if the integrators are as
-            fast or not observable at the outputs, ``actuation`` gives the anti-windup.
+        Controller: continuous, in physical units.
+    actuation : array, shape (n, outputs)
+        Effect on its states of actuation beyond its own command, per unit (see ``hinf.HinfResult.actuation``).
+    period_s : float
+    windup_rate : float, optional
+        Rate at which the integrators follow saturated actuators (rad/s). Without it, or if the integrators are as
+        fast or not observable at the outputs, ``actuation`` gives the anti-windup.
 
     Returns
     -------
@@ -472,7 +472,7 @@ def discretise_controller(
     Raises
     ------
     MuflyError
-            If the period is not positive or a mode is too fast for the period.
+        If the period is not positive or a mode is too fast for the period.
     """
     if not (np.isfinite(period_s) and period_s > 0):
         raise MuflyError(f"discretisation: a period of {period_s} s is out of range; give a positive one")
@@ -581,11 +581,11 @@ def analyse_cascade(
     full : control.StateSpace
         ``Linearisation.full``.
     roll_pitch, velocity : DiscreteController
-            Discrete controllers; ``velocity`` runs at ``divider`` times the period of ``roll_pitch``.
-        position_gain : float
-            Gain of the position loop (1/s).
-        divider : int
-            Number of roll-pitch periods in a period of the cascade.
+        Discrete controllers; ``velocity`` runs at ``divider`` times the period of ``roll_pitch``.
+    position_gain : float
+        Gain of the position loop (1/s).
+    divider : int
+        Number of roll-pitch periods in a period of the cascade.
 
     Returns
     -------

@@ -147,9 +147,9 @@ def limit_heave_reference(gains: Any, state: Array, z: float) -> Array:
     ----------
     gains : record of type ``HEAVE_YAW_GAINS``
     state : (29,) array
-            State from ``heave_yaw_init`` or the previous step; not changed.
-        z : float
-            Measured height z (m, down).
+        State from ``heave_yaw_init`` or the previous step; not changed.
+    z : float
+        Measured height z (m, down).
 
     Returns
     -------
@@ -180,7 +180,7 @@ def heave_yaw_step(
     ----------
     gains : record of type ``HEAVE_YAW_GAINS``
     state : (29,) array
-            State from ``heave_yaw_init`` or the previous call; not changed.
+        State from ``heave_yaw_init`` or the previous call; not changed.
     reference : (4,) array
         z (m, down), psi (rad, continuous), and their rates (m/s, rad/s; zero is allowed).
     measurement : (3,) array
@@ -257,7 +257,7 @@ def roll_pitch_step(gains: Any, state: Array, reference: Array, measurement: Arr
     ----------
     gains : record of type ``ROLL_PITCH_GAINS``
     state : (8,) array
-            State from ``roll_pitch_init`` or the previous call; not changed.
+        State from ``roll_pitch_init`` or the previous call; not changed.
     reference : (2,) array
         phi, theta (rad).
     measurement : (4,) array
@@ -300,9 +300,9 @@ def position_step(
     ----------
     gains : record of type ``POSITION_GAINS``
     state : (6,) array
-            State from ``position_init`` or the previous call; not changed.
-        position_reference, velocity_reference, acceleration_reference : (3,) array
-            N, E, D (m, m/s, m/s2); zero velocity and acceleration mean no feedforward. D is not used.
+        State from ``position_init`` or the previous call; not changed.
+    position_reference, velocity_reference, acceleration_reference : (3,) array
+        N, E, D (m, m/s, m/s2); zero velocity and acceleration mean no feedforward. D is not used.
     position, velocity : (3,) array
         Measured N, E, D (m, m/s).
     heading : float
@@ -462,9 +462,9 @@ def heave_yaw_init(gains: Any, measurement: Array, motor_input: Array, voltage: 
     ----------
     gains : record of type ``HEAVE_YAW_GAINS``
     measurement : (3,) array
-            Present z (m), psi (rad), r (rad/s); the references start from there.
-        motor_input : (2,) array
-            Present inputs of the upper and lower motor (0..1), for example on the ground.
+        Present z (m), psi (rad), r (rad/s); the references start from there.
+    motor_input : (2,) array
+        Present inputs of the upper and lower motor (0..1), for example on the ground.
     voltage : float
         Measured battery voltage (V).
 

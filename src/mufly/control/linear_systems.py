@@ -158,7 +158,7 @@ def frequency_response(system: control.StateSpace, frequency: Array) -> ComplexA
     ----------
     system : control.StateSpace
     frequency : array, shape (n,)
-            Frequencies (rad/s).
+        Frequencies (rad/s).
 
     Returns
     -------
@@ -204,16 +204,16 @@ def hinf_norm(system: control.StateSpace, *, tolerance: float = 1e-6) -> tuple[f
     Parameters
     ----------
     system : control.StateSpace
-            System in continuous time.
-        tolerance : float
-            Relative difference between the attained value returned and a proven upper bound.
+        System in continuous time.
+    tolerance : float
+        Relative difference between the attained value returned and a proven upper bound.
 
     Returns
     -------
     norm : float
         Largest singular value over frequency; ``inf`` for an unstable system.
     frequency : float
-            Frequency of the maximum (rad/s); ``inf`` at infinite frequency or for an unstable system.
+        Frequency of the maximum (rad/s); ``inf`` at infinite frequency or for an unstable system.
     """
     A, B, C, D = system.A, system.B, system.C, system.D
     top = float(np.linalg.norm(D, 2)) if D.size else 0.0
@@ -260,16 +260,16 @@ class LoopAnalysis:
     sensitivity_peak_dB, complementary_peak_dB : float
         Peaks of S_u and T_u.
     sensitivity_peak_frequency, complementary_peak_frequency : float
-            Frequencies of these peaks (rad/s).
+        Frequencies of these peaks (rad/s).
     output_sensitivity_peak_dB : float
-            Peak of S_o in the given output scaling.
+        Peak of S_o in the given output scaling.
     gain_margin_dB, gain_reduction_dB : float
-            Common factor on all inputs, up (positive) and down (negative), that keeps the loop stable; inf without a
-            limit.
-        phase_margin_deg, delay_margin_s : float
-            Common phase lag and common delay that keep the loop stable.
-        guaranteed_phase_margin_deg : float
-            Margin for independent phases, one in each input.
+        Common factor on all inputs, up (positive) and down (negative), that keeps the loop stable; inf without a
+        limit.
+    phase_margin_deg, delay_margin_s : float
+        Common phase lag and common delay that keep the loop stable.
+    guaranteed_phase_margin_deg : float
+        Margin for independent phases, one in each input.
     """
 
     stable: bool
@@ -303,10 +303,10 @@ def sample_plant(plant: control.StateSpace, period_s: float, delay_samples: int 
     Parameters
     ----------
     plant : control.StateSpace
-            Plant in continuous time.
-        period_s : float
-        delay_samples : int
-            Samples between a measurement and the output of its command.
+        Plant in continuous time.
+    period_s : float
+    delay_samples : int
+        Samples between a measurement and the output of its command.
     """
     sampled = control.sample_system(plant, period_s, method="zoh")
     A, B, C, D = sampled.A, sampled.B, sampled.C, sampled.D
@@ -448,7 +448,7 @@ def analyse_loop(
     Returns
     -------
     LoopAnalysis
-            Analysis of the loop; infinite peaks if it is unstable.
+        Analysis of the loop; infinite peaks if it is unstable.
     """
     stable = is_stable_loop(plant, feedback)
     frequency = _frequency_grid(plant, feedback, points)
@@ -513,19 +513,19 @@ def saturated_gain_limit(
     Parameters
     ----------
     plant : control.StateSpace
-            Sampled plant (:func:`sample_plant`); the loop is ``u = C x + D e``, ``e = -y``.
+        Sampled plant (:func:`sample_plant`); the loop is ``u = C x + D e``, ``e = -y``.
     law : tuple of array
         A, B, C, D, M of the controller, B and D with the columns of the errors only.
     direction : array, shape (inputs,)
     points : int
-            Number of frequencies, from 0.05 rad/s to the sampling rate's limit.
+        Number of frequencies, from 0.05 rad/s to the sampling rate's limit.
 
     Returns
     -------
     share : float
-            Largest N below 1 with a limit cycle; 0 if there is none.
-        frequency : float
-            Frequency of that limit cycle (rad/s); nan if there is none.
+        Largest N below 1 with a limit cycle; 0 if there is none.
+    frequency : float
+        Frequency of that limit cycle (rad/s); nan if there is none.
 
     Notes
     -----

@@ -103,7 +103,7 @@ def repulsive_force(ranges: Sequence[float], beams: BeamRing, threshold: float) 
     Returns
     -------
     (2,) tuple
-            F along body x and y (1/m), away from obstacles; a range below 1 cm counts as 1 cm.
+        F along body x and y (1/m), away from obstacles; a range below 1 cm counts as 1 cm.
 
     Thesis: eqs 6.14 to 6.17; Fig. 6.19.
     """

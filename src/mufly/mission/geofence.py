@@ -88,7 +88,7 @@ def fence_fault(fence: Fence | None, places: ArrayLike, keep_m: float = 0.0) -> 
     places : (n, 3) array
         N, E, D (m).
     keep_m : float
-            Required distance inside the fence (m).
+        Required distance inside the fence (m).
 
     Examples
     --------

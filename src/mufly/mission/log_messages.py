@@ -91,5 +91,5 @@ class LogMessage(Enum):
     ATTITUDE_CONTRADICTED = "attitude contradicted by {}"
 
     def __call__(self, *numbers: object) -> str:
-        """Return the text with these numbers."""
+        """Return the text of the message with these numbers."""
         return self.value.format(*numbers)

@@ -276,18 +276,18 @@ def load_mission(name_or_path: str | Path) -> Mission:
     Parameters
     ----------
     name_or_path : str or Path
-            A name from `list_builtin_missions`, or the path of a mission file, or of a plan (``.plan``) or waypoint
-            file (``.waypoints``) of QGroundControl or Mission Planner.
+        A name from `list_builtin_missions`, or the path of a mission file, or of a plan (``.plan``) or waypoint
+        file (``.waypoints``) of QGroundControl or Mission Planner.
 
-        Returns
-        -------
-        Mission
-            Immutable, checked mission: known keys, possible values, waypoints in free air.
+    Returns
+    -------
+    Mission
+        Immutable, checked mission: known keys, possible values, waypoints in free air.
 
-        Raises
-        ------
-        InputError
-            If the file is invalid; the message names file, key, value and remedy. Waypoints are counted from 1.
+    Raises
+    ------
+    InputError
+        If the file is invalid; the message names file, key, value and remedy. Waypoints are counted from 1.
     """
     name = str(name_or_path)
     if name not in list_builtin_missions() and Path(name).is_file():

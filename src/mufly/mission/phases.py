@@ -273,7 +273,7 @@ def finish_blind_descent(s: MissionState, time_s: float) -> MissionState:
     return enter_state(s, State.INIT, LogMessage.MOTORS_OFF_AFTER_DESCENT(), motors="off", finished=True)
 
 
-# The other states
+# Take-off, hover, legs and detours
 
 
 _SETTLE_BEFORE_LANDING_S = 2.0

@@ -1,12 +1,14 @@
 """The mission state machine (Fig. 6.15) as a pure function of time steps.
 
+Transitions of the thesis::
+
     init --start--> take-off --altitude reached--> hover --waypoint--> waypoint --goal reached--> hover ...
     take-off, hover, waypoint --obstacle detected--> obstacle --obstacle avoided--> back to where it came from
     take-off --failed--> init (never lifted off) or landing
     any flying state --land signal, battery low--> landing --touchdown--> init
     any state --RC--> RC --RC off--> hover, or init when it stands on the floor
 
-Further transitions are not in the thesis:
+Further transitions, not in the thesis::
 
     init --take-off signal--> take-off --> hover, where the mission waits
     take-off, waypoint, obstacle, landing --pause--> hover --start--> waypoint
@@ -99,20 +101,20 @@ def step_mission(
     Parameters
     ----------
     plan : MissionPlan
-            From `prepare_plan`: the mission and the vehicle's data.
-        state : MissionState
-            From `initial_mission_state` or the previous step.
-        estimate : Estimate
-            Present estimate; the time step is its time minus the state's (at most 0.5 s).
-        command : Command
-            The user's signals.
+        From `prepare_plan`: the mission and the vehicle's data.
+    state : MissionState
+        From `initial_mission_state` or the previous step.
+    estimate : Estimate
+        Present estimate; the time step is its time minus the state's (at most 0.5 s).
+    command : Command
+        The user's signals.
 
-        Returns
-        -------
-        state : MissionState
-            The new state.
-        reference : Reference
-            Reference for the controllers.
+    Returns
+    -------
+    state : MissionState
+        The new state.
+    reference : Reference
+        Reference for the controllers.
 
     Thesis: Fig. 6.15; Sec. 6.2.1.
     """

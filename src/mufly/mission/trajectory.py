@@ -281,19 +281,18 @@ def time_spline(
 
     Parameters
     ----------
-    curve : Spline
-        curve : CubicSpline
-            Curve to fly.
-        speed, climb, descent : float
-            Limits of horizontal speed, climb rate and descent rate (m/s).
-        acceleration : float
-            Limit of the total acceleration (m/s2).
+    curve : CubicSpline
+        Curve to fly.
+    speed, climb, descent : float
+        Limits of horizontal speed, climb rate and descent rate (m/s).
+    acceleration : float
+        Limit of the total acceleration (m/s2).
 
-        Returns
-        -------
-        TimedSpline or None
-            None if the curve has a point without tangent (a cusp or no length) or a bend that limits the speed to less
-            than 5 cm/s; a straight line is then better.
+    Returns
+    -------
+    TimedSpline or None
+        None if the curve has a point without tangent (a cusp or no length) or a bend that limits the speed to less
+        than 5 cm/s; a straight line is then better.
     """
     return PendingCurve(_axis_cubics(curve), speed, climb, descent, acceleration).time_curve()
 

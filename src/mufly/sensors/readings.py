@@ -244,7 +244,7 @@ def ideal_ranges(
     directions : (n, 3) array
         Unit vectors in body axes, see :func:`beam_directions`.
     min_range_m, max_range_m : float
-            Limits of the readings (m).
+        Limits of the readings (m).
     """
     seen = np.empty(len(directions))
     measure_ranges(state, directions, min_range_m, max_range_m, *world.packed_tables, seen)

@@ -89,24 +89,24 @@ def open_pictures(
     Parameters
     ----------
     place : str or Path
-            A folder in one of the layouts, a video file, or a recording with pictures (MCAP), or the recording's
-            folder.
-        camera : Camera
-            Camera that took the pictures.
-        height_m : float, optional
-            Height of the vehicle above the floor (m), if the files lack it.
-        rate_Hz : float, optional
-            Rate of a video whose file lacks it (Hz).
-        times : Path, optional
-            For a video: a file with the time (s or ns) of each picture, one a row. The default is the file of the
-            video's name that ends in ``.csv`` or ``.txt``, if present.
-        told : callable, optional
-            Vehicle's data at times (n,), in place of the files beside the pictures; :func:`read_telemetry`.
+        A folder in one of the layouts, a video file, or a recording with pictures (MCAP), or the recording's
+        folder.
+    camera : Camera
+        Camera that took the pictures.
+    height_m : float, optional
+        Height of the vehicle above the floor (m), if the files lack it.
+    rate_Hz : float, optional
+        Rate of a video whose file lacks it (Hz).
+    times : Path, optional
+        For a video: a file with the time (s or ns) of each picture, one a row. The default is the file of the
+        video's name that ends in ``.csv`` or ``.txt``, if present.
+    told : callable, optional
+        Vehicle's data at times (n,), in place of the files beside the pictures; :func:`read_telemetry`.
 
-        Raises
-        ------
-        InputError
-            If there are no pictures, times do not increase, or the height is unknown.
+    Raises
+    ------
+    InputError
+        If there are no pictures, times do not increase, or the height is unknown.
     """
     where = Path(place)
     if where.is_dir() and (where / CAMERA_FILE_NAME).is_file():

@@ -217,7 +217,7 @@ class SlamSystem:
         self.is_closing_loops = True  # whether loop closure is active
         self.on_closure: Callable[[int, int], None] = lambda a, b: None
 
-    # ------------------------------------------------------------------ one picture
+    # ------------------------------------------------------------------ Processing of a picture
 
     def process_frame(self, frame: CameraFrame) -> TrackingResult:
         """Process a picture and return its result.
@@ -336,7 +336,7 @@ class SlamSystem:
         ordered = sorted(share, key=lambda k: -share[k])
         return [k for k in ordered[:2] if share[k] > 0.15] or [self._reference_index]
 
-    # ------------------------------------------------------------------ against a keyframe
+    # ------------------------------------------------------------------ Matching to a keyframe
 
     def _match_keyframe(
         self, k: int, view: ViewPrior, picture: Any, node: _Array, coarse: bool = False
@@ -456,7 +456,7 @@ class SlamSystem:
             return f"the floor repeats every {nearest:.2f} m, and {off:.2f} m off it may be another place"
         return ""
 
-    # ------------------------------------------------------------------ what is made of it
+    # ------------------------------------------------------------------ Keyframes, edges and loop closure
 
     def _accept_match(self, frame: CameraFrame, view: ViewPrior, picture: Any, match: _KeyframeMatch) -> TrackingResult:
         assert self._odometry is not None
@@ -821,7 +821,7 @@ class SlamSystem:
             match.tracked_count, len(match.inlier_indices), match.inlier_pixels, pose.residual_scale, made, closed,
         )  # fmt: skip
 
-    # ------------------------------------------------------------------ lost
+    # ------------------------------------------------------------------ Relocalisation
 
     def _relocalize(self, frame: CameraFrame, view: ViewPrior, picture: Any, why: str) -> TrackingResult:
         """Search the whole map by ORB; accept the result when several in a row agree."""

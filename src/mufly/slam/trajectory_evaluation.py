@@ -85,7 +85,7 @@ def read_poses(file: Path) -> PoseTable:
     Raises
     ------
     InputError
-            If the file cannot be read, or its rows are no poses.
+        If the file cannot be read, or its rows are no poses.
     """
     where, remedy = str(file), "give a trajectory: t x y z qx qy qz qw"
     try:
