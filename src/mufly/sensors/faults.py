@@ -66,7 +66,7 @@ FAULT_TARGETS: Mapping[str, FaultTarget] = {
 }
 """Targets of faults by name."""
 
-_MAX_START_S = 86400.0  # latest start or end of a fault: a day, longer than any battery lasts
+_MAX_START_S = 86400.0  # latest start of a fault: a day, longer than any battery lasts
 _MAX_AMOUNT_FACTOR = 1000.0  # relative to the default amount of a kind, or of a jump
 
 _FAULT_SYNTAX = "NAME.KIND=AMOUNT@STARTs+DURATIONs, as sonar.jump=0.3@15s+2s"

@@ -616,7 +616,7 @@ class SlamSystem:
         return None
 
     def _bridge_gap(self, frame: CameraFrame, view: ViewPrior, picture: Any, why: str) -> TrackingResult:
-        """Create a keyframe on trial at the vehicle's estimate, with an edge to the last one by the odometry."""
+        """Create a keyframe on trial at the vehicle's estimate, with an edge to the last one of that uncertainty."""
         if self._trial_frame_count > 0:
             self.floor_map.drop_last_keyframe()
             self._reference_index = len(self.floor_map.keyframes) - 1

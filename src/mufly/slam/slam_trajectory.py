@@ -31,8 +31,10 @@ class SlamTrajectory:
 
     Attributes
     ----------
-    time, heading : (n,) arrays
-        Times (s) and headings (rad).
+    time : (n,) array
+        Times of the results (s).
+    heading : (n,) array
+        Headings (rad).
     position : (n, 3) array
         N, E, D (m).
     covariance : (n, 4, 4) array

@@ -65,7 +65,7 @@ class PoseTable(NamedTuple):
     Attributes
     ----------
     time_s, position, heading : (n,), (n, 3), (n,) arrays
-        Times (s), positions N-E-D (m), headings (rad).
+        Times, positions N-E-D and headings (s, m, rad).
     extra_cells : list of n lists of str
         Further cells of each row.
     row_count : int
