@@ -256,7 +256,7 @@ class LoopAnalysis:
     ----------
     stable : bool
     crossovers : tuple of float
-        Frequencies at which a singular value of L_u crosses 0 dB, rad/s, ascending.
+        Frequencies at which a singular value of L_u crosses 0 dB (rad/s), ascending.
     sensitivity_peak_dB, complementary_peak_dB : float
         Peaks of S_u and T_u.
     sensitivity_peak_frequency, complementary_peak_frequency : float

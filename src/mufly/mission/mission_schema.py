@@ -83,7 +83,7 @@ class Limits(_MissionTable):
 
 
 class Path(_MissionTable):
-    """Kind of path between waypoints."""
+    """Table of the kind of path between waypoints."""
 
     kind: Literal["straight", "spline"] = Field(
         default="straight",
@@ -382,5 +382,5 @@ def plan_leg_trajectory(
 
 
 def take_off_position(mission: Mission) -> NDArray[np.float64]:
-    """Return the end of the take-off, N, E, D (m)."""
+    """Return the position at the end of the take-off, N, E, D (m)."""
     return np.array([*mission.start_m, -mission.take_off.height_m])

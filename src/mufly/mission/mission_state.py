@@ -587,7 +587,7 @@ _BY_WORD: dict[str, Callable[[_RequestFacts], RequestAnswer]] = {
     "still": _allow_motors_off,
     "waits": _allow_mission_waiting,
 }
-"""Conditions by the words of :data:`REQUEST_TABLE`."""
+"""Condition functions by the words of :data:`REQUEST_TABLE`."""
 
 
 def _make_conditions() -> dict[tuple[str, str], Callable[[_RequestFacts], RequestAnswer]]:

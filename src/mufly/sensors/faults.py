@@ -64,7 +64,7 @@ FAULT_TARGETS: Mapping[str, FaultTarget] = {
     for row in rows
     if row.fault
 }
-"""Targets of faults by name."""
+"""Fault targets by the name that a fault's text uses, such as ``sonar``."""
 
 _MAX_START_S = 86400.0  # latest start of a fault: a day, longer than any battery lasts
 _MAX_AMOUNT_FACTOR = 1000.0  # relative to the default amount of a kind, or of a jump
