@@ -1,4 +1,4 @@
-"""What are its parameters? Fits to bench and flight data, with uncertainty and validation."""
+"""Identification of vehicle parameters from bench and flight data, with uncertainty and validation."""
 
 from mufly.identify.fit_report import ReportSection, write_report
 from mufly.identify.fit_result import FitResult, ParameterEstimate, RecordPrediction, apply_estimates

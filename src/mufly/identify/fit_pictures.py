@@ -1,7 +1,7 @@
-"""Pictures of a fit: prediction beside measurement, what is left over, and what the estimates share.
+"""Pictures of a fit: prediction and measurement, residuals, and correlation of the estimates.
 
 Every function takes the frozen results of :mod:`mufly.identify.fit_result` and returns a matplotlib figure.
-Colours are those of Okabe and Ito (2008), which the colour-blind can tell apart.
+The colours are those of Okabe and Ito (2008), which colour-blind readers can distinguish.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ if TYPE_CHECKING:
 
 BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9"
 _MAX_POINTS = 4000
-_MAX_LAG_S = 2.0  # of correlations
+_MAX_LAG_S = 2.0  # s, largest lag of drawn correlations
 
 Array = NDArray[np.float64]
 
 
 @contextmanager
 def report_style() -> Iterator[None]:
-    """Draw in the colours of the report's page inside this context."""
+    """Apply the colours of the report page to all figures drawn inside this context."""
     from matplotlib import rc_context
 
     ink, ground, grid = "#1d2329", "#ffffff", "#d5dae0"
@@ -58,7 +58,7 @@ def report_style() -> Iterator[None]:
 
 
 def blank_figure(width: float, height: float) -> Figure:
-    """Return a figure (inches) to draw on."""
+    """Return an empty figure of this size (inches)."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained")
@@ -72,7 +72,7 @@ def text_colour() -> str:
 
 
 def label_decades(axes: Axes) -> None:
-    """Number a logarithmic axis of frequencies 1, 2, 5."""
+    """Place the ticks of a logarithmic frequency axis at 1, 2 and 5 of every decade."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -121,7 +121,7 @@ def prediction_picture(record: RecordPrediction) -> Figure:
 
 
 def fit_picture(found: FitResult | IdentificationDemo | LinearResult) -> Figure:
-    """Draw how well a fit predicts: a record that it has not seen, else one that it has, else what estimates share."""
+    """Draw the prediction of a held-out record, else of a fitted record, else the correlation of the estimates."""
     fit = found if isinstance(found, FitResult) else found.fit
     shown = (*fit.records_with_role("held out"), *fit.records)
     return prediction_picture(shown[0]) if shown else correlation_picture(fit)
@@ -159,7 +159,7 @@ def residual_picture(record: RecordPrediction) -> Figure:
 
 
 def cross_correlation_picture(record: RecordPrediction) -> Figure:
-    """Draw the correlation of every residual with every input, 95 % bounds; positive lags: the input came first."""
+    """Draw the correlation of every residual with every input, with 95 % bounds; at positive lags the input leads."""
     m, k, dt = len(record.output_names), len(record.input_names), _median_sample_s(record)
     figure = blank_figure(min(10.0, 2.0 + 2.4 * k), 0.6 + 1.5 * m)
     panels = figure.subplots(m, k, squeeze=False, sharex=True, sharey=True)
@@ -181,7 +181,7 @@ def cross_correlation_picture(record: RecordPrediction) -> Figure:
 
 
 def estimate_coherence(record: RecordPrediction) -> tuple[FrequencyResponse, FrequencyResponse] | None:
-    """Estimate the coherence of measurements, and of residuals, with the inputs; None where that cannot be done."""
+    """Estimate the coherence of measurements and of residuals with the inputs; None for short or incomplete records."""
     dt, n = _median_sample_s(record), len(record.time_s)
     gaps = ~np.isfinite(record.measured).all()
     if not record.input_names or n < 128 or gaps or not np.isfinite(record.predicted).all():
@@ -202,7 +202,7 @@ def estimate_coherence(record: RecordPrediction) -> tuple[FrequencyResponse, Fre
 
 
 def coherence_picture(record: RecordPrediction) -> Figure | None:
-    """Draw what share of every output, and of its residual, the inputs explain linearly, over frequency."""
+    """Draw the coherence of every output, and of its residual, with the inputs over frequency."""
     both = estimate_coherence(record)
     if both is None:
         return None
@@ -279,7 +279,7 @@ def correlation_picture(fit: FitResult) -> Figure:
 
 
 def history_picture(fit: FitResult) -> Figure | None:
-    """Draw the cost and the parameters, over their final values, iteration by iteration; None without history."""
+    """Draw the cost and the parameters relative to their final values over the iterations; None without history."""
     rows = [r for r in fit.history if "cost" in r]
     if len(rows) < 2:
         return None
@@ -308,7 +308,7 @@ _MAX_COLOURS = 6
 
 
 def _group_by_voltage(voltage: Array) -> list[NDArray[np.bool_]]:
-    """Group points whose voltages lie within 4 % of each other; one group of all if they are not on levels."""
+    """Group points whose voltages lie within 4 % of each other; return one group if there are no distinct levels."""
     order = np.argsort(voltage)
     steps = np.diff(voltage[order]) > 0.04 * np.abs(voltage[order][1:])
     label = np.empty(voltage.size, dtype=np.int64)
@@ -322,7 +322,7 @@ def _group_by_voltage(voltage: Array) -> list[NDArray[np.bool_]]:
 def motor_picture(fit: MotorFit, *, title: str = "") -> Figure:
     """Draw current over torque and torque over speed with the fitted lines, and the residuals of both equations.
 
-    Readings on levels of the voltage get a line each, at the mean voltage; otherwise the adjusted readings are drawn.
+    Every voltage level gets a line at its mean voltage. Without distinct levels the adjusted readings are drawn.
     """
     r, a, b, d, c = fit.effective
     data = fit.data
@@ -448,17 +448,17 @@ _OUTPUTS_SHOWN = {
     "yaw": ("yaw", "r", "height"), "heave": ("height", "yaw"), "roll": ("roll", "pitch", "p"),
     "pitch": ("pitch", "roll", "q"),
 }  # fmt: skip
-_MAX_SHOWN_STD_PERCENT = 1e3  # per cent; bars of what is not seen end there
+_MAX_SHOWN_STD_PERCENT = 1e3  # per cent; end of the bars of unidentifiable parameters
 
 
 def plan_picture(plan: ExcitationPlan, chosen: ExcitationCandidate | None = None) -> Figure:
-    """Draw a plan.
+    """Draw an excitation plan: signal, spectra, predicted flight and expected accuracy.
 
     Parameters
     ----------
-    plan : Plan
-    chosen : Candidate, optional
-        The signal that is to be flown; the best by default.
+    plan : ExcitationPlan
+    chosen : ExcitationCandidate, optional
+        Candidate whose signal will be flown; by default the best candidate.
     """
     c = plan.best_candidate if chosen is None else chosen
     figure = blank_figure(10.5, 7.6)

@@ -1,8 +1,8 @@
-"""The report of a fit: one HTML file that needs nothing else, and the pictures beside it as PNG.
+"""Report of a fit: one self-contained HTML file, and the pictures beside it as PNG.
 
-It holds what an engineer asks before believing a parameter: its interval, what it cannot be told apart from, how
-well the model predicts records it was fitted to and records it was not, what the residuals say is missing, and the
-command that repeats it. The tables of a linear identification serve the terminal as well.
+The report holds the interval of every parameter and the parameter combinations that the data do not determine. It
+shows how well the model predicts fitted and held-out records, and residual statistics. It ends with the command that
+repeats the fit. The terminal output uses the same tables of a linear identification.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 
 def format_number(value: float) -> str:
-    """Return a number with four digits, as short as it can be written; ``–`` if it is not finite."""
+    """Return a number as text with at most four significant digits; ``–`` if it is not finite."""
     if not np.isfinite(value):
         return "–"
     if abs(value) < 1e-9:
@@ -55,24 +55,24 @@ def format_number(value: float) -> str:
     return text
 
 
-_MIN_RESIDUAL_SAMPLES = 20  # samples, for statistics of residuals
+_MIN_RESIDUAL_SAMPLES = 20  # least number of samples for residual statistics
 
 
 @dataclass(frozen=True)
 class ReportSection:
-    """Something a command adds to the report.
+    """Section that a command adds to the report.
 
     Attributes
     ----------
     title : str
     text_paragraphs : tuple of str
     column_heads : tuple of str
-        Of a table; empty for none.
+        Column heads of the table; empty without a table.
     table_rows : tuple of tuple of str
     draw_picture : callable, optional
         Draws a figure, or returns None if there is nothing to draw.
     picture_name : str
-        Of the picture's file.
+        Name of the picture file, without suffix.
     """
 
     title: str
@@ -87,23 +87,23 @@ def write_report(
     fit: FitResult, directory: str | Path, *, command: str | None = None, sections: Sequence[ReportSection] = (),
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:  # fmt: skip
-    """Write ``report.html`` and its pictures into a folder, which is made if need be.
+    """Write ``report.html`` and its pictures into a folder, which is created if it does not exist.
 
     Parameters
     ----------
-    fit : Fit
+    fit : FitResult
     directory : str or Path
     command : str, optional
-        What repeats the fit; by default the ``mufly`` command that is running.
-    sections : sequence of Section
-        Further sections, after the predictions.
+        Command that repeats the fit; by default the running ``mufly`` command.
+    sections : sequence of ReportSection
+        Further sections, placed after the predictions.
     progress : callable, optional
-        Called with (pictures drawn, pictures).
+        Called with the number of pictures drawn and the number of all pictures.
 
     Returns
     -------
     Path
-        Of the HTML file.
+        Path of the HTML file.
 
     Raises
     ------
@@ -137,7 +137,7 @@ def write_report(
 
 
 class _ReportPictures:
-    """The pictures of a report: beside the page as PNG, and inside it."""
+    """Writer of the report's pictures, as PNG files and for embedding in the page."""
 
     def __init__(self, folder: Path, count: int, progress: Callable[[int, int], None] | None) -> None:
         self._folder, self._count, self._progress, self._done = folder, count, progress, 0
@@ -158,7 +158,7 @@ class _ReportPictures:
 
 
 def _count_pictures(fit: FitResult, sections: Sequence[ReportSection]) -> int:
-    """Return about how many pictures the report of a fit has, for a progress bar."""
+    """Estimate the number of pictures in the report of a fit, for a progress bar."""
     return 3 + 4 * len(fit.records) + sum(s.draw_picture is not None for s in sections)
 
 
@@ -283,7 +283,7 @@ def _residual_rows(fit: FitResult) -> ReportTable:
 
 
 def _determinants(fit: FitResult) -> str:
-    """Determinant of the residuals' covariance, held out over fitted; "" where the two cannot be compared."""
+    """Return the ratio of residual covariance determinants, held out over fitted; "" if they are not comparable."""
     used, unused = fit.records_with_role("fit"), fit.records_with_role("held out")
     if not used or not unused or len({r.output_names for r in fit.records}) > 1:
         return ""
@@ -291,7 +291,7 @@ def _determinants(fit: FitResult) -> str:
 
 
 def candidate_table(r: LinearResult) -> ReportTable:
-    """Return heads and rows of the structures that were tried, best first."""
+    """Return heads and rows of the table of candidate structures, best first."""
     outputs = r.linear.structure.outputs
     heads = ("structure", "free", "left out", *(f"of {o}" for o in outputs), "AIC", "BIC")
     rows = []
@@ -302,7 +302,7 @@ def candidate_table(r: LinearResult) -> ReportTable:
 
 
 def estimate_table(r: LinearResult) -> ReportTable:
-    """Return heads and rows of the estimates."""
+    """Return heads and rows of the table of estimates."""
     bound = np.sqrt(np.maximum(np.diag(r.linear.bound), 0.0))
     rows = []
     for e, b, p in zip(r.fit.estimates, bound, r.linear.structure.parameters, strict=True):
@@ -313,7 +313,7 @@ def estimate_table(r: LinearResult) -> ReportTable:
 
 
 def quality_table(r: LinearResult) -> ReportTable:
-    """Return heads and rows of how well every output is simulated, as recorded and low-passed."""
+    """Return heads and rows of the simulation quality of every output, as recorded and low-passed."""
     rows = []
     for role, checks in r.checks.items():
         for name, c in zip(r.linear.structure.outputs, checks, strict=True):
@@ -333,7 +333,7 @@ def _format_percent(value: float) -> str:
 
 
 def prediction_table(r: LinearResult) -> ReportTable:
-    """Return heads and rows of the prediction a time ahead on the held-out part."""
+    """Return heads and rows of the multi-step prediction quality on the held-out part, by horizon."""
     outputs = r.linear.structure.outputs
     rows = []
     for a in r.ahead:
@@ -345,7 +345,7 @@ def prediction_table(r: LinearResult) -> ReportTable:
 
 
 def cross_check_table(r: LinearResult) -> ReportTable:
-    """Return heads and rows of the parameters by other methods."""
+    """Return heads and rows that compare the parameters from output error, equation error and frequency response."""
     s, spectral = r.spectral, {}
     if s is not None:
         spectral = dict(zip(r.linear.structure.symbols, zip(s.values, s.value_std, strict=True), strict=True))
@@ -358,7 +358,7 @@ def cross_check_table(r: LinearResult) -> ReportTable:
 
 
 def bode_comparison_picture(r: LinearResult, s: FrequencyResponseFit) -> Figure:
-    """Draw the measured frequency responses with error bounds beside the model's two."""
+    """Draw measured frequency responses with error bounds, and those of the time-domain and spectral fits."""
     data: FrequencyResponse = s.measured_response
     fitted = structure_response(r.linear.structure, r.linear.values, data.frequency_hz)
     m, k = len(data.outputs), len(data.inputs)
@@ -400,7 +400,7 @@ def _to_decibels(response: NDArray[np.complex128]) -> NDArray[np.float64]:
 
 
 def format_pole(p: complex) -> str:
-    """Return a pole as text."""
+    """Return a pole (1/s) as text with two decimals."""
     return f"{p.real:.2f}" if abs(p.imag) < 1e-9 else f"{p.real:.2f}{p.imag:+.2f}j"
 
 

@@ -1,8 +1,8 @@
-"""What a fit returns: estimates with intervals, what the data do not see, and how well every record is predicted.
+"""Results of a fit: estimates with intervals, undetermined directions, and the prediction of every record.
 
-Plain frozen data, made by the fits of this room (bench, flight, linear) and read by reports, files and commands.
-Intervals are at 95 % and two-sided; ``covariance`` is that of the estimates in SI units, in the order of
-``estimates``, already corrected for coloured residuals where the method does so
+All fits of this package (bench, flight, linear) return these frozen dataclasses; reports, files and commands read
+them. Intervals are two-sided at 95 %. ``covariance`` is the covariance of the estimates in SI units, in the order of
+``estimates``. It is already corrected for coloured residuals where the method does so
 (``docs/explanation/identification.md``).
 """
 
@@ -25,7 +25,7 @@ from mufly.vehicle import Vehicle
 _Array = NDArray[np.float64]
 
 MAX_RESIDUAL_OVER_NOISE = (
-    10.0  # residuals over the sensor's noise from which a minimum, or a prediction, is not to be believed
+    10.0  # ratio of residuals to sensor noise above which a minimum, or a prediction, is not credible
 )
 
 
@@ -36,20 +36,20 @@ class ParameterEstimate:
     Attributes
     ----------
     symbol : str
-        As ``mufly vehicle show`` prints it: ``"cT_dw"``.
+        Symbol as printed by ``mufly vehicle show``: ``"cT_dw"``.
     key : str
-        Dotted key in the vehicle file, ``"rotors.lower.thrust_coefficient"``; ``""`` for what is in no vehicle file
-        (a bias, an initial state).
+        Dotted key in the vehicle file, ``"rotors.lower.thrust_coefficient"``; ``""`` for a parameter that is in no
+        vehicle file (a bias, an initial state).
     unit : str
-        SI unit; ``"1"`` for none.
+        SI unit; ``"1"`` if dimensionless.
     start, value : float
-        Before and after the fit.
+        Value before and after the fit.
     std : float
-        Standard deviation; infinite if the data do not see the parameter.
+        Standard deviation; infinite if the data do not determine the parameter.
     low, high : float
         95 % interval of the estimate.
     at_bound : bool
-        The fit stopped at a bound, so that ``std`` and interval do not hold.
+        Whether the fit stopped at a bound, so that ``std`` and interval are invalid.
     """
 
     symbol: str
@@ -67,9 +67,9 @@ class ParameterEstimate:
         cls, symbol: str, key: str, unit: str, start: float | Vehicle | None, value: float, std: float, *,
         quantile: float, at_bound: bool = False,
     ) -> ParameterEstimate:  # fmt: skip
-        """Return an estimate whose interval is ``quantile`` deviations to either side.
+        """Return an estimate whose interval extends ``quantile`` standard deviations to either side.
 
-        ``start`` may be the vehicle that holds it under ``key``; NaN if there is none.
+        ``start`` may be the vehicle that holds the start value under ``key``. None, or no key, gives NaN.
         """
         if not isinstance(start, float):
             start = float(attrgetter(key)(start)) if start is not None and key else math.nan
@@ -77,7 +77,7 @@ class ParameterEstimate:
 
 
 class EstimateLookup:
-    """What the results of all fits have: estimates that are found by their symbol."""
+    """Base class of fit results: look-up of estimates by their symbol."""
 
     estimates: tuple[ParameterEstimate, ...]
 
@@ -98,31 +98,31 @@ class EstimateLookup:
     json="name role outputs noise_std error_over_noise=rms_over_noise converged doubt",
 )
 class RecordPrediction:
-    """One record beside what the fitted model predicts for it from its inputs alone.
+    """One record with the fitted model's prediction from the inputs alone.
 
     Attributes
     ----------
     name : str
-        Name of the log, with its part if only a part was used.
+        Name of the log, and of the used part if only a part was used.
     role : {"fit", "held out"}
-        Whether the fit used it.
+        Whether the fit used the record.
     time_s : (n,) array
-        Rising (s).
+        Increasing time (s).
     output_names : tuple of str
         Names of the ``m`` outputs: ``"p"``, ``"roll"``, ``"height"``, ...
     units : tuple of str
-        Their SI units.
+        SI units of the outputs.
     measured, predicted : (n, m) array
-        ``measured`` is NaN where nothing was measured.
+        Outputs in SI units; ``measured`` is NaN without a measurement.
     noise_std : (m,) array
         Standard deviation of the measurement noise (the noise floor).
     inputs : (n, k) array
-        Held from each sample to the next.
+        Inputs, constant between samples.
     input_names : tuple of str
     converged : bool
-        Whether the search for the start values of a held-out record ended in a minimum.
+        Whether the search for the initial state of a held-out record ended in a minimum.
     doubt : str
-        Why a prediction is not to be believed, in words; empty if nothing speaks against it.
+        Reason, as text, why the prediction is not credible; empty if there is none.
     """
 
     name: str
@@ -140,11 +140,11 @@ class RecordPrediction:
 
     @property
     def residual(self) -> _Array:
-        """Measured less predicted, (n, m); NaN where nothing was measured."""
+        """Residual, measured less predicted, (n, m); NaN without a measurement."""
         return self.measured - self.predicted
 
     def rms_over_noise(self) -> _Array:
-        """Return root mean square of the residual of every output over its noise, (m,): 1 is the noise floor."""
+        """Return the RMS residual of every output divided by its noise, (m,); 1 is the noise floor."""
         return np.sqrt(np.nanmean(self.residual**2, axis=0)) / self.noise_std
 
 
@@ -161,29 +161,29 @@ class FitResult(EstimateLookup):
     ----------
     vehicle : str
         Name of the vehicle (or linear model) that was fitted.
-    estimates : tuple of Estimate
-        The ``n`` free parameters.
+    estimates : tuple of ParameterEstimate
+        Estimates of the ``n`` free parameters.
     covariance, correlation : (n, n) array
-        Of the estimates, in their order, SI units.
+        Covariance (SI units) and correlation of the estimates, in the order of ``estimates``.
     unseen : tuple of str
-        Directions that the data do not determine, each in words; empty if all are seen.
+        Descriptions of the directions that the data do not determine; empty if there is none.
     cost : float
-        What was minimised, at the estimates.
+        Cost function at the estimates.
     history : tuple of dict
-        One row an iteration or generation: ``iteration``, ``cost`` and every symbol with its value.
+        One row per iteration or generation: ``iteration``, ``cost`` and every symbol with its value.
     method : str
-        In words.
+        Description of the method.
     simulations : int
         Records simulated during the fit, counting every trial of the parameters.
     seconds : float
-        Wall time.
+        Wall time (s).
     converged : bool
     message : str
-        Why it stopped, and warnings, in words.
-    records : tuple of RecordFit
-        Used first, held-out ones after them.
+        Reason for the end of the search, and warnings.
+    records : tuple of RecordPrediction
+        Fitted records first, then held-out records.
     held : tuple of str
-        Estimates whose interval is wide above all because of parameters that were held, each in words.
+        Descriptions of estimates whose uncertainty comes mainly from held parameters.
     """
 
     vehicle: str
@@ -202,30 +202,30 @@ class FitResult(EstimateLookup):
     held: tuple[str, ...] = ()
 
     def records_with_role(self, role: Literal["fit", "held out"]) -> tuple[RecordPrediction, ...]:
-        """Return the records of one role."""
+        """Return the records with this role, fitted or held out."""
         return tuple(r for r in self.records if r.role == role)
 
 
 # ----------------------------------------------------------------------------
-# Estimates written into a vehicle, each with its provenance and its doubt.
+# Estimates written into a vehicle, each with provenance and uncertainty.
 
 
 def apply_estimates(vehicle: Vehicle, estimates: Iterable[ParameterEstimate], note: str) -> Vehicle:
-    """Return a vehicle with some parameters replaced by what a fit found.
+    """Return a vehicle whose parameters are replaced by the estimates of a fit.
 
     Parameters
     ----------
     vehicle : Vehicle
-        To start from.
-    estimates : iterable of Estimate
-        Those without a key, and those that the data do not see, are passed over.
+        Vehicle before the replacement.
+    estimates : iterable of ParameterEstimate
+        Estimates without a key, or not determined by the data, are skipped.
     note : str
-        Where they come from; standard deviation and interval are added to it.
+        Provenance note; standard deviation and interval are appended.
 
     Raises
     ------
     InputError
-        If no estimate belongs into a vehicle file, or a value is impossible there.
+        If no estimate has a key in the vehicle file, or a value is invalid there.
     """
     tables = vehicle.model_dump()
     written = 0
@@ -249,59 +249,56 @@ def apply_estimates(vehicle: Vehicle, estimates: Iterable[ParameterEstimate], no
             "see the parameters marked 'not seen'",
         )
     if any(e.key == "body.mass" for e in found):
-        tables["mass_budget"] = None  # it no longer adds up
+        tables["mass_budget"] = None  # its sum differs from the estimated mass
     return validate_model(Vehicle, tables, vehicle.name)
 
 
 # ----------------------------------------------------------------------------
-# How sure are estimates from time series, and which directions in their space do the data not see?
+# Covariance of estimates from time series, and directions in their space that the data do not determine.
 #
-# One covariance for every fit to records: flights, linear models, equation error. (Bench data are few and come in
-# settings, not in time: theirs is :mod:`mufly.bench.residual_covariance`.) With whitened sensitivities ``S`` (start
-# values,
-# trims and biases eliminated), residual ``e`` and the priors' information ``P``::
+# All fits to records (flights, linear models, equation error) use this covariance. Bench data come in few settings,
+# not as time series, and use :mod:`mufly.bench.residual_covariance`. With whitened sensitivities ``S`` (initial
+# states, trims and biases eliminated), residual ``e`` and prior information ``P``::
 #
 #     H = S^T S + P                                                Cramer-Rao: covariance H^-1 for white residuals
 #     covariance = H^-1 (sum_ij S_i^T R(i - j) S_j + P) H^-1       coloured residuals, R their autocorrelation
 #
 # (Maine and Iliff, NASA RP 1168, Sec. 8.2; Morelli and Klein 1997, "Accuracy of aerodynamic model parameters
 # estimated from flight test data", J. Guidance 20(1); Klein and Morelli, Sec. 6.3). Residuals of flight data are not
-# white (vibration, wind, what the model leaves out), and the bound is then too small by a factor of 5 to 10 in
-# standard deviation. ``R`` is estimated from the residuals with Parzen's window, which keeps the sum positive
-# semi-definite and reaches four times as far as the autocorrelation stands out of its noise (3.9 deviations); where
-# none does, the residual
-# counts as white, because the estimate of a correlation that is not there only adds noise. Convolution makes the
-# double sum an FFT. No variance is taken to be smaller than Cramer-Rao's.
+# white (vibration, wind, unmodelled dynamics), and the bound is then too small by a factor of 5 to 10 in standard
+# deviation. ``R`` is estimated from the residuals with Parzen's window, which keeps the sum positive semi-definite.
+# The window is four times as long as the largest lag with a significant autocorrelation (3.9 deviations). Without
+# such a lag the residual counts as white, because the estimate of an absent correlation only adds noise. The double
+# sum is a convolution and is computed by FFT. No variance may be smaller than the Cramer-Rao bound.
 #
-# What the data do not see is told from the covariance C of parameters in relative terms, C_ij = cov_ij / (theta_i
-# theta_j), or of their logarithms: its eigenvectors with large eigenvalues are the directions that the data hardly
-# see. Moving all parameters along one of them, each by its share, changes nothing that was measured by more than its
-# error.
+# Undetermined directions follow from the relative covariance C_ij = cov_ij / (theta_i theta_j), or from the covariance
+# of the logarithms. Eigenvectors with large eigenvalues are directions that the data hardly determine. A change of all
+# parameters along such a direction, each by its share, changes no measured quantity by more than its error.
 
 
 Array = NDArray[np.float64]
 
-UNSEEN_RELATIVE_STD = 0.5  # relative standard deviation from which a direction counts as unseen
-_UNINFORMATIVE_STD = 100.0  # relative standard deviation that says nothing
-_MIN_DIRECTION_SHARE = 0.15  # of the largest part of a direction, below which a parameter is left out of the sentence
-_MIN_PAIR_CORRELATION = 0.98  # correlation of a pair that is hardly told apart ...
-_MIN_PAIR_STD = 0.005  # ... if that leaves each of them open by more than this
+UNSEEN_RELATIVE_STD = 0.5  # relative standard deviation above which a direction counts as undetermined
+_UNINFORMATIVE_STD = 100.0  # relative standard deviation above which no number is printed
+_MIN_DIRECTION_SHARE = 0.15  # share of a direction's largest component below which a parameter is not named
+_MIN_PAIR_CORRELATION = 0.98  # correlation above which a pair of parameters is hardly separable ...
+_MIN_PAIR_STD = 0.005  # ... if the relative standard deviation of each exceeds this value
 _MAX_CORRELATION_LAG, _WHITE_LAGS_TO_STOP = 300, 10  # samples
-_DECISIVE_LIKELIHOOD_DIFFERENCE = 4.0  # difference of 2 log L, as by AIC
+_DECISIVE_LIKELIHOOD_DIFFERENCE = 4.0  # difference of 2 log L that decides between error shapes, as for AIC
 _LAG_WINDOW_PER_CORRELATION_REACH = (
-    4  # times that reach; 2 leaves out a quarter of the variance of a slowly varying sensitivity
+    4  # window length per correlation reach; 2 loses a quarter of the variance of a slowly varying sensitivity
 )
-_SIGNIFICANT_DEVIATIONS = 3.9  # deviations; some 300 lags of a fit are looked at, and none should by chance
+_SIGNIFICANT_DEVIATIONS = 3.9  # standard deviations; about 300 lags are tested, and none should exceed it by chance
 
 
 def parzen_window(lags: int) -> Array:
-    """Return Parzen's lag window at lags -lags..lags; its transform is never negative."""
+    """Return Parzen's lag window at lags -lags..lags; the window's Fourier transform is never negative."""
     x = np.abs(np.arange(-lags, lags + 1)) / max(lags, 1)
     return np.where(x <= 0.5, 1.0 - 6.0 * x**2 + 6.0 * x**3, 2.0 * np.clip(1.0 - x, 0.0, None) ** 3)
 
 
 def correlation_reach(residual: Array, longest: int) -> int:
-    """Return the lag up to which the autocorrelation of a residual (n,) stands out of its noise; 0 if white."""
+    """Return the largest lag (samples) with significant autocorrelation of a residual (n,); 0 if white."""
     e = residual - residual.mean()
     n, power = len(e), float(e @ e)
     if power <= 0.0:
@@ -324,18 +321,20 @@ def coloured_covariance(
     Parameters
     ----------
     sensitivities : sequence of (n, m, t) array
-        Of the ``m`` outputs to the ``t`` parameters, whitened; one a record. Zero where nothing was measured.
+        Whitened sensitivities of the ``m`` outputs to the ``t`` parameters, one array per record; zero without a
+        measurement.
     residuals : sequence of (n, m) array
-        Whitened, zero where nothing was measured.
+        Whitened residuals; zero without a measurement.
     prior_std : (t,) array, optional
-        Infinite for none.
+        Prior standard deviations; infinite without a prior.
 
     Returns
     -------
     covariance, bound : (t, t) array
-        Infinite on the diagonal for a parameter that neither data nor prior know of. ``bound`` is Cramer-Rao's.
+        Corrected covariance and Cramer-Rao bound; infinite on the diagonal for a parameter that neither data nor
+        prior determine.
     coloured : bool
-        Whether any residual was.
+        Whether any residual was coloured.
     """
     t = sensitivities[0].shape[2]
     prior = np.zeros((t, t)) if prior_std is None else np.diag(1.0 / prior_std**2)
@@ -388,15 +387,16 @@ def correlation_matrix(covariance: Array) -> Array:
 
 
 def divide_by_values(covariance: Array, values: Array) -> Array:
-    """Return the covariance of parameters over their values."""
+    """Return the relative covariance, ``cov_ij / (value_i value_j)``."""
     size = np.where(values == 0.0, 1e-12, values)
     return covariance / np.outer(size, size)
 
 
 def covariance_from_information(information: Array) -> Array:
-    """Return the covariance that belongs to a Fisher information of relative parameters, (p, p).
+    """Return the covariance (p, p) that inverts the Fisher information of relative parameters.
 
-    Infinite on the diagonal for a parameter without information; a direction without gets a deviation of 1e6.
+    A parameter without information gets an infinite diagonal entry. A direction without information gets a standard
+    deviation of 1e6.
     """
     known = np.diag(information) > 0.0
     covariance = np.diag(np.where(known, 0.0, np.inf))
@@ -408,16 +408,16 @@ def covariance_from_information(information: Array) -> Array:
 def describe_unseen_combinations(
     symbols: Sequence[str], covariance: Array, within: Array | None = None
 ) -> tuple[str, ...]:
-    """Say which parameters, and which combinations of them, the data do not determine.
+    """Describe the parameters, and combinations of parameters, that the data do not determine.
 
     Parameters
     ----------
     symbols : sequence of str
     covariance : (p, p) array
-        Of the relative parameters, as the data alone give it. A direction is named if its standard deviation exceeds
-        ``UNSEEN_RELATIVE_STD``.
+        Covariance of the relative parameters from the data alone. A direction is named if its standard deviation
+        exceeds ``UNSEEN_RELATIVE_STD``.
     within : (p, p) array, optional
-        With the priors; pairs that are hardly told apart are looked for in it. Default: the same.
+        Covariance with the priors, searched for hardly separable pairs; by default ``covariance``.
     """
     found = np.isfinite(np.diag(covariance))
     said = [f"{s} is not seen at all" for s, known in zip(symbols, found, strict=True) if not known]
@@ -449,7 +449,7 @@ def describe_unseen_combinations(
 
 
 def _describe_direction(names: Sequence[str], share: Array, std: float) -> str:
-    """Describe one direction of relative changes, ``share`` of the largest."""
+    """Describe one direction of relative changes; ``share`` is each component over the largest."""
     doubt = "no bound" if std > _UNINFORMATIVE_STD else f"standard deviation {100 * std:.0f} %"
     if len(names) == 1:
         return (
@@ -468,14 +468,14 @@ def _describe_direction(names: Sequence[str], share: Array, std: float) -> str:
 def choose_error_shape(
     shapes: Sequence[tuple[float, float]], tried: Callable[[float, float], tuple[Array, float]]
 ) -> tuple[Array, str]:
-    """Return the likeliest shape of errors, not yet scaled, and what it is in words.
+    """Return the most likely error model: unscaled standard deviations and a description.
 
     Parameters
     ----------
     shapes : sequence of (% of reading, % of full scale)
-        The first holds unless another is clearly likelier.
+        Candidate error models. The first is chosen unless another is clearly more likely.
     tried : callable
-        From a shape to expected errors and minus twice the logarithm of the data's likelihood with them.
+        Function from an error model to expected errors and minus twice the log-likelihood of the data.
     """
     best, shape, least = np.empty(0), shapes[0], np.inf
     for k, one in enumerate(shapes):

@@ -1,18 +1,18 @@
-"""Records as fits see them: of a flight, and as named columns; read, checked, split.
+"""Uniformly sampled records for identification: flight records and tables of named columns.
 
-**A flight record as a fit sees it: inputs, measured outputs and voltage on one even clock, checked before use.**
+**Flight record: inputs, measured outputs and voltage on one uniform clock, checked before use.**
 
-Built from the labelled tables that :mod:`mufly.logs` reads (``motor_input``, ``servo_input``, ``measured_attitude``,
-...). Time that does not rise and gaps are refused in one line; whether the signals agree with each other is looked at
-in :mod:`mufly.identify.record_consistency`. The noise of a channel is first taken from its third differences, in which
-a motion slower than the sampling all but vanishes while white noise of variance ``s^2`` shows with ``20 s^2`` (own
-derivation: 1 + 9 + 9 + 1).
+It is built from the labelled tables that :mod:`mufly.logs` reads (``motor_input``, ``servo_input``,
+``measured_attitude``, ...). Time that does not increase and gaps raise an error.
+:mod:`mufly.identify.record_consistency` checks the signals against each other. The first noise estimate of a channel
+uses third differences. Motion that is slow against the sampling nearly vanishes in them, and white noise of variance
+``s^2`` has ``20 s^2`` (own derivation: 1 + 9 + 9 + 1).
 
-**A record as linear fits want it: named columns on an even clock, without gaps.**
+**Table for linear fits: named columns on a uniform clock, without gaps.**
 
-Read from CSV (names from its header), from MATLAB files (an array's columns are ``inr0, inr1``...) and from every log
-that ``mufly.logs`` reads (a signal with axes becomes ``measured_rates.p``, for which ``p`` is enough where only one
-signal ends so). A column map, ``lat=inr0``, names columns otherwise.
+It is read from CSV (names from the header), from MATLAB files (columns of an array are ``inr0, inr1``...) and from
+every log that ``mufly.logs`` reads. A signal with axes becomes ``measured_rates.p``; ``p`` is sufficient if only one
+signal has this ending. A column map, ``lat=inr0``, renames columns.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _OUTPUT_SOURCES = {
     "rates": (("p", 0, 1.0), ("q", 1, 1.0), ("r", 2, 1.0)),
     "rotor_speed": (("speed_up", 0, 1.0), ("speed_dw", 1, 1.0)),
 }
-# What shows that a channel is excited: its rates, which no slow drift moves; without them what they are the change of.
+# Outputs that show the excitation of a channel: rates, which are free of slow drift, or else their integrals.
 CHANNEL_OUTPUTS = {
     "heave": ("height", "climb"),
     "yaw": ("r", "yaw"),
@@ -65,24 +65,24 @@ _MIN_NOISE_STD = {
     "north": 1e-3,
     "east": 1e-3,
     "voltage": 1e-3,
-}  # least noise that is believed, SI
+}  # least accepted noise, SI
 
 
 @result(eq=False)
 class FlightRecord:
-    """Inputs and measurements of one flight on an even clock.
+    """Inputs and measurements of one flight on a uniform clock.
 
     Attributes
     ----------
     name : str
     time_s : (n,) array
-        Even steps (s).
+        Uniform time (s).
     inputs : (n, 4) array
-        Motor upper, motor lower (0..1), servo 1, servo 2 (-1..1), each held to the next sample.
+        Upper motor, lower motor (0..1), servo 1, servo 2 (-1..1), constant between samples.
     outputs : tuple of str
-        Of :data:`FLIGHT_OUTPUTS`.
+        Names of the outputs, from :data:`FLIGHT_OUTPUTS`.
     measured : (n, m) array
-        SI; NaN where nothing was measured; yaw without jumps.
+        Outputs in SI units; NaN without a measurement; yaw unwrapped.
     voltage : (n,) array or None
         Terminal voltage of the battery (V), if recorded.
     """
@@ -100,37 +100,37 @@ class FlightRecord:
         return float((self.time_s[-1] - self.time_s[0]) / (len(self.time_s) - 1))
 
     def select_outputs(self, outputs: Sequence[str]) -> FlightRecord:
-        """Return the record with some of its outputs only, in their order here."""
+        """Return the record with the outputs named in ``outputs``, in the order of the record."""
         kept = [k for k, name in enumerate(self.outputs) if name in outputs]
         return replace(
             self, outputs=tuple(self.outputs[k] for k in kept), measured=self.measured[:, kept]
         )  # fmt: skip
 
     def slice_samples(self, start: int, stop: int) -> FlightRecord:
-        """Return samples ``start`` to ``stop`` (not included), on their clock."""
+        """Return samples ``start`` to ``stop`` (excluded), with unchanged time."""
         voltage = None if self.voltage is None else self.voltage[start:stop]
         inputs, measured = self.inputs[start:stop], self.measured[start:stop]
         return replace(self, time_s=self.time_s[start:stop], inputs=inputs, measured=measured, voltage=voltage)
 
 
 def make_record(data: xr.Dataset, name: str, *, prefix: str = "measured") -> FlightRecord:
-    """Make a record of a recording.
+    """Convert a recording to a flight record.
 
     Parameters
     ----------
     data : xarray.Dataset
-        With ``time``, ``motor_input``, ``servo_input`` and some of ``<prefix>_position``, ``_velocity``,
+        Recording with ``time``, ``motor_input``, ``servo_input`` and some of ``<prefix>_position``, ``_velocity``,
         ``_attitude``, ``_rates``, ``_rotor_speed``, and ``battery_voltage``.
     name : str
-        What errors and reports call it.
+        Name of the record in errors and reports.
     prefix : str
-        ``"measured"``; ``"estimated"`` or ``"truth"`` of recordings that have these. Of a flight on sensors, position,
-        velocity and attitude are measured by none of them: those as estimated on board stand in.
+        ``"measured"``, ``"estimated"`` or ``"truth"``. Unmeasured position, velocity and attitude of a flight on
+        sensors are replaced by the on-board estimates.
 
     Raises
     ------
     InputError
-        If inputs or outputs are missing, or the clock cannot be.
+        If inputs or outputs are missing, or the time is invalid.
     """
     for key in ("motor_input", "servo_input"):
         if key not in data:
@@ -142,7 +142,7 @@ def make_record(data: xr.Dataset, name: str, *, prefix: str = "measured") -> Fli
         if f"{prefix}_{suffix}" in data:
             values = np.asarray(data[f"{prefix}_{suffix}"].values, dtype=np.float64)
             if prefix == "measured" and not np.isfinite(values).any() and "estimated_valid" in data:
-                # A flight on its own sensors, none of which tells this: what was made of them on board.
+                # A flight on its own sensors without this measurement uses the on-board estimate.
                 believed = np.asarray(data[f"estimated_{suffix}"].values, dtype=np.float64)
                 values = np.where(data["estimated_valid"].values[:, None] > 0.5, believed, np.nan)
             for output, k, sign in parts:
@@ -201,7 +201,7 @@ def _check_clock(r: FlightRecord) -> None:
 
 
 def _clean_record(r: FlightRecord) -> FlightRecord:
-    """Put the record on an exactly even clock, hold the inputs over NaN, and make yaw continuous."""
+    """Resample the record to a uniform clock, hold the inputs over NaN, and unwrap yaw."""
     t = r.time_s
     even = np.linspace(t[0], t[-1], len(t))
     measured = r.measured.copy()
@@ -238,13 +238,13 @@ def estimate_difference_noise(r: FlightRecord) -> Array:
     for k, name in enumerate(r.outputs):
         y = r.measured[np.isfinite(r.measured[:, k]), k]
         d = np.diff(y, 3)
-        # The median is not moved by a few outliers or steps; 1.4826 makes it the deviation of a normal law.
+        # The median is robust against outliers and steps; 1.4826 converts it to a normal standard deviation.
         out[k] = max(1.4826 * float(np.median(np.abs(d))) / np.sqrt(20.0), _MIN_NOISE_STD.get(name, 2e-4))
     return out
 
 
 def signal_over_noise(records: Sequence[FlightRecord]) -> dict[str, float]:
-    """Return by how much outputs move, smoothed, over their noise, each in the record where it moves most."""
+    """Return the ratio of smoothed motion to noise by output, the largest over all records."""
     most: dict[str, float] = {}
     for r in records:
         for k, (name, noise) in enumerate(zip(r.outputs, estimate_difference_noise(r), strict=True)):
@@ -254,26 +254,26 @@ def signal_over_noise(records: Sequence[FlightRecord]) -> dict[str, float]:
 
 
 def fill_gaps(y: Array) -> Array:
-    """Return ``y`` (n,) with straight lines over its holes (NaN)."""
+    """Return ``y`` (n,) with gaps (NaN) filled by linear interpolation."""
     good = np.isfinite(y)
     return np.interp(np.arange(len(y)), np.flatnonzero(good), y[good])
 
 
 def smooth_signal(y: Array, sample_s: float, span_s: float = 0.15, *, slope: bool = False) -> Array:
-    """Return local cubics through ``y`` (n,) over ``span_s`` (Savitzky and Golay), or their slopes (per second)."""
+    """Return ``y`` (n,) smoothed by local cubics over ``span_s`` (Savitzky and Golay), or its slope (per second)."""
     n = len(y)
     width = min(max(5, round(span_s / sample_s) | 1), (n - 1) | 1)
     return np.asarray(savgol_filter(y, width, 3, deriv=int(slope), delta=sample_s), dtype=np.float64)
 
 
 MO_POS, MO_VEL, MO_EULER, MO_RATES = 0, 3, 6, 9
-"""Where a row of motion starts with position and velocity N, E, D, with roll, pitch, yaw, with p, q, r."""
+"""Indices in a row of motion: start of position N, E, D, of velocity N, E, D, of roll, pitch, yaw, and of p, q, r."""
 
 
 def smooth_motion(r: FlightRecord) -> Array:
-    """Return position and velocity N, E, D, roll, pitch, yaw, p, q, r at every sample, (n, 12).
+    """Return position and velocity N, E, D, roll, pitch, yaw, p, q, r at every sample, (n, 12), in SI units.
 
-    From local cubics through the measurements (Savitzky and Golay) and their slopes; zero where nothing is known.
+    They are local cubics through the measurements (Savitzky and Golay) and their slopes; zero without a measurement.
     """
     n, dt = len(r.time_s), r.sample_s
     motion = np.zeros((n, 12))
@@ -284,7 +284,7 @@ def smooth_motion(r: FlightRecord) -> Array:
         y = fill_gaps(r.measured[:, r.outputs.index(name)])
         return smooth_signal(y, dt, span_s, slope=slope)
 
-    # Columns of a value and of its rate, both names, and the spans of value, rate and slope (s).
+    # Columns of a value and of its rate, their names, and the smoothing spans of value, rate and slope (s).
     pairs = (
         (MO_POS, MO_VEL, "north", "v_north", 0.3, 0.2, 0.5),
         (MO_POS + 1, MO_VEL + 1, "east", "v_east", 0.3, 0.2, 0.5),
@@ -306,7 +306,7 @@ def smooth_motion(r: FlightRecord) -> Array:
 
 
 def split_record(r: FlightRecord, share: float) -> tuple[FlightRecord, FlightRecord]:
-    """Cut a record in two; the second part holds the last ``share`` of it.
+    """Split a record into two parts; the second part is the last ``share`` of the record.
 
     Raises
     ------
@@ -325,13 +325,13 @@ def split_record(r: FlightRecord, share: float) -> tuple[FlightRecord, FlightRec
 
 
 def output_units(outputs: Sequence[str]) -> tuple[str, ...]:
-    """Return the units of outputs."""
+    """Return the SI units of these outputs."""
     return tuple(OUTPUT_UNITS[o] for o in outputs)
 
 
 _TIME_COLUMN_NAMES = ("time", "t", "time_s", "timestamp", "timestamp_s")
-# The kinematics' symbols -> the end of a signal's name in `mufly log`; where nothing measured it, what a simulated
-# flight knows stands in, then what was believed on board.
+# Symbol of the kinematics -> ending of a signal's name in `mufly log`. Without a measurement the truth of a simulated
+# flight is used, or else the on-board estimate.
 _SIGNAL_OF_SYMBOL = {
     "p": "rates.p", "q": "rates.q", "r": "rates.r",
     "ax": "acceleration.x", "ay": "acceleration.y", "az": "acceleration.z",
@@ -344,20 +344,20 @@ _SIGNAL_SOURCES = ("measured", "truth", "estimated")
 
 @dataclass(frozen=True, eq=False)
 class EvenLogTable:
-    """Columns on an even clock.
+    """Table of columns on a uniform clock.
 
     Attributes
     ----------
     name : str
     time_s : (n,) array
-        From the log, even to within 1 % of a sample or resampled.
+        Time of the log (s), uniform to within 1 % of a sample or resampled.
     columns : dict of str to (n,) array
     notes : tuple of str
-        What was done to make it so, in words.
+        Notes on the changes made to the log.
     empty_columns : tuple of str
-        Columns of the log that hold no numbers.
+        Columns of the log without numbers.
     filled_counts : dict of str to int
-        Samples of a column that were missing and stand on straight lines now.
+        Number of missing samples of a column that were interpolated.
     """
 
     name: str
@@ -378,12 +378,12 @@ class EvenLogTable:
         Raises
         ------
         ArgumentError
-            If there is none, or several; ``argument`` is named that asked for it.
+            If no column or several columns match; the error names ``argument``.
         """
         return self.columns[self.full_column_name(name, argument)]
 
     def full_column_name(self, name: str, argument: str) -> str:
-        """Return the whole name of the column that :meth:`find_column` returns."""
+        """Return the full name of the column that :meth:`find_column` returns."""
         if name in self.columns:
             return name
         ends = [c for c in self.columns if c.endswith(f".{name}")]
@@ -404,19 +404,19 @@ class EvenLogTable:
         raise ArgumentError(argument, name, problem, remedy)
 
     def stack_columns(self, wanted: Mapping[str, str], argument: str) -> Array:
-        """Return columns side by side, (n, k), each a column or a sum of columns: ``-q``, ``m1-m2``, ``9.81*az``.
+        """Return an array (n, k) whose columns are columns of the table or sums: ``-q``, ``m1-m2``, ``9.81*az``.
 
         Parameters
         ----------
         wanted : dict
-            Our names to what stands for them: names of columns with ``+`` or ``-`` before, and a factor with ``*``.
+            Name -> expression: column names with sign ``+`` or ``-``, and optional factor with ``*``.
         argument : str
-            What asked for them, for errors.
+            Name of the argument, for errors.
 
         Raises
         ------
         ArgumentError
-            If nothing is wanted, or a column is not there.
+            If ``wanted`` is empty, or a column is missing.
         """
         if not wanted:
             raise ArgumentError(argument, "", "is empty", "give names from the log, such as p,q")
@@ -425,8 +425,7 @@ class EvenLogTable:
         return np.column_stack([sum((f * self.columns[c] for f, c in terms), zero) for terms in sums])
 
     def column_notes(self, *wanted: Mapping[str, str]) -> list[str]:
-        """Return the record's notes, and those on the columns that :meth:`stack_columns` takes for each of
-        ``wanted``."""
+        """Return the notes on the table, and on filled gaps of the columns in the expressions ``wanted``."""
         used = [c for names in wanted for n, text in names.items() for _, c in self._parse_terms(text or n, "columns")]
         holes = [c for c in dict.fromkeys(used) if c in self.filled_counts]
         return [
@@ -435,7 +434,7 @@ class EvenLogTable:
         ]
 
     def _parse_terms(self, text: str, argument: str) -> list[tuple[float, str]]:
-        """Factor and column of each term of a sum."""
+        """Return factor and column of each term of a sum."""
         known = (*self.columns, *self.empty_columns)
         parts = [text] if text in known else re.findall(r"[+-]?[^+-]+(?:(?<=\de)[+-]\d+[^+-]*)?", text) or [text]
         terms = []
@@ -450,12 +449,12 @@ class EvenLogTable:
         return terms
 
     def slice_samples(self, start: int, stop: int) -> EvenLogTable:
-        """Return samples ``start`` to ``stop`` (not included)."""
+        """Return samples ``start`` to ``stop`` (excluded)."""
         columns = {k: v[start:stop] for k, v in self.columns.items()}
         return replace(self, time_s=self.time_s[start:stop], columns=columns)
 
     def slice_time(self, from_s: float | None, to_s: float | None) -> EvenLogTable:
-        """Return what lies from one time to another (s), both included; None for an end leaves it open."""
+        """Return the samples from ``from_s`` to ``to_s`` (s), both included; None sets no limit."""
         if from_s is None and to_s is None:
             return self
         start = 0 if from_s is None else int((self.time_s < from_s).sum())
@@ -466,7 +465,7 @@ class EvenLogTable:
 def read_columns(
     path: str | Path, *, columns: Mapping[str, str] | Sequence[str] = (), rate_hz: float | None = None
 ) -> EvenLogTable:
-    """Read a log.
+    """Read a log into a table with a uniform clock.
 
     Parameters
     ----------
@@ -475,12 +474,12 @@ def read_columns(
         Column map, ``"lat=inr0"``, ``"time=1(ms)"`` (:func:`mufly.quantity_grammar.read_column_lines`). Columns are
         numbered from 1 in a table without header, from 0 in an array of a MATLAB file (``inr0``).
     rate_hz : float, optional
-        Resample to this rate; default the log's own.
+        Sample rate of the table; by default the rate of the log.
 
     Raises
     ------
     InputError
-        If it cannot be read, its time does not rise, or has too few samples.
+        If the log cannot be read, its time does not increase, or it has too few samples.
     """
     path = Path(path)
     if not path.is_file():
@@ -530,7 +529,7 @@ def _read_csv(path: Path, lines: Sequence[ColumnLine]) -> dict[str, Array]:
 def _name_columns(
     fields: Mapping[str, Array], units: Mapping[str, str], lines: Sequence[ColumnLine]
 ) -> dict[str, Array]:
-    """Columns in SI units: those that the lines of a map name, and all others by their own names."""
+    """Return columns in SI units: mapped columns under their new names, all others under their own names."""
     mapped = {}
     for line in lines:
         quantity = find_quantity(line.name)
@@ -601,9 +600,9 @@ def _resample_evenly(name: str, found: dict[str, Array], rate_hz: float | None, 
 
 
 def low_pass(signal: Array, dt: float, cut_hz: float) -> Array:
-    """Filter columns (n, k) without phase; inputs and outputs filtered alike keep the same linear relation.
+    """Low-pass columns (n, k) with zero phase; inputs and outputs filtered alike keep their linear relation.
 
-    Fourth-order Butterworth, forwards and backwards.
+    The filter is a fourth-order Butterworth filter, applied forwards and backwards.
 
     Raises
     ------

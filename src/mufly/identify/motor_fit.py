@@ -1,32 +1,32 @@
-"""Motor constants from a bench: the stationary motor equations, fitted with errors in every channel.
+"""Motor constants from a bench: fit of the steady-state motor equations with errors in every channel.
 
-At rest eqs. 4.24, 4.25, 4.27 and 4.28 of the dissertation say, with the voltage ``U = duty * supply`` at the motor,
-its current I, the speed W and the torque Q where they were measured (behind a gear of ratio i and efficiency eta, or
-i = 1 and eta = 1 at the motor's own shaft),
+In steady state eqs. 4.24, 4.25, 4.27 and 4.28 of the dissertation relate the voltage ``U = duty * supply`` at the
+motor, its current I, the speed W and the torque Q. Speed and torque are measured after a gear of ratio i and
+efficiency eta, or at the motor shaft (i = 1 and eta = 1):
 
     e1 = U - R I - a W = 0        a = kE i
     e2 = b I - d W - c - Q = 0    b = kM i eta,    d = dR i^2 eta,    c = Mf i eta.
 
-The constant friction Mf (brushes, bearings, hysteresis of the iron: what makes a free motor's current nearly the same
-at every speed) is not in the dissertation's equations. It is held at zero unless the readings ask for it: unless it
-would differ from zero by more than three of its standard deviations.
+The constant friction Mf (brushes, bearings, iron hysteresis) makes the no-load current nearly independent of the
+speed. It is not in the dissertation's equations. It is held at zero unless its estimate differs from zero by more
+than three standard deviations.
 
-All four readings y = (U, I, W, Q) of a point err, with covariance N. To first order ``(e1, e2)`` then have the
+All four readings y = (U, I, W, Q) of a point have errors with covariance N. To first order ``(e1, e2)`` then have the
 covariance ``S = E N E'`` with ``E = [[1, -R, -a, 0], [0, b, -d, -1]]``, and the most likely constants minimise
 
     sum over points of  e' S^-1 e
 
 (Deming's adjustment, Statistical Adjustment of Data, 1943; Fuller, Measurement Error Models, 1987, sec. 1.3: plain
-least squares on noisy I and W would be biased low). The expected errors are needed up to one factor for each
-equation, which the residuals give. Covariance: :mod:`mufly.bench.residual_covariance`, with the sensitivities at the
-adjusted readings.
+least squares on noisy I and W would be biased low). The expected errors are needed only up to one factor per
+equation, which the residuals give. The covariance comes from :mod:`mufly.bench.residual_covariance`, with the
+sensitivities at the adjusted readings.
 
-From a, b, R, d, c the constants follow once i and eta are known; their own doubt is passed on. If they are not, only
-the products are seen, and only they are returned. Intervals are at 95 %.
+The constants follow from a, b, R, d, c if i and eta are known, and include their uncertainty. Otherwise only products
+of constants are determined and returned. Intervals are at 95 %.
 
-Mistaken units break the balance of energy: over all points ``sum Q W`` cannot exceed ``sum U I``. Where it does, the
-usual slips (rpm for rad/s, mN m for N m) are tried, and the one that mends it is named; where the file does not state
-the unit of the speed, it is taken.
+Wrong units violate the energy balance: over all points ``sum Q W`` cannot exceed ``sum U I``. In this case the usual
+mistakes (rpm for rad/s, mN m for N m) are tested, and the error names the one that restores the balance. A file
+without a unit of the speed gets this unit.
 """
 
 from __future__ import annotations
@@ -62,9 +62,9 @@ VEHICLE_KEYS = {
     "Mf": ("motor.friction_torque", "N m"),
 }
 _DAMPING, _FRICTION = 3, 4
-"""Where d and c, of friction in proportion to speed and of constant friction, stand in (R, a, b, d, c)."""
+"""Indices of viscous friction d and constant friction c in (R, a, b, d, c)."""
 _MIN_POINTS = 6
-_ROUNDING_RESIDUAL = 1e-6  # residuals this small against the expected errors are rounding, not measurement
+_ROUNDING_RESIDUAL = 1e-6  # ratio of residuals to expected errors below which the residuals are rounding errors
 _UNIT_MISTAKES = (
     ("speed", "rpm", RPM), ("speed", "revolutions a second", 2 * math.pi), ("torque", "mN m", 1e-3),
     ("torque", "N cm", 1e-2),
@@ -72,21 +72,21 @@ _UNIT_MISTAKES = (
 _MIN_EFFICIENCY, _MAX_EFFICIENCY = (
     0.02,
     1.02,
-)  # efficiency below which units are doubtful, and above which they are wrong
+)  # efficiencies below which units are doubtful, and above which they are wrong
 _MAX_CONSTANT_RATIO = 1.05  # kM / kE
 _ERROR_SHAPES = ((1.0, 0.2), (1.0, 0.05), (1.0, 0.5), (1.0, 2.0), (0.0, 1.0))  # % of reading, % of full scale
 
 
 @dataclass(frozen=True)
 class ChannelNoise:
-    """What is assumed of the errors of a channel: a share of the reading, a share of full scale, an absolute part.
+    """Assumed error of a channel: a share of the reading, a share of full scale, and an absolute part.
 
     Attributes
     ----------
     reading_share, full_scale_share : float
         Shares of the reading and of the largest reading.
     absolute_std : float
-        SI units of the channel.
+        Absolute standard deviation (SI).
     """
 
     reading_share: float = 0.01
@@ -94,21 +94,21 @@ class ChannelNoise:
     absolute_std: float = 0.0
 
     def error_std(self, value: Array) -> Array:
-        """Return standard deviations for readings (n,)."""
+        """Return the standard deviations (n,) of readings (n,)."""
         full = self.full_scale_share * float(np.max(np.abs(value)))
         return np.sqrt((self.reading_share * value) ** 2 + full**2 + self.absolute_std**2)
 
 
 def parse_noise(text: str | None, channels: tuple[str, ...]) -> dict[str, ChannelNoise]:
-    """Read ``"current=1%+0.01,voltage=0.02"``; channels that are not named keep the default.
+    """Parse channel errors such as ``"current=1%+0.01,voltage=0.02"``; other channels keep the default.
 
-    ``"1%"`` is of the reading, ``"0.5%fs"`` of the largest reading, a bare number is in SI units; parts are added with
-    ``+`` and count as independent.
+    ``"1%"`` is a share of the reading, ``"0.5%fs"`` a share of the largest reading, and a bare number is in SI units.
+    Independent parts are joined with ``+``.
 
     Raises
     ------
     InputError
-        If a channel is unknown or an amount is no number above zero.
+        If a channel is unknown or an amount is not a positive number.
     """
     result = {name: ChannelNoise() for name in channels}
     for part in (text or "").split(","):
@@ -141,7 +141,7 @@ def parse_noise(text: str | None, channels: tuple[str, ...]) -> dict[str, Channe
 
 @dataclass(frozen=True, eq=False)
 class MotorData:
-    """Stationary points of a motor, arrays (n,): voltage at the motor, its current, speed and torque, and the run."""
+    """Steady-state points of a motor, arrays (n,): motor voltage, current, speed, torque, and number of the run."""
 
     voltage_V: Array
     current_A: Array
@@ -150,18 +150,18 @@ class MotorData:
     run: NDArray[np.int64]
 
     def channel_arrays(self) -> tuple[Array, Array, Array, Array]:
-        """Return voltage, current, speed, torque."""
+        """Return voltage (V), current (A), speed (rad/s) and torque (N m)."""
         return self.voltage_V, self.current_A, self.speed_rad_s, self.torque_Nm
 
 
 @dataclass(frozen=True)
 class GearKnowledge:
-    """What is known of the gear between motor and where speed and torque were measured.
+    """Known data of the gear between the motor and the measurement of speed and torque.
 
     Attributes
     ----------
     ratio, efficiency : float or None
-        None if unknown. 1 and 1 at the motor's shaft.
+        Gear ratio and efficiency; None if unknown; 1 for a measurement at the motor shaft.
     ratio_std, efficiency_std : float
         Standard deviations.
     """
@@ -178,28 +178,27 @@ class GearKnowledge:
     json="points=data.voltage_V.size estimates covariance scales pattern=spread.pattern unseen notes",
 )
 class MotorFit(EstimateLookup):
-    """Motor constants and what they rest on.
+    """Motor constants with the data and residuals of their fit.
 
     Attributes
     ----------
-    estimates : tuple of Estimate
-        kE, kM, Rohm, dR, and Mf where the readings ask for it; or products such as ``kM*eta_gear`` where the gear is
-        not known.
+    estimates : tuple of ParameterEstimate
+        kE, kM, Rohm, dR, and Mf if significant; or products such as ``kM*eta_gear`` for an unknown gear.
     covariance : (n, n) array
-        Of the estimates.
+        Covariance of the estimates (SI).
     effective : (5,) array
-        R (ohm), a (V s), b (N m/A), d (N m s), c (N m) of the module docstring, where speed and torque were measured.
+        R (ohm), a (V s), b (N m/A), d (N m s), c (N m) of the module docstring, at the place of measurement.
     data, adjusted : MotorData
         Readings, and the most likely true values.
     residual : (n, 2) array
-        e1 (V) and e2 (N m).
+        Residuals e1 (V) and e2 (N m).
     expected : (n, 2) array
-        Their standard deviations after the fit.
+        Standard deviations of the residuals after the fit.
     scales : (2,) array
-        Found over expected errors of the two equations.
-    spread : Spread
+        Ratio of observed to expected errors of the two equations.
+    spread : CovarianceEstimate
     unseen, notes : tuple of str
-        What the data do not tell apart; what was assumed, guessed or found, in words.
+        Undetermined combinations of constants; assumptions, guesses and findings.
     """
 
     estimates: tuple[ParameterEstimate, ...]
@@ -219,23 +218,23 @@ def fit_motor(
     table: BenchTable, *, gear: GearKnowledge | None = None, noise: dict[str, ChannelNoise] | None = None,
     vehicle: Vehicle | None = None,
 ) -> MotorFit:  # fmt: skip
-    """Fit the stationary motor equations to a bench file.
+    """Fit the steady-state motor equations to a bench file.
 
     Parameters
     ----------
     table : BenchTable
         Columns ``voltage`` (and ``duty``), ``current`` (or ``supply_current`` with ``duty``), ``speed``, ``torque``.
     gear : GearKnowledge, optional
-        Default: measured at the motor's shaft.
+        Gear data; by default the measurement is at the motor shaft.
     noise : dict, optional
         Expected errors of voltage, current, speed, torque; by default 1 % of the reading and 0.3 % of full scale.
     vehicle : Vehicle, optional
-        Where the start values in the result come from.
+        Source of the start values in the result.
 
     Raises
     ------
     InputError
-        If columns are missing, constant or too short, or break the balance of energy.
+        If columns are missing, constant or too short, or violate the energy balance.
 
     Thesis: Fig. 5.1; Sec. 5.2.1.
     """
@@ -247,7 +246,7 @@ def fit_motor(
     std, words = _expected_errors(data, noise)
     notes.append(words)
     same = _MotorEquations(data, std)
-    # What the vehicle has, is asked for again.
+    # A vehicle with constant friction keeps it as a free constant.
     free = np.array([True, True, True, True, vehicle is not None and float(vehicle.motor.friction_torque) > 0])
     while True:
         effective, scales = same.solve_constants(free)
@@ -287,12 +286,12 @@ def fit_motor(
 
 
 def extract_motor_data(table: BenchTable) -> tuple[MotorData, list[str]]:
-    """Return the readings of a motor bench and notes on what was guessed.
+    """Return the readings of a motor bench and notes on guesses.
 
     Raises
     ------
     InputError
-        If a column is missing, constant, or its unit cannot be right.
+        If a column is missing, constant, or has an impossible unit.
     """
     notes = list(table.notes)
     table.require_columns(("voltage", "speed", "torque"))
@@ -335,12 +334,12 @@ def extract_motor_data(table: BenchTable) -> tuple[MotorData, list[str]]:
 def _check_physical(
     table: BenchTable, data: MotorData, effective: Array, covariance: Array, free: NDArray[np.bool_], quantile: float
 ) -> None:  # fmt: skip
-    """Refuse constants that no motor has, and name the column that is missing where the voltage gives it away.
+    """Check that the constants are physical.
 
     Raises
     ------
     InputError
-        If R, kE or kM is not above zero.
+        If R, kE or kM is not positive; the error names a missing column if the voltage reveals it.
     """
     std = np.zeros(5)
     std[free] = np.sqrt(np.diag(covariance))
@@ -382,7 +381,7 @@ def _mean_efficiency(data: MotorData) -> float:
 
 
 def _resolve_speed_unit(table: BenchTable, data: MotorData, notes: list[str]) -> MotorData:
-    """Take a speed without a unit as what the balance of energy allows, and refuse units that break it."""
+    """Choose the unit of a speed without unit by the energy balance, and raise an error for units that violate it."""
     e = _mean_efficiency(data)
     if "speed" in table.unitless:
         unit, factor = ("rpm", RPM) if e > 0.95 else ("rad/s", 1.0)
@@ -404,7 +403,7 @@ def _resolve_speed_unit(table: BenchTable, data: MotorData, notes: list[str]) ->
         against = "the motor delivers no power (torque against speed)"
         raise InputError(table.source, "", against, "give both with the same sign")
     if e > _MAX_EFFICIENCY:
-        # The slip that mends the balance and leaves the most power is the likeliest.
+        # The mistake whose correction restores the balance with the highest efficiency is the most likely.
         mended = [(e * f, name, unit) for name, unit, f in _UNIT_MISTAKES if _MIN_EFFICIENCY < e * f <= 1.0]
         guess = "check the units"
         if mended:
@@ -424,24 +423,24 @@ def _resolve_speed_unit(table: BenchTable, data: MotorData, notes: list[str]) ->
 
 
 class _MotorEquations:
-    """The stationary motor equations with errors in every reading.
+    """Steady-state motor equations with errors in every reading.
 
-    Constants are ``x = (R, a, b, d, c)`` of the module docstring; ``reading_std`` (n, 4) are expected errors of
-    voltage, current, speed and torque; ``scales`` (2,) are the factors by which the residuals of the two equations
-    exceed what those errors lead to.
+    Constants are ``x = (R, a, b, d, c)`` of the module docstring. ``reading_std`` (n, 4) are the expected errors of
+    voltage, current, speed and torque. ``scales`` (2,) are the ratios of observed to expected residuals of the two
+    equations.
     """
 
     def __init__(self, data: MotorData, std: Array) -> None:
         self.data, self.reading_std = data, std
 
     def equation_residuals(self, x: Array) -> Array:
-        """Return e1 and e2, (n, 2)."""
+        """Return the equation residuals e1 (V) and e2 (N m), (n, 2)."""
         r, a, b, d, c = x
         u, i, w, q = self.data.channel_arrays()
         return np.column_stack([u - r * i - a * w, b * i - d * w - c - q])
 
     def whitening_matrices(self, x: Array, scales: Array) -> Array:
-        """Return for every point the inverse Cholesky factor of S, (n, 2, 2)."""
+        """Return the inverse Cholesky factor of S at every point, (n, 2, 2)."""
         r, a, b, d, _ = x
         vu, vi, vw, vq = (self.reading_std**2).T
         s11 = (vu + r**2 * vi + a**2 * vw) * scales[0] ** 2
@@ -463,9 +462,9 @@ class _MotorEquations:
         return np.linalg.norm(np.linalg.inv(self.whitening_matrices(x, scales)), axis=2)
 
     def solve_constants(self, free: NDArray[np.bool_]) -> tuple[Array, Array]:
-        """Return (R, a, b, d, c) and how much larger the errors of the two equations are than expected.
+        """Return (R, a, b, d, c), and the ratios (2,) of observed to expected errors of the two equations.
 
-        What is not ``free`` (5,) is held at zero: the frictions d and c.
+        Constants that are not ``free`` (5,), the frictions d and c, are held at zero.
         """
         u, i, w, q = self.data.channel_arrays()
         start = np.zeros(5)
@@ -491,7 +490,7 @@ class _MotorEquations:
                 scaled_residuals, x[free] / size[free], method="lm", xtol=1e-14, ftol=1e-14, gtol=1e-14
             )
             x = expand_free(found.x)
-            # Each equation's own scale, from its residuals over its own expected error, less the constants in it.
+            # Scale of each equation from its residuals over expected errors, with its own degrees of freedom.
             e = self.equation_residuals(x) / self.residual_std(x, np.ones(2))
             scales = np.maximum(np.sqrt(np.sum(e**2, axis=0) / (len(e) - np.array([2, mechanical]))), 1e-9)
         return x, scales
@@ -514,10 +513,10 @@ class _MotorEquations:
 
 
 def _expected_errors(data: MotorData, noise: dict[str, ChannelNoise] | None) -> tuple[Array, str]:
-    """Return expected errors (n, 4) of the readings and what was assumed.
+    """Return the expected errors (n, 4) of the readings and a description of the assumption.
 
-    Without knowledge of the sensors, the likeliest of some shapes between errors that grow with the reading and errors
-    that do not; their size is found afterwards.
+    Without ``noise`` the most likely mix of errors proportional to the reading and constant errors is chosen; the fit
+    scales it afterwards.
     """
     if noise is not None:
         std = np.column_stack(
@@ -540,7 +539,7 @@ def _expected_errors(data: MotorData, noise: dict[str, ChannelNoise] | None) -> 
 
 
 def _number_settings(data: MotorData, std: Array) -> NDArray[np.int64]:
-    """Number the settings: consecutive lines whose readings agree within their errors are repeats of one."""
+    """Number the settings: consecutive lines whose readings agree within their errors repeat one setting."""
     y = np.column_stack(data.channel_arrays())
     same = np.all(np.abs(np.diff(y, axis=0)) < 2.5 * std[1:], axis=1) & (np.diff(data.run) == 0)
     return np.cumsum(np.r_[0, ~same]).astype(np.int64)
@@ -549,7 +548,7 @@ def _number_settings(data: MotorData, std: Array) -> NDArray[np.int64]:
 def _needs_constant_friction(
     same: _MotorEquations, effective: Array, scales: Array, free: NDArray[np.bool_], gear: GearKnowledge
 ) -> bool:
-    """Whether a constant friction mends constants that make power, and halves what the torque's balance misses."""
+    """Return whether a constant friction restores the energy balance and halves the residual of the torque equation."""
     if free[_FRICTION] or not _constant_ratio(effective, gear) > _MAX_CONSTANT_RATIO:
         return False
     x, s = same.solve_constants(np.array([True, True, True, True, True]))
@@ -559,14 +558,14 @@ def _needs_constant_friction(
 
 
 def _constant_ratio(x: Array, gear: GearKnowledge) -> float:
-    """Return kM over kE."""
+    """Return the ratio kM / kE."""
     return float(x[2] / (x[1] * (gear.efficiency or 1.0)))
 
 
 def _find_unmodelled_terms(
     jacobian: Array, white: Array, whitening: Array, found: CovarianceEstimate, free: NDArray[np.bool_]
 ) -> tuple[list[str], bool]:
-    """Say whether a constant in either equation would fit better, and whether it is a friction, to be fitted."""
+    """Describe constant terms that would improve either equation; return also whether to fit a constant friction."""
     words: list[str] = []
     n = len(white)
     terms = [(0, "a constant voltage drop", "V", 1.0)]
@@ -590,7 +589,7 @@ def _find_unmodelled_terms(
 
 
 def _check_energy_balance(x: Array, gear: GearKnowledge) -> list[str]:
-    """Say if the constants break the balance of energy, or lose more than usual."""
+    """Describe constants that violate the energy balance, or have unusual losses."""
     ratio = _constant_ratio(x, gear)
     if ratio > _MAX_CONSTANT_RATIO:
         return [f"kM/kE = {ratio:.2f}: more mechanical than electrical power; check units and the current's channel"]
@@ -607,7 +606,7 @@ def _estimates_of_constants(
     free: NDArray[np.bool_],
     vehicle: Vehicle | None,
 ) -> tuple[tuple[ParameterEstimate, ...], Array, tuple[str, ...]]:
-    """Turn (R, a, b, d, c) into constants, or into the products that are seen."""
+    """Convert (R, a, b, d, c) to motor constants, or to the products that are determined."""
     i, eta = gear.ratio, gear.efficiency
     unit_ratio, unit_eta = i if i is not None else 1.0, eta if eta is not None else 1.0
     r, a, b, d, c = x

@@ -1,23 +1,23 @@
-"""Does a record agree with itself? Units, signs, axes, scales and lags of a flight record, before anything is fitted.
+"""Consistency of a flight record: units, signs, axes, scales and lags, checked before a fit.
 
-What one sensor reads follows from another by kinematics alone. Attitude turns with the body's rates (Euler's angles,
-no small ones; Stevens, Lewis and Johnson, *Aircraft Control and Simulation*, 3rd ed., eq. 1.4-4, read backwards),
+Kinematics relate the readings of different sensors. Body rates follow from the attitude (large Euler angles; inverse
+of Stevens, Lewis and Johnson, *Aircraft Control and Simulation*, 3rd ed., eq. 1.4-4),
 
     p = roll' - yaw' sin(pitch)
     q = pitch' cos(roll) + yaw' sin(roll) cos(pitch)
     r = -pitch' sin(roll) + yaw' cos(roll) cos(pitch)
 
-and a velocity is the change of its place. Both sides are averaged over the same 0.2 s, in which a change of angle is
-the mean rate exactly, so that the average takes nothing from one side alone. A pair then says (:func:`compare_signals`)
+and a velocity is the derivative of a position. Both sides are averaged over the same 0.2 s, in which a change of angle
+is exactly the mean rate. :func:`compare_signals` then estimates
 
-* the **lag**: where the correlation is greatest, with its jackknife
+* the **lag**: the time of the largest correlation, with its jackknife
   (:func:`mufly.logs.delay_estimation.estimate_delay`);
-* the **sign**: that of the correlation there;
-* the **factor**: between the slopes of either side over the other. Noise draws the one down and the other up, so the
-  true factor lies between them; it is only said to be off where both are.
+* the **sign** of this correlation;
+* the **factor**: it lies between the two regression slopes of either side on the other, because noise lowers one slope
+  and raises the other. A factor is reported only if both slopes deviate.
 
-A factor near a unit's names the unit. One that is off by a fifth, or a lag above 50 ms, would be turned into wrong
-parameters by any fit and is refused; smaller ones that are certain are said. What does not move is not judged.
+A factor near a unit conversion names the unit. A factor wrong by a fifth, or a lag above 50 ms, would cause wrong
+parameters and raises an error; smaller significant deviations are reported. Constant signals are not judged.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ from mufly.logs.delay_estimation import estimate_delay
 
 Array = NDArray[np.float64]
 
-_AVERAGING_SPAN_S = 0.2  # over which both sides are averaged
-_MAX_LAG_S = 0.5  # lag that is looked for
+_AVERAGING_SPAN_S = 0.2  # averaging time of both sides
+_MAX_LAG_S = 0.5  # largest lag of the search
 _MIN_CORRELATION, _MAX_UNRELATED_CORRELATION, _EXCHANGED_CORRELATION = (
     0.6,
     0.3,
     0.8,
-)  # correlations: a pair that may be judged, none, another axis
-_REPORTED_LAG_S, _REFUSED_LAG_S = 0.015, 0.05  # lags that are said, and refused
-_REPORTED_SCALE_ERROR, _REFUSED_SCALE_ERROR = 0.1, 0.2  # factors likewise, as shares
-_MAX_ACCELERATION_m_s2 = 20.0  # m/s2, RMS: two g, more than a rotorcraft of thrust to weight 3 can
-_MAX_TILT_WITHOUT_YAW_rad = np.radians(15.0)  # tilt below which a yaw that is not known changes little
-# A value in this unit is so many times the SI one.
+)  # least correlation of a judged pair, largest of an unrelated pair, least with an exchanged axis
+_REPORTED_LAG_S, _REFUSED_LAG_S = 0.015, 0.05  # lags above which a warning, or an error, is issued
+_REPORTED_SCALE_ERROR, _REFUSED_SCALE_ERROR = 0.1, 0.2  # scale errors above which a warning, or an error, is issued
+_MAX_ACCELERATION_m_s2 = 20.0  # m/s2, RMS: two g, more than a rotorcraft with thrust to weight of 3 reaches
+_MAX_TILT_WITHOUT_YAW_rad = np.radians(15.0)  # tilt below which an unknown yaw has little influence
+# Ratio of the value in a unit to the SI value.
 _UNIT_FACTORS = {
     "angle": (("degrees", "deg", 57.2958),),
     "length": (("centimetres", "cm", 100.0), ("millimetres", "mm", 1000.0), ("feet", "ft", 3.28084)),
@@ -55,19 +55,19 @@ _UNIT_FACTORS = {
         ("kilometres an hour", "km/h", 3.6), ("feet a second", "ft/s", 3.28084),
     ),
 }  # fmt: skip
-_UNIT_FACTOR_TOLERANCE = 0.08  # share by which a factor may differ from a unit's; degrees are told from 30 to 110
+_UNIT_FACTOR_TOLERANCE = 0.08  # relative tolerance of a unit factor; degrees are detected from 30 to 110
 
 
 @dataclass(frozen=True)
 class SignalFault:
-    """What is wrong with one signal of a record.
+    """Fault of one signal of a record.
 
     Attributes
     ----------
     signal : str
     problem, remedy : str
     is_fatal : bool
-        Whether a fit would turn it into wrong parameters.
+        Whether the fault would cause wrong parameters in a fit.
     """
 
     signal: str
@@ -78,16 +78,16 @@ class SignalFault:
 
 @dataclass(frozen=True)
 class SignalAgreement:
-    """How what a sensor reads follows what kinematics make of others; ``read(t) = factor made(t - lag_s)``.
+    """Agreement of a sensor with the kinematic prediction from others; ``read(t) = factor made(t - lag_s)``.
 
     Attributes
     ----------
     correlation : float
-        With the lag taken out.
+        Correlation after correction of the lag.
     lag_s, lag_std_s : float
-        Positive: what is read is late. NaN where the record does not tell.
+        Lag and standard deviation (s); positive if the sensor is late; NaN if undetermined.
     scale_low, scale_high : float
-        The factor's size lies between them, noise on either side included.
+        Bounds of the factor's absolute value, including noise on either side.
     """
 
     correlation: float
@@ -98,13 +98,13 @@ class SignalAgreement:
 
 
 def moving_average(y: Array, samples: int) -> Array:
-    """Return means over ``samples`` neighbours of ``y`` (n,) or (n, k), one for every full set of them."""
+    """Return the moving average of ``y`` (n,) or (n, k) over ``samples`` samples, without incomplete windows."""
     total = np.concatenate([np.zeros_like(y[:1]), np.cumsum(y, axis=0)])
     return np.asarray((total[samples:] - total[:-samples]) / samples)
 
 
 def compare_signals(read: Array, made: Array, sample_s: float) -> SignalAgreement:
-    """Compare what is read with what it should be, (n,) each, evenly sampled."""
+    """Compare a sensor signal ``read`` with its prediction ``made``, (n,) each, uniformly sampled."""
     n = len(read)
     if n < 60 or read.std() == 0.0 or made.std() == 0.0:
         return SignalAgreement(0.0, np.nan, np.nan, 0.0, np.inf)
@@ -117,7 +117,7 @@ def compare_signals(read: Array, made: Array, sample_s: float) -> SignalAgreemen
     a, b = a - a.mean(), b - b.mean()
     c = float(a @ b) / max(float(np.sqrt((a @ a) * (b @ b))), 1e-300)
     ratio = float(a.std() / max(b.std(), 1e-300))
-    # Pieces of the record say how far the slope is a matter of chance.
+    # Blocks of the record give the statistical error of the slope.
     blocks = [(x, y) for x, y in zip(np.array_split(a, 8), np.array_split(b, 8), strict=True)]
     left = np.array([[a @ b - x @ y, b @ b - y @ y, a @ a - x @ x] for x, y in blocks])
     slopes = np.abs(left[:, 0]) / np.maximum(left[:, 1], 1e-300)
@@ -130,7 +130,7 @@ def compare_signals(read: Array, made: Array, sample_s: float) -> SignalAgreemen
 
 
 def rates_from_attitude(attitude: Array, sample_s: float) -> Array:
-    """Return p, q, r (n - 1, 3) halfway between samples of roll, pitch and yaw (n, 3)."""
+    """Return p, q, r (n - 1, 3), in rad/s, halfway between samples of roll, pitch and yaw (n, 3), in rad."""
     turn, middle = np.diff(attitude, axis=0) / sample_s, 0.5 * (attitude[1:] + attitude[:-1])
     s1, c1 = np.sin(middle[:, 0]), np.cos(middle[:, 0])
     s2, c2 = np.sin(middle[:, 1]), np.cos(middle[:, 1])
@@ -146,19 +146,19 @@ def rates_from_attitude(attitude: Array, sample_s: float) -> Array:
 def check_signals(
     names: Sequence[str], read: Array, made: Array, sample_s: float, *, kind: str, source: Sequence[str]
 ) -> list[SignalFault]:
-    """Look for units, signs, axes, factors and lags in signals that should be the same, column by column.
+    """Find faults of unit, sign, axis, scale and lag in signals that should be equal, column by column.
 
     Parameters
     ----------
     names : sequence of str
-        Of the ``k`` signals.
+        Names of the ``k`` signals.
     read, made : (n, k) array
-        What the sensors read, and what others make of it, SI, averaged alike.
+        Sensor signals and their predictions from other sensors (SI), with equal averaging.
     sample_s : float
     kind : str
-        Of ``_UNIT_FACTORS``: what is read.
+        Kind of quantity, a key of ``_UNIT_FACTORS``.
     source : sequence of str
-        What each column of ``made`` is made of, in words.
+        Name of the sensor behind each column of ``made``.
     """
     found: list[SignalFault] = []
     own = [compare_signals(read[:, k], made[:, k], sample_s) for k in range(len(names))]
@@ -249,18 +249,18 @@ def _check_lag(name: str, source: str, a: SignalAgreement, sample_s: float) -> l
 
 
 def find_signal_faults(r: FlightRecord) -> list[SignalFault]:
-    """Return what is wrong with a record, seen from the record alone, the grave first."""
+    """Return the faults found in a record without a vehicle model, fatal faults first."""
     found = [*_check_angles(r), *_check_velocities(r), *_check_height_unit(r), *_check_input_range(r)]
     return sorted(found, key=lambda f: not f.is_fatal)
 
 
 def refuse_fatal_faults(r: FlightRecord, found: Sequence[SignalFault], *, as_is: bool = False) -> tuple[str, ...]:
-    """Raise the first finding that is grave, unless the record is taken as it is; return the others in words.
+    """Raise an error for the first fatal fault, unless ``as_is``; return the others as warnings.
 
     Raises
     ------
     InputError
-        Naming record, signal, what is wrong and what to do.
+        For a fatal fault; the error names record, signal, problem and remedy.
     """
     for f in found:
         if f.is_fatal and not as_is:
@@ -269,23 +269,23 @@ def refuse_fatal_faults(r: FlightRecord, found: Sequence[SignalFault], *, as_is:
 
 
 def check_record(r: FlightRecord, *, as_is: bool = False) -> tuple[str, ...]:
-    """Look for faults that a fit would turn into wrong parameters.
+    """Check a record for faults that would cause wrong parameters in a fit.
 
     Parameters
     ----------
-    r : Record
+    r : FlightRecord
     as_is : bool
-        Say what is wrong, and refuse nothing but a record in which no input moves.
+        Report faults as warnings, and reject only a record in which no input moves.
 
     Returns
     -------
     tuple of str
-        Warnings: what can still be fitted, but not as it might seem.
+        Warnings on faults that do not prevent a fit.
 
     Raises
     ------
     InputError
-        For units, signs, axes, scales and clocks that cannot be, or a record in which no input moves.
+        For impossible units, signs, axes, scales and clocks, or a record in which no input moves.
     """
     warnings = list(refuse_fatal_faults(r, find_signal_faults(r), as_is=as_is))
     still = [n for k, n in enumerate(FLIGHT_INPUTS) if np.ptp(r.inputs[:, k]) < 1e-6]
@@ -300,13 +300,13 @@ def check_record(r: FlightRecord, *, as_is: bool = False) -> tuple[str, ...]:
 
 
 def _check_angles(r: FlightRecord) -> list[SignalFault]:
-    """Attitude against rates."""
+    """Compare rates with the derivative of the attitude."""
     angles_and_rates = [o for o in ("roll", "pitch", "yaw", "p", "q", "r") if o in r.outputs]
     known = {o: fill_gaps(r.measured[:, r.outputs.index(o)]) for o in angles_and_rates}
     pairs = [(a, w) for a, w in (("roll", "p"), ("pitch", "q"), ("yaw", "r")) if a in known and w in known]
     samples, dt, n = max(1, round(_AVERAGING_SPAN_S / r.sample_s)), r.sample_s, len(r.time_s)
     found: list[SignalFault] = []
-    # Degrees are told first, as if angles were small: Euler's angles need radians.
+    # Degrees are detected first with small angles, because the Euler equations need radians.
     for angle, rate in pairs:
         w = 0.5 * (known[rate][1:] + known[rate][:-1])
         a = compare_signals(moving_average(w, samples), moving_average(np.diff(known[angle]) / dt, samples), dt)
@@ -343,7 +343,7 @@ def _check_angles(r: FlightRecord) -> list[SignalFault]:
 
 
 def _check_velocities(r: FlightRecord) -> list[SignalFault]:
-    """Velocities against the changes of places; north and east together, because they may be exchanged."""
+    """Compare velocities with derivatives of positions; north and east together, because they may be exchanged."""
     found: list[SignalFault] = []
     samples, dt = max(1, round(_AVERAGING_SPAN_S / r.sample_s)), r.sample_s
     for some in ((("north", "v_north"), ("east", "v_east")), (("height", "climb"),)):
@@ -357,7 +357,7 @@ def _check_velocities(r: FlightRecord) -> list[SignalFault]:
 
 
 def _check_height_unit(r: FlightRecord) -> list[SignalFault]:
-    """A height that accelerates as no rotorcraft does is one in centimetres or millimetres."""
+    """Report a height whose acceleration is impossible in metres: it is in centimetres or millimetres."""
     if "height" not in r.outputs:
         return []
     slope = smooth_signal(fill_gaps(r.measured[:, r.outputs.index("height")]), r.sample_s, 0.5, slope=True)
@@ -369,7 +369,7 @@ def _check_height_unit(r: FlightRecord) -> list[SignalFault]:
 
 
 def _check_input_range(r: FlightRecord) -> list[SignalFault]:
-    """Inputs beyond their range."""
+    """Report inputs beyond their range."""
     found = []
     for k, name in enumerate(FLIGHT_INPUTS):
         u, low = r.inputs[:, k], 0.0 if k < 2 else -1.0

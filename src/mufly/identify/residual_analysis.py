@@ -1,6 +1,6 @@
-"""What residuals say about a model, in numbers and in words.
+"""Residual analysis of a model: statistics, and descriptions of model deficiencies.
 
-**What residuals say about a model: whiteness, correlation with the inputs, and how large they are.**
+**Statistics: whiteness, correlation with the inputs, and size of the residuals.**
 
 With residual ``e`` (measured less predicted, mean removed) and input ``u`` of ``N`` samples,
 
@@ -10,9 +10,9 @@ With residual ``e`` (measured less predicted, mean removed) and input ``u`` of `
 
 If the model is complete ``e`` is independent of ``u`` at every lag ``k >= 0``. For two independent but coloured
 signals Bartlett's formula gives ``var r_ue(k) = sum_j r_e(j) r_u(j) / N`` (Box and Jenkins 1976, Sec. 11.1; Ljung,
-*System Identification*, 2nd ed., Sec. 16.6); the bounds here use it, so that a slowly varying residual is not called
-correlated with a slowly varying input merely because both are slow. Correlation at negative lags says that the input
-was made from the output: feedback, no fault of the model (Ljung, Sec. 16.6).
+*System Identification*, 2nd ed., Sec. 16.6). The bounds use this formula, so that two slowly varying signals do not
+count as correlated only because both are slow. Correlation at negative lags indicates feedback from output to input,
+not a fault of the model (Ljung, Sec. 16.6).
 
 Sizes, with measured ``z`` and predicted ``y``:
 
@@ -24,20 +24,20 @@ Sizes, with measured ``z`` and predicted ``y``:
 Jategaonkar (*Flight Vehicle System Identification*, 2nd ed., ch. 11) accepts TIC below 0.25 to 0.3 with most of the
 error in the covariance part, and compares models by the determinant of the residuals' covariance.
 
-**What the residuals say is missing from a model, in words.**
+**Descriptions of model deficiencies.**
 
-One sentence a finding, the largest first, each with the number behind it. How a finding is read:
+Each finding is one sentence with its number; the largest comes first:
 
-| seen in the residual of an output | said |
+| seen in the residual of an output | description |
 |---|---|
 | correlation with an input at lags from 0 to a few samples | gain, direct path or delay of that input is wrong |
 | correlation with an input that lasts over many lags | a lag or a slow mode driven by that input is missing |
 | correlation at negative lags, weaker at positive ones | feedback from output to input, no fault of the model |
-| spectral line that stands far out of its surroundings | vibration at that frequency, not caused by the inputs |
-| autocorrelation that dies slowly | disturbance (wind) or a slow state is missing |
-| mean off (Theil's bias part); slope of measured over predicted not 1 | bias not modelled; gain wrong |
+| spectral line far above its surroundings | vibration at that frequency, not caused by the inputs |
+| autocorrelation that decays slowly | disturbance (wind) or a slow state is missing |
+| nonzero mean (Theil's bias part); slope of measured over predicted not 1 | bias not modelled; gain wrong |
 
-Sources: Ljung, Sec. 16.6; Jategaonkar, ch. 11; the sentences are judgements, the numbers in them are not.
+Sources: Ljung, Sec. 16.6; Jategaonkar, ch. 11. The interpretations are heuristic.
 """
 
 from __future__ import annotations
@@ -58,16 +58,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class LagCorrelation:
-    """A correlation over lags, with the bound that a complete model would stay within.
+    """Correlation over lags, with the confidence bound for a complete model.
 
     Attributes
     ----------
     lag_s : (k,) array
         Lags (s); positive: the second signal is later.
     value : (k,) array
-        Between -1 and 1.
+        Correlation, between -1 and 1.
     confidence_bound : float
-        Of |value| at one lag, at the confidence asked for.
+        Bound of the absolute correlation at one lag.
     """
 
     lag_s: Array
@@ -87,11 +87,11 @@ class WhitenessTest:
     Attributes
     ----------
     statistic : float
-        Q.
+        Statistic Q.
     degrees_of_freedom : int
-        Lags tested.
+        Number of lags.
     p_value : float
-        Probability of a larger Q, were the residual white.
+        Probability of a larger Q for a white residual.
     """
 
     statistic: float
@@ -101,18 +101,18 @@ class WhitenessTest:
 
 @result
 class PredictionQuality:
-    """How near one output is predicted; the module's docstring has the formulas.
+    """Prediction quality of one output; the module docstring has the formulas.
 
     Attributes
     ----------
     fit_percent, r2 : float
-        Minus infinity if the measurement is constant.
+        NRMSE fit (per cent) and coefficient of determination; minus infinity for a constant measurement.
     theil, bias, variance, covariance : float
         Theil's coefficient and the three shares of the mean square error (they sum to 1).
     rms : float
-        Of the residual, in the output's unit.
+        RMS residual, in the unit of the output.
     rms_over_noise : float
-        Over the noise floor; 1 is as good as the measurement allows, NaN if the noise is not known.
+        RMS residual over the noise floor; 1 is the optimum, NaN for unknown noise.
     """
 
     fit_percent: float
@@ -126,14 +126,14 @@ class PredictionQuality:
 
 
 def _remove_mean(signal: Array) -> Array:
-    """Without its mean; gaps (NaN) become zeros, which add nothing to a sum of products."""
+    """Remove the mean; gaps (NaN) become zeros, which do not contribute to a sum of products."""
     good = np.isfinite(signal)
     mean = signal[good].mean() if good.any() else 0.0
     return np.where(good, signal - mean, 0.0)
 
 
 def _lagged_products(a: Array, b: Array, lags: int) -> Array:
-    """Sum of a_i b_(i+k) for k = -lags..lags."""
+    """Return the sums of a_i b_(i+k) for k = -lags..lags."""
     full = correlate(b, a, mode="full", method="fft")
     middle = a.size - 1
     return np.asarray(full[middle - lags : middle + lags + 1])
@@ -147,13 +147,13 @@ def residual_autocorrelation(
     Parameters
     ----------
     residual : (n,) array
-        NaN where nothing was measured.
+        Residual; NaN without a measurement.
     dt : float
         Sample time (s).
     max_lag_s : float
-        Cut to the record (s).
+        Largest lag (s), limited by the record.
     confidence : float
-        Of the bound on white noise at one lag.
+        Confidence of the bound for white noise at one lag.
     """
     e = _remove_mean(np.asarray(residual, dtype=np.float64))
     lags = _lag_count(e.size, dt, max_lag_s)
@@ -171,18 +171,18 @@ def input_cross_correlation(
     Parameters
     ----------
     signal, residual : (n,) array
-        Input and residual; at a positive lag the residual is the later one.
+        Input and residual; at a positive lag the residual is later.
     dt : float
         Sample time (s).
     max_lag_s : float
-        Cut to the record (s).
+        Largest lag (s), limited by the record.
     confidence : float
-        Of Bartlett's bound for independent signals of these colours, at one lag.
+        Confidence of Bartlett's bound at one lag for independent signals with these spectra.
 
     Returns
     -------
-    Correlation
-        Zero everywhere if one of the signals is constant.
+    LagCorrelation
+        Correlation; zero everywhere for a constant signal.
     """
     u = _remove_mean(np.asarray(signal, dtype=np.float64))
     e = _remove_mean(np.asarray(residual, dtype=np.float64))
@@ -192,7 +192,7 @@ def input_cross_correlation(
     count = int((np.isfinite(signal) & np.isfinite(residual)).sum())
     if scale == 0.0 or count < 2:
         return LagCorrelation(times, np.zeros(times.size), 1.0)
-    # Bartlett's sum over lags up to a quarter of the record: beyond it the estimates of r are noise.
+    # Bartlett's sum ends at a quarter of the record, because the estimates of r at larger lags are noise.
     far = max(1, e.size // 4)
     r_u = _lagged_products(u, u, far) / (u @ u)
     r_e = _lagged_products(e, e, far) / (e @ e)
@@ -212,9 +212,9 @@ def ljung_box_test(residual: Array, *, lags: int) -> WhitenessTest:
     Parameters
     ----------
     residual : (n,) array
-        NaN where nothing was measured.
+        Residual; NaN without a measurement.
     lags : int
-        How many; 20 to n / 5 is usual.
+        Number of lags, usually 20 to n / 5.
     """
     n = int(np.isfinite(residual).sum())
     r = residual_autocorrelation(residual, 1.0, max_lag_s=lags).value[1:]
@@ -224,19 +224,19 @@ def ljung_box_test(residual: Array, *, lags: int) -> WhitenessTest:
 
 
 def assess_prediction(measured: Array, predicted: Array, noise_std: float = float("nan")) -> PredictionQuality:
-    """Say how near one output is predicted.
+    """Compute the prediction quality of one output.
 
     Parameters
     ----------
     measured, predicted : (n,) array
-        Samples that are not finite in either are left out.
+        Measurement and prediction; non-finite samples are omitted.
     noise_std : float
-        Standard deviation of the measurement noise, in the output's unit; NaN if not known.
+        Standard deviation of the measurement noise, in the output's unit; NaN if unknown.
 
     Returns
     -------
-    Quality
-        All NaN if there is no sample.
+    PredictionQuality
+        Quality; all NaN without samples.
     """
     good = np.isfinite(measured) & np.isfinite(predicted)
     z, y = np.asarray(measured)[good], np.asarray(predicted)[good]
@@ -263,7 +263,7 @@ def assess_prediction(measured: Array, predicted: Array, noise_std: float = floa
 
 
 def assess_record(record: RecordPrediction) -> tuple[PredictionQuality, ...]:
-    """Return the quality of every output of a record, in their order."""
+    """Return the prediction quality of every output of a record."""
     return tuple(
         assess_prediction(record.measured[:, k], record.predicted[:, k], float(record.noise_std[k]))
         for k in range(len(record.output_names))
@@ -273,8 +273,8 @@ def assess_record(record: RecordPrediction) -> tuple[PredictionQuality, ...]:
 def residual_determinant(records: tuple[RecordPrediction, ...] | list[RecordPrediction]) -> float:
     """Return Jategaonkar's goodness of fit: the determinant of the residuals' covariance over all records.
 
-    Only ratios between models of the same outputs mean something; smaller is better. Samples at which an output is
-    missing are left out.
+    Only ratios between models of the same outputs are meaningful; smaller is better. Samples with a missing output are
+    omitted.
     """
     residual = np.concatenate([r.residual for r in records])
     residual = residual[np.isfinite(residual).all(axis=1)]
@@ -282,19 +282,19 @@ def residual_determinant(records: tuple[RecordPrediction, ...] | list[RecordPred
 
 
 def estimate_high_frequency_noise(signal: Array, dt: float, *, above_hz: float) -> float:
-    """Estimate measurement noise from what a signal holds above a frequency that the vehicle cannot follow.
+    """Estimate measurement noise from a signal's content above the bandwidth of the vehicle.
 
-    Fourth-order Butterworth high-pass, forwards and backwards. White noise would have the same density below, so this
-    is a lower bound of the noise in the whole band, not an extrapolation into it.
+    The filter is a fourth-order Butterworth high-pass, applied forwards and backwards. White noise has the same density
+    at lower frequencies, so the result is a lower bound of the noise in the whole band.
 
     Parameters
     ----------
     signal : (n,) array
-        Without gaps.
+        Signal without gaps.
     dt : float
         Sample time (s).
     above_hz : float
-        Below the Nyquist frequency.
+        Cut-off frequency, below the Nyquist frequency.
 
     Returns
     -------
@@ -308,30 +308,30 @@ def estimate_high_frequency_noise(signal: Array, dt: float, *, above_hz: float) 
 
 _MAX_DIRECT_LAG_S = 0.05
 _MIN_VIBRATION_HZ = 3.0
-_LINE_DENSITY_RATIO = 25.0  # a line has this many times the density around it
+_LINE_DENSITY_RATIO = 25.0  # least ratio of a line's density to the density around it
 
 
 def describe_residuals(
     record: RecordPrediction, *, max_lag_s: float = 2.0, confidence: float = 0.99, least: float = 0.1
 ) -> tuple[str, ...]:
-    """Say in words what the residuals of a record show.
+    """Describe the model deficiencies visible in the residuals of a record.
 
     Parameters
     ----------
-    record : RecordFit
-        Evenly sampled.
+    record : RecordPrediction
+        Uniformly sampled record.
     max_lag_s : float
-        How far correlations are looked at (s).
+        Largest lag of correlations (s).
     confidence : float
-        Of the bounds; the largest correlation over all lags is held against a bound widened for the number of
-        independent looks (Bonferroni).
+        Confidence of the bounds; the bound of the largest correlation over all lags is widened for the number of
+        independent lags (Bonferroni).
     least : float
-        Correlations below this size are not worth a word, however certain.
+        Least correlation that is reported.
 
     Returns
     -------
     tuple of str
-        Empty if nothing stands out.
+        Findings; empty if none is significant.
     """
     dt = float(np.median(np.diff(record.time_s)))
     found: list[tuple[float, str]] = []
@@ -358,7 +358,7 @@ def _describe_input_correlation(
     ahead, behind = np.abs(c.value[middle:]), np.abs(c.value[:middle])
     if max(ahead.max(), behind.max(initial=0.0)) < max(c.confidence_bound, least):
         return []
-    # A pilot who answers leaves his mark before lag 0; what reaches past it is the colour of the disturbance.
+    # Feedback by a pilot appears at negative lags; its extension to positive lags is the colour of the disturbance.
     if ahead.max() < max(c.confidence_bound, least) or behind.max(initial=0.0) > 1.5 * ahead.max():
         lag = -c.lag_s[int(behind.argmax())]
         return [
@@ -386,14 +386,14 @@ def _describe_input_correlation(
 
 
 def _correlation_time(signal: Array, dt: float) -> float:
-    """Lag (s) at which the autocorrelation has fallen to 1/e."""
+    """Return the lag (s) at which the autocorrelation has decayed to 1/e."""
     r = residual_autocorrelation(signal, dt, max_lag_s=dt * signal.size / 2).value
     below = np.flatnonzero(r < np.exp(-1.0))
     return dt * float(below[0] if below.size else r.size)
 
 
 def _describe_colour(output: str, e: Array, dt: float, max_lag_s: float) -> list[tuple[float, str]]:
-    # A line hides the slow part of the autocorrelation, so its half-second means are looked at.
+    # A spectral line masks slow autocorrelation, so block means are tested.
     width = max(1, round(0.25 / dt))
     good = np.where(np.isfinite(e), e - np.nanmean(e), 0.0)
     slow = np.convolve(good, np.ones(width) / width, mode="same")
@@ -433,14 +433,14 @@ def find_spectral_lines(signal: Array, dt: float) -> list[tuple[float, float]]:
     Parameters
     ----------
     signal : (n,) array
-        NaN counts as zero.
+        Signal; NaN counts as zero.
     dt : float
         Sample time (s).
 
     Returns
     -------
     list of (frequency in Hz, power in the signal's unit squared)
-        Strongest first.
+        Lines, strongest first.
     """
     good = np.where(np.isfinite(signal), signal - np.nanmean(signal), 0.0)
     segment = min(good.size, max(64, round(10.0 / dt)))
@@ -448,7 +448,7 @@ def find_spectral_lines(signal: Array, dt: float) -> list[tuple[float, float]]:
     step = float(frequency[1] - frequency[0])
     around = median_filter(density, size=max(11, 2 * (density.size // 30) + 1), mode="nearest")
     high = density > _LINE_DENSITY_RATIO * np.maximum(around, 1e-300)
-    high[: max(2, int(0.5 / step))] = False  # the slow end of a coloured residual is no line
+    high[: max(2, int(0.5 / step))] = False  # excludes the slow part of a coloured residual
     lines = []
     edges = np.flatnonzero(np.diff(np.r_[0, high.astype(int), 0]))
     for a, b in zip(edges[::2], edges[1::2], strict=True):
@@ -484,7 +484,7 @@ def _describe_error_size(record: RecordPrediction) -> list[tuple[float, str]]:
 
 
 def _measured_over_predicted(record: RecordPrediction, name: str) -> float:
-    """Slope of the measurement over the prediction."""
+    """Return the regression slope of the measurement on the prediction."""
     k = record.output_names.index(name)
     z, y = record.measured[:, k], record.predicted[:, k]
     good = np.isfinite(z) & np.isfinite(y)

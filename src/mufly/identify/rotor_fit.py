@@ -1,18 +1,18 @@
-"""Thrust and torque coefficients of rotors from a bench, single and coaxial, with what they rest on.
+"""Thrust and torque coefficients of single and coaxial rotors from a bench.
 
     T = c_T rho pi R^4 W^2,      Q = c_Q rho pi R^5 W^2        (eq. 3.3 of the dissertation)
 
 With ``q = rho pi R^4 W^2`` (torque: ``R^5``) each coefficient is a weighted linear least-squares fit ``load = c q``.
-Where a coaxial bench measures only the total thrust, both coefficients are fitted to ``T = c_up q_up + c_dw q_dw``.
-The expected error of a load is taken in proportion to the likeliest shape between a share of the reading and a share
-of full scale; its size follows from the residuals, whose pattern widens the intervals
-(:mod:`mufly.bench.residual_covariance`). Errors that all readings share do not average out and are added:
+If a coaxial bench measures only the total thrust, both coefficients are fitted to ``T = c_up q_up + c_dw q_dw``.
+The expected error of a load is the most likely mix of a share of the reading and a share of full scale. Its size
+follows from the residuals, whose correlation widens the intervals (:mod:`mufly.bench.residual_covariance`). Errors
+common to all readings do not average out and are added:
 
     cov(c) = cov_scatter + G C G' + c c' (var(rho) / rho^2 + k^2 var(R) / R^2),      G = dc/d(calibration, zeros),
 
-with k = 4 for thrust and 5 for torque. Whether a coefficient is constant over speed, as the flight model takes it, is
-tested (:class:`CoefficientTrend`). If it is not, the estimate is still the best single number, and its variance grows
-by the mean square of the coefficient's distance from it over the measured speeds.
+with k = 4 for thrust and 5 for torque. The flight model assumes coefficients that are constant over speed;
+:class:`CoefficientTrend` tests this. If a coefficient varies, the estimate is the best constant, and its variance
+includes the mean square deviation of the coefficient over the measured speeds.
 """
 
 from __future__ import annotations
@@ -53,46 +53,46 @@ COEFFICIENT_DEFINITIONS = {
     "torque": ("cQ", "torque_coefficient", 5),
 }
 _ERROR_SHAPES = ((1.0, 0.3), (1.0, 0.02), (1.0, 0.1), (1.0, 1.0), (0.0, 1.0))  # % of reading, % of full scale
-_ORDINARY_THRUST_COEFFICIENTS = (0.0005, 0.06)  # thrust coefficients of hovering rotors
-_PITCH_TOLERANCE_rad = math.radians(0.05)  # settings of the blades closer than this are one
-_MAX_ORDER_CORRELATION = 0.8  # rank correlation of speed and order from which drift and trend cannot be told apart
-_SPEED_TOLERANCE = 0.02  # speeds closer than this share show no bend between them
-_AICC_TOLERANCE = 2.0  # differences of AICc below which two explanations fit equally well
+_ORDINARY_THRUST_COEFFICIENTS = (0.0005, 0.06)  # range of thrust coefficients of hovering rotors
+_PITCH_TOLERANCE_rad = math.radians(0.05)  # largest difference of equal blade pitch settings
+_MAX_ORDER_CORRELATION = 0.8  # rank correlation of speed and order above which drift and trend are not separable
+_SPEED_TOLERANCE = 0.02  # relative difference below which speeds count as equal
+_AICC_TOLERANCE = 2.0  # difference of AICc below which two models fit equally well
 
 
 @dataclass(frozen=True, eq=False)
 class CoefficientTrend:
-    """Is a rotor's coefficient constant over speed? The Reynolds trend, and the offset that looks like it.
+    """Trend of a rotor coefficient over speed (Reynolds number), compared with an offset of the load cell.
 
     With ``x = ln(W / W_0)`` and ``W_0`` the weighted geometric mean of the speeds,
 
         load = q (p_0 + p_1 x + p_2 x^2)
 
-    is linear in p; its degree, up to 2, has the least AICc (Hurvich and Tsai, Biometrika 76, 1989), and the coefficient
-    is not constant if ``p_1, p_2`` differ from zero by Wald's test at 5 %. With the Reynolds number proportional to the
-    speed, ``p_1 / p_0`` is the power with which the coefficient goes with Re. The rival ``load = c q + F_0`` is a load
-    cell that does not read zero; which of the two the data prefer is said, and that is all that they can say. Where the
-    speed rose or fell all through the measurement, a drift of the sensors would look like a trend as well; that too is
-    said.
+    is linear in p. Its degree, up to 2, minimises AICc (Hurvich and Tsai, Biometrika 76, 1989). The coefficient is not
+    constant if ``p_1, p_2`` differ from zero by Wald's test at 5 %. The Reynolds number is proportional to the speed,
+    so ``p_1 / p_0`` is the exponent of the coefficient over Re. The alternative model ``load = c q + F_0`` describes a
+    load cell with a zero offset; the preferred model is reported. If the speed increases or decreases throughout the
+    measurement, sensor drift is not separable from a trend, which is reported as well.
 
     Attributes
     ----------
     channel, symbol : str
     reference_rad_s : float
-        W_0.
+        Reference speed W_0.
     coefficients : (d + 1,) array
-        p_0 ... p_d.
-    covariance_estimate : Spread
-        Their covariance.
+        Polynomial coefficients p_0 ... p_d.
+    covariance_estimate : CovarianceEstimate
+        Covariance of the polynomial coefficients.
     is_significant : bool
         Whether the coefficient changes with speed by more than its error.
     offset, offset_std : float
-        F_0 of the rival explanation (N or N m).
+        Offset F_0 of the alternative model and its standard deviation (N or N m).
     aicc_against_offset : float
-        AICc of the rival less that of the trend: positive if the trend explains more.
+        AICc of the alternative less that of the trend; positive if the trend fits better.
     range_rad_s : (float, float)
+        Lowest and highest speed.
     speed_is_ordered : bool
-        Speeds rose or fell all through the measurement.
+        Whether speeds increase or decrease throughout the measurement.
     """
 
     channel: str
@@ -112,16 +112,16 @@ class CoefficientTrend:
         return np.stack([x**k for k in range(self.coefficients.size)], axis=-1)
 
     def coefficient_at(self, speed_rad_s: float | Array) -> Array:
-        """Return the coefficient at speeds."""
+        """Return the coefficient at speeds (rad/s)."""
         return np.asarray(self._log_speed_powers(speed_rad_s) @ self.coefficients)
 
     def coefficient_std_at(self, speed_rad_s: float | Array) -> Array:
-        """Return the standard deviation of the coefficient at speeds."""
+        """Return the standard deviation of the coefficient at speeds (rad/s)."""
         b = self._log_speed_powers(speed_rad_s)
         return np.sqrt(np.einsum("...i,ij,...j->...", b, self.covariance_estimate.covariance, b))
 
     def relative_change(self) -> tuple[float, float]:
-        """Return the change from the lowest to the highest speed, relative, and half its 95 % interval."""
+        """Return the relative change from the lowest to the highest speed, and half its 95 % interval."""
         low, high = (self._log_speed_powers(w) for w in self.range_rad_s)
         start, end = float(low @ self.coefficients), float(high @ self.coefficients)
         slope = high / start - low * end / start**2
@@ -130,7 +130,7 @@ class CoefficientTrend:
         )
 
     def describe_trend(self) -> str:
-        """Say whether the coefficient is constant within its error."""
+        """Describe whether the coefficient is constant within its error."""
         low, high = self.range_rad_s
         change, doubt = self.relative_change()
         over = f"{100 * change:+.1f} +- {100 * doubt:.1f} % from {low / RPM:.0f} to {high / RPM:.0f} rpm"
@@ -154,15 +154,17 @@ def fit_coefficient_trend(
     channel: str, symbol: str, speed: Array, unit: Array, load: Array, expected: Array,
     run: NDArray[np.int64] | None = None,
 ) -> CoefficientTrend:  # fmt: skip
-    """Fit a coefficient over speed, and its rival.
+    """Fit the trend of a coefficient over speed, and the alternative with an offset.
 
     Parameters
     ----------
     channel, symbol : str
-        Names in words.
+        Names of the channel and the coefficient for messages.
     speed, unit, load, expected : (n,) array
-        rad/s; q; N or N m; expected error of the load, up to a factor. In the order of measurement, five or more.
+        Speed (rad/s), q, load (N or N m), and its expected error up to a factor, for five or more points in the order
+        of measurement.
     run : (n,) int array, optional
+        Number of the run of each point.
     """
     n, speed, b = load.size, np.abs(speed), load / expected
     weight = (unit / expected) ** 2
@@ -171,7 +173,7 @@ def fit_coefficient_trend(
     ordered = (
         bool(np.ptp(speed) > 0) and abs(float(stats.spearmanr(np.arange(n), speed).statistic)) > _MAX_ORDER_CORRELATION
     )
-    # Correlated errors along an ordered measurement and a trend over speed are one and the same to the data.
+    # In an ordered measurement correlated errors and a trend over speed are not separable.
     runs = np.arange(n) if ordered else run
     bends = n >= 8 and np.unique(np.round(x / _SPEED_TOLERANCE)).size >= 4
     columns = [np.vander(x, d + 1, increasing=True) * (unit / expected)[:, None] for d in (1, 2)]
@@ -192,7 +194,7 @@ def fit_coefficient_trend(
 def _weighted_least_squares(
     a: Array, b: Array, run: Integers | None, group: Integers | None = None
 ) -> tuple[Array, CovarianceEstimate]:
-    """Return the least-squares estimate of ``a x = b``, rows in the order of measurement, and how far it may be off."""
+    """Return the least-squares solution of ``a x = b``, rows in the order of measurement, and its covariance."""
     x = np.asarray(np.linalg.lstsq(a, b, rcond=None)[0], dtype=np.float64)
     return x, estimate_covariance(a, b - a @ x, run=run, group=group)
 
@@ -205,7 +207,7 @@ def _corrected_aic(a: Array, b: Array) -> float:
 
 @dataclass(frozen=True, eq=False)
 class CoefficientFit:
-    """One fit: the loads of one channel on one or two rotors.
+    """Fit of the loads of one channel on one or two rotors.
 
     Attributes
     ----------
@@ -216,15 +218,15 @@ class CoefficientFit:
     value : (p,) array
     covariance : (p, p) array
     systematic_share : (p,) array
-        Part of each variance that calibration, zeros, density and radius make up.
+        Share of each variance caused by calibration, zeros, density and radius.
     speed_rad_s : (n, p) array
     load_per_coefficient : (n, p) array
-        q of the module docstring.
+        Factor q of the module docstring.
     load, expected_std : (n,) array
-        Measured (N, N m) and standard deviation of its scatter.
-    covariance_estimate : Spread
-    trends : tuple of Trend
-        One for a fit of one rotor; empty otherwise.
+        Measured load (N, N m) and standard deviation of its scatter.
+    covariance_estimate : CovarianceEstimate
+    trends : tuple of CoefficientTrend
+        One trend for a fit of one rotor; empty otherwise.
     """
 
     channel: str
@@ -241,7 +243,7 @@ class CoefficientFit:
 
     @property
     def residual(self) -> Array:
-        """Measured less fitted, (n,)."""
+        """Measured less fitted load (N, N m), (n,)."""
         return self.load - self.load_per_coefficient @ self.value
 
 
@@ -252,20 +254,20 @@ class CoefficientFit:
     "trends=describe_trends unseen notes",
 )
 class RotorFit(EstimateLookup):
-    """Coefficients of the rotors of one bench file at one setting of the blades.
+    """Coefficients of the rotors of one bench file at one blade pitch setting.
 
     Attributes
     ----------
     source : str
     coaxial : bool
     pitch_rad : float
-        NaN if the file does not say.
+        Blade pitch; NaN if the file does not state it.
     radius_m : float
     density_kg_m3 : (n,) array
-    estimates : tuple of Estimate
-        In the order of the fits.
+    estimates : tuple of ParameterEstimate
+        Estimates in the order of the fits.
     fits : tuple of CoefficientFit
-    loads : Loads
+    loads : BenchLoads
     unseen, notes : tuple of str
     """
 
@@ -281,16 +283,16 @@ class RotorFit(EstimateLookup):
     notes: tuple[str, ...] = field(default=())
 
     def describe_trends(self) -> list[str]:
-        """Return how the coefficients change with speed, in words."""
+        """Return descriptions of the coefficients' trends over speed."""
         return [t.describe_trend() for f in self.fits for t in f.trends]
 
     def systematic_variance_shares(self) -> dict[str, float]:
-        """Return the part of each variance that calibration, zeros, density and radius make up."""
+        """Return by symbol the share of the variance caused by calibration, zeros, density and radius."""
         return {s: float(v) for f in self.fits for s, v in zip(f.symbols, f.systematic_share, strict=True)}
 
 
 def estimates_of_coefficients(fit: CoefficientFit, vehicle: Vehicle | None) -> list[ParameterEstimate]:
-    """Return the estimates of a fit, with start values of a vehicle."""
+    """Return the estimates of a fit, with the vehicle's coefficients as start values."""
     out = []
     for k, symbol in enumerate(fit.symbols):
         side = {"up": "upper", "dw": "lower"}.get(symbol.partition("_")[2], "")
@@ -302,7 +304,7 @@ def estimates_of_coefficients(fit: CoefficientFit, vehicle: Vehicle | None) -> l
 
 
 def assign_rotor_side(fit: RotorFit, side: str, vehicle: Vehicle | None) -> RotorFit:
-    """Return the fit of a single rotor as that of a vehicle's ``"upper"`` or ``"lower"`` rotor; a pair stays."""
+    """Assign the fit of a single rotor to a vehicle's ``"upper"`` or ``"lower"`` rotor; a pair is unchanged."""
     if fit.coaxial:
         return fit
     end = SYMBOL_SUFFIXES[side]
@@ -318,7 +320,7 @@ def assign_rotor_side(fit: RotorFit, side: str, vehicle: Vehicle | None) -> Roto
 
 
 def describe_interference(fits: Sequence[RotorFit]) -> list[str]:
-    """Say what each rotor of a pair keeps of a single rotor's coefficients, where both were measured."""
+    """Describe the ratio of each coefficient in a coaxial pair to that of the single rotor, if both were measured."""
     single = [f for f in fits if not f.coaxial]
     pairs = [f for f in fits if f.coaxial]
     words = []
@@ -338,25 +340,25 @@ def fit_rotor_coefficients(
     loads: BenchLoads, *, radius_m: float, radius_std_m: float = 0.0, density_kg_m3: float | None = None,
     density_std_kg_m3: float = 0.0, at_speed_rad_s: float | None = None, vehicle: Vehicle | None = None,
 ) -> tuple[RotorFit, ...]:  # fmt: skip
-    """Fit thrust and torque coefficients, a result for every pitch setting in the file.
+    """Fit thrust and torque coefficients; return one result per pitch setting in the file.
 
     Parameters
     ----------
-    loads : Loads
-        From :func:`mufly.bench.compute_loads`.
+    loads : BenchLoads
+        Loads from :func:`mufly.bench.compute_loads`.
     radius_m, radius_std_m : float
-        Of both rotors, and its standard deviation.
+        Radius of both rotors and its standard deviation.
     density_kg_m3, density_std_kg_m3 : float, optional
-        Of the air; by default from the file, else 1.2.
+        Air density and its standard deviation; by default the density of the file, else 1.2 kg/m^3.
     at_speed_rad_s : float, optional
-        Where a coefficient changes with speed, give its value at this one instead of the mean over all speeds.
+        Speed at which to evaluate a coefficient that varies; by default the mean over all speeds is returned.
     vehicle : Vehicle, optional
-        Start values in the result.
+        Source of the start values in the result.
 
     Raises
     ------
     InputError
-        If speeds are missing, there are fewer than two points, or the radius cannot be right.
+        If speeds are missing, there are fewer than two points, or the radius is impossible.
 
     Thesis: Table 5.2; Sec. 5.2.2.
     """
@@ -369,7 +371,7 @@ def fit_rotor_coefficients(
         doubts += more_words
     table = loads.table
     coaxial = any(name.endswith(("_upper", "_lower")) for name in (*table.columns, *loads.values))
-    computed = math.isfinite(table.diameter_m)  # a maker's figures: one is enough
+    computed = math.isfinite(table.diameter_m)  # computed data of a manufacturer: one point is sufficient
     if len(table) < (1 if computed else 2):
         raise InputError(table.source, "", f"{len(table)} points with a turning rotor", "give two or more")
     if computed and abs(0.5 * table.diameter_m / radius_m - 1.0) > 0.02:
@@ -406,7 +408,7 @@ def fit_rotor_coefficients(
 
 
 def _resolve_speed_unit(loads: BenchLoads, radius: float) -> tuple[BenchLoads, list[str]]:
-    """Take speeds without a unit as rpm or rad/s, whichever gives an ordinary coefficient; doubt stated units."""
+    """Choose rpm or rad/s for speeds without unit by the thrust coefficient; note implausible stated units."""
     table, notes = loads.table, []
     quantity = next((c for c in loads.values if c.startswith("thrust") and c not in table.unitless), None)
     for name in [c for c in table.columns if c.startswith("speed")]:
@@ -433,7 +435,7 @@ def _resolve_speed_unit(loads: BenchLoads, radius: float) -> tuple[BenchLoads, l
 
 
 def _resolve_load_units(loads: BenchLoads, radius: float, density: float) -> tuple[BenchLoads, list[str]]:
-    """Decide the units of loads that have none, by the sizes that they give, or ask."""
+    """Choose the units of loads without unit by the size of the coefficients, or raise an error."""
     found = guess_load_units(loads.table, loads.values, radius, density)
     table, values, by = loads.table, dict(loads.values), dict(loads.by_systematic)
     for channel, (factor, words) in found.items():
@@ -443,7 +445,7 @@ def _resolve_load_units(loads: BenchLoads, radius: float, density: float) -> tup
 
 
 def _describe_unphysical(estimates: Sequence[ParameterEstimate]) -> list[str]:
-    """Say which coefficients no rotor has: below zero, or together a figure of merit above one."""
+    """Describe unphysical coefficients: negative values, or a figure of merit above one."""
     words = [
         f"{e.symbol} = {e.value:.3g} is below zero, which no rotor has, and is not written: check the zero of the load "
         "cells, the sign and the unit"
@@ -467,7 +469,7 @@ def _fit_channel(
     at_speed: float | None, common: tuple[float, float], notes: list[str],
 ) -> CoefficientFit | None:  # fmt: skip
     quantity, _, side = channel.partition("_")
-    sides = (side,) if side or not coaxial else ("upper", "lower")  # whose loads it holds
+    sides = (side,) if side or not coaxial else ("upper", "lower")  # rotors whose loads the channel holds
     if quantity == "torque" and len(sides) == 2:
         notes.append("the total torque of a coaxial pair is the difference of two and is not used; give torque_upper "
                      "and torque_lower, for example from the motors' currents")  # fmt: skip
@@ -501,8 +503,8 @@ def _fit_channel(
     if one:
         notes.append(f"{channel}: one static line, so its scatter is not seen")
     if one or np.linalg.cond(a / size) > 1e4:
-        # Both rotors at one ratio of speeds: only one sum is seen. The shortest vector is returned with infinite
-        # doubt; a single line with none that is known.
+        # A constant speed ratio determines only one sum of the two coefficients. The minimum-norm solution is returned
+        # with infinite variance, or with NaN for a single line.
         value = np.linalg.lstsq(a / size, b, rcond=1e-4)[0] / size
         none = CovarianceEstimate(np.full((p, p), math.nan if one else np.inf), math.nan, 1.0, "white", 0.0)
         return CoefficientFit(
@@ -524,7 +526,7 @@ def _fit_channel(
                 trend.covariance_estimate,
             )
         elif trend.is_significant:
-            # One number for all speeds: its interval has to hold the coefficient's change with speed.
+            # The interval of a constant coefficient includes its change with speed.
             over = a[:, 0] ** 2 / float(a[:, 0] @ a[:, 0])
             away = float(over @ (trend.coefficient_at(speed[:, 0]) - value[0]) ** 2)
             scatter = np.array([[float(trend.coefficient_std_at(trend.reference_rad_s)) ** 2 + away]])
@@ -543,7 +545,7 @@ def _fit_channel(
 
 
 def _expected_errors(unit: Array, load: Array) -> tuple[Array, str]:
-    """Return the likeliest shape of errors (n,), not yet scaled, and what it is in words."""
+    """Return the most likely unscaled errors (n,) and a description of their shape."""
 
     def likelihood_of_shape(reading: float, full_scale: float) -> tuple[Array, float]:
         fitted = np.abs(unit @ np.linalg.lstsq(unit, load, rcond=None)[0])
@@ -557,7 +559,7 @@ def _expected_errors(unit: Array, load: Array) -> tuple[Array, str]:
 
 
 def _number_settings(speed: Array, run: NDArray[np.int64] | None) -> NDArray[np.int64]:
-    """Number the settings: lines at one speed (within 0.2 %) in one run are repeats."""
+    """Number the settings: lines of one run at equal speed (within 0.2 %) are repeats."""
     key = np.round(np.log(np.abs(speed)) / 0.002)
     whole = np.column_stack([key, np.zeros(len(key)) if run is None else run])
     return np.unique(whole, axis=0, return_inverse=True)[1].ravel().astype(np.int64)

@@ -1,28 +1,28 @@
-"""Output-error simulation: many parameter sets fly through the recorded inputs of one record, on all cores.
+"""Output-error simulation of many parameter sets with the recorded inputs of one record, on all cores.
 
 The equations are those of :func:`mufly.dynamics.state_derivative`; this file only samples and integrates them. Inputs
-are held from each sample of the record to the next and reach the vehicle ``delay`` later; every integration step ends
-where an input changes, so held inputs are exact at any delay. Classical Runge-Kutta steps of up to 10 ms resolve
-all modes of a vehicle of this size but one: the swash plate follows within ``T = 1 ms``. Its tilt obeys
-``T da/dt = a_in - a`` with ``a_in`` held, and hangs on nothing else, so its exact solution is used::
+are constant between samples of the record and reach the vehicle ``delay`` later. Every integration step ends
+where an input changes, so constant inputs are exact at any delay. Classical Runge-Kutta steps of up to 10 ms resolve
+all modes of a vehicle of this size except one: the swash plate follows within ``T = 1 ms``. Its tilt obeys
+``T da/dt = a_in - a`` with constant ``a_in`` and depends on nothing else, so its exact solution is used::
 
     a(t) = a_in + (a_0 - a_in) e^(-t/T)
 
-and inside a step of length ``h`` the Runge-Kutta stages see, in place of the exponential, the straight line with
-the same integral and the same first moment over the step (own derivation, ``z = h/T``)::
+Inside a step of length ``h`` the Runge-Kutta stages use, instead of the exponential, the straight line with the same
+integral and the same first moment over the step (own derivation, ``z = h/T``)::
 
     e^(-t/T) ~ A + B t/h,   B = 6 m_0 - 12 m_1,  A = m_0 - B/2,  m_0 = (1 - e^-z)/z,  m_1 = 1/z - (1 - e^-z)/z^2
 
-so that rate and angle which the tilt leaves behind are right at the end of the step, whatever ``h/T``. The error
+so that the rate and angle caused by the tilt are correct at the end of the step for any ``h/T``. The error
 against steps of 0.1 ms is measured in ``tests/identify/test_simulate.py`` and stated in
 docs/explanation/identification.md.
 
-The simulation can be restarted at chosen samples (multiple shooting): motion of the body is then set to given
-values. Rotors and battery, which follow from the inputs, run on; the bar takes the place that it has after following
-the measured mast, so that nothing of one window's start reaches into the next. A horizontal velocity that nobody
-measured is followed likewise (``path``): the model's own acceleration at the measured attitude and rates, with rotors,
-swash plate and bar as above. Rotors that drag in their discs pitch and roll the vehicle by it: windows that begin at
-rest in mid-flight are another flight.
+The simulation can be restarted at chosen samples (multiple shooting), where the body motion is set to given values.
+Rotors and battery follow from the inputs and continue through all windows. The stabiliser bar follows the measured
+mast, so the start of one window does not affect the next. An unmeasured horizontal velocity is propagated in the same
+way (``path``): it integrates the model's acceleration at the measured attitude and rates, with rotors, swash plate and
+bar as above. In-plane rotor drag depends on this velocity and causes pitch and roll moments, so windows may not begin
+at zero velocity in mid-flight.
 """
 
 from __future__ import annotations
@@ -80,12 +80,12 @@ from mufly.numba_cache import cached_njit
 from mufly.study.sweeps import open_executor
 
 _CLUSTER_EXECUTOR: ContextVar[Executor | None] = ContextVar("cluster", default=None)
-_SETS_PER_TASK = 8  # parameter sets that a worker flies at a time
+_SETS_PER_TASK = 8  # parameter sets that a worker simulates per task
 
 _Array = NDArray[np.float64]
 
 MAX_INTEGRATION_STEP_S = 0.01
-_DIVERGED_OUTPUT = 1e6  # stands for the output of a flight that has diverged
+_DIVERGED_OUTPUT = 1e6  # output of a diverged simulation
 
 
 @cached_njit(error_model="numpy")
@@ -105,7 +105,7 @@ def _lag_line_coefficients(z: float) -> tuple[float, float]:
 def _integrate_state(
     x: _Array, u: _Array, p: ModelParameters, length: float, longest: float, calm: _Array, work: _Array
 ) -> None:
-    """Integrate ``x`` in place over ``length`` seconds with the input held."""
+    """Integrate ``x`` in place over ``length`` seconds with constant input."""
     k1, k2, k3, k4, y = work[0], work[1], work[2], work[3], work[4]
     steps = max(1, math.ceil(length / longest - 1e-9))
     h = length / steps
@@ -203,7 +203,7 @@ def _simulate_one(
     work = np.empty((5, STATE_SIZE))
     calm = np.zeros(3)
     now, before = np.empty(4), np.empty(4)
-    # Rounding must not make a piece of no length; yet a nanosecond counts, derivatives are taken with it.
+    # Rounding must not create an interval of zero length, but keeps 1 ns: finite differences vary the delay by it.
     whole = math.floor(delay / dt + 1e-11)
     part = max(delay - whole * dt, 0.0)
     part = 0.0 if part < 1e-13 else part
@@ -253,7 +253,7 @@ def _simulate_one(
         if part > 0.0:
             _integrate_state(x, before, p, part, longest, calm, work)
         _integrate_state(x, now, p, dt - part, longest, calm, work)
-        # A comparison with NaN is false.
+        # Comparisons with NaN are false, so this test also detects NaN.
         turning = abs(x[RS_RATES]) + abs(x[RS_RATES + 1]) + abs(x[RS_RATES + 2])
         if not (turning < 1e3 and abs(x[RS_VEL + 2]) < 1e4 and x[RS_SPEED_UPPER] + x[RS_SPEED_LOWER] < 1e5):
             y[k + 1 :, :] = _DIVERGED_OUTPUT
@@ -282,9 +282,9 @@ def _simulate_parallel(
 
 @contextmanager
 def run_on_cluster(address: str | None) -> Iterator[None]:
-    """Fly batches on the workers of a dask cluster while this context lasts; on all cores here without an address.
+    """Simulate batches on the workers of a dask cluster inside this context; without an address, on the local cores.
 
-    The numbers are those of a batch flown here. Worth it for the populations of CMA-ES and long records.
+    The results equal those of a local batch. A cluster pays off for CMA-ES populations and long records.
 
     Raises
     ------
@@ -307,39 +307,39 @@ def simulate_batch(
     starts: NDArray[np.int64], motion: _Array, mast: _Array, delay_s: _Array | None = None,
     motor_hold: _Array | None = None, path: _Array | None = None, longest_step_s: float = MAX_INTEGRATION_STEP_S,
 ) -> _Array:  # fmt: skip
-    """Fly ``b`` parameter sets through one record.
+    """Simulate ``b`` parameter sets with the inputs of one record.
 
     Parameters
     ----------
     state : (b, 21) array
         States at the first sample, see :mod:`mufly.dynamics.model_state`; overwritten.
-    p : (b,) structured array of type ``PARAMETERS``
+    p : (b,) structured array of type ``PARAMETER_DTYPE``
     inputs : (n, 4) array
-        Motor upper, motor lower, servo 1, servo 2 at every sample.
+        Inputs of upper motor, lower motor, servo 1 and servo 2 at every sample (1).
     sample_s : float
         Time between samples (s).
     codes : (m,) integer array
         Outputs, as positions in :data:`mufly.identify.flight_record.FLIGHT_OUTPUTS`.
     starts : (w,) integer array
-        Samples at which a window begins, rising.
+        First sample of every window, increasing.
     motion : (b, w, 12) array
-        Position and velocity N, E, D, roll, pitch, yaw, p, q, r there.
+        Position (m) and velocity (m/s) N, E, D, roll, pitch, yaw (rad), p, q, r (rad/s) at these samples.
     mast : (n, 3) array
-        Measured direction of the mast (up) in N-E-D; the bar follows it from one window to the next.
+        Measured unit vector of the mast (upwards) in N-E-D; the bar follows it from one window to the next.
     delay_s : (b,) array, optional
-        Time that inputs take to reach the vehicle; none by default.
+        Delay from input to vehicle (s); zero by default.
     motor_hold : (b, 2) array, optional
-        Motor inputs that take the place of the recorded ones where not negative.
+        Motor inputs that replace the recorded ones until the delayed record begins; negative values replace nothing.
     path : (n, 12) array, optional
-        Measured motion, as in ``motion``, at every sample: horizontal velocity, which is not in it, then follows from
-        it through all windows, and ``motion`` gives it for the first alone.
+        Measured motion, as in ``motion``, at every sample. The unmeasured horizontal velocity is then propagated
+        through all windows, and ``motion`` sets it for the first window only.
     longest_step_s : float
-        Bound on the integration step.
+        Longest integration step (s).
 
     Returns
     -------
     (b, n, m) array
-        Predicted outputs; 1e6 from where a flight has diverged.
+        Predicted outputs (SI); 1e6 from the sample at which a simulation diverges.
     """
     pool = _CLUSTER_EXECUTOR.get()
     if pool is not None and len(state) > 1:
@@ -366,7 +366,7 @@ def simulate_batch(
 
 
 def steady_rotor_speeds(p: NDArray[np.void], duty: _Array, volts: float) -> _Array:
-    """Return the rotor speeds (b, 2) at which the motors settle under constant inputs (2,): eq. 4.29 at rest."""
+    """Return the steady rotor speeds (b, 2), in rad/s, under constant motor inputs (2,): steady state of eq. 4.29."""
     gear, out = p["gear_ratio"], np.empty((len(p), 2))
     for k, side in enumerate(("up", "dw")):
         square = p[f"torque_{side}"] / (gear**2 * p["gear_efficiency"])
@@ -377,7 +377,7 @@ def steady_rotor_speeds(p: NDArray[np.void], duty: _Array, volts: float) -> _Arr
 
 
 def solve_hover(p: NDArray[np.void]) -> tuple[_Array, _Array]:
-    """Return hover speeds (b, 2) by eq. 5.1 and the motor inputs that hold them."""
+    """Return the hover rotor speeds (b, 2), in rad/s, by eq. 5.1, and the motor inputs (b, 2) for them."""
     speed = hover_speeds(p)
     gear = p["gear_ratio"][:, None]
     torque = np.column_stack([p["torque_up"], p["torque_dw"]]) * speed**2
@@ -389,7 +389,7 @@ def solve_hover(p: NDArray[np.void]) -> tuple[_Array, _Array]:
 
 
 def bar_normal(attitude: _Array, tilt: _Array) -> _Array:
-    """Return upward normals in N-E-D (b, 3) of bars tilted by roll and pitch against the mast."""
+    """Return the upward normals (b, 3) in N-E-D of bars tilted by roll and pitch ``tilt`` (rad) against the mast."""
     roll, pitch, yaw = attitude[:, 0] + tilt[:, 0], attitude[:, 1] + tilt[:, 1], attitude[:, 2]
     cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
     cy, sy = np.cos(yaw), np.sin(yaw)

@@ -1,8 +1,8 @@
-"""What a reader of estimates has to know, in words: what the data hardly show, and what was held.
+"""Notes on the reliability of estimates: weakly excited channels, held parameters, and invalid intervals.
 
-An estimate can be precise on paper and wrong for four reasons that the fit can see: residuals that are no noise, a
-channel that hardly moved, a cost that is no parabola within the interval, and a parameter that was held and is not
-exactly right.
+An estimate with a small standard deviation can be wrong for four reasons that the fit can detect: residuals above the
+sensor noise, a channel without excitation, a cost that is not parabolic within the interval, and an error of a held
+parameter.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from mufly.identify.flight_record import CHANNEL_OUTPUTS, estimate_difference_no
 
 _Array = NDArray[np.float64]
 
-_MIN_CHANNEL_MOTION = 3.0  # movement over the sensor's noise below which a channel shows little
-_PARABOLIC_RISE_RANGE = (0.5, 2.0)  # rise of the cost at two deviations over that of a parabola
-MAX_NOISE_RATIO = 1.5  # residuals over the sensor's noise that are worth a word
+_MIN_CHANNEL_MOTION = 3.0  # ratio of motion to sensor noise below which a channel counts as unexcited
+_PARABOLIC_RISE_RANGE = (0.5, 2.0)  # rise of the cost at two deviations, relative to a parabola
+MAX_NOISE_RATIO = 1.5  # ratio of residuals to sensor noise above which a note is written
 
 
 def describe_held_parameters(
     free: Sequence[FreeParameter], held: Sequence[FreeParameter], moved: _Array, from_data: _Array
 ) -> tuple[str, ...]:
-    """Say which estimates owe most of their doubt to parameters that were held, and to which."""
+    """Name the estimates whose variance comes mainly from held parameters, and those parameters."""
     said = []
     for f, row, own in zip(free, moved, from_data, strict=True):
         total = float(row @ row)
@@ -42,7 +42,7 @@ def describe_held_parameters(
 
 
 def _nonparabolic_parameters(linear: LinearisedProblem, rise: _Array) -> list[str]:
-    """Return the free parameters whose interval follows an axis along which the cost is no parabola."""
+    """Return the free parameters whose variance comes from directions in which the cost is not parabolic."""
     _, size, vt = np.linalg.svd(linear.jacobian, full_matrices=False)
     shares = (vt / size[:, None]) ** 2
     shares /= shares.sum(axis=0)
@@ -53,11 +53,11 @@ def _nonparabolic_parameters(linear: LinearisedProblem, rise: _Array) -> list[st
 
 
 _CHANNEL_PARAMETERS = ((("heave", "yaw"), HEAVE_YAW_SYMBOLS), (("roll", "pitch"), ROLL_PITCH_SYMBOLS))
-_OWN_PARAMETERS = {"roll": ("Ixx",), "pitch": ("Iyy",)}  # what the other channel of the half does not show
+_OWN_PARAMETERS = {"roll": ("Ixx",), "pitch": ("Iyy",)}  # not determined by the other channel
 
 
 def _describe_quiet_channels(problem: OutputErrorProblem) -> list[str]:
-    """Say which channels hardly leave the sensors' noise in any record, which parameters that hides, and the remedy."""
+    """Name channels without motion above sensor noise in any record, the affected parameters, and the remedy."""
     most, said = signal_over_noise(problem.records), []
     for channels, own in _CHANNEL_PARAMETERS:
         moves = {c: max((most[o] for o in CHANNEL_OUTPUTS[c] if o in most), default=0.0) for c in channels}
@@ -80,7 +80,7 @@ def estimate_notes(
     linear: LinearisedProblem,
     rise: _Array,
 ) -> list[str]:
-    """Return what a reader of the estimates has to know; ``rise`` of :func:`straightness`."""
+    """Return notes on the reliability of the estimates; ``rise`` is the result of :func:`straightness`."""
     held = [f.symbol for f, b in zip(problem.free_parameters, at_bound, strict=True) if b]
     notes = [f"{symbol} stopped at its bound: its interval does not hold" for symbol in held]
     large = [f"{o} ({v:.1f} times)" for o, v in residual_over_noise(problem).items() if v > MAX_NOISE_RATIO]
@@ -98,7 +98,7 @@ def estimate_notes(
 
 
 def residual_over_noise(problem: OutputErrorProblem) -> dict[str, float]:
-    """Return how far the noise that was learnt is above the sensor's, the worst record of every output."""
+    """Return the ratio of estimated residual noise to sensor noise by output, the largest over all records."""
     ratios: dict[str, float] = {}
     for f in problem.prepared_records:
         for o, ratio in zip(f.record.outputs, f.noise_std / estimate_difference_noise(f.record), strict=True):

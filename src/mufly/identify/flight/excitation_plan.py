@@ -1,37 +1,34 @@
-"""Which signal shows which parameter, and how well, before anyone flies.
+"""Design of excitation signals: expected accuracy of every parameter before the flight.
 
-A signal is added to the inputs of the whole model in closed loop (:class:`PilotSupport`). The greatest
-amplitude at which attitude, height, place, heading, rates, motors and servos stay within limits is found by flying a
-ladder of amplitudes, then a finer one; the limit that binds is named. The flight at that amplitude is then a record as
-the fit of :mod:`mufly.identify.flight.output_error_problem` would get it, and its sensitivities give the Fisher
-information
+A signal is added to the inputs of the whole model in closed loop (:class:`PilotSupport`). The largest safe amplitude
+keeps attitude, height, position, heading, rates, motors and servos within limits. It is found by simulating a coarse
+and then a finer series of amplitudes; the binding limit is named. The flight at that amplitude becomes a record for
+the fit of :mod:`mufly.identify.flight.output_error_problem`, whose sensitivities give the Fisher information
 
     M = S' N^-1 S,      S = d(outputs)/d(parameters, start values),      N: sensor noise (white, as given)
 
-of the free parameters, the start values taken out (Schur complement). Its inverse is the Cramer-Rao bound: no unbiased
-fit does better (Klein and Morelli, Aircraft System Identification, 2nd ed., ch. 6 and 9; Jategaonkar, ch. 2). Over a
-long flight the bound is absurd: a torque out of balance by a millionth would show in the heading after 10 s, if nothing
-else ever pushed. So place, velocity, attitude and rates count as unknown anew every 2 s, which stands for gusts and
-drifts; a fit on windows of that length (multiple shooting) has just this bound. A wrong model and coloured noise still
-make it worse, by factors that only data can tell. Several flights add their information.
+of the free parameters, with the initial state eliminated (Schur complement). Its inverse is the Cramer-Rao bound, the
+least variance of an unbiased fit (Klein and Morelli, Aircraft System Identification, 2nd ed., ch. 6 and 9;
+Jategaonkar, ch. 2). Over a long undisturbed flight this bound is unrealistic: a torque imbalance of a millionth would
+be visible in the heading after 10 s. Position, velocity, attitude and rates therefore count as unknown again every
+2 s, which represents gusts and drift. A fit on windows of that length (multiple shooting) has the same bound. Model
+errors and coloured noise increase the variance further, by factors that only data show. The information of several
+flights is summed.
 
-Kinds are compared by the geometric mean of the parameters' relative standard deviations, over those that the record
-sees at all.
+Signal kinds are compared by the geometric mean of the relative standard deviations of all identifiable parameters.
 
-**A pilot's support: a simple feedback that holds a hover while a signal is added to the inputs.**
-
-Linear-quadratic state feedback on the sampled linear model of the whole vehicle, with the inputs that are still on
-their way (the loop's delay) as states::
+**Pilot support: a simple feedback that holds a hover while a signal is added to the inputs.**
+The support is a linear-quadratic state feedback on the sampled linear model of the whole vehicle. Inputs delayed in
+the loop are further states::
 
     minimise  sum (x' W_x x + u' W_u u),      W = diag(1 / tolerable deviation^2)        (Bryson's rule)
 
-with the tolerable deviations of ``_STATE_TOLERANCES``: a lazy hold, so that it does not undo the excitation. It is fed
-with the true state; a real one takes rotor speeds and the bar's tilt from an observer. What a plan needs of it are the
-inputs that would be recorded, which depend little on how the hover is held. Own choice; the dissertation (Sec. 5.3.2)
-has a PID whose gains it does not state.
-
-Directions of the motors: with the rotors' speeds W settled, ``W = -A_WW^-1 B_W u``, the motors give the accelerations
-``(dw/dt, dr/dt) = G u``; the columns of ``G^-1`` are the inputs that change the climb alone and the turn alone.
+with the tolerable deviations of ``_STATE_TOLERANCES``. The feedback is weak, so that it does not cancel the
+excitation. It receives the true state; a real controller needs an observer for rotor speeds and bar tilt. The plan
+uses only the inputs that would be recorded, which depend little on the controller. The design is an own choice; the
+dissertation (Sec. 5.3.2) uses a PID and does not state its gains.
+Directions of the motor inputs: with settled rotor speeds ``W = -A_WW^-1 B_W u``, the motors cause the accelerations
+``(dw/dt, dr/dt) = G u``. The columns of ``G^-1`` are the inputs that change only climb or only yaw.
 """
 
 from __future__ import annotations
@@ -108,16 +105,16 @@ Array = NDArray[np.floating[Any]]
 
 @dataclass(frozen=True)
 class FlightLimits:
-    """How far a flight may go from its hover, and how near inputs may come to their ends.
+    """Limits of the deviation from hover and of the inputs.
 
     Attributes
     ----------
     attitude_rad, heading_rad, rates_rad_s : float
-        Roll and pitch; yaw; any body rate.
+        Largest deviation of roll and pitch, of yaw, and of any body rate.
     height_m, place_m : float
-        Up and down; across.
+        Largest vertical and horizontal deviation.
     motor, servo : float
-        Motor inputs stay within ``motor`` to ``1 - motor``; servo inputs within ``1 - servo``.
+        Margins of the inputs: motors stay within ``motor`` to ``1 - motor``, servos within ``1 - servo``.
     """
 
     attitude_rad: float = math.radians(20)
@@ -129,7 +126,7 @@ class FlightLimits:
     servo: float = 0.1
 
     def limit_usage(self, states: Array, inputs: Array) -> tuple[Array, list[str]]:
-        """Return the share of every limit that flights (b, n, ...) use, (b, limits), and the limits' names."""
+        """Return the used share of every limit, (b, limits), for flights (b, n, ...), and the names of the limits."""
         angle = euler_from_quaternion(states[..., ATTITUDE])
         heading = np.unwrap(angle[..., 2], axis=1)
         at = states[..., POSITION] - states[:, :1, POSITION]
@@ -148,7 +145,7 @@ class FlightLimits:
 
 _Floats = NDArray[np.float64]
 
-# Deviations that cost as much as a tenth of full motor input or a third of full servo input.
+# State deviations with the same cost as 0.1 of the motor range or 0.3 of the servo range.
 _STATE_TOLERANCES = {
     "x": 1.0, "y": 1.0, "z": 1.0, "u": 1.0, "v": 1.0, "w": 1.5, "phi": 0.25, "theta": 0.25, "psi": 2.0,
     "p": 2.0, "q": 2.0, "r": 8.0, "a_dw": 10.0, "b_dw": 10.0, "bar_roll": 10.0, "bar_pitch": 10.0,
@@ -156,23 +153,23 @@ _STATE_TOLERANCES = {
 }  # fmt: skip
 _INPUT_TOLERANCES = np.array([0.1, 0.1, 0.3, 0.3])
 _SIMULATION_STEP_S = 1e-3
-_HOVER_HEIGHT_M, _BATTERY_CHARGE = 2.0, 0.7  # where the flight begins and is held; of the battery
+_HOVER_HEIGHT_M, _BATTERY_CHARGE = 2.0, 0.7  # height of the hover; state of charge
 
 
 @dataclass(frozen=True, eq=False)
 class PilotSupport:
-    """A hover and the feedback that holds it.
+    """Hover and the feedback that holds it.
 
     Attributes
     ----------
     hover : Trim
     feedback_gain : (4, 18 + 4 d) array
-        Inputs (motor upper, motor lower, servo 1, servo 2) to be subtracted, per deviation of the linear model's states
-        but the charge, at the heading of the vehicle, and of the inputs on their way, oldest last.
+        Gain to the inputs (upper motor, lower motor, servo 1, servo 2), which are subtracted from the trim. Columns:
+        states of the linear model without the charge, in heading axes, then delayed inputs, oldest last.
     collective_direction, differential_direction : (2,) array
-        Directions of the motor inputs (upper, lower) that change the climb alone and the turn alone, largest part 1.
+        Directions of the motor inputs (upper, lower) that change only climb or only yaw; largest component 1.
     sample_s, delay_s : float
-        Of the loop.
+        Sample time and delay of the loop (s).
     """
 
     hover: Trim
@@ -184,18 +181,18 @@ class PilotSupport:
 
 
 def design_pilot_support(vehicle: Vehicle, *, sample_s: float = 0.01, delay_s: float = 0.02) -> PilotSupport:
-    """Design the feedback for a vehicle.
+    """Design the hover feedback of a vehicle.
 
     Parameters
     ----------
     vehicle : Vehicle
     sample_s, delay_s : float
-        Period of the loop; from measurement to input, whole periods.
+        Period of the loop, and delay from measurement to input, a multiple of the period (s).
 
     Raises
     ------
     MuflyError
-        If the vehicle cannot hover, or cannot be held there.
+        If the vehicle cannot hover, or the hover cannot be stabilised.
     """
     hover = find_trim(vehicle, charge=_BATTERY_CHARGE)
     full = linearise_vehicle(vehicle, hover).full
@@ -224,7 +221,7 @@ def design_pilot_support(vehicle: Vehicle, *, sample_s: float = 0.01, delay_s: f
 
 
 def _discretise_with_delay(A: Array, B: Array, sample_s: float, late: int) -> tuple[Array, Array]:
-    """Return the sampled model with ``late`` inputs on their way as further states, newest first."""
+    """Return the sampled model with ``late`` delayed inputs as further states, newest first."""
     n = A.shape[0]
     step = expm(sample_s * np.block([[A, B], [np.zeros((4, n + 4))]]))
     if late == 0:
@@ -240,7 +237,7 @@ def _discretise_with_delay(A: Array, B: Array, sample_s: float, late: int) -> tu
 
 @cached_njit(error_model="numpy")
 def _write_state_deviation(x: _Floats, hover: _Floats, height: float, yaw: float, off: _Floats) -> None:
-    """Write the linear model's states but the charge, as deviations from the hover at the present heading."""
+    """Write the linear model's states except the charge, as deviations from hover in heading axes, into ``off``."""
     a = body_to_ned_matrix(x[ATTITUDE])
     roll, pitch = math.atan2(a[2, 1], a[2, 2]), math.asin(min(max(-a[2, 0], -1.0), 1.0))
     c, s = math.cos(yaw), math.sin(yaw)
@@ -319,22 +316,22 @@ def _fly_batch_closed_loop(
 def fly_supported(
     vehicle: Vehicle, support: PilotSupport, added: Array
 ) -> tuple[_Floats, _Floats, _Floats]:  # fmt: skip
-    """Fly the whole model in closed loop, one flight for each signal.
+    """Simulate the whole model in closed loop, one flight for each signal.
 
     Parameters
     ----------
     vehicle : Vehicle
-    support : Support
+    support : PilotSupport
     added : (b, n, 4) array
-        Added to motor upper, motor lower, servo 1, servo 2.
+        Signals added to upper motor, lower motor, servo 1 and servo 2.
 
     Returns
     -------
     states : (b, n, 21) array
     inputs : (b, n, 4) array
-        As commanded, limited to what the actuators take.
+        Commanded inputs, limited to the actuator ranges.
     voltage : (b, n) array
-        Of the battery (V).
+        Battery voltage (V).
     """
     b, n, _ = added.shape
     x = np.repeat(support.hover.state[None], b, axis=0)
@@ -361,40 +358,40 @@ def fly_supported(
 
 
 CONTROL_CHANNELS = ("yaw", "heave", "roll", "pitch")
-# Standard deviations of ordinary small sensors: ultrasonic height (m), attitude (rad), gyros (rad/s).
+# Standard deviations of typical small sensors: ultrasonic height (m), attitude (rad), gyros (rad/s).
 SENSOR_NOISE_STD = {"height": 0.01, "roll": 0.01, "pitch": 0.01, "yaw": 0.02, "p": 0.03, "q": 0.03, "r": 0.03}
 _PART_BY_CHANNEL: dict[str, DynamicsPart] = dict(
     zip(CONTROL_CHANNELS, 2 * ("heave-yaw",) + 2 * ("roll-pitch",), strict=True)
 )
 _AMPLITUDE_TRIALS = 14
-_UNSEEN_RELATIVE_STD = 100.0  # relative standard deviation from which a parameter is not seen at all
-_MAX_AMPLITUDE, _MIN_AMPLITUDE = 1.0, 1e-3  # of the inputs' range
+_UNSEEN_RELATIVE_STD = 100.0  # relative standard deviation above which a parameter counts as unidentifiable
+_MAX_AMPLITUDE, _MIN_AMPLITUDE = 1.0, 1e-3  # shares of the input range
 
 
 @dataclass(frozen=True, eq=False)
 class ExcitationCandidate:
-    """One kind of signal at its greatest safe amplitude.
+    """One kind of signal at its largest safe amplitude.
 
     Attributes
     ----------
     channel : str
-    signal : Excitation
+    signal : ExcitationSignal
     amplitude : float
         Largest addition to an input (motors 0..1, servos -1..1).
     binding_limit : str
-        Which limit, or ``"as asked"``.
+        Name of the limit that binds, or ``"as asked"`` for the wanted amplitude.
     limit_share : float
-        Of the limit that is nearest.
+        Used share of the nearest limit.
     added_inputs : (n, 4) array
-        Added to motor upper, motor lower, servo 1, servo 2.
-    record : Record
-        As the flight would be logged, without noise.
+        Signals added to upper motor, lower motor, servo 1 and servo 2.
+    record : FlightRecord
+        Record of the simulated flight, without noise.
     fisher_information : (p, p) array
-        Of the free parameters, relative (of ``ln value``).
+        Fisher information of ``ln value`` of the free parameters.
     relative_std : (p,) array
-        Standard deviation over value; infinite where nothing is seen.
+        Standard deviation over value; infinite for unidentifiable parameters.
     geometric_mean_std : float
-        Geometric mean of the standard deviations of what is seen.
+        Geometric mean of the finite entries of ``relative_std``.
     """
 
     channel: str
@@ -421,21 +418,21 @@ _CANDIDATE_FIGURES = (
     json="channel band_Hz modes_Hz noise limits candidates=candidate_records",
 )
 class ExcitationPlan:
-    """Candidates for one channel, best first.
+    """Candidate signals for one channel, best first.
 
     Attributes
     ----------
     vehicle : str
     channel : str
-    free : tuple of Free
+    free : tuple of FreeParameter
     band_rad_s : (float, float)
     modes_rad_s : (k,) array
         Natural frequencies of the channel's dynamics.
-    limits : Limits
+    limits : FlightLimits
     noise : dict of str to float
-        Outputs that are measured and their standard deviations.
-    candidates : tuple of Candidate
-    support : Support
+        Standard deviations of the measured outputs.
+    candidates : tuple of ExcitationCandidate
+    support : PilotSupport
     """
 
     vehicle: str
@@ -450,16 +447,16 @@ class ExcitationPlan:
 
     @property
     def band_Hz(self) -> tuple[float, float]:
-        """The band, as frequencies."""
+        """Frequency band of the signals (Hz)."""
         return self.band_rad_s[0] / (2 * math.pi), self.band_rad_s[1] / (2 * math.pi)
 
     @property
     def modes_Hz(self) -> list[float]:
-        """Natural frequencies of the channel's dynamics."""
+        """Natural frequencies of the channel's dynamics (Hz)."""
         return [w / (2 * math.pi) for w in self.modes_rad_s]
 
     def candidate_records(self) -> list[dict[str, Any]]:
-        """Return the figures of all candidates, deviations by symbol."""
+        """Return the numbers of all candidates as dictionaries, with standard deviations by symbol."""
         symbols = [f.symbol for f in self.free]
         return [
             {**select_fields(c, _CANDIDATE_FIGURES), "relative_std": dict(zip(symbols, c.relative_std, strict=True))}
@@ -468,7 +465,7 @@ class ExcitationPlan:
 
     @property
     def best_candidate(self) -> ExcitationCandidate:
-        """The candidate with the least geometric mean."""
+        """Candidate with the smallest geometric mean of relative standard deviations."""
         return self.candidates[0]
 
 
@@ -493,32 +490,32 @@ def design_excitation(
     Parameters
     ----------
     vehicle : Vehicle
-        As far as it is known.
+        Vehicle with the present values of its parameters.
     symbols : sequence of str
-        Parameters that are to be identified, as ``mufly vehicle show`` prints them.
+        Parameters to identify, as printed by ``mufly vehicle show``.
     channel : {"yaw", "heave", "roll", "pitch"}
-        Motors against each other, motors together, servo 2, servo 1.
+        Channel, excited by differential motors, collective motors, servo 2 or servo 1.
     kinds : sequence of str
-        Signals to compare.
+        Kinds of signal to compare.
     duration_s, sample_s, delay_s : float
-        Of the flight, of the log, from command to input.
+        Duration of the flight, sample time of the log, delay from command to input (s).
     amplitude : float, optional
-        Wanted addition to the inputs; lowered if it is not safe.
+        Wanted amplitude as share of the input range; reduced if it is not safe.
     band_rad_s : (float, float), optional
-        Frequencies; by default from a third of the channel's slowest to three times its fastest mode.
-    limits : Limits, optional
+        Frequency band; by default from a third of the channel's slowest to three times its fastest mode.
+    limits : FlightLimits, optional
     noise : dict, optional
-        Standard deviations of the outputs that are measured (names of
+        Standard deviations of the measured outputs (names of
         :data:`mufly.identify.flight_record.FLIGHT_OUTPUTS`).
     window_s : float, optional
-        The motion is taken as unknown anew every so often (s); None: only at the start of the flight.
+        Interval after which the motion counts as unknown again (s); None: only at the start of the flight.
     progress : callable, optional
-        Called with steps done and all steps.
+        Called with the number of steps done and of all steps.
 
     Raises
     ------
     InputError
-        For an unknown channel or symbol, or when not even the least signal is safe.
+        For an unknown channel or symbol, or when not even the smallest signal is safe.
     """
     if channel not in CONTROL_CHANNELS:
         raise ArgumentError("channel", "", f"{channel!r} is unknown", f"use one of: {', '.join(CONTROL_CHANNELS)}")
@@ -564,14 +561,14 @@ def design_excitation(
 def combined_information(
     plans: Sequence[ExcitationPlan], candidates: Sequence[ExcitationCandidate]
 ) -> tuple[Array, tuple[str, ...]]:
-    """Return what flights tell together: relative standard deviations (p,), and what they do not, in words."""
+    """Return the relative standard deviations (p,) from several flights, and the directions that stay undetermined."""
     information = np.sum([c.fisher_information for c in candidates], axis=0)
     unseen = describe_unseen_combinations([f.symbol for f in plans[0].free], covariance_from_information(information))
     return _relative_std_and_mean(information)[0], unseen
 
 
 def _natural_frequencies(vehicle: Vehicle, support: PilotSupport, part: DynamicsPart, sample_s: float) -> Array:
-    """Return the natural frequencies (rad/s) that a log at this rate can show."""
+    """Return the natural frequencies (rad/s) that a log with this sample time resolves."""
     linear = linearise_vehicle(vehicle, support.hover)
     system = linear.heave_yaw if part == "heave-yaw" else linear.roll_pitch
     size = np.abs(np.linalg.eigvals(system.A))
@@ -592,7 +589,7 @@ def _max_safe_amplitude(
     limits: FlightLimits,
     tick: Callable[[int], None],
 ) -> tuple[float, str, float]:
-    """Return the greatest safe amplitude, the limit that binds and the share of the nearest limit that is used."""
+    """Return the largest safe amplitude, the binding limit and the used share of the nearest limit."""
     top = _MAX_AMPLITUDE if wanted is None else wanted
     if not (math.isfinite(top) and 0 < top <= _MAX_AMPLITUDE):
         raise ArgumentError("amplitude", "", f"{top:g} is out of range", "give a share of the inputs' range, up to 1")
@@ -640,11 +637,11 @@ def _fisher_information(
     delay_s: float,
     window_s: float | None,
 ) -> Array:
-    """Return the Fisher information of ``theta`` (p, p) with the start values of every window taken out."""
+    """Return the Fisher information (p, p) of ``theta`` with the initial state of every window eliminated."""
     problem = make_problem(vehicle, free, [record], part=part, delay_s=delay_s, prior=False)
     problem = problem.with_noise([np.array([noise[o] for o in problem.records[0].outputs])]).with_windows(window_s)
     linear = problem.linearise_record(0, np.zeros(len(free)), problem.zero_initial_states()[0])
-    # The spread of the start values is wide; it only keeps unseen ones from making the matrix singular.
+    # The wide prior of the initial states only prevents a singular matrix for undetermined states.
     wide = np.diag(1.0 / problem.initial_state_std(0) ** 2)
     information = np.zeros((len(free), len(free)))
     for one in np.split(np.arange(len(record.time_s)), problem.window_starts[0][1:]):
@@ -656,7 +653,7 @@ def _fisher_information(
 
 
 def _relative_std_and_mean(information: Array) -> tuple[Array, float]:
-    """Return relative standard deviations (p,), infinite where nothing is seen, and their geometric mean."""
+    """Return relative standard deviations (p,), infinite if unidentifiable, and the geometric mean of the others."""
     std = np.full(len(information), np.inf)
     some = np.diag(information) > 0
     size = np.sqrt(np.diag(information)[some])

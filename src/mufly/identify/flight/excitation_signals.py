@@ -1,17 +1,17 @@
-"""Signals that make a vehicle show its parameters: chirp, multisine, 3-2-1-1 and doublet.
+"""Excitation signals for identification: chirp, multisine, 3-2-1-1 and doublet.
 
-All are scaled to a largest absolute value of 1, begin and end with rest, and start from zero.
+All signals are scaled to a largest absolute value of 1, begin and end with rest, and start from zero.
 
-* Chirp: ``sin(2 pi int f dt)``, its frequency rising exponentially from the low to the high end, so that every octave
-  gets the same time; faded in and out over a tenth of its length.
-* Multisine: ``sum_k cos(2 pi k t / T + phi_k)`` over the harmonics in the band, equal amplitudes, with Schroeder's
-  phases ``phi_k = -pi k (k - 1) / N`` (IEEE Trans. Inf. Theory 16, 1970), which are then improved: the p-norm of the
-  signal over one period is minimised over the phases for p = 4, 8, 16 (Guillaume, Schoukens, Pintelon and Kollar, IEEE
-  Trans. Instrum. Meas. 40, 1991), from these and from random starts; time is shifted so that it starts at a zero
-  crossing upwards (Morelli). A crest factor (largest over root mean square) of sqrt(2) is that of one sine.
+* Chirp: ``sin(2 pi int f dt)``. The frequency rises exponentially over the band, so that every octave gets the same
+  time. The signal is faded in and out over a tenth of its length.
+* Multisine: ``sum_k cos(2 pi k t / T + phi_k)`` over the harmonics in the band, with equal amplitudes. The phases start
+  at Schroeder's ``phi_k = -pi k (k - 1) / N`` (IEEE Trans. Inf. Theory 16, 1970) and at random values. An optimiser
+  minimises the p-norm of the signal over one period for p = 4, 8, 16 (Guillaume, Schoukens, Pintelon and Kollar, IEEE
+  Trans. Instrum. Meas. 40, 1991). A time shift lets the signal start at an upward zero crossing (Morelli). The crest
+  factor is the largest absolute value over the root mean square; a single sine has sqrt(2).
 * Doublet and 3-2-1-1: steps, with ``dt = 2.3 / w`` and ``dt = 1.6 / w`` for the middle w of the band (Jategaonkar,
-  Flight Vehicle System Identification, 2nd ed., ch. 2). They are repeated with turned sign, with pauses of 2 dt, as
-  long as there is time.
+  Flight Vehicle System Identification, 2nd ed., ch. 2). They are repeated with inverted sign, after pauses of 2 dt,
+  until the time is filled.
 """
 
 from __future__ import annotations
@@ -31,23 +31,23 @@ SignalKind = Literal["chirp", "multisine", "3211", "doublet"]
 SIGNAL_KINDS: tuple[SignalKind, ...] = get_args(SignalKind)
 
 _END_REST_S = 0.5
-_CHIRP_FADE_SHARE = 0.1  # share of the chirp
-_PHASE_OPTIMISATION_STARTS = 6  # from Schroeder's and from random phases; the first is often not the best
+_CHIRP_FADE_SHARE = 0.1  # share of the chirp's duration for each fade
+_PHASE_OPTIMISATION_STARTS = 6  # Schroeder's phases and random phases; the first is often not the best
 
 
 @result(eq=False)
 class ExcitationSignal:
-    """A signal.
+    """Sampled excitation signal.
 
     Attributes
     ----------
     kind : str
     time_s, value : (n,) array
-        Even steps; held from each to the next; largest absolute value 1.
+        Uniform time (s) and value, constant between samples; largest absolute value 1.
     crest : float
         Crest factor of the part between the rests.
     words : str
-        How it is made, with its numbers.
+        Description of the construction with its numbers.
     """
 
     kind: SignalKind
@@ -58,12 +58,12 @@ class ExcitationSignal:
 
 
 def crest_factor(value: Array) -> float:
-    """Return the largest absolute value over the root mean square."""
+    """Return the crest factor: the largest absolute value over the root mean square."""
     return float(np.max(np.abs(value)) / np.sqrt(np.mean(value**2)))
 
 
 def amplitude_spectrum(value: Array, sample_s: float) -> tuple[Array, Array]:
-    """Return frequencies (Hz) and amplitudes of a signal: a sine of amplitude 1 shows as 1."""
+    """Return frequencies (Hz) and amplitudes of a signal; a sine of amplitude 1 has amplitude 1."""
     n = value.size
     return np.fft.rfftfreq(n, sample_s), 2.0 / n * np.abs(np.fft.rfft(value))
 
@@ -71,20 +71,20 @@ def amplitude_spectrum(value: Array, sample_s: float) -> tuple[Array, Array]:
 def make_excitation(
     kind: SignalKind, *, duration_s: float, sample_s: float, band_rad_s: tuple[float, float]
 ) -> ExcitationSignal:
-    """Make a signal.
+    """Create an excitation signal.
 
     Parameters
     ----------
     kind : {"chirp", "multisine", "3211", "doublet"}
     duration_s, sample_s : float
-        Whole length, with rests of half a second at both ends; step.
+        Whole duration, including rests of 0.5 s at both ends, and sample time (s).
     band_rad_s : (float, float)
         Lowest and highest frequency (rad/s).
 
     Raises
     ------
     InputError
-        If kind or band are impossible or the time is too short.
+        If the kind is unknown, the band is invalid or the duration is too short.
     """
     if kind not in SIGNAL_KINDS:
         raise ArgumentError("kind", "", f"{kind!r} is unknown", f"use one of: {', '.join(SIGNAL_KINDS)}")
@@ -125,14 +125,14 @@ def _make_chirp(t: Array, low: float, high: float) -> tuple[Array, str]:
 
 def _make_multisine(t: Array, sample_s: float, low: float, high: float) -> tuple[Array, str]:
     period = t.size * sample_s
-    # A band that ends on a harmonic holds it.
+    # A harmonic at the edge of the band is included.
     first = max(1, math.ceil(low * period / (2 * math.pi) - 0.05))
     last = math.floor(high * period / (2 * math.pi) + 0.05)
     if last < first + 1:
         raise ArgumentError("duration_s", "", f"{period:.3g} s hold no two harmonics in this band", "give a longer one")
     k = np.arange(first, last + 1)
     start = -np.pi * np.arange(k.size) * np.arange(1, k.size + 1) / k.size
-    # A period sampled 16 times a cycle of the highest harmonic is fine enough to find its peaks.
+    # 16 samples per cycle of the highest harmonic resolve the peaks of the signal.
     fine = np.arange(16 * last) / (16 * last)
     arguments = 2 * np.pi * np.outer(k, fine)
 
@@ -160,7 +160,7 @@ def _make_multisine(t: Array, sample_s: float, low: float, high: float) -> tuple
 
 
 def _log_p_norm(phases: Array, arguments: Array, p: int) -> tuple[float, Array]:
-    """Return the logarithm of the p-norm of a multisine over a period, and its gradient by the phases."""
+    """Return the logarithm of the p-norm of a multisine over a period, and its gradient with respect to the phases."""
     waves = arguments + phases[:, None]
     x = np.cos(waves).sum(axis=0)
     scale = float(np.max(np.abs(x)))

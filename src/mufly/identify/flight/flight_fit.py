@@ -1,8 +1,8 @@
-"""From records to a fit: the search, uncertainty, and a look at records not used.
+"""Fit of the flight model to records: search, uncertainty, and prediction of held-out records.
 
-How the minimum is found stands in :mod:`mufly.identify.flight.staged_search`. Held-out records are predicted with the
-estimates; only their start values are sought in them, because a height that is an integral of an integral cannot be
-predicted from a start that is off by a millimetre per second.
+:mod:`mufly.identify.flight.staged_search` describes the search for the minimum. Held-out records are predicted with
+the estimates. Only their initial states are fitted, because height is a double integral and an initial velocity
+error of 1 mm/s already prevents its prediction.
 """
 
 from __future__ import annotations
@@ -97,33 +97,33 @@ def fit_flight_records(
     Parameters
     ----------
     vehicle : Vehicle
-        Start values, their provenance, and all that is not free.
-    free : sequence of Free
+        Start values, their provenance, and all parameters that are not free.
+    free : sequence of FreeParameter
         See :func:`mufly.identify.choose_free_parameters`.
-    records, held_out : sequence of Record
-        To fit, and to predict afterwards.
+    records, held_out : sequence of FlightRecord
+        Records to fit, and records to predict afterwards.
     part, outputs, delay_s, prior
         See :func:`mufly.identify.flight.output_error_problem.make_problem`.
     voltage : {"model", "measured", "nominal"} or float
-        Likewise; "model" is "nominal" where no voltage was recorded, and "measured" for a vehicle whose battery model
-        is constant.
+        See :func:`mufly.identify.flight.output_error_problem.make_problem`; "model" becomes "nominal" if no voltage
+        was recorded, and "measured" for a vehicle with a constant battery model.
     held_exact : bool
-        Take what is not free to be known exactly, instead of to its stated standard deviation or that of its source.
+        Treat held parameters as exact, instead of with their stated standard deviation or that of their source.
     window_s : float, optional
-        Last stage in windows of this length (s) instead of whole records.
+        Window length (s) of the last stage, instead of whole records.
     method : {"lm", "cma"}
         Levenberg-Marquardt or CMA-ES.
     seed, restarts : int
-        Of CMA-ES.
+        Random seed and number of restarts of CMA-ES.
     checkpoint : Path, optional
-        File that is written every iteration; if it exists the fit goes on from it.
+        File that is written every iteration; an existing file resumes the fit.
     on_progress : callable, optional
-        Called every iteration.
+        Called every iteration with the progress.
 
     Raises
     ------
     InputError
-        If no record is given, the records do not hold what is asked for, or the checkpoint is another fit's.
+        If no record is given, a record holds none of the outputs, or the checkpoint belongs to another fit.
 
     Thesis: Fig. 5.2; Sec. 5.3.
     """
@@ -136,7 +136,7 @@ def fit_flight_records(
     digest = problem_digest(final, f"{method} {voltage} {window_s} {seed} {restarts}")
     run = StagedSearch(final, plan_stages(final.records, method, window_s), method, seed, restarts, on_progress)
     run.use_checkpoint(checkpoint, digest)
-    # Matrices here are tall and thin: threads of the linear algebra would only wait for those of the simulations.
+    # The matrices are tall and thin: BLAS threads would only compete with the simulation threads.
     with threadpool_limits(limits=1, user_api="blas"):
         point, problem, converged, doubt = run.search_minimum()
         fit = _make_fit_result(problem, point, run.state.history, _METHOD_NAMES[method], converged, held_exact, doubt)
@@ -145,7 +145,7 @@ def fit_flight_records(
 
 
 def _available_voltage(voltage: str | float, vehicle: Vehicle, records: Sequence[FlightRecord]) -> str | float:
-    """Return ``voltage`` or, where that cannot be had, the next best."""
+    """Return ``voltage``, or the best available alternative for these records and this vehicle."""
     if voltage == "model" and any(r.voltage is None for r in records):
         return "nominal"
     return "measured" if voltage == "model" and vehicle.battery.model == "constant" else voltage
@@ -160,7 +160,7 @@ def _make_fit_result(
     held_exact: bool,
     doubt: Sequence[str],
 ) -> FitResult:
-    """Return the result of a fit that ended at ``point``; ``method``, and what the search left open, in words."""
+    """Return the result of a fit that ended at ``point``; ``doubt`` holds ambiguities that the search left."""
     free, linear = problem.free_parameters, LinearisedProblem(problem, point)
     sensitivities = [r.sample_sensitivities() for r in linear.reduced_records]
     covariance, _, coloured = coloured_covariance(
@@ -174,7 +174,7 @@ def _make_fit_result(
         moved, wider = consider_sensitivity(linear)
         covariance, held = covariance + moved @ moved.T, wider.free_parameters[len(free) :]
     data = np.concatenate([s.reshape(-1, len(free)) for s in sensitivities])
-    # What Gauss and Newton would still gain: at a minimum nothing.
+    # Cost decrease of a further Gauss-Newton step: zero at a minimum.
     least, most = problem.bounds
     at_bound = (point.theta <= least + 1e-9) | (point.theta >= most - 1e-9)
     q = np.linalg.qr(linear.jacobian[:, ~at_bound])[0]
@@ -235,7 +235,7 @@ def _predict_held_out_record(
     voltage: str | float,
     outputs: Sequence[str] | None,
 ) -> RecordPrediction:
-    """Predict a record that the fit did not use, as one window; only its start values are sought in it."""
+    """Predict a held-out record as one window; only its initial state is fitted."""
     own = make_problem(
         problem.vehicle,
         problem.free_parameters,
@@ -282,10 +282,10 @@ def fit_parts_separately(
 ) -> FitResult:
     """Fit heave and yaw, then roll and pitch (thesis Sec. 5.3.3): two small fits instead of one.
 
-    Each sees its own outputs and parameters, and takes the other half of the motion to be absent. Roll and pitch start
-    from the vehicle that heave and yaw made, because thrusts and their shares come from there; so does the delay.
-    Parameters and options are those of :func:`fit_flight_records`. Records without an input of the part moving, or
-    without its outputs, are left out of it.
+    Each fit uses its own outputs and parameters, and neglects the other half of the motion. The fit of roll and pitch
+    starts from the vehicle and delay identified from heave and yaw, which determine the rotor thrusts. Parameters and
+    options are those of :func:`fit_flight_records`. A part skips records in which none of its inputs moves or that
+    lack its outputs.
 
     Raises
     ------
@@ -320,7 +320,7 @@ def fit_parts_separately(
 
 
 def _combine_fits(fits: Sequence[FitResult]) -> FitResult:
-    """Return several fits of different parameters as one; parameters of different fits count as independent."""
+    """Combine fits of different parameters into one result; parameters of different fits count as independent."""
     if len(fits) == 1:
         return fits[0]
     history = [row for f in fits for row in f.history]

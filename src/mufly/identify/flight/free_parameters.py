@@ -1,16 +1,16 @@
-"""What may be free in a fit of flights, what is held and in how much doubt, and what either does to the equations.
+"""Free and held parameters of a flight fit: scaling, priors, bounds, and their effect on the model equations.
 
-Every number of the equations is a product of powers of vehicle parameters (``thrust_up = cT_up pi rho R^4``), so a
-batch of parameter sets is made from one record of :data:`mufly.dynamics.PARAMETER_DTYPE` by multiplying its fields;
-the powers are found by changing each free parameter once and looking at what
-:func:`mufly.dynamics.model_parameters` makes of it. Vehicle parameters are fitted as ``theta = ln(value / start)``,
-which keeps their signs and makes a factor of two the same step for each; delays and biases, which may be zero, as
+Every coefficient of the equations is a product of powers of vehicle parameters (``thrust_up = cT_up pi rho R^4``). A
+batch of parameter sets therefore follows from one record of :data:`mufly.dynamics.PARAMETER_DTYPE` by multiplication
+of its fields. The powers are found by changing each free parameter once and evaluating
+:func:`mufly.dynamics.model_parameters`. Vehicle parameters are fitted as ``theta = ln(value / start)``, which keeps
+their signs and gives a factor of two the same step for each. Delays and biases may be zero and are fitted as
 ``theta = (value - start) / scale``.
 
-Provenance says how far the data may pull a parameter: the standard deviation of its prior (of ``ln value``) and the
-factor that bounds it. Priors are wide on purpose: they decide only where the data do not. What is held is in doubt
-too (:func:`list_held_parameters`): who holds a number believes it, to the ``std`` that the vehicle file states, or else
-to the third number of its provenance, which for "identified" and "estimated" is narrower than the prior.
+The provenance of a parameter sets the standard deviation of its prior (of ``ln value``) and the factor that bounds it.
+The priors are wide: they matter only where the data do not determine a parameter. Held parameters are uncertain, too
+(:func:`list_held_parameters`). Their uncertainty is the ``std`` of the vehicle file, or else the third number of their
+provenance, which for "identified" and "estimated" is narrower than the prior.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from mufly.vehicle import Vehicle, list_parameters, replace_parameters
 
 _Array = NDArray[np.float64]
 
-# source -> (standard deviation of the prior of ln(value), factor to either bound) of what is free, and the standard
-# deviation of ln(value) of what is held, where the vehicle file states none
+# source -> (free: standard deviation of the prior of ln(value), factor to either bound; held: standard deviation of
+# ln(value) if the vehicle file states none)
 PROVENANCE_DOUBT: dict[str, tuple[float, float, float]] = {
     "measured": (0.02, 1.2, 0.02),
     "specified": (0.02, 1.2, 0.02),
@@ -46,30 +46,30 @@ HEAVE_YAW_SYMBOLS = ("cT_up", "cT_dw", "cQ_up", "cQ_dw", "Jdrive_up", "Jdrive_dw
              "cDAz", "m", "kE", "kM", "dR", "Mf", "Rohm", "igear", "eta_gear", "Ubat", "Rbat", "C", "Iel")  # fmt: skip
 ROLL_PITCH_SYMBOLS = ("Ixx", "Iyy", "z_up", "z_dw", "Tf_up", "Tf_dw", "l_up", "l_dw", "theta_SP_max", "cH", "cDAx",
               "cDAy")  # fmt: skip
-# Groups of the vehicle file that the equations of a flight off the floor may depend on.
+# Groups of the vehicle file that the equations of free flight may depend on.
 _FLIGHT_GROUPS = ("body", "air", "rotors", "swash_plate", "stabiliser_bar", "motor", "gear", "battery")
 _MAX_DELAY_S = 0.2  # s
-_BIAS_BOUNDS = {"m": 1.0, "m/s": 1.0, "rad": 0.3, "rad/s": 0.5, "V": 1.0}  # bound; a tenth of it is the prior
+_BIAS_BOUNDS = {"m": 1.0, "m/s": 1.0, "rad": 0.3, "rad/s": 0.5, "V": 1.0}  # bound by unit; the prior is a tenth of it
 
 
 @dataclass(frozen=True)
 class FreeParameter:
-    """A parameter that a fit may change.
+    """Parameter that a fit may change, with its scaled value ``theta``.
 
     Attributes
     ----------
     symbol, key, unit : str
         As in :class:`mufly.identify.ParameterEstimate`.
     start_value : float
-        SI value where the fit starts, and the prior's centre.
+        Start value of the fit and centre of the prior (SI).
     scale : float
-        0: fitted as ``ln(value / start)``; otherwise as ``(value - start) / scale``.
+        0: ``theta = ln(value / start)``; otherwise ``theta = (value - start) / scale``.
     theta_low, theta_high : float
-        Bounds of ``value_to_theta``.
+        Bounds of ``theta``.
     prior_std : float
-        Of ``value_to_theta``.
+        Prior standard deviation of ``theta``.
     provenance : str
-        Provenance of the start.
+        Provenance of the start value.
     """
 
     symbol: str
@@ -83,36 +83,36 @@ class FreeParameter:
     provenance: str
 
     def theta_to_value(self, theta: float) -> float:
-        """Return the SI value at ``value_to_theta``."""
+        """Return the SI value at the scaled value ``theta``."""
         return self.start_value * math.exp(theta) if self.scale == 0.0 else self.start_value + self.scale * theta
 
     def value_to_theta(self, value: float) -> float:
-        """Return ``value_to_theta`` at an SI value."""
+        """Return the scaled value ``theta`` of an SI value."""
         return math.log(value / self.start_value) if self.scale == 0.0 else (value - self.start_value) / self.scale
 
 
 def choose_free_parameters(
     vehicle: Vehicle, symbols: Sequence[str], outputs: Sequence[str], *, delay_s: float = 0.0
 ) -> tuple[FreeParameter, ...]:
-    """Make free parameters of symbols.
+    """Create the free parameters with these symbols.
 
     Parameters
     ----------
     vehicle : Vehicle
         Start values, and provenance for priors and bounds.
     symbols : sequence of str
-        As ``mufly vehicle show`` prints them; besides these ``"delay"`` (time from the recorded input to the
-        vehicle), and ``"bias_p"`` and so on for any measured output.
+        Symbols as printed by ``mufly vehicle show``, ``"delay"`` (from the recorded input to the vehicle), or
+        ``"bias_<output>"`` for a measured output, for example ``"bias_p"``.
     outputs : sequence of str
-        What is measured.
+        Measured outputs.
     delay_s : float
-        Start of the delay (s).
+        Start value of the delay (s).
 
     Raises
     ------
     InputError
-        For an unknown symbol (with suggestions), one named twice, or one that starts at zero; for a vehicle whose
-        rotor coefficients come from a map, which no parameter moves.
+        For an unknown symbol (with suggestions), a repeated symbol, or a start value of zero; for a vehicle whose
+        rotor coefficients come from a map, which the fit cannot change.
     """
     if vehicle.rotors.coefficient_map is not None:
         raise InputError(
@@ -158,10 +158,10 @@ def choose_free_parameters(
 def list_held_parameters(
     vehicle: Vehicle, free: Sequence[FreeParameter], delay_s: float, voltage: float | None
 ) -> tuple[FreeParameter, ...]:
-    """Return what acts on the flight and is not free; ``prior_std`` says in how much doubt it is.
+    """Return the held parameters that act on the flight; ``prior_std`` is their uncertainty.
 
-    Scalars of the vehicle file that the equations depend on (not the contact with the floor, nor curves), and the
-    delay, which counts as estimated.
+    They are the scalars of the vehicle file that the flight equations depend on (without floor contact and curves),
+    and the delay, whose provenance counts as estimated.
     """
     chosen, found = {f.symbol for f in free}, []
     for row in list_parameters(vehicle):
@@ -180,7 +180,7 @@ def list_held_parameters(
 
 
 def theta_to_values(free: Sequence[FreeParameter], theta: _Array) -> _Array:
-    """Return SI values (..., n) at ``value_to_theta`` (..., n)."""
+    """Return the SI values (..., n) at the scaled values ``theta`` (..., n)."""
     log = np.array([f.scale == 0.0 for f in free])
     start, scale = np.array([f.start_value for f in free]), np.array([f.scale for f in free])
     t = np.asarray(theta, dtype=np.float64)
@@ -190,21 +190,21 @@ def theta_to_values(free: Sequence[FreeParameter], theta: _Array) -> _Array:
 def log_scaled_parameters(
     vehicle: Vehicle, free: Sequence[FreeParameter], voltage: float | None
 ) -> tuple[NDArray[np.void], dict[str, _Array]]:
-    """Return what :func:`parameters_at_theta` multiplies: the start's record, and the power of each free parameter.
+    """Return the start record and the power of each free parameter in its fields, for :func:`parameters_at_theta`.
 
     Parameters
     ----------
     vehicle : Vehicle
-    free : sequence of Free
+    free : sequence of FreeParameter
     voltage : float or None
         Constant battery voltage (V), or None for the vehicle's own battery model.
 
     Returns
     -------
     base : () structured array of type ``PARAMETER_DTYPE``
-        Without a floor: flights that are identified do not touch it.
+        Model parameters at the start values, without floor contact.
     powers : dict of str to (n,) array
-        Field of the record -> exponent of every free parameter, 0 for those that do not touch it.
+        Field of the record -> exponent of every free parameter, 0 for those without effect on the field.
     """
     base = np.array(model_parameters(vehicle, voltage), dtype=PARAMETER_DTYPE)
     powers: dict[str, _Array] = {}
@@ -224,15 +224,15 @@ def log_scaled_parameters(
 
 
 def _perturb_parameter(vehicle: Vehicle, f: FreeParameter, voltage: float | None) -> tuple[Any, float]:
-    """Return the equations' numbers with one parameter changed a little, to a side that is possible; the factor."""
+    """Return the model parameters with one parameter changed by 0.1 % in a valid direction, and the factor."""
     try:
         return model_parameters(replace_parameters(vehicle, {f.key: 0.999 * f.start_value}), voltage), 0.999
-    except InputError:  # two parameters may bound each other
+    except InputError:  # the decrease violates a relation between two parameters
         return model_parameters(replace_parameters(vehicle, {f.key: 1.001 * f.start_value}), voltage), 1.001
 
 
 def parameters_at_theta(base: NDArray[np.void], powers: dict[str, _Array], theta: _Array) -> NDArray[np.void]:
-    """Return the records (b,) of type ``PARAMETER_DTYPE`` for ``value_to_theta`` (b, n) of log-scaled parameters."""
+    """Return the records (b,) of type ``PARAMETER_DTYPE`` at the scaled values ``theta`` (b, n)."""
     p = np.full(len(theta), base, dtype=PARAMETER_DTYPE)
     for name, exponent in powers.items():
         factor = np.exp(theta @ exponent)
@@ -241,7 +241,7 @@ def parameters_at_theta(base: NDArray[np.void], powers: dict[str, _Array], theta
 
 
 def _schema_limits(vehicle: BaseModel, prefix: str = "") -> dict[str, list[float]]:
-    """Return the limits that the schema sets, other than zero, by dotted key."""
+    """Return the nonzero limits of the schema by dotted key."""
     found: dict[str, list[float]] = {}
     for name, spec in type(vehicle).model_fields.items():
         value, extra = getattr(vehicle, name), spec.json_schema_extra

@@ -1,21 +1,18 @@
-"""A known vehicle flown, forgotten and found again.
+"""Demonstration: identify a known vehicle from simulated flights and compare the estimates with the truth.
 
-**The demonstration: fly a known vehicle, forget half of what is known of it, identify it, and compare.**
+**Free parameters.** Twelve parameters are free. Eleven act on flight and are hard to measure on benches: torque
+coefficients with the stabiliser bar, inertias, linkages, and the bar's following time. The twelfth is the radio delay.
+Each starts 50 % too high or too low, at random. Thrust coefficients and motor constants come from benches, as in the
+dissertation (Table 5.2).
 
-Twelve numbers are free: the eleven that act on flight and that benches do not give well (torque coefficients with the
-stabiliser bar, inertias, linkages, the bar's following time), and the radio's delay. Each starts 50 % off, up or down
-at random. Thrust coefficients and motor constants are taken from the benches, as the dissertation does (Table 5.2).
-
-**Flights to identify from, made under the dissertation's conditions (Sec. 5.3.2), with a known truth.**
-
-A pilot cannot hold the helicopter in open loop, so a PID controller helps: the pilot moves its set-points, slowly
-and at random here, and a chirp is added to them or to a motor. The controller sits on the ground: it sees noisy
-measurements, and what it commands is logged and reaches the vehicle a radio delay later. Four flights as in Sec. 5.3.3
-(upper motor, heave, roll, pitch), and one in which everything moves, with other signals, that no fit sees.
+**Simulated flights under the conditions of the dissertation (Sec. 5.3.2).**
+A pilot cannot stabilise the helicopter in open loop, so a PID controller supports the pilot. Its set-points vary
+slowly and at random, and a chirp is added to the set-points or to a motor. The controller runs on the ground with
+noisy measurements; its commands are logged and reach the vehicle after the radio delay. Four flights as in Sec. 5.3.3
+(upper motor, heave, roll, pitch) are fitted. A fifth flight with other signals on all channels is held out.
 
 The vehicle is integrated with :func:`mufly.dynamics.integrate_state` in steps of 1 ms, not with the simulator of the
-fits. Its battery sags, and the voltage is logged. Gains and noise are those of an ordinary small helicopter: own
-choice.
+fits. The battery voltage sags and is logged. Gains and noise are own choices, typical of a small helicopter.
 """
 
 from __future__ import annotations
@@ -57,12 +54,12 @@ SENSOR_NOISE_STD = {
 _LOGGED_OUTPUTS = ("height", "roll", "pitch", "yaw", "p", "q", "r", "voltage")
 _FLIGHT_HEIGHT_M = 1.5  # m
 _INITIAL_CHARGE = 0.7
-_UNRECORDED_LEAD_S = 2.0  # before the recorder of a flight that begins in motion
+_UNRECORDED_LEAD_S = 2.0  # flight time before the record begins, for records that begin in motion
 
 
 @dataclass(frozen=True)
 class DemoExcitation:
-    """Added to the set-points (height m, roll, pitch, yaw rad) and to the motors, (n, 4) and (n, 2)."""
+    """Signals added to the set-points (height in m; roll, pitch, yaw in rad), (n, 4), and to the motors, (n, 2)."""
 
     set_point: _Array
     motor_input: _Array
@@ -81,7 +78,7 @@ def _make_excitations(n: int, rng: np.random.Generator) -> dict[str, DemoExcitat
     pilot_b, pilot_a = butter(2, 2 * 0.3 * SAMPLE_S)
 
     def pilot_noise(size: float) -> _Array:
-        """Slow wandering of a set-point."""
+        """Return a slow random variation of a set-point."""
         noise = lfilter(pilot_b, pilot_a, rng.standard_normal(n + 500))[500:]
         return size * noise / np.std(noise) * np.clip((t - 0.5) / 1.0, 0.0, 1.0)
 
@@ -98,7 +95,7 @@ def _make_excitations(n: int, rng: np.random.Generator) -> dict[str, DemoExcitat
     out["heave"].motor_input[:] = 0.06 * linear_chirp(late, 0.2, 3.0)[:, None]
     out["roll"].set_point[:, 1] += 0.25 * linear_chirp(late, 0.3, 4.0)
     out["pitch"].set_point[:, 2] += 0.25 * linear_chirp(late, 0.3, 4.0)
-    # Steps and faster wandering on everything at once: nothing that the fits have seen.
+    # Steps and faster random variation on all channels, which no fitted record contains.
     out["mixed"].set_point[:, :3] += np.column_stack(
         [square_wave(0.2, 0.23), square_wave(0.12, 0.61), square_wave(0.12, 0.47)]
     )
@@ -114,18 +111,18 @@ def fly_demo_record(
     name: str,
     air: DrydenWind | None = None,
 ) -> FlightRecord:
-    """Fly one record.
+    """Simulate one flight in closed loop and return its record.
 
     Parameters
     ----------
     vehicle : Vehicle
-        The truth.
-    excitation : Excitation
+        Vehicle with the true parameters.
+    excitation : DemoExcitation
     rng : numpy.random.Generator
-        For the sensors.
+        Generator of the sensor noise.
     name : str
     air : DrydenWind, optional
-        With steps of ``SAMPLE_S``; calm by default.
+        Wind with steps of ``SAMPLE_S``; calm air by default.
     """
     p, n = model_parameters(vehicle), len(excitation.motor_input)
     hover = find_trim(vehicle, charge=_INITIAL_CHARGE)
@@ -156,7 +153,7 @@ def fly_demo_record(
 
 
 class _PilotPid:
-    """Pilot support: PID on height, roll, pitch and yaw at the rate of the log."""
+    """Pilot support: PID controller of height, roll, pitch and yaw at the sample rate of the log."""
 
     def __init__(self, hover: _Array) -> None:
         self._hover = hover
@@ -193,25 +190,25 @@ def fly_demo_flights(
     wind: float = 0.0,
     gust: float = 0.0,
 ) -> tuple[list[FlightRecord], list[FlightRecord]]:
-    """Fly the records of the demonstration.
+    """Simulate the flights of the demonstration.
 
     Parameters
     ----------
     vehicle : Vehicle
-        The truth.
+        Vehicle with the true parameters.
     seed : int
-        Of pilot and sensor noise.
+        Random seed of pilot and sensor noise.
     seconds : float
-        Length of a flight.
+        Duration of a flight (s).
     moving : bool
-        Switch the recorder on in mid-flight, when rotors, bar and vehicle move already, instead of in a steady hover.
+        Begin the records in mid-flight, with rotors, bar and vehicle in motion, instead of in a steady hover.
     wind, gust : float
-        Mean wind, from south to north, and standard deviation of a gust's components (m/s).
+        Mean wind, from south to north, and standard deviation of the gust components (m/s).
 
     Returns
     -------
-    fit, held_out : list of Record
-        Yaw, heave, roll, pitch; mixed.
+    fit, held_out : list of FlightRecord
+        Records to fit (yaw, heave, roll, pitch), and the held-out record (mixed).
     """
     rng = np.random.default_rng(seed)
     before = round(_UNRECORDED_LEAD_S / SAMPLE_S) if moving else 0
@@ -232,18 +229,18 @@ _START_ERROR = 0.5
 
 @result(eq=False, picture="mufly.identify.fit_pictures:fit_picture")
 class IdentificationDemo:
-    """A fit beside the truth.
+    """Fit of the demonstration with the true parameters.
 
     Attributes
     ----------
     seed : int
     truth : dict of str to float
-        SI values by symbol.
+        True SI values by symbol.
     start : Vehicle
-        What the fit started from.
-    fit : Fit
+        Vehicle with the start values of the fit.
+    fit : FitResult
     held_out_over_noise : float
-        Root mean square of the held-out record's prediction error over the sensors' true noise, all outputs.
+        RMS prediction error of the held-out record over the true sensor noise, all outputs.
     """
 
     seed: int
@@ -253,11 +250,11 @@ class IdentificationDemo:
     held_out_over_noise: float
 
     def truth_inside_interval(self) -> dict[str, bool]:
-        """Return, by symbol, whether the interval holds the truth."""
+        """Return, by symbol, whether the interval contains the true value."""
         return {e.symbol: e.low <= self.truth[e.symbol] <= e.high for e in self.fit.estimates}
 
     def as_record(self) -> dict[str, Any]:
-        """Return what ``mufly identify demo --json`` prints."""
+        """Return the output of ``mufly identify demo --json`` as a dictionary."""
         fit, inside = self.fit, self.truth_inside_interval()
         return {
             "seed": self.seed, **select_fields(fit, "vehicle method converged message"),
@@ -278,17 +275,17 @@ def run_identification_demo(
     *, vehicle: str | Vehicle = "mufly-1.1", seed: int = 0, method: FitMethod = "lm", moving: bool = False,
     on_progress: Callable[[FitProgress], None] | None = None,
 ) -> IdentificationDemo:  # fmt: skip
-    """Fly, identify, compare.
+    """Simulate the flights, identify the vehicle and compare the estimates with the truth.
 
     Parameters
     ----------
     vehicle : str or Vehicle
-        The truth.
+        Vehicle with the true parameters.
     seed : int
-        Of pilot, sensor noise and starts.
+        Random seed of pilot, sensor noise and start values.
     method : {"lm", "cma"}
     moving : bool
-        Records begin in mid-flight; see :func:`fly_demo_flights`.
+        Whether records begin in mid-flight; see :func:`fly_demo_flights`.
     on_progress : callable, optional
         As in :func:`mufly.identify.fit_flight_records`.
 
@@ -318,6 +315,6 @@ def run_identification_demo(
 
 
 def rms_over_true_noise(record: RecordPrediction) -> float:
-    """Return the root mean square prediction error over the true noise of the demonstration's sensors."""
+    """Return the RMS prediction error over the true sensor noise of the demonstration (1)."""
     std: NDArray[np.float64] = np.array([SENSOR_NOISE_STD[o] for o in record.output_names])
     return float(np.sqrt(np.nanmean((record.residual / std) ** 2)))

@@ -1,17 +1,16 @@
-"""The motion at the start of a whole record, with the parameters held: horizons that grow.
+"""Estimation of the initial state of whole records with fixed parameters, by continuation in the horizon.
 
-A record that begins while inputs move starts from rotor speeds, a bar and velocities that nobody measured. The guess
-(speeds at which the motors would settle, a bar square to the mast, slopes of the smoothed measurement) is then off by
-several per cent, and over a whole record that error does not stay small: height and yaw integrate the rotors' forces
-twice, place and attitude are unstable in hover. After ten seconds the flight has left the region in which residuals are
-linear in the start (it may have turned over), and least squares on the whole record end in a minimum that has nothing
-to do with the flight. Over a second the same residuals are all but linear. So starts are sought over a horizon of 1 s
-first, and each solution starts the search over a horizon 2.5 times as long (continuation in the horizon; the same
-reason as for the windows that grow in :mod:`mufly.identify.flight.flight_fit`): by then the start is known to the noise
-of the shorter horizon, and an unstable mode of rate ``a`` grows by ``exp(1.5 a h)`` over the step, not by ``exp(a T)``.
+A record that begins in motion starts from unmeasured rotor speeds, bar tilt and velocities. The first guess uses
+steady motor speeds, a bar normal to the mast and slopes of the smoothed measurement, and is wrong by several per cent.
+This error grows over a whole record: height and yaw integrate the rotor forces twice, and position and attitude are
+unstable in hover. After 10 s the residuals are no longer linear in the initial state, and least squares on the whole
+record end in a wrong minimum. Over 1 s the same residuals are nearly linear. The initial state is therefore fitted
+over a horizon of 1 s first. Each solution starts the search over a horizon ``h`` that is 2.5 times as long. An
+unstable mode of rate ``a`` then amplifies the remaining error by ``exp(1.5 a h)`` only, not by ``exp(a T)`` over the
+record length ``T``. The growing windows of :mod:`mufly.identify.flight.staged_search` have the same reason.
 
-Each search is Gauss and Newton's, with the part of a step that lowers the cost most. It has converged where a linear
-step promises no more than a hundredth of cost, a tenth of a standard deviation.
+Each search is a Gauss-Newton iteration with the step fraction that lowers the cost most. It has converged if a linear
+step predicts a cost decrease below 0.01, a tenth of a standard deviation.
 """
 
 from __future__ import annotations
@@ -25,11 +24,11 @@ from mufly.identify.flight.output_error_problem import ACTUATOR_STATES, MOTION_S
 
 _Array = NDArray[np.float64]
 
-MIN_COST_DECREASE = 0.01  # of cost: a tenth of a standard deviation
+MIN_COST_DECREASE = 0.01  # least predicted cost decrease of a step: a tenth of a standard deviation
 _FIRST_HORIZON_S, _HORIZON_GROWTH = 1.0, 2.5
-_MAX_STEPS_PER_HORIZON = 25  # at most, a horizon
-_STEP_FRACTIONS = np.array([1.0, 0.5, 0.2, 0.05, 0.01])  # of a step, tried at once
-_MAX_STATE_STEP = 0.25  # of the spread, a step at most
+_MAX_STEPS_PER_HORIZON = 25
+_STEP_FRACTIONS = np.array([1.0, 0.5, 0.2, 0.05, 0.01])  # fractions of a step, evaluated in one batch
+_MAX_STATE_STEP = 0.25  # largest step over the prior standard deviation
 _CONTINUOUS_STATES = np.isin(
     np.array(MOTION_STATES + ACTUATOR_STATES),
     ("v_north", "v_east", "speed_up", "speed_dw", "bar_roll", "bar_pitch"),
@@ -38,7 +37,7 @@ _CONTINUOUS_STATES = np.isin(
 
 @dataclass(frozen=True, eq=False)
 class InitialStates:
-    """What :func:`find_initial_states` returns, one entry a record.
+    """Initial states found by :func:`find_initial_states`, one entry per record.
 
     Attributes
     ----------
@@ -46,7 +45,7 @@ class InitialStates:
     converged : tuple of bool
         Whether the search over the whole record ended in a minimum.
     simulation_count : int
-        Flights simulated, in whole records.
+        Number of simulations, in whole records.
     """
 
     initial_states: list[_Array]
@@ -55,7 +54,7 @@ class InitialStates:
 
 
 def find_initial_states(problem: OutputErrorProblem, theta: _Array) -> InitialStates:
-    """Seek the start of every record at ``theta`` (t,); the problem's records are one window each."""
+    """Fit the initial state of every record at ``theta`` (t,); every record must be a single window."""
     states, converged, flown = [], [], 0.0
     for i, r in enumerate(problem.records):
         state, horizon, whole = (
@@ -78,11 +77,10 @@ def find_initial_states(problem: OutputErrorProblem, theta: _Array) -> InitialSt
 
 
 def find_initial_offsets(problem: OutputErrorProblem, theta: _Array) -> list[_Array]:
-    """Return the rotors' speeds, the bars and the drift with which records begin, for windows:
-    ``PreparedRecord.begin``.
+    """Return the initial rotor speeds, bar tilts and horizontal velocities, for ``PreparedRecord.initial_offset``.
 
-    In windows these are not sought (rotors, bar and horizontal velocity run through from one window to the next), but
-    where a record begins in motion the speeds at which the motors would settle are wrong for its first second or two.
+    Windows do not fit these states, because rotors, bar and horizontal velocity continue from one window to the next.
+    In a record that begins in motion the steady motor speeds are wrong for the first one or two seconds.
     """
     whole = len(MOTION_STATES) + len(ACTUATOR_STATES)
     opening = problem.truncate_records(_FIRST_HORIZON_S * _HORIZON_GROWTH).with_initial_offset(
@@ -92,13 +90,13 @@ def find_initial_offsets(problem: OutputErrorProblem, theta: _Array) -> list[_Ar
     for f, s in zip(opening.with_windows(None).prepared_records, found.initial_states, strict=True):
         sought = np.zeros(whole)
         sought[f.sought_states] = s[0]
-        # The rest of the motion is sought in every window; charges are set by the voltage of the whole record.
+        # Every window fits the rest of the motion; the voltage of the whole record sets the charge.
         begin.append(np.where(_CONTINUOUS_STATES, sought, 0.0))
     return begin
 
 
 def _find_record_start(problem: OutputErrorProblem, i: int, theta: _Array, state: _Array) -> tuple[_Array, bool, int]:
-    """Return the start (1, k) of record ``i`` that fits best, whether it is a minimum, and the flights it took."""
+    """Return the best initial state (1, k) of record ``i``, whether it is a minimum, and the simulation count."""
     spread, flown = problem.initial_state_std(i), 0
 
     def start_costs(states: _Array) -> _Array:

@@ -1,26 +1,27 @@
-"""Does a record agree with the vehicle that it is said to be of? Thrust, polarity of the inputs, frames.
+"""Check of a record against its vehicle: thrust, polarity of the inputs, axis conventions.
 
-A record may agree with itself and still be wrong: inputs turned round or exchanged, all axes forward-left-up, a height
-in centimetres whose climb nobody measured. What inputs do tells these. The vehicle's own numbers, driven by the
-recorded inputs, say what every input alone would make of the accelerations (eqs 4.5 to 4.16; :mod:`mufly.dynamics`):
+A record may be consistent in itself and still be wrong: inverted or exchanged inputs, forward-left-up axes, a height
+in centimetres without measured climb. The response to the inputs reveals such faults. The vehicle model, driven by
+the recorded inputs, predicts the acceleration by each input (eqs 4.5 to 4.16; :mod:`mufly.dynamics`):
 
     height'' = (T_up + T_dw - W) / m  cos(roll) cos(pitch) - g                 rotors by motors and voltage
     r'       = [Q_up + J Omega_up' - Q_dw - J Omega_dw'] / Izz                   upper rotor: nose to the right
     p'       = -z_dw T_dw sin(theta_max l_dw servo_2) / Ixx                    positive servo_2: to the right
     q'       =  z_dw T_dw sin(theta_max l_dw servo_1) / Iyy                    positive servo_1: nose down
-    north'', east'' = -(T_up + T_dw) / m times the mast's direction            tilt accelerates the way it leans
+    north'', east'' = -(T_up + T_dw) / m times the mast's direction            acceleration towards the tilt
 
-Changes of the smoothed rates over 0.2 s (of the climb over 0.5 s) are regressed on these (and on the stabiliser bar,
-whose tilt follows from the measured attitude), behind the lag that fits best. The gain should be 1; with parameters not
-yet identified it is of the order of 1. Its deviation counts the residual's colour
-(:func:`mufly.identify.fit_result.coloured_covariance`). A sign is only believed where the input explains half of what
-was measured and the other sign, at any lag, explains less than half as much or leaves four times as much (an
-oscillation is its own negative half a period later): a record that moves one axis says nothing of the others. A loop
-that answers gusts draws gains towards zero, because an input that cancels a disturbance leaves no trace of it, but does
-not turn their sign: a loop that is stable acts against what it sees.
+Changes of the smoothed rates over 0.2 s (of the climb over 0.5 s) are regressed on these predictions at the best lag.
+The stabiliser bar, whose tilt follows from the measured attitude, is a further regressor. The gain should be 1; before
+identification it is of the order of 1. Its standard deviation accounts for coloured residuals
+(:func:`mufly.identify.fit_result.coloured_covariance`). A sign is accepted under two conditions. The input explains
+half of the measured change; and the other sign, at any lag, explains less than half as much or leaves a residual four
+times as large. The second condition is needed because an oscillation equals its own negative half a period later.
+An axis without motion gets no sign. Gust rejection by a feedback loop reduces the gains, because an input that cancels
+a disturbance leaves no response. It does not change their sign, because a stable loop opposes the disturbance.
 
-Frames. With body axes forward, left, up (FLU; ROS REP 103) q, r, pitch and yaw have the other sign, which kinematics
-cannot tell; servo_1 and the motors' torque can. A world with z up turns the height, which thrust tells.
+Axis conventions: with body axes forward, left, up (FLU; ROS REP 103) q, r, pitch and yaw have inverted signs. The
+kinematics cannot detect this; the responses to servo_1 and motor torque can. A world frame with z up inverts the
+height, which the response to thrust reveals.
 """
 
 from __future__ import annotations
@@ -66,38 +67,39 @@ from mufly.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
-_ROTOR_SETTLING_S = 1.0  # in which the rotors forget a start that was guessed
+_ROTOR_SETTLING_S = 1.0  # settling time of the rotors after a guessed initial speed
 _AVERAGING_SPAN_S, _HEAVE_AVERAGING_SPAN_S, _MAX_LAG_S, _LAG_STEP_S = (
     0.2,
     0.5,
     0.16,
     0.02,
-)  # of changes; lags of the inputs that are tried
+)  # averaging spans of changes; largest lag of the inputs and its step
 _MIN_SIGNIFICANCE, _MIN_EXPLAINED_SHARE, _MIN_GAIN = (
     5.0,
     0.5,
     0.25,
-)  # deviations, share of the power, size of a gain from which it counts
-_MIN_RIVAL_RESIDUAL_RATIO = 4.0  # times as much is left by the other sign, where it explains something as well
-_MAX_METRE_GAIN = 10.0  # a gain of heave below is a height in metres, above in something smaller
-_MAX_HEIGHT_NOISE_M = 0.2  # m; noise or resolution that no sensor of height has
-_THRUST_TO_WEIGHT_RANGE = (0.2, 5.0)  # thrust over weight, on average, that parameters may be off by
-_VOLTAGE_RATIO_RANGE = (0.4, 1.8)  # of the battery's nominal voltage
+)  # least gain over its standard deviation, least explained share of the power, least absolute gain
+_MIN_RIVAL_RESIDUAL_RATIO = 4.0  # least ratio of the residuals with the other and with the accepted sign
+_MAX_METRE_GAIN = 10.0  # largest heave gain of a height in metres; a smaller unit gives a larger gain
+_MAX_HEIGHT_NOISE_M = 0.2  # m; noise or resolution that no height sensor exceeds
+_THRUST_TO_WEIGHT_RANGE = (0.2, 5.0)  # accepted mean thrust over weight before identification
+_VOLTAGE_RATIO_RANGE = (0.4, 1.8)  # accepted ratio to the nominal battery voltage
 
 
 @dataclass(frozen=True)
 class InputGain:
-    """How an acceleration follows what the model makes of an input: 1 as it should, -1 turned round.
+    """Gain of an acceleration to the model's prediction from an input: 1 if correct, -1 if inverted.
 
     Attributes
     ----------
     value, std : float
+        Gain and standard deviation.
     cross_gain, cross_std : float
-        Of the other servo, or the other horizontal axis; 0 where there is none.
+        Gain and standard deviation of the other servo or horizontal axis; 0 if there is none.
     sign : int
-        1 or -1 where the record tells it, else 0; of ``cross_gain`` where that is all that counts.
+        1 or -1 if the record determines the sign, else 0; the sign of ``cross_gain`` if ``is_exchanged``.
     is_exchanged : bool
-        Whether ``cross_gain`` is all that counts.
+        Whether only ``cross_gain`` is significant.
     """
 
     value: float
@@ -109,9 +111,9 @@ class InputGain:
 
 
 def estimate_input_gains(vehicle: Vehicle, r: FlightRecord) -> tuple[dict[str, InputGain], float]:
-    """Return what every input does, by what it acts on, and the mean thrust over the weight, as the model says.
+    """Return the input gain of every channel, and the model's mean ratio of thrust to weight.
 
-    Keys are ``heave``, ``yaw``, ``roll``, ``pitch``, ``north``, ``east``, as far as the record holds what they need.
+    Keys are ``heave``, ``yaw``, ``roll``, ``pitch``, ``north``, ``east``, as far as the record holds their signals.
     """
     problem = make_problem(
         vehicle, (), [r.select_outputs([o for o in r.outputs if o != "voltage"])], voltage="measured"
@@ -142,7 +144,7 @@ def estimate_input_gains(vehicle: Vehicle, r: FlightRecord) -> tuple[dict[str, I
             averaged_columns((torque[:, 0] - torque[:, 1]) / p["Izz"]),
             dt,
         )
-        if found["yaw"].sign == 0:  # the rotors differ, so that exchanged ones are not just the negative
+        if found["yaw"].sign == 0:  # unequal rotors: exchanged motors differ from an inverted sign
             _, _, other = _simulate_rotors(dataclasses_replace(f, inputs=f.inputs[:, MOTORS_SWAPPED]), dt)
             if (
                 _regress_gain(
@@ -186,9 +188,9 @@ def estimate_input_gains(vehicle: Vehicle, r: FlightRecord) -> tuple[dict[str, I
 
 
 def _simulate_rotors(f: PreparedRecord, dt: float) -> tuple[np.void, Array, Array]:
-    """Return the equations' numbers, and thrust (N) and torque on the body (N m) of the rotors (n, 2)."""
+    """Return the model parameters, and thrust (N) and torque on the body (N m) of the rotors, each (n, 2)."""
     p = parameters_at_theta(f.base_parameters, f.parameter_powers, np.zeros((1, 0)))
-    starts = np.arange(0, len(f.inputs), max(1, round(0.5 / dt)))  # the vehicle may do what it wants in between
+    starts = np.arange(0, len(f.inputs), max(1, round(0.5 / dt)))  # restarts limit the body motion
     x = np.zeros((1, STATE_SIZE))
     x[:, RS_ATT], x[:, RS_BAR + 2] = 1.0, -1.0
     first = f.inputs[: max(1, round(0.3 / dt)), MOTORS].mean(axis=0)
@@ -211,7 +213,7 @@ def _simulate_rotors(f: PreparedRecord, dt: float) -> tuple[np.void, Array, Arra
 
 
 def _bar_normal(mast: Array, follow: float) -> Array:
-    """Return the normal of the bar (n, 3), which follows the mast by ``follow`` a sample."""
+    """Return the normal of the bar (n, 3), which follows the mast by the share ``follow`` per sample."""
     bar = mast.copy()
     for k in range(1, len(mast)):
         bar[k] = bar[k - 1] + follow * (0.5 * (mast[k - 1] + mast[k]) - bar[k - 1])
@@ -222,10 +224,10 @@ def _regress_gain(
     seen: Array, made: Array, dt: float, *, beside: Array | None = None, crossed: bool = False,
     lag_s: float = _MAX_LAG_S,
 ) -> InputGain:  # fmt: skip
-    """Regress what was seen (n,) on what is made of inputs (n, k), the own first, behind the lag that fits best.
+    """Regress a measured acceleration (n,) on its predictions from the inputs (n, k), own input first, at the best lag.
 
-    What stands ``beside`` (n, j), without a lag, is taken out of both sides first (Frisch, Waugh and Lovell), so that
-    the share explained is that of the inputs.
+    The regressors ``beside`` (n, j), without a lag, are projected out of both sides first (Frisch, Waugh and Lovell),
+    so that the explained share belongs to the inputs.
     """
     skip = max(round(_ROTOR_SETTLING_S / dt), round(lag_s / dt))
     n, step = len(seen), max(1, round(_LAG_STEP_S / dt))
@@ -242,7 +244,7 @@ def _regress_gain(
 
     y = remove_known(seen[skip:])
     best: tuple[float, Array, Array] | None = None
-    most = {1: 0.0, -1: 0.0}  # share explained with either sign of the gain that counts
+    most = {1: 0.0, -1: 0.0}  # share explained with either sign of the dominant gain
     for lag in range(0, round(lag_s / dt) + 1, step):
         x = remove_known(made[skip - lag : n - lag])
         g = np.asarray(np.linalg.lstsq(x, y, rcond=None)[0], dtype=np.float64)
@@ -259,11 +261,11 @@ def _regress_gain(
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     lead = dominant_column(g, x)
     side = 1 if g[lead] > 0.0 else -1
-    # The other sign has to be clearly worse at every lag.
+    # The other sign must be clearly worse at every lag.
     rival = most[-side]
     sure = share > _MIN_EXPLAINED_SHARE and abs(g[lead]) > max(_MIN_GAIN, _MIN_SIGNIFICANCE * std[lead])
     sure = sure and (rival < 0.5 * share or 1.0 - rival > _MIN_RIVAL_RESIDUAL_RATIO * (1.0 - share))
-    # The other servo counts only where the own one does little beside it.
+    # The other servo counts only if the own servo has little effect in comparison.
     sure = bool(sure and (lead == 0 or abs(g[0]) < 0.4 * abs(g[1])))
     return InputGain(
         float(g[0]), float(std[0]), float(g[1]) if crossed else 0.0, float(std[1]) if crossed else 0.0,
@@ -272,17 +274,17 @@ def _regress_gain(
 
 
 def check_flight_records(records: Sequence[FlightRecord], vehicle: Vehicle, *, as_is: bool = False) -> tuple[str, ...]:
-    """Look for faults of records that a fit of this vehicle would turn into wrong parameters.
+    """Check records for faults that would cause wrong parameters in a fit of this vehicle.
 
-    What one record tells of signs and axes helps to name what is wrong with the others: they are of one logger.
+    All records count as output of one logger: signs and axes found in one record help to name faults of the others.
 
     Parameters
     ----------
-    records : sequence of Record
+    records : sequence of FlightRecord
     vehicle : Vehicle
-        What the fit starts from; its numbers need be right in size and sign only.
+        Vehicle with start values; only order of magnitude and sign of its parameters need be correct.
     as_is : bool
-        Say what is wrong, and refuse nothing but a record in which no input moves.
+        Report faults as warnings, and reject only a record in which no input moves.
 
     Returns
     -------
@@ -292,8 +294,8 @@ def check_flight_records(records: Sequence[FlightRecord], vehicle: Vehicle, *, a
     Raises
     ------
     InputError
-        As :func:`mufly.identify.check_record`; and for a voltage of another unit, inputs turned round or exchanged,
-        axes that are not forward, right, down, a height of another unit or sign.
+        As :func:`mufly.identify.check_record`; and for a wrong unit of the voltage, inverted or exchanged inputs,
+        axes that are not forward, right, down, or a wrong unit or sign of the height.
     """
     warnings: list[str] = []
     seen: list[tuple[FlightRecord, dict[str, InputGain], float]] = []
@@ -332,7 +334,7 @@ def _check_voltage_unit(r: FlightRecord, vehicle: Vehicle) -> list[SignalFault]:
 
 
 def judge_gains(r: FlightRecord, found: dict[str, InputGain], load: float) -> list[SignalFault]:
-    """Return what is wrong with a record, from what its inputs do and the mean thrust over the weight."""
+    """Return the faults of a record, from its input gains and the mean ratio of thrust to weight ``load``."""
     out: list[SignalFault] = []
     if not _THRUST_TO_WEIGHT_RANGE[0] < load < _THRUST_TO_WEIGHT_RANGE[1]:
         out.append(
@@ -376,7 +378,7 @@ def judge_gains(r: FlightRecord, found: dict[str, InputGain], load: float) -> li
     for axis, servo, rate in (("roll", "servo_2", "p"), ("pitch", "servo_1", "q")):
         if sign.get(axis) != -1:
             continue
-        # What the vehicle does over ground tells whether it is the angle or the servo.
+        # The horizontal acceleration shows whether the angle or the servo is inverted.
         which = {1: servo, -1: f"{axis}, {rate}", 0: servo}[tilts[axis]]
         other = f" (or {axis} and {rate} are)" if tilts[axis] == 0 else ""
         goes = {"servo_2": "to the right", "servo_1": "nose down"}[servo]
@@ -414,7 +416,7 @@ def _describe_gains(found: dict[str, InputGain]) -> str:
 
 
 def _check_height(r: FlightRecord, heave: InputGain | None) -> list[SignalFault]:
-    """Sign and unit of the height, from what thrust does to it; where that is too little, from its resolution."""
+    """Check sign and unit of the height by its response to thrust, or by its resolution if the response is small."""
     if heave is None:
         return []
     if heave.sign == -1:

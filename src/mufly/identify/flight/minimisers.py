@@ -1,32 +1,31 @@
-"""Ways to the minimum of an output-error problem, with the start values of the windows eliminated.
+"""Minimisers of an output-error problem: Levenberg-Marquardt and CMA-ES, with eliminated initial states.
 
-Linearised, the residual of one window is ``e + J d_theta + S d_s``. Its own start values enter no other window, so
-with the thin factorisation ``S = Q R`` they are removed first and exactly::
+The linearised residual of one window is ``e + J d_theta + S d_s``. The initial state of a window affects no other
+window, so the thin factorisation ``S = Q R`` eliminates it exactly::
 
     (1 - Q Q^T) (e + J d_theta)   least squares in theta alone,      d_s = -R^-1 Q^T (e + J d_theta)
 
-(variable projection; the priors of ``s`` are rows of ``S`` and ``e``). What is left has as many unknowns as free
-parameters, however many windows there are.
+(variable projection; the priors of ``s`` are rows of ``S`` and ``e``). The remaining problem has only the free
+parameters as unknowns, for any number of windows.
 
 **Levenberg-Marquardt** (:func:`levenberg_marquardt`). Marquardt's damping scales with the diagonal of ``J^T J``; four
-dampings are tried at once, as a batch. A parameter that runs into a bound is held there, and let go when the slope
-points inwards. The step in ``theta`` is limited to a factor of two, that of the start values to a quarter of their
-spread.
+dampings are evaluated as one batch. A parameter that reaches a bound is held there, and released when the gradient
+points inwards. The step in ``theta`` is limited to a factor of two, the step of the initial states to a quarter of
+their prior standard deviation.
 
-A whole record holds height and yaw, which integrate the rotors' forces twice: one direction (the balance of the two
-torques) is seen ten thousand times better than others, along a valley that is curved. A step along the valley leaves
-it by the square of its length, so each trial is followed by corrections with the Jacobian at hand (chord steps),
-which cost one flight each and bring it back to the valley's floor.
+Height and yaw of a whole record integrate the rotor forces twice. The balance of the two torques is therefore
+determined ten thousand times better than other directions, and the cost has a narrow curved valley. A step along the
+valley leaves its floor by the square of the step length. Each trial is therefore corrected with the present Jacobian
+(chord steps), which cost one simulation each.
 
-**CMA-ES** (:func:`run_cma_es`; Hansen 2001; the dissertation's Sec. 5.3.1), with pycma. The same problem in the same
-windows. For every trial the best start values follow from the derivatives at the best point so far, by linear least
-squares; that point and its derivatives are renewed each generation. Away from the solution this is an approximation, at
-the solution it is exact, so both methods have the same minimum. Search starts in coordinates in which the linearised
-problem is a sphere (``theta = theta_0 + R^-1 z`` with the triangular factor of the Jacobian there), as far as the prior
-is not narrower. Bounds: trials are brought back to the box and pay for how far they were out. Restarts double the
-population (Auger and Hansen 2005). A run can be repeated from the costs it was told, without a simulation: random
-numbers come from a seeded generator of the run's own. A checkpoint therefore holds these costs, and the point that
-start values are counted from.
+**CMA-ES** (:func:`run_cma_es`; Hansen 2001; the dissertation's Sec. 5.3.1), with pycma, on the same windows. The best
+initial states of every trial follow by linear least squares from the derivatives at the best point found. That point
+and its derivatives are updated each generation. The approximation is exact at the solution, so both methods have the
+same minimum. The search uses coordinates in which the linearised problem is a sphere (``theta = theta_0 + R^-1 z``
+with the triangular factor of the Jacobian), unless the prior is narrower. Trials outside the bounds are projected onto
+them, with a penalty for the distance. Restarts double the population (Auger and Hansen 2005). Random numbers come from
+a seeded generator of the run, so a run can be repeated from its costs without a simulation. A checkpoint therefore
+holds these costs and the reference point of the initial states.
 """
 
 from __future__ import annotations
@@ -50,24 +49,24 @@ _MIN_STEP_SHARE = 1e-4
 _MAX_STATE_STEP = 0.25
 _CHORD_STEPS, _MAX_WINDOWS_FOR_CHORDS = 3, 100
 _CURVATURE_CHORD_STEPS = 4
-_MIN_SINGULAR_VALUE = 2.0  # singular value, over which an axis is seen: half its unit
-_MAX_COST_RATIO = 1e6  # a trial that is worse by this is not worth correcting
+_MIN_SINGULAR_VALUE = 2.0  # singular value above which an axis counts as determined: standard deviation 0.5
+_MAX_COST_RATIO = 1e6  # cost ratio above which a trial is not corrected
 
 
 @dataclass(frozen=True, eq=False)
 class FitPoint:
-    """Where a fit stands.
+    """Present point of a fit.
 
     Attributes
     ----------
     theta : (t,) array
     states : list of (windows, k) array
-        One a record.
+        Initial states, one array per record.
     cost : float
     damping : float
-        Marquardt's, for the next step.
+        Marquardt damping of the next step.
     simulations : int
-        Records flown on the way here.
+        Number of simulated records so far.
     """
 
     theta: _Array
@@ -78,14 +77,13 @@ class FitPoint:
 
 
 class ReducedRecord:
-    """A record linearised at a point, without its start values.
+    """Record linearised at a point, with eliminated initial states.
 
     Attributes
     ----------
     whitened_residual : (n, m) array
-        The whitened residual.
     jacobian : (rows, t) array
-        ``(1 - Q Q^T) J``; rows of one window after the other, in a window sample after sample, its priors last.
+        ``(1 - Q Q^T) J``, window after window; each window has its samples in order, then its priors.
     window_rows : list of (rows,) array
         ``e`` of every window.
     """
@@ -98,7 +96,7 @@ class ReducedRecord:
             linear.whitened_residual,
             [],
         )
-        # One a window: its first sample and the one after its last, and what start values follow from: Q, R, Q^T J.
+        # Per window: first sample, sample after the last, and the factors Q, R, Q^T J of the initial state.
         self._window_factors: list[tuple[int, int, _Array, _Array, _Array]] = []
         for a, b in zip(problem.window_starts[i], [*problem.window_starts[i][1:], n], strict=True):
             s = np.vstack([linear.state_jacobian[a:b].reshape((b - a) * m, -1), np.diag(1.0 / self._initial_state_std)])
@@ -111,7 +109,7 @@ class ReducedRecord:
         self.window_rows = self.make_window_rows(linear.whitened_residual, point.states[i])
 
     def make_window_rows(self, residual: _Array, states: _Array) -> list[_Array]:
-        """Return the rows ``e`` of every window for a residual (n, m) at start values (windows, k)."""
+        """Return the rows ``e`` of every window for a residual (n, m) at initial states (windows, k)."""
         return [
             np.concatenate([residual[a:b].ravel(), s / self._initial_state_std])
             for (a, b, *_), s in zip(self._window_factors, states, strict=True)
@@ -124,22 +122,22 @@ class ReducedRecord:
         )
 
     def initial_state_change(self, rows: Sequence[_Array | float], step: _Array) -> _Array:
-        """Return the change of the start values (windows, k) that belongs to a step in theta."""
+        """Return the best change of the initial states (windows, k) for a step in theta and the rows ``e``."""
         found = []
         for (_, _, q, r, j), e in zip(self._window_factors, rows, strict=True):
             found.append(-np.linalg.solve(r, q.T @ e + j @ step))
         return np.array(found)
 
     def state_change_of_theta(self, step: _Array) -> _Array:
-        """Return the change of the start values that a step in theta alone brings about."""
+        """Return the change of the initial states (windows, k) caused by a step in theta alone."""
         return np.array([-np.linalg.solve(r, j @ step) for _, _, _, r, j in self._window_factors])
 
     def relative_state_step(self, moved: _Array) -> float:
-        """Return the largest change of a start value over its spread."""
+        """Return the largest change of an initial state over its prior standard deviation."""
         return float(np.max(np.abs(moved / self._initial_state_std)))
 
     def sample_sensitivities(self) -> _Array:
-        """Return the Jacobian (n, m, t) of the samples alone."""
+        """Return the Jacobian (n, m, t) of the samples, without the prior rows."""
         m, at, found = self.whitened_residual.shape[1], 0, []
         for a, b, *_ in self._window_factors:
             found.append(self.jacobian[at : at + (b - a) * m].reshape(b - a, m, -1))
@@ -148,7 +146,7 @@ class ReducedRecord:
 
 
 class LinearisedProblem:
-    """A problem linearised at a point: all records without their start values, priors and hover."""
+    """Problem linearised at a point: records with eliminated initial states, priors, and the hover equations."""
 
     def __init__(self, problem: OutputErrorProblem, point: FitPoint) -> None:
         self.problem, self.point = problem, point
@@ -157,7 +155,7 @@ class LinearisedProblem:
 
     @cached_property
     def jacobian(self) -> _Array:
-        """Of the problem in theta alone: records, priors, hover."""
+        """Jacobian of the residual with respect to theta: rows of records, priors and hover."""
         problem, theta = self.problem, self.point.theta
         jacobians = [r.jacobian for r in self.reduced_records] + [np.diag(1.0 / problem.prior_std)]
         if problem.with_hover_residual:
@@ -166,7 +164,7 @@ class LinearisedProblem:
         return np.vstack(jacobians)
 
     def projected_residual(self, theta: _Array, rows: Sequence[list[_Array]]) -> _Array:
-        """Return the residual in theta alone that belongs to the Jacobian's rows."""
+        """Return the residual with eliminated initial states, in the row order of the Jacobian."""
         parts = [r.project_rows(e) for r, e in zip(self.reduced_records, rows, strict=True)]
         hover = self.problem.hover_residual(theta[None])[0]
         return np.concatenate([*parts, theta / self.problem.prior_std, hover])
@@ -177,11 +175,11 @@ class LinearisedProblem:
 
     @cached_property
     def residual_at_point(self) -> _Array:
-        """The residual at the point."""
+        """Residual at the point of linearisation."""
         return self.projected_residual(self.point.theta, [r.window_rows for r in self.reduced_records])
 
     def predicted_cost_decrease(self) -> float:
-        """Return by how much the linearised cost falls to its minimum, parameters at a bound held there."""
+        """Return the decrease of the linearised cost to its minimum, with parameters at a bound held."""
         low, high = self.problem.bounds
         free = (self.point.theta > low) & (self.point.theta < high)
         if not free.any():
@@ -191,7 +189,7 @@ class LinearisedProblem:
 
     @cached_property
     def qr_factors(self) -> tuple[_Array, _Array]:
-        """Orthogonal factors of the Jacobian, not normal equations, which would square the condition number."""
+        """QR factors of the Jacobian; normal equations would square the condition number."""
         q, triangle = np.linalg.qr(self.jacobian)
         return q, triangle
 
@@ -200,27 +198,27 @@ def levenberg_marquardt(
     problem: OutputErrorProblem, point: FitPoint, *, iterations: int, tolerance: float = 1e-5, least_gain: float = 0.0,
     on_iteration: Callable[[FitPoint], None] | None = None,
 ) -> tuple[FitPoint, bool]:  # fmt: skip
-    """Run Levenberg-Marquardt.
+    """Minimise the cost by Levenberg-Marquardt.
 
     Parameters
     ----------
-    problem : Problem
-    point : Point
-        Where to start; its cost is computed here.
+    problem : OutputErrorProblem
+    point : FitPoint
+        Start point; its cost is computed here.
     iterations : int
-        At most this many.
+        Largest number of iterations.
     tolerance : float
-        Stop when the cost has fallen by less than this share three times running.
+        Stop after three successive relative cost decreases below this value.
     least_gain : float
-        Stop when a linear step promises less than this.
+        Stop if the predicted cost decrease of a linear step is below this value.
     on_iteration : callable, optional
-        Called with every point that is reached.
+        Called with the point after every iteration.
 
     Returns
     -------
-    point : Point
+    point : FitPoint
     converged : bool
-        False if the iterations ran out.
+        False if the iterations are exhausted.
     """
     cost = float(problem.compute_cost(point.theta[None], [s[None] for s in point.states])[0])
     now = replace(point, cost=cost, simulations=point.simulations + len(problem.records))
@@ -241,7 +239,7 @@ def levenberg_marquardt(
 
 
 def _try_damped_steps(linear: LinearisedProblem) -> tuple[FitPoint | None, int]:
-    """Return the best trial (None if none is better) and flights so far."""
+    """Return the best trial, None without improvement, and the total number of simulations."""
     problem, now, reduced = linear.problem, linear.point, linear.reduced_records
     q, triangle = linear.qr_factors
     start = q.T @ linear.residual_at_point
@@ -252,7 +250,7 @@ def _try_damped_steps(linear: LinearisedProblem) -> tuple[FitPoint | None, int]:
         dampings = np.clip(damping * _DAMPING_FACTORS, _MIN_DAMPING, _MAX_DAMPING)
         steps = [_damped_step(problem, now.theta, triangle, start, d) for d in dampings]
         moves = [[r.initial_state_change(r.window_rows, step) for step in steps] for r in reduced]
-        # No start value moves by more than a quarter of its spread.
+        # No initial state changes by more than a quarter of its prior standard deviation.
         parts = [
             share
             * min(
@@ -284,7 +282,7 @@ def _try_damped_steps(linear: LinearisedProblem) -> tuple[FitPoint | None, int]:
                     s[c] += r.initial_state_change(e, step)
         if best.cost < now.cost:
             return replace(best, simulations=flown), flown
-        # Start values follow theta undamped; a part of the whole step goes downhill if the step itself does not.
+        # Initial states follow theta undamped; a fraction of the step lowers the cost if the whole step does not.
         damping, share = damping * 10.0, share * 0.3
     return None, flown
 
@@ -318,10 +316,10 @@ def _damped_step(
 
 
 def consider_sensitivity(linear: LinearisedProblem) -> tuple[_Array, OutputErrorProblem]:
-    """Return how far the estimates move with one standard deviation of each parameter that is held, (t, h).
+    """Return the change of the estimates per standard deviation of each held parameter, (t, h).
 
-    At the minimum of the linearised problem ``|e + J d_theta + C d_c|^2``, start values eliminated and priors among
-    the rows of ``J``, a held parameter that is off by ``d_c`` moves the estimates by
+    The linearised problem ``|e + J d_theta + C d_c|^2`` has eliminated initial states and priors among the rows of
+    ``J``. At its minimum an error ``d_c`` of a held parameter changes the estimates by
 
         d_theta = -J^+ C d_c,      covariance += (J^+ C) diag(doubt^2) (J^+ C)^T
 
@@ -330,8 +328,8 @@ def consider_sensitivity(linear: LinearisedProblem) -> tuple[_Array, OutputError
     Returns
     -------
     moved : (t, h) array
-    problem : Problem
-        With the held parameters behind the free ones, as the columns are.
+    problem : OutputErrorProblem
+        Problem with the held parameters appended to the free ones, in column order.
     """
     problem, point = linear.problem, linear.point
     wider, t = problem.with_held_parameters()
@@ -359,23 +357,23 @@ def consider_sensitivity(linear: LinearisedProblem) -> tuple[_Array, OutputError
 
 
 def curvature_correction(linear: LinearisedProblem) -> tuple[_Array, int]:
-    """Return how far second-order terms widen the spread, ``c_k`` as rows (t, t), and the flights it took.
+    """Return the second-order correction ``c_k`` of the covariance as rows (t, t), and the number of simulations.
 
-    Cramer-Rao takes the valley in which the cost lies to be straight. Whole records see one direction ten thousand
-    times better than others, and there a valley that bends by a ten-thousandth within the spread of the others matters.
-    In coordinates ``z`` in which the linearised cost is ``|z|^2 / 2`` the floor of the valley along axis ``k`` is, to
-    second order, ``theta(z_k) = theta + a_k z_k + c_k z_k^2``. It is found at ``z_k = +1`` and ``-1`` by correcting all
-    other coordinates (chord steps), and, ``z_k`` being normal,
+    The Cramer-Rao bound assumes a straight valley of the cost. Whole records determine one direction ten thousand
+    times better than others, so a relative curvature of 1e-4 within the standard deviation of the others matters.
+    In coordinates ``z`` with the linearised cost ``|z|^2 / 2`` the valley floor along axis ``k`` is, to second order,
+    ``theta(z_k) = theta + a_k z_k + c_k z_k^2``. It is found at ``z_k = +1`` and ``-1`` by correction of all other
+    coordinates (chord steps). With normally distributed ``z_k``,
 
         covariance = sum_k a_k a_k^T + 2 sum_k c_k c_k^T                   (own derivation; the variance of z^2 is 2)
 
     Parameters
     ----------
-    linear : Linearised
-        At the minimum.
+    linear : LinearisedProblem
+        Problem linearised at the minimum.
     """
     t = len(linear.point.theta)
-    # The last one has nothing held: it goes to the minimum itself, from which bends are counted.
+    # The last row holds no coordinate and converges to the minimum, the reference of the curvature.
     sides = np.concatenate([np.eye(t), -np.eye(t), np.zeros((1, t))])
     thetas, _ = _follow_valley_floor(linear, sides, _CURVATURE_CHORD_STEPS)
     bend = 0.5 * (thetas[:t] + thetas[t : 2 * t]) - thetas[-1]
@@ -384,18 +382,19 @@ def curvature_correction(linear: LinearisedProblem) -> tuple[_Array, int]:
 
 
 def cost_rise_along_axes(linear: LinearisedProblem) -> tuple[_Array, int]:
-    """Return how much the cost rises two standard deviations along every axis, over what it would in a straight valley.
+    """Return the rise of the profiled cost at two standard deviations along every axis, relative to a quadratic cost.
 
-    An interval of two standard deviations is that of a quadratic cost, which rises by ``z^2 / 2 = 2`` there. Where the
-    profile (all other coordinates corrected) rises by much more or less, intervals by covariance do not hold (Bates and
-    Watts, Nonlinear Regression Analysis, ch. 6: profile t).
+    An interval of two standard deviations assumes a quadratic cost, which rises by ``z^2 / 2 = 2`` there. If the
+    profile (all other coordinates corrected) rises by much more or less, intervals from the covariance are invalid
+    (Bates and Watts, Nonlinear Regression Analysis, ch. 6: profile t).
 
     Returns
     -------
     rise : (t, 2) array
-        Of axis ``k`` of the right singular vectors, to both sides; NaN where a bound is in the way, or the axis
-        is known by the prior alone.
+        Relative rise at both sides of every right singular vector; NaN at a bound, or if only the prior determines
+        the axis.
     flights : int
+        Number of simulations.
     """
     problem, t = linear.problem, len(linear.point.theta)
     sides = 2.0 * np.concatenate([np.eye(t), -np.eye(t)])
@@ -409,12 +408,10 @@ def cost_rise_along_axes(linear: LinearisedProblem) -> tuple[_Array, int]:
 
 
 def _follow_valley_floor(linear: LinearisedProblem, sides: _Array, chords: int) -> tuple[_Array, list[_Array]]:
-    """Return points at ``sides`` (b, t) along the axes, all other coordinates at their best: theta and start values."""
+    """Return theta and initial states at ``sides`` (b, t) along the axes, with all other coordinates optimised."""
     problem, point = linear.problem, linear.point
     u, s, vt = np.linalg.svd(linear.jacobian, full_matrices=False)
-    axes = vt.T / np.maximum(
-        s, _MIN_SINGULAR_VALUE
-    )  # an axis that is hardly seen is followed for half its unit at most
+    axes = vt.T / np.maximum(s, _MIN_SINGULAR_VALUE)  # a weakly determined axis is followed for at most 0.5
     low, high = problem.bounds
     thetas = np.clip(point.theta + sides @ axes.T, low, high)
     states = [
@@ -435,7 +432,7 @@ def _follow_valley_floor(linear: LinearisedProblem, sides: _Array, chords: int) 
 
 @dataclass
 class EvolutionHistory:
-    """What a run was told: costs of every generation (restart by restart), and its reference point."""
+    """History of a CMA-ES run: costs of every generation, by restart, and the reference point."""
 
     told: list[list[list[float]]] = field(default_factory=lambda: [[]])
     reference: FitPoint | None = None
@@ -453,32 +450,32 @@ def run_cma_es(
     course: EvolutionHistory | None = None,
     on_generation: Callable[[FitPoint, EvolutionHistory], None] | None = None,
 ) -> tuple[FitPoint, bool]:
-    """Run CMA-ES.
+    """Minimise the cost by CMA-ES.
 
     Parameters
     ----------
-    problem : Problem
-    point : Point
-        Where to start.
+    problem : OutputErrorProblem
+    point : FitPoint
+        Start point.
     seed : int
     generations : int
-        At most this many a restart.
+        Largest number of generations per restart.
     restarts : int
-        How often to start again from the best point with twice the population.
+        Number of restarts from the best point with doubled population.
     tolerance : float
-        Stop when the cost has not changed by more.
-    course : Course, optional
-        What an earlier run of the same problem was told; it is repeated first.
+        Stop if the cost changes by no more than this value.
+    course : EvolutionHistory, optional
+        History of an earlier run of the same problem, which is repeated first.
     on_generation : callable, optional
-        Called with the best point and the course after every generation.
+        Called with the best point and the history after every generation.
 
     Returns
     -------
-    point : Point
+    point : FitPoint
     converged : bool
     """
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # pycma warns that optional plotting is not there
+        warnings.simplefilter("ignore")  # pycma warns about missing optional plotting
         import cma
 
     t = len(problem.free_parameters)
@@ -487,7 +484,7 @@ def run_cma_es(
         cost = float(problem.compute_cost(point.theta[None], [s[None] for s in point.states])[0])
         course.origin = FitPoint(point.theta, point.states, cost, simulations=point.simulations)
     best = course.reference or course.origin
-    size = max(16, 4 + int(3 * np.log(t)))  # trials a generation
+    size = max(16, 4 + int(3 * np.log(t)))  # trials per generation
     converged = False
     for restart in range(restarts + 1):
         if restart == len(course.told):
@@ -496,7 +493,7 @@ def run_cma_es(
         if restart < len(course.told) - 1:
             continue
         told = course.told[restart]
-        # A row a parameter keeps the first step below a factor of e or so.
+        # One unit row per parameter limits the first step to about a factor of e.
         first = np.vstack([LinearisedProblem(problem, course.origin).jacobian, np.eye(t)])
         spread = np.linalg.inv(np.linalg.qr(first, mode="r"))
         random = np.random.default_rng([seed, restart])
@@ -518,7 +515,7 @@ def run_cma_es(
             costs, states = _profile_cost(linear, theta)
             flown = best.simulations + len(theta) * len(problem.records)
             k = int(np.argmin(costs))
-            # Is the best trial as good as it seems? Then start values are counted from there.
+            # If simulation confirms the cost of the best trial, this trial becomes the reference of the initial states.
             if costs[k] < best.cost:
                 own = [s[k] for s in states]
                 cost = float(problem.compute_cost(theta[k][None], [s[None] for s in own])[0])
@@ -539,7 +536,7 @@ def run_cma_es(
 
 
 def _profile_cost(linear: LinearisedProblem, theta: _Array) -> tuple[_Array, list[_Array]]:
-    """Return costs (b,) at the best start values of the linearised problem, and those, (b, windows, k) a record."""
+    """Return costs (b,) at the best initial states of the linearised problem, and these states by record."""
     problem, b = linear.problem, len(theta)
     costs = 0.5 * np.sum((theta / problem.prior_std) ** 2, axis=1)
     costs = costs + 0.5 * np.sum(problem.hover_residual(theta) ** 2, axis=1)

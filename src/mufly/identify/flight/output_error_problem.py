@@ -1,21 +1,20 @@
-"""One description of an output-error problem, for every method that solves it.
+"""Output-error problem of a flight fit: records, free parameters, residuals and cost.
 
-Free parameters ``theta`` and, for every window of every record, the motion ``s`` at its start are sought such that the
-simulated outputs come nearest to the measured ones::
+The unknowns are the free parameters ``theta`` and the initial state ``s`` of every window of every record. They
+minimise the weighted difference of measured and simulated outputs::
 
     J = 1/2 sum ((y_measured - y_simulated(theta, s)) / noise)^2 + 1/2 |theta / prior|^2 + 1/2 |s / spread|^2
 
-(Maine and Iliff, NASA RP 1168; Jategaonkar, ch. 4). ``s`` is counted from the smoothed measurement, and its
-``initial_state_std`` is so wide that it only keeps unmeasured states from running away. Short windows (multiple
-shooting) keep the sum of squares smooth far from the solution; a record with one window is the problem that is meant.
-In that one the rotors' speeds and the bar at the start are sought too, counted from steady motors and a bar square to
-the mast.
+(Maine and Iliff, NASA RP 1168; Jategaonkar, ch. 4). ``s`` is the deviation from the smoothed measurement. Its
+standard deviation ``spread`` (``initial_state_std``) is wide and only bounds unmeasured states. Short windows (multiple
+shooting) keep the sum of squares smooth far from the solution; the final problem has one window per record. With one
+window, the initial rotor speeds and bar tilt are unknowns, too, relative to steady motors and a bar normal to the mast.
 
-Hover (thesis eq. 5.1): on average over a flight thrust carries weight and drag, and the rotors' torques are equal.
-At the mean motor inputs these two equations are added as measurements of one per cent or so, while windows are short.
+Hover (thesis eq. 5.1): on average over a flight the thrust equals weight and drag, and the rotor torques are equal.
+With short windows these two equations at the mean motor inputs are added as measurements of about 1 %.
 
-Parts (thesis Sec. 5.3.3): ``heave-yaw`` keeps the vehicle upright and servos at rest; ``roll-pitch`` lets the rotors
-turn at the hover speed of the parameters at hand; ``both`` flies the whole model.
+Parts (thesis Sec. 5.3.3): ``heave-yaw`` keeps the vehicle upright and the servos at rest. ``roll-pitch`` keeps the
+rotors at the hover speed of the present parameters. ``both`` simulates the whole model.
 """
 
 from __future__ import annotations
@@ -93,33 +92,34 @@ MOTION_STATES = (
 )
 ACTUATOR_STATES = ("speed_up", "speed_dw", "bar_roll", "bar_pitch", "charge")
 AC_BAR, AC_CHARGE = 2, 4  # indices into ACTUATOR
-# Spread of the start of a window about the smoothed measurement; speeds as a share of the steady speed.
+# Prior standard deviation of a window's initial state (SI); rotor speeds relative to the steady speed.
 _INITIAL_STATE_STD = np.array([1, 1, 1, 2, 2, 2, 0.5, 0.5, 0.5, 3, 3, 3, 0.2, 0.2, 0.2, 0.2, 0.3])
-# Motion that can be sought from an output; speeds and bar likewise.
+# Initial states that each output determines.
 _STATES_SEEN_BY_OUTPUT = {
     "north": (MO_POS, MO_VEL), "east": (MO_POS + 1, MO_VEL + 1), "height": (MO_POS + 2, MO_VEL + 2),
     "v_north": (MO_VEL,), "v_east": (MO_VEL + 1,), "climb": (MO_VEL + 2,),
     "roll": (MO_EULER, MO_RATES), "pitch": (MO_EULER + 1, MO_RATES + 1), "yaw": (MO_EULER + 2, MO_RATES + 2),
     "p": (MO_RATES,), "q": (MO_RATES + 1,), "r": (MO_RATES + 2,),
 }  # fmt: skip
-# Small enough that the bend of a whole record's valley does not show, and far above round-off.
+# Difference steps: small against the curvature of the cost over a whole record, and far above round-off.
 _THETA_DIFFERENCE, _STATE_DIFFERENCE = 1e-7, 1e-6
 _HOVER_TOLERANCE = 0.02
-_MIN_START_SAMPLES = 20  # samples from which a start is sought
-_ROLL_PITCH_VOLTAGE = 100.0  # of roll-pitch, where motors only have to hold their speed
+_MIN_START_SAMPLES = 20  # least number of samples for the fit of an initial state
+_ROLL_PITCH_VOLTAGE = 100.0  # V, for roll-pitch, where the motors only hold their speed
 
 
 @dataclass(frozen=True, eq=False)
 class LinearisedRecord:
-    """One record linearised about a point: whitened residual and its derivatives.
+    """Record linearised about a point: whitened residual and its derivatives.
 
     Attributes
     ----------
     whitened_residual : (n, m) array
-        (simulated - measured) / noise, zero where nothing was measured.
+        (simulated - measured) / noise, zero without a measurement.
     theta_jacobian : (n, m, t) array
+        Derivative with respect to ``theta``.
     state_jacobian : (n, m, k) array
-        Derivative by the ``k`` start values of the window that holds the sample.
+        Derivative with respect to the ``k`` initial states of the sample's window.
     """
 
     whitened_residual: _Array
@@ -129,31 +129,31 @@ class LinearisedRecord:
 
 @dataclass(frozen=True, eq=False)
 class PreparedRecord:
-    """A record made ready for the simulation: what is compared, and what its windows start from.
+    """Record prepared for the simulation: measured outputs, inputs, and reference of the initial states.
 
     Attributes
     ----------
-    record : Record
+    record : FlightRecord
     noise_std : (m,) array
-        Standard deviation of its outputs.
+        Standard deviation of the output noise (SI).
     smoothed_motion, mast_direction : (n, 12), (n, 3) array
-        Smoothed measurement, and the direction of the mast in it.
+        Smoothed measurement (SI), and the mast direction from it.
     inputs : (n, 4) array
-    base, powers
-        Of :func:`log_scaled_parameters`.
+    base_parameters, parameter_powers
+        Results of :func:`log_scaled_parameters`.
     initial_charge : float
-        Of the battery at the start, as far as it is not sought.
+        State of charge at the start, unless it is an unknown.
     constant_voltage : float or None
-        Battery voltage (V) that is held; None for the vehicle's battery model.
+        Constant battery voltage (V); None for the vehicle's battery model.
     initial_offset : (17,) array
-        What the first start is counted from beyond the smoothed measurement, as ``MOTION + ACTUATOR``: horizontal
-        velocity where it is not measured, speeds as a share of the steady ones, tilts.
+        Offset of the first initial state from the smoothed measurement, ordered as ``MOTION + ACTUATOR``: unmeasured
+        horizontal velocity, rotor speeds relative to the steady speeds, tilts.
     first_and_mean_voltage : (float, float)
-        Voltage in the first moments and on average.
+        Initial and mean voltage (V).
     window_starts : (windows,) array
-        First samples of the windows.
+        First sample of every window.
     sought_states : (k,) array
-        Start values that are sought, as positions in ``MOTION + ACTUATOR``.
+        Unknown initial states, as positions in ``MOTION + ACTUATOR``.
     """
 
     record: FlightRecord
@@ -173,7 +173,7 @@ class PreparedRecord:
 
 @dataclass(frozen=True, eq=False)
 class OutputErrorProblem:
-    """What :func:`make_problem` returns: records, parameters and how they are compared."""
+    """Output-error problem: prepared records, free parameters and options; see :func:`make_problem`."""
 
     vehicle: Vehicle
     free_parameters: tuple[FreeParameter, ...]
@@ -182,16 +182,16 @@ class OutputErrorProblem:
     with_hover_residual: bool
     with_prior: bool
     delay_s: float
-    ignored_start_s: float = 0.0  # at the beginning of every record, where nothing is compared
+    ignored_start_s: float = 0.0  # time at the beginning of every record without residuals
 
     @property
     def records(self) -> tuple[FlightRecord, ...]:
-        """The records, with the outputs that are compared."""
+        """Records with the outputs that enter the cost."""
         return tuple(f.record for f in self.prepared_records)
 
     @property
     def window_starts(self) -> tuple[NDArray[np.int64], ...]:
-        """First samples of the windows of every record."""
+        """First sample of every window, by record."""
         return tuple(f.window_starts for f in self.prepared_records)
 
     @property
@@ -208,21 +208,21 @@ class OutputErrorProblem:
         return std if self.with_prior else np.full(len(std), np.inf)
 
     def zero_initial_states(self) -> list[_Array]:
-        """Return start values that are those of the smoothed measurement: zeros, (windows, k) a record."""
+        """Return initial states equal to the smoothed measurement: zeros, (windows, k) per record."""
         return [np.zeros((len(f.window_starts), len(f.sought_states))) for f in self.prepared_records]
 
     def initial_state_std(self, i: int) -> _Array:
-        """Return the spread of the start values sought in record ``i``, (k,)."""
+        """Return the prior standard deviation of the unknown initial states of record ``i``, (k,)."""
         return _INITIAL_STATE_STD[self.prepared_records[i].sought_states]
 
     def _replace_in_records(self, **changed: Sequence[Any]) -> OutputErrorProblem:
-        """Return the problem with fields of its records changed, a value a record."""
+        """Return the problem with changed fields of its records, one value per record."""
         rows = [dict(zip(changed, values, strict=True)) for values in zip(*changed.values(), strict=True)]
         flights = tuple(dataclasses_replace(f, **row) for f, row in zip(self.prepared_records, rows, strict=True))
         return dataclasses_replace(self, prepared_records=flights)
 
     def with_windows(self, length_s: float | None, *, hover: bool = False) -> OutputErrorProblem:
-        """Return the same problem with windows of this length (None: each record is one), hover added or not."""
+        """Return the problem with windows of this length (None: one per record), with or without hover equations."""
         starts, sought = [], []
         for r in self.records:
             n = len(r.time_s)
@@ -235,7 +235,7 @@ class OutputErrorProblem:
         )
 
     def with_held_parameters(self) -> tuple[OutputErrorProblem, int]:
-        """Return the problem with the parameters that are held appended to the free ones, and how many are free."""
+        """Return the problem with the held parameters appended to the free ones, and the number of free parameters."""
         held = list_held_parameters(
             self.vehicle, self.free_parameters, self.delay_s, self.prepared_records[0].constant_voltage
         )
@@ -263,19 +263,19 @@ class OutputErrorProblem:
         return dataclasses_replace(self, prepared_records=tuple(flights))
 
     def with_noise(self, noise: Sequence[_Array]) -> OutputErrorProblem:
-        """Return the problem with other noise."""
+        """Return the problem with these noise standard deviations, (m,) per record."""
         return self._replace_in_records(noise_std=noise)
 
     def with_initial_offset(self, begin: Sequence[_Array]) -> OutputErrorProblem:
-        """Return the problem with rotors, bars and batteries that begin so."""
+        """Return the problem with these offsets of the initial states, (17,) per record."""
         return self._replace_in_records(initial_offset=begin)
 
     def with_charges(self, charge: Sequence[float]) -> OutputErrorProblem:
-        """Return the problem with these charges of the batteries."""
+        """Return the problem with these initial states of charge, one per record."""
         return self._replace_in_records(initial_charge=charge)
 
     def with_matched_charge(self, theta: _Array) -> OutputErrorProblem:
-        """Return the problem with batteries charged such that the mean voltage is the measured one at ``theta``."""
+        """Return the problem with charges for which the mean voltage at ``theta`` equals the measured mean."""
         curve = self.vehicle.battery.open_circuit_voltage
         charges = [f.initial_charge for f in self.prepared_records]
         for i, f in enumerate(self.prepared_records):
@@ -292,7 +292,7 @@ class OutputErrorProblem:
         return self.with_charges(charges)
 
     def simulate_record(self, i: int, theta: _Array, states: _Array) -> _Array:
-        """Return the outputs of record ``i`` (b, n, m) for ``theta`` (b, t) and start values (b, windows, k)."""
+        """Return the outputs of record ``i`` (b, n, m) for ``theta`` (b, t) and initial states (b, windows, k)."""
         f, r, b = self.prepared_records[i], self.records[i], len(theta)
         p = parameters_at_theta(f.base_parameters, f.parameter_powers, theta)
         values = theta_to_values(self.free_parameters, theta)
@@ -339,13 +339,13 @@ class OutputErrorProblem:
         return y
 
     def _velocity_follows_attitude(self, i: int) -> bool:
-        """Whether horizontal velocity, which windows need and nobody measured, is to follow from the attitude."""
+        """Return whether the windows need an unmeasured horizontal velocity that follows from the attitude."""
         f = self.prepared_records[i]
         tilt = {"roll", "pitch"} <= set(f.record.outputs)
         return tilt and len(f.window_starts) > 1 and not {3, 4} & set(f.sought_states.tolist())
 
     def record_residual(self, i: int, theta: _Array, states: _Array) -> _Array:
-        """Return (simulated - measured) / noise of record ``i``, (b, n, m); zero where nothing was measured."""
+        """Return (simulated - measured) / noise of record ``i``, (b, n, m); zero without a measurement."""
         y = self.simulate_record(i, theta, states)
         y -= self.records[i].measured
         y /= self.prepared_records[i].noise_std
@@ -357,11 +357,11 @@ class OutputErrorProblem:
         return [self.record_residual(i, theta, s) for i, s in enumerate(states)]
 
     def compute_cost(self, theta: _Array, states: Sequence[_Array]) -> _Array:
-        """Return ``J`` (b,) for ``theta`` (b, t) and, a record, start values (b, windows, k)."""
+        """Return the cost ``J`` (b,) for ``theta`` (b, t) and initial states (b, windows, k) per record."""
         return self.cost_of_residuals(theta, states, self.all_residuals(theta, states))
 
     def cost_of_residuals(self, theta: _Array, states: Sequence[_Array], residuals: Sequence[_Array]) -> _Array:
-        """Return ``J`` (b,) when the residuals (b, n, m) of the records are known."""
+        """Return the cost ``J`` (b,) from the residuals (b, n, m) of all records."""
         total = 0.5 * np.sum((theta / self.prior_std) ** 2, axis=1)
         for i, (s, e) in enumerate(zip(states, residuals, strict=True)):
             total = total + 0.5 * np.einsum("bnm,bnm->b", e, e)
@@ -369,9 +369,9 @@ class OutputErrorProblem:
         return total + 0.5 * np.sum(self.hover_residual(theta) ** 2, axis=1)
 
     def linearise_record(self, i: int, theta: _Array, states: _Array) -> LinearisedRecord:
-        """Return record ``i`` linearised about ``theta`` (t,) and start values (windows, k), by differences.
+        """Return record ``i`` linearised about ``theta`` (t,) and initial states (windows, k), by differences.
 
-        All windows move in one flight: a start value acts on its own window alone.
+        One simulation perturbs all windows together, because an initial state affects only its own window.
         """
         t, k = len(theta), states.shape[1]
         thetas = np.repeat(theta[None], 1 + t + k, axis=0)
@@ -383,7 +383,7 @@ class OutputErrorProblem:
         return LinearisedRecord(e[0], slope[..., :t] / _THETA_DIFFERENCE, slope[..., t:] / _STATE_DIFFERENCE)
 
     def initial_state_jacobian(self, i: int, theta: _Array, states: _Array) -> tuple[_Array, _Array]:
-        """Return the residual (n, m) of record ``i`` and its derivative (n, m, k) by the start values alone."""
+        """Return the residual (n, m) of record ``i`` and its derivative (n, m, k) by the initial states."""
         k = states.shape[1]
         starts = np.repeat(states[None], 1 + k, axis=0)
         starts[1 + np.arange(k), :, np.arange(k)] += _STATE_DIFFERENCE
@@ -391,7 +391,7 @@ class OutputErrorProblem:
         return e[0], np.moveaxis(e[1:] - e[0], 0, -1) / _STATE_DIFFERENCE
 
     def hover_residual(self, theta: _Array) -> _Array:
-        """Return what eq. 5.1 lacks at the mean motor inputs, over its tolerance, (b, 2 records) or (b, 0)."""
+        """Return the residual of eq. 5.1 at the mean motor inputs over its tolerance, (b, 2 records) or (b, 0)."""
         if not self.with_hover_residual or self.dynamics_part == "roll-pitch":
             return np.zeros((len(theta), 0))
         out = []
@@ -415,28 +415,28 @@ def make_problem(
     Parameters
     ----------
     vehicle : Vehicle
-        Start values, and everything that is not free.
-    free : sequence of Free
+        Start values, and all parameters that are not free.
+    free : sequence of FreeParameter
         See :func:`mufly.identify.choose_free_parameters`.
-    records : sequence of Record
-        Checked by :func:`mufly.identify.check_record`.
+    records : sequence of FlightRecord
+        Records, checked by :func:`mufly.identify.check_record`.
     part : {"both", "heave-yaw", "roll-pitch"}
     outputs : sequence of str, optional
-        Use these of the measured outputs only.
+        Measured outputs to use; by default all.
     voltage : {"measured", "model", "nominal"} or float
-        Battery voltage that the motors get: as recorded (nominal where it was not), from the vehicle's battery
-        model, nominal, or this one (V).
+        Battery voltage of the motors: as recorded (nominal without a record), from the vehicle's battery model,
+        nominal, or this value (V).
     delay_s : float
-        Time from the recorded input to the vehicle (s), unless it is free.
+        Delay from the recorded input to the vehicle (s), unless it is free.
     prior : bool
-        Let the provenance of the start values weigh in.
+        Whether priors from the provenance of the start values enter the cost.
 
     Raises
     ------
     InputError
         If a record holds none of the outputs.
     """
-    # A measured voltage that is an input cannot be an output as well.
+    # A measured voltage used as input cannot be an output, too.
     wanted = [o for o in PART_OUTPUTS[part] if (outputs is None or o in outputs)]
     wanted = [o for o in wanted if o != "voltage" or voltage == "model"]
     flights = []
@@ -457,7 +457,7 @@ def _prepare_record(
     part: DynamicsPart,
     volts: _Array | float | None,
 ) -> PreparedRecord:
-    """Make a record ready; ``first_and_mean_voltage`` None for the vehicle's battery model."""
+    """Prepare a record for the simulation; ``volts`` is None for the vehicle's battery model."""
     u, motion, charge = r.inputs.copy(), smooth_motion(r), 1.0
     if part == "heave-yaw":
         u[:, 2:] = 0.0
@@ -465,7 +465,7 @@ def _prepare_record(
     if volts is None:
         charge = _initial_charge(vehicle, r)
     elif np.ndim(volts) > 0:
-        # Only duty times voltage counts, so a voltage that varies is put into the duty, exactly.
+        # Only the product of duty and voltage matters, so the duty includes a varying voltage exactly.
         top = float(np.max(volts))
         u[:, :2] = np.clip(u[:, :2], 0.0, 1.0) * (np.asarray(volts) / top)[:, None]
         volts = top
@@ -514,7 +514,7 @@ def _motor_voltage(vehicle: Vehicle, r: FlightRecord, voltage: str | float) -> _
 
 
 def _initial_charge(vehicle: Vehicle, r: FlightRecord) -> float:
-    """Return the charge at which the open-circuit voltage is what was measured first, plus a usual sag."""
+    """Return the charge whose open-circuit voltage equals the first measured voltage plus a typical sag."""
     if r.voltage is None:
         return 0.5
     curve, sag = vehicle.battery.open_circuit_voltage, 3.0 * float(vehicle.battery.internal_resistance)
@@ -523,9 +523,9 @@ def _initial_charge(vehicle: Vehicle, r: FlightRecord) -> float:
 
 
 def _choose_sought_states(outputs: Sequence[str], part: DynamicsPart, *, whole: bool, drags: bool) -> NDArray[np.int64]:
-    """Return which start values of ``MOTION + ACTUATOR`` are sought, given what is measured.
+    """Return the unknown initial states, as positions in ``MOTION + ACTUATOR``, for the measured outputs.
 
-    Where rotors drag in their planes the tilt tells of the velocity, as it does of the bar: over a whole record.
+    With in-plane rotor drag the tilt over a whole record also determines the horizontal velocity.
     """
     chosen = {k for o in outputs for k in _STATES_SEEN_BY_OUTPUT.get(o, ())}
     n = len(MOTION_STATES)

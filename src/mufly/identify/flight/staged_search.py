@@ -1,29 +1,27 @@
-"""The way to the minimum: windows that grow, noise that is learnt, and a vehicle with its rotors exchanged.
+"""Staged search for the minimum of a flight fit: growing windows, noise estimation, and exchanged rotors.
 
-1. Hover (eq. 5.1) alone, with the priors: thrust carries the weight, torques balance.
-2. Windows of 0.1, 0.4, 1.5, 3 and 6 s. Before each the batteries' charges are set so that the model's mean voltage is
-   the measured one.
-3. The whole record (or the windows that are asked for), with rotor speeds, bar and charge at the start free.
-4. The noise of every output is taken from the residuals, and 3 repeated, until it stays (Maine and Iliff's relaxation).
+1. Hover (eq. 5.1) alone, with the priors: thrust equals weight, and the torques balance.
+2. Windows of 0.1, 0.4, 1.5, 3 and 6 s. Before each stage the batteries' charges are set so that the model's mean
+   voltage equals the measured mean.
+3. The whole record (or windows of a given length), with free initial rotor speeds, bar tilt and charge.
+4. The noise of every output is estimated from the residuals and stage 3 repeated (Maine and Iliff's relaxation).
 
-At the true parameters the residuals of every stage are the sensors' noise, so each has its minimum near the truth. That
-is so because nothing that a window begins with is wrong by more than noise: rotors, battery and bar run through, the
-horizontal velocity follows from the measured attitude, and the motors' voltage is the model's own (the measured one,
-smoothed and as late as the inputs, falls short of the sag under a chirp of 3 Hz; yaw rates were then off by three times
-their noise).
+At the true parameters the residuals of every stage are sensor noise, so each stage has its minimum near the truth.
+The reason is that no initial state of a window is wrong by more than noise. Rotors, battery and bar continue through
+all windows, and the horizontal velocity follows from the measured attitude. The motor voltage comes from the model:
+the smoothed and delayed measured voltage does not follow the sag under a chirp of 3 Hz.
 
-**Rotors exchanged.** A second minimum stays. The two rotors differ in little but their inertias (the upper one
-carries the bar, its pole lies at -1.5 rad/s, the lower one's at -4): common motor input makes heave by the sum of the
-two lags, which does not change when they change places, and yaw by their difference, whose sign inertia about the
-mast, reaction and delay can imitate over a tenth of a second. In windows of 0.1 s the costs of the two differ by 50
-of 12 000, in those of 0.4 s by some hundred. A descent does not pass from one to the other, so both are followed: the
-vehicle that the first windows found, and the same with the inertias of its rotors exchanged, until their costs tell
-them apart. Where they never do, the fit says so, and names what the other one says.
+**Exchanged rotors.** A second minimum exists, because the two rotors differ mainly in their inertias (poles at
+-1.5 rad/s for the upper rotor with the bar, -4 rad/s for the lower rotor). Common motor input causes heave by the sum
+of the two lags, which an exchange does not change. It causes yaw by their difference, whose sign the yaw inertia, the
+reaction torque and the delay can imitate over 0.1 s. In windows of 0.1 s the two costs differ by 50 of 12 000, in
+windows of 0.4 s by about a hundred. Descent does not pass from one minimum to the other, so the search follows both:
+the vehicle from the first windows, and the same vehicle with exchanged rotor inertias. It stops the worse search when
+the costs differ decisively. If they never do, the fit reports the ambiguity and the other estimates.
 
-Where a search stands is kept on disk, written after every iteration, so that a stopped fit goes on from its last one:
-a JSON file beside the result, replaced as a whole each time (a crash in mid-write leaves the one before). It holds a
-digest of the problem, so that a fit does not go on from another one's. The way from the exchanged vehicle is not
-kept: it is gone again.
+A checkpoint on disk holds the state of the search after every iteration, so that a stopped fit can resume. It is a
+JSON file beside the result and is replaced atomically. It holds a digest of the problem, so that a fit does not
+resume from the checkpoint of another fit. The search from the exchanged vehicle is not stored and is repeated.
 """
 
 from __future__ import annotations
@@ -49,22 +47,22 @@ from mufly.identify.flight_record import FlightRecord
 _Array = NDArray[np.float64]
 FitMethod = Literal["lm", "cma"]
 
-CHARGING_WINDOW_S = 1.5  # in which the voltage is simulated that sets the battery's charge
+CHARGING_WINDOW_S = 1.5  # window length of the simulated voltage that sets the battery charge
 _WINDOW_LENGTHS_S = (0.1, 0.4, 1.5, 3.0, 6.0)
 _MIN_WINDOW_SAMPLES = 8
-_ROTOR_TRANSIENT_S = 2.0  # in which rotors forget the speed that they began with, which is a guess while parameters are
-_VOLTAGE_NOISE_FACTOR = 5.0  # voltage counts less while the battery's charge is not sought
+_ROTOR_TRANSIENT_S = 2.0  # decay time of errors of the initial rotor speeds
+_VOLTAGE_NOISE_FACTOR = 5.0  # factor on the voltage noise while the battery charge is not an unknown
 _NOISE_RELAXATIONS = 2
 _SWAPPABLE_ROTOR_INERTIAS = (("Jdrive_up", "Jdrive_dw"), ("Jrot_up", "Jrot_dw"))
 _DECISIVE_LIKELIHOOD_DIFFERENCE = (
-    25.0  # difference of minus log likelihood that decides, over what residuals are above the noise
+    25.0  # decisive difference of the negative log-likelihood, per mean square whitened residual
 )
-_SAME_MINIMUM_TOLERANCE = 0.02  # of theta: two ways have come to one place
+_SAME_MINIMUM_TOLERANCE = 0.02  # largest difference in theta of equal minima
 
 
 @dataclass(frozen=True)
 class FitProgress:
-    """Where a fit stands: stage ``stage`` of ``stage_count``, ``iteration`` in it of at most ``max_iterations``."""
+    """Progress of a fit: stage ``stage`` of ``stage_count``, ``iteration`` of at most ``max_iterations`` in it."""
 
     stage: int
     stage_count: int
@@ -100,7 +98,7 @@ def plan_stages(records: Sequence[FlightRecord], method: FitMethod, window_s: fl
 
 @dataclass
 class _StageEnd:
-    """What a stage ended with: minus the logarithm of the likelihood, mean square of the residuals, parameters."""
+    """Result of a stage: negative log-likelihood, mean square of the whitened residuals, parameters."""
 
     unlikely: float
     scale: float
@@ -117,15 +115,15 @@ class _StageEnd:
 
 @dataclass
 class _SearchState:
-    """What a checkpoint holds of the course of a fit."""
+    """State of the search that a checkpoint stores."""
 
     stage: int = 0
     round: int = 0
     iteration: int = 0
-    inside: bool = False  # of the stage, otherwise at its beginning
-    first: list[float] | None = None  # theta after the first stage, as long as the exchanged vehicle is not ruled out
-    alone: bool = False  # it is, or never was in question
-    ends: list[_StageEnd] = field(default_factory=list)  # of the stages
+    inside: bool = False  # within a stage, not at its beginning
+    first: list[float] | None = None  # theta after the first stage, until the exchanged vehicle is excluded
+    alone: bool = False  # the exchanged vehicle is excluded or was never a candidate
+    ends: list[_StageEnd] = field(default_factory=list)  # results of the finished stages
     history: list[dict[str, Any]] = field(default_factory=list)
     point: FitPoint | None = None
     noise: list[_Array] | None = None
@@ -135,7 +133,7 @@ class _SearchState:
 
 
 class StagedSearch:
-    """The course of one fit."""
+    """Staged search of one fit, with checkpoints."""
 
     def __init__(
         self, final: OutputErrorProblem, stages: list[_SearchStage], method: FitMethod, seed: int, restarts: int,
@@ -150,7 +148,7 @@ class StagedSearch:
         self.state = _SearchState()
 
     def use_checkpoint(self, place: Path | None, digest: str) -> None:
-        """Keep a checkpoint there, and take up what it holds."""
+        """Write checkpoints to ``place``, and resume from an existing one."""
         self._checkpoint_path, self._problem_digest = place, digest
         kept = None if place is None else read_answer(place, digest, damaged=_DAMAGED, other=_OTHER_FIT)
         if kept is not None:
@@ -167,7 +165,10 @@ class StagedSearch:
                 )
 
     def search_minimum(self) -> tuple[FitPoint, OutputErrorProblem, bool, tuple[str, ...]]:
-        """Run to the end, from the exchanged vehicle too until costs tell them apart; what stays open, in words."""
+        """Run all stages, also from the exchanged vehicle until the costs decide.
+
+        Return the point, the last problem, whether the search converged, and descriptions of remaining ambiguities.
+        """
         doubt = ""
         if len(self._stages) > 1 and self._method == "lm" and not self.state.alone:
             if self.state.first is None:
@@ -183,7 +184,7 @@ class StagedSearch:
         return point, problem, converged, (doubt,) if doubt else ()
 
     def _with_rotors_exchanged(self, theta: _Array) -> StagedSearch | None:
-        """Return a run that begins with the rotors' inertias exchanged; None where they are not free."""
+        """Return a search that starts with exchanged rotor inertias; None if no pair of them is free."""
         at = {f.symbol: k for k, f in enumerate(self._final_problem.free_parameters)}
         pairs = [(at[a], at[b]) for a, b in _SWAPPABLE_ROTOR_INERTIAS if a in at and b in at]
         if not pairs:
@@ -203,7 +204,7 @@ class StagedSearch:
         return other
 
     def _keep_better_run(self, other: StagedSearch, k: int) -> str:
-        """Go on with the better of two runs that have ended stage ``k``; what stays open after the last, in words."""
+        """Keep the better of two searches after stage ``k``; return the ambiguity that remains after the last stage."""
         mine, its = self.state.ends[k], other.state.ends[k]
         rise = its.unlikely - mine.unlikely
         there, last = np.array(its.theta) - np.array(mine.theta), k + 1 == len(self._stages)
@@ -232,14 +233,14 @@ class StagedSearch:
         )
 
     def run_stages(self, stages: int | None = None) -> tuple[FitPoint, OutputErrorProblem, bool]:
-        """Run from where it stands to the end, or until so many stages are done."""
+        """Run the remaining stages, up to ``stages`` in total."""
         for k in range(self.state.stage, len(self._stages) if stages is None else stages):
             self._last_result = self._run_stage(k)
             self.state.stage, self.state.round, self.state.inside = k + 1, 0, False
         return self._last_result
 
     def _run_stage(self, k: int) -> tuple[FitPoint, OutputErrorProblem, bool]:
-        """Go through stage ``k``, from where it was left if it was."""
+        """Run stage ``k``, resumed from its last iteration if it was interrupted."""
         state, stage, final = self.state, self._stages[k], self._final_problem
         last, left = k == len(self._stages) - 1, state.inside
         theta = self._solve_hover() if state.point is None else state.point.theta
@@ -284,7 +285,7 @@ class StagedSearch:
     def _resolve_from_new_starts(
         self, problem: OutputErrorProblem, point: FitPoint, stage: _SearchStage, k: int, converged: bool
     ) -> tuple[FitPoint, bool]:
-        """Solve again if the starts of the records are better sought anew at the parameters that were found."""
+        """Repeat the minimisation if a new search for the initial states lowers the cost."""
         found = find_initial_states(problem, point.theta)
         cost = float(problem.compute_cost(point.theta[None], [s[None] for s in found.initial_states])[0])
         flown = point.simulations + found.simulation_count
@@ -297,7 +298,7 @@ class StagedSearch:
         if hover.dynamics_part == "roll-pitch":
             return np.zeros(len(hover.free_parameters))
         low, high = hover.bounds
-        # Wide priors keep what hover does not see where it was.
+        # Wide priors keep the parameters that hover does not determine at their start values.
         std = np.minimum(hover.prior_std, 1.0)
 
         def hover_and_prior_residual(t: _Array) -> _Array:
@@ -362,7 +363,7 @@ def _noise_from_residuals(problem: OutputErrorProblem, point: FitPoint) -> list[
 
 
 def problem_digest(problem: OutputErrorProblem, method: str) -> str:
-    """Return a digest of everything that the course of a fit depends on."""
+    """Return a hash of all inputs that determine the course of a fit."""
     parts: list[object] = [
         method,
         problem.dynamics_part,

@@ -1,17 +1,17 @@
-"""Bandwidth and phase delay of an attitude's response to a stick, as ADS-33 defines them.
+"""Bandwidth and phase delay of the attitude response to a stick input, as defined by ADS-33.
 
 ADS-33E-PRF, *Handling Qualities Requirements for Military Rotorcraft*, 2000, Sec. 3.3.2.1 and Fig. 2; Hoh, Mitchell,
 Ashkenas, Klein, Heffley and Hodgkinson 1982, AFWAL-TR-82-3081. With the phase ``Phi`` (deg) of attitude over stick and
-``w_180`` where it first is -180 deg:
+the lowest frequency ``w_180`` at which the phase is -180 deg:
 
     w_phase:  Phi = -135 deg, 45 deg of phase margin
-    w_gain:   the gain is 6 dB above that at w_180
+    w_gain:   the gain is 6 dB above the gain at w_180
     tau_p   = -(Phi(2 w_180) + 180) / (57.3 * 2 w_180)
 
-The bandwidth of a rate response (rate command, attitude hold) is the lesser of the two; of an attitude response it is
-``w_phase``, and a ``w_gain`` below it, or none, warns of oscillations that the pilot causes. Where the phase bends
-between ``w_180`` and ``2 w_180`` the standard takes a straight line through it, by least squares; it stands beside.
-Deviations carry the random error of the response over the local slope of phase or gain.
+The bandwidth of a rate response (rate command, attitude hold) is the smaller of the two. The bandwidth of an attitude
+response is ``w_phase``; a ``w_gain`` below it, or none, warns of pilot-induced oscillations. For a phase that is curved
+between ``w_180`` and ``2 w_180`` the standard uses a least-squares line, which is reported as well. Standard deviations
+are the random error of the response over the local slope of phase or gain.
 """
 
 from __future__ import annotations
@@ -29,23 +29,23 @@ _PHASE_MARGIN_DEG, _GAIN_MARGIN_DB = 45.0, 6.0
 
 @result
 class Bandwidth:
-    """Bandwidth and phase delay; NaN where the data do not reach, or there is none.
+    """Bandwidth and phase delay; NaN if a value does not exist or lies outside the data.
 
     Attributes
     ----------
     bandwidth_rad_s : float
-        The lesser of both, for a rate response.
+        Bandwidth of a rate response: the smaller of ``phase_rad_s`` and ``gain_rad_s``.
     phase_rad_s, gain_rad_s : float
-        By phase margin, and by gain margin.
+        Bandwidth by phase margin, and by gain margin.
     crossing_rad_s : float
-        Where the phase is -180 deg.
+        Lowest frequency with a phase of -180 deg.
     phase_delay_s : float
     phase_delay_line_s : float
-        By a straight line through the phase from ``crossing_rad_s`` to twice that.
+        Phase delay from a least-squares line through the phase from ``crossing_rad_s`` to twice this frequency.
     bandwidth_std_rad_s, phase_std_rad_s, gain_std_rad_s, crossing_std_rad_s, phase_delay_std_s : float
         Standard deviations.
     notes : tuple of str
-        What could not be had, and why.
+        Missing values and the reasons.
     """
 
     bandwidth_rad_s: float
@@ -63,21 +63,21 @@ class Bandwidth:
 
 
 def measure_bandwidth(frequency_hz: Array, response: ComplexArray, error: Array | None = None) -> Bandwidth:
-    """Read bandwidth and phase delay off a response.
+    """Compute bandwidth and phase delay from a frequency response.
 
     Parameters
     ----------
     frequency_hz : (f,) array
-        Rising; close enough that the phase turns less than half a circle from one to the next.
+        Increasing frequencies, so close that the phase changes by less than 180 deg between neighbours.
     response : (f,) complex array
-        Attitude over stick; points that are not coherent are best left out, or NaN.
+        Attitude over stick; incoherent points should be omitted or NaN.
     error : (f,) array, optional
-        Relative standard deviation of the magnitude, which is that of the phase in radians.
+        Relative standard deviation of the magnitude, which equals the standard deviation of the phase (rad).
 
     Raises
     ------
     InputError
-        If there are fewer than four points, or the phase begins where no attitude's does: a turned sign.
+        If there are fewer than four points, or the initial phase is impossible for an attitude: an inverted sign.
     """
     good = np.isfinite(response) & (np.abs(np.nan_to_num(response)) > 0.0)
     w, h = 2.0 * np.pi * np.asarray(frequency_hz)[good], np.asarray(response)[good]
@@ -85,7 +85,9 @@ def measure_bandwidth(frequency_hz: Array, response: ComplexArray, error: Array 
     if len(w) < 4:
         raise InputError("bandwidth", "", f"{len(w)} points", "give four or more, coherent ones")
     phase = np.degrees(np.unwrap(np.angle(h)))
-    phase -= 360.0 * np.round((phase[0] + 90.0) / 360.0)  # an attitude begins between 0 and -180 deg
+    phase -= 360.0 * np.round(
+        (phase[0] + 90.0) / 360.0
+    )  # initial phase of an attitude response: between 0 and -180 deg
     if phase[0] > 45.0:
         raise InputError(
             "bandwidth", "", f"the phase begins at {phase[0]:+.0f} deg, where an attitude's begins between 0 and -180",
@@ -109,7 +111,7 @@ def measure_bandwidth(frequency_hz: Array, response: ComplexArray, error: Array 
     else:
         level = float(np.interp(np.log(at_180), np.log(w), gain))
         low = w <= at_180
-        # The level is in doubt by its own error, and because the frequency at which it is taken is.
+        # The uncertainty of the level includes its own error and the error of the crossing frequency.
         at = int(np.searchsorted(w, at_180))
         doubt = np.hypot(np.interp(at_180, w, sigma_gain), _local_slope(w, gain, at - 1) * std_180)
         at_gain, std_gain = _find_crossing(
@@ -151,7 +153,7 @@ def measure_bandwidth(frequency_hz: Array, response: ComplexArray, error: Array 
 
 
 def _find_crossing(w: Array, y: Array, level: float, sigma: Array, *, last: bool = False) -> tuple[float, float]:
-    """First (or last) frequency at which a falling curve passes a level, and its deviation."""
+    """Return the first (or last) frequency (rad/s) at which a falling curve crosses a level, and its deviation."""
     places = np.flatnonzero((y[:-1] > level) & (y[1:] <= level))
     if not places.size:
         return float("nan"), float("nan")
@@ -164,6 +166,6 @@ def _find_crossing(w: Array, y: Array, level: float, sigma: Array, *, last: bool
 
 
 def _local_slope(w: Array, y: Array, k: int) -> float:
-    """Slope of a curve between points ``k`` and ``k + 1``, from four points: two are mostly noise."""
+    """Return the slope of a curve between points ``k`` and ``k + 1``, from four points to reduce noise."""
     near = slice(max(k - 1, 0), k + 3)
     return float(np.polyfit(w[near], y[near], 1)[0])

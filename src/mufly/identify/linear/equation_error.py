@@ -1,40 +1,39 @@
-"""Equation error: each output's derivative regressed on outputs and inputs, terms chosen step by step.
+"""Equation-error regression of each output's derivative on outputs and inputs, with stepwise choice of terms.
 
-For vehicles flown under feedback, where a simulation from inputs alone says little: a controller takes out what the
-inputs put in, so that a small error of the model grows over the record and output error has no clear minimum. The
-regression sees each instant by itself, has no local minima and needs neither initial states nor a stable model. Its
-price: noise in the measured outputs, which are regressors, pulls their coefficients towards zero (Klein and Morelli,
-*Aircraft System Identification*, 2nd ed., Sec. 5.2).
+The method suits vehicles flown under feedback. There a controller cancels the effect of the inputs, a small model
+error grows over a simulated record, and output error has no clear minimum. The regression uses each instant
+separately, has no local minima and needs neither initial states nor a stable model. Its disadvantage: noise in the
+measured outputs, which are regressors, biases their coefficients towards zero (Klein and Morelli, *Aircraft System
+Identification*, 2nd ed., Sec. 5.2).
 
     y_i' = b_i + sum_j theta_ij phi_j,      phi_j: an output, an input delayed by tau_i, or a product of two
 
-**Two domains.** *time*: all terms are low-passed alike, the derivative is that of the low-passed output (a six-point
-central difference, exact to 1e-3 below a tenth of the sample rate), samples within 1 / cut of the ends are left out.
+**Two domains.** *time*: all terms pass the same low-pass. The derivative is a six-point central difference of the
+low-passed output, exact to 1e-3 below a tenth of the sample rate. Samples within 1 / cut of the ends are omitted.
 *frequency*: the equation is multiplied by ``w(t) exp(-j omega t)`` with a Hann window ``w`` over the record and
-integrated; by parts, ``int w y' e = -int (w' - j omega w) y e``, so that no derivative is formed and no end counts
-(modulating functions: Shinbrot 1957; the regression is that of Klein and Morelli, Sec. 7.3). Frequencies from 1.5 / T
-to the cut in steps of 1 / T; rows are weighted by the residual's own spectrum, a parabola through its logarithm. That
-is the default: on made flights under feedback with gusts it has no bias and half the scatter of the other, whose slow
-gusts the controller's answers follow (numbers: docs/log/2026-11-21-linear-model-of-a-trex-550.md).
+integrated by parts, ``int w y' e = -int (w' - j omega w) y e``, so that neither derivatives nor end values are needed
+(modulating functions: Shinbrot 1957; the regression is that of Klein and Morelli, Sec. 7.3). Frequencies run from
+1.5 / T to the cut in steps of 1 / T. The rows are weighted by the inverse residual spectrum, a parabola through its
+logarithm. The frequency domain is the default. On simulated flights under feedback with gusts it is unbiased and has
+half the scatter of the time domain (numbers: docs/log/2026-11-21-linear-model-of-a-trex-550.md).
 
-**Band.** Everything below ``low_hz`` is taken off, too: :func:`find_coherent_band` finds both ends from the fitted
-records.
+**Band.** Content below ``low_hz`` is removed, too. :func:`find_coherent_band` finds both ends from the fitted records.
 
-**Stepwise** (Klein and Morelli, Sec. 5.4): of the terms not yet in, the one with the greatest partial correlation
-comes in if its partial ``F = (theta / std)^2`` exceeds ``F_in`` and the predicted square error falls; then whatever has
-fallen below ``F_in`` goes out; so on until nothing changes.
+**Stepwise** (Klein and Morelli, Sec. 5.4): of the remaining candidates, the term with the largest partial correlation
+is added if its partial ``F = (theta / std)^2`` exceeds ``F_in`` and the predicted square error decreases. Then terms
+whose ``F`` is below ``F_in`` are removed. The search ends when nothing changes.
 
     PSE = MSE + s_max^2 p / N,      s_max^2 = variance of the response      (Barron 1984; Klein and Morelli, Sec. 5.4)
 
-Two numbers differ from the book's, because filtered samples are no independent witnesses: ``std`` is that of
-:func:`mufly.identify.fit_result.coloured_covariance`, and ``N = 2 (cut - low) T`` counts what a band of that width can
-hold. With an honest deviation ``F_in`` need not be 20: it is the square that the largest of all candidates exceeds by
-chance in 5 %.
+Two numbers differ from the book's, because filtered samples are not independent: ``std`` comes from
+:func:`mufly.identify.fit_result.coloured_covariance`, and ``N = 2 (cut - low) T`` is the number of independent samples
+in a band of that width. With a correct standard deviation ``F_in`` need not be 20: it is the value that the largest
+``F`` of all candidates exceeds by chance in 5 % of cases.
 
-**Actuators.** Inputs act through one lag and one delay an equation, ``T u_f' + u_f = u(t - tau)``: motors and servos do
-not answer at once, and a gain found without that is several times too small. Both are the best of a grid under all
-linear terms, then refined with the chosen terms by Gauss-Newton (the derivatives of the prediction by them are further
-columns), which also carries their doubt into the other deviations.
+**Actuators.** In each equation the inputs act through one lag and one delay, ``T u_f' + u_f = u(t - tau)``. Without
+them the estimated gain is several times too small. Lag and delay are the best of a grid with all linear terms, and are
+then refined with the chosen terms by Gauss-Newton (their derivatives are further columns). The refinement propagates
+their uncertainty to the other standard deviations.
 """
 
 from __future__ import annotations
@@ -61,16 +60,16 @@ REGRESSION_DOMAINS = ("time", "frequency")
 _DERIVATIVE_LETTERS = {"p": "L", "q": "M", "r": "N", "u": "X", "v": "Y", "w": "Z"}
 _BODY_RATES = ("p", "q", "r")
 _ENTRY_SIGNIFICANCE = 0.05
-_MAX_STEPWISE_STEPS = 40  # of a stepwise search, against circles
+_MAX_STEPWISE_STEPS = 40  # bound on a stepwise search, against cycles
 _MIN_COHERENCE = 0.5
-_MAX_ACTUATOR_ITERATIONS = 20  # of lag and delay
-RegressorFunction = Callable[[Sequence[tuple[str, ...]], Array], list[Array]]  # terms, lag and delay: rows of records
-BiasRemover = Callable[[Sequence[Array]], list[Array]]  # rows without what a record's bias explains
+_MAX_ACTUATOR_ITERATIONS = 20  # iterations of the refinement of lag and delay
+RegressorFunction = Callable[[Sequence[tuple[str, ...]], Array], list[Array]]  # (terms, (lag, delay)) -> rows by record
+BiasRemover = Callable[[Sequence[Array]], list[Array]]  # removes the bias of each record from rows
 
 
 @dataclass(frozen=True, eq=False)
 class RegressionRecord:
-    """One record of outputs and inputs.
+    """One record of outputs and inputs for the regression.
 
     Attributes
     ----------
@@ -96,16 +95,16 @@ class RegressionRecord:
 
 @result
 class StepwiseStep:
-    """A step of the choice of terms.
+    """Step of the stepwise choice of terms.
 
     Attributes
     ----------
     term : str
-        With ``+`` or ``-`` before it: came in, went out.
+        Term, with prefix ``+`` if added or ``-`` if removed.
     F : float
         Partial F of the term.
     R2 : float
-        Share of the response's variance that is explained after the step.
+        Explained share of the response's variance after the step.
     PSE : float
         Predicted square error over the variance of the response.
     """
@@ -122,30 +121,30 @@ class StepwiseStep:
     "steps R2 symbols units",
 )
 class DerivativeEquation:
-    """The equation of one output's derivative.
+    """Equation of one output's derivative.
 
     Attributes
     ----------
     output : str
     terms : tuple of tuple of str
-        Signals whose product a term is, in the order in which they came in.
+        Terms in the order of addition, each the tuple of signals of a product.
     value, std, std_white : (t,) array
-        Coefficients; standard deviations, corrected for coloured residuals, and as if they were white.
+        Coefficients; standard deviations corrected for coloured residuals, and for white residuals.
     covariance : (t, t) array
-        Of the coefficients, corrected.
+        Corrected covariance of the coefficients.
     lag_s, delay_s : float
-        Of the inputs: time constant, and dead time.
+        Time constant and dead time of the inputs.
     lag_std_s, delay_std_s : float
-        NaN where held at the end of the range, or no input acts.
+        Standard deviations; NaN at the end of the range, or without inputs.
     bias : (records,) array
-        Of each fitted record.
+        Bias of each fitted record.
     band_hz : (float, float)
-        What counted.
+        Frequency band of the regression.
     F_in : float
-        What a term had to exceed.
-    steps : tuple of Step
+        Least partial F of a term.
+    steps : tuple of StepwiseStep
     R2 : float
-        Share of the derivative's variance that is explained in the fitted records.
+        Explained share of the derivative's variance in the fitted records.
     """
 
     output: str
@@ -166,17 +165,17 @@ class DerivativeEquation:
 
     @property
     def term_names(self) -> list[str]:
-        """Terms in words: ``p``, ``p*q``."""
+        """Return the terms as text: ``p``, ``p*q``."""
         return ["*".join(term) for term in self.terms]
 
     @property
     def symbols(self) -> tuple[str, ...]:
-        """Symbols of the coefficients: ``L_p``, ``M_lon``, ``N_p*q``."""
+        """Return the symbols of the coefficients: ``L_p``, ``M_lon``, ``N_p*q``."""
         return tuple(coefficient_symbol(self.output, t) for t in self.terms)
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Units of the coefficients."""
+        """Return the units of the coefficients."""
         return tuple(_coefficient_unit(self.output, t) for t in self.terms)
 
 
@@ -200,7 +199,7 @@ def _coefficient_unit(output: str, term: tuple[str, ...]) -> str:
 def regress_rate_derivatives(
     rates: Array, u: Array, dt: float, *, rate_names: tuple[str, ...], input_names: tuple[str, ...], cut_hz: float
 ) -> dict[str, tuple[float, float]]:  # fmt: skip
-    """Regress each rate's derivative on all rates and inputs, without delay: a cross-check of another fit.
+    """Regress each rate's derivative on all rates and inputs, without delay, as cross-check of another fit.
 
     Parameters
     ----------
@@ -209,7 +208,7 @@ def regress_rate_derivatives(
     rate_names, input_names : tuple of str
         ``("p", "q")``, ``("lat", "lon")``; p, q, r give symbols L_, M_, N_.
     cut_hz : float
-        Low-pass applied to everything first.
+        Cut-off of the low-pass that filters all signals first (Hz).
 
     Returns
     -------
@@ -233,7 +232,7 @@ def regress_rate_derivatives(
 
 
 def _least_squares(rows: Sequence[Array], right: Sequence[Array]) -> tuple[Array, Array, Array]:
-    """Least squares over records, rows (n, m, t) and right sides (n, m): values, covariance, bound if white."""
+    """Solve least squares over records, rows (n, m, t) and right sides (n, m): values, covariance, white bound."""
     t = rows[0].shape[2]
     stacked, z = np.concatenate([r.reshape(-1, t) for r in rows]), np.concatenate([b.ravel() for b in right])
     size = np.maximum(np.linalg.norm(stacked, axis=0), 1e-300)
@@ -246,7 +245,7 @@ def _least_squares(rows: Sequence[Array], right: Sequence[Array]) -> tuple[Array
 
 
 class _RegressionRows:
-    """The regression's rows of every candidate, record by record, as functions of the delay."""
+    """Regression rows of every candidate term by record, as functions of lag and delay."""
 
     def __init__(
         self, records: Sequence[RegressionRecord], outputs: tuple[str, ...], inputs: tuple[str, ...], domain: str,
@@ -257,13 +256,13 @@ class _RegressionRows:
         self._fourier_kernels: dict[str, tuple[ComplexArray, ComplexArray]] = {}
 
     def transform_signal(self, r: RegressionRecord, signal: Array) -> Array:
-        """A signal (n, k) as the regression sees it: low-passed (n', 1, k), or its spectrum (f, 2, k)."""
+        """Return a signal (n, k) in the regression domain: low-passed (n', 1, k), or its spectrum (f, 2, k)."""
         if self.domain == "time":
             return self._trim_edges(r, self._band_pass(r, signal))[:, None, :]
         return _real_and_imaginary(self._fourier_kernel(r)[0] @ signal)
 
     def transform_derivative(self, r: RegressionRecord, signal: Array) -> Array:
-        """The same of its derivative."""
+        """Return the derivative of a signal (n, k) in the regression domain."""
         if self.domain == "time":
             smooth = self._band_pass(r, signal)
             width = 7 if len(smooth) >= 7 else 3
@@ -280,7 +279,7 @@ class _RegressionRows:
         return signal[edge : len(signal) - edge]
 
     def _fourier_kernel(self, r: RegressionRecord) -> tuple[ComplexArray, ComplexArray]:
-        """Integrals with the window, and of the derivative by parts, as matrices (f, n)."""
+        """Return the matrices (f, n) of the windowed Fourier integral and of the derivative's integral by parts."""
         if r.name in self._fourier_kernels:
             return self._fourier_kernels[r.name]
         n, dt = len(r.time_s), r.dt
@@ -297,7 +296,7 @@ class _RegressionRows:
         return made
 
     def evaluate_term(self, r: RegressionRecord, term: tuple[str, ...], acted: Array) -> Array:
-        """Product of signals (n,), the inputs as they act."""
+        """Return the product of the term's signals (n,), with inputs ``acted`` after lag and delay."""
         product = np.ones(len(r.time_s))
         for name in term:
             from_y = name in self.outputs
@@ -308,7 +307,7 @@ class _RegressionRows:
 
 
 def apply_actuator(u: Array, lag_s: float, delay_s: float, dt: float) -> Array:
-    """Return inputs (n, k) behind a lag and a delay, straight between samples, at rest before the record."""
+    """Return inputs (n, k) after a lag and a delay, linear between samples and constant before the record."""
     late = delay_inputs(u, np.full(u.shape[1], delay_s), dt)
     if lag_s <= 0.0:
         return late
@@ -326,7 +325,7 @@ def _real_and_imaginary(spectrum: ComplexArray) -> Array:
 def candidate_terms(
     inputs: Sequence[str], outputs: Sequence[str], *, products: bool = False
 ) -> tuple[tuple[str, ...], ...]:
-    """Return what a derivative may depend on: every output and input, and with ``products`` those of two rates.
+    """Return the candidate terms: every output and input, and with ``products`` all products of two rates.
 
     Products of rates are the gyroscopic terms of Euler's equations, ``q r (I_yy - I_zz) / I_xx`` and the like.
     """
@@ -340,29 +339,29 @@ def fit_derivative_equation(
     candidates: Sequence[tuple[str, ...]], *, domain: str = "frequency", cut_hz: float = 5.0,
     low_hz: float = 0.0, most_s: float = 0.2, fixed: bool = False,
 ) -> DerivativeEquation:  # fmt: skip
-    """Find the equation of one output's derivative.
+    """Fit the equation of one output's derivative.
 
     Parameters
     ----------
-    records : sequence of Flown
-        Those with the role ``"fit"`` are used.
+    records : sequence of RegressionRecord
+        Records; only those with the role ``"fit"`` are used.
     output : str
     outputs, inputs : tuple of str
-        Of the records' columns.
+        Names of the records' columns.
     candidates : sequence of tuple of str
-        Terms to choose from.
+        Candidate terms.
     domain : {"time", "frequency"}
     cut_hz, low_hz : float
-        Band that counts.
+        Upper and lower end of the band.
     most_s : float
-        End of the range of lag and delay; 0: neither.
+        Upper end of the range of lag and delay (s); 0 for neither.
     fixed : bool
-        Take all candidates, choose none.
+        Use all candidates without choice.
 
     Raises
     ------
     InputError
-        If the output never moves.
+        If the output is constant.
     """
     used = [r for r in records if r.role == "fit"]
     at = _RegressionRows(used, outputs, inputs, domain, cut_hz, low_hz)
@@ -439,7 +438,7 @@ def _record_bias(
     value: Array,
     actuator: Array,
 ) -> float:
-    """What the mean of the derivative over a record has beyond the terms' means."""
+    """Return the bias of a record: mean of the derivative less the mean of the fitted terms."""
     acted = apply_actuator(r.inputs, float(actuator[0]), float(actuator[1]), r.dt)
     length = float(r.time_s[-1] - r.time_s[0])
     told = sum(v * float(at.evaluate_term(r, t, acted).mean()) for v, t in zip(value.tolist(), terms, strict=True))
@@ -447,19 +446,19 @@ def _record_bias(
 
 
 def find_coherent_band(records: Sequence[RegressionRecord], k: int, cut_hz: float) -> tuple[float, float]:
-    """Return the band (Hz) in which the inputs explain at least half of an output: the longest stretch, by octaves.
+    """Return the widest band (Hz), in octaves, in which the inputs explain at least half of an output.
 
-    Below it trims drift and a controller's answer to disturbances stands for the response (a loop that rejects them
-    perfectly shows inputs that move and an output that does not); above it is noise. Multiple coherence, less what so
-    few segments show by chance; the whole band where it is nowhere that high. Only fitted records are looked at.
+    Below the band, trims drift and the controller's response to disturbances dominates; above it, noise dominates.
+    The criterion is the multiple coherence of the fitted records less its chance level. If it is nowhere sufficient,
+    the whole band is returned.
 
     Parameters
     ----------
-    records : sequence of Flown
+    records : sequence of RegressionRecord
     k : int
-        Which output.
+        Index of the output.
     cut_hz : float
-        Highest frequency that may count.
+        Upper limit of the band.
     """
     used = [r for r in records if r.role == "fit"]
     shortest = min(float(r.time_s[-1] - r.time_s[0]) for r in used)
@@ -478,17 +477,17 @@ def find_coherent_band(records: Sequence[RegressionRecord], k: int, cut_hz: floa
         return 0.0, cut_hz
     start, stop = max(edges.reshape(-1, 2).tolist(), key=lambda ab: ab[1] - ab[0])
     low, high = data.frequency_hz[start], data.frequency_hz[stop - 1]
-    # Coherent down to the lowest frequency that segments show: nothing drifts, and all below it counts.
+    # If the coherence reaches down to the lowest frequency, there is no drift and the band starts at zero.
     return (0.0 if start == 0 else float(low)), float(max(high, min(cut_hz, 2.0 * low)))
 
 
 def _bias_columns(at: _RegressionRows, used: Sequence[RegressionRecord]) -> list[Array]:
-    """A one, as the regression sees it: the bias of a record."""
+    """Return the constant 1 in the regression domain, the regressor of a record's bias."""
     return [at.transform_signal(r, np.ones((len(r.time_s), 1)))[:, :, 0] for r in used]
 
 
 def _project_out(constant: Array, block: Array) -> Array:
-    """A block (n, m, t) without what the constant (n, m) explains."""
+    """Project the constant (n, m) out of a block (n, m, t)."""
     share = np.einsum("nm,nmt->t", constant, block) / max(float((constant**2).sum()), 1e-300)
     return block - constant[:, :, None] * share
 
@@ -498,7 +497,7 @@ def _remove_bias(constants: Sequence[Array], blocks: Sequence[Array]) -> list[Ar
 
 
 def _whitening_weights(left: Sequence[Array]) -> list[Array]:
-    """Weights that make the spectrum of a residual even: one over a parabola through its logarithm."""
+    """Return weights that whiten the spectrum of a residual: the inverse of a parabola through its logarithm."""
     weights = []
     for e in left:
         power = np.log(np.maximum((e**2).sum(1), 1e-300))
@@ -516,7 +515,7 @@ def _search_actuator_grid(
     most: float,
     dt: float,
 ) -> Array:
-    """Lag and delay of a grid at which all linear terms together leave least."""
+    """Return lag and delay of a grid with the smallest residual of all linear terms."""
     z = np.concatenate([b.ravel() for b in plain])
     best, least = np.zeros(2), np.inf
     for lag in most * np.array([0.0, 0.1, 0.2, 0.35, 0.55, 0.8]):
@@ -605,7 +604,10 @@ def _refine_actuator(
     columns: RegressorFunction, cleared: BiasRemover, plain: Sequence[Array], weights: Sequence[Array],
     terms: Sequence[tuple[str, ...]], actuator: Array, most: float, dt: float,
 ) -> tuple[Array, Array, Array, Array, Array]:  # fmt: skip
-    """Values, covariance, bound, lag and delay and their deviations; these among the unknowns unless ``most`` is 0."""
+    """Fit the coefficients, and lag and delay unless ``most`` is 0.
+
+    Return values, covariance and bound of the coefficients, (lag, delay), and the deviations of both.
+    """
     right = [b * w[:, None] for b, w in zip(plain, weights, strict=True)]
 
     def weighted_rows(at: Array) -> list[Array]:
@@ -632,7 +634,7 @@ def _refine_actuator(
         ended = free & ((new == 0.0) | (new == most)) & (new == actuator)
         actuator = new
         if ended.any():
-            free = free & ~ended  # at an end, where it is no unknown
+            free = free & ~ended  # a value at the end of its range is held
             if not free.any():
                 break
         elif rest:

@@ -1,15 +1,14 @@
-"""A vehicle by the equations of its outputs: fitted to several records, and held against them and others.
+"""Equation-error model of a vehicle: equations of all outputs, fitted to records and validated on others.
 
-Each output's derivative is regressed by itself (:mod:`mufly.identify.linear.equation_error`). Whether the equations
-together are a model of the vehicle shows only when they run: one sample ahead, a fifth of a second ahead from the
-measured state, and from the inputs alone over the whole record (fourth-order Runge-Kutta, inputs straight between
-samples). A one-step fit near 100 % proves little, because keeping the last value does nearly as well, which is why that
-stands beside it; a simulation of an unstable vehicle, or one flown under feedback, proves little when it fails, because
-every error grows. Both together say what the model is good for.
+Each output's derivative is regressed separately (:mod:`mufly.identify.linear.equation_error`). Predictions validate
+the equations together: one sample ahead, 0.2 s ahead from the measured state, and from the inputs alone over the whole
+record (fourth-order Runge-Kutta, inputs linear between samples). A one-step fit near 100 % proves little, because
+persistence of the last value is nearly as good; its score is reported for comparison. A failed simulation of an
+unstable vehicle, or of one under feedback, also proves little, because every error grows.
 
-Trims differ from flight to flight, and drift in one. A record is simulated twice: with the fitted records' trim, and in
-the band of the equations with trim and start values fitted to the record, the usual check in the time domain (Tischler
-and Remple, ch. 14), in which only the dynamics are foretold.
+Trims differ between flights and drift within a flight. A record is therefore simulated twice. The first simulation
+uses the trim of the fitted records. The second, in the band of the equations, uses trim and initial state fitted to the
+record, which is the usual check of the dynamics in the time domain (Tischler and Remple, ch. 14).
 """
 
 from __future__ import annotations
@@ -46,28 +45,28 @@ from mufly.results import result
 
 Array = NDArray[np.float64]
 _PREDICTION_HORIZON_S = 0.2
-_DIVERGENCE_RATIO = 1e6  # times the size of a signal: a simulation that has left
+_DIVERGENCE_RATIO = 1e6  # ratio to the size of a signal above which a simulation counts as diverged
 
 
 @result
 class EquationScore:
-    """How well the equations tell one output of one record, in per cent (100 is exact, 0 the mean).
+    """Prediction scores of one output of one record, in per cent (100 is exact, 0 is the mean).
 
-    All but ``simulated`` without what inputs and outputs hold below the equations' bands.
+    All scores but ``simulated`` exclude frequencies below the equations' bands.
 
     Attributes
     ----------
     record, role, output : str
     derivative : float
-        The equation itself, against the derivative in the equation's band.
+        Fit of the equation to the derivative in its band.
     one_step, last_value : float
-        One sample ahead, as recorded; and what keeping the last value would reach.
+        Prediction one sample ahead, as recorded; and persistence of the last value.
     ahead, last_value_ahead : float
-        A fifth of a fifth of a second ahead from the measured state, low-passed; and the last value.
+        Prediction 0.2 s ahead from the measured state, low-passed; and persistence of the last value.
     simulated : float
-        From inputs alone over the whole record, with the fitted records' trim, low-passed.
+        Simulation from inputs alone over the whole record, with the fitted records' trim, low-passed.
     in_band : float
-        The same with trim and start values fitted to the record: what is left is the dynamics.
+        Simulation in the band with trim and initial state fitted to the record, which tests the dynamics only.
     """
 
     record: str
@@ -84,18 +83,18 @@ class EquationScore:
 
 @result(eq=False, json="equations poles_rad_s=poles scores notes domain")
 class EquationModel:
-    """Equations of all outputs.
+    """Model made of the equations of all outputs, with its scores.
 
     Attributes
     ----------
     inputs, outputs : tuple of str
-    equations : tuple of Equation
+    equations : tuple of DerivativeEquation
     domain : str
     cut_hz : float
-    scores : tuple of Score
+    scores : tuple of EquationScore
     simulated : tuple of (n, outputs) array
-        Of every record, from inputs alone with the fitted trim.
-    records : tuple of Flown
+        Simulation of every record from inputs alone with the fitted trim.
+    records : tuple of RegressionRecord
     notes : tuple of str
     """
 
@@ -111,7 +110,7 @@ class EquationModel:
 
     @property
     def poles(self) -> NDArray[np.complex128]:
-        """Eigenvalues (rad/s) of the linear terms in the outputs, slowest first."""
+        """Return the eigenvalues (1/s) of the linear terms in the outputs, slowest first."""
         n = len(self.outputs)
         a = np.zeros((n, n))
         for i, e in enumerate(self.equations):
@@ -126,7 +125,7 @@ def simulate_equations(
     model: EquationModel, u: Array, dt: float, first: Array, bias: Array, *,
     starts: NDArray[np.int_] | None = None, steps: int = 0,
 ) -> Array:  # fmt: skip
-    """Integrate the equations.
+    """Simulate the equations of a model.
 
     Parameters
     ----------
@@ -135,18 +134,18 @@ def simulate_equations(
     dt : float
         Sample time (s).
     first : (b, outputs) array
-        Start values of b simulations at once.
+        Initial outputs of ``b`` simultaneous simulations.
     bias : (b, outputs) array
-        Of their derivatives.
+        Biases of the derivatives.
     starts : (b,) array of int, optional
-        Sample at which each begins; default the first.
+        First sample of each simulation; by default sample 0.
     steps : int
-        Samples to go; default to the end of the record.
+        Number of steps; by default to the end of the record.
 
     Returns
     -------
     (steps + 1, b, outputs) array
-        Not finite once a simulation has left.
+        Simulated outputs; not finite after divergence.
     """
     begin: NDArray[np.int_] = np.zeros(len(first), dtype=int) if starts is None else starts
     count = steps or len(u) - 1
@@ -160,7 +159,7 @@ def simulate_equations(
             outer = [model.inputs.index(t) for t in term if t not in names]
             terms.append((v, inner, outer))
         plans.append(terms)
-    # What the inputs alone do is known beforehand, at the samples and between them.
+    # The contribution of the inputs alone is computed in advance, at the samples and between them.
     drive = np.zeros((len(u), len(names)))
     for i, terms in enumerate(plans):
         for v, inner, outer in terms:
@@ -207,30 +206,30 @@ def identify_equation_model(
 
     Parameters
     ----------
-    records, held_out : sequence of Columns
-        Fitted; and only predicted.
+    records, held_out : sequence of EvenLogTable
+        Records to fit, and records that are only predicted.
     inputs, outputs : dict
-        Our names to columns, as for :func:`mufly.identify.identify_linear_model`.
+        Model name -> column, as for :func:`mufly.identify.identify_linear_model`.
     products : bool
-        Products of two rates are candidates, too.
+        Whether products of two rates are candidates, too.
     without : sequence of str
-        Symbols of terms that are no candidates, ``"L_p"``.
+        Symbols of excluded terms, ``"L_p"``.
     domain : {"time", "frequency"}
     cut_hz : float
-        Highest frequency that may count.
+        Highest frequency of the band.
     low_hz : float, optional
-        Lowest, with ``cut_hz`` as the highest; default: of each output the band in which the inputs explain it.
+        Lowest frequency of the band; by default each output gets the band in which the inputs explain it.
     most_s : float
-        End of the range of lags and delays of the inputs; 0: neither.
+        Upper end of the range of lag and delay of the inputs (s); 0 for neither.
     all_terms : bool
-        Take all candidates instead of choosing step by step.
+        Use all candidates instead of stepwise choice.
     progress : callable, optional
         Called with (steps done, steps).
 
     Raises
     ------
     InputError
-        If columns are missing, nothing moves, or a record is too short or sampled too slowly for ``cut_hz``.
+        If columns are missing, signals are constant, or a record is too short or sampled too slowly for ``cut_hz``.
     """
     if domain not in REGRESSION_DOMAINS:
         raise ArgumentError("domain", "", f"{domain!r} is unknown", f"use one of: {', '.join(REGRESSION_DOMAINS)}")
@@ -319,7 +318,7 @@ def _score_record(model: EquationModel, f: RegressionRecord) -> tuple[list[Equat
     bias = np.array([e.bias.mean() if place is None else e.bias[place] for e in model.equations])
 
     inner = replace(f, outputs=_band_pass(f.outputs, dt, low), inputs=_band_pass(f.inputs, dt, low))
-    trim = np.zeros(len(names)) if low else bias  # a trim lies below every band
+    trim = np.zeros(len(names)) if low else bias  # band-pass filtering removes the trim
 
     def simulate_ahead(first: Array, starts: NDArray[np.int_], steps: int) -> Array:
         many = np.tile(trim, (len(starts), 1))
@@ -327,7 +326,7 @@ def _score_record(model: EquationModel, f: RegressionRecord) -> tuple[list[Equat
 
     every, steps = np.arange(n - 1), min(max(1, round(_PREDICTION_HORIZON_S / dt)), n // 2)
     some, slow = np.arange(0, n - steps, max(1, n // 600)), low_pass(inner.outputs, dt, cut)
-    # The equation itself: one step from the low-passed state, against the low-passed change.
+    # Score of the equation: one step from the low-passed state against the low-passed change.
     told, true = (simulate_ahead(slow, every, 1) - slow[:-1]) / dt, np.diff(slow, axis=0) / dt
     one, far = simulate_ahead(inner.outputs, every, 1), simulate_ahead(slow, some, steps)
     whole = simulate_equations(model, f.inputs, dt, smooth[:1], bias[None, :])[:, 0]
@@ -354,18 +353,18 @@ def _score_record(model: EquationModel, f: RegressionRecord) -> tuple[list[Equat
 
 
 def _band_pass(signal: Array, dt: float, low: float, cut: float | None = None) -> Array:
-    """A signal (n, k) without what it holds below ``low``, and above ``cut``."""
+    """Return a signal (n, k) without content below ``low`` and above ``cut`` (Hz)."""
     smooth = signal if cut is None else low_pass(signal, dt, cut)
     return smooth - low_pass(smooth, dt, low) if low > 0.0 else smooth
 
 
 def _fit_percent(measured: Array, predicted: Array) -> float:
-    """Fit in per cent; minus infinity for a simulation that has left."""
+    """Return the fit in per cent; minus infinity for a diverged simulation."""
     return assess_prediction(measured, predicted).fit_percent if np.isfinite(predicted).all() else float("-inf")
 
 
 def _simulate_with_own_trim(model: EquationModel, f: RegressionRecord, bias: Array) -> Array:
-    """Simulation with this record's own trim and start values: one step of Gauss-Newton, two where not linear."""
+    """Simulate with trim and initial state fitted to this record by one or, if nonlinear, two Gauss-Newton steps."""
     m, first = len(model.outputs), f.outputs[0].copy()
     size = f.outputs.std(axis=0)
     path = simulate_equations(model, f.inputs, f.dt, first[None, :], bias[None, :])[:, 0]
@@ -388,7 +387,7 @@ def _simulate_with_own_trim(model: EquationModel, f: RegressionRecord, bias: Arr
 
 
 def equation_fit_result(model: EquationModel) -> FitResult:
-    """Return the equations as a report wants them, predictions being simulations from inputs alone."""
+    """Return the model as a fit result; its predictions are simulations from inputs alone."""
     estimates, symbols, blocks = [], [], []
     for e in model.equations:
         symbols += list(e.symbols)
@@ -447,7 +446,7 @@ def equation_table(model: EquationModel) -> ReportTable:
 
 
 def stepwise_table(model: EquationModel) -> ReportTable:
-    """Return heads and rows of how the terms were chosen."""
+    """Return heads and rows of the stepwise choice of terms."""
     rows = [
         (f"{e.output}'", s.term, f"{s.F:.1f}", f"{e.F_in:.1f}", f"{100 * s.R2:.1f} %", f"{s.PSE:.3f}")
         for e in model.equations for s in e.steps
@@ -456,7 +455,7 @@ def stepwise_table(model: EquationModel) -> ReportTable:
 
 
 def score_table(model: EquationModel) -> ReportTable:
-    """Return heads and rows of the fits, in per cent."""
+    """Return heads and rows of the prediction scores, in per cent."""
 
     def format_percent(value: float) -> str:
         return "diverges" if np.isneginf(value) else "< -999" if value < -999.0 else f"{value:.1f}"

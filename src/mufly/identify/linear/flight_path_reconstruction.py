@@ -1,9 +1,9 @@
-"""Do the sensors of a flight agree? Flight path reconstruction: biases, scale factors and the states between them.
+"""Flight path reconstruction: consistency of the sensors, their biases and scale factors, and the flight path.
 
-What gyros and accelerometers measure drives the kinematics of a rigid body, in which no force, mass or coefficient
-occurs; so attitude, velocity and position that were measured beside them must follow, and what does not is the
-instruments' (Klein and Morelli, *Aircraft System Identification*, 2nd ed., ch. 10: data compatibility; Mulder, Chu,
-Sridhar, Breeman and Laban 1999, Prog. Aerospace Sci. 35). North, east, down; body x forward, y right, z down:
+Gyros and accelerometers drive the kinematics of a rigid body, which contain no force, mass or coefficient. Measured
+attitude, velocity and position must agree with the result; differences are instrument errors (Klein and Morelli,
+*Aircraft System Identification*, 2nd ed., ch. 10: data compatibility; Mulder, Chu, Sridhar, Breeman and Laban 1999,
+Prog. Aerospace Sci. 35). Axes: north, east, down; body x forward, y right, z down:
 
     phi'   = p + (q sin phi + r cos phi) tan theta        v' = R(phi, theta, psi) (a_x, a_y, a_z) + (0, 0, g)
     theta' = q cos phi - r sin phi                        x' = v
@@ -11,22 +11,22 @@ Sridhar, Breeman and Laban 1999, Prog. Aerospace Sci. 35). North, east, down; bo
 
     measured = (1 + lambda) true + b + noise               of each of p, q, r, a_x, a_y, a_z   (eq. 10.9 f.)
 
-with the specific force ``a``, which at rest is (0, 0, -g). Noise of the instruments drives the states, so the path is
-that of a Kalman filter and a smoother (Rauch, Tung and Striebel 1965) on the equations linearised about the last
-path; three to six rounds of it. The parameters minimise the filter's innovations (the filter-error method, Jategaonkar,
-ch. 5): their sensitivities run along with the filter,
+with the specific force ``a``, which at rest is (0, 0, -g). Instrument noise drives the states, so the path comes from
+a Kalman filter and a smoother (Rauch, Tung and Striebel 1965) on the equations linearised about the previous path, in
+three to six iterations. The parameters minimise the filter's innovations (filter-error method, Jategaonkar, ch. 5).
+The filter also propagates the sensitivities,
 
     S-(k+1) = F S+(k) + G dm/dtheta,      d nu/dtheta = -H S-,      S+ = (1 - K H) S-,
 
-Gauss-Newton does the rest, and intervals come from :func:`mufly.identify.fit_result.coloured_covariance`, because
-resampled
-or vibrating instruments leave coloured innovations. Priors, which only matter where the flight shows nothing:
-0.1 for a scale factor, 0.2 rad/s and 1 m/s^2 for a bias. Noise is first taken from third differences and then scaled,
-attitude with gyros and velocity and position with accelerometers, until innovations are as large as the filter says.
+for Gauss-Newton steps. Intervals come from :func:`mufly.identify.fit_result.coloured_covariance`, because resampled or
+vibrating instruments cause coloured innovations. Prior standard deviations, which matter only for undetermined
+parameters, are 0.1 for a scale factor, 0.2 rad/s and 1 m/s^2 for a bias. Noise is first estimated from third
+differences. It is then scaled until the innovations match their predicted variance: attitude with gyros, and velocity
+and position with accelerometers.
 
-What it assumes: attitude and IMU share axes and clock (a constant misalignment shows as a bias, a delay as a scale
-factor that is not there), the instruments sit at the point whose path was measured, gravity is 9.80665 m/s^2, the pitch
-stays within 80 deg. Turned signs, other units and exchanged axes are looked for first and refused by name.
+Assumptions: attitude and IMU share axes and clock, the instruments are at the point whose path was measured, gravity
+is 9.80665 m/s^2, and the pitch stays within 80 deg. A constant misalignment appears as a bias, a delay as a spurious
+scale factor. Inverted signs, wrong units and exchanged axes are detected first and raise an error.
 """
 
 from __future__ import annotations
@@ -75,11 +75,11 @@ _MIN_OUTPUT_NOISE = {
     "v_north": 2e-3,
     "v_east": 2e-3,
     "v_down": 2e-3,
-} | dict.fromkeys(("north", "east", "down"), 2e-4)  # least noise that is believed, SI
+} | dict.fromkeys(("north", "east", "down"), 2e-4)  # least accepted noise, SI
 _MIN_IMU_NOISE = np.array([1e-3] * 3 + [1e-2] * 3)
-_MAX_ITERATIONS, _CONVERGENCE_TOLERANCE = 8, 0.02  # of the search; last step over the deviation
+_MAX_ITERATIONS, _CONVERGENCE_TOLERANCE = 8, 0.02  # largest number of iterations; last step over the standard deviation
 _MAX_PITCH_rad = np.radians(80.0)
-_MOTION_BANDWIDTH_HZ = 5.0  # below which lie motions, above it a rotor's shaking
+_MOTION_BANDWIDTH_HZ = 5.0  # separates vehicle motion (below) from rotor vibration (above)
 
 
 @result(
@@ -88,30 +88,30 @@ _MOTION_BANDWIDTH_HZ = 5.0  # below which lie motions, above it a rotor's shakin
     "noise_std=output_noise imu_noise_std=imu_noise",
 )
 class ReconstructedPath:
-    """A flight reconstructed from its instruments.
+    """Flight path and instrument errors reconstructed from a record.
 
     Attributes
     ----------
-    estimates : tuple of Estimate
+    estimates : tuple of ParameterEstimate
         Biases (in the instrument's unit) and scale factors (1).
     std_white : (12,) array
-        Deviations as if the innovations were white.
+        Standard deviations for white innovations.
     covariance : (12, 12) array
     time_s : (n,) array
     states, states_std : (n, 9) array
-        Reconstructed, and their standard deviations, of ``FLIGHT_PATH_STATES``.
+        Reconstructed states ``FLIGHT_PATH_STATES`` (SI), and their standard deviations.
     outputs : tuple of str
-        Those of the states that were measured.
+        Names of the measured states.
     measured : (n, m) array
     innovations : (n, m) array
-        Measured less predicted one sample ahead, over what the filter expects: 1 is as it should be.
+        Measurement less one-sample prediction, over the filter's standard deviation; 1 is consistent.
     imu_noise, output_noise : array
-        Standard deviations used, SI.
+        Standard deviations of the noise (SI).
     corrected : (n, 6) array
-        Rates and specific force without bias and scale factor.
+        Rates and specific force, corrected for bias and scale factor (SI).
     converged : bool
     unseen, notes : tuple of str
-        What the flight does not show, and what was found about the record.
+        Undetermined directions, and notes on the record.
     """
 
     estimates: tuple[ParameterEstimate, ...]
@@ -132,17 +132,17 @@ class ReconstructedPath:
 
     @property
     def residual_rms(self) -> Array:
-        """Root mean square of the residual of each output (m,)."""
+        """Return the RMS residual of each output (m,), in SI units."""
         return np.asarray(np.sqrt(np.mean(self.residual**2, axis=0)))
 
     @property
     def innovation_rms(self) -> Array:
-        """Root mean square of each output's innovations over what the filter expects (m,)."""
+        """Return the RMS normalised innovation of each output (m,)."""
         return np.asarray(np.sqrt(np.mean(self.innovations**2, axis=0)))
 
     @property
     def residual(self) -> Array:
-        """Measured less reconstructed (n, m)."""
+        """Measured less reconstructed outputs (n, m)."""
         return self.measured - self.states[:, [FLIGHT_PATH_STATES.index(o) for o in self.outputs]]
 
 
@@ -156,7 +156,7 @@ def flight_path_derivative(x: Array, m: Array) -> Array:
 
 
 def _runge_kutta_step(x: Array, m: Array, dt: float) -> Array:
-    """One sample on, the instruments' mean over it held: fourth-order Runge-Kutta."""
+    """Integrate one sample with constant mean instrument readings, by fourth-order Runge-Kutta."""
     k1 = flight_path_derivative(x, m)
     k2 = flight_path_derivative(x + 0.5 * dt * k1, m)
     k3 = flight_path_derivative(x + 0.5 * dt * k2, m)
@@ -165,7 +165,7 @@ def _runge_kutta_step(x: Array, m: Array, dt: float) -> Array:
 
 
 def _step_jacobians(x: Array, m: Array, dt: float) -> tuple[Array, Array]:
-    """Derivatives of a step by states (n, 9, 9) and by instruments (n, 9, 6), central differences."""
+    """Return the derivatives of a step by states (n, 9, 9) and by instruments (n, 9, 6), from central differences."""
     by_x, by_m = np.zeros((len(x), 9, 9)), np.zeros((len(x), 9, 6))
     for k in range(9):
         if k >= _FP_VELOCITY:  # linear: velocity and position
@@ -186,21 +186,20 @@ def _step_jacobians(x: Array, m: Array, dt: float) -> tuple[Array, Array]:
 def reconstruct_flight_path(
     record: EvenLogTable, imu: Mapping[str, str], outputs: Mapping[str, str]
 ) -> ReconstructedPath:
-    """Reconstruct a flight, and find biases and scale factors of its instruments.
+    """Reconstruct a flight path, and estimate biases and scale factors of the instruments.
 
     Parameters
     ----------
-    record : Columns
+    record : EvenLogTable
     imu : dict
-        All of p, q, r (rad/s), ax, ay, az (m/s^2, specific force) to columns or sums of columns.
+        Columns, or sums of columns, of p, q, r (rad/s) and ax, ay, az (m/s^2, specific force); all are required.
     outputs : dict
-        phi, theta, psi (rad), and any of v_north, v_east, v_down (m/s), north, east, down (m), likewise.
+        Columns of phi, theta, psi (rad), and any of v_north, v_east, v_down (m/s), north, east, down (m).
 
     Raises
     ------
     InputError
-        If an instrument is missing, one is evidently in another unit, turned round or on another axis, or the pitch
-        exceeds 80 deg.
+        If an instrument is missing, has evidently another unit, sign or axis, or the pitch exceeds 80 deg.
     """
     for name in IMU_CHANNELS:
         if name not in imu:
@@ -213,7 +212,7 @@ def reconstruct_flight_path(
     for name in FLIGHT_PATH_STATES[:3]:
         if name not in outputs:
             raise ArgumentError("measured", name, "is missing", "give phi, theta and psi")
-    with threadpool_limits(1, "blas"):  # matrices of a dozen rows: threads would only wait for each other
+    with threadpool_limits(1, "blas"):  # small matrices: threads cost more than they gain
         return _reconstruct_path(record, imu, outputs)
 
 
@@ -256,7 +255,7 @@ def _reconstruct_path(record: EvenLogTable, imu: Mapping[str, str], outputs: Map
         f = _run_kalman_filter(x, true, by_theta, z, at, noise, imu_noise, dt)
         whitened = f.innovations
         covariance, bound, _ = coloured_covariance([f.sensitivities], [whitened], _PRIOR_STD)
-        # A doubt that the colour's estimate makes negative is at least the white one's.
+        # A variance that the coloured estimate makes too small is raised to the white bound.
         size = np.sqrt(np.maximum(np.diag(covariance), np.diag(bound)))
         information = np.einsum("nmt,nmu->tu", f.sensitivities, f.sensitivities) + np.diag(_PRIOR_STD**-2)
         right = np.einsum("nmt,nm->t", f.sensitivities, whitened) - theta / _PRIOR_STD**2
@@ -264,7 +263,7 @@ def _reconstruct_path(record: EvenLogTable, imu: Mapping[str, str], outputs: Map
         smooth_x, smooth_p = _run_rts_smoother(x, f)
         x = smooth_x
         theta = theta + change
-        # As large as the filter expects: the two groups keep the ratio of noise that drives to noise that measures.
+        # Scaled to the predicted variance; each group keeps its ratio of process to measurement noise.
         ratio = np.sqrt(np.mean(whitened[len(z) // 10 :] ** 2, axis=0))
         for members, driven in (((0, 1, 2), slice(0, 3)), (range(3, 9), slice(3, 6))):
             chosen = [k for k, s in enumerate(at) if s in members]
@@ -283,7 +282,7 @@ def _reconstruct_path(record: EvenLogTable, imu: Mapping[str, str], outputs: Map
         ParameterEstimate.from_std(n, "", unit, 0.0, float(v), float(s), quantile=1.96)
         for n, unit, v, s in zip(IMU_ERROR_SYMBOLS, ["rad/s"] * 3 + ["m/s^2"] * 3 + ["1"] * 6, theta, std, strict=True)
     )
-    # Over what would matter, not over the values, which are near zero.
+    # Relative to the prior deviations, because the values are near zero.
     unseen = describe_unseen_combinations(IMU_ERROR_SYMBOLS, divide_by_values(covariance, _PRIOR_STD))
     return ReconstructedPath(
         estimates, np.sqrt(np.diag(bound)), covariance, record.time_s, smooth_x, np.sqrt(smooth_p), outs, z, whitened,
@@ -292,16 +291,15 @@ def _reconstruct_path(record: EvenLogTable, imu: Mapping[str, str], outputs: Map
 
 
 def _third_difference_noise(y: Array) -> float:
-    """Noise from third differences, of which white noise leaves 20 times its variance."""
+    """Return the noise from third differences, in which white noise has 20 times its variance."""
     return 1.4826 * float(np.median(np.abs(np.diff(y, 3)))) / np.sqrt(20.0)
 
 
 def _correct_imu(raw: Array, theta: Array, dt: float) -> tuple[Array, Array]:
-    """True rates and forces (n, 6), and their derivatives by the parameters (n, 6, 12).
+    """Return corrected rates and specific force (n, 6), and their derivatives by the parameters (n, 6, 12).
 
-    A scale factor is told by the slow part of what was measured: noise that stood on both sides of the normal equations
-    would make every scale factor too large (the method of instrumental variables), beside a rotor that shakes its
-    accelerometer by 4 m/s^2 eight times too large.
+    The derivative by a scale factor uses the low-passed reading (method of instrumental variables), because noise on
+    both sides of the normal equations would make every scale factor too large.
     """
     offset, scale_error = theta.reshape(2, -1)
     true = (raw - offset) / (1.0 + scale_error)
@@ -314,7 +312,7 @@ def _correct_imu(raw: Array, theta: Array, dt: float) -> tuple[Array, Array]:
 
 
 def _initial_path(z: Array, outs: tuple[str, ...], dt: float) -> Array:
-    """States from the measurements alone, smoothed; what was not measured from derivatives or as zero."""
+    """Return smoothed states from the measurements alone; unmeasured states come from derivatives or are zero."""
     x = np.zeros((len(z), 9))
     for k, name in enumerate(FLIGHT_PATH_STATES):
         if name in outs:
@@ -328,8 +326,8 @@ def _initial_path(z: Array, outs: tuple[str, ...], dt: float) -> Array:
 @dataclass(frozen=True, eq=False)
 class _FilterPass:
     innovations: Array  # (n, m), whitened
-    sensitivities: Array  # (n, m, 12), of what is predicted, whitened
-    predicted_deviation: Array  # (n, 9), deviations from the path that was linearised about
+    sensitivities: Array  # (n, m, 12), of the predicted outputs, whitened
+    predicted_deviation: Array  # (n, 9), deviation from the path of linearisation
     updated_deviation: Array
     predicted_covariance: Array  # (n, 9, 9)
     updated_covariance: Array
@@ -344,7 +342,7 @@ def _run_kalman_filter(
     step, drive = _step_jacobians(x[:-1], middle, dt)
     defect = _runge_kutta_step(x[:-1], middle, dt) - x[1:]
     by = np.einsum("nij,njt->nit", drive, 0.5 * (by_theta[:-1] + by_theta[1:]))
-    # Noise of two samples, of which each step takes half: their mean has half the variance.
+    # A step uses the mean of two samples, whose noise has half the variance.
     q = np.einsum("nij,j,nkj->nik", drive, imu_noise**2, drive)
     r, h = np.diag(noise**2), np.zeros((m, 9))
     h[np.arange(m), at] = 1.0
@@ -374,7 +372,7 @@ def _run_kalman_filter(
 
 
 def _run_rts_smoother(x: Array, f: _FilterPass) -> tuple[Array, Array]:
-    """Path (n, 9) and variances (n, 9) from all measurements."""
+    """Return the smoothed path (n, 9) and its variances (n, 9)."""
     n = len(x)
     dx, p = f.updated_deviation[-1], f.updated_covariance[-1]
     path, variance = x.copy(), np.zeros((n, 9))
@@ -390,12 +388,12 @@ def _run_rts_smoother(x: Array, f: _FilterPass) -> tuple[Array, Array]:
 def check_sensor_axes(
     raw: Array, z: Array, outs: tuple[str, ...], dt: float
 ) -> tuple[list[tuple[str, str, str]], list[str]]:
-    """Look for units, signs and axes that cannot be: every channel against what kinematics makes of the others.
+    """Check units, signs and axes: compare every channel with the kinematic prediction from the others.
 
     Returns
     -------
     problems : list of (name, problem, remedy)
-        What no bias or scale factor explains.
+        Faults that no bias or scale factor explains.
     notes : list of str
     """
     known = {o: z[:, k] for k, o in enumerate(outs)}

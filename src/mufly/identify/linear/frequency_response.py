@@ -1,38 +1,39 @@
-"""Frequency responses and coherence from records, beside those of a model, and a model fitted to them.
+"""Frequency responses and coherence: estimation from records, comparison with a model, and fit of a model.
 
-**Frequency responses and coherence from records, beside those of a model.**
+**Estimation and comparison with a model.**
 
-A record is cut into overlapping segments with a Hann window; each is transformed at the frequencies that are wanted,
-which need not be multiples of 1 / segment (Tischler and Remple, *Aircraft and
-Rotorcraft System Identification*, 2nd ed., ch. 7), and the products are averaged:
+A record is divided into overlapping segments with a Hann window. Each segment is transformed at the wanted
+frequencies, which need not be multiples of 1 / segment (Tischler and Remple, *Aircraft and Rotorcraft System
+Identification*, 2nd ed., ch. 7), and the products are averaged:
 
     S_uu = <U* U^T>,   S_uy = <U* y>,   H = S_uu^-1 S_uy                      response to all inputs at once
     gamma^2   = S_uy^H S_uu^-1 S_uy / S_yy                                    multiple coherence
     gamma_j^2 = |S_jy.r|^2 / (S_jj.r S_yy.r)                                  partial coherence of input j
 
-where ``.r`` means with what all other inputs explain taken away ("conditioned", Bendat and Piersol, *Random Data*,
-ch. 7). At a frequency this is a regression of the output's transforms on those of ``k`` inputs over ``n`` segments,
-so the random error of the magnitude, and of the phase in radians, has the residual's degrees of freedom (Bendat and
-Piersol, Sec. 9.2.4 with their F in place of a normal; own derivation of what overlap leaves)
+where ``.r`` means conditioned: the part explained by all other inputs is removed (Bendat and Piersol, *Random Data*,
+ch. 7). At each frequency this is a regression of the output's transforms on those of ``k`` inputs over ``n`` segments.
+The random error of the magnitude, and of the phase in radians, therefore has the residual's degrees of freedom (Bendat
+and Piersol, Sec. 9.2.4 with their F instead of a normal distribution; own derivation of the effect of overlap)
 
     eps = sqrt((1 - gamma_j^2) / gamma_j^2) / sqrt(2 (n - k)),      nu = 2 (n - k),      95 %: t(0.975, nu) eps
 
-with ``n`` the number of half-overlapping segments, each worth 18/19: transforms of white noise in neighbouring Hann
-windows have a correlation of 1/6, and a mean of N such products a variance of (1 + 2 (1/6)^2) / N. For many segments
-that is Tischler and Remple's eq. 7.46, ``C sqrt(1 - gamma^2) / (gamma sqrt(2 n_d))`` with C^2 = 0.55 and ``n_d`` the
-record over the segment. Relative to the estimated magnitude; a phase lies within ``arcsin(t eps)``. The misfit of a
-model is Tischler and Remple's
+with ``n`` the number of half-overlapping segments, each equivalent to 18/19 independent segments. Transforms of white
+noise in neighbouring Hann windows have a correlation of 1/6, and a mean of N such products has a variance of
+(1 + 2 (1/6)^2) / N. For many segments this is Tischler and Remple's eq. 7.46,
+``C sqrt(1 - gamma^2) / (gamma sqrt(2 n_d))`` with C^2 = 0.55 and ``n_d`` the record over the segment. The error is
+relative to the estimated magnitude; the phase interval is ``arcsin(t eps)``. The misfit of a model is Tischler and
+Remple's
 
     J = 20 / n sum W_gamma [(20 log10 |H_m / H|)^2 + 0.01745 (phase_m - phase)^2 / deg^2],
     W_gamma = (1.58 (1 - exp(-gamma_j^2)))^2
 
-of which J < 100 is a good and J < 50 a hardly noticeable difference.
+where J < 100 is a good fit and J < 50 a hardly noticeable difference.
 
-**A structured linear model fitted to frequency responses instead of time histories: a cross-check of the other.**
+**Fit of a structured linear model to frequency responses: a cross-check of the fit to time histories.**
 
 The parameters minimise Tischler and Remple's cost (:func:`response_cost`) summed over the input-output pairs,
-each weighted by its partial coherence. Trims, biases and initial states do not enter, nor does what is not coherent
-with an input; feedback biases it where an input is made from the output.
+each weighted by its partial coherence. Trims, biases, initial states and incoherent signals have no influence.
+Feedback from an output to an input causes a bias.
 """
 
 from __future__ import annotations
@@ -56,8 +57,8 @@ ComplexArray = NDArray[np.complex128]
 _MIN_PARTIAL_COHERENCE, _FIT_FREQUENCIES = (
     0.5,
     60,
-)  # of a fit: smallest partial coherence that counts, and frequencies
-_SEGMENT_INDEPENDENCE = 18.0 / 19.0  # of a segment among half-overlapping Hann windows
+)  # of a fit: least partial coherence, and number of frequencies
+_SEGMENT_INDEPENDENCE = 18.0 / 19.0  # independent segments per half-overlapping Hann segment
 
 
 @result(
@@ -74,18 +75,18 @@ class FrequencyResponse:
     response : (f, outputs, inputs) complex array
         NaN where an input has no power.
     coherence : (f, outputs) array
-        Multiple coherence: share of each output's power that the inputs explain linearly.
+        Multiple coherence: share of each output's power explained linearly by the inputs.
     partial : (f, outputs, inputs) array
         Partial coherence.
     error : (f, outputs, inputs) array
-        Random error (one standard deviation) relative to the magnitude; also that of the phase (rad).
+        Random error (one standard deviation) of the magnitude, relative; it equals the error of the phase (rad).
     freedom : (f, outputs, inputs) array
-        Its degrees of freedom.
+        Degrees of freedom of ``error``.
     averages : float
-        What the segments are worth in independent ones.
+        Equivalent number of independent segments.
     inputs, outputs : tuple of str
     window_s : (f, outputs, inputs) array, optional
-        Length of the windows (s) where it differs: of a composite.
+        Window length (s) by frequency and pair, for a composite response.
     """
 
     frequency_hz: Array
@@ -112,7 +113,7 @@ class FrequencyResponse:
 
     @property
     def relative_interval(self) -> Array:
-        """Half the 95 % interval of the magnitude over the magnitude; its arcsine is that of the phase (rad)."""
+        """Return half the relative 95 % interval of the magnitude; its arcsine is that of the phase (rad)."""
         return np.asarray(stdtrit(self.freedom, 0.975) * self.error)
 
 
@@ -126,7 +127,7 @@ def estimate_frequency_response(
     Parameters
     ----------
     inputs, outputs : (n, k) and (n, m) array, or lists of such
-        Without gaps; a list holds one array a record.
+        Signals without gaps; a list holds one array per record.
     dt : float
         Sample time (s).
     segment_s : float
@@ -134,9 +135,9 @@ def estimate_frequency_response(
     low_hz, high_hz : float
         Band; ``high_hz`` at most the Nyquist frequency.
     points : int
-        Frequencies, evenly spaced.
+        Number of uniformly spaced frequencies.
     frequency_hz : (f,) array, optional
-        Frequencies, rising, instead of these three.
+        Increasing frequencies, instead of the three arguments above.
     input_names, output_names : tuple of str
 
     Raises
@@ -154,12 +155,12 @@ def estimate_frequency_response(
 def average_cross_spectra(
     inputs: Sequence[Array], outputs: Sequence[Array], dt: float, segment_s: float, frequency_hz: Array
 ) -> tuple[ComplexArray, float]:
-    """Return the averaged products of inputs and outputs, as densities, and the segments' worth in independent ones.
+    """Return the cross-spectral densities of inputs and outputs, and the equivalent number of independent segments.
 
     Returns
     -------
     spectra : (f, k + m, k + m) complex array
-        ``<z_i* z_j>``, two-sided, per Hz: of white noise the variance times ``dt``, whatever the segment.
+        ``<z_i* z_j>``, two-sided, per Hz; white noise has its variance times ``dt`` for any segment length.
     averages : float
 
     Raises
@@ -199,16 +200,16 @@ def average_cross_spectra(
 
 
 def condition_spectra(s: ComplexArray, k: int) -> tuple[ComplexArray, Array, Array, Array]:
-    """Return what each input does with the others' share taken away, from products (f, k + m, k + m).
+    """Return responses and conditioned spectra from spectra (f, k + m, k + m) of ``k`` inputs and ``m`` outputs.
 
     Returns
     -------
     response : (f, m, k) complex array
-        NaN where an input has no power.
+        Response; NaN for an input without power.
     own : (f, k) array
-        Spectrum of each input without what the other inputs explain of it.
+        Spectrum of each input, without the part explained by the other inputs.
     left : (f, m) array
-        Spectrum of each output without what all inputs explain.
+        Spectrum of each output, without the part explained by all inputs.
     coherence : (f, m) array
         Multiple coherence.
     """
@@ -221,7 +222,7 @@ def condition_spectra(s: ComplexArray, k: int) -> tuple[ComplexArray, Array, Arr
         if used.size == 0:
             break
         suu, suy = s[f][np.ix_(used, used)], s[f][np.ix_(used, np.arange(k, k + m))]
-        # Inputs that move together cannot be told apart; the pseudo-inverse then shares the response among them.
+        # The effects of proportional inputs are not separable; the pseudo-inverse distributes the response among them.
         inverse = np.linalg.pinv(suu, rcond=1e-10, hermitian=True)
         h = inverse @ suy
         response[f][:, used] = h.T
@@ -238,7 +239,7 @@ def response_from_spectra(
 ) -> FrequencyResponse:  # fmt: skip
     """Return responses and coherences from averaged products (f, k + m, k + m) of k inputs and m outputs."""
     response, own, left, coherence = condition_spectra(s, k)
-    # |H_j|^2 S_jj.r is what input j alone adds to the explained power.
+    # |H_j|^2 S_jj.r is the explained power that input j alone adds.
     alone = np.abs(np.nan_to_num(response)) ** 2 * own[:, None, :]
     partial = alone / np.maximum(alone + left[:, :, None], 1e-300)
     error, freedom = response_random_error(partial, averages, k)
@@ -248,7 +249,7 @@ def response_from_spectra(
 def response_random_error(coherence: Array, averages: float | Array, inputs: int) -> tuple[Array, Array]:
     """Return the relative standard deviation of magnitude and phase (rad), and its degrees of freedom."""
     square = np.clip(coherence, 1e-12, 1.0)
-    # As few segments as inputs explain anything: half a degree is left to say that nothing is known.
+    # As many inputs as segments explain any output: half a degree of freedom then gives a very wide interval.
     freedom = np.full_like(square, 1.0) * np.maximum(2.0 * (averages - inputs), 0.5)
     return np.sqrt((1.0 - square) / (square * freedom)), freedom
 
@@ -261,7 +262,7 @@ def state_space_response(
     Parameters
     ----------
     a, b, c, d : arrays
-        (n, n), (n, k), (m, n), (m, k).
+        State-space matrices (n, n), (n, k), (m, n), (m, k).
     frequency_hz : (f,) array
     delay_s : (k,) array, optional
         Delay of each input (s).
@@ -285,14 +286,14 @@ def response_cost(data: FrequencyResponse, model: ComplexArray, *, least: float 
     ----------
     data : FrequencyResponse
     model : (f, outputs, inputs) complex array
-        At the same frequencies.
+        Response of the model at the same frequencies.
     least : float
-        Frequencies with a smaller partial coherence are left out.
+        Least partial coherence; other frequencies are omitted.
 
     Returns
     -------
     (outputs, inputs) array
-        NaN where no frequency is coherent.
+        Cost; NaN for pairs without a coherent frequency.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = model / data.response
@@ -307,20 +308,20 @@ def response_cost(data: FrequencyResponse, model: ComplexArray, *, least: float 
 
 @dataclass(frozen=True, eq=False)
 class FrequencyResponseFit:
-    """A structure fitted to frequency responses.
+    """Model structure fitted to frequency responses.
 
     Attributes
     ----------
     values : (p,) array
     value_std : (p,) array
-        From the curvature of the cost and its size, as if neighbouring frequencies were independent: a lower bound.
+        Standard deviations from curvature and size of the cost for independent frequencies: a lower bound.
     measured_response : FrequencyResponse
     model_response : (f, outputs, inputs) complex array
         Response at ``values``.
     cost : (outputs, inputs) array
         Tischler and Remple's J at ``values``; NaN for pairs without coherence.
     cost_before : (outputs, inputs) array
-        The same at the values given to start from.
+        Cost J at the start values.
     """
 
     values: Array
@@ -338,7 +339,7 @@ def structure_response(structure: LinearStructure, values: Array, frequency_hz: 
 
 
 def _chance_coherence(averages: float, inputs: int, frequencies: float) -> float:
-    """Partial coherence that independent signals exceed at any of so many frequencies in 5 % of all cases."""
+    """Return the partial coherence that independent signals exceed at any of the frequencies in 5 % of cases."""
     freedom = max(averages - inputs, 1.0)
     return float(1.0 - (0.05 / max(frequencies, 1.0)) ** (1.0 / freedom))
 
@@ -350,13 +351,13 @@ def fit_frequency_response(
 
     Parameters
     ----------
-    structure : Structure
+    structure : LinearStructure
     u, y : (n, inputs), (n, outputs) array
-        Without gaps.
+        Inputs and outputs without gaps.
     dt : float
         Sample time (s).
     first : (p,) array
-        Where the search begins.
+        Start values of the parameters.
     segment_s : float
         Length of the segments (s); the lowest frequency is 1.5 / ``segment_s``.
     high_hz : float

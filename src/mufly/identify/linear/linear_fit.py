@@ -1,11 +1,11 @@
-"""Output-error fit of a linear model: Gauss-Newton in a trust region, several starts, the whole record in one piece.
+"""Output-error fit of a linear model to one record: Gauss-Newton in a trust region from several starts.
 
-The prediction is a pure simulation from the inputs. Its residuals are weighted by the inverse of their own variance,
-which is re-estimated until it stands still: the maximum-likelihood estimate for unknown noise (Maine and Iliff 1985,
-NASA RP-1138; Jategaonkar, ch. 4). Initial state, trim of the inputs and bias of the outputs enter linearly and are
-eliminated exactly at every step (variable projection), so the search has only the parameters of the dynamics, and
-their covariance counts what those unknowns cost. A mask leaves out samples for cross-validation while the simulation
-runs through them.
+The prediction is a pure simulation from the inputs over the whole record. Its residuals are weighted by their inverse
+variance, which is re-estimated until it converges: the maximum-likelihood estimate for unknown noise (Maine and Iliff
+1985, NASA RP-1138; Jategaonkar, ch. 4). Initial state, input trim and output bias enter linearly and are eliminated
+exactly at every step (variable projection). The search therefore has only the parameters of the dynamics, and their
+covariance includes the effect of the eliminated unknowns. For cross-validation a mask omits residuals, while the
+simulation runs through the masked samples.
 """
 
 from __future__ import annotations
@@ -39,15 +39,15 @@ _WEIGHT_ITERATIONS = 3
 
 @result(eq=False)
 class LinearFit:
-    """A fitted linear model.
+    """Fitted linear model.
 
     Attributes
     ----------
-    structure : Structure
+    structure : LinearStructure
     values, start : (p,) array
-        Parameters, fitted and where the best search began.
+        Fitted parameters, and start values of the best search.
     covariance, bound : (p, p) array
-        Corrected for coloured residuals; Cramer-Rao bound for white ones.
+        Covariance corrected for coloured residuals; Cramer-Rao bound for white residuals.
     at_bound : (p,) array of bool
     x0 : (states,) array
     input_trim : (inputs,) array
@@ -55,18 +55,18 @@ class LinearFit:
     weight : (outputs,) array
         Inverse variance of the residuals.
     log_likelihood : float
-        Of Gaussian residuals, white.
+        Log-likelihood per sample for white Gaussian residuals.
     effective_samples : float
-        Independent residuals, from their autocorrelation.
+        Equivalent number of independent samples, from the autocorrelation of the residuals.
     history : tuple of dict
     costs : tuple of float
-        Of every start, ascending.
+        Final cost of every start, ascending.
     simulations : int
     seconds : float
     converged : bool
     message : str
     hold : bool
-        Inputs held between samples.
+        Whether inputs are constant between samples.
     """
 
     structure: LinearStructure
@@ -91,13 +91,13 @@ class LinearFit:
 
     @property
     def poles(self) -> NDArray[np.complex128]:
-        """Eigenvalues of A (rad/s), slowest first."""
+        """Return the eigenvalues of A (1/s), slowest first."""
         a = self.structure.state_space_matrices(self.values)[0]
         e = np.linalg.eigvals(a)
         return np.asarray(e[np.argsort(np.abs(e))], dtype=np.complex128)
 
     def information_criterion(self, kind: str = "bic") -> float:
-        """Return Akaike's ("aic") or Schwarz's ("bic") criterion, in effective samples; smaller is better."""
+        """Return Akaike's ("aic") or Schwarz's ("bic") criterion for the effective samples; smaller is better."""
         free = self.values.size + self.x0.size + self.input_trim.size + self.output_bias.size
         n = self.effective_samples
         per_sample = -2.0 * self.log_likelihood  # per sample, summed over outputs
@@ -105,7 +105,7 @@ class LinearFit:
 
 
 class _LinearFitProblem:
-    """Residual of the parameters in search coordinates, with the linear unknowns eliminated."""
+    """Least-squares problem in search coordinates, with eliminated linear unknowns."""
 
     def __init__(
         self, structure: LinearStructure, u: Array, y: Array, dt: float, hold: bool, mask: Array | None
@@ -119,7 +119,7 @@ class _LinearFitProblem:
         self.coordinates = SearchCoordinates(structure.parameters, self.start_values)
 
     def simulate_with_linear_unknowns(self, values: Array) -> tuple[Array, Array, Array] | None:
-        """Prediction without linear unknowns, what one unit of each adds, and their estimate; None on overflow."""
+        """Return the forced response, the response to each linear unknown, and their estimate; None on overflow."""
         self.simulation_count += 1
         try:
             with np.errstate(over="raise", invalid="raise"):
@@ -129,17 +129,17 @@ class _LinearFitProblem:
                 added = linear_unknown_responses(self.structure, values, len(self.inputs), self.dt)
                 root = np.sqrt(self.output_weight)
                 weighted = added * root[None, :, None]
-                # Sizes over all samples: what acts only where the mask is then counts as unseen and stays zero.
+                # Norms over all samples: an unknown that acts only on masked samples counts as undetermined, stays 0.
                 size = np.sqrt(np.maximum(np.einsum("nmj,nmj->j", weighted, weighted), 1e-300))
                 rows, right = weighted[self.is_used], ((self.measured - forced) * root)[self.is_used]
         except FloatingPointError:
             return None
-        # Against the record itself, not against weights that change on the way: what could be simulated once stays so.
+        # Relative to the record, not to the changing weights: a simulation stays valid during the search.
         over = float(np.max(root * np.maximum(self.output_std, 1e-300)))
         if not (np.isfinite(size).all() and size.max() < 1e12 * over):
             return None
         rows /= size
-        # Normal equations: a hundred rows a column are many times faster so, and columns of unit length lose little.
+        # Normal equations are much faster for a hundred rows per column; unit columns limit the loss of accuracy.
         inverse = np.linalg.pinv(rows.T @ rows, rcond=1e-11, hermitian=True)
         return forced, added, inverse @ (rows.T @ right) / size
 
@@ -151,7 +151,7 @@ class _LinearFitProblem:
         return ((self.measured - forced - added @ linear) * np.sqrt(self.output_weight))[self.is_used]
 
     def solve_linear_unknowns(self, z: Array) -> tuple[Array, Array, Array]:
-        """Residuals (n, outputs), NaN where they do not count; what the linear unknowns add; and their estimate."""
+        """Return residuals (n, outputs), NaN if masked; the response to each linear unknown; and their estimate."""
         got = self.simulate_with_linear_unknowns(self.coordinates.to_values(z))
         if got is None:
             raise ArgumentError("structure", self.structure.name, "cannot be simulated", "try a simpler one")
@@ -180,7 +180,7 @@ class _LinearFitProblem:
         )  # fmt: skip
 
     def random_start(self, generator: np.random.Generator) -> Array:
-        """Logarithmic parameters within a factor of ten of their start, the others within three times their scale."""
+        """Return random start values: logarithmic parameters within a factor of ten, others about their start."""
         at, nominal, p = self.coordinates, self.start_values, self.start_values.size
         factor = np.exp(generator.uniform(-2.3, 2.3, p))
         shift = nominal * np.exp(generator.normal(0.0, 1.0, p)) + 0.5 * at.linear_scale * generator.normal(size=p)
@@ -192,7 +192,7 @@ class _LinearFitProblem:
         n, m = rows.shape
         root = np.sqrt(self.output_weight)
         jacobian = self.residual_jacobian(z)
-        # What is left of the sensitivities once the linear unknowns had their say.
+        # Sensitivities with the linear unknowns projected out.
         basis = (added * root[None, :, None])[self.is_used]
         basis = basis / np.maximum(np.linalg.norm(basis, axis=0), 1e-300)
         q, r, _ = qr(basis, mode="economic", pivoting=True)
@@ -213,32 +213,32 @@ def fit_linear_model(
 
     Parameters
     ----------
-    structure : Structure
+    structure : LinearStructure
     u : (n, inputs) array
-        As recorded; trims are estimated.
+        Inputs as recorded; their trims are estimated.
     y : (n, outputs) array
-        NaN where nothing was measured.
+        Outputs; NaN without a measurement.
     dt : float
         Sample time (s).
     starts : int
-        Searches, from the structure's start and from random ones between the bounds.
+        Number of searches: one from the structure's start values, the others from random values within the bounds.
     seed : int
-        Of the random starts.
+        Random seed of the starts.
     hold : bool
-        Inputs are held between samples; default straight lines.
+        Whether inputs are constant between samples; linear by default.
     mask : (n,) array of bool, optional
-        False where residuals are not to count.
+        False for samples whose residuals are omitted.
     first : (p,) array, optional
-        Values for the first start, of an equation-error or a simpler fit.
+        Values of the first start, from an equation-error or a simpler fit.
     progress : callable, optional
         Called with (starts done, starts).
     covariance : bool
-        Whether to compute it.
+        Whether to compute the covariance.
 
     Raises
     ------
     InputError
-        If no start leads to a model that can be simulated, or there are fewer samples than parameters.
+        If no start leads to a stable simulation, or there are fewer samples than parameters.
     """
     begun = time.perf_counter()
     structure = scale_structure(structure, u, y)
@@ -263,7 +263,7 @@ def fit_linear_model(
             progress(len(history), starts + _WEIGHT_ITERATIONS)
         return solution
 
-    # The products are small: threads of a linear algebra library cost more than they bring.
+    # The matrix products are small: BLAS threads cost more than they gain.
     with threadpool_limits(1, "blas"):
         best = None
         for trial in trials:
@@ -276,7 +276,7 @@ def fit_linear_model(
         if not np.isfinite(solution.cost) or solution.cost >= 0.4e12 * problem.is_used.sum():
             raise ArgumentError("structure", structure.name, "cannot be simulated from any start", "try a simpler one")
         for k in range(_WEIGHT_ITERATIONS):
-            # Maximum likelihood: weights from the residuals, then the parameters again.
+            # Maximum likelihood: alternate between weights from the residuals and parameters.
             variance = np.nanvar(problem.solve_linear_unknowns(solution.x)[0], axis=0)
             weight = 1.0 / np.maximum(variance, (1e-9 * spread) ** 2)
             if k and (np.abs(weight / problem.output_weight - 1.0) < 1e-3).all():
@@ -326,7 +326,7 @@ def fit_linear_model(
 
 
 def _effective_samples(rows: Array) -> float:
-    """Independent samples: n over the integrated autocorrelation time, the mean over the outputs."""
+    """Return the number of independent samples: n over the integrated autocorrelation time, averaged over outputs."""
     n = len(rows)
     counts = []
     for e in rows.T:
@@ -337,13 +337,13 @@ def _effective_samples(rows: Array) -> float:
 
 
 def simulate_linear_fit(fit: LinearFit, u: Array, dt: float) -> tuple[Array, Array]:
-    """Simulate a fitted model from the beginning of the record that it was fitted to, as far as the inputs go.
+    """Simulate a fitted model from the beginning of the fitted record to the end of the inputs.
 
     Parameters
     ----------
     fit : LinearFit
     u : (n, inputs) array
-        As recorded, beginning with the fitted record; what follows it is predicted from inputs alone.
+        Recorded inputs of the fitted record and of the time to predict after it.
     dt : float
 
     Returns
@@ -352,5 +352,5 @@ def simulate_linear_fit(fit: LinearFit, u: Array, dt: float) -> tuple[Array, Arr
     x : (n, states) array
     """
     y, x = simulate_linear_structure(fit.structure, fit.values, u - fit.input_trim, dt, x0=fit.x0, hold=fit.hold)
-    # The delayed inputs before the record stand at their first value: the trim is taken off there, too.
+    # Delayed inputs before the record equal the first value, less the trim.
     return y + fit.output_bias, x

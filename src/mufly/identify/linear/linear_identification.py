@@ -1,9 +1,9 @@
-"""Linear models from flight records, start to finish: choose a structure, fit it, predict what it has not seen.
+"""Identification of linear models from flight records: choice of structure, fit, and prediction of held-out data.
 
-The fit sees the first part of the record only: so do the choice of the structure (blocked cross-validation inside that
-part), the disturbance model and the noise floor. The second part is predicted by one pure simulation that runs on from
-the first without a look at the measurements, and, beside it, a stated time ahead from past measurements. Low-pass and
-decimation for the fit are applied to inputs and outputs alike, to the first part alone.
+The fit uses only the first part of the record; so do the choice of the structure (blocked cross-validation inside that
+part), the disturbance model and the noise floor. The second part is predicted in two ways: by one pure simulation that
+continues from the first part without measurements, and by predictions over fixed horizons from past measurements.
+Low-pass and decimation for the fit apply to inputs and outputs alike, and to the first part only.
 """
 
 from __future__ import annotations
@@ -53,17 +53,17 @@ CANDIDATE_MODELS = (
     "first-order-coupled-collective", "first-order-skew", "first-order-coupled-skew",
 )  # fmt: skip
 _CROSS_VALIDATION_BLOCKS = 4
-_MIN_HOLDOUT_SAMPLES = 100  # samples of a held-out part worth the name
+_MIN_HOLDOUT_SAMPLES = 100  # least number of samples of a held-out part
 _ANGLE_OF_RATE = {"p": "phi", "q": "theta"}
 
 
 @dataclass(frozen=True)
 class AheadPrediction:
-    """Prediction a time ahead on the held-out part, of every output.
+    """Prediction quality of every output over one horizon on the held-out part.
 
-    ``horizon_s`` is infinite for the pure simulation. ``fit_percent`` is against the measurement as recorded,
-    ``fit_percent_slow`` against both low-passed at ``LinearResult.slow_hz``, ``persistence_percent`` what the last
-    measured value would reach, causally low-passed (NaN for the simulation).
+    ``horizon_s`` is infinite for the pure simulation. ``fit_percent`` compares with the measurement as recorded,
+    ``fit_percent_slow`` compares after low-pass at ``LinearResult.slow_hz``. ``persistence_percent`` is the fit of the
+    last measured value, causally low-passed (NaN for the simulation).
     """
 
     horizon_s: float
@@ -75,19 +75,19 @@ class AheadPrediction:
 
 @dataclass(frozen=True)
 class OutputCheck:
-    """How one output is simulated over one part of the record.
+    """Simulation quality of one output over one part of the record.
 
     Attributes
     ----------
     floor : NoiseFloor
-        From that part.
-    quality, slow : Quality
-        Against the record, and against both low-passed at ``LinearResult.slow_hz``.
+        Noise floor of this part.
+    quality, slow : PredictionQuality
+        Quality as recorded, and after low-pass at ``LinearResult.slow_hz``.
     ceiling, ceiling_slow : float
-        Fit (per cent) of a model whose error is the noise floor alone, as recorded and below ``slow_hz``; the latter is
-        NaN where no angle was measured beside a rate.
+        Fit (per cent) of a model whose only error is the noise floor, as recorded and below ``slow_hz``; the latter is
+        NaN for a rate without measured angle.
     against_angle : float
-        Fit (per cent) below ``slow_hz`` against the derivative of the measured angle instead of the gyro; NaN without.
+        Fit (per cent) below ``slow_hz`` to the derivative of the measured angle instead of the gyro; NaN without angle.
     """
 
     floor: NoiseFloor
@@ -106,34 +106,34 @@ _RECORDED_CHECKS = {
 
 @result(eq=False, picture="mufly.identify.fit_pictures:fit_picture")
 class LinearResult:
-    """A linear identification.
+    """Result of a linear identification.
 
     Attributes
     ----------
-    fit : Fit
-        As a report wants it, with the fitted and the held-out part.
+    fit : FitResult
+        Result for the report, with the fitted and the held-out part.
     linear : LinearFit
-        The model itself.
+        Fitted model.
     candidates : tuple of CrossValidation
-        Structures tried, best first; empty if one was asked for.
+        Candidate structures, best first; empty if the structure was given.
     checks : dict of role to tuple of OutputCheck
-        Of every output.
-    disturbance : Disturbance
-    ahead : tuple of Ahead
-        Empty without held-out part.
+        Simulation quality of every output.
+    disturbance : DisturbanceModel
+    ahead : tuple of AheadPrediction
+        Predictions over fixed horizons; empty without held-out part.
     slow_hz : float
     missing : tuple of str
-        What the residuals of the fitted part show.
+        Model deficiencies visible in the residuals of the fitted part.
     equation_error : dict of symbol to (value, std)
-        Cross-check; empty where no rate was measured.
-    subspace : Subspace or None
-        Cross-check of the same number of states, fitted to the same samples.
+        Cross-check by equation error; empty without a measured rate.
+    subspace : SubspaceModel or None
+        Cross-check by a subspace model of the same order, fitted to the same samples.
     subspace_percent : tuple of float
-        Its pure simulation on the held-out part, low-passed.
-    spectral : SpectralFit or None
-        Cross-check: fitted to frequency responses; None where too little is coherent.
+        Fit (per cent) of the subspace model's pure simulation on the held-out part, low-passed.
+    spectral : FrequencyResponseFit or None
+        Cross-check by a fit to frequency responses; None without sufficient coherence.
     notes : tuple of str
-        About the record.
+        Notes on the record.
     """
 
     fit: FitResult
@@ -176,19 +176,20 @@ def identify_linear_model(
 
     Parameters
     ----------
-    record : Columns
+    record : EvenLogTable
     inputs, outputs : dict
-        Our names (lat, lon, ped, col; p, q, r, phi, theta, u, v, w) to columns; ``-`` before a column turns its sign.
+        Model names (lat, lon, ped, col; p, q, r, phi, theta, u, v, w) -> columns; ``-`` before a column inverts its
+        sign.
     model : str
-        See :func:`mufly.identify.linear.linear_structure.structure_by_name`; ``"auto"`` cross-validates ``candidates``
-        and takes the best.
+        See :func:`mufly.identify.linear.linear_structure.structure_by_name`; ``"auto"`` chooses the best of
+        ``candidates`` by cross-validation.
     candidates : sequence of str
     split : float
-        Share of the record that the fit may see; 1 for all of it.
+        Share of the record used for the fit; 1 for the whole record.
     split_at_s : float, optional
-        The same as a time (s); goes before ``split``.
+        End of the fitted part (s); takes precedence over ``split``.
     lowpass_hz, rate_hz : float, optional
-        For the fit alone; None leaves the record as it is.
+        Low-pass and sample rate for the fit only; None leaves the record unchanged.
     starts, seed, hold
         See :func:`mufly.identify.linear.linear_fit.fit_linear_model`.
     progress : callable, optional
@@ -197,7 +198,7 @@ def identify_linear_model(
     Raises
     ------
     InputError
-        If columns are missing, nothing moves, or no structure can be fitted.
+        If columns are missing, signals are constant, or no structure can be fitted.
     """
     if not 0.1 <= split <= 1.0:
         raise ArgumentError("split", "", f"{split:g} is not a share of the record", "give 0.1 to 1")
@@ -294,7 +295,7 @@ def identify_linear_model(
 
 
 def _refuse_degrees(record: EvenLogTable, outputs: Mapping[str, str], y: Array) -> None:
-    """Refuse angles and rates in degrees, which would be fitted as well but mean something else."""
+    """Raise an error for angles and rates in degrees, which a fit would accept with wrong parameters."""
     names = list(outputs)
     for angle, rate in (("phi", "p"), ("theta", "q"), ("", "r")):
         pair = [y[:, names.index(n)] if n in names else record.columns.get(n) if n else None for n in (angle, rate)]
@@ -330,7 +331,7 @@ def _filter_and_decimate(
 def _describe_outputs_still_when_held_out(
     outs: tuple[str, ...], y: Array, cut: int, dt: float, slow: float
 ) -> list[str]:
-    """Say which outputs hardly move in the held-out part."""
+    """Name the outputs with little motion in the held-out part."""
     said = []
     for k, name in enumerate(outs):
         fitted, held = (float(low_pass(part[:, [k]], dt, slow).std()) for part in (y[:cut], y[cut:]))
@@ -385,7 +386,7 @@ def _predict_ahead_scores(
         return ()
     found = []
     target, m = low_pass(y[cut:], dt, slow), y.shape[1]
-    # Unfiltered, persistence would carry the vibration along; a filter that sees the future would cheat.
+    # A causal low-pass removes vibration from the persistence without using future samples.
     causal = np.asarray(sosfilt(butter(1, slow, fs=1.0 / dt, output="sos"), y, axis=0))
     for horizon in (*PREDICTION_HORIZONS_S, float("inf")):
         steps = max(1, round(horizon / dt)) if np.isfinite(horizon) else 0
@@ -419,7 +420,7 @@ def _cross_check_subspace(
     if np.abs(np.linalg.eigvals(model.a)).max() > 1.0 + 1e-6 or cut >= len(y):
         return model, ()
     step = max(1, round(dtf / dt))
-    # Without a look at the held-out part: the state runs on from the fitted one.
+    # The state continues from the fitted part, without measurements of the held-out part.
     whole = model.simulate_outputs(u[::step], model.estimate_initial_state(uf[: 2 * past], yf[: 2 * past]))
     last = -(-cut // step)
     target = low_pass(y, dt, slow)[::step][last:]

@@ -1,6 +1,6 @@
-"""Linear models with named parameters: their blocks, and their exact simulation.
+"""Linear models with named parameters: structure from blocks, and exact simulation.
 
-**Linear models with named parameters, put together from blocks by the outputs that were measured.**
+**Structure: the measured outputs decide which blocks form the model.**
 
     x' = A(theta) x + B(theta) (u(t - tau) - u_0),   y = C x + D (u(t - tau) - u_0) + y_0
 
@@ -17,19 +17,18 @@ Rotorcraft*, 2003, ch. 4; Tischler and Remple, ch. 15):
     translation   u' = X_u u - g theta + X_a a,   v' = Y_v v + g phi + Y_b b
     heave         w' = Z_w w + Z_col col
 
-In the hybrid ``L_lat`` and the like are products ``L_b B_lat / tau_f``; the flapping angles a, b are not measured.
-Coupling terms (L_q, M_p, L_a, M_b, A_b, B_a, off-axis sticks) belong to the ``-coupled`` variants.
+In the hybrid model the control derivatives are products, ``L_lat = L_b B_lat / tau_f``; the flapping angles a, b are
+not measured. Coupling terms (L_q, M_p, L_a, M_b, A_b, B_a, off-axis sticks) belong to the ``-coupled`` variants.
 
-**Exact simulation of a linear model over a sampled record, with what enters linearly kept apart.**
+**Exact simulation over a sampled record, with separate linear unknowns.**
 
-Between samples the inputs are joined by straight lines (or held), which a matrix exponential integrates exactly
-(Franklin, Powell and Workman, *Digital Control of Dynamic Systems*, Sec. 4.3):
+Between samples the inputs are linear (or constant), which a matrix exponential integrates exactly (Franklin, Powell
+and Workman, *Digital Control of Dynamic Systems*, Sec. 4.3):
 
     x_(k+1) = Phi x_k + G_1 u_k + G_2 (u_(k+1) - u_k) / dt
 
-Initial state, trim of the inputs and bias of the outputs enter the prediction linearly;
-:func:`linear_unknown_responses` returns what one unit of each would add, so that a fit can solve for them exactly
-instead of searching (variable projection, Golub and Pereyra 1973).
+Initial state, input trim and output bias enter the prediction linearly. :func:`linear_unknown_responses` returns the
+response to one unit of each, so that a fit can solve for them exactly (variable projection, Golub and Pereyra 1973).
 """
 
 from __future__ import annotations
@@ -52,12 +51,11 @@ SIGNAL_UNITS = dict.fromkeys("pqr", "rad/s") | {"phi": "rad", "theta": "rad"} | 
 
 @dataclass(frozen=True)
 class ModelParameter:
-    """One parameter: where the search starts and what it may be.
+    """Model parameter with start value and bounds, in SI units.
 
-    ``low > 0`` makes the search work with its logarithm. SI units; ``meaning`` is for tables. ``driven_and_driving``
+    With ``low > 0`` the search uses the logarithm. ``meaning`` is a description for tables. ``driven_and_driving``
     names the state and the signal that a gain connects: ``start_value``, ``low`` and ``high`` then hold for signals of
-    equal size, and
-    :func:`scale_structure` makes them those of the record.
+    equal size, and :func:`scale_structure` scales them to the record.
     """
 
     symbol: str
@@ -71,17 +69,17 @@ class ModelParameter:
 
 @dataclass(frozen=True, eq=False)
 class LinearStructure:
-    """A linear model whose matrices are functions of named parameters.
+    """Linear model whose matrices are functions of named parameters.
 
     Attributes
     ----------
     name : str
     states, inputs, outputs : tuple of str
     units : tuple of str
-        Of the outputs.
-    parameters : tuple of Parameter
+        Units of the outputs.
+    parameters : tuple of ModelParameter
     fill_matrices : callable
-        From ``{symbol: value}`` to ``(A, B, C, D, delay)``; ``delay`` (s) has one entry an input.
+        Function from ``{symbol: value}`` to ``(A, B, C, D, delay)``; ``delay`` (s) has one entry per input.
     """
 
     name: str
@@ -94,7 +92,7 @@ class LinearStructure:
 
     @property
     def symbols(self) -> tuple[str, ...]:
-        """Symbols of the parameters, in order."""
+        """Symbols of the parameters, in the order of ``parameters``."""
         return tuple(p.symbol for p in self.parameters)
 
     def state_space_matrices(self, values: Array) -> tuple[Array, Array, Array, Array, Array]:
@@ -102,22 +100,22 @@ class LinearStructure:
         return self.fill_matrices(dict(zip(self.symbols, values.tolist(), strict=True)))
 
 
-_RATE_PER_ANGLE = 3.0  # 1/s: size of a rate over that of its angle, where the rate was not measured
+_RATE_PER_ANGLE = 3.0  # 1/s: assumed size of an unmeasured rate over the size of its angle
 _INTEGRAL_OF = {"p": "phi", "q": "theta", "phi": "v", "theta": "u"}
 
 
 def scale_structure(structure: LinearStructure, u: Array, y: Array) -> LinearStructure:
-    """Return a structure whose gains start, and end, in proportion to the signals of a record.
+    """Return a structure whose start gains and bounds are scaled to the signals of a record.
 
-    ``x' = a x + k z`` with rates ``|a|`` below some 60 1/s and signals of sizes ``s_x``, ``s_z`` (standard deviations)
-    leaves ``k s_z / s_x`` no room far above 60 1/s, whatever the unit of ``z``: a share of the stick's travel, of a
-    motor's voltage, microseconds. So bounds in that ratio hold for every vehicle and log; a bound in 1/s^2 does not.
+    In ``x' = a x + k z`` with rates ``|a|`` below about 60 1/s and signals of standard deviation ``s_x``, ``s_z``, the
+    ratio ``k s_z / s_x`` is not far above 60 1/s for any unit of ``z`` (share of stick travel, share of motor voltage,
+    microseconds). Bounds of this ratio hold for every vehicle and log; bounds in 1/s^2 do not.
 
     Parameters
     ----------
-    structure : Structure
+    structure : LinearStructure
     u, y : (n, inputs), (n, outputs) array
-        NaN where nothing was measured.
+        Inputs and outputs; NaN without a measurement.
     """
     size = dict(zip(structure.inputs, np.nanstd(u, axis=0).tolist(), strict=True))
     size |= dict(zip(structure.outputs, np.nanstd(y, axis=0).tolist(), strict=True))
@@ -140,12 +138,12 @@ def scale_structure(structure: LinearStructure, u: Array, y: Array) -> LinearStr
 
 
 class SearchCoordinates:
-    """Search coordinates of parameters: the logarithm of those that are positive, the others over their size.
+    """Search coordinates of parameters: the logarithm of positive parameters, the others over their scale.
 
     Attributes
     ----------
     low, high, linear_scale : (p,) array
-        Bounds, and the size: that of ``to_values``, or a fiftieth of what the bounds leave.
+        Bounds, and scale of linear parameters: the size of the value, or a fiftieth of the bounds' distance.
     is_logarithmic : (p,) array of bool
     """
 
@@ -156,11 +154,11 @@ class SearchCoordinates:
 
     @property
     def bounds(self) -> tuple[Array, Array]:
-        """Of the coordinates."""
+        """Lower and upper bounds of the coordinates."""
         return self.to_coordinates(self.low), self.to_coordinates(self.high)
 
     def to_coordinates(self, values: Array) -> Array:
-        """Return the coordinates of values."""
+        """Return the search coordinates of parameter values (p,)."""
         return np.where(
             self.is_logarithmic,
             np.log(np.where(self.is_logarithmic, values, 1.0)),
@@ -168,17 +166,17 @@ class SearchCoordinates:
         )
 
     def to_values(self, z: Array) -> Array:
-        """Return the values, within their bounds, at coordinates."""
+        """Return the parameter values (p,), clipped to their bounds, at search coordinates ``z``."""
         values = np.where(self.is_logarithmic, np.exp(np.where(self.is_logarithmic, z, 0.0)), z * self.linear_scale)
         return np.clip(values, self.low, self.high)
 
     def value_derivatives(self, z: Array) -> Array:
-        """Return the derivatives of the values by the coordinates."""
+        """Return the derivatives (p,) of the values with respect to the coordinates."""
         return np.where(self.is_logarithmic, self.to_values(z), self.linear_scale)
 
 
 class StructureBuilder:
-    """Collects states, parameters and matrix entries; an entry is (matrix, row, column, function of the values)."""
+    """Builder that collects states, parameters and matrix entries (matrix, row, column, function of the values)."""
 
     def __init__(self, inputs: tuple[str, ...]) -> None:
         self.inputs = inputs
@@ -199,7 +197,7 @@ class StructureBuilder:
         self, row: str, column: str, symbol: str, unit: str, start: float, bound: float | tuple[float, float],
         meaning: str, over: str = "",
     ) -> None:  # fmt: skip
-        """One free entry of A or B (by the name of its column), divided by the parameter ``over`` if given."""
+        """Add a free entry of A or B (by the name of its column), divided by the parameter ``over`` if given."""
         low, high = bound if isinstance(bound, tuple) else (-bound, bound)
         source, state = column.removesuffix("_f"), {"a": "q", "b": "p"}.get(row, row)
         gain = source in self.inputs or (source in ("u", "v") and row in ("p", "q"))
@@ -240,7 +238,7 @@ class StructureBuilder:
 ANGULAR_MODELS = ("first-order", "second-order", "hybrid")
 MODEL_EXTRAS = ("coupled", "collective", "gyro", "speed", "skew")
 _MAX_SKEW_S = 0.3
-_MAX_DELAY_S = 0.3  # of an input
+_MAX_DELAY_S = 0.3  # largest delay of an input
 _STICK_OF_RATE, _FLAPPING_OF_RATE, _MOMENT_LETTER = (
     {"p": "lat", "q": "lon"},
     {"p": "b", "q": "a"},
@@ -252,26 +250,26 @@ def helicopter_structure(
     inputs: tuple[str, ...], outputs: tuple[str, ...], *, angular: str = "hybrid", coupled: bool = False,
     collective: bool = False, gyro: bool = False, speed: bool = False, skew_s: float = 0.0,
 ) -> LinearStructure:  # fmt: skip
-    """Put a helicopter's linear model together.
+    """Build the structure of a helicopter's linear model.
 
     Parameters
     ----------
     inputs : tuple of str
-        Some of lat, lon, ped, col; those that never moved are better left out.
+        Some of lat, lon, ped, col; constant inputs should be omitted.
     outputs : tuple of str
         Some of p, q, r, phi, theta, u, v, w; they decide which blocks are used.
     angular : str
         Block of roll and pitch: one of ``ANGULAR_MODELS``.
     coupled : bool
-        With the terms between roll and pitch.
+        Whether to add coupling terms between roll and pitch.
     collective : bool
-        With the collective into roll and pitch.
+        Whether collective acts on roll and pitch.
     gyro : bool
-        With the yaw gyro's feedback r_fb.
+        Whether to add the feedback r_fb of the yaw gyro.
     speed : bool
-        With speed stability L_v, M_u (needs u, v among the outputs).
+        Whether to add speed stability L_v, M_u (needs u, v among the outputs).
     skew_s : float
-        How much earlier than recorded an input may act (s): for logs whose inputs carry a late time stamp.
+        Largest time by which an input may act earlier than recorded (s), for logs with late time stamps of inputs.
 
     Raises
     ------
@@ -313,7 +311,7 @@ def helicopter_structure(
 def _add_rate_dynamics(
     b: StructureBuilder, r: str, rates: tuple[str, ...], sticks: Sequence[str], angular: str, coupled: bool
 ) -> None:
-    """Roll or pitch: its own damping, or its flapping."""
+    """Add the damping or the flapping dynamics of roll or pitch."""
     big, flap, other = _MOMENT_LETTER[r], _FLAPPING_OF_RATE[r], "q" if r == "p" else "p"
     if angular != "hybrid":
         b.add_free_entry(r, r, f"{big}_{r}", "1/s", -3.0, (-60.0, 0.0), f"damping, {r}")
@@ -333,7 +331,7 @@ def _add_rate_dynamics(
 def _add_couplings(
     b: StructureBuilder, r: str, rates: tuple[str, ...], sticks: Sequence[str], angular: str, coupled: bool
 ) -> None:
-    """What moves roll or pitch besides: the sticks, or the other one's flapping."""
+    """Add the effect of the sticks, or of the cross-axis flapping, on roll or pitch."""
     big, flap, other = _MOMENT_LETTER[r], _FLAPPING_OF_RATE[r], _FLAPPING_OF_RATE["q" if r == "p" else "p"]
     if angular != "hybrid":
         for s in sticks:
@@ -349,10 +347,10 @@ def _add_couplings(
 
 
 def structure_by_name(name: str, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> LinearStructure:
-    """Put together the model of a name such as ``"first-order-coupled"`` or ``"helicopter"``.
+    """Build the structure with a name such as ``"first-order-coupled"`` or ``"helicopter"``.
 
-    The name begins with one of ``ANGULAR_MODELS`` and goes on with any of ``MODEL_EXTRAS``; ``"helicopter"`` stands for
-    ``"hybrid-coupled-gyro"``, Mettler's structure. ``skew`` lets inputs act up to 0.3 s before they were recorded.
+    The name is one of ``ANGULAR_MODELS``, followed by any of ``MODEL_EXTRAS``; ``"helicopter"`` stands for
+    ``"hybrid-coupled-gyro"``, Mettler's structure. With ``skew`` inputs may act up to 0.3 s earlier than recorded.
 
     Raises
     ------
@@ -404,7 +402,7 @@ def _add_yaw_dynamics(
     for r in rates if coupled else ():
         b.add_free_entry("r", r, f"N_{r}", "1/s", 0.0, 30.0, f"coupling of {r} into yaw")
     if gyro:
-        # Only the product of Mettler's N_ped and K_r is seen at r; the state is scaled so that K_r is 1.
+        # Only the product of Mettler's N_ped and K_r is identifiable from r; the state is scaled so that K_r is 1.
         b.states.append("r_fb")
         b.add_constant("r_fb", "r", 1.0)
         b.add_parameter("K_rfb", "1/s", 3.0, 0.02, 60.0, "gyro, washout")
@@ -431,12 +429,12 @@ def _check_signals(inputs: tuple[str, ...], outputs: tuple[str, ...], angular: s
 
 
 def discretise_first_order_hold(a: Array, b: Array, dt: float, *, hold: bool = False) -> tuple[Array, Array, Array]:
-    """Return Phi, G_1, G_2 of one sample; ``G_2`` is zero for held inputs.
+    """Return the discrete matrices Phi, G_1, G_2 of one sample; ``G_2`` is zero for a zero-order hold.
 
     Raises
     ------
     FloatingPointError
-        If the model is so unstable that it overflows within a sample.
+        If an unstable model overflows within one sample.
     """
     n, k = b.shape
     block = np.zeros((n + 2 * k, n + 2 * k))
@@ -449,7 +447,7 @@ def discretise_first_order_hold(a: Array, b: Array, dt: float, *, hold: bool = F
 
 
 def delay_inputs(u: Array, delay_s: Array, dt: float, *, hold: bool = False) -> Array:
-    """Return the inputs (n, k), each ``delay_s`` later; before the record they stand at their first value."""
+    """Return the inputs (n, k) delayed by ``delay_s`` (k,); before the record they equal their first value."""
     if hold:
         shift = np.rint(delay_s / dt).astype(int)
         index = np.maximum(np.arange(len(u))[:, None] - shift[None, :], 0)
@@ -475,7 +473,7 @@ def _propagate_states(phi: Array, drive: Array, x0: Array) -> Array:  # pragma: 
 
 @cached_njit
 def _propagate_outputs(phi: Array, c: Array, first: Array, constant: Array, n: int) -> Array:  # pragma: no cover
-    """Outputs (n, ny, m) of m motions that start at ``first`` (nx, m) under constant increments (nx, m)."""
+    """Return outputs (n, ny, m) of m motions from initial states ``first`` (nx, m) with constant increments (nx, m)."""
     ny, nx, m = c.shape[0], phi.shape[0], first.shape[1]
     y = np.empty((n, ny, m))
     x, new = first.copy(), np.empty((nx, m))
@@ -505,20 +503,20 @@ def simulate_linear_structure(
     x0: Array | None = None,
     hold: bool = False,
 ) -> tuple[Array, Array]:
-    """Simulate from inputs alone.
+    """Simulate a structure from inputs alone.
 
     Parameters
     ----------
-    structure : Structure
+    structure : LinearStructure
     values : (p,) array
     u : (n, inputs) array
-        Deviations from trim.
+        Inputs as deviations from trim.
     dt : float
-        (s).
+        Sample time (s).
     x0 : (states,) array, optional
-        Default zero.
+        Initial state; zero by default.
     hold : bool
-        Inputs are held between samples; default straight lines.
+        Whether inputs are constant between samples; linear by default.
 
     Returns
     -------
@@ -534,7 +532,7 @@ def simulate_linear_structure(
 
 
 def linear_unknown_responses(structure: LinearStructure, values: Array, n: int, dt: float) -> Array:
-    """Return what one unit of each initial state, input trim and output bias adds to the outputs.
+    """Return the output response to one unit of each initial state, input trim and output bias.
 
     Returns
     -------

@@ -1,26 +1,24 @@
-"""How far a linear model can be believed, and what other methods make of the same record.
+"""Validation of linear models: cross-validation, multi-step prediction, noise floor, subspace identification.
 
-**How far a linear model can be believed: cross-validation, k-step prediction, and the noise floor.**
+**Blocked cross-validation.** The record is divided into blocks. Each block is omitted from the cost once, while the
+simulation runs through it, and is then predicted from inputs alone. Neighbouring samples are dependent; whole blocks
+are nearly independent.
 
-**Blocked cross-validation.** The record is cut into blocks; each is left out of the cost once while the simulation
-runs through it, and is then predicted from inputs alone. Neighbouring samples are no independent witnesses, whole
-blocks nearly are.
+**Disturbance model.** The simulation error ``e = y - y_sim`` obeys the model's homogeneous equation driven by the
+disturbance, ``d_(k+1) = Phi d_k + w_k, e_k = C d_k + v_k``. The variances of ``w`` and ``v`` are fitted by maximum
+likelihood of the one-step innovations (Ljung, Sec. 7.4; Jategaonkar's filter-error method, ch. 5, for a fixed model).
+A steady Kalman filter then estimates the state from past samples. The prediction ``h`` seconds ahead is
+``y_sim(t + h) + C Phi^h d(t|t)``: it uses measurements up to t and inputs up to t + h.
 
-**Disturbance model.** What a simulation misses, ``e = y - y_sim``, obeys the model's own homogeneous equation driven by
-the disturbance, ``d_(k+1) = Phi d_k + w_k, e_k = C d_k + v_k``. Variances of ``w`` and ``v`` are fitted by maximum
-likelihood of the one-step innovations (Ljung, Sec. 7.4; Jategaonkar's filter-error method, ch. 5, at fixed model), and
-a steady Kalman filter then gives the state from past samples. Prediction ``h`` seconds ahead is
-``y_sim(t + h) + C Phi^h d(t|t)``: measurements up to t, inputs up to t + h.
-
-**Noise floor** of a rate: what it holds above the band in which the inputs have power, and below it what disagrees
-with the derivative of the measured angle. The model is not asked to explain either.
+**Noise floor** of a rate: its content above the band in which the inputs have power, and, below, its difference from
+the derivative of the measured angle. The model need not explain these two parts.
 
 **Subspace identification**, a cross-check that shares neither the search nor the structure of the fit (PBSIDopt;
 Chiuso 2007, Automatica 43, 1034-1048; van der Veen, van Wingerden, Bergamasco, Lovera and Verhaegen 2013, IET Control
 Theory Appl. 7(10)). The innovation form ``x+ = A x + B u + K e, y = C x + D u + e`` is ``x+ = Ac x + Bc z`` with
 ``z = (u, y)``, ``Ac = A - K C``, so after ``p`` samples ``x ~ [Ac^(p-1) Bc ... Bc] Z_p``. A long ARX model gives the
-products ``C Ac^i Bc``; stacked over a future window they make ``Gamma K``; the directions of the largest singular
-values of ``Gamma K Z`` are the states, and A, B, C, D follow by least squares. It holds for data from a closed loop.
+products ``C Ac^i Bc``; stacked over a future window they form ``Gamma K``. The directions of the largest singular
+values of ``Gamma K Z`` are the states, and A, B, C, D follow by least squares. The method is valid in closed loop.
 """
 
 from __future__ import annotations
@@ -55,13 +53,14 @@ class CrossValidation:
     name : str
     parameters : int
     left_out : float
-        Mean square of the residuals in the left-out blocks over the variance of the output, mean over the outputs:
+        Mean square residual in the omitted blocks over the variance of the output, averaged over the outputs;
         1 is as good as the mean.
     by_output : tuple of float
+        ``left_out`` of each output.
     fit_percent : tuple of float
-        In sample, of the fit to all blocks.
+        In-sample fit to all blocks.
     aic, bic : float
-        Less those of the best structure, in effective samples.
+        Information criteria for the effective samples, relative to the best structure.
     """
 
     name: str
@@ -76,23 +75,23 @@ class CrossValidation:
 def cross_validate_structure(
     structure: LinearStructure, u: Array, y: Array, dt: float, *, blocks: int = 4, starts: int = 3, hold: bool = False,
 ) -> tuple[CrossValidation, LinearFit]:  # fmt: skip
-    """Score a structure by leaving out one block after the other.
+    """Score a structure by blocked cross-validation.
 
     Parameters
     ----------
-    structure : Structure
+    structure : LinearStructure
     u, y : (n, inputs), (n, outputs) array
     dt : float
     blocks : int
     starts, hold
-        As for :func:`mufly.identify.linear.linear_fit.fit_linear_model`; a fold begins at the fit to all blocks.
+        See :func:`mufly.identify.linear.linear_fit.fit_linear_model`; each fold starts at the fit to all blocks.
 
     Returns
     -------
     score : CrossValidation
-        ``aic`` and ``bic`` not yet relative to anything.
+        Score with absolute ``aic`` and ``bic``.
     fit : LinearFit
-        To all blocks, without covariance.
+        Fit to all blocks, without covariance.
     """
     whole = fit_linear_model(structure, u, y, dt, starts=starts, hold=hold, covariance=False)
     edges = np.linspace(0, len(y), blocks + 1).astype(int)
@@ -115,16 +114,16 @@ def cross_validate_structure(
 
 @dataclass(frozen=True, eq=False)
 class DisturbanceModel:
-    """What a fitted model misses, as noise through the model itself.
+    """Model of the simulation error as process and measurement noise of a fitted model.
 
     Attributes
     ----------
     state_std : (states,) array
-        Of ``w`` per sample.
+        Standard deviation of ``w`` per sample.
     noise_std : (outputs,) array
-        Of ``v``.
+        Standard deviation of ``v``.
     transition_matrix, kalman_gain : array
-        Transition of one sample, and the filter's gain (states, outputs).
+        Transition of one sample (states, states), and Kalman gain (states, outputs).
     """
 
     state_std: Array
@@ -134,11 +133,11 @@ class DisturbanceModel:
 
 
 def fit_disturbance_model(fit: LinearFit, residual: Array, dt: float) -> DisturbanceModel:
-    """Fit the disturbance to the residuals of a simulation (n, outputs), without gaps, of the fitted part alone."""
+    """Fit the disturbance model to the residuals (n, outputs) of a simulation of the fitted part, without gaps."""
     a, b, c, _, _ = fit.structure.state_space_matrices(fit.values)
     phi = discretise_first_order_hold(a, b, dt)[0]
     scale = residual.std(axis=0)
-    # States that are measured move like their output; the others take the mean size.
+    # Measured states have the size of their output; the others have the mean size.
     size = np.array(
         [float(np.mean(scale[c[:, j] != 0.0])) if c[:, j].any() else float(scale.mean()) for j in range(len(a))]
     )
@@ -175,7 +174,7 @@ def fit_disturbance_model(fit: LinearFit, residual: Array, dt: float) -> Disturb
 def _steady_kalman_filter(
     phi: Array, gain: Array, c: Array, e: Array
 ) -> tuple[Array, Array]:  # pragma: no cover (compiled)
-    """States after each measurement (n, nx) and innovations (n, ny) of a steady Kalman filter."""
+    """Return the updated states (n, nx) and innovations (n, ny) of a steady Kalman filter."""
     n, ny, nx = e.shape[0], c.shape[0], phi.shape[0]
     states, innovations = np.empty((n, nx)), np.empty((n, ny))
     ahead = np.zeros(nx)
@@ -206,16 +205,17 @@ def predict_ahead(
     Parameters
     ----------
     fit : LinearFit
-    disturbance : Disturbance
-        From the fitted part.
+    disturbance : DisturbanceModel
+        Disturbance model of the fitted part.
     y, simulated : (n, outputs) array
-        Measured, and simulated from inputs alone. Before the first usable sample the simulation stands.
+        Measured outputs, and simulation from inputs alone, which is returned for the first ``horizon_s``.
     dt, horizon_s : float
-        (s).
+        Sample time and horizon (s).
 
     Returns
     -------
     (n, outputs) array
+        Predicted outputs.
     """
     c = fit.structure.state_space_matrices(fit.values)[2]
     gain, c_ = np.ascontiguousarray(disturbance.kalman_gain), np.ascontiguousarray(c)
@@ -236,11 +236,11 @@ class NoiseFloor:
     split_hz : float
         Frequency between the two parts.
     above : float
-        What the output holds above it.
+        Content of the output above ``split_hz``.
     below : float
-        What disagrees with the measured angle's derivative below it; zero where no angle was measured.
+        Difference to the measured angle's derivative below ``split_hz``; zero without a measured angle.
     input_share : float
-        Share of the inputs' power (each over its own) that lies below ``split_hz``.
+        Share of the normalised inputs' power below ``split_hz``.
     """
 
     split_hz: float
@@ -250,7 +250,7 @@ class NoiseFloor:
 
     @property
     def total(self) -> float:
-        """Both together."""
+        """Total noise: root sum square of ``above`` and ``below``."""
         return float(np.hypot(self.above, self.below))
 
 
@@ -265,10 +265,11 @@ def estimate_noise_floor(
     u : (n, k) array
         All inputs.
     dt : float
+        Sample time (s).
     split_hz : float
-        The vehicle is taken not to follow its inputs above.
+        Frequency above which the vehicle does not respond to its inputs.
     angle : (n,) array, optional
-        Measured angle whose derivative the signal is (small angles).
+        Measured angle whose derivative is the signal (small angles).
     """
     moved = u[:, u.std(axis=0) > 0.0]
     share = 1.0
@@ -286,16 +287,16 @@ def estimate_noise_floor(
 
 @dataclass(frozen=True, eq=False)
 class SubspaceModel:
-    """A discrete linear model of unlabelled states.
+    """Discrete linear model with unlabelled states.
 
     Attributes
     ----------
     a, b, c, d, kalman_gain : array
-        (n, n), (n, inputs), (outputs, n), (outputs, inputs), (n, outputs).
+        Matrices (n, n), (n, inputs), (outputs, n), (outputs, inputs), (n, outputs).
     singular_values : array
-        Singular values, largest first: a gap says how many states the data show.
+        Singular values, largest first; a gap indicates the order.
     input_mean, output_mean : array
-        Taken off before the fit.
+        Means subtracted before the fit.
     dt : float
         Sample time (s).
     """
@@ -312,7 +313,7 @@ class SubspaceModel:
 
     @property
     def poles(self) -> NDArray[np.complex128]:
-        """Continuous poles (rad/s), slowest first."""
+        """Return the continuous-time poles (1/s), slowest first."""
         e = np.log(np.linalg.eigvals(self.a).astype(complex)) / self.dt
         return np.asarray(e[np.argsort(np.abs(e))], dtype=np.complex128)
 
@@ -326,7 +327,7 @@ class SubspaceModel:
         return y + self.output_mean
 
     def estimate_initial_state(self, u: Array, y: Array) -> Array:
-        """Return the initial state that fits outputs best when simulated."""
+        """Return the initial state (n,) whose simulation fits outputs ``y`` best."""
         n = len(self.a)
         power, rows = np.eye(n), []
         for _ in range(len(u)):
@@ -337,18 +338,18 @@ class SubspaceModel:
 
 
 def identify_subspace(u: Array, y: Array, dt: float, *, order: int, past: int = 20) -> SubspaceModel:
-    """Identify a model of given order.
+    """Identify a subspace model of given order.
 
     Parameters
     ----------
     u, y : (n, inputs), (n, outputs) array
-        Without gaps. Slow vehicles in fast records are better decimated first: ``past`` has to span their memory.
+        Signals without gaps. Records with a high sample rate should be decimated: ``past`` must span the slow modes.
     dt : float
         Sample time (s).
     order : int
         Number of states.
     past : int
-        Window before a sample, and after it (samples).
+        Length of the windows before and after a sample (samples).
 
     Raises
     ------

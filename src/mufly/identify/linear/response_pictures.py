@@ -34,10 +34,10 @@ def response_picture(
     ----------
     data : FrequencyResponse
     output : int
-    fits : sequence of TransferFit
-        Drawn over the pairs they belong to.
+    fits : sequence of TransferFunctionFit
+        Transfer functions drawn over their pairs.
     read : Bandwidth, optional
-        Marked in the first column.
+        Bandwidth marked in the first column.
     """
     k, f = len(data.inputs), data.frequency_hz
     figure = fit_pictures.blank_figure(min(12.0, 1.6 + 3.6 * k), 6.6)
@@ -106,7 +106,7 @@ def response_picture(
 
 
 def reconstruction_picture(c: ReconstructedPath) -> Figure:
-    """Draw what was measured and what was reconstructed, and beside it what is left."""
+    """Draw measured and reconstructed outputs, with their residuals beside them."""
     from mufly.identify.linear.flight_path_reconstruction import FLIGHT_PATH_STATES, STATE_UNITS
 
     m = len(c.outputs)
@@ -135,7 +135,7 @@ def reconstruction_picture(c: ReconstructedPath) -> Figure:
 
 
 def _unwrap_phase(h: NDArray[np.complex128], good: NDArray[np.bool_]) -> Array:
-    """Phase (deg) without jumps along the points that can be trusted; the others next to them."""
+    """Return the phase (deg), unwrapped along the coherent points; other points are placed next to them."""
     phase = np.degrees(np.angle(h))
     places = np.flatnonzero(good)
     if places.size < 2:

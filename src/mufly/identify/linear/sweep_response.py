@@ -1,26 +1,26 @@
-"""Frequency responses of sweeps: several window lengths in one, and transfer functions fitted to them.
+"""Frequency responses of sweeps from composite windows, and fit of transfer functions.
 
 **Composite windows** (Tischler and Remple, *Aircraft and Rotorcraft System Identification*, 2nd ed., ch. 10). A long
-window shows low frequencies and has few segments; a short one has many and shows high frequencies only. The responses
-of several lengths are combined, pair by pair and frequency by frequency, each input conditioned on the others first:
+window resolves low frequencies and gives few segments. A short window gives many segments and resolves high
+frequencies only. The responses of several lengths are combined for each pair and frequency, with each input first
+conditioned on the others:
 
     W_i = (eps_i / eps_min)^-4,      G = sum W_i^2 G_i / sum W_i^2      for G_xx.r, G_yy.r, G_xy.r
     H = G_xy.r / G_xx.r,             gamma^2 = |G_xy.r|^2 / (G_xx.r G_yy.r)
 
 with the random error ``eps`` of each window (:func:`~mufly.identify.linear.frequency_response.response_random_error`).
-These averages are where the book's further least squares begins; it is not done here. A window counts from 1.5 periods
-on. Windows see the same data and are no independent witnesses: the error of the composite is that of the averages'
-number of segments, ``n = sum W_i n_i / sum W_i``. The bias of windows too short for a lightly damped mode is in no
-random error.
+The book refines these averages by a further least squares, which is not done here. A window is used from 1.5 periods
+on. Windows share the same data and are not independent, so the error of the composite follows from the mean number of
+segments, ``n = sum W_i n_i / sum W_i``. The bias of windows too short for a lightly damped mode is not included.
 
 **Transfer functions** (ch. 11): ``H(s) = (b_m s^m + ... + b_0) / (s^n + ... + a_0) exp(-tau s)`` with the least
 
     J = 20 / n sum W_gamma [(dB)^2 + 0.01745 (deg)^2],      W_gamma = (1.58 (1 - exp(-gamma^2)))^2
 
-over the frequencies with a coherence of 0.6 or more. It begins at the best of iterated linear fits (Sanathanan and
-Koerner 1963, IEEE Trans. Autom. Control 8) for a row of delays. Deviations carry the random error through the fit, with
-the correlation of neighbouring frequencies that share segments (a Hann window is 1.5 / T wide), and grow with a misfit
-larger than it.
+over the frequencies with a coherence of 0.6 or more. The search starts from the best of iterated linear fits
+(Sanathanan and Koerner 1963, IEEE Trans. Autom. Control 8) over several delays. Standard deviations propagate the
+random error through the fit, with the correlation of neighbouring frequencies (a Hann window is 1.5 / T wide). They
+are scaled up for a misfit larger than the random error.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ from mufly.results import result
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-MIN_COHERENCE = 0.6  # partial coherence from which a point counts (Tischler and Remple, Sec. 7.5.3)
-_MIN_PERIODS_PER_WINDOW = 1.5  # of a frequency, that a window must hold
-_PHASE_WEIGHT = 0.01745  # of a square degree, beside that of a square decibel
+MIN_COHERENCE = 0.6  # least partial coherence of a point (Tischler and Remple, Sec. 7.5.3)
+_MIN_PERIODS_PER_WINDOW = 1.5  # least number of periods of a frequency in a window
+_PHASE_WEIGHT = 0.01745  # weight of a squared degree relative to a squared decibel
 _HANN_BANDWIDTH = 1.5  # width of the window in 1 / T
 
 
@@ -58,7 +58,7 @@ def estimate_composite_response(
     Parameters
     ----------
     inputs, outputs : sequence of (n, k) and of (n, m) array
-        One a record, without gaps: sweeps of all inputs, one after the other or together.
+        Signals without gaps, one array per record: sweeps of all inputs, separately or together.
     dt : float
         Sample time (s).
     windows_s : sequence of float
@@ -66,17 +66,17 @@ def estimate_composite_response(
     low_hz, high_hz : float
         Band; the longest window must hold 1.5 periods of the lowest frequency.
     points : int
-        Frequencies, evenly spaced in their logarithm.
+        Number of logarithmically spaced frequencies.
 
     Returns
     -------
     FrequencyResponse
-        ``averages`` is that of the shortest window.
+        Composite response; ``averages`` is the value of the shortest window.
 
     Raises
     ------
     InputError
-        If a window does not fit the records, or none holds the lowest frequency.
+        If a window is longer than the records, or all windows are too short for the lowest frequency.
     """
     if not windows_s or max(windows_s) * low_hz < _MIN_PERIODS_PER_WINDOW * (1.0 - 1e-9):
         longest = max(windows_s, default=0.0)
@@ -132,9 +132,10 @@ def estimate_composite_response(
 
 
 def choose_window_lengths(record_s: float, low_hz: float, high_hz: float, count: int = 5) -> tuple[float, ...]:
-    """Return lengths of windows (s) for a record: from half of it, or what ``low_hz`` needs, down to a tenth of that.
+    """Return window lengths (s) for a record, longest first, spaced geometrically down to a tenth of the longest.
 
-    At most half the record, so that at least three segments are averaged, and at least ten periods of ``high_hz``.
+    The longest window suits ``low_hz`` and is at most half the record, so that at least three segments are averaged.
+    The shortest holds at least ten periods of ``high_hz``.
     """
     longest = min(0.5 * record_s, max(3.0 / low_hz, 20.0 / high_hz))
     shortest = max(0.1 * longest, min(longest, 10.0 / high_hz))
@@ -143,23 +144,23 @@ def choose_window_lengths(record_s: float, low_hz: float, high_hz: float, count:
 
 @result(eq=False)
 class TransferFunctionFit:
-    """A transfer function fitted to a frequency response.
+    """Transfer function fitted to a frequency response.
 
     Attributes
     ----------
     input, output : str
     numerator, denominator : array
-        Coefficients, highest power of s first; the denominator's first is 1.
+        Coefficients, highest power of s first; the first coefficient of the denominator is 1.
     delay_s : float
     numerator_std, denominator_std : array
         Standard deviations.
     delay_std_s : float
     cost : float
-        J: below 100 good, below 50 hardly to be told from the data.
+        Cost J; below 100 good, below 50 nearly indistinguishable from the data.
     band_hz : (float, float)
-        Of the points that counted.
+        Band of the points used.
     count : int
-        How many.
+        Number of the points used.
     """
 
     input: str
@@ -175,19 +176,19 @@ class TransferFunctionFit:
     count: int
 
     def response_at(self, frequency_hz: Array) -> ComplexArray:
-        """Return the response at frequencies (f,)."""
+        """Return the complex response at frequencies (f,)."""
         s = 2j * np.pi * np.asarray(frequency_hz)
         shape = np.polyval(self.numerator, s) / np.polyval(self.denominator, s)
         return np.asarray(shape * np.exp(-self.delay_s * s), dtype=np.complex128)
 
     @property
     def poles(self) -> ComplexArray:
-        """Roots of the denominator (rad/s)."""
+        """Return the roots of the denominator (1/s)."""
         return np.asarray(np.roots(self.denominator), dtype=np.complex128)
 
     @property
     def zeros(self) -> ComplexArray:
-        """Roots of the numerator (rad/s)."""
+        """Return the roots of the numerator (1/s)."""
         return np.asarray(np.roots(self.numerator), dtype=np.complex128)
 
 
@@ -195,24 +196,24 @@ def fit_transfer_function(
     data: FrequencyResponse, output: int, input: int, *, zeros: int, poles: int, delay: bool = True,
     least: float = MIN_COHERENCE,
 ) -> TransferFunctionFit:  # fmt: skip
-    """Fit a transfer function to the response of one pair.
+    """Fit a transfer function to the response of one input-output pair.
 
     Parameters
     ----------
     data : FrequencyResponse
     output, input : int
-        Which pair.
+        Indices of the pair.
     zeros, poles : int
-        Their numbers, zeros not above poles.
+        Numbers of zeros and poles, with no more zeros than poles.
     delay : bool
-        With a delay.
+        Whether to fit a delay.
     least : float
-        Smallest partial coherence that counts.
+        Least partial coherence of a point.
 
     Raises
     ------
     InputError
-        If the orders are impossible, or too few points are coherent.
+        If the orders are invalid, or too few points are coherent.
     """
     if not 0 <= zeros <= poles or poles < 1:
         raise ArgumentError("zeros", "", f"{zeros} zeros and {poles} poles", "give 1 pole or more, and no more zeros")
@@ -255,7 +256,7 @@ def fit_transfer_function(
             best = solution
     assert best is not None
     b, a, tau = split_parameters(best.x)
-    # Random error through the fit; neighbours within a window's width are one point.
+    # Random error propagated through the fit; frequencies within one window's bandwidth are fully correlated.
     eps = np.maximum(data.error[:, output, input][good], 1e-9)
     noise = np.r_[8.686 * scale * eps, np.sqrt(_PHASE_WEIGHT) * np.degrees(1.0) * scale * eps]
     width = data.window_s[:, output, input][good] if data.window_s is not None else np.full(len(f), 1.0 / f[0])
@@ -286,12 +287,12 @@ def _signal_name(names: tuple[str, ...], k: int) -> str:
 
 
 def _initial_delays(delay: bool, s: ComplexArray) -> list[float]:
-    """Delays to begin with, over the reciprocal of the middle frequency."""
+    """Return trial delays (s) relative to the reciprocal of the largest angular frequency; only 0 without a delay."""
     return [float(x) for x in np.r_[0.0, np.geomspace(0.02, 2.0, 9) / np.abs(s).max()]] if delay else [0.0]
 
 
 def _weighted_linear_fit(s: ComplexArray, h: ComplexArray, weight: Array, zeros: int, poles: int) -> Array:
-    """Numerator and denominator (its first 1 left out) by linear least squares, weighted by the last denominator."""
+    """Fit numerator and denominator (without its leading 1) by linear least squares, reweighted iteratively."""
     a = np.r_[1.0, np.ones(poles)]
     x = np.zeros(zeros + 1 + poles)
     for _ in range(12):
