@@ -1,7 +1,7 @@
-"""Who watches? The ground station: what it knows of a vehicle, what it asks of it, and its page.
+"""The ground station: telemetry of vehicles, requests to them, recordings, and the operator's page.
 
-What the room offers loads on first use: the address of the page and what it shows while the rest loads are here before
-the flight software is.
+Attributes of the package load on first use, so that the page's address and start page appear before the flight
+software is loaded.
 """
 
 from __future__ import annotations

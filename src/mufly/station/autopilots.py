@@ -1,8 +1,8 @@
-"""How the autopilots that people have want to be asked.
+"""Commands of a ground station, per autopilot firmware.
 
-MAVLink has one command for most things, but autopilots differ in how they want to be asked: a mufly vehicle takes
-metres in LOCAL_NED and needs no modes; PX4 and ArduPilot fly by modes (DO_SET_MODE), ArduPilot takes points in its
-mode "guided". ArduPilot's copters, planes, rovers, submarines and airships number their modes differently. Commands: https://mavlink.io/en/messages/common.html#mav_commands.
+MAVLink has one command for most actions, but autopilots differ in its use. A mufly vehicle takes metres in LOCAL_NED
+and needs no modes. PX4 and ArduPilot fly by modes (DO_SET_MODE); ArduPilot takes positions in its mode "guided".
+ArduPilot's copters, planes, rovers, submarines and airships number their modes differently. Commands: https://mavlink.io/en/messages/common.html#mav_commands.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ FirmwareKind = Literal["mufly", "PX4", "ArduPilot", "other"]
 
 
 def identify_firmware(autopilot: int, ours: bool) -> FirmwareKind:
-    """Return whose vehicle it is, which says how it wants to be asked.
+    """Return the firmware kind, which selects the commands of a vehicle.
 
     Parameters
     ----------
     autopilot : int
         MAV_AUTOPILOT.
     ours : bool
-        Whether it says of itself that it is a mufly vehicle.
+        Whether the vehicle identifies itself as a mufly vehicle.
     """
     if ours:
         return "mufly"
@@ -47,15 +47,15 @@ ARM_COMMAND, DISARM_COMMAND = (
     _make_command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM),
 )  # COMPONENT_ARM_DISARM; disarming is refused in flight
 EMERGENCY_STOP_COMMAND = _make_command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0, FORCE_DISARM_MAGIC)
-"""Disarming by force: the motors stop at once."""
+"""Forced disarming: the motors stop at once."""
 REBOOT_COMMAND = _make_command(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1.0)
-"""PREFLIGHT_REBOOT_SHUTDOWN of the autopilot; a simulation begins anew."""
+"""PREFLIGHT_REBOOT_SHUTDOWN of the autopilot; a simulation restarts."""
 
 CommandTable = dict[str, tuple[Command, ...]]
 
 
 def _ardupilot_mode_rows(modes: dict[ModeFamily, str], *before: Command) -> CommandTable:
-    """Rows of ArduPilot's firmwares: what comes before, then the mode of this name."""
+    """Return the rows of ArduPilot's firmwares: preceding commands, then the mode of this name."""
     return {
         f"ArduPilot {family}": (*before, _set_mode_command(ardupilot_mode_number(family, words)))
         for family, words in modes.items()
@@ -74,13 +74,13 @@ _RETURN_MODES: dict[ModeFamily, str] = {
     "copter": "return", "plane": "return", "rover": "return", "airship": "return",
 }  # fmt: skip
 PRE_ARM_COMMANDS: CommandTable = {**_ardupilot_mode_rows({"copter": "guided"}), "": ()}
-"""What has to come before arming for a take-off: ArduPilot's copters must be in their mode "guided"."""
+"""Commands before arming for a take-off: ArduPilot's copters must be in their mode "guided"."""
 START_MISSION_COMMANDS: CommandTable = {
     "PX4": (_set_mode_command(4, 4),),
     **_ardupilot_mode_rows(_AUTO_MODES, _make_command(mavlink.MAV_CMD_MISSION_START)),
     "": (_make_command(mavlink.MAV_CMD_MISSION_START),),
 }
-"""What makes an armed vehicle fly its mission, or go on with it."""
+"""Make an armed vehicle start or resume its mission."""
 PAUSE_COMMANDS: CommandTable = {
     "PX4": (_set_mode_command(4, 3),),
     **_ardupilot_mode_rows(_HOVER_MODES),
@@ -92,33 +92,33 @@ MANUAL_CONTROL_COMMANDS: CommandTable = {
     **_ardupilot_mode_rows(_MANUAL_MODES),
     "": (_set_mode_command(2),),
 }
-"""Fly by sticks: the mode of each that stops, or flies level, when they are in the middle."""
+"""Fly by sticks: the mode in which the vehicle stops or flies level with centred sticks."""
 RELEASE_STICKS_COMMANDS: CommandTable = {**_ardupilot_mode_rows(_HOVER_MODES), "": (_set_mode_command(4, 3),)}
-"""No more sticks: hover where it is. A mode, since it is taken on the floor too."""
+"""End flight by sticks and hover in place; a mode is set because it is accepted on the ground too."""
 RETURN_COMMANDS: CommandTable = {
     **_ardupilot_mode_rows(_RETURN_MODES),
     "": (_make_command(mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH),),
 }
-"""Return to where it took off and land."""
+"""Return to the take-off position and land."""
 LAND_COMMANDS: CommandTable = {
     **_ardupilot_mode_rows({"copter": "landing", "airship": "landing"}),
     "": (Command(mavlink.MAV_CMD_NAV_LAND, (0.0, 0.0, 0.0, NAN, NAN, NAN, NAN)),),
 }
-"""Land here."""
+"""Land at the present position."""
 
 
 def select_commands(
     table: CommandTable, firmware: FirmwareKind, family: ModeFamily = "copter"
 ) -> tuple[Command, ...] | str:
-    """Return what such a vehicle is asked with; text if its firmware has no mode for it.
+    """Return the commands of a vehicle for one action; a text if its firmware has no mode for the action.
 
     Parameters
     ----------
     table : dict
-        One of this module.
+        One of this module's command tables.
     firmware : str
     family : str
-        Of an ArduPilot vehicle (:func:`mufly.vehicle_types.ardupilot_family`).
+        Family of an ArduPilot vehicle (:func:`mufly.vehicle_types.ardupilot_family`).
     """
     if firmware == "ArduPilot":
         what = f"ArduPilot's {family}" if family else "an ArduPilot vehicle of this type"
@@ -127,7 +127,7 @@ def select_commands(
 
 
 def take_off_command(firmware: FirmwareKind, height_m: float) -> Command:
-    """What makes an armed vehicle take off to a height above where it stands; PX4 takes the height from a parameter."""
+    """Return the take-off command to a height above the ground position (m); PX4 takes the height from a parameter."""
     if firmware == "mufly":
         return Command(mavlink.MAV_CMD_NAV_TAKEOFF, (NAN,) * 6 + (-height_m,), frame=mavlink.MAV_FRAME_LOCAL_NED)
     return (
@@ -143,16 +143,17 @@ def go_to_command(
     heading_rad: float,
     origin: GlobalOrigin | None,
 ) -> Command | str:
-    """Fly to N, E, D and hold; text if that cannot be asked of this vehicle.
+    """Return the command to fly to a position and hold it; a text if this vehicle has no such command.
 
     Parameters
     ----------
     firmware : str
     position_m : (3,) tuple
+        N, E, D (m).
     heading_rad : float
-        NaN: as the vehicle likes.
-    origin : Origin or None
-        Where N, E, D are 0, as far as the vehicle has told.
+        NaN: chosen by the vehicle.
+    origin : GlobalOrigin or None
+        Global position of N, E, D = 0, if the vehicle has reported it.
     """
     if firmware == "mufly":
         return Command(
@@ -160,7 +161,7 @@ def go_to_command(
         )
     if origin is None:
         return "this autopilot flies to places on the globe only, and has told no origin"
-    # Flag 1: change to the mode that it takes.
+    # Flag 1: the vehicle changes to the mode that it needs.
     return Command(
         mavlink.MAV_CMD_DO_REPOSITION,
         (-1.0, 1.0, 0.0, heading_rad, *origin.to_global(*position_m)),
@@ -169,19 +170,19 @@ def go_to_command(
 
 
 def request_message_command(number: int) -> Command:
-    """REQUEST_MESSAGE."""
+    """Return REQUEST_MESSAGE for a message number."""
     return _make_command(mavlink.MAV_CMD_REQUEST_MESSAGE, number)
 
 
 def inject_failure_command(unit: int, kind: int, amount: float = NAN, duration_s: float = NAN) -> Command:
-    """INJECT_FAILURE: FAILURE_UNIT and FAILURE_TYPE of :data:`mufly.link.command_protocol.FAILURE_NAMES`; type 0 clears
-    all.
+    """Return INJECT_FAILURE for a FAILURE_UNIT and FAILURE_TYPE of :data:`mufly.link.command_protocol.FAILURE_NAMES`.
 
-    Parameters 5 and 6, which the specification leaves open, are how much and for how long (s); NaN: as usual, for ever.
+    Type 0 clears all failures. Parameters 5 and 6, which the specification leaves open, are the amount and the duration
+    (s); NaN: the usual amount, no end.
     """
     return _make_command(mavlink.MAV_CMD_INJECT_FAILURE, float(unit), float(kind), 0.0, 0.0, amount, duration_s)
 
 
 def message_interval_command(number: int, rate_Hz: float) -> Command:
-    """SET_MESSAGE_INTERVAL; a rate of 0 is never."""
+    """Return SET_MESSAGE_INTERVAL; a rate of 0 Hz disables the message."""
     return _make_command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, 1e6 / rate_Hz if rate_Hz > 0 else -1.0)

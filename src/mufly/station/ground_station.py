@@ -1,9 +1,8 @@
-"""The station's ends of its links, and the station at work around them.
+"""The station's ends of its links, and the station process that serves them.
 
-:class:`GroundLink` thinks and is pure: bytes and the clock are passed in, bytes to be sent come out.
-:class:`GroundStation` has the ports, links, vehicles and the recorder in one asyncio loop and carries bytes between
-sockets and links. It sleeps until a port has something to say, and wakes by itself fifty times a second to see to what
-is due.
+:class:`GroundLink` is free of I/O: bytes and the clock are passed in, bytes to be sent are returned.
+:class:`GroundStation` holds the ports, links, vehicles and the recorder in one asyncio loop and moves bytes between
+sockets and links. The loop sleeps until a port is readable, and wakes fifty times a second for periodic work.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ _LOG = logging.getLogger(__name__)
 
 @dataclass(slots=True)
 class _HeardVehicle:
-    """A vehicle, the peer that it is heard from, how surely it is one, and what was counted of it when."""
+    """A vehicle with its peer address, the confidence of its identification and its packet counters."""
 
     vehicle: RemoteVehicle
     peer: Hashable
@@ -47,32 +46,31 @@ class _HeardVehicle:
 
 
 class GroundLink:
-    """A station's end of one link: it hears all vehicles there, keeps them apart, and speaks to each.
+    """The station's end of one link, with all vehicles heard there.
 
-    A vehicle is a component whose heartbeat :func:`mufly.vehicle_types.is_vehicle` takes for one; a companion computer,
-    a camera or an antenna tracker is none, however early and often it speaks. A vehicle is known by its system number
-    and the address it is heard from. Where another component of the system called itself a vehicle first, the autopilot
-    (component 1) takes over when it is heard. When a vehicle that was lost is heard again under the same number, from
-    another address too, it is the same one.
+    A vehicle is a component whose heartbeat :func:`mufly.vehicle_types.is_vehicle` accepts. Companion computers,
+    cameras and antenna trackers are no vehicles. A vehicle is identified by its system number and its peer address. If
+    another component of the system called itself a vehicle first, the autopilot (component 1) replaces it when heard. A
+    lost vehicle that is heard again under the same number counts as the same vehicle, from any address.
 
     Parameters
     ----------
-    own_ids : (system, component)
-        Our MAVLink address.
+    us : (system, component)
+        MAVLink address of the station.
     rate_Hz : float
-        How often vehicles are asked to tell their motion.
+        Requested rate of the vehicles' motion messages (Hz).
     color : callable, optional
-        Gives the next vehicle its colour.
+        Returns the colour of the next vehicle.
     on_vehicle : callable, optional
-        Told of every new vehicle.
+        Called with every new vehicle.
     on_packet : callable, optional
-        Given every packet that came in or goes out, for a log.
+        Called with every packet received or sent, for a log.
     on_fault : callable, optional
-        Told in words when the handling of one vehicle failed; the others go on.
+        Called with a text when handling one vehicle failed; other vehicles are not affected.
     name : str
-        What the link is called, to tell its vehicles from those of other links.
+        Name of the link, which distinguishes its vehicles from those of other links.
     on_notice : callable, optional
-        Told in words of a system of which only equipment is heard, no vehicle.
+        Called with a text about a system that has equipment but no vehicle.
     """
 
     def __init__(
@@ -100,11 +98,11 @@ class GroundLink:
 
     @property
     def vehicles(self) -> list[RemoteVehicle]:
-        """All vehicles heard so far, in the order in which they were found."""
+        """Return all vehicles heard, in the order of discovery."""
         return [heard.vehicle for heard in self._heard.values()]
 
     def receive(self, now_s: float, peer: Hashable, data: bytes) -> None:
-        """Take bytes that came from a peer."""
+        """Process bytes received from a peer."""
         self.unread_bytes += len(data)
         for message in self._codec.receive(now_s, peer, data):
             self.unread_bytes = 0
@@ -118,17 +116,17 @@ class GroundLink:
                 heard.message_count += 1
             try:
                 heard.vehicle.handle(now_s, message)
-            except Exception as error:  # one vehicle's fault must not silence the others
+            except Exception as error:  # a fault of one vehicle must not affect the others
                 self._report_fault(heard, message.get_type(), error)
 
     def step(self, now_s: float, peers: Iterable[Hashable] = ()) -> list[OutgoingFrame]:
-        """Return what is to be sent now.
+        """Return the frames to send.
 
         Parameters
         ----------
         now_s : float
         peers : iterable
-            Whom the port can reach: they get our heartbeat, so that a vehicle that waits to be called answers.
+            Peers that the port can reach. Each gets our heartbeat, so that a vehicle waiting for a station answers.
         """
         stood_s, self._stepped_s = now_s - self._stepped_s, now_s
         if MAX_STALL_S < stood_s < math.inf:
@@ -168,7 +166,7 @@ class GroundLink:
         return OutgoingFrame(peer, data)
 
     def _find_sender(self, now_s: float, peer: Hashable, message: MavMessage) -> _HeardVehicle | None:
-        """The vehicle of the system that sent a message; a new one if the message is a vehicle's heartbeat."""
+        """Return the vehicle of the message's sender; a vehicle's heartbeat adds a new vehicle."""
         system = message.get_srcSystem()
         heard = self._heard.get((peer, system))
         if message.get_type() != "HEARTBEAT" or not system:
@@ -204,7 +202,7 @@ class GroundLink:
         return new
 
     def _report_equipment(self, now_s: float) -> None:
-        """Tell once of each system that speaks for a while without a vehicle in it."""
+        """Report each system without a vehicle once, after a waiting time."""
         for (peer, system), (since_s, what) in self._equipment.items():
             if since_s + LOST_TIMEOUT_S < now_s < math.inf and (peer, system) not in self._heard:
                 self._equipment[peer, system] = (math.inf, what)
@@ -212,7 +210,7 @@ class GroundLink:
                     self._on_notice(f"system {system}: only its {what} is heard, no autopilot of a vehicle")
 
     def _update_link_quality(self, now_s: float, heard: _HeardVehicle) -> None:
-        """Tell a vehicle how good its link was over the last second."""
+        """Pass the link quality over the last second to a vehicle."""
         since_s, received, lost, messages = heard.last_counts
         if now_s - since_s < _LINK_WINDOW_S:
             return
@@ -225,7 +223,7 @@ class GroundLink:
 
     def _report_fault(self, heard: _HeardVehicle, where: str, error: Exception) -> None:
         text = f"{heard.vehicle.name}: {where} could not be handled ({type(error).__name__}: {error})"
-        if where not in heard.reported_faults:  # once of each kind, or a fault at 100 Hz fills the log
+        if where not in heard.reported_faults:  # one report per kind: a fault at 100 Hz would fill the log
             heard.reported_faults.add(where)
             heard.vehicle.add_note("error", text)
             _LOG.error(text, exc_info=error)
@@ -235,7 +233,7 @@ class GroundLink:
 
 STEP_PERIOD_S = 0.02
 MIN_STEP_INTERVAL_S = 0.004
-"""After bytes have come, what is due goes out at once, but no more often than this (s)."""
+"""Least interval between steps (s); received bytes otherwise trigger a step at once."""
 HOUSEKEEPING_PERIOD_S = 0.5
 _SYSTEM_IDS, _COMPONENT_IDS = (
     range(246, 255),
@@ -247,10 +245,10 @@ _MAX_FAULTS = 100
 
 
 def choose_telemetry_rate(endpoint: Endpoint, rate_Hz: float = 100.0) -> float:
-    """Return how often vehicles behind an endpoint are asked to tell their motion (Hz).
+    """Return the requested telemetry rate of vehicles behind an endpoint (Hz).
 
-    All streams at 100 Hz are about 45 kB/s; over a serial line (10 bits a byte) no more is asked than 60 % of what it
-    carries.
+    All streams at 100 Hz are about 45 kB/s. On a serial line (10 bits a byte) the requested rate uses at most 60 % of
+    the capacity.
     """
     if endpoint.kind != "serial":
         return rate_Hz
@@ -269,7 +267,7 @@ _MIN_UNREAD_BYTES = 4000
 
 
 def _describe_unread_bytes(port: Port, link: GroundLink) -> str:
-    """Say that bytes come and no message is among them; "" otherwise."""
+    """Return a warning if bytes arrive that hold no message; "" otherwise."""
     if link.unread_bytes < _MIN_UNREAD_BYTES:
         return ""
     words = f"{port.endpoint}: {link.unread_bytes} bytes came, and no MAVLink message among them"
@@ -277,44 +275,44 @@ def _describe_unread_bytes(port: Port, link: GroundLink) -> str:
 
 
 def _station_ids_from_process(process: int) -> tuple[int, int]:
-    """System and component number of the station in a process."""
+    """Return system and component number of the station in a process."""
     turns, k = divmod(process, len(_SYSTEM_IDS))
     return _SYSTEM_IDS[k], _COMPONENT_IDS[turns % len(_COMPONENT_IDS)]
 
 
 class GroundStation:
-    """A ground station without a face.
+    """A ground station without a user interface.
 
     Parameters
     ----------
     endpoints : sequence of str or Endpoint
-        Where vehicles are: ``"udp:127.0.0.1:14550"`` listens there.
+        Endpoints of vehicles: ``"udp:127.0.0.1:14550"`` listens there.
     folder : str or Path
-        Where recordings go.
+        Folder of the recordings.
     record : bool
-        Whether to begin a recording at once.
+        Whether to start a recording at once.
     record_here : bool
         The first recording goes into ``folder`` itself instead of a dated folder in it.
-    own_ids : (system, component), optional
-        Our MAVLink address. Default: a system number from 246 to 254 and one of the 75 component numbers for users, by
-        process, so that two stations on one vehicle are told apart.
+    us : (system, component), optional
+        MAVLink address of the station. Default: a system number from 246 to 254 and one of the 75 user component
+        numbers, chosen by process number, so that two stations on one vehicle differ.
     rate_Hz : float
-        How often vehicles are asked to tell their motion.
+        Requested rate of the vehicles' motion messages (Hz).
     on_vehicle : callable, optional
-        Told of every new vehicle.
+        Called with every new vehicle.
     name : str
-        What the links are called, where their endpoints are others at each start.
+        Name of the links, for endpoints that change at each start.
 
     Attributes
     ----------
     recorder : StationRecorder
     notices : deque of (time, str)
-        What happened to ports and recorder: clock of the day (s), text.
+        Events of ports and recorder: time of day (s), text.
 
     Raises
     ------
     InputError
-        If an endpoint is none.
+        If an endpoint is invalid.
     """
 
     def __init__(
@@ -345,12 +343,12 @@ class GroundStation:
 
     @property
     def vehicles(self) -> list[RemoteVehicle]:
-        """All vehicles heard so far, in the order in which they were found."""
+        """Return all vehicles heard, in the order of discovery."""
         return list(self._found)
 
     @property
     def ports(self) -> list[Port]:
-        """The open ports."""
+        """Return the open ports."""
         return [port for port, _ in self._links]
 
     async def start(self) -> None:
@@ -359,7 +357,7 @@ class GroundStation:
         Raises
         ------
         InputError
-            If a port cannot be opened, or the recording not be written. Nothing stays open then.
+            If a port cannot be opened or the recording cannot be written. All ports are closed then.
         """
         try:
             for endpoint in self.endpoints:
@@ -371,7 +369,7 @@ class GroundStation:
             raise
         loop = asyncio.get_running_loop()
         for port, link in self._links:
-            self._receive_port(read_boot_clock(), port, link)  # calls, so that what is missing is known at once
+            self._receive_port(read_boot_clock(), port, link)  # connects, so that a missing peer is found at once
             number = port.fileno()
             if number >= 0:
                 loop.add_reader(number, self._handle_readable, port, link)
@@ -395,11 +393,11 @@ class GroundStation:
         self.recorder.stop()
 
     def add_mark(self, text: str) -> bool:
-        """Put a mark into the recording; returns whether there is one."""
+        """Add a mark to the recording; return False if none runs."""
         return self.recorder.add_mark(text)
 
     def describe_link_problems(self) -> list[str]:
-        """Say what is wrong with the links now, a line each."""
+        """Return the present problems of the links, one line each."""
         return [words for port, link in self._links if (words := port.problem or _describe_unread_bytes(port, link))]
 
     def _make_link(self, endpoint: Endpoint) -> GroundLink:
@@ -432,7 +430,7 @@ class GroundStation:
 
     @contextlib.contextmanager
     def _contain_faults(self) -> Iterator[None]:
-        """Tell of a fault once and go on: none must end the station in the middle of a flight."""
+        """Report a fault once and continue: no fault may end the station during a flight."""
         try:
             yield
         except Exception as error:
@@ -450,7 +448,7 @@ class GroundStation:
         self._stepped_s = now_s
         for port, link in self._links:
             for peer, data in link.step(now_s, port.peers):
-                port.send(peer, data)  # type: ignore[arg-type]  # the peers are the port's own
+                port.send(peer, data)  # type: ignore[arg-type]  # the peers belong to this port
 
     def _do_housekeeping(self, now_s: float) -> None:
         self._cared_s = now_s
@@ -463,14 +461,14 @@ class GroundStation:
             vehicle.station_context.free_disk_bytes = self.recorder.free_bytes
 
     async def _run_loop(self) -> None:
-        """See to what is due, drift-free; after a stall there is no burst."""
+        """Run periodic work without drift; a stall is not followed by a burst."""
         loop = asyncio.get_running_loop()
         due = loop.time()
         while True:
             now_s = read_boot_clock()
             with self._contain_faults():
                 for port, link in self._links:
-                    self._receive_port(now_s, port, link)  # ports without a descriptor, and calls to be made again
+                    self._receive_port(now_s, port, link)  # ports without a descriptor, and connections to be retried
                 self._step_links(now_s)
                 if now_s - self._cared_s >= HOUSEKEEPING_PERIOD_S:
                     self._do_housekeeping(now_s)

@@ -1,8 +1,8 @@
-"""How long will the mission in a vehicle take? The reckoning of :func:`mufly.mission.compute_timing`, from items.
+"""Duration of the mission in a vehicle: :func:`mufly.mission.compute_timing` applied to mission items.
 
-A vehicle of mufly has told its limits as parameters; what its items do not carry (splines, scanning, obstacles) is that
-of the mission file that the station knows. Of another autopilot's vehicle the speeds are those of the parameters that
-PX4 and ArduPilot have for them; where none is told, the default of a mission file, which is said.
+A mufly vehicle publishes its limits as parameters. Splines, scanning and obstacles, which items do not hold, are taken
+from the mission file known to the station. For other autopilots the speeds are PX4's and ArduPilot's parameters. A
+missing limit takes the default of a mission file, and the result lists that assumption.
 """
 
 from __future__ import annotations
@@ -44,23 +44,23 @@ LIMIT_PARAMETERS: dict[str, _LimitSources] = {
     "yaw_rate_deg_s": (("LIM_YAWRATE", 1.0), ("MPC_YAWRAUTO_MAX", 1.0), ("ATC_SLEW_YAW", 0.01)),
     "yaw_acceleration_deg_s2": (("LIM_YAWACC", 1.0),),
 }
-"""Parameters that tell a limit, by key of ``[limits]``: the first that the vehicle has, and the factor to the key's
-unit. mufly's, PX4's, ArduPilot's (the older in cm/s, the newer in m/s)."""
+"""Parameters of the limits, by key of ``[limits]``: candidate names in order (mufly, PX4, ArduPilot old in cm/s and new
+in m/s), each with the factor to the key's unit. The first that the vehicle has is used."""
 
 MAX_FLOWN_ITEMS = 2000
-"""Items of a mission with jumps that are followed at most."""
+"""Largest number of items followed in a mission with jumps."""
 
 
 @dataclass(frozen=True, slots=True)
 class MissionDuration:
-    """What a mission in a vehicle takes.
+    """Predicted duration of a mission in a vehicle.
 
     Attributes
     ----------
     duration_s : float
-        From the start signal, or from now where it is being flown, until it has landed (s).
+        Time until landed (s), from the start signal, or from the present if the mission is being flown.
     assumptions : str
-        What was assumed because the vehicle does not tell it, in words; "" if nothing.
+        Values assumed because the vehicle does not publish them, in words; "" if none.
     """
 
     duration_s: float
@@ -75,20 +75,20 @@ def estimate_mission_duration(
     origin: GlobalOrigin | None = None,
     base: Mission | None = None,
 ) -> MissionDuration | None:
-    """Return what the mission that a vehicle holds takes; None if there is no waypoint in it.
+    """Return the predicted duration of a vehicle's mission; None if it has no waypoint.
 
     Parameters
     ----------
-    items : sequence of Item
-        As the vehicle holds them; of ArduPilot without its home.
-    s : Snapshot
-        Where the vehicle stands, and which item it flies to.
+    items : sequence of MissionItem
+        Items in the vehicle; ArduPilot's without the home item.
+    s : VehicleSnapshot
+        Vehicle's position and current item.
     parameters : mapping
-        Of the vehicle, as far as they are read.
-    origin : Origin, optional
-        Of items on the globe; without it the first of their places.
+        Vehicle's parameters read so far.
+    origin : GlobalOrigin, optional
+        Origin for items in global frames; default: the first global position among them.
     base : Mission, optional
-        The mission file of the vehicle, where the station knows it.
+        Mission file of the vehicle, if the station knows it.
     """
     told, avoidance = limits_from_parameters(parameters), _avoidance_from_parameters(parameters)
     place, heading = s.estimate.position.tolist(), float(s.estimate.attitude[2])
@@ -116,7 +116,7 @@ def _compute_timing(
     base: Mission,
     start: tuple[float, ...],
 ) -> tuple[MissionTiming, tuple[int, ...], str] | None:
-    """Timing of items, which item each waypoint came from, and what was assumed; None without a waypoint."""
+    """Return the timing of items, each waypoint's item index, and the assumptions; None without a waypoint."""
     limited = _apply_limits(base, told, avoidance)
     limits = limited.limits
     mission, came_from, left_out = _mission_from_items(items, limited, origin)
@@ -129,7 +129,7 @@ def _compute_timing(
 
 
 def mission_with_limits(parameters: Mapping[str, TunableParameter], base: Mission | None = None) -> Mission:
-    """A mission without waypoints that has a vehicle's limits, as far as its parameters or a mission file tell them."""
+    """Return a mission without waypoints, with the limits known from a vehicle's parameters or a mission file."""
     told = tuple(limits_from_parameters(parameters).items())
     return _apply_limits(base or Mission(), told, _avoidance_from_parameters(parameters))
 
@@ -143,7 +143,7 @@ def _apply_limits(
 
 
 def limits_from_parameters(parameters: Mapping[str, TunableParameter]) -> dict[str, float]:
-    """Return the limits that a vehicle's parameters tell, under the keys and in the units of a mission file."""
+    """Return the limits among a vehicle's parameters, under the keys and in the units of a mission file."""
     found = {}
     for key, sources in LIMIT_PARAMETERS.items():
         values = ((parameters[name].value * factor) for name, factor in sources if name in parameters)
@@ -154,7 +154,7 @@ def limits_from_parameters(parameters: Mapping[str, TunableParameter]) -> dict[s
 
 
 def _replace_parts(mission: Mission, **parts: object) -> Mission:
-    """The same with other parts; not validated: what others fly may be beyond the bounds of a mission file."""
+    """Return the mission with other parts, unvalidated: other vehicles may exceed the bounds of a mission file."""
     held = {name: getattr(mission, name) for name in Mission.model_fields}
     return Mission.model_construct(**{**held, **parts})
 
@@ -171,8 +171,8 @@ _CONTROLLER_LIMIT_PARAMETERS = {
 
 
 def trajectory_limits_from_parameters(parameters: Mapping[str, TunableParameter]) -> TrajectoryLimits | None:
-    """What the controllers of a vehicle of mufly can follow (:func:`mufly.flight.controller_limits`); None if it does
-    not tell."""
+    """Return the limits that a mufly vehicle's controllers can follow (:func:`mufly.flight.controller_limits`); None if
+    its parameters lack them."""
     if not set(_CONTROLLER_LIMIT_PARAMETERS.values()) <= parameters.keys():
         return None
     told = {key: parameters[name].value for key, name in _CONTROLLER_LIMIT_PARAMETERS.items()}
@@ -187,7 +187,7 @@ _AVOIDANCE_KEYS = {"AVD_ENABLE": "enabled", "AVD_CLEARANCE": "clearance_m", "AVD
 
 
 def _avoidance_from_parameters(parameters: Mapping[str, TunableParameter]) -> tuple[tuple[str, float], ...]:
-    """Keys of ``[avoidance]`` that a vehicle's parameters tell."""
+    """Return the keys of ``[avoidance]`` among a vehicle's parameters."""
     held = {key: parameters[name].value for name, key in _AVOIDANCE_KEYS.items() if name in parameters}
     return tuple((key, value) for key, value in held.items() if math.isfinite(value))
 
@@ -195,7 +195,7 @@ def _avoidance_from_parameters(parameters: Mapping[str, TunableParameter]) -> tu
 def _mission_from_items(
     items: Sequence[MissionItem], base: Mission, origin: GlobalOrigin | None
 ) -> tuple[Mission, tuple[int, ...], list[str]]:
-    """The mission of items, which item each waypoint came from, and what is left out, in words."""
+    """Return the mission of items, each waypoint's item index, and the parts left out, in words."""
     try:
         plan = mission_from_items(items, base, origin)
         return _replace_parts(base, waypoint=plan.mission.waypoint, take_off=plan.mission.take_off,
@@ -205,7 +205,7 @@ def _mission_from_items(
 
 
 def _follow_jumps(items: Sequence[MissionItem]) -> tuple[list[MissionItem], bool]:
-    """Items as they are flown, DO_JUMP (parameter 1: to which item, 2: how often) followed; whether one is endless."""
+    """Return items in flight order, DO_JUMP (parameter 1: target, 2: count) followed, and whether a jump is endless."""
     flown: list[MissionItem] = []
     left = {
         item.seq: int(item.params[1])
@@ -225,7 +225,7 @@ def _follow_jumps(items: Sequence[MissionItem]) -> tuple[list[MissionItem], bool
 
 
 def _first_global_place(items: Sequence[MissionItem]) -> GlobalOrigin | None:
-    """The first place on the globe among items, for want of an origin."""
+    """Return the first global position among items, to replace a missing origin."""
     first = next(filter(is_global, items), None)
     if first is None or abs(first.x) > 90e7:
         return None
@@ -235,7 +235,7 @@ def _first_global_place(items: Sequence[MissionItem]) -> GlobalOrigin | None:
 def _approximate_mission(
     items: Sequence[MissionItem], base: Mission, origin: GlobalOrigin | None
 ) -> tuple[Mission, tuple[int, ...], list[str]]:
-    """The same of items that no mission file can say: places, waits and speeds, flown straight."""
+    """Return an approximate mission for items outside the mission file format: places, waits, speeds, straight legs."""
     waypoints: list[Waypoint] = []
     came_from: list[int] = []
     left_out: list[str] = []

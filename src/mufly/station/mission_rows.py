@@ -1,8 +1,8 @@
-"""The items of a mission as rows of a table, which is what the page shows.
+"""Conversion of mission items to the rows of the page's mission table.
 
 Items in the frames LOCAL_NED and LOCAL_ENU have metres; items in a global frame are shown in metres from the vehicle's
-origin. The reverse does not exist: a station sends a mission file, which :mod:`mufly.mission.mission_items` makes into
-items.
+origin. Rows are not converted back: a station uploads a mission file, which :mod:`mufly.mission.mission_items`
+converts to items.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from mufly.mission.mission_items import MissionCommand as Cmd
 from mufly.station.signal_history import MissionRow
 
 MISSION_SPEED_TEXT = "the mission's own"
-"""Text of a row that ends what an earlier row said of speed (-2 in MAVLink)."""
+"""Text of a row that ends an earlier speed setting (-2 in MAVLink)."""
 _ACTION_BY_COMMAND: dict[int, str] = {
     Cmd.NAV_TAKEOFF: "take off",
     Cmd.NAV_WAYPOINT: "waypoint",
@@ -44,9 +44,9 @@ _OTHER_ACTIONS: dict[int, str] = {
     Cmd.DO_JUMP: "jump",
 }
 DELAY_COMMANDS = (Cmd.NAV_DELAY, Cmd.CONDITION_DELAY)
-"""Waits that have no place."""
+"""Wait commands without a position."""
 _HEADING_COMMANDS = (Cmd.NAV_WAYPOINT, Cmd.NAV_TAKEOFF, Cmd.NAV_LAND, Cmd.NAV_LOITER_UNLIM)
-"""Commands whose parameter 4 is a heading (deg; NaN: none). Of NAV_LOITER_TIME and NAV_LOITER_TURNS it is none."""
+"""Commands whose parameter 4 is a heading (deg; NaN: none), unlike NAV_LOITER_TIME and NAV_LOITER_TURNS."""
 _PLACE_COMMANDS = (*_HEADING_COMMANDS, Cmd.NAV_LOITER_TURNS, Cmd.NAV_LOITER_TIME, Cmd.NAV_SPLINE_WAYPOINT)
 _HOLD_COMMANDS = (Cmd.NAV_WAYPOINT, Cmd.NAV_LOITER_TIME, Cmd.NAV_SPLINE_WAYPOINT, *DELAY_COMMANDS)
 _NO_POSITION = (math.nan, math.nan, math.nan)
@@ -55,15 +55,15 @@ _NO_POSITION = (math.nan, math.nan, math.nan)
 def rows_from_items(
     items: Sequence[MissionItem], origin: GlobalOrigin | None = None, reached: int = 0
 ) -> list[MissionRow]:
-    """Return the rows of a table of items.
+    """Return the table rows of mission items.
 
     Parameters
     ----------
-    items : sequence of Item
-    origin : Origin, optional
-        Where N, E, D are 0, for items in a global frame.
+    items : sequence of MissionItem
+    origin : GlobalOrigin, optional
+        Global position of N, E, D = 0, for items in a global frame.
     reached : int
-        So many of the first rows are behind the vehicle.
+        Number of first rows that the vehicle has passed.
     """
     return [_make_row(item, origin, k < reached) for k, item in enumerate(items)]
 
@@ -92,7 +92,7 @@ def _make_row(item: MissionItem, origin: GlobalOrigin | None, reached: bool) -> 
 
 
 def _global_height_text(item: MissionItem, origin: GlobalOrigin | None) -> str:
-    """What metres from the origin do not say: the height above the terrain, or all where there is no origin."""
+    """Return the part of a global position that metres from the origin omit: height above terrain, or everything."""
     over_terrain = item.frame in FRAMES_ABOVE_TERRAIN
     height = f"{item.z:g} m above the terrain" if over_terrain else f"{item.z:g} m"
     if origin is None:
@@ -101,7 +101,7 @@ def _global_height_text(item: MissionItem, origin: GlobalOrigin | None) -> str:
 
 
 def is_same_mission(a: Sequence[MissionItem], b: Sequence[MissionItem]) -> bool:
-    """Whether two missions would be flown alike; which item is current does not matter, NaN equals NaN."""
+    """Return whether two missions are flown alike; the current item is ignored, NaN equals NaN."""
     return [_comparison_key(item) for item in a] == [_comparison_key(item) for item in b]
 
 

@@ -1,8 +1,8 @@
-"""The pilot's sticks on their way to a vehicle: MANUAL_CONTROL, for as long as somebody holds them.
+"""MANUAL_CONTROL stream of a pilot's sticks to a vehicle.
 
-A window says where its sticks are some twenty times a second. What it said last is streamed to the vehicle until it is
-:data:`STICK_TIMEOUT_S` old; then nothing is sent any more, the station asks for a hover, and whatever becomes of that,
-the vehicle lets go by its own time-out. Nothing here decides whether it may be flown by hand: that is for the vehicle.
+A browser window sends its stick positions about twenty times a second. The latest position is streamed to the vehicle
+until it is :data:`STICK_TIMEOUT_S` old. Then the stream ends and the station requests a hover; if that request is lost,
+the vehicle's own time-out applies. The vehicle decides whether manual flight is allowed.
 """
 
 from __future__ import annotations
@@ -15,26 +15,26 @@ from mufly.link.steering_input import StickDeflection
 
 STREAM_PERIOD_S = 0.04
 STICK_TIMEOUT_S = 0.8
-"""Less than a vehicle of mufly waits for (1 s), and many times what a window lets pass between two words (0.05 s)."""
+"""Age at which stick positions expire (s): below the vehicle's time-out (1 s), far above the window's 0.05 s period."""
 
 
 def manual_control_message(d: StickDeflection, system: int) -> MavMessage:
-    """MANUAL_CONTROL of sticks, -1 to 1: right, back, up, turn right.
+    """Return MANUAL_CONTROL for sticks in -1 to 1: right, back, up, turn right.
 
-    The signs are those that PX4, ArduPilot and mufly take (:func:`mufly.link.steering_input.parse_manual_control`): x
-    forward, y right, z 500 in the middle, r turns right.
+    Signs follow PX4, ArduPilot and mufly (:func:`mufly.link.steering_input.parse_manual_control`): x forward, y right,
+    z 500 in the middle, r turns right.
     """
     x, y, z, r = (round(1000.0 * v) for v in (-d.pitch, d.roll, 0.5 + 0.5 * d.climb, d.yaw))
     return mavlink.MAVLink_manual_control_message(system, x, y, z, r, 0)
 
 
 class PilotSticks:
-    """The sticks of one vehicle, as this station holds them.
+    """Stick state of one vehicle, as held by this station.
 
     Parameters
     ----------
     system : int
-        The vehicle's.
+        System number of the vehicle.
     """
 
     def __init__(self, system: int) -> None:
@@ -45,11 +45,11 @@ class PilotSticks:
 
     @property
     def is_held(self) -> bool:
-        """Whether somebody holds them."""
+        """Return whether a pilot holds the sticks."""
         return self._held is not None
 
     def set_deflection(self, roll: float, pitch: float, climb: float, yaw: float) -> bool:
-        """Take where they are (-1..1: right, back, up, turn right); False, and nothing taken, if one is no number."""
+        """Set stick positions (-1 to 1: right, back, up, turn right); return False, unchanged, if any is no number."""
         values = (roll, pitch, climb, yaw)
         if not all(map(math.isfinite, values)):
             return False
@@ -57,11 +57,11 @@ class PilotSticks:
         return True
 
     def release_sticks(self) -> None:
-        """Nobody holds them any more."""
+        """Release the sticks."""
         self._held, self._fresh = None, False
 
     def step(self, now_s: float) -> list[MavMessage]:
-        """What is to be sent now; sticks that nobody has moved of late are let go."""
+        """Return the messages to send; release the sticks after the time-out."""
         if self._held is None:
             return []
         if self._fresh:

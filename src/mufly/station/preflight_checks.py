@@ -1,7 +1,7 @@
-"""What to look at before a flight, as far as a vehicle and its station can tell.
+"""Preflight checks of a vehicle from its telemetry and the state of the station.
 
-Any MAVLink vehicle can answer most of it; what it does not tell cannot be judged (``ok`` is None), which is not a
-fault.
+Any MAVLink vehicle supports most checks. A check without data from the vehicle is undecided (``ok`` is None), which is
+no fault.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ MIN_BATTERY_CHARGE = 0.3
 MAX_TILT_RAD = math.radians(5.0)
 MAX_STILL_SPEED_M_S = 0.1
 BATTERY_RESERVE = 0.2
-"""Share of the battery that a mission must leave."""
+"""Share of the battery that must remain after a mission."""
 MIN_DISK_BYTES = 200e6
 OWN_CHECKS_NAME = "vehicle's own checks"
 _STATION_CHECK_NAMES = ("heard", "link", "recording", "disk")
@@ -38,18 +38,18 @@ _CheckResult = tuple[bool | None, str]
 
 @dataclass(slots=True)
 class StationContext:
-    """What the station knows besides what the vehicle tells.
+    """State of the station that the preflight checks use.
 
     Attributes
     ----------
     is_recording : bool or None
-        Whether the recorder runs; None: there is none.
+        Whether the recorder runs; None without a recorder.
     free_disk_bytes : float
-        Room on the disk it writes to; NaN where unknown.
-    shown_items : tuple of Item or None
-        The mission that the page shows, to be compared with what the vehicle holds.
+        Free space on the recorder's disk; NaN if unknown.
+    shown_items : tuple of MissionItem or None
+        Mission shown on the page, compared with the vehicle's.
     base_mission : Mission or None
-        The mission file that the vehicle was started with, where the station knows it: for what items do not carry.
+        Mission file with which the vehicle was started, if known: supplies what items do not hold.
     """
 
     is_recording: bool | None = None
@@ -66,7 +66,7 @@ def run_preflight_checks(
     parameters: RemoteParameters,
     around: StationContext,
 ) -> list[PreflightCheck]:
-    """Return the checks of a vehicle, of what its parts know."""
+    """Return the preflight checks of a vehicle."""
     judged: dict[str, _CheckResult] = {
         "heard": _check_heard(s),
         "link": _check_link(s),
@@ -83,7 +83,7 @@ def run_preflight_checks(
         "disk": _check_disk(around.free_disk_bytes),
     }
     if not s.connected and math.isfinite(s.silent_s):
-        # What it said last may be true no more.
+        # The last values may be outdated.
         judged |= {
             name: (None, f"not heard for {s.silent_s:.0f} s; it was: {text}")
             for name, (_, text) in judged.items()
@@ -180,7 +180,7 @@ def _check_endurance(
     parameters: RemoteParameters,
     base: Mission | None,
 ) -> _CheckResult:
-    own = items[1:] if told.autopilot == ARDUPILOT else items  # its first is its home
+    own = items[1:] if told.autopilot == ARDUPILOT else items  # ArduPilot's first item is its home
     plan = estimate_mission_duration(own, s, parameters.parameter_table, origin=told.origin, base=base)
     if plan is None:
         return None, "no mission"

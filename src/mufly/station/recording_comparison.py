@@ -1,9 +1,8 @@
-"""Two recordings in one plot: their clocks aligned by an event that both have, the second at the instants of the first.
+"""Comparison of two recordings in one plot, with aligned clocks and a common time axis.
 
-Recordings of different flights begin at different times, run at different rates and hold different signals. A
-:class:`RecordingComparison` shifts the clock of the second so that take-off (or arming, or the start) coincides,
-interpolates it onto the instants of the first, across no gap, and takes another source of a quantity where the second
-has not the same.
+Recordings of different flights differ in start time, rate and signals. A :class:`RecordingComparison` shifts the clock
+of the second recording so that take-off, arming or the start coincides. It interpolates the second recording onto the
+instants of the first, but not across gaps. A quantity missing in the second is taken from another of its sources.
 """
 
 from __future__ import annotations
@@ -29,18 +28,18 @@ if TYPE_CHECKING:
 _Array = NDArray[np.float64]
 
 ALIGNMENTS = ("take-off", "arming", "start", "clock")
-"""By what two recordings are aligned; "clock": their times as they stand."""
+"""Events that align two recordings; "clock": no alignment."""
 COMPARED_PREFIX = "compared/"
-"""Of the names of signals of the second recording, among those of the first."""
+"""Prefix of the second recording's signals among those of the first."""
 TAKE_OFF_HEIGHT_M = 0.1
-"""How far above where it stood a vehicle has taken off (m)."""
+"""Height above the start position that counts as taken off (m)."""
 MAX_GAP_S = 0.5
-"""Samples that are farther apart are not connected, unless the signal is slower (s)."""
+"""Largest gap between samples that is interpolated, except for slower signals (s)."""
 _DEFAULT_QUANTITIES = ("position", "velocity", "attitude", "rotor_speed", "motor_input", "battery_voltage")
 
 
 def find_event_time(recording: FlightRecording, by: str) -> float:
-    """Return when a recording took off, was armed or began (s of its clock); NaN if it does not show it."""
+    """Return the time of take-off, arming or start of a recording (s of its clock); NaN if the event is absent."""
     columns, times = recording.columns, recording.times_s
     if by in ("start", "clock"):
         return float(times[0]) if by == "start" else 0.0
@@ -64,25 +63,25 @@ def _find_column(recording: FlightRecording, name: str) -> _Array:
 
 @dataclass(frozen=True)
 class RecordingComparison:
-    """A second recording on the clock of a first.
+    """Two recordings, the second on the clock of the first.
 
     Attributes
     ----------
-    first_recording, second_recording : Recording
+    first_recording, second_recording : FlightRecording
     alignment_event : str
         One of :data:`ALIGNMENTS`.
     manual_offset_s : float
-        By how much the second is moved later beyond that (s).
+        Additional delay of the second recording (s).
 
     Examples
     --------
     >>> import numpy as np
-    >>> from mufly.station.replay import Recording
+    >>> from mufly.station.replay import FlightRecording
     >>> def hop(start_s):
     ...     t = start_s + np.arange(0.0, 3.0, 0.1)
     ...     down = {"truth_position_D": np.where(t - start_s < 1.0, 0.0, -1.0)}
-    ...     return Recording("hop", t, down, {}, np.full(30, ""), (), None, np.zeros(0), 1.0, {})
-    >>> round(Comparison(hop(0.0), hop(100.0)).shift_s, 6)
+    ...     return FlightRecording("hop", t, down, {}, np.full(30, ""), (), None, np.zeros(0), 1.0, {})
+    >>> round(RecordingComparison(hop(0.0), hop(100.0)).total_shift_s, 6)
     -100.0
     """
 
@@ -110,16 +109,16 @@ class RecordingComparison:
 
     @property
     def total_shift_s(self) -> float:
-        """What is added to the times of the second (s)."""
+        """Return the shift added to the second recording's times (s)."""
         return self._alignment[0] + self.manual_offset_s
 
     @property
     def alignment_note(self) -> str:
-        """Why it is aligned otherwise than asked, "" if it is not."""
+        """Return the reason for an alignment other than requested; "" if as requested."""
         return self._alignment[1]
 
     def find_counterpart(self, name: str) -> str:
-        """Return the signal of the second beside ``name`` of the first: the same, or of another source; "" if none."""
+        """Return the second's counterpart of a signal of the first: the same or from another source; "" if none."""
         if np.isfinite(_find_column(self.second_recording, name)).any():
             return name
         source, _, rest = name.partition("_")
@@ -127,7 +126,7 @@ class RecordingComparison:
         return next((n for n in others if np.isfinite(_find_column(self.second_recording, n)).any()), "")
 
     def sample_second(self, name: str, times: _Array) -> _Array:
-        """Return a signal of the second at times (n,; s) of the first; NaN beyond its ends and in its gaps."""
+        """Return a signal of the second at times of the first (n,; s); NaN outside its range and in its gaps."""
         own = self.find_counterpart(name)
         out = np.full(len(times), math.nan)
         if not own or not len(times):
@@ -148,32 +147,32 @@ class RecordingComparison:
         return out
 
     def signal_difference(self, name: str) -> _Array:
-        """Return the first less the second (n,) at the instants of the first; angles within half a turn."""
+        """Return first minus second (n,) at the instants of the first; angles wrapped to half a turn."""
         off = _find_column(self.first_recording, name) - self.sample_second(name, self.first_recording.times_s)
         if self.first_recording.units.get(name) == "rad":
             off = np.arctan2(np.sin(off), np.cos(off))
         return np.asarray(off)
 
     def second_track(self) -> _Array:
-        """Return where the second was (n, 3; N, E, D, m); NaN where it does not say."""
+        """Return the positions of the second (n, 3; N, E, D, m); NaN if unknown."""
         names = [f"estimated_position_{axis}" for axis in "NED"]
         found = [_find_column(self.second_recording, self.find_counterpart(name) or name) for name in names]
         return np.column_stack(found)
 
 
 def find_shared_signals(c: RecordingComparison, chosen: Sequence[str] = ()) -> dict[str, list[str]]:
-    """Return ``{quantity: [names]}`` of the first that both recordings have, of its most believed source.
+    """Return ``{quantity: [names]}`` of the quantities in both recordings, from the first's preferred source.
 
     Parameters
     ----------
-    c : Comparison
+    c : RecordingComparison
     chosen : sequence of str
         Quantities (``attitude``), or signals (``measured_attitude``, ``measured_attitude_roll``); none: the usual ones.
 
     Raises
     ------
     ArgumentError
-        If nothing of what was chosen is in both.
+        If both recordings share none of the chosen quantities.
     """
     out: dict[str, list[str]] = {}
     for wanted in chosen or _DEFAULT_QUANTITIES:
@@ -204,13 +203,13 @@ def find_shared_signals(c: RecordingComparison, chosen: Sequence[str] = ()) -> d
 
 
 def draw_comparison(c: RecordingComparison, names: Sequence[str], title: str = "") -> Figure:
-    """Draw signals of both recordings in one axis each, the first solid, the second dashed, over the first's time.
+    """Draw signals of both recordings, one axes each, over the first's time: first solid, second dashed.
 
     Parameters
     ----------
-    c : Comparison
+    c : RecordingComparison
     names : sequence of str
-        Of the first; :func:`find_shared_signals` gives them.
+        Signals of the first, from :func:`find_shared_signals`.
     title : str
     """
     from matplotlib.figure import Figure
@@ -243,14 +242,14 @@ def draw_comparison(c: RecordingComparison, names: Sequence[str], title: str = "
 
 
 def _display_unit(c: RecordingComparison, name: str) -> tuple[str, str, float]:
-    """SI unit of a signal, the one that a person reads, and what to multiply by."""
+    """Return a signal's SI unit, its display unit and the factor between them."""
     unit = c.first_recording.units.get(name, "1")
     shown = "rpm" if "rotor_speed" in name else {"rad": "deg", "rad/s": "deg/s"}.get(unit, unit)
     return unit, shown, conversion_factor(unit, shown) if shown != unit else 1.0
 
 
 def _unwrap_angle_pair(one: _Array, two: _Array) -> tuple[_Array, _Array]:
-    """Angles without jumps, the second in the turn of the first."""
+    """Return both angles unwrapped, the second in the turn of the first."""
     known = np.isfinite(one)
     one = one.copy()
     one[known] = np.unwrap(one[known])
@@ -260,8 +259,8 @@ def _unwrap_angle_pair(one: _Array, two: _Array) -> tuple[_Array, _Array]:
 
 
 def difference_rows(c: RecordingComparison, names: Sequence[str]) -> list[dict[str, Any]]:
-    """Return by how much they differ: ``signal``, ``units``, ``rms``, ``largest``, ``extreme_time_s`` of the first's
-    clock."""
+    """Return the differences of signals: ``signal``, ``units``, ``rms``, ``largest``, and ``extreme_time_s``, its time
+    on the first's clock."""
     out = []
     for name in names:
         off = c.signal_difference(name)
@@ -279,7 +278,7 @@ def difference_rows(c: RecordingComparison, names: Sequence[str]) -> list[dict[s
 
 
 def difference_table(c: RecordingComparison, names: Sequence[str]) -> ShownTable:
-    """Return how much two recordings differ in each signal, as a table to show."""
+    """Return a table of the differences between two recordings, per signal."""
     rows = [
         (
             r["signal"],

@@ -1,10 +1,10 @@
-"""What is asked of a vehicle until it answers, and what it says in words.
+"""Commands to a vehicle, repeated until acknowledged, and the vehicle's status texts.
 
-MAVLink's command protocol (https://mavlink.io/en/services/command.html): a command goes out, the vehicle acknowledges
-it with a result; if no answer comes it goes out again with ``confirmation`` counted up, so that the vehicle knows it
-for the same. An answer names the command only, so of each kind one is under way at a time and others wait their turn.
-Why a command was refused a vehicle says, if at all, in a STATUSTEXT about the same time. Who commands a vehicle that
-obeys one station at a time is asked for in the same way (CHANGE_OPERATOR_CONTROL).
+MAVLink's command protocol (https://mavlink.io/en/services/command.html): the vehicle acknowledges a command with a
+result. Without an answer the command is sent again with an incremented ``confirmation``, which marks a repetition.
+An answer names only the command number, so one command of each number is open at a time and others wait. The reason of
+a refusal arrives, if at all, in a STATUSTEXT at about the same time. Operator control (CHANGE_OPERATOR_CONTROL) is
+requested in the same way.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from mufly.station.signal_history import OperatorRequest, RequestOutcome, Status
 
 RETRY_PERIOD_S = 0.8
 MAX_TRIES = 12
-"""Asked so often, a tenth of a second short of ten seconds. Of packets lost at 30 % each way, one command in 3000."""
+"""Tries of a command, within 9.9 s. At 30 % packet loss each way, one command in 3000 fails."""
 PROGRESS_TIMEOUT_S = 30.0
-"""After "in progress" the answer may take so long (s)."""
+"""Time limit of the answer after "in progress" (s)."""
 REASON_WAIT_S = 0.4
-"""For so long a refusal without words waits for some (s)."""
+"""Wait of a refusal without a reason for a status text (s)."""
 MAX_MESSAGES = 500
 _QUERY_COMMANDS = (511, 512)  # SET_MESSAGE_INTERVAL, REQUEST_MESSAGE
 _INJECT_FAILURE_COMMAND = 420
@@ -47,16 +47,16 @@ _LEVEL_BY_SEVERITY = ("error", "error", "error", "error", "warning", "info", "in
 
 
 class StatusTextLog:
-    """What one vehicle says (STATUSTEXT), newest last.
+    """Status texts (STATUSTEXT) of one vehicle, newest last.
 
     Attributes
     ----------
-    messages : deque of Message
+    messages : deque of StatusMessage
         Of bounded length.
     newest_text : tuple of (now_s, text)
-        What was said last, by our clock; the reason of a refusal comes this way.
+        Latest text with the station's time (s); used as the reason of a refusal.
     on_message : callable or None
-        Told of every message, for a recording.
+        Called with every message, for a recording.
     """
 
     def __init__(self) -> None:
@@ -66,21 +66,21 @@ class StatusTextLog:
         self._pieces = StatusTextAssembler()
 
     def handle(self, now_s: float, time_s: float, message: MavMessage) -> None:
-        """Take a STATUSTEXT; ``time_s`` is the vehicle's clock."""
+        """Process a STATUSTEXT; ``time_s`` is the vehicle's clock."""
         self._add_texts(now_s, time_s, self._pieces.add_chunk(now_s, message))
 
     def step(self, now_s: float, time_s: float) -> None:
-        """Say what came of texts that wait for a piece that was lost."""
+        """Add the incomplete texts whose missing piece is overdue."""
         self._add_texts(now_s, time_s, self._pieces.take_overdue(now_s))
 
     def add_message(self, time_s: float, level: str, text: str) -> None:
-        """Add a message of the station's own."""
+        """Add a message of the station."""
         self.messages.append(message := StatusMessage(time_s, level, text))
         if self.on_message is not None:
             self.on_message(message)
 
     def text_since(self, now_s: float) -> str:
-        """Return what was said last if it was said since; "" if nothing was."""
+        """Return the latest text if received after ``now_s``, else ""."""
         return self.newest_text[1] if self.newest_text[0] >= now_s else ""
 
     def _add_texts(self, now_s: float, time_s: float, texts: Sequence[tuple[int, str]]) -> None:
@@ -91,7 +91,7 @@ class StatusTextLog:
 
 @dataclass(slots=True)
 class RepeatedRequest:
-    """Something that is sent again until it is answered, and then given up."""
+    """A request that is repeated until answered or out of tries."""
 
     request: OperatorRequest
     last_sent_s: float = -math.inf
@@ -99,7 +99,7 @@ class RepeatedRequest:
     send_count: int = 0
 
     def should_send(self, now_s: float) -> bool:
-        """Whether to send it now; counts that it was. Sent often enough, the request is ended."""
+        """Return whether to send the request at this time, and count the try; end the request after the last try."""
         if self.request.is_done or now_s - self.last_sent_s < RETRY_PERIOD_S:
             return False
         if self.send_count >= MAX_TRIES:
@@ -116,7 +116,7 @@ class RepeatedRequest:
 
 @dataclass(slots=True, kw_only=True)
 class _OpenCommand(RepeatedRequest):
-    """A command, and what is known of its answer."""
+    """A command and the state of its answer."""
 
     command: Command
     answer_deadline_s: float = math.inf
@@ -124,12 +124,12 @@ class _OpenCommand(RepeatedRequest):
 
 
 class RemoteCommands:
-    """The commands asked of one vehicle.
+    """The open commands of one vehicle.
 
     Parameters
     ----------
-    texts : StatusTexts
-        Where the vehicle's reasons are found.
+    texts : StatusTextLog
+        Source of the reasons of refusals.
     target : (system, component)
     """
 
@@ -140,15 +140,14 @@ class RemoteCommands:
         self._unanswered: list[MavMessage] = []
 
     def request_command(self, text: str, command: Command) -> OperatorRequest:
-        """Ask for something; the request tells what becomes of it.
+        """Queue a command and return its request, which reports the outcome.
 
-        An emergency stop goes out at once; whatever else the vehicle has been asked to do and has not answered is
-        given up for it.
+        An emergency stop is sent at once and cancels all unanswered actions.
 
         Parameters
         ----------
         text : str
-            What is asked for, in words.
+            Description of the action.
         command : Command
         """
         request = OperatorRequest(text)
@@ -163,11 +162,11 @@ class RemoteCommands:
         return request
 
     def send_message(self, message: MavMessage) -> None:
-        """Send something that is not answered."""
+        """Queue a message that has no answer."""
         self._unanswered.append(message)
 
     def handle(self, now_s: float, message: MavMessage) -> None:
-        """Take a COMMAND_ACK that is meant for us."""
+        """Process a COMMAND_ACK addressed to this station."""
         entry = self._open.get(message.command)
         if entry is None or entry.refusal_text is not None or not entry.send_count:
             return
@@ -183,7 +182,7 @@ class RemoteCommands:
             entry.answer_deadline_s = now_s + REASON_WAIT_S
 
     def step(self, now_s: float) -> list[MavMessage]:
-        """Return what is to be sent now."""
+        """Return the messages to send."""
         for _ in range(len(self._waiting)):
             entry = self._waiting.popleft()
             if entry.command.command_id in self._open:
@@ -206,16 +205,16 @@ class RemoteCommands:
         return out
 
     def give_up_actions(self, answer: str, *, moves_only: bool = False, stops: bool = True) -> None:
-        """End all that would make the vehicle do something: an arming that waits must not follow a stop.
+        """Cancel all open actions, so that a waiting arming cannot follow a stop.
 
         Parameters
         ----------
         answer : str
-            Why, for whoever asked.
+            Reason, for the requests' answers.
         moves_only : bool
-            Leave what does not move it: faults of a simulation.
+            Keep requests that do not move the vehicle: faults of a simulation.
         stops : bool
-            Whether an emergency stop is given up too.
+            Whether emergency stops are cancelled too.
         """
 
         def is_kept(entry: _OpenCommand) -> bool:
@@ -230,11 +229,11 @@ class RemoteCommands:
 
     @property
     def has_open_actions(self) -> bool:
-        """Whether something that would make the vehicle do something is not answered yet."""
+        """Return whether an action is unanswered."""
         return any(e.command.command_id not in _QUERY_COMMANDS for e in (*self._open.values(), *self._waiting))
 
     def give_up(self, answer: str) -> None:
-        """End everything that is open: the vehicle is gone or was started anew."""
+        """End all open commands: the vehicle is lost or was restarted."""
         for entry in (*self._open.values(), *self._waiting):
             entry.request.set_outcome(RequestOutcome.TIMED_OUT, answer)
         self._open.clear()
@@ -242,14 +241,14 @@ class RemoteCommands:
 
 
 class RequestChain:
-    """Requests that follow each other: each is made when the one before was accepted; the first refusal ends it.
+    """A sequence of requests: each starts once the preceding one is accepted; the first refusal ends the chain.
 
     Parameters
     ----------
     text : str
-        What all of it is, in words.
+        Description of the whole chain.
     links : sequence of callables
-        Each makes a request, or returns None if there is nothing to ask for.
+        Each makes a request, or returns None if its step is not needed.
     """
 
     def __init__(self, text: str, links: Sequence[Callable[[], OperatorRequest | None]]) -> None:
@@ -259,7 +258,7 @@ class RequestChain:
         self.step()
 
     def step(self) -> None:
-        """Go on if the present link has its answer."""
+        """Continue if the present request is answered."""
         while not self.request.is_done:
             now = self._now
             if now is not None and not now.is_done:
@@ -273,13 +272,14 @@ class RequestChain:
 
 
 class OperatorControl:
-    """Taking and handing over the command of a vehicle, which obeys one station at a time.
+    """Operator control of a vehicle, which accepts one station at a time.
 
     Parameters
     ----------
     system : int
-        The vehicle's.
+        System number of the vehicle.
     us : (system, component)
+        MAVLink address of the station.
     """
 
     def __init__(self, system: int, us: tuple[int, int]) -> None:
@@ -288,21 +288,21 @@ class OperatorControl:
         self._wish = 0
 
     def take_command(self) -> OperatorRequest:
-        """Ask for command."""
+        """Request operator control."""
         return self._start_request(OperatorRequest("take command"), 0)
 
     def release_command(self) -> OperatorRequest:
-        """Hand command over."""
+        """Release operator control."""
         return self._start_request(OperatorRequest("hand over command"), 1)
 
     def give_up(self, answer: str) -> None:
-        """End what is open."""
+        """End the open request."""
         if self._open is not None:
             self._open.request.set_outcome(RequestOutcome.REFUSED, answer)
             self._open = None
 
     def handle(self, now_s: float, message: MavMessage) -> None:
-        """Take CHANGE_OPERATOR_CONTROL_ACK."""
+        """Process CHANGE_OPERATOR_CONTROL_ACK."""
         if self._open is None or (message.gcs_system_id, message.control_request) != (
             self._us[0],
             self._wish,
@@ -315,7 +315,7 @@ class OperatorControl:
             request.set_outcome(RequestOutcome.REFUSED, _CONTROL_RESULT_TEXTS.get(message.ack, f"result {message.ack}"))
 
     def step(self, now_s: float, commander: int | None) -> list[MavMessage]:
-        """Return what is to be sent now."""
+        """Return the messages to send."""
         if self._open is None:
             return []
         if self._open.should_send(now_s):

@@ -1,11 +1,11 @@
-"""Mission, fence and parameters of a vehicle: sent, fetched and cleared.
+"""Mission, geofence and parameters of a vehicle: upload, download and clearing.
 
 Items become rows of a table in :mod:`mufly.station.mission_rows`, a mission file becomes items in
 :mod:`mufly.mission.mission_items`.
 
-One transfer follows the other; the machines are those of :mod:`mufly.link.mission_transfer`. What the vehicle holds is
-known from the last transfer that ended well; when the vehicle counts another number of items (somebody else sent it a
-mission) they are fetched anew.
+Transfers run one after another on the state machines of :mod:`mufly.link.mission_transfer`. The vehicle's items are
+those of the last successful transfer. When the vehicle reports another item count (another station sent a mission),
+they are fetched again.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _RESULT_TEXTS: dict[int, str] = {
 
 @dataclass(slots=True, kw_only=True)
 class _TransferJob(RepeatedRequest):
-    """A transfer; ``items`` are to be sent, None: fetch or clear. What is repeated is a clearing."""
+    """A transfer; ``items`` are to be sent, None: fetch or clear. Only clearing is repeated."""
 
     items: tuple[MissionItem, ...] | None = None
     is_clearing: bool = False
@@ -63,16 +63,16 @@ class RemoteMission:
 
     Parameters
     ----------
-    texts : StatusTexts
-        Where the vehicle's reasons are found.
+    texts : StatusTextLog
+        Source of the reasons of refusals.
     target : (system, component)
     kind : int
         MAV_MISSION_TYPE: 0 the mission, 1 the geofence.
 
     Attributes
     ----------
-    items : tuple of Item or None
-        What the vehicle holds; None while that is not known.
+    items : tuple of MissionItem or None
+        The vehicle's items; None while unknown.
     """
 
     def __init__(self, texts: StatusTextLog, target: tuple[int, int], kind: int = TYPE_MISSION) -> None:
@@ -87,17 +87,17 @@ class RemoteMission:
         self._out: AddressedMessages = []
 
     def upload_items(self, items: Sequence[MissionItem]) -> OperatorRequest:
-        """Send items; accepted once the vehicle has taken all of them."""
+        """Upload items; the request is accepted once the vehicle has all items."""
         return self._queue_job(
             _TransferJob(OperatorRequest(f"send a {self._called} of {len(items)} items"), items=tuple(items))
         )
 
     def download_items(self) -> OperatorRequest:
-        """Fetch the vehicle's items; they become the ``result``."""
+        """Download the vehicle's items; they become the request's ``result``."""
         return self._queue_job(_TransferJob(OperatorRequest(f"fetch the {self._called}")))
 
     def clear_items(self) -> OperatorRequest:
-        """Let the vehicle forget its mission."""
+        """Clear the vehicle's mission."""
         return self._queue_job(_TransferJob(OperatorRequest(f"clear the {self._called}"), is_clearing=True))
 
     def _queue_job(self, job: _TransferJob) -> OperatorRequest:
@@ -106,11 +106,11 @@ class RemoteMission:
 
     @property
     def is_busy(self) -> bool:
-        """Whether a transfer is under way or waits."""
+        """Return whether a transfer is active or queued."""
         return bool(self._jobs)
 
     def handle(self, now_s: float, message: MavMessage) -> None:
-        """Take a message of the mission protocol."""
+        """Process a message of the mission protocol."""
         note = parse_transfer_message(message)
         if note is None or getattr(note, "mission_type", self._kind) not in (self._kind, TYPE_ALL):
             return
@@ -133,9 +133,9 @@ class RemoteMission:
             self._out += self._receiver.receive(now_s, _PEER_NAME, note)
 
     def step(self, now_s: float) -> list[MavMessage]:
-        """Return what is to be sent now."""
+        """Return the messages to send."""
         if self._messy_s is None:
-            self._messy_s = now_s  # a station before us may have left one open
+            self._messy_s = now_s  # an earlier station may have left a transfer open
         if self._jobs:
             job = self._jobs[0]
             if math.isnan(job.started_s):
@@ -151,7 +151,7 @@ class RemoteMission:
         return [to_mavlink(note, *self.target) for _, note in notes]
 
     def give_up(self, answer: str) -> None:
-        """End everything that is open."""
+        """End all open transfers."""
         for job in self._jobs:
             job.request.set_outcome(RequestOutcome.TIMED_OUT, answer)
         self._jobs.clear()
@@ -161,7 +161,7 @@ class RemoteMission:
         self._messy_s = None
 
     def give_up_changes(self, answer: str) -> None:
-        """End what would change the vehicle's mission; what is fetched goes on."""
+        """Cancel transfers that change the vehicle's mission; downloads continue."""
         for job in [j for j in self._jobs if j.items is not None or j.is_clearing]:
             job.request.set_outcome(RequestOutcome.REFUSED, answer)
             if job is self._jobs[0]:
@@ -206,26 +206,26 @@ class RemoteMission:
 
 
 # ----------------------------------------------------------------------------
-# The parameters of a vehicle: read until none is missing, set until the vehicle says so.
+# The parameters of a vehicle: read until complete, set until the vehicle confirms the value.
 #
-# MAVLink's parameter protocol (https://mavlink.io/en/services/parameter.html) sends the list once, without asking
-# whether it arrived. Each value carries its index and the number of all, so what is missing is known and is asked for
-# again, a few at a time. A value is a float field; autopilots put whole numbers there either as a number or as the
-# bytes of the integer ("bytewise"), and say which in AUTOPILOT_VERSION.
+# MAVLink's parameter protocol (https://mavlink.io/en/services/parameter.html) sends the list once, unconfirmed. Each
+# value holds its index and the total count, so missing values are known and requested again, a few at a time. A value
+# is a float field; autopilots store integers there either as a number or as the bytes of the integer ("bytewise"), and
+# publish the encoding in AUTOPILOT_VERSION.
 
 
 REFUSAL_WAIT_S, SILENT_REFUSAL_WAIT_S = 0.3, 1.2
-"""A value that is not the one asked for is a refusal after so long, with and without words (s)."""
+"""Times after which a value other than requested counts as a refusal (s), with and without a status text."""
 MAX_LIST_TRIES = 8
 REQUEST_BATCH_SIZE = 12
-"""So many missing ones are asked for at a time."""
+"""Number of missing values requested at a time."""
 MAX_PARAMETERS = 5000
-"""More than any autopilot has; beyond it the list is not believed."""
+"""Longest plausible list; longer ones are rejected."""
 _UNBOUNDED_RANGE = (-math.inf, math.inf)
 
 
 def refusal_reason(known: TunableParameter | None, name: str, value: float) -> str:
-    """Return why a value cannot be sent, "" if it can."""
+    """Return the reason why a value cannot be sent, "" if it can."""
     if known is None:
         return f"the vehicle has no parameter {name}"
     if not math.isfinite(value):
@@ -237,7 +237,7 @@ def refusal_reason(known: TunableParameter | None, name: str, value: float) -> s
 
 @dataclass(slots=True, kw_only=True)
 class _ParameterWrite(RepeatedRequest):
-    """A value that is being set; since when the vehicle has said another."""
+    """A parameter value being set, and the time since which the vehicle reports another value."""
 
     value: float
     differs_since_s: float = math.inf
@@ -248,16 +248,16 @@ class RemoteParameters:
 
     Parameters
     ----------
-    texts : StatusTexts
-        Where the vehicle says why it keeps a value.
+    texts : StatusTextLog
+        Source of the reasons of refusals.
     target : (system, component)
 
     Attributes
     ----------
     missing_count : int
-        How many have not come yet; 0 before the first and when all are there.
+        Number of parameters not received; 0 before the first and when complete.
     bytewise : bool
-        Whether whole numbers travel as the bytes of an integer.
+        Whether integers are sent as bytes.
     """
 
     def __init__(self, texts: StatusTextLog, target: tuple[int, int]) -> None:
@@ -275,27 +275,27 @@ class RemoteParameters:
 
     @property
     def parameter_table(self) -> dict[str, TunableParameter]:
-        """Name -> parameter, by name."""
+        """Return the parameters by name."""
         if self._table is None:
             self._table = {name: self._make_parameter(name) for name in sorted(self._raw)}
         return self._table
 
     @property
     def missing_count(self) -> int:
-        """How many have not come yet."""
+        """Return the number of parameters not received."""
         return 0 if self._count is None else max(0, self._count - len(self._indices))
 
     def set_descriptions(self, about: Mapping[str, TunableParameter]) -> None:
-        """Say what is known of the vehicle's parameters besides their values."""
+        """Set the descriptions (unit, bounds, help) of the vehicle's parameters."""
         self._about, self._table = about, None
 
     def set_bytewise_encoding(self, yes: bool) -> None:
-        """Say how whole numbers travel."""
+        """Set the encoding of integers."""
         if yes != self.bytewise:
             self.bytewise, self._table = yes, None
 
     def request_all(self) -> OperatorRequest:
-        """Read all of them anew."""
+        """Request all parameters again."""
         if self._list is None or self._list.is_done:
             self._list = OperatorRequest("read all parameters")
             self._indices, self._count = {}, None
@@ -303,7 +303,7 @@ class RemoteParameters:
         return self._list
 
     def set_parameter(self, name: str, value: float) -> OperatorRequest:
-        """Set one; accepted once the vehicle says that it has this value.
+        """Set a parameter; the request is accepted once the vehicle reports this value.
 
         Parameters
         ----------
@@ -320,7 +320,7 @@ class RemoteParameters:
         return request
 
     def handle(self, now_s: float, message: MavMessage) -> None:
-        """Take a PARAM_VALUE."""
+        """Process a PARAM_VALUE."""
         name = message.param_id
         if not name or (len(self._raw) >= MAX_PARAMETERS and name not in self._raw):
             return
@@ -333,7 +333,7 @@ class RemoteParameters:
                 self._table = None
         if self._count != message.param_count and 0 < message.param_count <= MAX_PARAMETERS:
             if self._count is not None:
-                self._indices = {}  # another list: the vehicle has learned or lost some
+                self._indices = {}  # the vehicle's list has changed
             self._count = message.param_count
         count = self._count or 0
         if message.param_index < count and name not in self._indices.values():
@@ -344,18 +344,18 @@ class RemoteParameters:
         self._handle_answer(now_s, name)
 
     def step(self, now_s: float) -> list[MavMessage]:
-        """Return what is to be sent now."""
+        """Return the messages to send."""
         return self._request_missing(now_s) + self._send_writes(now_s)
 
     def give_up(self, answer: str) -> None:
-        """End everything that is open."""
+        """End all open requests."""
         for request in (*(entry.request for entry in self._sets.values()), self._list):
             if request is not None:
                 request.set_outcome(RequestOutcome.TIMED_OUT, answer)
         self._sets.clear()
 
     def give_up_changes(self, answer: str) -> None:
-        """End what would change a parameter; what is read goes on."""
+        """Cancel parameter writes; reading continues."""
         for entry in self._sets.values():
             entry.request.set_outcome(RequestOutcome.REFUSED, answer)
         self._sets.clear()
@@ -403,7 +403,7 @@ class RemoteParameters:
             del self._sets[name]
             entry.request.set_outcome(RequestOutcome.ACCEPTED)
         else:
-            # It may belong to a list that was under way; only a value that stays is a refusal.
+            # The value may belong to an earlier list; only a persistent value is a refusal.
             entry.differs_since_s = min(entry.differs_since_s, now_s)
 
     def _make_parameter(self, name: str) -> TunableParameter:

@@ -1,9 +1,9 @@
-"""A vehicle at the other end of a link: what it tells, and what is asked of it.
+"""The station's model of a remote vehicle: its telemetry and the requests to it.
 
-Pure: messages in (:meth:`RemoteVehicle.handle`), messages out (:meth:`RemoteVehicle.step`), the clock is passed in.
+No I/O: messages in (:meth:`RemoteVehicle.handle`), messages out (:meth:`RemoteVehicle.step`), the clock is passed in.
 Its parts: telemetry with history, status texts, commands, parameters, mission, operator control, connection,
-checks. Everything that is asked for returns a :class:`mufly.station.signal_history.OperatorRequest` at once, which
-tells what becomes of it. What a vehicle could never do is refused here; all else is for the vehicle to judge.
+checks. Every request returns a :class:`mufly.station.signal_history.OperatorRequest` at once, which reports its
+outcome. Impossible requests are refused here; the vehicle decides on all others.
 """
 
 from __future__ import annotations
@@ -48,40 +48,40 @@ from mufly.station.vehicle_telemetry import VehicleTelemetry
 from mufly.vehicle_types import ARDUPILOT, PX4, ardupilot_family, is_vehicle, vehicle_type_name
 
 LOST_TIMEOUT_S = 3.0
-"""A vehicle that was silent for so long is lost (s)."""
+"""Silence after which a vehicle is lost (s)."""
 _MAX_MISSED_MESSAGES = 10
-"""After so many messages that did not come, nothing waits any more to be carried out when it is heard again."""
+"""Number of missed messages after which open actions are cancelled."""
 
 _NO_MISSION = 65535  # MISSION_CURRENT.total
 _ChainLink = Callable[[], OperatorRequest | None]
 
 
 class RemoteVehicle:
-    """One vehicle, as a page draws and commands it.
+    """One vehicle, as drawn and commanded by a page.
 
     Parameters
     ----------
     system, component : int
-        Its MAVLink address.
-    own_ids : (system, component)
-        Ours.
+        MAVLink address of the vehicle.
+    us : (system, component)
+        MAVLink address of the station.
     color : int
-        Which of the page's colours it has.
+        Index of the vehicle's colour on the page.
     rate_Hz : float
-        How often it is asked to tell its motion.
+        Requested rate of motion messages (Hz).
 
     Attributes
     ----------
-    history : History
-        Its signals over the last ten minutes.
-    station_context : Surroundings
-        What the station knows besides, for the checks.
+    history : SignalHistory
+        Signals over the last ten minutes.
+    station_context : StationContext
+        State of the station, for the checks.
     sticks : PilotSticks
-        What a pilot here holds; streamed while it is held, and followed after :meth:`fly_manually`.
+        The pilot's sticks: streamed while held, effective after :meth:`fly_manually`.
     on_mark : callable or None
-        Takes the text of a mark; returns whether it was recorded.
+        Called with the text of a mark; returns whether it was recorded.
     key : str
-        Tells it from all others of the station, also after the station was started anew: its number and its link.
+        Unique key in the station, from number and link; the same after a restart of the station.
     """
 
     def __init__(
@@ -105,7 +105,7 @@ class RemoteVehicle:
         self.station_context = StationContext()
         self.on_mark: Callable[[str], bool] | None = None
         self._chains: list[RequestChain] = []
-        self._moving: OperatorRequest | None = None  # what it was asked to do last
+        self._moving: OperatorRequest | None = None  # the latest motion request
         self._usual_rate_Hz = 0.0
         self._heard_s = self._now_s = -math.inf
         self._lost = False
@@ -116,7 +116,7 @@ class RemoteVehicle:
         self._fence: tuple[object, Fence | None] = (None, None)
 
     def _set_target(self, component: int) -> None:
-        """Speak to a component of the system."""
+        """Address a component of the system."""
         self.component = component
         target = (self.system, component)
         self.commands = RemoteCommands(self.texts, target)
@@ -127,38 +127,38 @@ class RemoteVehicle:
             self.commands, self._parameters, (self.transfers, self.fence_transfers), self._asked_rate_Hz
         )
 
-    # What it is and tells
+    # State and telemetry
 
     @property
     def kind(self) -> str:
-        """``"mufly"`` or ``"other"``."""
+        """Return ``"mufly"`` or ``"other"``."""
         return "mufly" if self._connection.is_mufly else "other"
 
     @property
     def firmware(self) -> autopilots.FirmwareKind:
-        """Whose vehicle it is, which says how it wants to be asked."""
+        """Return the firmware kind, which selects the commands."""
         return autopilots.identify_firmware(self.telemetry.autopilot, self._connection.is_mufly)
 
     @property
     def name(self) -> str:
-        """What to call it: "mufly, system 1"."""
+        """Return the display name: "mufly, system 1"."""
         maker = self.firmware if self.firmware != "other" else "vehicle"
         what = "" if self._connection.is_mufly else vehicle_type_name(self.telemetry.vehicle_type)
         return f"{f'{maker} {what}'.strip()}, system {self.system}"
 
     @property
     def is_connected(self) -> bool:
-        """Whether it was heard of late."""
+        """Return whether the vehicle was heard recently."""
         return self._now_s - self._heard_s < LOST_TIMEOUT_S
 
     @property
     def is_in_command(self) -> bool:
-        """Whether this station commands it. A vehicle that tells nobody who does obeys everybody."""
+        """Return whether this station has control; true also if the vehicle publishes no commander."""
         return self.telemetry.commander_id in (None, self._own_number)
 
     @property
     def commander(self) -> str:
-        """Who commands it, in words; "" if nobody or unknown."""
+        """Return the commander as text; "" if none or unknown."""
         number = self.telemetry.commander_id
         if not number:
             return ""
@@ -168,7 +168,7 @@ class RemoteVehicle:
 
     @property
     def snapshot(self) -> VehicleSnapshot:
-        """The present."""
+        """Return the present state of the vehicle."""
         t, items = self.telemetry, self.transfers.items
         return VehicleSnapshot.from_signals(
             t.present_value,
@@ -196,12 +196,12 @@ class RemoteVehicle:
 
     @property
     def messages(self) -> deque[StatusMessage]:
-        """What it said, newest last."""
+        """Return the status messages, newest last."""
         return self.texts.messages
 
     @property
     def mission(self) -> list[MissionRow]:
-        """The mission that it holds; empty while that is not known."""
+        """Return the vehicle's mission; empty while unknown."""
         key = (self.transfers.items, self.telemetry.origin, self.mission_progress)
         if key != self._rows[0]:
             self._rows = (key, rows_from_items(self.transfers.items or (), key[1], key[2]))
@@ -209,37 +209,37 @@ class RemoteVehicle:
 
     @property
     def mission_progress(self) -> int:
-        """How many rows of the mission are behind it."""
+        """Return the number of mission rows passed."""
         return max(self.telemetry.mission_current or 0, self._reached + 1)
 
     @property
     def parameters(self) -> dict[str, TunableParameter]:
-        """Its parameters by name."""
+        """Return the parameters by name."""
         return self._parameters.parameter_table
 
     @property
     def parameters_missing(self) -> int:
-        """How many have not come yet."""
+        """Return the number of parameters not received."""
         return self._parameters.missing_count
 
     @property
     def checks(self) -> list[PreflightCheck]:
-        """What to look at before it flies."""
+        """Return the preflight checks."""
         parts = (self.telemetry, self.texts, self.transfers, self._parameters)
         return run_preflight_checks(self.snapshot, *parts, self.station_context)
 
-    # What is asked of it
+    # Requests
 
     def arm(self) -> OperatorRequest:
-        """Let the motors run."""
+        """Arm the motors."""
         return self._request_motion("arm", lambda: self._request_command("arm", autopilots.ARM_COMMAND))
 
     def disarm(self) -> OperatorRequest:
-        """Stop the motors; it refuses in flight."""
+        """Disarm the motors; refused in flight."""
         return self._request_motion("disarm", lambda: self._request_command("disarm", autopilots.DISARM_COMMAND))
 
     def take_off(self, height_m: float) -> OperatorRequest:
-        """Arm if needed, take off to a height above where it stands (m), and hover."""
+        """Arm if needed, take off to a height above the ground position (m), and hover."""
         text = f"take off to {height_m:g} m"
         if not (math.isfinite(height_m) and height_m > 0.0):
             return _refused_request(text, "a height above the floor is needed")
@@ -254,7 +254,7 @@ class RemoteVehicle:
         return self._request_motion(text, lambda: self._start_chain(text, [*links, self._arm_if_needed, *climb]))
 
     def start_mission(self) -> OperatorRequest:
-        """Fly the mission, or go on with it; arms if needed."""
+        """Start or resume the mission; arm if needed."""
         if self.transfers.items is not None and not self.transfers.items:
             return _refused_request("fly the mission", "the vehicle holds no mission; send one first")
         text, commands = "fly the mission", self._select_commands(autopilots.START_MISSION_COMMANDS)
@@ -268,7 +268,7 @@ class RemoteVehicle:
         return self._request_from_table("hover here", autopilots.PAUSE_COMMANDS)
 
     def go_to(self, position: Sequence[float], heading_rad: float | None = None) -> OperatorRequest:
-        """Fly to a place (N, E, D; m) and hold."""
+        """Fly to a position (N, E, D; m) and hold."""
         n, e, d = (float(v) for v in position)
         text = f"fly to N {n:.2f}, E {e:.2f}, height {-d:.2f} m"
         if not all(map(math.isfinite, (n, e, d))):
@@ -280,29 +280,29 @@ class RemoteVehicle:
         return self._request_motion(text, lambda: self._request_command(text, command))
 
     def return_home(self) -> OperatorRequest:
-        """Return to where it took off, and land."""
+        """Return to the take-off position and land."""
         return self._request_from_table("return and land", autopilots.RETURN_COMMANDS)
 
     def land(self) -> OperatorRequest:
-        """Land here."""
+        """Land at the present position."""
         return self._request_from_table("land", autopilots.LAND_COMMANDS)
 
     def emergency_stop(self) -> OperatorRequest:
-        """Stop the motors at once, in flight too; nothing that was asked for before goes on after it."""
+        """Stop the motors at once, in flight too; cancel all open requests."""
         self._give_up_moves("given up for: EMERGENCY STOP")
         self.sticks.release_sticks()
         self._by_hand = False
         return self._request_command("EMERGENCY STOP", autopilots.EMERGENCY_STOP_COMMAND)
 
     def fly_manually(self) -> OperatorRequest:
-        """Let the sticks that are held fly it, until :meth:`release_sticks` or another command."""
+        """Start manual flight with the held sticks, until :meth:`release_sticks` or another command."""
         if not self.sticks.is_held:
             return _refused_request("fly by hand", "no sticks; hold them first")
         self._by_hand = True
         return self._request_from_table("fly by hand", autopilots.MANUAL_CONTROL_COMMANDS)
 
     def release_sticks(self) -> OperatorRequest | None:
-        """Let go of the sticks: it hovers where it is. None if it was not flown by them."""
+        """Release the sticks and hover in place; return None if they did not fly the vehicle."""
         self.sticks.release_sticks()
         if not self._by_hand:
             return None
@@ -310,28 +310,28 @@ class RemoteVehicle:
         return self._request_from_table("let go of the sticks", autopilots.RELEASE_STICKS_COMMANDS)
 
     def reboot(self) -> OperatorRequest:
-        """Start the autopilot anew; a simulation begins anew."""
+        """Restart the autopilot; a simulation restarts too."""
         return self._request_command("start anew", autopilots.REBOOT_COMMAND)
 
     def inject_failure(
         self, unit: int, kind: int, text: str, amount: float = math.nan, duration_s: float = math.nan
     ) -> OperatorRequest:
-        """Let a sensor of a simulation fail (FAILURE_UNIT, FAILURE_TYPE); type 0: nothing is wrong any more.
+        """Inject a sensor failure in a simulation (FAILURE_UNIT, FAILURE_TYPE); type 0 clears all failures.
 
         ``amount`` is in the unit of the reading (``late``: s), NaN the usual one; ``duration_s`` NaN: until cleared.
         """
         return self._request_command(text, autopilots.inject_failure_command(unit, kind, amount, duration_s))
 
     def take_command(self) -> OperatorRequest:
-        """Become the station that commands it."""
+        """Request operator control for this station."""
         return self._control.take_command()
 
     def release_command(self) -> OperatorRequest:
-        """Let another station command it."""
+        """Release operator control."""
         return self._control.release_command()
 
     def upload_mission(self, mission: Mission | str | Path) -> OperatorRequest:
-        """Send a mission, or that of a file by its name."""
+        """Upload a mission, or the mission file of this name."""
         try:
             if isinstance(mission, str | Path):
                 mission = load_mission(mission)
@@ -342,16 +342,16 @@ class RemoteVehicle:
         return self.transfers.upload_items(items)
 
     def download_mission(self) -> OperatorRequest:
-        """Fetch the mission that it holds."""
+        """Download the vehicle's mission."""
         return self.transfers.download_items()
 
     def clear_mission(self) -> OperatorRequest:
-        """Let it forget its mission."""
+        """Clear the vehicle's mission."""
         return self.transfers.clear_items()
 
     @property
     def fence(self) -> Fence | None:
-        """Its geofence, as far as it is known."""
+        """Return the vehicle's geofence; None while unknown."""
         key = (self.fence_transfers.items, self.telemetry.origin)
         if key != self._fence[0]:
             base = self.station_context.base_mission
@@ -359,12 +359,12 @@ class RemoteVehicle:
             try:
                 held = known if key[0] is None else fence_from_items(key[0], known, key[1])
             except MissionRefusedError:
-                held = None  # of a kind that is not known here
+                held = None  # a fence of an unsupported kind
             self._fence = (key, held)
         return self._fence[1]
 
     def upload_fence(self, fence: Fence | None) -> OperatorRequest:
-        """Send a geofence, or clear it."""
+        """Upload a geofence, or clear it."""
         if fence is None:
             return self.fence_transfers.clear_items()
         on_globe = None if self.kind == "mufly" else self.telemetry.origin
@@ -375,20 +375,20 @@ class RemoteVehicle:
         return self._parameters.set_parameter(name, value)
 
     def refresh_parameters(self) -> OperatorRequest:
-        """Read all parameters anew."""
+        """Request all parameters again."""
         return self._parameters.request_all()
 
     def set_shown_mission(self, mission: Mission | None) -> None:
-        """Say which mission the page shows, for the check that the vehicle holds the same."""
+        """Set the mission shown on the page, which a check compares with the vehicle's."""
         self.station_context.shown_items = None if mission is None else tuple(mission_to_items(mission).items)
 
     def set_base_mission(self, mission: Mission) -> None:
-        """Say with which mission file it was started: limits, path and obstacles stay those of that file."""
+        """Set the mission file with which the vehicle was started: source of limits, path and obstacles."""
         self.station_context.base_mission = mission
         self.set_shown_mission(mission)
 
     def add_mark(self, text: str) -> OperatorRequest:
-        """Put a mark into the recording, and among the messages."""
+        """Add a mark to the recording and the messages."""
         request = OperatorRequest(f"mark: {text}")
         recorded = self.on_mark is not None and self.on_mark(text)
         self.add_note("info", f"mark: {text}")
@@ -396,7 +396,7 @@ class RemoteVehicle:
         return request
 
     def add_note(self, level: str, text: str) -> None:
-        """Put a line of the station's own among the messages."""
+        """Add a message of the station."""
         self.texts.add_message(self.telemetry.time_s, level, text)
 
     def _request_command(self, text: str, command: Command) -> OperatorRequest:
@@ -412,9 +412,9 @@ class RemoteVehicle:
         return select_commands(table, self.firmware, ardupilot_family(self.telemetry.vehicle_type))
 
     def _request_motion(self, text: str, make: Callable[[], OperatorRequest]) -> OperatorRequest:
-        """Ask for a movement. What was asked before and is not answered is given up: it must not be done after this.
+        """Request a motion; cancel unanswered earlier requests, which must not be executed after it.
 
-        The same once more, while it waits for its answer, is one request.
+        Repeating a request that waits for its answer returns the same request.
         """
         waiting = self._moving
         if waiting is not None and not waiting.is_done and waiting.text == text:
@@ -438,15 +438,15 @@ class RemoteVehicle:
         self._chains.append(chain := RequestChain(text, links))
         return chain.request
 
-    # The machine
+    # Message handling
 
     def handle(self, now_s: float, message: MavMessage) -> None:
-        """Take a message that it sent.
+        """Process a message from the vehicle.
 
         Parameters
         ----------
         now_s : float
-            Our clock (s).
+            Station's clock (s).
         message : pymavlink message
         """
         self._now_s = max(self._now_s, now_s)
@@ -454,12 +454,12 @@ class RemoteVehicle:
         if name == "STATUSTEXT":
             self.texts.handle(now_s, self.telemetry.time_s, message)
         if component != self.component:
-            return  # of a camera, a gimbal, a companion computer
+            return  # from a camera, a gimbal or a companion computer
         self._heard_s = now_s
         if name == "STATUSTEXT" or getattr(message, "target_system", 0) not in (0, self.own_ids[0]):
             return
         if name == "HEARTBEAT" and not is_vehicle(message.type, message.autopilot, component):
-            return  # equipment that was given the vehicle's numbers
+            return  # equipment with the vehicle's numbers
         self.telemetry.handle(now_s, message)
         if name == "COMMAND_ACK":
             self.commands.handle(now_s, message)
@@ -478,7 +478,7 @@ class RemoteVehicle:
             self._control.handle(now_s, message)
 
     def step(self, now_s: float) -> list[MavMessage]:
-        """Return what is to be sent to it now."""
+        """Return the messages to send to the vehicle."""
         self._now_s = max(self._now_s, now_s)
         self.telemetry.step(now_s)
         self.texts.step(now_s, self.telemetry.time_s)
@@ -487,7 +487,7 @@ class RemoteVehicle:
             chain.step()
         self._chains = [c for c in self._chains if not c.request.is_done]
         self._connection.step(now_s, self.telemetry)
-        hand = self.sticks.step(now_s)  # first: a vehicle wants to have heard them before it obeys them
+        hand = self.sticks.step(now_s)  # first: a vehicle needs stick messages before it accepts manual flight
         if self._by_hand and not self.sticks.is_held:
             self.add_note("warning", "the sticks are not held any more; a hover is asked for")
             self.release_sticks()
@@ -496,18 +496,18 @@ class RemoteVehicle:
         return out + self._control.step(now_s, self.telemetry.commander_id)
 
     def note_link(self, now_s: float, loss: float, rate_Hz: float) -> None:
-        """Take how good the link is: share of packets lost, messages a second."""
+        """Store the link quality: share of packets lost (1), message rate (Hz)."""
         self._loss, self._rate_Hz = loss, rate_Hz
         self._usual_rate_Hz = max(0.5 * self._usual_rate_Hz, rate_Hz)
         self.telemetry.note_link(now_s, loss, rate_Hz)
 
     def change_component(self, component: int) -> None:
-        """Take another component of the system for the vehicle: its autopilot, which spoke later than another.
+        """Replace the vehicle's component by the autopilot, if another component was heard first.
 
         Parameters
         ----------
         component : int
-            MAV_COMPONENT; commands, parameters and mission go there from now on.
+            MAV_COMPONENT; subsequent commands, parameters and missions go there.
         """
         text = f"component {component} is the autopilot of system {self.system}, not component {self.component}"
         for chain in self._chains:
@@ -520,13 +520,13 @@ class RemoteVehicle:
         self.add_note("warning", text)
 
     def note_new_address(self) -> None:
-        """Note that it is heard from another address, where it knows nothing of our wishes."""
+        """Repeat the stream requests after a change of the vehicle's address."""
         self._connection.request_streams_again()
 
     def note_stall(self, seconds: float) -> None:
-        """Note that the station stood still for so long: nothing that was asked before is done now.
+        """Cancel open actions after a stall of the station (s).
 
-        A vehicle that was flown by sticks has let go of them by its own time-out, and may be in other hands.
+        The sticks are released too: the vehicle's own time-out has ended manual flight.
         """
         why = f"not carried out: the station stood still for {seconds:.0f} s"
         self._give_up_moves(why, stops=True)
@@ -544,9 +544,9 @@ class RemoteVehicle:
         self._control.give_up(why)
 
     def _give_up_unheard(self, now_s: float) -> None:
-        """Give up what waits for an answer once more messages than can be chance did not come; but no emergency stop.
+        """Cancel open actions, except emergency stops, after more missed messages than chance explains.
 
-        Else it is repeated, and carried out whenever the link is back.
+        A repeated action would otherwise be executed whenever the link returns.
         """
         silent_s = now_s - self._heard_s
         usual_s = _MAX_MISSED_MESSAGES / self._usual_rate_Hz if self._usual_rate_Hz > 0.0 else LOST_TIMEOUT_S
@@ -574,15 +574,15 @@ class RemoteVehicle:
 
     def _handle_mission_current(self, message: MavMessage) -> None:
         if message.seq < self._reached:
-            self._reached = -1  # it flies the mission again, or another
+            self._reached = -1  # the mission restarts, or another one begins
         items = self.transfers.items
-        if items is None or not message.total or self.transfers.is_busy:  # 0: it does not count them
+        if items is None or not message.total or self.transfers.is_busy:  # total 0: not supported
             return
         total = 0 if message.total == _NO_MISSION else message.total
-        # ArduPilot's first item is its home, which this total leaves out.
+        # ArduPilot's first item is its home, which this total omits.
         own = 1 if self.telemetry.autopilot == ARDUPILOT else 0
         if total != max(0, len(items) - own):
-            self.transfers.download_items()  # somebody else has sent it another
+            self.transfers.download_items()  # another station has sent a mission
 
     @property
     def _own_number(self) -> int:
@@ -607,7 +607,7 @@ REQUESTED_MESSAGES: tuple[tuple[str, float], ...] = (
     ("OBSTACLE_DISTANCE", 0.25),
     ("DISTANCE_SENSOR", 0.0),
 )
-"""Messages, and their rates as a share of the fastest."""
+"""Requested messages, with their rates as a share of the fastest."""
 _FOREIGN_MESSAGES = (
     ("SERVO_OUTPUT_RAW", 0.1),
     ("RC_CHANNELS", 0.05),
@@ -620,22 +620,22 @@ _VERSION_TIMEOUT_S = 3.0
 
 
 class ConnectionSetup:
-    """What is asked of a vehicle that was just found, or found again.
+    """Requests to a vehicle that was found, or found again.
 
-    First who it is (AUTOPILOT_VERSION); then how often it is to tell what (SET_MESSAGE_INTERVAL, or REQUEST_DATA_STREAM
-    if it does not know that); then its parameters and its mission.
+    The first is the identity (AUTOPILOT_VERSION), then the message rates (SET_MESSAGE_INTERVAL, or REQUEST_DATA_STREAM
+    if unsupported), then the parameters and the mission.
 
     Parameters
     ----------
     commands, parameters, transfers
-        What does the asking; of missions and of geofences.
+        Parts that send the requests; transfers of missions and of geofences.
     rate_Hz : float
-        Fastest rate.
+        Fastest message rate (Hz).
 
     Attributes
     ----------
     is_mufly : bool
-        Whether it said that it is a mufly vehicle.
+        Whether the vehicle identified itself as a mufly vehicle.
     """
 
     def __init__(
@@ -652,26 +652,26 @@ class ConnectionSetup:
         self.restart_setup()
 
     def request_streams_again(self) -> None:
-        """Wish anew: it was away, or is heard from elsewhere."""
+        """Repeat the stream requests after a loss or an address change."""
         self._wished: OperatorRequest | None = None
         self._older = False
 
     def restart_setup(self) -> None:
-        """Ask everything anew: it was started anew."""
+        """Repeat all requests after a restart of the vehicle."""
         self._version: MavMessage | None = None
         self._asked_s = math.nan
         self._read = False
         self.request_streams_again()
 
     def handle_version(self, message: MavMessage) -> None:
-        """Take AUTOPILOT_VERSION."""
+        """Process AUTOPILOT_VERSION."""
         self._version = message
         self.is_mufly = bytes(message.flight_custom_version).startswith(b"mufly")
         if self.is_mufly:
             self._parameters.set_descriptions(_mufly_parameter_descriptions())
 
     def step(self, now_s: float, telemetry: VehicleTelemetry) -> None:
-        """Ask for what comes next."""
+        """Send the next request."""
         if math.isnan(self._asked_s):
             self._asked_s = now_s
             version = autopilots.request_message_command(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
@@ -683,7 +683,7 @@ class ConnectionSetup:
                 number = getattr(mavlink, f"MAVLINK_MSG_ID_{name}")
                 command = autopilots.message_interval_command(number, share * self._rate_Hz)
                 request = self._commands.request_command(f"tell {name}", command)
-                # Every vehicle has the first: if it refuses that, it does not know the command.
+                # All vehicles have the first message: its refusal means that the command is unsupported.
                 self._wished = self._wished or request
         if not self._read:
             self._read = True
@@ -705,5 +705,5 @@ class ConnectionSetup:
 
 
 def _mufly_parameter_descriptions() -> dict[str, TunableParameter]:
-    """What is known of the parameters of our own vehicles: unit, bounds, help."""
+    """Return unit, bounds and help of the parameters of mufly vehicles."""
     return PARAMETERS | {name: replace(p, value=math.nan) for name, p in LINK_PARAMETERS.items()}

@@ -1,8 +1,8 @@
-"""A finished recording behind the same seam as a vehicle: read, played back, and moved through with a slider.
+"""A finished recording behind the interface of a vehicle, with playback and a time slider.
 
-:func:`open_recording` reads any log that :func:`mufly.logs.read_log` reads. A :class:`Replay` is one viewer's place
-in it; many may share one :class:`FlightRecording`. What the vehicle believed of itself is taken from ``estimated_*``
-where it was recorded, else from ``measured_*``, else from ``truth_*``.
+:func:`open_recording` reads any log that :func:`mufly.logs.read_log` reads. A :class:`Replay` is one viewer's position
+in a recording; many may share one :class:`FlightRecording`. The vehicle's own estimate is taken from ``estimated_*`` if
+recorded, else from ``measured_*``, else from ``truth_*``.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from mufly.station.signal_history import (
 )
 
 MOTION_SOURCES = ("estimated", "measured", "truth")
-"""Whom to believe of the vehicle's motion, in this order."""
+"""Sources of the vehicle's motion, by priority."""
 AIRBORNE_HEIGHT_M = 0.02
 
 _Array = NDArray[np.float64]
@@ -43,7 +43,7 @@ _Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class FlightRecording:
-    """A log, read whole.
+    """A log, read into memory.
 
     Attributes
     ----------
@@ -56,15 +56,15 @@ class FlightRecording:
     units : dict of str to str
     mission_states : (n,) array of str
         State of the mission machine, or "".
-    messages : tuple of Message
+    messages : tuple of StatusMessage
     mission : Mission or None
-        The mission that was flown, with its world, where the file carries it.
+        The mission flown, with its world, if the file contains it.
     range_angles : (b,) array
         Directions of the range beams from the nose to the right (rad).
     range_max_m : float
-        What a beam that sees nothing returns (m).
+        Range of a beam that detects nothing (m).
     recording_facts : dict
-        Vehicle, outcome and whatever else the file says of itself.
+        Vehicle, outcome and other facts stated by the file.
     """
 
     name: str
@@ -92,10 +92,10 @@ def open_recording(path: str | Path, progress: Callable[[int, int], None] | None
     Raises
     ------
     InputError
-        If it is no log, or holds nothing with a name of ours.
+        If the file is no log, or has no signal that mufly names.
     """
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # what was repaired is in the attribute "notes", shown with the facts
+        warnings.simplefilter("ignore")  # repairs are in the attribute "notes", shown with the facts
         data = read_log(path, progress=progress)
     times = data["time"].values.astype(np.float64)
     if not len(times):
@@ -127,7 +127,7 @@ def open_recording(path: str | Path, progress: Callable[[int, int], None] | None
 
 
 def _read_vehicle_and_mission(path: str | Path) -> tuple[dict[str, Any], Mission | None]:
-    """Return the vehicle's tables and the mission that a recording carries; empty and None where it has none."""
+    """Return the vehicle's tables and the mission of a recording; empty and None if absent."""
     if detect_log_format(path) != "MCAP":
         return {}, None
     attachments = read_attachments(path)
@@ -138,7 +138,7 @@ def _read_vehicle_and_mission(path: str | Path) -> tuple[dict[str, Any], Mission
         if "mission.toml" in attachments:
             mission = parse_mission(tomllib.loads(attachments["mission.toml"].decode()), str(path))
     except (ValueError, InputError):
-        pass  # written by another version: the flight is worth showing without its world
+        pass  # a file of an incompatible version is shown without its world
     return vehicle, mission
 
 
@@ -160,7 +160,7 @@ def make_mission_rows(mission: Mission, reached: int = 0) -> list[MissionRow]:
     ----------
     mission : Mission
     reached : int
-        How many rows are behind the vehicle.
+        Number of rows that the vehicle has passed.
     """
     climb = mission.take_off
     rows = [MissionRow("take off", (*mission.start_m, -climb.height_m), wait_s=climb.wait_s)]
@@ -172,13 +172,12 @@ def make_mission_rows(mission: Mission, reached: int = 0) -> list[MissionRow]:
 
 
 class ReplayHistory:
-    """The history of a recording up to the moment that is shown, as
-    :class:`mufly.station.signal_history.SignalHistory`.
+    """The signals of a recording up to the displayed time, as :class:`mufly.station.signal_history.SignalHistory`.
 
     Attributes
     ----------
     extra_values : callable
-        Gives the values at some times of a signal that the recording has not; None where it is not known either.
+        Returns values at given times of a signal missing in the recording; None if unknown.
     """
 
     def __init__(self, recording: FlightRecording) -> None:
@@ -188,7 +187,7 @@ class ReplayHistory:
         self.extra_values: Callable[[str, _Array], _Array | None] = lambda name, times: None
 
     def signal_unit(self, name: str) -> str:
-        """Unit of a signal, "1" for a pure number."""
+        """Return the unit of a signal, "1" for a pure number."""
         return self._recording.units.get(name, "1")
 
     def rows_since(self, time_s: float, names: Sequence[str]) -> tuple[_Array, _Array]:
@@ -204,27 +203,27 @@ class ReplayHistory:
         return times, values
 
     def recent_rows(self, seconds: float, names: Sequence[str]) -> tuple[_Array, _Array]:
-        """Return the last ``seconds``, as :meth:`rows_since`."""
+        """Return the rows of the last ``seconds``, as :meth:`rows_since`."""
         newest_s = self._recording.times_s[self.end - 1] if self.end else 0.0
         return self.rows_since(float(newest_s) - seconds - 1e-9, names)
 
 
 class Replay:
-    """One viewer's place in a recording: the reading half of a vehicle, with play, pause, speed and a slider.
+    """One viewer's position in a recording: the read interface of a vehicle, with play, pause, speed and a slider.
 
     Attributes
     ----------
-    recording : Recording
+    recording : FlightRecording
     name : str
-        Of its file.
+        Name of the recording's file.
     start_s, end_s, time_s : float
-        First and last instant, and the moment that is shown (s).
+        First, last and displayed time (s).
     history : ReplayHistory
     playing : bool
     speed : float
-        Seconds of the recording a second.
+        Playback speed: recorded seconds per second.
     jumps : int
-        Counts the moves of the slider, so that a plot knows when to begin anew.
+        Number of slider moves, so that a plot knows when to restart.
     """
 
     kind = "recording"
@@ -242,7 +241,7 @@ class Replay:
         self.parameters: dict[str, TunableParameter] = {}
         self.checks: list[PreflightCheck] = []
         self._rows = make_mission_rows(recording.mission) if recording.mission is not None else []
-        # When the state turned to "hover" after a leg: a row of the mission was reached.
+        # A change of state to "hover" after a leg marks a reached mission row.
         states = recording.mission_states
         legs = {"waypoint", "obstacle", "take-off"}
         turned = [k for k in range(1, len(states)) if states[k] == "hover" and states[k - 1] in legs]
@@ -250,22 +249,22 @@ class Replay:
         self.seek(self.start_s)
 
     def seek(self, time_s: float) -> None:
-        """Show another moment (s), held within the recording."""
+        """Set the displayed time (s), clipped to the recording."""
         self._set_time(time_s)
         self.jumps += 1
 
     def play(self) -> None:
-        """Go on; from the beginning if it is over."""
+        """Start playback; from the beginning if at the end."""
         if self.time_s >= self.end_s:
             self.seek(self.start_s)
         self.playing = True
 
     def pause(self) -> None:
-        """Stay where it is."""
+        """Pause playback."""
         self.playing = False
 
     def advance(self, seconds: float) -> None:
-        """Let ``seconds`` of wall-clock time pass."""
+        """Advance playback by ``seconds`` of wall-clock time."""
         if self.playing:
             self._set_time(self.time_s + seconds * self.speed)
             if self.time_s >= self.end_s:
@@ -277,18 +276,18 @@ class Replay:
 
     @property
     def messages(self) -> list[StatusMessage]:
-        """What had been said by then."""
+        """Return the status messages up to the displayed time."""
         known = self.recording.messages
         return list(known[: bisect.bisect_right([m.time_s for m in known], self.time_s)])
 
     @property
     def mission_progress(self) -> int:
-        """How many rows of the mission had been reached by then."""
+        """Return the number of mission rows reached at the displayed time."""
         return min(bisect.bisect_right(self._reached_at, self.time_s), len(self._rows))
 
     @property
     def mission(self) -> list[MissionRow]:
-        """The mission table as it stood then."""
+        """Return the mission table at the displayed time."""
         if self.recording.mission is None:
             return []
         landed = self.time_s >= self.end_s and self.recording.recording_facts.get("outcome") == "succeeded"
@@ -296,7 +295,7 @@ class Replay:
 
     @property
     def snapshot(self) -> VehicleSnapshot:
-        """The moment that is shown."""
+        """Return the vehicle's state at the displayed time."""
         recording, progress = self.recording, self.mission_progress
         beams = [f"range_{b}" for b in range(len(recording.range_angles))]
         motors = self._signal_value("motor_input")
@@ -313,7 +312,7 @@ class Replay:
             range_max_m=recording.range_max_m,
             mission_row=progress if progress < len(self._rows) else None,
         )
-        # Not flying where the recording does not say how high it stood.
+        # Not flying, if the recording lacks the ground height.
         return replace(s, flying=bool(s.estimate.position[2] < self._initial_down_m - AIRBORNE_HEIGHT_M))
 
     @property
@@ -321,7 +320,7 @@ class Replay:
         return max(self.history.end - 1, 0)
 
     def _signal_value(self, name: str) -> _Array:
-        """A variable at the moment that is shown; NaN where it was not recorded."""
+        """Return a variable at the displayed time; NaN if not recorded."""
         known = find_quantity(name)
         labels = known.component_labels if known is not None else ()
         return self._row_values([f"{name}_{label}" for label in labels] or [name])
@@ -332,6 +331,6 @@ class Replay:
 
     @cached_property
     def _initial_down_m(self) -> float:
-        """Where it stood at first, D (m); NaN if the recording does not say."""
+        """Return the initial D of the vehicle (m); NaN if unknown."""
         columns = [self.recording.columns.get(f"{source}_position_D", unknown_values(0)) for source in MOTION_SOURCES]
         return next((float(c[np.isfinite(c)][0]) for c in columns if np.isfinite(c).any()), math.nan)

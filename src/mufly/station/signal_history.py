@@ -1,8 +1,8 @@
-"""What a station shows of one vehicle, and what it may ask of it: the seam between links and pages.
+"""Data types of a station's vehicle, and its signal history: the interface between links and pages.
 
-A page draws a :class:`VehicleSnapshot` and a :class:`mufly.station.signal_history.SignalHistory`; it does not know
-whether they come from a radio, from the simulated helicopter or from a recording. Units SI and radians, axes N-E-D and
-body x-y-z. What is not known is NaN (arrays), None or empty text.
+A page draws a :class:`VehicleSnapshot` and a :class:`mufly.station.signal_history.SignalHistory`, whether they come
+from a radio, from the simulated helicopter or from a recording. Units SI and radians, axes N-E-D and body x-y-z.
+Unknown values are NaN (arrays), None or empty text.
 """
 
 from __future__ import annotations
@@ -25,42 +25,42 @@ _Array = NDArray[np.float64]
 
 
 def unknown_values(n: int) -> _Array:
-    """Return ``n`` values that are not known, shape (n,)."""
+    """Return ``n`` unknown values (NaN), shape (n,)."""
     return np.full(n, math.nan)
 
 
 @dataclass(frozen=True, slots=True)
 class VehicleSnapshot(FlightState):
-    """The state of a flight as a station knows it, and what it knows besides: of the link, and of who commands.
+    """State of a vehicle as known to a station, with the state of the link and the commander.
 
-    Of what belongs to a flight's state a vehicle tells a part; of another autopilot's, ``state`` is the flight mode in
-    words. ``mission_begun`` is a mission that is being flown or waits to be gone on with.
+    A vehicle publishes part of a flight's state; for other autopilots ``state`` is the flight mode in words.
+    ``mission_begun`` is true for a mission that is being flown or can be resumed.
 
     Attributes
     ----------
     connected : bool
-        Whether it was heard in the last three seconds; always true in a recording.
+        Whether the vehicle was heard in the last three seconds; always true in a recording.
     silent_s : float
-        For how long nothing was heard (s).
+        Time since the last message (s).
     in_command : bool
-        Whether this station commands it; otherwise it watches.
+        Whether this station commands the vehicle; otherwise it only monitors.
     commander : str
-        Who commands it, in words; "" if nobody or unknown.
+        Commander of the vehicle, as text; "" if none or unknown.
     rotor_speed : (2,) array
         Upper, lower (rad/s), as measured or, in a simulation, in truth.
     range_angles : (n,) array
         Directions of the range beams from the nose to the right (rad).
     range_max_m : float
-        What a beam that sees nothing returns (m).
+        Range of a beam that detects nothing (m).
     mission_row : int or None
-        Row of the mission table that is flown to.
+        Active row of the mission table.
     link_loss, link_rate_Hz : float
-        Share of packets lost of late (0..1); messages a second.
+        Recent share of packets lost (0..1); message rate (Hz).
     real_time_factor : float
-        Of late, seconds of the vehicle's clock in one second here: as it tells itself, or else as its stamps go
-        against our clock. Below :data:`mufly.link.SLOW_REAL_TIME_FACTOR` time is being lost.
+        Recent seconds of the vehicle's clock per second here, as published or from its time stamps. Below
+        :data:`mufly.link.SLOW_REAL_TIME_FACTOR` the simulation is slower than real time.
     slips : int or None
-        How often the vehicle gave up time that it could not make up for; None where it does not tell.
+        Number of times the vehicle skipped time that it could not make up; None if not published.
     """
 
     connected: bool = False
@@ -85,24 +85,24 @@ class VehicleSnapshot(FlightState):
         ranges: _Array,
         **others: Any,
     ) -> VehicleSnapshot:
-        """Return the snapshot of what is told or recorded.
+        """Return the snapshot from published or recorded signals.
 
         Parameters
         ----------
         signal : callable
-            Value of a variable of :mod:`mufly.quantities` at that moment, NaN where it is not known.
+            Returns the value of a variable of :mod:`mufly.quantities`; NaN if unknown.
         sources : sequence of str
-            Whom to believe of the motion, in this order: "estimated", "measured", "truth".
+            Sources of the motion by priority: "estimated", "measured", "truth".
         time_s : float
         ranges : (n,) array
-            Along the beams (m).
+            Distances along the beams (m).
         **others
             Fields that are no such variables.
         """
 
         def most_complete_source(name: str, sources: Sequence[str]) -> _Array:
             told = [signal(f"{source}_{name}") for source in sources]
-            # Who knows most of it; of equals the first.
+            # The source with most components; of equals the first.
             return max(told, key=lambda v: sum(map(math.isfinite, v.tolist())))
 
         x, v, angles, rates = (
@@ -123,7 +123,7 @@ class VehicleSnapshot(FlightState):
 
 
 def format_clock(seconds: float) -> str:
-    """Return a time as minutes and seconds: "1:18"; "-" where it is not known."""
+    """Return a time as minutes and seconds: "1:18"; "-" if unknown."""
     if not math.isfinite(seconds):
         return "-"
     whole = max(0, math.floor(seconds + 0.5))
@@ -148,13 +148,13 @@ class MissionRow:
     action : str
         "take off", "waypoint", "speed", "land", "return", ...
     position : (3,) tuple
-        N, E, D (m); NaN where the action has no place.
+        N, E, D (m); NaN if the action has no position.
     heading_rad : float
-        NaN: the nose points along the way.
+        NaN: the nose points along the track.
     wait_s : float
     reached : bool
     text : str
-        Anything else worth reading ("0.4 m/s").
+        Further settings ("0.4 m/s").
     """
 
     action: str
@@ -167,7 +167,7 @@ class MissionRow:
 
 @dataclass(frozen=True, slots=True)
 class PreflightCheck:
-    """One pre-flight check; ``ok`` is None while it cannot be judged."""
+    """One preflight check; ``ok`` is None if undecided."""
 
     name: str
     ok: bool | None
@@ -175,7 +175,7 @@ class PreflightCheck:
 
 
 class RequestOutcome(StrEnum):
-    """What became of a request."""
+    """The outcome of a request."""
 
     WAITING = "waiting"
     ACCEPTED = "accepted"
@@ -185,19 +185,19 @@ class RequestOutcome(StrEnum):
 
 @dataclass(slots=True)
 class OperatorRequest:
-    """Something asked of the vehicle; whoever asked looks here for the answer.
+    """A request to the vehicle, with its outcome and answer.
 
     Attributes
     ----------
     text : str
-        What was asked, in words: "take off to 1 m".
-    outcome : Outcome
+        Description of the request: "take off to 1 m".
+    outcome : RequestOutcome
     answer : str
-        The vehicle's reason, or what went wrong.
+        Reason given by the vehicle, or the error.
     progress : float
-        0..1, of a transfer.
+        Progress of a transfer (0..1).
     result : object
-        What a download brought.
+        Downloaded content.
     """
 
     text: str
@@ -208,11 +208,11 @@ class OperatorRequest:
 
     @property
     def is_done(self) -> bool:
-        """Whether there is an answer."""
+        """Return whether the request is answered."""
         return self.outcome is not RequestOutcome.WAITING
 
     def set_outcome(self, outcome: RequestOutcome, answer: str = "") -> None:
-        """Give it its answer, once."""
+        """Set the outcome and answer, once."""
         if not self.is_done:
             self.outcome, self.answer = outcome, answer
             if outcome is RequestOutcome.ACCEPTED:
@@ -220,33 +220,33 @@ class OperatorRequest:
 
 
 # ----------------------------------------------------------------------------
-# What a station remembers of a vehicle: the last ten minutes of every signal, and what it is told at the moment.
+# The station's signals of a vehicle: the last ten minutes of every signal, and the present values.
 #
-# Signals are the quantities (:mod:`mufly.quantities`) of a flight's recording with what else a vehicle tells over a
-# link: what it believes of itself (``estimated_``), what its rotors were measured to turn at, the pilot's sticks, and
-# how good the link is. As plain columns they are called ``variable_label`` (``estimated_position_N``).
+# Signals are the quantities (:mod:`mufly.quantities`) of a flight's recording and those that a vehicle sends over a
+# link: its estimates (``estimated_``), measured rotor speeds, the pilot's sticks and the link quality. As plain columns
+# they are named ``variable_label`` (``estimated_position_N``).
 
 
 MAX_BEAMS = 8
-"""So many beams are kept; a vehicle with more is shown, but its ranges are not kept."""
+"""Number of range beams kept; ranges of a vehicle with more beams are shown, but not kept."""
 PILOT_CHANNELS = 8
 _MAX_HEADING_RAD = 1e4
-"""A heading beyond is none (rad)."""
+"""Largest plausible heading (rad)."""
 SIGNAL_TIMEOUT_S = 1.5
-"""A signal that was not told for so long is not known (s)."""
+"""Age at which a signal becomes unknown (s)."""
 SLOW_SIGNAL_TIMEOUT_S = 6.0
-"""The same for what vehicles tell once a second or less: battery, link (s)."""
+"""Age limit of signals sent once a second or less: battery, link (s)."""
 _SLOW_GROUPS = ("battery", "link")
 
 
 def station_layout() -> RecordingLayout:
-    """Return the table of what a station keeps of one vehicle: columns of its history and of its recordings."""
+    """Return the layout of a vehicle's history and recordings."""
     labels = (("channel", tuple(range(1, PILOT_CHANNELS + 1))),)
     return RecordingLayout(quantities_recorded_in("flight", "station"), MAX_BEAMS, labels)
 
 
 def _signal_units(layout: RecordingLayout) -> dict[str, str]:
-    """Name of every column behind the time (``truth_position_N``) -> its unit."""
+    """Return the unit of every column after the time, by name (``truth_position_N``)."""
     out: dict[str, str] = {}
     for q in layout.quantities:
         out |= dict.fromkeys(
@@ -256,17 +256,17 @@ def _signal_units(layout: RecordingLayout) -> dict[str, str]:
 
 
 class SignalHistory:
-    """The last ten minutes, in memory that does not grow.
+    """The last ten minutes of signals, in bounded memory.
 
-    Rows of numbers on one clock, in a ring: a new row takes the place of the oldest. Times are float64 (a float32 clock
-    would tick in steps of 8 ms after a day), values float32, which hold every signal to seven digits.
+    A ring buffer holds rows of numbers on one clock. Times are float64 (a float32 clock has a resolution of 8 ms after
+    a day), values float32, with seven digits.
 
     Parameters
     ----------
-    layout : Layout, optional
-        What the columns are; default :func:`station_layout`.
+    layout : RecordingLayout, optional
+        Columns of a row; default :func:`station_layout`.
     seconds, rate_Hz : float
-        How far back it reaches at that many rows a second; at fewer it reaches further.
+        Duration (s) at this row rate (Hz); longer at lower rates.
     """
 
     def __init__(self, layout: RecordingLayout | None = None, seconds: float = 600.0, rate_Hz: float = 100.0) -> None:
@@ -275,9 +275,9 @@ class SignalHistory:
         self.names = tuple(self._units)
         self._index = {name: k for k, name in enumerate(self.names)}
         self._size = max(2, round(seconds * rate_Hz))
-        # Not filled: memory is taken row by row as they come, so a vehicle that says little costs little.
+        # Uninitialised: memory is allocated as rows arrive, so a vehicle with few messages needs little.
         self._times = np.empty(self._size)
-        # One column more than there are signals: that of every name that is none.
+        # One additional column for all unknown names.
         self._values = np.empty((self._size, len(self.names) + 1), dtype=np.float32)
         self._next = self._count = 0
 
@@ -286,21 +286,21 @@ class SignalHistory:
 
     @property
     def newest_s(self) -> float:
-        """Time of the newest row (s); NaN while there is none."""
+        """Return the time of the newest row (s); NaN if empty."""
         return float(self._times[self._next - 1]) if self._count else math.nan
 
     @property
     def oldest_s(self) -> float:
-        """Time of the oldest row (s); NaN while there is none."""
+        """Return the time of the oldest row (s); NaN if empty."""
         return float(self._times[self._next if self._count == self._size else 0]) if self._count else math.nan
 
     def signal_unit(self, name: str) -> str:
-        """Unit of a signal; ``"1"`` is a pure number.
+        """Return the unit of a signal; ``"1"`` is a pure number.
 
         Raises
         ------
         KeyError
-            If there is no such signal.
+            If the signal does not exist.
         """
         return self._units[name]
 
@@ -310,9 +310,9 @@ class SignalHistory:
         Parameters
         ----------
         time_s : float
-            Later than that of the last row, or the row is left out.
+            Must exceed the last row's time, else the row is dropped.
         values : (n_signals,) array
-            In the order of :attr:`names`.
+            Values in the order of :attr:`names`.
         """
         if self._count and not time_s > self._times[self._next - 1]:
             return
@@ -331,14 +331,14 @@ class SignalHistory:
         ----------
         time_s : float
         names : sequence of k names, optional
-            Default all.
+            Default: all signals.
 
         Returns
         -------
         times : (n,) array
             s, increasing.
         values : (n, k) array
-            NaN where a signal was not known then, or has a name that is not known at all.
+            NaN where a signal was unknown, or its name does not exist.
         """
         picked = [self._index.get(name, -1) for name in (self.names if names is None else names)]
         older = slice(self._next, self._size) if self._count == self._size else slice(0, 0)
@@ -356,30 +356,30 @@ class SignalHistory:
         return self.rows_since(self.newest_s - seconds if self._count else 0.0, names)
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Clear the history."""
         self._next = self._count = 0
 
 
 class PresentSignals:
-    """What a vehicle's signals are at the moment: who told them, and until when they are believed.
+    """The present values of a vehicle's signals, with source rank and expiry.
 
-    Several messages may tell the same; of such a group the best that comes is believed. A signal that comes more seldom
-    than rows of the history do is held for a while (`SIGNAL_TIMEOUT_S`) and then is not known any more. Headings are
-    carried on past north, so that lines of them do not jump.
+    Several messages may carry the same group of signals; the best-ranked message received is used. A signal sent less
+    often than the history's rows is held for a time (`SIGNAL_TIMEOUT_S`) and then becomes unknown. Headings are
+    unwrapped across north, so that their plots do not jump.
 
     Parameters
     ----------
-    history : History
-        Which has the signals.
+    history : SignalHistory
+        Defines the signals.
 
     Attributes
     ----------
     values : (n_signals,) array
-        In the order of ``history.names``; NaN is not known.
+        In the order of ``history.names``; NaN if unknown.
     index_by_signal : dict
-        Name of a signal -> its place.
+        Index of each signal, by name.
     slice_by_variable : dict
-        Name of a variable (``"estimated_position"``) -> slice of its places.
+        Slice of indices of each variable, by name (``"estimated_position"``).
     """
 
     def __init__(self, history: SignalHistory) -> None:
@@ -390,15 +390,15 @@ class PresentSignals:
         self.slice_by_variable = {
             name: slice(c.start - 1, c.stop - 1) for name, c in history.layout.column_slices.items()
         }
-        self._told: dict[str, tuple[int, float]] = {}  # group -> rank and time of the message last believed
-        self._owned: dict[str, set[int]] = {}  # group -> its places
+        self._told: dict[str, tuple[int, float]] = {}  # group -> rank and time of the message last accepted
+        self._owned: dict[str, set[int]] = {}  # group -> its indices
 
     def __getitem__(self, name: str) -> NDArray[np.float64]:
-        """The present value of a variable, NaN where it is not known."""
+        """Return the present value of a variable, NaN if unknown."""
         return self.values[self.slice_by_variable[name]].copy()
 
     def accept_message(self, now_s: float, group: str, rank: int = 0) -> bool:
-        """Whether to believe a message of this rank now (0 is best); notes that it told."""
+        """Return whether a message of this rank (0 is best) is accepted; record its time if so."""
         told = self._told.get(group)
         if told is not None and told[0] < rank and now_s - told[1] < SIGNAL_TIMEOUT_S:
             return False
@@ -406,19 +406,19 @@ class PresentSignals:
         return True
 
     def set_value(self, group: str, k: int, value: float) -> None:
-        """Put a value in place ``k``, told by a message of a group."""
+        """Set the value at index ``k``, from a message of a group."""
         self._owned.setdefault(group, set()).add(k)
         if self._names[k].endswith("_attitude_yaw") and math.isfinite(value):
             value = self._unwrap_heading(k, value)
         self.values[k] = value
 
     def set_variable(self, group: str, name: str, values: Iterable[float]) -> None:
-        """Put the values of a variable."""
+        """Set the values of a variable."""
         for k, value in enumerate(values, self.slice_by_variable[name].start):
             self.set_value(group, k, float(value))
 
     def forget_stale(self, now_s: float) -> list[str]:
-        """Take away what was not told for long; returns the groups."""
+        """Clear expired signals; return their groups."""
         gone = [
             group
             for group, (_, told_s) in self._told.items()
@@ -430,8 +430,8 @@ class PresentSignals:
         return gone
 
     def _unwrap_heading(self, k: int, angle: float) -> float:
-        """Return the angle in the turn nearest to its last value, or else to the estimated heading."""
+        """Return the angle in the turn nearest to its last value, else to the estimated heading."""
         for near in (self.values[k], self.values[self.index_by_signal["estimated_attitude_yaw"]]):
-            if abs(near) < _MAX_HEADING_RAD:  # one absurd heading must not carry all that follow with it
+            if abs(near) < _MAX_HEADING_RAD:  # an implausible heading must not affect later ones
                 return angle + 2.0 * math.pi * round((near - angle) / (2.0 * math.pi))
         return angle

@@ -1,13 +1,13 @@
-"""What a station keeps on disk: every packet (tlog), and the signals of each vehicle (MCAP), written as they come.
+"""Recording of a station: every packet (tlog), and the signals of each vehicle (MCAP), written continuously.
 
-Both are readable up to the last second after a kill or a pulled plug: the MCAP is written a second at a time
-(:class:`mufly.flight.FlightRecorder`), the tlog is flushed once a second. A folder is made for each recording::
+Both files are readable up to the last second after a crash or a power failure. The MCAP is written once a second
+(:class:`mufly.flight.FlightRecorder`), the tlog is flushed once a second. Each recording has its own folder::
 
     flights/2031-05-06_14-07-01/station.mcap     signals, messages and marks of the first vehicle
                                 station-2.mcap   of the next one
                                 station.tlog     all packets, both ways
 
-A disk that fills up ends the recording with a message, never the station.
+A full disk ends the recording with a message; the station continues.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ from mufly.version import __version__
 
 DISK_CHECK_PERIOD_S = 5.0
 MIN_DISK_BYTES = 50e6
-"""With less room than this the recording ends (it would end broken a little later)."""
+"""Free space below which the recording ends, so that its files stay complete (bytes)."""
 
 
 @dataclass(slots=True)
 class _VehicleRecording:
-    """The recording of one vehicle; its file is opened with the first row."""
+    """The recording of one vehicle; its file is opened at the first row."""
 
     vehicle: RemoteVehicle
     vehicle_number: int
@@ -49,16 +49,16 @@ class _VehicleRecording:
 
 
 class StationRecorder:
-    """Records vehicles and packets, between :meth:`start` and :meth:`stop`.
+    """Recorder of vehicles and packets, between :meth:`start` and :meth:`stop`.
 
     Parameters
     ----------
     folder : str or Path
-        Where the folders of recordings are made.
+        Parent of the recordings' folders.
     first_here : bool
-        The first recording goes into ``folder`` itself, beside that of the vehicle, and replaces an earlier one.
+        The first recording goes into ``folder`` itself, beside the vehicle's recording, and replaces an earlier one.
     on_end : callable, optional
-        Told in words when a recording ends by itself.
+        Called with the reason when a recording ends by itself.
     wall_s : callable
         Clock of the day (s since 1970).
 
@@ -68,7 +68,7 @@ class StationRecorder:
     path : Path or None
         Folder of the present or last recording.
     free_bytes : float
-        Room on the disk; NaN until looked at.
+        Free disk space; NaN until determined.
     """
 
     def __init__(
@@ -90,12 +90,12 @@ class StationRecorder:
         self._looked_s = -math.inf
 
     def start(self) -> None:
-        """Begin a recording, in a folder of its own.
+        """Start a recording in its own folder.
 
         Raises
         ------
         InputError
-            If it cannot be made.
+            If the folder or a file cannot be created.
         """
         if self.recording:
             return
@@ -111,16 +111,16 @@ class StationRecorder:
         self._looked_s = -math.inf
 
     def _make_dated_folder(self) -> Path:
-        """A folder that does not exist yet, named after the time."""
+        """Return a new folder name from the date and time."""
         stamp = datetime.fromtimestamp(self._wall_s()).strftime("%Y-%m-%d_%H-%M-%S")
         path, k = self.folder / stamp, 1
-        while path.exists():  # another station, or started twice within a second
+        while path.exists():  # another station, or two starts within a second
             k += 1
             path = self.folder / f"{stamp}_{k}"
         return path
 
     def stop(self, outcome: str = "stopped", reason: str = "") -> None:
-        """Finish the files."""
+        """Close the files with an outcome."""
         if not self.recording:
             return
         self.recording = False
@@ -143,7 +143,7 @@ class StationRecorder:
             self._on_end(faults[0])
 
     def attach_vehicle(self, vehicle: RemoteVehicle) -> None:
-        """Record a vehicle from now on, whenever a recording runs."""
+        """Add a vehicle to all present and later recordings."""
         track = _VehicleRecording(vehicle, len(self._tracks) + 1)
         self._tracks[id(vehicle)] = track
         vehicle.telemetry.on_row = lambda time_s, values, state: self._record_row(track, time_s, values, state)
@@ -151,7 +151,7 @@ class StationRecorder:
         vehicle.on_mark = lambda text: self.recording
 
     def record_packet(self, data: bytes) -> None:
-        """Keep a packet, in the order in which it was heard or sent."""
+        """Record a packet, in the order of reception and sending."""
         if self._tlog is None:
             return
         try:
@@ -160,13 +160,13 @@ class StationRecorder:
             self._end_recording(f"the tlog cannot be written ({error.strerror})")
 
     def add_mark(self, text: str) -> bool:
-        """Put a mark into the recordings of all vehicles; returns whether there is a recording."""
+        """Add a mark to the recordings of all vehicles; return False if none runs."""
         for track in self._tracks.values():
             track.vehicle.add_mark(text)
         return self.recording
 
     def step(self, now_s: float) -> None:
-        """Look at the room on the disk from time to time."""
+        """Check the free disk space periodically."""
         if now_s - self._looked_s >= DISK_CHECK_PERIOD_S:
             self._looked_s = now_s
             self._check_disk()
@@ -222,7 +222,7 @@ class StationRecorder:
         if not self.recording:
             return
         if track.recorder is None:
-            track.early_messages = (*track.early_messages[-20:], message)  # said before the first row
+            track.early_messages = (*track.early_messages[-20:], message)  # received before the first row
         else:
             self._record_event(track, message, track.last_time_s)
 
@@ -232,7 +232,7 @@ class StationRecorder:
         track.recorder.add_event(time_s, track.vehicle.telemetry.state, message.text, message.level)
 
     def _end_recording(self, why: str) -> None:
-        """End the recording for a fault."""
+        """End the recording because of a fault."""
         self.stop("interrupted", why)
         text = f"the recording has ended: {why}"
         for track in self._tracks.values():

@@ -1,12 +1,10 @@
-"""From messages to signals: what a vehicle told, as rows of a history and as the present.
+"""Conversion of a vehicle's messages to signals: rows of a history and present values.
 
-Every message sets the signals that it tells; a row is finished when a message brings a later stamp, so that what the
-vehicle measured in one instant stands in one row. What is known at the moment is a
-:class:`mufly.station.signal_history.PresentSignals`. Fields that plainly are a quantity, but for its unit, are named by
-the table of quantities (:func:`mufly.quantities.mavlink_columns`); messages whose fields mean different things at
-different times
-(masks, quaternions, rings of beams) have readers here. Source of fields and units:
-https://mavlink.io/en/messages/common.html.
+Every message sets the signals that it contains. A row is finished when a message has a later time stamp, so that one
+row holds the vehicle's measurements of one instant. The present values are a
+:class:`mufly.station.signal_history.PresentSignals`. Fields that equal a quantity up to its unit are mapped by the
+table of quantities (:func:`mufly.quantities.mavlink_columns`). Messages with variable meaning (masks, quaternions,
+rings of beams) have readers here. Source of fields and units: https://mavlink.io/en/messages/common.html.
 """
 
 from __future__ import annotations
@@ -29,20 +27,20 @@ from mufly.station.signal_history import SLOW_SIGNAL_TIMEOUT_S, PresentSignals, 
 from mufly.vehicle_types import flight_mode_name
 
 ROW_MERGE_S = 0.009
-"""Stamps closer than this stand in one row, whose time is the first of them (s): what a vehicle sends at one rate may
-come a tick or two apart. The tlog has every packet."""
+"""Messages with stamps closer than this share a row, with the first stamp as its time (s). Messages of one rate may
+differ by a tick or two. The tlog has every packet."""
 _ROW_TIMEOUT_S = 0.05
 _STALE_CHECK_PERIOD_S = 0.25
 _STATE_TIMEOUT_S = 3.0
-_NEAR_POLE_DEG = 89.0  # beyond, east is no direction any more
+_NEAR_POLE_DEG = 89.0  # beyond this latitude, east is undefined
 _TYPE_COAXIAL, _FLAG_ARMED = 3, 128  # MAV_TYPE, MAV_MODE_FLAG
 _BODY_FRAME = 12  # MAV_FRAME_BODY_FRD
-_OLD_BODY_FRAME = 8  # MAV_FRAME_BODY_NED, as older PX4s say
-_LEVEL_FRAMES = (1, 20)  # MAV_FRAME_LOCAL_NED; MAV_FRAME_LOCAL_FRD, level too
-_DIAGONAL_INDICES = (0, 6, 11, 15, 18, 20)  # of a 6 x 6 upper triangle, row by row
+_OLD_BODY_FRAME = 8  # MAV_FRAME_BODY_NED, in messages of older PX4 versions
+_LEVEL_FRAMES = (1, 20)  # MAV_FRAME_LOCAL_NED; MAV_FRAME_LOCAL_FRD, also level
+_DIAGONAL_INDICES = (0, 6, 11, 15, 18, 20)  # diagonal in a 6 x 6 upper triangle, row by row
 _MISSING_ESTIMATE_FLAGS = ((1, "attitude"), (2, "velocity"), (32, "height"), (8 | 16, "position"))
 _FAULT_FLAGS = ((1024, "GPS glitch"), (2048, "accelerometer wrong"), (128, "position is held constant"))
-"""ESTIMATOR_STATUS_FLAGS: what is not known without them, and what is wrong with them."""
+"""ESTIMATOR_STATUS_FLAGS: estimates missing if unset, faults if set."""
 _UNKNOWN_UINT16 = 65535
 _TRUTH_VARIABLES = tuple(q.name for q in quantities_recorded_in("flight") if q.topic == "/truth")
 
@@ -55,7 +53,7 @@ _STAMP_FIELDS: dict[str, tuple[str, int]] = {
         ("ACTUATOR_OUTPUT_STATUS", "OBSTACLE_DISTANCE", "DEBUG_FLOAT_ARRAY", "ODOMETRY"), ("time_usec", 1000)
     ),
 }
-"""Messages that begin rows: where their stamp is, and its ticks in a millisecond."""
+"""Messages that begin rows: their stamp field, and its ticks per millisecond."""
 
 TABLE_MESSAGES: dict[str, tuple[str, int]] = {
     "ATTITUDE": ("attitude", 0),
@@ -64,43 +62,43 @@ TABLE_MESSAGES: dict[str, tuple[str, int]] = {
     "RC_CHANNELS": ("pilot", 0),
     "RC_CHANNELS_RAW": ("pilot", 1),
 }
-"""Messages that the table of quantities reads: what they tell, and their rank. Of several messages that tell the same,
-the one with the lowest rank is believed while it comes."""
+"""Messages decoded by the table of quantities: their signal group and rank. Of several messages with the same group,
+the one with the lowest rank is used as long as it arrives."""
 
 _Array = NDArray[np.float64]
 _VariableValues = Mapping[str, Sequence[float]] | None
-"""Values of variables; None: the message tells nothing."""
+"""Values of variables; None: the message has none."""
 
 
 class VehicleTelemetry:
-    """What one vehicle told.
+    """The telemetry of one vehicle.
 
     Attributes
     ----------
-    history : History
+    history : SignalHistory
     clock : VehicleClock
     armed : bool
     landed_state : int
         MAV_LANDED_STATE; 0 is unknown.
     autopilot, vehicle_type : int
         MAV_AUTOPILOT, MAV_TYPE.
-    ranges : Ranges
+    ranges : BeamRanges
     battery_left_s : float
     mission_current : int or None
     mission_state : int
         MISSION_STATE; 0 is unknown.
     commander_id : int or None
-        system * 256 + component; 0 nobody, None unknown.
+        system * 256 + component; 0 none, None unknown.
     health : tuple of int or None
-        Sensors present, enabled, healthy, as SYS_STATUS says.
+        Sensors present, enabled, healthy, from SYS_STATUS.
     is_simulated : bool
-        Whether it tells the truth, as only a simulation can.
-    origin : Origin or None
-        Where on the globe its N, E, D are 0.
+        Whether the vehicle publishes true values, which only a simulation has.
+    origin : GlobalOrigin or None
+        Global position of N, E, D = 0.
     slip_count : int or None
-        How often it gave up time, as a simulation in real time tells.
+        Number of time skips of a real-time simulation.
     estimator_status : EstimatorStatus or None
-        What its estimator says of itself, by ESTIMATOR_STATUS.
+        Status of the estimator from ESTIMATOR_STATUS.
     """
 
     def __init__(self, history: SignalHistory | None = None) -> None:
@@ -119,7 +117,7 @@ class VehicleTelemetry:
         self.origin: GlobalOrigin | None = None
         self.slip_count: int | None = None
         self.estimator_status: EstimatorStatus | None = None
-        self._factor: tuple[float, float] = (math.nan, -math.inf)  # the real-time factor it told, and when
+        self._factor: tuple[float, float] = (math.nan, -math.inf)  # real-time factor received, and its time
         self.on_row: Callable[[float, _Array, str], None] | None = None
         self._present = PresentSignals(self.history)
         self._own_state: tuple[str, float] = ("", -math.inf)
@@ -130,7 +128,7 @@ class VehicleTelemetry:
         self._plain = {
             name: [(f, index[signal], x) for f, signal, x in mavlink_columns(name)] for name in TABLE_MESSAGES
         }
-        # What they tell, their rank, and their readers.
+        # Signal group, rank and reader of each message.
         self._read: dict[str, tuple[str, int, Callable[[MavMessage], _VariableValues]]] = {
             "ATTITUDE_QUATERNION": ("attitude", 1, self._read_quaternion),
             "GLOBAL_POSITION_INT": ("position", 1, self._read_global_position),
@@ -158,12 +156,12 @@ class VehicleTelemetry:
         }
 
     def handle(self, now_s: float, message: MavMessage) -> None:
-        """Take a message of the vehicle's autopilot; those that tell no signal are passed over.
+        """Process a message of the vehicle's autopilot; messages without signals are ignored.
 
         Parameters
         ----------
         now_s : float
-            Our clock (s).
+            Station's clock (s).
         message : pymavlink message
         """
         name, present, self._heard_s = message.get_type(), self._present, now_s
@@ -186,7 +184,7 @@ class VehicleTelemetry:
             self._note[name](now_s, message)
 
     def step(self, now_s: float) -> None:
-        """Finish a row that waits for a next one, and forget what was not told for long."""
+        """Finish a pending row and clear expired signals."""
         if not math.isnan(self._row_s) and now_s - self._row_now_s > _ROW_TIMEOUT_S:
             self._finish_row()
         if now_s - self._swept_s >= _STALE_CHECK_PERIOD_S:
@@ -195,51 +193,51 @@ class VehicleTelemetry:
                 self.ranges = BeamRanges()
 
     def change_speaker(self) -> None:
-        """Note that another component, with a clock of its own, speaks from now on; the history goes on."""
+        """Switch to another component with its own clock; the history continues."""
         self.clock.change_clock()
         self._stamps.clear()
         self.mission_current, self.mission_state, self.commander_id = None, 0, None
 
     def note_link(self, now_s: float, loss: float, rate_Hz: float) -> None:
-        """Put the quality of the link among the signals."""
+        """Set the signals of the link quality."""
         self._present.accept_message(now_s, "link")
         self._present.set_variable("link", "link_loss", (loss,))
         self._present.set_variable("link", "link_rate", (rate_Hz,))
 
     def present_value(self, name: str) -> _Array:
-        """Return the present value of a variable (``"estimated_position"``), NaN where it is not known."""
+        """Return the present value of a variable (``"estimated_position"``), NaN if unknown."""
         return self._present[name]
 
     @property
     def time_s(self) -> float:
-        """The vehicle's clock (s)."""
+        """Return the vehicle's clock (s)."""
         return self.clock.time_s
 
     def real_time_factor(self, now_s: float) -> float:
-        """Seconds of the vehicle's clock in one of ours, of late: as it told, or else as its stamps go."""
+        """Return recent seconds of the vehicle's clock per station second, as published or from its stamps."""
         told, told_s = self._factor
         return told if now_s - told_s <= SLOW_SIGNAL_TIMEOUT_S else self.clock.rate_ratio(now_s)
 
     @property
     def is_flying(self) -> bool:
-        """Whether it is off the floor, as it says itself, or as its height tells."""
+        """Return whether the vehicle is airborne, from its landed state or its height."""
         if self.landed_state:
             return self.landed_state != 1
         return bool(self.armed and self.present_value("estimated_position")[2] < -0.1)
 
     @property
     def state(self) -> str:
-        """State of its mission machine where it has one of ours, else its flight mode."""
+        """Return the state of a mufly mission machine, else the flight mode."""
         return self._own_state[0] or self.mode
 
     # Rows
 
     def _is_in_order(self, now_s: float, name: str, message: MavMessage) -> bool:
-        """Whether a message is no older than the last of its kind; begins the row of its stamp."""
+        """Return whether a message is not older than the last of its kind; begin the row of its stamp."""
         stamp, tick = _STAMP_FIELDS[name]
         boot_ms = getattr(message, stamp) // tick
         if tick > 1 and not self.clock.matches_stamp(boot_ms):
-            return True  # some vehicles stamp with the time of day
+            return True  # some vehicles use the time of day as stamp
         time_s = self.clock.place_stamp(boot_ms, now_s)
         if math.isnan(time_s) or time_s < self._stamps.get(name, -math.inf):
             return False
@@ -251,7 +249,7 @@ class VehicleTelemetry:
         return True
 
     def _finish_row(self) -> None:
-        with np.errstate(over="ignore"):  # an absurd number becomes infinite, and is drawn nowhere
+        with np.errstate(over="ignore"):  # an absurd number becomes infinite and is not drawn
             row = self._present.values.astype(np.float32)
         if self._row_s > self.history.newest_s or not len(self.history):
             self.history.append_row(self._row_s, row)
@@ -259,7 +257,7 @@ class VehicleTelemetry:
                 self.on_row(self._row_s, self._present.values, self.state)
         self._row_s = math.nan
 
-    # Readers: what a message tells, as values of variables
+    # Readers: message to values of variables
 
     def _read_quaternion(self, m: MavMessage) -> _VariableValues:
         rates = (m.rollspeed, m.pitchspeed, m.yawspeed)
@@ -269,7 +267,7 @@ class VehicleTelemetry:
         }
 
     def _read_global_position(self, m: MavMessage) -> _VariableValues:
-        """Metres from the origin, or from the first fix."""
+        """Return metres from the origin, or from the first fix."""
         if (m.lat, m.lon) == (0, 0) or not _is_valid_place(m.lat, m.lon):
             return None  # no fix yet
         latitude, longitude = m.lat / 1e7, m.lon / 1e7
@@ -304,7 +302,7 @@ class VehicleTelemetry:
         return {"reference_attitude": (math.nan,) * 3 if m.type_mask & 128 else _read_euler_angles(*m.q)}
 
     def _read_actuators(self, m: MavMessage) -> _VariableValues:
-        # The order of the outputs is ours; another vehicle's may mean anything.
+        # The output order is mufly's; outputs of other vehicles have no fixed meaning.
         if self.vehicle_type != _TYPE_COAXIAL or m.active < 4:
             return None
         upper, lower, *servos = m.actuator[:4]
@@ -315,7 +313,7 @@ class VehicleTelemetry:
         return None if m.port else {"motor_input": [(p - 1000) / 1000 if p else math.nan for p in pulses]}
 
     def _read_odometry(self, m: MavMessage) -> _VariableValues:
-        """How far the pose is to be believed; covariances of velocities only in axes of the body or of the room."""
+        """Return the pose's accuracy; velocity covariances only in body axes or in the local frame."""
         told: dict[str, Sequence[float]] = {}
         position, attitude = _standard_deviations(m.pose_covariance)
         if m.frame_id in _LEVEL_FRAMES:
@@ -358,7 +356,7 @@ class VehicleTelemetry:
             told[name] = m.data[at : (at := at + columns.stop - columns.start)]
         return told
 
-    # Messages that tell other things, or of which only a part is believed
+    # Messages with other content, or used only in part
 
     def _read_heartbeat(self, now_s: float, m: MavMessage) -> None:
         self.autopilot, self.vehicle_type = m.autopilot, m.type
@@ -417,18 +415,18 @@ class VehicleTelemetry:
 
 @dataclass(frozen=True, slots=True)
 class EstimatorStatus:
-    """What an estimator says of itself (ESTIMATOR_STATUS).
+    """Status of an estimator (ESTIMATOR_STATUS).
 
     Attributes
     ----------
     last_heard_s : float
-        When, by our clock (s).
+        Time of the message by the station's clock (s).
     flags : int
         ESTIMATOR_STATUS_FLAGS.
     innovation_ratios : tuple of (str, float)
-        Of what, and its test ratio: above 1 it is rejected; 0 is not measured.
+        Measurement and its test ratio: above 1 it is rejected; 0 means not measured.
     horizontal_accuracy_m, vertical_accuracy_m : float
-        Accuracy of the position (1 sigma).
+        Accuracy of the position (m, 1 sigma).
     """
 
     last_heard_s: float
@@ -439,12 +437,12 @@ class EstimatorStatus:
 
     @property
     def missing_estimates(self) -> tuple[str, ...]:
-        """What it does not know."""
+        """Return the names of the missing estimates."""
         return tuple(words for flags, words in _MISSING_ESTIMATE_FLAGS if not self.flags & flags)
 
     @property
     def fault_texts(self) -> tuple[str, ...]:
-        """What is wrong, and what does not fit."""
+        """Return descriptions of faults and rejected measurements."""
         return (
             *(words for flag, words in _FAULT_FLAGS if self.flags & flag),
             *(f"{name} rejected" for name, ratio in self.innovation_ratios if ratio > 1.0),
@@ -452,7 +450,7 @@ class EstimatorStatus:
 
 
 def _standard_deviations(upper: Sequence[float]) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Standard deviations of the first and the last three of six states; NaN where they are not told."""
+    """Return standard deviations of the first and last three of six states; NaN if missing."""
     if len(upper) != 21 or math.isnan(upper[0]):
         return (math.nan,) * 3, (math.nan,) * 3
     told = [math.sqrt(upper[k]) if upper[k] >= 0.0 else math.nan for k in _DIAGONAL_INDICES]
@@ -460,7 +458,7 @@ def _standard_deviations(upper: Sequence[float]) -> tuple[tuple[float, ...], tup
 
 
 def _ned_velocity_deviations(upper: Sequence[float], q: Sequence[float]) -> tuple[float, ...]:
-    """Standard deviations in N, E, D of a velocity whose covariance is in body axes; NaN where they are not told."""
+    """Return N, E, D standard deviations of a velocity with covariance in body axes; NaN if missing."""
     size = math.sqrt(sum(v * v for v in q))
     if len(upper) != 21 or math.isnan(upper[0]) or not 0.5 < size < 2.0:
         return (math.nan,) * 3
@@ -482,12 +480,12 @@ def _battery_values(voltage: float, m: MavMessage) -> _VariableValues:
 
 
 def _is_valid_place(latitude_e7: int, longitude_e7: int) -> bool:
-    """Whether there is such a place (1e-7 deg): a vehicle may say anything."""
+    """Return whether latitude and longitude (1e-7 deg) are in range: messages may hold any value."""
     return abs(latitude_e7) <= _NEAR_POLE_DEG * 1e7 and abs(longitude_e7) <= 180.0 * 1e7
 
 
 def _read_euler_angles(w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Roll, pitch, yaw of a quaternion (rad); NaN if it is none."""
+    """Return roll, pitch, yaw of a quaternion (rad); NaN if invalid."""
     size = math.sqrt(w * w + x * x + y * y + z * z)
     if not 0.5 < size < 2.0:
         return (math.nan,) * 3
@@ -502,9 +500,9 @@ class BeamRanges:
     Attributes
     ----------
     distances_m, angles_rad : (n,) array
-        m, NaN where it is not known; rad from the nose to the right.
+        m, NaN if unknown; rad from the nose to the right.
     max_range_m : float
-        What a beam that sees nothing returns (m).
+        Range of a beam that detects nothing (m).
     """
 
     distances_m: NDArray[np.float64] = field(default_factory=lambda: unknown_values(0))
@@ -513,13 +511,13 @@ class BeamRanges:
 
 
 def read_obstacle_distance(m: MavMessage, heading_rad: float) -> BeamRanges:
-    """Read OBSTACLE_DISTANCE: a ring of beams, from the nose or (turned back here) from north.
+    """Read OBSTACLE_DISTANCE: a ring of beams, relative to the nose or (converted here) to north.
 
     Parameters
     ----------
     m : pymavlink message
     heading_rad : float
-        For a ring that is told from north.
+        Heading of the vehicle, for a ring relative to north.
     """
     told = np.array(m.distances, dtype=np.float64)
     known = np.flatnonzero(told != _UNKNOWN_UINT16)
@@ -528,7 +526,7 @@ def read_obstacle_distance(m: MavMessage, heading_rad: float) -> BeamRanges:
     if not math.isfinite(step):
         return BeamRanges()
     if step > 0.0:
-        # The ring is whole even if its last beams are not known just now.
+        # The ring is complete even if its last beams are unknown.
         n = max(n, min(len(told), round(360.0 / step)))
     most = m.max_distance / 100.0
     ranges = np.where(told[:n] == _UNKNOWN_UINT16, math.nan, np.minimum(told[:n] / 100.0, most))
@@ -540,7 +538,7 @@ def read_obstacle_distance(m: MavMessage, heading_rad: float) -> BeamRanges:
 
 
 def read_distance_sensor(m: MavMessage, known: BeamRanges) -> BeamRanges:
-    """Add a DISTANCE_SENSOR that looks to one of eight sides (orientation 0 to 7) to what is known."""
+    """Add a DISTANCE_SENSOR of one of eight directions (orientation 0 to 7) to the known ranges."""
     n = 8
     ranges = known.distances_m.copy() if len(known.distances_m) == n else unknown_values(n)
     most = m.max_distance / 100.0
@@ -550,29 +548,28 @@ def read_distance_sensor(m: MavMessage, known: BeamRanges) -> BeamRanges:
 
 _CLOCK_WRAP_S = 2**32 / 1e3
 _WRAP_MARGIN_S = 60.0
-"""It wrapped if it was so near the end and is so near the beginning (s)."""
+"""Margin from both ends of the counter within which a backward jump is a wrap (s)."""
 _RESTART_BACKSTEP_S = 2.0
-"""A stamp so far behind the newest is no packet that came late (s)."""
+"""Backward step too large for a late packet (s)."""
 _RESTART_STAMP_COUNT = 3
-"""So many such stamps in a row, and the vehicle was started anew: one alone may be damaged or very late."""
+"""Number of such stamps in a row that mean a restart: a single one may be damaged or very late."""
 _PACE_MARK_PERIOD_S, _MAX_PACE_MARKS, _MIN_PACE_MARKS = 1.0, 11, 5
-"""Of every second the stamp that came fastest is kept; between so many the pace is measured."""
+"""Period of the marks (the fastest stamp of each, s), and their largest and least number to measure the rate."""
 
 
 class VehicleClock:
-    """A vehicle's clock, made to run on.
+    """A vehicle's clock, made monotonic.
 
-    MAVLink's ``time_boot_ms`` counts milliseconds since the vehicle was started, in 32 bits: it wraps after 49.7 days
-    and begins again when the vehicle is started anew. A station's history wants one clock that only goes forward. After
-    a wrap it goes on as if nothing had been; after a restart it goes on from where it was, by as much as passed here
-    meanwhile.
+    MAVLink's ``time_boot_ms`` counts milliseconds since the vehicle's start in 32 bits. It wraps after 49.7 days and
+    restarts with the vehicle. A station's history needs one clock that only goes forward. After a wrap the clock
+    continues without a step. After a restart it advances by the time that passed on the station's clock.
 
     Attributes
     ----------
     time_s : float
-        The newest stamp on that clock; NaN before the first.
+        Newest stamp on the monotonic clock (s); NaN before the first.
     restart_count : int
-        How often the vehicle was started anew.
+        Number of restarts of the vehicle.
     """
 
     def __init__(self) -> None:
@@ -582,23 +579,23 @@ class VehicleClock:
         self._heard_s = math.nan
         self._changed = False
         self._backward: list[float] = []
-        self._marks: deque[tuple[float, float]] = deque(maxlen=_MAX_PACE_MARKS)  # when a stamp came, and its age then
+        self._marks: deque[tuple[float, float]] = deque(maxlen=_MAX_PACE_MARKS)  # arrival time of a stamp, and its age
         self._marked_s = -math.inf
 
     def place_stamp(self, boot_ms: int, now_s: float) -> float:
-        """Place a stamp.
+        """Convert a stamp to the monotonic clock.
 
         Parameters
         ----------
         boot_ms : int
             ``time_boot_ms``.
         now_s : float
-            Our clock (s).
+            Station's clock (s).
 
         Returns
         -------
         float
-            s; NaN for a stamp that cannot be placed (yet).
+            Time (s); NaN for a stamp that cannot be placed (yet).
         """
         own_s = boot_ms / 1e3
         if math.isnan(self.time_s):
@@ -609,7 +606,7 @@ class VehicleClock:
         if newest_s > _CLOCK_WRAP_S - _WRAP_MARGIN_S and own_s < _WRAP_MARGIN_S:
             self._offset_s += _CLOCK_WRAP_S
         elif own_s > _CLOCK_WRAP_S - _WRAP_MARGIN_S and newest_s < _WRAP_MARGIN_S:
-            own_s -= _CLOCK_WRAP_S  # from before the wrap, late
+            own_s -= _CLOCK_WRAP_S  # a late stamp from before the wrap
         time_s = own_s + self._offset_s
         return (
             self._judge_late_stamp(own_s, now_s)
@@ -618,24 +615,24 @@ class VehicleClock:
         )
 
     def rate_ratio(self, now_s: float) -> float:
-        """How fast it goes against ours over the last ten seconds; NaN while that is not known.
+        """Return the rate of the vehicle's clock per station second over the last ten seconds; NaN if unknown.
 
-        A link delays packets by more or less, never by less than its least delay. So the age at which a stamp comes
-        is taken from the fastest packet of each second, and the clock is slow if that age grows.
+        A link delays packets by varying times, but never by less than its least delay. The age of a stamp is therefore
+        taken from the fastest packet of each second, and the clock is slow if that age grows.
 
         Parameters
         ----------
         now_s : float
-            Our clock (s).
+            Station's clock (s).
         """
-        marks = list(self._marks)[:-1]  # of the present second a faster one may come yet
+        marks = list(self._marks)[:-1]  # a faster packet of the present second may still arrive
         if len(marks) < _MIN_PACE_MARKS or now_s - self._marked_s > 2.0 * _PACE_MARK_PERIOD_S + _PACE_MARK_PERIOD_S:
             return math.nan
         (first_s, age_s), (last_s, later_age_s) = marks[0], marks[-1]
         return 1.0 - (later_age_s - age_s) / (last_s - first_s)
 
     def matches_stamp(self, boot_ms: int) -> bool:
-        """Whether a stamp of unknown origin is plainly of this clock: within two seconds of the newest."""
+        """Return whether a stamp of unknown origin is from this clock: within two seconds of the newest."""
         return abs(boot_ms / 1e3 + self._offset_s - self.time_s) < _RESTART_BACKSTEP_S
 
     def _accept_stamp(self, time_s: float, now_s: float) -> float:
@@ -653,7 +650,7 @@ class VehicleClock:
             self._marks[-1] = (now_s, age_s)
 
     def _judge_late_stamp(self, own_s: float, now_s: float) -> float:
-        """Judge a stamp far behind the newest: late, or the first ones after a restart, which go forward."""
+        """Classify a stamp far behind the newest: a late packet, or a restart, after which stamps increase."""
         if self._backward and own_s < self._backward[-1]:
             self._backward.clear()
         self._backward.append(own_s)
@@ -663,11 +660,11 @@ class VehicleClock:
         return self._restart_clock(own_s, now_s)
 
     def change_clock(self) -> None:
-        """Tie the next stamp anew, as it belongs to another clock."""
+        """Align the next stamp anew, since it belongs to another clock."""
         self._changed = True
 
     def _restart_clock(self, own_s: float, now_s: float) -> float:
-        """Go on from where it was, by as much as passed here meanwhile."""
+        """Continue after a restart, advanced by the time passed on the station's clock."""
         self._changed = False
         self._marks.clear()
         self._marked_s = -math.inf
