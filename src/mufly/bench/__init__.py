@@ -1,4 +1,4 @@
-"""What did the test bench say? Measurement files, load cells and their zero, series, how far an estimate may be off."""
+"""Test bench data: measurement files, load cells and their zero, measurement series, uncertainty of estimates."""
 
 from mufly.bench.bench_loads import (
     BenchLoads,

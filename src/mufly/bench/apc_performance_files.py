@@ -1,12 +1,12 @@
-"""Tables of propellers that makers compute: APC's performance files (PER3_10x5.dat and its like).
+"""Reader of APC's performance files (PER3_10x5.dat and the like), propeller tables computed by the manufacturer.
 
-A title with the size in inches, and blocks of ``PROP RPM = 3000`` with columns V, J, Ct, Cp, power, torque and thrust,
-their units in the line below the names. The coefficients are those of propellers, with the diameter D of the title,
+A file has a title with the size in inches, and blocks of ``PROP RPM = 3000`` with columns V, J, Ct, Cp, power, torque
+and thrust, with units in the line below the names. The coefficients use the diameter D of the title,
 
     T = Ct rho n^2 D^4,      P = Cp rho n^3 D^5,      n in revolutions a second,
 
-which gives the density that the maker took. Thrust is read in newtons where that column is there; torque is the power
-over the speed, as the power has more digits. Lines without numbers (``-NaN``) are left out.
+which gives the manufacturer's density. Thrust is read in newtons if the file has that column. Torque is power over
+speed, because the power has more digits. Lines without numbers (``-NaN``) are skipped.
 """
 
 from __future__ import annotations
@@ -29,13 +29,12 @@ _SPEED_LINE = re.compile(r"PROP(?:ELLER)?\s+RPM\s*=\s*(\d+\.?\d*)", re.IGNORECAS
 _SIZE_IN_NAME = re.compile(r"(\d+(?:\.\d+)?)\s*x\s*\d")
 _UNIT_IN_HEADER = re.compile(r"\(([^)]*)\)|(?<=\s)-(?=\s|$)")
 _INCH = 0.0254
-_MIN_DENSITY_CT = 0.02  # thrust coefficients above which a line shows the density
+_MIN_DENSITY_CT = 0.02  # least thrust coefficient of a line used to find the density
 _COLUMN_UNITS = {"v": "m/s", "thrust": "N", "torque": "N m", "pwr": "W"}
 
 
 class ApcPerformance(NamedTuple):
-    """Columns (SI) under the names of :mod:`mufly.bench.bench_table`, their lines, the diameter (m) and what is
-    said."""
+    """Columns (SI) with names of :mod:`mufly.bench.bench_table`, line numbers, diameter (m) and notes."""
 
     columns: dict[str, Array]
     line: NDArray[np.int64]
@@ -44,7 +43,7 @@ class ApcPerformance(NamedTuple):
 
 
 def read_apc_performance(path: str | Path) -> ApcPerformance | None:
-    """Read APC's performance file, None if it is none.
+    """Read an APC performance file; return None for any other file.
 
     Raises
     ------
@@ -55,7 +54,7 @@ def read_apc_performance(path: str | Path) -> ApcPerformance | None:
     try:
         text = decode_text(Path(path).read_bytes())
     except OSError:
-        return None  # said by who reads tables
+        return None  # the table reader reports the error
     if not _SPEED_LINE.search(text):
         return None
     lines = text.splitlines()
@@ -109,7 +108,7 @@ def read_apc_performance(path: str | Path) -> ApcPerformance | None:
 
 
 def _convert_row(names: list[str], units: list[str], values: list[float], speed: float) -> dict[str, float]:
-    """One line in SI: of a quantity that stands there in several units the last, which is the SI one."""
+    """Return one line in SI units; of a quantity in several units the last, which is SI, is used."""
     row = {"speed": speed}
     own = {"j": "advance_ratio", "ct": "thrust_coefficient", "cp": "power_coefficient"}
     known = {"v": "airspeed", "thrust": "thrust", "torque": "torque", "pwr": "power"}

@@ -1,13 +1,12 @@
-"""From readings to loads: zero taken off, gains and cross-talk undone, and what that leaves in doubt.
+"""Loads from bench readings: correction of zero, gain and cross-talk, with uncertainty.
 
-With sensitivities S and zeros z(t) (:mod:`mufly.bench.bench_loads`) the loads of a line are
-``F = S^-1 (y - z(t))``. An error of a calibration or of a zero shifts many lines together, so it does not average out;
-its effect is carried along as
+With sensitivities S and zeros z(t) the loads of a line are ``F = S^-1 (y - z(t))``. An error of a calibration or of a
+zero shifts many lines together and does not average out. Its effect is propagated by the derivatives
 
     dF/dS_kl = -S^-1[:, k] F_l,      dF/dz_k = -S^-1[:, k],      z_k = basis(t) a_k
 
-beside the covariance of all S, b and a. A channel in SI units that was never calibrated has S = 1; its zero is still
-followed when there are readings at rest.
+and the covariance of all S, b and a. An uncalibrated channel in SI units has S = 1; its zero is still corrected if
+there are readings at rest.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ from mufly.rotor import (
 )
 
 # ----------------------------------------------------------------------------
-# Load cells: from known loads to gain, offset and cross-talk, with what is not known about them.
+# Load cell calibration: gain, offset and cross-talk from known loads, with uncertainty.
 #
 # Sensor ``k`` reads, under the loads ``F_1 ... F_c`` (thrust, torque, ...),
 #
@@ -47,19 +46,19 @@ from mufly.rotor import (
 #
 # Every row of ``[b S]`` is a linear least-squares fit over the lines of a calibration file, with its covariance from
 # :mod:`mufly.bench.residual_covariance` (drift during the calibration widens it). The off-diagonal terms are the
-# cross-talk; loads that the file does not name are taken to have none. Known weights count as exact. Own derivation;
+# cross-talk; loads that the file does not name are assumed to have none. Known weights count as exact. Own derivation;
 # textbook treatment of multi-component balances: Tropea, Yarin and Foss (eds.), Springer Handbook of Experimental Fluid
 # Mechanics, 2007.
 #
-# The zero drifts: readings at zero speed come in blocks (consecutive lines at rest). Over the time ``t`` of the
-# measurement, or the number of the line where no time was kept, a polynomial
+# Zero drift: readings at zero speed come in blocks (consecutive lines at rest). Over the time ``t`` of the
+# measurement, or the line number without a time, a polynomial
 #
 #     zero(t) = a_0 + a_1 tau + ... + a_d tau^d,      tau = (t - middle) / half the span of the zeros
 #
 # is fitted to them. Its degree, at most one less than the number of blocks and at most 3, has the least AICc (Hurvich
 # and Tsai, Biometrika 76, 1989) of the readings; the covariance of ``a`` is that of
-# :mod:`mufly.bench.residual_covariance`, with readings of one block allowed to err alike. From a single block the zero
-# is constant by assumption, which is said.
+# :mod:`mufly.bench.residual_covariance`, with a common error of the readings of one block. With a single block the zero
+# is assumed constant, which a note reports.
 
 
 Array = NDArray[np.float64]
@@ -72,17 +71,17 @@ class CellCalibration:
     Attributes
     ----------
     channels : tuple of str
-        Loads and readings: ``"thrust"``, ``"torque"``, ``"torque_upper"``, ...; reading k belongs to ``<channel>_raw``.
+        Names of the loads: ``"thrust"``, ``"torque"``, ``"torque_upper"``, ...; reading k is ``<channel>_raw``.
     offset : (c,) array
         Readings without load.
     sensitivity : (c, c) array
         Reading (row) per load (column, N or N m).
     covariance : (c (c + 1), c (c + 1)) array
-        Of ``parameter_vector``: row by row ``b_k, S_k1 ... S_kc``.
-    spreads : tuple of Spread
-        Of every sensor; ``scale`` is the standard deviation of its readings.
+        Covariance of ``parameter_vector``: row by row ``b_k, S_k1 ... S_kc``.
+    spreads : tuple of CovarianceEstimate
+        Covariance of the fit of every sensor; ``scale`` is the standard deviation of its readings.
     applied : (c, 2) array
-        Least and greatest load of each kind.
+        Smallest and largest calibration load of each channel (N or N m).
     source : str
     notes : tuple of str
     """
@@ -108,7 +107,7 @@ class CellCalibration:
         ----------
         readings : (n, c) array
         zero : (n, c) or (c,) array, optional
-            Readings without load at that time; default: those of the calibration.
+            Readings without load at that time; by default the offsets of the calibration.
         """
         above = readings - (self.offset if zero is None else zero)
         return np.asarray(np.linalg.solve(self.sensitivity, above.T).T, dtype=np.float64)
@@ -126,7 +125,7 @@ class CellCalibration:
         return gain, np.sqrt(np.diag(flat @ self.covariance @ flat.T))
 
     def describe_calibration(self) -> list[str]:
-        """Describe gains, offsets and cross-talk with 95 % intervals, a line each."""
+        """Return lines that describe gains, offsets and cross-talk with 95 % intervals."""
         gain, gain_std = self.channel_gains()
         c = len(self.channels)
         std = np.sqrt(np.diag(self.covariance)).reshape(c, c + 1)
@@ -209,18 +208,18 @@ _MAX_DEGREE = 3
 
 @result(eq=False)
 class ZeroDrift:
-    """Reading of one sensor without load, over time.
+    """Zero of one sensor (reading without load) over time.
 
     Attributes
     ----------
     coefficients : (d + 1,) array
         a of the module docstring, in units of the reading.
-    spread : Spread
+    spread : CovarianceEstimate
         Covariance of the coefficients; ``scale`` is the scatter of the zero readings.
     middle, half : float
-        Of the time.
+        Middle and half span of the time of the zeros.
     blocks : int
-        How often the zero was read.
+        Number of blocks at rest.
     change : float
         Zero at the end less zero at the beginning of the span.
     """
@@ -247,20 +246,20 @@ class ZeroDrift:
 
 
 def fit_zero_drift(time: Array, reading: Array, at_rest: NDArray[np.bool_]) -> ZeroDrift | None:
-    """Fit the zero of a sensor.
+    """Fit the zero drift of a sensor.
 
     Parameters
     ----------
     time : (n,) array
-        Of all readings, in the order of measurement.
+        Time of all readings, in the order of measurement.
     reading : (n,) array
     at_rest : (n,) array of bool
-        Which were taken without load.
+        Whether a reading is without load.
 
     Returns
     -------
     ZeroDrift or None
-        None without a reading at rest.
+        Fitted drift; None without a reading at rest.
     """
     if not at_rest.any():
         return None
@@ -281,7 +280,7 @@ def fit_zero_drift(time: Array, reading: Array, at_rest: NDArray[np.bool_]) -> Z
         if score < least:
             chosen, least = degree, score
     if n <= 3 and blocks >= 2:
-        chosen = 1  # before and after: a straight line, and no reading left over to judge it by
+        chosen = 1  # two blocks determine a straight line without residual
     a = np.vander(tau, chosen + 1, increasing=True)
     solution = np.asarray(np.linalg.lstsq(a, y, rcond=None)[0], dtype=np.float64)
     if n > chosen + 1:
@@ -294,22 +293,22 @@ def fit_zero_drift(time: Array, reading: Array, at_rest: NDArray[np.bool_]) -> Z
 
 @result(eq=False)
 class BenchLoads:
-    """Loads at the lines where something turned.
+    """Loads at the lines with turning rotors.
 
     Attributes
     ----------
     table : BenchTable
-        These lines.
+        Lines with turning rotors.
     values : dict of str to (n,) array
         Loads by channel (N, N m): ``"thrust"``, ``"torque_upper"``, ...
     by_systematic : dict of str to (n, s) array
-        Derivatives of each by the common numbers (calibration, zeros).
+        Derivatives of each load by the common parameters (calibration, zeros).
     systematic : (s, s) array
-        Their covariance.
+        Covariance of the common parameters.
     drifts : dict of str to ZeroDrift
-        Zero of each channel, where it was read, in units of the reading.
+        Zero of each channel with readings at rest, in units of the reading.
     zeros : BenchTable
-        The lines at rest.
+        Lines at rest.
     notes : tuple of str
     """
 
@@ -334,18 +333,18 @@ def compute_loads(
     Parameters
     ----------
     table : BenchTable
-        ``thrust``, ``torque`` (with ``_upper``, ``_lower``) in SI units, or ``_raw`` with a calibration; ``speed``
-        (``speed_upper``, ``speed_lower``), zero in the lines at rest; optional ``time``. Coefficients in their place
-        need the radius (:mod:`mufly.bench.unit_conventions`).
-    calibration : Calibration, optional
+        Table with ``thrust``, ``torque`` (with ``_upper``, ``_lower``) in SI units, or ``_raw`` with a calibration, and
+        ``speed`` (``speed_upper``, ``speed_lower``), zero in the lines at rest; optional ``time``. Coefficients instead
+        of loads need the radius (:mod:`mufly.bench.unit_conventions`).
+    calibration : CellCalibration, optional
     radius_m, density_kg_m3 : float, optional
-        Of the rotor, and of the air (default: :func:`resolve_air_density`), for coefficients.
+        Rotor radius, and air density (default: :func:`resolve_air_density`), for coefficients.
 
     Raises
     ------
     InputError
-        If a raw channel has no calibration, or a calibration no raw channel; if a unit is none of its column's, a
-        coefficient has no radius, all lines are in axial flight, or no speed was read although there is a load.
+        If a raw channel has no calibration, a calibration has no raw channel, or a column has a wrong unit. Also if a
+        coefficient has no radius, all lines are in axial flight, or a load has no speed.
     """
     table.reject_wrong_units(c for c in table.misread if base_quantity_of(c) in (*LOAD_QUANTITIES, "speed"))
     table = add_loads_from_coefficients(table, radius_m, resolve_air_density(table, density_kg_m3)[0])
@@ -446,10 +445,10 @@ def _describe_drift(table: BenchTable, channel: str, d: ZeroDrift, t: Array, *, 
 
 
 def resolve_air_density(table: BenchTable, density_kg_m3: float | None) -> tuple[Array, str]:
-    """Return the density of the air (n,) in kg/m3 and where it comes from.
+    """Return the air density (n,) in kg/m3 and a description of its source.
 
-    A column ``density`` goes first, then ``temperature`` and ``pressure``, with ``humidity`` by the CIPM-2007 formula,
-    without it as dry air's ``p / (287.05 T)`` (humid air is up to 1 % lighter), then the given number, then 1.2.
+    The order of sources is: the given number, a column ``density``, ``temperature`` and ``pressure``, and 1.2 kg/m3.
+    With ``humidity`` the CIPM-2007 formula is used, else dry air, ``p / (287.05 T)`` (humid air is up to 1 % lighter).
     """
     n = len(table)
     if density_kg_m3 is not None:
@@ -475,9 +474,9 @@ class BenchPrediction:
     Attributes
     ----------
     speed_rad_s, load : dict of str to (n,) array
-        By channel; N or N m.
+        Speed and predicted load (N or N m) by channel.
     error : dict of str to (n,) array
-        Prediction over measurement less one.
+        Relative error by channel: prediction over measurement, less one.
     """
 
     speed_rad_s: dict[str, Array]
@@ -485,7 +484,7 @@ class BenchPrediction:
     error: dict[str, Array]
 
     def describe_errors(self) -> list[str]:
-        """Return mean and mean absolute error of each channel."""
+        """Return descriptions of the mean and mean absolute error of each channel."""
         return [
             f"{name}: prediction {100 * np.mean(e):+.1f} % from the measured on average, "
             f"{100 * np.mean(np.abs(e)):.1f} % in the mean of absolute errors ({e.size} points)"
@@ -497,21 +496,21 @@ def predict_loads(
     loads: BenchLoads, blading: Blading, *, density_kg_m3: float, pitch_rad: float | None = None,
     spacing_m: float | None = None, progress: Callable[[int, int], None] | None = None,
 ) -> BenchPrediction:  # fmt: skip
-    """Predict the measured points.
+    """Predict the loads at the measured points by blade element momentum theory.
 
     Parameters
     ----------
-    loads : Loads
+    loads : BenchLoads
     blading : Blading
-        The rotor; a pair has two of them.
+        Blading of the rotor, or of both rotors of a pair.
     density_kg_m3 : float
-        Of the air.
+        Air density.
     pitch_rad : float, optional
-        Pitch setting where the file does not say; default 0, the blades as in the rotor file.
+        Pitch setting for a file without pitch; 0 by default, the blades as in the rotor file.
     spacing_m : float, optional
-        Between the discs of a pair.
+        Distance between the discs of a pair.
     progress : callable, optional
-        Called with points done and all points.
+        Called with the number of points done and of all points.
 
     Raises
     ------

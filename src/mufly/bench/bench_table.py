@@ -1,15 +1,15 @@
-"""A bench file read: columns in SI units under one set of names, with what was guessed on the way.
+"""Reader of bench files: columns in SI units under standard names, with notes on guesses.
 
-A text with a header, its columns set apart by comma, semicolon, tab or blanks (without commas, decimal commas will
-do); lines that begin with ``#`` are skipped. A header is a name and a unit, in brackets or after the last
-underscore: ``current_A``, ``Current [mA]``, ``Q(Nm)``. The name may carry the rotor (``upper`` or ``lower``), and
-``raw`` for the reading of a sensor that is still to be calibrated: ``thrust_upper_N``, ``torque_raw_V``. Capitals do
-not matter. Other headers are passed over (docs/reference/bench.md).
+A file is a text with a header and columns separated by comma, semicolon, tab or blanks. Decimal commas are accepted
+if the comma is not the separator. Lines that begin with ``#`` are skipped. A header is a name and a unit, in brackets
+or after the last underscore: ``current_A``, ``Current [mA]``, ``Q(Nm)``. The name may include the rotor (``upper`` or
+``lower``), and ``raw`` for an uncalibrated sensor: ``thrust_upper_N``, ``torque_raw_V``. Case does not matter. Other
+headers are ignored (docs/reference/bench.md).
 
-A quantity in several columns is read from the one that has most readings: an electrical speed that drops out gives way
-to an optical one, and of two speeds at a fixed whole ratio the slower is the shaft's, the other counts pole pairs. A
-throttle in microseconds is a pulse, 1000 us for nothing and 2000 us for all; the current beside one is that of the
-supply. Makers' tables of propellers: :mod:`mufly.bench.apc_performance_files`.
+A quantity in several columns is read from the column with most readings, so an optical speed replaces an electrical
+speed with drop-outs. Of two speeds at a fixed integer ratio the slower is the shaft speed, and the ratio is the number
+of pole pairs. A throttle in microseconds is a pulse from 1000 us (zero) to 2000 us (full); a current beside it is the
+supply current. :mod:`mufly.bench.apc_performance_files` reads tables of propeller manufacturers.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 
 
 class TruncatedFileWarning(UserWarning):
-    """A file's last line ends before its last cell."""
+    """Warning that the last line of a file is incomplete."""
 
 
 @result(eq=False)
@@ -50,17 +50,17 @@ class BenchTable:
         SI values by name (:class:`mufly.bench.bench_table.ColumnMeaning`); NaN where a cell is empty. ``run`` is a
         number from 0.
     headers : dict of str to str
-        The header of each, as written.
+        Header of each column, as written.
     line : (n,) array of int
-        Lines of the file.
+        Line numbers in the file.
     unitless : tuple of str
-        Columns whose unit the file does not say; taken as SI until :meth:`rescale_column` says otherwise.
+        Columns without a stated unit, interpreted as SI until :meth:`rescale_column` changes them.
     notes : tuple of str
-        What was passed over or guessed, in words.
+        Notes on skipped columns and guesses.
     misread : dict of str to (str, str)
-        Quantities whose columns have a unit that is none of theirs: header and unit.
+        Header and unit of quantities whose columns have a wrong unit.
     diameter_m : float
-        Of the rotor, where the file says it, else nan.
+        Rotor diameter if the file states it, else NaN.
     """
 
     source: str
@@ -82,16 +82,16 @@ class BenchTable:
         return self.columns[name]
 
     def column_error(self, key: str, problem: str, remedy: str) -> InputError:
-        """Return the error about a column, called by its header, or about the file (key "")."""
+        """Return an error about a column, named by its header, or about the file (key "")."""
         return InputError(self.source, self.headers.get(key, key), problem, remedy)
 
     def require_columns(self, names: Iterable[str], *, remedy: str = "") -> None:
-        """Check that columns are there and filled in every line.
+        """Check that columns exist and are filled in every line.
 
         Raises
         ------
         InputError
-            Naming the first that is not.
+            For the first missing or incomplete column.
         """
         for name in names:
             if name not in self.columns:
@@ -106,12 +106,12 @@ class BenchTable:
                 raise self.column_error(cell, "is empty", "fill it in, or leave the line out")
 
     def reject_wrong_units(self, names: Iterable[str]) -> None:
-        """Refuse a file that has one of these quantities only in a unit that is none of it.
+        """Raise an error if one of these quantities exists only with a wrong unit.
 
         Raises
         ------
         InputError
-            Naming column and unit.
+            For the first such quantity; the error names column and unit.
         """
         for name in names:
             if name not in self.columns and name in self.misread:
@@ -123,7 +123,7 @@ class BenchTable:
                 )  # fmt: skip
 
     def with_columns(self, *notes: str, **columns: Array) -> BenchTable:
-        """Return the table with other columns (headers as before, or their names) and notes."""
+        """Return the table with added or replaced columns and added notes; a new column's header is its name."""
         headers = {name: name for name in columns} | self.headers
         left = tuple(u for u in self.unitless if u not in columns)
         return replace(
@@ -135,7 +135,7 @@ class BenchTable:
         )
 
     def rescale_column(self, name: str, factor: float, note: str) -> BenchTable:
-        """Return the table with one column multiplied, and a note that says why."""
+        """Return the table with one column multiplied by ``factor``, and a note with the reason."""
         return self.with_columns(note, **{name: self.columns[name] * factor})
 
     def select_lines(self, keep: NDArray[np.bool_]) -> BenchTable:
@@ -161,14 +161,14 @@ def read_bench_files(
     ----------
     paths : sequence of str or Path
     columns : sequence of str, or dict
-        Lines of a column map, ``"thrust_lower=T_A(N)"``, ``"speed_lower=pair.csv/RPM(rpm)"``. A line holds for each
-        file that has its column, or for the one that it names.
+        Lines of a column map, ``"thrust_lower=T_A(N)"``, ``"speed_lower=pair.csv/RPM(rpm)"``. A line applies to each
+        file with its column, or to the file that it names.
 
     Raises
     ------
     InputError
-        If a file cannot be read or has no column that is understood, a line of the map fits no file, or a cell of a
-        column in use is no number.
+        If a file cannot be read or has no known column, a line of the map matches no file, or a cell of a used column
+        is not a number.
     """
     tables = [_read_maker_table(path) or read_text_table(path, short_rows="cut") for path in paths]
     meant: list[dict[int, list[tuple[str, float]]]] = [{} for _ in paths]
@@ -194,7 +194,7 @@ def _read_maker_table(path: str | Path) -> BenchTable | None:
 
 
 def _find_mapped_column(table: TextTable, line: ColumnLine) -> int | None:
-    """Position of the column that a line of a map means, with or without the unit in its header."""
+    """Return the position of a map line's column, found by its header with or without the unit."""
     if line.topic and line.topic != Path(table.where).name:
         return None
     bare = [match[1] if (match := _BRACKETED_UNIT.match(h)) else h for h in table.header]
@@ -202,7 +202,7 @@ def _find_mapped_column(table: TextTable, line: ColumnLine) -> int | None:
 
 
 def _mapped_header(header: str, line: ColumnLine) -> str:
-    """The header that means what a line of a map says, in the unit of the line, else that of the header as it stands.
+    """Return the standard header for a line of a map, with the unit of the line, else the unit of the file's header.
 
     Raises
     ------
@@ -227,12 +227,12 @@ def _mapped_header(header: str, line: ColumnLine) -> str:
 
 
 def _read_columns(written: TextTable, mapped: Mapping[int, list[tuple[str, float]]]) -> BenchTable:
-    """The quantities of a table, by its headers and by a column map: header and sign of the columns that it names."""
+    """Read the quantities of a table by its headers and a column map (position -> standard header and sign)."""
     where = Path(written.where).name
     if not written.rows:
         raise InputError(where, "", "contains no measurements", "give a header and at least one line")
     notes = list(written.notes)
-    if written.cut_line:  # its last number may have lost digits, which nobody can see
+    if written.cut_line:  # its last number may lack digits
         cut = f"line {written.cut_line}, the last, is cut short and left out"
         warnings.warn(f"{where}: {cut}", TruncatedFileWarning, stacklevel=4)
     line = np.array(written.lines, dtype=np.int64)
@@ -283,7 +283,7 @@ def _read_columns(written: TextTable, mapped: Mapping[int, list[tuple[str, float
 
 @dataclass(frozen=True, eq=False)
 class _ColumnReading:
-    """A column as read: header, meaning, SI values."""
+    """Column read from a file: header, meaning, SI values."""
 
     header: str
     column: ColumnMeaning
@@ -291,12 +291,12 @@ class _ColumnReading:
 
     @property
     def is_nonzero(self) -> NDArray[np.bool_]:
-        """Lines with a reading that is not zero."""
+        """Whether each line has a nonzero reading, (n,)."""
         return np.isfinite(self.values) & (self.values != 0.0)
 
 
 def _choose_reading(name: str, readings: list[_ColumnReading]) -> tuple[_ColumnReading, list[str]]:
-    """Return the column to read a quantity from, and why."""
+    """Return the column from which to read a quantity, and notes with the reason."""
     best, words = readings[0], []
     for other in readings[1:]:
         first, why = best, ""
@@ -307,7 +307,7 @@ def _choose_reading(name: str, readings: list[_ColumnReading]) -> tuple[_ColumnR
             best = other if gained > lost else best
             why = f", which is 0 or empty in {max(lost, gained)} lines that have the other"
         elif best.column.factor != 1.0 and other.column.factor == 1.0 and other.column.unit:
-            best = other  # RPM and omega, gf and N: the SI one is more finely written as a rule
+            best = other  # of RPM and omega, or gf and N, the SI column usually has the finer resolution
         if name.startswith("speed"):
             slower, more = _resolve_pole_pairs(first, other)
             best, why = (slower, more) if slower is not None else (best, why)
@@ -317,7 +317,7 @@ def _choose_reading(name: str, readings: list[_ColumnReading]) -> tuple[_ColumnR
 
 
 def _resolve_pole_pairs(a: _ColumnReading, b: _ColumnReading) -> tuple[_ColumnReading | None, str]:
-    """Return the shaft's speed of two at a whole ratio, or the optical one of two that differ otherwise."""
+    """Return the shaft speed of two speeds at an integer ratio, or the optical speed of two that differ otherwise."""
     both = a.is_nonzero & b.is_nonzero
     if both.sum() < 2:
         return None, ""
@@ -337,7 +337,7 @@ def _resolve_pole_pairs(a: _ColumnReading, b: _ColumnReading) -> tuple[_ColumnRe
 
 
 def _convert_duty(table: BenchTable, reading: _ColumnReading | None) -> BenchTable:
-    """Turn a throttle in per cent, from -1 to 1 or in pulses into shares of the voltage, and say so."""
+    """Convert a throttle in per cent, from -1 to 1 or as pulse width to a share of the voltage, with a note."""
     if reading is None:
         return table
     v, header = reading.values, reading.header
@@ -376,7 +376,7 @@ def _convert_duty(table: BenchTable, reading: _ColumnReading | None) -> BenchTab
 
 
 def _resolve_pitch_unit(table: BenchTable) -> BenchTable:
-    """Take a pitch without a unit as degrees where it cannot be radians; ask where it could be either.
+    """Interpret a pitch without unit as degrees if it cannot be radians.
 
     Raises
     ------
@@ -402,7 +402,7 @@ def _number_labels(cells: list[str]) -> Array:
 
 
 def _read_values(table: TextTable, index: int, column: ColumnMeaning) -> Array:
-    """Numbers of a column as written; NaN where a cell is empty. ``12%`` is a share."""
+    """Return the numbers of a column as written; NaN for empty cells. ``12%`` is a share."""
     share = SI_UNITS[column.base_quantity] == "1"
     values = np.full(len(table.rows), math.nan)
     for k, cell in enumerate(table.read_texts(index)):
@@ -466,16 +466,16 @@ _UNIT_BY_NAME = dict.fromkeys(["rpm", "erpm", "electrical_rpm", "motor_rpm", "ro
 
 @dataclass(frozen=True)
 class ColumnMeaning:
-    """What a header means.
+    """Meaning of a header: quantity and unit.
 
     Attributes
     ----------
     name : str
-        Quantity, with ``_upper`` or ``_lower`` and ``_raw`` where the header says so: ``"torque_lower_raw"``.
+        Quantity, with ``_upper`` or ``_lower`` and ``_raw`` if stated by the header: ``"torque_lower_raw"``.
     factor, offset : float
         SI value = factor * written value + offset.
     unit : str
-        As written, ``""`` if the header has none.
+        Unit as written, ``""`` if the header has none.
     """
 
     name: str
@@ -485,7 +485,7 @@ class ColumnMeaning:
 
     @property
     def base_quantity(self) -> str:
-        """The quantity without rotor and ``_raw``."""
+        """Quantity without rotor and ``_raw``."""
         return base_quantity_of(self.name)
 
 
@@ -495,7 +495,7 @@ def base_quantity_of(name: str) -> str:
 
 
 def parse_header(header: str) -> ColumnMeaning | None:
-    """Return what one header means, None if it is no quantity of a bench.
+    """Return the meaning of one header, or None if it is not a bench quantity.
 
     Examples: ``"torque_mNm"``, ``"T(N)"``, ``"RPM"``, ``"speed_upper_rpm"``, ``"thrust_raw_mV"``.
     """
@@ -507,18 +507,18 @@ def parse_header(header: str) -> ColumnMeaning | None:
 
 
 def _header_candidates(header: str) -> list[tuple[str, str]]:
-    """Names and units that a header may mean, the likeliest first."""
+    """Return candidate pairs of name and unit for a header, most likely first."""
     text = " ".join(header.strip().lower().split())
     match = _BRACKETED_UNIT.match(text)
     if match:
         return [(match[1], match[2])]
     parts = text.split("_")
-    # The unit may hold an underscore itself (rad_s), so one and two last parts are tried, longest first.
+    # A unit may contain an underscore (rad_s), so the last two parts and the last part are tried.
     return [("_".join(parts[:-k]), "_".join(parts[-k:])) for k in (2, 1) if len(parts) > k] + [(text, "")]
 
 
 def _mismatched_unit(header: str) -> tuple[str, str] | None:
-    """Return the quantity that a header names in a unit that is none of it, and that unit as written."""
+    """Return the quantity of a header with a wrong unit, and that unit as written; None otherwise."""
     for name, unit in _header_candidates(header):
         stem, full = _split_column_name(name)
         if unit and (len(stem) > 1 or not normalise_unit(unit)):
@@ -530,7 +530,7 @@ def _mismatched_unit(header: str) -> tuple[str, str] | None:
 
 
 def _split_column_name(name: str) -> tuple[str, str]:
-    """Return a name without rotor and ``raw``, and the form of the full name with them."""
+    """Return a name without rotor and ``raw``, and a format string of the full name with them."""
     words = [w for w in re.split(r"[_\s]+", name) if w]
     sides = {word: side for side, known in _SIDE_WORDS.items() for word in known.split()}
     side = next((sides[w] for w in words if w in sides), "")
@@ -555,6 +555,6 @@ def _match_column(name: str, unit: str) -> ColumnMeaning | None:
         if known:
             _, factor, offset = unit_conversion(known, si)
             return ColumnMeaning(full, factor, unit, offset)
-        if quantity == "duty" and normalise_unit(unit, "s"):  # a servo's pulse: 1 ms for nothing, 2 ms for all
+        if quantity == "duty" and normalise_unit(unit, "s"):  # servo pulse: 1 ms is zero, 2 ms is full
             return ColumnMeaning(full, conversion_factor(unit, "s") * 1e3, unit, -1.0)
     return None

@@ -1,19 +1,19 @@
-"""How far a least-squares estimate may be off, when errors of neighbouring readings are alike.
+"""Covariance of a least-squares estimate with correlated errors of neighbouring readings.
 
-Linearised least squares ``r = r0 + J (theta - theta0)``, rows already divided by their expected error. For errors
-with covariance ``s^2 V(rho)`` the estimate of ordinary least squares has
+The linearised residual is ``r = r0 + J (theta - theta0)``, with rows divided by their expected error. For errors with
+covariance ``s^2 V(rho)`` the estimate of ordinary least squares has
 
     cov = s^2 (J'J)^-1 J' V J (J'J)^-1,      s^2 = r'r / tr(M V),      M = I - J (J'J)^-1 J'
 
-(the divisor makes ``s^2`` unbiased). Three patterns of V are weighed against each other on the data:
+(the divisor makes ``s^2`` unbiased). The data choose between three patterns of V:
 
 * white: V = I, the textbook case;
 * a drift along the order of measurement: V_ij = rho^|i - j| between readings of the same channel in the same run;
-* one error a setting: V_ij = rho between readings of one group (repeats under one setting share their error).
+* one error per setting: V_ij = rho between readings of one group (repeats of a setting share their error).
 
-``rho`` maximises the restricted likelihood (Patterson and Thompson, Biometrika 58, 1971), which does not count the
-variation that the fitted parameters took away; a pattern is kept only if it raises twice the logarithm by more than
-2.71, the one-sided 5 % point. Intervals use Student's t with Satterthwaite's degrees of freedom
+``rho`` maximises the restricted likelihood (Patterson and Thompson, Biometrika 58, 1971), which accounts for the
+fitted parameters. A pattern is accepted only if it raises twice the log-likelihood by more than 2.71, the one-sided
+5 % point. Intervals use Student's t with Satterthwaite's degrees of freedom
 ``tr(MV)^2 / tr(MVMV)`` (Biometrics Bull. 2, 1946).
 """
 
@@ -33,18 +33,18 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 _MIN_LIKELIHOOD_GAIN = 2.71
-_MIN_DEGREES_OF_FREEDOM = 8  # degrees of freedom below which a pattern cannot be told from chance
+_MIN_DEGREES_OF_FREEDOM = 8  # degrees of freedom below which a pattern is not distinguishable from chance
 
 
 @result(eq=False)
 class CovarianceEstimate:
-    """Covariance of least-squares estimates and how it came about.
+    """Covariance of least-squares estimates with the error pattern behind it.
 
     Attributes
     ----------
     covariance : (p, p) array
     scale : float
-        s: size of the residuals over what was expected; 1 if the expected errors are right.
+        Ratio s of observed to expected residuals; 1 if the expected errors are correct.
     dof : float
         Degrees of freedom of the intervals.
     pattern : str
@@ -65,7 +65,7 @@ class CovarianceEstimate:
         return float(stats.t.ppf(0.975, max(self.dof, 1.0)))
 
     def describe_pattern(self) -> str:
-        """Say which pattern the residuals show."""
+        """Describe the error pattern of the residuals."""
         if self.pattern == "drift":
             return f"neighbouring readings err alike (correlation {self.rho:.2f}); intervals are widened for it"
         if self.pattern == "repeats":
@@ -82,15 +82,14 @@ def estimate_covariance(
     Parameters
     ----------
     jacobian : (n, p) array
-        Of the residuals, rows in the order of measurement, divided by the expected errors. Full rank, n > p.
+        Jacobian of the residuals over expected errors, rows in the order of measurement; full rank, n > p.
     residual : (n,) array
-        Divided likewise, at the estimate.
+        Residuals over expected errors at the estimate.
     channel, run, group : (n,) int arrays, optional
-        Channel and run of a row (rows of different ones err independently), and its setting: rows of one
-        channel and setting may share their error. Default: one channel, one run, no repeats.
+        Channel, run and setting of a row. Rows of different channels or runs have independent errors; rows of one
+        channel and setting may share an error. Default: one channel, one run, no repeats.
     known_scale : bool
-        True if the expected errors are trusted as absolute: the covariance is then not scaled by the residuals
-        unless they are larger than expected.
+        Whether expected errors are absolute: the residuals then scale the covariance only if larger than expected.
     """
     n, p = jacobian.shape
     zeros = np.zeros(n, dtype=np.int64)
@@ -128,7 +127,7 @@ def estimate_covariance(
 
 
 def _group_rows(first: Integers, second: Integers) -> list[Integers]:
-    """Return the rows, in their order, of every pair of numbers that occurs."""
+    """Return, for every occurring pair of numbers, the indices of its rows in order."""
     label = np.unique(np.column_stack([first, second]), axis=0, return_inverse=True)[1].ravel()
     order = np.argsort(label, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
@@ -137,8 +136,8 @@ def _group_rows(first: Integers, second: Integers) -> list[Integers]:
 def _restricted_likelihood(pattern: str, rho: float, parts: list[Integers], jacobian: Array, residual: Array) -> float:
     """Return twice the restricted log likelihood of a pattern, up to a constant.
 
-    Rows are made independent part by part: a drift by differences ``(x_k - rho x_(k-1)) / sqrt(1 - rho^2)``, repeats by
-    scaling their mean by ``1 / sqrt(1 + (m - 1) rho)`` and their deviations from it by ``1 / sqrt(1 - rho)``.
+    Each part is whitened: a drift by differences ``(x_k - rho x_(k-1)) / sqrt(1 - rho^2)``, repeats by scaling their
+    mean by ``1 / sqrt(1 + (m - 1) rho)`` and their deviations from the mean by ``1 / sqrt(1 - rho)``.
     """
     rows = np.column_stack([jacobian, residual])
     white, log = np.empty_like(rows), 0.0
@@ -160,5 +159,5 @@ def _restricted_likelihood(pattern: str, rho: float, parts: list[Integers], jaco
 
 
 def join_covariances(*blocks: NDArray[np.floating[Any]]) -> Array:
-    """Return the covariance of independent estimates side by side."""
+    """Return the block-diagonal covariance of independent estimates."""
     return np.asarray(block_diag(*blocks), dtype=np.float64)

@@ -1,21 +1,19 @@
-"""Measured points of a rotor, from the files of test benches and of propeller data sites.
+"""Measured points of a rotor from files of test benches and propeller databases.
 
-A file is a bench file as any other (:mod:`mufly.bench.bench_table`: units in the headers, several separators). Of its
-columns
+A file is a bench file (:mod:`mufly.bench.bench_table`: units in the headers, several separators) with the columns
 
 =========  ===========================================================================================
-pitch      ``pitch_deg``; without it as the caller says, else the blades stand as in the rotor file (0)
+pitch      ``pitch_deg``; by default the caller's value, else 0 (the blades as in the rotor file)
 speed      ``speed_rpm``, ``RPM``
 thrust     ``thrust_N``, ``T(gf)``, or a coefficient, as ``CT`` = T / (rho n^2 D^4), n in revolutions a second
 torque     ``torque_mNm``, ``Q(Nm)``, ``power_W``, or a coefficient, as ``CP`` = P / (rho n^3 D^5); it may be left out
 air        ``airspeed_m_s``, ``climb_m_s`` along the shaft, or ``J`` = V / (n D); without it the rotor hovers
 =========  ===========================================================================================
 
-are used. Coefficients need diameter and density; their conventions, and units that are not written, are decided by
-:mod:`mufly.bench.unit_conventions`. APC's performance files are read, too. A power that is the product of voltage and
-current beside it is no rotor's. Torque that is negative throughout has the sign of the sense of rotation. Where the
-file says in which air it was measured (``density_kg_m3``, or ``temperature_degC`` and ``pressure_hPa``), its loads are
-taken to the mean of its densities, as they go with it.
+Coefficients need diameter and density. :mod:`mufly.bench.unit_conventions` decides conventions of coefficients and
+missing units. APC performance files are read, too. A power equal to the product of voltage and current is electrical
+and not used. A torque that is negative throughout is inverted. If the file states the air (``density_kg_m3``, or
+``temperature_degC`` and ``pressure_hPa``), the loads are scaled to the mean of its densities.
 """
 
 from __future__ import annotations
@@ -59,18 +57,18 @@ def read_measurements(
     columns : sequence of str, or dict
         Column map, as for :func:`mufly.bench.read_bench_files`.
     diameter_m, density_kg_m3 : float, optional
-        Of the rotor and of the air at the bench; the diameter is needed where the file gives coefficients, the density
-        is 1.2 there unless given. A density that is given goes before the file's.
+        Rotor diameter, needed for coefficients, and air density at the bench, 1.2 kg/m3 by default. A given density
+        takes precedence over the file's density.
     speed_rad_s : float, optional
-        Of all points, where the file has no column of it (UIUC's runs in a tunnel have it in their names).
+        Speed of all points, for a file without a speed column (as in tunnel runs of UIUC).
     pitch_rad : float, optional
-        Pitch setting of all points, where the file has no column of it; 0 unless given.
+        Pitch setting of all points, for a file without a pitch column; 0 by default.
 
     Raises
     ------
     InputError
-        If the file cannot be read, a column is missing, or a value is not possible: speed, torque and power are above
-        zero and thrust is not zero but in axial flight, the pitch lies within 90 degrees.
+        If the file cannot be read, a column is missing, or a value is invalid: speed, torque and power must be
+        positive, thrust nonzero except in axial flight, and the pitch within 90 degrees.
     """
     table = read_bench_file(path, columns=columns)
     radius = 0.5 * diameter_m if diameter_m else None
@@ -90,7 +88,7 @@ def read_measurements(
         words = f"{table.headers['power']} is the product of voltage and current: no torque is read from it"
         kept = {k: v for k, v in table.columns.items() if k != "power"}
         table = replace(table, columns=kept, notes=(*table.notes, words))
-    # Loads of coefficients are made in the mean density, to which measured ones are taken below.
+    # Loads from coefficients use the mean density, to which measured loads are scaled below.
     table = add_loads_from_coefficients(table, radius, density)
     made = {n for n in ("thrust", "torque") if n in table and table.headers[n] == n and coefficients}
     if "torque" not in table and "power" in table:
@@ -104,7 +102,7 @@ def read_measurements(
     table = _resolve_units(table, radius, density if math.isfinite(density) else Air().density_kg_m3)
     table = _fix_signs(table)
     if not {"airspeed", "advance_ratio"} & set(table.columns):
-        # In a tunnel thrust ends, and beyond that the air turns the rotor.
+        # In a tunnel the thrust may vanish or become negative (windmilling).
         _require_column(table, "thrust", table["thrust"] != 0.0, "not be 0; leave the line out")
         if "torque" in table:  # an empty cell is a point without torque
             must = "be above 0: what the motor has to overcome, whichever way the rotor turns"
@@ -131,7 +129,7 @@ def read_measurements(
 
 
 def _check_pitch_and_speed(table: BenchTable, pitch_rad: float | None) -> None:
-    """Refuse pitch and speed that cannot be."""
+    """Raise an error for invalid pitch or speed."""
     if "pitch" in table:
         table.require_columns(("pitch",))
         if pitch_rad is not None:
@@ -143,7 +141,7 @@ def _check_pitch_and_speed(table: BenchTable, pitch_rad: float | None) -> None:
 
 
 def _resolve_units(table: BenchTable, radius_m: float | None, density_kg_m3: float) -> BenchTable:
-    """Decide the units of speed and loads that have none, by the sizes that they give, or ask."""
+    """Choose missing units of speed and loads by the size of the coefficients, or raise an error."""
     unsaid = [n for n in ("speed", "thrust", "torque") if n in table.unitless]
     if unsaid and radius_m is None:
         example = {"speed": "speed_rpm", "thrust": "thrust_N", "torque": "torque_Nm"}[unsaid[0]]
@@ -157,7 +155,7 @@ def _resolve_units(table: BenchTable, radius_m: float | None, density_kg_m3: flo
 
 
 def _fix_signs(table: BenchTable) -> BenchTable:
-    """Turn round a thrust or torque that is negative in every line."""
+    """Invert a thrust or torque that is negative in every line, with a note."""
     for name, sign in (("thrust", "the load cell"), ("torque", "the sense of rotation")):
         if name in table:
             known = table[name][np.isfinite(table[name])]

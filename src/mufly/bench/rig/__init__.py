@@ -1,1 +1,1 @@
-"""The devices of a test bench, each behind the same few calls, and a bench of our own aerodynamics to try things on."""
+"""Drivers of test bench devices with a common interface, and a simulated bench."""

@@ -1,10 +1,12 @@
-"""What every device of a bench can do, and the bench that they make up.
+"""Interface of bench devices, and the bench composed of them.
 
-A driver is a class with the calls of :class:`Device`, a file each. It speaks SI: rad/s, A, V, K, Pa; the readings of
-cells that are still to be calibrated come in the device's own unit, on channels that end in ``_raw``. Rules that keep
-a bench safe: no call blocks for longer than ``patience_s``; :meth:`Device.stop` may be called at any time, as often
-as one likes, before :meth:`Device.open` too, and does not wait for answers that may not come; bytes that make no
-sense are passed over and counted, never taken for a reading.
+A driver is a class with the methods of :class:`Device`, one per file. It uses SI units: rad/s, A, V, K, Pa.
+Uncalibrated load cells use the device's own unit, on channels that end in ``_raw``. Safety rules:
+
+* No call blocks for longer than ``patience_s``.
+* :meth:`Device.stop` may be called at any time and repeatedly, also before :meth:`Device.open`. It does not wait for
+  missing answers.
+* Invalid bytes are discarded and counted, never interpreted as a reading.
 
 Channels: ``thrust_raw``, ``torque_raw``; ``speed_upper``, ``current_upper``, ``voltage_upper`` (mean voltage at the
 motor), ``motor_temperature_upper`` and the same of ``lower``; ``vibration`` (m/s2); ``temperature`` (K),
@@ -34,24 +36,24 @@ STOP_TRIES = 3
 
 
 class DeviceError(MuflyError):
-    """A device does not do what it should: it is silent, talks nonsense, was reset or reports a fault."""
+    """Error of a device that is silent, sends invalid data, was reset or reports a fault."""
 
 
 class StopError(MuflyError):
-    """A motor could not be told to stop. The message says so in capitals: somebody has to cut the power."""
+    """Error of a motor that did not acknowledge a stop; the message demands in capitals to cut the power."""
 
 
 class Device(Protocol):
-    """A device of a bench.
+    """Interface of a bench device.
 
     Attributes
     ----------
     name : str
-        As messages call it, ``"EPOS upper (/dev/ttyUSB0)"``.
+        Name in messages, ``"EPOS upper (/dev/ttyUSB0)"``.
     channels : tuple of str
-        What it reads.
+        Measured channels.
     axes : tuple of str
-        What it turns: ``"upper"``, ``"lower"``; empty for a sensor.
+        Driven axes, ``"upper"``, ``"lower"``; empty for a sensor.
     """
 
     @property
@@ -62,56 +64,56 @@ class Device(Protocol):
     def axes(self) -> tuple[str, ...]: ...
 
     def open(self) -> None:
-        """Connect and make ready, at rest; raises DeviceError. Also mends a connection that broke."""
+        """Connect, or reconnect, and initialise the device at rest; raise DeviceError on failure."""
 
     def set_speed(self, axis: str, speed_rad_s: float) -> None:
-        """Command a speed; raises DeviceError unless the device has taken it."""
+        """Command a speed (rad/s); raise DeviceError unless the device acknowledges it."""
 
     def read(self) -> Samples:
-        """Return all samples since the last call; raises DeviceError if there have been none for too long."""
+        """Return all samples since the last call; raise DeviceError after a long silence."""
 
     def stop(self) -> None:
-        """Stop whatever turns, now; raises DeviceError if that cannot be known to have been heard."""
+        """Stop all axes at once; raise DeviceError if the device does not acknowledge it."""
 
     def close(self) -> None:
-        """Stop, and give the connection back."""
+        """Stop and close the connection."""
 
 
 class Clock:
-    """The time of a bench, in seconds: the day's, or ``pace`` times as fast for a bench that is emulated."""
+    """Clock of a bench (s): wall time, or ``pace`` times as fast for an emulated bench."""
 
     def __init__(self, pace: float = 1.0) -> None:
         self.pace = pace
         self._wall_start_s, self._monotonic_start_s = time.time(), time.monotonic()
 
     def now(self) -> float:
-        """Return the time (s); since 1970 at pace 1, as it runs on evenly whatever is done to the system's clock."""
+        """Return the time (s), since 1970 at pace 1; monotonic, independent of changes of the system clock."""
         return self._wall_start_s + self.pace * (time.monotonic() - self._monotonic_start_s)
 
     def sleep(self, seconds: float) -> None:
-        """Wait."""
+        """Wait for a number of seconds of this clock."""
         time.sleep(max(0.0, seconds) / self.pace)
 
 
 @dataclass(frozen=True)
 class BenchFacts:
-    """What has to be known of a bench to make sense of its readings; the first line of every record.
+    """Properties of a bench needed to interpret its readings; the first line of every record.
 
     Attributes
     ----------
     name : str
     calibration : dict
-        Of the cells: see :func:`calibration_to_dict`; empty where readings are in N and N m already.
+        Calibration of the cells, see :func:`calibration_to_dict`; empty for readings in N and N m.
     ranges : dict of str to (float, float)
-        Least and greatest reading of a channel; a sample at either end is saturated.
+        Smallest and largest reading of a channel; a sample at either end is saturated.
     nonlinearity : dict of str to float
-        Of a cell: greatest departure from its straight line, as a share of ``full_scale`` (data sheet).
+        Largest deviation of a cell from linearity, as a share of ``full_scale`` (data sheet).
     full_scale : dict of str to float
-        Of a load (N, N m).
+        Full scale of a load (N, N m).
     pressure_std_Pa, temperature_std_K, humidity_std, speed_relative_std : float
-        Standard uncertainties of what is not averaged out (type B).
+        Standard uncertainties that do not average out (type B).
     torque_signs : dict of str to float
-        +1 or -1: what a rotor's drag torque on this axis adds to the torque cell.
+        Sign of an axis: +1 or -1 times the rotor's drag torque acts on the torque cell.
     manual : bool
         Whether blades are changed by hand.
     """
@@ -129,18 +131,18 @@ class BenchFacts:
     manual: bool = True
 
     def to_dict(self) -> dict[str, Any]:
-        """Return them as JSON takes them."""
+        """Return the properties as a dictionary for JSON."""
         return asdict(self)
 
     @classmethod
     def from_dict(cls, tables: Mapping[str, Any]) -> BenchFacts:
-        """Return what :meth:`to_dict` gave."""
+        """Create the properties from the dictionary of :meth:`to_dict`."""
         known = dict(tables)
         known["ranges"] = {k: (float(a), float(b)) for k, (a, b) in known["ranges"].items()}
         return cls(**known)
 
     def cell_calibration(self) -> CellCalibration | None:
-        """Return the calibration of the cells, None where readings are loads already."""
+        """Return the calibration of the cells; None if the readings are loads."""
         c = self.calibration
         if not c:
             return None
@@ -152,7 +154,7 @@ class BenchFacts:
 
 
 def calibration_to_dict(cells: CellCalibration) -> dict[str, Any]:
-    """Return what :attr:`BenchFacts.calibration_noise_V` holds of load cells."""
+    """Return the dictionary of :attr:`BenchFacts.calibration` for calibrated load cells."""
     return {
         "channels": list(cells.channels), "offset": cells.offset.tolist(), "sensitivity": cells.sensitivity.tolist(),
         "covariance": cells.covariance.tolist(), "applied": cells.applied.tolist(), "source": cells.source,
@@ -161,7 +163,7 @@ def calibration_to_dict(cells: CellCalibration) -> dict[str, Any]:
 
 
 class BenchRig(Protocol):
-    """A bench: what :func:`mufly.bench.series.series_runner.run_series` needs of it."""
+    """Interface of a bench for :func:`mufly.bench.series.series_runner.run_series`."""
 
     @property
     def facts(self) -> BenchFacts: ...
@@ -169,37 +171,37 @@ class BenchRig(Protocol):
     def axes(self) -> tuple[str, ...]: ...
 
     def now(self) -> float:
-        """Return its time (s)."""
+        """Return the time of the bench (s)."""
 
     def open(self) -> None:
-        """Make every device ready, at rest; also after a failure."""
+        """Initialise every device at rest, also after a failure."""
 
     def mount(self, mounting: BladeMounting) -> None:
-        """Be told which blades are on."""
+        """Set the mounted blades."""
 
     def set_speeds(self, speeds_rad_s: Mapping[str, float]) -> None:
-        """Command speeds; axes that are not named stop."""
+        """Command the speeds of axes (rad/s); axes that are not named stop."""
 
     def collect_samples(self, duration_s: float, watch: SampleCallback) -> dict[str, Array]:
-        """Return the samples of a time; ``watch`` sees them as they come and may raise."""
+        """Return the samples of ``duration_s``; ``watch`` is called with each batch and may raise an error."""
 
     def stop(self) -> None:
-        """Stop everything; raises StopError if some motor may still turn."""
+        """Stop all motors; raise StopError if a motor may still turn."""
 
     def close(self) -> None:
-        """Stop and let go."""
+        """Stop and close all devices."""
 
 
 class DeviceRig:
-    """A bench made of devices.
+    """Bench composed of devices.
 
     Parameters
     ----------
     devices : sequence of Device
-    facts : Facts
+    facts : BenchFacts
     clock : Clock, optional
     poll_Hz : float
-        How often devices are asked, of the clock's seconds.
+        Polling rate of the devices, in the time of the clock.
     """
 
     def __init__(
@@ -229,7 +231,7 @@ class DeviceRig:
 
     def collect_samples(self, duration_s: float, watch: SampleCallback) -> dict[str, Array]:
         for d in self.devices:
-            watch(d.read())  # what was said before is of another time, but a limit is a limit
+            watch(d.read())  # older samples are not returned, but limits apply to them
         end = self.now() + duration_s
         got: dict[str, list[float]] = {}
         while True:
@@ -253,7 +255,7 @@ class DeviceRig:
             for d in left:
                 try:
                     d.stop()
-                except BaseException as error:  # whatever it is, Ctrl-C too: the motors have to be stopped first
+                except BaseException as error:  # any error, also Ctrl-C: stopping the motors has priority
                     failed.append(d)
                     reasons[d.name] = str(error) or type(error).__name__
                     interrupted = error if not isinstance(error, Exception) else interrupted
@@ -274,5 +276,5 @@ class DeviceRig:
             for d in self.devices:
                 try:
                     d.close()
-                except Exception:  # closing one must not keep the next from being closed
+                except Exception:  # a failed close must not prevent closing the next device
                     continue

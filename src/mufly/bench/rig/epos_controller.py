@@ -1,4 +1,4 @@
-"""A motor controller of the EPOS kind: CANopen objects (SDO) over a serial line.
+"""Driver of maxon EPOS motor controllers: CANopen objects (SDO) over a serial line.
 
 Frames, from the maxon "EPOS4 Communication Guide" (rel8759, 2019-11), ch. 2.2; the example of its ch. 2.2.9 is a test:
 
@@ -12,12 +12,11 @@ requests:
     WriteObject  0x68  node, index (word), subindex, value (4 bytes)   ->  0x00  error (4 bytes)
 
 EPOS2 has the same frames and the opcodes 0x10 and 0x11, with index, subindex, node in that order. The older EPOS 24/5
-of the dissertation's bench acknowledges every half of a frame with a letter instead, and is not spoken to by this
-driver.
+of the dissertation's bench acknowledges every half of a frame with a letter, and is not supported by this driver.
 
 Objects are those of CiA 402 (control word 0x6040, status word 0x6041, mode 0x6060, target velocity 0x60FF in rpm) and
-maxon's (averaged velocity and current). There is no watchdog on the serial line: if the cable is pulled while a motor
-turns, it goes on turning. Use the digital input "quick stop" for a button that somebody can reach.
+maxon's (averaged velocity and current). The serial line has no watchdog: a motor continues to turn if the cable is
+disconnected. Connect an emergency button to the digital input "quick stop".
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ from mufly.units import RPM
 
 DLE, STX = 0x90, 0x02
 REQUEST_TRIES = 3
-_READS_PER_STATUS_CHECK = 10  # readings between two looks at the status word
+_READS_PER_STATUS_CHECK = 10  # readings between two checks of the status word
 
 CONTROL_WORD, STATUS_WORD, OPERATION_MODE, TARGET_VELOCITY, ERROR_CODE = (
     (0x6040, 0),
@@ -48,7 +47,7 @@ PROFILE_VELOCITY_MODE = 3
 
 @dataclass(frozen=True)
 class EposProtocol:
-    """What differs between controllers: opcodes, order of a request, objects of averaged velocity and current."""
+    """Protocol of a controller generation: opcodes, order of a request, objects of averaged velocity and current."""
 
     read_opcode: int
     write_opcode: int
@@ -71,18 +70,18 @@ def compute_frame_crc(opcode: int, data: bytes) -> int:
 
 
 def build_frame(opcode: int, data: bytes) -> bytes:
-    """Return a frame as it goes over the line; ``data`` has an even length."""
+    """Return the bytes of a frame with byte stuffing; ``data`` has an even length."""
     body = bytes((opcode, len(data) // 2)) + data + struct.pack("<H", compute_frame_crc(opcode, data))
     return bytes((DLE, STX)) + body.replace(bytes((DLE,)), bytes((DLE, DLE)))
 
 
 class FrameParser:
-    """Finds frames in bytes as they come, whatever was lost before.
+    """Parser of frames in a byte stream, robust against lost bytes.
 
     Attributes
     ----------
     broken_frames : int
-        Frames whose sum did not fit.
+        Number of frames with a wrong CRC.
     """
 
     def __init__(self) -> None:
@@ -91,7 +90,7 @@ class FrameParser:
         self._after_dle = False
 
     def feed_bytes(self, data: bytes) -> list[tuple[int, bytes]]:
-        """Return opcode and data of every frame that is whole now."""
+        """Parse further bytes; return opcode and data of every completed frame."""
         out = []
         for byte in data:
             if self._after_dle:
@@ -100,7 +99,7 @@ class FrameParser:
                     self.broken_frames += self._frame_body is not None and len(self._frame_body) > 0
                     self._frame_body = bytearray()
                     continue
-                if byte != DLE:  # neither a beginning nor a doubled one: something was lost
+                if byte != DLE:  # neither a start nor a stuffed byte: bytes were lost
                     self.broken_frames += self._frame_body is not None
                     self._frame_body = None
                     continue
@@ -121,18 +120,18 @@ class FrameParser:
 
 
 class EposController:
-    """One motor on an EPOS2 or EPOS4; a :class:`mufly.bench.rig.bench_devices.Device`.
+    """Driver of one motor on an EPOS2 or EPOS4; a :class:`mufly.bench.rig.bench_devices.Device`.
 
     Parameters
     ----------
     port : str
     axis : 'upper' or 'lower'
     baud : int
-        115200 is how they are delivered; over USB it does not matter.
+        Baud rate; 115200 is the factory setting. It has no effect over USB.
     node : int
     generation : 2 or 4
     direction : 1 or -1
-        Sense of the motor's rotation that lifts.
+        Sense of motor rotation that gives lift.
     gear : float
         Motor speed over rotor speed.
     """
@@ -152,13 +151,13 @@ class EposController:
 
     @property
     def broken_frames(self) -> int:
-        """Frames that were passed over."""
+        """Number of discarded frames."""
         return self._frames.broken_frames
 
     def _send_request(
         self, opcode: int, data: bytes, tries: int = REQUEST_TRIES, patience_s: float = REPLY_TIMEOUT_s
     ) -> bytes:
-        """Send a request until it is answered; return the answer's data after the error code."""
+        """Send a request until it is answered; return the data of the answer after the error code."""
         for _ in range(tries):
             self._line.read()
             self._frames = FrameParser() if self._frames.broken_frames > 1000 else self._frames
@@ -170,7 +169,7 @@ class EposController:
                         continue
                     code = struct.unpack("<I", payload[:4])[0]
                     if code == 0x0504_0005 or code & 0xFFFF_0000 == 0x0F00_0000:
-                        break  # it did not understand a frame that was damaged: again
+                        break  # the device rejected a damaged frame: repeat
                     if code:
                         raise DeviceError(f"{self.name}: refuses the request (error 0x{code:08X})")
                     return payload[4:]
@@ -226,7 +225,7 @@ class EposController:
     def set_speed(self, axis: str, speed_rad_s: float) -> None:
         target = round(self._direction * self._gear * speed_rad_s / RPM)
         if speed_rad_s != 0.0 and self._target == 0.0:
-            self.write_object(CONTROL_WORD, SHUTDOWN_COMMAND)  # after a quick stop it has to be enabled anew
+            self.write_object(CONTROL_WORD, SHUTDOWN_COMMAND)  # required after a quick stop
             self.write_object(CONTROL_WORD, ENABLE_COMMAND)
         self.write_object(TARGET_VELOCITY, target)
         if target:
@@ -239,7 +238,7 @@ class EposController:
         self._read_count += 1
         if self._target and self._read_count % _READS_PER_STATUS_CHECK == 0:
             self._check_state()
-        # EPOS2 answers current with 16 bits; the value lies in the low ones.
+        # EPOS2 returns the current as the low 16 bits.
         rpm, milliampere = (
             self.read_object(self._protocol.velocity_object),
             self.read_object(self._protocol.current_object),

@@ -1,19 +1,19 @@
-"""Speed controllers of models behind a microcontroller, with the sketches in ``sketches/``.
+"""Driver of electronic speed controllers (ESC) behind a microcontroller, with the sketches in ``sketches/``.
 
-``esc_bridge.ino`` gives PWM and counts turns by Hall sensors; ``dshot_bridge.ino`` speaks bidirectional DShot300, in
-which the controllers answer with their speed. Both speak the same lines to the computer.
+``esc_bridge.ino`` outputs PWM and counts turns by Hall sensors; ``dshot_bridge.ino`` uses bidirectional DShot300, in
+which the controllers return their speed. Both use the same protocol to the computer.
 
-Lines of :mod:`mufly.bench.rig.serial_line`, at 115200 baud. To the bridge, axes counted from 0:
+The protocol uses lines of :mod:`mufly.bench.rig.serial_line` at 115200 baud. To the bridge, axes counted from 0:
 
     S,AXIS,RPM      hold this speed; 0 stops.  Answer: OK,S,AXIS,RPM
     X               stop everything.           Answer: OK,X
-    K               nothing, but I am here (a motor that has heard nothing for 500 ms is stopped)
+    K               keep-alive (a motor without message for 500 ms is stopped)
 
-and from it, by itself:
+From the bridge, without request:
 
-    B,esc,1                                 has just started: after power, or after a reset
-    T,N,RPM,MA,MV,CENTI_K[,RPM,MA,...]      50 times a second: number of the line, and of each axis speed, current,
-                                            mean voltage at the motor, temperature (0: not measured)
+    B,esc,1                                 started, after power-up or reset
+    T,N,RPM,MA,MV,CENTI_K[,RPM,MA,...]      50 times a second: line number, and for each axis speed, current,
+                                            mean motor voltage, temperature (0: not measured)
     F,AXIS,TEXT                             a fault: no speed signal, undervoltage, watchdog
 """
 
@@ -32,13 +32,13 @@ _FIELDS_PER_AXIS = 4
 
 
 class EscBridge:
-    """One or two motors on a bridge; a :class:`mufly.bench.rig.bench_devices.Device`.
+    """Driver of one or two motors on a bridge; a :class:`mufly.bench.rig.bench_devices.Device`.
 
     Parameters
     ----------
     port : str
     axes : sequence of str
-        In the bridge's order.
+        Axes in the order of the bridge.
     baud : int
     """
 
@@ -54,11 +54,11 @@ class EscBridge:
 
     @property
     def broken_lines(self) -> int:
-        """Lines that were passed over."""
+        """Number of discarded lines."""
         return self._line.broken_lines
 
     def _process_lines(self, wait_s: float = 0.0) -> None:
-        """Sort what came."""
+        """Process received lines: telemetry, replies, resets and faults."""
         for cells in self._line.read_lines(wait_s):
             if cells[0] == "T" and len(cells) == 2 + _FIELDS_PER_AXIS * len(self.axes):
                 self._store_telemetry(cells)
@@ -101,7 +101,7 @@ class EscBridge:
         self._line.open()
         self._target_speeds, self._fault_text, self._is_open = dict.fromkeys(self.axes, 0.0), "", True
         self._samples.clear()
-        # A board that resets when its port is opened takes two seconds to wake up.
+        # A board that resets when its port is opened needs two seconds to start.
         self._send_command("X", ["OK", "X"], tries=10)
 
     def set_speed(self, axis: str, speed_rad_s: float) -> None:

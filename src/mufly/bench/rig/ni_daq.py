@@ -1,9 +1,9 @@
-"""Cells and an accelerometer on a data acquisition module of National Instruments (the dissertation's was a USB-6009).
+"""Driver of load cells and an accelerometer on a National Instruments module (the dissertation used a USB-6009).
 
-Through the maker's driver and its Python package ``nidaqmx`` (``pip install nidaqmx``; not a dependency, and not
-everywhere to be had). Sampling is continuous at ``rate_Hz`` times ``average``, of which so many neighbours are
-averaged to a reading: that is what keeps the rotor's frequency and its harmonics from being folded down onto the
-mean. A channel called ``vibration`` gives the root mean square about the mean of each block, in m/s2.
+The driver uses the manufacturer's Python package ``nidaqmx`` (``pip install nidaqmx``), which is not a dependency and
+not available on all platforms. Sampling is continuous at ``rate_Hz`` times ``average``; blocks of ``average`` samples
+are averaged to one reading, which avoids aliasing of the rotor frequency and its harmonics onto the mean. A channel
+named ``vibration`` returns the RMS about the mean of each block, in m/s2.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from mufly.bench.rig.serial_line import SILENCE_TIMEOUT_s
 
 
 class NiDaq:
-    """Analogue inputs; a :class:`mufly.bench.rig.bench_devices.Device`.
+    """Driver of analogue inputs; a :class:`mufly.bench.rig.bench_devices.Device`.
 
     Parameters
     ----------
     inputs : dict of str to str
-        Channel to physical input: ``{"thrust_raw": "Dev1/ai0"}``.
+        Channel -> physical input: ``{"thrust_raw": "Dev1/ai0"}``.
     scale : dict of str to float, optional
-        Units of the channel for a volt; default 1.
+        Units of the channel per volt; 1 by default.
     rate_Hz, average : float, int
-        Readings a second, and samples in each.
+        Readings per second, and samples per reading.
     range_V : float
-        Of the inputs, to either side.
+        Symmetric range of the inputs.
     """
 
     axes: tuple[str, ...] = ()
@@ -66,7 +66,7 @@ class NiDaq:
                 rate, sample_mode=constants.AcquisitionType.CONTINUOUS, samps_per_chan=int(4 * rate)
             )
             self._task.start()
-        except Exception as error:  # the package raises kinds of its own
+        except Exception as error:  # the package raises its own exception types
             self.close()
             raise DeviceError(f"{self.name}: cannot be started ({error})") from error
         self._leftover_samples = np.zeros((len(self._inputs), 0))

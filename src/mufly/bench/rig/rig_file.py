@@ -1,4 +1,4 @@
-"""The file of a bench: which devices there are, which cells hang on them, and how far they may be off.
+"""Bench file (TOML): devices, load cell calibration and uncertainties. Example:
 
 name = "bench in the cellar"
 cells = "load_cells.csv"                    # calibration, beside this file: see docs/reference/bench.md
@@ -36,7 +36,7 @@ from mufly.vehicle.quantity import ParameterGroup
 
 
 class DeviceTable(ParameterGroup):
-    """A device of the bench."""
+    """Table of one device in the bench file."""
 
     kind: Literal["epos", "esc", "stand", "cells", "nidaq"] = Field(
         description="'epos', 'esc', 'stand', 'cells' or 'nidaq'"
@@ -68,7 +68,7 @@ class DeviceTable(ParameterGroup):
         return self
 
     def make_driver(self, pace: float) -> Device:
-        """Return the driver."""
+        """Return the driver of the device."""
         if self.kind == "epos":
             return EposController(self.port, self.axes[0], baud=self.baud, node=self.node, generation=self.generation,
                         direction=self.direction, gear=self.gear)  # fmt: skip
@@ -81,18 +81,18 @@ class DeviceTable(ParameterGroup):
         return NiDaq(self.inputs, scale=self.scale, rate_Hz=self.rate_Hz, average=self.average, range_V=self.range_V)
 
     def reading_ranges(self) -> dict[str, tuple[float, float]]:
-        """Return where the readings of its cells end."""
+        """Return the range of the readings of each load cell channel."""
         if self.kind == "cells":
             return dict.fromkeys(self.channels or ("thrust_raw", "torque_raw"), ADC_RANGE)
         if self.kind == "nidaq":
-            # A hair inside: converters are trimmed.
+            # 0.1 % margin, because the trimmed range of converters may be slightly smaller.
             ends = {n: 0.999 * self.range_V * self.scale.get(n, 1.0) for n in self.inputs if n.endswith("_raw")}
             return {n: (-e, e) for n, e in ends.items()}
         return {}
 
 
 class RigTable(ParameterGroup):
-    """A bench."""
+    """Contents of a bench file."""
 
     name: str = Field(min_length=1, description="of the bench")
     cells: str = Field(default="", description="calibration file of the cells; none where readings are loads already")
@@ -119,12 +119,12 @@ class RigTable(ParameterGroup):
 
 
 def load_rig(path: str | Path) -> DeviceRig:
-    """Return the bench of a file; nothing is opened yet.
+    """Create the bench described by a file, without opening its devices.
 
     Raises
     ------
     InputError
-        If there is no such file, or it or the calibration is wrong.
+        If the file does not exist, or the file or the calibration is invalid.
     """
     file = Path(path)
     if not file.is_file():

@@ -1,11 +1,11 @@
-"""A serial line, and lines of text with a check sum on it.
+"""Serial port with text lines protected by a checksum.
 
-The sketches of this package, and any device that one builds oneself, speak lines of ASCII
+The sketches of this package, and self-built devices, send lines of ASCII
 
     $BODY*HHHH\\n        HHHH: CRC-16 of BODY (x^16 + x^12 + x^5 + 1, start 0xFFFF), four capital hexadecimal digits
 
-A line whose sum does not fit is passed over and counted: bytes get lost on long cables beside motors, and half a
-number is a wrong one. (A sum of eight bits let one damaged line in 256 through.)
+A line with a wrong checksum is discarded and counted, because bytes are lost on long cables near motors. An eight-bit
+checksum would accept one damaged line in 256.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from typing import Any
 from mufly.bench.rig.bench_devices import DeviceError
 
 REPLY_TIMEOUT_s = 0.25
-"""A device that has not answered a request after this time is asked again."""
+"""Time after which an unanswered request is repeated."""
 SILENCE_TIMEOUT_s = 0.6
-"""A device that talks by itself and has not done so for this time is silent."""
+"""Time without a line after which a device that sends without request counts as silent."""
 _MAX_LINE_BYTES = 4096
 
 
 class SerialLine:
-    """A serial port that does not block for long; every fault is a DeviceError with the device's name.
+    """Serial port with short timeouts; every fault raises a DeviceError with the device's name.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ class SerialLine:
         ``"/dev/ttyUSB0"``, ``"COM3"``.
     baud : int
     name : str
-        Of the device, for messages.
+        Name of the device in messages.
     """
 
     def __init__(self, port: str, baud: int, name: str) -> None:
@@ -41,7 +41,7 @@ class SerialLine:
         self._line: Any = None
 
     def open(self) -> None:
-        """Open, or open anew; what was waiting is thrown away."""
+        """Open or reopen the port, and discard waiting bytes."""
         import serial
 
         self.close()
@@ -58,11 +58,11 @@ class SerialLine:
             raise DeviceError(f"{self.name}: is not open")
         try:
             self._line.write(data)
-        except OSError as error:  # of which pyserial's own and its time-out are kinds
+        except OSError as error:  # includes pyserial's own exceptions and timeouts
             raise DeviceError(f"{self.name}: takes no bytes ({error})") from error
 
     def read(self, wait_s: float = 0.0) -> bytes:
-        """Return what came; waits so long for a first byte."""
+        """Return the received bytes; wait up to ``wait_s`` for the first byte."""
         if self._line is None:
             raise DeviceError(f"{self.name}: is not open")
         try:
@@ -84,23 +84,23 @@ class SerialLine:
 
 
 def compute_crc16(data: bytes) -> int:
-    """Return the CRC-16 of bytes: polynomial 0x1021, start 0xFFFF, nothing reflected."""
+    """Return the CRC-16 of bytes: polynomial 0x1021, start 0xFFFF, no reflection."""
     return binascii.crc_hqx(data, 0xFFFF)
 
 
 def with_checksum(body: str) -> bytes:
-    """Return a line with its check sum."""
+    """Return a line with its checksum."""
     raw = body.encode("ascii")
     return b"$" + raw + b"*%04X\n" % compute_crc16(raw)
 
 
 class ChecksummedLine(SerialLine):
-    """A serial port on which lines with check sums come and go.
+    """Serial port for lines with checksums.
 
     Attributes
     ----------
     broken_lines : int
-        Lines that were passed over.
+        Number of discarded lines.
     """
 
     def __init__(self, port: str, baud: int, name: str) -> None:
@@ -115,15 +115,15 @@ class ChecksummedLine(SerialLine):
         self.last_line_s = time.monotonic()
 
     def read_lines(self, wait_s: float = 0.0) -> list[list[str]]:
-        """Return the lines that came whole, each as its cells."""
+        """Return the complete lines received, each as a list of its cells."""
         data = self._partial_line + self.read(wait_s)
         *whole, self._partial_line = data.split(b"\n")
-        if len(self._partial_line) > _MAX_LINE_BYTES:  # no device of ours says so much in a line
+        if len(self._partial_line) > _MAX_LINE_BYTES:  # longer than any valid line
             self._partial_line = b""
             self.broken_lines += 1
         out = []
         for raw in whole:
-            # A line that lost its end runs into the next one, which is still good.
+            # A line without end runs into the next line, which is still valid.
             body, star, total = raw[raw.rfind(b"$") + 1 :].strip().rpartition(b"*")
             if not star or b"$" not in raw or total != b"%04X" % compute_crc16(body):
                 self.broken_lines += 1
@@ -134,11 +134,11 @@ class ChecksummedLine(SerialLine):
         return out
 
     def check_silence(self) -> None:
-        """Raise DeviceError if nothing whole has come for too long."""
+        """Raise DeviceError if no complete line arrived within ``SILENCE_TIMEOUT_s``."""
         silent = time.monotonic() - self.last_line_s
         if silent > SILENCE_TIMEOUT_s:
             raise DeviceError(f"{self.name}: silent for {silent:.1f} s ({self.broken_lines} broken lines so far)")
 
     def send_line(self, body: str) -> None:
-        """Send a line."""
+        """Send a line with its checksum."""
         self.write(with_checksum(body))

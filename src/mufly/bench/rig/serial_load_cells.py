@@ -1,13 +1,13 @@
-"""Load cells by HX711 converters on a microcontroller, and sensors of the air, with ``sketches/hx711_cells.ino``.
+"""Driver of load cells with HX711 converters and air sensors on a microcontroller (``sketches/hx711_cells.ino``).
 
-Lines of :mod:`mufly.bench.rig.serial_line`, at 115200 baud, all from the board by itself:
+The board sends lines of :mod:`mufly.bench.rig.serial_line` at 115200 baud, without request:
 
-    B,cells,1                 has just started
+    B,cells,1                 started
     C,N,READING,READING,...   80 times a second: number of the line (0 to 65535), each cell's reading (24 bits, signed)
     A,CENTI_C,PA,PERMILLE     once a second, with a BME280: temperature, pressure, relative humidity
 
-Readings at -8388608 or 8388607 are the converter's ends (HX711 data sheet, Avia Semiconductor: "output code
-saturates").
+Readings of -8388608 or 8388607 are the ends of the converter's range (HX711 data sheet, Avia Semiconductor: "output
+code saturates").
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ ADC_RANGE = (-8388608.0, 8388607.0)
 
 
 class SerialLoadCells:
-    """Cells on a microcontroller; a :class:`mufly.bench.rig.bench_devices.Device`.
+    """Driver of load cells on a microcontroller; a :class:`mufly.bench.rig.bench_devices.Device`.
 
     Parameters
     ----------
     port : str
     channels : sequence of str
-        Of the cells, in the board's order.
+        Channels of the cells, in the order of the board.
     baud : int
     """
 
@@ -46,7 +46,7 @@ class SerialLoadCells:
 
     @property
     def broken_lines(self) -> int:
-        """Lines that were passed over."""
+        """Number of discarded lines."""
         return self._line.broken_lines
 
     def open(self) -> None:

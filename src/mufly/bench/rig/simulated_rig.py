@@ -1,22 +1,21 @@
-"""A bench whose rotors are our own aerodynamics, with what makes benches hard.
+"""Simulated test bench: rotor loads from blade element momentum theory, with realistic errors.
 
-Loads: blade element momentum theory, once for every pair of blades, as a map over speed (:func:`compute_rotor_map`,
-:func:`compute_pair_map`); they go with the density of the air in the room. Between them and the readings stand
+Blade element momentum theory gives the loads of each rotor or pair as a map over speed (:func:`compute_rotor_map`,
+:func:`compute_pair_map`), scaled by the air density of the room. The readings have these errors:
 
-* blades that are mounted a little off their pitch, anew each time;
-* cells with gain, offset and cross-talk, known to the program only through a calibration with errors of its own; their
-  zeros warm up, and walk; their gains go with the temperature; noise with a memory; quantisation, and an end of range;
-* vibration of the rotors' frequencies on both cells, growing with the square of the speed; ripple of torque and speed;
+* a random pitch error of each mounting;
+* load cells with gain, offset and cross-talk, which the program knows only from an inexact calibration; zeros with
+  warm-up drift and random walk; gains with temperature drift; correlated noise; quantisation; and saturation;
+* vibration at the rotor frequencies on both cells, proportional to speed squared; ripple of torque and speed;
 * motors whose resistance, torque constant and friction change as they warm up:
 
       k I = Q + c_0 + c_1 W,    R = R_0 (1 + 0.00393 dT_w),    k = k_0 (1 - 0.0011 dT_m),    c = c_00 (1 - 0.004 dT_m)
 
-  winding and magnet each with a time constant (copper and neodymium by the textbooks; friction a guess);
-* a room whose temperature, pressure and humidity wander, and sensors of them that are off by their tolerance.
+  with a time constant for winding and magnet (textbook values of copper and neodymium; friction is a guess);
+* random walk of room temperature, pressure and humidity, measured by sensors with errors within tolerance.
 
-The clock is simulated: an hour takes as long as its samples take to be drawn. Numbers of the default bench are
-guesses at that of the dissertation, Sec. 3.2.1 (Maxon EC 45 flat, a 20 mN m torque cell); ``true_loads`` says what is
-right.
+The clock is simulated, so that a series runs faster than real time. The numbers of the default bench are guesses for
+the bench of the dissertation, Sec. 3.2.1 (Maxon EC 45 flat, a 20 mN m torque cell). ``true_loads`` returns the truth.
 """
 
 from __future__ import annotations
@@ -53,7 +52,7 @@ Array = NDArray[np.float64]
 MAP_AIR = Air()
 SAMPLE_RATE_Hz = 100.0
 _MAP_SPEEDS_rad_s = np.geomspace(800.0, 12000.0, 12) * RPM
-_MAP_PITCH_OFFSETS_rad = np.radians([-0.6, 0.0, 0.6])  # about the pitch that is wanted
+_MAP_PITCH_OFFSETS_rad = np.radians([-0.6, 0.0, 0.6])  # offsets from the nominal pitch
 _MAP_SPEED_RATIOS = np.array([0.6, 0.8, 1.0, 1.25, 1.6])
 ROTOR_SIDES = ("upper", "lower")
 
@@ -100,7 +99,7 @@ def compute_pair_map(
 
 @dataclass(frozen=True)
 class SimulatedMotor:
-    """A motor of the simulated bench, cold: torque constant, resistance, friction, heat."""
+    """Motor of the simulated bench: torque constant, resistance and friction when cold, and thermal parameters."""
 
     torque_Nm_A: float = 0.0255
     resistance_ohm: float = 1.2
@@ -114,20 +113,20 @@ class SimulatedMotor:
 
 @dataclass(frozen=True)
 class SimulatedFaults:
-    """What goes wrong on purpose.
+    """Deliberate faults of the simulated bench.
 
     Attributes
     ----------
     reference_moved_deg : float
-        By how much the pitch of the reference blades slips ...
+        Pitch slip of the reference blades.
     reference_moved_after : int
-        ... after this many of its mountings.
+        Number of reference mountings before the slip.
     force_cell_saturates : bool
-        The force cell's amplifier is set so that greater loads are beyond its range.
+        Whether high loads saturate the amplifier of the force cell.
     silent_from_s : float
-        The bench stops answering at this time.
+        Time from which the bench does not answer.
     spike_share : float
-        Share of samples of the cells that are nonsense.
+        Share of invalid samples of the cells.
     speed_shortfall_share : float
         Share by which a motor fails to reach its commanded speed.
     """
@@ -147,7 +146,7 @@ SIMULATED_FAULTS: dict[str, SimulatedFaults] = {
     "spikes": SimulatedFaults(spike_share=0.05),
     "speed": SimulatedFaults(speed_shortfall_share=0.04),
 }
-"""Faults by the names that ``mufly bench run --fault`` takes."""
+"""Faults by their names in ``mufly bench run --fault``."""
 
 
 @dataclass
@@ -158,44 +157,44 @@ class _MotorHeat:
 
 @dataclass(frozen=True)
 class BenchImperfections:
-    """How far the simulated bench is from an ideal one; all of it off makes a bench that tells the truth."""
+    """Error parameters of the simulated bench; :meth:`ideal_bench` has practically none."""
 
     zero_warm_up_V: tuple[float, float] = (
         0.012,
         0.0,
-    )  # V, of each cell: how far the zero goes while it warms up
-    zero_walk_V_per_sqrt_h: tuple[float, float] = (0.004, 0.003)  # V in an hour
+    )  # V, zero drift of each cell during warm-up
+    zero_walk_V_per_sqrt_h: tuple[float, float] = (0.004, 0.003)  # V per sqrt(hour)
     white_noise_V: tuple[float, float] = (0.010, 0.010)  # V, white
-    correlated_noise_V: tuple[float, float] = (0.004, 0.004)  # V, with a memory of 0.3 s
+    correlated_noise_V: tuple[float, float] = (0.004, 0.004)  # V, correlation time 0.3 s
     vibration_V: tuple[float, float] = (0.06, 0.06)  # V at 7000 rpm
     gain_per_K: tuple[float, float] = (4e-4, 6e-4)
     current_noise_A: float = 0.008
-    mounting_pitch_std_deg: float = 0.03  # standard deviation of a mounting
+    mounting_pitch_std_deg: float = 0.03  # standard deviation per mounting
     reference_pitch_std_deg: float = 0.02
-    calibration_noise_V: float = 0.003  # V, of a reading of the calibration
+    calibration_noise_V: float = 0.003  # V, noise of a calibration reading
     room_temperature_std_K: float = 0.8
     speed_ripple: float = 0.002
     motor_warms_up: bool = True
 
     @classmethod
     def ideal_bench(cls) -> BenchImperfections:
-        """Return a bench without a fault, but for noise that is hardly there."""
+        """Return parameters without errors except negligible noise."""
         z = (0.0, 0.0)
         return cls(z, z, (1e-5, 1e-5), z, z, z, 1e-5, 0.0, 0.0, 1e-6, 0.0, 0.0, False)
 
 
 @dataclass(eq=False)
 class SimulatedRig:
-    """A bench in memory; a :class:`mufly.bench.rig.bench_devices.BenchRig`.
+    """Simulated bench; a :class:`mufly.bench.rig.bench_devices.BenchRig`.
 
     Parameters
     ----------
     seed : int
-        Of everything that is drawn.
-    imperfections : Behaviour, optional
-    faults : Faults, optional
+        Random seed of all errors.
+    imperfections : BenchImperfections, optional
+    faults : SimulatedFaults, optional
     spacing_m : float
-        Between the discs of a pair.
+        Distance between the discs of a pair.
     with_torque_cell : bool
     """
 
@@ -229,7 +228,7 @@ class SimulatedRig:
         self._pitch_error_rad, self._reference_mountings, self.open_count = 0.0, 0, 0
 
     def _calibrate_cells(self) -> BenchFacts:
-        """Hang known weights on the cells, as on any bench."""
+        """Simulate a calibration of the cells with known weights."""
         thrust, torque = np.meshgrid([0.0, 0.2, 0.5, 1.0], [0.0, 2e-3, 5e-3, 10e-3])
         loads = np.column_stack([thrust.ravel(), torque.ravel()])
         y = loads @ self._sensitivity.T + self._zero_offset_V
@@ -241,7 +240,7 @@ class SimulatedRig:
             5.0)), manual=False,
         )  # fmt: skip
 
-    # --- the bench, as the program sees it ---------------------------------------------------------------------------
+    # --- interface of BenchRig ---------------------------------------------------------------------------------------
 
     def now(self) -> float:
         return self.time_s
@@ -264,7 +263,7 @@ class SimulatedRig:
             self._reference_mountings += 1
             if self._reference_mountings > self.faults.reference_moved_after:
                 self._pitch_error_rad += np.radians(self.faults.reference_moved_deg)
-        self.time_s += 90.0  # somebody changes blades
+        self.time_s += 90.0  # time for a change of blades
         self._cool_motors(90.0)
 
     def set_speeds(self, speeds_rad_s: Mapping[str, float]) -> None:
@@ -284,7 +283,7 @@ class SimulatedRig:
             watch(parts[-1])
         return {name: np.concatenate([p[name] for p in parts]) for name in parts[0]}
 
-    # --- what happens ------------------------------------------------------------------------------------------------
+    # --- simulation --------------------------------------------------------------------------------------------------
 
     def true_density(self) -> float:
         """Return the true density of the air (kg/m3)."""
@@ -309,7 +308,7 @@ class SimulatedRig:
         x = np.clip(np.log(0.5 * (up + low)), np.log(1500 * RPM), np.log(9000 * RPM))
         y = np.clip(np.log(low / up), np.log(_MAP_SPEED_RATIOS[0]), np.log(_MAP_SPEED_RATIOS[-1]))
         tu, qu, td, qd = (f(x, y, grid=False) for f in maps)
-        # Both rotors of a pair stand off by the same angle; its effect is that on a single one.
+        # Both rotors of a pair have the same pitch error, with the effect on a single rotor.
         w, mean = np.exp(x), np.zeros(np.shape(x))
         single_t, single_q = compute_rotor_map(m.rotor, m.pitch_deg)
         ft, fq = (
@@ -318,7 +317,7 @@ class SimulatedRig:
         return ft * (tu * up**2 + td * low**2), {"upper": fq * qu * up**2, "lower": fq * qd * low**2}
 
     def true_loads(self, speeds_rad_s: Mapping[str, float], *, as_mounted: bool = True) -> dict[str, float]:
-        """Return the true loads now, in the air that there is: thrust (N), torque of each axis (N m)."""
+        """Return the true loads at the present air density: thrust (N), torque of each axis (N m)."""
         thrust, torque = self.true_loads_at(speeds_rad_s, self._pitch_error_rad if as_mounted else 0.0)
         scale = self.true_density() / MAP_AIR.density_kg_m3
         return {
@@ -345,7 +344,7 @@ class SimulatedRig:
             self._room_state[2] += 0.01 * np.sqrt(duration_s / 3600.0) * rng.standard_normal()
 
     def advance_time(self, duration_s: float) -> dict[str, Array]:
-        """Let time pass; return the samples of it."""
+        """Advance the simulation by ``duration_s``; return its samples."""
         n = max(2, round(duration_s * SAMPLE_RATE_Hz))
         if self.time_s + duration_s > self.faults.silent_from_s:
             raise DeviceError("simulated bench: does not answer")
@@ -378,7 +377,7 @@ class SimulatedRig:
         y += np.array(b.white_noise_V) * rng.standard_normal((n, 2))
         for side in ROTOR_SIDES:
             phase = np.cumsum(speed[side]) * dt
-            # Converters average over their sample: this much is left of a vibration (else 6000 rpm would stand still).
+            # Averaging over the sample time attenuates a vibration; without it 6000 rpm would alias to zero.
             size = (speed[side] / (7000 * RPM)) ** 2 * np.sinc(speed[side] * dt / (2 * np.pi))
             for k in range(2):
                 y[:, k] += b.vibration_V[k] * size * np.sin(phase + rng.uniform(0, 6.3))
@@ -427,24 +426,24 @@ class SimulatedRig:
 def simulate_series_rig(
     plan: SeriesPlan, seed: int, fault: str | None = None, time_s: float = 0.0
 ) -> tuple[SimulatedRig, Callable[[PlanStep], Mapping[str, float]]]:
-    """Return a bench that runs a plan, and a function of a step that returns its true loads.
+    """Return a simulated bench for a plan, and a function that returns the true loads of a step.
 
     Parameters
     ----------
     plan : SeriesPlan
     seed : int
-        Of its noise, drifts and errors.
+        Random seed of noise, drifts and errors.
     fault : str, optional
-        A key of :data:`SIMULATED_FAULTS`.
+        Key of :data:`SIMULATED_FAULTS`.
     time_s : float
-        At which its clock starts (s).
+        Initial time of the bench clock (s).
 
     Returns
     -------
     rig : SimulatedRig
     true_loads : callable
-        Loads of the blades as mounted, ``thrust`` (N), ``torque_upper``, ``torque_lower`` (N m), and as planned, with
-        ``nominal_`` before the name.
+        Function that returns the loads with mounting errors, ``thrust`` (N), ``torque_upper``, ``torque_lower`` (N m),
+        and without them, with prefix ``nominal_``.
     """
     faults = SimulatedFaults() if fault is None else SIMULATED_FAULTS[fault]
     rig = SimulatedRig(seed, faults=faults, spacing_m=plan.spacing_m, time_s=time_s)

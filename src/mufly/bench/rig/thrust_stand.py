@@ -1,21 +1,20 @@
-"""A thrust stand of the RCbenchmark kind: it measures loads itself, and takes pulses for a speed controller.
+"""Driver of thrust stands of the RCbenchmark kind, which measure loads and accept pulses for a speed controller.
 
-Such stands give rows of comma-separated values and take a pulse width. Theirs differ; the columns are named by the
-stand in its first row, with any headers that :mod:`mufly.bench.bench_table` understands, and again whenever it is
-asked:
+Such stands send rows of comma-separated values and accept a pulse width. The columns differ between stands. The stand
+names them in its first row, and on request, with headers known to :mod:`mufly.bench.bench_table`:
 
-    to the stand        head                ask for the row of headers
+    to the stand        head                request the row of headers
                         esc,MICROSECONDS    1000 (stop) to 2000
                         stop
     from the stand      #time (s),thrust (N),torque (N m),voltage (V),current (A),rpm,...        headers, after a #
                         12.34,0.513,0.0042,11.1,1.52,5021,...                                   20 to 100 times a second
 
-The stand holds a pulse, not a speed; the driver moves the pulse until the speed is there, four times a second by a
-third of what the error asks for, with the slope that the last steps showed. A file that the maker's program has
-written needs no driver: ``mufly identify``, ``mufly rotor fit`` and ``compare`` read it (docs/reference/bench.md).
+The stand holds a pulse width, not a speed. The driver corrects the pulse four times a second by about a third of the
+speed error, with the slope estimated from the last steps. Files of the manufacturer's program need no driver:
+``mufly identify``, ``mufly rotor fit`` and ``compare`` read them (docs/reference/bench.md).
 
-Rows have no check sum, so a row counts only if all its cells are numbers and as many as there are headers, and a value
-that is far from any that a bench may have is passed over.
+Rows have no checksum. A row is valid only if it has as many numbers as there are headers; implausible values are
+discarded.
 """
 
 from __future__ import annotations
@@ -28,14 +27,14 @@ from mufly.bench.rig.bench_devices import DeviceError, Samples
 from mufly.bench.rig.serial_line import SerialLine, SILENCE_TIMEOUT_s
 
 MIN_PULSE_us, MAX_PULSE_us = 1000.0, 2000.0
-_SPEED_GAIN = 0.35  # share of the error that one step is meant to take away
-_INITIAL_SLOPE_us = 0.12  # microseconds for a rad/s, until it is known
-_MAX_PULSE_STEP_us = 60.0  # us a step
+_SPEED_GAIN = 0.35  # share of the speed error that one step corrects
+_INITIAL_SLOPE_us = 0.12  # us per rad/s, before the slope is estimated
+_MAX_PULSE_STEP_us = 60.0  # largest step of the pulse width
 _PLAUSIBLE_LIMITS = {"thrust": 1e3, "torque": 100.0, "speed": 2e4, "current": 1e3, "voltage": 1e3}
 
 
 class ThrustStand:
-    """A thrust stand; a :class:`mufly.bench.rig.bench_devices.Device`.
+    """Driver of a thrust stand; a :class:`mufly.bench.rig.bench_devices.Device`.
 
     Parameters
     ----------
@@ -127,7 +126,7 @@ class ThrustStand:
         return out
 
     def _regulate_speed(self, speed: float) -> None:
-        """Move the pulse towards the speed that is wanted, a few times a second."""
+        """Correct the pulse width towards the target speed, four times a second."""
         now = time.monotonic() * self._pace
         if self._target_speed <= 0.0 or now - self._last_pulse_s < 0.25:
             return
@@ -150,7 +149,7 @@ class ThrustStand:
         self._target_speed, self._pulse_us, self._last_pulse_and_speed = 0.0, MIN_PULSE_us, None
         if not self._is_open:
             return
-        # No answer is given; that rows still come says that the line stands, and the speed in them is watched.
+        # The stand does not acknowledge a stop; further rows show that the line works, and their speed is monitored.
         self._line.write(b"\nstop\n")
         self._line.write(b"stop\n")
 
