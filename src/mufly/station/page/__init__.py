@@ -1,5 +1,5 @@
-"""What does one see? The station's page: NiceGUI for what is pressed and typed, drawings fed by a stream of frames.
+"""The station's page: NiceGUI for buttons and fields, drawings fed by a stream of frames.
 
-The page draws :mod:`mufly.station.signal_history` and histories only. NiceGUI is imported by what is used, not here: a
-command that shows no page must not wait for it.
+The page draws :mod:`mufly.station.signal_history` and histories only. NiceGUI is imported by the submodules, not here,
+so that commands without a page start fast.
 """

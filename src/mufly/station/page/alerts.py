@@ -1,8 +1,8 @@
-"""What is said aloud: that the link or the battery goes, that something failed, was refused or is done.
+"""Spoken alerts: loss of the link, low battery, failures, refusals and completed requests.
 
-:class:`AlertWatch` looks at what one window shows, a few times a second, and returns each alert once. The browser
-speaks it, or sounds a tone where it has no voice (``static/alerts.js``), unless it is muted. That the page has lost the
-station it notices by itself.
+:class:`AlertWatch` checks the state shown in one window a few times a second and returns each alert once. The browser
+speaks the alert, or sounds a tone without a voice (``static/alerts.js``), unless muted. The page itself detects the
+loss of the station.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from mufly.station.signal_history import (
 )
 
 LOW_CHARGE, EMPTY_CHARGE, CHARGE_HYSTERESIS = 0.3, 0.15, 0.05
-"""Charge of the battery from which it is a warning and an error, and what it has to rise by to be one again."""
+"""Battery charge (0..1) of a warning and of an error, and the rise that re-arms them."""
 REPEAT_PERIOD_S = 20.0
-"""The same words are not said again within this time (s)."""
+"""Time within which the same alert is not repeated (s)."""
 MAX_ALERTS_PER_LOOK = 3
 _NUMBER_PATTERN = re.compile(r"[-+.\d]+")
 _RANK_BY_LEVEL = {"info": 0, "warning": 1, "error": 2}
@@ -32,7 +32,7 @@ _RANK_BY_LEVEL = {"info": 0, "warning": 1, "error": 2}
 
 @dataclass(frozen=True, slots=True)
 class SpokenAlert:
-    """Something to be said aloud; ``level`` is "info", "warning" or "error", as of a message."""
+    """An alert to be spoken; ``level`` is "info", "warning" or "error", as of a message."""
 
     level: str
     text: str
@@ -40,7 +40,7 @@ class SpokenAlert:
 
 @dataclass
 class AlertWatch:
-    """What was alerted to already; one for each vehicle that a window shows."""
+    """The alerts already given for one vehicle in one window."""
 
     _was_connected: bool | None = None
     _charge_level: int = 0
@@ -127,7 +127,7 @@ class AlertWatch:
         return out
 
     def _check_messages(self, messages: Sequence[StatusMessage]) -> list[SpokenAlert]:
-        """Warnings and errors that the vehicle tells in words: a failsafe, a limit cycle, what it did not take."""
+        """Return the vehicle's warnings and errors: failsafes, limit cycles, refusals."""
         fresh: list[StatusMessage] = []
         for message in reversed(messages):
             if message is self._last_message:

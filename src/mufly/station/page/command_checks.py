@@ -1,8 +1,8 @@
-"""Before a vehicle is sent off: which checks failed, whether a place can be flown to, and what is asked twice.
+"""Checks before a command: failed preflight checks, reachability of a destination, and confirmation.
 
 QGroundControl asks for a slide before it arms, takes off, starts a mission, lands and returns ("guided actions"). Here
-the button, or its key, is pressed a second time within three seconds. A hover and the emergency stop's own two presses
-stay as they are.
+the button, or its key, is pressed a second time within three seconds. A hover needs one press; the emergency stop has
+its own two presses.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from mufly.station.remote_vehicle import RemoteVehicle
 from mufly.station.signal_history import PreflightCheck, VehicleSnapshot, format_clock
 
 CONFIRM_TIMEOUT_S = 3.0
-"""A second press has to follow within so long (s)."""
+"""Time limit of the second press (s)."""
 FAR_DISTANCE_M = 10.0
-"""A place without a fence around it is asked for twice beyond so far from where the vehicle is (m)."""
+"""Distance from the vehicle beyond which a destination without a fence needs confirmation (m)."""
 CHARGE_CRITICAL, REMAINING_CRITICAL_S, REMAINING_LOW_S = 0.15, 30.0, 60.0
 CONFIRMED_COMMANDS = {
     "mission": "fly the mission",
@@ -34,11 +34,11 @@ CONFIRMED_COMMANDS = {
     "land": "land",
     "return": "return",
 }
-"""Commands that are pressed twice, and what they do in words."""
+"""Commands that need a second press, and their descriptions."""
 
 
 class Confirmation:
-    """What was pressed once and waits for its second press.
+    """A command that was pressed once and waits for its second press.
 
     Parameters
     ----------
@@ -52,31 +52,31 @@ class Confirmation:
         self._since_s = -math.inf
 
     def is_second_press(self, what: object) -> bool:
-        """Whether a press of this is the second one."""
+        """Return whether a press of this command would be the second one."""
         return self._what == what and self._now() - self._since_s < CONFIRM_TIMEOUT_S
 
     def register_press(self, what: object) -> bool:
-        """Take a press; whether it is the second one of the same."""
+        """Register a press; return whether it is the second one of the same command."""
         sure = self.is_second_press(what)
         self._what, self._since_s = (None, -math.inf) if sure else (what, self._now())
         return sure
 
 
 def failed_check_names(checks: Iterable[PreflightCheck]) -> list[str]:
-    """Names of the checks that failed; the vehicle's own apart, since these disable the button by themselves."""
+    """Return the names of the station's failed checks; the vehicle's own failures already disable the button."""
     return [c.name for c in checks if c.ok is False and c.name != OWN_CHECKS_NAME]
 
 
 @dataclass(frozen=True, slots=True)
 class DestinationCheck:
-    """Whether a vehicle may be sent to a place.
+    """The result of the check of a destination.
 
     Attributes
     ----------
     refusal_reason : str
-        Why not, with the numbers; "" if it may.
+        Reason of a refusal, with the numbers; "" if allowed.
     caution_reason : str
-        Why it is asked for twice; "" if once will do.
+        Reason for a confirmation; "" if none is needed.
     """
 
     refusal_reason: str = ""
@@ -138,7 +138,7 @@ def check_vehicle_destination(vehicle: RemoteVehicle, place: tuple[float, float,
 
 
 def describe_battery(s: VehicleSnapshot) -> tuple[str, str] | None:
-    """Return how serious a battery is ("", "warning", "error") and the battery in words; None where it is not told."""
+    """Return the severity of a battery's state ("", "warning", "error") and a description; None if unknown."""
     charge, left = s.battery_charge, s.battery_left_s
     volts = s.estimate.battery_voltage
     parts = [f"{100 * charge:.0f} %"] if math.isfinite(charge) else [f"{volts:.2f} V"] if math.isfinite(volts) else []

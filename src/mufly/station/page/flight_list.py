@@ -1,8 +1,8 @@
-"""All flights in the folder of recordings: when, how long, who, what, how it ended; those that cannot be read, too.
+"""The list of all flights in the folder of recordings: time, duration, vehicle, mission, outcome, read errors.
 
-The list stands at once, from what the disk says; what is in the files is read beside it, once a file. Recordings of our
-own say it in a few milliseconds (:func:`mufly.logs.read_recording_summary`); logs of others have to be read whole, and
-wait until nothing flies.
+The list is shown at once from the directory entries; the files are read in the background, once each. mufly's own
+recordings need a few milliseconds (:func:`mufly.logs.read_recording_summary`). Foreign logs must be read whole, and
+wait until no vehicle flies.
 """
 
 from __future__ import annotations
@@ -39,28 +39,28 @@ from mufly.station.replay import open_recording
 from mufly.station.signal_history import OperatorRequest, RequestOutcome
 
 MAX_WHOLE_READ_BYTES = 60_000_000
-"""A log that has to be read whole to know its length is not read for the list alone if it is larger."""
+"""Largest foreign log that is read whole for the list (bytes)."""
 GROWING_AGE_S = 5.0
-"""A recording without its end that was written to so lately is one that goes on."""
+"""Age of the last write below which an unfinished recording counts as still running (s)."""
 _UPDATE_PERIOD_S = 0.4
 
 
 @dataclass(frozen=True, slots=True)
 class FlightFacts:
-    """What a recording says of itself.
+    """Facts of a recording, for the list.
 
     Attributes
     ----------
     kind : str
         Format of the file.
     start_s : float
-        When it began (s since 1970); NaN if it does not say.
+        Start (s since 1970); NaN if unknown.
     duration_s : float
-        NaN if that is not known without reading more than is sensible.
+        NaN if unknown without reading the whole file.
     vehicle, mission, outcome : str
-        "" where it does not say.
+        "" if unknown.
     fault : str
-        Why it cannot be read, "" if it can.
+        Error on reading, "" if none.
     """
 
     kind: str = ""
@@ -73,7 +73,7 @@ class FlightFacts:
 
 
 def read_flight_facts(path: Path) -> FlightFacts:
-    """Read what a recording says of itself; a file that cannot be read says why."""
+    """Read the facts of a recording; an unreadable file returns its error."""
     kind = ""
     try:
         kind = detect_log_format(path)
@@ -110,7 +110,7 @@ def _parse_start_time(facts: dict[Any, Any]) -> float:
 
 
 def has_better_recording(path: Path) -> bool:
-    """Whether a better recording of the same flight lies in the same folder: what the vehicle wrote, or the signals."""
+    """Return whether the folder holds a better recording of the same flight: the vehicle's, or the signals."""
     best = path.with_name("flight.mcap")
     if best.is_file():
         return path.name != best.name and path.name.startswith(("station", "link"))
@@ -118,7 +118,7 @@ def has_better_recording(path: Path) -> bool:
 
 
 def make_flight_row(path: Path, here: Path, facts: FlightFacts | None) -> dict[str, Any]:
-    """A row of the list; ``facts`` is None while they are not read."""
+    """Return a row of the list; ``facts`` is None until read."""
     about = path.stat()
     known = facts or FlightFacts()
     return {
@@ -160,7 +160,7 @@ class FlightList:
         self._panel.on("hello", self.scan_folder)
 
     async def scan_folder(self) -> None:
-        """Look for recordings again, and read what is new."""
+        """Search for recordings again, and read the new ones."""
         self._looks += 1
         look = self._looks
         folder = self._view.session.recordings_folder
@@ -195,7 +195,7 @@ class FlightList:
         self._panel.call_method("show", rows)
 
     async def _call_with_path(self, e: GenericEventArguments, act: Callable[[Path], Any]) -> None:
-        """Only what is in the list can be opened or fetched: the window says its name."""
+        """Act on a file by its name; only files in the list are accepted."""
         path = self._paths.get(str(e.args))
         if path is None or not path.is_file():
             show_refusal(f"{str(e.args)[:100]} is not there any more; press Refresh")
@@ -223,7 +223,7 @@ class FlightList:
         self._view.show_recording(recording)
 
     async def _compare_file(self, path: Path) -> None:
-        """Lay another recording over the one that is shown."""
+        """Overlay another recording on the displayed one."""
         view, shown = self._view, self._view.replay
         if shown is None:
             show_refusal("open a recording first; the second one is laid over it")
@@ -255,12 +255,12 @@ class FlightList:
 
 
 def reading_priority(path: Path) -> tuple[bool, bool]:
-    """When a file is read for the list: recordings of ours before others' logs, those that grow the last of theirs."""
+    """Return the reading priority: mufly's recordings before foreign logs, growing files last in each group."""
     return path.suffix.lower() != ".mcap", abs(time.time() - _file_state(path)[0] * 1e-9) < GROWING_AGE_S
 
 
 def _file_state(path: Path) -> tuple[int, int]:
-    """Changes with the content of a file."""
+    """Return a value that changes with the content of a file."""
     try:
         about = path.stat()
     except OSError:

@@ -1,10 +1,9 @@
-"""What one window of the page is told, and how much of it.
+"""The stream of frames to one window of the page.
 
-The window asks for what it shows (:class:`DisplayRequest`); a frame holds the present, the samples since the last frame
-of the signals asked for, and each table only when it has changed. Nothing is kept for a window that does not keep up: a
-frame is made when the window has said that it drew the one before the last (:meth:`FrameFeed.is_ready`), out of
-whatever is then present. A stalled or hidden window thus costs nothing, and gets the gap filled from the history when
-it comes back.
+The window requests what it displays (:class:`DisplayRequest`). A frame holds the present state, the new samples of the
+requested signals, and each table that has changed. Frames are not queued: a frame is made of the present data once the
+window has drawn the last but one (:meth:`FrameFeed.is_ready`). A stalled or hidden window therefore costs nothing; on
+its return the history fills the gap.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ TRAIL_LENGTH_S = 600.0
 RECENT_VALUES_S = 2.0
 MAX_TRAIL_POINTS = 3000
 MAX_TEXT_LENGTH = 1000
-"""So many characters of a message are shown; the recording has all."""
+"""Number of characters shown of a message; the recording has all."""
 BLADE_COUNT = 2
 MIN_SPECTRUM_SAMPLES = 64
 _KNOWN_SECTIONS = frozenset({"scene", "messages", "mission", "checks", "sensors", "parameters", "catalog", "camera"})
@@ -64,7 +63,7 @@ _Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class DisplayRequest:
-    """What a window shows: tables, signals, the length of its plots (s), and the signal of its spectrum."""
+    """The display of a window: tables, signals, the length of its plots (s), and the signal of its spectrum."""
 
     sections: frozenset[str] = frozenset()
     signals: tuple[str, ...] = ()
@@ -74,7 +73,7 @@ class DisplayRequest:
 
     @classmethod
     def from_message(cls, content: Mapping[str, Any]) -> DisplayRequest:
-        """Read what a browser sent; what makes no sense is left out."""
+        """Read a browser's request; invalid entries are ignored."""
 
         def read_texts(key: str) -> list[str]:
             found = content.get(key)
@@ -96,7 +95,7 @@ class DisplayRequest:
 
 
 def encode_snapshot(s: VehicleSnapshot) -> dict[str, Any]:
-    """Return a snapshot with arrays in single precision: seven digits are more than a page can show."""
+    """Return a snapshot with arrays in single precision."""
     told = {"waypoint": s.mission_row}
     for part, names in (
         (s, _STATE_SIGNALS),
@@ -108,7 +107,7 @@ def encode_snapshot(s: VehicleSnapshot) -> dict[str, Any]:
 
 
 def encode_sight(sight: TrackedPicture) -> dict[str, Any]:
-    """Return a picture with its features, and what SLAM says of it and of itself."""
+    """Return a picture with its features and the state of SLAM."""
     answer, counts = sight.result, sight.counts
     out: dict[str, Any] = {
         "t": sight.time_s,
@@ -143,7 +142,7 @@ class FrameFeed:
         self._reset_tables()
 
     def _reset_tables(self) -> None:
-        """Forget what was sent: another source is shown, or a slider jumped."""
+        """Reset the sent state, after a change of source or a jump of the slider."""
         self._filled: tuple[Any, ...] = ()
         self._last_s = -math.inf
         self._said: StatusMessage | None = None
@@ -154,11 +153,11 @@ class FrameFeed:
 
     @property
     def is_ready(self) -> bool:
-        """Whether the window can take a frame."""
+        """Return whether the window can take a frame."""
         return self.sent_frame - self.drawn_frame < MAX_FRAMES_IN_FLIGHT
 
     def handle_message(self, text: str | bytes) -> None:
-        """Take what the window says: ``{"drawn": n}``, ``{"want": {...}}``. Anything else is not understood."""
+        """Process a message of the window: ``{"drawn": n}``, ``{"want": {...}}``; others are ignored."""
         try:
             content = orjson.loads(text)
         except orjson.JSONDecodeError:
@@ -252,13 +251,13 @@ class FrameFeed:
             out["messages"] = [(m.time_s, m.level, m.text[:MAX_TEXT_LENGTH]) for m in reversed(fresh)]
 
     def _add_changed_tables(self, source: PanelSource, out: dict[str, Any]) -> None:
-        """Add the tables that have changed since they were sent."""
+        """Add the tables that have changed since last sent."""
         sections = self.display_request.sections
         for gone in [k for k in self._tables if k not in sections]:
             del self._tables[gone]  # it is hidden; when shown again it needs all of it
 
         def take_changed(key: str, now: Callable[[], Any]) -> Any:
-            """What a table holds, if it is shown and has changed; else None."""
+            """Return a table's content if it is shown and has changed, else None."""
             value = now() if key in sections else None
             if value is None or self._tables.get(key) == value:
                 return None
@@ -299,12 +298,12 @@ class FrameFeed:
             ]
 
     def _map_time_s(self) -> float | None:
-        """Changes when the map of the floor is to be drawn anew."""
+        """Return a value that changes when the floor map must be redrawn."""
         sight = self._view.shown_sight()
         return None if sight is None else sight.time_s
 
     def _find_known_names(self, source: PanelSource) -> list[str]:
-        """Signals that have had a value since the source is shown; a real vehicle has no truth to offer."""
+        """Return the signals that had a value from this source; a real vehicle has no true values."""
         names = list(source.history.names)
         _, values = source.history.recent_rows(RECENT_VALUES_S, names)
         alive = np.asarray(np.isfinite(values).any(axis=0)).tolist()
@@ -329,7 +328,7 @@ class FrameFeed:
 
 
 def _find_trail(source: PanelSource) -> Any:
-    """Where it has been, (n, 3), as far as its history goes back; nothing where that is not known."""
+    """Return the vehicle's past track, (n, 3), over the length of its history; empty if unknown."""
     names = source.history.names
     for believed in ("estimated", "measured", "truth"):
         wanted = [f"{believed}_position_{axis}" for axis in "NED"]
@@ -352,9 +351,9 @@ def _encode_other_vehicle(name: str, color: int, shape: str, s: VehicleSnapshot)
     return told | {k: v.astype(np.float32) for k, v in place.items()}
 
 
-# Which signals belong together in one axis: a quantity, its components, and who says so. A flat name is
-# ``source_quantity_component`` (``measured_attitude_roll``) or, for what only one side knows, ``quantity_component``
-# (``motor_input_upper``). A plot shows one quantity: the colour tells the component, the kind of line tells the source.
+# Grouping of signals by quantity, component and source. A flat name is ``source_quantity_component``
+# (``measured_attitude_roll``) or, for quantities with a single source, ``quantity_component`` (``motor_input_upper``).
+# A plot shows one quantity: colours mark components, line styles mark sources.
 
 SIGNAL_SOURCES = ("estimated", "measured", "reference", "truth")
 _QUANTITY_TITLES = {
@@ -374,11 +373,11 @@ _QUANTITY_TITLES = {
 }
 _QUANTITY_ORDER = tuple(_QUANTITY_TITLES)
 _UPWARD_COMPONENTS = {("position", "D"): "height", ("velocity", "D"): "climb"}
-"""Components that people read upward, as everywhere else on the page: their sign is turned."""
+"""Components plotted upward, as elsewhere on the page: their sign is reversed."""
 
 
 def display_unit(unit: str, quantity: str) -> tuple[str, float]:
-    """Return the unit that a person reads, and what to multiply an SI value by."""
+    """Return the display unit, and the factor from the SI value."""
     if unit == "rad":
         return "°", conversion_factor("rad", "deg")
     if unit == "rad/s":
@@ -391,7 +390,7 @@ def display_unit(unit: str, quantity: str) -> tuple[str, float]:
 
 
 def _split_signal_name(name: str) -> tuple[str, str, str]:
-    """Return source, quantity and component of a flat name; the source is "" for what only one side knows."""
+    """Return source, quantity and component of a flat name; "" as source of quantities with a single source."""
     known = parse_column_name(name)
     variable, component = known if known is not None else (name, None)
     source, _, quantity = variable.partition("_")
@@ -403,9 +402,9 @@ def _split_signal_name(name: str) -> tuple[str, str, str]:
 def list_sensor_states(
     history: SignalHistory | ReplayHistory, messages: Sequence[StatusMessage] = ()
 ) -> list[tuple[str, str, float, str]]:
-    """Return what the estimator thinks of each sensor now: name, a status in words, innovation (sigmas), and why.
+    """Return the estimator's status of each sensor: name, status in words, innovation (sigmas), and reason.
 
-    The reason is what the vehicle said last of a sensor that it does not believe; "" of one that it does.
+    The reason is the vehicle's latest message about a sensor that is not fused; "" for a fused sensor.
     """
     names = [f"{kind}_{name}" for name in CHECKED_READINGS for kind in ("status", "innovation")]
     if not set(names) <= set(history.names):
@@ -428,7 +427,7 @@ _MAX_SEARCHED_MESSAGES = 200  # messages
 
 
 def _find_reason(reading: str, messages: Sequence[StatusMessage]) -> str:
-    """What the vehicle said last of a sensor, behind the colon
+    """Return the vehicle's latest message about a sensor, after the colon
     (:func:`mufly.flight.estimator_health.describe_check`)."""
     name = f"{describe_sensor(reading)} "
     late = islice(reversed(messages), _MAX_SEARCHED_MESSAGES)
@@ -488,7 +487,7 @@ def build_catalog(names: Iterable[str], unit: Callable[[str], str]) -> list[dict
 
 
 def alias_frequency(frequency_hz: float, rate_hz: float) -> float:
-    """Where a frequency (Hz) shows in a signal sampled at ``rate_hz``."""
+    """Return the frequency (Hz) at which a frequency (Hz) appears in a signal sampled at ``rate_hz``."""
     return abs(frequency_hz - round(frequency_hz / rate_hz) * rate_hz)
 
 

@@ -1,4 +1,4 @@
-"""Whether what a window asks for is asked in time.
+"""Rejection of requests that reach the station late.
 
 Every request of a window names the newest frame that it had: the station knows when it made that frame, by its own
 clock, so no clock of a browser matters. A request is late if that frame is older than
@@ -22,14 +22,14 @@ from mufly.link.ports import MAX_STALL_S, read_boot_clock
 from mufly.station.signal_history import OperatorRequest, RequestOutcome
 
 FRAME_HEADER = "x-mufly-frame"
-"""Header of a file that is sent to the station: the newest frame that the window had."""
+"""HTTP header of an uploaded file: the newest frame that the window had."""
 _MAX_FRAMES = 128  # frames: more than are made in LATE_S
 _NOTICE_PERIOD_S = 1.0
 _STATE_EVENTS = ("change", "place", "hello", "failed", "rejected")
 
 
 class FrameTimes:
-    """When the frames of one window were made.
+    """Creation times of the frames of one window.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class FrameTimes:
         self._newest = 0
 
     def next_number(self) -> int:
-        """Return the number of a frame that is made now; no number is used twice, whatever stream it is for."""
+        """Return the number of a new frame, unique over all streams."""
         self._newest += 1
         self._made[self._newest] = self._clock()
         self._made.pop(self._newest - _MAX_FRAMES, None)
@@ -51,7 +51,7 @@ class FrameTimes:
 
     @property
     def newest_number(self) -> int:
-        """Number of the newest frame; 0 before the first."""
+        """Return the number of the newest frame; 0 before the first."""
         return self._newest
 
     def request_lateness_s(self, frame: object, held_ms: object = 0.0, seen_ms: object = 0.0) -> float:
@@ -75,7 +75,7 @@ class FrameTimes:
 
 
 def describe_lateness(late_s: float) -> str:
-    """Say how late a request was, and that it is dropped."""
+    """Return a message with the lateness of a rejected request."""
     by = f"it reached the station {late_s:.1f} s late" if math.isfinite(late_s) else "it reached the station too late"
     return f"dropped, {by}; ask again if it is still wanted"
 
@@ -86,7 +86,7 @@ def drop_late_events(
     tell: Callable[[OperatorRequest], None],
     clock: Callable[[], float] = read_boot_clock,
 ) -> None:
-    """Let a window's events through to their handlers only in time.
+    """Pass a window's events to their handlers only if they are in time.
 
     Parameters
     ----------
@@ -117,14 +117,14 @@ def drop_late_events(
 
 
 def _is_display_event(sender: Element | None, listener: object) -> bool:
-    """Whether an event only tells what the window itself shows now: a field, a tab, a file that was not taken."""
+    """Return whether an event only changes the window's own display: a field, a tab, a rejected file."""
     # NiceGUI keeps the listeners of an element here alone.
     known = sender._event_listeners.get(listener) if sender and isinstance(listener, str) else None
     return known is not None and (known.type in _STATE_EVENTS or known.type.startswith("update:"))
 
 
 def _element_label(element: Element) -> str:
-    """What a person calls an element."""
+    """Return the visible label of an element."""
     texts = (part._text for part in (element, *element.descendants()))
     named = (element.props.get(key) for key in ("aria-label", "label", "module"))
     return next((str(word) for word in (*texts, *named) if word), element.tag).lower()

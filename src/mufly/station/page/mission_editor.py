@@ -1,7 +1,7 @@
-"""The tab in which a mission is drawn: files, vehicle, and what goes between the draft and the window.
+"""The mission editor tab: files, vehicle, and the exchange between draft and window.
 
-All windows of a station share one draft, so that it outlives a reload; the window that holds the controls edits it, the
-others look on. It is checked in a thread, the newest state only, while one draws on.
+All windows of a station share one draft, which therefore survives a reload. The window with the controls edits it, the
+others display it. A thread checks the newest state of the draft during editing.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from mufly.station.page.page_session import WindowView, encode_world
 
 
 class MissionEditor:
-    """The mission editor of one window; :meth:`build_tab` builds its tab, :meth:`refresh` brings it up to date.
+    """The mission editor of one window; :meth:`build_tab` builds its tab, :meth:`refresh` updates it.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class MissionEditor:
         return self._view.session.shared_draft
 
     def _controller_limits(self) -> TrajectoryLimits | None:
-        """What the controllers of the selected vehicle can follow, where it tells."""
+        """Return the limits of the selected vehicle's controllers; None if unknown."""
         vehicle = self._view.selected_vehicle()
         return None if vehicle is None else trajectory_limits_from_parameters(vehicle.parameters)
 
@@ -80,7 +80,7 @@ class MissionEditor:
         panels.BrowserPanel("editor")
 
     def refresh(self) -> None:
-        """Tell the window what has changed; what has not is not sent."""
+        """Send changes of the draft to the window."""
         sketch = self._shared_draft
         now = (sketch.version, self._order, self._refused, self._refusal_reason())
         if now == self._shown:
@@ -115,7 +115,7 @@ class MissionEditor:
         return verdict
 
     async def _replace_mission(self, mission: Mission) -> None:
-        """Edit another mission; undo goes back to the one before."""
+        """Edit another mission; undo returns to the present one."""
         self._refused = ""
         self._shared_draft.set_draft(self._shared_draft.draft.with_mission(mission))
         await self._check_draft()

@@ -1,4 +1,4 @@
-"""The page itself: what stands where. The style sheet places it for laptops and tablets."""
+"""The layout of the page; the style sheet arranges it for laptops and tablets."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ from mufly.station.signal_history import OperatorRequest, RequestOutcome, Vehicl
 
 REFRESH_PERIOD_S = 0.2
 MAX_OFFSET_S = 1e6
-"""By how much a second recording may be moved over the first (s)."""
+"""Largest time shift of a second recording (s)."""
 _KEYBOARD_HELP = (
     ("Shift + T, twice", "take off"),
     ("Shift + M, twice", "fly or resume the mission"),
@@ -158,7 +158,7 @@ def _build_header(view: WindowView, dark: ui.dark_mode) -> Callable[[], None]:
 
 
 def _build_alert_switch(view: WindowView) -> Callable[[], None]:
-    """The switch of what is said aloud. Returns the function that says what is new."""
+    """Build the switch for spoken alerts; return the function that speaks new alerts."""
     panel = BrowserPanel("alerts")
     watches: dict[str, AlertWatch] = {}
 
@@ -278,7 +278,7 @@ def _build_right_tabs(view: WindowView) -> None:
 
 
 def _control_replay(view: WindowView, e: GenericEventArguments) -> None:
-    """Do what the slider of a recording says."""
+    """Apply a command of a recording's slider."""
     replay, content = view.replay, e.args if isinstance(e.args, dict) else {}
     if replay is None:
         return
@@ -304,7 +304,7 @@ def _control_replay(view: WindowView, e: GenericEventArguments) -> None:
 
 
 # ----------------------------------------------------------------------------
-# The buttons that command the vehicle, each with the reason why it cannot be used, and what became of requests.
+# The command buttons, with reasons of unavailability, and the outcomes of requests.
 
 
 TAKE_OFF_HEIGHT_RANGE_M = (0.2, 50.0)
@@ -317,7 +317,7 @@ _OUTCOME_MARKS = {
 
 
 def _describe_facts(facts: dict[str, Any]) -> str:
-    """What a recording says of itself, in a line."""
+    """Return the facts of a recording in one line."""
     outcome = " ".join(str(facts[k]) for k in ("outcome", "reason") if facts.get(k))
     start = str(facts.get("start_time", ""))[:19].replace("T", " ")
     whole = "" if facts.get("complete", True) else "cut off: shown as far as it goes"
@@ -330,7 +330,7 @@ def _set_hidden(element: Element, hidden: bool, name: str = "mf-hidden") -> None
 
 
 class _NumberField:
-    """A number that is typed."""
+    """An input field for a number."""
 
     def __init__(self, label: str, value: float, meaning: str, unit: str = "") -> None:
         self.value = value
@@ -346,7 +346,7 @@ class _NumberField:
             self.on_change(self.value)
 
     def show_value(self, value: float) -> None:
-        """Show another number."""
+        """Set the displayed number."""
         if value != self.value:
             self.value = value
             self.panel.call_method("set", value)
@@ -359,7 +359,7 @@ _MOVING_STATES = frozenset({"waypoint", "obstacle"})
 
 @dataclass(slots=True)
 class SentDestination:
-    """A place (north, east, height; m) that a vehicle was sent to."""
+    """A destination (north, east, height; m) sent to a vehicle."""
 
     vehicle: RemoteVehicle
     request: OperatorRequest
@@ -367,7 +367,7 @@ class SentDestination:
     was_under_way: bool = False
 
     def is_under_way(self, shown: RemoteVehicle | None) -> bool:
-        """Whether it flies there still; what the vehicle says of itself decides, where it says it."""
+        """Return whether the vehicle still flies there, from its own state if published."""
         if shown is not self.vehicle or (self.request.is_done and self.request.outcome is not RequestOutcome.ACCEPTED):
             return False
         s, (north, east, height) = self.vehicle.snapshot, self.place
@@ -435,7 +435,7 @@ class CommandBar:
         self, name: str, label: str, key: str, press: Callable[[], None], test_id: str = "", classes: str = ""
     ) -> None:
         def press_confirmed() -> None:
-            """Most of what sets it in motion, or brings it down, is pressed twice."""
+            """Press the action; most actions that start motion or a descent need a second press."""
             if not self._needs_confirmation(name) or self._confirm.register_press((self._view.shown_vehicle(), name)):
                 press()
             self.refresh()
@@ -520,7 +520,7 @@ class CommandBar:
     # ---- what they show
 
     def refusal_reasons(self) -> dict[str, str]:
-        """Why each command cannot be given now, "" if it can."""
+        """Return the reason why each command is unavailable, "" if available."""
         vehicle, source = self._view.shown_vehicle(), self._view.shown_source()
         unready = ""
         if vehicle is not None and not vehicle.snapshot.flying:
@@ -535,7 +535,7 @@ class CommandBar:
         )
 
     def refresh(self) -> None:
-        """Bring the buttons up to date; what has not changed is not sent."""
+        """Update the buttons; unchanged ones are not sent."""
         vehicle = self._view.shown_vehicle()
         snapshot = vehicle.snapshot if vehicle is not None else None
         why = self.refusal_reasons()

@@ -1,7 +1,6 @@
-"""The web server of the page: NiceGUI inside an application of our own, guarded, with the stream of frames beside it.
+"""The web server of the page: NiceGUI in a guarded ASGI application, with the stream of frames.
 
-:func:`serve_page` runs until it is told to stop. The vehicle is none of its business: closing windows, or this server,
-stops nothing in the air.
+:func:`serve_page` runs until stopped. Closing windows or this server does not affect the vehicle.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from mufly.station.page.panels import STATIC_FOLDER, static_url
 
 FRAME_RATE_HZ = 20.0
 RECONNECT_TIMEOUT_S = 600.0
-"""For so long a window that is out of reach is kept, so that it comes back without being loaded anew (s)."""
+"""Time for which an unreachable window is kept, so that it returns without a reload (s)."""
 
 
 def build_application(session: StationSession, *, host: str = "127.0.0.1", token: str = "") -> Any:
@@ -85,7 +84,7 @@ def build_application(session: StationSession, *, host: str = "127.0.0.1", token
 
 
 async def _stream_frames(web: WebSocket, feed: FrameFeed, is_newest: Callable[[], bool]) -> None:
-    """Send frames at the page's rate, as long as the window draws them and has opened no newer stream."""
+    """Send frames at the page's rate, as long as the window draws them and has no newer stream."""
 
     async def read_messages() -> None:
         while True:
@@ -112,7 +111,7 @@ async def _stream_frames(web: WebSocket, feed: FrameFeed, is_newest: Callable[[]
 
 
 async def _advance_replays(session: StationSession) -> None:
-    """Let time pass in the recordings that are played."""
+    """Advance the recordings that are played."""
     last = time.monotonic()
     while True:
         await asyncio.sleep(0.5 / FRAME_RATE_HZ)
@@ -124,7 +123,7 @@ async def _advance_replays(session: StationSession) -> None:
 
 
 class _PageServer(uvicorn.Server):
-    """Signals are heard by whoever calls :func:`serve_page`, and closes everything in order."""
+    """A server without signal handlers: the caller of :func:`serve_page` handles signals and closes in order."""
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:

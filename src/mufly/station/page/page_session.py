@@ -1,8 +1,8 @@
-"""What all windows share, and what belongs to each: who holds the controls, what is shown, what was asked.
+"""State shared by all windows, and state of each window: controls, displayed source, open requests.
 
-A window is one tab of a browser. The first holds the controls, the others watch until they take them. When the window
-that held them is gone, the only one left gets them; of several none does until it asks. The vehicle does not notice.
-What may be commanded now, and what was done to the parameters, is here too.
+A window is one browser tab. The first window holds the controls, the others watch until they take them. When the window
+with the controls is closed, a single remaining window gets them; of several, none does until its user takes them. The
+vehicle is not affected. The availability of commands and the parameter edits are here too.
 """
 
 from __future__ import annotations
@@ -39,16 +39,16 @@ from mufly.world import World
 RECORDING_SUFFIXES = (".mcap", ".tlog", ".ulg", ".csv", ".bin", ".parquet", ".nc")
 MAX_RECORDINGS = 200
 _FLIGHT_FILES = ("flight.mcap", "station.mcap")
-"""What the folder of a flight holds, one or both."""
+"""File names in the folder of a flight, one or both."""
 MAX_UNDO_STEPS = 200
 CONTROLS_GRACE_S = 1.0
 MAX_REQUESTS = 3
 ANSWER_DISPLAY_S = 20.0
-"""For so long an answer is shown (s)."""
+"""Time for which an answer is shown (s)."""
 ALERT_DISPLAY_S = 20.0
-"""For so long a warning of the vehicle is shown beside its state (s)."""
+"""Time for which a vehicle's warning is shown beside its state (s)."""
 MAX_ALERT_LENGTH = 300
-"""So many characters of it."""
+"""Number of characters shown of a warning."""
 PARAM_TYPE_INT32, PARAM_TYPE_REAL32 = 6, 9  # MAV_PARAM_TYPE
 
 PanelSource = RemoteVehicle | Replay
@@ -106,7 +106,7 @@ class StationSession:
     clock: Callable[[], float] = read_boot_clock
 
     def open_view(self, client_id: str, selected: str = "") -> WindowView:
-        """A window was opened, or loaded anew while a vehicle was selected in it."""
+        """Open the view of a new or reloaded window, with a vehicle selected if given."""
         self.opened_count += 1
         view = self.view_by_client[client_id] = WindowView(client_id, self)
         view.selected = selected
@@ -115,21 +115,21 @@ class StationSession:
         return view
 
     def close_view(self, client_id: str) -> None:
-        """A window was closed for good."""
+        """Remove the view of a closed window."""
         self.view_by_client.pop(client_id, None)
 
     @property
     def live_view_count(self) -> int:
-        """How many windows are open and hear us."""
+        """Return the number of windows with an open stream."""
         return sum(view.is_live for view in self.view_by_client.values())
 
     def startup_status(self) -> dict[str, Any] | None:
-        """How far the start is; None once the vehicle stands, and where none is started."""
+        """Return the progress of the start; None when done or if no vehicle is started."""
         start = self.startup
         return None if start is None or (start.is_done and not start.fault) else start.encode_status()
 
     def settle_controls(self) -> None:
-        """Give the controls to the only window there is, once whoever held them has been gone for a second."""
+        """Give the controls to the only window, one second after their holder is gone."""
         holder = self.view_by_client.get(self.controls_holder)
         if holder is not None and (holder.is_live or self.clock() - holder.stream_closed_s < CONTROLS_GRACE_S):
             return
@@ -138,7 +138,7 @@ class StationSession:
         self.controls_holder = live[0].client_id if live and (len(live) == 1 or not self.controls_holder) else ""
 
     def describe_waiting(self, selected: str) -> str:
-        """Say for whom a window waits that shows no vehicle, and what is wrong with the links."""
+        """Return a text on the awaited vehicle and on problems of the links, for a window without a vehicle."""
         trouble = "; ".join(self.link_problems()) if self.link_problems is not None else ""
         if selected and self.vehicles():
             system, _, link = selected.partition("@")
@@ -148,12 +148,12 @@ class StationSession:
         return f"{text}. {trouble}" if trouble else text
 
     def vehicle_label(self, vehicle: RemoteVehicle) -> str:
-        """What to call a vehicle; of two with the same name, with the link that each is heard on."""
+        """Return the display name of a vehicle; with its link if two names are equal."""
         alike = sum(v.name == vehicle.name for v in self.vehicles()) > 1
         return f"{vehicle.name} ({vehicle.key.partition('@')[2]})" if alike else vehicle.name
 
     def parameter_edits(self, vehicle: PanelSource) -> ParameterEdits:
-        """What was done to a vehicle's parameters."""
+        """Return the edits of a vehicle's parameters."""
         key = vehicle.key if isinstance(vehicle, RemoteVehicle) else vehicle.name
         sheet = self.edits_by_vehicle.setdefault(key, ParameterEdits())
         sheet.record_baseline(vehicle.parameters)
@@ -162,14 +162,14 @@ class StationSession:
 
 @dataclass(slots=True)
 class _ShownRequest:
-    """A request, and when its answer was first seen."""
+    """A request, and the time at which its answer was first seen."""
 
     request: OperatorRequest
     answered_s: float = math.inf
 
 
 class WindowView:
-    """One window: what it shows and what it asked for."""
+    """One window: its displayed source and its requests."""
 
     def __init__(self, client_id: str, session: StationSession) -> None:
         self.client_id, self.session = client_id, session
@@ -185,27 +185,27 @@ class WindowView:
 
     @property
     def is_live(self) -> bool:
-        """Whether its stream of frames is open."""
+        """Return whether the window's stream of frames is open."""
         return self._streams > 0
 
     def open_stream(self) -> int:
-        """Its stream of frames was opened. Returns its number: only the newest one is read by the window."""
+        """Register a new stream of frames; return its number, the newest of which is in use."""
         self._streams += 1
         self.newest_stream += 1
         self.session.settle_controls()
         return self.newest_stream
 
     def close_stream(self) -> None:
-        """Its stream of frames was closed; it may come back."""
+        """Register the end of the stream of frames; the window may reconnect."""
         self._streams -= 1
         self.stream_closed_s = self.session.clock()
 
     # ---- what is shown
 
     def selected_vehicle(self) -> RemoteVehicle | None:
-        """The vehicle that is selected, the first one that is heard until one is chosen; it may fly behind a recording.
+        """Return the selected vehicle, by default the first one heard; it may be hidden by a recording.
 
-        It stays selected: when it is not known any more there is none, and no other is taken for it.
+        The selection is kept: if that vehicle is unknown the result is None, and no other replaces it.
         """
         known = self.session.vehicles()
         if not self.selected and known:
@@ -213,11 +213,11 @@ class WindowView:
         return next((v for v in known if v.key == self.selected), None)
 
     def shown_vehicle(self) -> RemoteVehicle | None:
-        """The vehicle that is shown: the one that is selected; None in a recording."""
+        """Return the displayed vehicle; None while a recording is shown."""
         return None if self.replay is not None else self.selected_vehicle()
 
     def shown_source(self) -> PanelSource | None:
-        """What the panels show."""
+        """Return the source that the panels display."""
         return self.replay or self.shown_vehicle()
 
     def select_vehicle(self, key: str) -> None:
@@ -237,7 +237,7 @@ class WindowView:
         self._shows += 1
 
     def compare_recording(self, second: FlightRecording | None, by: str = "take-off", offset_s: float = 0.0) -> None:
-        """Lay a second recording over the one that is shown; None takes it away."""
+        """Overlay a second recording on the displayed one; None removes it."""
         if self.replay is None:
             return
         self.compared_recording = c = (
@@ -255,13 +255,13 @@ class WindowView:
         self._shows += 1
 
     def shown_comparison(self) -> RecordingComparison | None:
-        """What is laid over the recording that is shown."""
+        """Return the comparison with an overlaid recording, if any."""
         return self.compared_recording if self.replay is not None else None
 
     # ---- for the frames
 
     def display_epoch(self) -> str:
-        """Changes when another source is shown or the slider jumps."""
+        """Return a value that changes with the source and with jumps of the slider."""
         jumps = self.replay.jumps if self.replay is not None else 0
         return f"{self._shows}/{id(self.shown_source())}/{jumps}"
 
@@ -286,7 +286,7 @@ class WindowView:
         }  # fmt: skip
 
     def encode_status(self) -> dict[str, Any]:
-        """Replay and recorder, in every frame."""
+        """Return the state of replay and recorder, for every frame."""
         r, v, recorder, c = self.replay, self.shown_vehicle(), self.session.recorder, self.shown_comparison()
         return {
             "replay": r
@@ -316,7 +316,7 @@ class WindowView:
         }
 
     def encode_flight(self) -> dict[str, Any] | None:
-        """What the selected vehicle does, whatever the panels show; None without a vehicle."""
+        """Return the state of the selected vehicle, also during a replay; None without a vehicle."""
         v = self.selected_vehicle()
         if v is None:
             return None
@@ -340,7 +340,7 @@ class WindowView:
         }
 
     def parameter_baseline(self) -> Mapping[str, float]:
-        """Values of the parameters before anybody changed them here."""
+        """Return the parameter values before any edit here."""
         vehicle = self.shown_vehicle()
         return {} if vehicle is None else self.session.parameter_edits(vehicle).baseline
 
@@ -348,21 +348,21 @@ class WindowView:
 
     @property
     def has_controls(self) -> bool:
-        """Whether this window may command."""
+        """Return whether this window may command."""
         self.session.settle_controls()
         return self.session.controls_holder == self.client_id
 
     def take_controls(self) -> None:
-        """Hold the controls; whichever window had them watches from now on."""
+        """Take the controls; their former holder only watches."""
         self.session.controls_holder = self.client_id
 
     def keep_request(self, request: OperatorRequest) -> None:
-        """Keep a request, to show what becomes of it."""
+        """Keep a request, to show its outcome."""
         if all(asked.request is not request for asked in self._asked):
             self._asked.append(_ShownRequest(request))
 
     def refuse_late(self, request: OperatorRequest) -> None:
-        """Say of a request that came too late that it was dropped."""
+        """Report a late request as dropped."""
         self.keep_request(request)
         if self.on_late is not None:
             self.on_late(f"{request.text}: {request.answer}")

@@ -1,4 +1,4 @@
-"""What the page is put together from: panels that the browser draws, buttons, and the drawers with tables and files."""
+"""Elements of the page: panels drawn by the browser, buttons, and drawers with tables and files."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _STOP_OUTCOME_TEXTS = {
 
 
 def static_url() -> str:
-    """Where the static files are served: the name changes with their content, so that no browser keeps old ones."""
+    """Return the URL of the static files; it changes with their content, so that browsers keep no old ones."""
     digest = hashlib.sha256()
     for path in sorted(STATIC_FOLDER.iterdir()):
         digest.update(path.name.encode() + path.read_bytes())
@@ -59,7 +59,7 @@ _STATIC_URL = static_url()
 
 
 class BrowserPanel(Element, component=STATIC_FOLDER / "mufly_panel.js", esm={"nicegui-scene": str(_THREE_JS_FOLDER)}):
-    """A panel that the browser draws by itself from the stream of frames: one of the modules in ``static/``.
+    """A panel that the browser draws from the stream of frames: one of the modules in ``static/``.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def make_button(
 
 
 class ActionButton:
-    """A button of two lines: what it does, and why it cannot.
+    """A button with two lines: its action, and the reason if unavailable.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ class ActionButton:
             self._press()
 
     def show_state(self, label: str, reason: str, note: str = "", caution: bool = False) -> None:
-        """Say what it does, why it cannot be used ("": it can), and what else there is to know of it.
+        """Set the action's label, the reason of unavailability ("" if available), and a note.
 
         ``caution``: something speaks against it, or it waits for a second press.
         """
@@ -169,7 +169,7 @@ def add_file_picker(
     most_bytes: int = MAX_UPLOAD_BYTES,
     classes: str = "",
 ) -> None:
-    """Add a button that opens a file: the uploader itself stays out of sight."""
+    """Add a button that opens a file; the upload element is hidden."""
     upload = ui.upload(auto_upload=True, max_file_size=most_bytes, on_upload=taken)
     upload.props(f'accept="{ending}" data-testid="{test}"').classes("mf-hidden")
     upload.props(':headers="() => window.muflyLive.headers()"')
@@ -196,7 +196,7 @@ def show_refusal(text: str) -> None:
 
 
 def _blocking_reason(view: WindowView) -> str:
-    """Why this window may not change the vehicle; "" if it may."""
+    """Return why this window may not change the vehicle; "" if it may."""
     vehicle = view.shown_vehicle()
     if vehicle is None:
         return "no vehicle is shown"
@@ -207,7 +207,7 @@ def _blocking_reason(view: WindowView) -> str:
 
 
 def vehicle_to_change(view: WindowView, what: str) -> RemoteVehicle | None:
-    """The vehicle, if this window may change it; else None, and why ``what`` was not done is said."""
+    """Return the vehicle if this window may change it; else report why ``what`` is refused and return None."""
     if why := _blocking_reason(view):
         show_refusal(f"not {what}: {why}")
         return None
@@ -215,7 +215,7 @@ def vehicle_to_change(view: WindowView, what: str) -> RemoteVehicle | None:
 
 
 def build_check_drawer(view: WindowView) -> None:
-    """Pre-flight checks, and what one does before and after a flight."""
+    """Build the drawer of preflight checks, with actions before and after a flight."""
 
     def release_command() -> None:
         vehicle = view.shown_vehicle()
@@ -242,7 +242,7 @@ def build_check_drawer(view: WindowView) -> None:
 
 
 async def wait_until_accepted(request: OperatorRequest) -> bool:
-    """Wait for what becomes of a request; whether it was accepted. What became of it stands with the commands."""
+    """Wait for the outcome of a request; return whether it was accepted. The command bar shows the outcome."""
     for _ in range(int(REQUEST_WATCH_S / _POLL_PERIOD_S)):
         if request.is_done:
             break
@@ -251,7 +251,7 @@ async def wait_until_accepted(request: OperatorRequest) -> bool:
 
 
 async def send_mission(view: WindowView, vehicle: RemoteVehicle, mission: Mission) -> None:
-    """Send a mission; once the vehicle has taken it, show it, and say what of it the vehicle did not get."""
+    """Send a mission; once accepted, show it and list the parts that the vehicle did not receive."""
     if mission.fence is not None and mission.fence != vehicle.fence:
         view.keep_request(request := vehicle.upload_fence(mission.fence))  # first: the mission may need it
         if not await wait_until_accepted(request):
@@ -267,7 +267,7 @@ async def send_mission(view: WindowView, vehicle: RemoteVehicle, mission: Missio
 
 
 def build_sensor_drawer(view: WindowView) -> None:
-    """What the estimator thinks of each sensor; a simulation's may be let fail."""
+    """Build the drawer of the estimator's status of each sensor, with failures for simulated sensors."""
 
     def request_failure(kind: int, text: str, amount: float = math.nan, duration_s: float = math.nan) -> None:
         vehicle = view.shown_vehicle()
@@ -290,7 +290,7 @@ def build_sensor_drawer(view: WindowView) -> None:
         return "s" if how == "late" else FAULT_TARGETS[FAILURE_NAMES[0][float(which)]].reading_unit
 
     def describe_usual() -> None:
-        """Say in the field how much is usual, and in which unit."""
+        """Show the usual amount and its unit in the field."""
         how = kinds[kind.value]
         known = FAULT_TARGETS[FAILURE_NAMES[0][float(unit.value)]].default_amounts.get(how)
         words = "nothing" if known is None else f"{known:g} {find_fault_unit(int(unit.value), how)}"
@@ -320,7 +320,7 @@ def build_sensor_drawer(view: WindowView) -> None:
 
 
 def build_mission_drawer(view: WindowView) -> None:
-    """Table of the mission, with files up and down."""
+    """Build the drawer of the mission table, with upload and download of files."""
 
     async def upload_file(e: UploadEventArguments) -> None:
         vehicle = vehicle_to_change(view, "sent")
@@ -372,12 +372,12 @@ def build_mission_drawer(view: WindowView) -> None:
 
 
 def build_parameter_drawer(view: WindowView) -> Callable[[], None]:
-    """Table of the parameters, undo, files. Returns the function that brings its buttons up to date."""
+    """Build the drawer of the parameter table, undo and files; return the function that updates its buttons."""
 
     written: list[tuple[str, OperatorRequest]] = []  # what was sent and is not answered yet
 
     def write_parameter(name: str, value: float, undoable: bool = True) -> str:
-        """Write one parameter; return why not, "" if it was sent."""
+        """Write one parameter; return the reason of a refusal, "" if sent."""
         vehicle, why = view.shown_vehicle(), _blocking_reason(view)
         if why or vehicle is None:
             return f"{name} not written: {why}"
@@ -518,11 +518,11 @@ class FlightStrip:
         self.refresh()
 
     def _is_confirmed(self, now: float, vehicle: RemoteVehicle | None) -> bool:
-        """Whether a press is the second one for this vehicle."""
+        """Return whether a press is the second one for this vehicle."""
         return vehicle is self._aim is not None and now - self._aimed_s < CONFIRM_TIMEOUT_S
 
     def refresh(self) -> None:
-        """Bring the button up to date."""
+        """Update the button."""
         vehicle, now = self._view.selected_vehicle(), read_boot_clock()
         label, note = "EMERGENCY STOP", ""
         if self._is_confirmed(now, vehicle):

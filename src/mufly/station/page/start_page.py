@@ -1,4 +1,4 @@
-"""How far a start is, told from its first moment: on a page of its own until the station's page is served.
+"""The progress of a start, served on a page of its own until the station's page is served.
 
 Libraries are loaded, controllers designed, the model compiled: on a busy machine that takes a minute. A
 :class:`Startup` is the list of these stages with their times; :class:`StartPage` serves it, from a thread and with
@@ -23,7 +23,7 @@ from urllib.parse import parse_qs, urlsplit
 from mufly.station.page.page_address import COOKIE_NAME, PageAddress, cookie_for_token, host_name, is_loopback
 
 FAILURE_DISPLAY_S = 2.0
-"""For so long a start that failed is still told to a page that is open (s)."""
+"""Time for which an open page shows a failed start (s)."""
 _POLL_TIMEOUT_S = 3.0
 
 
@@ -48,10 +48,10 @@ class Startup:
     Attributes
     ----------
     title, url : str
-        What is started; where its page is, "" if nowhere.
+        Name of what is started; address of its page, "" without a page.
     stages : list of Stage
     fault : str
-        Why it failed, "" if it did not.
+        Reason of a failure, "" if none.
     is_done : bool
         Whether it is over, well or not.
     visit_count : int
@@ -71,7 +71,7 @@ class Startup:
         self._lock = threading.Lock()
 
     def begin_stage(self, text: str) -> None:
-        """Begin the next stage; the present one has ended. Any thread may say it."""
+        """Begin the next stage, which ends the present one; callable from any thread."""
         with self._lock:
             if self.is_done or (self.stages and self.stages[-1].text == text):
                 return
@@ -81,11 +81,11 @@ class Startup:
             self.on_change(text)
 
     def finish(self) -> None:
-        """End the start: it stands."""
+        """Finish the start successfully."""
         self._finish_start("")
 
     def fail(self, why: str) -> None:
-        """End the start for a fault; one that comes later is told as well."""
+        """End the start with a fault; later faults are added."""
         self.fault = why
         self._finish_start(why)
 
@@ -106,7 +106,7 @@ class Startup:
 
     @property
     def duration_s(self) -> float:
-        """How long it takes so far, or took (s)."""
+        """Return the duration of the start so far, or in total (s)."""
         if not self.stages:
             return 0.0
         last = self.stages[-1]
@@ -121,7 +121,7 @@ class Startup:
         return f"{stage.text}, {spent:.0f} s"
 
     def describe_duration(self) -> str:
-        """Return how long it took, and its stages of a second or more."""
+        """Return the duration of the start, and its stages of a second or more."""
         long = [(s.text, s.ended_s - s.began_s) for s in self.stages if s.ended_s - s.began_s >= 1.0]
         parts = "; ".join(f"{text} {seconds:.0f} s" for text, seconds in long)
         return f"{self.duration_s:.0f} s" + (f" ({parts})" if len(long) > 1 else "")
@@ -185,7 +185,7 @@ class _StartServer(ThreadingHTTPServer):
     daemon_threads = True
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A browser that goes away in the middle of an answer is none of our business."""
+        """Ignore browsers that disconnect during an answer."""
 
 
 def _make_handler(address: PageAddress, startup: Startup, asked: Callable[[], None]) -> type[BaseHTTPRequestHandler]:
@@ -233,7 +233,7 @@ def _make_handler(address: PageAddress, startup: Startup, asked: Callable[[], No
             self.wfile.write(content)
 
         def log_message(self, format: str, *args: Any) -> None:
-            """Nothing goes to the terminal."""
+            """Suppress log output."""
 
     return Handler
 

@@ -1,8 +1,8 @@
-"""Flying by hand from a window: virtual sticks or a joystick of the browser, and who may.
+"""Manual flight from a window: virtual sticks or a joystick in the browser, and its permission.
 
-The window reads the sticks and says twenty times a second where they are; here it is seen to that it may, at every
-word. They end when the window is hidden, loses its focus, its joystick or its connection, when another window takes the
-controls, or when another vehicle or a recording is shown; the vehicle then hovers.
+The window sends the stick positions twenty times a second; every message is checked for permission here. Manual flight
+ends when the window is hidden or loses its focus, joystick or connection. It also ends when another window takes the
+controls, or another vehicle or a recording is shown. The vehicle then hovers.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from mufly.station.remote_vehicle import RemoteVehicle
 from mufly.station.signal_history import OperatorRequest, RequestOutcome
 
 CENTRE_TOLERANCE = 0.15
-"""Sticks are taken up in the middle: none farther from it than this share, so that nothing jumps."""
+"""Largest deflection at which sticks are taken up (share of full), so that nothing jumps."""
 
 
 class StickPanel:
@@ -27,7 +27,7 @@ class StickPanel:
     ----------
     view : View
     reason : callable
-        Why the vehicle shown cannot be flown by hand now, "" if it can.
+        Returns why manual flight is unavailable now, "" if available.
     """
 
     def __init__(self, view: WindowView, reason: Callable[[], str]) -> None:
@@ -39,7 +39,7 @@ class StickPanel:
         self._panel.on("sticks", self._handle_sticks, throttle=0.0)
 
     def refresh(self) -> None:
-        """Tell the window whether it may, and whether it does."""
+        """Send the window its permission and whether it flies."""
         if self._flown is not None and (why := self._end_reason()):
             self._release_sticks(why)
         now = (self._reason(), self._flown is not None)
