@@ -1,4 +1,4 @@
-"""A thousand flights: what varies, who flies, how often it succeeds, and which flights are the worst."""
+"""Monte Carlo campaigns of flights: parameter variations, workers, success rates and worst cases."""
 
 from mufly.flight.monte_carlo.campaign import Campaign, FlightCase, FlightResult, fly_case, judge_flight
 from mufly.flight.monte_carlo.campaign_files import RecordedFlights, record_notable_flights, write_flights

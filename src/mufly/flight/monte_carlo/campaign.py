@@ -1,11 +1,11 @@
-"""One flight of many: which vehicle flies it in which air, and whether it succeeded, judged by the truth.
+"""One flight of a Monte Carlo campaign: its vehicle and wind, and its success judged by the truth.
 
-A :class:`Campaign` holds what all flights share. Flight ``k`` of seed ``s`` is a function of both alone: its random
-numbers come from NumPy's seed sequence of ``(s, k)``, so it does not matter who flies it, where and in which order.
+A :class:`Campaign` holds the settings shared by all flights. Flight ``k`` of seed ``s`` depends on both alone: its
+random numbers come from NumPy's seed sequence of ``(s, k)``. The worker and the order of flights do not matter.
 
-A flight succeeded if the state machine says so *and* the truth agrees: nothing was hit, every waypoint was passed
-within the tolerance, it stands at the end on the floor that it took off from, upright, at rest, with its motors off,
-and within the tolerance of where it was to land.
+A flight succeeds if the state machine reports success *and* the truth agrees. Nothing was hit, and every waypoint was
+passed within the tolerance. At the end the vehicle stands on the take-off floor, upright, at rest, with motors off, and
+within the tolerance of the landing position.
 """
 
 from __future__ import annotations
@@ -43,29 +43,29 @@ from mufly.version import __version__
 _Array = NDArray[np.float64]
 
 MAX_VEHICLE_DRAWS = 200
-"""After so many impossible vehicles one after the other a campaign is given up."""
+"""Number of consecutive impossible vehicles after which a campaign ends."""
 
 LANDED_HEIGHT_TOLERANCE_M, LANDED_MAX_SPEED_M_S, LANDED_MAX_TILT_DEG = 0.02, 0.05, 10.0
-"""Of a helicopter that has landed: off its standing height, still moving, tilted by no more than this."""
+"""Largest height error (m), speed (m/s) and tilt (deg) of a landed helicopter."""
 
 NEES_INTERVAL_PERIODS = 10  # periods
 
 
 @dataclass(frozen=True)
 class FlightCase:
-    """What one flight differs in; all in SI units.
+    """The settings of one flight; all in SI units.
 
     Attributes
     ----------
     index : int
     seed : int
-        Of the flight: gusts and sensors.
+        Seed of gusts and sensors.
     parameter_values : dict
         Parameters of the vehicle by key.
     wind : (3,) tuple or None
         N, E, D (m/s); None: the mission's.
     refused_draws : int
-        Vehicles drawn before this one that cannot be.
+        Number of impossible vehicles drawn before this one.
     """
 
     index: int
@@ -82,17 +82,17 @@ class FlightResult:
     Attributes
     ----------
     index : int
-        Its number.
+        Index of the flight.
     seed : int
-        Of gusts and sensors.
+        Seed of gusts and sensors.
     success : bool
-        What the state machine says, confirmed by the truth.
+        Success reported by the state machine and confirmed by the truth.
     reason : str
-        Why it is none; empty for a success.
+        Reason of a failure; empty for a success.
     told : str
-        What the state machine says.
+        Outcome reported by the state machine.
     refused : int
-        Vehicles drawn before this one that cannot be.
+        Number of impossible vehicles drawn before this one.
     wind : (3,) tuple or None
         N, E, D (m/s); None for the mission's.
     values : dict
@@ -102,13 +102,13 @@ class FlightResult:
     overshoot_m : float or None
         Worst overshoot beyond a waypoint.
     waypoint_error_m : float or None
-        Farthest from a waypoint when it was said to be reached.
+        Largest distance from a waypoint when reported as reached.
     tracking_peak_m, tracking_rms_m : float or None
         Distance from the reference while airborne: largest, root of mean square.
     touchdown_speed_m_s : float or None
         Rate of descent at touchdown.
     landing_error_m : float or None
-        Distance from where it was to land.
+        Distance from the landing position.
     tilt_peak_deg : float or None
         Largest tilt of the mast while airborne.
     railed_s : float or None
@@ -120,7 +120,7 @@ class FlightResult:
     battery_left : float or None
         Charge at the end (0..1).
     nees : float or None
-        Mean of NEES / n of the estimate (1 if it knows how good it is).
+        Mean of NEES / n of the estimate (1 if its covariance is consistent).
     """
 
     index: int
@@ -154,12 +154,12 @@ class FlightResult:
 
 @dataclass(frozen=True)
 class Campaign:
-    """What all flights share.
+    """The settings shared by all flights of a campaign.
 
     Attributes
     ----------
     vehicle : Vehicle
-        Around which vehicles are drawn, and for which controllers, autopilot and estimator are made.
+        Nominal vehicle, for which controllers, autopilot and estimator are designed.
     mission : Mission
     variations : tuple of Variation
     wind : float, (3,) tuple or None
@@ -171,18 +171,18 @@ class Campaign:
         As :func:`mufly.sensors.parse_fault` reads them; in every flight.
     seed : int
     tolerance_m : float
-        How far from a waypoint, and from where it was to land, counts as there (m).
+        Allowed distance from a waypoint and from the landing position (m).
     redesign : bool
         Make controllers, autopilot and estimator for each vehicle drawn, instead of for ``vehicle``.
     controllers : callable, optional
         As for :class:`mufly.flight.Flight`.
     quickly : callable, optional
-        What flies in place of Python's flight software where ``controllers`` is None, and gives the same flights sooner
-        (:class:`mufly.firmware.GenericFirmwareSoftware`): no part of the question.
+        Faster flight software used if ``controllers`` is None, with identical flights
+        (:class:`mufly.firmware.GenericFirmwareSoftware`); not part of the settings hash.
     computed_by : tuple of str
-        Options of a command line that stand for ``controllers``.
+        Command line options that stand for ``controllers``.
     vehicle_name, mission_name : str
-        What names them on a command line.
+        Their names on a command line.
     """
 
     vehicle: Vehicle
@@ -209,7 +209,7 @@ class Campaign:
         Raises
         ------
         InputError
-            If vehicle and mission do not go together, or a fault is none.
+            If vehicle and mission do not fit together, or a fault is invalid.
         """
         check_preflight(vehicle, mission)
         for text in more.get("faults", ()):
@@ -223,7 +223,7 @@ class Campaign:
 
     @cached_property
     def settings_hash(self) -> str:
-        """Hash of everything that flights depend on."""
+        """Return the hash of all settings that affect flights."""
         content = {
             "version": __version__,
             "vehicle": format_vehicle_toml(self.vehicle),
@@ -243,7 +243,7 @@ class Campaign:
         Raises
         ------
         InputError
-            If hardly any vehicle that is drawn can be.
+            If nearly all vehicles drawn are impossible.
         """
         rng = np.random.default_rng([self.seed, index])
         seed, towards = int(rng.integers(2**53)), rng.uniform(-1.0, 1.0)
@@ -261,7 +261,7 @@ class Campaign:
 
     @property
     def search_dimension(self) -> int:
-        """Numbers that :meth:`case_at` takes."""
+        """Return the number of coordinates of :meth:`case_at`."""
         return sum(v.variable_count for v in self.variations) + isinstance(self.wind, float)
 
     def case_at(self, point: _Array, index: int) -> FlightCase:
@@ -292,12 +292,12 @@ class Campaign:
         Raises
         ------
         InputError
-            If there cannot be such a vehicle.
+            If such a vehicle is impossible.
         """
         return replace_parameters(self.vehicle, dict(case.parameter_values)) if case.parameter_values else self.vehicle
 
     def replay_command(self, case: FlightCase, folder: Path, vehicle_file: Path | None) -> str:
-        """Return the command that flies a flight again; ``vehicle_file`` holds the vehicle drawn, if one was."""
+        """Return the command that repeats a flight; ``vehicle_file`` holds the drawn vehicle, if any."""
         words = ["mufly", "fly", self.mission_name, "--headless", "--sensors", self.sensors]
         words += ["--vehicle", self.vehicle_name if vehicle_file is None else str(vehicle_file)]
         if vehicle_file is not None and not self.redesign:
@@ -315,7 +315,7 @@ class Campaign:
 def fly_case(campaign: Campaign, case: FlightCase, path: Path | None = None) -> FlightResult:
     """Fly one flight, with a full recording if a path (MCAP) is given, and judge it.
 
-    A flight that raises is one that failed.
+    A flight that raises an error counts as failed.
     """
     heard = _EstimateScore()
     sensed = campaign.sensors == "fitted" and campaign.vehicle.sensors is not None
@@ -346,12 +346,12 @@ def fly_case(campaign: Campaign, case: FlightCase, path: Path | None = None) -> 
 
 @functools.cache
 def _thread_pools() -> Any:
-    """The libraries that compute in threads, looked for once: that takes a fortieth of a flight."""
+    """Return the thread pools of the numerical libraries, cached because the search is slow."""
     return ThreadpoolController()
 
 
 class _EstimateScore:
-    """How estimates compare with the truth while a flight goes on."""
+    """Accumulator of estimation errors during a flight."""
 
     def __init__(self) -> None:
         self._parts: list[tuple[_Array, _Array, _Array]] = []
@@ -363,12 +363,12 @@ class _EstimateScore:
         self.add_estimates(true[None], estimated[None], covariance, np.array([told.valid]))
 
     def add_estimates(self, true: _Array, told: _Array, covariances: _Array, valid: NDArray[np.bool_]) -> None:
-        """Take (n, 9), (n, 9), (n, 9, 9), (n,): position, velocity, attitude (m, m/s, rad)."""
+        """Add (n, 9), (n, 9), (n, 9, 9), (n,): position, velocity, attitude (m, m/s, rad)."""
         self._parts.append((true[valid], told[valid], covariances[valid]))
 
     @property
     def mean_nees(self) -> float | None:
-        """Mean of NEES / n; None if no estimate was valid."""
+        """Return the mean of NEES / n; None if no estimate was valid."""
         if not any(len(true) for true, _, _ in self._parts):
             return None
         true, told, covariances = (np.concatenate(p) for p in zip(*self._parts, strict=True))
@@ -381,7 +381,7 @@ def judge_flight(
     data: xr.Dataset, mission: Mission, tolerance_m: float, *, nees: float | None = None, **same: Any
 ) -> FlightResult:
     """Judge a recording by its truth; ``same`` are the other fields of :class:`FlightResult`."""
-    # Sensors are recorded in every period, what is true counts at 100 Hz: a flight is the same with both.
+    # Sensors are recorded in every period, the truth is judged at 100 Hz: the result is the same with both.
     step = round(0.01 / float(np.median(np.diff(data.time.values[:100]))))
     data = data.isel(time=slice(None, None, max(1, step)))
     s = summarise_flight(
@@ -421,7 +421,7 @@ def judge_flight(
 
 
 def _failure_reason(s: FlightSummary, data: xr.Dataset, tolerance_m: float) -> str:
-    """Why a flight is no success, the first reason that holds; "" for a success."""
+    """Return the first reason of a failure; "" for a success."""
     if s.outcome != "succeeded":
         return s.reason or s.outcome
     for w in s.waypoints:

@@ -47,16 +47,16 @@ _QUEUED_ON_CLUSTER = 256
 
 
 class WorkerPool:
-    """Who flies: processes here, threads here, or the workers of a dask cluster. A context manager.
+    """Workers that fly: local processes, threads, or a dask cluster. A context manager.
 
     Parameters
     ----------
     worker_count : int, optional
-        Processes; default one a core. One flies in this process.
+        Number of processes; default one per core. A single one runs in this process.
     cluster : str, optional
         Address of a dask scheduler, as ``tcp://host:8786``; its workers need mufly.
     how : "processes" or "threads"
-        Threads wait for each other in Python; they are for where processes cannot be had.
+        Threads run Python code one at a time; use them where processes are unavailable.
     """
 
     def __init__(
@@ -135,7 +135,7 @@ class WorkerPool:
 
 
 def _process_context() -> Any:
-    """Workers that share one import of the package, where the system can; else each begins anew."""
+    """Return a process context whose workers share one import of the package, if the system supports it."""
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
@@ -151,7 +151,7 @@ def _begin_worker() -> None:
 
 
 def _end_with_parent() -> None:
-    """A worker whose parent was killed would wait for more to fly for ever."""
+    """End a worker whose parent was killed, which would otherwise wait for ever."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
@@ -165,7 +165,7 @@ _OTHER_CAMPAIGN = (
 
 
 def _kept_flights(folder: Path | None, campaign: Campaign, file: str = RESULTS_FILE) -> AnswerLines[FlightResult]:
-    """Flights of a campaign on disk, by index.
+    """Return the stored flights of a campaign, by index.
 
     Raises
     ------
@@ -185,7 +185,7 @@ def _kept_flights(folder: Path | None, campaign: Campaign, file: str = RESULTS_F
 
 
 def describe_campaign(campaign: Campaign) -> dict[str, Any]:
-    """The settings of a campaign for people, as JSON can hold them."""
+    """Return a readable description of a campaign's settings, in JSON types."""
     return {
         "vehicle": campaign.vehicle_name,
         "mission": campaign.mission_name,
@@ -252,7 +252,7 @@ def run_campaign(
 
 
 def case_from_result(flown: FlightResult) -> FlightCase:
-    """Return what to fly to have the same flight again."""
+    """Return the case that repeats a flight."""
     return FlightCase(flown.index, flown.seed, flown.values, flown.wind, flown.refused)
 
 
@@ -349,7 +349,7 @@ def _is_impossible(flown: FlightResult) -> bool:
 
 
 def worst_first(flights: Sequence[FlightResult], tolerance_m: float) -> list[FlightResult]:
-    """Return flights by how near to failing they are, the worst first."""
+    """Return flights sorted by severity, the worst first."""
     return sorted(
         (f for f in flights if not _is_impossible(f)),
         key=lambda f: (-flight_severity(f, tolerance_m), f.index),

@@ -1,1 +1,1 @@
-"""What stays of a flight: the recording, its numbers, its pictures."""
+"""Output of a flight: the recording, its summary, its pictures."""

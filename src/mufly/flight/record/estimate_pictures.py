@@ -1,10 +1,9 @@
-"""What a vehicle believed on a flight, in pictures: beside the truth, with its bounds, and what it made of its sensors.
+"""Pictures of a flight's estimates: against the truth, with their bounds, and the use of the sensors.
 
-``estimate``: left what is true, measured and believed, right what the belief was off by, in the band of three standard
-deviations that it gave itself. ``sensors``: for every reading how far it was from what was expected, in standard
-deviations of that (the innovation), coloured by what was made of it. ``way``: where it went, from above, with ellipses
-of three standard deviations, and the biases of the inertial unit.
-"""
+``estimate``: left the true, measured and estimated values, right the error of the estimate in the estimator's own band
+of three standard deviations. ``sensors``: the innovation of every reading in its standard deviations, coloured by
+fusion status. ``way``: the ground track with ellipses of three standard deviations, and the biases of the inertial
+unit."""
 
 from __future__ import annotations
 
@@ -41,9 +40,9 @@ from mufly.quantities import CHECKED_READINGS, FUSION_STATUSES
 
 _Array = NDArray[np.float64]
 _BAND_SIGMAS = 3.0
-_CLIP_SIGMAS = 6.0  # innovations beyond stand at the edge
+_CLIP_SIGMAS = 6.0  # larger innovations are drawn at the edge
 CHECK_STATUS_COLOURS = dict(zip(FUSION_STATUSES, ("#d9d9d9", GREEN, ORANGE, GREY, VERMILION), strict=True))
-"""Colour of what an estimator makes of a reading."""
+"""Colour of each fusion status."""
 
 # quantity, component, heading, factor, what measures it: (quantity, component)
 _ESTIMATE_PANELS: tuple[tuple[str, int, str, float, tuple[str, int] | None], ...] = (
@@ -60,7 +59,7 @@ _ESTIMATE_PANELS: tuple[tuple[str, int, str, float, tuple[str, int] | None], ...
 
 
 def draw_estimate_pictures(dataset: xr.Dataset, folder: str | Path, *, dpi: int = 110) -> list[Path]:
-    """Draw what was believed on a flight on sensors into a folder; nothing, of a flight on what is true.
+    """Draw the estimates of a flight on sensors into a folder; nothing for a flight without an estimator.
 
     Returns
     -------
@@ -78,13 +77,13 @@ def draw_estimate_pictures(dataset: xr.Dataset, folder: str | Path, *, dpi: int 
 
 
 def draw_estimate(dataset: xr.Dataset) -> Figure:
-    """Truth, measurement and estimate over time; beside them the estimate's error in its three-sigma band.
+    """Draw truth, measurement and estimate over time, and the estimate's error in its three-sigma band.
 
     Parameters
     ----------
     dataset : xarray.Dataset
-        Recording of a flight on sensors, or what :func:`mufly.flight.sensor_recording.estimated` makes of one. Without
-        truth the errors are left out, and the band is drawn around the estimate.
+        Recording of a flight on sensors, or the result of :func:`mufly.flight.sensor_recording.estimated`. Without
+        truth the errors are omitted, and the band is drawn around the estimate.
     """
     figure = Figure(figsize=(12.0, 14.5))
     panels: Any = figure.subplots(len(_ESTIMATE_PANELS), 2, sharex=True)
@@ -135,7 +134,7 @@ def draw_estimate(dataset: xr.Dataset) -> Figure:
 
 
 def draw_ground_track(dataset: xr.Dataset) -> Figure:
-    """Where it went, from above, with an ellipse of three standard deviations every second or so; biases over time.
+    """Draw the ground track with an ellipse of three standard deviations about every second; biases over time.
 
     Parameters
     ----------
@@ -193,7 +192,7 @@ def draw_ground_track(dataset: xr.Dataset) -> Figure:
 
 
 def _flying_rows(dataset: xr.Dataset) -> NDArray[np.bool_]:
-    """Where it flies: before, an estimate that is not yet one would set the scale."""
+    """Return the rows in flight: the estimate before its convergence would set the scale."""
     flown = dataset["estimated_valid"].values > 0.5
     return flown if flown.any() else np.ones(len(flown), dtype=bool)
 
@@ -215,7 +214,7 @@ def _draw_header(figure: Figure, dataset: xr.Dataset) -> None:
 
 
 def draw_checks(dataset: xr.Dataset) -> Figure:
-    """Innovations of every sensor in standard deviations, and what was made of it: fused, rejected, missing, faulty."""
+    """Draw the innovations of every sensor in standard deviations, coloured by status (fused, rejected, ...)."""
     names = [name for name in CHECKED_READINGS if np.isfinite(dataset[f"status_{name}"].values).any()]
     height = 1.2 + 1.15 * max(1, len(names))
     figure = Figure(figsize=(12.0, height))

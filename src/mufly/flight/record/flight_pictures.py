@@ -47,7 +47,7 @@ PLOT_STYLE: Any = {
     "font.size": 9.0,
     "axes.titlesize": 10.0,
     "axes.titlelocation": "left",
-    "axes.titley": 1.0,  # else every draw looks for ticks that a title could hit
+    "axes.titley": 1.0,  # a fixed position saves the search for ticks under the title
     "axes.labelsize": 9.0,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -67,7 +67,7 @@ PLOT_STYLE: Any = {
 }
 
 FAST_PNG_OPTIONS: dict[str, Any] = {"png": {"pil_kwargs": {"compress_level": 1}}}
-"""Of all that drawing takes a tenth went into files a fifth smaller."""
+"""Fast PNG compression; the files are a fifth larger."""
 
 TRACK_SHADOW_COLOUR, OBSTACLE_COLOUR, OBSTACLE_EDGE_COLOUR = "#b5b5b5", "#c4bcae", "#7d7566"
 REFERENCE_DASHES = (0, (4, 3))
@@ -91,7 +91,7 @@ def draw_flight(
     dataset : xarray.Dataset
         A recording.
     folder : str or Path
-        Made if it is not there.
+        Created if missing.
     waypoints : sequence of (3,)
         N, E, D (m), numbered in this order.
     world : World, optional
@@ -123,7 +123,7 @@ def draw_flight(
 
 
 def draw_history(dataset: xr.Dataset) -> Figure:
-    """Position, velocity, attitude, rates, rotor speeds, inputs and battery over time."""
+    """Draw position, velocity, attitude, rates, rotor speeds, inputs and battery over time."""
     figure = Figure(figsize=(12.0, 11.4))
     panels: Any = figure.subplots(5, 2, sharex=True)
     figure.subplots_adjust(left=0.06, right=0.985, top=0.925, bottom=0.05, hspace=0.27, wspace=0.15)
@@ -152,7 +152,7 @@ def draw_history(dataset: xr.Dataset) -> Figure:
 
 
 def draw_position(dataset: xr.Dataset) -> Figure:
-    """North, east and height over time with their references, and the distance from the reference."""
+    """Draw north, east and height over time with their references, and the distance from the reference."""
     figure = Figure(figsize=(9.0, 8.4))
     *panels, last = figure.subplots(4, 1, sharex=True)
     figure.subplots_adjust(left=0.085, right=0.98, top=0.905, bottom=0.06, hspace=0.24)
@@ -190,7 +190,7 @@ def _draw_lines(
     limits: tuple[float, float] | None = None,
     span: float = 0.0,
 ) -> None:
-    """One panel: values (n, k), dashed references (n, k), limits as thin lines, states as bands.
+    """Draw one panel: values (n, k), dashed references (n, k), limits as thin lines, states as bands.
 
     The height of the panel covers at least ``span``, so that noise does not look like motion.
     """
@@ -218,13 +218,13 @@ def _draw_lines(
 
 
 def _ned_to_enu(ned: ArrayLike) -> _Array:
-    """North, east, down to east, north, height."""
+    """Convert north, east, down to east, north, height."""
     x = np.asarray(ned, dtype=np.float64)
     return np.stack((x[..., 1], x[..., 0], -x[..., 2]), axis=-1)
 
 
 def draw_track(dataset: xr.Dataset, *, waypoints: Sequence[ArrayLike] = (), world: World | None = None) -> Figure:
-    """The track in three dimensions (see :func:`draw_flight` for the parameters)."""
+    """Draw the track in three dimensions (see :func:`draw_flight` for the parameters)."""
     figure = Figure(figsize=(8.4, 6.0))
     ax: Any = figure.add_axes((0.0, 0.045, 1.0, 1.02), projection="3d", computed_zorder=False)
     truth = _ned_to_enu(dataset.truth_position.values)
@@ -276,7 +276,7 @@ def _make_marker(shape: str, colour: str, label: str) -> Line2D:
 
 
 def _frame_axes(ax: Any, points: _Array) -> None:
-    """Equal scale on all axes, the floor at the bottom, quiet panes."""
+    """Set equal scales on all axes, the floor at the bottom, and plain panes."""
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     low[2], high[2] = 0.0, max(high[2], 0.5)
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
@@ -295,7 +295,7 @@ def _frame_axes(ax: Any, points: _Array) -> None:
 
 
 def _obstacle_faces(world: World) -> list[list[_Array]]:
-    """Faces of every obstacle, east, north, height."""
+    """Return the faces of every obstacle, east, north, height."""
     solids = []
     for box in world.boxes:
         c, s = np.cos(box.yaw), np.sin(box.yaw)
@@ -310,7 +310,7 @@ def _obstacle_faces(world: World) -> list[list[_Array]]:
 
 
 def _prism_faces(outline: _Array, foot: float, height: float) -> list[_Array]:
-    """Faces over an outline of north, east corners."""
+    """Return the faces of a prism over an outline of north, east corners."""
     flat = outline[:, ::-1]
     low = np.column_stack((flat, np.full(len(flat), foot)))
     top = low + np.array([0.0, 0.0, height])
@@ -322,13 +322,13 @@ def _prism_faces(outline: _Array, foot: float, height: float) -> list[_Array]:
 
 
 def state_stretches(dataset: xr.Dataset) -> list[tuple[str, int, int]]:
-    """(state, first, last) of every stretch of one state; ``last`` belongs to the next stretch too."""
+    """Return (state, first, last) of every stretch of one state; ``last`` is also the next stretch's first row."""
     last = len(dataset.mission_state) - 1
     return [(name, a, min(b, last)) for name, a, b in state_runs(dataset)]
 
 
 def draw_bands(ax: Any, spans: Sequence[tuple[float, float, Any]], low: float = 0.0, high: float = 1.0) -> None:
-    """Draw spans of time, each with its colour, over a part of the panel's height, as one thing: hundreds are many."""
+    """Draw coloured time spans over a part of the panel's height, as one artist for speed."""
     corners = [[(a, low), (a, high), (b, high), (b, low)] for a, b, _ in spans]
     where, colours = ax.get_xaxis_transform(), [c for _, _, c in spans]
     drawn = PolyCollection(corners, facecolors=colours, lw=0, zorder=0, transform=where, antialiased=False)

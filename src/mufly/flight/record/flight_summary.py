@@ -21,11 +21,11 @@ Definitions (x is the true position, w a waypoint, both N-E-D; all from the reco
   whole sampling intervals of the recording.
 - *Tilt*: angle between the mast and the vertical, arccos(cos(roll) cos(pitch)).
 - *Energy*: integral of battery voltage times current, trapezoidal.
-- *Beyond the model*: what was said of the wind before the flight; or else, where the air that the rotors met while
-  airborne, the vehicle's own motion in it, left the range of the model for more than a twentieth of the time (as long
-  as gusts are above twice their deviation, which is what was reckoned with before).
-- *Real-time factor*: seconds of the flight in one second of the wall, over the whole recording; *least*: over the worst
-  5 s. *Slips*: how often a flight in real time gave up time because the machine was too busy
+- *Beyond the model*: the warning on wind given before the flight, if any. Otherwise the excess of the air met by the
+  rotors in flight, including the vehicle's motion, over the range of the model for more than a twentieth of the time
+  (gusts exceed twice their deviation for that long).
+- *Real-time factor*: simulated seconds per second of wall-clock time, over the whole recording; *least*: over the worst
+  5 s. *Slips*: number of times that a real-time flight skipped time because the machine was overloaded
   (`mufly.link.vehicle_process`).
 """
 
@@ -61,7 +61,7 @@ _StateRun = tuple[str, int, int]
 
 @result
 class WaypointResult:
-    """How one waypoint was met; what does not apply, or was not reached, is None.
+    """The result of one waypoint; values that do not apply, or of a waypoint not reached, are None.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ class WaypointResult:
 
 @result
 class FlightSummary:
-    """A flight in numbers; what is unknown is None. Units in the names, definitions in the module."""
+    """The figures of a flight; unknown ones are None. Units in the names, definitions in the module."""
 
     outcome: str
     reason: str
@@ -116,13 +116,13 @@ class FlightSummary:
     events: tuple[tuple[float, str, str], ...]
 
     def as_record(self) -> dict[str, Any]:
-        """Plain tables, lists, texts and numbers, for ``summary.json``."""
+        """Return plain tables, lists, texts and numbers, for ``summary.json``."""
         content = asdict(self)
         content["events"] = [{"time_s": t, "state": state, "text": text} for t, state, text in self.events]
         return content
 
     def shown_blocks(self) -> list[ShownBlock]:
-        """Return the flight in numbers, and when each waypoint was reached."""
+        """Return the figures of the flight, and when each waypoint was reached."""
         rows = list(summary_rows(self))
         colour = "green" if self.outcome == "succeeded" else "red"
         rows[0] = (rows[0][0], f"[bold {colour}]{rows[0][1]}[/]")
@@ -148,7 +148,7 @@ def summarise_flight(
     world: World | None = None,
     realtime_factor: float | None = None,
 ) -> FlightSummary:
-    """Put a flight into numbers.
+    """Compute the summary of a flight.
 
     Parameters
     ----------
@@ -157,15 +157,15 @@ def summarise_flight(
     waypoints : sequence of (3,)
         In the order of the mission, N, E, D (m).
     events : sequence of (time_s, state, text, ...)
-        Carried along into the summary.
+        Copied into the summary.
     outcome, reason : str, optional
         Default: the recording's attributes.
     take_off : (3,), optional
-        Where the take-off ends; judged like a waypoint when given.
+        End position of the take-off (N, E, D; m); judged like a waypoint when given.
     reached_s : sequence of float or None, optional
-        When each of ``waypoints`` was reached (s), where the caller knows better.
+        Times at which ``waypoints`` were reached (s), if the caller knows them.
     reach_m : float
-        How near counts as reached where the mission does not stop (m).
+        Radius of a waypoint for missions without stops (m).
     world : World, optional
         For the least clearance: distance from the centre of gravity to the nearest surface but the floor (m).
     realtime_factor : float, optional
@@ -224,7 +224,7 @@ def summarise_flight(
 
 
 def _describe_model_excess(dataset: xr.Dataset, airborne: NDArray[np.bool_]) -> str:
-    """Say how far and how long the air that the rotors met was beyond the model; nothing where it was not."""
+    """Return by how much and how long the rotors' inflow exceeded the range of the model; "" if it did not."""
     limits = dataset.attrs.get("model_air_m_s")
     if limits is None or "wind" not in dataset or not airborne.any():
         return ""
@@ -293,10 +293,10 @@ def _waypoint_results(
 
 
 def _stay_rows(time: _Array, states: list[_StateRun], reached_s: float | None) -> tuple[int, int] | None:
-    """Rows from the instant given to the end of the state held then."""
+    """Return the rows from the given instant to the end of its state."""
     if reached_s is None:
         return None
-    # Times that were computed apart differ in the last bit.
+    # Times from different computations may differ in the last bit.
     first = min(int(np.searchsorted(time, reached_s - 1e-9)), len(time) - 1)
     return first, next(stop for _, begin, stop in states if begin <= first < stop)
 
@@ -329,7 +329,7 @@ def _waypoint_result(
 
 
 def _touchdown_speed(dataset: xr.Dataset, states: list[_StateRun]) -> float | None:
-    """None unless a landing ended on the ground it started from."""
+    """Return the touchdown speed (m/s); None unless a landing ended on the ground of the take-off."""
     begin = next((first for name, first, _ in reversed(states) if name == "landing"), None)
     down = dataset.truth_position.values[:, 2]
     if begin is None or abs(down[-1] - down[0]) > 0.1:
@@ -349,7 +349,7 @@ def _least_clearance(x: _Array, world: World | None) -> tuple[float | None, str]
 
 
 def _longest_railed(dataset: xr.Dataset, airborne: NDArray[np.bool_]) -> tuple[float, str]:
-    """Longest stretch (s) of one input at a limit, and the input's name."""
+    """Return the longest time (s) of one input at a limit, and the input's name."""
     time = dataset.time.values
     longest, which = 0.0, ""
     step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
@@ -412,7 +412,7 @@ def _finite_or_none(value: float) -> float | None:
 
 
 def summary_rows(summary: FlightSummary) -> list[tuple[str, str]]:
-    """The summary as (label, value with unit), for a table on the screen; what is unknown is left out."""
+    """Return the summary as (label, value with unit) for a table; unknown values are omitted."""
 
     def worst_waypoint_value(key: str) -> float | None:
         known = [v for w in summary.waypoints if (v := getattr(w, key)) is not None]
@@ -461,7 +461,7 @@ def summary_rows(summary: FlightSummary) -> list[tuple[str, str]]:
 
 
 def _format_realtime_factor(summary: FlightSummary) -> str:
-    """How the real-time factor is written: slow flights with two decimals, those by the clock with what was lost."""
+    """Return the real-time factor as text: slow flights with two decimals, real-time flights with their slips."""
     form = "{:.0f}" if (summary.realtime_factor or 0.0) >= 10.0 else "{:.2f}"
     least, slips = summary.realtime_factor_least, summary.slips
     return form if least is None else f"{form}, least {least:.2f}, {slips} slips"

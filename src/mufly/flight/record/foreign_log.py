@@ -1,4 +1,4 @@
-"""A log of any vehicle for the filter: inertial unit, aids and truth in, a recording with the estimate out."""
+"""Estimation from a log of any vehicle: inertial unit, aids and truth in, a recording with the estimate out."""
 
 from __future__ import annotations
 
@@ -37,15 +37,15 @@ _ROLL_PITCH = slice(-3, -1)
 
 @dataclass(frozen=True)
 class AidRequest:
-    """What the user said about aids; None: find it out.
+    """The user's choice of aids; None: automatic.
 
     Attributes
     ----------
     position, heading : str or None
-        Signals.
+        Signal names.
     std_m, heading_std_rad, rate_hz, delay_s : float or None
     seed : int
-        Of the noise that is added to an aid made from the truth.
+        Seed of the noise added to an aid made from the truth.
     """
 
     position: str | None = None
@@ -66,11 +66,11 @@ class ForeignLog:
     log : InertialLog
     aids : Aids
     truth : dict of str to (n, 3) array
-        ``position``, ``velocity``, ``attitude``, those that the log has, on the clock of ``log``.
+        Those of ``position``, ``velocity`` and ``attitude`` in the log, on the clock of ``log``.
     mounting : (2,) array or None
-        Roll and pitch (rad) of the true attitude less those of the accelerometers at rest.
+        Roll and pitch (rad) of the true attitude minus those of the accelerometers at rest.
     notes : list of str
-        What was found, in words.
+        Findings, in words.
     """
 
     log: InertialLog
@@ -93,12 +93,12 @@ def parse_aid(text: str, where: str = "--aid") -> tuple[str, str]:
 def read_foreign_log(
     path: Path, columns: ColumnMap | None, asked: AidRequest, rate_hz: float | None, notes: list[str]
 ) -> ForeignLog:
-    """Read what the filter needs of a log.
+    """Read a log's inertial unit, aids and truth.
 
     Raises
     ------
     InputError
-        If it has no inertial unit or nothing to aid it with, or they are in wrong units or axes.
+        If the inertial unit or all aids are missing, or units or axes are wrong.
     """
     from mufly.estimate.inertial_log import InertialLog, check_inertial_log, detect_flight
     from mufly.logs import common_clock, load_column_map, read_channels, resample_signal
@@ -196,7 +196,7 @@ def _median_rate_hz(c: Channel) -> float:
 
 
 def _find_aids(by: dict[str, Channel], asked: AidRequest, where: str, log: InertialLog) -> tuple[PositionAids, str]:
-    """Position and heading as asked for, or the first that the log has."""
+    """Return position and heading aids as requested, or the first found in the log."""
     from mufly.estimate.inertial_log import PositionAids
 
     known = [n for n in ("measured_position", "estimated_position", "truth_position") if f"{n}.N" in by]
@@ -255,7 +255,7 @@ def _find_aids(by: dict[str, Channel], asked: AidRequest, where: str, log: Inert
 
 
 def _estimate_mounting(log: InertialLog, truth: dict[str, _Array]) -> _Array | None:
-    """What the true attitude and the accelerometers are apart by at rest: by mounting, or by a bias."""
+    """Return the difference of the true attitude and the accelerometers' at rest, from mounting or bias."""
     if "attitude" not in truth or not log.rest_rows.stop:
         return None
     felt = np.nanmean(log.acceleration[log.rest_rows], axis=0)
@@ -266,7 +266,7 @@ def _estimate_mounting(log: InertialLog, truth: dict[str, _Array]) -> _Array | N
 
 
 def truth_rows(f: ForeignLog, *, mounted: bool = False) -> _Array:
-    """Position, velocity and attitude (n, 9), NaN where the log does not tell; attitude less the mounting if asked."""
+    """Return position, velocity and attitude (n, 9), NaN if unknown; attitude without mounting angles on request."""
     n = len(f.log.time_s)
     parts = {name: f.truth.get(name, np.full((n, 3), math.nan)) for name in _AXIS_LABELS}
     if "position" in f.truth and "velocity" not in f.truth:
@@ -278,7 +278,7 @@ def truth_rows(f: ForeignLog, *, mounted: bool = False) -> _Array:
 
 
 def make_recording(f: ForeignLog, told: Sequence[Estimate], title: str) -> xr.Dataset:
-    """Return what was measured, believed and true, as a recording of a flight on sensors."""
+    """Return measured, estimated and true values as a recording of a flight on sensors."""
     from mufly.flight import replace_estimates
     from mufly.logs import flight_layout
     from mufly.logs.mcap import rows_to_dataset

@@ -129,7 +129,7 @@ SCHEMAS: dict[str, dict[str, Any]] = {
 
 
 def transform_templates() -> tuple[list[bytes], list[bytes]]:
-    """Constant text around the numbers of a ``/tf`` and of a pose message.
+    """Return the constant text around the numbers of a ``/tf`` and of a pose message.
 
     Returns
     -------
@@ -202,7 +202,7 @@ def scene_message(
     world: World | None = None,
     rotor_radius: float = 0.0875,
 ) -> bytes:
-    """What stands still (waypoints, obstacles) and the helicopter's shape, as one ``foxglove.SceneUpdate``.
+    """Return the static objects (waypoints, obstacles) and the helicopter's shape as a ``foxglove.SceneUpdate``.
 
     Parameters
     ----------
@@ -269,7 +269,7 @@ def scene_message(
 
 
 def track_message(time_ns: int, track: NDArray[np.float64]) -> bytes:
-    """The track flown so far as one line, ``foxglove.SceneUpdate``.
+    """Return the track flown so far as one line, ``foxglove.SceneUpdate``.
 
     Parameters
     ----------
@@ -304,7 +304,7 @@ TF_TOPIC, REFERENCE_POSE_TOPIC, SCENE_TOPIC, TRACK_TOPIC = "/tf", "/reference_po
 
 
 class RecordingEncoder:
-    """Turns a block of rows into the messages of one chunk."""
+    """Encoder of a block of rows into the messages of one chunk."""
 
     def __init__(self, file: McapWriter, layout: RecordingLayout, start_time_ns: int) -> None:
         self._start = start_time_ns
@@ -337,7 +337,7 @@ class RecordingEncoder:
         return out
 
     def _add_poses(self, out: list[tuple[int, int, bytes]], rows: NDArray[np.float64], times: Sequence[int]) -> None:
-        """Helicopter, reference and track for the 3-D view."""
+        """Add helicopter, reference and track for the 3-D view."""
         sec, nsec = ([str(part).encode() for part in parts] for parts in zip(*map(_split_time, times), strict=True))
         for prefix, topic, pieces in zip(
             ("truth", "reference"), (TF_TOPIC, REFERENCE_POSE_TOPIC), transform_templates(), strict=True
@@ -364,7 +364,7 @@ class RecordingEncoder:
         out.append((self._views[TRACK_TOPIC], times[-1], track_message(times[-1], shown)))
 
     def _drawn_pose(self, rows: NDArray[np.float64], prefix: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Position and attitude to be drawn; where the truth is not known, what the vehicle believes of itself."""
+        """Return position and attitude to draw: the truth, or the vehicle's estimate if the truth is unknown."""
         both = [rows[:, self._columns[f"{prefix}_{name}"]] for name in ("position", "attitude")]
         if prefix == "truth" and "estimated_position" in self._columns and np.isnan(both[0]).any():
             believed = [rows[:, self._columns[f"estimated_{name}"]] for name in ("position", "attitude")]
@@ -400,18 +400,18 @@ class FlightRecorder:
     layout : Layout, optional
         Columns of a row; default :func:`flight_layout` with eight beams.
     attachments : mapping, optional
-        Texts to carry along, ``{"mission.toml": ..., "vehicle.toml": ...}``.
+        Texts to attach, ``{"mission.toml": ..., "vehicle.toml": ...}``.
     scene_view : mapping, optional
-        Keyword arguments of :func:`mufly.flight.record.recorder.scene_message`: what the 3-D view shows.
+        Keyword arguments of :func:`mufly.flight.record.recorder.scene_message`.
     start_time_ns : int, optional
         Wall time of the instant 0 (ns since 1970); default now.
     keep : bool
-        Keep all rows in memory for :meth:`to_dataset`; without it a flight of hours needs no more than one of seconds.
+        Keep all rows in memory for :meth:`to_dataset`; without it the memory does not grow with the flight.
 
     Raises
     ------
     InputError
-        The file cannot be created, or an attribute is nothing that JSON can hold.
+        The file cannot be created, or an attribute has no JSON form.
 
     Notes
     -----
@@ -507,7 +507,7 @@ class FlightRecorder:
         self._outcome = {"outcome": outcome, "reason": reason, **attributes}
 
     def close(self) -> None:
-        """Write what is left, the outcome, the index and the end mark. Closing twice does nothing."""
+        """Write the remaining rows, the outcome, the index and the end mark. Closing twice does nothing."""
         if self._closed:
             return
         self._closed = True
@@ -522,11 +522,11 @@ class FlightRecorder:
         except OSError as error:
             raise self._write_error(error) from error
         finally:
-            with suppress(OSError):  # what the buffer could not get rid of on a full disk
+            with suppress(OSError):  # buffered data that a full disk rejected
                 self._stream.close()
 
     def to_dataset(self) -> xr.Dataset:
-        """The flight so far, as :func:`mufly.flight.read_recording` would return it.
+        """Return the flight so far, as :func:`mufly.flight.read_recording` does.
 
         Raises
         ------
@@ -557,13 +557,13 @@ class FlightRecorder:
         self.close()
 
     def _flush_block(self, time_s: float) -> None:
-        """Put the block on disk and begin the next one at ``time_s``."""
+        """Write the block to disk and begin the next one at ``time_s``."""
         rows = self._block[: self._n].copy()
         times = np.concatenate(([self._last_time], rows[:, 0]))
         wrong = ~(np.diff(times) > 0)
         if wrong.any():
             first = int(wrong.argmax())
-            self._n, self._states = first, self._states[:first]  # the sound rows still reach the disk
+            self._n, self._states = first, self._states[:first]  # the valid rows are still written
             raise MuflyError(
                 f"rows of a recording must follow each other in time: {times[first + 1]:g} s came after "
                 f"{times[first]:g} s"
@@ -574,7 +574,7 @@ class FlightRecorder:
                 self._file.write_chunk(self._encoder.encode_rows(rows, states, events))
             except OSError as error:
                 raise self._write_error(error) from error
-        # Nothing here calls out, so that Ctrl-C falls before or after these lines, not between them.
+        # No external calls here, so that Ctrl-C cannot interrupt between these lines.
         self._n = 0
         self._states = []
         self._events = []
@@ -590,7 +590,7 @@ class FlightRecorder:
 
 
 def _json_values(where: str, content: Mapping[str, Any]) -> dict[str, str]:
-    """Attributes as MCAP metadata: every value is JSON."""
+    """Return attributes as MCAP metadata: every value is JSON."""
     out: dict[str, str] = {}
     for key, value in content.items():
         try:

@@ -1,7 +1,7 @@
-"""What the sensors of a vehicle would say on a flight, beside what is true.
+"""Log of a vehicle's sensor readings on a simulated flight, with the truth.
 
-Flown on ideal sensors, listened to with real ones: the flight is the same whatever the sensors say, so that seeds,
-faults and sensors can be compared on it.
+The flight uses ideal sensors and logs the fitted ones in parallel. Readings therefore do not affect the flight, so that
+seeds, faults and sensors can be compared on the same flight.
 """
 
 from __future__ import annotations
@@ -40,15 +40,15 @@ _TRUTH_CAPACITY = 2000  # periods: readings may come late by ten seconds at 200 
 
 @result
 class ReadingLog:
-    """Every reading of one name, in the order in which they came.
+    """All readings of one name, in the order of arrival.
 
     Attributes
     ----------
     name : str
     came_s, taken_s : list of float
-        When it came and when it was measured (s).
+        Times of arrival and of measurement (s).
     value, true : list of arrays
-        As said, and without error at the time of the measurement; NaN where nothing is true to compare with.
+        Reading, and true value at the time of measurement; NaN without a true value.
     valid : list of bool
     """
 
@@ -60,11 +60,11 @@ class ReadingLog:
     valid: list[bool] = field(default_factory=list)
 
     def plot(self) -> Figure:
-        """Draw it; returns a matplotlib figure."""
+        """Draw the readings; returns a matplotlib figure."""
         return enable_notebook_display(draw_sensors({self.name: self}))
 
     def component_labels(self) -> Sequence[str]:
-        """Names of the components."""
+        """Return the names of the components."""
         known = DIMENSION_LABELS.get(READINGS[self.name].dim or "", ())
         return tuple(map(str, known)) or (
             [str(k) for k in range(self.value[0].size)] if self.value[0].size > 1 else [""]
@@ -73,21 +73,21 @@ class ReadingLog:
 
 @result
 class ReadingErrors:
-    """How one reading was off on a flight.
+    """Errors of one reading on a flight.
 
     Attributes
     ----------
     name : str
     count : int
-        How many came.
+        Number of readings.
     rate_Hz : float
-        How many a second (Hz).
+        Rate of readings (Hz).
     delay_s : float
-        From measurement to reading, on average (s).
+        Mean time from measurement to arrival (s).
     invalid : float
-        Share (1) that said of itself that it cannot be right.
+        Share (1) of readings marked invalid.
     mean, deviation, worst : float
-        Of the error of its worst component, in the unit of the reading; valid ones only.
+        Error of the worst component of valid readings, in the unit of the reading.
     unit : str
     """
 
@@ -103,7 +103,7 @@ class ReadingErrors:
 
 
 class _LoggingSensors(SensorSet):
-    """Ideal sensors for the flight; beside them the fitted ones, whose readings are kept."""
+    """Ideal sensors for the flight, with fitted sensors in parallel whose readings are logged."""
 
     def __init__(self, ideal: SensorSet, fitted: SensorSet) -> None:
         super().__init__(*ideal.sensors)
@@ -155,7 +155,7 @@ def log_sensors(
     gust: float | None = None,
     on_progress: Callable[[FlightProgress], None] | None = None,
 ) -> dict[str, ReadingLog]:
-    """Fly a mission on ideal sensors and return what the vehicle's own would have said.
+    """Fly a mission on ideal sensors and return the readings of the vehicle's own sensors.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ def log_sensors(
         With the table ``sensors``.
     mission : Mission
     seed : int
-        Of the gusts and of every error.
+        Seed of the gusts and of all sensor errors.
     faults : sequence of Fault
     wind, gust, on_progress : optional
         As for :func:`mufly.flight.fly_mission`.
@@ -176,7 +176,7 @@ def log_sensors(
     Raises
     ------
     InputError
-        If the vehicle has no sensors, or a fault is of one that it has not.
+        If the vehicle has no sensors, or lacks the sensor of a fault.
     """
     fitted = fitted_sensors(vehicle, mission.world, seed=seed, faults=faults)
     controller = design_flight_controller(vehicle)
@@ -190,7 +190,7 @@ def log_sensors(
 
 
 def reading_errors(log: ReadingLog) -> ReadingErrors:
-    """Return how the readings of one name were off."""
+    """Return the errors of the readings of one name."""
     error = np.array(log.value) - np.array(log.true)
     turns = [k for k, label in enumerate(log.component_labels()) if label == "heading"]
     error[:, turns] = np.angle(np.exp(1j * error[:, turns]))
@@ -209,7 +209,7 @@ def reading_errors(log: ReadingLog) -> ReadingErrors:
 
 
 def draw_sensors(logs: Mapping[str, ReadingLog]) -> Figure:
-    """Draw every reading over the time of its measurement, the truth behind it."""
+    """Draw every reading over its measurement time, with the truth."""
     shown = [log for log in logs.values() if log.came_s]
     figure = Figure(figsize=(11.0, 2.0 * len(shown)), layout="constrained")
     axes = np.atleast_1d(figure.subplots(len(shown), 1, sharex=True))
@@ -240,7 +240,7 @@ def draw_sensors(logs: Mapping[str, ReadingLog]) -> Figure:
 
 
 def write_sensor_logs(logs: Mapping[str, ReadingLog], folder: Path) -> list[Path]:
-    """Write a CSV for every reading: when it came, when it was taken, what it said, what is true."""
+    """Write a CSV for every reading: arrival time, measurement time, value, true value."""
     files = []
     folder.mkdir(parents=True, exist_ok=True)
     for log in logs.values():
