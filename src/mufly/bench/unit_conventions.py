@@ -1,23 +1,23 @@
-"""Decisions that a bench file leaves open: conventions of coefficients, units of loads and speeds, lines at rest.
+"""Resolution of ambiguities in bench files: coefficient conventions, units of loads and speeds, lines at rest.
 
-**Coefficients.** Of propellers, n in revolutions a second and D the diameter (UIUC, APC), and of rotors (Leishman):
+**Coefficients** of propellers, with n in revolutions per second and diameter D (UIUC, APC), and of rotors (Leishman):
 
     CT = T / (rho n^2 D^4),    CQ = Q / (rho n^2 D^5),    CP = P / (rho n^3 D^5) = 2 pi CQ
     c_T = T / (rho A (Omega R)^2) = 4 CT / pi^3,    c_Q = Q / (rho A (Omega R)^2 R) = 4 CP / pi^4
 
-A column ``CT`` counts as that of propellers, ``c_T`` as that of rotors. In hover a median of ``CT`` below
-:data:`_MIN_PROPELLER_CT` is as likely the other one, and is asked for.
+``CT`` denotes the propeller convention, ``c_T`` the rotor convention. In hover a median of ``CT`` below
+:data:`_MIN_PROPELLER_CT` is ambiguous and raises an error.
 
-**Units.** Speed and loads without a unit are decided by the sizes that they give: c_T nearest to
-:data:`TYPICAL_THRUST_COEFFICIENT` for a speed; c_T within :data:`_HOVER_THRUST_COEFFICIENTS` for a thrust; a figure of
-merit within
-:data:`_HOVER_FIGURES_OF_MERIT` for a torque and for a thrust that fits two units. What no or several units fit is asked
-for.
+**Units.** Missing units are chosen by the size of the result. A speed gives c_T nearest to
+:data:`TYPICAL_THRUST_COEFFICIENT`, and a thrust gives c_T within :data:`_HOVER_THRUST_COEFFICIENTS`. A torque, and a
+thrust with two possible units, gives a figure of merit within :data:`_HOVER_FIGURES_OF_MERIT`. If no unit or several
+units are possible, an error is raised.
 
-**Rest.** A line tells the zero of the load cells if the speed is 0, the throttle is below :data:`_IDLE_DUTY` and the
-load differs from that of the turning line before or after it by more than :data:`_LOST_READING_TOLERANCE` of ``c W^2``
-there, with c from ``load = zero + c W^2`` at the turning lines. Other lines without speed are left out: their speed
-reading failed. Loads ``c W^2`` below :data:`_MIN_LOAD_SHARE` of the greatest are no evidence.
+**Rest.** A line gives the zero of the load cells under three conditions: the speed is 0, the throttle is below
+:data:`_IDLE_DUTY`, and the load differs from the adjacent turning lines. The difference must exceed
+:data:`_LOST_READING_TOLERANCE` of ``c W^2``, with c from ``load = zero + c W^2`` at the turning lines. Other lines
+without speed are omitted as failed speed readings. Loads ``c W^2`` below :data:`_MIN_LOAD_SHARE` of the largest are
+not used for this decision.
 """
 
 from __future__ import annotations
@@ -35,19 +35,19 @@ Array = NDArray[np.float64]
 LineMask = NDArray[np.bool_]
 
 TYPICAL_THRUST_COEFFICIENT = 0.01
-"""Thrust coefficient c_T of an ordinary hovering rotor."""
+"""Thrust coefficient c_T of a typical hovering rotor."""
 LOAD_QUANTITIES = ("thrust", "torque")
 _HOVER_THRUST_COEFFICIENTS, _HOVER_TORQUE_COEFFICIENTS = (
     (0.0015, 0.045),
     (1e-4, 6e-3),
-)  # c_T and c_Q of hovering rotors
-_HOVER_FIGURES_OF_MERIT = (0.15, 0.95)  # figure of merit of hovering rotors
+)  # ranges of c_T and c_Q of hovering rotors
+_HOVER_FIGURES_OF_MERIT = (0.15, 0.95)  # range of the figure of merit of hovering rotors
 _MIN_PROPELLER_CT = 0.02
 _CANDIDATE_THRUST_UNITS, _CANDIDATE_TORQUE_UNITS = ("N", "gf", "kgf"), ("N m", "mN m", "N cm", "kgf cm")
 _FASTEST_TIP_M_S = 300.0
 _IDLE_DUTY, _LOST_READING_TOLERANCE, _MIN_LOAD_SHARE = 0.05, 0.4, 0.05
 _MAX_HOVER_ADVANCE_RATIO = 0.02  # advance ratio V / (n D) below which a rotor hovers
-_ELECTRICAL_POWER_TOLERANCE = 0.03  # share to which power is the product of voltage and current
+_ELECTRICAL_POWER_TOLERANCE = 0.03  # relative tolerance of power to voltage times current
 
 COEFFICIENT_CONVENTIONS = {
     # column: load, power of D, and factor; of propellers in n, of rotors with 4 CT = pi^3 c_T, 4 CP = pi^4 c_Q
@@ -61,19 +61,19 @@ COEFFICIENT_CONVENTIONS = {
 
 
 def add_loads_from_coefficients(table: BenchTable, radius_m: float | None, density_kg_m3: Array | float) -> BenchTable:
-    """Return the table with thrust and torque where it has coefficients of them.
+    """Return the table with thrust and torque computed from their coefficients.
 
     Parameters
     ----------
     table : BenchTable
     radius_m : float, optional
-        Of the rotor; needed where there is a coefficient.
+        Rotor radius, needed for coefficients.
     density_kg_m3 : float or (n,) array
 
     Raises
     ------
     InputError
-        If the radius or the speed is missing, or the convention is in doubt.
+        If the radius or the speed is missing, or the convention is ambiguous.
     """
     for name, (load, power, factor) in COEFFICIENT_CONVENTIONS.items():
         if name not in table or load in table:
@@ -112,7 +112,7 @@ def _check_convention(table: BenchTable, name: str) -> None:
 
 
 def select_axial_lines(table: BenchTable, radius_m: float | None) -> LineMask:
-    """Return the lines (n,) in which air comes along the shaft: V / (n D) above 0.02."""
+    """Return a mask (n,) of lines in axial flight: advance ratio V / (n D) above 0.02."""
     if "advance_ratio" in table:
         return np.abs(np.nan_to_num(table["advance_ratio"])) > _MAX_HOVER_ADVANCE_RATIO
     if "airspeed" not in table:
@@ -124,12 +124,12 @@ def select_axial_lines(table: BenchTable, radius_m: float | None) -> LineMask:
 
 
 def resolve_speed_unit(table: BenchTable, radius_m: float) -> BenchTable:
-    """Return the table with a speed without unit taken as rpm or rad/s, by the thrust or by the speed of sound.
+    """Return the table with the unit of the speed, rpm or rad/s, chosen by the thrust or by the speed of sound.
 
     Raises
     ------
     InputError
-        If both are possible.
+        If both units are possible.
     """
     if "speed" not in table.unitless:
         return table
@@ -145,7 +145,7 @@ def resolve_speed_unit(table: BenchTable, radius_m: float) -> BenchTable:
 
 
 def guess_speed_unit(speed: Array, thrust: Array, radius_m: float) -> tuple[str, float]:
-    """Return the unit of a speed, rpm or rad/s, that gives the more ordinary thrust coefficient, and its factor."""
+    """Return the unit of a speed, rpm or rad/s, that gives the more typical thrust coefficient, and its SI factor."""
     with np.errstate(divide="ignore", invalid="ignore"):
         typical = float(np.nanmedian(np.abs(thrust / (1.2 * math.pi * radius_m**4 * speed**2))))
     off, off_rpm = (
@@ -158,20 +158,20 @@ def guess_speed_unit(speed: Array, thrust: Array, radius_m: float) -> tuple[str,
 def guess_load_units(
     table: BenchTable, loads: Mapping[str, Array], radius_m: float, density_kg_m3: float
 ) -> dict[str, tuple[float, str]]:
-    """Return factor and words for each load without a unit.
+    """Return the SI factor and a note for each load without a unit.
 
     Parameters
     ----------
     table : BenchTable
-        Speeds in rad/s, and which loads have no unit.
+        Table with speeds in rad/s and the names of loads without unit.
     loads : mapping of str to (n,) array
-        ``thrust``, ``torque_upper`` ... as written, at the same lines.
+        Loads as written, ``thrust``, ``torque_upper`` ..., at the same lines.
     radius_m, density_kg_m3 : float
 
     Raises
     ------
     InputError
-        If no unit fits, or several.
+        If no unit or several units are possible.
     """
     found: dict[str, tuple[float, str]] = {}
     scale = density_kg_m3 * math.pi * radius_m**4
@@ -221,7 +221,7 @@ def guess_load_units(
 def median_figure_of_merit(
     thrust: Array | None, torque: Array | None, speed_squared: Array, density_kg_m3: float, radius_m: float
 ) -> float:
-    """Return the median of T^1.5 / (sqrt(2 rho A) Q Omega), nan where a load is not there."""
+    """Return the median figure of merit, T^1.5 / (sqrt(2 rho A) Q Omega); NaN if a load is missing."""
     if thrust is None or torque is None:
         return math.nan
     ideal = np.abs(thrust) ** 1.5 / math.sqrt(2.0 * density_kg_m3 * math.pi * radius_m**2)
@@ -232,7 +232,7 @@ def median_figure_of_merit(
 
 
 def is_electrical_power(table: BenchTable) -> bool:
-    """Return whether a column of power is the product of voltage and current beside it."""
+    """Return whether the power column equals voltage times current."""
     current = next((n for n in ("supply_current", "current") if n in table), "")
     if not ("power" in table and "voltage" in table and current):
         return False
@@ -245,14 +245,14 @@ def is_electrical_power(table: BenchTable) -> bool:
 
 
 def select_rest_lines(table: BenchTable, speeds: list[str]) -> tuple[LineMask, LineMask]:
-    """Return which lines (n,) tell the zero of the load cells, and which have lost their speed reading.
+    """Return masks (n,) of the lines at rest, and of lines with a lost speed reading.
 
     Parameters
     ----------
     table : BenchTable
-        In the order of measurement.
+        Table in the order of measurement.
     speeds : list of str
-        Its columns of speed.
+        Names of the speed columns.
     """
     still: LineMask = np.all([table[c] == 0.0 for c in speeds], axis=0)
     if not still.any():

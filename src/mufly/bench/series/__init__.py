@@ -1,1 +1,1 @@
-"""A series on the test bench: its plan, its run, its record, and what it says."""
+"""Measurement series on the test bench: plan, run, record and analysis."""

@@ -1,15 +1,15 @@
-"""The mean of a reading and how far it may be off, when neighbouring samples err alike; and when a bench has settled.
+"""Mean of correlated samples with its standard uncertainty, and a test whether a bench has settled.
 
-A block of n samples is cut into B = 16 batches. Their means ``m_b`` are nearly independent where a batch is longer than
-the memory of the noise, and a vibration of the rotor's frequency cancels in them, which in ``s / sqrt(n)`` it does not:
+A block of n samples is divided into B = 16 batches. The batch means ``m_b`` are nearly independent if a batch is longer
+than the correlation time of the noise. Vibration at the rotor frequency cancels in them, but not in ``s / sqrt(n)``:
 
     u^2 = s_m^2 / B * max(1, (1 + r) / (1 - r)),      s_m^2 = sum (m_b - mean)^2 / (B - 1),   r = lag-1 correlation of
     m_b
 
-The factor, that of a first-order autoregression, takes in what memory is left between batches. r is that found plus
-1/B, because a mean that was fitted makes it that much too small (Kendall, Biometrika 41, 1954), and it is at most 0.8.
-Degrees of freedom: B - 1. (Batch means: Schmeiser, Operations Research 30, 1982.) A type A evaluation as GUM 4.2 has
-it, but for independence, which GUM 4.2.7 asks to be dealt with.
+The factor of a first-order autoregression accounts for the remaining correlation of batches. The estimate of r is
+increased by 1/B, the bias from the fitted mean (Kendall, Biometrika 41, 1954), and limited to 0.8. Degrees of freedom:
+B - 1. (Batch means: Schmeiser, Operations Research 30, 1982.) This is a type A evaluation by GUM 4.2 for correlated
+samples (GUM 4.2.7).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _MAX_AUTOCORRELATION = 0.8
 
 
 class BlockMean(NamedTuple):
-    """The mean of a channel over a block of samples.
+    """Mean of a channel over a block of samples.
 
     Attributes
     ----------
@@ -36,9 +36,9 @@ class BlockMean(NamedTuple):
     dof : float
         Degrees of freedom of ``std``.
     size, spikes : int
-        Samples, and those left out as single wild ones.
+        Number of samples, and of omitted outliers.
     low, high : float
-        Least and greatest of all samples, the wild ones too.
+        Smallest and largest sample, including outliers.
     trend : float
         Change from the first half to the second, in standard uncertainties of that change.
     """
@@ -56,8 +56,8 @@ class BlockMean(NamedTuple):
 def compute_block_mean(samples: ArrayLike) -> BlockMean:
     """Return the mean of equally spaced samples (n,) with its uncertainty; NaN for none.
 
-    Single samples further than 7 robust standard deviations (1.4826 times the median absolute deviation) from the
-    median are left out and counted.
+    Samples further than 7 robust standard deviations (1.4826 times the median absolute deviation) from the median are
+    omitted and counted as outliers.
     """
     x = np.asarray(samples, dtype=np.float64).ravel()
     x = x[np.isfinite(x)]
@@ -87,6 +87,6 @@ def compute_block_mean(samples: ArrayLike) -> BlockMean:
 
 
 def has_settled(before: BlockMean, now: BlockMean, tolerance: float) -> bool:
-    """Whether two windows, one after the other, agree within a tolerance or within what their noise explains."""
+    """Return whether the means of two successive windows agree within a tolerance or within their noise."""
     doubt = 3.0 * float(np.hypot(before.std, now.std))
     return abs(now.value - before.value) <= max(tolerance, min(doubt, 5.0 * tolerance))

@@ -1,7 +1,6 @@
-"""A page that shows a series while it is measured: one HTML file, drawn anew after every reading, no server needed.
+"""Live page of a running series: one HTML file, rewritten after every reading, without a server.
 
-It reloads itself every two seconds; when the series has ended it stops doing so. Loads are the quick look of the last
-zero, without any correction.
+The page reloads every two seconds until the series ends. Its loads use only the last zero, without further correction.
 """
 
 from __future__ import annotations
@@ -55,7 +54,7 @@ points="{% for x, y in points %}{{ "%.1f,%.1f " | format(x, y) }}{% endfor %}"/>
 def write_live_page(
     folder: Path, plan: SeriesPlan, lines: Sequence[dict[str, Any]], status: str, share: float, *, over: bool
 ) -> None:
-    """Write the page, whole or not at all."""
+    """Write the live page atomically."""
     points = [x for x in lines if x["kind"] == "reading" and x["what"] == "point"]
     zeros = [x for x in lines if x["kind"] == "reading" and x["what"] == "tare"]
     names: dict[str, list[dict[str, Any]]] = {}
@@ -96,13 +95,13 @@ def write_live_page(
         low=_PLOT_HEIGHT - _BOTTOM_MARGIN,
         refresh_s=0 if over else 2,
     )
-    # A page that cannot be drawn is no reason to stop a bench.
+    # A failure to write the page must not stop the bench.
     with suppress(InputError), replace_file(folder / PAGE_FILE_NAME) as new:
         new.write_text(text, encoding="utf-8")
 
 
 def _draw_plot(title: str, series: Sequence[tuple[str, list[tuple[float, float]], bool]]) -> dict[str, Any]:
-    """Points, or a line, in a frame with the ends of its axes, in pixels; empty where there is no point."""
+    """Return points and lines in pixels with the axis limits of their frame; empty without points."""
     every = [p for _, some, _ in series for p in some]
     if not every:
         return {}

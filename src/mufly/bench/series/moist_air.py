@@ -1,10 +1,10 @@
-"""Density of moist air by the CIPM-2007 formula, and what errors of the sensors do to it.
+"""Density of moist air by the CIPM-2007 formula, and its uncertainty from sensor errors.
 
     rho = p M_a / (Z R T) (1 - x_v (1 - M_v / M_a)) = 3.483740e-3 p / (Z T) (1 - 0.3780 x_v),    x_v = h f p_sv / p
 
 with relative humidity h, enhancement factor f, saturation pressure p_sv and compressibility Z (Picard, Davis, Glaeser
 and Fujii, Metrologia 45, 2008, 149-155; CO2 0.04 %). For 600 to 1100 hPa and 15 to 27 degC its own relative uncertainty
-is 2.2e-5; here it serves to 5 and 40 degC.
+is 2.2e-5; here the formula is used from 5 to 40 degC.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ def moist_air_density(pressure_Pa: ArrayLike, temperature_K: ArrayLike, humidity
     Parameters
     ----------
     pressure_Pa, temperature_K, humidity : array_like
-        Broadcast against each other; humidity relative, 0 to 1.
+        Pressure, temperature and relative humidity (0 to 1), broadcast against each other.
 
     Source: CIPM-2007, eqs 1 to A1.4.
     """

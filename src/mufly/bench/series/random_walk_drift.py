@@ -1,9 +1,9 @@
-"""What drifts: a linear model, an error that walks at random, and readings that err independently of each other.
+"""Linear model with random-walk drift and independent reading errors, for drifting zeros and gains.
 
     y_i = x_i' beta + W(t_i) + e_i,     cov W(s), W(t) = q (min(s, t) - t_0),     var e_i = kappa u_i^2
 
-beta (p,) is unknown without prior, q >= 0 is how fast the drift walks, u_i the stated uncertainty of a reading and
-kappa >= 1 by how much it was stated too small. With V = q K + kappa U the restricted likelihood of (q, kappa) is
+beta (p,) is unknown without prior, q >= 0 is the variance rate of the walk, u_i the stated uncertainty of a reading,
+and kappa >= 1 the inflation of its variance. With V = q K + kappa U the restricted likelihood of (q, kappa) is
 
     -2 ln L = ln |V| + ln |X' V^-1 X| + r' V^-1 r,      r = y - X beta_hat      (Patterson and Thompson 1971)
 
@@ -12,12 +12,11 @@ Gaussian Processes for Machine Learning, 2006, sec. 2.7):
 
     m* = x*' b + k*' V^-1 r,     C* = K** - k*' V^-1 k* + g (X' V^-1 X)^-1 g',    g = x* - X' V^-1 k*
 
-A handful of zeros does not say how fast a zero walks. So q and kappa are not set to their best values, which would
-state too little, but averaged over a grid by their likelihoods: mean and covariance of the mixture. Before the data,
-kappa has the weight 1 / kappa, and the drift over the span, ``d = sqrt(q span)``, is even in its logarithm below the
-scatter s of the readings about the model and falls off beyond it as ``1 / (1 + d^2 / s^2)``. Between two readings
-without error and one q, this is the Brownian bridge: linear interpolation with variance ``q (t - t1)(t2 - t) / (t2 -
-t1)``.
+A few zeros do not determine q. Their best values of q and kappa would understate the uncertainty, so the prediction is
+the mean and covariance of a mixture over a grid, weighted by likelihood and prior. The prior of kappa is 1 / kappa. The
+prior of the drift over the span, ``d = sqrt(q span)``, is uniform in ln d below the scatter s of the readings and
+falls as ``1 / (1 + d^2 / s^2)`` beyond. Between two exact readings with one q this is the Brownian bridge: linear
+interpolation with variance ``q (t - t1)(t2 - t) / (t2 - t1)``.
 """
 
 from __future__ import annotations
@@ -30,25 +29,25 @@ from scipy.linalg import cho_factor, cho_solve
 
 Array = NDArray[np.float64]
 
-_DRIFT_GRID_POINTS = 14  # of the walk, on the grid
+_DRIFT_GRID_POINTS = 14  # number of grid values of the drift
 _VARIANCE_INFLATION_GRID = (1.0, 2.0, 4.0, 8.0, 16.0, 64.0)
 
 
 @dataclass(frozen=True, eq=False)
 class RandomWalkDrift:
-    """A linear model with a drift, fitted to readings.
+    """Linear model with random-walk drift, fitted to readings.
 
     Attributes
     ----------
     time_s, reading, reading_std : (n,) arrays
-        What it was fitted to.
+        Fitted readings with time and standard uncertainty.
     design_matrix : (n, p) array
     start_time : float
         Time t_0 at which the drift is zero.
     grid_weights : (g,) array
-        Of the grid's nodes, by likelihood.
+        Posterior weights of the grid nodes.
     grid_nodes : (g, 2) array
-        q (unit of the reading squared, a second) and kappa.
+        q (squared unit of the reading per second) and kappa.
     """
 
     time_s: Array
@@ -77,7 +76,7 @@ class RandomWalkDrift:
         return np.maximum(np.minimum.outer(s, t) - self.start_time, 0.0)
 
     def predict(self, time: Array, design: Array) -> tuple[Array, Array]:
-        """Return the model with the drift at times (m,) and rows (m, p): mean (m,) and covariance (m, m)."""
+        """Predict model plus drift at times (m,) with design rows (m, p); return mean (m,) and covariance (m, m)."""
         means, parts = [], []
         for (q, kappa), w in zip(self.grid_nodes, self.grid_weights, strict=True):
             if w < 1e-4:
@@ -105,30 +104,30 @@ class RandomWalkDrift:
 
     @property
     def drift_per_hour(self) -> float:
-        """How far the drift goes in an hour, as one standard deviation, in units of the reading."""
+        """Return the standard deviation of the drift over one hour, in units of the reading."""
         return float(np.sqrt(3600.0 * (self.grid_weights @ self.grid_nodes[:, 0])))
 
     @property
     def mean_variance_inflation(self) -> float:
-        """Mean of kappa: by how much the variance of the readings was stated too small."""
+        """Return the mean of kappa, the inflation of the stated variance of the readings."""
         return float(self.grid_weights @ self.grid_nodes[:, 1])
 
 
 def fit_random_walk(
     time: Array, reading: Array, std: Array, design: Array | None = None, start: float | None = None
 ) -> RandomWalkDrift:
-    """Fit a linear model with a drift.
+    """Fit a linear model with random-walk drift.
 
     Parameters
     ----------
     time : (n,) array
-        s.
+        Time of the readings (s).
     reading, std : (n,) arrays
         Readings and their standard uncertainties, in any one unit.
     design : (n, p) array, optional
         Rows x_i of full rank; default a constant.
     start : float, optional
-        Time at which the drift is zero; default the first reading's.
+        Time at which the drift is zero (s); by default the time of the first reading.
 
     Raises
     ------
@@ -151,7 +150,7 @@ def fit_random_walk(
     )  # standard deviation over the span
     speeds = walks**2 / span
     nodes = np.array([(q, k) for q in speeds for k in _VARIANCE_INFLATION_GRID])
-    if n == p:  # nothing is left over to judge by: the prior alone, without the absurd
+    if n == p:  # no degrees of freedom: only the prior applies
         nodes = np.array([(0.0, 1.0)])
     log = np.empty(len(nodes))
     kernel = blank._walk_covariance(time, time)

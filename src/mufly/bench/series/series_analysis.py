@@ -1,13 +1,13 @@
-"""What a series says: loads with intervals, point by point and setting by setting, and whether to believe it.
+"""Analysis of a series: loads with intervals by point and by setting, and checks of their validity.
 
-Points carry the uncertainty of the rotor as it was mounted. A setting (blades, pitch, speed) is the mean over its
-mountings, at the mean of their speeds and densities; with mountings j of m points,
+The uncertainty of a point is for the rotor as mounted. A setting (blades, pitch, speed) is the mean over its mountings,
+at the mean of their speeds and densities; with mountings j of m points,
 
     u^2 = (tau^2 x^2 + D - O) / m + O,      D, O: mean variance of a point, mean covariance of two
 
-where tau, how well mountings repeat, is found from all settings that were mounted more than once (averaged over its
-likelihood on a grid, as in :mod:`mufly.bench.series.random_walk_drift`). Expanded uncertainties are at 95 %: Student's
-t with the effective degrees of freedom of the readings (GUM G.4.1).
+where tau is the repeatability of a mounting. It is estimated from all settings with repeated mountings (averaged over
+its likelihood on a grid, as in :mod:`mufly.bench.series.random_walk_drift`). Expanded uncertainties are at 95 %:
+Student's t with the effective degrees of freedom of the readings (GUM G.4.1).
 """
 
 from __future__ import annotations
@@ -50,12 +50,12 @@ _ASSUMED_DOF = 15.0
 
 @result(eq=False)
 class LoadInterval:
-    """A load with its interval.
+    """Load with its 95 % interval.
 
     Attributes
     ----------
     value, std : float
-        N or N m: value and combined standard uncertainty.
+        Value and combined standard uncertainty (N or N m).
     expanded : float
         Half width of the 95 % interval.
     """
@@ -67,27 +67,28 @@ class LoadInterval:
 
 @result(eq=False)
 class SettingResult:
-    """Blades at a pitch and a speed.
+    """Result of one setting: blades at a pitch and a speed.
 
     Attributes
     ----------
     axis, rotor, lower_rotor : str
     pitch_deg, lower_pitch_deg : float
     speed_upper_rpm, speed_lower_rpm : float
-        Means of what was measured.
+        Mean measured speeds.
     density_kg_m3 : float
     mountings : int
-    thrust, torque_upper, torque_lower : Load or None
+        Number of mountings.
+    thrust, torque_upper, torque_lower : LoadInterval or None
     voltage_V, current_A : dict of str to float
-        By axis.
+        Motor voltage and current by axis.
     time_s : float
-        Since the start.
+        Time since the start of the series.
     use : str
         ``"measure"`` or ``"reference"``.
     nominal_rpm : float
-        As planned.
+        Planned speed.
     truth : dict of str to float
-        Of a simulated bench.
+        True loads of a simulated bench.
     """
 
     axis: str
@@ -111,24 +112,24 @@ class SettingResult:
 
     @property
     def torque(self) -> LoadInterval | None:
-        """Of the rotor, where it is one."""
+        """Torque of a single rotor."""
         return self.torque_lower if self.axis == "lower" else self.torque_upper
 
 
 @result(eq=False, picture="mufly.bench.series.series_pictures:series_picture")
 class SeriesResult:
-    """A series, analysed.
+    """Result of the analysis of a series.
 
     Attributes
     ----------
     name : str
-    points, settings : tuple of Setting
-        Each point by itself, as mounted; and the means over mountings.
-    doubts : tuple of Doubt
+    points, settings : tuple of SettingResult
+        Single points as mounted, and means over mountings.
+    doubts : tuple of SeriesIssue
     notes : tuple of str
-        What was corrected, and by how much.
+        Corrections with their size.
     repeat : dict of str to float
-        tau of each load, relative; NaN where nothing was mounted twice.
+        Relative repeatability tau of each load; NaN without repeated mountings.
     density_relative_std : float
     """
 
@@ -142,7 +143,7 @@ class SeriesResult:
 
     @property
     def fatal_issues(self) -> tuple[SeriesIssue, ...]:
-        """Reasons for which the series is not to be trusted."""
+        """Issues that make the series invalid."""
         return tuple(d for d in self.doubts if d.is_fatal)
 
 
@@ -154,20 +155,20 @@ def analyse_series(
 
     Parameters
     ----------
-    record : Record, str or Path
-        Or the folder that holds it.
-    known : Measurements, optional
+    record : SeriesRecord, str or Path
+        Record, or the folder that holds it.
+    known : RotorMeasurements, optional
         Torque of the reference rotor, for a bench without a torque cell.
     known_relative_std : float
-        Its relative standard uncertainty.
+        Relative standard uncertainty of ``known``.
     accept : sequence of str
-        Kinds of doubts (:mod:`mufly.bench.series.series_checks`) that are not to refuse the series. ``"saturated"``
-        leaves those points out.
+        Kinds of issues (:mod:`mufly.bench.series.series_checks`) that do not invalidate the series. ``"saturated"``
+        omits those points.
 
     Raises
     ------
     InputError
-        If there is no record, or it holds too little to say anything.
+        If there is no record, or it holds too few readings.
     """
     rec = record if isinstance(record, SeriesRecord) else read_record(record)
     if not rec.lines:
@@ -230,7 +231,7 @@ def analyse_series(
 
 
 def _setting_order(s: SettingResult) -> tuple[object, ...]:
-    """Settings stand by blades, pitch and speed, whatever the order of measurement was."""
+    """Return the sorting key of a setting: blades, pitch and speed."""
     return s.use, s.rotor, s.axis, s.pitch_deg, s.lower_pitch_deg, s.speed_upper_rpm + s.speed_lower_rpm
 
 
@@ -262,7 +263,7 @@ def _describe_drifts(loads: dict[str, LoadChannel], points: SeriesReadings) -> l
 
 
 def check_reference(name: str, channel: LoadChannel, plan: SeriesPlan) -> list[SeriesIssue]:
-    """Return whether the reference rotor stayed what it was between its visits (per axis)."""
+    """Return issues about changes of the reference rotor between its visits, by axis."""
     out: list[SeriesIssue] = []
     visits = channel.reference_visits
     for axis in ("upper", "lower"):
@@ -290,10 +291,10 @@ def find_outliers(
     density: Array,
     speed: dict[str, Array],
 ) -> list[SeriesIssue]:
-    """Return points that do not lie with the others of their mounting.
+    """Return issues about points that deviate from the other points of their mounting.
 
-    The logarithm of a load over ``rho W^2`` changes slowly with that of the speed (Reynolds number): each point is set
-    beside the straight line through the others, and stands out if it is off by 2.5 % and five standard uncertainties.
+    The logarithm of a load over ``rho W^2`` changes slowly with the logarithm of the speed (Reynolds number). A point
+    is an outlier if it deviates from the line through the others by 2.5 % and five standard uncertainties.
     """
     out: list[SeriesIssue] = []
     for k in sorted(set(points.mounting_index.tolist())):
@@ -312,7 +313,7 @@ def find_outliers(
             cov = np.linalg.inv(design[rest].T @ (design[rest] / u[rest, None] ** 2))
             off[i] = y[i] - design[i] @ fit
             std[i] = math.sqrt(u[i] ** 2 + float(design[i] @ cov @ design[i]))
-        # One point that is off pulls the line from under the others: only the worst is told.
+        # An outlier also shifts the line of the other points, so only the worst point is reported.
         i = int(np.argmax(np.abs(off) / std))
         if abs(off[i]) > OUTLIER_LIMIT and abs(off[i]) > 5.0 * std[i]:
             out.append(
@@ -328,7 +329,7 @@ def find_outliers(
 
 OUTLIER_LIMIT = 0.025
 REFERENCE_LIMIT = 0.02
-"""Change of the reference's loads from one visit to the next beyond which it is not the same reference."""
+"""Relative change of the reference's loads between visits above which an issue is reported."""
 
 
 def _reference_torque(
@@ -338,7 +339,7 @@ def _reference_torque(
     speed: dict[str, Array],
     known: RotorMeasurements | None,
 ) -> Array:
-    """Torque of the reference where it is known from another bench, in this one's air; NaN elsewhere."""
+    """Return the reference torque known from another bench, scaled to the air of this bench; NaN elsewhere."""
     out = np.full(len(points), np.nan)
     if known is None:
         return out
@@ -386,7 +387,7 @@ def _loads_by_axis(
     alone: Array,
     alone_relative: float,
 ) -> dict[str, LoadChannel]:
-    """Thrust, and torque of each axis, at all points; NaN where it is not known."""
+    """Return thrust, and torque of each axis, at all points; NaN if unknown."""
     n = len(points)
     axis = np.array([plan.mounting[k].axis for k in points.mounting_index])
     out = {"thrust": loads["thrust"]}
@@ -415,7 +416,7 @@ def _loads_by_axis(
 def _estimate_repeatability(
     channel: LoadChannel, points: SeriesReadings, plan: SeriesPlan, density: Array, speed: dict[str, Array]
 ) -> tuple[float, float]:
-    """Return tau, relative (NaN where nothing was mounted twice), and the mean of its square over its likelihood."""
+    """Return the relative repeatability tau (NaN without repeated mountings), and the posterior mean of tau^2."""
     scale = density * (speed["upper"] ** 2 + speed["lower"] ** 2)
     coefficient = channel.value / scale
     contrasts: list[tuple[Array, Array]] = []
@@ -442,13 +443,13 @@ def _estimate_repeatability(
         for j, r in enumerate(rows):
             average[j, at : at + len(r)] = 1.0 / len(r)
             at += len(r)
-        # Differences from the mean of the mountings, in an orthonormal basis of them.
+        # Differences of the mountings from their mean, in an orthonormal basis.
         basis = np.linalg.svd(np.eye(len(rows)) - 1.0 / len(rows))[0][:, : len(rows) - 1].T
         contrasts.append((basis @ off, basis @ average @ relative @ average.T @ basis.T))
     if not contrasts:
         return math.nan, 0.0
     taus = np.concatenate(([0.0], np.geomspace(3e-4, 0.08, 24)))
-    # Before the data: even in its logarithm up to what the mountings differ by, and falling off beyond.
+    # Prior: uniform in ln tau up to the observed difference of mountings, decreasing beyond.
     typical = math.sqrt(float(np.mean(np.concatenate([off**2 for off, _ in contrasts]))))
     log = -np.log1p((taus / max(typical, 1e-4)) ** 2)
     for off, cov in contrasts:
@@ -461,7 +462,7 @@ def _estimate_repeatability(
 
 @dataclass(frozen=True, eq=False)
 class _SettingAverager:
-    """Makes points and settings of everything that was found."""
+    """Builder of the results of points and settings."""
 
     points: SeriesReadings
     plan: SeriesPlan
@@ -472,11 +473,11 @@ class _SettingAverager:
     start_time_s: float
 
     def is_measurement(self, at: list[int]) -> bool:
-        """Whether points are not the reference's."""
+        """Return whether the points belong to a measured rotor, not to the reference."""
         return self.plan.mounting[self.points.mounting_index[at[0]]].use == "measure"
 
     def average_setting(self, at: list[int], *, mounted: bool) -> SettingResult:
-        """Return the mean over some points of one setting."""
+        """Return the mean over the points ``at`` of one setting."""
         m = self.plan.mounting[self.points.mounting_index[at[0]]]
         mean = {a: float(np.mean(self.axis_speeds[a][at])) for a in ("upper", "lower")}
         rho = float(np.mean(self.air_density_kg_m3[at]))

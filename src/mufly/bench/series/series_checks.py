@@ -1,15 +1,15 @@
-"""Reasons not to believe a series, as far as its record shows them; each names what was seen and what to do.
+"""Validity checks of a series from its record; each issue states the observation and the remedy.
 
 ==============  =======  ==============================================================================================
-kind            refuses  seen
+kind            fatal    observation
 ==============  =======  ==============================================================================================
 saturated       yes      a cell met the end of its range at a point
 zero            yes      a zero jumped between two readings by more than 5 % of the largest load of that cell
 reference       yes      the reference's loads changed by more than 2 % and four standard uncertainties between visits
 polarity        yes      thrust is negative
 speed           yes      more than a fifth of the points did not reach their speed, or did not settle
-nonsense        yes      more than a fifth of the points had to leave out more than 2 % of their samples
-split           yes      currents and torque cell do not agree about a pair (no: the currents were never calibrated)
+nonsense        yes      more than a fifth of the points had more than 2 % outliers among their samples
+split           yes      currents and torque cell disagree for a pair (no: the currents were never calibrated)
 outlier         no       a point is off the line of its mounting's other speeds by 2.5 % and five standard uncertainties
 incomplete      no       steps of the plan are not in the record
 interrupted     no       the series was stopped, a limit was passed, or a device failed, and it went on
@@ -32,7 +32,7 @@ ZERO_JUMP_LIMIT, MAX_BAD_POINT_SHARE = 0.05, 0.2
 
 
 class SeriesIssue(NamedTuple):
-    """A reason not to believe a series: kind (table above), in words, and whether it refuses the series."""
+    """Issue of a series: kind (table above), description, and whether it invalidates the series."""
 
     kind: str
     text: str
@@ -42,7 +42,7 @@ class SeriesIssue(NamedTuple):
 def find_series_issues(
     plan: SeriesPlan, facts: BenchFacts, record: SeriesRecord, points: SeriesReadings, zeros: SeriesReadings
 ) -> list[SeriesIssue]:
-    """Return what the record itself shows; fatal ones first."""
+    """Return the issues visible in the record, fatal issues first."""
     out: list[SeriesIssue] = []
 
     def describe_points(which: SeriesReadings) -> str:

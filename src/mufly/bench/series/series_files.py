@@ -1,4 +1,4 @@
-"""What a series leaves behind: files that the rest of the package reads, and comparisons.
+"""Result files of a series, and comparison with another series or with theory.
 
 In the results folder, a file of settings and one of points for each rotor and axis (``mufly rotor fit``, ``mufly
 rotor compare`` and ``mufly identify rotor`` read them), one of each motor (``mufly identify motor``), and
@@ -49,7 +49,7 @@ _PAIR_COLUMNS = (
 
 
 def write_series_results(series: SeriesResult, folder: Path) -> list[Path]:
-    """Write everything that a series found.
+    """Write the result files of a series; return their paths.
 
     Raises
     ------
@@ -130,14 +130,14 @@ def _write_loads(path: Path, some: Sequence[SettingResult], *, points: bool) -> 
 
 @result(eq=False)
 class LoadDifference:
-    """A load of one setting, seen twice.
+    """Difference of one load between two series, or a series and theory.
 
     Attributes
     ----------
     what : str
         Blades, speed and load.
     first, second : float
-        N or N m.
+        Values of the load (N or N m).
     relative : float
         second / first - 1.
     normalised : float
@@ -158,9 +158,9 @@ def _describe_setting(s: SettingResult, load: str) -> str:
 
 
 def compare_series(first: SeriesResult, second: SeriesResult) -> list[LoadDifference]:
-    """Set two series side by side, at the settings that both have.
+    """Compare two series at their common settings.
 
-    Loads of the second are taken to the speed and the air of the first, as they go with rho W^2.
+    Loads of the second series are scaled by rho W^2 to the speed and air density of the first.
 
     Raises
     ------
@@ -213,9 +213,9 @@ def compare_series(first: SeriesResult, second: SeriesResult) -> list[LoadDiffer
 def compare_with_theory(
     series: SeriesResult, *, spacing_m: float = 0.04, prepare_rotor: Callable[[str], Blading] | None = None
 ) -> list[LoadDifference]:
-    """Set a series beside blade element momentum theory, untuned, at its speeds, pitches and densities.
+    """Compare a series with untuned blade element momentum theory at its speeds, pitches and densities.
 
-    E_n counts the series' uncertainty alone: beyond 1 the theory is off by more than the bench is.
+    E_n includes only the uncertainty of the series; above 1 the error of the theory exceeds it.
     """
     make = prepare_rotor or (lambda name: prepare_blading(load_rotor(name)))
     blades = {n: make(n) for s in series.settings for n in (s.rotor, s.lower_rotor) if n}

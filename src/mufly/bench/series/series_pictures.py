@@ -1,4 +1,4 @@
-"""The picture of a series: loads over speed with their intervals, a colour for each blade and pitch."""
+"""Picture of a series: loads over speed with intervals, one colour per blade and pitch."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def series_picture(series: SeriesResult) -> Figure:
 
 
 def _group_by_blades(series: SeriesResult) -> dict[str, list[SettingResult]]:
-    """Settings by what was mounted, in the order of speed."""
+    """Return the settings grouped by mounted blades, in the order of speed."""
     out: dict[str, list[SettingResult]] = {}
     for s in sorted(series.settings, key=lambda s: (s.rotor, s.pitch_deg, s.speed_upper_rpm + s.speed_lower_rpm)):
         other = f" above {s.lower_rotor} {s.lower_pitch_deg:g}°" if s.lower_rotor else ""

@@ -1,12 +1,11 @@
-"""What a series measures, and in which order.
+"""Plan of a series: mountings, speeds and their order.
 
-A plan is a list of mountings: blades on an axis (or on both), at a pitch, run at some speeds. Changing blades takes a
-pair of hands, changing speed does not, so mountings are drawn in random order, and so are the speeds within each: what
-drifts with time is then no trend over pitch or speed. A reference rotor, always the same blades, is mounted first,
-last and after every few mountings; the first time it also warms the bench up. Before, between and after the points of
-a mounting the rotors stand still and the zero is read.
+A plan is a list of mountings: blades on an axis (or on both) at a pitch, run at several speeds. The order of mountings,
+and of speeds within each, is random, so that drift does not appear as a trend over pitch or speed. A reference rotor,
+always with the same blades, is mounted first, last and after every few mountings; the first visit also warms up the
+bench. Before, between and after the points of a mounting the rotors stop and the zero is read.
 
-A plan is a TOML file that may be edited; what it holds is declared here.
+A plan is an editable TOML file; this module declares its contents.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ SIDES_BY_AXIS: dict[str, tuple[RotorSide, ...]] = {
 
 
 class BenchLimits(ParameterGroup):
-    """Beyond any of these the bench stops at once."""
+    """Limits beyond which the bench stops at once."""
 
     speed_rpm: float = Field(default=9000.0, gt=0, description="of either rotor")
     current_A: float = Field(default=3.0, gt=0, description="of either motor")
@@ -48,7 +47,7 @@ class BenchLimits(ParameterGroup):
 
 
 class StepTimes(ParameterGroup):
-    """How long things take (s)."""
+    """Durations of the steps (s)."""
 
     warm_up_s: float = Field(default=600.0, ge=0, description="reference rotor at its middle speed, at first")
     settle_s: float = Field(default=30.0, gt=0, description="at most, until speed and loads stand")
@@ -87,23 +86,23 @@ class BladeMounting(ParameterGroup):
 
     @property
     def turning_sides(self) -> tuple[RotorSide, ...]:
-        """The axes that turn."""
+        """Axes that turn in this mounting."""
         return SIDES_BY_AXIS[self.axis]
 
     def speeds_rad_s(self, speed_rpm: float) -> dict[str, float]:
-        """Return the speed of each axis for one of the mounting's speeds."""
+        """Return the speed of each axis (rad/s) for one of the mounting's speeds (rpm)."""
         return {a: speed_rpm * RPM * (self.speed_ratio if a == "lower" and self.axis == "pair" else 1.0)
                 for a in self.turning_sides}  # fmt: skip
 
     def describe_mounting(self) -> str:
-        """What has to be mounted."""
+        """Return a description of the blades to mount."""
         if self.axis == "pair":
             return f"{self.rotor} at {self.pitch_deg:g} deg above {self.lower_rotor} at {self.lower_pitch_deg:g} deg"
         return f"{self.rotor} at {self.pitch_deg:g} deg on the {self.axis} axis, nothing on the other"
 
 
 class SeriesPlan(ParameterGroup):
-    """A series: mountings in order, how long, and what must not be passed."""
+    """Plan of a series: mountings in order, durations and limits."""
 
     name: str = Field(min_length=1, description="of the series")
     seed: int = Field(default=0, description="from which the order was drawn")
@@ -126,7 +125,7 @@ class SeriesPlan(ParameterGroup):
 
     @property
     def steps(self) -> tuple[PlanStep, ...]:
-        """Everything that is done, in order."""
+        """Steps of the plan, in order."""
         out: list[PlanStep] = []
         for k, m in enumerate(self.mounting):
             kinds: list[tuple[StepKind, float]] = [("tare", 0.0)]
@@ -141,11 +140,11 @@ class SeriesPlan(ParameterGroup):
 
     @property
     def point_count(self) -> int:
-        """Points, those of the reference included."""
+        """Number of points, including the reference."""
         return sum(len(m.speeds_rpm) for m in self.mounting)
 
     def estimate_duration_s(self) -> float:
-        """Return about how long it takes without the changes of blades."""
+        """Estimate the duration of the series (s) without changes of blades."""
         t = self.times
         rest = sum(s.kind == "tare" for s in self.steps) * (t.tare_s + 6 * t.window_s)
         return t.warm_up_s + rest + self.point_count * (t.average_s + 5 * t.window_s)
@@ -155,14 +154,14 @@ class SeriesPlan(ParameterGroup):
         return tomli_w.dumps(self.model_dump())
 
     def digest(self) -> str:
-        """Return what tells this plan from another; limits and times may be changed while a series is under way."""
+        """Return a hash that identifies the plan; it excludes limits and times, which may change during a series."""
         tables = self.model_dump(include={"tare_every", "spacing_m", "mounting"})
         return hashlib.sha256(tomli_w.dumps(tables).encode()).hexdigest()[:16]
 
 
 @dataclass(frozen=True)
 class PlanStep:
-    """One thing that is done: mounting and step in it (from 0), what, and at which speed."""
+    """Step of a plan: mounting and step within it (from 0), kind, and speed."""
 
     mounting_index: int
     step_in_mounting: int
@@ -176,31 +175,31 @@ def make_plan(
     speed_ratios: Sequence[float] = (1.0,), reference_every: int = 4, seed: int = 0,
     limits: BenchLimits | None = None, times: StepTimes | None = None, spacing_m: float = 0.04, tare_every: int = 4,
 ) -> SeriesPlan:  # fmt: skip
-    """Draw a plan: every rotor at every pitch and speed, so many times, in random order, between references.
+    """Create a plan: every rotor at every pitch and speed, repeated, in random order, between reference visits.
 
     Parameters
     ----------
     name : str
     rotors : sequence of str
-        On a pair, the same one above and below.
+        Rotors to measure; a pair has the same rotor above and below.
     pitches_deg, speeds_rpm : sequences of float
     reference : str
-        The reference rotor; it stands at ``reference_pitch_deg`` and runs at (up to) five of the speeds.
+        Reference rotor, run at ``reference_pitch_deg`` and up to five of the speeds.
     repetitions : int
-        Mountings of each setting. With two or more, how well a mounting repeats is seen and stated.
+        Number of mountings of each setting; two or more show the repeatability.
     axis : 'upper', 'lower' or 'pair'
-        For a pair the reference is mounted on either axis by itself, because the torques of the pair are read off the
-        currents of the motors.
+        Axis with the rotor. For a pair the reference is mounted alone on each axis, because the torques of the pair
+        follow from the motor currents.
     speed_ratios : sequence of float
-        Of a pair.
+        Ratios of lower to upper speed of a pair.
     reference_every : int
-        Mountings between two references.
+        Number of mountings between two reference visits.
     seed : int
 
     Raises
     ------
     InputError
-        If a list is empty, or a number is not possible.
+        If a list is empty, or a number is invalid.
     """
     for key, values in (("rotor", rotors), ("pitch", pitches_deg), ("rpm", speeds_rpm)):
         if not values:
@@ -209,7 +208,7 @@ def make_plan(
         raise ArgumentError("repeat", "", "is below 1", "give 1 or more")
     rng = np.random.default_rng(seed)
     speeds = [float(s) for s in speeds_rpm]
-    # Few speeds of the reference are enough to follow a drift; its calibration of a motor wants their whole range.
+    # Few reference speeds suffice to track drift; the calibration of a motor needs the whole range.
     chosen = sorted({speeds[round(i)] for i in np.linspace(0, len(speeds) - 1, min(5, len(speeds)))})
 
     def shuffle_values(values: Sequence[float]) -> tuple[float, ...]:
@@ -266,12 +265,12 @@ def make_plan(
 
 
 def read_plan(path: str | Path) -> SeriesPlan:
-    """Read a plan.
+    """Read a plan from a TOML file.
 
     Raises
     ------
     InputError
-        If there is no such file, or it is no plan; the message names the key.
+        If the file does not exist or is no valid plan; the message names the key.
     """
     if not Path(path).is_file():
         raise InputError(str(path), "", "no such plan", "make one with `mufly bench plan`")

@@ -1,15 +1,15 @@
-"""From the record of a series to loads with their covariance: zeros, calibration, gains.
+"""Loads of a series with covariance, from its record: correction of zeros, calibration and gains.
 
 Measurement model (docs/explanation/bench.md, "Model of a series"): cell k reads at time t
 
     y_k = z_k(t) + sum_l S_kl G_l(t) F_l + e_k,      z_k = b_k + W_k(t),     G_l = exp(g_l(t))
 
-Zeros z are read at rest and followed as a random walk (:mod:`mufly.bench.series.random_walk_drift`); S comes from the
-calibration of the cells; g is what the reference rotor shows: of its visits v, each with the same speeds s,
+Zeros z are read at rest and modelled as a random walk (:mod:`mufly.bench.series.random_walk_drift`); S comes from the
+calibration of the cells. The gain drift g follows from visits v of the reference rotor, each with the same speeds s,
 
     ln(F_vs / (rho_vs W_vs^2)) = beta_s + g(t_v) + error,      g(t_0) = 0,
 
-t_0 being the start of the series, when the calibration was true. To first order
+where t_0 is the start of the series, at which the calibration is valid. To first order
 
     cov F_ij = sum_k (S^-1)_jk^2 (delta u_k^2 + cov z_k) + J cov(S) J' + linearity + F_i F_j cov(g_i, g_j).
 """
@@ -40,25 +40,25 @@ _STANDARD_AIR = (101325.0, 293.15, 0.5)
 
 @dataclass(frozen=True, eq=False)
 class SeriesReadings:
-    """Readings of one kind (zeros, or points) of a series, n of them in order of time.
+    """Readings of one kind (zeros or points) of a series, in the order of time.
 
     Attributes
     ----------
     mounting_index : (n,) array of int
-        Of the plan, from 0.
+        Mounting in the plan, from 0.
     step_in_mounting : (n,) array of int
     time_s : (n,) array
         Middle of the averaging (s).
     nominal_rpm : (n,) array
     mean, std, dof : dict of str to (n,) array
-        By channel; NaN where it was not read.
+        Block mean, its standard uncertainty and degrees of freedom by channel; NaN without a reading.
     settled, at_speed, saturated : (n,) arrays of bool
     spike_share : (n,) array
-        Largest share of samples that were left out, of the cells.
+        Largest share of outliers among the samples of the cells.
     low, high : dict of str to (n,) array
-        Least and greatest sample.
+        Smallest and largest sample by channel.
     record_lines : list of dict
-        As recorded.
+        Lines of the record.
     """
 
     mounting_index: Integers
@@ -78,11 +78,11 @@ class SeriesReadings:
         return int(self.time_s.size)
 
     def channel_means(self, name: str) -> Array:
-        """Return the means of a channel, NaN where the bench has none."""
+        """Return the means of a channel (n,); NaN if the bench lacks the channel."""
         return self.mean.get(name, np.full(len(self), np.nan))
 
     def select_readings(self, keep: NDArray[np.bool_]) -> SeriesReadings:
-        """Return some of them."""
+        """Return the readings selected by ``keep`` (n,)."""
         k = np.flatnonzero(keep)
 
         def select_channels(d: dict[str, Array]) -> dict[str, Array]:
@@ -105,11 +105,11 @@ class SeriesReadings:
 
 
 def readings_of_record(record: SeriesRecord, what: str) -> SeriesReadings:
-    """Return the zeros (``"tare"``) or the points (``"point"``) of a record, the last of any that were repeated."""
+    """Return the zeros (``"tare"``) or points (``"point"``) of a record; of repeated points the last is returned."""
     last: dict[tuple[int, int, float], dict[str, Any]] = {}
     for x in record.readings:
         if x["what"] == what:
-            # A zero that was read again after an interruption is one more zero.
+            # A zero repeated after an interruption counts as an additional zero.
             last[x["mounting"], x["step"], x["time"] if x["step"] < 0 else 0.0] = x
     lines = sorted(last.values(), key=lambda x: float(x["time"]))
     names = sorted({n for x in lines for n in x["channels"]})
@@ -146,22 +146,22 @@ def readings_of_record(record: SeriesRecord, what: str) -> SeriesReadings:
 
 @dataclass(frozen=True, eq=False)
 class LoadChannel:
-    """A load at the points of a series.
+    """One load at the points of a series.
 
     Attributes
     ----------
     value : (n,) array
-        N or N m.
+        Load (N or N m).
     common_covariance : (n, n) array
-        Covariance from what many points share: calibration, linearity, gain.
+        Covariance from common errors: calibration, linearity, gain.
     own_covariance : (n, n) array
         Covariance from readings and zeros.
-    zero_drift : Walk
-        Of the cell whose reading it mostly is.
-    gain_drift : Walk or None
-        ln of the gain, where the reference was mounted twice or more.
+    zero_drift : RandomWalkDrift
+        Zero drift of the cell of this load.
+    gain_drift : RandomWalkDrift or None
+        Drift of the logarithmic gain; None for fewer than two reference visits.
     reference_visits : (v, 4) array
-        Of the reference: time, ln of its load over its mean, standard uncertainty, mounting.
+        Time, logarithm of load over mean load, standard uncertainty and mounting of each reference visit.
     """
 
     value: Array
@@ -173,12 +173,12 @@ class LoadChannel:
 
     @property
     def covariance(self) -> Array:
-        """Of the values, (n, n)."""
+        """Total covariance of the values, (n, n)."""
         return self.common_covariance + self.own_covariance
 
 
 def compute_air_density(points: SeriesReadings, facts: BenchFacts) -> tuple[Array, float, str]:
-    """Return density (n,), its relative standard uncertainty, common to all, and in words where it comes from."""
+    """Return air density (n,) in kg/m3, its common relative standard uncertainty, and a description of the source."""
     t, p, h = (points.channel_means(n) for n in ("temperature", "pressure", "humidity"))
     if np.all(np.isnan(p)) or np.all(np.isnan(t)):
         return np.full(len(points), 1.2), 0.03, "no sensors of the air: density 1.2 kg/m3 +- 3 % assumed"
@@ -193,7 +193,7 @@ def compute_air_density(points: SeriesReadings, facts: BenchFacts) -> tuple[Arra
 
 
 def axis_speeds(points: SeriesReadings, plan: SeriesPlan) -> dict[str, Array]:
-    """Return the speed (rad/s) of each axis at each point, 0 where it stands."""
+    """Return the speed (rad/s) of each axis at each point, 0 for an axis at rest."""
     out = {a: np.zeros(len(points)) for a in ("upper", "lower")}
     for i, k in enumerate(points.mounting_index):
         nominal = plan.mounting[k].speeds_rad_s(float(points.nominal_rpm[i]))
@@ -235,7 +235,7 @@ def compute_cell_loads(
     for k, (c, walk) in enumerate(zip(columns, walks, strict=True)):
         zero, cov = walk.predict(points.time_s, np.ones((n, 1)))
         above[:, k] = points.mean[c] - zero
-        # A reading's scatter was understated as that of the zeros was: the same cell, the same averaging.
+        # The variance of readings is inflated like the variance of zeros of the same cell.
         doubt.append(cov + np.diag(points.std[c] ** 2 * min(walk.mean_variance_inflation, 4.0)))
     loads = above @ inverse.T
     out: dict[str, LoadChannel] = {}
@@ -251,7 +251,7 @@ def compute_cell_loads(
         value = loads[:, j]
         if facts.nonlinearity.get(name):
             full = facts.full_scale.get(name, float(np.abs(value).max()))
-            # The bow of a cell's line: alike for loads that are alike.
+            # The linearity error of a cell is correlated for similar loads.
             apart = np.subtract.outer(value, value) / (0.2 * full)
             common = common + (facts.nonlinearity[name] * full) ** 2 / 3.0 * np.exp(-(apart**2))
         if name in CELL_LOADS:
@@ -278,7 +278,7 @@ def _correct_gain_drift(
     speed: dict[str, Array],
     start: float,
 ) -> LoadChannel:
-    """Undo the drift of a gain that the reference shows."""
+    """Correct the gain drift that the reference visits show."""
     visits = compute_reference_visits(channel, name, points, plan, facts, density, speed)
     if not visits.size:
         return channel
@@ -306,7 +306,7 @@ def compute_reference_visits(
     density: Array,
     speed: dict[str, Array],
 ) -> Array:
-    """Return time, ln of the load over its mean, its standard uncertainty and the mounting of every visit (v, 4)."""
+    """Return time, ln(load / mean load), its standard uncertainty and mounting of every reference visit (v, 4)."""
     load = np.full(len(points), np.nan)
     for i, k in enumerate(points.mounting_index):
         m = plan.mounting[k]
@@ -326,8 +326,8 @@ def compute_reference_visits(
     for k in sorted(set(points.mounting_index[np.isfinite(log)].tolist())):
         at = np.flatnonzero((points.mounting_index == k) & np.isfinite(log))
         relative = channel.own_covariance[np.ix_(at, at)] / np.outer(channel.value[at], channel.value[at])
-        # The best mean of speeds that are not known equally well: of slow ones zero and noise are a large share. A
-        # thousandth more on each, so that no difference of two nearly equal errors is taken for knowledge.
+        # Weighted mean over speeds, because zero and noise matter more at low speeds. An added uncertainty of 1e-3
+        # avoids negative weights of nearly equal errors.
         weight = np.linalg.solve(relative + 1e-6 * np.eye(at.size), np.ones(at.size))
         std = float(np.sqrt(1.0 / weight.sum()))
         rows.append((float(np.mean(points.time_s[at])), float(weight @ log[at] * std**2), std, k))
@@ -335,7 +335,7 @@ def compute_reference_visits(
 
 
 def setting_key(m: BladeMounting, nominal_rpm: float) -> tuple[Any, ...]:
-    """Return what makes two points the same setting."""
+    """Return the key that is equal for points of the same setting."""
     return (
         m.axis,
         m.rotor,
@@ -348,5 +348,5 @@ def setting_key(m: BladeMounting, nominal_rpm: float) -> tuple[Any, ...]:
 
 
 def to_rpm(speed: Sequence[float] | Array) -> Array:
-    """Return revolutions a minute."""
+    """Convert speeds (rad/s) to revolutions per minute."""
     return np.asarray(speed, dtype=np.float64) / RPM

@@ -1,12 +1,11 @@
-"""The raw record of a series: a line for each thing done, never changed once it is written.
+"""Raw record of a series: an append-only file with one line per step.
 
 A line is JSON, a tab, and the CRC-32 of the JSON in hexadecimal. It is flushed to the disk (fsync) before the next
-thing is done, so that a crash, a pulled plug or a kill at any moment loses at most the point that was being measured.
-The line that was being written then has no valid sum; a reader passes it over, and a writer begins on a new line
-after it.
+step, so that a crash or power failure loses at most the point in progress. An incomplete line has no valid checksum;
+a reader skips it, and a writer continues on a new line.
 
-The first line says what the bench is (:class:`mufly.bench.rig.bench_devices.BenchFacts`) and what the plan was; every
-other is a ``reading`` (zero or point), or an ``event`` (mounted, stopped, resumed, limit).
+The first line holds the bench (:class:`mufly.bench.rig.bench_devices.BenchFacts`) and the plan. Every other line is a
+``reading`` (zero or point) or an ``event`` (mounted, stopped, resumed, limit).
 """
 
 from __future__ import annotations
@@ -24,12 +23,12 @@ RECORD_FILE_NAME = "raw.jsonl"
 
 
 class SeriesRecord:
-    """The lines of a series, in memory and, if a folder is given, in its file.
+    """Record of a series in memory and, with a folder, in a file.
 
     Parameters
     ----------
     folder : Path, optional
-        Where ``raw.jsonl`` lies or will lie; without it, memory alone (trials by the hundred).
+        Folder of ``raw.jsonl``; None keeps the record in memory only.
     """
 
     def __init__(self, folder: Path | None = None) -> None:
@@ -47,7 +46,7 @@ class SeriesRecord:
                 self._file.write("\n")
 
     def write(self, line: dict[str, Any]) -> None:
-        """Add a line; on the disk when this returns."""
+        """Append a line and flush it to the disk."""
         self.lines.append(line)
         if self._file is not None:
             text = json.dumps(line, allow_nan=True, separators=(",", ":"))
@@ -63,27 +62,27 @@ class SeriesRecord:
 
     @property
     def header_line(self) -> dict[str, Any]:
-        """The first line, empty where nothing is recorded."""
+        """First line of the record; empty without lines."""
         return self.lines[0] if self.lines else {}
 
     @property
     def readings(self) -> list[dict[str, Any]]:
-        """What was measured, in order."""
+        """Readings in the order of measurement."""
         return [line for line in self.lines if line["kind"] == "reading"]
 
     @property
     def completed_steps(self) -> set[tuple[int, int]]:
-        """Mounting and step of everything that need not be done again."""
+        """Pairs of mounting and step that are completed."""
         return {(x["mounting"], x["step"]) for x in self.lines if x["kind"] in ("reading", "warmed") and x["step"] >= 0}
 
 
 def read_lines(path: Path) -> tuple[list[dict[str, Any]], int]:
-    """Return the lines whose sums hold, and how many did not.
+    """Return the lines with valid checksum, and the number of invalid lines.
 
     Raises
     ------
     InputError
-        If the file cannot be read, or its first line is not that of a record.
+        If the file cannot be read, or its first line is not the header of a record.
     """
     try:
         raw = path.read_text(encoding="utf-8", errors="replace")
@@ -111,7 +110,7 @@ def read_record(folder: str | Path) -> SeriesRecord:
     Raises
     ------
     InputError
-        If the folder holds none.
+        If the folder holds no record.
     """
     path = Path(folder) / RECORD_FILE_NAME
     if not path.is_file():
@@ -124,6 +123,6 @@ def read_record(folder: str | Path) -> SeriesRecord:
 
 
 def mean_from_line(values: list[float]) -> BlockMean:
-    """Return a mean as a line holds it."""
+    """Return the block mean stored in a line of the record."""
     value, std, dof, size, spikes, low, high, trend = values
     return BlockMean(value, std, dof, int(size), int(spikes), low, high, trend)

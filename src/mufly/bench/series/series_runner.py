@@ -1,15 +1,14 @@
-"""A series, run: mount, wait, settle, average, watch, write down; stop whatever happens.
+"""Run of a series: mount, settle, average, monitor limits and record; all motors stop at any failure.
 
     for every step of the plan that is not yet in the record
-        tell which blades have to be on, if they change
-        a zero:   stop, wait until the rotors stand still, average
-        a point:  command the speed, wait until speed and loads stand, average until it is known well enough
-        write it down (on the disk before the next step begins)
+        request a change of blades if necessary
+        zero:   stop, wait until the rotors are at rest, average
+        point:  command the speed, wait until speed and loads have settled, average to the required precision
+        write the reading to the disk
 
-Every batch of samples is looked at as it comes (:class:`LimitGuard`): a limit that is passed, a request to stop
-(Ctrl-C, SIGTERM) or a device that is silent ends the gathering there, and all motors are told to stop before anything
-else is done. A device that fails is opened again and the step repeated, twice at most, after a new zero: rotors have
-stopped in between, and a microcontroller that was reset may have lost its scale.
+:class:`LimitGuard` checks every batch of samples. An exceeded limit, a request to stop (Ctrl-C, SIGTERM) or a silent
+device ends the acquisition, and all motors stop before any other action. A failed device is reopened and the step
+repeated, at most twice, after a new zero, because a reset microcontroller may have lost its scale.
 """
 
 from __future__ import annotations
@@ -34,33 +33,33 @@ from mufly.units import RPM
 Array = NDArray[np.float64]
 
 STEP_TRIES = 3
-_SPEED_TOLERANCE, _LOAD_TOLERANCE = 0.002, 0.004  # shares, of the reading and of the largest load so far
+_SPEED_TOLERANCE, _LOAD_TOLERANCE = 0.002, 0.004  # shares of the reading, and of the largest load so far
 _REST_SPEED_rad_s = 1.0
-_THRUST_PRECISION = 0.002  # standard uncertainty of thrust over thrust at which a point is known well enough
-_SPEED_DEVIATION_LIMIT = 0.02  # share of the commanded speed beyond which a point is not at its speed
-_MAX_WARM_PAUSE_s = 900.0  # after a longer pause a bench that was warm is not
+_THRUST_PRECISION = 0.002  # relative standard uncertainty of thrust that ends the averaging of a point
+_SPEED_DEVIATION_LIMIT = 0.02  # relative speed error above which a point counts as not at speed
+_MAX_WARM_PAUSE_s = 900.0  # longest pause without a new warm-up
 
 
 class LimitError(MuflyError):
-    """A limit was passed; the bench has been stopped."""
+    """Error for an exceeded limit; the bench is stopped."""
 
 
 class Stopped(MuflyError):
-    """Somebody asked for it; the bench has been stopped."""
+    """Exception for a requested stop; the bench is stopped."""
 
 
 @dataclass(frozen=True)
 class SeriesProgress:
-    """How far a series is.
+    """Progress of a series.
 
     Attributes
     ----------
     done_steps, total_steps : int
-        Steps.
+        Number of completed steps and of all steps.
     activity : str
-        Now, in words.
+        Description of the present activity.
     record_line : dict, optional
-        What was just written to the record.
+        Line just written to the record.
     """
 
     done_steps: int
@@ -71,16 +70,16 @@ class SeriesProgress:
 
 @dataclass(eq=False)
 class LimitGuard:
-    """Looks at samples as they come, and raises before they do harm.
+    """Monitor of samples that raises an error at an exceeded limit or a requested stop.
 
     Attributes
     ----------
-    limits : Limits
-    facts : Facts
+    limits : BenchLimits
+    facts : BenchFacts
     stop_requested : callable
-        Whether somebody wants it to stop.
+        Function that returns whether a stop is requested.
     saturated_channels : set of str
-        Channels that have met an end of their range since :meth:`clear_saturation`.
+        Channels saturated since :meth:`clear_saturation`.
     """
 
     limits: BenchLimits
@@ -93,7 +92,7 @@ class LimitGuard:
         self._cells: CellCalibration | None = self.facts.cell_calibration()
 
     def clear_saturation(self) -> None:
-        """Forget what was saturated."""
+        """Clear the set of saturated channels."""
         self.saturated_channels = set()
 
     def __call__(self, samples: Samples) -> None:
@@ -110,7 +109,7 @@ class LimitGuard:
             quantity = name.split("_")[0]
             if quantity in most:
                 limit, scale, unit = most[quantity]
-                # Single samples of a current or a speed may be noise; a quarter of them are not.
+                # The 75 % quantile is robust against noise in single samples of current or speed.
                 worst = float(np.quantile(np.abs(x), 0.75))
                 if worst > limit:
                     raise LimitError(f"{name} is {worst * scale:.4g} {unit}, beyond the limit of {limit * scale:g}")
@@ -126,7 +125,7 @@ class LimitGuard:
         self._check_loads(samples)
 
     def estimate_loads(self, means: Mapping[str, BlockMean]) -> dict[str, float]:
-        """Return thrust and torque of the cells by the last zero alone, for whoever watches."""
+        """Return approximate thrust and torque of the cells from the last zero only, for display."""
         if self._cells is None:
             return {n: means[n].value - self.zero_readings.get(n, 0.0) for n in ("thrust", "torque") if n in means}
         names = [f"{c}_raw" for c in self._cells.channels]
@@ -142,7 +141,7 @@ class LimitGuard:
         )
 
     def _check_loads(self, samples: Samples) -> None:
-        """Look at force and torque, as far as they can be told from the readings of a batch."""
+        """Check approximate force and torque of a batch against their limits."""
         cells = self._cells
         found: dict[str, float] = {}
         if cells is not None:
@@ -169,32 +168,32 @@ def run_series(
     told: Callable[[SeriesProgress], None] = lambda _: None, mounted: Callable[[BladeMounting], None] = lambda _: None,
     keep_samples: bool = False, truth: Callable[[PlanStep], Mapping[str, float]] | None = None,
 ) -> SeriesRecord:  # fmt: skip
-    """Measure what of a plan is not yet in the record.
+    """Measure the steps of a plan that are not yet in the record.
 
     Parameters
     ----------
-    plan : Plan
-    rig : Rig
-        Opened here, and stopped whatever happens.
-    record : Record
-        Empty, or of the same plan: then the series goes on.
+    plan : SeriesPlan
+    rig : BenchRig
+        Bench, opened here and stopped in any case.
+    record : SeriesRecord
+        Empty record, or record of the same plan, which is continued.
     asked : callable
-        Whether to stop; looked at several times a second.
+        Function that returns whether to stop, called several times a second.
     told : callable
-        Hears how far it is.
+        Called with the progress.
     mounted : callable
-        Called before blades have to be on; returns when they are, or raises.
+        Called before a change of blades; returns when the blades are mounted, or raises an error.
     keep_samples : bool
-        Write every sample down, not only what was made of them.
+        Whether to record every sample, not only block means.
     truth : callable, optional
-        True loads of a step, for trials on a simulated bench.
+        Function that returns the true loads of a step on a simulated bench.
 
     Raises
     ------
     InputError
-        If the record is of another plan, or the bench lacks what the plan needs.
+        If the record belongs to another plan, or the bench lacks an axis or channel of the plan.
     LimitError, Stopped, DeviceError, StopError
-        The bench has been stopped; the record holds everything that was measured.
+        If the series is interrupted. The bench is stopped, and the record holds all completed readings.
     """
     _check_plan(plan, rig, record)
     guard = LimitGuard(plan.limits, rig.facts, asked)
@@ -216,7 +215,7 @@ def run_series(
         record.write({"kind": "event", "what": type(error).__name__, "why": str(error), "time": rig.now()})
         raise
     finally:
-        # Whatever it was, a fault of this program too: rotors stop before anybody hears of it.
+        # The rotors stop before any error is reported, also for a program fault.
         rig.stop()
     return record
 
@@ -232,7 +231,7 @@ def _check_plan(plan: SeriesPlan, rig: BenchRig, record: SeriesRecord) -> None:
         return
     then, now = (json.loads(json.dumps(f)) for f in (record.header_line["facts"], rig.facts.to_dict()))
     for facts in (then, now):
-        facts.get("calibration", {}).pop("source", None)  # a file may move
+        facts.get("calibration", {}).pop("source", None)  # the path of the calibration file may change
     if other := [name for name in now if now[name] != then.get(name)]:
         raise InputError(
             "rig", ", ".join(other), "differs from the bench on which this series began",
@@ -241,7 +240,7 @@ def _check_plan(plan: SeriesPlan, rig: BenchRig, record: SeriesRecord) -> None:
 
 
 class _SeriesRunner:
-    """What :func:`run_series` knows between two steps."""
+    """State of :func:`run_series` between two steps."""
 
     def __init__(
         self,
@@ -256,15 +255,15 @@ class _SeriesRunner:
     ) -> None:
         self.plan, self.rig, self.record, self.guard = plan, rig, record, guard
         self.on_progress, self.on_mount, self.keep_samples, self.true_loads = told, mounted, keep, truth
-        self.mounted_index = -1  # the mounting whose blades are on
+        self.mounted_index = -1  # mounting of the present blades
         self.step_count = len(plan.steps)
         self.largest_loads: dict[str, float] = {}
-        self.needs_zero = bool(record.readings)  # a series that goes on: the zero of before is of another time
+        self.needs_zero = bool(record.readings)  # a continued series needs a new zero
         last = record.lines[-2]["time"] if len(record.lines) > 1 else rig.now()
         self.is_cold = bool(record.readings) and rig.now() - float(last) > _MAX_WARM_PAUSE_s
 
     def run_step(self, number: int, step: PlanStep) -> None:
-        """Do one step, again if a device fails."""
+        """Run one step, and repeat it if a device fails."""
         mounting = self.plan.mounting[step.mounting_index]
         if self.mounted_index != step.mounting_index:
             self.rig.stop()
@@ -313,7 +312,7 @@ class _SeriesRunner:
         return self.rig.collect_samples(seconds, self.guard)
 
     def _wait_for_rest(self, number: int) -> None:
-        """Wait until nothing turns: somebody is about to put hands on the blades."""
+        """Wait until all rotors are at rest, before a change of blades."""
         until = self.rig.now() + self.plan.times.settle_s
         while self.rig.now() < until:
             self._report_progress(number, "waiting for the rotors to stand still")
@@ -384,7 +383,7 @@ class _SeriesRunner:
         self._report_progress(number + 1, f"{name}: done" + ("" if settled else ", but it had not settled"), line)
 
     def _wait_until_settled(self, wanted: Mapping[str, float]) -> bool:
-        """Wait until two windows agree in speed and loads."""
+        """Wait until speed and loads of two windows agree; return False after the settling time."""
         times, before = self.plan.times, dict[str, BlockMean]()
         until = self.rig.now() + times.settle_s
         while self.rig.now() < until:
@@ -395,7 +394,7 @@ class _SeriesRunner:
                 if k.startswith("speed"):
                     goal = wanted.get(k.removeprefix("speed_"), 0.0)
                     tolerance = max(_SPEED_TOLERANCE * abs(goal), _REST_SPEED_rad_s)
-                    # Standing at the wrong speed is told apart from not standing, afterwards.
+                    # A settled but wrong speed is detected later.
                     good = (
                         good
                         and abs(m.value - before.get(k, m).value) <= tolerance
@@ -414,7 +413,7 @@ class _SeriesRunner:
         return False
 
     def _is_precise_enough(self, means: Mapping[str, BlockMean]) -> bool:
-        """Whether the loads of a point are known well enough to go on."""
+        """Return whether the loads of a point have the required precision."""
         for k in ("thrust_raw", "torque_raw", "thrust", "torque"):
             if k in means:
                 load = abs(means[k].value - self.guard.zero_readings.get(k, 0.0))

@@ -1,4 +1,4 @@
-"""Plans and results of series as they are shown: tables and lines of text."""
+"""Tables and text lines for plans and results of series."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mufly.results import ShownBlock, show_lines, show_table
 
 
 def plan_blocks(plan: SeriesPlan) -> list[ShownBlock]:
-    """Return the mountings of a plan, and how much work they are."""
+    """Return a table of the mountings of a plan, and the number of points and duration."""
     rows = [
         (f"{k}", m.use, m.describe_mounting(), ", ".join(f"{s:g}" for s in m.speeds_rpm))
         for k, m in enumerate(plan.mounting, 1)
@@ -34,7 +34,7 @@ def plan_blocks(plan: SeriesPlan) -> list[ShownBlock]:
 
 
 def format_progress_line(line: dict[str, Any], plan: SeriesPlan, p: SeriesProgress) -> str:
-    """Return a point just measured as a line: blades, speed, loads, and why it is not usable if it is not."""
+    """Return a text line for a measured point: blades, speed, loads, and a fault if there is one."""
     m, quick = plan.mounting[line["mounting"]], line.get("quick", {})
     loads = []
     if "thrust" in quick:
@@ -52,7 +52,7 @@ def format_progress_line(line: dict[str, Any], plan: SeriesPlan, p: SeriesProgre
 
 
 def series_blocks(found: SeriesResult) -> list[ShownBlock]:
-    """Return the settings of a series with their intervals, what was corrected, and the doubts about it."""
+    """Return the settings of a series with their intervals, corrections and issues."""
     pair = any(s.axis == "pair" for s in found.settings)
     heads = ["rotor", "axis", "pitch (deg)", "speed (rpm)", "mounted", "thrust (N)"]
     heads += ["torque upper (mN m)", "torque lower (mN m)"] if pair else ["torque (mN m)"]
@@ -102,7 +102,7 @@ def _format_load(load: LoadInterval | None, scale: float = 1.0) -> str:
 
 
 def difference_blocks(found: Sequence[LoadDifference], first: str, second: str) -> list[ShownBlock]:
-    """Return two series, or a series and a theory, side by side under these names."""
+    """Return a table that compares two series, or a series and theory, under these names."""
     rows = [
         (d.what, f"{d.first:.4g}", f"{d.second:.4g}", f"{100 * d.relative:+.1f} %", f"{d.normalised:+.2f}")
         for d in found

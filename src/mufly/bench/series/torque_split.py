@@ -1,20 +1,18 @@
-"""Whose torque is it? The two rotors of a pair, told apart by the currents of their motors (dissertation, Sec. 3.2.1).
+"""Torques of the two rotors of a pair, separated by the motor currents (dissertation, Sec. 3.2.1).
 
-The torque cell under both rotors reads the sum ``M = s_up Q_up + s_dw Q_dw`` (s = +1, -1). The current of a motor says
+The torque cell under both rotors reads the sum ``M = s_up Q_up + s_dw Q_dw`` (s = +1, -1). Each motor current gives
 
-    Q = k I - c_0 - c_1 W + w(t) + error                  torque constant, friction that is constant and viscous
+    Q = k I - c_0 - c_1 W + w(t) + error                  torque constant, constant and viscous friction
 
-with a friction that walks as bearings and magnets warm (:mod:`mufly.bench.series.random_walk_drift`). k, c_0, c_1 of
-each axis are fitted to the points at which its rotor turned alone, mostly the reference's, where the cell reads Q
-itself. The errors of the fit are those of cell and current, ``u_Q^2 + k^2 u_I^2``. For the points of a pair the fit is
-evaluated at their currents and times, and the cell's M, which is better known than either, is brought in as a
-measurement of
-the sum:
+with a random walk w of the friction as bearings and magnets warm up (:mod:`mufly.bench.series.random_walk_drift`). k,
+c_0, c_1 of each axis are fitted to the points with a single rotor, mostly the reference, where the cell reads Q
+directly. The errors of the fit are those of cell and current, ``u_Q^2 + k^2 u_I^2``. For a pair the fit is evaluated
+at its currents and times, and updated by the cell's reading M, a more accurate measurement of the sum:
 
     Q' = Q + P H' (H P H' + C_M)^-1 (M - H Q),     P' = P - P H' (H P H' + C_M)^-1 H P,     H = [s_up, s_dw]
 
-(least squares with a condition; Deming 1943). ``M - H Q`` before that is the test: the split is believed only if it
-is as small as its covariance says. Where a bench has no torque cell, known torques of the reference take its place.
+(constrained least squares; Deming 1943). The innovation ``M - H Q`` tests the split, which is valid only if the
+innovation agrees with its covariance. Without a torque cell, known torques of the reference replace its readings.
 """
 
 from __future__ import annotations
@@ -41,14 +39,14 @@ class TorqueSplit:
     Attributes
     ----------
     point_index : (m,) array of int
-        The points.
+        Indices of the points.
     torque_Nm : dict of str to (m,) array
-        ``"upper"``, ``"lower"`` (N m).
+        Torque of ``"upper"`` and ``"lower"``.
     covariance : dict of str to (m, m) array
-    motor_fits : dict of str to Walk
-        Coefficients k, c_0, c_1 of each axis.
+    motor_fits : dict of str to RandomWalkDrift
+        Fit of k, c_0, c_1 of each axis.
     cell_mismatch : (m,) array
-        What the cell's sum says beyond the currents, in standard uncertainties; NaN without a torque cell.
+        Cell reading less the sum from currents, in standard uncertainties; NaN without a torque cell.
     """
 
     point_index: NDArray[np.int64]
@@ -62,23 +60,25 @@ def split_torque(
     points: SeriesReadings, plan: SeriesPlan, facts: BenchFacts, speed: dict[str, Array], torque: LoadChannel | None,
     known: Array, known_relative: float, start: float,
 ) -> TorqueSplit | str:  # fmt: skip
-    """Tell the torques of pairs apart; of single rotors too, where there is no torque cell.
+    """Separate the torques of pairs by motor currents; without a torque cell, also compute those of single rotors.
 
     Parameters
     ----------
     points, plan, facts, speed
-        As in :mod:`mufly.bench.series.series_readings`.
-    torque : Channel, optional
-        Of the torque cell.
+        See :mod:`mufly.bench.series.series_readings`.
+    torque : LoadChannel, optional
+        Torque measured by the cell.
     known : (n,) array
-        Torque of the rotor that turns alone, where it is known without a cell; NaN elsewhere.
+        Torque of a single rotor known without a cell (N m); NaN elsewhere.
     known_relative : float
-        Its relative standard uncertainty, common to all.
+        Common relative standard uncertainty of ``known``.
     start : float
+        Start of the series (s).
 
     Returns
     -------
-    Split, or in words why there is none.
+    TorqueSplit or str
+        Torques, or the reason for a failure.
     """
     axis = np.array([plan.mounting[k].axis for k in points.mounting_index])
     where = np.flatnonzero(axis == "pair") if torque is not None else np.flatnonzero(np.isnan(known))
@@ -107,14 +107,14 @@ def split_torque(
         u = np.sqrt(own[train] + (k * std[train]) ** 2)
         fit = fits[side] = fit_random_walk(points.time_s[train], q[train], u, design[train], start)
         mean, cov = fit.predict(points.time_s[turns], design[turns])
-        # Scatter of the currents; friction may scatter from mounting to mounting as the fit found it to.
+        # Scatter of the currents, and of the friction between mountings as found by the fit.
         own_part = (k * std[turns]) ** 2 * fit.mean_variance_inflation + 0.25 * np.median(u) ** 2 * (
             fit.mean_variance_inflation - 1.0
         )
         cov = cov + np.diag(own_part)
         scale = known_relative**2
         if torque is not None:
-            # What the cell's gain may be off, all torques share.
+            # All torques share the gain error of the cell.
             relative = torque.common_covariance[np.ix_(train, train)] / np.outer(
                 torque.value[train], torque.value[train]
             )
