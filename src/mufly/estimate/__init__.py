@@ -1,4 +1,4 @@
-"""What does it believe? Readings in, an estimate with its covariance out."""
+"""State estimation: sensor readings in, an estimate with its covariance out."""
 
 from mufly.estimate.estimator import (
     ZERO_COVARIANCE,

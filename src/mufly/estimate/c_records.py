@@ -55,7 +55,7 @@ _FILTER_MODULES: tuple[types.ModuleType, ...] = (
 
 
 def model_type(p: np.void | Mapping[str, int], kind: Any = np.float64) -> np.dtype:
-    """Return the type of what the filter takes of the flight model's parameters, for a record of them."""
+    """Return the record type of the flight model's parameters used by the filter."""
     nodes = max(int(p["map_nodes"]), 1)
     fields = []
     for name in PARAMETER_DTYPE.names or ():
@@ -67,7 +67,7 @@ def model_type(p: np.void | Mapping[str, int], kind: Any = np.float64) -> np.dty
 
 
 def model_record(p: np.void, kind: Any = np.float64) -> np.ndarray:
-    """Return the flight model's parameters as the filter in C takes them."""
+    """Return the flight model's parameters in the form used by the filter in C."""
     out = np.zeros(1, model_type(p, kind))
     for name in out.dtype.names or ():
         value = p[name]
@@ -112,7 +112,7 @@ def render_records_header(
     p : record
         Parameters of the flight model; of them the size of the map.
     kept, waiting : int
-        Blocks of input that are remembered, and measurements that wait.
+        Numbers of stored input blocks and of queued measurements.
     """
     numbers = {
         **collect_constants(),

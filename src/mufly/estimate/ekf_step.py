@@ -142,32 +142,32 @@ MAX_BACKDATE_S = 0.1
 """How long before the horizon a measurement may have been made: speed and turning carry it there, and what they change
 by meanwhile, 1 m/s^2, moves it by 5 mm."""
 SLOW_NOISE_TICKS = 32
-"""Periods over which the noise of forces at low frequencies is looked at."""
+"""Periods over which low-frequency force noise is estimated."""
 COST_COVARIANCE, COST_HORIZON_STEP, COST_REST_AXIS = 3, 2, 3
-"""What a covariance that is told costs, a step of the horizon, and an axis on the floor, in scalar measurements."""
+"""Cost of publishing a covariance, of a step of the horizon, and of an axis on the floor, in scalar measurements."""
 STAGE_TERRAIN, STAGE_FORCE_MEANS, STAGE_AXES, STAGE_GROUND_CONTACT, STAGE_DONE = 1, 2, 3, 6, 7
 """Stages of the work at the horizon; measurements that wait come first, in the order of their kinds."""
 _INITIAL_REST_S = 0.8
 _GYRO_OUTAGE_S = 0.1  # without gyroscopes
 GYRO_OUTAGE_DENSITY = 0.002
-"""Density of the turning (rad^2/s) that is not known without them: the stabiliser bar keeps the rotors level."""
+"""Density of the angular rate (rad^2/s) without gyroscopes: the stabiliser bar keeps the rotors level."""
 STOPPED_SPEED_SHARE = 0.02
 """Share of the speeds in hover below which rotors stand. Those that run down with the motors off turn the vehicle."""
 LIFTOFF_SIGMA_LIMIT = 2.5
-"""Deviations of the thrust's scale by which lift-off may come sooner or later."""
+"""Deviations of the thrust scale by which lift-off may come earlier or later than modelled."""
 MODELLED_THRUST_SIGMA, THRUST_ERROR_TIME_S = 0.03, 0.02
-"""Deviation of the thrust's scale that the filter bears; what is beyond makes noise, together over so long (s)."""
+"""Deviation of the thrust scale without added noise (1); correlation time of larger errors (s)."""
 ERROR_TIME_TWICE_S = 0.3
 """Twice the time (s) for which an error counts as one, so that over the delay it moves the velocity by what it is."""
 CLIPPING_ERROR_SHARE = 0.25
 """What means of accelerometers that clip are off by, of the range times the share of clipped samples (0.1 to 0.3), and
 for how long together."""
 GROUND_FORCE_ERROR = 1.0
-"""What rotors and legs together may be off by (m/s^2)."""
+"""Joint error of rotor and leg forces on the floor (m/s^2)."""
 SONAR_LIFTOFF_HEIGHT, LIFTOFF_CLEARANCE = 0.3, 0.015
 """Heights (m) up to which the sonar has a say in whether it flies, and beyond its least reading that say so."""
 INITIAL_ACCEL_DENSITY = 5.0
-"""Density of the accelerometers' noise before it is known, m^2/s^3: none would be believed more than the model."""
+"""Initial density of the accelerometer noise (m^2/s^3), so large that the model has the higher weight."""
 MAX_MODEL_DISAGREEMENT = 0.4
 """What accelerometers and model may be apart by over 160 ms (m/s^2), beside two deviations of the thrust's scale; what
 is beyond is noise, together over a second."""
@@ -230,9 +230,9 @@ def _update_flight_phase(m: FilterMemory, s: FilterSettings, z: _Array) -> float
     )
     height = height_above_ground(m.x_output, s)
     off = z[ACTUATOR_START] + z[ACTUATOR_START + 1] < 0.02
-    # Rotors that lift more than the model says fly sooner, others later.
+    # Rotors with more lift than modelled leave the floor earlier, others later.
     doubt = LIFTOFF_SIGMA_LIMIT * m.sigma_output[EX_THRUST_SCALE] if s.has_rotor_model > 0 else 0.0
-    # What the sonar says is fresher than the height that is believed; but not one that sees below the floor.
+    # The sonar is newer than the estimated height, except below the floor.
     says = m.status[R_SONAR] == STATUS_FUSED and height < SONAR_LIFTOFF_HEIGHT and m.x[SX_TERRAIN] > MIN_TERRAIN_HEIGHT
     near = says and m.last_value[_Z[R_SONAR]] <= s.sonar_min + 0.5 * s.sonar_resolution
     clear = says and m.last_value[_Z[R_SONAR]] > s.sonar_min + LIFTOFF_CLEARANCE
@@ -341,7 +341,7 @@ def _sample_inputs(
             row[IN_STATIC + k], row[IN_REST + k], row[IN_SLOPE + k] = 0.0, -GRAVITY * r[6 + k], 0.0
             felt, made = 1e6, 1e-3
         elif m.flight_phase == PHASE_LIGHT:
-            # Legs may carry what the rotors do not: nothing is learnt of these.
+            # Legs may support the weight that the rotors do not: no thrust is estimated.
             row[IN_REST + k] += m.x_output[SX_THRUST_SCALE] * row[IN_STATIC + k]
             if k == 2:
                 row[IN_REST + 2] = (
@@ -389,7 +389,7 @@ def _pass_terrain_edge(m: FilterMemory, s: FilterSettings, span: float) -> None:
 
 @cached_njit(error_model="numpy")
 def _advance_horizon(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array) -> None:
-    """Move the horizon on by a block: state and covariance."""
+    """Advance the horizon by a block: state and covariance."""
     span = s.block_ticks * s.dt
     e = m.input_blocks[m.horizon_tick // s.block_ticks % INPUT_BLOCK_COUNT]
     m.horizon_tick += s.block_ticks
@@ -611,7 +611,7 @@ def _estimate_accel_noise(m: FilterMemory, s: FilterSettings, z: _Array) -> None
 def estimator_step(
     m: FilterMemory, s: FilterSettings, p: ModelParameters, z: _Array, new: NDArray[np.int32], age: _Array
 ) -> bool:
-    """One period.
+    """Run one period of the filter.
 
     Parameters
     ----------
@@ -621,7 +621,9 @@ def estimator_step(
         Readings, in the order of :data:`mufly.quantities.CHECKED_READINGS`, then what acted (4) and the share
         of clipped samples (3).
     new : (9,) array of int
-        0: nothing new; 1: a new reading; 2: one that says of itself that it is none.
+        0: nothing new; 1: a new reading; 2: a reading marked invalid by its sensor.
+    age : (9,) array
+        Age of each reading (s).
     age : (9,) array
         Of each (s).
     """
@@ -680,7 +682,7 @@ def estimator_step(
     turns = s.has_rotor_model > 0 and m.flight_phase >= PHASE_LIGHT
     seen = m.status[R_RATES] < STATUS_MISSING or turns or (m.tick - m.last_fused_tick[R_RATES]) * s.dt < _GYRO_OUTAGE_S
     for k in range(3):
-        # Nonsense may have the model run away: what no gyroscope could say is no estimate.
+        # Invalid inputs may make the model diverge: rates beyond the gyroscopes' range are no estimate.
         if not abs(m.rates_output[k]) < 2.0 * s.value_limit[R_RATES]:
             seen = False
     return m.is_initialised > 0 and seen

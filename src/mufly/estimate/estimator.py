@@ -1,8 +1,8 @@
-"""What does it believe? The estimate that flight software works with, and the ideal estimator, which passes truth on.
+"""The estimate used by the flight software, and the ideal estimator, which passes the truth on.
 
-An estimator turns the :class:`mufly.sensors.Readings` of every instant into an :class:`Estimate`. Whatever it
-is made of, the flight software judges it before it flies by it: an estimate that cannot be right is bridged for a
-moment (:func:`check_estimate`), then reported as lost.
+An estimator converts the :class:`mufly.sensors.Readings` of every instant into an :class:`Estimate`. The flight
+software checks every estimate: an implausible one is replaced for a short time (:func:`check_estimate`), then reported
+as lost.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def _nan_vector() -> _Array:
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """What is believed at one instant; NaN is not known.
+    """The estimate at one instant; unknown values are NaN.
 
     Attributes
     ----------
@@ -50,11 +50,11 @@ class Estimate:
     battery_voltage : float
         Terminal voltage (V).
     covariance : (12, 12) array
-        Of the errors of position, velocity, attitude and rates, in SI units.
+        Covariance of the errors of position, velocity, attitude and rates, in SI units.
     valid : bool
-        Whether the estimator stands by it.
+        Whether the estimator declares the estimate valid.
     auxiliary_states : Beliefs or None
-        What else a filter believes; None of an estimator that is told the truth.
+        Further states of a filter; None for an ideal estimator.
     """
 
     time_s: float = math.nan
@@ -70,10 +70,10 @@ class Estimate:
 
 
 class Estimator:
-    """From readings to an estimate, once a period of the flight software."""
+    """Base class: converts readings to an estimate, once a period of the flight software."""
 
     def update(self, readings: Readings, acting: _Array | None = None) -> Estimate:
-        """Take what the sensors say now.
+        """Process the present readings and return the estimate.
 
         Parameters
         ----------
@@ -84,7 +84,7 @@ class Estimator:
         raise NotImplementedError
 
     def reset(self) -> None:
-        """Everything is back at its start."""
+        """Reset to the initial state."""
 
 
 _MISSING_READING = Reading(_nan_vector(), math.nan)
@@ -93,7 +93,7 @@ _REQUIRED_ESTIMATES = ("position", "velocity", "attitude", "rates")
 
 
 class IdealEstimator(Estimator):
-    """Believes what it is told: for sensors without error."""
+    """An estimator that passes readings of ideal sensors on."""
 
     def update(self, readings: Readings, acting: _Array | None = None) -> Estimate:
         latest = readings.latest
@@ -124,18 +124,18 @@ class IdealEstimator(Estimator):
 
 @dataclass(frozen=True, slots=True)
 class EstimateMonitor:
-    """What is remembered from one estimate to the next.
+    """The state of the estimate check between two instants.
 
     Attributes
     ----------
     last_values : list of 12 floats
-        Position, velocity, attitude and rates as they came last.
+        Last received position, velocity, attitude and rates.
     last_good : Estimate
         The last good value of each quantity.
     lost_s : float
-        For how long position, velocity, attitude or rates have been missing or frozen (s).
+        Time for which position, velocity, attitude or rates have been missing or frozen (s).
     lost_quantities : str
-        Which, in words.
+        Names of the lost quantities.
     """
 
     last_values: list[float]
@@ -145,23 +145,24 @@ class EstimateMonitor:
 
 
 def check_estimate(before: EstimateMonitor | None, m: Estimate, period_s: float, max_range_m: float) -> EstimateMonitor:
-    """Judge an estimate.
+    """Check an estimate and replace implausible values.
 
     Parameters
     ----------
-    before : Watch or None
+    before : EstimateMonitor or None
+        Result of the preceding check; None at the first.
         From the estimate before; None at the first.
     m : Estimate
         As received.
     period_s : float
-        Time since the one before (s), by the clock of the flight software.
+        Time since the preceding estimate (s), by the clock of the flight software.
     max_range_m : float
-        What a beam that sees nothing returns (m).
+        Range of a beam that detects nothing (m).
 
     Returns
     -------
-    Watch
-        Its ``last_good`` is the estimate to work with: finite, and on a clock that moves on.
+    EstimateMonitor
+        Its ``last_good`` is the estimate to use: finite, with an advancing clock.
     """
     values = [*m.position.tolist(), *m.velocity.tolist(), *m.attitude.tolist(), *m.rates.tolist()]
     frozen = before is not None and values == before.last_values
@@ -182,7 +183,7 @@ def check_estimate(before: EstimateMonitor | None, m: Estimate, period_s: float,
 def _replace_bad_values(
     before: EstimateMonitor | None, m: Estimate, bad: list[str], period_s: float, max_range_m: float
 ) -> Estimate:
-    """The estimate with the last good values in place of bad ones; zero where there are none yet."""
+    """Return the estimate with bad values replaced by the last good ones; zero if none exist."""
     replaced: dict[str, Any] = {
         name: np.zeros(3) if before is None else getattr(before.last_good, name) for name in bad
     }

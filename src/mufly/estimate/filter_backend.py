@@ -1,12 +1,12 @@
-"""The filter's step, by whichever of two equal codes starts sooner: the C that flies on board, or Numba's.
+"""Selection of the filter's implementation: the C code that flies on board, or Numba, with equal results.
 
 The C sources of :mod:`mufly.firmware` are a translation by hand of this room's compiled functions and give the same
-numbers to the last bit (``tests/firmware/test_estimate_c.py``). A C compiler builds them in a second or two, Numba
-needs half a minute for the same; both are kept on disk afterwards. So C is taken where there is a compiler, in double
-precision, and as long as the Python sources are those that it was proved equal to (:data:`VERIFIED_STAMP`): whoever
-changes a line of them flies with Numba until C has followed.
+numbers to the last bit (``tests/firmware/test_estimate_c.py``). A C compiler needs a second or two, Numba half a
+minute; both results are cached on disk. C is used in double precision if a compiler exists and the Python sources have
+the stamp of the last proof of equality (:data:`VERIFIED_STAMP`). After a change of these sources Numba is used until C
+is updated.
 
-``MUFLY_ESTIMATOR=numba`` or ``c`` in the environment takes one or the other without asking.
+``MUFLY_ESTIMATOR=numba`` or ``c`` in the environment selects the implementation.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ FILTER_SOURCES = (
     "flight_model",
     "real",
 )
-"""Of the filter, in ``firmware/sources``."""
+"""C source files of the filter, in ``firmware/sources``."""
 _SOURCE_FOLDER = Path(__file__).resolve().parents[1] / "firmware" / "sources"
 _BACKEND_VARIABLE = "MUFLY_ESTIMATOR"
 _C_DECLARATIONS = """
@@ -60,23 +60,23 @@ BackendName = Literal["", "c", "numba"]
 
 @dataclass(frozen=True)
 class FilterBackend:
-    """What computes the filter.
+    """An implementation of the filter's step.
 
     Attributes
     ----------
     name : str
         ``"C"`` or ``"Numba"``.
     selection_reason : str
-        Why not C; empty with C.
+        Reason for not using C; empty with C.
     reset_memory : callable
-        Of the memory.
+        Resets the memory.
     step_filter : callable
-        Of the memory; says whether the estimate is valid. Readings, which are new, and their ages are in the arrays
-        that were given.
+        Steps the memory; returns whether the estimate is valid. Readings, flags of new readings, and their ages are in
+        the arrays passed to :func:`make_backend`.
     call_addresses : tuple of int
         With C, addresses of its step and of the records of settings and flight model, for other compiled code.
     settings : record
-        As it reads them in every step.
+        Settings, read in every step.
     """
 
     name: str
@@ -90,7 +90,7 @@ class FilterBackend:
 def make_backend(
     settings: Any, parameters: Any, z: np.ndarray, new: np.ndarray, age: np.ndarray, code: BackendName = ""
 ) -> FilterBackend:
-    """Return what computes the filter from now on.
+    """Return the implementation of the filter's step.
 
     Parameters
     ----------
@@ -99,12 +99,12 @@ def make_backend(
     z, new, age : arrays
         In which every period's readings will stand (:func:`mufly.estimate.ekf_step.estimator_step`).
     code : "", "c" or "numba"
-        Which; ``""``: what the environment says, or else C where it can be had.
+        Implementation; ``""``: from the environment, or else C if available.
 
     Raises
     ------
     MuflyError
-        If C is asked for and cannot be had.
+        If C is requested but unavailable.
     """
     asked = code or os.environ.get(_BACKEND_VARIABLE, "")
     why = _reason_against_c(asked, z.dtype)
@@ -129,7 +129,7 @@ def make_backend(
 
 
 def explain_numba_choice(vehicle: Vehicle) -> str:
-    """Return why Numba computes the filter of a vehicle; "" if it is C, which is built now if it is not there yet."""
+    """Return why a vehicle's filter uses Numba; "" if it uses C, which is built if needed."""
     asked = os.environ.get(_BACKEND_VARIABLE, "")
     why = _reason_against_c(asked, np.float64)
     if not why:
@@ -141,7 +141,7 @@ def explain_numba_choice(vehicle: Vehicle) -> str:
 
 
 def _reason_against_c(asked: str, kind: Any) -> str:
-    """Why C is not taken, before it is tried."""
+    """Return the reason against C that is known before building it."""
     if asked == "numba":
         return "Numba was asked for"
     if kind != np.float64:
@@ -159,7 +159,7 @@ def make_c_backend(
     age: np.ndarray,
     flags: tuple[str, ...] = COMPILER_FLAGS,
 ) -> FilterBackend:
-    """Return the C, as :func:`make_backend` does, built with these flags.
+    """Return the C implementation, as :func:`make_backend` does, built with these flags.
 
     Raises
     ------
@@ -221,7 +221,7 @@ _TRANSLATED_MODULES: tuple[tuple[types.ModuleType, tuple[str, ...]], ...] = (
     (drive_train, ("armature_current", "rotor_acceleration", "interpolate_table", "terminal_voltage")),
     (coax_maps, ("interpolate", "_cubic_weights")),
 )
-"""Of which modules all compiled functions, or which, stand in C."""
+"""Modules with a C translation: all compiled functions, or those named."""
 
 
 @functools.cache
@@ -239,7 +239,7 @@ def source_stamp() -> str:
 
 
 def _node_tokens(function: ast.FunctionDef) -> Iterator[str]:
-    """What a function says: the kinds of its nodes and their names and numbers, without its docstring."""
+    """Return the node kinds, names and numbers of a function, without its docstring."""
     yield from (function.name, *(argument.arg for argument in function.args.args))
     body = function.body[1:] if ast.get_docstring(function, clean=False) is not None else function.body
     for part in body:

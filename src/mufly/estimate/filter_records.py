@@ -68,7 +68,7 @@ SX_FIX_BIAS, SX_FIX_HEADING, SX_WIND, SX_THRUST_SCALE, SX_PRESSURE_BIAS, SX_MAG_
 EX_POS, EX_VEL, EX_ATT, EX_GYRO_BIAS, EX_ACCEL_BIAS, EX_TERRAIN = 0, 3, 6, 9, 12, 15
 EX_FIX_BIAS, EX_FIX_HEADING, EX_WIND, EX_THRUST_SCALE, EX_PRESSURE_BIAS, EX_MAG_BIAS = 16, 19, 20, 22, 23, 24
 MODEL_ACCEL = 3
-"""Where the model's acceleration starts in ``accel_work``."""
+"""Index of the model's acceleration in ``accel_work``."""
 RF_STATIC, RF_REST, RF_SLOPE, RF_ANG_ACCEL = 0, 3, 6, 9
 ROTOR_FORCE_SIZE = 12
 """A row of the rotor model, three numbers each: force per mass without motion through the air (m/s^2), the rest of the
@@ -87,10 +87,10 @@ READING_WIDTHS = tuple(
     MAX_FUSED_BEAMS if row.dim == "beam" else len(DIMENSION_LABELS.get(row.dim or "", (0,))) for row in CHECKED
 )
 READING_STARTS = tuple(int(k) for k in np.cumsum([0, *READING_WIDTHS]))
-"""Where each reading starts in the row of values of one instant."""
+"""Index of each reading in the row of values of one instant."""
 SENSOR_COUNT = len(CHECKED_READINGS)
 READING_OFFSETS = tuple(row.filter_offset for row in CHECKED)
-"""What is subtracted from each reading."""
+"""Offset subtracted from each reading."""
 QUEUED_READINGS = tuple(k for k, row in enumerate(CHECKED) if row.is_queued)
 QUEUED_COUNT = len(QUEUED_READINGS)
 """Readings that wait for the horizon, where they are fused."""
@@ -109,7 +109,7 @@ MAX_WORK_LIMIT = 4  # scalar measurements, or what costs as much, for which ther
 TR_GYRO, TR_ACCEL, TR_AIR, TR_THRUST, TR_TURN = 0, 9, 18, 27, 30
 TRANSITION_SIZE = 33
 """Numbers of :func:`mufly.estimate.strapdown.error_transition`, and where its parts start."""
-MAX_H_TERMS = 8  # states of which a measurement tells at most
+MAX_H_TERMS = 8  # largest number of states in a measurement equation
 ROTOR_FORCE_HISTORY = 8  # periods for which forces of the model wait for the slower inertial unit
 
 
@@ -256,7 +256,7 @@ class FilterMemory:
 
 
 class FilterSettings:
-    """Everything that the filter is told of its vehicle (:func:`filter_settings`)."""
+    """The filter's settings for a vehicle (:func:`filter_settings`)."""
 
     dt: float = _real("period", unit="s")
     block_ticks: int = _int("periods of a block")
@@ -333,7 +333,7 @@ def settings_type(kind: Any = np.float64) -> np.dtype:
 
 # What is assumed beyond the vehicle's file (docs/explanation/estimation.md)
 MODEL_FORCE_SIGMA = (0.035, 0.035, 0.035)
-"""What the rotor model is off by in flight, one sigma an axis (m/s^2), and for how long together (s)."""
+"""Error of the rotor model in flight, one sigma per axis (m/s^2), and its correlation time (s)."""
 MODEL_FORCE_TIME_S = 0.1
 THRUST_SCALE_SIGMA, THRUST_SCALE_WALK = 0.3, 0.0055
 """What the model's thrust is off by, one sigma; what it goes on changing by (1/sqrt(s)). Vehicles whose parameters are
@@ -356,17 +356,17 @@ _TURN_CORRELATION_S = 1.5  # turns go the same way for about as long
 def filter_settings(
     vehicle: Vehicle, world: World, rate_Hz: float, kind: Any = np.float64, block_s: float = INPUT_BLOCK_S
 ) -> np.void:
-    """Return what the filter knows of a vehicle: its table ``sensors``, its dimensions, the walls of the room.
+    """Return the filter's settings of a vehicle: sensor errors, dimensions, walls of the room.
 
     Parameters
     ----------
     vehicle : Vehicle
     world : World
-        Of it the room alone.
+        Only its room is used.
     rate_Hz : float
-        Of the flight software (Hz).
+        Rate of the flight software (Hz).
     kind : type
-        Of the numbers.
+        Type of the numbers.
     block_s : float
         Time over which inputs are averaged (s).
     """

@@ -65,7 +65,7 @@ def fitted_estimator(vehicle: Vehicle, world: World, rate_Hz: float) -> Estimato
     world : World
         Its room, which is known beforehand.
     rate_Hz : float
-        Of the flight software (Hz).
+        Rate of the flight software (Hz).
     """
     return KalmanEstimator(vehicle, world, rate_Hz)
 

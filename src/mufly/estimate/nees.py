@@ -100,11 +100,11 @@ def measure_consistency(
     Parameters
     ----------
     truths, told : sequences
-        Of the same instants.
+        True and estimated states at the same instants.
     after_s : float
         Instants before are left out (s).
     every : int
-        Of how many instants one counts for NEES.
+        Every this many instants one enters the NEES.
     """
     true = np.array([np.concatenate([t.position, t.velocity, t.attitude]) for t in truths])
     return measure_row_consistency(true, told, after_s=after_s, every=every)

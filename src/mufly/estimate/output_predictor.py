@@ -41,9 +41,9 @@ _Array = NDArray[np.float64]
 FORCE_MEAN_TICKS = 8
 """Periods over which forces are compared."""
 COVARIANCE_INTERVAL_TICKS = 20
-"""Periods between two covariances that are told."""
+"""Periods between two published covariances."""
 OUTPUT_JUMP_M, OUTPUT_JUMP_DECAY_S = 0.05, 0.4
-"""A jump of the state of more than this (m) is told over some time (s)."""
+"""A larger jump of the position (m) is smoothed over time (s)."""
 
 
 @cached_njit(error_model="numpy")

@@ -1,4 +1,4 @@
-"""What a filter believes beyond position, velocity, attitude and rates, and what it says of each of its sensors."""
+"""Status of a filter's sensors, and its states besides position, velocity, attitude and rates."""
 
 from __future__ import annotations
 
@@ -21,24 +21,23 @@ FusionStatus = Literal["fused", "rejected", "missing", "faulty", "waiting"]
 
 @dataclass(frozen=True, slots=True)
 class SensorStatus:
-    """What is thought of one sensor.
+    """The estimator's status of one sensor.
 
     Attributes
     ----------
     name : str
-        Of its reading (:data:`mufly.sensor_table.READINGS`).
+        Name of the reading (:data:`mufly.sensor_table.READINGS`).
     status : str
-        ``"fused"``: believed. ``"rejected"``: it comes, but what it says does not fit. ``"missing"``: it was there and
-        comes no more. ``"faulty"``: what it says cannot be right in itself. ``"waiting"``: not needed, or nothing yet.
+        ``"fused"``: in use. ``"rejected"``: inconsistent with the estimate. ``"missing"``: readings have stopped.
+        ``"faulty"``: readings are invalid in themselves. ``"waiting"``: not needed, or no reading yet.
     innovation, sigma, ratio : float
-        Of its worst component: reading less what was expected, the deviation that this was expected to have (both in
-        SI units), and the quotient.
+        Innovation of the worst component, its standard deviation (both in SI units), and their quotient.
     age_s : float
-        Since the last measurement that was used (s).
+        Time since the last fused measurement (s).
     reason : str
-        Why it is so, in plain words; empty while all is well.
+        Explanation of the status; empty without a problem.
     is_suspicious : bool
-        Whether something is wrong with it though it is fused: the reason says what.
+        Whether a fused sensor has a problem, which ``reason`` explains.
     """
 
     name: str
@@ -53,7 +52,7 @@ class SensorStatus:
 
 @dataclass(frozen=True, slots=True)
 class AuxiliaryStates:
-    """What a filter believes besides the motion.
+    """States of a filter besides the motion.
 
     Attributes
     ----------
@@ -62,9 +61,9 @@ class AuxiliaryStates:
     accelerometer_bias : (3,) array
         (m/s^2), body axes.
     floor_height : float
-        Of the surface under the sonar above D = 0 (m, positive up).
+        Height of the surface under the sonar above D = 0 (m, positive up).
     fix_bias : (4,) array
-        What the position fix is off by: N, E, D (m), heading (rad).
+        Bias of the position fix: N, E, D (m), heading (rad).
     wind : (2,) array
         N, E (m/s).
     thrust_scale : float

@@ -1,4 +1,4 @@
-"""Who speaks with whom? MAVLink, both ends of it, as protocol machines with sockets at the edge."""
+"""MAVLink communication of vehicles and stations: protocol state machines, with sockets at the edge."""
 
 from mufly.link.clients import CommandAuthority
 from mufly.link.codec import (

@@ -1,8 +1,8 @@
-"""Whom the vehicle talks to: each peer with its own numbering, its own wishes, and its last sign of life.
+"""The peers of a vehicle: each with its own packet numbering, message rates and time of last contact.
 
-A peer is a channel of bytes; behind it speak stations, each a system and component. Which message goes out how often
-is each peer's own wish: by default the rates of :data:`mufly.link.telemetry_streams.MESSAGE_STREAMS`, else what it
-asked for by SET_MESSAGE_INTERVAL (one message, interval in us; 0: default, -1: never) or, as older programs do, by
+A peer is a byte channel with one or more stations behind it, each a system and component. Every peer sets its own
+message rates: by default those of :data:`mufly.link.telemetry_streams.MESSAGE_STREAMS`, else those requested by
+SET_MESSAGE_INTERVAL (one message, interval in us; 0: default, -1: never) or, from older programs, by
 REQUEST_DATA_STREAM (a group of messages at a rate).
 """
 
@@ -19,7 +19,7 @@ from mufly.link.steering_input import ManualControl
 from mufly.link.telemetry_streams import MESSAGE_STREAMS
 
 MAX_STREAM_HZ = 200.0
-"""No message is streamed faster, whatever is asked (Hz)."""
+"""Highest rate of a streamed message (Hz)."""
 MAX_CLIENTS = 32
 """So many peers are served; the one that was silent for longest makes room."""
 CLIENT_TIMEOUT_S = 15.0
@@ -32,7 +32,7 @@ _STREAMS_BY_MESSAGE_ID = {
 
 
 class StreamSchedule:
-    """What one peer wants, and when each message is due.
+    """The message rates of one peer, and the time at which each message is due.
 
     Parameters
     ----------
@@ -45,11 +45,11 @@ class StreamSchedule:
         self._once: list[int] = []
 
     def is_streamable(self, number: int) -> bool:
-        """Whether a message can be streamed or asked for."""
+        """Return whether a message can be streamed or requested."""
         return number in _STREAMS_BY_MESSAGE_ID
 
     def set_message_interval(self, now_s: float, number: int, interval_us: float) -> bool:
-        """Take a wish; returns whether there is such a message and interval."""
+        """Set a requested interval; return False if the message or interval is invalid."""
         if number not in _STREAMS_BY_MESSAGE_ID or not (interval_us == -1.0 or 0.0 <= interval_us < math.inf):
             return False
         for k in _STREAMS_BY_MESSAGE_ID[number]:
@@ -68,7 +68,7 @@ class StreamSchedule:
         return -1 if period == math.inf else min(round(period * 1e6), 2**31 - 1)
 
     def set_group_rate(self, now_s: float, group: int, rate_Hz: float) -> None:
-        """Take the older form of a wish: a group of messages (0: all that are streamed by default) at a rate."""
+        """Set the rate of a message group, in the older form (0: all default streams)."""
         for k, stream in enumerate(MESSAGE_STREAMS):
             if stream.default_rate_Hz and stream.stream_group and group in (0, stream.stream_group):
                 self._set_period(now_s, k, _period_from_rate(min(rate_Hz, MAX_STREAM_HZ)))
@@ -182,12 +182,12 @@ class Clients:
                 self._out.append(OutgoingFrame(client.peer, client.encode(message)))
 
     def send_text(self, text: str, level: str = "info", peer: Hashable | None = None) -> None:
-        """Say a line to a peer; to all if None."""
+        """Send a text line to a peer; to all if None."""
         for message in self._texts(text, level):
             self.send_message(peer, message)
 
     def send_refusal(self, now_s: float, station: MessageSource, why: str) -> None:
-        """Tell a station why something is refused, but not with every message of a stream."""
+        """Report to a station why a request is refused, at a limited rate."""
         client = self._all.get(station.peer)
         if why and client is not None and now_s - client.last_refusal_s > _REFUSAL_PERIOD_S:
             client.last_refusal_s = now_s
@@ -221,7 +221,7 @@ COMMANDER_TIMEOUT_S = 5.0
 _CONTROL_GRANTED, _CONTROL_WRONG_KEY, _CONTROL_HELD_BY_OTHER = 0, 2, 3
 
 FailsafeStage = Literal["", "hover", "land"]
-"""How far the failsafe has gone: nothing, or what has been ordered."""
+"""The stage of the failsafe: none, or the action ordered."""
 
 
 class CommandAuthority:

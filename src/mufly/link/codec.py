@@ -49,7 +49,7 @@ MavlinkError: type[Exception] = mavlink.MAVError
 MAX_FRAME_BYTES = 280
 """Length of the longest frame: ten bytes of header, 255 of payload, two of checksum, thirteen of signature."""
 MAX_SENDERS = 64
-"""So many senders are told apart on one channel; those beyond are heard, but their losses are not counted."""
+"""Largest number of senders tracked on one channel; losses of further senders are not counted."""
 MAX_CHANNELS = 128
 """So many peers are remembered; the one that was silent for longest is forgotten."""
 _REORDER_WINDOW = 32  # numbers so far behind the newest are late, those further off are a jump
@@ -95,7 +95,7 @@ def encode_text_field(text: str, size: int = 50) -> bytes:
 
 
 class MessageSource(NamedTuple):
-    """Who said something: MAVLink's source system and component, behind a peer."""
+    """Source of a message: MAVLink system and component, behind a peer."""
 
     peer: Hashable
     system: int
@@ -115,7 +115,7 @@ class OutgoingFrame(NamedTuple):
 
 @dataclass(slots=True)
 class PacketCounts:
-    """What became of the packets of one sender, or of all of a peer's."""
+    """Packet counts of one sender, or of all senders of a peer."""
 
     received_count: int = 0
     lost_count: int = 0
@@ -240,7 +240,7 @@ class FrameDecoder:
         return out
 
     def packet_counts(self, peer: Hashable) -> PacketCounts:
-        """What became of a peer's packets so far."""
+        """Return the packet counts of a peer."""
         channel = self._channels.get(peer)
         return channel.counts if channel is not None else PacketCounts()
 
@@ -486,7 +486,7 @@ def mode_from_state(state: str, manual: bool = False, returning: bool = False) -
 
 
 def pack_custom_mode(mode: Px4Mode) -> int:
-    """Return the number that a heartbeat carries."""
+    """Return the mode number in a heartbeat."""
     return mode.main_mode << 16 | mode.sub_mode << 24
 
 
@@ -496,7 +496,7 @@ def unpack_custom_mode(number: int) -> Px4Mode:
 
 
 def action_for_mode(mode: Px4Mode) -> ModeAction:
-    """Return what to do when a mode is asked for; "" if there is no such thing here."""
+    """Return the action of a requested mode; "" if unsupported."""
     if mode.main_mode in _MANUAL_MAIN_MODES:
         return "rc"
     return _ACTION_BY_MODE.get(Px4Mode(6, 0) if mode.main_mode == 6 else mode, "")

@@ -167,7 +167,7 @@ def parse_command(message: MavMessage) -> Command:
 
 @dataclass(slots=True)
 class _AcceptedCommand:
-    """A command that was carried out: when its last copy was heard, the confirmation of that copy, and the answer."""
+    """An executed command: time and confirmation of its last copy, and the answer."""
 
     last_heard_s: float
     confirmation: int
@@ -212,7 +212,7 @@ class CommandProtocol:
         return choice if now_s - since_s <= MODE_CHOICE_TIMEOUT_S else ""
 
     def handle_command(self, now_s: float, station: MessageSource, message: MavMessage) -> None:
-        """Take a COMMAND_LONG or COMMAND_INT."""
+        """Process a COMMAND_LONG or COMMAND_INT."""
         command = parse_command(message)
         if command.command_id in MESSAGE_REQUEST_COMMANDS:
             wishes = self._clients.mark_heard(now_s, station.peer).schedule
@@ -245,7 +245,7 @@ class CommandProtocol:
                 self._execute_command(now_s, station, command)
 
     def handle_set_mode(self, now_s: float, station: MessageSource, m: MavMessage) -> None:
-        """Take a SET_MODE, the older form of DO_SET_MODE."""
+        """Process a SET_MODE, the older form of DO_SET_MODE."""
         if m.base_mode & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED and self._authority.may_command(now_s, station):
             answer = self._set_mode(now_s, Px4Mode(m.custom_mode >> 16 & 0xFF, m.custom_mode >> 24))
             self._send_answer(station, mavlink.MAV_CMD_DO_SET_MODE, answer)
@@ -259,7 +259,7 @@ class CommandProtocol:
                 client.schedule.request_once(mavlink.MAVLINK_MSG_ID_MISSION_CURRENT)
 
     def _find_repeated_answer(self, now_s: float, station: MessageSource, command: Command) -> RequestAnswer | None:
-        """How a command was answered, if it is a repetition of one that was accepted."""
+        """Return the answer to an accepted command, if this is its repetition."""
         known = self._last.get(station, OrderedDict())
         before, copy = known.get(command.identity_bytes), command.confirmation
         if before is None:

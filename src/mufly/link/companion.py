@@ -91,7 +91,7 @@ class VisionCompanion:
         return 0.0 if ours else self.clock_offset_s
 
     def receive(self, now_s: float, data: bytes) -> None:
-        """Take bytes that came."""
+        """Process received bytes."""
         for m in self._codec.receive(now_s, "vehicle", data):
             kind, system = m.get_type(), m.get_srcSystem()
             if kind == "HEARTBEAT" and self.system is None:

@@ -94,7 +94,7 @@ class MissionClearAll:
 
 
 TransferMessage = MissionRequestList | MissionCount | MissionRequestItem | MissionItem | MissionAck | MissionClearAll
-"""What travels between the two."""
+"""A message between sender and receiver."""
 
 AddressedMessages = list[tuple[Hashable, TransferMessage]]
 """Notes to be sent, each with the peer that it is for."""
@@ -135,7 +135,7 @@ def to_mavlink(note: TransferMessage, system: int, component: int) -> MavMessage
 
 
 class RetryTimer:
-    """When to ask again, and when to stop asking."""
+    """Timer of repeated requests and of the final time-out."""
 
     def __init__(self) -> None:
         self._round_trip_s: float | None = None
@@ -167,7 +167,7 @@ class RetryTimer:
         return True
 
     def has_timed_out(self, now_s: float) -> bool:
-        """Whether nothing has moved for too long."""
+        """Return whether the transfer has timed out."""
         return now_s - self._moved_s > TRANSFER_TIMEOUT_S
 
 
@@ -221,7 +221,7 @@ class MissionReceiver:
 
     @property
     def is_busy(self) -> bool:
-        """Whether a transfer is under way."""
+        """Return whether a transfer is active."""
         return self.peer is not None
 
     @property

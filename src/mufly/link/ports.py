@@ -145,12 +145,12 @@ class Endpoint:
 
     @property
     def is_listening(self) -> bool:
-        """Whether it waits for others to call."""
+        """Return whether the port waits for incoming connections."""
         return self.kind in ("udpin", "tcpin")
 
     @property
     def is_beyond_loopback(self) -> bool:
-        """Whether it listens where other machines can reach it."""
+        """Return whether the port listens on a non-loopback address."""
         if not self.is_listening or self.host == "localhost":
             return False
         try:
@@ -160,7 +160,7 @@ class Endpoint:
 
     @property
     def explanation(self) -> str:
-        """What it does, in words: "sends to 127.0.0.1 port 14550 (UDP)"."""
+        """Return a description: "sends to 127.0.0.1 port 14550 (UDP)"."""
         if self.kind == "serial":
             return f"speaks over {self.host} at {self.port} baud"
         place = f"{self.host} port {self.port}"
@@ -306,7 +306,7 @@ class Port(ABC):
         return -1 if number is None else int(number())
 
     def take_notices(self) -> list[str]:
-        """What happened to the port since the last call, one line each."""
+        """Return the events of the port since the last call, one line each."""
         said, self._notices = self._notices, []
         return said
 
@@ -320,7 +320,7 @@ class Port(ABC):
         self._selector.close()
 
     def _note_change(self, text: str) -> None:
-        """Say what changed, once."""
+        """Report a change once."""
         if text != self._said:
             self._said = text
             self._notices.append(f"{self.endpoint}: {text}")
@@ -357,7 +357,7 @@ def _format_address(address: Any) -> str:
 
 
 class UdpPort(Port):
-    """Datagrams, to one address or to whoever was heard."""
+    """A datagram port, to one address or to all peers heard."""
 
     def __init__(self, endpoint: Endpoint) -> None:
         super().__init__(endpoint)

@@ -176,7 +176,7 @@ class ManualControl:
         return self._by_hand
 
     def handle_rc_override(self, message: MavMessage) -> RequestAnswer:
-        """Take an RC_CHANNELS_OVERRIDE."""
+        """Process an RC_CHANNELS_OVERRIDE."""
         wanted = parse_rc_override(message)
         if wanted is not None:
             self._overridden = True
@@ -187,7 +187,7 @@ class ManualControl:
         return REQUEST_ACCEPTED
 
     def handle_manual_control(self, now_s: float, message: MavMessage) -> RequestAnswer:
-        """Take a MANUAL_CONTROL."""
+        """Process a MANUAL_CONTROL."""
         self._manual, self._heard_s = parse_manual_control(message), now_s
         return self._send_sticks(self._manual) if self._by_hand else REQUEST_ACCEPTED
 

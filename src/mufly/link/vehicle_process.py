@@ -55,7 +55,7 @@ MAX_CATCH_UP_S = 1.0
 START_TIMEOUT_S = 120.0
 """A vehicle's process that does not get on with its start for so long is given up (s)."""
 CATCH_UP_SPEED = 2.0
-"""How much faster than real time the loop goes while it makes up for a stall."""
+"""Speed of the loop relative to real time while it makes up for a stall."""
 PACE_WINDOW_S = 5.0
 """The real-time factor is taken over so long (s)."""
 STAGE_DESIGNING, STAGE_COMPILING = "designing the controllers", "compiling the model"
@@ -71,7 +71,7 @@ _MAX_QUEUED_REPORTS = 1000
 
 @dataclass(frozen=True, slots=True)
 class LoopReport:
-    """How the loop is doing, for a display.
+    """The state of the loop, for a display.
 
     Attributes
     ----------
@@ -102,7 +102,7 @@ class LoopReport:
 
 
 class RealTimePacer:
-    """When the next tick is due, and how much of real time was kept.
+    """Timer of the loop's ticks, with a measure of real time kept.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ class RealTimePacer:
         self._slow, self._whole_s = False, now_s
 
     def sleep_time_s(self, now_s: float) -> float:
-        """How long to sleep until the next tick (s)."""
+        """Return the sleep time until the next tick (s)."""
         # While hurrying, ticks are still some time apart.
         return max(self.next_tick_s, self._last_s + self.period_s / CATCH_UP_SPEED) - now_s
 
@@ -430,7 +430,7 @@ class VehicleProcess:
 
     @property
     def is_finished(self) -> bool:
-        """Whether the process has ended."""
+        """Return whether the process has ended."""
         return not self._process.is_alive()
 
     @property
@@ -470,7 +470,7 @@ class VehicleProcess:
             self._ready.wait(0.1)
 
     def stop(self, timeout_s: float = 10.0) -> None:
-        """Ask it to end, and wait until its recording is whole."""
+        """Stop the process, and wait until its recording is complete."""
         with contextlib.suppress(OSError, ValueError):
             self._pipe.send(None)
         self._process.join(timeout_s)

@@ -30,7 +30,7 @@ SAME_CLOCK_TOLERANCE_S = 2.0
 """A time that is so near to the vehicle's is the vehicle's (s)."""
 CLOCK_OFFSET_WINDOW_S = 30.0
 SENDER_TIMEOUT_S = 1.0
-"""Who was not heard for so long may be followed by somebody else (s)."""
+"""Silence after which another sender may replace the present one (s)."""
 REFUSAL_PERIOD_S = 5.0
 _POSE_INDICES = np.array([0, 1, 2, 5])  # x, y, z, yaw
 _UPPER_TRIANGLE = np.triu_indices(6)
@@ -84,7 +84,7 @@ class VisionInput:
         self.delay_s = 0.0
 
     def handle(self, now_s: float, flight_s: float, sender: MessageSource, m: MavMessage) -> None:
-        """Take a message that came at ``flight_s`` by the vehicle's clock."""
+        """Process a message received at ``flight_s`` by the vehicle's clock."""
         if self._give is None:
             self._report_refusal(now_s, "it does not fly on positions from outside", "start it with --position link")
             return
