@@ -1,4 +1,4 @@
-"""What was recorded? Logs of flights and benches, ours and others', as labelled tables on one clock."""
+"""Reading and writing of flight and bench logs, own and foreign formats, as labelled tables on one clock."""
 
 from mufly.logs.channel_checks import (
     ChannelReport,

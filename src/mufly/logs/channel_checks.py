@@ -1,15 +1,15 @@
-"""What is wrong with a channel: missing values, constant, frozen, saturated, outliers; degrees for radians.
+"""Checks of log channels: missing values, constant, frozen, saturated, outliers; degrees instead of radians.
 
-Outliers are found as Hampel's filter finds them (Hampel 1974; Pearson et al. 2016, "Generalized Hampel Filters"):
-further from the median of a short window than so many robust standard deviations. The spread is taken from a window ten
-times as long, since seven samples tell it badly, and is at least the typical step from sample to sample, so that the
-crest of a fast but smooth motion is none.
+Outliers are found by Hampel's filter (Hampel 1974; Pearson et al. 2016, "Generalized Hampel Filters"): their distance
+to the median of a short window exceeds a number of robust standard deviations. The standard deviation comes from a
+window ten times as long, because seven samples determine it poorly. It is at least the typical step between samples,
+so that the crest of a fast but smooth motion is no outlier.
 
-Degrees or radians? Three tests. Roll and pitch never leave +-180 deg, so values beyond 2 pi are degrees; no small
-helicopter turns faster than 35 rad/s (2000 deg/s, the range of its gyroscopes), so a rate beyond is in deg/s. And the
-derivative of an angle is its rate (for small angles, d(phi)/dt = p): the slope of the one over the other, both
-low-passed, is near 1 if both have the same unit, near 57.3 if the angle is in degrees and the rate in rad/s, near
-1/57.3 the other way round. Any other slope says that the two do not belong together.
+Three tests distinguish degrees from radians. Roll and pitch stay within +-180 deg, so values beyond 2 pi are degrees.
+No small helicopter turns faster than 35 rad/s (2000 deg/s, the range of its gyroscopes), so a larger rate is in deg/s.
+The derivative of an angle is its rate (for small angles, d(phi)/dt = p). The slope of the derivative over the rate,
+both low-passed, is near 1 for equal units, near 57.3 for an angle in degrees and a rate in rad/s, and near 1/57.3 in
+the opposite case. Any other slope shows that the two do not belong together.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _MAX_EXAMINED_SAMPLES = 400_000
 
 @result
 class ChannelReport:
-    """What :func:`check_channel` found.
+    """Result of :func:`check_channel`.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class ChannelReport:
         Share of NaN.
     constant : bool
     smallest, largest, mean, std : float
-        Of what is known.
+        Statistics of the finite values.
     outliers : tuple of float
         Times of the outliers (s).
     frozen : tuple of (begin_s, end_s)
@@ -67,7 +67,7 @@ class ChannelReport:
     at_maximum: float = 0.0
 
     def describe_faults(self) -> list[str]:
-        """The faults but that it is constant, a sentence each; empty for a sound channel."""
+        """Return one sentence per fault, except for a constant channel; empty for a faultless channel."""
         unit = "" if self.units in ("", "1") else f" {self.units}"
         out = []
         if self.missing == 1:
@@ -75,7 +75,7 @@ class ChannelReport:
         if self.missing > 0:
             out.append(f"{self.name}: {100 * self.missing:.2g} % of the values are missing")
         if self.constant:
-            return out  # several channels that stand still make one sentence: LogReport.faults
+            return out  # LogReport.faults reports all constant channels in one sentence
         if self.outliers:
             many = "1 outlier" if len(self.outliers) == 1 else f"{len(self.outliers)} outliers"
             out.append(f"{self.name}: {many}, at {_format_times(self.outliers)} s")
@@ -99,19 +99,19 @@ def _format_times(times: Any) -> str:
 
 
 def check_channel(time: _Array, x: _Array, name: str, units: str = "") -> ChannelReport:
-    """Examine one channel.
+    """Check one channel.
 
     Parameters
     ----------
     time : (n,) array
-        s.
+        Time (s).
     x : (n,) array
     name, units : str
     """
     known = x[np.isfinite(x)]
     if not len(known):
         return ChannelReport(name, units, len(x), 1.0 if len(x) else 0.0)
-    # A reference that stays at a limit was planned so, and the truth of a simulation has no faults.
+    # A reference at a limit is intended, and the truth of a simulation has no faults.
     planned = name.startswith(("reference_", "truth_"))
     low, high = (0.0, 0.0) if planned else find_saturation(x)
     held = planned or is_command_signal(name)
@@ -133,7 +133,7 @@ def check_channel(time: _Array, x: _Array, name: str, units: str = "") -> Channe
 
 
 def numeric_channels(data: xr.Dataset) -> list[Channel]:
-    """Return the numbers of signals on one clock, component by component."""
+    """Return the numeric channels of a dataset, component by component."""
     numbers = [c for c in component_channels(data) if c.values.dtype.kind in "fiub"]
     return [c._replace(values=c.values.astype(np.float64)) for c in numbers]
 
@@ -141,7 +141,7 @@ def numeric_channels(data: xr.Dataset) -> list[Channel]:
 def check_channels(
     channels: Sequence[Channel], progress: Callable[[int, int], None] | None = None
 ) -> list[ChannelReport]:
-    """Examine channels, long ones by their first 400 000 samples; ``progress`` is called with (done, all)."""
+    """Check channels, limited to their first 400 000 samples; ``progress`` is called with (done, all)."""
     out = []
     for k, c in enumerate(channels):
         part = slice(_MAX_EXAMINED_SAMPLES)
@@ -151,29 +151,29 @@ def check_channels(
     return out
 
 
-# Up to this share of a channel, what lies outside the limits is an outlier; beyond, the unit is wrong.
+# Largest share of values outside the limits that count as outliers; a larger share indicates a wrong unit.
 _MAX_REMOVED_SHARE = 0.05
 
 
 def apply_physical_limits(
     channels: Sequence[Channel], assumed: Callable[[Channel], bool]
 ) -> tuple[list[Channel], list[str]]:
-    """Hold signals against what their quantities cannot leave (:data:`mufly.quantities.PHYSICAL_LIMITS`).
+    """Check signals against the physical limits of their quantities (:data:`mufly.quantities.PHYSICAL_LIMITS`).
 
     Parameters
     ----------
     channels : sequence of Channel
-        In SI units.
+        Channels in SI units.
     assumed : callable
-        Whether the unit of a channel is only what this package takes for granted of such logs. If so, single values
-        outside the limits become missing, and a signal that lies outside is left out. What a user or the file's header
-        named is kept, and the contradiction said.
+        Function that returns whether the unit of a channel is only assumed by this package. If so, single values
+        outside the limits become missing, and a signal outside them is omitted. A channel whose unit the user or the
+        header states is kept, and the contradiction is reported.
 
     Returns
     -------
     channels : list of Channel
     words : list of str
-        One sentence a signal.
+        One sentence per signal.
     """
     groups: dict[str, list[Channel]] = {}
     for c in channels:
@@ -212,17 +212,17 @@ _MAD_TO_STD = 1.4826
 
 
 def find_outliers(x: _Array, *, half_window: int = 3, sigmas: float = 7.0) -> NDArray[np.int64]:
-    """Return the samples that stand alone, up to ``half_window`` in a row.
+    """Return the indices of outliers in runs of up to ``half_window`` samples.
 
     Parameters
     ----------
     x : (n,) array
-        On its own clock: interpolated signals have corners that look like outliers. NaN is no outlier.
+        Signal on its own clock, because corners of interpolated signals resemble outliers. NaN is no outlier.
     half_window : int
-        Samples on either side of the one that is judged.
+        Number of samples on either side of the judged sample.
     sigmas : float
-        Robust standard deviations that a sample may lie from the median of its window. Of Gaussian noise, 7 with this
-        window flags fewer than one sample in a million.
+        Largest distance to the median of the window, in robust standard deviations. For Gaussian noise the defaults
+        flag fewer than one sample in a million.
 
     Returns
     -------
@@ -241,10 +241,10 @@ def find_outliers(x: _Array, *, half_window: int = 3, sigmas: float = 7.0) -> ND
     )
     quantum = float(step[step > 0].min()) if (step > 0).any() else 0.0
     floor = max(0.5 * float(np.median(spread)), quantum, 1e-12 * float(np.abs(values).max()))
-    # In the course of a manoeuvre large steps are common; of Gaussian noise, a tenth of all steps exceeds 2.3 sigma.
+    # Large steps are common in a manoeuvre; in Gaussian noise a tenth of all steps exceeds 2.3 sigma.
     usual = 3 * percentile_filter(step, 90, size=wide, mode="nearest")
     flagged = away > np.maximum(sigmas * np.maximum(spread, floor), usual)
-    # Coarse signals step by many quanta as a rule: where steps of that size are common they are no outliers.
+    # Common steps of several quanta in coarse signals are no outliers.
     if (step > 0).mean() < 0.2 and (step > 0).any():
         flagged &= away > 5 * float(np.median(step[step > 0]))
     out = known[flagged]
@@ -252,7 +252,7 @@ def find_outliers(x: _Array, *, half_window: int = 3, sigmas: float = 7.0) -> ND
 
 
 def _in_short_runs(index: NDArray[np.int64], longest: int) -> NDArray[np.bool_]:
-    """Which of the increasing indices belong to runs of at most ``longest`` neighbours."""
+    """Return a mask of the increasing indices that belong to runs of at most ``longest`` neighbours."""
     if not len(index):
         return np.empty(0, dtype=bool)
     run = np.cumsum(np.append(0, np.diff(index) > 1))
@@ -260,7 +260,7 @@ def _in_short_runs(index: NDArray[np.int64], longest: int) -> NDArray[np.bool_]:
 
 
 def _find_runs(flag: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """First and past-the-last index of each run of true values."""
+    """Return the first and past-the-last index of each run of true values, (k, 2)."""
     edges = np.flatnonzero(np.diff(np.concatenate(([0], flag.astype(np.int8), [0]))))
     return edges.reshape(-1, 2)
 
@@ -272,15 +272,14 @@ def find_frozen(x: _Array, *, at_least: int = 8) -> NDArray[np.int64]:
     ----------
     x : (n,) array
     at_least : int
-        Length of the shortest run that counts.
+        Least length of a run.
 
     Returns
     -------
     (k, 2) int array
-        First and past-the-last sample. Empty for a channel that repeats itself as a rule (held inputs, coarse
-        resolution): more than a fifth of its samples are like the one before. What stands still at the beginning or the
-        end of the record has not begun yet, or is over; what goes to and from a repeated value by its least step has
-        only turned there.
+        First and past-the-last sample of each run. It is empty for a channel that usually repeats itself (held inputs,
+        coarse resolution), with more than a fifth of equal neighbours. Runs at the beginning or the end of the record
+        do not count, nor do turning points, which a signal enters and leaves by its smallest step.
     """
     steps = np.abs(np.diff(x))
     same = steps == 0
@@ -296,9 +295,8 @@ def find_frozen(x: _Array, *, at_least: int = 8) -> NDArray[np.int64]:
 def find_saturation(x: _Array, *, at_least: int = 5) -> tuple[float, float]:
     """Return the share of samples that sit at the channel's minimum and at its maximum.
 
-    Only values that are held there for ``at_least`` samples at a time count, and only at an end of the range that
-    the channel meets more often than the values just beside it (a clipped signal piles up at the limit; a signal with a
-    few levels piles up everywhere).
+    Only runs of ``at_least`` equal samples count, and only at an extreme value that is more frequent than the values
+    next to it. A clipped signal accumulates at the limit; a signal with few levels accumulates everywhere.
     """
     values = x[np.isfinite(x)]
     if len(values) < 10 * at_least or values.min() == values.max():
@@ -322,15 +320,15 @@ def find_saturation(x: _Array, *, at_least: int = 5) -> tuple[float, float]:
 AngleUnit = Literal["deg", "rad", ""]
 _DEG_PER_RAD = 180 / np.pi
 _MAX_RATE_RAD_S = 35.0
-# An angle or rate that names its unit is contradicted only by what no gyroscope measures.
+# A stated unit is contradicted only by rates (rad/s) beyond the range of all gyroscopes.
 _MAX_NAMED_RATE_RAD_S = 70.0
 _MIN_CORRELATION = 0.6
-# How far the slope may be from what it should be; over a tenth of a second noise matters little.
+# Largest ratio of the slope to its nominal value; averaging over 0.1 s makes noise negligible.
 _MAX_SLOPE_RATIO = 1.35
 
 
 class UnitGuess(NamedTuple):
-    """Units of an angle and its rate (``""``: cannot be told), the reason in words, and whether the two disagree."""
+    """Units of an angle and its rate (``""`` if undecidable), the reason, and whether the two disagree."""
 
     angle: AngleUnit
     rate: AngleUnit
@@ -344,12 +342,12 @@ def fit_rate_ratio(time: _Array, angle: _Array, rate: _Array) -> tuple[float, fl
     Parameters
     ----------
     time, angle, rate : (n,) arrays
-        On one clock; NaN is left out.
+        Angle and rate on one clock; NaN is omitted.
 
     Returns
     -------
     slope, correlation : float
-        NaN where there is too little to compare.
+        Slope and correlation; NaN for too few samples.
     """
     known = np.isfinite(angle) & np.isfinite(rate) & np.isfinite(time)
     t, a, r = time[known], angle[known], rate[known]
@@ -390,16 +388,16 @@ def guess_angle_units(
     time : (n,) array
         s.
     angle, rate : (n,) arrays, optional
-        What is known of the two; the rate is that of the same angle.
+        Angle and its rate, as far as available.
     bounded : bool
         Whether the angle stays within half a turn (roll and pitch; not an unwrapped yaw).
     named : bool
-        Whether somebody has named the units, so that it takes more to contradict.
+        Whether the units are stated, so that a contradiction needs stronger evidence.
 
     Returns
     -------
     UnitGuess
-        "" where neither range nor consistency tells.
+        Guess; ``""`` if neither range nor consistency decides.
     """
     peak = _robust_peak(angle)
     fast = _robust_peak(rate)
@@ -427,17 +425,17 @@ def guess_angle_units(
                 if both == "rad" and peak < 0.2 and fast < 1.0:
                     both = ""  # a few degrees or a few radians: consistent, and nothing to tell them apart
                 return UnitGuess(both, both, "; ".join([*reasons, said]))
-            # Neither: noise, or another factor, not that of degrees. Which of the two is wrong, its size may tell.
+            # Neither: noise or another factor than that of degrees. The range may show which of the two is wrong.
             far = max(abs(slope), 1 / abs(slope)) > 3
             return UnitGuess(by_angle, by_rate, "; ".join([*reasons, said]), far)
     if not reasons and bounded and np.isfinite(peak) and 1.0 < peak <= np.pi:
-        # In degrees this would be a vehicle that never tilts by four.
+        # In degrees the vehicle would never tilt by four degrees.
         return UnitGuess("", by_rate, f"values up to {peak:.3g} could be either")
     return UnitGuess(by_angle, by_rate, "; ".join(reasons))
 
 
 def _robust_peak(x: _Array | None) -> float:
-    """The size that all but a thousandth of the values stay below, so that single outliers decide nothing."""
+    """Return the 99.9 % quantile of the absolute values, which is robust against single outliers."""
     if x is None or not np.isfinite(x).any():
         return float("nan")
     return float(np.quantile(np.abs(x[np.isfinite(x)]), 0.999))

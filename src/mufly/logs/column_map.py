@@ -1,9 +1,9 @@
-"""From topics to signals: column maps, units converted, and what was guessed said in words.
+"""Column maps from topics and columns of a log to signals: unit conversion, and notes on guesses.
 
-A column map says which column of a foreign log is which of our signals, in which unit and with which sign.
+A column map assigns columns of a foreign log to signals of this package, with unit and sign.
 
-A map is a TOML file (or a dictionary of the same shape); the maps for PX4 and ArduPilot that come with the package are
-such files too. One table a signal::
+A map is a TOML file (or a dictionary of the same shape); the built-in maps for PX4 and ArduPilot are such files, too.
+It has one table per signal::
 
     [time]
     column = "t"
@@ -20,9 +20,9 @@ such files too. One table a signal::
     columns = ["x"]
     sign = -1
 
-The value is ``sign * factor * column + offset`` in ``unit``, and is then converted to the signal's SI unit. Where
-``unit`` is left out, the unit that the file or the header names is used. Of several entries for one signal the first
-whose columns are there is taken.
+The value is ``sign * factor * column + offset`` in ``unit``, and is then converted to the signal's SI unit. Without
+``unit`` the unit stated by the file or the header is used. Of several entries for one signal the first entry with
+existing columns is used.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class TimeEntry(_MapTable):
 
 
 class SignalEntry(_MapTable):
-    """``[[signal]]``: one signal and where it comes from."""
+    """``[[signal]]``: one signal and its source columns."""
 
     name: str = Field(description="our name, of a whole signal or with .label of one component")
     columns: tuple[str, ...] = Field(min_length=1, description="columns or fields, one a component")
@@ -108,12 +108,12 @@ class SignalEntry(_MapTable):
 
     @property
     def column_signs(self) -> tuple[float, ...]:
-        """One sign a column."""
+        """Sign of each column."""
         return self.sign if isinstance(self.sign, tuple) else (self.sign,) * len(self.columns)
 
 
 class ColumnMap(_MapTable):
-    """A column map; see the module's documentation."""
+    """Column map; see the module docstring."""
 
     title: str = ""
     kind: Literal["", "ULog", "DataFlash", "MAVLink tlog", "Crazyflie"] = ""
@@ -126,7 +126,7 @@ def _entry_error(key: str, problem: str, remedy: str) -> PydanticCustomError:
 
 
 def builtin_column_maps() -> list[str]:
-    """Names of the maps that come with the package."""
+    """Return the names of the built-in maps."""
     return builtin_file_names(_BUILTIN_MAPS_FOLDER)
 
 
@@ -144,7 +144,7 @@ def load_column_map(columns: str | Path | Mapping[str, Any] | Sequence[str] | Co
     Raises
     ------
     InputError
-        Naming the first fault.
+        For the first fault of the map.
     """
     if isinstance(columns, ColumnMap):
         return columns
@@ -183,13 +183,13 @@ def _signal_unit(variable: str) -> str:
 
 
 def _convert_to_si(c: Channel) -> Channel:
-    """Convert to the signal's unit, angles without jumps; units that nobody knows stay as they are."""
+    """Convert to the signal's SI unit and unwrap angles; unknown units are unchanged."""
     if c.is_text:
         return c
     wanted = _signal_unit(c.signal_name) or None
     unit = c.units or wanted or "1"
     values = c.values.astype(np.float64)
-    # Hertz of a signal that nobody knows are a frequency, no rotational speed: those are called rps by its header.
+    # Hertz of an unknown signal is a frequency, not a rotational speed, for which headers use rps.
     if unit != wanted and (wanted is not None or (normalise_unit(unit) and unit != "Hz")):
         try:
             unit, factor, offset = unit_conversion(unit, wanted)
@@ -215,7 +215,7 @@ def _attitude_role(c: Channel) -> tuple[str, str, int] | None:
 
 
 def _settle_angle_units(channels: list[Channel]) -> tuple[list[Channel], list[str]]:
-    """Guess the units of angles and rates that name none; check those that do. Says every guess."""
+    """Guess missing units of angles and rates, and check stated units; return the channels and notes on guesses."""
     groups: dict[str, _ChannelsByRole] = {}
     for c in channels:
         role = _attitude_role(c)
@@ -244,7 +244,7 @@ def _settle_angle_units(channels: list[Channel]) -> tuple[list[Channel], list[st
                     why = "nothing in the data tells otherwise"
                 words.append(f"{what} names no unit and is taken to be in {chosen} ({why})")
                 settled |= {c.name: chosen for c in unnamed}
-            # Where angle and rate agree they do so in degrees as well: that contradicts no names.
+            # Angle and rate that agree in degrees do not contradict stated units.
             agreed = in_degrees and guess.angle == guess.rate
             for c in members:
                 other = {(si, "deg"): deg, (deg, "rad"): si}.get((c.units, unit))
@@ -266,10 +266,10 @@ def _settle_angle_units(channels: list[Channel]) -> tuple[list[Channel], list[st
 
 
 def _guess_unit(group: _ChannelsByRole, kind: str, named: bool) -> tuple[UnitGuess, str]:
-    """Judge by the first axis that tells.
+    """Guess the unit from the first axis that decides.
 
-    A reference of rates is what the attitude's controller asks for, not the derivative of the reference of attitude.
-    Roll that names its unit may have its turns counted; pitch never leaves half a turn.
+    A rate reference is the output of the attitude controller, not the derivative of the attitude reference. A roll
+    angle with stated unit may be unwrapped; pitch stays within half a turn.
     """
     last = UnitGuess("", "", "")
     apart = any(c.signal_name.startswith("reference_") for c in group.values())
@@ -280,7 +280,7 @@ def _guess_unit(group: _ChannelsByRole, kind: str, named: bool) -> tuple[UnitGue
             continue
         clock = (angle or main).time
         a = r = None
-        if angle is not None:  # jumps are by a full turn, be it 2 pi or 360
+        if angle is not None:  # unwrap jumps of 2 pi or 360
             a = angle.values.astype(np.float64)
             known = a[np.isfinite(a)]
             a = unwrap_angle(a, 360.0 if len(known) and np.ptp(known) > 4 * np.pi else 2 * np.pi)
@@ -309,24 +309,24 @@ def map_signals(
     ----------
     raw : RawLog
     given : ColumnMap, optional
-        The user's; what it names must be there.
+        Map of the user; its columns must exist.
     standard : ColumnMap, optional
-        Taken for what the user's leaves open, as far as it is there. A log that is a single table also gives its
-        columns by their own names: all of them without a map of the user's, else only those with names of ours.
+        Map for signals that the user's map does not name; missing columns are skipped. A log with a single table also
+        gives its columns by their own names: all of them without a map of the user, else only standard signal names.
     wanted : tuple of str
-        Names of the user's choice; ``topic/field`` takes a field as it is.
+        Names chosen by the user; ``topic/field`` reads a field without conversion.
 
     Returns
     -------
     channels : list of Channel
-        In SI units, angles without jumps.
+        Channels in SI units, with unwrapped angles.
     words : list of str
-        What was guessed or repaired.
+        Notes on guesses and repairs.
 
     Raises
     ------
     InputError
-        If the user's map names what is not there, a unit is unknown, or a clock cannot be repaired.
+        If the user's map names a missing column, a unit is unknown, or a clock cannot be repaired.
     """
     out: dict[str, Channel] = {}
     words: list[str] = []
@@ -381,7 +381,7 @@ def map_signals(
 
 
 def _describe_unknown_units(channels: list[Channel]) -> list[str]:
-    """One sentence about units that are not in the table of units."""
+    """Return a sentence about units that are not in the table of units."""
     found: dict[str, str] = {}
     for c in channels:
         if c.units and not c.is_text and not normalise_unit(c.units) and c.units != _signal_unit(c.signal_name):
@@ -393,7 +393,7 @@ def _describe_unknown_units(channels: list[Channel]) -> list[str]:
 
 
 def _rename_normalised_outputs(channels: list[Channel]) -> tuple[list[Channel], list[str]]:
-    """Call outputs to actuators that never exceed 1 what they are: no pulse is that short."""
+    """Rename actuator outputs that never exceed 1 to commands, because no pulse is that short."""
     outputs = [c for c in channels if c.signal_name == "actuator_output" and not c.is_text]
     largest = max((float(np.nanmax(np.abs(c.values))) for c in outputs if np.isfinite(c.values).any()), default=0.0)
     if not 0 < largest <= 1:
@@ -416,7 +416,7 @@ def find_raw_field(raw: RawLog, name: str) -> tuple[RawTable, str]:
     Raises
     ------
     InputError
-        If there is none, naming what comes near.
+        If the topic or the field does not exist; the error suggests similar names.
     """
     topic, _, field = name.rpartition("/")
     if topic not in raw and f"/{topic.lstrip('/')}" in raw:
@@ -437,7 +437,7 @@ def _suggest_names(name: str, known: list[str], what: str) -> str:
 
 
 def _resolve_entry(raw: RawLog, entry: SignalEntry, must: bool) -> tuple[RawTable, SignalEntry, list[str]] | None:
-    """The topic and the fields that an entry means; None if they need not be there and are not, or hold no value."""
+    """Return table, entry and field names of a map entry; None if optional fields are missing or empty."""
     if entry.topic is None and len(raw) != 1:
         problem = f"{entry.name} names no topic, and the log has {len(raw)}"
         raise InputError(raw.path, entry.name, problem, f"add topic = ..., one of: {', '.join(list(raw)[:8])}")
@@ -449,7 +449,7 @@ def _resolve_entry(raw: RawLog, entry: SignalEntry, must: bool) -> tuple[RawTabl
     table = raw[topic]
     known = find_quantity(entry.name)
     if not must and known is not None and known.dim and not known.component_labels:
-        # Of a signal with any number of channels, the first ones that the topic has.
+        # A signal with any number of channels uses the leading channels that exist in the topic.
         there = tuple(takewhile(lambda c: c in table.fields and _has_value(table.fields[c]), entry.columns))
         entry = entry.model_copy(update={"columns": there}) if there else entry
     low = {name.lower(): name for name in table.fields}
@@ -483,7 +483,7 @@ def _make_channels(
     *,
     believed: bool,
 ) -> list[Channel]:
-    """Make channels by an entry; what a map of ours says of units the file itself may know better."""
+    """Create the channels of a map entry; a unit stated by the file takes precedence over a built-in map."""
     signal, variable, label = split_signal_name(entry.name, "map")
     columns = [table.fields[n][index] for n in names]
     own = [_normalise_unit(table.units.get(n, "")) for n in names]
@@ -493,7 +493,7 @@ def _make_channels(
         else u
         for u in own
     ]
-    # A header's unit inside the map's own column name counts too.
+    # A unit in the column name of the map counts, too.
     units = [u or split_header(c)[1] for u, c in zip(units, entry.columns, strict=True)]
     if entry.quaternion:
         values = euler_from_measured_quaternion(np.column_stack(columns).astype(np.float64))
@@ -524,7 +524,7 @@ def _same_dimension(unit: str, other: str) -> bool:
 
 def _to_identifier(name: str) -> str:
     text = re.sub(r"\W+", "_", name).strip("_") or "signal"
-    text = "time_column" if text == "time" else text  # beside the clock that was taken
+    text = "time_column" if text == "time" else text  # avoids a clash with the clock
     return f"_{text}" if text[0].isdigit() else text
 
 

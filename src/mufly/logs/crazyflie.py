@@ -1,4 +1,4 @@
-"""Logs of a Crazyflie's micro-SD deck, in the two forms that its firmware has written.
+"""Reader of logs of a Crazyflie's micro-SD deck, in both formats of its firmware.
 
 Since 2020 by events (bitcraze.io, "Micro SD card deck", and the decoder beside the firmware, tools/usdlog): the byte
 0xBC; version (u16: 1 or 2) and number of kinds of events (u16); for each kind its number (u16), its name, how many
@@ -8,9 +8,9 @@ version 2. The last four bytes are the CRC-32 of all before them. Before 2020, r
 (u8), their names ``tick(I),acc.x(f),...`` each ended by a comma; then blocks of ``number of rows (u8), rows``, ticks in
 milliseconds. Names and blocks are each followed by a CRC-32, complemented. All numbers are little-endian and packed.
 
-A card that was pulled out, or a battery that gave up, leaves a file without its last bytes: it is read up to there. An
-event of an unknown kind or a block with a wrong CRC is where sense ends, since nothing marks the next one; so are two
-events in a row at times that cannot follow, while one such event (a flipped bit) is left out.
+A removed card or an empty battery leaves a truncated file, which is read up to its end. Reading ends at an event of an
+unknown kind or a block with a wrong CRC, because no mark identifies the next one. It also ends at two successive events
+with impossible times; a single such event (a flipped bit) is skipped.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from mufly.errors import InputError
 from mufly.logs.raw_log import RawLog, RawTable, describe_skipped
 
 FIXED_RATE_TOPIC = "fixedFrequency"
-"""Topic of what is written at a fixed rate; the name that the firmware gives it."""
+"""Topic of variables logged at a fixed rate, as named by the firmware."""
 
 _EVENT_FORMAT_BYTE = 0xBC
 _TICK_COLUMN = b"tick(I),"
@@ -35,9 +35,9 @@ _NUMPY_TYPES = {
     "B": "u1", "b": "i1", "H": "<u2", "h": "<i2", "I": "<u4", "i": "<i4", "Q": "<u8", "q": "<i8", "e": "<f2",
     "f": "<f4", "d": "<f8",
 }  # fmt: skip
-_MAX_STEP_BACK_S, _MAX_STEP_AHEAD_S = 1.0, 3600.0  # from one event to the next, in a file that is not whole
+_MAX_STEP_BACK_S, _MAX_STEP_AHEAD_S = 1.0, 3600.0  # largest time steps between events in a damaged file
 _CLOCK_BY_VERSION = {1: ("<u4", 1e3), 2: ("<u8", 1e6)}
-# Units of the variables that documents of the firmware give; angles in degrees, accelerations in g.
+# Units of variables from the firmware documentation; angles in degrees, accelerations in g.
 _UNITS_BY_VARIABLE = {
     "gyro": "deg/s", "acc": "gee", "stateEstimate.roll": "deg", "stateEstimate.pitch": "deg",
     "stateEstimate.yaw": "deg", "stateEstimate.x": "m", "stateEstimate.y": "m", "stateEstimate.z": "m",
@@ -49,7 +49,7 @@ _UNITS_BY_VARIABLE = {
 
 
 def looks_like_crazyflie(head: bytes) -> bool:
-    """Whether a file that begins so is such a log, of either form."""
+    """Return whether a file with these first bytes is a Crazyflie log of either format."""
     if head[1 : 1 + len(_TICK_COLUMN)] == _TICK_COLUMN:
         return True
     if len(head) < 7 or head[0] != _EVENT_FORMAT_BYTE:
@@ -59,7 +59,7 @@ def looks_like_crazyflie(head: bytes) -> bool:
 
 
 class _EventKind(NamedTuple):
-    """A kind of event: its name, the layout of time and values, and where its events begin."""
+    """Kind of event: name, layout of time and values, and offsets of its events in the file."""
 
     name: str
     row_dtype: np.dtype[Any]
@@ -67,7 +67,7 @@ class _EventKind(NamedTuple):
 
 
 def read_crazyflie(path: str | Path) -> RawLog:
-    """Read a log of the micro-SD deck; one that was cut off is read up to the cut.
+    """Read a log of the micro-SD deck; a truncated log is read up to its end.
 
     Raises
     ------
@@ -107,24 +107,24 @@ def _read_event_format(data: bytes) -> tuple[list[RawTable], list[tuple[int, int
             column, at = _read_string(data, at)
             fields.append(_parse_variable(column))
         kinds[number] = _EventKind(name, _row_dtype(fields), [])
-    # A file without its end may have a broken event there; so may have one whose CRC is wrong for a flipped bit.
+    # A truncated file may end with a broken event, and a flipped bit may break the CRC.
     last, width = -1, np.dtype(clock).itemsize
     skipped: list[tuple[int, int]] = []
 
     def match_event(place: int, after: int) -> tuple[_EventKind, int] | None:
-        """The kind and time of an event that stands at a place, not long after another."""
+        """Return kind and time of a plausible event at a position; None if there is none."""
         kind = kinds.get(data[place] | data[place + 1] << 8) if place + 2 <= end else None
         if kind is None or place + 2 + kind.row_dtype.itemsize > end:
             return None
         if not whole and after >= 0 and not any(data[place : place + 2 + kind.row_dtype.itemsize]):
-            return None  # zeros that nobody wrote
+            return None  # zeros of unwritten memory
         now = int.from_bytes(data[place + 2 : place + 2 + width], "little")
         near = whole or after < 0 or -_MAX_STEP_BACK_S * tick <= now - after <= _MAX_STEP_AHEAD_S * tick
         return (kind, now) if near else None
 
     while at + 2 <= end:
         found = match_event(at, last)
-        if found is None:  # nothing marks where the next event begins: two in a row do
+        if found is None:  # without marks, two successive valid events identify the next position
             start = at
             while at + 2 <= end:
                 at += 1
@@ -174,7 +174,7 @@ def _read_row_format(data: bytes) -> tuple[list[RawTable], list[tuple[int, int]]
 
 
 def _crc_matches(block: bytes) -> bool:
-    """Whether a block ends with its complemented CRC, which makes the CRC of the whole all ones."""
+    """Return whether a block ends with its complemented CRC, which makes the CRC of the whole all ones."""
     return crc32(block) == 0xFFFFFFFF
 
 
@@ -184,7 +184,7 @@ def _read_string(data: bytes, at: int) -> tuple[str, int]:
 
 
 def _parse_variable(column: str) -> tuple[str, str]:
-    """Name and type of a variable: ``acc.x(f)``."""
+    """Return name and type of a variable such as ``acc.x(f)``."""
     name, _, letter = column.strip().removesuffix(")").rpartition("(")
     if not name or letter not in _NUMPY_TYPES:
         raise ValueError(f"variable {column!r:.40}")
@@ -192,7 +192,7 @@ def _parse_variable(column: str) -> tuple[str, str]:
 
 
 def _row_dtype(fields: list[tuple[str, str]]) -> np.dtype[Any]:
-    """Layout of a row; the clock comes first and has no name."""
+    """Return the layout of a row; the clock comes first and has no name."""
     names = ["", *(name for name, _ in fields[1:])]
     if len(set(names)) < len(names):
         raise ValueError("a variable occurs twice")
