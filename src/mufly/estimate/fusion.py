@@ -96,7 +96,7 @@ from mufly.units import GRAVITY
 _Array = NDArray[np.float64]
 
 INNOVATION_GATE = 5.0
-"""Standard deviations: one healthy reading in two million is turned away."""
+"""Gate in standard deviations: one healthy reading in two million is rejected."""
 SONAR_MEAN_GATE = 2.2
 """Mean of five ratios or so of the sonar: six and a half deviations."""
 FIX_MEAN_SQUARE_GATE = 11.0
@@ -109,11 +109,11 @@ BIAS_RANGE_SIGMAS = 5.5
 side, 2 a phi(a) / tau times a second (phi: normal density; Pickands, 1969): three axes with tau of 2 s do so 0.06 times
 in ten hours (5: 0.8 times, and once it was seen)."""
 GYRO_BIAS_RANGE_SIGMAS = 8.0
-"""Deviations of the gyroscopes' bias at the start beyond which they cannot be flown on for long."""
+"""Deviations of the initial gyroscope bias beyond which the gyroscopes are unusable for long."""
 MAX_STUCK_CHANCE = 1e-11
-"""Chance that a sonar that works repeats itself for so long."""
+"""Probability that a healthy sonar repeats a reading for so long."""
 LEG_CLEARANCE_HEIGHT = 0.15
-"""Height (m) above which no leg touches: what turns it then is in the flight model."""
+"""Height (m) above which no leg touches the floor; angular accelerations are then in the flight model."""
 HEIGHT_RESET_SPEED, HEIGHT_RESET_ACCEL, HEIGHT_RESET_THRUST, HEIGHT_RESET_WINDOW_S = 0.3, 0.3, 0.1, 1.0
 """What speed (m/s), accelerometers (m/s^2) and thrust (1) may be off by where the height is led away
 again within ``HEIGHT_RESET_WINDOW_S`` (s)."""
@@ -125,7 +125,7 @@ _BEAM_GATE = 4.0
 COST_FIX_BIAS, COST_FIX = 1, 4
 """What a step of the bias of the fix costs, and a fix, in scalar measurements."""
 MIN_TERRAIN_HEIGHT = -0.1
-"""A room has nothing below its floor (m)."""
+"""Lowest floor height (m): no surface lies below the floor."""
 
 
 @cached_njit(error_model="numpy")
@@ -518,11 +518,11 @@ def fuse_ground_contact(m: FilterMemory, s: FilterSettings) -> bool:
 
 @cached_njit(error_model="numpy")
 def fuse_wall_ranges(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float, r: _Array, most: int) -> bool:
-    """Distances to the walls of the room, beam by beam, ``most`` at a time; returns whether that was all.
+    """Fuse distances to the walls of the room, at most ``most`` beams at a time; return whether all are fused.
 
-    What a beam is off by is mostly constant (docs/explanation/estimation.md), so no number of readings tells of a
-    position more than J, the sum of h^2 / C over the beams. Of that a picture brings what has been lost since the one
-    before: J - 1 / P. Each beam has its share of it, which is a variance of C J / (J - 1 / P) beside what scatters.
+    The error of a beam is mostly constant (docs/explanation/estimation.md). The information on a position is therefore
+    bounded by J, the sum of h^2 / C over the beams. A picture adds the information lost since the preceding picture,
+    J - 1 / P. Each beam has its share, a variance of C J / (J - 1 / P) besides its noise.
     """
     k = R_RING
     rotation_matrix(m.x[SX_ATT : SX_ATT + 4], r)

@@ -95,24 +95,24 @@ class InertialLog:
 
     @property
     def step_s(self) -> float:
-        """Time between two rows (s)."""
+        """Return the time between two rows (s)."""
         return float(np.median(np.diff(self.time_s)))
 
     @property
     def rest_rows(self) -> slice:
-        """The rows at the beginning at which it stands; less than a second is none."""
+        """Return the initial rows at rest; none if shorter than a second."""
         n = int(np.argmax(self.is_flying)) if self.is_flying.any() else len(self.is_flying)
         return slice(0, n if n * self.step_s >= _MIN_REST_S else 0)
 
 
 @dataclass(frozen=True)
 class PositionAids:
-    """Positions, and headings where they are known, that were measured from outside.
+    """External measurements of position, and of heading if available.
 
     Attributes
     ----------
     measured_s, received_s : (m,) arrays
-        When each was measured and when it was known (s).
+        Times of measurement and of arrival (s).
     position : (m, 3) array
         N, E, D (m).
     heading : (m,) array or None
@@ -147,18 +147,18 @@ class InertialNoise:
 
 @result
 class AidInnovations:
-    """How far the aids were from what was told before they came.
+    """Innovations of the aids, predicted before their arrival.
 
     Attributes
     ----------
     count : int
-        Aids.
+        Number of aids.
     nis : float
-        Mean of nu^T S^-1 nu over its number of components; 1 where it knows how good it is.
+        Mean of nu^T S^-1 nu over its number of components; 1 if the covariance is consistent.
     off : float
-        Root mean square of the distance (m).
+        Root mean square of the position innovation (m).
     likelihood : float
-        Mean logarithm, without its constant.
+        Mean log-likelihood, without its constant.
     """
 
     count: int
@@ -180,7 +180,7 @@ def detect_flight(time_s: _Array, rates: _Array, acceleration: _Array) -> NDArra
 
 
 def check_inertial_log(log: InertialLog, where: str) -> None:
-    """Refuse what cannot be an inertial unit in our units and axes.
+    """Reject data that are no inertial unit's in SI units and body axes.
 
     Raises
     ------
@@ -254,7 +254,7 @@ def run_log(
     until_s: float = math.inf,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> list[Estimate]:
-    """Return what the filter makes of a log, an estimate a row.
+    """Run the filter on a log and return an estimate per row.
 
     Parameters
     ----------
@@ -299,7 +299,7 @@ def run_log(
 
 
 def _make_log_estimator(log: InertialLog, aids: PositionAids, noise: InertialNoise) -> KalmanEstimator:
-    """The filter without a rotor model, where and how it stands or flies at the beginning."""
+    """The filter without a rotor model, with the initial rest or motion of a log."""
     step = log.step_s
     late = float(np.max(aids.received_s - aids.measured_s, initial=0.0))
     # A row a block where that reaches back far enough: no processor is short of time here.
@@ -384,7 +384,7 @@ def _make_log_estimator(log: InertialLog, aids: PositionAids, noise: InertialNoi
 def aid_innovations(
     log: InertialLog, aids: PositionAids, told: list[Estimate], *, from_s: float, to_s: float
 ) -> AidInnovations:
-    """Return how far aids taken in a part of the log were from what was told at their time, before they came."""
+    """Return the innovations of the aids in a part of the log, each at its measurement time."""
     row = np.searchsorted(log.time_s, aids.measured_s - 0.5 * log.step_s)
     use = [
         i for i, k in enumerate(row.tolist())

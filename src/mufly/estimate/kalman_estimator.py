@@ -1,4 +1,4 @@
-"""The estimator of a vehicle with sensors: the filter, with what the flight software wants of it."""
+"""The estimator of a vehicle with sensors: the interface between the filter and the flight software."""
 
 from __future__ import annotations
 
@@ -52,11 +52,11 @@ PUBLISHED_FIELDS = (
     "covariance_output", "sigma_output", "status", "reason", "fault_number", "innovation", "innovation_sigma",
     "last_fused_tick", "last_new_tick", "fault_component", "tick",
 )  # fmt: skip
-"""Of the memory, what is told every :data:`mufly.estimate.output_predictor.COVARIANCE_INTERVAL_TICKS` periods."""
+"""Memory fields published every :data:`mufly.estimate.output_predictor.COVARIANCE_INTERVAL_TICKS` periods."""
 
 
 def fitted_estimator(vehicle: Vehicle, world: World, rate_Hz: float) -> Estimator:
-    """Return the estimator for what the vehicle has on board.
+    """Return the estimator for a vehicle's sensors.
 
     Parameters
     ----------
@@ -78,17 +78,17 @@ class KalmanEstimator(Estimator):
     vehicle, world, rate_Hz
         As for :func:`fitted_estimator`.
     kind : type
-        Of the filter's numbers; a processor on board has ``numpy.float32``.
+        Type of the filter's numbers; processors on board use ``numpy.float32``.
     code : "", "c" or "numba"
-        What computes it (:mod:`mufly.estimate.filter_backend`); what starts sooner by default. ``make_backend`` says
-        which it is.
+        Implementation (:mod:`mufly.estimate.filter_backend`); default: the one that starts sooner.
+        ``make_backend`` reports the choice.
     block_s : float
         Time over which inputs are averaged (s).
 
     Attributes
     ----------
     uses_fix_covariance : bool
-        Whether position fixes that come with a covariance are taken for as good as that says.
+        Whether the covariance sent with a position fix is used as its accuracy.
     fix_correlation_s : float
         Over which errors of such fixes hang together; 0: not at all, each is white noise, and the wandering of all
         stays as the vehicle's file has it. Else they wander by as much as the covariance says, where that is more than
@@ -132,7 +132,7 @@ class KalmanEstimator(Estimator):
         self.set_settings(self._settings)
 
     def set_settings(self, settings: Any) -> None:
-        """Take other settings (:func:`mufly.estimate.filter_records.filter_settings`), and start anew."""
+        """Replace the settings (:func:`mufly.estimate.filter_records.filter_settings`) and reset."""
         self._settings = settings
         self._vehicle_noise = {
             name: np.array(settings[name]) for name in ("fix_variance", "heading_variance", "initial_sigma")
@@ -210,7 +210,7 @@ class KalmanEstimator(Estimator):
         )  # fmt: skip
 
     def _filter_ranges(self, seen: _Array) -> None:
-        """Take a picture of the ring: of each beam the middle of the last three is told.
+        """Process a picture of the range ring: publish the median of each beam's last three readings.
 
         In a flight of minutes noise makes a spot where none is, and an obstacle that is seen once is a detour; it costs
         an obstacle that is there the time of one picture.
@@ -222,7 +222,7 @@ class KalmanEstimator(Estimator):
         self._filtered_ranges = np.maximum(np.minimum(a, b), np.minimum(np.maximum(a, b), c))
 
     def _fill_inputs(self, readings: Readings, acting: _Array | None) -> None:
-        """Lay what has come anew into one row."""
+        """Write new readings into one row."""
         self._input_values[ACTUATOR_START : ACTUATOR_START + 4] = 0.0 if acting is None else acting
         self._input_is_new[:] = 0
         for k in self._fitted_indices:
@@ -233,7 +233,7 @@ class KalmanEstimator(Estimator):
         self._input_values[CLIPPING_START:] = 0.0 if clipping is None else clipping.value
 
     def fill_readings(self, said: Mapping[str, Reading], time_s: float) -> None:
-        """Lay what some of the sensors say into the row of this period."""
+        """Write readings of some sensors into the row of this period."""
         for name, r in said.items():
             k = self._reading_indices.get(name)
             if k is not None:
@@ -242,7 +242,7 @@ class KalmanEstimator(Estimator):
                 self._input_values[CLIPPING_START:] = r.value
 
     def _fill_reading(self, k: int, r: Reading, t: float) -> None:
-        """Lay what one sensor says into the row, if it is new."""
+        """Write a new reading of one sensor into the row."""
         name, z = CHECKED_READINGS[k], self._input_values
         before = self._last_readings.get(name)
         if r is before or (before is not None and r.time_s == before.time_s):
@@ -262,7 +262,7 @@ class KalmanEstimator(Estimator):
             z[start : start + READING_WIDTHS[k]] = r.value - offset if offset else r.value
 
     def _set_fix_noise(self, fix: Reading, since_s: float) -> None:
-        """Take a fix for as good as it says that it is, or else as the vehicle's file says."""
+        """Set the accuracy of a fix from its own covariance, or else from the vehicle's file."""
         s, file, four = self.backend.settings, self._vehicle_noise, slice(EX_FIX_BIAS, EX_FIX_HEADING + 1)
         noise = np.array([file["fix_variance"], file["heading_variance"]])
         own = None if fix.covariance is None else np.diag(fix.covariance)
@@ -323,7 +323,7 @@ class KalmanEstimator(Estimator):
 
     @property
     def sensor_statuses(self) -> Sequence[SensorStatus]:
-        """What is thought of the sensors."""
+        """Return the status of the sensors."""
         return self._sensor_statuses
 
     @property

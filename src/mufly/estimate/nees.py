@@ -1,4 +1,4 @@
-"""Is it as good as it thinks? Errors of an estimate against the deviations that it states.
+"""Consistency of an estimate: its errors against its own standard deviations.
 
 NEES, the normalised estimation error squared, e^T P^-1 e of an error e of n components, is on average n if P is what it
 should be, and below the 95 % point of the chi-square distribution in 95 % of cases (Bar-Shalom, Li and
@@ -34,7 +34,7 @@ def normalised_errors(errors: _Array, covariances: _Array) -> _Array:
 
 @result
 class Consistency:
-    """How an estimate was off, and whether it knew.
+    """Errors of an estimate, and the consistency of its covariance.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class Consistency:
         return cls(count=sum(one.count for one in several), parts=parts, **mean, **rms, **peak)
 
     def format_row(self) -> str:
-        """In centimetres and degrees, for a table."""
+        """Return the errors in centimetres and degrees, for a table."""
         d = np.degrees
         cells = (
             f"{self.nees:.2f}", f"{100 * self.inside:.1f}", f"{100 * self.xy_rms:.1f}", f"{100 * self.xy_peak:.1f}",
@@ -95,7 +95,7 @@ class Consistency:
 def measure_consistency(
     truths: Sequence[Truth], told: Sequence[Estimate], *, after_s: float = 0.0, every: int = 10
 ) -> Consistency:
-    """Return how estimates compare with the truth.
+    """Return the consistency of estimates with true states.
 
     Parameters
     ----------
@@ -113,12 +113,12 @@ def measure_consistency(
 def measure_row_consistency(
     true: _Array, told: Sequence[Estimate], *, after_s: float = 0.0, every: int = 10
 ) -> Consistency:
-    """Return the same of rows.
+    """Return the consistency of estimates with rows of true values.
 
     Parameters
     ----------
     true : (n, 9) array
-        Position, velocity, attitude (m, m/s, rad). Of a component that is nowhere known (NaN) nothing is said.
+        Position, velocity, attitude (m, m/s, rad). Components unknown throughout (NaN) are ignored.
     told, after_s, every
         As for :func:`measure_consistency`.
 

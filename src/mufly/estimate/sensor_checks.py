@@ -80,9 +80,9 @@ STATUS_WAITING, STATUS_FUSED, STATUS_REJECTED, STATUS_MISSING, STATUS_FAULTY = r
 """Why, as a number; the words are in :mod:`mufly.estimate.sensor_status`."""
 REJECT_ALARM, SONAR_REJECT_ALARM, REJECT_DECAY = 1.5, 3.0, 0.93
 FAULT_HOLD_S = 0.5
-"""A fault that shows for one reading is told of for this long (s)."""
+"""Time for which a fault of one reading is reported (s)."""
 _MAX_READING_AGE_S = 10.0
-"""Age beyond which a reading is none, as is one of the future or of no time."""
+"""Age beyond which a reading is rejected (s), as is one from the future or without time."""
 _SPIKE_RATE, _SPIKE_AGREEMENT = 0.12, 0.06  # rad/s within a period, beyond what the model says
 _MAX_GYRO_OFFSET = 5.0  # rad/s: no gyroscope is off by more; what jumps on and on follows a model that runs away
 _SPIKE_CARRY_SHARE = 0.7  # of what was off in the period before

@@ -1,4 +1,4 @@
-"""How the helicopter moves between two instants: what carries the state on, and what that does to its errors.
+"""Prediction of the helicopter's motion between two instants, and of its error state.
 
 Attitude and velocity by the strapdown equations (Groves, 2nd ed., ch. 5), from rates w and specific force f in
 body axes:
@@ -147,7 +147,7 @@ def predict_state(x: _Array, e: _Array, dt: float, r: _Array, a: _Array) -> None
 
 @cached_njit(error_model="numpy")
 def error_transition(e: _Array, span: float, r: _Array, push: _Array, out: _Array) -> None:
-    """Write how position, velocity and attitude depend on errors after a step.
+    """Write the sensitivity of position, velocity and attitude to errors after a step.
 
     With the turn t about N, E, D, in its middle less what the gyroscopes' bias does to it, and u = R^T (v - wind):
 
@@ -162,9 +162,9 @@ def error_transition(e: _Array, span: float, r: _Array, push: _Array, out: _Arra
     e : (21,) array
         Inputs, mean over the step.
     span : float
-        Of the step (s).
+        Duration of the step (s).
     r : (9,) array
-        Attitude in its middle, as a matrix.
+        Attitude in the middle of the step, as a rotation matrix by rows.
     push : (3,) array
         Acceleration but for gravity, mean over the step, N-E-D (m/s^2).
     out : (33,) array
@@ -207,7 +207,7 @@ def _model_derivative(
 
 @cached_njit(error_model="numpy")
 def predict_rotor_force(m: FilterMemory, s: FilterSettings, p: ModelParameters, air: _Array, out: _Array) -> None:
-    """Carry what the rotors remember on by a period, and write the force that they and the air make.
+    """Propagate the rotor state by a period, and write the force of rotors and air.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What the vehicle tells of what it believes: ODOMETRY with covariance, ESTIMATOR_STATUS, and each sensor's health.
+"""Messages of the estimate: ODOMETRY with covariance, ESTIMATOR_STATUS, and the status of each sensor.
 
 ODOMETRY tells the pose in MAV_FRAME_LOCAL_NED and the motion in MAV_FRAME_BODY_FRD, as PX4 does. Its covariances are
 the upper triangles, row by row (21 numbers each), of x, y, z, roll, pitch, yaw and of vx, vy, vz, rollspeed,

@@ -65,7 +65,7 @@ class MissionProtocol:
     autopilot : Autopilot
     clients : Clients
     authority : Authority
-        Who may change the mission.
+        Decides who may change the mission.
     origin : Origin or None
 
     Attributes
@@ -90,7 +90,7 @@ class MissionProtocol:
         self._clearing: tuple[float, MessageSource, int] | None = None
 
     def receive(self, now_s: float, station: MessageSource, note: TransferMessage) -> None:
-        """Take a note of a station; what begins to change the mission, only from the commander."""
+        """Process a station's message; only the commander may start an upload or clear the mission."""
         if isinstance(note, MissionCount | MissionClearAll) and not self._authority.may_command(now_s, station):
             denied = MissionAck(MissionResult.DENIED, note.mission_type)  # why, the authority has said
             self._clients.send_message(station.peer, to_mavlink(denied, station.system, station.component))
@@ -99,7 +99,7 @@ class MissionProtocol:
             self._send_messages(self._handle_message(now_s, station, note))
 
     def step(self, now_s: float) -> None:
-        """Repeat what may have been lost."""
+        """Repeat messages that may be lost."""
         self._send_messages(self._cancel_foreign_uploads())
         out = [
             *self._receiver.step(now_s),
@@ -111,7 +111,7 @@ class MissionProtocol:
         self._send_messages(out)
 
     def forget_peer(self, peer: object) -> None:
-        """A peer has gone: its transfers end, the mission stays what it was."""
+        """End the transfers of a lost peer; the mission is unchanged."""
         for key in [k for k in self._senders if k[0].peer == peer]:
             del self._senders[key]
         for receiver in (self._receiver, self._fence_receiver):
@@ -120,7 +120,7 @@ class MissionProtocol:
                 receiver.cancel()
 
     def start_mission(self, item: float = 0.0) -> RequestAnswer:
-        """Start the mission, or go on with it; from an item on if one is given, above 0."""
+        """Start or resume the mission, from an item above 0 if given."""
         if item > 0.0:
             self._first = int(min(item, 65535.0))
             if self._waypoint_from_item(self._first) is None:
@@ -148,7 +148,7 @@ class MissionProtocol:
         return answer
 
     def mission_progress(self, status: FlightState) -> MissionProgress:
-        """Where the mission stands."""
+        """Return the progress of the mission."""
         self._refresh_plan(status)
         total = len(self.plan.items)
         if not self.plan.mission.waypoint:
@@ -166,7 +166,7 @@ class MissionProtocol:
         )
 
     def take_reached_items(self, status: FlightState) -> list[int]:
-        """Items that were completed since the last call, in order."""
+        """Return the items completed since the last call, in order."""
         self._refresh_plan(status)
         if not status.mission_begun:
             self._told = 0
@@ -206,7 +206,7 @@ class MissionProtocol:
         return []
 
     def _cancel_foreign_uploads(self) -> AddressedMessages:
-        """An upload ends, with nothing changed, when whoever began it does not command any more."""
+        """End an upload, without any change, if its sender is no longer the commander."""
         out: AddressedMessages = []
         for receiver in (self._receiver, self._fence_receiver):
             if receiver.peer is not None and receiver.peer != self._authority.commander:
@@ -242,7 +242,7 @@ class MissionProtocol:
         return self.plan.first_waypoint_from_item(item) if 0 <= item < len(self.plan.items) else None
 
     def _count_completed_items(self, status: FlightState) -> int:
-        """How many items, from the first, are completed."""
+        """Return the number of completed items, from the first."""
         places, reached = self.plan.waypoint_item_index, status.waypoint_index
         if reached == len(places) and status.mission_running and status.state == "hover":
             reached -= 1  # it waits there; the last item is completed when nothing of the mission is left

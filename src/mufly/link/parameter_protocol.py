@@ -68,7 +68,7 @@ INTEGER_RANGES: dict[int, tuple[int, int]] = {
 
 
 def decode_parameter(number: float, kind: int, bytewise: bool = True) -> float:
-    """Return the value that the ``float`` field of a PARAM_SET or PARAM_VALUE carries.
+    """Return the value in the ``float`` field of a PARAM_SET or PARAM_VALUE.
 
     A ``float`` holds seven digits; 0.6 comes as 0.60000002, and is 0.6 again here. Autopilots put whole numbers there
     either as a number or, ``bytewise``, as the bytes of the integer.
@@ -79,21 +79,21 @@ def decode_parameter(number: float, kind: int, bytewise: bool = True) -> float:
 
 
 def encode_parameter(value: float, kind: int, bytewise: bool = True) -> float:
-    """Inverse of :func:`decode_parameter`: what the ``float`` field carries."""
+    """Return the ``float`` field of a value, the inverse of :func:`decode_parameter`."""
     if bytewise and kind in _STRUCT_FORMATS:
         return float(struct.unpack("<f", struct.pack(_STRUCT_FORMATS[kind], round(value)))[0])
     return value
 
 
 class ParameterProtocol:
-    """The vehicle's side: answers whoever asks for parameters.
+    """The vehicle's side of the parameter protocol.
 
     Parameters
     ----------
     autopilot : Autopilot
     clients : Clients
     authority : Authority
-        Who may set them.
+        Decides who may set parameters.
     """
 
     def __init__(self, autopilot: Autopilot, clients: Clients, authority: CommandAuthority) -> None:
@@ -110,7 +110,7 @@ class ParameterProtocol:
         return (self._own[name] if name in self._own else self._autopilot.parameters[name]).value
 
     def handle_request_list(self, now_s: float, station: MessageSource, message: MavMessage) -> None:
-        """Take a PARAM_REQUEST_LIST: begin a list, anew if one is under way."""
+        """Process a PARAM_REQUEST_LIST: start or restart a list."""
         self._lists.pop(station, None)
         if len(self._lists) < _MAX_LISTS:
             self._lists[station] = 0
@@ -122,7 +122,7 @@ class ParameterProtocol:
         self._send_value_or_error(station, name, message, k)
 
     def handle_set(self, now_s: float, station: MessageSource, message: MavMessage) -> None:
-        """Take a PARAM_SET; everybody who watches learns of the value in force."""
+        """Process a PARAM_SET; all peers receive the resulting value."""
         name = message.param_id
         if not self._authority.may_command(now_s, station):
             self._send_value_or_error(station, name, message)
@@ -137,7 +137,7 @@ class ParameterProtocol:
             self._send_value_or_error(station, name, message)
 
     def _set_value(self, name: str, value: float) -> str:
-        """Set one; returns why not, or ""."""
+        """Set a parameter; return the reason of a refusal, or ""."""
         if name not in self._places:
             return f"there is no parameter {name[:16]!r}"
         if name not in self._own:
@@ -168,7 +168,7 @@ class ParameterProtocol:
                     self._clients.send_message(None, self._value_message(name))
 
     def _send_value_or_error(self, station: MessageSource, name: str, message: MavMessage, index: int = -1) -> None:
-        """Send a value, or say that there is no parameter of that name or index, so that nobody waits for it."""
+        """Send a value, or a report that no parameter has this name or index."""
         if name in self._places:
             self._clients.send_message(station.peer, self._value_message(name))
             return

@@ -53,15 +53,15 @@ _FRAME_LOCAL, _FRAME_LOCAL_OFFSET, _FRAMES_BODY = 1, 7, (8, 9, 12)
 
 
 def parse_set_point(message: MavMessage, measured: Estimate, origin: GlobalOrigin | None) -> SetPoint | None:
-    """Return what a message asks for; None if that is nothing, or nothing that is understood here.
+    """Return the set-point of a message; None if it has none that is supported here.
 
     Parameters
     ----------
     message : SET_POSITION_TARGET_LOCAL_NED or SET_POSITION_TARGET_GLOBAL_INT
     measured : Estimate
-        Where it is now, for frames that start there.
-    origin : Origin or None
-        For frames on the globe.
+        Present position and heading, for relative frames.
+    origin : GlobalOrigin or None
+        Global position of N, E, D = 0, for global frames.
     """
     mask, frame = message.type_mask, message.coordinate_frame
     if mask & ~_KNOWN_MASK_BITS:
@@ -116,7 +116,7 @@ def _parse_global_position(message: MavMessage, origin: GlobalOrigin | None) -> 
 
 
 STICK_TIMEOUT_S = 1.0
-"""Sticks that have not been heard for so long are not there (s)."""
+"""Age at which sticks expire (s)."""
 _STICK_DEADBAND = 0.03
 _CHANNEL_RELEASED = (0, 65535)
 _AXIS_NOT_GIVEN = 32767
@@ -124,7 +124,7 @@ _AXIS_NOT_GIVEN = 32767
 
 @dataclass(frozen=True, slots=True)
 class StickDeflection:
-    """Sticks from -1 to 1: right, back (nose up), up, turn right."""
+    """Stick deflections from -1 to 1: right, back (nose up), up, turn right."""
 
     roll: float = 0.0
     pitch: float = 0.0
@@ -157,7 +157,7 @@ def parse_manual_control(message: MavMessage) -> StickDeflection:
 
 
 class ManualControl:
-    """Whose sticks count, and what they ask of the autopilot.
+    """The sticks in use, and their commands to the autopilot.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ class ManualControl:
 
     @property
     def is_manual_mode(self) -> bool:
-        """Whether they count because a mode for flying by hand was asked for."""
+        """Return whether the sticks are in use because a manual mode was requested."""
         return self._by_hand
 
     def handle_rc_override(self, message: MavMessage) -> RequestAnswer:
@@ -192,7 +192,7 @@ class ManualControl:
         return self._send_sticks(self._manual) if self._by_hand else REQUEST_ACCEPTED
 
     def enter_manual_mode(self, now_s: float) -> RequestAnswer:
-        """A mode for flying by hand is asked for."""
+        """Enter manual mode on request."""
         if self._overridden:
             return REQUEST_ACCEPTED
         if now_s - self._heard_s > STICK_TIMEOUT_S:
@@ -201,13 +201,13 @@ class ManualControl:
         return self._send_sticks(self._manual)
 
     def release_sticks(self) -> None:
-        """Another mode is asked for, or the pilot is not heard any more."""
+        """Leave manual mode: another mode is requested, or the sticks have expired."""
         if self._by_hand or self._overridden:
             self._autopilot.release_sticks()
         self._by_hand = self._overridden = False
 
     def forget_sticks(self) -> None:
-        """There is another commander: what was heard of sticks was not said by that one."""
+        """Discard the sticks after a change of the commander."""
         self.release_sticks()
         self._manual, self._heard_s = StickDeflection(), -math.inf
 

@@ -1,8 +1,8 @@
-"""What the vehicle tells: each message from the state of the flight at one instant, and how often it goes out.
+"""Telemetry messages of the vehicle, made of the flight's state at one instant, and their rates.
 
 Every function takes the :class:`TelemetryState` and returns one message, or several. Units are the messages' own
-(https://mavlink.io/en/messages/common.html); axes N-E-D and body x-y-z, as here. :data:`MESSAGE_STREAMS` is the table
-of all messages that can be streamed or asked for: a new message is a function and a row.
+(https://mavlink.io/en/messages/common.html); axes N-E-D and body x-y-z. :data:`MESSAGE_STREAMS` is the table of all
+messages that can be streamed or requested: a new message needs a function and a row.
 
 ``estimated_`` travels as ATTITUDE and LOCAL_POSITION_NED, how far to believe that as ODOMETRY and ESTIMATOR_STATUS
 (:mod:`mufly.link.estimate_messages`), ``reference_`` as POSITION_TARGET_LOCAL_NED and ATTITUDE_TARGET, ``measured_`` as
@@ -50,7 +50,7 @@ from mufly.version import __version__
 
 @dataclass(frozen=True, slots=True)
 class MissionProgress:
-    """Where the mission stands: the item that is current, how many there are, MISSION_STATE, and MISSION_MODE."""
+    """Mission progress: current item, number of items, MISSION_STATE, and MISSION_MODE."""
 
     current_item: int
     item_count: int
@@ -60,28 +60,28 @@ class MissionProgress:
 
 @dataclass(frozen=True, slots=True)
 class TelemetryState:
-    """What the messages of one instant are made from: the state of the flight, and what the link itself knows.
+    """Source of the messages of one instant: the state of the flight and of the link.
 
     Attributes
     ----------
     vehicle : Vehicle
     flight_state : FlightState
     is_ready : bool
-        Whether it could be armed.
+        Whether the vehicle can be armed.
     mission_progress : Progress
-        Of its mission.
-    origin : Origin or None
-        Where on the globe it is.
+        Progress of the mission.
+    origin : GlobalOrigin or None
+        Global position of N = E = D = 0.
     chosen_mode : str
-        The mode that was chosen on the floor, for when it is armed; "" if none.
+        Mode chosen on the floor, effective on arming; "" if none.
     commander_id : int
-        system * 256 + component of who commands; 0: nobody.
+        system * 256 + component of the commander; 0: none.
     loss_ratio : float
-        Share of the packets from its stations that were lost, 0..1.
+        Share of lost packets from the stations, 0..1.
     real_time_factor : float
-        Of late, seconds of the flight in one second of the clock on the wall; NaN where nobody measures it.
+        Recent simulated seconds per second of wall-clock time; NaN if not measured.
     slip_count : int
-        How often time was given up.
+        Number of skipped stretches of time.
     """
 
     vehicle: Vehicle
@@ -97,7 +97,7 @@ class TelemetryState:
 
     @property
     def has_fence(self) -> bool:
-        """Whether its mission has a geofence."""
+        """Return whether the mission has a geofence."""
         return self.flight_state.mission is not None and self.flight_state.mission.fence is not None
 
     @property
@@ -112,7 +112,7 @@ class TelemetryState:
 
     @property
     def is_battery_low(self) -> bool:
-        """Whether the battery's voltage is below the one to land at."""
+        """Return whether the battery voltage is below the landing threshold."""
         return bool(self.flight_state.estimate.battery_voltage < float(self.vehicle.battery.low_voltage))
 
 
@@ -311,19 +311,19 @@ def truth_message(p: TelemetryState) -> MavMessage | None:
 # What the vehicle is up to: heartbeat, health, battery, mission, and its place on the globe.
 
 MUFLY_VERSION_PREFIX = b"mufly"
-"""Begins ``flight_custom_version``: whoever reads it knows that this is no real PX4."""
+"""First bytes of ``flight_custom_version``, which distinguish the vehicle from a real PX4."""
 MISSION_STATES: tuple[str, ...] = tuple(str(s) for s in State)
 """NAMED_VALUE_INT "mstate" is an index into these."""
 SLOW_REAL_TIME_FACTOR = 0.95
-"""A real-time factor below this is shown and said: time is being lost."""
+"""Real-time factor below which a warning is shown and sent."""
 REAL_TIME_FACTOR_NAME, SLIPS_NAME = "rtfactor", "slips"
-"""Names of the values that tell how well the clock on the wall is kept: MAVLink has no message for it."""
+"""Names of the real-time performance values, for which MAVLink has no message."""
 
 _UNKNOWN_UINT16, _UNKNOWN_INT16 = 65535, 32767
 
 
 def displayed_mode(p: TelemetryState) -> Px4Mode:
-    """Return the flight mode that shows what it is doing, or has been told to do once it is armed."""
+    """Return the present flight mode, or on the floor the mode effective on arming."""
     if p.chosen_mode:
         return MODE_TAKE_OFF if p.chosen_mode == "take-off" else MODE_MISSION
     return mode_from_state(p.flight_state.state, not p.flight_state.mission_running, p.flight_state.returning_home)
@@ -608,9 +608,9 @@ class MessageStream:
     stream_group : int
         MAV_DATA_STREAM group that it belongs to; 0: none.
     make_messages : callable
-        Instant -> message, several, or None where there is nothing to tell.
+        Returns the messages of an instant; None if there is none.
     needs_origin : bool
-        Whether there is nothing to tell without an origin.
+        Whether the message needs an origin.
     """
 
     message_name: str
@@ -625,7 +625,7 @@ class MessageStream:
         return int(getattr(mavlink, f"MAVLINK_MSG_ID_{self.message_name.split(' ')[0]}"))
 
     def build_messages(self, now: TelemetryState) -> list[MavMessage]:
-        """Return what there is to tell."""
+        """Return the messages of an instant."""
         made = None if self.needs_origin and now.origin is None else self.make_messages(now)
         return made if isinstance(made, list) else [] if made is None else [made]
 
@@ -687,4 +687,4 @@ MESSAGE_STREAMS: tuple[MessageStream, ...] = (
 """Everything that can be streamed or asked for, with the rates that a peer gets who says nothing."""
 
 ORIGIN_MESSAGE_IDS = frozenset(s.message_id for s in MESSAGE_STREAMS if s.needs_origin)
-"""Ids of messages that tell nothing without an origin."""
+"""Ids of messages that need an origin."""

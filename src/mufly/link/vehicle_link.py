@@ -1,8 +1,8 @@
-"""The vehicle's end of the link: everything that it says and hears, as one machine without sockets and clocks.
+"""The vehicle's end of the link: all messages in and out, without sockets and clocks.
 
-Bytes come in by :meth:`VehicleLink.receive` and go out of :meth:`VehicleLink.step`. What each service of MAVLink
-does is in a file of its own: commands, missions, parameters, set-points and manual control, telemetry, who commands.
-Nothing that arrives raises an error.
+Bytes come in by :meth:`VehicleLink.receive` and go out of :meth:`VehicleLink.step`. Each MAVLink service has its own
+module: commands, missions, parameters, set-points and manual control, telemetry, operator control. No received message
+raises an error.
 """
 
 from __future__ import annotations
@@ -36,29 +36,29 @@ _ACCEPTED_COMPONENTS = (0, 1)  # all, and the autopilot
 
 
 class VehicleLink:
-    """Speaks MAVLink for a flight.
+    """The MAVLink interface of a flight.
 
     Parameters
     ----------
     flight : Flight
     system, component : int
-        Who it is, 1..255.
-    origin : Origin or tuple (lat_deg, lon_deg, alt_m), optional
-        Where on the globe N = E = D = 0 is, for programs that insist on such a place.
+        MAVLink address of the vehicle, 1..255.
+    origin : GlobalOrigin or tuple (lat_deg, lon_deg, alt_m), optional
+        Global position of N = E = D = 0, for programs that need one.
 
     Attributes
     ----------
     authority : Authority
-        Who commands.
+        State of operator control.
     clients : Clients
-        Whom it speaks to.
+        Peers of the vehicle.
     received_count, sent_count : int
-        Messages so far.
+        Numbers of messages.
     on_received : callable or None
-        Called with the bytes of every message that comes in; a log hangs here.
+        Called with the bytes of every received message, for a log.
     real_time_factor, slip_count : float, int
-        How well whoever ticks the flight keeps to the clock on the wall
-        (:class:`mufly.link.vehicle_process.RealTimePacer`); it is told to stations. NaN: not measured.
+        Real-time performance of the flight's loop (:class:`mufly.link.vehicle_process.RealTimePacer`), published to
+        stations. NaN: not measured.
     """
 
     def __init__(
@@ -112,12 +112,12 @@ class VehicleLink:
     # in
 
     def add_peer(self, now_s: float, peer: Hashable) -> None:
-        """Send to a peer from now on, whether or not it has said anything."""
+        """Add a peer that receives messages, even if it has sent none."""
         if self.clients.find_client(peer) is None:
             self.clients.add_client(now_s, peer, fixed=True)
 
     def receive(self, now_s: float, peer: Hashable, data: bytes) -> None:
-        """Take bytes that came from a peer."""
+        """Process bytes received from a peer."""
         for message in self._codec.receive(now_s, peer, data):
             header = message.get_header()
             station = MessageSource(peer, header.srcSystem, header.srcComponent)
@@ -137,7 +137,7 @@ class VehicleLink:
                 self._missions.receive(now_s, station, note)
 
     def resume_after_stall(self, now_s: float) -> None:
-        """Go on after a time in which nobody could be heard: that was no silence of theirs."""
+        """Resume after a stall, which does not count as silence of the peers."""
         for client in self.clients:
             client.last_heard_s = now_s
         if self.authority.commander is not None:
@@ -188,7 +188,7 @@ class VehicleLink:
     # out
 
     def step(self, now_s: float) -> list[OutgoingFrame]:
-        """Return what is to be sent now; call it after every tick of the flight."""
+        """Return the frames to send; call this after every tick of the flight."""
         for peer in self.clients.drop_silent_clients(now_s):
             for part in (self._codec, self._missions):
                 part.forget_peer(peer)

@@ -1,4 +1,4 @@
-"""VISION_POSITION_ESTIMATE, both ways: somebody else's SLAM tells the vehicle where it is; ours tells others.
+"""VISION_POSITION_ESTIMATE in both directions: fixes from external SLAM, and publication of the vehicle's fix.
 
 In: place and heading of the message become the position fix of the filter (:mod:`mufly.flight.external_fixes`). Its
 covariance is the upper triangle, row by row, of x, y, z, roll, pitch, yaw; a NaN in front says that it is not known.
@@ -27,7 +27,7 @@ from mufly.link.codec import MavMessage, MessageSource, to_float32
 
 _Array = NDArray[np.float64]
 SAME_CLOCK_TOLERANCE_S = 2.0
-"""A time that is so near to the vehicle's is the vehicle's (s)."""
+"""Difference below which a message's time is on the vehicle's clock (s)."""
 CLOCK_OFFSET_WINDOW_S = 30.0
 SENDER_TIMEOUT_S = 1.0
 """Silence after which another sender may replace the present one (s)."""
@@ -58,15 +58,15 @@ def pack_covariance(covariance: _Array) -> list[float]:
 
 
 class VisionInput:
-    """Takes the messages of one sender, and tells in a line what is refused.
+    """Receiver of one sender's messages, which reports the reason of each rejection.
 
     Parameters
     ----------
     give : callable or None
-        Takes now, time (s), place (4,) and covariance, and returns why not
-        (:meth:`mufly.flight.external_fixes.ExternalFixes.submit_fix`); None: nobody listens here.
+        Called with present time (s), time (s), position and heading (4,) and covariance; returns the reason of a
+        rejection (:meth:`mufly.flight.external_fixes.ExternalFixes.submit_fix`). None: no receiver.
     note : callable
-        Told a line and its level.
+        Called with a text and its level.
     """
 
     def __init__(
@@ -119,7 +119,7 @@ class VisionInput:
         return theirs_s + min(offset for _, offset in self._offsets) - self.delay_s
 
     def _report_refusal(self, now_s: float, why: str, remedy: str = "") -> None:
-        """Say a reason, each kind once in a while."""
+        """Report a reason, each kind at a limited rate."""
         kind = "".join(c for c in why if not c.isdigit())
         if now_s - self._told.get(kind, -math.inf) < REFUSAL_PERIOD_S:
             return
