@@ -1,4 +1,4 @@
-"""DataFlash, the log of ArduPilot: the binary ``.bin`` and its text form ``.log``.
+"""Reader of ArduPilot's DataFlash logs: the binary form ``.bin`` and the text form ``.log``.
 
 Messages of the kind FMT say what those of every other kind hold (ardupilot.org, "Understanding and Reading Logs"); the
 text form has the same, a message a line. Times (TimeUS, microseconds since the board started, or TimeMS) count in
@@ -74,7 +74,7 @@ _UNIT_PREFIXES = {1e3: "k", 1e-1: "d", 1e-2: "c", 1e-3: "m", 1e-6: "u", 1e-9: "n
 
 @dataclass
 class _MessageKind:
-    """A kind of message: its name, size, letters, columns, and where its messages begin."""
+    """Kind of message: name, size, format letters, columns, and offsets of its messages."""
 
     name: str
     message_size: int
@@ -84,7 +84,7 @@ class _MessageKind:
 
 
 def _index_messages(data: bytes) -> tuple[dict[int, _MessageKind], list[tuple[int, int]]]:
-    """Find every whole message; where bytes that belong to none begin and end comes beside."""
+    """Return all complete messages by kind, and the byte ranges that belong to no message."""
     kinds = {_FMT: _MessageKind("FMT", _FMT_LENGTH, "BBnNZ", ["Type", "Length", "Name", "Format", "Columns"])}
     at, end = 0, len(data)
     skipped: list[tuple[int, int]] = []
@@ -133,7 +133,7 @@ def _decode_text(raw: bytes) -> str:
 
 
 def read_binary(data: bytes) -> tuple[list[RawTable], _InstanceTopics, str]:
-    """Return the tables (times as written), the topics of each kind's instances, and which bytes were not known."""
+    """Return the tables (times as written), the topics of each kind's instances, and the unknown byte ranges."""
     kinds, skipped = _index_messages(data)
     stream = np.frombuffer(data, dtype=np.uint8)
     rows = {}
@@ -157,14 +157,14 @@ def read_binary(data: bytes) -> tuple[list[RawTable], _InstanceTopics, str]:
 
 
 def _guess_instance_field(kind: _MessageKind) -> str | None:
-    """The field that counts instances, by its name, for logs that do not mark it with the unit ``#``."""
+    """Return the instance field by its name, for logs that do not mark it with the unit ``#``."""
     whole = {c for c, letter in zip(kind.columns, kind.format_letters, strict=False) if letter in "bBhHiI"}
     names = ("C", *_INSTANCE_FIELDS) if kind.name.startswith(("NK", "XK")) else _INSTANCE_FIELDS
     return next((name for name in names if name in whole), None)
 
 
 class _MessageTable(NamedTuple):
-    """All messages of a kind: where each stands in the file, its fields, their units, which counts instances."""
+    """Messages of one kind: positions in the file, fields, units, and the instance field."""
 
     name: str
     file_positions: NDArray[np.int64]
@@ -181,7 +181,7 @@ def _units_of_old_log(name: str, letters: str, columns: list[str]) -> dict[str, 
 
 
 def _find_clock(values: Mapping[str, NDArray[Any]]) -> tuple[str, float]:
-    """Field that holds the board's clock and its ticks a second; ``""`` if none does."""
+    """Return the field of the board's clock and its ticks per second; ``""`` without one."""
     if "TimeUS" in values:
         return "TimeUS", 1e6
     of_gps = "Week" in values or "GWk" in values
@@ -194,7 +194,7 @@ _InstanceTopics = dict[str, dict[int, str]]  # topic of each instance, by kind o
 
 
 def _make_tables(messages: list[_MessageTable]) -> tuple[list[RawTable], _InstanceTopics]:
-    """Make tables of messages; what has no clock takes the time of the message before it."""
+    """Create tables of messages; a message without clock gets the time of the previous message."""
     times: dict[int, NDArray[np.float64]] = {}
     for k, m in enumerate(messages):
         clock, tick = _find_clock(m.values)
@@ -242,7 +242,7 @@ def _definition_rows(part: NDArray[Any]) -> list[dict[str, Any]]:
 def _field_units(
     kinds: Mapping[int, _MessageKind], named: Mapping[str, list[dict[str, Any]]]
 ) -> tuple[dict[int, dict[str, str]], dict[int, str]]:
-    """Units of the fields of every kind, and the field that counts instances (its unit is ``#``)."""
+    """Return the units of the fields of every kind, and the instance field (its unit is ``#``)."""
 
     def definition_pairs(name: str, key: str, value: str) -> list[tuple[str, Any]]:
         return [(_unit_letter(row[key]), row[value]) for row in named.get(name, ()) if {key, value} <= set(row)]
@@ -272,7 +272,7 @@ def _field_units(
 
 
 def _unit_letter(value: Any) -> str:
-    """Letter of a unit or multiplier: its code, or in some text logs the letter itself."""
+    """Return the letter of a unit or multiplier from its code or, in some text logs, from the letter."""
     text = str(value)
     return chr(int(text) & 0xFF) if len(text) > 1 and text.lstrip("-").isdigit() else text
 
@@ -284,7 +284,7 @@ def split_tables(
     units: dict[str, str],
     instance: str | None,
 ) -> list[RawTable]:
-    """Make tables of the messages of one kind, one an instance.
+    """Create tables of the messages of one kind, one per instance.
 
     The first instance keeps the name of the kind, others are ``name:instance``. Times are in seconds, as written.
     """
@@ -307,17 +307,17 @@ def split_tables(
 
 
 def _normalise_unit(label: str) -> str:
-    """Unit as this package writes it; ArduPilot's labels run letters together."""
+    """Return the unit in the notation of this package; ArduPilot's labels omit separators."""
     return {"degrees": "deg", "rad/s/s": "rad/s^2", "m/s/s": "m/s^2", "UNKNOWN": "", "instance": ""}.get(label, label)
 
 
 def is_text_log(head: bytes) -> bool:
-    """Whether a file that begins so is the text form."""
+    """Return whether a file with these first bytes is the text form."""
     return any(line.startswith((b"FMT,", b"FMT ,")) for line in head.splitlines()[:50])
 
 
 def read_dataflash(path: str | Path) -> RawLog:
-    """Read a DataFlash log, binary or text; one that was cut off is read up to the cut.
+    """Read a DataFlash log, binary or text; a truncated log is read up to its end.
 
     Raises
     ------
@@ -389,7 +389,7 @@ _CORE_NUMBER_STEP, _MAX_LISTED_CHANGES = 5, 6
 def _active_estimate(
     tables: Mapping[str, RawTable], topics: _InstanceTopics, parameters: RawTable | None
 ) -> tuple[RawTable | None, list[str]]:
-    """Position and velocity by the estimator and lane that were active, where that is not the first core throughout.
+    """Return position and velocity of the active estimator and lane, unless the first core was always active.
 
     The estimator is that of ATT.AEKF, else of the parameter AHRS_EKF_TYPE, else the newest in the log; its lane is what
     XKF4.PI (NKF4.PI) names. Where no local position was estimated (DCM, an external AHRS) it is missing.
@@ -453,7 +453,7 @@ _StepSignal = tuple[NDArray[np.float64], NDArray[Any]]  # instants (s) and the v
 
 
 def _sample_and_hold(steps: _StepSignal, time: NDArray[np.float64]) -> NDArray[Any]:
-    """The value at each time; the first one before the first instant."""
+    """Return the step signal's value at each time; before its first instant the first value."""
     return steps[1][np.clip(np.searchsorted(steps[0], time, side="right") - 1, 0, None)]
 
 
@@ -476,7 +476,7 @@ def _change_points(time: NDArray[np.float64], value: NDArray[Any]) -> _StepSigna
 
 
 def _lane_steps(primary: str, tables: Mapping[str, RawTable], topics: _InstanceTopics) -> _StepSignal:
-    """Core that is the primary one from each instant on; 0 where nothing tells."""
+    """Return the primary core from each instant on; 0 if unknown."""
     told = [tables[t] for t in _core_topics(primary, tables, topics).values() if "PI" in tables[t].fields]
     time = np.concatenate([t.time for t in told]) if told else np.empty(0)
     lane = np.concatenate([t.fields["PI"] for t in told]) if told else np.empty(0)
@@ -488,7 +488,7 @@ def _lane_steps(primary: str, tables: Mapping[str, RawTable], topics: _InstanceT
 
 
 def _describe_changes(time: NDArray[np.float64], source: NDArray[Any], kinds: _StepSignal) -> str:
-    """The topics that were followed, in words."""
+    """Return a description of the topics used."""
     at = [0, *(np.flatnonzero(source[1:] != source[:-1]) + 1).tolist()]
     steps = [f"{source[k]} from {time[k]:.1f} s" for k in at]
     if (more := len(steps) - _MAX_LISTED_CHANGES) > 0:
@@ -498,7 +498,7 @@ def _describe_changes(time: NDArray[np.float64], source: NDArray[Any], kinds: _S
 
 
 def _firmware_family(firmware: str, version: RawTable | None) -> ModeFamily:
-    """Which of ArduPilot's firmwares wrote the log: by its first message, else by its type of build."""
+    """Return the ArduPilot firmware of the log, by its first message or else by its build type."""
     match = _FIRMWARE_PATTERN.match(firmware)
     if match is not None:
         return _FAMILY_BY_FIRMWARE[match[1].lower()]
@@ -507,7 +507,7 @@ def _firmware_family(firmware: str, version: RawTable | None) -> ModeFamily:
 
 
 def _name_flight_modes(mode: RawTable, family: ModeFamily) -> RawTable:
-    """MODE with the names of the flight modes in words, by the firmware; modes that are text already stay."""
+    """Return table MODE with names of the firmware's flight modes; modes given as text are unchanged."""
     field = next((f for f in ("ModeNum", "Mode") if f in mode.fields), None)
     if field is None or mode.fields.get("Mode", np.empty(0)).dtype.kind in "US":
         return mode
@@ -517,7 +517,7 @@ def _name_flight_modes(mode: RawTable, family: ModeFamily) -> RawTable:
 
 
 def _find_rate_unit(rate: RawTable, gyro: RawTable | None, firmware: str) -> tuple[str, str]:
-    """Unit of RATE and why: the file's or its time's, that of the firmware's version, or what the gyroscope says."""
+    """Return the unit of RATE and the reason: stated by the file, by firmware version, or from the gyros."""
     if "R" in rate.units:
         return rate.units["R"], ""
     match = _FIRMWARE_PATTERN.match(firmware)
@@ -588,7 +588,7 @@ def _read_text_log(path: Path) -> tuple[list[RawTable], _InstanceTopics, str]:
 
 
 def _parse_cells(cells: list[str], letter: str) -> NDArray[Any]:
-    """Numbers; flight modes as text where the log writes them so."""
+    """Return numbers; flight modes stay text if the log has text."""
     found = np.array([_parse_number(c) for c in cells])
     if letter == "M" and np.isnan(found).any() and any(c.strip() for c in cells):
         return np.array(cells, dtype=str)

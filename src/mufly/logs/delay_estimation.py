@@ -1,4 +1,4 @@
-"""How much later is one signal than another? By cross-correlation, to a fraction of a sample, with an interval.
+"""Delay between two signals by cross-correlation, to a fraction of a sample, with a confidence interval.
 
 Model: y(t) = a x(t - tau) + e(t). The delay that fits in the least-squares sense, with the gain a free, is where the
 normalised cross-correlation of x and y is greatest in size. It is computed at whole samples and interpolated between
@@ -43,7 +43,7 @@ _SINC_HALF_WIDTH = 24
 
 @result
 class DelayEstimate:
-    """A delay, as it was estimated.
+    """Estimated delay with its confidence interval.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class DelayEstimate:
 
     @property
     def is_determined(self) -> bool:
-        """Whether the record tells a delay at all."""
+        """Whether the record determines the delay."""
         return not self.at_limit and abs(self.correlation) >= _MIN_CORRELATION and math.isnan(self.rival_s)
 
     @property
@@ -91,7 +91,7 @@ class DelayEstimate:
         return _student_quantile(self.freedom) * self.std_s
 
     def describe_delay(self) -> str:
-        """The delay in one line."""
+        """Return the delay as one line of text."""
         if self.at_limit:
             longest = 1e3 * self.delay_s
             return f"no delay found (correlation {self.correlation:.2f} still grows at {longest:.4g} ms)"
@@ -106,14 +106,14 @@ class DelayEstimate:
 
 
 def _student_quantile(freedom: int) -> float:
-    """Student's, for 95 %."""
+    """Return Student's t quantile for a 95 % interval."""
     return float(stdtrit(freedom, 0.975))
 
 
 def estimate_delay(
     time: _Array, reference: _Array, response: _Array, *, longest_s: float = 1.0, causal: bool = False
 ) -> DelayEstimate:
-    """Estimate by how much a response comes later than its reference.
+    """Estimate the delay of a response behind its reference.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ def _normalise_correlation(product: _Array, size: _Array, energy: float, floor: 
 
 
 def _refine_peak(lags: NDArray[np.int64], values: _Array, k: int) -> tuple[float, float]:
-    """Place and height of the peak near the whole lag ``k``."""
+    """Return position and height of the peak near the integer lag ``k``."""
     near = np.abs(lags - k) <= _SINC_HALF_WIDTH
     found = minimize_scalar(
         lambda u: -_interpolate_lag(lags[near], values[near], u), bounds=(k - 1.0, k + 1.0), method="bounded",
@@ -199,7 +199,7 @@ def _refine_peak(lags: NDArray[np.int64], values: _Array, k: int) -> tuple[float
 def _find_rival_lag(
     lags: NDArray[np.int64], c: _Array, without: list[_Array], k: int, inside: NDArray[np.bool_]
 ) -> int | None:
-    """Another lag, beyond where the peak falls to its half, that is as high within the jackknife's interval."""
+    """Return another lag outside the half width of the peak that is as high within the jackknife interval."""
     at = int(np.flatnonzero(lags == k)[0])
     low = c < 0.5 * c[at]
     first = at - int(np.argmax(low[at::-1])) if low[: at + 1].any() else 0
@@ -214,7 +214,7 @@ def _find_rival_lag(
 
 
 def _remove_trend(x: _Array) -> _Array:
-    """Without its straight-line trend; what is missing becomes zero and so says nothing."""
+    """Remove the linear trend; missing values become zero and have no influence."""
     known = np.isfinite(x)
     out = np.zeros(len(x))
     index = np.arange(len(x), dtype=np.float64)
@@ -227,7 +227,7 @@ def _remove_trend(x: _Array) -> _Array:
 
 
 def _interpolate_lag(lags: NDArray[np.int64], values: _Array, at: float) -> float:
-    """Value between whole lags, by a sinc under a Kaiser window."""
+    """Interpolate between integer lags by a sinc with a Kaiser window."""
     u = at - lags
     inside = np.clip(1 - (u / (_SINC_HALF_WIDTH + 1)) ** 2, 0, None)
     weights = np.sinc(u) * np.i0(6.0 * np.sqrt(inside)) / np.i0(6.0)
@@ -267,19 +267,19 @@ _MIN_DELAY_SAMPLES = 30
 
 @result
 class DelayReport:
-    """The delay from one channel to another, by name."""
+    """Delay between two named channels."""
 
     reference: str
     response: str
     delay: DelayEstimate
 
     def describe_delay(self) -> str:
-        """In one line."""
+        """Return the delay with its channels as one line of text."""
         return f"{self.response} after {self.reference}: {self.delay.describe_delay()}"
 
 
 def check_delays(data: xr.Dataset, *, least_correlation: float = 0.3) -> list[DelayReport]:
-    """Estimate the delays that a flight's record can show.
+    """Estimate the delays that a flight record determines.
 
     From references to measurements, component by component, and from the derivative of the measured attitude to the
     measured body rates: these two are one motion, so a delay there is one of the instrument or the logger.

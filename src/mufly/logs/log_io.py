@@ -1,4 +1,4 @@
-"""One door for all logs, in and out: what was written, or signals on one clock; a dataset as a file of any kind.
+"""Reading of logs of all formats, as raw topics or as signals on one clock, and writing of datasets to files.
 
 Which format a log has is judged by its content, never by its name; which one is written, by the ending.
 """
@@ -189,7 +189,7 @@ def map_channels(
 
 
 def _restore_own_ulog(raw: RawLog) -> xr.Dataset | None:
-    """The dataset of a ULog file that this package wrote."""
+    """Return the dataset of a ULog file written by this package."""
     description, texts = raw.info.get("mufly_dataset"), raw.info.get("mufly_texts")
     if not isinstance(description, str) or not isinstance(texts, str) or TABLE_TOPIC not in raw:
         return None
@@ -300,7 +300,7 @@ def read_log(
 
 
 def _shift_start(data: xr.Dataset, start_s: float) -> xr.Dataset:
-    """The same on a clock that begins at ``start_s``."""
+    """Return the dataset on a clock that begins at ``start_s``."""
     if not np.isfinite(start_s):
         raise ArgumentError("start_s", "", f"{start_s:g} s is not a time", "give a number, as start_s=0")
     by = start_s - float(data["time"].values[0])
@@ -366,13 +366,13 @@ def _select_signals(data: xr.Dataset, signals: Sequence[str], where: str) -> xr.
 
 
 def join_channels(channels: Sequence[Channel]) -> xr.Dataset:
-    """Put channels on one even clock, at the highest rate among them; what is commanded keeps its last value."""
+    """Resample channels to one uniform clock at their highest rate; commands hold their last value."""
     held = [c._replace(hold=is_command_signal(c.signal_name)) for c in channels]
     return resample_channels(held, _highest_rate(held), [])
 
 
 def resample_channels(channels: list[Channel], rate_hz: float | None, notes: list[str]) -> xr.Dataset:
-    """Put channels on one clock."""
+    """Resample channels to one clock."""
     time = channels[0].time
     shared = all(c.time is time or np.array_equal(c.time, time) for c in channels)
     on_clock = channels
@@ -420,7 +420,7 @@ def _resample_channel(c: Channel, time: NDArray[np.float64]) -> NDArray[Any]:
 
 
 def _align_turns(data: xr.Dataset) -> None:
-    """Shift references and estimates by whole turns to where the measurement is."""
+    """Shift references and estimates by whole turns to the measured angle."""
     if "measured_attitude" not in data:
         return
     for name in ("reference_attitude", "estimated_attitude"):
@@ -433,7 +433,7 @@ def _align_turns(data: xr.Dataset) -> None:
 
 
 def resample_dataset(data: xr.Dataset, rate_hz: float | None) -> xr.Dataset:
-    """A dataset that is on one clock already, at another rate."""
+    """Resample a dataset on one clock to another rate."""
     if rate_hz is None or data.sizes["time"] < 2:
         return data
     old = data["time"].values
@@ -474,7 +474,7 @@ LOG_WRITERS: dict[str, Callable[[xr.Dataset, Path], object]] = {
     ".mcap": write_mcap,
     ".ulg": write_ulog,
 }
-"""How each kind of file is written."""
+"""Writer of each file format."""
 
 
 def write_log(dataset: xr.Dataset, path: str | Path) -> Path:

@@ -1,4 +1,4 @@
-"""A log examined: what it is, its topics, its signals, and what is wrong with them, as numbers and in words."""
+"""Report on a log: format, topics, signals and faults, as numbers and text."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ ProgressCallback = Callable[[int, int], None]
 
 @result
 class LogReport:
-    """What :func:`examine_log` found.
+    """Result of :func:`examine_log`.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class LogReport:
     notes: list[str]
 
     def list_faults(self) -> list[str]:
-        """Everything that is wrong, a sentence each."""
+        """Return one sentence per fault of the log."""
         out = self.raw.describe_damage()
         if self.raw.dropouts:
             lost = sum(d for _, d in self.raw.dropouts)
@@ -88,7 +88,7 @@ class LogReport:
         return out
 
     def shown_blocks(self) -> list[ShownBlock]:
-        """Return what the log is, its topics, its signals, delays, notes and faults."""
+        """Return the blocks of the report: format, topics, signals, delays, notes and faults."""
         raw = self.raw
         start, end = raw.time_span
         facts = [raw.format_name, f"{end - start:.2f} s", f"from {start:.2f} to {end:.2f} s"]
@@ -125,7 +125,7 @@ class LogReport:
         ]
 
     def as_record(self) -> dict[str, Any]:
-        """For JSON, SI units."""
+        """Return the report as a dictionary for JSON, in SI units."""
         start, end = self.raw.time_span
         topics = [
             {
@@ -262,7 +262,7 @@ def examine_log(
     delays: bool = True,
     progress: ProgressCallback | None = None,
 ) -> LogReport:
-    """Read a log and say what it is and what is wrong with it.
+    """Read a log and report its contents and faults.
 
     Parameters
     ----------
@@ -392,7 +392,7 @@ def power_spectrum(time: _Array, values: _Array) -> tuple[_Array, _Array]:
 
 
 def _thin_points(time: _Array, values: _Array) -> tuple[_Array, _Array]:
-    """Points to draw: gaps opened by a NaN, and the extremes of each column where there are too many."""
+    """Return the points to draw, with NaN at gaps; many points are reduced to the extremes of each pixel column."""
     known = np.isfinite(time)
     t, x = time[known], values[known]
     if len(t) > 2 * _MAX_PLOT_COLUMNS:

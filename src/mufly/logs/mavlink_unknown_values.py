@@ -1,4 +1,4 @@
-"""What messages say where they know nothing: values that are no measurement, and become missing.
+"""Special values of MAVLink fields that mean unknown, and their replacement by NaN.
 
 MAVLink's definitions give them by message and field (attribute ``invalid``; mavlink.io, "MAVLink XML Schema"): a value,
 ``[value]`` for each element of an array, ``[value:]`` for an array that is unknown as a whole if its first element has
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 
 class _UnknownValue(NamedTuple):
-    """The value that says nothing, and whether the first element of an array speaks for all."""
+    """Special value for unknown, and whether the first element of an array decides for all elements."""
 
     value: float
     applies_to_array: bool = False
@@ -71,7 +71,7 @@ def _load_unknown_values() -> Mapping[tuple[str, str], _UnknownValue]:
 
 
 def _parse_unknown_value(text: str) -> _UnknownValue | None:
-    """A value as the definitions write it, None for what is no number (NaN needs no rule)."""
+    """Parse a value of the definitions; return None for other text (NaN needs no rule)."""
     match = re.fullmatch(r"\[?([^\[\]:,]+)(:?)\]?", text.strip())
     if match is None:
         return None
@@ -90,7 +90,7 @@ def _parse_unknown_value(text: str) -> _UnknownValue | None:
 
 
 def replace_unknown_values(message: str, fields: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Return the fields of a message with NaN where they say that they know nothing.
+    """Return the fields of a message with NaN for values that mean unknown.
 
     Parameters
     ----------

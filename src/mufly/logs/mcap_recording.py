@@ -1,4 +1,4 @@
-"""A recording on disk: MCAP, to be opened in Foxglove and PlotJuggler.
+"""Recordings as MCAP files for Foxglove and PlotJuggler.
 
 :mod:`mufly.logs.mcap` says what the columns of a row are; :func:`read_recording` returns the same
 :class:`xarray.Dataset` as was recorded, equal to the last bit. JSON has no NaN and no infinity: both are written
@@ -54,7 +54,7 @@ FOXGLOVE_LEVELS = {"info": 2, "warning": 3, "error": 4}  # of foxglove.Log
 
 
 def read_recording(path: str | Path) -> xr.Dataset:
-    """Read a recording, finished or cut off at any byte.
+    """Read a recording, complete or truncated at any byte.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def read_recording(path: str | Path) -> xr.Dataset:
 
 
 def is_recording(contents: McapContents) -> bool:
-    """Whether this package wrote the file."""
+    """Return whether this package wrote the file."""
     return LAYOUT_METADATA in contents.metadata and FLIGHT_METADATA in contents.metadata
 
 
@@ -132,7 +132,7 @@ def _parse_attributes(texts: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _join_topic_rows(contents: McapContents, layout: RecordingLayout) -> tuple[NDArray[np.float64], list[str]]:
-    """Put the messages of all topics side by side again; every topic has one message a row."""
+    """Join the messages of all topics to rows; every topic has one message per row."""
     found = {t: contents.messages_by_topic.get(t, []) for t in (CLOCK_TOPIC, *layout.quantities_by_topic)}
     if not contents.is_complete:
         found = _complete_rows(found)
@@ -160,7 +160,7 @@ def _join_topic_rows(contents: McapContents, layout: RecordingLayout) -> tuple[N
 
 
 def _complete_rows(found: dict[str, list[tuple[int, bytes]]]) -> dict[str, list[tuple[int, bytes]]]:
-    """Messages of those rows of which every topic has one; those of a row have one time."""
+    """Return the messages of complete rows; all messages of a row have the same time."""
     times = [{t for t, _ in messages} for messages in found.values()]
     whole = set.intersection(*times) if times else set()
     return {topic: [m for m in messages if m[0] in whole] for topic, messages in found.items()}
@@ -184,7 +184,7 @@ def read_attachments(path: str | Path) -> dict[str, bytes]:
 
 
 def read_recording_summary(path: str | Path) -> dict[str, Any]:
-    """What a recording says of itself, without its signals: a hundredth of the time that reading them takes.
+    """Return metadata of a recording without its signals, in about 1 % of the time for reading them.
 
     Returns
     -------
@@ -292,7 +292,7 @@ FOXGLOVE_LOG_SCHEMA = object_schema(
 
 
 class TopicEncoder:
-    """Announces the topics of a layout in a file and turns blocks of rows into their messages."""
+    """Encoder that registers the topics of a layout and converts blocks of rows to messages."""
 
     def __init__(self, file: McapWriter, layout: RecordingLayout, start_time_ns: int) -> None:
         self._start = start_time_ns
@@ -470,7 +470,7 @@ def _encode_json_texts(content: dict[str, Any]) -> dict[str, str]:
 
 
 def _start_time_ns(dataset: xr.Dataset) -> int:
-    """Wall time of the instant 0; 0 (1970) where nobody knows, so that no date is made up."""
+    """Return the wall time of time zero; 0 (1970) if unknown, so that no date is invented."""
     if "start_time_ns" in dataset.attrs:
         return int(dataset.attrs["start_time_ns"])
     try:

@@ -1,4 +1,4 @@
-"""A log as it was written: topics, each on its own clock; whether the clocks run; and how all come onto one.
+"""Raw log: topics on their own clocks, checks of the clocks, and resampling to one clock.
 
 A logger repeats a stamp, swaps two messages, or loses some; a board that restarts begins to count again. The first two
 are repaired and said; a restart is two logs in one, which no sorting can mend, and is refused. A stamp of another epoch
@@ -28,7 +28,7 @@ from mufly.results import result
 
 
 class LogWarning(UserWarning):
-    """Something about a log that its reader guessed or repaired, in words."""
+    """Warning about a guess or repair by the reader of a log."""
 
 
 @dataclass(frozen=True)
@@ -201,12 +201,12 @@ class Channel(NamedTuple):
 
     @property
     def signal_name(self) -> str:
-        """The signal that it is a component of."""
+        """Name of the signal without the component."""
         return self.name.partition(".")[0]
 
     @property
     def component_label(self) -> str | None:
-        """Which component, None for a scalar."""
+        """Label of the component; None for a scalar."""
         return self.name.partition(".")[2] or None
 
     @property
@@ -231,7 +231,7 @@ _MIN_GAP_TEST_STEPS = 15
 
 @result
 class ClockReport:
-    """What :func:`check_clock` found.
+    """Result of :func:`check_clock`.
 
     Attributes
     ----------
@@ -262,12 +262,12 @@ class ClockReport:
 
     @property
     def is_reset(self) -> bool:
-        """Whether time runs backward so that it cannot be repaired."""
+        """Whether time runs backward beyond repair."""
         few = max(3.0, _MAX_BACKWARD_SHARE * self.samples)
         return self.backward > 0 and (self.back_s > _MAX_BACKWARD_S or self.backward > few)
 
     def describe_faults(self) -> list[str]:
-        """The faults, a sentence each; empty for a sound clock."""
+        """Return one sentence per fault; empty for a faultless clock."""
         out = []
         if self.samples > 1 and self.repeated == self.samples - self.missing - 1 > 0:
             return ["the clock stands still"]
@@ -312,7 +312,7 @@ def find_gaps(time: _Array, factor: float = MIN_GAP_STEPS) -> _Array:
 
 
 def check_clock(time: _Array, gap_factor: float = MIN_GAP_STEPS) -> ClockReport:
-    """Examine time stamps.
+    """Check time stamps.
 
     Parameters
     ----------
@@ -342,7 +342,7 @@ def check_clock(time: _Array, gap_factor: float = MIN_GAP_STEPS) -> ClockReport:
 
 
 def find_foreign_stamps(times: Mapping[str, NDArray[Any]]) -> tuple[dict[str, NDArray[np.bool_]], list[str]]:
-    """Tell which stamps lie in another epoch than the log.
+    """Find stamps in another epoch than the log.
 
     No flight lasts a day, but epochs lie years apart: the board's clock counts since it started, the clock of the GPS
     since 1980 or since Sunday, UTC since 1970; a stamp never set is 0, a damaged one anything. Where the stamps of all
@@ -388,7 +388,7 @@ def find_foreign_stamps(times: Mapping[str, NDArray[Any]]) -> tuple[dict[str, ND
 
 
 def select_usable_samples(time: _Array, where: str, key: str) -> tuple[NDArray[np.int64], list[str]]:
-    """Return which samples, in which order, make a clock that increases, and what was repaired.
+    """Return the indices of samples that form an increasing clock, and descriptions of repairs.
 
     Samples without a stamp go, and single ones whose stamp is far from those on either side; swapped ones are put in
     order; of several with one stamp the last is kept.
@@ -474,7 +474,7 @@ def common_clock(spans: list[tuple[float, float]], rate_hz: float) -> _Array:
 def resample_signal(
     time: _Array, values: _Array, onto: _Array, *, hold: bool = False, gap_s: float | None = None
 ) -> _Array:
-    """Bring a signal onto another clock.
+    """Resample a signal to another clock.
 
     Parameters
     ----------
@@ -524,7 +524,7 @@ def resample_signal(
 
 
 def _low_pass(t: _Array, x: _Array, new_step: float, step: float) -> tuple[_Array, _Array]:
-    """The signal without what lies above half the new rate, on an even clock of the new step."""
+    """Low-pass the signal below half the new rate, on a uniform clock of the new step."""
     factor = max(int(np.ceil(new_step / step)), 2)
     start = np.floor(t[0] / new_step) * new_step
     n = int(np.ceil((t[-1] - start) / new_step)) * factor + 1
@@ -535,7 +535,7 @@ def _low_pass(t: _Array, x: _Array, new_step: float, step: float) -> tuple[_Arra
 
 
 def unwrap_angle(angle: _Array, period: float = 2 * np.pi) -> _Array:
-    """Take the jumps by a full turn out of an angle (rad) over the first axis, past missing values."""
+    """Unwrap an angle (rad) along the first axis, across missing values."""
     out = angle.copy()
     for column in out.reshape(len(out), -1).T:
         known = np.isfinite(column)

@@ -1,4 +1,4 @@
-"""When packets of several senders were sent: arrival, packet numbers and each sender's own clock.
+"""Send times of packets from several senders, by arrival, packet numbers and each sender's clock.
 
 An arrival minus the sender's clock is the instant of the sender's start plus the delay of the link. It is the same for
 all packets of one run but for their delay, and a start lies after all that was said before it. So a late packet (its
@@ -22,7 +22,7 @@ from scipy.ndimage import median_filter
 MessageKey = tuple[int, int, str]
 """System, component, name of the message."""
 PacketPlaces = Mapping[MessageKey, NDArray[np.int64]]
-"""Places of the packets of each sender and kind."""
+"""Indices of the packets of each sender and kind."""
 SenderClock = tuple[str, NDArray[np.float64]]
 """Name of the field that holds a clock, or ``"since 1970"``; and the clock (s)."""
 _Array = NDArray[np.float64]
@@ -108,7 +108,7 @@ def _unwrap_sequence_numbers(numbers: NDArray[np.int64], arrival: _Array) -> NDA
 def order_by_number(
     places: PacketPlaces, arrival: _Array, number: NDArray[np.int64]
 ) -> tuple[_Array, NDArray[np.bool_]]:
-    """Put packets into the order in which their sender numbered them, and find those that came twice.
+    """Sort packets by their sender's numbers, and find duplicates.
 
     Parameters
     ----------
@@ -226,7 +226,7 @@ def remove_arrival_leaps(
     vehicle: tuple[int, int],
     set_back: NDArray[np.int64],
 ) -> tuple[_Array, list[str]]:
-    """Take leaps out of the times of arrival that the vehicle's clock does not have.
+    """Remove jumps of the arrival time that the vehicle's clock does not show.
 
     Where the recording computer's clock is set, the vehicle's goes on; a vehicle that starts begins at 0, and a link
     that stalls catches up. How long it took to set the clock back (at the places ``set_back``) the vehicle's tells.
@@ -270,7 +270,7 @@ def remove_arrival_leaps(
 def estimate_sending_times(
     arrival: _Array, places: PacketPlaces, clocks: Mapping[MessageKey, SenderClock], vehicle: tuple[int, int]
 ) -> tuple[dict[MessageKey, _Array], list[str]]:
-    """Tie each sender's clock to the time of arrival, anew each time that it starts.
+    """Synchronise each sender's clock with the arrival time, separately after every restart.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""MCAP: its container written and read, and the table of signals on one clock that recordings hold."""
+"""MCAP: reader and writer of the container, and the signal table of recordings."""
 
 from mufly.logs.mcap.mcap_reader import McapContents, read_mcap
 from mufly.logs.mcap.mcap_writer import MAGIC, UNFINISHED_METADATA, McapWriter

@@ -1,4 +1,4 @@
-"""The MCAP container, read: everything that is whole, whatever bytes of the file are missing or damaged.
+"""Reader of the MCAP container: all intact records, also of a damaged or truncated file.
 
 A record whose length leads nowhere, or a chunk whose checksum is wrong, is left out and noted; reading goes on at the
 next record that stands as it should: where the length leads, where the index at the end says that a chunk begins, or
@@ -46,7 +46,7 @@ _MAX_DESCRIBED_PARTS = 3
 
 
 class LostPart(NamedTuple):
-    """A part of a file that could not be used.
+    """Unusable part of a file.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class LostPart(NamedTuple):
 
 @dataclass
 class McapContents:
-    """What could be read of a file.
+    """Readable contents of a file.
 
     Attributes
     ----------
@@ -95,7 +95,7 @@ class McapContents:
     remarks: list[str] = field(default_factory=list)
 
     def describe_damage(self, zero_ns: int | None = None) -> str:
-        """Return in words what is missing; times count from ``zero_ns``, by default from the first that is missing.
+        """Describe the missing parts; times count from ``zero_ns``, by default from the first missing time.
 
         It is ``""`` for a whole file.
         """
@@ -120,7 +120,7 @@ def _describe_part(part: LostPart, zero_ns: int) -> str:
 
 
 def read_mcap(path: str | Path) -> McapContents:
-    """Read all messages, metadata and attachments that are whole.
+    """Read all intact messages, metadata and attachments.
 
     Raises
     ------
@@ -155,7 +155,7 @@ def _to_stream(content: bytes) -> ReadDataStream:
 
 
 def _read_summary(data: bytes) -> _IndexSummary | None:
-    """Return what the index tells; None for a file without an end mark, nothing of it if its checksum is wrong."""
+    """Return the index; None for a file without end mark, an empty index if its checksum is wrong."""
     mark = data.rfind(MAGIC, len(MAGIC))
     at = mark - _FOOTER_SIZE
     if mark < 0 or at < len(MAGIC) or _RECORD_HEAD.unpack_from(data, at) != (Opcode.FOOTER, 20):
@@ -203,7 +203,7 @@ class _McapScanner:
         self._crc_wrong = False
 
     def read_records(self) -> McapContents:
-        """Read every record that is whole."""
+        """Read every intact record."""
         data, contents, end = self._data, self._contents, len(self._data)
         at, finished = len(MAGIC), False
         passed = at  # where a run of records begins that are passed over: their lengths are not proven
@@ -231,7 +231,7 @@ class _McapScanner:
         return contents
 
     def _read_record(self, opcode: int, at: int, stop: int) -> str:
-        """Take a record beside the chunks, or a chunk; return what is wrong with it, ``""`` if nothing is."""
+        """Process a chunk or another top-level record; return its fault, ``""`` without one."""
         start = at + _RECORD_HEAD.size
         try:
             if opcode == Opcode.CHUNK:
@@ -257,7 +257,7 @@ class _McapScanner:
         return ""
 
     def _read_chunk_records(self, plain: bytes) -> int:
-        """Take the records of a chunk; return how many bytes of it stand as they should."""
+        """Process the records of a chunk; return the number of valid bytes."""
         at, end = 0, len(plain)
         unpack, topics, counts, numbered = (
             MESSAGE_HEAD.unpack_from,
@@ -292,7 +292,7 @@ class _McapScanner:
         return at
 
     def _read_other_record(self, opcode: int, content: bytes) -> None:
-        """Take a record that is no message; ValueError and others if it is damaged."""
+        """Process a record other than a message; a damaged record raises ValueError or another error."""
         contents = self._contents
         if opcode == Opcode.CHANNEL:
             channel = records.Channel.read(_to_stream(content))
@@ -311,14 +311,14 @@ class _McapScanner:
             contents.attachments[attachment.name] = attachment.data
 
     def _skip_damaged(self, problem: str, opcode: int, at: int, stop: int) -> int:
-        """Note a damaged record and return where reading goes on."""
+        """Register a damaged record and return the offset at which to continue."""
         after = stop if self._is_record_at(stop) else self._find_next_record(at + 1)
         messages, first_ns, last_ns = self._read_message_indexes(stop) if opcode == Opcode.CHUNK else (0, 0, 0)
         self._contents.lost_parts.append(LostPart(problem, at, after - at, messages, first_ns, last_ns))
         return after
 
     def _skip_part(self, at: int, stop: int, opcode: int, passed: int) -> int:
-        """Note a record that the file's end cuts, or bytes that are none, and return where reading goes on."""
+        """Register a truncated record or invalid bytes, and return the offset at which to continue."""
         data, end = self._data, len(self._data)
         after = self._find_next_record(passed + 1)
         at = at if after >= at else passed
@@ -344,7 +344,7 @@ class _McapScanner:
         return end
 
     def _is_record_at(self, at: int) -> bool:
-        """Whether a record stands at an offset, and another or the end mark behind it."""
+        """Return whether a record begins at an offset and is followed by another record or the end mark."""
         data, end = self._data, len(self._data)
         for _ in range(2):
             if at + _RECORD_HEAD.size > end:
@@ -360,7 +360,7 @@ class _McapScanner:
         return True
 
     def _find_next_record(self, start: int) -> int:
-        """Where the next record stands at or behind an offset; the end of the file if none does."""
+        """Return the offset of the next record at or after an offset; the end of the file without one."""
         data, end = self._data, len(self._data)
         best = next(
             (
@@ -396,7 +396,7 @@ class _McapScanner:
         return len(times), min(times, default=0), max(times, default=0)
 
     def _describe_other_faults(self, finished: bool) -> list[str]:
-        """What is wrong besides lost parts, in words."""
+        """Return a description of faults other than lost parts."""
         summary, data = self._summary, self._data
         nameless = [t for t in self._contents.messages_by_topic if t.startswith("channel ")]
         said = [f"the names of some topics are lost, which are here as {', '.join(nameless)}"] if nameless else []

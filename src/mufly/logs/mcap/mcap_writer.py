@@ -1,4 +1,4 @@
-"""The MCAP container, written: blocks of messages appended to a file that is whole after every write.
+"""Writer of the MCAP container: appended blocks of messages in a file that is valid after every write.
 
 MCAP (specification: mcap.dev/spec) is a sequence of records, each ``opcode (u8), length (u64), content``.
 Messages sit in chunks (compressed, with a checksum); schemas and channels precede the messages that use them;
@@ -94,7 +94,7 @@ class McapWriter:
         return start
 
     def add_channel(self, topic: str, schema_name: str, schema: bytes) -> int:
-        """Announce a topic and its JSON schema; goes out with the next chunk. Returns the channel's number."""
+        """Register a topic and its JSON schema, written with the next chunk; return the channel number."""
         known = {s.name: s.id for s in self._schemas}
         if schema_name not in known:
             known[schema_name] = len(self._schemas) + 1

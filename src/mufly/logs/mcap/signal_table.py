@@ -1,4 +1,4 @@
-"""Signals on one clock: which column of a row holds what, a dataset's components as plain columns, and back.
+"""Signal table: layout of rows on one clock, and conversion between datasets and plain columns.
 
 A flight is a row of float64 values every sampling instant: column 0 is the time (s), the others are the quantities
 of :mod:`mufly.quantities` in their order. The writer, the schemas inside the file, the reader, the CSV header and
@@ -35,7 +35,7 @@ _EVENT_VARIABLES = ("event_time", "event_state", "event_text", "event_level")
 
 
 class FlightEvent(NamedTuple):
-    """Something that happened: time (s), mission state entered or held, text, level (info, warning, error)."""
+    """Event of a flight: time (s), mission state, text, level (info, warning, error)."""
 
     time_s: float
     state: str
@@ -45,7 +45,7 @@ class FlightEvent(NamedTuple):
 
 @dataclass(frozen=True)
 class RecordingLayout:
-    """Which column of a row holds what.
+    """Layout of a row: quantity of each column.
 
     Attributes
     ----------
@@ -96,7 +96,7 @@ class RecordingLayout:
         return {name: tuple(q for q in self.quantities if q.topic == name) for name in names}
 
     def to_json(self) -> str:
-        """Text form, kept inside every recording."""
+        """Return the layout as JSON text, stored in every recording."""
         content: dict[str, object] = {
             "beams": self.beam_count,
             "quantities": [{k: getattr(q, k) for k in _LAYOUT_FIELDS} for q in self.quantities],
@@ -128,7 +128,7 @@ def rows_to_dataset(
     attributes: Mapping[str, Any] | None = None,
     events: Sequence[FlightEvent] = (),
 ) -> xr.Dataset:
-    """Give the columns of a flight their names.
+    """Convert the columns of a flight to a labelled dataset.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ def _event_variable(name: str, values: Sequence[Any]) -> tuple[Any, ...]:
 
 
 def read_events(dataset: xr.Dataset) -> list[FlightEvent]:
-    """The events of a recording, in order of time."""
+    """Return the events of a recording in order of time."""
     parts = (dataset[name].values.tolist() for name in _EVENT_VARIABLES)
     return [FlightEvent(*values) for values in zip(*parts, strict=True)]
 

@@ -1,4 +1,4 @@
-"""Tables in files of other programs, and logs that were converted once: text, Parquet, Feather, NetCDF."""
+"""Tables of other programs and converted logs: text, Parquet, Feather, NetCDF."""
 
 from mufly.logs.tables.columnar_files import (
     FEATHER_MAGIC,

@@ -1,4 +1,4 @@
-"""The clock of a table: which column holds it, in which unit and epoch it counts, and where its counter wraps.
+"""Clock of a table: its column, unit and epoch, and wraps of its counter.
 
 A unit in a header or in a container's metadata is believed. Where there is none, the magnitude of the numbers tells an
 epoch (1.7e12 are milliseconds since 1970, be there one row a minute or a thousand a second), else the step tells the
@@ -49,7 +49,7 @@ _MIN_FORWARD_SHARE = 0.9  # share of the steps of a clock that go forward
 def extract_clock(
     where: str, fields: dict[str, NDArray[Any]], units: dict[str, str], entry: TimeEntry | None = None
 ) -> tuple[_Array, str, list[str]]:
-    """Take the clock out of a table's columns.
+    """Find the clock among a table's columns.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def extract_clock(
 
 
 def is_time_unit(unit: str) -> bool:
-    """Whether a text is a unit of time, with or without an epoch, or empty."""
+    """Return whether a text is a unit of time, with or without an epoch, or empty."""
     since = _UNIT_SINCE_PATTERN.match(unit)
     unit = since["unit"] if since is not None else unit
     return unit == "" or (bool(normalise_unit(unit)) and unit_conversion(unit)[0] == "s")
@@ -172,7 +172,7 @@ def _join_nanoseconds(fields: dict[str, NDArray[Any]], units: dict[str, str]) ->
 
 
 def _parse_epoch(where: str, name: str, unit: str, text: str) -> float:
-    """The instant that a unit counts from, s since 1970."""
+    """Return the epoch of a unit (s since 1970)."""
     try:
         stamp = pd.Timestamp(text)
         stamp = stamp.tz_localize("UTC") if stamp.tzinfo is None else stamp.tz_convert("UTC")
@@ -376,7 +376,7 @@ def _guess_time_unit(values: _Array) -> tuple[str, str]:
 
 
 def unwrap_counter(values: _Array, unit_s: float) -> tuple[_Array, list[str]]:
-    """Count a counter on where it wrapped.
+    """Unwrap a counter.
 
     A step back by the whole range of a counter, to within five of its median steps, is a wrap; any other is left.
 

@@ -1,4 +1,4 @@
-"""Tables in containers that carry units: Parquet, Feather (Arrow's own) and NetCDF 3.
+"""Tables in containers with units: Parquet, Feather (Arrow) and NetCDF 3.
 
 What a container says of a unit is law: Arrow's types of time with their resolution and zone; the metadata ``units`` or
 ``unit`` of a field; NetCDF's attribute ``units``, with ``"milliseconds since 2024-08-09 10:00"`` for times (CF

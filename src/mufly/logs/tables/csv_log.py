@@ -1,4 +1,4 @@
-"""Tables of text as logs: units of the columns by header, line of units and preamble, and the clock.
+"""Reader of text tables as logs: units from header, unit line and preamble, and the clock.
 
 Cells that are no number are missing values, and counted. A row with fewer cells than the header is left out and said,
 since nobody knows which cell is missing (:mod:`mufly.text_table`).
