@@ -115,8 +115,8 @@ MAX_STUCK_CHANCE = 1e-11
 LEG_CLEARANCE_HEIGHT = 0.15
 """Height (m) above which no leg touches the floor; angular accelerations are then in the flight model."""
 HEIGHT_RESET_SPEED, HEIGHT_RESET_ACCEL, HEIGHT_RESET_THRUST, HEIGHT_RESET_WINDOW_S = 0.3, 0.3, 0.1, 1.0
-"""What speed (m/s), accelerometers (m/s^2) and thrust (1) may be off by where the height is led away
-again within ``HEIGHT_RESET_WINDOW_S`` (s)."""
+"""Standard deviations of speed (m/s), accelerometer bias (m/s^2) and thrust scale (1) set by a second height reset
+within ``HEIGHT_RESET_WINDOW_S`` (s)."""
 TERRAIN_STEP_GATE, MAX_TERRAIN_STEPS = 3.0, 8
 """Deviations of the sonar beyond which it is the surface that jumps, over an edge; how often it may."""
 LIFTOFF_THRUST_RATIO, LIFTOFF_THRUST_SIGMA = 1.08, 0.08

@@ -194,7 +194,7 @@ class Clients:
             self.send_text(why, "warning", station.peer)
 
     def take_outgoing(self) -> list[OutgoingFrame]:
-        """Hand over what is to be sent."""
+        """Return the frames to send."""
         out, self._out = self._out, []
         return out
 

@@ -1,6 +1,6 @@
-"""The mission protocol, both ends of it, as two machines that know neither sockets nor what an item means.
+"""State machines of both ends of the mission protocol, independent of sockets and of the meaning of items.
 
-Whoever has the items is a :class:`MissionSender`, whoever wants them a :class:`MissionReceiver` (mavlink.io, "Mission
+The owner of the items is a :class:`MissionSender`, the other end a :class:`MissionReceiver` (mavlink.io, "Mission
 Protocol")::
 
     upload      Sender (station)            Receiver (vehicle)        download    Receiver (station)    Sender (vehicle)

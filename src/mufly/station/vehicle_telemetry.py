@@ -552,7 +552,7 @@ _WRAP_MARGIN_S = 60.0
 _RESTART_BACKSTEP_S = 2.0
 """Backward step too large for a late packet (s)."""
 _RESTART_STAMP_COUNT = 3
-"""Number of such stamps in a row that mean a restart: a single one may be damaged or very late."""
+"""Number of backward stamps in a row that mean a restart: a single one may be damaged or very late."""
 _PACE_MARK_PERIOD_S, _MAX_PACE_MARKS, _MIN_PACE_MARKS = 1.0, 11, 5
 """Period of the marks (the fastest stamp of each, s), and their largest and least number to measure the rate."""
 

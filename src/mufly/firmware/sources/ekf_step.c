@@ -70,9 +70,9 @@ static real_t update_flight_phase(estimator_t *m, const estimator_settings_t *s,
         (s->has_rotor_model > 0) ? ((-m->rotor_force[wrap_index(m->tick, ROTOR_FORCE_HISTORY)][RF_STATIC + 2] * m->x[SX_THRUST_SCALE]) / GRAVITY) : REAL(1.0);
     const real_t height = height_above_ground(m->x_output, s);
     const bool off = (z[ACTUATOR_START] + z[ACTUATOR_START + 1]) < REAL(0.02);
-    /* Rotors that lift more than the model says fly sooner, others later. */
+    /* Rotors with more lift than modelled leave the floor earlier, others later. */
     const real_t doubt = (s->has_rotor_model > 0) ? (LIFTOFF_SIGMA_LIMIT * m->sigma_output[EX_THRUST_SCALE]) : REAL(0.0);
-    /* What the sonar says is fresher than the height that is believed; but not one that sees below the floor. */
+    /* The sonar is newer than the estimated height, except below the floor. */
     const bool says = (m->status[R_SONAR] == STATUS_FUSED) && (height < SONAR_LIFTOFF_HEIGHT) && (m->x[SX_TERRAIN] > MIN_TERRAIN_HEIGHT);
     const bool near = says && (m->last_value[READING_STARTS[R_SONAR]] <= (s->sonar_min + (REAL(0.5) * s->sonar_resolution)));
     const bool clear = says && (m->last_value[READING_STARTS[R_SONAR]] > (s->sonar_min + LIFTOFF_CLEARANCE));
@@ -228,7 +228,7 @@ static real_t sample_inputs(estimator_t *m, const estimator_settings_t *s, const
             felt = REAL(1e6);
             made = REAL(1e-3);
         } else if (m->flight_phase == PHASE_LIGHT) {
-            /* Legs may carry what the rotors do not: nothing is learnt of these. */
+            /* Legs may support the weight that the rotors do not: no thrust is estimated. */
             row[IN_REST + k] += m->x_output[SX_THRUST_SCALE] * row[IN_STATIC + k];
             if (k == 2) {
                 row[IN_REST + 2] = (m->is_sonar_at_minimum == 1) ? (-GRAVITY * r[8]) : real_min(row[IN_REST + 2], -GRAVITY * r[8]);

@@ -1,4 +1,4 @@
-"""What many flights say: how often they succeed and how sure that is, the worst of each number, tables and files.
+"""Results of a campaign: success rate with its confidence interval, worst values, tables and files.
 
 The interval of a share is Wilson's (J. Am. Stat. Assoc. 22, 1927): of ``k`` successes in ``n`` flights, with
 ``p = k / n`` and ``z = 1.96`` for 95 %,
@@ -33,7 +33,7 @@ _Z95 = 1.959963984540054
 
 
 class FlightMetric(NamedTuple):
-    """A number of every flight.
+    """A metric of every flight.
 
     Attributes
     ----------
@@ -97,7 +97,7 @@ def wilson_interval(successes: int, flights: int, z: float = _Z95) -> tuple[floa
 
 @result
 class MetricSummary:
-    """One number over all flights.
+    """Statistics of one metric over all flights.
 
     Attributes
     ----------
@@ -127,7 +127,7 @@ class MetricSummary:
 
 @result(picture="mufly.flight.monte_carlo.campaign_pictures:draw_outcome")
 class CampaignOutcome:
-    """What a campaign says.
+    """The outcome of a campaign.
 
     Attributes
     ----------
@@ -193,7 +193,7 @@ def _format_percent(share: float) -> str:
 
 
 def summarise_outcome(flights: Sequence[FlightResult], tolerance_m: float) -> CampaignOutcome:
-    """Return what flights say.
+    """Return the outcome of a set of flights.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What differs from one flight to the next: parameters of the vehicle, drawn around what its file or a fit says.
+"""Parameter variations of a campaign: vehicle parameters drawn around the values of its file or of a fit.
 
 A :class:`ParameterVariation` is linear: ``values = centre + factor z`` with ``z`` uniform within -1..1 or normal with
 unit variance, each component for itself. So a spread in percent, a range, and the covariance of an identification are
@@ -94,7 +94,7 @@ class ParameterVariation:
 
 
 def parse_variations(texts: Sequence[str], vehicle: Vehicle) -> tuple[ParameterVariation, ...]:
-    """Return what texts as ``"parameters=10%"`` say.
+    """Return the variations of texts such as ``"parameters=10%"``.
 
     Parameters
     ----------

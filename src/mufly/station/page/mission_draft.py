@@ -1,9 +1,9 @@
-"""A mission that is being drawn: what one does to it, step by step and back, and whether it could be flown.
+"""The mission draft of the editor: edits with undo and redo, and the check whether it can be flown.
 
-A :class:`MissionDraft` is frozen: every edit makes the next one, and the missions before it are what undo goes back to.
-An edit that the mission's schema refuses (a wait of -1 s) changes nothing; one that the geometry refuses (a waypoint in
-a crate) is kept and named, since one draws through such states. :mod:`mufly.mission.mission_checks` judges, as for a
-file.
+A :class:`MissionDraft` is frozen: every edit returns a new draft, which holds the earlier missions for undo.
+An edit that the mission's schema refuses (a wait of -1 s) changes nothing. An edit that violates the geometry (a
+waypoint in a crate) is kept and reported, since editing passes through such states. :mod:`mufly.mission.mission_checks`
+checks drafts as files.
 
 Rows are numbered as a table shows them: 0 is the take-off, 1 to n the waypoints, n + 1 the end.
 """
@@ -35,7 +35,7 @@ from mufly.mission.mission_checks import MissionEstimate
 from mufly.mission.mission_items import MissionRefusedError, mission_from_items
 
 NEW_MISSION_NAME = "new-mission"
-"""Of a mission that is begun anew: a file under the name of another would replace it."""
+"""Name of a new mission, so that its file replaces no other."""
 MAX_UNDO_STEPS = 200
 MAX_WAYPOINTS = 250
 ERROR_LOCATION = "mission"
@@ -49,7 +49,7 @@ PlaceNED = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class MissionDraft:
-    """A mission, what it was before, and what undo took back.
+    """A mission with its undo and redo history.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class MissionDraft:
     drag_gesture: str = ""
 
     def with_mission(self, mission: Mission, gesture: str = "") -> MissionDraft:
-        """The next draft; ``drag_gesture`` names the drag it belongs to, "" for a step of its own."""
+        """Return the draft after an edit; ``gesture`` names the drag that it belongs to, "" for a separate step."""
         if mission == self.mission:
             return self
         going_on = gesture != "" and gesture == self.drag_gesture
@@ -75,13 +75,13 @@ class MissionDraft:
         return MissionDraft(mission, past, (), gesture)
 
     def undo(self) -> MissionDraft:
-        """The draft before the last step; the same one if there is none."""
+        """Return the draft before the last edit; the same draft if there is none."""
         if not self.undo_stack:
             return self
         return MissionDraft(self.undo_stack[-1], self.undo_stack[:-1], (*self.redo_stack, self.mission))
 
     def redo(self) -> MissionDraft:
-        """The draft with the step that was taken back last; the same one if there is none."""
+        """Return the draft with the last undone edit; the same draft if there is none."""
         if not self.redo_stack:
             return self
         return MissionDraft(self.redo_stack[-1], (*self.undo_stack, self.mission), self.redo_stack[:-1])
@@ -186,7 +186,7 @@ def _row_key(k: int) -> str:
 
 
 def apply_edit(draft: MissionDraft, order: Mapping[str, Any]) -> MissionDraft:
-    """Do what a window asks: ``{"op": "move", "row": 2, "at": [1.0, 0.5, -1.0], "gesture": "7"}`` and its like.
+    """Apply an edit of a window: ``{"op": "move", "row": 2, "at": [1.0, 0.5, -1.0], "gesture": "7"}`` and its like.
 
     Raises
     ------
@@ -253,7 +253,7 @@ def _read_value(order: Mapping[str, Any]) -> float | None:
 
 @dataclass(frozen=True, slots=True)
 class DraftVerdict:
-    """What the check of a mission says.
+    """The result of the check of a draft.
 
     Attributes
     ----------
@@ -308,7 +308,7 @@ def row_from_key(key: str, mission: Mission) -> int | None:
 
 @dataclass
 class SharedDraft:
-    """The draft of a station, and what the check says of it.
+    """The draft shared by the windows of a station, with its check result.
 
     Attributes
     ----------
@@ -328,7 +328,7 @@ class SharedDraft:
     _is_checking: bool = False
 
     def set_draft(self, draft: MissionDraft) -> None:
-        """Go on with another draft."""
+        """Replace the draft."""
         if draft.mission is not self.draft.mission:
             self.verdict = None
         if draft is not self.draft:
@@ -338,7 +338,7 @@ class SharedDraft:
     async def check_draft(
         self, battery: tuple[float, float] | None, able: TrajectoryLimits | None = None
     ) -> DraftVerdict:
-        """Judge the draft, unless that is under way; what changes meanwhile is judged after it."""
+        """Check the draft; a draft changed during the check is checked after it."""
         while self._is_checking:
             await asyncio.sleep(0.02)
         self._is_checking = True
@@ -370,7 +370,7 @@ def parse_mission_draft(text: str, name: str) -> Mission:
 
 
 def mission_from_vehicle(items: Sequence[MissionItem], base: Mission, origin: GlobalOrigin | None) -> Mission:
-    """The mission of items that a vehicle holds; what items do not tell is taken from ``base``.
+    """Return the mission of a vehicle's items; settings that items lack are taken from ``base``.
 
     Raises
     ------
@@ -406,7 +406,7 @@ def find_untransmitted_keys(mission: Mission, held: Mission | None) -> list[str]
 
 
 def encode_draft(draft: MissionDraft, verdict: DraftVerdict | None, refused: str) -> dict[str, Any]:
-    """What a window draws: rows, and what the check says of them.
+    """Return a draft for a window: rows and check result.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Where the page is served, and who may speak to it.
+"""The address of the page, and its access control.
 
 The address (host, port, token) is chosen and bound before anything heavy is loaded: this module needs no other of
 ours. :class:`AccessGuard` is an ASGI layer around everything, web sockets and static files included.
@@ -60,7 +60,7 @@ def make_token() -> str:
 
 
 def cookie_for_token(token: str) -> str:
-    """Return what a browser keeps of a token: whoever reads its store cannot log in elsewhere with it."""
+    """Return the cookie of a token; the token cannot be recovered from it."""
     return hashlib.sha256(f"mufly station {token}".encode()).hexdigest() if token else ""
 
 
@@ -75,7 +75,7 @@ def is_loopback(host: str) -> bool:
 
 
 class PageAddress:
-    """Where the page is: a bound socket, its host, port and token."""
+    """The address of the page: a bound socket, its host, port and token."""
 
     def __init__(self, bound: socket.socket, host: str, token: str) -> None:
         self.socket, self.host, self.token = bound, host, token
@@ -83,7 +83,7 @@ class PageAddress:
 
     @property
     def url(self) -> str:
-        """What to open; the token is in it, once, where one is needed."""
+        """Return the URL of the page, with the token if needed."""
         host = "127.0.0.1" if self.host in ("0.0.0.0", "::", "") else self.host
         host = f"[{host}]" if ":" in host else host
         return f"http://{host}:{self.port}/" + (f"?token={self.token}" if self.token else "")
@@ -141,7 +141,7 @@ def open_in_browser(address: PageAddress) -> None:
 
 
 class AccessGuard:
-    """Let in whom the station serves.
+    """ASGI layer that refuses requests without access.
 
     Parameters
     ----------
