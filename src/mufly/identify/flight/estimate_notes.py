@@ -1,6 +1,6 @@
 """Notes on the reliability of estimates: weakly excited channels, held parameters, and invalid intervals.
 
-An estimate with a small standard deviation can be wrong for four reasons that the fit can detect: residuals above the
+The fit detects four reasons for wrong estimates with a small standard deviation: residuals above the
 sensor noise, a channel without excitation, a cost that is not parabolic within the interval, and an error of a held
 parameter.
 """

@@ -117,7 +117,7 @@ def _read_arrow_unit(entry: Any, metadata: Mapping[bytes, bytes]) -> str:
 
 
 def _pandas_index_columns(metadata: Mapping[bytes, bytes]) -> set[str]:
-    """Names of the columns that hold the index of a frame of pandas."""
+    """Return the names of the columns with the index of a pandas frame."""
     said = json.loads(metadata[b"pandas"]) if b"pandas" in metadata else {}
     return {name for name in said.get("index_columns", ()) if isinstance(name, str)}
 
@@ -246,7 +246,7 @@ def _restore_own_netcdf(where: str, data: xr.Dataset) -> tuple[RawLog, xr.Datase
 
 
 def _find_time_dimension(data: xr.Dataset) -> str:
-    """The dimension along which time runs: that with a variable of its name or of a unit of time."""
+    """Return the time dimension: the dimension with a variable of its name or with a unit of time."""
     if "time" in data.dims:
         return "time" if "time" in data.variables else ""
     for key, variable in data.variables.items():
