@@ -424,7 +424,7 @@ def _advance_horizon(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array) -
 
 @cached_njit(error_model="numpy")
 def _predict_bias(m: FilterMemory, s: FilterSettings) -> None:
-    """Predict one bias in cyclic order; biases of the fix are predicted with it."""
+    """Predict one bias in cyclic order; those of the fix are predicted when a fix is fused."""
     k = EX_GYRO_BIAS + m.tick % BIAS_CYCLE_TICKS
     if k >= EX_FIX_BIAS:
         k += EX_FIX_HEADING + 1 - EX_FIX_BIAS

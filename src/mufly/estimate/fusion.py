@@ -102,7 +102,7 @@ SONAR_MEAN_GATE = 2.2
 FIX_MEAN_SQUARE_GATE = 11.0
 """Mean square of the worst of the fix's four ratios over half a second; 2.4 is usual."""
 DIVERGENCE_MEAN_SQUARE = 5.0
-"""... from which on a fix that does not fit is no fix that jumps."""
+"""Mean square of the ratios above which a rejected fix is not treated as a jump of the fix."""
 _RESET_TIMEOUT_S = 1.0
 BIAS_RANGE_SIGMAS = 5.5
 """Deviations a of a wandering beyond which it is no wandering. One of time constant tau goes beyond them, to either

@@ -185,7 +185,7 @@ def parse_endpoint(
     role : str
         Who asks: what plain ``udp`` means depends on it.
     where : str
-        What holds the text, for the message of an error.
+        Source of the text, for error messages.
     least_port : int
         0 lets a listening endpoint take any free port (tests).
 

@@ -48,7 +48,7 @@ from mufly.slam import TrackedPicture
 from mufly.vehicle import Vehicle, load_vehicle
 
 SensorMode = Literal["ideal", "fitted"]
-"""What a simulated vehicle flies on (:class:`mufly.flight.Flight`)."""
+"""Sensors of a simulated vehicle (:class:`mufly.flight.Flight`)."""
 
 MAX_CATCH_UP_S = 1.0
 """Stalls up to so long are made up for (s)."""
@@ -77,7 +77,7 @@ class LoopReport:
     ----------
     state : FlightState
     commander : str
-        Who commands, or "".
+        Commander as text, or "".
     received_rate_Hz, sent_rate_Hz : float
         Messages a second.
     mean_lateness_ms, worst_lateness_ms : float
@@ -195,7 +195,7 @@ class RealTimePacer:
 
     @property
     def recording_attributes(self) -> dict[str, Any]:
-        """What a recording keeps of it."""
+        """Return the figures for a recording."""
         overall = self.mean_real_time_factor()
         least = min(self.min_real_time_factor, overall)
         return {"realtime_factor": overall, "realtime_factor_least": least, "slips": self.slip_count}
@@ -285,7 +285,7 @@ def run_real_time(
     flight : Flight
         Not closed here.
     endpoints : sequence of Endpoint
-        Where stations are, or may call. None: nobody listens, it only flies.
+        Endpoints of the link. None: a flight without a link.
     stop : callable
         Asked before every tick.
     link : VehicleLink, optional
@@ -301,14 +301,14 @@ def run_real_time(
     autostart : bool
         Arm and fly the mission by itself, as soon as it is ready.
     where : str
-        What names the endpoints, for the message of an error.
+        Source of the endpoints, for error messages.
     clock : callable
         The clock on the wall (s).
 
     Returns
     -------
     Pace
-        How much of real time was kept.
+        Timing of the flight, with the real time kept.
 
     Raises
     ------
@@ -394,7 +394,7 @@ class VehicleProcess:
     events : deque of Event
         What happened, the latest thousand; whoever shows them takes them out.
     notices : deque of str
-        What happened to the ports.
+        Events of the ports.
     report : Report or None
         How its loop is doing.
     sight : Sight or None
@@ -567,9 +567,9 @@ def start_vehicle(
     system : int
         Its number, 1..255.
     origin : Origin, optional
-        Where on the globe it is.
+        Global position of N = E = D = 0.
     where : str
-        What named the endpoints, for the message of an error.
+        Source of the endpoints, for error messages.
     on_stage : callable, optional
         Told every stage of its start as it begins ("compiling the model"), from a thread of its own.
 

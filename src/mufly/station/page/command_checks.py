@@ -95,7 +95,7 @@ def check_destination(
     Parameters
     ----------
     s : Snapshot
-        Where the vehicle is, and how long its battery lasts.
+        Position and remaining battery time of the vehicle.
     fence : Fence or None
         The vehicle's.
     limits : Mission

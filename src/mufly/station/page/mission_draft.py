@@ -281,7 +281,7 @@ def judge_draft(
     battery : (hover_current_A, capacity_Ah), optional
         Of the vehicle, where it is known: then the charge has to last.
     able : Limits, optional
-        What the vehicle's controllers can follow, where it is known: it flies no faster.
+        Limits of the vehicle's controllers, if known; they bound the speeds.
     """
     try:
         check_geometry(mission, mission.name or ERROR_LOCATION)

@@ -52,7 +52,7 @@ MAX_ALERT_LENGTH = 300
 PARAM_TYPE_INT32, PARAM_TYPE_REAL32 = 6, 9  # MAV_PARAM_TYPE
 
 PanelSource = RemoteVehicle | Replay
-"""What the panels show: both have name, kind, snapshot, history, messages, mission, parameters and checks."""
+"""Source of the panels: both types have name, kind, snapshot, history, messages, mission, parameters and checks."""
 
 
 @dataclass
@@ -64,7 +64,7 @@ class StationSession:
     vehicles : callable
         Returns all vehicles heard so far, in order.
     recordings_folder : Path
-        Where recordings are looked for.
+        Folder searched for recordings.
     mission : Mission or None
         The world to draw around vehicles; of a mission loaded later, that one's.
     rotor_radius_m : float

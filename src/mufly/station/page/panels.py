@@ -66,7 +66,7 @@ class BrowserPanel(Element, component=STATIC_FOLDER / "mufly_panel.js", esm={"ni
     module : str
         ``scene``, ``plots``, ``flight``, ...
     options : dict, optional
-        What its ``mount`` gets.
+        Arguments of its ``mount``.
     """
 
     def __init__(self, module: str, options: dict[str, Any] | None = None) -> None:
