@@ -56,7 +56,7 @@ Array = NDArray[np.float64]
 IMU_CHANNELS = ("p", "q", "r", "ax", "ay", "az")
 FLIGHT_PATH_STATES = ("phi", "theta", "psi", "v_north", "v_east", "v_down", "north", "east", "down")
 _FP_VELOCITY, _FP_POSITION = 3, 6
-"""Slices of velocity and position in the state vector, after the attitude."""
+"""First indices of velocity and position in ``FLIGHT_PATH_STATES``, after the attitude."""
 _VELOCITY_STATES = FLIGHT_PATH_STATES[_FP_VELOCITY:_FP_POSITION]
 _POSITION_STATES = FLIGHT_PATH_STATES[_FP_POSITION:]
 STATE_UNITS = (
@@ -65,7 +65,7 @@ STATE_UNITS = (
     | dict.fromkeys(_POSITION_STATES, "m")
 )
 _IMU_FORCE = 3
-"""Slice of the specific force in the IMU channels, after the rates."""
+"""First index of the specific force in ``IMU_CHANNELS``, after the rates."""
 IMU_ERROR_SYMBOLS = tuple(f"b_{n}" for n in IMU_CHANNELS) + tuple(f"lambda_{n}" for n in IMU_CHANNELS)
 _PRIOR_STD = np.array([0.2] * 3 + [1.0] * 3 + [0.1] * 6)
 _MIN_OUTPUT_NOISE = {
