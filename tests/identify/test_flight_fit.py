@@ -80,7 +80,7 @@ def test_noise_is_learnt_and_predictions_reach_it(fitted):
     used = fitted.records_with_role("fit")
     assert [r.name for r in used] == ["demo-roll", "demo-pitch"]
     for r in used:
-        true = np.array([SENSOR_NOISE_STD[o] for o in r.outputs])
+        true = np.array([SENSOR_NOISE_STD[o] for o in r.output_names])
         assert np.all(np.abs(r.noise_std / true - 1) < 0.15)
     assert [r.role for r in fitted.records] == ["fit", "fit", "held out"]
 
