@@ -66,9 +66,6 @@ EXCEPTIONS: tuple[tuple[str, str, str], ...] = ()
 """File, rule and the reason why the rule does not hold there."""
 
 PENDING: tuple[str, ...] = (
-    "docs/explanation/identification-bench.md",
-    "docs/explanation/identification-linear.md",
-    "docs/explanation/identification.md",
     "docs/log",
     "src/mufly/*",
 )

@@ -73,7 +73,7 @@ def record_notable_flights(
             orders.append((case, recording.with_suffix(".part.mcap")))
     before = {(f.index, f.seed): f for f in chosen.values()}
     paths = {case.index: path for case, path in orders}
-    for done, f in enumerate(crew.fly_cases(campaign, orders, stop), 1):
+    for done, f in enumerate(crew.fly_cases(campaign, orders, stop or (lambda: False)), 1):
         path = paths[f.index]
         changed = list_differences(f, before[f.index, f.seed])
         if changed:
