@@ -1,4 +1,4 @@
-"""What would a Navier-Stokes solver say? Meshes of a rotor's sector, OpenFOAM cases, runs, results."""
+"""Computational fluid dynamics of rotors: meshes of a blade's sector, OpenFOAM cases, solver runs and results."""
 
 from mufly.cfd.blade_geometry import BLADE_TIPS, BladeGeometry, BladeTip, HubCylinder, make_blade_geometry
 from mufly.cfd.case_studies import (

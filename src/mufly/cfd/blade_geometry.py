@@ -1,7 +1,7 @@
-"""What a rotor file does not say of a rotor's form: its hub, the ends of its blades, plates on them.
+"""Geometry of a rotor beyond its rotor file: hub, blade tips, winglets, plates and Gurney flaps.
 
-The blade follows a line: radius y, and how far that line lies aft of, and above, the straight quarter chord line, in
-chords of the tip. Over a tip's length t runs from 0 to 1::
+The blade follows a line of radius y with offsets aft of and above the straight quarter chord line, in chords of the
+tip. Along a tip t runs from 0 to 1::
 
     chord    1 - (1 - taper) t                     or, round, sqrt(1 - t^2), ended where its edges slope 60 degrees
     aft      aft t                                 0.75 (1 - taper): straight trailing edge; 0.25 (1 - taper): straight
@@ -9,9 +9,9 @@ chords of the tip. Over a tip's length t runs from 0 to 1::
     winglet  an arc of radius ``bend`` to the angle ``cant``, then straight to ``height``; the blade's radius stays;
              ``curved``: its chords follow the circle about the shaft
 
-A round tip's flat end is bowed by what is left of the ellipse, so that the whole outline is half an ellipse.
+The end face of a round tip is curved by the rest of the ellipse, so that the whole outline is half an ellipse.
 
-What the dissertation's tips and winglets measured is nowhere printed (Figs 3.37 and 3.39 are drawings without sizes):
+The dissertation gives no dimensions of its tips and winglets (Figs 3.37 and 3.39 are drawings without sizes):
 ``thesis-1``, ``thesis-2`` and ``winglet-1`` to ``winglet-3`` are guesses of their shape.
 """
 
@@ -29,36 +29,35 @@ from mufly.errors import InputError
 
 Array = NDArray[np.float64]
 MAX_TIP_SLOPE_RAD = math.radians(60.0)
-"""Slope at which a round tip's edges end."""
+"""Slope at which the edges of a round tip end (rad)."""
 _FADE_CHORDS, _UPRIGHT_BEND_RADII, _BACK_TURN_BEND_RADII = 5.0, 0.5, 2.0
-"""Chords above and below the blade over which what is moved fades; bend radii over which sections turn upright, and of
-the turn beyond the end."""
+"""Chords above and below the blade over which displacements fade; bend radii over which sections turn upright; bend
+radii of the turn beyond the end."""
 _MAX_CANT_RAD = math.radians(70.0)
 
 
 @dataclass(frozen=True)
 class BladeTip:
-    """The end of a blade; lengths in chords of the rotor file's tip.
+    """Shape of a blade tip; lengths in chords of the rotor file's tip.
 
     Attributes
     ----------
     length : float
-        Over which it reaches inwards; 0: the blade ends square.
+        Length of the tip inwards; 0 for a square end.
     taper : float
-        Chord at its end over that at its beginning.
+        Chord at the end over chord at the beginning of the tip.
     aft : float
-        By which its end lies further aft, quarter chord to quarter chord.
+        Offset of the end aft, quarter chord to quarter chord.
     round : bool
         Half an ellipse, as long as ``length``, instead of straight edges.
     cant_rad, height, bend : float
-        Winglet: angle to which the blade turns up (below 0: down), height, radius of the turn. ``length`` is then set
-        by them.
+        Cant angle of a winglet (negative: down), its height and its bend radius; they determine ``length``.
     plate_above, plate_below : float
-        Heights of a plate across the blade's end.
+        Heights of an end plate above and below the blade.
     curved : bool
-        Whether a winglet follows the circle about the shaft. A straight one lies along the tip's chord: a chord of a
-        third of the radius then meets the air, which comes around the shaft, at 5 degrees from outside at the nose and
-        at 14 from inside at the tail, and the winglet carries a load of its own.
+        True if the winglet follows the circle about the shaft. A straight winglet lies along the tip's chord. With a
+        chord of a third of the radius its relative wind comes at 5 degrees from outside at the nose and at 14 degrees
+        from inside at the tail, so it has a side load.
     """
 
     length: float = 0.0
@@ -119,18 +118,18 @@ BLADE_TIPS: Mapping[str, BladeTip] = MappingProxyType(
         "winglet-3-curved": BladeTip(cant_rad=math.radians(-70.0), height=0.5, bend=0.4, taper=0.8, curved=True),
     }
 )
-"""Tips by name."""
+"""Predefined blade tips by name."""
 
 
 @dataclass(frozen=True)
 class HubCylinder:
-    """A cylinder around the shaft that turns with the blades.
+    """Cylindrical hub around the shaft that rotates with the blades.
 
     Attributes
     ----------
     radius_m, half_height_m : float
     joined : bool
-        Whether it runs on into the blades' roots (grips); else it ends in flats, with air to the roots.
+        True if the hub is joined to the blade roots (grips); else it ends in flats, with a gap of air to the roots.
     """
 
     radius_m: float
@@ -145,14 +144,14 @@ class HubCylinder:
 
 @dataclass(frozen=True)
 class BladeGeometry:
-    """A rotor's form, besides its file.
+    """Geometry of a rotor beyond its rotor file.
 
     Attributes
     ----------
     tip : Tip
     hub : Hub or None
     gurney_height : float
-        Height over chord of a plate below the trailing edge, from root to tip; 0 for none.
+        Height over chord of a Gurney flap below the trailing edge, from root to tip; 0 for none.
     """
 
     tip: BladeTip = BladeTip()
@@ -169,7 +168,7 @@ class BladeGeometry:
 def make_blade_geometry(
     tip: str = "square", hub_m: float = 0.0, gurney: float = 0.0, *, hub_joined: bool = True
 ) -> BladeGeometry:
-    """A form by the name of its tip, the hub's radius (m; its height above and below the disc is half of that), a flap.
+    """Make the geometry from the name of a tip, the hub radius (m; its half height is half of it) and a Gurney flap.
 
     Raises
     ------
@@ -183,18 +182,18 @@ def make_blade_geometry(
 
 @dataclass(frozen=True, eq=False)
 class BladeLine:
-    """Where the sections of a blade lie; arrays of (sections,).
+    """Positions of the sections of a blade; arrays of (sections,).
 
     Attributes
     ----------
     radius_m, aft_m, height_m : arrays
-        Radius; aft of and above the straight line, along and across the tip's chord.
+        Radius; offsets aft of and above the straight line, along and normal to the tip's chord.
     cant_rad : array
         Angle of the line to the disc.
     chord_ratio : array
-        Over the rotor file's.
+        Chord over that of the rotor file.
     rounding_share : array
-        0 to 1: part of a round tip's bow.
+        Fraction of the curvature of a round tip's end face, 0 to 1.
     """
 
     radius_m: Array
@@ -206,7 +205,7 @@ class BladeLine:
 
 
 def blade_line_length(tip: BladeTip, root_m: float, radius_m: float, chord_m: float) -> float:
-    """Length (m) of the blade's line from root to end, its end being at the radius."""
+    """Return the length (m) of the blade's line from root to end, with the end at the rotor radius."""
     turn, straight = _winglet_lengths(tip, chord_m)
     b, a = tip.bend * chord_m, abs(tip.cant_rad)
     out = b * math.sin(a) + straight * math.cos(a)
@@ -218,7 +217,7 @@ def blade_line_length(tip: BladeTip, root_m: float, radius_m: float, chord_m: fl
 
 
 def _winglet_lengths(tip: BladeTip, chord_m: float) -> tuple[float, float]:
-    """Lengths (m) of the turn and of what follows it."""
+    """Return the lengths (m) of the bend and of the straight part after it."""
     a = abs(tip.cant_rad)
     if not a:
         return 0.0, 0.0
@@ -227,17 +226,17 @@ def _winglet_lengths(tip: BladeTip, chord_m: float) -> tuple[float, float]:
 
 
 def compute_blade_line(tip: BladeTip, s: Array, span: tuple[float, float], chord_m: float) -> BladeLine:
-    """The line of a blade at lengths s (m, from the shaft); beyond the end it turns back to the disc's direction.
+    """Compute the blade's line at lengths s (m, from the shaft); beyond the end it bends back parallel to the disc.
 
     Parameters
     ----------
     tip : Tip
     s : (n,) array
-        Rising.
+        Lengths along the line, increasing (m).
     span : (float, float)
-        s of root and end.
+        s of root and end (m).
     chord_m : float
-        Of the rotor file's tip.
+        Tip chord of the rotor file (m).
     """
     end = span[1]
     turn, straight = _winglet_lengths(tip, chord_m)
@@ -288,27 +287,27 @@ def place_sections(
     half_m: float,
     level_m: float,
 ) -> Array:
-    """Lay sections along a blade's line.
+    """Place sections along a blade's line.
 
-    Sections of a winglet stand across it and turn upright again over a length of less than the bend's radius, so that
-    none meets its neighbour: with n the height over the blade and h = tanh(n / l) ::
+    Sections of a winglet are normal to it. Above and below the blade they turn upright over a length below the bend
+    radius, so that neighbours do not intersect. With n the height over the blade and h = tanh(n / l) ::
 
         y  = y_line - sin(cant) l h,    up = up_line - (1 - cos(cant)) l h
 
-    What is moved fades to nothing at the box's sides and where lines are level.
+    Displacements fade to zero at the sides of the box and at level lines.
 
     Parameters
     ----------
     xz : (sections, points, 2) array
-        Of straight sections, the quarter chord at (0, 0).
+        Points of straight sections, the quarter chord at (0, 0) (m).
     line : Line
     tip : Tip
     angle_rad : float
-        Of the tip's chord to the disc, nose up.
+        Angle of the tip's chord to the disc, nose up.
     chord_m : float
-        Of the rotor file's tip.
+        Tip chord of the rotor file.
     half_m, level_m : float
-        Half width of the sections' box; height, above and below the disc, from which its lines are level.
+        Half width of the box of the sections; height above and below the disc beyond which its lines are level.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""From a rotor and an operating point to a case on disk, and what other methods say of the same point."""
+"""CFD studies: cases of a rotor, sweeps, coaxial pairs and mesh studies, with the loads of other methods."""
 
 from __future__ import annotations
 
@@ -52,9 +52,9 @@ from mufly.units import RPM
 
 Array = NDArray[np.float64]
 SCALED_START_ITERATIONS = 400
-"""Iterations before a verdict where the start is a neighbour's solution, scaled."""
+"""Iterations before a verdict if the start is the scaled solution of a neighbour."""
 RESHAPED_START_ITERATIONS = 800
-"""The same where the neighbour has another pitch setting or tip."""
+"""Iterations before a verdict if the neighbour has another pitch setting or tip."""
 
 
 def save_case(
@@ -80,19 +80,20 @@ def save_case(
 ) -> MeshQuality:
     """Mesh a rotor and write a case of one operating point; return the mesh's quality.
 
-    Tip, hub and Gurney flap are those of :func:`mufly.cfd.blade_geometry.make_blade_geometry`. With ``gap_m`` a second
-    rotor of the same file turns the other way so far below (:mod:`mufly.cfd.rotor_pair`), by default with the same
-    pitch setting and speed, frozen. ``other_m`` is for :func:`solve_pair`.
+    Tip, hub and Gurney flap are those of :func:`mufly.cfd.blade_geometry.make_blade_geometry`. With ``gap_m`` a second,
+    counter-rotating rotor of the same file lies at that distance below (:mod:`mufly.cfd.rotor_pair`). By default it has
+    the same pitch setting and speed; both rotors are frozen. ``other_m`` is for :func:`solve_pair`.
 
-    With ``neighbour``, a solved case of another speed, pitch setting or tip whose mesh has the same cells, it starts
-    from that solution, scaled.
+    With ``neighbour``, a solved case of another speed, pitch setting or tip with the same cells, the case starts from
+    the scaled solution of the neighbour.
 
-    A folder that holds a begun case of the same point is left as it is, so that it can go on.
+    A folder that contains a started case of the same point is unchanged, so that the case can resume.
 
     Raises
     ------
     InputError
-        If the rotor cannot be meshed, its mesh is not good, or the folder holds another point's solution.
+        If the rotor cannot be meshed, its mesh quality is insufficient, or the folder contains the solution of another
+        point.
     """
     air = air or Air()
     guess = solve_rotor(
@@ -195,7 +196,7 @@ def solve_operating_point(
     progress: Callable[[SolverProgress], None] | None = None,
     **given: Any,
 ) -> CfdSolution:
-    """Mesh, run, judge and read one operating point; arguments as for :func:`save_case`."""
+    """Mesh, run, judge and read an operating point; arguments as for :func:`save_case`."""
     save_case(folder, rotor, cores=cores, **given)
     run_case(folder, cores=cores, progress=progress)
     return read_solution(folder)
@@ -210,12 +211,12 @@ def sweep_speed(
     progress: Callable[[SolverProgress], None] | None = None,
     **given: Any,
 ) -> list[CfdSolution]:
-    """Solve several speeds, each but the first from its neighbour's solution; those that are solved are kept.
+    """Solve several speeds, each after the first from its neighbour's solution; solved speeds are not repeated.
 
     Parameters
     ----------
     folder : Path
-        Each speed gets a folder in it, ``rpm-5000``.
+        Folder of the sweep; each speed has a subfolder such as ``rpm-5000``.
     rotor : Rotor
     speeds_rad_s : sequence of float
     cores, progress, given
@@ -228,7 +229,7 @@ def sweep_speed(
         save_case(place, rotor, speed_rad_s=speed, cores=cores, neighbour=before, **given)
         verdict = run_case(place, cores=cores, progress=progress)
         out.append(read_solution(place))
-        # What did not settle is nothing to start from.
+        # A solution that did not converge is no start.
         before = place if verdict.settled else before
     return out
 
@@ -242,12 +243,12 @@ def sweep_climb(
     progress: Callable[[SolverProgress], None] | None = None,
     **given: Any,
 ) -> list[CfdSolution]:
-    """Solve several climbs at one speed, each from its own start; those that are solved are kept.
+    """Solve several climb velocities at one speed, each from its own start; solved climbs are not repeated.
 
     Parameters
     ----------
     folder : Path
-        Each climb gets a folder in it, ``climb-0.5``; descent ``climb--0.5``.
+        Folder of the sweep; each climb has a subfolder such as ``climb-0.5``, for descent ``climb--0.5``.
     rotor : Rotor
     climbs_m_s : sequence of float
     cores, progress, given
@@ -256,9 +257,9 @@ def sweep_climb(
     Raises
     ------
     InputError
-        If the rotor descends too fast; before anything is solved.
+        If the rotor descends too fast; raised before any case is solved.
     """
-    # The fastest descent comes first, as it may be refused.
+    # The fastest descent comes first, because it may raise an error.
     return [
         solve_operating_point(folder / f"climb-{w:g}", rotor, climb_m_s=w, cores=cores, progress=progress, **given)
         for w in sorted(set(climbs_m_s))
@@ -267,17 +268,16 @@ def sweep_climb(
 
 @result(eq=False, picture="mufly.cfd.cfd_pictures:pair_picture")
 class PairSolution:
-    """Two rotors that turn against each other, each beside the other's mean around the shaft.
+    """Solution of a counter-rotating pair, each rotor with the other as an actuator disc.
 
     Attributes
     ----------
     upper, lower : Solution
-        Each in the frame of its own, in which it turns about +z.
+        Solution of each rotor in its own frame, in which it turns about +z.
     settled : bool
-        Whether both stand, and neither would change the other any more.
+        True if both cases and their mutual loads have converged.
     between_m_s : (2,) array
-        Mean velocity down within R half way between the discs, as the upper and the lower rotor's case have it: the
-        same air, once under blades and once under a disc.
+        Mean downward velocity (m/s) within R half way between the discs, in the upper and in the lower rotor's case.
     """
 
     upper: CfdSolution
@@ -297,9 +297,9 @@ class PairSolution:
 
 
 PAIR_FOLDERS = ("upper", "lower")
-"""The two cases of a pair."""
+"""Folders of the two cases of a pair."""
 MAX_PAIR_ROUNDS, PAIR_LOAD_TOLERANCE = 6, 0.01
-"""Of a pair: how often the rotors take turns at most, and the change of thrust or torque that is none."""
+"""Greatest number of alternations between the rotors of a pair, and relative change of loads at convergence."""
 
 
 def solve_pair(
@@ -316,23 +316,23 @@ def solve_pair(
     progress: Callable[[SolverProgress], None] | None = None,
     **given: Any,
 ) -> PairSolution:
-    """Solve two rotors of one file that turn against each other, in folders ``upper`` and ``lower``.
+    """Solve two counter-rotating rotors of one file in folders ``upper`` and ``lower``.
 
-    Each stands beside the mean of the other (:mod:`mufly.cfd.rotor_pair`), first as blade elements have it, then as its
-    own case does, until that changes by less than :data:`PAIR_LOAD_TOLERANCE`. What is solved is kept; a pair that was
-    stopped goes on.
+    The other rotor is an actuator disc in each case (:mod:`mufly.cfd.rotor_pair`). Its loads come from blade elements
+    first, then from the other case, until they change by less than :data:`PAIR_LOAD_TOLERANCE`. An interrupted pair
+    resumes from its stored solutions.
 
     Parameters
     ----------
     folder : Path
     rotor : Rotor
-        Both.
+        Rotor used for both discs.
     pitch_rad, speed_rad_s : float
-        Of the upper one.
+        Pitch setting (rad) and speed (rad/s) of the upper rotor.
     gap_m : float
-        Between the discs.
+        Distance between the discs (m).
     lower_pitch_rad, lower_speed_rad_s : float, optional
-        Of the lower one; default: as the upper.
+        Pitch setting and speed of the lower rotor; default: those of the upper rotor.
     neighbour : Path, optional
         A solved pair of other speeds or pitch settings to start from.
     cores, progress, given
@@ -341,7 +341,7 @@ def solve_pair(
     Raises
     ------
     InputError
-        If the rotors would meet, or blade elements find no first guess.
+        If the rotors would collide, or blade elements give no first guess.
     """
     pitches = (pitch_rad, pitch_rad if lower_pitch_rad is None else lower_pitch_rad)
     speeds = (speed_rad_s, speed_rad_s if lower_speed_rad_s is None else lower_speed_rad_s)
@@ -401,12 +401,12 @@ def solve_pair(
 
 
 def read_pair(folder: Path) -> PairSolution:
-    """Read a pair that :func:`solve_pair` solved.
+    """Read a pair solved by :func:`solve_pair`.
 
     Raises
     ------
     InputError
-        If one of its cases holds no solution.
+        If one of its cases contains no solution.
     """
     upper, lower = (read_solution(folder / name) for name in PAIR_FOLDERS)
     loads = [_make_disc(one, one.point.pitch_rad, one.point.speed_rad_s) for one in (upper, lower)]
@@ -418,7 +418,7 @@ def read_pair(folder: Path) -> PairSolution:
 
 
 def _is_pair_consistent(folder: Path, loads: Sequence[ActuatorDisc]) -> bool:
-    """Whether each rotor's case has the loads of the other one."""
+    """Return True if the actuator disc in each case has the loads of the other case."""
     standing = [read_actuator_disc(folder / name) for name in PAIR_FOLDERS]
     return all(
         one is not None and one.load_difference(loads[1 - i]) <= PAIR_LOAD_TOLERANCE for i, one in enumerate(standing)
@@ -431,7 +431,7 @@ def _make_disc(loads: SpanLoads | CfdSolution, pitch_rad: float, speed_rad_s: fl
 
 
 def _mean_downwash(folder: Path, height_m: float) -> float:
-    """Mean velocity (m/s) down through a level plane within R."""
+    """Return the mean downward velocity (m/s) through a horizontal plane within R."""
     point, mesh = read_point(folder), read_poly_mesh(folder)
     speed = -read_field(folder / str(list_complete_states(folder)[-1]) / "U", mesh.cell_count)[:, 2]
     cells, area = find_disc_cells(mesh, height_m, point.radius_m)
@@ -439,7 +439,7 @@ def _mean_downwash(folder: Path, height_m: float) -> float:
 
 
 DOMAIN_WIDENING = 1.5
-"""By how much the study of the domain moves each of its limits out."""
+"""Factor by which the domain study enlarges the limits of the domain."""
 
 
 def list_study_cases(what: str) -> dict[str, dict[str, Any]]:
@@ -470,7 +470,7 @@ def solve_study(
     progress: Callable[[SolverProgress], None] | None = None,
     **given: Any,
 ) -> dict[str, CfdSolution]:
-    """Solve one operating point on several meshes, domains or with several models, each in a folder of its name.
+    """Solve an operating point on several meshes, domains or with several models, each in its own folder.
 
     Parameters
     ----------
@@ -500,7 +500,7 @@ class SpanLoads:
 
 
 def span_loads(result: RotorResult, method: str) -> SpanLoads:
-    """A method's result as loads per span, to lay beside a solution's."""
+    """Convert the result of another method to loads per span, for comparison with a CFD solution."""
     return SpanLoads(
         method,
         result.r_m,

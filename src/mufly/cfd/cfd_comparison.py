@@ -1,4 +1,4 @@
-"""Solved cases beside a table of measurements and of others' computations, and over the inflow beside other methods."""
+"""Comparison of CFD solutions with tables of measured or published loads, and with other methods over climb."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 @result
 class CaseComparison:
-    """One case beside its row of a table.
+    """Comparison of a case with its row of a table.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class CaseComparison:
     point : Point
     verdict : Verdict
     thrust, torque : dict of str to float
-        Ours over the table's, less 1, by the column's name without ``T_`` or ``Q_`` and unit.
+        Relative deviation from the table, by the column's name without ``T_`` or ``Q_`` and unit.
     """
 
     case: str
@@ -46,18 +46,18 @@ class CaseComparison:
 
 
 def compare_cases(table: Path, cases: Sequence[Path]) -> list[CaseComparison]:
-    """Lay cases beside the rows of a table with the same pitch (to 0.05 degrees) and speed (to 0.5 %).
+    """Compare cases with the rows of a table with the same pitch (to 0.05 degrees) and speed (to 0.5 %).
 
     Parameters
     ----------
     table : Path
-        CSV with ``pitch_deg``, ``rpm`` and columns ``T_...`` (N) and ``Q_...`` (N m); # begins a note.
+        CSV with ``pitch_deg``, ``rpm`` and columns ``T_...`` (N) and ``Q_...`` (N m); # begins a comment.
     cases : sequence of Path
 
     Raises
     ------
     InputError
-        If the table cannot be read or lacks a column, a case is none, or no row is at a case's point.
+        If the table cannot be read or lacks a column, a folder is no case, or no row matches a case.
     """
     written = read_text_table(table)
     needed = [
@@ -91,22 +91,21 @@ def compare_cases(table: Path, cases: Sequence[Path]) -> list[CaseComparison]:
 
 @result(eq=False, picture="mufly.cfd.cfd_pictures:climb_picture")
 class ClimbComparison:
-    """Thrust over the climb, each as a part of the same method's thrust in hover.
+    """Thrust over the climb velocity, relative to the thrust of the same method in hover.
 
     Attributes
     ----------
     solutions : tuple of Solution
-        One a climb, rising; what has not settled is among them.
-    climb_m_s : (points,) array
-    c_T : (points,) array
-        Of the solutions: means of the last iterations.
+        Solutions in order of climb, including those that did not converge.
+    climb_m_s : (points,) array c_T : (points,) array
+        Thrust coefficients of the solutions: means of the last iterations.
     others : dict of (points,) arrays
-        Coefficient by blade elements (``bemt``) and vortex wake (``wake``) at the same climbs; nan where there is none.
+        Coefficient by blade elements (``bemt``) and vortex wake (``wake``) at the same climbs; nan without a solution.
     map_name : str
-        The flight model's coefficient map.
+        Name of the flight model's coefficient map.
     map_part : (points,) array
-        What it makes of the upper rotor's thrust in hover at the same climb over tip speed, at equal speeds; nan
-        beyond its edges.
+        Thrust of the map's upper rotor over that in hover, at the same climb over tip speed and equal rotor speeds; nan
+        beyond the edges of the map.
     """
 
     solutions: tuple[CfdSolution, ...]
@@ -117,7 +116,8 @@ class ClimbComparison:
     map_part: Array
 
     def thrust_slope(self, values: Array, reach_m_s: float) -> float:
-        """Part of the thrust in hover that 1 m/s of climb adds, from -reach to reach (m/s); nan if not told."""
+        """Return the change of thrust per 1 m/s of climb over the thrust in hover, from -reach to reach (m/s); nan if
+        unknown."""
         at_zero, ends = np.flatnonzero(self.climb_m_s == 0.0), []
         for climb in (-reach_m_s, reach_m_s):
             ends.append(np.flatnonzero(np.abs(self.climb_m_s - climb) < 1e-9))
@@ -127,20 +127,20 @@ class ClimbComparison:
 
 
 def compare_climbs(solutions: Sequence[CfdSolution], rotor: Rotor | None, flight: CoefficientMap) -> ClimbComparison:
-    """Lay solutions of one rotor at several climbs beside other methods and the flight model's map.
+    """Compare solutions of a rotor at several climbs with other methods and the flight model's map.
 
     Parameters
     ----------
     solutions : sequence of Solution
-        Alike but for the climb.
+        Solutions that differ only in climb.
     rotor : Rotor, optional
-        Whose loads blade elements and the wake shall tell; without it they are left out.
+        Rotor for blade elements and the wake method; without it both methods are left out.
     flight : CoefficientMap
 
     Raises
     ------
     InputError
-        If they differ in more than the climb.
+        If the solutions differ in more than the climb.
     """
     found = sorted(solutions, key=lambda s: s.point.climb_m_s)
     first = found[0].point
@@ -177,16 +177,16 @@ def compare_climbs(solutions: Sequence[CfdSolution], rotor: Rotor | None, flight
 def predict_span_loads(
     rotor: Rotor, found: CfdSolution, other: ActuatorDisc | None = None, which: int = 0
 ) -> list[SpanLoads]:
-    """Return the loads that blade elements and the wake give at a solution's point; a method that fails is left out.
+    """Return the loads of blade elements and the wake method at a solution's point; a method that fails is left out.
 
     Parameters
     ----------
     rotor : Rotor
     found : CfdSolution
     other : ActuatorDisc, optional
-        The other rotor of a pair that is solved by turns.
+        The other rotor of a pair that is solved alternately.
     which : int
-        Of a pair: 0 the upper rotor, 1 the lower.
+        Rotor of a pair: 0 for the upper, 1 for the lower.
     """
     p = found.point
     system, pitch, speed = RotorSystem.single_rotor(prepare_blading(rotor)), p.pitch_rad, p.speed_rad_s

@@ -1,4 +1,4 @@
-"""Pictures of meshes and solutions."""
+"""Pictures of CFD meshes and solutions."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ def _new_figure(width: float, height: float) -> Figure:
 
 
 def mesh_picture(mesh: PolyMesh) -> Figure:
-    """The mesh: the blade's surface from above, the periodic plane, the section in the middle of the blade."""
+    """Draw a mesh: blade surface from above, periodic plane, and section at mid-span."""
     figure = _new_figure(11.0, 7.5)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.2))
     blade, section = figure.add_subplot(grid[0, :]), figure.add_subplot(grid[1, 1])
     plane = figure.add_subplot(grid[1, 0])
     faces = mesh.patch_faces("blade")
-    up = mesh.face_areas[faces][:, 2] < 0.0  # area vectors leave the air
+    up = mesh.face_areas[faces][:, 2] < 0.0  # area vectors point out of the air
     _draw_quads(blade, 1e3 * mesh.points[mesh.faces[faces]][up][..., [1, 0]])
     blade.set(title="Blade from above", xlabel="radius (mm)", ylabel="aft (mm)")
     quads = np.concatenate([mesh.faces[mesh.patch_faces(p)] for p in ("sector_left", "sector_right")])
@@ -61,7 +61,7 @@ def _draw_quads(axes: Axes, quads: Array) -> None:
 
 
 def pressure_picture(mesh: PolyMesh, solution: CfdSolution) -> Figure:
-    """Pressure on the blade's upper and lower side.
+    """Draw the pressure on the upper and lower side of the blade.
 
     Thesis: Fig. 3.23.
     """
@@ -93,7 +93,7 @@ _METHOD_LABELS = {"bemt": "blade elements", "wake": "vortex wake"}
 
 
 def loads_picture(solution: CfdSolution, others: Sequence[SpanLoads] = ()) -> Figure:
-    """Thrust and torque along the blade, beside other methods'."""
+    """Draw thrust and torque along the blade, with those of other methods."""
     figure = _new_figure(9.0, 4.0)
     axes = figure.subplots(1, 2)
     rows = [(solution.r_m, solution.thrust_N_m, solution.torque_Nm_m, f"CFD, {solution.point.model}")]
@@ -107,7 +107,7 @@ def loads_picture(solution: CfdSolution, others: Sequence[SpanLoads] = ()) -> Fi
         ("thrust per span (N/m)", "torque per span (mN m/m)"),
         strict=True,
     ):
-        # The vortex wake's end panels have spikes that would squeeze all else.
+        # The end panels of the vortex wake have spikes that would compress the scale.
         low, high = min(0.0, float(ours.min())), max(0.0, float(ours.max()))
         room = max(high - low, 1e-12)
         ax.set(xlabel="radius (mm)", ylabel=label, ylim=(low - 0.1 * room, high + 0.25 * room))
@@ -123,7 +123,7 @@ def loads_picture(solution: CfdSolution, others: Sequence[SpanLoads] = ()) -> Fi
 
 
 def pair_picture(pair: PairSolution) -> Figure:
-    """Thrust and torque along the blades of both rotors of a pair."""
+    """Draw thrust and torque along the blades of both rotors of a pair."""
     figure = _new_figure(9.0, 4.0)
     axes = figure.subplots(1, 2)
     for one, name in ((pair.upper, "upper rotor"), (pair.lower, "lower rotor")):
@@ -142,10 +142,11 @@ def pair_picture(pair: PairSolution) -> Figure:
 
 
 def climb_picture(found: ClimbComparison) -> Figure:
-    """Thrust coefficient over the climb, and each method's as a part of its own in hover beside the flight model's map.
+    """Draw the thrust coefficient over climb, and thrust relative to hover of each method and of the flight model's
+    map.
 
-    As Fig. 4.2 of the dissertation draws them (:func:`mufly.thesis.blade_element_studies.study_climb_inflow` judges
-    it).
+    The picture corresponds to Fig. 4.2 of the dissertation, which
+    :func:`mufly.thesis.blade_element_studies.study_climb_inflow` assesses.
     """
     figure = _new_figure(10.0, 4.4)
     axes = figure.subplots(1, 2)
@@ -178,7 +179,7 @@ def climb_picture(found: ClimbComparison) -> Figure:
 
 
 def history_picture(history: Array) -> Figure:
-    """Thrust and torque over the iterations, near what they end at: false plateaus lie 3 to 4 % below."""
+    """Draw thrust and torque over the iterations, scaled to show false plateaus 3 to 4 % below the final values."""
     figure = _new_figure(7.0, 4.0)
     axes = figure.subplots(2, 1, sharex=True)
     for ax, column, label, factor in zip(axes, (1, 2), ("thrust (N)", "torque (mN m)"), (1.0, 1e3), strict=True):
@@ -192,10 +193,10 @@ def history_picture(history: Array) -> Figure:
 
 
 def friction_picture(mesh: PolyMesh, solution: CfdSolution) -> Figure:
-    """Skin-friction lines on the blade's upper and lower side, seen from above, with where they run forwards.
+    """Draw skin-friction lines on the upper and lower side of the blade, seen from above, with regions of reversed
+    flow.
 
-    They follow the shear stress that the air puts on the wall. Where it runs aft they run aft; at a separation lines
-    from both sides run together.
+    The lines follow the wall shear stress. At a separation line they converge from both sides.
     """
     from scipy.interpolate import LinearNDInterpolator
     from scipy.spatial import cKDTree
@@ -204,8 +205,8 @@ def friction_picture(mesh: PolyMesh, solution: CfdSolution) -> Figure:
     faces = mesh.patch_faces("blade")
     sense = np.sign(solution.point.speed_rad_s)
     centre, normal = 1e3 * mesh.face_centres[faces], mesh.face_areas[faces]
-    flat = np.abs(normal[:, 2]) > 0.3 * np.linalg.norm(normal, axis=1)  # neither caps nor the blunt trailing edge
-    of_blade = mesh.cell_strip[mesh.owner[faces]] >= 0  # no hub
+    flat = np.abs(normal[:, 2]) > 0.3 * np.linalg.norm(normal, axis=1)  # excludes caps and the blunt trailing edge
+    of_blade = mesh.cell_strip[mesh.owner[faces]] >= 0  # excludes the hub
     axes = figure.subplots(2, 1, sharex=True)
     for ax, side, title in zip(axes, (normal[:, 2] < 0, normal[:, 2] > 0), ("Upper side", "Lower side"), strict=True):
         k = side & flat & of_blade
@@ -236,7 +237,7 @@ def friction_picture(mesh: PolyMesh, solution: CfdSolution) -> Figure:
 
 
 def vorticity_picture(mesh: PolyMesh, flow: FlowField, point: OperatingPoint) -> Figure:
-    """Vorticity around the shaft in planes through it, at the blade and behind it."""
+    """Draw the azimuthal vorticity in planes through the shaft, at the blade and behind it."""
     figure = _new_figure(10.0, 6.5)
     radius, probe = point.radius_m, FlowProbe(mesh, flow)
     sense = np.sign(point.speed_rad_s)
@@ -266,13 +267,13 @@ def vorticity_picture(mesh: PolyMesh, flow: FlowField, point: OperatingPoint) ->
 
 
 VORTICITY_PLANES_DEG = (0, 15, 30, 60, 90, 150)
-"""Planes of the picture of vorticity, degrees behind a blade."""
+"""Planes of the vorticity picture, in degrees behind a blade."""
 
 
 def vortices_picture(
     surface: tuple[Array, NDArray[np.int64], dict[str, NDArray]], mesh: PolyMesh, point: OperatingPoint
 ) -> Figure:
-    """The vortices' surfaces in space, with the blades; coloured by the velocity down."""
+    """Draw the vortex surfaces in 3-D with the blades, coloured by the downward velocity."""
     from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LightSource, Normalize
@@ -295,7 +296,7 @@ def vortices_picture(
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
         light = 0.55 + 0.45 * np.clip(normal @ LightSource(300, 50).direction, 0.0, 1.0)
         axes.add_collection3d(Poly3DCollection(list(corner), facecolors=colours * light[:, None]))
-    # As far up and down as there is something to see.
+    # Vertical extent of the surfaces.
     height = np.append(corner[..., 2], 0.0)
     low, high = min(-0.3, float(height.min()) - 0.05), max(0.3, float(height.max()) + 0.05)
     axes.set(
@@ -308,7 +309,7 @@ def vortices_picture(
 
 
 def wake_picture(wake: WakeProfile) -> Figure:
-    """Mean velocity around the shaft under the disc, over radius, beside momentum theory's."""
+    """Draw the azimuthally averaged velocity under the disc over radius, with that of momentum theory."""
     figure = _new_figure(9.0, 4.4)
     axes = figure.subplots(1, 2)
     for i, h in enumerate(wake.below_m):

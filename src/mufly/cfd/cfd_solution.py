@@ -1,12 +1,12 @@
-"""What a solved case says: loads along the blade, pressure and friction on it, y+.
+"""Solutions of OpenFOAM cases: loads along the blade, pressure, wall friction and y+.
 
-On a face of the blade with centre x and area vector S out of the air, the air pushes with (p in units of pressure)
+The force of the air on a blade face with centre x and area vector S out of the air is (p in units of pressure)
 
     dF = p S + mu (u_t - Omega x x) / d |S|          u_t: velocity along the wall in the cell beside it, d its distance
 
-summed by the spanwise strips of the mesh; the caps at root and tip belong to the first and the last strip. The sum is
-what OpenFOAM's own ``forces`` gives (a test of the reading, not of the physics). With a turbulence model the wall's
-turbulent viscosity adds to mu.
+summed over the spanwise strips of the mesh; the caps at root and tip belong to the first and the last strip. The total
+equals the result of OpenFOAM's ``forces`` function. With a turbulence model the turbulent viscosity at the wall is
+added to mu.
 """
 
 from __future__ import annotations
@@ -33,37 +33,38 @@ Array = NDArray[np.float64]
 
 @result(eq=False, picture="mufly.cfd.cfd_pictures:loads_picture")
 class CfdSolution:
-    """A solved case.
+    """Solution of a case.
 
     Attributes
     ----------
     point : Point
-        What was computed.
+        Operating point.
     verdict : Verdict
-        Whether it stands.
+        Convergence verdict.
     thrust_N, torque_Nm, power_W : float
-        Of the whole rotor: of the last state, summed from the fields.
+        Loads of the whole rotor in the last state, summed from the fields.
     c_T, c_Q, figure_of_merit : float
-        As everywhere in mufly.
+        Coefficients as defined in :mod:`mufly.rotor.bemt`.
     friction_torque : float
-        Part of the torque that friction is.
+        Fraction of the torque due to friction.
     r_m, dr_m : (strips,) arrays
         Middle and width of the spanwise strips.
     thrust_N_m, torque_Nm_m : (strips,) arrays
         Loads per span of all blades (N/m, N m/m).
     yplus : (faces,) array
-        Of the blade's faces.
+        y+ of the blade's faces.
     pressure_Pa : (faces,) array
-        On the blade's faces.
+        Pressure on the blade's faces.
     friction_Pa : (faces, 3) array
-        Shear stress that the air puts on the blade's faces.
+        Shear stress of the air on the blade's faces.
     eddy_ratio : float
-        Greatest turbulent viscosity over the air's within 1.5 R of the hub; 0 for laminar.
+        Greatest ratio of turbulent to molecular viscosity within 1.5 R of the hub; 0 for laminar flow.
     wake_torque, wake_thrust : float
-        What of torque and thrust the air under the rotor carries (:func:`wake_load_ratios`); 1 where nothing is lost.
-        Beside another rotor's mean, of both thrusts, and what is missing of both torques over its own.
+        Fractions of torque and thrust found in the wake under the rotor (:func:`wake_load_ratios`); 1 if conserved.
+        With an actuator disc for another rotor: the fraction of both thrusts, and the missing part of both torques over
+        this rotor's torque.
     reversed_share : (strips,) array
-        Part of the upper side over which the air rubs towards the nose: the flow has left the blade there.
+        Fraction of the upper side with wall shear towards the nose, which indicates separated flow.
     """
 
     point: OperatingPoint
@@ -89,12 +90,13 @@ class CfdSolution:
 
 
 def read_solution(folder: Path, mesh: PolyMesh | None = None, *, patch: str = "blade") -> CfdSolution:
-    """Read the last state of a case; of a pair one rotor's loads, the upper's or with ``blade_lower`` the lower's.
+    """Read the last state of a case; for a pair the loads of the upper rotor, or with ``blade_lower`` of the lower
+    rotor.
 
     Raises
     ------
     InputError
-        If there is none, or a file is cut short.
+        If there is no state, or a file is truncated.
     """
     point = read_point(folder)
     at = [t for t in list_complete_states(folder) if t > 0]
@@ -123,10 +125,12 @@ def read_solution(folder: Path, mesh: PolyMesh | None = None, *, patch: str = "b
     moment = centre[:, 0] * force[:, 1] - centre[:, 1] * force[:, 0]
     of_friction = centre[:, 0] * friction[:, 1] - centre[:, 1] * friction[:, 0]
     edges = mesh.strip_edges_m
-    # Caps belong to cells of no strip: the root's (and the hub) count to the first, the tip's to the last.
+    # Caps belong to no strip: root cap and hub count to the first strip, the tip cap to the last.
     strip = np.where(centre[:, 1] < 0.5 * (edges[0] + edges[-1]), 0, len(edges) - 2)
     width, sense = np.diff(edges), math.copysign(1.0, speed)
-    strip = np.where(mesh.cell_strip[cell] >= 0, mesh.cell_strip[cell] % len(width), strip)  # a lower rotor's count on
+    strip = np.where(
+        mesh.cell_strip[cell] >= 0, mesh.cell_strip[cell] % len(width), strip
+    )  # strip numbers of a lower rotor continue
     thrust = point.blades * np.bincount(strip, force[:, 2], len(width))
     torque = -sense * point.blades * np.bincount(strip, moment, len(width))
     over, back = area[:, 2] < 0.0, sense * friction[:, 0] < 0.0
@@ -138,7 +142,7 @@ def read_solution(folder: Path, mesh: PolyMesh | None = None, *, patch: str = "b
     disc = math.pi * point.radius_m**2
     ideal = t * math.sqrt(t / (2.0 * point.density_kg_m3 * disc)) if t > 0 else math.nan
     power = q * abs(speed)
-    # What a pair's wake carries is both rotors'.
+    # The wake of a pair has the loads of both rotors.
     below, other = (math.nan, math.nan), read_actuator_disc(folder)
     if not point.gap_m:
         more = (0.0, 0.0) if other is None else (other.thrust_N, other.torque_Nm)
@@ -170,19 +174,19 @@ def read_solution(folder: Path, mesh: PolyMesh | None = None, *, patch: str = "b
 def wake_load_ratios(
     mesh: PolyMesh, point: OperatingPoint, velocity: Array, pressure: Array, thrust_N: float, torque_Nm: float
 ) -> tuple[float, float]:
-    """Torque and thrust that the air between 1 and 2 R under the disc carries within 2 R, over the rotor's.
+    """Return torque and thrust of the air between 1 and 2 R under the disc, within radius 2 R, over those of the rotor.
 
-    Nothing turns the air but the blades (and friction far out, which is small), so the torque is where the flow of
-    angular momentum is; the momentum of what flows in from the side is small too::
+    Only the blades exert a torque on the air (friction far away is small), so the flux of angular momentum equals the
+    torque. The momentum of the lateral inflow is small, too::
 
         Q = -rho int u_theta u_z r dA,    T = int (p + rho u_z (u_z + climb)) dA
 
-    With a mesh that lets the turning frame push on the air a third to a half of the torque is missing.
+    Discretisation errors of the rotating frame show as a deficit of torque.
     """
     c, v = mesh.cell_centres, mesh.cell_volumes
     r = np.hypot(c[:, 0], c[:, 1])
     low = max(-2.0, -0.8 * point.domain.below) * point.radius_m
-    slab = (c[:, 2] < -point.radius_m) & (c[:, 2] > low)  # whole layers: there the mesh is level
+    slab = (c[:, 2] < -point.radius_m) & (c[:, 2] > low)  # complete layers, because the mesh is horizontal there
     k = slab & (r < 2.0 * point.radius_m)
     if not k.any() or thrust_N == 0.0 or torque_Nm == 0.0:
         return math.nan, math.nan
@@ -197,14 +201,14 @@ def wake_load_ratios(
 
 @result(eq=False)
 class FlowField:
-    """The air around a solved rotor.
+    """Velocity field around a solved rotor.
 
     Attributes
     ----------
     velocity_m_s : (cells, 3) array
-        Absolute; with an oncoming stream in climb and descent.
+        Absolute velocity, including the oncoming stream in climb and descent.
     gradient_1_s : (cells, 3, 3) array
-        Of the velocity; ``[:, i, j]`` is the derivative of component j along axis i.
+        Velocity gradient; ``[:, i, j]`` is the derivative of component j along axis i.
     """
 
     velocity_m_s: Array
@@ -212,13 +216,13 @@ class FlowField:
 
     @property
     def vorticity_1_s(self) -> Array:
-        """Curl of the velocity; (cells, 3)."""
+        """Vorticity, the curl of the velocity (1/s); (cells, 3)."""
         g = self.gradient_1_s
         return np.stack((g[:, 1, 2] - g[:, 2, 1], g[:, 2, 0] - g[:, 0, 2], g[:, 0, 1] - g[:, 1, 0]), axis=-1)
 
     @property
     def q_1_s2(self) -> Array:
-        """Half of spin squared less strain squared, above 0 in a vortex's core but not in a shear layer; (cells,).
+        """Q criterion (1/s^2), (|rotation rate|^2 - |strain rate|^2) / 2, above 0 in vortex cores; (cells,).
 
         Source: Hunt, Wray and Moin, Center for Turbulence Research CTR-S88, 1988.
         """
@@ -232,7 +236,7 @@ def read_flow(folder: Path, mesh: PolyMesh) -> FlowField:
     Raises
     ------
     InputError
-        If there is none, or it is cut short.
+        If there is no state, or a file is truncated.
     """
     at = [t for t in list_complete_states(folder) if t > 0]
     if not at:
@@ -242,23 +246,23 @@ def read_flow(folder: Path, mesh: PolyMesh) -> FlowField:
 
 
 def velocity_gradient(mesh: PolyMesh, velocity: Array, walls: dict[str, float]) -> Array:
-    """Gradient of the velocity in the cells, by least squares over the neighbours: exact where it is constant.
+    """Return the velocity gradient in the cells by least squares over the neighbours; exact for a linear field.
 
-    Neighbours count by one over their distance squared. Across the periodic planes they are the other plane's, turned
-    by one sector; a wall counts with its own speed (no slip).
+    Neighbours are weighted by the inverse square of the distance. Across a periodic plane the neighbours are cells of
+    the other plane, rotated by one sector. A wall counts as a neighbour with its own velocity (no slip).
 
     Parameters
     ----------
     mesh : PolyMesh
     velocity : (cells, 3) array
-        m/s.
+        Velocity of the cells (m/s).
     walls : dict of float
-        Speed (rad/s) of the walls by patch.
+        Rotational speed (rad/s) of the walls by patch.
 
     Returns
     -------
     (cells, 3, 3) array
-        1/s; ``[:, i, j]`` is the derivative of component j along axis i.
+        Gradient (1/s); ``[:, i, j]`` is the derivative of component j along axis i.
     """
     inside = len(mesh.neighbour)
     a, b = mesh.owner[:inside], mesh.neighbour
@@ -292,19 +296,20 @@ def velocity_gradient(mesh: PolyMesh, velocity: Array, walls: dict[str, float]) 
 
 
 def _rotation_matrix(angle_rad: float) -> Array:
-    """Matrix that turns rows of vectors about z: ``v @ matrix``."""
+    """Return the matrix that rotates row vectors about z: ``v @ matrix``."""
     c, s = math.cos(angle_rad), math.sin(angle_rad)
     return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 class FlowProbe:
-    """Velocity and vorticity anywhere: those of the cell whose centre is nearest, the velocity with its gradient."""
+    """Sampler of velocity and vorticity at arbitrary points, from the nearest cell; velocity uses the gradient."""
 
     def __init__(self, mesh: PolyMesh, flow: FlowField) -> None:
         self._mesh, self._flow, self._tree = mesh, flow, cKDTree(mesh.cell_centres)
 
     def sample_cylindrical(self, r_m: Array, azimuth_rad: Array, z_m: Array) -> tuple[Array, Array]:
-        """Velocity (m/s) and vorticity (1/s) outwards, around and up, at points given by radius, azimuth and height.
+        """Return velocity (m/s) and vorticity (1/s), radial, azimuthal and up, at points of given radius, azimuth and
+        height.
 
         The blade lies at an azimuth of pi/2; it repeats every sector. Returns two (points, 3) arrays.
         """
@@ -318,17 +323,17 @@ class FlowProbe:
         return both[0], both[1]
 
     def is_inside_solid(self, r_m: Array, azimuth_rad: Array, z_m: Array, walls: Iterable[str]) -> NDArray[np.bool_]:
-        """Whether points lie in a blade or the hub: behind the nearest wall, which is nearer than any cell."""
+        """Return whether points lie in a blade or the hub: behind the nearest wall, which is closer than any cell."""
         at = self._rotate_into_sector(r_m, azimuth_rad, z_m)[0]
         faces = np.concatenate([np.arange(len(self._mesh.faces))[self._mesh.patch_faces(name)] for name in walls])
         away, nearest = cKDTree(self._mesh.face_centres[faces]).query(at)
         near = faces[nearest]
-        # Area vectors leave the air.
+        # Area vectors point out of the air.
         behind = np.einsum("pi,pi->p", at - self._mesh.face_centres[near], self._mesh.face_areas[near]) > 0.0
         return np.asarray(behind & (away < self._tree.query(at)[0]))
 
     def _rotate_into_sector(self, r_m: Array, azimuth_rad: Array, z_m: Array) -> tuple[Array, Array, Array]:
-        """Points turned into the mesh's sector, and cosine and sine of their azimuths there."""
+        """Rotate points into the mesh's sector; return them with cosine and sine of their azimuth."""
         sector = 2.0 * math.pi / self._mesh.blade_count
         into = (azimuth_rad - 0.5 * math.pi + 0.5 * sector) % sector + 0.5 * math.pi - 0.5 * sector
         c, s = np.cos(into), np.sin(into)
@@ -336,22 +341,22 @@ class FlowProbe:
 
 
 WAKE_PROFILE_DEPTHS = (0.25, 0.5, 1.0)
-"""Distances below the disc, in radii, at which the wake's velocity is told."""
+"""Distances below the disc, in radii, of the wake profiles."""
 
 
 @result(eq=False, picture="mufly.cfd.cfd_pictures:wake_picture")
 class WakeProfile:
-    """Mean velocity around the shaft in level planes under the disc.
+    """Azimuthally averaged velocity in horizontal planes under the disc.
 
     Attributes
     ----------
     below_m : (planes,) array
     r_m : (radii,) array
     down_m_s, swirl_m_s : (planes, radii) arrays
-        Downwards, and around with the rotor.
+        Velocity downwards, and azimuthal velocity in the sense of rotation.
     edge_m, mean_m_s : (planes,) arrays
-        Radius and velocity of momentum theory's stream tube there: the disc's induced velocity v from the thrust, at a
-        distance h grown to v (1 + h / sqrt(h^2 + R^2)) as under a cylinder of vortices.
+        Radius and velocity of the stream tube of momentum theory. From the induced velocity v of the disc, the velocity
+        at distance h is v (1 + h / sqrt(h^2 + R^2)), as of a cylindrical vortex sheet.
     """
 
     below_m: Array
@@ -370,7 +375,7 @@ def compute_wake_profile(
     *,
     below: tuple[float, ...] = WAKE_PROFILE_DEPTHS,
 ) -> WakeProfile:
-    """Average the velocity over a sector, 40 radii to 1.4 R and 72 azimuths a plane.
+    """Average the velocity over a sector, at 40 radii up to 1.4 R and 72 azimuths in each plane.
 
     Parameters
     ----------
@@ -378,7 +383,7 @@ def compute_wake_profile(
     flow : Flow
     point : Point
     thrust_N : float
-        Of the whole rotor, for momentum theory; of a pair both rotors'.
+        Thrust of the whole rotor, or of both rotors of a pair, for momentum theory.
     below : tuple of float
         Distances under the disc in radii.
     """
@@ -402,18 +407,17 @@ _SPEED_EXPONENTS = {"U": 1, "p": 2, "phi": 1, "k": 2, "epsilon": 3, "omega": 1, 
 
 
 def scale_state(folder: Path, mesh: PolyMesh, ratio: float) -> dict[str, Array]:
-    """A case's last state for another speed, pitch setting or tip.
+    """Scale the last state of a case to another speed, pitch setting or tip.
 
     Velocities and fluxes are multiplied by the ratio of speeds, pressure by its square.
 
-    At another speed that is exact but for what the Reynolds number does. For another shape the cells keep their values
-    and the faces their fluxes, which still balance in every cell: a start without sources. The meshes have to have the
-    same cells and faces, in other places.
+    For another speed this is exact apart from Reynolds effects. For another shape the cells keep their values and the
+    faces their fluxes, which remain balanced in every cell. The meshes must have the same topology.
 
     Raises
     ------
     InputError
-        If there is no state, or it is of a mesh of other cells.
+        If there is no state, or its mesh has another topology.
     """
     at = [t for t in list_complete_states(folder) if t > 0]
     if not at:
@@ -442,7 +446,7 @@ def scale_state(folder: Path, mesh: PolyMesh, ratio: float) -> dict[str, Array]:
 
 
 def _match_faces(before: PolyMesh, mesh: PolyMesh) -> NDArray[np.int64] | None:
-    """Which face of another mesh is each one of this; None if they are not the same faces of the same cells."""
+    """Return the index of each face in another mesh; None if faces or cells differ."""
     if before.faces.shape != mesh.faces.shape or before.patches != mesh.patches:
         return None
     orders = [np.lexsort(np.sort(m.faces, axis=1).T) for m in (before, mesh)]
@@ -462,7 +466,7 @@ def read_field(file: Path, cells: int) -> Array:
     Raises
     ------
     InputError
-        If it cannot be read or is cut short.
+        If the file cannot be read or is truncated.
     """
     try:
         data = file.read_bytes()
@@ -473,12 +477,12 @@ def read_field(file: Path, cells: int) -> Array:
 
 
 def read_patch_field(file: Path, patch: str, faces: int) -> Array:
-    """Read a field's values on a patch; zeros where it has none.
+    """Read a field's values on a patch; zeros if the patch has none.
 
     Raises
     ------
     InputError
-        If it is cut short.
+        If the file is truncated.
     """
     data = file.read_bytes()
     begin = data.find(f"{patch}\n".encode(), data.find(b"boundaryField"))

@@ -1,14 +1,15 @@
-"""What a mesh is worth: observed order and grid convergence index of three meshes.
+"""Grid convergence: observed order and grid convergence index of three meshes.
 
-Celik and others, *Procedure for estimation and reporting of uncertainty due to discretization in CFD applications*,
-J. Fluids Eng. 130 (2008) 078001. With cells of mean size h1 < h2 < h3 (finest first), answers phi, e = differences::
+Celik and others, *Procedure for estimation and reporting of uncertainty due to discretization in CFD applications*, J.
+Fluids Eng. 130 (2008) 078001. With cells of mean size h1 < h2 < h3 (finest first), results phi and their differences
+e::
 
     p = |ln|e32 / e21| + q(p)| / ln r21,   q = ln((r21^p - s) / (r32^p - s)),   s = sign(e32 / e21),  r = ratios of h
     phi_ext = (r21^p phi1 - phi2) / (r21^p - 1)
     GCI = 1.25 |phi1 - phi2| / |phi1| / (r21^p - 1)
 
-The procedure asks for answers that run one way as the mesh is refined. Where they swing (s = -1), or the order comes
-out beyond what a scheme of second order can have, order and index are told and marked as not to be relied on.
+The procedure requires monotonic convergence. If the results oscillate (s = -1), or the order exceeds that of a
+second-order scheme, order and index are returned but marked as unreliable.
 """
 
 from __future__ import annotations
@@ -29,26 +30,26 @@ _MAX_ITERATIONS = 200
 
 @result
 class GridConvergence:
-    """Three meshes' answers, the finest first.
+    """Grid convergence of a quantity on three meshes, the finest first.
 
     Attributes
     ----------
     name : str
-        What was computed.
+        Name of the quantity.
     cells : tuple of int
         Numbers of cells.
     values : tuple of float
-        Answers.
+        Results.
     order : float
-        Observed order; nan where the answers agree to rounding.
+        Observed order; nan if the results agree to rounding.
     limit : float
-        Answer that the order leads to.
+        Extrapolated result phi_ext.
     index : float
         Grid convergence index of the finest mesh, relative.
     last_step : float
         Relative change from the middle to the finest mesh.
     sound : bool
-        Whether the answers run one way, with an order that such a scheme can have.
+        True if convergence is monotonic with a possible order.
     """
 
     name: str
@@ -62,20 +63,20 @@ class GridConvergence:
 
 
 def estimate_grid_convergence(name: str, cells: Sequence[int], values: Sequence[float]) -> GridConvergence:
-    """Observed order and grid convergence index.
+    """Compute observed order and grid convergence index.
 
     Parameters
     ----------
     name : str
     cells : three int
-        Numbers of cells of meshes of one volume, in any order.
+        Numbers of cells of three meshes of the same volume, in any order.
     values : three float
-        Their answers.
+        Results on these meshes.
 
     Raises
     ------
     InputError
-        If there are not three, or two have the same number of cells.
+        If there are not three meshes, or two have the same number of cells.
     """
     if len(cells) != 3 or len(values) != 3 or len(set(cells)) != 3:
         raise InputError("mesh", name, f"{len(set(cells))} different meshes", "give three cases of three meshes")
@@ -103,12 +104,12 @@ def estimate_grid_convergence(name: str, cells: Sequence[int], values: Sequence[
 
 
 def study_grid_convergence(cases: Sequence[Path]) -> tuple[GridConvergence, GridConvergence]:
-    """Thrust and torque of three settled cases of one point on three meshes.
+    """Compute the grid convergence of thrust and torque from three converged cases of the same point.
 
     Raises
     ------
     InputError
-        If there are not three, they differ in more than the mesh, or one is not settled.
+        If there are not three cases, they differ in more than the mesh, or one has not converged.
     """
     points = [read_point(case) for case in cases]
     for case, point in zip(cases, points, strict=True):

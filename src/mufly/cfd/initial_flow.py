@@ -1,14 +1,15 @@
-"""Where a solution starts: the air that momentum theory lets a rotor move.
+"""Initial flow of a case: the slipstream of momentum theory.
 
-A uniformly loaded disc sheds a vortex sheet around its slipstream, here as rings on the surface that continuity gives
-the slipstream (Leishman, *Principles of Helicopter Aerodynamics*, sec. 2.2), v_h being the velocity in the disc::
+A uniformly loaded disc sheds a vortex sheet around its slipstream. Here it consists of rings on the slipstream surface
+that follows from continuity (Leishman, *Principles of Helicopter Aerodynamics*, sec. 2.2), with v_h the velocity in the
+disc::
 
     v_h = sqrt(T / (2 rho pi R^2)),   k(z) = 1 + z / sqrt(R^2 + z^2),   R(z) = R / sqrt(k(z)),   z down from the disc
     strength of the sheet  gamma = 2 v_h  per length
 
-Each ring's velocity is exact (elliptic integrals; Lamb, *Hydrodynamics*, sec. 161), with its core smoothed. So the
-field has no sources: solvers meet no jump of pressure at the start, which sets a large domain sloshing for hundreds
-of iterations.
+Each ring's velocity is exact (elliptic integrals; Lamb, *Hydrodynamics*, sec. 161), with its core smoothed. The field
+is free of sources and causes no pressure jump at the start, which would make a large domain oscillate for hundreds of
+iterations.
 """
 
 from __future__ import annotations
@@ -19,11 +20,11 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.special import ellipe, ellipk
 
 Array = NDArray[np.float64]
-_RING_SPACING = 0.05  # of the rings near the disc, over R
+_RING_SPACING = 0.05  # spacing of the rings near the disc, over R
 
 
 def vortex_ring_velocity(r: Array, z: Array, radius: Array, height: Array, core: float | Array) -> tuple[Array, Array]:
-    """Radial and axial velocity (m/s) at (r, z) of vortex rings of strength 1 m2/s; arrays broadcast."""
+    """Return radial and axial velocity (m/s) at (r, z) due to vortex rings of strength 1 m^2/s; arrays broadcast."""
     dz = z - height
     far = (radius + r) ** 2 + dz**2 + core**2
     near = (radius - r) ** 2 + dz**2 + core**2
@@ -36,23 +37,23 @@ def vortex_ring_velocity(r: Array, z: Array, radius: Array, height: Array, core:
 
 
 def momentum_slipstream(points: Array, *, radius_m: float, induced_m_s: float, climb_m_s: float = 0.0) -> Array:
-    """Velocity that momentum theory gives the air.
+    """Return the velocity of the air by momentum theory.
 
     Parameters
     ----------
     points : (n, 3) array
-        m, the disc at z = 0, z up.
+        Points (m), with the disc at z = 0, z up.
     radius_m : float
-        Of the rotor.
+        Radius of the rotor.
     induced_m_s : float
-        Velocity v_h in the disc, down.
+        Induced velocity v_h in the disc, down.
     climb_m_s : float
-        Axial speed of the rotor; the air comes from above with it.
+        Climb velocity of the rotor, which is the oncoming velocity from above.
 
     Returns
     -------
     (n, 3) array
-        m/s.
+        Velocity (m/s).
     """
     r = np.hypot(points[:, 0], points[:, 1])
     low, high = float(points[:, 2].min()), float(points[:, 2].max())

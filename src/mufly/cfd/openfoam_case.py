@@ -1,26 +1,25 @@
-"""An OpenFOAM case of one operating point: boundary conditions, numbers for the solver, where it starts.
+"""OpenFOAM case of an operating point: boundary conditions, solver settings and initial state.
 
-``simpleFoam`` solves the steady, incompressible Navier-Stokes equations, written with the absolute velocity (SIMPLEC;
-*p* is pressure over density): in the blade's frame where the mesh says so (:mod:`mufly.cfd.sector_mesh`; a zone of a
-multiple reference frame), around it in a frame at rest. Dictionaries are those of OpenFOAM v1912 and later
-(openfoam.com).
+``simpleFoam`` solves the steady, incompressible Navier-Stokes equations for the absolute velocity (SIMPLEC; *p* is
+pressure over density). The rotating zone of the mesh (:mod:`mufly.cfd.sector_mesh`) is a multiple reference frame; the
+other cells are at rest. The dictionaries are for OpenFOAM v1912 and later (openfoam.com).
 
 =============  =================================================================================================
 blade          no slip, turning with the frame
-top, side      total pressure of the oncoming air, w^2 / 2 (hover: 0): it comes as it likes; in climb and descent the
-               side has pressure 0, and air comes in there with w along it
-bottom         pressure 0; what comes back comes with w
-in descent     top and bottom change places: the oncoming air's total pressure below, pressure 0 above
+top, side      total pressure of the oncoming air, w^2 / 2 (hover: 0), with free direction. In climb and descent the
+               side has pressure 0, and air enters there with w along it
+bottom         pressure 0; returning air enters with w
+in descent     top and bottom are exchanged: total pressure of the oncoming air below, pressure 0 above
 sector         cyclic by rotation
 start          the slipstream of momentum theory (:mod:`mufly.cfd.initial_flow`)
-first 80       upwind: started at second order the solution leaves for ever
+first 80       first-order upwind, because a start at second order diverges
 then           bounded linear upwind with limited gradients; corrections of the Laplacian limited to 0.5
 =============  =================================================================================================
 
-Ambient turbulence, for the models: 1 % of the induced velocity, turbulent viscosity that of the air itself. It stays
-that low as it is blown in; the walls of k-omega and SST are resolved (k 0, omega as Menter's wall value, nut 0 by a
-function that a smooth wall wants), those of k-epsilon are the standard functions, which hold for y+ above 11 and are
-used all the same: a check of what the dissertation did, no model for these Reynolds numbers.
+Ambient turbulence of the turbulence models: intensity 1 % of the induced velocity, turbulent viscosity equal to the
+molecular viscosity. Walls are resolved for k-omega and SST (k 0, Menter's wall value of omega, nut 0). For k-epsilon
+the standard wall functions are used although they require y+ above 11. This reproduces the dissertation and is no
+suitable model for these Reynolds numbers.
 """
 
 from __future__ import annotations
@@ -46,53 +45,51 @@ from mufly.units import RPM
 Array = NDArray[np.float64]
 
 TURBULENCE_MODELS = {"laminar": "", "k-epsilon": "kEpsilon", "sst": "kOmegaSST", "k-omega": "kOmega"}
-"""Turbulence models, by OpenFOAM's names."""
+"""Turbulence models by OpenFOAM's names."""
 UPWIND_ITERATIONS = 80
-"""Iterations upwind."""
+"""Number of iterations with the upwind scheme."""
 MIN_ITERATIONS = 1200
-"""Iterations before a verdict."""
+"""Least number of iterations before a verdict."""
 MAX_DESCENT_RATIO = 0.5
-"""Descent, over the velocity induced in hover, at which the steady equations are given up (vortex ring state)."""
+"""Greatest ratio of descent velocity to induced velocity in hover; above it (vortex ring state) no case is solved."""
 LOAD_FUNCTION_OBJECTS = {"blade": "loads", LOWER_BLADE_PATCH: "loads_lower"}
-"""Function objects that tell each rotor's loads, by patch."""
+"""Function objects that report the loads of each rotor, by patch."""
 WRITE_INTERVAL = 40
-"""Iterations from one written state to the next."""
+"""Number of iterations between written states."""
 
 
 @dataclass(frozen=True)
 class OperatingPoint:
-    """What a case computes.
+    """Operating point and settings of a case.
 
     Attributes
     ----------
     rotor : str
         Name of the rotor.
-    blades : int
-    radius_m : float
-    pitch_rad, speed_rad_s, climb_m_s : float
-        Axial speed positive in climb.
+    blades : int radius_m : float pitch_rad, speed_rad_s, climb_m_s : float
+        Pitch setting, rotor speed and axial speed, positive in climb.
     model : str
         One of :data:`TURBULENCE_MODELS`.
     level : str
-        Of the mesh.
+        Refinement level of the mesh.
     density_kg_m3, viscosity_Pa_s : float
-        Of the air.
+        Properties of the air.
     induced_m_s : float
-        Velocity in the disc that the start assumes.
+        Induced velocity of the initial flow.
     upwind, least : int
-        Iterations at first order, and before a verdict: 0 and 400 where the start is a neighbour's solution, scaled.
+        Iterations at first order, and least iterations before a verdict: 0 and 400 for a scaled start.
     tip : str
-        Name of the blades' tip (:data:`mufly.cfd.blade_geometry.BLADE_TIPS`).
+        Name of the blade tip (:data:`mufly.cfd.blade_geometry.BLADE_TIPS`).
     hub_m, gurney : float
         Radius of the hub, height over chord of the Gurney flap; 0 for none.
     domain : Domain
-        Limits of the air, and of its turning part.
+        Limits of the domain and of its rotating zone.
     gap_m, lower_pitch_rad, lower_rad_s : float
-        Of a second rotor that turns the other way: how far its disc lies below, its pitch setting and speed (positive);
-        0 for none.
+        Distance to the disc of a counter-rotating second rotor below, its pitch setting and speed (positive); 0 for
+        none.
     other_m : float
-        Height over this disc (below 0: under it) of another rotor that turns the other way and stands there as a disc
-        of force, the mean of its loads around the shaft (:mod:`mufly.cfd.rotor_pair`); 0 for none.
+        Height over this disc (negative: below) of a counter-rotating rotor that is modelled as an actuator disc
+        (:mod:`mufly.cfd.rotor_pair`); 0 for none.
     """
 
     rotor: str
@@ -140,12 +137,12 @@ class OperatingPoint:
 
     @property
     def patch_speeds_rad_s(self) -> dict[str, float]:
-        """Speeds (rad/s) about +z by the name of the patch."""
+        """Rotational speeds (rad/s) about +z by patch."""
         return {"blade": self.speed_rad_s} | ({LOWER_BLADE_PATCH: -self.lower_rad_s} if self.gap_m else {})
 
     @property
     def geometry_note(self) -> str:
-        """What stands on the blades beyond the rotor file: tip, hub, flap; empty for none."""
+        """Description of tip, hub and flap beyond the rotor file; empty for none."""
         words = [self.tip] if self.tip != "square" else []
         words += [f"hub {1e3 * self.hub_m:g} mm"] if self.hub_m else []
         words += [f"Gurney flap {100 * self.gurney:g} %"] if self.gurney else []
@@ -153,7 +150,7 @@ class OperatingPoint:
 
     @property
     def air(self) -> Air:
-        """The air."""
+        """Properties of the air."""
         return Air(self.density_kg_m3, self.viscosity_Pa_s)
 
     @property
@@ -170,7 +167,7 @@ def write_case(
     cores: int = 1,
     state: Mapping[str, Array] | None = None,
 ) -> None:
-    """Write a case that ``simpleFoam`` and ``Allrun`` run; what is in the folder is written over.
+    """Write a case for ``simpleFoam`` with script ``Allrun``; existing files in the folder are overwritten.
 
     Parameters
     ----------
@@ -178,17 +175,17 @@ def write_case(
     mesh : PolyMesh
     point : Point
     cores : int
-        Processes.
+        Number of processes.
     state : dict of arrays, optional
-        Where to start, as :func:`mufly.cfd.cfd_solution.scale_state` returns it; default: momentum theory.
+        Initial state from :func:`mufly.cfd.cfd_solution.scale_state`; default: momentum theory.
 
     Raises
     ------
     InputError
-        If it cannot be written.
+        If the case cannot be written.
     """
     with report_write_errors("--out", key=str(folder)):
-        for part in folder.glob("processor[0-9]*"):  # of what was there before
+        for part in folder.glob("processor[0-9]*"):  # remains of a previous case
             shutil.rmtree(part)
         write_poly_mesh(mesh, folder)
         for name, text in _dictionary_texts(point, cores).items():
@@ -201,12 +198,12 @@ def write_case(
 
 
 def read_point(folder: Path) -> OperatingPoint:
-    """Return what a case computes.
+    """Return the operating point of a case.
 
     Raises
     ------
     InputError
-        If the folder is no case of ours.
+        If the folder is no case written by mufly.
     """
     file = folder / "mufly.json"
     try:
@@ -217,7 +214,7 @@ def read_point(folder: Path) -> OperatingPoint:
 
 
 def set_solver_phase(folder: Path, *, upwind: bool, end: int) -> None:
-    """Tell the solver its schemes and the iteration at which it stops."""
+    """Set the solver's schemes and the iteration at which it stops."""
     (folder / "system" / "fvSchemes").write_text(_format_fv_schemes(upwind), encoding="utf-8")
     (folder / "system" / "controlDict").write_text(_format_control_dict(read_point(folder), end), encoding="utf-8")
 
@@ -375,7 +372,10 @@ def _write_fields(folder: Path, mesh: PolyMesh, point: OperatingPoint, state: Ma
 
 
 def _far_field_conditions(climb_m_s: float) -> tuple[dict[str, str], dict[str, str]]:
-    """Velocity and pressure on the outer boundaries; the oncoming air has static pressure 0 and so w^2 / 2 in all."""
+    """Return velocity and pressure conditions of the outer boundaries.
+
+    The oncoming air has static pressure 0 and total pressure w^2 / 2.
+    """
     w = f"(0 0 {-climb_m_s:.10g})"
     comes = "type pressureInletOutletVelocity; value uniform (0 0 0);"
     along = f"type pressureInletOutletVelocity; tangentialVelocity uniform {w}; value uniform (0 0 0);"
@@ -383,8 +383,8 @@ def _far_field_conditions(climb_m_s: float) -> tuple[dict[str, str], dict[str, s
     total = f"type totalPressure; p0 uniform {0.5 * climb_m_s**2:.10g}; value uniform 0;"
     none = "type fixedValue; value uniform 0;"
     before, behind = ("top", "bottom") if climb_m_s >= 0.0 else ("bottom", "top")
-    # Where air goes out, a total pressure is the static one. Along the side it goes in here and out there, and would
-    # meet 0 and w^2 / 2 by turns: in climb the side has the static pressure, 0.
+    # At outflow a total pressure condition fixes the static pressure. Along the side inflow and outflow alternate, and
+    #     # the pressure would jump between 0 and w^2 / 2: in climb the side has the static pressure 0.
     return (
         {before: comes, "side": along if climb_m_s else comes, behind: leaves},
         {before: total, "side": none if climb_m_s else total, behind: none},
@@ -392,10 +392,10 @@ def _far_field_conditions(climb_m_s: float) -> tuple[dict[str, str], dict[str, s
 
 
 def _compute_face_fluxes(mesh: PolyMesh, u: Array, point: OperatingPoint) -> Array:
-    """The fluxes through the faces; of the turning cells relative to their frame.
+    """Compute the face fluxes; for rotating cells relative to their frame.
 
-    Without them the solver would take those of the absolute velocity for its first step, in which Coriolis' force then
-    has nothing to balance it: the outer air would be thrown about at tens of metres a second.
+    Without them the first step of the solver would use the fluxes of the absolute velocity. The Coriolis force would be
+    unbalanced and accelerate the outer air to tens of metres per second.
     """
     inside = len(mesh.neighbour)
     at = u[mesh.owner]
@@ -447,5 +447,5 @@ def write_field(file: Path, kind: str, unit: str, values: str | Array, boundary:
 
 
 def momentum_induced_velocity(thrust_N: float, radius_m: float, air: Air) -> float:
-    """Induced velocity (m/s) of momentum theory in hover, sqrt(T / (2 rho pi R^2)); 0 without thrust."""
+    """Return the induced velocity (m/s) of momentum theory in hover, sqrt(T / (2 rho pi R^2)); 0 without thrust."""
     return math.sqrt(max(thrust_N, 0.0) / (2.0 * air.density_kg_m3 * math.pi * radius_m**2))

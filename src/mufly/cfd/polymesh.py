@@ -1,12 +1,12 @@
-"""Faces of a mesh in OpenFOAM's order, their quality, and OpenFOAM's files of them.
+"""Polyhedral meshes in OpenFOAM's format: faces, mesh quality, and files.
 
-OpenFOAM keeps faces, each with the cell that owns it and the neighbour (the higher number); those inside come first,
-sorted by owner and then neighbour, then those of each boundary. Face k of one half of a ``cyclic`` boundary meets face
-k of the other, whose points run the other way round from the same first point.
+OpenFOAM stores faces, each with its owner cell and its neighbour cell (the higher number). Internal faces come first,
+sorted by owner and neighbour, then the faces of each boundary. Face k of one half of a ``cyclic`` boundary matches face
+k of the other half, whose points run in the opposite sense from the same first point.
 
-Quality is measured as ``checkMesh`` does: non-orthogonality is the angle between a face's normal and the line between
-the two cell centres; skewness the distance from where that line meets the face to the face's centre, over the line's
-length or, if larger, a fifth of the face's own size in that direction.
+Quality is measured as by ``checkMesh``. Non-orthogonality is the angle between a face's normal and the line between the
+two cell centres. Skewness is the distance between the face's centre and the intersection of that line with the face,
+over the line's length or, if larger, a fifth of the face's size in that direction.
 """
 
 from __future__ import annotations
@@ -29,38 +29,38 @@ from mufly.results import result
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# Faces of a hexahedron, outwards.
+# Faces of a hexahedron, normals outwards.
 _HEXAHEDRON_FACES = np.array(
     [(0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)], dtype=np.int64
 )
 PATCH_NAMES = ("sector_left", "sector_right", "top", "side", "bottom", "blade")
-"""The boundaries: the two periodic planes (x below and above 0), top, side and bottom of the cylinder, the blade."""
+"""Boundary patches: the periodic planes (x below and above 0), top, side and bottom of the cylinder, and the blade."""
 LOWER_BLADE_PATCH = "blade_lower"
-"""One more where there is a second rotor under the first."""
+"""Patch of the blade of a second rotor below the first."""
 
 
 @dataclass(frozen=True, eq=False)
 class PolyMesh:
-    """A mesh as OpenFOAM has it.
+    """Mesh in OpenFOAM's format.
 
     Attributes
     ----------
     points : (points, 3) array
-        m.
+        Coordinates (m).
     faces : (faces, 4) array
-        Their points; the normal leaves the owner.
+        Point indices; the normal points out of the owner.
     owner : (faces,) array
     neighbour : (inside faces,) array
     patches : dict of (start, count)
-        By name, in the order of the faces.
+        First face and number of faces by patch name.
     cell_strip : (cells,) array
-        Spanwise strip of the blade that a cell lies in, or -1.
+        Spanwise strip of the blade that contains the cell, or -1.
     strip_edges_m : (strips + 1,) array
     blade_count : int
     is_rotating : (cells,) bool array
-        Which cells are computed in a blade's frame.
+        True for cells in a rotating frame.
     interface_height_m : float
-        Height of the plane under which a second rotor's cells lie; -inf: there is none.
+        Height of the plane above the cells of a second rotor; -inf without one.
     """
 
     points: Array
@@ -76,7 +76,7 @@ class PolyMesh:
 
     @cached_property
     def cell_rotation_sign(self) -> Array:
-        """How the frame of each cell turns: 1 with the rotor, -1 with a second one under it, 0 at rest; (cells,)."""
+        """Rotation of each cell's frame: 1 with the rotor, -1 with a second rotor below, 0 at rest; (cells,)."""
         return np.where(self.is_rotating, np.where(self.cell_centres[:, 2] < self.interface_height_m, -1.0, 1.0), 0.0)
 
     @property
@@ -85,7 +85,7 @@ class PolyMesh:
         return len(self.cell_strip)
 
     def patch_faces(self, name: str) -> slice:
-        """The faces of a patch."""
+        """Return the faces of a patch."""
         start, count = self.patches[name]
         return slice(start, start + count)
 
@@ -96,7 +96,7 @@ class PolyMesh:
 
     @cached_property
     def face_areas(self) -> Array:
-        """Area vectors of the faces (m2), out of the owner, (faces, 3)."""
+        """Area vectors of the faces (m^2), out of the owner, (faces, 3)."""
         return self._face_cell_geometry[1]
 
     @cached_property
@@ -117,7 +117,7 @@ class PolyMesh:
         n = 0.5 * np.cross(following - p, middle[:, None] - p)
         thirds = (p + following + middle[:, None]) / 3.0
         area = n.sum(axis=1)
-        # Each triangle counts by its area along the face's own normal, as in OpenFOAM.
+        # Triangles are weighted by their area along the face's normal, as in OpenFOAM.
         unit = area / np.maximum(np.linalg.norm(area, axis=1, keepdims=True), 1e-300)
         weight = np.einsum("fti,fi->ft", n, unit)
         centre = np.einsum("ft,fti->fi", weight, thirds) / np.maximum(weight.sum(axis=1), 1e-300)[:, None]
@@ -137,12 +137,12 @@ class PolyMesh:
 
 
 def _sum_by_cell(cells: Index, vectors: Array, count: int) -> Array:
-    """Sum vectors by cell; (count, 3)."""
+    """Sum vectors over the cells; (count, 3)."""
     return np.stack([np.bincount(cells, vectors[:, i], count) for i in range(3)], axis=-1)
 
 
 def make_poly_mesh(mesh: SectorMesh) -> PolyMesh:
-    """Find faces, owners and boundaries; number the cells so that neighbours are near each other.
+    """Make faces, owners and boundaries of a sector mesh; renumber the cells to reduce the bandwidth.
 
     Raises
     ------
@@ -159,7 +159,7 @@ def make_poly_mesh(mesh: SectorMesh) -> PolyMesh:
     same = np.all(sorted_key[1:] == sorted_key[:-1], axis=1)
     if np.any(same[1:] & same[:-1]):
         raise MuflyError("mesh: a face is shared by three cells")
-    # A plate's faces are walls of the cells on both sides.
+    # Plate faces are walls of the cells on both sides.
     same[same] = ~_faces_among(sorted_key[:-1][same], np.sort(mesh.plate_faces, axis=1), len(mesh.points))
     first = order[:-1][same]
     second = order[1:][same]
@@ -172,7 +172,7 @@ def make_poly_mesh(mesh: SectorMesh) -> PolyMesh:
     new = np.empty(cells, dtype=np.int64)
     new[reverse_cuthill_mckee((graph + graph.T).tocsr(), symmetric_mode=True)] = np.arange(cells)
     a, b = new[of[first]], new[of[second]]
-    inner = np.where((a < b)[:, None], faces[first], faces[second])  # outwards from the owner
+    inner = np.where((a < b)[:, None], faces[first], faces[second])  # normal out of the owner
     owner, neighbour = np.minimum(a, b), np.maximum(a, b)
     order = np.lexsort((neighbour, owner))
     inner, owner, neighbour = inner[order], owner[order], neighbour[order]
@@ -224,18 +224,18 @@ def make_poly_mesh(mesh: SectorMesh) -> PolyMesh:
 
 
 def _faces_among(faces: Index, wanted: Index, points: int) -> NDArray[np.bool_]:
-    """Which faces, their points rising, are among others: told by their three lowest points."""
+    """Return which faces, with sorted points, are among others; faces are compared by their three lowest points."""
     size = np.array([points**2, points, 1], dtype=np.int64)
     return np.isin(faces[:, :3] @ size, wanted[:, :3] @ size)
 
 
 def _pair_periodic_faces(mesh: SectorMesh, left: Index, right: Index) -> tuple[Index, Index, Index]:
-    """Orders in which the faces of the two periodic planes meet, and the right ones' points in matching turn."""
+    """Return matching orders of the faces of the two periodic planes, and the right faces with matching point order."""
     if len(left) != len(right):
         raise MuflyError(f"mesh: the periodic planes have {len(left)} and {len(right)} faces")
     turn = 2.0 * math.pi / mesh.blade_count
     c, s = math.cos(turn), math.sin(turn)
-    # The right plane (x > 0) turned on about +z lands on the left one.
+    # The right plane (x > 0), rotated about +z, coincides with the left plane.
     turned = mesh.points @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T
     size = float(np.ptp(mesh.points[:, 2]))
     at_left, at_right = mesh.points[left].mean(axis=1) / size, turned[right].mean(axis=1) / size
@@ -250,14 +250,14 @@ def _pair_periodic_faces(mesh: SectorMesh, left: Index, right: Index) -> tuple[I
     faces = right[partner][:, ::-1]
     begin = mesh.points[left[order][:, 0]]
     first = np.argmin(np.linalg.norm(turned[faces] - begin[:, None], axis=2), axis=1)
-    # Reversed twice: faces keep their outward normal, and start at the partner of the left face's first point.
+    # Reversed twice: faces keep their outward normal and start at the partner of the left face's first point.
     faces = faces[np.arange(len(faces))[:, None], (first[:, None] + np.arange(4)) % 4]
     return order, partner, np.concatenate((faces[:, :1], faces[:, :0:-1]), axis=1)
 
 
 @result
 class MeshQuality:
-    """How good a mesh is.
+    """Quality measures of a mesh.
 
     Attributes
     ----------
@@ -266,15 +266,15 @@ class MeshQuality:
     non_orthogonality_deg : float
         Greatest angle between a face's normal and the line of the cell centres; OpenFOAM warns from 70.
     mean_non_orthogonality_deg : float
-        Its mean over the faces.
+        Mean non-orthogonality over the faces.
     severe : int
-        Faces above 70 degrees.
+        Number of faces above 70 degrees.
     skewness : float
         Greatest skewness; OpenFOAM warns from 4.
     smallest_volume_m3 : float
         Volume of the smallest cell.
     open_cells : float
-        Greatest sum of a cell's area vectors, over their sizes; 0 for closed cells.
+        Greatest sum of a cell's area vectors, over the sum of areas; 0 for closed cells.
     aspect_ratio : float
         Greatest ratio of a cell's areas in the three directions.
     """
@@ -290,12 +290,12 @@ class MeshQuality:
 
     @property
     def good(self) -> bool:
-        """Whether a solver should take it."""
+        """True if the mesh is suitable for the solver."""
         return self.smallest_volume_m3 > 0.0 and self.non_orthogonality_deg < 85.0 and self.skewness < 4.0
 
 
 def measure_mesh_quality(mesh: PolyMesh) -> MeshQuality:
-    """Measure a mesh as ``checkMesh`` does; the periodic planes are left out."""
+    """Measure the quality of a mesh as ``checkMesh`` does; the periodic planes are left out."""
     inside = len(mesh.neighbour)
     a, b = mesh.cell_centres[mesh.owner[:inside]], mesh.cell_centres[mesh.neighbour]
     area, centre = mesh.face_areas[:inside], mesh.face_centres[:inside]
@@ -331,7 +331,7 @@ def measure_mesh_quality(mesh: PolyMesh) -> MeshQuality:
 
 
 def foam_header(kind: str, name: str, place: str, *, binary: bool = False, note: str = "") -> str:
-    """Head of an OpenFOAM file."""
+    """Return the header of an OpenFOAM file."""
     form = 'binary;\n    arch        "LSB;label=32;scalar=64"' if binary else "ascii"
     more = f'    note        "{note}";\n' if note else ""
     return (
@@ -341,7 +341,7 @@ def foam_header(kind: str, name: str, place: str, *, binary: bool = False, note:
 
 
 def write_poly_mesh(mesh: PolyMesh, case: Path) -> Path:
-    """Write ``constant/polyMesh`` of a case, zones ``rotor`` and ``lower`` of the turning cells; return the folder."""
+    """Write ``constant/polyMesh`` of a case with the rotating zones ``rotor`` and ``lower``; return the folder."""
     folder = case / "constant" / "polyMesh"
     folder.mkdir(parents=True, exist_ok=True)
     note = f"nPoints:{len(mesh.points)}  nCells:{mesh.cell_count}  nFaces:{len(mesh.faces)}  "
@@ -402,12 +402,12 @@ _STRIPS_FILE = "strips.npz"
 
 
 def read_poly_mesh(case: Path) -> PolyMesh:
-    """Read a mesh that :func:`write_poly_mesh` wrote.
+    """Read a mesh written by :func:`write_poly_mesh`.
 
     Raises
     ------
     InputError
-        If a file is missing or cut short.
+        If a file is missing or truncated.
     """
     folder = case / "constant" / "polyMesh"
     try:

@@ -1,21 +1,21 @@
-"""Two rotors that turn against each other: each beside the other's mean, or both frozen in one mesh.
+"""Counter-rotating pairs in CFD: actuator disc for the other rotor, or two frozen rotors in one mesh.
 
-**The mean.** In the frame of one rotor the other's blades pass by; their mean around the shaft stands still there. So
-each rotor is computed by itself, with its own mesh, and the other one is a disc of force, of the loads that its own
-case has: per area, by radius, ::
+**Actuator disc.** In the frame of a rotor the azimuthal mean of the other rotor's loads is steady. Each rotor therefore
+has its own case and mesh, with the other rotor as an actuator disc. Its force per area follows from the loads of the
+other case, by radius ::
 
-    down  (dT/dr) / (2 pi r),     around, in the other one's sense  (dQ/dr) / (2 pi r^2)
+    down  (dT/dr) / (2 pi r),     azimuthal, in the other rotor's sense  (dQ/dr) / (2 pi r^2)
 
-The two cases take turns until neither changes the other (:func:`mufly.cfd.case_studies.solve_pair`). Mean thrust and
-torque are right to first order in what the passing of blades does; their swings in time are left out. The disc is
-OpenFOAM's ``rotorDisk`` with a profile for each radius whose coefficients are such that those forces come out; its
-cells are those that the plane of the other rotor cuts.
+The two cases alternate until their loads converge (:func:`mufly.cfd.case_studies.solve_pair`). Mean thrust and torque
+are correct to first order in the effect of blade passing; fluctuations are neglected. The disc is OpenFOAM's
+``rotorDisk`` in the cells cut by the plane of the other rotor, with a profile for each radius whose coefficients give
+these forces.
 
-**Frozen.** One mesh, each rotor in a frame of its own. The upper disc lies at z = 0 and turns about +z, the lower at
--gap and turns the other way; its mesh is that of a rotor turning about +z, its own image in x. Each is meshed as far as
-the level plane half way to the other, where both meshes have the same points. Both blades stand at the same azimuth for
-good: what leaves one frame is taken to be steady in the next. That leaves out all that a passage of blades does in
-time, and swirl is not mixed around the shaft.
+**Frozen rotors.** Both rotors share a mesh, each in its own frame. The upper disc lies at z = 0 and turns about +z, the
+lower lies at -gap and turns the other way; its mesh is the image in x of a rotor that turns about +z. The two meshes
+join at the horizontal plane half way, where their points coincide. Both blades keep the same azimuth: flow that leaves
+one frame is treated as steady in the next. Unsteady effects of blade passing and azimuthal mixing of the swirl are
+neglected.
 """
 
 from __future__ import annotations
@@ -49,19 +49,19 @@ def make_pair_mesh(
     level: str | CellCounts = "medium",
     domain: MeshDomain | None = None,
 ) -> SectorMesh:
-    """Mesh one sector of two rotors of the same form, one above the other.
+    """Mesh a sector of two rotors of the same geometry, one above the other.
 
     Parameters
     ----------
     rotor : Rotor
-        Both.
+        Rotor used for both discs.
     pitch_rad, lower_pitch_rad : float
-        Pitch setting of the upper and the lower one.
+        Pitch setting of the upper and the lower rotor.
     gap_m : float
-        Between their discs.
+        Distance between the discs.
     level, domain
-        As for :func:`mufly.cfd.sector_mesh.make_sector_mesh`; the domain's heights are over the upper, under the lower
-        disc.
+        As for :func:`mufly.cfd.sector_mesh.make_sector_mesh`; heights of the domain count from the upper disc upwards
+        and from the lower disc downwards.
 
     Raises
     ------
@@ -80,7 +80,7 @@ def make_pair_mesh(
             f"mesh: {len(plane)} and {len(below)} points between the rotors, {np.max(miss):.2g} m apart: "
             "their pitch settings differ too much"
         )
-    # The lower mesh's points take numbers after the upper's; those of the plane are the upper's.
+    # Points of the lower mesh are numbered after those of the upper; points of the interface are the upper's.
     number = np.full(len(points), -1)
     number[below] = plane[at]
     own = number < 0
@@ -92,7 +92,7 @@ def make_pair_mesh(
     marks["top"] = np.concatenate((upper.point_marks["top"], none_low))
     marks["bottom"] = np.concatenate((none_up, lower.point_marks["bottom"][own]))
     marks["lower"] = np.concatenate((none_up, ~none_low))
-    # The image of a hexahedron is turned inside out: its two ends change places.
+    # Reflection inverts a hexahedron: its two ends are exchanged.
     image = number[lower.hexahedra][:, [4, 5, 6, 7, 0, 1, 2, 3]]
     strips = len(upper.strip_edges_m) - 1
     return replace(
@@ -109,20 +109,20 @@ def make_pair_mesh(
 
 @dataclass(frozen=True)
 class ActuatorDisc:
-    """A rotor's loads per span, to stand for it as a disc of force.
+    """Actuator disc with the loads per span of a rotor.
 
     Attributes
     ----------
     r_m : tuple of float
-        Radii, rising.
+        Radii, increasing.
     thrust_N_m, torque_Nm_m : tuple of float
-        Of all blades, at those radii; nothing beyond the first and the last.
+        Loads per span of all blades at those radii; zero outside the first and the last.
     thrust_N, torque_Nm : float
-        Of the whole rotor; the disc has exactly these.
+        Thrust and torque of the whole rotor, equal to those of the disc.
     pitch_rad, speed_rad_s : float
-        Its pitch setting and speed.
+        Pitch setting and speed of the rotor.
     since : int
-        Iteration of the case at which these loads were put there.
+        Iteration of the case at which these loads were set.
     """
 
     r_m: tuple[float, ...]
@@ -135,7 +135,7 @@ class ActuatorDisc:
     since: int = 0
 
     def scale_loads(self, ratio: float) -> ActuatorDisc:
-        """These loads times a ratio."""
+        """Return the loads times a ratio."""
         return replace(
             self,
             thrust_N_m=tuple(ratio * x for x in self.thrust_N_m),
@@ -145,7 +145,7 @@ class ActuatorDisc:
         )
 
     def load_difference(self, other: ActuatorDisc) -> float:
-        """By how much another disc's thrust or torque differs, of this one's: the greater of the two."""
+        """Return the greater relative difference of thrust or torque to another disc."""
         return max(
             abs(other.thrust_N - self.thrust_N) / abs(self.thrust_N),
             abs(other.torque_Nm - self.torque_Nm) / abs(self.torque_Nm),
@@ -153,9 +153,9 @@ class ActuatorDisc:
 
 
 def find_disc_cells(mesh: PolyMesh, height_m: float, radius_m: float) -> tuple[NDArray[np.int64], Array]:
-    """Cells that a level plane cuts within a radius, and the area (m2) that each shows from above.
+    """Return the cells cut by a horizontal plane within a radius, and the area (m^2) of each seen from above.
 
-    The area is what ``rotorDisk`` takes: of the faces to cells outside that look up by more than 0.8.
+    The area is defined as in ``rotorDisk``: faces to cells outside whose normal has a vertical component above 0.8.
     """
     inside = len(mesh.neighbour)
     low, high = np.full(mesh.cell_count, np.inf), np.full(mesh.cell_count, -np.inf)
@@ -179,14 +179,14 @@ _MIN_UPWARD_NORMAL = 0.8
 
 
 def write_actuator_disc(folder: Path, mesh: PolyMesh, point: OperatingPoint, disc: ActuatorDisc) -> None:
-    """Write another rotor's loads into a case, as a disc of force at its ``other_m``.
+    """Write another rotor's loads into a case as an actuator disc at the height ``other_m``.
 
     Parameters
     ----------
     folder : Path
-        Of a case that is written.
+        Folder of a written case.
     mesh : PolyMesh
-        Its mesh.
+        Mesh of the case.
     point : Point
     disc : Disc
 
@@ -201,10 +201,10 @@ def write_actuator_disc(folder: Path, mesh: PolyMesh, point: OperatingPoint, dis
     ends = (0.999 * disc.r_m[0], *disc.r_m, 1.001 * disc.r_m[-1])
     r = np.array(ends)
     thrust, torque = (np.array((0.0, *v, 0.0)) for v in (disc.thrust_N_m, disc.torque_Nm_m))
-    # Coefficients times a chord of 1 m, of a blade that turns at 1 rad/s in still air.
+    # Coefficients for a chord of 1 m and a blade that turns at 1 rad/s in still air.
     lift = thrust / (point.density_kg_m3 * point.blades * 0.5 * r**2)
     drag = -torque / r / (point.density_kg_m3 * point.blades * 0.5 * r**2)
-    # Cells are no rings: their sum is brought to the rotor's.
+    # Cells only approximate rings: their sum is scaled to the rotor's loads.
     at = np.hypot(mesh.cell_centres[cells, 0], mesh.cell_centres[cells, 1])
     share = point.density_kg_m3 * point.blades**2 * 0.5 * at * area / (2.0 * math.pi)
     part = np.array(
@@ -250,12 +250,12 @@ _DISC_FILE = "disc.json"
 
 
 def read_actuator_disc(folder: Path) -> ActuatorDisc | None:
-    """The other rotor that stands in a case; None if there is none.
+    """Read the actuator disc of a case; None if there is none.
 
     Raises
     ------
     InputError
-        If its file is cut short.
+        If its file is truncated.
     """
     file = folder / _DISC_FILE
     if not file.is_file():

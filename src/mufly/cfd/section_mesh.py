@@ -1,17 +1,17 @@
-"""Sections of a blade's mesh: quadrilaterals around, and inside, an aerofoil.
+"""Two-dimensional meshes of blade sections: quadrilaterals around and inside an aerofoil.
 
-A section lies across the blade (x against the motion of the blade, z up, lengths in m). It has three parts::
+A section is normal to the blade (x against the motion of the blade, z up, lengths in m). It has three parts::
 
-    tensor   NX x NZ quadrilaterals of the whole section, less a centre block of n x m
-    ring     between the centre block's edge and the aerofoil, 2 (n + m) x L quadrilaterals, crowded to the wall
-    core     the n x m quadrilaterals inside the aerofoil's contour; where there is a blade they are left out
+    tensor   NX x NZ quadrilaterals of the whole section, without a centre block of n x m
+    ring     2 (n + m) x L quadrilaterals between the centre block's edge and the aerofoil, refined towards the wall
+    core     n x m quadrilaterals inside the aerofoil's contour, left out where there is a blade
 
-The contour has four sides as the core has: n cells along the upper side, m across the tail, n along the lower side, m
-around the nose. All sections have the same quadrilaterals, so that a mesh is a stack of sections.
+Contour and core have four sides: n cells along the upper side, m across the tail, n along the lower side, m around the
+nose. All sections have the same topology, so that a mesh is a stack of sections.
 
-The ring's lines are cubic curves (Hermite): they leave the wall along its normal and arrive on the straight line.
-On an edge with given sizes h0 and h1 of the first and last cell, points lie as in M. Vinokur, *On one-dimensional
-stretching functions for finite-difference calculations*, J. Comput. Phys. 50 (1983) 215.
+The ring's lines are cubic Hermite curves that leave the wall along its normal and end at the centre block's edge. On an
+edge with given sizes h0 and h1 of the first and last cell, points lie as in M. Vinokur, *On one-dimensional stretching
+functions for finite-difference calculations*, J. Comput. Phys. 50 (1983) 215.
 """
 
 from __future__ import annotations
@@ -32,29 +32,30 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 NOSE_LENGTH = 0.02
-"""Length of the contour (chords) on either side that the core's side at the nose takes."""
+"""Length of the contour (chords) on either side that belongs to the core's nose side."""
 MIN_TAIL_THICKNESS = 0.006
-"""Trailing edge over chord: a thinner one is opened to this (0.12 mm of 20 mm): it can be made and meshed."""
+"""Least trailing edge thickness over chord (0.12 mm of 20 mm), which can be made and meshed; thinner edges are
+opened."""
 
 
 @dataclass(frozen=True)
 class CellCounts:
-    """Numbers of cells of a mesh.
+    """Numbers and sizes of the cells of a mesh.
 
     Attributes
     ----------
     along, across : int
-        Along each side of the aerofoil (even); around its nose and across its tail (even).
+        Cells along each side of the aerofoil (even); around its nose and across its tail (even).
     ring : int
-        From the aerofoil to the edge of the centre block.
+        Cells from the aerofoil to the edge of the centre block.
     side, above, below : int
-        From there to the left and right, the top and the bottom.
+        Cells from the centre block to the left and right, to the top and to the bottom.
     gap, blade, beyond : int
-        Spanwise: axis to root, root to tip, beyond the tip.
+        Spanwise cells: axis to root, root to tip, beyond the tip.
     inner, outer : int
-        From there, and from left and right, to the cylinder around the blade, and from that to the outer one.
+        Cells from the box to the cylinder around the blade, and from that cylinder to the outer one.
     wall : float
-        First cell on the blade, over the chord.
+        Height of the first cell on the blade, over the chord.
     tip : float
         Spanwise size of the first cell at the tip, over the radius.
     """
@@ -75,7 +76,7 @@ class CellCounts:
 
 
 def vinokur_spacing(cells: int, first: float, last: float) -> Array:
-    """Points on 0..1 with given sizes of the first and the last cell (Vinokur, 1983).
+    """Return points on 0..1 with given sizes of the first and the last cell (Vinokur, 1983).
 
     Returns
     -------
@@ -95,7 +96,7 @@ def vinokur_spacing(cells: int, first: float, last: float) -> Array:
 
 
 def geometric_spacing(cells: int, first: float) -> Array:
-    """Points on 0..1 whose cells grow by one ratio from the given first size; (cells + 1,) array."""
+    """Return points on 0..1 whose cells grow by a constant ratio from the first size; (cells + 1,) array."""
     if first * cells >= 1.0 - 1e-9:
         return np.linspace(0.0, 1.0, cells + 1)
     ratio = brentq(lambda q: first * (q**cells - 1.0) / (q - 1.0) - 1.0, 1.0 + 1e-9, 1e3)
@@ -103,13 +104,13 @@ def geometric_spacing(cells: int, first: float) -> Array:
 
 
 def ring_contour(airfoil: Airfoil, counts: CellCounts) -> Array:
-    """The contour's points as the ring meets them.
+    """Return the points of the contour at the ring's lines.
 
     Returns
     -------
     (2 (along + across), 2) array
-        Over chord; from the upper corner of the nose over the upper side to the tail, down the tail, along the lower
-        side to the nose and up around it.
+        Coordinates over chord, from the upper corner of the nose over the upper side to the tail, down the tail, along
+        the lower side to the nose and up around it.
 
     Raises
     ------
@@ -129,7 +130,7 @@ def ring_contour(airfoil: Airfoil, counts: CellCounts) -> Array:
         raise InputError(airfoil.name, "", "has too few points at the nose", "give 20 points a side at least")
     from scipy.interpolate import PchipInterpolator
 
-    # A contour of few points is drawn through by monotone cubics over the arc length, which do not overshoot.
+    # Contours of few points are interpolated by monotone cubics over the arc length, which do not overshoot.
     curve = PchipInterpolator(s, whole)
     at_nose = s[nose]
     tail = float(np.linalg.norm(whole[0] - whole[-1])) / m
@@ -143,10 +144,10 @@ def ring_contour(airfoil: Airfoil, counts: CellCounts) -> Array:
 
 
 class SectionLayout:
-    """Which points a section has and which quadrilaterals they make: the same for every section of a mesh.
+    """Topology of a section: point numbers and quadrilaterals, the same for every section of a mesh.
 
-    Points are numbered: the tensor's (without those inside the centre block), the ring's layers from the outside in
-    (the first is the tensor's own), the core's inside.
+    The order of points is: tensor (without those inside the centre block), layers of the ring from the outside inwards
+    (the first layer is part of the tensor), interior of the core.
     """
 
     def __init__(self, counts: CellCounts) -> None:
@@ -171,7 +172,7 @@ class SectionLayout:
         self.point_count = last + int(free.sum())
 
     def _core_edge_indices(self) -> list[tuple[int, int]]:
-        """Indices of the core's edge in the order of :func:`ring_contour`."""
+        """Return the indices of the core's edge in the order of :func:`ring_contour`."""
         n, m = self.counts.along, self.counts.across
         return (
             [(i, m) for i in range(n)]
@@ -182,7 +183,7 @@ class SectionLayout:
 
     @cached_property
     def outer_quads(self) -> Index:
-        """Quadrilaterals of tensor and ring, (q, 4), anticlockwise in (x, z)."""
+        """Return the quadrilaterals of tensor and ring, (q, 4), anticlockwise in (x, z)."""
         c = self.counts
         t = self.tensor_ids
         quads = np.stack((t[:-1, :-1], t[1:, :-1], t[1:, 1:], t[:-1, 1:]), axis=-1)
@@ -195,7 +196,7 @@ class SectionLayout:
 
     @cached_property
     def core_quads(self) -> Index:
-        """Quadrilaterals of the core, (n m, 4), anticlockwise."""
+        """Return the quadrilaterals of the core, (n m, 4), anticlockwise."""
         k = self.core_ids
         return np.stack((k[:-1, :-1], k[1:, :-1], k[1:, 1:], k[:-1, 1:]), axis=-1).reshape(-1, 4)
 
@@ -211,7 +212,7 @@ def interpolate_transfinite(edge: Array, along: int, across: int) -> Array:
     closed = np.concatenate((edge, edge[:1]))
     top, right = closed[: n + 1], closed[n : n + m + 1][::-1]
     bottom, left = closed[n + m : 2 * n + m + 1][::-1], closed[2 * n + m :]
-    # The lines follow the edges' own spacing: the mean of the two opposite ones.
+    # The spacing of the lines is the mean of the two opposite edges.
     u = 0.5 * (_arc_length_fraction(top) + _arc_length_fraction(bottom))[:, None, None]
     v = 0.5 * (_arc_length_fraction(left) + _arc_length_fraction(right))[None, :, None]
     return (
@@ -226,7 +227,7 @@ def _arc_length_fraction(line: Array) -> Array:
 
 
 def _rotate_nose_up(points: Array, angle: float) -> Array:
-    """Nose up about the origin: x aft, z up."""
+    """Rotate nose up about the origin: x aft, z up."""
     c, s = math.cos(angle), math.sin(angle)
     return np.stack((c * points[..., 0] + s * points[..., 1], -s * points[..., 0] + c * points[..., 1]), axis=-1)
 
@@ -235,8 +236,7 @@ def _rotate_nose_up(points: Array, angle: float) -> Array:
 class SectionBox:
     """Limits of the sections (m): half width, top, bottom (below 0).
 
-    From ``level_height_m`` above the disc upwards, and as far below it downwards, lines are level: the same for all
-    sections.
+    Lines further than ``level_height_m`` above or below the disc are horizontal and the same for all sections.
     """
 
     half_width_m: float
@@ -247,28 +247,28 @@ class SectionBox:
 
 @dataclass(frozen=True, eq=False)
 class SectionShape:
-    """One section.
+    """Shape of a section.
 
     Attributes
     ----------
     contour_ratio : (2 (n + m), 2) array
         Contour over chord, the quarter chord at (0, 0).
     chord_m, angle_rad : float
-        Chord; its angle to the disc, nose up.
+        Chord, and its angle to the disc, nose up.
     axis_share : float
-        0 at the blade; 1 on the axis, where the section is its own mirror image and nothing is crowded.
+        0 at the blade; 1 on the axis, where the section is mirror symmetric without refinement.
     block_half_size_m, core_half_size_m : two float
-        There: half width and half height of the centre block, and of the core in it.
+        Half width and half height of the centre block, and of its core, on the axis.
     ring_relaxation : float
-        0 where the ring is crowded to the wall, 1 where it is even.
+        0 for a ring refined towards the wall, 1 for uniform spacing.
     typical_chord_m : float
-        Chord that sizes the cells outside the centre block: one for all sections.
+        Chord that determines the size of cells outside the centre block, the same for all sections.
     gurney_layer, plate_layer : (float, int)
-        Height over chord and layer of the ring (from the wall) of the edge of a plate below the tail, and of one above
-        and below the blade: the layer lies at that height. (0, 0) for none.
+        Height over chord, and layer of the ring (from the wall) at that height, of the edge of a Gurney flap, and of a
+        plate above and below the blade; (0, 0) for none.
     has_level_block : bool
-        Whether the centre block is ``block_half_size_m`` in every section, level and its own mirror image, so that a
-        second rotor's sections can join it close below or above.
+        True if the centre block has ``block_half_size_m`` in every section, horizontal and mirror symmetric, so that
+        the sections of a second rotor can join it.
     """
 
     contour_ratio: Array
@@ -288,11 +288,11 @@ BLOCK_MARGIN_CHORDS, BLOCK_HALF_HEIGHT_CHORDS = 0.40, 0.45
 _NORMAL_SMOOTHING_PASSES = 6
 _FLAP_LEAN_FACTOR = 0.5
 _SIDE_STRETCHING = 0.2
-"""Margin of the centre block before nose and behind tail, and its half height, in chords."""
+"""Margin of the centre block ahead of the nose and behind the tail, and its half height, in chords."""
 
 
 def compute_section_points(layout: SectionLayout, shape: SectionShape, box: SectionBox) -> Array:
-    """Coordinates of a section's points.
+    """Compute the coordinates of a section's points.
 
     Returns
     -------
@@ -307,7 +307,7 @@ def compute_section_points(layout: SectionLayout, shape: SectionShape, box: Sect
     plain = _rectangle_points(-wide, wide, -thick, thick, n, m)
     loop = (1 - g) * loop + g * plain
     low, right = -(0.25 + BLOCK_MARGIN_CHORDS) * c, (0.75 + BLOCK_MARGIN_CHORDS) * c
-    whole = 1.0 if shape.has_level_block else g  # how far the block is that of the axis
+    whole = 1.0 if shape.has_level_block else g  # fraction of the axis block in the block
     even = np.linspace(0.0, 1.0, n + 1)
     crowd = np.concatenate((shape.contour_ratio[:n, 0], shape.contour_ratio[n : n + 1, 0]))
     crowd = (crowd - crowd[0]) / (crowd[-1] - crowd[0])
@@ -348,10 +348,10 @@ def compute_section_points(layout: SectionLayout, shape: SectionShape, box: Sect
 
 
 def _compute_outer_lines(k: CellCounts, chord_m: float, high: float, box: SectionBox) -> tuple[Array, Array, Array]:
-    """Lines from the centre block (half as high as ``high``) of a typical section, outwards: to the sides (0..1), above
-    and below (z, m).
+    """Compute the lines outside the centre block (half height ``high``) of a typical section: to the sides (0..1),
+    above and below (z, m).
 
-    They are one set for all sections: where the chord changes, lines of its own would slant the cells far away from it.
+    All sections share the lines: lines that follow the local chord would skew distant cells.
     """
     wide = box.half_width_m - (0.75 + BLOCK_MARGIN_CHORDS) * chord_m
     step = min(max((1 + 2 * BLOCK_MARGIN_CHORDS) * chord_m / k.along, 0.02 * wide), 0.9 * wide / k.side)
@@ -377,19 +377,19 @@ def _smooth_fade(t: Array) -> Array:
 
 
 def _compute_ring_layers(loop: Array, edge: Array, shape: SectionShape, counts: CellCounts) -> Array:
-    """The ring's layers, (ring + 1, 2 (n + m), 2), from the centre block's edge to the contour."""
+    """Compute the ring's layers, (ring + 1, 2 (n + m), 2), from the centre block's edge to the contour."""
     before, after = np.roll(loop, 1, axis=0), np.roll(loop, -1, axis=0)
-    # The loop runs clockwise: its outward normal is the tangent turned to the left. Corners take the mean of both.
+    # The loop runs clockwise: its outward normal is the tangent rotated to the left. Corners have the mean normal.
     tangents = [b / np.linalg.norm(b, axis=1, keepdims=True) for b in (loop - before, after - loop)]
     tangent = tangents[0] + tangents[1]
     normal = np.stack((-tangent[:, 1], tangent[:, 0]), axis=-1)
     corner = counts.along + counts.across
-    # At the tail's corners neighbouring lines would part at 45 degrees; they turn there over a few points instead.
+    # At the tail's corners neighbouring lines would diverge by 45 degrees; the change is spread over a few points.
     for _ in range(_NORMAL_SMOOTHING_PASSES):
         normal = 0.25 * np.roll(normal, 1, axis=0) + 0.5 * normal + 0.25 * np.roll(normal, -1, axis=0)
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     if shape.gurney_layer[1] and not shape.axis_share:
-        # Not beside the blade, where sections change fast: above a hub it would slant the cells to 87 degrees.
+        # Only at the blade: near a hub, where sections change fast, it would skew the cells to 87 degrees.
         normal = _turn_normals_around_flap(normal, loop, shape, counts)
     across = edge - loop
     far = np.linalg.norm(across, axis=1, keepdims=True)
@@ -401,7 +401,7 @@ def _compute_ring_layers(loop: Array, edge: Array, shape: SectionShape, counts: 
             drawn = _stretch_through_value(t, layer, height * shape.chord_m / float(far[line, 0]))
             t = (1 - shape.axis_share) * drawn + shape.axis_share * t
     t = (1 - shape.ring_relaxation) * t + shape.ring_relaxation * np.linspace(0, 1, counts.ring + 1)
-    # A plate is plane: the lines stay on the wall's normal as far as it reaches, and bend from there.
+    # A plate is plane: the lines follow the wall's normal up to its edge and bend beyond.
     straight = (1 - shape.axis_share) * reach if shape.gurney_layer[1] else 0.0
     begin, leave = loop + straight * far * normal, (1.0 - straight) * far * normal
     u = np.maximum(t[::-1, None, None] - straight, 0.0) / (1.0 - straight)
@@ -416,11 +416,11 @@ def _compute_ring_layers(loop: Array, edge: Array, shape: SectionShape, counts: 
 
 
 def _turn_normals_around_flap(normal: Array, loop: Array, shape: SectionShape, counts: CellCounts) -> Array:
-    """Directions in which the ring's lines leave a contour with a plate below its tail's lower corner.
+    """Compute the directions of the ring's lines at a contour with a Gurney flap below the lower corner of its tail.
 
-    There the line runs along the plate, square to the chord; those ahead of it join it over 0.3 chords and lean away
-    from it a little, as lines that lean together would cross; those of the tail fan out between it and the tail's
-    upper corner.
+    At that corner the line follows the flap, normal to the chord. Ahead of it the directions change gradually over 0.3
+    chords and diverge slightly, because converging lines would cross. Lines of the tail fan out between the flap and
+    the tail's upper corner.
     """
     n, corner = counts.along, counts.along + counts.across
     out, (down, ahead) = normal.copy(), _rotate_nose_up(np.array([[0.0, -1.0], [-1.0, 0.0]]), shape.angle_rad)
@@ -435,23 +435,23 @@ def _turn_normals_around_flap(normal: Array, loop: Array, shape: SectionShape, c
 
 
 def _stretch_through_value(t: Array, layer: int, value: float) -> Array:
-    """Points on 0..1, rising, drawn so that one of them lies at a value."""
+    """Stretch increasing points on 0..1 so that one of them lies at a value."""
     return np.where(t <= t[layer], t * (value / t[layer]), 1.0 - (1.0 - t) * ((1.0 - value) / (1.0 - t[layer])))
 
 
 def layer_at_height(counts: CellCounts, height: float, far: float) -> int:
-    """Layers of the ring, from the wall, nearest to a height (chords) where the ring is so far across (chords)."""
+    """Return the ring layer, from the wall, nearest to a height (chords) in a ring of a given width (chords)."""
     t = geometric_spacing(counts.ring, counts.wall / BLOCK_HALF_HEIGHT_CHORDS)[1:-2]
     return 1 + int(np.argmin(np.abs(np.log(t * far / height))))
 
 
 def load_meshable_airfoil(airfoil_name: str) -> Any:
-    """The airfoil, if it has a contour.
+    """Load an airfoil that has a contour.
 
     Raises
     ------
     InputError
-        If it is a table of coefficients.
+        If the airfoil is a polar without contour.
     """
     if is_polar_file(airfoil_name):
         raise InputError(

@@ -1,10 +1,10 @@
-r"""The mesh of one blade's sector: sections stacked along the blade, and around them the rest of a cylinder.
+r"""Mesh of the sector of one blade: sections stacked along the blade, within a cylinder.
 
-Frame: z up along the shaft, the blade along +y, x against its motion (nose at negative x); the rotor turns about +z.
-A rotor of N blades is meshed as a sector of 2 pi / N with one blade, between two planes through the shaft that are each
-other's image in x, point by point, so that plain cyclic boundaries do.
+Frame: z up along the shaft, the blade along +y, x against its motion (nose at negative x); the rotor turns about +z. A
+rotor of N blades is meshed as a sector of 2 pi / N with one blade, between two planes through the shaft. Each plane is
+the image of the other in x, point by point, so that plain cyclic boundaries suffice.
 
-Section k is bent so that the first lies in those planes and the one at the tip not at all::
+Section k is bent; the first section lies in those planes, the section at the tip is plane::
 
     y = y_k + f_k (sqrt(y_k^2 + (|x| cot(pi/N))^2) - y_k)          two blades: y = y_k;  f_k from 1 at the root to 0
 
@@ -18,18 +18,18 @@ beyond the tip)::
           | wing |  ||  | wing |
           |______|__||__|______|      the two periodic planes, or one plane of a two-bladed rotor
 
-Air within the inner cylinder, up to a level plane above the disc and down to the bottom, is computed in the blade's
-frame, all other air in a frame at rest (``is_rotating``). The surfaces between them are surfaces of revolution, through
-which the turning frame carries nothing. In the blade's frame air at rest flows past at Omega r; any velocity across the
-shaft, such as the inflow u_r, has to be turned by convection as fast as Coriolis' force turns it back. What a mesh of
-second order lacks of that, 0.3 to 0.9 % here, is a force of that part of Omega u_r against the rotor's sense, and on
-air that takes a second to come to the rotor it made a swirl of a tenth of the induced velocity, and 4 % of thrust.
+Air within the inner cylinder, up to a horizontal plane above the disc and down to the bottom, is computed in the
+blade's frame, all other air in a frame at rest (``is_rotating``). The interfaces are surfaces of revolution, so that
+the rotation of the frame causes no flux through them. In the blade's frame air at rest moves at Omega r. A horizontal
+velocity such as the inflow u_r is turned by convection, which has to balance the Coriolis force. The error of this
+balance in a second-order mesh, 0.3 to 0.9 % of Omega u_r, acts as a force against the sense of rotation. If the slow
+outer inflow were in the rotating frame, the swirl would be a tenth of the induced velocity and the error of thrust 4 %.
 
-Between shaft and root there is a gap of air; the section changes in it from the blade's to one that is its own image.
-With a hub the core of those sections is left out like the blade's, and its half width is the hub's, sqrt(r^2 - y^2),
-out to 0.4 r; from there it runs on into the root, or ends.
+Between shaft and root the section changes from that of the blade to a mirror symmetric one. With a hub the core of
+these sections is left out, too. Its half width is that of the hub, sqrt(r^2 - y^2), out to 0.4 r; from there the hub
+continues into the root or ends.
 
-Plates (Gurney flaps, tip plates) have no thickness: faces between two cells that become walls on both sides.
+Plates (Gurney flaps, tip plates) have no thickness: they are internal faces that become walls on both sides.
 """
 
 from __future__ import annotations
@@ -91,26 +91,26 @@ MESH_LEVELS: Mapping[str, CellCounts] = MappingProxyType(
         "fine": _scale_counts(1.4),
     }
 )
-"""Numbers of cells, each direction finer by one factor: the sizes of cells are as 2 : 1.3 : 1 : 0.71."""
+"""Cell counts of the refinement levels; the cell sizes have the ratios 2 : 1.3 : 1 : 0.71 in every direction."""
 
-_MIN_ROOT_CUTOUT = 0.04  # root cut-out over R
+_MIN_ROOT_CUTOUT = 0.04  # least root cut-out over R
 
 
-_BOX_HALF_WIDTH, _BOX_SPAN, _BOX_LEVEL_HEIGHT = 0.75, 1.2, 0.6  # of the sections' box, over R
+_BOX_HALF_WIDTH, _BOX_SPAN, _BOX_LEVEL_HEIGHT = 0.75, 1.2, 0.6  # size of the sections' box, over R
 _CYLINDER_FACTOR = 1.06  # radius of the cylinder around the box over that of its corners
 
 
 @dataclass(frozen=True)
 class MeshDomain:
-    """Limits of the air that is meshed, over the rotor's radius.
+    """Limits of the meshed domain, over the rotor radius.
 
     Attributes
     ----------
     radius, above, below : float
-        Of the outer cylinder; from the disc to its top and its bottom. 300, 200 and 400 mm for R 60 mm.
+        Radius of the outer cylinder; distances from the disc to its top and bottom. 300, 200 and 400 mm for R 60 mm.
     turning_above, turning_below : float
-        From the disc to where the air is no longer computed in the blade's frame (the nearest plane of the mesh). Below
-        it is best the whole of the wake: what leaves that frame is taken to be steady at rest, blades or no blades.
+        Distances from the disc to the limits of the rotating zone (nearest plane of the mesh). The zone should contain
+        the whole wake, because flow that leaves it is treated as steady in the frame at rest.
     """
 
     radius: float = 5.0
@@ -130,27 +130,27 @@ class MeshDomain:
 
 @dataclass(frozen=True, eq=False)
 class SectorMesh:
-    """Hexahedra of one sector.
+    """Hexahedral mesh of a sector.
 
     Attributes
     ----------
     points : (points, 3) array
-        m.
+        Coordinates (m).
     hexahedra : (cells, 8) array
-        Points of each cell, in OpenFOAM's order.
+        Point indices of each cell, in OpenFOAM's order.
     cell_strip : (cells,) array
-        Which of the blade's spanwise strips a cell lies in; -1 elsewhere.
+        Spanwise strip of the blade that contains the cell; -1 elsewhere.
     strip_edges_m : (strips + 1,) array
         Radii between the strips.
     point_marks : dict of (points,) bool arrays
-        Which points lie on ``sector``, ``outer``, ``top``, ``bottom``; of a pair, which are the ``lower`` rotor's.
+        True for points on ``sector``, ``outer``, ``top``, ``bottom``, and for points of the ``lower`` rotor of a pair.
     blade_count : int
     plate_faces : (faces, 4) array
         Faces between two cells that are walls.
     is_rotating : (cells,) bool array
-        Which cells are computed in the blade's frame.
+        True for cells in the blade's frame.
     interface_height_m : float
-        Height of the plane under which a second rotor's cells lie; -inf: there is none.
+        Height of the plane above the cells of a second rotor; -inf without one.
     """
 
     points: Array
@@ -179,20 +179,20 @@ def make_sector_mesh(
     ----------
     rotor : Rotor
     pitch_rad : float
-        Pitch setting, added to the twist; about the quarter chord line.
+        Pitch setting about the quarter chord line, added to the twist.
     level : {'tiny', 'coarse', 'medium', 'fine'} or Counts
-        16, 61, 136 and 376 thousand cells.
+        Refinement level: 16, 61, 136 or 376 thousand cells.
     domain : Domain, optional
     form : Form, optional
         Hub, tip, plates; default: none, a square tip.
     other_m : float
-        Height of a second rotor's disc over this one's (below 0: under it); the mesh then ends half way to it in a
-        level plane that is its own mirror image in x. 0: there is none.
+        Height of a second rotor's disc over this disc (negative: below); 0 for none. The mesh then ends half way to it
+        in a horizontal plane that is mirror symmetric in x.
 
     Raises
     ------
     InputError
-        If the rotor cannot be meshed: one blade, blades that reach the shaft or meet, a section without a contour.
+        If the rotor has one blade, blades that reach the shaft or intersect, or a section without a contour.
     """
     domain, form = domain or MeshDomain(), form or BladeGeometry()
     if isinstance(level, str) and level not in MESH_LEVELS:
@@ -204,7 +204,7 @@ def make_sector_mesh(
     widest = float(np.max(rotor.chord_m(x)))
     steepest = math.sin(float(np.max(np.abs(rotor.twist_rad(x) + pitch_rad))))
     slope = 1.0 / math.tan(math.pi / rotor.blades) if rotor.blades > 2 else 0.0
-    # Room for the centre block to be turned back in, and for the sections of a winglet.
+    # Space in which the centre block turns back, and for the sections of a winglet.
     room = 0.6 * widest if form.tip.cant_rad else 0.0
     half, far = max(_BOX_HALF_WIDTH * radius, (1.4 + 2.4 * steepest) * widest), _BOX_SPAN * radius + room
     level_m = max(_BOX_LEVEL_HEIGHT * radius + room, (BLOCK_HALF_HEIGHT_CHORDS + 4.0 * steepest) * widest)
@@ -237,7 +237,7 @@ def make_sector_mesh(
     tip = min(k.tip * radius, 0.5 * span / k.blade)
     at_root = min(1.5 * tip, 0.5 * root / k.gap, 0.5 * span / k.blade)
     inner, hub = _root_stations(k, root, at_root, form)
-    # Beyond the end the line turns back to the disc's direction, so that it is longer than it is far.
+    # Beyond the end the line bends back parallel to the disc, so that its length exceeds its radius.
     rest = far - float(compute_blade_line(form.tip, np.array([blade[1]]), blade, tip_chord).radius_m[0])
     behind = compute_blade_line(form.tip, np.array([blade[1] + rest]), blade, tip_chord).radius_m[0]
     rest += far - float(behind)
@@ -278,7 +278,7 @@ def make_sector_mesh(
     fan = np.repeat(flat[-1:], k.inner + k.outer, axis=0)
     fan[: k.inner, :, :2] += near[:, None, None] * (arc - flat[-1, :, :2])
     fan[k.inner :, :, :2] = beyond[:, None, None] * arc
-    # The wings, from the box's sides.
+    # The wings begin at the sides of the box.
     side_y = y + sector_bend(np.array([half]))[:, 0]
     share = (side_y - side_y[0]) / (side_y[-1] - side_y[0])
     angle = math.pi / rotor.blades + (corner - math.pi / rotor.blades) * share
@@ -348,14 +348,14 @@ def make_sector_mesh(
 
 
 def blade_vertical_reach(rotor: Rotor, pitch_rad: float) -> float:
-    """How far (m) a blade reaches over or under its disc, its thickness included."""
+    """Return the greatest distance (m) of the blade surface above or below the disc."""
     x = np.linspace(float(rotor.hub_cutout), 1.0, 101)
     angle = np.abs(rotor.twist_rad(x) + pitch_rad)
     return float(np.max(rotor.chord_m(x) * (0.75 * np.sin(angle) + 0.1)))
 
 
 def _pair_block_height(rotor: Rotor, pitch_rad: float, half_gap: float) -> float:
-    """Half height (m) of the centre block between two rotors; InputError if the blade has no room in it."""
+    """Return the half height (m) of the centre block between two rotors; raise InputError if the blade does not fit."""
     reach = blade_vertical_reach(rotor, pitch_rad)
     tall = _PAIR_BLOCK_HEIGHT_RATIO * half_gap
     if reach > 0.8 * tall:
@@ -367,13 +367,13 @@ def _pair_block_height(rotor: Rotor, pitch_rad: float, half_gap: float) -> float
 
 
 _PAIR_BLOCK_HEIGHT_RATIO, _PAIR_BLOCK_HALF_CHORDS = 0.82, 1.05
-"""Beside another rotor: half height of the centre block over half the distance, its half width in chords."""
+"""For pairs: half height of the centre block over half the distance of the rotors; its half width in chords."""
 
 
 def _find_rotating_cells(
     centres: Array, around: float, lines: Array, domain: MeshDomain, radius: float, level_m: float
 ) -> NDArray[np.bool_]:
-    """Cells within a cylinder and between the mesh's level planes nearest to the domain's."""
+    """Return the cells within a cylinder and between the horizontal mesh planes nearest to the limits of the domain."""
     level = lines[np.abs(lines) >= level_m]
     low, high = (
         level[int(np.argmin(np.abs(level - z * radius)))]
@@ -386,7 +386,7 @@ def _find_rotating_cells(
 def _adapt_row_counts(
     k: CellCounts, domain: MeshDomain, radius: float, chord: float, inside: float, size: float
 ) -> CellCounts:
-    """Rows of cells for a domain other than the levels' own: as many more or fewer as keep the sizes near the blade."""
+    """Adapt the rows of cells to another domain so that cell sizes near the blade are unchanged."""
     own, high, dz = (
         MeshDomain(),
         BLOCK_HALF_HEIGHT_CHORDS * chord,
@@ -411,13 +411,14 @@ def _adapt_row_counts(
 
 
 def _refine_for_geometry(k: CellCounts, form: BladeGeometry) -> CellCounts:
-    """More cells along the blade where its end has a shape, and along the shaft where there is a hub."""
+    """Add cells along the blade for a shaped tip, and along the shaft for a hub."""
     shaped = bool(form.tip.length or form.tip.cant_rad)
     return replace(k, blade=k.blade + (k.blade // 4 if shaped else 0), gap=k.gap + (3 if form.hub else 0))
 
 
 def _root_stations(k: CellCounts, root: float, at_root: float, form: BladeGeometry) -> tuple[Array, int]:
-    """Radii of the sections from the shaft to the root, and how many of the cells between them hold the hub."""
+    """Return the radii of the sections from the shaft to the root, and the number of cells between them inside the
+    hub."""
     if form.hub is None:
         return root * (1.0 - geometric_spacing(k.gap, at_root / root)[::-1]), 0
     edge = _HUB_FLAT_RADIUS_RATIO * form.hub.radius_m
@@ -435,13 +436,13 @@ def _root_stations(k: CellCounts, root: float, at_root: float, form: BladeGeomet
 
 
 _HUB_FLAT_RADIUS_RATIO = 0.4
-"""Where a hub's flats begin, or its grips, over its radius."""
+"""Radius at which the flats or grips of a hub begin, over the hub radius."""
 
 
 def _find_plate_faces(
     layout: SectionLayout, ids: Index, first: int, last: int, form: BladeGeometry, count: tuple[int, int]
 ) -> Index:
-    """Faces of the Gurney flap and of the tip's plates, (faces, 4)."""
+    """Return the faces of Gurney flap and tip plates, (faces, 4)."""
     k, out = layout.counts, [np.empty((0, 4), dtype=np.int64)]
     flap, plate = count
     if form.gurney_height:
@@ -475,9 +476,9 @@ def _build_sections(
     factor: Array,
     level_block: tuple[float, float] | None,
 ) -> tuple[Array, tuple[int, int]]:
-    """Every section's points, (sections, points, 2), and the layers that flap and tip plate take.
+    """Build the points of every section, (sections, points, 2), and the layers of flap and tip plate.
 
-    ``level_block``: half width and half height of the centre block where another rotor is near.
+    ``level_block`` is half width and half height of the centre block for a pair.
     """
     k, (root, end), hub = layout.counts, ends, form.hub
     # The rotor file's stations are radii of the straight blade; a winglet's line is longer.
@@ -514,7 +515,7 @@ def _build_sections(
         half = 0.9 * (float(chord[0]) if inside else typical)
         block, core = (half, 0.5 * half), ((0.5 if inside else 0.75) * half, 0.175 * half)
         if inside and hub:
-            # The section's plane meets the hub's cylinder at this half width; three blades and more: it is bent.
+            # Half width at which the section cuts the hub's cylinder; sections of three or more blades are bent.
             wide = sine * math.sqrt(hub.radius_m**2 - min(float(s[i]), begin) ** 2)
             core = (wide, hub.half_height_m)
             block = (
@@ -526,7 +527,7 @@ def _build_sections(
             float(relaxed[i]), typical, gurney, plate, level_block is not None,
         )  # fmt: skip
         out[i] = compute_section_points(layout, shape, box)
-    # What turning left off zero on the plane of symmetry is rounding; the two periodic planes are to match to the bit.
+    # Removes rounding errors on the plane of symmetry: the periodic planes have to match exactly.
     first = out[0]
     mirror = _mirror_indices(layout)
     first[:, 0] = 0.5 * (first[:, 0] - first[mirror, 0])
@@ -535,20 +536,20 @@ def _build_sections(
 
 
 def _mirror_indices(layout: SectionLayout) -> Index:
-    """Number of each point's image in x."""
+    """Return the index of each point's mirror image in x."""
     image = np.arange(layout.point_count)
     on = layout.tensor_ids >= 0
     image[layout.tensor_ids[on]] = layout.tensor_ids[::-1][on]
     image[layout.core_ids.ravel()] = layout.core_ids[::-1].ravel()
     n, m = layout.counts.along, layout.counts.across
-    # Around the loop: the upper side runs back to front, nose and tail change places.
+    # Around the loop the upper side is reversed, and nose and tail are exchanged.
     around = (n - np.arange(2 * (n + m))) % (2 * (n + m))
     image[layout.ring_ids] = layout.ring_ids[:, around]
     return image
 
 
 def _check_rotor(rotor: Rotor, pitch_rad: float, form: BladeGeometry) -> None:
-    """InputError for a rotor that cannot be meshed."""
+    """Raise InputError for a rotor that cannot be meshed."""
     if form.hub and not 0.02 * rotor.radius_m < form.hub.radius_m < 0.95 * rotor.hub_radius_m:
         raise InputError(
             "hub", "radius", f"is {1e3 * form.hub.radius_m:.3g} mm",
@@ -577,7 +578,7 @@ def _check_rotor(rotor: Rotor, pitch_rad: float, form: BladeGeometry) -> None:
             "give at most 75 in all",
         )  # fmt: skip
     if rotor.blades > 2:
-        # The tail reaches furthest: 0.75 chords aft, in a sector whose planes lie at |x| cot(pi/N).
+        # The tail is critical: 0.75 chords aft, in a sector whose planes lie at |x| cot(pi/N).
         aft = 0.75 * rotor.chord_m(x) * np.cos(angle)
         wall = aft / math.tan(math.pi / rotor.blades)
         room = x * rotor.radius_m - wall

@@ -1,20 +1,20 @@
-"""Runs of a case: the solver as a process of its own, watched, judged, resumed after it was killed.
+"""Runs of the solver as a separate process: monitoring, convergence verdict and resumption.
 
-The solver runs in stretches: 80 iterations upwind, then at second order to 1200, and on by 400 until thrust and torque
-stand, or 2800. Every 40 iterations it writes its state with its fluxes, so that a case whose process was killed goes on
-from there when it is run again; what was told after that state is told anew.
+The solver runs in stages: 80 iterations upwind, then second order to 1200 iterations, then by 400 until thrust and
+torque converge, at most to 2800. Every 40 iterations it writes its state with the fluxes; an interrupted case resumes
+from that state and repeats the later iterations.
 
-A solution is settled when, after 1200 iterations at least,
+A solution is settled if, after at least 1200 iterations,
 
-* thrust and torque of the last 400 iterations drift by less than 0.3 % (a straight line through them, end to end) and
-  their range about that line is below 1 %. Shorter windows were deceived: thrust stands still for 200 to 300
-  iterations, at 500 and again at 1000, 3 to 4 % below where it ends;
-* air leaves through the bottom (but in descent, where it comes from there);
+* thrust and torque of the last 400 iterations drift by less than 0.3 % (linear fit, end to end) and
+  their range about that line is below 1 %. Shorter windows fail, because thrust can be constant for 200 to 300
+  iterations at a level 3 to 4 % below its final value;
+* air leaves through the bottom (not required in descent);
 * the solver's sum of local continuity errors (mean of |div u| over the volume, 1/s; median of the last iterations) is
   below 1e-3.
 
-Otherwise the verdict names what is wrong: ``diverged`` (a load that is no number, or ten times the first guess),
-``sloshing`` (swings about its mean), ``plateau`` (still drifting), ``blown back`` (air enters through the bottom),
+Otherwise the verdict names the fault: ``diverged`` (a load that is no number, or ten times the first guess),
+``sloshing`` (oscillation about the mean), ``plateau`` (still drifting), ``blown back`` (air enters through the bottom),
 ``leaking`` (continuity).
 """
 
@@ -48,7 +48,7 @@ from mufly.results import result
 Array = NDArray[np.float64]
 
 MAX_ITERATIONS, VERDICT_WINDOW = 2800, 400
-"""Iterations at most, and of the window that is judged."""
+"""Greatest number of iterations, and length of the window for the verdict."""
 _MAX_DRIFT, _MAX_SWING, _MAX_LEAK = 3e-3, 1e-2, 1e-3
 _DEBIAN_OPENFOAM = Path("/usr/share/openfoam")
 _LOG_FILE = "log.simpleFoam"
@@ -56,19 +56,19 @@ _LOG_FILE = "log.simpleFoam"
 
 @dataclass(frozen=True)
 class SolverProgress:
-    """How far a run is.
+    """Progress of a run.
 
     Attributes
     ----------
     iteration : int
     thrust_N, torque_Nm : float
-        Of the whole rotor.
+        Thrust and torque of the whole rotor.
     residuals : dict of str to float
         Initial residual of each equation in this iteration.
     continuity : float
-        Sum of local continuity errors, as the solver says it.
+        Sum of local continuity errors reported by the solver.
     seconds_left : float
-        Until the stretch's end.
+        Estimated time to the end of the stage.
     """
 
     iteration: int
@@ -81,24 +81,24 @@ class SolverProgress:
 
 @result
 class ConvergenceVerdict:
-    """Whether a solution stands.
+    """Convergence verdict on a solution.
 
     Attributes
     ----------
     settled : bool
-        Whether it does.
+        True if the solution has converged.
     what : str
-        'settled', or what is wrong.
+        'settled', or the name of the fault.
     iterations : int
-        Iterations done.
+        Number of iterations.
     thrust_N : float
         Thrust of the whole rotor, mean of the window.
     torque_Nm : float
         Torque of the whole rotor, mean of the window.
     drift : float
-        Greater drift of the two in the window, relative.
+        Greater relative drift of thrust and torque in the window.
     swing : float
-        Greater range of the two about their drift, relative.
+        Greater relative range of thrust and torque about their drift.
     outflow_m3_s : float
         Volume flow out of the sector's bottom.
     leak : float
@@ -117,12 +117,12 @@ class ConvergenceVerdict:
 
 
 def find_solver(name: str = "simpleFoam") -> str:
-    """Return the solver's program.
+    """Return the path of the solver's executable.
 
     Raises
     ------
     MuflyError
-        If there is none; the message says how to get it.
+        If OpenFOAM is not installed; the message states how to install it.
     """
     found = shutil.which(name)
     if found is None:
@@ -142,7 +142,7 @@ def openfoam_environment() -> dict[str, str]:
 
 
 def list_complete_states(folder: Path) -> list[int]:
-    """Iterations at which a case's state is written whole, rising; 0 is the start."""
+    """Return the iterations with a complete written state, increasing; 0 is the start."""
     found = []
     for place in folder.glob("[0-9]*"):
         if place.name.isdigit():
@@ -153,13 +153,13 @@ def list_complete_states(folder: Path) -> list[int]:
 
 
 def list_processor_states(folder: Path) -> list[int]:
-    """Iterations whose state stands whole in every part of a run of several cores, rising."""
+    """Return the iterations with a complete state in every part of a parallel run, increasing."""
     of = [set(list_complete_states(place)) for place in folder.glob("processor[0-9]*")]
     return sorted(set.intersection(*of)) if of else []
 
 
 def _is_complete(file: Path) -> bool:
-    """Whether a field's file has its end: a full disk or a kill leaves it cut short."""
+    """Return True if a field's file is complete; a full disk or a killed process truncates it."""
     try:
         with file.open("rb") as f:
             f.seek(max(0, f.seek(0, 2) - 200))
@@ -175,24 +175,24 @@ def run_case(
     progress: Callable[[SolverProgress], None] | None = None,
     most: int = MAX_ITERATIONS,
 ) -> ConvergenceVerdict:
-    """Run a case to its verdict; one that was begun goes on where its last written state is.
+    """Run a case to its verdict; a started case resumes from its last written state.
 
     Parameters
     ----------
     folder : Path
         A case of :func:`mufly.cfd.openfoam_case.write_case`.
     cores : int
-        Processes.
+        Number of processes.
     progress : callable, optional
-        Called with each iteration.
+        Called after each iteration.
     most : int
-        Iterations after which it is given up.
+        Greatest number of iterations.
 
     Raises
     ------
     MuflyError
-        If there is no solver, it fails (the message holds what it said first), the disk is full, or another run is at
-        this case.
+        If there is no solver, the solver fails (the message contains its first error), the disk is full, or another run
+        uses this case.
 
     Thesis: Sec. 3.3.3.
     """
@@ -208,13 +208,13 @@ def run_case(
             verdict, done = _judge_rotors(folder, point)
             while not _is_finished(verdict, done, most):
                 end = point.upwind if done < point.upwind else min(most, max(point.least, done + VERDICT_WINDOW))
-                end = WRITE_INTERVAL * math.ceil(end / WRITE_INTERVAL)  # its last state is to be written
+                end = WRITE_INTERVAL * math.ceil(end / WRITE_INTERVAL)  # so that the last state is written
                 set_solver_phase(folder, upwind=done < point.upwind, end=end)
                 _remove_partial_states(folder, done)
                 _run_solver(folder, log, done, end, cores, progress)
                 verdict, done = _judge_rotors(folder, point)
     except BrokenPipeError:
-        raise  # whoever was told of the progress is gone
+        raise  # the reader of the progress is closed
     except OSError as error:
         raise MuflyError(
             f"{error.filename or folder}: cannot be written ({error.strerror}): make room; what was written stands, "
@@ -224,7 +224,7 @@ def run_case(
 
 
 def _judge_rotors(folder: Path, point: OperatingPoint) -> tuple[ConvergenceVerdict, int]:
-    """The worse of the rotors' verdicts, and the last state."""
+    """Return the worst verdict of the rotors and the last state."""
     done = (list_complete_states(folder) or [0])[-1]
     return min((judge_case(folder, patch=name) for name in point.patch_speeds_rad_s), key=lambda v: v.settled), done
 
@@ -234,10 +234,10 @@ def _is_finished(verdict: ConvergenceVerdict, done: int, most: int) -> bool:
 
 
 def _lock_case(log: IO[str], folder: Path) -> None:
-    """Keep a second run away from a case as long as this one has its log open; a killed one lets go of it."""
+    """Lock a case against a second run while the log is open; the lock ends with the process."""
     try:
         from fcntl import LOCK_EX, LOCK_NB, flock
-    except ImportError:  # where OpenFOAM does not run either
+    except ImportError:  # on systems without OpenFOAM
         return
     try:
         flock(log, LOCK_EX | LOCK_NB)
@@ -246,14 +246,14 @@ def _lock_case(log: IO[str], folder: Path) -> None:
 
 
 def _reconstruct_state(folder: Path, done: int) -> None:
-    """Put together the last state that a run of several cores left in its parts when it was killed."""
+    """Reconstruct the last state of a killed parallel run from its parts."""
     last = max(list_processor_states(folder), default=0)
     if last > done:
         _run_utility(folder, ("reconstructPar", "-time", str(last)), openfoam_environment())
 
 
 def _remove_partial_states(folder: Path, after: int) -> None:
-    """Drop states cut off in mid-write: the solver would start from the last folder that bears a number."""
+    """Remove truncated states, because the solver starts from the last folder with a number as name."""
     whole = list_complete_states(folder)
     for place in folder.glob("[0-9]*"):
         if place.name.isdigit() and int(place.name) > after and int(place.name) not in whole:
@@ -357,13 +357,13 @@ def _find_first_error(log: Path) -> str:
 
 
 def read_history(folder: Path, last: int | None = None, *, patch: str = "blade") -> Array:
-    """Thrust and torque of every iteration; of a pair the upper rotor's, or with ``patch`` ``blade_lower`` the other's.
+    """Read thrust and torque of every iteration; for a pair ``patch`` ``blade_lower`` selects the lower rotor.
 
     Returns
     -------
     (iterations, 3) array
-        Iteration, thrust (N) and torque (N m) of the whole rotor. Iterations that a resumed run repeated stand once,
-        as last told.
+        Iteration, thrust (N) and torque (N m) of the whole rotor. Iterations repeated by a resumed run occur once, with
+        their last values.
     """
     point = read_point(folder)
     rows: dict[int, tuple[float, float]] = {}
@@ -377,7 +377,7 @@ def read_history(folder: Path, last: int | None = None, *, patch: str = "blade")
 
 
 def _read_function_rows(folder: Path, what: str, file: str, last: int | None = None) -> dict[int, list[float]]:
-    """Rows that a function object wrote, by iteration; each start of the solver wrote a file of its own."""
+    """Read the rows written by a function object, by iteration; each start of the solver has its own file."""
     out: dict[int, list[float]] = {}
     places = sorted((folder / "postProcessing" / what).glob("*"), key=lambda p: float(p.name))
     for place in places[-1:] if last else places:
@@ -393,12 +393,12 @@ def _read_function_rows(folder: Path, what: str, file: str, last: int | None = N
                 try:
                     out[int(float(numbers[0]))] = [float(x) for x in numbers[1:]]
                 except (ValueError, IndexError):
-                    continue  # a line cut off in mid-write
+                    continue  # a truncated line
     return out
 
 
 def judge_case(folder: Path, *, patch: str = "blade") -> ConvergenceVerdict:
-    """Judge a case, of a pair one rotor, by what its run has told so far."""
+    """Judge the present state of a case; for a pair of one rotor."""
     point = _effective_point(folder)
     loads = read_history(folder, patch=patch)
     flow = _read_function_rows(folder, "flows", "surfaceFieldValue.dat")
@@ -408,7 +408,7 @@ def judge_case(folder: Path, *, patch: str = "blade") -> ConvergenceVerdict:
 
 
 def _effective_point(folder: Path) -> OperatingPoint:
-    """What a case computes; after another rotor's loads were put there, a window has to pass before a verdict."""
+    """Return the operating point of a case; after a change of the actuator disc a whole window precedes the verdict."""
     point, disc = read_point(folder), read_actuator_disc(folder)
     return point if disc is None else replace(point, least=max(point.least, disc.since + VERDICT_WINDOW))
 
@@ -419,11 +419,11 @@ def judge_loads(loads: Array, outflow_m3_s: float, continuity: float, point: Ope
     Parameters
     ----------
     loads : (iterations, 3) array
-        As :func:`read_history` returns.
+        Loads from :func:`read_history`.
     outflow_m3_s : float
-        Out of the bottom of the sector.
+        Volume flow out of the bottom of the sector.
     continuity : float
-        What the solver calls ``sum local``: divergence of the fluxes, averaged over volume, times its step of 1 s.
+        The solver's ``sum local``: divergence of the fluxes, averaged over volume, times its step of 1 s.
     point : Point
     """
     count = int(loads[-1, 0]) if len(loads) else 0
@@ -432,7 +432,7 @@ def judge_loads(loads: Array, outflow_m3_s: float, continuity: float, point: Ope
     window = loads[-VERDICT_WINDOW:]
     mean = window[:, 1:].mean(axis=0)
     size = np.maximum(np.abs(mean), 1e-300)
-    # A thrust that no blade of that size gives: c_T 1 and more.
+    # A thrust that is physically impossible: c_T of 1 or more.
     area = math.pi * point.radius_m**2
     most = point.density_kg_m3 * area * (point.speed_rad_s * point.radius_m) ** 2
     x = window[:, 0] - window[:, 0].mean()
@@ -466,6 +466,6 @@ def judge_loads(loads: Array, outflow_m3_s: float, continuity: float, point: Ope
 def _last_continuity(log: Path) -> float:
     if not log.is_file():
         return math.nan
-    # One iteration's jumps by a factor of two and more; some twenty fit in there.
+    # Single iterations jump by a factor of two or more; the window has about twenty iterations.
     found = _CONTINUITY.findall(_read_tail(log, 20000))
     return float(np.median([float(x) for x in found])) if found else math.nan

@@ -1,8 +1,8 @@
-"""The blades' surface with what the air does to it, for viewers of others: VTP (ParaView) and glTF 2.0 (browsers).
+"""Export of blade surfaces with pressure and friction as VTP (ParaView) and glTF 2.0 (browsers).
 
-VTP is VTK's XML of polygons, version 1.0: arrays of little-endian numbers, each led by its length in bytes, appended in
-base64 (VTK File Formats, kitware). A binary glTF is two chunks, JSON and numbers (Khronos glTF 2.0, sec. 4.4); it is
-y up and in metres, so that the shaft lies along y there. Faces have colours of their own, not blended at corners.
+VTP is VTK's XML of polygons, version 1.0: arrays of little-endian numbers, each preceded by its length in bytes,
+appended in base64 (VTK File Formats, Kitware). A binary glTF has two chunks, JSON and numbers (Khronos glTF 2.0, sec.
+4.4). Its frame is y up in metres, so that the shaft lies along y. Each face has a single colour.
 """
 
 from __future__ import annotations
@@ -37,18 +37,18 @@ _VTK_TYPES = {
 
 
 def extract_blade_surface(mesh: PolyMesh, solution: CfdSolution) -> tuple[Array, Index, dict[str, NDArray]]:
-    """The walls of all blades: points, faces and what holds on the faces.
+    """Extract the walls of all blades: points, faces and data on the faces.
 
     Returns
     -------
     points : (points, 3) array
-        m.
+        Coordinates (m).
     faces : (faces, 4) array
         Anticlockwise from outside.
     data : dict of (faces,) and (faces, 3) arrays
         ``pressure_Pa``, ``friction_Pa`` (shear stress of the air on the wall), ``yplus``, ``blade``.
     """
-    own = mesh.faces[mesh.patch_faces("blade")][:, ::-1]  # the mesh's leave the air
+    own = mesh.faces[mesh.patch_faces("blade")][:, ::-1]  # normals of the mesh point out of the air
     used, faces = np.unique(own, return_inverse=True)
     faces = faces.reshape(own.shape)
     points, shear, rings = [], [], []
@@ -68,7 +68,7 @@ def extract_blade_surface(mesh: PolyMesh, solution: CfdSolution) -> tuple[Array,
 
 
 def interpolate_to_points(mesh: PolyMesh, values: Array) -> Array:
-    """Values of the cells brought to the points, by one over the distance; the same on both periodic planes."""
+    """Interpolate cell values to the points by inverse distance, with equal values on both periodic planes."""
     total, weight = np.zeros(len(mesh.points)), np.zeros(len(mesh.points))
     inside = len(mesh.neighbour)
     for faces, cells in ((mesh.faces, mesh.owner), (mesh.faces[:inside], mesh.neighbour)):
@@ -76,7 +76,7 @@ def interpolate_to_points(mesh: PolyMesh, values: Array) -> Array:
         total += np.bincount(faces.ravel(), (near * values[cells][:, None]).ravel(), len(total))
         weight += np.bincount(faces.ravel(), near.ravel(), len(total))
     left = mesh.faces[mesh.patch_faces("sector_left")]
-    right = mesh.faces[mesh.patch_faces("sector_right")][:, [0, 3, 2, 1]]  # it runs the other way round
+    right = mesh.faces[mesh.patch_faces("sector_right")][:, [0, 3, 2, 1]]  # opposite orientation
     pairs = np.unique(np.stack((left.ravel(), right.ravel()), axis=-1), axis=0)
     for sums in (total, weight):
         both = sums[pairs].sum(axis=1)
@@ -87,11 +87,11 @@ def interpolate_to_points(mesh: PolyMesh, values: Array) -> Array:
 def extract_iso_surface(
     mesh: PolyMesh, values: Array, level: float, *, among: NDArray[np.bool_] | None = None
 ) -> tuple[Array, Index]:
-    """Surface on which a quantity of the cells has a value, by marching through tetrahedra, without gaps.
+    """Extract a closed isosurface of a cell quantity by marching tetrahedra.
 
-    Every cell is cut into 24 tetrahedra, from its centre and the centres of its faces to their edges, in which the
-    quantity is linear; points have the cells' mean around them (:func:`interpolate_to_points`). Source: Doi and Koide,
-    IEICE Transactions E74-D, 1991.
+    Every cell is divided into 24 tetrahedra, from its centre and the centres of its faces to their edges. The quantity
+    is linear in each; values at points come from :func:`interpolate_to_points`. Source: Doi and Koide, IEICE
+    Transactions E74-D, 1991.
 
     Parameters
     ----------
@@ -99,21 +99,21 @@ def extract_iso_surface(
     values : (cells,) array
     level : float
     among : (cells,) array of bool, optional
-        The cells that are looked at; default: all.
+        Cells to be used; default: all.
 
     Returns
     -------
     points : (points, 3) array
-        m.
+        Coordinates (m).
     triangles : (triangles, 3) array
-        Anticlockwise seen from where the quantity is lower. Neighbours share their points, so where the surface does
-        not leave the cells every edge is one of two triangles.
+        Point indices, anticlockwise seen from the side of lower values. Neighbours share points: inside the mesh every
+        edge belongs to two triangles.
     """
     at_points = interpolate_to_points(mesh, values)
     inside = len(mesh.neighbour)
     faces = np.concatenate((mesh.faces, mesh.faces[:inside]))
     cell = np.concatenate((mesh.owner, mesh.neighbour))
-    # Only cells whose values lie on both sides are cut.
+    # Only cells with values on both sides of the level are cut.
     low, high = values.copy(), values.copy()
     np.minimum.at(low, cell, at_points[faces].min(axis=1))
     np.maximum.at(high, cell, at_points[faces].max(axis=1))
@@ -137,7 +137,7 @@ def extract_iso_surface(
     )
     above = (four_values > level).sum(axis=1)
 
-    # Which edges a tetrahedron is cut on, by how many of its corners lie above.
+    # Edges on which a tetrahedron is cut, by the number of its corners above the level.
     cuts = {1: [(0, 1, 0, 2, 0, 3)], 2: [(0, 2, 0, 3, 1, 2), (0, 3, 1, 3, 1, 2)], 3: [(0, 3, 1, 3, 2, 3)]}
     parts = []
     for count, triangles in cuts.items():
@@ -157,11 +157,11 @@ def extract_iso_surface(
 
 
 _WELD_TOLERANCE = 1e-6
-"""Points nearer than that to each other, of the largest coordinate, are one."""
+"""Distance below which points are merged, over the largest coordinate."""
 
 
 def _weld_triangles(triangles: Array) -> tuple[Array, Index]:
-    """Points and indices of (triangles, 3, 3) corners; a triangle that shrinks to less than three points is dropped."""
+    """Merge corners, (triangles, 3, 3), to points and indices; triangles with fewer than three points are dropped."""
     corners = triangles.reshape(-1, 3)
     if not len(corners):
         return corners, np.empty((0, 3), dtype=np.int64)
@@ -175,19 +175,19 @@ def _weld_triangles(triangles: Array) -> tuple[Array, Index]:
 VORTEX_Q_LEVEL = 0.03
 """Level of Q, over (tip speed / chord) squared, of the surfaces that show vortices.
 
-A vortex of circulation G spread evenly over a core of radius a turns with a vorticity w = G / (pi a^2), and
-Q = w^2 / 4 in it. A blade at a lift coefficient of 0.6 sheds G = 0.3 c V: with this level its tip vortex is shown until
-it is spread over half a chord, a = 0.52 c.
+A vortex of circulation G with a uniform core of radius a has the vorticity w = G / (pi a^2) and Q = w^2 / 4. A blade at
+a lift coefficient of 0.6 sheds G = 0.3 c V. This level shows its tip vortex until the core radius exceeds half a chord,
+a = 0.52 c.
 """
 
 
 def extract_vortex_surface(
     mesh: PolyMesh, flow: FlowField, point: OperatingPoint
 ) -> tuple[Array, Index, dict[str, NDArray]]:
-    """Vortices of all blades within 2 R: surfaces of :data:`VORTEX_Q_LEVEL`, outside the blades' boundary layer.
+    """Extract the vortices of all blades within 2 R: surfaces of :data:`VORTEX_Q_LEVEL` outside the boundary layer.
 
-    Cells nearer to a wall than a laminar boundary layer is thick at the tip's tail, 5 c / sqrt(V c / nu), are left out:
-    their Q is friction's. Source: Blasius, in Schlichting, Boundary-Layer Theory, 1979, ch. VII.
+    Cells closer to a wall than the thickness of a laminar boundary layer at the tip's trailing edge, 5 c / sqrt(V c /
+    nu), are left out. Source: Blasius, in Schlichting, Boundary-Layer Theory, 1979, ch. VII.
 
     Returns
     -------
@@ -222,7 +222,7 @@ def extract_vortex_surface(
 
 
 def _middle_chord(mesh: PolyMesh) -> float:
-    """The blade's chord (m) in the middle of its strips: half of the wall's area per span."""
+    """Return the blade's chord (m) in the middle of its strips: half of the wall's area per span."""
     faces = mesh.patch_faces("blade")
     strip, width = mesh.cell_strip[mesh.owner[faces]], np.diff(mesh.strip_edges_m)
     area = np.linalg.norm(mesh.face_areas[faces], axis=1)
@@ -231,7 +231,7 @@ def _middle_chord(mesh: PolyMesh) -> float:
 
 
 def average_at_points(points: Array, faces: Index, values: NDArray) -> Array:
-    """Mean at each point of the values (faces,) around it; (points,) array."""
+    """Return the mean of the adjacent face values (faces,) at each point; (points,) array."""
     each = faces.shape[1]
     count = np.bincount(faces.ravel(), minlength=len(points))
     total = np.bincount(faces.ravel(), np.repeat(values, each), len(points))
@@ -297,7 +297,7 @@ def write_glb(
     *,
     shared: bool = False,
 ) -> Path:
-    """Write quadrilaterals or triangles as a binary glTF, each in its own colour or with colours of its points.
+    """Write quadrilaterals or triangles as a binary glTF, coloured by face or by point.
 
     Parameters
     ----------
@@ -310,8 +310,8 @@ def write_glb(
         Red, green, blue, linear; with ``shared`` (points, 3).
     name : str
     shared : bool
-        The points have the colours and neighbours share them, which takes a fifth of the room; there are no normals,
-        and a viewer shades every face evenly.
+        True for colours of points, which neighbours share. The file has a fifth of the size and no normals; viewers use
+        flat shading.
 
     Raises
     ------
@@ -370,7 +370,7 @@ def write_glb(
     }  # fmt: skip
     text = json.dumps(tree, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
-    body = b"".join(values.tobytes() for values, _, _ in arrays.values())  # every part is a multiple of 4 long
+    body = b"".join(values.tobytes() for values, _, _ in arrays.values())  # every part has a multiple of 4 bytes
     head = struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + len(body))
     return _write_bytes(
         file,
@@ -379,7 +379,7 @@ def write_glb(
 
 
 def map_colours(values: Array) -> NDArray[np.uint8]:
-    """Colours of values, of the 1st to the 99th percentile; (faces, 3) array, linear as glTF wants them."""
+    """Map values to colours between the 1st and 99th percentile; (faces, 3) array, linear RGB for glTF."""
     from matplotlib import colormaps
 
     low, high = np.percentile(values, (1, 99)) if len(values) else (0.0, 1.0)
