@@ -222,7 +222,7 @@ class FlowField:
 
     @property
     def q_1_s2(self) -> Array:
-        """Q criterion (1/s^2), (|rotation rate|^2 - |strain rate|^2) / 2, above 0 in vortex cores; (cells,).
+        """Q criterion (1/s^2), half of rotation rate squared less strain rate squared, above 0 in vortices; (cells,).
 
         Source: Hunt, Wray and Moin, Center for Turbulence Research CTR-S88, 1988.
         """
