@@ -62,7 +62,7 @@ def test_results_go_through_the_fits(series):
 def test_a_series_that_cannot_be_trusted_ends_with_status_1_and_no_results(series):
     plan = str(series / "plan.toml")
     output("bench", "run", plan, "--out", str(series / "bad"), "--fault", "reference")
-    assert "is not to be trusted (reference)" in refused("bench", "analyse", str(series / "bad"))
+    assert "fails its checks (reference)" in refused("bench", "analyse", str(series / "bad"))
     assert not (series / "bad" / "results").exists()
 
 

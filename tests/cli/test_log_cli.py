@@ -91,7 +91,7 @@ def test_plot_refuses_what_is_not_there(log):
         run("plot", log, "measured_altitude")
     with pytest.raises(InputError, match="has no such field"):
         run("plot", log, "table/V")
-    with pytest.raises(InputError, match="nothing to draw"):
+    with pytest.raises(InputError, match="has no data in this time span"):
         run("plot", log, "--from", 100, "--out", "nowhere")
 
 

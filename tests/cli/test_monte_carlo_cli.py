@@ -51,7 +51,7 @@ def test_failed_flights_are_recorded_and_their_command_flies_them_again(monkeypa
     assert run(monkeypatch, *words) == 0
     shown = capsys.readouterr().out
     assert "0 of 2 flights succeeded, 0 %" in shown
-    assert "By what the state machine says it would be 2." in shown
+    assert "The state machine reports 2 successes." in shown
     for name in ("flights.nc", "flights.csv", "flights.jsonl", "flights-distributions.png", "summary.json"):
         assert (out / name).stat().st_size > 0
     command = shlex.split((out / "failed" / "00001" / "command.txt").read_text())
@@ -74,7 +74,7 @@ def test_failed_flights_are_recorded_and_their_command_flies_them_again(monkeypa
         (("--flights", "0"), "--flights: no flights"),
         (("--tolerance", "0"), "--tolerance: 0 m"),
         (("--fault", "sonar.jump"), "--fault: sonar.jump@0s: the true state has no sensor faults"),
-        (("--flights", "0", "--search", "3"), "--search: nothing varies"),
+        (("--flights", "0", "--search", "3"), "--search: only the noise varies"),
     ],
 )
 def test_wrong_options_are_said_in_one_line(monkeypatch, capsys, tmp_path: Path, words, why: str) -> None:

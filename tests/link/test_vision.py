@@ -151,5 +151,5 @@ def test_unknown_covariances_and_vehicles_that_want_none() -> None:
     outside = Outside(Rig())
     outside.go(0.3)
     assert "it does not fly on positions from outside; start it with --position link" in outside.station.words
-    with pytest.raises(InputError, match="it flies on the true state"):
+    with pytest.raises(InputError, match="ideal sensors use no position fixes"):
         Flight("mufly-1.1", "demonstration", outside=True)

@@ -77,7 +77,7 @@ def test_data_of_others_and_of_one_s_own(data):
     assert [c.name for c in load_cases(data, "KPF")[0]] == ["kpf_96x70"]
     with pytest.raises(InputError, match="--only"):
         load_cases(data, "nothing of that name")
-    with pytest.raises(InputError, match="no folder"):
+    with pytest.raises(InputError, match="not a folder"):
         load_cases(data / "not")
 
 

@@ -105,7 +105,7 @@ def test_what_makes_no_sense_is_refused(start: StudySetup) -> None:
         optimise_rotor(start, "thrust-per-power", ["colour"])
     with pytest.raises(InputError, match="is fixed and free"):
         optimise_rotor(start, "thrust-per-power", ["airfoil"])
-    with pytest.raises(InputError, match="no goal"):
+    with pytest.raises(InputError, match="is unknown"):
         optimise_rotor(start, "beauty", ["chord"])
     with pytest.raises(InputError, match="contains nothing"):
         search_bounds("radius", [parse_limit("radius<=50mm"), parse_limit("radius>=60mm")])

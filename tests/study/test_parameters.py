@@ -51,7 +51,7 @@ def test_names_are_kept() -> None:
         ("chord=10:30:-5mm", "contains no value"),
         ("chord=1:2:3:4mm", "is not a range"),
         ("chord=-5mm", "out of range"),
-        ("blades=2.5", "no whole number"),
+        ("blades=2.5", "not a whole number"),
         ("chord=1:1e9:1mm", "larger steps"),
     ],
 )
@@ -98,7 +98,7 @@ def test_naca_digits() -> None:
     assert modify_naca_name("naca4412", {"camber": 0.0}) == "naca0012"
     assert modify_naca_name("naca0012", {"camber": 0.02}) == "naca2412"
     assert modify_naca_name("NACA 4412", {"camber_position": 0.7}) == "naca4712"
-    with pytest.raises(InputError, match="no four-digit"):
+    with pytest.raises(InputError, match="not a four-digit"):
         modify_naca_name("goe394", {"camber": 0.02})
     with pytest.raises(InputError, match="not in the series"):
         modify_naca_name("naca4412", {"camber": 0.025})

@@ -159,7 +159,7 @@ def test_files_give_back_the_results(setup: StudySetup, tmp_path) -> None:
     lines = table.read_text(encoding="utf-8").splitlines()
     assert lines[0].startswith("airfoil,pitch_rad,thrust_N,")
     assert len(lines) == 1 + 6
-    with pytest.raises(InputError, match="no result file"):
+    with pytest.raises(InputError, match="not a result file"):
         read_results(table)
 
 
