@@ -98,7 +98,7 @@ def test_a_damaged_map_is_refused(vehicle, tmp_path, change, words) -> None:
 def test_what_is_no_map_is_refused(vehicle, tmp_path) -> None:
     for name, words in (
         ("none.toml", "no such coefficient map"),
-        ("mine.toml", "no coefficient map"),
+        ("mine.toml", "not a coefficient map"),
         (5, "no name"),
     ):
         with pytest.raises(InputError, match=words):

@@ -104,7 +104,7 @@ def test_what_is_accepted_can_be_asked_to_hover() -> None:
         (("contact", "legs", "value"), [[0.1, 0, -0.1]] * 3, "contact.legs", "below the centre of gravity"),
         (("range_ring", "min_range", "value"), 2.0, "range_ring.min_range", "not below max_range"),
         (("rotors", "radius", "value"), 1e300, "rotors.radius", "at most 5"),
-        (("range_ring", "count"), True, "range_ring.count", "True"),
+        (("range_ring", "count"), True, "range_ring.count", "true is not a whole number"),
     ],
 )
 def test_fault_is_named(tmp_path, place, odd, key, words) -> None:
