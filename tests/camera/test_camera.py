@@ -161,7 +161,7 @@ def test_a_users_picture_lies_north_up(tmp_path: object) -> None:
     )
     assert north.mean() > 2 * south.mean()
     (folder / "none.png").write_bytes(b"\x89PNG broken")
-    with pytest.raises(InputError, match=r"none\.png.*no picture"):
+    with pytest.raises(InputError, match=r"none\.png.*not a picture"):
         load_floor_picture(folder / "none.png", 4.0)
 
 

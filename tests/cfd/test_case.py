@@ -390,7 +390,7 @@ def test_a_run_goes_on_after_it_was_killed_and_our_loads_are_the_solvers(tmp_pat
 
 def test_tips_near_the_speed_of_sound_are_refused():
     at = ("r", 2, 0.06, 0.2, 1e5, 0.0, "laminar", "tiny", 1.2, 1.8e-5, 1.0)
-    with pytest.raises(InputError, match=r"954930 rpm gives a tip Mach number of 17; stay below 0.7"):
+    with pytest.raises(InputError, match=r"954930 rpm moves the tips at Mach 17; stay below 0.7"):
         OperatingPoint(*at)
 
 
