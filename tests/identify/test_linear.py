@@ -455,7 +455,7 @@ def test_names_are_found_by_their_end_and_ambiguity_is_said():
     assert r.find_column("q", "outputs") is r.columns["reference_rates.q"]
     with pytest.raises(InputError, match="several"):
         r.find_column("s", "outputs")
-    with pytest.raises(InputError, match=r"no column.*measured_rates\.p"):
+    with pytest.raises(InputError, match=r"not a column.*measured_rates\.p"):
         r.find_column("lat", "inputs")
 
 
@@ -463,7 +463,7 @@ def test_names_are_found_by_their_end_and_ambiguity_is_said():
     ("arguments", "words"),
     [
         (["--model", "third-order"], "third-order"),
-        (["--outputs", "p,z=q"], "not an output"),
+        (["--outputs", "p,z=q"], "no output"),
         (["--inputs", "lat,collective"], "collective"),
         (["--outputs", "p=speed"], "speed"),
         (["--split", "0.001"], "--split"),
