@@ -384,7 +384,7 @@ def _far_field_conditions(climb_m_s: float) -> tuple[dict[str, str], dict[str, s
     none = "type fixedValue; value uniform 0;"
     before, behind = ("top", "bottom") if climb_m_s >= 0.0 else ("bottom", "top")
     # At outflow a total pressure condition fixes the static pressure. Along the side inflow and outflow alternate, and
-    #     # the pressure would jump between 0 and w^2 / 2: in climb the side has the static pressure 0.
+    # the pressure would jump between 0 and w^2 / 2: in climb the side has the static pressure 0.
     return (
         {before: comes, "side": along if climb_m_s else comes, behind: leaves},
         {before: total, "side": none if climb_m_s else total, behind: none},

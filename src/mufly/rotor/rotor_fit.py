@@ -353,7 +353,7 @@ def _fit_sections(
                 continue
             solved = least_squares(weighted_residuals, np.zeros(5), jac=residual_jacobian, max_nfev=100)
             # Near stall there may be two minima, and rounding differences between processors decide which one is found;
-            #             # therefore the fit also starts from the solution with the previous width.
+            # therefore the fit also starts from the solution with the previous width.
             if ended is not None:
                 again = least_squares(weighted_residuals, ended / wide, jac=residual_jacobian, max_nfev=100)
                 solved = again if again.cost < solved.cost else solved

@@ -1,4 +1,4 @@
-"""Which rotor and which drive are best? Sweeps over any parameter, rankings of airfoils, optimisation."""
+"""Design studies of rotors and drives: sweeps over any parameter, rankings of airfoils, optimisation."""
 
 from mufly.study.case_evaluation import (
     StudyResults,

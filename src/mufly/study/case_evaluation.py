@@ -1,25 +1,25 @@
-"""Cases of a study: rotor or pair, polars, blade elements or a wake, and the drive train where there is one.
+"""Evaluation of the cases of a study: rotor or pair by blade elements or wake, with an optional drive train.
 
-A case is a dictionary of parameters (SI values): what it does not name comes from the rotors and the drive of the
-study. Of a single rotor (``parameters.PARAMETERS``) it says the pitch and one of
+A case is a dictionary of parameters (SI values); other values come from the rotors and the drive of the study. For a
+single rotor (:mod:`mufly.study.study_parameters`) it contains the pitch and one of
 
-* ``speed``: the rotor is evaluated at it;
-* ``thrust``: the speed is found that gives it;
-* ``duty``: the speed is found at which rotor and motor settle (eq. 3.18), at ``voltage`` times duty.
+* ``speed``: the rotor is evaluated at this speed;
+* ``thrust``: the speed that gives this thrust is found;
+* ``duty``: the equilibrium speed of rotor and motor is found (eq. 3.18), at ``voltage`` times duty.
 
-With a thrust the gear may be ``"adapted"`` (full voltage gives just the thrust, as in the dissertation's Sec. 3.4) or
-``"best"`` (least power at any duty); see ``drive.gear``. Of a coaxial pair (``parameters.PAIR``) it says spacing, pitch
-(or the pitch of each rotor) and one of
+With a thrust the gear may be ``"adapted"`` (full voltage gives exactly the thrust, as in the dissertation's Sec. 3.4)
+or ``"best"`` (least power at any duty); see :mod:`mufly.drive.gear_ratio`. For a coaxial pair the case contains
+spacing, pitch (or the pitch of each rotor) and one of
 
 * ``upper_speed`` with ``lower_speed`` or ``speed_ratio``: the pair is evaluated at these speeds;
 * ``upper_speed`` alone: the lower speed is found at which the torques cancel;
 * ``thrust``: both speeds are found, torques cancelled.
 
-With ``free = "lower-pitch"`` the lower pitch cancels the torques instead, at the speeds given, or, with a thrust, at
-speeds of the ratio given (1 if none is).
+With ``balance_by = "lower-pitch"`` the lower pitch cancels the torques instead, at the given speeds or, with a thrust,
+at the given speed ratio (default 1).
 
-Single rotors by blade elements are solved many at once; wakes and pairs one after the other. A case that cannot be
-solved gets nan and a reason, and does not disturb the others.
+Single rotors by blade elements are solved in batches; wakes and pairs one after the other. A case that cannot be solved
+has nan and a reason, and does not affect the others.
 """
 
 from __future__ import annotations
@@ -85,19 +85,19 @@ _ROTOR_OUTPUTS = ("thrust_N", "torque_Nm", "power_W", "figure_of_merit", "c_T", 
 
 @result(eq=False)
 class StudyResults:
-    """Answers in the order of the cases: ``values[name]`` (n,), nan where ``fault[k]`` is not empty."""
+    """Results in the order of the cases: ``values[name]`` (n,), nan where ``fault[k]`` is not empty."""
 
     values: dict[str, Array]
     fault: list[str]
 
 
-_POLAR_CACHE: dict[tuple[str, float, str, str], PolarTable | str] = {}  # polars that were used last
-_MAX_CACHED_POLARS = 300  # a third of a megabyte each
+_POLAR_CACHE: dict[tuple[str, float, str, str], PolarTable | str] = {}  # most recently used polars
+_MAX_CACHED_POLARS = 300  # 0.3 MB each
 _POLAR_LOCK = threading.Lock()
 
 
 def load_polar_tables(names: Sequence[str], n_crit: float, setup: StudySetup) -> dict[str, PolarTable | str]:
-    """Polars of airfoils, or the reason why there is none; those not at hand are computed together, on all cores."""
+    """Return the polars of airfoils, or the reason of failure; missing polars are computed together on all cores."""
     key = {name: (name, n_crit, setup.polar_engine, setup.polar_model) for name in names}
     with _POLAR_LOCK:
         missing = [name for name in names if key[name] not in _POLAR_CACHE]
@@ -126,18 +126,18 @@ def evaluate_cases(setup: StudySetup, cases: Sequence[StudyCase]) -> StudyResult
     ----------
     setup : Setup
     cases : sequence of mappings
-        All with the same keys; see the module docstring.
+        Cases with equal keys; see the module docstring.
 
     Returns
     -------
     Results
-        By blade elements, bit by bit the same however the cases are grouped into calls; by the wake method, which
-        starts from the last wake, within its tolerance.
+        Results by blade elements do not depend on the grouping of cases into calls, bit for bit. Results of the wake
+        method, which starts from the last wake, agree within its tolerance.
 
     Raises
     ------
     InputError
-        If the parameters make no sense together (see :func:`check_parameters`).
+        If the parameters are inconsistent (see :func:`check_parameters`).
     MuflyError
         If the polar engine is not installed.
     """
@@ -191,7 +191,7 @@ def _evaluate_group(
     air: Air,
     out: StudyResults,
 ) -> None:
-    """Solve the cases that share air and polars."""
+    """Solve cases with equal air and polars."""
     shapes = {keys[k]: rotors[keys[k]] for k in members}
     names = list(dict.fromkeys(n for r in shapes.values() if isinstance(r, Rotor) for n in r.airfoil_names()))
     try:
@@ -300,7 +300,7 @@ def _evaluate_group(
 
 
 def _drive_columns(setup: StudySetup, column: Any) -> tuple[MotorConstants | None, Array]:
-    """Constants of the drive with what the cases change, as columns, and the supply voltage."""
+    """Return the constants of the drive with the cases' changes as columns, and the supply voltage."""
     if setup.drive is None:
         return None, np.zeros(0)
     own = setup.drive.motor_constants()
@@ -320,7 +320,7 @@ def _add_drive_results(
     answers: dict[str, Array],
     reasons: NDArray[Any],
 ) -> None:
-    """Add what the drive makes of speed and torque."""
+    """Add the results of the drive at speed and torque."""
     speed, torque = answers["speed_rad_s"], answers["torque_Nm"]
     with np.errstate(invalid="ignore", divide="ignore"):
         if gear in ("adapted", "best"):
@@ -350,11 +350,13 @@ def _add_drive_results(
 # ----------------------------------------------------------------------------
 # One case at a time: a wake, or a pair.
 #
-# Neighbouring cases start from each other's wake. A wake so begun agrees with one begun afresh within the tolerance
-# of convergence, not bit by bit; a case that does not converge that way is begun afresh before it is called failed. A
-# wake that settled only with thicker cores than the one remembered is no start for others: they would inherit them.
+# Neighbouring cases start from each other's wake. The result agrees with that of a fresh start within the tolerance of
+# convergence, not bit for bit. A case that does not converge is repeated from a fresh start before it fails. A wake
+# that converged only with thicker cores is not used as a start, because other cases would inherit the cores.
+#
+# The wake method uses all cores, and Numba's default threading layer serves one caller at a time.
 
-# The wake's sums run on all cores by themselves, and Numba's plain threading layer serves one caller at a time.
+# The wake method uses all cores, and Numba's default threading layer serves one caller at a time.
 _WAKE_LOCK = threading.Lock()
 _LAST_WAKES: dict[int, tuple[WakeSettings, SystemSolution]] = {}  # by number of rotors: the last converged wake
 _SPEED_TOLERANCE = 5e-4  # of the speed: 0.1 % of the thrust
@@ -367,12 +369,12 @@ def _core_limit(result: SystemSolution) -> float:
 
 
 def _solve_from_last_wake(setup: StudySetup, solved: Callable[..., SystemSolution]) -> SystemSolution:
-    """Solve from the last wake of this kind, afresh if that does not converge; by blade elements just solve.
+    """Solve from the last wake, or from a fresh start if that does not converge; blade elements need no start.
 
     Raises
     ------
     MuflyError
-        If it does not converge afresh either.
+        If the fresh start does not converge either.
     """
     if setup.method != "wake":
         return solved(start=None)
@@ -396,10 +398,10 @@ def _solve_by_wake(
     k: int,
     find: Callable[[RotorLoad], Array] | None,
 ) -> SystemSolution:
-    """Solve case ``k`` by the wake method, at its speed or, with ``find``, at the speed sought.
+    """Solve case ``k`` by the wake method, at its speed or, with ``find``, at an unknown speed.
 
-    That speed is found with blade element theory (``load``) scaled to the wake at the last speed, until it stands
-    still.
+    The unknown speed is found by blade element theory (``load``), scaled to the wake at the last speed, until it
+    converges.
     """
     omega = float(np.asarray(at.speed_rad_s))
     for _ in range(_MAX_WAKE_SOLUTIONS):
@@ -429,12 +431,12 @@ def _solve_by_wake(
 
 
 def build_system(setup: StudySetup, case: StudyCase | None = None) -> RotorSystem:
-    """Return the rotors of a case, reshaped, laid out and placed.
+    """Return the rotor system of a case with its changes of geometry.
 
     Raises
     ------
     MuflyError
-        If a shape is impossible or an airfoil has no polar.
+        If a geometry is impossible or an airfoil has no polar.
     """
     every = {**setup.fixed_parameters, **(case or {})}
     if setup.lower_rotor is None:
@@ -459,12 +461,12 @@ def build_system(setup: StudySetup, case: StudyCase | None = None) -> RotorSyste
 
 
 def build_condition(setup: StudySetup, case: StudyCase | None = None) -> OperatingCondition:
-    """Return what a case gives, and by leaving it out, what is to be found.
+    """Return the operating condition of a case; unknowns are None.
 
     Raises
     ------
     InputError
-        If the parameters make no sense together, or the case gives a duty, which :func:`evaluate_cases` takes.
+        If the parameters are inconsistent, or the case contains a duty, which only :func:`evaluate_cases` supports.
     """
     every = {**setup.fixed_parameters, **(case or {})}
     check_parameters(setup, every)
@@ -494,26 +496,26 @@ def solve_case(
     start: SystemSolution | None = None,
     progress: WakeProgress | None = None,
 ) -> SystemSolution:
-    """Solve one case, with all that :func:`mufly.rotor.solve_system` answers.
+    """Solve one case and return the complete solution of :func:`mufly.rotor.solve_system`.
 
     Parameters
     ----------
     setup : Setup
     case : mapping, optional
-        What changes from ``setup.fixed``; see the module docstring.
+        Changes from the fixed parameters of ``setup``; see the module docstring.
     system : System, optional
-        From :func:`build_system`, if it is at hand.
+        System of the case from :func:`build_system`.
     start : Result, optional
-        A similar one to start from.
+        Similar result to start from.
     progress : callable, optional
-        Of the wake: iteration, residual, thrust (N).
+        Called by the wake method with iteration, residual and thrust (N).
 
     Raises
     ------
     InputError
-        If parameters make no sense together, or the blades would touch.
+        If parameters are inconsistent, or the blades would collide.
     MuflyError
-        If no balance is found. A single wake that does not converge is returned, marked so.
+        If no balance is found. A single wake that does not converge is returned with ``converged`` false.
     """
     condition = build_condition(setup, case)
     system = system or build_system(setup, case)
@@ -530,7 +532,7 @@ def solve_case(
 def solve_isolated_rotors(
     setup: StudySetup, point: SystemSolution, progress: WakeProgress | None = None
 ) -> tuple[RotorResult, ...]:
-    """Return each rotor of a point without the others: same pitch, speed and climb.
+    """Solve each rotor of a solution in isolation at the same pitch, speed and climb.
 
     Raises
     ------
@@ -561,7 +563,7 @@ def solve_isolated_rotors(
 
 
 def _pair_results(point: SystemSolution) -> dict[str, float]:
-    """Return what a study of pairs keeps of a point."""
+    """Return the results of a pair for a study."""
     up, low = point.upper, point.lower
     row = {
         "thrust_N": point.thrust_N,

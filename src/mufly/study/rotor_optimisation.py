@@ -1,20 +1,17 @@
-"""A better rotor within limits, and what each change of it brought.
+"""Optimisation of rotors and pairs within limits, with the gain of each change.
 
-Differential evolution (Storn and Price, J. Global Optimization 11, 1997; SciPy's, with a seed, so that it
-repeats) over what is free, the pitch always included. A generation is evaluated as one batch. The gear, where
-free, costs no search: for every candidate it is the one of least power in closed form (``drive.best_gear_ratio``).
-Airfoils are numbered in the order of a ranking on the rotor at the start, so that neighbours in number are
-neighbours in merit. Cases that fail or break a limit count as worse than every case that does not, the more so
-the more they break it.
+The method is differential evolution (Storn and Price, J. Global Optimization 11, 1997; SciPy's, seeded and
+reproducible) over the free parameters, always including the pitch. A generation is evaluated as one batch. A free gear
+is not searched: the gear of least power follows for every candidate in closed form (``drive.best_gear_ratio``).
+Airfoils are numbered in the order of a ranking on the initial rotor, so that neighbouring numbers have similar merit.
+The cost of cases that fail or violate a limit exceeds that of all other cases and grows with the violation.
 
-Goals, at a given thrust of each rotor: ``thrust-per-power`` is thrust over electrical power; ``endurance`` is
-the time that the drive's battery holds all its rotors (``drive.hover_endurance``). For endurance the gear is
-chosen for the battery's low voltage, not its nominal one, because a motor that needs more voltage ends the
-hover sooner.
+Goals, at a given thrust of each rotor: ``thrust-per-power`` is thrust over electrical power; ``endurance`` is the hover
+time of the drive's battery with all rotors (``drive.hover_endurance``). For endurance the gear is chosen for the
+battery's low voltage instead of its nominal voltage, because a motor that needs more voltage ends the hover earlier.
 
-What each change brought: from the rotor at the start, at its own best pitch, the changes are made one after the
-other, each time the one that gains most, and the pitch is set anew (quarter of a degree). The gains depend on
-that order; they multiply to the whole.
+Gain of each change: from the initial rotor at its best pitch, the change with the greatest gain is made next, and the
+pitch is optimised again (to 0.25 degrees). The gains depend on this order; their product is the total gain.
 """
 
 from __future__ import annotations
@@ -72,17 +69,17 @@ _POPULATION = 12  # times the number of unknowns
 
 @result
 class DesignStep:
-    """One change of a rotor.
+    """Change of one parameter of a rotor.
 
     Attributes
     ----------
     parameter : str
     value : float or str
-        Its value (SI) or name.
+        New value (SI) or name.
     goal, gain : float
-        The goal after it, and the share that the change brought.
+        Goal after the change, and relative gain of the change.
     pitch_rad : float
-        Where it is best.
+        Best pitch after the change.
     """
 
     parameter: str
@@ -94,21 +91,21 @@ class DesignStep:
 
 @result(json="rotor=rotor.toml_tables pitch_rad changes goal unit before after steps results")
 class RotorOptimum:
-    """A better rotor.
+    """Optimised rotor.
 
     Attributes
     ----------
     rotor : Rotor
     pitch_rad : float
     changes : dict
-        Parameters that differ from the start, in SI units; the gear as found.
+        Parameters that differ from the initial rotor, in SI units, and the gear found.
     goal : str
     before, after : float
-        The goal (N/W or s) at the start, at its best pitch, and now.
+        Goal (N/W or s) of the initial rotor at its best pitch, and of the optimum.
     steps : tuple of Step
-        From the start to the end.
+        Changes from the initial rotor to the optimum.
     results : dict
-        What :func:`mufly.study.evaluate_cases` answers for the better rotor, ``min_thickness_m`` and ``endurance_s``.
+        Results of :func:`mufly.study.evaluate_cases` for the optimum, with ``min_thickness_m`` and ``endurance_s``.
     """
 
     rotor: Rotor
@@ -141,31 +138,31 @@ def optimise_rotor(
     generations: int = _GENERATIONS,
     progress: ProgressCallback | None = None,
 ) -> RotorOptimum:
-    """Search for a better rotor.
+    """Optimise a rotor.
 
     Parameters
     ----------
     setup : Setup
-        Rotor to start from, drive, and ``thrust`` among what is fixed.
+        Initial rotor, drive, and ``thrust`` among the fixed parameters.
     goal : {'thrust-per-power', 'endurance'}
     free : sequence of str
-        What may change, of :data:`FREE_PARAMETERS`; the pitch always may, unless it is fixed.
+        Free parameters, of :data:`FREE_PARAMETERS`; the pitch is always free unless fixed.
     limits : sequence of Limit
-        From :func:`mufly.study.study_parameters.parse_limit`; without, the ranges of
+        Limits from :func:`mufly.study.study_parameters.parse_limit`; default: the ranges of
         :data:`mufly.study.study_parameters.SEARCH_RANGES`.
     airfoils : sequence of str
         Candidates, if the airfoil is free.
     seed : int
-        Same seed, same answer.
+        Seed of the search; equal seeds give equal results.
     generations : int
-        How long to search.
+        Number of generations.
     progress : callable, optional
         ``progress(done, total)``, in generations.
 
     Raises
     ------
     InputError
-        If something is not free, fixed or limited in a way that makes sense.
+        If free, fixed and limited parameters are inconsistent.
     MuflyError
         If no candidate meets the limits.
     """
@@ -182,7 +179,7 @@ def optimise_rotor(
         if progress is not None:
             progress(min(done, generations), generations)
 
-    search: Callable[..., Any] = differential_evolution  # its types know no vectorised function
+    search: Callable[..., Any] = differential_evolution  # its type stubs lack vectorised functions
     found = search(
         evaluate_cost, list(zip(low, high, strict=True)), integrality=whole, rng=np.random.default_rng(seed),
         maxiter=generations, popsize=_POPULATION, tol=1e-6, mutation=(0.4, 0.9), recombination=0.8, polish=False,
@@ -195,7 +192,7 @@ def optimise_rotor(
 
 
 def _explain_optimum(problem: OptimisationProblem, best: dict[str, float | str]) -> RotorOptimum:
-    """Walk from the start to the best case, the greatest gain first."""
+    """Compute the changes from the initial rotor to the best case, the greatest gain first."""
     changes = {k: v for k, v in best.items() if k != "pitch"}
     before, _ = problem.optimise_pitch({}, True)
     goal, values, _ = problem.evaluate_goal([best])
@@ -212,7 +209,7 @@ def _explain_optimum(problem: OptimisationProblem, best: dict[str, float | str])
             reached, pitch = problem.optimise_pitch(case, own and name != "gear")
             tried.append((reached if math.isfinite(reached) else -math.inf, name, pitch))
         reached, name, pitch = max(tried, key=lambda t: t[0])
-        if len(left) == 1:  # the last step ends where the search ended, at its own pitch
+        if len(left) == 1:  # the last step ends at the optimum with its pitch
             reached, pitch = after, float(best.get("pitch", pitch))
         value: float | str = float(values["gear_ratio"][0]) if name == "gear" else changes[name]
         steps.append(DesignStep(name, value, reached, reached / at - 1.0 if at > 0 else math.nan, pitch))
@@ -234,13 +231,13 @@ def _explain_optimum(problem: OptimisationProblem, best: dict[str, float | str])
 
 
 # ----------------------------------------------------------------------------
-# An optimisation as a cost over numbers: what is free, what is limited, what is wanted (see ``optimise_rotor``).
+# The optimisation problem: free parameters, limits and goal as a cost function (see ``optimise_rotor``).
 
 
 OptimisationGoal = Literal["thrust-per-power", "endurance"]
 
 FREE_PARAMETERS = ("chord", "twist", "taper", "radius", "hub_cutout", "blades", "airfoil", "gear")
-_MAX_AIRFOIL_CANDIDATES = 30  # airfoils that the search looks at, the best of the ranking that the limits allow
+_MAX_AIRFOIL_CANDIDATES = 30  # number of airfoils in the search: the best of the ranking within the limits
 _RANKING_PITCHES_rad = tuple(float(p) for p in np.radians(np.arange(8.0, 21.0, 2.0)))
 SEARCH_PITCHES_rad = np.radians(np.arange(2.0, 26.1, 0.25))
 
@@ -251,7 +248,7 @@ def _thickness_ratio(name: str) -> float:
 
 
 def min_thickness_m(rotor: Rotor) -> float:
-    """Return the least of the blade's thicknesses along its span (m): chord times thickness ratio of the section."""
+    """Return the least thickness of the blade along its span (m): chord times thickness ratio of the section."""
     s = rotor.sections_at(np.linspace(float(rotor.hub_cutout), 1.0, 41))
     ratio = np.array([_thickness_ratio(name) for name in s.airfoil_names])
     return float(
@@ -260,9 +257,9 @@ def min_thickness_m(rotor: Rotor) -> float:
 
 
 class OptimisationProblem:
-    """Goal and limits as a cost over unknowns: what :func:`mufly.study.optimise_rotor` searches."""
+    """Goal and limits as a cost function of the unknowns of :func:`mufly.study.optimise_rotor`."""
 
-    FAILURE_COST = 1e3  # costs of cases that fail or break a limit begin here
+    FAILURE_COST = 1e3  # least cost of cases that fail or violate a limit
 
     def __init__(
         self,
@@ -318,7 +315,7 @@ class OptimisationProblem:
         return {"gear": "best"} if "gear" in self.free else {}
 
     def search_space(self) -> tuple[list[str], list[float], list[float], list[bool]]:
-        """Names, bounds and wholeness of the unknowns."""
+        """Return names and bounds of the unknowns, and whether they are integers."""
         names = [n for n in self.free if n != "gear"]
         if "pitch" not in self.setup.fixed_parameters:
             names.append("pitch")
@@ -328,12 +325,12 @@ class OptimisationProblem:
         for name in names:
             bounds = (0.0, len(self.candidates) - 1.0) if name == "airfoil" else search_bounds(name, self.limits)
             low.append(bounds[0])
-            # SciPy wants an interval; a single candidate is one all the same.
+            # SciPy requires an interval, also for a single candidate.
             high.append(bounds[1] if bounds[1] > bounds[0] else bounds[0] + 1e-9)
         return names, low, high, [n in ("airfoil", "blades") for n in names]
 
     def case_from_point(self, names: Sequence[str], x: Array) -> dict[str, float | str]:
-        """Parameters of one point of the search."""
+        """Return the parameters of a point of the search."""
         values: dict[str, float | str] = dict(zip(names, (float(v) for v in x), strict=True))
         if "airfoil" in values:
             values["airfoil"] = self.candidates[min(round(float(values["airfoil"])), len(self.candidates) - 1)]
@@ -344,7 +341,7 @@ class OptimisationProblem:
     def evaluate_goal(
         self, cases: Sequence[Mapping[str, float | str]], *, own_gear: bool = False
     ) -> tuple[Array, dict[str, Array], list[str]]:
-        """Goal (nan where it fails), results and faults of cases."""
+        """Return goal (nan for failed cases), results and faults of cases."""
         extra = {} if own_gear else self._gear_setting()
         results = evaluate_cases(replace(self.setup, fixed_parameters={**self.setup.fixed_parameters, **extra}), cases)
         per_power = results.values["thrust_per_power_N_W"]
@@ -387,7 +384,7 @@ class OptimisationProblem:
         return [(limit, derived[limit.name]()) for limit in self.limits if limit.name in derived]
 
     def evaluate_cost(self, names: Sequence[str], points: Array) -> Array:
-        """Cost of points (n, unknowns): less the goal, or above ``FAILURE_COST``."""
+        """Return the cost of points (n, unknowns): the negative goal, or a value above ``FAILURE_COST``."""
         cases = [self.case_from_point(names, x) for x in points]
         goal, values, _ = self.evaluate_goal(cases)
         cost = np.where(np.isfinite(goal), -goal, 2.0 * self.FAILURE_COST)
@@ -400,7 +397,7 @@ class OptimisationProblem:
         return cost
 
     def explain_failure(self, case: Mapping[str, float | str]) -> str:
-        """What a case breaks, in words."""
+        """Return a text about the limits that a case violates."""
         _, values, fault = self.evaluate_goal([case])
         if fault[0]:
             return fault[0]
@@ -412,7 +409,7 @@ class OptimisationProblem:
         return "; ".join(broken) or "the battery cannot hold the hover"
 
     def optimise_pitch(self, case: Mapping[str, float | str], own_gear: bool) -> tuple[float, float]:
-        """Greatest goal over the pitch, and that pitch."""
+        """Return the greatest goal over the pitch, and its pitch."""
         if "pitch" in self.setup.fixed_parameters:
             goal, _, _ = self.evaluate_goal([case], own_gear=own_gear)
             return float(goal[0]), float(self.setup.fixed_parameters["pitch"])
@@ -424,16 +421,15 @@ class OptimisationProblem:
 
 
 # ----------------------------------------------------------------------------
-# Blades and pitches of a coaxial pair for the least power at a thrust, torques balanced.
+# Blades and pitches of a coaxial pair for the least power at a thrust with balanced torques.
 #
-# Every candidate is brought to the thrust, both speeds found at which the torques cancel, by coaxial blade element
-# theory: (ln speed, ln speed ratio) follow ln(thrust) and ln(torque ratio) nearly in straight lines (slopes 2 and,
-# for rotors that disturb each other, about 2.6), so three to five solutions do. Differential evolution (SciPy's,
-# seeded) searches, Nelder and Mead's simplex polishes. Start and optimum are then set beside each other by the wake
-# method (:func:`verify_by_wake`), which the search never sees: where the two methods disagree about the gain, the user
-# reads so.
+# Coaxial blade element theory finds the speeds of every candidate at which the thrust is met and the torques cancel.
+# ln(thrust) and ln(torque ratio) are nearly linear in ln(speed) and ln(speed ratio), with slopes 2 and, for
+# interacting rotors, about 2.6, so three to five solutions suffice. Differential evolution (SciPy's, seeded) searches,
+# the simplex of Nelder and Mead refines. Start and optimum are then compared by the independent wake method
+# (:func:`verify_by_wake`); a disagreement about the gain is reported.
 #
-# Twist runs straight from hub to tip and is zero at the tip; chords are means (``study/study_setup.py``).
+# Twist is linear from hub to tip and zero at the tip; chords are means (``study/study_setup.py``).
 
 
 PAIR_FREE_PARAMETERS = tuple(
@@ -441,27 +437,27 @@ PAIR_FREE_PARAMETERS = tuple(
 )
 _PAIR_POPULATION = 8  # times the number of unknowns
 _PAIR_GENERATIONS = 30
-_SEARCH_STATIONS = 16  # in the search
-_FAILURE_COST = 1e3  # W; cost of what cannot be
+_SEARCH_STATIONS = 16  # stations along a blade during the search
+_FAILURE_COST = 1e3  # W; cost of impossible candidates
 _BALANCE_TOLERANCE = 1e-4
-_CLEARANCE_SPACING_SHARE = 0.9  # of the spacing, that pitched blades may take up
+_CLEARANCE_SPACING_SHARE = 0.9  # of the spacing: greatest vertical extent of the pitched blades
 
 
 @result
 class PairOptimum:
-    """A better pair.
+    """Optimised pair.
 
     Attributes
     ----------
     upper, lower : Rotor
     pitch_rad : (upper, lower)
     before, pitched, after : Result
-        By blade elements, at the thrust and balanced: the start; the start's blades at their best pitches, if the
-        pitches were free; the optimum.
+        Solutions by blade elements at the thrust with balanced torques: the initial pair; the initial blades at their
+        best pitches, if the pitches are free; the optimum.
     changes : dict
-        What was free, and its value (SI).
+        Values of the free parameters (SI).
     at_limit : tuple of str
-        What ended at an end of its range.
+        Parameters at an end of their range.
     evaluations : int
     """
 
@@ -481,12 +477,12 @@ class PairOptimum:
 
 
 def parse_pair_limit(text: str) -> DesignLimit:
-    """Return a limit on what is searched from text as ``"upper_chord<=25mm"``.
+    """Return a limit on a searched parameter from a text such as ``"upper_chord<=25mm"``.
 
     Raises
     ------
     InputError
-        If it is none.
+        If the text is no limit.
     """
     match = re.fullmatch(r"\s*(\w+)\s*(>=|<=)\s*(.+?)\s*", text)
     if match is None:
@@ -512,7 +508,8 @@ def _search_bounds(name: str, limits: Sequence[DesignLimit]) -> tuple[float, flo
 
 
 def _solve_balanced_pair(system: RotorSystem, at: OperatingCondition, start: list[float]) -> SystemSolution | None:
-    """The pair at its thrust with torques balanced to 1e-4, quickly; ``start`` (upper speed, ratio) is moved along."""
+    """Solve the pair at its thrust with torques balanced to 1e-4, from ``start`` (upper speed, ratio), which is
+    updated."""
     assert at.thrust_N is not None
     speed, ratio, slope = start[0], start[1], 2.6
     last: tuple[float, float] | None = None
@@ -545,27 +542,27 @@ def optimise_pair(
     generations: int = _PAIR_GENERATIONS,
     progress: Callable[[int, int], None] | None = None,
 ) -> PairOptimum:
-    """Search for a pair that needs less power.
+    """Optimise a pair for the least power.
 
     Parameters
     ----------
     setup : Setup
-        The pair to start from; ``fixed`` holds thrust, spacing and both pitches. Its method plays no part.
+        Initial pair; its fixed parameters contain thrust, spacing and both pitches. Its method is ignored.
     free : sequence of str
-        Of :data:`PAIR_FREE_PARAMETERS`.
+        Free parameters, of :data:`PAIR_FREE_PARAMETERS`.
     limits : sequence of Limit
-        From :func:`parse_pair_limit`; without, the ranges of :data:`mufly.study.study_parameters.SEARCH_RANGES`.
+        Limits from :func:`parse_pair_limit`; default: the ranges of :data:`mufly.study.study_parameters.SEARCH_RANGES`.
     seed, generations : int
-        Same seed, same answer; how long to search.
+        Seed of the search (equal seeds give equal results), and number of generations.
     progress : callable, optional
         ``progress(done, total)`` in generations.
 
     Raises
     ------
     InputError
-        If something cannot be free, or thrust, spacing or a pitch is missing.
+        If a parameter cannot be free, or thrust, spacing or a pitch is missing.
     MuflyError
-        If the start cannot be balanced at the thrust.
+        If the initial pair cannot be balanced at the thrust.
     """
     fast = replace(setup, method="bemt", balance_by="lower-speed")
     names = list(dict.fromkeys(free))
@@ -582,7 +579,7 @@ def optimise_pair(
     bounds = [_search_bounds(n, limits) for n in names]
     count, done = 0, 0
     start = [before.upper.speed_rad_s, before.lower.speed_rad_s / before.upper.speed_rad_s]
-    # The rotors once for all, where only pitches are free.
+    # The blades are prepared once if only pitches are free.
     still = build_system(rough) if all(n.endswith("pitch") for n in names) else None
     spacing = float(setup.fixed_parameters["spacing"])
 
@@ -616,7 +613,7 @@ def optimise_pair(
         mutation=(0.4, 0.9), recombination=0.8, polish=False, init="sobol", callback=report_generation,
     )  # fmt: skip
     effort = {"maxfev": 60 * len(names), "xatol": 1e-5, "fatol": 1e-5}
-    simplex: Callable[..., Any] = minimize  # its types know no plain dictionary
+    simplex: Callable[..., Any] = minimize  # its type stubs reject a plain dictionary
     fine = simplex(evaluate_power, found.x, method="Nelder-Mead", bounds=bounds, options=effort)
     x = np.clip(fine.x if fine.fun < found.fun else found.x, *np.transpose(bounds))
     changes = dict(zip(names, map(float, x), strict=True))
@@ -646,7 +643,7 @@ def optimise_pair(
 
 
 def _start_value(setup: StudySetup, name: str) -> float:
-    """Value of something free at the start."""
+    """Return the initial value of a free parameter."""
     side, what = name.split("_", 1)
     rotor = setup.rotors[0 if side == "upper" else 1]
     if name in setup.fixed_parameters:
@@ -662,7 +659,7 @@ def _start_value(setup: StudySetup, name: str) -> float:
 def verify_by_wake(
     setup: StudySetup, best: PairOptimum, progress: Callable[[int, float, float], None] | None = None
 ) -> tuple[SystemSolution | str, SystemSolution | str]:
-    """Start and optimum at the same thrust, balanced, by the wake method; the reason where one cannot be had."""
+    """Solve start and optimum at the same thrust, balanced, by the wake method; return the reason of a failure."""
     slow = replace(setup, method="wake", balance_by="lower-speed")
     answers: list[SystemSolution | str] = []
     known: SystemSolution | None = None

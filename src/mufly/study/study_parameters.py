@@ -1,6 +1,6 @@
-"""What a study can vary, and how a command line writes it: ``chord=10:30:5mm``, ``airfoil=goe394,naca4412``.
+"""Parameters of studies and their notation: ``chord=10:30:5mm``, ``airfoil=goe394,naca4412``.
 
-Numbers are written as in :mod:`mufly.quantity_grammar`, with their unit. Angles are against the plane of the rotor.
+Numbers are written as in :mod:`mufly.quantity_grammar`, with their unit. Angles are relative to the plane of the rotor.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ ParameterValue = float | str
 
 @dataclass(frozen=True)
 class StudyParameter:
-    """One thing that a study can vary.
+    """Parameter that a study can vary.
 
     Attributes
     ----------
     unit : str
         SI unit of the value; ``"text"`` for names.
     display_unit : str
-        Unit in which tables and plots show it.
+        Unit of the parameter in tables and plots.
     meaning : str
     is_integer : bool
         True for counts.
     is_positive : bool
-        True if the value has to be above zero.
+        True if the value must be above zero.
     """
 
     unit: str
@@ -44,7 +44,7 @@ class StudyParameter:
 
     @property
     def accepted_units(self) -> tuple[str, ...]:
-        """Units in which it may be written, the one that is shown first; ``""`` for a bare number."""
+        """Units accepted in texts, the display unit first; ``""`` for a bare number."""
         if self.unit == "text" or self.is_integer:
             return ("",) if self.is_integer else ()
         if self.unit == "1":
@@ -91,7 +91,7 @@ ROTOR_PARAMETERS: dict[str, StudyParameter] = {
     **DRIVE_PARAMETERS,
 }
 
-# What a study of a coaxial pair can vary; the names that both have mean the same.
+# Parameters of a study of a coaxial pair; names shared with single rotors have the same meaning.
 PAIR_PARAMETERS: dict[str, StudyParameter] = {
     "spacing": StudyParameter("m", "mm", "distance between the discs", is_positive=True),
     "upper_speed": StudyParameter("rad/s", "rpm", "speed of the upper rotor", is_positive=True),
@@ -131,7 +131,7 @@ def look_up_parameter(name: str, where: str, table: Mapping[str, StudyParameter]
     Raises
     ------
     InputError
-        If there is none.
+        If there is no such parameter.
     """
     if name not in table:
         raise InputError(where, "", f"{name!r} cannot be varied or set", suggest_name(name, table))
@@ -139,7 +139,7 @@ def look_up_parameter(name: str, where: str, table: Mapping[str, StudyParameter]
 
 
 def parse_quantity(name: str, text: str, table: Mapping[str, StudyParameter] = ROTOR_PARAMETERS) -> ParameterValue:
-    """Return one value in SI units from text as ``"12deg"``.
+    """Return one value in SI units from a text such as ``"12deg"``.
 
     Raises
     ------
@@ -155,7 +155,7 @@ def parse_quantity(name: str, text: str, table: Mapping[str, StudyParameter] = R
 def parse_values(
     text: str, table: Mapping[str, StudyParameter] = ROTOR_PARAMETERS
 ) -> tuple[str, tuple[ParameterValue, ...]]:
-    """Return name and values, in SI units, of text as ``"chord=10:30:5mm"``; ``table``: what there is.
+    """Return name and values (SI) from a text such as ``"chord=10:30:5mm"``; ``table`` lists the known parameters.
 
     Raises
     ------
@@ -182,12 +182,12 @@ def parse_values(
 def parse_settings(
     texts: Iterable[str], table: Mapping[str, StudyParameter] = ROTOR_PARAMETERS
 ) -> dict[str, tuple[ParameterValue, ...]]:
-    """Return ``{name: values}`` of several texts as :func:`parse_values` reads them.
+    """Return ``{name: values}`` from several texts as for :func:`parse_values`.
 
     Raises
     ------
     InputError
-        As :func:`parse_values`, and if a parameter is named twice.
+        As :func:`parse_values`, or if a parameter is named twice.
     """
     settings: dict[str, tuple[ParameterValue, ...]] = {}
     for text in texts:
@@ -199,7 +199,7 @@ def parse_settings(
 
 
 def to_display_unit(name: str, values: Iterable[ParameterValue]) -> tuple[np.ndarray, str]:
-    """Return values for reading, in the parameter's first unit, and that unit."""
+    """Return values in the parameter's display unit, and that unit."""
     p = find_parameter(name)
     listed = list(values)
     if p.unit == "text" or any(isinstance(v, str) for v in listed):
@@ -212,13 +212,13 @@ def to_display_unit(name: str, values: Iterable[ParameterValue]) -> tuple[np.nda
 # ----------------------------------------------------------------------------
 # Limits of an optimisation: ``chord<=25mm``, ``thickness_mm>=0.8``, ``speed_rpm<=7000``.
 #
-# A limit on something that is searched narrows its range; a limit on something that follows (:data:`DERIVED_LIMITS`) is
-# checked for every candidate. Both sides of a range are two limits.
+# A limit on a searched parameter narrows its range; a limit on a derived quantity (:data:`DERIVED_LIMITS`) is checked
+# for every candidate. A range has two limits.
 
 
 _DEGREE = math.pi / 180.0
 
-# Where is searched if nothing else is said (SI).
+# Default search ranges (SI).
 SEARCH_RANGES: dict[str, tuple[float, float]] = {
     "chord": (0.008, 0.035),
     "twist": (0.0, 20.0 * _DEGREE),
@@ -240,14 +240,14 @@ DERIVED_LIMITS: dict[str, str] = {
 
 @dataclass(frozen=True)
 class DesignLimit:
-    """``name`` at least or at most ``value``: SI units for what is searched, the unit in the name for what follows."""
+    """Limit: ``name`` at least or at most ``value``, in SI for searched parameters, else in the unit of the name."""
 
     name: str
     is_lower_bound: bool
     value: float
 
     def relative_violation(self, value: float) -> float:
-        """Return by how much a value breaks the limit, relative to the limit; 0 if it does not."""
+        """Return the violation of the limit by a value, relative to the limit; 0 if there is none."""
         short = self.value - value if self.is_lower_bound else value - self.value
         return 0.0 if short <= 1e-9 * abs(self.value) else short / (abs(self.value) or 1.0)
 
@@ -256,12 +256,12 @@ class DesignLimit:
 
 
 def parse_limit(text: str) -> DesignLimit:
-    """Return a limit from text as ``"thickness_mm>=0.8"`` or ``"radius<=60mm"``.
+    """Return a limit from a text such as ``"thickness_mm>=0.8"`` or ``"radius<=60mm"``.
 
     Raises
     ------
     InputError
-        If it is none, or what it limits is not known.
+        If the text is no limit, or the limited quantity is unknown.
     """
     match = re.fullmatch(r"\s*(\w+)\s*(>=|<=)\s*(.+?)\s*", text)
     if match is None:
@@ -277,12 +277,12 @@ def parse_limit(text: str) -> DesignLimit:
 
 
 def search_bounds(name: str, limits: Sequence[DesignLimit]) -> tuple[float, float]:
-    """Return where a parameter is searched (SI): its range, moved to what the limits say.
+    """Return the search range of a parameter (SI), narrowed by the limits.
 
     Raises
     ------
     InputError
-        If the limits leave nothing.
+        If the range is empty.
     """
     low, high = SEARCH_RANGES[name]
     floors = [lim.value for lim in limits if lim.name == name and lim.is_lower_bound]

@@ -1,4 +1,4 @@
-"""Pictures of studies: lines over one parameter, bars for the ends of a ranking, gear ratio curves."""
+"""Pictures of studies: curves over one parameter, bars of a ranking, gear ratio curves."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ def _new_figure(width: float = 7.0, height: float = 4.6) -> Figure:
 
 
 def sweep_picture(data: xr.Dataset, y: str, *, x: str | None = None, title: str = "") -> Figure:
-    """Draw one variable of a sweep over one parameter, a line for every combination of the others.
+    """Draw one variable of a sweep over one parameter, with a line for every combination of the others.
 
     Parameters
     ----------
     data : Dataset
         From :func:`mufly.study.sweep_parameters`.
     y : str
-        Variable.
+        Name of the variable.
     x : str, optional
-        Dimension on the horizontal axis. Default: pitch, or the first that is a number.
+        Dimension on the horizontal axis. Default: pitch, or the first numerical dimension.
     title : str
 
     Raises
@@ -89,7 +89,7 @@ def ranking_picture(ranking: xr.Dataset, *, ends: int = 20, title: str = "") -> 
     ranking : Dataset
         From :func:`mufly.study.rank_airfoils`.
     ends : int
-        How many from each end; all if there are no more.
+        Number of airfoils from each end of the ranking.
     """
     key = ranking.attrs["by"]
     good = ranking.isel(airfoil=np.flatnonzero(np.isfinite(ranking[key].values)))
@@ -121,7 +121,7 @@ def gear_curve_picture(
     marks : dict, optional
         Gear ratios to mark, by label.
     thrust_N : float, optional
-        Wanted thrust, drawn as a line.
+        Required thrust, drawn as a line.
     """
     figure = _new_figure(width=10.0)
     left, right = figure.subplots(1, 2)

@@ -1,4 +1,4 @@
-"""What all cases of a study share, what they answer, and which parameters go together; a rotor reshaped."""
+"""Setup of a study: shared settings, output variables, consistency of parameters, and changes of rotor geometry."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from mufly.study.study_parameters import (
     StudyParameter,
 )
 
-# Blade element momentum theory as recommended here, as in textbooks, and as the dissertation has it (Sec. 3.3.1:
-# effective radius of eq. 3.13, no swirl, no hub loss; its tuning to one rotor is not given).
+# Blade element momentum theory as recommended, as in textbooks, and as in the dissertation (Sec. 3.3.1: effective #
+# radius of eq. 3.13, no swirl, no hub loss; its calibration to one rotor is not published).
 BEMT_MODELS: dict[str, Corrections] = {
     "full": Corrections(),
     "plain": TEXTBOOK_CORRECTIONS,
@@ -87,33 +87,33 @@ _OPERATING_POINT_PARAMETERS = ("speed", "thrust", "duty")
 
 @dataclass(frozen=True)
 class StudySetup:
-    """What all cases of a study share.
+    """Settings shared by all cases of a study.
 
     Attributes
     ----------
     rotor : Rotor
-        The rotor, or the upper one of a coaxial pair.
+        The rotor, or the upper rotor of a coaxial pair.
     drive : Drive, optional
-        Of a single rotor.
+        Drive train of a single rotor.
     fixed_parameters : mapping
-        Parameters that hold in every case unless it names them itself.
+        Parameters of all cases; a case may override them.
     corrections : Corrections
-        Of the blade element calculation.
+        Corrections of the blade element calculation.
     polar_engine, polar_model : str
-        Of the polars.
+        Engine of the polars, and size of its network.
     with_outside_share : bool
-        Whether ``outside_share`` of single rotors is computed, which takes as long as the rest.
+        Whether ``outside_share`` of single rotors is computed, which doubles the time.
     method : 'bemt', 'tubes' or 'wake'
-        Blade element momentum theory; for pairs, with wakes that carry each other away, ten times as long; or the
-        wake method, a thousand to ten thousand times as long.
+        Blade element momentum theory; for pairs with vortex tubes, ten times as slow; or the wake method, a thousand to
+        ten thousand times as slow.
     wake_settings : WakeSettings
-        Of the wake method.
+        Settings of the wake method.
     station_count : int
-        Along a blade.
+        Number of stations along a blade.
     lower_rotor : Rotor, optional
-        The lower rotor; with it the study is one of a coaxial pair.
+        Lower rotor of a coaxial pair.
     balance_by : 'lower-speed' or 'lower-pitch'
-        What cancels the torques of a pair.
+        Variable that cancels the torques of a pair.
     """
 
     rotor: Rotor
@@ -139,21 +139,21 @@ class StudySetup:
 
     @property
     def error_subject(self) -> str:
-        """What faults of the study are reported about."""
+        """Subject of error messages about the study."""
         return "study" if self.lower_rotor is None else "coaxial"
 
     @property
     def rotors(self) -> tuple[Rotor, ...]:
-        """The rotor, or both of a pair, the upper one first."""
+        """The rotor, or both rotors of a pair, the upper first."""
         return (self.rotor,) if self.lower_rotor is None else (self.rotor, self.lower_rotor)
 
     @property
     def parameters(self) -> Mapping[str, StudyParameter]:
-        """What can be varied or set."""
+        """Parameters that can be varied or fixed."""
         return ROTOR_PARAMETERS if self.lower_rotor is None else PAIR_PARAMETERS
 
     def output_meanings(self) -> dict[str, tuple[str, str]]:
-        """Return name, unit and meaning of what :func:`evaluate` answers."""
+        """Return name, unit and meaning of the results of :func:`mufly.study.evaluate_cases`."""
         if self.lower_rotor is not None:
             return PAIR_OUTPUTS
         more = DRIVE_OUTPUTS if self.drive is not None else {}
@@ -161,13 +161,13 @@ class StudySetup:
 
 
 def check_parameters(setup: StudySetup, names: Iterable[str]) -> None:
-    """Refuse a study whose parameters make no sense together.
+    """Check that the parameters of a study are consistent.
 
     Raises
     ------
     InputError
-        If the pitch is missing, or not exactly one of speed, thrust and duty is there, or a drive is; of a pair, if
-        spacing, a pitch or an operating point is missing, or there are two.
+        For a single rotor, if the pitch or a required drive is missing, or not exactly one of speed, thrust and duty is
+        given. For a pair, if spacing or a pitch is missing, or not exactly one operating point is given.
     """
     every = {*names, *setup.fixed_parameters}
     table = setup.parameters
@@ -181,7 +181,7 @@ def check_parameters(setup: StudySetup, names: Iterable[str]) -> None:
 
 
 def _check_single_rotor(setup: StudySetup, every: set[str]) -> tuple[str, str, str] | None:
-    """Key, problem and remedy of what does not go together for a single rotor."""
+    """Yield key, problem and remedy of inconsistent parameters of a single rotor."""
     if "pitch" not in every:
         return "pitch", "is missing", "fix it (pitch=12deg) or vary it (pitch=6:20:1deg)"
     given = [g for g in _OPERATING_POINT_PARAMETERS if g in every]
@@ -197,7 +197,7 @@ def _check_single_rotor(setup: StudySetup, every: set[str]) -> tuple[str, str, s
 
 
 def _check_pair(setup: StudySetup, every: set[str]) -> tuple[str, str, str] | None:
-    """Key, problem and remedy of what does not go together for a pair."""
+    """Yield key, problem and remedy of inconsistent parameters of a pair."""
     if "spacing" not in every:
         return "spacing", "is missing", "give it, as spacing=20mm"
     each = [n for n in ("upper_pitch", "lower_pitch") if n in every]
@@ -219,15 +219,15 @@ def _check_pair(setup: StudySetup, every: set[str]) -> tuple[str, str, str] | No
 
 
 # ----------------------------------------------------------------------------
-# A rotor with one thing about its blades changed, the way the dissertation's studies change it.
+# Changes of a rotor's blades, as in the dissertation's studies.
 #
 # With x = r/R, the cut-out x0 and the mean chord c_m between x0 and the tip:
 #
 # * ``chord``: all chords times chord / c_m.
 # * ``taper`` t: c = c_h + (c_t - c_h) (x - x0) / (1 - x0), c_h = 2 c_m / (1 + t), c_t = t c_h, so that the area
 #   stays; the dissertation's TAPER3505 (35 mm at the hub, 5 mm at the tip, 20 mm before) is t = 1/7.
-# * ``twist`` T: theta = T (1 - x) / (1 - x0), zero at the tip. Where the dissertation measures its pitch angle it
-#   does not say; that its optimum moves to smaller pitch with stronger twist (Fig. 3.36) fits the tip, not the hub.
+# * ``twist`` T: theta = T (1 - x) / (1 - x0), zero at the tip. The dissertation does not state the
+#   radius of its pitch angle. Its optimum moves to smaller pitch with stronger twist (Fig. 3.36), which fits the tip.
 
 
 Array = NDArray[np.float64]
@@ -237,12 +237,12 @@ _NACA_PARAMETERS = ("camber", "camber_position", "thickness")
 
 
 def modify_naca_name(base: str, changes: Mapping[str, ParameterValue]) -> str:
-    """Return the four-digit NACA name with camber, its place or thickness (all over chord) changed.
+    """Return the four-digit NACA name with changed camber, camber position or thickness (all over chord).
 
     Raises
     ------
     InputError
-        If the airfoil is none of that series or a number is not one that the four digits can say.
+        If the airfoil is not of that series or four digits cannot express a number.
     """
     match = re.fullmatch(r"naca(\d)(\d)(\d\d)", re.sub(r"[\s_-]", "", base.lower()))
     if match is None:
@@ -268,8 +268,7 @@ def modify_naca_name(base: str, changes: Mapping[str, ParameterValue]) -> str:
 
 
 def reshape_rotor(rotor: Rotor, changes: Mapping[str, ParameterValue]) -> Rotor:
-    """Return the rotor with parameters of :data:`mufly.study.study_parameters.GEOMETRY_PARAMETERS` changed, values in
-    SI units.
+    """Return the rotor with changed :data:`mufly.study.study_parameters.GEOMETRY_PARAMETERS` (SI values).
 
     Raises
     ------
@@ -283,7 +282,7 @@ def reshape_rotor(rotor: Rotor, changes: Mapping[str, ParameterValue]) -> Rotor:
         )
     if not changes:
         return rotor
-    # Everything is worked out on arrays and checked once, at the end: a search makes thousands of rotors.
+    # All changes act on arrays and are validated once at the end, because a search makes thousands of rotors.
     tables = rotor.toml_tables()
     blade = tables["blade"]
     x0 = float(changes.get("hub_cutout", float(rotor.hub_cutout)))
@@ -292,7 +291,7 @@ def reshape_rotor(rotor: Rotor, changes: Mapping[str, ParameterValue]) -> Rotor:
         names = [modify_naca_name(name, changes) for name in names]
     x = rotor.blade.r_over_R.array()
     if ("taper" in changes or "twist" in changes) and len(names) == 1 and 0.0 <= x0 < 1.0 and x[0] < x0:
-        x = np.concatenate(([x0], x[x > x0]))  # a straight line begins at the cut-out
+        x = np.concatenate(([x0], x[x > x0]))  # the linear distribution begins at the cut-out
     chord, twist = rotor.chord_m(x), rotor.twist_rad(x)
     outboard = np.maximum(x, x0)
     if "taper" in changes:
@@ -304,7 +303,7 @@ def reshape_rotor(rotor: Rotor, changes: Mapping[str, ParameterValue]) -> Rotor:
         twist = float(changes["twist"]) * (1.0 - outboard) / (1.0 - x0)
     blade["airfoils"] = names
     if names != list(rotor.blade.airfoils):
-        tables.pop("fit", None)  # it belongs to the sections that it was made with
+        tables.pop("fit", None)  # a fit is valid only for its own sections
     for key, values in (("r_over_R", x), ("chord", chord), ("twist", twist)):
         if not np.array_equal(values, getattr(rotor.blade, key).array()):
             blade[key] = {**blade[key], "value": values.tolist(), **_STUDY_SOURCE}
@@ -317,7 +316,8 @@ def reshape_rotor(rotor: Rotor, changes: Mapping[str, ParameterValue]) -> Rotor:
 
 
 def _mean_over_blade(x: Array, values: Array, x0: float) -> float:
-    """Mean between the cut-out and the tip of what is straight between stations and constant inside the first."""
+    """Return the mean from cut-out to tip of a piecewise linear distribution that is constant inside the first
+    station."""
     at = np.concatenate(([x0], x[x > x0]))
     y = np.interp(at, x, values)
     return float(np.sum(0.5 * (y[1:] + y[:-1]) * np.diff(at)) / (1.0 - x0))

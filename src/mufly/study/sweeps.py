@@ -1,10 +1,10 @@
-"""Every combination of some parameters' values, on all cores or on a cluster, resumed where it was stopped.
+"""Sweeps over all combinations of parameter values, on all cores or on a cluster, with resumption.
 
-The combinations are cut into chunks. Each is evaluated at once (``evaluate_cases``) and, when a folder is given, kept
-there as a file; a sweep that is run again in the same folder computes only what is missing. The folder belongs
-to one question: its ``sweep.json`` holds a hash of rotor, drive, parameters and program version, and another
-question is refused. Chunks are functions of their cases alone, so it does not matter who computes them: threads
-here, or, through ``concurrent.futures`` all the same, the workers of a dask.distributed cluster.
+The combinations are divided into chunks. Each chunk is evaluated at once (``evaluate_cases``) and stored as a file if a
+folder is given; a repeated sweep in the same folder computes only missing chunks. The folder belongs to one sweep: its
+``sweep.json`` contains a hash of rotor, drive, parameters and program version, and another sweep is an error. Results
+depend on the cases of a chunk only. Local threads or the workers of a dask.distributed cluster compute the chunks, both
+by ``concurrent.futures``.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ from mufly.version import __version__
 
 ProgressCallback = Callable[[int, int], None]
 
-CASES_PER_CHUNK = 512  # cases of a single rotor by blade elements
+CASES_PER_CHUNK = 512  # chunk size for single rotors by blade elements
 _PAIRS_PER_CHUNK = 16
 _MAX_CASES = 50_000_000
-_SCHEDULER_TIMEOUT = "10s"  # for a scheduler to answer
+_SCHEDULER_TIMEOUT = "10s"  # wait for a response of the scheduler
 
 
 def sweep_parameters(
@@ -50,36 +50,36 @@ def sweep_parameters(
     workers: int | None = None,
     chunk: int | None = None,
 ) -> xr.Dataset:
-    """Evaluate every combination.
+    """Evaluate every combination of parameter values.
 
     Parameters
     ----------
     setup : Setup
-        Rotor or pair, drive and what is fixed; a varied parameter need not be.
+        Rotor or pair, drive and fixed parameters; varied parameters need no fixed value.
     vary : mapping
-        Values (SI) of each parameter that is varied; the order gives the order of the dimensions.
+        Values (SI) of each varied parameter; their order is that of the dimensions.
     folder : str or Path, optional
-        Where chunks are kept, so that a sweep that was stopped resumes.
+        Folder of stored chunks, from which an interrupted sweep resumes.
     progress : callable, optional
         ``progress(done, total)`` is called with numbers of cases, from the thread that called ``sweep_parameters``.
     cluster : str, optional
-        Address of a dask.distributed scheduler, as ``tcp://host:8786``; its workers need mufly.
+        Address of a dask.distributed scheduler such as ``tcp://host:8786``; its workers need mufly.
     workers : int, optional
-        Chunks computed at a time here; default: one a core.
+        Number of chunks computed locally at a time; default: one per core.
     chunk : int, optional
-        Cases in a chunk; default: 512, of pairs 16. A wake is a chunk of its own: it runs on all cores by itself, and
-        each is kept as soon as it is there.
+        Cases in a chunk; default: 512, for pairs 16. Each wake is a separate chunk, because it uses all cores and is
+        stored immediately.
 
     Returns
     -------
     xarray.Dataset
         Dimensions are the varied parameters. Variables are those of ``setup.output_meanings()`` with units in their
-        attributes, nan where a case failed, and ``fault``, the reason, empty where there is none.
+        attributes, nan for failed cases, and ``fault``, the reason of failure or an empty text.
 
     Raises
     ------
     InputError
-        If parameters make no sense together, a value is listed twice, or the folder holds another sweep.
+        If parameters are inconsistent, a value is listed twice, or the folder belongs to another sweep.
     MuflyError
         If the cluster cannot be reached or dask.distributed is not installed.
     """
@@ -123,7 +123,7 @@ def _evaluate_grid(
     setup: StudySetup, names: Sequence[str], values: Sequence[Sequence[ParameterValue]], chunk: int, question: str,
     folder: str | Path | None, progress: ProgressCallback | None, cluster: str | None, workers: int | None,
 ) -> list[StudyResults]:  # fmt: skip
-    """Answers to every combination, chunk by chunk; kept in and recalled from a folder."""
+    """Evaluate every combination in chunks, stored in and read from a folder."""
     total = int(np.prod([len(v) for v in values], dtype=np.int64))
     starts = list(range(0, total, chunk))
     place = None if folder is None else Path(folder)
@@ -146,7 +146,7 @@ def _evaluate_grid(
     with open_executor(cluster, workers) as executor:
         waiting = {}
         todo = iter([s for s in starts if s not in answers])
-        # A few more than there are workers: enough to keep them busy, few enough to stop soon and to fit in memory.
+        # A few chunks more than workers keep them busy, limit memory and allow a fast stop.
         for start in itertools.islice(todo, 4 * (os.cpu_count() or 1) if cluster is None else 256):
             waiting[executor.submit(evaluate_cases, setup, chunk_cases(start))] = start
         try:
@@ -175,7 +175,7 @@ def _evaluate_grid(
 
 @contextmanager
 def open_executor(cluster: str | None, workers: int | None = None) -> Iterator[Executor]:
-    """Threads here, or the workers of the dask cluster whose scheduler has this address.
+    """Open an executor: local threads, or the workers of the dask cluster with this scheduler address.
 
     Raises
     ------
@@ -187,7 +187,7 @@ def open_executor(cluster: str | None, workers: int | None = None) -> Iterator[E
             yield pool
         return
     try:
-        distributed = importlib.import_module("distributed")  # an extra, without types
+        distributed = importlib.import_module("distributed")  # optional dependency without types
     except ImportError as error:
         raise MuflyError(
             "a cluster needs dask.distributed, which is not installed; pip install 'mufly[cluster]'"
@@ -205,7 +205,7 @@ def open_executor(cluster: str | None, workers: int | None = None) -> Iterator[E
 def _sweep_digest(
     setup: StudySetup, names: Sequence[str], values: Sequence[Sequence[ParameterValue]], chunk: int
 ) -> str:
-    """Hash of everything that the answers depend on; airfoil files count by their contour."""
+    """Return the hash of all inputs of the results; airfoil files count by their contour."""
     listed = (v for vs in values for v in vs if isinstance(v, str))
     content = {
         "version": __version__,
@@ -228,7 +228,7 @@ def _sweep_digest(
 
 
 def _airfoil_digests(names: Iterable[str]) -> dict[str, str]:
-    """Digests of the airfoils that are files."""
+    """Return the digests of airfoils that are files."""
     found: dict[str, str] = {}
     for name in sorted(set(names)):
         path = Path(name)
@@ -261,7 +261,7 @@ def _build_dataset(
     parts: Sequence[StudyResults],
     attributes: Mapping[str, str],
 ) -> xr.Dataset:
-    """Answers of a grid as labelled arrays; ``outputs``: name to unit and meaning."""
+    """Build a dataset of the results on a grid; ``outputs`` gives unit and meaning by name."""
     shape = tuple(len(v) for v in values)
     variables: dict[str, Any] = {}
     for name, (unit, meaning) in outputs.items():
@@ -281,13 +281,13 @@ def _build_dataset(
 
 
 # ----------------------------------------------------------------------------
-# Results on disk: NetCDF for programs, CSV for people and spreadsheets.
+# Results on disk: NetCDF for programs, CSV for spreadsheets.
 
 
 def write_results(data: xr.Dataset, folder: str | Path, name: str = "sweep") -> list[Path]:
-    """Write ``name.nc`` and ``name.csv`` into a folder, which is made if need be.
+    """Write ``name.nc`` and ``name.csv`` into a folder, which is created if necessary.
 
-    The CSV has one line a case; its columns are the coordinates, with the SI unit in the name, and the variables.
+    The CSV has a line for each case. Its columns are the coordinates, with the SI unit in the name, and the variables.
 
     Returns
     -------
@@ -321,12 +321,12 @@ def _column_header(name: str, unit: str) -> str:
 
 
 def read_results(file: str | Path) -> xr.Dataset:
-    """Read a NetCDF file that :func:`write_results` wrote.
+    """Read a NetCDF file written by :func:`write_results`.
 
     Raises
     ------
     InputError
-        If it is not there or not such a file.
+        If the file does not exist or is no such file.
     """
     try:
         with xr.open_dataset(file, engine="scipy") as data:
@@ -336,12 +336,12 @@ def read_results(file: str | Path) -> xr.Dataset:
 
 
 def write_stations(result: RotorResult, folder: str | Path, name: str = "stations") -> Path:
-    """Write what happens along the blade as ``name.csv``, one line a station, SI units.
+    """Write the spanwise loads as ``name.csv``, a line for each station, SI units.
 
     Raises
     ------
     InputError
-        If it cannot be written.
+        If the file cannot be written.
     """
     values = {f.name: getattr(result, f.name) for f in fields(result)}
     columns = {k: v for k, v in values.items() if np.ndim(v) == 1}
@@ -357,11 +357,11 @@ def write_stations(result: RotorResult, folder: str | Path, name: str = "station
 
 
 # ----------------------------------------------------------------------------
-# Airfoils in the order of what a rotor makes of them, each at its best pitch.
+# Ranking of airfoils on a rotor, each at its best pitch.
 #
-# As the dissertation's Table 3.3: every airfoil is put on the whole blade, the rotor is evaluated at each pitch
-# with the gear adapted to the thrust, and the greatest value over the pitch counts. A section that fails at every
-# pitch comes last, with the reason.
+# As in the dissertation's Table 3.3, the whole blade has the airfoil, the rotor is evaluated at each pitch with the
+# gear adapted to the thrust, and the greatest value over the pitch counts. A section that fails at every pitch comes
+# last, with the reason.
 
 
 _RANKING_OUTPUTS = (
@@ -391,11 +391,11 @@ def rank_airfoils(
     setup : Setup
         Rotor, drive and thrust (or speed).
     airfoils : sequence of str
-        Names or files, each once.
+        Distinct names or files.
     pitch_rad : sequence of float
         Pitch settings to try.
     by : str, optional
-        Variable to rank by, the greatest first. Default: ``thrust_per_power_N_W`` with a drive, else
+        Variable of the ranking, the greatest value first. Default: ``thrust_per_power_N_W`` with a drive, else
         ``figure_of_merit``.
     folder, progress, cluster
         As for :func:`mufly.study.sweep_parameters`.
@@ -403,13 +403,13 @@ def rank_airfoils(
     Returns
     -------
     xarray.Dataset
-        Over ``airfoil``, best first: ``rank``, the value ranked by, ``pitch`` where it is reached, what else
-        holds there, ``thickness_ratio``, ``camber`` and ``fault``.
+        Over ``airfoil``, best first: ``rank``, the ranked value, its ``pitch``, the other results at that pitch,
+        ``thickness_ratio``, ``camber`` and ``fault``.
 
     Raises
     ------
     InputError
-        If there is no such variable, or as :func:`mufly.study.sweep_parameters`.
+        If there is no such variable, or as for :func:`mufly.study.sweep_parameters`.
     """
     key = by or ("thrust_per_power_N_W" if setup.drive is not None else "figure_of_merit")
     if key not in setup.output_meanings():
@@ -458,15 +458,14 @@ def _airfoil_shape(name: str) -> tuple[float, float]:
 # ----------------------------------------------------------------------------
 # Sets of airfoils for rankings: the dissertation's 247, the whole database, a folder of files, or names.
 #
-# The dissertation ranks 247 airfoils "from a data base" and names eight of them (Table 3.3). Which the others were it
-# does not say. The rule here: the eight, then of AeroSandbox's database (the UIUC collection, 2 174 contours in
-# version 4.2.10), in alphabetical order without the eight, those at the places floor(k n / 239), k = 0 to 238; where a
-# contour is unsound, the next one that is not. Nothing about an airfoil's shape or merit enters, so the sample is as
-# thick and as odd as the database.
+# The dissertation ranks 247 airfoils "from a data base" and names only eight of them (Table 3.3). The set here is the
+# eight, then 239 of AeroSandbox's database (the UIUC collection, 2 174 contours in version 4.2.10). The database is in
+# alphabetical order without the eight; the positions are floor(k n / 239), k = 0 to 238, or the next valid contour.
+# The selection does not depend on shape or merit, so the sample is representative of the database.
 
 
-# Name in Table 3.3 -> name here. n642-015 is "n64015" in the database, the only 64-015 there. NACA "25516" is no
-# five-digit section: its third digit must be 0 (normal) or 1 (reflexed); 25016 is the nearest that exists.
+# Name in Table 3.3 -> name here. n642-015 is "n64015" in the database, its only 64-015. NACA "25516" is no
+# five-digit section: its third digit must be 0 (normal) or 1 (reflexed); 25016 is the nearest valid name.
 TABLE_3_3_AIRFOILS: dict[str, str] = {
     "goe394": "goe394",
     "goe342": "goe342",
@@ -482,7 +481,7 @@ _AIRFOIL_SUFFIXES = (".dat", ".txt")
 
 
 def thesis_airfoils() -> list[str]:
-    """Return the 247 names by the rule of the module docstring, the eight of Table 3.3 first.
+    """Return the names of the 247 airfoils, the eight of Table 3.3 first.
 
     Raises
     ------
@@ -521,7 +520,7 @@ def choose_airfoils(wanted: str | Sequence[str]) -> list[str]:
     Raises
     ------
     InputError
-        If a folder holds no airfoil file or nothing is named.
+        If a folder contains no airfoil file or no name is given.
     """
     items = wanted.split(",") if isinstance(wanted, str) else [p for w in wanted for p in w.split(",")]
     names: list[str] = []

@@ -1,1 +1,1 @@
-"""What do the blade's sections do? Contours, the engines that compute their polars, and polars as tables."""
+"""Blade sections: contours, engines that compute polars, and polar tables."""

@@ -1,10 +1,10 @@
 """Airfoils: by NACA designation, from the database that comes with AeroSandbox, or from a coordinate file.
 
-An :class:`Airfoil` is a closed contour of chord one, in the frame of its source: x from 0 at the nose to 1 at the
-tail, y up, points from the tail over the upper side to the nose and back along the lower side (Selig order). The
-angle of attack is measured against the x axis of that frame, which for a NACA section is its chord line.
+An :class:`Airfoil` is a closed contour of chord 1 in the frame of its source: x from 0 at the nose to 1 at the tail, y
+up. Its points run from the tail over the upper side to the nose and back along the lower side (Selig order). The angle
+of attack is measured against the x axis of that frame, which for a NACA section is its chord line.
 
-NACA four- and five-digit sections from their formulas, lengths over chord.
+NACA four- and five-digit sections follow from their formulas, with lengths over chord.
 
 Four digits ``mptt`` (Jacobs, Ward, Pinkerton, NACA Report 460, 1933), m = max camber, p = its place, t = thickness::
 
@@ -46,16 +46,16 @@ Array = NDArray[np.float64]
 
 @result(eq=False, picture="mufly.rotor.rotor_pictures:section_picture")
 class Airfoil:
-    """A section.
+    """Airfoil section.
 
     Attributes
     ----------
     name : str
-        As asked for, in lower case.
+        Name as requested, in lower case.
     coordinates : (n, 2) array
         Contour over chord in Selig order.
     source : str
-        Formula, database or file.
+        Origin: formula, database or file.
     gurney : float
         Height of a Gurney flap over chord, part of the contour; 0 without.
     thickness_ratio, thickness_at : float
@@ -103,7 +103,7 @@ def split_sides(coordinates: Array) -> tuple[Array, Array]:
 
 @cache
 def _index_database() -> dict[str, Path]:
-    found = find_spec("aerosandbox")  # looked up, not imported: that takes two seconds
+    found = find_spec("aerosandbox")  # not imported, because that takes two seconds
     if found is None or found.origin is None:
         return {}
     folder = Path(found.origin).parent / "geometry" / "airfoil" / "airfoil_database"
@@ -116,7 +116,7 @@ def database_airfoils() -> list[str]:
 
 
 def load_airfoil(name_or_path: str | Path) -> Airfoil:
-    """Get an airfoil by name or from a file.
+    """Load an airfoil by name or from a file.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def load_airfoil(name_or_path: str | Path) -> Airfoil:
         return Airfoil(path.stem.lower(), contour, f"{path}; {words}" if words else str(path))
     name = re.sub(r"^naca[\s_-]*", "naca", text.lower().strip())
     digits = re.fullmatch(r"naca(\d{4,5})", name)
-    # Five digits that begin with 6, or that no five-digit mean line fits, are series 6 or 16 in the database.
+    # Five digits that begin with 6, or that fit no five-digit mean line, are series 6 or 16 of the database.
     series = name in _index_database() and digits is not None and (len(digits[1]) == 5 and digits[1][0] == "6")
     if digits is not None and not series:
         try:
@@ -169,7 +169,7 @@ def _parse_percent(where: str, text: str, what: str, size: str, most: float) -> 
 
 
 def with_thickness(airfoil: Airfoil, thickness: float) -> Airfoil:
-    """Return the section with all heights, camber's too, scaled to a thickness over chord."""
+    """Return the section with all heights, including camber, scaled to a thickness over chord."""
     scaled = airfoil.coordinates * [1.0, thickness / airfoil.thickness_ratio]
     name = f"{airfoil.name}+thick{100 * thickness:g}"
     return Airfoil(name, scaled, f"{airfoil.source}; scaled to a thickness of {100 * thickness:g} %")
@@ -178,10 +178,9 @@ def with_thickness(airfoil: Airfoil, thickness: float) -> Airfoil:
 def with_gurney(airfoil: Airfoil, height: float) -> Airfoil:
     """Return the section with a Gurney flap at its tail, on the lower side.
 
-    The flap stands normal to the chord at x = 1. Air that comes to rest in the corner ahead of it forms a bubble about
-    as long as the flap is high (Liebeck, Journal of Aircraft 15, 1978), so the contour that the outer flow sees is a
-    ramp over the last 1.5 heights, ending in a blunt tail: the lower side is lowered by ``h s^2 (3 - 2 s)``,
-    ``s = 1 - (1 - x)/(1.5 h)``.
+    The flap is normal to the chord at x = 1. A separation bubble in the corner ahead of it is about as long as the flap
+    is high (Liebeck, Journal of Aircraft 15, 1978). The effective contour is therefore a ramp over the last 1.5 heights
+    that ends in a blunt tail. The lower side is lowered by ``h s^2 (3 - 2 s)``, ``s = 1 - (1 - x)/(1.5 h)``.
 
     Parameters
     ----------
@@ -202,7 +201,7 @@ def with_gurney(airfoil: Airfoil, height: float) -> Airfoil:
 
 
 _POINTS_PER_SIDE = 100
-# Mean lines for a design lift of 0.3, by the place of camber in twentieths: r, k1.
+# Mean lines for a design lift of 0.3, by the position of camber in twentieths of the chord: r, k1.
 _NORMAL_CAMBER_LINES = {
     1: (0.0580, 361.400),
     2: (0.1260, 51.640),
@@ -238,7 +237,7 @@ def _five_digit_camber_line(x: Array, digits: str) -> tuple[Array, Array]:
         gain = np.where(front, 1.0, ratio)
         y = gain * (x - r) ** 3 - ratio * (1 - r) ** 3 * x - r**3 * x + r**3
         slope = 3 * gain * (x - r) ** 2 - ratio * (1 - r) ** 3 - r**3
-    scale = k1 / 6 * lift / 2  # tabulated for the second family
+    scale = k1 / 6 * lift / 2  # tabulated for the second series
     return scale * y, scale * slope
 
 
@@ -250,7 +249,7 @@ def naca_contour(digits: str, per_side: int = _POINTS_PER_SIDE) -> Array:
     digits : str
         ``"4412"``, ``"23012"``, ``"23112"`` (reflexed).
     per_side : int
-        Points on each side, crowded towards nose and tail.
+        Number of points on each side, denser towards nose and tail.
 
     Returns
     -------

@@ -1,19 +1,18 @@
-"""Coordinate files of airfoils, and the conditions of a sound contour.
+"""Reader of airfoil coordinate files, and validation of contours.
 
-Two orders are in use. Selig's: one list from the tail over the upper side to the nose and back along the lower side.
-Lednicer's: a line with the two counts, then the upper and the lower side, each from nose to tail; the counts may be
-missing. A closed line that begins elsewhere is turned to begin at the tail. Titles before and remarks behind the
-coordinates are passed over. Text is UTF-8 or UTF-16; numbers may have decimal commas or Fortran's exponents (1.0D-3). A
-sound contour has points enough, closes at the tail (up to a blunt base), encloses an area and does not cross itself.
+Two orders are in use. Selig's order is one list from the tail over the upper side to the nose and back along the lower
+side. Lednicer's order is a line with the two counts, which may be missing, then the upper and the lower side, each from
+nose to tail. A closed curve that begins elsewhere is reordered to begin at the tail. Titles before and remarks after
+the coordinates are ignored. Text is UTF-8 or UTF-16; numbers may have decimal commas or Fortran's exponents (1.0D-3). A
+valid contour has enough points, closes at the tail (up to a blunt base), encloses an area and does not cross itself.
 
-A file of one's own may stand anywhere in the plane. With p_t the middle of the tail, p_n the point furthest from it
-(nose), c their distance and the tilt of the chord line, nose up, a = atan2(y_n - y_t, x_t - x_n):
+A user's contour may lie anywhere in the plane. With p_t the middle of the tail, p_n the point furthest from it (nose),
+c their distance and the tilt of the chord line, nose up, a = atan2(y_n - y_t, x_t - x_n):
 
 * both ends off the x axis by more than :data:`_AXIS_TOLERANCE` c: the contour is moved so that one of them lies on the
   axis;
 * abs(a) > :data:`_MAX_KEPT_TILT_RAD`: the contour is turned about its nose by a, so that the chord line is the x axis.
-  Below, the
-  frame of the file stays, as flat undersides of catalogues (up to 3.9 degrees) are meant to lie along x;
+  Below, the frame of the file is kept, because flat undersides of catalogue sections (up to 3.9 degrees) lie along x;
 * always: x is shifted and both are scaled so that x runs from 0 to 1.
 """
 
@@ -34,20 +33,20 @@ Array = NDArray[np.float64]
 
 
 class SectionWarning(UserWarning):
-    """A section's data is used in another way than it is written."""
+    """Warning: the data of a section is used in another form than written."""
 
 
 _MIN_POINTS = 20
 _MAX_TAIL_GAP = 0.12  # of chord; a contour whose ends lie further apart is not closed
 _AXIS_TOLERANCE = 2e-3  # of chord
-_SCALE_WARNING_CHANGE = 0.02  # of chord: of a smaller change of scale nobody is told
+_SCALE_WARNING_CHANGE = 0.02  # of chord; smaller changes of scale give no warning
 _MAX_KEPT_TILT_RAD = math.radians(4.0)
-_LEVEL_TILT_RAD = math.radians(0.6)  # the tail, a sharper point than the nose, then says where the axis lies
-_TILT_WARNING_RAD = math.radians(1.5)  # of which a user is told
+_LEVEL_TILT_RAD = math.radians(0.6)  # below this tilt the tail, which is better defined than the nose, fixes the axis
+_TILT_WARNING_RAD = math.radians(1.5)  # greater tilts give a warning
 _NOSE_TAIL_REGION, _BLUNT_TAIL_TOLERANCE = (
     0.05,
     1e-3,
-)  # of chord: where nose and tail differ; between the corners of a blunt tail
+)  # of chord: region in which nose and tail differ; distance of the corners of a blunt tail
 _FORTRAN_EXPONENT = re.compile(r"(?<=[\d.])[dD](?=[+-]?\d)")
 
 
@@ -57,7 +56,7 @@ def read_contour(path: Path) -> Array:
     Returns
     -------
     (n, 2) array
-        Chord one, Selig order, as :func:`validate_contour` leaves it.
+        Contour of chord 1 in Selig order, as returned by :func:`validate_contour`.
 
     Raises
     ------
@@ -69,14 +68,14 @@ def read_contour(path: Path) -> Array:
 
 
 def read_custom_contour(path: Path) -> tuple[Array, str]:
-    """Read a coordinate file that may stand anywhere in the plane; warn where it was moved or turned.
+    """Read a coordinate file with a contour anywhere in the plane; warn if it is moved or turned.
 
     Returns
     -------
     contour : (n, 2) array
-        Chord one, Selig order.
+        Contour of chord 1 in Selig order.
     words : str
-        How the contour was moved, turned or scaled; empty where it was not.
+        Description of translation, rotation or scaling; empty without any.
 
     Raises
     ------
@@ -92,18 +91,18 @@ def read_custom_contour(path: Path) -> tuple[Array, str]:
 
 
 def align_contour(contour: Array) -> tuple[Array, str]:
-    """Move, turn and mirror a contour until its chord line is along x, as the module's docstring says.
+    """Move, turn and mirror a contour so that its chord line lies along x; see the module docstring.
 
     Parameters
     ----------
     contour : (n, 2) array
-        Starting and ending at the tail.
+        Contour that starts and ends at the tail.
 
     Returns
     -------
     placed : (n, 2) array
     words : str
-        Empty where the contour has its place.
+        Description of the change; empty without any.
     """
     if len(contour) < 3 or not (np.all(np.isfinite(contour)) and np.ptp(contour[:, 0]) > 0.0):
         return contour, ""
@@ -136,13 +135,13 @@ def align_contour(contour: Array) -> tuple[Array, str]:
 
 
 def _read_points(path: Path, where: str) -> list[tuple[int, list[float]]]:
-    """Points with their lines: two numbers each, or three with the same third."""
+    """Read points with their line numbers: two numbers each, or three with a constant third."""
     try:
         lines = decode_text(path.read_bytes()).splitlines()
     except OSError as error:
         raise InputError(where, "", f"cannot be read ({error})", "give a text file of coordinates") from error
     points: list[tuple[int, list[float]]] = []
-    odd: tuple[int, str] | None = None  # a line after the first point that is none itself
+    odd: tuple[int, str] | None = None  # a line after the first point that is no point
     for number, line in enumerate(lines, 1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
@@ -162,7 +161,7 @@ def _read_points(path: Path, where: str) -> list[tuple[int, list[float]]]:
 
 
 def _parse_numbers(line: str) -> list[float]:
-    """The numbers of a line, none if one of its words is no number."""
+    """Return the numbers of a line, none if one of its words is no number."""
     words = [w.rstrip(",;") for w in line.replace(";", " ").split()]
     decimal = "." not in line and len(words) > 1 and any("," in w for w in words)  # 0,25 0,1
     words = [w.replace(",", ".") for w in words] if decimal else line.replace(",", " ").replace(";", " ").split()
@@ -177,7 +176,7 @@ def _parse_numbers(line: str) -> list[float]:
 
 
 def _order_from_tail(points: list[tuple[int, list[float]]], where: str) -> Array:
-    """Contour (n, 2) in any scale, from the tail around to the tail, whatever the order of the file."""
+    """Order the points of a file, in any order and scale, as a contour (n, 2) from the tail around to the tail."""
     contour = np.array([p for _, p in points], dtype=np.float64).reshape(-1, 2)
     if len(contour) < 3:
         return contour
@@ -185,7 +184,7 @@ def _order_from_tail(points: list[tuple[int, list[float]]], where: str) -> Array
     if counts.min() > 1.5 and np.allclose(counts, np.round(counts), atol=1e-3):
         if len(contour) - 1 == round(float(counts.sum())):
             return _lednicer_to_selig(contour[1:], round(float(counts[0])))
-        if contour[1:].max() < 0.5 * counts.max():  # no point of a contour in this scale
+        if contour[1:].max() < 0.5 * counts.max():  # the counts are no point of the contour
             raise InputError(
                 where, "", f"announces {counts[0]:g} + {counts[1]:g} points and has {len(contour) - 1}",
                 "correct the counts",
@@ -200,14 +199,14 @@ def _order_from_tail(points: list[tuple[int, list[float]]], where: str) -> Array
     gap = float(np.hypot(*(contour[0] - contour[-1]))) / size
     if gap > _MAX_TAIL_GAP or x[0] > 0.9:
         return contour
-    # A closed line that begins elsewhere, or at a tail that lies at the least x.
+    # A closed curve that begins elsewhere, or at a tail with the least x.
     ring = contour[:-1] if gap < 1e-9 else contour
     x = x[: len(ring)]
     if _thickness_near(ring, x < _NOSE_TAIL_REGION) < 0.5 * _thickness_near(ring, x > 1.0 - _NOSE_TAIL_REGION):
         x = 1.0 - x
     tail = int(np.argmax(x))
     ring, x = np.roll(ring, -tail, axis=0), np.roll(x, -tail)
-    if x[-1] > 1.0 - _BLUNT_TAIL_TOLERANCE:  # a blunt tail, begun at its second corner
+    if x[-1] > 1.0 - _BLUNT_TAIL_TOLERANCE:  # a blunt tail; the contour begins at its second corner
         return ring
     if x[1] > 1.0 - _BLUNT_TAIL_TOLERANCE:
         return np.roll(ring, -1, axis=0)
@@ -219,26 +218,26 @@ def _thickness_near(ring: Array, end: NDArray[np.bool_]) -> float:
 
 
 def _lednicer_to_selig(table: Array, n_upper: int) -> Array:
-    """Lednicer: upper and lower side, each from nose to tail."""
+    """Convert Lednicer's order (upper and lower side, each from nose to tail) to Selig's."""
     upper, lower = table[:n_upper], table[n_upper:]
     first = 1 if len(lower) and len(upper) and np.allclose(lower[0], upper[0], atol=1e-6) else 0
     return np.concatenate((upper[::-1], lower[first:]))
 
 
 def validate_contour(contour: Array, where: str) -> Array:
-    """Bring a contour to chord one in Selig order, or say what is wrong with it.
+    """Scale a contour to chord 1 in Selig order, or raise an error if it is invalid.
 
     Parameters
     ----------
     contour : (n, 2) array
-        Any scale and either direction of travel, starting at the tail.
+        Contour in any scale and either sense, starting at the tail.
     where : str
-        What an error calls the place.
+        Name of the source in errors.
 
     Raises
     ------
     InputError
-        If points are too few or not finite, or the contour is open, flat or crosses itself.
+        If there are too few points, a point is not finite, or the contour is open, flat or crosses itself.
     """
     if len(contour) and not np.all(np.isfinite(contour)):
         raise InputError(where, "", "a coordinate is not a number", "give finite coordinates")
@@ -280,7 +279,7 @@ def validate_contour(contour: Array, where: str) -> Array:
 
 
 def _first_crossing(contour: Array) -> tuple[int, int] | None:
-    """First pair of segments that cross, by the signs of the four triangles that their ends span."""
+    """Return the first pair of segments that cross, by the signs of the four triangles of their ends."""
     p, d = contour[:-1], np.diff(contour, axis=0)
     q = contour[1:]
 
@@ -288,7 +287,7 @@ def _first_crossing(contour: Array) -> tuple[int, int] | None:
         return ax * by - ay * bx
 
     def side_of_segment(point: Array) -> Array:
-        """Side of each segment (row) on which each point (column) lies."""
+        """Return the side of each segment (row) on which each point (column) lies."""
         return cross_product(
             d[:, None, 0], d[:, None, 1], point[None, :, 0] - p[:, None, 0], point[None, :, 1] - p[:, None, 1]
         )

@@ -1,4 +1,4 @@
-"""NeuralFoil's network, evaluated for many airfoils, angles and Reynolds numbers at once.
+"""Evaluation of NeuralFoil's network for many airfoils, angles and Reynolds numbers at once.
 
 NeuralFoil (P. Sharpe, R. J. Hansman, arXiv 2503.16323, 2025; MIT licence) is a network trained on some eight million
 XFOIL runs. Its input is the section as 18 numbers (Kulfan, Journal of Aircraft 45, 2008), with psi = x/c::
@@ -6,20 +6,21 @@ XFOIL runs. Its input is the section as 18 numbers (Kulfan, Journal of Aircraft 
     y_upper = sqrt(psi) (1 - psi) sum_i u_i B_i(psi) + w psi (1 - psi)^8.5 + psi t/2,    B_i: Bernstein, degree 7
     y_lower = the same with l_i and - psi t/2
 
-fitted here by least squares, and seven numbers for the flow: sin 2a, cos a, sin^2 a, (ln Re - 12.5)/3.5,
-(n_crit - 9)/4.5 and the two forced transitions. It is evaluated for the section and for its mirror image, and
-the two answers are averaged, so that a symmetric section gets exactly no lift at zero angle.
+fitted here by least squares, and seven numbers for the flow: sin 2a, cos a, sin^2 a, (ln Re - 12.5)/3.5, (n_crit -
+9)/4.5 and the two forced transitions. The network is evaluated for the section and for its mirror image, and the two
+results are averaged, so that a symmetric section has exactly zero lift at zero angle.
 
-The package's own entry point takes one airfoil a call, computes 198 outputs in double precision and needs two seconds
-to import. Of those outputs four matter here, and the first layer splits into a part of the section and a part of the
-flow, so this module reads the package's weights and evaluates them itself in single precision, one airfoil a
-thread (about ten times as fast; a test holds it to the package's own answer).
+The package's own function takes one airfoil per call, computes 198 outputs in double precision and needs two seconds to
+import. Only four of those outputs are needed, and the first layer splits into a part of the section and a part of the
+flow. This module therefore reads the package's weights and evaluates them in single precision, one airfoil per thread.
+It is about ten times as fast; a test compares it with the package.
 
-Range. The training set drew Re from a log-normal distribution, 10^(5.5 +- 1.5), n_crit evenly from 0 to 18,
-and angles between -10 and 10 degrees with a spread of 2.5 + 2.5 degrees, kept where XFOIL converged. So Re 2e3
-lies 1.5 standard deviations below the middle and n_crit 0.1 at the edge, both inside; beyond 15 degrees there is
-little, beyond 20 next to nothing. Answers are taken between -20 and 20 degrees and count as valid where the network's
-own confidence stays above one half without a gap from zero lift outwards; the rest is extended (see ``extend``).
+Range. The training set drew Re from a log-normal distribution, 10^(5.5 +- 1.5), n_crit evenly from 0 to 18, and angles
+between -10 and 10 degrees with a spread of 2.5 + 2.5 degrees, limited to converged XFOIL runs. Re 2e3 lies 1.5 standard
+deviations below the mean and n_crit 0.1 at the edge, both within the set; beyond 15 degrees there are few samples,
+beyond 20 almost none. Results are used between -20 and 20 degrees. They are valid where the network's confidence stays
+above one half without a gap from zero lift outwards; the rest is extended
+(:func:`mufly.rotor.sections.polar_table.extend_full_circle`).
 """
 
 from __future__ import annotations
@@ -55,8 +56,10 @@ _UPPER, _LOWER, _NOSE, _SECTION_SIZE = slice(0, 8), slice(8, 16), 16, 18
 _CL, _LN_CD, _CM = 1, 2, 3  # outputs of the network, behind its confidence
 _OUTPUT_COLUMNS = slice(0, 4)  # confidence, lift, drag, moment
 _MAX_FIT_ERROR = 0.01  # of chord
-_MAX_GURNEY_HEIGHT = 0.02  # of chord; up to here lift agrees with XFOIL's within 0.05 (docs/log/2026-11-28-polars.md)
-_BATCH_SIZE = 8192  # activations of one layer then stay in the cache of a processor core
+_MAX_GURNEY_HEIGHT = (
+    0.02  # of chord; up to this height lift agrees with XFOIL within 0.05 (docs/log/2026-11-28-polars.md)
+)
+_BATCH_SIZE = 8192  # activations of one layer fit in the cache of a processor core
 
 
 @cache
@@ -69,7 +72,7 @@ def _neuralfoil_folder() -> Path:
 
 @cache
 def _load_network(model: str) -> tuple[list[tuple[Floats, Floats]], Floats, Floats]:
-    """Layers (weight, bias), and mean and inverse covariance of the training inputs."""
+    """Load the layers (weight, bias), and mean and inverse covariance of the training inputs."""
     if model not in NEURALFOIL_MODELS:
         raise InputError("polar", "model", f"{model!r} is unknown", f"use one of: {', '.join(NEURALFOIL_MODELS)}")
     file = _neuralfoil_folder() / f"nn-{model}.npz"
@@ -87,7 +90,7 @@ def _load_network(model: str) -> tuple[list[tuple[Floats, Floats]], Floats, Floa
 
 
 def neuralfoil_version() -> str:
-    """Version of the installed package."""
+    """Return the version of the installed package."""
     _neuralfoil_folder()
     return version("neuralfoil")
 
@@ -106,7 +109,7 @@ def fit_kulfan_parameters(airfoil: Airfoil) -> tuple[Array, float, float, float]
     chord : float
         Length of the fit's chord line over the contour's chord.
     worst : float
-        Greatest distance in y between contour and fit, over chord.
+        Greatest error in y of the fit, over chord.
     """
     xy = airfoil.coordinates
     tail = 0.5 * (xy[0] + xy[-1])
@@ -130,7 +133,7 @@ def fit_kulfan_parameters(airfoil: Airfoil) -> tuple[Array, float, float, float]
         )
     )
     found = np.linalg.lstsq(columns, y, rcond=None)[0]
-    if found[-1] < 0:  # a tail has no negative thickness
+    if found[-1] < 0:  # the tail thickness is not negative
         found = np.append(np.linalg.lstsq(columns[:, :-1], y, rcond=None)[0], 0.0)
     return found, -tilt, chord, float(np.max(np.abs(columns @ found - y)))
 
@@ -148,7 +151,7 @@ def require_kulfan_fit(airfoil: Airfoil) -> tuple[Array, float, float, float]:
 
 
 def _swish_in_place(z: Floats) -> Floats:
-    """z / (1 + exp(-z)), in place."""
+    """Apply z / (1 + exp(-z)) in place."""
     e = np.negative(z)
     np.minimum(e, np.float32(80.0), out=e)
     np.exp(e, out=e)
@@ -158,7 +161,7 @@ def _swish_in_place(z: Floats) -> Floats:
 
 
 def _forward_pass(first: Floats, layers: list[tuple[Floats, Floats]]) -> Floats:
-    """From the first layer's sums (cases, width) to the outputs (cases, 4)."""
+    """Compute the outputs (cases, 4) from the first layer's sums (cases, width)."""
     z = first
     for weight, bias in layers:
         z = _swish_in_place(z) @ weight.T
@@ -186,7 +189,7 @@ def _mirrored_flows(flows: Floats) -> Floats:
 
 
 def _evaluate_network(section: Floats, flows: Floats, model: str) -> Array:
-    """Confidence (before its sigmoid), CL, ln CD and CM of one section (18,) in flows (n, 7); shape (n, 4)."""
+    """Compute confidence (before its sigmoid), CL, ln CD and CM, (n, 4), of a section (18,) in flows (n, 7)."""
     layers, mean, inverse = _load_network(model)
     (weight, bias), rest = layers[0], layers[1:]
     out = np.zeros((len(flows), 4))
@@ -239,7 +242,7 @@ def compute_neuralfoil_polars(
     Raises
     ------
     InputError
-        If a contour is not what the network's 18 numbers can describe (a high Gurney flap, for instance).
+        If the network's 18 numbers cannot describe a contour (for instance a high Gurney flap).
     """
     re = np.atleast_1d(np.asarray(reynolds, dtype=np.float64))
     source = f"NeuralFoil {neuralfoil_version()} {model}, n_crit {n_crit:g}, transition at {xtr[0]:g}, {xtr[1]:g}"
@@ -248,7 +251,7 @@ def compute_neuralfoil_polars(
     def compute_section(airfoil: Airfoil) -> SectionData:
         return _compute_section_data(airfoil, re, n_crit, xtr, model, source)
 
-    # Products this small are slower on several BLAS threads than on one; the airfoils are shared out instead.
+    # Products this small are slower on several BLAS threads than on one; the airfoils are distributed instead.
     with threadpool_limits(1, "blas"), ThreadPoolExecutor(os.cpu_count()) as pool:
         return list(pool.map(compute_section, airfoils))
 
@@ -263,7 +266,7 @@ def _compute_section_data(
     rest = [np.full_like(a, v) for v in ((n_crit - 9) / 4.5, *xtr)]
     flows = np.column_stack((np.sin(2 * a), np.cos(a), np.sin(a) ** 2, (log_re - 12.5) / 3.5, *rest))
     y = _evaluate_network(section, flows.astype(np.float32), model).reshape(re.size, _ALPHA_GRID_RAD.size, 4)
-    # The fit's chord line differs from the contour's by a fraction of a percent; so do the coefficients.
+    # The fit's chord differs from the contour's by a fraction of a per cent; the coefficients are scaled accordingly.
     cl, cd, cm = y[..., _CL] * chord, np.exp(y[..., _LN_CD]) * chord, y[..., _CM] * chord**2
     return SectionData(
         airfoil.name,
@@ -282,7 +285,7 @@ def _compute_section_data(
 
 
 def _mark_confident_points(logit: Array, cl: Array) -> NDArray[np.bool_]:
-    """Points that connect to zero lift without a gap in confidence, shape (nr, na)."""
+    """Mark the points connected to zero lift without a gap in confidence, shape (nr, na)."""
     good = logit > math.log(MIN_CONFIDENCE / (1 - MIN_CONFIDENCE))
     trusted = np.zeros_like(good)
     for row, (g, lift) in enumerate(zip(good, cl, strict=True)):

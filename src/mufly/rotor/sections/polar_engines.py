@@ -1,12 +1,12 @@
-"""From an airfoil to its polar table, through one of three engines.
+"""Polar engines: computation of the polar table of an airfoil by one of three engines.
 
 ``neuralfoil``
-    Network trained on XFOIL (``neural``); the default, milliseconds a table.
-``compute_xfoil_polars``
-    M. Drela's panel and boundary-layer code where it is installed (``compute_xfoil_polars``); the cross-check, minutes
-    a table.
+    Network trained on XFOIL (:mod:`.neuralfoil_network`); the default, milliseconds per table.
+``xfoil``
+    M. Drela's panel and boundary-layer code, if installed (:func:`compute_xfoil_polars`), for cross-checks; minutes per
+    table.
 ``table``
-    The user's numbers, from a CSV file (``section``).
+    The user's numbers from a CSV file (:mod:`.polar_file`).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from mufly.toolchain import build_cached_library, find_compiler
 
 PolarEngine = Literal["neuralfoil", "xfoil", "table"]
 
-DEFAULT_REYNOLDS: NDArray[np.float64] = 2e3 * 150.0 ** (np.arange(33) / 20.0)  # to 6e6, a factor 1.28 apart
+DEFAULT_REYNOLDS: NDArray[np.float64] = 2e3 * 150.0 ** (np.arange(33) / 20.0)  # to 6e6, in steps of a factor 1.28
 
 
 def compute_polar(
@@ -54,13 +54,13 @@ def compute_polar(
     Parameters
     ----------
     airfoil : str, Path or Airfoil
-        What :func:`mufly.rotor.load_airfoil` takes. A file of coefficients (columns alpha_deg, cl, cd, and if
-        known cm and reynolds; XFOIL's, XFLR5's, Airfoil Tools', AeroDyn's) is read as a table, whatever the engine.
+        Airfoil as for :func:`mufly.rotor.load_airfoil`. A file of coefficients (columns alpha_deg, cl, cd, and if known
+        cm and reynolds; XFOIL's, XFLR5's, Airfoil Tools', AeroDyn's) is read as a table for every engine.
     n_crit : float
-        Amplification exponent at transition, 0 to 18. The default suits a vibrating rotor in its own wake
-        (thesis, Table 3.1); 9 is a quiet wind tunnel. Without meaning for a table.
+        Amplification exponent at transition, 0 to 18. The default suits a vibrating rotor in its own wake (thesis,
+        Table 3.1); 9 is a quiet wind tunnel. Ignored for a table.
     engine : {'neuralfoil', 'xfoil', 'table'}
-        See the module's docstring.
+        Engine; see the module docstring.
     reynolds : (nr,) array_like, optional
         Chord Reynolds numbers in geometric progression; the default covers 2e3 to 6e6.
     xtr : (float, float)
@@ -75,7 +75,7 @@ def compute_polar(
     InputError
         If the airfoil, an option or the file is wrong.
     MuflyError
-        If the engine is not installed or found no answer.
+        If the engine is not installed or does not converge.
 
     Thesis: Table 3.1.
     """
@@ -103,14 +103,14 @@ def compute_polars(
     aspect_ratio: float = DEFAULT_ASPECT_RATIO,
     faults: dict[str, str] | None = None,
 ) -> dict[str, PolarTable]:
-    """Return the tables of many airfoils, by the names they were asked for.
+    """Return the polar tables of many airfoils by their requested names.
 
     Parameters
     ----------
     airfoils : iterable of str, Path or Airfoil
-        As for :func:`compute_polar`, which has the other parameters too.
+        Airfoils; the other parameters are those of :func:`compute_polar`.
     faults : dict, optional
-        If given, an airfoil that fails is left out of the answer and its one-line message is entered here under its
+        If given, an airfoil that fails is left out of the result and its one-line message is stored here under its
         name. Otherwise the first failure is raised.
     """
     re = _check_arguments(n_crit, engine, reynolds, xtr)
@@ -171,18 +171,16 @@ def _check_arguments(
 
 
 # ----------------------------------------------------------------------------
-# XFOIL (M. Drela, MIT; GPL, run as a separate program) as a second opinion.
+# XFOIL (M. Drela, MIT; GPL, run as a separate program) for cross-checks.
 #
-# One run covers one Reynolds number: angles rise from zero, then fall from zero, each starting from the last
-# converged boundary layer; what did not converge is tried once more from a fresh start. A gap of up to two degrees
-# between converged angles is bridged; beyond a wider one the answer counts as unknown. Every run has a time limit,
-# and what it
-# had written by then is used.
+# One run covers one Reynolds number: angles increase from zero, then decrease from zero, each starting from the last
+# converged boundary layer. Angles that do not converge are repeated once from a fresh start. A gap of up to two degrees
+# between converged angles is interpolated; beyond a wider gap the result is unknown. Every run has a time limit; the
+# output written until then is used.
 #
-# Debian's build stops at the first floating-point exception, which XFOIL raises in ordinary work (the main program
-# asks the Fortran library to trap them, `_gfortran_set_fpe`). When a run dies of that signal, a library of one
-# function that replaces the request by nothing is compiled with the system's C compiler, kept in the cache folder and
-# preloaded.
+# Debian's build stops at the first floating-point exception, which XFOIL raises in normal operation (the main program
+# requests traps by `_gfortran_set_fpe`). If a run ends with that signal, a library with an empty replacement of this
+# function is compiled with the system's C compiler, stored in the cache folder and preloaded.
 
 
 Array = NDArray[np.float64]
@@ -194,7 +192,7 @@ _FPE_STUB_SOURCE = "void _gfortran_set_fpe(int exceptions) { (void)exceptions; }
 
 @once
 def xfoil_unavailable_reason() -> str:
-    """Return why XFOIL cannot be used here, or ``""`` if it can."""
+    """Return the reason why XFOIL cannot be used on this machine, or ``""`` if it can."""
     if shutil.which("xfoil") is None:
         return "xfoil is not installed (on Debian: apt install xfoil)"
     try:
@@ -214,7 +212,7 @@ def _xfoil_environment(preload: str | None) -> dict[str, str]:
 
 @once
 def _build_fpe_stub() -> str:
-    """Path of the compiled replacement for the trap request."""
+    """Build the replacement of the trap request; return its path."""
     trapped = "this xfoil stops at floating-point exceptions"
     try:
         find_compiler()
@@ -240,7 +238,8 @@ def _run_xfoil(
     folder: Path,
     limit_s: float,
 ) -> dict[float, tuple[float, float, float]]:
-    """One process over the angles in order (nan: fresh start); alpha_deg -> cl, cd, cm of those that converged."""
+    """Run one process over the angles in order (nan: fresh start); return (cl, cd, cm) by alpha_deg of converged
+    angles."""
     contour, polar = folder / "contour.dat", folder / "polar.txt"
     rows = "\n".join(f"{x:.7f} {y:.7f}" for x, y in airfoil.coordinates)
     contour.write_text(f"contour\n{rows}\n", encoding="utf-8")
@@ -310,7 +309,7 @@ def _polar_at_reynolds(
     alpha_deg: Array,
     limit_s: float,
 ) -> Array:
-    """Coefficients (na, 3) with nan where nothing converged."""
+    """Return the coefficients (na, 3) at a Reynolds number, nan where XFOIL does not converge."""
     upwards, downwards = alpha_deg[alpha_deg >= 0], alpha_deg[alpha_deg < 0][::-1]
     with tempfile.TemporaryDirectory(prefix="mufly-xfoil-") as name:
         folder = Path(name)
@@ -325,7 +324,7 @@ def _polar_at_reynolds(
 
 
 def _bridge_gaps(alpha_deg: Array, table: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Fill narrow gaps linearly; keep the stretch around the smallest lift up to the first wide gap."""
+    """Fill narrow gaps linearly; keep the interval around the smallest lift up to the first wide gap."""
     good = np.all(np.isfinite(table), axis=1)
     if good.sum() < 3:
         return table, np.zeros(good.size, dtype=np.bool_)
@@ -356,13 +355,13 @@ def compute_xfoil_polars(
     Parameters
     ----------
     airfoil : Airfoil
-        Section; XFOIL spreads its own panels over the contour.
+        Section; XFOIL distributes its own panels on the contour.
     reynolds : (nr,) array_like
-        Chord Reynolds numbers; one process for each, as many at a time as there are processors.
+        Chord Reynolds numbers; one process for each, in parallel on all processors.
     n_crit, xtr
         As for :func:`mufly.rotor.compute_polar`.
     alpha_deg : (na,) array_like, optional
-        Angles, rising; the default is -16 to 22 degrees in steps of a half.
+        Angles, increasing; the default is -16 to 22 degrees in steps of 0.5.
     limit_s : float
         Time limit of one process.
 

@@ -1,4 +1,4 @@
-"""Polars from files: tables of one's own, XFOIL's and XFLR5's polars, Airfoil Tools' CSV, AeroDyn's airfoil tables.
+"""Reader of polar files: users' tables, XFOIL's and XFLR5's polars, Airfoil Tools' CSV, AeroDyn's airfoil tables.
 
 A table has the columns of :data:`_COLUMN_ALIASES`, in any order and notation that :mod:`mufly.text_table` reads; ``#``
 begins a comment. XFOIL and XFLR5 write a preface with ``Re = 0.100 e 6``, Airfoil Tools one with
@@ -6,12 +6,12 @@ begins a comment. XFOIL and XFLR5 write a preface with ``Re = 0.100 e 6``, Airfo
 below. AeroDyn's files up to version 13 have no header: their rows are angle (degrees), lift, drag and moment, up to
 ``EOT``. A file without any Reynolds number holds for all.
 
-A number is refused where its unit is in doubt: angles without a unit that could be radians, angles in degrees over
-which the lift rises more than ten times as fast as 2 pi a radian, Reynolds numbers below :data:`_MIN_REYNOLDS`.
+A doubtful unit is an error: angles without a unit that could be radians, angles in degrees with a lift slope above ten
+times 2 pi per radian, and Reynolds numbers below :data:`_MIN_REYNOLDS`.
 
-Several Reynolds numbers make several blocks, each with its own angles; they are brought to a geometric progression of
-as many numbers (linear in log Re) and to the angles of the densest block, which is exact where the file is regular.
-Outside its angles a block is extended like an engine's answer.
+Each Reynolds number has a block with its own angles. The blocks are interpolated to a geometric progression of equally
+many Reynolds numbers (linear in log Re) and to the angles of the densest block, which is exact for a regular file.
+Outside its angles a block is extended like the result of an engine.
 """
 
 from __future__ import annotations
@@ -53,15 +53,15 @@ _REYNOLDS_PATTERNS: tuple[tuple[re.Pattern[str], Callable[[re.Match[str]], float
     ),
 )
 _MIN_REYNOLDS = 100.0
-_SUSPECTED_RADIANS_DEG = 1.6  # angles all below are radians as likely as degrees
+_SUSPECTED_RADIANS_DEG = 1.6  # angles all below this value may be radians
 _MAX_LIFT_SLOPE_PER_DEG = 10.0 * 2.0 * math.pi * math.pi / 180.0
 _AERODYN_ROW = re.compile(r"\s*(?:[-+]?[\d.]+(?:[eE][-+]?\d+)?\s+){2,3}[-+]?[\d.]+(?:[eE][-+]?\d+)?\s*")
 _SPLIT_HEADER_WORDS = re.compile(r"\b(top|bot) (xtr|itr)\b", re.IGNORECASE)
-_MAX_HEADER_LINES = 60  # lines among which a header stands
+_MAX_HEADER_LINES = 60  # the header stands within this number of lines
 
 
 def is_polar_file(name: str) -> bool:
-    """Return whether an airfoil's name is that of a table of coefficients: a ``.csv``, or a file that holds a polar."""
+    """Return True if an airfoil's name is a polar file: a ``.csv``, or another file that contains a polar."""
     if name.lower().endswith(".csv"):
         return True
     path = Path(name)
@@ -73,13 +73,13 @@ def is_polar_file(name: str) -> bool:
 
 
 def _is_old_aerodyn(lines: Sequence[str]) -> bool:
-    """Whether a file is one of AeroDyn's up to version 13."""
+    """Return True for a file of AeroDyn up to version 13."""
     first = [line.lower() for line in lines[:_MAX_HEADER_LINES]]
     return any("number of airfoil tables" in s for s in first) and any("in millions" in s for s in first)
 
 
 def read_polar_file(path: str | Path) -> SectionData:
-    """Read a table of section coefficients; formats and refusals in the module's docstring.
+    """Read a table of section coefficients; the module docstring lists formats and errors.
 
     Raises
     ------
@@ -115,13 +115,13 @@ def _interpolate_log_reynolds(table: Array, own: Array, wanted: Array) -> Array:
     j = np.clip(np.searchsorted(own, wanted, side="right") - 1, 0, own.size - 2)
     s = np.clip((wanted - own[j]) / (own[j + 1] - own[j]), 0, 1)[:, None]
     s = np.where(np.abs(s - np.round(s)) < 1e-9, np.round(s), s)
-    # A weight of exactly zero must not bring in a neighbour's missing angles.
+    # A weight of exactly zero must not include a neighbour's missing angles.
     low = np.where(s < 1, table[j] * (1 - s), 0.0)
     return low + np.where(s > 0, table[j + 1] * s, 0.0)
 
 
 def _identify_column(header: str) -> tuple[str, str]:
-    """Return the column that a header means (its own name in lower case where it is none) and its unit as written."""
+    """Return the column named by a header (an unknown name in lower case) and its unit as written."""
     low = " ".join(header.strip().strip('"').lower().split())
     match = re.fullmatch(r"(.*?)\s*[(\[]([^)\]]*)[)\]]", low)
     stem, unit = (match[1], match[2].strip()) if match else (low, "")
@@ -135,7 +135,7 @@ def _identify_column(header: str) -> tuple[str, str]:
 
 
 def _header_line(lines: Sequence[str]) -> int | None:
-    """Position of the first line that names angle, lift and drag; None if there is none."""
+    """Return the index of the first line that names angle, lift and drag; None if there is none."""
     for k, line in enumerate(lines[:_MAX_HEADER_LINES]):
         words = line.lstrip("! \t")
         if "c" in words.lower() and any(
@@ -147,7 +147,7 @@ def _header_line(lines: Sequence[str]) -> int | None:
 
 
 def _read_rows(path: Path, where: str) -> list[tuple[int, dict[str, float]]]:
-    """Numbers of each row by column (degrees), with ``reynolds`` infinite where nothing says it."""
+    """Read the numbers of each row by column (degrees); ``reynolds`` is infinite if not stated."""
     try:
         lines = decode_text(path.read_bytes()).splitlines()
     except OSError as error:
@@ -174,7 +174,7 @@ def _read_rows(path: Path, where: str) -> list[tuple[int, dict[str, float]]]:
         stated = _find_stated_reynolds(line, math.nan)
         if math.isfinite(stated):
             reynolds = stated
-        # AeroDyn's remarks and counts stand between its tables, XFOIL's rule and units below a header.
+        # AeroDyn has remarks and counts between its tables, XFOIL a rule and units below the header.
         data, remark, _ = ("", "", "") if math.isfinite(stated) else line.partition("!")
         if set(data.strip()) <= set("-= \t") or data.lstrip().startswith(("(", "[")):
             continue
@@ -199,7 +199,7 @@ def _read_rows(path: Path, where: str) -> list[tuple[int, dict[str, float]]]:
 
 
 def _find_stated_reynolds(line: str, otherwise: float) -> float:
-    """The Reynolds number that a line states beside the table."""
+    """Return the Reynolds number stated in a line outside the table."""
     for pattern, value in _REYNOLDS_PATTERNS:
         match = pattern.search(line)
         if match is not None:
@@ -208,7 +208,7 @@ def _find_stated_reynolds(line: str, otherwise: float) -> float:
 
 
 def _identify_columns(header: Sequence[str], where: str) -> list[tuple[str, float]]:
-    """Name and factor of each column, the name empty where it is passed over."""
+    """Return name and factor of each column; the name is empty for ignored columns."""
     found = []
     for written in header:
         name, unit = _identify_column(written)
@@ -238,7 +238,7 @@ def _identify_columns(header: Sequence[str], where: str) -> list[tuple[str, floa
 
 
 def _check_units(rows: list[tuple[int, dict[str, float]]], headers: dict[str, str], where: str) -> None:
-    """Refuse angles that may be radians and Reynolds numbers that may count millions."""
+    """Raise an error for angles that may be radians and Reynolds numbers that may be in millions."""
     if not rows:
         return
     alpha, cl = (np.array([v[k] for _, v in rows]) for k in ("alpha_deg", "cl"))
@@ -264,7 +264,8 @@ def _check_units(rows: list[tuple[int, dict[str, float]]], headers: dict[str, st
 
 
 def _group_by_reynolds(rows: list[tuple[int, dict[str, float]]], where: str) -> dict[float, Array]:
-    """Arrays (n, 4) of alpha_deg, cl, cd, cm with rising angles, by Reynolds number (infinity if there is none)."""
+    """Group rows into arrays (n, 4) of alpha_deg, cl, cd, cm with increasing angles, by Reynolds number (or
+    infinity)."""
     blocks: dict[float, list[list[float]]] = {}
     for number, values in rows:
         re_, cd, alpha = values["reynolds"], values["cd"], values["alpha_deg"]

@@ -1,40 +1,38 @@
 """Section coefficients of one airfoil over the full circle of angle of attack and a range of Reynolds numbers.
 
-A :class:`PolarTable` stands on a uniform grid in alpha (-180 to 180 degrees) and in the logarithm of the Reynolds
-number, so that finding the cell is one multiplication. Inside a cell:
+A :class:`PolarTable` has a uniform grid in alpha (-180 to 180 degrees) and in the logarithm of the Reynolds number, so
+that one multiplication finds the cell. Inside a cell the interpolation is
 
-* over alpha a cubic through four neighbours with centred slopes (Catmull and Rom 1974, tension 1/2)::
+* over alpha: a cubic through four neighbours with centred slopes (Catmull and Rom 1974, tension 1/2)::
 
       c(t) = c0 + t/2 [ (c1 - c-1) + t (2 c-1 - 5 c0 + 4 c1 - c2) + t^2 (3 (c0 - c1) + c2 - c-1) ],   0 <= t < 1
 
-  It reproduces quadratics exactly and has a continuous slope: Newton and secant steps on a blade element do not
-  stumble over kinks every half degree, as they would with straight lines, and a finite difference of a rotor's
-  thrust over pitch is the derivative of something. Its weights are fixed numbers, no second table is needed.
-* over log Re straight lines: the coefficients change slowly there (the same polar, a third apart), no solver takes
-  a derivative along it, and a straight line cannot overshoot into negative drag.
+  It reproduces quadratics exactly and has a continuous slope. Newton and secant steps therefore meet no kinks, and
+  finite differences of a rotor's thrust over pitch are meaningful. Its weights are constants.
+* over log Re: linear, because the coefficients vary slowly, no solver takes a derivative in this direction, and linear
+  interpolation cannot overshoot to negative drag.
 
-Beyond its Reynolds numbers a table answers with its nearest edge; :func:`extrapolation_flags` says for which points
-that was so, and which angles lie outside the range that the engine computed (there the values are an extension).
+Beyond its Reynolds numbers a table returns the value at its nearest edge. :func:`extrapolation_flags` reports these
+points and the angles outside the range computed by the engine, where the values are an extension.
 
-From the range that an engine covers to the full circle of angle of attack.
-
-A section far past stall is a plate, and its forces are those that were measured on four symmetrical sections over the
-whole circle (Sheldahl and Klimas, SAND80-2114, 1981: from 30 degrees on the same for all of them and for all Reynolds
-numbers), scaled to a blade of finite span. With m_l(a), m_d(a) the measured ones, of an endless span::
+**Extension to the full circle.** A section far beyond stall behaves like a plate. Its forces are those measured on
+four symmetrical sections over the full circle (Sheldahl and Klimas, SAND80-2114, 1981), scaled to a blade of finite
+span. From 30 degrees on they are equal for all sections and Reynolds numbers. With m_l(a), m_d(a) the measured
+coefficients of infinite span::
 
     c_l = C_max m_l(a) / M,    c_d = c_f + (C_max - c_f) (m_d(a) - m_d(180)) / M,    M = m_d(90) - m_d(180)
 
-``C_max`` is the drag of a plate across the flow, 1.11 + 0.018 AR up to AR = 50 and 2.01 for an endless one (Hoerner,
+``C_max`` is the drag of a plate across the flow, 1.11 + 0.018 AR up to AR = 50 and 2.01 for infinite span (Hoerner,
 Fluid-Dynamic Drag, 1965, ch. III; Viterna and Corrigan, NASA CP-2230, 1982), c_f the engine's least drag. Below 30
-degrees, where it is not the same for all, the curve goes on to nothing at 0 as the normal force of a plate does. What
-the section still has of its own at the last known angle a_s fades out by a_s + 20 degrees, 40 at least, as
-s^2 (3 - 2 s) does. The form is meant for stalled ends; where an engine gives up before stall its last value fades all
-the same, so that nothing jumps. Negative angles are the mirror image. The force acts at 1/4 + |a|/(2 pi) of the chord:
-the quarter from the leading edge at small angles, half across the flow, the quarter from the other edge from behind::
+degrees, where sections differ, the curve tends to zero at 0 like the normal force of a plate. The difference between
+section and plate at the last known angle a_s fades out as s^2 (3 - 2 s) up to a_s + 20 degrees, at least 40. The form
+is intended for stalled sections. If an engine ends before stall, its last value fades in the same way, so that the
+table is continuous. Negative angles are the mirror image. The force acts at 1/4 + |a|/(2 pi) of the chord: a quarter
+from the leading edge at small angles, half at 90 degrees, a quarter from the trailing edge at 180 degrees::
 
     c_m = -N |a|/(2 pi) + (c_m,s - plate's at a_s) (fading)
 
-What the engine computed is not touched: inside its range the table is a cubic spline through its values.
+Inside the engine's range the table is a cubic spline through the computed values.
 """
 
 from __future__ import annotations
@@ -56,8 +54,8 @@ from mufly.rotor.sections.section_data import SectionData
 Array = NDArray[np.float64]
 
 ALPHA_GRID: Array = np.linspace(-math.pi, math.pi, 721)  # half a degree
-OUTSIDE_ALPHA = 1  # bit: angle beyond what the engine computed, value is extended
-OUTSIDE_REYNOLDS = 2  # bit: Reynolds number beyond the table, value is that of its edge
+OUTSIDE_ALPHA = 1  # bit: angle outside the engine's range, value is an extension
+OUTSIDE_REYNOLDS = 2  # bit: Reynolds number outside the table, value is that of its edge
 
 _ALPHA_CELL_COUNT = ALPHA_GRID.size - 1
 _CELLS_PER_RADIAN = _ALPHA_CELL_COUNT / (2.0 * math.pi)
@@ -67,12 +65,12 @@ _RANGE_TOLERANCE = 1e-9
 
 @result(eq=False, picture="mufly.rotor.rotor_pictures:polar_picture")
 class PolarTable:
-    """Lift, drag and moment of a section.
+    """Lift, drag and moment coefficients of a section.
 
     Attributes
     ----------
     name : str
-        Airfoil.
+        Name of the airfoil.
     alpha_rad : (na,) array
         Angle of attack, uniform from -pi to pi.
     reynolds : (nr,) array
@@ -82,9 +80,9 @@ class PolarTable:
     alpha_valid_rad : (nr, 2) array
         Lowest and highest angle that the engine computed at each Reynolds number; the rest is an extension.
     source : str
-        Engine and its settings, or the file, in words.
+        Description of the engine and its settings, or of the file.
     n_crit : float
-        Amplification exponent of transition that the table was computed with; nan for measured tables.
+        Amplification exponent at transition of the computation; nan for measured tables.
     thickness_ratio, camber : float
         Greatest thickness and greatest camber over chord; nan where the geometry is unknown.
     """
@@ -113,10 +111,10 @@ class PolarTable:
 
 
 class PolarStack(NamedTuple):
-    """Several tables on one grid, as Numba kernels take them. Make it with :func:`stack_polars`.
+    """Several polar tables on one grid, for Numba kernels; created by :func:`stack_polars`.
 
-    ``grid`` has shape (tables, nr, 723, 2): the last axis is (cl, cd), the alpha axis is padded by one point
-    below and one above so that the cubic needs no wrap-around.
+    ``grid`` has shape (tables, nr, 723, 2): the last axis is (cl, cd), the alpha axis is padded by one point at each
+    end so that the cubic needs no wrap-around.
     """
 
     grid: Array
@@ -128,13 +126,13 @@ class PolarStack(NamedTuple):
 
 @cached_njit
 def stack_coefficients(stack: PolarStack, k: int, alpha: float, log_reynolds: float) -> tuple[float, float]:
-    """Lift and drag coefficient of table ``k`` of a stack at one point; for use inside kernels.
+    """Interpolate lift and drag coefficient of table ``k`` of a stack at one point; for use inside kernels.
 
     Parameters
     ----------
     stack : PolarStack
     k : int
-        Table.
+        Index of the table.
     alpha : float
         Angle of attack (rad), any finite value.
     log_reynolds : float
@@ -172,10 +170,10 @@ def _fill_coefficients(stack: PolarStack, alpha: Array, log_re: Array, out: Arra
 
 
 def stack_polars(tables: Sequence[PolarTable]) -> PolarStack:
-    """Put tables on one Reynolds grid, as kernels take them.
+    """Interpolate tables to a common Reynolds grid for kernels.
 
-    Tables whose Reynolds numbers agree are copied; otherwise all are read off at the numbers of the finest one,
-    stretched over the union of their ranges (each still clamped to its own range).
+    Tables with equal Reynolds numbers are copied. Otherwise all tables are interpolated at the Reynolds numbers of the
+    finest table, stretched over the union of their ranges; each is clamped to its own range.
 
     Raises
     ------
@@ -208,7 +206,7 @@ def stack_polars(tables: Sequence[PolarTable]) -> PolarStack:
 
 
 def _interpolate_log_reynolds(rows: Array, own: Array, wanted: Array) -> Array:
-    """Rows (nr, n) at other Reynolds numbers, linear in log Re, clamped."""
+    """Interpolate rows (nr, n) to other Reynolds numbers, linear in log Re, clamped."""
     if own.shape == wanted.shape and np.allclose(own, wanted, atol=1e-12, rtol=0):
         return rows
     if own.size == 1:
@@ -229,14 +227,14 @@ def _interpolate_table(table: PolarTable, alpha: ArrayLike, reynolds: ArrayLike)
 
 
 def lookup_lift_drag(table: PolarTable, alpha: ArrayLike, reynolds: ArrayLike) -> tuple[Array, Array]:
-    """Lift and drag coefficient.
+    """Interpolate lift and drag coefficient of a table.
 
     Parameters
     ----------
     table : PolarTable
-        The section.
+        Polar of the section.
     alpha : array_like
-        Angle of attack (rad), any finite value; whole turns do not matter.
+        Angle of attack (rad), any finite value, periodic.
     reynolds : array_like
         Chord Reynolds number, broadcast against ``alpha``; clamped to the table (see :func:`extrapolation_flags`).
 
@@ -255,12 +253,12 @@ def lookup_lift_drag(table: PolarTable, alpha: ArrayLike, reynolds: ArrayLike) -
 
 
 def lookup_moment(table: PolarTable, alpha: ArrayLike, reynolds: ArrayLike) -> Array:
-    """Moment coefficient about the quarter chord; arguments as for :func:`lookup_lift_drag`."""
+    """Interpolate the moment coefficient about the quarter chord; arguments as for :func:`lookup_lift_drag`."""
     return _interpolate_table(replace(table, cl=table.cm), alpha, reynolds)[0]
 
 
 def extrapolation_flags(table: PolarTable, alpha: ArrayLike, reynolds: ArrayLike) -> NDArray[np.uint8]:
-    """Say which points a table answers by extension.
+    """Flag the points at which a table returns extended values.
 
     Returns
     -------
@@ -275,7 +273,8 @@ def extrapolation_flags(table: PolarTable, alpha: ArrayLike, reynolds: ArrayLike
 def stack_extrapolation_flags(
     stack: PolarStack, k: int | NDArray[np.int64], alpha: Array, reynolds: Array
 ) -> NDArray[np.uint8]:
-    """The same for tables ``k`` of a stack, at points (n,): one, or (..., n) for a table a point."""
+    """Flag extended values of tables of a stack at points (n,); ``k`` is one index, or (..., n) for a table per
+    point."""
     log_re, rows = np.log(reynolds), stack.grid.shape[1]
     v = np.clip((log_re - stack.log_reynolds_min) * stack.per_log_reynolds, 0.0, rows - 1.0)
     j = np.minimum(v.astype(np.int64), max(rows - 2, 0))
@@ -289,12 +288,13 @@ def stack_extrapolation_flags(
 
 
 DEFAULT_ASPECT_RATIO = 5.0  # blades of micro rotors have 2.5 to 8; C_max then lies within 5 % of the value for 5
-_MAX_SPLINE_STEP_RAD = math.radians(2.5)  # known angles further apart than this are joined without overshoot
-_MIN_DRAG_FRACTION = 0.5  # of the least known drag; guards against overshoot of the spline
+_MAX_SPLINE_STEP_RAD = math.radians(2.5)  # wider gaps between known angles are interpolated without overshoot
+_MIN_DRAG_FRACTION = 0.5  # of the least known drag; limits undershoot of the spline
 
 
 def flat_plate_drag(aspect_ratio: float) -> float:
-    """Drag coefficient of a flat plate across the flow (Viterna and Corrigan, NASA CP-2230, after Hoerner).
+    """Return the drag coefficient of a flat plate normal to the flow (Viterna and Corrigan, NASA CP-2230, after
+    Hoerner).
 
     Parameters
     ----------
@@ -321,7 +321,7 @@ _FADE_WIDTH_RAD, _FADE_END_RAD = math.radians(20.0), math.radians(40.0)
 
 
 def _stalled_shape() -> tuple[Array, Array]:
-    """m_l and m_d - m_d(180) of the module docstring over :data:`ALPHA_GRID`, over m_d(90)."""
+    """Return m_l and m_d - m_d(180) of the module docstring on :data:`ALPHA_GRID`, both over m_d(90)."""
     size = np.abs(ALPHA_GRID)
     at = np.deg2rad(np.linspace(_MEASURED_FROM_DEG, 180.0, _MEASURED_CL.size))
     drag = _MEASURED_CD - _MEASURED_CD[-1]
@@ -340,24 +340,24 @@ _STALLED_CL, _STALLED_CD = _stalled_shape()
 
 
 def extend_full_circle(data: SectionData, *, aspect_ratio: float = DEFAULT_ASPECT_RATIO) -> PolarTable:
-    """Make the full-circle table of what an engine computed.
+    """Extend the coefficients of an engine to a full-circle table.
 
     Parameters
     ----------
     data : SectionData
-        Known values; in each row they are joined by a spline and extended beyond the first and the last.
+        Known values; each row is interpolated by a spline and extended beyond its first and last angle.
     aspect_ratio : float
         Span over chord of the blade, for the drag across the flow.
 
     Raises
     ------
     MuflyError
-        If a Reynolds number has fewer than two known angles, or all of them on one side of 60 degrees.
+        If a Reynolds number has fewer than two known angles, or only angles on one side of 60 degrees.
     """
     c_max = flat_plate_drag(aspect_ratio)
     shape = (data.reynolds.size, ALPHA_GRID.size)
     cl, cd, cm, valid = np.empty(shape), np.empty(shape), np.empty(shape), np.empty((shape[0], 2))
-    for known in np.unique(data.known, axis=0):  # rows that know the same angles are done together
+    for known in np.unique(data.known, axis=0):  # rows with the same known angles are processed together
         rows = np.flatnonzero(np.all(data.known == known, axis=1))
         a = data.alpha_rad[known]
         if a.size < 2 or a[0] > math.radians(60) or a[-1] < -math.radians(60):
@@ -377,7 +377,7 @@ def extend_full_circle(data: SectionData, *, aspect_ratio: float = DEFAULT_ASPEC
 
 
 def _blend_into_stall(a: Array, values: tuple[Array, ...], c_max: float) -> tuple[Array, Array, Array]:
-    """Rows that know the angles ``a``: spline inside, the measured circle beyond, what is their own fading into it."""
+    """Fill rows with known angles ``a``: spline inside, and beyond a transition to the measured full circle."""
     grid, rows = ALPHA_GRID, len(values[0])
     skin = values[1].min(axis=1, keepdims=True)
     normal = c_max * (_STALLED_CL * np.cos(grid) + _STALLED_CD * np.sin(grid))

@@ -1,10 +1,8 @@
-"""What an engine or a measurement says about a section, before it is extended to the full circle.
+"""Section coefficients of an engine or a measurement before their extension to the full circle, and their cache.
 
-What an engine computed, kept on disk under a hash of everything it depends on.
-
-The key covers the contour, the engine with its version and settings, and the Reynolds numbers; so an entry is never out
-of date, and deleting the folder (:func:`mufly.answer_store.cache_folder`) is always safe. A folder that cannot be
-written or an entry that cannot be read is passed over in silence: the engine just computes again.
+The cache key covers the contour, the engine with its version and settings, and the Reynolds numbers. Entries are
+therefore never out of date, and deleting the folder (:func:`mufly.answer_store.cache_folder`) is safe. If the folder
+cannot be written or an entry cannot be read, the engine computes again without a message.
 """
 
 from __future__ import annotations
@@ -24,22 +22,22 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class SectionData:
-    """Coefficients where they are known.
+    """Section coefficients at known angles and Reynolds numbers.
 
     Attributes
     ----------
     name : str
-        Airfoil.
+        Name of the airfoil.
     alpha_rad : (na,) array
-        Angles of attack, rising.
+        Angles of attack, increasing.
     reynolds : (nr,) array
         Chord Reynolds numbers, in geometric progression.
     cl, cd, cm : (nr, na) array
-        Coefficients; ``cm`` about the quarter chord. Where ``known`` is false they have no meaning.
+        Coefficients; ``cm`` about the quarter chord. They are undefined if ``known`` is false.
     known : (nr, na) array of bool
-        Where the engine answered; two angles at least in each row.
+        True for computed points, at least two angles in each row.
     valid : (nr, na) array of bool
-        Where its answer is to be trusted; in each row one stretch, which becomes the table's ``alpha_valid_rad``.
+        True for reliable points, one interval in each row, which becomes the table's ``alpha_valid_rad``.
     source, n_crit, thickness_ratio, camber
         As in :class:`mufly.rotor.sections.polar_table.PolarTable`.
     """
@@ -59,7 +57,7 @@ class SectionData:
 
 
 def cache_put(key: str, data: SectionData) -> None:
-    """Keep ``data`` under ``key``."""
+    """Store ``data`` under ``key``."""
     folder = cache_folder("polars")
     if folder is not None:
         with suppress(InputError):
@@ -67,7 +65,7 @@ def cache_put(key: str, data: SectionData) -> None:
 
 
 def cache_get(key: str, name: str) -> SectionData | None:
-    """Return what is kept under ``key``, under the airfoil's name of today, or None."""
+    """Return the data stored under ``key`` with the present name of the airfoil, or None."""
     folder = cache_folder("polars")
     found = None if folder is None else read_answer(folder / f"{key}.npz", key)
     if found is None:

@@ -1,4 +1,4 @@
-"""How near do predictions come? Measured rotors, codes of anybody, scores: `mufly rotor benchmark`."""
+"""Benchmark of rotor predictions: measured rotors, prediction codes and scores (`mufly rotor benchmark`)."""
 
 from mufly.study.benchmark.benchmark_scores import (
     RotorScore,

@@ -1,8 +1,8 @@
-"""Codes set beside measurements: answers that are kept, errors by rotor, scores by group, what a bench run brings.
+"""Scores of prediction codes against measurements: errors by rotor and group, held-out points and cross-validation.
 
-An error is prediction over measurement less one. A rotor's score is the mean size of its points' errors, a group's the
-mean of its rotors'. Nothing is fitted here on what it is scored on: :func:`score_held_out_points` shows a fit some
-points of a sweep and scores the others.
+An error is prediction / measurement - 1. The score of a rotor is the mean absolute error of its points, the score of a
+group the mean over its rotors. No code is fitted to the points on which it is scored: :func:`score_held_out_points`
+fits some points of a sweep and scores the others.
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ ProgressCallback = Callable[[int, int], None]
 
 @dataclass(frozen=True, eq=False)
 class RotorScore:
-    """A code on a rotor.
+    """Errors of a code on a rotor.
 
     Attributes
     ----------
     code : str
     case : RotorCase
-        With the points that were asked.
+        Rotor with the predicted points.
     thrust_error, torque_error : (points,) arrays
-        nan where there is no answer or no measurement.
+        Relative errors; nan without prediction or measurement.
     inside_interval : (2, points) array, optional
-        1 where a nominal 90 % interval holds the measured thrust, torque; 0 where not, nan where there is neither.
+        1 if the nominal 90 % interval contains the measured thrust or torque, 0 if not, nan without interval.
     fault : str
-        Why points have no answer.
+        Reason why points have no prediction.
     """
 
     code: str
@@ -55,11 +55,11 @@ class RotorScore:
     fault: str = ""
 
     def mean_abs_error(self, of: str) -> float:
-        """Mean size of the error of ``"thrust"`` or ``"torque"``; nan if there is none."""
+        """Return the mean absolute error of ``"thrust"`` or ``"torque"``; nan if there is none."""
         return _mean_of_known(np.abs(getattr(self, f"{of}_error")))
 
     def mean_error(self, of: str) -> float:
-        """Mean error."""
+        """Return the mean error."""
         return _mean_of_known(getattr(self, f"{of}_error"))
 
 
@@ -69,12 +69,12 @@ def _mean_of_known(values: Array) -> float:
 
 
 def select_points(case: RotorCase, index: NDArray[np.intp]) -> RotorCase:
-    """Return a case with some of its points."""
+    """Return a case with selected points."""
     return replace(case, measured=case.measured.select_points(index))
 
 
 def thin_points(case: RotorCase, points: int) -> RotorCase:
-    """Return a case with so many of its points at most, evenly over the sweep; 0: all."""
+    """Return a case with a limited number of points, evenly spaced over the sweep; 0 keeps all."""
     n = case.measured.thrust_N.size
     if not 0 < points < n:
         return case
@@ -90,18 +90,18 @@ def score_codes(
     folder: Path | None = None,
     progress: ProgressCallback | None = None,
 ) -> list[RotorScore]:
-    """Ask every code about every rotor.
+    """Run every code on every rotor.
 
     Parameters
     ----------
     cases, codes
     points, slow_points : int
-        Points a rotor, at most, of quick codes and of those that take seconds a point; 0: all.
+        Greatest number of points per rotor for fast codes, and for codes that take seconds per point; 0 for all.
     folder : Path, optional
-        Answers are kept there, one file a code and rotor, and found again by the next run with the same question and
-        the same version of mufly; an outside code that has changed wants another name or folder.
+        Folder of stored predictions, one file per code and rotor. A later run with the same inputs and version of mufly
+        reads them. A changed external code needs another name or folder.
     progress : callable, optional
-        Rotors done, and in all.
+        ``progress(done, total)`` after each rotor.
     """
     scores = []
     for done, (code, case) in enumerate((code, case) for code in codes for case in cases):
@@ -147,14 +147,14 @@ def _read_cache(file: Path | None, key: str) -> RotorPrediction | None:
 def score_held_out_points(
     cases: Sequence[RotorCase], share: str, progress: ProgressCallback | None = None
 ) -> list[RotorScore]:
-    """Fit a part of each rotor's sweep (:func:`mufly.rotor.fit_rotor`), score the rest.
+    """Fit a part of each rotor's sweep (:func:`mufly.rotor.fit_rotor`) and score the rest.
 
     Parameters
     ----------
     cases
-        Those with fewer than four points are left out.
+        Cases; those with fewer than four points are left out.
     share : 'one' or 'half'
-        The middle point, or every other one.
+        Fitted points: the middle point, or every other point.
     progress : callable, optional
     """
     scores = []
@@ -188,12 +188,10 @@ def score_held_out_points(
 
 
 def score_cross_validated(cases: Sequence[RotorCase], progress: ProgressCallback | None = None) -> list[RotorScore]:
-    """Nominal 90 % intervals (:func:`mufly.rotor.predict_interval`), their widths fitted to the families that they are
-    not for.
+    """Score nominal 90 % intervals (:func:`mufly.rotor.predict_interval`) by cross-validation over families.
 
-    For each family the factor that widens the intervals is that with which 90 % of the other families' points lie
-    inside, each rotor with the same weight. Where the section is a guess, the prediction is the mean over what it may
-    be.
+    For each family the factor on the widths is fitted to the other families, so that 90 % of their points lie inside;
+    every rotor has the same weight. If the section is guessed, the prediction is the mean over its candidates.
     """
     bands, label = [], "bemt, families"
     for done, case in enumerate(cases):
@@ -220,7 +218,7 @@ def score_cross_validated(cases: Sequence[RotorCase], progress: ProgressCallback
 
 
 def fit_interval_factor(off: Sequence[Array], level: float = 0.9) -> float:
-    """Return the factor on half widths with which ``level`` of the points lie inside; 1 if there are none.
+    """Return the factor on half widths so that the fraction ``level`` of points lies inside; 1 without points.
 
     Parameters
     ----------
@@ -247,7 +245,8 @@ def _is_within(value: Array, low: Array, high: Array) -> Array:
 
 @dataclass(frozen=True)
 class ScoreRow:
-    """A code on a group: rotors, points, mean sizes and biases of the errors, shares of points inside the intervals."""
+    """Score of a code on a group: rotors, points, mean absolute errors and biases, fractions of points inside
+    intervals."""
 
     code: str
     group: str
@@ -260,12 +259,11 @@ class ScoreRow:
     thrust_inside: float
     torque_inside: float
     without: int
-    """Points without an answer."""
+    """Number of points without a prediction."""
 
 
 def tabulate_by_group(scores: Sequence[RotorScore]) -> list[ScoreRow]:
-    """Return the scores by code and group, in the order in which they came; and of families, see
-    :func:`tabulate_by_family`."""
+    """Return the scores by code and group, in order of appearance; see also :func:`tabulate_by_family`."""
     pairs = dict.fromkeys((s.code, s.case.group) for s in scores)
     return [_make_row(c, g, [s for s in scores if (s.code, s.case.group) == (c, g)]) for c, g in pairs]
 
@@ -295,7 +293,7 @@ _MAX_ROTOR_LINES = 60
 
 
 def score_picture(scores: Sequence[RotorScore]) -> Figure:
-    """Draw the errors: a line a rotor, and for more than sixty rotors the share of rotors within an error."""
+    """Draw the errors: a line for each rotor, or for more than sixty rotors the fraction of rotors below an error."""
     from matplotlib.figure import Figure
 
     names = list(dict.fromkeys(s.case.name for s in scores))

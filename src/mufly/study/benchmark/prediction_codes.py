@@ -1,15 +1,14 @@
-"""What predicts a rotor's thrust and torque in a benchmark: mufly's methods, and any outside code by an adapter.
+"""Prediction codes of the benchmark: mufly's methods, and external codes by adapters.
 
 A code is a function of a :class:`mufly.study.benchmark.RotorCase` that returns thrust (N) and torque (N m) of its
-points, nan where it has no answer, and why not. On the command line it is one of
+points, nan where it fails, and the reason. On the command line it is one of
 
 =================  =============================================================================================
 ``bemt, wake``     mufly's methods
 ``module:name``    a Python function that takes a :data:`RotorDescription` and returns thrust and torque, arrays
-(points,) ``COMMAND``        a program, with ``{folder}`` among its words. There it finds ``blade.csv``, ``points.csv``,
-the
-                   contours of the sections and ``rotor.json`` (the question, SI units), and leaves
-                   ``answer.csv`` with the columns thrust_N, torque_Nm, a line a point
+(points,) ``COMMAND``        a program with ``{folder}`` among its arguments. That folder contains ``blade.csv``,
+                   ``points.csv``, the contours of the sections and ``rotor.json`` (all inputs, SI units). The program
+                   writes ``answer.csv`` with the columns thrust_N, torque_Nm, a line for each point
 =================  =============================================================================================
 """
 
@@ -40,14 +39,16 @@ from mufly.units import RPM
 Array = NDArray[np.float64]
 
 RotorDescription = dict[str, Any]
-"""name, blades, radius_m, hub_radius_m, trailing_edge_m; (stations,) lists r_m, chord_m, twist_rad, airfoils (names);
-contours (name to (n, 2) list, Selig order); (points,) lists pitch_rad, speed_rad_s, climb_m_s (along the shaft);
-turbulence of the tunnel (rms over mean speed; None in hover); density_kg_m3, viscosity_Pa_s, sound_m_s."""
+"""Dictionary of a rotor and its points: name, blades, radius_m, hub_radius_m, trailing_edge_m; (stations,) lists r_m,
+chord_m, twist_rad, airfoils (names); contours (name to (n, 2) list, Selig order); (points,) lists pitch_rad,
+speed_rad_s, climb_m_s (along the shaft); turbulence of the tunnel (rms over mean speed; None in hover); density_kg_m3,
+viscosity_Pa_s, sound_m_s."""
 
 
 @dataclass(frozen=True, eq=False)
 class RotorPrediction:
-    """Thrust (N) and torque (N m) of a case's points, (points,) arrays; nan where there is none; why not, in words."""
+    """Predicted thrust (N) and torque (N m) of a case's points, (points,) arrays, nan where it failed; reason of
+    failure."""
 
     thrust_N: Array
     torque_Nm: Array
@@ -56,7 +57,7 @@ class RotorPrediction:
 
 @dataclass(frozen=True)
 class PredictionCode:
-    """A name, what predicts, whether a point takes seconds, and what else than the case its answers hang on."""
+    """Prediction code: name, function, whether a point takes seconds, and inputs beside the case."""
 
     name: str
     predict: Callable[[RotorCase], RotorPrediction]
@@ -65,16 +66,16 @@ class PredictionCode:
 
 
 def parse_code(text: str, *, n_crit: float | None = None, limit_s: float = 600.0) -> PredictionCode:
-    """Return the code that a text names: ``[NAME=]WHAT``, WHAT as in the module docstring.
+    """Return the code named by a text ``[NAME=]WHAT``, with WHAT as in the module docstring.
 
-    ``n_crit``: transition of our methods; by default :data:`HOVER_N_CRIT` in hover, where a rotor works in its own wake
-    and in the air that it has stirred, and in a tunnel what the tunnel's turbulence makes it
+    ``n_crit`` is the transition parameter of mufly's methods. The default is :data:`HOVER_N_CRIT` in hover, where a
+    rotor works in its own turbulent wake, and in a tunnel the value for the tunnel's turbulence
     (:func:`n_crit_of_turbulence`).
 
     Raises
     ------
     InputError
-        If it is none of these, or the function is not to be had.
+        If the text names no code, or the function cannot be imported.
     """
     name, equals, what = text.partition("=")
     if not equals or not name.replace("-", "_").isidentifier():
@@ -105,7 +106,7 @@ def parse_code(text: str, *, n_crit: float | None = None, limit_s: float = 600.0
 
 
 def describe_case(case: RotorCase) -> RotorDescription:
-    """Return what an outside code is told of a case."""
+    """Return the description of a case for an external code."""
     r, blade = case.rotor, case.rotor.blade
     x = np.unique(np.clip(np.concatenate(([float(r.hub_cutout)], blade.r_over_R.array())), float(r.hub_cutout), 1.0))
     cut = r.sections_at(x)
@@ -137,9 +138,10 @@ HOVER_N_CRIT = 0.1
 
 
 def n_crit_of_turbulence(turbulence: float) -> float:
-    """n_crit in a stream of a turbulence (rms over mean speed): -8.43 - 2.4 ln Tu (Mack, AGARD R-709, 1984).
+    """Return n_crit for a turbulence Tu (rms over mean speed): -8.43 - 2.4 ln Tu (Mack, AGARD R-709, 1984).
 
-    Holds from 0.07 to 2.98 %, where it is 0."""
+    The formula is valid from 0.07 to 2.98 %, where it is 0.
+    """
     return -8.43 - 2.4 * math.log(min(max(turbulence, 7e-4), 0.0298))
 
 
@@ -159,7 +161,7 @@ def _make_mufly_code(method: SolverMethod, n_crit: float | None) -> Callable[[Ro
 def _predict_by_function(function: Callable[[RotorDescription], Any], label: str, case: RotorCase) -> RotorPrediction:
     try:
         return _check_prediction(function(describe_case(case)), label, case)
-    except Exception as error:  # an outside code may fail in its own way on one rotor and not on the next
+    except Exception as error:  # an external code may raise any exception on one rotor and work for the next
         return _failed_prediction(case, f"{type(error).__name__}: {error}")
 
 

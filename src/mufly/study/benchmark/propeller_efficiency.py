@@ -1,8 +1,8 @@
-"""Propellers in a tunnel: how well a code knows the greatest efficiency, where it is, and where the thrust ends.
+"""Propellers in a tunnel: errors of the greatest efficiency, its advance ratio, and the advance ratio of zero thrust.
 
-With the propellers' coefficients, eta = J c_T / c_P = V T / P. Measured: the parabola through the greatest eta of a run
-and its neighbours, and the advance ratio at which a line between neighbours has no thrust; nan where a run does not
-reach so far. Predicted: the same of the code's curve on a grid that is finer than the run.
+With propeller coefficients, eta = J c_T / c_P = V T / P. The greatest measured efficiency follows from the parabola
+through the greatest eta of a run and its neighbours. The advance ratio of zero thrust is interpolated linearly. Both
+are nan if the run does not cover them. Predicted values follow in the same way from the code's curve on a finer grid.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ _GRID_POINTS, _SLOW_GRID_POINTS = 45, 9
 _MIN_ADVANCE_SHARE, _MAX_ADVANCE_SHARE = (
     0.25,
     1.4,
-)  # of the advance ratio without thrust, between which a code is asked
+)  # of the advance ratio of zero thrust: range of the predicted points
 
 
 @dataclass(frozen=True)
 class EfficiencyCurve:
-    """Greatest efficiency, the advance ratio there, and that without thrust; nan where it is not reached."""
+    """Greatest efficiency, its advance ratio, and the advance ratio of zero thrust; nan if not covered."""
 
     max_efficiency: float
     best_advance_ratio: float
@@ -39,7 +39,7 @@ class EfficiencyCurve:
 
 @dataclass(frozen=True)
 class PropellerScore:
-    """A code on a run: the measured curve and the predicted one."""
+    """Measured and predicted efficiency curve of a run, for one code."""
 
     code: str
     case: RotorCase
@@ -50,7 +50,7 @@ class PropellerScore:
 
     @property
     def relative_errors(self) -> tuple[float, float, float]:
-        """Of the greatest efficiency, of the advance ratio there, of that without thrust; relative."""
+        """Relative errors of the greatest efficiency, its advance ratio, and the advance ratio of zero thrust."""
         p, m = self.predicted, self.measured
         return (
             p.max_efficiency / m.max_efficiency - 1.0,
@@ -60,7 +60,7 @@ class PropellerScore:
 
 
 def measure_efficiency_curve(advance: Array, thrust_N: Array, power_W: Array, airspeed_m_s: Array) -> EfficiencyCurve:
-    """Return what a run says; all arrays (points,), rising in advance ratio."""
+    """Return the efficiency curve of a run; all arrays (points,), in order of increasing advance ratio."""
     known = np.isfinite(thrust_N) & np.isfinite(power_W) & (power_W > 0.0)
     j, t = advance[known], thrust_N[known]
     eta = airspeed_m_s[known] * t / power_W[known]
@@ -82,7 +82,7 @@ def score_propellers(
     codes: Sequence[PredictionCode],
     progress: Callable[[int, int], None] | None = None,
 ) -> list[PropellerScore]:
-    """Ask every code about every run in a tunnel; those that take seconds a point on a coarser grid."""
+    """Run every code on every tunnel run; slow codes (seconds per point) use a coarser grid."""
     runs = [(code, case, run) for code in codes for case in cases for run in case.tunnel_runs]
     scores = []
     for done, (code, case, run) in enumerate(runs):
@@ -116,7 +116,7 @@ def score_propellers(
 
 @dataclass(frozen=True)
 class PropellerScoreRow:
-    """A code on all propellers, or a family's: mean size and bias of :attr:`PropellerScore.relative_errors`."""
+    """Score of a code on a group or family of propellers: mean absolute value and bias of the relative errors."""
 
     code: str
     group: str
@@ -151,7 +151,7 @@ def tabulate_propellers(scores: Sequence[PropellerScore], by_family: bool = Fals
 
 
 def _mean_over_rotors(errors: Sequence[Array]) -> tuple[float, ...]:
-    """Mean over rotors of the means over their runs, (runs, 3) arrays; nan are left out."""
+    """Return the mean over rotors of the means over their runs, (runs, 3) arrays; nan are left out."""
     out = []
     for column in range(3):
         each = [e[:, column][np.isfinite(e[:, column])] for e in errors]

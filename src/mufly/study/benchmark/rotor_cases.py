@@ -1,7 +1,7 @@
-"""Measured rotors: geometry, what is believed of the sections, and the points of the bench.
+"""Measured rotors of the benchmark: geometry, assumed sections, and measured points.
 
-Measurements are read from a folder, which is laid out as follows; what it lacks is left out and said. Nobody may hand
-all of them on, so each has the place where it is to be had.
+Measurements are read from a folder with the following layout. Missing data sets are skipped and reported with their
+source, because some may not be redistributed.
 
 ==============================  ================================================================================
 ``uiuc_micro/``                 ``index.csv`` (name, diameter_m, blades, geometry), ``*_geom.csv``, ``*_static.csv``
@@ -11,14 +11,12 @@ all of them on, so each has the place where it is to be had.
 ``caradonna_tung_ct.csv``       pitch (deg), c_T
 ``dji9443_chord.csv, _twist``   chord and twist along the blade, over R and in degrees
 ``tmotor28_single.csv``         rpm, -, -, thrust (N), torque (N m)
-``rotors/NAME.toml``, ``.csv``  a rotor file and its points, as `mufly rotor compare` takes them: anybody's own
+``rotors/NAME.toml``, ``.csv``  a user's rotor file and its points, as for `mufly rotor compare`
 ==============================  ================================================================================
 
-Sections of the propellers are not recorded. What is assumed of each (:data:`SECTION_BY_PREFIX`) was written down before
-any result was seen, with one exception: the GWS propellers were at first taken as thin plates like the others (all 17:
-c_T
-15.6 %, c_P 17.4 %), and then, seeing that the shallowest was far off, as what moulded thermoplastic blades are,
-flat-bottomed. Trailing edges of moulded, printed and formed blades are taken as :data:`TRAILING_EDGE_M` thick.
+The sections of the propellers are unknown. The assumptions (:data:`SECTION_BY_PREFIX`) were made without knowledge of
+the results, except for the GWS propellers: their flat-bottomed section was chosen after a comparison. Trailing edges of
+moulded, printed and formed blades have the thickness :data:`TRAILING_EDGE_M`.
 """
 
 from __future__ import annotations
@@ -43,11 +41,11 @@ Array = NDArray[np.float64]
 
 BENCHMARK_AIR = Air(1.2, 1.81e-5)
 T_MOTOR_AIR = Air(1.225, 1.81e-5)
-"""Of its source's own case file."""
+"""Air of the T-Motor measurements, from their case file."""
 SDA1075_FILE = str(Path(__file__).parent / "sda1075.dat")
-"""Section of the DA40x2 propellers: Deters, Ananda, Selig, AIAA 2014-2151, Table 4."""
+"""File with the section of the DA40x2 propellers: Deters, Ananda, Selig, AIAA 2014-2151, Table 4."""
 
-# Begin of a propeller's name: family, section, and whether it is known.
+# Prefix of a propeller's name: family, section, and whether the section is known.
 SECTION_BY_PREFIX: dict[str, tuple[str, str, bool]] = {
     "da40": ("DA40x2, printed", SDA1075_FILE, True),  # published with its coordinates
     "nr640": (
@@ -60,7 +58,7 @@ SECTION_BY_PREFIX: dict[str, tuple[str, str, bool]] = {
     "apce": ("APC thin", "e63>clarky", False),
     "apcsf": ("APC thin", "e63>clarky", False),
     "apcmr": ("APC thin", "e63>clarky", False),
-    # and the others' zero-lift angle is one degree beyond that of NACA 4412 and Clark Y
+    # and the zero-lift angle of the others is one degree beyond that of NACA 4412 and Clark Y
     "apc": ("APC", "naca5412", False),
     "gwssf": ("GWS slow-flyer", "naca5503", False),  # cambered plates
     "gwsdd": ("GWS", "clarky+thick8", False),  # moulded, flat-bottomed; 1 mm on 12 mm of chord
@@ -75,11 +73,11 @@ SECTION_BY_PREFIX: dict[str, tuple[str, str, bool]] = {
         "T-motor",
         "goe450",
         False,
-    ),  # stand-ins of its source: GOE 450, GOE 408 at the two outermost
+    ),  # substitutes named by the source: GOE 450, and GOE 408 at the two outermost stations
 }
 _UNKNOWN_SECTION = ("other", "naca4412", False)
 TRAILING_EDGE_M = 3e-4
-"""Trailing edge of propellers: what moulds fill and printers print; judgement, not measured on any."""
+"""Trailing edge thickness of propellers (m), limited by moulding and printing; an estimate, not measured."""
 
 DATA_SOURCES = {
     "uiuc_micro": "UIUC Propeller Data Site, volume 2: https://m-selig.ae.illinois.edu/props/volume-2/propDB-volume-2.html",
@@ -88,29 +86,29 @@ DATA_SOURCES = {
     "dji9443_chord.csv": "FLOWUnsteady, data/rotors/DJI9443*: https://github.com/byuflowlab/FLOWUnsteady",
     "tmotor28_single.csv": "pyBEMT, examples: https://github.com/kegiljarhus/pyBEMT",
 }
-"""What of the folder is where to be had."""
+"""Sources of the data sets in the folder."""
 
 _FETCH_REMEDY = f"fetch measurements, as {DATA_SOURCES['uiuc_micro']}, and name theirs"
 
 
 @dataclass(frozen=True)
 class RotorCase:
-    """A rotor and its measurements; pitch settings are in ``measured``, twist in the rotor.
+    """Measured rotor of the benchmark; pitch settings are in ``measured``, twist in the rotor.
 
     Attributes
     ----------
     name, group, family : str
-        ``group``: rotors that are scored together. ``family``: maker or series; rotors of one have much in common, so
-        whatever is fitted is scored on families that it has not seen.
+        ``group``: rotors that are scored together. ``family``: maker or series. Rotors of a family are similar, so fits
+        are scored on held-out families.
     rotor : Rotor
     section_known : bool
-        Whether its section is, or is a guess.
+        True if the section is known, false if it is a guess.
     measured : Measurements
     air : Air
     tunnel_runs : tuple of Measurements
-        Runs in a tunnel at one speed each, rising in airspeed.
+        Tunnel runs, each at one rotor speed, in order of increasing airspeed.
     turbulence : float
-        Of that tunnel, rms over mean speed. UIUC's is below 0.1 % (Brandt and Selig, AIAA 2011-1255).
+        Turbulence of the tunnel, rms over mean speed. UIUC's is below 0.1 % (Brandt and Selig, AIAA 2011-1255).
     """
 
     name: str
@@ -125,25 +123,25 @@ class RotorCase:
 
 
 def load_cases(folder: Path, only: str = "") -> tuple[list[RotorCase], list[str]]:
-    """Read every measured rotor that a folder has.
+    """Read all measured rotors of a folder.
 
     Parameters
     ----------
     folder : Path
-        As in the module docstring.
+        Folder with the layout of the module docstring.
     only : str
-        Parts of names or groups, with commas; nothing: all.
+        Comma-separated parts of names or groups; empty for all.
 
     Returns
     -------
     cases : list of RotorCase
     missing : list of str
-        What the folder lacks, and where it is to be had.
+        Missing data sets and their sources.
 
     Raises
     ------
     InputError
-        If there is no such folder, or nothing in it that is wanted.
+        If the folder does not exist or contains no selected rotor.
     """
     if not folder.is_dir():
         raise InputError(
@@ -179,12 +177,12 @@ def load_cases(folder: Path, only: str = "") -> tuple[list[RotorCase], list[str]
 
 
 def section_of_propeller(name: str) -> tuple[str, str, bool]:
-    """Family, section and whether it is known, of a propeller by its name."""
+    """Return family, section, and whether the section is known, of a propeller by name."""
     return next((v for k, v in SECTION_BY_PREFIX.items() if name.startswith(k)), _UNKNOWN_SECTION)
 
 
 def _airfoils_by_station(section: str, x: Array) -> tuple[str, ...]:
-    """Airfoils of stations at r/R; ``a>b`` is a on the inner half and b on the outer."""
+    """Return the airfoils of stations at r/R; ``a>b`` means a on the inner half and b on the outer half."""
     inner, both, outer = section.partition(">")
     return tuple(inner if at < 0.5 else outer for at in x) if both else (inner,)
 
@@ -226,7 +224,7 @@ def _build_measurements(
 
 
 def load_table_3_2(folder: Path) -> RotorCase:
-    """The dissertation's rotor with its four measured points."""
+    """Load the dissertation's rotor with its four measured points."""
     m = read_text_table(folder / "thesis_table_3_2.csv").read_matrix()
     rotor = _build_rotor("naca0012-r60-c20", 2, 0.06, 0.15, (0.15, 1), (0.02, 0.02), (0, 0), "naca0012")
     points = _build_measurements("Table 3.2", *m[:, :4].T)
@@ -234,7 +232,7 @@ def load_table_3_2(folder: Path) -> RotorCase:
 
 
 def load_uiuc_propellers(folder: Path) -> list[RotorCase]:
-    """The 17 propellers of the UIUC data set, volume 2; blades begin at 0.15 R."""
+    """Load the 17 propellers of the UIUC data set, volume 2; blades begin at 0.15 R."""
     home = folder / "uiuc_micro"
     index = read_text_table(home / "index.csv")
     columns = [index.read_texts(index.find_column(n)) for n in ("name", "diameter_m", "blades", "geometry")]
@@ -268,10 +266,10 @@ _DIAMETER_IN_NAME = re.compile(r"_(\d+(?:\.\d+)?)(?:x\d|_\d+deg)")
 
 
 def load_uiuc_files(folder: Path) -> Iterator[RotorCase]:
-    """UIUC's own files, pairs of ``NAME_geom.txt`` and ``NAME_static_RUN.txt``, anywhere below a folder.
+    """Load UIUC's files, pairs of ``NAME_geom.txt`` and ``NAME_static_RUN.txt``, anywhere below a folder.
 
-    Diameters are in a name's first number, in inches below 30 and in millimetres above; ``_3b`` before ``_static``: of
-    three of the same blades.
+    The first number in a name is the diameter, in inches below 30 and in millimetres above. ``_3b`` before ``_static``
+    marks a propeller with three of the blades.
     """
     for geometry, more in product(sorted(folder.rglob("*_geom.txt")), ("", "_3b", "_4b")):
         name = geometry.name.removesuffix("_geom.txt") + more
@@ -301,7 +299,7 @@ _MEASUREMENT_FIELDS = ("pitch_rad", "speed_rad_s", "thrust_N", "torque_Nm")
 
 
 def load_tunnel_runs(folder: Path, case: RotorCase) -> Iterator[RotorMeasurements]:
-    """UIUC's runs of a propeller in its tunnel, ``NAME_RUN_RPM.txt`` with the columns J, CT, CP."""
+    """Load UIUC's tunnel runs of a propeller, ``NAME_RUN_RPM.txt`` with the columns J, CT, CP."""
     named = re.compile(re.escape(case.name) + r"_[^_]+_(\d+)")
     for file in sorted(folder.rglob(f"{case.name}_*.txt")):
         found = named.fullmatch(file.stem)
@@ -314,7 +312,8 @@ def load_tunnel_runs(folder: Path, case: RotorCase) -> Iterator[RotorMeasurement
 
 
 def load_dji_9443(folder: Path) -> RotorCase:
-    """The 240 mm rotor, one hover point: c_T 0.072 (propellers' convention) at 5400 rpm (Zawodny et al., AHS 2016)."""
+    """Load the 240 mm rotor with one hover point: c_T 0.072 (propellers' convention) at 5400 rpm (Zawodny et al., AHS
+    2016)."""
     c, t = (
         read_text_table(folder / "dji9443_chord.csv").read_matrix(),
         read_text_table(folder / "dji9443_twist.csv").read_matrix(),
@@ -336,7 +335,8 @@ def load_dji_9443(folder: Path) -> RotorCase:
 
 
 def load_caradonna_tung(folder: Path) -> RotorCase:
-    """Two blades, NACA 0012, 1.1 m radius, 1250 rpm: Reynolds number 2e6, Mach 0.44 at the tip."""
+    """Load Caradonna and Tung's rotor: two blades, NACA 0012, 1.1 m radius, 1250 rpm: Reynolds number 2e6, Mach 0.44 at
+    the tip."""
     m, radius = read_text_table(folder / "caradonna_tung_ct.csv").read_matrix(), 1.143
     rotor = _build_rotor("caradonna-tung", 2, radius, 0.2, (0.2, 1), (0.1905, 0.1905), (0, 0), "naca0012")
     thrust = m[:, 1] * BENCHMARK_AIR.density_kg_m3 * np.pi * radius**4 * (1250 * RPM) ** 2
@@ -345,7 +345,7 @@ def load_caradonna_tung(folder: Path) -> RotorCase:
 
 
 def make_t_motor_rotor() -> Rotor:
-    """The 28 inch rotor, sections as its source's case file has them, the tip as its last measured station."""
+    """Make the 28 inch rotor with the sections of its source's case file; the tip equals the last measured station."""
     r = np.array([3.556, 7.112, 10.668, 14.224, 17.78, 21.336, 24.892, 28.448, 32.004, 35.56]) / 100
     chord = np.array([31, 56, 70, 70, 65, 58, 50, 43, 34, 34]) / 1000
     deg = np.array([0, 19.6, 17.9, 14.4, 11.6, 9.7, 8.4, 7.2, 6.7, 6.7])
@@ -354,14 +354,14 @@ def make_t_motor_rotor() -> Rotor:
 
 
 def load_t_motor_28(folder: Path) -> RotorCase:
-    """The 28 inch rotor alone, 30 speeds."""
+    """Load the isolated 28 inch rotor with 30 speeds."""
     m = read_text_table(folder / "tmotor28_single.csv").read_matrix()
     points = _build_measurements("T-motor 28", 0, m[:, 0], m[:, 3], m[:, 4])
     return RotorCase("tmotor28", "T-motor 28", "T-motor", make_t_motor_rotor(), False, points, T_MOTOR_AIR)
 
 
 def load_own_rotors(folder: Path) -> Iterator[RotorCase]:
-    """Pairs of a rotor file, ``NAME.toml``, and its points of a bench, ``NAME.csv``, in ``rotors/``."""
+    """Load the pairs of rotor file ``NAME.toml`` and bench points ``NAME.csv`` in ``rotors/``."""
     for file in sorted((folder / "rotors").glob("*.toml")):
         points = file.with_suffix(".csv")
         if points.exists():
