@@ -1,4 +1,4 @@
-"""What turns the rotors? Motor, gear and battery; where rotor and drive meet, and how long the battery lasts."""
+"""Drive trains: motor, gear and battery, steady operating points with a rotor, and hover endurance."""
 
 from mufly.drive.drive_train import (
     DriveTrain,

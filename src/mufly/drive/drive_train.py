@@ -1,25 +1,24 @@
-"""Brushless motor with gear and rotor (thesis Secs 3.1.4 and 4.4.2), and the drive train as a file states it.
+"""Drive train of brushless motor, gear, rotor and battery (thesis Secs 3.1.4 and 4.4.2), and drive files.
 
 The controller applies the mean voltage ``duty * voltage``; the inductance is neglected (eq. 4.26)::
 
     I_A          = (duty * U - kE * i * Omega) / R                          armature current
     J dOmega/dt  = kM * I_A / i - dR * Omega - Mf / i - Q / (i^2 * eta)     eq. 4.29, and Mf
 
-with gear ratio ``i = motor speed / rotor speed`` and the drag torque ``Q`` of the rotor. ``J`` is the inertia
-that the motor sees. The supply gives ``duty * I_A`` (mean of the chopped current). The constant friction ``Mf`` (of
-bearings, brushes and the iron's hysteresis; it makes a free motor's current nearly the same at every speed) is not in
-the dissertation, whose motors have none; below ``FULL_FRICTION_SPEED_rad_s`` it falls in a straight line to zero, as
-the sign of a speed would make a motor at rest tremble.
+with gear ratio ``i = motor speed / rotor speed`` and the drag torque ``Q`` of the rotor. ``J`` is the inertia referred
+to the motor. The supply current is ``duty * I_A`` (mean of the chopped current). The dissertation has no constant
+friction ``Mf``, which stands for bearings, brushes and hysteresis of the iron. It makes the no-load current nearly
+independent of speed. Below ``FULL_FRICTION_SPEED_rad_s`` it decreases linearly to zero, because the sign function would
+make a motor at rest oscillate.
 
-In a file the motor is given by the constants of eqs. 4.24 and 4.25, ``[motor]``, or by what a data sheet prints,
-``[datasheet]``: speed constant Kv, resistance R, and the current I0 that it draws when it runs free at the
-voltage U0. Then
+A file gives the motor by the constants of eqs. 4.24 and 4.25, ``[motor]``, or by its data sheet, ``[datasheet]``: speed
+constant Kv, resistance R, and no-load current I0 at the voltage U0. Then
 
     kE = 1 / Kv,    kM = kE,    dR = kM I0 / w0,    w0 = (U0 - R I0) / kE,
 
-because the power of an ideal converter is conserved (kE w I = kM I w) and a free motor's torque only overcomes
-its friction. Motors identified from measurements may have kM < kE (muFly's has 0.0035 N m/A against 0.0045 V
-s): iron losses that grow with the current are then counted in kM.
+because the power of an ideal converter is conserved (kE w I = kM I w) and the torque of a motor without load only
+overcomes its friction. Motors identified from measurements may have kM < kE (muFly's has 0.0035 N m/A against 0.0045 V
+s): kM then includes iron losses that grow with the current.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ from mufly.vehicle.quantity import ParameterGroup, Quantity, declare_parameter
 from mufly.vehicle.vehicle_schema import MAX_TORQUE_TO_EMF_RATIO, Battery, Gear, Motor
 
 FULL_FRICTION_SPEED_rad_s = 1.0
-"""Rotor speed (rad/s) from which on constant friction acts in full."""
+"""Rotor speed (rad/s) above which constant friction acts in full."""
 
 
 @cached_njit(error_model="numpy")
@@ -87,7 +86,7 @@ FloatOrArray = float | NDArray[np.float64]
 
 @result
 class MotorConstants:
-    """The numbers of one motor with controller and gear, SI; each a float or an array over cases.
+    """Constants of one motor with controller and gear in SI units; each a float or an array over cases.
 
     Attributes
     ----------
@@ -96,11 +95,11 @@ class MotorConstants:
     resistance_ohm : R
         Armature and controller together.
     friction_Nm_s, friction_Nm : dR, Mf
-        Friction of the motor that grows with its speed, and that does not.
+        Viscous and constant friction of the motor.
     gear_ratio, gear_efficiency : i, eta
         Motor speed over rotor speed; power out of the gear over power in.
     controller_efficiency : eta_c
-        Power to the motor over power from the supply, beyond what ``resistance_ohm`` takes.
+        Power to the motor over power from the supply, without the losses in ``resistance_ohm``.
     """
 
     back_emf_V_s: FloatOrArray
@@ -113,16 +112,16 @@ class MotorConstants:
     friction_Nm: FloatOrArray = 0.0
 
     def select_cases(self, case: NDArray[np.int64]) -> MotorConstants:
-        """Return the constants of some cases: arrays are indexed, single numbers stay."""
+        """Return the constants of selected cases: arrays are indexed, scalars are unchanged."""
         return MotorConstants(**{k: v[case] if np.ndim(v) else v for k, v in vars(self).items()})
 
 
 KV_RANGE = (0.1, 1e6)
-"""Speed constants (rad/s/V) of motors: those of the back-EMF constants that a vehicle file may state."""
+"""Range of speed constants (rad/s/V), from the permitted back-EMF constants of a vehicle file."""
 
 
 class DatasheetMotor(ParameterGroup):
-    """A motor as its data sheet describes it."""
+    """Motor described by its data sheet."""
 
     speed_constant: Quantity = Field(description="Kv, free speed per volt", json_schema_extra={"symbol": "Kv"})
     resistance: Quantity = declare_parameter("ohm", "R", "resistance between two leads", at_least=1e-4, at_most=1e4)
@@ -185,7 +184,7 @@ class Controller(ParameterGroup):
 
 
 class DriveTrain(ParameterGroup):
-    """Motor, controller and gear of each rotor, and the battery that feeds them all. SI values."""
+    """Motor, controller and gear of each rotor, and their common battery; SI values."""
 
     name: str = Field(min_length=1, description="short name")
     description: str = Field(default="", description="one line about the drive train")
@@ -204,12 +203,12 @@ class DriveTrain(ParameterGroup):
         return self
 
     def motor_constants(self, **overrides: FloatOrArray | None) -> MotorConstants:
-        """Return the numbers of one motor with controller and gear.
+        """Return the constants of one motor with controller and gear.
 
         Parameters
         ----------
         **overrides : float or array
-            New values for fields of :class:`MotorConstants`; None keeps the drive's own.
+            New values of fields of :class:`MotorConstants`; None keeps the value of the drive.
         """
         rubbing = 0.0
         if self.motor is not None:
@@ -248,12 +247,12 @@ _MUFLY_VEHICLE = "mufly-1.1"  # muFly's drive train is the one identified on thi
 
 
 def list_builtin_drives() -> list[str]:
-    """Return the names of the drives that come with mufly: ``mufly``, and those of the built-in vehicles."""
+    """Return the names of the built-in drives: ``mufly``, and those of the built-in vehicles."""
     return ["mufly", *builtin_file_names(_VEHICLE_FILES)]
 
 
 def drive_of_vehicle(vehicle: Vehicle) -> DriveTrain:
-    """Return the drive train of a vehicle: two rotors, each with its motor and gear, on one battery."""
+    """Return the drive train of a vehicle: two rotors, each with motor and gear, on one battery."""
     return DriveTrain(
         name=vehicle.name,
         description=f"drive train of {vehicle.description or vehicle.name}",
@@ -286,7 +285,7 @@ def load_drive(name_or_path: str | Path) -> DriveTrain:
 
 
 def drive_to_toml(drive: DriveTrain) -> str:
-    """Return the drive as the text of a drive file, in SI units, that :func:`load_drive` reads back."""
+    """Return the text of a drive file in SI units that :func:`load_drive` can read."""
     return tomli_w.dumps(drive.model_dump(exclude_none=True))
 
 
@@ -327,7 +326,7 @@ def drive_to_toml(drive: DriveTrain) -> str:
 
 @cached_njit(error_model="numpy")
 def interpolate_table(table: Array, fraction: float) -> float:
-    """Interpolate ``table`` (n values at equal steps from 0 to 1) linearly; the ends hold outside."""
+    """Interpolate ``table`` (n values at equal steps from 0 to 1) linearly; the end values hold outside."""
     last = table.shape[0] - 1
     position = min(max(fraction, 0.0), 1.0) * last
     k = min(int(position), last - 1)
@@ -351,7 +350,7 @@ Array = NDArray[np.float64]
 
 
 def open_circuit_voltage(battery: Battery, charge: float) -> float:
-    """Return the battery's voltage at rest (V) with ``charge`` (0 to 1) left, as the flight model has it."""
+    """Return the battery's open-circuit voltage (V) at a remaining ``charge`` (0 to 1), as in the flight model."""
     if not 0.0 <= charge <= 1.0:
         raise InputError("battery", "charge", f"{charge:g} is out of range", "give a fraction from 0 to 1")
     if battery.model == "constant":
@@ -360,18 +359,18 @@ def open_circuit_voltage(battery: Battery, charge: float) -> float:
 
 
 def internal_resistance(battery: Battery) -> float:
-    """Return R_b (ohm): zero for the 'constant' model, which does not sag."""
+    """Return R_b (ohm); zero for the 'constant' model."""
     return 0.0 if battery.model == "constant" else float(battery.internal_resistance)
 
 
 def battery_voltage(battery: Battery, open_circuit_V: ArrayLike, power_W: ArrayLike) -> Array:
-    """Return the terminal voltage under motors of constant power and the electronics; nan where it breaks down.
+    """Return the terminal voltage (V) under motors of constant power and the electronics; nan if there is no solution.
 
     Parameters
     ----------
     battery : Battery
     open_circuit_V : array_like
-        Voltage at rest (V).
+        Open-circuit voltage (V).
     power_W : array_like
         Power of all motors together (W).
     """
@@ -386,7 +385,7 @@ _GAUSS_NODES = 8
 
 @result
 class HoverEndurance:
-    """How long a hover lasts from a full battery.
+    """Hover endurance from a full battery.
 
     Attributes
     ----------
@@ -396,9 +395,9 @@ class HoverEndurance:
     ends_by : str
         ``"low voltage"``, ``"full duty"``, ``"breakdown"`` or ``"empty"``.
     voltage_full_V, voltage_end_V : float
-        At the battery's terminals.
+        Terminal voltage of the battery at begin and end.
     mean_current_A : float
-        Of the battery.
+        Mean current of the battery.
     """
 
     time_s: float
@@ -410,21 +409,21 @@ class HoverEndurance:
 
 
 def hover_endurance(battery: Battery, *, power_W: float, motor_voltage_V: float) -> HoverEndurance:
-    """Return how long a battery feeds motors of constant power.
+    """Return the endurance of a battery with motors of constant power.
 
     Parameters
     ----------
     battery : Battery
-        Of a drive or a vehicle.
+        Battery of a drive or a vehicle.
     power_W : float
-        Of all motors together, at the battery.
+        Power of all motors together, at the battery.
     motor_voltage_V : float
-        The highest mean voltage that a motor needs.
+        Highest mean voltage required by a motor.
 
     Raises
     ------
     MuflyError
-        If not even the full battery can.
+        If the full battery cannot supply the power or voltage.
     """
     r, electronics = internal_resistance(battery), float(battery.electronics_current)
     ends: dict[Literal["low voltage", "full duty", "breakdown"], float] = {

@@ -1,22 +1,21 @@
-"""Which gear suits a rotor and a motor: gear ratio curves as in Fig. 3.7, and gear ratios in closed form.
+"""Gear ratios for a rotor and a motor: curves over the gear ratio as in Fig. 3.7, and optima in closed form.
 
 At a given rotor speed Omega and torque Q (so at a given thrust) the motor balance of eq. 3.18 is a quadratic in
 the gear ratio i. With A = kM U / R - Mf and B = kM kE / R + dR
 
     B Omega i^2 - A i + Q / eta = 0,     i = [A +- sqrt(A^2 - 4 B Omega Q / eta)] / (2 B Omega).
 
-Both roots give the wanted thrust at full voltage U; the larger one lets the motor turn faster with less current
-and needs less power. That is the gear *adapted* to a thrust, as the dissertation's studies have it (Sec. 3.4).
-There is no root when the rotor needs more than the motor's greatest power, Q Omega > eta A^2 / (4 B).
+Both roots give the required thrust at full voltage U. The larger root has a faster motor, less current and less power.
+It is the gear *adapted* to a thrust, as in the dissertation's studies (Sec. 3.4). There is no root if the rotor needs
+more than the motor's greatest power, Q Omega > eta A^2 / (4 B).
 
-If the voltage may be lower (duty below 1), every i between the roots will do. The input power then is, with
-a = Q / (eta kM) and b = dR Omega / kM,
+At lower voltage (duty below 1) every i between the roots is possible. The input power then is, with a = Q / (eta kM)
+and b = dR Omega / kM,
 
     I = a / i + b i,     P = R I^2 + kE Omega i I,     dP/di = 0  at  i^4 = R a^2 / (R b^2 + kE Omega b),
 
-convex in i: the *best* gear is that value, moved into the interval. With a constant friction I has Mf / kM
-more, P stays convex, and the root of dP/di i^3 = 0, a polynomial, is found by Newton's method from there. Own
-derivation.
+convex in i: the *best* gear is that value, clipped to the interval. Constant friction adds Mf / kM to I; P remains
+convex, and the root of the polynomial dP/di i^3 = 0 is found by Newton's method from that value. Own derivation.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from mufly.results import result
 
 Array = NDArray[np.float64]
 
-_MAX_NEWTON_STEPS = 20  # the start is a bound from above, beyond which the polynomial is convex: no step goes too far
+_MAX_NEWTON_STEPS = 20  # the start is an upper bound, above which the polynomial is convex: no step overshoots
 
 GEAR_CURVES = {
     "input_power_W": ("W", "electrical input power"),
@@ -60,27 +59,28 @@ def _solve_gear_quadratic(
 
 
 def adapted_gear_ratio(c: MotorConstants, speed: ArrayLike, torque: ArrayLike, voltage: ArrayLike) -> Array:
-    """Return the gear ratio at which the drive holds a rotor's speed at full voltage, with the least power.
+    """Return the gear ratio of least power at which the drive holds a rotor's speed at full voltage.
 
     Parameters
     ----------
     c : Constants
-        Their gear ratio is not used.
+        Motor constants; their gear ratio is ignored.
     speed, torque : array_like
-        Of the rotor (rad/s, N m).
+        Speed and torque of the rotor (rad/s, N m).
     voltage : array_like
-        At the motor (V).
+        Voltage at the motor (V).
 
     Returns
     -------
     array of the broadcast shape
-        nan where the motor has not the power.
+        Gear ratio; nan if the motor's power is insufficient.
     """
     return _solve_gear_quadratic(c, speed, torque, voltage)[1]
 
 
 def best_gear_ratio(c: MotorConstants, speed: ArrayLike, torque: ArrayLike, voltage: ArrayLike) -> Array:
-    """Return the gear ratio that needs the least power at any duty up to full voltage; arguments as before."""
+    """Return the gear ratio of least power at any duty up to full voltage; arguments as for
+    :func:`adapted_gear_ratio`."""
     small, large = _solve_gear_quadratic(c, speed, torque, voltage)
     w = np.asarray(speed, dtype=np.float64)
     a = np.asarray(torque) / (np.asarray(c.gear_efficiency) * c.torque_Nm_A)
@@ -109,7 +109,7 @@ def gear_curve(
     ratios : (n,) array_like
         Gear ratios, above 0.
     duty : float
-        Share of the supply voltage at the motor.
+        Motor voltage over supply voltage.
     supply_V : float, optional
         Default: the battery's nominal voltage.
 
@@ -131,9 +131,9 @@ def gear_curve(
 
 @result
 class GearOptima:
-    """Gear ratios at which a drive at full voltage is best, each in one respect.
+    """Optimal gear ratios of a drive at full voltage, each for one criterion.
 
-    ``for_thrust`` is the largest that gives the wanted thrust; nan if none does or none was wanted.
+    ``for_thrust`` is the largest ratio that gives the required thrust; nan if there is none or no thrust is required.
     """
 
     mechanical_power: float
@@ -152,21 +152,21 @@ def find_gear_optima(
     supply_V: float | None = None,
     limits: tuple[float, float] = (0.2, 30.0),
 ) -> GearOptima:
-    """Find the optima of :func:`gear_curve` and the largest gear ratio that still gives a thrust.
+    """Find the optima of :func:`gear_curve` and the largest gear ratio that gives a thrust.
 
     Parameters
     ----------
     drive, load, duty, supply_V
         As for :func:`gear_curve`.
     thrust_N : float, optional
-        Wanted thrust.
+        Required thrust.
     limits : (float, float)
         Range of gear ratios.
 
     Notes
     -----
     The curve is sampled at 400 ratios in geometric progression; optima are the vertices of parabolas through
-    the three points around the greatest sample, and the crossing is interpolated, each good to 1e-4 of the
+    the three points around the greatest sample, and the crossing is interpolated. Both are accurate to 1e-4 of the
     ratio.
     """
     ratio = np.geomspace(*limits, 400)

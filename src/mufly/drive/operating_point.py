@@ -1,25 +1,24 @@
-"""Where rotor and drive meet: the steady operating point (thesis eq. 3.18, without its constant c_Q).
+"""Steady operating point of rotor and drive (thesis eq. 3.18, with variable c_Q).
 
-At rest eq. 4.29 says, with motor speed w = i Omega and the torque Q(Omega) of the rotor,
+In steady state eq. 4.29 gives, with motor speed w = i Omega and the torque Q(Omega) of the rotor,
 
     kM I = dR w + Mf + Q / (i eta)         current I
     U_m  = R I + kE w                      mean voltage at the motor (eq. 4.24 without inductance)
     P_in = U_m I / eta_c                   power from the supply; P_mech = Q Omega reaches the rotor
 
-so the point follows in closed form from speed and torque. What is left to find is the speed, one bracketed unknown:
+so the point follows in closed form from speed and torque. The only unknown is the speed, which is bracketed:
 
 * given thrust: T(Omega) = T;
-* given motor voltage or duty: dOmega/dt of eq. 4.29 (:func:`rotor_acceleration`) is zero. It falls with the speed
-  from stall to the speed at which the motor would run free.
+* given motor voltage or duty: dOmega/dt of eq. 4.29 (:func:`rotor_acceleration`) is zero. It decreases with the speed
+  from standstill to the no-load speed of the motor.
 
-The supply is a fixed voltage, or the battery at a charge, sagging under all motors (:func:`battery_voltage`). The
-motor needs duty = U_m / U, at most 1. Where the power goes: R I^2 copper, (kE - kM) w I what the motor's two
-constants do not account for (iron), dR w^2 + Mf w friction, (1 - eta) of what enters the gear, (1 - eta_c) P_in the
-controller.
+The supply is a fixed voltage, or the battery at a charge with the voltage drop of all motors (:func:`battery_voltage`).
+The motor needs duty = U_m / U, at most 1. The losses are R I^2 in copper, (kE - kM) w I in iron, dR w^2 + Mf w in
+friction, the fraction 1 - eta of the gear's input, and (1 - eta_c) P_in in the controller.
 
-What a rotor asks of its drive is a load, a function ``load(speed_rad_s, case)``: speeds (m,) of the cases with the
-numbers ``case`` (m,), answered with thrust (N) and torque (N m), each (m,). The numbers select among arrays that the
-load may hold, one entry a case; a load of a single rotor has no need of them.
+The load of a rotor is a function ``load(speed_rad_s, case)``. It returns thrust (N) and torque (N m), each (m,), at
+speeds (m,) of the cases with the indices ``case`` (m,). A load may hold arrays with an entry for each case; the load of
+a single rotor ignores the indices.
 """
 
 from __future__ import annotations
@@ -53,9 +52,9 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 SUPPLY_VOLTAGE_SHARES = (0.01, 3.0)
-"""A bench supply gives this share of the battery's lowest voltage in use to this many times its highest."""
-MIN_SPEED_rad_s, MAX_SPEED_rad_s = 1e-2, 2e4  # rad/s; no rotor that this package is for turns faster
-_rotor_acceleration: Callable[..., Array] = rotor_acceleration.py_func  # the same source for arrays
+"""Range of bench supply voltages: factors on the battery's lowest and highest voltage in use."""
+MIN_SPEED_rad_s, MAX_SPEED_rad_s = 1e-2, 2e4  # rad/s; limits of the speeds of rotors
+_rotor_acceleration: Callable[..., Array] = rotor_acceleration.py_func  # the uncompiled function works on arrays
 _armature_current: Callable[..., Array] = armature_current.py_func
 _terminal_voltage = np.vectorize(terminal_voltage, otypes=[float])
 
@@ -69,17 +68,17 @@ class OperatingPoint:
     speed_rad_s : array
         Rotor speed.
     thrust_N, torque_Nm : array
-        Of the rotor.
+        Thrust and torque of the rotor.
     gear_ratio : array
         Motor speed over rotor speed.
     motor_speed_rad_s, motor_voltage_V, motor_current_A : array
-        Of one motor.
+        Speed, mean voltage and current of one motor.
     voltage_V : array
-        Of the supply.
+        Voltage of the supply.
     duty : array
-        Share of the supply's voltage at the motor.
+        Motor voltage over supply voltage.
     supply_current_A, input_power_W : array
-        What one motor's controller draws from the supply, electronics not counted.
+        Current and power of one motor's controller from the supply, without electronics.
     mechanical_power_W : array
         Power that reaches the rotor.
     efficiency : array
@@ -87,7 +86,7 @@ class OperatingPoint:
     thrust_per_power_N_W : array
         Thrust over electrical power.
     copper_loss_W, conversion_loss_W, friction_loss_W, gear_loss_W, controller_loss_W : array
-        Where the rest goes, see the module.
+        Losses, see the module docstring.
     """
 
     speed_rad_s: Array
@@ -114,16 +113,16 @@ class OperatingPoint:
 def compute_operating_point(
     c: MotorConstants, speed: ArrayLike, thrust: ArrayLike, torque: ArrayLike, voltage: ArrayLike
 ) -> OperatingPoint:
-    """Return the steady operating point that belongs to a rotor's speed, thrust and torque.
+    """Return the steady operating point for speed, thrust and torque of a rotor.
 
     Parameters
     ----------
     c : Constants
-        Motor, controller, gear.
+        Constants of motor, controller and gear.
     speed, thrust, torque : array_like
-        Of the rotor: rad/s, N, N m.
+        Speed (rad/s), thrust (N) and torque (N m) of the rotor.
     voltage : array_like
-        Of the supply (V); not checked against the motor's need (``duty`` may exceed 1).
+        Supply voltage (V); not checked against the motor voltage (``duty`` may exceed 1).
     """
     w_rotor, t, q, u = (np.asarray(v, dtype=np.float64) for v in (speed, thrust, torque, voltage))
     i = np.asarray(c.gear_ratio, dtype=np.float64)
@@ -159,7 +158,7 @@ def find_speed_for_thrust(
     thrust_N : (n,) array_like
         Thrust of each case, above 0.
     guess, highest : float or (n,) array_like
-        Where to begin, and the fastest speed to be considered.
+        First guess and upper limit of the speed (rad/s).
 
     Returns
     -------
@@ -171,7 +170,7 @@ def find_speed_for_thrust(
     start = np.broadcast_to(np.asarray(guess, dtype=np.float64), wanted.shape)
     top = np.broadcast_to(np.asarray(highest, dtype=np.float64), wanted.shape)
     thrust = load(np.minimum(start, top), np.arange(wanted.size))[0]
-    # Thrust goes nearly with the square of the speed, which makes a good second guess.
+    # Thrust is nearly proportional to the square of the speed, which gives a good second guess.
     ratio = np.where(thrust > 0, wanted / np.where(thrust > 0, thrust, 1.0), 1.0)
     better = np.clip(start * np.sqrt(ratio), MIN_SPEED_rad_s, top)
     return find_rising_root(
@@ -180,7 +179,7 @@ def find_speed_for_thrust(
 
 
 def no_load_speed(c: MotorConstants, voltage: ArrayLike) -> Array:
-    """Return the rotor speed (rad/s) at which the drive would turn without a rotor."""
+    """Return the speed (rad/s) of the rotor shaft without rotor torque."""
     per_current = c.torque_Nm_A / np.asarray(c.resistance_ohm)
     driving = np.maximum(per_current * np.asarray(voltage) - c.friction_Nm, 0.0)
     return driving / (c.gear_ratio * (per_current * c.back_emf_V_s + c.friction_Nm_s))
@@ -197,7 +196,7 @@ def find_operating_point(
     charge: float | None = None,
     gear_ratio: ArrayLike | None = None,
 ) -> OperatingPoint:
-    """Find the steady state of each rotor of a drive, all of them loaded alike.
+    """Find the steady state of each rotor of a drive with equal loads on all rotors.
 
     Parameters
     ----------
@@ -205,13 +204,13 @@ def find_operating_point(
     load : RotorLoad
         From :func:`mufly.drive.make_blade_load` or :func:`mufly.drive.make_coefficient_load`.
     thrust_N, duty, motor_voltage_V : array_like
-        Exactly one: thrust of one rotor, share of the supply voltage at the motor (0 to 1), or voltage at the motor.
+        Exactly one: thrust of one rotor, duty (motor over supply voltage, 0 to 1), or voltage at the motor.
     supply_V : float, optional
         Fixed supply voltage. Default: the battery's nominal voltage.
     charge : float, optional
-        Instead: the battery with this fraction of its charge, sagging under all motors and the electronics.
+        Charge (0 to 1) of the battery as supply, with the voltage drop of all motors and the electronics.
     gear_ratio : array_like, optional
-        Instead of the drive's own; broadcast against the given quantity.
+        Gear ratio in place of the drive's, broadcast against the given quantity.
 
     Returns
     -------
@@ -221,9 +220,9 @@ def find_operating_point(
     Raises
     ------
     InputError
-        If not exactly one quantity is given or it makes no sense.
+        If not exactly one quantity is given, or its value is invalid.
     MuflyError
-        If a thrust is out of the motor's or battery's reach; the message says what can be reached.
+        If motor or battery cannot give the thrust; the message states the greatest thrust.
     """
     place = "operating point"
     given = [("thrust_N", thrust_N), ("duty", duty), ("motor_voltage_V", motor_voltage_V)]
@@ -262,20 +261,20 @@ def find_operating_point(
 
 @dataclass(frozen=True)
 class _PowerSupply:
-    """What feeds the drive: a fixed voltage, or a battery of that voltage at rest, sagging under all motors."""
+    """Supply of the drive: a fixed voltage, or a battery of that open-circuit voltage with its internal resistance."""
 
     drive: DriveTrain
     voltage_V: float
     sags_under_load: bool
 
     def voltage_at_power(self, power: Array) -> Array:
-        """Voltage while each motor draws a power (W)."""
+        """Return the supply voltage (V) at a power (W) of each motor."""
         if not self.sags_under_load:
             return np.full(power.shape, self.voltage_V)
         return battery_voltage(self.drive.battery, self.voltage_V, self.drive.rotors * power)
 
     def voltage_at_duty(self, c: MotorConstants, duty: Array, speed: Array) -> Array:
-        """Voltage while the rotors turn at a speed (rad/s) with the motors at a duty."""
+        """Return the supply voltage (V) at a rotor speed (rad/s) and a duty of the motors."""
         if not self.sags_under_load:
             return np.full(speed.shape, self.voltage_V)
         battery = self.drive.battery
@@ -334,12 +333,12 @@ def _evaluate_load(drive: DriveTrain, load: RotorLoad, speed: Array, found: NDAr
 
 
 def find_speed_at_voltage(c: MotorConstants, load: RotorLoad, voltage_V: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Find the speed at which each case of a load settles.
+    """Find the steady speed of each case of a load.
 
     Parameters
     ----------
     c : Constants
-        Single numbers, or arrays over the cases.
+        Motor constants, scalars or arrays over the cases.
     load : RotorLoad
     voltage_V : (n,) array
         Mean voltage at the motor.
@@ -347,7 +346,7 @@ def find_speed_at_voltage(c: MotorConstants, load: RotorLoad, voltage_V: Array) 
     Returns
     -------
     speed : (n,) array
-        rad/s; nan where there is none.
+        Speed (rad/s); nan where there is none.
     found : (n,) array of bool
 
     Thesis: eq. 3.18.
@@ -358,7 +357,7 @@ def find_speed_at_voltage(c: MotorConstants, load: RotorLoad, voltage_V: Array) 
 def _find_steady_speed(
     c: MotorConstants, load: RotorLoad, voltage: Callable[[Array, Integers], Array], at_most: Array
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Speed at which eq. 4.29 rests, with the motor voltage as a function of speed and case."""
+    """Find the steady speed of eq. 4.29, with the motor voltage as a function of speed and case."""
 
     def net_deceleration(speed: Array, case: Integers) -> Array:
         m = c.select_cases(case)
@@ -369,7 +368,7 @@ def _find_steady_speed(
         )  # fmt: skip
 
     top = np.broadcast_to(no_load_speed(c, at_most), at_most.shape)
-    # A rotor that is driven by the air (in descent) may run beyond the free speed.
+    # A rotor driven by the air (in descent) may exceed the no-load speed.
     return find_rising_root(net_deceleration, 0.6 * top, lowest=MIN_SPEED_rad_s, highest=np.maximum(20.0 * top, 1.0))
 
 
@@ -377,7 +376,7 @@ RotorLoad = Callable[[Array, Integers], tuple[Array, Array]]
 
 
 def make_coefficient_load(c_T: float, c_Q: float, *, radius_m: float, density_kg_m3: float = 1.2) -> RotorLoad:
-    """Return the load of a rotor with constant coefficients, as eq. 3.18 takes it.
+    """Return the load of a rotor with constant coefficients, as in eq. 3.18.
 
     Parameters
     ----------
@@ -399,14 +398,14 @@ def make_blade_load(
     climb_m_s: ArrayLike = 0.0,
     air: Air | None = None,
 ) -> RotorLoad:
-    """Return the load of blades as blade element momentum theory sees them: the coefficients change with speed.
+    """Return the load of a rotor by blade element momentum theory, with coefficients that vary with speed.
 
     Parameters
     ----------
     blading : Blading
         One or several rotors.
     pitch_rad, climb_m_s, which : array_like
-        Pitch setting (rad), axial speed (m/s) and rotor of each case; scalars hold for all.
+        Pitch setting (rad), axial speed (m/s) and rotor index of each case; scalars apply to all.
     air : Air, optional
         Density and viscosity.
     """
@@ -432,19 +431,19 @@ def make_blade_load(
 
 
 def make_scaled_load(load: RotorLoad, speed_rad_s: float, thrust_N: float, torque_Nm: float) -> RotorLoad:
-    """Return a load with thrust and torque scaled so that it goes through a point of one rotor that is known better.
+    """Return a load with thrust and torque scaled to match a reference point of one rotor.
 
     Parameters
     ----------
     load : RotorLoad
-        Of one rotor.
+        Load of one rotor.
     speed_rad_s, thrust_N, torque_Nm : float
-        The point, from a wake or a bench.
+        Reference point, from the wake method or a bench.
 
     Raises
     ------
     InputError
-        If the load has no thrust or torque there, or not of the same sign.
+        If thrust or torque of the load is zero at that speed, or has the opposite sign.
     """
     thrust, torque = load(np.array([float(speed_rad_s)]), np.array([0]))
     factors = []

@@ -1,4 +1,4 @@
-"""How does it move? Equations of motion, trim, linearisation, simulation, wind and ground."""
+"""Flight dynamics: equations of motion, trim, linearisation, simulation, wind and ground."""
 
 from mufly.dynamics.equations_of_motion import (
     battery_state,

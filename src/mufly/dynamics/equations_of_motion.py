@@ -1,7 +1,7 @@
-"""Equations of motion of a coaxial micro helicopter: the only place where they are written.
+"""Equations of motion of a coaxial micro helicopter.
 
-Simulation, trim, linearisation, identification, estimation and code export all call :func:`state_derivative`.
-Source: thesis chapter 4 and appendix A, read as docs/thesis/thesis-errata.md says; derivations in
+Simulation, trim, linearisation, identification, estimation and code export all call :func:`state_derivative`. Source:
+thesis chapter 4 and appendix A, with the corrections of docs/thesis/thesis-errata.md; derivations in
 docs/explanation/dynamics.md.
 
 Rigid body, N-E-D velocity ``v``, body rates ``W``, attitude ``A`` (body to N-E-D)::
@@ -9,8 +9,8 @@ Rigid body, N-E-D velocity ``v``, body rates ``W``, attitude ``A`` (body to N-E-
     m dv/dt = A F + m g e_D                                   F, M in body axes
     I dW/dt = M - W x I W                                     (A.6)
 
-Rotors, ``T = cT pi rho R^4 Omega^2`` and ``Q`` alike (constants, or a map over speeds and climb: see below), thrust
-along the tilted disc normal ``n``::
+Rotors, ``T = cT pi rho R^4 Omega^2`` and ``Q`` likewise (constants, or a map over speeds and climb, see below), with
+thrust along the tilted disc normal ``n``::
 
     F = T_up n_up + H_up + T_dw n_dw + H_dw + fuselage drag
     M = sum r_i x (T_i n_i + H_i) + z_B [(Q_up + Jr_up dOmega_up) - (Q_dw + Jr_dw dOmega_dw)]          (A.8, 4.13)
@@ -24,44 +24,43 @@ constant in flight (eq. 4.19) and fading with the thrust once that is below half
 ``-rho/2 cD_i A_i |w_i| w_i`` along each body axis, ``w`` the velocity through the air (eq. 4.18).
 
 Thrust and torque by constants (eqs 4.11, 4.12): ``T = cT pi rho R^4 Omega^2``, ``Q = cQ pi rho R^5 Omega |Omega|``.
-With a map (Sec. 4.3.1 asks for one beyond 0.5 m/s) ``cT`` and ``cQ`` of each rotor are functions of
+With a map (recommended by Sec. 4.3.1 beyond 0.5 m/s) ``cT`` and ``cQ`` of each rotor are functions of
 
     mean speed (Omega_up + Omega_dw)/2,    Omega_dw / Omega_up,    climb velocity / (mean speed R)
 
 with the climb velocity that of the mast through the air, along the mast.
 
-Drag in the disc plane (H-force; linear in the edgewise velocity as long as that is small beside the tip speed)::
+Drag in the disc plane (H-force; linear in the edgewise velocity if that is small compared with the tip speed)::
 
     H = -cH rho pi R^3 |Omega| (w - n (n.w))         w = A^T (v - wind) + W x r, the hub's velocity through the air
 
-It comes from what the advancing blade meets more than the retreating one (blade elements in
-docs/explanation/dynamics.md; Leishman 2006, Sec. 3.5 for the forces, Mahony, Kumar and Corke 2012 for the linear form),
-and never drives: ``H.w <= 0``.
+It results from the velocity difference of advancing and retreating blade (blade elements in
+docs/explanation/dynamics.md; Leishman 2006, Sec. 3.5 for the forces, Mahony, Kumar and Corke 2012 for the linear form).
+It is always dissipative: ``H.w <= 0``.
 
-The map is held at its edges, so thrust and
-torque go to zero with the speeds as ``Omega^2`` does, whatever the ratios are then.
+Beyond its edges the map keeps the value at the edge. Thrust and torque therefore tend to zero with the speeds as
+``Omega^2``, at any speed ratio.
 
-Contact with the floor (D = 0): compliant legs, and the rim of the upper rotor once it has tipped over. Every contact
-point below the floor by ``d`` is pushed up as a spring with damper that cannot pull, and rubs by Coulomb friction,
-smoothed around rest so that the equations stay integrable::
+Contact with the floor (D = 0): the contact points are the compliant legs and, after tipping over, the rim of the upper
+rotor. A point at the depth ``d`` below the floor has a spring and a damper that only push, and Coulomb friction,
+smoothed near rest so that the equations remain integrable::
 
     N = max(0, k d + c dd/dt)            F_t = -min(mu N / sqrt(v_t^2 + v_slip^2), c_t) v_t
 
-Around rest friction is viscous, so a steady push ``F < mu N`` lets the vehicle creep at about
-``v_slip F / (mu N)``. The bound ``c_t`` keeps the viscous yaw mode ``sum(c_t r^2) / Izz`` slower than 2000 1/s, which
-steps of 1 ms resolve even when a hard landing presses a point down with many times its share of the weight.
+Near rest friction is viscous, so a steady force ``F < mu N`` makes the vehicle creep at about ``v_slip F / (mu N)``.
+The bound ``c_t`` keeps the viscous yaw mode ``sum(c_t r^2) / Izz`` slower than 2000 1/s, which steps of 1 ms resolve
+even in a hard landing with many times the weight on a point.
 
-The legs' compliance stands for legs and floor together. Own derivation; the thesis has no ground model.
+The compliance includes legs and floor. Own derivation; the thesis has no ground model.
 
-Ground effect, where a vehicle file asks for it (``rotors.ground_effect``): the floor turns a rotor's wake
-aside, and at the same speed and torque it lifts more. Cheeseman and Bennett (ARC R&M 3021, 1955) put the image of a
-source below the floor; with h the hub's height, V the air's velocity along the floor and v the induced velocity in
-hover,
+Ground effect, if the vehicle file enables it (``rotors.ground_effect``): the floor deflects a rotor's wake and
+increases the thrust at the same speed and torque. Cheeseman and Bennett (ARC R&M 3021, 1955) use the image of a source
+below the floor. With h the hub's height, V the air's velocity along the floor and v the induced velocity in hover,
 
     T / T_free = 1 / (1 - s),    s = (R / 4h)^2 / (1 + (V / v)^2),    v^2 = T_free / (2 rho pi R^2)
 
-times ``rotors.ground_effect`` in what it adds. Each rotor has its own height and image. Below h = R/2,
-where the source is too near to stand for a disc, the value there holds. Measured and computed curves beside it:
+with the increment multiplied by ``rotors.ground_effect``. Each rotor has its own height and image. Below h = R/2, where
+a source no longer represents a disc, the value at R/2 holds. A comparison with measured and computed curves is in
 docs/log/2026-11-28-wake-single-rotors.md.
 """
 
@@ -131,7 +130,10 @@ def _inplane_drag(
     z: float,
     slope: float,
 ) -> tuple[float, float, float]:
-    """Return the drag of a rotor in its disc plane (N, body axes): unit normal, air velocity, rates, hub, N s/m."""
+    """Return the drag of a rotor in its disc plane (N, body axes).
+
+    Arguments are unit normal, air velocity (m/s), body rates (rad/s), hub position (m) and drag coefficient (N s/m).
+    """
     slope = abs(slope)
     x, y = air_x + q * z, air_y - p * z
     along = nx * x + ny * y + nz * air_z
@@ -152,7 +154,7 @@ def state_derivative(x: _Array, u: _Array, wind: _Array, p: ModelParameters, dx:
         Velocity of the air, N-E-D (m/s).
     p : record of :class:`ModelParameters`
     dx : (21,) array
-        Overwritten with dx/dt.
+        Output: dx/dt.
 
     Thesis: eqs 4.5 to 4.10, 4.13 to 4.23, 4.31.
     """
@@ -162,7 +164,7 @@ def state_derivative(x: _Array, u: _Array, wind: _Array, p: ModelParameters, dx:
         _add_ground_effect(x, wind, p, dx)
 
 
-# Inlined by force: with a map in it LLVM finds it too long, and single flights would slow down by a tenth.
+# Inlining is forced: with a map LLVM would not inline the function, which slows single flights by a tenth.
 @cached_njit(error_model="numpy", forceinline=True)
 def state_derivative_tilted(
     x: _Array,
@@ -176,12 +178,12 @@ def state_derivative_tilted(
     floor: bool,
     dx: _Array,
 ) -> None:
-    """:func:`state_derivative` with sine and cosine of the swash plate's tilt about x and y from whoever asks.
+    """Compute :func:`state_derivative` with given sine and cosine of the swash plate's tilt about x and y.
 
-    What runs on board has its own (:mod:`mufly.portable_math`). Without ``floor`` none is touched.
+    On-board code uses those of :mod:`mufly.portable_math`. Without ``floor`` ground contact is left out.
     """
-    # First of all, because what is in registers would not outlive the call.
-    # The speeds are read twice: a local variable from here on costs 3 % of a step.
+    # Called first, because a later call would spill the registers. The speeds are read twice: a local variable from
+    # here on costs 3 % of a step.
     kT_up, kT_dw, kQ_up, kQ_dw = p.thrust_up, p.thrust_dw, p.torque_up, p.torque_dw
     if p.map_nodes > 0:
         kT_up, kT_dw, kQ_up, kQ_dw = map_coefficients(x[RS_SPEED_UPPER], x[RS_SPEED_LOWER], climb_velocity(x, wind), p)
@@ -237,7 +239,7 @@ def state_derivative_tilted(
         fx_dw, fy_dw, fz_dw = fx_dw + h_x, fy_dw + h_y, fz_dw + h_z
     fx = fx_up + fx_dw - p.drag_over_speed2_x * abs(air_x) * air_x
     fy = fy_up + fy_dw - p.drag_over_speed2_y * abs(air_y) * air_y
-    # No thrust, no downwash: a helicopter at rest or lying on its side is not pushed along.
+    # Without thrust there is no downwash: a helicopter at rest or on its side has no downwash drag.
     downwash = p.downwash * min(1.0, 2.0 * (thrust_up + thrust_dw) / (p.mass * GRAVITY))
     fz = fz_up + fz_dw - p.drag_over_speed2_z * abs(air_z) * air_z + downwash
 
@@ -277,12 +279,12 @@ def state_derivative_tilted(
     dx[RS_CHARGE] = -supply_current / p.battery_capacity
 
 
-_MIN_GROUND_HEIGHT_RATIO = 0.5  # over R, of a rotor whose ground effect is known
+_MIN_GROUND_HEIGHT_RATIO = 0.5  # least height over R in the ground effect model
 
 
 @cached_njit(error_model="numpy")
 def ground_effect_thrust(thrust: float, height: float, across_squared: float, p: ModelParameters) -> float:
-    """Return what the floor adds to a rotor's thrust (N), at the hub's height (m) and (air velocity along it)^2."""
+    """Return the thrust increment (N) due to the floor at a hub height (m) and squared air velocity along the floor."""
     if thrust <= 0.0:
         return 0.0
     near = 0.25 * p.ground_radius / max(height, _MIN_GROUND_HEIGHT_RATIO * p.ground_radius)
@@ -293,7 +295,7 @@ def ground_effect_thrust(thrust: float, height: float, across_squared: float, p:
 
 @cached_njit(error_model="numpy")
 def _add_ground_effect(x: _Array, wind: _Array, p: ModelParameters, dx: _Array) -> None:
-    """Add to the time derivative what the floor does to the rotors' thrust; see the module docstring."""
+    """Add the ground effect on the rotors' thrust to the time derivative; see the module docstring."""
     speed_up, speed_dw, height = x[RS_SPEED_UPPER], x[RS_SPEED_LOWER], -x[RS_POS + 2]
     kT_up, kT_dw = p.thrust_up, p.thrust_dw
     if p.map_nodes > 0:
@@ -316,7 +318,7 @@ def _add_ground_effect(x: _Array, wind: _Array, p: ModelParameters, dx: _Array) 
     dx[RS_RATES + 1] += (p.z_up * fx_up + p.z_dw * fx_dw) / p.Iyy
 
 
-_MIN_ROTOR_SPEED = 1e-3  # rad/s; below this a rotor makes no force that could be measured
+_MIN_ROTOR_SPEED = 1e-3  # rad/s; below this speed rotor forces are negligible
 
 
 @cached_njit(error_model="numpy")
@@ -331,7 +333,7 @@ def climb_velocity(x: _Array, wind: _Array) -> float:
 def map_coefficients(
     speed_up: float, speed_dw: float, climb: float, p: ModelParameters
 ) -> tuple[float, float, float, float]:
-    """Return thrust over the speed's square (N s2) of upper and lower rotor, then torque (N m s2), by the map."""
+    """Interpolate thrust over squared speed (N s^2) of upper and lower rotor, then torque (N m s^2), in the map."""
     up, dw = abs(speed_up), abs(speed_dw)
     mean = 0.5 * (up + dw)
     ratio = dw / max(up, _MIN_ROTOR_SPEED)
@@ -345,7 +347,7 @@ def map_coefficients(
 
 
 def rotor_loads(p: np.void, speed_up: float, speed_dw: float, climb: float = 0.0) -> tuple[float, ...]:
-    """Return thrust (N) of upper and lower rotor, then torque (N m) of upper and lower, as the flight model has them.
+    """Return thrust (N) of upper and lower rotor, then torque (N m) of upper and lower rotor, by the flight model.
 
     Parameters
     ----------
@@ -363,7 +365,7 @@ def rotor_loads(p: np.void, speed_up: float, speed_dw: float, climb: float = 0.0
 
 
 def inside_map(vehicle: Vehicle, speed_up: float, speed_dw: float, climb: float) -> bool:
-    """Tell whether a vehicle's coefficient map holds a point, or answers from its edge; True without a map.
+    """Return True if a point lies within a vehicle's coefficient map, or there is no map.
 
     Parameters
     ----------
@@ -380,7 +382,7 @@ def inside_map(vehicle: Vehicle, speed_up: float, speed_dw: float, climb: float)
 
 
 def coefficient_bounds(p: np.void, name: str) -> tuple[float, float, float]:
-    """Return what a coefficient and its slopes cannot exceed; for ``longest_step``.
+    """Return upper bounds of a coefficient and its slopes, for ``longest_step``.
 
     With c over s (mean speed), r (ratio of the speeds) and m (climb ratio V / (s R)), thrust or torque is
     ``c Omega^2``. Its slope over the speed of either rotor is at most ``(2 |c| + s |dc/ds| + r |dc/dr| + m |dc/dm|)
@@ -396,7 +398,8 @@ def coefficient_bounds(p: np.void, name: str) -> tuple[float, float, float]:
     Returns
     -------
     greatest, per_speed, per_climb : float
-        Of ``|c|``; of the slope over the rotor's own speed over ``Omega``; of that over climb over ``Omega``.
+        Bounds of ``|c|``, of the slope over the rotor's own speed divided by ``Omega``, and of the slope over climb
+        divided by ``Omega``.
     """
     n = int(p["map_nodes"])
     if n == 0:
@@ -412,7 +415,7 @@ def coefficient_bounds(p: np.void, name: str) -> tuple[float, float, float]:
 
 @cached_njit(error_model="numpy")
 def contact_wrench(x: _Array, p: ModelParameters) -> tuple[float, float, float, float, float, float]:
-    """Return the force of the floor (N-E-D, N) and its moment (body axes, N m) as six numbers."""
+    """Return the contact force of the floor (N-E-D, N) and its moment (body axes, N m) as six numbers."""
     a = body_to_ned_matrix(x[ATTITUDE])
     f_n = f_e = f_d = m_x = m_y = m_z = 0.0
     for k in range(p.contact_count):
@@ -457,9 +460,9 @@ def lowest_point(x: _Array, p: ModelParameters) -> tuple[float, int]:
 
 
 def _standing_down_axis(vehicle: Vehicle) -> NDArray[np.float64]:
-    """Return which way is down in body axes (3,) when it stands: square to the plane of its legs' tips.
+    """Return the downward direction in body axes (3,) of the standing vehicle: normal to the plane of the legs' tips.
 
-    Tips that lie in no plane (to 0.01 mm) rock; which of them carry nobody knows, and it is taken to stand upright.
+    If the tips are not coplanar (to 0.01 mm), the supporting legs are undetermined, and the vehicle stands upright.
     """
     legs = vehicle.contact.legs.to_array()
     if np.ptp(legs[:, 2]) == 0.0:
@@ -471,10 +474,10 @@ def _standing_down_axis(vehicle: Vehicle) -> NDArray[np.float64]:
 
 
 def standing_attitude(vehicle: Vehicle) -> tuple[float, float]:
-    """Return roll and pitch (rad) with which the vehicle stands on a level floor: legs of unlike length lean it.
+    """Return roll and pitch (rad) of the vehicle standing on a level floor, which depend on unequal legs.
 
-    With the tips in a plane square to ``n`` (body axes, down) it stands so that ``n`` is down, the third row of the
-    rotation to the earth's axes: ``n = (-sin theta, sin phi cos theta, cos phi cos theta)``. Own derivation.
+    ``n``, normal to the plane of the tips (body axes, down), points down. It is the third row of the rotation to N-E-D:
+    ``n = (-sin theta, sin phi cos theta, cos phi cos theta)``. Own derivation.
     """
     n = _standing_down_axis(vehicle)
     return math.atan2(n[1], n[2]), -math.asin(n[0])
@@ -483,7 +486,7 @@ def standing_attitude(vehicle: Vehicle) -> tuple[float, float]:
 def standing_height(vehicle: Vehicle) -> float:
     """Return the height (m) of the centre of gravity when the vehicle stands still with its rotors at rest.
 
-    The weight is taken to be shared equally by the legs that reach lowest.
+    The lowest legs share the weight equally.
     """
     z: NDArray[np.float64] = vehicle.contact.legs.to_array() @ _standing_down_axis(vehicle)
     lowest = float(z.max())

@@ -1,18 +1,17 @@
-"""Trim, and what hovering costs. Trim is inputs, rotor speeds and attitude at which nothing accelerates.
+"""Trim, hover performance and linear models. Trim is the set of inputs, rotor speeds and attitude without acceleration.
 
 Unknowns: both rotor speeds, both motor inputs, both tilts of the lower rotor (through the servos), roll and pitch.
 Equations: the six accelerations and the two rotor accelerations of
-:func:`mufly.dynamics.equations_of_motion.state_derivative` vanish.
-In steady flight the stabiliser bar is square to the mast. Hover in closed form starts the search::
+:func:`mufly.dynamics.equations_of_motion.state_derivative` vanish. In steady flight the stabiliser bar is normal to the
+mast. The search starts from hover in closed form::
 
     cT_up k_T Wu^2 + cT_dw k_T Wd^2 = m g + W_hub        cQ_up Wu^2 = cQ_dw Wd^2        (eq. 5.1)
 
-with a coefficient map by repeating it with the coefficients at the speeds that it gave last.
+With a coefficient map this is iterated with the coefficients at the last speeds.
 
-Endurance is the time that hovering takes to use up the battery: ``C d(charge)/dt = -I(charge)``, with the current of
-the trim at each charge, down to the charge at which the terminal voltage falls to ``battery.low_voltage`` or the
-motors reach full input. Thrust to weight is that of both motors at full input once their rotors have settled, the
-battery sagging under the load. Own derivation.
+Endurance is the hover time of a battery: ``C d(charge)/dt = -I(charge)``, with the trim current at each charge. It ends
+when the terminal voltage falls to ``battery.low_voltage`` or the motors reach full input. Thrust to weight is that of
+both motors at full input in steady state, with the voltage drop of the battery. Own derivation.
 """
 
 from __future__ import annotations
@@ -72,24 +71,24 @@ _HOVER_ITERATIONS = 30
 
 @result
 class Trim:
-    """A steady flight condition.
+    """Steady flight condition.
 
     Attributes
     ----------
     state : (21,) array
-        See :mod:`mufly.dynamics.model_state`; at the origin of N-E-D.
+        State, see :mod:`mufly.dynamics.model_state`; at the origin of N-E-D.
     input : (4,) array
         Motor upper, motor lower, servo 1, servo 2.
     wind : (3,) array
-        N-E-D (m/s).
+        Wind velocity, N-E-D (m/s).
     thrust_N, torque_Nm : (2,) array
-        Upper, lower rotor.
+        Thrust and torque of upper and lower rotor.
     voltage_V, current_A, power_W : float
-        At the battery's terminals.
+        Voltage, current and power at the battery's terminals.
     constant_voltage_V : float or None
-        The voltage held by the model, None if the vehicle's own battery model was used.
+        Constant voltage of the model; None with the vehicle's battery model.
     inside_map : bool
-        False where the vehicle's coefficient map answers from its edge.
+        False if the point lies beyond an edge of the vehicle's coefficient map.
     """
 
     state: NDArray[np.float64]
@@ -119,17 +118,17 @@ class Trim:
 
     @property
     def motor_input(self) -> NDArray[np.float64]:
-        """Upper, lower (0..1)."""
+        """Motor inputs of upper and lower rotor (0..1)."""
         return self.input[MOTORS]
 
     @property
     def servo_input(self) -> NDArray[np.float64]:
-        """Servo 1, servo 2 (-1..1)."""
+        """Inputs of servo 1 and servo 2 (-1..1)."""
         return self.input[SERVOS]
 
     @property
     def rotor_speed(self) -> NDArray[np.float64]:
-        """Upper, lower (rad/s)."""
+        """Speeds of upper and lower rotor (rad/s)."""
         return self.state[ROTOR_SPEEDS]
 
 
@@ -148,7 +147,7 @@ def find_trim(
     ----------
     vehicle : Vehicle
     velocity, wind : (3,) array_like
-        N-E-D (m/s).
+        Velocities of vehicle and air, N-E-D (m/s).
     heading : float
         Yaw angle (rad).
     voltage : float, optional
@@ -191,7 +190,7 @@ def find_trim(
     def assemble_state(unknown: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         upper, lower, motor_up, motor_dw, servo_1, servo_2, roll, pitch = unknown
         x = initial_state(
-            position=(0.0, 0.0, -1e3),  # out of the floor's reach
+            position=(0.0, 0.0, -1e3),  # far from the floor
             velocity=velocity_,
             attitude=(roll, pitch, heading),
             rotor_speed=np.array([upper, lower]) * speed,
@@ -213,7 +212,7 @@ def find_trim(
     motor_up, motor_dw, servo_1, servo_2 = u
     worst = float(np.max(np.abs(trim_residual(found.x))))
     if not worst < 1e-9 or np.any(u[MOTORS] >= 1.0) or np.any(np.abs(u[SERVOS]) > 1.0):
-        if not (velocity_.any() or wind_.any()):  # nothing to ask less of: it is the vehicle
+        if not (velocity_.any() or wind_.any()):  # without velocity or wind the vehicle itself is the cause
             raise MuflyError(
                 f"{vehicle.name}: no hover is found within the inputs' range (motors {motor_up:.2f}, {motor_dw:.2f}, "
                 f"servos {servo_1:.2f}, {servo_2:.2f}; {worst:.1g} of an acceleration is left); its fastest part is "
@@ -253,7 +252,7 @@ def _hover_estimate(
     p: np.void, charge: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:  # fmt: skip
     """Return rotor speeds, motor inputs (not limited to 1) and voltage in hover."""
-    thrust = np.array([p["thrust_up"], p["thrust_dw"]])  # over the squares of the speeds
+    thrust = np.array([p["thrust_up"], p["thrust_dw"]])  # divided by the squares of the speeds
     drag = np.array([p["torque_up"], p["torque_dw"]])
     for _ in range(_HOVER_ITERATIONS if p["map_nodes"] else 1):
         speed = hover_speeds(p, thrust, drag)
@@ -261,13 +260,13 @@ def _hover_estimate(
             loads = np.array(rotor_loads(p, speed[0], speed[1])).reshape(2, 2) / speed**2
             if not np.all(loads > 0.0):
                 raise MuflyError("the coefficient map has no lift or no drag at hover; use another map")
-            # Half steps: a faster lower rotor meets less of the upper one's downwash and calls for less speed.
+            # Half steps: a faster lower rotor has less inflow from the upper rotor and needs less speed.
             thrust, drag = 0.5 * (thrust + loads[0]), 0.5 * (drag + loads[1])
     torque = drag * speed**2
     i = p["gear_ratio"]
     current = (p["dR"] * speed + p["Mf"] / i + torque / (i * i * p["gear_efficiency"])) * i / p["kM"]
     armature_voltage = current * p["R_ohm"] + p["kE"] * i * speed
-    # Motors draw armature_voltage * current of power; solve U (U_oc - U) / R_bat = power + U I_el for U.
+    # The power of the motors is armature_voltage * current; solve U (U_oc - U) / R_bat = power + U I_el for U.
     open_circuit = float(np.interp(charge, np.linspace(0, 1, len(p["battery_curve"])), p["battery_curve"]))
     r = p["battery_resistance"]
     drive_power = float(np.sum(armature_voltage * current))
@@ -281,18 +280,18 @@ _CHARGE_POINTS = 21
 
 @result
 class HoverPerformance:
-    """Hover on a half-full battery, and its reserves.
+    """Hover performance on a half-full battery, with its reserves.
 
     Attributes
     ----------
     rotor_speed_rad_s, motor_input, thrust_N : (float, float)
-        Upper, lower.
+        Speed, motor input and thrust of upper and lower rotor.
     voltage_V, current_A, power_W : float
-        At the battery's terminals, electronics included.
+        Voltage, current and power at the battery's terminals, including electronics.
     endurance_s : float
         Hovering time from a full battery.
     thrust_to_weight_full, thrust_to_weight_half : float
-        Both motors at full input, on a full and on a half-full battery.
+        Thrust over weight with both motors at full input, on a full and on a half-full battery.
     """
 
     rotor_speed_rad_s: tuple[float, float]
@@ -307,12 +306,12 @@ class HoverPerformance:
 
 
 def hover_current_A(vehicle: Vehicle) -> float:
-    """Return the current that a hover takes from a half-full battery: that of :func:`hover_performance`, sooner.
+    """Return the current (A) in hover on a half-full battery, equal to that of :func:`hover_performance` but faster.
 
     Raises
     ------
     MuflyError
-        If the vehicle is too heavy for that.
+        If the vehicle is too heavy to hover.
     """
     return find_trim(vehicle, charge=0.5).current_A
 
@@ -388,7 +387,7 @@ LINEAR_STATES = ["x", "y", "z", "u", "v", "w", "phi", "theta", "psi", "p", "q", 
 LINEAR_STATES += ["bar_roll", "bar_pitch", "Omega_dw", "Omega_up", "charge"]
 LX_POS, LX_VEL, LX_ATT, LX_RATES, LX_TILT_PITCH, LX_TILT_ROLL = 0, 3, 6, 9, 12, 13
 LX_BAR_ROLL, LX_BAR_PITCH, LX_SPEED_LOWER, LX_SPEED_UPPER, LX_CHARGE = 14, 15, 16, 17, 18
-"""Indices into :data:`LINEAR_STATES`, the first of each three for position, velocity, angles and rates."""
+"""Indices into :data:`LINEAR_STATES`; the first of three for position, velocity, angles and rates."""
 LINEAR_INPUTS = ["motor_lower", "motor_upper", "servo_1", "servo_2"]
 _STATE_SCALE = np.array([1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 400, 400, 1], dtype=np.float64)
 _RELATIVE_STEP = 1e-5
@@ -396,14 +395,14 @@ _RELATIVE_STEP = 1e-5
 
 @result
 class Linearisation:
-    """Linear models of one vehicle about one trim.
+    """Linear models of a vehicle about a trim.
 
     Attributes
     ----------
     trim : Trim
-        The point of linearisation.
+        Point of linearisation.
     full : control.StateSpace
-        All 19 states, inputs ``motor_lower, motor_upper, servo_1, servo_2``; outputs are the states.
+        Model with all 19 states, inputs ``motor_lower, motor_upper, servo_1, servo_2``; outputs are the states.
     heave_yaw : control.StateSpace
         States ``z, w, psi, r, Omega_dw, Omega_up``; outputs ``z, psi, r`` (B.1 to B.8).
     roll_pitch : control.StateSpace
@@ -424,7 +423,7 @@ class Linearisation:
         for axes, (name, part) in zip(figure.subplots(1, 2), parts, strict=True):
             poles = part.poles()
             axes.plot(poles.real, poles.imag, "x")
-            axes.set_xscale("symlog", linthresh=1.0)  # the swash plate's lie at -1000
+            axes.set_xscale("symlog", linthresh=1.0)  # the poles of the swash plate lie at -1000
             axes.axvline(0.0, color="0.4", lw=0.8)
             axes.set(xlabel="real part (1/s)", ylabel="imaginary part (rad/s)", title=f"{name}, {poles.size} poles")
             axes.grid(alpha=0.3)
@@ -440,8 +439,8 @@ def linearise_vehicle(vehicle: Vehicle, at: Trim | None = None, *, voltage: floa
     at : Trim, optional
         Point of linearisation; hover by default.
     voltage : float, optional
-        Battery voltage (V) for the default hover trim; the nominal voltage by default. The battery of the trim
-        holds in the linear model too: constant, or sagging with current and charge.
+        Battery voltage (V) for the default hover trim; the nominal voltage by default. The battery model of the trim
+        also applies to the linear model: constant, or dependent on current and charge.
 
     Returns
     -------
@@ -457,7 +456,7 @@ def linearise_vehicle(vehicle: Vehicle, at: Trim | None = None, *, voltage: floa
     point = find_trim(vehicle, voltage=voltage) if at is None else at
     p = model_parameters(vehicle, point.constant_voltage_V)
     full_state = point.state.copy()
-    full_state[RS_POS + 2] = -1e3  # out of the floor's reach; nothing else depends on the place
+    full_state[RS_POS + 2] = -1e3  # far from the floor; nothing else depends on the position
     heading = float(euler_from_quaternion(full_state[ATTITUDE])[2])
     x0 = _to_minimal_state(full_state, heading)
     u0 = point.input[MOTORS_SWAPPED]
@@ -476,7 +475,7 @@ def linearise_vehicle(vehicle: Vehicle, at: Trim | None = None, *, voltage: floa
         d = np.zeros(4)
         d[j] = h
         B[:, j] = (state_rates(x0, u0 + d) - state_rates(x0, u0 - d)) / (2 * h)
-    # Entries below the differences' own error (round-off, and h drag / m from |v| v around rest) are zeros.
+    # Entries below the error of the differences (round-off, and h drag / m from |v| v near rest) are set to zero.
     A[np.abs(A) < 1e-6 * _STATE_SCALE[:, None] / _STATE_SCALE[None, :]] = 0.0
     B[np.abs(B) < 1e-6 * _STATE_SCALE[:, None]] = 0.0
 
@@ -508,7 +507,7 @@ def extract_submodel(
     *,
     name: str | None = None,
 ) -> control.StateSpace:
-    """Return the part of a linear model that some states and inputs make, the others held; outputs are states."""
+    """Return the submodel of some states and inputs of a linear model, with the others constant; outputs are states."""
     i, j = (
         [known.index(s) for s in some] for known, some in ((full.state_labels, states), (full.input_labels, inputs))
     )

@@ -1,19 +1,19 @@
-"""The state of the flight model in one flat array, its input, and the record of the model's parameters.
+"""State and input vectors of the flight model, and the record of its parameters.
 
-The state has the indices ``RS_...``; parts of several numbers have a slice, too:
+The state is a flat array with the indices ``RS_...``; vectors in it have a slice, too:
 
 ==================  ================  =======================================================================
 first index         slice             meaning
 ==================  ================  =======================================================================
 ``RS_POS``          ``POSITION``      N, E, D of the centre of gravity (m)
 ``RS_VEL``          ``VELOCITY``      N, E, D (m/s)
-``RS_ATT``          ``ATTITUDE``      quaternion w, x, y, z: turns body vectors into N-E-D, unit length
+``RS_ATT``          ``ATTITUDE``      quaternion w, x, y, z: rotates body vectors to N-E-D, unit length
 ``RS_RATES``        ``RATES``         p, q, r (rad/s), body axes
 ``RS_SWASH_ROLL``                     alpha_dw, tilt of the lower tip-path plane about x (rad)
 ``RS_SWASH_PITCH``                    beta_dw, tilt of the lower tip-path plane about y (rad)
 ``RS_BAR``          ``BAR_NORMAL``    upward normal of the stabiliser bar's disc in N-E-D, unit length
 ``RS_SPEED_UPPER``  ``ROTOR_SPEEDS``  speeds of upper and, at ``RS_SPEED_LOWER``, lower rotor (rad/s)
-``RS_CHARGE``                         fraction of the battery's charge that is left
+``RS_CHARGE``                         remaining fraction of the battery's charge
 ==================  ================  =======================================================================
 
 The input is ``[motor upper, motor lower, servo 1, servo 2]``, with the indices ``U_...``: motors 0..1, servos -1..1.
@@ -57,7 +57,7 @@ MOTORS_SWAPPED = [U_MOTOR_LOWER, U_MOTOR_UPPER, U_SERVO_1, U_SERVO_2]  # the ord
 
 @cached_njit(error_model="numpy")
 def body_to_ned_matrix(quaternion: _Array) -> _Array:
-    """Return the 3x3 matrix that turns body vectors into N-E-D, for a unit quaternion (w, x, y, z).
+    """Return the 3x3 rotation matrix from body axes to N-E-D of a unit quaternion (w, x, y, z).
 
     Thesis: eqs 4.1, 4.2.
     """
@@ -81,7 +81,7 @@ def initial_state(
     bar_attitude: ArrayLike | None = None,
     charge: float = 1.0,
 ) -> NDArray[np.float64]:
-    """Build a state.
+    """Return a state vector.
 
     Parameters
     ----------
@@ -92,10 +92,10 @@ def initial_state(
     rates : (3,) array_like
         p, q, r (rad/s).
     rotor_speed : (2,) array_like
-        Upper, lower (rad/s).
+        Speeds of upper and lower rotor (rad/s).
     bar_attitude : (2,) array_like, optional
-        Roll and pitch (rad) of the stabiliser bar's disc at the heading of the fuselage; by default the disc is
-        square to the mast.
+        Roll and pitch (rad) of the stabiliser bar's disc at the heading of the fuselage; by default the disc is normal
+        to the mast.
     charge : float
         Fraction of the battery's charge.
 
@@ -117,10 +117,8 @@ def initial_state(
 
 
 # ----------------------------------------------------------------------------
-# The numbers of the equations of motion, taken from a vehicle once.
-#
-# A NumPy record, because Numba reads ``p.mass`` from it as fast as from a C struct, and an array of records is a
-# batch of different vehicles.
+# Parameters of the equations of motion as a NumPy record. Numba reads ``p.mass`` from it as fast as from a C struct,
+# and an array of records is a batch of different vehicles.
 
 
 _CURVE_POINTS = 101
@@ -197,24 +195,24 @@ _PARAMETER_GETTERS = {
 PARAMETER_DTYPE = record_type(ModelParameters, int_kind=np.int64)
 """Type of a record of :class:`ModelParameters`."""
 MAP_TABLE_FIELDS = tuple(f"{what}_over_speed2_table_{side}" for side in ("up", "dw") for what in ("thrust", "torque"))
-"""Its fields that hold the tables of a coefficient map."""
+"""Fields of :class:`ModelParameters` with the tables of a coefficient map."""
 
 
 def model_parameters(vehicle: Vehicle, voltage: float | None = None) -> np.void:
-    """Return the parameters of the equations of motion.
+    """Return the parameters of the equations of motion of a vehicle.
 
     Parameters
     ----------
     vehicle : Vehicle
         The vehicle.
     voltage : float, optional
-        Holds the battery at this voltage (V), whatever current is drawn. By default the vehicle's own battery
-        model holds: ``"lithium-polymer"`` sags, ``"constant"`` keeps the nominal voltage.
+        Constant battery voltage (V), independent of the current. By default the vehicle's battery model applies:
+        ``"lithium-polymer"`` with voltage drop, ``"constant"`` at the nominal voltage.
 
     Returns
     -------
     record of type :data:`PARAMETER_DTYPE`
-        SI units. ``np.array([first, second], dtype=PARAMETERS)`` makes a batch of different vehicles.
+        Parameters in SI units. ``np.array([first, second], dtype=PARAMETER_DTYPE)`` is a batch of different vehicles.
 
     Raises
     ------
@@ -280,16 +278,17 @@ def hover_speeds(
 ) -> NDArray[np.float64]:
     """Return the rotor speeds (upper, lower; rad/s; shape (..., 2)) in hover: eq. 5.1.
 
-    The rotors carry weight and downwash drag, and their torques balance::
+    The thrust balances weight and downwash drag, and the torques balance each other::
 
         cT_up k_T Wu^2 + cT_dw k_T Wd^2 = m g + W_hub        cQ_up Wu^2 = cQ_dw Wd^2
 
     Parameters
     ----------
     p : record of type :data:`PARAMETER_DTYPE`, or array of them
-        A mapping with its fields will do.
+        Parameters; a mapping with the same fields is accepted.
     thrust, torque : (2, ...) array_like, optional
-        Of upper and lower rotor over the squares of their speeds (N s2, N m s2); the constants of ``p`` by default.
+        Thrust and torque of upper and lower rotor over the squares of their speeds (N s^2, N m s^2); default: the
+        constants of ``p``.
 
     Thesis: eq. 5.1.
     """
@@ -301,11 +300,11 @@ def hover_speeds(
 
 
 def _map_fields(vehicle: Vehicle, constants: dict[str, float]) -> dict[str, Any]:
-    """Return what a record holds of a vehicle's map, beside its constants; nothing without one.
+    """Return the fields of a record for a vehicle's coefficient map; empty without a map.
 
-    Tables hold thrust and torque over ``Omega^2`` (N s2, N m s2), the rest of a table its last value. With
-    ``rotors.map_level = "constants"`` each table is scaled so that at the hover point of the constant coefficients
-    (eq. 5.1) it gives them.
+    Tables contain thrust and torque over ``Omega^2`` (N s^2, N m s^2); unused entries repeat the last value. With
+    ``rotors.map_level = "constants"`` each table is scaled to match the constant coefficients at their hover point (eq.
+    5.1).
     """
     r, m = vehicle.rotors, vehicle.rotors.coefficient_map
     if m is None:

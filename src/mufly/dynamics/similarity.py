@@ -1,29 +1,29 @@
-"""A vehicle of another mass and size, by similarity with one that is known: where a design of one's own starts.
+"""Initial design of a vehicle of another mass and size by similarity with a known vehicle.
 
-With the mass ratio ``mu``, the length ratio ``la`` and the same air, the rotors are taken to be of the same shape, so
-that their coefficients stay. Own derivation; ``w`` is the ratio of the rotor speeds in hover, ``P`` that of the powers:
+For the mass ratio ``mu``, the length ratio ``la`` and the same air, the rotors are geometrically similar and keep their
+coefficients. Own derivation; ``w`` is the ratio of the rotor speeds in hover, ``P`` that of the powers:
 
 ================================================  =========================================================
 thrust = weight: c_T rho pi R^4 Omega^2           w = sqrt(mu) / la^2
 power: c_Q rho pi R^5 Omega^3                     P = mu^1.5 / la (ideal power, weight^1.5 / R)
 lengths, areas                                    la, la^2
-inertias, of fuselage and rotors                  mu la^2 (the rotors keep their share of the mass)
+inertias, of fuselage and rotors                  mu la^2 (constant mass fraction of the rotors)
 bar: J over its damping rho Omega c l^4           T w = mu / la^3 (the inverse of Lock's number)
 drag of the downwash on the fuselage              mu (disc loading mu / la^2 times area la^2)
-rotor's inertia as the motor sees it, gear i      J i^2 stays (eq. 4.29; the motor's own is little of it)
-legs: pressed in by the weight as far as size     stiffness mu / la, damping mu / sqrt(la): half of critical
+rotor's inertia at the motor, gear i              J i^2 constant (eq. 4.29; the motor's part is small)
+legs: static deflection scales with size          stiffness mu / la, damping mu / sqrt(la): half of critical
 ================================================  =========================================================
 
-A motor of which nothing is known is the known one wound for the new voltage ``U`` and power: kE w / U, kM w / U and
-R P / U^2 stay. Of one that is known by its speed constant, kE = kM = 60 / (2 pi KV); its friction comes from the
-current without load or, where that is not known, is the known motor's share of the electrical damping kM^2 / R. Its
-gear, if not given, is that which needs the least power (:func:`mufly.drive.best_gear_ratio`) with at most 80 % of the
-half- full battery's voltage, so that a fifth is left to steer with; nothing is geared up. The battery holds a hover as
-long as the known one's, the electronics' power included; its cells have the same curve, their resistance goes with 1 /
+An unspecified motor is the known motor with another winding for the new voltage ``U`` and power: kE w / U, kM w / U and
+R P / U^2 are constant. A motor given by its speed constant has kE = kM = 60 / (2 pi KV). Its friction follows from the
+no-load current or, if unknown, from the known motor's ratio of friction to electrical damping kM^2 / R. The default
+gear needs the least power (:func:`mufly.drive.best_gear_ratio`) with at most 80 % of the half-full battery's voltage in
+hover, which leaves a margin for control; gear ratios are at least 1. The battery gives the same hover time as the known
+one, including the electronics' power. Its cells have the same voltage curve and a resistance proportional to 1 /
 capacity.
 
-What similarity does not know: scale effects (thrust per power falls below a Reynolds number of about 30 000), the real
-distribution of mass, vibration. Every number that was not given is marked as a guess.
+Similarity does not include scale effects (thrust per power decreases below a Reynolds number of about 30 000), the
+actual mass distribution and vibration. Every value that is not given is marked as a guess.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from mufly.input_files import validate_model
 from mufly.vehicle import Vehicle, battery_voltage_range
 
 MAX_HOVER_VOLTAGE_SHARE = 0.8
-"""Of the half-full battery's voltage, what a hover may take at most: the rest is for climbing and for gusts."""
+"""Greatest motor voltage in hover over the half-full battery's voltage; the rest is a margin for climb and gusts."""
 
 
 def similar_vehicle(
@@ -55,36 +55,36 @@ def similar_vehicle(
     cells: int | None = None,
     capacity_As: float | None = None,
 ) -> Vehicle:
-    """Return a vehicle of another mass and rotor radius, with what is not given guessed by similarity.
+    """Return a vehicle of another mass and rotor radius; values that are not given are guessed by similarity.
 
     Parameters
     ----------
     known : Vehicle
-        With a lithium-polymer battery of two cells and no coefficient map, as ``mufly-1.1``.
+        Known vehicle with a lithium-polymer battery of two cells and no coefficient map, such as ``mufly-1.1``.
     name : str
-        Of the new vehicle.
+        Name of the new vehicle.
     mass_kg, radius_m : float
         Take-off mass; radius of both rotors.
     speed_constant_rad_Vs, resistance_ohm : float, optional
-        Of one motor: KV and armature resistance. Both or neither.
+        Speed constant KV and armature resistance of a motor; both or neither.
     no_load_current_A : float, optional
-        At the nominal voltage; needs the two.
+        No-load current at the nominal voltage; requires speed constant and resistance.
     gear_ratio : float, optional
         Motor speed over rotor speed; 1 is direct drive, without losses.
     cells : int, optional
-        In series.
+        Number of cells in series.
     capacity_As : float, optional
         Charge of the battery.
 
     Returns
     -------
     Vehicle
-        Every number has its source and a note that says how it came about; guesses begin with ``guess:``.
+        New vehicle; every value has a source and a note on its origin. Notes of guesses begin with ``guess:``.
 
     Raises
     ------
     InputError
-        If a number is impossible, or the motor cannot hold a hover; the message says what would help.
+        If a number is impossible, or the motor cannot hold a hover; the message states a remedy.
     """
     k = known
     for key, value in (
@@ -216,14 +216,14 @@ def _scale_entries(tables: dict[str, Any], known: str, rules: dict[str, tuple[fl
 
 
 def _scale_value(value: Any, factor: float) -> Any:
-    """Return a number, or numbers in lists, times a factor; to five digits, which is more than a guess knows."""
+    """Return a number, or numbers in lists, times a factor, rounded to five digits."""
     if isinstance(value, list | tuple):
         return [_scale_value(v, factor) for v in value]
     return float(f"{value * factor:.5g}")
 
 
 def _scale_sensors(tables: dict[str, Any], known: Vehicle, la: float) -> None:
-    """Leave the sensors as they are but for their places on board."""
+    """Scale the positions of the sensors on board; keep their other parameters."""
     for sensor in tables.get("sensors", {}).values():
         for entry in sensor.values():
             if isinstance(entry, dict) and "source" in entry:
@@ -258,7 +258,7 @@ def _set_motor(
 
 
 def _adapt_drive_to_gear(tables: dict[str, Any], before: float, ratio: float) -> None:
-    """Let the motors see the rotors through another gear; one of 1 is none and loses nothing."""
+    """Change the gear of the motors; a ratio of 1 is direct drive without losses."""
     for rotor in ("upper", "lower"):
         entry = tables["rotors"][rotor]["drive_inertia"]
         entry["value"] = _scale_value(entry["value"], (before / ratio) ** 2)
@@ -268,10 +268,10 @@ def _adapt_drive_to_gear(tables: dict[str, Any], before: float, ratio: float) ->
 
 
 def _choose_gear(vehicle: Vehicle, tables: dict[str, Any]) -> Vehicle:
-    """Choose the gear with which a hover needs the least power; direct drive where none above 1 needs less."""
+    """Choose the gear of least power in hover; direct drive if no ratio above 1 needs less."""
     m, p = vehicle.motor, model_parameters(vehicle)
     upper, lower = hover_speeds(p)
-    torque = float(p["torque_up"]) * upper**2  # the lower rotor's too: they balance
+    torque = float(p["torque_up"]) * upper**2  # equals the lower rotor's torque in trim
     curve = vehicle.battery.open_circuit_voltage
     available = MAX_HOVER_VOLTAGE_SHARE * float(curve.sample_evenly(3)[1])
     constants = MotorConstants(

@@ -1,8 +1,8 @@
 """Fixed-step Runge-Kutta integration of the flight model, one vehicle or a batch on all cores; wind.
 
-Both run the same compiled step on the same memory layout, so a vehicle in a batch moves exactly as it does alone.
-After every step the attitude quaternion and the bar's normal are made unit again; the fourth-order method keeps
-them unit to about 1e-12 by itself at the default step.
+Single vehicles and batches use the same compiled step and memory layout, so their results are equal bit for bit. After
+every step the attitude quaternion and the bar's normal are normalised; at the default step the fourth-order method
+changes their length by about 1e-12 only.
 
 The default step of 1 ms keeps the fastest mode (swash plate, -1000 rad/s) stable with a margin of 2.8, and everything
 slower accurate. Numba's ``error_model="numpy"`` (a division by zero gives infinity) saves a sixth of the time.
@@ -12,17 +12,17 @@ Wind has a steady part and Dryden turbulence. Dryden's spectra (MIL-F-8785C) com
     longitudinal  H = sigma sqrt(2 T / pi) / (1 + T s)                        T = L / V
     lateral, vertical  H = sigma sqrt(T / pi) (1 + sqrt(3) T s) / (1 + T s)^2
 
-for turbulence of length scale ``L`` carried past at speed ``V`` (Taylor's hypothesis). The standard's low-altitude
-scales are meant for aeroplanes above 10 ft; in a room the eddies are as large as the furniture, so ``L`` is given
-(1 m by default) and ``V`` is the steady wind speed, at least 0.5 m/s.
+for turbulence of length scale ``L`` convected at speed ``V`` (Taylor's hypothesis). The standard's low-altitude scales
+apply to aeroplanes above 10 ft. Eddies in a room have the size of furniture, so ``L`` is a parameter (1 m by default),
+and ``V`` is the steady wind speed, at least 0.5 m/s.
 
 The filters are sampled exactly, so the variance is ``sigma^2`` at any time step (own derivation). In the time unit
 ``T`` the lateral filter for unit variance is
 
     d/dt (s1, s2) = (s2, -s1 - 2 s2 + 2 n)      gust = (s1 + sqrt(3) s2) / 2      covariance of (s1, s2): identity
 
-and over a step ``h`` the state moves by ``F = exp(-h) [[1 + h, h], [-h, 1 - h]]`` and gains noise of covariance
-``Q = I - F F^T``, written below without the cancellation that spoils it for small ``h``.
+and over a step ``h`` the transition matrix is ``F = exp(-h) [[1 + h, h], [-h, 1 - h]]`` with noise of covariance ``Q =
+I - F F^T``, computed below without cancellation for small ``h``.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ DEFAULT_STEP_S = 1e-3
 
 @cached_njit(error_model="numpy")
 def normalise_state(x: _Array) -> None:
-    """Make attitude quaternion and bar's normal unit again, in place; charge does not fall below zero."""
+    """Normalise attitude quaternion and bar's normal in place; limit the charge to zero."""
     w, a, b, c = x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
     q = 1.0 / math.sqrt(w * w + a * a + b * b + c * c)
     for i in range(RS_ATT, RS_RATES):
@@ -87,7 +87,7 @@ def normalise_state(x: _Array) -> None:
 
 @cached_njit(error_model="numpy")
 def integrate_state(x: _Array, u: _Array, wind: _Array, p: ModelParameters, dt: float, steps: int) -> None:
-    """Integrate the state ``x`` in place over ``steps`` steps of ``dt`` with input and wind held.
+    """Integrate the state ``x`` in place over ``steps`` steps of ``dt`` with constant input and wind.
 
     Parameters
     ----------
@@ -122,14 +122,14 @@ def integrate_state(x: _Array, u: _Array, wind: _Array, p: ModelParameters, dt: 
         for i in range(x.shape[0]):
             y[i] = x[i] + dt * k3[i]
         state_derivative(y, u, wind, p, k4)
-        for i in range(x.shape[0]):  # by the table, which is held until here
+        for i in range(x.shape[0]):  # from the stage table, which stays allocated until here
             x[i] += dt / 6.0 * (work[0, i] + 2.0 * work[1, i] + 2.0 * work[2, i] + work[3, i])
         normalise_state(x)
 
 
 @cached_njit(parallel=True, error_model="numpy")
 def integrate_batch(x: _Array, u: _Array, wind: _Array, p: NDArray[np.void], dt: float, steps: int) -> None:
-    """Integrate ``n`` vehicles in place, on all cores; see :func:`integrate_state`.
+    """Integrate ``n`` vehicles in place on all cores; see :func:`integrate_state`.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ def integrate_batch(x: _Array, u: _Array, wind: _Array, p: NDArray[np.void], dt:
     u : (n, 4) array
     wind : (n, 3) array
     p : (n,) structured array of type :data:`~mufly.dynamics.PARAMETER_DTYPE`
-        One record a vehicle.
+        Parameters, one record for each vehicle.
     dt : float
         Step (s).
     steps : int
@@ -150,9 +150,9 @@ def integrate_batch(x: _Array, u: _Array, wind: _Array, p: NDArray[np.void], dt:
 def longest_step(p: np.void) -> float:
     """Return the longest integration step (s) at which Runge-Kutta is stable for a vehicle.
 
-    The method needs ``step * |lambda| < 2.78`` for every mode. Estimated is the fastest of swash plate, bar, motors
-    at the greatest speed that the battery could drive them to, swing under the bar, heave damped by a coefficient map's
-    slope over climb, and legs as springs and dampers.
+    The method requires ``step * |lambda| < 2.78`` for every mode. The estimate considers swash plate, bar, motors at
+    their greatest speed on the battery, swing under the bar, heave damped by the slope of a coefficient map over climb,
+    and legs as springs and dampers.
 
     Parameters
     ----------
@@ -162,13 +162,14 @@ def longest_step(p: np.void) -> float:
 
 
 def fastest_mode_key(p: np.void) -> str:
-    """The vehicle file's key of the part that sets :func:`longest_step`."""
+    """Return the vehicle file's key of the component with the fastest mode in :func:`longest_step`."""
     rates = _mode_rates(p)
     return max(rates, key=lambda key: rates[key])
 
 
 def _mode_rates(p: np.void) -> dict[str, float]:
-    """Rates (rad/s) of the modes that :func:`longest_step` speaks of, by the key that each depends on most."""
+    """Return the rates (rad/s) of the modes of :func:`longest_step`, by the vehicle file's key with the most
+    influence."""
     damping = p["kE"] * p["kM"] / p["R_ohm"] + p["dR"] + p["Mf"] / (p["gear_ratio"] * FULL_FRICTION_SPEED_rad_s)
     gear = p["gear_efficiency"] * p["gear_ratio"] ** 2
     speed = float(np.max(p["battery_curve"])) / (p["kE"] * p["gear_ratio"])
@@ -176,11 +177,11 @@ def _mode_rates(p: np.void) -> dict[str, float]:
     motors = [(damping + bounds[f"torque_{k}"][1] * speed / gear) / p[f"J_{k}"] for k in ("up", "dw")]
     up, dw = motors
     thrust = max(bounds["thrust_up"][0], bounds["thrust_dw"][0]) * speed**2
-    thrust *= 1.0 + p["ground_effect"] / 3.0  # the most that the floor adds
+    thrust *= 1.0 + p["ground_effect"] / 3.0  # greatest ground effect
     heave = (bounds["thrust_up"][2] + bounds["thrust_dw"][2]) * speed / p["mass"]
     inplane = 2.0 * p["inplane"] * speed * (1.0 / p["mass"] + p["z_up"] ** 2 / min(p["Ixx"], p["Iyy"]))
     swing = math.sqrt(p["bar_gain"] * thrust * abs(p["z_up"]) / min(p["Ixx"], p["Iyy"]))
-    # The legs' tips move with x and with W x r; about each axis all of them act together.
+    # The legs' tips move with the velocity and with W x r; all of them act about each axis.
     n = p["contact_count"]
     x, y = p["contact_points"][:n, 0], p["contact_points"][:n, 1]
     mobility = max(n / p["mass"], np.sum(y**2) / p["Ixx"], np.sum(x**2) / p["Iyy"])
@@ -208,22 +209,22 @@ def simulate_open_loop(
     wind: ArrayLike = (0.0, 0.0, 0.0),
     voltage: float | None = None,
 ) -> xr.Dataset:
-    """Fly the model open loop.
+    """Simulate the flight model open loop.
 
     Parameters
     ----------
     vehicle : Vehicle
     state : (21,) array_like
-        Where it starts; see :func:`mufly.dynamics.initial_state`.
+        Initial state; see :func:`mufly.dynamics.initial_state`.
     inputs : (4,) or (n, 4) array_like
-        Motor upper, motor lower (0..1), servo 1, servo 2 (-1..1): one row for all the time, or a row for each
-        sample (the last one is held).
+        Motor upper, motor lower (0..1), servo 1, servo 2 (-1..1): one constant row, or a row for each sample (the last
+        row is held).
     duration_s, sample_s, step_s : float
         Length of the flight, time between samples, integration step (s).
     wind : (3,) or (n, 3) array_like
-        Velocity of the air, N-E-D (m/s), likewise.
+        Velocity of the air, N-E-D (m/s), constant or for each sample.
     voltage : float, optional
-        Hold the battery at this voltage (V).
+        Constant battery voltage (V).
 
     Returns
     -------
@@ -278,7 +279,7 @@ def _per_sample(array: ArrayLike, width: int, samples: int, name: str) -> NDArra
 def state_dataset(
     time_s: NDArray[np.float64], states: NDArray[np.float64], inputs: NDArray[np.float64], p: np.void
 ) -> xr.Dataset:
-    """Label a history of states: the names and units that every recording uses.
+    """Return a history of states as a dataset with the names and units of recordings.
 
     Parameters
     ----------
@@ -339,7 +340,7 @@ def dryden_filter(time_constant_s: float, step_s: float) -> tuple[NDArray[np.flo
 
 
 MAX_INFLOW_CHANGE = 0.1
-"""Change of the hover's inflow from which on constant coefficients do not describe a rotor any more."""
+"""Relative change of the hover inflow up to which constant coefficients describe a rotor."""
 
 
 def model_air_limits(vehicle: Vehicle) -> tuple[float, float, float]:
@@ -352,7 +353,7 @@ def model_air_limits(vehicle: Vehicle) -> tuple[float, float, float]:
         x/2 + sqrt(x^2/4 + 1)                  sqrt(sqrt(y^4/4 + 1) - y^2/2)
 
     which differs from one by ``MAX_INFLOW_CHANGE`` at ``x = 0.19`` and ``y = 0.65``. (For muFly that is 0.8 and 2.6
-    m/s; the thesis relies on its constant coefficients up to 0.5 m/s, Sec. 4.3.1.) A coefficient map holds climb and
+    m/s; the thesis relies on its constant coefficients up to 0.5 m/s, Sec. 4.3.1.) A coefficient map covers climb and
     descent up to half of v_h, where the vortex ring state begins.
 
     Parameters
@@ -368,15 +369,15 @@ def model_air_limits(vehicle: Vehicle) -> tuple[float, float, float]:
 
 
 def describe_model_excess(vehicle: Vehicle, wind: ArrayLike, gust: float) -> str:
-    """Say in one line that a wind leaves the range of the model; nothing where it does not.
+    """Return one line about a wind outside the model's range; an empty text inside.
 
     Parameters
     ----------
     vehicle : Vehicle
     wind : (3,) array_like
-        Steady, N-E-D (m/s).
+        Steady wind, N-E-D (m/s).
     gust : float
-        Standard deviation of each component (m/s); twice that is reckoned with.
+        Standard deviation of each gust component (m/s); twice this value is added.
     """
     induced, along, across = model_air_limits(vehicle)
     north, east, down = (float(v) for v in np.asarray(wind, dtype=np.float64))
@@ -395,7 +396,7 @@ def describe_model_excess(vehicle: Vehicle, wind: ArrayLike, gust: float) -> str
 
 
 class DrydenWind:
-    """A wind that a simulation can ask for, step after step.
+    """Steady wind with Dryden turbulence, sampled at constant steps.
 
     Parameters
     ----------
@@ -456,7 +457,7 @@ class DrydenWind:
         noise = self._rng.standard_normal((n, 5))
         transition, scale, output, _ = self._lateral
         along = self._filter_samples(self._longitudinal_state, math.sqrt(1.0 - self._decay**2) * noise[:, 0:1])
-        # s1 + s2 decays like exp(-h) by itself and drives s1, so two first-order recursions do.
+        # s1 + s2 decays with exp(-h) independently and drives s1, so two first-order recursions suffice.
         n1, n2 = noise[:, 1:3], noise[:, 3:5]
         first, second = scale[0, 0] * n1, scale[1, 0] * n1 + scale[1, 1] * n2
         both = self._filter_samples(self._both, first + second)

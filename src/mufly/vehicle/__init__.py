@@ -1,4 +1,4 @@
-"""What is it made of? Vehicle files, the built-in vehicles and the mass budget."""
+"""Vehicles: vehicle files, built-in vehicles and the mass budget."""
 
 from mufly.vehicle.coefficient_map import (
     CoefficientMap,

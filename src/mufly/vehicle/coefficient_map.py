@@ -1,13 +1,13 @@
-"""Thrust and torque coefficients of a coaxial pair over both speeds and the climb velocity: the map and its file.
+"""Coefficient maps: thrust and torque coefficients of a coaxial pair over both speeds and climb, and their files.
 
-Three numbers say where a pair works: the mean speed, the ratio of lower to upper speed, and the climb velocity over the
-mean tip speed. The last two are all that incompressible flow knows; the mean speed brings in the Reynolds number and
-needs two or three values only. Coefficients are the vehicle's own, ``c_T = T / (rho pi R^4 Omega^2)`` and
-``c_Q = Q / (rho pi R^5 Omega^2)``, each with its own rotor's speed.
+The axes are the mean speed, the ratio of lower to upper speed, and the climb velocity over the mean tip speed.
+Incompressible inviscid flow depends on the last two only; the mean speed adds the effect of the Reynolds number and
+needs two or three values. Coefficients are defined as in vehicle files, ``c_T = T / (rho pi R^4 Omega^2)`` and ``c_Q =
+Q / (rho pi R^5 Omega^2)``, each with its own rotor's speed.
 
-A map is a TOML file: what it was made of, and ``table``, one line for each point, that a person can read and a
-spreadsheet can paste. A vehicle file names it (``rotors.coefficient_map``); once read, the vehicle carries
-the whole map, so a recording or a copied vehicle file needs nothing beside it.
+A map is a TOML file with its origin and a ``table`` with one line for each point, which can be pasted into a
+spreadsheet. A vehicle file names the map (``rotors.coefficient_map``). A loaded vehicle contains the whole map, so
+recordings and copied vehicle files need no other file.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from mufly.errors import InputError
 from mufly.input_files import builtin_file_names, model_error, read_toml, validate_model
 
-MAP_NODES = 512  # of the flight model's record: 3 mean speeds x 13 ratios x 13 climbs, say
+MAP_NODES = 512  # size of the tables in the flight model's record, e.g. 3 mean speeds x 13 ratios x 13 climbs
 TABLE_COLUMNS = (
     "mean_speed_rad_s",
     "ratio",
@@ -38,20 +38,20 @@ TABLE_COLUMNS = (
 )
 
 _BUILTIN_MAPS_FOLDER = resources.files("mufly.vehicle") / "maps"
-_MAX_STEP_DEVIATION = 1e-3  # of a step
+_MAX_STEP_DEVIATION = 1e-3  # greatest deviation of a step, relative
 
 
 class MapTables(NamedTuple):
-    """A map as arrays; the coefficients have shape (mean speeds, ratios, climbs).
+    """Coefficient map as arrays; the coefficients have shape (mean speeds, ratios, climbs).
 
     Attributes
     ----------
     mean_speed_rad_s, ratio, climb_ratio : 1-D arrays
-        Evenly spaced and rising: ``(Omega_up + Omega_dw) / 2``, ``Omega_dw / Omega_up``, and the climb velocity over
-        the mean tip speed (positive in climb).
+        Axes, increasing in equal steps: ``(Omega_up + Omega_dw) / 2``, ``Omega_dw / Omega_up``, and the climb velocity
+        over the mean tip speed (positive in climb).
     cT_upper, cQ_upper, cT_lower, cQ_lower : 3-D arrays
     solved : 3-D array of bool
-        False where the method gave no answer and neighbours fill the gap.
+        False where the method did not converge and the mean of neighbours is used.
     """
 
     mean_speed_rad_s: NDArray[np.float64]
@@ -65,7 +65,7 @@ class MapTables(NamedTuple):
 
     @property
     def grid_shape(self) -> tuple[int, int, int]:
-        """Numbers of mean speeds, ratios and climbs."""
+        """Number of mean speeds, ratios and climbs."""
         return self.mean_speed_rad_s.size, self.ratio.size, self.climb_ratio.size
 
 
@@ -73,7 +73,7 @@ _table_error = partial(model_error, key="table")
 
 
 class CoefficientMap(BaseModel):
-    """A checked map; :meth:`parse_tables` gives its arrays."""
+    """Validated coefficient map; :meth:`parse_tables` returns its arrays."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -92,7 +92,7 @@ class CoefficientMap(BaseModel):
     table: str = Field(description=f"one line a point: {' '.join(TABLE_COLUMNS)}")
 
     def parse_tables(self) -> MapTables:
-        """Return axes and coefficients as arrays that cannot be written to."""
+        """Return axes and coefficients as read-only arrays."""
         return _parse_table(self.table)
 
     @model_validator(mode="after")
@@ -156,29 +156,29 @@ def format_table(tables: MapTables) -> str:
 
 
 def format_map_toml(coefficients: CoefficientMap) -> str:
-    """Return the text of a map file that :func:`load_coefficient_map` reads back."""
+    """Return the text of a map file that :func:`load_coefficient_map` can read."""
     return tomli_w.dumps(coefficients.model_dump(), multiline_strings=True)
 
 
 def builtin_coefficient_maps() -> list[str]:
-    """Return the names of the maps that come with mufly."""
+    """Return the names of the built-in coefficient maps."""
     return builtin_file_names(_BUILTIN_MAPS_FOLDER)
 
 
 def load_coefficient_map(name_or_path: str | Path, folder: Path | None = None) -> CoefficientMap:
-    """Read a map by built-in name or from its file.
+    """Read a coefficient map by built-in name or from its file.
 
     Parameters
     ----------
     name_or_path : str or Path
         A name that :func:`builtin_coefficient_maps` lists, or a path.
     folder : Path, optional
-        Where a path that is not absolute begins; by default the working directory.
+        Base folder of relative paths; by default the working directory.
 
     Raises
     ------
     InputError
-        If there is no such file, it is not TOML, or no map.
+        If the file does not exist, is not TOML, or is no map.
     """
     place = name_or_path
     if str(name_or_path) not in builtin_coefficient_maps() and folder is not None:
@@ -190,7 +190,7 @@ def load_coefficient_map(name_or_path: str | Path, folder: Path | None = None) -
 
 
 def load_named_maps(tables: dict[str, Any], folder: Path | None, where: str) -> dict[str, Any]:
-    """Return a vehicle's tables with the file that ``rotors.coefficient_map`` names put in its place."""
+    """Return a vehicle's tables with ``rotors.coefficient_map`` replaced by the content of the named file."""
     rotors = tables.get("rotors")
     name = rotors.get("coefficient_map") if isinstance(rotors, dict) else None
     if not isinstance(rotors, dict) or name is None or isinstance(name, dict):

@@ -1,10 +1,9 @@
-"""A number with its unit and where it came from, as files of vehicles, rotors and drives hold it.
+"""Numbers with unit and provenance in files of vehicles, rotors and drives, and groups of such parameters.
 
     mass = { value = 95, unit = "g", source = "measured", note = "on a scale" }
 
-Values are converted to SI when the file is read; the unit must be given, so that no number is ever guessed at. What a
-file may hold is declared once, as groups of :func:`declare_parameter` s: unit, symbol, meaning and the values that make
-sense.
+Values are converted to SI when the file is read; the unit is mandatory. The content of a file is declared once, as
+groups of :func:`declare_parameter` s with unit, symbol, meaning and permitted values.
 """
 
 from __future__ import annotations
@@ -24,8 +23,8 @@ from mufly.units import compatible_units
 ValueSource = Literal["measured", "CAD", "datasheet", "estimated", "identified", "specified"]
 
 _LIMIT_OPERATORS = {"above": gt, "at_least": ge, "below": lt, "at_most": le}
-_MAX_REPR_VALUE_WIDTH = 64  # characters of values in a line of a short representation
-_MAX_PLAUSIBLE_VALUE = 1e9  # no parameter of a vehicle is as large in SI units; powers of larger ones overflow
+_MAX_REPR_VALUE_WIDTH = 64  # greatest width of the values in a line of a short representation
+_MAX_PLAUSIBLE_VALUE = 1e9  # greater than any parameter of a vehicle in SI units; powers of larger values overflow
 
 
 class _FrozenModel(BaseModel):
@@ -33,9 +32,9 @@ class _FrozenModel(BaseModel):
 
 
 class Quantity(_FrozenModel):
-    """One number with its unit and provenance. ``float(quantity)`` is the SI value.
+    """Number with unit and provenance; ``float(quantity)`` is the SI value.
 
-    ``std``, its standard deviation in the same unit, may be stated; identification takes one by the source otherwise.
+    ``std`` is an optional standard deviation in the same unit; identification derives a default from the source.
     """
 
     value: float
@@ -62,7 +61,7 @@ class BodyPoints(_FrozenModel):
 
 
 class TabulatedCurve(_FrozenModel):
-    """A quantity tabulated over a fraction that rises from 0 to 1."""
+    """Quantity tabulated over a fraction that increases from 0 to 1."""
 
     fraction: tuple[float, ...]
     value: tuple[float, ...]
@@ -86,9 +85,9 @@ def declare_parameter(
     at_most: float | None = None,
     absent: float | None = None,
 ) -> Any:
-    """Declare a parameter of a vehicle: its SI unit, symbol, meaning and the values that make sense.
+    """Declare a parameter of a vehicle: SI unit, symbol, meaning and permitted values.
 
-    ``absent`` is the value of a file that does not name it; without one every file has to.
+    ``absent`` is the default for files without this parameter; without a default the parameter is mandatory.
     """
     limits = {"above": above, "at_least": at_least, "below": below, "at_most": at_most}
     extra: dict[str, Any] = {"unit": unit, "symbol": symbol, **limits}
@@ -122,7 +121,7 @@ def _flatten_values(value: Any) -> list[float]:
 
 
 class ParameterLine(NamedTuple):
-    """A line of what a file holds: its table, its key, and what stands there in words."""
+    """Line of a parameter listing: table, key, and value as text."""
 
     table: str
     key: str
@@ -134,7 +133,7 @@ class ParameterLine(NamedTuple):
 
 
 def iterate_parameter_lines(group: _FrozenModel, table: str = "") -> Iterator[ParameterLine]:
-    """Yield every parameter of a group and of the groups in it, those of a table together."""
+    """Yield every parameter of a group and its subgroups, ordered by table."""
     inner: list[tuple[str, _FrozenModel]] = []
     for name, declared in type(group).model_fields.items():
         value = getattr(group, name)
@@ -164,7 +163,7 @@ def _format_value(value: Any) -> str:
 
 
 def _format_first_values(rows: list[ParameterLine]) -> str:
-    """The first values of a table, as many as a line holds, and how many more there are."""
+    """Format the first values of a table in one line, with the number of further values."""
     shown: list[str] = []
     for row in rows:
         text = f"{row.key} {row.value} {row.unit}".strip()
@@ -179,10 +178,10 @@ _MAX_SHOWN_TABLES = 7  # of a repr
 
 
 class ParameterGroup(_FrozenModel):
-    """A named group of parameters. Converts what the file says to SI and checks it against the declaration."""
+    """Named group of parameters, converted to SI and validated against the declaration."""
 
     def __str__(self) -> str:
-        """Every parameter with unit, source and meaning, a line each."""
+        """Return every parameter with unit, source and meaning, one per line."""
         rows = list(iterate_parameter_lines(self))
         widths = (max((len(r[k]) for r in rows), default=0) for k in range(6))
         _, key_width, symbol_width, value_width, unit_width, source_width = widths
@@ -219,7 +218,7 @@ class ParameterGroup(_FrozenModel):
         return "\n".join([*out, f"  {len(rows)} values in all: print(...) shows each with its source"])
 
     def _repr_html_(self) -> str:
-        """Return the same as a table for notebooks."""
+        """Return the parameters as an HTML table for notebooks."""
         heads = "".join(f"<th>{h}</th>" for h in ("key", "symbol", "value", "unit", "source", "meaning"))
         out, table = [f"<tr>{heads}</tr>"], ""
         for r in iterate_parameter_lines(self):

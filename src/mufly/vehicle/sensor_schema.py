@@ -1,7 +1,7 @@
-"""What a vehicle feels with: the table ``[sensors]`` of a vehicle file, a group a sensor, each of which may be absent.
+"""Sensors of a vehicle: the table ``[sensors]`` of a vehicle file, with an optional group for each sensor.
 
-What the numbers do stands with the sensors (:mod:`mufly.sensors`) and in docs/reference/sensors.md. Limits are those of
-any sensor that a vehicle of a gram to 100 kg might carry and of errors with which it still is one; errors may be none.
+The sensor models (:mod:`mufly.sensors`) and docs/reference/sensors.md explain the parameters. The limits cover the
+sensors of vehicles from a gram to 100 kg; error parameters may be zero.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from mufly.vehicle.quantity import BodyPoints, ParameterGroup, Quantity, declare
 
 
 class VibrationParameters(ParameterGroup):
-    """What the rotors shake the board with, as its amplitude along the shaking at the hover speed."""
+    """Vibration of the board due to the rotors: amplitude in the direction of vibration at the hover speed."""
 
     once: Quantity = declare_parameter(
         "m/s^2", "a1", "once a revolution of each rotor, from imbalance", at_least=0, at_most=2000
@@ -33,7 +33,7 @@ class VibrationParameters(ParameterGroup):
 
 
 DEFAULT_LEVEL_ERROR_RAD = math.radians(0.12)
-"""How level a helicopter stands on the floor where its file does not say (0.2 mm under a leg of 0.1 m)."""
+"""Default tilt error of the standing helicopter (rad), 0.2 mm under a leg of 0.1 m."""
 
 
 class ImuParameters(ParameterGroup):
@@ -120,7 +120,7 @@ class SonarParameters(ParameterGroup):
 
 
 class RingCameraParameters(ParameterGroup):
-    """The omnidirectional camera that sees the spots of the laser ring; the beams are those of ``range_ring``."""
+    """Omnidirectional camera that detects the spots of the laser ring; the beams are those of ``range_ring``."""
 
     period: Quantity = declare_parameter("s", "T_cam", "between pictures", at_least=0.0001, at_most=10)
     radial_pixels: int = Field(ge=8, le=4096, strict=True, description="pixels along a radius of the picture")
@@ -186,7 +186,7 @@ class MagnetometerParameters(ParameterGroup):
 
 
 class RotorSpeedSensorParameters(ParameterGroup):
-    """Speed from the back-EMF of the motors."""
+    """Rotor speed from the back-EMF of the motors."""
 
     period: Quantity = declare_parameter("s", "T_n", "between readings", at_least=0.0001, at_most=10)
     noise: Quantity = declare_parameter("V", "n_n", "of the voltage, one sigma", at_least=0, at_most=100)
@@ -206,7 +206,7 @@ class BatteryMonitorParameters(ParameterGroup):
 
 
 class PositionFixParameters(ParameterGroup):
-    """Position and heading by visual SLAM, or by whatever tells where the vehicle is now and then."""
+    """Position and heading fixes from visual SLAM or another low-rate source."""
 
     period: Quantity = declare_parameter("s", "T_x", "between fixes", at_least=0.001, at_most=100)
     latency: Quantity = declare_parameter("s", "L_x", "from the picture to the fix", at_least=0, at_most=10)
@@ -220,7 +220,7 @@ class PositionFixParameters(ParameterGroup):
 
 
 class SensorSuite(ParameterGroup):
-    """The sensors of a vehicle; what is absent is not on board."""
+    """Sensors of a vehicle; absent groups are sensors that are not on board."""
 
     imu: ImuParameters | None = None
     sonar: SonarParameters | None = None

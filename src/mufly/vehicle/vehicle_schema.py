@@ -1,6 +1,6 @@
-"""What a coaxial micro helicopter is made of: every parameter of the flight model, declared once; vehicle files.
+"""Schema of vehicle files: declaration of all parameters of the flight model of a coaxial micro helicopter.
 
-A file states each with value, unit and where the number came from (:mod:`mufly.vehicle.quantity`).
+A file states each parameter with value, unit and provenance (:mod:`mufly.vehicle.quantity`).
 
 Symbols are the thesis's (Table 5.3) in ASCII; ``up`` is the upper rotor (stabiliser bar), ``dw`` the lower
 (swash plate). Positions are in body axes from the centre of gravity: x forward, y right, z down.
@@ -22,16 +22,15 @@ from mufly.vehicle.coefficient_map import CoefficientMap, load_named_maps
 from mufly.vehicle.quantity import BodyPoints, ParameterGroup, Quantity, TabulatedCurve, declare_parameter
 from mufly.vehicle.sensor_schema import SensorSuite
 
-# The limits of each parameter stand in its declaration. They are those of anything that flies on two rotors, from a
-# gram to 100 kg: the lightest motor with its rotor has 1e-9 kg m2, the smallest cell 0.1 V; a rotor beyond cT = 0.2 is
-# stalled, a linkage that tilts the disc by more than three times the plate is none. Where nothing is sensible
-# (friction, drag) zero is allowed. What parameters have to be to each other, energy first, stands in the groups'
-# checks.
+# Each declaration contains the limits of its parameter. They cover coaxial vehicles from a gram to 100 kg: the lightest
+# motor with its rotor has 1e-9 kg m2, the smallest cell 0.1 V; a rotor beyond cT = 0.2 is stalled, and no linkage tilts
+# the disc by more than three times the plate. Zero is allowed for friction and drag. The checks of the groups cover
+# relations between parameters, such as conservation of energy.
 
 MAX_LEGS = 16
 _RADIUS_TOLERANCE = 0.01
 MAX_TORQUE_TO_EMF_RATIO = 1.02
-"""Torque constant over back-EMF constant that the doubt of two measurements still allows; above, energy is made."""
+"""Greatest ratio of torque to back-EMF constant, 1 plus measurement uncertainty; above it energy is not conserved."""
 
 
 class Body(ParameterGroup):
@@ -154,7 +153,7 @@ class Motor(ParameterGroup):
 
     @model_validator(mode="after")
     def _check_torque_constant(self) -> Motor:
-        """Of the power kE w I that turning takes, kM w I comes out: in SI units kM is kE, less what is lost."""
+        """Check that kM does not exceed kE (SI units): of the power kE w I the motor delivers kM w I."""
         k_e, k_m = float(self.back_emf_constant), float(self.torque_constant)
         if k_m > MAX_TORQUE_TO_EMF_RATIO * k_e:
             raise model_error(
@@ -217,7 +216,7 @@ class Battery(ParameterGroup):
 
 
 def battery_voltage_range(battery: Battery) -> tuple[float, float]:
-    """Lowest and highest voltage (V) that the battery has in use: where a mission has to land, and full at rest."""
+    """Return the battery's lowest and highest voltage in use (V): at a forced landing, and full without load."""
     nominal, rest = float(battery.nominal_voltage), battery.open_circuit_voltage.value
     return min(float(battery.low_voltage), nominal), max(*rest, nominal)
 
@@ -283,9 +282,9 @@ class MassBudget(ParameterGroup):
 
 
 class Vehicle(ParameterGroup):
-    """A coaxial micro helicopter, as read from a vehicle file. All values in SI units.
+    """Coaxial micro helicopter as read from a vehicle file; all values in SI units.
 
-    ``float(vehicle.body.mass)`` is the mass in kg; ``vehicle.body.mass.source`` says where it came from.
+    ``float(vehicle.body.mass)`` is the mass in kg; ``vehicle.body.mass.source`` is its provenance.
     """
 
     name: str = Field(min_length=1, description="short name")
@@ -320,7 +319,7 @@ _BUILTIN_VEHICLES_FOLDER = resources.files("mufly.vehicle") / "builtin"
 
 
 class Parameter(NamedTuple):
-    """One row of a vehicle's parameter table; ``value`` is in SI units."""
+    """Row of a vehicle's parameter table; ``value`` is in SI units."""
 
     key: str
     symbol: str
@@ -333,7 +332,7 @@ class Parameter(NamedTuple):
 
 
 def builtin_vehicles() -> list[str]:
-    """Return the names of the vehicles that come with mufly."""
+    """Return the names of the built-in vehicles."""
     return builtin_file_names(_BUILTIN_VEHICLES_FOLDER)
 
 
@@ -397,10 +396,10 @@ def replace_parameters(
         The vehicle to start from.
     values : mapping of str to float, str or None
         New SI values by dotted key, as in ``{"body.mass": 0.08, "battery.model": "constant"}``.
-        ``"rotors.coefficient_map"`` takes the name or path of a map, or None for the constants. A new
-        ``body.mass`` drops the mass budget, which no longer adds up.
+        ``"rotors.coefficient_map"`` takes the name or path of a map, or None for the constants. A new ``body.mass``
+        removes the mass budget, whose sum would differ.
     source : str
-        Provenance that the changed parameters get.
+        Provenance of the changed parameters.
 
     Raises
     ------
@@ -426,9 +425,9 @@ def replace_parameters(
 
 
 def format_vehicle_toml(vehicle: Vehicle) -> str:
-    """Return the vehicle as the text of a vehicle file, in SI units, that :func:`load_vehicle` reads back.
+    """Return the text of a vehicle file in SI units that :func:`load_vehicle` can read.
 
-    A coefficient map is written out in full, so the text needs no other file.
+    It contains a coefficient map in full and needs no other file.
     """
     tables = vehicle.model_dump(exclude_none=True)
     return tomli_w.dumps(tables, multiline_strings=True)

@@ -1,4 +1,4 @@
-"""Where does it fly? A room with a floor, walls, boxes and cylinders, and the geometry of seeing and touching them."""
+"""Environment of the vehicle: a room with floor, walls, boxes and cylinders, and its ranges and collisions."""
 
 from mufly.world.obstacles import (
     Box,

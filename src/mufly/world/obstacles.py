@@ -1,19 +1,19 @@
-"""What stands around the helicopter.
+"""Obstacles around the helicopter: ray casting and signed distances.
 
-All coordinates are N-E-D in metres: the floor is the plane D = 0 and heights are negative. Obstacles are solid:
-upright boxes that may be turned about the vertical, upright circular cylinders, and a `Room` whose walls and
-ceiling enclose the flight. Each has a name, so that a message can say which one is meant.
+All coordinates are N-E-D in metres: the floor is the plane D = 0 and heights are negative. Obstacles are solid: upright
+boxes with any yaw, upright circular cylinders, and a `Room` whose walls and ceiling enclose the flight. Each obstacle
+has a name for messages.
 
-Seeing and touching. A ray x(t) = x0 + t u with unit vector u meets
+A ray x(t) = x0 + t u with unit vector u hits
 
 - a box, in its own axes, where it has entered all three slabs |x_i| <= h_i (slab method);
 - an upright cylinder of radius R where |x0 + t u - c|^2 = R^2 in the horizontal plane, a quadratic in t, cut by
   the slab between its foot and its top;
 - a wall, the ceiling or the floor where one coordinate reaches the plane.
 
-The signed distance to a box with half edges h of a point at q in its axes is |max(|q| - h, 0)| +
-min(max_i(|q_i| - h_i), 0): Euclidean outside, minus the way to the nearest face inside. A cylinder is a box in the
-two coordinates (distance from the axis, height). To a wall or ceiling it is the way to the plane. Own derivation.
+The signed distance to a box with half edges h of a point at q in its axes is |max(|q| - h, 0)| + min(max_i(|q_i| -
+h_i), 0): Euclidean outside, minus the distance to the nearest face inside. A cylinder is a box in the two coordinates
+(distance from the axis, height). For a wall or ceiling it is the distance to the plane. Own derivation.
 """
 
 from __future__ import annotations
@@ -45,18 +45,18 @@ def _require_positive(where: str, key: str, *values: float) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """An upright box.
+    """Upright box.
 
     Attributes
     ----------
     centre : (3,) tuple
-        N, E, D of its centre (m).
+        N, E, D of the centre (m).
     size : (3,) tuple
-        Full edge lengths (m) along its own x, y and z.
+        Full edge lengths (m) along the box's x, y and z axes.
     yaw : float
-        Turn of its x edge from north towards east (rad).
+        Angle of the x edge from north towards east (rad).
     name : str
-        What messages call it.
+        Name in messages.
     """
 
     centre: tuple[float, float, float]
@@ -72,20 +72,20 @@ class Box:
 
 @dataclass(frozen=True, slots=True)
 class Cylinder:
-    """An upright circular cylinder.
+    """Upright circular cylinder.
 
     Attributes
     ----------
     centre : (2,) tuple
-        N, E of its axis (m).
+        N, E of the axis (m).
     radius : float
         Radius (m).
     height : float
-        From its foot to its top (m).
+        Height from foot to top (m).
     foot : float
-        Height of its foot above the floor (m, positive up); 0 stands on the floor.
+        Height of the foot above the floor (m, positive up); 0 for a cylinder on the floor.
     name : str
-        What messages call it.
+        Name in messages.
     """
 
     centre: tuple[float, float]
@@ -110,7 +110,7 @@ class Room:
     north, east : (2,) tuples
         Least and greatest N and E inside the walls (m).
     height : float
-        Height of the ceiling above the floor (m); infinite when there is none.
+        Height of the ceiling above the floor (m); infinite without ceiling.
     """
 
     north: tuple[float, float]
@@ -128,16 +128,16 @@ class Room:
 
 @dataclass(frozen=True)
 class World:
-    """Everything that stands still around the helicopter.
+    """Static environment of the helicopter.
 
     Attributes
     ----------
     boxes, cylinders : tuples
         The obstacles.
     room : Room or None
-        Walls and ceiling, or an open plain.
+        Walls and ceiling; None for open terrain.
     floor : bool
-        Whether beams see the plane D = 0. It is never an obstacle in `obstacle_distance`.
+        True if beams hit the plane D = 0, which is never an obstacle in `obstacle_distance`.
     names : tuple of str
         Name of every obstacle in the order in which `obstacle_distances` counts them: boxes, cylinders, then the walls
         (south, north, west, east) and the ceiling.
@@ -161,12 +161,12 @@ class World:
 
     @property
     def is_empty(self) -> bool:
-        """Whether there is nothing to hit but the floor."""
+        """True if there is no obstacle but the floor."""
         return not (self.boxes or self.cylinders or self.room)
 
 
 def _pack_world(world: World) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Flat tables for the compiled loops: boxes (n, 8), cylinders (n, 5), limits (6,)."""
+    """Return flat tables for the compiled loops: boxes (n, 8), cylinders (n, 5), limits (6,)."""
     boxes = np.array(
         [(*b.centre, *(0.5 * s for s in b.size), math.cos(b.yaw), math.sin(b.yaw)) for b in world.boxes]
     ).reshape(-1, 8)
@@ -185,21 +185,21 @@ def make_wall(
     thickness: float = 0.1,
     name: str = "wall",
 ) -> Box:
-    """A free-standing wall on the floor, as a box.
+    """Return a free-standing wall on the floor as a box.
 
     Parameters
     ----------
     start, end : (2,) tuples
-        N, E of the two ends of its middle line (m).
+        N, E of the two ends of the centre line (m).
     height, thickness : float
-        Its height above the floor and its thickness (m).
+        Height above the floor, and thickness (m).
     name : str
-        What messages call it.
+        Name in messages.
 
     Raises
     ------
     InputError
-        The two ends coincide, or a length is not positive.
+        If the two ends coincide, or a length is not positive.
     """
     north, east = end[0] - start[0], end[1] - start[1]
     length = math.hypot(north, east)
@@ -220,7 +220,7 @@ ROOM_CEILING, ROOM_FLOOR = 4, 5
 
 @cached_njit
 def _clip_to_slab(x: float, u: float, half: float, near: float, far: float) -> tuple[float, float]:
-    """Cut the stretch [near, far] of a ray to the part where |x + t u| <= half (an empty stretch has near > far)."""
+    """Clip the interval [near, far] of a ray to |x + t u| <= half (an empty interval has near > far)."""
     if u == 0.0:
         return (near, far) if abs(x) <= half else (1.0, -1.0)
     a, b = (-half - x) / u, (half - x) / u
@@ -231,7 +231,7 @@ def _clip_to_slab(x: float, u: float, half: float, near: float, far: float) -> t
 def first_hit(
     x: _Array, un: float, ue: float, ud: float, best: float, boxes: _Array, cylinders: _Array, limits: _Array
 ) -> float:
-    """Distance from ``x`` (3,) along a unit vector to the first surface of a packed world, ``best`` at most (m)."""
+    """Return the distance (m) from ``x`` (3,) along a unit vector to the first surface, at most ``best``."""
     for b in boxes:
         dn, de = x[0] - b[0], x[1] - b[1]
         c, s = b[BOX_COS], b[BOX_SIN]
@@ -285,7 +285,7 @@ def _cast_beams(
 def nearest_obstacles(
     points: _Array, boxes: _Array, cylinders: _Array, limits: _Array
 ) -> tuple[_Array, NDArray[np.int64]]:
-    """Signed distance of points (n, 3) to the nearest obstacle of a packed world, and which it is."""
+    """Return signed distance and index of the nearest obstacle of a packed world to points (n, 3)."""
     count = points.shape[0]
     least, which = np.full(count, np.inf), np.full(count, -1, np.int64)
     nb, nc = boxes.shape[0], cylinders.shape[0]
@@ -318,18 +318,18 @@ def nearest_obstacles(
 
 
 def cast_ranges(world: World, position: ArrayLike, directions: ArrayLike, max_range: float = math.inf) -> _Array:
-    """Distance along each beam to the first surface it meets.
+    """Return the distance along each beam to the first surface.
 
     Parameters
     ----------
     world : World
-        What there is to see, the floor included (unless ``world.floor`` is false).
+        Obstacles, including the floor unless ``world.floor`` is false.
     position : (3,) array
-        Where the beams start, N, E, D (m).
+        Origin of the beams, N, E, D (m).
     directions : (n, 3) array
         Unit vectors of the beams in N, E, D.
     max_range : float
-        What a beam that meets nothing nearer returns (m).
+        Range of beams without a hit, and greatest range (m).
 
     Returns
     -------
@@ -345,19 +345,19 @@ def cast_ranges(world: World, position: ArrayLike, directions: ArrayLike, max_ra
 
 
 def obstacle_distances(world: World, points: ArrayLike) -> tuple[_Array, NDArray[np.int64]]:
-    """Signed distance of many points to the nearest obstacle.
+    """Return the signed distances of many points to the nearest obstacle.
 
     Parameters
     ----------
     world : World
-        The obstacles; walls and ceiling count, the floor does not.
+        Obstacles, including walls and ceiling but not the floor.
     points : (n, 3) array
-        N, E, D (m).
+        Points, N, E, D (m).
 
     Returns
     -------
     distance : (n,) array
-        Metres, negative inside an obstacle or outside the room, infinite in an empty world.
+        Signed distance (m), negative inside an obstacle or outside the room, infinite in an empty world.
     which : (n,) array of int
         Index of the nearest obstacle in ``world.names``, -1 in an empty world.
     """
@@ -365,13 +365,14 @@ def obstacle_distances(world: World, points: ArrayLike) -> tuple[_Array, NDArray
 
 
 def obstacle_distance(world: World, point: ArrayLike) -> tuple[float, str]:
-    """Signed distance (m) of one point (3,) to the nearest obstacle, and that obstacle's name ("" if none)."""
+    """Return the signed distance (m) of a point (3,) to the nearest obstacle, and the obstacle's name ("" if none)."""
     least, which = obstacle_distances(world, point)
     return float(least[0]), world.names[which[0]] if which[0] >= 0 else ""
 
 
 def find_enclosing(world: World, point: ArrayLike) -> str:
-    """Name of what the point (3,) is inside of: an obstacle, the wall it is beyond, "floor", or "" in free air."""
+    """Return the name of the obstacle that contains the point (3,), the wall in front of it, "floor", or "" in free
+    air."""
     least, name = obstacle_distance(world, point)
     if least < 0.0:
         return name
