@@ -1,7 +1,7 @@
 """mufly: coaxial micro helicopters, from blade geometry to autonomous flight.
 
-The rooms of the package stand in the order in which an engineer works; see ``docs/explanation/architecture.md``.
-They load on first use, so that ``import mufly`` is quick.
+The subpackages are ordered by the steps of a design; see ``docs/explanation/architecture.md``. They load on first use,
+so that ``import mufly`` is fast.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""``python -m mufly``: the command line, where no script of that name is on the path."""
+"""Command line by ``python -m mufly``, for systems without the script ``mufly`` on the path."""
 
 from mufly.cli import main
 

@@ -1,13 +1,12 @@
-"""Answers kept on disk: a question is computed once, and a run that was stopped resumes.
+"""Store of computed answers on disk, for caching and for resumption of interrupted runs.
 
-A kept file belongs to a question, the hash of everything that its answers depend on (:func:`hash_question`); a question
-that can change with the program names the program's version. Three forms serve every room: a file with one answer
-(:func:`write_answer`, :func:`read_answer`), a folder that belongs to one question (:func:`claim_folder`), and a file
-that gets a line for each answer as it comes (:class:`AnswerLines`).
+A file belongs to a question, the hash of all inputs of its answers (:func:`hash_question`). If answers depend on the
+program version, the question includes it. There are three forms: a file with one answer (:func:`write_answer`,
+:func:`read_answer`), a folder that belongs to one question (:func:`claim_folder`), and a file with a line for each
+answer, written immediately (:class:`AnswerLines`).
 
-A file appears whole or not at all (:func:`replace_file`), so processes that write the same answer at once are safe. A
-file that is damaged or answers another question is refused with one line where the caller gives its words, and else
-computed anew.
+Files are replaced atomically (:func:`replace_file`), so processes may write the same answer at the same time. A damaged
+file, or one of another question, raises an error if the caller gives its words; otherwise it is recomputed.
 """
 
 from __future__ import annotations
@@ -35,9 +34,9 @@ _FAULTS = (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, z
 
 
 def cache_folder(room: str) -> Path | None:
-    """Return the folder in which a room keeps answers for every later run, or None where ``MUFLY_CACHE`` is ``off``.
+    """Return the cache folder of a subpackage, or None if ``MUFLY_CACHE`` is ``off``.
 
-    The environment variable ``MUFLY_CACHE`` names another folder than the platform's cache folder for mufly.
+    The environment variable ``MUFLY_CACHE`` overrides the platform's cache folder for mufly.
     """
     chosen = os.environ.get("MUFLY_CACHE", "")
     if chosen.lower() == "off":
@@ -46,9 +45,9 @@ def cache_folder(room: str) -> Path | None:
 
 
 def hash_question(*parts: object) -> str:
-    """Return the hash of everything that an answer depends on.
+    """Return the hash of all inputs of an answer.
 
-    Arrays and bytes count bit by bit, the rest by its JSON with sorted keys, or by ``repr`` where JSON has no form.
+    Arrays and bytes are hashed as they are, other values as JSON with sorted keys, or by ``repr`` if not JSON.
     """
     digest = hashlib.sha256()
     for part in parts:
@@ -61,12 +60,12 @@ def hash_question(*parts: object) -> str:
 
 @contextmanager
 def replace_file(path: Path, remedy: str = "give another place") -> Iterator[Path]:
-    """Yield a temporary path beside ``path``, in a folder made if need be, that replaces it at the end of the block.
+    """Yield a temporary path that replaces ``path`` at the end of the block; create the folder if necessary.
 
     Raises
     ------
     InputError
-        If the file cannot be written; ``remedy`` says what to do. The file that was there stays.
+        If the file cannot be written, with ``remedy`` in the message. The existing file is kept.
     """
     part = path.with_name(f".{path.name}.{os.getpid()}-{threading.get_ident()}.part")
     try:
@@ -104,12 +103,13 @@ def read_answer(
     other: Words | None = None,
     where: Path | None = None,
 ) -> dict[str, Any] | None:
-    """Read what :func:`write_answer` wrote; None if it is not there, damaged or the answer to another question.
+    """Read an answer written by :func:`write_answer`; None if it is missing, damaged or of another question.
 
     Raises
     ------
     InputError
-        With the words ``damaged`` or ``other``, where they are given, about ``where`` (by default the file).
+        If the file is damaged or of another question and the words ``damaged`` or ``other`` are given. ``where`` (by
+        default the file) is the subject of the message.
     """
     if not path.is_file():
         return None
@@ -132,37 +132,37 @@ def read_answer(
 
 
 def claim_folder(folder: Path, note: str, question: str, content: Mapping[str, Any], other: Words) -> None:
-    """Make a folder the place of the answers to a question, with a file ``note`` that says so.
+    """Reserve a folder for the answers to a question by the file ``note``.
 
     Raises
     ------
     InputError
-        If it belongs to another question (with the words ``other``) or cannot be written.
+        If the folder belongs to another question (with the words ``other``) or cannot be written.
     """
     read_answer(folder / note, question, damaged=other, other=other, where=folder)
     write_answer(folder / note, question, content, indent=2)
 
 
 class AnswerLines(Generic[One]):
-    """Answers in a file, a line of JSON each, written as they come; a last line that was cut off is taken away.
+    """File of answers, one line of JSON each, written immediately; a truncated last line is removed.
 
     Parameters
     ----------
     path : Path, optional
-        None: answers are kept in memory only.
+        Path of the file; None keeps answers in memory only.
     read : callable
-        Returns the key of an answer and the answer itself, from the content of a line.
+        Function that returns key and answer from the content of a line.
     question : str
-        Written in the first line; empty: the file has no such line.
+        Question in the first line; if empty, the file has no such line.
     other : (problem, remedy), optional
-        Words for the file of another question; needed with ``question``.
+        Words for the file of another question; required with ``question``.
     damaged : (problem, remedy), optional
-        Words for a line that cannot be read. None: what stands from there on is computed anew.
+        Words for a line that cannot be read. None: lines from there on are recomputed.
 
     Attributes
     ----------
     known : dict
-        Key to answer.
+        Answers by key.
 
     Raises
     ------
@@ -198,7 +198,7 @@ class AnswerLines(Generic[One]):
                     part.write_bytes(b"".join(line + b"\n" for line in kept))
 
     def add(self, key: Any, one: One, content: Any) -> None:
-        """Keep an answer, whose line holds ``content``."""
+        """Store an answer with ``content`` as its line."""
         if self._path is not None:
             with self._path.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(content) + "\n")

@@ -1,4 +1,4 @@
-"""Errors that a user reads: one clear line each."""
+"""Errors for users, with a one-line message."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from pathlib import Path
 
 
 class MuflyError(Exception):
-    """Something a user can act on. The message is one line; the command line prints it without a traceback."""
+    """Error that a user can act on. The message is one line; the command line prints it without traceback."""
 
 
 class InputError(MuflyError):
-    """A file or an argument is wrong.
+    """Error in a file or an argument.
 
     Parameters
     ----------
     where : str
-        File name or argument that holds the fault.
+        File name or argument with the fault.
     key : str
         Dotted key inside it (``"body.mass"``), or ``""``.
     problem : str
-        What is wrong, with the offending value.
+        Description of the fault, with the wrong value.
     remedy : str
-        What would be right.
+        Description of a valid input.
     """
 
     def __init__(self, where: str, key: str, problem: str, remedy: str) -> None:
@@ -34,19 +34,19 @@ class InputError(MuflyError):
         super().__init__(f"{place}: {problem}; {remedy}")
 
     def with_location(self, where: str) -> InputError:
-        """The same fault, of a file that its finder knew only by the name of what is in it."""
+        """Return the same error with another location."""
         return InputError(where, self.key, self.problem, self.remedy)
 
 
 class ArgumentError(InputError):
-    """An argument of a function is wrong; the command line names the option that gave it.
+    """Error in an argument of a function; the command line names the corresponding option.
 
     Parameters
     ----------
     argument : str
-        Its name.
+        Name of the argument.
     key : str
-        What in it is wrong, or ``""``.
+        Wrong part of the argument, or ``""``.
     problem : str
     remedy : str
         ``argument=value`` in it becomes ``--option value`` on the command line.
@@ -59,7 +59,7 @@ class ArgumentError(InputError):
 
 @contextmanager
 def report_write_errors(where: str | Path, remedy: str = "give another folder", key: str = "") -> Iterator[None]:
-    """Raise an :class:`InputError` about ``where`` for what goes wrong while files are written in the block."""
+    """Convert errors of writing files in the block to an :class:`InputError` about ``where``."""
     try:
         yield
     except OSError as error:
@@ -67,16 +67,16 @@ def report_write_errors(where: str | Path, remedy: str = "give another folder", 
 
 
 def suggest_name(name: str, known: Iterable[str], otherwise: str = "") -> str:
-    """Return the remedy for an unknown name: the known names most like it.
+    """Return the remedy for an unknown name: the most similar known names.
 
     Parameters
     ----------
     name : str
-        As it was given.
+        Unknown name.
     known : iterable of str
-        What there is.
+        Known names.
     otherwise : str
-        The remedy where nothing is like it; default: a list of all that there is.
+        Remedy if no name is similar; default: a list of all known names.
     """
 
     def normalise_name(text: str) -> str:

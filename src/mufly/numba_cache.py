@@ -1,18 +1,15 @@
-"""Compiled functions that always are what their source says.
+"""Cache of Numba functions whose key covers all imported sources.
 
-Numba keeps compiled functions on disk and compiles anew when the *file of the function* has changed. A
-function also holds what it calls and the constants it reads, and those come from other files: with Numba's
-own rule, a term added to the equations of motion was seen by whoever called them directly, while the
-integrator that had compiled them in went on as before.
+Numba stores compiled functions on disk and recompiles only if the *file of the function* changes. Compiled code also
+contains called functions and constants of other files, so that Numba's rule can leave outdated code in the cache.
 
-Here the cache of a file is kept in a folder named after a hash of that file and of every file of this package
-that it imports, directly or through others, and of every named tuple of the package, since a caller may hand
-one over. Any change there leads to another folder; nothing needs to be deleted. Folders that no process has
-used for :data:`UNUSED_CACHE_DAYS` days are removed. The same sources share a folder, in whichever checkout or
-environment they stand.
+Here the cache folder of a file is named after a hash of that file, of all files of this package that it imports
+directly or indirectly, and of all named tuples of the package, because callers may pass them. A change leads to another
+folder. Folders without use for :data:`UNUSED_CACHE_DAYS` days are removed. Equal sources share a folder across
+checkouts and environments.
 
-The folder is ``NUMBA_CACHE_DIR`` where that is set, else the user's cache folder; where neither can be
-written, a temporary one, which costs compiling at every start.
+The root folder is ``NUMBA_CACHE_DIR`` if set, else the user's cache folder. If neither is writable, a temporary folder
+is used, and functions are compiled at every start.
 """
 
 from __future__ import annotations
@@ -43,33 +40,32 @@ _IMPORT_LIST_ITEM_PATTERN = re.compile(r"(\w+)(?:\s+as\s+\w+)?\s*(?:,|$)", re.M)
 
 
 def cached_njit(function: Any = None, **options: Any) -> Any:
-    """Compile a function with Numba, kept on disk under a hash of its sources.
+    """Compile a function with Numba, cached on disk under a hash of its sources.
 
     Parameters
     ----------
     function : callable
-        What is decorated; leave it out to give options: ``@compiled(parallel=True)``.
+        Decorated function; omit it to give options: ``@cached_njit(parallel=True)``.
     **options
-        Those of :func:`numba.njit`; ``cache`` is on, and nothing is made for callers in C: a tenth of compiling.
+        Options of :func:`numba.njit`. ``cache`` is on, and wrappers for C are off, which saves a tenth of compile time.
     """
     options = {"cache": True, "no_cfunc_wrapper": True, **options}
     return numba.njit(**options) if function is None else numba.njit(**options)(function)
 
 
 def record_as_array(record: np.void) -> NDArray[np.void]:
-    """Return an array of one that shares a record's memory, for functions that are called in every period.
+    """Return an array of length 1 that shares a record's memory, for functions that are called in every period.
 
-    A compiled function that is handed a record asks NumPy for its memory, and NumPy answers by spelling out the names
-    of all its fields anew: 2 to 4 microseconds a call, ten times the rest of the call. An array says where it lies.
+    Passing a record to a compiled function takes 2 to 4 microseconds per call, because NumPy lists the names of all its
+    fields; that is ten times the rest of the call. Passing an array avoids this cost.
     """
     return np.asarray(record).reshape(1)
 
 
 def imported_sources(file: Path) -> list[Path]:
-    """Return the file and all files of this package that it imports, directly or through others, sorted.
+    """Return the file and all files of this package that it imports directly or indirectly, sorted.
 
-    A name imported from a room leads to the file that defines it, not to the whole room. Imports inside
-    functions count.
+    A name imported from a subpackage counts as the file that defines it. Imports inside functions are included.
     """
     found: set[Path] = set()
     left = [file.resolve()]
@@ -83,7 +79,7 @@ def imported_sources(file: Path) -> list[Path]:
 
 @functools.cache
 def _imported_names(path: Path) -> tuple[tuple[str, str], ...]:
-    """Return what a file imports from this package: (module, name), the name empty for a whole module."""
+    """Return the imports of a file from this package as (module, name); the name is empty for a whole module."""
     found = []
     for module, names, whole in _IMPORT_PATTERN.findall(path.read_text(encoding="utf-8")):
         if whole:
@@ -104,7 +100,7 @@ def _module_file(module: str) -> Path | None:
 
 @functools.cache
 def _imported_files(path: Path) -> tuple[Path, ...]:
-    """Files of this package that a file imports names from, itself excluded."""
+    """Return the files of this package from which a file imports names, without the file itself."""
     found = []
     for module, name in _imported_names(path):
         file = (name and _module_file(f"{module}.{name}")) or _module_file(module)
@@ -120,16 +116,16 @@ def _imported_files(path: Path) -> tuple[Path, ...]:
 
 @functools.cache
 def _file_digest(path: Path) -> bytes:
-    """Digest of where a file stands in the package and of what it holds."""
+    """Return the digest of a file's path in the package and its content."""
     name = str(path.relative_to(_PACKAGE_FOLDER)).encode()
     return hashlib.sha256(name + b"\0" + path.read_bytes()).digest()
 
 
 @functools.cache
 def _named_tuple_sources() -> bytes:
-    """Source of every named tuple of the package: whoever calls a compiled function may hand it one.
+    """Return the source of every named tuple of the package, because callers may pass them to compiled functions.
 
-    The caller's file is none that the function's file imports, yet the order of the fields is compiled in.
+    The function's file does not import the caller's file, but the order of the fields is compiled into the code.
     """
     found = []
     for path in sorted(_PACKAGE_FOLDER.rglob("*.py")):
@@ -149,7 +145,7 @@ def _source_digest(file: Path) -> str:
 
 @functools.cache
 def cache_folder() -> Path:
-    """Return the folder in which compiled code is kept: the first of those named above that can be written."""
+    """Return the root folder of compiled code: the first writable folder of those in the module docstring."""
     for base in (getattr(config, "CACHE_DIR", ""), platformdirs.user_cache_dir("mufly")):
         if base:
             folder = Path(base) / "mufly-compiled"
@@ -166,7 +162,7 @@ def cache_folder() -> Path:
 
 @functools.cache
 def _function_cache_folder(file: Path) -> Path:
-    """Return the folder of one file's functions, made and marked as used; long unused ones of that file go."""
+    """Return the folder of one file's functions, created and marked as used; remove unused folders of that file."""
     name = ".".join(file.relative_to(_PACKAGE_FOLDER).with_suffix("").parts)
     folder = cache_folder() / f"{name}-{_source_digest(file)}"
     new = not folder.is_dir()
@@ -185,7 +181,7 @@ def _function_cache_folder(file: Path) -> Path:
 
 
 class _BySource(_CacheLocator):
-    """Tells Numba where a function of this package is kept, and what it was made from."""
+    """Numba cache locator for the functions of this package."""
 
     def __init__(self, function: Any, file: Path) -> None:
         self._line = function.__code__.co_firstlineno
@@ -206,6 +202,6 @@ class _BySource(_CacheLocator):
         return cls(function, path) if path.is_relative_to(_PACKAGE_FOLDER) and path.is_file() else None
 
 
-# The one place where Numba looks a folder up; only functions of this package are answered here.
+# Numba's list of cache locators; this one serves functions of this package only.
 if not any(locator.__name__ == "_BySource" for locator in CacheImpl._locator_classes):
     CacheImpl._locator_classes.insert(0, _BySource)

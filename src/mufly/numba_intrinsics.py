@@ -1,7 +1,7 @@
-"""C functions called from compiled code by their addresses.
+"""Calls of C functions by address from compiled code.
 
-Numba knows functions of C by their types; what is known here is an address and that all arguments are pointers or whole
-numbers of 64 bits. So one compiled loop calls whichever library was built or loaded after it had been compiled.
+Numba calls C functions by their types. Here only the address is known, and all arguments are pointers or 64-bit
+integers. A compiled loop can therefore call libraries that are built or loaded later.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numba.extending import intrinsic
 
 
 def _call_c_function(context: Any, address: Any, arguments: Any) -> Any:
-    """Call the C function at an address with pointers; returns the lowest byte of what it returns."""
+    """Call the C function at an address with pointers; return the lowest byte of its result."""
     count = len(arguments)
 
     def generate_call(ctx: Any, builder: Any, signature: Any, given: Any) -> Any:
@@ -49,9 +49,9 @@ def _borrow_arrays(context: Any, what: Any) -> Any:
 
 
 borrow_arrays: Any = intrinsic(_borrow_arrays)
-"""``borrow_arrays(array)``: the same array, or tuple of arrays and tuples, as one of which nobody counts who holds it.
+"""``borrow_arrays(array)``: the same array, or tuple of arrays and tuples, without reference counting.
 
-Numba counts the holders of an array anew, atomically, wherever it is handed on, and a loop that hands on arrays of its
-caller spends more time on that than on sums. Only for what others hold as long as the result is used: arrays that the
-caller was given, or rows of an array that is itself used last.
+Numba updates the reference count of an array atomically whenever it is passed on, which can dominate the time of a
+loop. The result is valid only while another reference exists: arrays passed by the caller, or rows of an array that is
+used later.
 """

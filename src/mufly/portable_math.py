@@ -1,26 +1,26 @@
-"""Elementary functions that are the same, to the last bit, on every machine that rounds as IEEE 754 asks.
+"""Elementary functions with equal results, to the last bit, on every machine with IEEE 754 arithmetic.
 
-Those of C libraries differ in their last bit. What runs on board (docs/reference/firmware.md) has to give on a
-processor what it gave in simulation, so it computes its own from additions and multiplications:
+The functions of C libraries differ in the last bit. On-board code (docs/reference/firmware.md) must give the same
+results on a processor and in simulation, so it uses additions and multiplications only:
 
     n = the integer nearest to 2 x / pi,   r = x - n pi/2,   pi/2 in three pieces of which the first two are short
                                                              enough for n times them to be exact for |n| < 2^20
     sin r = r - r^3/3! + ... + r^17/17!,          |r| <= pi/4: what is left out is below 1e-19
     cos r = 1 - r^2/2! + ... + r^16/16!,          below 3e-18
 
-and the quadrant of ``n`` says which of them, with which sign. Errors are at most one unit in the last place (two after
-thousands of turns). An angle beyond 1e5 rad, or none, is a fault elsewhere and counts as zero. Sources: Taylor; Cody
+and the quadrant of ``n`` selects function and sign. Errors are at most one unit in the last place (two after thousands
+of turns). An angle beyond 1e5 rad or not a number is a fault of the caller and counts as zero. Sources: Taylor; Cody
 and Waite, Software Manual for the Elementary Functions, 1980, for the pieces.
 
-Decay is ``exp(-x) = 2^-n exp(-r)``, n the integer nearest to ``x / ln 2``, ``r = x - n ln 2``, by the same means.
+Decay is ``exp(-x) = 2^-n exp(-r)``, n the integer nearest to ``x / ln 2``, ``r = x - n ln 2``, by the same method.
 
 The angle of a direction (x, y), small <= big the two magnitudes:
 
     n = the integer nearest to 8 small / big,  c = n / 8,   atan(small / big) = atan c + atan r,
     r = (small - c big) / (big + c small),  |r| <= 1/16,    atan r = r - r^3/3 + ... + r^13/13: below 4e-19 is left out
 
-and quadrant and octant say what to take it from (two units in the last place). A length is the root of the sum of
-squares, from left to right: of metres neither the squares nor their sum leave the range of numbers.
+and quadrant and octant select the final angle (error two units in the last place). A length is the root of the sum of
+squares, from left to right; for lengths in metres neither overflows.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from numba.extending import register_jitable
 
 from mufly.numba_cache import cached_njit
 
-# The same numbers stand in the C sources; tests hold both against each other.
+# The C sources contain the same numbers; tests compare both.
 TWO_OVER_PI = float.fromhex("0x1.45f306dc9c883p-1")
 HALF_PI_PARTS = (
     float.fromhex("0x1.921fb54400000p+0"),
     float.fromhex("0x1.0b4611a600000p-34"),
     float.fromhex("0x1.3198a2e037073p-69"),
 )
-"""Of pi/2: 33, 33 and 53 bits."""
+"""Parts of pi/2 with 33, 33 and 53 bits."""
 
 MAX_ANGLE_RAD = 1e5
 
@@ -90,14 +90,14 @@ _INVERSE_LN2 = float.fromhex("0x1.71547652b82fep+0")
 
 @cached_njit(error_model="numpy")
 def exp_decay(x: float) -> float:
-    """Return exp(-x) for x from 0 on; 1 below, 0 beyond 40 (where it is below 1e-17)."""
+    """Return exp(-x) for x >= 0; 1 for negative x, 0 above 40 (where it is below 1e-17)."""
     if not x > 0.0:
         return 1.0
     if x > 40.0:
         return 0.0
     n = int(x * _INVERSE_LN2 + 0.5)
     r = (x - n * _LN2_1) - n * _LN2_2
-    # The series of Taylor, to r^13.
+    # Taylor series to r^13.
     s = -1.0 / 6227020800.0
     s = 1.0 / 479001600.0 + r * s
     s = -1.0 / 39916800.0 + r * s
@@ -117,7 +117,7 @@ def exp_decay(x: float) -> float:
 
 
 _TWO_PI_1, _TWO_PI_2 = float.fromhex("0x1.921fb544p+2"), float.fromhex("0x1.0b46p-32")
-"""Both together are 2 pi as a number; n times either is exact for |n| < 2^20."""
+"""Parts whose sum is 2 pi; n times either part is exact for |n| < 2^20."""
 _ATAN_TABLE = tuple(
     float.fromhex(x)
     for x in (
@@ -130,7 +130,7 @@ _MAX_COMPONENT = 1e30
 
 
 def wrap_angle(angle: float) -> float:
-    """Return the same turn the shorter way round, in [-pi, pi] (rad): the angle less whole turns, without rounding."""
+    """Return the angle (rad) wrapped to [-pi, pi] by subtraction of whole turns, without rounding."""
     if not abs(angle) < MAX_ANGLE_RAD:
         return 0.0
     if abs(angle) <= math.pi:
@@ -140,7 +140,7 @@ def wrap_angle(angle: float) -> float:
 
 
 def portable_atan2(y: float, x: float) -> float:
-    """Return the angle (rad) from the first axis to (x, y), as ``atan2``; zero where there is no direction."""
+    """Return the angle (rad) from the first axis to (x, y), as ``atan2``; zero for a zero vector."""
     a, b = abs(x), abs(y)
     big, small = (a, b) if a >= b else (b, a)
     if not (0.0 < big < _MAX_COMPONENT and small <= big):
@@ -170,13 +170,13 @@ def vector_length(x: float, y: float, z: float = 0.0) -> float:
 
 @register_jitable
 def floor_int(x: float) -> int:
-    """Return the greatest integer that is not above ``x``; zero of what is beyond 1e9, or no number."""
+    """Return the greatest integer not above ``x``; zero beyond 1e9 or for NaN."""
     if not abs(x) < 1e9:
         return 0
     n = int(x)
     return n - 1 if x < n else n
 
 
-# Plain functions where Python calls them, compiled in where compiled functions do.
+# Plain functions when called from Python, inlined in compiled functions.
 for _function in (wrap_angle, portable_atan2, vector_length):
     register_jitable(_function)

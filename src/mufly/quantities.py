@@ -1,12 +1,12 @@
-"""One table of quantities: name, axes, unit, meaning, and the MAVLink field that tells it.
+"""Table of quantities: name, axes, unit, meaning and MAVLink fields.
 
-What a vehicle does is known from several sides, and the name says whose: ``truth_``, ``measured_``, ``estimated_`` or
-``reference_`` before ``position``, ``velocity``, ... Recorder, logs, station, link and identification read this table;
-a new signal is a new row. A name alone means a whole variable, ``measured_attitude.roll`` one component of it, and
-``measured_attitude_roll`` the same as a column of a table.
+The prefix of a name states the source of a signal: ``truth_``, ``measured_``, ``estimated_`` or ``reference_`` before
+``position``, ``velocity``, ... Recorder, logs, station, link and identification read this table; a new signal is a new
+row. A name alone is a whole variable, ``measured_attitude.roll`` one component of it, and ``measured_attitude_roll``
+the same component as a column of a table.
 
-Labels of axes: N-E-D for places and velocities, roll-pitch-yaw for angles, p-q-r for body rates. Beams count from 0,
-channels from 1; how many there are is not known here.
+Labels of axes: N-E-D for positions and velocities, roll-pitch-yaw for angles, p-q-r for body rates. Beams count from 0,
+channels from 1; their numbers depend on the vehicle.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ DIMENSION_LABELS: Mapping[str, tuple[str, ...] | tuple[int, ...]] = {
     "level": ("N", "E"),
     "fix": ("N", "E", "D", "heading"),
 }
-"""Labels of every dimension but ``beam``, which counts from 0, and ``channel`` and ``actuator``, from 1."""
+"""Labels of every dimension except ``beam``, which counts from 0, and ``channel`` and ``actuator``, from 1."""
 
 SIGNAL_SOURCES: Mapping[str, str] = {
     "truth": "true",
@@ -45,11 +45,11 @@ SIGNAL_SOURCES: Mapping[str, str] = {
     "estimated": "estimated",
     "reference": "reference",
 }
-"""Who says so: prefix of a name, and the word for it. Each has the topic ``/prefix`` in a recording."""
+"""Sources of signals: prefix of the name, and description. Each has the topic ``/prefix`` in a recording."""
 
 
 class MavlinkSource(NamedTuple):
-    """MAVLink fields that tell a quantity: message, fields (one a component, blanks between), their unit."""
+    """MAVLink fields of a quantity: message, fields (one per component, separated by blanks), unit."""
 
     message: str
     fields: str
@@ -58,23 +58,23 @@ class MavlinkSource(NamedTuple):
 
 @dataclass(frozen=True)
 class Quantity:
-    """One quantity.
+    """Row of the table of quantities.
 
     Attributes
     ----------
     name : str
         Variable of a dataset (``truth_position``).
     topic, field : str
-        Where it travels in a recording (``/truth``, ``position``).
+        Topic and field in a recording (``/truth``, ``position``).
     dim : str or None
-        Its labelled dimension besides time (see :data:`DIMENSION_LABELS`), None for a scalar.
+        Labelled dimension besides time (see :data:`DIMENSION_LABELS`), None for a scalar.
     units, long_name : str
-        Written to the variable's attributes, the schema and the CSV header; ``"1"`` is a pure number.
+        Unit and description in the variable's attributes, the schema and the CSV header; ``"1"`` is dimensionless.
     recording_kinds : str
-        Words: ``flight``: every recording has it; ``sensors``, ``station``: one of a flight on sensors or a
-        station's has it besides. None of them: only logs of others.
+        Kinds of recordings that contain it. ``flight``: every recording; ``sensors``: flights on sensors; ``station``:
+        recordings of a station. Empty: only external logs.
     mavlink_sources : tuple of Wire
-        Fields that are plainly it, but for their unit (https://mavlink.io/en/messages/common.html).
+        Fields equal to the quantity except for the unit (https://mavlink.io/en/messages/common.html).
     """
 
     name: str
@@ -88,7 +88,7 @@ class Quantity:
 
     @property
     def component_labels(self) -> tuple[str, ...] | tuple[int, ...]:
-        """Labels of its components; empty for a scalar, and for beams and channels (any number)."""
+        """Labels of the components; empty for a scalar, and for beams and channels (any number)."""
         return DIMENSION_LABELS.get(self.dim or "", ())
 
 
@@ -97,7 +97,7 @@ def _channel_fields(pattern: str) -> str:
 
 
 def _measured_signals(row: ReadingRow) -> Iterator[Quantity]:
-    """What a sensor said, when it had measured that, and whether it stood by it; NaN where nothing came anew."""
+    """Return the signals of a sensor: reading, time of measurement, and validity; NaN without a new reading."""
     name, words = row.name, row.name.replace("_", " ")
     yield Quantity(f"measured_{name}", "/measured", name, row.dim, row.unit, row.meaning, "sensors")
     if row.is_timed:
@@ -120,10 +120,10 @@ def _innovation_signals(reading: str) -> tuple[Quantity, ...]:
 
 
 CHECKED_READINGS = tuple(row.name for row in CHECKED)
-"""Readings on which an estimator has an opinion."""
+"""Readings with a fusion status of the estimator."""
 
 FUSION_STATUSES = ("waiting", "fused", "rejected", "missing", "faulty")
-"""What an estimator may say of a reading; a recording holds the place in this list."""
+"""Fusion statuses of a reading; a recording contains the index in this list."""
 
 _CENTRE_OF_GRAVITY_TEXT = "of the centre of gravity"
 _RAW_CHANNEL_FIELDS = _channel_fields("chan{}_raw")
@@ -389,15 +389,15 @@ QUANTITIES: tuple[Quantity, ...] = (
         "",
     ),
 )
-"""The table. What a flight keeps stands in the order of its columns (column 0 is the time)."""
+"""Quantities by name; recorded quantities are in the order of columns (column 0 is the time)."""
 
 _QUANTITIES_BY_NAME = {quantity.name: quantity for quantity in QUANTITIES}
 
 
 def find_quantity(name: str) -> Quantity | None:
-    """Return what is known of a variable by its name, None for a name of the user's own.
+    """Return the quantity of a variable name, None for a user-defined name.
 
-    Every source may tell what one of them tells: ``reference_rates`` is known from ``measured_rates``.
+    A quantity of one source is known for every source: ``reference_rates`` follows from ``measured_rates``.
     """
     if name in _QUANTITIES_BY_NAME:
         return _QUANTITIES_BY_NAME[name]
@@ -410,13 +410,13 @@ def find_quantity(name: str) -> Quantity | None:
 
 
 def quantities_recorded_in(*keepers: str) -> tuple[Quantity, ...]:
-    """Return the quantities that recordings keep: ``quantities_recorded_in("flight")``,
+    """Return the quantities stored in recordings: ``quantities_recorded_in("flight")``,
     ``quantities_recorded_in("flight", "station")``."""
     return tuple(q for q in QUANTITIES if not set(keepers).isdisjoint(q.recording_kinds.split()))
 
 
 class PhysicalLimits(NamedTuple):
-    """What a quantity cannot leave, whatever flies: the range in its unit, and the physics that sets it."""
+    """Physical limits of a quantity for any vehicle: range in its unit, and physical reason."""
 
     low: float
     high: float
@@ -442,19 +442,19 @@ PHYSICAL_LIMITS: Mapping[str, PhysicalLimits] = {
     "actuator_output": PhysicalLimits(0.0, 3000.0, "pulses to servos and motor controllers last 0.1 to 2.6 ms"),
     "pilot_input": PhysicalLimits(0.0, 3000.0, "pulses of a remote control last 0.8 to 2.2 ms"),
 }
-"""By the name of the quantity, without the source before it. Angles have none: full turns may have been counted."""
+"""Limits by the name of the quantity without its source. Angles have none, because they may count full turns."""
 
 
 def physical_limits(name: str) -> PhysicalLimits | None:
-    """Return what a variable cannot leave, None where there is no such limit."""
+    """Return the physical limits of a variable, None if there are none."""
     source, _, rest = name.partition("_")
     return PHYSICAL_LIMITS.get(rest if source in SIGNAL_SOURCES else name)
 
 
 def mavlink_columns(message: str) -> tuple[tuple[str, str, float], ...]:
-    """Return (field, column, factor) of the fields of a MAVLink message that are plainly quantities of ours.
+    """Return (field, column, factor) of the fields of a MAVLink message that equal quantities of the table.
 
-    ``column`` is the name with its label (``estimated_attitude_roll``); number times factor is its value.
+    ``column`` is the name with its label (``estimated_attitude_roll``); field times factor is its value.
     """
     out: list[tuple[str, str, float]] = []
     for quantity in QUANTITIES:
@@ -474,10 +474,9 @@ def split_signal_name(text: str, where: str) -> tuple[Quantity | None, str, str 
     Returns
     -------
     quantity : Quantity or None
-        What is known of the variable.
-    variable : str
-    label : str or None
-        None for the whole variable.
+        Quantity of the variable, None if unknown.
+    variable : str label : str or None
+        Label of the component, None for the whole variable.
 
     Raises
     ------
@@ -499,7 +498,7 @@ def split_signal_name(text: str, where: str) -> tuple[Quantity | None, str, str 
 
 
 def parse_column_name(column: str) -> tuple[str, str | None] | None:
-    """Split a column ``measured_attitude_roll`` into our variable and label; None if it is none of ours."""
+    """Split a column such as ``measured_attitude_roll`` into variable and label; None for other columns."""
     whole = find_quantity(column)
     if whole is not None:
         return (column, None) if whole.dim is None else None
@@ -512,7 +511,8 @@ def parse_column_name(column: str) -> tuple[str, str | None] | None:
 
 
 def make_dataset(time_s: NDArray[np.float64], values: Mapping[str, NDArray[np.float64]]) -> xr.Dataset:
-    """Return a dataset over ``time`` of values (n,) or (n, components) by their names here, with units and labels."""
+    """Return a dataset over ``time`` of values (n,) or (n, components) by their names in the table, with units and
+    labels."""
     import xarray as xr
 
     coords: dict[str, Any] = {"time": ("time", time_s, {"units": "s", "long_name": "time"})}
@@ -527,5 +527,5 @@ def make_dataset(time_s: NDArray[np.float64], values: Mapping[str, NDArray[np.fl
 
 
 def is_command_signal(name: str) -> bool:
-    """Whether a signal is commanded: it jumps and stands still as it likes, and no outlier or drop-out can be told."""
+    """Return True for a commanded signal, whose jumps and constant periods are no outliers or drop-outs."""
     return name.startswith(("reference_", "motor_input", "servo_input", "actuator_", "pilot_input"))

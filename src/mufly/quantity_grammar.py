@@ -1,11 +1,11 @@
-"""How numbers with units are written on a command line and in the files that repeat it: one grammar for every option.
+"""Grammar of numbers with units on the command line and in configuration files.
 
-A quantity is a number and a unit of its dimension: ``6000rpm``, ``100 Hz``, ``1.2kg/m3``. Where a unit is stated for
-bare numbers, ``6000`` means that unit. A list has commas (``5000,6000rpm``), a range is ``FIRST:LAST:STEP``
-(``10:30:5mm``), and a unit at the end also holds for the bare numbers before it. A standard deviation follows ``+-``
+A quantity is a number and a unit of its dimension: ``6000rpm``, ``100 Hz``, ``1.2kg/m3``. If an option has a unit for
+bare numbers, ``6000`` has that unit. A list has commas (``5000,6000rpm``), a range is ``FIRST:LAST:STEP``
+(``10:30:5mm``), and a unit at the end also applies to the bare numbers before it. A standard deviation follows ``+-``
 (``0.06+-0.0002``). Units are those of :mod:`mufly.units`.
 
-A line of a column map is ``NAME=COLUMN(unit)``: one of our names, and the column of a file that holds its values
+A line of a column map is ``NAME=COLUMN(unit)``: a signal name, and the column of a file with its values
 (:func:`read_column_lines`).
 """
 
@@ -21,13 +21,13 @@ from mufly.units import compatible_units, normalise_unit, unit_conversion
 
 NUMBER_PATTERN = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 MAX_VALUES = 100_000
-"""A list or range of an option holds at most so many values."""
+"""Greatest number of values in a list or range of an option."""
 
-# Of autopilots' messages, not of people.
+# Units of autopilots' messages, not offered to users.
 _RARE_UNITS = (
     "1", "d%", "c%", "cdeg", "ddeg", "degE7", "cdeg/s", "ddeg/s", "mrad", "mrad/s", "cV", "cA", "us", "ns", "um",
 )  # fmt: skip
-_MAX_SHOWN_UNITS = 8  # units in a message
+_MAX_SHOWN_UNITS = 8  # greatest number of units in a message
 _QUANTITY_PATTERN = re.compile(
     rf"({NUMBER_PATTERN}|[-+]?(?:nan|inf|infinity)(?![a-z]))\s*(.*)", re.IGNORECASE | re.DOTALL
 )
@@ -40,34 +40,34 @@ _COLUMN_PATTERN = re.compile(
 
 
 class WrittenNumber(NamedTuple):
-    """A number as it was typed: value and unit, ``""`` without one."""
+    """Number as written: value and unit, ``""`` without unit."""
 
     value: float
     unit: str
 
 
 class ValueWithStd(NamedTuple):
-    """A value and its standard deviation, in the same unit."""
+    """Value with standard deviation in the same unit."""
 
     value: float
     std: float
 
 
 class ColumnLine(NamedTuple):
-    """A line of a column map as it was typed.
+    """Line of a column map as written.
 
     Attributes
     ----------
     name : str
-        One of our names, or of the user's own.
+        Signal name, known or user-defined.
     columns : tuple of str
-        Columns of the file; several for a signal with several components.
+        Columns of the file, one for each component of the signal.
     signs : tuple of float
-        1 or -1, one a column.
+        Sign of each column, 1 or -1.
     topic : str
-        Topic of a log, or name of a file, that holds them; ``""`` unnamed.
+        Topic of a log, or name of a file, with the columns; ``""`` if not stated.
     unit : str
-        Unit of the columns; ``""`` unnamed.
+        Unit of the columns; ``""`` if not stated.
     """
 
     name: str
@@ -80,13 +80,13 @@ class ColumnLine(NamedTuple):
 def read_column_lines(lines: Sequence[str] | Mapping[str, str]) -> list[ColumnLine]:
     """Return the lines of a column map, written ``NAME=COLUMN(unit)``, or ``{"NAME": "COLUMN(unit)"}``.
 
-    The unit may be left out or stand in square brackets. ``-`` before a column turns its sign; a topic, or a file, and
-    a slash may come before the first column; the columns of a signal with several components have commas between them.
+    The unit is optional and may be in square brackets. ``-`` before a column changes its sign. A topic or a file and a
+    slash may precede the first column. Columns of several components are separated by commas.
 
     Raises
     ------
     ArgumentError
-        If a line does not say which column.
+        If a line names no column.
 
     Examples
     --------
@@ -108,17 +108,17 @@ def read_column_lines(lines: Sequence[str] | Mapping[str, str]) -> list[ColumnLi
 
 
 def read_quantity(where: str, text: str, unit: str, *, bare: bool = True) -> float:
-    """Return one number in a unit, from text as ``"6000rpm"``.
+    """Return one number in a unit from a text such as ``"6000rpm"``.
 
     Parameters
     ----------
     where : str
-        What an error names, such as the option.
+        Subject of errors, such as the option.
     text : str
     unit : str
-        Unit of the result and, with ``bare``, of a number without one. ``""``: a number that takes no unit.
+        Unit of the result and, with ``bare``, of a number without unit; ``""`` for a dimensionless number.
     bare : bool
-        Whether a number may stand without a unit.
+        True if the unit is optional.
 
     Raises
     ------
@@ -136,7 +136,7 @@ def read_quantity(where: str, text: str, unit: str, *, bare: bool = True) -> flo
 
 
 def read_integer(where: str, text: str) -> int:
-    """Return a whole number; InputError if the text is none."""
+    """Return an integer; raise InputError if the text is none."""
     try:
         return int(text)
     except ValueError:
@@ -150,12 +150,12 @@ def read_integer(where: str, text: str) -> int:
 def read_values(where: str, text: str, unit: str, *, bare: bool = True, most: int = MAX_VALUES) -> tuple[float, ...]:
     """Return the numbers of a list or range, ``"5000,6000"`` or ``"3000:7000:500rpm"``, in a unit.
 
-    The last value of a range is included when the steps meet it; a range without a step rises by one of its unit.
+    The last value of a range is included if the steps reach it; the default step is one unit.
 
     Raises
     ------
     InputError
-        As :func:`read_quantity`, and if a range holds no value or the text more than ``most``.
+        As for :func:`read_quantity`, or if a range has no value or the text more than ``most``.
     """
     parts = [part.split(":") for part in text.split(",")]
     numbers = iter(_share_units([_split_number_and_unit(where, n, unit, text) for part in parts for n in part]))
@@ -171,7 +171,7 @@ def read_values(where: str, text: str, unit: str, *, bare: bool = True, most: in
 
 
 def read_rotor_pair(where: str, text: str, unit: str) -> tuple[float, float]:
-    """Return the numbers of upper and lower rotor, from ``"14,12"`` or from one number for both."""
+    """Return the numbers of upper and lower rotor from ``"14,12"``, or from one number for both."""
     values = read_list(where, text, unit)
     if len(values) > 2:
         raise InputError(where, "", f"{text!r} is neither one value nor two", "write one, or UPPER,LOWER as 14,12")
@@ -179,7 +179,7 @@ def read_rotor_pair(where: str, text: str, unit: str) -> tuple[float, float]:
 
 
 def read_list(where: str, text: str, unit: str) -> tuple[float, ...]:
-    """Return the numbers of a list with commas, without ranges."""
+    """Return the numbers of a comma-separated list without ranges."""
     return tuple(
         _convert_to_unit(where, one, unit, text, bare=True)
         for one in _share_units([_split_number_and_unit(where, part, unit, text) for part in text.split(",")])
@@ -187,7 +187,7 @@ def read_list(where: str, text: str, unit: str) -> tuple[float, ...]:
 
 
 def read_vector(where: str, text: str, unit: str) -> tuple[float, ...]:
-    """Return the three numbers of a vector, or the one of its length."""
+    """Return the three components of a vector, or its length as a single number."""
     values = read_list(where, text, unit)
     if len(values) not in (1, 3):
         raise InputError(
@@ -198,7 +198,7 @@ def read_vector(where: str, text: str, unit: str) -> tuple[float, ...]:
 
 
 def read_stepped_range(where: str, text: str, unit: str) -> tuple[float, float | None, float | None]:
-    """Return first, last and step of ``"2500:6000"`` or ``"-1:3:0.5m/s"``; last and step None where there is none."""
+    """Return first, last and step of ``"2500:6000"`` or ``"-1:3:0.5m/s"``; missing last and step are None."""
     parts = text.split(":")
     if len(parts) > 3:
         raise InputError(where, "", f"{text!r} is not a range", "write FIRST:LAST or FIRST:LAST:STEP")
@@ -213,7 +213,8 @@ def read_stepped_range(where: str, text: str, unit: str) -> tuple[float, float |
 
 
 def read_range(where: str, text: str, unit: str, count: int) -> list[float]:
-    """Return the values of ``"2500:6000:500"`` or of one number; without a step ``count`` even ones, 1: the middle."""
+    """Return the values of ``"2500:6000:500"`` or one number; without step ``count`` equally spaced values (1: the
+    middle)."""
     first, last, step = read_stepped_range(where, text, unit)
     if last is None:
         return [first]
@@ -225,7 +226,7 @@ def read_range(where: str, text: str, unit: str, count: int) -> list[float]:
 
 
 def read_interval(where: str, text: str, unit: str) -> tuple[float, float]:
-    """Return the ends of ``"0.1:3"``, the lower first."""
+    """Return the ends of an interval such as ``"0.1:3"``, the lower first."""
     first, last, step = read_stepped_range(where, text, unit)
     if last is None or step is not None:
         raise InputError(where, "", f"{text!r} is not a frequency band", f"write LOW:HIGH ({unit}), as 0.1:3")
@@ -249,7 +250,7 @@ def read_value_with_std(where: str, text: str, unit: str) -> ValueWithStd:
 
 
 def read_time_span(where: str, text: str) -> tuple[float, float]:
-    """Return begin and end (s) of ``"15s+2s"``, a start and a duration; either may be left out."""
+    """Return begin and end (s) of a time span such as ``"15s+2s"``, start and duration; either may be omitted."""
     start, sign, duration = text.partition("+")
     begin = read_quantity(where, start, "s") if start.strip() else 0.0
     end = begin + read_quantity(where, duration, "s") if sign else math.inf
@@ -259,13 +260,13 @@ def read_time_span(where: str, text: str) -> tuple[float, float]:
 
 
 def offered_units(unit: str) -> tuple[str, ...]:
-    """Return the units that people use for a quantity, that of bare numbers first."""
+    """Return the units offered for a quantity, the unit of bare numbers first."""
     known = [u for u in compatible_units(_si_dimension(unit)) if u not in _RARE_UNITS and u != unit]
     return (*([] if unit == "1" else [unit]), *known)
 
 
 def spaced_values(first: float, last: float, step: float) -> list[float]:
-    """Return first, first + step, ... up to last, which is included when the steps meet it."""
+    """Return first, first + step, ... up to last, which is included if the steps reach it."""
     count = math.floor((last - first) / step + 1e-9) + 1
     return [round(first + k * step, 12) for k in range(count)]
 
@@ -274,7 +275,7 @@ def spaced_values(first: float, last: float, step: float) -> list[float]:
 
 
 def _split_number_and_unit(where: str, part: str, unit: str, whole: str = "") -> WrittenNumber:
-    """Number and unit of a text; ``whole`` is the list that it is a part of."""
+    """Split a text into number and unit; ``whole`` is the list that contains it."""
     text = part.strip().replace("\u2212", "-")
     shown = repr(whole or part)
     if not text:
@@ -302,7 +303,7 @@ def _share_units(numbers: Sequence[WrittenNumber]) -> list[WrittenNumber]:
 def _expand_range(
     where: str, written: Sequence[WrittenNumber], unit: str, text: str, bare: bool, most: int
 ) -> list[float]:
-    """The values of one part of a list: a number, or a range that is counted in the unit it is written in."""
+    """Return the values of one part of a list: a number, or a range with steps in its written unit."""
     if len(written) == 1:
         return [_convert_to_unit(where, written[0], unit, text, bare)]
     here = written[-1].unit
@@ -338,7 +339,7 @@ def _convert_to_unit(where: str, one: WrittenNumber, unit: str, text: str, bare:
 
 
 def _match_unit(text: str, wanted: str) -> str:
-    """The unit of the same dimension; capitals do not matter, except that mega is not milli."""
+    """Return the matching unit of the same dimension, ignoring case except for mega and milli."""
     here = normalise_unit(text)
     found = here if here and _is_convertible(here, wanted) else normalise_unit(text, wanted)
     mega = text[:1] == "M" and found[:1] == "m" and text[1:].lower() == found[1:].lower() != ""
@@ -363,7 +364,7 @@ def _list_units(unit: str) -> str:
 
 
 def _describe_wanted(unit: str) -> str:
-    """What is wanted."""
+    """Return a text about the expected input."""
     if not unit:
         return "a number"
     if unit == "1":

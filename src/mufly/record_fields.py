@@ -1,8 +1,8 @@
-"""Records that a class declares: typed, documented fields, from which their NumPy type and their struct in C come.
+"""Declaration of records by classes with typed, documented fields, the source of NumPy types and C structs.
 
-A class names its fields with :func:`real_field` and :func:`int_field` and annotates them for editors and type checkers;
-no object of it is ever made. Compiled functions take a NumPy record of :func:`record_type` in its place, whose fields
-Numba reads as fast as those of a C struct.
+A class declares its fields with :func:`real_field` and :func:`int_field` and annotates them for editors and type
+checkers; it is never instantiated. Compiled functions take a NumPy record of :func:`record_type` in its place, whose
+fields Numba reads as fast as those of a C struct.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Field:
-    """A field of a record.
+    """Field of a record.
 
     Attributes
     ----------
     shape : tuple
-        Of int, or of the name of a size that differs between records.
+        Integers, or names of sizes that differ between records.
     is_int : bool
-        Whether it is an integer; else it is a real number.
+        True for integers, false for real numbers.
     meaning, unit : str
     source : str
-        Parameter of a vehicle file that it takes as it is; "" where it is computed.
+        Parameter of a vehicle file with the same value; "" if computed.
     """
 
     shape: tuple[int | str, ...]
@@ -46,21 +46,21 @@ def int_field(meaning: str, *shape: int | str) -> Any:
 
 
 def record_fields(record: type) -> dict[str, Field]:
-    """Return the fields of a declared record by name, in their order."""
+    """Return the fields of a declared record by name, in order."""
     return {name: field for name, field in vars(record).items() if isinstance(field, Field)}
 
 
 def record_type(record: type, kind: Any = np.float64, int_kind: Any = np.int32, **sizes: int) -> np.dtype:
-    """Return the NumPy type of a declared record, laid out as a compiler of C lays out its struct.
+    """Return the NumPy type of a declared record with the memory layout of a C struct.
 
     Parameters
     ----------
     record : type
-        The declaration.
+        Declaring class.
     kind, int_kind : type
-        Of real numbers and of integers.
+        Types of real numbers and of integers.
     **sizes : int
-        Sizes that a shape names.
+        Sizes named in shapes.
     """
     return np.dtype(
         [

@@ -1,6 +1,6 @@
-"""One page for every report: HTML that needs no other file, from one template with one style.
+"""HTML pages of reports, self-contained, from a common template.
 
-Pictures are drawn on light ground; where the reader's system is dark, the page inverts them.
+Pictures have a light background; in dark mode the page inverts them.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ def render_page(title: str, body: str, **values: Any) -> str:
     Parameters
     ----------
     title : str
-        Of the page; ``heading=`` gives another first heading.
+        Title of the page; ``heading=`` gives another first heading.
     body : str
-        Jinja2 source of what stands below the heading; text is escaped. It may call
-        ``table(heads, rows, numbers, warn)`` (``numbers``: columns aligned to the right, ``warn``: the column of
-        warnings), ``listed(texts, otherwise)`` and ``figure(png, alt)``.
+        Jinja2 source of the content below the heading; text is escaped. It may call ``table(heads, rows, numbers,
+        warn)`` (``numbers``: columns aligned to the right, ``warn``: the column of warnings), ``listed(texts,
+        otherwise)`` and ``figure(png, alt)``.
     **values
-        For the body; with ``refresh_s`` the page loads itself anew.
+        Variables of the body; with ``refresh_s`` the page reloads periodically.
     """
     return _environment().get_template("report_page.html").render(title=title, body=_body_of(body), **values)

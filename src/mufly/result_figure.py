@@ -1,7 +1,7 @@
-"""The picture of a result that has none of its own: arrays as lines, single numbers as bars, a panel for each unit.
+"""Default picture of a result: arrays as lines, scalars as bars, a panel for each unit.
 
-What is drawn over what is told by the result itself: of the arrays of one length the first that rises, or falls, all
-the way is the horizontal axis, or one of a name that is always an axis (time, frequency, radius).
+The horizontal axis is the first monotonic array of each length, or an array with the name of an axis (time, frequency,
+radius).
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ _AXIS_LABELS = (
 )  # labels, in order of preference
 _MAX_PANELS = 9
 _MAX_LINES = 8
-_MAX_BAR_VALUES = 6  # arrays up to this length are bars, one for each of their numbers
+_MAX_BAR_VALUES = 6  # arrays up to this length are drawn as bars, one per value
 
 
 class PlotSeries(NamedTuple):
-    """Something to draw: as a person calls it, its unit, its numbers, and whether they are one alone."""
+    """Series to draw: label, unit, values, and whether it is a scalar."""
 
     label: str
     unit: str
@@ -46,20 +46,20 @@ class PlotSeries(NamedTuple):
 
     @property
     def axis_title(self) -> str:
-        """Label and unit, for an axis."""
+        """Return label and unit as the title of an axis."""
         return f"{self.label} ({self.unit})" if self.unit else self.label
 
 
-_LinePanel = tuple[PlotSeries | None, list[PlotSeries]]  # what is on the horizontal axis, and what is drawn over it
+_LinePanel = tuple[PlotSeries | None, list[PlotSeries]]  # horizontal axis, and series drawn over it
 
 
 def make_series(label: str, unit: str, value: Any) -> PlotSeries | None:
-    """Return a value as numbers to be drawn, None where it has none: texts, tables, arrays of more dimensions."""
+    """Return a value as a series, None for texts, tables and arrays of more dimensions."""
     if isinstance(value, bool | np.bool_ | str | bytes | complex) or value is None:
         return None
     try:
         numbers = np.asarray(value)
-    except ValueError:  # lists of lists of unlike lengths
+    except ValueError:  # lists of lists of unequal lengths
         return None
     if numbers.dtype.kind not in "fiu" or numbers.ndim > 1 or not np.isfinite(numbers).any():
         return None
@@ -67,14 +67,14 @@ def make_series(label: str, unit: str, value: Any) -> PlotSeries | None:
 
 
 def draw_series(title: str, found: Sequence[PlotSeries], table: Sequence[tuple[str, str]] = ()) -> Figure:
-    """Draw numbers.
+    """Draw series of numbers.
 
     Parameters
     ----------
     title : str
     found : sequence of Quantity
     table : sequence of (str, str)
-        Names and values in words: drawn where there are no numbers at all.
+        Names and values as text, drawn if there are no numbers.
     """
     from matplotlib.figure import Figure
 
@@ -104,7 +104,7 @@ def draw_series(title: str, found: Sequence[PlotSeries], table: Sequence[tuple[s
 
 
 def _line_panels(arrays: Sequence[PlotSeries]) -> list[_LinePanel]:
-    """Panels of lines: what is on the horizontal axis (None: the number of the entry), and what over it."""
+    """Return the panels of lines: horizontal axis (None: index of the entry), and series over it."""
     out: list[_LinePanel] = []
     for length in dict.fromkeys(q.values.size for q in arrays):
         group = [q for q in arrays if q.values.size == length]
@@ -118,7 +118,7 @@ def _line_panels(arrays: Sequence[PlotSeries]) -> list[_LinePanel]:
 
 
 def _choose_axis(group: Sequence[PlotSeries]) -> PlotSeries | None:
-    """Return the array over which the others of its length are drawn."""
+    """Return the array that is the horizontal axis of the others of its length."""
     rising = [
         q
         for q in group
@@ -165,12 +165,12 @@ def _draw_bars(axes: Axes, drawn: Sequence[PlotSeries]) -> None:
     axes.set_yticks(place, names, fontsize="small")
     axes.set_xlabel(drawn[0].unit or "1")
     axes.margins(x=0.25)
-    axes.set_ylim(len(values) - 0.4 - max(len(values), 3), len(values) - 0.4)  # one bar alone is no wall
+    axes.set_ylim(len(values) - 0.4 - max(len(values), 3), len(values) - 0.4)  # limits the width of a single bar
     axes.axvline(0.0, color="0.4", lw=0.8)
 
 
 def _draw_text_table(title: str, table: Sequence[tuple[str, str]]) -> Figure:
-    """Draw a table: the picture of a result that holds words."""
+    """Draw a table, for a result that contains texts only."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.0, 0.6 + 0.3 * max(len(table), 1)), layout="constrained")
@@ -183,7 +183,7 @@ def _draw_text_table(title: str, table: Sequence[tuple[str, str]]) -> Figure:
 
 
 def enable_notebook_display(figure: Figure) -> Figure:
-    """Return a figure such that a notebook shows it, whichever backend it has and though nobody imported pyplot."""
+    """Return a figure that notebooks display with any backend and without pyplot."""
     if "IPython" in sys.modules:
         figure.__dict__["_repr_png_"] = lambda: _render_png(figure)
     return figure

@@ -1,13 +1,13 @@
-"""Results that carry their units and their meaning.
+"""Results: dataclasses with units and meanings of their fields, and their text, tables, JSON and figures.
 
-A class marked with :func:`result` is a frozen dataclass that can say what its fields are: the unit stands in a field's
-name (``thrust_N``, ``speed_rad_s``) or in the docstring, the meaning in the docstring's Attributes section, which is
-read once, when somebody asks. So one place writes a result as text (``print(result)``), in a notebook, as JSON
-(:func:`to_plain_data`) or as a report's table (:func:`result_rows`), and a result's fields are named nowhere twice. Its
-``plot_result()`` draws it: by the picture that the class names, or its numbers by :mod:`mufly.result_figure`.
+A class marked with :func:`result` is a frozen dataclass with described fields. The unit is part of a field's name
+(``thrust_N``, ``speed_rad_s``) or of the docstring. The meaning comes from the docstring's Attributes section, which is
+parsed on first use. This module writes results as text (``print(result)``), in notebooks, as JSON
+(:func:`to_plain_data`) or as a report's table (:func:`result_rows`). ``plot_result()`` draws the picture named by the
+class, or its numbers by :mod:`mufly.result_figure`.
 
 A class with a method ``shown_blocks()`` returns its own text as blocks, lines and tables (:class:`ShownLines`,
-:class:`ShownTable`). ``print(result)`` shows them as plain text, the command line in colour, as wide as the terminal.
+:class:`ShownTable`). ``print(result)`` shows them as plain text, the command line in colour at the terminal's width.
 Fields become columns by their names (:class:`ResultColumn`).
 """
 
@@ -34,32 +34,32 @@ if TYPE_CHECKING:
 
 _ResultT = TypeVar("_ResultT")
 
-# What stands at the end of our names and in no header of a log.
+# Suffixes of field names that never occur in headers of logs.
 _UNIT_SUFFIXES = {
     "N_W": "N/W", "kg_m3": "kg/m3", "kg_m2": "kg m2", "Pa_s": "Pa s", "m2": "m2", "Ah": "A h", "As": "A s", "J": "J",
     "dB": "dB", "percent": "%",
 }  # fmt: skip
 _ACCEPTED_UNITS = {"J", "dB", "N/W", "1"} | set(_UNIT_SUFFIXES.values())
 _ATTRIBUTE_PATTERN = re.compile(r"^(?P<names>\w+(?:, \w+)*) *:(?P<type>.*)$")
-_MAX_LISTED_VALUES = 6  # arrays longer than this are told by their size and range
+_MAX_LISTED_VALUES = 6  # longer arrays are shown by size and range
 
 
-_MEANINGS_CACHE: dict[type[Any], dict[str, FieldMeaning]] = {}  # classes whose docstring has been read
+_MEANINGS_CACHE: dict[type[Any], dict[str, FieldMeaning]] = {}  # parsed docstrings by class
 
 
 class FieldMeaning(NamedTuple):
-    """What a field of a result is.
+    """Description of a field of a result.
 
     Attributes
     ----------
     name : str
-        As in the code, ``"thrust_N"``.
+        Name in the code, ``"thrust_N"``.
     label : str
-        Without the unit, ``"thrust"``.
+        Name without the unit, ``"thrust"``.
     unit : str
-        ``""`` where it has none.
+        Unit; ``""`` without one.
     meaning : str
-        A sentence or two; ``""`` where the docstring has none.
+        One or two sentences; ``""`` if not documented.
     """
 
     name: str
@@ -69,7 +69,7 @@ class FieldMeaning(NamedTuple):
 
 
 class ResultRow(NamedTuple):
-    """A field of a result, to be printed: label, value in words, unit and meaning."""
+    """Field of a result for printing: label, value as text, unit and meaning."""
 
     label: str
     value: str
@@ -83,25 +83,25 @@ def result(cls: type[_ResultT], /) -> type[_ResultT]: ...
 def result(*, eq: bool = True, picture: str = "", json: str = "") -> Callable[[type[_ResultT]], type[_ResultT]]: ...
 @dataclass_transform(frozen_default=True)
 def result(cls: type[Any] | None = None, /, *, eq: bool = True, picture: str = "", json: str = "") -> Any:
-    """Make a class a frozen dataclass that prints and draws itself and knows units and meaning of its fields.
+    """Make a class a frozen dataclass with units and meanings of its fields, printing and drawing.
 
     Parameters
     ----------
     cls : type
-        Its docstring's Attributes section, NumPy style, says what a field means.
+        Class whose docstring describes the fields in an Attributes section (NumPy style).
     eq : bool
-        As for :func:`dataclasses.dataclass`; arrays want False.
+        As for :func:`dataclasses.dataclass`; False for classes with arrays.
     picture : str
-        ``"module:function"`` that draws one and returns a matplotlib figure; without, its numbers are drawn.
+        ``"module:function"`` that draws a result and returns a matplotlib figure; by default its numbers are drawn.
     json : str
-        Keys of its JSON, as :func:`select_fields` reads them; without, all its fields.
+        Keys of the JSON, as for :func:`select_fields`; by default all fields.
     """
 
     def make_result_class(one: type[Any]) -> type[Any]:
         new = dataclass(frozen=True, eq=eq, repr=False)(one)
         if "__str__" not in one.__dict__:
             new.__str__ = format_result  # type: ignore[assignment]
-        if "__repr__" not in one.__dict__:  # all fields at once are a wall of numbers
+        if "__repr__" not in one.__dict__:  # the default repr would print all arrays
             new.__repr__ = new.__str__
         if "_repr_html_" not in one.__dict__:
             new._repr_html_ = html_table
@@ -114,7 +114,7 @@ def result(cls: type[Any] | None = None, /, *, eq: bool = True, picture: str = "
 
 
 def field_meanings(cls: type[Any]) -> dict[str, FieldMeaning]:
-    """Return what the fields of a dataclass are, and its documented properties; the docstring is read once."""
+    """Return the descriptions of the fields and documented properties of a dataclass; the docstring is parsed once."""
     if cls in _MEANINGS_CACHE:
         return _MEANINGS_CACHE[cls]
     told: dict[str, tuple[str, str]] = {}
@@ -131,7 +131,7 @@ def field_meanings(cls: type[Any]) -> dict[str, FieldMeaning]:
 
 
 def field_meaning(item: Any, name: str) -> FieldMeaning:
-    """Return what a field of a result is; of a part of it with dots, ``"upper.thrust_N"``."""
+    """Return the description of a field; dots select fields of parts, ``"upper.thrust_N"``."""
     *parts, last = name.split(".")
     for part in parts:
         item = item[part] if isinstance(item, dict) else getattr(item, part)
@@ -139,7 +139,7 @@ def field_meaning(item: Any, name: str) -> FieldMeaning:
 
 
 def _parse_attributes(docstring: str) -> dict[str, tuple[str, str]]:
-    """Type and meaning of each name of an Attributes (or Parameters) section."""
+    """Parse type and meaning of each name in an Attributes (or Parameters) section."""
     lines = inspect.cleandoc(docstring).splitlines()
     found: dict[str, tuple[str, str]] = {}
     names: list[str] = []
@@ -177,8 +177,8 @@ def select_fields(value: Any, names: str) -> dict[str, Any]:
     ----------
     value : result
     names : str
-        Keys with blanks between. ``"thrust_N force=upper.thrust_N"`` takes the second from a field of the field
-        ``upper``; properties, methods without arguments and items of dictionaries are fields here.
+        Keys separated by blanks. ``"thrust_N force=upper.thrust_N"`` takes ``force`` from a field of the field
+        ``upper``. Properties, methods without arguments and items of dictionaries count as fields.
 
     Examples
     --------
@@ -193,7 +193,7 @@ def select_fields(value: Any, names: str) -> dict[str, Any]:
 
 
 def field_value(value: Any, path: str) -> Any:
-    """Return a field of a result; of a part of it with dots, ``"upper.thrust_N"``, ``"errors.0"``."""
+    """Return the value of a field; dots select fields of parts, ``"upper.thrust_N"``, ``"errors.0"``."""
     for part in path.split("."):
         if part.isdigit():
             value = value[int(part)]
@@ -204,7 +204,7 @@ def field_value(value: Any, path: str) -> Any:
 
 
 def to_records(columns: Mapping[str, Iterable[Any]]) -> list[dict[str, Any]]:
-    """Return the rows of a table that is given by its columns, each row as a table of its own.
+    """Convert a table of columns to a list of rows, each a dictionary.
 
     Examples
     --------
@@ -215,11 +215,11 @@ def to_records(columns: Mapping[str, Iterable[Any]]) -> list[dict[str, Any]]:
 
 
 def to_plain_data(value: Any) -> Any:
-    """Return tables, lists, texts and numbers that JSON can hold.
+    """Convert a value to dictionaries, lists, texts and numbers for JSON.
 
-    A dataclass becomes what its ``as_record()`` returns, else a table of what its class names for JSON, else of its
-    fields; an array becomes a list, a complex number a table of ``real`` and ``imag``, a path its text, a number
-    that is not finite None.
+    A dataclass becomes the result of its ``as_record()``, else a dictionary of the JSON keys of its class, else of its
+    fields. Arrays become lists, complex numbers dictionaries of ``real`` and ``imag``, paths texts, and numbers that
+    are not finite None.
     """
     if hasattr(type(value), "as_record"):
         return to_plain_data(value.as_record())
@@ -243,7 +243,7 @@ def to_plain_data(value: Any) -> Any:
 
 
 def format_value(value: Any, form: str = ".6g") -> str:
-    """Return a value in words: numbers in ``form``, ``"-"`` for what is unknown, long arrays by size and range."""
+    """Return a value as text: numbers in ``form``, ``"-"`` for unknown values, long arrays by size and range."""
     if value is None or (isinstance(value, float | np.floating) and math.isnan(value)):
         return "-"
     if isinstance(value, bool | np.bool_):
@@ -270,7 +270,7 @@ def format_value(value: Any, form: str = ".6g") -> str:
 
 
 def result_rows(value: Any, names: Iterable[str] | None = None) -> list[ResultRow]:
-    """Return the fields of a result as they are printed; default all that are its own, in their order."""
+    """Return the fields of a result as rows for printing; by default all its own fields in order."""
     known = field_meanings(type(value))
     wanted = [f.name for f in fields(value)] if names is None else list(names)
     told = [known.get(name) or _make_meaning(name, "", "") for name in wanted]
@@ -299,7 +299,7 @@ def html_table(value: Any) -> str:
 
 
 def plot_result(self: Any) -> Figure:
-    """Draw it; returns a matplotlib figure, ``.savefig("name.png")`` keeps it."""
+    """Draw a result; return a matplotlib figure, stored by ``.savefig("name.png")``."""
     room, _, name = type(self)._picture.partition(":")
     return enable_notebook_display(
         getattr(importlib.import_module(room), name)(self) if name else draw_result_numbers(self)
@@ -307,7 +307,7 @@ def plot_result(self: Any) -> Figure:
 
 
 def draw_result_numbers(value: Any) -> Figure:
-    """Draw the numbers of a result, those of its parts if it has none of its own."""
+    """Draw the numbers of a result, or those of its parts if it has none."""
     known = field_meanings(type(value))
     numbers = [q for f in fields(value) for q in _plottable_series(known[f.name], getattr(value, f.name))]
     named = getattr(value, "name", "")
@@ -320,7 +320,7 @@ def draw_result_numbers(value: Any) -> Figure:
 
 
 def _plottable_series(m: FieldMeaning, value: Any) -> list[PlotSeries]:
-    """What can be drawn of a field: itself, the columns of a table, the entries of a dictionary."""
+    """Return the series of a field: itself, the columns of a table, or the entries of a dictionary."""
     if isinstance(value, Mapping):
         parts = [_make_meaning(str(k), "", "") for k in value]
         named = [(p.label, p.unit or m.unit, v) for p, v in zip(parts, value.values(), strict=True)]
@@ -332,7 +332,7 @@ def _plottable_series(m: FieldMeaning, value: Any) -> list[PlotSeries]:
 
 
 def _series_of_parts(value: Any) -> list[PlotSeries]:
-    """Numbers of the parts of a result that is a list of them, one entry a part."""
+    """Return the series of a result that is a list of parts, one entry per part."""
     for f in fields(value):
         parts = getattr(value, f.name)
         if isinstance(parts, tuple | list) and parts and is_dataclass(parts[0]):
@@ -345,12 +345,12 @@ def _series_of_parts(value: Any) -> list[PlotSeries]:
 
 
 def _first_sentence(words: str) -> str:
-    """The first sentence, without what Sphinx needs."""
+    """Return the first sentence without Sphinx markup."""
     clear = re.sub(r":\w+:`~?([^`]*)`", r"\1", words).replace("``", "")
     return re.split(r"(?<=[.;])\s", clear, maxsplit=1)[0].rstrip(";")
 
 
-# --- blocks of text by which a result is shown ------------------------------------------------------------------------
+# --- blocks of text that show a result ------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -361,9 +361,9 @@ class ShownLines:
     ----------
     lines : tuple of str
     head : str
-        Stands in bold before the first line.
+        Bold text before the first line.
     mark : str
-        Stands with a colon before each line: ``"Warning"``.
+        Word before each line, with a colon: ``"Warning"``.
     style : str
         Colour or weight: ``"yellow"``, ``"dim"``.
     """
@@ -376,16 +376,16 @@ class ShownLines:
 
 @dataclass(frozen=True)
 class ShownTable:
-    """A table of texts.
+    """Table of texts.
 
     Attributes
     ----------
     heads : tuple of str
     rows : tuple of sequences of str
-        A cell may carry marks as ``[bold]word[/]``.
+        Cells, which may contain markup such as ``[bold]word[/]``.
     title : str
     text : tuple of int
-        Columns of text; the others are numbers.
+        Indices of text columns; the others are numbers.
     """
 
     heads: tuple[str, ...]
@@ -411,22 +411,22 @@ def show_table(
 
 @dataclass(frozen=True)
 class ResultColumn:
-    """A field of results as a column of a table, or as a line of a table of one result.
+    """Column of a table of results, or line of a table of one result, from a field.
 
     Parameters
     ----------
     name : str
-        The field, ``"speed_rad_s"``; of a part of the result with dots, ``"upper.thrust_N"``.
+        Name of the field, ``"speed_rad_s"``; dots select fields of parts, ``"upper.thrust_N"``.
     unit : str
-        The unit to print, ``"rpm"``; default the field's own.
+        Printed unit, ``"rpm"``; default: the field's unit.
     form : str
         As for :func:`format`.
     head : str
-        Default: the field's name without its unit.
+        Heading; default: the field's name without its unit.
     entry_names : tuple of str
-        What the entries of a pair are, ``("upper", "lower")``.
+        Names of the entries of a pair, ``("upper", "lower")``.
     own_unit : str
-        The field's own unit, where neither its name nor its docstring says it.
+        Unit of the field, if neither its name nor its docstring states it.
     """
 
     name: str
@@ -437,13 +437,13 @@ class ResultColumn:
     own_unit: str = ""
 
     def header_text(self, item: Any) -> str:
-        """Return the column's head, with the unit."""
+        """Return the column's heading with the unit."""
         label, unit = self._label_and_unit(item)
         unit = self.unit or unit
         return f"{self.head or label} ({unit})" if unit else self.head or label
 
     def value_text(self, item: Any, *, unit: bool = False) -> str:
-        """Return the value of one result, with its unit if asked."""
+        """Return the value of one result as text, optionally with its unit."""
         value = field_value(item, self.name)
         own = self._label_and_unit(item)[1]
         if self.unit and value is not None:
@@ -464,7 +464,7 @@ class ResultColumn:
 def tabulate_results(
     items: Sequence[Any], columns: Iterable[ResultColumn | str], *, title: str = "", names: Sequence[str] = ()
 ) -> ShownTable:
-    """Return results as a table, one a row; ``names`` stand before them."""
+    """Return results as a table, one per row; ``names`` is the first column."""
     if not items:
         return ShownTable((), ())
     wanted = [ResultColumn(c) if isinstance(c, str) else c for c in columns]
@@ -479,7 +479,7 @@ def tabulate_results(
 def tabulate_fields(
     item: Any, columns: Iterable[ResultColumn | str | tuple[str, str]], *, title: str = ""
 ) -> ShownTable:
-    """Return one result as a table, a field a row; a pair of texts is a label and its value."""
+    """Return one result as a table with a row for each field; a pair of texts is a label with its value."""
     rows: list[tuple[str, str]] = []
     for one in columns:
         if isinstance(one, tuple):

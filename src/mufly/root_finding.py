@@ -1,9 +1,9 @@
-"""Roots of many functions of a positive unknown at once.
+"""Vectorised root finding for functions of a positive unknown.
 
-The unknown is positive, so that the search runs in its logarithm: thrust and torque are close to straight lines there
-when they are powers of the speed. From a guess the bracket grows by factors until the sign changes; then Illinois
-steps (regula falsi with the stale end halved), every third one a bisection, close it. A case that is done costs no
-more evaluations. Own derivation.
+The search runs in the logarithm of the unknown, because powers of the speed, such as thrust and torque, are nearly
+linear there. From a guess the bracket grows by factors until the sign changes. Illinois steps (regula falsi with the
+stale end halved), with a bisection at every third step, then close it. Converged cases need no further evaluations. Own
+derivation.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-_BRACKET_STEPS = (0.05, 0.2, 0.5, 1.0)  # logarithms; the last one repeats
+_BRACKET_STEPS = (0.05, 0.2, 0.5, 1.0)  # logarithms; the last value repeats
 _MAX_ITERATIONS = 200
 
 
@@ -28,14 +28,14 @@ def find_rising_root(
     highest: ArrayLike,
     tolerance: float = 1e-11,
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Find where a function of a positive unknown goes from negative to positive.
+    """Find the roots at which functions of a positive unknown change from negative to positive.
 
     Parameters
     ----------
     function : callable
-        ``function(x, case)`` returns the values at ``x`` (m,) of the cases with the numbers ``case`` (m,).
+        ``function(x, case)`` returns the values at ``x`` (m,) of the cases with the indices ``case`` (m,).
     guess : (n,) array_like
-        Where to begin; it is moved between the limits.
+        First guess, clipped to the limits.
     lowest, highest : float, (n,) array_like
         Limits of the unknown.
     tolerance : float
@@ -44,7 +44,7 @@ def find_rising_root(
     Returns
     -------
     root : (n,) array
-        nan where there is none.
+        Roots; nan where there is none.
     found : (n,) array of bool
     """
     top = np.log(np.broadcast_to(np.asarray(highest, dtype=np.float64), np.shape(guess)).astype(np.float64))
@@ -53,7 +53,7 @@ def find_rising_root(
     every = np.arange(x.size, dtype=np.int64)
     f = function(np.exp(x), every)
     root = np.where(f == 0.0, x, np.nan)
-    # (a, fa) is the end with f < 0, (b, fb) the one with f >= 0; before the first sign change they are one point.
+    # (a, fa) is the end with f < 0, (b, fb) the end with f >= 0; they coincide until the first sign change.
     a, b, fa, fb = x.copy(), x.copy(), f.copy(), f.copy()
     rising = f < 0.0
     seek = every[(f != 0.0) & np.isfinite(f)]

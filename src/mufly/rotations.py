@@ -1,8 +1,8 @@
-"""Euler angles, quaternions and rotation matrices, over plain arrays.
+"""Euler angles, quaternions and rotation matrices of arrays.
 
 An attitude is roll, pitch and yaw (rad) in the aviation order: yaw, then pitch, then roll. A quaternion is (w, x, y, z)
-and turns body axes into north, east, down. (Diebel 2006, "Representing Attitude", eq. 290.) Compiled code has its own
-forms: :func:`mufly.dynamics.body_to_ned_matrix`, and :mod:`mufly.estimate.strapdown` for the filter.
+and rotates body axes to north, east, down. (Diebel 2006, "Representing Attitude", eq. 290.) Compiled code has separate
+functions: :func:`mufly.dynamics.body_to_ned_matrix`, and :mod:`mufly.estimate.strapdown` for the filter.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def euler_from_quaternion(quaternion: ArrayLike) -> NDArray[np.float64]:
     """
     q = np.asarray(quaternion, dtype=np.float64)
     if q.ndim == 1:
-        # A flight asks in every period for one: plain numbers take a third of the time of arrays without dimension.
+        # Fast path for single quaternions: scalars take a third of the time of zero-dimensional arrays.
         w, x, y, z = q.tolist()
         sine = min(max(2 * (w * y - z * x), -1.0), 1.0)
         roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
@@ -78,12 +78,12 @@ def euler_from_measured_quaternion(quaternion: _Array) -> _Array:
     Parameters
     ----------
     quaternion : (n, 4) array
-        Need not be of length 1. One shorter than a half is no attitude.
+        Quaternions of any length; a length below 0.5 is no attitude.
 
     Returns
     -------
     (n, 3) array
-        rad; NaN where there is no attitude.
+        Angles (rad); NaN without attitude.
     """
     length = np.linalg.norm(quaternion, axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -93,7 +93,7 @@ def euler_from_measured_quaternion(quaternion: _Array) -> _Array:
 
 
 def body_to_ned_matrices(attitude: _Array) -> _Array:
-    """Return the matrices (n, 3, 3) that turn body vectors into N-E-D, of attitudes (n, 3)."""
+    """Return the rotation matrices (n, 3, 3) from body axes to N-E-D of attitudes (n, 3)."""
     (s1, s2, s3), (c1, c2, c3) = np.sin(attitude).T, np.cos(attitude).T
     return np.stack(
         [

@@ -1,9 +1,9 @@
-"""One table of sensors: a row for each, from which all other lists of sensors and readings are made.
+"""Table of sensors, the source of all other lists of sensors and readings.
 
 Recordings (:mod:`mufly.quantities`), faults (:mod:`mufly.sensors.faults`), the records of the filter
-(:mod:`mufly.estimate.filter_records`), messages, MAVLink and the page read it. A sensor has besides its model in a file
-of :mod:`mufly.sensors`, its class in :data:`mufly.sensors.sensor_suite.SENSOR_CLASSES`, its parameters in
-:mod:`mufly.vehicle.sensor_schema`, and, where it is fused, its noise in ``filter_records`` and its measurement model in
+(:mod:`mufly.estimate.filter_records`), messages, MAVLink and the ground station's page read it. A sensor also has its
+model in a file of :mod:`mufly.sensors`, its class in :data:`mufly.sensors.sensor_suite.SENSOR_CLASSES`, its parameters
+in :mod:`mufly.vehicle.sensor_schema`, and, if it is fused, its noise in ``filter_records`` and its measurement model in
 :mod:`mufly.estimate.fusion` (docs/how-to/add-a-sensor.md).
 """
 
@@ -14,42 +14,42 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True)
 class ReadingRow:
-    """One reading of a sensor.
+    """Reading of a sensor.
 
     Attributes
     ----------
     name, unit, dim, meaning : str
-        As in :class:`mufly.quantities.Quantity`: a recording has it as ``measured_NAME``.
+        As in :class:`mufly.quantities.Quantity`; its name in a recording is ``measured_NAME``.
     is_timed : bool
-        Whether it is recorded with its time and validity; else it comes with the first reading of its sensor.
+        True if it is recorded with its time and validity; else it shares those of the first reading of its sensor.
     variance : (str, str) or None
-        Unit and meaning of the variance that a reading may come with.
+        Unit and meaning of an optional variance of the reading.
     column_words : str
-        Words that name columns of such readings in logs of others.
+        Words that identify columns of such readings in external logs.
     fault : str
-        Its name in faults (``sonar.jump=0.3@15s``); empty: it has none.
+        Name in faults (``sonar.jump=0.3@15s``); empty without faults.
     fault_amounts : tuple of 4 floats
-        Amounts by default: a jump, a drift (1/s), the bound that clips, a stuck value.
+        Default amounts: jump, drift (1/s), clipping limit, stuck value.
     filter_index : int or None
-        Place in all tables of the filter; None where the filter does not take it.
+        Index in all tables of the filter; None if the filter does not use it.
     filter_offset : float
-        What the filter subtracts from the reading, so that single precision holds the rest.
+        Offset subtracted by the filter to preserve single precision.
     is_queued : bool
-        Whether a measurement waits for the delayed horizon of the filter, and is fused there.
+        True if a measurement is queued and fused at the delayed horizon of the filter.
     source : str
         Name of the sensor in messages to users.
     unit_components : int or None
-        So many of its first components are in its unit, the rest are angles (rad); None: all of them.
+        Number of leading components in the unit, the rest are angles (rad); None for all.
     supports : tuple of str
-        Estimates that it supports: ``position``, ``height``, ``tilt``, ``heading``.
+        Estimates supported by the reading: ``position``, ``height``, ``tilt``, ``heading``.
     attitude_aid : int or None
-        Place among the independent aids of the attitude, two of which contradict it when they are rejected.
+        Index among the independent attitude aids; rejection of two aids indicates a wrong attitude.
     innovation_unit : str
-        Unit of the innovation where it is not that of the reading.
+        Unit of the innovation, if different from that of the reading.
     failure_unit, status_bit : str
         Names in MAVLink, after ``FAILURE_UNIT_`` and ``MAV_SYS_STATUS_``.
     test_ratios : tuple of (str, str)
-        Fields of ESTIMATOR_STATUS with its test ratio, and their names on the page.
+        Fields of ESTIMATOR_STATUS with the test ratio, and their names on the page.
     """
 
     name: str
@@ -155,11 +155,11 @@ SENSORS: dict[str, tuple[ReadingRow, ...]] = {
         ),
     ),
 }  # fmt: skip
-"""Readings of each sensor by its table ``[sensors.NAME]`` of a vehicle file. Random numbers are drawn in this order:
-a new sensor comes last."""
+"""Readings of each sensor by its table ``[sensors.NAME]`` of a vehicle file. Random numbers are drawn in this order;
+append new sensors at the end."""
 READINGS: dict[str, ReadingRow] = {row.name: row for rows in SENSORS.values() for row in rows}
-"""All readings by their names, in the order of the columns of a recording."""
+"""All readings by name, in the order of the columns of a recording."""
 CHECKED: tuple[ReadingRow, ...] = tuple(
     sorted((row for row in READINGS.values() if row.filter_index is not None), key=lambda row: row.filter_index or 0)
 )
-"""Readings that the filter takes, in the order of its tables."""
+"""Readings used by the filter, in the order of its tables."""

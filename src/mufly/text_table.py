@@ -1,13 +1,17 @@
-"""Tables of text: one reader for logs, benches, blades, polars, trajectories and data sets.
+"""Reader of text tables: logs, bench files, blades, polars, trajectories and data sets.
 
-Recognised are comma, semicolon, tab or blanks between the cells; a header line, also behind comments (``#``, ``%``,
-``//``) or lines of another width (Blackbox Explorer's keys and values); units in a line of their own below the header;
-decimal commas and thousands in groups (:func:`detect_layout`); UTF-8, UTF-16 and Windows' western code page; a text
-packed by gzip. A header that stands again among the rows is left out. A row with more cells than the header is refused,
-since nobody knows which cell is too many; one with fewer is refused or left out, as the caller says.
+The reader recognises:
 
-Strict tables are read by :meth:`TextTable.read_numbers`, whose error names line, column and cell of the first fault.
-Logs are read by :meth:`TextTable.parse_columns`, where cells that are no number are missing values, and counted.
+- comma, semicolon, tab or blanks as separators, decimal commas and grouped thousands (:func:`detect_layout`);
+- a header line, also after comments (``#``, ``%``, ``//``) or lines of another width (Blackbox Explorer's keys);
+- a line of units below the header;
+- UTF-8, UTF-16, Windows-1252 and gzip.
+
+A repeated header among the rows is left out. A row with more cells than the header is an error, because the surplus
+cell is unknown. A row with fewer cells is an error or left out, as selected by the caller.
+
+:meth:`TextTable.read_numbers` reads strict tables; its error names line, column and cell of the first fault.
+:meth:`TextTable.parse_columns` reads logs; cells that are no number count as missing values.
 """
 
 from __future__ import annotations
@@ -34,7 +38,7 @@ from mufly.units import normalise_unit
 
 GZIP_MAGIC = b"\x1f\x8b"
 _COMMENT_MARKS = ("#", "%", "//")
-# A cell in quotes that goes on in the next line; a lone quote inside a cell (3" propeller) opens none.
+# A quoted cell that continues in the next line; a single quote inside a cell (3" propeller) is no opening quote.
 _OPEN_QUOTE_PATTERN = re.compile(r'(?:^|[,;\t])\s*"(?:[^"]|"")*$')
 _MAX_CELL_LINES = 100  # lines
 _CELL_WITH_UNIT_PATTERN = re.compile(r"[^\s(\[]+(?:\s*[(\[][^)\]]*[)\]])?|[(\[][^)\]]*[)\]]?")
@@ -50,8 +54,8 @@ _PLAIN_NUMBER_PATTERNS = {
 }
 _FORTRAN_NUMBER_PATTERN = re.compile(r"([+-]?(?:\d+\.\d*|\.\d+))[dD]([+-]?\d+)")  # double precision: 1.0D-03
 _MAX_SAMPLED_CELLS = 20_000
-_MIN_TRAILING_ZEROS = 16  # so many zeros behind a text are no text
-# Up to this share of rows that are short, they are faults; beyond, the header is.
+_MIN_TRAILING_ZEROS = 16  # at least this number of trailing zero bytes is no text
+# Up to this fraction of short rows the rows are faulty; above it the header is.
 _MAX_SHORT_ROW_SHARE = 0.5
 _MAX_PREAMBLE_LINES = 2000
 _SAMPLED_ROWS = 50
@@ -60,30 +64,30 @@ _MISSING_VALUES = {"", "nan", "na", "n/a", "null", "none", "-", "inf", "-inf", "
 
 @dataclass(frozen=True, eq=False)
 class TextTable:
-    """A table of text as written: header, rows, and what was left out of it.
+    """Text table as written: header, rows, and notes on omitted parts.
 
     Attributes
     ----------
     where : str
-        What errors call the file.
+        Name of the file in errors.
     header : list of str
-        Names of the columns; ``"1"``, ``"2"``, ... where the file has none.
+        Names of the columns; ``"1"``, ``"2"``, ... for a file without header.
     units : list of str
-        From a line of units below the header, ``""`` for columns without; empty where there is no such line.
+        Units from a line below the header, ``""`` for columns without; empty without such a line.
     rows : list of str
-        As written, each with as many cells as the header.
+        Rows as written, each with as many cells as the header.
     lines : sequence of int
         Line of the file at which each row begins.
     separator, decimal : str
-        What sets cells apart, and the decimal mark of numbers.
+        Separator of cells, and decimal mark of numbers.
     notes : list of str
-        What was left out, in words.
+        Notes on omitted parts.
     preamble : dict of str to str
         Keys and values above the header.
     damage : str
-        What is missing of the file, in words, ``""`` if nothing.
+        Description of missing parts of the file; ``""`` if complete.
     cut_line : int
-        The last line, if it ends before its last cell and is left out; else 0.
+        Number of the last line, if it is incomplete and left out; else 0.
     """
 
     where: str
@@ -100,22 +104,22 @@ class TextTable:
 
     @cached_property
     def cells(self) -> list[list[str]]:
-        """Cells of each row, without blanks around them."""
+        """Cells of each row without surrounding blanks."""
         return [split_cells(row, self.separator) for row in self.rows]
 
     @property
     def titles(self) -> list[str]:
-        """The header, with the units of a line below it: ``"thrust (N)"``."""
+        """Header with the units of a line below it: ``"thrust (N)"``."""
         units = self.units or [""] * len(self.header)
         return [f"{name} ({unit})" if unit else name for name, unit in zip(self.header, units, strict=True)]
 
     def find_column(self, name: str, remedy: str = "") -> int:
-        """Return the position of a column; without ``remedy`` an error names the columns that are there.
+        """Return the index of a column; without ``remedy`` an error lists the existing columns.
 
         Raises
         ------
         InputError
-            If there is none.
+            If there is no such column.
         """
         if name not in self.header:
             known = remedy or f"the header is {', '.join(self.header)}"
@@ -123,7 +127,7 @@ class TextTable:
         return self.header.index(name)
 
     def read_texts(self, column: int) -> list[str]:
-        """Return the cells of a column, numbers as Python writes them, whatever marks the file has."""
+        """Return the cells of a column, with numbers in Python's notation."""
         cells = [row[column] for row in self.cells]
         decimal = self.decimal if points_group_thousands(cells, self.decimal) else "."
         return [normalise_number(cell, decimal) for cell in cells]
@@ -174,16 +178,17 @@ class TextTable:
         return value
 
     def parse_columns(self) -> list[tuple[NDArray[Any], int]]:
-        """Return values of each column, (rows,), and how many cells count as missing, since they are no number.
+        """Return the values of each column, (rows,), and the number of missing values, which are cells without a
+        number.
 
-        A column of which most cells are no number is text. Every number is the float64 that was written.
+        A column with mostly non-numeric cells is text. Numbers are exact float64 conversions.
 
         Raises
         ------
         InputError
             If there are no rows.
         """
-        import pandas as pd  # half a second, which those who read small tables need not wait
+        import pandas as pd  # import takes 0.5 s and is not needed for small tables
 
         if not self.rows:
             raise InputError(self.where, "", "has a header but no rows", "give a table with numbers")
@@ -210,13 +215,13 @@ def read_text_table(path: str | Path, *, short_rows: Literal["refuse", "cut", "d
     ----------
     path : str or Path
     short_rows : {"refuse", "cut", "drop"}
-        Rows with fewer cells than the header: refuse the file; leave out the last one alone, as that of a file that is
-        still being written; or leave out all of them, up to half of the rows.
+        Treatment of rows with fewer cells than the header: raise an error; leave out the last row only, as in a file
+        that is being written; or leave out all of them, up to half of the rows.
 
     Returns
     -------
     TextTable
-        Without rows if only a header is there.
+        Table, without rows if the file has only a header.
 
     Raises
     ------
@@ -255,7 +260,7 @@ def read_text_table(path: str | Path, *, short_rows: Literal["refuse", "cut", "d
             numbers = [n for s, n in zip(rows, numbers, strict=True) if s != head]
             rows = [s for s in rows if s != head]
             notes.append(f"the header stands again {'once' if again == 1 else f'{again} times'} among the rows")
-    else:  # it may be a comment, or missing
+    else:  # the header may be a comment, or missing
         comment = split_cells(above[0].lstrip("#%/ "), separator) if above else []
         header = comment if len(comment) == len(header) else [str(k + 1) for k in range(len(header))]
     header = [" ".join(c.split()) for c in header]
@@ -265,9 +270,9 @@ def read_text_table(path: str | Path, *, short_rows: Literal["refuse", "cut", "d
 
 
 def decode_text(raw: bytes) -> str:
-    """Return the text in a file's bytes: UTF-16 or UTF-8 where it says so, else UTF-8, else Windows' western code page.
+    """Decode a file's bytes: UTF-16 or UTF-8 by byte order mark, else UTF-8, else Windows-1252.
 
-    A spreadsheet's note of its separator (``sep=;``) is taken out of the first line.
+    A spreadsheet's separator line (``sep=;``) is removed.
     """
     if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         text = raw.decode("utf-16", errors="ignore")  # "Unicode text" of a spreadsheet
@@ -280,7 +285,7 @@ def decode_text(raw: bytes) -> str:
 
 
 def split_cells(line: str, separator: str) -> list[str]:
-    """Return the cells of a line; between blanks a unit in brackets stays with its name."""
+    """Return the cells of a line; with blanks as separator a unit in brackets stays with its name."""
     if separator == " ":
         plain = "(" not in line and "[" not in line
         return line.split() if plain else [c.strip() for c in _CELL_WITH_UNIT_PATTERN.findall(line)]
@@ -293,7 +298,7 @@ def split_cells(line: str, separator: str) -> list[str]:
 
 
 def split_lines(text: str) -> tuple[list[str], Sequence[int]]:
-    """Return the rows of a text and the line at which each begins; a cell in quotes may hold line breaks."""
+    """Return the rows of a text and the line at which each begins; quoted cells may contain line breaks."""
     lines = text.splitlines()
     numbers: Sequence[int] = range(1, len(lines) + 1)
     if '"' not in text:
@@ -319,30 +324,30 @@ def split_lines(text: str) -> tuple[list[str], Sequence[int]]:
 
 
 def count_cells(rows: Sequence[str], separator: str) -> list[int]:
-    """Return how many cells each row of a text has."""
+    """Return the number of cells of each row of a text."""
     if separator != " " and not any('"' in row for row in rows):
         return [n + 1 for n in map(methodcaller("count", separator), rows)]
     return [len(split_cells(row, separator)) for row in rows]
 
 
 def drop_surplus_cells(row: str, separator: str, width: int, wanted: int) -> str:
-    """Return a row without the empty cells that some loggers write behind its last one."""
+    """Return a row without the trailing empty cells of some loggers."""
     while width > wanted and row.rstrip(" ").endswith(separator):
         row, width = row.rstrip(" ")[: -len(separator)], width - 1
     return row
 
 
 def row_width_error(where: str, line: int, width: int, wanted: int, others: int = 0) -> InputError:
-    """Return the error about a row that has more or fewer cells than the header: nobody knows which is missing."""
+    """Return the error about a row with more or fewer cells than the header."""
     more = f" (and {others} more rows)" if others else ""
     problem = f"has {width} cell{'' if width == 1 else 's'}, the header {wanted}{more}"
     return InputError(where, f"line {line}", problem, "give every row as many cells as the header")
 
 
 def normalise_number(cell: str, decimal: str) -> str:
-    """Return a cell's number as Python writes one: thousands not grouped, with a point, an e for Fortran's D.
+    """Return a cell's number in Python's notation: ungrouped thousands, decimal point, e for Fortran's D.
 
-    Other cells stay as they are.
+    Other cells are unchanged.
     """
     if decimal == "." and _is_plain_number(cell):
         return cell
@@ -369,17 +374,17 @@ def parse_number(cell: str, decimal: str = ".") -> float:
 
 
 def points_group_thousands(cells: Sequence[str], decimal: str) -> bool:
-    """Whether points in a column beside decimal commas group thousands (1.234 and 987) or are decimal (0.123)."""
+    """Return True if points in a column group thousands (1.234 and 987), false if they are decimal (0.123)."""
     points = [c for c in cells if decimal == "," and "." in c]
     return not points or all(_GROUPED_NUMBER_PATTERNS[","].fullmatch(c) for c in points)
 
 
 def detect_layout(lines: Sequence[str]) -> tuple[str, str]:
-    """Return what sets cells apart in a text, and the decimal mark of its numbers.
+    """Return the separator of cells in a text, and the decimal mark of its numbers.
 
-    Semicolons and tabs come first, and blanks before commas where what is between them are numbers with decimal commas.
-    A comma is the decimal mark if some number can be read with it alone (0,5; 1.234,5). Where all could count thousands
-    (1,234) it is, too, unless a number with a point speaks against it.
+    Semicolons and tabs have priority, and blanks precede commas if they separate numbers with decimal commas. A comma
+    is the decimal mark if a number is valid only with it (0,5; 1.234,5). If all commas could group thousands (1,234),
+    the comma is the decimal mark, too, unless a number with a point excludes it.
     """
     lines = [s for s in lines if s.strip()]
     separator = _detect_separator(lines[:20])
@@ -401,7 +406,7 @@ def detect_layout(lines: Sequence[str]) -> tuple[str, str]:
 
 
 def _detect_separator(lines: Sequence[str]) -> str:
-    """Return the separator that splits these lines into columns, as many in each line."""
+    """Return the separator that splits these lines into equally many columns."""
     body = [[c for c in s.split(" ") if c] for s in lines[1:]]
     if any("," in c for row in body for c in row) and all(
         len(row) == len(body[0]) > 1 and not any(c.endswith(",") or math.isnan(parse_number(c, ",")) for c in row)
@@ -421,7 +426,7 @@ def _detect_separator(lines: Sequence[str]) -> str:
 
 
 def looks_like_table(head: bytes) -> bool:
-    """Whether a file that begins so is text with more than one column or number."""
+    """Return True if the begin of a file is text with more than one column or number."""
     wide = head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     text = decode_text(head) if wide else head.decode("utf-8", errors="ignore").lstrip("\ufeff")
     if "\0" in text or len(text) < (0.4 if wide else 0.9) * len(head) or not text.strip():
@@ -431,16 +436,16 @@ def looks_like_table(head: bytes) -> bool:
 
 
 def read_unpacked(path: str | Path, size: int = -1) -> tuple[bytes, str]:
-    """Return a file's first ``size`` bytes (all by default), unpacked, and in words what is missing of it.
+    """Return a file's first ``size`` bytes (all by default), decompressed, and a text about missing parts.
 
-    Of a packed file that was cut the whole lines before the cut are kept; zeros behind text were never written.
+    For a truncated compressed file the complete lines are kept; trailing zero bytes count as missing.
 
     Raises
     ------
     OSError
-        If it cannot be read.
+        If the file cannot be read.
     InputError
-        If what is packed is damaged.
+        If the compressed data is damaged.
     """
     with open(path, "rb") as stream:
         packed = stream.read(2) == GZIP_MAGIC
@@ -451,7 +456,7 @@ def read_unpacked(path: str | Path, size: int = -1) -> tuple[bytes, str]:
         whole, out = len(data), b""
         try:
             while data and not damage:
-                part = zlib.decompressobj(wbits=31)  # checks the checksum
+                part = zlib.decompressobj(wbits=31)  # verifies the checksum
                 out += part.decompress(data, max(0, size - len(out)) if size > 0 else 0)
                 if 0 < size <= len(out):
                     return out[:size], ""
@@ -481,7 +486,7 @@ def _is_content_line(line: str) -> bool:
 
 
 def _find_header_line(lines: Sequence[str], first: int) -> int:
-    """The line of the header: the first one, or a later one of names that is as wide as the rows at the end."""
+    """Return the line of the header: the first line, or a later line of names as wide as the last rows."""
     tail = [s for s in lines[-2 * _SAMPLED_ROWS :] if _is_content_line(s)][-_SAMPLED_ROWS:]
     for separator in (";", "\t", ","):
         widths = count_cells(tail, separator)
@@ -501,13 +506,13 @@ def _find_header_line(lines: Sequence[str], first: int) -> int:
 
 
 def _parse_preamble(lines: Sequence[str]) -> dict[str, str]:
-    """Keys and values before a table; a line of one cell is a key alone."""
+    """Parse keys and values before a table; a line with one cell is a key without value."""
     rows = [split_cells(s, "," if "," in s else ";") for s in lines if _is_content_line(s)]
     return {row[0]: ",".join(row[1:]) for row in rows if row}
 
 
 def _units_below(rows: Sequence[str], width: int, separator: str, decimal: str) -> list[str]:
-    """The units in the line below a header, none if that is no line of units."""
+    """Return the units in the line below a header, none if it is no line of units."""
     cells = split_cells(rows[0], separator) if rows else []
     if len(cells) != width or any(_is_number(c, decimal) for c in cells):
         return []
@@ -516,7 +521,7 @@ def _units_below(rows: Sequence[str], width: int, separator: str, decimal: str) 
 
 
 def _with_fitting_rows(table: TextTable, widths: list[int], short_rows: str) -> TextTable:
-    """The table with as many cells in each row as in the header, and what was left out."""
+    """Return the table with rows as wide as the header, and notes on omitted rows."""
     wanted, separator, lines = len(table.header), table.separator, table.lines
     rows = [
         drop_surplus_cells(s, separator, w, wanted) if w > wanted else s
@@ -524,7 +529,7 @@ def _with_fitting_rows(table: TextTable, widths: list[int], short_rows: str) -> 
     ]
     widths = [w if w <= wanted else n for w, n in zip(widths, count_cells(rows, separator), strict=True)]
     filled = max((k + 1 for k, name in enumerate(table.header) if name), default=wanted)
-    if filled < wanted and all(w == filled for w in widths):  # the header alone ends with a separator
+    if filled < wanted and all(w == filled for w in widths):  # only the header ends with a separator
         return replace(table, header=table.header[:filled], units=table.units[:filled], rows=rows)
     long = [k for k, w in enumerate(widths) if w > wanted]
     short = [k for k, w in enumerate(widths) if w < wanted]
@@ -565,10 +570,10 @@ def _is_plain_number(cell: str) -> bool:
 def _parse_csv_cells(stream: str, separator: str, types: Sequence[type]) -> Any:
     import pandas as pd
 
-    # From version 3.1 on pandas converts exactly by default.
+    # pandas converts exactly by default since version 3.1.
     exact: Any = {} if tuple(map(int, pd.__version__.split(".")[:2])) >= (3, 1) else {"float_precision": "round_trip"}
     with warnings.catch_warnings():
-        warnings.simplefilter("error", pd.errors.ParserWarning)  # of cells beyond the header's
+        warnings.simplefilter("error", pd.errors.ParserWarning)  # about cells beyond the header
         return pd.read_csv(
             io.StringIO(stream),
             sep=r"\s+" if separator == " " else separator,
@@ -583,7 +588,7 @@ def _parse_csv_cells(stream: str, separator: str, types: Sequence[type]) -> Any:
 
 
 def _to_numbers(series: Any, decimal: str) -> tuple[NDArray[Any], int]:
-    """Numbers of a column and how many cells are none; text where most cells are."""
+    """Return the numbers of a column and the count of other cells; the text if most cells are no number."""
     if series.dtype == np.float64:
         return series.to_numpy(), 0
     cells = series.fillna("").astype(object).to_numpy()

@@ -1,8 +1,8 @@
-"""C on this machine: its compiler, and shared libraries built once and kept on disk.
+"""C toolchain: compiler of this machine, and shared libraries that are built once and cached on disk.
 
-A library is kept beside what Numba compiled (:mod:`mufly.numba_cache`), under a hash of its sources, the flags and the
-compiler; any change there leads to another file, and nothing needs to be deleted. It is written under another name
-first, so that processes that build the same at once do not disturb each other.
+A library is stored beside Numba's compiled code (:mod:`mufly.numba_cache`) under a hash of its sources, flags and
+compiler; a change leads to another file. It is written under a temporary name first, so that several processes can
+build it at the same time.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from mufly.errors import MuflyError
 from mufly.numba_cache import cache_folder
 
 COMPILER_FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-math-errno")
-"""With which results are those of the simulation; any -O does, -ffast-math and contraction do not."""
+"""Flags for results equal to the simulation; any -O level is valid, -ffast-math and contraction are not."""
 
 
 def find_compiler() -> str:
@@ -58,16 +58,16 @@ def compile_library(
 
 
 def build_cached_library(name: str, files: Mapping[str, str], *, flags: Sequence[str] = COMPILER_FLAGS) -> Path:
-    """Return a shared library of some sources, built if it is not there yet.
+    """Return a shared library of some sources, built if it is not cached.
 
     Parameters
     ----------
     name : str
-        First part of its file's name.
+        First part of the file name.
     files : mapping
-        Text of every source and header by its name; those that end in ``.c`` are compiled.
+        Text of every source and header by name; names in ``.c`` are compiled.
     flags : sequence of str
-        For the compiler.
+        Compiler flags.
 
     Raises
     ------

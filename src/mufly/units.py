@@ -1,7 +1,7 @@
-"""One table of units, and the way from each to SI: ``si = factor x + offset``.
+"""Table of units with their conversion to SI, ``si = factor x + offset``, and parser of units in column headers.
 
-The headers of logs and bench files, vehicle files, column maps, the settings of a study and whatever shows a number in
-units that people read take their factors from here. Inside the package everything is in SI and radians.
+All input files, options and displays take their conversion factors from this table. Inside the package all values are
+in SI units and radians.
 """
 
 from __future__ import annotations
@@ -15,20 +15,18 @@ from mufly.errors import InputError
 from mufly.sensor_table import READINGS
 
 STANDARD_GRAVITY_M_S2 = 9.80665
-"""Standard acceleration of free fall (m/s2; 3rd CGPM, 1901)."""
+"""Standard acceleration of free fall (m/s^2; 3rd CGPM, 1901), the definition of the kilogram-force."""
 GRAVITY = 9.81
-"""Acceleration of free fall where vehicles fly (m/s2): mid-latitude, as the thesis's hover point implies.
-
-The standard one is a definition: it says what a kilogram-force is, not how fast something falls.
+"""Local acceleration of free fall in the flight model (m/s^2): mid-latitude, as implied by the thesis's hover point.
 """
 RPM = pi / 30.0
-"""One revolution a minute in rad/s."""
+"""One revolution per minute (rad/s)."""
 
 _GRAVITY, _TWO_PI, _FOOT_M, _INCH_M = STANDARD_GRAVITY_M_S2, 2 * pi, 0.3048, 0.0254
 _POUND_KG = 0.45359237  # kg, the international pound (1959)
 _OUNCE_KG = _POUND_KG / 16
 _MMHG_PA = 133.322387415  # Pa, conventional millimetre of mercury
-# SI unit: the units that lead to it, with factor and offset.
+# SI unit: units that convert to it, with factor and offset.
 _UNITS_BY_SI: dict[str, dict[str, tuple[float, float]]] = {
     "s": {
         "s": (1, 0),
@@ -200,7 +198,7 @@ _UNITS_BY_SI: dict[str, dict[str, tuple[float, float]]] = {
     "1": {"1": (1, 0), "%": (1e-2, 0), "d%": (1e-3, 0), "c%": (1e-4, 0), "permille": (1e-3, 0)},
 }
 _SI_BY_UNIT = {u: (si, float(f), float(o)) for si, units in _UNITS_BY_SI.items() for u, (f, o) in units.items()}
-# How a unit or a factor of one is written, beside powers, signs of products and "per", which _canonical settles.
+# Spellings of units and their factors; _canonical_unit handles powers, products and "per".
 _SPELLINGS_BY_UNIT = {
     "s": "sec secs second seconds", "ms": "msec msecs millis millisec millisecond milliseconds",
     "us": "usec usecs micros microsec microsecond microseconds", "ns": "nsec nsecs nanos nanosecond nanoseconds",
@@ -242,7 +240,7 @@ _WEIGHT_UNITS = {"kg": "kgf", "g": "gf", "mg": "mgf", "lb": "lbf", "oz": "ozf"}
 
 
 def _canonical_unit(text: str) -> str:
-    """A unit of several factors as the table writes it, or one that comes near: ``"m s-2"`` is ``"m/s^2"``."""
+    """Return a unit of several factors in the notation of the table: ``"m s-2"`` is ``"m/s^2"``."""
     text = _TEMPERATURE_PATTERN.sub(r"\1", text).replace("**", "^").replace(" per ", "/").replace("_per_", "/")
     over: list[str] = []
     under: list[tuple[str, int]] = []
@@ -263,15 +261,15 @@ def _canonical_unit(text: str) -> str:
                     under[same] = name, under[same][1] - power
             else:
                 over.append(name if power == 1 else f"{name}{power}")
-    if len(over) == 2:  # a torque: its force first, masses for weights
+    if len(over) == 2:  # a torque: force first, masses for weights
         over = over if over[1] in _UNITS_BY_SI["m"] else over[::-1]
         over = [_WEIGHT_UNITS.get(over[0], over[0]), over[1]] if over[1] in _UNITS_BY_SI["m"] else over[::-1]
     below = [n if p == 1 else f"{n}^{p}" if n == "s" else f"{n}{p}" for n, p in under]
     return "/".join([" ".join(over) or "1", *below])
 
 
-# A unit that another quantity gives its name to: load cells weigh in grams, accelerometers in those of the earth, and
-# what turns so many times a second makes so many revolutions.
+# Units borrowed from other quantities: grams for forces of load cells, g for accelerations, and 1/s for revolutions per
+# second.
 _UNIT_REPLACEMENTS = {("N", mass): force for mass, force in _WEIGHT_UNITS.items()} | {
     ("m/s^2", "g"): "gee", ("m/s^2", "mg"): "mgee", ("rad/s", "1/s"): "rps",
 }  # fmt: skip
@@ -279,11 +277,11 @@ _UNIT_REPLACEMENTS = {("N", mass): force for mass, force in _WEIGHT_UNITS.items(
 
 @cache
 def normalise_unit(text: str, wanted: str | None = None) -> str:
-    """Return a unit as this package writes it, ``""`` for one that it does not know.
+    """Return a unit in the notation of this package, ``""`` for an unknown unit.
 
-    Powers, products and quotients are written in any of the usual ways: ``"m s-2"``, ``"m/s**2"``, ``"in-lbf"``. With
-    the unit ``wanted`` that it must lead to, capitals do not matter, ``_`` may stand for ``/``, a mass is the force
-    that load cells mean by it, and ``1/s`` of a speed are revolutions.
+    All usual notations of powers, products and quotients are accepted: ``"m s-2"``, ``"m/s**2"``, ``"in-lbf"``. If the
+    target unit ``wanted`` is given, case is ignored, ``_`` may replace ``/``, a mass may mean its weight (load cells),
+    and ``1/s`` of a speed means revolutions.
     """
     unit = " ".join(text.translate(_CHARACTER_REPLACEMENTS).split())
     if wanted is None:
@@ -308,14 +306,14 @@ def normalise_unit(text: str, wanted: str | None = None) -> str:
 
 
 def unit_conversion(unit: str, wanted: str | None = None) -> tuple[str, float, float]:
-    """Return how values in a unit become another.
+    """Return the conversion from a unit to another.
 
     Parameters
     ----------
     unit : str
-        As written (``"deg/s"``, ``"°/s"``, ``"dps"``).
+        Unit as written (``"deg/s"``, ``"°/s"``, ``"dps"``).
     wanted : str, optional
-        The unit to reach; default the SI unit of the same dimension.
+        Target unit; default: the SI unit of the same dimension.
 
     Returns
     -------
@@ -326,8 +324,8 @@ def unit_conversion(unit: str, wanted: str | None = None) -> tuple[str, float, f
     Raises
     ------
     InputError
-        If the unit is unknown, or of another dimension than the one wanted. A mass in grams becomes a force, as on
-        load cells, when newtons are wanted; a lone ``g`` becomes the gravity of the earth when m/s^2 is.
+        If the unit is unknown, or of another dimension than the target. For the target N a mass in grams converts to
+        its weight, as on load cells; for the target m/s^2 ``g`` is the standard gravity.
     """
     there = "" if wanted is None else normalise_unit(wanted)
     goal = _SI_BY_UNIT[there][0] if there else ""
@@ -346,24 +344,24 @@ def unit_conversion(unit: str, wanted: str | None = None) -> tuple[str, float, f
 
 
 def conversion_factor(unit: str, wanted: str | None = None) -> float:
-    """Return what one of a unit is in another (default: in SI), ``conversion_factor("mm")`` is 1e-3; see
+    """Return the factor from a unit to another (default: SI); ``conversion_factor("mm")`` is 1e-3, see
     :func:`unit_conversion`."""
     return unit_conversion(unit, wanted)[1]
 
 
 def compatible_units(si: str) -> Mapping[str, float]:
-    """Return the units that lead to an SI unit and what one of them is in it, the SI unit first."""
+    """Return the units that convert to an SI unit, with their factors, the SI unit first."""
     return {unit: float(factor) for unit, (factor, _) in _UNITS_BY_SI[si].items()}
 
 
-# From here on: the unit in a header. In brackets stands a unit; behind an underscore may stand one.
+# Units in column headers: in brackets, or as a suffix after an underscore.
 
 
 def _word_set(words: str) -> frozenset[str]:
     return frozenset(words.split())
 
 
-# Ends of names that are units whatever the name is.
+# Suffixes that are units for every name.
 _UNIT_ENDINGS = {
     "rad_s2": "rad/s^2", "deg_s2": "deg/s^2", "rad_s": "rad/s", "deg_s": "deg/s", "m_s2": "m/s^2", "m_s": "m/s",
     "cm_s": "cm/s", "mm_s": "mm/s", "km_h": "km/h", "ft_s": "ft/s", "kg_m3": "kg/m3",
@@ -373,8 +371,8 @@ _UNIT_ENDINGS |= {end: end for end in _word_set(
     "ft kmh kph mph knots mV mA mW kW mN gf kgf lbf ozf mNm Nm Nmm Ncm uNm Hz hz Pa hPa kPa mbar psi inHg degC "
     "degF kg pct percent degrees radians meters metres volts amps mAh Ah Wh uT mT gauss mgauss gee mgee ohm mohm"
 )}  # fmt: skip
-# Ends that are units of one quantity alone: the letter, its unit, and the kind of words that tell that quantity.
-# Elsewhere the letter is an index, an axis or a symbol (RPM_A, gain_K).
+# Suffixes that are units of one quantity only: letter, unit, and words that identify the quantity. For other names the
+# letter is an index, an axis or a symbol (RPM_A, gain_K).
 _LETTER_UNITS = {
     "s": ("s", "s"), "m": ("m", "m"), "V": ("V", "V"), "A": ("A", "A"), "W": ("W", "W"), "N": ("N", "N"),
     "K": ("K", "K"), "C": ("degC", "K"), "F": ("degF", "K"), "T": ("T", "T"), "J": ("J", "J"), "in": ("in", "span"),
@@ -426,7 +424,7 @@ _QUANTITY_WORDS = {
 for _row in READINGS.values():
     if _row.column_words:
         _QUANTITY_WORDS[_row.unit] |= _word_set(_row.column_words)
-# No physical quantity, and no revolutions a second, whatever stands beside these words.
+# Words of names that are no physical quantity and no revolutions per second.
 _DIMENSIONLESS_WORDS = _word_set(
     "gain kp ki kd kv kt coefficient coeff coef ratio factor count counter number num index idx id flag flags "
     "status mode type c cl cd cm cn ct cq cp k"
@@ -434,12 +432,12 @@ _DIMENSIONLESS_WORDS = _word_set(
 _NON_ROTATION_WORDS = _word_set(
     "filter cutoff notch sample sampling loop cpu log logging bandwidth update frame video pwm"
 )
-# What certainly is of one dimension, whatever letter stands in brackets behind it.
+# Words that determine the dimension, independent of a letter in brackets.
 _UNAMBIGUOUS_WORDS = {
     "rpm": "rad/s", "voltage": "V", "current": "A", "temperature": "K", "power": "W", "thrust": "N", "mass": "kg",
     "roll": "rad", "yaw": "rad",
 }  # fmt: skip
-# Letters in one row of columns: phases A, B, C or U, V, W; north, east, south, west, down.
+# Letters of groups of columns: phases A, B, C or U, V, W; north, east, south, west, down.
 _COLUMN_SERIES_LETTERS = ({"A": "B", "C": "B"}, {"V": "U", "W": "U"}, {"N": "ESD", "W": "ES"})
 _BRACKETED_UNIT_PATTERN = re.compile(r"^(?P<name>.*\S)\s*[\[(](?P<unit>[^\[\]()]*)[\])]$")
 _INDEX_PATTERN = re.compile(r"\d+")
@@ -451,16 +449,16 @@ def _split_words(name: str) -> frozenset[str]:
 
 
 def parse_column_unit(name: str, written: str) -> str | None:
-    """Return the unit of a column that a file names, in brackets or as metadata.
+    """Return the unit of a column stated in brackets or as metadata.
 
-    What a letter means is decided by the name of the column: ``g`` of an acceleration, a thrust and a mass are three
-    units; ``1/s`` and ``Hz`` of a rotational speed are revolutions; ``mG`` of a magnetic field is a milligauss.
+    The name of the column determines the meaning of a letter: ``g`` differs for an acceleration, a thrust and a mass;
+    ``1/s`` and ``Hz`` of a rotational speed are revolutions; ``mG`` of a magnetic field is a milligauss.
 
     Returns
     -------
     str or None
-        As this package writes it; as it stands where it is not known; None where the name does not tell which of two is
-        meant, or tells that it is none.
+        Unit in the notation of this package; an unknown unit as written; None if the name leaves the unit ambiguous or
+        excludes it.
 
     Examples
     --------
@@ -496,9 +494,9 @@ def parse_column_unit(name: str, written: str) -> str | None:
 
 
 def split_unit_suffix(name: str) -> tuple[str, str]:
-    """Split a name of ours, where a unit at the end is one whatever the name: ``"arm_m"`` is an arm in m.
+    """Split a name of this package with a unit as suffix: ``"arm_m"`` is an arm in m.
 
-    Headers that others wrote are split by :func:`split_header`.
+    :func:`split_header` splits headers of other programs.
     """
     for end, unit in (_UNIT_ENDINGS | {letter: letter for letter in "smVAWNK"}).items():
         if name.endswith(f"_{end}") and len(name) > len(end) + 1:
@@ -509,9 +507,9 @@ def split_unit_suffix(name: str) -> tuple[str, str]:
 def split_header(header: str) -> tuple[str, str]:
     """Split a column's header into name and unit.
 
-    ``"roll (deg)"``, ``"T [N]"``, ``"speed_rpm"`` and ``"gyro_x_deg_s"`` carry a unit. A single letter is one where the
-    name tells its quantity: ``"U_V"``, ``"thrust_N"``, ``"ax_g"``; ``"position_N"`` (north), ``"RPM_A"``, ``"gain_K"``
-    and ``"q[0]"`` (an index) have none. A unit in brackets that this package does not know is returned as it stands.
+    ``"roll (deg)"``, ``"T [N]"``, ``"speed_rpm"`` and ``"gyro_x_deg_s"`` carry a unit. A single letter is a unit if the
+    name identifies the quantity: ``"U_V"``, ``"thrust_N"``, ``"ax_g"``; ``"position_N"`` (north), ``"RPM_A"``,
+    ``"gain_K"`` and ``"q[0]"`` (an index) have none. An unknown unit in brackets is returned as written.
     """
     (split,), _ = split_headers([header])
     return split
@@ -524,7 +522,7 @@ def split_headers(headers: Sequence[str]) -> tuple[list[tuple[str, str]], list[s
     -------
     split : list of (name, unit)
     doubtful : list of str
-        Headers that end like a unit that their quantity does not have, and are names as they stand.
+        Headers with a suffix that is no unit of their quantity; they are returned as names.
     """
     texts = [h.strip().strip('"') for h in headers]
     ends: dict[str, set[str]] = {}

@@ -1,11 +1,11 @@
-"""Speakers of MAVLink: which of them is a vehicle, and the words for types of vehicle and flight modes.
+"""Classification of MAVLink senders, and names of vehicle types and flight modes.
 
-On one link speak vehicles, their equipment (companion computers, cameras, gimbals, radios, ...), antenna trackers and
-ground stations. A HEARTBEAT names its sender by ``type`` (MAV_TYPE), ``autopilot`` (MAV_AUTOPILOT) and the component
-number of the packet (MAV_COMPONENT); an autopilot is component 1 by convention. Many companions and gimbals call their
-autopilot GENERIC instead of INVALID, so the autopilot alone does not decide. Sources: mavlink.io, "Heartbeat/Connection
-Protocol" and the enumerations of common.xml; flight modes: ArduPilot's ``mode.h`` of each vehicle and PX4's
-``px4_custom_mode.h``.
+Senders on a link are vehicles, their equipment (companion computers, cameras, gimbals, radios, ...), antenna trackers
+and ground stations. A HEARTBEAT identifies its sender by ``type`` (MAV_TYPE), ``autopilot`` (MAV_AUTOPILOT) and the
+component number of the packet (MAV_COMPONENT); an autopilot is component 1 by convention. Many companions and gimbals
+set their autopilot to GENERIC instead of INVALID, so the autopilot alone is not conclusive. Sources: mavlink.io,
+"Heartbeat/Connection Protocol" and the enumerations of common.xml; flight modes: ArduPilot's ``mode.h`` of each vehicle
+and PX4's ``px4_custom_mode.h``.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ VEHICLE_TYPE_NAMES: dict[int, str] = {
     17: "kite", 19: "VTOL", 20: "VTOL", 21: "VTOL", 22: "VTOL", 23: "VTOL", 24: "VTOL", 25: "VTOL", 28: "parafoil",
     29: "dodecarotor", 35: "decarotor", 43: "multirotor", 45: "spacecraft", 46: "quadruped", 47: "gyrodyne",
 }  # fmt: skip
-"""MAV_TYPE of what flies, drives, swims or walks."""
+"""Names of the MAV_TYPEs of vehicles."""
 EQUIPMENT_TYPE_NAMES: dict[int, str] = {
     5: "antenna tracker", 6: "ground station", 18: "companion computer", 26: "gimbal", 27: "ADSB receiver",
     30: "camera", 31: "charging station", 32: "FLARM receiver", 33: "servo", 34: "Open Drone ID", 36: "battery",
     37: "parachute", 38: "logger", 39: "OSD", 40: "IMU", 41: "GPS receiver", 42: "winch", 44: "illuminator",
     48: "gripper",
 }  # fmt: skip
-"""MAV_TYPE of what is no vehicle."""
-# MAV_COMPONENT of cameras, servos, gimbals, peripherals, batteries, computers, sensors, bridges.
+"""Names of the MAV_TYPEs of equipment."""
+# MAV_COMPONENT numbers of cameras, servos, gimbals, peripherals, batteries, computers, sensors, bridges.
 _EQUIPMENT_COMPONENTS = (*range(100, 106), *range(140, 200), *range(200, 251))
 
 
 def vehicle_rank(vehicle_type: int, autopilot: int, component: int) -> int:
-    """Return how surely the sender of a HEARTBEAT is a vehicle; of several senders the highest rank is the vehicle.
+    """Return the vehicle rank of the sender of a HEARTBEAT; the sender with the highest rank is the vehicle.
 
     Parameters
     ----------
@@ -46,8 +46,8 @@ def vehicle_rank(vehicle_type: int, autopilot: int, component: int) -> int:
     Returns
     -------
     int
-        3: the autopilot of a vehicle (component 1). 2: another component that calls itself a vehicle. 1: an antenna
-        tracker, which is no vehicle but has an autopilot. 0: equipment or a ground station.
+        3: autopilot of a vehicle (component 1). 2: another component with a vehicle type. 1: antenna tracker, which has
+        an autopilot but is no vehicle. 0: equipment or ground station.
 
     Examples
     --------
@@ -66,12 +66,12 @@ def vehicle_rank(vehicle_type: int, autopilot: int, component: int) -> int:
 
 
 def is_vehicle(vehicle_type: int, autopilot: int, component: int) -> bool:
-    """Whether the sender of a HEARTBEAT may be shown and commanded as a vehicle (see :func:`vehicle_rank`)."""
+    """Return True if the sender of a HEARTBEAT is shown and commanded as a vehicle (see :func:`vehicle_rank`)."""
     return vehicle_rank(vehicle_type, autopilot, component) >= 2
 
 
 def vehicle_type_name(vehicle_type: int) -> str:
-    """Return a MAV_TYPE in words; "" for the generic one and those that are unknown here."""
+    """Return the name of a MAV_TYPE; "" for the generic and unknown types."""
     return VEHICLE_TYPE_NAMES.get(vehicle_type) or EQUIPMENT_TYPE_NAMES.get(vehicle_type, "")
 
 
@@ -83,12 +83,12 @@ _SHAPE_BY_TYPE: dict[int, str] = {
 
 
 def vehicle_shape(vehicle_type: int) -> str:
-    """Return how a MAV_TYPE is drawn: "coaxial", "plane", "quadrotor", "rover", ...; "block" where it is not known."""
+    """Return the drawing of a MAV_TYPE: "coaxial", "plane", "quadrotor", "rover", ...; "block" if unknown."""
     return _SHAPE_BY_TYPE.get(vehicle_type, "block")
 
 
 ModeFamily = Literal["copter", "plane", "rover", "submarine", "tracker", "airship", ""]
-"""ArduPilot's firmwares, each with flight modes of its own."""
+"""ArduPilot firmwares, each with its own flight modes."""
 _FAMILY_OF_TYPE: dict[int, ModeFamily] = {
     **dict.fromkeys((2, 3, 4, 13, 14, 15, 29, 35, 43), "copter"),
     **dict.fromkeys((1, 16, 19, 20, 21, 22, 23, 24, 25, 28), "plane"),
@@ -100,7 +100,7 @@ _FAMILY_OF_TYPE: dict[int, ModeFamily] = {
 
 
 def _number_words(words: str) -> dict[int, str]:
-    """Number -> word, of words in the order of their numbers from 0; "-" stands for none."""
+    """Return the words by number, from a list in the order of numbers from 0; "-" marks an unused number."""
     return {k: word for k, word in enumerate(words.split(", ")) if word != "-"}
 
 
@@ -138,7 +138,7 @@ _CUSTOM_MODE_ENABLED = 1  # MAV_MODE_FLAG
 
 
 def ardupilot_mode_name(family: ModeFamily, number: int) -> str:
-    """Return ArduPilot's flight mode in words, ``"mode 8"`` where the firmware has none of that number.
+    """Return the name of ArduPilot's flight mode, ``"mode 8"`` for a number that the firmware does not have.
 
     Examples
     --------
@@ -149,17 +149,17 @@ def ardupilot_mode_name(family: ModeFamily, number: int) -> str:
 
 
 def ardupilot_mode_number(family: ModeFamily, words: str) -> int:
-    """Return the number of ArduPilot's flight mode; KeyError where the firmware has none of that name."""
+    """Return the number of ArduPilot's flight mode; KeyError if the firmware has no such mode."""
     return {word: number for number, word in _ARDUPILOT_MODES[family].items()}[words]
 
 
 def ardupilot_family(vehicle_type: int) -> ModeFamily:
-    """Return which of ArduPilot's firmwares flies a MAV_TYPE; "" where that is not known."""
+    """Return the ArduPilot firmware of a MAV_TYPE; "" if unknown."""
     return _FAMILY_OF_TYPE.get(vehicle_type, "")
 
 
 def flight_mode_name(autopilot: int, vehicle_type: int, base_mode: int, custom_mode: int) -> str:
-    """Return the flight mode of a HEARTBEAT in words; "" where the autopilot has none.
+    """Return the name of the flight mode of a HEARTBEAT; "" if the autopilot has none.
 
     Parameters
     ----------

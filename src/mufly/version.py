@@ -1,4 +1,4 @@
-"""The version of mufly, once."""
+"""Version of mufly."""
 
 from __future__ import annotations
 
