@@ -44,16 +44,16 @@ def read_toml(name_or_path: str | Path, folder: Traversable, kind: str) -> tuple
     name_or_path : str or Path
         A name in ``folder``, or the path of a file.
     folder : Traversable
-        Where the built-in files lie.
+        Folder of the built-in files.
     kind : str
-        What an error calls such a file: ``"vehicle"``.
+        Kind of file in errors: ``"vehicle"``.
 
     Returns
     -------
     tables : dict
-        As TOML gives them.
+        Tables as parsed from TOML.
     where : str
-        What an error calls the file.
+        Name of the file in errors.
 
     Raises
     ------
@@ -98,7 +98,7 @@ def _toml_error(text: str, where: str, message: str) -> InputError:
 
 
 def validate_model(model: type[ModelT], tables: Mapping[str, Any], where: str) -> ModelT:
-    """Make a checked model of nested dictionaries.
+    """Make a validated model from nested dictionaries.
 
     Raises
     ------

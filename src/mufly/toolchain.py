@@ -48,7 +48,7 @@ def compile_library(
     Raises
     ------
     MuflyError
-        If there is no compiler, or it refuses; the message holds what it said first.
+        If there is no compiler, or compilation fails; the message contains its first error.
     """
     command = [cc or find_compiler(), *flags, "-fPIC", "-shared", *map(str, sources), "-o", str(out), "-lm"]
     done = subprocess.run(command, capture_output=True, text=True)
