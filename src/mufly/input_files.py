@@ -178,11 +178,6 @@ def _first_model_error(error: ValidationError, model: type[BaseModel], where: st
         problem, remedy = f"{_shorten_value(given)} is not a list", remedy.rstrip(": ")
     elif kind in ("model_type", "model_attributes_type"):
         problem, remedy = f"{_shorten_value(given)} is not a table", "write its keys under it"
-    elif kind in ("value_error", "assertion_error"):  # words of our own validators
-        problem, remedy = (
-            str(context.get("error", "does not fit")),
-            f"give {meaning}" if meaning else "correct the value",
-        )
     else:
         problem, remedy = f"{_shorten_value(given)} does not fit", f"give {meaning}" if meaning else "correct the value"
     # A key missing beside an unknown one is the same fault, not another.
