@@ -185,7 +185,7 @@ def test_control_c_leaves_a_readable_recording(tmp_path, hop) -> None:
 
 
 def test_a_page_that_nobody_opens_flies_the_mission_by_itself(monkeypatch, capsys, tmp_path, hop) -> None:
-    monkeypatch.setattr("mufly.station.page.simulated_flight.NO_PAGE_TIMEOUT_S", 0.2)
+    monkeypatch.setattr("mufly.station.page.page_flight.NO_PAGE_TIMEOUT_S", 0.2)
     out = tmp_path / "out"
     assert run(monkeypatch, "fly", hop, *IDEAL, "--no-browser", "--out", out) == 0
     shown = capsys.readouterr()

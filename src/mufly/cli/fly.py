@@ -437,7 +437,7 @@ def _fly_in_terminal(order: FlightOrder, show: FlightDisplay) -> xr.Dataset:
 
 def _fly_in_real_time(order: FlightOrder, show: FlightDisplay) -> str:
     """Fly with the page, or without one (no address) behind a link; return the outcome, "" without a flight."""
-    from mufly.station.page.simulated_flight import PageFlight, fly_behind_link, fly_with_page, vehicle_endpoint
+    from mufly.station.page.page_flight import PageFlight, fly_behind_link, fly_with_page, vehicle_endpoint
 
     on_event, stop = show.display.show_event, show.shutdown.stop_requested.is_set
     with show.shutdown:
