@@ -501,7 +501,7 @@ def saturated_gain_limit(
     *,
     points: int = 1500,
 ) -> tuple[float, float]:
-    """Return the smallest reduction of gain by saturated actuators at which a sampled loop has a limit cycle.
+    """Return the largest gain N below 1 of saturated actuators at which a sampled loop has a limit cycle.
 
     The actuators saturate together, along ``direction`` d: the command ``u`` becomes ``u + d (v - m)``, where
     ``m = d.u / d.d`` and ``v`` is its saturated value. Everything else is linear: with the anti-windup the controller

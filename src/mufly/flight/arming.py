@@ -74,7 +74,7 @@ def find_arming_faults(
 
 
 def check_place(world: World, position: tuple[float, float, float], keep_m: float) -> str:
-    """Words for a place nearer than ``keep_m`` (m) to anything known; "" for a free one."""
+    """Return the refusal of a place nearer than ``keep_m`` (m) to a known obstacle; "" for a free place."""
     if world.is_empty:
         return ""
     away, name = obstacle_distance(world, position)
