@@ -95,6 +95,11 @@ def result(cls: type[Any] | None = None, /, *, eq: bool = True, picture: str = "
         ``"module:function"`` that draws a result and returns a matplotlib figure; by default its numbers are drawn.
     json : str
         Keys of the JSON, as for :func:`select_fields`; by default all fields.
+
+    Raises
+    ------
+    TypeError
+        If a key of the JSON is not a field, property or method of the class.
     """
 
     def make_result_class(one: type[Any]) -> type[Any]:
@@ -108,6 +113,10 @@ def result(cls: type[Any] | None = None, /, *, eq: bool = True, picture: str = "
         if "plot" not in one.__dict__:
             new.plot = plot_result
         new._picture, new._json = picture, json
+        have = {*new.__dataclass_fields__, *dir(new)}
+        wanted = [entry.rpartition("=")[2].partition(".")[0] for entry in json.split()]
+        if unknown := [name for name in wanted if name not in have]:
+            raise TypeError(f"{new.__name__}: json: no field {', '.join(unknown)}")
         return new
 
     return make_result_class if cls is None else make_result_class(cls)

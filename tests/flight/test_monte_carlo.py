@@ -128,7 +128,7 @@ def test_an_identified_covariance_is_drawn_from(tmp_path: Path, vehicle: Vehicle
     ("texts", "why"),
     [
         (["parameters=5"], "a value or a spread"),
-        (["wings=5%"], "no parameter of mufly-1.1"),
+        (["wings=5%"], "is not a parameter of mufly-1.1"),
         (["m=+-2furlong"], "use one of: kg, g, mg, lb, oz, or %"),
         (["rotors=+-2"], "vary them in %"),
         (["m=100:90g"], "contains nothing"),
@@ -396,7 +396,7 @@ def test_the_search_finds_the_worst_corner_and_goes_on(tmp_path: Path, campaign:
     )
     assert 20 < len(part) < 90
     assert to_plain_data(search_worst_case(heavier, 90, crew=crew, folder=tmp_path)) == to_plain_data(whole)
-    with pytest.raises(InputError, match="nothing varies"):
+    with pytest.raises(InputError, match="only the noise varies"):
         search_worst_case(replace(heavier, variations=(), wind=None), 6, crew=crew)
 
 

@@ -109,7 +109,7 @@ def test_every_symbol_of_the_parts_exists(vehicle):
 
 def test_a_map_in_place_of_the_coefficients_is_refused(vehicle):
     mapped = replace_parameters(vehicle, {"rotors.coefficient_map": "walkera-5g6-bemt"})
-    with pytest.raises(InputError, match=r"coefficient_map.*take it out"):
+    with pytest.raises(InputError, match=r"coefficient_map.*remove it"):
         choose_free_parameters(mapped, ["Izz"], OUTPUTS)
 
 

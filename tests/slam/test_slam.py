@@ -285,7 +285,9 @@ def test_over_tiles_only_the_way_since_tells_which_tile_it_is(floor: str) -> Non
                 f.vehicle_estimate, velocity=m.velocity + np.array([faster, 0.0, 0.0]), velocity_sigma=0.1,
                 place=np.array([m.position[0] + lag, m.position[1], headings[k]]), place_sigma=(0.05, 0.01),
             )  # fmt: skip
-            answers.append(slam.process_frame(replace(f, picture=nothing if k in gap else f.picture, info=told)))
+            answers.append(
+                slam.process_frame(replace(f, picture=nothing if k in gap else f.picture, vehicle_estimate=told))
+            )
         after = next(k for k in range(gap[-1] + 1, len(made)) if answers[k].trusted)
         off = np.hypot(*(answers[after].position - made[after][1].position)[:2])
         if wrong and floor == "tiles":  # later, but not never; as wrong as told, not by a tile

@@ -404,7 +404,8 @@ def coefficient_bounds(p: np.void, name: str) -> tuple[float, float, float]:
     n = int(p["map_nodes"])
     if n == 0:
         return float(p[name]), 2 * float(p[name]), 0.0
-    table = p[f"map_{name}"][:n].reshape(p["map_size"])
+    what, side = name.split("_")
+    table = p[f"{what}_over_speed2_table_{side}"][:n].reshape(p["map_size"])
     steps = np.array([1.0 / q if q > 0 else 0.0 for q in p["map_per_step"]])
     last = p["map_start"] + (p["map_size"] - 1) * steps
     reach = np.maximum(np.abs(p["map_start"]), np.abs(last))

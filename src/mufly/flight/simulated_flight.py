@@ -9,7 +9,7 @@ One period at time ``t_k``::
 The actuators a_k take effect at t_(k+1): the delay of one period is that of a processor that needs the period to
 compute. Nothing here knows of the clock on the wall: :func:`fly_mission` ticks as fast as it can, a link in real time.
 
-It flies on what is true, or on what the vehicle's own sensors say of that and a filter makes of it: ``sensors`` is
+It flies on the true state, or on what the vehicle's own sensors say of that and a filter makes of it: ``sensors`` is
 ``"ideal"`` or ``"fitted"``. In Python, ideal is the default, since most that is asked there is about vehicle,
 controllers and missions; the commands, which stand for the vehicle, fly on its sensors.
 """
@@ -103,7 +103,7 @@ class Flight:
         Keep every row in memory for :meth:`FlightRecorder.to_dataset`; without it, memory does not grow.
     sensors : "ideal", "fitted" or Sensors
         What it flies on: what is true (the ring of beams read at 25 Hz); what the vehicle's file has in ``[sensors]``
-        (a vehicle without flies on what is true, and says so); or sensors of one's own.
+        (a vehicle without flies on the true state, and says so); or sensors of one's own.
     estimator : Estimator, optional
         By default the one that belongs to the sensors; the ideal one believes its readings.
     faults : sequence of Fault
@@ -382,7 +382,7 @@ class Flight:
         Raises
         ------
         InputError
-            If the vehicle has no such sensor, or flies on what is true.
+            If the vehicle has no such sensor, or flies on the true state.
         """
         if not isinstance(self.sensors, FittedSensors):
             raise InputError("fault", str(fault), "the true state has no sensor faults", "fly on fitted sensors")
@@ -494,7 +494,7 @@ def _make_sensors(
         instead = {} if fixes is None else {"position_fix": fixes}
         return fitted_sensors(vehicle, mission.world, seed=seed, faults=faults, instead=instead)
     if faults:
-        what = "has no table [sensors]" if wanted == "fitted" else "flies on what is true"
+        what = "has no table [sensors]" if wanted == "fitted" else "flies on the true state"
         raise InputError("fault", str(faults[0]), f"{vehicle.name} {what}", "fly on fitted sensors, or without faults")
     return ideal_sensors(vehicle, mission.world, look)
 

@@ -95,7 +95,7 @@ class EstimateLookup:
 @result(
     eq=False,
     picture="mufly.identify.fit_pictures:prediction_picture",
-    json="name role outputs noise_std error_over_noise=rms_over_noise converged doubt",
+    json="name role outputs=output_names noise_std error_over_noise=rms_over_noise converged doubt",
 )
 class RecordPrediction:
     """One record with the fitted model's prediction from the inputs alone.

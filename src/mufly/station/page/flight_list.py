@@ -173,7 +173,8 @@ class FlightList:
         unread = [path for path in found if self._read.get(path, ((0, 0),))[0] != _file_state(path)]
         self._send_rows(found)
         told = time.monotonic()
-        for path in sorted(unread, key=reading_priority):
+        # New files before grown ones: a look that ends early, by the next, still gets on.
+        for path in sorted(unread, key=lambda path: (path in self._read, *reading_priority(path))):
             while path.suffix.lower() != ".mcap" and any(v.snapshot.flying for v in self._view.session.vehicles()):
                 await asyncio.sleep(1.0)
             if look != self._looks or not self._view.is_live:
