@@ -462,8 +462,8 @@ def parse_column_unit(name: str, written: str) -> str | None:
 
     Examples
     --------
-    >>> unit_named("ax", "g"), unit_named("thrust", "g"), unit_named("mass", "g"), unit_named("x", "g")
-    ('gee', 'gf', 'g', None)
+    >>> [parse_column_unit(name, "g") for name in ("ax", "thrust", "mass", "x")]
+    ['gee', 'gf', 'g', None]
     """
     text = " ".join(written.split())
     words = _split_words(name)

@@ -142,8 +142,8 @@ def ardupilot_mode_name(family: ModeFamily, number: int) -> str:
 
     Examples
     --------
-    >>> ardupilot_mode("copter", 5), ardupilot_mode("plane", 5), ardupilot_mode("", 5)
-    ('loiter', 'fly by wire A', 'mode 5')
+    >>> [ardupilot_mode_name(family, 5) for family in ("copter", "plane", "")]
+    ['loiter', 'fly by wire A', 'mode 5']
     """
     return _ARDUPILOT_MODES.get(family, {}).get(number, f"mode {number}")
 

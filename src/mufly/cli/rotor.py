@@ -509,7 +509,7 @@ def fit(
     """Fit a rotor's sections to measurements: the likely airfoils, and corrections of their coefficients.
 
     The file written is a rotor file; --band of 'rotor hover' then shows the uncertainty that the bench leaves. Points
-    that are not fitted measure the error. docs/explanation/bemt.md has the equations and the priors.
+    that are not fitted measure the error. Method: docs/explanation/bemt.md.
     Example: mufly rotor fit my-rotor.toml bench.csv --out fitted.toml
     """
     import numpy as np

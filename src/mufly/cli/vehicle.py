@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from mufly.vehicle import Parameter, Vehicle
 
 app = CommandGroup(
-    help=("List, show and check vehicles. Keys of a vehicle file: docs/reference/vehicles.md.to write one."),
+    help="List, show and check vehicles. Keys of a vehicle file: docs/reference/vehicles.md.",
     no_args_is_help=True,
 )
 

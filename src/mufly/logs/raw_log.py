@@ -165,7 +165,7 @@ def gps_to_unix(week: float, time_of_week_s: float) -> float:
 
     Examples
     --------
-    >>> wall_time(gps_to_unix(1800, 0.0))
+    >>> format_wall_time(gps_to_unix(1800, 0.0))
     '2014-07-05T23:59:44.000+00:00'
     """
     gps_s = _GPS_EPOCH_S + week * 604_800.0 + time_of_week_s

@@ -4,7 +4,7 @@ The address (host, port, token) is chosen and bound before anything heavy is loa
 ours. :class:`AccessGuard` is an ASGI layer around everything, web sockets and static files included.
 
 Two dangers on the loopback address: a foreign web page that opens a socket to us (the browser says so in
-``GlobalOrigin``), and one whose name resolves to 127.0.0.1 (the browser then sends its name as ``Host``). So the host
+``Origin``), and one whose name resolves to 127.0.0.1 (the browser then sends its name as ``Host``). So the host
 must be one that we serve under, and an origin, where given, must be the same as the host. On any other address a token
 is needed too: it comes once, as ``?token=`` or typed into the form, and becomes a cookie that scripts cannot read and
 that other sites cannot send; after that it is in no address. No site may show the page in a frame of its own, where a
