@@ -50,7 +50,7 @@ def watch(port: int, processes: list[subprocess.Popen[bytes]], minutes: float) -
         began = last_s = time.monotonic()
         frames, spent = 0, [used(p.pid)[0] for p in processes]
         while time.monotonic() - began < 60.0 * minutes:
-            fly = page.get_by_text("Fly the mission", exact=True)
+            fly = page.get_by_text("Start mission", exact=True)
             with contextlib.suppress(Error):  # it may be taken away between the question and the press
                 if fly.count() and fly.first.is_enabled():
                     fly.first.click(timeout=2000)

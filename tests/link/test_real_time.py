@@ -100,8 +100,8 @@ def test_real_time_that_is_lost_is_measured_and_said(monkeypatch):
     assert kept["realtime_factor"] == pytest.approx(flight.time_s / 29.0, abs=0.01)
     assert kept["realtime_factor_least"] == pytest.approx(0.2, abs=0.02)
     assert [level for level, _ in said] == ["warning", "info"]
-    assert said[0][1].startswith("slower than real time: 0.9")
-    assert said[1][1].startswith("in real time again; 7 slips, 7.")
+    assert said[0][1].startswith("slower than real time: factor 0.9")
+    assert said[1][1].startswith("in real time again; 7 timing overruns, 7.")
 
 
 def test_what_was_asked_while_the_vehicle_stood_still_is_not_carried_out(monkeypatch):

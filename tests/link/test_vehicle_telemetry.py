@@ -350,7 +350,7 @@ def test_what_is_believed_and_how_far_goes_out_and_comes_back() -> None:
     assert station.present_value("innovation_pressure") == 2.5
     assert np.isnan(station.present_value("status_ranges"))
     np.testing.assert_allclose(station.present_value("estimated_wind"), [0.4, -0.1], rtol=1e-6)
-    assert "accelerometer wrong" in station.estimator_status.fault_texts
+    assert "accelerometer error" in station.estimator_status.fault_texts
     assert station.estimator_status.missing_estimates == (
         "attitude",
         "velocity",

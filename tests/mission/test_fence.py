@@ -59,7 +59,7 @@ def test_every_bound_counts_and_the_worst_is_named():
     ("tables", "key", "words"),
     [
         (go((1, 0, -1), (5, 0, -1), polygon_m=SQUARE), "waypoint[2].position_m", "2.00 m outside the fence"),
-        (go((2.9, 0, -1), polygon_m=SQUARE), "waypoint[1].position_m", "0.10 m from the fence, where 0.2 m are kept"),
+        (go((2.9, 0, -1), polygon_m=SQUARE), "waypoint[1].position_m", "0.10 m from the fence, less than the required"),
         (go((1, 0, -1), ceiling_m=0.9), "take_off.height_m", "above the fence's ceiling"),
         (go((1, 0, -1), centre_m=[9, 9], radius_m=3.0), "start_m", "outside the fence's circle"),
         # Both ends are free; the way between them is not.
@@ -190,7 +190,7 @@ def test_sticks_that_stay_out_are_stopped_and_may_fly_back():
 
 def test_a_way_through_a_keep_out_zone_is_refused_and_the_way_back_is_not():
     fence = Fence(centre_m=(0.0, 0.0), radius_m=5.0, keep_out_circles_m=((2.0, 0.0, 0.5),))
-    assert "the way there leads" in fence_path_fault(fence, (0.0, 0.0, -1.0), (4.0, 0.0, -1.0))
+    assert "the path leads" in fence_path_fault(fence, (0.0, 0.0, -1.0), (4.0, 0.0, -1.0))
     assert fence_path_fault(fence, (0.0, 0.0, -1.0), (0.0, 4.0, -1.0)) == ""
     assert fence_path_fault(fence, (7.0, 0.0, -1.0), (4.0, 0.0, -1.0)) == ""
     assert fence_path_fault(None, (0.0, 0.0, -1.0), (99.0, 0.0, -1.0)) == ""

@@ -26,8 +26,8 @@ from mufly.station.vehicle_telemetry import VehicleTelemetry
 
 PREARM = 268435456
 NAMES = [
-    "heard", "link", "command", "vehicle's own checks", "battery", "level and still", "position", "mission",
-    "time to fly", "parameters", "recording", "disk",
+    "heartbeat", "link", "operator control", "vehicle's pre-arm checks", "battery", "level and at rest", "position",
+    "mission", "endurance", "parameters", "recording", "free disk space",
 ]  # fmt: skip
 
 
@@ -58,10 +58,10 @@ def test_all_checks_stand_in_the_order_of_a_list(world):
 
 def test_the_vehicles_own_checks_carry_its_reason(world):
     say(world, mavlink.MAVLink_statustext_message(4, b"battery low: charge it"), status(0))
-    assert check(world, "vehicle's own checks").ok is False
-    assert "battery low: charge it" in check(world, "vehicle's own checks").text
+    assert check(world, "vehicle's pre-arm checks").ok is False
+    assert "battery low: charge it" in check(world, "vehicle's pre-arm checks").text
     say(world, status(PREARM))
-    assert check(world, "vehicle's own checks").ok is True
+    assert check(world, "vehicle's pre-arm checks").ok is True
 
 
 @pytest.mark.parametrize(("charge", "ok"), [(80, True), (31, True), (29, False), (-1, None)])
@@ -71,10 +71,10 @@ def test_a_battery_needs_charge(world, charge, ok):
 
 
 def test_a_vehicle_that_is_silent_is_not_heard(world):
-    assert check(world, "heard").ok is True
+    assert check(world, "heartbeat").ok is True
     world.down[0].cut = True
     world.run(4.0)
-    assert check(world, "heard").ok is False
+    assert check(world, "heartbeat").ok is False
 
 
 def test_the_mission_shown_has_to_be_the_one_in_the_vehicle(world):
@@ -89,13 +89,13 @@ def test_the_mission_shown_has_to_be_the_one_in_the_vehicle(world):
 def test_a_mission_that_takes_longer_than_the_battery_lasts(world):
     mission = parse_mission({"name": "m", "waypoint": [{"position_m": [10.0, 0.0, -1.0], "wait_s": 5.0}]})
     world.answer(world.seen[0].upload_mission(mission))
-    assert check(world, "time to fly").ok is None
+    assert check(world, "endurance").ok is None
     for left_s, ok in ((90, True), (35, False)):
         say(
             world,
             mavlink.MAVLink_battery_status_message(0, 0, 0, 0, [7400] + [65535] * 9, 0, 0, 0, 80, left_s),
         )
-        assert check(world, "time to fly").ok is ok
+        assert check(world, "endurance").ok is ok
 
 
 def limits_told(vehicle_limits):
@@ -166,7 +166,7 @@ def test_jumps_and_circles_take_their_time():
     jumped = with_last(177, 0.0, 2.0, 0.0, 0.0)
     legs = 3.0 / 0.6 + 1.5 + 2.0  # and turns
     assert once + 8 * legs < jumped.duration_s < once + 8 * (legs + 6.0)
-    assert with_last(177, 0.0, -1.0, 0.0, 0.0).assumptions == "0.6 m/s assumed, without its endless jump"
+    assert with_last(177, 0.0, -1.0, 0.0, 0.0).assumptions == "0.6 m/s assumed, endless jump omitted"
     circles = with_last(18, 2.0, 0.0, 1.0, 0.0).duration_s - with_last(16, 0.0, 0.0, 0.0, math.nan).duration_s
     assert circles == pytest.approx(2.0 * math.tau / 0.6, abs=1.0)
 
@@ -174,9 +174,9 @@ def test_jumps_and_circles_take_their_time():
 def test_disk_and_recorder_are_looked_at(world):
     around = world.seen[0].station_context
     around.is_recording, around.free_disk_bytes = False, 1e6
-    assert (check(world, "recording").ok, check(world, "disk").ok) == (False, False)
+    assert (check(world, "recording").ok, check(world, "free disk space").ok) == (False, False)
     around.is_recording, around.free_disk_bytes = True, 1e10
-    assert (check(world, "recording").ok, check(world, "disk").ok) == (True, True)
+    assert (check(world, "recording").ok, check(world, "free disk space").ok) == (True, True)
 
 
 def test_rows_say_what_a_mission_file_says():
@@ -223,40 +223,40 @@ WAY = (
     ("name", "given", "ok", "says"),
     [
         # One packet in ten may be lost, but some have to come.
-        ("link", {"link_loss": 0.1}, True, "10 % of packets lost, 50 messages/s"),
+        ("link", {"link_loss": 0.1}, True, "10 % packet loss, 50 messages/s"),
         ("link", {"link_loss": 0.12}, False, "12 %"),
         ("link", {"link_rate_Hz": 0.0}, False, "0 messages/s"),
-        ("link", {"link_loss": math.nan}, None, "not measured yet"),
-        ("heard", {"silent_s": math.inf}, False, "not heard yet"),
+        ("link", {"link_loss": math.nan}, None, "not yet measured"),
+        ("heartbeat", {"silent_s": math.inf}, False, "no message received"),
         ("battery", {"battery_charge": 0.3}, True, "30 %, 7.40 V"),
         ("battery", {"battery_charge": math.nan}, None, "7.40 V"),
-        ("level and still", {"estimate": {"attitude": np.radians([3.9, 2.9, 90.0])}}, True, "tilt 4.9 deg"),
-        ("level and still", {"estimate": {"attitude": np.radians([3.9, -3.9, 0.0])}}, False, "tilt 5.5 deg"),
-        ("level and still", {"estimate": {"velocity": np.array([0.05, 0.05, 0.05])}}, True, "0.09 m/s"),
-        ("level and still", {"estimate": {"velocity": np.array([0.0, 0.08, 0.08])}}, False, "0.11 m/s"),
-        ("level and still", {"flying": True}, None, "in flight"),
+        ("level and at rest", {"estimate": {"attitude": np.radians([3.9, 2.9, 90.0])}}, True, "tilt 4.9 deg"),
+        ("level and at rest", {"estimate": {"attitude": np.radians([3.9, -3.9, 0.0])}}, False, "tilt 5.5 deg"),
+        ("level and at rest", {"estimate": {"velocity": np.array([0.05, 0.05, 0.05])}}, True, "0.09 m/s"),
+        ("level and at rest", {"estimate": {"velocity": np.array([0.0, 0.08, 0.08])}}, False, "0.11 m/s"),
+        ("level and at rest", {"flying": True}, None, "in flight"),
         # Up 2 m, down 1 m, 10 m at 0.6 m/s, 5.5 s of waiting, down: 45 s, and a fifth of the battery is left.
         (
-            "time to fly",
+            "endurance",
             {"items": WAY, "battery_left_s": 57.5},
             True,
             "about 0:45 (0.6 m/s assumed), battery 0:58",
         ),
-        ("time to fly", {"items": WAY, "battery_left_s": 55.0}, False, "20% has to be left; charge it"),
-        ("time to fly", {"items": WAY}, None, "the battery's time is not told"),
-        ("time to fly", {}, None, "no mission"),
-        ("disk", {"around": StationContext(free_disk_bytes=200e6)}, True, "0.2 GB free"),
-        ("disk", {"around": StationContext(free_disk_bytes=199e6)}, False, "0.2 GB free"),
-        ("disk", {}, None, "not known"),
+        ("endurance", {"items": WAY, "battery_left_s": 55.0}, False, "20% reserve needed; charge the battery"),
+        ("endurance", {"items": WAY}, None, "battery time not reported"),
+        ("endurance", {}, None, "no mission"),
+        ("free disk space", {"around": StationContext(free_disk_bytes=200e6)}, True, "0.2 GB free"),
+        ("free disk space", {"around": StationContext(free_disk_bytes=199e6)}, False, "0.2 GB free"),
+        ("free disk space", {}, None, "unknown"),
         ("recording", {}, None, "no recorder"),
-        ("command", {"told": {"commander_id": None}}, None, "does not tell"),
-        ("command", {"told": {"commander_id": 0}}, True, "nobody commands it yet"),
-        ("command", {"told": {"commander_id": 300}, "commander": "station 1"}, False, "station 1 commands it"),
-        ("command", {"told": {"commander_id": 300}, "in_command": True}, True, "this station commands it"),
+        ("operator control", {"told": {"commander_id": None}}, None, "not reported"),
+        ("operator control", {"told": {"commander_id": 0}}, True, "no station has control"),
+        ("operator control", {"told": {"commander_id": 300}, "commander": "station 1"}, False, "station 1 has control"),
+        ("operator control", {"told": {"commander_id": 300}, "in_command": True}, True, "this station has control"),
         # Sensors present and enabled that are not healthy; those switched off do not count.
-        ("vehicle's own checks", {"told": {"health": (7, 5, 3)}}, False, "1 sensors are not healthy"),
-        ("vehicle's own checks", {"told": {"health": (7, 3, 3)}}, True, "sensors healthy"),
-        ("vehicle's own checks", {}, None, "not told"),
+        ("vehicle's pre-arm checks", {"told": {"health": (7, 5, 3)}}, False, "1 sensors unhealthy"),
+        ("vehicle's pre-arm checks", {"told": {"health": (7, 3, 3)}}, True, "sensors healthy"),
+        ("vehicle's pre-arm checks", {}, None, "not reported"),
     ],
 )
 def test_where_good_ends(name, given, ok, says):
@@ -287,7 +287,7 @@ def test_rows_give_a_place_and_a_heading_to_items_that_have_them():
     assert math.isnan(row(19, 4.0, 0.0, 0.0, 1.0).heading_rad)
     assert row(17, 0.0, 0.0, 0.0, 90.0).heading_rad == pytest.approx(math.pi / 2)
     assert row(16, 0.0, 0.0, 0.0, math.nan, frame=4).position == (-1.0, 2.0, 1.5)
-    assert row(178, 1.0, -1.0, -1.0, 0.0).text == "as it is"
+    assert row(178, 1.0, -1.0, -1.0, 0.0).text == "unchanged"
     assert row(178, 3.0, 1.5, -1.0, 0.0).text == "descent 1.5 m/s"
 
 
@@ -298,11 +298,11 @@ def test_of_a_vehicle_that_is_not_heard_no_check_stays_green(world):
     world.down[0].cut = True
     world.run(5.0)
     told = {c.name: (c.ok, c.text) for c in world.seen[0].checks}
-    assert [told["heard"][0], told["link"][0]] == [False, False]
-    ours = ("heard", "link", "recording", "disk")
+    assert [told["heartbeat"][0], told["link"][0]] == [False, False]
+    ours = ("heartbeat", "link", "recording", "free disk space")
     assert {ok for name, (ok, _) in told.items() if name not in ours} == {None}
-    assert told["battery"][1].startswith("not heard for ")
-    assert "it was: 80 %" in told["battery"][1]
+    assert told["battery"][1].startswith("no message for ")
+    assert "last value: 80 %" in told["battery"][1]
     world.down[0].cut = False
     world.run(1.0)
     assert check(world, "parameters").ok

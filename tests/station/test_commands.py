@@ -43,7 +43,7 @@ def test_a_command_is_repeated_counted_up_and_given_up():
     assert all(RETRY_PERIOD_S - 1e-6 < b - a < RETRY_PERIOD_S + 0.11 for (a, _), (b, _) in pairwise([(0.0, 0), *again]))
     assert (request.outcome, request.answer) == (
         RequestOutcome.TIMED_OUT,
-        "no answer in 10 s; is the link up?",
+        "no answer in 10 s; check the link",
     )
 
 
@@ -60,7 +60,7 @@ def test_what_is_in_progress_is_waited_for():
     commands.step(12.0 + PROGRESS_TIMEOUT_S + 0.1)
     assert (request.outcome, request.answer) == (
         RequestOutcome.TIMED_OUT,
-        "begun, but it was never said to be done",
+        "started, but completion not reported",
     )
 
 
@@ -71,7 +71,7 @@ def test_a_refusal_waits_a_moment_for_its_reason():
     assert not request.is_done
     commands.handle(10.6, ack(mavlink.MAV_RESULT_ACCEPTED))  # a refusal stands
     commands.step(10.5 + REASON_WAIT_S + 0.01)
-    assert (request.outcome, request.answer) == (RequestOutcome.REFUSED, "refused")
+    assert (request.outcome, request.answer) == (RequestOutcome.REFUSED, "denied")
     commands, texts, request = asked()
     commands.handle(10.5, ack(mavlink.MAV_RESULT_DENIED))
     texts.handle(10.6, 0.0, mavlink.MAVLink_statustext_message(4, b"not now"))
@@ -100,7 +100,7 @@ def test_command_is_taken_when_the_vehicle_answers_us_and_what_we_asked():
     answer(250, 1, 3)
     assert (request.outcome, request.answer) == (
         RequestOutcome.REFUSED,
-        "another station commands it; it has to hand over",
+        "another station has control and must release it",
     )
 
 
@@ -121,7 +121,7 @@ def test_every_autopilot_is_asked_in_its_own_way():
         assert order.params[0] == -1.0  # at its own speed
         assert math.isnan(order.params[3])  # the nose as it likes
     assert px4.params[1] == 1.0  # whatever mode it is in
-    assert "told no origin" in autopilots.go_to_command("PX4", (0, 0, -1), 0.0, None)
+    assert "not reported its origin" in autopilots.go_to_command("PX4", (0, 0, -1), 0.0, None)
     interval = autopilots.message_interval_command
     assert [interval(30, rate).params[:2] for rate in (50.0, 0.0)] == [(30, 20_000.0), (30, -1.0)]
     assert (

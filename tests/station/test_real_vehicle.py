@@ -88,7 +88,7 @@ class Scene:
 
 def by_sticks(scene, vehicle):
     """A pilot's sticks: followed while they are held, let go with a word, or without one when they fall silent."""
-    assert scene.answer(vehicle.fly_manually()) == ("refused", "no sticks; hold them first")
+    assert scene.answer(vehicle.fly_manually()) == ("refused", "no stick input")
 
     def holding(*at, until):
         return lambda: vehicle.sticks.set_deflection(*at) and until(vehicle.snapshot)
@@ -117,7 +117,7 @@ def by_sticks(scene, vehicle):
 
     take_up()
     assert 0.3 < scene.run(1.5, lambda: vehicle.snapshot.state == "hover") < 1.0  # sooner than its own time-out
-    assert "the sticks are not held any more" in vehicle.messages[-2].text + vehicle.messages[-1].text
+    assert "stick input lost" in vehicle.messages[-2].text + vehicle.messages[-1].text
     scene.run(1.0)
     assert vehicle.snapshot.state == "hover"
 

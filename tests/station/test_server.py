@@ -126,7 +126,7 @@ def test_a_fault_is_told_once_and_ever_new_ones_not_for_ever():
         with station._contain_faults():
             raise RuntimeError(text)
     assert [text for _, text in station.notices if "broken" in text] == [
-        "the station met a fault and goes on (RuntimeError: broken)"
+        "internal error, the station continues (RuntimeError: broken)"
     ]
     assert len(station.notices) == 100
 

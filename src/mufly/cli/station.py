@@ -545,8 +545,8 @@ def _format_loop_report(r: LoopReport) -> str:
 
     s = r.state
     who = f"commanded by {r.commander}" if r.commander else "no commands"
-    slipped = f", {r.slip_count} slips, {r.lost_time_s:.1f} s lost" if r.slip_count else ""
-    slow = f"  {r.real_time_factor:.2f} OF REAL TIME" if r.real_time_factor < SLOW_REAL_TIME_FACTOR else ""
+    slipped = f", {r.slip_count} timing overruns, {r.lost_time_s:.1f} s dropped" if r.slip_count else ""
+    slow = f"  REAL-TIME FACTOR {r.real_time_factor:.2f}" if r.real_time_factor < SLOW_REAL_TIME_FACTOR else ""
     return (
         f"{s.time_s:7.1f} s  {s.state:<9}  {'armed' if s.armed else 'disarmed'}  {-s.estimate.position[2]:5.2f} m  "
         f"{s.estimate.battery_voltage:.2f} V  {who}  in {r.received_rate_Hz:.0f}/s, out {r.sent_rate_Hz:.0f}/s  "

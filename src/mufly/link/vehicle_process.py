@@ -173,13 +173,13 @@ class RealTimePacer:
         return self._ticks * self.period_s / (spent_s + self.period_s) if self._ticks else math.nan
 
     def take_notice(self, now_s: float) -> str:
-        """What there is to be said of it: that time is being lost, or (after a whole window) no longer; else ""."""
+        """Return a message when the loop falls behind real time, or is back in it for a whole window; else ""."""
         if self.real_time_factor < SLOW_REAL_TIME_FACTOR:
             self._whole_s = now_s
             if not self._slow:
                 self._slow = True
                 return (
-                    f"slower than real time: {self.real_time_factor:.2f} of it over the last "
+                    f"slower than real time: factor {self.real_time_factor:.2f} over the last "
                     f"{PACE_WINDOW_S:g} s{self.loss_text}"
                 )
         elif self._slow and now_s - self._whole_s > PACE_WINDOW_S:
@@ -189,9 +189,9 @@ class RealTimePacer:
 
     @property
     def loss_text(self) -> str:
-        """What was given up, in words that go on a sentence; "" if nothing was."""
-        slips = f"{self.slip_count} slip{'s' if self.slip_count > 1 else ''}"
-        return f"; {slips}, {self.lost_time_s:.1f} s given up since the start" if self.slip_count else ""
+        """Return the count of overruns and the dropped time as the end of a sentence; "" without overruns."""
+        overruns = f"{self.slip_count} timing overrun{'s' if self.slip_count > 1 else ''}"
+        return f"; {overruns}, {self.lost_time_s:.1f} s dropped since the start" if self.slip_count else ""
 
     @property
     def recording_attributes(self) -> dict[str, Any]:

@@ -106,7 +106,7 @@ def fence_fault(fence: Fence | None, places: ArrayLike, keep_m: float = 0.0) -> 
     if worst[k] >= keep_m:
         return ""
     if worst[k] >= 0.0:
-        return f"{abs(worst[k]):.2f} m from {names[k]}, where {keep_m:g} m are kept"
+        return f"{abs(worst[k]):.2f} m from {names[k]}, less than the required {keep_m:g} m"
     far = f"{-worst[k]:.0f} m" if worst[k] < -10.0 else f"{max(-worst[k], 0.01):.2f} m"
     side = "inside" if names[k].startswith("a keep") else "above" if names[k].endswith("ceiling") else "outside"
     return f"{far} {side} {names[k]}"
@@ -130,7 +130,7 @@ def fence_path_fault(fence: Fence | None, here: ArrayLike, place: ArrayLike) -> 
     count = max(2, math.ceil(float(np.linalg.norm(b - corner)) / 0.1) + 1)
     level = corner + np.linspace(0.0, 1.0, count)[:, None] * (b - corner)
     fault = fence_fault(fence, level)
-    return f"the way there leads {fault}" if fault else ""
+    return f"the path leads {fault}" if fault else ""
 
 
 def check_fence(mission: Mission, where: str) -> None:

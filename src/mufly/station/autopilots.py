@@ -122,7 +122,7 @@ def select_commands(
     """
     if firmware == "ArduPilot":
         what = f"ArduPilot's {family}" if family else "an ArduPilot vehicle of this type"
-        return table.get(f"ArduPilot {family}", f"{what} has no flight mode for this; fly it by its own transmitter")
+        return table.get(f"ArduPilot {family}", f"{what} has no flight mode for this; use its own transmitter")
     return table.get(firmware, table[""])
 
 
@@ -160,7 +160,7 @@ def go_to_command(
             mavlink.MAV_CMD_DO_REPOSITION, (-1.0, 0.0, 0.0, heading_rad, *position_m), frame=mavlink.MAV_FRAME_LOCAL_NED
         )
     if origin is None:
-        return "this autopilot flies to places on the globe only, and has told no origin"
+        return "this autopilot accepts global positions only and has not reported its origin"
     # Flag 1: the vehicle changes to the mode that it needs.
     return Command(
         mavlink.MAV_CMD_DO_REPOSITION,

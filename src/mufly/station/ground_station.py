@@ -207,7 +207,7 @@ class GroundLink:
             if since_s + LOST_TIMEOUT_S < now_s < math.inf and (peer, system) not in self._heard:
                 self._equipment[peer, system] = (math.inf, what)
                 if self._on_notice is not None:
-                    self._on_notice(f"system {system}: only its {what} is heard, no autopilot of a vehicle")
+                    self._on_notice(f"system {system}: only {what} received, no autopilot")
 
     def _update_link_quality(self, now_s: float, heard: _HeardVehicle) -> None:
         """Pass the link quality over the last second to a vehicle."""
@@ -222,7 +222,7 @@ class GroundLink:
         heard.last_counts = (now_s, counts.received_count, counts.lost_count, heard.message_count)
 
     def _report_fault(self, heard: _HeardVehicle, where: str, error: Exception) -> None:
-        text = f"{heard.vehicle.name}: {where} could not be handled ({type(error).__name__}: {error})"
+        text = f"{heard.vehicle.name}: {where} not processed ({type(error).__name__}: {error})"
         if where not in heard.reported_faults:  # one report per kind: a fault at 100 Hz would fill the log
             heard.reported_faults.add(where)
             heard.vehicle.add_note("error", text)
@@ -270,8 +270,8 @@ def _describe_unread_bytes(port: Port, link: GroundLink) -> str:
     """Return a warning if bytes arrive that hold no message; "" otherwise."""
     if link.unread_bytes < _MIN_UNREAD_BYTES:
         return ""
-    words = f"{port.endpoint}: {link.unread_bytes} bytes came, and no MAVLink message among them"
-    return words + (f"; is {port.endpoint.port} its baud rate?" if port.endpoint.kind == "serial" else "")
+    words = f"{port.endpoint}: {link.unread_bytes} bytes received, no MAVLink message among them"
+    return words + (f"; check the baud rate ({port.endpoint.port})" if port.endpoint.kind == "serial" else "")
 
 
 def _station_ids_from_process(process: int) -> tuple[int, int]:
@@ -434,7 +434,7 @@ class GroundStation:
         try:
             yield
         except Exception as error:
-            text = f"the station met a fault and goes on ({type(error).__name__}: {error})"
+            text = f"internal error, the station continues ({type(error).__name__}: {error})"
             if text not in self._faults and len(self._faults) < _MAX_FAULTS:
                 self._faults.add(text)
                 _LOG.error(text, exc_info=error)

@@ -241,7 +241,7 @@ def _approximate_mission(
     left_out: list[str] = []
     take_off, speed, end = base.take_off, None, "hover"
     flown, endless = _follow_jumps(items)
-    left_out += ["without its endless jump"] if endless else []
+    left_out += ["endless jump omitted"] if endless else []
     for item, row in zip(flown, rows_from_items(flown, origin), strict=True):
         n, e, d = row.position
         placed = all(map(math.isfinite, row.position))

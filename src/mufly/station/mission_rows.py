@@ -24,7 +24,7 @@ from mufly.mission.mission_items import (
 from mufly.mission.mission_items import MissionCommand as Cmd
 from mufly.station.signal_history import MissionRow
 
-MISSION_SPEED_TEXT = "the mission's own"
+MISSION_SPEED_TEXT = "default"
 """Text of a row that ends an earlier speed setting (-2 in MAVLink)."""
 _ACTION_BY_COMMAND: dict[int, str] = {
     Cmd.NAV_TAKEOFF: "take off",
@@ -32,12 +32,12 @@ _ACTION_BY_COMMAND: dict[int, str] = {
     Cmd.DO_CHANGE_SPEED: "speed",
     Cmd.NAV_LAND: "land",
     Cmd.NAV_RETURN_TO_LAUNCH: "return",
-    Cmd.CONDITION_YAW: "turn",
+    Cmd.CONDITION_YAW: "heading",
 }
 _OTHER_ACTIONS: dict[int, str] = {
-    Cmd.NAV_LOITER_UNLIM: "stay",
-    Cmd.NAV_LOITER_TURNS: "circles",
-    Cmd.NAV_LOITER_TIME: "stay for",
+    Cmd.NAV_LOITER_UNLIM: "loiter",
+    Cmd.NAV_LOITER_TURNS: "loiter (turns)",
+    Cmd.NAV_LOITER_TIME: "loiter (time)",
     Cmd.NAV_SPLINE_WAYPOINT: "spline waypoint",
     Cmd.NAV_DELAY: "wait",
     Cmd.CONDITION_DELAY: "wait",
@@ -74,7 +74,7 @@ def _make_row(item: MissionItem, origin: GlobalOrigin | None, reached: bool) -> 
     position, text = _NO_POSITION, ""
     if command == Cmd.DO_CHANGE_SPEED:
         speed = item.params[1]
-        words = {-2.0: MISSION_SPEED_TEXT, -1.0: "as it is"}.get(speed, f"{speed:g} m/s")
+        words = {-2.0: MISSION_SPEED_TEXT, -1.0: "unchanged"}.get(speed, f"{speed:g} m/s")
         of = {2.0: "climb ", 3.0: "descent "}.get(item.params[0], "")
         return MissionRow(action, reached=reached, text=of + words)
     if command == Cmd.CONDITION_YAW:

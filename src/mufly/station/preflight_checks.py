@@ -29,8 +29,8 @@ MAX_STILL_SPEED_M_S = 0.1
 BATTERY_RESERVE = 0.2
 """Share of the battery that must remain after a mission."""
 MIN_DISK_BYTES = 200e6
-OWN_CHECKS_NAME = "vehicle's own checks"
-_STATION_CHECK_NAMES = ("heard", "link", "recording", "disk")
+OWN_CHECKS_NAME = "vehicle's pre-arm checks"
+_STATION_CHECK_NAMES = ("heartbeat", "link", "recording", "free disk space")
 _PREARM_CHECK_BIT = 268435456  # MAV_SYS_STATUS_PREARM_CHECK
 
 _CheckResult = tuple[bool | None, str]
@@ -68,24 +68,24 @@ def run_preflight_checks(
 ) -> list[PreflightCheck]:
     """Return the preflight checks of a vehicle."""
     judged: dict[str, _CheckResult] = {
-        "heard": _check_heard(s),
+        "heartbeat": _check_heard(s),
         "link": _check_link(s),
-        "command": _check_commander(s, told.commander_id),
+        "operator control": _check_commander(s, told.commander_id),
         OWN_CHECKS_NAME: _check_health(told.health, texts),
         "battery": _check_battery(s),
-        "level and still": _check_level(s),
+        "level and at rest": _check_level(s),
         "position": _check_position(s),
         **({} if told.estimator_status is None else {"estimator": _check_estimator(told.estimator_status)}),
         "mission": _check_mission(mission.items, around.shown_items),
-        "time to fly": _check_endurance(s, told, mission.items or (), parameters, around.base_mission),
+        "endurance": _check_endurance(s, told, mission.items or (), parameters, around.base_mission),
         "parameters": _check_parameters(parameters),
         "recording": _check_recording(around.is_recording),
-        "disk": _check_disk(around.free_disk_bytes),
+        "free disk space": _check_disk(around.free_disk_bytes),
     }
     if not s.connected and math.isfinite(s.silent_s):
         # The last values may be outdated.
         judged |= {
-            name: (None, f"not heard for {s.silent_s:.0f} s; it was: {text}")
+            name: (None, f"no message for {s.silent_s:.0f} s; last value: {text}")
             for name, (_, text) in judged.items()
             if name not in _STATION_CHECK_NAMES
         }
@@ -93,33 +93,37 @@ def run_preflight_checks(
 
 
 def _check_heard(s: VehicleSnapshot) -> _CheckResult:
-    return (False, "not heard yet") if math.isinf(s.silent_s) else (s.connected, f"last heard {s.silent_s:.1f} s ago")
+    return (
+        (False, "no message received")
+        if math.isinf(s.silent_s)
+        else (s.connected, f"last message {s.silent_s:.1f} s ago")
+    )
 
 
 def _check_link(s: VehicleSnapshot) -> _CheckResult:
     if math.isnan(s.link_loss):
-        return None, "not measured yet"
-    text = f"{100 * s.link_loss:.0f} % of packets lost, {s.link_rate_Hz:.0f} messages/s"
+        return None, "not yet measured"
+    text = f"{100 * s.link_loss:.0f} % packet loss, {s.link_rate_Hz:.0f} messages/s"
     return s.link_loss <= MAX_LINK_LOSS and s.link_rate_Hz > 0, text
 
 
 def _check_commander(s: VehicleSnapshot, number: int | None) -> _CheckResult:
     if number is None:
-        return None, "the vehicle does not tell who commands it"
+        return None, "not reported by the vehicle"
     if s.in_command:
-        return True, "this station commands it"
-    return not number, f"{s.commander} commands it" if number else "nobody commands it yet"
+        return True, "this station has control"
+    return not number, f"{s.commander} has control" if number else "no station has control"
 
 
 def _check_health(health: tuple[int, int, int] | None, texts: StatusTextLog) -> _CheckResult:
     if health is None:
-        return None, "not told"
+        return None, "not reported"
     present, enabled, good = health
     if present & _PREARM_CHECK_BIT:
-        last = next((m.text for m in reversed(texts.messages) if m.level != "info"), "see its messages")
-        return (True, "ready to be armed") if good & _PREARM_CHECK_BIT else (False, f"not ready: {last}")
+        last = next((m.text for m in reversed(texts.messages) if m.level != "info"), "see the messages")
+        return (True, "ready to arm") if good & _PREARM_CHECK_BIT else (False, f"not ready: {last}")
     bad = (present & enabled & ~good).bit_count()
-    return not bad, f"{bad} sensors are not healthy" if bad else "sensors healthy"
+    return not bad, f"{bad} sensors unhealthy" if bad else "sensors healthy"
 
 
 def _check_estimator(told: EstimatorStatus) -> _CheckResult:
@@ -129,17 +133,17 @@ def _check_estimator(told: EstimatorStatus) -> _CheckResult:
         return None, "no " + ", ".join(told.missing_estimates)
     good = ", ".join(
         f"{1e2 * m:.0f} cm {way}"
-        for m, way in ((told.horizontal_accuracy_m, "level"), (told.vertical_accuracy_m, "up"))
+        for m, way in ((told.horizontal_accuracy_m, "horizontal"), (told.vertical_accuracy_m, "vertical"))
         if m > 0.0
     )
-    return True, "all is known" + (f", position to {good} (one sigma)" if good else "")
+    return True, "all states estimated" + (f", position within {good} (1σ)" if good else "")
 
 
 def _check_battery(s: VehicleSnapshot) -> _CheckResult:
     volts = s.estimate.battery_voltage
     voltage = "" if math.isnan(volts) else f"{volts:.2f} V"
     if math.isnan(s.battery_charge):
-        return None, voltage or "not told"
+        return None, voltage or "not reported"
     text = f"{100 * s.battery_charge:.0f} %" + (f", {voltage}" if voltage else "")
     return s.battery_charge >= MIN_BATTERY_CHARGE, text
 
@@ -150,7 +154,7 @@ def _check_level(s: VehicleSnapshot) -> _CheckResult:
     e = s.estimate
     tilt, speed = math.hypot(*e.attitude[:2].tolist()), float((e.velocity**2).sum() ** 0.5)
     if math.isnan(tilt):
-        return None, "attitude is not told"
+        return None, "attitude not reported"
     moving = "" if math.isnan(speed) else f", {speed:.2f} m/s"
     return (
         tilt <= MAX_TILT_RAD and not speed > MAX_STILL_SPEED_M_S,
@@ -160,16 +164,16 @@ def _check_level(s: VehicleSnapshot) -> _CheckResult:
 
 def _check_position(s: VehicleSnapshot) -> _CheckResult:
     if np.isnan(s.estimate.position).any():
-        return False, "not known"
+        return False, "no position estimate"
     n, e, d = s.estimate.position.tolist()
     return True, f"N {n:.2f}, E {e:.2f}, height {-d:.2f} m"
 
 
 def _check_mission(held: tuple[MissionItem, ...] | None, shown: tuple[MissionItem, ...] | None) -> _CheckResult:
     if held is None:
-        return None, "what the vehicle holds is not known"
+        return None, "not yet downloaded"
     if shown is not None and not is_same_mission(held, shown):
-        return False, "the vehicle holds another mission than the one shown; send it"
+        return False, "the vehicle's mission differs from the displayed one; upload it"
     return True, f"{len(held)} items in the vehicle" if held else "none"
 
 
@@ -186,27 +190,27 @@ def _check_endurance(
         return None, "no mission"
     words = f"mission about {format_clock(plan.duration_s)}" + (f" ({plan.assumptions})" if plan.assumptions else "")
     if math.isnan(s.battery_left_s):
-        return None, f"{words}; the battery's time is not told"
+        return None, f"{words}; battery time not reported"
     words += f", battery {format_clock(s.battery_left_s)}"
     if plan.duration_s <= (1.0 - BATTERY_RESERVE) * s.battery_left_s:
         return True, words
-    return False, f"{words}: {BATTERY_RESERVE:.0%} has to be left; charge it, or fly a shorter mission"
+    return False, f"{words}: {BATTERY_RESERVE:.0%} reserve needed; charge the battery or shorten the mission"
 
 
 def _check_parameters(parameters: RemoteParameters) -> _CheckResult:
     missing, known = parameters.missing_count, len(parameters.parameter_table)
     if not known:
-        return None, "not read yet"
-    return (None, f"{missing} of {missing + known} not read yet") if missing else (True, f"{known} read")
+        return None, "not yet downloaded"
+    return (None, f"{missing} of {missing + known} missing") if missing else (True, f"{known} downloaded")
 
 
 def _check_recording(on: bool | None) -> _CheckResult:
     if on is None:
-        return None, "there is no recorder"
-    return on, "on" if on else "off; nothing of this flight is kept"
+        return None, "no recorder"
+    return on, "on" if on else "off; this flight is not recorded"
 
 
 def _check_disk(free_bytes: float) -> _CheckResult:
     if math.isnan(free_bytes):
-        return None, "free room is not known"
+        return None, "unknown"
     return free_bytes >= MIN_DISK_BYTES, f"{free_bytes / 1e9:.1f} GB free"

@@ -198,7 +198,7 @@ def find_shared_signals(c: RecordingComparison, chosen: Sequence[str] = ()) -> d
                 held = ", ".join(sorted({n.rpartition("_")[0] for n in c.first_recording.columns})[:12])
                 raise ArgumentError("signal", wanted, "is not in both recordings", f"the first has {held}")
     if not out:
-        raise ArgumentError("signal", "", "the recordings have nothing in common", "name a signal of both")
+        raise ArgumentError("signal", "", "the recordings share no signal", "name a signal of both recordings")
     return out
 
 

@@ -29,19 +29,19 @@ MAX_MESSAGES = 500
 _QUERY_COMMANDS = (511, 512)  # SET_MESSAGE_INTERVAL, REQUEST_MESSAGE
 _INJECT_FAILURE_COMMAND = 420
 _RESULT_TEXTS = {
-    1: "not possible now",
-    2: "refused",
-    3: "the vehicle does not know this command",
+    1: "temporarily rejected",
+    2: "denied",
+    3: "command not supported by the vehicle",
     4: "failed",
     6: "cancelled",
-    7: "only as a COMMAND_LONG",
-    8: "only as a COMMAND_INT",
-    9: "not in this frame of reference",
+    7: "accepted as COMMAND_LONG only",
+    8: "accepted as COMMAND_INT only",
+    9: "coordinate frame not supported",
 }
 _CONTROL_RESULT_TEXTS = {
-    1: "the vehicle wants a key",
-    2: "the vehicle knows no keys",
-    3: "another station commands it; it has to hand over",
+    1: "passkey required",
+    2: "passkeys not supported",
+    3: "another station has control and must release it",
 }
 _LEVEL_BY_SEVERITY = ("error", "error", "error", "error", "warning", "info", "info", "info")  # MAV_SEVERITY
 
@@ -104,7 +104,7 @@ class RepeatedRequest:
             return False
         if self.send_count >= MAX_TRIES:
             self.request.set_outcome(
-                RequestOutcome.TIMED_OUT, f"no answer in {now_s - self.first_sent_s:.0f} s; is the link up?"
+                RequestOutcome.TIMED_OUT, f"no answer in {now_s - self.first_sent_s:.0f} s; check the link"
             )
             return False
         if not self.send_count:
@@ -153,11 +153,11 @@ class RemoteCommands:
         request = OperatorRequest(text)
         entry = _OpenCommand(request, command=command)
         if command.is_emergency_stop:
-            self.give_up_actions(f"given up for: {text}")
+            self.give_up_actions(f"superseded by: {text}")
             self._open[command.command_id] = entry
         else:
             if len(self._waiting) == self._waiting.maxlen:
-                self._waiting[0].request.set_outcome(RequestOutcome.TIMED_OUT, "too many requests are waiting")
+                self._waiting[0].request.set_outcome(RequestOutcome.TIMED_OUT, "too many waiting requests")
             self._waiting.append(entry)
         return request
 
@@ -197,7 +197,7 @@ class RemoteCommands:
                     entry.request.set_outcome(RequestOutcome.REFUSED, reason or entry.refusal_text)
             elif entry.answer_deadline_s < math.inf:
                 if now_s >= entry.answer_deadline_s:
-                    entry.request.set_outcome(RequestOutcome.TIMED_OUT, "begun, but it was never said to be done")
+                    entry.request.set_outcome(RequestOutcome.TIMED_OUT, "started, but completion not reported")
             elif entry.should_send(now_s):
                 out.append(entry.command.to_message(*self.target, min(entry.send_count - 1, 255)))
             if entry.request.is_done:
@@ -289,11 +289,11 @@ class OperatorControl:
 
     def take_command(self) -> OperatorRequest:
         """Request operator control."""
-        return self._start_request(OperatorRequest("take command"), 0)
+        return self._start_request(OperatorRequest("take operator control"), 0)
 
     def release_command(self) -> OperatorRequest:
         """Release operator control."""
-        return self._start_request(OperatorRequest("hand over command"), 1)
+        return self._start_request(OperatorRequest("release operator control"), 1)
 
     def give_up(self, answer: str) -> None:
         """End the open request."""
@@ -322,13 +322,13 @@ class OperatorControl:
             return [mavlink.MAVLink_change_operator_control_message(self._system, self._wish, 0, b"")]
         if self._open.request.is_done:
             if commander is None:
-                words = "this vehicle does not tell who commands it; it may obey every station"
+                words = "the vehicle does not report which station has control; it may accept all stations"
                 self._open.request.answer = words
             self._open = None
         return []
 
     def _start_request(self, request: OperatorRequest, wish: int) -> OperatorRequest:
         if self._open is not None:
-            self._open.request.set_outcome(RequestOutcome.REFUSED, f"given up for: {request.text}")
+            self._open.request.set_outcome(RequestOutcome.REFUSED, f"superseded by: {request.text}")
         self._open, self._wish = RepeatedRequest(request), wish
         return request

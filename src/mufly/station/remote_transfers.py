@@ -38,15 +38,15 @@ from mufly.station.signal_history import OperatorRequest, RequestOutcome
 
 _PEER_NAME = "vehicle"
 _RESULT_TEXTS: dict[int, str] = {
-    MissionResult.ERROR: "the vehicle cannot take a mission now",
-    MissionResult.UNSUPPORTED_FRAME: "the vehicle does not fly in this frame of reference",
-    MissionResult.UNSUPPORTED: "the vehicle does not know one of the commands",
+    MissionResult.ERROR: "the vehicle cannot accept a mission now",
+    MissionResult.UNSUPPORTED_FRAME: "coordinate frame not supported by the vehicle",
+    MissionResult.UNSUPPORTED: "a command is not supported by the vehicle",
     MissionResult.NO_SPACE: "too many items",
-    MissionResult.INVALID: "one of the items is not valid",
-    MissionResult.INVALID_SEQUENCE: "items came out of order",
-    MissionResult.DENIED: "the vehicle does not take missions from this station now",
-    MissionResult.OPERATION_CANCELLED: "stopped by the vehicle",
-} | {MissionResult.INVALID_PARAM1 + k: f"parameter {k + 1} of an item is not valid" for k in range(7)}
+    MissionResult.INVALID: "an item is invalid",
+    MissionResult.INVALID_SEQUENCE: "items received out of order",
+    MissionResult.DENIED: "denied: the vehicle accepts no mission from this station now",
+    MissionResult.OPERATION_CANCELLED: "cancelled by the vehicle",
+} | {MissionResult.INVALID_PARAM1 + k: f"parameter {k + 1} of an item is invalid" for k in range(7)}
 
 
 @dataclass(slots=True, kw_only=True)
@@ -89,12 +89,12 @@ class RemoteMission:
     def upload_items(self, items: Sequence[MissionItem]) -> OperatorRequest:
         """Upload items; the request is accepted once the vehicle has all items."""
         return self._queue_job(
-            _TransferJob(OperatorRequest(f"send a {self._called} of {len(items)} items"), items=tuple(items))
+            _TransferJob(OperatorRequest(f"upload a {self._called} of {len(items)} items"), items=tuple(items))
         )
 
     def download_items(self) -> OperatorRequest:
         """Download the vehicle's items; they become the request's ``result``."""
-        return self._queue_job(_TransferJob(OperatorRequest(f"fetch the {self._called}")))
+        return self._queue_job(_TransferJob(OperatorRequest(f"download the {self._called}")))
 
     def clear_items(self) -> OperatorRequest:
         """Clear the vehicle's mission."""
@@ -192,7 +192,7 @@ class RemoteMission:
             return
         self._messy_s = now_s
         if machine.timed_out:
-            job.request.set_outcome(RequestOutcome.TIMED_OUT, f"nothing was heard of it for {TRANSFER_TIMEOUT_S:.0f} s")
+            job.request.set_outcome(RequestOutcome.TIMED_OUT, f"no message for {TRANSFER_TIMEOUT_S:.0f} s")
         else:
             self._refuse_job(job, int(machine.result))
 
@@ -229,10 +229,10 @@ def refusal_reason(known: TunableParameter | None, name: str, value: float) -> s
     if known is None:
         return f"the vehicle has no parameter {name}"
     if not math.isfinite(value):
-        return "that is no number"
+        return "not a number"
     if not known.minimum <= value <= known.maximum:
-        return f"from {known.minimum:g} to {known.maximum:g} {known.unit}".rstrip()
-    return "a whole number is needed" if known.is_integer and value != round(value) else ""
+        return f"outside {known.minimum:g} to {known.maximum:g} {known.unit}".rstrip()
+    return "integer required" if known.is_integer and value != round(value) else ""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -297,7 +297,7 @@ class RemoteParameters:
     def request_all(self) -> OperatorRequest:
         """Request all parameters again."""
         if self._list is None or self._list.is_done:
-            self._list = OperatorRequest("read all parameters")
+            self._list = OperatorRequest("download all parameters")
             self._indices, self._count = {}, None
             self._asked_s, self._tries = -math.inf, 0
         return self._list
@@ -315,7 +315,7 @@ class RemoteParameters:
             request.set_outcome(RequestOutcome.REFUSED, why)
             return request
         if name in self._sets:
-            self._sets[name].request.set_outcome(RequestOutcome.REFUSED, "given up for another value")
+            self._sets[name].request.set_outcome(RequestOutcome.REFUSED, "superseded by another value")
         self._sets[name] = _ParameterWrite(request, value=value)
         return request
 
@@ -369,7 +369,7 @@ class RemoteParameters:
         if now_s - max(self._asked_s, self._came_s) < RETRY_PERIOD_S:
             return []
         if self._tries >= MAX_LIST_TRIES:
-            words = f"{self.missing_count or 'all'} parameters are missing; read them again"
+            words = f"{self.missing_count or 'all'} parameters are missing; press Refresh"
             self._list.set_outcome(RequestOutcome.TIMED_OUT, words)
             return []
         self._asked_s = now_s

@@ -242,7 +242,7 @@ class RemoteVehicle:
         """Arm if needed, take off to a height above the ground position (m), and hover."""
         text = f"take off to {height_m:g} m"
         if not (math.isfinite(height_m) and height_m > 0.0):
-            return _refused_request(text, "a height above the floor is needed")
+            return _refused_request(text, "a height above the floor is required")
         links: list[_ChainLink] = []
         if self.firmware == "PX4":
             links.append(lambda: self._parameters.set_parameter("MIS_TAKEOFF_ALT", height_m))
@@ -256,8 +256,8 @@ class RemoteVehicle:
     def start_mission(self) -> OperatorRequest:
         """Start or resume the mission; arm if needed."""
         if self.transfers.items is not None and not self.transfers.items:
-            return _refused_request("fly the mission", "the vehicle holds no mission; send one first")
-        text, commands = "fly the mission", self._select_commands(autopilots.START_MISSION_COMMANDS)
+            return _refused_request("start the mission", "no mission in the vehicle; upload one first")
+        text, commands = "start the mission", self._select_commands(autopilots.START_MISSION_COMMANDS)
         if isinstance(commands, str):
             return _refused_request(text, commands)
         start = self._make_links("start", commands)
@@ -265,14 +265,14 @@ class RemoteVehicle:
 
     def pause(self) -> OperatorRequest:
         """Stop and hover."""
-        return self._request_from_table("hover here", autopilots.PAUSE_COMMANDS)
+        return self._request_from_table("hover", autopilots.PAUSE_COMMANDS)
 
     def go_to(self, position: Sequence[float], heading_rad: float | None = None) -> OperatorRequest:
         """Fly to a position (N, E, D; m) and hold."""
         n, e, d = (float(v) for v in position)
-        text = f"fly to N {n:.2f}, E {e:.2f}, height {-d:.2f} m"
+        text = f"go to N {n:.2f}, E {e:.2f}, height {-d:.2f} m"
         if not all(map(math.isfinite, (n, e, d))):
-            return _refused_request(text, "N, E and a height are needed")
+            return _refused_request(text, "N, E and a height are required")
         heading = math.nan if heading_rad is None else heading_rad
         command = autopilots.go_to_command(self.firmware, (n, e, d), heading, self.telemetry.origin)
         if isinstance(command, str):
@@ -289,7 +289,7 @@ class RemoteVehicle:
 
     def emergency_stop(self) -> OperatorRequest:
         """Stop the motors at once, in flight too; cancel all open requests."""
-        self._give_up_moves("given up for: EMERGENCY STOP")
+        self._give_up_moves("superseded by: EMERGENCY STOP")
         self.sticks.release_sticks()
         self._by_hand = False
         return self._request_command("EMERGENCY STOP", autopilots.EMERGENCY_STOP_COMMAND)
@@ -297,9 +297,9 @@ class RemoteVehicle:
     def fly_manually(self) -> OperatorRequest:
         """Start manual flight with the held sticks, until :meth:`release_sticks` or another command."""
         if not self.sticks.is_held:
-            return _refused_request("fly by hand", "no sticks; hold them first")
+            return _refused_request("manual flight", "no stick input")
         self._by_hand = True
-        return self._request_from_table("fly by hand", autopilots.MANUAL_CONTROL_COMMANDS)
+        return self._request_from_table("manual flight", autopilots.MANUAL_CONTROL_COMMANDS)
 
     def release_sticks(self) -> OperatorRequest | None:
         """Release the sticks and hover in place; return None if they did not fly the vehicle."""
@@ -307,11 +307,11 @@ class RemoteVehicle:
         if not self._by_hand:
             return None
         self._by_hand = False
-        return self._request_from_table("let go of the sticks", autopilots.RELEASE_STICKS_COMMANDS)
+        return self._request_from_table("end manual flight", autopilots.RELEASE_STICKS_COMMANDS)
 
     def reboot(self) -> OperatorRequest:
         """Restart the autopilot; a simulation restarts too."""
-        return self._request_command("start anew", autopilots.REBOOT_COMMAND)
+        return self._request_command("reboot", autopilots.REBOOT_COMMAND)
 
     def inject_failure(
         self, unit: int, kind: int, text: str, amount: float = math.nan, duration_s: float = math.nan
@@ -337,7 +337,7 @@ class RemoteVehicle:
                 mission = load_mission(mission)
             items = mission_to_items(mission).items
         except InputError as error:
-            return _refused_request("send a mission", str(error))
+            return _refused_request("upload a mission", str(error))
         self._reached = -1
         return self.transfers.upload_items(items)
 
@@ -419,7 +419,7 @@ class RemoteVehicle:
         waiting = self._moving
         if waiting is not None and not waiting.is_done and waiting.text == text:
             return waiting
-        self._give_up_moves(f"given up for: {text}", moves_only=True)
+        self._give_up_moves(f"superseded by: {text}", moves_only=True)
         self._moving = make()
         return self._moving
 
@@ -489,7 +489,7 @@ class RemoteVehicle:
         self._connection.step(now_s, self.telemetry)
         hand = self.sticks.step(now_s)  # first: a vehicle needs stick messages before it accepts manual flight
         if self._by_hand and not self.sticks.is_held:
-            self.add_note("warning", "the sticks are not held any more; a hover is asked for")
+            self.add_note("warning", "stick input lost; hover requested")
             self.release_sticks()
         out = hand + self.commands.step(now_s) + self._parameters.step(now_s) + self.transfers.step(now_s)
         out += self.fence_transfers.step(now_s)
@@ -528,14 +528,14 @@ class RemoteVehicle:
 
         The sticks are released too: the vehicle's own time-out has ended manual flight.
         """
-        why = f"not carried out: the station stood still for {seconds:.0f} s"
+        why = f"not executed: the station stalled for {seconds:.0f} s"
         self._give_up_moves(why, stops=True)
         self._give_up_changes(why)
         self.sticks.release_sticks()
         self._by_hand = False
         self.add_note(
             "warning",
-            f"the station stood still for {seconds:.1f} s; what was asked before is not carried out",
+            f"the station stalled for {seconds:.1f} s; open requests are cancelled",
         )
 
     def _give_up_changes(self, why: str) -> None:
@@ -551,7 +551,7 @@ class RemoteVehicle:
         silent_s = now_s - self._heard_s
         usual_s = _MAX_MISSED_MESSAGES / self._usual_rate_Hz if self._usual_rate_Hz > 0.0 else LOST_TIMEOUT_S
         if math.isfinite(silent_s) and silent_s >= min(LOST_TIMEOUT_S, max(MAX_STALL_S, usual_s)):
-            why = f"not carried out: the vehicle was not heard for {silent_s:.1f} s"
+            why = f"not executed: no message from the vehicle for {silent_s:.1f} s"
             self._give_up_moves(why)
             self._give_up_changes(why)
 
@@ -559,16 +559,16 @@ class RemoteVehicle:
         self._give_up_unheard(now_s)
         lost = now_s - self._heard_s >= LOST_TIMEOUT_S
         if lost and not self._lost:
-            self.add_note("warning", f"{self.name} is not heard any more")
+            self.add_note("warning", f"{self.name}: communication lost")
         elif self._lost and not lost:
-            self.add_note("info", f"{self.name} is heard again")
+            self.add_note("info", f"{self.name}: communication regained")
             self._connection.request_streams_again()
         self._lost = lost
         if self.telemetry.clock.restart_count != self._restarts:
             self._restarts = self.telemetry.clock.restart_count
-            self.add_note("warning", f"{self.name} was started anew")
+            self.add_note("warning", f"{self.name} has restarted")
             for part in (self.commands, self._parameters, self.transfers, self.fence_transfers):
-                part.give_up("the vehicle was started anew")
+                part.give_up("the vehicle has restarted")
             self._reached = -1
             self._connection.restart_setup()
 
@@ -675,14 +675,14 @@ class ConnectionSetup:
         if math.isnan(self._asked_s):
             self._asked_s = now_s
             version = autopilots.request_message_command(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
-            self._commands.request_command("who are you?", version)
+            self._commands.request_command("request the version", version)
         if self._version is None and now_s - self._asked_s < _VERSION_TIMEOUT_S:
             return
         if self._wished is None:
             for name, share in REQUESTED_MESSAGES if self.is_mufly else (*REQUESTED_MESSAGES[:-1], *_FOREIGN_MESSAGES):
                 number = getattr(mavlink, f"MAVLINK_MSG_ID_{name}")
                 command = autopilots.message_interval_command(number, share * self._rate_Hz)
-                request = self._commands.request_command(f"tell {name}", command)
+                request = self._commands.request_command(f"request {name}", command)
                 # All vehicles have the first message: its refusal means that the command is unsupported.
                 self._wished = self._wished or request
         if not self._read:

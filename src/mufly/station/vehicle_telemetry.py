@@ -39,7 +39,7 @@ _OLD_BODY_FRAME = 8  # MAV_FRAME_BODY_NED, in messages of older PX4 versions
 _LEVEL_FRAMES = (1, 20)  # MAV_FRAME_LOCAL_NED; MAV_FRAME_LOCAL_FRD, also level
 _DIAGONAL_INDICES = (0, 6, 11, 15, 18, 20)  # diagonal in a 6 x 6 upper triangle, row by row
 _MISSING_ESTIMATE_FLAGS = ((1, "attitude"), (2, "velocity"), (32, "height"), (8 | 16, "position"))
-_FAULT_FLAGS = ((1024, "GPS glitch"), (2048, "accelerometer wrong"), (128, "position is held constant"))
+_FAULT_FLAGS = ((1024, "GPS glitch"), (2048, "accelerometer error"), (128, "constant position mode"))
 """ESTIMATOR_STATUS_FLAGS: estimates missing if unset, faults if set."""
 _UNKNOWN_UINT16 = 65535
 _TRUTH_VARIABLES = tuple(q.name for q in quantities_recorded_in("flight") if q.topic == "/truth")

@@ -16,9 +16,9 @@ def said(watch: AlertWatch, now_s: float, s: VehicleSnapshot = FLIES, *others: o
 def test_a_link_that_goes_and_comes_is_said_once_each() -> None:
     watch, gone = AlertWatch(), replace(FLIES, connected=False)
     assert said(watch, 0.0) == []  # what was so from the beginning is no news
-    assert said(watch, 1.0, gone) == [("error", "link lost")]
+    assert said(watch, 1.0, gone) == [("error", "communication lost")]
     assert said(watch, 2.0, gone) == []
-    assert said(watch, 3.0) == [("info", "link is back")]
+    assert said(watch, 3.0) == [("info", "communication regained")]
     assert said(AlertWatch(), 0.0, gone) == []
 
 
@@ -27,7 +27,7 @@ def test_a_battery_that_hovers_about_a_limit_is_said_once_a_limit() -> None:
     charges = [0.5, 0.31, 0.299, 0.301, 0.299, 0.31, 0.2, 0.149, 0.151, 0.149, math.nan, 0.14]
     for k, charge in enumerate(charges):
         out += said(watch, 30.0 * k, replace(FLIES, battery_charge=charge))
-    assert out == [("warning", "battery low, 30 percent"), ("error", "battery very low, 15 percent")]
+    assert out == [("warning", "battery low, 30 percent"), ("error", "battery critical, 15 percent")]
     assert said(watch, 1e3, replace(FLIES, battery_charge=0.9)) == []  # charged, and then again
     assert said(watch, 2e3, replace(FLIES, battery_charge=0.25)) == [("warning", "battery low, 25 percent")]
 
@@ -38,7 +38,7 @@ def test_a_mission_is_done_once_its_last_row_is_behind_it() -> None:
     done = [replace(r, reached=True) for r in rows]
     assert said(AlertWatch(), 0.0, FLIES, (), done) == []  # it was done before this window was opened
     assert said(watch, 0.0, FLIES, (), rows) == []
-    assert said(watch, 1.0, FLIES, (), done) == [("info", "mission done")]
+    assert said(watch, 1.0, FLIES, (), done) == [("info", "mission complete")]
     assert said(watch, 2.0, FLIES, (), done) == []
     assert said(watch, 3.0, FLIES, (), []) == []
 
@@ -57,7 +57,7 @@ def test_what_was_refused_or_not_answered_is_said_and_what_was_given_up_is_not()
     asked[0].set_outcome(RequestOutcome.REFUSED, "on the floor")
     asked[1].set_outcome(RequestOutcome.TIMED_OUT)
     asked[2].set_outcome(RequestOutcome.ACCEPTED)
-    asked[3].set_outcome(RequestOutcome.REFUSED, "given up for: EMERGENCY STOP")
+    asked[3].set_outcome(RequestOutcome.REFUSED, "superseded by: EMERGENCY STOP")
     found = said(watch, 2.0, FLIES, (), (), [old, *asked])
     assert found == [("warning", "refused: land"), ("warning", "no answer: take off to 1 m")]
     assert said(watch, 3.0, FLIES, (), (), [old, *asked]) == []
@@ -84,6 +84,6 @@ def test_warnings_in_words_are_said_the_gravest_first_and_not_all_the_time() -> 
     assert said(watch, 2.0 + REPEAT_PERIOD_S, FLIES, told) == []  # the same with other numbers
     told += [StatusMessage(4.0, "warning", f"fault {letter}") for letter in "abcdefghi"]
     assert len(watch.find_new_alerts(60.0, FLIES, told)) == MAX_ALERTS_PER_LOOK
-    told.append(StatusMessage(5.0, "warning", "mufly, system 1 is not heard any more"))  # the link says it, graver
+    told.append(StatusMessage(5.0, "warning", "mufly, system 1: communication lost"))  # the link says it, graver
     lost = watch.find_new_alerts(70.0, replace(FLIES, connected=False), told)
-    assert lost == [SpokenAlert("error", "link lost")]
+    assert lost == [SpokenAlert("error", "communication lost")]

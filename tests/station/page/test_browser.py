@@ -177,7 +177,7 @@ def ask_twice(window: Page, test_id: str, done: Callable[[], Any], what: str) ->
     for _ in range(12):
         page.click(button)
         try:
-            wait(lambda: "Press again" in page.inner_text(button), "being asked again", 5.0)
+            wait(lambda: "press again" in page.inner_text(button), "being asked again", 5.0)
             assert not done()
             page.click(button)
             wait(done, what, 10.0)
@@ -280,7 +280,7 @@ def test_a_station_that_is_stopped_greys_the_page_and_does_nothing_late(fly: Fly
     os.kill(fly.process.pid, signal.SIGSTOP)
     try:
         page.evaluate("document.querySelector('[data-testid=take-off]').click()")
-        wait(lambda: "No contact with the station for" in page.inner_text(strip), "the page to grey")
+        wait(lambda: "No connection to the station for" in page.inner_text(strip), "the page to grey")
         assert page.locator("[data-testid=no-contact]").is_visible()
         assert "transmitter" in page.locator(STOP).evaluate("e => getComputedStyle(e, '::after').content")
         for part in (".mf-page", STOP):
@@ -297,7 +297,7 @@ def test_a_station_that_is_stopped_greys_the_page_and_does_nothing_late(fly: Fly
         time.sleep(1.2)  # longer than anything may be late
     finally:
         os.kill(fly.process.pid, signal.SIGCONT)
-    wait(lambda: "No contact" not in page.inner_text(strip), "the station")
+    wait(lambda: "No connection" not in page.inner_text(strip), "the station")
     wait(lambda: window.ready("take-off"), "the buttons")
     time.sleep(1.0)
     assert not (window.frame() or {})["armed"]
@@ -319,7 +319,7 @@ def by_joystick(window: Page, state: Callable[[], Any]) -> None:
     wait(lambda: "Test pad" in page.inner_text(".mf-sticks-bar select"), "the joystick")
     page.evaluate("window.pad.axes[1] = -0.9")
     page.click("[data-testid=by-hand]")
-    wait(lambda: "not in the middle" in page.inner_text("[data-testid=sticks-said]"), "the refusal")
+    wait(lambda: "not centred" in page.inner_text("[data-testid=sticks-said]"), "the refusal")
     page.evaluate("window.pad.axes[1] = 0")
     page.click("[data-testid=by-hand]")
     wait(lambda: state() == "rc", "the joystick to be taken up")
@@ -327,7 +327,7 @@ def by_joystick(window: Page, state: Callable[[], Any]) -> None:
     wait(lambda: abs(window.frame()["rates"][2]) > 0.1, "a turn")  # type: ignore[index]
     page.evaluate("window.pad.connected = false")
     wait(lambda: state() == "hover", "the hover without a joystick")
-    assert "unplugged" in page.inner_text("[data-testid=sticks-said]")
+    assert "joystick disconnected" in page.inner_text("[data-testid=sticks-said]")
 
 
 def fly_by_hand(window: Page) -> None:
@@ -353,7 +353,7 @@ def fly_by_hand(window: Page) -> None:
     wait(lambda: abs(window.frame()["reference_attitude"][0]) < 1e-3, "the middle")  # type: ignore[index]
     page.evaluate("window.dispatchEvent(new Event('blur'))")
     wait(lambda: state() == "hover", "the hover")
-    assert "lost its focus" in page.inner_text("[data-testid=sticks-said]")
+    assert "window lost focus" in page.inner_text("[data-testid=sticks-said]")
     by_joystick(window, state)
     page.click("[data-testid=sticks-toggle]")
     wait(lambda: window.ready("land"), "the buttons")
@@ -408,7 +408,7 @@ def stop_is_there_behind_a_recording_a_dialog_and_a_field(window: Page) -> None:
     for width, height in SIZES:
         page.set_viewport_size({"width": width, "height": height})
         assert window.whole(STOP)
-        assert "In flight" in page.inner_text(".mf-flightbar")
+        assert "Flying" in page.inner_text(".mf-flightbar")
         slider = page.locator("[data-testid=replay-slider]").bounding_box()
         assert slider["width"] > 250
     page.set_viewport_size({"width": 1366, "height": 768})
@@ -436,7 +436,7 @@ def test_an_edit_of_a_parameter_is_made_and_taken_back(window: Page) -> None:
     field.fill("999")
     field.press("Tab")
     wait(lambda: field.input_value() == "1.5", "what the vehicle has")
-    assert "from 0.2 to 50 m" in page.inner_text("body")
+    assert "outside 0.2 to 50 m" in page.inner_text("body")
     field.fill("999")
     field.press("Enter")
     wait(lambda: not field.evaluate("e => e.validity.valid"), "the reason at the field")
@@ -461,7 +461,7 @@ def test_a_mission_is_sent_from_a_file_and_a_bad_one_is_refused(window: Page, tm
     assert page.locator(".mf-mission tbody tr").count() == 3
     upload.set_input_files(str(good))
     wait(lambda: page.locator(".mf-mission tbody tr").count() == 4, "the new mission")
-    wait(lambda: "the vehicle keeps its own box" in page.inner_text("body"), "what items do not carry")
+    wait(lambda: "the vehicle keeps its own: box" in page.inner_text("body"), "what items do not carry")
     assert "0.70" in page.inner_text(".mf-mission tbody")
 
 
@@ -479,9 +479,9 @@ def test_a_mission_is_drawn_checked_and_sent(window: Page) -> None:
         return words in page.inner_text("[data-testid=plan-verdict]")
 
     wait(lambda: rows() == [[0.6, 0.4, 0.6], [0.0, 1.0, 0.7]], "the vehicle's mission")
-    wait(lambda: verdict("can be flown"), "the check")
+    wait(lambda: verdict("valid"), "the check")
     assert verdict("% of the battery")
-    page.get_by_role("button", name="look from above, north up").click()
+    page.get_by_role("button", name="view from above, north up").click()
     page.evaluate("new Promise(r => requestAnimationFrame(() => requestAnimationFrame(r)))")  # it has been drawn
     x, y = page.evaluate("window.muflyScene.onFloor(0.8, -0.6)")
     page.locator(".mf-scene canvas").first.click(position={"x": x, "y": y})
@@ -503,14 +503,14 @@ def test_a_mission_is_drawn_checked_and_sent(window: Page) -> None:
     wait(lambda: verdict("waypoint[3].position_m") and verdict("too low to fly"), "the fault of the third")
     assert page.locator("tr.mf-bad-row").get_attribute("data-row") == "3"
     page.click("[data-testid=plan-send]")
-    wait(lambda: "not sent: waypoint[3]" in page.inner_text("body"), "the refusal")
+    wait(lambda: "not uploaded: waypoint[3]" in page.inner_text("body"), "the refusal")
     for _ in range(2):  # the height and, in one step, the drag
         page.click("[data-testid=plan-undo]")
     wait(lambda: rows()[2] == pytest.approx([0.8, -0.6, 1.0], abs=0.06), "undo")
     page.fill("[data-testid=plan-3-speed_m_s]", "0.25")
     page.keyboard.press("Enter")
     wait(lambda: page.evaluate("window.muflyDraft.state.rows[2].speed") == 0.25, "the speed")
-    wait(lambda: verdict("can be flown"), "the check again")
+    wait(lambda: verdict("valid"), "the check again")
     page.click("[data-testid=plan-send]")
     page.get_by_role("tab", name="Mission").click()
     wait(lambda: page.locator(".mf-mission tbody tr").count() == 6, "the mission in the vehicle")  # its speed, too
@@ -658,7 +658,7 @@ def test_a_second_window_watches_until_it_takes_the_controls(browser: Any, fly: 
     wait(lambda: not window.ready("take-off"), "the first window to watch")
     # A window that has lost the station asks for nothing: what waits would be done when it is back.
     second.page.evaluate("lose()")
-    wait(lambda: "No contact with the station" in second.page.inner_text(".mf-flightbar"), "the word of it")
+    wait(lambda: "No connection to the station" in second.page.inner_text(".mf-flightbar"), "the word of it")
     assert "use the transmitter or its kill switch" in second.page.inner_text(".mf-flightbar")
     assert second.page.locator(STOP).is_visible()
     for key in ("Shift+T", "Shift+Backspace", "Shift+Backspace"):
@@ -667,7 +667,7 @@ def test_a_second_window_watches_until_it_takes_the_controls(browser: Any, fly: 
     assert not take_off.evaluate("e => { e.focus(); return document.activeElement === e; }")
     assert "out of reach" in second.page.locator(STOP).evaluate("e => getComputedStyle(e, '::after').content")
     second.page.evaluate("find_again()")
-    wait(lambda: "No contact" not in second.page.inner_text(".mf-flightbar"), "the station")
+    wait(lambda: "No connection" not in second.page.inner_text(".mf-flightbar"), "the station")
     assert not second.page.locator(".mf-page").evaluate("e => e.inert")
     time.sleep(1.0)
     assert not (second.frame() or {})["armed"]
@@ -694,12 +694,12 @@ def test_a_recording_is_opened_and_its_slider_moves_everything(fly: Fly, window:
     page.uncheck("[data-testid=every-file]")
     wait(lambda: any("flight.mcap" in r and "mufly-1.1" in r and "hop" in r for r in rows()), "who flew what")
     assert not any("station.mcap" in r for r in rows())  # it lies beside that of the vehicle
-    page.fill("[aria-label='filter the flights']", "mufly-1.1 hop")
+    page.fill("[aria-label='filter recordings']", "mufly-1.1 hop")
     assert len(rows()) == 1
     with page.expect_download() as fetched:
         page.locator("[aria-label^=download]").click()
     assert fetched.value.path().read_bytes().startswith(b"\x89MCAP")
-    page.fill("[aria-label='filter the flights']", "")
+    page.fill("[aria-label='filter recordings']", "")
     page.check("[data-testid=every-file]")
     page.locator("tr", has_text="station.mcap").locator("button").first.click()
     slider = page.locator("[data-testid=replay-slider]")

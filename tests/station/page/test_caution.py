@@ -29,10 +29,10 @@ FLIES = VehicleSnapshot(connected=True, armed=True, flying=True, state="hover", 
     ("fence", "place", "left_s", "refused", "beware"),
     [
         (None, (2.0, 1.0, -1.0), 300.0, "", ""),
-        (None, (0.0, 500.0, -1.0), 300.0, "getting there and down takes 14:", ""),
-        (None, (0.0, 30.0, -1.0), 300.0, "", "30 m away, and there is no fence"),
-        (None, (0.0, 30.0, -1.0), 70.0, "", "of the 1:10 that the battery lasts"),
-        (None, (0.0, 30.0, -1.0), math.nan, "", "no fence"),
+        (None, (0.0, 500.0, -1.0), 300.0, "flight there and landing take 14:", ""),
+        (None, (0.0, 30.0, -1.0), 300.0, "", "30 m away, no geofence"),
+        (None, (0.0, 30.0, -1.0), 70.0, "", "battery time left is 1:10"),
+        (None, (0.0, 30.0, -1.0), math.nan, "", "no geofence"),
         (Fence(centre_m=(0.0, 0.0), radius_m=40.0), (0.0, 30.0, -1.0), 300.0, "", ""),
         (Fence(centre_m=(0.0, 0.0), radius_m=10.0), (0.0, 30.0, -1.0), 300.0, "20 m outside the fence's circle", ""),
         (Fence(ceiling_m=2.0), (0.0, 1.0, -3.0), 300.0, "1.00 m above the fence's ceiling", ""),
@@ -62,9 +62,10 @@ def test_a_second_press_counts_within_three_seconds_and_of_the_same() -> None:
 
 
 def test_failed_checks_are_named_and_what_cannot_be_judged_is_no_failure() -> None:
-    checks = [PreflightCheck("heard", True, ""), PreflightCheck("battery", False, ""), PreflightCheck("disk", None, ""),
-              PreflightCheck("vehicle's own checks", False, ""), PreflightCheck("time to fly", False, "")]  # fmt: skip
-    assert failed_check_names(checks) == ["battery", "time to fly"]
+    checks = [PreflightCheck("heartbeat", True, ""), PreflightCheck("battery", False, ""),
+              PreflightCheck("free disk space", None, ""), PreflightCheck("vehicle's pre-arm checks", False, ""),
+              PreflightCheck("endurance", False, "")]  # fmt: skip
+    assert failed_check_names(checks) == ["battery", "endurance"]
 
 
 @pytest.mark.parametrize(

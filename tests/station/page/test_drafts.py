@@ -87,12 +87,12 @@ def test_fields_are_those_of_the_file_and_empty_ones_go_back_to_their_default() 
         ({"op": "put", "row": 0, "name": "speed_m_s", "value": 1}, "take_off"),
         ({"op": "put", "row": 0, "name": "height", "value": 0.05}, "take_off.height_m"),
         ({"op": "move", "row": 3, "at": [0, 0, -1]}, "there is no waypoint 3"),
-        ({"op": "move", "row": 1, "at": [0, math.nan, -1]}, "give a finite one"),
+        ({"op": "move", "row": 1, "at": [0, math.nan, -1]}, "give a finite number"),
         ({"op": "move", "row": True, "at": [0, 0, -1]}, "not a whole number"),
         ({"op": "add", "at": [0, 1]}, "give N, E and D"),
         ({"op": "delete", "row": 0}, "there is no waypoint 0"),
         ({"op": "end", "value": "crash"}, "at_end"),
-        ({"op": "fly"}, "nothing that is done to a mission"),
+        ({"op": "fly"}, "not an operation on a mission"),
     ],
 )
 def test_what_the_schema_refuses_changes_nothing_and_names_the_item(order: dict[str, object], words: str) -> None:

@@ -416,7 +416,7 @@ def test_a_vehicle_that_is_gone_is_not_replaced_by_another() -> None:
     assert view.encode_flight() is None
     words = session.describe_waiting(view.selected)
     assert "system 7 on udpin:0.0.0.0:14550" in words
-    assert "choose another" in words
+    assert "select another" in words
     view.select_vehicle(vehicles[1].key)
     assert view.selected_vehicle() is vehicles[1]
     # A name that becomes known later changes nothing.

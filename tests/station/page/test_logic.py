@@ -171,7 +171,7 @@ def test_who_only_watches_can_stop_the_motors_but_nothing_else() -> None:
     for found in (ask(HOVER, has_controls=False), ask(watching)):
         assert not found.pop("stop")
         assert all(found.values())
-    assert ask(watching)["land"] == "watching only"
+    assert ask(watching)["land"] == "view only"
 
 
 def test_a_recording_commands_nothing_and_a_lost_link_lets_one_try_to_stop() -> None:
@@ -183,19 +183,19 @@ def test_a_recording_commands_nothing_and_a_lost_link_lets_one_try_to_stop() -> 
 
 def test_the_vehicle_says_why_it_cannot_be_armed() -> None:
     assert ask(FLOOR, unready="battery low")["take_off"] == "battery low"
-    assert ask(FLOOR, rows=0)["mission"] == "no mission loaded"
+    assert ask(FLOOR, rows=0)["mission"] == "no mission in the vehicle"
 
 
 MISSION = [
     # what it does, whether its mission runs and was begun; what the button says, and whether it can be pressed
-    (FLOOR, False, False, "Fly the mission", True),
-    (replace(FLOOR, armed=True, state="take-off"), True, True, "Under way", False),  # it spins up
-    (replace(HOVER, state="waypoint"), True, True, "Under way", False),
-    (HOVER, True, True, "Under way", False),  # it waits at a waypoint
+    (FLOOR, False, False, "Start mission", True),
+    (replace(FLOOR, armed=True, state="take-off"), True, True, "Mission running", False),  # it spins up
+    (replace(HOVER, state="waypoint"), True, True, "Mission running", False),
+    (HOVER, True, True, "Mission running", False),  # it waits at a waypoint
     (HOVER, False, True, "Resume mission", True),  # interrupted, before a waypoint was reached too
     (replace(HOVER, state="waypoint"), False, True, "Resume mission", True),  # sent elsewhere meanwhile
-    (HOVER, False, False, "Fly the mission", True),  # took off by hand
-    (replace(FLOOR, mission_begun=True), False, False, "Fly the mission", True),
+    (HOVER, False, False, "Start mission", True),  # took off by hand
+    (replace(FLOOR, mission_begun=True), False, False, "Start mission", True),
 ]
 
 
@@ -210,8 +210,8 @@ def test_the_main_button_says_what_the_mission_does(
 
 def test_real_time_that_is_lost_is_told() -> None:
     assert describe_pace(VehicleSnapshot()) == describe_pace(VehicleSnapshot(real_time_factor=0.96, slips=0)) == ""
-    assert describe_pace(VehicleSnapshot(real_time_factor=0.194, slips=3)) == "0.19 of real time, 3 slips"
-    assert describe_pace(VehicleSnapshot(real_time_factor=1.0, slips=1)) == "1 slip"
+    assert describe_pace(VehicleSnapshot(real_time_factor=0.194, slips=3)) == "real-time factor 0.19, 3 timing overruns"
+    assert describe_pace(VehicleSnapshot(real_time_factor=1.0, slips=1)) == "1 timing overrun"
 
 
 def test_undo_takes_back_in_order_and_redo_makes_again() -> None:
@@ -248,7 +248,7 @@ def test_bounds_are_named_before_anything_is_sent() -> None:
     assert "0.1 to 2 m/s" in refusal_reason(p, "SPEED", 3.0)
     assert refusal_reason(p, "SPEED", math.nan)
     assert refusal_reason(None, "X", 1.0)
-    assert "whole" in refusal_reason(TunableParameter("N", 1, is_integer=True), "N", 1.5)
+    assert "integer" in refusal_reason(TunableParameter("N", 1, is_integer=True), "N", 1.5)
 
 
 def test_a_file_of_parameters_comes_back_whole() -> None:
@@ -296,7 +296,7 @@ def test_parameters_of_a_gimbal_do_not_replace_those_of_the_vehicle() -> None:
     assert read_parameter_file(rows, "x.params", 154) == {"GAIN": 0.7, "PAN": 2}
     with pytest.raises(InputError, match="of component 154, none of component 1"):
         read_parameter_file("1 154 GAIN 0.7 9\n", "x.params")
-    with pytest.raises(InputError, match=r"line 2.*GAIN is 0.3 here and 0.2 in line 1"):
+    with pytest.raises(InputError, match=r"line 2.*GAIN is 0.3, but 0.2 in line 1"):
         read_parameter_file("GAIN,0.2\nGAIN,0.3\n", "x.param")
     assert (
         format_parameter_file({"GAIN": TunableParameter("GAIN", 0.2)}, 1, 154)

@@ -93,7 +93,11 @@ class AlertWatch:
         before, self._was_connected = self._was_connected, s.connected
         if before is None or before == s.connected:
             return []
-        return [SpokenAlert("info", "link is back")] if s.connected else [SpokenAlert("error", "link lost")]
+        return (
+            [SpokenAlert("info", "communication regained")]
+            if s.connected
+            else [SpokenAlert("error", "communication lost")]
+        )
 
     def _check_battery(self, s: VehicleSnapshot) -> list[SpokenAlert]:
         charge = s.battery_charge
@@ -107,12 +111,12 @@ class AlertWatch:
         before, self._charge_level = self._charge_level, self._charge_level if up else level
         if level <= before:
             return []
-        words = f"battery {'very ' if level == 2 else ''}low, {charge * 100:.0f} percent"
+        words = f"battery {'critical' if level == 2 else 'low'}, {charge * 100:.0f} percent"
         return [SpokenAlert("error" if level == 2 else "warning", words)]
 
     def _check_mission(self, rows: Sequence[MissionRow]) -> list[SpokenAlert]:
         before, self._was_mission_done = self._was_mission_done, bool(rows) and all(r.reached for r in rows)
-        return [SpokenAlert("info", "mission done")] if self._was_mission_done and before is False else []
+        return [SpokenAlert("info", "mission complete")] if self._was_mission_done and before is False else []
 
     def _check_requests(self, requests: Iterable[OperatorRequest]) -> list[SpokenAlert]:
         out = []
@@ -120,7 +124,7 @@ class AlertWatch:
             if not request.is_done or any(request is known for known in self._answered_requests):
                 continue
             self._answered_requests.append(request)
-            if not self._has_begun or request.outcome is RequestOutcome.ACCEPTED or "given up for" in request.answer:
+            if not self._has_begun or request.outcome is RequestOutcome.ACCEPTED or "superseded by" in request.answer:
                 continue
             what = "refused" if request.outcome is RequestOutcome.REFUSED else "no answer"
             out.append(SpokenAlert("warning", f"{what}: {request.text}"))
@@ -137,5 +141,5 @@ class AlertWatch:
             self._last_message = fresh[0]
         if not self._has_begun:
             return []
-        told = [m for m in reversed(fresh) if m.level != "info" and " is not heard any more" not in m.text]
+        told = [m for m in reversed(fresh) if m.level != "info" and ": communication lost" not in m.text]
         return [SpokenAlert(m.level, m.text) for m in told]

@@ -28,7 +28,7 @@ FAR_DISTANCE_M = 10.0
 """Distance from the vehicle beyond which a destination without a fence needs confirmation (m)."""
 CHARGE_CRITICAL, REMAINING_CRITICAL_S, REMAINING_LOW_S = 0.15, 30.0, 60.0
 CONFIRMED_COMMANDS = {
-    "mission": "fly the mission",
+    "mission": "start the mission",
     "take_off": "take off",
     "arm": "arm",
     "land": "land",
@@ -106,28 +106,28 @@ def check_destination(
         Without a fence, farther than this from the vehicle it is asked for twice (m).
     """
     if fault := fence_fault(fence, place, FENCE_MARGIN_M):
-        return DestinationCheck(refusal_reason=f"it is {fault}")
+        return DestinationCheck(refusal_reason=f"destination is {fault}")
     here = s.estimate.position
     if not np.isfinite(here).all():
-        return DestinationCheck(caution_reason="nobody knows where the vehicle is")
+        return DestinationCheck(caution_reason="position of the vehicle unknown")
     if fault := fence_path_fault(fence, here, place):
         return DestinationCheck(refusal_reason=fault)
     away, needed = math.dist(here.tolist(), place), compute_reach_time(limits, here, place)
     if needed > s.battery_left_s:
         return DestinationCheck(
             refusal_reason=(
-                f"getting there and down takes {format_clock(needed)}, the battery lasts "
+                f"flight there and landing take {format_clock(needed)}, battery time left is "
                 f"{format_clock(s.battery_left_s)}"
             )
         )
     if needed > (1.0 - BATTERY_RESERVE) * s.battery_left_s:
         return DestinationCheck(
             caution_reason=(
-                f"it takes {format_clock(needed)} of the {format_clock(s.battery_left_s)} that the battery lasts"
+                f"flight takes {format_clock(needed)}, battery time left is {format_clock(s.battery_left_s)}"
             )
         )
     if fence is None and away > far_m:
-        return DestinationCheck(caution_reason=f"{away:.0f} m away, and there is no fence")
+        return DestinationCheck(caution_reason=f"{away:.0f} m away, no geofence")
     return DestinationCheck()
 
 

@@ -81,7 +81,7 @@ def read_flight_facts(path: Path) -> FlightFacts:
             facts = read_recording_summary(path)
             length_s = facts["duration_s"]
         elif (size := path.stat().st_size) > MAX_WHOLE_READ_BYTES:
-            return FlightFacts(kind, outcome=f"{size / 1e6:.0f} MB: open it to see")
+            return FlightFacts(kind, outcome=f"{size / 1e6:.0f} MB: open it to read the facts")
         else:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
@@ -97,7 +97,7 @@ def read_flight_facts(path: Path) -> FlightFacts:
     outcome = ": ".join(str(facts[k]) for k in ("outcome", "reason") if facts.get(k))
     if not facts.get("complete", True) and not outcome:
         growing = abs(time.time() - path.stat().st_mtime) < GROWING_AGE_S
-        outcome = "being recorded" if growing else "cut off"
+        outcome = "being recorded" if growing else "incomplete"
     vehicle = facts.get("vehicle") or facts.get("system") or ""
     return FlightFacts(kind, start_s, length_s, str(vehicle), str(facts.get("mission") or ""), outcome)
 
@@ -149,7 +149,7 @@ class FlightList:
         self._read: dict[Path, tuple[tuple[int, int], FlightFacts]] = {}  # of which state of the file
         self._looks = 0
         with make_element("div", classes="mf-tools"):
-            make_button("Refresh", self.scan_folder, title="look for recordings again")
+            make_button("Refresh", self.scan_folder, title="refresh the list")
             endings = ".mcap,.tlog,.ulg,.csv,.bin"
             add_file_picker("Open a file…", endings, self._open_upload, "recording-file", MAX_RECORDING_BYTES)
             self._place = make_element("span", "", "mf-dim mf-note")
@@ -199,7 +199,7 @@ class FlightList:
         """Act on a file by its name; only files in the list are accepted."""
         path = self._paths.get(str(e.args))
         if path is None or not path.is_file():
-            show_refusal(f"{str(e.args)[:100]} is not there any more; press Refresh")
+            show_refusal(f"{str(e.args)[:100]} no longer exists; press Refresh")
             return
         await act(path)
 
@@ -227,7 +227,7 @@ class FlightList:
         """Overlay another recording on the displayed one."""
         view, shown = self._view, self._view.replay
         if shown is None:
-            show_refusal("open a recording first; the second one is laid over it")
+            show_refusal("open a recording first; the second recording is overlaid on it")
             return
         request = OperatorRequest(f"compare with {path.name}")
         view.keep_request(request)
@@ -238,7 +238,7 @@ class FlightList:
             show_refusal(str(error))
             return
         if view.replay is not shown:
-            request.set_outcome(RequestOutcome.REFUSED, "another recording was opened meanwhile")
+            request.set_outcome(RequestOutcome.REFUSED, "another recording has been opened")
             return
         if second.name == shown.name:  # two flights have files of the same name: their folders tell them apart
             second = replace(second, name=f"{path.parent.name}/{second.name}")

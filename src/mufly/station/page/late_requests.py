@@ -76,8 +76,8 @@ class FrameTimes:
 
 def describe_lateness(late_s: float) -> str:
     """Return a message with the lateness of a rejected request."""
-    by = f"it reached the station {late_s:.1f} s late" if math.isfinite(late_s) else "it reached the station too late"
-    return f"dropped, {by}; ask again if it is still wanted"
+    by = f"{late_s:.1f} s late" if math.isfinite(late_s) else "too late"
+    return f"dropped: reached the station {by}; repeat it if still needed"
 
 
 def drop_late_events(

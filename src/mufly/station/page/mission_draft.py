@@ -103,8 +103,8 @@ def replace_mission_parts(mission: Mission, **parts: Any) -> Mission:
 
 def _replace_waypoints(mission: Mission, waypoints: Sequence[Waypoint | Mapping[str, Any]]) -> Mission:
     if len(waypoints) > MAX_WAYPOINTS:
-        problem = f"{len(waypoints)} are more than this table holds"
-        raise InputError(ERROR_LOCATION, "waypoint", problem, f"draw at most {MAX_WAYPOINTS}")
+        problem = f"{len(waypoints)} waypoints exceed the limit"
+        raise InputError(ERROR_LOCATION, "waypoint", problem, f"use at most {MAX_WAYPOINTS}")
     tables = [
         w.model_dump(exclude_none=True) if isinstance(w, Waypoint) else {k: v for k, v in w.items() if v is not None}
         for w in waypoints
@@ -216,7 +216,7 @@ def apply_edit(draft: MissionDraft, order: Mapping[str, Any]) -> MissionDraft:
         raise InputError(
             ERROR_LOCATION,
             "",
-            f"{op!r} is nothing that is done to a mission",
+            f"{op!r} is not an operation on a mission",
             f"use {', '.join(map(str, doing))}",
         )
     return draft.with_mission(act(), str(order.get("gesture") or ""))
@@ -231,14 +231,14 @@ def _read_row(order: Mapping[str, Any], name: str = "row") -> int:
 
 def _read_number(value: object, key: str) -> float:
     if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
-        raise InputError(ERROR_LOCATION, key, f"{value!r} is not a number", "give a finite one")
+        raise InputError(ERROR_LOCATION, key, f"{value!r} is not a number", "give a finite number")
     return float(value)
 
 
 def _read_place(order: Mapping[str, Any]) -> PlaceNED:
     at = order.get("at")
     if not isinstance(at, list | tuple) or len(at) != 3:
-        raise InputError(ERROR_LOCATION, "at", f"{at!r} is not a place", "give N, E and D in metres")
+        raise InputError(ERROR_LOCATION, "at", f"{at!r} is not a position", "give N, E and D in metres")
     n, e, d = (_read_number(v, "at") for v in at)
     return n, e, d
 
@@ -380,7 +380,7 @@ def mission_from_vehicle(items: Sequence[MissionItem], base: Mission, origin: Gl
     try:
         return mission_from_items(items, base, origin).mission
     except MissionRefusedError as refusal:
-        raise InputError("vehicle", "", str(refusal), "the mission in the editor is as it was") from None
+        raise InputError("vehicle", "", str(refusal), "the mission in the editor is unchanged") from None
 
 
 def find_untransmitted_keys(mission: Mission, held: Mission | None) -> list[str]:

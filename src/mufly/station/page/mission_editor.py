@@ -55,27 +55,27 @@ class MissionEditor:
         return None if vehicle is None else trajectory_limits_from_parameters(vehicle.parameters)
 
     def _refusal_reason(self) -> str:
-        return "" if self._view.has_controls else "another window has the controls and edits the mission"
+        return "" if self._view.has_controls else "another window has control and edits the mission"
 
     def build_tab(self) -> None:
         """Build the tab."""
         with panels.make_element("div", classes="mf-tools"):
             panels.make_button(
-                "New", self._start_new, test="plan-new", title="a mission without waypoints in the same world"
+                "New", self._start_new, test="plan-new", title="new mission without waypoints, in the same world"
             )
             panels.add_file_picker("Open…", ",".join(FILE_ENDINGS), self._open_file, "plan-file")
-            panels.make_button("Save", self._save_file, test="plan-save", title="save as a mission file")
-            fetched = "edit the mission that is in the vehicle"
+            panels.make_button("Save", self._save_file, test="plan-save", title="save the mission as a file")
+            fetched = "download the vehicle's mission for editing"
             panels.make_button(
-                "From vehicle",
+                "Download from vehicle",
                 self._fetch_from_vehicle,
                 test="plan-fetch",
                 title=fetched,
                 classes="mf-live-only",
             )
-            sent = "check it and send it to the vehicle"
+            sent = "check the mission and upload it to the vehicle"
             panels.make_button(
-                "Send to vehicle", self._send_to_vehicle, test="plan-send", title=sent, classes="mf-live-only"
+                "Upload to vehicle", self._send_to_vehicle, test="plan-send", title=sent, classes="mf-live-only"
             )
         panels.BrowserPanel("editor")
 
@@ -126,7 +126,7 @@ class MissionEditor:
         return bool(why)
 
     async def _start_new(self) -> None:
-        if not self._refuse_if_blocked("begun anew"):
+        if not self._refuse_if_blocked("replaced"):
             await self._replace_mission(apply_edit(self._shared_draft.draft, {"op": "empty"}).mission)
 
     async def _open_file(self, e: UploadEventArguments) -> None:
@@ -145,7 +145,7 @@ class MissionEditor:
 
     async def _fetch_from_vehicle(self) -> None:
         vehicle = self._view.shown_vehicle()
-        if vehicle is None or self._refuse_if_blocked("fetched"):
+        if vehicle is None or self._refuse_if_blocked("downloaded"):
             return
         self._view.keep_request(request := vehicle.download_mission())
         if not await panels.wait_until_accepted(request):
@@ -159,13 +159,13 @@ class MissionEditor:
         await self._replace_mission(mission)
 
     async def _send_to_vehicle(self) -> None:
-        vehicle = panels.vehicle_to_change(self._view, "sent")
+        vehicle = panels.vehicle_to_change(self._view, "uploaded")
         if vehicle is None:
             return
         self._refused = ""  # of what was typed before; the field shows what is sent
         mission = self._shared_draft.draft.mission
         verdict = await self._check_draft()
         if mission is not self._shared_draft.draft.mission or verdict.fault:
-            panels.show_refusal(f"not sent: {verdict.fault or 'it was changed meanwhile'}")
+            panels.show_refusal(f"not uploaded: {verdict.fault or 'the mission has been changed'}")
             return
         await panels.send_mission(self._view, vehicle, mission)

@@ -44,7 +44,7 @@ _PAGE_STYLE = (
 _LOGIN_PAGE = (
     "<!doctype html><html lang=en><meta charset=utf-8><title>mufly station</title>" + _PAGE_STYLE
     + "<form method=post action=/login>"
-    "<h1>mufly station</h1><label for=t>This station needs the token that it printed when it was started.</label>"
+    "<h1>mufly station</h1><label for=t>Enter the token that the station printed at start.</label>"
     "<input id=t name=token type=password autocomplete=off autofocus><button>Open</button></form>"
 )  # fmt: skip
 _REDIRECT_PAGE = (
@@ -106,7 +106,7 @@ def bind_page_address(host: str = "127.0.0.1", port: int | None = None, token: s
         If the address is none of this machine, or the port that was asked for is taken.
     """
     if token is not None and len(token) < 8:
-        remedy = "give a longer one, or none to have one made"
+        remedy = "give a longer token, or omit it to generate one"
         raise ArgumentError("token", "", "is shorter than 8 characters", remedy)
     secret = token or ("" if is_loopback(host) else make_token())
     tried = [port] if port is not None else [*range(DEFAULT_PORT, DEFAULT_PORT + MAX_PORTS_TRIED), 0]
@@ -126,7 +126,7 @@ def bind_page_address(host: str = "127.0.0.1", port: int | None = None, token: s
             if number == tried[-1]:
                 what = "port" if port is not None else "host"
                 problem = f"cannot listen on {host}:{number} ({error.strerror})"
-                raise ArgumentError(what, "", problem, "give another one, or leave it out") from None
+                raise ArgumentError(what, "", problem, "give another one or omit it") from None
             continue
         bound.setblocking(False)
         return PageAddress(bound, host, secret)
@@ -164,9 +164,11 @@ class AccessGuard:
         send = _forbid_framing(send)
         asked = HTTPConnection(scope)
         if not self._is_known_host(asked.headers.get("host", "")):
-            await _send_refusal(scope, receive, send, 403, "this station does not serve under that name")
+            await _send_refusal(
+                scope, receive, send, 403, "host name not allowed; open the address that the station printed"
+            )
         elif not self._is_own_origin(asked.headers, scope["type"]):
-            await _send_refusal(scope, receive, send, 403, "this station answers its own pages only")
+            await _send_refusal(scope, receive, send, 403, "requests from other sites are refused")
         elif not self._token:
             await self._app(scope, receive, send)
         elif scope["type"] == "http" and await self._handle_login(scope, receive, send):
@@ -174,7 +176,7 @@ class AccessGuard:
         elif hmac.compare_digest(asked.cookies.get(COOKIE_NAME, "").encode(), self._cookie.encode()):
             await self._app(scope, receive, send)
         else:
-            await _send_refusal(scope, receive, send, 401, _LOGIN_PAGE if scope["path"] == "/" else "a token is needed")
+            await _send_refusal(scope, receive, send, 401, _LOGIN_PAGE if scope["path"] == "/" else "token required")
 
     def _is_known_host(self, host: str) -> bool:
         # A rebound name has no cookie of ours, so with a token any name will do.

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from mufly.vehicle import Vehicle
 
 NO_PAGE_TIMEOUT_S = 20.0
-"""With no page opened for so long the mission is flown without one (s)."""
+"""With no page opened for so long the mission starts without a page (s)."""
 PAGE_CLOSED_TIMEOUT_S = 10.0
 """The session ends when the flight is over and no page has been open for so long (s)."""
 _POLL_INTERVAL_S = 0.1
@@ -217,7 +217,7 @@ async def _wait_until_over(flight: PageFlight, monitor: FlightMonitor, session: 
     # Not in a thread: an end that is asked for would have to wait for it.
     while not flight.process.is_ready:
         await asyncio.sleep(_POLL_INTERVAL_S)
-    startup.begin_stage("waiting for its first heartbeat")
+    startup.begin_stage("waiting for the vehicle's first heartbeat")
     began = last_seen = time.monotonic()
     while True:
         await asyncio.sleep(_POLL_INTERVAL_S)
@@ -231,12 +231,12 @@ async def _wait_until_over(flight: PageFlight, monitor: FlightMonitor, session: 
             startup.finish()
         if not seen and not started and now - began > NO_PAGE_TIMEOUT_S and vehicles and not monitor.has_flown:
             started = True
-            flight.on_notice(f"No page was opened within {NO_PAGE_TIMEOUT_S:g} s: the mission is flown without one")
+            flight.on_notice(f"No page was opened within {NO_PAGE_TIMEOUT_S:g} s: the mission starts without a page")
             request = vehicles[0].start_mission()
             while not request.is_done:
                 await asyncio.sleep(_POLL_INTERVAL_S)
                 monitor.process_events()
             if request.outcome != "accepted":
-                raise MuflyError(f"the mission does not start: {request.answer}")
+                raise MuflyError(f"mission start failed: {request.answer}")
         if monitor.is_over and not session.live_view_count and (not seen or now - last_seen > PAGE_CLOSED_TIMEOUT_S):
             return

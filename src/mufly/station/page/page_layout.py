@@ -47,25 +47,25 @@ MAX_OFFSET_S = 1e6
 """Largest time shift of a second recording (s)."""
 _KEYBOARD_HELP = (
     ("Shift + T, twice", "take off"),
-    ("Shift + M, twice", "fly or resume the mission"),
-    ("Shift + H", "hover: stop and stay"),
-    ("Shift + G", "go to the point in the fields N, E, height"),
+    ("Shift + M, twice", "start or resume the mission"),
+    ("Shift + H", "hover at the present position"),
+    ("Shift + G", "go to the position in the fields N, E, height"),
     ("Shift + L, twice", "land"),
     ("Shift + R, twice", "return and land"),
-    ("Shift + A, twice", "arm; once: disarm"),
-    ("Shift + ⌫, twice", "emergency stop: motors off; in text fields and dialogs too"),
+    ("Shift + A, twice", "arm; pressed once: disarm"),
+    ("Shift + ⌫, twice", "emergency stop: stop the motors (also in text fields and dialogs)"),
     ("space", "play or pause a recording"),
-    ("m", "mark this moment in the recording"),
-    ("d", "dark or light"),
-    ("Ctrl + Z, Ctrl + Y", "in the plan: undo, redo; Del deletes, arrows move the point"),
-    ("?", "this list"),
+    ("m", "add a mark to the recording"),
+    ("d", "dark or light theme"),
+    ("Ctrl + Z, Ctrl + Y", "in the plan: undo, redo; Del deletes, arrows move the waypoint"),
+    ("?", "keyboard and pointer help"),
 )
 _POINTER_HINTS = (
-    "Click on the floor to choose a waypoint; click its mark again, or Send, to fly there.",
-    "In the tab Plan the 3-D view draws a mission: click adds, drag moves, ↕ or Shift changes the height.",
-    "Drag turns the 3-D view, right drag moves it, the wheel zooms.",
-    "In a plot the wheel zooms the time axis, drag moves it, a double click goes back to live.",
-    "Commands need Shift, so that a stray letter flies nothing. The emergency stop is on top of everything.",
+    "Click the floor to set a destination; click its marker again, or Send, to fly there.",
+    "In the tab Plan, click the 3-D view to add a waypoint and drag to move it; ↕ or Shift changes its height.",
+    "In the 3-D view, drag rotates, right drag pans, the wheel zooms.",
+    "In a plot, the wheel zooms the time axis, drag pans, a double click returns to live.",
+    "Commands need Shift, which prevents accidental commands. The emergency stop is always visible.",
 )
 
 
@@ -82,7 +82,7 @@ def build_page(view: WindowView) -> None:
             for module, title in (
                 ("flight", ""),
                 ("actuators", "Motors and servos"),
-                ("ranges", "Ranges, nose up"),
+                ("ranges", "Ranges (nose up)"),
             ):
                 with _make_labelled("section", title, f"mf-card mf-card-{module}"):
                     if title:
@@ -150,7 +150,7 @@ def _build_header(view: WindowView, dark: ui.dark_mode) -> Callable[[], None]:
         with make_element("div", classes="mf-header-tools"):
             _build_recorder(view)
             say = _build_alert_switch(view)
-            _add_icon_button("◐", toggle_dark, "d", "dark or light", "dark or light (d)")
+            _add_icon_button("◐", toggle_dark, "d", "dark or light", "dark or light theme (d)")
             with ui.dialog() as keys, make_element("div", classes="mf-help"):
                 _build_help()
             _add_icon_button("?", keys.open, "?", "help", "keyboard and help (?)")
@@ -215,11 +215,11 @@ def _build_recorder(view: WindowView) -> None:
         show_recording_state()
 
     with ui.dialog() as marks, make_element("div", classes="mf-help"):
-        make_element("h2", "Mark this moment")
+        make_element("h2", "Add a mark")
         field = ui.input("text", placeholder="gust from the left").props("autofocus").on("keydown.enter", add_mark)
-        make_button("Set the mark", add_mark, classes="mf-primary-button")
+        make_button("Add", add_mark, classes="mf-primary-button")
     record = make_button("● Record", toggle_recording, test="record")
-    make_button("Mark", marks.open, title="put a mark into the recording (m)").props('data-key="m"')
+    make_button("Mark", marks.open, title="add a mark to the recording (m)").props('data-key="m"')
     state: list[bool | None] = [None]
 
     def show_recording_state() -> None:
@@ -228,7 +228,7 @@ def _build_recorder(view: WindowView) -> None:
             return
         state[0] = on
         record._text = "■ Recording" if on else "● Record"
-        title = "recording; press to stop" if on else "record"
+        title = "stop recording" if on else "start recording"
         record.props(f'aria-pressed={str(on).lower()} title="{title}"')
         record.classes(add="mf-recording" if on else "", remove="" if on else "mf-recording")
         record.update()
@@ -320,7 +320,7 @@ def _describe_facts(facts: dict[str, Any]) -> str:
     """Return the facts of a recording in one line."""
     outcome = " ".join(str(facts[k]) for k in ("outcome", "reason") if facts.get(k))
     start = str(facts.get("start_time", ""))[:19].replace("T", " ")
-    whole = "" if facts.get("complete", True) else "cut off: shown as far as it goes"
+    whole = "" if facts.get("complete", True) else "incomplete: shown up to its last sample"
     parts = (str(facts.get("vehicle", "")), str(facts.get("mission", "")), outcome, start, whole)
     return "Recording: " + "; ".join(p for p in parts if p)
 
@@ -408,21 +408,21 @@ class CommandBar:
                 self._banner_button.props("type=button data-testid=take-controls")
                 self._banner_button.on("click", self._take_over_control, args=[])
             self._add_action(
-                "mission", "Fly the mission", "M", self._command_action("start_mission"), classes="mf-primary"
+                "mission", "Start mission", "M", self._command_action("start_mission"), classes="mf-primary"
             )
             with make_element("div", classes=row):
                 self._add_action("arm", "Arm", "A", self._toggle_arm, classes="mf-small")
                 self._add_action("take_off", "Take off", "T", self._take_off_to_height, "take-off")
-                self._height = _NumberField("to", 1.0, "height of take-off in m", "m")
+                self._height = _NumberField("to", 1.0, "take-off height (m)", "m")
             with make_element("div", classes=row):
                 self._add_action("pause", "Hover", "H", self._command_action("pause"))
                 self._add_action("land", "Land", "L", self._command_action("land"))
                 self._add_action("return", "Return", "R", self._command_action("return_home"))
             with make_element("div", classes=f"{row} mf-goto"):
                 self._place = (
-                    _NumberField("N", 0.0, "north in m"),
-                    _NumberField("E", 0.0, "east in m"),
-                    _NumberField("height", 1.0, "height of the waypoint in m"),
+                    _NumberField("N", 0.0, "north (m)"),
+                    _NumberField("E", 0.0, "east (m)"),
+                    _NumberField("height", 1.0, "height of the destination (m)"),
                 )
                 for field in self._place:
                     field.panel.on("enter", self._go_to_typed_place, args=[])
@@ -472,7 +472,7 @@ class CommandBar:
         else:
             self._show_refusal(
                 f"take off to {height:g} m",
-                f"give {TAKE_OFF_HEIGHT_RANGE_M[0]:g} to {TAKE_OFF_HEIGHT_RANGE_M[1]:g} m",
+                f"enter {TAKE_OFF_HEIGHT_RANGE_M[0]:g} to {TAKE_OFF_HEIGHT_RANGE_M[1]:g} m",
             )
 
     def _go_to_typed_place(self) -> None:
@@ -483,7 +483,7 @@ class CommandBar:
         self.show_place(north, east, height)
         why = self.refusal_reasons()["go_to"]
         if not all(math.isfinite(x) and abs(x) < 1e5 for x in (north, east, height)) or height <= 0.0:
-            why = "give finite metres and a height above the floor"
+            why = "enter finite numbers and a height above the floor"
         vehicle, place = self._view.shown_vehicle(), (north, east, -height)
         errand = DestinationCheck() if vehicle is None or why else check_vehicle_destination(vehicle, place)
         why = why or errand.refusal_reason
@@ -543,9 +543,9 @@ class CommandBar:
         if snapshot is not None and snapshot.armed:
             labels["arm"], why["arm"] = "Disarm", why["disarm"]
         failed = [] if vehicle is None or vehicle.snapshot.flying else failed_check_names(vehicle.checks)
-        own = [name for name in failed if name not in ("mission", "time to fly")]
+        own = [name for name in failed if name not in ("mission", "endurance")]
         against = {
-            name: f"failed: {', '.join(names)}" if names else ""
+            name: f"checks failed: {', '.join(names)}" if names else ""
             for name, names in (("mission", failed), ("take_off", own))
         }
         for name, action in self._actions.items():
@@ -554,9 +554,9 @@ class CommandBar:
             if name == "mission" and note and not why[name]:
                 label = f"{label} anyway"
             if self._confirm.is_second_press((vehicle, name)):
-                label, note, caution = "Press again", f"to {CONFIRMED_COMMANDS[name]}", True
+                label, note, caution = "Confirm", f"press again to {CONFIRMED_COMMANDS[name]}", True
             elif name == "go_to" and self._confirm.is_second_press((vehicle, name, self._typed_place())):
-                label, note, caution = "Again", self._beware, True
+                label, note, caution = "Confirm", self._beware, True
             action.show_state(label, why[name], note, caution)
         self._show_banner(vehicle, snapshot)
         self._show_requests()
@@ -572,10 +572,10 @@ class CommandBar:
             text = self._view.session.describe_waiting(self._view.selected)
         elif not self._view.has_controls:
             other = self._view.session.controls_holder
-            text = "The controls are with another window" if other else "No window holds the controls"
-            button = "Take the controls"
+            text = "Another window has control" if other else "No window has control"
+            button = "Take control in this window"
         elif s is not None and s.commander and not s.in_command:
-            text, button = f"Watching: commanded by {s.commander}", "Take command"
+            text, button = f"View only: {s.commander} has operator control", "Take operator control"
         if (text, button) == self._banner_shown:
             return
         self._banner_shown = (text, button)

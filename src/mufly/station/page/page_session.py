@@ -142,9 +142,9 @@ class StationSession:
         trouble = "; ".join(self.link_problems()) if self.link_problems is not None else ""
         if selected and self.vehicles():
             system, _, link = selected.partition("@")
-            text = f"The vehicle of this window (system {system} on {link}) is not heard; choose another one above"
+            text = f"No communication with system {system} on {link}; select another vehicle above"
         else:
-            text = "Waiting for a vehicle on the link"
+            text = "Waiting for a vehicle to connect"
         return f"{text}. {trouble}" if trouble else text
 
     def vehicle_label(self, vehicle: RemoteVehicle) -> str:
@@ -386,9 +386,9 @@ class WindowView:
 
 def describe_pace(s: VehicleSnapshot) -> str:
     """Return how much real time a vehicle loses, in words; "" if none."""
-    lost = [f"{s.real_time_factor:.2f} of real time"] if s.real_time_factor < SLOW_REAL_TIME_FACTOR else []
+    lost = [f"real-time factor {s.real_time_factor:.2f}"] if s.real_time_factor < SLOW_REAL_TIME_FACTOR else []
     if s.slips:
-        lost.append(f"{s.slips} slip{'s' if s.slips > 1 else ''}")
+        lost.append(f"{s.slips} timing overrun{'s' if s.slips > 1 else ''}")
     return ", ".join(lost)
 
 
@@ -483,10 +483,10 @@ def find_refusal_reasons(
         Why it cannot be armed, "" if it can.
     """
     if kind == "recording" or s is None:
-        return dict.fromkeys(COMMAND_NAMES, "a recording" if kind == "recording" else "no vehicle heard")
+        return dict.fromkeys(COMMAND_NAMES, "recording shown" if kind == "recording" else "no vehicle connected")
     watching = not has_controls or (s.commander and not s.in_command)
     if not s.connected or watching:  # it may still hear us
-        return dict.fromkeys(COMMAND_NAMES, "watching only" if s.connected else "no link") | {"stop": ""}
+        return dict.fromkeys(COMMAND_NAMES, "view only" if s.connected else "no link") | {"stop": ""}
     situation = s if kind == "mufly" else replace(s, state="")
     height_m = math.nan if s.flying else 0.0
     why = {
@@ -496,20 +496,20 @@ def find_refusal_reasons(
         for name, ask in _REQUEST_BY_COMMAND.items()
     }
     if s.mission_running:  # from the first turn of the rotors on, its waits among it
-        why["mission"] = "Hover interrupts it"
+        why["mission"] = "running; Hover pauses it"
     if s.armed:
         why["arm"] = "armed"
     else:  # taking off and the mission arm it first
         why |= {name: why[name] or unready for name in ("arm", "take_off", "mission")}
         why["disarm"] = why["disarm"] or "not armed"
-    return why if rows else why | {"mission": "no mission loaded"}
+    return why if rows else why | {"mission": "no mission in the vehicle"}
 
 
 def mission_label(s: VehicleSnapshot | None) -> str:
     """Return what the mission button says."""
     if s is None or not s.mission_begun:
-        return "Fly the mission"
-    return "Under way" if s.mission_running else "Resume mission"
+        return "Start mission"
+    return "Mission running" if s.mission_running else "Resume mission"
 
 
 # Parameters: what was done to them here, and files of them. Files are those that other ground stations write too: one
@@ -584,7 +584,7 @@ def format_parameter_file(
     for name in sorted(parameters):
         p = parameters[name]
         if not math.isfinite(p.value):
-            lines.append(f"# {name} is {p.value}: not a number that could be written again")
+            lines.append(f"# {name} is {p.value}: not a finite number, omitted")
             continue
         value, kind = (f"{round(p.value)}", PARAM_TYPE_INT32) if p.is_integer else (f"{p.value:.9g}", PARAM_TYPE_REAL32)
         lines.append(f"{system}\t{component}\t{name}\t{value}\t{kind}")
@@ -629,18 +629,18 @@ def read_parameter_file(text: str, where: str, component: int = AUTOPILOT_COMPON
         try:
             number = float(int(value, 16)) if value.lower().startswith("0x") else float(value)
         except ValueError:
-            remedy = "write NAME,value or the lines that QGroundControl writes"
+            remedy = "use lines NAME,value or QGroundControl's format"
             raise InputError(where, f"line {k}", f"{whole.strip()[:60]!r} is not a parameter", remedy) from None
         if named and int(parts[1]) != component:
             others.add(parts[1])
             continue
         if out.setdefault(name, number) != number:
-            problem = f"{name} is {number:g} here and {out[name]:g} in line {lines[name]}"
-            raise InputError(where, f"line {k}", problem, "leave one of the two lines")
+            problem = f"{name} is {number:g}, but {out[name]:g} in line {lines[name]}"
+            raise InputError(where, f"line {k}", problem, "delete one of the two lines")
         lines.setdefault(name, k)
     if not out and others:
         problem = f"holds parameters of component {', '.join(sorted(others))}, none of component {component}"
-        raise InputError(where, "", problem, "choose the file of the autopilot")
+        raise InputError(where, "", problem, "choose the autopilot's file")
     if not out:
         raise InputError(where, "", "contains no parameters", "choose another file")
     return out

@@ -40,8 +40,8 @@ _POLL_PERIOD_S = 0.05
 _THREE_JS_FOLDER = Path(nicegui.__file__).parent / "elements" / "scene" / "dist"
 CONFIRM_TIMEOUT_S = 3.0
 _STOP_OUTCOME_TEXTS = {
-    RequestOutcome.WAITING: "asked",
-    RequestOutcome.ACCEPTED: "done: motors off",
+    RequestOutcome.WAITING: "sent",
+    RequestOutcome.ACCEPTED: "motors stopped",
     RequestOutcome.REFUSED: "REFUSED",
     RequestOutcome.TIMED_OUT: "NO ANSWER",
 }
@@ -173,10 +173,10 @@ def add_file_picker(
     upload = ui.upload(auto_upload=True, max_file_size=most_bytes, on_upload=taken)
     upload.props(f'accept="{ending}" data-testid="{test}"').classes("mf-hidden")
     upload.props(':headers="() => window.muflyLive.headers()"')
-    upload.on_rejected(lambda: show_refusal("that file is too large or of another kind"))
+    upload.on_rejected(lambda: show_refusal("file not accepted: too large or of another type"))
     upload.on(
         "failed",
-        lambda: show_refusal("that file was not taken: it reached the station too late; choose it again"),
+        lambda: show_refusal("file not accepted: it reached the station too late; choose it again"),
         args=[],
     )
 
@@ -199,11 +199,11 @@ def _blocking_reason(view: WindowView) -> str:
     """Return why this window may not change the vehicle; "" if it may."""
     vehicle = view.shown_vehicle()
     if vehicle is None:
-        return "no vehicle is shown"
+        return "no vehicle is displayed"
     if not view.has_controls:
-        return "another window has the controls"
+        return "another window has control"
     s = vehicle.snapshot
-    return f"commanded by {s.commander}" if s.commander and not s.in_command else ""
+    return f"{s.commander} has operator control" if s.commander and not s.in_command else ""
 
 
 def vehicle_to_change(view: WindowView, what: str) -> RemoteVehicle | None:
@@ -225,19 +225,19 @@ def build_check_drawer(view: WindowView) -> None:
             view.keep_request(vehicle.release_command())
 
     def restart_autopilot() -> None:
-        vehicle = vehicle_to_change(view, "started anew")
+        vehicle = vehicle_to_change(view, "rebooted")
         if vehicle is not None and vehicle.snapshot.flying:
-            show_refusal("not started anew: it flies")
+            show_refusal("not rebooted: the vehicle is flying")
         elif vehicle is not None:
             view.keep_request(vehicle.reboot())
 
     BrowserPanel("checks")
     with make_element("div", classes="mf-tools mf-foot mf-live-only"):
-        make_button("Release command", release_command, title="let another station command the vehicle")
+        make_button("Release control", release_command, title="release operator control")
         make_button(
-            "Start anew",
+            "Reboot vehicle",
             restart_autopilot,
-            title="reboot the vehicle; a simulation stands at its start again",
+            title="reboot the vehicle's autopilot; a simulated flight restarts",
         )
 
 
@@ -262,8 +262,8 @@ async def send_mission(view: WindowView, vehicle: RemoteVehicle, mission: Missio
     kept = find_untransmitted_keys(mission, view.session.shared_draft.vehicle_mission)
     view.session.mission = mission
     vehicle.set_shown_mission(mission)
-    words = f"sent: {len(mission.waypoint)} waypoints"
-    show_notice(words + (f"; the vehicle keeps its own {', '.join(kept)}" if kept else ""))
+    words = f"uploaded: {len(mission.waypoint)} waypoints"
+    show_notice(words + (f"; not transmitted, the vehicle keeps its own: {', '.join(kept)}" if kept else ""))
 
 
 def build_sensor_drawer(view: WindowView) -> None:
@@ -293,7 +293,7 @@ def build_sensor_drawer(view: WindowView) -> None:
         """Show the usual amount and its unit in the field."""
         how = kinds[kind.value]
         known = FAULT_TARGETS[FAILURE_NAMES[0][float(unit.value)]].default_amounts.get(how)
-        words = "nothing" if known is None else f"{known:g} {find_fault_unit(int(unit.value), how)}"
+        words = "none" if known is None else f"{known:g} {find_fault_unit(int(unit.value), how)}"
         amount.props(f'placeholder="{words}"')
         amount.set_enabled(known is not None)
 
@@ -303,19 +303,19 @@ def build_sensor_drawer(view: WindowView) -> None:
     with make_element("div", classes="mf-tools mf-foot mf-faults mf-live-only"):
         unit = ui.select(units, value=next(iter(units))).props("dense options-dense outlined aria-label=sensor")
         kind = ui.select(kinds, value=next(iter(kinds))).props("dense options-dense outlined aria-label=fault")
-        amount = ui.number("how much").props("dense outlined stack-label clearable aria-label=amount")
-        seconds = ui.number("for (s)", min=0).props(
-            'dense outlined stack-label clearable aria-label=seconds placeholder="ever"'
+        amount = ui.number("amount").props("dense outlined stack-label clearable aria-label=amount")
+        seconds = ui.number("duration (s)", min=0).props(
+            'dense outlined stack-label clearable aria-label=seconds placeholder="until cleared"'
         )
         for one in (unit, kind):
             one.on_value_change(describe_usual)
         describe_usual()
-        make_button("Inject", inject_selected, test="inject", title="let this sensor of a simulated flight go wrong")
+        make_button("Inject", inject_selected, test="inject", title="inject a failure into this simulated sensor")
         make_button(
             "Clear",
-            lambda: request_failure(0, "clear faults"),
+            lambda: request_failure(0, "clear all injected failures"),
             test="clear-faults",
-            title="nothing is wrong any more",
+            title="clear all injected failures",
         )
 
 
@@ -354,20 +354,20 @@ def build_mission_drawer(view: WindowView) -> None:
             show_refusal(f"not saved: {error}")
             return
         if mission is None:
-            show_refusal("there is no mission to save")
+            show_refusal("no mission to save")
             return
         ui.download.content(dump_mission(mission), f"{mission.name or 'mission'}.toml")
 
     with make_element("div", classes="mf-tools"):
         add_file_picker("Upload…", ",".join(FILE_ENDINGS), upload_file, "mission-file", classes="mf-live-only")
         make_button(
-            "Fetch",
+            "Download",
             download_mission,
-            title="fetch the mission that is in the vehicle",
+            title="download the vehicle's mission",
             classes="mf-live-only",
         )
         make_button("Save", save_file, title="save the mission as a file")
-        make_button("Clear", clear_mission, title="delete the mission in the vehicle", classes="mf-live-only")
+        make_button("Clear", clear_mission, title="clear the vehicle's mission", classes="mf-live-only")
     BrowserPanel("mission")
 
 
@@ -419,7 +419,7 @@ def build_parameter_drawer(view: WindowView) -> Callable[[], None]:
     def save_file() -> None:
         vehicle = view.shown_vehicle()
         if vehicle is None or not vehicle.parameters:
-            show_refusal("there are no parameters to save")
+            show_refusal("no parameters to save")
             return
         text = format_parameter_file(vehicle.parameters, vehicle.system, find_component_id(vehicle))
         ui.download.content(text, f"{vehicle.name.split(',')[0].replace(' ', '-')}.params")
@@ -437,12 +437,12 @@ def build_parameter_drawer(view: WindowView) -> Callable[[], None]:
         # All or nothing: a file with one bad line changes nothing.
         faults = [f"{n}: {w}" for n, v in values.items() if (w := refusal_reason(vehicle.parameters.get(n), n, v))]
         if why := _blocking_reason(view) or (faults[0] if faults else ""):
-            show_refusal(f"nothing was written: {why}")
+            show_refusal(f"no parameter written: {why}")
             return
         changed = {n: v for n, v in values.items() if vehicle.parameters[n].value != v}
         for name, value in changed.items():
             write_parameter(name, value)
-        show_notice(f"{len(changed)} of {len(values)} parameters differed and were written")
+        show_notice(f"{len(changed)} of {len(values)} parameters differ and have been sent")
         refresh_buttons()
 
     def fetch_parameters() -> None:
@@ -452,9 +452,9 @@ def build_parameter_drawer(view: WindowView) -> Callable[[], None]:
     with make_element("div", classes="mf-tools"):
         undo = make_button("↶ Undo", lambda: step_history("undo"), test="undo")
         redo = make_button("↷ Redo", lambda: step_history("redo"), test="redo")
-        make_button("Fetch", fetch_parameters, title="fetch all parameters again")
-        add_file_picker("Load…", ".params,.param,.parm,.txt", load_file, "parameter-file")
-        make_button("Save", save_file, title="save all parameters as a file")
+        make_button("Refresh", fetch_parameters, title="download all parameters again")
+        add_file_picker("Load from file…", ".params,.param,.parm,.txt", load_file, "parameter-file")
+        make_button("Save to file", save_file, title="save all parameters as a file")
     table = BrowserPanel("parameters").on("write", handle_edit)
     shown: list[object] = [None]
 

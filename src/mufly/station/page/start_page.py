@@ -196,9 +196,9 @@ def _make_handler(address: PageAddress, startup: Startup, asked: Callable[[], No
         def do_GET(self) -> None:
             place = urlsplit(self.path)
             if not address.token and not is_loopback(host_name(self.headers.get("Host", ""))):
-                self._answer(403, "text/plain", "this station does not serve under that name")
+                self._answer(403, "text/plain", "host name not allowed; open the address that the station printed")
             elif not self._known(place.query):
-                self._answer(401, "text/plain", "the station starts; it needs the token that it printed")
+                self._answer(401, "text/plain", "the station is starting; token required")
             elif place.path == "/starting":
                 asked()
                 self._answer(200, "application/json", json.dumps(startup.encode_status()))
@@ -207,7 +207,7 @@ def _make_handler(address: PageAddress, startup: Startup, asked: Callable[[], No
                 startup.visit_count += 1
                 self._answer(200, "text/html", _START_PAGE_HTML)
             else:
-                self._answer(503, "text/plain", "the station starts")
+                self._answer(503, "text/plain", "the station is starting")
 
         def _known(self, query: str) -> bool:
             if not address.token:
@@ -239,7 +239,7 @@ def _make_handler(address: PageAddress, startup: Startup, asked: Callable[[], No
 
 
 _START_PAGE_HTML = """<!doctype html><html lang=en><meta charset=utf-8><meta name=viewport content="width=device-width">
-<title>mufly starts</title><style>
+<title>Starting mufly</title><style>
 :root{color-scheme:light dark;--bg:#eef1f4;--panel:#fff;--line:#cfd6dd;--text:#17202a;--dim:#57646f;--accent:#1769a5;
 --good:#1d7a46;--bad:#c2271d}
 @media(prefers-color-scheme:dark){:root{--bg:#0f1419;--panel:#171d24;--line:#2c3641;--text:#e8edf2;--dim:#98a5b1;
@@ -253,7 +253,7 @@ ol{list-style:none;margin:0;padding:0}
 li{display:grid;grid-template-columns:1.5rem 1fr auto;font-variant-numeric:tabular-nums}
 li.now{font-weight:600}li:not(.now){color:var(--dim)}li.done span:first-child{color:var(--good)}
 #fault{color:var(--bad);font-weight:600;margin:.8rem 0 0;overflow-wrap:anywhere}#fault:empty{display:none}
-</style><main><h1>mufly starts</h1><p id=title>&nbsp;</p><ol id=stages></ol><p id=fault role=alert></p></main><script>
+</style><main><h1>Starting mufly</h1><p id=title>&nbsp;</p><ol id=stages></ol><p id=fault role=alert></p></main><script>
 const at = (id) => document.getElementById(id);
 let lost = 0;
 function show(s) {
@@ -264,7 +264,7 @@ function show(s) {
     li.append(...words.map((w) => Object.assign(document.createElement("span"), { textContent: w })));
     return li;
   }));
-  at("fault").textContent = s.fault ? `It did not start: ${s.fault}` : "";
+  at("fault").textContent = s.fault ? `Start failed: ${s.fault}` : "";
 }
 async function look() {
   try {
@@ -273,7 +273,7 @@ async function look() {
     show(await answer.json());
     lost = 0;
   } catch (error) {
-    if (++lost > 3 && !at("fault").textContent) at("fault").textContent = "The command that started it has ended.";
+    if (++lost > 3 && !at("fault").textContent) at("fault").textContent = "The mufly command has ended.";
   }
   setTimeout(look, 300);
 }

@@ -52,12 +52,12 @@ class StickPanel:
         if vehicle is None:
             return ""
         if self._view.shown_vehicle() is not vehicle:
-            return "another vehicle is shown"
+            return "another vehicle is displayed"
         if why := self._reason():
             return why
         if self._request is not None and self._request.is_done and self._request.outcome is not RequestOutcome.ACCEPTED:
             return self._request.answer
-        return "" if vehicle.sticks.is_held else "the sticks were not heard"
+        return "" if vehicle.sticks.is_held else "no stick input received"
 
     def _release_sticks(self, why: str) -> None:
         vehicle, self._flown, self._request = self._flown, None, None
@@ -83,9 +83,9 @@ class StickPanel:
     def _start_flying(self, at: list[float]) -> None:
         vehicle, why = self._view.shown_vehicle(), self._reason()
         if any(abs(v) > CENTRE_TOLERANCE for v in at):
-            why = why or "the sticks are not in the middle; let them go first"
+            why = why or "sticks not centred; release them first"
         if vehicle is None or why:
-            self._panel.call_method("ended", why or "no vehicle is shown")
+            self._panel.call_method("ended", why or "no vehicle is displayed")
             return
         vehicle.sticks.set_deflection(*map(float, at))
         self._flown, self._request = vehicle, vehicle.fly_manually()

@@ -25,7 +25,7 @@ export function mount(element) {
       put(r.value, known ? (r.signed ? `${v > 0.005 ? "+" : v < -0.005 ? "−" : ""}${Math.abs(v * 100).toFixed(0)} %` : `${(v * 100).toFixed(0)} %`) : "–");
       const railed = known && (r.signed ? Math.abs(v) >= 0.999 : v >= 0.999);
       r.track.classList.toggle("mf-railed", railed);
-      if (railed) r.track.title = "at its limit";
+      if (railed) r.track.title = "at the limit (saturated)";
       const size = known ? Math.min(1, Math.abs(v)) : 0;
       if (r.signed) r.fill.style.transform = `scaleX(${(v < 0 ? -1 : 1) * size})`;
       else r.fill.style.transform = `scaleX(${size})`;

@@ -20,12 +20,12 @@ export function mount(element) {
   const toggle = el("button", { type: "button", class: "mf-icon-button", "data-testid": "alerts", onclick: () => (menu.hidden = !menu.hidden) });
   const mute = el("input", { type: "checkbox", "data-testid": "mute", onchange: () => ((state.muted = mute.checked), state.muted && window.speechSynthesis?.cancel(), keep()) });
   const voice = el("input", { type: "checkbox", onchange: () => ((state.voice = voice.checked), keep()) });
-  const least = el("select", { "aria-label": "least level that sounds", onchange: () => ((state.least = least.value), keep()) },
+  const least = el("select", { "aria-label": "lowest level announced", onchange: () => ((state.least = least.value), keep()) },
     el("option", { value: "info", text: "all alerts" }), el("option", { value: "warning", text: "warnings and errors" }), el("option", { value: "error", text: "errors" }));
   const note = el("span", { class: "mf-dim" });
-  const menu = el("div", { class: "mf-alert-menu", hidden: true, role: "group", "aria-label": "alerts aloud" },
-    el("label", { class: "mf-check" }, mute, " mute"), el("label", { class: "mf-check" }, voice, " speak, where there is a voice"), least,
-    el("button", { type: "button", text: "Try it", onclick: () => sound_it({ level: "warning", text: "this is a warning" }, true) }), note);
+  const menu = el("div", { class: "mf-alert-menu", hidden: true, role: "group", "aria-label": "audio alerts" },
+    el("label", { class: "mf-check" }, mute, " mute"), el("label", { class: "mf-check" }, voice, " speech, if available"), least,
+    el("button", { type: "button", text: "Test", onclick: () => sound_it({ level: "warning", text: "test warning" }, true) }), note);
   element.append(toggle, menu);
 
   function keep() {
@@ -39,11 +39,11 @@ export function mount(element) {
     const waits = !state.muted && !free;
     toggle.replaceChildren(icon(state.muted ? "mute" : "sound"));
     toggle.classList.toggle("mf-alerts-wait", waits);
-    const words = state.muted ? "alerts are muted" : waits ? "alerts sound after the first click or key in this page" : "alerts sound";
+    const words = state.muted ? "alerts muted" : waits ? "alerts start after the first click or key press" : "audio alerts on";
     toggle.title = words;
     toggle.setAttribute("aria-label", words);
     toggle.setAttribute("aria-expanded", !menu.hidden);
-    note.textContent = voices().length ? "" : "no voice in this browser: tones";
+    note.textContent = voices().length ? "" : "no speech in this browser; tones only";
   }
 
   // The first click or key frees the sound; a context made before it would be refused, with a warning.
@@ -97,9 +97,9 @@ export function mount(element) {
   let gap = null;
   const panel = live.panel({}, () => {}, { offline: (yes) => {
     clearTimeout(gap);
-    if (!yes && lost) sound_it({ level: "info", text: "the station is back" });
+    if (!yes && lost) sound_it({ level: "info", text: "connection to the station regained" });
     lost &&= yes;
-    if (yes && !lost) gap = setTimeout(() => ((lost = true), sound_it({ level: "error", text: "the page has lost the station" })), LOST_MS);
+    if (yes && !lost) gap = setTimeout(() => ((lost = true), sound_it({ level: "error", text: "connection to the station lost" })), LOST_MS);
   } });
   fill();
   return {

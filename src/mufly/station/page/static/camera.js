@@ -6,7 +6,7 @@ const INSIDE_95 = Math.sqrt(5.991); // of two numbers, in standard deviations
 const LATE_S = 0.7; // without a picture for so long, that is said
 
 export function mount(element) {
-  const picture = el("img", { alt: "picture of the camera", hidden: true });
+  const picture = el("img", { alt: "camera image", hidden: true });
   const frame = el("div", { class: "mf-camera-picture" }, picture);
   const above = el("div", { class: "mf-camera-map" });
   const head = el("p", { class: "mf-checks-head", role: "status", "data-testid": "camera-said" });
@@ -14,8 +14,8 @@ export function mount(element) {
   element.append(frame, above, el("div", { class: "mf-camera-told" }, head, facts));
   let now = null, map = { keyframes: [], ties: [], path: [] }, s = null, size = null, shown = 0;
   const rows = new Map();
-  const marks = canvas(frame, "features that agree", drawMarks);
-  const chart = canvas(above, "map of the floor: keyframes, loops closed, way, and where it is with its 95 % ellipse", drawMap);
+  const marks = canvas(frame, "matched features", drawMarks);
+  const chart = canvas(above, "floor map: keyframes, loop closures, path, and position with its 95 % ellipse", drawMap);
 
   picture.onload = () => {
     size = [picture.naturalWidth, picture.naturalHeight];
@@ -33,12 +33,12 @@ export function mount(element) {
 
   function tell() {
     const late = now && s ? s.time_s - now.t : 0;
-    let said = "No picture yet", state = "open";
-    if (now && late > LATE_S + (now.latency_s || 0)) [said, state] = [`No picture for ${number(late, 1)} s`, "bad"];
-    else if (now?.stands) said = now.features === undefined ? "It stands: nobody looks yet" : "It has landed: no position is asked for";
+    let said = "No image received", state = "open";
+    if (now && late > LATE_S + (now.latency_s || 0)) [said, state] = [`No image for ${number(late, 1)} s`, "bad"];
+    else if (now?.stands) said = now.features === undefined ? "On the floor: SLAM not started" : "Landed: SLAM paused";
     else if (now?.said) [said, state] = [`No position: ${now.said}`, "bad"];
     else if (now && !now.trusted_now) [said, state] = [`No position: ${now.reason}`, "bad"];
-    else if (now) [said, state] = ["It sees where it is", "good"];
+    else if (now) [said, state] = ["Tracking: position valid", "good"];
     put(head, said);
     head.dataset.state = state;
     if (!now) return;
@@ -47,10 +47,10 @@ export function mount(element) {
     fact("north", known ? `${number(now.position[0])} ± ${number(sigma(0), 3)} m` : "–");
     fact("east", known ? `${number(now.position[1])} ± ${number(sigma(1), 3)} m` : "–");
     fact("heading", known ? `${number(now.heading * DEG, 1)} ± ${number(sigma(3) * DEG, 1)}°` : "–");
-    fact("points", now.tracked ? `${now.agreed} of ${now.tracked} agree` : "–");
+    fact("features", now.tracked ? `${now.agreed} of ${now.tracked} matched` : "–");
     fact("latency", now.latency_s ? `${number(1e3 * now.latency_s, 0)} ms, SLAM ${number(1e3 * now.work_s, 0)}` : "–");
-    fact("lost by radio", share(now.lost, now.taken));
-    fact("no answer", share(now.answered - now.trusted, now.answered));
+    fact("images lost (radio)", share(now.lost, now.taken));
+    fact("images without position", share(now.answered - now.trusted, now.answered));
     fact("map", `${now.keyframes} keyframes, ${now.closures} ${now.closures === 1 ? "loop" : "loops"}`);
   }
 
@@ -120,7 +120,7 @@ export function mount(element) {
     ctx.textAlign = "right";
     ctx.fillText("north up; ■ keyframe", w - 4, 12);
     ctx.fillStyle = colours.reference;
-    if (map.ties.some((t) => t[2])) ctx.fillText("— loop closed", w - 4, 24);
+    if (map.ties.some((t) => t[2])) ctx.fillText("— loop closure", w - 4, 24);
   }
 
   const panel = live.panel({ sections: ["camera"] }, (f) => {

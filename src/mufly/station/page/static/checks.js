@@ -12,7 +12,7 @@ export function mount(element) {
     const rank = ([, ok]) => (ok === false ? 0 : ok === null ? 1 : 2);
     checks = [...checks].sort((a, b) => rank(a) - rank(b)); // what failed first, what cannot be judged next
     const failed = checks.slice(0, bad).map(([name]) => name).join(", ");
-    put(head, !checks.length ? "No checks for what is shown." : bad ? `Not ready: ${failed} (${bad} of ${checks.length} failed)` : open ? `${open} cannot be judged yet` : "Ready to fly");
+    put(head, !checks.length ? "No checks available." : bad ? `Not ready: ${failed} (${bad} of ${checks.length} failed)` : open ? `${open} undecided` : "Ready to fly");
     head.dataset.state = bad ? "bad" : open || !checks.length ? "open" : "good";
     list.replaceChildren(...checks.map(([name, ok, text]) => el("li", { class: ok === false ? "mf-level-error" : ok ? "mf-level-ok" : "" },
       icon(ok === false ? "error" : ok ? "ok" : "open"), el("div", {}, el("strong", { text: `${name}: ${ok === false ? "failed" : ok ? "ok" : "unknown"}` }), el("div", { class: "mf-dim", text })))));

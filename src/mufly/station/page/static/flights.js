@@ -40,7 +40,7 @@ export function mount(element, options, emit) {
     Object.assign(state, JSON.parse(localStorage.getItem(KEY) || "{}"), { words: "" });
   } catch (error) { /* begin anew */ }
   const keep = () => (localStorage.setItem(KEY, JSON.stringify(state)), fill());
-  const search = el("input", { type: "search", placeholder: "filter: vehicle, mission, outcome, date …", "aria-label": "filter the flights", oninput: () => ((state.words = search.value), fill()) });
+  const search = el("input", { type: "search", placeholder: "filter: vehicle, mission, outcome, date …", "aria-label": "filter recordings", oninput: () => ((state.words = search.value), fill()) });
   const every = el("input", { type: "checkbox", "data-testid": "every-file", onchange: () => ((state.all = every.checked), keep()) });
   every.checked = state.all;
   const count = el("span", { class: "mf-dim mf-note", role: "status" });
@@ -53,7 +53,7 @@ export function mount(element, options, emit) {
     return { by, label, button, head: el("th", { scope: "col" }, button) };
   });
   const body = el("tbody");
-  element.append(el("div", { class: "mf-tools" }, search, el("label", { class: "mf-dim mf-check", title: "also what lies beside a flight: the station's recording of it, packets" }, every, " all files"), count),
+  element.append(el("div", { class: "mf-tools" }, search, el("label", { class: "mf-dim mf-check", title: "also show the station's recordings and packet logs of a flight" }, every, " all files"), count),
     el("div", { class: "mf-scroll", tabindex: 0 }, el("table", { class: "mf-table" }, el("thead", {}, el("tr", {}, el("th"), ...heads.map((h) => h.head))), body)));
 
   function fill() {
@@ -62,14 +62,14 @@ export function mount(element, options, emit) {
       put(button, `${label}${state.by !== by ? "" : state.down ? " ▾" : " ▴"}`);
     }
     const shown = chosen(rows ?? [], state);
-    put(count, rows === null ? "looking …" : `${shown.length} of ${rows.length}`);
+    put(count, rows === null ? "searching …" : `${shown.length} of ${rows.length}`);
     body.replaceChildren(...shown.map((r) => el("tr", { class: r.fault ? "mf-level-error" : "" },
       el("td", { class: "mf-row-tools" },
         el("button", { type: "button", text: "Open", title: `open ${r.name}`, "data-testid": "open-recording", disabled: Boolean(r.fault), onclick: () => emit("open", r.name) }),
-        el("button", { type: "button", text: "Compare", title: "lay it over the recording that is shown, dashed", "data-testid": "compare-recording", disabled: Boolean(r.fault) || !replaying, onclick: () => emit("compare", r.name) }),
+        el("button", { type: "button", text: "Compare", title: "overlay on the displayed recording (dashed)", "data-testid": "compare-recording", disabled: Boolean(r.fault) || !replaying, onclick: () => emit("compare", r.name) }),
         el("button", { type: "button", text: "⤓", title: `download ${r.name}`, "aria-label": `download ${r.name}`, onclick: () => emit("download", r.name) })),
       ...COLUMNS.map(([c]) => el("td", { class: ["length", "size"].includes(c) ? "mf-num" : c === "name" ? "mf-dim" : "", title: c === "name" || c === "outcome" ? text[c](r) : null }, c === "outcome" && r.fault ? icon("error") : "", text[c](r))))));
-    if (rows && !shown.length) body.append(el("tr", {}, el("td", { colspan: 8, class: "mf-empty", text: rows.length ? "no flight passes the filter" : "no recordings there yet" })));
+    if (rows && !shown.length) body.append(el("tr", {}, el("td", { colspan: 8, class: "mf-empty", text: rows.length ? "no recording matches the filter" : "no recordings in this folder" })));
   }
   const panel = live.panel({}, (f) => {
     const now = Boolean(f.about?.replay);

@@ -181,9 +181,9 @@ function hold(yes) {
 }
 
 const seconds = el("span", { "aria-hidden": true, class: "mf-num" });
-const overlay = el("div", { class: "mf-lost", role: "alert", hidden: true, "data-testid": "no-contact" }, el("strong", {}, "No contact with the station", seconds),
-  el("span", { text: "What you see is old, and nothing on this page reaches the vehicle." }),
-  el("span", { text: "To stop the motors use the transmitter or its kill switch." }));
+const overlay = el("div", { class: "mf-lost", role: "alert", hidden: true, "data-testid": "no-contact" }, el("strong", {}, "No connection to the station", seconds),
+  el("span", { text: "The display is outdated, and no command from this page reaches the vehicle." }),
+  el("span", { text: "To stop the motors, use the transmitter or its kill switch." }));
 document.body.append(overlay);
 function setLost(yes) {
   if (live.lost === yes) return;
@@ -222,7 +222,7 @@ let refused = -Infinity;
 function refuse(held) {
   if (performance.now() - refused < LATE_MS) return;
   refused = performance.now();
-  const why = live.connected ? `it waited ${(held / 1000).toFixed(1)} s in this browser` : "there is no contact with the station";
+  const why = live.connected ? `delayed ${(held / 1000).toFixed(1)} s in this browser` : "no connection to the station";
   window.Quasar?.Notify.create({ message: `Not sent: ${why}`, type: "warning", position: "bottom", timeout: 4000 });
 }
 

@@ -7,7 +7,7 @@ const MOST = 500, RANK = { info: 0, warning: 1, error: 2 };
 export function mount(element) {
   element.classList.add("mf-column");
   let all = [], least = 0, words = "";
-  const level = el("select", { "aria-label": "least level shown", onchange: () => {
+  const level = el("select", { "aria-label": "lowest level shown", onchange: () => {
     least = Number(level.value);
     fill();
   } }, el("option", { value: 0, text: "all" }), el("option", { value: 1, text: "warnings and errors" }), el("option", { value: 2, text: "errors" }));
@@ -21,7 +21,7 @@ export function mount(element) {
   const shown = ([, kind, text]) => (RANK[kind] ?? 0) >= least && text.toLowerCase().includes(words);
   function fill() {
     const kept = all.filter(shown);
-    list.replaceChildren(...(kept.length ? kept.map(row) : [el("li", { class: "mf-empty", text: all.length ? "no message passes the filter" : "no messages yet" })]));
+    list.replaceChildren(...(kept.length ? kept.map(row) : [el("li", { class: "mf-empty", text: all.length ? "no message matches the filter" : "no messages yet" })]));
     list.scrollTop = list.scrollHeight;
   }
   const panel = live.panel({ sections: ["messages"] }, (f) => {

@@ -21,12 +21,12 @@ export function mount(element) {
       const now = k === current, state = now ? "here" : r.reached ? "ok" : "open";
       const [n, e, d] = r.p;
       return el("tr", { class: now ? "mf-now" : r.reached ? "mf-done" : "", "aria-current": now ? "step" : null },
-        el("td", { title: now ? "flying there" : r.reached ? "reached" : "to come" }, icon(state)),
+        el("td", { title: now ? "current" : r.reached ? "reached" : "pending" }, icon(state)),
         el("td", {}, `${r.action}${r.heading !== null && r.heading !== undefined ? ` ${Math.round(r.heading * DEG)}°` : ""}${r.text ? `, ${r.text}` : ""}`),
         ...[n, e].map((x) => el("td", { class: "mf-num", text: x === null ? "" : number(x) })),
         el("td", { class: "mf-num", text: d === null ? "" : number(d === 0 ? 0 : -d) }), el("td", { class: "mf-num", text: r.wait ? number(r.wait, 1) : "" }));
     }));
-    if (!rows.length) body.append(el("tr", {}, el("td", { colspan: 6, class: "mf-empty", text: "no mission in the vehicle; upload one" })));
+    if (!rows.length) body.append(el("tr", {}, el("td", { colspan: 6, class: "mf-empty", text: "no mission in the vehicle; upload a mission" })));
   }
   const panel = live.panel({ sections: ["mission"] }, (f) => {
     const at = f.s ? f.s.waypoint : current;

@@ -7,7 +7,7 @@ const MOST = 250;
 export function mount(element, options, emit) {
   element.classList.add("mf-column");
   let all = new Map(), words = "", changedOnly = false;
-  const search = el("input", { type: "search", placeholder: "search name or meaning", "aria-label": "search parameters", oninput: () => {
+  const search = el("input", { type: "search", placeholder: "search name or description", "aria-label": "search parameters", oninput: () => {
     words = search.value.toLowerCase();
     fill();
   } });
@@ -18,7 +18,7 @@ export function mount(element, options, emit) {
   } });
   const count = el("span", { class: "mf-dim mf-note", role: "status" });
   const body = el("tbody");
-  const table = el("table", { class: "mf-table mf-parameter-table" }, el("thead", {}, el("tr", {}, ...["parameter", "value", "unit", "least … greatest", "meaning"].map((text) => el("th", { scope: "col", text })))), body);
+  const table = el("table", { class: "mf-table mf-parameter-table" }, el("thead", {}, el("tr", {}, ...["parameter", "value", "unit", "min … max", "description"].map((text) => el("th", { scope: "col", text })))), body);
   element.append(el("div", { class: "mf-tools" }, search, only, count), el("div", { class: "mf-scroll", tabindex: 0 }, table));
 
   // A number that is none (null here) stands as an empty field that says so.
@@ -46,7 +46,7 @@ export function mount(element, options, emit) {
       }
     });
     const range = p.least === null && p.greatest === null ? "" : `${bound(p.least)} … ${bound(p.greatest)}`;
-    return el("tr", { class: differs(p) ? "mf-changed" : "" }, el("th", { scope: "row" }, p.name, differs(p) ? el("span", { class: "mf-badge", title: `was ${p.was ?? "not a number"}`, text: "changed" }) : null),
+    return el("tr", { class: differs(p) ? "mf-changed" : "" }, el("th", { scope: "row" }, p.name, differs(p) ? el("span", { class: "mf-badge", title: `initial value ${p.was ?? "not a number"}`, text: "changed" }) : null),
       el("td", {}, input), el("td", { text: p.unit }), el("td", { class: "mf-num mf-dim", text: range }), el("td", { class: "mf-help", text: p.help }));
   }
   // Show what the vehicle has: what was typed is not.
@@ -61,7 +61,7 @@ export function mount(element, options, emit) {
     const focused = document.activeElement?.dataset?.name;
     body.replaceChildren(...kept.slice(0, MOST).map(row));
     if (focused) body.querySelector(`[data-name="${CSS.escape(focused)}"]`)?.focus();
-    if (!all.size) body.append(el("tr", {}, el("td", { colspan: 5, class: "mf-empty", text: "no parameters were heard" })));
+    if (!all.size) body.append(el("tr", {}, el("td", { colspan: 5, class: "mf-empty", text: "no parameters received" })));
     count.textContent = kept.length > MOST ? `the first ${MOST} of ${kept.length}` : `${kept.length} of ${all.size}`;
   }
   const panel = live.panel({ sections: ["parameters"] }, (f) => {

@@ -50,7 +50,7 @@ export function mount(element) {
     keep();
     build();
   } });
-  const legend = el("span", { class: "mf-legend" }, ...["estimated", "measured", "reference", "truth"].map((s) => el("span", {}, stroke(s), s)), el("span", { title: "estimate plus and minus three standard deviations" }, "shaded: 3σ"));
+  const legend = el("span", { class: "mf-legend" }, ...["estimated", "measured", "reference", "truth"].map((s) => el("span", {}, stroke(s), s)), el("span", { title: "estimate ± three standard deviations" }, "shaded: 3σ"));
   const pair = el("span", { class: "mf-legend mf-legend-pair", hidden: true, "data-testid": "compare-legend" });
   const list = el("div", { class: "mf-plot-list" });
   element.append(el("div", { class: "mf-tools" }, pause, windows, add, pair, legend), list);

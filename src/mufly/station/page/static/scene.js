@@ -18,11 +18,11 @@ export function mount(element, options, emit) {
   try {
     renderer = new THREE.WebGLRenderer({ antialias: !software, powerPreference: "low-power" });
   } catch (error) {
-    element.append(el("p", { class: "mf-empty", text: "The 3-D view needs WebGL, which this browser does not offer." }));
+    element.append(el("p", { class: "mf-empty", text: "The 3-D view needs WebGL, which this browser does not support." }));
     return {};
   }
   renderer.domElement.setAttribute("role", "img");
-  renderer.domElement.setAttribute("aria-label", "3-D view of the vehicle in its world; click on the floor to choose a waypoint");
+  renderer.domElement.setAttribute("aria-label", "3-D view of the vehicle in its world; click the floor to set a destination");
   renderer.domElement.tabIndex = 0;
   element.append(renderer.domElement);
   const scene = new THREE.Scene();
@@ -249,9 +249,9 @@ export function mount(element, options, emit) {
   let sent = null; // north, east, height of the place that it was sent to
   let chosen = null, height = 1.0;
   const where = el("span", { class: "mf-num" });
-  const high = el("input", { type: "number", step: "0.1", min: "0.2", max: "100", "aria-label": "height in m", value: "1.0" });
+  const high = el("input", { type: "number", step: "0.1", min: "0.2", max: "100", "aria-label": "height (m)", value: "1.0" });
   const send = el("button", { class: "mf-chip-send", text: "Send", type: "button", onclick: () => go() });
-  const drop_it = el("button", { text: "✕", type: "button", "aria-label": "discard the waypoint", onclick: () => forget() });
+  const drop_it = el("button", { text: "✕", type: "button", "aria-label": "discard the destination", onclick: () => forget() });
   const chip = el("div", { class: "mf-chip", hidden: true, "data-testid": "goto-chip" }, where, el("label", {}, "height ", high, " m"), send, drop_it);
   element.append(chip);
   high.addEventListener("input", () => {
@@ -282,7 +282,7 @@ export function mount(element, options, emit) {
     target.visible = sent !== null;
     if (!sent) return;
     post(target, ...sent);
-    const words = sprite(`sent here, ${number(sent[2])} m`, { colour: "#fff", back: colours.reference, size: 0.14 });
+    const words = sprite(`destination, ${number(sent[2])} m`, { colour: "#fff", back: colours.reference, size: 0.14 });
     words.position.set(sent[1], sent[2] + 0.2, -sent[0]);
     target.add(words);
   }
@@ -341,7 +341,7 @@ export function mount(element, options, emit) {
     following.setAttribute("aria-pressed", follow);
   });
   following.setAttribute("aria-pressed", true);
-  const sizing = button("Size ×2.5", "vehicle drawn enlarged or in true size", () => {
+  const sizing = button("Size ×2.5", "draw the vehicle enlarged or in true size", () => {
     enlarged = !enlarged;
     sizing.textContent = enlarged ? "Size ×2.5" : "True size";
     build();
@@ -354,8 +354,8 @@ export function mount(element, options, emit) {
     paint();
   };
   element.append(el("div", { class: "mf-scene-tools", role: "group", "aria-label": "camera" },
-    following, button("3-D", "look from behind and above", view(2.1, 1.7, 3.5)), button("Top", "look from above, north up", view(0, 7, 0.01)),
-    button("Side", "look from the south", view(0, 0.3, 4.5)), sizing));
+    following, button("3-D", "view from behind and above", view(2.1, 1.7, 3.5)), button("Top", "view from above, north up", view(0, 7, 0.01)),
+    button("Side", "view from the south", view(0, 0.3, 4.5)), sizing));
 
   const sizes = new ResizeObserver(() => {
     const { clientWidth: w, clientHeight: h } = element;

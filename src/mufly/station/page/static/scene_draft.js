@@ -10,7 +10,7 @@ const SNAP_M = 0.05, SAY_MS = 80, FAR_M = 200, LEAST_PX = 56;
 
 // stage: { element, scene, camera, paint, world(w) }: `world` is told whose walls and boxes to draw, null for the vehicle's.
 export function layer({ element, scene, camera, controls, paint, world }) {
-  const holder = el("div", { class: "mf-draft", hidden: true, "aria-label": "mission that is drawn", role: "group" });
+  const holder = el("div", { class: "mf-draft", hidden: true, "aria-label": "mission in the editor", role: "group" });
   const hint = el("div", { class: "mf-draft-hint" });
   holder.append(hint);
   element.append(holder);
@@ -38,7 +38,7 @@ export function layer({ element, scene, camera, controls, paint, world }) {
       draft.select(k + 1);
       draft.edit({ op: "insert", row: k + 1 });
     } }) }));
-    const lift = el("button", { type: "button", class: "mf-point mf-lift", text: "↕", tabindex: -1, title: "drag: height", "aria-label": "height of the selected point: drag", "data-testid": "point-lift" });
+    const lift = el("button", { type: "button", class: "mf-point mf-lift", text: "↕", tabindex: -1, title: "drag to change the height", "aria-label": "drag to change the height of the selected waypoint", "data-testid": "point-lift" });
     lift.addEventListener("pointerdown", (event) => draft.selected !== null && grab(event, lift, draft.selected, true));
     marks.push(...between, { lift: true, node: lift });
     holder.replaceChildren(hint, ...between.map((m) => m.node), ...marks.filter((m) => !m.leg).map((m) => m.node)); // points lie on top
@@ -177,7 +177,7 @@ export function layer({ element, scene, camera, controls, paint, world }) {
     place() {
       if (!draft.on || !draft.state) return;
       const s = draft.state;
-      hint.textContent = draft.may || (dragged ? (([n, e, h]) => `N ${number(n)}  E ${number(e)}  height ${number(h)} m`)(dragged.at) : "Drawing: click adds, drag moves, ↕ height, + inserts");
+      hint.textContent = draft.may || (dragged ? (([n, e, h]) => `N ${number(n)}  E ${number(e)}  height ${number(h)} m`)(dragged.at) : "Plan: click adds, drag moves, ↕ changes the height, + inserts");
       const taken = [];
       for (const m of marks) {
         if (m.row !== undefined) {

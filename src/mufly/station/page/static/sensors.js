@@ -4,11 +4,11 @@ import { el, icon, number, put } from "./draw.js";
 
 const GOOD = { fused: true, rejected: false, faulty: false, missing: false, waiting: null };
 const SAID = {
-  fused: "fused: it is believed",
-  rejected: "rejected: it does not fit",
-  faulty: "faulty: it cannot be right",
-  missing: "missing: it comes no more",
-  waiting: "waiting: nothing yet, or not needed",
+  fused: "fused",
+  rejected: "rejected: innovation too large",
+  faulty: "faulty",
+  missing: "missing: no measurements",
+  waiting: "waiting: not yet measured, or not needed",
 };
 
 export function mount(element) {
@@ -18,13 +18,13 @@ export function mount(element) {
   element.append(head, list);
   function fill(sensors) {
     const bad = sensors.filter(([, status]) => GOOD[status] === false).length;
-    put(head, !sensors.length ? "It tells nothing of its sensors." : bad ? `${bad} of ${sensors.length} sensors not believed` : "All that is said is believed");
+    put(head, !sensors.length ? "No sensor status reported." : bad ? `${bad} of ${sensors.length} sensors not fused` : "All sensors fused");
     head.dataset.state = bad ? "bad" : sensors.length ? "good" : "open";
     list.replaceChildren(...sensors.map(([name, status, ratio, why]) => {
       const ok = GOOD[status];
       return el("li", { class: ok === false ? "mf-level-error" : ok ? "mf-level-ok" : "", "data-status": status },
         icon(ok === false ? "error" : ok ? "ok" : "open"),
-        el("div", {}, el("strong", { text: name }), el("div", { class: "mf-dim", text: `${SAID[status]}; last ${number(Math.abs(ratio), 1)} σ off` }),
+        el("div", {}, el("strong", { text: name }), el("div", { class: "mf-dim", text: `${SAID[status]}; last innovation ${number(Math.abs(ratio), 1)} σ` }),
           why ? el("div", { text: why, "data-testid": "sensor-reason" }) : null));
     }));
   }

@@ -110,7 +110,7 @@ export function mount(element) {
     if (f.spectrum) {
       found = f.spectrum;
       const folded = found.marks?.some((m) => m.folded);
-      note.textContent = found.rate ? `sampled at ${number(found.rate, 0)} Hz${folded ? "; dotted marks lie above half of that and show folded" : ""}` : "";
+      note.textContent = found.rate ? `sampled at ${number(found.rate, 0)} Hz${folded ? "; dotted marks are above the Nyquist frequency and appear aliased" : ""}` : "";
       view.repaint();
     }
   });

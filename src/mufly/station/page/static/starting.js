@@ -13,7 +13,7 @@ export function mount(element) {
     const s = f.about.start;
     element.hidden = !s || Boolean(f.about.replay);
     if (element.hidden) return;
-    const failed = s.fault && f.about.vehicles.length ? "The vehicle has ended" : s.fault ? "The vehicle did not start" : "Starting";
+    const failed = s.fault && f.about.vehicles.length ? "The vehicle's process has ended" : s.fault ? "Vehicle start failed" : "Starting";
     put(head, failed);
     put(title, s.title);
     put(fault, s.fault);

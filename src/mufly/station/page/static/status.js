@@ -28,9 +28,9 @@ export function mount(element) {
     at = now;
     if (!f.s) return nothing();
     const s = f.s, recording = f.about?.replay;
-    put(state, !s.connected ? `no link for ${number(s.silent_s, 0)} s` : s.state ? s.state[0].toUpperCase() + s.state.slice(1) : "–");
+    put(state, !s.connected ? `no message for ${number(s.silent_s, 0)} s` : s.state ? s.state[0].toUpperCase() + s.state.slice(1) : "–");
     state.parentElement.dataset.level = s.connected ? "" : "bad";
-    put(motors, s.armed ? (s.flying ? "armed, flying" : "armed, on the floor") : "off");
+    put(motors, s.armed ? (s.flying ? "armed, flying" : "armed, on the floor") : "disarmed");
     motors.parentElement.dataset.level = s.armed ? "warn" : "";
     const [n, e, d] = s.position;
     put(position, n === null ? "–" : `${number(n)}  ${number(e)}  ${number(d === null ? NaN : -d)} m`);
@@ -43,7 +43,7 @@ export function mount(element) {
     link.parentElement.dataset.level = !recording && (s.link_loss ?? 0) > 0.1 ? "warn" : "";
     put(time, clock(s.time_s));
   }, { offline: (yes) => {
-    if (yes) put(state, "no contact with the station"), (state.parentElement.dataset.level = "bad");
+    if (yes) put(state, "no connection to the station"), (state.parentElement.dataset.level = "bad");
   } });
   return { close: () => panel.close() };
 }

@@ -21,16 +21,16 @@ export function deflection(axes, mode) {
 }
 
 export function mount(element, options, emit) {
-  let open = false, held = false, asked = false, reason = "no vehicle heard", ended = "", mode = localStorage.getItem(KEY) === "1" ? 1 : 2, source = "screen";
+  let open = false, held = false, asked = false, reason = "no vehicle connected", ended = "", mode = localStorage.getItem(KEY) === "1" ? 1 : 2, source = "screen";
   const screen = [0, 0, 0, 0], knobs = [];
   const pads = () => [...(navigator.getGamepads?.() ?? [])].filter((p) => p && p.connected && p.axes.length >= 4);
   const pad = () => pads().find((p) => `${p.index}` === source);
   const axes = () => (source === "screen" ? screen : pad()?.axes.slice(0, 4));
 
-  const toggle = el("button", { type: "button", class: "mf-sticks-toggle", text: "Sticks", title: "sticks: fly by hand", "data-testid": "sticks-toggle", "aria-pressed": false, onclick: () => show(!open) });
-  const from = el("select", { "aria-label": "sticks of", onchange: () => (end("other sticks were chosen"), (source = from.value), fill()) });
-  const kind = el("select", { "aria-label": "which stick climbs", title: "which stick climbs", onchange: () => (end("the sticks were changed over"), (mode = Number(kind.value)), localStorage.setItem(KEY, mode), fill()) },
-    el("option", { value: 2, text: "left climbs (mode 2)" }), el("option", { value: 1, text: "right climbs (mode 1)" }));
+  const toggle = el("button", { type: "button", class: "mf-sticks-toggle", text: "Sticks", title: "manual flight with sticks", "data-testid": "sticks-toggle", "aria-pressed": false, onclick: () => show(!open) });
+  const from = el("select", { "aria-label": "stick input", onchange: () => (end("stick input changed"), (source = from.value), fill()) });
+  const kind = el("select", { "aria-label": "stick for climb", title: "stick for climb", onchange: () => (end("stick mode changed"), (mode = Number(kind.value)), localStorage.setItem(KEY, mode), fill()) },
+    el("option", { value: 2, text: "climb on the left stick (mode 2)" }), el("option", { value: 1, text: "climb on the right stick (mode 1)" }));
   const go = el("button", { type: "button", "data-testid": "by-hand", onclick: () => (asked || held ? end("") : begin()) });
   const words = el("span", { class: "mf-dim", role: "status", "data-testid": "sticks-said" });
   const bar = el("div", { class: "mf-sticks-bar", hidden: true }, go, from, kind, words);
@@ -74,7 +74,7 @@ export function mount(element, options, emit) {
     knobs.forEach(({ knob }, side) => (knob.style.transform = `translate(${42 * now[2 * side]}px, ${42 * now[2 * side + 1]}px)`));
   }
   function fill() {
-    const list = pads(), names = [["screen", "on the screen"], ...list.map((p) => [`${p.index}`, p.id.replace(/\(.*/, "").trim().slice(0, 28) || `joystick ${p.index + 1}`])];
+    const list = pads(), names = [["screen", "on-screen sticks"], ...list.map((p) => [`${p.index}`, p.id.replace(/\(.*/, "").trim().slice(0, 28) || `joystick ${p.index + 1}`])];
     const key = JSON.stringify(names);
     if (from.dataset.key !== key) {
       from.dataset.key = key;
@@ -84,15 +84,15 @@ export function mount(element, options, emit) {
     kind.value = String(mode);
     knobs.forEach(({ up, across }, side) => (put(across, `${WORDS[MODES[mode][2 * side]]} →`), put(up, `↑ ${WORDS[MODES[mode][2 * side + 1]]}`)));
     const on = held || asked;
-    put(go, on ? "Let go: hover" : "Fly by hand");
+    put(go, on ? "End manual flight" : "Manual flight");
     go.disabled = !on && Boolean(reason);
     go.classList.toggle("mf-sticks-on", held);
-    put(words, on ? (held ? "you fly it; let go and it stays" : "asking …") : reason || ended || (source === "screen" ? "the middle stays and holds its height" : "put the joystick in the middle"));
+    put(words, on ? (held ? "manual flight; centred sticks hold the position" : "requesting …") : reason || ended || (source === "screen" ? "centred sticks hold position and height" : "centre the joystick"));
     both.classList.toggle("mf-sticks-live", held);
     draw();
   }
   function show(yes) {
-    if (!yes) end("the sticks were put away");
+    if (!yes) end("sticks closed");
     open = yes;
     bar.hidden = both.hidden = !yes;
     toggle.setAttribute("aria-pressed", yes);
@@ -118,7 +118,7 @@ export function mount(element, options, emit) {
     if (!open) return;
     if (source !== "screen" && !pad()) {
       source = "screen";
-      end("the joystick was unplugged");
+      end("joystick disconnected");
     }
     const now = axes();
     draw();
@@ -126,9 +126,9 @@ export function mount(element, options, emit) {
   }
   const timer = setInterval(tick, SAY_MS);
   const away = (why) => () => (asked || held) && end(why);
-  const hidden = () => document.hidden && away("this window was hidden")();
+  const hidden = () => document.hidden && away("window hidden")();
   const events = [
-    [document, "visibilitychange", hidden], [window, "blur", away("this window lost its focus")], [window, "pagehide", away("the page was left")],
+    [document, "visibilitychange", hidden], [window, "blur", away("window lost focus")], [window, "pagehide", away("page closed")],
     [window, "gamepadconnected", (event) => {
       if (!asked && !held && event.gamepad.axes.length >= 4) source = `${event.gamepad.index}`;
       fill();
@@ -139,7 +139,7 @@ export function mount(element, options, emit) {
     }],
   ];
   for (const [what, name, act] of events) what.addEventListener(name, act);
-  const panel = live.panel({}, () => {}, { offline: (yes) => yes && away("the page has lost the station")() });
+  const panel = live.panel({}, () => {}, { offline: (yes) => yes && away("connection to the station lost")() });
   fill();
   return {
     show(now) {
@@ -153,7 +153,7 @@ export function mount(element, options, emit) {
       fill();
     },
     close() {
-      end("the page was left");
+      end("page closed");
       clearInterval(timer);
       for (const [what, name, act] of events) what.removeEventListener(name, act);
       panel.close();

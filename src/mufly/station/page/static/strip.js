@@ -12,17 +12,17 @@ export function mount(element) {
 
   function show(flight, start, trouble = "") {
     const f = flight || {}, stage = start?.stages.at(-1);
-    const silent = flight && !f.connected, up = f.flying ? "In flight" : f.armed ? "Armed, on the floor" : "On the floor, motors off";
+    const silent = flight && !f.connected, up = f.flying ? "Flying" : f.armed ? "Armed, on the floor" : "Disarmed, on the floor";
     element.dataset.state = silent ? "lost" : f.flying ? "flying" : f.armed ? "armed" : "";
-    put(what, !flight ? (start?.fault ? "The vehicle did not start" : start ? "Starting" : "No vehicle") : silent ? `No link for ${number(f.silent_s, 0)} s` : up);
-    put(how, !flight ? (stage && !start.fault ? `${stage[0]}, ${number(Math.floor(stage[1]), 0)} s` : "") : silent ? `was ${up.toLowerCase()}` : [f.flying ? f.state : "", f.flying ? `${number(f.height)} m` : ""].filter(Boolean).join("  "));
+    put(what, !flight ? (start?.fault ? "Vehicle start failed" : start ? "Starting" : "No vehicle") : silent ? `No message for ${number(f.silent_s, 0)} s` : up);
+    put(how, !flight ? (stage && !start.fault ? `${stage[0]}, ${number(Math.floor(stage[1]), 0)} s` : "") : silent ? `last state: ${up.toLowerCase()}` : [f.flying ? f.state : "", f.flying ? `${number(f.height)} m` : ""].filter(Boolean).join("  "));
     const [charge, left] = f.battery || ["", ""];
     put(battery, left && `battery ${left}`);
     battery.dataset.level = charge;
     put(pace, f.pace || "");
-    pace.title = f.pace ? "the vehicle's clock against this machine's, of late; a slip is time that was given up" : "";
+    pace.title = f.pace ? "rate of the vehicle's clock relative to this machine's; a timing overrun is time that the simulation dropped" : "";
     pace.dataset.level = f.slow ? "warn" : "";
-    const others = f.others?.length ? `; armed too: ${f.others.join("; ")}` : "";
+    const others = f.others?.length ? `; also armed: ${f.others.join("; ")}` : "";
     const link = trouble && (silent || !flight) ? ["error", trouble, 0] : null; // what is wrong with the link itself
     const [level, words, age] = start?.fault ? ["error", start.fault, 0] : link || f.alert || ["", flight ? f.name + others : "", 0];
     tell(level, words, age);
@@ -46,8 +46,8 @@ export function mount(element) {
     put(how, "");
     put(pace, "");
     put(battery, "");
-    tell("warning", "this page cannot stop the motors now: use the transmitter or its kill switch");
-  }, silent: (ms) => put(what, `No contact with the station${forSeconds(ms)}`) });
+    tell("warning", "this page cannot stop the motors: use the transmitter or its kill switch");
+  }, silent: (ms) => put(what, `No connection to the station${forSeconds(ms)}`) });
   show(null);
   return { close: () => panel.close() };
 }

@@ -26,7 +26,7 @@ export function mount(element, options, emit) {
     const next = JSON.stringify([vehicles, selected, Boolean(replay)]);
     if (next === key) return;
     key = next;
-    const first = replay ? "go to a vehicle" : gone ? "not heard: choose" : "";
+    const first = replay ? "select a vehicle" : gone ? "not connected: select" : "";
     select.replaceChildren(...(first ? [el("option", { value: "", text: first })] : []), ...vehicles.map(([value, text]) => el("option", { value, text })));
     select.value = replay || gone ? "" : selected;
   });
