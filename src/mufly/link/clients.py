@@ -21,9 +21,9 @@ from mufly.link.telemetry_streams import MESSAGE_STREAMS
 MAX_STREAM_HZ = 200.0
 """Highest rate of a streamed message (Hz)."""
 MAX_CLIENTS = 32
-"""So many peers are served; the one that was silent for longest makes room."""
+"""Largest number of peers served; the peer that was silent for longest makes room for a new one."""
 CLIENT_TIMEOUT_S = 15.0
-"""A peer that called and has been silent for so long is sent nothing more (s)."""
+"""Silence after which a peer that called is sent nothing more (s)."""
 _REFUSAL_PERIOD_S = 2.0
 
 _STREAMS_BY_MESSAGE_ID = {
@@ -61,7 +61,7 @@ class StreamSchedule:
         return True
 
     def interval_us(self, number: int) -> int:
-        """The interval of a message (us); -1: never, 0: there is no such message."""
+        """Return the interval of a message (us); -1: never, 0: there is no such message."""
         if number not in _STREAMS_BY_MESSAGE_ID:
             return 0
         period = min(self._period_s[k] for k in _STREAMS_BY_MESSAGE_ID[number])
@@ -74,15 +74,15 @@ class StreamSchedule:
                 self._set_period(now_s, k, _period_from_rate(min(rate_Hz, MAX_STREAM_HZ)))
 
     def request_once(self, number: int) -> bool:
-        """Want a message once, now; returns whether there is such a message."""
+        """Request a message once, at the next step; return whether there is such a message."""
         wanted = _STREAMS_BY_MESSAGE_ID.get(number, [])
         self._once += [k for k in wanted if k not in self._once]
         return bool(wanted)
 
     def take_due_streams(self, now_s: float) -> Iterator[int]:
-        """Yield the places in :data:`MESSAGE_STREAMS` of what is due, and count it as sent.
+        """Yield the indices in :data:`MESSAGE_STREAMS` of the messages that are due, and mark them as sent.
 
-        A peer that could not be served for a while gets the next message of each kind, not all that it missed.
+        A peer that could not be served for a while gets the next message of each kind, not every missed one.
         """
         once, self._once = self._once, []
         yield from once
@@ -105,19 +105,19 @@ def _period_from_rate(rate_Hz: float) -> float:
 
 @dataclass(slots=True)
 class Client:
-    """One peer.
+    """One peer of the vehicle.
 
     Attributes
     ----------
     peer : hashable
-    encode : Encoder
-    schedule : Wishes
+    encode : FrameEncoder
+    schedule : StreamSchedule
     is_permanent : bool
-        Whether the vehicle was told to send there, whoever may listen.
+        Whether the peer was configured by the user, and is kept when it is silent.
     last_heard_s : float
-        When it was last heard.
+        Time of its last message (s).
     last_refusal_s : float
-        When it was last told why it may not command.
+        Time of the last report why it may not command (s).
     """
 
     peer: Hashable
@@ -129,12 +129,12 @@ class Client:
 
 
 class Clients:
-    """All peers, and what is to be sent to them: packed for each, and kept until it is taken.
+    """All peers, and the frames queued for each of them.
 
     Parameters
     ----------
     system, component : int
-        Who the vehicle is.
+        MAVLink address of the vehicle.
     """
 
     def __init__(self, system: int, component: int) -> None:
@@ -154,7 +154,7 @@ class Clients:
         return self._all.get(peer)
 
     def mark_heard(self, now_s: float, peer: Hashable) -> Client:
-        """Note a sign of life of a peer, which is served from now on."""
+        """Record that a peer was heard; an unknown peer is added."""
         client = self._all.get(peer)
         if client is None:
             client = self.add_client(now_s, peer, fixed=False)
@@ -162,12 +162,12 @@ class Clients:
         return client
 
     def add_client(self, now_s: float, peer: Hashable, *, fixed: bool) -> Client:
-        """Serve a peer."""
+        """Add a peer."""
         client = self._all[peer] = Client(peer, FrameEncoder(*self._who), StreamSchedule(now_s), fixed, now_s)
         return client
 
     def drop_silent_clients(self, now_s: float) -> list[Hashable]:
-        """Serve no more who has been silent for too long, and whom there is no room for; returns who that is."""
+        """Drop peers that are silent for too long, or for which there is no room; return the dropped peers."""
         guests = sorted((c for c in self._all.values() if not c.is_permanent), key=lambda c: c.last_heard_s)
         surplus = max(0, len(self._all) - MAX_CLIENTS)
         leaving = [c.peer for k, c in enumerate(guests) if k < surplus or now_s - c.last_heard_s > CLIENT_TIMEOUT_S]
@@ -176,13 +176,13 @@ class Clients:
         return leaving
 
     def send_message(self, peer: Hashable | None, message: MavMessage) -> None:
-        """Send a message to a peer; to all if None."""
+        """Send a message to a peer; to all peers if None."""
         for client in self._all.values():
             if peer is None or client.peer == peer:
                 self._out.append(OutgoingFrame(client.peer, client.encode(message)))
 
     def send_text(self, text: str, level: str = "info", peer: Hashable | None = None) -> None:
-        """Send a text line to a peer; to all if None."""
+        """Send a text line to a peer; to all peers if None."""
         for message in self._texts(text, level):
             self.send_message(peer, message)
 
@@ -200,24 +200,26 @@ class Clients:
 
 
 # ----------------------------------------------------------------------------
-# Who commands: one station at a time, the others watch; and what happens when the commander is lost.
+# Operator control: one station commands, the others watch; loss of the commander has a failsafe.
 #
-# The first to command takes command. It keeps it until it hands over (CHANGE_OPERATOR_CONTROL), or has not been heard
-# for :data:`COMMANDER_TIMEOUT_S`; then the next to command has it. Anything that a station says is a sign of life. In
-# flight:
+# The first station that sends a command becomes the commander. It stays so until it hands over
+# (CHANGE_OPERATOR_CONTROL), or was silent for :data:`COMMANDER_TIMEOUT_S` and another station sends a command. Every
+# message of a station is a sign of life. In flight:
 #
 # ====================================  ===============================================
-# for ``COM_DL_LOSS_T`` not a word      stop and hover
-# for ``COM_DL_LAND_T`` more            land
-# a word again                          said; whoever commands goes on from there
+# commander's silence                   action
+# ====================================  ===============================================
+# ``COM_DL_LOSS_T``                     stop and hover
+# ``COM_DL_LAND_T`` more                land
+# ends                                  report it; the commander continues from there
 # ====================================  ===============================================
 #
-# Without a commander (a flight that was started by itself, or was handed over) there is nobody to lose. A landing,
-# and a flight home, go on: they end on the floor anyway.
+# A flight without a commander (started by itself, or handed over) has no link failsafe. A landing and a return
+# continue, because they end on the floor.
 
 
 COMMANDER_TIMEOUT_S = 5.0
-"""After so long without a word the commander may be replaced (s)."""
+"""Silence after which another station may replace the commander (s)."""
 _CONTROL_GRANTED, _CONTROL_WRONG_KEY, _CONTROL_HELD_BY_OTHER = 0, 2, 3
 
 FailsafeStage = Literal["", "hover", "land"]
@@ -225,20 +227,20 @@ FailsafeStage = Literal["", "hover", "land"]
 
 
 class CommandAuthority:
-    """Where command is held.
+    """Operator control: the station that commands the vehicle, and its link failsafe.
 
     Parameters
     ----------
     autopilot : Autopilot
     clients : Clients
     manual : ManualControl
-        Sticks end with the commander who had them.
+        Manual control, which ends when its commander changes.
 
     Attributes
     ----------
-    commander : Source or None
+    commander : MessageSource or None
     on_change : list of callables
-        Called when somebody else commands, or nobody: what the one before has begun ends.
+        Called when the commander changes or leaves: actions of the last one end.
     """
 
     def __init__(self, autopilot: Autopilot, clients: Clients, manual: ManualControl) -> None:
@@ -250,16 +252,16 @@ class CommandAuthority:
         self._owed: FailsafeStage = ""
 
     def mark_heard(self, now_s: float, station: MessageSource) -> None:
-        """Note a sign of life."""
+        """Record a sign of life of a station."""
         if station == self.commander:
             self._heard_s = now_s
 
     def commander_silence_s(self, now_s: float) -> float:
-        """For how long the commander has not been heard (s); 0 if there is none."""
+        """Return the silence of the commander (s); 0 if there is none."""
         return 0.0 if self.commander is None else max(0.0, now_s - self._heard_s)
 
     def may_command(self, now_s: float, station: MessageSource) -> bool:
-        """Whether a station commands; the first to ask does. One that may not is told who does."""
+        """Return whether a station may command; the first that asks becomes commander, others get the reason."""
         if self.commander not in (None, station) and self.commander_silence_s(now_s) < COMMANDER_TIMEOUT_S:
             self._clients.send_refusal(now_s, station, f"denied: commanded by {self.commander}; ask it to hand over")
             return False
@@ -270,7 +272,7 @@ class CommandAuthority:
         return True
 
     def handle_operator_control(self, now_s: float, station: MessageSource, m: MavMessage) -> None:
-        """Take a CHANGE_OPERATOR_CONTROL: 0 asks for command, 1 hands it over."""
+        """Process a CHANGE_OPERATOR_CONTROL: 0 requests command, 1 releases it."""
         if m.control_request == 0:
             answer = (
                 _CONTROL_WRONG_KEY
@@ -291,7 +293,7 @@ class CommandAuthority:
         )
 
     def step_link_failsafe(self, now_s: float, *, loss_s: float, land_s: float) -> None:
-        """Hover, then land, when the commander is lost: after COM_DL_LOSS_T, and COM_DL_LAND_T more (s)."""
+        """Hover, then land, when the commander is silent for COM_DL_LOSS_T, then COM_DL_LAND_T more (s)."""
         status, silent = self._autopilot.status, self.commander_silence_s(now_s)
         ending = status.state == "landing" or status.returning_home
         self._stage, order = judge_link_loss(
@@ -304,7 +306,7 @@ class CommandAuthority:
             then = f"stop and hover, land in {land_s:g} s" if order == "hover" else "land"
             self._autopilot.log_event(f"commander not heard for {silent:.0f} s: {then}", "warning")
             self._owed = order
-        # What is refused for the moment (just off the floor, sticks in the hand) is asked for until it is done.
+        # A temporarily rejected request (just off the floor, sticks in use) is repeated until it is accepted.
         if self._stage == "" or ending:
             self._owed = ""
         if self._owed:
@@ -320,16 +322,16 @@ class CommandAuthority:
 def judge_link_loss(
     stage: FailsafeStage, *, silent_s: float, flying: bool, ending: bool, loss_s: float, land_s: float
 ) -> tuple[FailsafeStage, Literal["", "hover", "land", "back"]]:
-    """Judge the link once.
+    """Return the next stage of the link failsafe, and its order.
 
     Parameters
     ----------
     stage : str
-        How far the failsafe had gone before.
+        Stage so far.
     silent_s : float
-        For how long the commander has not been heard (s).
+        Silence of the commander (s).
     flying, ending : bool
-        Whether it is off the floor; whether it is landing or on its way home.
+        Whether the vehicle is off the floor; whether it is landing or returning.
     loss_s, land_s : float
         COM_DL_LOSS_T and COM_DL_LAND_T (s).
 
@@ -337,7 +339,7 @@ def judge_link_loss(
     -------
     stage : str
     order : str
-        What to do now: "hover", "land", nothing (""), or say that the link is "back".
+        Order: "hover", "land", "back" (report that the link is back) or "" (none).
     """
     if silent_s < loss_s or not flying:
         return "", "back" if stage and flying else ""

@@ -1,19 +1,19 @@
-"""From bytes to messages and back: the dialect, frames, and lines of text.
+"""MAVLink codec: the dialect, frames, and lines of text.
 
 Both ends of the link speak ``common``, in the second version of the wire format. pymavlink decides by an environment
 variable, when it is first imported, which wire format it packs; so it is imported here and nowhere else in this room.
 Source of every message, field and enumeration: https://mavlink.io/en/messages/common.html
 
-Each sender (system, component) numbers its packets from 0 to 255 on each channel, so that gaps tell what was lost
-(https://mavlink.io/en/guide/packet_loss.html). A number and checksum that were just heard are a duplicate, a number
-a little behind came out of order. Frames of MAVLink 1 and 2 are read, MAVLink 2 is sent
+Each sender (system, component) numbers its packets from 0 to 255 on each channel, so that gaps show losses
+(https://mavlink.io/en/guide/packet_loss.html). A packet with the number and checksum of a recent one is a duplicate; a
+number slightly behind the newest is out of order. Frames of MAVLink 1 and 2 are read, MAVLink 2 is sent
 (https://mavlink.io/en/guide/serialization.html).
 
-Nothing that arrives raises an error: bytes that are no frame are skipped one by one until a frame is found, and
-counted. The memory kept for a peer is bounded by the longest frame and by :data:`MAX_SENDERS` senders.
+No input raises an error: bytes outside frames are skipped until a frame is found, and counted. The memory kept for a
+peer is bounded by the longest frame and by :data:`MAX_SENDERS` senders.
 
-A line for people (STATUSTEXT) is cut into pieces of 50 bytes where it is longer. The pieces carry the same id and count
-from 0; the last one is the first that is not full. Of pieces that were lost ``...`` stays in their place.
+A text line (STATUSTEXT) longer than 50 bytes is cut into chunks. The chunks have the same id and count from 0; the
+first chunk that is not full is the last. ``...`` replaces lost chunks.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ with contextlib.redirect_stdout(io.StringIO()):
 
 mavlink = common
 MavMessage = Any
-"""A message of pymavlink (``mavlink.MAVLink_message``), which carries no types worth checking."""
+"""A message of pymavlink (``mavlink.MAVLink_message``), which has no useful static type."""
 MavlinkError: type[Exception] = mavlink.MAVError
 
 MAX_FRAME_BYTES = 280
@@ -51,46 +51,46 @@ MAX_FRAME_BYTES = 280
 MAX_SENDERS = 64
 """Largest number of senders tracked on one channel; losses of further senders are not counted."""
 MAX_CHANNELS = 128
-"""So many peers are remembered; the one that was silent for longest is forgotten."""
-_REORDER_WINDOW = 32  # numbers so far behind the newest are late, those further off are a jump
-_DUPLICATE_WINDOW_S = 1.0  # the same packet after this time is said anew, by a program that was started again
+"""Largest number of peers tracked; the peer that was silent for longest is forgotten."""
+_REORDER_WINDOW = 32  # a number at most this far behind the newest is late; others are a jump
+_DUPLICATE_WINDOW_S = 1.0  # the same packet after this time is a new one, of a restarted program
 _MARKER_V1, _MARKER_V2, _FLAG_SIGNED = 0xFE, 0xFD, 0x01
 _TEXT_CHUNK_BYTES = 50
 MAX_TEXT_BYTES = 400
-"""Bytes of the longest line; what is beyond is cut."""
+"""Longest line (bytes); the rest is cut."""
 SEVERITY_BY_LEVEL = {
     "error": mavlink.MAV_SEVERITY_ERROR,
     "warning": mavlink.MAV_SEVERITY_WARNING,
     "info": mavlink.MAV_SEVERITY_INFO,
 }
-_MAX_PARTIAL_TEXTS = 8  # so many texts of one vehicle may wait
-_CHUNK_TIMEOUT_S = 2.0  # for so long a text waits for pieces that are missing
+_MAX_PARTIAL_TEXTS = 8  # greatest number of incomplete texts of one vehicle
+_CHUNK_TIMEOUT_S = 2.0  # time that a text waits for missing chunks
 
-"""In x and y of an integer message: not given."""
+"""Value of x and y in an integer message that means "not given"."""
 MAX_FLOAT32 = 3.4028234663852886e38
-"""The largest number that a ``float`` field can hold."""
+"""The largest number of a ``float`` field."""
 
 
 def to_float32(value: float) -> float:
-    """Return ``value`` as a ``float`` field can hold it: beyond its range it is not known (NaN)."""
+    """Return ``value`` for a ``float`` field; NaN (unknown) beyond its range."""
     return float(value) if abs(value) <= MAX_FLOAT32 else math.nan
 
 
 def clip_to_integer(value: float, least: int, greatest: int, unknown: int = 0) -> int:
-    """Return ``value`` rounded and held within the bounds of an integer field; ``unknown_count`` if it is no number."""
+    """Return ``value`` rounded and clipped to the range of an integer field; ``unknown`` if it is NaN."""
     if not math.isfinite(value):
         return unknown
     return int(min(max(round(value), least), greatest))
 
 
 def scale_to_integer(value: float, factor: float) -> int:
-    """Return ``value`` times ``factor`` as x or y of an integer message; what does not fit is "not given" there."""
+    """Return ``value`` times ``factor`` as x or y of an integer message; "not given" if it does not fit."""
     number = value * factor
     return round(number) if math.isfinite(number) and abs(number) <= COORDINATE_NOT_GIVEN else COORDINATE_NOT_GIVEN
 
 
 def encode_text_field(text: str, size: int = 50) -> bytes:
-    """Return ``text`` as a ``char[size]`` field takes it: UTF-8, never cut inside a character."""
+    """Return ``text`` for a ``char[size]`` field: UTF-8, cut between characters."""
     return text.encode(errors="replace")[:size].decode(errors="ignore").encode()
 
 
@@ -107,7 +107,7 @@ class MessageSource(NamedTuple):
 
 
 class OutgoingFrame(NamedTuple):
-    """Bytes for a peer, or for all of them (None)."""
+    """Bytes for a peer, or for all peers (None)."""
 
     peer: Hashable | None
     data: bytes
@@ -126,20 +126,20 @@ class PacketCounts:
 
     @property
     def loss_ratio(self) -> float:
-        """Share of packets that were lost, 0..1."""
+        """Share of lost packets, 0..1."""
         sent = self.received_count + self.lost_count
         return self.lost_count / sent if sent else 0.0
 
 
 @dataclass(slots=True)
 class _SequenceTracker:
-    """Numbers of one sender's packets: the newest, and when and with which checksum each was heard."""
+    """Packet numbers of one sender: the newest, and time and checksum of each recent one."""
 
     newest_number: int
     heard_packets: dict[int, tuple[float, int]] = field(default_factory=dict)
 
     def accept_number(self, now_s: float, number: int, checksum: int, counts: PacketCounts) -> bool:
-        """Judge a number; returns whether the packet is new."""
+        """Count a packet number; return whether the packet is new."""
         ahead = (number - self.newest_number) % 256
         behind = (256 - ahead) % 256
         before = self.heard_packets.get(number)
@@ -147,7 +147,7 @@ class _SequenceTracker:
             if before[1] == checksum and now_s - before[0] < _DUPLICATE_WINDOW_S:
                 counts.duplicate_count += 1
                 return False
-            self.heard_packets.clear()  # the number again, but another packet: the sender started anew
+            self.heard_packets.clear()  # same number, different packet: the sender restarted
             self.newest_number = number
         elif behind < _REORDER_WINDOW:
             counts.reordered_count += 1
@@ -157,7 +157,7 @@ class _SequenceTracker:
             for k in range(1, ahead):
                 self.heard_packets.pop((self.newest_number + k) % 256, None)
             self.newest_number = number
-        else:  # neither ahead nor a little behind: the sender started anew
+        else:  # neither ahead nor slightly behind: the sender restarted
             self.heard_packets.clear()
             self.newest_number = number
         self.heard_packets[number] = (now_s, checksum)
@@ -167,7 +167,7 @@ class _SequenceTracker:
 
 @dataclass(slots=True)
 class _Channel:
-    """What is kept of one peer."""
+    """Reception state of one peer: incomplete bytes and packet numbers."""
 
     buffer: bytearray = field(default_factory=bytearray)
     senders: dict[tuple[int, int], _SequenceTracker] = field(default_factory=dict)
@@ -175,13 +175,13 @@ class _Channel:
 
 
 class FrameDecoder:
-    """Reads what peers send.
+    """Decoder of the frames of all peers.
 
     Parameters
     ----------
     keep_duplicates : bool
-        Hand on packets whose number was heard before. By default they are dropped: a network that doubles packets
-        must not make a vehicle do things twice.
+        Return packets that were received before, too. By default duplicates are dropped, because a network that doubles
+        packets must not repeat a vehicle's actions.
     """
 
     def __init__(self, keep_duplicates: bool = False) -> None:
@@ -190,16 +190,16 @@ class FrameDecoder:
         self._decoder = mavlink.MAVLink(None)
 
     def receive(self, now_s: float, peer: Hashable, data: bytes) -> list[MavMessage]:
-        """Return the messages that are complete with these bytes, oldest first.
+        """Return the messages completed by these bytes, oldest first.
 
         Parameters
         ----------
         now_s : float
-            Any clock that does not step (s).
+            Time of a monotonic clock (s).
         peer : hashable
-            Who sent them: one channel of bytes.
+            Channel on which the bytes arrived.
         data : bytes
-            May end or begin inside a frame, and may hold anything.
+            Bytes, which may begin or end inside a frame and may contain noise.
         """
         channel = self._channels.get(peer)
         if channel is None:
@@ -207,7 +207,7 @@ class FrameDecoder:
             if len(self._channels) >= MAX_CHANNELS:
                 del self._channels[next(iter(self._channels))]
         else:
-            del self._channels[peer]  # and in again at the end: the first one is the longest silent
+            del self._channels[peer]  # re-inserted at the end: the first entry is the longest silent
         self._channels[peer] = channel
         buffer, counts, out = channel.buffer, channel.counts, []
         buffer += data
@@ -230,7 +230,7 @@ class FrameDecoder:
                 elif self._is_new(now_s, channel, message):
                     out.append(message)
                 continue
-            # Not complete. If a whole frame stands further on, this marker was none.
+            # Incomplete. If a whole frame follows, this marker began none.
             later = self._find_next_frame(buffer, at)
             if later is None:
                 break
@@ -245,7 +245,7 @@ class FrameDecoder:
         return channel.counts if channel is not None else PacketCounts()
 
     def forget_peer(self, peer: Hashable) -> None:
-        """Drop what is kept of a peer that has gone."""
+        """Drop the state of a peer that has gone."""
         self._channels.pop(peer, None)
 
     def _is_new(self, now_s: float, channel: _Channel, message: MavMessage) -> bool:
@@ -278,12 +278,12 @@ class FrameDecoder:
 
 
 class FrameEncoder:
-    """Packs messages of one sender for one channel, numbered in the order in which they are packed.
+    """Encoder of one sender's messages for one channel, numbered in the order of encoding.
 
     Parameters
     ----------
     system, component : int
-        Who sends, 1..255.
+        MAVLink address of the sender, 1..255.
     """
 
     def __init__(self, system: int, component: int) -> None:
@@ -297,7 +297,7 @@ class FrameEncoder:
 
 
 def _find_next_marker(buffer: bytearray, at: int) -> int:
-    """Where the next frame may begin; the end of the buffer if nowhere."""
+    """Return the index of the next frame marker; the end of the buffer if there is none."""
     found = [k for k in (buffer.find(_MARKER_V1, at), buffer.find(_MARKER_V2, at)) if k >= 0]
     return min(found, default=len(buffer))
 
@@ -307,20 +307,20 @@ def _message_id(frame: bytes) -> int:
 
 
 def _is_unknown_message(frame: bytes, buffer: bytearray, end: int) -> bool:
-    """Whether a frame is one of a message that this dialect lacks, as far as one can tell without its checksum."""
+    """Return whether a frame holds a message unknown to this dialect, as far as it shows without its checksum."""
     if _message_id(frame) in mavlink.mavlink_map or (frame[0] == _MARKER_V2 and frame[2] & ~_FLAG_SIGNED):
         return False
     return end == len(buffer) or buffer[end] in (_MARKER_V1, _MARKER_V2)
 
 
 class StatusTextSplitter:
-    """Makes messages of lines."""
+    """Splitter of text lines into STATUSTEXT messages."""
 
     def __init__(self) -> None:
         self._last_id = 0
 
     def __call__(self, text: str, level: str = "info") -> list[MavMessage]:
-        """Return the messages that carry a line, in order; ``level`` is "info", "warning" or "error"."""
+        """Return the messages of a line, in order; ``level`` is "info", "warning" or "error"."""
         severity = SEVERITY_BY_LEVEL.get(level, mavlink.MAV_SEVERITY_INFO)
         data = " ".join(text.split()).encode(errors="replace")[:MAX_TEXT_BYTES]
         if len(data) <= _TEXT_CHUNK_BYTES:
@@ -328,13 +328,13 @@ class StatusTextSplitter:
         self._last_id = self._last_id % 65535 + 1
         pieces = [data[k : k + _TEXT_CHUNK_BYTES] for k in range(0, len(data), _TEXT_CHUNK_BYTES)]
         if len(pieces[-1]) == _TEXT_CHUNK_BYTES:
-            pieces.append(b"")  # so that there is one that is not full
+            pieces.append(b"")  # a last chunk that is not full
         return [mavlink.MAVLink_statustext_message(severity, piece, self._last_id, k) for k, piece in enumerate(pieces)]
 
 
 @dataclass(slots=True)
 class _PartialText:
-    """A text of which pieces are missing."""
+    """A text with missing chunks."""
 
     started_s: float
     severity: int
@@ -343,13 +343,13 @@ class _PartialText:
 
 
 class StatusTextAssembler:
-    """Makes lines of messages, whatever becomes of the pieces: the inverse of :class:`StatusTextSplitter`."""
+    """Assembler of text lines from STATUSTEXT messages, the inverse of :class:`StatusTextSplitter`."""
 
     def __init__(self) -> None:
         self._waiting: dict[tuple[int, int], _PartialText] = {}
 
     def add_chunk(self, now_s: float, message: MavMessage) -> list[tuple[int, str]]:
-        """Take a STATUSTEXT; returns the lines (MAV_SEVERITY, text) that are whole with it, or given up for it."""
+        """Add a STATUSTEXT; return the lines (MAV_SEVERITY, text) that are complete or given up."""
         text = str(message.text).rstrip("\0")
         if message.id == 0:
             return [(message.severity, text)]
@@ -365,7 +365,7 @@ class StatusTextAssembler:
         return out
 
     def take_overdue(self, now_s: float) -> list[tuple[int, str]]:
-        """What came of texts that have waited too long for a piece that was lost."""
+        """Return the texts that waited too long for a lost chunk, as far as received."""
         return [
             self._join_chunks(key) for key, w in list(self._waiting.items()) if now_s - w.started_s > _CHUNK_TIMEOUT_S
         ]
@@ -378,35 +378,35 @@ class StatusTextAssembler:
 
 
 # ----------------------------------------------------------------------------
-# What MAVLink's numbers stand for here: a place on the globe, and a flight mode.
+# Conversions of MAVLink's numbers: global positions and flight modes.
 #
-# A flight knows only metres: north and east on the plane that touches the globe at an origin. With the radii of
-# curvature of the ellipsoid WGS 84 at the latitude phi of the origin (height h), meridional M and transverse N::
+# A flight uses metres north and east in the plane tangent to the globe at an origin. With the radii of curvature of the
+# ellipsoid WGS 84 at the latitude phi of the origin (height h), meridional M and transverse N::
 #
 #     M = a (1 - e^2) / (1 - e^2 sin^2 phi)^(3/2),   N = a / (1 - e^2 sin^2 phi)^(1/2)
 #     north = (M + h) d_phi,     east = (N + h) cos(phi) d_lambda,     down = h - altitude
 #
-# What the plane leaves out grows with the square of the distance d: about d^2 tan(phi) / (2 R) sideways and d^2 / (2
-# R) in height, 8 cm each for a kilometre at 45 degrees, 8 micrometres for ten metres. MAVLink counts latitude and
-# longitude in 1e-7 degrees, which is 1.1 cm. Source: P. D. Groves, Principles of GNSS, Inertial and Multisensor
-# Integrated Navigation Systems, 2nd ed., Sec. 2.4.
+# The error of the plane grows with the square of the distance d: about d^2 tan(phi) / (2 R) sideways and d^2 / (2 R) in
+# height, 8 cm each for a kilometre at 45 degrees, 8 micrometres for ten metres. MAVLink counts latitude and longitude
+# in 1e-7 degrees, which is 1.1 cm. Source: P. D. Groves, Principles of GNSS, Inertial and Multisensor Integrated
+# Navigation Systems, 2nd ed., Sec. 2.4.
 #
-# States of the mission are flight modes of PX4, whose words MAVLink programs know. MAVLink leaves ``pack_custom_mode``
+# States of the mission are reported as flight modes of PX4, which MAVLink programs know. MAVLink leaves ``custom_mode``
 # to each autopilot; PX4 puts a main mode in its third byte and a sub mode in its fourth (PX4-Autopilot,
 # ``src/modules/commander/px4_custom_mode.h``).
 #
 # ============= ==================== =============================================================================
-# mission state PX4's mode           asked for, it means
+# mission state PX4's mode           action when requested
 # ============= ==================== =============================================================================
-# init          AUTO READY (4, 1)    (not a thing to ask for)
+# init          AUTO READY (4, 1)    none
 # take-off      AUTO TAKEOFF (4, 2)  take off
 # hover         AUTO LOITER (4, 3)   stop and hover
-# waypoint      AUTO MISSION (4, 4)  fly the mission, or go on with it; AUTO LOITER while a single point is flown to
-# obstacle      the one it returns to
+# waypoint      AUTO MISSION (4, 4)  start or resume the mission; AUTO LOITER while a single point is flown to
+# obstacle      mode after avoidance
 # landing       AUTO LAND (4, 6)     land
-# (return)      AUTO RTL (4, 5)      above where it took off, then land
-# rc            ALTCTL (2, 0)        fly by sticks; MANUAL, POSCTL and STABILIZED mean the same here
-# offboard      OFFBOARD (6, 0)      follow the stream of set-points
+# (return)      AUTO RTL (4, 5)      return above the take-off position, then land
+# rc            ALTCTL (2, 0)        fly by sticks; MANUAL, POSCTL and STABILIZED mean the same
+# offboard      OFFBOARD (6, 0)      follow streamed set-points
 # ============= ==================== =============================================================================
 
 
@@ -416,7 +416,7 @@ def parse_origin(text: str) -> GlobalOrigin:
     Raises
     ------
     InputError
-        If it is no place between the polar circles' far sides (85 degrees), where east is still a direction.
+        If it is no position between 85 degrees south and north, where east is well defined.
     """
     parts = text.split(",")
     example = "give LAT,LON,ALT in degrees and metres, as in 47.3769,8.5417,408"
@@ -436,7 +436,7 @@ ModeAction = Literal["take-off", "hover", "mission", "return", "land", "rc", "of
 
 
 class Px4Mode(NamedTuple):
-    """Main and sub mode."""
+    """PX4 flight mode: main and sub mode."""
 
     main_mode: int
     sub_mode: int
@@ -467,16 +467,16 @@ _MODE_BY_STATE: dict[str, Px4Mode] = {
 
 
 def mode_from_state(state: str, manual: bool = False, returning: bool = False) -> Px4Mode:
-    """Return the mode that shows a state of the mission.
+    """Return the flight mode of a state of the mission.
 
     Parameters
     ----------
     state : str
         A text of :class:`mufly.mission.State`.
     manual : bool
-        Whether it flies on a user's signal instead of the mission.
+        Whether a user's signal is flown instead of the mission.
     returning : bool
-        Whether it is on its way home.
+        Whether the vehicle is returning.
     """
     if returning and state in (State.WAYPOINT, State.OBSTACLE):
         return MODE_RETURN
@@ -486,7 +486,7 @@ def mode_from_state(state: str, manual: bool = False, returning: bool = False) -
 
 
 def pack_custom_mode(mode: Px4Mode) -> int:
-    """Return the mode number in a heartbeat."""
+    """Return the ``custom_mode`` of a heartbeat."""
     return mode.main_mode << 16 | mode.sub_mode << 24
 
 

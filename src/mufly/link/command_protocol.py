@@ -1,32 +1,29 @@
-"""The command protocol: COMMAND_LONG and COMMAND_INT, what they ask of the autopilot, and what is answered.
+"""The command protocol: COMMAND_LONG and COMMAND_INT, their execution and their acknowledgement.
 
-:data:`COMMAND_HANDLERS` is the table. Every command gets one COMMAND_ACK; one that is refused also a line that says
-why. What
-the parameters mean is said at https://mavlink.io/en/messages/common.html#mav_commands; what differs here:
+Every command gets one COMMAND_ACK; a refused command also gets a line with the reason. :data:`COMMAND_HANDLERS` is the
+table of commands. https://mavlink.io/en/messages/common.html#mav_commands defines the parameters. Deviations:
 
-* NAV_TAKEOFF: parameter 7 is the height above the floor (m); not a number, or 0: parameter MIS_TAKEOFF_ALT. With a
-  global origin a number that only makes sense as an altitude above the sea is one. NAV_TAKEOFF_LOCAL: z, down.
-* NAV_LAND lands where it is, NAV_RETURN_TO_LAUNCH above where it took off.
-* DO_REPOSITION takes LOCAL_NED (frame 1) as well as, with an origin, the global frames. Without a place it stops, and
-  turns if it gives a heading: QGroundControl's "pause" and "change heading".
-* DO_LAND_START lands at once: there is no landing sequence to jump to. MAVProxy's "land" says this.
-* DO_SET_MODE to take-off or mission, on the floor and not armed, is done when it is armed: QGroundControl's "start
-  mission" chooses PX4's mode AUTO MISSION first, waits until the heartbeat shows it, and arms then; a PX4 begins at
-  that moment. So does this vehicle, if it is armed within :data:`MODE_CHOICE_TIMEOUT_S`; after that, and whenever
-  another mode is chosen, the choice is forgotten.
+* NAV_TAKEOFF: parameter 7 is the height above the floor (m); NaN or 0: parameter MIS_TAKEOFF_ALT. With a global
+  origin a number that is plausible only as an altitude above the sea is taken as such. NAV_TAKEOFF_LOCAL: z, down.
+* NAV_LAND lands at the present position, NAV_RETURN_TO_LAUNCH above the take-off position.
+* DO_REPOSITION accepts LOCAL_NED (frame 1) and, with an origin, the global frames. Without a position it stops, and
+  turns if a heading is given: QGroundControl's "pause" and "change heading".
+* DO_LAND_START, MAVProxy's "land", lands at once: there is no landing sequence.
+* DO_SET_MODE to take-off or mission, on the floor and disarmed, takes effect on arming within
+  :data:`MODE_CHOICE_TIMEOUT_S`, unless another mode is chosen. QGroundControl's "start mission" relies on this: it
+  sets PX4's mode AUTO MISSION, waits for the heartbeat to show it, and arms.
 * DO_FLIGHTTERMINATION, and disarming with the magic number 21196, stop the motors at once.
-* INJECT_FAILURE lets a sensor of a simulated flight go wrong at once (:data:`FAILURE_NAMES`); OK of any unit clears
-  all. Of
-  ours are parameters 5 and 6, which the specification leaves open: how much and for how long (s); 0 or NaN: the usual,
-  until it is cleared.
-* PREFLIGHT_REBOOT_SHUTDOWN (1) puts the simulated helicopter back to its start.
+* INJECT_FAILURE makes a sensor of a simulated flight fail at once (:data:`FAILURE_NAMES`); OK of any unit clears all.
+  Parameters 5 and 6, free in the specification, are magnitude and duration (s); 0 or NaN: default magnitude, until
+  cleared.
+* PREFLIGHT_REBOOT_SHUTDOWN (1) resets the simulated helicopter to its start.
 
-Programs repeat a command until they hear its acknowledgement. The same command with the same parameters from the same
-station, within :data:`REPEAT_WINDOW_S` of the time before (or marked as a repetition by its ``confirmation``, within
-:data:`CONFIRMATION_WINDOW_S`), is answered as before and not carried out again, if it was accepted. When the station
-has given other commands since, only a copy whose ``confirmation`` has grown by one in each :data:`CONFIRMATION_STEP_S`
-is a repetition: it must not undo what was asked after it. One that was refused is judged anew: whoever asks again may
-have done something about it. An emergency stop is always carried out.
+Programs repeat a command until they receive its acknowledgement. A repetition has the same parameters and station and
+comes within :data:`REPEAT_WINDOW_S`, or within :data:`CONFIRMATION_WINDOW_S` if its ``confirmation`` marks it. A
+repetition of an accepted command is acknowledged again and not executed. If the station has sent other commands since,
+a copy is a repetition only if its ``confirmation`` has grown by one in each :data:`CONFIRMATION_STEP_S`: it must not
+undo later commands. A refused command is judged anew, because its obstacle may be gone. An emergency stop is always
+executed.
 """
 
 from __future__ import annotations
@@ -74,14 +71,15 @@ from mufly.sensors import Fault
 FORCE_DISARM_MAGIC = 21196.0
 """The magic number of COMPONENT_ARM_DISARM that stops the motors in flight."""
 LOCAL_FRAMES = (1, 4, 7, 8, 9, 12)
-"""Values of MAV_FRAME in metres."""
+"""Values of MAV_FRAME with coordinates in metres."""
 REPEAT_WINDOW_S = 0.8
-"""Programs repeat after half a second (MAVSDK) or more; two presses of a key are further apart than this (s)."""
+"""Longest time between repetitions without a mark (s): programs repeat after 0.5 s (MAVSDK) or more, and presses of a
+key are further apart."""
 CONFIRMATION_WINDOW_S = 10.0
 CONFIRMATION_STEP_S = 1.5
-"""Programs that count their repetitions let at most so long pass between two (s)."""
+"""Longest time between two counted repetitions of a program (s)."""
 MODE_CHOICE_TIMEOUT_S = 10.0
-"""For how long a mode that was chosen before arming holds (s)."""
+"""Validity of a mode chosen before arming (s)."""
 
 ModeChoice = Literal["take-off", "mission", ""]
 
@@ -95,18 +93,18 @@ _RESULT_UNSUPPORTED = mavlink.MAV_RESULT_UNSUPPORTED
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """One command, as either end of a link knows it.
+    """One command, as both ends of a link represent it.
 
     Attributes
     ----------
     command_id : int
         MAV_CMD.
     params : tuple of 7 floats
-        Its parameters; 5 and 6 in degrees or metres; NaN where not given.
+        Parameters 1 to 7; 5 and 6 in degrees or metres; NaN where not given.
     frame : int or None
-        MAV_FRAME of a COMMAND_INT; without, it is a COMMAND_LONG.
+        MAV_FRAME of a COMMAND_INT; None: a COMMAND_LONG.
     confirmation : int
-        Above 0: a repetition.
+        Above 0: the command is a repetition.
     """
 
     command_id: int
@@ -116,7 +114,7 @@ class Command:
 
     @property
     def is_emergency_stop(self) -> bool:
-        """Whether it is an emergency stop: anyone may give it, and whatever waits is given up for it."""
+        """Return whether it is an emergency stop, which every station may send and which discards waiting commands."""
         if self.command_id == mavlink.MAV_CMD_DO_FLIGHTTERMINATION:
             return self.params[0] > 0.5
         return self.command_id == mavlink.MAV_CMD_COMPONENT_ARM_DISARM and self.params[:2] == (
@@ -126,18 +124,18 @@ class Command:
 
     @property
     def identity_bytes(self) -> bytes:
-        """Its number, frame and parameters, to tell whether two are the same (NaN is the same as NaN)."""
+        """Return number, frame and parameters as bytes, to compare two commands (NaN equals NaN)."""
         return struct.pack("<ii7d", self.command_id, -1 if self.frame is None else self.frame, *self.params)
 
     def to_message(self, system: int, component: int, confirmation: int = 0) -> MavMessage:
-        """Return it as MAVLink puts it: x and y of a COMMAND_INT are metres times 1e4 or degrees times 1e7."""
+        """Return the MAVLink message: x and y of a COMMAND_INT are metres times 1e4 or degrees times 1e7."""
         p = self.params
         if self.frame is None:
             return mavlink.MAVLink_command_long_message(
                 system, component, self.command_id, confirmation, *map(to_float32, p)
             )
         scale = 1e4 if self.frame in LOCAL_FRAMES else 1e7
-        # What does not fit into the field is out of anybody's reach; the vehicle says so.
+        # A value beyond the field's range is unreachable; the vehicle reports it.
         *four, x, y, z = p
         x, y = (clip_to_integer(v * scale, -_MAX_COORDINATE, _MAX_COORDINATE, COORDINATE_NOT_GIVEN) for v in (x, y))
         return mavlink.MAVLink_command_int_message(
@@ -167,7 +165,7 @@ def parse_command(message: MavMessage) -> Command:
 
 @dataclass(slots=True)
 class _AcceptedCommand:
-    """An executed command: time and confirmation of its last copy, and the answer."""
+    """An executed command: time and confirmation of its last copy, and its acknowledgement."""
 
     last_heard_s: float
     confirmation: int
@@ -175,16 +173,16 @@ class _AcceptedCommand:
 
 
 class CommandProtocol:
-    """Takes COMMAND_LONG, COMMAND_INT and the messages that say the same: SET_MODE, MISSION_SET_CURRENT.
+    """Executor of COMMAND_LONG, COMMAND_INT and their older forms SET_MODE and MISSION_SET_CURRENT.
 
     Parameters
     ----------
     flight : Flight
     clients : Clients
-    authority : Authority
+    authority : CommandAuthority
     manual : ManualControl
     missions : MissionProtocol
-    origin : Origin or None
+    origin : GlobalOrigin or None
     """
 
     def __init__(
@@ -201,13 +199,13 @@ class CommandProtocol:
         self._manual, self._missions, self._origin = manual, missions, origin
         self._last: OrderedDict[MessageSource, OrderedDict[bytes, _AcceptedCommand]] = (
             OrderedDict()
-        )  # the newest at the end
+        )  # the newest is last
         self._held: tuple[float, MessageSource, Command] | None = None
         self._choice: tuple[float, ModeChoice] = (-math.inf, "")
         authority.on_change.append(self._forget_choice)
 
     def chosen_mode(self, now_s: float) -> ModeChoice:
-        """The mode that was chosen on the floor, for when it is armed; "" if none."""
+        """Return the mode that was chosen on the floor and takes effect on arming; "" if none."""
         since_s, choice = self._choice
         return choice if now_s - since_s <= MODE_CHOICE_TIMEOUT_S else ""
 
@@ -221,7 +219,7 @@ class CommandProtocol:
             for answer in answers:
                 self._clients.send_message(station.peer, answer)
         elif command.is_emergency_stop:
-            # Never taken for a repetition: somebody may have armed it in between. What waits is not done after it.
+            # Never treated as a repetition: another station may have armed since. Waiting commands are discarded.
             self._held = None
             self._forget_choice()
             self._execute_command(now_s, station, command)
@@ -230,14 +228,14 @@ class CommandProtocol:
         elif (before := self._find_repeated_answer(now_s, station, command)) is not None:
             self._send_answer(station, command.command_id, before)
         elif self._manual.is_manual_mode and self._autopilot.status.sticks_active:
-            # The flight software lets go of the sticks in its next step, and only then hears another command.
+            # The flight software releases the sticks in its next step; only then it accepts another command.
             self._manual.release_sticks()
             self._held = (now_s + _STICK_RELEASE_TIMEOUT_S, station, command)
         else:
             self._execute_command(now_s, station, command)
 
     def step(self, now_s: float) -> None:
-        """Carry out what had to wait."""
+        """Execute commands that had to wait."""
         if self._held is not None:
             until_s, station, command = self._held
             if now_s >= until_s or self._autopilot.status.state != "rc":
@@ -251,7 +249,7 @@ class CommandProtocol:
             self._send_answer(station, mavlink.MAV_CMD_DO_SET_MODE, answer)
 
     def handle_set_current(self, now_s: float, station: MessageSource, m: MavMessage) -> None:
-        """Take a MISSION_SET_CURRENT, the older form of DO_SET_MISSION_CURRENT; answered by MISSION_CURRENT."""
+        """Process a MISSION_SET_CURRENT, the older form of DO_SET_MISSION_CURRENT; the answer is MISSION_CURRENT."""
         if self._authority.may_command(now_s, station):
             self._clients.send_refusal(now_s, station, self._missions.start_at_item(float(m.seq)).reason)
             client = self._clients.find_client(station.peer)
@@ -308,7 +306,7 @@ class CommandProtocol:
     def _forget_choice(self) -> None:
         self._choice = (-math.inf, "")
 
-    # what each command does
+    # handlers of commands
 
     def _arm_or_disarm(self, now_s: float, command: Command) -> RequestAnswer:
         on = command.params[0]
@@ -363,7 +361,7 @@ class CommandProtocol:
         else:
             return deny_request(f"frame {frame} is not known here")
         here = self._autopilot.status.goal
-        if here is not None:  # what is not given stays as it is
+        if here is not None:  # values not given keep the present ones
             n, e, d = (old if math.isnan(new) else new for old, new in zip(here, (n, e, d), strict=True))
         before = self._autopilot.parameters["LIM_SPEED"].value
         if speed > 0.0:
@@ -372,7 +370,7 @@ class CommandProtocol:
                 return answer
         answer = self._autopilot.go_to((n, e, d), None if math.isnan(heading) else heading)
         if not answer and speed > 0.0:
-            self._autopilot.set_speed(before)  # refused is refused whole
+            self._autopilot.set_speed(before)  # a refusal leaves nothing changed
         return answer
 
     def _pause_continue(self, now_s: float, command: Command) -> RequestAnswer:
@@ -419,7 +417,7 @@ class CommandProtocol:
         return self._set_mode(now_s, unpack_custom_mode(int(main)))
 
     def _set_mode(self, now_s: float, mode: Px4Mode) -> RequestAnswer:
-        """Do what a flight mode of PX4 stands for; the mission begins with the item that was asked for before."""
+        """Request a flight mode of PX4; the mission begins with the item requested earlier."""
         wanted, status, autopilot = action_for_mode(mode), self._autopilot.status, self._autopilot
         self._forget_choice()
         if not status.armed and not status.flying and (wanted == "take-off" or wanted == "mission"):
@@ -428,7 +426,7 @@ class CommandProtocol:
             self._choice = (now_s, wanted)
             return RequestAnswer(True, f"{wanted} once it is armed")
         if wanted == "hover" and (status.state == "init" or (status.state == "hover" and not status.mission_running)):
-            return REQUEST_ACCEPTED  # programs ask for it before take-off; on the floor it holds anyway
+            return REQUEST_ACCEPTED  # programs request it before take-off; on the floor it holds anyway
         actions: dict[str, Callable[[], RequestAnswer]] = {
             "take-off": autopilot.take_off,
             "hover": autopilot.pause,
@@ -510,8 +508,8 @@ COMMAND_HANDLERS: dict[int, Callable[[CommandProtocol, float, Command], RequestA
     mavlink.MAV_CMD_INJECT_FAILURE: CommandProtocol._inject_failure,
     mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: CommandProtocol._reboot_autopilot,
 }
-"""What each command does; with :data:`MESSAGE_REQUEST_COMMANDS` all that are known, the rest is answered as not
-supported."""
+"""Handlers of the commands; commands neither here nor in :data:`MESSAGE_REQUEST_COMMANDS` are answered as
+unsupported."""
 
 MESSAGE_REQUEST_COMMANDS: dict[int, int | None] = {
     mavlink.MAV_CMD_REQUEST_MESSAGE: None,
@@ -520,7 +518,7 @@ MESSAGE_REQUEST_COMMANDS: dict[int, int | None] = {
     mavlink.MAV_CMD_GET_HOME_POSITION: mavlink.MAVLINK_MSG_ID_HOME_POSITION,
     mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION,
 }
-"""Commands that ask for a message, or how often it comes, and the one they ask for (None: parameter 1). Anyone may."""
+"""Commands of every station that request a message or its rate, and the message (None: parameter 1)."""
 
 
 def answer_message_request(
@@ -532,17 +530,17 @@ def answer_message_request(
     ----------
     now_s : float
     command : Command
-    wishes : Wishes
-        Of the peer that asks.
+    wishes : StreamSchedule
+        Schedule of the peer that sent the command.
     has_origin : bool
-        Whether there is anything to tell about the globe.
+        Whether there is a global origin.
 
     Returns
     -------
     result : int
         MAV_RESULT.
     messages : list
-        To be sent at once, before those that the wishes hold.
+        Messages to send at once, before the scheduled ones.
     """
     first, second = command.params[:2]
     number = MESSAGE_REQUEST_COMMANDS[command.command_id]

@@ -1,15 +1,19 @@
-"""A companion of a vehicle that sees where it is: hears attitude and height, answers with VISION_POSITION_ESTIMATE.
+"""Vision companion of a vehicle: receives attitude and height, sends VISION_POSITION_ESTIMATE.
 
-The other end of :mod:`mufly.link.vision_input`, for any autopilot that takes the message. It goes by the vehicle's
-clock: TIMESYNC is asked for once a second, and of its answers of the last half minute the one with the shortest way
-counts, offset = theirs - (sent + received) / 2, which is off by half of the way at most: where two contradict, a clock
-was set, and those of before are forgotten. Until there is one, the least of arrival - stamp is taken. ATTITUDE tells
-the tilt; DISTANCE_SENSOR that looks down tells the height, or else LOCAL_POSITION_NED. That tells velocity and place,
-too, ESTIMATOR_STATUS how good the place is: where the map begins, and where to look for what was lost. ODOMETRY tells
-how good the tilt is, else it is taken for one degree, and RAW_RPM how fast the first two rotors shake the camera.
+It is the other end of :mod:`mufly.link.vision_input`, for any autopilot that accepts the message. Sources of its data:
 
-On the floor a camera sees nothing that it could be sure of, and an autopilot that has no other position is not armed
-without one: until the map begins it is told that it stands where places count from
+* Clock: TIMESYNC is requested once a second. Of the answers of the last 30 s the one with the shortest round trip
+  counts: offset = vehicle's time - (sent + received) / 2. Its error is at most half the round trip. If two answers
+  contradict, a clock was set, and older answers are discarded. Before any answer, the least difference of arrival and
+  stamp is the offset.
+* Tilt: ATTITUDE, with the accuracy from ODOMETRY, else one degree.
+* Height: a DISTANCE_SENSOR that points down, else LOCAL_POSITION_NED.
+* Velocity and position: LOCAL_POSITION_NED, with the accuracy from ESTIMATOR_STATUS. They initialise the map, and the
+  search after tracking is lost.
+* Vibration: RAW_RPM of the first two rotors, which shake the camera.
+
+On the floor a camera has no reliable features in view, and an autopilot without another position source cannot be armed
+without a position. Until the map begins, the companion therefore sends the origin
 (:meth:`VisionCompanion.stationary_result`).
 
 Source: https://mavlink.io/en/services/timesync.html; component number MAV_COMP_ID_VISUAL_INERTIAL_ODOMETRY.
@@ -35,7 +39,7 @@ _Array = NDArray[np.float64]
 COMPANION_COMPONENT_ID = 197
 REQUESTED_RATE_HZ = 50.0
 HISTORY_S, MAX_AGE_S = 3.0, 0.5
-"""What was told is kept for so long; what is older than a picture by more does not belong to it (s)."""
+"""Duration for which messages are kept, and greatest age of a message relative to its picture (s)."""
 _REQUEST_PERIOD_S = 1.0
 _REQUESTED_MESSAGE_IDS = (
     mavlink.MAVLINK_MSG_ID_ATTITUDE, mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED, mavlink.MAVLINK_MSG_ID_RAW_RPM
@@ -43,23 +47,23 @@ _REQUESTED_MESSAGE_IDS = (
 _ORIENTATION_DOWN = 25  # MAV_SENSOR_ROTATION_PITCH_270
 _TILT_SIGMA_RAD, _HEIGHT_SIGMA_M = math.radians(1.0), 0.02
 _MIN_TILT_SIGMA_RAD, _TILT_CORRELATION_TIME_S = math.radians(0.15), 20.0
-"""What nobody knows better, and over which errors of a filter's tilt hang together (docs/explanation/slam.md)."""
+"""Least standard deviation of the tilt, and correlation time of a filter's tilt error (docs/explanation/slam.md)."""
 _POSITION_SIGMA_M, _HEADING_SIGMA_RAD = 0.1, math.radians(2.0)
-"""Of a place whose accuracy nobody tells (m), and of the heading that goes with it."""
+"""Standard deviations of position (m) and heading that are assumed where none is received."""
 _STATIONARY_SIGMA_M = 0.002
-_TILT_VARIANCES = 15, 18  # roll and pitch, in the upper triangle of a covariance of six
-_CLOCK_DRIFT_S = 0.003  # of two clocks in half a minute
+_TILT_VARIANCES = 15, 18  # indices of roll and pitch in the upper triangle of a (6, 6) covariance
+_CLOCK_DRIFT_S = 0.003  # drift between two clocks in 30 s
 
 
 class VisionCompanion:
-    """Speaks to one autopilot; sockets and clocks are the caller's.
+    """Companion of one autopilot, without sockets and clocks.
 
     Attributes
     ----------
     system : int or None
-        Of the vehicle; None until it is heard.
+        MAVLink system of the vehicle; None until it is heard.
     has_sender_stamps : bool
-        Whether pictures bear a time of their sender, which may be the vehicle's clock: it is, where it is near to it.
+        Whether pictures have stamps of their sender. Stamps close to the vehicle's clock are taken as its time.
     """
 
     def __init__(self) -> None:
@@ -68,10 +72,10 @@ class VisionCompanion:
         self._codec = FrameDecoder()
         self._encode: FrameEncoder | None = None
         self._asked_s = -math.inf
-        self._synced: deque[tuple[float, float, float]] = deque()  # when, way (s), offset (s)
+        self._synced: deque[tuple[float, float, float]] = deque()  # time, round trip (s), offset (s)
         self._guessed: deque[tuple[float, float]] = deque()
-        self._tilt: deque[tuple[float, ...]] = deque()  # their time, roll, pitch, yaw, p, q, r
-        self._motion: deque[tuple[float, ...]] = deque()  # their time, N, E, velocities
+        self._tilt: deque[tuple[float, ...]] = deque()  # vehicle's time, roll, pitch, yaw, p, q, r
+        self._motion: deque[tuple[float, ...]] = deque()  # vehicle's time, N, E, velocities
         self._height: deque[tuple[float, float]] = deque()
         self._ranged_s, self._accuracy = -math.inf, _POSITION_SIGMA_M
         self._rotors, self._tilt_sigma = np.zeros(2), _TILT_SIGMA_RAD
@@ -79,14 +83,14 @@ class VisionCompanion:
 
     @property
     def clock_offset_s(self) -> float:
-        """The vehicle's clock less ours (s); NaN while it is not known."""
+        """Vehicle's clock minus the local clock (s); NaN while unknown."""
         if self._synced:
             return min(self._synced, key=lambda s: s[1])[2]
         return max((offset for _, offset in self._guessed), default=math.nan)
 
     def clock_offset_at(self, time_s: float) -> float:
-        """The vehicle's clock less that of a picture's time (s): 0 where that is the vehicle's, else
-        ``clock_offset_s``."""
+        """Return the vehicle's clock minus the clock of a picture's stamp (s): 0 for stamps by the vehicle's clock,
+        else ``clock_offset_s``."""
         ours = self.has_sender_stamps and self._tilt and abs(time_s - self._tilt[-1][0]) < SAME_CLOCK_TOLERANCE_S
         return 0.0 if ours else self.clock_offset_s
 
@@ -105,7 +109,7 @@ class VisionCompanion:
                 if 0.0 <= now_s - sent_s < 1.0:
                     way, offset = now_s - sent_s, m.tc1 * 1e-9 - 0.5 * (sent_s + now_s)
                     if any(abs(offset - o) > 0.5 * (way + w) + _CLOCK_DRIFT_S for _, w, o in self._synced):
-                        self._synced.clear()  # none is off by more than half its way: a clock was set
+                        self._synced.clear()  # the error of each is at most half its round trip: a clock was set
                         self._guessed.clear()
                     self._append_recent(self._synced, now_s, way, offset)
             elif kind == "ATTITUDE":
@@ -148,13 +152,13 @@ class VisionCompanion:
         if row and values[0] <= row[-1][0]:
             if values[0] > row[-1][0] - HISTORY_S:
                 return
-            row.clear()  # the vehicle was started anew
+            row.clear()  # the vehicle restarted
         row.append(values)
         while row[0][0] < values[0] - HISTORY_S:
             row.popleft()
 
     def step(self, now_s: float) -> list[bytes]:
-        """Return what is due to be sent: a heartbeat, a question for the time, and for what is needed."""
+        """Return the messages that are due: heartbeat, time synchronisation and requests for the streams needed."""
         if self._encode is None or now_s - self._asked_s < _REQUEST_PERIOD_S:
             return []
         first, self._asked_s = math.isinf(self._asked_s), now_s
@@ -184,7 +188,8 @@ class VisionCompanion:
         return [self._encode(m) for m in said]
 
     def frame_info_at(self, time_s: float) -> FrameInfo | None:
-        """Return what the vehicle told of an instant by our clock or its own; None where it told nothing near it."""
+        """Return the vehicle's state at an instant of the local or its own clock; None without a message close to
+        it."""
         t = time_s + self.clock_offset_at(time_s)
         if not self._tilt or not self._height or not math.isfinite(t):
             return None
@@ -209,15 +214,15 @@ class VisionCompanion:
         )  # fmt: skip
 
     def stationary_result(self, time_s: float, told: FrameInfo) -> TrackingResult:
-        """Return the answer to a picture of one that has not left the floor: where it begins, to 2 mm. A position that
-        never moves at all would be taken for one that has stopped."""
+        """Return the result for a picture taken before take-off: the origin, with a noise of 2 mm. A position that
+        never changes would be rejected as frozen."""
         *off, turned = _STATIONARY_SIGMA_M * self._rng.standard_normal(4)
         place = np.array([0.0, 0.0, -told.height_m]) + off
         return TrackingResult(time_s, True, "it stands", place, float(turned), _STATIONARY_SIGMA_M**2 * np.eye(4))
 
     def encode_position(self, answer: TrackingResult) -> bytes | None:
-        """Return the message for a trusted answer whose time is by our clock, or by the vehicle's; None while there is
-        nobody to hear it."""
+        """Return the message of a trusted result stamped by the local or the vehicle's clock; None without a
+        receiver."""
         if self._encode is None or not answer.trusted or math.isnan(self.clock_offset_at(answer.time_s)):
             return None
         usec = round(1e6 * (answer.time_s + self.clock_offset_at(answer.time_s)))
@@ -228,21 +233,21 @@ class VisionCompanion:
 
 
 class CompanionPort:
-    """A companion on an endpoint, served whenever a picture comes.
+    """A companion on an endpoint, served with every picture.
 
     Parameters
     ----------
     endpoint : Endpoint
-        Where the vehicle is.
+        Address of the vehicle.
 
     Attributes
     ----------
-    companion : Companion
+    companion : VisionCompanion
 
     Raises
     ------
     InputError
-        If it cannot be opened.
+        If the endpoint cannot be opened.
     """
 
     def __init__(self, endpoint: Endpoint) -> None:
@@ -251,7 +256,7 @@ class CompanionPort:
         self._peer: Peer | None = None
 
     def exchange_messages(self, now_s: float) -> None:
-        """Take what has come, and send what is due; ``now_s`` by the clock of the day (s)."""
+        """Process received messages, and send what is due; ``now_s`` is Unix time (s)."""
         for peer, data in self._port.receive():
             self.companion.receive(now_s, data)
             if self.companion.system is not None and self._peer is None:
@@ -260,12 +265,12 @@ class CompanionPort:
             self._port.send(self._peer, data)
 
     def frame_infos_at(self, times: _Array) -> Sequence[FrameInfo | None]:
-        """What the vehicle told of times (n,) by the clock of the day."""
+        """Return the vehicle's state at each of the Unix times (n,) (s); None where it is unknown."""
         self.exchange_messages(time.time())
         return [self.companion.frame_info_at(t) for t in times.tolist()]
 
     def send_position(self, answer: TrackingResult) -> None:
-        """Send a trusted answer."""
+        """Send a trusted result."""
         if self._peer is not None and (data := self.companion.encode_position(answer)) is not None:
             self._port.send(self._peer, data)
 

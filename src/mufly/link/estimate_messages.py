@@ -1,15 +1,15 @@
 """Messages of the estimate: ODOMETRY with covariance, ESTIMATOR_STATUS, and the status of each sensor.
 
-ODOMETRY tells the pose in MAV_FRAME_LOCAL_NED and the motion in MAV_FRAME_BODY_FRD, as PX4 does. Its covariances are
+ODOMETRY holds the pose in MAV_FRAME_LOCAL_NED and the motion in MAV_FRAME_BODY_FRD, as PX4 does. Its covariances are
 the upper triangles, row by row (21 numbers each), of x, y, z, roll, pitch, yaw and of vx, vy, vz, rollspeed,
-pitchspeed, yawspeed; a NaN in front says that they are not known. With the attitude's rotation R the velocity's errors
-turn into body axes, ``P_b = R^T P R``; what the attitude's own error adds (v times it) is left out.
+pitchspeed, yawspeed; a NaN in front marks an unknown covariance. With the attitude's rotation R the covariance of the
+velocity in body axes is ``P_b = R^T P R``; the effect of the attitude's own error (v times it) is neglected.
 
-Test ratios of ESTIMATOR_STATUS are the squares of the innovations over the gate's: above 1 a measurement is rejected.
-MAVLink has no message for each sensor's health: the array "checks" holds for each of
-:data:`mufly.quantities.CHECKED_READINGS` the place of its status in :data:`mufly.quantities.FUSION_STATUSES`, its
-innovation in standard deviations and the age of what was used last (s); then the wind N, E (m/s) and its deviations.
-Reasons go out as STATUSTEXT.
+A test ratio of ESTIMATOR_STATUS is the squared innovation over the squared gate: above 1 a measurement is rejected.
+MAVLink has no message for each sensor's health. The array "checks" holds three numbers for each of
+:data:`mufly.quantities.CHECKED_READINGS`: the index of its status in :data:`mufly.quantities.FUSION_STATUSES`, its
+innovation in standard deviations, and the age of the last fused measurement (s). Wind N, E (m/s) and its standard
+deviations follow. Reasons are sent as STATUSTEXT.
 
 Source: https://mavlink.io/en/messages/common.html#ODOMETRY, #ESTIMATOR_STATUS.
 """
@@ -33,24 +33,24 @@ from mufly.sensor_table import READINGS
 
 _Array = NDArray[np.float64]
 CHECKS_ARRAY_NAME = b"checks"
-"""Name of the array."""
+"""Name of the DEBUG_FLOAT_ARRAY of sensor statuses."""
 UNKNOWN_COVARIANCE = (math.nan,) + (0.0,) * 20
 _UPPER_TRIANGLE = np.triu_indices(6)
 _POSE_INDICES, _MOTION_INDICES = [0, 1, 2, 6, 7, 8], [3, 4, 5, 9, 10, 11]  # of Estimate.covariance
 GOOD_POSITION_SIGMA_M, GOOD_TILT_SIGMA_RAD, GOOD_VELOCITY_SIGMA_M_S = 0.5, math.radians(10.0), 0.5
-"""One sigma up to which a position, tilt or velocity is called good."""
+"""Largest standard deviations of a position, tilt or velocity that is flagged as good (m, rad, m/s)."""
 _RATIO_FIELDS = {field: (row.name, words) for row in READINGS.values() for field, words in row.test_ratios}
 TEST_RATIOS: dict[str, tuple[str, str]] = {
     field: _RATIO_FIELDS.get(field, ("", "airspeed"))
     for field in mavlink.MAVLink_estimator_status_message.fieldnames
     if field.endswith("_ratio")
 }
-"""Fields of ESTIMATOR_STATUS with a test ratio: the reading, "" without one, and its name on the page."""
-_UNKNOWN_POSITION_SIGMA_M = 10.0  # beyond, a place is not known at all
+"""Fields of ESTIMATOR_STATUS with a test ratio: the reading, "" without one, and its name on the ground station."""
+_UNKNOWN_POSITION_SIGMA_M = 10.0  # above this a position is flagged as unknown
 
 
 def odometry_message(state: FlightState, usec: int) -> MavMessage:
-    """ODOMETRY: pose and motion as estimated, with their covariance."""
+    """Return ODOMETRY: estimated pose and motion, with their covariance."""
     m = state.estimate
     known = bool(np.all(np.isfinite(m.attitude)))
     turn = body_to_ned_matrix(quaternion_from_euler(*m.attitude.tolist())) if known else np.full((3, 3), math.nan)
@@ -82,7 +82,7 @@ def pack_upper_triangle(covariance: _Array) -> list[float]:
 
 
 def estimator_status_message(state: FlightState, usec: int) -> MavMessage:
-    """ESTIMATOR_STATUS: what is known how well, and by how much measurements miss."""
+    """Return ESTIMATOR_STATUS: flags of the estimate's quality, and test ratios of the measurements."""
     m, beliefs = state.estimate, state.estimate.auxiliary_states
     sigma = np.sqrt(np.maximum(np.diag(m.covariance), 0.0))
     level, height = math.hypot(sigma[EX_POS], sigma[EX_POS + 1]), float(sigma[EX_POS + 2])
@@ -129,7 +129,7 @@ def _has_status(checks: dict[str, SensorStatus], name: str, *statuses: str) -> b
 
 
 def sensor_checks_message(state: FlightState, usec: int) -> MavMessage | None:
-    """DEBUG_FLOAT_ARRAY "checks": status, innovation and age of every reading, then the wind; None without a filter."""
+    """Return DEBUG_FLOAT_ARRAY "checks": status, innovation and age of every reading, and wind; None without filter."""
     beliefs = state.estimate.auxiliary_states
     if beliefs is None:
         return None
@@ -138,7 +138,7 @@ def sensor_checks_message(state: FlightState, usec: int) -> MavMessage | None:
 
 
 def pack_sensor_checks(beliefs: AuxiliaryStates) -> list[float]:
-    """Return what the array "checks" holds; NaN for sensors that are not on board."""
+    """Return the numbers of the array "checks"; NaN for absent sensors."""
     checks = {c.name: c for c in beliefs.checks}
     values: list[float] = []
     for name in CHECKED_READINGS:

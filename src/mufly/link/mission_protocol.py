@@ -1,4 +1,4 @@
-"""The vehicle's side of the mission protocol. What items mean is in :mod:`mufly.mission.mission_items`."""
+"""The vehicle's side of the mission protocol; :mod:`mufly.mission.mission_items` defines the items."""
 
 from __future__ import annotations
 
@@ -50,27 +50,27 @@ _REFUSAL_TEXTS: dict[int, str] = {
     MissionResult.DENIED: "mission refused: another station is sending one; wait until it is done",
     MissionResult.UNSUPPORTED: "refused: missions and fences are known here, rally points are not",
 }
-"""Refusals that need no look at the items, in words."""
+"""Reasons of refusals that do not depend on the items."""
 _STATE_NO_MISSION, _STATE_NOT_STARTED, _STATE_ACTIVE, _STATE_PAUSED, _STATE_COMPLETE = 1, 2, 3, 4, 5
 
 
 class MissionProtocol:
-    """The vehicle's side of the mission protocol: who uploads, who downloads, and where the mission stands.
+    """The vehicle's side of the mission protocol: upload, download, and progress of the mission.
 
-    A mission that has come in whole is judged, loaded and acknowledged in one step: loaded whole, or refused with
-    everything left as it was; a fence likewise. Rally points do not exist here: their list is empty.
+    A completely received mission is checked, loaded and acknowledged in one step: it is loaded whole, or refused with
+    nothing changed. A fence is treated alike. Rally points are not supported: their list is empty.
 
     Parameters
     ----------
     autopilot : Autopilot
     clients : Clients
-    authority : Authority
-        Decides who may change the mission.
-    origin : Origin or None
+    authority : CommandAuthority
+        Decides which station may change the mission.
+    origin : GlobalOrigin or None
 
     Attributes
     ----------
-    plan : Plan
+    plan : MissionWithItems
         The mission and its items.
     """
 
@@ -80,8 +80,8 @@ class MissionProtocol:
         self._autopilot, self._clients = autopilot, clients
         self._authority, self._origin = authority, origin
         self.plan = mission_to_items(autopilot.software.requested_mission)
-        self._refused = ""  # why the last mission was refused, until it is told
-        self._first = 0  # the item that the mission begins with when it is started
+        self._refused = ""  # reason why the last mission was refused, until reported
+        self._first = 0  # first item of the mission at its start
         self._receiver = MissionReceiver(self._accept_mission)
         self._fence_receiver = MissionReceiver(self._accept_fence, mission_type=TYPE_FENCE)
         self._fence_items: tuple[Fence | None, tuple[MissionItem, ...]] = (None, ())
@@ -92,7 +92,7 @@ class MissionProtocol:
     def receive(self, now_s: float, station: MessageSource, note: TransferMessage) -> None:
         """Process a station's message; only the commander may start an upload or clear the mission."""
         if isinstance(note, MissionCount | MissionClearAll) and not self._authority.may_command(now_s, station):
-            denied = MissionAck(MissionResult.DENIED, note.mission_type)  # why, the authority has said
+            denied = MissionAck(MissionResult.DENIED, note.mission_type)  # the authority has reported the reason
             self._clients.send_message(station.peer, to_mavlink(denied, station.system, station.component))
         else:
             self._send_messages(self._cancel_foreign_uploads())
@@ -135,7 +135,7 @@ class MissionProtocol:
         return answer
 
     def start_at_item(self, item: float) -> RequestAnswer:
-        """Go on with an item of the mission; on the floor, begin with it once the mission is started."""
+        """Resume the mission at an item; on the floor, set the first item of the next start."""
         first = self._waypoint_from_item(int(item)) if item >= 0.0 and item < 65535.0 else None
         if first is None:
             return _refuse_missing_waypoint(item)
@@ -217,7 +217,7 @@ class MissionProtocol:
         return self._fence_receiver if kind == TYPE_FENCE else self._receiver
 
     def fence_items(self) -> tuple[MissionItem, ...]:
-        """The fence as it was uploaded or, of a mission file, as items."""
+        """Return the fence as uploaded, or the fence of a mission file as items."""
         fence = self._autopilot.software.requested_mission.fence
         if fence != self._fence_items[0]:
             self._fence_items = (fence, fence_to_items(fence, self._origin))
@@ -238,23 +238,23 @@ class MissionProtocol:
         return MissionResult.ACCEPTED
 
     def _waypoint_from_item(self, item: int) -> int | None:
-        """The waypoint to begin with when an item is to come next; None if there is none."""
+        """Return the waypoint at which the mission resumes for a given next item; None if there is none."""
         return self.plan.first_waypoint_from_item(item) if 0 <= item < len(self.plan.items) else None
 
     def _count_completed_items(self, status: FlightState) -> int:
         """Return the number of completed items, from the first."""
         places, reached = self.plan.waypoint_item_index, status.waypoint_index
         if reached == len(places) and status.mission_running and status.state == "hover":
-            reached -= 1  # it waits there; the last item is completed when nothing of the mission is left
+            reached -= 1  # still waiting there; the last item is completed when nothing of the mission is left
         if status.outcome == "succeeded" and not status.flying and reached >= len(places):
             return len(self.plan.items)
         if reached >= len(places) and self.plan.mission.at_end == "hover" and not status.mission_running:
-            return len(self.plan.items)  # also those behind the last waypoint, such as a delay
+            return len(self.plan.items)  # including items after the last waypoint, such as a delay
         if 0 < reached < len(places) and status.mission_running and status.state in ("waypoint", "obstacle"):
             return places[reached]
         if reached > 0:
             return places[min(reached, len(places)) - 1] + 1
-        # In the air and under way, it has taken off.
+        # In the air and on the mission: take-off is complete.
         return places[0] if places and status.state in ("waypoint", "obstacle", "hover") else 0
 
     def _current_item(self, status: FlightState) -> int:
@@ -266,7 +266,7 @@ class MissionProtocol:
         return len(self.plan.items) - 1
 
     def _refresh_plan(self, status: FlightState) -> None:
-        """Somebody else may have loaded a mission, or tuned the one that is loaded."""
+        """Update the plan after the mission was loaded or tuned elsewhere."""
         mission = status.mission
         if mission is None or mission is self.plan.mission:
             return
@@ -280,13 +280,13 @@ class MissionProtocol:
     ) -> AddressedMessages:
         key = (station, note.mission_type)
         before = self._senders.get(key)
-        # Whoever goes on with items of a list that was offered before gets those, or nothing: never some of each.
+        # A station that continues a download gets the items of the list offered to it, or none: never a mixture.
         if before is not None and isinstance(note, MissionRequestItem):
             return before.receive(now_s, note)
         held = {TYPE_MISSION: lambda: self.plan.items, TYPE_FENCE: self.fence_items}.get(note.mission_type, tuple)
         items: tuple[MissionItem, ...] = held()
         giver = MissionSender(station, items, mission_type=note.mission_type, uploading=False)
-        # A list that is asked for again may be that of another mission than the one that was never fetched.
+        # A list requested again may belong to another mission than the one whose download was not completed.
         if before is not None and before.result is None and before.items == giver.items:
             return before.receive(now_s, note)
         self._senders[key] = giver
@@ -304,14 +304,14 @@ class MissionProtocol:
             known = kind == TYPE_RALLY
             return [(station, MissionAck(MissionResult.ACCEPTED if known else MissionResult.UNSUPPORTED, kind))]
         if self._clearing is not None:
-            return []  # the same again
+            return []  # a repetition
         if self._autopilot.status.mission_running and self._autopilot.pause():
             self._clearing = (now_s + _CLEAR_TIMEOUT_S, station, kind)
             return []
         return [(station, MissionAck(self._accept_mission(()), kind))]
 
     def _clear_when_hovering(self, now_s: float) -> AddressedMessages:
-        """A mission that is being flown is cleared once the helicopter hovers."""
+        """Clear a mission that was being flown once the helicopter hovers."""
         if self._clearing is None:
             return []
         until_s, station, kind = self._clearing

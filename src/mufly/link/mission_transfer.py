@@ -10,16 +10,17 @@ Protocol")::
                                ◀─────       RequestItem 1 ...                                   ◀─────  Item 0 ...
                                ◀─────       Ack                                   Ack           ─────▶
 
-Packets get lost, doubled, late and out of order. The receiver holds the reins: it asks for one item after the other,
-asks again when none comes, and passes over items that it does not wait for. What it has is given away once, when it is
-whole. MAVLink does not say which transfer an item belongs to; so that two missions are not mixed, a receiver that
-begins anew first lets the packets of the last transfer run dry (`SETTLE_TIME_S`), and a sender that does so first tells
-the receiver to stop (`QUIET_PERIOD_S`): else its items could be taken as the answer to the requests of the transfer
-before.
+Packets get lost, doubled, delayed and reordered. The receiver drives the transfer: it requests one item after the
+other,
+repeats unanswered requests, and ignores items that it does not wait for. Complete items are handed over once.
 
-An answer is expected after a round trip; the time after which it is asked for again follows the round trips seen.
+MAVLink items do not name their transfer. So that two missions are not mixed, a receiver that starts again first waits
+until packets of the last transfer have arrived (`SETTLE_TIME_S`). A sender that starts again first stops the receiver
+(`QUIET_PERIOD_S`): its items could otherwise answer requests of the last transfer.
 
-The machines deal in the notes below; MISSION_ITEM and MISSION_REQUEST, the older forms, become the same notes as
+An answer is expected after one round trip; the retry time follows the measured round trips.
+
+The machines exchange the messages below; the older forms MISSION_ITEM and MISSION_REQUEST become the same messages as
 MISSION_ITEM_INT and MISSION_REQUEST_INT.
 """
 
@@ -35,21 +36,21 @@ from mufly.mission.mission_items import MissionItem as MissionItem
 from mufly.mission.mission_items import MissionResult as MissionResult
 
 RETRY_BOUNDS_S = (0.25, 1.5)
-"""Least and greatest time before asking again (s); MAVLink recommends 0.25 s for items and 1.5 s for the rest."""
+"""Least and greatest time until a request is repeated (s); MAVLink recommends 0.25 s for items and 1.5 s otherwise."""
 FIRST_RETRY_S = 0.8
-"""Before any round trip was seen (s): longer than one over a link of 300 ms each way."""
+"""Retry time before any round trip was measured (s): longer than a round trip with 300 ms each way."""
 TRANSFER_TIMEOUT_S = 12.0
-"""A transfer that has not moved for so long is given up (s).
+"""Time without progress after which a transfer is given up (s).
 
-With 30 % lost and 300 ms each way an item is asked for 16 times by then; each time it comes with probability 0.49, so
-one item in 48 000 is given up.
+With 30 % loss and 300 ms each way an item is requested 16 times within this time. Each request succeeds with
+probability 0.49, so one item in 48 000 is given up.
 """
 SETTLE_TIME_S = 1.0
-"""For how long packets of an earlier transfer may still be under way (s)."""
+"""Time for which packets of an earlier transfer may still arrive (s)."""
 MAX_ITEMS = 500
-"""Most items that a receiver takes."""
+"""Largest number of items that a receiver accepts."""
 QUIET_PERIOD_S = 2.0
-"""A sender that begins anew first tells the receiver to stop, until it has not asked for so long (s)."""
+"""Time without requests after which a sender that starts again regards the receiver as stopped (s)."""
 TYPE_MISSION, TYPE_FENCE = mavlink.MAV_MISSION_TYPE_MISSION, mavlink.MAV_MISSION_TYPE_FENCE
 TYPE_RALLY, TYPE_ALL = mavlink.MAV_MISSION_TYPE_RALLY, mavlink.MAV_MISSION_TYPE_ALL
 _LOCAL_FRAMES = (1, 4, 7, 8, 9, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21)
@@ -57,14 +58,14 @@ _LOCAL_FRAMES = (1, 4, 7, 8, 9, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21)
 
 @dataclass(frozen=True, slots=True)
 class MissionRequestList:
-    """MISSION_REQUEST_LIST: how many are there?"""
+    """MISSION_REQUEST_LIST: request of the number of items."""
 
     mission_type: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class MissionCount:
-    """MISSION_COUNT: so many items are on offer."""
+    """MISSION_COUNT: offer of a number of items."""
 
     item_count: int
     mission_type: int = 0
@@ -72,7 +73,7 @@ class MissionCount:
 
 @dataclass(frozen=True, slots=True)
 class MissionRequestItem:
-    """MISSION_REQUEST_INT, or MISSION_REQUEST, which is answered alike."""
+    """MISSION_REQUEST_INT, or MISSION_REQUEST, which is answered in the same way."""
 
     seq: int
     mission_type: int = 0
@@ -80,7 +81,7 @@ class MissionRequestItem:
 
 @dataclass(frozen=True, slots=True)
 class MissionAck:
-    """MISSION_ACK; ``result`` is a number of :class:`MissionResult` or one that it does not know yet."""
+    """MISSION_ACK; ``result`` is a number of :class:`MissionResult`, or an unknown number."""
 
     result: int
     mission_type: int = 0
@@ -88,7 +89,8 @@ class MissionAck:
 
 @dataclass(frozen=True, slots=True)
 class MissionClearAll:
-    """MISSION_CLEAR_ALL; answered by an :class:`MissionAck`. No machine here takes it, one request has one answer."""
+    """MISSION_CLEAR_ALL, answered by a :class:`MissionAck`; neither machine handles it, since it needs one answer
+    only."""
 
     mission_type: int = 0
 
@@ -97,7 +99,7 @@ TransferMessage = MissionRequestList | MissionCount | MissionRequestItem | Missi
 """A message between sender and receiver."""
 
 AddressedMessages = list[tuple[Hashable, TransferMessage]]
-"""Notes to be sent, each with the peer that it is for."""
+"""Messages to send, each with its peer."""
 
 
 _MESSAGE_TYPES: dict[type, Any] = {
@@ -107,12 +109,12 @@ _MESSAGE_TYPES: dict[type, Any] = {
     MissionAck: mavlink.MAVLink_mission_ack_message,
     MissionClearAll: mavlink.MAVLink_mission_clear_all_message,
 }
-"""Messages whose fields, after the two of the target, are those of a note in its order."""
+"""MAVLink messages, and the transfer messages with the same fields after target system and component."""
 _NOTE_TYPES = {m.msgname: note for note, m in _MESSAGE_TYPES.items()} | {"MISSION_REQUEST": MissionRequestItem}
 
 
 def parse_transfer_message(message: MavMessage) -> TransferMessage | None:
-    """Return what a MAVLink message says about a transfer; None if nothing."""
+    """Return the transfer message of a MAVLink message; None if it is another message."""
     m, kind = message, message.get_type()
     if kind in ("MISSION_ITEM_INT", "MISSION_ITEM"):
         factor = 1e4 if m.frame in _LOCAL_FRAMES else 1e7
@@ -124,7 +126,7 @@ def parse_transfer_message(message: MavMessage) -> TransferMessage | None:
 
 
 def to_mavlink(note: TransferMessage, system: int, component: int) -> MavMessage:
-    """Return a note as the MAVLink message to ``system`` and ``component``, ready for a codec to send."""
+    """Return the MAVLink message to ``system`` and ``component``, ready for a codec to send."""
     if isinstance(note, MissionItem):
         n = note
         return mavlink.MAVLink_mission_item_int_message(
@@ -143,9 +145,9 @@ class RetryTimer:
         self._repeated = False
 
     def mark_progress(self, now_s: float) -> None:
-        """Note that the transfer got on, and that the next question goes out now."""
+        """Record that the transfer advanced, and that the next request is sent now."""
         took = now_s - self._asked_s
-        # After a repetition nobody knows which one was answered.
+        # After a repetition the answered request is unknown.
         if not self._repeated and took > 0.0:
             old = self._round_trip_s
             self._round_trip_s = took if old is None else 0.7 * old + 0.3 * took
@@ -153,12 +155,12 @@ class RetryTimer:
         self._repeated = False
 
     def mark_started(self, now_s: float) -> None:
-        """Note that the first question goes out now."""
+        """Record that the first request is sent now."""
         self._asked_s = self._moved_s = now_s
         self._repeated = False
 
     def should_retry(self, now_s: float) -> bool:
-        """Whether to ask again now; notes that it was done."""
+        """Return whether to repeat the request now, and record the repetition."""
         trip = self._round_trip_s
         wait = FIRST_RETRY_S if trip is None else min(max(1.1 * trip + 0.05, RETRY_BOUNDS_S[0]), RETRY_BOUNDS_S[1])
         if now_s - self._asked_s < wait:
@@ -172,31 +174,31 @@ class RetryTimer:
 
 
 class MissionReceiver:
-    """Fetches items from one peer at a time and hands them on whole.
+    """Receiver of the items of one peer at a time, which hands them over complete.
 
-    At a vehicle it waits for somebody's ``MissionCount``; at a station :meth:`fetch_items` begins. It can be used again
-    and again.
+    At a vehicle it waits for a ``MissionCount``; at a station :meth:`fetch_items` starts a transfer. It can be reused.
 
     Parameters
     ----------
     judge : callable
-        Called with all items once they are there; returns what to acknowledge (:class:`MissionResult` or its number).
-        Whatever it refuses, it must leave as it was.
+        Called with the complete items; returns the result to acknowledge (:class:`MissionResult` or its number). A
+        refusal
+        must leave everything unchanged.
     mission_type : int
-        MAV_MISSION_TYPE; notes of others are passed over.
+        MAV_MISSION_TYPE; messages of other types are ignored.
     limit : int
-        More items are refused with ``NO_SPACE``.
+        Largest number of items; more are refused with ``NO_SPACE``.
     unasked : bool
-        Whether a ``MissionCount`` may begin a transfer (at a vehicle), or :meth:`fetch_items` alone (at a station).
+        Whether a ``MissionCount`` may start a transfer (at a vehicle), or only :meth:`fetch_items` (at a station).
 
     Attributes
     ----------
     peer : hashable
-        Whose items are being fetched; None between transfers.
+        Peer whose items are being fetched; None between transfers.
     result : int or None
-        How the last transfer ended; None while one is under way, or before the first.
+        Result of the last transfer; None during a transfer and before the first.
     timed_out : bool
-        Whether it ended because nothing was heard any more.
+        Whether it ended because the peer was silent.
     """
 
     def __init__(
@@ -216,7 +218,7 @@ class MissionReceiver:
         self._count: int | None = None
         self._items: list[MissionItem] = []
         self._settled_s = self._touched_s = -math.inf
-        self._done: tuple[Hashable, int, int] | None = None  # peer, number of items and result of the last one
+        self._done: tuple[Hashable, int, int] | None = None  # peer, number of items and result of the last transfer
         self._retry = RetryTimer()
 
     @property
@@ -226,17 +228,17 @@ class MissionReceiver:
 
     @property
     def progress(self) -> float:
-        """Share of the items that are there, 0..1."""
+        """Share of the items received, 0..1."""
         return len(self._items) / self._count if self._count else 0.0
 
     def fetch_items(self, now_s: float, peer: Hashable) -> AddressedMessages:
-        """Ask a peer for its items; one transfer that is under way is dropped."""
+        """Request the items of a peer; an active transfer is dropped."""
         dropped = self.cancel()
         self._begin_transfer(now_s, peer, fetching=True)
         return [*dropped, (peer, MissionRequestList(self.mission_type))]
 
     def receive(self, now_s: float, peer: Hashable, note: TransferMessage) -> AddressedMessages:
-        """Take a note of a peer; notes that mean nothing here are passed over."""
+        """Process a message of a peer; messages that do not fit the state are ignored."""
         if getattr(note, "mission_type", None) != self.mission_type:
             return []
         if isinstance(note, MissionCount):
@@ -248,7 +250,7 @@ class MissionReceiver:
         return []
 
     def step(self, now_s: float) -> AddressedMessages:
-        """Ask again for what may have been lost, or give up."""
+        """Repeat a request that may have been lost, or give up."""
         if self.peer is None:
             return []
         if self._retry.has_timed_out(now_s):
@@ -259,7 +261,7 @@ class MissionReceiver:
         return [(self.peer, self._next_request(now_s))]
 
     def cancel(self) -> AddressedMessages:
-        """Stop; the peer is told, nothing is handed on."""
+        """Cancel the transfer; the peer is informed, no items are handed over."""
         if self.peer is None:
             return []
         return self._refuse_transfer(self._touched_s, MissionResult.OPERATION_CANCELLED)
@@ -293,7 +295,7 @@ class MissionReceiver:
         return [(peer, self._next_request(now_s))]
 
     def _repeat_last_ack(self, now_s: float, peer: Hashable, item: MissionItem) -> AddressedMessages:
-        """Answer the last item of the last transfer, which comes again when the answer was lost."""
+        """Acknowledge the last item of the last transfer again: it is repeated when its acknowledgement was lost."""
         if self._done is None or self._done[:2] != (peer, item.seq + 1):
             return []
         self._touched_s = now_s
@@ -332,23 +334,23 @@ class MissionReceiver:
 
 
 class MissionSender:
-    """Gives its items to one peer, item by item as that one asks.
+    """Sender of items to one peer, item by item on request.
 
-    ``result`` is None until it is over, then the receiver's word; ``OPERATION_CANCELLED`` if it was stopped from either
-    side or nothing was heard for `TRANSFER_TIMEOUT_S` (``timed_out`` tells which).
+    ``result`` is None until the end, then the receiver's result. It is ``OPERATION_CANCELLED`` if either side
+    cancelled, or if nothing was heard for `TRANSFER_TIMEOUT_S`; ``timed_out`` tells these cases apart.
 
     Parameters
     ----------
     peer : hashable
-        Whom it serves.
-    items : sequence of Item
-        Numbered anew from 0.
+        Receiver of the items.
+    items : sequence of MissionItem
+        Items, which are numbered from 0.
     mission_type : int
         MAV_MISSION_TYPE.
     uploading : bool
-        True at a station that wants to be rid of its mission: says ``MissionCount`` until it is asked for an item, and
-        ends with the vehicle's ``MissionAck``. False at a vehicle that was asked for its list: says ``MissionCount``
-        once; a list that is asked for again is answered again.
+        True at a station that uploads its mission: it repeats ``MissionCount`` until an item is requested, and ends
+        with the vehicle's ``MissionAck``. False at a vehicle whose list was requested: it sends ``MissionCount`` once
+        for each request of the list.
     """
 
     def __init__(
@@ -366,7 +368,7 @@ class MissionSender:
 
     @property
     def progress(self) -> float:
-        """Share of the items that were asked for, 0..1."""
+        """Share of the items requested, 0..1."""
         return (self._served + 1) / len(self.items) if self.items else float(self.result is not None)
 
     def start(self, now_s: float, *, hush: bool = False) -> AddressedMessages:
@@ -377,7 +379,7 @@ class MissionSender:
         now_s : float
             Clock (s).
         hush : bool
-            Another transfer to this peer was not ended in order less than `TRANSFER_TIMEOUT_S` ago; stop it first.
+            An unfinished transfer to this peer ended less than `TRANSFER_TIMEOUT_S` ago; stop it first.
         """
         self._retry.mark_started(now_s)
         if not hush:
@@ -386,11 +388,11 @@ class MissionSender:
         return [(self.peer, self._cancel_message())]
 
     def receive(self, now_s: float, note: TransferMessage) -> AddressedMessages:
-        """Answer a note of the peer; notes that mean nothing here are passed over."""
+        """Answer a message of the peer; messages that do not fit the state are ignored."""
         if getattr(note, "mission_type", None) != self.mission_type:
             return []
         if self.result is not None:
-            # Somebody waits for items of a transfer that is over, perhaps begun by a Count that came twice.
+            # The peer waits for items of a finished transfer, perhaps started by a doubled Count.
             return [(self.peer, self._cancel_message())] if isinstance(note, MissionRequestItem) else []
         if self._hush_s > -math.inf:
             if isinstance(note, MissionRequestItem):
@@ -401,7 +403,7 @@ class MissionSender:
             self._retry.mark_progress(now_s)
             return [(self.peer, self._count_message())]
         if isinstance(note, MissionRequestItem):
-            # Item by item: what is asked for out of turn is a question to another sender, before this one.
+            # Items are requested in order: a request out of turn answers an earlier sender.
             if not 0 <= note.seq < len(self.items) or note.seq > self._served + 1:
                 return []
             if note.seq > self._served:
@@ -411,7 +413,7 @@ class MissionSender:
         return self._handle_ack(now_s, note) if isinstance(note, MissionAck) else []
 
     def step(self, now_s: float) -> AddressedMessages:
-        """Repeat what may have been lost, or give up."""
+        """Repeat a message that may have been lost, or give up."""
         if self.result is not None:
             return []
         if self._retry.has_timed_out(now_s):
@@ -423,12 +425,12 @@ class MissionSender:
             return []
         if self._served < 0:
             return [(self.peer, self._count_message())]
-        # In between the receiver asks again; after the last item it may be its Ack that was lost.
+        # During the transfer the receiver repeats requests; after the last item its Ack may be lost.
         last = self._served == len(self.items) - 1
         return [(self.peer, self.items[-1])] if last else []
 
     def cancel(self) -> AddressedMessages:
-        """Stop; the receiver is told."""
+        """Cancel the transfer; the receiver is informed."""
         if self.result is not None:
             return []
         self.result = MissionResult.OPERATION_CANCELLED
@@ -445,11 +447,11 @@ class MissionSender:
 
     def _handle_ack(self, now_s: float, note: MissionAck) -> AddressedMessages:
         if note.result == MissionResult.INVALID_SEQUENCE:
-            return []  # some vehicles say so to an item that came twice, and go on
+            return []  # some vehicles answer a doubled item so, and continue
         if note.result == MissionResult.ACCEPTED and self._served < len(self.items) - 1:
             if self._served < 0 or not self._uploading:
-                return []  # the late answer to another transfer
-            # It counts on fewer items than there are: it never heard our Count. Say it again.
+                return []  # late answer to another transfer
+            # It expects fewer items than there are: the Count was lost. Repeat it.
             self._served = -1
             self._retry.mark_progress(now_s)
             return [(self.peer, self._count_message())]

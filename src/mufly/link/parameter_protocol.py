@@ -1,12 +1,12 @@
-"""The parameter protocol: the autopilot's and the link's own, listed, read and set.
+"""The parameter protocol: list, read and set the parameters of the autopilot and of the link.
 
-All travel as ``float`` (MAV_PARAM_TYPE_REAL32), also whole numbers: the two ways in which autopilots pack integers
-into the field (cast, and byte by byte as PX4 does) then do not matter, and every program reads the same value. A
-value that is set as an integer type is taken byte by byte, which is what AUTOPILOT_VERSION declares.
+All parameters are sent as ``float`` (MAV_PARAM_TYPE_REAL32), whole numbers too. The two ways in which autopilots pack
+integers into the field (cast, or byte by byte as PX4 does) then give the same value in every program. A value that is
+set as an integer type is read byte by byte, as AUTOPILOT_VERSION declares.
 
-Every PARAM_SET of a known name is answered with the value in force, be it the new one or the old
-(https://mavlink.io/en/services/parameter.html). A list goes out at :data:`LIST_RATE_HZ` messages a second, so that a
-slow radio does not drown.
+Every PARAM_SET of a known name is answered with the value in force, changed or not
+(https://mavlink.io/en/services/parameter.html). A list is sent at :data:`LIST_RATE_HZ` messages a second, which does
+not overload a slow radio.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ LINK_PARAMETERS: dict[str, TunableParameter] = {
         ),
     )
 }
-"""The link's own, by name."""
+"""The link's own parameters, by name."""
 
 _STRUCT_FORMATS = {
     mavlink.MAV_PARAM_TYPE_UINT8: "<B3x",
@@ -64,14 +64,14 @@ INTEGER_RANGES: dict[int, tuple[int, int]] = {
     mavlink.MAV_PARAM_TYPE_UINT32: (0, 2**32 - 1),
     mavlink.MAV_PARAM_TYPE_INT32: (-(2**31), 2**31 - 1),
 }
-"""Types of whole numbers (MAV_PARAM_TYPE): the least and the greatest."""
+"""Least and greatest value of each integer type (MAV_PARAM_TYPE)."""
 
 
 def decode_parameter(number: float, kind: int, bytewise: bool = True) -> float:
     """Return the value in the ``float`` field of a PARAM_SET or PARAM_VALUE.
 
-    A ``float`` holds seven digits; 0.6 comes as 0.60000002, and is 0.6 again here. Autopilots put whole numbers there
-    either as a number or, ``bytewise``, as the bytes of the integer.
+    A ``float`` holds seven digits: 0.60000002 is returned as 0.6. Autopilots pack whole numbers either as a number or,
+    ``bytewise``, as the bytes of the integer.
     """
     if bytewise and kind in _STRUCT_FORMATS:
         return float(struct.unpack(_STRUCT_FORMATS[kind], struct.pack("<f", number))[0])
@@ -92,8 +92,8 @@ class ParameterProtocol:
     ----------
     autopilot : Autopilot
     clients : Clients
-    authority : Authority
-        Decides who may set parameters.
+    authority : CommandAuthority
+        Decides which station may set parameters.
     """
 
     def __init__(self, autopilot: Autopilot, clients: Clients, authority: CommandAuthority) -> None:
@@ -106,7 +106,7 @@ class ParameterProtocol:
         self._told = {name: self[name] for name in self._names}
 
     def __getitem__(self, name: str) -> float:
-        """The value of a parameter."""
+        """Return the value of a parameter."""
         return (self._own[name] if name in self._own else self._autopilot.parameters[name]).value
 
     def handle_request_list(self, now_s: float, station: MessageSource, message: MavMessage) -> None:
@@ -150,16 +150,16 @@ class ParameterProtocol:
         return ""
 
     def step(self, now_s: float) -> None:
-        """Send the next messages of the lists that are under way, one for each who waits, and what has changed."""
+        """Send one message to each peer with an unfinished list, and all changed values."""
         if self._lists and now_s >= self._due_s:
-            self._due_s = max(self._due_s + 1.0 / LIST_RATE_HZ, now_s)  # counted from the last, not from this tick
+            self._due_s = max(self._due_s + 1.0 / LIST_RATE_HZ, now_s)  # counted from the last message
             for station, k in list(self._lists.items()):
                 self._clients.send_message(station.peer, self._value_message(self._names[k]))
                 if k + 1 < len(self._names):
                     self._lists[station] = k + 1
                 else:
                     del self._lists[station]
-        # Something other than a PARAM_SET of theirs may have changed a value: a command, a mission, another limit.
+        # A command, a mission or another limit may also have changed a value.
         if now_s - self._looked_s >= _CHANGE_CHECK_PERIOD_S:
             self._looked_s = now_s
             told, self._told = self._told, {name: self[name] for name in self._names}

@@ -1,14 +1,12 @@
-"""Sockets and serial lines, as ports that never block and never raise into the loop that serves them.
+"""Sockets and serial lines as ports, which never block and never raise errors into their loop.
 
-Every port has a few peers; bytes come from a peer and go to one. A cable that is pulled, a peer that vanishes or a
-full buffer costs frames, which MAVLink is made to bear, but never parts of one: what is handed to :meth:`Port.send`
-goes out as a whole or not at all. What a user should know of (a call that fails, a device that is gone) is said once,
-until it changes.
+Every port has a few peers; bytes are received from a peer and sent to one. A pulled cable, a lost peer or a full buffer
+costs whole frames, which MAVLink tolerates, but never parts of one: :meth:`Port.send` sends all of a frame or nothing.
+Events (a failed call, a lost device) are reported once, until they change.
 
-An endpoint says where the other end is: ``udp:127.0.0.1:14550``, ``serial:/dev/ttyUSB0:57600`` and their like. Programs
-for MAVLink have settled on these words (pymavlink, MAVProxy, MAVSDK): ``udpin`` and ``tcpin`` listen, ``udpout`` and
-``tcp`` call. Plain ``udp`` is what each side does by custom: a vehicle sends to the address, where ground stations wait
-for it; a station listens there.
+An endpoint is the address of the other end: ``udp:127.0.0.1:14550``, ``serial:/dev/ttyUSB0:57600`` and the like. The
+names are those of MAVLink programs (pymavlink, MAVProxy, MAVSDK): ``udpin`` and ``tcpin`` listen, ``udpout`` and
+``tcp`` call. Plain ``udp`` depends on the side: a vehicle sends to the address, a ground station listens on it.
 """
 
 from __future__ import annotations
@@ -30,16 +28,16 @@ from typing import Any, Literal, NamedTuple
 from mufly.errors import ArgumentError
 
 MAX_PEERS = 32
-"""So many peers a listening port serves; the one that was silent for longest makes room."""
+"""Largest number of peers of a listening port; the peer that was silent for longest makes room."""
 MAX_READS, MAX_READ_BYTES = 256, 65_536
-"""Datagrams or blocks taken in one call, and the greatest size of one (bytes)."""
+"""Largest number of datagrams or blocks received in one call, and the largest size of one (bytes)."""
 RECONNECT_PERIOD_S = 1.0
 """Time between two attempts to call a TCP server or to open a serial device (s)."""
 _MAX_DISCARD_READS = 100
 _TCP_USER_TIMEOUT_MS = 2000
-"""A TCP connection whose other end acknowledges nothing for so long is given up, with all that waits in it (ms)."""
+"""Time without acknowledgement after which a TCP connection is dropped, with its queued data (ms)."""
 _STALE_INPUT_TEXT = "hung up: bytes waited in it while nobody was there to hear them"
-_MAX_QUEUE_BYTES = 65_536  # bytes that may wait to go out
+_MAX_QUEUE_BYTES = 65_536  # largest size of the output queue
 _SERIAL_BLOCK_BYTES = 4096
 _CONNECTION_LOST_TEXT = "the connection was lost; trying again"
 _SERIAL_QUEUE_S = 0.3
@@ -64,7 +62,7 @@ _ENDPOINT_EXAMPLES = (
     "tcpin:127.0.0.1:5760, udp:[::1]:14550 or serial:/dev/ttyUSB0:57600"
 )
 _SERIAL_EXAMPLE = "write for example serial:/dev/ttyUSB0:57600"
-_DEFAULT_BAUD = 57_600  # the custom of telemetry radios
+_DEFAULT_BAUD = 57_600  # usual for telemetry radios
 _HOST_PORT_PATTERN = re.compile(r"(?:(?P<host>\[[^\]]*\]|[^:\[\]]*):)?(?P<port>[^:]*)")
 
 
@@ -75,13 +73,13 @@ def open_port(endpoint: Endpoint, where: str = "endpoint") -> Port:
     ----------
     endpoint : Endpoint
     where : str
-        What named it, for the message of an error.
+        Source of the endpoint, for error messages.
 
     Raises
     ------
     InputError
-        If its host is unknown or its port is in use. A server that does not answer or a device that is not there is
-        no error: the port tries again, and says so.
+        If its host is unknown or its port is in use. A server that does not answer and an absent device are no errors:
+        the port retries, and reports it.
     """
     kinds: dict[EndpointKind, Callable[[Endpoint], Port]] = {
         "udpin": UdpPort,
@@ -97,7 +95,7 @@ def open_port(endpoint: Endpoint, where: str = "endpoint") -> Port:
 
 
 MAX_STALL_S = 1.0
-"""What is asked of a vehicle is not carried out later than this (s): whoever asked has other things in view by then."""
+"""Greatest delay with which a request to a vehicle is executed (s); its sender has moved on by then."""
 _BOOT_CLOCK_ID = getattr(time, "CLOCK_BOOTTIME", None)
 
 
@@ -183,7 +181,7 @@ def parse_endpoint(
         ``KIND:HOST:PORT`` or ``serial:DEVICE[:BAUD]``; HOST left out means this machine, an IPv6 address stands in
         brackets.
     role : str
-        Who asks: what plain ``udp`` means depends on it.
+        Side that opens the endpoint, which decides the meaning of plain ``udp``.
     where : str
         Source of the text, for error messages.
     least_port : int
@@ -192,7 +190,7 @@ def parse_endpoint(
     Raises
     ------
     InputError
-        If it is none.
+        If the text is no endpoint.
     """
 
     def make_error(problem: str, remedy: str = _ENDPOINT_EXAMPLES) -> ArgumentError:
@@ -204,7 +202,7 @@ def parse_endpoint(
         raise make_error(" is not a MAVLink endpoint")
     if kind == "serial":
         device, colon, baud = rest.rpartition(":")
-        # Names of devices may hold colons themselves (/dev/serial/by-path/pci-0000:00:14.0-usb-0:1).
+        # Device names may contain colons (/dev/serial/by-path/pci-0000:00:14.0-usb-0:1).
         if not colon or not (baud.isascii() and baud.isdigit()):
             device, baud = rest, str(_DEFAULT_BAUD)
         if not device:
@@ -233,7 +231,7 @@ def parse_endpoint(
 
 
 class Peer(NamedTuple):
-    """The other end of a channel: the endpoint it is heard on, and its address there."""
+    """The other end of a channel: its endpoint, and its address there."""
 
     endpoint: str
     address: str
@@ -249,12 +247,12 @@ class Port(ABC):
     Attributes
     ----------
     problem : str
-        Why nothing can come through it now, in words that name it; "" if something can.
+        Reason why nothing can be received at present, naming the port; "" if all is well.
     """
 
     def __init__(self, endpoint: Endpoint) -> None:
         self.endpoint = endpoint
-        self._lines: OrderedDict[Peer, Any] = OrderedDict()  # those who can be sent to, each with its line
+        self._lines: OrderedDict[Peer, Any] = OrderedDict()  # peers that can be sent to, each with its connection
         self._selector = selectors.DefaultSelector()
         self._notices: list[str] = []
         self._said = ""
@@ -262,7 +260,7 @@ class Port(ABC):
 
     @abstractmethod
     def receive(self) -> list[tuple[Peer, bytes]]:
-        """Return what came in since the last call, a bounded amount of it. Also calls again where a call failed."""
+        """Return the bytes received since the last call, up to a bound; reconnect where a connection failed."""
 
     @abstractmethod
     def _send_frame(self, peer: Peer, data: bytes) -> None:
@@ -270,10 +268,10 @@ class Port(ABC):
 
     @abstractmethod
     def _handle_send_error(self, peer: Peer, error: OSError) -> None:
-        """A frame could not be sent."""
+        """Handle a frame that could not be sent."""
 
     def send(self, peer: Peer | None, data: bytes) -> None:
-        """Send a frame to a peer; to all of the port's peers if None."""
+        """Send a frame to a peer; to all peers of the port if None."""
         for name in self.peers if peer is None else [peer]:
             if name in self._lines:
                 try:
@@ -283,22 +281,22 @@ class Port(ABC):
 
     @property
     def peers(self) -> list[Peer]:
-        """Those who can be sent to: whom it was told to call, and who was heard."""
+        """Return the peers that can be sent to: configured ones, and those that were heard."""
         return list(self._lines)
 
     @property
     def call_targets(self) -> list[Peer]:
-        """Those of its peers whom it was told to call, and has, if they can be called."""
+        """Return the configured peers that can be called."""
         return []
 
     def discard_input(self) -> None:
-        """Throw away what waits to be received: it came while nobody was there to hear it."""
+        """Discard waiting input, which arrived while the port was not served."""
         for _ in range(_MAX_DISCARD_READS):
             if not self.receive():
                 return
 
     def fileno(self) -> int:
-        """A descriptor that becomes readable when there is something to receive; -1 where the system has none.
+        """Return a descriptor that becomes readable with the next input; -1 where the system has none.
 
         It stays the same while connections come and go.
         """
@@ -311,7 +309,7 @@ class Port(ABC):
         return said
 
     def close(self) -> None:
-        """Give everything back."""
+        """Close all connections."""
         for key in list(self._selector.get_map().values()):
             self._selector.unregister(key.fileobj)
             close = getattr(key.fileobj, "close", None)
@@ -333,7 +331,7 @@ def _resolve_address(endpoint: Endpoint, kind: int) -> tuple[int, Any]:
         raise ArgumentError(
             "endpoint", "", f"host {endpoint.host!r} of {endpoint} is not known ({error})", "give its address"
         ) from error
-    # IPv4 first: the other end of a link that says "localhost" is an old program more often than a new one.
+    # IPv4 first: a program at the other end that says "localhost" more often listens there.
     family, _, _, _, address = min(found, key=lambda f: f[0] != socket.AF_INET)
     return family, address
 
@@ -379,7 +377,7 @@ class UdpPort(Port):
 
     @property
     def port(self) -> int:
-        """Number of the port it is bound to."""
+        """Number of the bound port."""
         return int(self._socket.getsockname()[1])
 
     @property
@@ -393,7 +391,7 @@ class UdpPort(Port):
                 data, address = self._socket.recvfrom(MAX_READ_BYTES)
             except (BlockingIOError, InterruptedError):
                 break
-            except OSError:  # an earlier datagram found nobody there: its sender is told here
+            except OSError:  # no receiver for an earlier datagram: reported to its sender here
                 continue
             peer = Peer(str(self.endpoint), _format_address(address))
             if peer not in self._lines and len(self._lines) >= MAX_PEERS:
@@ -413,7 +411,7 @@ class UdpPort(Port):
 
 
 class ByteStream:
-    """A connection that carries bytes in order: frames wait here until there is room for them."""
+    """A stream connection, with a queue of frames that wait for room in the buffer."""
 
     def __init__(
         self, read: Callable[[int], bytes], write: Callable[[Any], int], most_waiting: int = _MAX_QUEUE_BYTES
@@ -422,7 +420,7 @@ class ByteStream:
         self._waiting = bytearray()
 
     def receive(self) -> tuple[bytes, bool]:
-        """Return the bytes that came, and whether the other end is gone."""
+        """Return the received bytes, and whether the other end is gone."""
         out = bytearray()
         try:
             self.flush()
@@ -438,7 +436,7 @@ class ByteStream:
         return bytes(out), False
 
     def send(self, data: bytes) -> None:
-        """Queue a frame, or drop it whole if there is no room; raises OSError if the other end is gone."""
+        """Queue a frame, or drop it whole if the queue is full; raise OSError if the other end is gone."""
         if len(self._waiting) + len(data) <= self._most:
             self._waiting += data
         self.flush()
@@ -455,7 +453,7 @@ class ByteStream:
 
 
 class TcpServer(Port):
-    """Waits for calls and serves several at once."""
+    """A TCP server with several connections."""
 
     def __init__(self, endpoint: Endpoint) -> None:
         super().__init__(endpoint)
@@ -485,7 +483,7 @@ class TcpServer(Port):
         return out
 
     def discard_input(self) -> None:
-        # More of it waits at the other end: only a new connection is without it.
+        # More input waits at the other end: only a new connection has none.
         for peer in self.peers:
             self._drop_peer(peer)
 
@@ -517,7 +515,7 @@ class TcpServer(Port):
 
 
 class ReconnectingPort(Port):
-    """A connection that is made again whenever it breaks: to a TCP server, or to a serial device."""
+    """A connection to a TCP server or a serial device, renewed whenever it breaks."""
 
     def __init__(self, endpoint: Endpoint) -> None:
         super().__init__(endpoint)
@@ -527,7 +525,7 @@ class ReconnectingPort(Port):
 
     @abstractmethod
     def _open_connection(self) -> None:
-        """Try to connect; raises OSError. Sets the line, and the stream once it stands."""
+        """Try to connect; raise OSError on failure. Set the socket, and the stream once connected."""
 
     @property
     def call_targets(self) -> list[Peer]:
@@ -615,7 +613,7 @@ class SerialPort(ReconnectingPort):
         except ValueError as error:
             raise OSError(errno.EINVAL, str(error)) from error
         except OSError as error:
-            # pyserial tells the number of some of its errors in words only.
+            # pyserial gives some error numbers in the text only.
             told = re.search(r"\((\d+), '", str(error))
             number = error.errno or (int(told[1]) if told else errno.EIO)
             raise OSError(number, _DEVICE_ERROR_TEXTS.get(number) or str(error.strerror or error)) from error
@@ -630,10 +628,10 @@ class SerialPort(ReconnectingPort):
             return bytes(data)
 
         def write_block(data: bytearray) -> int:
-            # pyserial would go round and round on a full line; the system says so at once.
+            # pyserial would loop on a full line; the system call returns at once.
             return os.write(line.fileno(), data) if os.name == "posix" else line.write(data) or 0
 
-        # Ten bits to a byte; what would be older than this when it leaves is better not sent.
+        # Ten bits a byte; data that would be older than this when sent is dropped.
         self._set_connected(
             ByteStream(read_block, write_block, max(600, round(_SERIAL_QUEUE_S * self.endpoint.port / 10)))
         )
@@ -642,5 +640,5 @@ class SerialPort(ReconnectingPort):
 def _configure_socket(line: socket.socket) -> None:
     line.setblocking(False)
     line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    if hasattr(socket, "TCP_USER_TIMEOUT"):  # else a command waits in the system for minutes, and is carried out then
+    if hasattr(socket, "TCP_USER_TIMEOUT"):  # else a command may wait for minutes in the system, and be executed then
         line.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _TCP_USER_TIMEOUT_MS)

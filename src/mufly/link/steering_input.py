@@ -1,30 +1,26 @@
-"""Set-points that a program streams, and a pilot's sticks.
+"""Set-points streamed by a program, and manual control by sticks.
 
 Set-points are SET_POSITION_TARGET_LOCAL_NED and _GLOBAL_INT, here a :class:`mufly.mission.SetPoint`.
 
-========================  ===============================================================================
-frame                     position, velocity and heading are
-========================  ===============================================================================
-LOCAL_NED (1)             N-E-D from the origin; N-E-D; from north
-LOCAL_OFFSET_NED (7)      N-E-D from where it is now; N-E-D; from north
-BODY_NED (8),             ahead, right and down of where it is now, level; ahead, right, down; from the nose
-BODY_OFFSET_NED (9),
-BODY_FRD (12)
-GLOBAL (0, 5),            on the globe, with altitude above the sea (0, 5) or above the origin (3, 6); N-E-D;
-GLOBAL_RELATIVE_ALT       from north
-(3, 6)
-========================  ===============================================================================
+Position, velocity and heading of each frame:
 
-Fields that ``type_mask`` leaves out, and those that are no numbers, are not given. Accelerations and forces are not
-followed; a message that gives nothing else, or whose mask has bits that this vehicle does not know, says nothing.
+* LOCAL_NED (1): N-E-D from the origin; N-E-D; from north.
+* LOCAL_OFFSET_NED (7): N-E-D from the present position; N-E-D; from north.
+* BODY_NED (8), BODY_OFFSET_NED (9), BODY_FRD (12): ahead, right and down of the present position, level; ahead, right,
+  down; from the nose.
+* GLOBAL (0, 5), GLOBAL_RELATIVE_ALT (3, 6): global, with altitude above the sea (0, 5) or above the origin (3, 6);
+  N-E-D; from north.
 
-Sticks are RC_CHANNELS_OVERRIDE and MANUAL_CONTROL, the thesis's state "RC". An override is what its name says:
-while any of the channels 1 to 4 is given (not 0, not 65535), the pilot flies; when all are released, the helicopter
-hovers. MANUAL_CONTROL comes all the time from ground stations with a joystick, so it only counts once a mode for
-flying by hand has been asked for (DO_SET_MODE to ALTCTL and its like).
+Fields excluded by ``type_mask`` and NaN are not given. Accelerations and forces are not supported. A message without
+other fields, or with unknown bits in its mask, is ignored.
+
+Sticks are RC_CHANNELS_OVERRIDE and MANUAL_CONTROL, the thesis's state "RC". While any of the channels 1 to 4 is
+overridden (not 0, not 65535), the pilot flies; when all are released, the helicopter hovers. A ground station with a
+joystick sends MANUAL_CONTROL all the time. It counts only after a manual mode was requested (DO_SET_MODE to ALTCTL and
+the like).
 
 ======================= =============== ======================== ==============================
-stick                   channel         MANUAL_CONTROL           asks for, at its end
+stick                   channel         MANUAL_CONTROL           request at full deflection
 ======================= =============== ======================== ==============================
 right                   1 up            y = 1000                 roll to the right (STK_TILT)
 back                    2 up            x = -1000                nose up (STK_TILT)
@@ -32,8 +28,8 @@ throttle up             3 up            z = 1000 (500: neither)  climb (STK_CLIM
 turn right              4 up            r = 1000                 turn to the right (STK_YAWRATE)
 ======================= =============== ======================== ==============================
 
-Channels are 1000 to 2000 us, 1500 in the middle; a middle of 3 % to either side is dead. The directions are those
-of PX4 and ArduPilot (MAVLink's own text has r the other way round).
+Channels are 1000 to 2000 us, 1500 in the middle; the dead band is 3 % to either side. The directions are those of PX4
+and ArduPilot (MAVLink's own text has r reversed).
 """
 
 from __future__ import annotations
@@ -99,7 +95,7 @@ def _apply_mask(values: FloatTriple, mask: int) -> FloatTriple:
 
 
 def _rotate_body_to_ned(ahead_right_down: FloatTriple, yaw: float) -> FloatTriple:
-    """Ahead and right as north and east; an axis that is not given has no direction, so neither has the other."""
+    """Rotate ahead and right to north and east; if one of them is NaN, both results are NaN."""
     a, r, d = ahead_right_down
     if math.isnan(a) != math.isnan(r):
         a, r = (0.0 if math.isnan(v) else v for v in (a, r))

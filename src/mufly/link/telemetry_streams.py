@@ -1,10 +1,10 @@
-"""Telemetry messages of the vehicle, made of the flight's state at one instant, and their rates.
+"""Telemetry messages of the vehicle, built from the state of the flight at one instant, and their rates.
 
 Every function takes the :class:`TelemetryState` and returns one message, or several. Units are the messages' own
 (https://mavlink.io/en/messages/common.html); axes N-E-D and body x-y-z. :data:`MESSAGE_STREAMS` is the table of all
 messages that can be streamed or requested: a new message needs a function and a row.
 
-``estimated_`` travels as ATTITUDE and LOCAL_POSITION_NED, how far to believe that as ODOMETRY and ESTIMATOR_STATUS
+``estimated_`` quantities are sent as ATTITUDE and LOCAL_POSITION_NED, their accuracy as ODOMETRY and ESTIMATOR_STATUS
 (:mod:`mufly.link.estimate_messages`), ``reference_`` as POSITION_TARGET_LOCAL_NED and ATTITUDE_TARGET, ``measured_`` as
 VISION_POSITION_ESTIMATE, ``truth_`` and the wind as DEBUG_FLOAT_ARRAY "truth".
 """
@@ -68,7 +68,7 @@ class TelemetryState:
     flight_state : FlightState
     is_ready : bool
         Whether the vehicle can be armed.
-    mission_progress : Progress
+    mission_progress : MissionProgress
         Progress of the mission.
     origin : GlobalOrigin or None
         Global position of N = E = D = 0.
@@ -102,12 +102,12 @@ class TelemetryState:
 
     @property
     def boot_time_ms(self) -> int:
-        """The vehicle's clock (ms), as an unsigned number of 32 bits; never 0, which readers take for "not known"."""
+        """Time of the vehicle's clock (ms), unsigned with 32 bits; never 0, which readers take for "unknown"."""
         return max(1, round(self.flight_state.time_s * 1e3) % 2**32)
 
     @property
     def boot_time_us(self) -> int:
-        """The vehicle's clock (us), never 0."""
+        """Time of the vehicle's clock (us), never 0."""
         return max(1, round(self.flight_state.time_s * 1e6))
 
     @property
@@ -117,8 +117,8 @@ class TelemetryState:
 
 
 TRUTH_ARRAY_NAME = b"truth"
-"""Name of the array: position, velocity (N-E-D), attitude (roll, pitch, yaw), rates (p, q, r), rotor speeds (upper,
-lower), wind (N-E-D); m, m/s, rad, rad/s. Three numbers each, two for the rotors."""
+"""Name of the DEBUG_FLOAT_ARRAY with position, velocity (N-E-D), attitude (roll, pitch, yaw), rates (p, q, r), rotor
+speeds (upper, lower) and wind (N-E-D); m, m/s, rad, rad/s."""
 
 _MAX_OBSTACLE_SECTORS = 72
 _UNKNOWN_DISTANCE_CM = 65535
@@ -143,7 +143,7 @@ def _quaternion_from_angles(angles: NDArray[np.floating[Any]]) -> list[float]:
 
 
 def attitude_message(p: TelemetryState) -> MavMessage:
-    """ATTITUDE: roll, pitch, yaw (rad, yaw in +-pi) and body rates (rad/s)."""
+    """Return ATTITUDE: roll, pitch, yaw (rad, yaw in +-pi) and body rates (rad/s)."""
     roll, pitch, yaw = _to_float32_list(p.flight_state.estimate.attitude)
     return mavlink.MAVLink_attitude_message(
         p.boot_time_ms, roll, pitch, _wrap_angle(yaw), *_to_float32_list(p.flight_state.estimate.rates)
@@ -151,7 +151,7 @@ def attitude_message(p: TelemetryState) -> MavMessage:
 
 
 def attitude_quaternion_message(p: TelemetryState) -> MavMessage:
-    """ATTITUDE_QUATERNION."""
+    """Return ATTITUDE_QUATERNION."""
     q = _quaternion_from_angles(p.flight_state.estimate.attitude)
     return mavlink.MAVLink_attitude_quaternion_message(
         p.boot_time_ms, *q, *_to_float32_list(p.flight_state.estimate.rates)
@@ -159,7 +159,7 @@ def attitude_quaternion_message(p: TelemetryState) -> MavMessage:
 
 
 def local_position_message(p: TelemetryState) -> MavMessage:
-    """LOCAL_POSITION_NED: position (m) and velocity (m/s)."""
+    """Return LOCAL_POSITION_NED: position (m) and velocity (m/s)."""
     m = p.flight_state.estimate
     return mavlink.MAVLink_local_position_ned_message(
         p.boot_time_ms, *_to_float32_list(m.position), *_to_float32_list(m.velocity)
@@ -167,7 +167,7 @@ def local_position_message(p: TelemetryState) -> MavMessage:
 
 
 def position_target_message(p: TelemetryState) -> MavMessage:
-    """POSITION_TARGET_LOCAL_NED: the reference, with what is not followed now masked out."""
+    """Return POSITION_TARGET_LOCAL_NED: the reference; quantities that are not followed at present are masked."""
     v = p.flight_state
     mask = _IGNORE_ACCELERATION | _IGNORE_YAW_RATE
     if not p.flight_state.armed or p.flight_state.state == "init":
@@ -189,7 +189,7 @@ def position_target_message(p: TelemetryState) -> MavMessage:
 
 
 def attitude_target_message(p: TelemetryState) -> MavMessage:
-    """ATTITUDE_TARGET: the attitude that is asked of the inner loop."""
+    """Return ATTITUDE_TARGET: the reference attitude of the inner loop."""
     angles = p.flight_state.reference_attitude
     mask = _IGNORE_RATES_AND_THRUST
     if not p.flight_state.armed or p.flight_state.state == "init":
@@ -202,7 +202,7 @@ _VISION_READING = next(row.name for row in READINGS.values() if row.status_bit =
 
 
 def vision_position_message(p: TelemetryState) -> MavMessage | None:
-    """VISION_POSITION_ESTIMATE: position and attitude as measured, or a fix (roll, pitch NaN); None without."""
+    """Return VISION_POSITION_ESTIMATE: measured position and attitude, or a fix (roll, pitch NaN); None without."""
     r = p.flight_state.readings
     if r is None:
         return None
@@ -223,19 +223,19 @@ def vision_position_message(p: TelemetryState) -> MavMessage | None:
 
 
 def actuator_output_message(p: TelemetryState) -> MavMessage:
-    """ACTUATOR_OUTPUT_STATUS: motor upper, lower (0..1), servo 1, 2 (-1..1)."""
+    """Return ACTUATOR_OUTPUT_STATUS: motor upper, lower (0..1), servo 1, 2 (-1..1)."""
     outputs = _to_float32_list(p.flight_state.actuators.input_array)
     return mavlink.MAVLink_actuator_output_status_message(p.boot_time_us, len(outputs), outputs + [0.0] * 28)
 
 
 def rotor_rpm_messages(p: TelemetryState) -> list[MavMessage]:
-    """RAW_RPM of the upper (0) and the lower (1) rotor."""
+    """Return RAW_RPM of the upper (0) and the lower (1) rotor."""
     speeds = [] if p.flight_state.truth is None else p.flight_state.truth.rotor_speed.tolist()
     return [mavlink.MAVLink_raw_rpm_message(k, to_float32(w * 30.0 / math.pi)) for k, w in enumerate(speeds)]
 
 
 def obstacle_distance_message(p: TelemetryState) -> MavMessage:
-    """OBSTACLE_DISTANCE: the ring of beams, clockwise from its first (cm); one more than the most: nothing in sight."""
+    """Return OBSTACLE_DISTANCE: the horizontal ring of beams, clockwise (cm); greatest range + 1: no obstacle."""
     ring, ranges = (
         p.vehicle.range_ring,
         np.asarray(p.flight_state.estimate.ranges)[:_MAX_OBSTACLE_SECTORS].tolist(),
@@ -258,7 +258,7 @@ def obstacle_distance_message(p: TelemetryState) -> MavMessage:
 
 
 def distance_sensor_messages(p: TelemetryState) -> list[MavMessage]:
-    """DISTANCE_SENSOR of every beam, with its direction."""
+    """Return DISTANCE_SENSOR of every beam, with its direction."""
     ring, out = p.vehicle.range_ring, []
     least, most = (
         clip_to_integer(float(m) * 100.0, 0, _UNKNOWN_DISTANCE_CM - 1) for m in (ring.min_range, ring.max_range)
@@ -284,7 +284,7 @@ def distance_sensor_messages(p: TelemetryState) -> list[MavMessage]:
 
 
 def vfr_hud_message(p: TelemetryState) -> MavMessage:
-    """VFR_HUD: what a simple instrument shows; "airspeed" is the speed over ground, for there is no airspeed sensor."""
+    """Return VFR_HUD; "airspeed" is the speed over ground, since there is no airspeed sensor."""
     m, motors = p.flight_state.estimate, np.asarray(p.flight_state.actuators.motor_input)
     speed = to_float32(math.hypot(m.velocity[0], m.velocity[1]))
     height = -m.position[2] + (p.origin.alt_m if p.origin is not None else 0.0)
@@ -297,7 +297,7 @@ def vfr_hud_message(p: TelemetryState) -> MavMessage:
 
 
 def truth_message(p: TelemetryState) -> MavMessage | None:
-    """DEBUG_FLOAT_ARRAY "truth" (see :data:`TRUTH_ARRAY_NAME`); None where nobody knows it."""
+    """Return DEBUG_FLOAT_ARRAY "truth" (see :data:`TRUTH_ARRAY_NAME`); None where the truth is unknown."""
     t = p.flight_state.truth
     if t is None:
         return None
@@ -308,12 +308,12 @@ def truth_message(p: TelemetryState) -> MavMessage | None:
     )
 
 
-# What the vehicle is up to: heartbeat, health, battery, mission, and its place on the globe.
+# State of the vehicle: heartbeat, health, battery, mission, and global position.
 
 MUFLY_VERSION_PREFIX = b"mufly"
 """First bytes of ``flight_custom_version``, which distinguish the vehicle from a real PX4."""
 MISSION_STATES: tuple[str, ...] = tuple(str(s) for s in State)
-"""NAMED_VALUE_INT "mstate" is an index into these."""
+"""States of the mission; NAMED_VALUE_INT "mstate" is an index into them."""
 SLOW_REAL_TIME_FACTOR = 0.95
 """Real-time factor below which a warning is shown and sent."""
 REAL_TIME_FACTOR_NAME, SLIPS_NAME = "rtfactor", "slips"
@@ -330,7 +330,7 @@ def displayed_mode(p: TelemetryState) -> Px4Mode:
 
 
 def heartbeat_message(p: TelemetryState) -> MavMessage:
-    """HEARTBEAT: a coaxial helicopter with the modes of PX4; armed, mode, and how well it is."""
+    """Return HEARTBEAT: a coaxial helicopter with the modes of PX4; armed, mode and system status."""
     mode = displayed_mode(p)
     base = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
     base |= (
@@ -354,13 +354,13 @@ def heartbeat_message(p: TelemetryState) -> MavMessage:
 _SENSOR_BITS = reduce(
     or_, (getattr(mavlink, f"MAV_SYS_STATUS_{r.status_bit}") for r in READINGS.values() if r.status_bit)
 )
-"""Bits of SYS_STATUS of all sensors."""
+"""Bits of all sensors in SYS_STATUS."""
 
 
 def sys_status_message(p: TelemetryState) -> MavMessage:
-    """SYS_STATUS: which sensors and controllers there are and work, and whether it could be armed.
+    """Return SYS_STATUS: sensors and controllers present and healthy, and whether the vehicle can be armed.
 
-    All sensors of the table have their bits. There is a GPS bit only with a global origin.
+    Every sensor of the table has a bit. The GPS bit is present only with a global origin.
     """
     here = _SENSOR_BITS | (
         mavlink.MAV_SYS_STATUS_SENSOR_ANGULAR_RATE_CONTROL
@@ -376,7 +376,7 @@ def sys_status_message(p: TelemetryState) -> MavMessage:
         here |= mavlink.MAV_SYS_STATUS_SENSOR_GPS
     if p.has_fence:
         here |= mavlink.MAV_SYS_STATUS_GEOFENCE
-    # Without a fence none is broken: MAVProxy reports a breach where this bit is not set.
+    # Without a fence the bit is set: MAVProxy reports a breach where it is not.
     well = here | mavlink.MAV_SYS_STATUS_GEOFENCE
     if p.flight_state.fence_breach_text:
         well &= ~mavlink.MAV_SYS_STATUS_GEOFENCE
@@ -403,7 +403,8 @@ def sys_status_message(p: TelemetryState) -> MavMessage:
 
 
 def fence_status_message(p: TelemetryState) -> MavMessage:
-    """FENCE_STATUS: whether it is outside its geofence, how often and when it left it; without one it never is."""
+    """Return FENCE_STATUS: whether the vehicle is outside its fence, number and time of breaches; none without
+    fence."""
     v = p.flight_state
     kind = mavlink.FENCE_BREACH_NONE
     if v.fence_breach_text:
@@ -415,7 +416,7 @@ def fence_status_message(p: TelemetryState) -> MavMessage:
 
 
 def battery_status_message(p: TelemetryState) -> MavMessage:
-    """BATTERY_STATUS: voltage, current, charge, and how long it will last."""
+    """Return BATTERY_STATUS: voltage, current, charge, and remaining time."""
     v = p.flight_state
     if v.battery_charge < 0.05:
         charge = mavlink.MAV_BATTERY_CHARGE_STATE_CRITICAL
@@ -442,7 +443,7 @@ def battery_status_message(p: TelemetryState) -> MavMessage:
 
 
 def landed_state(p: TelemetryState) -> int:
-    """MAV_LANDED_STATE."""
+    """Return MAV_LANDED_STATE."""
     if not p.flight_state.flying:
         return int(mavlink.MAV_LANDED_STATE_ON_GROUND)
     if p.flight_state.state == State.TAKE_OFF:
@@ -453,17 +454,17 @@ def landed_state(p: TelemetryState) -> int:
 
 
 def extended_state_message(p: TelemetryState) -> MavMessage:
-    """EXTENDED_SYS_STATE: on the floor, taking off, in the air, landing."""
+    """Return EXTENDED_SYS_STATE: on the floor, taking off, in the air, landing."""
     return mavlink.MAVLink_extended_sys_state_message(mavlink.MAV_VTOL_STATE_UNDEFINED, landed_state(p))
 
 
 def system_time_message(p: TelemetryState) -> MavMessage:
-    """SYSTEM_TIME: the vehicle's clock; it knows no calendar."""
+    """Return SYSTEM_TIME: the vehicle's clock, without Unix time."""
     return mavlink.MAVLink_system_time_message(0, p.boot_time_ms)
 
 
 def mission_current_message(p: TelemetryState) -> MavMessage:
-    """MISSION_CURRENT: the item that is flown to or comes next, and how far the mission is."""
+    """Return MISSION_CURRENT: the current or next item, and the state of the mission."""
     q = p.mission_progress
     return mavlink.MAVLink_mission_current_message(
         q.current_item, q.item_count if q.item_count else 65535, q.mission_state, q.mission_mode
@@ -471,19 +472,19 @@ def mission_current_message(p: TelemetryState) -> MavMessage:
 
 
 def mission_state_message(p: TelemetryState) -> MavMessage:
-    """NAMED_VALUE_INT "mstate": index of the mission's state in :data:`MISSION_STATES`."""
+    """Return NAMED_VALUE_INT "mstate": index of the mission's state in :data:`MISSION_STATES`."""
     return mavlink.MAVLink_named_value_int_message(
         p.boot_time_ms, b"mstate", MISSION_STATES.index(p.flight_state.state)
     )
 
 
 def commander_message(p: TelemetryState) -> MavMessage:
-    """NAMED_VALUE_INT "command": system * 256 + component of who commands; 0: nobody."""
+    """Return NAMED_VALUE_INT "command": system * 256 + component of the commander; 0: none."""
     return mavlink.MAVLink_named_value_int_message(p.boot_time_ms, b"command", p.commander_id)
 
 
 def real_time_factor_message(p: TelemetryState) -> MavMessage | None:
-    """NAMED_VALUE_FLOAT "rtfactor": seconds of the flight in one of the wall, of late; None where not measured."""
+    """Return NAMED_VALUE_FLOAT "rtfactor": recent simulated seconds per second of wall-clock time; None if unknown."""
     if math.isnan(p.real_time_factor):
         return None
     name = REAL_TIME_FACTOR_NAME.encode()
@@ -491,7 +492,7 @@ def real_time_factor_message(p: TelemetryState) -> MavMessage | None:
 
 
 def slip_count_message(p: TelemetryState) -> MavMessage | None:
-    """NAMED_VALUE_INT "slips": how often time was given up; None where it is not measured."""
+    """Return NAMED_VALUE_INT "slips": number of skipped stretches of time; None if not measured."""
     if math.isnan(p.real_time_factor):
         return None
     return mavlink.MAVLink_named_value_int_message(p.boot_time_ms, SLIPS_NAME.encode(), p.slip_count)
@@ -514,7 +515,7 @@ def _estimated_position(p: TelemetryState) -> tuple[float, float, float]:
 
 
 def global_position_message(p: TelemetryState) -> MavMessage:
-    """GLOBAL_POSITION_INT."""
+    """Return GLOBAL_POSITION_INT."""
     m = p.flight_state.estimate
     speeds = [clip_to_integer(v * 100.0, -32768, 32767) for v in m.velocity.tolist()]
     yaw = math.degrees(float(m.attitude[2])) % 360.0 if math.isfinite(m.attitude[2]) else math.nan
@@ -530,7 +531,7 @@ def global_position_message(p: TelemetryState) -> MavMessage:
 
 
 def gps_raw_message(p: TelemetryState) -> MavMessage:
-    """GPS_RAW_INT: the simulated receiver that an origin stands for."""
+    """Return GPS_RAW_INT: a simulated receiver, with a global origin."""
     v = p.flight_state.estimate.velocity
     speed = math.hypot(v[0], v[1])
     course = math.degrees(math.atan2(v[1], v[0])) % 360.0
@@ -547,19 +548,19 @@ def gps_raw_message(p: TelemetryState) -> MavMessage:
 
 
 def altitude_message(p: TelemetryState) -> MavMessage:
-    """ALTITUDE: height above the floor, above where it took off, and with an origin above the sea."""
+    """Return ALTITUDE: height above the floor, above the take-off position, and with an origin above the sea."""
     _, _, d = _estimated_position(p)
     height = to_float32(-d)
     above_sea = math.nan if p.origin is None else to_float32(p.origin.alt_m - d)
     home = d if p.flight_state.home_position is None else float(p.flight_state.home_position[2])
-    floor = -1e4 if p.origin is None else to_float32(p.origin.alt_m)  # below -1000: not known
+    floor = -1e4 if p.origin is None else to_float32(p.origin.alt_m)  # below -1000: unknown
     return mavlink.MAVLink_altitude_message(
         p.boot_time_us, height, above_sea, height, to_float32(home - d), floor, max(height, 0.0)
     )
 
 
 def home_position_message(p: TelemetryState) -> MavMessage:
-    """HOME_POSITION: where it took off, or stands."""
+    """Return HOME_POSITION: the take-off position, or the present one on the floor."""
     n, e, d = (
         to_float32(x)
         for x in (_estimated_position(p) if p.flight_state.home_position is None else p.flight_state.home_position)
@@ -570,12 +571,12 @@ def home_position_message(p: TelemetryState) -> MavMessage:
 
 
 def global_origin_message(p: TelemetryState) -> MavMessage:
-    """GPS_GLOBAL_ORIGIN: where N = E = D = 0 is."""
+    """Return GPS_GLOBAL_ORIGIN: global position of N = E = D = 0."""
     return mavlink.MAVLink_gps_global_origin_message(*_global_position_integers(p, (0, 0, 0)), p.boot_time_us)
 
 
 def autopilot_version_message(p: TelemetryState) -> MavMessage:
-    """AUTOPILOT_VERSION: what it can do, and who it really is."""
+    """Return AUTOPILOT_VERSION: capabilities and identity of the vehicle."""
     can = (
         mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_FLOAT
         | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT
@@ -602,13 +603,13 @@ class MessageStream:
     Attributes
     ----------
     message_name : str
-        Of the message; where several share one, what tells them apart follows in brackets.
+        Name of the message, with a distinction in brackets where several rows share it.
     default_rate_Hz : float
-        Rate for a peer that does not ask; 0: only on request.
+        Rate for a peer that requests none; 0: only on request.
     stream_group : int
-        MAV_DATA_STREAM group that it belongs to; 0: none.
+        MAV_DATA_STREAM group; 0: none.
     make_messages : callable
-        Returns the messages of an instant; None if there is none.
+        Function of the :class:`TelemetryState`, which returns its messages; None if there is none.
     needs_origin : bool
         Whether the message needs an origin.
     """
@@ -684,7 +685,7 @@ MESSAGE_STREAMS: tuple[MessageStream, ...] = (
     MessageStream("GPS_GLOBAL_ORIGIN", 0.2, _GROUP_POSITION, global_origin_message, True),
     MessageStream("AUTOPILOT_VERSION", 0.0, 0, autopilot_version_message),
 )
-"""Everything that can be streamed or asked for, with the rates that a peer gets who says nothing."""
+"""Messages that can be streamed or requested, with their default rates."""
 
 ORIGIN_MESSAGE_IDS = frozenset(s.message_id for s in MESSAGE_STREAMS if s.needs_origin)
 """Ids of messages that need an origin."""

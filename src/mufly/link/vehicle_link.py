@@ -48,7 +48,7 @@ class VehicleLink:
 
     Attributes
     ----------
-    authority : Authority
+    authority : CommandAuthority
         State of operator control.
     clients : Clients
         Peers of the vehicle.
@@ -109,7 +109,7 @@ class VehicleLink:
             "PING": self._answer_ping,
         }
 
-    # in
+    # input
 
     def add_peer(self, now_s: float, peer: Hashable) -> None:
         """Add a peer that receives messages, even if it has sent none."""
@@ -122,7 +122,7 @@ class VehicleLink:
             header = message.get_header()
             station = MessageSource(peer, header.srcSystem, header.srcComponent)
             if station[1:] == (self.system, self.component):
-                continue  # our own, sent back
+                continue  # the vehicle's own message, returned
             self.received_count += 1
             if self.on_received is not None:
                 self.on_received(bytes(message.get_msgbuf()))
@@ -154,13 +154,13 @@ class VehicleLink:
             self.clients.send_refusal(now_s, station, self.autopilot.send_set_point(wanted).reason)
 
     def _handle_rc_override(self, now_s: float, station: MessageSource, m: MavMessage) -> None:
-        # Releasing what one does not hold takes no command.
+        # Releasing sticks that are not in use needs no command.
         releases = parse_rc_override(m) is None and self.authority.commander != station
         if not releases and self.authority.may_command(now_s, station):
             self.clients.send_refusal(now_s, station, self._manual.handle_rc_override(m).reason)
 
     def _handle_manual_control(self, now_s: float, station: MessageSource, m: MavMessage) -> None:
-        # A joystick talks all the time: it takes no command, it only counts if its station has it.
+        # A joystick sends all the time: it does not take command, and counts only if its station commands.
         if self.authority.commander in (None, station):
             self.clients.send_refusal(now_s, station, self._manual.handle_manual_control(now_s, m).reason)
 
@@ -185,7 +185,7 @@ class VehicleLink:
                 mavlink.MAVLink_ping_message(m.time_usec, m.seq, station.system, station.component),
             )
 
-    # out
+    # output
 
     def step(self, now_s: float) -> list[OutgoingFrame]:
         """Return the frames to send; call this after every tick of the flight."""
@@ -232,7 +232,7 @@ class VehicleLink:
                 mission_state_message,
             ):
                 self.clients.send_message(None, make(now))
-        # After that the mission is complete: programs tell their users when they hear of the last item.
+        # Sent last, since programs report the mission as complete when its last item is reached.
         for item in self._missions.take_reached_items(state):
             self.clients.send_message(None, mavlink.MAVLink_mission_item_reached_message(item))
 

@@ -1,18 +1,19 @@
 """The simulated vehicle in real time, in this process or in one of its own.
 
-:func:`run_real_time` is the loop: the flight ticks by the clock on the wall, and in between the link is served. Tick
-``k`` is due at ``start + k period``, counted from the start so that errors do not add up. Until it is due the loop
-sleeps in the ports, and hears at once what comes in. After a stall (the machine was busy, or asleep) of up to
-:data:`MAX_CATCH_UP_S` the ticks that were missed follow at no more than :data:`CATCH_UP_SPEED` times the normal pace,
-so that neither the flight nor its stations see a burst; a longer one is not made up for: the clock of the vehicle stood
-still meanwhile. That is a slip. How much of real time was kept is measured (:class:`RealTimePacer`), told to stations,
-noted among the events of the flight when it falls below :data:`mufly.link.telemetry_streams.SLOW_REAL_TIME_FACTOR` and
-when it is whole again, and stands in recording and summary.
+:func:`run_real_time` is the loop: the flight ticks by the wall clock, and the link is served between ticks. Tick ``k``
+is due at ``start + k period``, counted from the start so that errors do not accumulate. Until then the loop sleeps in
+the ports, which wake it on input.
 
-:func:`start_vehicle` gives it a process of its own: a page that draws and a vehicle that flies do not wait for
-each other. The parent holds one end of a pipe. What happens in the vehicle comes through it; ``None`` sent into it asks
-the vehicle to end, a fault lets something go wrong with its sensors. When the parent dies the pipe breaks, and the
-vehicle ends by itself. However it ends (asked, Ctrl-C, terminated, the parent gone), it finishes its recording.
+After a stall (of the process or the machine) of up to :data:`MAX_CATCH_UP_S` the missed ticks follow at no more than
+:data:`CATCH_UP_SPEED` times the normal pace, so that flight and stations see no burst. A longer stall is a timing
+overrun: the vehicle's clock stops meanwhile. :class:`RealTimePacer` measures the real-time factor. It is published to
+stations and stands in recording and summary. Events of the flight report when it falls below
+:data:`mufly.link.telemetry_streams.SLOW_REAL_TIME_FACTOR`, and when it is restored.
+
+:func:`start_vehicle` runs the vehicle in its own process, so that a page that draws and a vehicle that flies do not
+wait for each other. A pipe connects it with the parent. The vehicle sends its events; the parent sends faults of
+sensors, and ``None`` to end the flight. When the parent dies the pipe breaks, and the vehicle ends. However it ends
+(request, Ctrl-C, termination, death of the parent), it finishes its recording.
 """
 
 from __future__ import annotations
@@ -51,15 +52,15 @@ SensorMode = Literal["ideal", "fitted"]
 """Sensors of a simulated vehicle (:class:`mufly.flight.Flight`)."""
 
 MAX_CATCH_UP_S = 1.0
-"""Stalls up to so long are made up for (s)."""
+"""Longest stall that is made up for (s)."""
 START_TIMEOUT_S = 120.0
-"""A vehicle's process that does not get on with its start for so long is given up (s)."""
+"""Time without a new stage after which the start of a vehicle's process is given up (s)."""
 CATCH_UP_SPEED = 2.0
 """Speed of the loop relative to real time while it makes up for a stall."""
 PACE_WINDOW_S = 5.0
-"""The real-time factor is taken over so long (s)."""
+"""Averaging time of the real-time factor (s)."""
 STAGE_DESIGNING, STAGE_COMPILING = "designing the controllers", "compiling the model"
-"""Stages of a start, in words; the second takes longest on a machine where it is the first time."""
+"""Stages of a start; the second takes longest on a machine that has not compiled the model yet."""
 _PACE_SAMPLE_PERIOD_S = 0.1
 _REPORT_PERIOD_S = 0.2
 _WARM_UP_S = 8.0
@@ -79,15 +80,15 @@ class LoopReport:
     commander : str
         Commander as text, or "".
     received_rate_Hz, sent_rate_Hz : float
-        Messages a second.
+        Messages per second.
     mean_lateness_ms, worst_lateness_ms : float
-        How late ticks are: lately on average, and the worst since the last report.
+        Delay of ticks (ms): recent mean, and maximum since the last report.
     lost_time_s : float
-        Time that was not made up for, since the start.
+        Skipped time since the start (s).
     slip_count : int
-        How often that was.
+        Number of skipped stretches of time.
     real_time_factor : float
-        Seconds of the flight in one of the wall, over the last :data:`PACE_WINDOW_S`; NaN in the first.
+        Simulated seconds per second of wall-clock time, over the last :data:`PACE_WINDOW_S`; NaN in the first window.
     """
 
     state: FlightState
@@ -112,18 +113,18 @@ class RealTimePacer:
     Attributes
     ----------
     next_tick_s : float
-        When the next tick is due by the clock on the wall.
+        Wall-clock time of the next tick (s).
     lost_time_s : float
-        Time that was given up.
+        Skipped time (s).
     slip_count : int
-        How often.
+        Number of skipped stretches of time.
     real_time_factor : float
-        Seconds of the flight in one of the wall, over the last :data:`PACE_WINDOW_S`; NaN in the first. Above 1 while a
-        stall is made up for.
+        Simulated seconds per second of wall-clock time, over the last :data:`PACE_WINDOW_S`; NaN in the first window.
+        Above 1 while a stall is made up for.
     min_real_time_factor : float
-        The least that the factor has been.
+        Minimum of the factor so far.
     mean_lateness_s, worst_lateness_s : float
-        How late ticks are: lately on average, and the worst so far.
+        Delay of ticks (s): recent mean, and maximum so far.
     """
 
     def __init__(self, now_s: float, period_s: float) -> None:
@@ -134,16 +135,16 @@ class RealTimePacer:
         self.real_time_factor, self.min_real_time_factor = math.nan, math.inf
         self._last_s = -1e9
         self._began_s, self._ticks = now_s, 0
-        self._marks = deque([(now_s, 0)])  # when so many ticks had been made, since before the window
+        self._marks = deque([(now_s, 0)])  # (time, number of ticks made), since before the window
         self._slow, self._whole_s = False, now_s
 
     def sleep_time_s(self, now_s: float) -> float:
         """Return the sleep time until the next tick (s)."""
-        # While hurrying, ticks are still some time apart.
+        # While catching up, ticks keep a distance.
         return max(self.next_tick_s, self._last_s + self.period_s / CATCH_UP_SPEED) - now_s
 
     def record_tick(self, now_s: float) -> None:
-        """A tick happens now."""
+        """Record that a tick happens now."""
         late = max(0.0, now_s - self.next_tick_s)
         if late > MAX_CATCH_UP_S:
             self.lost_time_s += late
@@ -168,7 +169,7 @@ class RealTimePacer:
             self.min_real_time_factor = min(self.real_time_factor, self.min_real_time_factor)
 
     def mean_real_time_factor(self) -> float:
-        """Seconds of the flight in one of the wall, from the start to the last tick; NaN before that."""
+        """Return simulated seconds per second of wall-clock time, from the start to the last tick; NaN before that."""
         spent_s = self._last_s - self._began_s
         return self._ticks * self.period_s / (spent_s + self.period_s) if self._ticks else math.nan
 
@@ -202,7 +203,7 @@ class RealTimePacer:
 
 
 class _PortGroup:
-    """The ports, and who is behind each peer."""
+    """The ports, and the port of each peer."""
 
     def __init__(self, ports: Sequence[Port], tlog: TlogWriter | None, clock: Callable[[], float]) -> None:
         self.ports, self._tlog, self._clock = ports, tlog, clock
@@ -211,7 +212,7 @@ class _PortGroup:
 
     def receive(self, link: VehicleLink, now_s: float) -> None:
         came = [one for port in self.ports for one in port.receive()]
-        # The process may have been stopped, or the machine asleep, in any line; so the clock is read behind the bytes.
+        # The process may be suspended at any line, so the clock is read after the bytes.
         stood_s = (self._clock() if came else now_s) - self._heard_s
         self._heard_s = now_s
         if stood_s > MAX_STALL_S and self.ports:
@@ -235,7 +236,7 @@ class _PortGroup:
             if isinstance(peer, Peer):
                 self._by_name[peer.endpoint].send(peer, out.data)
                 if self._tlog is not None:
-                    # Several peers get the same, numbered differently: the same from the sender to the checksum.
+                    # Peers get the same frames with different numbers: equal from the sender id to the checksum.
                     content = out.data[5:-2]
                     if content not in logged:
                         logged.add(content)
@@ -243,7 +244,7 @@ class _PortGroup:
 
 
 def warm_up(vehicle: Vehicle, controller: FlightController, sensors: SensorMode = "ideal") -> None:
-    """Fly a few seconds that nobody sees, so that everything is compiled before the clock runs.
+    """Fly a few seconds without output, so that everything is compiled before the clock starts.
 
     Parameters
     ----------
@@ -283,17 +284,17 @@ def run_real_time(
     Parameters
     ----------
     flight : Flight
-        Not closed here.
+        Flight, which is not closed here.
     endpoints : sequence of Endpoint
         Endpoints of the link. None: a flight without a link.
     stop : callable
-        Asked before every tick.
+        Called before every tick; true ends the flight.
     link : VehicleLink, optional
         By default system 1, component 1.
     tlog : TlogWriter, optional
-        Takes what is heard and what is said, once however many peers it goes to. Not closed here.
+        Log of received and sent messages, each written once for all peers. It is not closed here.
     on_event, on_notice : callable, optional
-        Called with every event of the flight; with a line when something happens to a port.
+        Called with every event of the flight; with a text line for every event of a port.
     on_open : callable, optional
         Called once all endpoints are open.
     on_report : callable, optional
@@ -303,11 +304,11 @@ def run_real_time(
     where : str
         Source of the endpoints, for error messages.
     clock : callable
-        The clock on the wall (s).
+        Wall clock (s).
 
     Returns
     -------
-    Pace
+    RealTimePacer
         Timing of the flight, with the real time kept.
 
     Raises
@@ -387,24 +388,24 @@ def _make_report(
 
 
 class VehicleProcess:
-    """A vehicle that flies in a process of its own.
+    """A vehicle that flies in its own process.
 
     Attributes
     ----------
-    events : deque of Event
-        What happened, the latest thousand; whoever shows them takes them out.
+    events : deque of FlightEvent
+        The latest 1000 events; a display removes them.
     notices : deque of str
         Events of the ports.
-    report : Report or None
-        How its loop is doing.
-    sight : Sight or None
-        The picture that was looked at last, of a flight on pictures.
+    report : LoopReport or None
+        State of its loop.
+    sight : TrackedPicture or None
+        The latest picture and result, of a flight on pictures.
     stage : str
-        The stage of its start that it is in, or was in last.
+        Present or last stage of its start.
     outcome, reason : str
-        Of the flight; "" while it is open.
+        Outcome of the flight; "" during the flight.
     error : str
-        Why it ended, if it could not go on.
+        Error that ended the process, if any.
     """
 
     def __init__(self, order: Mapping[str, Any], on_stage: Callable[[str], None] | None = None) -> None:
@@ -440,12 +441,12 @@ class VehicleProcess:
 
     @property
     def is_ready(self) -> bool:
-        """Whether it listens and ticks.
+        """Return whether the vehicle listens and ticks.
 
         Raises
         ------
         MuflyError
-            If it cannot start, or has not within :data:`START_TIMEOUT_S`.
+            If it cannot start, or makes no progress within :data:`START_TIMEOUT_S`.
         """
         if self._ready.is_set():
             if self.error:
@@ -459,12 +460,12 @@ class VehicleProcess:
         return False
 
     def wait_until_ready(self) -> None:
-        """Wait until it listens and ticks.
+        """Wait until the vehicle listens and ticks.
 
         Raises
         ------
         MuflyError
-            If it cannot start; the message is the one that the vehicle's process gave.
+            If it cannot start, with the message of the vehicle's process.
         """
         while not self.is_ready:
             self._ready.wait(0.1)
@@ -480,11 +481,11 @@ class VehicleProcess:
         self._reader.join(1.0)
 
     def inject_fault(self, fault: Fault) -> None:
-        """Let something go wrong with a sensor (:meth:`mufly.flight.Flight.inject`); an event tells."""
+        """Inject a sensor fault (:meth:`mufly.flight.Flight.inject`); an event reports it."""
         self._send_fault(fault)
 
     def clear_faults(self) -> None:
-        """Nothing is wrong with the sensors any more."""
+        """Clear all sensor faults."""
         self._send_fault(None)
 
     def _send_fault(self, fault: Fault | None) -> None:
@@ -556,7 +557,7 @@ def start_vehicle(
 
     Parameters
     ----------
-    vehicle, mission : Vehicle and Mission, or names or files of them
+    vehicle, mission : Vehicle and Mission, or their names or files
     endpoints : sequence of Endpoint
     path, tlog : str or Path, optional
         Recording (MCAP) and telemetry log to write.
@@ -565,18 +566,18 @@ def start_vehicle(
     autostart : bool
         Arm and fly the mission by itself.
     system : int
-        Its number, 1..255.
-    origin : Origin, optional
+        MAVLink system of the vehicle, 1..255.
+    origin : GlobalOrigin, optional
         Global position of N = E = D = 0.
     where : str
         Source of the endpoints, for error messages.
     on_stage : callable, optional
-        Told every stage of its start as it begins ("compiling the model"), from a thread of its own.
+        Called from another thread with every stage of the start as it begins ("compiling the model").
 
     Returns
     -------
     VehicleProcess
-        Starting; :meth:`VehicleProcess.wait_until_ready` waits until it is up, or raises what is wrong.
+        The process, which is starting; :meth:`VehicleProcess.wait_until_ready` waits for it, or raises its error.
     """
     order = {
         "vehicle": vehicle,
@@ -604,7 +605,7 @@ def start_vehicle(
 
 
 class _StatusPublisher:
-    """Tells the parent, without ever waiting for it."""
+    """Publisher of the vehicle's state to its parent, which never blocks."""
 
     def __init__(self, pipe: Connection) -> None:
         self._pipe = pipe
@@ -617,7 +618,7 @@ class _StatusPublisher:
             self._queue.put_nowait((kind, content))
 
     def close(self) -> None:
-        """Say what is left, for a second at most."""
+        """Send the remaining queue, for at most a second."""
         with contextlib.suppress(queue.Full):
             self._queue.put(None, timeout=1.0)
         self._thread.join(1.0)
@@ -627,20 +628,20 @@ class _StatusPublisher:
             try:
                 self._pipe.send(said)
             except (OSError, ValueError):
-                return  # nobody listens any more
+                return  # the parent has closed the pipe
 
 
 def _run_vehicle_process(order: Mapping[str, Any], pipe: Connection) -> None:
-    """The vehicle's process."""
+    """Run the vehicle in its process."""
     asked = threading.Event()
     flying = threading.Event()
 
     def request_stop(*_: object) -> None:
         asked.set()
         if not flying.is_set():
-            os._exit(0)  # it designs and compiles, which nothing stops for long, and has nothing open yet
+            os._exit(0)  # designing and compiling cannot be interrupted soon, and no file is open yet
 
-    # Ctrl-C, and a terminal that is closed, reach all its processes; the parent decides what that means, and asks.
+    # Ctrl-C and a closed terminal reach all processes; the parent decides, and requests the end.
     for name in ("SIGINT", "SIGHUP"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
@@ -664,11 +665,11 @@ def _run_vehicle_process(order: Mapping[str, Any], pipe: Connection) -> None:
         tell("error", f"{error.filename or 'the vehicle'}: {error.strerror or error}")
     finally:
         tell.close()
-    os._exit(0)  # all is closed; taking the interpreter apart takes a second or two, and more on a busy machine
+    os._exit(0)  # all is closed; finalising the interpreter takes a second or more
 
 
 def _handle_faults(flight: Flight, wishes: deque[Fault | None]) -> bool:
-    """Let go wrong with the sensors what the parent wants (None: nothing any more); False: that ends no flight."""
+    """Inject the faults that the parent sent (None: clear all); return False, which ends no flight."""
     while wishes:
         fault = wishes.popleft()
         try:

@@ -1,15 +1,15 @@
 """VISION_POSITION_ESTIMATE in both directions: fixes from external SLAM, and publication of the vehicle's fix.
 
-In: place and heading of the message become the position fix of the filter (:mod:`mufly.flight.external_fixes`). Its
-covariance is the upper triangle, row by row, of x, y, z, roll, pitch, yaw; a NaN in front says that it is not known.
-Roll and pitch are not used: the inertial unit knows them better.
+In: position and heading of the message become the position fix of the filter (:mod:`mufly.flight.external_fixes`). Its
+covariance is the upper triangle, row by row, of x, y, z, roll, pitch, yaw; a NaN in front marks an unknown covariance.
+Roll and pitch are not used, since the inertial unit is more accurate.
 
-Its time, ``usec``, is the vehicle's where the sender has asked for it by TIMESYNC, as PX4 wants it. Any other clock (of
-the day, of the sender's start) is set by what has come: the least of arrival - usec over the last half minute is taken
-for its difference to ours, so that the fastest message counts as if it had taken no time. What that leaves out
-(exposure, work, the fastest way) is EKF2_EV_DELAY, the parameter of PX4 for it. ``usec`` 0 is the arrival.
+Its time, ``usec``, is the vehicle's if the sender synchronised its clock by TIMESYNC, as PX4 requires. For any other
+clock (Unix time, time since the sender's start) the least difference arrival - usec over the last 30 s is the offset:
+the fastest message counts as if it had no delay. The remaining delay (exposure, processing, fastest transmission) is
+EKF2_EV_DELAY, PX4's parameter for it. ``usec`` 0 means the time of arrival.
 
-Out: the fix that was heard last, with its own time; where pictures gave it, with their covariance, too.
+Out: the last received fix, with its own time; a fix from pictures also has its covariance.
 
 Source: https://mavlink.io/en/messages/common.html#VISION_POSITION_ESTIMATE.
 """
@@ -37,9 +37,9 @@ _UPPER_TRIANGLE = np.triu_indices(6)
 
 
 def unpack_covariance(triangle: list[float]) -> _Array | None:
-    """Return the covariance (4, 4) of N, E, D and heading in a message's 21 numbers; None where it is not known.
+    """Return the covariance (4, 4) of N, E, D and heading in a message's 21 numbers; None where it is unknown.
 
-    All zeros, as senders leave it that know none, is not known either.
+    A covariance of zeros, which some senders send if they know none, counts as unknown.
     """
     values = np.array(triangle, dtype=np.float64)
     if math.isnan(values[0]) or not values.any():
@@ -51,7 +51,7 @@ def unpack_covariance(triangle: list[float]) -> _Array | None:
 
 
 def pack_covariance(covariance: _Array) -> list[float]:
-    """Return the 21 numbers of a message for a covariance (4, 4) of N, E, D and heading; of tilt there is none."""
+    """Return the 21 numbers of a message for a covariance (4, 4) of N, E, D and heading; that of tilt is unknown."""
     whole = np.zeros((6, 6))
     whole[np.ix_(_POSE_INDICES, _POSE_INDICES)] = covariance
     return [to_float32(v) for v in whole[_UPPER_TRIANGLE]]
@@ -63,8 +63,8 @@ class VisionInput:
     Parameters
     ----------
     give : callable or None
-        Called with present time (s), time (s), position and heading (4,) and covariance; returns the reason of a
-        rejection (:meth:`mufly.flight.external_fixes.ExternalFixes.submit_fix`). None: no receiver.
+        Called with present time (s), time of the fix (s), position and heading (4,) and covariance; returns the reason
+        of a rejection (:meth:`mufly.flight.external_fixes.ExternalFixes.submit_fix`). None: no receiver.
     note : callable
         Called with a text and its level.
     """
@@ -119,7 +119,7 @@ class VisionInput:
         return theirs_s + min(offset for _, offset in self._offsets) - self.delay_s
 
     def _report_refusal(self, now_s: float, why: str, remedy: str = "") -> None:
-        """Report a reason, each kind at a limited rate."""
+        """Report a reason, with a limited rate for each kind."""
         kind = "".join(c for c in why if not c.isdigit())
         if now_s - self._told.get(kind, -math.inf) < REFUSAL_PERIOD_S:
             return
