@@ -1,12 +1,17 @@
 """Reader of logs of a Crazyflie's micro-SD deck, in both formats of its firmware.
 
-Since 2020 by events (bitcraze.io, "Micro SD card deck", and the decoder beside the firmware, tools/usdlog): the byte
-0xBC; version (u16: 1 or 2) and number of kinds of events (u16); for each kind its number (u16), its name, how many
-variables it has (u16) and their names with a letter for the type, ``acc.x(f)``, each text ended by a zero byte. Then
-the events, each ``kind (u16), time, values``: time in milliseconds (u32) in version 1 and in microseconds (u64) in
-version 2. The last four bytes are the CRC-32 of all before them. Before 2020, rows of fixed rate: the number of columns
-(u8), their names ``tick(I),acc.x(f),...`` each ended by a comma; then blocks of ``number of rows (u8), rows``, ticks in
-milliseconds. Names and blocks are each followed by a CRC-32, complemented. All numbers are little-endian and packed.
+Format since 2020, by events (bitcraze.io, "Micro SD card deck", and the firmware's decoder, tools/usdlog):
+
+* The file begins with the byte 0xBC, the version (u16: 1 or 2) and the number of kinds of events (u16).
+* Each kind has its number (u16), its name, its number of variables (u16), and their names with a letter for the type,
+  ``acc.x(f)``. Each text ends with a zero byte.
+* Events follow, each ``kind (u16), time, values``; time in milliseconds (u32) in version 1 and in microseconds (u64) in
+  version 2.
+* The last four bytes are the CRC-32 of all bytes before them.
+
+Format before 2020, rows of fixed rate: the number of columns (u8), their names ``tick(I),acc.x(f),...``, each ended by
+a comma; then blocks of ``number of rows (u8), rows``, with ticks in milliseconds. Names and blocks are each followed by
+a complemented CRC-32. All numbers are little-endian and packed.
 
 A removed card or an empty battery leaves a truncated file, which is read up to its end. Reading ends at an event of an
 unknown kind or a block with a wrong CRC, because no mark identifies the next one. It also ends at two successive events
@@ -143,7 +148,7 @@ def _read_event_format(data: bytes) -> tuple[list[RawTable], list[tuple[int, int
     else:
         skipped += [(at, end)] if at < end else []
     begin = skipped[-1][0] if skipped and skipped[-1][1] == end else end
-    if begin < end and not any(data[begin - 1 : end]):  # the zeros may have begun inside the event before
+    if begin < end and not any(data[begin - 1 : end]):  # the zeros may have begun inside the previous event
         latest = max(kinds.values(), key=lambda k: k.row_offsets[-1:])
         if latest.row_offsets and latest.row_offsets[-1] + latest.row_dtype.itemsize == begin:
             skipped[-1] = (latest.row_offsets.pop() - 2, end)

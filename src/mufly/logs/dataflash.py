@@ -1,20 +1,19 @@
 """Reader of ArduPilot's DataFlash logs: the binary form ``.bin`` and the text form ``.log``.
 
-Messages of the kind FMT say what those of every other kind hold (ardupilot.org, "Understanding and Reading Logs"); the
-text form has the same, a message a line. Times (TimeUS, microseconds since the board started, or TimeMS) count in
-seconds from the earliest message.
+FMT messages describe the messages of every other kind (ardupilot.org, "Understanding and Reading Logs"); the text form
+has the same content, one message a line. Times (TimeUS, microseconds since the start of the board, or TimeMS) are
+converted to seconds since the earliest message.
 
-In the binary form every message is ``0xA3 0x95 kind body``. The bodies of a kind are laid out as its FMT message says,
-one letter a field, little-endian and packed; FMTU gives each field a letter for its unit and one for its multiplier,
-which UNIT and MULT explain (ArduPilot, libraries/AP_Logger/README.md). The bodies of one kind are unpacked together by
-NumPy: one Python object a message takes forty times as long (pymavlink's ``DFReader``: 1.4 s a megabyte, here 0.03 s),
-minutes for a log of usual size.
+In the binary form every message is ``0xA3 0x95 kind body``. The FMT message of a kind describes its bodies with one
+letter a field, little-endian and packed. FMTU gives each field a letter for its unit and one for its multiplier, which
+UNIT and MULT explain (ArduPilot, libraries/AP_Logger/README.md). The bodies of one kind are unpacked together by NumPy:
+0.03 s a megabyte, against 1.4 s for one Python object a message (pymavlink's ``DFReader``).
 
-Logs from before 2017 have no units; they are those of the firmware of their time (ArduPilot's history, ArduCopter/Log.*
-and libraries/DataFlash, releases 3.1 to 3.4). Battery voltage and current were whole hundredths; the rates of RATE were
-hundredths of a degree per second up to ArduCopter 3.3. ``TimeMS`` of a message with a ``Week`` is the GPS receiver's
-time of the week, and the board's stands beside it as ``T``. Messages without a clock of the board (MSG, PARM, EV, MODE,
-... of that time) have the time of the one that stands before them in the file.
+Logs from before 2017 have no units; the units are those of the firmware of that time (ArduPilot's history,
+ArduCopter/Log.* and libraries/DataFlash, releases 3.1 to 3.4). Battery voltage and current were whole hundredths; the
+rates of RATE were hundredths of a degree per second up to ArduCopter 3.3. In a message with a ``Week``, ``TimeMS`` is
+the GPS time of the week, and ``T`` is the time of the board. Messages without a clock of the board (MSG, PARM, EV,
+MODE, ... of that time) get the time of the previous message.
 """
 
 from __future__ import annotations
@@ -50,7 +49,7 @@ _FORMAT_LETTERS: dict[str, tuple[str, float]] = {
     "e": ("<i4", 1e2), "E": ("<u4", 1e2), "L": ("<i4", 1e7), "M": ("u1", 1.0), "q": ("<i8", 1.0),
     "Q": ("<u8", 1.0),
 }  # fmt: skip
-# Units of fields that say none, by message, field and whether their letter is a whole number's.
+# Units of fields without stated unit, by message, field and whether the letter is that of an integer.
 _UNITS_OF_OLD_LOGS = {
     ("CURR", "Volt", True): "cV", ("CURR", "Curr", True): "cA", ("CURR", "Vcc", True): "mV",
     ("CURR", "Volt", False): "V", ("CURR", "Curr", False): "A",
@@ -59,7 +58,7 @@ _RATE_FIELDS_OF_OLD_LOGS = ("RDes", "R", "PDes", "P", "YDes", "Y")
 _FIRMWARE_PATTERN = re.compile(
     r"^(?:APM:\s?|)(?:Ardu)?(Copter|Plane|Rover|Sub|Blimp|AntennaTracker)\b.*?(\d+)\.(\d+)", re.IGNORECASE
 )
-# "I" is an instance where it is a whole number: of the messages of PID controllers it is the integral part.
+# An integer "I" is an instance; in messages of PID controllers "I" is the integral part.
 _INSTANCE_FIELDS = ("I", "Instance", "Inst")
 _FAMILY_BY_FIRMWARE: dict[str, ModeFamily] = {
     "copter": "copter", "plane": "plane", "rover": "rover", "sub": "submarine", "antennatracker": "tracker",
@@ -105,7 +104,7 @@ def _index_messages(data: bytes) -> tuple[dict[int, _MessageKind], list[tuple[in
         at += kind.message_size
     skipped += [(at, end)] if at < end else []
     begin = skipped[-1][0] if skipped and skipped[-1][1] == end else end
-    if begin < end and not any(data[begin - 1 : end]):  # the zeros may have begun inside the message before
+    if begin < end and not any(data[begin - 1 : end]):  # the zeros may have begun inside the previous message
         last = max(kinds.values(), key=lambda kind: kind.message_offsets[-1:])
         if last.message_offsets and last.message_offsets[-1] + last.message_size == begin:
             skipped[-1] = (last.message_offsets.pop(), end)
@@ -118,7 +117,7 @@ def _add_format(kinds: dict[int, _MessageKind], body: bytes) -> None:
     names = [c.strip() for c in columns.split(",")]
     sound = len(names) == len(letters) == len(set(names)) and set(letters) <= set(_FORMAT_LETTERS) and all(names)
     if number == _FMT or not sound or size != 3 + _message_dtype(letters, names).itemsize:
-        return  # what contradicts itself cannot be unpacked
+        return  # a contradictory format cannot be unpacked
     before = kinds.get(number)
     if before is None or (before.format_letters, before.columns) != (letters, names):
         kinds[number] = _MessageKind(name, size, letters, names)
@@ -331,7 +330,7 @@ def read_dataflash(path: str | Path) -> RawLog:
         tables, topics, damage = _read_text_log(Path(path)) if text else read_binary(Path(path).read_bytes())
     except InputError:
         raise
-    except Exception as error:  # whatever a damaged format definition provokes
+    except Exception as error:  # any error of a damaged format definition
         problem = f"is a damaged DataFlash log ({error})"
         raise InputError(where, "", problem, "give another copy of the file") from error
     tables = [t for t in tables if len(t.time)]
@@ -375,14 +374,14 @@ def read_dataflash(path: str | Path) -> RawLog:
     )
 
 
-ACTIVE_ESTIMATE_TOPIC = "EKF:active"  # position and velocity of the estimator and lane that the vehicle flew by
+ACTIVE_ESTIMATE_TOPIC = "EKF:active"  # position and velocity of the active estimator and lane
 _MOTION_FIELDS = ("PN", "PE", "PD", "VN", "VE", "VD")
-# EKFType of ArduPilot's AP_AHRS: name, message with position and velocity, message that tells the primary core.
+# EKFType of ArduPilot's AP_AHRS: name, message with position and velocity, message with the primary core.
 _ESTIMATOR_MESSAGES = {
     0: ("DCM", "", ""), 1: ("EKF1", "EKF1", ""), 2: ("EKF2", "NKF1", "NKF4"), 3: ("EKF3", "XKF1", "XKF4"),
     10: ("the simulator", "SIM2", ""), 11: ("the external AHRS", "EAHR", ""),
 }  # fmt: skip
-# Before 2020 cores 1 and 2 had messages of their own: NKF6 and NKF11 are those of NKF1, NKF9 and NKF14 of NKF4.
+# Before 2020 cores 1 and 2 had their own messages: NKF6 and NKF11 are those of NKF1, NKF9 and NKF14 of NKF4.
 _CORE_NUMBER_STEP, _MAX_LISTED_CHANGES = 5, 6
 
 
@@ -391,8 +390,8 @@ def _active_estimate(
 ) -> tuple[RawTable | None, list[str]]:
     """Return position and velocity of the active estimator and lane, unless the first core was always active.
 
-    The estimator is that of ATT.AEKF, else of the parameter AHRS_EKF_TYPE, else the newest in the log; its lane is what
-    XKF4.PI (NKF4.PI) names. Where no local position was estimated (DCM, an external AHRS) it is missing.
+    The estimator is that of ATT.AEKF, else of the parameter AHRS_EKF_TYPE, else the newest in the log; its lane is
+    XKF4.PI (NKF4.PI). Samples without local position (DCM, an external AHRS) are missing.
     """
     cores = {kind: _core_topics(message, tables, topics) for kind, (_, message, _) in _ESTIMATOR_MESSAGES.items()}
     default = next((kind for kind in (3, 2, 1) if cores[kind]), None)
@@ -438,7 +437,7 @@ def _active_estimate(
 
 
 def _core_topics(message: str, tables: Mapping[str, RawTable], topics: _InstanceTopics) -> dict[int, str]:
-    """Topic of each core of an estimator."""
+    """Return the topic of each core of an estimator."""
     if not message:
         return {}
     if message in topics:
@@ -480,7 +479,7 @@ def _lane_steps(primary: str, tables: Mapping[str, RawTable], topics: _InstanceT
     told = [tables[t] for t in _core_topics(primary, tables, topics).values() if "PI" in tables[t].fields]
     time = np.concatenate([t.time for t in told]) if told else np.empty(0)
     lane = np.concatenate([t.fields["PI"] for t in told]) if told else np.empty(0)
-    known = np.isfinite(time) & (lane >= 0) & (lane < 100)  # -1 and 255: no core has begun
+    known = np.isfinite(time) & (lane >= 0) & (lane < 100)  # -1 and 255: no core is running
     if not known.any():
         return np.array([-np.inf]), np.array([0])
     order = np.argsort(time[known], kind="stable")
@@ -531,7 +530,7 @@ def _find_rate_unit(rate: RawTable, gyro: RawTable | None, firmware: str) -> tup
             float(np.sqrt(np.nanmean([np.nanmean(t.fields[k].astype(np.float64) ** 2) for k in names])))
             for t, names in ((rate, "RPY"), (gyro, body))
         ]
-        # One motion: the ratio is 57.3 in degrees and 5730 in hundredths; their geometric mean parts them.
+        # The ratio is 57.3 in degrees and 5730 in hundredths; the geometric mean of these is the threshold.
         if size[1] > 0 and size[0] / size[1] > 573:
             return "cdeg/s", ": it says a hundred times what the gyroscope in IMU does"
     return "deg/s", ""
@@ -551,7 +550,7 @@ def _read_text_log(path: Path) -> tuple[list[RawTable], _InstanceTopics, str]:
                 type_number, _, message, types, names = parts
                 columns = [c.strip() for c in names.split(",")]
                 kind = kinds.setdefault(message, _MessageKind(message, 0, types, columns))
-                bad += [place + 1] if kind.columns != columns else []  # the same name for another message
+                bad += [place + 1] if kind.columns != columns else []  # the same name for another format
                 if type_number.isdigit():
                     numbers[int(type_number)] = kind
             continue

@@ -1,20 +1,22 @@
 """Delay between two signals by cross-correlation, to a fraction of a sample, with a confidence interval.
 
-Model: y(t) = a x(t - tau) + e(t). The delay that fits in the least-squares sense, with the gain a free, is where the
-normalised cross-correlation of x and y is greatest in size. It is computed at whole samples and interpolated between
-them by a windowed sinc (exact for signals without content above half the sampling rate), because interpolating the
-signals themselves would smooth their noise by an amount that depends on the fraction, and pull the answer towards a
-whole or a half sample.
+Model: y(t) = a x(t - tau) + e(t). The least-squares delay, with a free gain a, is at the greatest absolute value of the
+normalised cross-correlation of x and y. The correlation is computed at whole samples and interpolated by a windowed
+sinc, which is exact for signals without content above half the sampling rate. Interpolating the signals instead would
+smooth their noise by an amount that depends on the fraction, and bias the delay towards a whole or a half sample.
 
-Uncertainty: the record is cut into twelve pieces; the delay is found anew with each of them left out, and its variance
-is that of the delete-one-block jackknife, (K - 1) / K sum (tau_k - mean)^2, with Student's quantile for K - 1 degrees
-of freedom (Kuensch 1989, "The jackknife and the bootstrap for general stationary observations"). It needs no model of
-the residual, which in flight data is neither white nor even. It holds for a delay: where the response is filtered
-rather than delayed, tau is the delay that looks most like it.
+Uncertainty: the record is cut into twelve blocks, and the delay is estimated with each block left out. The variance is
+that of the delete-one-block jackknife, (K - 1) / K sum (tau_k - mean)^2, with Student's quantile for K - 1 degrees of
+freedom (Kuensch 1989, "The jackknife and the bootstrap for general stationary observations"). The jackknife needs no
+model of the residual, which in flight data is neither white nor stationary. The model is a pure delay: for a response
+that is filtered instead, tau is the delay that fits best.
 
-A delay is not determined where it explains less than a quarter of the response's power (a correlation below 0.5), where
-another lag, outside the half-width of the peak, fits as well within the jackknife's interval (an oscillation, seen a
-period later), or where the best lag is the longest that was tried.
+A record does not determine the delay in three cases:
+
+* The delay explains less than a quarter of the response's power (a correlation below 0.5).
+* Another lag, outside the half-width of the peak, fits as well within the jackknife's interval (an oscillation, one
+  period later).
+* The best lag is the longest that was tried.
 """
 
 from __future__ import annotations
@@ -34,10 +36,10 @@ from mufly.logs.raw_log import check_clock, unwrap_angle
 from mufly.results import result
 
 _Array = NDArray[np.float64]
-# Pieces of the record, fewer where one would have less than so many samples.
+# Number of blocks of the record, reduced where a block would have fewer samples than the second number.
 _JACKKNIFE_PIECES, _MIN_PIECE_SAMPLES = 12, 3
 _MIN_CORRELATION = 0.5
-# Lags on either side of the peak that the windowed sinc uses.
+# Number of lags on either side of the peak that the windowed sinc uses.
 _SINC_HALF_WIDTH = 24
 
 
@@ -48,17 +50,17 @@ class DelayEstimate:
     Attributes
     ----------
     delay_s : float
-        By how much the response comes later; negative if it leads.
+        Delay of the response (s); negative if it leads.
     std_s : float
-        Standard deviation (s), by the jackknife.
+        Standard deviation by the jackknife (s).
     correlation : float
-        Of the two signals with the delay taken out; negative if they run against each other.
+        Correlation of the two signals after removal of the delay; negative if their signs are opposite.
     at_limit : bool
-        Whether the best delay is the longest that was tried: then it is none.
+        Whether the best delay is the longest that was tried, which is no result.
     step_s : float
         Sampling step (s).
     rival_s : float
-        Another delay that fits as well (s); NaN if there is none.
+        Another delay that fits as well (s); NaN without one.
     freedom : int
         Degrees of freedom of ``std_s``.
     """
@@ -118,18 +120,18 @@ def estimate_delay(
     Parameters
     ----------
     time : (n,) array
-        Evenly spaced (s).
+        Uniform time (s).
     reference, response : (n,) arrays
-        Any units; NaN is left out. Straight-line trends are taken out first.
+        Signals in any units; NaN is omitted. Linear trends are removed first.
     longest_s : float
-        Longest delay, of either sign, to try (s); at most a quarter of the record.
+        Largest absolute value of the delay to try (s); at most a quarter of the record.
     causal : bool
-        Look only for a response that follows: it does not come first, and it does not run against its reference.
-        Without that, an oscillation fits as well half a period earlier with the other sign.
+        Consider only non-negative delays and positive gains. Otherwise an oscillation fits as well half a period
+        earlier with the opposite sign.
 
     Returns
     -------
-    Delay
+    DelayEstimate
 
     Raises
     ------
@@ -151,8 +153,8 @@ def estimate_delay(
     most = max(2, min(round(longest_s / step), n // 4))
     reach = min(most + _SINC_HALF_WIDTH, n // 3)
     lags = np.arange(-reach, reach + 1)
-    # The response stays within its window while the reference slides past, so every lag is judged by the same
-    # samples. Products and powers are summed by pieces, so that each can be left out.
+    # The response stays within its window while the reference is shifted, so every lag uses the same samples. Products
+    # and powers are summed by blocks, so that each block can be left out.
     pieces = min(_JACKKNIFE_PIECES, (n - 2 * reach) // _MIN_PIECE_SAMPLES)
     edges = np.linspace(reach, n - reach, pieces + 1).astype(int)
     power = np.concatenate(([0.0], np.cumsum(x * x)))
@@ -235,14 +237,14 @@ def _interpolate_lag(lags: NDArray[np.int64], values: _Array, at: float) -> floa
 
 
 def differentiate_attitude(time: _Array, attitude: _Array) -> _Array:
-    """Return the body rates that a changing attitude implies, by central differences.
+    """Return the body rates of a changing attitude, by central differences.
 
     Parameters
     ----------
     time : (n,) array
-        s.
+        Time (s).
     attitude : (n, 3) array
-        Roll, pitch, yaw (rad), without jumps.
+        Roll, pitch, yaw (rad), unwrapped.
 
     Returns
     -------
@@ -281,15 +283,16 @@ class DelayReport:
 def check_delays(data: xr.Dataset, *, least_correlation: float = 0.3) -> list[DelayReport]:
     """Estimate the delays that a flight record determines.
 
-    From references to measurements, component by component, and from the derivative of the measured attitude to the
-    measured body rates: these two are one motion, so a delay there is one of the instrument or the logger.
+    Delays are estimated from references to measurements, component by component, and from the derivative of the
+    measured attitude to the measured body rates. The latter two are one motion, so their delay is one of the instrument
+    or the logger.
 
     Parameters
     ----------
     data : xarray.Dataset
-        On an even clock.
+        Dataset on a uniform clock.
     least_correlation : float
-        Pairs that agree less, with the delay taken out, are left out.
+        Least correlation after removal of the delay; pairs below it are omitted.
     """
     time = data["time"].values
     if len(time) < _MIN_DELAY_SAMPLES:
@@ -315,7 +318,7 @@ def check_delays(data: xr.Dataset, *, least_correlation: float = 0.3) -> list[De
     for reference, response, x, y, causal in pairs:
         try:
             found = estimate_delay(time, x.astype(np.float64), y.astype(np.float64), causal=causal)
-        except InputError:  # constant, or too short: nothing to say
+        except InputError:  # constant or too short
             continue
         if abs(found.correlation) >= least_correlation and not found.at_limit:
             out.append(DelayReport(reference, response, found))

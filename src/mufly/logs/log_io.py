@@ -1,6 +1,6 @@
 """Reading of logs of all formats, as raw topics or as signals on one clock, and writing of datasets to files.
 
-Which format a log has is judged by its content, never by its name; which one is written, by the ending.
+A log's content decides its format when it is read, never its name. The ending decides the format when it is written.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def detect_log_format(path: str | Path) -> str:
     Raises
     ------
     InputError
-        If it cannot be read, is empty, or is none of the formats.
+        If the file cannot be read, is empty, or has none of the formats.
     """
     where = str(path)
     try:
@@ -128,12 +128,12 @@ def read_raw(path: str | Path, *, time: TimeEntry | None = None, progress: Progr
     Parameters
     ----------
     path : str or Path
-        MCAP, ULog, DataFlash, MAVLink telemetry, Crazyflie micro-SD, CSV, Parquet, Feather or NetCDF; told by its
+        MCAP, ULog, DataFlash, MAVLink telemetry, Crazyflie micro-SD, CSV, Parquet, Feather or NetCDF, judged by its
         content.
     time : TimeEntry, optional
-        The clock of a table: CSV, Parquet, Feather or NetCDF.
+        Clock of a table: CSV, Parquet, Feather or NetCDF.
     progress : callable, optional
-        Called with (bytes read, bytes in all) while a long log is read.
+        Called with (bytes read, total bytes) while a long log is read.
 
     Returns
     -------
@@ -151,7 +151,7 @@ def read_raw(path: str | Path, *, time: TimeEntry | None = None, progress: Progr
 def open_log(
     path: str | Path, time: TimeEntry | None, progress: ProgressCallback | None
 ) -> tuple[RawLog, xr.Dataset | None]:
-    """Return the topics of a log and, where it holds signals under our names on one clock already, those.
+    """Return the topics of a log and, if it holds this package's signals on one clock, their dataset; else None.
 
     Parameters and errors are those of :func:`read_raw`.
     """
@@ -180,7 +180,7 @@ def open_log(
 def map_channels(
     raw: RawLog, columns: ColumnMap | None = None, wanted: tuple[str, ...] = ()
 ) -> tuple[list[Channel], list[str]]:
-    """Return the signals of a log by a column map and that of its format, in SI units, and what was guessed.
+    """Return the signals of a log in SI units, by a column map and the map of its format, and notes on guesses.
 
     Parameters and errors are those of :func:`mufly.logs.column_map.map_signals`.
     """
@@ -223,35 +223,36 @@ def read_log(
     Parameters
     ----------
     path : str or Path
-        MCAP, ULog, DataFlash, MAVLink telemetry, Crazyflie micro-SD, CSV, Parquet, Feather or NetCDF; told by its
+        MCAP, ULog, DataFlash, MAVLink telemetry, Crazyflie micro-SD, CSV, Parquet, Feather or NetCDF, judged by its
         content.
     columns : optional
-        Column map, as :func:`load_column_map` takes it; comes before the map of PX4, ArduPilot or MAVLink.
+        Column map, as for :func:`load_column_map`; it takes precedence over the map of PX4, ArduPilot or MAVLink.
     signals : sequence of str
-        What to read: names (``measured_attitude``), components (``measured_attitude.roll``), patterns
-        (``measured_*``), fields as they are (``sensor_combined/gyro_rad[0]``). Default: all that have a name of ours.
+        Signals to read: names (``measured_attitude``), components (``measured_attitude.roll``), patterns
+        (``measured_*``), or unconverted fields (``sensor_combined/gyro_rad[0]``). Default: all with a name of this
+        package.
     rate_hz : float, optional
-        Rate of the common clock. Default: signals that share a clock keep it; others come to the highest rate among
-        them.
+        Rate of the common clock (Hz). Default: signals with one clock keep it; others are resampled to the highest rate
+        among them.
     from_s, to_s : float, optional
         Part of the log to keep (s since its start).
     start_s : float, optional
-        Shift the clock so that what is kept begins at this time (s); its events and ``start_time`` move along.
+        Time at which the kept part begins (s); events and ``start_time`` are shifted, too.
     progress : callable, optional
-        Called with (bytes read, bytes in all) while a long log is read.
+        Called with (bytes read, total bytes) while a long log is read.
 
     Returns
     -------
     xarray.Dataset
         Coordinate ``time`` (s since the start of the log). Each variable has ``units``, ``long_name`` and, for foreign
         logs, ``source`` and ``source_rate_hz``. Attributes: ``source``, ``format``, ``start_time``, ``complete`` and
-        ``notes``, a list of what was guessed and repaired; every note is also given as a :class:`LogWarning`. Gaps
+        ``notes``, a list of guesses and repairs; every note is also given as a :class:`LogWarning`. Gaps
         are NaN.
 
     Raises
     ------
     InputError
-        If the file is no log, the map does not fit it, a signal is not in it, or its clock cannot be repaired.
+        If the file is no log, the map does not fit it, a signal is missing, or its clock cannot be repaired.
 
     Examples
     --------
@@ -311,18 +312,18 @@ def _shift_start(data: xr.Dataset, start_s: float) -> xr.Dataset:
         data = data.assign(event_time=(event.dims, event.values + by, event.attrs))
     if "start_time_ns" in data.attrs:
         data.attrs["start_time_ns"] = int(data.attrs["start_time_ns"]) - round(by * 1e9)
-    with contextlib.suppress(ValueError):  # none is known
+    with contextlib.suppress(ValueError):  # unknown start time
         began = datetime.fromisoformat(str(data.attrs.get("start_time", ""))) - timedelta(seconds=by)
         data.attrs["start_time"] = began.isoformat(timespec="milliseconds")
     return data
 
 
-# Steps that vary by more than this share are said.
+# A variation of the steps above this share is reported.
 MAX_UNREPORTED_JITTER = 0.02
 
 
 def matches_signal(name: str, pattern: str) -> bool:
-    """Whether a component ``variable.label`` is meant by a name or pattern: its own, its variable's, or ``*``."""
+    """Return whether a pattern matches ``variable.label``: its name, its variable's name, or a ``*`` pattern."""
     variable = name.partition(".")[0]
     if pattern in (variable, name.replace(".", "_")) or pattern.lstrip("/") == name.lstrip("/"):
         return True
@@ -332,12 +333,12 @@ def matches_signal(name: str, pattern: str) -> bool:
 
 
 def select_channels(channels: Sequence[Channel], patterns: Sequence[str], where: str, also: str = "") -> list[Channel]:
-    """Return the channels that names, patterns or sources mean, in their order.
+    """Return the channels that match names, patterns or sources, in the order of the patterns.
 
     Raises
     ------
     InputError
-        If one means none; ``also`` is added to the remedy.
+        If a pattern matches no channel; ``also`` is added to the remedy.
     """
     out: dict[str, Channel] = {}
     for pattern in patterns:
@@ -351,7 +352,7 @@ def select_channels(channels: Sequence[Channel], patterns: Sequence[str], where:
 
 
 def _select_signals(data: xr.Dataset, signals: Sequence[str], where: str) -> xr.Dataset:
-    """Part of a dataset; a component becomes the variable with NaN beside it."""
+    """Return the selected part of a dataset; a single component becomes its variable, with NaN elsewhere."""
     if not signals:
         return data
     keep: dict[str, set[str]] = {}
@@ -478,14 +479,14 @@ LOG_WRITERS: dict[str, Callable[[xr.Dataset, Path], object]] = {
 
 
 def write_log(dataset: xr.Dataset, path: str | Path) -> Path:
-    """Write signals on one clock to a file; a file that is already there stays until the new one is whole.
+    """Write signals on one clock to a file; an existing file is replaced only when the new one is complete.
 
     Parameters
     ----------
     dataset : xarray.Dataset
-        As :func:`read_log` returns.
+        Signals, as from :func:`read_log`.
     path : str or Path
-        Its ending says what to write: .csv, .parquet, .nc (NetCDF 3), .mcap (a recording of ours) or .ulg.
+        File; its ending decides the format: .csv, .parquet, .nc (NetCDF 3), .mcap (a recording) or .ulg.
 
     Returns
     -------
@@ -495,7 +496,7 @@ def write_log(dataset: xr.Dataset, path: str | Path) -> Path:
     Raises
     ------
     InputError
-        If the ending is none of these, pyarrow is missing for Parquet, or the file cannot be written.
+        If the ending is unknown, pyarrow is missing for Parquet, or the file cannot be written.
     """
     target = Path(path)
     writer = LOG_WRITERS.get(target.suffix.lower())

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _ColumnMapInput = str | Path | Mapping[str, Any] | Sequence[str] | ColumnMap | None
-# Gaps of more topics than this are told in one sentence.
+# Gaps of more topics than this are reported in one sentence.
 _MAX_LISTED_TOPICS = 5
 _MAX_SHOWN_LINES = 40  # of a section of a report
 ProgressCallback = Callable[[int, int], None]
@@ -40,16 +40,16 @@ class LogReport:
     Attributes
     ----------
     raw : RawLog
-        The log itself.
+        Log as read.
     clocks : dict of str to ClockReport
-        By topic.
+        Checks of the clocks, by topic.
     signals : list of ChannelReport
-        Of every signal with a name of ours (or of the user's map).
+        Checks of every signal with a name of this package or of the user's map.
     sources : dict of str to str
-        Topic and field from which a signal comes.
+        Topic and field of each signal.
     delays : list of DelayReport
     notes : list of str
-        What was guessed and repaired.
+        Guesses and repairs.
     """
 
     raw: RawLog
@@ -145,7 +145,7 @@ class LogReport:
             {
                 "reference": d.reference,
                 "response": d.response,
-                # What is not determined has no number that somebody might use.
+                # An undetermined delay is reported without a number.
                 **{k: getattr(d.delay, k) if d.delay.is_determined else None for k in told},
                 "correlation": d.delay.correlation,
                 "determined": d.delay.is_determined,
@@ -188,7 +188,7 @@ def _format_number(value: float, digits: int = 3) -> str:
 
 
 def select_fastest_fields(raw: RawLog) -> list[Channel]:
-    """Return the first numeric fields of the fastest topics: something to see of a log that has no column map."""
+    """Return the first numeric fields of the fastest topics, for the display of a log without a column map."""
     out = []
     for table in sorted(raw.values(), key=lambda t: -len(t.time))[:6]:
         numbers = [(f, v) for f, v in table.fields.items() if v.dtype.kind in "biuf"][:6]
@@ -208,24 +208,24 @@ def read_channels(
     ----------
     path : str or Path
     columns : optional
-        Column map, as :func:`load_column_map` takes it.
+        Column map, as for :func:`load_column_map`.
     fields : sequence of str
-        Fields ``topic/field`` to take as they are, besides.
+        Additional fields ``topic/field``, not converted.
     progress : callable, optional
-        Called with (bytes read, bytes in all).
+        Called with (bytes read, total bytes).
 
     Returns
     -------
     raw : RawLog
     channels : list of Channel
     sources : dict of str to str
-        Topic and field of each.
+        Topic and field of each channel.
     notes : list of str
 
     Raises
     ------
     InputError
-        As :func:`read_log`. A log that can be read but not understood has no channels, and a note says why.
+        As for :func:`read_log`. A log without known signals has no channels, and a note gives the reason.
     """
     given = None if columns is None else load_column_map(columns)
     raw, recording = open_log(path, None if given is None else given.time, progress)
@@ -268,11 +268,11 @@ def examine_log(
     ----------
     path : str or Path
     columns : optional
-        Column map, as :func:`load_column_map` takes it.
+        Column map, as for :func:`load_column_map`.
     delays : bool
         Whether to estimate the delays between references and measurements.
     progress : callable, optional
-        Called with (done, all) while a long log is read and examined.
+        Called with (done, total) while a long log is read and examined.
 
     Raises
     ------
@@ -287,16 +287,16 @@ def examine_log(
         if pairs:
             try:
                 between = check_delays(join_channels(pairs))
-            except InputError as error:  # a wild time stamp: all else can still be said
+            except InputError as error:  # an invalid time stamp: the rest is still reported
                 notes.append(f"no delays: {error.problem}; {error.remedy}")
     reports = check_channels(found, progress)
     clocks = {name: check_clock(table.time) for name, table in raw.items()}
     return LogReport(raw, clocks, reports, sources, between, notes)
 
 
-# Pictures: signals over time, each on its own clock, and their spectra. Signals of one kind share a picture, their
-# components a panel each, so that reference, measurement and truth of one component lie on each other. Angles are drawn
-# in degrees. Colours are those of Okabe and Ito (2008), which the colour-blind can tell apart.
+# Pictures: signals over time, each on its own clock, and their spectra. Signals of one kind share a picture, with one
+# panel for each component, so that reference, measurement and truth of a component are overlaid. Angles are drawn in
+# degrees. Colours are those of Okabe and Ito (2008), which are distinguishable with colour blindness.
 
 _Array = NDArray[np.float64]
 _PLOT_STYLE: Any = {
@@ -334,7 +334,7 @@ _INPUT_SIGNALS = (
 
 
 class _PlotPlace(NamedTuple):
-    """Where a channel is drawn: the picture, the panel in it, whose it is ("" if only one side knows), its legend."""
+    """Place of a channel in the pictures: picture, panel, kind of source ("" if there is only one), and legend."""
 
     picture: str
     panel: str
@@ -367,13 +367,13 @@ def group_channels(channels: Sequence[Channel]) -> dict[str, list[Channel]]:
 def power_spectrum(time: _Array, values: _Array) -> tuple[_Array, _Array]:
     """Return frequencies (Hz) and power spectral density (unit^2/Hz) of a channel.
 
-    Welch's method with Hann windows of a quarter of the record at most, on the channel's median step; short gaps
-    are bridged linearly, and of longer ones the longest stretch between them is taken.
+    Welch's method with Hann windows of at most a quarter of the record, on the channel's median step. Short gaps are
+    bridged linearly; with longer gaps the longest stretch between them is used.
 
     Raises
     ------
     InputError
-        If fewer than 32 samples are left.
+        If the stretch has fewer than 32 samples.
     """
     known = np.isfinite(values)
     t, x = time[known], values[known]
@@ -416,20 +416,20 @@ def draw_channels(channels: Sequence[Channel], *, title: str = "", spectra: bool
     Parameters
     ----------
     channels : sequence of Channel
-        One of the groups of :func:`group_channels`.
+        Channels of one group of :func:`group_channels`.
     title : str
     spectra : bool
-        Power spectral densities instead of time histories; channels that are too short for one are left out.
+        Draw power spectral densities instead of time histories; channels that are too short are omitted.
 
     Raises
     ------
     InputError
-        If spectra are wanted and no channel is long enough.
+        If spectra are requested and no channel is long enough.
     """
     import matplotlib
     from matplotlib.figure import Figure
 
-    # One panel a component for signals that lie on each other, one a variable or unit otherwise.
+    # One panel for each component of overlaid signals, otherwise one for each variable or unit.
     panels: dict[tuple[str, str], list[Channel]] = {}
     for c in channels:
         panels.setdefault((_find_plot_place(c).panel, "" if c.units == "1" else c.units), []).append(c)
@@ -466,7 +466,7 @@ def draw_channels(channels: Sequence[Channel], *, title: str = "", spectra: bool
             inner = density if spectra else f"({shown})" if shown else ""
             ax.set_ylabel(f"{text}\n{inner}".rstrip())
             named = len(legends) == 1 and legends[0].lower() == name.lower()
-            if legends != above and not named and ax.get_lines():  # what holds for every panel is said once
+            if legends != above and not named and ax.get_lines():  # a legend that holds for every panel is drawn once
                 ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
             above = legends
         if spectra and not drawn:

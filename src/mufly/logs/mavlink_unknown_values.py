@@ -2,9 +2,9 @@
 
 MAVLink's definitions give them by message and field (attribute ``invalid``; mavlink.io, "MAVLink XML Schema"): a value,
 ``[value]`` for each element of an array, ``[value:]`` for an array that is unknown as a whole if its first element has
-it. pymavlink carries those definitions, and this table is made of them when it is first needed; its generated Python
-has the fields alone. Some fields say it only in the words of their description; they stand here, as do those of PX4's
-topics (docs.px4.io, "uORB Message Reference").
+this value. The table is built at first use from the definitions that pymavlink contains, because pymavlink's generated
+Python omits the attribute. For some fields only the description states the value; they are listed here, with those of
+PX4's topics (docs.px4.io, "uORB Message Reference").
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class _UnknownValue(NamedTuple):
 
 _INTEGER_LIMITS = {f"{'U' * u}INT{n}_MAX": float(2 ** (n if u else n - 1) - 1) for u in (0, 1) for n in (8, 16, 32, 64)}
 _DIALECT_FILES = ("minimal.xml", "standard.xml", "common.xml", "ardupilotmega.xml")
-# A clock says 0 for unknown too, but readers look at clocks themselves.
+# In a clock 0 also means unknown; readers of clocks handle it.
 _CLOCK_FIELD_PATTERN = re.compile(r"^time_")
 _CHANNEL_UNKNOWN = {f"chan{k}_raw": 65535.0 for k in range(1, 19)}
 _DOCUMENTED_UNKNOWNS: Mapping[str, Mapping[str, float]] = {
@@ -59,7 +59,7 @@ def _load_unknown_values() -> Mapping[tuple[str, str], _UnknownValue]:
     for name in _DIALECT_FILES:
         try:
             root = ElementTree.fromstring((folder / name).read_bytes())
-        except (OSError, ElementTree.ParseError):  # an installation without them knows the words alone
+        except (OSError, ElementTree.ParseError):  # without the definitions only the listed values are known
             continue
         for message in root.iter("message"):
             for field in message.iter("field"):
@@ -97,7 +97,7 @@ def replace_unknown_values(message: str, fields: Mapping[str, NDArray[Any]]) -> 
     message : str
         ``"SYS_STATUS"``, or a topic of PX4 (``"battery_status"``).
     fields : dict of str to (n,) array
-        Elements of an array stand under ``name[k]``. What has nothing to hide keeps its type.
+        Fields; element k of an array is ``name[k]``. Fields without special values keep their type.
     """
     table = _load_unknown_values()
     out = dict(fields)

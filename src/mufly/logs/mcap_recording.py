@@ -1,13 +1,12 @@
 """Recordings as MCAP files for Foxglove and PlotJuggler.
 
-:mod:`mufly.logs.mcap` says what the columns of a row are; :func:`read_recording` returns the same
-:class:`xarray.Dataset` as was recorded, equal to the last bit. JSON has no NaN and no infinity: both are written
-``null`` and come back as NaN. The numbers of a block are written as JSON in one call (orjson prints the shortest text
-that reads back to the same float64) and then fitted between constant pieces of text, which spares a dictionary for
-every message.
+:mod:`mufly.logs.mcap` defines the columns of a row; :func:`read_recording` returns the recorded
+:class:`xarray.Dataset`, equal to the last bit. JSON has no NaN and no infinity: both are written as ``null`` and read
+as NaN. The numbers of a block are written as JSON in one call (orjson prints the shortest text that restores the same
+float64) and inserted between constant pieces of text, which needs no dictionary for each message.
 
-Other people's logs become recordings too (:func:`write_mcap`): floating-point signals over time, the state of the
-mission and events go into the file; other text does not. Other people's MCAP files are read as topics.
+Foreign logs become recordings, too (:func:`write_mcap`): floating-point signals over time, the state of the mission and
+events are written; other text is not. Foreign MCAP files are read as topics.
 """
 
 from __future__ import annotations
@@ -50,7 +49,7 @@ EVENT_TOPIC = "/events"
 FLIGHT_METADATA = "mufly.flight"
 LAYOUT_METADATA = "mufly.layout"
 OUTCOME_METADATA = "mufly.outcome"
-FOXGLOVE_LEVELS = {"info": 2, "warning": 3, "error": 4}  # of foxglove.Log
+FOXGLOVE_LEVELS = {"info": 2, "warning": 3, "error": 4}  # levels of foxglove.Log
 
 
 def read_recording(path: str | Path) -> xr.Dataset:
@@ -64,14 +63,14 @@ def read_recording(path: str | Path) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        As :func:`rows_to_dataset` makes it. ``attrs["complete"]`` is False when the file ends before its end mark
-        or holds a damaged chunk, and a :class:`mufly.logs.LogWarning` says what is missing; every row that is whole
-        is there (of a file that was cut off at most the last second is lost).
+        Dataset as from :func:`rows_to_dataset`. ``attrs["complete"]`` is False when the file has no end mark or a
+        damaged chunk; a :class:`mufly.logs.LogWarning` then describes the missing parts. Every complete row is read; a
+        truncated file loses at most the last second.
 
     Raises
     ------
     InputError
-        No such file, not an MCAP file, not a recording of mufly, or no whole chunk of rows in it.
+        If the file does not exist, is no MCAP file, is no recording of this package, or has no complete chunk of rows.
     """
     return recording_from_contents(read_mcap(path), str(path))
 
@@ -115,12 +114,12 @@ def recording_from_contents(contents: McapContents, where: str) -> xr.Dataset:
 
 
 def add_checksum(texts: Mapping[str, str]) -> dict[str, str]:
-    """Add a checksum: MCAP protects chunks, but not metadata."""
+    """Add a checksum, since MCAP protects chunks but not metadata."""
     return {**texts, "crc32": str(zlib.crc32(orjson.dumps(dict(texts), option=orjson.OPT_SORT_KEYS)))}
 
 
 def remove_checksum(texts: Mapping[str, str]) -> dict[str, str]:
-    """Inverse of :func:`add_checksum`; ValueError if the checksum is wrong."""
+    """Remove the checksum of :func:`add_checksum`; ValueError if it is wrong."""
     content = {key: value for key, value in texts.items() if key != "crc32"}
     if add_checksum(content) != texts:
         raise ValueError("wrong checksum")
@@ -173,29 +172,29 @@ def _parse_events(contents: McapContents) -> list[FlightEvent]:
 
 
 def read_attachments(path: str | Path) -> dict[str, bytes]:
-    """Files carried inside a recording: ``{"mission.toml": b"...", "vehicle.toml": b"..."}``.
+    """Return the files attached to a recording: ``{"mission.toml": b"...", "vehicle.toml": b"..."}``.
 
     Raises
     ------
     InputError
-        No such file, or not an MCAP file.
+        If the file does not exist or is no MCAP file.
     """
     return read_mcap(path).attachments
 
 
 def read_recording_summary(path: str | Path) -> dict[str, Any]:
-    """Return metadata of a recording without its signals, in about 1 % of the time for reading them.
+    """Return metadata of a recording without its signals, in about 1 % of the time for reading the signals.
 
     Returns
     -------
     dict
-        The attributes of :func:`read_recording` (of another's MCAP file none of them), ``duration_s`` from the first
-        message to the last, and ``complete``.
+        Attributes of :func:`read_recording` (none for a foreign MCAP file), ``duration_s`` from the first message to
+        the last, and ``complete``.
 
     Raises
     ------
     InputError
-        No such file, not an MCAP file, or nothing in it.
+        If the file does not exist, is no MCAP file, or is empty.
     """
     facts: dict[str, Any] = {"complete": True}
     first, last, count, metadata = 0, 0, 0, {}
@@ -208,11 +207,11 @@ def read_recording_summary(path: str | Path) -> dict[str, Any]:
             raise ValueError("no summary")
         first, last = found.statistics.message_start_time, found.statistics.message_end_time
         count = found.statistics.message_count
-    except Exception:  # The library fails in any way on a damaged file; the records are read one by one then.
+    except Exception:  # The library raises any error on a damaged file; its records are then read one by one.
         with suppress(Exception):
             first, last, count, metadata = _scan_records(path)
         facts["complete"] = False
-        if not count:  # Damaged or no MCAP at all: what there is of it is read whole, and says why.
+        if not count:  # Damaged or no MCAP: a complete read gives the reason.
             contents = read_mcap(path)
             times = [t for messages in contents.messages_by_topic.values() for t, _ in (messages[:1] + messages[-1:])]
             first, last, count = min(times, default=0), max(times, default=0), len(times)
@@ -232,9 +231,9 @@ _MESSAGE_OPCODE, _CHUNK_OPCODE, _METADATA_OPCODE, _LAST_OPCODE = 0x05, 0x06, 0x0
 
 
 def _scan_records(path: str | Path) -> tuple[int, int, int, dict[str, Any]]:
-    """First and last time (ns), how many chunks and messages, and metadata of a file that has no end (yet).
+    """Return first and last time (ns), numbers of chunks and messages, and metadata of a file without end mark.
 
-    Chunks are not read: their heads tell the time. Nothing of a file that is damaged before its last byte.
+    Only the heads of chunks are read, which hold the times. Zeros for a file damaged before its last byte.
     """
     first, last, count, metadata = 0, 0, 0, {}
     with open(path, "rb") as stream:
@@ -264,13 +263,13 @@ def _scan_records(path: str | Path) -> tuple[int, int, int, dict[str, Any]]:
 
 
 def object_schema(properties: dict[str, Any], title: str = "") -> dict[str, Any]:
-    """JSON schema of an object with these properties, all required."""
+    """Return the JSON schema of an object with these properties, all required."""
     head = {"title": title} if title else {}
     return {**head, "type": "object", "properties": properties, "required": list(properties)}
 
 
 def foxglove_time(time_ns: int) -> dict[str, int]:
-    """Time of a Foxglove message."""
+    """Return a time as in Foxglove messages."""
     return {"sec": time_ns // 1_000_000_000, "nsec": time_ns % 1_000_000_000}
 
 
@@ -313,13 +312,13 @@ class TopicEncoder:
         self._log = file.add_channel(EVENT_TOPIC, "foxglove.Log", orjson.dumps(FOXGLOVE_LOG_SCHEMA))
 
     def wall_times_ns(self, rows: NDArray[np.float64]) -> list[int]:
-        """Wall time of every row (ns)."""
+        """Return the wall time of every row (ns)."""
         return (np.rint(rows[:, 0] * 1e9).astype(np.int64) + self._start).tolist()
 
     def encode_messages(
         self, rows: NDArray[np.float64], states: Sequence[str], events: Sequence[FlightEvent]
     ) -> list[tuple[int, int, bytes]]:
-        """Messages (channel, time in ns, content) of a block of rows and of events; not in order of time."""
+        """Return the messages (channel, time in ns, content) of a block of rows and of events, not sorted by time."""
         out: list[tuple[int, int, bytes]] = []
         if len(rows):
             times = self.wall_times_ns(rows)
@@ -350,13 +349,13 @@ class TopicEncoder:
 
 
 def encode_json_numbers(rows: NDArray[np.float64]) -> list[list[bytes]]:
-    """JSON text of every number; NaN and infinity become null."""
+    """Return the JSON text of every number; NaN and infinity become null."""
     text = orjson.dumps(np.ascontiguousarray(rows), option=orjson.OPT_SERIALIZE_NUMPY)
     return [row.split(b",") for row in text[2:-2].split(b"],[")]
 
 
 def _message_template(layout: RecordingLayout, topic: str) -> list[bytes]:
-    """Constant text of a topic's message, with an empty gap at every second place for each number."""
+    """Return the constant text of a topic's message, with an empty gap for each number at every second index."""
     pieces, text = [], b"{"
     for k, quantity in enumerate(layout.quantities_by_topic[topic]):
         text += b"," * bool(k) + orjson.dumps(quantity.field) + b":"
@@ -378,7 +377,7 @@ def _message_template(layout: RecordingLayout, topic: str) -> list[bytes]:
 def _topic_schema(layout: RecordingLayout, topic: str) -> dict[str, Any]:
     properties: dict[str, Any] = {}
     for quantity in layout.quantities_by_topic[topic]:
-        # Null (not a number) occurs too, but viewers refuse a schema with a choice of types.
+        # Values may be null (NaN), but viewers reject a schema with a choice of types.
         number = {"type": "number", "description": f"{quantity.long_name} ({quantity.units})"}
         if quantity.dim is None:
             properties[quantity.field] = number
@@ -394,7 +393,7 @@ _BLOCK_ROWS = 1000
 
 
 def layout_from_dataset(dataset: xr.Dataset) -> RecordingLayout:
-    """Return the columns of a recording that holds a dataset's numbers over time."""
+    """Return the layout of a recording of a dataset's numbers over time."""
     known = {q.name: q for q in quantities_recorded_in("flight")}
     found: list[Quantity] = []
     labels: dict[str, tuple[Any, ...]] = {}
@@ -421,12 +420,12 @@ def layout_from_dataset(dataset: xr.Dataset) -> RecordingLayout:
 
 
 def write_mcap(dataset: xr.Dataset, path: Path) -> None:
-    """Write a dataset as a recording, which :func:`mufly.logs.read_recording` reads back.
+    """Write a dataset as a recording, for :func:`mufly.logs.read_recording`.
 
     Raises
     ------
     InputError
-        If its clock does not increase or it holds no numbers over time.
+        If the clock does not increase or the dataset has no numbers over time.
     """
     layout = layout_from_dataset(dataset)
     time = dataset["time"].values.astype(np.float64)
@@ -479,9 +478,9 @@ def _start_time_ns(dataset: xr.Dataset) -> int:
         return 0
 
 
-# A list longer than this is a picture or a cloud of points, no signal.
+# A longer list is a picture or a point cloud, no signal.
 _MAX_LIST_LENGTH = 64
-# Topics of ours that hold drawings and words.
+# Topics of this package's recordings with drawings and texts.
 _TOPICS_WITHOUT_SIGNALS = ("/tf", "/scene", "/track", "/reference_pose", "/events")
 
 
@@ -491,7 +490,7 @@ def parse_json_topics(contents: McapContents, where: str) -> RawLog:
     Raises
     ------
     InputError
-        If there is no message, or none is JSON.
+        If there is no message, or no message is JSON.
     """
     ours = is_recording(contents)
     if not any(contents.messages_by_topic.values()):
@@ -532,7 +531,7 @@ def parse_json_topics(contents: McapContents, where: str) -> RawLog:
         path=where,
         format_name="MCAP",
         tables_by_topic=tables,
-        # A log whose wall time nobody knew begins in 1970.
+        # A log with unknown wall time begins in 1970.
         start_time=format_wall_time(zero / 1e9) if zero > 10**18 // 2 else "",
         info={"recorded by": "mufly"} if ours else {},
         is_complete=contents.is_complete,
@@ -545,7 +544,7 @@ _JSON_SAMPLE_SIZE = 20
 
 
 def _parse_json_rows(contents: list[bytes]) -> tuple[Sequence[int], list[dict[str, Any]]]:
-    """Return which messages are JSON, and their numbers; none if of a sample most are not."""
+    """Return indices of JSON messages, and their numbers; none if most messages of a sample are not JSON."""
     try:
         return range(len(contents)), [dict(_iterate_leaves(orjson.loads(data))) for data in contents]
     except orjson.JSONDecodeError:

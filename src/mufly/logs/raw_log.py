@@ -1,14 +1,14 @@
 """Raw log: topics on their own clocks, checks of the clocks, and resampling to one clock.
 
-A logger repeats a stamp, swaps two messages, or loses some; a board that restarts begins to count again. The first two
-are repaired and said; a restart is two logs in one, which no sorting can mend, and is refused. A stamp of another epoch
-(never set and 0, damaged, or counted by the GPS or since 1970 where the log counts since the board started) is missing.
+Faults of clocks: a logger repeats a stamp, swaps two messages, or loses some; these are repaired and reported. A board
+that restarts counts from zero again: such a file holds two logs, which sorting cannot separate, and is refused. A stamp
+of another epoch is treated as missing: one that was never set (0), is damaged, or counts by GPS or since 1970 in a log
+that counts since the start of the board.
 
-Onto a common clock a signal is interpolated linearly or, if it is held (an input, a reference), keeps its last value. A
-signal that is sampled faster than the new clock is first low-pass filtered without phase shift (the Kaiser-window FIR
-filter of SciPy's ``resample_poly``, whose delay is taken out), so that noise above half the new rate does not fold
-down; a held signal is not filtered. Where a signal has no sample within its own gap length the result is NaN: a gap
-stays a gap.
+Resampling to a common clock: a signal is interpolated linearly; a held signal (an input, a reference) keeps its last
+value. A signal with a higher rate than the new clock is first low-pass filtered without phase shift, so that noise
+above half the new rate is not aliased. The filter is the Kaiser-window FIR filter of SciPy's ``resample_poly``, with
+its delay removed; a held signal is not filtered. The result is NaN in gaps of the signal.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ class RawTable:
     name : str
         Topic: ``"vehicle_attitude"``; a second instance is ``"battery_status:1"``.
     time : (n,) float64 array
-        Seconds since the start of the log, as they were written: not necessarily increasing.
+        Seconds since the start of the log, as written; not necessarily increasing.
     fields : dict of str to (n,) array
         Numbers, or text (dtype str).
     units : dict of str to str
-        Units of those fields for which the file says one.
+        Units of the fields for which the file states one.
     """
 
     name: str
@@ -54,7 +54,7 @@ class RawTable:
 
     @property
     def rate_hz(self) -> float:
-        """Rate of the median step of the clock; NaN for fewer than two different instants."""
+        """Rate of the median step of the clock (Hz); NaN for fewer than two different instants."""
         steps = np.diff(self.time)
         steps = steps[steps > 0]
         return float(1 / np.median(steps)) if len(steps) else float("nan")
@@ -72,19 +72,19 @@ class RawLog(Mapping[str, RawTable]):
         ``"Feather"`` or ``"NetCDF"``.
     tables_by_topic : dict of str to RawTable
     start_time : str
-        Wall time of the instant 0 (ISO 8601, UTC), ``""`` where the file does not tell.
+        Wall time of the instant 0 (ISO 8601, UTC); ``""`` if unknown.
     info : dict
-        What the file says of itself: vehicle, software, ...
+        Information in the file: vehicle, software, ...
     messages : tuple of (time_s, level, text)
-        What the vehicle said.
+        Text messages of the vehicle.
     dropouts : tuple of (time_s, duration_s)
-        Where the logger itself says that it lost data.
+        Losses of data that the logger recorded.
     is_complete : bool
-        Whether the file ends as it should, without damage.
+        Whether the file ends regularly and has no damage.
     damage_text : str
-        Of a file that does not: what is missing, in words, as far as it can be told.
+        Description of the missing parts of an incomplete file.
     notes : tuple of str
-        What the reader repaired or guessed, in words.
+        Repairs and guesses of the reader, as sentences.
     """
 
     path: str
@@ -108,13 +108,13 @@ class RawLog(Mapping[str, RawTable]):
         return len(self.tables_by_topic)
 
     def describe_damage(self) -> list[str]:
-        """Return a sentence that says that the file is damaged and what is missing; none for a whole file."""
+        """Return a sentence that describes the damage of the file; none for a complete file."""
         what = f": {self.damage_text}" if self.damage_text else ""
         return [] if self.is_complete else [f"the file is damaged or cut off{what}; what is whole is here"]
 
     @property
     def time_span(self) -> tuple[float, float]:
-        """First and last instant of any topic whose clock runs (s); zeros for an empty log."""
+        """Return the first and last instant of all topics with a running clock (s); zeros for an empty log."""
         ends = [
             (np.nanmin(t.time), np.nanmax(t.time)) for t in self.tables_by_topic.values() if np.isfinite(t.time).any()
         ]
@@ -123,7 +123,7 @@ class RawLog(Mapping[str, RawTable]):
 
 
 def describe_skipped(data: bytes, skipped: Sequence[tuple[int, int]], what: str) -> str:
-    """Return in words which parts (first byte, byte behind) of a file are no whole ``what``; ``""`` if none is."""
+    """Return a description of the byte ranges [begin, end) that are no complete ``what``; ``""`` without any."""
     said = []
     inside = [(a, b) for a, b in skipped if b < len(data)]
     if inside:
@@ -146,7 +146,7 @@ def format_wall_time(unix_s: float) -> str:
 
 
 _GPS_EPOCH_S = 315_964_800.0  # 1980-01-06, since 1970
-# Days from which on GPS time runs ahead of UTC by 1, 2, ... leap seconds (IERS, Bulletin C).
+# Dates from which GPS time is ahead of UTC by 1, 2, ... leap seconds (IERS, Bulletin C).
 _LEAP_SECOND_DATES = np.array(
     ["1981-07-01", "1982-07-01", "1983-07-01", "1985-07-01", "1988-01-01", "1990-01-01", "1991-01-01", "1992-07-01",
      "1993-07-01", "1994-07-01", "1996-01-01", "1997-07-01", "1999-01-01", "2006-01-01", "2009-01-01", "2012-07-01",
@@ -179,15 +179,15 @@ class Channel(NamedTuple):
     Attributes
     ----------
     name : str
-        ``measured_attitude.roll``, the variable alone for a scalar, or ``topic/field`` for a field as it is.
+        ``measured_attitude.roll``, only the variable for a scalar, or ``topic/field`` for an unconverted field.
     units : str
-        ``""`` as long as nobody has said.
+        Unit; ``""`` while unknown.
     time, values : (n,) array
-        s; numbers, or text (dtype str).
+        Time (s); numbers, or text (dtype str).
     source : str
-        Topic and field that it comes from.
+        Topic and field of the source.
     hold : bool
-        Whether it keeps its last value between samples.
+        Whether the signal keeps its last value between samples.
     long_name : str
     """
 
@@ -216,16 +216,16 @@ class Channel(NamedTuple):
 
     @property
     def is_text(self) -> bool:
-        """Whether the values are text."""
+        """Return whether the values are text."""
         return self.values.dtype.kind in "US"
 
 
 _Array = NDArray[np.float64]
 _DAY_S = 86_400.0
-# More steps back than this share, or a step back longer than this, is no matter of swapped messages.
+# A larger share of steps back, or a longer step back, is no swap of messages.
 _MAX_BACKWARD_SHARE, _MAX_BACKWARD_S = 0.02, 2.0
 MIN_GAP_STEPS = 5.0
-# What is said now and then has no rate, so no gaps.
+# Occasional messages have no rate, and so no gaps.
 _MIN_GAP_TEST_STEPS = 15
 
 
@@ -237,17 +237,17 @@ class ClockReport:
     ----------
     samples : int
     rate_hz : float
-        Of the median step; NaN for fewer than two different instants.
+        Rate of the median step (Hz); NaN for fewer than two different instants.
     jitter : float
-        Standard deviation of the steps that are no gaps, over the median step.
+        Standard deviation of the steps without gaps, over the median step.
     missing, repeated, backward : int
-        Stamps that are not finite; equal to the one before; earlier than the one before.
+        Numbers of stamps that are not finite, equal to the previous one, and earlier than the previous one.
     back_s : float
-        The longest step back (s).
+        Longest step back (s).
     first_back : int
-        Sample at which time first runs backward, -1 if it never does.
+        First sample at which time runs backward; -1 if there is none.
     gaps : (k, 2) array
-        Beginning and end of each gap (s).
+        Begin and end of each gap (s).
     """
 
     samples: int
@@ -262,7 +262,7 @@ class ClockReport:
 
     @property
     def is_reset(self) -> bool:
-        """Whether time runs backward beyond repair."""
+        """Return whether time runs backward beyond repair."""
         few = max(3.0, _MAX_BACKWARD_SHARE * self.samples)
         return self.backward > 0 and (self.back_s > _MAX_BACKWARD_S or self.backward > few)
 
@@ -297,7 +297,7 @@ def find_gaps(time: _Array, factor: float = MIN_GAP_STEPS) -> _Array:
     Parameters
     ----------
     time : (n,) array
-        Increasing (s).
+        Increasing time (s).
     factor : float
 
     Returns
@@ -317,9 +317,9 @@ def check_clock(time: _Array, gap_factor: float = MIN_GAP_STEPS) -> ClockReport:
     Parameters
     ----------
     time : (n,) array
-        As written (s).
+        Stamps as written (s).
     gap_factor : float
-        A step longer than this many median steps is a gap.
+        Number of median steps above which a step is a gap.
     """
     finite = time[np.isfinite(time)]
     steps = np.diff(finite)
@@ -344,22 +344,26 @@ def check_clock(time: _Array, gap_factor: float = MIN_GAP_STEPS) -> ClockReport:
 def find_foreign_stamps(times: Mapping[str, NDArray[Any]]) -> tuple[dict[str, NDArray[np.bool_]], list[str]]:
     """Find stamps in another epoch than the log.
 
-    No flight lasts a day, but epochs lie years apart: the board's clock counts since it started, the clock of the GPS
-    since 1980 or since Sunday, UTC since 1970; a stamp never set is 0, a damaged one anything. Where the stamps of all
-    topics together leave out a whole day or more they belong to different clocks, and the log's is the one on which
-    most topics run (each topic counts by the share of its stamps there; of equals the one with more stamps). Where no
-    clock has the half of them, nobody can say, and none is foreign.
+    No flight lasts a day, but epochs differ by years: the board's clock counts since its start, the GPS clock since
+    1980 or
+    since Sunday, UTC since 1970; a stamp never set is 0, and a damaged stamp may have any value. Stamps of all topics
+    that
+    are separated by a day or more belong to different clocks. The clock of the log is the one of most topics, each
+    counted
+    by the share of its stamps there; of equal clocks it is the one with more stamps. If no clock has half of the
+    topics,
+    the epoch is undecidable, and no stamp is foreign.
 
     Parameters
     ----------
     times : dict of str to (n,) array
-        Stamps of every topic, all counted from the same instant (s); NaN is no stamp.
+        Stamps of every topic since one instant (s); NaN is no stamp.
 
     Returns
     -------
     foreign : dict of str to (n,) bool array
     words : list of str
-        One sentence a topic that has some.
+        One sentence for each topic with foreign stamps.
     """
     foreign = {name: np.zeros(len(t), dtype=bool) for name, t in times.items()}
     days = {k: np.floor(np.asarray(t, dtype=np.float64) / _DAY_S) for k, t in times.items()}
@@ -390,19 +394,19 @@ def find_foreign_stamps(times: Mapping[str, NDArray[Any]]) -> tuple[dict[str, ND
 def select_usable_samples(time: _Array, where: str, key: str) -> tuple[NDArray[np.int64], list[str]]:
     """Return the indices of samples that form an increasing clock, and descriptions of repairs.
 
-    Samples without a stamp go, and single ones whose stamp is far from those on either side; swapped ones are put in
-    order; of several with one stamp the last is kept.
+    Samples without a stamp, and single samples with a stamp far from both neighbours, are omitted. Swapped samples are
+    sorted; of several with one stamp the last is kept.
 
     Returns
     -------
     index : (m,) int array
     words : list of str
-        One sentence a repair; empty for a sound clock.
+        One sentence for each repair; empty for a sound clock.
 
     Raises
     ------
     InputError
-        If time was set back: by more than 2 s, or more often than at one sample in fifty.
+        If time was set back by more than 2 s, or at more than one sample in fifty.
     """
     words = []
     name = f"{key}: " if key else ""
@@ -432,16 +436,16 @@ def select_usable_samples(time: _Array, where: str, key: str) -> tuple[NDArray[n
 
 
 def _find_wild_stamps(time: _Array) -> NDArray[np.bool_]:
-    """Single stamps (or two in a row) far from those on either side, which go on as if they were not there.
+    """Return a mask of single stamps (or two in a row) far from both neighbours, between which the clock continues.
 
-    The median of five stamps that increase is the middle one, whatever their steps: a sound clock has none.
+    The median of five increasing stamps is the middle one for any steps, so a sound clock has no such stamps.
     """
     out = np.zeros(len(time), dtype=bool)
     known = np.flatnonzero(np.isfinite(time))
     if len(known) >= 5:
         t = time[known]
         out[known[np.abs(t - median_filter(t, size=5, mode="nearest")) > _MAX_BACKWARD_S]] = True
-    # Where they are no exception, the rows are mixed up.
+    # If they are frequent, the rows are out of order.
     return out if out.sum() <= max(3.0, _MAX_BACKWARD_SHARE * len(known)) else np.zeros_like(out)
 
 
@@ -449,7 +453,7 @@ _MAX_SAMPLES = 50_000_000
 
 
 def common_clock(spans: list[tuple[float, float]], rate_hz: float) -> _Array:
-    """Return instants at a rate from the first beginning to the last end, counted from the instant 0.
+    """Return uniform instants from the first begin to the last end, aligned with the instant 0.
 
     Parameters
     ----------
@@ -459,7 +463,7 @@ def common_clock(spans: list[tuple[float, float]], rate_hz: float) -> _Array:
     Raises
     ------
     InputError
-        If that makes more than 50 million instants: then a time stamp is wrong.
+        If there are more than 50 million instants, which indicates a wrong time stamp.
     """
     first, last = min(a for a, _ in spans), max(b for _, b in spans)
     if not (last - first) * rate_hz < _MAX_SAMPLES:
@@ -479,20 +483,20 @@ def resample_signal(
     Parameters
     ----------
     time : (n,) array
-        Increasing (s).
+        Increasing time (s).
     values : (n,) array
-        NaN counts as missing.
+        Values; NaN counts as missing.
     onto : (m,) array
-        Increasing and evenly spaced (s).
+        Increasing, uniform time (s).
     hold : bool
         Keep the last value instead of interpolating.
     gap_s : float, optional
-        Longest step that is bridged (s). Default: five median steps of the signal.
+        Longest step to bridge (s). Default: five median steps of the signal.
 
     Returns
     -------
     (m,) array
-        NaN before the first and after the last sample, and in gaps.
+        Resampled values; NaN before the first and after the last sample, and in gaps.
     """
     known = np.isfinite(values)
     t, x = time[known], values[known]
@@ -511,7 +515,7 @@ def resample_signal(
             out = np.interp(onto, t_even, x)
         else:
             out = np.interp(onto, t, x)
-    # The instant is known if it lies on a sample or between two that are near each other.
+    # The value is known on a sample and between two samples that are close together.
     left = t[np.clip(before, 0, None)]
     right = t[np.clip(before + 1, None, len(t) - 1)]
     on_sample = np.abs(onto - left) <= slack

@@ -1,11 +1,11 @@
-"""MAVLink telemetry log (``.tlog``): what a ground station received, each packet behind the time of its arrival.
+"""MAVLink telemetry log (``.tlog``): received packets, each after the time of its arrival.
 
-The time is a big-endian count of microseconds since 1970 (eight bytes); the packet follows as it was on the air
-(mavlink.io, "Serialization"). Arrival times carry the jitter of the link. Messages that hold their sender's clock
-(``time_boot_ms``, ``time_usec``) are therefore placed by that clock; it is tied to the time of arrival by the packet
-that was quickest, which no link can be faster than, anew each time that the sender starts. Clock, packet numbers and
-parameters belong to one sender each (system and component). What a field says where nothing is known (a current of
--1, a voltage of 65535) is missing: :mod:`mufly.logs.mavlink_unknown_values`.
+The time is a big-endian count of microseconds since 1970 (eight bytes); the packet follows as transmitted (mavlink.io,
+"Serialization"). Arrival times contain the jitter of the link. Messages with their sender's clock (``time_boot_ms``,
+``time_usec``) are therefore placed by that clock. After each start of the sender, the clock is synchronised with the
+arrival of the fastest packet, which had the least delay. Clock, packet numbers and parameters belong to one sender each
+(system and component). Values that mean unknown (a current of -1, a voltage of 65535) become missing:
+:mod:`mufly.logs.mavlink_unknown_values`.
 """
 
 from __future__ import annotations
@@ -60,11 +60,11 @@ _INTEGER_PARAM_LAYOUTS = {
     6: "<i",
 }  # MAV_PARAM_TYPE of whole numbers
 FLUSH_INTERVAL_S = 1.0
-"""Of what is written so much is lost with a process that is killed (s)."""
+"""Time between flushes (s), which is lost at most when the process is killed."""
 
 
 def packet_length(data: bytes | bytearray, at: int) -> int:
-    """Length of the packet of MAVLink that begins at ``at``; 0 if none does, or too little of it is there."""
+    """Return the length of the MAVLink packet that begins at ``at``; 0 if there is none, or it is incomplete."""
     if at + 3 > len(data):
         return 0
     if data[at] == 0xFE:
@@ -75,7 +75,7 @@ def packet_length(data: bytes | bytearray, at: int) -> int:
 
 
 def _entry_length(data: bytes, at: int) -> int:
-    """Length of the entry (stamp and packet) that begins at ``at``; 0 if none does."""
+    """Return the length of the entry (stamp and packet) that begins at ``at``; 0 if there is none."""
     if at + 11 > len(data) or not _YEAR_2000_US < _STAMP_STRUCT.unpack_from(data, at)[0] < _YEAR_2100_US:
         return 0
     size = packet_length(data, at + 8)
@@ -83,13 +83,13 @@ def _entry_length(data: bytes, at: int) -> int:
 
 
 def looks_like_tlog(head: bytes) -> bool:
-    """Whether a file that begins so is a telemetry log: two entries in a row, or one that fills it."""
+    """Return whether a file with these first bytes is a telemetry log: two successive entries, or a single one."""
     size = _entry_length(head, 0)
     return bool(size) and (len(head) <= size + 11 or bool(_entry_length(head, size)))
 
 
 def _iterate_packets(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yield (offset of the entry, packet); bytes that are no entry are skipped."""
+    """Yield (offset of the entry, packet); bytes outside entries are skipped."""
     at = 0
     while at + 11 <= len(data):
         size = _entry_length(data, at)
@@ -101,21 +101,21 @@ def _iterate_packets(data: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def read_tlog(path: str | Path, progress: Callable[[int, int], None] | None = None) -> RawLog:
-    """Read a telemetry log; packets that are damaged or came twice are left out and counted.
+    """Read a telemetry log; damaged and repeated packets are omitted and counted.
 
     The signals are those of one vehicle (:func:`mufly.vehicle_types.vehicle_rank`); topics of others end in
-    ``@system.component``, and their parameters stand under ``info["parameters@system.component"]``.
+    ``@system.component``, and their parameters are in ``info["parameters@system.component"]``.
 
     Parameters
     ----------
     path : str or Path
     progress : callable, optional
-        Called with (bytes read, bytes in all).
+        Called with (bytes read, total bytes).
 
     Raises
     ------
     InputError
-        If no packet of it can be decoded.
+        If no packet can be decoded.
     """
     os.environ["MAVLINK20"] = "1"
     with contextlib.redirect_stdout(io.StringIO()):
@@ -226,7 +226,7 @@ def _is_unknown_message(message: Any) -> bool:
 def _group_by_sender(
     raw_rows: Mapping[bytes, tuple[list[int], list[Any]]],
 ) -> tuple[_MessageRows, NDArray[np.int64]]:
-    """Sort messages of both versions of MAVLink by sender and kind; returns the offset of each place beside."""
+    """Sort messages of both versions of MAVLink by sender and kind; return them and the offset of each place."""
     parts: defaultdict[MessageKey, list[tuple[NDArray[np.int64], list[Any]]]] = defaultdict(list)
     for offsets, messages in raw_rows.values():
         one = messages[0]
@@ -247,7 +247,7 @@ def _group_by_sender(
 
 
 def _read_headers(data: bytes, offset: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Stamp (us) of each entry, and number and checksum of its packet as one integer: checksum * 256 + number."""
+    """Return the stamp (us) of each entry, and number and checksum of its packet as checksum * 256 + number."""
     stream = np.frombuffer(data, dtype=np.uint8)
     stamp = stream[offset[:, None] + np.arange(8)].copy().view(">u8")[:, 0].astype(np.int64)
     newer = stream[offset + _STAMP_SIZE] == _MAVLINK_2_MAGIC
@@ -265,11 +265,11 @@ def _drop_packets(rows: _MessageRows, keep: Mapping[MessageKey, NDArray[np.bool_
 
 
 # ----------------------------------------------------------------------------
-# Who speaks.
+# Choice of the vehicle among the senders.
 
 
 def _summarise_heartbeats(rows: _MessageRows) -> dict[tuple[int, int], tuple[int, int, int]]:
-    """Of every sender of heartbeats: its rank, its MAV_TYPE and how many it sent; of several kinds the best."""
+    """Return rank, MAV_TYPE and number of heartbeats of every sender; of several types the one with the best rank."""
     out: dict[tuple[int, int], tuple[int, int, int]] = {}
     for (system, component, name), (_, messages) in rows.items():
         if name == "HEARTBEAT":
@@ -281,10 +281,12 @@ def _summarise_heartbeats(rows: _MessageRows) -> dict[tuple[int, int], tuple[int
 
 
 def _choose_vehicle(rows: _MessageRows) -> tuple[tuple[int, int], list[str]]:
-    """System and component of the vehicle, and what has to be said of the choice.
+    """Return system and component of the vehicle, and notes on the choice.
 
-    The sender of the best heartbeats, of equals the one with a known type of vehicle, then the one heard most. Without
-    any, a sender without heartbeats is taken (component 1 first), then an antenna tracker, then whoever says most.
+    The vehicle is the sender of the heartbeats with the best rank; of equals the one of a known type, then the one with
+    most messages. If no sender qualifies: a sender without heartbeats (component 1 first), then an antenna tracker,
+    then
+    the one with most messages.
     """
     beats = _summarise_heartbeats(rows)
     counts: Counter[tuple[int, int]] = Counter()
@@ -309,7 +311,7 @@ def _choose_vehicle(rows: _MessageRows) -> tuple[tuple[int, int], list[str]]:
 
 
 def _describe_vehicle(dialect: Any, vehicle: tuple[int, int], rows: _MessageRows) -> str:
-    """The vehicle in words, from its heartbeat: kind, autopilot, number of system and component."""
+    """Return a description of the vehicle from its heartbeat: type, autopilot, system and component."""
     number = f"{vehicle[0]}.{vehicle[1]}"
     if (*vehicle, "HEARTBEAT") not in rows:
         return f"system {number}"
@@ -325,7 +327,7 @@ def _describe_vehicle(dialect: Any, vehicle: tuple[int, int], rows: _MessageRows
 
 
 def _flight_mode_names(beats: list[Any], component: int) -> NDArray[Any]:
-    """Flight mode of each heartbeat in words, the last one known where equipment sent it under the same numbers."""
+    """Return the name of the flight mode at each heartbeat; heartbeats of equipment repeat the last mode."""
     out, last = [], ""
     for m in beats:
         if is_vehicle(m.type, m.autopilot, component):
@@ -335,7 +337,7 @@ def _flight_mode_names(beats: list[Any], component: int) -> NDArray[Any]:
 
 
 def _collect_parameters(rows: _MessageRows, vehicle: tuple[int, int]) -> dict[str, dict[str, float]]:
-    """Parameters of every component; those of the vehicle under ``parameters``, there in any case."""
+    """Return the parameters of every component; those of the vehicle under ``parameters``, even if there are none."""
     out: dict[str, dict[str, float]] = {"parameters": {}}
     for (system, component, name), (_, messages) in rows.items():
         if name == "PARAM_VALUE":
@@ -347,7 +349,7 @@ def _collect_parameters(rows: _MessageRows, vehicle: tuple[int, int]) -> dict[st
 
 
 def _parameter_value(message: Any, bytewise: bool) -> float:
-    """Value of a PARAM_VALUE; PX4 puts the bytes of whole numbers into the float field."""
+    """Return the value of a PARAM_VALUE; PX4 puts the bytes of integers into the float field."""
     layout = _INTEGER_PARAM_LAYOUTS.get(message.param_type) if bytewise else None
     if layout is None:
         return float(message.param_value)
@@ -365,7 +367,7 @@ def _select_rows(
 
 
 def _find_repeated_rows(time: NDArray[np.float64], fields: Mapping[str, NDArray[Any]]) -> NDArray[np.bool_]:
-    """Rows that say the same at the same instant as the row before: a packet that came by two links."""
+    """Return a mask of rows equal to the previous row at the same instant: packets received by two links."""
     again = np.zeros(len(time), dtype=bool)
     same = np.flatnonzero(np.diff(time) == 0) + 1
     if len(same):
@@ -398,7 +400,7 @@ def _message_columns(messages: list[Any]) -> tuple[dict[str, NDArray[Any]], dict
 
 
 def _join_status_texts(arrival: NDArray[np.float64], messages: list[Any]) -> list[tuple[float, str, str]]:
-    """(s, level, text) of one sender's STATUSTEXT; what came in chunks of 50 characters is one text again."""
+    """Return (s, level, text) of one sender's STATUSTEXT; chunks of 50 characters are joined."""
     out: list[tuple[float, str, str]] = []
     before = (0, -1)
     for t, m in zip(arrival.tolist(), messages, strict=True):
@@ -412,20 +414,21 @@ def _join_status_texts(arrival: NDArray[np.float64], messages: list[Any]) -> lis
 
 
 class TlogWriter:
-    """Telemetry log, written as it comes: each packet behind the time of its arrival or departure.
+    """Writer of a telemetry log: packets are appended, each after the time of its arrival or departure.
 
-    That is what every ground station for MAVLink reads, and :func:`read_tlog`. The file is flushed every second, so
-    that a process that is killed loses no more.
+    Ground stations for MAVLink and :func:`read_tlog` read the file. It is flushed every second, which limits the loss
+    when
+    the process is killed.
 
     Parameters
     ----------
     path : str or Path
-        Its folder is made if need be; a file of that name is replaced.
+        File to write; its folder is created, and a file of that name is replaced.
 
     Raises
     ------
     InputError
-        If it cannot be written.
+        If the file cannot be written.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -441,9 +444,9 @@ class TlogWriter:
         Parameters
         ----------
         packet : bytes
-            One frame of MAVLink.
+            One MAVLink frame.
         time_us : int, optional
-            Microseconds since 1970; by default now.
+            Microseconds since 1970; by default the present time.
         """
         self._file.write(_STAMP_STRUCT.pack(time.time_ns() // 1000 if time_us is None else time_us) + packet)
         now_s = time.monotonic()

@@ -1,19 +1,19 @@
-"""ULog, the log of PX4 (docs.px4.io, "ULog File Format", version 1), read and written.
+"""Reader and writer of ULog, the log format of PX4 (docs.px4.io, "ULog File Format", version 1).
 
-Times are microseconds since the board started; here they count in seconds from the time stamp in the file's header.
-What was published before the logger started lies before 0. A stamp of 0 in a file whose header has another was never
-set. Topics carry no units.
+Times are microseconds since the start of the board; they are converted to seconds since the time stamp in the file's
+header. Messages published before the start of the logger have negative times. A stamp of 0 in a file with another stamp
+in its header was never set. Topics have no units.
 
 A file is the header (magic, version, time stamp); definitions (flags B, format F, information I and M, parameters P);
 then data (subscription A, data D, logged text L, drop-outs O, synchronisation S), each message ``size (u16), type (u8),
-body``, all little-endian. The format has no checksums and no end mark. A message counts as whole if its size is that of
-its topic's format, or its content is what its type says. Where none stands, reading goes on at the next head of a
-message of a subscribed topic (size, type and number are five known bytes) or at a synchronisation message. The bodies
-of one topic are unpacked together by NumPy: a Python object a message takes four times as long.
+body``, all little-endian. The format has no checksums and no end mark. A message is valid if its size is that of its
+topic's format, or its content fits its type. After an invalid message, reading continues at the next head of a message
+of a subscribed topic (size, type and number are five known bytes) or at a synchronisation message. The bodies of one
+topic are unpacked together by NumPy, in a quarter of the time of one Python object for each message.
 
-Signals of ours are written as one topic, ``table``: its clock in whole microseconds, as the format wants, and once more
-as a double, so that it comes back to the bit; text becomes a number whose meaning stands in the information
-``mufly_dataset``, with whatever else columns do not say. ``mufly_rows`` says how many rows there are.
+Signals of this package are written as one topic, ``table``. Its clock is written in integer microseconds, as the format
+requires, and as a double, which restores it to the bit. Text becomes a number; the information ``mufly_dataset`` holds
+the texts and all else outside the columns. ``mufly_rows`` is the number of rows.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from mufly.logs.raw_log import RawLog, RawTable, find_foreign_stamps, format_wal
 from mufly.logs.tables import TABLE_TOPIC
 
 MAGIC = b"ULog\x01\x12\x35"
-_HEAD_SIZE, _STAMP_SIZE = 3, 8  # bytes of length and kind of a message, and of a stamp
+_HEAD_SIZE, _STAMP_SIZE = 3, 8  # bytes of length and type of a message, and of a stamp
 _HEADER_SIZE = 16
 _SYNC_BYTES = b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"
 _LEVEL_WORDS = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
@@ -67,23 +67,23 @@ _MAX_ARRAY_LENGTH, _MAX_FIELDS = 0xFFFF, 20_000
     _FLAG_BITS_MESSAGE,
 ) = b"IMPQOSB"
 _MESSAGE_TYPES = frozenset(b"DFARLCIMPQOSB")
-_APPENDED_DATA_FLAG = 1  # the only incompatible flag that is known: data behind what was logged
+_APPENDED_DATA_FLAG = 1  # the only supported incompatible flag: data appended to the log
 
 
 @dataclass
 class _SubscribedTopic:
-    """A subscribed topic: its layout, and where the bodies of its messages begin."""
+    """A subscribed topic: its layout, and the offsets of its messages' bodies."""
 
     name: str
     dtype: np.dtype[Any]
-    message_sizes: tuple[int, int]  # of a message, least and most: padding at the end may be left out
+    message_sizes: tuple[int, int]  # smallest and largest size of a message: padding at the end may be omitted
     stamp_offset: int
     body_offsets: array[int] = field(default_factory=lambda: array("q"))
 
 
 @dataclass
 class _ScanResult:
-    """What a pass over a file found."""
+    """Result of a pass over a file."""
 
     formats: dict[str, list[tuple[str, int, str]]] = field(default_factory=dict)
     info: dict[str, Any] = field(default_factory=dict)
@@ -95,19 +95,19 @@ class _ScanResult:
     dropouts: list[tuple[int, int]] = field(default_factory=list)  # stamp, duration (ms)
     in_data: bool = False
     unknown_type_counts: dict[str, int] = field(default_factory=dict)  # messages of unknown types
-    undescribed_count: int = 0  # data of topics that nothing describes
+    undescribed_count: int = 0  # data messages without a subscription
     appended_offsets: list[int] = field(default_factory=list)
     damage: list[str] = field(default_factory=list)
     damaged_places: list[tuple[int, int]] = field(default_factory=list)
 
 
 def read_ulog(path: str | Path) -> RawLog:
-    """Read a ULog file; of one that was cut off or damaged everything that is whole.
+    """Read a ULog file; of a truncated or damaged file all valid messages.
 
     Raises
     ------
     InputError
-        If its header is damaged, it holds no data, or it uses what is not known here.
+        If its header is damaged, it holds no data, or it uses an unknown feature.
     """
     where = str(path)
     data = Path(path).read_bytes()
@@ -133,7 +133,7 @@ def read_ulog(path: str | Path) -> RawLog:
         values = {str(k): _decode_text_column(rows[k]) for k in rows.dtype.names or () if k != "timestamp"}
         tables[name] = RawTable(name, times[name], replace_unknown_values(name.partition(":")[0], values))
     info = {key: value for key, value in scan.info.items() if key != "time_ref_utc"}
-    # Text too long for one message comes in several.
+    # A text too long for one message is split.
     info |= {
         key: b"".join(parts).decode(errors="replace")
         for key, parts in scan.multi_info.items()
@@ -162,7 +162,7 @@ def read_ulog(path: str | Path) -> RawLog:
 
 
 def _scan_messages(data: bytes, header: int, where: str) -> _ScanResult:
-    """Find every whole message; what is no data is taken at once."""
+    """Find every valid message; messages other than data are processed at once."""
     scan = _ScanResult()
     at, end = _HEADER_SIZE, len(data)
     limits = [end]
@@ -220,11 +220,11 @@ def _scan_messages(data: bytes, header: int, where: str) -> _ScanResult:
 
 
 def _note_damage(scan: _ScanResult, data: bytes, at: int, stop: int, after: int, limit: int) -> None:
-    """Note bytes that are no whole message, and whether they are one that a cut left."""
+    """Register bytes that are no valid message, and whether they are a message cut by the end of the file."""
     if after == limit and not any(data[at:limit]):
         last = max(scan.topics.values(), key=lambda topic: topic.body_offsets[-1:], default=None)
         if not data[at - 1] and last and last.body_offsets and last.body_offsets[-1] + last.message_sizes[0] - 2 == at:
-            at = last.body_offsets.pop() - 5  # the zeros may have begun inside it
+            at = last.body_offsets.pop() - 5  # the zeros may have begun inside the last message
         scan.damage.append(f"{limit - at} bytes from byte {at} on are zero")
     elif after < limit or stop <= limit:
         scan.damaged_places.append((at, after - at))
@@ -237,7 +237,7 @@ def _note_damage(scan: _ScanResult, data: bytes, at: int, stop: int, after: int,
 
 
 def _check_flags(scan: _ScanResult, where: str, end: int) -> list[int]:
-    """Where parts of the file end: what was logged, and what was appended to it."""
+    """Return the ends of the file's parts: the log, and data appended to it."""
     flags, offsets = scan.info.pop(_FLAG_BITS_NAME)
     if flags[0] & ~_APPENDED_DATA_FLAG or any(flags[1:]):
         raise InputError(where, "flag bits", f"has incompatible flags ({flags.hex()}) that are not known here",
@@ -246,7 +246,7 @@ def _check_flags(scan: _ScanResult, where: str, end: int) -> list[int]:
 
 
 def _message_head_pattern(scan: _ScanResult) -> re.Pattern[bytes]:
-    """Heads of messages of subscribed topics and of synchronisation."""
+    """Return a pattern of the heads of messages of subscribed topics and of synchronisation."""
     heads = [struct.pack("<HB", len(_SYNC_BYTES), _SYNC_MESSAGE) + _SYNC_BYTES]
     for number, topic in scan.topics_by_id.items():
         heads += [struct.pack("<HBH", size, _DATA_MESSAGE, number) for size in dict.fromkeys(topic.message_sizes)]
@@ -254,7 +254,7 @@ def _message_head_pattern(scan: _ScanResult) -> re.Pattern[bytes]:
 
 
 def _find_next_message(data: bytes, start: int, limit: int, scan: _ScanResult, heads: re.Pattern[bytes]) -> int:
-    """Where the next message stands; ``limit`` if none does. Definitions stand where three follow each other."""
+    """Return the offset of the next valid message; ``limit`` if there is none. Definitions need three in a row."""
     for found in heads.finditer(data, start, limit):
         if _messages_follow(data, found.start(), limit, scan):
             start, limit = start, found.start()
@@ -269,7 +269,7 @@ def _find_next_message(data: bytes, start: int, limit: int, scan: _ScanResult, h
 
 
 def _messages_follow(data: bytes, at: int, limit: int, scan: _ScanResult, chain: int = 2) -> bool:
-    """Whether so many messages whose heads are sound stand one behind the other, or as many as there are left."""
+    """Return whether ``chain`` messages with valid heads follow each other, or as many as are left."""
     for _ in range(chain):
         if at == limit:
             return True
@@ -289,7 +289,7 @@ _FLAG_BITS_NAME, _ROW_COUNT_KEY = "flag bits", "mufly_rows"
 
 
 def _process_message(scan: _ScanResult, kind: int, body: bytes, header: int, data: bytes) -> bool:
-    """Take a message that holds no data of a topic; False if its content is not what its kind says."""
+    """Process a message other than data; return False if its content does not fit its type."""
     try:
         if kind == _FORMAT_MESSAGE:
             name, _, fields = body.decode("ascii").partition(":")
@@ -330,7 +330,7 @@ def _process_message(scan: _ScanResult, kind: int, body: bytes, header: int, dat
 
 
 def _split_key_value(body: bytes) -> tuple[str, str, bytes]:
-    """Type, name and value of information or a parameter."""
+    """Return type, name and value of information or a parameter."""
     type_name, key = body[1 : 1 + body[0]].decode("ascii").split(" ")
     return type_name, key, body[1 + body[0] :]
 
@@ -342,7 +342,7 @@ def _decode_value(type_name: str, value: bytes) -> Any:
 
 
 def _add_subscription(scan: _ScanResult, body: bytes) -> None:
-    """Take a subscription; KeyError, ValueError if its format is not known or contradicts itself."""
+    """Process a subscription; KeyError, ValueError if its format is unknown or contradictory."""
     instance, number = struct.unpack_from("<BH", body)
     name = body[3:].decode("ascii")
     fields = _expand_fields(scan.formats, name)
@@ -362,7 +362,7 @@ def _add_subscription(scan: _ScanResult, body: bytes) -> None:
 def _expand_fields(
     formats: Mapping[str, list[tuple[str, int, str]]], name: str, prefix: str = ""
 ) -> list[tuple[str, str]]:
-    """Names and NumPy types of a format's fields, those of formats inside it too; text is one field."""
+    """Return names and NumPy types of a format's fields, including nested formats; text is one field."""
     out: list[tuple[str, str]] = []
     for type_name, count, field_name in formats[name]:
         whole = prefix + field_name
@@ -380,7 +380,7 @@ def _expand_fields(
 
 
 def _unpack_rows(data: bytes, topic: _SubscribedTopic) -> NDArray[Any]:
-    """All messages of a topic."""
+    """Return all messages of a topic as a structured array."""
     size = topic.dtype.itemsize
     bodies = np.ndarray((len(data) - size + 1,), dtype=f"V{size}", buffer=data, strides=(1,))
     return bodies[np.frombuffer(topic.body_offsets, dtype=np.int64)].view(topic.dtype)
@@ -393,7 +393,7 @@ def _decode_text_column(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def _describe_missing_rows(info: Mapping[str, Any], tables: Mapping[str, RawTable]) -> list[str]:
-    """What is missing of a file that this package wrote, which says how many rows it has."""
+    """Return a sentence on rows missing in a file of this package, which states its number of rows."""
     try:
         rows = int(info[_ROW_COUNT_KEY])
     except (KeyError, ValueError, TypeError):
@@ -402,16 +402,16 @@ def _describe_missing_rows(info: Mapping[str, Any], tables: Mapping[str, RawTabl
     return [f"{there} of {rows} rows are here"] if there < rows else []
 
 
-# What has a time besides the topics.
+# Items with a time other than topics.
 _LOG_TEXTS_KEY, _DROPOUTS_KEY = "the vehicle's messages", "the logger's drop-outs"
 
 
 def _seconds_since_start(
     header: int, stamps: Mapping[str, NDArray[Any]]
 ) -> tuple[dict[str, NDArray[np.float64]], list[str]]:
-    """Seconds since the instant 0 of everything that has a stamp (us), NaN where it is none of the log's clock.
+    """Convert all stamps (us) to seconds since the instant 0, NaN for stamps of a foreign clock; return notes, too.
 
-    The instant 0 is the header's, if data are near it. If not, it is the first of the log's own; topics whose clock
+    The instant 0 is the header's if data are close to it, else the first stamp of the log's clock; topics whose clock
     stands still (PX4 has some) do not count.
     """
     seconds = {k: s.astype(np.float64) / 1e6 for k, s in stamps.items()}
@@ -438,7 +438,7 @@ def _level_word(number: int) -> str:
 
 
 def _find_start_time(tables: dict[str, RawTable], info: dict[str, Any]) -> str:
-    """Wall time of the instant 0, from the first position fix or from what our own writer noted."""
+    """Return the wall time of the instant 0, from the first position fix or as noted by this package's writer."""
     if isinstance(info.get("mufly_start_time"), str):
         return str(info["mufly_start_time"])
     for name in ("sensor_gps", "vehicle_gps_position"):
@@ -464,7 +464,7 @@ def _encode_message(kind: bytes, body: bytes) -> bytes:
 
 
 def _encode_information(key: str, text: str) -> bytes:
-    """Information; text that does not fit one message goes on in further ones (M)."""
+    """Encode an information message; text that does not fit one message continues in further ones (M)."""
     data = text.encode()
     name = f"char[{{}}] {key}"
     room = _MAX_TEXT_LENGTH - 300
@@ -484,9 +484,8 @@ def write_ulog(dataset: xr.Dataset, path: Path) -> None:
 
     Raises
     ------
-    InputError
-        If it lasts from before the instant 0 (the clock of the format has no sign), is too wide for one message, or a
-        name is none that the format allows.
+    If a time is negative (the clock of the format is unsigned), the dataset is too wide for one message, or the format
+    does not allow a name.
     """
     columns = component_channels(dataset)
     time = dataset["time"].values.astype(np.float64)

@@ -1,11 +1,10 @@
 """Reader of the MCAP container: all intact records, also of a damaged or truncated file.
 
-A record whose length leads nowhere, or a chunk whose checksum is wrong, is left out and noted; reading goes on at the
-next record that stands as it should: where the length leads, where the index at the end says that a chunk begins, or
-where the bytes look like the head of one (MCAP specification, "Records": opcode, length; a chunk's times, sizes,
-checksum, compression). Of a chunk that the end of the file cuts the messages before the cut are kept. How many messages
-are missing is told by the statistics in the index, in our own files by their numbers, and by the message indexes that
-stand behind each chunk.
+A record with an impossible length, or a chunk with a wrong checksum, is omitted and reported. Reading continues at the
+next valid record. It is found by the length, by the index at the end (chunks), or by the form of a record's head (MCAP
+specification, "Records": opcode, length; a chunk's times, sizes, checksum, compression). Of a chunk cut by the end of
+the file the messages before the cut are kept. The number of missing messages follows from the statistics in the index,
+from the message indexes after each chunk, and in this package's files from the messages' numbers.
 """
 
 from __future__ import annotations
@@ -35,11 +34,11 @@ _MESSAGE_SIZE = _RECORD_HEAD.size + MESSAGE_FIELDS_SIZE
 _FIRST_PRIVATE_OPCODE = 0x80
 _IGNORED_OPCODES = (Opcode.MESSAGE_INDEX, Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX,
                 Opcode.STATISTICS, Opcode.SUMMARY_OFFSET, *range(_FIRST_PRIVATE_OPCODE, 256))  # fmt: skip
-# A chunk's head: opcode; lengths below 1 TB; a compression that is read here.
+# Head of a chunk: opcode; lengths below 1 TB; a supported compression.
 _CHUNK_HEAD_PATTERN = re.compile(
     rb"\x06.{5}\x00{3}.{21}\x00{3}.{4}(?:\x04\x00{3}zstd|\x03\x00{3}lz4|\x00{4})", re.DOTALL
 )
-# Heads of other records that stand beside chunks, and of messages, shorter than 4 GB.
+# Heads of other records next to chunks, and of messages, shorter than 4 GB.
 _RECORD_HEAD_PATTERN = re.compile(rb"[\x09\x0c\x0f].{4}\x00{4}", re.DOTALL)
 _MESSAGE_HEAD_PATTERN = re.compile(rb"[\x03\x04\x05\x09\x0c\x0f].{4}\x00{4}", re.DOTALL)
 _MAX_DESCRIBED_PARTS = 3
@@ -51,13 +50,13 @@ class LostPart(NamedTuple):
     Attributes
     ----------
     description : str
-        In words: ``"a chunk of 4151 bytes at byte 15434 cannot be read (wrong checksum)"``.
+        Description: ``"a chunk of 4151 bytes at byte 15434 cannot be read (wrong checksum)"``.
     offset, size : int
-        Where it stands (bytes).
+        Position and size in the file (bytes).
     message_count : int
-        Those that are known to be missing with it; 0 if nobody knows.
+        Number of messages known to be missing with it; 0 if unknown.
     first_ns, last_ns : int
-        Times of the first and the last of them; 0 if nobody knows.
+        Times of the first and the last missing message (ns); 0 if unknown.
     """
 
     description: str
@@ -76,14 +75,14 @@ class McapContents:
     ----------
     metadata, attachments : dict
     messages_by_topic : dict
-        From a topic to (time_ns, content) in order.
+        Messages of each topic as (time_ns, content), in order.
     is_complete : bool
         Whether the file has its end mark and no damage.
     lost_parts : list of LostPart
     expected_messages : int
-        Messages that the file had, as far as it tells; 0 if it does not.
+        Number of messages that the file had, by its own count; 0 if unknown.
     remarks : list of str
-        What else is wrong: how it ends, its index, ...
+        Other faults: a missing end mark, a damaged index, ...
     """
 
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
@@ -97,7 +96,7 @@ class McapContents:
     def describe_damage(self, zero_ns: int | None = None) -> str:
         """Describe the missing parts; times count from ``zero_ns``, by default from the first missing time.
 
-        It is ``""`` for a whole file.
+        The text is ``""`` for a complete file.
         """
         if zero_ns is None:
             zero_ns = min((p.first_ns for p in self.lost_parts if p.first_ns), default=0)
@@ -125,7 +124,7 @@ def read_mcap(path: str | Path) -> McapContents:
     Raises
     ------
     InputError
-        The file cannot be opened, is empty, or does not begin as an MCAP file does.
+        If the file cannot be opened, is empty, or does not begin as an MCAP file.
     """
     where = str(path)
     try:
@@ -141,7 +140,7 @@ def read_mcap(path: str | Path) -> McapContents:
 
 
 class _IndexSummary(NamedTuple):
-    """The index at the end: what it repeats, and where records begin."""
+    """The index at the end of the file: repeated records, and offsets of records."""
 
     channels: tuple[tuple[int, str], ...] = ()
     expected_messages: int = 0
@@ -197,16 +196,16 @@ class _McapScanner:
         for number, topic in self._summary.channels if self._summary else ():
             self._topics[number] = self._contents.messages_by_topic.setdefault(topic, [])
         self._counts: dict[int, int] = {}
-        self._numbered = False  # our own writer counts the messages of each channel
+        self._numbered = False  # this package's writer numbers the messages of each channel
         self._chunked = False
-        self._skipped = 0  # messages that their numbers say were there
+        self._skipped = 0  # number of messages missing by their sequence numbers
         self._crc_wrong = False
 
     def read_records(self) -> McapContents:
         """Read every intact record."""
         data, contents, end = self._data, self._contents, len(self._data)
         at, finished = len(MAGIC), False
-        passed = at  # where a run of records begins that are passed over: their lengths are not proven
+        passed = at  # start of a run of skipped records, whose lengths are not confirmed
         while at + _RECORD_HEAD.size <= end and not finished:
             opcode, length = _RECORD_HEAD.unpack_from(data, at)
             stop = at + _RECORD_HEAD.size + length
@@ -334,11 +333,11 @@ class _McapScanner:
         before = sum(len(m) for m in self._contents.messages_by_topic.values())
         try:
             self._read_chunk_records(_unpack_truncated_chunk(data, at + _RECORD_HEAD.size))
-        except Exception:  # Nothing of it can be unpacked.
+        except Exception:  # No part can be unpacked.
             before = -1
         kept = sum(len(m) for m in self._contents.messages_by_topic.values()) - before if before >= 0 else 0
         what = f"at byte {at} the file ends inside a chunk, {end - at} of {stop - at} bytes of it are there"
-        if kept:  # times of what is missing are not known
+        if kept:  # times of the missing messages are unknown
             what, first_ns, last_ns = f"{what}, with {kept} whole messages", 0, 0
         self._contents.lost_parts.append(LostPart(what, at, end - at, 0, first_ns, last_ns))
         return end
@@ -383,7 +382,7 @@ class _McapScanner:
         return best
 
     def _read_message_indexes(self, at: int) -> tuple[int, int, int]:
-        """Count and times of the messages that the message indexes at an offset list; zeros without any."""
+        """Return number and first and last time of the messages in the indexes at an offset; zeros without an index."""
         data, end, times = self._data, len(self._data), list[int]()
         while at + _RECORD_HEAD.size + 6 <= end and data[at] == Opcode.MESSAGE_INDEX:
             length = _RECORD_HEAD.unpack_from(data, at)[1]
@@ -413,7 +412,7 @@ class _McapScanner:
 
 
 def _parse_chunk_head(data: bytes, start: int) -> tuple[str, int, int, int, int]:
-    """Compression, uncompressed size, CRC, and where the packed records begin and should end."""
+    """Return compression, uncompressed size, CRC, and begin and expected end of the packed records."""
     _, _, size, crc, name_length = _CHUNK_HEAD.unpack_from(data, start)
     at = start + _CHUNK_HEAD.size
     name = data[at : at + name_length].decode("ascii", "replace") if name_length <= 32 else "?"

@@ -2,12 +2,12 @@
 
 MCAP (specification: mcap.dev/spec) is a sequence of records, each ``opcode (u8), length (u64), content``.
 Messages sit in chunks (compressed, with a checksum); schemas and channels precede the messages that use them;
-after the data comes an index and an end mark. A file that is being written has an end mark after every write, without
-an index, which the next write takes the place of: a killed program leaves a whole MCAP file, that any reader reads from
-beginning to end. One that was cut (a pulled plug) has no end mark, but its whole chunks are as good as ever.
+after the data come an index and an end mark. After every write the file has an end mark without an index, which the
+next write replaces: a killed program leaves a complete MCAP file, which any reader reads sequentially. A truncated file
+(after a loss of power) has no end mark, but its complete chunks stay readable.
 
-The record layouts come from the package ``mcap``. Its ``Writer`` spends about 5 microseconds a message on
-Python objects; a flight has ten messages a row, so here a whole block of messages is framed at once.
+The record layouts come from the package ``mcap``. Its ``Writer`` takes about 5 microseconds a message for Python
+objects; a flight has ten messages a row, so this module frames a whole block of messages at once.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ MAGIC = b"\x89MCAP0\r\n"
 MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 """Head of a message: opcode, length, channel, sequence, log time, publish time."""
 MESSAGE_FIELDS_SIZE = 2 + 4 + 8 + 8
-"""Bytes of a message before its content, opcode and length left out."""
+"""Bytes of a message before its content, without opcode and length."""
 UNFINISHED_METADATA = "mufly.unfinished"
-"""Name of the metadata that stand before the end mark of a file that was not finished."""
+"""Name of the metadata before the end mark of an unfinished file."""
 
 
 def _encode_record(record: Any) -> bytes:
@@ -57,13 +57,13 @@ class McapWriter:
     ----------
     stream : binary file, open for writing, at its beginning
     library : str
-        Name and version of the program that writes.
+        Name and version of the writing program.
 
     Notes
     -----
-    Every write leaves a whole file, as one ``write`` and one ``flush``. Chunks are compressed
-    by Zstandard at level 1: a fifth to a third of the bytes of JSON numbers, in 4 microseconds a row (level 3
-    takes half as long again and saves nothing; LZ4 is a quarter quicker and leaves nearly twice the bytes).
+    Every write leaves a complete file, and is one ``write`` and one ``flush``. Chunks are compressed by Zstandard at
+    level 1, to between a fifth and a third of the bytes of JSON numbers, in 4 microseconds a row. Level 3 takes 1.5
+    times as long and saves nothing; LZ4 is a quarter faster and needs nearly twice the bytes.
     """
 
     def __init__(self, stream: BinaryIO, library: str) -> None:
@@ -72,7 +72,7 @@ class McapWriter:
         self._schemas: list[records.Schema] = []
         self._channels: list[records.Channel] = []
         self._introduced = 0
-        # Packed as they come: a recording of hours has one a second.
+        # Encoded one by one, since a recording of hours has one chunk a second.
         self._chunk_indexes = bytearray()
         self._chunks = 0
         self._first_ns: int | None = None
@@ -84,7 +84,7 @@ class McapWriter:
         self._append_data(MAGIC + _encode_record(records.Header(profile="", library=library)))
 
     def _append_data(self, data: bytes, end: bytes = _UNFINISHED_END) -> int:
-        """Write in place of the end mark (what an interrupted write left behind goes); the offset of the data."""
+        """Write over the end mark and the rest of an interrupted write; return the offset of the data."""
         start = self._end
         self._stream.seek(start)
         self._stream.write(data + end)
@@ -104,7 +104,7 @@ class McapWriter:
         return number
 
     def write_metadata(self, name: str, content: dict[str, str]) -> None:
-        """Append a record of names and texts."""
+        """Append a metadata record."""
         data = _encode_record(records.Metadata(name=name, metadata=content))
         start = self._append_data(data)
         self._metadata_indexes.append(records.MetadataIndex(start, len(data), name))

@@ -5,9 +5,9 @@ of :mod:`mufly.quantities` in their order. The writer, the schemas inside the fi
 ``docs/reference/recordings.md`` follow a :class:`RecordingLayout`; a file carries its own copy, so that it stays
 readable when the table grows.
 
-As a plain column a component is called ``variable_label`` (``measured_attitude_roll``). What columns alone cannot
-say (the dataset's attributes, events, labels of a user's own dimensions) travels as one JSON text where the format
-has room for it.
+As a plain column a component is called ``variable_label`` (``measured_attitude_roll``). Information outside the columns
+(the dataset's attributes, events, labels of a user's own dimensions) is stored as one JSON text where the format
+allows.
 """
 
 from __future__ import annotations
@@ -29,7 +29,14 @@ from numpy.typing import NDArray
 from mufly.logs.raw_log import Channel
 from mufly.quantities import DIMENSION_LABELS, Quantity, find_quantity, quantities_recorded_in
 
-_LAYOUT_FIELDS = ("name", "topic", "field", "dim", "units", "long_name")  # what a file says of a quantity
+_LAYOUT_FIELDS = (
+    "name",
+    "topic",
+    "field",
+    "dim",
+    "units",
+    "long_name",
+)  # stored fields of a quantity
 _TIME_ATTRIBUTES = {"units": "s", "long_name": "time"}
 _EVENT_VARIABLES = ("event_time", "event_state", "event_text", "event_level")
 
@@ -50,11 +57,11 @@ class RecordingLayout:
     Attributes
     ----------
     quantities : tuple of Quantity
-        In the order of the columns; those of one topic stand together.
+        Quantities in the order of the columns; those of one topic are adjacent.
     beam_count : int
         Number of range beams.
     other_labels : tuple of (dim, labels)
-        Labels of dimensions that :mod:`mufly.quantities` does not have, in recordings made from other people's logs.
+        Labels of dimensions that :mod:`mufly.quantities` does not have, in recordings made from foreign logs.
     """
 
     quantities: tuple[Quantity, ...]
@@ -66,7 +73,7 @@ class RecordingLayout:
             raise ValueError("the quantities of a topic must stand together")
 
     def component_labels(self, quantity: Quantity) -> tuple[str, ...] | tuple[int, ...]:
-        """Labels along the quantity's dimension; empty for a scalar."""
+        """Return the labels along the quantity's dimension; empty for a scalar."""
         if quantity.dim is None:
             return ()
         if quantity.dim == "beam":
@@ -75,7 +82,7 @@ class RecordingLayout:
 
     @cached_property
     def column_slices(self) -> dict[str, slice]:
-        """Columns of each variable in a row, ``{"truth_position": slice(1, 4), ...}``; time is column 0."""
+        """Return the columns of each variable in a row, ``{"truth_position": slice(1, 4), ...}``; time is column 0."""
         found: dict[str, slice] = {}
         first = 1
         for quantity in self.quantities:
@@ -86,12 +93,12 @@ class RecordingLayout:
 
     @cached_property
     def column_count(self) -> int:
-        """Number of columns of a row, the time included."""
+        """Number of columns of a row, time included."""
         return max((part.stop for part in self.column_slices.values()), default=1)
 
     @cached_property
     def quantities_by_topic(self) -> dict[str, tuple[Quantity, ...]]:
-        """The quantities of each topic, in order."""
+        """Return the quantities of each topic, in order."""
         names = dict.fromkeys(quantity.topic for quantity in self.quantities)
         return {name: tuple(q for q in self.quantities if q.topic == name) for name in names}
 
@@ -107,14 +114,14 @@ class RecordingLayout:
 
     @classmethod
     def from_json(cls, text: str) -> RecordingLayout:
-        """Inverse of :meth:`to_json`."""
+        """Return the layout of a JSON text, the inverse of :meth:`to_json`."""
         content = orjson.loads(text)
         others = tuple((dim, tuple(labels)) for dim, labels in content.get("labels", {}).items())
         return cls(tuple(Quantity(**q) for q in content["quantities"]), int(content["beams"]), others)
 
 
 def flight_layout(beams: int = 8, *, sensors: bool = False) -> RecordingLayout:
-    """Layout of the rows of a flight with ``beam_count`` range beams, on ideal sensors or on its own."""
+    """Return the layout of a flight's rows with ``beams`` range beams, on ideal sensors or on sensor models."""
     return RecordingLayout(
         quantities_recorded_in("flight", "sensors") if sensors else quantities_recorded_in("flight"), beams
     )
@@ -133,15 +140,16 @@ def rows_to_dataset(
     Parameters
     ----------
     rows : (n, layout.width) array
-        One row an instant; column 0 is the time (s).
+        One row for each instant; column 0 is the time (s).
     states : sequence of n str
         Mission state at each instant.
-    layout : Layout
-        Which column is what.
+    layout : RecordingLayout
+        Layout of the columns.
     attributes : mapping, optional
         Attributes of the dataset (vehicle, mission, seed, ...).
-    events : sequence of Event, optional
-        Become ``find_event_time``, ``event_state``, ``event_text``, ``event_level`` over the dimension ``event``.
+    events : sequence of FlightEvent, optional
+        Events, which become ``event_time``, ``event_state``, ``event_text``, ``event_level`` over the dimension
+        ``event``.
 
     Returns
     -------
@@ -181,7 +189,7 @@ def component_channels(dataset: xr.Dataset) -> list[Channel]:
     """Return the components of every variable over time, in order."""
     time = dataset["time"].values
     out = []
-    # Variables, not arrays: to make an array of each of n, xarray looks through all n coordinates anew.
+    # Variables, not data arrays: xarray searches all n coordinates for each array that it creates.
     for key in dataset.data_vars:
         name, variable = str(key), dataset.variables[key]
         units = str(variable.attrs.get("units", "1"))
@@ -198,21 +206,21 @@ def component_channels(dataset: xr.Dataset) -> list[Channel]:
 
 
 def make_dataset(time: NDArray[np.float64], channels: Sequence[Channel]) -> xr.Dataset:
-    """Put channels whose values are on one clock together as a dataset; components that are missing are NaN.
+    """Join channels on one clock to a dataset; missing components are NaN.
 
     Parameters
     ----------
     time : (n,) array
-        s.
+        Time (s).
     channels : sequence of Channel
-        With n values each; their own clocks do not matter.
+        Channels with n values each; their own clocks are ignored.
     """
     coords: dict[str, Any] = {"time": ("time", time, _TIME_ATTRIBUTES)}
     variables: dict[str, Any] = {}
     groups: dict[str, list[Channel]] = {}
     for channel in channels:
         groups.setdefault(channel.signal_name, []).append(channel)
-    # Variables that count their channels share that dimension, so it is as long as the longest of them.
+    # Variables that number their channels share a dimension, which is as long as the longest of them.
     counted: dict[str, list[int]] = {}
     for name, group in groups.items():
         known = find_quantity(name)
@@ -235,7 +243,7 @@ def make_dataset(time: NDArray[np.float64], channels: Sequence[Channel]) -> xr.D
 
 
 def to_json_value(value: Any) -> Any:
-    """Return a value as JSON can hold it."""
+    """Return a value in a type of JSON."""
     if isinstance(value, Mapping):
         return {str(k): to_json_value(v) for k, v in value.items()}
     if isinstance(value, list | tuple | set):
@@ -248,7 +256,7 @@ def to_json_value(value: Any) -> Any:
 
 
 def describe_dataset(dataset: xr.Dataset) -> str:
-    """Return as JSON what the columns do not say, for :func:`restore_dataset`."""
+    """Return as JSON the information outside the columns, for :func:`restore_dataset`."""
     variables = {}
     for key, variable in dataset.data_vars.items():
         if "time" in variable.dims and variable.ndim <= 2:
@@ -261,12 +269,12 @@ def describe_dataset(dataset: xr.Dataset) -> str:
 
 
 def restore_dataset(time: NDArray[np.float64], columns: Mapping[str, NDArray[Any]], description: str) -> xr.Dataset:
-    """Inverse of :func:`component_channels` and :func:`describe_dataset`.
+    """Return the dataset of columns and description, the inverse of :func:`component_channels`.
 
     Raises
     ------
     KeyError, ValueError, TypeError
-        If columns and description do not belong together.
+        If columns and description do not match.
     """
     content = json.loads(description)
     coords: dict[str, Any] = {"time": ("time", time, _TIME_ATTRIBUTES)}
@@ -286,10 +294,10 @@ def restore_dataset(time: NDArray[np.float64], columns: Mapping[str, NDArray[Any
 
 
 def to_csv(dataset: xr.Dataset, path: str | Path) -> Path:
-    """Write a recording as one comma-separated table, one row an instant.
+    """Write a recording as a comma-separated table, one row for each instant.
 
-    The header names variable, label and unit, ``truth_position_N [m]``; a pure number has no unit. Values are
-    written with as many digits as bring back the same float64; NaN is an empty cell.
+    The header has variable, label and unit, ``truth_position_N [m]``; a dimensionless number has no unit. Values have
+    enough digits to restore the same float64; NaN is an empty cell.
 
     Returns
     -------

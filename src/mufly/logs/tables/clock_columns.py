@@ -1,10 +1,9 @@
 """Clock of a table: its column, unit and epoch, and wraps of its counter.
 
-A unit in a header or in a container's metadata is believed. Where there is none, the magnitude of the numbers tells an
-epoch (1.7e12 are milliseconds since 1970, be there one row a minute or a thousand a second), else the step tells the
-unit. A counter that falls by the whole of its range (2^16, 2^24 or 2^32 ticks, a day, a week of the GPS) has wrapped
-and is counted on. One that falls otherwise has been restarted, which nobody can mend
-(:func:`mufly.logs.raw_log.select_usable_samples`).
+A unit in a header or in a container's metadata is used as stated. Without one, the magnitude of the numbers shows an
+epoch (1.7e12 are milliseconds since 1970, at any rate of the rows); otherwise the unit follows from the step. A counter
+that falls by its whole range (2^16, 2^24 or 2^32 ticks, a day, a GPS week) has wrapped and is unwrapped. A counter that
+falls by another amount was restarted, which cannot be repaired (:func:`mufly.logs.raw_log.select_usable_samples`).
 """
 
 from __future__ import annotations
@@ -38,12 +37,12 @@ _UNIT_SINCE_PATTERN = re.compile(r"^\s*(?P<unit>[^\d]*?\w)\s+since\s+(?P<epoch>.
 _TIME_ZONE_PATTERN = re.compile(r"(?:Z|UTC|GMT|[+-]\d\d(?::?\d\d)?)$")
 _TIME_OF_DAY_PATTERN = re.compile(r"^\d{1,2}:\d\d")
 _DATE_FORMATS = ("%Y-%m-%d", "%Y/%m/%d", "%Y.%m.%d", "%Y%m%d", "%d.%m.%Y", "%d-%m-%Y", "%d %b %Y", "%d-%b-%Y")
-# Stamps between these years are taken for an epoch: 2000 and 2060, s since 1970.
+# Stamps between these years count as an epoch: 2000 and 2060 (s since 1970).
 _EARLIEST_EPOCH_S, _LATEST_EPOCH_S = 946_684_800.0, 2_840_140_800.0
 _MAX_EPOCH_STEP_S = 300.0
-_MAX_CALENDAR_S = 6e10  # about the years 70 to 3870, which a calendar still holds
+_MAX_CALENDAR_S = 6e10  # about the years 70 to 3870, the range of the calendar functions
 _DAY_S, _WEEK_S = 86_400.0, 604_800.0
-_MIN_FORWARD_SHARE = 0.9  # share of the steps of a clock that go forward
+_MIN_FORWARD_SHARE = 0.9  # least share of increasing steps of a clock
 
 
 def extract_clock(
@@ -54,28 +53,28 @@ def extract_clock(
     Parameters
     ----------
     where : str
-        What an error calls the file.
+        Name of the file in errors.
     fields : dict of str to (n,) array
-        Columns, those of the time are removed: numbers, text, or NumPy's datetime64 and timedelta64.
+        Columns, from which those of the time are removed: numbers, text, or NumPy's datetime64 and timedelta64.
     units : dict of str to str
-        Units of the columns, that of the time is removed; also ``"milliseconds since 2024-08-09 10:00"`` (CF
+        Units of the columns, from which that of the time is removed; also ``"milliseconds since 2024-08-09 10:00"`` (CF
         conventions, section 4.4).
     entry : TimeEntry, optional
-        Which column is the clock and in which unit, or the rate of the rows.
+        Column and unit of the clock, or the rate of the rows.
 
     Returns
     -------
     time : (n,) array
-        s.
+        Time (s).
     start : str
-        Wall time of the instant 0 (ISO 8601), "" if the column does not tell.
+        Wall time of the instant 0 (ISO 8601); "" if the column has none.
     words : list of str
-        What was guessed or repaired.
+        Guesses and repairs, as sentences.
 
     Raises
     ------
     InputError
-        If there is no such column, or none that looks like a clock.
+        If the column does not exist, or no column is a plausible clock.
     """
     entry = entry or TimeEntry(column=None, unit=None, rate_hz=None)
     n = len(next(iter(fields.values()))) if fields else 0
@@ -123,7 +122,7 @@ def is_time_unit(unit: str) -> bool:
 
 
 def _find_clock_column(where: str, fields: Mapping[str, NDArray[Any]], units: Mapping[str, str]) -> str:
-    """The column of the time: by its name and unit, the first of those that run; else one whose type is a time."""
+    """Return the time column: the first running column with a name and unit of time, else a column of time type."""
     named = [c for c in fields if _TIME_COLUMN_PATTERN.match(c) and is_time_unit(units.get(c, ""))]
     typed = [c for c, v in fields.items() if v.dtype.kind in "Mm" and c not in named]
     dated = [c for c, v in fields.items() if _DATE_COLUMN_PATTERN.match(c) and v.dtype.kind == "U" and c not in named]
@@ -156,7 +155,7 @@ def _format_names(names: Any) -> str:
 
 
 def _join_nanoseconds(fields: dict[str, NDArray[Any]], units: dict[str, str]) -> str:
-    """Put a column of seconds and one of nanoseconds, as ROS stamps are written, together; "" if there is no pair."""
+    """Join columns of seconds and nanoseconds, as in ROS stamps, to one column; return "" if there is no such pair."""
     for name, seconds in fields.items():
         match = _SECONDS_COLUMN_PATTERN.match(name)
         if match is None or seconds.dtype.kind not in "iuf":
@@ -183,8 +182,8 @@ def _parse_epoch(where: str, name: str, unit: str, text: str) -> float:
 
 
 class _TextStamps(NamedTuple):
-    """Times read from text: nanoseconds since 1970 where ``has_date``, else since midnight; which are some; the
-    words."""
+    """Times read from text: nanoseconds since 1970 if ``has_date``, else since midnight; mask of valid stamps;
+    notes."""
 
     ns: NDArray[np.int64]
     valid: NDArray[np.bool_]
@@ -197,7 +196,7 @@ def _first_nonempty_text(values: NDArray[Any]) -> str:
 
 
 def _parse_text_stamps(where: str, name: str, values: NDArray[Any], day: NDArray[Any] | None) -> _TextStamps:
-    """Read ISO 8601, a date and a time of the day in one cell or in two, or a time of the day alone."""
+    """Read ISO 8601, a date and a time of day in one cell or in two, or a time of day alone."""
     first = _first_nonempty_text(values)
     texts = pd.Series(values.astype(object))
     if re.search(r":\d\d,\d", first):
@@ -238,7 +237,7 @@ def _parse_text_stamps(where: str, name: str, values: NDArray[Any], day: NDArray
 
 
 def _parse_dates(where: str, values: NDArray[Any]) -> tuple[NDArray[np.datetime64], list[str]]:
-    """Dates of a column, by one format for all of them."""
+    """Return the dates of a column, with one format for all of them, and notes."""
     texts = values if values.dtype.kind in "UO" else np.array([f"{v:.0f}" for v in values])
     known, place = np.unique(np.char.strip(texts.astype(str)), return_inverse=True)
     filled = known[known != ""]
@@ -249,7 +248,7 @@ def _parse_dates(where: str, values: NDArray[Any]) -> tuple[NDArray[np.datetime6
     if not whole:
         first = filled[0] if len(filled) else ""
         raise InputError(where, "", f"{first!r} is not a date", "write dates as 2024-08-09")
-    # Of two readings the one whose days lie together: the 4th and 5th of May, not April and May.
+    # Of two possible formats the one with closer days is used: the 4th and 5th of May, not April and May.
     best = min(whole, key=lambda r: r.max() - r.min())
     if len(whole) > 1 and all(r is not b for r in whole for b in readings):
         shown = best[0].strftime("%d %B %Y")
@@ -260,7 +259,7 @@ def _parse_dates(where: str, values: NDArray[Any]) -> tuple[NDArray[np.datetime6
 
 
 def _add_midnight_days(ns: NDArray[np.int64], valid: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Stamps whose date was written once and stays while the time of the day begins anew."""
+    """Return stamps with a constant date, plus one day at each midnight."""
     out = ns.copy()
     steps = np.diff(ns[valid])
     day = int(_DAY_S * 1e9)
@@ -300,7 +299,7 @@ def _clock_from_numbers(
     _, factor, _ = unit_conversion(unit, "s")
     values, wrapped = unwrap_counter(values, factor)
     said += [f"column {name}: {w}" for w in wrapped]
-    # A thousandth of a second written as 0.001 is not 1 times 0.001 in every case; dividing is exact more often.
+    # A thousandth of a second in decimals is not always 1 times 0.001; dividing is exact more often.
     whole = round(1 / factor)
     exact = whole > 1 and abs(whole * factor - 1) < 1e-12
 
@@ -345,7 +344,8 @@ def _year_of(since_s: float) -> int:
 
 
 def _guess_time_unit(values: _Array) -> tuple[str, str]:
-    """The unit of a clock that names none, and why: an epoch by its size, else by the size of the step."""
+    """Return the unit of a clock without stated unit, and the reason: an epoch by its size, else the size of the
+    step."""
     known = values[np.isfinite(values)]
     steps = np.diff(np.unique(known))
     if not len(steps):
@@ -378,14 +378,14 @@ def _guess_time_unit(values: _Array) -> tuple[str, str]:
 def unwrap_counter(values: _Array, unit_s: float) -> tuple[_Array, list[str]]:
     """Unwrap a counter.
 
-    A step back by the whole range of a counter, to within five of its median steps, is a wrap; any other is left.
+    A step back by the whole range of a counter, within five of its median steps, is a wrap; other steps are kept.
 
     Parameters
     ----------
     values : (n,) array
-        As counted; NaN is no stamp.
+        Counts as written; NaN is no stamp.
     unit_s : float
-        One count (s).
+        Duration of one count (s).
 
     Returns
     -------
@@ -422,7 +422,7 @@ def unwrap_counter(values: _Array, unit_s: float) -> tuple[_Array, list[str]]:
 
 
 def _counter_ranges(counts: _Array, unit_s: float) -> list[tuple[float, str]]:
-    """Ranges of counters in counts, with what is said of one that ends."""
+    """Return the ranges of counters (counts), with the description of each for a note."""
     out = []
     if bool((counts % 1 == 0).all()):
         out = [(2.0**bits, f"its counter of {bits} bits wraps") for bits in (16, 24, 32)]

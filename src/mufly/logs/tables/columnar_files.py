@@ -1,9 +1,9 @@
 """Tables in containers with units: Parquet, Feather (Arrow) and NetCDF 3.
 
-What a container says of a unit is law: Arrow's types of time with their resolution and zone; the metadata ``units`` or
+Units stated by a container take precedence: Arrow's types of time with resolution and zone; the metadata ``units`` or
 ``unit`` of a field; NetCDF's attribute ``units``, with ``"milliseconds since 2024-08-09 10:00"`` for times (CF
-conventions). Where the name of a column says otherwise the metadata count, and the contradiction is said. What this
-package wrote comes back as it was.
+conventions). If the name of a column contradicts its metadata, the metadata count, and a note reports it. Files of this
+package are restored unchanged.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def _import_pyarrow(kind: str) -> ModuleType:
 
 
 def write_parquet(dataset: xr.Dataset, path: Path) -> None:
-    """Write a dataset as one table, a column a component; units stand in the fields' metadata."""
+    """Write a dataset as one table with a column for each component; units are in the fields' metadata."""
     pyarrow = _import_pyarrow("Parquet")
     columns = component_channels(dataset)
     fields = [pyarrow.field("time", pyarrow.float64(), metadata={"units": "s"})]
@@ -73,7 +73,7 @@ def read_arrow(path: str | Path, kind: str, time: TimeEntry | None = None) -> tu
     Raises
     ------
     InputError
-        If it is damaged, or pyarrow is missing.
+        If the file is damaged, or pyarrow is missing.
     """
     pyarrow = _import_pyarrow(kind)
     where = str(path)
@@ -84,7 +84,7 @@ def read_arrow(path: str | Path, kind: str, time: TimeEntry | None = None) -> tu
         given = [_read_arrow_unit(entry, metadata) for entry in table.schema]
         columns = [_arrow_to_numpy(pyarrow, c) for c in table.columns]
         index = _pandas_index_columns(metadata)
-    except Exception as error:  # whatever damage provokes in pyarrow, names that are no text included
+    except Exception as error:  # any error of pyarrow on damaged data, including invalid names
         reason = " ".join(str(error).split())[:120]
         raise InputError(where, "", f"is a damaged {kind} file ({reason})", "give another copy") from error
     if _METADATA_KEY in metadata:
@@ -97,7 +97,7 @@ def read_arrow(path: str | Path, kind: str, time: TimeEntry | None = None) -> tu
             raise InputError(where, "", f"has a damaged description ({error})", "give another copy") from error
         start = str(dataset.attrs.get("start_time", ""))
         return RawLog(where, kind, {TABLE_TOPIC: RawTable(TABLE_TOPIC, clock, fields, units)}, start), dataset
-    # The index of a frame comes first among the columns of which one is the clock.
+    # The index of a data frame is the first candidate for the clock.
     order = sorted(range(len(names)), key=lambda k: names[k] not in index)
     names, given, columns = [names[k] for k in order], [given[k] for k in order], [columns[k] for k in order]
     fields, units, notes = name_columns(names, given, columns)
@@ -106,7 +106,7 @@ def read_arrow(path: str | Path, kind: str, time: TimeEntry | None = None) -> tu
 
 
 def _read_arrow_unit(entry: Any, metadata: Mapping[bytes, bytes]) -> str:
-    """The unit in a field's metadata, or in the table's attributes as pandas writes them."""
+    """Return the unit in a field's metadata, or in the table's attributes as written by pandas."""
     own = {k.decode(errors="replace").lower(): v.decode(errors="replace") for k, v in (entry.metadata or {}).items()}
     unit = next((own[k] for k in _UNIT_KEYS if k in own), "")
     if not unit and b"PANDAS_ATTRS" in metadata:
@@ -123,7 +123,7 @@ def _pandas_index_columns(metadata: Mapping[bytes, bytes]) -> set[str]:
 
 
 def _arrow_to_numpy(pyarrow: ModuleType, column: Any) -> NDArray[Any]:
-    """Numbers, text, or NumPy's times; numbers of any kind as they are, whole ones without gaps as integers."""
+    """Return a column as numbers, text or NumPy times; integers without gaps stay integers."""
     kinds = pyarrow.types
     if kinds.is_dictionary(column.type):
         column = column.cast(column.type.value_type)
@@ -156,7 +156,7 @@ def _make_foreign_log(
     time: TimeEntry | None,
     zoneless: Set[str] = frozenset(),
 ) -> RawLog:
-    """A log of somebody else's table: its clock taken out, other times in seconds, numbers as floats."""
+    """Return the log of a foreign table: clock extracted, other times in seconds, numbers as floats."""
     before = set(fields)
     clock, start, said = extract_clock(where, fields, units, time)
     said += [f"column {n} names no time zone: taken as UTC" for n in before - set(fields) if n in zoneless]
@@ -172,7 +172,7 @@ def _make_foreign_log(
 
 
 def write_netcdf(dataset: xr.Dataset, path: Path) -> None:
-    """Write a dataset as NetCDF 3, for any program that reads that; attributes that NetCDF cannot hold as JSON."""
+    """Write a dataset as NetCDF 3; attributes that NetCDF cannot hold are written as JSON."""
     out = dataset.copy()
     out.attrs = {_ATTRIBUTES_KEY: json.dumps(to_json_value(dataset.attrs))}
     out.attrs |= {k: v for k, v in dataset.attrs.items() if isinstance(v, str) and v}
@@ -199,7 +199,7 @@ def read_netcdf(path: str | Path, time: TimeEntry | None = None) -> tuple[RawLog
     Raises
     ------
     InputError
-        If it is damaged, holds nothing over time, or its time has a unit that is unknown.
+        If the file is damaged, has no variable over time, or its time has an unknown unit.
     """
     where = str(path)
     try:

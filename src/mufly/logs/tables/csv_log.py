@@ -1,7 +1,7 @@
 """Reader of text tables as logs: units from header, unit line and preamble, and the clock.
 
-Cells that are no number are missing values, and counted. A row with fewer cells than the header is left out and said,
-since nobody knows which cell is missing (:mod:`mufly.text_table`).
+Cells that are no number become missing values, and are counted. A row with fewer cells than the header is omitted and
+reported, because the missing cell is unknown (:mod:`mufly.text_table`).
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ TABLE_TOPIC = "table"
 
 
 def read_csv(path: str | Path, time: TimeEntry | None = None) -> RawLog:
-    """Read a table of text as a log with the one topic ``table``.
+    """Read a text table as a log with the single topic ``table``.
 
     Parameters
     ----------
     path : str or Path
     time : TimeEntry, optional
-        Which column is the clock and in which unit, or the rate of the rows. Default: a column called time, t or the
-        like, whose unit, if the header names none, is guessed from its step and said.
+        Column and unit of the clock, or the rate of the rows. Default: a column called time, t or the like; without a
+        unit in the header the unit is guessed from the step, and reported.
 
     Raises
     ------
     InputError
-        If it is no table, or its clock cannot be found.
+        If the file is no table, or its clock cannot be found.
     """
     table = read_text_table(path, short_rows="drop")
     columns = table.parse_columns()
@@ -60,14 +60,14 @@ def read_csv(path: str | Path, time: TimeEntry | None = None) -> RawLog:
 def name_columns(
     names: list[str], given: list[str], columns: list[NDArray[Any]]
 ) -> tuple[dict[str, NDArray[Any]], dict[str, str], list[str]]:
-    """Return columns by name, their units, and what is said of those.
+    """Return columns by name, their units, and notes on the units.
 
     Parameters
     ----------
     names : list of str
-        Headers, of which the end may be a unit.
+        Headers, which may end with a unit.
     given : list of str
-        Units that the file states elsewhere, ``""`` for none; they come before the ends of names.
+        Units stated elsewhere in the file, ``""`` for none; they take precedence over those in headers.
     columns : list of (n,) arrays
     """
     fields: dict[str, NDArray[Any]] = {}
@@ -103,11 +103,13 @@ def name_columns(
 
 
 def _set_blackbox_units(preamble: dict[str, str], fields: dict[str, NDArray[Any]], units: dict[str, str]) -> None:
-    """Units of Blackbox Explorer's raw numbers, by the scales that its header names.
+    """Set the units of Blackbox Explorer's raw numbers, by the scales in its header.
 
-    Time is in microseconds; the gyroscope's numbers times ``gyro_scale`` (a float's bits in hexadecimal) are degrees
-    per second; those of the accelerometer over ``acc_1G`` are multiples of the earth's acceleration (Betaflight,
-    blackbox-log-viewer, src/flightlog.js).
+    Time is in microseconds. The gyroscope's numbers times ``gyro_scale`` (a float's bits in hexadecimal) are degrees
+    per
+    second. The accelerometer's numbers over ``acc_1G`` are multiples of standard gravity (Betaflight,
+    blackbox-log-viewer,
+    src/flightlog.js).
     """
     if "gyro_scale" not in preamble and "acc_1G" not in preamble:
         return
