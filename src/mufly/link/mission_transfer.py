@@ -11,8 +11,7 @@ Protocol")::
                                ◀─────       Ack                                   Ack           ─────▶
 
 Packets get lost, doubled, delayed and reordered. The receiver drives the transfer: it requests one item after the
-other,
-repeats unanswered requests, and ignores items that it does not wait for. Complete items are handed over once.
+other, repeats unanswered requests, and ignores items that it does not wait for. Complete items are handed over once.
 
 MAVLink items do not name their transfer. So that two missions are not mixed, a receiver that starts again first waits
 until packets of the last transfer have arrived (`SETTLE_TIME_S`). A sender that starts again first stops the receiver
@@ -182,8 +181,7 @@ class MissionReceiver:
     ----------
     judge : callable
         Called with the complete items; returns the result to acknowledge (:class:`MissionResult` or its number). A
-        refusal
-        must leave everything unchanged.
+        refusal must leave everything unchanged.
     mission_type : int
         MAV_MISSION_TYPE; messages of other types are ignored.
     limit : int

@@ -344,15 +344,11 @@ def check_clock(time: _Array, gap_factor: float = MIN_GAP_STEPS) -> ClockReport:
 def find_foreign_stamps(times: Mapping[str, NDArray[Any]]) -> tuple[dict[str, NDArray[np.bool_]], list[str]]:
     """Find stamps in another epoch than the log.
 
-    No flight lasts a day, but epochs differ by years: the board's clock counts since its start, the GPS clock since
-    1980 or
-    since Sunday, UTC since 1970; a stamp never set is 0, and a damaged stamp may have any value. Stamps of all topics
-    that
-    are separated by a day or more belong to different clocks. The clock of the log is the one of most topics, each
-    counted
-    by the share of its stamps there; of equal clocks it is the one with more stamps. If no clock has half of the
-    topics,
-    the epoch is undecidable, and no stamp is foreign.
+    No flight lasts a day, but epochs differ by years. The board's clock counts since its start, the GPS clock since
+    1980 or since Sunday, UTC since 1970. A stamp never set is 0, and a damaged stamp may have any value. Stamps of all
+    topics that are separated by a day or more belong to different clocks. The clock of the log is the one of most
+    topics, each counted by the share of its stamps there; of equal clocks it is the one with more stamps. If no clock
+    has half of the topics, the epoch is undecidable, and no stamp is foreign.
 
     Parameters
     ----------

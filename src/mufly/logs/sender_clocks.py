@@ -1,12 +1,12 @@
 """Send times of packets from several senders, by arrival, packet numbers and each sender's clock.
 
-An arrival minus the sender's clock is the instant of the sender's start plus the delay of the link. It is the same for
-all packets of one run but for their delay, and a start lies after all that was said before it. So a late packet (its
-number or clock lies behind) is told from a start: after a start the clock says no more than the silence before it
-lasted, and the packets that follow agree. The clock is tied to the arrival by the packet that was quickest, which no
-link can be faster than, anew after each start.
+An arrival minus the sender's clock is the instant of the sender's start plus the delay of the link. Within one run it
+varies only with the delay, and a start lies after all earlier messages. Late packets (number or clock behind) and
+restarts are distinguished accordingly: after a restart the clock shows at most the duration of the silence before, and
+the following packets agree. After each start the clock is synchronised with the arrival of the fastest packet, which
+had the least delay.
 
-Packets are known by their *place*, their count in the order of the file, which is the order of arrival.
+The *place* of a packet is its index in the order of the file, which is the order of arrival.
 """
 
 from __future__ import annotations
@@ -24,37 +24,38 @@ MessageKey = tuple[int, int, str]
 PacketPlaces = Mapping[MessageKey, NDArray[np.int64]]
 """Indices of the packets of each sender and kind."""
 SenderClock = tuple[str, NDArray[np.float64]]
-"""Name of the field that holds a clock, or ``"since 1970"``; and the clock (s)."""
+"""Field with a clock, or ``"since 1970"``; and the clock (s)."""
 _Array = NDArray[np.float64]
-# A clock that steps back by more than this was reset.
+# A clock that steps back by more than this (s) was reset.
 _MIN_CLOCK_RESET_S = 1.0
 _MAX_LATENESS_S = 5.0
 _LONGEST_UPTIME_S, _YEAR_2000_S = 1e8, 946_684_800.0
-_WRAP_PERIOD_S, _NEAR_WRAP_S = 2**32 / 1e3, 60.0  # of 32 bits in ms
+_WRAP_PERIOD_S, _NEAR_WRAP_S = 2**32 / 1e3, 60.0  # wrap of 32 bits in ms
 _MIN_OUTLIER_S = 2.0
-# So many samples agree on what a clock says.
+# Number of samples that must agree on a clock's offset.
 _MEDIAN_SAMPLES = 11
-# An arrival that leaps by more than this while the clock goes on by less than that (s); and by so many usual steps.
+# A leap of the arrival beyond the first (s) while the clock advances by less than the second (s), and by so many usual
+# steps.
 _MIN_ARRIVAL_LEAP_S, _MAX_CLOCK_STEP_S, _MIN_LEAP_STEPS = 5.0, 2.0, 10.0
-# The same packet within this time, and so many others of its sender, came twice (s).
+# Longest time (s) and most packets of the same sender between two copies of a doubled packet.
 _DUPLICATE_WINDOW_S, _DUPLICATE_WINDOW_PACKETS = 1.0, 100
-_REORDER_STEP_S = 1e-6  # by so much a late packet is put before its follower
-# More packets behind their forerunner than this share, and numbers do not count; a silence of so many median steps.
+_REORDER_STEP_S = 1e-6  # distance of a late packet before its successor
+# Share of packets out of order above which numbers are not used; silence in median steps.
 _MAX_UNORDERED_SHARE, _MIN_PAUSE_STEPS = 0.05, 20.0
 
 
 def repair_arrival_times(arrival: _Array, kept: NDArray[np.int64]) -> tuple[_Array, NDArray[np.int64], list[str]]:
-    """Return times of arrival that run forward, as the order in the file is that of arrival.
+    """Return increasing times of arrival, since the order in the file is that of arrival.
 
-    Single stamps far from those on either side are interpolated; where the recording computer's clock was set back,
-    what follows goes on from there.
+    Single stamps far from both neighbours are interpolated; where the recording computer's clock was set back, later
+    stamps are shifted to continue.
 
     Parameters
     ----------
     arrival : (n,) array
         Stamps by place (s).
     kept : (m,) int array
-        Places that count, increasing.
+        Places of the packets in use, increasing.
 
     Returns
     -------
@@ -62,7 +63,7 @@ def repair_arrival_times(arrival: _Array, kept: NDArray[np.int64]) -> tuple[_Arr
     set_back : (k,) int array
         Places at which the computer's clock was set back.
     words : list of str
-        What was repaired.
+        Repairs, as sentences.
     """
     t = arrival[kept]
     words = []
@@ -88,9 +89,9 @@ def repair_arrival_times(arrival: _Array, kept: NDArray[np.int64]) -> tuple[_Arr
 
 
 def _unwrap_sequence_numbers(numbers: NDArray[np.int64], arrival: _Array) -> NDArray[np.int64] | None:
-    """Count in which one sender's packets were sent, from their numbers of 8 bits; None where those do not count.
+    """Unwrap the 8-bit numbers of one sender's packets to their order of sending; None if they are no count.
 
-    Two links that were recorded together count separately, and some programs do not count at all.
+    Two links recorded together number their packets separately, and some programs do not number them.
     """
     step = (np.diff(numbers) + 128) % 256 - 128
     behind = np.flatnonzero(step <= 0)
@@ -98,7 +99,7 @@ def _unwrap_sequence_numbers(numbers: NDArray[np.int64], arrival: _Array) -> NDA
         return None
     pause = _MIN_PAUSE_STEPS * float(np.median(np.diff(arrival))) if len(arrival) > 1 else 0.0
     for k in behind.tolist():
-        # A late packet is followed by those that it belongs before; after an outage or a start the count goes on.
+        # A late packet precedes packets already received; after an outage or a restart the count continues.
         returns = np.cumsum(step[k : k + 64]).max() > 0
         if step[k] == 0 or not returns or arrival[k + 1] - arrival[k] > pause:
             step[k] += 256
@@ -108,22 +109,23 @@ def _unwrap_sequence_numbers(numbers: NDArray[np.int64], arrival: _Array) -> NDA
 def order_by_number(
     places: PacketPlaces, arrival: _Array, number: NDArray[np.int64]
 ) -> tuple[_Array, NDArray[np.bool_]]:
-    """Sort packets by their sender's numbers, and find duplicates.
+    """Correct the order of arrival by the senders' packet numbers, and find duplicates.
 
     Parameters
     ----------
     places : dict
+        Places of the packets of each sender and kind.
     arrival : (n,) array
-        By place (s).
+        Times of arrival by place (s).
     number : (n,) int array
-        Checksum * 256 + number of the packet, by place.
+        Checksum * 256 + packet number, by place.
 
     Returns
     -------
     arrival : (n,) array
-        A late packet arrives no later than those that were sent after it.
+        Times by which a late packet arrives no later than packets sent after it.
     again : (n,) bool array
-        Packets that came before already. Senders that do not count have none.
+        Whether a packet is a copy of an earlier one. Senders without numbers have none.
     """
     arrival, again = arrival.copy(), np.zeros(len(arrival), dtype=bool)
     senders: defaultdict[tuple[int, int], list[NDArray[np.int64]]] = defaultdict(list)
@@ -147,14 +149,14 @@ def order_by_number(
 
 
 def find_sender_clock(fields: Mapping[str, NDArray[Any]]) -> SenderClock | None:
-    """Return the name of the field that holds the sender's clock, and that clock: s since it started, or since 1970.
+    """Return field and values of the sender's clock (s since its start or since 1970).
 
-    None where no field does, or a stamp was never set.
+    None if no field is a clock, or a stamp was never set.
     """
     for name, tick in (("time_boot_ms", 1e3), ("time_usec", 1e6)):
         if name in fields:
             time = fields[name].astype(np.float64) / tick
-            # A simulation may begin at 0; later a 0 is a stamp that was never set.
+            # A simulation may begin at 0; a later 0 is a stamp never set.
             rest = time[1:] if len(time) > 1 else time
             since_start = time.max() < _LONGEST_UPTIME_S
             if rest.min() > 0 and (since_start or time.min() > _YEAR_2000_S):
@@ -163,7 +165,7 @@ def find_sender_clock(fields: Mapping[str, NDArray[Any]]) -> SenderClock | None:
 
 
 class _ClockSamples(NamedTuple):
-    """What one sender's clock says over the log: the clocks of its leading topics in the order of the file."""
+    """Samples of one sender's clock over the log: the clocks of its leading topics in the order of the file."""
 
     file_positions: NDArray[np.int64]
     arrival_s: _Array
@@ -181,8 +183,8 @@ def _collect_clock_samples(
 
 
 class _ClockRestart(NamedTuple):
-    """The sample at which a clock begins anew, whether the sender started there (else its clock was set back), and
-    the least difference of arrival and clock that packets behind it can have (s)."""
+    """The sample at which a clock restarts, whether the sender restarted there (else its clock was set back), and the
+    least difference of arrival and clock of later packets (s)."""
 
     first_sample: int
     sender_restarted: bool
@@ -198,7 +200,7 @@ def _find_clock_restarts(run: _ClockSamples) -> list[_ClockRestart]:
     out: list[_ClockRestart] = []
     for k in (np.flatnonzero(back | new) + 1).tolist():
         begun = out[-1].first_sample if out else 0
-        # Of the run that goes on, whatever packet of the one before came late into it.
+        # Of the continuing run, even if late packets of the run before are among it.
         level = max(float(since[begun]), float(np.median(since[max(begun, k - _MEDIAN_SAMPLES) : k])))
         by = float(np.median(since[k : k + _MEDIAN_SAMPLES])) - level
         if by <= _MIN_CLOCK_RESET_S:
@@ -207,13 +209,13 @@ def _find_clock_restarts(run: _ClockSamples) -> list[_ClockRestart]:
         if new[k - 1] and level + by >= earliest:
             out.append(_ClockRestart(k, True, earliest))
         elif back[k - 1] and len(since) - k >= _MEDIAN_SAMPLES and rest[k] > level + 0.5 * by:
-            # Set back to another time: the clock never again agrees with what it said before.
+            # Set back to another time: the clock does not return to its former offset.
             out.append(_ClockRestart(k, False, level + 0.5 * by))
     return out
 
 
 def _min_differences(since: _Array, borders: Sequence[_ClockRestart]) -> _Array:
-    """The least difference of arrival and clock in each run (s); packets of the run before do not count."""
+    """Return the least difference of arrival and clock in each run (s), without packets of the run before."""
     parts = np.split(since, [b.first_sample for b in borders])
     least = [-np.inf, *(b.min_difference_s for b in borders)]
     return np.array([part[part >= bound].min() for part, bound in zip(parts, least, strict=True)])
@@ -228,8 +230,9 @@ def remove_arrival_leaps(
 ) -> tuple[_Array, list[str]]:
     """Remove jumps of the arrival time that the vehicle's clock does not show.
 
-    Where the recording computer's clock is set, the vehicle's goes on; a vehicle that starts begins at 0, and a link
-    that stalls catches up. How long it took to set the clock back (at the places ``set_back``) the vehicle's tells.
+    When the recording computer's clock is set, the vehicle's clock continues; when a vehicle starts, its clock begins
+    at 0; after a stall of the link both agree again. The vehicle's clock gives the duration of a step back (at the
+    places ``set_back``).
 
     Returns
     -------
@@ -275,17 +278,18 @@ def estimate_sending_times(
     Parameters
     ----------
     arrival : (n,) array
-        By place (s).
+        Times of arrival by place (s).
     places, clocks : dict
-        Of each sender and kind of message; kinds without a clock have none in ``clocks``.
+        Places and clocks of each sender and kind of message; kinds without a clock are missing in ``clocks``.
     vehicle : (system, component)
+        MAVLink address of the vehicle.
 
     Returns
     -------
     times : dict
-        Of those messages whose clock can be tied (s).
+        Sending times of the messages whose clock can be synchronised (s).
     words : list of str
-        What is to be said of the clocks.
+        Notes on the clocks.
     """
     out: dict[MessageKey, _Array] = {}
     words: list[str] = []
@@ -305,14 +309,14 @@ def estimate_sending_times(
             clock = _unwrap_clock(clock, places[key], after) if name == "time_boot_ms" else clock
             came = arrival[places[key]]
             k = np.searchsorted(run.file_positions[at], places[key], side="right")
-            # A packet may be late over a start, or a topic be the first to speak after one.
+            # A packet may arrive after a restart, or a topic be the first after one.
             near = np.clip(k + np.array([[-1], [0], [1]]), 0, len(quickest) - 1)
             delay = came - clock - quickest[near]
             delay[delay < -_MIN_CLOCK_RESET_S / 2] = np.inf
             best = np.take_along_axis(near, delay.argmin(axis=0)[None], axis=0)[0]
             time = clock + quickest[np.where(np.isfinite(delay.min(axis=0)), best, k)]
             lag = came - time
-            # A clock of another kind (that of the GPS receiver) does not fit, a lazy link does.
+            # A clock of another kind (of the GPS receiver) does not fit, a slow link does.
             if name == "time_boot_ms" or (lag.min() > -_MIN_CLOCK_RESET_S and np.median(lag) < _MAX_LATENESS_S):
                 out[key] = time
         who = "the vehicle" if (system, component) == vehicle else f"component {system}.{component}"
@@ -326,5 +330,5 @@ def estimate_sending_times(
 
 
 def _unwrap_clock(clock: _Array, places: NDArray[np.int64], after: int) -> _Array:
-    """A clock of 32 bits in ms (s), of which packets behind the place ``after`` were sent after it wrapped."""
+    """Unwrap a clock of 32 bits in ms (returned in s); packets after the place ``after`` were sent after the wrap."""
     return np.where((places >= after) & (clock < 0.5 * _WRAP_PERIOD_S), clock + _WRAP_PERIOD_S, clock)

@@ -285,8 +285,7 @@ def _choose_vehicle(rows: _MessageRows) -> tuple[tuple[int, int], list[str]]:
 
     The vehicle is the sender of the heartbeats with the best rank; of equals the one of a known type, then the one with
     most messages. If no sender qualifies: a sender without heartbeats (component 1 first), then an antenna tracker,
-    then
-    the one with most messages.
+    then the one with most messages.
     """
     beats = _summarise_heartbeats(rows)
     counts: Counter[tuple[int, int]] = Counter()
@@ -417,8 +416,7 @@ class TlogWriter:
     """Writer of a telemetry log: packets are appended, each after the time of its arrival or departure.
 
     Ground stations for MAVLink and :func:`read_tlog` read the file. It is flushed every second, which limits the loss
-    when
-    the process is killed.
+    when the process is killed.
 
     Parameters
     ----------

@@ -106,10 +106,8 @@ def _set_blackbox_units(preamble: dict[str, str], fields: dict[str, NDArray[Any]
     """Set the units of Blackbox Explorer's raw numbers, by the scales in its header.
 
     Time is in microseconds. The gyroscope's numbers times ``gyro_scale`` (a float's bits in hexadecimal) are degrees
-    per
-    second. The accelerometer's numbers over ``acc_1G`` are multiples of standard gravity (Betaflight,
-    blackbox-log-viewer,
-    src/flightlog.js).
+    per second. The accelerometer's numbers over ``acc_1G`` are multiples of standard gravity (Betaflight,
+    blackbox-log-viewer, src/flightlog.js).
     """
     if "gyro_scale" not in preamble and "acc_1G" not in preamble:
         return
