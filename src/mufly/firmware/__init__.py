@@ -1,4 +1,4 @@
-"""What runs on board? The controllers as C99, exported with a vehicle's numbers, built and flown on this machine."""
+"""Export the flight software as C99 with a vehicle's numbers, and build, fly and verify it on this machine."""
 
 from mufly.firmware.compiled_software import FirmwareSoftware, GenericFirmwareSoftware
 from mufly.firmware.evidence_report import write_report

@@ -1,6 +1,7 @@
-"""Which branches of the C are reached? Built with counts, flown and fed in a process that writes them as it ends.
+"""Measure the branch coverage of the exported C code.
 
-``python -m mufly.firmware.branch_coverage TREE VEHICLE``, as :mod:`mufly.firmware.evidence_report` calls it.
+The code is built with gcov counters, which the process writes when it ends. :mod:`mufly.firmware.evidence_report`
+therefore runs ``python -m mufly.firmware.branch_coverage TREE VEHICLE``.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from mufly.toolchain import COMPILER_FLAGS
 from mufly.vehicle import Vehicle, load_vehicle
 
 FUZZ_PARTS, FUZZ_INPUT_COUNT = 5, 3000
-"""Of the harness of the fuzzer, and how many inputs are drawn for it."""
+"""Number of parts of the fuzzing harness, and number of random inputs."""
 
 
 FLIGHT_COUNT, COMMAND_EXAMPLE_COUNT = 8, 150
@@ -38,7 +39,7 @@ SENSOR_FAULTS = (
     "position.late@14s pressure.drift@14s gyro.insane@16s+0.5s ring.outliers@13s gyro.outliers@17s sonar.outliers@15s",
     "position.drift=0.3@14s magnetometer.jump@14s pressure.jump@15s rotor_speed.jump@15s sonar.drift@14s",
 )
-"""Drawn flights, and sequences of commands; faults of sensors, all together, beside those drawn."""
+"""Number of random flights and of command sequences; sensor faults added to the random ones, a line for each flight."""
 
 
 HOP_MISSION = {
@@ -48,11 +49,11 @@ HOP_MISSION = {
     ],
     "room": {"north_m": [-1.5, 1.5], "east_m": [-1.5, 1.5], "height_m": 3.0},
 }
-"""In a room whose walls the ring sees."""
+"""Mission in a room whose walls are within the range of the beams."""
 
 
 def build_instrumented(folder: Path) -> Path:
-    """Build an exported tree, whole numbers and the fuzzer's harness included, with counts of branches."""
+    """Build an exported tree with branch counters, including the fixed-point law and the fuzzing harness."""
     flags = [
         "gcc",
         *COMPILER_FLAGS,
@@ -75,7 +76,7 @@ def build_instrumented(folder: Path) -> Path:
 
 
 def run_coverage_workload(folder: Path, vehicle: Vehicle) -> None:
-    """Fly both missions by the counted code, on sensors and by whole numbers; feed it bytes, of ``corpus/`` and any."""
+    """Run the instrumented code: missions on sensors, the fixed-point law, comparison tests, and fuzzing inputs."""
     library = str(build_instrumented(folder))
     controller = design_flight_controller(vehicle)
     firmware = Firmware.__new__(Firmware)
@@ -95,7 +96,7 @@ def run_coverage_workload(folder: Path, vehicle: Vehicle) -> None:
     def make_fixed_point_controllers(c: FlightController) -> fixed_point_law.FixedPointFirmwareControllers:
         return fixed_point_law.FixedPointFirmwareControllers(c, whole)
 
-    # Its own libraries give way to the one that counts; the records are laid out alike.
+    # The instrumented library replaces the regular ones; the record layouts are equal.
     changed: Any = fixed_point_law
     changed._loaded = lambda text, cc: (fixed_ffi, fixed_ffi.dlopen(library))
     kept: Any = filter_backend._load_filter_library
@@ -127,14 +128,16 @@ def run_coverage_workload(folder: Path, vehicle: Vehicle) -> None:
     rng = np.random.default_rng(0)
     for k in range(FUZZ_INPUT_COUNT):
         data = rng.integers(0, 256, int(rng.integers(64, 4096)), dtype=np.uint8)
-        if k % 3:  # calm: small numbers of everything, no special ones
+        if k % 3:  # small numbers without special values
             data = (data.astype(float) ** 2 / 300.0).astype(np.uint8)
-        data[0] = k % FUZZ_PARTS + (130 if k % 4 == 0 else 0)  # 130 is a multiple of the parts: no wild number comes
+        data[0] = k % FUZZ_PARTS + (
+            130 if k % 4 == 0 else 0
+        )  # 130 is a multiple of FUZZ_PARTS and selects plain numbers
         firmware.lib.LLVMFuzzerTestOneInput(firmware.ffi.from_buffer("uint8_t[]", data.tobytes()), len(data))
 
 
 def _run_comparison_tests(counted: Firmware) -> None:
-    """Run the tests that compare the languages, with the code that counts, where they are at hand."""
+    """Run the tests that compare Python and C on the instrumented code, if the tests are available."""
     tests = Path(__file__).resolve().parents[3] / "tests" / "firmware"
     try:
         import pytest

@@ -1,9 +1,9 @@
-"""The exported flight software on this machine: called through cffi, told and asked in the words of Python.
+"""Run the exported flight software on this machine through cffi, with the interface of the Python software.
 
-What goes in (an estimate, a command, a mission) becomes the records of the C headers; what comes out (state of the
-mission, log, reference, actuators) becomes the objects that the rest of the simulation knows. A line of the log is a
-template and numbers on board (:mod:`mufly.mission.log_messages`); here it is made the text that Python would have
-written. Texts that go in, the reason of a stop or what an estimator says of a sensor, are known on board by a number.
+Inputs (estimate, command, mission) are copied into the records of the C headers. Outputs (mission state, log,
+reference, actuators) are converted to the objects of the simulation. A log entry on board is a template with numbers
+(:mod:`mufly.mission.log_messages`); this module formats the same text as Python. Input texts, such as the reason of a
+stop or of a sensor fault, are represented on board by a number.
 """
 
 from __future__ import annotations
@@ -66,14 +66,14 @@ _MESSAGE_TEMPLATES = tuple(LogMessage)
 
 
 class TextTable:
-    """Texts that the board knows by a number."""
+    """Table of the texts that the C code represents by a number."""
 
     def __init__(self) -> None:
         self._texts_by_number: list[str] = [""]
         self._numbers_by_text: dict[str, int] = {"": 0}
 
     def assign_number(self, text: str) -> int:
-        """Return the number of a text; 0 is that of none."""
+        """Return the number of a text, adding the text if new; the empty text has number 0."""
         if text not in self._numbers_by_text:
             self._numbers_by_text[text] = len(self._texts_by_number)
             self._texts_by_number.append(text)
@@ -85,7 +85,7 @@ class TextTable:
 
 
 class SoftwareInstance:
-    """One ``software_t`` with its plan, from Python.
+    """A ``software_t`` record with its plan, driven from Python.
 
     Parameters
     ----------
@@ -111,13 +111,13 @@ class SoftwareInstance:
         self.start_software()
 
     def start_software(self) -> None:
-        """Before the first period."""
+        """Reset the software to its state before the first period."""
         self.firmware.lib.software_reset(self.setup_record, self.software_record)
         self._events: tuple[FlightEvent, ...] = ()
         self._log_count = 0
 
     def set_plan(self, plan: MissionPlan) -> None:
-        """Take another mission's numbers."""
+        """Write the numbers of a mission into the plan."""
         ffi = self.firmware.ffi
         numbers = plan_numbers(plan)
         fresh = ffi.new("plan_t *", numbers)
@@ -125,7 +125,7 @@ class SoftwareInstance:
         self._mission_name = plan.mission.name
 
     def report_loaded_mission(self, name: str) -> None:
-        """Another mission has been loaded; it is flown when it is started."""
+        """Reset the mission state for a newly loaded mission, which waits for a start command."""
         self._mission_name = name or "a mission"
         self.firmware.lib.reset_for_loaded_mission(
             self._plan_record, self.firmware.ffi.addressof(self.software_record, "mission")
@@ -133,7 +133,7 @@ class SoftwareInstance:
         self.read_log()
 
     def step(self, m: Estimate, command: Command) -> Actuators:
-        """One period."""
+        """Compute one control period and return the actuator commands."""
         self.write_estimate(m)
         self._write_command(command)
         self.firmware.lib.software_step(
@@ -147,10 +147,10 @@ class SoftwareInstance:
         out = self.actuators_record
         return Actuators(np.array(list(out.motor_input)), np.array(list(out.servo_input)))
 
-    # in
+    # Inputs
 
     def write_estimate(self, m: Estimate) -> None:
-        """Lay an estimate into the record."""
+        """Copy an estimate into its record."""
         b = self.estimate_record
         b.time_s, b.valid = m.time_s, m.valid
         now = b.motion
@@ -172,7 +172,7 @@ class SoftwareInstance:
             )
 
     def write_ranges(self, ranges: NDArray[np.floating[Any]]) -> None:
-        """Lay what the beams see into the record."""
+        """Copy the range readings (m) into the estimate's record; missing beams get the maximum range."""
         ring = self._plan_record.ring
         count = min(len(ranges), ring.count)
         self.estimate_record.ranges[0 : ring.count] = [
@@ -183,7 +183,7 @@ class SoftwareInstance:
     def reason_text_numbers(self) -> NDArray[np.int64]:
         """Return the number of each reason's text, by the reasons of :mod:`mufly.estimate.sensor_checks`.
 
-        It is -1 where the text holds a number, or is to be reported.
+        The number is -1 if the text contains a value, or if the reason must be reported.
         """
         words = [
             (
@@ -196,11 +196,11 @@ class SoftwareInstance:
 
     @property
     def beam_count(self) -> int:
-        """How many the ring has."""
+        """Return the number of beams of the range ring."""
         return int(self._plan_record.ring.count)
 
     def prepare_compiled_periods(self, law: FirmwareControllers) -> None:
-        """Take the numbers of the law and no command, for periods that others step through."""
+        """Set the current gains and an empty command, for periods computed by the compiled loop."""
         self.setup_record.gains = law.current_gains()
         self._write_command(NO_COMMAND)
 
@@ -230,10 +230,10 @@ class SoftwareInstance:
             to.program_set_point.heading = math.nan if p.heading_rad is None else p.heading_rad
             to.program_set_point.yaw_rate = math.nan if p.yaw_rate_rad_s is None else p.yaw_rate_rad_s
 
-    # out
+    # Outputs
 
     def read_log(self) -> None:
-        """Read what has been logged since."""
+        """Read the log entries since the last call."""
         s = self.software_record.mission
         kept = len(s.log)
         if s.logged_count < self._log_count:
@@ -252,7 +252,7 @@ class SoftwareInstance:
         self._log_count = s.logged_count
 
     def format_message(self, message: Any) -> str:
-        """Return the words of a ``message_t``."""
+        """Return the text of a ``message_t``."""
         word, numbers = _MESSAGE_TEMPLATES[message.code], list(message.number)
         wrong = [
             SensorStatus(
@@ -281,7 +281,7 @@ class SoftwareInstance:
 
     @property
     def state(self) -> MissionState:
-        """What the mission remembers."""
+        """Return the state of the mission logic."""
         s = self.software_record.mission
         return MissionState(
             state=_MISSION_STATES[s.state],
@@ -333,7 +333,7 @@ class SoftwareInstance:
 
     @property
     def reference(self) -> Reference:
-        """What is followed."""
+        """Return the reference of the controllers."""
         r = self.software_record.reference
         p = r.path
         return Reference(
@@ -343,7 +343,7 @@ class SoftwareInstance:
 
     @property
     def oscillation(self) -> Oscillation | None:
-        """What the actuators do that they should not, if anything."""
+        """Return the detected oscillation of an actuator; None without one."""
         o = self.software_record.oscillation
         if not o.is_present:
             return None
@@ -439,9 +439,9 @@ def _read_detour(d: FFI.CData) -> Detour:
 
 
 def diff_fields(ours: Any, theirs: Any, where: str = "") -> list[str]:
-    """Return where two records of the same kind differ in some bit, each with both values."""
+    """Return the fields in which two records of the same type differ in any bit, each with both values."""
     if isinstance(ours, ObstacleMap) and isinstance(theirs, ObstacleMap):
-        # Beyond the rows in use lies what each language left there.
+        # The content of unused rows is arbitrary in both languages.
         pairs = [
             ("used", ours.point_count, theirs.point_count),
             ("turn", ours.replace_index, theirs.replace_index),
@@ -454,21 +454,21 @@ def diff_fields(ours: Any, theirs: Any, where: str = "") -> list[str]:
     elif isinstance(ours, np.ndarray) and isinstance(theirs, np.ndarray):
         return [] if ours.tobytes() == theirs.tobytes() else [f"{where}: {ours} and {theirs}"]
     else:
-        # The sign of a zero is no part of what is compared: nothing that is computed from it differs.
+        # The sign of zero is ignored: no result depends on it.
         same = ours == theirs or (ours != ours and theirs != theirs)
         return [] if same else [f"{where}: {ours!r} and {theirs!r}"]
     return [line for name, a, b in pairs for line in diff_fields(a, b, f"{where}.{name}".lstrip("."))]
 
 
 class FirmwareSoftware(FlightSoftware):
-    """:class:`mufly.flight.flight_software.FlightSoftware`, all of it computed by the exported code.
+    """A :class:`mufly.flight.flight_software.FlightSoftware` computed entirely by the exported code.
 
     Parameters
     ----------
     vehicle, controller, mission
-        As there.
+        As for :class:`mufly.flight.flight_software.FlightSoftware`.
     firmware : Firmware, optional
-        Built already; by default from ``controller``.
+        Loaded code; by default it is built from ``controller``.
     """
 
     def __init__(
@@ -489,19 +489,19 @@ class FirmwareSoftware(FlightSoftware):
         self.law = FirmwareControllers(self._controller, self.firmware)
 
     def reset(self) -> None:
-        """Forget the flight: before the first step."""
+        """Reset to the state before the first step."""
         super().reset()
         self._start()
         self.clear_cached_records()
 
     def change_limits(self, mission: Mission) -> None:
-        """Fly by another mission's limits from now on."""
+        """Apply the limits of another mission."""
         super().change_limits(mission)
         if self._software_instance is not None:
             self._software_instance.set_plan(self.plan)
 
     def load_mission(self, mission: Mission) -> None:
-        """Take another mission, from its first waypoint on, when it is started."""
+        """Load another mission, which begins at its first waypoint after a start command."""
         self.change_limits(mission)
         assert self._software_instance is not None
         if self._software_instance.software_record.watch.begun:
@@ -509,13 +509,13 @@ class FirmwareSoftware(FlightSoftware):
             self.clear_cached_records()
 
     def retune_controllers(self, controller: FlightController) -> None:
-        """Go over to other numbers of the same control law, without a bump."""
+        """Blend to other gains of the same control law, without a jump of the outputs."""
         self.law.retune_gains(controller)
         super().retune_controllers(controller)
 
     @property
     def is_mission_step_due(self) -> bool:
-        """Whether the next step runs the mission logic."""
+        """Return whether the next step runs the mission logic."""
         return self._software_instance is None or bool(self._software_instance.software_record.tick == 0)
 
     def step(self, estimate: Estimate, command: Command) -> Actuators:
@@ -527,14 +527,14 @@ class FirmwareSoftware(FlightSoftware):
         self.clear_cached_records()
         return actuators
 
-    # What the rest of the simulation asks for is made when it asks: a period takes a tenth of the time of telling all.
+    # Records are converted on access: a control period takes a tenth of the time of converting all records.
 
     def clear_cached_records(self) -> None:
-        """What was made of the record is no longer true."""
+        """Discard the converted records after a change of the C records."""
         self._cached_records = {}
 
     def _read_record(self, name: str) -> Any:
-        """What the record holds under a name, in the words of Python; before there is one, what Python began with."""
+        """Return a converted record by name; without a software instance, its initial value."""
         board = self._software_instance
         if board is None:
             return self._initial_values[name]
@@ -544,20 +544,20 @@ class FirmwareSoftware(FlightSoftware):
 
     @property
     def software_instance(self) -> SoftwareInstance:
-        """The records that it works on."""
+        """Return the instance with the C records."""
         assert self._software_instance is not None
         return self._software_instance
 
     def make_batch_runner(self, flight: Any) -> Callable[..., bool] | None:
-        """Return what advances a flight by many periods in one call."""
-        from mufly.firmware.quick import CompiledFlight  # it imports the flight, which imports the software
+        """Return a function that advances a flight by many periods in one call; None if unsupported."""
+        from mufly.firmware.quick import CompiledFlight  # a circular import otherwise
 
         loop = CompiledFlight(flight)
         return loop.run_periods if loop.is_supported else None
 
     @property
     def motors(self) -> str:
-        """What the motors do."""
+        """Return the motor mode."""
         return (
             "off"
             if self._software_instance is None
@@ -566,25 +566,25 @@ class FirmwareSoftware(FlightSoftware):
 
     @property
     def flying(self) -> bool:
-        """Whether it is off the floor."""
+        """Return whether the vehicle is off the floor."""
         board = self._software_instance
         return board is not None and bool(self.firmware.lib.software_flying(board.software_record))
 
     @property
     def logged_count(self) -> int:
-        """Entries of the log so far."""
+        """Return the number of log entries so far."""
         return (
             0 if self._software_instance is None else int(self._software_instance.software_record.mission.logged_count)
         )
 
     @property
     def finished(self) -> bool:
-        """Whether the mission is over."""
+        """Return whether the mission has ended."""
         return self._software_instance is not None and bool(self._software_instance.software_record.mission.finished)
 
     @property
     def state(self) -> State:
-        """State of the mission."""
+        """Return the state of the mission."""
         return (
             State.INIT
             if self._software_instance is None
@@ -593,7 +593,7 @@ class FirmwareSoftware(FlightSoftware):
 
     @property
     def mission_state(self) -> MissionState:
-        """What the mission remembers."""
+        """Return the full state of the mission logic."""
         return cast(MissionState, self._read_record("state"))
 
     @mission_state.setter
@@ -602,7 +602,7 @@ class FirmwareSoftware(FlightSoftware):
 
     @property
     def oscillation(self) -> Oscillation | None:
-        """What the actuators do that they should not, if anything."""
+        """Return the detected oscillation of an actuator; None without one."""
         return cast("Oscillation | None", self._read_record("oscillation"))
 
     @oscillation.setter
@@ -611,7 +611,7 @@ class FirmwareSoftware(FlightSoftware):
 
     @property
     def reference(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """What is being followed: position, velocity (N-E-D), and roll, pitch, yaw."""
+        """Return the reference: position (m), velocity (m/s), both N-E-D, and roll, pitch, yaw (rad)."""
         if self._software_instance is not None:
             c = self._software_instance.software_record
             self._reference, self._late_s = self._read_record("reference"), c.since_mission_step_s
@@ -620,9 +620,10 @@ class FirmwareSoftware(FlightSoftware):
 
 
 class GenericFirmwareSoftware(FirmwareSoftware):
-    """The same without tables of its own, for flights that are to be over soon; nothing differs in any bit.
+    """A :class:`FirmwareSoftware` with gains passed at run time, so that no build precedes a flight.
 
-    Where there is no compiler, or the mission is too long for a board, it is a :class:`FlightSoftware` that is made.
+    Results are equal bit for bit. Without a compiler, or for a mission that is too long for a board, the constructor
+    returns a :class:`FlightSoftware`.
     """
 
     def __new__(
@@ -632,7 +633,7 @@ class GenericFirmwareSoftware(FirmwareSoftware):
         mission: Mission,
         firmware: Firmware | None = None,
     ) -> Any:
-        """Return the exported code or, where it cannot be had, the software in Python."""
+        """Return the exported code or, if unavailable, the Python software."""
         try:
             Firmware(None)
             plan_numbers(make_plan(vehicle, controller, mission))
@@ -651,16 +652,16 @@ class GenericFirmwareSoftware(FirmwareSoftware):
 
 
 class ComparedSoftware(FlightSoftware):
-    """Python flies; the exported code is told the same, and compared in all that it gives and remembers.
+    """Flight software in Python that compares outputs and state with the exported code on the same inputs.
 
     Attributes
     ----------
     period_count, mismatch_count : int
-        Compared, and in how many something was not the same.
+        Number of compared periods, and of periods with a difference.
     log_entry_count : int
-        Of the log.
+        Number of compared log entries.
     first_mismatch : str
-        Where it differed first, and how; "" if it did not.
+        Time, field and values of the first difference; "" without a difference.
     """
 
     firmware: Firmware
@@ -674,20 +675,20 @@ class ComparedSoftware(FlightSoftware):
         self.use_controllers(self.controllers)
 
     def reset(self) -> None:
-        """Forget the flight: before the first step."""
+        """Reset to the state before the first step."""
         super().reset()
         if self._software_instance is not None:
             self._software_instance.start_software()
 
     def change_limits(self, mission: Mission) -> None:
-        """Fly by another mission's limits from now on."""
+        """Apply the limits of another mission."""
         super().change_limits(mission)
         if self._software_instance is not None:
             self._software_instance.set_plan(self.plan)
 
     @property
     def log_entry_count(self) -> int:
-        """How many of the log's lines have been compared."""
+        """Return the number of compared log entries."""
         return self.mission_state.logged_count
 
     def step(self, estimate: Estimate, command: Command) -> Actuators:
@@ -710,14 +711,15 @@ class ComparedSoftware(FlightSoftware):
 def make_compared_software(
     controllers: Any, firmware: Firmware, kept: list[ComparedSoftware]
 ) -> type[ComparedSoftware]:
-    """Return a class of flight software that compares; ``kept`` gets what is made of it.
+    """Return a class of comparing flight software.
 
     Parameters
     ----------
     controllers : callable
-        What computes the control law of the Python side.
+        Control law of the Python side.
     firmware : Firmware
     kept : list
+        List to which each new instance is appended.
     """
 
     class Beside(ComparedSoftware):

@@ -1,5 +1,4 @@
-"""The estimator's numbers of one vehicle: ``records.h``, which says what it remembers, and
-``estimate_tables.c``."""
+"""Write the estimator's files of one vehicle: ``records.h`` (record types) and ``estimate_tables.c`` (parameters)."""
 
 from __future__ import annotations
 
@@ -22,20 +21,20 @@ from mufly.version import __version__
 from mufly.world import World
 
 NO_VEHICLE_PARAMETERS = {"map_nodes": 0}
-"""Of which ``records.h`` is as on the machine that simulates."""
+"""Parameters with which ``records.h`` equals that of the simulation."""
 
 
 def render_estimator_files(vehicle: Vehicle | None, world: World | None, rate_Hz: float) -> dict[str, str]:
-    """Return the text of what is made of a vehicle's estimator, by its file's name.
+    """Return the generated files of a vehicle's estimator: text by file name.
 
     Parameters
     ----------
     vehicle : Vehicle or None
-        Without one the records alone.
+        None: record types only.
     world : World, optional
-        Its room is known beforehand.
+        World whose room the estimator knows in advance.
     rate_Hz : float
-        Of the flight software.
+        Rate of the flight software.
     """
     if vehicle is None:
         return {"records.h": render_records_header(NO_VEHICLE_PARAMETERS)}
@@ -61,7 +60,7 @@ def render_estimator_files(vehicle: Vehicle | None, world: World | None, rate_Hz
 
 
 def _buffer_sizes(s: np.void) -> tuple[int, int]:
-    """How many blocks of input, and how many measurements: from the horizon to now, be it behind as far as it may."""
+    """Return the numbers of input blocks and queued measurements between the latest horizon and the present."""
     blocks = int(s["delay_ticks"]) // int(s["block_ticks"]) + MAX_LAG_BLOCKS + 4
     span = (int(s["delay_ticks"]) + (MAX_LAG_BLOCKS + 1) * int(s["block_ticks"])) * float(s["dt"])
     waiting = sum(

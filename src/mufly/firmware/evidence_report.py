@@ -1,6 +1,7 @@
-"""One report of what is known of the exported code: is it the same, what does it need, who has read it, what is tested.
+"""Write the verification report of the exported code: equality with Python, resources, checks, coverage, fuzzing.
 
-Each section measures and says how; where a tool is missing it says what to install and the others go on.
+Each section states its measurement and method. If a tool is missing, the section names the package to install, and the
+report continues.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ ADVISORY_RULES = frozenset([
     "11.5", "12.1", "12.3", "12.4", "13.3", "13.4", "15.1", "15.4", "15.5", "17.5", "17.8", "18.4",
     "18.5", "19.2", "20.1", "20.5", "20.10", "21.12",
 ])  # fmt: skip
-"""Rules of MISRA C:2012 that only advise; all others are required or mandatory."""
+"""Advisory rules of MISRA C:2012; all others are required or mandatory."""
 
 RESOURCE_TARGETS = {
     "flash_bytes": 64_000,
@@ -59,7 +60,7 @@ RESOURCE_TARGETS = {
 
 @dataclass(frozen=True)
 class EvidenceSection:
-    """A part of the report.
+    """A section of the report.
 
     Attributes
     ----------
@@ -67,7 +68,7 @@ class EvidenceSection:
     text : str
         Markdown.
     data : dict
-        What it says, in numbers; ``missing`` names what has to be installed.
+        Figures of the section; ``missing`` names the tool to install.
     """
 
     title: str
@@ -77,7 +78,7 @@ class EvidenceSection:
 
 @dataclass(frozen=True)
 class MisraFinding:
-    """What a checker has found: rule, place, and the written reason why it stays; "" if there is none."""
+    """Finding of the MISRA checker: rule, place, and the documented reason of the deviation ("" if none)."""
 
     rule: str
     place: str
@@ -95,7 +96,7 @@ def _require_tool(tool: str, package: str) -> None:
 
 
 # ----------------------------------------------------------------------------
-# The same?
+# Equality with Python
 
 
 def _report_equality(vehicle: Vehicle, out: Path) -> EvidenceSection:
@@ -116,7 +117,7 @@ def _report_emulated(vehicle: Vehicle, out: Path) -> EvidenceSection:
     boards = [("single precision", r) for r in run_pil(vehicle)] + [
         ("whole numbers", r) for r in run_pil(vehicle, fixed_point=True)
     ]
-    from matplotlib.figure import Figure  # half a second at every start, else
+    from matplotlib.figure import Figure  # imported here to save half a second at start
 
     figure = Figure(figsize=(7, 3.2), layout="constrained")
     axes = figure.subplots()
@@ -187,7 +188,7 @@ def _report_memory(vehicle: Vehicle, out: Path) -> EvidenceSection:
 
 
 # ----------------------------------------------------------------------------
-# What whole numbers cost
+# Fixed-point law
 
 
 def _report_fixed_point(vehicle: Vehicle, out: Path) -> EvidenceSection:
@@ -230,11 +231,11 @@ def _report_fixed_point(vehicle: Vehicle, out: Path) -> EvidenceSection:
 
 
 # ----------------------------------------------------------------------------
-# What checkers say
+# Static checks
 
 
 def parse_deviations(text: str) -> list[tuple[str, tuple[str, ...], str]]:
-    """Rule, files and reason of every line of ``deviations.txt``."""
+    """Return rule, file patterns and reason of every line of ``deviations.txt``."""
     found = []
     for line in text.splitlines():
         if line.strip() and not line.startswith("#"):
@@ -246,7 +247,7 @@ def parse_deviations(text: str) -> list[tuple[str, tuple[str, ...], str]]:
 def judge_findings(
     said: str, reasons: list[tuple[str, tuple[str, ...], str]]
 ) -> tuple[list[MisraFinding], Counter[str]]:
-    """Findings against required rules of what cppcheck's MISRA addon said, with their reasons; advice, counted."""
+    """Return the findings of cppcheck's MISRA addon on required rules, with reasons, and the count of advisory ones."""
     required, advice = [], Counter[str]()
     for file, line, rule in sorted(set(re.findall(r"^(\S+?):(\d+): misra-c2012-(\d+\.\d+):", said, re.M))):
         if rule in ADVISORY_RULES:
@@ -334,7 +335,7 @@ def _report_compilers(vehicle: Vehicle, out: Path) -> EvidenceSection:
 
 
 # ----------------------------------------------------------------------------
-# What tests reach
+# Coverage
 
 
 def _report_coverage(vehicle: Vehicle, out: Path) -> EvidenceSection:
@@ -345,10 +346,10 @@ def _report_coverage(vehicle: Vehicle, out: Path) -> EvidenceSection:
         _export_tree(vehicle, folder)
         if not missing_fuzzer_tools():
             run_fuzzer(folder, seconds=40.0)
-        # Records as long as those that Python shares with the code.
+        # Records of the length that Python shares with the code.
         for name, text in render_estimator_files(None, None, 0.0).items():
             (folder / name).write_text(text, encoding="utf-8")
-        # In a process of its own: counts are written when it ends.
+        # In a separate process: gcov counts are written when it ends.
         command = [sys.executable, "-m", "mufly.firmware.branch_coverage", str(folder), vehicle.name]
         done = subprocess.run(command, capture_output=True, text=True)
         if done.returncode:
@@ -393,7 +394,7 @@ def _report_coverage(vehicle: Vehicle, out: Path) -> EvidenceSection:
 
 @dataclass(frozen=True)
 class CoverageGap:
-    """A line of which some branches are not taken, and why; "" if nobody has said."""
+    """Line with branches not taken, and the documented reason ("" if none)."""
 
     file: str
     line: int
@@ -402,7 +403,7 @@ class CoverageGap:
 
 
 def explain_gaps(folder: Path, files: dict[str, list[tuple[int, int, int]]]) -> list[CoverageGap]:
-    """Gaps in an exported tree, with the reasons of ``check/branches.txt`` (file | part of the line | why)."""
+    """Return the coverage gaps, with the reasons of ``check/branches.txt`` (file | part of the line | reason)."""
     known = parse_deviations((folder / "check" / "branches.txt").read_text(encoding="utf-8"))
     gaps = []
     for name, lines in sorted(files.items()):
@@ -417,7 +418,7 @@ def explain_gaps(folder: Path, files: dict[str, list[tuple[int, int, int]]]) -> 
 
 
 def read_branches(folder: Path) -> dict[str, list[tuple[int, int, int]]]:
-    """Of every source in a folder with counts: line, branches, and how many were taken (gcov)."""
+    """Return line, number of branches and number of taken branches of every source with gcov counts."""
     found: dict[str, list[tuple[int, int, int]]] = {}
     for notes in sorted(folder.rglob("*.gcno")):
         said = subprocess.run(
@@ -473,17 +474,17 @@ def write_report(
     only: tuple[str, ...] = (),
     on_section: Callable[[EvidenceSection, int, int], None] | None = None,
 ) -> list[EvidenceSection]:
-    """Measure all of it and write ``report.md``, its pictures and ``report.json``.
+    """Measure all sections and write ``report.md``, its pictures and ``report.json``.
 
     Parameters
     ----------
     vehicle : Vehicle
     out : Path
-        Folder; made if it is not there.
+        Folder, created if missing.
     only : tuple of str, optional
-        Titles of the sections wanted; all by default.
+        Titles of the sections to write; all by default.
     on_section : callable, optional
-        Told every section as it is done, how many are, and of how many.
+        Called after each section with the section, the number of finished sections, and the total.
 
     Returns
     -------

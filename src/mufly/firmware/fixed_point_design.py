@@ -1,27 +1,26 @@
-"""The control law in whole numbers, for a processor without a floating unit, and why nothing in it overflows.
+"""Design the fixed-point control law for processors without a floating-point unit, and prove it free of overflow.
 
-Signals (m, m/s, rad, rad/s, V, shares of full throw) are whole multiples of 2^-20 in 32 bits; coefficients are whole
-numbers of 16 bits, each with its own power of two; states have 32 bits and a power of two each. A row of a controller
-is a sum of products in 64 bits, rounded once to the nearest, halves away from zero.
+Signals (m, m/s, rad, rad/s, V, shares of full throw) are 32-bit multiples of 2^-20. Coefficients are 16-bit integers
+and states 32-bit integers, each with its own power of two. A row of a controller is a sum of products in 64 bits,
+rounded once to the nearest value, halves away from zero.
 
-**Scaling.** A controller ``x+ = A x + B e + M (v - u)``, ``u = C x + D e``, with ``v`` what the actuators do, is the
-same as
+**Scaling.** A controller ``x+ = A x + B e + M (v - u)``, ``u = C x + D e``, with the actuator output ``v``, equals
 
-    x+ = (A - M C) x + (B - M D) e + M v,
+    x+ = (A - M C) x + (B - M D) e + M v.
 
-which is stable (the anti-windup makes it so), and whose inputs are bounded: errors are held within stated limits,
-actuators within theirs. So every state is, with ``h`` the responses of its row to impulses,
+The anti-windup gain M makes this form stable. Its inputs are bounded: errors and actuator outputs are limited. With the
+impulse responses ``h`` of a state's row, every state is bounded by
 
     |x_i| <= sum_j |e_j|max sum_k |h_ij[k]| + ... = bound_i                          (the L1 norm; Jackson 1970),
 
-summed to K terms and, for what is left, ``S <= S_K + |(A - M C)^K| S``. The state's power of two is the one that
-keeps the bound below 2^30. Then the same is done again with the *rounded* coefficients, rounding of states and outputs
-included as further inputs, and the state the controller engages with as an initial one: :class:`OverflowProof`.
+summed to K terms, with the remainder ``S <= S_K + |(A - M C)^K| S``. The state's power of two keeps the bound below
+2^30. :class:`OverflowProof` repeats the calculation with the *rounded* coefficients. It includes the rounding of states
+and outputs as further inputs, and the state at engagement as the initial state.
 
-**Form.** Two coordinates, those of the design (modal) and balanced ones (Gramians of the stable form above), and two
-ways to advance: ``x+ = A x + ...`` (shift) or ``x+ = x + (A - I) x + ...`` (delta; Middleton and Goodwin 1986), in
-which a slow mode's small number keeps all of its bits. Each is put in the place of the exact controller in its loop,
-sampled and with a sample of delay, and the one that loses least of margins and peaks is taken.
+**Form.** The candidates are two coordinate systems, modal (of the design) and balanced (Gramians of the stable form),
+and two update forms: ``x+ = A x + ...`` (shift) and ``x+ = x + (A - I) x + ...`` (delta; Middleton and Goodwin 1986).
+The delta form keeps all bits of a slow mode's small coefficient. Each candidate replaces the exact controller in its
+sampled loop with a sample of delay; the one with the least loss of margins and peaks is chosen.
 
 Sources: Jackson, L. B., Bell System Technical Journal 49 (1970) 159; Middleton, R. H. and Goodwin, G. C., IEEE Trans.
 Automatic Control 31 (1986) 1015. Own derivation otherwise. Thesis: Sec. 6.1.7.
@@ -49,21 +48,21 @@ from mufly.vehicle import Vehicle
 _IntArray = NDArray[np.int64]
 
 FRACTION_BITS = 20
-"""Bits behind the point of every signal."""
+"""Number of fraction bits of every signal."""
 
 EXCESS_FRACTION_BITS = 16
-"""Bits behind the point of what actuators refuse: a command before it is limited may be great."""
+"""Number of fraction bits of the saturation excess; fewer, since an unlimited command can be large."""
 
 ERROR_LIMITS = {
-    "heave_yaw": (64.0, 512.0, 64.0, 512.0, 32.0),  # z and heading from where it was engaged; r
+    "heave_yaw": (64.0, 512.0, 64.0, 512.0, 32.0),  # z and heading relative to engagement; r
     "roll_pitch": (4.0, 4.0, 32.0, 32.0),
     "position": (32.0, 32.0),
 }
-"""Limits within which errors are held (m, rad, rad/s; m/s)."""
+"""Limits of the control errors (m, rad, rad/s; m/s)."""
 
 ACTUATION_LIMITS = {"heave_yaw": 1.5, "roll_pitch": 1.5, "position": 8.0}
-"""Greatest of what actuators do, less trim: voltage over the design's (1.5 is what is believed); tilt and feedforward
-of 64 m/s2 (rad)."""
+"""Largest actuator outputs without trim: voltage ratio to the design (measured ratios are limited to 1.5); tilt with a
+feedforward of 64 m/s2 (rad)."""
 
 _MAX_STATE_BITS = 30
 STATE_FORMS = (("modal", True), ("modal", False), ("balanced", True), ("balanced", False))
@@ -71,16 +70,17 @@ STATE_FORMS = (("modal", True), ("modal", False), ("balanced", True), ("balanced
 
 @dataclass(frozen=True)
 class CoefficientRows:
-    """Rows of whole coefficients: ``c 2^-bits`` are the numbers, ``left_shift`` brings their products to one power of
-    two.
+    """Rows of integer coefficients with their shifts.
+
+    A coefficient represents ``c 2^-bits``; ``left_shift`` aligns the products of a row to one power of two.
 
     Attributes
     ----------
     coefficients, left_shift : arrays of int, shape (rows, inputs)
     right_shift : array of int, shape (rows,)
-        Bits to take away from the sum.
+        Right shift of the sum (bits).
     quantised_values : array, shape (rows, inputs)
-        The numbers that the coefficients are.
+        Real values of the coefficients.
     """
 
     coefficients: _IntArray
@@ -91,18 +91,18 @@ class CoefficientRows:
 
 @result
 class OverflowProof:
-    """How large a controller's numbers can become, whatever its inputs.
+    """Bounds of a controller's numbers for any inputs.
 
     Attributes
     ----------
     controller : str
     form : str
     states : array, shape (n,)
-        Bound of each state over 2^31, what 32 bits hold (1).
+        Bound of each state over 2^31, the range of 32 bits (1).
     sums : array
         Bound of each sum of products over 2^63 (1).
     refused : float
-        Bound of what actuators refuse over 2^31 (1).
+        Bound of the saturation excess over 2^31 (1).
     slowest : float
         Greatest magnitude of a pole of the stable form, with rounded coefficients (1).
     """
@@ -116,24 +116,24 @@ class OverflowProof:
 
     @property
     def is_overflow_free(self) -> bool:
-        """Whether all of it stays within its bits."""
+        """Return whether all numbers stay within their bits."""
         return bool(max(self.states.max(), self.sums.max(), self.refused) < 1.0 and self.slowest < 1.0)
 
 
 @result
 class QuantisationLoss:
-    """What a loop loses by rounded coefficients.
+    """Loss of margins of a loop by rounded coefficients.
 
     Attributes
     ----------
     loop : str
     form : str
     peaks_dB : float
-        Growth of the greater growing peak of S_u and T_u.
+        Growth of the peak of S_u or T_u, whichever grows more.
     gain_dB : float
-        Loss of gain margin or gain reduction, whichever is more.
+        Loss of gain margin or gain reduction, whichever is larger.
     phase_dB, delay_dB : float
-        Of the phase and the delay margin, as ratios.
+        Loss of the phase and delay margins, as ratios.
     worst_dB : float
     """
 
@@ -148,18 +148,18 @@ class QuantisationLoss:
 
 @dataclass(frozen=True)
 class FixedPointController:
-    """One linear controller in whole numbers.
+    """A linear controller in fixed point.
 
     Attributes
     ----------
     name, form : str
     is_delta_form : bool
     state_fraction_bits : tuple of int
-        Bits behind the point of each state.
-    update_rows, output_rows, start_rows : Rows
-        To the next state from states, errors and what was refused; to the command from states and errors; to the state
-        it engages with from errors and the command.
-    proof : Proof
+        Fraction bits of each state.
+    update_rows, output_rows, start_rows : CoefficientRows
+        Rows from states, errors and saturation excess to the next state; from states and errors to the command; from
+        errors and the command to the state at engagement.
+    proof : OverflowProof
     """
 
     name: str
@@ -172,7 +172,7 @@ class FixedPointController:
     proof: OverflowProof
 
     def to_state_space(self, of: DiscreteController) -> control.StateSpace:
-        """What its rounded numbers are, as the exact controller's ``to_state_space()``."""
+        """Return the rounded controller in the form of the exact controller's ``to_state_space()``."""
         n = len(self.state_fraction_bits)
         A = self.update_rows.quantised_values[:, :n] + (np.eye(n) if self.is_delta_form else 0.0)
         m = self.output_rows.coefficients.shape[1] - n
@@ -183,7 +183,7 @@ class FixedPointController:
 
 
 def _quantise_rows(W: Array, bits_in: Array, bits_out: Array, most: Array) -> CoefficientRows:
-    """Whole coefficients of 16 bits for ``W``, whose inputs are at most ``most`` times 2^-bits_in."""
+    """Return 16-bit coefficients for ``W``, whose inputs are at most ``most`` times 2^-bits_in."""
     rows, columns = W.shape
     c, up, own = (np.zeros((rows, columns), dtype=np.int64) for _ in range(3))
     down = np.zeros(rows, dtype=np.int64)
@@ -192,7 +192,7 @@ def _quantise_rows(W: Array, bits_in: Array, bits_out: Array, most: Array) -> Co
         used = size > 0.0
         if not used.any():
             continue
-        # As many bits as 16 hold; a number of 2^k has them from 14 - k on.
+        # As many bits as fit in 16: a number of 2^k has 14 - k fraction bits.
         own[i, used] = 14 - np.floor(np.log2(size[used])).astype(np.int64)
         great = float(np.sum(size * most * 2.0**-bits_in))
         point = min(int((bits_in + own[i])[used].max()), 61 - math.ceil(math.log2(great)))
@@ -207,14 +207,14 @@ def _quantise_rows(W: Array, bits_in: Array, bits_out: Array, most: Array) -> Co
             over = np.abs(c[i]) > 32767
             own[i, over] -= 1
             c[i, over] = np.rint(W[i, over] * 2.0 ** own[i, over])
-        c[i, own[i] < 0] = 0  # would vanish beside the others
+        c[i, own[i] < 0] = 0  # negligible beside the other products
         up[i] = np.where(c[i] != 0, point - bits_in - own[i], 0)
         down[i] = point - bits_out[i]
     return CoefficientRows(c, up, down, c * 2.0 ** -own.astype(float))
 
 
 def _impulse_bounds(A: Array, B: Array, C: Array, terms: int = 4096) -> tuple[Array, Array]:
-    """Upper bounds of ``sum_k |A^k B|`` and ``sum_k |C A^k B|``, element by element."""
+    """Return upper bounds of ``sum_k |A^k B|`` and ``sum_k |C A^k B|``, element by element."""
     X, total, seen = B.copy(), np.zeros_like(B), np.zeros((len(C), B.shape[1]))
     for _ in range(terms):
         total += np.abs(X)
@@ -228,7 +228,7 @@ def _impulse_bounds(A: Array, B: Array, C: Array, terms: int = 4096) -> tuple[Ar
 
 
 def _transient_bound(A: Array, B: Array, most: Array, terms: int = 4096) -> Array:
-    """Upper bound over k of ``|A^k B| most``."""
+    """Return an upper bound over k of ``|A^k B| most``."""
     X, great = B.copy(), np.zeros(len(A))
     for _ in range(terms):
         great = np.maximum(great, np.abs(X) @ most)
@@ -238,23 +238,23 @@ def _transient_bound(A: Array, B: Array, most: Array, terms: int = 4096) -> Arra
 
 
 def quantise_controller(name: str, gains: np.void, form: str = "modal", delta: bool = True) -> FixedPointController:
-    """A controller of the law in whole numbers.
+    """Return a controller of the law in fixed point.
 
     Parameters
     ----------
     name : str
         ``"heave_yaw"``, ``"roll_pitch"`` or ``"position"``.
     gains : record
-        Of :class:`mufly.control.FlightController`, of that name.
+        Gains of this name of a :class:`mufly.control.FlightController`.
     form : str
         ``"modal"`` (as designed) or ``"balanced"``.
     delta : bool
-        Whether the state advances by what is added to it.
+        Whether to use the delta form.
 
     Raises
     ------
     MuflyError
-        If there is no bound, or it does not fit.
+        If a state has no bound, or the bound exceeds its bits.
     """
     F, B, C, D, M, E, U = (np.array(gains[k]) for k in "FBCDMEU")
     A: Array = F + np.eye(len(F))
@@ -301,9 +301,9 @@ def quantise_controller(name: str, gains: np.void, form: str = "modal", delta: b
 def _balance_coordinates(
     A: Array, B: Array, C: Array, D: Array, M: Array, E: Array, U: Array, errors: Array, most: Array
 ) -> tuple[Array, ...]:
-    """Coordinates in which the stable form's states are excited by a thousandth of its limits as much as they are felt.
+    """Return the controller in coordinates that balance the Gramians of its stable form.
 
-    States that are padding stay as they are.
+    Padding states are not transformed.
     """
     n = int(np.max(np.flatnonzero(np.abs(A).sum(0) + np.abs(B).sum(1) + np.abs(C).sum(0)), initial=0)) + 1
     F, G = A[:n, :n] - M[:n] @ C[:, :n], np.hstack([(B - M @ D)[:n], M[:n]])
@@ -317,14 +317,14 @@ def _balance_coordinates(
 
 
 def _prove_no_overflow(made: FixedPointController, errors: Array, most: Array, engaged: Array) -> OverflowProof:
-    """Bounds with the rounded coefficients, rounding included."""
+    """Return the bounds for rounded coefficients, including the rounding of signals."""
     n, m = len(made.state_fraction_bits), len(errors)
     lsb = 2.0 ** -np.array(made.state_fraction_bits, dtype=float)
     A = made.update_rows.quantised_values[:, :n] + (np.eye(n) if made.is_delta_form else 0.0)
     B, M = made.update_rows.quantised_values[:, n : n + m], made.update_rows.quantised_values[:, n + m :]
     C, D = made.output_rows.quantised_values[:, :n], made.output_rows.quantised_values[:, n:]
     stable = A - M @ C
-    # Half a step: of each state; of the command, and of what was refused, both through M.
+    # Rounding by half a step: of each state, and through M of the command and the saturation excess.
     rounding = np.hstack([np.diag(lsb / 2.0), M * (2.0 ** -(FRACTION_BITS + 1) + 2.0 ** -(EXCESS_FRACTION_BITS + 1))])
     forced, commanded = _impulse_bounds(stable, np.hstack([B - M @ D, M, rounding]), C)
     inputs = np.concatenate([errors, most, np.ones(n + 2)])
@@ -361,7 +361,7 @@ _LOOP_DESIGNS = {"heave_yaw": "heave_yaw", "roll_pitch": "roll_pitch", "position
 
 
 def measure_quantisation_loss(controller: FlightController, made: FixedPointController) -> QuantisationLoss:
-    """What the loop of one controller loses, sampled and with a sample of delay."""
+    """Return the loss of one controller's loop, sampled and with a sample of delay."""
     of = getattr(controller, _LOOP_DESIGNS[made.name])
     exact: DiscreteController = of.discrete
     K = _strip_padding(made, exact)
@@ -413,13 +413,13 @@ def _compare_loops(loop: str, form: str, before: LoopAnalysis, after: LoopAnalys
 
 @dataclass(frozen=True)
 class FixedPointLaw:
-    """All three controllers of a vehicle in whole numbers.
+    """The three controllers of a vehicle in fixed point.
 
     Attributes
     ----------
-    heave_yaw, roll_pitch, position : FixedController
-    candidate_losses : tuple of FixedLoss
-        Of every form tried, those taken among them.
+    heave_yaw, roll_pitch, position : FixedPointController
+    candidate_losses : tuple of QuantisationLoss
+        Losses of all candidate forms.
     """
 
     heave_yaw: FixedPointController
@@ -429,12 +429,12 @@ class FixedPointLaw:
 
     @property
     def controllers(self) -> tuple[FixedPointController, FixedPointController, FixedPointController]:
-        """Heave-yaw, roll-pitch, position."""
+        """Return the controllers of heave-yaw, roll-pitch and position."""
         return self.heave_yaw, self.roll_pitch, self.position
 
     @property
     def chosen_losses(self) -> tuple[QuantisationLoss, ...]:
-        """Losses of the forms taken."""
+        """Return the losses of the chosen forms."""
         forms = [c.form for c in self.controllers]
         loops = [_LOOP_DESIGNS[c.name].replace("_", "-") for c in self.controllers]
         return tuple(
@@ -445,7 +445,7 @@ class FixedPointLaw:
 
 
 def quantise_law(controller: FlightController) -> FixedPointLaw:
-    """Put a vehicle's controllers into whole numbers, each in the form that loses least.
+    """Convert a vehicle's controllers to fixed point, each in the form with the least loss.
 
     Raises
     ------
@@ -467,13 +467,13 @@ def quantise_law(controller: FlightController) -> FixedPointLaw:
                 tried.append((lost.worst_dB, made))
         if not tried:
             raise MuflyError(f"fixed point: {name.replace('_', '-')} has no form that is bounded and stable")
-        # Below a hundredth of a decibel they are alike: the one of the design, whose numbers are mostly zero.
+        # Losses below 0.01 dB count as equal; the design form, listed first, has the most zero coefficients.
         found[name] = next((made for lost, made in tried if lost < 0.01), min(tried, key=lambda t: t[0])[1])
     return FixedPointLaw(**found, candidate_losses=tuple(losses))
 
 
 def measure_cascade_loss(vehicle: Vehicle, controller: FlightController, law: FixedPointLaw) -> QuantisationLoss:
-    """What the position loop loses, with whole numbers in roll-pitch and in itself."""
+    """Return the loss of the position loop with fixed-point roll-pitch and position controllers."""
     before = controller.cascade
     exact = (controller.roll_pitch.discrete, controller.velocity.discrete)
     rounded = []

@@ -1,4 +1,4 @@
-"""Does the law in whole numbers hold what is promised? Flown beside the one in double precision."""
+"""Fly the fixed-point law and compare the flights with those in double precision."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from mufly.vehicle import Vehicle
 
 @result
 class FixedPointFlight:
-    """A flight by the exported law in whole numbers, beside the one in double precision.
+    """Comparison of a flight with the exported fixed-point law and one in double precision.
 
     Attributes
     ----------
@@ -31,9 +31,9 @@ class FixedPointFlight:
     outcome : str
     periods : int
     overflows : int
-        Numbers that did not fit 32 bits.
+        Number of 32-bit overflows.
     apart_m : float
-        Greatest distance of the two flights at the same time.
+        Largest distance of the two flights at the same time (m).
     """
 
     mission: str
@@ -54,21 +54,21 @@ def fly_fixed_point(
     keep: Path | None = None,
     on_flight: Callable[[FixedPointFlight], None] | None = None,
 ) -> list[FixedPointFlight]:
-    """Fly missions by the C code in whole numbers, and again by Python in double precision.
+    """Fly missions with the fixed-point C code, and again in double precision.
 
     Parameters
     ----------
     vehicle : Vehicle
     missions : sequence of str
     flights : int
-        Of each, with seeds from 0 on; in wind and gusts by the seed from the second on.
-    law : FixedLaw, optional
+        Number of flights of each mission, with seeds from 0; all but the first in random wind and gusts.
+    law : FixedPointLaw, optional
     sensors : str
         ``"ideal"`` or ``"fitted"``.
     keep : path, optional
-        Where results are kept; what is there is not flown again.
+        File of results; stored flights are not repeated.
     on_flight : callable, optional
-        Told every result.
+        Called with every result.
 
     Raises
     ------

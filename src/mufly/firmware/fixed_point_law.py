@@ -1,8 +1,7 @@
-"""The law in whole numbers: the readable reference of ``fixed/fixed_law.c``, equal to it bit by bit, and both flown.
+"""Compute the fixed-point control law in Python, the reference of ``fixed/fixed_law.c``, and in C; equal bit for bit.
 
-Python's whole numbers have no end, so here nothing can overflow: a number that would not fit C's 32 or 64 bits raises.
-What a coefficient, a row and a bound is: :mod:`mufly.firmware.fixed_point_design`. What the law does:
-:mod:`mufly.control.law`.
+Python integers are unbounded; numbers beyond C's 32 or 64 bits are detected. :mod:`mufly.firmware.fixed_point_design`
+defines coefficients, rows and bounds; :mod:`mufly.control.law` defines the law.
 """
 
 from __future__ import annotations
@@ -44,16 +43,16 @@ _INT32_RANGE = (-(1 << 31), (1 << 31) - 1)
 
 
 # ----------------------------------------------------------------------------
-# The tables: what C's structs of fixed_law.h hold, under the same names.
+# Tables with the fields of the C structs in fixed_law.h.
 
 
 def fixed_point_gains(controller: FlightController, law: FixedPointLaw) -> _GainsTable:
-    """Whole numbers of a vehicle's controllers, named as the fields of ``fixed_gains_t``.
+    """Return the integers of a vehicle's controllers by the fields of ``fixed_gains_t``.
 
     Raises
     ------
     InputError
-        If a number does not fit: the rate is below 33 Hz.
+        If the rate is below 33 Hz, or a number exceeds 32 bits.
     """
     h, r, p = controller.heave_yaw_gains, controller.roll_pitch_gains, controller.position_gains
     if float(h["period"]) >= 2.0**-5:
@@ -129,7 +128,7 @@ def _coefficient_table(update: CoefficientRows, output: CoefficientRows, start: 
 
 
 def render_fixed_point_tables(controller: FlightController, law: FixedPointLaw) -> str:
-    """Return ``tables_fixed.c``: every whole number of a vehicle's controllers, and their bounds in a comment."""
+    """Return the text of ``tables_fixed.c``: the integers of a vehicle's controllers, with bounds in a comment."""
     lines = [
         f"/* Whole numbers of {escape_comment(controller.vehicle_name)}, made by mufly {__version__}; do not edit.",
         " *",
@@ -153,7 +152,7 @@ def render_fixed_point_tables(controller: FlightController, law: FixedPointLaw) 
 
 
 def _c_initialiser(value: Any, depth: int) -> str:
-    """A whole number, list or table as an initialiser of C."""
+    """Return the C initialiser of an integer, list or table."""
     pad = "    " * (depth + 1)
     if isinstance(value, Mapping):
         if set(value) == {"c", "up"}:
@@ -168,7 +167,7 @@ def _c_initialiser(value: Any, depth: int) -> str:
 
 
 def export_fixed_point(controller: FlightController, out: Path) -> FixedPointLaw:
-    """Write ``fixed/`` into an exported tree: the law in whole numbers, with its tables, and return them."""
+    """Write the fixed-point law with its tables into ``fixed/`` of an exported tree, and return the law."""
     law = quantise_law(controller)
     copy_fixed_point(out)
     (out / "fixed" / "tables_fixed.c").write_text(render_fixed_point_tables(controller, law), encoding="utf-8")
@@ -200,12 +199,12 @@ def _clip_symmetric(value: int, limit: int) -> int:
 
 
 def _divide_truncating(a: int, b: int) -> int:
-    """Quotient, what is left dropped: C's division."""
+    """Return the quotient truncated towards zero, as in C."""
     return a // b if (a >= 0) == (b > 0) else -(-a // b)
 
 
 def sine_cosine_fixed(angle: int) -> tuple[int, int]:
-    """Sine and cosine (2^-30) of an angle (2^-20 rad)."""
+    """Return sine and cosine (2^-30) of an angle (2^-20 rad)."""
     n = _multiply_shift(angle, _TWO_OVER_PI, 50)
     r = _round_shift(angle * SIGNAL_ONE - n * _HALF_PI, 10)
     q = _multiply_shift(r, r, 30)
@@ -219,18 +218,18 @@ def sine_cosine_fixed(angle: int) -> tuple[int, int]:
 
 
 class FixedPointControllers(Controllers):
-    """:class:`mufly.flight.controllers.Controllers` in whole numbers, computed by Python.
+    """A :class:`mufly.flight.controllers.Controllers` in fixed point, computed by Python.
 
     Parameters
     ----------
     design : FlightController
-    law : FixedLaw, optional
-        Its numbers, where they are there already.
+    law : FixedPointLaw, optional
+        Law of the design; computed by default.
 
     Attributes
     ----------
     overflow_count : int
-        Numbers that did not fit 32 bits so far; none, by the proof.
+        Number of 32-bit overflows so far; zero by the proof.
     """
 
     def __init__(self, design: FlightController, law: FixedPointLaw | None = None) -> None:
@@ -248,7 +247,7 @@ class FixedPointControllers(Controllers):
 
     @property
     def overflow_count(self) -> int:
-        """Numbers that did not fit 32 bits so far; none, by the proof."""
+        """Return the number of 32-bit overflows so far; zero by the proof."""
         return self._overflow_count
 
     def _blend_gains(self) -> None:
@@ -310,7 +309,7 @@ class FixedPointControllers(Controllers):
         self._controller_states["position"] = [0] * len(self._controller_states["position"])
 
     def _filter_reference(self, name: str, target: int, target_rate: int) -> int:
-        """Advance a reference filter; what it leads to."""
+        """Advance a reference filter; return its output with lead."""
         g, period = self._gains_table["heave_yaw"][name], self._gains_table["heave_yaw"]["period"]
         value, rate = self._filtered_references[name]
         gap = target - _round_shift(value, 20)
@@ -423,12 +422,12 @@ def _limit_length(v: list[int], limit: int) -> list[int]:
 
 
 def to_signal(value: float) -> int:
-    """A number as a signal: 2^-20, within 32 bits, to the nearest."""
+    """Return a number as a signal: the nearest multiple of 2^-20, saturated at 32 bits."""
     return _clip_value(round(float(value) * SIGNAL_ONE), *_INT32_RANGE)
 
 
 def to_signals(values: _Array) -> list[int]:
-    """Numbers as signals."""
+    """Return an array as a list of signals."""
     return [to_signal(v) for v in values]
 
 
@@ -462,9 +461,9 @@ def _load_fixed_library(text: str, cc: str) -> tuple[cffi.FFI, Any]:
 
 
 class FixedPointFirmwareControllers(Controllers):
-    """:class:`FixedPointControllers`, computed by the exported C code with its own tables.
+    """A :class:`mufly.flight.controllers.Controllers` in fixed point, computed by the exported C code with its tables.
 
-    What :class:`mufly.flight.Flight` takes as ``controllers``.
+    The class can be passed to :class:`mufly.flight.Flight` as ``controllers``.
 
     Raises
     ------
@@ -477,14 +476,16 @@ class FixedPointFirmwareControllers(Controllers):
         self.law = law or quantise_law(design)
         self._ffi, self._lib = _load_fixed_library(render_fixed_point_tables(design, self.law), cc or find_compiler())
         new = self._ffi.new
-        self._gains_record = self._ffi.addressof(self._lib.mufly_fixed_gains)  # its tables, until something is tuned
+        self._gains_record = self._ffi.addressof(
+            self._lib.mufly_fixed_gains
+        )  # the exported tables, until a gain is changed
         self._state_record, self._motion_record = new("fixed_controllers_t *"), new("fixed_motion_t *")
         self._path_record, self._actuators_record = new("fixed_path_t *"), new("fixed_actuators_t *")
         self._tilt_buffer = new("int32_t[2]")
 
     @property
     def overflow_count(self) -> int:
-        """Numbers that did not fit 32 bits so far; none, by the proof."""
+        """Return the number of 32-bit overflows so far; zero by the proof."""
         return int(self._state_record.overflows)
 
     def _blend_gains(self) -> None:

@@ -1,7 +1,7 @@
-"""Any bytes for the code on board: libFuzzer looks for those that crash it, or that C leaves undefined.
+"""Fuzz the exported code: libFuzzer searches for inputs that crash the code or cause undefined behaviour.
 
-The harness (``check/fuzz.c``) turns bytes into readings, beliefs, commands and missions. It is built with clang's
-sanitizers of addresses and of undefined behaviour, so that what would go unnoticed on a board ends the run here.
+The harness (``check/fuzz.c``) converts bytes to readings, estimates, commands and missions. Clang's address and
+undefined-behaviour sanitizers end the run at faults that would go unnoticed on a board.
 """
 
 from __future__ import annotations
@@ -29,22 +29,22 @@ _FUZZER_FLAGS = (
 
 @result
 class FuzzResult:
-    """A run of the fuzzer.
+    """Result of a fuzzing run.
 
     Attributes
     ----------
     seconds : float
-        Asked for (s).
+        Requested duration (s).
     runs : int
-        Inputs tried.
+        Number of inputs.
     covered : int
-        Places in the code that were reached, as the fuzzer counts them.
+        Number of code edges reached, as counted by the fuzzer.
     parts : tuple of str
-        What was fed.
+        Names of the fuzzed parts.
     found : str
-        What ended it early, in the sanitizer's words; "" if nothing did.
+        Sanitizer message that ended the run early; "" without a fault.
     input_hex : str
-        The bytes that did.
+        Input that caused the fault, in hexadecimal.
     """
 
     seconds: float
@@ -57,9 +57,9 @@ class FuzzResult:
 
 @functools.cache
 def missing_fuzzer_tools() -> str:
-    """Return what has to be installed for :func:`fuzz_firmware`, as one line; "" if all is there.
+    """Return the tool missing for :func:`fuzz_firmware` as one line; "" if all tools are installed.
 
-    Debian packs clang's fuzzer and sanitizers apart from clang, so a program is linked with them to see.
+    Debian packages the fuzzer and the sanitizers apart from clang, so the function links a program with both.
     """
     if shutil.which("clang") is None:
         return "install clang (Debian, Ubuntu: apt-get install clang)"
@@ -74,20 +74,20 @@ def missing_fuzzer_tools() -> str:
 
 
 def fuzz_firmware(vehicle: Vehicle, *, seconds: float, seed: int = 1) -> FuzzResult:
-    """Feed the exported code any bytes.
+    """Fuzz the exported code of a vehicle.
 
     Parameters
     ----------
     vehicle : Vehicle
     seconds : float
-        How long (s).
+        Duration (s).
     seed : int
-        Of the fuzzer's random numbers.
+        Seed of the fuzzer.
 
     Raises
     ------
     MuflyError
-        If there is no clang, or it has no libFuzzer.
+        If clang or its libFuzzer is missing.
     """
     absent = missing_fuzzer_tools()
     if absent:
@@ -101,7 +101,7 @@ def fuzz_firmware(vehicle: Vehicle, *, seconds: float, seed: int = 1) -> FuzzRes
 
 
 def run_fuzzer(folder: Path, *, seconds: float, seed: int = 1) -> FuzzResult:
-    """Build and run the harness in an exported tree, with what is there; inputs worth keeping go to its ``corpus/``."""
+    """Build and run the harness with the parts present in an exported tree; store new inputs in its ``corpus/``."""
     (folder / "corpus").mkdir(exist_ok=True)
     there = {
         "controllers": True, "avoidance": True, "whole numbers": (folder / "fixed" / "tables_fixed.c").exists(),

@@ -1,4 +1,4 @@
-"""The exported code on this machine: built by its C compiler, called through cffi, flown in the simulation."""
+"""Build the exported code with this machine's C compiler and call it through cffi."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def build_library(
     Raises
     ------
     MuflyError
-        If there is no compiler, or it refuses; the message holds what it said first.
+        If there is no compiler, or compilation fails; the message contains the first error.
     """
     library = folder / ("mufly_single.so" if single else "mufly.so")
     sources = sorted(folder.glob("*.c"))
@@ -40,13 +40,13 @@ def build_library(
 
 
 def cffi_declarations(folder: Path, single: bool = False) -> str:
-    """What the headers declare, for cffi."""
+    """Return the declarations of the headers for cffi."""
     command = [find_compiler(), "-E", "-P", "-DMUFLY_DECLARATIONS", *(("-DMUFLY_FLOAT",) if single else ())]
     headers = "".join(f'#include "{h.name}"\n' for h in sorted(folder.glob("*.h")))
     done = subprocess.run(
         [*command, f"-I{folder}", "-x", "c", "-"], input=headers, capture_output=True, text=True, check=True
     )
-    return done.stdout.replace("extern const ", "extern ")  # to cffi a constant has no address
+    return done.stdout.replace("extern const ", "extern ")  # cffi gives no address of a constant
 
 
 @functools.lru_cache(maxsize=8)
@@ -62,7 +62,7 @@ def _load_firmware(tables: str, single: bool, cc: str) -> tuple[cffi.FFI, Any]:
 
 @functools.lru_cache(maxsize=1)
 def _load_generic_firmware() -> tuple[cffi.FFI, Any]:
-    """The code without numbers of its own, in double precision, kept on disk: for whom a design's are handed over."""
+    """Return the code without a vehicle's gains, in double precision, cached on disk; callers pass the gains."""
     with tempfile.TemporaryDirectory(prefix="mufly-firmware-") as folder:
         tree = Path(folder) / "fw"
         copy_sources(tree)
@@ -85,17 +85,16 @@ const gains_t mufly_gains;
 
 
 class Firmware:
-    """The exported code of one vehicle, built and loaded; the same code is built once in a process.
+    """The exported code of one vehicle, built and loaded; equal code is built once per process.
 
     Parameters
     ----------
     controller : FlightController or None
-        From :func:`mufly.control.design_flight_controller`. None: code without numbers of its own, built once for all
-        vehicles.
+        From :func:`mufly.control.design_flight_controller`. None: code without gains, built once for all vehicles.
     single : bool
-        In single precision, as a processor without double computes.
+        Whether to build in single precision.
     cc : str, optional
-        The compiler, instead of :func:`find_compiler`.
+        Compiler; by default that of :func:`find_compiler`.
 
     Raises
     ------
@@ -112,7 +111,7 @@ class Firmware:
             self.ffi, self.lib = _load_firmware(render_gains_source(controller), single, cc or find_compiler())
 
     def make_gains(self, controller: FlightController) -> Any:
-        """A ``gains_t`` of the numbers of a controller, which may be another than was exported."""
+        """Return a ``gains_t`` with the gains of a controller, which may differ from the exported one."""
         g = self.ffi.new("gains_t *")
         for group in ("heave_yaw", "roll_pitch", "position"):
             record = getattr(controller, f"{group}_gains")
@@ -122,15 +121,15 @@ class Firmware:
 
 
 class FirmwareControllers(Controllers):
-    """:class:`mufly.flight.controllers.Controllers`, computed by the exported code with its own tables.
+    """A :class:`mufly.flight.controllers.Controllers` computed by the exported code with its own tables.
 
-    What :class:`mufly.flight.Flight` takes as ``controllers``.
+    The class can be passed to :class:`mufly.flight.Flight` as ``controllers``.
     """
 
     def __init__(self, design: FlightController, firmware: Firmware | None = None) -> None:
         super().__init__(design)
         f = self.firmware = firmware or Firmware(design)
-        # Its tables, until something is tuned
+        # The exported tables, until a gain is changed
         self._gains_record = f.make_gains(design) if f.is_generic else f.ffi.addressof(f.lib.mufly_gains)
         self._state_record, self._motion_record = f.ffi.new("controllers_t *"), f.ffi.new("motion_estimate_t *")
         self._path_record, self._actuators_record = f.ffi.new("path_t *"), f.ffi.new("actuators_t *")
@@ -142,7 +141,7 @@ class FirmwareControllers(Controllers):
         self._gains_record = self.firmware.make_gains(self._design)
 
     def current_gains(self) -> Any:
-        """The ``gains_t`` of this period, one further on the way to those of a design that it goes over to."""
+        """Return the ``gains_t`` of this period, advanced by one step of a blend to other gains."""
         if not self._settled:
             self._blend_gains()
         return self._gains_record

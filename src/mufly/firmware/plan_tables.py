@@ -1,4 +1,4 @@
-"""A mission as numbers: ``plan_t`` and ``flight_setup_t`` of the exported code, from a mission and its vehicle."""
+"""Convert a mission and its vehicle to ``plan_t`` and ``flight_setup_t`` of the exported code."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _END_ACTIONS = ("land", "hover", "return")
 
 
 def plan_numbers(plan: MissionPlan) -> dict[str, Any]:
-    """Return the fields of ``plan_t``, names and order as there; SI units and radians.
+    """Return the fields of ``plan_t`` by name, in the order of the C record; SI units and radians.
 
     Raises
     ------
     InputError
-        If the mission has more waypoints, or the vehicle more beams, than the code has room for.
+        If the mission exceeds MAX_WAYPOINTS, or the vehicle MAX_BEAMS.
     """
     m, q = plan.mission, plan.mission.limits
     if len(m.waypoint) > MAX_WAYPOINTS:
@@ -69,12 +69,12 @@ def plan_numbers(plan: MissionPlan) -> dict[str, Any]:
 
 
 def make_plan(vehicle: Vehicle, controller: FlightController, mission: Mission) -> MissionPlan:
-    """Return the plan of a mission as this vehicle flies it: no faster than its controllers can follow."""
+    """Return the plan of a mission with limits that the vehicle's controllers can follow."""
     return prepare_plan(reduce_limits(mission, controller_limits(controller))[0], vehicle)
 
 
 def render_plan_source(plan: MissionPlan, controller: FlightController) -> str:
-    """Return ``plan.c``: the mission, and what does not change in a flight."""
+    """Return the text of ``plan.c``: the mission and the constants of a flight."""
     lines = [
         f"/* The mission {(plan.mission.name or 'without a name').replace('*/', '* /')}, made by mufly {__version__}; "
         "do not edit. */",
@@ -95,7 +95,7 @@ def render_plan_source(plan: MissionPlan, controller: FlightController) -> str:
 
 
 def setup_numbers(controller: FlightController) -> dict[str, Any]:
-    """Return the fields of ``flight_setup_t`` that are numbers."""
+    """Return the numeric fields of ``flight_setup_t`` by name."""
     return {
         "period_s": 1.0 / controller.rate_Hz,
         "mission_step_periods": controller.position_divider,

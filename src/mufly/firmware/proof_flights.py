@@ -1,4 +1,4 @@
-"""Many flights for a proof: results are kept in a file as they come, and what is there is not flown again."""
+"""Run verification campaigns of many flights; results are appended to a file, and existing ones are not repeated."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _FAULT_CHOICES = (
 
 @dataclass(frozen=True)
 class FlightConditions:
-    """What a flight of a campaign meets: steady wind and gusts (m/s), and faults of sensors as `--fault` takes them."""
+    """Conditions of a flight: steady wind and gusts (m/s), and sensor faults in the notation of `--fault`."""
 
     wind: float
     gust: float
@@ -34,7 +34,7 @@ class FlightConditions:
 
 
 def draw_conditions(seed: int) -> FlightConditions:
-    """Draw what a flight meets: wind to 0.5 m/s either way, gusts to 0.3, mostly a fault for three seconds."""
+    """Draw random conditions: wind within ±0.5 m/s, gusts up to 0.3 m/s, in most flights a fault of 3 s."""
     rng = np.random.default_rng([19, seed])
     wind, gust = float(rng.uniform(-0.5, 0.5)), float(rng.uniform(0.0, 0.3))
     fault = _FAULT_CHOICES[int(rng.integers(len(_FAULT_CHOICES)))]
@@ -43,7 +43,7 @@ def draw_conditions(seed: int) -> FlightConditions:
 
 
 def add_random_obstacle(mission: Mission, seed: int) -> Mission:
-    """Put a box or a post near a leg, drawn by the seed; every third flight, and where none fits, is as it was."""
+    """Return the mission with a random box or post near a leg; unchanged for every third seed, or if none fits."""
     rng = np.random.default_rng([20, seed])
     places = [w.position_m for w in mission.waypoint]
     for _ in range(20 if seed % 3 and len(places) > 1 else 0):
@@ -80,24 +80,24 @@ def resume_flights(
     fly: Callable[[str, int], ResultT],
     on_flight: Callable[[ResultT], None] | None = None,
 ) -> list[ResultT]:
-    """Fly what has not been flown yet.
+    """Return the results of the requested flights, and fly those without a stored result.
 
     Parameters
     ----------
     kind : callable
-        Makes a result of the fields of a line.
+        Constructor of a result from the fields of a line.
     keep : path, optional
-        A line of JSON a flight, with its mission as it was asked for; written as they come.
+        File with a line of JSON per flight, appended after each flight.
     asked : sequence of (mission, seed)
     fly : callable
-        Flies one of them.
+        Function that flies a mission with a seed.
     on_flight : callable, optional
-        Told every result, also of those that are there.
+        Called with every result, stored ones included.
 
     Raises
     ------
     InputError
-        If the file holds something else.
+        If the file contains other data.
     """
 
     def read(row: Any) -> tuple[tuple[str, int], ResultT]:
@@ -109,7 +109,7 @@ def resume_flights(
     for name, seed in asked:
         if (name, seed) not in kept.known:
             one = fly(name, seed)
-            gc.collect()  # a flight's recording hangs in a ring of few, great objects: 5 MB each until someone looks
+            gc.collect()  # a recording (5 MB) is part of a reference cycle
             kept.add((name, seed), one, {"asked": name, **to_plain_data(one)})
         results.append(kept.known[name, seed])
         if on_flight is not None:

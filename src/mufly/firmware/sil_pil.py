@@ -1,10 +1,11 @@
-"""Is it the same? The exported code against the simulation's, and on an emulated processor against this machine.
+"""Compare the exported code with Python (software in the loop) and on emulated processors (processor in the loop).
 
-Software in the loop (:func:`run_sil`): a mission is flown by Python's controllers, on sensors by Python's estimator
-too; the exported code gets the same inputs in every period, and its outputs, of the estimator all that it remembers,
-are compared bit by bit. Processor in the loop (:func:`run_pil`): a self-test of made-up inputs runs on this machine and
-on Cortex-M processors emulated by QEMU; both print digests of all outputs so far.
-Instructions are counted by the processor's own clock, which QEMU advances by a nanosecond an instruction.
+Software in the loop (:func:`run_sil`): Python's estimator and controllers fly a mission. The exported code gets the
+same inputs in every period. Its outputs, and the whole memory of the estimator, are compared bit for bit.
+
+Processor in the loop (:func:`run_pil`): a self-test with synthetic inputs runs on this machine and on Cortex-M
+processors emulated by QEMU; both print digests of all outputs so far. Instructions are counted by the processor's
+clock, which QEMU advances by a nanosecond an instruction.
 """
 
 from __future__ import annotations
@@ -46,22 +47,22 @@ _Array = NDArray[np.floating[Any]]
 
 @dataclass(frozen=True)
 class ArithmeticBuild:
-    """How the code of one arithmetic is built, and on which emulated processors its self-tests run.
+    """Build options of one arithmetic, and the emulated processors of its self-tests.
 
     Attributes
     ----------
     source_pattern : str
-        Its C files in the tree, as a pattern.
+        Pattern of its C files in the tree.
     compiler_flags : tuple of str
-        For every compiler.
+        Flags for every compiler.
     include_folders : tuple of str
-        Folders of the tree.
+        Include folders within the tree.
     ram_size : str
-        RAM of the smallest board, for the linker; all boards do with as much.
+        RAM of the smallest board, as the linker limit of all boards.
     self_tests : dict
-        Programs of ``check/``, and how the functions are called that they measure.
+        Programs of ``check/``, and name prefixes of the measured functions.
     emulated_boards : dict
-        Processor, and instructions between two ticks of the board's clock.
+        Processor flags and instructions per tick of the board's clock, by board.
     """
 
     source_pattern: str
@@ -74,7 +75,7 @@ class ArithmeticBuild:
 
 CORTEX_M4_FLAGS = ("-mcpu=cortex-m4", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16", "-Os")
 SPEED_OPTIMISED_SOURCES = ("linear.c",)
-"""Where ``-O2`` takes fewer instructions; elsewhere ``-Os`` takes as many, or fewer, in four fifths of the flash."""
+"""Sources built with ``-O2``, which saves instructions there. Elsewhere ``-Os`` needs no more, in 80 % of the flash."""
 SINGLE_PRECISION_BUILD = ArithmeticBuild(
     source_pattern="*.c",
     compiler_flags=("-DMUFLY_FLOAT",),
@@ -90,7 +91,7 @@ SINGLE_PRECISION_BUILD = ArithmeticBuild(
         "netduinoplus2": (CORTEX_M4_FLAGS, 1000.0 / 168.0),
     },  # 25 and 168 MHz
 )
-"""Single precision, on processors with a floating unit."""
+"""Build in single precision, for processors with a floating-point unit."""
 
 FIXED_POINT_BUILD = ArithmeticBuild(
     source_pattern="fixed/*.c",
@@ -104,10 +105,10 @@ FIXED_POINT_BUILD = ArithmeticBuild(
         "microbit (cortex-m0)": (("-mcpu=cortex-m0",), 62.5),  # 16 MHz
     },
 )
-"""The law in whole numbers, on processors without."""
+"""Build of the fixed-point law, for processors without a floating-point unit."""
 
 _SELFTEST_WORLD = World(room=Room((-1.2, 1.2), (-1.2, 1.2), 3.0))
-"""Of the estimator's self-test: all beams of the ring see a wall, which costs most."""
+"""World of the estimator's self-test: all beams hit a wall, the case of the most computation."""
 _SELFTEST_MISSION: dict[str, Any] = {
     "name": "curves",
     "avoidance": {"scan": True},
@@ -118,38 +119,38 @@ _SELFTEST_MISSION: dict[str, Any] = {
         {"position_m": [1.0, 2.0, -1.0]},
     ],
 }
-"""Of the flight's: curves, looking around, and walls until all is remembered that can be, which costs most."""
+"""Mission of the flight self-test: curves, nose scans and a full obstacle map, the case of the most computation."""
 _REQUIRED_TOOLS = {"arm-none-eabi-gcc": "gcc-arm-none-eabi", "qemu-system-arm": "qemu-system-arm"}
 
 
 @result
 class SilResult:
-    """A mission flown by Python and computed by the exported code beside it.
+    """Comparison of a mission flown by Python with the exported code on the same inputs.
 
     Attributes
     ----------
     mission : str
     seed : int
     outcome : str
-        Of the flight.
+        Outcome of the flight.
     faults : str
-        Of its sensors.
+        Sensor faults of the flight.
     periods : int
-        Compared.
+        Number of compared control periods.
     different : int
-        Outputs (of the position cascade, or of all actuators) of which some bit differs in double precision.
+        Number of controller outputs (position cascade, or all actuators) that differ in any bit in double precision.
     beliefs : int
-        Periods of the estimator that were compared; none on ideal sensors.
+        Number of compared estimator periods; zero on ideal sensors.
     beliefs_different : int
-        Of these, after which some bit of its memory differs.
+        Number of these after which any bit of the estimator's memory differs.
     steps : int
-        Periods of the whole flight software that were compared: actuators, reference, state and log of the mission.
+        Number of compared periods of the whole flight software: actuators, reference, mission state and log.
     steps_different : int
-        Of these, in which some bit or some text differs.
+        Number of these with a difference in any bit or text.
     entries : int
-        Of the log, compared as texts.
+        Number of log entries, compared as texts.
     worst_single : float
-        Greatest difference of an actuator in single precision, over its full range (1).
+        Largest actuator difference in single precision, over the full range (1).
     """
 
     mission: str
@@ -168,21 +169,21 @@ class SilResult:
 
 @result
 class PilResult:
-    """The self-test on one emulated processor.
+    """Result of a self-test on an emulated processor.
 
     Attributes
     ----------
     machine : str
     what : str
-        ``"law"``: the controllers; ``"flight"``: they, the mission and all that watches over it; ``"estimator"``.
+        ``"law"``: controllers; ``"flight"``: controllers, mission and monitors; ``"estimator"``.
     same : bool
-        Whether every digest of outputs is that of this machine in single precision.
+        Whether all output digests equal those of this machine in single precision.
     mean_instructions, worst_instructions : float
-        Of one period.
+        Instructions per period.
     flash_bytes, ram_bytes : int
-        Of all code and numbers of the tree, estimator and mission included; variables are the caller's.
+        Size of all code and constants of the tree (bytes); the caller allocates the variables.
     stack_bytes : int
-        Deepest call, by the compiler's account of every function along the call graph.
+        Stack of the deepest call path, from the compiler's stack report of each function (bytes).
     """
 
     machine: str
@@ -196,7 +197,7 @@ class PilResult:
 
 
 class _ComparedControllers(Controllers):
-    """Python flies; the exported code, in double and single precision, is told the same and compared."""
+    """Python controllers that compare their outputs with the exported code in double and single precision."""
 
     def __init__(self, design: FlightController, double: Firmware, single: Firmware) -> None:
         super().__init__(design)
@@ -229,14 +230,14 @@ class _ComparedControllers(Controllers):
         right, double, single = (one.step(estimate, heave_yaw, tilt).input_array for one in self._implementations)
         self.period_count += 1
         self.mismatch_count += right.tobytes() != double.tobytes()
-        # Motors go from 0 to 1, servos from -1 to 1.
+        # Motor inputs range from 0 to 1, servo inputs from -1 to 1.
         off = np.abs(single - right) / [1.0, 1.0, 2.0, 2.0]
         self.worst_single = max(self.worst_single, float(off.max()))
         return Actuators(right[:2], right[2:])
 
 
 class _ComparedEstimators(Estimator):
-    """Python believes; the exported code is told the same, and compared in all that it remembers."""
+    """Python estimator that compares its memory with that of the exported code on the same readings."""
 
     def __init__(self, vehicle: Vehicle, world: World, rate_Hz: float) -> None:
         self._python_estimator = KalmanEstimator(vehicle, world, rate_Hz, code="numba")
@@ -258,7 +259,7 @@ class _ComparedEstimators(Estimator):
 
 
 def memory_bytes(estimator: KalmanEstimator) -> bytes:
-    """All that an estimator of either language remembers."""
+    """Return the memory of an estimator as bytes, without the fields of Python only."""
     memory = estimator.memory
     return memory.tobytes()[: memory.dtype.fields[PYTHON_ONLY_FIELDS[0]][1]]
 
@@ -284,26 +285,26 @@ def run_sil(
     missions : sequence of str
         Names or files.
     flights : int
-        Of each mission, with seeds from 0 on.
+        Number of flights of each mission, with seeds from 0.
     wind : (3,) sequence, optional
-        Steady wind, where it blows to, N, E, D (m/s), instead of the missions'.
+        Velocity of the steady wind, N, E, D (m/s); by default that of the missions.
     gust : float, optional
-        Gusts (m/s), instead of the missions'.
+        Gusts (m/s); by default those of the missions.
     sensors : "fitted" or "ideal"
-        What it flies on; the estimator is compared on fitted ones.
+        Sensors of the flight; the estimator is compared on fitted sensors only.
     faults : sequence of Fault
-        Of the sensors.
+        Sensor faults.
     drawn : bool
-        Draw wind, gusts, faults and an obstacle by the seed (:mod:`mufly.firmware.proof_flights`).
+        Whether to draw wind, gusts, faults and an obstacle by the seed (:mod:`mufly.firmware.proof_flights`).
     keep : path, optional
-        Where results are kept; what is there is not flown again.
+        File of results; stored flights are not repeated.
     on_flight : callable, optional
-        Told every result as it comes.
+        Called with every result.
 
     Raises
     ------
     MuflyError
-        If there is no C compiler, or vehicle or mission is impossible.
+        If there is no C compiler, or the mission cannot be flown by the vehicle.
     """
     controller = design_flight_controller(vehicle)
     double, single = Firmware(controller), Firmware(controller, single=True)
@@ -344,18 +345,18 @@ def run_sil(
 
 
 def missing_tools() -> str:
-    """Return what has to be installed for :func:`run_pil`, as one line; "" if all is there."""
+    """Return the tools missing for :func:`run_pil` as one line; "" if all are installed."""
     absent = [package for tool, package in _REQUIRED_TOOLS.items() if shutil.which(tool) is None]
     return f"install {' and '.join(absent)} (Debian, Ubuntu: apt-get install {' '.join(absent)})" if absent else ""
 
 
 def run_pil(vehicle: Vehicle, *, fixed_point: bool = False, timeout_s: float = 120.0) -> list[PilResult]:
-    """Run self-tests on emulated Cortex-M processors: of all that flies, or of the law in whole numbers.
+    """Run self-tests on emulated Cortex-M processors: of the flight software, or of the fixed-point law.
 
     Raises
     ------
     MuflyError
-        If a tool is missing, or an emulated processor does not end.
+        If a tool is missing, or an emulated program does not end.
     """
     absent = missing_tools()
     if absent:
@@ -388,12 +389,12 @@ def run_pil(vehicle: Vehicle, *, fixed_point: bool = False, timeout_s: float = 1
 
 
 def run_emulated(machine: str, per_tick: float, elf: Path, right: list[str], timeout_s: float) -> dict[str, Any]:
-    """Run a self-test on an emulated board: whether it says what is right, and its instructions a period.
+    """Run a self-test on an emulated board; return whether its digests are right, and the instructions per period.
 
     Raises
     ------
     MuflyError
-        If it does not end.
+        If the program does not end.
     """
     said = run_program(
         [
@@ -413,21 +414,21 @@ def run_emulated(machine: str, per_tick: float, elf: Path, right: list[str], tim
 
 
 def parse_digests(said: str) -> list[str]:
-    """Digests that a self-test told."""
+    """Return the digests that a self-test printed."""
     return re.findall(r"^outputs ([0-9a-f]{16})$", said, re.M)
 
 
 def run_program(command: list[str], timeout_s: float) -> str:
-    """What a program says, errors included."""
+    """Run a program and return its output, including standard error."""
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=timeout_s)
     except subprocess.TimeoutExpired:
         raise MuflyError(f"{command[0]} did not end within {timeout_s:g} s") from None
-    return done.stdout + done.stderr  # an emulated processor's words come out as errors
+    return done.stdout + done.stderr  # semihosting output appears on standard error
 
 
 def run_compiler(command: list[str], folder: Path) -> None:
-    """Run a compiler in a folder; its first error is raised as ours."""
+    """Run a compiler in a folder; raise its first error as a :class:`MuflyError`."""
     done = subprocess.run(command, capture_output=True, text=True, cwd=folder)
     if done.returncode:
         first = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr[:200])
@@ -435,7 +436,7 @@ def run_compiler(command: list[str], folder: Path) -> None:
 
 
 def _compiler_command(folder: Path, how: ArithmeticBuild, cpu: tuple[str, ...], *more: object) -> list[str]:
-    """Return a compiler's command: for the emulated ``cpu``, for this machine where that is empty."""
+    """Return the compiler command for the emulated ``cpu``; for this machine if empty."""
     there = ("arm-none-eabi-gcc", *COMPILER_FLAGS, *cpu, "-mthumb", "-ffreestanding", "-nostdlib")
     cc = there if cpu else (find_compiler(), *COMPILER_FLAGS)
     return [
@@ -454,7 +455,7 @@ def _build_host_selftest(folder: Path, how: ArithmeticBuild, test: str) -> Path:
 
 
 def compile_objects(folder: Path, how: ArithmeticBuild, cpu: tuple[str, ...]) -> Path:
-    """Compile a tree for a processor; return the folder of objects, with what the compiler says of their stack."""
+    """Compile a tree for a processor; return the folder with the objects and the compiler's stack reports."""
     objects = folder / cpu[0].removeprefix("-mcpu=")
     objects.mkdir()
     told = ("-fstack-usage", "-fdump-rtl-expand", "-c")
@@ -481,7 +482,7 @@ def _link_selftest(folder: Path, how: ArithmeticBuild, cpu: tuple[str, ...], tes
 
 
 def measure_code_size(folder: Path) -> tuple[int, int]:
-    """Flash and RAM (bytes) of the controllers' objects."""
+    """Return flash and RAM (bytes) of the objects in a folder."""
     objects = sorted(p.name for p in folder.glob("*.o"))
     said = subprocess.run(["arm-none-eabi-size", *objects], capture_output=True, text=True, cwd=folder).stdout
     rows = [line.split() for line in said.splitlines()[1:]]
@@ -490,14 +491,15 @@ def measure_code_size(folder: Path) -> tuple[int, int]:
 
 
 def find_deepest_stack(folder: Path, entry: str) -> int:
-    """Return the stack (bytes) of the deepest call that begins in a function whose name starts with ``entry``.
+    """Return the stack (bytes) of the deepest call path from a function whose name starts with ``entry``.
 
-    From what the compiler noted of every function (``-fstack-usage``) and who calls whom (its ``expand`` dumps).
+    The calculation uses the compiler's stack usage of each function (``-fstack-usage``) and the call graph from its
+    ``expand`` dumps.
 
     Raises
     ------
     MuflyError
-        If some function calls itself, or its stack is not known beforehand: then there is no bound.
+        If a function is recursive or has a stack of variable size: the stack then has no bound.
     """
     own: dict[str, int] = {}
     for file in folder.glob("*.su"):

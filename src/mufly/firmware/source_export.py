@@ -1,7 +1,7 @@
-"""What runs on board: a source tree in C99 with the numbers of one vehicle.
+"""Export the on-board software: a C99 source tree with the numbers of one vehicle.
 
-The algorithms are written by hand and are the same for every vehicle (``sources/``); only ``tables.c`` is made, every
-number as a hexadecimal float, which no compiler rounds, with its decimal and unit beside it.
+The algorithms are hand-written and equal for all vehicles (``sources/``). Only ``tables.c`` is generated; it contains
+every number as a hexadecimal float, which no compiler rounds, with its decimal value and unit.
 """
 
 from __future__ import annotations
@@ -42,23 +42,23 @@ def export_firmware(
     controller : FlightController
         From :func:`mufly.control.design_flight_controller`.
     out : Path
-        Folder; what is there of an earlier export is replaced.
+        Folder; an earlier export in it is replaced.
     vehicle : Vehicle, optional
-        Whose estimator it is; without one the tree has no numbers of an estimator.
+        Vehicle of the estimator; without it, the tree has no estimator parameters.
     world : World, optional
-        Its room is known to the estimator beforehand; that of the mission by default.
+        World whose room the estimator knows in advance; by default that of the mission.
     mission : Mission, optional
-        Of the vehicle; without one the tree has no ``plan.c``.
+        Mission to export; without it, the tree has no ``plan.c``.
 
     Returns
     -------
     list of Path
-        What was written.
+        Written files.
 
     Raises
     ------
     InputError
-        If the folder holds something else, the rate is no whole number, or the mission is too long.
+        If the folder contains other files, the rate is no integer, or the mission is too long.
     """
     out = Path(out)
     if out.exists() and (not out.is_dir() or (any(out.iterdir()) and not (out / "tables.c").exists())):
@@ -72,14 +72,14 @@ def export_firmware(
 
 
 def write_tree(tables: str, out: Path, others: Mapping[str, str] | None = None) -> None:
-    """Write the sources with given tables into a folder, and other files that are made, by their names."""
+    """Write the sources, the tables and other generated files (text by name) into a folder."""
     copy_sources(out)
     for name, text in {"tables.c": tables, **(others or {})}.items():
         (out / name).write_text(text, encoding="utf-8")
 
 
 def copy_sources(out: Path) -> None:
-    """Copy the sources without tables into a folder, but for those in whole numbers."""
+    """Copy the sources into a folder, without tables and fixed-point code."""
     with resources.as_file(SOURCE_FOLDER) as sources:
         shutil.copytree(sources, out, dirs_exist_ok=True, ignore=shutil.ignore_patterns("*fixed*"))
     for name, text in render_estimator_files(None, None, 0.0).items():
@@ -87,7 +87,7 @@ def copy_sources(out: Path) -> None:
 
 
 def copy_fixed_point(out: Path) -> None:
-    """Copy the sources in whole numbers into a tree."""
+    """Copy the fixed-point sources into a tree."""
     with resources.as_file(SOURCE_FOLDER) as sources:
         shutil.copytree(sources / "fixed", out / "fixed", dirs_exist_ok=True)
         (out / "check").mkdir(exist_ok=True)
@@ -95,7 +95,7 @@ def copy_fixed_point(out: Path) -> None:
 
 
 def render_gains_source(controller: FlightController) -> str:
-    """Return ``tables.c``: every number of a vehicle's controllers."""
+    """Return the text of ``tables.c``: all gains of a vehicle's controllers."""
     rate = controller.rate_Hz
     if rate != round(rate):
         raise InputError("rate_Hz", f"{rate:g}", "is not a whole number", "design for a whole rate")
@@ -136,7 +136,7 @@ def _gains_field_lines(name: str, value: Any) -> Iterator[str]:
 
 
 def to_hexadecimal(value: float) -> str:
-    """Return a constant of C99 that is this number to the last bit."""
+    """Return a C99 constant equal to the number bit for bit."""
     return f"REAL({value.hex()})"
 
 
@@ -145,5 +145,5 @@ def _format_decimal(value: float, unit: str) -> str:
 
 
 def escape_comment(text: str) -> str:
-    """Text that does not end a comment of C."""
+    """Return the text with end markers of C comments and line breaks replaced."""
     return text.replace("*/", "* /").replace("\n", " ")

@@ -1,4 +1,4 @@
-"""How does it fly quickly? Many periods of a flight with the exported software in one compiled call."""
+"""Simulate many periods of a flight with the exported software in one compiled call."""
 
 from mufly.firmware.quick.compiled_flight import CompiledFlight
 

@@ -1,16 +1,20 @@
-"""Many periods of a simulated flight in one compiled call: plant, inertial unit, filter and flight software.
+"""Simulate many periods of a flight in one compiled call: plant, inertial unit, filter and flight software.
 
-The loop itself (:mod:`mufly.firmware.quick.compiled_loop`) is compiled by Numba. It calls the functions that a flight
-calls period by period: those of the plant (:mod:`mufly.flight.simulated_plant`), of the inertial unit
-(:mod:`mufly.sensors.imu`) and of all other sensors (:mod:`mufly.sensors.sampling`) as they stand, filter and flight
-software in C by their addresses. Nothing is computed by another formula here, so that a flight is the same either way
-to the last bit (``tests/firmware/test_many.py``).
+Numba compiles the loop (:mod:`mufly.firmware.quick.compiled_loop`). The loop calls the same functions as a flight that
+is simulated period by period: plant (:mod:`mufly.flight.simulated_plant`), inertial unit (:mod:`mufly.sensors.imu`) and
+other sensors (:mod:`mufly.sensors.sampling`). It calls filter and flight software in C by their addresses. Both ways
+therefore give equal flights, bit for bit (``tests/firmware/test_many.py``).
 
-It comes back to Python where something is due that Python does: a sensor with a fault measures
-(:data:`EXIT_SAMPLE_SENSORS`), the filter thinks otherwise of a sensor (:data:`EXIT_UPDATE_STATUS`), the log has a new
-line or the motors change (:data:`SAID`), something is touched (:data:`EXIT_CONTACT`), somebody listens to what is true
-(:data:`EXIT_CALL_LISTENER`); and it goes on in the middle of the period. Who listens to estimates hears of them at the
-end of a call. Commands, faults of the inertial unit, a crash: all else is done period by period (:meth:`Flight.tick`).
+The loop returns to Python for the following events, and continues in the middle of the period:
+
+- a sensor with a fault is due (:data:`EXIT_SAMPLE_SENSORS`),
+- the filter changes a sensor's status (:data:`EXIT_UPDATE_STATUS`),
+- the log or the motor mode changes (:data:`EXIT_LOG_OR_MODE_CHANGED`),
+- the vehicle touches an obstacle (:data:`EXIT_CONTACT`),
+- a listener of the true state is due (:data:`EXIT_CALL_LISTENER`).
+
+Listeners of estimates are called at the end of a call. Commands, faults of the inertial unit and crashes are simulated
+period by period (:meth:`Flight.tick`).
 """
 
 from __future__ import annotations
@@ -116,7 +120,7 @@ _Array = NDArray[np.float64]
 
 
 def _unpack_status_row(row: _Array) -> dict[str, Any]:
-    """What stands in such a row, by the names of the memory."""
+    """Return the fields of a status row by the names of the filter's memory."""
     of = row[SENSOR_STATUS_START:FAULT_COMPONENT_INDEX].reshape(SENSOR_COUNT, SENSOR_WIDE)
     parts = (
         row[:SIGMA_START].reshape(EX_GYRO_BIAS, EX_GYRO_BIAS),
@@ -134,7 +138,7 @@ class CompiledFlight:
     Parameters
     ----------
     flight : Flight
-        With :class:`mufly.firmware.FirmwareSoftware`.
+        Flight with a :class:`mufly.firmware.FirmwareSoftware`.
     """
 
     def __init__(self, flight: Flight) -> None:
@@ -230,7 +234,7 @@ class CompiledFlight:
         self._last_ranges: Any = None
 
     def _supports_sensors(self, flight: Flight, sensors: SensorSet) -> bool:
-        """Whether sensors and estimator are those that the loop can do, which are then kept."""
+        """Return whether the loop supports sensors and estimator, and store them."""
         if isinstance(flight.estimator, KalmanEstimator) and isinstance(sensors, FittedSensors):
             self._filter = flight.estimator
             all_of_them = [s for s in sensors.sensors if isinstance(s, FaultySensor)]
@@ -246,12 +250,12 @@ class CompiledFlight:
         return type(flight.estimator) is IdealEstimator and len(sensors.sensors) == 3 and self._ring is not None
 
     def run_periods(self, until: int, *, until_valid: bool = False) -> bool:
-        """Advance up to period ``until``, or until something has happened; False if it has to be done singly."""
+        """Advance to period ``until``, or to the next event; return False if single periods are required."""
         flight, plant, auto = self._flight, self._flight.plant, self._flight.autopilot
         if not self.is_supported:
             return False
         until = min(until, plant.period_count + MAX_PERIODS_PER_CALL)
-        if self._filter is not None:  # faults are Python's
+        if self._filter is not None:  # Python handles faults
             ahead = [f.start_s for one in (self._faulty_imu, *self._faulty) for f in one.faults]
             until = min([
                 until,
@@ -367,7 +371,7 @@ class CompiledFlight:
         return True
 
     def _is_undisturbed(self) -> bool:
-        """Whether nothing is asked for and nothing is wrong."""
+        """Return whether no request is pending and no fault is active."""
         flight, auto = self._flight, self._flight.autopilot
         motors, now = self._software.motors, flight.plant.time_s
         return (
@@ -388,7 +392,7 @@ class CompiledFlight:
         )  # fmt: skip
 
     def _sample_python_sensors(self) -> None:
-        """Let the sensors measure that Python asks, and whose time has come."""
+        """Sample the due sensors that Python handles."""
         truth = self._current_truth()
         t = truth.time_s
         assert self._filter is not None
@@ -396,7 +400,7 @@ class CompiledFlight:
             if self._next_sample_times[k] <= t:
                 said = sensor.read(truth)
                 self._next_sample_times[k] = _next_sample_time(sensor, t)
-                if said is not self._last_readings[k]:  # else nothing has come
+                if said is not self._last_readings[k]:  # equal: no new reading
                     self._last_readings[k] = said
                     self._latest |= said
                     self._filter.fill_readings(said, t)
@@ -407,7 +411,7 @@ class CompiledFlight:
             self._board.write_ranges(self._last_ranges)
 
     def _assign_sensors(self) -> Any:
-        """Let the loop ask those sensors of which nothing is wrong, and Python the others; return what it takes."""
+        """Assign sensors without an active fault to the loop, the others to Python; return the sampling table."""
         flight, filtered = self._flight, self._filter
         assert filtered is not None
         now = flight.plant.time_s
@@ -423,12 +427,12 @@ class CompiledFlight:
         self._last_readings, self._last_ranges = (
             [None] * len(self._faulty),
             filtered.ranges,
-        )  # others may have asked since
+        )  # single periods may have sampled since
         self._numbers[F_NEXT_PYTHON_SAMPLE_S] = min(self._next_sample_times, default=math.inf)
         self._numbers[F_NEXT_SAMPLE_S] = -math.inf
         filtered.export_reading_state(self._sample_times, self._pictures, self._beams)
         self._reading_counts, self._compiled_sensors = times, asked
-        # Where others were told since, the row before is not what was told last.
+        # After single periods, the previous row is not the last published status.
         if self._last_statuses is not filtered.sensor_statuses:
             self._status_rows[0] = math.nan
         self._published_row = 0
@@ -436,7 +440,7 @@ class CompiledFlight:
         return self._sampling_arguments
 
     def _collect_samples(self) -> None:
-        """Let sensors and filter know what the loop asked."""
+        """Pass the samples of the loop to sensors and filter."""
         filtered = self._filter
         assert filtered is not None
         for k, one in enumerate(self._compiled_sensors):
@@ -448,10 +452,10 @@ class CompiledFlight:
                 filtered.accept_external_readings(said, self._pictures, self._beams)
 
     def _call_listener(self) -> None:
-        """Let who listens hear what was so, and take what was told last.
+        """Call the listener with the stored instants.
 
-        Who has a method ``many`` hears of all instants at once: true and estimated position, velocity, attitude (n, 9)
-        each, covariances (n, 9, 9), whether valid (n,).
+        A listener with a method ``add_estimates`` gets all instants in one call: true and estimated position, velocity
+        and attitude (n, 9), covariances (n, 9, 9), and validity (n,).
         """
         flight, filtered, c = self._flight, self._filter, self._counters
         assert filtered is not None
@@ -481,20 +485,20 @@ class CompiledFlight:
             ))  # fmt: skip
 
     def _publish_status_up_to(self, rows: int) -> None:
-        """Let the filter tell what stands in the rows up to one, where it does not yet."""
+        """Publish the filter's status up to a row, if not yet published."""
         if rows > self._published_row:
             assert self._filter is not None
             self._filter.publish_status(_unpack_status_row(self._status_rows[rows].copy()))
             self._published_row = rows
 
     def _update_ideal_ring(self) -> None:
-        """Let the ring without errors know what it saw last."""
+        """Pass the last ranges of the loop to the ideal ring."""
         if self._ring is not None and self._counters[C_LAST_RING_TICK] >= 0:
             looked_s = int(self._counters[C_LAST_RING_TICK]) / self._flight.plant.rate_Hz
             self._ring.accept_external_ranges(self._beams, looked_s)
 
     def _report_status(self, periods: int, last: str = "") -> None:
-        """Let the autopilot hear what was thought of the sensors until then; ``last``: state of the last period."""
+        """Report the sensor statuses of past periods to the autopilot; ``last``: mission state of the last period."""
         auto, filtered = self._flight.autopilot, self._filter
         if filtered is not None and not auto.has_no_sensor_events(filtered.sensor_statuses):
             for k in range(self._reported_periods, periods):
@@ -505,7 +509,7 @@ class CompiledFlight:
         self._reported_periods = periods
 
     def _read_at(self, truth: Truth) -> tuple[Readings, Estimate]:
-        """What the sensors said last, and what is believed."""
+        """Return the latest readings and the estimate."""
         flight, filtered, c = self._flight, self._filter, self._counters
         if filtered is None:
             readings = flight.sensors.read(truth)
@@ -516,7 +520,7 @@ class CompiledFlight:
         return Readings(truth.time_s, self._latest), estimate
 
     def _synchronise_simulation(self, why: int, wind: _Array, ran: bool) -> None:
-        """Let the rest of the simulation know how it stands."""
+        """Copy the results of the loop into the simulation."""
         flight, plant, auto = self._flight, self._flight.plant, self._flight.autopilot
         software, c, filtered = self._software, self._counters, self._filter
         plant.consume_wind(wind[int(c[C_WIND_SAMPLES]) - 1], int(c[C_WIND_SAMPLES]))
@@ -562,7 +566,7 @@ class CompiledFlight:
             flight.finish_period(self._acting[0].copy())
 
     def _record_rows(self, first: int, stop: int) -> None:
-        """Append rows of this run to the recording."""
+        """Append log rows of this call to the recording."""
         if stop <= first:
             return
         flight, row = self._flight, self._log_rows[first:stop]
@@ -587,7 +591,7 @@ _STATE_NAMES = tuple(str(s) for s in State)
 
 
 def _next_sample_time(sensor: FaultySensor, time_s: float) -> float:
-    """When a sensor that was asked at a time has to be asked again (s)."""
+    """Return the next sampling time of a sensor that was sampled at a time (s)."""
     wakes = sensor.sensor.next_sample_s if isinstance(sensor.sensor, PeriodicSensor) else -math.inf
     for fault in sensor.faults:
         if fault.start_s > time_s:

@@ -1,4 +1,4 @@
-"""The compiled loop of many periods: plant, sensors, filter and flight software, one after the other in each."""
+"""Compiled loop over simulation periods: plant, sensors, filter and flight software in each period."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ from mufly.sensors.sampling import SAMPLED_READINGS, sample_all
 _Array = NDArray[np.float64]
 
 MAX_PERIODS_PER_CALL = 1024
-"""Periods of one call at most."""
+"""Maximum number of periods per call."""
 
-# Why the loop came back
+# Reasons for the return to Python
 (
     EXIT_DONE,
     EXIT_SAMPLE_SENSORS,
@@ -53,9 +53,9 @@ MAX_PERIODS_PER_CALL = 1024
     EXIT_ESTIMATE_VALID,
     EXIT_CALL_LISTENER,
 ) = range(8)
-# Where it goes on in a period
+# Phases of a period, for resumption
 PHASE_ADVANCE_PLANT, PHASE_ESTIMATE, PHASE_CONTROL = range(3)
-# Whole numbers that it keeps
+# Indices of the integer state
 (
     C_LOOP_PHASE,
     C_TICK,
@@ -82,7 +82,7 @@ PHASE_ADVANCE_PLANT, PHASE_ESTIMATE, PHASE_CONTROL = range(3)
     C_IS_UNTROUBLED,
     C_SIZE,
 ) = range(24)
-# Numbers that it keeps
+# Indices of the floating-point state
 (
     F_RATE_HZ,
     F_STEP_S,
@@ -95,36 +95,36 @@ PHASE_ADVANCE_PLANT, PHASE_ESTIMATE, PHASE_CONTROL = range(3)
     F_NEXT_SAMPLE_S,
     F_SIZE,
 ) = range(10)
-# Where things lie in the records of C, in units of eight, four or one byte
+# Offsets in the C records, in units of eight, four or one byte
 (
     _B_TIME, _B_MOTION, _B_VALID, _S_MOTORS, _S_LATE_S, _S_LOG_COUNT, _S_FINISHED, _S_STATE, _S_POSITION, _S_VELOCITY,
     _S_HEADING, _S_HEADING_RATE, _S_TILT, _B_RANGES, _B_POSITION_VARIANCE, _B_ATTITUDE_VARIANCE,
     _B_CHECKS, _B_CHECK, _SENSOR_STATUS_CODE_OFFSET, _B_REASON,
 ) = range(20)  # fmt: skip
 _MOTORS_OFF, _MOTORS_FLY = 0, 2
-# First columns of what is kept of a period: time, state, attitude, wind, battery, what acts, reference, mission; beams
-# follow
+# First columns of a log row: time, state, attitude, wind, battery, active actuators, reference, mission state; the
+# ranges follow
 ROW_TIME, ROW_STATE, ROW_ATT, ROW_WIND, ROW_SUPPLY, ROW_MOTORS, ROW_SERVOS = 0, 1, 22, 25, 28, 30, 32
 ROW_REF_POS, ROW_REF_VEL, ROW_REF_ATT, ROW_MISSION, LOG_ROW_SIZE = 34, 37, 40, 43, 44
-# First numbers of C's record of motion (controllers.h)
+# Offsets in the C record of motion (controllers.h)
 _M_POS, _M_VEL, _M_ATT, _M_RATES, _M_VOLTAGE = 0, 3, 6, 9, 12
-# Where the addresses of each function of C start
+# First address of each C function and its arguments
 _TO_SOFTWARE, _TO_FILTER = 0, 6
 _ACCEL_START, _RATES_START, _VOLTAGE_START = (
     READING_STARTS[R_ACCELERATION],
     READING_STARTS[R_RATES],
     READING_STARTS[R_BATTERY],
 )
-# Of what is told every so often (:data:`mufly.estimate.kalman_estimator.PUBLISHED_FIELDS`), a row: covariance (9, 9),
-# deviations, then of each sensor seven numbers, the component of the fix that its fault is of, and the period
+# Status row (:data:`mufly.estimate.kalman_estimator.PUBLISHED_FIELDS`): covariance (9, 9), standard deviations, seven
+# numbers of each sensor, the faulty component of the position fix, and the period
 SIGMA_START = EX_GYRO_BIAS**2
 SENSOR_STATUS_START = SIGMA_START + ERROR_STATE_COUNT
 _STATUS, _REASON, _NUMBER, _INNOVATION, _SPREAD, _FUSED, _NEW, SENSOR_WIDE = range(8)
 FAULT_COMPONENT_INDEX = SENSOR_STATUS_START + SENSOR_WIDE * SENSOR_COUNT
 TICK_INDEX = FAULT_COMPONENT_INDEX + 1
 STATUS_ROW_SIZE = TICK_INDEX + 1
-# Of what somebody hears, a row: period, whether valid, battery (V), rows told before; wind, supply, state, attitude,
-# nominal state, rates, angles; ranges follow
+# Listener row: period, validity, battery (V), index of the status row; wind, supply, state, attitude, nominal state,
+# rates, angles; the ranges follow
 HEARD_TICK, HEARD_VALID, HEARD_VOLTS, HEARD_TOLD, HEARD_WIND, HEARD_SUPPLY, HEARD_STATE = 0, 1, 2, 3, 4, 7, 9
 HEARD_ATT = HEARD_STATE + STATE_SIZE
 HEARD_OUT = HEARD_ATT + 3
@@ -147,7 +147,7 @@ def _fill_readings(
     used: NDArray[np.int64],
     ranges: _Array,
 ) -> bool:
-    """Lay what sensors said into the filter's row (:meth:`KalmanEstimator.hear`); whether it was a picture."""
+    """Copy sensor readings into the filter's input row; return whether a range picture was among them."""
     seen = False
     for k in range(len(SAMPLED_READINGS)):
         r = SAMPLED_READINGS[k]
@@ -186,10 +186,10 @@ def _write_filter_status(
     said: NDArray[np.int32],
     at: NDArray[np.int64],
 ) -> bool:
-    """Write what is told every so often into a row and the record of C; whether that needs no words of Python.
+    """Write the filter's status into a row and the C record; return whether Python need not format texts.
 
-    ``texts`` are the numbers of the words for a reason, or -1 where there is a number in them; ``calm``: nothing is
-    said of a sensor that is waited for or believed.
+    ``texts`` are the text numbers of the reasons, -1 for texts that contain a value. ``calm``: waiting and fused
+    sensors need no report.
     """
     covariance, sigma, code, why, number, innovation, spread, used, came, component, tick = memory
     for j in range(EX_GYRO_BIAS):
@@ -224,9 +224,9 @@ def _write_filter_status(
 
 @cached_njit(error_model="numpy")
 def _copy_to_row(row: _Array, at: int, values: _Array) -> int:
-    """Put numbers into a row from a place on; return the place after them.
+    """Copy values into a row from an index on; return the index behind them.
 
-    (An assignment to a slice compiles the message that two shapes differ, with all that strings need: 2 s.)
+    (An assignment to a slice adds 2 s of compilation, for the text of its shape error.)
     """
     for k in range(values.size):
         row[at + k] = values[k]
@@ -258,44 +258,44 @@ def run_until_event(
     shown: _Array,
     heard: _Array,
 ) -> int:
-    """Advance until something is due that Python does; return what.
+    """Advance until an event that Python handles; return the reason.
 
     Parameters
     ----------
     c, f : int64 and float64 arrays
-        Counts and numbers, by the names above.
+        Integer and floating-point state, by the indices above.
     x, parameters, wind, supply, attitude
-        Of the plant; ``wind`` (n, 3) of the periods to come.
+        State and parameters of the plant; ``wind`` (n, 3) of the coming periods (m/s).
     packed : tuple
-        Legs, whether there are obstacles, and the tables of the world.
+        Legs, presence of obstacles, and the tables of the world.
     acting : (3, 4) array
-        What acted in the last period, acts now, was sent last.
+        Actuator inputs of the last period, of this period, and last sent.
     software, belief : tuples of float64, int32 and uint8 arrays
-        Views of the records of C.
+        Views of the C records.
     out : (4,) array
-        What the software wants.
+        Actuator commands of the software.
     at : int64 array
-        Where things lie in those records.
+        Offsets in the C records.
     to : int64 array
-        Addresses: software_step and its five arguments, estimator_step and its six.
+        Addresses of software_step with five arguments and of estimator_step with six.
     log : (n, columns) array
-        A row for every recorded period.
+        Log row of each recorded period.
     seen : (n,) array
-        Beams of the ring, as told.
+        Ranges of the ring, as published (m).
     ring : None, or tuple
-        What :func:`mufly.sensors.readings.measure_ranges` takes after the state, for a ring without errors.
+        Arguments of :func:`mufly.sensors.readings.measure_ranges` after the state, for an ideal ring.
     filtered : None, or tuple of arrays
-        What the filter tells (state, rates, angles), and its readings, which are new, and their ages; which it takes,
-        when they were taken, pictures, which beams; and of its memory what is told every so often.
+        Output of the filter (state, rates, angles); its readings with flags of new ones and ages; fitted sensors,
+        sampling times, range pictures and beams in use; published fields of its memory; text numbers of the reasons.
     imu : None, or tuple
-        State before; what to draw from, room for normal numbers, what it reads and how often it clipped (6,), and the
-        rest of what ``simulate_imu_period`` takes.
+        Previous state; random generator and buffer of normal numbers; reading and clipping counts (6,); remaining
+        arguments of ``simulate_imu_period``.
     asked : None, or tuple
-        What :func:`mufly.sensors.sampling.sample_all` takes after the supply. With a filter there are unit and sensors.
+        Arguments of :func:`mufly.sensors.sampling.sample_all` after the supply; required with a filter, as ``imu`` is.
     shown, heard : (n, columns) arrays
-        Rows of what is told every so often, the first as it was before; and of what somebody hears.
+        Status rows, the first being the previous one; listener rows.
     """
-    # All of it is the caller's, who waits.
+    # The caller owns all arrays and waits, so borrowing is safe.
     c, f, x, parameters, wind, supply, attitude = borrow_arrays((c, f, x, parameters, wind, supply, attitude))
     packed, acting, at, to, out, log, seen = borrow_arrays((packed, acting, at, to, out, log, seen))
     shown, heard = borrow_arrays((shown, heard))
@@ -322,7 +322,7 @@ def run_until_event(
                 c[C_LAST_LISTEN_TICK] = c[C_TICK]
                 if filtered is None:
                     return EXIT_CALL_LISTENER
-                else:  # Numba leaves out what is never reached
+                else:  # Numba omits the unreachable branch
                     row = heard[c[C_LISTENER_ROWS]]
                     c[C_LISTENER_ROWS] += 1
                     row[HEARD_TICK], row[HEARD_VALID] = c[C_TICK], c[C_IS_VALID]

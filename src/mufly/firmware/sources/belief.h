@@ -1,4 +1,4 @@
-/* What is believed at one instant: what an estimator hands over, and what the flight software goes by. */
+/* Estimate at one instant: output of the estimator and input of the flight software. */
 #ifndef MUFLY_BELIEF_H
 #define MUFLY_BELIEF_H
 
@@ -19,27 +19,27 @@ enum {
     ESTIMATE_SENSORS
 };
 
-/* What is thought of a sensor, in the order of sensor_checks.py of mufly.estimate; NOT_FITTED: it is not on board. */
+/* Status of a sensor, in the order of sensor_checks.py of mufly.estimate; NOT_FITTED: the vehicle lacks the sensor. */
 enum { SENSOR_WAITING, SENSOR_FUSED, SENSOR_REJECTED, SENSOR_MISSING, SENSOR_FAULTY, SENSOR_NOT_FITTED };
 
 typedef struct {
     int32_t status;
-    int32_t why;   /* the reason as a code of sensor_checks.py, with its number */
+    int32_t why;   /* reason as a code of sensor_checks.py, with its number */
     real_t number;
 } sensor_status_t;
 
 typedef struct {
     real_t time_s;
-    motion_estimate_t motion;              /* not a number: not known */
-    real_t ranges[MAX_BEAMS];   /* of the ring's beams (m) */
-    bool valid;                   /* whether the estimator stands by it */
-    bool judged;                  /* whether the rest is given: not by one that is told the truth */
+    motion_estimate_t motion;              /* NaN: unknown */
+    real_t ranges[MAX_BEAMS];   /* ranges of the ring's beams (m) */
+    bool valid;                   /* whether the estimate may be used for flight */
+    bool judged;                  /* whether the following fields are set; an ideal estimator does not */
     real_t position_variance[3];  /* N, E, D (m2) */
     real_t attitude_variance[3];  /* roll, pitch, yaw (rad2) */
     sensor_status_t checks[ESTIMATE_SENSORS];
 } estimate_t;
 
-/* All of it, with as many ranges as there are beams. */
+/* Copy an estimate, with as many ranges as there are beams. */
 void copy_estimate(const estimate_t *from, int32_t beams, estimate_t *to);
 
 #endif

@@ -1,25 +1,25 @@
-/* Motors without a controller: speeding up and running down on the floor, and coming down when the estimate is lost. */
+/* Open-loop motor inputs: spin-up and ramp-down on the floor, and blind descent without a valid estimate. */
 #ifndef MUFLY_FAILSAFE_H
 #define MUFLY_FAILSAFE_H
 
 #include "real.h"
 
-/* Inputs (upper, lower; 0..1) while the rotors speed up, elapsed (s) after they began; hover: voltages of hover. */
+/* Inputs (upper, lower; 0..1) during spin-up, elapsed (s) after its start; hover: hover voltages. */
 void spin_up_motor_input(const real_t hover_V[2], real_t elapsed_s, real_t battery_V, real_t out[2]);
 
-/* After touchdown, from released to zero within a second. */
+/* Ramp-down after touchdown: from released to zero within a second. */
 void ramp_down_motor_input(const real_t released[2], real_t elapsed_s, real_t out[2]);
 
-/* On a blind way down: the share of what held it up (V) where no height is known. */
+/* Blind descent without a height: fraction of the hover voltages. */
 #define DESCENT_VOLTAGE_SHARE REAL(0.98)
 
-/* On a blind way down: a share of what held it up (V), to zero in its last second. */
+/* Blind descent: inputs for a fraction of the hover voltages (V), to zero in the last second. */
 void descent_motor_input(const real_t held_up_V[2], real_t share, real_t left_s, real_t battery_V, real_t out[2]);
 
-/* That share where height (m) and rate of descent (m/s) are known. */
+/* Fraction for a known height (m) and rate of descent (m/s). */
 real_t descent_voltage_share(real_t height, real_t descent);
 
-/* How long a blind way down takes from a height (m), with a second to spare. */
+/* Duration of a blind descent from a height (m), with a reserve of one second. */
 real_t descent_time_s(real_t height, real_t gravity);
 
 #endif

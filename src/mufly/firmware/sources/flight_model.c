@@ -1,8 +1,8 @@
 #include "flight_model.h"
 
-#define FULL_FRICTION_SPEED REAL(1.0) /* rad/s from which on constant friction acts in full */
+#define FULL_FRICTION_SPEED REAL(1.0) /* speed (rad/s) above which Coulomb friction acts in full */
 
-/* Thrust and torque over the speed's square. */
+/* Thrust and torque over the squared speed. */
 typedef struct {
     real_t thrust_up;
     real_t thrust_dw;
@@ -20,7 +20,7 @@ static real_t clip_with_nan(real_t value, real_t low, real_t high)
     return real_min(real_max(value, low), high);
 }
 
-#if MAP_NODES > 1 /* of a vehicle without a map there is no code for one */
+#if MAP_NODES > 1 /* omitted for a vehicle without a map */
 /* First of four neighbouring points of n, and their weights. */
 typedef struct {
     int32_t first;
@@ -67,7 +67,7 @@ static real_t interpolate_climb(const real_t table[MAP_NODES], const int32_t at[
            (weight[3] * table[at[3]]);
 }
 
-/* By the coefficient map over mean speed, ratio of the speeds and climb. */
+/* Coefficient map over mean speed, speed ratio and climb. */
 static void loads_from_map(const real_t x[MODEL_STATES], const real_t wind[3], const flight_model_t *p, rotor_loads_t *out)
 {
     const real_t up_n = REAL(-2.0) * ((x[RS_ATT + 1] * x[RS_ATT + 3]) + (x[RS_ATT] * x[RS_ATT + 2]));
@@ -226,7 +226,7 @@ void flight_model(const real_t x[MODEL_STATES], const real_t u[4], const real_t 
     accel_up = rotor_acceleration(p, motor_up, voltage, speed_up, drag_up, p->J_up);
     accel_dw = rotor_acceleration(p, motor_dw, voltage, speed_dw, drag_dw, p->J_dw);
 
-    /* Thrust. Lower rotor: tilted by the swash plate; upper rotor: as the bar's disc is, times the linkage. */
+    /* Thrust. The swash plate tilts the lower rotor; the bar, times the linkage ratio, tilts the upper rotor. */
     thrust_dw = (k.thrust_dw * speed_dw) * speed_dw;
     f_dw[0] = -swash->sin_b * thrust_dw;
     f_dw[1] = (swash->cos_b * swash->sin_a) * thrust_dw;

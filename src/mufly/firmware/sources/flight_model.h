@@ -1,4 +1,4 @@
-/* The forces that rotors and air make, far above the floor: the flight model of the simulation. */
+/* Flight model of the simulation: forces of rotors and air, far above the floor. */
 #ifndef MUFLY_FLIGHT_MODEL_H
 #define MUFLY_FLIGHT_MODEL_H
 
@@ -12,7 +12,7 @@ typedef struct {
     real_t cos_b;
 } swash_t;
 
-/* Slope over time of the state x: position, velocity N-E-D, attitude (quaternion), rates, tilt of the swash plate, normal
+/* Time derivative of the state x: position, velocity N-E-D, attitude (quaternion), rates, tilt of the swash plate, normal
  * of the bar, rotor speeds, charge. u: motors upper, lower (0..1), servos; wind N-E-D (m/s). */
 void flight_model(const real_t x[MODEL_STATES], const real_t u[4], const real_t wind[3], const flight_model_t *p,
                   const swash_t *swash, real_t dx[MODEL_STATES]);

@@ -1,4 +1,4 @@
-/* Sums run from left to right, as in law.py: another order rounds otherwise. */
+/* Sums run from left to right, as in law.py, for equal rounding. */
 #include "linear.h"
 
 static real_t add_row(real_t sum, int32_t columns, const real_t row[], const real_t by[])

@@ -94,7 +94,7 @@ static void propagate_covariance(estimator_t *m, const estimator_settings_t *s, 
         m->covariance_output[k][EX_VEL + k] += (m->now_velocity_variance[k] * span) / REAL(2.0);
         m->covariance_output[EX_VEL + k][EX_VEL + k] += m->now_velocity_variance[k];
         for (int32_t i = 0; i < 3; i++) {
-            /* A shaking is in the velocity for half a turn; what stays in means over blocks tells how much. */
+            /* Vibration affects the velocity for half a revolution; block means measure its size. */
             const real_t share = r[(3 * k) + i] * m->inputs_now[IN_SHARE + i];
             const real_t shaking = real_max(m->accel_noise[i] - m->accel_noise_slow[i], REAL(0.0));
 
@@ -124,7 +124,7 @@ static void output_covariance(estimator_t *m)
     }
     for (int32_t i = 0; i < MOTION_STATE_COUNT; i++) {
         if (i < 3) {
-            /* Whoever is off in height, fix or sonar, the fix may be off by as much in any direction. */
+            /* If the heights of fix and sonar differ, the fix may have the same error in any direction. */
             m->covariance_output[i][i] += (m->position_slip[i] * m->position_slip[i]) + (m->fix_height_gap * m->fix_height_gap);
         }
         m->sigma_output[i] = real_sqrt(m->covariance_output[i][i]);
@@ -138,7 +138,7 @@ static void output_covariance(estimator_t *m)
     }
 }
 
-/* Propagate the horizon's state towards now by some blocks; m->x_now is the last one that arrived. */
+/* Propagate the horizon's state towards the present by some blocks; m->x_now is the last complete result. */
 static void repropagate_state(estimator_t *m, const estimator_settings_t *s, real_t r[9], real_t a[6])
 {
     bool come = false;
@@ -191,7 +191,7 @@ void predict_output(estimator_t *m, const estimator_settings_t *s)
     if (much) {
         propagate_covariance(m, s, r);
     }
-    /* States belong to `lag` before the tick: the last bit with the last rates and acceleration. */
+    /* The states lag the tick by `lag`: the last rates and acceleration bridge the difference. */
     a[2] += GRAVITY;
     for (int32_t k = 0; k < 3; k++) {
         x[k] += s->imu_lag * (x[SX_VEL + k] + ((REAL(0.5) * s->imu_lag) * a[k]));
@@ -203,7 +203,7 @@ void predict_output(estimator_t *m, const estimator_settings_t *s)
     }
     rotate_attitude(x, s->imu_lag * m->rates_output[0], s->imu_lag * m->rates_output[1], s->imu_lag * m->rates_output[2], true);
     if ((s->has_rotor_model > 0) && (x[SX_TERRAIN] < MAX_FLOOR_HEIGHT)) {
-        /* Legs do not go into the floor on the way either, nor on. */
+        /* The legs must not enter the floor during or after the propagation. */
         const real_t lowest = -(real_max(x[SX_TERRAIN], REAL(0.0)) + s->ground_clearance);
 
         if (x[SX_POS + 2] >= lowest) {

@@ -1,6 +1,5 @@
-/* Sine and cosine: the angle is brought into a quarter turn around zero by taking away n times pi/2, in three pieces of
- * which the first two are short enough for the products to be exact; there the series of Taylor does. Which of the two
- * it is, with which sign, says the quadrant. Decay: two to the power of -n, times the series. */
+/* Sine and cosine: subtract n times pi/2, in three parts of which the first two give exact products, then evaluate the
+ * Taylor series around zero. The quadrant selects sine or cosine and the sign. Decay: 2^-n times the series. */
 #include "real.h"
 
 #define MAX_ANGLE REAL(1e5)

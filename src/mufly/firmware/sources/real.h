@@ -1,12 +1,12 @@
-/* The numbers that the flight software computes with, and what it needs of mathematics.
+/* Floating-point type and mathematical functions of the flight software.
  *
- * Double by default; with -DMUFLY_FLOAT single, for a processor whose floating unit has no more. REAL(0x1.8p+0) is a
- * constant of that type. Build with -ffp-contract=off: a multiplication and an addition that are joined round once
- * instead of twice, and results would differ from those of the simulation. */
+ * Double precision by default; single with -DMUFLY_FLOAT, for a processor with a single-precision unit. REAL(0x1.8p+0) is
+ * a constant of that type. Build with -ffp-contract=off: a fused multiply-add rounds once instead of twice, and results
+ * would differ from those of the simulation. */
 #ifndef MUFLY_REAL_H
 #define MUFLY_REAL_H
 
-#ifndef MUFLY_DECLARATIONS /* set to read the declarations alone, as cffi does */
+#ifndef MUFLY_DECLARATIONS /* set for cffi, which reads declarations only */
 #include <stdbool.h>
 #include <stdint.h>
 #endif
@@ -20,7 +20,7 @@ typedef float real_t;
 typedef double real_t;
 #define REAL(x) (x)
 #define REAL_INFINITY __builtin_inf()
-#define REAL_NAN __builtin_nan("") /* no number */
+#define REAL_NAN __builtin_nan("") /* not a number */
 #endif
 
 #define REAL_PI REAL(0x1.921fb54442d18p+1)
@@ -35,7 +35,7 @@ typedef double real_t;
 #define ABS __builtin_fabs
 #endif
 
-/* Square root, correctly rounded, and magnitude; one instruction each where there is one. */
+/* Correctly rounded square root, and magnitude; single instructions where available. */
 static inline real_t real_sqrt(real_t x)
 {
     return SQRT(x);
@@ -46,7 +46,7 @@ static inline real_t real_abs(real_t x)
     return ABS(x);
 }
 
-/* The lesser and the greater of two; the first where they are equal, or the second is no number. */
+/* Minimum and maximum; the first argument if both are equal, or if the second is NaN. */
 static inline real_t real_min(real_t a, real_t b)
 {
     return (b < a) ? b : a;
@@ -58,32 +58,32 @@ static inline real_t real_max(real_t a, real_t b)
 }
 #endif
 
-/* A number with the sign of another; a number held within bounds (what is no number passes). */
+/* A number with the sign of another; a number limited to bounds (NaN passes). */
 real_t real_copysign(real_t size, real_t sign);
 real_t real_clip(real_t value, real_t low, real_t high);
 
-/* Whether it is no number, whether it is one, and finite. */
+/* Whether a number is NaN, and whether it is finite. */
 bool real_is_nan(real_t x);
 bool real_is_finite(real_t x);
 
-/* The greatest integer that is not above x, zero of what is beyond 1e9 or no number; k modulo n, from 0 to n - 1. */
+/* Largest integer not above x, zero for NaN or beyond 1e9; k modulo n, from 0 to n - 1. */
 int32_t real_floor_int(real_t x);
 int32_t wrap_index(int32_t k, int32_t n);
 
-/* Length of a vector: the root of the sum of squares from left to right. */
+/* Length of a vector; the squares are added from left to right. */
 real_t real_hypot(real_t x, real_t y);
 real_t real_vector_length(const real_t v[3]);
 
-/* The angle (rad) from the first axis to (x, y); zero where there is no direction. */
+/* Angle (rad) from the first axis to (x, y); zero for a zero vector. */
 real_t real_atan2(real_t y, real_t x);
 
-/* The same turn the shorter way round, -pi to pi (rad). */
+/* Angle wrapped to -pi to pi (rad). */
 real_t real_wrap_angle(real_t angle);
 
-/* Sine and cosine of an angle (rad), the same to the last bit everywhere. Beyond 1e5 rad: those of zero. */
+/* Sine and cosine of an angle (rad), equal bit for bit on all machines. Beyond 1e5 rad: those of zero. */
 void sine_cosine(real_t angle, real_t *sine, real_t *cosine);
 
-/* exp(-x) for x from 0 on, the same to the last bit everywhere; 1 below, 0 beyond 40. */
+/* exp(-x) for x >= 0, equal bit for bit on all machines; 1 for x < 0, 0 beyond 40. */
 real_t exp_decay(real_t x);
 
 #endif

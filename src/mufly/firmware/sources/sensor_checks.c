@@ -25,7 +25,7 @@ void mark_fused(estimator_t *m, int32_t k)
     } else if ((m->status[k] == STATUS_REJECTED) && (m->tick >= m->fault_until_tick[k])) {
         m->status[k] = STATUS_FUSED;
     } else {
-        /* told of for a while yet */
+        /* reported for a minimum time */
     }
 }
 
@@ -44,7 +44,7 @@ static bool is_repeated(const estimator_t *m, const estimator_settings_t *s, con
     bool same = (s->has_noise[k] != 0) && (m->last_new_tick[k] != 0);
     bool told = false;
 
-    /* A camera that hangs may still turn with the gyroscopes. */
+    /* A frozen camera may still follow the gyroscopes in heading. */
     for (int32_t j = 0; (j < ((k == R_FIX) ? 3 : count)) && same; j++) {
         same = !(z[j] != m->last_value[READING_STARTS[k] + j]);
         told = told || (((k != R_ROTOR) || (z[j] != REAL(0.0))) &&
@@ -53,7 +53,7 @@ static bool is_repeated(const estimator_t *m, const estimator_settings_t *s, con
     return same && told;
 }
 
-/* Return whether a reading is new; of two equal ones the second must have come in its own time. */
+/* Return whether a reading is new; the second of two equal readings must come after a full period. */
 static bool is_new_sample(estimator_t *m, const estimator_settings_t *s, const real_t *z, int32_t k, int32_t count)
 {
     const bool early = ((real_t)(m->tick - m->last_new_tick[k]) * s->dt) < (REAL(0.6) * s->sensor_period[k]);
@@ -96,7 +96,7 @@ static bool accept_sample(estimator_t *m, const estimator_settings_t *s, const r
     m->invalid_count[k] = 0;
     bool again = (m->status[k] >= STATUS_MISSING) && (m->tick >= m->fault_until_tick[k]);
     if (again || ((m->status[k] == STATUS_WAITING) && (k != R_RING))) {
-        /* Whether a ring that sees is of use is said by what it sees: in a large room it sees no wall. */
+        /* The ring's readings decide about its use: in a large room it detects no wall. */
         m->status[k] = (k == R_RING) ? STATUS_WAITING : STATUS_FUSED;
         m->reason[k] = REASON_NONE;
     }
@@ -163,13 +163,13 @@ void check_readings(estimator_t *m, const estimator_settings_t *s, real_t z[VALU
                 fresh[k] = 0;
                 set_fault(m, s, k, STATUS_FAULTY, REASON_LATE, REAL(0.0));
             } else {
-                /* it is looked at */
+                /* evaluated below */
             }
         } else if (fresh[k] != 0) {
             fresh[k] = 0;
             set_fault(m, s, k, STATUS_FAULTY, REASON_OUT_OF_RANGE, REAL(0.0));
         } else {
-            /* nothing new */
+            /* no new reading */
         }
         if (fresh[k] == 1) {
             if (!is_new_sample(m, s, value, k, count)) {
@@ -177,7 +177,7 @@ void check_readings(estimator_t *m, const estimator_settings_t *s, real_t z[VALU
             } else if (!accept_sample(m, s, value, k, count, age[k])) {
                 fresh[k] = 0;
             } else {
-                /* it is used */
+                /* usable */
             }
         }
         if (fresh[k] == 0) {
@@ -225,15 +225,15 @@ void replace_gyro_spikes(estimator_t *m, const estimator_settings_t *s, bool fly
         m->axis_work[k] = (m->gyro_rates_prev[k] + (s->dt * m->rotor_force[now][RF_ANG_ACCEL + k])) + m->ang_accel_bias[k];
         off = m->gyro_rates[k] - m->axis_work[k];
         worst = real_max(worst, real_abs(off));
-        /* A spike may come in two steps, of which each would pass. */
+        /* A spike may consist of two steps that would each pass. */
         led = real_max(led, real_abs((SPIKE_CARRY_SHARE * m->spike_residual_carry[k]) + off));
-        /* What its moments are off by, in flight and on the legs */
+        /* Error of the model's moments, in flight and on the legs */
         m->ang_accel_bias[k] += (m->flight_phase >= PHASE_LIGHT) ? (ANG_ACCEL_BIAS_GAIN * real_min(real_max(off, -SPIKE_RATE), SPIKE_RATE)) : REAL(0.0);
     }
-    /* A model that is off again and again cannot tell a spike from a motion. */
+    /* A model with repeated errors cannot distinguish a spike from a motion. */
     most = SPIKE_RATE + (ROUGHNESS_FACTOR * m->rate_residual_lp);
     m->rate_residual_lp += REAL(0.1) * (real_min(worst, SPIKE_RATE) - m->rate_residual_lp);
-    m->divergence_ticks = (m->divergence_ticks > 1) ? (m->divergence_ticks - 1) : m->divergence_ticks; /* once astray, it remembers */
+    m->divergence_ticks = (m->divergence_ticks > 1) ? (m->divergence_ticks - 1) : m->divergence_ticks; /* a past divergence is remembered */
     if ((!flying) || (s->has_rotor_model == 0)) {
         m->spike_repeats = 0;
         return;
@@ -266,7 +266,7 @@ void replace_gyro_spikes(estimator_t *m, const estimator_settings_t *s, bool fly
         small = small && (real_abs(m->gyro_offset[k] + (m->gyro_rates[k] - m->axis_work[k])) < MAX_GYRO_OFFSET);
     }
     if ((m->spike_repeats >= 2) && small) {
-        /* Twice the same: an offset that came at once is no motion. It is taken off from now on. */
+        /* Twice the same: a sudden offset is no motion. It is subtracted from the following readings. */
         for (int32_t k = 0; k < 3; k++) {
             const real_t off = m->gyro_rates[k] - m->axis_work[k];
 
@@ -290,7 +290,7 @@ void replace_gyro_spikes(estimator_t *m, const estimator_settings_t *s, bool fly
 bool rotor_speed_consistent(estimator_t *m, const estimator_settings_t *s, const real_t speed[2])
 {
     const real_t flown = (real_t)(m->tick - m->grounded_tick) * s->dt;
-    real_t *mean = m->motor_accel_mean; /* of what the motors' equations are off by */
+    real_t *mean = m->motor_accel_mean; /* mean error of the motor equations */
     real_t worst = REAL(0.0);
     real_t away = REAL(0.0);
     bool led;
@@ -300,7 +300,7 @@ bool rotor_speed_consistent(estimator_t *m, const estimator_settings_t *s, const
         worst = real_max(worst, real_abs(speed[k] - m->rotor_state[RS_SPEED_UPPER + k]) / s->hover_speed[k]);
         away = real_max(away, real_abs(m->motor_accel_bias[k] - mean[k]) / s->hover_speed[k]);
     }
-    /* On the floor it is the equations that have to learn. */
+    /* On the floor the motor equations are adapted. */
     led = (m->flight_phase == PHASE_FLYING) && (flown > ROTOR_ACCEL_SETTLING_S) && (away > ROTOR_ACCEL_LIMIT);
     off = (m->flight_phase == PHASE_FLYING) && (worst > ((m->reject_score[R_ROTOR] > REAL(0.5)) ? ROTOR_SPEED_RECOVERY_GATE : ROTOR_SPEED_GATE));
     if (led || off) {
@@ -350,7 +350,7 @@ void check_accel_model(estimator_t *m, const estimator_settings_t *s, real_t nu,
         } else if ((m->is_accel_distrusted == 1) && (worst < REAL(2.0))) {
             m->is_accel_distrusted = 0;
         } else {
-            /* as before */
+            /* unchanged */
         }
         if (m->is_accel_distrusted == 1) {
             set_fault(m, s, R_ACCELERATION, STATUS_FAULTY, REASON_INNOVATION, m->accel_residual_lp[2]);

@@ -8,9 +8,9 @@
 #define MAX_MOTOR_STEP REAL(0.1)
 #define MAX_SERVO_STEP REAL(0.2)
 #define HOVER_VOLTAGE_FILTER_S REAL(1.0)
-#define BATTERY_FILTER_S REAL(0.5) /* in which the battery's reading counts while the rotors speed up */
-#define TOUCHDOWN_HEIGHT_M REAL(0.03) /* height from which it counts as down */
-#define RAMP_DOWN_SKIPPED_SHARE REAL(0.8) /* of the motors' running down that is left out where it is known to be down */
+#define BATTERY_FILTER_S REAL(0.5) /* time constant of the battery filter during spin-up */
+#define TOUCHDOWN_HEIGHT_M REAL(0.03) /* height below which the vehicle counts as landed */
+#define RAMP_DOWN_SKIPPED_SHARE REAL(0.8) /* share of the ramp-down that is skipped after a certain touchdown */
 
 static void set_pair(real_t a, real_t b, real_t out[2])
 {
@@ -129,7 +129,7 @@ static void stop_at_once(software_t *s, int32_t why, const estimate_t *m)
     set_pair(REAL(0.0), REAL(0.0), s->tilt);
 }
 
-/* Whether it flies without knowing where it is or how it moves; it does not come back from that. */
+/* Whether the vehicle flies without position and velocity; this state is final. */
 static bool is_lost(const software_t *s)
 {
     const bool running = (s->motors == MOTORS_SPIN_UP) || (s->motors == MOTORS_FLY);
@@ -149,7 +149,7 @@ static void hold_and_wait(const flight_setup_t *setup, software_t *s)
     pause_mission(setup->plan, x, &holds);
 }
 
-/* Hold or land where the estimate is not good enough for more; true if it has to sink at once. */
+/* Hold or land if the estimate's quality requires it; return whether to descend at once. */
 static bool act_on_health(const flight_setup_t *setup, software_t *s, const estimate_t *m)
 {
     const message_t known = make_message(SAY_POSITION_KNOWN_AGAIN);
@@ -186,13 +186,13 @@ static bool act_on_health(const flight_setup_t *setup, software_t *s, const esti
                 resume_mission(setup->plan, x, NULL);
             }
         } else {
-            /* it goes on as it does */
+            /* continue */
         }
     }
     return sinks;
 }
 
-/* Whether an estimate that is lost as a whole still tells the height above where it stood. */
+/* Whether a lost estimate still contains the height above the standing position. */
 static bool height_if_known(const software_t *s, const estimate_t *told, real_t *height)
 {
     *height = s->mission.home_position[2] - told->motion.position[2];
@@ -225,12 +225,12 @@ static void step_blind_descent(const flight_setup_t *setup, software_t *s, const
     }
     down = knows && (height <= TOUCHDOWN_HEIGHT_M);
     knows = s->is_lifted && (now < s->height_trusted_until_s) && knows && (height > TOUCHDOWN_HEIGHT_M);
-    if (knows) { /* should that end, it goes on from here */
+    if (knows) { /* starting point in case the height is lost */
         s->motors_since_s = now + descent_time_s(height, gravity);
-    } else if (down) { /* on its legs nothing holds a rotor that still lifts */
+    } else if (down) { /* on the legs, a rotor that still lifts can tip the vehicle over */
         s->motors_since_s = real_min(s->motors_since_s, now - (RAMP_DOWN_SKIPPED_SHARE * RAMP_DOWN_TIME_S));
     } else {
-        /* it comes down by the time that takes */
+        /* descend for the calculated duration */
     }
     left_s = (s->motors_since_s + RAMP_DOWN_TIME_S) - now;
     if (left_s <= REAL(0.0)) {
@@ -246,7 +246,7 @@ static void step_blind_descent(const flight_setup_t *setup, software_t *s, const
     set_pair(REAL(0.0), REAL(0.0), out->servo_input);
 }
 
-/* Engage or release the controllers without a bump. */
+/* Engage or release the controllers bumplessly. */
 static void switch_motors(const flight_setup_t *setup, software_t *s, int32_t motors, const estimate_t *m)
 {
     if (motors == MOTORS_FLY) {
@@ -259,7 +259,7 @@ static void switch_motors(const flight_setup_t *setup, software_t *s, int32_t mo
         set_pair(REAL(0.0), REAL(0.0), s->hover_voltages);
         s->is_lifted = false;
     } else {
-        /* off, or running down */
+        /* off, or ramp-down */
     }
     s->motors = motors;
     s->motors_since_s = m->time_s;
@@ -279,7 +279,7 @@ static void step_floor_motors(const flight_setup_t *setup, software_t *s, const 
     if (s->motors == MOTORS_SPIN_UP) {
         spin_up_motor_input(setup->hover_V, elapsed, s->filtered_battery_V, s->motor_input);
     } else if (s->motors == MOTORS_RAMP_DOWN) {
-        /* It may slide where it goes by an estimate, and a rotor that still lifts tips it over. */
+        /* The vehicle may slide with an estimate's error, and a rotor that still lifts can tip it over. */
         ramp_down_motor_input(s->released_motor_input, m->judged ? (elapsed + (RAMP_DOWN_SKIPPED_SHARE * RAMP_DOWN_TIME_S)) : elapsed, s->motor_input);
     } else {
         set_pair(REAL(0.0), REAL(0.0), s->motor_input);
@@ -348,7 +348,7 @@ static void step_control(const flight_setup_t *setup, software_t *s, const estim
     }
 }
 
-/* What is wanted, no faster than an input may move where it comes from an estimate. */
+/* Limit the rate of actuator inputs that depend on an estimate. */
 static void limit_actuator_rates(software_t *s, const estimate_t *m, actuators_t *out)
 {
     if (m->judged) {
@@ -365,10 +365,10 @@ static void limit_actuator_rates(software_t *s, const estimate_t *m, actuators_t
     s->limited_actuators = *out;
 }
 
-/* What the beams see, in parts from one step of the mission to the next. */
+/* Process the beams in parts between two steps of the mission logic. */
 static void update_map_part(const flight_setup_t *setup, software_t *s, const estimate_t *m)
 {
-    const bool apart = setup->mission_step_periods > 1; /* tick has gone on already */
+    const bool apart = setup->mission_step_periods > 1; /* tick is already advanced */
     const int32_t part = apart ? wrap_index(s->tick - 1, setup->mission_step_periods) : 1;
 
     if (part > 0) {

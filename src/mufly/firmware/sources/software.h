@@ -1,6 +1,6 @@
-/* The flight software of one vehicle, one call a period: from an estimate and the user's signals to actuators.
+/* Flight software of one vehicle, one call per period: from an estimate and user signals to actuators.
  *
- * What it does and why: software.py of mufly.flight. All state belongs to the caller. */
+ * Explanation: flight_software.py of mufly.flight. The caller owns all state. */
 #ifndef MUFLY_SOFTWARE_H
 #define MUFLY_SOFTWARE_H
 
@@ -8,20 +8,20 @@
 #include "mission.h"
 #include "watch.h"
 
-/* What does not change in a flight. */
+/* Constants of a flight. */
 typedef struct {
     const gains_t *gains;
     const plan_t *plan;
     real_t period_s;
-    int32_t mission_step_periods;      /* periods from one step of the mission's logic to the next */
+    int32_t mission_step_periods;      /* periods per step of the mission logic */
     real_t hover_V[2];  /* motor voltages of hover; upper, lower */
 } flight_setup_t;
 
 typedef struct {
     mission_t mission;
     reference_t reference;
-    command_t command; /* kept for the next step of the mission's logic */
-    int32_t tick;      /* 0 when that is due */
+    command_t command; /* stored for the next step of the mission logic */
+    int32_t tick;      /* 0 when that step is due */
     int32_t motors;
     real_t motors_since_s;
     real_t motor_input[2];
@@ -38,22 +38,22 @@ typedef struct {
     correction_smoother_t smooth;
     actuators_t limited_actuators;
     real_t hover_voltages[2]; /* motor voltages, averaged over the last second of flight */
-    real_t filtered_battery_V; /* of the battery, while the rotors speed up */
-    real_t height_trusted_until_s; /* on a blind way down: until when a height that is still known counts */
+    real_t filtered_battery_V; /* battery voltage, filtered during spin-up */
+    real_t height_trusted_until_s; /* blind descent: time until which a known height is used */
 } software_t;
 
-/* The numbers of the vehicle and the mission this was made for: tables.c. */
+/* Constants of the exported vehicle and mission: tables.c and plan.c. */
 extern const plan_t mufly_plan;
 extern const flight_setup_t mufly_setup;
 
-/* Before the first period. */
+/* Reset to the state before the first period. */
 void software_reset(const flight_setup_t *setup, software_t *s);
 
-/* One period. */
+/* Run one period. */
 void software_step(const flight_setup_t *setup, software_t *s, const estimate_t *belief, const command_t *command,
                    actuators_t *out);
 
-/* Whether it is off the floor. */
+/* Whether the vehicle is off the floor. */
 bool software_flying(const software_t *s);
 
 #endif

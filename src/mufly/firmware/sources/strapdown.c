@@ -20,7 +20,7 @@ void rotation_matrix(const real_t q[4], real_t r[9])
     r[8] = REAL(1.0) - (REAL(2.0) * ((x * x) + (y * y)));
 }
 
-/* Half the turn's size in the quaternion: its real part, and the three others. */
+/* Quaternion of a small turn: real part, and factor of the vector part. */
 typedef struct {
     real_t c;
     real_t a;
@@ -128,7 +128,7 @@ void error_transition(const real_t e[INPUT_ROW_SIZE], real_t span, const real_t 
             thrust += own * (rest[j] * e[IN_STATIC + j]);
         }
         out[TR_THRUST + i] = thrust;
-        out[TR_TURN + i] = stands ? REAL(0.0) : (span * a[i]); /* the floor pushes up however it is tilted */
+        out[TR_TURN + i] = stands ? REAL(0.0) : (span * a[i]); /* the floor's force is vertical at any tilt */
     }
     for (int32_t i = 0; i < 3; i++) {
         for (int32_t j = i; j < 3; j++) {
@@ -163,7 +163,7 @@ void predict_rotor_force(estimator_t *m, const estimator_settings_t *s, const fl
     real_t still[3];
     real_t moving[3];
 
-    /* The swash plate settles within the period: its mean counts. */
+    /* The swash plate settles within the period; its mean is used. */
     x[RS_SWASH_ROLL] = to_roll + ((roll - to_roll) * s->swash_decay_mean);
     x[RS_SWASH_PITCH] = to_pitch + ((pitch - to_pitch) * s->swash_decay_mean);
     x[RS_VEL] = REAL(0.0);
@@ -176,7 +176,7 @@ void predict_rotor_force(estimator_t *m, const estimator_settings_t *s, const fl
     dw = dx[RS_SPEED_LOWER];
     x[RS_SPEED_UPPER] += (REAL(0.5) * dt) * up;
     x[RS_SPEED_LOWER] += (REAL(0.5) * dt) * dw;
-    /* The bar in axes that turn: less the turning of the fuselage. */
+    /* The bar in rotating body axes: minus the rotation of the fuselage. */
     normal[0] = bar[0] + (dt * (dx[RS_BAR] - ((x[RS_RATES + 1] * bar[2]) - (x[RS_RATES + 2] * bar[1]))));
     normal[1] = bar[1] + (dt * (dx[RS_BAR + 1] - ((x[RS_RATES + 2] * bar[0]) - (x[RS_RATES] * bar[2]))));
     normal[2] = bar[2] + (dt * (dx[RS_BAR + 2] - ((x[RS_RATES] * bar[1]) - (x[RS_RATES + 1] * bar[0]))));

@@ -1,7 +1,7 @@
 #include "ud_filter.h"
 
-/* Python goes column by column. Here some go together, so that what they share stays in registers: the same operations on
- * each number, a third less instructions. */
+/* Python processes single columns. Here groups of columns share registers: the same operations on each number, with a
+ * third fewer instructions. */
 #define COLUMN_GROUP 5
 #if (ERROR_STATE_COUNT % COLUMN_GROUP) != 0
 #error "columns go together in fives"
@@ -120,7 +120,7 @@ static real_t update_diagonal(estimator_t *m, int32_t k, real_t *c)
         *c *= old / fresh;
         m->d[k] = fresh;
     } else {
-        m->f[k] = REAL(0.0); /* where nothing varies nothing is taken either */
+        m->f[k] = REAL(0.0); /* no variance, no contribution */
     }
     return share;
 }

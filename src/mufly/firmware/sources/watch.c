@@ -28,7 +28,7 @@ static void list_values(const motion_estimate_t *m, real_t out[12])
     }
 }
 
-/* Put the last good values in place of those that are not finite; which they were. */
+/* Replace values that are not finite by the last good ones; return the replaced groups. */
 static int32_t replace_bad_values(bool begun, const real_t values[12], const real_t last[12], estimate_t *out)
 {
     real_t *to[VITAL_COUNT] = {out->motion.position, out->motion.velocity, out->motion.attitude, out->motion.rates};
@@ -166,7 +166,7 @@ void correction_smoother_step(correction_smoother_t *s, estimate_t *m, bool anew
     s->last_s = m->time_s;
 }
 
-/* Doubts */
+/* Estimator health */
 
 #define HOLD_SIGMA_M REAL(0.25)
 #define RESUME_SIGMA_M REAL(0.15)
@@ -220,7 +220,7 @@ static bool is_sensor_faulty(const sensor_status_t *check)
            (check->status == SENSOR_FAULTY);
 }
 
-/* A doubt with what is wrong with the sensors that would tell; sensors: bits of them. */
+/* Message with the faults of the sensors that measure the quantity; sensors: their bits. */
 static health_verdict_t make_verdict(int32_t demand, int32_t code, real_t number, const estimate_t *m, uint32_t sensors)
 {
     health_verdict_t found;
@@ -244,7 +244,7 @@ static real_t position_std_growth(const estimate_t *m, real_t stood)
     return real_sqrt(most - stood);
 }
 
-/* height_counts: whether an uncertain height has lasted for long enough to land for. */
+/* height_counts: whether the height has been uncertain long enough to require landing. */
 static health_verdict_t judge_estimate(const estimate_t *m, real_t stood, bool height_counts)
 {
     const real_t place = position_std_growth(m, stood);
@@ -261,7 +261,7 @@ static health_verdict_t judge_estimate(const estimate_t *m, real_t stood, bool h
     } else if (heading > MAX_HEADING_SIGMA) {
         found = make_verdict(FAILSAFE_LAND, SAY_HEADING_UNCERTAIN, heading * PER_DEGREE, m,
                       (uint32_t)(SENSOR_BIT(SENSOR_FIX) | SENSOR_BIT(SENSOR_MAGNETIC) | SENSOR_BIT(SENSOR_RATES)));
-    } else if (m->checks[SENSOR_RATES].status == SENSOR_REJECTED) { /* a bias that gyroscopes cannot have */
+    } else if (m->checks[SENSOR_RATES].status == SENSOR_REJECTED) { /* bias beyond the range of the gyroscopes */
         found.action = FAILSAFE_LAND;
         found.reason = make_message(SAY_GIVEN_TEXT);
         add_faulty_sensor(&found.reason, SENSOR_RATES, &m->checks[SENSOR_RATES]);
@@ -272,7 +272,7 @@ static health_verdict_t judge_estimate(const estimate_t *m, real_t stood, bool h
         found = make_verdict((place > LAND_SIGMA_M) ? FAILSAFE_LAND : FAILSAFE_HOLD, SAY_POSITION_UNCERTAIN, place, m,
                       (uint32_t)(SENSOR_BIT(SENSOR_FIX) | SENSOR_BIT(SENSOR_RANGES)));
     } else {
-        /* good enough for all */
+        /* sufficient for all actions */
     }
     return found;
 }
@@ -284,7 +284,7 @@ bool gyro_unavailable(const estimate_t *m)
     return (status == SENSOR_MISSING) || (status == SENSOR_FAULTY) || (status == SENSOR_REJECTED);
 }
 
-/* What is thought of sensors that an attitude depends on: it cannot be right, or is told by the model. */
+/* Status of the sensors that determine the attitude: contradicted, or replaced by the model. */
 static health_verdict_t judge_attitude_sensors(health_monitor_t *d, const estimate_t *m)
 {
     message_t both = make_message(SAY_ATTITUDE_CONTRADICTED);
@@ -306,7 +306,7 @@ static health_verdict_t judge_attitude_sensors(health_monitor_t *d, const estima
             d->has_fault[k] = true;
             d->fault_since_s[k] = m->time_s;
         } else {
-            /* as before */
+            /* unchanged */
         }
     }
     for (int32_t i = 0; i < ATTITUDE_AID_COUNT; i++) {
@@ -325,7 +325,7 @@ static health_verdict_t judge_attitude_sensors(health_monitor_t *d, const estima
         found.reason = make_message(SAY_GIVEN_TEXT);
         add_faulty_sensor(&found.reason, SENSOR_RATES, &m->checks[SENSOR_RATES]);
     } else {
-        /* nothing of the kind */
+        /* no such fault */
     }
     return found;
 }
@@ -366,10 +366,10 @@ bool health_monitor_step(health_monitor_t *d, const estimate_t *m)
                 found.reason = make_message(SAY_NO_MESSAGE);
                 said = true;
             } else {
-                /* certain, but not for long enough */
+                /* certain, but for too short a time */
             }
         } else {
-            /* nothing is doubted */
+            /* no limitation */
         }
         if (!said && (d->verdict.action == FAILSAFE_HOLD) && ((t - d->hold_since_s) > MAX_HOLD_S)) {
             if (found.reason.code == SAY_NO_MESSAGE) {
@@ -444,7 +444,7 @@ static bool turning_points_step(turning_points_t *t, real_t time_s, real_t value
         t->extreme_time_s = time_s;
         turned = true;
     } else {
-        /* on its way back */
+        /* returning */
     }
     return turned;
 }
@@ -513,7 +513,7 @@ void oscillation_detector_step(oscillation_detector_t *o, real_t time_s, const r
         } else if ((s->half_period_count > 0) && ((time_s - s->turning_points.turn_times_s[s->turning_points.turn_count - 1]) > MAX_PERIOD_S)) {
             reset_count(s);
         } else {
-            /* goes on */
+            /* continues */
         }
         if (s->half_period_count > 0) {
             lasting = s->turning_points.turn_times_s[s->turning_points.turn_count - 1] - s->start_s;

@@ -1,42 +1,42 @@
-/* What is made of an estimate before it is flown by, and of actuators: bridging, smoothing, doubts, oscillation.
+/* Monitors of estimate and actuators: bridging of gaps, smoothing, estimator health, oscillation.
  *
- * What it does and why: estimate.py of mufly.estimate; trust.py, oscillation.py of mufly.flight. */
+ * Explanation: estimate.py of mufly.estimate; estimator_health.py, oscillation_detector.py of mufly.flight. */
 #ifndef MUFLY_WATCH_H
 #define MUFLY_WATCH_H
 
 #include "belief.h"
 #include "words.h"
 
-/* Height uncertain by more is not known (m). */
+/* Height deviation above which the height counts as unknown (m). */
 #define MAX_HEIGHT_SIGMA_M REAL(0.3)
 
-/* An estimate that cannot be right is bridged for a moment, then reported as lost. */
+/* Bridge an implausible estimate for a moment, then report it as lost. */
 typedef struct {
     bool begun;
-    real_t values[12]; /* position, velocity, attitude and rates as they came last */
-    estimate_t good;     /* finite, and on a clock that moves on */
-    real_t lost_s;     /* for how long they have been missing or frozen */
-    int32_t what;      /* which: 1 position, 2 velocity, 4 attitude, 8 rates; 0: all, frozen */
+    real_t values[12]; /* last position, velocity, attitude and rates */
+    estimate_t good;     /* last estimate with finite values and an advancing clock */
+    real_t lost_s;     /* duration of the gap (s) */
+    int32_t what;      /* missing values: 1 position, 2 velocity, 4 attitude, 8 rates; 0: frozen */
 } estimate_monitor_t;
 
 void estimate_monitor_start(estimate_monitor_t *w);
 void check_estimate(estimate_monitor_t *w, const estimate_t *m, real_t period_s, const beam_ring_t *ring);
 
-/* Position and heading without the steps of a filter's corrections. */
+/* Smoothed position and heading, without the steps of filter corrections. */
 typedef struct {
     bool begun;
     real_t last_s;
-    real_t last_velocity[3]; /* the last one */
+    real_t last_velocity[3]; /* previous velocity */
     real_t smoothed_position[3];
     real_t smoothed_heading;
 } correction_smoother_t;
 
 void correction_smoother_reset(correction_smoother_t *s);
 
-/* Change an estimate to the one to control by; anew: nothing is controlled yet. */
+/* Smooth an estimate in place; anew: restart, as no controller is active yet. */
 void correction_smoother_step(correction_smoother_t *s, estimate_t *m, bool anew);
 
-/* What an estimate is not good enough for: go on, hold, land, sink. */
+/* Required action for the estimate's quality: continue, hold, land, descend. */
 enum { FAILSAFE_NONE, FAILSAFE_HOLD, FAILSAFE_LAND, FAILSAFE_SINK };
 
 typedef struct {
@@ -48,7 +48,7 @@ typedef struct {
     health_verdict_t verdict;
     real_t floor_variance_m2; /* variance of the horizontal position on the floor (m2) */
     bool has_fault[ESTIMATE_SENSORS];
-    real_t fault_since_s[ESTIMATE_SENSORS]; /* since when */
+    real_t fault_since_s[ESTIMATE_SENSORS]; /* start time of each fault */
     real_t hold_since_s;
     bool is_certain;
     real_t certain_since_s;
@@ -56,15 +56,15 @@ typedef struct {
     real_t height_uncertain_since_s;
 } health_monitor_t;
 
-/* Whether the rates of turn are those of the rotor model, as gyroscopes say nothing that can be right. */
+/* Whether the angular rates come from the rotor model, since the gyroscopes are faulty. */
 bool gyro_unavailable(const estimate_t *m);
 
 void health_monitor_reset(health_monitor_t *d, real_t stood);
 
-/* Judge an estimate in the air; true if what is doubted has been said anew. */
+/* Evaluate an estimate in flight; return whether the message has changed. */
 bool health_monitor_step(health_monitor_t *d, const estimate_t *m);
 
-/* Whether actuators oscillate: even periods of half of an input's range, on end, that nobody asked for. */
+/* Detector of actuator oscillations: sustained equal periods over half of an input's range, not commanded. */
 #define OSCILLATION_INPUTS 4
 #define STEERING_SIGNALS 6
 
@@ -72,7 +72,7 @@ typedef struct {
     real_t reversal_threshold;
     bool is_rising;
     real_t last_extreme, extreme_time_s;
-    int32_t turn_count; /* of those below */
+    int32_t turn_count; /* number of turning points */
     real_t turn_times_s[3];
 } turning_points_t;
 
@@ -96,7 +96,7 @@ typedef struct {
 
 void oscillation_detector_reset(oscillation_detector_t *o);
 
-/* Take one more instant. asked: velocity N, E, D, rate of turn, roll, pitch that somebody asks for; NULL: nobody. */
+/* Process one instant. asked: commanded velocity N, E, D, yaw rate, roll, pitch; NULL without a command. */
 void oscillation_detector_step(oscillation_detector_t *o, real_t time_s, const real_t inputs[OSCILLATION_INPUTS],
                        const real_t asked[], oscillation_t *out);
 

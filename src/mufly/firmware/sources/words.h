@@ -1,5 +1,5 @@
-/* What the mission says in its log: a template and its numbers. The templates are in words.py of mufly.mission, in this
- * order: the ground makes the texts. */
+/* Log messages of the mission: a template and its numbers. The ground formats the texts with the templates of
+ * log_messages.py of mufly.mission, in this order. */
 #ifndef MUFLY_WORDS_H
 #define MUFLY_WORDS_H
 
@@ -87,7 +87,7 @@ enum { LEVEL_INFO, LEVEL_WARNING, LEVEL_ERROR };
 #define MESSAGE_NUMBERS 4
 #define MESSAGE_SENSORS 3
 
-/* What is wrong with a sensor: its place, status and reason in belief.h. */
+/* Fault of a sensor: index, status and reason as in belief.h. */
 typedef struct {
     int16_t sensor; /* -1: none */
     int16_t status;
@@ -107,7 +107,7 @@ message_t make_message_2(int32_t code, real_t a, real_t b);
 message_t make_message_3(int32_t code, real_t a, real_t b, real_t c);
 message_t make_message_4(int32_t code, real_t a, real_t b, real_t c, real_t d);
 
-/* The same template with the same numbers. */
+/* Whether two messages have equal templates and numbers. */
 bool is_same_message(const message_t *a, const message_t *b);
 
 #endif

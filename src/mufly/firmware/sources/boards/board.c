@@ -26,7 +26,7 @@ void board_start(board_t *b, uint32_t fitted)
     b->told = 0;
 }
 
-/* Of each beam the middle of the last three pictures: a spot that is seen once is noise. */
+/* Median of the last three readings of each beam: a spot seen once is noise. */
 static void filter_ranges(board_t *b, const real_t ranges[])
 {
     for (int32_t i = 0; i < mufly_plan.ring.count; i++) {
@@ -104,7 +104,7 @@ void board_run(board_t *b)
         hal_write_actuators(&b->sent);
         while (b->told < b->software.mission.logged_count) {
             if ((b->software.mission.logged_count - b->told) > MISSION_LOG) {
-                b->told = b->software.mission.logged_count - MISSION_LOG; /* what was before is lost */
+                b->told = b->software.mission.logged_count - MISSION_LOG; /* older entries are lost */
             }
             hal_send_log_entry(&b->software.mission.log[b->told % MISSION_LOG]);
             b->told++;

@@ -1,13 +1,13 @@
-/* The same flight everywhere? The flight software flies plan.c for a stand-in that follows its references with a lag, on
- * estimates that are sometimes bad, among walls that are made up, with signals of a user that come when they like. What
- * it gives and what it logs is told bit by bit; the last lines tell what a period costs. */
+/* Self-test of the flight software: plan.c is flown for a vehicle model that follows the references with a lag. Estimates
+ * are sometimes bad, walls and user signals are random. The program prints digests of outputs and log, then the cost of a
+ * period. */
 #include "made_up.h"
 #include "platform.h"
 #include "software.h"
 
 #define PERIODS 16000
 #define DIGEST_LINES 40
-#define UNDISTURBED_PERIODS 8400 /* so long it flies its mission undisturbed */
+#define UNDISTURBED_PERIODS 8400 /* periods of the mission without user signals */
 
 static int32_t random_below(int32_t count)
 {
@@ -62,7 +62,7 @@ static void add_random_command(command_t *c, int32_t what)
     }
 }
 
-/* It moves after its reference; walls stand to the north and the east of it, sometimes. */
+/* Move towards the reference; at times, with walls in the north and the east. */
 static void follow_reference(const software_t *s, estimate_t *b)
 {
     motion_estimate_t *now = &b->motion;
@@ -123,7 +123,7 @@ int main(void)
         } else if ((held == 4) || (held == 6)) {
             add_random_command(&command, held);
         } else {
-            /* it flies by itself */
+            /* no user signal */
         }
         before = platform_count();
         software_step(&mufly_setup, &s, &b, &command, &out);

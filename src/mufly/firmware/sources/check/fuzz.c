@@ -1,8 +1,8 @@
-/* Any bytes as readings, beliefs, commands and missions: no crash, nothing undefined, no output out of range.
+/* Fuzz arbitrary bytes as readings, estimates, commands and missions: no crash, no undefined behaviour, outputs in range.
  *
- * For libFuzzer, with the sanitizers of addresses and of what C leaves undefined (clang -fsanitize=fuzzer,address,undefined,
- * float-cast-overflow). The first byte says which part; numbers come as they are (any bits), as special ones, or within
- * what happens ("tame"). A part that is promised finite numbers has to keep its outputs in range only if it gets them. */
+ * For libFuzzer with sanitizers (clang -fsanitize=fuzzer,address,undefined,float-cast-overflow). The first byte selects
+ * the part. Numbers are arbitrary bits, special values, or physical values ("tame"). A part that requires finite inputs
+ * must keep its outputs in range for finite inputs only. */
 #include <stddef.h>
 #include <stdlib.h>
 #include <string.h>
@@ -23,8 +23,8 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 
 static const uint8_t *at;
 static size_t left;
-static bool input_is_unphysical;  /* whether something came that does not happen */
-static bool limit_inputs; /* whether everything is to be as it happens */
+static bool input_is_unphysical;  /* whether an unphysical number was drawn */
+static bool limit_inputs; /* whether to draw physical values only */
 
 static uint8_t next_byte(void)
 {
@@ -83,7 +83,7 @@ static real_t next_number(real_t size)
     return v;
 }
 
-/* More than nothing, as a mission's file is checked to be. */
+/* Positive numbers, as the check of mission files ensures. */
 static real_t next_positive(real_t size)
 {
     return REAL(0.01) + real_abs(next_number(size));
@@ -247,13 +247,13 @@ static void fuzz_fixed(void)
             require_true((out.motor_input[i] >= 0) && (out.motor_input[i] <= FIXED_ONE));
             require_true((out.servo_input[i] >= -FIXED_ONE) && (out.servo_input[i] <= FIXED_ONE));
         }
-        require_true(c.overflows == 0U); /* by the proof */
+        require_true(c.overflows == 0U); /* guaranteed by the proof */
     }
 }
 #endif
 
 #ifdef FUZZ_MISSION
-/* Of a mission's numbers those come that its file may hold: they are checked where it is read. */
+/* Mission numbers are drawn within the limits that the file reader checks. */
 static void any_plan(plan_t *p)
 {
     const bool as_it_was = limit_inputs;
@@ -331,7 +331,7 @@ static void any_command(command_t *c)
     c->land = (b & 24U) == 24U;
     c->stop_reason = ((b & 224U) == 224U) ? (int32_t)(next_byte() % 8U) : 0;
     c->rc_active = (a & 160U) == 160U;
-    /* Sticks and heights are checked where they come in: autopilot.py, on a board whoever fills a command_t. */
+    /* The caller checks sticks and heights: autopilot.py, or on a board the code that fills command_t. */
     limit_inputs = true;
     c->roll = next_number(REAL(0.5));
     c->pitch = next_number(REAL(0.5));
@@ -346,7 +346,7 @@ static void any_command(command_t *c)
     c->program_set_point.yaw_rate = next_number(REAL(2.0));
 }
 
-/* The whole flight software: whatever is believed and asked, actuators stay within their range. */
+/* The whole flight software: actuators stay in range for any estimate and command. */
 static void fuzz_software(void)
 {
     static software_t s;
@@ -381,7 +381,7 @@ static void fuzz_software(void)
 #endif
 
 #ifdef FUZZ_ESTIMATE
-/* The estimator: any readings; what it stands by is finite. */
+/* The estimator: a valid estimate is finite for any readings. */
 static void fuzz_estimate(void)
 {
     static estimator_t m;

@@ -1,4 +1,4 @@
-/* Made-up inputs and digests of outputs, the same on every machine: what the self-tests have in common. */
+/* Synthetic inputs and output digests of the self-tests, equal on all machines. */
 #ifndef MUFLY_MADE_UP_H
 #define MUFLY_MADE_UP_H
 
@@ -8,7 +8,7 @@
 
 static uint32_t seed = 2463534242U;
 
-/* xorshift (Marsaglia 2003); a number in -1..1 of 24 bits, which either precision holds. */
+/* xorshift (Marsaglia 2003); a number in -1..1 with 24 bits, exact in both precisions. */
 static real_t random_number(real_t size)
 {
     seed ^= seed << 13;

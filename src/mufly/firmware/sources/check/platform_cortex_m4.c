@@ -1,5 +1,5 @@
-/* A Cortex-M4 with floating unit, emulated by QEMU with -icount shift=0: an instruction takes a nanosecond, so SysTick,
- * which counts the processor's clock, counts instructions: 40 a tick at the 25 MHz of mps2-an386. Words go out by semihosting. */
+/* Cortex-M4 with floating-point unit, emulated by QEMU with -icount shift=0. An instruction takes a nanosecond, so SysTick
+ * measures instructions: 40 a tick at the 25 MHz of mps2-an386. Output goes through semihosting. */
 #include "platform.h"
 
 #define CPACR (*(volatile uint32_t *)0xE000ED88U)
@@ -23,7 +23,7 @@ static uint32_t ask_host(uint32_t what, const void *with)
     return r0;
 }
 
-/* Word by word where it can be, as a board's C library does; volatile: the compiler would call memcpy for it. */
+/* Copy words where aligned, as a board's C library does; volatile prevents a call of memcpy. */
 void *memcpy(void *to, const void *from, uint32_t count)
 {
     uint32_t i = 0U;
@@ -51,7 +51,7 @@ void *memset(void *to, int32_t value, uint32_t count)
 
 void reset(void)
 {
-    CPACR |= 0xFU << 20; /* the floating unit on, before anything uses it */
+    CPACR |= 0xFU << 20; /* enable the floating-point unit before its first use */
     __asm__ volatile("dsb\n isb");
     (void)memcpy(&data_begin, &data_load, (uint32_t)((uint8_t *)&data_end - (uint8_t *)&data_begin));
     (void)memset(&bss_begin, 0, (uint32_t)((uint8_t *)&bss_end - (uint8_t *)&bss_begin));
@@ -85,7 +85,7 @@ void platform_start(void)
     SYST_CSR = 5U;
 }
 
-/* It counts down, 24 bits wide; the self-test asks often enough. */
+/* 24-bit down counter; the self-test reads it before it wraps. */
 uint32_t platform_count(void)
 {
     static uint32_t last = 0U;
@@ -112,5 +112,5 @@ void platform_print(const char *what, uint64_t number)
 
 void platform_end(void)
 {
-    (void)ask_host(0x18U, (const void *)0x20026U); /* ended as it should */
+    (void)ask_host(0x18U, (const void *)0x20026U); /* regular exit */
 }

@@ -1,7 +1,7 @@
-/* The same numbers everywhere? A run of the controllers over made-up inputs, whose outputs are told bit by bit.
+/* Self-test of the controllers: prints digests of the outputs for synthetic inputs.
  *
- * Built for this machine and for a processor, both have to print the same outputs; the last lines tell what a period costs.
- * Inputs come from a generator of 32-bit integers, so that they are the same whatever the platform's library is. */
+ * Builds for this machine and for a board must print equal digests; the last lines give the cost of a period. A generator
+ * of 32-bit integers makes the inputs independent of the platform's library. */
 #include "controllers.h"
 #include "made_up.h"
 #include "platform.h"

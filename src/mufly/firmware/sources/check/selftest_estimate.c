@@ -1,5 +1,5 @@
-/* The estimator on a hop that its own flight model makes up, in the middle of a room: it stands, lifts off, hovers. All that
- * it tells is taken into a digest; the last lines tell what a period costs, of flight alone. */
+/* Self-test of the estimator on a simulated hop in the middle of a room: stand, lift off, hover. The digest covers all its
+ * outputs; the last lines give the cost of a period in flight. */
 #include "ekf_step.h"
 #include "flight_model.h"
 #include "made_up.h"
@@ -10,7 +10,7 @@
 #define DIGEST_LINES 40
 
 typedef struct {
-    real_t height; /* m, of the legs */
+    real_t height; /* height of the legs (m) */
     real_t climb;  /* m/s */
     real_t force;  /* m/s2, along the mast */
     real_t motor[2];

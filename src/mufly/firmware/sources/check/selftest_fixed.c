@@ -1,4 +1,4 @@
-/* The same whole numbers everywhere? As selftest.c, of the law in fixed/. */
+/* Self-test of the fixed-point law in fixed/, as selftest.c. */
 #include "fixed_law.h"
 #include "platform.h"
 

@@ -1,10 +1,10 @@
 #include "fixed_law.h"
 
 #define EXCESS_SHIFT 4U        /* from 2^-20 to 2^-16 */
-#define SIGNAL_LIMIT 1073741824       /* 2^30: 1024 m/s or rad, far beyond what happens; its square fits */
+#define SIGNAL_LIMIT 1073741824       /* 2^30: 1024 m/s or rad, beyond physical values; its square fits 64 bits */
 #define FEEDFORWARD_LIMIT 67108864 /* 64 m/s2 */
 
-/* w: states, errors, refused. x: the next states. */
+/* w: states, errors, saturation excess. x: the next states. */
 static void update_state(int32_t n, int32_t inputs, const fixed_coefficient_t update[], const uint8_t down[], int32_t kept,
                     const int32_t w[], int32_t x[], uint32_t *overflows)
 {
@@ -34,7 +34,7 @@ static void copy_states(int32_t n, const int32_t from[], int32_t to[])
     }
 }
 
-/* A reference filter: critically damped near the target, on a braking parabola far from it. */
+/* Reference filter: critically damped near the target, on a braking parabola far from it. */
 static void filter_reference(const fixed_reference_filter_t *g, int32_t period, fixed_reference_t *s, int32_t target, int32_t target_rate,
                   uint32_t *overflows)
 {
@@ -53,7 +53,7 @@ static void filter_reference(const fixed_reference_filter_t *g, int32_t period, 
     s->value += fixed_multiply_shift(period, s->rate, 20U);
 }
 
-/* What of a rate goes the way of whole, and no further. */
+/* Limit a rate to the range between zero and whole. */
 static int64_t limit_lead_rate(int64_t rate, int32_t whole)
 {
     return (whole > 0) ? fixed_clip(rate, 0, whole) : fixed_clip(rate, whole, 0);
@@ -66,7 +66,7 @@ static int64_t lead_reference(const fixed_reference_filter_t *g, const fixed_ref
     return fixed_round_shift(s->value, 20U) + fixed_multiply_shift(g->lead, rate, FIXED_BITS);
 }
 
-/* A reading far off the design voltage is a fault of the sensor, not a battery. 2^-24 V. */
+/* A reading far from the design voltage is a sensor fault. 2^-24 V. */
 static int64_t limit_voltage(const fixed_heave_yaw_t *g, int32_t voltage)
 {
     const int64_t design = g->design_voltage;
@@ -121,7 +121,7 @@ void fixed_lift_off(const fixed_gains_t *g, fixed_controllers_t *c, const fixed_
     }
 }
 
-/* In flight the filtered reference waits for a height that trails it by more than the slack. */
+/* In flight, hold the filtered reference if the height trails it by more than the slack. */
 static void limit_heave_reference(const fixed_heave_yaw_t *h, fixed_controllers_t *c, int32_t z)
 {
     const int64_t trails = z - fixed_round_shift(c->height.value, 20U);
@@ -163,7 +163,7 @@ static void drive_motors(const fixed_heave_yaw_t *h, fixed_controllers_t *c, con
     for (int32_t i = 0; i < FIXED_OUTPUT_PAIR; i++) {
         u[i] = fixed_dot(15, h->output[i], w, h->output_down[i]) + h->trim[i];
     }
-    /* Yaw goes first: the difference (upper less lower) is kept as far as it goes, the sum gives way. */
+    /* Yaw has priority: the difference (upper minus lower) is kept as far as possible, the sum is reduced. */
     most = fixed_clip(u[1] - u[0], -top, top);
     sum = fixed_clip(u[1] + u[0], fixed_abs(most), (2 * top) - fixed_abs(most));
     lower = (sum - most) / 2;
@@ -197,7 +197,7 @@ static void drive_servos(const fixed_roll_pitch_t *r, fixed_controllers_t *c, co
     update_state(FIXED_ROLL_PITCH_ORDER, 14, &r->update[0][0], r->update_down, r->kept, w, c->roll_pitch, &c->overflows);
 }
 
-/* Shorten two components to a length, direction kept. */
+/* Limit the length of a vector, keeping its direction. */
 static void limit_length(int64_t v[2], int32_t limit)
 {
     const int64_t length = fixed_integer_sqrt((v[0] * v[0]) + (v[1] * v[1]));

@@ -1,7 +1,7 @@
-/* The control law in whole numbers: what law.c, cascade.c and controllers.c do, for a processor without a floating unit.
+/* Fixed-point control law, equivalent to law.c, cascade.c and controllers.c, for processors without floating-point unit.
  *
- * Signals are int32_t in 2^-20 of m, m/s, m/s2, rad, rad/s, V or full throw. Why nothing overflows: fixed.py of mufly.firmware
- * computes a bound of every state and sum; the tables name the greatest. State belongs to the caller. */
+ * Signals are int32_t in 2^-20 of m, m/s, m/s2, rad, rad/s, V or full throw. fixed_point_design.py of mufly.firmware bounds
+ * every state and sum, so nothing overflows; the tables state the largest bounds. The caller owns all state. */
 #ifndef MUFLY_FIXED_LAW_H
 #define MUFLY_FIXED_LAW_H
 
@@ -14,15 +14,15 @@
 #define FIXED_POSITION_ORDER 6
 #define FIXED_POSITION_ERRORS 2
 #define FIXED_OUTPUT_PAIR 2
-#define FIXED_MAX_INPUTS 17 /* states, errors, refused, of heave-yaw */
+#define FIXED_MAX_INPUTS 17 /* states, errors and saturation excess of heave-yaw */
 #define FIXED_MAX_STATES 10
 
-/* A reference filter: 2^-20, but rates and accelerations 2^-24. */
+/* Reference filter: 2^-20, rates and accelerations 2^-24. */
 typedef struct {
     int32_t slope;         /* half the bandwidth (1/s) */
-    int32_t bandwidth;     /* twice it (1/s) */
-    int32_t braking;       /* the acceleration (m/s2 or rad/s2) */
-    int32_t linear;        /* gap up to which it is linear (m or rad) */
+    int32_t bandwidth;     /* twice the bandwidth (1/s) */
+    int32_t braking;       /* braking acceleration (m/s2 or rad/s2) */
+    int32_t linear;        /* gap of the linear range (m or rad) */
     int32_t acceleration;  /* 2^-24 */
     int32_t speed;
     int32_t lead; /* s */
@@ -35,14 +35,14 @@ typedef struct {
     uint8_t update_down[FIXED_HEAVE_YAW_ORDER];
     uint8_t output_down[FIXED_OUTPUT_PAIR];
     uint8_t start_down[FIXED_HEAVE_YAW_ORDER];
-    int32_t kept; /* 1: what is summed is added to the state (delta form); 0: it is the state */
+    int32_t kept; /* 1: the sum is added to the state (delta form); 0: the sum is the state */
     int32_t limit[FIXED_HEAVE_YAW_ERRORS];
     int32_t trim[FIXED_OUTPUT_PAIR];
     fixed_reference_filter_t height, heading;
     int32_t slack;          /* m */
     int32_t period;         /* 2^-36 s */
     int32_t design_voltage; /* V */
-    int32_t per_volt;       /* 2^-30: one over it */
+    int32_t per_volt;       /* 2^-30 of 1 / design_voltage */
     int32_t voltage_blend;  /* 2^-30 */
 } fixed_heave_yaw_t;
 
@@ -90,7 +90,7 @@ typedef struct {
     fixed_reference_t height, heading;
     int32_t origin_z, origin_psi;
     int32_t voltage;    /* filtered, 2^-24 V */
-    uint32_t overflows; /* numbers that did not fit; none, by the proof */
+    uint32_t overflows; /* number of overflows; zero by the proof */
 } fixed_controllers_t;
 
 typedef struct {
@@ -106,12 +106,12 @@ typedef struct {
     int32_t servo_input[2]; /* -FIXED_ONE..FIXED_ONE */
 } fixed_actuators_t;
 
-/* The numbers of the vehicle this was made for: tables_fixed.c. */
+/* Constants of the exported vehicle: tables_fixed.c. */
 extern const fixed_gains_t mufly_fixed_gains;
 extern const int32_t mufly_fixed_rate_Hz;
 extern const int32_t mufly_fixed_position_divider;
 
-/* As their namesakes in controllers.h. A fixed_controllers_t begins with zeros. */
+/* As the functions in controllers.h. Initialise a fixed_controllers_t with zeros. */
 void fixed_engage(const fixed_gains_t *g, fixed_controllers_t *c, const fixed_motion_t *now,
                   const int32_t motor_input[2]);
 void fixed_lift_off(const fixed_gains_t *g, fixed_controllers_t *c, const fixed_motion_t *now);

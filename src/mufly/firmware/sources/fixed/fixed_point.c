@@ -73,7 +73,7 @@ int64_t fixed_integer_sqrt(int64_t value)
     return (int64_t)root;
 }
 
-/* The angle less n quarter turns, then the series of Taylor. */
+/* Subtract n quarter turns from the angle, then evaluate the Taylor series. */
 void fixed_sine_cosine(int32_t angle, int32_t *sine, int32_t *cosine)
 {
     const int64_t n = fixed_multiply_shift(angle, TWO_OVER_PI, 50U);
@@ -120,7 +120,7 @@ int64_t fixed_dot(int32_t count, const fixed_coefficient_t row[], const int32_t 
     int64_t sum = 0;
 
     for (int32_t j = 0; j < count; j++) {
-        if (row[j].c != 0) { /* most are, in modal form */
+        if (row[j].c != 0) { /* most are zero in modal form */
             sum += ((int64_t)row[j].c * by[j]) * (int64_t)((uint64_t)1U << row[j].up);
         }
     }
