@@ -146,6 +146,18 @@ def test_too_heavy_and_unknown(tmp_path) -> None:
     assert "mufly-2.0" in str(fault("show", "mufly-3"))
 
 
+def test_check_warns_of_unusual_values_and_states_a_high_sonar(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    made = {"body.drag_area_x": 0.4, "sensors.sonar.place": [[0.0, 0.0, -0.02]]}
+    path.write_text(format_vehicle_toml(replace_parameters(load_vehicle("mufly-1.1"), made)))  # type: ignore[arg-type]
+    said = output("check", str(path))
+    assert "mine.toml: body.drag_area_x: 0.4 m2 is 17 times the rotor disc's area" in " ".join(said.split())
+    assert "The sonar is 0.0884 m above the floor on the ground" in said
+    assert json.loads(output("check", str(path), "--json"))["warnings"][0].startswith("body.drag_area_x: 0.4 m2")
+    assert "The sonar" not in output("check", "mufly-1.1")
+    assert json.loads(output("check", "mufly-1.1", "--json"))["warnings"] == []
+
+
 def test_help_explains_itself() -> None:
     text = output("--help")
     for command in ("list", "show", "check"):

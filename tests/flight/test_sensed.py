@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from mufly.cli import app
 from mufly.control import FlightController, design_flight_controller
-from mufly.dynamics import standing_attitude
+from mufly.dynamics import standing_attitude, standing_height
 from mufly.errors import InputError
 from mufly.estimate import ERROR_STATES, AuxiliaryStates, Estimate, Estimator, SensorStatus, fitted_estimator
 from mufly.flight import Flight, fly_mission, read_recording, replace_estimates, replay_estimator
@@ -36,7 +36,8 @@ from mufly.sensors import (
     draw_leaning_vehicle,
     parse_fault,
 )
-from mufly.vehicle import Vehicle, load_vehicle
+from mufly.sensors.sonar import max_grounded_range, standing_sonar_range
+from mufly.vehicle import Vehicle, load_vehicle, replace_parameters
 from mufly.world import World
 
 HOP = parse_mission({"take_off": {"height_m": 0.6, "wait_s": 0.5}, "waypoint": [{"position_m": [0.4, 0.0, -0.6]}]})
@@ -81,6 +82,27 @@ class Teller(Estimator):
         ranges, zero = np.full(8, 1.5), {}
         m = Estimate(readings.time_s, t.position, t.velocity, t.attitude, t.rates, ranges, t.voltage, **zero)
         return believing(m, **self.doubt)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("noise_m", [0.003, 0.03])
+def test_a_sonar_high_on_the_fuselage_takes_the_floor_for_no_flight(
+    vehicle: Vehicle, controller: FlightController, noise_m: float
+) -> None:
+    """On the floor such a sonar reads more than its least range, and still the vehicle stands (no lift-off)."""
+    high = replace_parameters(
+        vehicle,
+        {"sensors.sonar.place": [[0.0, 0.0, -0.02]], "sensors.sonar.noise": noise_m},  # type: ignore[dict-item]
+    )
+    reads = standing_sonar_range(high)
+    assert reads == pytest.approx(standing_height(high) + 0.02)
+    assert max_grounded_range(high) == pytest.approx(reads + 3.0 * noise_m)
+    assert max_grounded_range(vehicle) == float(vehicle.sensors.sonar.min_range)  # a low one reads its least range
+    told: list[str] = []
+    flight = fly_mission(
+        high, HOP, controller=controller, sensors="fitted", seed=5, on_event=lambda e: told.append(e.text)
+    )
+    assert flight.attrs["outcome"] == "succeeded"
+    assert not [text for text in told if "not believed" in text or "gyroscope" in text]
 
 
 @pytest.fixture

@@ -31,7 +31,11 @@ OF_EVERY_SENSOR = {
 }
 _PROOF = {"firmware/proof_flights.py": "its faults in the flights by which C is proved equal"}
 OF_ONE_SENSOR = {
-    "magnetometer": {"sensors/magnetometer.py": "its model", **_PROOF},
+    "magnetometer": {
+        "sensors/magnetometer.py": "its model",
+        **_PROOF,
+        "vehicle/plausibility.py": "its field is compared with the Earth's",
+    },
     "pressure": {
         "sensors/pressure.py": "its model",
         **_PROOF,
@@ -44,6 +48,9 @@ OF_ONE_SENSOR = {
         "estimate/sensor_checks.py": "it hears second surfaces, so more rejections are no alarm",
         "flight/camera_sensor.py": "pictures tell no place on the floor, where the sonar reads its least",
         "flight/simulated_flight.py": "the same: the camera rests there",
+        "vehicle/vehicle_schema.py": "its place is above the floor on which the legs stand",
+        "vehicle/plausibility.py": "its beam passes no rotor, and it reaches down to lift-off",
+        "cli/vehicle.py": "the check states its range on the floor",
     },
     "position_fix": {
         "sensors/position_fix.py": "its model",

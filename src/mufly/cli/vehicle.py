@@ -125,9 +125,11 @@ def check(vehicle: VehicleArgument, as_json: JsonOption = False) -> None:
         longest_step,
         model_parameters,
     )
-    from mufly.vehicle import load_vehicle
+    from mufly.sensors.sonar import standing_sonar_range
+    from mufly.vehicle import find_unusual_parameters, load_vehicle
 
     v = load_vehicle(vehicle)
+    unusual = find_unusual_parameters(v)
     try:
         h = hover_performance(v)
     except InputError as error:
@@ -135,8 +137,20 @@ def check(vehicle: VehicleArgument, as_json: JsonOption = False) -> None:
     p = model_parameters(v)
     step = longest_step(p)
     if as_json:
-        return print_json({"name": v.name, "valid": True, "hover": h, "longest_step_s": step})
+        return print_json(
+            {"name": v.name, "valid": True, "hover": h, "longest_step_s": step, "warnings": list(map(str, unusual))}
+        )
     _print_hover(v, h)
+    if v.sensors is not None and v.sensors.sonar is not None:
+        least, stands = float(v.sensors.sonar.min_range), standing_sonar_range(v)
+        if stands > least:
+            print_lines(
+                f"The sonar is {stands:.3g} m above the floor on the ground, more than its least range, {least:g} m: "
+                "it measures the height from lift-off on.",
+                style="dim",
+            )
+    for one in unusual:
+        print_lines(f"{vehicle}: {one}", style="yellow")
     if h.thrust_to_weight_half < 1.15:
         print_lines("The thrust reserve for climb and gusts is small.", style="yellow")
     if step < DEFAULT_STEP_S:

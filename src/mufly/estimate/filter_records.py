@@ -39,6 +39,7 @@ from mufly.sensor_table import CHECKED
 from mufly.sensors import beam_directions
 from mufly.sensors.magnetometer import earth_field
 from mufly.sensors.ring_camera import ELEVATION_MARGIN
+from mufly.sensors.sonar import max_grounded_range
 from mufly.vehicle import Vehicle
 from mufly.vehicle.sensor_schema import DEFAULT_LEVEL_ERROR_RAD, SensorSuite
 from mufly.world import World
@@ -297,7 +298,7 @@ class FilterSettings:
     sonar_variance: float = _real("variance of a range", unit="m2")
     sonar_resolution: float = _real("resolution of a range", unit="m")
     sonar_cone: float = _real("cosine of half the cone")
-    sonar_min: float = _real("least range", unit="m")
+    sonar_min: float = _real("least range, or the greatest on the floor where that is larger", unit="m")
     sonar_max: float = _real("largest range", unit="m")
     sonar_arc: float = _real("range at the cone's edge over that along its axis, less 1")
     sonar_cone_slope: float = _real("radius of the cone over the range")
@@ -448,7 +449,7 @@ def filter_settings(
         s["sonar_cone"] = math.cos(0.5 * float(sonar.cone))
         # Of an edge that comes into the cone: how much farther than its top it is, and how far ahead
         s["sonar_arc"], s["sonar_cone_slope"] = 1.0 / s["sonar_cone"] - 1.0, math.tan(0.5 * float(sonar.cone))
-        s["sonar_min"], s["sonar_max"] = float(sonar.min_range), float(sonar.max_range)
+        s["sonar_min"], s["sonar_max"] = max_grounded_range(vehicle), float(sonar.max_range)
         bound[R_SONAR] = 1.01 * s["sonar_max"]
         latency[R_SONAR] = 2 * float(sonar.max_range) / 340.0
         delay_s = max(delay_s, latency[R_SONAR])

@@ -12,9 +12,9 @@ errors of pictures that follow each other hang together, and the filter has no t
 It takes the place of the statistical ``position_fix`` and goes through the same door. For the filter its errors are
 described in the same words: white noise, and a bias that wanders (docs/log/2026-11-24-slam-accuracy.md).
 
-Until the sonar first says more than the least that it can, the vehicle stands where it was put, or has just left it:
-that is told, with 2 mm of noise. A filter that heard nothing while the legs carry a part of the weight would lose its
-height. The map begins with the first picture from 10 cm up, where the vehicle then believes to be.
+Until the sonar first reads more than that of a standing vehicle can, the vehicle stands where it was put, or has just
+left it: that is told, with 2 mm of noise. A filter that heard nothing while the legs carry a part of the weight would
+lose its height. The map begins with the first picture from 10 cm up, where the vehicle then believes to be.
 """
 
 from __future__ import annotations
@@ -43,6 +43,7 @@ from mufly.estimate import Estimate
 from mufly.estimate.filter_records import EX_FIX_BIAS, EX_FIX_HEADING, EX_GYRO_BIAS
 from mufly.flight.onboard_camera import SHOWN_JPEG_QUALITY, CameraFault, OnboardCamera, PictureStream
 from mufly.sensors import Reading, Sensor, Truth
+from mufly.sensors.sonar import max_grounded_range
 from mufly.slam import (
     PHASE_SIGMA_RAD,
     CameraFrame,
@@ -157,9 +158,9 @@ def with_camera(vehicle: Vehicle, camera: Camera) -> Vehicle:
 
 
 def minimum_sonar_height(vehicle: Vehicle) -> float:
-    """Return up to which reading the sonar says no more than the least that it can (m)."""
+    """Return up to which reading (m) the sonar cannot tell a standing vehicle from a flying one."""
     sonar = vehicle.sensors.sonar if vehicle.sensors is not None else None
-    return 0.0 if sonar is None else float(sonar.min_range) + 0.5 * float(sonar.resolution)
+    return 0.0 if sonar is None else max_grounded_range(vehicle) + 0.5 * float(sonar.resolution)
 
 
 class CameraSensor(Sensor):

@@ -20,7 +20,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.dynamics import body_to_ned_matrix
+from mufly.dynamics import body_to_ned_matrix, standing_attitude, standing_height
 from mufly.dynamics.model_state import ATTITUDE
 from mufly.numba_cache import cached_njit
 from mufly.sensors.periodic import FIRST_VALUE, IS_VALID, PeriodicSensor
@@ -32,6 +32,7 @@ from mufly.world import World, first_hit
 
 _Array = NDArray[np.float64]
 SPEED_OF_SOUND_M_S = 343.2  # dry air of 20 degC
+_STANDING_SIGMA_LIMIT = 3.0  # deviations that readings of a standing vehicle are above the distance of the floor
 _CONE_RINGS = ((1 / 3, 6), (2 / 3, 12), (1.0, 18))  # share of the half angle, number of rays
 
 
@@ -107,6 +108,27 @@ class UltrasonicSensor(PeriodicSensor):
         """Return the distance to the nearest surface in the cone (m); infinite if there is none."""
         _, place, rays, *world = self.sample_arguments
         return {"ground_distance": float(_cone_distance(truth.state, place, rays, self._numbers[6], *world))}
+
+
+def standing_sonar_range(vehicle: Vehicle) -> float:
+    """Return the distance (m) from the sonar to the floor on which the vehicle stands; NaN without a sonar."""
+    sonar = vehicle.sensors.sonar if vehicle.sensors is not None else None
+    if sonar is None:
+        return math.nan
+    roll, pitch = standing_attitude(vehicle)
+    down = (-math.sin(pitch), math.sin(roll) * math.cos(pitch), math.cos(roll) * math.cos(pitch))
+    return standing_height(vehicle) - float(sonar.place.to_array()[0] @ down)
+
+
+def max_grounded_range(vehicle: Vehicle) -> float:
+    """Return the range (m), before rounding, up to which a reading of the sonar may come from a standing vehicle.
+
+    A sonar low on the fuselage reads its least range on the floor. A higher one reads the floor's distance, with noise.
+    """
+    sonar = vehicle.sensors.sonar if vehicle.sensors is not None else None
+    if sonar is None:
+        return 0.0
+    return max(float(sonar.min_range), standing_sonar_range(vehicle) + _STANDING_SIGMA_LIMIT * float(sonar.noise))
 
 
 def cone_rays(half_angle: float) -> _Array:

@@ -7,6 +7,7 @@ from mufly.vehicle.coefficient_map import (
     format_map_toml,
     load_coefficient_map,
 )
+from mufly.vehicle.plausibility import UnusualParameter, find_unusual_parameters
 from mufly.vehicle.vehicle_schema import (
     Parameter,
     Vehicle,
@@ -22,10 +23,12 @@ __all__ = [
     "CoefficientMap",
     "MapTables",
     "Parameter",
+    "UnusualParameter",
     "Vehicle",
     "battery_voltage_range",
     "builtin_coefficient_maps",
     "builtin_vehicles",
+    "find_unusual_parameters",
     "format_map_toml",
     "format_vehicle_toml",
     "list_parameters",

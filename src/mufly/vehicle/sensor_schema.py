@@ -11,6 +11,7 @@ import math
 from pydantic import Field, model_validator
 
 from mufly.input_files import model_error
+from mufly.units import GRAVITY
 from mufly.vehicle.quantity import BodyPoints, ParameterGroup, Quantity, declare_parameter
 
 
@@ -44,7 +45,7 @@ class ImuParameters(ParameterGroup):
         "rad/s", "w_aa", "of the filter before decimation", at_least=1, at_most=100000
     )
     accelerometer_range: Quantity = declare_parameter(
-        "m/s^2", "a_max", "where an axis clips", at_least=1, at_most=100000
+        "m/s^2", "a_max", "where an axis clips", above=GRAVITY, at_most=100000
     )
     accelerometer_noise: Quantity = declare_parameter(
         "m/s^2/sqrt(Hz)", "n_a", "density of white noise", at_least=0, at_most=10
@@ -242,6 +243,15 @@ class SensorSuite(ParameterGroup):
                     "exchange them",
                     f"sensors.{name}.min_range",
                 )
-        if self.sonar is not None and len(self.sonar.place.value) != 1:
+        if self.sonar is None:
+            return self
+        step, span = float(self.sonar.resolution), float(self.sonar.max_range) - float(self.sonar.min_range)
+        if step > 0.5 * span:
+            raise model_error(
+                f"{step:g} m leaves no two steps between min_range and max_range",
+                "give a smaller step",
+                "sensors.sonar.resolution",
+            )
+        if len(self.sonar.place.value) != 1:
             raise model_error(f"{len(self.sonar.place.value)} points", "give one, [[x, y, z]]", "sensors.sonar.place")
         return self

@@ -8,6 +8,7 @@ Symbols are the thesis's (Table 5.3) in ASCII; ``up`` is the upper rotor (stabil
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from importlib import resources
 from pathlib import Path
@@ -18,6 +19,7 @@ from pydantic import BaseModel, Field, model_validator
 
 from mufly.errors import InputError
 from mufly.input_files import builtin_file_names, model_error, read_toml, validate_model
+from mufly.units import GRAVITY
 from mufly.vehicle.coefficient_map import CoefficientMap, load_named_maps
 from mufly.vehicle.quantity import BodyPoints, ParameterGroup, Quantity, TabulatedCurve, declare_parameter
 from mufly.vehicle.sensor_schema import SensorSuite
@@ -29,6 +31,8 @@ from mufly.vehicle.sensor_schema import SensorSuite
 
 MAX_LEGS = 16
 _RADIUS_TOLERANCE = 0.01
+MAX_PLACE_TO_REACH_RATIO = 2.0
+"""Greatest distance of a sensor from the centre of gravity over the reach of rotors and legs; a boom is shorter."""
 MAX_TORQUE_TO_EMF_RATIO = 1.02
 """Greatest ratio of torque to back-EMF constant, 1 plus measurement uncertainty; above it energy is not conserved."""
 
@@ -120,6 +124,31 @@ class Rotors(ParameterGroup):
             )
         return self
 
+    @model_validator(mode="after")
+    def _check_hub_order(self) -> Rotors:
+        upper, lower = float(self.upper.hub_z), float(self.lower.hub_z)
+        if upper >= lower:
+            raise model_error(
+                f"the upper hub, z = {upper:g} m, is not above the lower, z = {lower:g} m (z points down)",
+                "exchange the two hubs, or correct one",
+                "rotors.upper.hub_z",
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _check_rotor_efficiency(self) -> Rotors:
+        """Check that the power of each rotor is at least the ideal power of its thrust: figure of merit up to 1."""
+        for name, rotor in (("upper", self.upper), ("lower", self.lower)):
+            ideal = float(rotor.thrust_coefficient) ** 1.5 / math.sqrt(2.0)
+            if float(rotor.torque_coefficient) < ideal:
+                raise model_error(
+                    f"{float(rotor.torque_coefficient):g} is below {ideal:.3g}, the ideal rotor's at this "
+                    f"thrust_coefficient: a figure of merit above 1",
+                    "raise torque_coefficient, or lower thrust_coefficient",
+                    f"rotors.{name}.torque_coefficient",
+                )
+        return self
+
 
 class SwashPlate(ParameterGroup):
     time_constant: Quantity = declare_parameter(
@@ -204,6 +233,14 @@ class Battery(ParameterGroup):
                 "give as many fractions as values, rising from 0 (empty) to 1 (full)",
                 "battery.open_circuit_voltage",
             )
+        for k in range(1, len(c.value)):
+            if c.value[k] < c.value[k - 1]:
+                raise model_error(
+                    f"{c.value[k]:g} V at charge {c.fraction[k]:g} is below {c.value[k - 1]:g} V at charge "
+                    f"{c.fraction[k - 1]:g}: a battery's voltage does not fall with charge",
+                    "give voltages that rise from charge 0 (empty) to 1 (full)",
+                    "battery.open_circuit_voltage",
+                )
         for name in ("nominal_voltage", "low_voltage"):
             value, full = float(getattr(self, name)), max(c.value)
             if self.model != "constant" and value > full:
@@ -303,6 +340,54 @@ class Vehicle(ParameterGroup):
     mass_budget: MassBudget | None = None
 
     @model_validator(mode="after")
+    def _check_standing(self) -> Vehicle:
+        """Check that the legs carry the weight with the centre of gravity above the floor."""
+        tips = self.contact.legs.to_array()
+        lowest, stiffness = float(tips[:, 2].max()), float(self.contact.stiffness)
+        carrying = int((tips[:, 2] > lowest - 1e-6).sum())
+        pressed = float(self.body.mass) * GRAVITY / (carrying * stiffness)
+        if pressed >= lowest:
+            raise model_error(
+                f"{stiffness:g} N/m: the weight presses the legs in by {1e3 * pressed:.3g} mm, and the centre of "
+                f"gravity is {1e3 * lowest:.3g} mm above their tips",
+                "give stiffer or longer legs",
+                "contact.stiffness",
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _check_sensor_places(self) -> Vehicle:
+        """Check that the sensors are at the vehicle, and the sonar above the floor on which the vehicle stands."""
+        if self.sensors is None:
+            return self
+        reach = vehicle_reach_m(self)
+        for name in ("imu", "sonar"):
+            sensor = getattr(self.sensors, name)
+            away = 0.0 if sensor is None else math.hypot(*sensor.place.value[0])
+            if away > MAX_PLACE_TO_REACH_RATIO * reach:
+                raise model_error(
+                    f"{away:.3g} m from the centre of gravity; rotors and legs reach {reach:.3g} m",
+                    "correct the place or its unit",
+                    f"sensors.{name}.place",
+                )
+        lowest = max(z for _, _, z in self.contact.legs.value)
+        if self.sensors.sonar is not None:
+            low, longest = self.sensors.sonar.place.value[0][2], float(self.sensors.sonar.max_range)
+            if low >= lowest:
+                raise model_error(
+                    f"z = {low:g} m is not above the tips of the legs, z = {lowest:g} m (z points down)",
+                    "give the sonar's place a smaller z, or longer legs",
+                    "sensors.sonar.place",
+                )
+            if lowest - low >= longest:
+                raise model_error(
+                    f"{longest:g} m does not reach the floor, {lowest - low:.3g} m below the standing vehicle's sonar",
+                    "give a greater max_range, or a lower place",
+                    "sensors.sonar.max_range",
+                )
+        return self
+
+    @model_validator(mode="after")
     def _check_mass_budget(self) -> Vehicle:
         if self.mass_budget is not None:
             total = sum(float(q) for _, q in self.mass_budget)
@@ -313,6 +398,13 @@ class Vehicle(ParameterGroup):
                     "mass_budget",
                 )
         return self
+
+
+def vehicle_reach_m(vehicle: Vehicle) -> float:
+    """Return the distance (m) from the centre of gravity to the farthest point of rotor discs and legs."""
+    radius = float(vehicle.rotors.radius)
+    rims = [math.hypot(radius, float(r.hub_z)) for r in (vehicle.rotors.upper, vehicle.rotors.lower)]
+    return max(*rims, *(math.hypot(*tip) for tip in vehicle.contact.legs.value))
 
 
 _BUILTIN_VEHICLES_FOLDER = resources.files("mufly.vehicle") / "builtin"
