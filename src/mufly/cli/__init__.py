@@ -1,4 +1,4 @@
-"""The ``mufly`` command. Every sub-command lives in a module of its own and stays thin."""
+"""The ``mufly`` command. Every sub-command has its own module and contains little logic."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def _accept_root_options(
     pass
 
 
-# Typer has no public name for the base class of what is wrong with a command line.
+# Typer has no public name for the base class of command-line errors.
 _CommandLineError: type[Any] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
 
 
@@ -75,7 +75,7 @@ _shown_warnings: set[str] = set()
 
 
 def _show_warning(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-    """Show a warning of ours as one line, once, those of libraries to who asks for them (python -W, PYTHONWARNINGS)."""
+    """Show a warning of this package once, as one line; warnings of libraries need python -W or PYTHONWARNINGS."""
     if category.__module__.startswith("mufly"):
         if str(message) in _shown_warnings:
             return
@@ -86,15 +86,15 @@ def _show_warning(message: Warning | str, category: type[Warning], *where: Any, 
 
 
 def main() -> None:
-    """Run the command line: one clear line on standard error and status 1 (2 for an unknown option) on a fault."""
+    """Run the command line: an error is one line on standard error, with status 1 (2 for an unknown option)."""
     warnings.showwarning = _show_warning
-    # Libraries and compilers make a million objects that stay: looked through as often as Python does by itself, they
-    # cost an eighth of a first start.
+    # Libraries and compilers create a million permanent objects. With Python's default thresholds the garbage collector
+    # takes an eighth of the first start for them.
     gc.set_threshold(100_000, 20, 20)
     try:
         status = app(standalone_mode=False, prog_name="mufly")
         if station.ShutdownHandler.was_signalled:
-            # Whoever ends it by a signal waits for it; on a busy machine, long for an interpreter to be taken apart.
+            # The sender of a signal waits for the end; finalising the interpreter takes long on a busy machine.
             sys.stdout.flush()
             sys.stderr.flush()
             os._exit(status or 0)
@@ -104,7 +104,7 @@ def main() -> None:
     except typer.Abort:
         _exit_with_message("stopped", 130)
     except BrokenPipeError:
-        # Whoever was reading has seen enough; nothing more can be said, not even at exit.
+        # The reader has closed the pipe; nothing more can be written, not even at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     except OSError as error:
@@ -124,7 +124,7 @@ def main() -> None:
 
 
 def _typed_command() -> str:
-    """Return the command that was typed, without options and arguments."""
+    """Return the command as typed, without options and arguments."""
     words = ["mufly"]
     group: Any = typer.main.get_command(app)
     for word in sys.argv[1:]:

@@ -1,4 +1,4 @@
-"""``mufly coax``: two rotors above each other, turning against each other."""
+"""``mufly coax``: two coaxial, counter-rotating rotors."""
 
 from __future__ import annotations
 
@@ -66,13 +66,13 @@ ROTOR_COLUMNS = (
 
 
 def parse_rotor_speeds(text: str) -> tuple[float, float]:
-    """Upper and lower speed (rad/s) of ``"6000,6650"`` or ``"6000"`` rpm."""
+    """Return upper and lower speed (rad/s) of ``"6000,6650"`` or ``"6000"`` rpm."""
     upper, lower = read_rotor_pair("--rpm", text, "rpm")
     return upper * RPM, lower * RPM
 
 
 def parse_pitch_angles(text: str) -> tuple[float, float]:
-    """Upper and lower pitch (rad) of ``"14,12"``, ``"14"`` degrees."""
+    """Return upper and lower pitch (rad) of ``"14,12"`` or ``"14"`` degrees."""
     upper, lower = read_rotor_pair("--pitch", text, "deg")
     return math.radians(upper), math.radians(lower)
 
@@ -85,7 +85,7 @@ def make_pair_setup(
     *,
     balance: str = "lower-speed",
 ) -> StudySetup:
-    """The pair that the options describe; InputError if one of them is wrong."""
+    """Return the pair that the options describe; InputError if an option is wrong."""
     from mufly.rotor import load_rotor
 
     return theory.make_setup(
@@ -94,7 +94,7 @@ def make_pair_setup(
 
 
 def pair_to_json(setup: StudySetup, point: SystemSolution, alone: tuple[RotorResult, ...] | None) -> dict[str, Any]:
-    """A point as JSON; SI units."""
+    """Return a point as JSON data, in SI units."""
     sides = ("upper", "lower")
     both = zip(sides, setup.rotors, (point.upper, point.lower), strict=True)
     return {
@@ -150,7 +150,7 @@ def print_pair(setup: StudySetup, point: SystemSolution, alone: tuple[RotorResul
 
 
 def write_pair(point: SystemSolution, alone: tuple[RotorResult, ...] | None, folder: Path) -> list[Path]:
-    """Write stations and pictures of a point; of a wake, its geometry, the air around it and its history too."""
+    """Write stations and pictures of a point; of a wake also its geometry, velocity field and history."""
     from mufly.rotor import rotor_loads_picture
     from mufly.study import write_stations
 
@@ -297,12 +297,12 @@ def _solve_and_print(setup: StudySetup, isolated: bool, out: Path | None, as_jso
 
 
 # ----------------------------------------------------------------------------
-# ``mufly coax map``: coefficients over both speeds and the climb velocity, for a vehicle to fly with.
+# ``mufly coax map``: coefficients over both speeds and the climb velocity, for a vehicle's flight model.
 
 
 @dataclass(frozen=True)
 class MapOptions(WakeOptions):
-    """Options of what a map is computed by."""
+    """Options of the method that computes a map."""
 
     method: Annotated[
         Literal["bemt", "wake"],

@@ -1,4 +1,4 @@
-"""``mufly control``: design the controllers of a vehicle, tell what they are worth, draw them."""
+"""``mufly control``: design, assess and draw the controllers of a vehicle."""
 
 from __future__ import annotations
 
@@ -51,9 +51,9 @@ def design(
 ) -> None:
     """Design heave-yaw, roll-pitch and position control, and compare them with the dissertation's.
 
-    For each H-infinity design: the level gamma claimed and the norm of the closed loop as computed from it; \
-0 dB crossings of the loop gain; peaks of the sensitivity S_u and the complementary sensitivity T_u at the plant's \
-input, with the controller of full order, of reduced order, and sampled with one sample of delay; margins.
+    Printed for each H-infinity design: the level gamma claimed, and the norm of the closed loop computed from it; \
+0 dB crossings of the loop gain; peaks of the sensitivities S_u and T_u at the plant's input; margins. \
+Peaks are given for the controller of full order, of reduced order, and sampled with one sample of delay.
 
     Examples:
 

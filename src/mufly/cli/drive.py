@@ -1,4 +1,4 @@
-"""``mufly drive``: what a drive train does with a rotor, which gear suits it, how long its battery lasts."""
+"""``mufly drive``: a drive train's operating points with a rotor, its best gear, and its endurance."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ _POINT_COLUMNS = (
 
 
 def _make_rotor_load(rotor: str, vehicle: str, pitch: float | None, model: str) -> tuple[RotorLoad, str]:
-    """Return the load that the options describe, and what to call it."""
+    """Return the load that the options describe, and its name."""
     from mufly.drive import make_blade_load, make_coefficient_load
     from mufly.errors import InputError
     from mufly.rotor import load_rotor, prepare_blading
@@ -149,7 +149,7 @@ def show(
         try:
             power, volts = d.rotors * float(point.input_power_W[k]), float(point.motor_voltage_V[k])
             lasts.append(hover_endurance(d.battery, power_W=power, motor_voltage_V=volts))
-        except MuflyError:  # not even the full battery: said in the table
+        except MuflyError:  # not even with a full battery: reported in the table
             lasts.append(None)
     c = d.motor_constants()
     if as_json:

@@ -1,6 +1,6 @@
 """``mufly fly``: from a vehicle file to an autonomous mission, in the terminal or in real time.
 
-In real time the vehicle flies in a process of its own, with the station's page or other stations around it.
+In real time the vehicle flies in its own process, with the ground station's page or other stations connected.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ LOADING_STAGE = "loading the libraries"
 
 @dataclass(frozen=True)
 class FlightOrder:
-    """What is to be flown, checked; ``extra_links`` are further places where stations may be."""
+    """A checked flight order; ``extra_links`` are additional endpoints for stations."""
 
     vehicle: Vehicle
     mission: Mission
@@ -88,7 +88,7 @@ class FlightOrder:
 
 @dataclass(frozen=True)
 class FlightDisplay:
-    """Where a flight is shown: the terminal, and the page (``start_page`` tells of the start) unless there is none."""
+    """Displays of a flight: the terminal and, if there is one, the page; ``start_page`` is called when it starts."""
 
     terminal: Console
     display: LiveDisplay
@@ -134,7 +134,7 @@ def _start_vehicle_process(
 # ``mufly fly``: from a vehicle file to an autonomous mission.
 
 
-# One line a paragraph: the terminal wraps them.
+# One line for each paragraph: the terminal wraps them.
 FLY_HELP = """Fly a mission on the full nonlinear model.
 
 Opens the ground station in the browser. The helicopter stands on the floor with its mission loaded, by default the \
@@ -172,10 +172,10 @@ Examples:
 def _make_camera(
     position: str, sensors: str, camera: str, floor: str, faults: Sequence[str] | None, stream: str
 ) -> CameraConfig | None:
-    """What ``--position`` and the options of a camera say; None where there is no camera."""
+    """Return the camera of ``--position`` and the camera options; None without a camera."""
     if position == "link" and sensors == "ideal":
         raise InputError("--position", "", "the true state needs no position fixes", "leave out --sensors ideal")
-    # Behind a link somebody else looks at the pictures, if they are sent.
+    # Behind a link an external program processes the pictures, if they are sent.
     lacking = {"fix": "there is no camera without --position camera", "camera": ""}.get(
         position, "" if stream else "its pictures are sent only with --stream"
     )
@@ -319,7 +319,7 @@ def fly_mission(
             from mufly.flight.camera_sensor import with_camera
 
             with_camera(order.vehicle, order.camera.camera)
-        # One that is taken for another is judged by that other, as its pilot would.
+        # A vehicle flown by the controllers of another is checked as that other vehicle.
         check_preflight(
             order.design_vehicle or order.vehicle,
             order.mission,
@@ -340,7 +340,7 @@ def fly_mission(
         if order.extra_links or show.page_address is not None:
             outcome = _fly_in_real_time(order, show)
             if ending.is_hurried or (ending.stop_requested.is_set() and outcome != "succeeded"):
-                # A summary of half a flight is worth less than an end when it is asked for.
+                # When an end is requested, no summary of an unfinished flight is computed.
                 what = "the recording up to here is in" if outcome else "no flight took place; the recording is in"
                 terminal.print(f"Stopped; {what} {recording}")
                 raise typer.Exit(ending.exit_status)
@@ -368,7 +368,7 @@ def fly_mission(
 
 
 def _prepare_flight(order: FlightOrder, show: FlightDisplay, firmware: bool) -> None:
-    """Build what flies, and say what there is to be known of the flight before it."""
+    """Build vehicle and controllers, and print notes on the flight before it."""
     terminal = show.terminal
     terminal.print(describe_sensor_source(order.vehicle, order.sensors), highlight=False, markup=False)
     if order.camera is not None and order.camera.stream_address is not None:
@@ -383,7 +383,7 @@ def _prepare_flight(order: FlightOrder, show: FlightDisplay, firmware: bool) -> 
     show.startup.begin_stage("building the estimator")
     if by := describe_computation(order.vehicle, order.sensors, firmware):
         terminal.print(by, highlight=False, markup=False)
-    if order.extra_links or show.page_address is not None:  # in the terminal it stands among the events
+    if order.extra_links or show.page_address is not None:  # in the terminal the note is among the events
         from mufly.dynamics import describe_model_excess
 
         air = order.mission.wind
@@ -396,14 +396,14 @@ def _prepare_flight(order: FlightOrder, show: FlightDisplay, firmware: bool) -> 
 
 
 def _fly_in_terminal(order: FlightOrder, show: FlightDisplay) -> xr.Dataset:
-    """Fly the mission from beginning to end, as fast as the machine can."""
+    """Fly the mission to its end, as fast as the machine allows."""
     import mufly.flight as flight
 
     ending, display = show.shutdown, show.display
 
     def show_progress(p: FlightProgress) -> None:
         show.startup.finish()
-        # Between two ticks, where nothing is half written.
+        # Between two ticks, where no output is half written.
         ending.waits_for_loop = True
         if ending.stop_requested.is_set():
             raise KeyboardInterrupt
@@ -462,7 +462,7 @@ def _fly_in_real_time(order: FlightOrder, show: FlightDisplay) -> str:
 
 
 def _read_partial_recording(recording: Path) -> xr.Dataset | None:
-    """The recording that the vehicle's process wrote; None if there is not a row in it."""
+    """Return the recording written by the vehicle's process; None if it has no rows."""
     from mufly.flight import read_recording
 
     try:
@@ -479,7 +479,7 @@ def _stayed_on_ground(dataset: xr.Dataset) -> bool:
 def _write_results(
     terminal: Console, dataset: xr.Dataset, mission: Mission, recordings: list[Path], as_json: bool
 ) -> FlightSummary:
-    """Write summary and pictures beside the recordings, and print what they say."""
+    """Write summary and pictures beside the recordings, and print them."""
     from rich.markup import escape
 
     import mufly.flight as flight

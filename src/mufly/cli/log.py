@@ -1,4 +1,4 @@
-"""``mufly log``: what was recorded, as words, pictures and files."""
+"""``mufly log``: recordings as text, pictures and files."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ ToOption = Annotated[float | None, define_option("--to", "End time, from the log
 
 
 def column_map_from_options(file: str | None, pairs: Sequence[str] | None) -> ColumnMap | None:
-    """The map of ``--map`` with the lines of ``--column`` before it."""
+    """Return the column map of ``--map``, preceded by the entries of ``--column``."""
     from mufly.logs import load_column_map
 
     if file is None and not pairs:
@@ -237,7 +237,7 @@ def _plot_two_logs(
     log: Path, beside: Path, names: list[str], align: str, offset_s: float,
     span: tuple[float | None, float | None], out: Path | None,
 ) -> None:  # fmt: skip
-    """Draw two logs on each other, and say by how much they differ."""
+    """Draw two logs in the same plots, and print their differences."""
     from dataclasses import replace
 
     from mufly.station.recording_comparison import (

@@ -1,4 +1,4 @@
-"""``mufly mission``: what missions there are, what one asks for, and whether a vehicle can fly it."""
+"""``mufly mission``: list, show and check missions."""
 
 from __future__ import annotations
 

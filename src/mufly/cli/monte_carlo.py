@@ -1,6 +1,6 @@
-"""``mufly monte-carlo``: a thousand flights of a mission that differ in vehicle, air and chance.
+"""``mufly monte-carlo``: many flights of a mission with different vehicles, air and random seeds.
 
-Everything is judged by the truth; see :mod:`mufly.flight.monte_carlo`.
+Flights are judged by the truth; see :mod:`mufly.flight.monte_carlo`.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 _MAX_PRINTED_COMMANDS = 10  # commands printed; all are in commands.txt
 
-# One line a paragraph: the terminal wraps them.
+# One line for each paragraph: the terminal wraps them.
 MONTE_CARLO_HELP = """Fly a mission many times with varied vehicle, air and noise; report the success rate.
 
 A flight succeeds by its true path: no collision, every waypoint passed within --tolerance, an upright landing on the \
@@ -204,7 +204,7 @@ def _write_and_print_results(
     campaign: Campaign, flown: Sequence[FlightResult], sought: Sequence[FlightResult], out: Path,
     recorded: RecordedFlights, as_json: bool,
 ) -> None:  # fmt: skip
-    """Write tables, pictures and summary, and say what they say."""
+    """Write tables, pictures and summary, and print the results."""
     from mufly.flight.monte_carlo import flight_severity, summarise_outcome, worst_first, write_flights
     from mufly.results import to_plain_data
 

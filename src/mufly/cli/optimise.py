@@ -1,4 +1,4 @@
-"""A better rotor or pair: ``mufly rotor optimise``, ``mufly coax optimise``."""
+"""``mufly rotor optimise`` and ``mufly coax optimise``: optimisation of a rotor or pair."""
 
 from __future__ import annotations
 
@@ -97,8 +97,8 @@ def optimise(
     """Search for a better rotor at a given thrust, within limits, and report the gain of each change.
 
     Changes are listed from the start, the one that gains most first, each with the pitch set anew; a negative gain is
-    the price of a limit. What can be limited: the parameters that are searched, and thickness_mm (the least along the
-    blade), tip_chord_mm, solidity, speed_rpm, motor_current_A, gear.
+    the price of a limit. Limits apply to the searched parameters and to thickness_mm (minimum along the blade),
+    tip_chord_mm, solidity, speed_rpm, motor_current_A and gear.
 
     Example: mufly rotor optimise --for endurance --free chord,twist,taper,radius,airfoil,gear --limit
     'thickness_mm>=0.8' --limit 'radius<=60mm' --out better.toml

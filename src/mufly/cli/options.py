@@ -1,4 +1,4 @@
-"""What commands share: options, what their texts say, and the options' names in place of a library's arguments."""
+"""Options that commands share, the notations of their values, and option names in place of library arguments."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from mufly.study.study_parameters import ParameterValue
     from mufly.vehicle import Vehicle
 
-# Arguments of the library that an option of another name gives.
+# Library arguments whose option has another name.
 _OPTION_BY_ARGUMENT = {
     "columns": "column",
     "capacity_As": "capacity",
@@ -66,10 +66,10 @@ _OPTION_BY_ARGUMENT = {
 
 
 class OptionNamingCommand(TyperCommand):
-    """A command that says ``--radius`` where the library says ``radius_m``: who typed an option is told its name."""
+    """A command whose errors name the option ``--radius`` in place of the library's argument ``radius_m``."""
 
     def invoke(self, ctx: Any) -> Any:
-        """Run it."""
+        """Run the command."""
         try:
             return super().invoke(ctx)
         except InputError as error:
@@ -93,10 +93,10 @@ class OptionNamingCommand(TyperCommand):
 
 
 class CommandGroup(typer.Typer):
-    """A group of such commands."""
+    """A group of :class:`OptionNamingCommand`."""
 
     def command(self, name: str | None = None, **more: Any) -> Any:
-        """Register a command, as :meth:`typer.Typer.command` does; records of options become options."""
+        """Register a command, as :meth:`typer.Typer.command` does; fields of option records become options."""
         register = super().command(name, **{"cls": OptionNamingCommand, **more})
 
         def register_function(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -107,12 +107,10 @@ class CommandGroup(typer.Typer):
 
 
 def _spread_records(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The function with the fields of a record that it takes, such as :class:`PolarOptions`, as arguments of their own.
+    """Return the function with each field of its option records, such as :class:`PolarOptions`, as a separate argument.
 
-    Options that hold a number and say no notation are plain counts or numbers.
-
-    A record's fields say which options they are, and those that say nothing are none; the function's default for the
-    record holds theirs.
+    Numeric options without a notation are plain counts or numbers. Fields with an option annotation become options;
+    other fields do not. The defaults are those of the function's default record.
     """
     hints = get_type_hints(function, include_extras=True)
     records: dict[str, Any] = {}
@@ -142,7 +140,7 @@ def _spread_records(function: Callable[..., Any]) -> Callable[..., Any]:
 
 @dataclass(frozen=True)
 class OptionRange:
-    """What the numbers of an option may be, ends included (None: no end), and why they end there."""
+    """Range of an option's numbers, ends included (None: unbounded), with the reason."""
 
     low: float | None
     high: float | None
@@ -150,8 +148,8 @@ class OptionRange:
     reason: str = ""
 
     def check_value(self, option: str, value: float) -> None:
-        """InputError if a value is outside."""
-        low, high, rounding = self.low, self.high, 1e-9 * abs(value)  # of a change of unit
+        """Raise InputError if a value is outside."""
+        low, high, rounding = self.low, self.high, 1e-9 * abs(value)  # error of a unit conversion
         if (low is None or value >= low - rounding) and (high is None or value <= high + rounding):
             return
         unit = f" {self.unit}" if self.unit not in ("", "1") else ""
@@ -162,7 +160,7 @@ class OptionRange:
 
 
 def _add_notation(annotation: Any) -> Any:
-    """The annotation of an option with the notation of its type, if it has none: of choices, counts or numbers."""
+    """Return the annotation of an option with the notation of its type, if it has none: choices, counts or numbers."""
     if get_origin(annotation) is not Annotated:
         return annotation
     kind, *more = get_args(annotation)
@@ -188,12 +186,12 @@ def _option_name(param: typer.CallbackParam) -> str:
 
 @dataclass(frozen=True)
 class OptionChoices:
-    """What an option may be whose type is a Literal."""
+    """Choices of an option whose type is a Literal."""
 
     words: tuple[str, ...]
 
     def check_option(self, param: typer.CallbackParam, value: Any) -> Any:
-        """Refuse other words; typer calls it."""
+        """Reject other words; typer calls this."""
         if value is not None:
             check_choice(_option_name(param), value, self.words)
         return value
@@ -201,18 +199,18 @@ class OptionChoices:
 
 @dataclass(frozen=True)
 class NumberNotation:
-    """How the numbers of an option are written (:mod:`mufly.quantity_grammar`).
+    """Notation of an option's numbers (:mod:`mufly.quantity_grammar`).
 
     Attributes
     ----------
     unit : str
-        Of bare numbers and of the option's value; ``""`` where numbers take no unit.
+        Unit of bare numbers and of the option's value; ``""`` for dimensionless numbers.
     form : str
         A key of :data:`NUMBER_FORMS`.
     allowed_words : tuple of str
-        What may stand in place of a number.
-    allowed_range : Range
-        Of each number.
+        Words accepted in place of a number.
+    allowed_range : OptionRange
+        Range of each number.
     """
 
     unit: str
@@ -221,17 +219,17 @@ class NumberNotation:
     allowed_range: OptionRange = OptionRange(None, None)
 
     def __call__(self, text: Any) -> Any:
-        """Return the text as it was typed: the option's callback reads it, because it knows the option's name."""
+        """Return the text as typed: the option's callback, which knows the option's name, reads it."""
         return text
 
     @property
     def metavar(self) -> str:
-        """What stands for the value in the help, with the unit of a bare number in brackets."""
+        """Placeholder of the value in the help, with the unit of a bare number in brackets."""
         shown = NUMBER_FORMS[self.form][1] + (f"[{self.unit}]" if self.unit not in ("", "1") else "")
         return "|".join([*self.allowed_words, shown])
 
     def read_option(self, where: str, text: str) -> Any:
-        """Return the number of one, or the text of several numbers once it is checked."""
+        """Return the number of a single value, or the checked text of several numbers."""
         if text in self.allowed_words:
             return text
         value = NUMBER_FORMS[self.form][0](where, text, self.unit)
@@ -241,7 +239,7 @@ class NumberNotation:
         return value if self.form in ("one", "count") and not self.allowed_words else text
 
     def read_option_values(self, param: typer.CallbackParam, value: Any) -> Any:
-        """Read the value or values of an option; typer calls it."""
+        """Read the value or values of an option; typer calls this."""
         name = _option_name(param)
         if isinstance(value, list | tuple):
             return [self.read_option(name, v) if isinstance(v, str) else v for v in value]
@@ -258,7 +256,7 @@ NUMBER_FORMS: dict[str, tuple[Callable[[str, str, str], Any], str]] = {
     "vector": (read_vector, "SPEED|N,E,D"),
     "doubt": (read_value_with_std, "NUMBER[+-STD]"),
 }
-"""How an option writes its numbers: what reads them, and what stands for them in the help."""
+"""Forms of an option's numbers: the reading function, and the placeholder in the help."""
 
 
 THRUST_RANGE = OptionRange(1e-3, 1e3, "N", "a tenth of a gram is nothing to fly with, and 100 kg no micro helicopter")
@@ -276,20 +274,20 @@ def define_option(
     names: str, help: str, *, unit: str | None = None, form: str = "one", words: tuple[str, ...] = (),
     within: OptionRange | None = None, **more: Any,
 ) -> Any:  # fmt: skip
-    """An option.
+    """Define an option.
 
     Parameters
     ----------
     names : str
-        Its names, if its parameter's is not enough, and what stands for its value in the help: ``"--out -o DIR"``.
+        Its names, if they differ from its parameter's, and the placeholder of its value: ``"--out -o DIR"``.
     help : str
-        What it is for.
+        Purpose of the option.
     unit : str, optional
-        Of its numbers where they are bare: they are read by :class:`NumberNotation`, which also stands in the help.
+        Unit of bare numbers, which :class:`NumberNotation` reads and the help shows.
     form, words : str, tuple of str
         As for :class:`NumberNotation`.
-    within : Range, optional
-        Of its number, or numbers; what is outside is refused before anything is done.
+    within : OptionRange, optional
+        Range of its numbers; values outside are rejected before any computation.
     """
     parts = names.split()
     value = [w for w in parts if not w.startswith("-")]
@@ -304,7 +302,7 @@ def define_option(
 
 
 def define_argument(value: str, help: str, **more: Any) -> Any:
-    """An argument: what stands for it in the help, and what it is for."""
+    """Define an argument: its placeholder and its purpose in the help."""
     return typer.Argument(help=help, metavar=value or None, **more)
 
 
@@ -374,31 +372,31 @@ ModelOption = Annotated[
 
 
 def check_choice(option: str, value: str, known: Iterable[str]) -> None:
-    """InputError if an option has a value that is not known."""
+    """Raise InputError if an option has an unknown value."""
     names = tuple(known)
     if value not in names:
         raise InputError(option, "", f"{value!r} is unknown", suggest_name(value, names))
 
 
 def load_drive_option(name: str | None) -> DriveTrain | None:
-    """Return the drive of ``--drive``, or None for none."""
+    """Return the drive of ``--drive``; None without one."""
     from mufly.drive import load_drive
 
     return None if name is None or name == "none" else load_drive(name)
 
 
 # ----------------------------------------------------------------------------
-# How rotors are computed: options that the commands of rotors and pairs share, and the wake's progress.
+# Computation of rotors: options that the commands of rotors and pairs share, and the wake's progress.
 
 
 _INTEGER_WAKE_SETTINGS = ("phases", "iterations", "stations")
 WAKE_FIELDS = "converged message iterations residual settings"
-"""Fields of a solution that JSON tells of its wakes."""
+"""Fields of a solution that JSON output has of its wakes."""
 
 
 @dataclass(frozen=True)
 class PolarOptions:
-    """Options of everything that blade elements are for."""
+    """Options of blade element calculations."""
 
     n_crit: Annotated[
         float,
@@ -414,13 +412,13 @@ class PolarOptions:
     model: ModelOption = "full"
 
     def select_corrections(self) -> Corrections:
-        """Return the switches of the model that ``--model`` names."""
+        """Return the corrections that ``--model`` selects."""
         from mufly.study import BEMT_MODELS
 
         return BEMT_MODELS[self.model]
 
     def prepare_blading(self, rotor: Rotor, stations: int | None = None) -> Blading:
-        """Return a rotor with its polars."""
+        """Return a blading of a rotor with its polars."""
         from mufly.rotor import prepare_blading
         from mufly.rotor.blading import STATION_COUNT
 
@@ -430,7 +428,7 @@ class PolarOptions:
         )  # fmt: skip
 
     def make_setup(self, rotor: str, fixed: Mapping[str, ParameterValue], **more: Any) -> StudySetup:
-        """Return what the cases of a study of a rotor, or of a pair (``lower``), share."""
+        """Return the setup that the cases of a study of a rotor, or of a pair (``lower``), share."""
         from mufly.rotor import load_rotor
         from mufly.study import StudySetup
 
@@ -442,9 +440,9 @@ class PolarOptions:
 
 @dataclass(frozen=True)
 class WakeOptions(PolarOptions):
-    """Options of what vortex wakes compute."""
+    """Options of vortex wakes."""
 
-    method: Literal["bemt", "tubes", "wake", "cfd"] = "wake"  # no option here, one in Theory
+    method: Literal["bemt", "tubes", "wake", "cfd"] = "wake"  # no option here, but one in TheoryOptions
     wake: Annotated[
         str, define_option("--wake NAME", "Wake geometry: 'free', or 'prescribed' (Landgrebe's, for slender blades).")
     ] = "free"
@@ -458,12 +456,12 @@ class WakeOptions(PolarOptions):
     ] = None
 
     def wake_settings(self, **defaults: float) -> tuple[WakeSettings, int]:
-        """Return settings of the wake and stations along a blade; ``defaults`` hold where ``--wake-set`` says nothing.
+        """Return settings of the wake and the number of stations along a blade; ``--wake-set`` overrides ``defaults``.
 
         Raises
         ------
         InputError
-            If an option is unknown or impossible.
+            If an option is unknown or out of range.
         """
         from mufly.rotor.blading import STATION_COUNT
         from mufly.rotor.wake import WakeSettings
@@ -491,14 +489,14 @@ class WakeOptions(PolarOptions):
         return WakeSettings(model=self.wake, **given), stations  # type: ignore[arg-type]
 
     def make_setup(self, rotor: str, fixed: Mapping[str, ParameterValue], **more: Any) -> StudySetup:
-        """Return what the cases of a study of a rotor, or of a pair (``lower``), share."""
+        """Return the setup that the cases of a study of a rotor, or of a pair (``lower``), share."""
         wake, stations = self.wake_settings()
         return super().make_setup(rotor, fixed, method=self.method, wake_settings=wake, station_count=stations, **more)
 
 
 @dataclass(frozen=True)
 class TheoryOptions(WakeOptions):
-    """Options of what blade elements or vortex wakes can compute."""
+    """Options of results that blade elements or vortex wakes can compute."""
 
     method: Annotated[
         Literal["bemt", "tubes", "wake"],
@@ -517,7 +515,7 @@ DEFAULT_POLAR_OPTIONS, DEFAULT_WAKE_OPTIONS, DEFAULT_BEMT_OPTIONS, DEFAULT_FREE_
 
 
 class WakeProgress:
-    """What the iterations of a wake, or of several in turn, told so far; call it with each."""
+    """Iterations of one or several successive wakes; it is called with each iteration."""
 
     def __init__(self, show: Callable[[str], None] | None = None) -> None:
         self.rows: list[tuple[int, int, float, float]] = []  # wake, iteration, residual, thrust
@@ -525,18 +523,18 @@ class WakeProgress:
         self._show = show
 
     def __call__(self, iteration: int, residual: float, thrust: float) -> None:
-        """Take one iteration in."""
+        """Record one iteration."""
         self.wake_count += iteration == 1
         self.rows.append((self.wake_count, iteration, residual, thrust))
         if self._show is not None:
-            # A residual above 9 marks the first turns of a free wake, held in the prescribed shape.
+            # A residual above 9 marks the first revolutions of a free wake, held in the prescribed shape.
             miss = "still prescribed" if residual > 9.0 else f"misses the air by {100 * residual:.2g} %"
             self._show(f"wake {self.wake_count}, iteration {iteration}: {miss}, thrust {thrust:.4g} N")
 
 
 @contextmanager
 def wake_progress(label: str, shown: bool, folder: Path | None = None) -> Iterator[WakeProgress]:
-    """Tell on standard error how a wake gets on. When it is stopped or fails, what it told is left in the folder."""
+    """Report the iterations of a wake on standard error; after a stop or failure its history is left in the folder."""
     try:
         if not shown:
             progress = WakeProgress()
@@ -553,7 +551,7 @@ def wake_progress(label: str, shown: bool, folder: Path | None = None) -> Iterat
 
 
 def write_wakes(solution: SystemSolution, folder: Path) -> list[Path]:
-    """Write how the wakes of a solution converged and, if they did, their geometry and the air around them."""
+    """Write the histories of a solution's wakes and, if converged, their geometry and velocity field."""
     from mufly.rotor import field_picture, history_picture, wake_picture
 
     assert solution.settings is not None
@@ -569,7 +567,7 @@ def write_wakes(solution: SystemSolution, folder: Path) -> list[Path]:
 
 
 # ----------------------------------------------------------------------------
-# What the commands of identification share: options, numbers with a doubt, tables, vehicle files, places to write.
+# Identification: options that its commands share, numbers with standard deviations, tables, vehicle files, outputs.
 
 
 ColumnOption = Annotated[
@@ -626,7 +624,7 @@ def write_vehicle(
     note: str,
     option: str = "--write",
 ) -> list[Path]:
-    """Write the vehicle with its estimates where the option says; return the files written."""
+    """Write the vehicle with its estimates to the file of ``--write``; return the files written."""
     from mufly.identify import apply_estimates
     from mufly.vehicle import format_vehicle_toml
 

@@ -1,7 +1,7 @@
-"""What commands say and write: tables, JSON, CSV, pictures, and how far the work is.
+"""Output of commands: tables, JSON, CSV, pictures, and progress.
 
-Results say themselves what their fields mean and which unit they have (:mod:`mufly.results`); here they become a table
-for people, with :class:`ResultColumn` where a unit is to be a readable one, or JSON.
+Results define meaning and unit of their fields (:mod:`mufly.results`). Here they become JSON, or a table for reading,
+with :class:`ResultColumn` for readable units.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from mufly.station.page.start_page import Startup
 
 TableRow = Sequence[str]
-_MIN_TEXT_WIDTH = 26  # columns: with less, a last column of words stands below its row
+_MIN_TEXT_WIDTH = 26  # columns: with less width, a last column of text is printed below its row
 
 
 def make_console(*, stderr: bool = False) -> Console:
@@ -42,7 +42,7 @@ def make_console(*, stderr: bool = False) -> Console:
 
 
 def print_lines(*lines: str, mark: str = "", style: str | None = None, head: str = "") -> None:
-    """Print lines as they stand, without markup; ``head`` in bold before the first, ``mark`` before each."""
+    """Print lines without markup; ``head`` in bold before the first, ``mark`` before each."""
     from rich.text import Text
 
     out = make_console()
@@ -54,7 +54,7 @@ def print_lines(*lines: str, mark: str = "", style: str | None = None, head: str
 
 
 def print_blocks(*blocks: ShownBlock) -> None:
-    """Print lines and tables by which a result is shown."""
+    """Print the lines and tables of a result."""
     from mufly.results import ShownLines
 
     for block in blocks:
@@ -65,23 +65,23 @@ def print_blocks(*blocks: ShownBlock) -> None:
 
 
 def print_json(content: Any) -> None:
-    """Print as JSON; results and arrays become tables and lists, numbers that are not finite null."""
+    """Print as JSON; results and arrays become objects and lists, numbers that are not finite null."""
     from mufly.results import to_plain_data
 
     typer.echo(json.dumps(to_plain_data(content), indent=2, allow_nan=False))
 
 
 def print_table(heads: Sequence[str], rows: Iterable[TableRow], *, title: str = "", text: Sequence[int] = (0,)) -> None:
-    """Print a table; columns whose numbers are in ``text`` are text, the others numbers.
+    """Print a table; the columns with an index in ``text`` are text, the others numbers.
 
-    A last column of text for which a narrow terminal has no room stands under its row.
+    If the terminal is too narrow, a last column of text is printed below its row.
     """
     from rich.padding import Padding
     from rich.table import Table
     from rich.text import Text
 
     marked = [[Text.from_markup(cell) for cell in row] for row in rows]
-    # Heads may be folded, numbers and keys not: half a number is a wrong one.
+    # Heads may be folded, numbers and keys not: part of a number is a wrong number.
     words = [max((len(w) for row in marked for w in row[k].plain.split()), default=0) for k in range(len(heads))]
     cells = [max((len(row[k]) for row in marked), default=0) for k in range(len(heads))]
     heading = [max(map(len, head.split()), default=0) for head in heads]
@@ -114,7 +114,7 @@ def print_table(heads: Sequence[str], rows: Iterable[TableRow], *, title: str = 
 def print_result_table(
     items: Sequence[Any], columns: Iterable[ResultColumn | str], *, title: str = "", names: Sequence[str] = ()
 ) -> None:
-    """Print results as a table, one a row; see :func:`mufly.results.tabulate_results`."""
+    """Print results as a table, one in each row; see :func:`mufly.results.tabulate_results`."""
     from mufly.results import tabulate_results
 
     print_blocks(tabulate_results(items, columns, title=title, names=names))
@@ -123,7 +123,7 @@ def print_result_table(
 def print_estimates(
     estimates: Iterable[ParameterEstimate], title: str, beside: Mapping[str, Mapping[str, str]] | None = None
 ) -> None:
-    """Print a table of estimates with intervals; ``beside`` them further columns, by head and symbol."""
+    """Print a table of estimates with intervals, and the further columns ``beside`` by head and symbol."""
     more = beside or {}
     rows = []
     for e in estimates:
@@ -151,17 +151,17 @@ def print_answer(
     show: Callable[[], object] | Iterable[ShownBlock] | None = None,
     files: Sequence[Path] | None = (),
 ) -> None:
-    """Answer a command: as JSON with the files that were written, or as text with a line for each file.
+    """Print the answer of a command: as JSON with the files written, or as text with a line for each file.
 
     Parameters
     ----------
     as_json : bool
     content : result, table or list
-        What JSON holds: :func:`mufly.results.to_plain_data`.
+        Content of the JSON answer: :func:`mufly.results.to_plain_data`.
     show : blocks or callable, optional
-        The text, or what prints it; default the result's own blocks, else its text.
+        The text, or the function that prints it; default: the result's own blocks, else its text.
     files : sequence of Path or None
-        What was written. None: a command that writes nothing, whose JSON has no key for files.
+        Files written. None: a command that writes no files, whose JSON has no key for them.
     """
     from mufly.results import to_plain_data
 
@@ -179,25 +179,25 @@ def print_answer(
 
 
 def print_files(files: Iterable[Path], label: str = "Written") -> None:
-    """Say which files were written."""
+    """Print the names of the written files."""
     for file in files:
         make_console().print(f"{label}: {file}", highlight=False, markup=False, soft_wrap=True)
 
 
 def write_text_file(path: Path, text: str, remedy: str = "give another folder", option: str = "--out") -> Path:
-    """Write a text, return its path; an InputError names the option if it cannot be written."""
+    """Write a text and return its path; an InputError names the option if it cannot be written."""
     with report_write_errors(option, remedy, str(path)):
         path.write_text(text, encoding="utf-8")
     return path
 
 
 def save_figure(figure: Figure, folder: Path, name: str, endings: Sequence[str] = (".png",)) -> Path:
-    """Write a picture into a folder, which is made if need be; return the first file.
+    """Write a picture into a folder, which is created if needed; return the first file.
 
     Raises
     ------
     InputError
-        If it cannot be written.
+        If the file cannot be written.
     """
     with report_write_errors("--out", key=str(folder)):
         folder.mkdir(parents=True, exist_ok=True)
@@ -207,12 +207,12 @@ def save_figure(figure: Figure, folder: Path, name: str, endings: Sequence[str] 
 
 
 def write_csv(path: Path, heads: Sequence[str], rows: Iterable[Iterable[float | str]], first: str = "") -> Path:
-    """Write a table as CSV, numbers with nine digits, after a comment if ``first`` is one.
+    """Write a table as CSV, numbers with nine digits; a comment ``first`` precedes it.
 
     Raises
     ------
     InputError
-        If it cannot be written.
+        If the file cannot be written.
     """
     with report_write_errors("--out", key=str(path.parent)):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -225,30 +225,30 @@ def write_csv(path: Path, heads: Sequence[str], rows: Iterable[Iterable[float | 
 
 
 def write_records(path: Path, records: Sequence[Mapping[str, Any]]) -> Path:
-    """Write tables of the same keys as CSV, a table a line, as :func:`write_csv` does."""
+    """Write records with the same keys as CSV, one in each line, as :func:`write_csv` does."""
     return write_csv(path, list(records[0]), [record.values() for record in records])
 
 
 def check_place(
     option: str, place: Path | None, kind: Literal["folder", "file"] = "folder", *, make: bool = True
 ) -> None:
-    """Check that results can be written to a place, before the work that fills it.
+    """Check that results can be written to a place, before their computation.
 
     Parameters
     ----------
     option : str
-        The option that gave the place.
+        Option that names the place.
     place : Path or None
-        None: nothing is to be written.
+        Place; None: nothing is written.
     kind : str
-        What the place is to be.
+        Kind of the place: file or folder.
     make : bool
         Whether a folder is created if it does not exist.
 
     Raises
     ------
     InputError
-        If it cannot be created or written.
+        If the place cannot be created or written.
     """
     if place is None:
         return
@@ -269,12 +269,12 @@ def check_place(
         raise InputError(option, str(nearest), "cannot be written", f"give another {kind}")
 
 
-# --- how far the work is ----------------------------------------------------------------------------------------------
+# --- progress ---------------------------------------------------------------------------------------------------------
 
 
 @contextmanager
 def progress_bar(label: str, shown: bool) -> Iterator[Callable[[int, int], None] | None]:
-    """Show a bar on standard error while cases are computed; yields the function that moves it."""
+    """Show a bar on standard error while cases are computed; yield the function that advances it."""
     if not shown:
         yield None
         return
@@ -286,16 +286,16 @@ def progress_bar(label: str, shown: bool) -> Iterator[Callable[[int, int], None]
         yield lambda done, total: bar.update(task, completed=done, total=total or None)
 
 
-# What a flight shows in the terminal: its events as lines, and on a terminal a live line below them.
+# Display of a flight in the terminal: events as lines, and on a terminal a live line below them.
 
 
 class LiveDisplay:
-    """Events and notices as lines, and a live line below them, while it is open.
+    """Display of events and notices as lines, with a live line below them while it is open.
 
     Parameters
     ----------
     console : Console
-        Without a terminal there is no live line.
+        Console; without a terminal there is no live line.
     """
 
     def __init__(self, console: Console) -> None:
@@ -324,13 +324,13 @@ class LiveDisplay:
         self._console.print(line.append(e.text, style=colour), highlight=False)
 
     def show_notice(self, text: str) -> None:
-        """Show what happened beside the flight, to a port for example."""
+        """Show a notice on something other than the flight, such as a port."""
         from rich.text import Text
 
         self._console.print(Text(text, style="dim"), highlight=False)
 
     def follow_startup(self, startup: Startup) -> None:
-        """Show the stages of a start: the present one with its seconds in the live line, or each as a line."""
+        """Show the stages of a start: in the live line with the elapsed seconds, or each as a line."""
         self._startup = startup
         startup.on_change = self._on_stage_change
         if startup.stages and not startup.is_done:
@@ -350,7 +350,7 @@ class LiveDisplay:
             self._live.update(_StartupLine(startup))
 
     def set_live_line(self, line: str) -> None:
-        """Put this into the live line."""
+        """Set the text of the live line."""
         if self._live is not None:
             from rich.text import Text
 
@@ -359,7 +359,7 @@ class LiveDisplay:
 
 @dataclass(frozen=True)
 class _StartupLine:
-    """The present stage of a start; its seconds go on by themselves."""
+    """The present stage of a start, with running seconds."""
 
     startup: Startup
 

@@ -1,4 +1,4 @@
-"""``mufly rotor``: what a rotor is, what it does in hover, and how that compares with a measurement."""
+"""``mufly rotor``: geometry, hover performance, fits and comparisons of rotors."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ _EDGE_THICKNESS_RANGE = OptionRange(0.0, 0.1, "m", "no trailing edge is so thick
 
 @dataclass(frozen=True)
 class HoverOptions(WakeOptions):
-    """Options of what one rotor is computed by."""
+    """Options of the methods for one rotor."""
 
     method: Annotated[
         Literal["bemt", "tubes", "wake", "cfd"],
@@ -221,9 +221,17 @@ def import_blade(
 ) -> None:
     """Convert a blade's table or solid to a rotor file, with notes on values that are guessed.
 
-    Examples: mufly rotor import da4002_5x3.75_geom.txt --diameter 5in --airfoil sda1075.dat --out da.toml; mufly rotor
-    import 10x7E-PERF.PE0 --out apc.toml; mufly rotor import calipers.csv (r_mm, chord_mm, beta_deg) --blades 2; mufly
-    rotor import blade.stl --unit mm --out cut.toml (blade along x, shaft along z; also .step)
+    A table has the columns r_mm, chord_mm, beta_deg; a solid has its blade along x and the shaft along z.
+
+    Examples:
+
+      mufly rotor import da4002_5x3.75_geom.txt --diameter 5in --airfoil sda1075.dat --out da.toml
+
+      mufly rotor import 10x7E-PERF.PE0 --out apc.toml
+
+      mufly rotor import calipers.csv --blades 2
+
+      mufly rotor import blade.stl --unit mm --out cut.toml
     """
     from mufly.errors import InputError
     from mufly.rotor import format_rotor_toml, read_blade, replace_rotor
@@ -438,7 +446,7 @@ def hover(
 
 
 def _point_index(name: str, line: int, bench: RotorMeasurements) -> int:
-    """Position of a measured point that a user counted from 1."""
+    """Return the index of a measured point that a user counts from 1."""
     from mufly.errors import InputError
 
     n = bench.thrust_N.size
@@ -457,7 +465,7 @@ def _read_measurements(
     *,
     quiet: bool,
 ) -> RotorMeasurements:
-    """Read the points of a bench, and say what the file left to be taken for granted."""
+    """Read the points of a bench file, and print the assumptions made about it."""
     from mufly.bench import read_measurements
     from mufly.rotor import Air
 

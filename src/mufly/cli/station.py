@@ -1,6 +1,6 @@
-"""``mufly station``, ``mufly link``, and what commands share that fly in real time: air, links, folder, live line.
+"""``mufly station``, ``mufly link``, and options of real-time flights: wind, links, folder, live line.
 
-Loads nothing heavy: whatever can be wrong with the input is found first.
+The module loads no heavy library, so that errors in the input are reported first.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ FaultOption = Annotated[
 
 
 def parse_wind(text: str | None) -> float | tuple[float, float, float] | None:
-    """The speed, or the wind N, E, D (m/s), of ``--wind``; None without it."""
+    """Return the wind speed, or the wind N, E, D (m/s), of ``--wind``; None without it."""
     from mufly.mission import MAX_WIND_M_S
 
     if text is None:
@@ -83,7 +83,7 @@ def parse_wind(text: str | None) -> float | tuple[float, float, float] | None:
 
 
 def _steady_wind(wind: float | tuple[float, float, float] | None, seed: int) -> list[float] | None:
-    """A wind N, E, D (m/s); the horizontal direction of a speed is drawn by the seed, and printed."""
+    """Return the wind N, E, D (m/s); the seed draws the horizontal direction of a speed, which is printed."""
     if wind is None or isinstance(wind, tuple):
         return None if wind is None else list(wind)
     towards = random.Random(seed).uniform(-math.pi, math.pi)
@@ -94,7 +94,7 @@ def _steady_wind(wind: float | tuple[float, float, float] | None, seed: int) -> 
 
 
 def resolve_wind(wind: str | None, gust: float | None, seed: int) -> list[float] | None:
-    """The wind N, E, D (m/s) of ``--wind``; gusts and seeds that are none are refused."""
+    """Return the wind N, E, D (m/s) of ``--wind``; InputError for invalid gusts and seeds."""
     from mufly.mission import MAX_GUST_M_S
 
     given = parse_wind(wind)
@@ -123,7 +123,7 @@ FixedPointOption = Annotated[
 
 
 def select_flight_software(wanted: bool, fixed_point: bool = False) -> ControlImplementation | None:
-    """What computes the control law: the exported code if it is wanted; without a compiler that is refused."""
+    """Return the implementation of the control law: the exported code if requested, which needs a compiler."""
     if fixed_point and not wanted:
         raise InputError("--fixed-point", "", "is a way of computing the exported code", "give --firmware, too")
     if not wanted:
@@ -135,7 +135,7 @@ def select_flight_software(wanted: bool, fixed_point: bool = False) -> ControlIm
 
 
 def check_sensor_options(vehicle: Vehicle, sensors: str, faults: Sequence[str] | None) -> tuple[Fault, ...]:
-    """The faults of ``--fault``; those that cannot be are refused."""
+    """Return the faults of ``--fault``; InputError for impossible faults."""
     from mufly.sensors.faults import parse_fault
     from mufly.sensors.sensor_suite import check_faults
 
@@ -147,7 +147,7 @@ def check_sensor_options(vehicle: Vehicle, sensors: str, faults: Sequence[str] |
 
 
 def describe_sensor_source(vehicle: Vehicle, sensors: str) -> str:
-    """What a vehicle flies on, in words."""
+    """Return a description of the source of the vehicle's state."""
     from mufly.sensor_table import SENSORS
 
     if sensors == "ideal":
@@ -159,7 +159,7 @@ def describe_sensor_source(vehicle: Vehicle, sensors: str) -> str:
 
 
 def describe_computation(vehicle: Vehicle, sensors: str, firmware: bool) -> str:
-    """Who computes law and estimator, in words; the estimator in C is built if it is not there yet."""
+    """Return a description of the code that computes law and estimator; the estimator in C is built if needed."""
     by = "Mission and control law: exported C code" if firmware else ""
     if sensors == "ideal" or vehicle.sensors is None:
         return by
@@ -176,7 +176,7 @@ def parse_endpoints(
     option: str = "--link",
     each: str = "link",
 ) -> list[Endpoint]:
-    """The links of an option, each given once."""
+    """Return the links of an option; InputError for a repeated link."""
     from mufly.link.ports import parse_endpoint
 
     found = [parse_endpoint(text, role, option) for text in texts or ()]
@@ -187,7 +187,7 @@ def parse_endpoints(
 
 
 def new_dated_folder() -> Path:
-    """``flights/<date-time>``, which does not exist yet."""
+    """Return ``flights/<date-time>``, a folder that does not exist yet."""
     base = Path("flights") / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
     folder, n = base, 1
     while folder.exists():
@@ -197,22 +197,22 @@ def new_dated_folder() -> Path:
 
 
 class ShutdownHandler:
-    """What Ctrl-C (SIGINT), SIGTERM and SIGHUP mean to a command that flies or watches: it ends, in order.
+    """Handler of Ctrl-C (SIGINT), SIGTERM and SIGHUP for commands that fly or watch: they end in order.
 
-    The first one asks for that; loops look between two steps, so that nothing is cut off in mid-write. A second Ctrl-C
-    no longer waits; other repetitions change nothing. What is ignored when the command begins (nohup) stays ignored.
+    The first signal requests the end; loops check for it between two steps, so that no write is interrupted. A second
+    Ctrl-C interrupts at once; other repetitions have no effect. Signals ignored at the start (nohup) stay ignored.
 
     Attributes
     ----------
     stop_requested : threading.Event
     exit_status : int
-        128 and the number of the signal; 0: none has come.
+        128 plus the number of the signal; 0: no signal.
     waits_for_loop : bool
-        Whether loops look; where they do not yet (nothing is open), the first signal is an interrupt at once.
+        Whether loops check for a request. Before that (nothing is open) the first signal interrupts at once.
     """
 
     was_signalled = False
-    """Whether this process ends for a signal: what is closed by then need not be taken apart."""
+    """Whether this process ends by a signal, so that closed objects need no finalising."""
 
     def __init__(self, *, patient: bool = True) -> None:
         self.stop_requested = threading.Event()
@@ -221,7 +221,7 @@ class ShutdownHandler:
 
     @property
     def is_hurried(self) -> bool:
-        """Whether it is to end as soon as its files are closed, with nothing computed or drawn any more."""
+        """Whether to end as soon as the files are closed, without further computations or pictures."""
         return self.exit_status not in (0, 128 + signal.SIGINT)
 
     def __enter__(self) -> ShutdownHandler:
@@ -245,7 +245,7 @@ class ShutdownHandler:
 
 
 def _silence_terminal() -> None:
-    """The terminal has gone: whatever is still said goes nowhere."""
+    """Discard all output after the terminal has closed."""
     with contextlib.suppress(OSError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
         for number in (1, 2):
@@ -254,7 +254,7 @@ def _silence_terminal() -> None:
 
 
 # ----------------------------------------------------------------------------
-# ``mufly station``: the ground station's page, for any MAVLink vehicles or for a recording.
+# ``mufly station``: the ground station's page, for MAVLink vehicles or for a recording.
 
 
 DEFAULT_ENDPOINT = "udp:127.0.0.1:14550"
@@ -300,7 +300,7 @@ def open_station(
         list[str] | None,
         define_option(
             "--connect -c LINK",
-            rf"Where vehicles are; can be given several times. \[default: {DEFAULT_ENDPOINT}]",
+            rf"Endpoint of vehicles; can be given several times. \[default: {DEFAULT_ENDPOINT}]",
         ),
     ] = None,
     open_file: Annotated[
@@ -389,7 +389,7 @@ def open_in_background(address: PageAddress) -> None:
 
 
 def print_page_address(address: PageAddress, links: list[str]) -> None:
-    """Say where the page is, what it listens to, and how to end it."""
+    """Print the address of the page, its links, and how to end it."""
     terminal = make_console(stderr=True)
     for link in links:
         terminal.print(f"The station {link}", highlight=False)
@@ -402,7 +402,7 @@ def print_page_address(address: PageAddress, links: list[str]) -> None:
 # ``mufly link``: the simulated helicopter as a MAVLink vehicle in real time.
 
 
-# One line a paragraph: the terminal wraps them.
+# One line for each paragraph: the terminal wraps them.
 LINK_HELP = """Run the simulated helicopter as a MAVLink vehicle, in real time.
 
 QGroundControl, MAVSDK, MAVProxy and pymavlink scripts fly it as they fly any other: arm, take off, \
@@ -464,7 +464,7 @@ def run_link(
     if out is not None:
         check_place("--out", out, make=False)
 
-    # Whatever can be wrong with the input is found before the heavy libraries are loaded.
+    # Errors of the input are found before the heavy libraries are loaded.
     from mufly.link.codec import parse_origin
     from mufly.mission import Mission, check_preflight, load_mission
     from mufly.vehicle import load_vehicle
@@ -540,7 +540,7 @@ _DEFAULT_LINK_ENDPOINTS = ("udp:127.0.0.1:14550", "udp:127.0.0.1:14540")
 
 
 def _format_loop_report(r: LoopReport) -> str:
-    """How the loop is doing."""
+    """Return the state of the loop as a line."""
     from mufly.link.telemetry_streams import SLOW_REAL_TIME_FACTOR
 
     s = r.state

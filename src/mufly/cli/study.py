@@ -1,5 +1,5 @@
-"""Many rotors or pairs at once: ``mufly rotor sweep | rank | parameters``, ``mufly coax sweep | parameters``;
-the dissertation's: ``mufly thesis``.
+"""Studies of many rotors or pairs, ``mufly rotor sweep | rank | parameters`` and ``mufly coax sweep | parameters``; and
+of the dissertation, ``mufly thesis``.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ AirfoilsOption = Annotated[
 def parse_set_options(
     texts: list[str] | None, table: dict[str, StudyParameter], remedy: str
 ) -> dict[str, ParameterValue]:
-    """Settings of ``--set``, each with one value."""
+    """Return the settings of ``--set``, each with one value."""
     from mufly.study import parse_settings
 
     settings = parse_settings(texts or [], table)
@@ -114,7 +114,7 @@ def list_pair_parameters(as_json: JsonOption = False) -> None:
 
 
 def format_parameter(name: str, value: ParameterValue, form: str = "g") -> str:
-    """A value of a parameter for reading, with its unit."""
+    """Return a parameter's value with its unit, for reading."""
     from mufly.study.study_parameters import to_display_unit
 
     values, unit = to_display_unit(name, [value])
@@ -122,7 +122,7 @@ def format_parameter(name: str, value: ParameterValue, form: str = "g") -> str:
 
 
 def _print_failure_reasons(data: xr.Dataset) -> None:
-    """Print the commonest reasons of cases that failed."""
+    """Print the most frequent reasons of failed cases."""
     import numpy as np
 
     fault = data["fault"].values
@@ -143,7 +143,7 @@ def _write_sweep(
     try:
         picture = sweep_picture(data, variable, x=x, title=data.attrs["rotor"])
         files.append(save_figure(picture, folder, variable))
-    except InputError as error:  # too many lines for a picture: the tables are there all the same
+    except InputError as error:  # too many lines for a picture: the tables are written
         if not quiet:
             make_console().print(f"No picture: {error}", style="yellow")
     return files
@@ -304,7 +304,7 @@ _DEFAULT_PAIR_SETTINGS: dict[str, ParameterValue] = {"spacing": 0.02, "pitch": m
 
 
 def _parse_pair_settings(texts: list[str]) -> dict[str, tuple[ParameterValue, ...]]:
-    """Settings of a pair; ``upper_rpm=6000`` is ``upper_speed=6000rpm``."""
+    """Return the settings of a pair; ``upper_rpm=6000`` stands for ``upper_speed=6000rpm``."""
     from mufly.study import PAIR_PARAMETERS, parse_settings
 
     full = []
@@ -413,7 +413,7 @@ def _print_pair_sweep(data: xr.Dataset, variable: str) -> None:
 
 
 # ----------------------------------------------------------------------------
-# The dissertation's studies, ours beside theirs.
+# The dissertation's studies, with its results beside those of this package.
 
 
 thesis_commands = CommandGroup(

@@ -1,4 +1,4 @@
-"""``mufly vehicle``: what vehicles there are, what one is made of, and whether it can fly."""
+"""``mufly vehicle``: list, show, check and create vehicles."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ app = CommandGroup(
     no_args_is_help=True,
 )
 
-# SI unit -> the unit that people read.
+# SI unit -> unit for reading.
 _READABLE_UNITS = {
     "kg": "g", "m": "mm", "m2": "cm2", "kg m2": "g cm2", "rad": "deg", "A s": "mA h", "V s": "mV s",
     "N m/A": "mN m/A",
@@ -162,7 +162,7 @@ def check(vehicle: VehicleArgument, as_json: JsonOption = False) -> None:
 
 
 def _describe_coefficients(v: Vehicle) -> str:
-    """Say which thrust and torque coefficients hold in flight."""
+    """Return a sentence on the thrust and torque coefficients used in flight."""
     m = v.rotors.coefficient_map
     if m is None:
         return "In flight cT and cQ are constant (rotors.coefficient_map can name a map; docs/explanation/coax.md)."
@@ -383,7 +383,7 @@ def create_vehicle_project(
 
 
 def _mean_hover_speed_rpm(vehicle: Vehicle) -> float:
-    """Mean rotor speed in hover (rpm)."""
+    """Return the mean rotor speed in hover (rpm)."""
     from mufly.dynamics import hover_speeds, model_parameters
 
     return float(hover_speeds(model_parameters(vehicle)).mean()) / RPM
@@ -392,7 +392,7 @@ def _mean_hover_speed_rpm(vehicle: Vehicle) -> float:
 def _ask_if_missing(
     value: float | None, name: str, question: str, limits: OptionRange, needed: bool = False
 ) -> float | None:
-    """Return an option's value; at a terminal ask for one that is missing, an empty answer leaves it to be guessed."""
+    """Return an option's value; a missing one is requested at a terminal, where an empty answer means a guess."""
     if value is not None:
         return value
     if not sys.stdin.isatty():

@@ -204,7 +204,7 @@ def run(
             status.update(f"{100 * p.done_steps / p.total_steps:.0f} %  {p.activity}")
             if (line := p.record_line) is not None and line["what"] == "point":
                 err.print(format_progress_line(line, made, p), highlight=False, markup=False)
-            # A page a second at most: a simulated bench makes a hundred readings in one.
+            # At most one page a second: a simulated bench makes a hundred readings in a second.
             if (p.record_line is not None and time.monotonic() - drawn[0] > 1.0) or p.done_steps == p.total_steps:
                 drawn[0] = time.monotonic()
                 write_live_page(
@@ -292,7 +292,7 @@ def analyse(
     found = analysed(series, known=None if known is None else read_measurements(known), accept=accept or [])
     folder = out or series / "results"
     files = [] if found.fatal_issues else write_series_results(found, folder)
-    # Standard output is the answer; refusals are errors as any other, after it.
+    # Standard output holds the answer; refusals follow as ordinary errors.
     print_answer(
         as_json,
         {"series": found, "refused": bool(found.fatal_issues)},

@@ -1,4 +1,4 @@
-"""``mufly rotor benchmark``: measured rotors, predicted by mufly's methods and by anybody's code."""
+"""``mufly rotor benchmark``: measured rotors, predicted by this package's methods and by external codes."""
 
 from __future__ import annotations
 
@@ -211,7 +211,7 @@ def _parse_code(text: str, n_crit: float | None, limit_s: float) -> PredictionCo
 
 
 def _read_solved_cases(folder: Path, case: RotorCase) -> RotorPrediction:
-    """What solved OpenFOAM cases below a folder say of a rotor's points; those within half a per cent are the same."""
+    """Return the results of solved OpenFOAM cases below a folder at a rotor's points, matched within 0.5 %."""
     from mufly.cfd import read_point, read_solution
     from mufly.errors import InputError, MuflyError
     from mufly.study.benchmark import RotorPrediction

@@ -1,4 +1,4 @@
-"""``mufly cfd``: meshes of rotors, OpenFOAM cases, their runs and what they say."""
+"""``mufly cfd``: meshes of rotors, OpenFOAM cases, their runs and results."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class BladeOptions:
     ] = 0.0
 
     def check_tip(self) -> None:
-        """InputError if there is no such tip."""
+        """Raise InputError if the tip is unknown."""
         from mufly.cfd import BLADE_TIPS
 
         check_choice("--tip", self.tip, BLADE_TIPS)
@@ -94,7 +94,7 @@ class BladeOptions:
 
 @dataclass(frozen=True)
 class CaseOptions(BladeOptions):
-    """Options of cases of one rotor, solved by so many processes."""
+    """Options of the cases of one rotor, and the number of their processes."""
 
     density: DensityOption = 1.2
     model: Annotated[
@@ -104,7 +104,7 @@ class CaseOptions(BladeOptions):
     cores: CoresOption = 1
 
     def case_arguments(self) -> dict[str, Any]:
-        """Return what the library takes of them; InputError for a tip that is not there."""
+        """Return the options as the library's arguments; InputError for an unknown tip."""
         from mufly.rotor import Air
 
         self.check_tip()
@@ -251,7 +251,7 @@ def solve_point(
 
 @contextmanager
 def _show_solver_progress(shown: bool) -> Iterator[Callable[[SolverProgress], None] | None]:
-    """Tell on standard error how far the solver is."""
+    """Report the progress of the solver on standard error."""
     if not shown:
         yield None
         return

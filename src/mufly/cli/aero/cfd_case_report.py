@@ -1,4 +1,4 @@
-"""What is told of solved cases: tables on the screen, files and pictures in the case."""
+"""Reports of solved cases: tables on the screen, files and pictures in the case."""
 
 from __future__ import annotations
 
@@ -25,14 +25,15 @@ if TYPE_CHECKING:
 
 
 def report_case(folder: Path, rotor: Rotor | None, as_json: bool) -> bool:
-    """Print a solution, and write its tables and pictures into the case; whether it is settled."""
+    """Print a solution, and write its tables and pictures into the case; return whether it has settled."""
     content, show, files, _ = _write_solution_report(folder, rotor)
     print_answer(as_json, content, show, files)
     return all(found["verdict"].settled for found in (content, content.get("lower", content)))
 
 
 def report_pair(folder: Path, rotor: Rotor | None, pair: PairSolution, as_json: bool) -> bool:
-    """Print both rotors of a pair, each beside the other's mean, and what they are to each other; whether settled."""
+    """Print both rotors of a pair, with the means of the other rotor, and their ratios; return whether it has
+    settled."""
     from mufly.cfd import pair_picture
 
     reports = [_write_solution_report(folder / name, rotor) for name in ("upper", "lower")]
@@ -58,7 +59,7 @@ def report_pair(folder: Path, rotor: Rotor | None, pair: PairSolution, as_json: 
 
 
 def report_inflow(folder: Path, rotor: Rotor | None, solutions: list[CfdSolution], as_json: bool) -> None:
-    """Print, write and draw the thrust over the climb."""
+    """Print, write and draw the thrust over the climb velocity."""
     from mufly.cfd import climb_picture, compare_climbs
     from mufly.vehicle import load_coefficient_map
 
@@ -96,7 +97,8 @@ def _pair_by_method(upper: list[SpanLoads], lower: list[SpanLoads]) -> list[tupl
 def _write_solution_report(
     folder: Path, rotor: Rotor | None
 ) -> tuple[dict[str, Any], Callable[[], None], list[Path], list[SpanLoads]]:
-    """Write a solution's tables and pictures; what to say of it, as data and as print, the files, others' results."""
+    """Write a solution's tables and pictures; return the data, the printing function, the files, and other methods'
+    loads."""
     import numpy as np
 
     from mufly import cfd
@@ -177,7 +179,7 @@ def _write_solution_report(
 
 
 def _print_pair_ratios(pairs: list[tuple[str, Any, Any]]) -> None:
-    """The lower rotor of a pair beside the upper one, by every method."""
+    """Print the lower rotor of a pair relative to the upper one, by every method."""
     rows = [
         (name, f"{low.thrust_N / up.thrust_N:.3f}", f"{low.torque_Nm / up.torque_Nm:.3f}") for name, up, low in pairs
     ]

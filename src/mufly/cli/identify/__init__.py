@@ -1,1 +1,1 @@
-"""``mufly identify``: parameters from test benches, flights and linear models; the plan of flights that show them."""
+"""``mufly identify``: parameters from test benches, flights and linear models; plans of identification flights."""

@@ -209,7 +209,7 @@ def rotor(
 
 
 # ----------------------------------------------------------------------------
-# ``mufly identify plan``: which signal to fly, how large, and how well it will show which parameter.
+# ``mufly identify plan``: excitation signals, their amplitudes, and the standard deviations to expect.
 
 
 def plan(
@@ -353,7 +353,7 @@ def _check_time_grid(duration: float, delay: float, sample: float, window: float
 def _parse_named_numbers(
     option: str, text: str | None, known: Mapping[str, str], *, none: bool = False
 ) -> dict[str, float | None]:
-    """Numbers of ``NAME=VALUE,...``; ``known`` says in which unit a bare one is."""
+    """Return the numbers of ``NAME=VALUE,...``; ``known`` gives the unit of bare numbers."""
     found: dict[str, float | None] = {}
     for part in (text or "").split(","):
         if not part.strip():
@@ -437,7 +437,7 @@ def _write_signal(path: Path, c: ExcitationCandidate) -> Path:
 
 
 # ----------------------------------------------------------------------------
-# ``mufly identify motor``: constants of a motor from a bench file; and the commands on benches registered.
+# ``mufly identify motor``: constants of a motor from a bench file; and registration of the bench commands.
 
 
 def register_bench_commands(app: typer.Typer) -> None:

@@ -180,7 +180,7 @@ def linear(
 
 
 def _read_record(log: Path, columns: Sequence[str] | None, start_s: float | None, end_s: float | None) -> EvenLogTable:
-    """Read a log, or a part of it."""
+    """Read a log, or part of it."""
     from mufly.identify.flight_record import read_columns
 
     record = read_columns(log, columns=columns or ())
@@ -294,7 +294,7 @@ def _compute_responses(
     logs: Sequence[Path], inputs: Mapping[str, str], outputs: Mapping[str, str], columns: Sequence[str] | None,
     start_s: float | None, end_s: float | None, band: str | None, windows: str | None, points: int,
 ) -> FrequencyResponse:  # fmt: skip
-    """Composite responses of several logs together."""
+    """Return the composite responses of several logs."""
     from mufly.identify.linear.sweep_response import choose_window_lengths, estimate_composite_response
 
     records = [_read_record(log, columns, start_s, end_s) for log in logs]
@@ -574,6 +574,6 @@ def compatibility(
 
 
 def register_linear_commands(app: CommandGroup) -> None:
-    """Add the commands of linear models."""
+    """Register the commands of linear models."""
     for command in (linear, frequency, bandwidth, compatibility):
         app.command()(command)

@@ -1,1 +1,1 @@
-"""``mufly sensors`` and ``mufly firmware``: what a vehicle carries, and the code that runs on it."""
+"""``mufly sensors`` and ``mufly firmware``: sensors and on-board code of a vehicle."""

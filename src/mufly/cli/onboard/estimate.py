@@ -1,4 +1,4 @@
-"""``mufly estimate``: what a filter makes of the readings of a flight, and whether it is as good as it thinks."""
+"""``mufly estimate``: state estimates from the readings of a flight, and tests of their consistency."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ app = CommandGroup(
     help="Estimate position, velocity and attitude, with their covariance, from sensor readings.",
     no_args_is_help=True,
 )
-_SETTLING_TIME_S = 2.0  # of flight, after which errors count
+_SETTLING_TIME_S = 2.0  # time after lift-off from which errors count
 
 
 @app.command()
@@ -163,7 +163,7 @@ def run(
 
 
 def _estimate_own_flight(log: Path, data: xr.Dataset, vehicle: str | None, out: Path | None, as_json: bool) -> None:
-    """A flight of ``mufly fly``."""
+    """Estimate a flight of ``mufly fly``."""
     from mufly.estimate import fitted_estimator
     from mufly.estimate.nees import measure_consistency
     from mufly.flight import list_truths, replace_estimates, replay_estimator
@@ -179,7 +179,7 @@ def _estimate_own_flight(log: Path, data: xr.Dataset, vehicle: str | None, out: 
 def _estimate_foreign_log(
     path: Path, f: ForeignLog, given: tuple[float | None, float | None], out: Path | None, as_json: bool
 ) -> None:
-    """A log of any vehicle."""
+    """Estimate the log of any vehicle."""
     from mufly.estimate import (
         InertialNoise,
         aid_innovations,
@@ -240,7 +240,7 @@ def _estimate_foreign_log(
 
 
 def _write_results(data: xr.Dataset, told: Sequence[Estimate], out: Path | None, csv: bool = False) -> list[Path]:
-    """Pictures and recording."""
+    """Write pictures and recording; return the files."""
     from mufly.flight import draw_estimate_pictures
     from mufly.logs import write_log
 
@@ -257,7 +257,7 @@ def _write_results(data: xr.Dataset, told: Sequence[Estimate], out: Path | None,
 
 
 def _add_bias_std(data: xr.Dataset, told: Sequence[Estimate]) -> xr.Dataset:
-    """The same with standard deviations of the biases, which recordings do not hold."""
+    """Return the data with standard deviations of the biases, which recordings do not hold."""
     import numpy as np
 
     from mufly.estimate.filter_records import EX_ACCEL_BIAS, EX_GYRO_BIAS
@@ -317,7 +317,7 @@ def _print_consistency(c: Consistency, what: str = "") -> None:
 
 
 def _read_attached_vehicle(log: Path, vehicle: str | None) -> tuple[Vehicle, World]:
-    """The vehicle asked for, or the one that flew, and the world of the mission, which the recording carries."""
+    """Return the requested vehicle, or the one that flew, and the mission's world, both attached to the recording."""
     import tempfile
 
     from mufly.flight import read_attachments
@@ -341,7 +341,7 @@ def _read_attached_vehicle(log: Path, vehicle: str | None) -> tuple[Vehicle, Wor
 
 
 def _lift_off_time_s(data: xr.Dataset) -> float:
-    """When it left the floor (s); the beginning, if it did not."""
+    """Return the time of lift-off (s); the beginning if the vehicle stayed on the floor."""
     import numpy as np
 
     down = data["truth_position"].values[:, 2]

@@ -1,4 +1,4 @@
-"""``mufly firmware``: control law and estimator as C99, exported, and proved equal to the simulation's."""
+"""``mufly firmware``: control law and estimator as C99, exported and compared with the simulation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``mufly sensors``: what a vehicle feels with, and what that would say on a flight."""
+"""``mufly sensors``: sensors of a vehicle, and simulated readings of a flight."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``mufly slam``: data sets of pictures, visual SLAM over them, and how good it was."""
+"""``mufly slam``: data sets of pictures, visual SLAM over them, and its errors."""
 
 from __future__ import annotations
 
@@ -190,9 +190,15 @@ def run(
 
     If the data set holds the truth, errors are reported. The trajectory up to a stop or a failure is written.
 
-    Examples: mufly slam run tiles -o result; mufly slam run flights/last -o result; mufly slam run film.avi --camera
-    camera.toml --telemetry flight.ulg --offset 12.3; mufly slam run /dev/video0 --camera webcam --height 1.2 -o result;
-    mufly slam run http://127.0.0.1:8090/stream --camera mufly-2.0 --height 1
+    Examples:
+
+      mufly slam run tiles -o result
+
+      mufly slam run film.avi --camera camera.toml --telemetry flight.ulg --offset 12.3
+
+      mufly slam run /dev/video0 --camera webcam --height 1.2 -o result
+
+      mufly slam run http://127.0.0.1:8090/stream --camera mufly-2.0 --height 1
     """
     from mufly.camera import LivePictures, find_camera, is_live_source, load_camera
     from mufly.cli.station import ShutdownHandler
