@@ -124,13 +124,13 @@ def evaluate_cases(setup: StudySetup, cases: Sequence[StudyCase]) -> StudyResult
 
     Parameters
     ----------
-    setup : Setup
+    setup : StudySetup
     cases : sequence of mappings
         Cases with equal keys; see the module docstring.
 
     Returns
     -------
-    Results
+    StudyResults
         Results by blade elements do not depend on the grouping of cases into calls, bit for bit. Results of the wake
         method, which starts from the last wake, agree within its tolerance.
 
@@ -355,8 +355,6 @@ def _add_drive_results(
 # that converged only with thicker cores is not used as a start, because other cases would inherit the cores.
 #
 # The wake method uses all cores, and Numba's default threading layer serves one caller at a time.
-
-# The wake method uses all cores, and Numba's default threading layer serves one caller at a time.
 _WAKE_LOCK = threading.Lock()
 _LAST_WAKES: dict[int, tuple[WakeSettings, SystemSolution]] = {}  # by number of rotors: the last converged wake
 _SPEED_TOLERANCE = 5e-4  # of the speed: 0.1 % of the thrust
@@ -500,12 +498,12 @@ def solve_case(
 
     Parameters
     ----------
-    setup : Setup
+    setup : StudySetup
     case : mapping, optional
         Changes from the fixed parameters of ``setup``; see the module docstring.
-    system : System, optional
+    system : RotorSystem, optional
         System of the case from :func:`build_system`.
-    start : Result, optional
+    start : SystemSolution, optional
         Similar result to start from.
     progress : callable, optional
         Called by the wake method with iteration, residual and thrust (N).

@@ -102,7 +102,7 @@ class RotorOptimum:
     goal : str
     before, after : float
         Goal (N/W or s) of the initial rotor at its best pitch, and of the optimum.
-    steps : tuple of Step
+    steps : tuple of DesignStep
         Changes from the initial rotor to the optimum.
     results : dict
         Results of :func:`mufly.study.evaluate_cases` for the optimum, with ``min_thickness_m`` and ``endurance_s``.
@@ -123,7 +123,7 @@ class RotorOptimum:
         return "s" if self.goal == "endurance" else "N/W"
 
     def plot(self) -> Figure:
-        """Draw it; returns a matplotlib figure."""
+        """Draw the optimum; return a matplotlib figure."""
         return enable_notebook_display(blade_picture(self.rotor))
 
 
@@ -142,12 +142,12 @@ def optimise_rotor(
 
     Parameters
     ----------
-    setup : Setup
+    setup : StudySetup
         Initial rotor, drive, and ``thrust`` among the fixed parameters.
     goal : {'thrust-per-power', 'endurance'}
     free : sequence of str
         Free parameters, of :data:`FREE_PARAMETERS`; the pitch is always free unless fixed.
-    limits : sequence of Limit
+    limits : sequence of DesignLimit
         Limits from :func:`mufly.study.study_parameters.parse_limit`; default: the ranges of
         :data:`mufly.study.study_parameters.SEARCH_RANGES`.
     airfoils : sequence of str
@@ -451,7 +451,7 @@ class PairOptimum:
     ----------
     upper, lower : Rotor
     pitch_rad : (upper, lower)
-    before, pitched, after : Result
+    before, pitched, after : SystemSolution
         Solutions by blade elements at the thrust with balanced torques: the initial pair; the initial blades at their
         best pitches, if the pitches are free; the optimum.
     changes : dict
@@ -472,7 +472,7 @@ class PairOptimum:
     evaluations: int
 
     def plot(self) -> Figure:
-        """Draw it; returns a matplotlib figure."""
+        """Draw the optimum; return a matplotlib figure."""
         return enable_notebook_display(rotor_loads_picture(self.after.upper, self.after.lower))
 
 
@@ -546,11 +546,11 @@ def optimise_pair(
 
     Parameters
     ----------
-    setup : Setup
+    setup : StudySetup
         Initial pair; its fixed parameters contain thrust, spacing and both pitches. Its method is ignored.
     free : sequence of str
         Free parameters, of :data:`PAIR_FREE_PARAMETERS`.
-    limits : sequence of Limit
+    limits : sequence of DesignLimit
         Limits from :func:`parse_pair_limit`; default: the ranges of :data:`mufly.study.study_parameters.SEARCH_RANGES`.
     seed, generations : int
         Seed of the search (equal seeds give equal results), and number of generations.

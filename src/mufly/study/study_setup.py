@@ -93,7 +93,7 @@ class StudySetup:
     ----------
     rotor : Rotor
         The rotor, or the upper rotor of a coaxial pair.
-    drive : Drive, optional
+    drive : DriveTrain, optional
         Drive train of a single rotor.
     fixed_parameters : mapping
         Parameters of all cases; a case may override them.

@@ -54,7 +54,7 @@ def sweep_parameters(
 
     Parameters
     ----------
-    setup : Setup
+    setup : StudySetup
         Rotor or pair, drive and fixed parameters; varied parameters need no fixed value.
     vary : mapping
         Values (SI) of each varied parameter; their order is that of the dimensions.
@@ -388,7 +388,7 @@ def rank_airfoils(
 
     Parameters
     ----------
-    setup : Setup
+    setup : StudySetup
         Rotor, drive and thrust (or speed).
     airfoils : sequence of str
         Distinct names or files.

@@ -1,4 +1,4 @@
-"""Does it agree with the source? Every figure and table of the dissertation, ours beside theirs."""
+"""Comparison with the dissertation: each of its figures and tables, beside the results of this package."""
 
 from mufly.thesis.claims import CLAIMS, Claim, Verdict
 from mufly.thesis.comparison_pages import count_verdicts, render_html_page, render_markdown_page

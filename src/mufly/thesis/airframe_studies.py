@@ -1,4 +1,4 @@
-"""The helicopter and what it feels: Figs 2.4 to 2.7 and 4.4."""
+"""Studies of airframe and sensors: Figs 2.4 to 2.7 and 4.4."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mufly.world import World, make_wall
 
 
 def study_mass_budget(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 2.4: mass budgets of both prototypes. The picture has no numbers; sums and two groups stand in the text.
+    """Fig. 2.4: mass budgets of both prototypes. The figure has no numbers; the text has sums and two groups.
 
     Thesis: Fig. 2.4.
     """
@@ -85,7 +85,7 @@ def study_mass_budget(progress: ProgressCallback | None = None) -> StudyFindings
 
 
 def _simulate_tilted_release(vehicle: Vehicle, seconds: float = 2.0) -> xr.Dataset:
-    """Motion after a roll of 20 degrees with the bar still level, inputs of hover."""
+    """Return the motion after a roll of 20 degrees with the bar still level, at the inputs of hover."""
     hover = find_trim(vehicle)
     tilted = initial_state(
         position=(0, 0, -5),
@@ -97,7 +97,7 @@ def _simulate_tilted_release(vehicle: Vehicle, seconds: float = 2.0) -> xr.Datas
 
 
 def study_stabiliser_bar(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 2.5: the same tilt with the bar's linkage as identified, and without; and the low pass it makes.
+    """Fig. 2.5: the same tilt with the bar's linkage as identified, and without; and the low pass of the bar.
 
     Thesis: Fig. 2.5.
     """
@@ -143,7 +143,7 @@ def study_stabiliser_bar(progress: ProgressCallback | None = None) -> StudyFindi
 
 
 def study_bar_lag(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 4.4: a roll of 20 degrees with T = 0.2 s as there, and with the identified 0.24 s.
+    """Fig. 4.4: a roll of 20 degrees with T = 0.2 s as in the source, and with the identified 0.24 s.
 
     Thesis: Fig. 4.4.
     """
@@ -194,10 +194,10 @@ _IMU_COUNT = 10
 
 
 def study_imu_clipping(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 2.6 is a photograph; the text says of its unit that clipping at 6 g cost up to 20 degrees on the ground.
+    """Fig. 2.6, a photograph; the text states that clipping at 6 g caused tilt errors up to 20 degrees on the ground.
 
-    Ten units of ``mufly-1.1`` stand level with rotors at hover speed and are shaken at 1/rev and 2/rev; a low pass of a
-    second takes the tilt from what the accelerometers say.
+    Ten units of ``mufly-1.1`` stand level with rotors at hover speed and vibrate at 1/rev and 2/rev. A low pass of 1 s
+    computes the tilt from the accelerometers.
 
     Thesis: Fig. 2.6.
     """

@@ -1,7 +1,7 @@
 """Polars and blade elements: Figs 3.2, 3.9, 3.15, 3.38, 3.42 and 4.2, Table 3.1.
 
-What the source leaves out and we take is said in each function. Blade elements are those of :mod:`mufly.rotor.bemt`
-with all corrections, untuned, unless it says otherwise.
+Each function states the assumptions that replace missing data of the source. Blade elements are those of
+:mod:`mufly.rotor.bemt` with all corrections, untuned, unless a function states otherwise.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ def load_bench_points() -> RotorMeasurements:
 def study_reynolds_effect(progress: ProgressCallback | None = None) -> StudyFindings:
     """Fig. 3.2: greatest lift over drag of smooth and rough sections over the Reynolds number.
 
-    The source's figure is McMasters and Henderson's, of many aerofoils. Here: NACA 0012 and 4412, smooth as a quiet
-    tunnel has it (n_crit 9), rough as tripped at 5 % of the chord.
+    The source's figure is McMasters and Henderson's, of many aerofoils. Here: NACA 0012 and 4412, smooth as in a quiet
+    tunnel (n_crit 9), and rough with transition fixed at 5 % of the chord.
 
     Thesis: Fig. 3.2.
     """
@@ -121,7 +121,7 @@ def study_reynolds_effect(progress: ProgressCallback | None = None) -> StudyFind
 
 
 def study_transition(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Table 3.1: the bench's four points by blade elements with polars at other n_crit."""
+    """Table 3.1: the bench's four points by blade elements with polars at several n_crit."""
     rotor, measured = load_rotor("naca0012-r60-c20"), load_bench_points()
     found = [compare_measurements(prepare_blading(rotor, n_crit=n), measured) for n in N_CRIT_VALUES]
     thrust = np.array([100 * c.mean_thrust_error for c in found])
@@ -169,11 +169,11 @@ def study_transition(progress: ProgressCallback | None = None) -> StudyFindings:
 
 
 def study_current_and_torque(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 3.9: how straight the line of motor current over rotor torque is.
+    """Fig. 3.9: linearity of motor current over rotor torque.
 
-    The bench's motors (Maxon EC 45 flat) are not given by numbers; muFly's drive stands in, driven along the load curve
-    of the bench's own rotor (Table 3.2's at 16 degrees, 2 000 to 8 000 rpm). From eq. 4.25
-    I = (Q / (i eta) + dR i W) / kM with Q ~ W^2, so the friction bends the line.
+    The parameters of the bench's motors (Maxon EC 45 flat) are not printed. muFly's drive replaces them, along the load
+    curve of the bench's rotor (Table 3.2's at 16 degrees, 2 000 to 8 000 rpm). From eq. 4.25, I = (Q / (i eta) + dR i
+    W) / kM with Q ~ W^2, so the friction bends the line.
 
     Thesis: Fig. 3.9.
     """
@@ -227,8 +227,8 @@ def study_current_and_torque(progress: ProgressCallback | None = None) -> StudyF
 def study_bench_blades(progress: ProgressCallback | None = None) -> StudyFindings:
     """Fig. 3.15: three aerofoils, tuned on one point of one of them as the source did.
 
-    Of its measurements the text has those of NACA 0012 at Table 3.2's points; the pitch of the figure is not stated, so
-    12 and 16 degrees are drawn.
+    The text gives measurements of NACA 0012 at Table 3.2's points only; the pitch of the figure is not stated, so 12
+    and 16 degrees are drawn.
     """
     base, measured = load_rotor("naca0012-r60-c20"), load_bench_points()
     tuned = calibrate_blading(prepare_blading(base), measured, 0)
@@ -284,7 +284,7 @@ def study_bench_blades(progress: ProgressCallback | None = None) -> StudyFinding
     return StudyFindings(verdicts, drawn, {"full": data})
 
 
-# Chord over the standard blade's, at r / R: nothing of the tips' sizes is printed.
+# Chord over the standard blade's, at r / R: the source prints no sizes of the tips.
 TIP_SHAPES: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
     "standard": ((0.0, 1.0), (20.0, 20.0)),
     "tip 1, cut back": ((0.0, 0.90, 1.0), (20.0, 20.0, 10.0)),
@@ -293,7 +293,7 @@ TIP_SHAPES: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
 
 
 def study_blade_tips(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 3.38: tips that are cut back, as far as a chord table can say it. The source used CFD, and gives no sizes.
+    """Fig. 3.38: blade tips, as far as a chord distribution describes them. The source used CFD, and gives no sizes.
 
     Tip 1 loses half its chord in the outer tenth (like the Walkera blade), tip 2 tapers to 8 mm from three quarters on.
 
@@ -356,7 +356,7 @@ GURNEY_HEIGHTS_PERCENT = (0.0, 1.0, 2.0)
 def study_gurney_flaps(progress: ProgressCallback | None = None) -> StudyFindings:
     """Fig. 3.42: Gurney flaps of 1 and 2 % on NACA 0012, by blade elements with the polars of sections with a flap.
 
-    The source's 3 and 5 % are more than NeuralFoil's contours can carry; 2 % is the most.
+    The source's 3 and 5 % exceed the range of NeuralFoil's contours; 2 % is its limit.
 
     Thesis: Fig. 3.42.
     """
@@ -412,10 +412,10 @@ def study_gurney_flaps(progress: ProgressCallback | None = None) -> StudyFinding
 
 
 def study_climb_inflow(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 4.2: thrust and torque coefficient over the climb, by blade elements and as the flight model's map has them.
+    """Fig. 4.2: thrust and torque coefficient over the climb, by blade elements and by the flight model's map.
 
-    Which rotor the source's CFD had is not said: here NACA 0012 of Table 3.2 at 14 degrees and 6 000 rpm, and the upper
-    rotor of the built-in map of muFly's pair. Positive is climb.
+    The rotor of the source's CFD is not stated. Here: NACA 0012 of Table 3.2 at 14 degrees and 6 000 rpm, and the upper
+    rotor of the built-in map of muFly's pair. Climb is positive.
 
     Thesis: Fig. 4.2.
     """

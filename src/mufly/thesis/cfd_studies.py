@@ -1,8 +1,7 @@
-"""CFD: Figs 3.21 to 3.24 and 3.40.
+"""CFD studies: Figs 3.21 to 3.24 and 3.40.
 
-A Navier-Stokes solution takes hours, so none is run here. A folder of a solved case (``mufly cfd run``) can be given;
-without one, what docs/explanation/cfd.md states of the cases that were run is judged, or the study says that it needs
-CFD.
+A Navier-Stokes solution takes hours, so none is computed here. A folder of a solved case (``mufly cfd run``) can be
+given. Without one, the study judges the results stated in docs/explanation/cfd.md, or reports that it needs CFD.
 """
 
 from __future__ import annotations
@@ -60,7 +59,7 @@ OUR_MESH_CONVERGENCE: tuple[tuple[float, ...], tuple[float, ...]] = (
 
 
 def study_mesh_setup(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 3.21: our mesh beside the source's three domains.
+    """Fig. 3.21: this package's mesh beside the source's three domains.
 
     Thesis: Fig. 3.21.
     """
@@ -90,7 +89,7 @@ def study_mesh_setup(progress: ProgressCallback | None = None) -> StudyFindings:
 
 
 def _find_solved_cases(folder: Path) -> list[Path]:
-    """The folder itself, if it is a case with a state, else its subfolders that are."""
+    """Return the folder, if it is a case with a state, else its subfolders that are."""
     found = []
     for one in (folder, *sorted(p for p in folder.iterdir() if p.is_dir())):
         try:
@@ -144,7 +143,7 @@ def study_mesh_convergence(progress: ProgressCallback | None = None, case: Path 
 
 
 def study_surface_pressure(progress: ProgressCallback | None = None, case: Path | None = None) -> StudyFindings:
-    """Fig. 3.23: suction at tip and leading edge; of a case, or by the loads that docs/explanation/cfd.md states."""
+    """Fig. 3.23: suction at tip and leading edge, of a case or by the loads stated in docs/explanation/cfd.md."""
     if case is not None:
         folder = _find_solved_cases(case)[0]
         mesh = read_poly_mesh(folder)
@@ -207,7 +206,7 @@ def study_surface_pressure(progress: ProgressCallback | None = None, case: Path 
 
 
 def study_downwash(progress: ProgressCallback | None = None, case: Path | None = None) -> StudyFindings:
-    """Fig. 3.24: the vena contracta; of a case, or of our vortex wake.
+    """Fig. 3.24: the vena contracta, of a case or of the wake method.
 
     Thesis: Fig. 3.24.
     """
@@ -239,7 +238,7 @@ def study_downwash(progress: ProgressCallback | None = None, case: Path | None =
     radius, height = np.hypot(*mesh.cell_centres[:, :2].T) / R, mesh.cell_centres[:, 2] / R
 
     def half_flow_radius(depth: float) -> float:
-        """Radius inside which half of what goes down at a depth passes, over R."""
+        """Return the radius inside which half of the downward flow passes at a depth, over R."""
         there = (np.abs(height + depth) < 0.1) & (radius < 2) & (velocity[:, 2] < 0)
         order = np.argsort(radius[there])
         through = np.cumsum((-velocity[there, 2] * mesh.cell_volumes[there])[order])
@@ -265,7 +264,7 @@ def study_downwash(progress: ProgressCallback | None = None, case: Path | None =
 
 
 def study_winglets(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 3.40: the standard blade by blade elements, winglets by CFD as docs/explanation/cfd.md states it.
+    """Fig. 3.40: the standard blade by blade elements, winglets by CFD as stated in docs/explanation/cfd.md.
 
     Thesis: Fig. 3.40.
     """
@@ -323,7 +322,7 @@ def run_study_with_case(name: str, case: Path) -> StudyFindings:
     Raises
     ------
     InputError
-        If the study takes none, or the folder holds none.
+        If the study takes no case, or the folder holds none.
     """
     if name not in CFD_CASE_STUDIES:
         raise InputError("thesis", name, "takes no case", f"use --case with one of: {', '.join(CFD_CASE_STUDIES)}")

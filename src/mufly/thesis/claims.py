@@ -1,9 +1,9 @@
-"""What a claim, a verdict and a study's findings are; and what the dissertation claims of rotors, pairs and drives.
+"""Records of claims, verdicts and findings; and the dissertation's claims about rotors, pairs and drives.
 
-Claims are facts of the source, each written down once; nothing is tuned to them. Of the dissertation only its text is
-at hand. So a number of a figure comes from the sentences about it (basis ``text``), from a printed table (``table``)
-or from the figure's axes and legend (``axis``), whose texts tell between which ticks the curves end; no curve was
-digitised. Claims, limits, rules and reasons stand in ``verdicts.toml``; :func:`judge` applies them.
+Claims are facts of the source, each stated once; no model is tuned to them. Only the text of the dissertation was
+available. So a number of a figure comes from the sentences about it (basis ``text``), from a printed table (``table``)
+or from the figure's axes and legend (``axis``), whose labels bound the ends of the curves. No curve was digitised.
+``verdicts.toml`` holds claims, limits, rules and reasons; :func:`judge` applies them.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ ClaimBasis = Literal["text", "table", "axis"]
 
 @dataclass(frozen=True)
 class Claim:
-    """One statement.
+    """One claim of the dissertation.
 
     Attributes
     ----------
     where : str
         Figure, table or section.
     text : str
-        What is stated, in our words.
+        Statement, paraphrased.
     value : float
-        The number it gives; nan if it gives none.
+        Number stated; nan if there is none.
     unit : str
     basis : str
-        What was read: a sentence of the text, a table, or the texts of a figure's axes.
+        Source of the number: a sentence of the text, a table, or the labels of a figure's axes.
     reason : str
-        Why ours differs, where it does and as far as it is known.
+        Reason of a difference, as far as known.
     """
 
     where: str
@@ -53,19 +53,18 @@ class Claim:
 
 @dataclass(frozen=True)
 class Verdict:
-    """A claim beside what we compute.
+    """A claim beside the computed result.
 
     Attributes
     ----------
     claim : Claim
     model : str
-        What ``ours`` was computed with: a name of ``mufly.study.BEMT_MODELS``, ``"wake"``, ``"constant coefficients"``,
-        ...
+        Model of ``ours``: a name of ``mufly.study.BEMT_MODELS``, ``"wake"``, ``"constant coefficients"``, ...
     ours : str
-        Our numbers.
+        Computed numbers, as text.
     agrees : bool
     rule : str
-        When we call it agreement.
+        Criterion of agreement.
     """
 
     claim: Claim
@@ -86,19 +85,19 @@ class Verdict:
 
 @dataclass(frozen=True, eq=False)
 class StudyFindings:
-    """What a study computed.
+    """Results of a study.
 
     Attributes
     ----------
     verdicts : sequence of Verdict
     figure : Figure
-        Ours, with what is printed beside it.
+        Picture of the computed results, with the printed ones.
     data : mapping
-        Name (a model, mostly) to results; empty where nothing but a picture is drawn.
+        Results by name (mostly of a model); empty for a study that only draws a picture.
     note : str
-        What to know about all of it.
+        Note on all results.
     lacking : str
-        What is needed for a verdict and was not there, as ``"CFD"``.
+        Missing requirement of a verdict, such as ``"CFD"``.
     """
 
     verdicts: Sequence[Verdict]
@@ -113,14 +112,14 @@ ProgressCallback = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class Study:
-    """How a figure or table is answered.
+    """A figure's or table's computation and cost.
 
     Attributes
     ----------
     compute : callable
-        ``compute(progress)`` gives :class:`StudyFindings`; progress is called with (done, total), or is None.
+        ``compute(progress)`` returns :class:`StudyFindings`; progress is called with (done, total), or is None.
     cost_s : float
-        About how long one core takes, for the order of ``run all``.
+        Approximate time on one core (s), for the order of ``run all``.
     """
 
     compute: Callable[[ProgressCallback | None], StudyFindings]
@@ -139,14 +138,14 @@ def _load_rows() -> dict[str, dict[str, Any]]:
 
 
 VERDICTS_FILE = Path(__file__).with_name("verdicts.toml")
-"""One table a verdict: its claim, its limits, its rule in words, and the reason of a difference."""
+"""File with one table for each verdict: claim, limits, rule in words, and the reason of a difference."""
 _ROWS = _load_rows()
 
 CLAIMS: dict[str, Claim] = {
     key: Claim(**{name: row[name] for name in ("where", "text", "value", "unit", "basis", "reason") if name in row})
     for key, row in _ROWS.items()
 }
-"""Key of a verdict to its claim."""
+"""Claim of each verdict, by the verdict's key."""
 
 
 def judge(key: str, model: str, ours: str, **quantities: Any) -> Verdict:
@@ -155,11 +154,11 @@ def judge(key: str, model: str, ours: str, **quantities: Any) -> Verdict:
     Parameters
     ----------
     key : str
-        Of the row.
+        Key of the row.
     model, ours : str
         As in :class:`Verdict`.
     **quantities : float, array or bool
-        Those that the row has limits for; of an array all elements have to meet them.
+        Quantities for which the row has limits; all elements of an array must meet them.
 
     Raises
     ------
@@ -233,7 +232,7 @@ TABLE_3_2_VALUES: dict[tuple[int, int], dict[str, tuple[float, float]]] = {
     },
 }  # fmt: skip
 
-# Table 5.3: symbol as `mufly vehicle show` has it -> value as printed (SI; the angle in degrees).
+# Table 5.3: symbol as in `mufly vehicle show` -> printed value (SI; the angle in degrees).
 TABLE_5_3_VALUES: dict[str, float] = {
     "body.mass": 0.095, "battery.nominal_voltage": 7.2, "body.inertia_xx": 1.12e-4, "body.inertia_yy": 1.43e-4,
     "body.inertia_zz": 2.66e-5, "rotors.lower.hub_z": -0.051, "rotors.upper.hub_z": -0.091,

@@ -1,11 +1,12 @@
 """The coaxial pair of Sec. 3.4.7: Figs 3.43, 3.44 and 3.45 and Table 3.4, by the wake method and by blade elements.
 
-Two rotors of NACA 0012, R 60 mm, chord 20 mm, at 14 degrees. The source computed them with a vortex method of its own
-kind, so these are comparisons of methods, not with measurements. What it leaves out and we take: hub cut-out 0.15 R;
-spacing 20 mm where Fig. 3.45 does not vary it; equal speeds of both rotors in Fig. 3.45.
+Two rotors of NACA 0012, R 60 mm, chord 20 mm, at 14 degrees. The source computed them with its own vortex method, so
+these are comparisons of methods, not with measurements. Assumptions where the source states nothing: hub cut-out 0.15
+R; spacing 20 mm, except in Fig. 3.45; equal speeds of both rotors in Fig. 3.45.
 
-Computed with ``wake`` (:mod:`mufly.rotor.wake`, default settings, each case from the wake of the one before) and with
-``full`` (coaxial blade element momentum theory). Speeds are fewer than in the source's figures: a wake takes seconds.
+The results are computed with ``wake`` (:mod:`mufly.rotor.wake`, default settings, each case from the wake of the one
+before) and with ``full`` (coaxial blade element momentum theory). There are fewer speeds than in the source's figures,
+because a wake takes seconds.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ class _PairPoint:
     lower_pitch_deg: float = PITCH_DEG
     spacing_m: float = SPACING_M
     balances_torque: bool = False
-    """Find the lower speed."""
+    """Whether to find the lower speed that balances the torques."""
 
 
 def _load_blade() -> Blading:
@@ -58,13 +59,13 @@ def _load_blade() -> Blading:
 
 
 _SOLVED_PAIRS: dict[tuple[str, _PairPoint], SystemSolution] = {}
-"""Pairs solved with the default settings: Figs 3.6 and 3.43 to 3.45 have some in common, and a wake takes long."""
+"""Pairs solved with the default settings: Figs 3.6 and 3.43 to 3.45 share cases, and a wake takes long."""
 
 
 def _solve_pair(
     model: str, blade: Blading, point: _PairPoint, settings: WakeSettings | None, known: SystemSolution | None
 ) -> tuple[SystemSolution | None, str]:
-    """Both rotors, or what went wrong."""
+    """Return the solution of both rotors, and the reason of a failure."""
     kept = _SOLVED_PAIRS.get((model, point)) if settings is None else None
     if kept is not None:
         return kept, ""
@@ -105,7 +106,7 @@ def _solve_grid(
     settings: WakeSettings | None,
     progress: ProgressCallback | None,
 ) -> xr.Dataset:
-    """Solve every combination of the axes; a case that does not converge holds nan and says why in ``fault``."""
+    """Solve every combination of the axes; a case that does not converge is nan, with the reason in ``fault``."""
     blade = _load_blade()
     shape = tuple(len(v) for v in axes.values())
     data = {f"{who}_{field}": np.full(shape, np.nan) for who in ("upper", "lower") for field in (*_FIELD_UNITS, "rpm")}
@@ -138,7 +139,7 @@ def compute_equal_speeds(
     settings: WakeSettings | None = None,
     progress: ProgressCallback | None = None,
 ) -> xr.Dataset:
-    """Fig. 3.43: both rotors at the same speed, and one rotor alone (``single_...``).
+    """Fig. 3.43: both rotors at the same speed, and an isolated rotor (``single_...``).
 
     Thesis: Fig. 3.43.
     """
@@ -164,14 +165,14 @@ OUR_CFD_PAIR_LOADS: dict[int, dict[str, tuple[float, float]]] = {
     5000: {"upper": (0.1834, 2.100e-3), "lower": (0.0974, 1.665e-3), "single": (0.1814, 2.107e-3)},
     7000: {"upper": (0.3601, 3.984e-3), "lower": (0.1906, 3.096e-3), "single": (0.3575, 4.005e-3)},
 }
-"""Thrust (N) and torque (N m) by rpm; beside the other's mean, laminar, coarse, hub of 6 mm, settled.
+"""Thrust (N) and torque (N m) by rpm, with the other rotor's mean; laminar, coarse, hub of 6 mm, settled.
 
 docs/log/2026-11-28-cfd-pair.md has the cases.
 """
 
 
 def tabulate_cfd_equal_speeds() -> xr.Dataset:
-    """CFD of the pair as docs/log/2026-11-28-cfd-pair.md states it, in the form of :func:`compute_equal_speeds`."""
+    """Return the CFD results of docs/log/2026-11-28-cfd-pair.md in the form of :func:`compute_equal_speeds`."""
     rpm, air, R = sorted(OUR_CFD_PAIR_LOADS), Air(), _load_blade().radius_m
     out: dict[str, NDArray[np.float64]] = {}
     for who in ("upper", "lower", "single"):
@@ -190,7 +191,7 @@ def compute_one_speed_fixed(
     settings: WakeSettings | None = None,
     progress: ProgressCallback | None = None,
 ) -> xr.Dataset:
-    """Fig. 3.44: one rotor is kept at 6000 rpm, the other varied; ``varied`` says which.
+    """Fig. 3.44: one rotor is kept at 6000 rpm; the speed of the other, ``varied``, is varied.
 
     Thesis: Fig. 3.44.
     """
@@ -239,7 +240,7 @@ def compute_rotor_spacing(
 # ----------------------------------------------------------------------------
 # Verdicts on the claims of Sec. 3.4.7, each from the results of :mod:`mufly.thesis.coaxial_studies`.
 #
-# Margins were set before these results were seen; the source gives none.
+# Margins were set before these results were known; the source gives none.
 
 
 def _lower_over_upper(data: xr.Dataset, field: str) -> NDArray[np.float64]:
@@ -251,13 +252,13 @@ def _format_list(values: NDArray[np.float64], form: str) -> str:
 
 
 def _describe_unconverged(data: xr.Dataset) -> str:
-    """Say how many cases did not converge."""
+    """Return a sentence on the number of cases that did not converge."""
     missing = int((data.fault != "").sum())
     return f"; {missing} of {data.fault.size} cases not converged" if missing else ""
 
 
 def judge_equal_speeds(model: str, data: xr.Dataset) -> list[Verdict]:
-    """Fig. 3.43."""
+    """Judge Fig. 3.43."""
     rpm = f"at {_format_list(data.rpm.values, '{:.0f}')} rpm{_describe_unconverged(data)}"
     thrust, torque = _lower_over_upper(data, "thrust_N"), _lower_over_upper(data, "torque_Nm")
     more = [100 * (data[f"upper_{k}"].values / data[f"single_{k}"].values - 1) for k in ("thrust_N", "torque_Nm")]
@@ -281,7 +282,7 @@ def judge_equal_speeds(model: str, data: xr.Dataset) -> list[Verdict]:
 
 
 def judge_one_speed_fixed(model: str, data: xr.Dataset) -> list[Verdict]:
-    """Fig. 3.44."""
+    """Judge Fig. 3.44."""
     upper, lower = data.sel(varied="upper"), data.sel(varied="lower")
     known = [part.isel(rpm=np.flatnonzero(np.isfinite(part.lower_c_T.values))) for part in (upper, lower)]
     c_T = [1e3 * part.lower_c_T.values for part in known]
@@ -309,7 +310,7 @@ def judge_one_speed_fixed(model: str, data: xr.Dataset) -> list[Verdict]:
 
 
 def judge_balance(model: str, data: xr.Dataset) -> list[Verdict]:
-    """Sec. 3.4.7's example and Table 3.4."""
+    """Judge the example of Sec. 3.4.7 and Table 3.4."""
     first = data.sel(lower_pitch_deg=14)
     rpm = float(first.lower_rpm)
     deficit = 100 * (1 - float(first.lower_thrust_N / first.upper_thrust_N))
@@ -334,7 +335,7 @@ def judge_balance(model: str, data: xr.Dataset) -> list[Verdict]:
 
 
 def judge_rotor_spacing(model: str, data: xr.Dataset) -> list[Verdict]:
-    """Fig. 3.45."""
+    """Judge Fig. 3.45."""
     thrust = data.lower_thrust_N
     spread = np.asarray(100 * ((thrust.max("spacing_mm") - thrust.min("spacing_mm")) / thrust.mean("spacing_mm")))
     speeds = _format_list(data.rpm.values, "{:.0f}")

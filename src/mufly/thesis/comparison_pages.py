@@ -1,4 +1,4 @@
-"""All answers on one page: Markdown for the documents, and HTML with the pictures in it, for a browser alone."""
+"""Pages of all answers: Markdown for the documents, and self-contained HTML with the pictures."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def render_markdown_page(answers: Sequence[StudyAnswer] | Sequence[Mapping[str, 
 
     Parameters
     ----------
-    answers : sequence of Answer, or of what their ``to_dict`` returns
+    answers : sequence of StudyAnswer, or of the mappings of their ``to_dict``
         One for each item, in any order.
     """
     known = {str(r["name"]): r for r in map(_answer_as_mapping, answers)}
@@ -108,7 +108,7 @@ def _format_cell(text: str) -> str:
 
 
 def _link_documents(text: str) -> str:
-    """Name documents as links of the page."""
+    """Replace names of documents by links."""
     return re.sub(r"docs/([\w/-]+\.md)", r"[\1](../\1)", text)
 
 
@@ -155,7 +155,7 @@ def _render_code_marks(text: str) -> Markup:
 
 
 def render_html_page(answers: Sequence[StudyAnswer]) -> str:
-    """Return a page of HTML with a table of all figures and tables, their verdicts and, embedded, our pictures."""
+    """Return an HTML page with all figures and tables, their verdicts, and embedded pictures."""
     known = {a.item.name: a for a in answers}
     every = [known[name] for name in THESIS_ITEMS]
     return render_page(

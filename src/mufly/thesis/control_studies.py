@@ -1,4 +1,5 @@
-"""The low-level controllers: singular values (Figs 6.3, 6.5, 6.7, 6.8), steps and following (Figs 6.10 to 6.13)."""
+"""Studies of the low-level controllers: singular values (Figs 6.3, 6.5, 6.7, 6.8), steps, tracking (Figs 6.10 to
+6.13)."""
 
 from __future__ import annotations
 
@@ -40,7 +41,7 @@ def _singular_value_curves(one: ControllerDesign) -> xr.Dataset:
 
 
 def study_heave_yaw_plant(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 6.3, at the nominal voltage and at the one that the printed crossings show."""
+    """Fig. 6.3, at the nominal voltage and at the voltage that fits the printed crossings."""
     verdicts = []
     for volt in (_NOMINAL_VOLTAGE_V, _USED_BATTERY_VOLTAGE_V):
         found = _design_controller(volt).heave_yaw.plant_crossovers
@@ -99,7 +100,7 @@ def study_heave_yaw_loop(progress: ProgressCallback | None = None) -> StudyFindi
 
 
 def study_roll_pitch_plant(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 6.7: the resonance that the stabiliser bar makes."""
+    """Fig. 6.7: the resonance due to the stabiliser bar."""
     one = _design_controller().roll_pitch
     poles = one.plant.poles()
     damped = sorted({round(abs(float(p.imag)), 2) for p in poles if p.imag > 1.0})
@@ -215,7 +216,7 @@ def _finish_figure(drawn: object, title: str) -> None:
 
 
 def _select_plotted_signals(d: xr.Dataset) -> xr.Dataset:
-    """The columns that are drawn."""
+    """Return the signals that are drawn."""
     names = (
         "truth_position",
         "truth_attitude",
@@ -235,7 +236,7 @@ def _pitch_reference(t: float) -> float:
 
 
 def study_pitch_tracking(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 6.12: steps of pitch between 0 and -0.14 rad; the figure's own are not in the text.
+    """Fig. 6.12: steps of pitch between 0 and -0.14 rad; the text does not state the figure's own.
 
     Thesis: Fig. 6.12.
     """
@@ -292,7 +293,7 @@ _HOVER_DURATION_S, _STICK_DURATION_S = 8.0, 8.0
 
 @functools.lru_cache(maxsize=1)
 def _fly_on_sensors() -> tuple[xr.Dataset, float, float]:
-    """Fly on sensors: up by 0.5 m, hover, then by stick; the recording, and when climb and stick began (s)."""
+    """Fly on sensors: climb by 0.5 m, hover, sticks; return the recording, and start times of climb and sticks (s)."""
     climb = stick = math.nan
     with Flight(
         "mufly-1.1", parse_mission(_CLIMB_MISSION), controller=_design_controller(), seed=7, sensors="fitted"
@@ -320,7 +321,7 @@ _STICK_STEPS = ((6.5, 0.0), (5.5, -0.06), (4.5, 0.08), (3.5, -0.10), (2.5, 0.10)
 
 
 def _stick_input(t: float) -> float:
-    """What a pilot asks of the pitch, smoothed over 0.2 s as a hand is."""
+    """Return a pilot's pitch command, smoothed over 0.2 s like a movement of the hand."""
 
     def step_level(s: float) -> float:
         return next((v for begin, v in _STICK_STEPS if s >= begin), 0.0)
@@ -333,9 +334,9 @@ def _time_slice(d: xr.Dataset, begin: float, end: float) -> xr.Dataset:
 
 
 def study_heave_step_flown(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 6.11, measured in the source: a climb of 0.5 m flown on simulated sensors through the filter.
+    """Fig. 6.11, a measurement in the source: a climb of 0.5 m, flown on simulated sensors with the filter.
 
-    The mission gives a smooth rise instead of the step; errors of the sensors are typical ones, air is calm.
+    The mission commands a smooth climb instead of a step; sensor errors are typical, air is calm.
 
     Thesis: Fig. 6.11.
     """
@@ -390,7 +391,7 @@ def study_heave_step_flown(progress: ProgressCallback | None = None) -> StudyFin
 
 
 def study_pitch_tracking_flown(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 6.13, measured in the source: pitch asked for by stick, flown on simulated sensors.
+    """Fig. 6.13, a measurement in the source: pitch commanded by stick, flown on simulated sensors.
 
     Thesis: Fig. 6.13.
     """
@@ -400,7 +401,7 @@ def study_pitch_tracking_flown(progress: ProgressCallback | None = None) -> Stud
     pitch = part.truth_attitude.sel(angle="pitch").values
     wanted = np.array([_stick_input(float(t)) for t in time])
     servo = part.servo_input.sel(servo=1).values
-    # How late and how far off: the shift that fits best, and what is left with it.
+    # Delay of the best fit, and the residual after it.
     step = float(np.median(np.diff(time)))
     shifts = np.arange(0, round(0.4 / step))
     left = [float(np.sqrt(np.mean((pitch[s:] - wanted[: wanted.size - s]) ** 2))) for s in shifts]

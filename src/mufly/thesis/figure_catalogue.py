@@ -1,7 +1,7 @@
-"""The dissertation's 91 figures and 7 tables, each with what it is and, where it is no result, what stands for it here.
+"""Catalogue of the dissertation's 91 figures and 7 tables, each with its kind and, if it is no result, its substitute.
 
-A photograph, sketch or block diagram cannot agree or differ: it gets a line that says where in mufly the same thing
-is. A result has a study (:mod:`mufly.thesis.study_runner`). Titles are in our words.
+A photograph, sketch or block diagram cannot agree or differ: its entry names the place of the same thing in this
+package. A result has a study (:mod:`mufly.thesis.study_runner`). Titles are paraphrased.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ class ThesisItem:
     name : str
         ``fig-3.26`` or ``table-3.3``.
     section : str
-        Where it stands.
+        Section of the dissertation.
     title : str
     kind : str
     substitute : str
-        What stands for it here; "" for a result.
+        Substitute in this package; "" for a result.
     """
 
     name: str
@@ -45,13 +45,13 @@ class ThesisItem:
 
     @property
     def citation(self) -> str:
-        """As it is cited: ``Fig. 3.26``, ``Table 3.3``."""
+        """Citation: ``Fig. 3.26``, ``Table 3.3``."""
         kind, _, number = self.name.partition("-")
         return f"{'Fig.' if kind == 'fig' else 'Table'} {number}"
 
     @property
     def cli_command(self) -> str:
-        """What repeats or shows it."""
+        """Command that repeats or shows it."""
         return f"mufly thesis {'run' if self.kind == 'result' else 'show'} {self.name}"
 
 
@@ -63,12 +63,12 @@ THESIS_ITEMS: dict[str, ThesisItem] = {
 
 
 def find_item(name: str) -> ThesisItem:
-    """Return a figure or table by name; ``3.26`` and ``Fig. 3.26`` are understood too.
+    """Return a figure or table by name; ``3.26`` and ``Fig. 3.26`` are accepted, too.
 
     Raises
     ------
     InputError
-        If there is none.
+        If there is no such figure or table.
     """
     text = name.strip().lower().replace(" ", "").replace("figure", "fig").replace("fig.", "fig-")
     for known in (text, f"fig-{text}", text.replace("fig", "fig-"), text.replace("table", "table-")):

@@ -1,8 +1,8 @@
-"""Parameters: Tables 5.1 to 5.3 and Figs 5.1 and 5.3 to 5.6.
+"""Studies of parameters: Tables 5.1 to 5.3 and Figs 5.1 and 5.3 to 5.6.
 
-The source's flights are not published. A vehicle with the numbers of Table 5.3 flies instead, under the source's
-conditions (:mod:`mufly.identify.flight.identification_demo`); half of what is known of it is forgotten and found again.
-So the truth is known, and what is tested is the method.
+The source's flights are not published. Simulated flights of a vehicle with the numbers of Table 5.3 replace them, under
+the source's conditions (:mod:`mufly.identify.flight.identification_demo`). Half of its parameters are assumed to be
+unknown and are identified. The truth is known, so the method is tested.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from mufly.vehicle import list_parameters, load_vehicle
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Table 5.1: key -> the method in the vehicle files' words.
+# Table 5.1: key -> method, in the terms of the vehicle files.
 GROUND_METHODS = {
     "body.mass": "measured",
     "body.inertia_xx": "CAD",
@@ -43,7 +43,7 @@ GROUND_METHODS = {
     "gear.efficiency": "estimated",
     "battery.nominal_voltage": "datasheet",
 }
-# Table 5.2: key -> how it is found here.
+# Table 5.2: key -> method here.
 BENCH_METHODS = {
     "rotors.lower.thrust_coefficient": "rotor",
     "rotors.upper.thrust_coefficient": "rotor",
@@ -74,7 +74,7 @@ def _draw_table(
 
 
 def study_ground_parameters(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Table 5.1: where each number of the vehicle file says that it came from, beside the table's method.
+    """Table 5.1: the source of each number by the vehicle file, beside the table's method.
 
     Thesis: Table 5.1.
     """
@@ -102,7 +102,7 @@ def study_ground_parameters(progress: ProgressCallback | None = None) -> StudyFi
 
 
 def simulate_motor_bench(seed: int = 0, noise: float = 0.01) -> BenchTable:
-    """Make up the readings of a motor bench at 7.2 V with Table 5.3's constants, 1 % noise in current and the like."""
+    """Simulate the readings of a motor bench at 7.2 V with Table 5.3's constants and relative noise ``noise``."""
     m = load_vehicle("mufly-1.1").motor
     kE, kM, R, dR = (float(v) for v in (m.back_emf_constant, m.torque_constant, m.resistance, m.friction))
     u = np.repeat([4.5, 6.0, 7.2], 16)
@@ -133,7 +133,7 @@ def _compare_with_truth(fit: MotorFit) -> tuple[int, str]:
 
 
 def study_bench_parameters(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Table 5.2: the eight numbers that benches give, with the command that finds them here."""
+    """Table 5.2: the eight numbers from benches, with the commands that find them here."""
     rows = {p.key: p for p in list_parameters(load_vehicle("mufly-1.1"))}
     words = {k: rows[k].source for k in BENCH_METHODS}
     held, _ = _compare_with_truth(_fit_motor())
@@ -200,7 +200,7 @@ def _run_identification_demo() -> IdentificationDemo:
     return run_identification_demo(seed=0)
 
 
-# Record -> outputs that the source's figure shows, what it says, and the range of its axis for the last of them.
+# Record -> outputs in the source's figure, its statement, and the range of the last output's axis.
 _FLIGHT_OUTPUTS = {"yaw": ("height", "r"), "heave": ("height", "r"), "roll": ("roll",), "pitch": ("pitch",)}
 
 
@@ -256,7 +256,7 @@ def study_pitch_flight(progress: ProgressCallback | None = None) -> StudyFinding
 
 
 def study_all_parameters(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Table 5.3: the vehicle file beside the print, and what is identified from flights beside both."""
+    """Table 5.3: the vehicle file beside the print, and the parameters identified from flights beside both."""
     rows = {p.key: p for p in list_parameters(load_vehicle("mufly-1.1"))}
     printed = {k: math.radians(v) if k == "swash_plate.max_tilt" else v for k, v in TABLE_5_3_VALUES.items()}
     other = [k for k, v in printed.items() if abs(float(np.ravel(rows[k].value)[0]) / v - 1) > 1e-6]

@@ -1,4 +1,4 @@
-"""Missions: state machine, trajectories, ring of beams, repulsive forces, square track (Figs 6.15 to 6.20)."""
+"""Studies of missions: state machine, trajectories, beams, repulsive forces, square track (Figs 6.15 to 6.20)."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 LASER_RING = make_beam_ring(8, math.pi / 8, 1.5)
 _TIME_STEP_S = 0.02
-_OBSTACLE_CHECKS_PER_STEP = 3  # of the flight software between two steps of the machine, a beam each
+_OBSTACLE_CHECKS_PER_STEP = 3  # of the flight software between two steps of the machine, one for each beam
 
-# Fig. 6.15's arrows: from, to -> the condition written at it.
+# Arrows of Fig. 6.15: from, to -> the condition printed at the arrow.
 STATE_TRANSITIONS: dict[tuple[str, str], str] = {
     ("init", "take-off"): "signal: start",
     ("take-off", "hover"): "altitude reached",
@@ -72,7 +72,7 @@ def _run_state_machine(
     world: Callable[[float], World] | None = None,
     limit_s: float = 120.0,
 ) -> list[tuple[float, str]]:
-    """Run the machine with a point mass in the helicopter's place; return time and name of each state entered."""
+    """Run the state machine with a point mass as helicopter; return time and name of each state entered."""
     plan = MissionPlan(mission, LASER_RING, 6.0)
     x, v, psi = np.array([*mission.start_m, -0.07]), np.zeros(3), 0.0
 
@@ -108,7 +108,7 @@ def _run_state_machine(
 
 
 def study_state_machine(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 6.15: every arrow of the figure, made by our machine; and what its table of requests allows."""
+    """Fig. 6.15: every transition of the figure, made by the state machine; and its table of requests."""
     mission = parse_mission(_MISSION_TABLES)
 
     def start_then_command(at: float, command: Command, hold: bool = False) -> Callable[[float, MissionState], Command]:
@@ -201,7 +201,7 @@ def study_state_machine(progress: ProgressCallback | None = None) -> StudyFindin
                 "connectionstyle": f"arc3,rad={bend}",
             },
         )
-        # The bow's top is half of its bend times the distance away from the straight line.
+        # The top of the arc is half of its bend times the distance from the straight line.
         axes.text(
             (xa + xb) / 2 + 0.5 * bend * (yb - ya),
             (ya + yb) / 2 - 0.5 * bend * (xb - xa),
@@ -221,7 +221,7 @@ def study_state_machine(progress: ProgressCallback | None = None) -> StudyFindin
 
 
 def study_cubic_spline(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 6.16: a spline in space; its boundary conditions, and the tangent of eq. 6.13 with its 3."""
+    """Fig. 6.16: a spline in space; its boundary conditions, and the tangent of eq. 6.13 with its factor 3."""
     x0, xg, d0, dg = (0.0, 0.0, -1.0), (3.0, 2.0, -2.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
     away = float(np.linalg.norm(np.subtract(xg, x0)))
     curve = make_spline(x0, xg, np.multiply(away, d0), np.multiply(away, dg))
@@ -275,7 +275,7 @@ def _fly_square_mission() -> tuple[xr.Dataset, FlightSummary, Mission]:
 
 
 def study_waypoints(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 6.17: waypoints on the nonlinear model: height and heading first, then straight."""
+    """Fig. 6.17: waypoints on the nonlinear model: height and heading first, then a straight line."""
     d, found, _ = _fly_square_mission()
     legs = [w for w in found.waypoints if w.name != "take-off" and w.overshoot_m is not None]
     over = [100 * float(w.overshoot_m) for w in legs]  # type: ignore[arg-type]
@@ -331,7 +331,7 @@ def study_waypoints(progress: ProgressCallback | None = None) -> StudyFindings:
 
 
 def study_beam_directions(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 6.18: where the eight lasers look, and which way their forces point."""
+    """Fig. 6.18: directions of the eight laser beams and of their forces."""
     angles = np.degrees(beam_angles(load_vehicle("mufly-2.0"))) % 360
     want = np.arange(8) * 45 + 22.5
     force = []
@@ -371,7 +371,7 @@ def study_beam_directions(progress: ProgressCallback | None = None) -> StudyFind
 
 
 def study_repulsive_forces(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 6.19: the field of eqs 6.14 to 6.17 around a box, and its numbers beside the equations worked out here."""
+    """Fig. 6.19: the field of eqs 6.14 to 6.17 around a box, compared with a separate evaluation of the equations."""
     threshold = 1.0
     rng = np.random.default_rng(0)
     worst = 0.0

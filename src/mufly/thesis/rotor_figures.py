@@ -1,4 +1,4 @@
-"""The dissertation's figures, drawn from our numbers: same axes, one panel a model."""
+"""Drawings of the dissertation's figures from computed results: same axes, one panel for each model."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ def _new_figure(width: float, height: float) -> Figure:
 
 
 def draw_pitch_sweep(data: Mapping[str, xr.Dataset], title: str) -> Figure:
-    """Thrust per electrical power over the pitch, a line for every value of the parameter, a panel for every model."""
+    """Draw thrust per electrical power over the pitch: a line for each value of the parameter, a panel for each
+    model."""
     figure = _new_figure(10.0, 4.4)
     panels = figure.subplots(1, len(data), sharey=True, squeeze=False)[0]
     for axes, (model, one) in zip(panels, data.items(), strict=True):
@@ -44,7 +45,7 @@ def draw_pitch_sweep(data: Mapping[str, xr.Dataset], title: str) -> Figure:
 
 
 def draw_gear_ratio(data: xr.Dataset, title: str) -> Figure:
-    """Powers; thrust, efficiency and thrust per power over the gear ratio; a row a voltage, dashed the lower rotor."""
+    """Draw powers, thrust, efficiency and thrust per power over gear ratio, a row for each voltage, lower rotor dashed."""
     figure = _new_figure(11.0, 4.2 * data.sizes["voltage"])
     rows = figure.subplots(data.sizes["voltage"], 2, squeeze=False)
     for (left, right), volt in zip(rows, data.voltage.values, strict=True):
@@ -73,7 +74,7 @@ def draw_gear_ratio(data: xr.Dataset, title: str) -> Figure:
 
 
 def draw_coefficients(data: Mapping[str, xr.Dataset], title: str) -> Figure:
-    """Torque and thrust coefficient over the speed, a row for every model."""
+    """Draw torque and thrust coefficient over the speed, a row for each model."""
     figure = _new_figure(10.0, 3.6 * len(data))
     rows = figure.subplots(len(data), 2, squeeze=False)
     for panels, (model, one) in zip(rows, data.items(), strict=True):
@@ -92,7 +93,7 @@ def draw_coefficients(data: Mapping[str, xr.Dataset], title: str) -> Figure:
 
 
 def draw_airfoil_ranking(data: Mapping[str, xr.Dataset], named: Mapping[str, str], title: str) -> Figure:
-    """Thrust per electrical power of all airfoils in order, the named ones marked."""
+    """Draw thrust per electrical power of all airfoils in order, the named ones marked."""
     figure = _new_figure(11.0, 4.8)
     panels = figure.subplots(1, len(data), sharey=True, squeeze=False)[0]
     for axes, (model, one) in zip(panels, data.items(), strict=True):
@@ -110,7 +111,7 @@ def draw_airfoil_ranking(data: Mapping[str, xr.Dataset], named: Mapping[str, str
 
 
 def draw_sections(names: Sequence[str], title: str) -> Figure:
-    """Contours of four airfoils.
+    """Draw the contours of four airfoils.
 
     Thesis: Figs 3.29, 3.33, 3.34.
     """
@@ -127,7 +128,7 @@ def draw_sections(names: Sequence[str], title: str) -> Figure:
 
 
 # ----------------------------------------------------------------------------
-# Figs 3.43 to 3.45 and Table 3.4 from our numbers; what the source states is drawn in grey.
+# Figs 3.43 to 3.45 and Table 3.4 from computed results; statements of the source are drawn in grey.
 
 
 METHOD_LABELS = {"wake": "wake method", "full": "blade elements"}
@@ -150,7 +151,8 @@ def _finish_axes(axes: Axes, x: str, y: str) -> None:
 
 
 def draw_equal_speeds(data: Mapping[str, xr.Dataset], title: str) -> Figure:
-    """Thrust and torque of both rotors and of one alone, and the lower rotor's coefficients, over the speed."""
+    """Draw thrust and torque of both rotors and of an isolated one, and the lower rotor's coefficients, over the
+    speed."""
     figure, rows = _new_coaxial_figure(2, 2, title)
     quantities = (("thrust_N", "Thrust (N)", 1.0, 0.55), ("torque_Nm", "Torque (mN m)", 1e3, 0.80))
     for axes, (field, label, scale, share) in zip(rows[0], quantities, strict=True):
@@ -183,7 +185,7 @@ def draw_equal_speeds(data: Mapping[str, xr.Dataset], title: str) -> Figure:
 
 
 def draw_one_speed_fixed(data: Mapping[str, xr.Dataset], title: str) -> Figure:
-    """The lower rotor's coefficients over the speed of the one rotor, the other's kept."""
+    """Draw the lower rotor's coefficients over the speed of one rotor, with the other's speed fixed."""
     figure, rows = _new_coaxial_figure(2, 2, title)
     for row, varied in zip(rows, ("upper", "lower"), strict=True):
         for axes, field, (low, top) in zip(row, ("c_T", "c_Q"), ((-0.002, 0.012), (0.0, 0.003)), strict=True):
@@ -206,7 +208,7 @@ def draw_one_speed_fixed(data: Mapping[str, xr.Dataset], title: str) -> Figure:
 
 
 def draw_torque_balance(data: Mapping[str, xr.Dataset], title: str) -> Figure:
-    """Speed, thrust and power of the lower rotor at equal torques over its pitch, beside Table 3.4."""
+    """Draw speed, thrust and power of the lower rotor at equal torques over its pitch, beside Table 3.4."""
     figure, (row,) = _new_coaxial_figure(1, 3, title)
     pitch = np.array(list(TABLE_3_4_VALUES))
     theirs = np.array(list(TABLE_3_4_VALUES.values()))
@@ -227,7 +229,7 @@ def draw_torque_balance(data: Mapping[str, xr.Dataset], title: str) -> Figure:
 
 
 def draw_rotor_spacing(data: Mapping[str, xr.Dataset], title: str) -> Figure:
-    """Thrust and torque of the lower rotor over the speed, a line for every spacing, a row for every model."""
+    """Draw thrust and torque of the lower rotor over the speed: a line for each spacing, a row for each model."""
     figure, rows = _new_coaxial_figure(len(data), 2, title)
     for row, (model, one) in zip(rows, data.items(), strict=True):
         for axes, field, label, scale in zip(

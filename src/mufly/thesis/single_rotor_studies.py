@@ -1,10 +1,9 @@
-"""The studies of one rotor, Secs 3.4.1 to 3.4.4: thrust per electrical power over the pitch at 0.4 N, one thing varied.
+"""Studies of one rotor, Secs 3.4.1 to 3.4.4: thrust per electrical power over the pitch at 0.4 N, one parameter varied.
 
-All are about the standard blade (NACA4412, R 60 mm, chord 20 mm), on muFly's motor at its nominal 7.2 V, the
-gear adapted to every case so that full voltage gives just 0.4 N (``drive.gear``). That this is what was done is
-supported by Table 3.3: with it, and blade element theory as the dissertation writes it, its four best airfoils
-come out within 3 %. Each study is run with two models (``study.BEMT_MODELS``): the one recommended here and the
-dissertation's own.
+All have the standard blade (NACA4412, R 60 mm, chord 20 mm) on muFly's motor at its nominal 7.2 V. The gear is adapted
+to every case so that full voltage gives exactly 0.4 N (``drive.gear``). Table 3.3 supports this assumption: with blade
+element theory as in the dissertation, its four best airfoils agree within 3 %. Each study is run with two models
+(``study.BEMT_MODELS``): the recommended one, and the dissertation's.
 """
 
 from __future__ import annotations
@@ -42,19 +41,19 @@ RANKED_QUANTITY = "thrust_per_power_N_W"
 
 @dataclass(frozen=True)
 class SweepStudy:
-    """One figure.
+    """Study of one figure.
 
     Attributes
     ----------
     title : str
     parameter : str
-        What is varied.
+        Parameter that is varied.
     values : sequence
-        In SI units, in the order of the figure's legend.
+        Values in SI units, in the order of the figure's legend.
     labels : sequence of str
-        The figure's.
+        Labels of the figure's legend.
     judge : callable
-        ``judge(model, pitch_deg (p,), thrust_per_power (values, p))`` gives verdicts.
+        ``judge(model, pitch_deg (p,), thrust_per_power (values, p))`` returns verdicts.
     """
 
     title: str
@@ -90,7 +89,7 @@ def run_sweep(study: SweepStudy, model: str) -> tuple[xr.Dataset, list[Verdict]]
 
 
 def _best_over_pitch(values: Array) -> Array:
-    """Greatest value over the pitch of every line; nan where there is none."""
+    """Return the greatest value over the pitch of every line; nan where there is none."""
     filled = np.where(np.isfinite(values), values, -np.inf).max(axis=1)
     return np.where(np.isfinite(filled), filled, np.nan)
 
@@ -243,10 +242,10 @@ SWEEP_STUDIES: dict[str, SweepStudy] = {
 # ----------------------------------------------------------------------------
 # Fig. 3.7, gear ratios of muFly, and Fig. 3.25, coefficients over speed (Secs 3.1.4, 3.3.4).
 #
-# Which rotor Fig. 3.7 was drawn for, and at which voltage, is not said. It is computed here for both rotors of
-# prototype 1.1 with the constant coefficients of Table 5.3, at the nominal 7.2 V and at the 6.4 V that the
-# dissertation's linear model shows (docs/thesis/thesis-errata.md, point 6). With constant coefficients the optimal
-# ratios grow with the cube root of the voltage.
+# Rotor and voltage of Fig. 3.7 are not stated. The figure is computed for both rotors of prototype 1.1 with the
+# constant coefficients of Table 5.3, at the nominal 7.2 V and at the 6.4 V of the dissertation's linear model
+# (docs/thesis/thesis-errata.md, point 6). With constant coefficients the optimal ratios grow with the cube root of the
+# voltage.
 
 
 GEAR_RATIOS = np.round(np.arange(0.5, 8.01, 0.1), 3)
@@ -320,8 +319,7 @@ def compute_coefficients_over_speed(model: str) -> tuple[xr.Dataset, list[Verdic
 # ----------------------------------------------------------------------------
 # Table 3.3 and Figs 3.29, 3.33 and 3.34: 247 airfoils on the standard blade, and the sections that are drawn.
 #
-# The 247 are chosen by the rule of ``study.airfoils``; only the eight that the dissertation names are surely its
-# own.
+# ``study.sweeps`` describes the choice of the 247; only the eight that the dissertation names are certain.
 
 
 SECTION_FIGURES: dict[str, tuple[str, Sequence[str]]] = {
@@ -386,28 +384,28 @@ OUR_CFD_BLADE_FORMS: dict[str, dict[str, tuple[float, float]]] = {
         "winglet-3": (0.1671, 2.154),
     },
 }
-"""Thrust (N), torque (mN m) by mesh, the finest first: 16 degrees, 5 000 rpm, laminar, settled.
+"""Thrust (N) and torque (mN m) by mesh, the finest first: 16 degrees, 5 000 rpm, laminar, settled.
 
 docs/log/2026-11-28-cfd-tips.md has the cases.
 """
 
 
 def blade_form_gain(name: str) -> float:
-    """What a form changes of T^1.5/P, thrust per power at a given thrust, on its finest mesh, in per cent."""
+    """Return the change of T^1.5/P (thrust per power at a given thrust) by a blade form on its finest mesh (%)."""
     forms = next(mesh for mesh in OUR_CFD_BLADE_FORMS.values() if name in mesh)
     (t, q), (t0, q0) = forms[name], forms["square"]
     return 100.0 * ((t / t0) ** 1.5 * q0 / q - 1.0)
 
 
 def judge_blade_forms(names: tuple[str, ...], key: str) -> Verdict:
-    """Whether no form is better than the square blade by more than the mesh can tell.
+    """Judge whether no form is better than the square blade beyond the uncertainty of the mesh.
 
     Parameters
     ----------
     names : tuple of str
-        Of :data:`OUR_CFD_BLADE_FORMS`.
+        Names of :data:`OUR_CFD_BLADE_FORMS`.
     key : str
-        Of the verdict; its limit is what a difference from the square blade may still move by with the mesh.
+        Key of the verdict; its limit is the uncertainty of the difference from the square blade due to the mesh.
     """
     gains = [blade_form_gain(name) for name in names]
     return judge(

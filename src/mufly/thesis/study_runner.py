@@ -1,8 +1,8 @@
 """Named studies: tables and figures of the dissertation, repeated, with a verdict on each of their claims.
 
-What a study gives is kept in a folder, the user's cache or one of their own, under a digest of the sources that it
-rests on (:func:`mufly.numba_cache.imported_sources`): it is computed anew when they change, and only then. So a run of
-all that was stopped goes on where it was.
+Results are cached in a folder, the user's cache or a given one, under a digest of the sources of the study
+(:func:`mufly.numba_cache.imported_sources`). A study is computed again only if its sources change, so an interrupted
+run of all studies resumes.
 """
 
 from __future__ import annotations
@@ -51,19 +51,19 @@ COMPARED_MODELS = ("full", "thesis")
 
 @result(eq=False)
 class StudyOutcome:
-    """What a study found.
+    """Outcome of a study.
 
     Attributes
     ----------
     name, title : str
     data : mapping
-        Model to results; empty where nothing but a picture is drawn.
+        Results by model; empty for a study that only draws a picture.
     verdicts : sequence of Verdict
     figure : Figure
     note, lacking : str
         As in :class:`mufly.thesis.claims.StudyFindings`.
     seconds : float
-        How long it took.
+        Computing time (s).
     """
 
     name: str
@@ -76,7 +76,7 @@ class StudyOutcome:
     seconds: float = math.nan
 
     def plot(self) -> Figure:
-        """Draw it; returns a matplotlib figure."""
+        """Draw the outcome; return a matplotlib figure."""
         return enable_notebook_display(self.figure)
 
     def write(self, folder: str | Path) -> list[Path]:
@@ -98,18 +98,18 @@ class StudyOutcome:
                 plain = _to_netcdf_types(data)
                 if all(set(v.dims) == set(data.dims) for v in data.data_vars.values()):
                     files += write_results(plain, target, name)
-                else:  # no one table has all of it
+                else:  # no single table contains all of them
                     files.append(target / f"{name}.nc")
                     plain.to_netcdf(files[-1], engine="scipy")
-        # Last: where it stands, so does the rest.
+        # Written last: it marks complete results.
         write_answer(note, study_digest(self.name), self.to_dict(), indent=2)
         return [picture, note, *files]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return all but data and picture; a claim without a number has the value null."""
+        """Return all results except data and picture; the value of a claim without a number is null."""
         verdicts = []
         for v in self.verdicts:
-            content = asdict(v) | {"agrees": bool(v.agrees)}  # of numpy, it may be
+            content = asdict(v) | {"agrees": bool(v.agrees)}  # may be a NumPy bool
             if content["claim"]["value"] != content["claim"]["value"]:
                 content["claim"]["value"] = None
             verdicts.append(content)
@@ -125,7 +125,7 @@ class StudyOutcome:
 
 
 def _to_netcdf_types(data: xr.Dataset) -> xr.Dataset:
-    """What NetCDF 3 can hold: it has no long integers or instants, and a recording's attributes are of all kinds."""
+    """Return the data in types of NetCDF 3: long integers and instants as floats, attributes that are text or floats."""
     long = {
         k: (v.dims, v.values.astype(np.int64).astype(float))
         for k, v in data.variables.items()
@@ -137,17 +137,17 @@ def _to_netcdf_types(data: xr.Dataset) -> xr.Dataset:
 
 @result
 class StudyAnswer:
-    """What is known of a figure or table: its item, and what its study found if it has run.
+    """Answer to a figure or table: its item, and the outcome of its study if it has run.
 
     Attributes
     ----------
-    item : Item
+    item : ThesisItem
     verdicts : tuple of Verdict
     note, lacking : str
     seconds : float
-        How long the study took; nan if it has not run.
+        Computing time (s); nan if the study has not run.
     picture : Path or None
-        Ours.
+        Computed picture.
     known : bool
         Whether there is an answer: a study that has run, or an item that needs none.
     """
@@ -162,7 +162,7 @@ class StudyAnswer:
 
     @property
     def verdict_word(self) -> str:
-        """The verdict in a word or two."""
+        """Verdict in one or two words."""
         if self.item.kind != "result":
             return "stands for it"
         if not self.known:
@@ -176,11 +176,11 @@ class StudyAnswer:
 
     @property
     def agreement_share(self) -> str:
-        """How many verdicts agree, as ``3 of 4``; "" without any."""
+        """Number of verdicts that agree, as ``3 of 4``; "" without any."""
         return f"{sum(v.agrees for v in self.verdicts)} of {len(self.verdicts)}" if self.verdicts else ""
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and text."""
+        """Return the answer as plain numbers and text."""
         i = self.item
         return {
             "name": i.name, "kind": i.kind, "section": i.section, "title": i.title, "stands": i.substitute,
@@ -192,11 +192,11 @@ class StudyAnswer:
 
 
 # ----------------------------------------------------------------------------
-# Studies of one rotor and of pairs, each with several models: their computation as a Study.
+# Studies of single rotors and pairs, each with several models, as Study records.
 
 
 def _make_subprogress(progress: ProgressCallback | None, k: int, n: int) -> ProgressCallback:
-    """Progress of the k-th of n parts."""
+    """Return a progress function for the k-th of n parts."""
 
     def report_progress(done: int, total: int) -> None:
         if progress is not None:
@@ -341,7 +341,7 @@ _STUDY_MODULES: tuple[ModuleType, ...] = (
     mission_studies,
 )
 STUDIES: dict[str, Study] = {**_ROTOR_STUDIES, **{k: s for m in _STUDY_MODULES for k, s in m.STUDIES.items()}}
-"""Name -> study, for every item that is a result."""
+"""Study of every item that is a result, by name."""
 
 
 def list_studies() -> list[ThesisItem]:
@@ -350,7 +350,7 @@ def list_studies() -> list[ThesisItem]:
 
 
 def studies_by_cost() -> list[str]:
-    """Return the names of all studies, the quick ones first."""
+    """Return the names of all studies, the fastest first."""
     return sorted(STUDIES, key=lambda name: STUDIES[name].cost_s)
 
 
@@ -360,7 +360,7 @@ def run_study(name: str, progress: ProgressCallback | None = None, *, case: Path
     Parameters
     ----------
     name : str
-        One that :func:`list_studies` lists, as ``"fig-3.26"``.
+        Name from :func:`list_studies`, such as ``"fig-3.26"``.
     progress : callable, optional
         ``progress(done, total)``.
     case : Path, optional
@@ -383,7 +383,7 @@ def run_study(name: str, progress: ProgressCallback | None = None, *, case: Path
 
 
 # ----------------------------------------------------------------------------
-# What was computed is kept.
+# Cache of results.
 
 
 _DIGEST_LIBRARIES = ("numpy", "scipy", "neuralfoil")
@@ -402,7 +402,7 @@ def _file_digest(file: Path) -> str:
 
 
 def study_digest(name: str) -> str:
-    """Return a hash of what a study rests on: sources, built-in vehicles and the like, versions of libraries."""
+    """Return a hash of the inputs of a study: sources, built-in files, versions of libraries."""
     module = next(
         (m for m in _STUDY_MODULES if name in m.STUDIES),
         coaxial_studies if name in _PAIR_STUDIES else single_rotor_studies,
@@ -412,7 +412,7 @@ def study_digest(name: str) -> str:
 
 
 def load_cached_answer(name: str, folder: Path | None = None) -> StudyAnswer:
-    """Return what a folder, by default the user's, keeps of a figure or table; not ``known`` if nothing, or old."""
+    """Return the cached answer to a figure or table; not ``known`` if it is missing or outdated."""
     of = find_item(name)
     if of.kind != "result":
         return StudyAnswer(of, known=True)
@@ -439,17 +439,17 @@ def answer_study(
     case: Path | None = None,
     again: bool = False,
 ) -> StudyAnswer:
-    """Return the answer to a figure or table, computed unless it is kept.
+    """Return the answer to a figure or table, computed if it is not cached.
 
     Parameters
     ----------
     name : str
     folder : Path, optional
-        Where answers are kept, instead of the user's cache. What the cache holds is taken over.
+        Cache instead of the user's; answers in the user's cache are copied to it.
     progress, case : optional
-        As for :func:`run_study`; with a case it is computed in any event.
+        As for :func:`run_study`; with a case the study is always computed.
     again : bool
-        Compute it even if it is kept.
+        Compute the study even if it is cached.
 
     Raises
     ------

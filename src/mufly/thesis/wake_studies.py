@@ -1,8 +1,8 @@
-"""Vortex wakes: Figs 3.6 and 3.17 to 3.20, and Table 3.2's methods beside each other.
+"""Studies of vortex wakes: Figs 3.6 and 3.17 to 3.20, and the methods of Table 3.2.
 
-The source's vortex method has a prescribed wake after Landgrebe or a free one; ours (:mod:`mufly.rotor.wake`) has both.
-The rotor of the wake figures is not stated: here NACA 0012 of Table 3.2, alone at 12 degrees and 7 000 rpm, as a pair
-at 14 degrees and 6 000 rpm with 20 mm between the discs.
+The source's vortex method has a prescribed wake after Landgrebe or a free one; this package's (:mod:`mufly.rotor.wake`)
+has both. The rotor of the wake figures is not stated. Here: NACA 0012 of Table 3.2, isolated at 12 degrees and 7 000
+rpm, and as a pair at 14 degrees and 6 000 rpm with 20 mm between the discs.
 """
 
 from __future__ import annotations
@@ -59,10 +59,10 @@ def solve_single_rotor(model: str = "free") -> SystemSolution:
 
 
 def tip_vortex_path(solution: SystemSolution, rotor: int = 0) -> tuple[Array, Array]:
-    """Radius over R and height (m, above the rotor's disc) of the tip vortex, over its points.
+    """Return radius over R and height (m, above the rotor's disc) of the centre of the tip vortex, over its points.
 
-    Its middle: all that the blade sheds outboard of its greatest circulation rolls up into it, and the outermost
-    filament goes round in there.
+    All vorticity shed outboard of the blade's greatest circulation rolls up into the tip vortex, around which the
+    outermost filament spirals.
     """
     wake = solution.wakes[rotor]
     begin = int(np.argmax(np.abs(wake.bound_circulation_m2_s))) + 1
@@ -74,7 +74,7 @@ def tip_vortex_path(solution: SystemSolution, rotor: int = 0) -> tuple[Array, Ar
 
 
 def study_wake_pair(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 3.6: the wakes of a pair, one in the other.
+    """Fig. 3.6: the wakes of a pair, one inside the other.
 
     Thesis: Fig. 3.6.
     """
@@ -100,18 +100,18 @@ def study_wake_pair(progress: ProgressCallback | None = None) -> StudyFindings:
 
 
 def _straight_vortex_velocity(point: Array, a: Array, b: Array) -> Array:
-    """Velocity at a point by a straight vortex of unit circulation from a to b, without a core."""
+    """Return the velocity at a point due to a straight vortex of unit circulation from a to b, without a core."""
     compute: Callable[..., tuple[float, float, float]] = segment_velocity
     return np.array(compute(*point, *a, *b, 0.0)) / (4 * math.pi)
 
 
 def _format_error(off: float) -> str:
-    """An error, but for what is rounding alone: its digits differ between processors."""
+    """Return an error as text; rounding errors, whose digits differ between processors, as a bound."""
     return f"{off:.1e}" if off > 1e-12 else "less than 1e-12"
 
 
 def study_straight_vortex(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Fig. 3.17: eq. 3.16 for a straight vortex, and ours, beside the integral of eq. 3.15.
+    """Fig. 3.17: eq. 3.16 for a straight vortex, and this package's, beside the integral of eq. 3.15.
 
     Thesis: Fig. 3.17.
     """
@@ -230,7 +230,7 @@ def study_wake_velocities(progress: ProgressCallback | None = None) -> StudyFind
 def study_bench_pair(progress: ProgressCallback | None = None) -> StudyFindings:
     """Fig. 3.20: thrust of a pair, torque of its lower rotor, at equal speeds: blade elements, and two wakes.
 
-    The measured points are not in the text, nor are blades and spacing of the figure; NACA 0012 of Table 3.2 is taken.
+    The text gives neither the measured points nor blades and spacing of the figure; NACA 0012 of Table 3.2 is used.
 
     Thesis: Fig. 3.20.
     """
@@ -325,9 +325,9 @@ OUR_CFD_LOADS: dict[tuple[int, int], tuple[float, float]] = {
 
 
 def study_methods(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Table 3.2: blade elements, wake and CFD beside the bench and beside the source's CFD, at four points.
+    """Table 3.2: blade elements, wake and CFD beside the bench and the source's CFD, at four points.
 
-    CFD is not run here: its points are those of docs/log/2026-11-28-cfd-table-3-2.md (OpenFOAM, laminar, coarse mesh).
+    CFD is not run here: its results are those of docs/log/2026-11-28-cfd-table-3-2.md (OpenFOAM, laminar, coarse mesh).
     """
     measured, rotor = load_bench_points(), load_rotor("naca0012-r60-c20")
     points = list(TABLE_3_2_VALUES)

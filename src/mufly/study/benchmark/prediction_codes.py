@@ -1,15 +1,14 @@
 """Prediction codes of the benchmark: mufly's methods, and external codes by adapters.
 
 A code is a function of a :class:`mufly.study.benchmark.RotorCase` that returns thrust (N) and torque (N m) of its
-points, nan where it fails, and the reason. On the command line it is one of
+points, nan where it fails, and the reason. On the command line a code is one of:
 
-=================  =============================================================================================
-``bemt, wake``     mufly's methods
-``module:name``    a Python function that takes a :data:`RotorDescription` and returns thrust and torque, arrays
-(points,) ``COMMAND``        a program with ``{folder}`` among its arguments. That folder contains ``blade.csv``,
-                   ``points.csv``, the contours of the sections and ``rotor.json`` (all inputs, SI units). The program
-                   writes ``answer.csv`` with the columns thrust_N, torque_Nm, a line for each point
-=================  =============================================================================================
+* ``bemt``, ``wake``: this package's methods.
+* ``module:name``: a Python function that takes a :data:`RotorDescription` and returns thrust and torque, arrays
+  (points,).
+* ``COMMAND``: a program with ``{folder}`` among its arguments. That folder contains ``blade.csv``, ``points.csv``, the
+  contours of the sections and ``rotor.json`` (all inputs, SI units). The program writes ``answer.csv`` with the columns
+  thrust_N, torque_Nm, a line for each point.
 """
 
 from __future__ import annotations
@@ -39,10 +38,15 @@ from mufly.units import RPM
 Array = NDArray[np.float64]
 
 RotorDescription = dict[str, Any]
-"""Dictionary of a rotor and its points: name, blades, radius_m, hub_radius_m, trailing_edge_m; (stations,) lists r_m,
-chord_m, twist_rad, airfoils (names); contours (name to (n, 2) list, Selig order); (points,) lists pitch_rad,
-speed_rad_s, climb_m_s (along the shaft); turbulence of the tunnel (rms over mean speed; None in hover); density_kg_m3,
-viscosity_Pa_s, sound_m_s."""
+"""Dictionary of a rotor and its points.
+
+* name, blades, radius_m, hub_radius_m, trailing_edge_m.
+* (stations,) lists r_m, chord_m, twist_rad, airfoils (names).
+* contours: name to (n, 2) list, Selig order.
+* (points,) lists pitch_rad, speed_rad_s, climb_m_s (along the shaft).
+* turbulence of the tunnel: rms over mean speed; None in hover.
+* density_kg_m3, viscosity_Pa_s, sound_m_s.
+"""
 
 
 @dataclass(frozen=True, eq=False)

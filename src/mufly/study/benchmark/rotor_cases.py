@@ -3,16 +3,14 @@
 Measurements are read from a folder with the following layout. Missing data sets are skipped and reported with their
 source, because some may not be redistributed.
 
-==============================  ================================================================================
-``uiuc_micro/``                 ``index.csv`` (name, diameter_m, blades, geometry), ``*_geom.csv``, ``*_static.csv``
-``*_geom.txt``, ``*_static*``   UIUC's own files, anywhere below the folder: the propellers of all its volumes
-``NAME_RUN_RPM.txt``            UIUC's runs in the tunnel (J, CT, CP), anywhere below the folder
-``thesis_table_3_2.csv``        pitch (deg), rpm, thrust (N), torque (N m)
-``caradonna_tung_ct.csv``       pitch (deg), c_T
-``dji9443_chord.csv, _twist``   chord and twist along the blade, over R and in degrees
-``tmotor28_single.csv``         rpm, -, -, thrust (N), torque (N m)
-``rotors/NAME.toml``, ``.csv``  a user's rotor file and its points, as for `mufly rotor compare`
-==============================  ================================================================================
+* ``uiuc_micro/``: ``index.csv`` (name, diameter_m, blades, geometry), ``*_geom.csv``, ``*_static.csv``.
+* ``*_geom.txt``, ``*_static*``: UIUC's own files, anywhere below the folder: the propellers of all its volumes.
+* ``NAME_RUN_RPM.txt``: UIUC's runs in the tunnel (J, CT, CP), anywhere below the folder.
+* ``thesis_table_3_2.csv``: pitch (deg), rpm, thrust (N), torque (N m).
+* ``caradonna_tung_ct.csv``: pitch (deg), c_T.
+* ``dji9443_chord.csv, _twist``: chord and twist along the blade, over R and in degrees.
+* ``tmotor28_single.csv``: rpm, -, -, thrust (N), torque (N m).
+* ``rotors/NAME.toml``, ``.csv``: a user's rotor file and its points, as for `mufly rotor compare`.
 
 The sections of the propellers are unknown. The assumptions (:data:`SECTION_BY_PREFIX`) were made without knowledge of
 the results, except for the GWS propellers: their flat-bottomed section was chosen after a comparison. Trailing edges of
@@ -103,9 +101,9 @@ class RotorCase:
     rotor : Rotor
     section_known : bool
         True if the section is known, false if it is a guess.
-    measured : Measurements
+    measured : RotorMeasurements
     air : Air
-    tunnel_runs : tuple of Measurements
+    tunnel_runs : tuple of RotorMeasurements
         Tunnel runs, each at one rotor speed, in order of increasing airspeed.
     turbulence : float
         Turbulence of the tunnel, rms over mean speed. UIUC's is below 0.1 % (Brandt and Selig, AIAA 2011-1255).
