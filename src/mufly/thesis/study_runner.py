@@ -125,7 +125,7 @@ class StudyOutcome:
 
 
 def _to_netcdf_types(data: xr.Dataset) -> xr.Dataset:
-    """Return the data in types of NetCDF 3: long integers and instants as floats, attributes that are text or floats."""
+    """Return the data in types of NetCDF 3: long integers and instants as floats, attributes only text or floats."""
     long = {
         k: (v.dims, v.values.astype(np.int64).astype(float))
         for k, v in data.variables.items()
