@@ -1,4 +1,4 @@
-"""State estimation: sensor readings in, an estimate with its covariance out."""
+"""State estimation: from sensor readings to an estimate with covariance."""
 
 from mufly.estimate.estimator import (
     ZERO_COVARIANCE,

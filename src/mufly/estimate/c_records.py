@@ -1,7 +1,7 @@
-"""The filter's records and constants as C: what ``firmware/sources/records.h`` is made of.
+"""Generate the filter's records and constants in C (``firmware/sources/records.h``) from those in Python.
 
-Struct and record have the same fields in the same order and of the same size, so in double precision both languages
-work on the same bytes. A field or a constant that is added in Python is in C with the next build.
+A C struct has the fields of the Python record in equal order and size, so both languages work on the same bytes in
+double precision. Fields and constants added in Python appear in C with the next build.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ from mufly.units import GRAVITY
 PYTHON_ONLY_FIELDS = (
     "rotation_work", "accel_work", "transition_work", "q_work", "w_work", "derivative_work", "no_wind",
 )  # fmt: skip
-"""Last fields of the memory, which C has on its stack."""
+"""Work arrays at the end of the memory; C keeps them on the stack."""
 FIELD_UNITS: dict[str, str] = {
     name: field.unit
     for record in (ModelParameters, filter_records.FilterSettings)
     for name, field in record_fields(record).items()
 }
-"""Unit of each number of the settings and of the flight model, by the field's name; "" for none."""
+"""Units of the settings and of the flight model's parameters by field name; "" for dimensionless ones."""
 _GROUND_PREFIXES = (
     "leg_",
     "slip_",
     "friction_",
     "contact_",
     "ground_",
-)  # of the flight model's: it is asked far above the floor
+)  # unused parameters of the flight model, since the filter evaluates it far above the floor
 _FILTER_MODULES: tuple[types.ModuleType, ...] = (
     filter_records,
     sensor_checks,
@@ -76,8 +76,10 @@ def model_record(p: np.void, kind: Any = np.float64) -> np.ndarray:
 
 
 def collect_constants() -> dict[str, int | float | tuple[int, ...]]:
-    """Return every constant of the filter's modules, by its name in C: no underscore before it, one behind a single
-    letter."""
+    """Return the constants of the filter's modules by their names in C.
+
+    C names have no leading underscore; names of a single letter get a trailing one.
+    """
     found: dict[str, int | float | tuple[int, ...]] = {
         "GRAVITY": GRAVITY,
         **{name: value for name, value in vars(model_state).items() if name.startswith(("RS_", "U_"))},
@@ -110,7 +112,7 @@ def render_records_header(
     Parameters
     ----------
     p : record
-        Parameters of the flight model; of them the size of the map.
+        Parameters of the flight model, of which the size of the map is used.
     kept, waiting : int
         Numbers of stored input blocks and of queued measurements.
     """

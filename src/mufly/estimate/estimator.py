@@ -1,4 +1,4 @@
-"""The estimate used by the flight software, and the ideal estimator, which passes the truth on.
+"""Define the estimate used by the flight software, and an ideal estimator, which returns the truth.
 
 An estimator converts the :class:`mufly.sensors.Readings` of every instant into an :class:`Estimate`. The flight
 software checks every estimate: an implausible one is replaced for a short time (:func:`check_estimate`), then reported
@@ -45,15 +45,15 @@ class Estimate:
     rates : (3,) array
         p, q, r (rad/s), body axes.
     ranges : (n,) array
-        Distance to the nearest obstacle along each beam of the range ring (m); the ring's greatest range
-        where nothing was seen.
+        Distance to the nearest obstacle along each beam of the range ring (m); the ring's maximum range
+        without an obstacle.
     battery_voltage : float
         Terminal voltage (V).
     covariance : (12, 12) array
         Covariance of the errors of position, velocity, attitude and rates, in SI units.
     valid : bool
         Whether the estimator declares the estimate valid.
-    auxiliary_states : Beliefs or None
+    auxiliary_states : AuxiliaryStates or None
         Further states of a filter; None for an ideal estimator.
     """
 
@@ -93,7 +93,7 @@ _REQUIRED_ESTIMATES = ("position", "velocity", "attitude", "rates")
 
 
 class IdealEstimator(Estimator):
-    """An estimator that passes readings of ideal sensors on."""
+    """Estimator that returns the readings of ideal sensors."""
 
     def update(self, readings: Readings, acting: _Array | None = None) -> Estimate:
         latest = readings.latest
@@ -111,15 +111,14 @@ class IdealEstimator(Estimator):
         )
 
 
-# An estimate that cannot be right: bridged for a moment, then reported as lost.
+# Implausible estimates are bridged for a moment, then reported as lost.
 #
-# A value that is not finite, or all of position, velocity, attitude and rates repeated to the last bit (a sensor or
-# link that hangs; in flight the battery alone sees to it that something moves), or an estimate that its estimator does
-# not stand by, is a fault. The last good values stand in for it. That is good for as long as they are nearly true; how
-# long it has lasted is told to the flight software.
+# Faults are: a value that is not finite; position, velocity, attitude and rates all repeated bit for bit (a frozen
+# sensor or link, since in flight the battery's decay alone causes motion); an estimate marked invalid. The last good
+# values replace a faulty estimate, and the flight software gets the duration of the fault.
 #
-# Ranges that are not finite count as nothing seen. A voltage that is not positive is replaced by the last good one, for
-# as long as it takes: the battery changes slowly, and the control law bounds what it believes.
+# Ranges that are not finite count as free. A voltage that is not positive is replaced by the last good one for any
+# time: the battery changes slowly, and the control law limits the voltage.
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,9 +150,8 @@ def check_estimate(before: EstimateMonitor | None, m: Estimate, period_s: float,
     ----------
     before : EstimateMonitor or None
         Result of the preceding check; None at the first.
-        From the estimate before; None at the first.
     m : Estimate
-        As received.
+        Estimate as received.
     period_s : float
         Time since the preceding estimate (s), by the clock of the flight software.
     max_range_m : float
@@ -167,7 +165,7 @@ def check_estimate(before: EstimateMonitor | None, m: Estimate, period_s: float,
     values = [*m.position.tolist(), *m.velocity.tolist(), *m.attitude.tolist(), *m.rates.tolist()]
     frozen = before is not None and values == before.last_values
     later = before is None or m.time_s > before.last_good.time_s
-    # The sum of finite numbers of any sensible size is finite: one question for all, since this runs in every period.
+    # The sum of finite numbers of plausible size is finite: a single fast test for all values.
     whole = math.isfinite(sum(values)) and math.isfinite(m.time_s) and later
     seen = (before is not None and m.ranges is before.last_good.ranges) or math.isfinite(sum(m.ranges.tolist()))
     if whole and seen and 0.0 < m.battery_voltage < math.inf and m.valid and not frozen:

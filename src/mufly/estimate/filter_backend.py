@@ -1,7 +1,7 @@
 """Selection of the filter's implementation: the C code that flies on board, or Numba, with equal results.
 
-The C sources of :mod:`mufly.firmware` are a translation by hand of this room's compiled functions and give the same
-numbers to the last bit (``tests/firmware/test_estimate_c.py``). A C compiler needs a second or two, Numba half a
+The C sources of :mod:`mufly.firmware` are a manual translation of this package's compiled functions with results equal
+bit for bit (``tests/firmware/test_estimate_c.py``). A C compiler needs a second or two, Numba half a
 minute; both results are cached on disk. C is used in double precision if a compiler exists and the Python sources have
 the stamp of the last proof of equality (:data:`VERIFIED_STAMP`). After a change of these sources Numba is used until C
 is updated.
@@ -34,7 +34,7 @@ from mufly.toolchain import COMPILER_FLAGS, build_cached_library
 from mufly.vehicle import Vehicle
 
 VERIFIED_STAMP = "cd5077d7aaba783e"
-"""Stamp of the Python sources (:func:`source_stamp`) to which C was last proved equal."""
+"""Stamp (:func:`source_stamp`) of the Python sources that the C code is verified to equal."""
 
 FILTER_SOURCES = (
     "ekf_step",
@@ -95,9 +95,9 @@ def make_backend(
     Parameters
     ----------
     settings, parameters : records
-        Of the filter (:func:`mufly.estimate.filter_records.filter_settings`) and of the flight model.
+        Settings of the filter (:func:`mufly.estimate.filter_records.filter_settings`); parameters of the flight model.
     z, new, age : arrays
-        In which every period's readings will stand (:func:`mufly.estimate.ekf_step.estimator_step`).
+        Input arrays, which the caller fills in every period (:func:`mufly.estimate.ekf_step.estimator_step`).
     code : "", "c" or "numba"
         Implementation; ``""``: from the environment, or else C if available.
 
@@ -141,7 +141,7 @@ def explain_numba_choice(vehicle: Vehicle) -> str:
 
 
 def _reason_against_c(asked: str, kind: Any) -> str:
-    """Return the reason against C that is known before building it."""
+    """Return the reason against C that is known before a build."""
     if asked == "numba":
         return "Numba was asked for"
     if kind != np.float64:
@@ -167,7 +167,7 @@ def make_c_backend(
         If there is no compiler.
     """
     ffi, lib = _load_filter_library(render_records_header(parameters), flags)
-    # The records' bytes are the structs'; ffi keeps hold of the arrays.
+    # Records and structs share their bytes; ffi keeps references to the arrays.
     own = np.array([settings])
     s = ffi.from_buffer(own)
     p = ffi.from_buffer(model_record(parameters))
@@ -190,7 +190,7 @@ def make_c_backend(
 
 @functools.lru_cache(maxsize=8)
 def _load_filter_library(records: str, flags: tuple[str, ...] = COMPILER_FLAGS) -> tuple[Any, Any]:
-    import cffi  # what a machine without a compiler never needs
+    import cffi  # imported here: not needed without a compiler
 
     ffi = cffi.FFI()
     ffi.cdef(_C_DECLARATIONS)
@@ -198,7 +198,7 @@ def _load_filter_library(records: str, flags: tuple[str, ...] = COMPILER_FLAGS) 
 
 
 def collect_sources(records: str) -> dict[str, str]:
-    """Return the text of every source and header of the filter in C, by its name."""
+    """Return the text of the filter's C sources and headers by file name."""
     files = {path.name: path.read_text(encoding="utf-8") for path in sorted(_SOURCE_FOLDER.glob("*.h"))}
     files |= {f"{name}.c": (_SOURCE_FOLDER / f"{name}.c").read_text(encoding="utf-8") for name in FILTER_SOURCES}
     return {**files, "records.h": records}
@@ -221,14 +221,14 @@ _TRANSLATED_MODULES: tuple[tuple[types.ModuleType, tuple[str, ...]], ...] = (
     (drive_train, ("armature_current", "rotor_acceleration", "interpolate_table", "terminal_voltage")),
     (coax_maps, ("interpolate", "_cubic_weights")),
 )
-"""Modules with a C translation: all compiled functions, or those named."""
+"""Modules with a C translation, and the names of the translated functions (empty: all compiled ones)."""
 
 
 @functools.cache
 def source_stamp() -> str:
-    """Return a hash of the compiled functions of which C is the translation, blind to layout and comments.
+    """Return a hash of the translated functions, independent of layout and comments.
 
-    Constants of modules are generated for C, so they may change; what stands inside a function may not.
+    Module constants are excluded, since C gets them by code generation.
     """
     digest = hashlib.sha256()
     for module, names in _TRANSLATED_MODULES:

@@ -1,21 +1,20 @@
-"""The filter on a log of any vehicle: inertial unit and aids alone, as a strapdown filter without a rotor model.
+"""Run the filter on a log of any vehicle: a strapdown filter on inertial unit and position aids, without rotor model.
 
-What is not in the log is taken from it by rules that are the same for every log:
+Initial state and noise are estimated from the log itself:
 
-- *Standing.* Until the motors run or, where nothing tells of motors, until the inertial unit scatters or turns, it
-  stands: level and bias of the gyroscopes come from there.
-- *Noise at rest.* Overlapping Allan deviation (IEEE Std 952-1997, annex C) of that part: N = sigma(tau) sqrt(tau), the
-  largest over tau of 0.1 to 1 s.
-- *Noise in flight.* What vibration, lost rows, clocks that warp and bandwidth do to a log is not in the scatter of its
-  rows: rows lost on a radio link and filled in are smoother than the truth. It shows in how well the log foretells its
-  aids. With nu the difference of an aid from what was told *at its time*, before it came, and S what that was expected
-  to be,
+- *Initial rest.* The vehicle is at rest until the motors run or, without motor signals, until the inertial readings
+  scatter or rotate. This part gives the level and the bias of the gyroscopes.
+- *Noise at rest.* Overlapping Allan deviation (IEEE Std 952-1997, annex C) of the initial rest: N = sigma(tau)
+  sqrt(tau), the largest over tau of 0.1 to 1 s.
+- *Noise in flight.* Vibration, lost rows, clock errors and bandwidth do not appear in the scatter of the rows:
+  interpolated rows are smoother than the truth. They appear in the innovations of the aids. With the innovation nu
+  *at the time* of an aid, before its fusion, and the predicted covariance S, the log-likelihood
 
       log L = -1/2 sum (nu^T S^-1 nu + log det S)
 
-  is largest at the densities that make the aids likeliest (Bar-Shalom, Li and Kirubarajan, ch. 5.5; errors that two
-  aids share make this a composite likelihood, whose maximum is the same). Two numbers are sought, one density a kind of
-  sensor, never below those at rest, over a minute of flight at most. No truth is asked.
+  is maximised over the noise densities (Bar-Shalom, Li and Kirubarajan, ch. 5.5; with errors shared by aids, this is
+  a composite likelihood with the same maximum). The unknowns are two densities, of gyroscopes and accelerometers, not
+  below those at rest. The search uses at most a minute of flight and no truth.
 """
 
 from __future__ import annotations
@@ -61,31 +60,31 @@ from mufly.world import World
 
 _Array = NDArray[np.float64]
 _MOTORS_ON_INPUT, _MOTORS_OFF_INPUT = np.array([1.0, 1.0, 0.0, 0.0]), np.zeros(4)
-_UNKNOWN_HEADING_SIGMA = 3.2  # rad: nobody knows the heading
+_UNKNOWN_HEADING_SIGMA = 3.2  # rad: unknown heading
 _REST_BLOCK_S, _MIN_REST_S = 0.5, 1.0
 _REST_LIMITS = 0.3, 0.05
-"""Scatter of specific force (m/s^2) and of rates (rad/s) in half a second, and mean rate, below which it stands."""
+"""Standard deviations of specific force (m/s^2) and rates (rad/s) over half a second below which it counts as rest."""
 _MIN_GYRO_DENSITY, _MIN_ACCEL_DENSITY = 2e-4, 2e-3
-"""Least densities (rad/s/sqrt(Hz), m/s^2/sqrt(Hz)) where nothing is heard at rest: those of a good MEMS unit."""
+"""Least densities (rad/s/sqrt(Hz), m/s^2/sqrt(Hz)): those of a good MEMS unit."""
 ACCEL_BIAS_SIGMA = 0.3
-"""One sigma (m/s^2): 30 mg, what small MEMS units are off by over temperature."""
+"""One sigma (m/s^2): 30 mg, the bias of small MEMS units over temperature."""
 _GYRO_BIAS_SIGMAS = 0.03, 0.01
-"""One sigma (rad/s), before anything is heard and after it was taken off at rest: vibration and warmth move it."""
+"""One sigma (rad/s) without and after calibration at rest; vibration and temperature change the bias."""
 _TILT_SIGMA_AT_REST, _TILT_SIGMA_IN_FLIGHT = math.radians(2.0), math.radians(15.0)
-_SPEED_SIGMA = 1.0  # m/s, of one that flies when the log begins
+_SPEED_SIGMA = 1.0  # m/s, for a log that begins in flight
 
 
 @dataclass(frozen=True)
 class InertialLog:
-    """An inertial unit on an even clock.
+    """Readings of an inertial unit at a constant rate.
 
     Attributes
     ----------
     time_s : (n,) array
     rates, acceleration : (n, 3) arrays
-        Rates (rad/s) and specific force (m/s^2), forward, right, down. NaN where the log has a hole.
+        Rates (rad/s) and specific force (m/s^2), forward, right, down; NaN in gaps of the log.
     is_flying : (n,) array of bool
-        False as long as it stands at the beginning, True from then on.
+        False during the initial rest, True afterwards.
     """
 
     time_s: _Array
@@ -116,9 +115,9 @@ class PositionAids:
     position : (m, 3) array
         N, E, D (m).
     heading : (m,) array or None
-        (rad).
+        Heading (rad).
     std_m, heading_std_rad : float
-        White noise, one sigma an axis.
+        Standard deviations of white noise, per axis.
     """
 
     measured_s: _Array
@@ -136,9 +135,9 @@ class InertialNoise:
     Attributes
     ----------
     gyro : float
-        (rad/s/sqrt(Hz)).
+        Density of the gyroscopes (rad/s/sqrt(Hz)).
     accelerometer : float
-        (m/s2/sqrt(Hz)).
+        Density of the accelerometers (m/s2/sqrt(Hz)).
     """
 
     gyro: float
@@ -168,7 +167,7 @@ class AidInnovations:
 
 
 def detect_flight(time_s: _Array, rates: _Array, acceleration: _Array) -> NDArray[np.bool_]:
-    """Return whether it flies yet, by the inertial unit alone: the first half second that is not still begins it."""
+    """Return whether the vehicle has left its initial rest, from the inertial readings: (n,) array of bool."""
     step = float(np.median(np.diff(time_s)))
     n = max(2, round(_REST_BLOCK_S / step))
     for k in range(0, len(time_s) - n, n):
@@ -180,13 +179,13 @@ def detect_flight(time_s: _Array, rates: _Array, acceleration: _Array) -> NDArra
 
 
 def check_inertial_log(log: InertialLog, where: str) -> None:
-    """Reject data that are no inertial unit's in SI units and body axes.
+    """Check that data are inertial readings in SI units and body axes.
 
     Raises
     ------
     InputError
-        If the clock does not rise, the size of gravity is not that of m/s^2, the vertical axis has the wrong sign, or
-        rates are those of degrees.
+        If times do not increase, gravity has another size than in m/s^2, the vertical axis has the wrong sign, or rates
+        are in degrees.
     """
     if len(log.time_s) < 10 or not log.step_s > 0.0:
         raise InputError(where, "time", "does not rise", "give a log in the order of its times")
@@ -225,7 +224,7 @@ def check_inertial_log(log: InertialLog, where: str) -> None:
 
 
 def estimate_rest_noise(log: InertialLog) -> InertialNoise:
-    """Return the densities by the Allan deviation at rest; those of a good unit where it never stands."""
+    """Return the densities from the Allan deviation at rest; those of a good unit without a rest."""
     part = log.rest_rows
     gyro = _allan_density(log.rates[part], log.step_s)
     felt = _allan_density(log.acceleration[part], log.step_s)
@@ -233,7 +232,7 @@ def estimate_rest_noise(log: InertialLog) -> InertialNoise:
 
 
 def _allan_density(x: _Array, step: float) -> float:
-    """Largest sigma(tau) sqrt(tau) over axes and tau of 0.1 to 1 s; 0 of less than five times tau."""
+    """Return the largest sigma(tau) sqrt(tau) over axes and tau of 0.1 to 1 s; 0 for less than five times tau."""
     x = x[np.isfinite(x).all(axis=1)]
     total = np.concatenate([np.zeros((1, 3)), np.cumsum(x, axis=0)]) * step
     found = 0.0
@@ -259,17 +258,17 @@ def run_log(
     Parameters
     ----------
     log : InertialLog
-    aids : Aids
-    noise : Noise
+    aids : PositionAids
+    noise : InertialNoise
     until_s : float
-        Rows after it are left out (s).
+        Time after which rows are ignored (s).
     on_progress : callable, optional
-        Called with (rows done, rows in all).
+        Called with the number of finished rows and the total.
 
     Raises
     ------
     InputError
-        If aids come later than the filter can reach back.
+        If aids are later than the delay of the filter allows.
     """
     e = _make_log_estimator(log, aids, noise)
     latest: dict[str, Reading] = {}
@@ -299,10 +298,10 @@ def run_log(
 
 
 def _make_log_estimator(log: InertialLog, aids: PositionAids, noise: InertialNoise) -> KalmanEstimator:
-    """The filter without a rotor model, with the initial rest or motion of a log."""
+    """Return the filter without a rotor model, with the initial rest or motion of a log."""
     step = log.step_s
     late = float(np.max(aids.received_s - aids.measured_s, initial=0.0))
-    # A row a block where that reaches back far enough: no processor is short of time here.
+    # One row per block if the buffer then covers the delay; computing time is not critical here.
     rows = max(1, math.ceil(late / step / MAX_DELAY_BLOCKS - 1e-9))
     if rows > max(1, round(INPUT_BLOCK_S / step)):
         raise InputError(
@@ -349,8 +348,8 @@ def _make_log_estimator(log: InertialLog, aids: PositionAids, noise: InertialNoi
     e = KalmanEstimator(v, World(), 1.0 / step, block_s=rows * step)
     s: Any = e._settings.copy()
     s["has_rotor_model"] = 0
-    s["ground_clearance"] = -1e6  # no floor: nobody knows where it is
-    s["has_noise"][R_FIX] = 0  # an aid may say the same twice
+    s["ground_clearance"] = -1e6  # unknown floor
+    s["has_noise"][R_FIX] = 0  # aids may repeat values
     start, sigma = np.zeros(STATE_COUNT), s["initial_sigma"]
     start[SX_THRUST_SCALE] = 1.0
     start[SX_POS:SX_VEL] = aids.position[0]
@@ -393,7 +392,7 @@ def aid_innovations(
     ]  # fmt: skip
     if not use:
         return AidInnovations(count=0, nis=math.nan, off=math.nan, likelihood=-math.inf)
-    # An aid that comes at once is in the estimate of its own row already: the row before is carried on.
+    # An aid without delay is already fused in the estimate of its row, so the previous row is propagated.
     late = aids.received_s[use] - aids.measured_s[use] > 0.5 * log.step_s
     nu, s = np.empty((len(use), 3)), np.empty((len(use), 3, 3))
     for j, i in enumerate(use):
@@ -415,7 +414,7 @@ def estimate_flight_noise(
     least: InertialNoise,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> InertialNoise:
-    """Return the densities under which the aids of the flight's first minute are likeliest, not below ``least``."""
+    """Return the densities of maximum likelihood of the aids in the first minute of flight, not below ``least``."""
     if not log.is_flying.any():
         return least
     begin, end = float(log.time_s[np.argmax(log.is_flying)]), float(log.time_s[-1])

@@ -1,4 +1,4 @@
-"""The estimator of a vehicle with sensors: the interface between the filter and the flight software."""
+"""Estimator of a vehicle with sensors: the interface between the filter and the flight software."""
 
 from __future__ import annotations
 
@@ -61,9 +61,9 @@ def fitted_estimator(vehicle: Vehicle, world: World, rate_Hz: float) -> Estimato
     Parameters
     ----------
     vehicle : Vehicle
-        With the table ``sensors``.
+        Vehicle with the table ``sensors``.
     world : World
-        Its room, which is known beforehand.
+        World whose room the filter knows in advance.
     rate_Hz : float
         Rate of the flight software (Hz).
     """
@@ -80,8 +80,7 @@ class KalmanEstimator(Estimator):
     kind : type
         Type of the filter's numbers; processors on board use ``numpy.float32``.
     code : "", "c" or "numba"
-        Implementation (:mod:`mufly.estimate.filter_backend`); default: the one that starts sooner.
-        ``make_backend`` reports the choice.
+        Implementation (:mod:`mufly.estimate.filter_backend`); by default the one that starts sooner.
     block_s : float
         Time over which inputs are averaged (s).
 
@@ -90,11 +89,11 @@ class KalmanEstimator(Estimator):
     uses_fix_covariance : bool
         Whether the covariance sent with a position fix is used as its accuracy.
     fix_correlation_s : float
-        Over which errors of such fixes hang together; 0: not at all, each is white noise, and the wandering of all
-        stays as the vehicle's file has it. Else they wander by as much as the covariance says, where that is more than
-        the file does (a map that has drifted is off by the same for long), and noise stays as in the file. A bias that
-        the filter holds for small gets as large but over that time; until then the rest r of the variance is told as
-        noise that is worth as much over long, of variance r (1 + 2 wander_s / period).
+        Correlation time of the errors of such fixes (s). With 0 the errors are white noise, and the random walk of the
+        bias is that of the vehicle's file. Otherwise the covariance sets the size of the random walk, if larger than in
+        the file, since a map's drift persists; the noise is that of the file. A small bias grows to this size only over
+        the correlation time. Until then the remaining variance r is represented by noise of variance
+        r (1 + 2 fix_correlation_s / period), which has the same effect over a long time.
     """
 
     def __init__(
@@ -114,7 +113,7 @@ class KalmanEstimator(Estimator):
         ring = vehicle.range_ring
         self._empty_ranges = np.full(ring.count, float(ring.max_range))
         self._beam_indices = fused_beam_indices(ring.count)
-        # A record of an array is a view of it: the compiled step writes into the array.
+        # A record of an array is a view: the compiled step writes into the array.
         self._memory_array = np.zeros(1, memory_type(self._number_type))
         self.memory = m = self._memory_array[0]
         self._output_state, self._output_rates, self._output_angles = (
@@ -170,7 +169,7 @@ class KalmanEstimator(Estimator):
         return self.read_estimate(readings.time_s, valid)
 
     def read_estimate(self, time_s: float, valid: bool, periods: int = 1) -> Estimate:
-        """What is believed after so many more periods; of those whose turn it is to tell much, none is left out."""
+        """Return the estimate after further periods of the filter; publish the covariance and statuses if due."""
         self._period_count += periods
         if (periods and self._period_count % COVARIANCE_INTERVAL_TICKS == 0) or not self._published:
             self.publish_status(self.memory.copy())
@@ -185,8 +184,8 @@ class KalmanEstimator(Estimator):
         )
 
     def publish_status(self, m: Mapping[str, Any] | np.void) -> None:
-        """Tell much from now on, of a memory, or of as much of it as :data:`PUBLISHED_FIELDS` names, that does not
-        change any more."""
+        """Publish covariance and sensor statuses of a memory, or of its :data:`PUBLISHED_FIELDS`, which must not change
+        afterwards."""
         self._sensor_statuses = LazySensorStatuses(m, self._settings, self._fitted_indices)
         sigma, covariance = m["sigma_output"].astype(np.float64), np.zeros((EX_ACCEL_BIAS, EX_ACCEL_BIAS))
         bias = range(EX_GYRO_BIAS, EX_ACCEL_BIAS)
@@ -197,7 +196,7 @@ class KalmanEstimator(Estimator):
     def make_estimate(
         self, time_s: float, valid: bool, out: _Array, rates: _Array, angles: _Array, volts: float, ranges: _Array
     ) -> Estimate:  # fmt: skip
-        """Return the estimate of these numbers, with what is told every so often as it stands."""
+        """Return the estimate of these numbers with the latest published covariance and statuses."""
         x = out.astype(np.float64)
         return Estimate(
             time_s, x[SX_POS:SX_VEL], x[SX_VEL:SX_ATT], angles.astype(np.float64), rates.astype(np.float64), ranges,
@@ -210,10 +209,9 @@ class KalmanEstimator(Estimator):
         )  # fmt: skip
 
     def _filter_ranges(self, seen: _Array) -> None:
-        """Process a picture of the range ring: publish the median of each beam's last three readings.
+        """Process the ranges of the ring: compute the median of each beam's last three readings.
 
-        In a flight of minutes noise makes a spot where none is, and an obstacle that is seen once is a detour; it costs
-        an obstacle that is there the time of one picture.
+        The median removes single false detections, which would cause detours, and delays true ones by one reading.
         """
         a, b, c = self._last_pictures = [
             *self._last_pictures[1:],
@@ -222,7 +220,7 @@ class KalmanEstimator(Estimator):
         self._filtered_ranges = np.maximum(np.minimum(a, b), np.minimum(np.maximum(a, b), c))
 
     def _fill_inputs(self, readings: Readings, acting: _Array | None) -> None:
-        """Write new readings into one row."""
+        """Write the new readings into the input row."""
         self._input_values[ACTUATOR_START : ACTUATOR_START + 4] = 0.0 if acting is None else acting
         self._input_is_new[:] = 0
         for k in self._fitted_indices:
@@ -233,7 +231,7 @@ class KalmanEstimator(Estimator):
         self._input_values[CLIPPING_START:] = 0.0 if clipping is None else clipping.value
 
     def fill_readings(self, said: Mapping[str, Reading], time_s: float) -> None:
-        """Write readings of some sensors into the row of this period."""
+        """Write readings of some sensors into the input row of this period."""
         for name, r in said.items():
             k = self._reading_indices.get(name)
             if k is not None:
@@ -242,7 +240,7 @@ class KalmanEstimator(Estimator):
                 self._input_values[CLIPPING_START:] = r.value
 
     def _fill_reading(self, k: int, r: Reading, t: float) -> None:
-        """Write a new reading of one sensor into the row."""
+        """Write a new reading of one sensor into the input row."""
         name, z = CHECKED_READINGS[k], self._input_values
         before = self._last_readings.get(name)
         if r is before or (before is not None and r.time_s == before.time_s):
@@ -268,7 +266,7 @@ class KalmanEstimator(Estimator):
         own = None if fix.covariance is None else np.diag(fix.covariance)
         wander = file["initial_sigma"][four] ** 2
         if own is not None and self.fix_correlation_s > 0.0:
-            # What the filter's bias may be off by by now
+            # Present variance of the filter's bias
             grown = 1.0 - math.exp(-2.0 * since_s / self.fix_correlation_s)
             self._fix_bias_variance = self._fix_bias_variance + grown * (
                 self._fix_bias_variance_target - self._fix_bias_variance
@@ -284,40 +282,39 @@ class KalmanEstimator(Estimator):
         s["fix_variance"], s["heading_variance"] = noise
         s["initial_sigma"][four] = np.sqrt(wander)
 
-    # What others do who lay readings into the row themselves
+    # Interface for the compiled loop, which writes the input row itself
 
     def export_reading_state(self, taken: _Array, pictures: _Array, ranges: _Array) -> None:
-        """Write when each sensor's latest reading was taken (s), the last three pictures (3, n), and what is told of
-        them (n,)."""
+        """Write the times of the latest readings (s), the last three range readings (3, n; m) and the medians (n,)."""
         taken[:] = math.nan
         for name, reading in self._last_readings.items():
             taken[self._reading_indices[name]] = reading.time_s
         pictures[:], ranges[:] = self._last_pictures, self._filtered_ranges
 
     def accept_external_readings(self, said: Mapping[str, Reading], pictures: _Array, ranges: _Array) -> None:
-        """Take notice of readings that others laid into the row."""
+        """Store readings that the compiled loop has written into the input row."""
         self._last_readings |= {name: reading for name, reading in said.items() if name in self._reading_indices}
         if "ranges" in said:
             self._last_pictures, self._filtered_ranges = list(pictures.copy()), ranges.copy()
 
     @property
     def reading_indices(self) -> Mapping[str, int]:
-        """Readings that it takes, and their places in :data:`mufly.quantities.CHECKED_READINGS`."""
+        """Return the used readings by name, with their indices in :data:`mufly.quantities.CHECKED_READINGS`."""
         return self._reading_indices
 
     @property
     def beam_indices(self) -> NDArray[np.intp]:
-        """Which of the ring's it looks at."""
+        """Return the indices of the fused beams of the range ring."""
         return self._beam_indices
 
     @property
     def period_count(self) -> int:
-        """How many it has been told."""
+        """Return the number of processed periods."""
         return self._period_count
 
     @property
     def covariance(self) -> _Array:
-        """That was told last (12, 12)."""
+        """Return the latest published covariance (12, 12)."""
         covariance: _Array = self._published[0]
         return covariance
 
@@ -328,15 +325,15 @@ class KalmanEstimator(Estimator):
 
     @property
     def ranges(self) -> _Array:
-        """Of the beams, as told (m)."""
+        """Return the filtered ranges of the beams (m)."""
         return self._filtered_ranges
 
     @property
     def input_row(self) -> tuple[_Array, NDArray[np.int32], _Array]:
-        """Values of this period, which of the sensors are new, and their ages: what :mod:`kernel` takes."""
+        """Return the input row of this period: values, flags of new readings, and their ages (s)."""
         return self._input_values, self._input_is_new, self._input_age
 
     @property
     def memory_array(self) -> NDArray[np.void]:
-        """The memory (1,)."""
+        """Return the memory as an array (1,)."""
         return self._memory_array

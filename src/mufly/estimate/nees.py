@@ -1,9 +1,9 @@
-"""Consistency of an estimate: its errors against its own standard deviations.
+"""Measure the consistency of an estimate: its errors relative to its own covariance.
 
-NEES, the normalised estimation error squared, e^T P^-1 e of an error e of n components, is on average n if P is what it
-should be, and below the 95 % point of the chi-square distribution in 95 % of cases (Bar-Shalom, Li and
-Kirubarajan, Estimation with Applications to Tracking and Navigation, ch. 5.4). The same of innovations is NIS;
-that one needs no truth, but sees no error that all readings have in common.
+The normalised estimation error squared (NEES) is e^T P^-1 e for an error e of n components. For a consistent P its mean
+is n, and 95 % of its values lie below the 95 % point of the chi-square distribution (Bar-Shalom, Li and Kirubarajan,
+Estimation with Applications to Tracking and Navigation, ch. 5.4). The normalised innovation squared (NIS) is the same
+quantity of innovations. NIS needs no truth, but does not show errors that all readings share.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Consistency:
     Attributes
     ----------
     count : int
-        Instants.
+        Number of instants.
     nees : float
         Mean of NEES / n over position, velocity and attitude (n = 9).
     inside : float
@@ -47,9 +47,9 @@ class Consistency:
     parts : (3,) tuple
         NEES / 3 of position, velocity, attitude.
     nis : float
-        Mean square of the innovations' ratios of the fix.
+        Mean square of the innovation ratios of the position fix.
     xy_rms, xy_peak, z_rms, z_peak, tilt_rms, tilt_peak, yaw_rms : float
-        (m, rad).
+        Root mean square and peak errors (m, rad).
     """
 
     count: int
@@ -67,7 +67,7 @@ class Consistency:
 
     @classmethod
     def merge_flights(cls, several: Sequence[Consistency]) -> Consistency:
-        """Of many flights: means of squares, worst of peaks."""
+        """Return the consistency over several flights: mean squares, largest peaks."""
         n = np.array([c.count for c in several], dtype=float)
         n /= n.sum()
         mean = {k: float(n @ [getattr(c, k) for c in several]) for k in ("nees", "inside", "nis")}
@@ -102,9 +102,9 @@ def measure_consistency(
     truths, told : sequences
         True and estimated states at the same instants.
     after_s : float
-        Instants before are left out (s).
+        Time before which instants are ignored (s).
     every : int
-        Every this many instants one enters the NEES.
+        Interval of the instants used for NEES.
     """
     true = np.array([np.concatenate([t.position, t.velocity, t.attitude]) for t in truths])
     return measure_row_consistency(true, told, after_s=after_s, every=every)
@@ -125,7 +125,7 @@ def measure_row_consistency(
     Raises
     ------
     InputError
-        If no instant is left: the estimate was never valid, or nothing true is known.
+        If no instant has a valid estimate and a known truth.
     """
     known: Any = np.isfinite(true).any(axis=0)
     whole: Any = np.isfinite(true[:, known]).all(axis=1) & known.any()

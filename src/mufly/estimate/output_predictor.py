@@ -1,6 +1,6 @@
-"""The filter's output: the state of the horizon propagated to now, its covariance, and a position without jumps.
+"""Compute the filter's output: the state at the horizon propagated to the present, its covariance, a smooth position.
 
-The propagation takes several periods (PX4's output predictor); :mod:`mufly.estimate.ekf_step` says why."""
+The propagation is spread over several periods (PX4's output predictor); :mod:`mufly.estimate.ekf_step` explains it."""
 
 from __future__ import annotations
 
@@ -39,16 +39,16 @@ from mufly.units import GRAVITY
 _Array = NDArray[np.float64]
 
 FORCE_MEAN_TICKS = 8
-"""Periods over which forces are compared."""
+"""Number of periods over which measured and modelled forces are averaged."""
 COVARIANCE_INTERVAL_TICKS = 20
-"""Periods between two published covariances."""
+"""Number of periods between two published covariances."""
 OUTPUT_JUMP_M, OUTPUT_JUMP_DECAY_S = 0.05, 0.4
-"""A larger jump of the position (m) is smoothed over time (s)."""
+"""Jump of the position above which it is smoothed (m), and decay time (s)."""
 
 
 @cached_njit(error_model="numpy")
 def velocity_noise_density(r: _Array, k: int, e: _Array) -> float:
-    """Return the density of the velocity's noise along axis ``k`` of N-E-D (m^2/s^3)."""
+    """Return the spectral density of the velocity noise along axis ``k`` of N-E-D (m^2/s^3)."""
     spread = 0.0
     for i in range(3):
         spread += r[3 * k + i] * r[3 * k + i] * e[IN_NOISE + i]
@@ -100,7 +100,7 @@ def _propagate_covariance(m: FilterMemory, s: FilterSettings, r: _Array) -> None
         m.covariance_output[k, EX_VEL + k] += m.now_velocity_variance[k] * span / 2.0
         m.covariance_output[EX_VEL + k, EX_VEL + k] += m.now_velocity_variance[k]
         for i in range(3):
-            # A shaking is in the velocity for half a turn; what stays in means over blocks tells how much.
+            # Vibration affects the velocity for half a revolution; block means measure its size.
             share = r[3 * k + i] * m.inputs_now[IN_SHARE + i]
             shaking = max(m.accel_noise[i] - m.accel_noise_slow[i], 0.0)
             m.covariance_output[EX_VEL + k, EX_VEL + k] += share * share * ((FORCE_MEAN_TICKS * s.dt) * shaking)
@@ -117,7 +117,7 @@ def _output_covariance(m: FilterMemory) -> None:
         m.sigma_output[i] = math.sqrt(state_variance(m.u_transposed, m.d, i))
     for i in range(9):
         if i < 3:
-            # Whoever is off in height, fix or sonar, the fix may be off by as much in any direction
+            # If the heights of fix and sonar differ, the fix may have the same error in any direction
             m.covariance_output[i, i] += m.position_slip[i] * m.position_slip[i] + m.fix_height_gap * m.fix_height_gap
         m.sigma_output[i] = math.sqrt(m.covariance_output[i, i])
     # Turns about N, E, D to roll, pitch and yaw
@@ -139,7 +139,7 @@ def _output_covariance(m: FilterMemory) -> None:
 
 @cached_njit(error_model="numpy")
 def _repropagate_state(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array) -> None:
-    """Propagate the horizon's state towards now by some blocks; ``m.x_now`` is the last one that arrived."""
+    """Propagate the horizon's state towards the present by some blocks; ``m.x_now`` is the last complete result."""
     for _ in range(s.work_limit):
         e = m.input_blocks[m.repropagating_tick // s.block_ticks % INPUT_BLOCK_COUNT]
         periods = min(s.block_ticks - m.repropagating_tick % s.block_ticks, m.tick - m.repropagating_tick)
@@ -167,7 +167,7 @@ def _repropagate_state(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array)
 
 @cached_njit(error_model="numpy")
 def predict_output(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array) -> None:
-    """Write the state of now; every :data:`COVARIANCE_INTERVAL_TICKS` periods also its covariance."""
+    """Write the present state; every :data:`COVARIANCE_INTERVAL_TICKS` periods also its covariance."""
     _repropagate_state(m, s, r, a)
     x = m.x_output
     for i in range(STATE_COUNT):
@@ -175,7 +175,7 @@ def predict_output(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array) -> 
     much = m.tick % COVARIANCE_INTERVAL_TICKS == 0
     if much:
         _propagate_covariance(m, s, r)
-    # States belong to `lag` before the tick: the last bit with the last rates and acceleration.
+    # The states lag the tick by `imu_lag`: the last rates and acceleration bridge the difference.
     a[2] += GRAVITY
     for k in range(3):
         x[k] += s.imu_lag * (x[SX_VEL + k] + 0.5 * s.imu_lag * a[k])
@@ -187,7 +187,7 @@ def predict_output(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array) -> 
         x, s.imu_lag * m.rates_output[0], s.imu_lag * m.rates_output[1], s.imu_lag * m.rates_output[2], True
     )
     if s.has_rotor_model > 0 and x[SX_TERRAIN] < MAX_FLOOR_HEIGHT:
-        # Legs do not go into the floor on the way either, nor on.
+        # The legs must not enter the floor during or after the propagation.
         lowest = -(max(x[SX_TERRAIN], 0.0) + s.ground_clearance)
         if x[SX_POS + 2] >= lowest:
             x[SX_POS + 2] = lowest

@@ -1,19 +1,19 @@
-"""Checks of readings by themselves and against the models, and the status of each sensor.
+"""Check readings by themselves and against the models, and maintain the status of each sensor.
 
 | fault | sign | detected after |
 |---|---|---|
-| no number, or beyond all limits | at once | one reading |
-| frozen | equal to the last bit, of a sensor with noise | three readings |
-| doubled | equal to the last bit, sooner than the sensor can measure | two readings; a repeated one is never used |
-| late | older than latency and jitter allow | one reading; used as long as the horizon has not passed it |
-| impossible time | no age, a negative one, or more than ten seconds | one reading; never used |
-| silent | nothing for six periods (:attr:`FilterSettings.timeout`) | that time |
-| spike of the gyroscopes | a change of rates that the model's moments do not make | at once; replaced by the model's |
+| NaN, or beyond all limits | value | one reading |
+| frozen | equal bit for bit, of a sensor with noise | three readings |
+| doubled | equal bit for bit, sooner than the sensor can measure | two readings; repeated ones are never used |
+| late | older than latency and jitter allow | one reading; used unless the horizon has passed it |
+| invalid time | no age, a negative age, or above 10 s | one reading; never used |
+| silent | no reading for six periods (:attr:`FilterSettings.timeout`) | that time |
+| gyroscope spike | a change of rates that the model's moments do not explain | at once; replaced by the model's rate |
 
-The sonar rounds to centimetres and the battery monitor to 10 mV, so equal readings in a row are usual; a stuck one is
-detected by its innovations. One rejected reading is no alarm: the sonar of a healthy vehicle hears a second surface
-every 16 s. Rejections are counted in a score that decays by 7 % with every fused reading; above :data:`REJECT_ALARM`
-they are reported (:data:`SONAR_REJECT_ALARM` for the sonar: four of 14).
+The sonar rounds to centimetres and the battery monitor to 10 mV, so equal readings in a row are usual; innovations
+detect a stuck sonar. One rejected reading is no alarm: a healthy sonar receives a false echo every 16 s. Rejections are
+counted in a score that decays by 7 % with every fused reading. A score above :data:`REJECT_ALARM` is reported
+(:data:`SONAR_REJECT_ALARM` for the sonar: four of 14).
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ ACTUATOR_START = READING_STARTS[-1]
 CLIPPING_START = ACTUATOR_START + 4
 VALUE_COUNT = CLIPPING_START + 3
 STATUS_WAITING, STATUS_FUSED, STATUS_REJECTED, STATUS_MISSING, STATUS_FAULTY = range(5)
-"""Status of a sensor, as a number."""
+"""Codes of a sensor's status."""
 (
     REASON_NONE,
     REASON_NO_READING,
@@ -77,27 +77,27 @@ STATUS_WAITING, STATUS_FUSED, STATUS_REJECTED, STATUS_MISSING, STATUS_FAULTY = r
     REASON_STUCK,
     REASON_LARGE_BIAS,
 ) = range(21)
-"""Why, as a number; the words are in :mod:`mufly.estimate.sensor_status`."""
+"""Codes of the reason; :mod:`mufly.estimate.sensor_status` has the texts."""
 REJECT_ALARM, SONAR_REJECT_ALARM, REJECT_DECAY = 1.5, 3.0, 0.93
 FAULT_HOLD_S = 0.5
 """Time for which a fault of one reading is reported (s)."""
 _MAX_READING_AGE_S = 10.0
-"""Age beyond which a reading is rejected (s), as is one from the future or without time."""
-_SPIKE_RATE, _SPIKE_AGREEMENT = 0.12, 0.06  # rad/s within a period, beyond what the model says
-_MAX_GYRO_OFFSET = 5.0  # rad/s: no gyroscope is off by more; what jumps on and on follows a model that runs away
-_SPIKE_CARRY_SHARE = 0.7  # of what was off in the period before
-_ROUGHNESS_FACTOR = 3.0  # of the mean difference of some 50 ms
-_ANG_ACCEL_BIAS_GAIN = 0.02  # of a difference that is taken for an error of the model's moments
-_MIN_CLIP_SHARE = 0.02  # of clipped samples that is told of
+"""Age above which a reading is rejected (s); negative and NaN ages are rejected, too."""
+_SPIKE_RATE, _SPIKE_AGREEMENT = 0.12, 0.06  # rad/s within a period, relative to the model
+_MAX_GYRO_OFFSET = 5.0  # rad/s: largest offset; repeated jumps beyond it indicate a diverging model
+_SPIKE_CARRY_SHARE = 0.7  # share of the residual of the previous period
+_ROUGHNESS_FACTOR = 3.0  # of the mean residual over some 50 ms
+_ANG_ACCEL_BIAS_GAIN = 0.02  # share of a residual that is attributed to the model's moments
+_MIN_CLIP_SHARE = 0.02  # share of clipped samples that is reported
 DIVERGED_BIAS_WALK, DIVERGED_WALK_S, LATER_BIAS_WALK = 0.1, 3.0, 0.03
-"""What the gyroscopes' bias may do once they have carried the filter astray (rad/s in a second), for how long, and what
-from then on: one that has drifted drifts."""
+"""Random walk of the gyroscopes' bias after a divergence of the filter (rad/s in a second), its duration (s), and the
+random walk afterwards, since a drift may continue."""
 DIVERGED_BIAS, DIVERGED_ATTITUDE, DIVERGED_SPEED = 0.15, 0.06, 0.3
-"""By how much bias (rad/s), attitude (rad) and speed (m/s) may be off by then."""
-_ROTOR_SPEED_GATE, _ROTOR_SPEED_RECOVERY_GATE = 0.08, 0.02  # of the hover speed; of one that was off just now
+"""Standard deviations of bias (rad/s), attitude (rad) and speed (m/s) after a divergence."""
+_ROTOR_SPEED_GATE, _ROTOR_SPEED_RECOVERY_GATE = 0.08, 0.02  # fractions of the hover speed; the second after a rejection
 _ROTOR_ACCEL_LIMIT, _ROTOR_ACCEL_MEAN_S, _ROTOR_ACCEL_SETTLING_S = 0.03, 4.0, 1.0
-"""By what acceleration (of the hover speed, 1/s) the motors' equations may be off more than in the mean over so long
-(s), and how long after lift-off that is known (s); flights in gusts need a fifth."""
+"""Permitted deviation of the motor equations' error from its mean (fraction of the hover speed per second), averaging
+time (s), and settling time after lift-off (s); flights in gusts need a fifth of the limit."""
 _VOLTAGE_GATE = 0.6
 
 
@@ -137,11 +137,11 @@ def mark_rejected(m: FilterMemory, s: FilterSettings, k: int, why: int, number: 
 
 @cached_njit(error_model="numpy")
 def _is_repeated(m: FilterMemory, s: FilterSettings, z: _Array, k: int, start: int, count: int) -> bool:
-    """Return whether a reading equals the last one to the last bit although the sensor has noise."""
+    """Return whether a reading equals the last one bit for bit, of a sensor with noise."""
     if s.has_noise[k] == 0 or m.last_new_tick[k] == 0:
         return False
     told = False
-    for j in range(3 if k == R_FIX else count):  # a camera that hangs may still turn with the gyroscopes
+    for j in range(3 if k == R_FIX else count):  # a frozen camera may follow the gyroscopes in heading
         if z[start + j] != m.last_value[start + j]:
             return False
         told = told or ((k != R_ROTOR or z[start + j] != 0.0) and (k != R_RING or z[start + j] < 0.995 * s.ring_max))
@@ -175,7 +175,7 @@ def check_readings(m: FilterMemory, s: FilterSettings, z: _Array, new: NDArray[n
             new[k] = 0
             set_fault(m, s, k, STATUS_FAULTY, REASON_OUT_OF_RANGE, 0.0)
         if new[k] == 1 and _is_repeated(m, s, z, k, start, count):
-            # Nothing new was measured: taken for new it would be the past, believed to be now.
+            # A repeated reading contains no new measurement and would be fused with a wrong time.
             new[k] = 0
             if (m.tick - m.last_new_tick[k]) * s.dt < 0.6 * s.sensor_period[k]:
                 m.double_count[k] += 1
@@ -203,7 +203,7 @@ def check_readings(m: FilterMemory, s: FilterSettings, z: _Array, new: NDArray[n
             m.invalid_count[k] = 0
             again = m.status[k] >= STATUS_MISSING and m.tick >= m.fault_until_tick[k]
             if again or (m.status[k] == STATUS_WAITING and k != R_RING):
-                # Whether a ring that sees is of use is said by what it sees: in a large room it sees no wall.
+                # The ring's readings decide about its use: in a large room it detects no wall.
                 m.status[k], m.reason[k] = STATUS_WAITING if k == R_RING else STATUS_FUSED, REASON_NONE
             if age[k] > s.latency[k] + s.latency_slack[k]:
                 set_fault(m, s, k, STATUS_FAULTY, REASON_LATE, age[k])
@@ -255,16 +255,16 @@ def replace_gyro_spikes(m: FilterMemory, s: FilterSettings, flying: bool) -> Non
         m.axis_work[k] = m.gyro_rates_prev[k] + s.dt * m.rotor_force[now, RF_ANG_ACCEL + k] + m.ang_accel_bias[k]
         off = m.gyro_rates[k] - m.axis_work[k]
         worst = max(worst, abs(off))
-        # A spike may come in two steps, of which each would pass.
+        # A spike may consist of two steps that would each pass.
         led = max(led, abs(_SPIKE_CARRY_SHARE * m.spike_residual_carry[k] + off))
-        # What its moments are off by, in flight and on the legs
+        # Error of the model's moments, in flight and on the legs
         m.ang_accel_bias[k] += (
             _ANG_ACCEL_BIAS_GAIN * min(max(off, -_SPIKE_RATE), _SPIKE_RATE) if m.flight_phase >= PHASE_LIGHT else 0.0
         )
-    # A model that is off again and again cannot tell a spike from a motion.
+    # A model with repeated errors cannot distinguish a spike from a motion.
     most = _SPIKE_RATE + _ROUGHNESS_FACTOR * m.rate_residual_lp
     m.rate_residual_lp += 0.1 * (min(worst, _SPIKE_RATE) - m.rate_residual_lp)
-    m.divergence_ticks = max(m.divergence_ticks - 1, min(m.divergence_ticks, 1))  # once astray, it remembers
+    m.divergence_ticks = max(m.divergence_ticks - 1, min(m.divergence_ticks, 1))  # a past divergence is remembered
     if not flying or s.has_rotor_model == 0:
         m.spike_repeats = 0
         return
@@ -290,7 +290,7 @@ def replace_gyro_spikes(m: FilterMemory, s: FilterSettings, flying: bool) -> Non
     for k in range(3):
         small = small and abs(m.gyro_offset[k] + (m.gyro_rates[k] - m.axis_work[k])) < _MAX_GYRO_OFFSET
     if m.spike_repeats >= 2 and small:
-        # Twice the same: an offset that came at once is no motion. It is taken off from now on.
+        # Twice the same: a sudden offset is no motion. It is subtracted from the following readings.
         for k in range(3):
             off = m.gyro_rates[k] - m.axis_work[k]
             m.gyro_offset[k] += off
@@ -306,17 +306,17 @@ def replace_gyro_spikes(m: FilterMemory, s: FilterSettings, flying: bool) -> Non
 
 @cached_njit(error_model="numpy")
 def rotor_speed_consistent(m: FilterMemory, s: FilterSettings, z: _Array, start: int) -> bool:
-    """Return whether measured rotor speeds agree with the motors' equations.
+    """Return whether measured rotor speeds agree with the motor equations.
 
-    The error of these equations is estimated within a second, and a slow drift of a sensor with it. In flight that
-    error hardly changes: ``m.motor_accel_mean`` is its mean over some seconds."""
+    The filter estimates the error of these equations, including a slow sensor drift, within a second. In flight the
+    error is nearly constant: ``m.motor_accel_mean`` is its mean over some seconds."""
     worst, away = 0.0, 0.0
     k = R_ROTOR
     flown = (m.tick - m.grounded_tick) * s.dt
     for j in range(2):
         worst = max(worst, abs(z[start + j] - m.rotor_state[RS_SPEED_UPPER + j]) / s.hover_speed[j])
         away = max(away, abs(m.motor_accel_bias[j] - m.motor_accel_mean[j]) / s.hover_speed[j])
-    # On the floor it is the equations that have to learn.
+    # On the floor the motor equations are adapted.
     if m.flight_phase == PHASE_FLYING:
         if flown > _ROTOR_ACCEL_SETTLING_S and away > _ROTOR_ACCEL_LIMIT:
             for j in range(2):

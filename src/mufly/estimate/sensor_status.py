@@ -57,22 +57,22 @@ class AuxiliaryStates:
     Attributes
     ----------
     gyro_bias : (3,) array
-        (rad/s), body axes.
+        Bias of the gyroscopes (rad/s), body axes.
     accelerometer_bias : (3,) array
-        (m/s^2), body axes.
+        Bias of the accelerometers (m/s^2), body axes.
     floor_height : float
         Height of the surface under the sonar above D = 0 (m, positive up).
     fix_bias : (4,) array
         Bias of the position fix: N, E, D (m), heading (rad).
     wind : (2,) array
-        N, E (m/s).
+        Wind, N, E (m/s).
     thrust_scale : float
-        True thrust over that of the model (1).
+        Ratio of the true thrust to the model's (1).
     sigma : (n,) array
         Standard deviations of the whole error state, in the order of
         :data:`mufly.estimate.filter_records.ERROR_STATES`.
-    checks : sequence of Check
-        One for each sensor of the vehicle.
+    checks : sequence of SensorStatus
+        Status of each sensor of the vehicle.
     """
 
     gyro_bias: _Array
@@ -112,18 +112,18 @@ _REASON_TEXTS: Mapping[int, Callable[[float, str], str]] = {
 
 REASON_COUNT = len(_REASON_TEXTS)
 SUSPICIOUS_REASONS = (g.REASON_DUPLICATED, g.REASON_SPIKES, g.REASON_JUMP, g.REASON_FUSED_THOUGH_OFFSET)
-"""Reasons of sensors that are fused though something is wrong with them; that some clip is usual, and weighed."""
+"""Reasons that mark a fused sensor as suspicious. Clipping is usual and only reduces the weight."""
 
 
 class LazySensorStatuses(Sequence[SensorStatus]):
-    """What is thought of each sensor that is on board, put into words when somebody looks.
+    """Sequence of the statuses of the fitted sensors, evaluated on first access.
 
     Parameters
     ----------
     m, s : records
-        Memory and settings of the filter; what they hold is not to change any more.
+        Memory and settings of the filter, which must not change afterwards.
     fitted : sequence of int
-        Which of :data:`mufly.quantities.CHECKED_READINGS`.
+        Indices of the fitted sensors in :data:`mufly.quantities.CHECKED_READINGS`.
     """
 
     def __init__(self, m: Mapping[str, Any] | np.void, s: np.void, fitted: Sequence[int]) -> None:
@@ -187,9 +187,10 @@ _INNOVATION_REASONS = (g.REASON_INNOVATION, g.REASON_RESET, g.REASON_FUSED_THOUG
 
 
 def describe_reason(why: int, number: float, sensor: int, component: int = 0) -> str:
-    """Return why a sensor, by its place in :data:`mufly.quantities.CHECKED_READINGS`, is thought of as it is.
+    """Return the text of the reason of a status.
 
-    ``component`` is that of a position fix that the number is of: N, E, D (m) or the heading (rad).
+    ``sensor`` is an index into :data:`mufly.quantities.CHECKED_READINGS`. ``component`` is the component of a position
+    fix to which ``number`` belongs: N, E, D (m) or the heading (rad).
     """
     in_unit = CHECKED[sensor].unit_components
     if in_unit is not None and component >= in_unit and why in _INNOVATION_REASONS:

@@ -1,24 +1,24 @@
-"""Prediction of the helicopter's motion between two instants, and of its error state.
+"""Predict the helicopter's motion between two instants, and its error state.
 
-Attitude and velocity by the strapdown equations (Groves, 2nd ed., ch. 5), from rates w and specific force f in
+Attitude and velocity follow the strapdown equations (Groves, 2nd ed., ch. 5), from rates w and specific force f in
 body axes:
 
     dR/dt = R [w - b_w]x,       dv/dt = R f + g e_D,       dp/dt = v
 
-Specific force is known twice. The accelerometers feel it; the rotors and drag *make* it, and the flight model says
-how much (:func:`mufly.dynamics.state_derivative`, asked in body axes, far above the floor). Two measurements of the
-same force with densities q_a and q_m of their noise are weighed by them,
+The specific force has two sources: the accelerometers measure it, and the flight model predicts it from rotors and
+drag (:func:`mufly.dynamics.state_derivative`, evaluated in body axes, far above the floor). With the noise densities
+q_a and q_m of the two, the weighted mean is
 
     f = W (a - b_a) + (1 - W) m(x),         W = q_m / (q_a + q_m),
 
-so that the noise of f is not correlated with that of the difference a - m, because W q_a - (1 - W) q_m = 0: f
-carries the state on, and a - m remains as a measurement (of the accelerometers' bias, the thrust's scale, the
-wind) without being used twice. An accelerometer that clips loses its weight; then the model flies alone.
+Since W q_a - (1 - W) q_m = 0, the noise of f is uncorrelated with that of the difference a - m. The filter propagates
+the state with f and fuses a - m as a measurement of the accelerometers' bias, the thrust's scale and the wind; no
+information is used twice. Clipping reduces the weight of the accelerometers to zero; the model then acts alone.
 
     m(x) = k f_0 + c + J u,      u = R^T (v - wind)
 
-f_0 force without motion through the air, k scale of the thrust, c + J u drag, linear around the believed u (J is
-taken as diagonal: drag along one axis comes from the speed along it).
+f_0 is the force without motion through the air, k the scale of the thrust, and c + J u the drag, linearised at the
+estimated u. J is diagonal: the drag along an axis depends on the speed along it.
 """
 
 from __future__ import annotations
@@ -149,13 +149,14 @@ def predict_state(x: _Array, e: _Array, dt: float, r: _Array, a: _Array) -> None
 def error_transition(e: _Array, span: float, r: _Array, push: _Array, out: _Array) -> None:
     """Write the sensitivity of position, velocity and attitude to errors after a step.
 
-    With the turn t about N, E, D, in its middle less what the gyroscopes' bias does to it, and u = R^T (v - wind):
+    With the attitude error t about N, E, D at the middle of the step, corrected for the gyroscopes' bias, and
+    u = R^T (v - wind):
 
         dv' = t x a - R W db_a + R (1 - W) (f_0 dk + J R^T (dv - dw)),     dt' = -R db_w,     dp' = dv
 
-    What attitude does to the drag through R^T is left out: it is J |u| / g of what it does to gravity, some percent.
-    On its legs the floor pushes, straight up however it is tilted: a = (0, 0, -g), which no error of the attitude
-    turns, so t x a is none. (With it "it does not move" would tell of the tilt, which the floor alone knows.)
+    The effect of the attitude on the drag through R^T is neglected; it is J |u| / g, some percent, of that on gravity.
+    On the legs, the floor's force is vertical at any tilt: a = (0, 0, -g) does not depend on the attitude, and t x a is
+    zero. (Otherwise a zero velocity would be a measurement of the tilt.)
 
     Parameters
     ----------
@@ -166,11 +167,11 @@ def error_transition(e: _Array, span: float, r: _Array, push: _Array, out: _Arra
     r : (9,) array
         Attitude in the middle of the step, as a rotation matrix by rows.
     push : (3,) array
-        Acceleration but for gravity, mean over the step, N-E-D (m/s^2).
+        Acceleration without gravity, mean over the step, N-E-D (m/s^2).
     out : (33,) array
-        By rows, over the step: what the gyroscopes' bias does to the attitude (9), the accelerometers' bias (9),
-        velocity through the air (9), the thrust's scale (3) to the velocity, and what turns do (3);
-        :func:`mufly.estimate.ud_filter.propagate_column` takes them.
+        Sensitivities over the step, by rows: of the attitude to the gyroscopes' bias (9); of the velocity to the
+        accelerometers' bias (9), to the velocity through the air (9), to the thrust's scale (3) and to turns (3).
+        Input of :func:`mufly.estimate.ud_filter.propagate_column`.
     """
     for i in range(3):
         k_ = 0.0
@@ -219,10 +220,10 @@ def predict_rotor_force(m: FilterMemory, s: FilterSettings, p: ModelParameters, 
     air : (3,) array
         Velocity through the air, body axes (m/s).
     out : (12,) array
-        Per mass: force without motion, rest, slope (m/s^2, m/s^2, 1/s); and angular acceleration (rad/s^2).
+        Force per mass: without motion, remainder, slope (m/s^2, m/s^2, 1/s); angular acceleration (rad/s^2).
     """
     x, dx, u, dt = m.rotor_state, m.derivative_work, m.actuators, s.dt
-    # The swash plate settles within the period: its mean counts.
+    # The swash plate settles within the period; its mean is used.
     settled, mean = s.swash_decay, s.swash_decay_mean
     to_roll = p.swash_gain * _clip_value(u[U_SERVO_2], -1.0, 1.0)
     to_pitch = -p.swash_gain * _clip_value(u[U_SERVO_1], -1.0, 1.0)
@@ -237,7 +238,7 @@ def predict_rotor_force(m: FilterMemory, s: FilterSettings, p: ModelParameters, 
     x[RS_SPEED_UPPER] += 0.5 * dt * up
     x[RS_SPEED_LOWER] += 0.5 * dt * dw
     b_x, b_y, b_z = x[RS_BAR], x[RS_BAR + 1], x[RS_BAR + 2]
-    # The bar in axes that turn: less the turning of the fuselage.
+    # The bar in rotating body axes: minus the rotation of the fuselage.
     s_x = b_x + dt * (dx[RS_BAR] - (x[RS_RATES + 1] * b_z - x[RS_RATES + 2] * b_y))
     s_y = b_y + dt * (dx[RS_BAR + 1] - (x[RS_RATES + 2] * b_x - x[RS_RATES] * b_z))
     s_z = b_z + dt * (dx[RS_BAR + 2] - (x[RS_RATES] * b_y - x[RS_RATES + 1] * b_x))
@@ -271,5 +272,5 @@ def predict_rotor_force(m: FilterMemory, s: FilterSettings, p: ModelParameters, 
 
 @cached_njit(error_model="numpy")
 def predict_terminal_voltage(m: FilterMemory, p: ModelParameters) -> float:
-    """Return the terminal voltage (V) of the battery's model at the estimated charge and speeds."""
+    """Return the terminal voltage (V) of the battery model at the estimated charge and rotor speeds."""
     return battery_state(m.rotor_state, m.actuators[U_MOTOR_UPPER], m.actuators[U_MOTOR_LOWER], p)[0]

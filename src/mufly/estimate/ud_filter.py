@@ -1,24 +1,25 @@
-"""A covariance that stays one, in single precision too: P = U D U^T, U unit upper triangular, D diagonal.
+"""Propagate and update a covariance in factors: P = U D U^T, U unit upper triangular, D diagonal.
 
-Only U and D are kept, and no step subtracts a covariance from another, so P cannot lose its symmetry or become
-negative by rounding, which a plain Kalman filter in 32 bits does. No square root is taken.
+Only U and D are stored, and no step subtracts covariances. Rounding can therefore make P neither unsymmetric nor
+indefinite, as in a plain Kalman filter in single precision. No square root is needed.
 
-Measurement of one number, z = h x + n, variance r of n (Bierman 1977, Factorization Methods for Discrete Sequential
-Estimation, ch. V): with f = U^T h, v = D f, and a_0 = r, for j = 1..n
+Measurement update with a scalar z = h x + n, variance r of n (Bierman 1977, Factorization Methods for Discrete
+Sequential Estimation, ch. V): with f = U^T h, v = D f, and a_0 = r, for j = 1..n
 
     a_j = a_(j-1) + f_j v_j         d_j' = d_j a_(j-1) / a_j        U'_ij = U_ij - f_j / a_(j-1) K_i,    K_i += U_ij v_j
 
 starting from K_j = v_j; the gain is K / a_n, and a_n = h P h^T + r.
 
-Step in time. What moves (position, velocity, attitude: the first :data:`MOTION_STATE_COUNT` states) is pushed by biases
-that carry on by themselves, so the factors are stepped in two parts (Bierman 1977, ch. VII): the moving states with the
-biases held (:func:`ud_time_update`), and one bias after the other as x' = keep x + w (:func:`gauss_markov_update`).
-Rows of biases stay as they are in the first, so U stays triangular but for the three columns of the velocity, which
-drag turns into each other: they are made orthogonal from the last to the first (Thornton 1976, modified weighted
-Gram-Schmidt). Noise is added as P + c v v^T, factor by factor (Agee and Turner 1972).
+Time update. The motion (position, velocity, attitude: the first :data:`MOTION_STATE_COUNT` states) depends on biases
+that evolve independently. The update therefore has two parts (Bierman 1977, ch. VII): :func:`ud_time_update` propagates
+the motion with constant biases, and :func:`gauss_markov_update` propagates single biases as x' = keep x + w.
 
-U is held by columns: ``ut[j, i] = U_ij``, so that inner loops run over neighbours; ones on its diagonal and zeros
-behind it are there to be read.
+The first part does not change the rows of biases. U stays triangular except for the three columns of the velocity,
+which drag couples. They are orthogonalised from the last to the first (Thornton 1976, modified weighted Gram-Schmidt).
+Noise is added as P + c v v^T, one term at a time (Agee and Turner 1972).
+
+U is stored by columns, ``ut[j, i] = U_ij``, so that inner loops access contiguous memory; the unit diagonal and the
+zeros are stored, too.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ _MIN_DIAGONAL = 1e-20
 
 @cached_njit(error_model="numpy")
 def innovation_variance(ut: _Array, d: _Array, at: NDArray[np.int32], h: _Array, terms: int, f: _Array) -> float:
-    """Write f = U^T h and return h P h^T; ``h[t]`` belongs to state ``at[t]``, and there are ``terms`` of them."""
+    """Write f = U^T h and return h P h^T; the ``terms`` nonzero elements ``h[t]`` belong to the states ``at[t]``."""
     spread = 0.0
     for j in range(d.shape[0]):
         s = 0.0
@@ -83,7 +84,7 @@ def ud_measurement_update(ut: _Array, d: _Array, f: _Array, r: float, gain: _Arr
 
 @cached_njit(error_model="numpy")
 def _rank_one_update(ut: _Array, d: _Array, last: int, c: float, v: _Array) -> None:
-    """Add c v v^T to P, ``v`` zero behind ``last`` (Agee and Turner 1972); ``v`` is overwritten."""
+    """Add c v v^T to P (Agee and Turner 1972); ``v`` is zero after index ``last`` and is overwritten."""
     for k in range(last, -1, -1):
         old = d[k]
         new = old + c * v[k] * v[k]
@@ -151,7 +152,7 @@ def propagate_column(u: _Array, span: float, a: _Array, out: _Array) -> None:
 
 @cached_njit(error_model="numpy")
 def _propagate_moving_column(u: _Array, span: float, a: _Array) -> None:
-    """Do the same as :func:`propagate_column`, in place, for a column without biases."""
+    """Propagate a column without biases in place, as :func:`propagate_column`."""
     n, e, o = u[EX_VEL], u[EX_VEL + 1], u[EX_VEL + 2]
     x = a[TR_AIR] * n + a[TR_AIR + 1] * e + a[TR_AIR + 2] * o
     y = a[TR_AIR + 3] * n + a[TR_AIR + 4] * e + a[TR_AIR + 5] * o
@@ -169,20 +170,20 @@ def _propagate_moving_column(u: _Array, span: float, a: _Array) -> None:
 
 @cached_njit(error_model="numpy")
 def ud_time_update(ut: _Array, d: _Array, span: float, transition: _Array, q: _Array, w: _Array, v: _Array) -> None:
-    """Step the moving states in time.
+    """Propagate the states of motion over a step.
 
     Parameters
     ----------
     ut, d : (n, n), (n,) arrays
-        Replaced.
+        Factors of the covariance, replaced.
     span : float
-        Of the step (s).
+        Duration of the step (s).
     transition : (33,) array
-        Of :func:`mufly.estimate.strapdown.error_transition`.
+        Output of :func:`mufly.estimate.strapdown.error_transition`.
     q : (9,) array
-        Variance of the noise of each moving state; that of a velocity also moves its position, by half the span.
+        Noise variance of each state of motion; velocity noise also changes the position, by half the span.
     w, v : (3, 6), (n,) arrays
-        Work space.
+        Work arrays.
     """
     for k in range(EX_VEL, MOTION_STATE_COUNT):
         _propagate_moving_column(ut[k], span, transition)
