@@ -6,13 +6,14 @@ import pytest
 from mufly.dynamics import (
     hover_performance,
     hover_speeds,
+    judge_hover,
     linearise_vehicle,
     model_parameters,
     similar_vehicle,
 )
-from mufly.errors import InputError
+from mufly.errors import ArgumentError, InputError
 from mufly.units import RPM
-from mufly.vehicle import Vehicle, list_parameters, load_vehicle
+from mufly.vehicle import Vehicle, list_parameters, load_vehicle, replace_parameters
 
 
 @pytest.fixture(scope="module")
@@ -101,6 +102,54 @@ def test_what_cannot_be_is_said(known: Vehicle) -> None:
         similar_vehicle(known, "half", mass_kg=0.12, radius_m=0.09, resistance_ohm=0.3)
     with pytest.raises(InputError, match="radius_m"):
         similar_vehicle(known, "none", mass_kg=0.12, radius_m=float("nan"))
+
+
+@pytest.mark.parametrize(
+    ("blamed", "options"),
+    [
+        ("capacity_As", {"capacity_As": 18.0}),
+        ("gear_ratio", {"gear_ratio": 50.0}),
+        ("no_load_current_A",
+         {"speed_constant_rad_Vs": 314.0, "resistance_ohm": 0.2, "no_load_current_A": 30.0, "gear_ratio": 2.0}),
+        ("resistance_ohm", {"speed_constant_rad_Vs": 314.0, "resistance_ohm": 6.0}),
+        ("speed_constant_rad_Vs", {"speed_constant_rad_Vs": 40.0, "resistance_ohm": 0.3}),
+        ("speed_constant_rad_Vs", {"speed_constant_rad_Vs": 40.0, "resistance_ohm": 0.3, "capacity_As": 1800.0}),
+    ],
+)  # fmt: skip
+def test_the_option_without_which_it_hovers_is_named(known: Vehicle, blamed: str, options: dict[str, float]) -> None:
+    with pytest.raises(ArgumentError) as caught:
+        similar_vehicle(known, "weak", mass_kg=0.1, radius_m=0.09, **options)  # type: ignore[arg-type]
+    assert caught.value.argument == blamed
+
+
+def test_mass_and_radius_that_do_not_fit_each_other_are_refused(known: Vehicle) -> None:
+    with pytest.raises(InputError, match=r"radius_m: 9000 g on rotors of 20 mm need tips of Mach 4\.8"):
+        similar_vehicle(known, "fast", mass_kg=9.0, radius_m=0.02)
+    with pytest.raises(InputError, match=r"radius_m: 1 g on rotors of 1000 mm is outside the range of similarity"):
+        similar_vehicle(known, "large", mass_kg=0.001, radius_m=1.0)
+
+
+@pytest.mark.parametrize(
+    ("mass", "radius", "changes", "keys"),
+    [
+        (0.095, 0.0875, {}, []),
+        (0.05, 0.06, {}, []),
+        (0.25, 0.12, {}, []),
+        (0.5, 0.05, {}, ["rotors.radius", "mass_budget.actuators"]),
+        (0.05, 0.3, {}, ["rotors.radius"]),
+        (2.0, 0.05, {}, ["rotors.radius", "rotors.radius", "mass_budget.actuators"]),
+        (0.095, 0.0875, {"battery.capacity": 40.0}, ["battery.capacity", "battery.capacity"]),
+    ],
+)
+def test_limits_beyond_the_model_are_told(
+    known: Vehicle, mass: float, radius: float, changes: dict[str, float], keys: list[str]
+) -> None:
+    made = replace_parameters(similar_vehicle(known, "new", mass_kg=mass, radius_m=radius), changes)
+    found = judge_hover(made, hover_performance(made))
+    assert [one.key for one in found] == keys
+    if mass == 0.5:
+        assert "the disc loading is 625 N/m2" in found[0].problem
+        assert "take 350 W in hover, 3.9 W/g" in found[1].problem
 
 
 @pytest.mark.parametrize(

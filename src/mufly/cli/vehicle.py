@@ -122,6 +122,7 @@ def check(vehicle: VehicleArgument, as_json: JsonOption = False) -> None:
         DEFAULT_STEP_S,
         fastest_mode_key,
         hover_performance,
+        judge_hover,
         longest_step,
         model_parameters,
     )
@@ -129,18 +130,19 @@ def check(vehicle: VehicleArgument, as_json: JsonOption = False) -> None:
     from mufly.vehicle import find_unusual_parameters, load_vehicle
 
     v = load_vehicle(vehicle)
-    unusual = find_unusual_parameters(v)
     try:
         h = hover_performance(v)
     except InputError as error:
         raise error.with_location(vehicle) from None
+    limits = judge_hover(v, h)
+    unusual = [*find_unusual_parameters(v), *limits]
     p = model_parameters(v)
     step = longest_step(p)
     if as_json:
         return print_json(
             {"name": v.name, "valid": True, "hover": h, "longest_step_s": step, "warnings": list(map(str, unusual))}
         )
-    _print_hover(v, h)
+    _print_hover(v, h, is_credible=not limits)
     if v.sensors is not None and v.sensors.sonar is not None:
         least, stands = float(v.sensors.sonar.min_range), standing_sonar_range(v)
         if stands > least:
@@ -177,11 +179,10 @@ def _describe_coefficients(v: Vehicle) -> str:
     )
 
 
-def _print_hover(v: Vehicle, h: HoverPerformance) -> None:
+def _print_hover(v: Vehicle, h: HoverPerformance, is_credible: bool) -> None:
     both = ("upper", "lower")
-    make_console().print(
-        f"[bold]{v.name}[/bold] is valid and hovers, here with the battery half full:", highlight=False
-    )
+    words = "is valid and hovers" if is_credible else "is valid but hovers beyond usual limits (below)"
+    make_console().print(f"[bold]{v.name}[/bold] {words}, here with the battery half full:", highlight=False)
     print_blocks(
         tabulate_fields(
             h,
@@ -317,10 +318,10 @@ def create_vehicle_project(
     out: Annotated[Path | None, define_option("--out DIR", "Folder for the files. Default: NAME.")] = None,
 ) -> None:
     """See :data:`NEW_HELP`."""
-    from mufly.dynamics import hover_performance, similar_vehicle
+    from mufly.dynamics import hover_performance, judge_hover, similar_vehicle
     from mufly.mission import dump_mission, load_mission
     from mufly.rotor import format_rotor_toml, load_rotor, replace_rotor
-    from mufly.vehicle import format_vehicle_toml, list_parameters, load_vehicle
+    from mufly.vehicle import find_unusual_parameters, format_vehicle_toml, list_parameters, load_vehicle
 
     folder = Path(name) if out is None else out
     known, blade = load_vehicle("mufly-1.1"), load_rotor("walkera-5g6")
@@ -366,7 +367,11 @@ def create_vehicle_project(
     }
     for part, file in files.items():
         write_text_file(file, texts[part])
-    _print_hover(vehicle, hover_performance(vehicle))
+    hover = hover_performance(vehicle)
+    limits = judge_hover(vehicle, hover)
+    _print_hover(vehicle, hover, is_credible=not limits)
+    for one in (*find_unusual_parameters(vehicle), *limits):
+        print_lines(f"{files['vehicle']}: {one}", style="yellow")
     guesses = sum(row.note.startswith("guess:") for row in list_parameters(vehicle))
     place = f"gear {float(vehicle.gear.ratio):.3g}, battery {float(vehicle.battery.capacity) / 3.6:.0f} mA h"
     print_lines(

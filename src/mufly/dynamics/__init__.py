@@ -8,6 +8,7 @@ from mufly.dynamics.equations_of_motion import (
     standing_state,
     state_derivative,
 )
+from mufly.dynamics.hover_limits import MAX_TIP_MACH, judge_hover, tip_mach_number
 from mufly.dynamics.linearisation import (
     HoverPerformance,
     Linearisation,
@@ -48,6 +49,7 @@ __all__ = [
     "DEFAULT_STEP_S",
     "GRAVITY",
     "INPUT_SIZE",
+    "MAX_TIP_MACH",
     "PARAMETER_DTYPE",
     "STATE_SIZE",
     "DrydenWind",
@@ -68,6 +70,7 @@ __all__ = [
     "initial_state",
     "integrate_batch",
     "integrate_state",
+    "judge_hover",
     "linearise_vehicle",
     "longest_step",
     "lowest_point",
@@ -81,4 +84,5 @@ __all__ = [
     "standing_state",
     "state_dataset",
     "state_derivative",
+    "tip_mach_number",
 ]

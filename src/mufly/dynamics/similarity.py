@@ -32,10 +32,12 @@ import math
 from typing import Any
 
 from mufly.drive import MotorConstants, best_gear_ratio
-from mufly.dynamics.linearisation import Trim, find_trim
+from mufly.dynamics.hover_limits import MAX_TIP_MACH, tip_mach_number
+from mufly.dynamics.linearisation import find_trim, hover_performance
 from mufly.dynamics.model_state import hover_speeds, model_parameters
-from mufly.errors import ArgumentError, MuflyError
+from mufly.errors import ArgumentError, InputError, MuflyError
 from mufly.input_files import validate_model
+from mufly.units import RPM
 from mufly.vehicle import Vehicle, battery_voltage_range
 
 MAX_HOVER_VOLTAGE_SHARE = 0.8
@@ -84,7 +86,8 @@ def similar_vehicle(
     Raises
     ------
     InputError
-        If a number is impossible, or the motor cannot hold a hover; the message states a remedy.
+        If a number is impossible, the vehicle cannot hover, or its tips would be supersonic. The message names the
+        option without which it hovers, and a remedy.
     """
     k = known
     for key, value in (
@@ -115,7 +118,86 @@ def similar_vehicle(
             "a current without load needs the motor's KV and resistance",
         )
 
-    mu, la = mass_kg / float(k.body.mass), radius_m / float(k.rotors.radius)
+    given: dict[str, Any] = {
+        "speed_constant_rad_Vs": speed_constant_rad_Vs, "resistance_ohm": resistance_ohm,
+        "no_load_current_A": no_load_current_A, "gear_ratio": gear_ratio, "cells": cells, "capacity_As": capacity_As,
+    }  # fmt: skip
+    try:
+        vehicle = _build_similar(k, name, mass_kg, radius_m, **given)
+    except _TooWeakError as weak:
+        raise _blame_option(k, weak, mass_kg, radius_m, given) from None
+    hover = hover_performance(vehicle)
+    mach = tip_mach_number(vehicle, hover)
+    if mach >= MAX_TIP_MACH:
+        raise ArgumentError(
+            "radius_m", "", f"{mass_kg * 1e3:.4g} g on rotors of {radius_m * 1e3:.4g} mm need tips of Mach {mach:.2g} "
+            f"({max(hover.rotor_speed_rad_s) / RPM:.0f} rpm)",
+            "give larger rotors or less mass",
+        )  # fmt: skip
+    return vehicle
+
+
+class _TooWeakError(Exception):
+    """The vehicle cannot hover on a half-full battery; ``what`` says why."""
+
+    def __init__(self, vehicle: Vehicle, what: str) -> None:
+        super().__init__(what)
+        self.vehicle, self.what = vehicle, what
+
+
+_MOTOR_OPTIONS = ("speed_constant_rad_Vs", "resistance_ohm", "no_load_current_A")
+_MOTOR_REMEDY = "give a motor of more KV or less resistance, another gear, more cells, larger rotors or less mass"
+_OPTION_REMEDIES: dict[str, tuple[tuple[str, ...], str]] = {
+    "capacity_As": (("capacity_As",), "give a battery of more capacity: its resistance follows from that"),
+    "no_load_current_A": (("no_load_current_A",), "give less current without load, or leave it out"),
+    "gear_ratio": (("gear_ratio",), "give another gear ratio, or leave it out"),
+    "cells": (("cells",), "give more cells, or leave the number out"),
+    "resistance_ohm": (_MOTOR_OPTIONS, _MOTOR_REMEDY),
+}
+"""Options that can prevent a hover: those left out together to test the option, and the remedy."""
+
+
+def _blame_option(
+    known: Vehicle, weak: _TooWeakError, mass_kg: float, radius_m: float, given: dict[str, Any]
+) -> ArgumentError:
+    """Return the error about the first option without which, all others equal, the vehicle hovers."""
+    _, full = battery_voltage_range(weak.vehicle.battery)
+    problem = f"{weak.what} ({full:.3g} V, {1e3 * mass_kg:.4g} g)"
+    for option, (left_out, remedy) in _OPTION_REMEDIES.items():
+        if given[option] is None:
+            continue
+        try:
+            estimate = _build_similar(
+                known, weak.vehicle.name, mass_kg, radius_m, **{**given, **dict.fromkeys(left_out)}
+            )
+        except (_TooWeakError, InputError):
+            continue
+        if option != "resistance_ohm":
+            return ArgumentError(option, "", problem, remedy)
+        # The estimated motor with its winding changed to the given KV has this resistance.
+        turns = 1.0 / (given["speed_constant_rad_Vs"] * float(estimate.motor.back_emf_constant))
+        rewound = float(estimate.motor.resistance) * turns**2
+        blamed = "resistance_ohm" if given["resistance_ohm"] > rewound else "speed_constant_rad_Vs"
+        return ArgumentError(blamed, "", problem, remedy)
+    blamed = "mass_kg" if given["resistance_ohm"] is None else "resistance_ohm"
+    return ArgumentError(blamed, "", problem, _MOTOR_REMEDY)
+
+
+def _build_similar(
+    known: Vehicle,
+    name: str,
+    mass_kg: float,
+    radius_m: float,
+    *,
+    speed_constant_rad_Vs: float | None,
+    resistance_ohm: float | None,
+    no_load_current_A: float | None,
+    gear_ratio: float | None,
+    cells: int | None,
+    capacity_As: float | None,
+) -> Vehicle:
+    """Return the vehicle of :func:`similar_vehicle`; raise :class:`_TooWeakError` if it cannot hover."""
+    k, mu, la = known, mass_kg / float(known.body.mass), radius_m / float(known.rotors.radius)
     speed, power = math.sqrt(mu) / la**2, mu**1.5 / la
     volts = (cells or 2) / 2
     hover = find_trim(k, charge=0.5)
@@ -184,10 +266,17 @@ def similar_vehicle(
     if gear_ratio is not None:
         _set_specified(tables, "gear.ratio", gear_ratio)
         _adapt_drive_to_gear(tables, float(k.gear.ratio), gear_ratio)
-    vehicle = validate_model(Vehicle, tables, name)
+    try:
+        vehicle = validate_model(Vehicle, tables, name)
+    except InputError as error:
+        raise ArgumentError(
+            "radius_m", "", f"{mass_kg * 1e3:.4g} g on rotors of {radius_m * 1e3:.4g} mm is outside the range of "
+            f"similarity: {error.key}: {error.problem}",
+            "give a mass and a radius that fit each other",
+        ) from None  # fmt: skip
     if gear_ratio is None and speed_constant_rad_Vs is not None:
         vehicle = _choose_gear(vehicle, tables)
-    _trim_hover(vehicle)
+    _check_trim(vehicle)
     return vehicle
 
 
@@ -281,7 +370,7 @@ def _choose_gear(vehicle: Vehicle, tables: dict[str, Any]) -> Vehicle:
     )  # fmt: skip
     ratio = float(best_gear_ratio(constants, max(upper, lower), torque, available))
     if not math.isfinite(ratio):
-        raise _underpowered_error(vehicle, "no gear lets it hover")
+        raise _TooWeakError(vehicle, "no gear lets it hover")
     note = "guess: the least power in hover" if ratio > 1.0 else "guess: direct drive; gearing up is no use"
     ratio = _scale_value(max(ratio, 1.0), 1.0)
     tables["gear"]["ratio"] |= {"value": ratio, "source": "estimated", "note": note}
@@ -289,17 +378,8 @@ def _choose_gear(vehicle: Vehicle, tables: dict[str, Any]) -> Vehicle:
     return validate_model(Vehicle, tables, vehicle.name)
 
 
-def _trim_hover(vehicle: Vehicle) -> Trim:
+def _check_trim(vehicle: Vehicle) -> None:
     try:
-        return find_trim(vehicle, charge=0.5)
+        find_trim(vehicle, charge=0.5)
     except MuflyError:
-        pass
-    raise _underpowered_error(vehicle, "too weak to hover on a half-full battery")
-
-
-def _underpowered_error(vehicle: Vehicle, what: str) -> ArgumentError:
-    _, full = battery_voltage_range(vehicle.battery)
-    return ArgumentError(
-        "resistance_ohm", "", f"{what} ({full:.3g} V, {1e3 * float(vehicle.body.mass):.4g} g)",
-        "give another gear, a motor of less resistance, more cells, larger rotors or less mass",
-    )  # fmt: skip
+        raise _TooWeakError(vehicle, "too weak to hover on a half-full battery") from None
