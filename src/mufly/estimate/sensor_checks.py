@@ -234,7 +234,7 @@ def check_readings(m: FilterMemory, s: FilterSettings, z: _Array, new: NDArray[n
 
 @cached_njit(error_model="numpy")
 def reset_on_divergence(m: FilterMemory, s: FilterSettings) -> None:
-    """Free the gyroscopes' bias, the attitude and the velocity after persistent innovations of the fix."""
+    """Inflate the variances of gyroscope bias, attitude and velocity after persistent innovations of the fix."""
     if m.divergence_ticks <= 1:
         for k in range(3):
             inflate_variance(m.u_transposed, m.d, EX_GYRO_BIAS + k, DIVERGED_BIAS * DIVERGED_BIAS, m.f)

@@ -361,7 +361,7 @@ _LOOP_DESIGNS = {"heave_yaw": "heave_yaw", "roll_pitch": "roll_pitch", "position
 
 
 def measure_quantisation_loss(controller: FlightController, made: FixedPointController) -> QuantisationLoss:
-    """Return the loss of one controller's loop, sampled and with a sample of delay."""
+    """Return the margin loss of one controller's loop, sampled and with a sample of delay."""
     of = getattr(controller, _LOOP_DESIGNS[made.name])
     exact: DiscreteController = of.discrete
     K = _strip_padding(made, exact)
@@ -473,7 +473,7 @@ def quantise_law(controller: FlightController) -> FixedPointLaw:
 
 
 def measure_cascade_loss(vehicle: Vehicle, controller: FlightController, law: FixedPointLaw) -> QuantisationLoss:
-    """Return the loss of the position loop with fixed-point roll-pitch and position controllers."""
+    """Return the margin loss of the position loop with fixed-point roll-pitch and position controllers."""
     before = controller.cascade
     exact = (controller.roll_pitch.discrete, controller.velocity.discrete)
     rounded = []

@@ -645,10 +645,10 @@ window.find_again = () => { cut = false; };
 
 def test_a_second_window_watches_until_it_takes_the_controls(browser: Any, fly: Fly, window: Page) -> None:
     second = Page(browser, fly.url, ONE_IS_NAN + KEEP_SOCKETS)
-    wait(lambda: "another window" in second.page.inner_text(".mf-banner"), "the note")
+    wait(lambda: "Another window" in second.page.inner_text(".mf-banner"), "the note")
     assert not second.ready("take-off")
     wait(second.frame, "its first frame")
-    press(second, "[data-testid=take-controls]", lambda: "another window" in window.page.inner_text(".mf-banner"),
+    press(second, "[data-testid=take-controls]", lambda: "Another window" in window.page.inner_text(".mf-banner"),
           "the controls to change hands")  # fmt: skip
     wait(lambda: second.ready("take-off"), "the controls")
     second.page.get_by_role("tab", name="Parameters").click()

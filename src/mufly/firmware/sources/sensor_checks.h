@@ -16,7 +16,7 @@ void mark_rejected(estimator_t *m, const estimator_settings_t *s, int32_t k, int
 void check_readings(estimator_t *m, const estimator_settings_t *s, real_t z[VALUE_COUNT], int32_t fresh[SENSOR_COUNT],
              const real_t age[SENSOR_COUNT]);
 
-/* Free the gyroscopes' bias, the attitude and the velocity after persistent innovations of the fix. */
+/* Inflate the variances of gyroscope bias, attitude and velocity after persistent innovations of the fix. */
 void reset_on_divergence(estimator_t *m, const estimator_settings_t *s);
 
 /* Replace a spike of the gyroscopes by the model's rate, and remove a jump as an offset. */
