@@ -281,6 +281,7 @@ class StandIn:
         self.status = dict.fromkeys(CHECKED_READINGS, "fused")
         self.shake = 0.0
         self.broken = ""
+        self.force, self.valid = np.array([0.1, 0.0, -9.8]), True
         self.ceiling, self.held, self.drops, self.sinks = math.inf, False, False, False
         self.last: Estimate | None = None
 
@@ -333,7 +334,10 @@ class StandIn:
             m = replace(
                 m,
                 covariance=variance,
-                auxiliary_states=AuxiliaryStates(none, none, 0.0, np.zeros(4), np.zeros(2), 1.0, none, checks),
+                valid=m.valid and self.valid,
+                auxiliary_states=AuxiliaryStates(
+                    none, none, 0.0, np.zeros(4), np.zeros(2), 1.0, none, checks, self.force
+                ),
             )
         self.last = m
         return m
@@ -367,6 +371,11 @@ def _happen(kind: str, v: StandIn, n: int) -> Command:
     }
     if kind in commands:
         return commands[kind]
+    if kind == "stream":  # a target that moves on, with a heading at times
+        place = (0.4 * v.t, 1.0 + 0.2 * math.sin(v.t), -1.0 - 0.3 * math.cos(0.7 * v.t))
+        return Command(waypoint=place, heading=v.rng.choice((None, None, 0.3 * v.t)))
+    if kind == "turns":
+        return Command(heading=0.8 * v.t)
     if kind.startswith("asked "):
         return Command(waypoint=tuple(float(w) for w in kind.split()[1:]))
     if kind.startswith("turn "):
@@ -378,6 +387,7 @@ def _happen(kind: str, v: StandIn, n: int) -> Command:
     elif kind == "beams":
         v.beams = np.array([v.rng.choice((1.5, 1.5, u(0.15, 1.4))) for _ in range(8)])
     elif kind == "clear":
+        v.force, v.valid = np.array([0.1, 0.0, -9.8]), True
         v.beams, v.status, v.broken, v.tilt = np.full(8, 1.5), dict.fromkeys(CHECKED_READINGS, "fused"), "", 0.0
         v.spread = {"place": 0.01, "height": 0.01, "tilt": 0.01, "heading": 0.02}
         v.shake = 0.0
@@ -389,6 +399,10 @@ def _happen(kind: str, v: StandIn, n: int) -> Command:
             v.status[name] = v.rng.choice(("rejected", "missing"))
     elif kind == "broken":
         v.broken = v.rng.choice(("position", "velocity", "attitude", "rates", "frozen", "all", ""))
+    elif kind == "lean":
+        v.force = np.array([u(-3, 3), u(1, 3), u(-11, -9)])
+    elif kind == "invalid":
+        v.valid = False
     elif kind == "tipped":
         v.tilt = v.rng.choice((1.2, 0.0))
     elif kind.startswith("spread"):
@@ -415,9 +429,11 @@ def _happen(kind: str, v: StandIn, n: int) -> Command:
 KINDS = (
     "start", "start", "first", "take-off", "take-off", "pause", "waypoint", "turned", "heading", "refused", "far",
     "home", "land", "stop", "sticks", "sticks", "points", "points", "speeds", "nothing", "battery", "beams", "beams",
-    "clear", "clear", "clear", "doubt", "contradict", "broken", "tipped", "shake", "wait", "wait",
+    "clear", "clear", "clear", "doubt", "contradict", "broken", "tipped", "shake", "wait", "wait", "stream", "stream",
+    "turns",
 )  # fmt: skip
 HELD = ("sticks", "points", "speeds", "nothing")
+STREAMED = ("stream", "turns")
 
 
 def fly_both(software, board, kinds, seed: int, judged: bool, periods: int, step_s: float | None = None) -> set[str]:
@@ -433,6 +449,8 @@ def fly_both(software, board, kinds, seed: int, judged: bool, periods: int, step
         for k in range(int(count or periods)):
             v.follow(software, step_s or rng.choice((0.005, 0.02, 0.02)))
             m, c = v.believed(), command if k == 0 or one in HELD else Command()
+            if one in STREAMED and k % 3 == 0:
+                c = _happen(one, v, 1)
             ours, theirs = software.step(m, c), board.step(m, c)
             where = f"{kind} at {m.time_s:.3f} s, period {k}"
             assert ours.input_array.tobytes() == theirs.input_array.tobytes(), where
@@ -506,6 +524,11 @@ STORIES = (
     (SQUARE, False, [*FLIES, "battery", "sticks", "wait"], "RC_ON"),
     (SCANNED, False, [*FLIES, "shut in", *["wait"] * 8], "BLOCKED_BY_OBSTACLE"),
     (SCANNED, False, [*UP, "turn 0.5", "wait"], "TURNING_TO_HEADING"),
+    (SQUARE, False, [*UP, *["stream"] * 4, *["wait"] * 4], "TO_USER_WAYPOINT USER_WAYPOINT_REACHED"),
+    (SQUARE, False, [*UP, "waypoint * 40", "turns", "turned * 40", "turned", *["wait"] * 4], "USER_WAYPOINT_REACHED"),
+    (SCANNED, False, [*UP, "stream", "beams", *["stream"] * 4, "clear", *["wait"] * 4], "TO_USER_WAYPOINT"),
+    (SQUARE, True, ["invalid", "start", "take-off", "sticks", "speeds", "clear", *UP], "ESTIMATE_NOT_VALID"),
+    (SQUARE, True, ["lean", "start", "take-off", "speeds", "clear", *UP], "STANDS_TILTED ALTITUDE_REACHED"),
     (SQUARE, False, [*UP, *(f"asked {w} * 4" for w in REFUSED)], "USER_WAYPOINT_TOO_LOW USER_WAYPOINT_TOO_FAR"),
     (SQUARE, False, [*UP, *(f"{w} * 5" for w in ("roll", "pitch", "yaw_rate", "climb", "late"))], "ALTITUDE_REACHED"),
     (SQUARE, False, [*UP, "ceiling 0.05", "points", "wait"], "OFFBOARD_OFF_ON_FLOOR LANDED"),

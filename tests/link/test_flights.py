@@ -164,3 +164,16 @@ def test_reset_after_a_crash():
     rig.run(1.0)
     assert gcs.acks[-1] == (m.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 0)
     rig.airborne(gcs)
+
+
+def test_repositions_at_20_hz_move_the_vehicle():
+    """Every one is another place, as a program that follows something sends them."""
+    rig = Rig()
+    gcs = rig.station()
+    rig.airborne(gcs)
+    for k in range(120):
+        north = round(1e4 * (0.5 + 0.015 * k))
+        gcs.command_int(m.MAV_CMD_DO_REPOSITION, -1.0, 0.0, 0.0, math.nan, x=north, z=-1.0)
+        rig.run(0.05)
+    assert [ack for ack in gcs.acks if ack[0] == m.MAV_CMD_DO_REPOSITION] == [(m.MAV_CMD_DO_REPOSITION, 0)] * 120
+    assert rig.position[0] > 1.5

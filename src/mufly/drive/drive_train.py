@@ -358,6 +358,22 @@ def open_circuit_voltage(battery: Battery, charge: float) -> float:
     return float(interpolate_table(battery.open_circuit_voltage.sample_evenly(101), charge))
 
 
+def charge_at_rest(battery: Battery, voltage: float) -> float:
+    """Return the remaining charge (0 to 1) of a battery that feeds its electronics alone, from its terminal voltage.
+
+    Parameters
+    ----------
+    battery : Battery
+    voltage : float
+        Terminal voltage (V); 1 is returned for the 'constant' model, whose voltage tells nothing.
+    """
+    if battery.model == "constant":
+        return 1.0
+    curve = np.maximum.accumulate(battery.open_circuit_voltage.sample_evenly(101))
+    at_rest = voltage + float(battery.internal_resistance) * float(battery.electronics_current)
+    return float(np.interp(at_rest, curve, np.linspace(0.0, 1.0, 101)))
+
+
 def internal_resistance(battery: Battery) -> float:
     """Return R_b (ohm); zero for the 'constant' model."""
     return 0.0 if battery.model == "constant" else float(battery.internal_resistance)

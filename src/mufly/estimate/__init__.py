@@ -7,6 +7,7 @@ from mufly.estimate.estimator import (
     Estimator,
     IdealEstimator,
     check_estimate,
+    measured_tilt,
 )
 from mufly.estimate.filter_records import ERROR_STATES
 from mufly.estimate.inertial_log import (
@@ -50,5 +51,6 @@ __all__ = [
     "fitted_estimator",
     "measure_consistency",
     "measure_row_consistency",
+    "measured_tilt",
     "run_log",
 ]

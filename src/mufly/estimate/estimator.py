@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.estimate.sensor_status import AuxiliaryStates
+from mufly.portable_math import portable_atan2, sine_cosine, vector_length
 from mufly.sensors import Reading, Readings
 
 _Array = NDArray[np.float64]
@@ -109,6 +110,25 @@ class IdealEstimator(Estimator):
             ZERO_COVARIANCE,
             all(reading.valid for reading in motion),
         )
+
+
+def measured_tilt(m: Estimate) -> float:
+    """Return the tilt of a standing vehicle (rad): the greater of that of the estimate and of its accelerometers.
+
+    An estimator may take a lean for a bias of the accelerometers, or reject it, so their reading counts by itself.
+
+    Parameters
+    ----------
+    m : Estimate
+        Of a vehicle at rest; its attitude finite.
+    """
+    sine_roll, cosine_roll = sine_cosine(float(m.attitude[0]))
+    sine_pitch, cosine_pitch = sine_cosine(float(m.attitude[1]))
+    tilt = portable_atan2(vector_length(sine_pitch, sine_roll * cosine_pitch), cosine_roll * cosine_pitch)
+    if m.auxiliary_states is not None:
+        x, y, z = m.auxiliary_states.specific_force.tolist()
+        tilt = max(tilt, portable_atan2(vector_length(x, y), -z))
+    return float(tilt)
 
 
 # Implausible estimates are bridged for a moment, then reported as lost.

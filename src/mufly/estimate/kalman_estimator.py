@@ -18,6 +18,7 @@ from mufly.estimate.filter_records import (
     EX_FIX_HEADING,
     EX_GYRO_BIAS,
     INPUT_BLOCK_S,
+    R_ACCELERATION,
     R_BATTERY,
     R_FIX,
     R_RING,
@@ -48,6 +49,7 @@ from mufly.world import World
 
 _Array = NDArray[np.float64]
 _VOLTAGE_START = READING_STARTS[R_BATTERY]
+_ACCELERATION = slice(READING_STARTS[R_ACCELERATION], READING_STARTS[R_ACCELERATION] + 3)
 PUBLISHED_FIELDS = (
     "covariance_output", "sigma_output", "status", "reason", "fault_number", "innovation", "innovation_sigma",
     "last_fused_tick", "last_new_tick", "fault_component", "tick",
@@ -204,7 +206,7 @@ class KalmanEstimator(Estimator):
             AuxiliaryStates(
                 x[SX_GYRO_BIAS:SX_ACCEL_BIAS], x[SX_ACCEL_BIAS:SX_TERRAIN], float(x[SX_TERRAIN]),
                 x[SX_FIX_BIAS:SX_WIND], x[SX_WIND:SX_THRUST_SCALE], float(x[SX_THRUST_SCALE]),
-                self._published[1], self._sensor_statuses,
+                self._published[1], self._sensor_statuses, self._input_values[_ACCELERATION].astype(np.float64),
             ),
         )  # fmt: skip
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal, overload
 
 import numpy as np
@@ -73,6 +73,8 @@ class AuxiliaryStates:
         :data:`mufly.estimate.filter_records.ERROR_STATES`.
     checks : sequence of SensorStatus
         Status of each sensor of the vehicle.
+    specific_force : (3,) array
+        Last reading of the accelerometers (m/s^2), body axes; zero without accelerometers.
     """
 
     gyro_bias: _Array
@@ -83,6 +85,7 @@ class AuxiliaryStates:
     thrust_scale: float
     sigma: _Array
     checks: Sequence[SensorStatus] = ()
+    specific_force: _Array = field(default_factory=lambda: np.zeros(3))
 
 
 _STATUS_NAMES: tuple[FusionStatus, ...] = ("waiting", "fused", "rejected", "missing", "faulty")

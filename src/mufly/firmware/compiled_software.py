@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.control import FlightController
-from mufly.errors import MuflyError
+from mufly.errors import InputError, MuflyError
 from mufly.estimate import Estimate, SensorStatus
 from mufly.estimate.filter_records import EX_ATT, EX_GYRO_BIAS, EX_POS, EX_VEL
 from mufly.estimate.sensor_status import REASON_COUNT, SUSPICIOUS_REASONS, describe_reason
 from mufly.firmware.host_build import Firmware, FirmwareControllers
-from mufly.firmware.plan_tables import make_plan, plan_numbers, setup_numbers
+from mufly.firmware.plan_tables import HOST_MAX_WAYPOINTS, make_plan, plan_numbers, setup_numbers
 from mufly.flight.controllers import Actuators
 from mufly.flight.estimator_health import describe_check, describe_sensor
 from mufly.flight.flight_software import FlightSoftware
@@ -119,7 +119,7 @@ class SoftwareInstance:
     def set_plan(self, plan: MissionPlan) -> None:
         """Write the numbers of a mission into the plan."""
         ffi = self.firmware.ffi
-        numbers = plan_numbers(plan)
+        numbers = plan_numbers(plan, HOST_MAX_WAYPOINTS)
         fresh = ffi.new("plan_t *", numbers)
         ffi.memmove(self._plan_record, fresh, ffi.sizeof("plan_t"))
         self._mission_name = plan.mission.name
@@ -160,6 +160,7 @@ class SoftwareInstance:
         b.judged = m.auxiliary_states is not None
         if m.auxiliary_states is None:
             return
+        b.specific_force = m.auxiliary_states.specific_force.tolist()
         variance = m.covariance.diagonal().tolist()
         b.position_variance, b.attitude_variance = variance[EX_POS:EX_VEL], variance[EX_ATT:EX_GYRO_BIAS]
         for one in b.checks:
@@ -496,9 +497,15 @@ class FirmwareSoftware(FlightSoftware):
 
     def change_limits(self, mission: Mission) -> None:
         """Apply the limits of another mission."""
+        before = None if self._software_instance is None else (self.plan, self.requested_mission, self.slowdown_note)
         super().change_limits(mission)
-        if self._software_instance is not None:
+        if self._software_instance is None or before is None:
+            return
+        try:
             self._software_instance.set_plan(self.plan)
+        except InputError:
+            self.plan, self.requested_mission, self.slowdown_note = before
+            raise
 
     def load_mission(self, mission: Mission) -> None:
         """Load another mission, which begins at its first waypoint after a start command."""
@@ -636,7 +643,7 @@ class GenericFirmwareSoftware(FirmwareSoftware):
         """Return the exported code or, if unavailable, the Python software."""
         try:
             Firmware(None)
-            plan_numbers(make_plan(vehicle, controller, mission))
+            plan_numbers(make_plan(vehicle, controller, mission), HOST_MAX_WAYPOINTS)
         except (MuflyError, OSError):
             return FlightSoftware(vehicle, controller, mission)
         return super().__new__(cls)

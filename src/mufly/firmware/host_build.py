@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from mufly.answer_store import replace_file
 from mufly.control import FlightController
 from mufly.estimate import Estimate
+from mufly.firmware.plan_tables import HOST_MAX_WAYPOINTS, MAX_WAYPOINTS
 from mufly.firmware.source_export import copy_sources, render_gains_source, write_tree
 from mufly.flight.controllers import Actuators, Controllers
 from mufly.toolchain import COMPILER_FLAGS, build_cached_library, compile_library, find_compiler
@@ -49,12 +50,22 @@ def cffi_declarations(folder: Path, single: bool = False) -> str:
     return done.stdout.replace("extern const ", "extern ")  # cffi gives no address of a constant
 
 
+def _make_room(folder: Path) -> None:
+    """Give the sources in a folder room for :data:`HOST_MAX_WAYPOINTS` waypoints: memory is scarce on boards only."""
+    header = folder / "mission.h"
+    board = f"#define MISSION_WAYPOINTS {MAX_WAYPOINTS} "
+    text = header.read_text(encoding="utf-8")
+    assert board in text
+    header.write_text(text.replace(board, f"#define MISSION_WAYPOINTS {HOST_MAX_WAYPOINTS} "), encoding="utf-8")
+
+
 @functools.lru_cache(maxsize=8)
 def _load_firmware(tables: str, single: bool, cc: str) -> tuple[cffi.FFI, Any]:
     ffi = cffi.FFI()
     with tempfile.TemporaryDirectory(prefix="mufly-firmware-") as folder:
         tree = Path(folder) / "fw"
         write_tree(tables, tree)
+        _make_room(tree)
         library = build_library(tree, single=single, cc=cc)
         ffi.cdef(cffi_declarations(tree, single))
         return ffi, ffi.dlopen(str(library))
@@ -66,6 +77,7 @@ def _load_generic_firmware() -> tuple[cffi.FFI, Any]:
     with tempfile.TemporaryDirectory(prefix="mufly-firmware-") as folder:
         tree = Path(folder) / "fw"
         copy_sources(tree)
+        _make_room(tree)
         files = {p.name: p.read_text(encoding="utf-8") for p in sorted(tree.glob("*.[ch]"))}
         library = build_cached_library("firmware", {**files, "tables.c": _GENERIC_TABLES})
         words = library.with_suffix(".h")

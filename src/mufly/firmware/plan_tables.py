@@ -15,25 +15,34 @@ from mufly.vehicle import Vehicle
 from mufly.version import __version__
 
 MAX_WAYPOINTS = 32
+"""Waypoints that the exported code has room for: ``MISSION_WAYPOINTS`` of ``mission.h``."""
+HOST_MAX_WAYPOINTS = 1000
+"""Waypoints that the code built on this machine has room for."""
 MAX_BEAMS = 64
 _END_ACTIONS = ("land", "hover", "return")
 
 
-def plan_numbers(plan: MissionPlan) -> dict[str, Any]:
+def plan_numbers(plan: MissionPlan, max_waypoints: int = MAX_WAYPOINTS) -> dict[str, Any]:
     """Return the fields of ``plan_t`` by name, in the order of the C record; SI units and radians.
+
+    Parameters
+    ----------
+    plan : MissionPlan
+    max_waypoints : int
+        Waypoints that the code has room for.
 
     Raises
     ------
     InputError
-        If the mission exceeds MAX_WAYPOINTS, or the vehicle MAX_BEAMS.
+        If the mission exceeds ``max_waypoints``, or the vehicle MAX_BEAMS.
     """
     m, q = plan.mission, plan.mission.limits
-    if len(m.waypoint) > MAX_WAYPOINTS:
+    if len(m.waypoint) > max_waypoints:
         raise InputError(
             m.name,
             "waypoint",
-            f"{len(m.waypoint)} are more than the {MAX_WAYPOINTS} that the exported code has room for",
-            "fly it in parts",
+            f"{len(m.waypoint)} are more than the {max_waypoints} that the exported code has room for",
+            "fly it in parts, or raise MISSION_WAYPOINTS in mission.h",
         )
     count = len(plan.ring.cos)
     if count > MAX_BEAMS:

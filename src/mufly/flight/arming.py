@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from mufly.errors import InputError
 from mufly.estimate import Estimate
 from mufly.flight.estimator_health import describe_check, sensor_checks
-from mufly.mission import Mission, check_geometry, check_mission
+from mufly.mission import Mission, check_geometry, check_mission, start_fault
 from mufly.world import World, obstacle_distance, obstacle_distances
 
 BATTERY_MARGIN_V = 0.2
 """Above the voltage that it lands at (V): what a cell gives back in rest is lost in the first seconds of hover."""
 
-MAX_ARMING_TILT = math.radians(10.0)
 MAX_ARMING_SPEED_M_S, MAX_ARMING_RATE_RAD_S = 0.1, 0.2
 MAX_ESTIMATE_AGE_S = 0.5
 
@@ -59,12 +59,12 @@ def find_arming_faults(
     if not m.valid and not missing:
         wrong = [describe_check(c) for c in sensor_checks(m) if c.status in ("missing", "faulty", "rejected")]
         because = f" ({'; '.join(wrong)})" if wrong else ""
-        why.append(f"it does not know yet how it stands{because}; let it stand still")
+        why.append(f"estimate is not valid{because}; let it stand still")
     if missing:
         return why
-    tilt = math.degrees(max(abs(float(m.attitude[0])), abs(float(m.attitude[1]))))
-    if tilt > math.degrees(MAX_ARMING_TILT):
-        why.append(f"tilted by {tilt:.0f} deg; set it on level ground")
+    tilted = start_fault(replace(m, valid=True))
+    if tilted:
+        why.append(f"{tilted}; set it on level ground, or check the accelerometers")
     if np.linalg.norm(m.velocity) > MAX_ARMING_SPEED_M_S or np.abs(m.rates).max() > MAX_ARMING_RATE_RAD_S:
         why.append("it is being moved; set it down and let it rest")
     near = check_place(world, (float(m.position[0]), float(m.position[1]), float(m.position[2])), radius_m)
@@ -106,6 +106,7 @@ def check_mission_start(
     *,
     hover_current_A: float,
     capacity_Ah: float,
+    charge: float,
 ) -> str:
     """Why a mission cannot be flown from where the vehicle stands; "" if it can, or if there is none.
 
@@ -118,7 +119,9 @@ def check_mission_start(
     heading : float
         rad.
     hover_current_A, capacity_Ah : float
-        What hovering takes from the battery, and what it holds.
+        Battery current in hover, and charge of the full battery.
+    charge : float
+        Present charge, as a fraction of the full battery's.
     """
     if not mission.waypoint:
         return ""
@@ -127,7 +130,7 @@ def check_mission_start(
         here = mission.with_parts(start_m=standing, start_heading_deg=heading_deg)
         name = mission.name or "mission"
         check_geometry(here, name)
-        check_mission(here, hover_current_A=hover_current_A, capacity_Ah=capacity_Ah, where=name)
+        check_mission(here, hover_current_A=hover_current_A, capacity_Ah=capacity_Ah, charge=charge, where=name)
     except InputError as error:
         return str(error)
     return ""

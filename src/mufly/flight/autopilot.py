@@ -23,6 +23,7 @@ from dataclasses import replace
 import numpy as np
 
 from mufly.control import FlightController
+from mufly.drive import charge_at_rest
 from mufly.dynamics import hover_current_A
 from mufly.errors import InputError
 from mufly.estimate import Estimate, SensorStatus
@@ -41,6 +42,7 @@ from mufly.mission import (
     REQUEST_ACCEPTED,
     Command,
     Fence,
+    LogMessage,
     Mission,
     RequestAnswer,
     SetPoint,
@@ -52,6 +54,7 @@ from mufly.mission import (
     fence_path_fault,
     reject_temporarily,
     set_point_fault,
+    start_fault,
     user_waypoint_fault,
 )
 from mufly.mission.geofence import FENCE_MARGIN_M
@@ -69,6 +72,13 @@ FENCE_RETURN_MARGIN_M, FENCE_REPEAT_DEPTH_M = 0.1, 1.0
 
 STICKS_BLOCKED_S = 2.0
 """For so long after a breach no sticks are taken, so that it comes to rest first (s)."""
+
+FULL_CHARGE = 0.97
+"""Charge by the voltage at rest from which the battery counts as full: the voltage is known to a few centivolts."""
+
+_REST_FILTER_S = 1.0  # in which the voltage at rest is averaged
+_FALL_HEIGHT_M = 0.1  # above the standing position, from which a stop of the motors is a fall
+_INTERRUPTIONS = (LogMessage.TIPPED_MOTORS_OFF(), LogMessage.MOTORS_OFF_AFTER_DESCENT())
 
 EVENT_CAPACITY = 1000
 _IDLE_ACTUATORS = Actuators.idle()
@@ -107,6 +117,7 @@ class Autopilot:
         self.listeners: list[Callable[[FlightEvent], None]] = []
         self.excused_sensors: Callable[[], Collection[str]] = lambda: ()
         self.hover_current_A = hover_current_A(vehicle)
+        self._battery = vehicle.battery
         self._capacity_Ah = float(vehicle.battery.capacity) / 3600.0
         self._radius_m = float(vehicle.rotors.radius)
         self._period_s = 1.0 / controller.rate_Hz
@@ -116,7 +127,9 @@ class Autopilot:
 
     def _reset_flight(self) -> None:
         self.crash_cause = ""
-        self._armed, self._armed_s = False, 0.0
+        self._armed, self._armed_s, self._flight_begun_s = False, 0.0, 0.0
+        self._interruption, self._interruption_told = "", False
+        self._rest_V = math.nan
         self._ran = False
         self._sent = _IDLE_ACTUATORS
         self._command = NO_COMMAND
@@ -152,6 +165,10 @@ class Autopilot:
         if alive:
             self._heard_s = t
         self._estimate = estimate
+        volts = estimate.battery_voltage
+        if self.software.motors == "off" and 0.0 < volts < math.inf:
+            blend = min(1.0, self._period_s / _REST_FILTER_S)
+            self._rest_V = volts if math.isnan(self._rest_V) else self._rest_V + blend * (volts - self._rest_V)
 
     def step(self, estimate: Estimate) -> Actuators:
         """Advance by one period.
@@ -263,6 +280,8 @@ class Autopilot:
         if not self._armed:
             return
         if ran and not self._ran:
+            ends = [e.text for e in software.mission_state.events[-4:] if e.time_s >= self._flight_begun_s]
+            self._note_interruption(next((text for text in ends if text in _INTERRUPTIONS), ""))
             self._set_disarmed()
         elif self._ran:
             self._armed_s = self._now
@@ -301,6 +320,11 @@ class Autopilot:
         self._armed = self._offboard = False
         self._command = NO_COMMAND
 
+    def _note_interruption(self, what: str) -> None:
+        """Remember how a flight was interrupted: arming asks for an acknowledgement of that."""
+        if what:
+            self._interruption, self._interruption_told = what, False
+
     # arming
 
     def list_arming_faults(self) -> list[str]:
@@ -313,6 +337,8 @@ class Autopilot:
         if m is not None and not self.crash_cause and np.isfinite(m.position).all():
             fault = self._mission_fault(m)
             why += [fault] if fault else []
+        if self._interruption and not self.crash_cause:
+            why.insert(0, f"its last flight was interrupted: {self._interruption}; inspect it, then arm again")
         return why
 
     def _mission_fault(self, m: Estimate) -> str:
@@ -320,30 +346,60 @@ class Autopilot:
         mission = self.software.plan.mission
         north, east = round(float(m.position[0]), 2), round(float(m.position[1]), 2)
         heading = round(float(m.attitude[2]), 1) if math.isfinite(m.attitude[2]) else 0.0
-        where = (north, east, heading)
+        where = (north, east, heading, self._charge)
         if self._suits[0] is not mission or self._suits[1] != where:
             self._suits = (mission, where, self._compute_mission_fault(mission, (north, east), heading))
         return self._suits[2]
 
     def _compute_mission_fault(self, mission: Mission, standing: tuple[float, float], heading: float) -> str:
         return check_mission_start(
-            mission, standing, heading, hover_current_A=self.hover_current_A, capacity_Ah=self._capacity_Ah
+            mission,
+            standing,
+            heading,
+            hover_current_A=self.hover_current_A,
+            capacity_Ah=self._capacity_Ah,
+            charge=self._charge,
         )
 
-    def arm(self, *, force: bool = False, quiet: bool = False) -> RequestAnswer:
-        """Let the motors run. ``force`` skips all checks but that of a crash; ``quiet`` leaves no note of it."""
+    @property
+    def _charge(self) -> float:
+        """Present charge of the battery by its voltage at rest, in per cents; 1 if full, or not known."""
+        if math.isnan(self._rest_V):
+            return 1.0
+        charge = round(charge_at_rest(self._battery, self._rest_V), 2)
+        return 1.0 if charge >= FULL_CHARGE else charge
+
+    def arm(self, *, force: bool = False, quiet: bool = False, repeated: bool = False) -> RequestAnswer:
+        """Let the motors run.
+
+        After an interrupted flight (motors stopped in the air, tipped over, come down without an estimate) the first
+        request is refused with the reason; the next one acknowledges it.
+
+        Parameters
+        ----------
+        force : bool
+            Skip all checks but that of a crash.
+        quiet : bool
+            Leave no note of it.
+        repeated : bool
+            Whether a link repeats a request that is answered already: that acknowledges nothing.
+        """
         if self._armed:
             return REQUEST_ACCEPTED
         answer = reject_temporarily(MOTORS_STOPPING) if self._is_stopping else self._check_request(VehicleRequest.ARM)
         if not answer:
             return answer
+        if self._interruption and (force or (self._interruption_told and not repeated)):
+            self.log_event(f"acknowledged: {self._interruption}", "warning")
+            self._interruption = ""
+        self._interruption_told = True
         why = self.list_arming_faults() if not force else [self.crash_cause] if self.crash_cause else []
         if self._sticks is not None and self._sticks.climb_rate > 0.0:
             why.append("the climb stick is up; lower it first")
         if why:
             more = f" (and {len(why) - 1} more)" if len(why) > 1 else ""
             return reject_temporarily(why[0] + more)
-        self._armed, self._armed_s = True, self._now
+        self._armed, self._armed_s, self._flight_begun_s = True, self._now, self._now
         beware = (
             preflight_warning(self._estimate, self.software.plan.ring.max_range) if self._estimate is not None else ""
         )
@@ -381,6 +437,10 @@ class Autopilot:
         if idle:
             self.log_event(why, "error" if "stop" in why else "info")
         else:
+            m, s = self._estimate, self.software.mission_state
+            height = 0.0 if m is None else s.home_position[2] - float(m.position[2])
+            if self.software.flying and height > _FALL_HEIGHT_M:
+                self._note_interruption(f"{why} {height:.1f} m above the floor")
             self._command = Command(stop_reason=why)
 
     def _is_in_air(self) -> bool:
@@ -485,6 +545,9 @@ class Autopilot:
         if not answer:
             return answer
         m, mission = self._estimate, self.software.plan.mission
+        fault = "" if m is None or not np.isfinite(m.attitude).all() else start_fault(m)
+        if fault:
+            return reject_temporarily(fault)
         if m is not None and np.isfinite(m.position).all():
             place = (float(m.position[0]), float(m.position[1]), float(m.position[2]))
             fault = check_climb_column(mission.world, place, height_m, mission.avoidance.clearance_m)

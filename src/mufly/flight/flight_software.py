@@ -442,7 +442,11 @@ class FlightSoftware:
 
     def _detect_oscillation(self, actuators: Actuators, r: Reference, time_s: float) -> None:
         before = self.oscillation
-        asked = steering_demands(self.mission_state.state, r.velocity.tolist(), r.heading_rate, r.roll, r.pitch)
+        s = self.mission_state
+        tracks = s.state is State.WAYPOINT and s.set_point_reference is not None
+        asked = steering_demands(
+            State.OFFBOARD if tracks else s.state, r.velocity.tolist(), r.heading_rate, r.roll, r.pitch
+        )
         self.oscillation = self._oscillations.step(time_s, actuators.input_array.tolist(), asked)
         if self.oscillation is not None and before is None:
             self.mission_state = fail_and_land(self.mission_state, str(self.oscillation))

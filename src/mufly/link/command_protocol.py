@@ -312,7 +312,7 @@ class CommandProtocol:
         on = command.params[0]
         if on == 1.0:
             chosen = self.chosen_mode(now_s)
-            answer = self._autopilot.arm()
+            answer = self._autopilot.arm(repeated=command.confirmation > 0)
             self._forget_choice()
             if not answer or not chosen:
                 return answer

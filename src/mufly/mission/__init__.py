@@ -69,6 +69,7 @@ from mufly.mission.phases import (
     finish_blind_descent,
     has_lifted_off,
     is_tipping,
+    start_fault,
 )
 from mufly.mission.state_machine import (
     pause_mission,
@@ -159,6 +160,7 @@ __all__ = [
     "reject_temporarily",
     "resume_mission",
     "set_point_fault",
+    "start_fault",
     "step_mission",
     "stop_motors",
     "update_obstacle_map",

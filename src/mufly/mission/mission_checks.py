@@ -182,7 +182,9 @@ class MissionEstimate:
     fraction: float
 
 
-def check_mission(mission: Mission, *, hover_current_A: float, capacity_Ah: float, where: str = "") -> MissionEstimate:
+def check_mission(
+    mission: Mission, *, hover_current_A: float, capacity_Ah: float, charge: float = 1.0, where: str = ""
+) -> MissionEstimate:
     """Estimate time and charge of a mission, and refuse it if the battery does not suffice.
 
     Parameters
@@ -193,6 +195,8 @@ def check_mission(mission: Mission, *, hover_current_A: float, capacity_Ah: floa
         Battery current in hover (A), electronics included.
     capacity_Ah : float
         Charge of the full battery (A h), of which the share ``battery.usable`` is available.
+    charge : float
+        Present charge, as a fraction of the full battery's.
     where : str
         File name for error messages; the mission's name by default.
 
@@ -208,11 +212,14 @@ def check_mission(mission: Mission, *, hover_current_A: float, capacity_Ah: floa
         landing.
     """
     where = where or mission.name
-    lasts = 3600.0 * mission.battery.usable * capacity_Ah / hover_current_A
+    share = mission.battery.usable if charge >= 1.0 else max(0.0, mission.battery.usable - (1.0 - charge))
+    lasts = 3600.0 * share * capacity_Ah / hover_current_A
+    present = "" if charge >= 1.0 else f", charged to {charge:.0%}"
     remedy = (
-        f"the battery lasts {lasts:.0f} s ({mission.battery.usable:.0%} of {capacity_Ah * 1000:.0f} mA h at "
-        f"{hover_current_A:.1f} A): "
+        f"the battery lasts {lasts:.0f} s ({share:.0%} of {capacity_Ah * 1000:.0f} mA h at "
+        f"{hover_current_A:.1f} A{present}): "
     )
+    remedy += "charge it, or " if present else ""
 
     timing = compute_timing(mission)
     height, up = mission.take_off.height_m, compute_take_off_time(mission)

@@ -1,4 +1,4 @@
-"""Conversion of set-points streamed by a program to a reference that the helicopter can follow.
+"""Conversion of set-points streamed by a program, or of a pilot's sticks, to what the helicopter can follow.
 
 Fig. 6.15 has no such state: there the user gives waypoints, and the helicopter plans the trajectory. In offboard mode a
 program plans it and sends positions, velocities, or both, at ten or more messages a second. The reference must not
@@ -16,6 +16,10 @@ w is limited in length to the maximum speed. v moves along a straight line towar
 any limit that w keeps (a disc is convex). The same holds for height, between its own limits, and for the heading. At
 both ends of the permitted height s() of the distance limits the speed towards it. If the helicopter trails its
 reference by more than half a metre, the reference waits. Own derivation.
+
+A pilot's sticks are limited near the floor. Below `_LOW_HEIGHT_M` their tilt shrinks with height, and the level speed
+has a limit that grows with height: the tilt along the motion is at most what brings the speed to that limit within
+`_SPEED_LIMIT_LAG_S`. The descent rate shrinks to that of a touchdown; above the speed limit it is 5 cm/s.
 """
 
 from __future__ import annotations
@@ -26,7 +30,8 @@ from dataclasses import dataclass
 
 from mufly.mission.mission_schema import MIN_WAYPOINT_HEIGHT_M
 from mufly.mission.trajectory import TrajectoryLimits, TrajectoryPoint, Triple, wrap_turn
-from mufly.portable_math import exp_decay, vector_length
+from mufly.portable_math import exp_decay, sine_cosine, vector_length
+from mufly.units import GRAVITY
 
 MAX_HEIGHT_M = 50.0
 """Greatest height of a reference above the floor (m)."""
@@ -199,3 +204,72 @@ def _limited_acceleration(dx: float, dy: float, most: float, dt: float) -> tuple
     size = gain * vector_length(dx, dy)
     scale = gain * (most / size if size > most else 1.0)
     return scale * dx, scale * dy
+
+
+# ----------------------------------------------------------------------------
+# A pilot's sticks near the floor.
+
+
+DRIFT_DESCENT_M_S = 0.05
+"""Descent rate near the floor at a level speed that is too high for a touchdown (m/s)."""
+
+_LOW_HEIGHT_M = 1.0
+_FULL_TILT_HEIGHT_M, _MIN_TILT_SHARE = 0.3, 0.2
+_FLOOR_SPEED_M_S, _FLOOR_SPEED_RISE = 0.3, 1.2  # speed limit on the floor (m/s), and its rise with height (1/s)
+_SPEED_LIMIT_LAG_S, _MAX_BRAKING_TILT = 0.5, 0.09  # s, rad
+_FLARE_TIME_S = 1.0  # height over the permitted descent rate beyond that of a touchdown (s)
+
+
+def _low_speed_limit(height: float) -> float:
+    return _FLOOR_SPEED_M_S + _FLOOR_SPEED_RISE * max(0.0, height)
+
+
+def limit_manual_tilt(
+    height: float, velocity: tuple[float, float], yaw: float, tilt: tuple[float, float]
+) -> tuple[float, float]:
+    """Return the pilot's roll and pitch (rad), limited near the floor.
+
+    Parameters
+    ----------
+    height : float
+        Height above the standing position (m).
+    velocity : (2,) tuple
+        N, E (m/s).
+    yaw : float
+        rad.
+    tilt : (2,) tuple
+        Roll, pitch of the sticks (rad).
+    """
+    roll, pitch = tilt
+    if not height < _LOW_HEIGHT_M:
+        return roll, pitch
+    share = min(max(height / _FULL_TILT_HEIGHT_M, _MIN_TILT_SHARE), 1.0)
+    roll, pitch = share * roll, share * pitch
+    vn, ve = velocity
+    speed = vector_length(vn, ve)
+    if not speed > 0.0:
+        return roll, pitch
+    sine, cosine = sine_cosine(yaw)
+    ahead, right = (cosine * vn + sine * ve) / speed, (cosine * ve - sine * vn) / speed
+    along = right * roll - ahead * pitch
+    most = max((_low_speed_limit(height) - speed) / (GRAVITY * _SPEED_LIMIT_LAG_S), -_MAX_BRAKING_TILT)
+    if along > most:
+        roll, pitch = roll + (most - along) * right, pitch - (most - along) * ahead
+    return roll, pitch
+
+
+def limit_manual_climb(height: float, velocity: tuple[float, float], touchdown: float, climb: float) -> float:
+    """Return the pilot's climb rate (m/s, positive up), its descent limited near the floor.
+
+    Parameters
+    ----------
+    height, velocity
+        See `limit_manual_tilt`.
+    touchdown : float
+        Descent rate on the floor (m/s).
+    climb : float
+        Climb rate of the sticks (m/s).
+    """
+    if height < _LOW_HEIGHT_M and vector_length(*velocity) > _low_speed_limit(height):
+        return max(climb, -DRIFT_DESCENT_M_S)
+    return max(climb, -(touchdown + max(0.0, height) / _FLARE_TIME_S))

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from mufly.estimate import Estimate
-from mufly.mission.avoidance import is_path_blocked
+from mufly.estimate import Estimate, measured_tilt
+from mufly.mission.avoidance import is_path_blocked, limit_approach_velocity
 from mufly.mission.detour import DETOUR_ACCELERATION_M_S2, begin_detour, follow_contour
 from mufly.mission.log_messages import LogMessage
 from mufly.mission.mission_schema import MIN_WAYPOINT_HEIGHT_M, SPIN_UP_S, plan_leg_trajectory
@@ -30,6 +30,7 @@ from mufly.mission.mission_state import (
     log_event,
 )
 from mufly.mission.mission_timing import DESCENT_LAG_S, RAMP_DOWN_TIME_S, compute_landing_rate
+from mufly.mission.offboard import DRIFT_DESCENT_M_S, SetPoint, follow_set_point, limit_manual_tilt
 from mufly.mission.trajectory import (
     BrakingMotion,
     Trajectory,
@@ -37,6 +38,7 @@ from mufly.mission.trajectory import (
     Triple,
     plan_stop,
     plan_straight,
+    wrap_turn,
 )
 from mufly.portable_math import sine_cosine, vector_length
 
@@ -50,7 +52,7 @@ def current_reference(s: MissionState) -> TrajectoryPoint:
     """Return the present reference, without the swing of the nose."""
     if s.state is State.OBSTACLE and s.detour is not None:
         return TrajectoryPoint(s.detour.position, s.detour.velocity, s.detour.acceleration, s.hold_heading, 0.0)
-    if s.state is State.OFFBOARD and s.set_point_reference is not None:
+    if s.state in (State.OFFBOARD, State.WAYPOINT) and s.set_point_reference is not None:
         return s.set_point_reference
     if s.motion is None or s.motors == "spin_up":
         return TrajectoryPoint(s.hold_position, _ZERO_VECTOR, _ZERO_VECTOR, s.hold_heading, 0.0)
@@ -74,7 +76,7 @@ def predict_reference(s: MissionState) -> TrajectoryPoint:
     tracker of set-points) are not.
     """
     at = current_reference(s)
-    if s.state not in (State.OBSTACLE, State.LANDING, State.OFFBOARD):
+    if s.state not in (State.OBSTACLE, State.LANDING, State.OFFBOARD) and s.set_point_reference is None:
         return at
     (n, e, d), (u, v, w), dt = at.position, at.velocity, s.step_duration_s
     place = (n, e, d + dt * w) if s.state is State.LANDING else (n + dt * u, e + dt * v, d + dt * w)
@@ -82,7 +84,9 @@ def predict_reference(s: MissionState) -> TrajectoryPoint:
 
 
 def has_departed(s: MissionState) -> bool:
-    """Return whether a trajectory has finished height and heading and begun its path."""
+    """Return whether a trajectory has finished height and heading and begun its path, or a moving target is tracked."""
+    if s.set_point_reference is not None:
+        return True
     return isinstance(s.motion, Trajectory) and s.motion_clock_s >= s.motion.departure_s
 
 
@@ -111,6 +115,9 @@ def make_reference(plan: MissionPlan, s: MissionState, m: Estimate, c: Command) 
         position = np.array((m.position[0], m.position[1], s.hold_position[2]))
         velocity = np.array((m.velocity[0], m.velocity[1], s.descent_rate))
         turning = c.yaw_rate if s.motors == "fly" else 0.0
+        height = s.home_position[2] - float(m.position[2])
+        vn, ve, _ = m.velocity.tolist()
+        roll, pitch = limit_manual_tilt(height, (vn, ve), float(m.attitude[2]), (c.roll, c.pitch))
         return Reference(
             position,
             velocity,
@@ -119,8 +126,8 @@ def make_reference(plan: MissionPlan, s: MissionState, m: Estimate, c: Command) 
             turning,
             s.motors,
             rc_active=True,
-            roll=c.roll,
-            pitch=c.pitch,
+            roll=roll,
+            pitch=pitch,
         )
     if s.state is State.INIT:
         return Reference(m.position.copy(), np.zeros(3), np.zeros(3), float(m.attitude[2]), 0.0, s.motors)
@@ -141,11 +148,7 @@ def make_reference(plan: MissionPlan, s: MissionState, m: Estimate, c: Command) 
 
 _STILL_DURATION_S = 0.3
 _NEAR_FLOOR_HEIGHT_M = 0.1
-_DRIFT_CHECK_HEIGHT_M, _DRIFT_SPEED_M_S, _DRIFT_DESCENT_M_S = (
-    0.6,
-    0.3,
-    0.05,
-)  # below this height (m), above this drift (m/s), the descent rate is limited to this (m/s)
+_DRIFT_CHECK_HEIGHT_M, _DRIFT_SPEED_M_S = 0.6, 0.3  # below this, above this drift, it descends at DRIFT_DESCENT_M_S
 _MAX_DESCENT_LAG_M = 0.25  # largest height error during descent
 _STANDING_HEIGHT_M, _PRESSED_DEPTH_M, _PRESSED_DURATION_S = (
     0.02,
@@ -202,7 +205,7 @@ def step_landing(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> 
     if above < -0.3:
         wanted = 0.0
     elif 0.0 < above < _DRIFT_CHECK_HEIGHT_M and m.velocity[0] ** 2 + m.velocity[1] ** 2 > _DRIFT_SPEED_M_S**2:
-        wanted = min(wanted, _DRIFT_DESCENT_M_S)
+        wanted = min(wanted, DRIFT_DESCENT_M_S)
     ask = min(max((wanted - s.descent_rate) / DESCENT_LAG_S, -a), a)
     rate = s.descent_acceleration + (ask - s.descent_acceleration) * min(1.0, dt / 0.1)
     speed = s.descent_rate + rate * dt
@@ -292,6 +295,26 @@ LIFT_OFF_HEIGHT_M, TIPPING_RATE_RAD_S = 0.02, 0.15
 """Height above the standing position that counts as lift-off (m); roll or pitch rate that counts as tipping (rad/s).
 
 Wind drag on the rotors tips a vehicle whose legs carry little weight."""
+
+
+MAX_START_TILT_DEG = 5.0
+"""Tilt on the floor up to which the motors are started (degrees): the mount of the inertial unit, its bias and legs."""
+_MAX_START_TILT = math.radians(MAX_START_TILT_DEG)
+
+
+def start_fault(m: Estimate) -> str:
+    """Return the reason why the motors may not be started with this estimate; "" if they may."""
+    if not m.valid:
+        return LogMessage.ESTIMATE_NOT_VALID()
+    tilt = measured_tilt(m)
+    return "" if tilt <= _MAX_START_TILT else LogMessage.STANDS_TILTED(math.degrees(tilt), MAX_START_TILT_DEG)
+
+
+def refuse_start(s: MissionState, why: str) -> MissionState:
+    """Log the refusal of a start, once for each reason."""
+    head = LogMessage.STANDS_TILTED.value.partition("{")[0]
+    last = s.events[-1].text
+    return s if last == why or (last.startswith(head) and why.startswith(head)) else log_event(s, why, level="warning")
 
 
 def has_lifted_off(s: MissionState, m: Estimate) -> bool:
@@ -464,8 +487,9 @@ def step_leg(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> Miss
     """Step a leg and check whether the goal is reached."""
     way = s.motion
     assert isinstance(way, Trajectory)
+    s = _track_goal(plan, s, m, way, dt)
     q = plan.mission.limits
-    if s.motion_clock_s >= way.duration_s:
+    if s.motion_clock_s >= way.duration_s if s.set_point_reference is None else _has_settled(s, way):
         off = _distance_to_goal(m, s.goal)
         if off < q.reach_m and vector_length(*m.velocity.tolist()) < q.reach_m_s:
             why = _leg_message(
@@ -478,7 +502,8 @@ def step_leg(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> Miss
             if s.returning_home:
                 return start_landing(s, why)
             if s.manual:
-                return _hover_until(s, why, s.goal, s.time_s)
+                at = s.goal if s.set_point_reference is None else s.set_point_reference.position
+                return _hover_until(s, why, at, s.time_s)
             wait = plan.mission.waypoint[s.waypoint_index].wait_s
             s = _hover_until(s, why, s.goal, s.time_s + wait)
             return replace(s, waypoint_index=s.waypoint_index + 1, reached_count=s.reached_count + 1)
@@ -490,6 +515,75 @@ def step_leg(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> Miss
         )
         return _fail_and_hover(s, why)
     return _detect_obstacle(plan, s)
+
+
+_SETTLED_M, _SETTLED_M_S, _SETTLED_RAD = 0.002, 0.01, 0.01
+
+
+def change_leg_goal(
+    plan: MissionPlan, s: MissionState, why: str, goal: Triple, heading: float | None, *, quiet: bool
+) -> MissionState:
+    """Lead the present user's leg to another goal, from the present motion of the reference and without a stop.
+
+    The reference follows the goal as that of a program (:mod:`mufly.mission.offboard`), height and way together.
+    Without a ``heading`` the nose turns along the way to the goal, unless that is short.
+    """
+    known = s.set_point_reference
+    now = predict_reference(s) if known is None else known
+    (n, e, _), aim = now.position, heading
+    if aim is None and vector_length(goal[0] - n, goal[1] - e) < SHORT_WAY_M:
+        aim = now.heading
+    way = plan_straight(now.position, goal, now.heading, plan.trajectory_limits, final_heading=aim)
+    changes: dict[str, Any] = {
+        "motion": way,
+        "goal": goal,
+        "set_point_reference": now,
+        "requested_heading": heading,
+        "state_entered_s": s.time_s,
+    }
+    if known is not None:
+        return replace(s if quiet else log_event(s, why), **changes)
+    return enter_state(
+        s, State.WAYPOINT, why, detour=None, detour_duration_s=0.0, resumed_after_detour=False, **changes
+    )
+
+
+SHORT_WAY_M = 0.3
+"""Level distance to a changed goal below which the nose does not turn to it (m)."""
+
+
+def _track_goal(plan: MissionPlan, s: MissionState, m: Estimate, way: Trajectory, dt: float) -> MissionState:
+    """Propagate the reference towards a changed goal; in the step of the change it is predicted already."""
+    if s.set_point_reference is None or s.motion_clock_s == 0.0:
+        return s
+    wanted = SetPoint(position_m=s.goal, heading_rad=way.start_heading + way.turn_angle)
+    return replace(s, set_point_reference=track_set_point(plan, s, s.set_point_reference, wanted, m, dt))
+
+
+def track_set_point(
+    plan: MissionPlan, s: MissionState, at: TrajectoryPoint, wanted: SetPoint, m: Estimate, dt: float
+) -> TrajectoryPoint:
+    """Follow a set-point within the mission's limits, away from obstacles that the beams have hit."""
+    here = measured_position(m)
+
+    def limit_velocity(vn: float, ve: float) -> tuple[float, float]:
+        return limit_approach_velocity(s.path_check, here, (vn, ve), plan.mission.avoidance.clearance_m)
+
+    guard = limit_velocity if plan.avoids_obstacles and s.obstacle_map.point_count else None
+    return follow_set_point(at, wanted, plan.trajectory_limits, here, dt, guard)
+
+
+def _has_settled(s: MissionState, way: Trajectory) -> bool:
+    """Return whether the reference rests at the changed goal of a leg."""
+    at = s.set_point_reference
+    assert at is not None
+    (n, e, d), (gn, ge, gd) = at.position, s.goal
+    return bool(
+        vector_length(n - gn, e - ge, d - gd) < _SETTLED_M
+        and vector_length(*at.velocity) < _SETTLED_M_S
+        and abs(wrap_turn(way.start_heading + way.turn_angle - at.heading)) < _SETTLED_RAD
+        and abs(at.heading_rate) < _SETTLED_RAD
+    )
 
 
 def _leg_message(s: MissionState, mission: LogMessage, users: LogMessage, home: LogMessage, *numbers: float) -> str:

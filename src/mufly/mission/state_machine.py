@@ -40,7 +40,6 @@ from mufly.mission.avoidance import (
     begin_path_check,
     check_map_part,
     insert_beam_hits,
-    limit_approach_velocity,
 )
 from mufly.mission.detour import DETOUR_ACCELERATION_M_S2
 from mufly.mission.log_messages import LogMessage
@@ -59,8 +58,9 @@ from mufly.mission.mission_state import (
     log_event,
 )
 from mufly.mission.mission_timing import LOOK_AROUND_TIME_S
-from mufly.mission.offboard import MAX_HEIGHT_M, SetPoint, follow_set_point, needs_lift_off, set_point_fault
+from mufly.mission.offboard import MAX_HEIGHT_M, SetPoint, limit_manual_climb, needs_lift_off, set_point_fault
 from mufly.mission.phases import (
+    change_leg_goal,
     current_reference,
     has_spun_up,
     is_scanning,
@@ -68,13 +68,16 @@ from mufly.mission.phases import (
     measured_position,
     plan_braking,
     predict_reference,
+    refuse_start,
     reset_mission,
     scan_yaw,
+    start_fault,
     start_landing,
     start_leg,
     start_leg_home,
+    track_set_point,
 )
-from mufly.mission.trajectory import Trajectory, Triple, plan_stop, plan_straight, wrap_turn
+from mufly.mission.trajectory import Trajectory, Triple, plan_stop, plan_straight, smooth_stop_distance, wrap_turn
 from mufly.portable_math import vector_length
 
 _FLYING_STATES = frozenset({State.TAKE_OFF, State.HOVER, State.WAYPOINT, State.OBSTACLE, State.OFFBOARD})
@@ -177,7 +180,7 @@ def _finish_pending_curve(s: MissionState) -> MissionState:
 def _update_clocks(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionState:
     """Advance the clocks and check the battery."""
     clock = s.motion_clock_s + dt
-    if s.state is State.WAYPOINT and isinstance(s.motion, Trajectory):
+    if s.state is State.WAYPOINT and isinstance(s.motion, Trajectory) and s.set_point_reference is None:
         gate = s.motion.departure_s
         if s.motion_clock_s <= gate < clock and not _may_depart(plan, s, m, s.motion):
             clock = gate
@@ -223,7 +226,7 @@ def _apply_signals(plan: MissionPlan, s: MissionState, m: Estimate, c: Command, 
         if s.motors == "fly" and s.low_battery_duration_s - dt <= _LOW_BATTERY_S < s.low_battery_duration_s:
             # The pilot decides.
             s = log_event(s, LogMessage.BATTERY_LOW_PILOT(s.battery_V, plan.low_battery_V), level="warning")
-        return step_manual(s, m, c, dt)
+        return step_manual(plan, s, m, c, dt)
     if s.state is State.RC:
         return exit_manual(s, m)
     if s.state in _FLYING_STATES and s.low_battery_duration_s > _LOW_BATTERY_S:
@@ -244,6 +247,10 @@ def _handle_request(plan: MissionPlan, s: MissionState, m: Estimate, c: Command)
         if s.state is State.INIT:
             return s
     fresh = s.manual or c.first_waypoint is not None
+    if s.state is State.INIT and (c.start or c.take_off_height is not None) and is_granted(VehicleRequest.START):
+        fault = start_fault(m)
+        if fault:
+            return refuse_start(s, fault)
     if c.start and s.state is State.INIT and is_granted(VehicleRequest.START):
         return phases.start_flight(plan, s, m, first=c.first_waypoint)
     if c.start and s.state is State.TAKE_OFF and fresh and is_granted(VehicleRequest.START):
@@ -319,7 +326,7 @@ def fly_to_user_waypoint(
     if refused:
         return s if s.events[-1].text == refused else log_event(s, refused, level="warning")
     goal = None if where is None else (float(where[0]), float(where[1]), float(where[2]))
-    if s.manual and not s.returning_home and s.requested_heading == heading and goal in (None, s.goal):
+    if _is_already_requested(s, goal, heading):
         return s
     if goal is None:
         text = LogMessage.TURNING_TO_HEADING(_compass_deg(0.0 if heading is None else heading))
@@ -328,10 +335,41 @@ def fly_to_user_waypoint(
     else:
         text = LogMessage.TO_USER_WAYPOINT_WITH_HEADING(*goal, math.degrees(heading))
 
+    place = _stop_place(s) if goal is None else goal
+    if place is not None and s.manual and not s.returning_home and s.state in (State.WAYPOINT, State.OBSTACLE):
+        quiet = s.time_s - s.state_entered_s < _TARGET_STREAM_S
+        return change_leg_goal(plan, s, text, place, heading, quiet=quiet)
+
     def plan_way(at: Triple, psi: float) -> Trajectory:
         return plan_straight(at, at if goal is None else goal, psi, plan.trajectory_limits, final_heading=heading)
 
     return start_leg(plan, s, text, plan_way, manual=True, requested_heading=heading)
+
+
+_SAME_PLACE_M, _SAME_HEADING = 0.01, math.radians(0.5)
+"""Difference up to which a target is the present one (m, rad): the rounding of a link's coordinates."""
+_TARGET_STREAM_S = 1.0
+"""Interval below which changes of the target are not logged (s)."""
+_STOP_PLACE_M = 0.3
+"""Distance beyond the shortest stop up to which a turn keeps the goal of the present leg (m)."""
+
+
+def _is_already_requested(s: MissionState, goal: Triple | None, heading: float | None) -> bool:
+    """Return whether the vehicle already does what the user requests."""
+    before = s.requested_heading
+    same = before is None if heading is None else before is not None and abs(heading - before) <= _SAME_HEADING
+    near = goal is None or all(abs(a - b) <= _SAME_PLACE_M for a, b in zip(goal, s.goal, strict=True))
+    return s.manual and not s.returning_home and same and near
+
+
+def _stop_place(s: MissionState) -> Triple | None:
+    """Return the goal of the present leg if the reference may as well stop there for a turn; else None."""
+    now = current_reference(s)
+    (n, e, d), (gn, ge, gd) = now.position, s.goal
+    _, rest = smooth_stop_distance(vector_length(*now.velocity), DETOUR_ACCELERATION_M_S2)
+    return (
+        s.goal if s.state is State.WAYPOINT and vector_length(n - gn, e - ge, d - gd) <= rest + _STOP_PLACE_M else None
+    )
 
 
 def _compass_deg(heading: float) -> float:
@@ -432,11 +470,13 @@ def enter_manual(s: MissionState, m: Estimate) -> MissionState:
     )
 
 
-def step_manual(s: MissionState, m: Estimate, c: Command, dt: float) -> MissionState:
+def step_manual(plan: MissionPlan, s: MissionState, m: Estimate, c: Command, dt: float) -> MissionState:
     """Move the references of height and heading by the pilot's sticks; a climb from the floor starts the rotors."""
     if s.motors == "off":
         x = measured_position(m)
-        if c.climb_rate <= 0.0:
+        fault = start_fault(m) if c.climb_rate > 0.0 else ""
+        if c.climb_rate <= 0.0 or fault:
+            s = refuse_start(s, fault) if fault else s
             return replace(s, hold_position=x, hold_heading=float(m.attitude[2]), descent_rate=0.0)
         s = replace(
             s,
@@ -452,13 +492,15 @@ def step_manual(s: MissionState, m: Estimate, c: Command, dt: float) -> MissionS
     if s.motors == "spin_up":
         return replace(s, motors="fly") if has_spun_up(s, m) else s
     # The reference stays near the helicopter, so that it responds to the sticks at once.
-    depth = min(max(s.hold_position[2] - c.climb_rate * dt, m.position[2] - 0.5), m.position[2] + 0.5)
+    height, (vn, ve, _) = s.home_position[2] - float(m.position[2]), m.velocity.tolist()
+    climb = limit_manual_climb(height, (vn, ve), plan.mission.limits.touchdown_m_s, c.climb_rate)
+    depth = min(max(s.hold_position[2] - climb * dt, m.position[2] - 0.5), m.position[2] + 0.5)
     n, e, _ = measured_position(m)
     return replace(
         s,
         hold_position=(n, e, depth),
         hold_heading=s.hold_heading + c.yaw_rate * dt,
-        descent_rate=-c.climb_rate,
+        descent_rate=-climb,
     )
 
 
@@ -517,6 +559,9 @@ def enter_offboard(s: MissionState, m: Estimate, wanted: SetPoint) -> MissionSta
     x = measured_position(m)
     if not needs_lift_off(wanted, x):
         return s
+    fault = start_fault(m)
+    if fault:
+        return refuse_start(s, fault)
     return enter_state(
         reset_mission(s, m, manual=True), State.OFFBOARD, LogMessage.OFFBOARD_TAKE_OFF(), motors="spin_up"
     )
@@ -536,13 +581,7 @@ def step_offboard(plan: MissionPlan, s: MissionState, m: Estimate, c: Command, d
         or set_point_fault(c.program_set_point)
     ):
         return s
-    here = measured_position(m)
-
-    def limit_velocity(vn: float, ve: float) -> tuple[float, float]:
-        return limit_approach_velocity(s.path_check, here, (vn, ve), plan.mission.avoidance.clearance_m)
-
-    guard = limit_velocity if plan.avoids_obstacles and s.obstacle_map.point_count else None
-    t = follow_set_point(s.set_point_reference, c.program_set_point, plan.trajectory_limits, here, dt, guard)
+    t = track_set_point(plan, s, s.set_point_reference, c.program_set_point, m, dt)
     return replace(s, set_point_reference=t, hold_position=t.position, goal=t.position, hold_heading=t.heading)
 
 

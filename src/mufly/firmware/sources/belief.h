@@ -37,6 +37,7 @@ typedef struct {
     real_t position_variance[3];  /* N, E, D (m2) */
     real_t attitude_variance[3];  /* roll, pitch, yaw (rad2) */
     sensor_status_t checks[ESTIMATE_SENSORS];
+    real_t specific_force[3];     /* last reading of the accelerometers (m/s2) */
 } estimate_t;
 
 /* Copy an estimate, with as many ranges as there are beams. */

@@ -15,6 +15,10 @@
 #define GO_AROUND_HEIGHT_M REAL(0.4)
 #define OFF_FLOOR_HEIGHT_M REAL(0.2)
 #define PER_DEGREE (REAL(180.0) / REAL_PI)
+#define SAME_PLACE_M REAL(0.01)
+#define SAME_HEADING (REAL(0.5) * DEGREE)
+#define TARGET_STREAM_S REAL(1.0)
+#define STOP_PLACE_M REAL(0.3)
 
 /* Permitted requests in each state */
 
@@ -123,7 +127,7 @@ static void update_clocks(const plan_t *plan, mission_t *s, const estimate_t *m,
     real_t clock = s->motion_clock_s + dt;
     const bool scanning = is_scanning(plan, s);
 
-    if (s->state == STATE_WAYPOINT) {
+    if ((s->state == STATE_WAYPOINT) && !s->has_set_point_reference) {
         const real_t gate = s->course.way.departure_s;
 
         if ((s->motion_clock_s <= gate) && (gate < clock) && !may_depart(plan, s, m)) {
@@ -193,7 +197,7 @@ static bool is_same_place(const real_t a[3], const real_t b[3])
     bool same = true;
 
     for (int32_t i = 0; i < 3; i++) {
-        same = same && (a[i] <= b[i]) && (a[i] >= b[i]);
+        same = same && (real_abs(a[i] - b[i]) <= SAME_PLACE_M);
     }
     return same;
 }
@@ -202,10 +206,27 @@ static bool is_same_place(const real_t a[3], const real_t b[3])
 static bool is_already_requested(const mission_t *s, const command_t *c)
 {
     const bool heading = c->has_heading
-                             ? (s->has_requested_heading && (c->heading <= s->requested_heading) && (c->heading >= s->requested_heading))
+                             ? (s->has_requested_heading && (real_abs(c->heading - s->requested_heading) <= SAME_HEADING))
                              : !s->has_requested_heading;
 
     return s->manual && !s->returning_home && heading && (!c->has_waypoint || is_same_place(c->waypoint, s->goal));
+}
+
+/* Whether the reference may as well stop at the goal of the present leg for a turn. */
+static bool stops_at_goal(const mission_t *s)
+{
+    trajectory_point_t now;
+    real_t off[3];
+    real_t speed;
+    real_t lasts;
+
+    current_reference(s, &now);
+    for (int32_t i = 0; i < 3; i++) {
+        off[i] = now.position[i] - s->goal[i];
+    }
+    speed = real_abs(real_vector_length(now.velocity));
+    lasts = ((REAL(15.0) / REAL(8.0)) * speed) / DETOUR_ACCELERATION_M_S2;
+    return (s->state == STATE_WAYPOINT) && (real_vector_length(off) <= (((REAL(0.5) * speed) * lasts) + STOP_PLACE_M));
 }
 
 static void fly_to_user_waypoint(const plan_t *plan, mission_t *s, const command_t *c)
@@ -233,7 +254,16 @@ static void fly_to_user_waypoint(const plan_t *plan, mission_t *s, const command
         } else {
             what = make_message_3(SAY_TO_USER_WAYPOINT, c->waypoint[0], c->waypoint[1], c->waypoint[2]);
         }
-        start_leg(plan, s, &what, &errand);
+        if (s->manual && !s->returning_home && ((s->state == STATE_WAYPOINT) || (s->state == STATE_OBSTACLE)) &&
+            (c->has_waypoint || stops_at_goal(s))) {
+            if (!c->has_waypoint) {
+                copy_vector(s->goal, errand.goal);
+            }
+            change_leg_goal(plan, s, &what, errand.goal, c->has_heading ? &errand.heading : NULL,
+                            (s->time_s - s->state_entered_s) < TARGET_STREAM_S);
+        } else {
+            start_leg(plan, s, &what, &errand);
+        }
     } else {
         /* already flies there */
     }
@@ -347,11 +377,23 @@ static void enter_manual(mission_t *s, const estimate_t *m)
     s->descent_rate = REAL(0.0);
 }
 
-static void step_manual(mission_t *s, const estimate_t *m, const command_t *c, real_t dt)
+/* Whether the pilot asks for a start that the estimate permits. */
+static bool may_start(mission_t *s, const estimate_t *m, const command_t *c)
+{
+    const bool asks = !(c->climb_rate <= REAL(0.0));
+    const message_t fault = start_fault(m);
+
+    if (asks && (fault.code != SAY_NO_MESSAGE)) {
+        refuse_start(s, &fault);
+    }
+    return asks && (fault.code == SAY_NO_MESSAGE);
+}
+
+static void step_manual(const plan_t *plan, mission_t *s, const estimate_t *m, const command_t *c, real_t dt)
 {
     const real_t *x = m->motion.position;
 
-    if ((s->motors == MOTORS_OFF) && (c->climb_rate <= REAL(0.0))) {
+    if ((s->motors == MOTORS_OFF) && !may_start(s, m, c)) {
         copy_vector(x, s->hold_position);
         s->hold_heading = m->motion.attitude[2];
         s->descent_rate = REAL(0.0);
@@ -375,11 +417,13 @@ static void step_manual(mission_t *s, const estimate_t *m, const command_t *c, r
         }
     } else {
         /* The reference stays near the helicopter, so that it responds to the sticks at once. */
-        s->hold_position[2] = real_min(real_max(s->hold_position[2] - (c->climb_rate * dt), x[2] - REAL(0.5)), x[2] + REAL(0.5));
+        const real_t climb = limit_manual_climb(s->home_position[2] - x[2], m->motion.velocity, plan->touchdown, c->climb_rate);
+
+        s->hold_position[2] = real_min(real_max(s->hold_position[2] - (climb * dt), x[2] - REAL(0.5)), x[2] + REAL(0.5));
         s->hold_position[0] = x[0];
         s->hold_position[1] = x[1];
         s->hold_heading = s->hold_heading + (c->yaw_rate * dt);
-        s->descent_rate = -c->climb_rate;
+        s->descent_rate = -climb;
     }
 }
 
@@ -462,11 +506,16 @@ static void enter_offboard(mission_t *s, const estimate_t *m, const set_point_t 
         s->manual = true;
         s->returning_home = false;
     } else if (needs_lift_off(wanted, m->motion.position)) {
-        why = make_message(SAY_OFFBOARD_TAKE_OFF);
-        reset_mission(s, m);
-        s->manual = true;
-        enter_state(s, STATE_OFFBOARD, &why, LEVEL_INFO);
-        s->motors = MOTORS_SPIN_UP;
+        why = start_fault(m);
+        if (why.code != SAY_NO_MESSAGE) {
+            refuse_start(s, &why);
+        } else {
+            why = make_message(SAY_OFFBOARD_TAKE_OFF);
+            reset_mission(s, m);
+            s->manual = true;
+            enter_state(s, STATE_OFFBOARD, &why, LEVEL_INFO);
+            s->motors = MOTORS_SPIN_UP;
+        }
     } else {
         /* stays on the floor */
     }
@@ -489,10 +538,7 @@ static void step_offboard(const plan_t *plan, mission_t *s, const estimate_t *m,
     }
     /* The reference is predicted for the end of the step of entry. */
     if (ready && (s->state_entered_s < s->time_s) && is_set_point_valid(&c->program_set_point)) {
-        const bool guard = plan->avoid && (s->obstacle_map.point_count > 0);
-
-        follow_set_point(&s->set_point_reference, &c->program_set_point, &plan->limits, m->motion.position, dt,
-                        guard ? &s->path_check : NULL, plan->clearance);
+        track_set_point(plan, s, &c->program_set_point, m, dt);
         copy_vector(s->set_point_reference.position, s->hold_position);
         copy_vector(s->set_point_reference.position, s->goal);
         s->hold_heading = s->set_point_reference.heading;
@@ -551,6 +597,14 @@ static void handle_request(const plan_t *plan, mission_t *s, const estimate_t *m
         waits = s->state != STATE_INIT;
     }
     fresh = s->manual || c->has_first_waypoint;
+    if (waits && (s->state == STATE_INIT) && (c->start || c->has_take_off_height) && is_granted(REQUEST_START, s, m)) {
+        const message_t fault = start_fault(m);
+
+        if (fault.code != SAY_NO_MESSAGE) {
+            refuse_start(s, &fault);
+            waits = false;
+        }
+    }
     if (!waits) {
         /* done */
     } else if (c->start && (s->state == STATE_INIT) && is_granted(REQUEST_START, s, m)) {
@@ -620,7 +674,7 @@ static void apply_signals(const plan_t *plan, mission_t *s, const estimate_t *m,
             what = make_message_2(SAY_BATTERY_LOW_PILOT, s->battery_V, plan->low_voltage); /* the pilot decides */
             log_event(s, &what, LEVEL_WARNING);
         }
-        step_manual(s, m, c, dt);
+        step_manual(plan, s, m, c, dt);
     } else if (s->state == STATE_RC) {
         exit_manual(s, m);
     } else if (is_in_flight(s) && (s->low_battery_duration_s > LOW_BATTERY_S)) {

@@ -9,6 +9,15 @@
 #define MAX_POSITION_M REAL(1e4)
 #define MAX_SPEED_M_S REAL(50.0)
 #define MAX_YAW_RATE_RAD_S REAL(50.0)
+#define STANDARD_GRAVITY REAL(9.81)
+#define LOW_HEIGHT_M REAL(1.0)
+#define FULL_TILT_HEIGHT_M REAL(0.3)
+#define MIN_TILT_SHARE REAL(0.2)
+#define FLOOR_SPEED_M_S REAL(0.3)
+#define FLOOR_SPEED_RISE REAL(1.2)
+#define SPEED_LIMIT_LAG_S REAL(0.5)
+#define MAX_BRAKING_TILT REAL(0.09)
+#define FLARE_TIME_S REAL(1.0)
 
 /* Set said if a number is given, and clear right if it is beyond its bound. */
 static void check_bound(real_t value, real_t most, bool *said, bool *right)
@@ -154,4 +163,49 @@ void follow_set_point(trajectory_point_t *tracker, const set_point_t *wanted, co
             step_set_point(tracker, wanted, limits, measured, dt / (real_t)parts, sight, clearance);
         }
     }
+}
+
+/* A pilot's sticks near the floor */
+
+static real_t low_speed_limit(real_t height)
+{
+    return FLOOR_SPEED_M_S + (FLOOR_SPEED_RISE * real_max(REAL(0.0), height));
+}
+
+void limit_manual_tilt(real_t height, const real_t velocity[2], real_t yaw, real_t *roll, real_t *pitch)
+{
+    if (height < LOW_HEIGHT_M) {
+        const real_t share = real_min(real_max(height / FULL_TILT_HEIGHT_M, MIN_TILT_SHARE), REAL(1.0));
+        const real_t speed = real_hypot(velocity[0], velocity[1]);
+
+        *roll = share * *roll;
+        *pitch = share * *pitch;
+        if (speed > REAL(0.0)) {
+            const real_t most = real_max((low_speed_limit(height) - speed) / (STANDARD_GRAVITY * SPEED_LIMIT_LAG_S), -MAX_BRAKING_TILT);
+            real_t sine;
+            real_t cosine;
+            real_t ahead;
+            real_t right;
+            real_t along;
+
+            sine_cosine(yaw, &sine, &cosine);
+            ahead = ((cosine * velocity[0]) + (sine * velocity[1])) / speed;
+            right = ((cosine * velocity[1]) - (sine * velocity[0])) / speed;
+            along = (right * *roll) - (ahead * *pitch);
+            if (along > most) {
+                *roll = *roll + ((most - along) * right);
+                *pitch = *pitch - ((most - along) * ahead);
+            }
+        }
+    }
+}
+
+real_t limit_manual_climb(real_t height, const real_t velocity[2], real_t touchdown, real_t climb)
+{
+    real_t least = -(touchdown + (real_max(REAL(0.0), height) / FLARE_TIME_S));
+
+    if ((height < LOW_HEIGHT_M) && (real_hypot(velocity[0], velocity[1]) > low_speed_limit(height))) {
+        least = -DRIFT_DESCENT_M_S;
+    }
+    return real_max(climb, least);
 }

@@ -14,10 +14,14 @@
 #define CERTAIN_HEIGHT_M REAL(0.05)   /* with this height deviation at most */
 #define DRIFT_CHECK_HEIGHT_M REAL(0.6)
 #define DRIFT_SPEED_M_S REAL(0.3)
-#define DRIFT_DESCENT_M_S REAL(0.05)
 #define SLOW_LANDING_HEIGHT_M REAL(0.4)
 #define HARD_TOUCHDOWN_M_S REAL(0.3)
 #define SETTLE_BEFORE_LANDING_S REAL(2.0)
+#define MAX_START_TILT_DEG REAL(5.0)
+#define SETTLED_M REAL(0.002)
+#define SETTLED_M_S REAL(0.01)
+#define SETTLED_RAD REAL(0.01)
+#define SHORT_WAY_M REAL(0.3)
 
 void copy_vector(const real_t from[3], real_t to[3])
 {
@@ -110,7 +114,7 @@ void current_reference(const mission_t *s, trajectory_point_t *out)
         copy_vector(s->detour.acceleration, out->acceleration);
         out->heading = s->hold_heading;
         out->heading_rate = REAL(0.0);
-    } else if ((s->state == STATE_OFFBOARD) && s->has_set_point_reference) {
+    } else if (((s->state == STATE_OFFBOARD) || (s->state == STATE_WAYPOINT)) && s->has_set_point_reference) {
         *out = s->set_point_reference;
     } else if ((s->course.kind == COURSE_NONE) || (s->motors == MOTORS_SPIN_UP)) {
         hold_reference(s->hold_position, s->hold_heading, out);
@@ -130,24 +134,26 @@ void current_reference(const mission_t *s, trajectory_point_t *out)
 
 void predict_reference(const mission_t *s, trajectory_point_t *out)
 {
+    const bool integrates = (s->state == STATE_OBSTACLE) || (s->state == STATE_OFFBOARD) || s->has_set_point_reference;
+
     current_reference(s, out);
     if (s->state == STATE_LANDING) {
         out->position[2] += s->step_duration_s * out->velocity[2];
-    } else if ((s->state == STATE_OBSTACLE) || (s->state == STATE_OFFBOARD)) {
+    } else if (integrates) {
         for (int32_t i = 0; i < 3; i++) {
             out->position[i] += s->step_duration_s * out->velocity[i];
         }
     } else {
         /* a motion's clock is already advanced */
     }
-    if ((s->state == STATE_LANDING) || (s->state == STATE_OBSTACLE) || (s->state == STATE_OFFBOARD)) {
+    if ((s->state == STATE_LANDING) || integrates) {
         out->heading += s->step_duration_s * out->heading_rate;
     }
 }
 
 bool has_departed(const mission_t *s)
 {
-    return s->motion_clock_s >= s->course.way.departure_s;
+    return s->has_set_point_reference || (s->motion_clock_s >= s->course.way.departure_s);
 }
 
 bool is_scanning(const plan_t *plan, const mission_t *s)
@@ -204,6 +210,7 @@ void make_reference(const plan_t *plan, const mission_t *s, const estimate_t *m,
         out->rc_active = true;
         out->roll = c->roll;
         out->pitch = c->pitch;
+        limit_manual_tilt(s->home_position[2] - now->position[2], now->velocity, now->attitude[2], &out->roll, &out->pitch);
     } else if (s->state == STATE_INIT) {
         copy_vector(now->position, out->path.position);
         out->heading = now->attitude[2];
@@ -393,6 +400,44 @@ bool has_lifted_off(const mission_t *s, const estimate_t *m)
 bool is_tipping(const estimate_t *m)
 {
     return real_max(real_abs(m->motion.rates[0]), real_abs(m->motion.rates[1])) > TIPPING_RATE_RAD_S;
+}
+
+/* Tilt of a standing vehicle (rad): the greater of that of the estimate and of its accelerometers. */
+static real_t measured_tilt(const estimate_t *m)
+{
+    const real_t *f = m->specific_force;
+    real_t sine_roll;
+    real_t cosine_roll;
+    real_t sine_pitch;
+    real_t cosine_pitch;
+    real_t tilt;
+
+    sine_cosine(m->motion.attitude[0], &sine_roll, &cosine_roll);
+    sine_cosine(m->motion.attitude[1], &sine_pitch, &cosine_pitch);
+    tilt = real_atan2(real_hypot(sine_pitch, sine_roll * cosine_pitch), cosine_roll * cosine_pitch);
+    return m->judged ? real_max(tilt, real_atan2(real_hypot(f[0], f[1]), -f[2])) : tilt;
+}
+
+message_t start_fault(const estimate_t *m)
+{
+    message_t fault = make_message(SAY_NO_MESSAGE);
+    const real_t tilt = measured_tilt(m);
+
+    if (!m->valid) {
+        fault = make_message(SAY_ESTIMATE_NOT_VALID);
+    } else if (!(tilt <= (MAX_START_TILT_DEG * DEGREE))) {
+        fault = make_message_2(SAY_STANDS_TILTED, tilt * (REAL(180.0) / REAL_PI), MAX_START_TILT_DEG);
+    } else {
+        /* may start */
+    }
+    return fault;
+}
+
+void refuse_start(mission_t *s, const message_t *why)
+{
+    if (s->log[(s->logged_count - 1) % MISSION_LOG].message.code != why->code) {
+        log_event(s, why, LEVEL_WARNING);
+    }
 }
 
 bool has_spun_up(const mission_t *s, const estimate_t *m)
@@ -694,21 +739,94 @@ static void fail_and_hover(mission_t *s, const message_t *why)
     s->hover_until_s = (s->time_s + brake.duration_s) + SETTLE_BEFORE_LANDING_S;
 }
 
-static void step_leg(const plan_t *plan, mission_t *s, const estimate_t *m)
+/* Changed goals of a user's leg */
+
+void change_leg_goal(const plan_t *plan, mission_t *s, const message_t *why, const real_t goal[3], const real_t *heading, bool quiet)
+{
+    const bool known = s->has_set_point_reference;
+    const real_t *aim = heading;
+    trajectory_point_t now = s->set_point_reference;
+
+    if (!known) {
+        predict_reference(s, &now);
+        enter_state(s, STATE_WAYPOINT, why, LEVEL_INFO);
+        s->has_detour = false;
+        s->detour_duration_s = REAL(0.0);
+        s->resumed_after_detour = false;
+        s->set_point_reference = now;
+        s->has_set_point_reference = true;
+    } else if (!quiet) {
+        log_event(s, why, LEVEL_INFO);
+    } else {
+        /* a stream of goals */
+    }
+    if ((heading == NULL) && (real_hypot(goal[0] - now.position[0], goal[1] - now.position[1]) < SHORT_WAY_M)) {
+        aim = &now.heading;
+    }
+    plan_straight(now.position, goal, now.heading, &plan->limits, aim, REAL(0.0), &s->course.way);
+    s->course.kind = COURSE_TRAJECTORY;
+    copy_vector(goal, s->goal);
+    s->has_requested_heading = heading != NULL;
+    if (heading != NULL) {
+        s->requested_heading = *heading;
+    }
+    s->state_entered_s = s->time_s;
+}
+
+void track_set_point(const plan_t *plan, mission_t *s, const set_point_t *wanted, const estimate_t *m, real_t dt)
+{
+    const bool guard = plan->avoid && (s->obstacle_map.point_count > 0);
+
+    follow_set_point(&s->set_point_reference, wanted, &plan->limits, m->motion.position, dt, guard ? &s->path_check : NULL,
+                     plan->clearance);
+}
+
+/* Propagate the reference towards a changed goal; in the step of the change it is predicted already. */
+static void track_goal(const plan_t *plan, mission_t *s, const estimate_t *m, real_t dt)
+{
+    if (s->has_set_point_reference && (real_abs(s->motion_clock_s) > REAL(0.0))) {
+        set_point_t wanted;
+
+        for (int32_t i = 0; i < 3; i++) {
+            wanted.position[i] = s->goal[i];
+            wanted.velocity[i] = REAL_NAN;
+        }
+        wanted.heading = s->course.way.start_heading + s->course.way.turn_angle;
+        wanted.yaw_rate = REAL_NAN;
+        track_set_point(plan, s, &wanted, m, dt);
+    }
+}
+
+/* Whether the reference rests at the changed goal of a leg. */
+static bool has_settled(const mission_t *s)
+{
+    const trajectory_point_t *at = &s->set_point_reference;
+    const real_t turn = (s->course.way.start_heading + s->course.way.turn_angle) - at->heading;
+
+    return (distance_between(at->position, s->goal) < SETTLED_M) && (real_vector_length(at->velocity) < SETTLED_M_S) &&
+           (real_abs(real_wrap_angle(turn)) < SETTLED_RAD) && (real_abs(at->heading_rate) < SETTLED_RAD);
+}
+
+static void step_leg(const plan_t *plan, mission_t *s, const estimate_t *m, real_t dt)
 {
     const real_t duration = s->course.way.duration_s;
     const real_t spent = s->time_s - s->state_entered_s;
     const real_t off = distance_between(m->motion.position, s->goal);
-    const bool there = (s->motion_clock_s >= duration) && (off < plan->reach) &&
-                       (real_vector_length(m->motion.velocity) < plan->reach_speed);
+    bool there;
     const real_t number = (real_t)(s->waypoint_index + 1);
     message_t why;
 
+    track_goal(plan, s, m, dt);
+    there = (s->has_set_point_reference ? has_settled(s) : (s->motion_clock_s >= duration)) && (off < plan->reach) &&
+            (real_vector_length(m->motion.velocity) < plan->reach_speed);
     if (there && s->returning_home) {
         why = make_message_1(SAY_HOME_REACHED, REAL(100.0) * off);
         start_landing(s, &why, LEVEL_INFO);
     } else if (there && s->manual) {
         why = make_message_1(SAY_USER_WAYPOINT_REACHED, REAL(100.0) * off);
+        if (s->has_set_point_reference) { /* no jump of the reference */
+            copy_vector(s->set_point_reference.position, s->goal);
+        }
         hover_until(s, &why, s->time_s);
     } else if (there) {
         why = make_message_2(SAY_WAYPOINT_REACHED, number, REAL(100.0) * off);
@@ -809,7 +927,7 @@ void step_phase(const plan_t *plan, mission_t *s, const estimate_t *m, real_t dt
         step_hover(plan, s);
         break;
     case STATE_WAYPOINT:
-        step_leg(plan, s, m);
+        step_leg(plan, s, m, dt);
         break;
     case STATE_OBSTACLE:
         step_detour(plan, s, m, dt);

@@ -297,7 +297,8 @@ static void detect_oscillation(software_t *s, const actuators_t *out, real_t tim
                                                out->servo_input[1]};
     const reference_t *r = &s->reference;
     const bool by_hand = s->mission.state == STATE_RC;
-    const bool steered = by_hand || (s->mission.state == STATE_OFFBOARD);
+    const bool tracks = (s->mission.state == STATE_WAYPOINT) && s->mission.has_set_point_reference;
+    const bool steered = by_hand || (s->mission.state == STATE_OFFBOARD) || tracks;
     const bool before = s->oscillation.is_present;
     const real_t asked[STEERING_SIGNALS] = {
         by_hand ? REAL(0.0) : r->path.velocity[0],

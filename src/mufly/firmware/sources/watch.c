@@ -59,6 +59,7 @@ void copy_estimate(const estimate_t *from, int32_t beams, estimate_t *to)
     for (int32_t i = 0; i < 3; i++) {
         to->position_variance[i] = from->position_variance[i];
         to->attitude_variance[i] = from->attitude_variance[i];
+        to->specific_force[i] = from->specific_force[i];
     }
     for (int32_t k = 0; k < ESTIMATE_SENSORS; k++) {
         to->checks[k] = from->checks[k];

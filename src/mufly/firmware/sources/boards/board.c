@@ -83,6 +83,9 @@ void board_step(board_t *b, hal_readings_t *readings, const command_t *command, 
     valid = estimator_step(&b->estimator, &mufly_settings, &mufly_flight_model, readings->z, readings->fresh,
                            readings->age);
     fill_estimate(b, valid, time_s, voltage);
+    for (int32_t i = 0; i < 3; i++) {
+        b->belief.specific_force[i] = readings->z[READING_STARTS[R_ACCELERATION] + i];
+    }
     software_step(&mufly_setup, &b->software, &b->belief, command, &out);
     b->acting = b->sent;
     b->sent = out;
