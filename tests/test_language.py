@@ -113,6 +113,31 @@ def test_present_tense_is_no_history(text):
     assert rules_of(text) == []
 
 
+def test_cells_of_a_table_in_a_docstring_are_judged_one_by_one():
+    half = "word " * 22
+    table = f"""Table.
+
+    =====  ====
+    key    says
+    =====  ====
+    short  {half}
+    other  {half}
+    {{}}  {half}
+    =====  ====
+
+    What follows.
+    """
+    found = [
+        [
+            (f.line, f.rule)
+            for b in check_language.docstring_blocks(text, 1)
+            for f in check_language.judge_block(b, "x.py")
+        ]
+        for text in (table.format("third"), table.format("     "))
+    ]
+    assert found == [[(11, "opening")], [(7, "long"), (11, "opening")]], "an empty first cell continues the row above"
+
+
 def test_docstrings_and_help_texts_are_read():
     source = '''"""What a module is."""
 

@@ -8,9 +8,9 @@ Section k is bent; the first section lies in those planes, the section at the ti
 
     y = y_k + f_k (sqrt(y_k^2 + (|x| cot(pi/N))^2) - y_k)          two blades: y = y_k;  f_k from 1 at the root to 0
 
-In plan view the sections fill a box, from the shaft to beyond the tip; from its three free sides lines fan out to a
-cylinder around it and on, radially, to the outer one (``wings`` to the left and right, the last sections themselves
-beyond the tip)::
+In plan view the sections fill a box, from the shaft to beyond the tip. From its three free sides lines fan out to a
+cylinder around it and on, radially, to the outer cylinder: ``wings`` to the left and right, the last sections
+themselves beyond the tip::
 
               ______________
             /   \  tip   /   \        outer cylinder

@@ -16,11 +16,11 @@ legs: static deflection scales with size          stiffness mu / la, damping mu 
 
 An unspecified motor is the known motor with another winding for the new voltage ``U`` and power: kE w / U, kM w / U and
 R P / U^2 are constant. A motor given by its speed constant has kE = kM = 60 / (2 pi KV). Its friction follows from the
-no-load current or, if unknown, from the known motor's ratio of friction to electrical damping kM^2 / R. The default
-gear needs the least power (:func:`mufly.drive.best_gear_ratio`) with at most 80 % of the half-full battery's voltage in
-hover, which leaves a margin for control. Gear ratios are at least 1. The battery gives the same hover time as the known
-one, including the electronics' power. Its cells have the same voltage curve and a resistance proportional to 1 /
-capacity.
+no-load current or, if unknown, from the known motor's ratio of friction to kM^2 / R, the electrical damping. The
+default gear needs the least power (:func:`mufly.drive.best_gear_ratio`) with at most 80 % of the half-full battery's
+voltage in hover, which leaves a margin for control. Gear ratios are at least 1. The battery gives the same hover time
+as the known one, including the electronics' power. Its cells have the same voltage curve and a resistance proportional
+to 1 / capacity.
 
 Similarity does not include scale effects (thrust per power decreases below a Reynolds number of about 30 000), the
 actual mass distribution and vibration. Every value that is not given is marked as a guess.

@@ -1,7 +1,7 @@
 """Motor constants from a bench: fit of the steady-state motor equations with errors in every channel.
 
 In steady state eqs. 4.24, 4.25, 4.27 and 4.28 of the dissertation relate the voltage ``U = duty * supply`` at the
-motor, its current I, the speed W and the torque Q. Speed and torque are measured after a gear of ratio i and
+motor, its current I, the torque Q and the speed W (rad/s). Speed and torque are measured after a gear of ratio i and
 efficiency eta, or at the motor shaft (i = 1 and eta = 1):
 
     e1 = U - R I - a W = 0        a = kE i

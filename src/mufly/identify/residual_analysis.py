@@ -14,7 +14,7 @@ signals Bartlett's formula gives ``var r_ue(k) = sum_j r_e(j) r_u(j) / N`` (Box 
 count as correlated only because both are slow. Correlation at negative lags indicates feedback from output to input,
 not a fault of the model (Ljung, Sec. 16.6).
 
-Sizes, with measured ``z`` and predicted ``y``:
+Sizes, with measured ``z`` and predicted ``y``::
 
     fit   = 100 (1 - |z - y| / |z - mean z|)            NRMSE fit, per cent (Ljung; 100 is exact, 0 is the mean)
     R2    = 1 - |z - y|^2 / |z - mean z|^2              coefficient of determination (Klein and Morelli, Sec. 5.1)

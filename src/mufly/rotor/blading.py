@@ -30,7 +30,7 @@ docs/explanation/bemt.md).
 Blade element theory represents the blade by a line. On a blade of aspect ratio 2.5 to 6 the downwash of its own
 trailing vortices grows along the chord, and the flow has to be tangent to the whole chord. Weissinger's rule (NACA TM
 1120, 1947) satisfies tangency at three quarters of the chord with the vortex at one quarter. The rule is exact for a
-flat plate in two dimensions. With G the circulation of the panels of one blade,
+flat plate in two dimensions. With G the circulation of the panels of one blade::
 
     w_34 = A34 G     downwash at three quarters of the chord from the blade's own bound and near trailing vortices
     w_14 = A14 G     the same on the quarter chord line, as seen by a lifting line

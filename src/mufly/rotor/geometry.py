@@ -2,7 +2,7 @@
 
 A rotor file (TOML) tabulates the blade from hub to tip over ``r/R``; between stations chord and twist are interpolated
 linearly and the polars of the two neighbouring airfoils are mixed in the same proportion. Between the hub cut-out and
-the first station all are constant. Per blade, with x = r/R and x0 the cut-out:
+the first station all are constant. Per blade, with x = r/R and x0 the cut-out::
 
     area          A_b = R int_x0^1 c dx                                     m2
     solidity      sigma = N A_b / (pi R^2)

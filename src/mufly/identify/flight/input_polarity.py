@@ -2,7 +2,7 @@
 
 A record may be consistent in itself and still be wrong: inverted or exchanged inputs, forward-left-up axes, a height
 in centimetres without measured climb. The response to the inputs reveals such faults. The vehicle model, driven by
-the recorded inputs, predicts the acceleration by each input (eqs 4.5 to 4.16; :mod:`mufly.dynamics`):
+the recorded inputs, predicts the acceleration by each input (eqs 4.5 to 4.16; :mod:`mufly.dynamics`)::
 
     height'' = (T_up + T_dw - W) / m  cos(roll) cos(pitch) - g                 rotors by motors and voltage
     r'       = [Q_up + J Omega_up' - Q_dw - J Omega_dw'] / Izz                   upper rotor: nose to the right

@@ -11,7 +11,7 @@ Identification*, 2nd ed., Sec. 5.2).
 **Two domains.** *time*: all terms pass the same low-pass. The derivative is a six-point central difference of the
 low-passed output, exact to 1e-3 below a tenth of the sample rate. Samples within 1 / cut of the ends are omitted.
 *frequency*: the equation is multiplied by ``w(t) exp(-j omega t)`` with a Hann window ``w`` over the record and
-integrated by parts, ``int w y' e = -int (w' - j omega w) y e``, so that neither derivatives nor end values are needed
+integrated by parts, ``int w y' e = -int (w' - j omega w) y e``. Neither derivatives nor end values are needed
 (modulating functions: Shinbrot 1957; the regression is that of Klein and Morelli, Sec. 7.3). Frequencies run from
 1.5 / T to the cut in steps of 1 / T. The rows are weighted by the inverse residual spectrum, a parabola through its
 logarithm. The frequency domain is the default. On simulated flights under feedback with gusts it is unbiased and has

@@ -18,8 +18,8 @@ and Piersol, Sec. 9.2.4 with their F instead of a normal distribution; own deriv
     eps = sqrt((1 - gamma_j^2) / gamma_j^2) / sqrt(2 (n - k)),      nu = 2 (n - k),      95 %: t(0.975, nu) eps
 
 with ``n`` the number of half-overlapping segments, each equivalent to 18/19 independent segments. Transforms of white
-noise in neighbouring Hann windows have a correlation of 1/6, and a mean of N such products has a variance of
-(1 + 2 (1/6)^2) / N. For many segments this is Tischler and Remple's eq. 7.46,
+noise in neighbouring Hann windows have a correlation of 1/6. The variance of a mean of N such products is therefore
+(1 + 2 (1/6)^2) / N of the variance of one. For many segments this is Tischler and Remple's eq. 7.46,
 ``C sqrt(1 - gamma^2) / (gamma sqrt(2 n_d))`` with C^2 = 0.55 and ``n_d`` the record over the segment. The error is
 relative to the estimated magnitude; the phase interval is ``arcsin(t eps)``. The misfit of a model is Tischler and
 Remple's

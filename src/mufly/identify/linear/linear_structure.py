@@ -5,7 +5,7 @@
     x' = A(theta) x + B(theta) (u(t - tau) - u_0),   y = C x + D (u(t - tau) - u_0) + y_0
 
 Near hover, body axes, all quantities deviations (V. Mettler, *Identification Modeling and Characteristics of Miniature
-Rotorcraft*, 2003, ch. 4; Tischler and Remple, ch. 15):
+Rotorcraft*, 2003, ch. 4; Tischler and Remple, ch. 15)::
 
     first-order   p' = L_p p + L_q q + L_lat lat + L_lon lon          and likewise q' with M
     second-order  as first-order, but the sticks act through one lag of tau_s: a filtered command

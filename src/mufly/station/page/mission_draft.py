@@ -260,9 +260,9 @@ class DraftVerdict:
     fault : str
         One line that names the item and why; "" if it can be flown.
     fault_row : int or None
-        The row of the table that is to blame.
+        Row of the table with the fault.
     estimate : MissionEstimate or None
-        What it takes; of a vehicle whose battery is not known, time and length only (``fraction`` is NaN).
+        Time, length and charge; without a known battery only time and length (``fraction`` is NaN).
     """
 
     fault: str = ""
@@ -314,7 +314,7 @@ class SharedDraft:
     ----------
     draft : Draft
     vehicle_mission : Mission or None
-        What the vehicle began with, as far as the station knows: it keeps of it what is not sent.
+        Mission in the vehicle before the upload, if known; the vehicle keeps the settings that items do not hold.
     verdict : Verdict or None
         None while it is being checked.
     version : int

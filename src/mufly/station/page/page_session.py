@@ -464,10 +464,10 @@ COMMAND_NAMES = tuple(_REQUEST_BY_COMMAND)
 def find_refusal_reasons(
     s: VehicleSnapshot | None, *, kind: str, has_controls: bool, rows: int, unready: str = ""
 ) -> dict[str, str]:
-    """Return for every command why it cannot be given now, "" if it can.
+    """Return for every command the reason why it is not permitted at present; "" if it is.
 
-    What the state of a vehicle lets it do is decided by :func:`mufly.mission.check_request`; of another autopilot's
-    vehicle only whether it flies is known.
+    :func:`mufly.mission.check_request` decides by the vehicle's state. Of another autopilot's vehicle only whether it
+    flies is known.
 
     Parameters
     ----------
