@@ -73,7 +73,7 @@ class Quantity:
     recording_kinds : str
         Kinds of recordings that contain it. ``flight``: every recording; ``sensors``: flights on sensors; ``station``:
         recordings of a station. Empty: only external logs.
-    mavlink_sources : tuple of Wire
+    mavlink_sources : tuple of MavlinkSource
         Fields equal to the quantity except for the unit (https://mavlink.io/en/messages/common.html).
     """
 

@@ -148,8 +148,8 @@ class BladeGeometry:
 
     Attributes
     ----------
-    tip : Tip
-    hub : Hub or None
+    tip : BladeTip
+    hub : HubCylinder or None
     gurney_height : float
         Height over chord of a Gurney flap below the trailing edge, from root to tip; 0 for none.
     """
@@ -230,7 +230,7 @@ def compute_blade_line(tip: BladeTip, s: Array, span: tuple[float, float], chord
 
     Parameters
     ----------
-    tip : Tip
+    tip : BladeTip
     s : (n,) array
         Lengths along the line, increasing (m).
     span : (float, float)
@@ -300,8 +300,8 @@ def place_sections(
     ----------
     xz : (sections, points, 2) array
         Points of straight sections, the quarter chord at (0, 0) (m).
-    line : Line
-    tip : Tip
+    line : BladeLine
+    tip : BladeTip
     angle_rad : float
         Angle of the tip's chord to the disc, nose up.
     chord_m : float

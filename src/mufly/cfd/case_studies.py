@@ -272,7 +272,7 @@ class PairSolution:
 
     Attributes
     ----------
-    upper, lower : Solution
+    upper, lower : CfdSolution
         Solution of each rotor in its own frame, in which it turns about +z.
     settled : bool
         True if both cases and their mutual loads have converged.

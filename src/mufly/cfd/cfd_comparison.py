@@ -32,7 +32,7 @@ class CaseComparison:
     Attributes
     ----------
     case : str
-    point : Point
+    point : OperatingPoint
     verdict : Verdict
     thrust, torque : dict of str to float
         Relative deviation from the table, by the column's name without ``T_`` or ``Q_`` and unit.
@@ -95,7 +95,7 @@ class ClimbComparison:
 
     Attributes
     ----------
-    solutions : tuple of Solution
+    solutions : tuple of CfdSolution
         Solutions in order of climb, including those that did not converge.
     climb_m_s : (points,) array c_T : (points,) array
         Thrust coefficients of the solutions: means of the last iterations.
@@ -131,7 +131,7 @@ def compare_climbs(solutions: Sequence[CfdSolution], rotor: Rotor | None, flight
 
     Parameters
     ----------
-    solutions : sequence of Solution
+    solutions : sequence of CfdSolution
         Solutions that differ only in climb.
     rotor : Rotor, optional
         Rotor for blade elements and the wake method; without it both methods are left out.

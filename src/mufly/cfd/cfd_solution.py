@@ -37,7 +37,7 @@ class CfdSolution:
 
     Attributes
     ----------
-    point : Point
+    point : OperatingPoint
         Operating point.
     verdict : Verdict
         Convergence verdict.
@@ -380,8 +380,8 @@ def compute_wake_profile(
     Parameters
     ----------
     mesh : PolyMesh
-    flow : Flow
-    point : Point
+    flow : FlowField
+    point : OperatingPoint
     thrust_N : float
         Thrust of the whole rotor, or of both rotors of a pair, for momentum theory.
     below : tuple of float

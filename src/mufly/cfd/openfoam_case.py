@@ -82,7 +82,7 @@ class OperatingPoint:
         Name of the blade tip (:data:`mufly.cfd.blade_geometry.BLADE_TIPS`).
     hub_m, gurney : float
         Radius of the hub, height over chord of the Gurney flap; 0 for none.
-    domain : Domain
+    domain : MeshDomain
         Limits of the domain and of its rotating zone.
     gap_m, lower_pitch_rad, lower_rad_s : float
         Distance to the disc of a counter-rotating second rotor below, its pitch setting and speed (positive); 0 for
@@ -173,7 +173,7 @@ def write_case(
     ----------
     folder : Path
     mesh : PolyMesh
-    point : Point
+    point : OperatingPoint
     cores : int
         Number of processes.
     state : dict of arrays, optional

@@ -187,8 +187,8 @@ def write_actuator_disc(folder: Path, mesh: PolyMesh, point: OperatingPoint, dis
         Folder of a written case.
     mesh : PolyMesh
         Mesh of the case.
-    point : Point
-    disc : Disc
+    point : OperatingPoint
+    disc : ActuatorDisc
 
     Raises
     ------

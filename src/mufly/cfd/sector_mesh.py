@@ -180,10 +180,10 @@ def make_sector_mesh(
     rotor : Rotor
     pitch_rad : float
         Pitch setting about the quarter chord line, added to the twist.
-    level : {'tiny', 'coarse', 'medium', 'fine'} or Counts
+    level : {'tiny', 'coarse', 'medium', 'fine'} or CellCounts
         Refinement level: 16, 61, 136 or 376 thousand cells.
-    domain : Domain, optional
-    form : Form, optional
+    domain : MeshDomain, optional
+    form : BladeGeometry, optional
         Hub, tip, plates; default: none, a square tip.
     other_m : float
         Height of a second rotor's disc over this disc (negative: below); 0 for none. The mesh then ends half way to it

@@ -424,7 +424,7 @@ def judge_loads(loads: Array, outflow_m3_s: float, continuity: float, point: Ope
         Volume flow out of the bottom of the sector.
     continuity : float
         The solver's ``sum local``: divergence of the fluxes, averaged over volume, times its step of 1 s.
-    point : Point
+    point : OperatingPoint
     """
     count = int(loads[-1, 0]) if len(loads) else 0
     if not len(loads):

@@ -112,7 +112,7 @@ class ControllerDesign:
     name : str
     plant : control.StateSpace
         Plant in physical units.
-    scaling : Scaling
+    scaling : SignalScaling
     generalised : control.StateSpace
         Generalised plant of the synthesis: scaled, with weights.
     controller : control.StateSpace

@@ -63,7 +63,7 @@ def adapted_gear_ratio(c: MotorConstants, speed: ArrayLike, torque: ArrayLike, v
 
     Parameters
     ----------
-    c : Constants
+    c : MotorConstants
         Motor constants; their gear ratio is ignored.
     speed, torque : array_like
         Speed and torque of the rotor (rad/s, N m).
@@ -104,7 +104,7 @@ def gear_curve(
 
     Parameters
     ----------
-    drive : Drive
+    drive : DriveTrain
     load : RotorLoad
     ratios : (n,) array_like
         Gear ratios, above 0.

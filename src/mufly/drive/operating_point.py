@@ -117,7 +117,7 @@ def compute_operating_point(
 
     Parameters
     ----------
-    c : Constants
+    c : MotorConstants
         Constants of motor, controller and gear.
     speed, thrust, torque : array_like
         Speed (rad/s), thrust (N) and torque (N m) of the rotor.
@@ -200,7 +200,7 @@ def find_operating_point(
 
     Parameters
     ----------
-    drive : Drive
+    drive : DriveTrain
     load : RotorLoad
         From :func:`mufly.drive.make_blade_load` or :func:`mufly.drive.make_coefficient_load`.
     thrust_N, duty, motor_voltage_V : array_like
@@ -337,7 +337,7 @@ def find_speed_at_voltage(c: MotorConstants, load: RotorLoad, voltage_V: Array) 
 
     Parameters
     ----------
-    c : Constants
+    c : MotorConstants
         Motor constants, scalars or arrays over the cases.
     load : RotorLoad
     voltage_V : (n,) array

@@ -685,10 +685,10 @@ def solve_cases(
 
     Parameters
     ----------
-    cases : Cases
+    cases : BemtCases
     blades : mufly.rotor.blading.Blades
         Arrays of the blades, from ``Blading.kernel_arrays``.
-    on : Switches
+    on : CorrectionSwitches
     totals : (cases, 2) array
         Filled with thrust (N) and torque (N m).
     stations : (cases, stations, 10) array or (0, ...)

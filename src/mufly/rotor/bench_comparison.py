@@ -86,7 +86,7 @@ class MeasurementComparison:
 
     Attributes
     ----------
-    measured : Measurements
+    measured : RotorMeasurements
         Measured points.
     thrust_N, torque_Nm : (n,) arrays
         Predicted loads.
@@ -156,7 +156,7 @@ def compare_measurements(
     ----------
     blading : Blading or Rotor
         Rotor; of a batch the first rotor is used.
-    measurements : Measurements
+    measurements : RotorMeasurements
         Measured points.
     air : Air, optional
         Density and viscosity at the bench; default: the air of ``measurements``.
@@ -242,7 +242,7 @@ def calibrate_blading(
     ----------
     blading : Blading
         Rotor to calibrate.
-    measurements : Measurements
+    measurements : RotorMeasurements
         Measured points.
     point : int
         Index of the point to match.

@@ -78,7 +78,7 @@ class RotorFit:
     correlation : (5, 5) array
     undecided : tuple of str
         Parameters that the bench run does not determine.
-    measured : Measurements
+    measured : RotorMeasurements
     before, after : (2, n) arrays
         Errors of thrust and torque over ``load_scales``, without and with the fit.
     size : (2, n) array
@@ -156,7 +156,7 @@ def fit_rotor(
     ----------
     rotor : Rotor
         Rotor with prior geometry and airfoils; a fit that it already contains is ignored.
-    measurements : Measurements
+    measurements : RotorMeasurements
         Measured points in hover or in axial flow, as in a wind tunnel.
     section : 'guessed' or 'known'
         Whether the airfoils of the rotor file are a guess among other candidates, or known.

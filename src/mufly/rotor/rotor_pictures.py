@@ -305,7 +305,7 @@ def wake_picture(solution: SystemSolution, *, turns: float = 2.0) -> Figure:
 
     Parameters
     ----------
-    solution : Result
+    solution : SystemSolution
     turns : float
         Length of wake to draw, in turns of its rotor.
     """
@@ -364,7 +364,7 @@ def plane_velocity(solution: SystemSolution, x_m: Array, z_m: Array, *, phases: 
 
     Parameters
     ----------
-    solution : Result
+    solution : SystemSolution
     x_m, z_m : (nx,), (nz,) arrays
     phases : int
         Number of blade azimuths in the average, evenly spaced over one blade passage. With 1 the plane lies a quarter

@@ -111,20 +111,20 @@ def solve_system(
 
     Parameters
     ----------
-    system : System
-    condition : Condition
+    system : RotorSystem
+    condition : OperatingCondition
         Given values.
     method : 'bemt', 'tubes' or 'wake'
     settings : WakeSettings, optional
         Settings of the wake method.
-    start : Result, optional
+    start : SystemSolution, optional
         Similar result to start from; it saves time only.
     progress : callable, optional
         Called by the wake method with iteration, residual and thrust (N) of all rotors.
 
     Returns
     -------
-    Result
+    SystemSolution
         A wake at a given point that does not converge is returned with ``converged`` false and its history.
 
     Raises

@@ -463,7 +463,7 @@ class SystemSolution:
     ----------
     rotors : tuple of RotorResult
         Loads of each rotor in the presence of the others, the uppermost first.
-    placed : tuple of Placed
+    placed : tuple of PlacedRotor
         Blades, positions, pitches and speeds of the rotors.
     climb_m_s : float
     air : Air
@@ -477,7 +477,7 @@ class SystemSolution:
         Converged coupling variables, for a restart. Method bemt: axial velocity (m/s) induced at each rotor but the
         last by the rotors below it, (stations,) each. Tubes: axial velocity at both discs, then p of the cells of both
         wakes.
-    wakes : tuple of Wake
+    wakes : tuple of RotorWake
         Wake of each rotor; this and the following fields are set by the wake method only.
     settings : WakeSettings or None
         Settings with the core limit used.

@@ -154,7 +154,7 @@ def predict_interval(
         Status of the rotor file's airfoils; for a fitted rotor always 'measured'.
     family : str
         Family of a guessed section, if known: one of :data:`mufly.rotor.blade_families.BLADE_FAMILIES`.
-    doubt : Doubt, optional
+    doubt : InputUncertainty, optional
         Standard deviations of the causes; default: those of a known or guessed section.
     level : float
         Coverage: 0.5, 0.68, 0.8, 0.9, 0.95 or 0.99.

@@ -46,7 +46,7 @@ def induced_velocity(solution: SystemSolution, points_m: ArrayLike, azimuth_rad:
 
     Parameters
     ----------
-    solution : Result
+    solution : SystemSolution
     points_m : (..., 3) array_like
         Points in space (m): z up along the shaft, blade 1 of every rotor on the x axis at azimuth 0.
     azimuth_rad : float or sequence
@@ -103,7 +103,7 @@ def momentum_thrust(solution: SystemSolution, height_m: float, *, reach: float =
 
     Parameters
     ----------
-    solution : Result
+    solution : SystemSolution
     height_m : float
         Height of the plane (m), below all discs and above the end of the free wakes.
     reach : float
@@ -172,7 +172,7 @@ def compute_blade_passing(solution: SystemSolution, *, points: int = 24) -> Blad
 
     Parameters
     ----------
-    solution : Result
+    solution : SystemSolution
         Solution of two rotors with equal numbers of blades.
     points : int
         Number of relative azimuths.

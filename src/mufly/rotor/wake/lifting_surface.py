@@ -201,7 +201,7 @@ def solve_circulation(
 
     Parameters
     ----------
-    surface : Surface
+    surface : LiftingSurface
     blading : Blading
         Polars and corrections of the sections.
     which : int
@@ -314,7 +314,7 @@ def prescribe_landgrebe_wake(
 
     Parameters
     ----------
-    surface : Surface
+    surface : LiftingSurface
     age : (k,) array
         Ages (rad).
     c_T : float

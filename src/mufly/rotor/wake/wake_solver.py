@@ -157,13 +157,13 @@ def solve_wake(
 
     Parameters
     ----------
-    rotors : sequence of Placed
+    rotors : sequence of PlacedRotor
         One rotor, or two with opposite senses of rotation and different heights.
     climb_m_s : float
         Axial speed through the air (m/s), positive in climb.
     air : Air, optional
     settings : WakeSettings, optional
-    start : Result, optional
+    start : SystemSolution, optional
         Similar result to start from, if it has wakes; it saves iterations.
     progress : callable, optional
         Called with iteration, residual and thrust (N) of all rotors.

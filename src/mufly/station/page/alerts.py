@@ -64,12 +64,12 @@ class AlertWatch:
         ----------
         now_s : float
             Our clock (s).
-        s : Snapshot
-        messages : sequence of Message
+        s : VehicleSnapshot
+        messages : sequence of StatusMessage
             Of the vehicle, newest last.
         rows : sequence of MissionRow
             Its mission.
-        requests : iterable of Request
+        requests : iterable of OperatorRequest
             Of this window.
         """
         found = [

@@ -94,7 +94,7 @@ def check_destination(
 
     Parameters
     ----------
-    s : Snapshot
+    s : VehicleSnapshot
         Position and remaining battery time of the vehicle.
     fence : Fence or None
         The vehicle's.

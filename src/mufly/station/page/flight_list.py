@@ -140,7 +140,7 @@ class FlightList:
 
     Parameters
     ----------
-    view : View
+    view : WindowView
     """
 
     def __init__(self, view: WindowView) -> None:

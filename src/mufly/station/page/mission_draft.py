@@ -312,7 +312,7 @@ class SharedDraft:
 
     Attributes
     ----------
-    draft : Draft
+    draft : MissionDraft
     vehicle_mission : Mission or None
         Mission in the vehicle before the upload, if known; the vehicle keeps the settings that items do not hold.
     verdict : Verdict or None
@@ -410,7 +410,7 @@ def encode_draft(draft: MissionDraft, verdict: DraftVerdict | None, refused: str
 
     Parameters
     ----------
-    draft : Draft
+    draft : MissionDraft
     verdict : Verdict or None
         None while it is being checked.
     refused : str

@@ -31,7 +31,7 @@ class MissionEditor:
 
     Parameters
     ----------
-    view : View
+    view : WindowView
     """
 
     def __init__(self, view: WindowView) -> None:

@@ -384,7 +384,7 @@ class CommandBar:
 
     Parameters
     ----------
-    view : View
+    view : WindowView
     place : callable
         Told the height (m) that was typed for the waypoint.
     target : callable

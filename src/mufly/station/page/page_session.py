@@ -71,11 +71,11 @@ class StationSession:
         Size of the vehicles in the scene.
     recorder : StationRecorder or None
     title : str
-    initial_recording : Recording or None
+    initial_recording : FlightRecording or None
         Shown by every window at first.
     battery_data : (hover_current_A, capacity_Ah) or None
         Of the vehicle, where it is known: a mission that is drawn is checked against it.
-    shared_draft : Sketch
+    shared_draft : SharedDraft
         The mission that is being drawn.
     latest_sight : callable or None
         Returns the picture that was looked at last, of a vehicle that flies on pictures.
@@ -471,7 +471,7 @@ def find_refusal_reasons(
 
     Parameters
     ----------
-    s : Snapshot or None
+    s : VehicleSnapshot or None
         None: there is no vehicle.
     kind : str
         "mufly", "other" or "recording".

@@ -487,7 +487,7 @@ class FlightStrip:
 
     Parameters
     ----------
-    view : View
+    view : WindowView
     """
 
     def __init__(self, view: WindowView) -> None:

@@ -49,7 +49,7 @@ class Startup:
     ----------
     title, url : str
         Name of what is started; address of its page, "" without a page.
-    stages : list of Stage
+    stages : list of StartStage
     fault : str
         Reason of a failure, "" if none.
     is_done : bool
@@ -145,7 +145,7 @@ class StartPage:
 
     Parameters
     ----------
-    address : Address
+    address : PageAddress
     startup : Startup
     """
 

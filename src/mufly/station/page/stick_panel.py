@@ -25,7 +25,7 @@ class StickPanel:
 
     Parameters
     ----------
-    view : View
+    view : WindowView
     reason : callable
         Returns why manual flight is unavailable now, "" if available.
     """
