@@ -7,7 +7,8 @@
     python benchmarks/fly_on_estimates.py pairs --seeds 1 --sample 100  # of these a hundred, drawn by --first
     python benchmarks/fly_on_estimates.py alarms --seeds 60         # false alarms: ten minutes of hover each
 
-Whole missions: ``mufly monte-carlo demonstration --flights 1000 --wind 0.5 --gust 0.3``, and ``box-on-leg``.
+Whole missions: ``mufly monte-carlo demonstration --flights 1000 --wind 0.5 --gust 0.3``, and ``box-on-leg``; with
+unknown errors: ``mufly monte-carlo demonstration --flights 500 --wind 0.5 --gust 0.3 --vary standard --untold``.
 Exported code flies, in one compiled loop where it can (:class:`mufly.firmware.GenericFirmwareSoftware`): the same
 flights to the last bit. Seeds count from ``--first`` (0). Each flight is a line of ``--out`` (JSON), so that a run that
 was stopped goes on where it was: the same command again. A flight that raises is told as such and counts as lost.

@@ -127,3 +127,23 @@ def test_a_moment_that_did_not_pass_changes_nothing(exact, at) -> None:
     imu = unit(exact)
     first = imu.read(at(0.0))
     assert imu.read(at(0.0))["rates"] is first["rates"]
+
+
+def test_a_unit_that_is_mounted_askew_senses_in_its_own_axes(exact, at) -> None:
+    """R_m^T f and R_m^T w: rolled by 3 degrees, gravity and a yaw rate also show on the y axis."""
+    angle = math.radians(3.0)
+    askew = replace_parameters(exact, {"sensors.imu.mount_roll": angle, "sensors.imu.gyro_g_sensitivity": 0.0})
+    motion = [at(k / 200, rates=(0.0, 0.0, 0.5)) for k in range(60)]
+    straight, turned = settle(unit(exact), motion), settle(unit(askew), motion)
+    roll = np.array([[1, 0, 0], [0, math.cos(angle), math.sin(angle)], [0, -math.sin(angle), math.cos(angle)]])
+    for name in ("acceleration", "rates"):
+        np.testing.assert_allclose(turned[name].value, roll @ straight[name].value, atol=1e-9)
+    assert turned["rates"].value[1] == pytest.approx(0.5 * math.sin(angle), rel=1e-6)
+    # The first reading, without a period before it.
+    first = unit(askew).read(motion[0])["acceleration"].value
+    np.testing.assert_allclose(first, roll @ unit(exact).read(motion[0])["acceleration"].value, atol=1e-9)
+    both = replace_parameters(
+        exact, {"sensors.imu.mount_roll": 0.02, "sensors.imu.mount_pitch": -0.03, "sensors.imu.mount_yaw": 0.1}
+    )
+    force = settle(unit(both), motion)["acceleration"].value
+    assert np.linalg.norm(force) == pytest.approx(np.linalg.norm(straight["acceleration"].value), rel=1e-9)

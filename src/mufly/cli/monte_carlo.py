@@ -50,13 +50,20 @@ A flight succeeds by its true path: no collision, every waypoint passed within -
 landing mark. Flight K of a seed is always the same, on any machine. A campaign that was stopped (Ctrl-C, a crash) \
 resumes with the same command, and more --flights can be added to it.
 
---vary draws parameters of the vehicle for each flight; controllers and filter stay those of --vehicle (--redesign: \
-designed for each). NAME is `parameters` (the whole flight model), a table (rotors), a key (body.mass) or a symbol \
-(m). The variation with fewer parameters takes precedence:
+--vary draws parameters of the true vehicle for each flight, all together. With --untold, the default, controllers, \
+filter and fault detection know none of them: they stay as designed for --vehicle. With --redesign they know all: they \
+are designed for each drawn vehicle. The mounting angles sensors.imu.mount_... are never known.
+
+NAME is `parameters` (the whole flight model), a table (rotors, sensors.imu), a key (body.mass) or a symbol (m). The \
+variation with fewer parameters takes precedence:
 
   --vary parameters=10%         uniformly within 10 % either way
 
   --vary m=+-2g                 uniformly, or m=90:100g, in between
+
+  --vary sensors.position_fix.wander=50:300%    uniformly, between shares of the file's value
+
+  --vary standard               sensor errors, delays, mounting, mass and thrust at once (docs/reference/monte-carlo.md)
 
   --vary rotors=normal:3%       normally, with this standard deviation; m=normal:2g
 
@@ -70,6 +77,8 @@ flight a folder with its full recording and the command that flies it again.
 Examples:
 
   mufly monte-carlo demonstration --flights 1000 --vary parameters=10% --wind 0.5 --gust 0.3
+
+  mufly monte-carlo demonstration --flights 500 --vary standard --untold --wind 0.5 --gust 0.3
 
   mufly monte-carlo box-on-leg --flights 200 --fault position.dropout@12s+5s --sensors fitted
 
@@ -89,10 +98,13 @@ def run_monte_carlo(
     gust: GustOption = None,
     sensors: SensorsOption = "fitted",
     fault: FaultOption = None,
-    redesign: Annotated[
+    untold: Annotated[
         bool,
-        define_option("--redesign", "Design controllers and filter anew for each vehicle, with its parameters."),
-    ] = False,
+        define_option(
+            "--untold/--redesign",
+            "Controllers, filter and fault detection know none of --vary, or are designed with it for each flight.",
+        ),
+    ] = True,
     tolerance: Annotated[
         float,
         define_option(
@@ -154,7 +166,7 @@ def run_monte_carlo(
     campaign = Campaign.create_checked(
         helicopter, load_mission(mission), variations=parse_variations(vary or [], helicopter), wind=towards,
         gust=gust, sensors=sensors, faults=tuple(fault or ()), seed=seed,
-        tolerance_m=tolerance, redesign=redesign, controllers=controllers, quickly=GenericFirmwareSoftware,
+        tolerance_m=tolerance, redesign=not untold, controllers=controllers, quickly=GenericFirmwareSoftware,
         computed_by=by, vehicle_name=vehicle, mission_name=mission,
     )  # fmt: skip
     if search and not campaign.search_dimension:
@@ -192,10 +204,9 @@ def run_monte_carlo(
 
 
 def _print_campaign(campaign: Campaign) -> None:
-    keys = {key for v in campaign.variations for key in v.keys}
-    varied = f", {len(keys)} parameters vary" if keys else ", only the noise varies"
-    software = "designed for each" if campaign.redesign else f"those of {campaign.vehicle.name}"
-    print_lines(f"{campaign.vehicle.name} flies {campaign.mission_name}{varied}; controllers and filter are {software}")
+    software = "designed for each vehicle" if campaign.redesign else f"those of {campaign.vehicle.name}"
+    what = f"{campaign.vehicle.name} flies {campaign.mission_name}, {campaign.describe_knowledge()}"
+    print_lines(f"{what}; controllers and filter are {software}")
     print_lines(describe_sensor_source(campaign.vehicle, campaign.sensors))
     print_lines(*(f"{v.request_text}: {v.note}" for v in campaign.variations if v.note), mark="Note", style="yellow")
 
@@ -205,7 +216,13 @@ def _write_and_print_results(
     recorded: RecordedFlights, as_json: bool,
 ) -> None:  # fmt: skip
     """Write tables, pictures and summary, and print the results."""
-    from mufly.flight.monte_carlo import flight_severity, summarise_outcome, worst_first, write_flights
+    from mufly.flight.monte_carlo import (
+        describe_campaign,
+        flight_severity,
+        summarise_outcome,
+        worst_first,
+        write_flights,
+    )
     from mufly.results import to_plain_data
 
     files = [*write_flights(campaign, flown, out, "flights"), *write_flights(campaign, sought, out, "search")]
@@ -213,6 +230,7 @@ def _write_and_print_results(
     worst = worst_first(sought, campaign.tolerance_m)[:1]
     commands = [command for _, command in recorded.commands]
     content = {
+        "campaign": to_plain_data(describe_campaign(campaign)),
         "outcome": to_plain_data(outcome),
         "worst_found": to_plain_data(worst[0]) if worst else None,
         "commands": {f"{f.index}": command for f, command in recorded.commands},

@@ -45,6 +45,8 @@ from mufly.vehicle import Vehicle
 from mufly.world import World, nearest_obstacles, obstacle_distance
 
 MIN_STEP_S = 1e-5
+COLLISION_TEXT, TIP_OVER_TEXT = "a rotor hit the", "tipped over"
+"""First words of a crash: into an obstacle, and onto the side."""
 _WIND_BLOCK_S = 5.0  # of wind drawn at once; what it is does not depend on it
 
 
@@ -159,9 +161,9 @@ class SimulatedPlant:
         hit = find_collision(self.state, self.packed_parameters, *self.collision_shape)
         if hit == 1:
             _, name = obstacle_distance(self.world, self.state[POSITION])
-            self.crash_cause = f"a rotor hit the {name} at {self._describe_place()}"
+            self.crash_cause = f"{COLLISION_TEXT} {name} at {self._describe_place()}"
         elif hit == 2:
-            self.crash_cause = f"tipped over: a rotor touched the floor at {self._describe_place()}"
+            self.crash_cause = f"{TIP_OVER_TEXT}: a rotor touched the floor at {self._describe_place()}"
 
     def _describe_place(self) -> str:
         n, e, d = self.state[POSITION]

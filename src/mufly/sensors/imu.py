@@ -13,12 +13,13 @@ adds
 and blades that pass each other add A_p cos(2 (th_up + th_dw) + p_p). Forces grow with the square of the speed and pass
 the board's resonance, |H(w)| with H = 1 / (1 - (w / w_r)^2 + 2 j zeta w / w_r). The file gives A at the hover speed.
 
-The element is sampled every ``sample_period`` (8 kHz). Its errors are scale and misalignment, bias, and white noise of
-density N (standard deviation N sqrt(f_s / 2)). The bias is the sum of a turn-on bias, a first-order Gauss-Markov drift
-(d b = -b dt / tau + sigma sqrt(2 dt / tau) n) and a share from the warming of the board. Gyroscopes also sense
-acceleration. The sample *clips* first; then a second-order Butterworth filter removes aliasing frequencies, and its
-output is read. Clipping turns an asymmetric vibration (2/rev in phase with 1/rev) into a false mean acceleration: the
-false tilt of Sec. 2.1.2.
+The element is mounted at angles to the body axes (roll, pitch, yaw; 0 unless the file gives them): it senses R_m^T f
+and R_m^T w. It is sampled every ``sample_period`` (8 kHz). Its errors are scale and misalignment, bias, and white
+noise of density N (standard deviation N sqrt(f_s / 2)). The bias is the sum of a turn-on bias, a first-order Gauss-
+Markov drift (d b = -b dt / tau + sigma sqrt(2 dt / tau) n) and a share from the warming of the board. Gyroscopes also
+sense acceleration. The sample *clips* first; then a second-order Butterworth filter removes aliasing frequencies, and
+its output is read. Clipping turns an asymmetric vibration (2/rev in phase with 1/rev) into a false mean acceleration:
+the false tilt of Sec. 2.1.2.
 
 Sources: IEEE Std 952 and 1293 for the error terms; Groves, Principles of GNSS, Inertial and Multisensor Integrated
 Navigation Systems, 2nd ed., ch. 4; own derivation for the vibration. Thesis: Fig. 2.6.
@@ -45,6 +46,7 @@ from mufly.dynamics.model_state import (
 )
 from mufly.numba_cache import cached_njit
 from mufly.numba_intrinsics import borrow_arrays
+from mufly.rotations import quaternion_from_euler
 from mufly.sensors.readings import Reading, Sensor, Truth
 from mufly.sensors.rng import draw_normals, make_source
 from mufly.units import GRAVITY
@@ -101,6 +103,9 @@ class Imu(Sensor):
         self.turn_on_bias = on * rng.standard_normal(6)
         self._temperature_bias = heat * rng.standard_normal(6)
         self._g_sensitivity = float(imu.gyro_g_sensitivity) * rng.standard_normal((3, 3))
+        self._mounting = mounting_matrix(imu)
+        if self._mounting is not None:
+            self._axes, self._g_sensitivity = self._axes @ self._mounting, self._g_sensitivity @ self._mounting
         azimuth = rng.uniform(0.0, 2 * math.pi, 3)
         level = math.cos(_TRIPOD_ELEVATION)
         e = np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), np.full(3, math.sin(_TRIPOD_ELEVATION))])
@@ -137,7 +142,9 @@ class Imu(Sensor):
         self._current_state[:] = truth.state
         if before is None:
             _mean_specific_force(self._current_state, self._current_state, 1.0, self._place, self._current_force)
-            self._filter_memory[:] = np.concatenate([self._current_force, truth.rates])[:, None]
+            sensed = np.stack([self._current_force, truth.rates])
+            sensed = sensed if self._mounting is None else sensed @ self._mounting.T
+            self._filter_memory[:] = sensed.reshape(6, 1)
             return self._make_readings(truth.time_s, self._filter_memory[:, 0] + self.current_bias, np.zeros(6))
         elapsed = truth.time_s - before.time_s
         normal = np.empty(6 + 6 * self.sample_count(elapsed))
@@ -216,6 +223,14 @@ def butterworth_coefficients(cutoff_rad_s: float, step_s: float) -> _Array:
     norm = 1.0 / (1.0 + math.sqrt(2.0) * k + k * k)
     b0 = k * k * norm
     return np.array([b0, 2 * b0, b0, 2 * (k * k - 1) * norm, (1 - math.sqrt(2.0) * k + k * k) * norm])
+
+
+def mounting_matrix(imu: ImuTable) -> _Array | None:
+    """Return the matrix (3, 3) from body axes to the axes of the element, without errors; None if they agree."""
+    angles = [float(q) for q in (imu.mount_roll, imu.mount_pitch, imu.mount_yaw)]
+    if not any(angles):
+        return None
+    return np.ascontiguousarray(body_to_ned_matrix(quaternion_from_euler(*angles)).T)
 
 
 def _axis_matrix(rng: np.random.Generator, scale: float, misalignment: float) -> _Array:

@@ -7,6 +7,7 @@ sensors of vehicles from a gram to 100 kg; error parameters may be zero.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from pydantic import Field, model_validator
 
@@ -35,6 +36,20 @@ class VibrationParameters(ParameterGroup):
 
 DEFAULT_LEVEL_ERROR_RAD = math.radians(0.12)
 """Default tilt error of the standing helicopter (rad), 0.2 mm under a leg of 0.1 m."""
+
+MAX_MOUNT_ANGLE_RAD = math.radians(30.0)
+"""Largest angle of a mounting error (rad)."""
+
+
+def _declare_mount_angle(symbol: str, axis: str) -> Any:
+    return declare_parameter(
+        "rad",
+        symbol,
+        f"turn of the element about the body's {axis} axis, which the filter takes for 0",
+        at_least=-MAX_MOUNT_ANGLE_RAD,
+        at_most=MAX_MOUNT_ANGLE_RAD,
+        absent=0.0,
+    )
 
 
 class ImuParameters(ParameterGroup):
@@ -95,6 +110,9 @@ class ImuParameters(ParameterGroup):
         at_most=0.2,
         absent=DEFAULT_LEVEL_ERROR_RAD,
     )
+    mount_roll: Quantity = _declare_mount_angle("phi_m", "x")
+    mount_pitch: Quantity = _declare_mount_angle("theta_m", "y")
+    mount_yaw: Quantity = _declare_mount_angle("psi_m", "z")
     vibration: VibrationParameters
 
     @model_validator(mode="after")

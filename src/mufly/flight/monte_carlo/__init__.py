@@ -12,10 +12,12 @@ from mufly.flight.monte_carlo.campaign_results import (
     summarise_outcome,
     wilson_interval,
 )
+from mufly.flight.monte_carlo.flight_ending import ENDINGS, FlightEnding
 from mufly.flight.monte_carlo.variation import ParameterVariation, parse_variations
 from mufly.flight.monte_carlo.worker_pool import (
     WorkerPool,
     case_from_result,
+    describe_campaign,
     flight_severity,
     run_campaign,
     search_worst_case,
@@ -23,9 +25,11 @@ from mufly.flight.monte_carlo.worker_pool import (
 )
 
 __all__ = [
+    "ENDINGS",
     "Campaign",
     "CampaignOutcome",
     "FlightCase",
+    "FlightEnding",
     "FlightMetric",
     "FlightResult",
     "MetricSummary",
@@ -33,6 +37,7 @@ __all__ = [
     "RecordedFlights",
     "WorkerPool",
     "case_from_result",
+    "describe_campaign",
     "draw_distributions",
     "draw_influences",
     "flight_severity",

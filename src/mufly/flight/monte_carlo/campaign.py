@@ -13,6 +13,7 @@ from __future__ import annotations
 import functools
 import math
 import shlex
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from dataclasses import fields as fields_of
 from functools import cached_property
@@ -31,13 +32,23 @@ from mufly.estimate import Estimate
 from mufly.estimate.filter_records import EX_ATT, EX_GYRO_BIAS
 from mufly.estimate.nees import normalised_errors
 from mufly.flight.flight_software import ControlImplementation
+from mufly.flight.monte_carlo.flight_ending import (
+    LANDED_HEIGHT_TOLERANCE_M,
+    LANDED_MAX_SPEED_M_S,
+    LANDED_MAX_TILT_DEG,
+    FlightEnding,
+    classify_ending,
+    final_speed_m_s,
+    final_tilt_deg,
+    wrong_sources,
+)
 from mufly.flight.monte_carlo.variation import ParameterVariation
 from mufly.flight.record.flight_summary import FlightSummary, summarise_flight
 from mufly.flight.simulated_flight import fly_mission
 from mufly.mission import Mission, check_preflight, dump_mission
 from mufly.results import result, to_plain_data
 from mufly.sensors import Truth, parse_fault
-from mufly.vehicle import Vehicle, format_vehicle_toml, replace_parameters
+from mufly.vehicle import Vehicle, format_vehicle_toml, list_parameters, replace_parameters
 from mufly.version import __version__
 
 _Array = NDArray[np.float64]
@@ -45,8 +56,8 @@ _Array = NDArray[np.float64]
 MAX_VEHICLE_DRAWS = 200
 """Number of consecutive impossible vehicles after which a campaign ends."""
 
-LANDED_HEIGHT_TOLERANCE_M, LANDED_MAX_SPEED_M_S, LANDED_MAX_TILT_DEG = 0.02, 0.05, 10.0
-"""Largest height error (m), speed (m/s) and tilt (deg) of a landed helicopter."""
+NEVER_TOLD_PREFIX = "sensors.imu.mount_"
+"""Keys that no filter uses: it takes the inertial unit for aligned with the body."""
 
 NEES_INTERVAL_PERIODS = 10  # periods
 
@@ -87,6 +98,8 @@ class FlightResult:
         Seed of gusts and sensors.
     success : bool
         Success reported by the state machine and confirmed by the truth.
+    ending : str
+        Class of :data:`mufly.flight.monte_carlo.flight_ending.ENDINGS`, by the truth.
     reason : str
         Reason of a failure; empty for a success.
     told : str
@@ -126,6 +139,7 @@ class FlightResult:
     index: int
     seed: int
     success: bool
+    ending: FlightEnding
     reason: str
     told: str
     refused: int
@@ -173,7 +187,8 @@ class Campaign:
     tolerance_m : float
         Allowed distance from a waypoint and from the landing position (m).
     redesign : bool
-        Make controllers, autopilot and estimator for each vehicle drawn, instead of for ``vehicle``.
+        Make controllers, autopilot and estimator for each vehicle drawn. By default they are made for ``vehicle``: no
+        variation is told to them, so that only the truth varies.
     controllers : callable, optional
         As for :class:`mufly.flight.Flight`.
     quickly : callable, optional
@@ -220,6 +235,31 @@ class Campaign:
             controller=None if more.get("redesign") else design_flight_controller(vehicle),
             **more,
         )
+
+    @property
+    def varied_keys(self) -> list[str]:
+        """Return the keys of all parameters that vary, sorted."""
+        return sorted({key for v in self.variations for key in v.keys})
+
+    @property
+    def told_keys(self) -> list[str]:
+        """Return the varied keys whose drawn values controllers, filter and fault detection are designed with."""
+        return [key for key in self.varied_keys if self.redesign and not key.startswith(NEVER_TOLD_PREFIX)]
+
+    @property
+    def untold_keys(self) -> list[str]:
+        """Return the varied keys that differ in truth only."""
+        return [key for key in self.varied_keys if not self.redesign or key.startswith(NEVER_TOLD_PREFIX)]
+
+    def describe_knowledge(self) -> str:
+        """Return how many parameters vary, and whether they are told to the flight software, in words."""
+        told, untold = len(self.told_keys), len(self.untold_keys)
+        parts = [
+            f"{n} varied parameter{'s' if n > 1 else ''} {word}"
+            for n, word in ((untold, "untold"), (told, "told"))
+            if n
+        ]
+        return " and ".join(parts) or "only the noise varies"
 
     @cached_property
     def settings_hash(self) -> str:
@@ -296,6 +336,36 @@ class Campaign:
         """
         return replace_parameters(self.vehicle, dict(case.parameter_values)) if case.parameter_values else self.vehicle
 
+    def flight_options(self, case: FlightCase) -> dict[str, Any]:
+        """Return the arguments of :class:`mufly.flight.Flight` for a flight, vehicle and mission included.
+
+        Raises
+        ------
+        InputError
+            If such a vehicle is impossible.
+        """
+        return {
+            "vehicle": self.make_vehicle(case),
+            "mission": self.mission,
+            "controller": self.controller,
+            "designed_for": None if self.redesign else self.vehicle,
+            "wind": case.wind,
+            "gust": self.gust,
+            "seed": case.seed,
+            "sensors": self.sensors,
+            "faults": [parse_fault(text) for text in self.faults],
+            "controllers": self.controllers or self.quickly,
+        }
+
+    @cached_property
+    def _filed_values(self) -> dict[str, float]:
+        return {p.key: p.value for p in list_parameters(self.vehicle) if isinstance(p.value, float)}
+
+    def wrong_sources(self, case: FlightCase) -> frozenset[str]:
+        """Return the sensors whose true errors the filter does not know, as messages name them."""
+        untold = {key: case.parameter_values[key] for key in self.untold_keys if key in case.parameter_values}
+        return wrong_sources(self.faults, untold, self._filed_values)
+
     def replay_command(self, case: FlightCase, folder: Path, vehicle_file: Path | None) -> str:
         """Return the command that repeats a flight; ``vehicle_file`` holds the drawn vehicle, if any."""
         words = ["mufly", "fly", self.mission_name, "--headless", "--sensors", self.sensors]
@@ -330,18 +400,17 @@ def fly_case(campaign: Campaign, case: FlightCase, path: Path | None = None) -> 
     try:
         with _thread_pools().limit(limits=1):  # the last bits of a design are not to depend on the number of cores
             data = fly_mission(
-                campaign.make_vehicle(case), campaign.mission,
-                controller=campaign.controller, designed_for=None if campaign.redesign else campaign.vehicle,
-                wind=case.wind, gust=campaign.gust, seed=case.seed,
-                sensors=campaign.sensors, faults=[parse_fault(text) for text in campaign.faults],
-                controllers=campaign.controllers or campaign.quickly, path=path, brief=path is None,
-                on_tick=heard if sensed else None, tick_every=NEES_INTERVAL_PERIODS,
+                **campaign.flight_options(case), path=path, brief=path is None, on_tick=heard if sensed else None,
+                tick_every=NEES_INTERVAL_PERIODS,
             )  # fmt: skip
     except MuflyError as error:
-        return FlightResult(**same, success=False, reason=f"did not fly: {error}", told="")
+        return FlightResult(**same, success=False, ending="not started", reason=f"did not fly: {error}", told="")
     except Exception as error:  # a fault of the program; the others fly on
-        return FlightResult(**same, success=False, reason=f"raised {type(error).__name__}: {error}", told="")
-    return judge_flight(data, campaign.mission, campaign.tolerance_m, nees=heard.mean_nees, **same)
+        why = f"raised {type(error).__name__}: {error}"
+        return FlightResult(**same, success=False, ending="lost", reason=why, told="")
+    return judge_flight(
+        data, campaign.mission, campaign.tolerance_m, nees=heard.mean_nees, wrong=campaign.wrong_sources(case), **same
+    )
 
 
 @functools.cache
@@ -378,9 +447,13 @@ class _EstimateScore:
 
 
 def judge_flight(
-    data: xr.Dataset, mission: Mission, tolerance_m: float, *, nees: float | None = None, **same: Any
-) -> FlightResult:
-    """Judge a recording by its truth; ``same`` are the other fields of :class:`FlightResult`."""
+    data: xr.Dataset, mission: Mission, tolerance_m: float, *, nees: float | None = None,
+    wrong: Collection[str] = (), **same: Any,
+) -> FlightResult:  # fmt: skip
+    """Judge a recording by its truth.
+
+    ``wrong`` names the sensors that may be accused; ``same`` are the other fields of :class:`FlightResult`.
+    """
     # Sensors are recorded in every period, the truth is judged at 100 Hz: the result is the same with both.
     step = round(0.01 / float(np.median(np.diff(data.time.values[:100]))))
     data = data.isel(time=slice(None, None, max(1, step)))
@@ -402,6 +475,7 @@ def judge_flight(
     return FlightResult(
         **same,
         success=not reason,
+        ending=classify_ending(data, s, not reason, wrong),
         reason=reason,
         told=f"{s.outcome}: {s.reason}" if s.reason else s.outcome,
         duration_s=s.duration_s,
@@ -434,11 +508,10 @@ def _failure_reason(s: FlightSummary, data: xr.Dataset, tolerance_m: float) -> s
     up = float(data.truth_position.values[0, 2] - last.truth_position.values[2])
     if abs(up) > LANDED_HEIGHT_TOLERANCE_M:
         return f"it ends {up:.2f} m above where it stood"
-    roll, pitch = last.truth_attitude.values[:2]
-    tilt = math.degrees(math.acos(math.cos(roll) * math.cos(pitch)))
+    tilt = final_tilt_deg(data)
     if tilt > LANDED_MAX_TILT_DEG:
         return f"it ends tilted by {tilt:.0f} degrees"
-    speed = float(np.linalg.norm(last.truth_velocity.values))
+    speed = final_speed_m_s(data)
     if speed > LANDED_MAX_SPEED_M_S:
         return f"it still moves at the end, with {speed:.2f} m/s"
     if np.any(last.motor_input.values > 0.0):

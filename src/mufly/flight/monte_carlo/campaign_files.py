@@ -98,7 +98,7 @@ def write_flights(campaign: Campaign, flown: Sequence[FlightResult], folder: Pat
         return []
     table = results_dataset(flown, campaign)
     files = write_results(table, folder, name)
-    title = f"{campaign.vehicle.name}, {campaign.mission_name}"
+    title = f"{campaign.vehicle.name}, {campaign.mission_name}, {campaign.describe_knowledge()}"
     pictures = {
         f"{name}-distributions": draw_distributions(flown, campaign.tolerance_m, title),
         f"{name}-influences": draw_influences(flown, campaign),

@@ -69,7 +69,8 @@ def draw_outcome(outcome: CampaignOutcome) -> Figure:
             capsize=4,
         )  # fmt: skip
         upper.set(xlim=(0, 101), yticks=[], xlabel="flights that succeed (%), with the 95 % interval")
-        upper.set_title(f"{outcome.successes} of {outcome.flights} flights succeeded")
+        others = ", ".join(f"{count} {name}" for name, count, _, _ in outcome.endings if name != "succeeded")
+        upper.set_title(f"{outcome.successes} of {outcome.flights} flights succeeded; {others}")
         if outcome.reasons:
             names, counts = zip(*reversed(outcome.reasons), strict=True)
             lower.barh([n if len(n) < 70 else n[:67] + "..." for n in names], counts, color=VERMILION)

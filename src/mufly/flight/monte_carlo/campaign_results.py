@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from mufly.errors import InputError
 from mufly.flight.monte_carlo.campaign import Campaign, FlightResult
+from mufly.flight.monte_carlo.flight_ending import ENDINGS, FlightEnding
 from mufly.flight.monte_carlo.worker_pool import describe_campaign
 from mufly.mission import HARD_TOUCHDOWN_M_S
 from mufly.results import ShownBlock, result, show_lines, show_table
@@ -139,6 +140,9 @@ class CampaignOutcome:
         Successes by what the state machine says.
     refused : int
         Vehicles drawn that cannot be, and were drawn again.
+    endings : tuple
+        Class by the truth (:data:`mufly.flight.monte_carlo.flight_ending.ENDINGS`), number of flights, and the 95 %
+        interval of its share (Wilson); always with tip-overs.
     reasons : tuple
         Why flights failed, with their number, the commonest first; numbers in a reason are left out.
     failed : tuple of int
@@ -152,6 +156,7 @@ class CampaignOutcome:
     high: float
     claimed: int
     refused: int
+    endings: tuple[tuple[FlightEnding, int, float, float], ...]
     reasons: tuple[tuple[str, int], ...]
     failed: tuple[int, ...]
     worst: tuple[MetricSummary, ...]
@@ -181,8 +186,18 @@ class CampaignOutcome:
              f"{w.flight}", "" if w.beyond is None else f"{w.beyond}")
             for w in self.worst
         ]  # fmt: skip
+        endings = [
+            (
+                name,
+                f"{count}",
+                _format_percent(count / self.flights),
+                f"{_format_percent(low)} to {_format_percent(high)}",
+            )
+            for name, count, low, high in self.endings
+        ]
         return [
             *blocks,
+            show_table(("by the truth", "flights", "share", "95 % interval"), endings),
             show_lines(*(f"{count} x {reason}" for reason, count in self.reasons), mark="Failed"),
             show_table(("", "median", "95 %", "worst", "unit", "flight", "beyond limit"), rows),
         ]
@@ -202,10 +217,16 @@ def summarise_outcome(flights: Sequence[FlightResult], tolerance_m: float) -> Ca
     """
     good = [f for f in flights if f.success]
     low, high = wilson_interval(len(good), len(flights))
+    ended = Counter(f.ending for f in flights)
     reasons = Counter(_without_numbers(f.reason) for f in flights if not f.success)
     return CampaignOutcome(
         len(flights), len(good), low, high,
         claimed=sum(f.told.startswith("succeeded") for f in flights), refused=sum(f.refused for f in flights),
+        endings=tuple(
+            (name, ended[name], *wilson_interval(ended[name], len(flights)))
+            for name in ENDINGS
+            if ended[name] or name in ("succeeded", "tipped over")
+        ),
         reasons=tuple(sorted(reasons.items(), key=lambda r: (-r[1], r[0]))),
         failed=tuple(f.index for f in flights if not f.success),
         worst=tuple(w for m in list_metrics(tolerance_m) if (w := _summarise_metric(flights, m)) is not None),
@@ -245,6 +266,11 @@ def results_dataset(flights: Sequence[FlightResult], campaign: Campaign) -> xr.D
             "flight",
             np.array([f.success for f in flights], dtype=np.int8),
             {"long_name": "judged by the truth"},
+        ),
+        "ending": (
+            "flight",
+            np.array([f.ending for f in flights], dtype=np.str_),
+            {"long_name": "class by the truth"},
         ),
         "reason": (
             "flight",

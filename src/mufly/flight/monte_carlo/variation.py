@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import json
 import re
+import tomllib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal
 
@@ -26,8 +28,14 @@ _Array = NDArray[np.float64]
 ALL_PARAMETERS = "parameters"
 """Name of all parameters of the flight model: everything but the mass budget, the range ring and the sensors."""
 
+STANDARD_SET = "standard"
+"""Name of the set of errors in ``standard.toml`` beside this file."""
+
 _EXCLUDED_PREFIXES = ("mass_budget.", "range_ring.", "sensors.")
-_SYNTAX_HELP = "NAME=10%, NAME=+-2g, NAME=90:100g, NAME=normal:3%, NAME=std, or a file of `mufly identify flight`"
+_SYNTAX_HELP = (
+    "NAME=10%, NAME=50:300%, NAME=+-2g, NAME=90:100g, NAME=normal:3%, NAME=std, standard, "
+    "or a file of `mufly identify flight`"
+)
 _SPREAD_PATTERN = re.compile(r"(?P<normal>normal:)?(?P<sides>\+-|±)?(?P<number>[0-9.eE+-]+) *(?P<unit>[^0-9: ].*)?")
 _RANGE_PATTERN = re.compile(r"(?P<low>[0-9.eE+-]+) *: *(?P<high>[0-9.eE+-]+) *(?P<unit>.*)")
 
@@ -99,11 +107,12 @@ def parse_variations(texts: Sequence[str], vehicle: Vehicle) -> tuple[ParameterV
     Parameters
     ----------
     texts : sequence of str
-        ``NAME`` is ``list_parameters``, a table (``rotors``), a key (``body.mass``) or a symbol (``m``). ``10%`` and
-        ``+-2g`` draw uniformly around the vehicle's value, ``90:100g`` uniformly in between; ``normal:3%`` and
-        ``normal:2g`` normally with this standard deviation, ``std`` with the one that the vehicle file states. A file
-        is what ``mufly identify flight --json`` printed (with the covariance) or a vehicle file (with standard
-        deviations). What names fewer parameters takes precedence.
+        ``NAME`` is ``parameters``, a table (``rotors``), a key (``body.mass``) or a symbol (``m``). ``10%`` and
+        ``+-2g`` draw uniformly around the vehicle's value, ``90:100g`` uniformly in between, ``50:300%`` uniformly
+        between these shares of the vehicle's value; equal ends give a fixed value. ``normal:3%`` and ``normal:2g`` draw
+        normally with this standard deviation, ``std`` with the one that the vehicle file states. A file is what
+        ``mufly identify flight --json`` printed (with the covariance) or a vehicle file (with standard deviations).
+        ``standard`` is the set of ``standard.toml``. A text with fewer parameters takes precedence.
     vehicle : Vehicle
         Around which is drawn.
 
@@ -114,7 +123,7 @@ def parse_variations(texts: Sequence[str], vehicle: Vehicle) -> tuple[ParameterV
     """
     found: list[ParameterVariation] = []
     for text in texts:
-        new = _read_variation_file(text, vehicle) if _is_file(text) else _parse_assignment(text, vehicle)
+        new = _parse_text(text, vehicle)
         for k, other in enumerate(found):
             shared = [key for key in new.keys if key in other.keys]
             if not shared:
@@ -129,8 +138,29 @@ def parse_variations(texts: Sequence[str], vehicle: Vehicle) -> tuple[ParameterV
     return tuple(v for v in found if v.keys)
 
 
-def _is_file(text: str) -> bool:
-    return "=" not in text and Path(text).suffix.lower() in (".json", ".toml")
+def _parse_text(text: str, vehicle: Vehicle) -> ParameterVariation:
+    if text.strip() == STANDARD_SET:
+        return _standard_variation(vehicle)
+    is_file = "=" not in text and Path(text).suffix.lower() in (".json", ".toml")
+    return _read_variation_file(text, vehicle) if is_file else _parse_assignment(text, vehicle)
+
+
+def _standard_variation(vehicle: Vehicle) -> ParameterVariation:
+    """Return the standard set as one variation of independent uniform parameters; absent sensors are left out."""
+    content = files(__package__).joinpath(f"{STANDARD_SET}.toml").read_text(encoding="utf-8")
+    values = {p.key: p.value for p in list_parameters(vehicle)}
+    parts = []
+    for line in tomllib.loads(content)["vary"]:
+        key = line.partition("=")[0]
+        if key in values and (values[key] != 0.0 or "%" not in line):
+            parts.append(_parse_assignment(line, vehicle))
+    return ParameterVariation(
+        STANDARD_SET,
+        tuple(key for part in parts for key in part.keys),
+        "uniform",
+        np.concatenate([part.nominal_values for part in parts]),
+        np.diag([float(part.spread_matrix[0, 0]) for part in parts]),
+    )
 
 
 _NAMES_HELP = "use `parameters`, a table, or a key or symbol that `mufly vehicle show` lists"
@@ -157,7 +187,8 @@ def _select_parameters(name: str, text: str, vehicle: Vehicle) -> list[Parameter
 def _parse_assignment(text: str, vehicle: Vehicle) -> ParameterVariation:
     name, equals, how = (part.strip() for part in text.partition("="))
     if not equals or not how:
-        raise ArgumentError("vary", text, "does not say how to vary what", f"write {_SYNTAX_HELP}")
+        remedy = suggest_name(name, [STANDARD_SET], f"write {_SYNTAX_HELP}") if not equals else f"write {_SYNTAX_HELP}"
+        raise ArgumentError("vary", text, "does not say how to vary what", remedy)
     chosen = _select_parameters(name, text, vehicle)
     keys = tuple(p.key for p in chosen)
     if how == "std":
@@ -170,11 +201,7 @@ def _parse_assignment(text: str, vehicle: Vehicle) -> ParameterVariation:
         note = f"{missing} of {len(chosen)} parameters state no standard deviation: not varied" if missing else ""
         return replace(_independent_variation(text, stated, [float(p.std or 0.0) for p in stated], "normal"), note=note)
     if match := _RANGE_PATTERN.fullmatch(how):
-        low, high = (_to_si_amount(match[k], match["unit"], chosen, text) for k in ("low", "high"))
-        if not low < high:
-            raise ArgumentError("vary", text, f"{how} contains nothing", "write LOW:HIGH with LOW below HIGH")
-        half = np.full(len(keys), 0.5 * (high - low))
-        return ParameterVariation(text, keys, "uniform", half + low, np.diag(half))
+        return _range_variation(text, how, match, chosen)
     match = _SPREAD_PATTERN.fullmatch(how)
     if match is None:
         raise ArgumentError("vary", text, f"{how!r} is not a variation", f"write {_SYNTAX_HELP}")
@@ -184,16 +211,41 @@ def _parse_assignment(text: str, vehicle: Vehicle) -> ParameterVariation:
     if unit == "%":
         if number >= 100.0 and match["normal"] is None:
             raise ArgumentError("vary", text, f"{number:g} % either way reaches zero", "give less than 100 %")
-        # A share of what a vehicle has not (ground effect, friction) is nothing, and draws no number.
-        chosen = [p for p in chosen if p.value != 0.0]
-        if not chosen:
-            raise ArgumentError("vary", text, "a share of 0 is 0", "write +-AMOUNT, or LOW:HIGH, with its unit")
+        chosen = _without_zeros(chosen, text)
         widths = number / 100.0 * np.abs([p.value for p in chosen])
     elif match["normal"] or match["sides"]:
         widths = np.full(len(keys), _to_si_amount(match["number"], unit, chosen, text))
     else:
         raise ArgumentError("vary", text, f"{how!r} may be a value or a spread", "write +-2g or normal:2g for a spread")
     return _independent_variation(text, chosen, widths.tolist(), "normal" if match["normal"] else "uniform")
+
+
+def _range_variation(text: str, how: str, match: re.Match[str], chosen: Sequence[Parameter]) -> ParameterVariation:
+    """Return parameters drawn between two values, or two shares of the vehicle's value."""
+    is_share = match["unit"].strip() == "%"
+    if is_share:
+        low, high = (_parse_number(match[k], text) / 100.0 for k in ("low", "high"))
+        chosen = _without_zeros(chosen, text)
+        if low < 0.0:
+            raise ArgumentError(
+                "vary", text, f"{100 * low:g} % of a value turns its sign", "give shares of 0 % or more"
+            )
+    else:
+        low, high = (_to_si_amount(match[k], match["unit"], chosen, text) for k in ("low", "high"))
+    if not low <= high:
+        raise ArgumentError("vary", text, f"{how} contains nothing", "write LOW:HIGH with LOW not above HIGH")
+    scale = np.array([p.value if is_share else 1.0 for p in chosen])
+    half = 0.5 * (high - low) * np.abs(scale)
+    spread = np.diag(half) if high > low else np.zeros((len(chosen), 0))
+    return ParameterVariation(text, tuple(p.key for p in chosen), "uniform", 0.5 * (high + low) * scale, spread)
+
+
+def _without_zeros(chosen: Sequence[Parameter], text: str) -> list[Parameter]:
+    """Return the parameters that are not 0: a share of 0, as without ground effect or friction, draws no number."""
+    kept = [p for p in chosen if p.value != 0.0]
+    if not kept:
+        raise ArgumentError("vary", text, "a share of 0 is 0", "write +-AMOUNT, or LOW:HIGH, with its unit")
+    return kept
 
 
 def _independent_variation(

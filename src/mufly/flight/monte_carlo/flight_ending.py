@@ -1,0 +1,99 @@
+"""Classes of flights by how they end in truth.
+
+A vehicle that comes down on its legs has *landed*: upright, at rest, motors off, touched down softly. Its landing has
+the right reason if the flight software reports a failure, and accuses no sensor or at least one whose errors differ
+from the vehicle file: by a fault, or by a variation that the filter is not told.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable, Mapping
+from typing import Literal, get_args
+
+import numpy as np
+import xarray as xr
+
+from mufly.flight.record.flight_summary import FlightSummary
+from mufly.flight.simulated_plant import COLLISION_TEXT, TIP_OVER_TEXT
+from mufly.mission import HARD_TOUCHDOWN_M_S
+from mufly.sensor_table import READINGS, SENSORS
+from mufly.sensors import FAULT_TARGETS, parse_fault
+
+LANDED_HEIGHT_TOLERANCE_M, LANDED_MAX_SPEED_M_S, LANDED_MAX_TILT_DEG = 0.02, 0.05, 10.0
+"""Largest height error (m), speed (m/s) and tilt (deg) of a landed helicopter."""
+
+FlightEnding = Literal["succeeded", "landed", "landed, wrong reason", "not started", "tipped over", "hit", "lost"]
+ENDINGS: tuple[FlightEnding, ...] = get_args(FlightEnding)
+"""Classes, the best first: mission flown; landed safely with the right reason, or another one; stays on the floor;
+on its side; hit an obstacle, or the floor hard; anything else, as a flight that does not end."""
+
+
+def final_tilt_deg(data: xr.Dataset) -> float:
+    """Return the tilt of the mast at the last instant of a recording (deg)."""
+    roll, pitch = data.truth_attitude.values[-1, :2]
+    return math.degrees(math.acos(math.cos(roll) * math.cos(pitch)))
+
+
+def final_speed_m_s(data: xr.Dataset) -> float:
+    """Return the speed at the last instant of a recording (m/s)."""
+    return float(np.linalg.norm(data.truth_velocity.values[-1]))
+
+
+def classify_ending(
+    data: xr.Dataset, s: FlightSummary, success: bool, wrong_sources: Collection[str] = ()
+) -> FlightEnding:
+    """Return the class of a flight.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        Its recording.
+    s : FlightSummary
+        Of the recording.
+    success : bool
+        Success confirmed by the truth.
+    wrong_sources : collection of str
+        Sensors that may be accused, as :func:`wrong_sources` names them.
+    """
+    if success:
+        return "succeeded"
+    tilt = final_tilt_deg(data)
+    if s.reason.startswith(f"{TIP_OVER_TEXT}:") or tilt > LANDED_MAX_TILT_DEG:
+        return "tipped over"
+    if s.reason.startswith(COLLISION_TEXT):
+        return "hit"
+    x = data.truth_position.values
+    at_rest = final_speed_m_s(data) <= LANDED_MAX_SPEED_M_S and not np.any(data.motor_input.values[-1] > 0.0)
+    if not at_rest:
+        return "lost"
+    if not np.any(x[0, 2] - x[:, 2] > LANDED_HEIGHT_TOLERANCE_M):
+        return "not started"
+    if (s.touchdown_speed_m_s or 0.0) > HARD_TOUCHDOWN_M_S:
+        return "hit"
+    accused = {row.source for row in READINGS.values() if row.source and row.source in s.reason}
+    is_wrong = s.outcome == "succeeded" or s.reason.startswith(TIP_OVER_TEXT)
+    right = not is_wrong and (not accused or not accused.isdisjoint(wrong_sources))
+    return "landed" if right else "landed, wrong reason"
+
+
+def wrong_sources(faults: Iterable[str], values: Mapping[str, float], filed: Mapping[str, float]) -> frozenset[str]:
+    """Return the sensors whose errors differ from the vehicle file, as messages name them.
+
+    Parameters
+    ----------
+    faults : iterable of str
+        As :func:`mufly.sensors.parse_fault` reads them.
+    values, filed : mapping
+        Parameters of the true vehicle that were drawn, and those of the file, by key.
+    """
+    found = {READINGS[FAULT_TARGETS[parse_fault(text).name].reading].source for text in faults}
+    for key, value in values.items():
+        first, _, rest = key.partition(".")
+        table, _, name = rest.partition(".")
+        if first != "sensors" or value == filed.get(key):
+            continue
+        rows = [row for row in SENSORS[table] if row.source]
+        own = [row for row in rows if row.fault and name.startswith(f"{row.fault}_")]
+        found |= {row.source for row in own or rows}
+    return frozenset(found)
