@@ -67,8 +67,9 @@ EXCEPTIONS: tuple[tuple[str, str, str], ...] = ()
 """File, rule and the reason why the rule does not hold there."""
 
 PENDING: tuple[str, ...] = (
-    "src/mufly/estimate/*",
-    "src/mufly/firmware/*",
+    "src/mufly/estimate/ekf_step.py",
+    "src/mufly/estimate/filter_records.py",
+    "src/mufly/estimate/fusion.py",
     "src/mufly/flight/*",
 )
 """Files not yet rewritten (patterns; ``docs`` is the sum of its pages): no rule judges them."""
