@@ -157,7 +157,7 @@ def test_guided_orders(qgc):
     assert answer(qgc, m.MAV_CMD_DO_CHANGE_SPEED) == OK
     for mode, state in (((4, 5), "return"), ((4, 6), "landing")):
         qgc.mode(*mode)
-        rig.run(0.5)
+        rig.run(1.1)  # a heartbeat comes once a second
         assert qgc.last("HEARTBEAT").custom_mode == mode[0] << 16 | mode[1] << 24, state
     assert rig.run(30.0, lambda: not rig.status.armed)
 
