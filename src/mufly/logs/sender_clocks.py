@@ -230,9 +230,9 @@ def remove_arrival_leaps(
 ) -> tuple[_Array, list[str]]:
     """Remove jumps of the arrival time that the vehicle's clock does not show.
 
-    When the recording computer's clock is set, the vehicle's clock continues; when a vehicle starts, its clock begins
-    at 0; after a stall of the link both agree again. The vehicle's clock gives the duration of a step back (at the
-    places ``set_back``).
+    Such a jump arises when the recording computer's clock is set. A restart of the vehicle is no jump, because its
+    clock begins at 0; nor is a stall of the link, after which both clocks agree again. The vehicle's clock gives the
+    size of a step back (at the places ``set_back``).
 
     Returns
     -------
