@@ -280,7 +280,7 @@ def test_a_station_that_is_stopped_greys_the_page_and_does_nothing_late(fly: Fly
     os.kill(fly.process.pid, signal.SIGSTOP)
     try:
         page.evaluate("document.querySelector('[data-testid=take-off]').click()")
-        wait(lambda: "No connection to the station for" in page.inner_text(strip), "the page to grey")
+        wait(lambda: "No link to the station for" in page.inner_text(strip), "the page to grey")
         assert page.locator("[data-testid=no-contact]").is_visible()
         assert "transmitter" in page.locator(STOP).evaluate("e => getComputedStyle(e, '::after').content")
         for part in (".mf-page", STOP):
@@ -297,7 +297,7 @@ def test_a_station_that_is_stopped_greys_the_page_and_does_nothing_late(fly: Fly
         time.sleep(1.2)  # longer than anything may be late
     finally:
         os.kill(fly.process.pid, signal.SIGCONT)
-    wait(lambda: "No connection" not in page.inner_text(strip), "the station")
+    wait(lambda: "No link" not in page.inner_text(strip), "the station")
     wait(lambda: window.ready("take-off"), "the buttons")
     time.sleep(1.0)
     assert not (window.frame() or {})["armed"]
@@ -658,7 +658,7 @@ def test_a_second_window_watches_until_it_takes_the_controls(browser: Any, fly: 
     wait(lambda: not window.ready("take-off"), "the first window to watch")
     # A window that has lost the station asks for nothing: what waits would be done when it is back.
     second.page.evaluate("lose()")
-    wait(lambda: "No connection to the station" in second.page.inner_text(".mf-flightbar"), "the word of it")
+    wait(lambda: "No link to the station" in second.page.inner_text(".mf-flightbar"), "the word of it")
     assert "use the transmitter or its kill switch" in second.page.inner_text(".mf-flightbar")
     assert second.page.locator(STOP).is_visible()
     for key in ("Shift+T", "Shift+Backspace", "Shift+Backspace"):
@@ -667,7 +667,7 @@ def test_a_second_window_watches_until_it_takes_the_controls(browser: Any, fly: 
     assert not take_off.evaluate("e => { e.focus(); return document.activeElement === e; }")
     assert "out of reach" in second.page.locator(STOP).evaluate("e => getComputedStyle(e, '::after').content")
     second.page.evaluate("find_again()")
-    wait(lambda: "No connection" not in second.page.inner_text(".mf-flightbar"), "the station")
+    wait(lambda: "No link" not in second.page.inner_text(".mf-flightbar"), "the station")
     assert not second.page.locator(".mf-page").evaluate("e => e.inert")
     time.sleep(1.0)
     assert not (second.frame() or {})["armed"]

@@ -181,7 +181,7 @@ function hold(yes) {
 }
 
 const seconds = el("span", { "aria-hidden": true, class: "mf-num" });
-const overlay = el("div", { class: "mf-lost", role: "alert", hidden: true, "data-testid": "no-contact" }, el("strong", {}, "No connection to the station", seconds),
+const overlay = el("div", { class: "mf-lost", role: "alert", hidden: true, "data-testid": "no-contact" }, el("strong", {}, "No link to the station", seconds),
   el("span", { text: "The display is outdated, and no command from this page reaches the vehicle." }),
   el("span", { text: "To stop the motors, use the transmitter or its kill switch." }));
 document.body.append(overlay);
@@ -222,7 +222,7 @@ let refused = -Infinity;
 function refuse(held) {
   if (performance.now() - refused < LATE_MS) return;
   refused = performance.now();
-  const why = live.connected ? `delayed ${(held / 1000).toFixed(1)} s in this browser` : "no connection to the station";
+  const why = live.connected ? `delayed ${(held / 1000).toFixed(1)} s in this browser` : "no link to the station";
   window.Quasar?.Notify.create({ message: `Not sent: ${why}`, type: "warning", position: "bottom", timeout: 4000 });
 }
 

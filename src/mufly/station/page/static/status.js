@@ -43,7 +43,7 @@ export function mount(element) {
     link.parentElement.dataset.level = !recording && (s.link_loss ?? 0) > 0.1 ? "warn" : "";
     put(time, clock(s.time_s));
   }, { offline: (yes) => {
-    if (yes) put(state, "no connection to the station"), (state.parentElement.dataset.level = "bad");
+    if (yes) put(state, "no link to the station"), (state.parentElement.dataset.level = "bad");
   } });
   return { close: () => panel.close() };
 }

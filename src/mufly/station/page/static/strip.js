@@ -47,7 +47,7 @@ export function mount(element) {
     put(pace, "");
     put(battery, "");
     tell("warning", "this page cannot stop the motors: use the transmitter or its kill switch");
-  }, silent: (ms) => put(what, `No connection to the station${forSeconds(ms)}`) });
+  }, silent: (ms) => put(what, `No link to the station${forSeconds(ms)}`) });
   show(null);
   return { close: () => panel.close() };
 }
