@@ -110,6 +110,9 @@ MAX_WORK_LIMIT = 4  # scalar measurements, or what costs as much, for which ther
 TR_GYRO, TR_ACCEL, TR_AIR, TR_THRUST, TR_TURN = 0, 9, 18, 27, 30
 TRANSITION_SIZE = 33
 """Numbers of :func:`mufly.estimate.strapdown.error_transition`, and where its parts start."""
+AID_PLACE, AID_HEADING = range(2)
+AID_COUNT = 2
+"""Parts of the position fix whose noise and random walk are estimated in flight."""
 MAX_H_TERMS = 8  # largest number of states in a measurement equation
 ROTOR_FORCE_HISTORY = 8  # periods for which forces of the model wait for the slower inertial unit
 
@@ -185,6 +188,10 @@ class FilterMemory:
     rates_with_spikes: _Array = _real("rates of the period before, spikes included", 3, unit="rad/s")
     terrain_steps: int = _int("steps of the terrain over this edge")
     fix_ratio_lp: float = _real("square of the largest innovation ratio of the fix, lp")
+    noise_scale: _Array = _real("estimated variance of the fix's noise over the file's: place, heading", AID_COUNT)
+    walk_scale: _Array = _real("the same of its bias", AID_COUNT)
+    fix_ratio_prev: _Array = _real("innovation ratio of the last fused fix: N, E, D, heading", 4)
+    fix_ratio_mean: _Array = _real("mean of these ratios, lp", 4)
     is_accel_distrusted: int = _int("1: accelerometers and model disagree, the accelerometers are not used")
     accel_residual_lp: _Array = _real("accelerometers less model, lp", 3, unit="m/s2")
     accel_residual_sigma: _Array = _real("standard deviation expected of it", 3, unit="m/s2")

@@ -22,6 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.estimate.filter_records import (
+    AID_HEADING,
+    AID_PLACE,
     ERROR_STATE_COUNT,
     EX_ACCEL_BIAS,
     EX_ATT,
@@ -122,6 +124,12 @@ TERRAIN_STEP_GATE, MAX_TERRAIN_STEPS = 3.0, 8
 LIFTOFF_THRUST_RATIO, LIFTOFF_THRUST_SIGMA = 1.08, 0.08
 """What rotors lift, of the weight, as the sonar says that it leaves the floor, and what share of it that is off by."""
 _BEAM_GATE = 4.0
+NOISE_GAIN_PLACE, NOISE_GAIN_HEADING = 0.004, 0.008
+"""Gain of the estimated variances of a fix, per component of a fix."""
+MAX_SQUARED_RATIO, MAX_RATIO_PRODUCT = 9.0, 3.0
+"""A larger squared innovation ratio, or product of two, counts as this."""
+MIN_NOISE_SCALE, MAX_NOISE_SCALE = 0.25, 25.0
+"""Bounds of the estimated variances over those of the file."""
 COST_FIX_BIAS, COST_FIX = 1, 4
 """What a step of the bias of the fix costs, and a fix, in scalar measurements."""
 MIN_TERRAIN_HEIGHT = -0.1
@@ -244,6 +252,37 @@ def _fix_innovation(m: FilterMemory, z: _Array, i: int, ahead: float) -> float:
 
 
 @cached_njit(error_model="numpy")
+def _fix_variance(m: FilterMemory, s: FilterSettings, i: int) -> float:
+    """Return the estimated variance of component ``i`` of the fix."""
+    return s.fix_variance * m.noise_scale[AID_PLACE] if i < 3 else s.heading_variance * m.noise_scale[AID_HEADING]
+
+
+@cached_njit(error_model="numpy")
+def _fix_bias_variance(m: FilterMemory, s: FilterSettings, i: int) -> float:
+    """Return the estimated variance of the bias of component ``i`` of the fix."""
+    sigma = s.initial_sigma[EX_FIX_BIAS + i]
+    return sigma * sigma * m.walk_scale[AID_PLACE if i < 3 else AID_HEADING]
+
+
+@cached_njit(error_model="numpy")
+def _estimate_fix_noise(m: FilterMemory, i: int, ratio: float) -> None:
+    """Estimate noise and random walk of component ``i`` of the fix from its innovation ratio.
+
+    The mean square of the ratio is 1 where their sum is right. The product of two successive ratios has the mean 0 where
+    their proportion is right, too: it is negative where the noise is larger than assumed, and positive where the random
+    walk is (Mehra 1970, correlation of innovations). Both variances follow by stochastic approximation."""
+    aid = AID_PLACE if i < 3 else AID_HEADING
+    gain = NOISE_GAIN_PLACE if i < 3 else NOISE_GAIN_HEADING
+    excess = min(ratio * ratio, MAX_SQUARED_RATIO) - 1.0
+    pair = max(min(ratio * m.fix_ratio_prev[i], MAX_RATIO_PRODUCT), -MAX_RATIO_PRODUCT)
+    m.noise_scale[aid] *= 1.0 + gain * max(excess - pair, -1.0)
+    m.walk_scale[aid] *= 1.0 + gain * max(excess + pair, -1.0)
+    m.noise_scale[aid] = max(min(m.noise_scale[aid], MAX_NOISE_SCALE), MIN_NOISE_SCALE)
+    m.walk_scale[aid] = max(min(m.walk_scale[aid], MAX_NOISE_SCALE), MIN_NOISE_SCALE)
+    m.fix_ratio_prev[i] = ratio
+
+
+@cached_njit(error_model="numpy")
 def height_above_ground(x: _Array, s: FilterSettings) -> float:
     """Return the height of the legs above the surface below (m); that surface is not below the floor."""
     return -x[SX_POS + 2] - max(x[SX_TERRAIN], 0.0) - s.ground_clearance
@@ -255,9 +294,8 @@ def _fix_bias_ratio(m: FilterMemory, s: FilterSettings, i: int) -> float:
 
     A Gauss-Markov process of deviation sigma exceeds 5 sigma once in two million correlation times. Innovations do
     not show such an error, because the bias follows it."""
-    noise = s.fix_variance if i < 3 else s.heading_variance
     return abs(m.x[SX_FIX_BIAS + i]) / (
-        BIAS_RANGE_SIGMAS * math.sqrt(s.initial_sigma[EX_FIX_BIAS + i] * s.initial_sigma[EX_FIX_BIAS + i] + noise)
+        BIAS_RANGE_SIGMAS * math.sqrt(_fix_bias_variance(m, s, i) + _fix_variance(m, s, i))
     )
 
 
@@ -278,7 +316,7 @@ def _fix_height_consistent(m: FilterMemory, s: FilterSettings, z: _Array, ahead:
     k = R_FIX
     nu = _fix_innovation(m, z, 2, ahead)
     _fix_h_row(m, 2)
-    off = abs(_innovation_ratio(m, nu, s.fix_variance))
+    off = abs(_innovation_ratio(m, nu, _fix_variance(m, s, 2)))
     whole = abs(nu + m.x[SX_FIX_BIAS + 2])
     if m.fix_height_gap > 0.0:
         blind = (m.tick - m.last_fused_tick[R_SONAR]) * s.dt > 0.3
@@ -299,9 +337,8 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
         if i == 2 and not down:
             continue
         _fix_h_row(m, i)
-        r = s.fix_variance if i < 3 else s.heading_variance
         nu = _fix_innovation(m, z, i, ahead)
-        ratio = _innovation_ratio(m, nu, r)
+        ratio = _innovation_ratio(m, nu, _fix_variance(m, s, i))
         if abs(ratio) > abs(worst):
             worst, at = ratio, nu
             m.fix_component = i
@@ -314,7 +351,7 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
         and INNOVATION_GATE < abs(worst) < 2.0 * INNOVATION_GATE
     )
     if abs(worst) > INNOVATION_GATE and not led:
-        _reject_measurement(m, s, k, at, z, 3, 2.0 * s.sensor_period[k] + 8 * math.sqrt(s.fix_variance) + 0.05)
+        _reject_measurement(m, s, k, at, z, 3, 2.0 * s.sensor_period[k] + 8 * math.sqrt(_fix_variance(m, s, 0)) + 0.05)
         if not _reset_timeout_expired(m, s, k):
             return
         # What other sensors hold is not given up: the fix is off there.
@@ -330,6 +367,14 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
         inflate_variance(m.u_transposed, m.d, EX_ATT + 2, nu * nu, m.f)
         nu = at
         set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu)
+    for i in range(4):
+        if i == 2 and not down:
+            continue
+        _fix_h_row(m, i)
+        ratio = _innovation_ratio(m, _fix_innovation(m, z, i, ahead), _fix_variance(m, s, i))
+        m.fix_ratio_mean[i] += 0.15 * (ratio - m.fix_ratio_mean[i])
+        if m.is_heading_aligned != 0:
+            _estimate_fix_noise(m, i, ratio)
     # Off by much again and again: something carries the filter astray that it does not know, as gyroscopes that drift.
     m.fix_ratio_lp += 0.15 * (worst * worst - m.fix_ratio_lp)
     out = max(_fix_bias_ratio(m, s, 0), _fix_bias_ratio(m, s, 1), _fix_bias_ratio(m, s, 3))
@@ -340,7 +385,7 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
         if i == 2 and not down:
             continue
         _fix_h_row(m, i)
-        _fuse_scalar(m, _fix_innovation(m, z, i, ahead), s.fix_variance if i < 3 else s.heading_variance)
+        _fuse_scalar(m, _fix_innovation(m, z, i, ahead), _fix_variance(m, s, i))
     for i in range(3):
         most = GYRO_BIAS_RANGE_SIGMAS * s.initial_sigma[EX_GYRO_BIAS + i] + 2.0 * m.sigma_output[EX_GYRO_BIAS + i]
         if abs(m.x[SX_GYRO_BIAS + i]) > most and m.status[R_RATES] == STATUS_FUSED:
@@ -637,7 +682,7 @@ def _predict_fix_bias(m: FilterMemory, s: FilterSettings) -> None:
             by *= by
             blocks //= 2
         m.x[k + 1] *= keep
-        q = s.initial_sigma[k] * s.initial_sigma[k] * (1.0 - keep * keep)
+        q = _fix_bias_variance(m, s, k - EX_FIX_BIAS) * (1.0 - keep * keep)
         if q > 0.0:
             gauss_markov_update(m.u_transposed, m.d, k, keep, q, m.f)
     m.fix_bias_tick = m.horizon_tick

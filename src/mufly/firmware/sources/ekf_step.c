@@ -26,6 +26,10 @@ void estimator_reset(estimator_t *m, const estimator_settings_t *s)
     for (int32_t i = 0; i < QUEUE_SIZE; i++) {
         m->queue_due[i] = -1;
     }
+    for (int32_t i = 0; i < AID_COUNT; i++) {
+        m->noise_scale[i] = REAL(1.0);
+        m->walk_scale[i] = REAL(1.0);
+    }
     m->task_stage = STAGE_DONE;
     m->x_output[SX_ATT] = REAL(1.0);
     m->rotor_state[RS_ATT] = REAL(1.0);

@@ -129,10 +129,33 @@ static real_t fix_innovation(const estimator_t *m, const real_t z[4], int32_t i,
     return off;
 }
 
-/* Return the variance of component i of the fix. */
-static real_t fix_variance(const estimator_settings_t *s, int32_t i)
+/* Return the estimated variance of component i of the fix. */
+static real_t fix_variance(const estimator_t *m, const estimator_settings_t *s, int32_t i)
 {
-    return (i < 3) ? s->fix_variance : s->heading_variance;
+    return (i < 3) ? (s->fix_variance * m->noise_scale[AID_PLACE]) : (s->heading_variance * m->noise_scale[AID_HEADING]);
+}
+
+/* Return the estimated variance of the bias of component i of the fix. */
+static real_t fix_bias_variance(const estimator_t *m, const estimator_settings_t *s, int32_t i)
+{
+    const real_t sigma = s->initial_sigma[EX_FIX_BIAS + i];
+
+    return (sigma * sigma) * m->walk_scale[(i < 3) ? AID_PLACE : AID_HEADING];
+}
+
+/* Estimate noise and random walk of component i of the fix from its innovation ratio. */
+static void estimate_fix_noise(estimator_t *m, int32_t i, real_t ratio)
+{
+    const int32_t aid = (i < 3) ? AID_PLACE : AID_HEADING;
+    const real_t gain = (i < 3) ? NOISE_GAIN_PLACE : NOISE_GAIN_HEADING;
+    const real_t excess = real_min(ratio * ratio, MAX_SQUARED_RATIO) - REAL(1.0);
+    const real_t pair = real_max(real_min(ratio * m->fix_ratio_prev[i], MAX_RATIO_PRODUCT), -MAX_RATIO_PRODUCT);
+
+    m->noise_scale[aid] *= REAL(1.0) + (gain * real_max(excess - pair, REAL(-1.0)));
+    m->walk_scale[aid] *= REAL(1.0) + (gain * real_max(excess + pair, REAL(-1.0)));
+    m->noise_scale[aid] = real_max(real_min(m->noise_scale[aid], MAX_NOISE_SCALE), MIN_NOISE_SCALE);
+    m->walk_scale[aid] = real_max(real_min(m->walk_scale[aid], MAX_NOISE_SCALE), MIN_NOISE_SCALE);
+    m->fix_ratio_prev[i] = ratio;
 }
 
 real_t height_above_ground(const real_t x[STATE_COUNT], const estimator_settings_t *s)
@@ -143,9 +166,7 @@ real_t height_above_ground(const real_t x[STATE_COUNT], const estimator_settings
 /* Return the estimated bias of component i of the fix over the largest that its model allows. */
 static real_t fix_bias_ratio(const estimator_t *m, const estimator_settings_t *s, int32_t i)
 {
-    const real_t sigma = s->initial_sigma[EX_FIX_BIAS + i];
-
-    return real_abs(m->x[SX_FIX_BIAS + i]) / (BIAS_RANGE_SIGMAS * real_sqrt((sigma * sigma) + fix_variance(s, i)));
+    return real_abs(m->x[SX_FIX_BIAS + i]) / (BIAS_RANGE_SIGMAS * real_sqrt(fix_bias_variance(m, s, i) + fix_variance(m, s, i)));
 }
 
 /* Return whether the sonar measures the height, over a known floor. */
@@ -213,7 +234,7 @@ static void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, con
 
         fix_h_row(m, i);
         nu = fix_innovation(m, z, i, ahead);
-        ratio = innovation_ratio(m, nu, fix_variance(s, i));
+        ratio = innovation_ratio(m, nu, fix_variance(m, s, i));
         if (i == 2) {
             down = fix_height_consistent(m, s, nu, ratio);
         }
@@ -229,12 +250,24 @@ static void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, con
           (real_abs(worst) < (REAL(2.0) * INNOVATION_GATE));
     if ((real_abs(worst) > INNOVATION_GATE) && !led) {
         reject_measurement(m, s, k, at, z, 3,
-                  ((REAL(2.0) * s->sensor_period[k]) + (REAL(8.0) * real_sqrt(s->fix_variance))) + REAL(0.05));
+                  ((REAL(2.0) * s->sensor_period[k]) + (REAL(8.0) * real_sqrt(fix_variance(m, s, 0)))) + REAL(0.05));
         if (!reset_timeout_expired(m, s, k)) {
             return;
         }
         reset_to_fix(m, z, ahead);
         set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, at);
+    }
+    for (int32_t i = 0; i < 4; i++) {
+        if ((i != 2) || down) {
+            real_t ratio;
+
+            fix_h_row(m, i);
+            ratio = innovation_ratio(m, fix_innovation(m, z, i, ahead), fix_variance(m, s, i));
+            m->fix_ratio_mean[i] += REAL(0.15) * (ratio - m->fix_ratio_mean[i]);
+            if (m->is_heading_aligned != 0) {
+                estimate_fix_noise(m, i, ratio);
+            }
+        }
     }
     /* Off by much again and again: something carries the filter astray that it does not know. */
     m->fix_ratio_lp += REAL(0.15) * ((worst * worst) - m->fix_ratio_lp);
@@ -246,7 +279,7 @@ static void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, con
     for (int32_t i = 0; i < 4; i++) {
         if ((i != 2) || down) {
             fix_h_row(m, i);
-            fuse_scalar(m, fix_innovation(m, z, i, ahead), fix_variance(s, i));
+            fuse_scalar(m, fix_innovation(m, z, i, ahead), fix_variance(m, s, i));
         }
     }
     for (int32_t i = 0; i < 3; i++) {
@@ -627,7 +660,7 @@ static void predict_fix_bias(estimator_t *m, const estimator_settings_t *s)
             by *= by;
         }
         m->x[k + 1] *= keep;
-        q = (s->initial_sigma[k] * s->initial_sigma[k]) * (REAL(1.0) - (keep * keep));
+        q = fix_bias_variance(m, s, k - EX_FIX_BIAS) * (REAL(1.0) - (keep * keep));
         if (q > REAL(0.0)) {
             gauss_markov_update(m, k, keep, q);
         }
