@@ -35,6 +35,7 @@ from mufly.dynamics.model_state import (
     ModelParameters,
 )
 from mufly.estimate.filter_records import (
+    AID_COUNT,
     BIAS_CYCLE_TICKS,
     ERROR_STATE_COUNT,
     EX_ATT,
@@ -185,6 +186,8 @@ def estimator_reset(m: FilterMemory, s: FilterSettings) -> None:
             m.u_transposed[i, j] = 1.0 if i == j else 0.0
     for i in range(QUEUE_SIZE):
         m.queue_due[i] = -1
+    for i in range(AID_COUNT):
+        m.noise_scale[i] = m.walk_scale[i] = 1.0
     m.task_stage = STAGE_DONE
     m.x_output[SX_ATT] = m.rotor_state[RS_ATT] = m.rotor_state[RS_CHARGE] = 1.0
     m.rotor_state[RS_POS + 2] = -1000.0  # far above the floor
