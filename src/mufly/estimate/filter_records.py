@@ -190,6 +190,7 @@ class FilterMemory:
     fix_ratio_lp: float = _real("square of the largest innovation ratio of the fix, lp")
     noise_scale: _Array = _real("estimated variance of the fix's noise over the file's: place, heading", AID_COUNT)
     walk_scale: _Array = _real("the same of its bias", AID_COUNT)
+    fix_ratio: _Array = _real("innovation ratio of the fix: N, E, D, heading", 4)
     fix_ratio_prev: _Array = _real("innovation ratio of the last fused fix: N, E, D, heading", 4)
     fix_ratio_mean: _Array = _real("mean of these ratios, lp", 4)
     is_accel_distrusted: int = _int("1: accelerometers and model disagree, the accelerometers are not used")

@@ -39,6 +39,7 @@ from mufly.estimate.filter_records import (
     EX_WIND,
     MAX_FLOOR_HEIGHT,
     PHASE_COASTING,
+    PHASE_LIGHT,
     PHASE_STANDING,
     R_ACCELERATION,
     R_FIX,
@@ -105,6 +106,8 @@ FIX_MEAN_SQUARE_GATE = 11.0
 """Mean square of the worst of the fix's four ratios over half a second; 2.4 is usual."""
 DIVERGENCE_MEAN_SQUARE = 5.0
 """Mean square of the ratios above which a rejected fix is not treated as a jump of the fix."""
+LASTING_RATIO = 1.0
+"""Mean of a ratio of the fix over half a second above which the filter, not the noise, is the cause (1)."""
 _RESET_TIMEOUT_S = 1.0
 BIAS_RANGE_SIGMAS = 5.5
 """Deviations a of a wandering beyond which it is no wandering. One of time constant tau goes beyond them, to either
@@ -265,21 +268,31 @@ def _fix_bias_variance(m: FilterMemory, s: FilterSettings, i: int) -> float:
 
 
 @cached_njit(error_model="numpy")
-def _estimate_fix_noise(m: FilterMemory, i: int, ratio: float) -> None:
+def _estimate_fix_noise(m: FilterMemory, i: int) -> None:
     """Estimate noise and random walk of component ``i`` of the fix from its innovation ratio.
 
-    The mean square of the ratio is 1 where their sum is right. The product of two successive ratios has the mean 0 where
-    their proportion is right, too: it is negative where the noise is larger than assumed, and positive where the random
-    walk is (Mehra 1970, correlation of innovations). Both variances follow by stochastic approximation."""
+    The mean square of the ratio is 1 where the sum of noise and random walk is right. The mean product of two
+    successive ratios is 0 where their proportion is right: it is negative where the noise is larger than assumed, and
+    positive where the random walk is (correlation of innovations, Mehra 1970). Both variances follow by stochastic
+    approximation. Ratios with a lasting mean say that the filter errs: they do not change the variances."""
     aid = AID_PLACE if i < 3 else AID_HEADING
     gain = NOISE_GAIN_PLACE if i < 3 else NOISE_GAIN_HEADING
+    ratio = m.fix_ratio[i]
     excess = min(ratio * ratio, MAX_SQUARED_RATIO) - 1.0
     pair = max(min(ratio * m.fix_ratio_prev[i], MAX_RATIO_PRODUCT), -MAX_RATIO_PRODUCT)
-    m.noise_scale[aid] *= 1.0 + gain * max(excess - pair, -1.0)
-    m.walk_scale[aid] *= 1.0 + gain * max(excess + pair, -1.0)
-    m.noise_scale[aid] = max(min(m.noise_scale[aid], MAX_NOISE_SCALE), MIN_NOISE_SCALE)
-    m.walk_scale[aid] = max(min(m.walk_scale[aid], MAX_NOISE_SCALE), MIN_NOISE_SCALE)
+    if m.is_heading_aligned != 0 and abs(m.fix_ratio_mean[i]) < LASTING_RATIO:
+        m.noise_scale[aid] *= 1.0 + gain * max(excess - pair, -1.0)
+        m.walk_scale[aid] *= 1.0 + gain * max(excess + pair, -1.0)
+        m.noise_scale[aid] = max(min(m.noise_scale[aid], MAX_NOISE_SCALE), MIN_NOISE_SCALE)
+        m.walk_scale[aid] = max(min(m.walk_scale[aid], MAX_NOISE_SCALE), MIN_NOISE_SCALE)
     m.fix_ratio_prev[i] = ratio
+    m.fix_ratio_mean[i] += 0.15 * (ratio - m.fix_ratio_mean[i])
+
+
+@cached_njit(error_model="numpy")
+def _largest_mean_ratio(m: FilterMemory) -> float:
+    """Return the largest mean of the innovation ratios of N, E and heading."""
+    return max(max(abs(m.fix_ratio_mean[0]), abs(m.fix_ratio_mean[1])), abs(m.fix_ratio_mean[3]))
 
 
 @cached_njit(error_model="numpy")
@@ -339,14 +352,17 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
         _fix_h_row(m, i)
         nu = _fix_innovation(m, z, i, ahead)
         ratio = _innovation_ratio(m, nu, _fix_variance(m, s, i))
+        m.fix_ratio[i] = ratio
         if abs(ratio) > abs(worst):
             worst, at = ratio, nu
             m.fix_component = i
     _log_innovation(m, k, at, worst)
     # Off by more and more, it is not a fix that jumps: the filter is led away. Without a rotor model its
     # deviations are a guess, and a record whose axes are wrong would be followed from fix to fix.
+    lasting = m.flight_phase >= PHASE_LIGHT and _largest_mean_ratio(m) > LASTING_RATIO
     led = (
         s.has_rotor_model > 0
+        and lasting
         and m.fix_ratio_lp > DIVERGENCE_MEAN_SQUARE
         and INNOVATION_GATE < abs(worst) < 2.0 * INNOVATION_GATE
     )
@@ -367,18 +383,13 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
         inflate_variance(m.u_transposed, m.d, EX_ATT + 2, nu * nu, m.f)
         nu = at
         set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu)
-    for i in range(4):
-        if i == 2 and not down:
-            continue
-        _fix_h_row(m, i)
-        ratio = _innovation_ratio(m, _fix_innovation(m, z, i, ahead), _fix_variance(m, s, i))
-        m.fix_ratio_mean[i] += 0.15 * (ratio - m.fix_ratio_mean[i])
-        if m.is_heading_aligned != 0:
-            _estimate_fix_noise(m, i, ratio)
     # Off by much again and again: something carries the filter astray that it does not know, as gyroscopes that drift.
     m.fix_ratio_lp += 0.15 * (worst * worst - m.fix_ratio_lp)
+    for i in range(4):
+        if i != 2 or down:
+            _estimate_fix_noise(m, i)
     out = max(_fix_bias_ratio(m, s, 0), _fix_bias_ratio(m, s, 1), _fix_bias_ratio(m, s, 3))
-    if led or m.fix_ratio_lp > FIX_MEAN_SQUARE_GATE or out > 1.0:
+    if led or (lasting and m.fix_ratio_lp > FIX_MEAN_SQUARE_GATE) or (out > 1.0 and m.flight_phase >= PHASE_LIGHT):
         reset_on_divergence(m, s)
         set_fault(m, s, k, STATUS_FUSED, REASON_FUSED_THOUGH_OFFSET, at)
     for i in range(4):

@@ -144,18 +144,28 @@ static real_t fix_bias_variance(const estimator_t *m, const estimator_settings_t
 }
 
 /* Estimate noise and random walk of component i of the fix from its innovation ratio. */
-static void estimate_fix_noise(estimator_t *m, int32_t i, real_t ratio)
+static void estimate_fix_noise(estimator_t *m, int32_t i)
 {
     const int32_t aid = (i < 3) ? AID_PLACE : AID_HEADING;
     const real_t gain = (i < 3) ? NOISE_GAIN_PLACE : NOISE_GAIN_HEADING;
+    const real_t ratio = m->fix_ratio[i];
     const real_t excess = real_min(ratio * ratio, MAX_SQUARED_RATIO) - REAL(1.0);
     const real_t pair = real_max(real_min(ratio * m->fix_ratio_prev[i], MAX_RATIO_PRODUCT), -MAX_RATIO_PRODUCT);
 
-    m->noise_scale[aid] *= REAL(1.0) + (gain * real_max(excess - pair, REAL(-1.0)));
-    m->walk_scale[aid] *= REAL(1.0) + (gain * real_max(excess + pair, REAL(-1.0)));
-    m->noise_scale[aid] = real_max(real_min(m->noise_scale[aid], MAX_NOISE_SCALE), MIN_NOISE_SCALE);
-    m->walk_scale[aid] = real_max(real_min(m->walk_scale[aid], MAX_NOISE_SCALE), MIN_NOISE_SCALE);
+    if ((m->is_heading_aligned != 0) && (real_abs(m->fix_ratio_mean[i]) < LASTING_RATIO)) {
+        m->noise_scale[aid] *= REAL(1.0) + (gain * real_max(excess - pair, REAL(-1.0)));
+        m->walk_scale[aid] *= REAL(1.0) + (gain * real_max(excess + pair, REAL(-1.0)));
+        m->noise_scale[aid] = real_max(real_min(m->noise_scale[aid], MAX_NOISE_SCALE), MIN_NOISE_SCALE);
+        m->walk_scale[aid] = real_max(real_min(m->walk_scale[aid], MAX_NOISE_SCALE), MIN_NOISE_SCALE);
+    }
     m->fix_ratio_prev[i] = ratio;
+    m->fix_ratio_mean[i] += REAL(0.15) * (ratio - m->fix_ratio_mean[i]);
+}
+
+/* Return the largest mean of the innovation ratios of N, E and heading. */
+static real_t largest_mean_ratio(const estimator_t *m)
+{
+    return real_max(real_max(real_abs(m->fix_ratio_mean[0]), real_abs(m->fix_ratio_mean[1])), real_abs(m->fix_ratio_mean[3]));
 }
 
 real_t height_above_ground(const real_t x[STATE_COUNT], const estimator_settings_t *s)
@@ -226,6 +236,7 @@ static void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, con
     real_t worst = REAL(0.0);
     real_t at = REAL(0.0);
     real_t out;
+    bool lasting;
     bool led;
 
     for (int32_t i = 0; i < 4; i++) {
@@ -238,6 +249,7 @@ static void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, con
         if (i == 2) {
             down = fix_height_consistent(m, s, nu, ratio);
         }
+        m->fix_ratio[i] = ratio;
         if (((i != 2) || down) && (real_abs(ratio) > real_abs(worst))) {
             worst = ratio;
             at = nu;
@@ -246,7 +258,8 @@ static void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, con
     }
     log_innovation(m, k, at, worst);
     /* Off by more and more, it is not a fix that jumps: the filter is led away. */
-    led = (s->has_rotor_model > 0) && (m->fix_ratio_lp > DIVERGENCE_MEAN_SQUARE) && (real_abs(worst) > INNOVATION_GATE) &&
+    lasting = (m->flight_phase >= PHASE_LIGHT) && (largest_mean_ratio(m) > LASTING_RATIO);
+    led = (s->has_rotor_model > 0) && lasting && (m->fix_ratio_lp > DIVERGENCE_MEAN_SQUARE) && (real_abs(worst) > INNOVATION_GATE) &&
           (real_abs(worst) < (REAL(2.0) * INNOVATION_GATE));
     if ((real_abs(worst) > INNOVATION_GATE) && !led) {
         reject_measurement(m, s, k, at, z, 3,
@@ -257,22 +270,15 @@ static void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, con
         reset_to_fix(m, z, ahead);
         set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, at);
     }
-    for (int32_t i = 0; i < 4; i++) {
-        if ((i != 2) || down) {
-            real_t ratio;
-
-            fix_h_row(m, i);
-            ratio = innovation_ratio(m, fix_innovation(m, z, i, ahead), fix_variance(m, s, i));
-            m->fix_ratio_mean[i] += REAL(0.15) * (ratio - m->fix_ratio_mean[i]);
-            if (m->is_heading_aligned != 0) {
-                estimate_fix_noise(m, i, ratio);
-            }
-        }
-    }
     /* Off by much again and again: something carries the filter astray that it does not know. */
     m->fix_ratio_lp += REAL(0.15) * ((worst * worst) - m->fix_ratio_lp);
+    for (int32_t i = 0; i < 4; i++) {
+        if ((i != 2) || down) {
+            estimate_fix_noise(m, i);
+        }
+    }
     out = real_max(real_max(fix_bias_ratio(m, s, 0), fix_bias_ratio(m, s, 1)), fix_bias_ratio(m, s, 3));
-    if (led || (m->fix_ratio_lp > FIX_MEAN_SQUARE_GATE) || (out > REAL(1.0))) {
+    if (led || (lasting && (m->fix_ratio_lp > FIX_MEAN_SQUARE_GATE)) || ((out > REAL(1.0)) && (m->flight_phase >= PHASE_LIGHT))) {
         reset_on_divergence(m, s);
         set_fault(m, s, k, STATUS_FUSED, REASON_FUSED_THOUGH_OFFSET, at);
     }
