@@ -249,11 +249,13 @@ static void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, con
         if (i == 2) {
             down = fix_height_consistent(m, s, nu, ratio);
         }
-        m->fix_ratio[i] = ratio;
-        if (((i != 2) || down) && (real_abs(ratio) > real_abs(worst))) {
-            worst = ratio;
-            at = nu;
-            m->fix_component = i;
+        if ((i != 2) || down) {
+            m->fix_ratio[i] = ratio;
+            if (real_abs(ratio) > real_abs(worst)) {
+                worst = ratio;
+                at = nu;
+                m->fix_component = i;
+            }
         }
     }
     log_innovation(m, k, at, worst);
