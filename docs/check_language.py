@@ -66,12 +66,7 @@ HISTORIES = ("docs/log/*", "CHANGELOG.md")
 EXCEPTIONS: tuple[tuple[str, str, str], ...] = ()
 """File, rule and the reason why the rule does not hold there."""
 
-PENDING: tuple[str, ...] = (
-    "src/mufly/estimate/ekf_step.py",
-    "src/mufly/estimate/filter_records.py",
-    "src/mufly/estimate/fusion.py",
-    "src/mufly/flight/*",
-)
+PENDING: tuple[str, ...] = ("src/mufly/flight/*",)
 """Files not yet rewritten (patterns; ``docs`` is the sum of its pages): no rule judges them."""
 
 _RELATIVE = re.compile(r"(What|Who|Whose|Whom|Where|Which|Whoever|Whomever|Whatever|Wherever|Whichever)\b(?!')")

@@ -117,7 +117,7 @@ def test_what_was_asked_while_the_vehicle_stood_still_is_not_carried_out(monkeyp
     encode, turns = FrameEncoder(255, 190), itertools.count()
     arm = m.MAVLink_command_long_message(1, 1, m.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1, 0, 0, 0, 0, 0, 0)
     heard = []
-    monkeypatch.setattr(link.autopilot, "arm", lambda: heard.append("arm") or REQUEST_ACCEPTED)
+    monkeypatch.setattr(link.autopilot, "arm", lambda **_: heard.append("arm") or REQUEST_ACCEPTED)
 
     def stop():
         turn = next(turns)

@@ -159,19 +159,18 @@ LIFTOFF_SIGMA_LIMIT = 2.5
 MODELLED_THRUST_SIGMA, THRUST_ERROR_TIME_S = 0.03, 0.02
 """Deviation of the thrust scale without added noise (1); correlation time of larger errors (s)."""
 ERROR_TIME_TWICE_S = 0.3
-"""Twice the time (s) for which an error counts as one, so that over the delay it moves the velocity by what it is."""
+"""Twice the correlation time (s) of an acceleration error; over the filter's delay it changes the velocity."""
 CLIPPING_ERROR_SHARE = 0.25
-"""What means of accelerometers that clip are off by, of the range times the share of clipped samples (0.1 to 0.3), and
-for how long together."""
+"""Error of the mean of clipping accelerometers over range times share of clipped samples (1); 0.1 to 0.3 is usual."""
 GROUND_FORCE_ERROR = 1.0
 """Joint error of rotor and leg forces on the floor (m/s^2)."""
 SONAR_LIFTOFF_HEIGHT, LIFTOFF_CLEARANCE = 0.3, 0.015
-"""Heights (m) up to which the sonar has a say in whether it flies, and beyond its least reading that say so."""
+"""Height (m) up to which the sonar decides about lift-off; excess over its least reading (m) that shows lift-off."""
 INITIAL_ACCEL_DENSITY = 5.0
 """Initial density of the accelerometer noise (m^2/s^3), so large that the model has the higher weight."""
 MAX_MODEL_DISAGREEMENT = 0.4
-"""What accelerometers and model may be apart by over 160 ms (m/s^2), beside two deviations of the thrust's scale; what
-is beyond is noise, together over a second."""
+"""Largest mean difference of accelerometers and model over 160 ms without added noise (m/s^2). Two standard deviations
+of the thrust scale are added to it; the excess counts as accelerometer noise that is correlated over a second."""
 _Z = READING_STARTS
 
 

@@ -76,9 +76,8 @@ ROTOR_FORCE_SIZE = 12
 force (m/s^2), its slope over the velocity through the air (1/s), angular acceleration (rad/s^2); body axes."""
 IN_RATES, IN_ACCEL, IN_STATIC, IN_REST, IN_SLOPE, IN_SHARE, IN_NOISE, IN_PHASE = 0, 3, 6, 9, 12, 15, 18, 21
 INPUT_ROW_SIZE = 22
-"""A row of inputs, means over a block, three numbers each: measured rates (rad/s) and acceleration (m/s^2), the model's
-force as in a row of the rotor model, weight of the accelerometer, density of the noise (m^2/s^3); and the flight phase
-of the last period."""
+"""Size of a row of inputs, which are means over a block. Seven parts have three numbers each: rates (rad/s), acceleration
+(m/s^2), forces of the rotor model, accelerometer weight and noise density (m^2/s^3). The flight phase is the last."""
 
 BIAS_CYCLE_TICKS = ERROR_STATE_COUNT - EX_GYRO_BIAS - 4
 """Periods in which each bias steps once, but for those of the fix, which step with it."""
@@ -345,8 +344,8 @@ MODEL_FORCE_SIGMA = (0.035, 0.035, 0.035)
 """Error of the rotor model in flight, one sigma per axis (m/s^2), and its correlation time (s)."""
 MODEL_FORCE_TIME_S = 0.1
 THRUST_SCALE_SIGMA, THRUST_SCALE_WALK = 0.3, 0.0055
-"""What the model's thrust is off by, one sigma; what it goes on changing by (1/sqrt(s)). Vehicles whose parameters are
-10 % off their model have 0.65 to 1.7 of its thrust: the radius counts to the fourth power."""
+"""Standard deviation of the thrust scale (1) and its random walk (1/sqrt(s)). Vehicles whose parameters differ by 10 %
+from the model have 0.65 to 1.7 times its thrust: the radius counts to the fourth power."""
 WIND_SIGMA_AND_TIME = (0.5, 10.0)
 """Of an axis (m/s), and for how long (s): a mean of 0.5 m/s from anywhere and gusts of 0.3 m/s make 0.46."""
 MOTOR_SPEED_NOISE = 1e-3  # what the motors' equations miss between two readings of the speed, of the hover speed

@@ -110,9 +110,9 @@ LASTING_RATIO = 1.0
 """Mean of a ratio of the fix over half a second above which the filter, not the noise, is the cause (1)."""
 _RESET_TIMEOUT_S = 1.0
 BIAS_RANGE_SIGMAS = 5.5
-"""Deviations a of a wandering beyond which it is no wandering. One of time constant tau goes beyond them, to either
-side, 2 a phi(a) / tau times a second (phi: normal density; Pickands, 1969): three axes with tau of 2 s do so 0.06 times
-in ten hours (5: 0.8 times, and once it was seen)."""
+"""Largest bias of the fix in standard deviations a. A Gauss-Markov bias of time constant tau passes a on either side
+2 a phi(a) / tau times a second (phi: normal density; Pickands, 1969). Three axes with tau of 2 s pass 5.5 deviations
+0.06 times in ten hours, and 5 deviations 0.8 times."""
 GYRO_BIAS_RANGE_SIGMAS = 8.0
 """Deviations of the initial gyroscope bias beyond which the gyroscopes are unusable for long."""
 MAX_STUCK_CHANCE = 1e-11
@@ -123,9 +123,9 @@ HEIGHT_RESET_SPEED, HEIGHT_RESET_ACCEL, HEIGHT_RESET_THRUST, HEIGHT_RESET_WINDOW
 """Standard deviations of speed (m/s), accelerometer bias (m/s^2) and thrust scale (1) set by a second height reset
 within ``HEIGHT_RESET_WINDOW_S`` (s)."""
 TERRAIN_STEP_GATE, MAX_TERRAIN_STEPS = 3.0, 8
-"""Deviations of the sonar beyond which it is the surface that jumps, over an edge; how often it may."""
+"""Innovation ratio of the sonar above which the surface below steps at an edge (1); largest number of such steps."""
 LIFTOFF_THRUST_RATIO, LIFTOFF_THRUST_SIGMA = 1.08, 0.08
-"""What rotors lift, of the weight, as the sonar says that it leaves the floor, and what share of it that is off by."""
+"""Lift over weight as the sonar shows lift-off (1), and its standard deviation (1)."""
 _BEAM_GATE = 4.0
 NOISE_GAIN_PLACE, NOISE_GAIN_HEADING = 0.004, 0.008
 """Gain of the estimated variances of a fix, per component of a fix."""
@@ -134,7 +134,7 @@ MAX_SQUARED_RATIO, MAX_RATIO_PRODUCT = 9.0, 3.0
 MIN_NOISE_SCALE, MAX_NOISE_SCALE = 0.25, 25.0
 """Bounds of the estimated variances over those of the file."""
 COST_FIX_BIAS, COST_FIX = 1, 4
-"""What a step of the bias of the fix costs, and a fix, in scalar measurements."""
+"""Cost of a bias step of the fix and of a fix, in scalar measurements."""
 MIN_TERRAIN_HEIGHT = -0.1
 """Lowest floor height (m): no surface lies below the floor."""
 
@@ -357,8 +357,8 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
             worst, at = ratio, nu
             m.fix_component = i
     _log_innovation(m, k, at, worst)
-    # Off by more and more, it is not a fix that jumps: the filter is led away. Without a rotor model its
-    # deviations are a guess, and a record whose axes are wrong would be followed from fix to fix.
+    # Growing ratios of one sign show that the filter diverges, not that the fix jumps. Without a rotor model the
+    # variances are a guess, and the filter would follow a record with wrong axes from fix to fix.
     lasting = m.flight_phase >= PHASE_LIGHT and _largest_mean_ratio(m) > LASTING_RATIO
     led = (
         s.has_rotor_model > 0
@@ -383,7 +383,7 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
         inflate_variance(m.u_transposed, m.d, EX_ATT + 2, nu * nu, m.f)
         nu = at
         set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu)
-    # Off by much again and again: something carries the filter astray that it does not know, as gyroscopes that drift.
+    # Large ratios of one sign show an unmodelled error of the filter, for example drifting gyroscopes.
     m.fix_ratio_lp += 0.15 * (worst * worst - m.fix_ratio_lp)
     for i in range(4):
         if i != 2 or down:

@@ -515,7 +515,7 @@ def test_a_mission_is_drawn_checked_and_sent(window: Page) -> None:
     page.get_by_role("tab", name="Mission").click()
     wait(lambda: page.locator(".mf-mission tbody tr").count() == 6, "the mission in the vehicle")  # its speed, too
     with page.expect_download() as saved:
-        page.get_by_title("save the mission as a file").click()
+        page.get_by_test_id("plan-save").click()
     held = load_mission(saved.value.path())
     assert [w.speed_m_s for w in held.waypoint] == [None, None, 0.25]
     page.get_by_role("tab", name="Plots").click()
@@ -668,7 +668,7 @@ def test_a_second_window_watches_until_it_takes_the_controls(browser: Any, fly: 
     assert "out of reach" in second.page.locator(STOP).evaluate("e => getComputedStyle(e, '::after').content")
     second.page.evaluate("find_again()")
     wait(lambda: "No link" not in second.page.inner_text(".mf-flightbar"), "the station")
-    assert not second.page.locator(".mf-page").evaluate("e => e.inert")
+    wait(lambda: not second.page.locator(".mf-page").evaluate("e => e.inert"), "the page to answer")
     time.sleep(1.0)
     assert not (second.frame() or {})["armed"]
     second.context.close()

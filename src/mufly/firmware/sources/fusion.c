@@ -259,7 +259,7 @@ static void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, con
         }
     }
     log_innovation(m, k, at, worst);
-    /* Off by more and more, it is not a fix that jumps: the filter is led away. */
+    /* Growing ratios of one sign show that the filter diverges, not that the fix jumps. */
     lasting = (m->flight_phase >= PHASE_LIGHT) && (largest_mean_ratio(m) > LASTING_RATIO);
     led = (s->has_rotor_model > 0) && lasting && (m->fix_ratio_lp > DIVERGENCE_MEAN_SQUARE) && (real_abs(worst) > INNOVATION_GATE) &&
           (real_abs(worst) < (REAL(2.0) * INNOVATION_GATE));
@@ -272,7 +272,7 @@ static void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, con
         reset_to_fix(m, z, ahead);
         set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, at);
     }
-    /* Off by much again and again: something carries the filter astray that it does not know. */
+    /* Large ratios of one sign show an unmodelled error of the filter. */
     m->fix_ratio_lp += REAL(0.15) * ((worst * worst) - m->fix_ratio_lp);
     for (int32_t i = 0; i < 4; i++) {
         if ((i != 2) || down) {
