@@ -302,7 +302,7 @@ def test_a_station_that_is_stopped_greys_the_page_and_does_nothing_late(fly: Fly
     time.sleep(1.0)
     assert not (window.frame() or {})["armed"]
     assert page.evaluate("window.once"), "the page was loaded anew"
-    assert not page.locator(".mf-page").evaluate("e => e.inert")
+    wait(lambda: not page.locator(".mf-page").evaluate("e => e.inert"), "the page to answer")
 
 
 PAD = """
