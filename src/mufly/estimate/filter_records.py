@@ -76,8 +76,9 @@ ROTOR_FORCE_SIZE = 12
 force (m/s^2), its slope over the velocity through the air (1/s), angular acceleration (rad/s^2); body axes."""
 IN_RATES, IN_ACCEL, IN_STATIC, IN_REST, IN_SLOPE, IN_SHARE, IN_NOISE, IN_PHASE = 0, 3, 6, 9, 12, 15, 18, 21
 INPUT_ROW_SIZE = 22
-"""Size of a row of inputs, which are means over a block. Seven parts have three numbers each: rates (rad/s), acceleration
-(m/s^2), forces of the rotor model, accelerometer weight and noise density (m^2/s^3). The flight phase is the last."""
+"""Size of a row of inputs, which are means over a block. Seven parts have three numbers each: rates (rad/s),
+acceleration (m/s^2), three forces of the rotor model, accelerometer weight and noise density (m^2/s^3). The flight
+phase is the last."""
 
 BIAS_CYCLE_TICKS = ERROR_STATE_COUNT - EX_GYRO_BIAS - 4
 """Periods in which each bias steps once, but for those of the fix, which step with it."""
