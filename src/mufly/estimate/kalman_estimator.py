@@ -183,6 +183,7 @@ class KalmanEstimator(Estimator):
             self._output_angles,
             float(self._input_values[_VOLTAGE_START]),
             self._filtered_ranges,
+            self._input_values[_ACCELERATION],
         )
 
     def publish_status(self, m: Mapping[str, Any] | np.void) -> None:
@@ -196,7 +197,8 @@ class KalmanEstimator(Estimator):
         self._published = (covariance, sigma)
 
     def make_estimate(
-        self, time_s: float, valid: bool, out: _Array, rates: _Array, angles: _Array, volts: float, ranges: _Array
+        self, time_s: float, valid: bool, out: _Array, rates: _Array, angles: _Array, volts: float, ranges: _Array,
+        specific_force: _Array,
     ) -> Estimate:  # fmt: skip
         """Return the estimate of these numbers with the latest published covariance and statuses."""
         x = out.astype(np.float64)
@@ -206,7 +208,7 @@ class KalmanEstimator(Estimator):
             AuxiliaryStates(
                 x[SX_GYRO_BIAS:SX_ACCEL_BIAS], x[SX_ACCEL_BIAS:SX_TERRAIN], float(x[SX_TERRAIN]),
                 x[SX_FIX_BIAS:SX_WIND], x[SX_WIND:SX_THRUST_SCALE], float(x[SX_THRUST_SCALE]),
-                self._published[1], self._sensor_statuses, self._input_values[_ACCELERATION].astype(np.float64),
+                self._published[1], self._sensor_statuses, specific_force.astype(np.float64),
             ),
         )  # fmt: skip
 

@@ -74,6 +74,7 @@ from mufly.firmware.quick.compiled_loop import (
     FAULT_COMPONENT_INDEX,
     HEARD_ANGLES,
     HEARD_ATT,
+    HEARD_FORCE,
     HEARD_OUT,
     HEARD_RATES,
     HEARD_STATE,
@@ -171,6 +172,7 @@ class CompiledFlight:
             offset(c, "reference", "path", "velocity") // 8, offset(c, "reference", "heading") // 8,
             offset(c, "reference", "heading_rate") // 8, offset(c, "tilt") // 8, offset(b, "ranges") // 8,
             offset(b, "position_variance") // 8, offset(b, "attitude_variance") // 8,
+            offset(b, "specific_force") // 8,
             offset(b, "checks") // 4, ffi.sizeof("sensor_status_t") // 4, offset("sensor_status_t", "status") // 4,
             offset("sensor_status_t", "why") // 4,
         ])  # fmt: skip
@@ -477,11 +479,12 @@ class CompiledFlight:
             tick = int(row[HEARD_TICK])
             truth = Truth(
                 tick / rate, tick, row[HEARD_STATE:HEARD_ATT].copy(), row[HEARD_ATT:HEARD_OUT].copy(),
-                row[HEARD_WIND:HEARD_SUPPLY].copy(), *row[HEARD_SUPPLY:HEARD_STATE].tolist(),
+                row[HEARD_WIND:HEARD_SUPPLY].copy(), *row[HEARD_SUPPLY:HEARD_FORCE].tolist(),
             )  # fmt: skip
             flight.listener(truth, filtered.make_estimate(
                 truth.time_s, bool(row[HEARD_VALID]), row[HEARD_OUT:HEARD_RATES].copy(), row[HEARD_RATES:HEARD_ANGLES],
                 row[HEARD_ANGLES:LISTENER_ROW_SIZE], float(row[HEARD_VOLTS]), row[LISTENER_ROW_SIZE:].copy(),
+                row[HEARD_FORCE:HEARD_STATE],
             ))  # fmt: skip
 
     def _publish_status_up_to(self, rows: int) -> None:

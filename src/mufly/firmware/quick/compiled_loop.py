@@ -99,8 +99,8 @@ PHASE_ADVANCE_PLANT, PHASE_ESTIMATE, PHASE_CONTROL = range(3)
 (
     _B_TIME, _B_MOTION, _B_VALID, _S_MOTORS, _S_LATE_S, _S_LOG_COUNT, _S_FINISHED, _S_STATE, _S_POSITION, _S_VELOCITY,
     _S_HEADING, _S_HEADING_RATE, _S_TILT, _B_RANGES, _B_POSITION_VARIANCE, _B_ATTITUDE_VARIANCE,
-    _B_CHECKS, _B_CHECK, _SENSOR_STATUS_CODE_OFFSET, _B_REASON,
-) = range(20)  # fmt: skip
+    _B_SPECIFIC_FORCE, _B_CHECKS, _B_CHECK, _SENSOR_STATUS_CODE_OFFSET, _B_REASON,
+) = range(21)  # fmt: skip
 _MOTORS_OFF, _MOTORS_FLY = 0, 2
 # First columns of a log row: time, state, attitude, wind, battery, active actuators, reference, mission state; the
 # ranges follow
@@ -123,9 +123,18 @@ _STATUS, _REASON, _NUMBER, _INNOVATION, _SPREAD, _FUSED, _NEW, SENSOR_WIDE = ran
 FAULT_COMPONENT_INDEX = SENSOR_STATUS_START + SENSOR_WIDE * SENSOR_COUNT
 TICK_INDEX = FAULT_COMPONENT_INDEX + 1
 STATUS_ROW_SIZE = TICK_INDEX + 1
-# Listener row: period, validity, battery (V), index of the status row; wind, supply, state, attitude, nominal state,
-# rates, angles; the ranges follow
-HEARD_TICK, HEARD_VALID, HEARD_VOLTS, HEARD_TOLD, HEARD_WIND, HEARD_SUPPLY, HEARD_STATE = 0, 1, 2, 3, 4, 7, 9
+# Listener row: period, validity, battery (V), index of the status row; wind, supply, accelerometer reading, state,
+# attitude, nominal state, rates, angles; the ranges follow
+HEARD_TICK, HEARD_VALID, HEARD_VOLTS, HEARD_TOLD, HEARD_WIND, HEARD_SUPPLY, HEARD_FORCE, HEARD_STATE = (
+    0,
+    1,
+    2,
+    3,
+    4,
+    7,
+    9,
+    12,
+)
 HEARD_ATT = HEARD_STATE + STATE_SIZE
 HEARD_OUT = HEARD_ATT + 3
 HEARD_RATES = HEARD_OUT + STATE_COUNT
@@ -328,7 +337,8 @@ def run_until_event(
                     row[HEARD_TICK], row[HEARD_VALID] = c[C_TICK], c[C_IS_VALID]
                     row[HEARD_VOLTS], row[HEARD_TOLD] = z[_VOLTAGE_START], c[C_STATUS_ROWS]
                     n = _copy_to_row(row, HEARD_WIND, wind[c[C_WIND_SAMPLES] - 1])
-                    n = _copy_to_row(row, _copy_to_row(row, _copy_to_row(row, n, supply), x), attitude)
+                    n = _copy_to_row(row, _copy_to_row(row, n, supply), z[_ACCEL_START : _ACCEL_START + 3])
+                    n = _copy_to_row(row, _copy_to_row(row, n, x), attitude)
                     n = _copy_to_row(row, _copy_to_row(row, _copy_to_row(row, n, told), rates), angles)
                     _copy_to_row(row, n, seen)
             if filtered is not None:
@@ -391,6 +401,7 @@ def run_until_event(
                 for k in range(3):
                     bd[now + _M_POS + k], bd[now + _M_VEL + k] = told[SX_POS + k], told[SX_VEL + k]
                     bd[now + _M_ATT + k], bd[now + _M_RATES + k] = angles[k], rates[k]
+                    bd[at[_B_SPECIFIC_FORCE] + k] = z[_ACCEL_START + k]
                 volts = z[_VOLTAGE_START]
                 bd[now + _M_VOLTAGE] = volts if volts != 0.0 else math.nan
                 bb[at[_B_VALID]] = c[C_IS_VALID] = valid
