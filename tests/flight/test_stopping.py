@@ -79,7 +79,8 @@ def test_nothing_takes_the_place_of_a_stop(flight: Flight, request_: Callable[[A
     assert (a.status.state, a.status.motors, a.status.armed) == ("init", "off", False)
     # Armed again it stands there with its motors off, until it is told to take off.
     if not a.status.crash_cause:
-        assert a.arm()
+        first = a.arm()
+        assert first or ("arm again" in first.reason and a.arm())  # a stop in the air asks for a second request
         run(flight, 0.5)
         assert motors(flight) == 0.0
 
