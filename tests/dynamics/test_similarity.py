@@ -118,7 +118,7 @@ def test_what_cannot_be_is_said(known: Vehicle) -> None:
 )  # fmt: skip
 def test_the_option_without_which_it_hovers_is_named(known: Vehicle, blamed: str, options: dict[str, float]) -> None:
     with pytest.raises(ArgumentError) as caught:
-        similar_vehicle(known, "weak", mass_kg=0.1, radius_m=0.09, **options)  # type: ignore[arg-type]
+        similar_vehicle(known, "weak", mass_kg=0.1, radius_m=0.09, **options)
     assert caught.value.argument == blamed
 
 

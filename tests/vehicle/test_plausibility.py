@@ -1,5 +1,7 @@
 """Values that contradict physics are refused with file, key and remedy; unusual ones get a warning."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -47,17 +49,17 @@ UNUSUAL = [
 
 
 @pytest.mark.parametrize(("key", "value", "words"), IMPOSSIBLE)
-def test_impossible_values_are_refused_with_key_and_remedy(key: str, value: object, words: str) -> None:
+def test_impossible_values_are_refused_with_key_and_remedy(key: str, value: Any, words: str) -> None:
     with pytest.raises(InputError) as caught:
-        replace_parameters(KNOWN, {key: value})  # type: ignore[dict-item]
+        replace_parameters(KNOWN, {key: value})
     assert caught.value.key in (key, "rotors.upper.hub_z", "rotors.upper.torque_coefficient")
     assert words in str(caught.value)
     assert caught.value.remedy
 
 
 @pytest.mark.parametrize(("key", "value", "words"), UNUSUAL)
-def test_unusual_values_are_accepted_with_a_warning(key: str, value: object, words: str) -> None:
-    found = find_unusual_parameters(replace_parameters(KNOWN, {key: value}))  # type: ignore[dict-item]
+def test_unusual_values_are_accepted_with_a_warning(key: str, value: Any, words: str) -> None:
+    found = find_unusual_parameters(replace_parameters(KNOWN, {key: value}))
     assert [one.key for one in found if one.key == key] == [key]
     assert any(words in str(one) for one in found if one.key == key)
 
@@ -68,7 +70,7 @@ def test_a_falling_voltage_is_refused_in_a_file_and_a_flat_one_is_not(tmp_path) 
     with pytest.raises(InputError, match=r"mine\.toml: battery\.open_circuit_voltage: 8\.1 V at charge 1"):
         load_vehicle(path)
     flat = [*KNOWN.battery.open_circuit_voltage.value[:-1], 8.22]
-    assert replace_parameters(KNOWN, {"battery.open_circuit_voltage": flat})  # type: ignore[dict-item]
+    assert replace_parameters(KNOWN, {"battery.open_circuit_voltage": flat})
 
 
 def test_ten_per_cent_of_error_in_every_number_causes_no_warning() -> None:
@@ -80,7 +82,7 @@ def test_ten_per_cent_of_error_in_every_number_causes_no_warning() -> None:
 
 
 def _value(key: str) -> float:
-    found: object = KNOWN
+    found: Any = KNOWN
     for part in key.split("."):
         found = getattr(found, part)
-    return float(found)  # type: ignore[arg-type]
+    return float(found)

@@ -9,7 +9,7 @@ Symbols are the thesis's (Table 5.3) in ASCII; ``up`` is the upper rotor (stabil
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -478,7 +478,7 @@ def list_parameters(vehicle: Vehicle) -> list[Parameter]:
 
 
 def replace_parameters(
-    vehicle: Vehicle, values: Mapping[str, float | str | None], *, source: str = "estimated"
+    vehicle: Vehicle, values: Mapping[str, float | str | Sequence[Any] | None], *, source: str = "estimated"
 ) -> Vehicle:
     """Return a vehicle with some parameters changed.
 
@@ -486,7 +486,7 @@ def replace_parameters(
     ----------
     vehicle : Vehicle
         The vehicle to start from.
-    values : mapping of str to float, str or None
+    values : mapping of str to float, str, sequence or None
         New SI values by dotted key, as in ``{"body.mass": 0.08, "battery.model": "constant"}``.
         ``"rotors.coefficient_map"`` takes the name or path of a map, or None for the constants. A new ``body.mass``
         removes the mass budget, whose sum would differ.

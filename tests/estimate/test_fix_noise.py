@@ -1,0 +1,50 @@
+"""The estimated variances of the position fix, against a scalar Kalman filter whose truth has other ones."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from mufly.estimate import fusion
+from mufly.estimate.filter_records import AID_COUNT, AID_PLACE
+
+NOISE_M, WANDER_M, TIME_S, PERIOD_S = 0.005, 0.03, 2.0, 0.0667
+estimate = fusion._estimate_fix_noise.py_func
+
+
+def memory() -> SimpleNamespace:
+    return SimpleNamespace(
+        noise_scale=np.ones(AID_COUNT), walk_scale=np.ones(AID_COUNT), fix_ratio=np.zeros(4),
+        fix_ratio_prev=np.zeros(4), fix_ratio_mean=np.zeros(4), is_heading_aligned=1,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("noise", "wander"), [(1.0, 1.0), (3.0, 1.0), (1.0, 2.0), (2.0, 2.0)])
+def test_variances_come_to_those_of_the_truth(noise: float, wander: float) -> None:
+    """Means over the second half of 8000 fixes (9 minutes); the file has ``noise = wander = 1``."""
+    rng, m, keep = np.random.default_rng(3), memory(), np.exp(-PERIOD_S / TIME_S)
+    true, bias, variance = rng.normal(0.0, wander * WANDER_M, 3), np.zeros(3), np.full(3, WANDER_M**2)
+    scales = []
+    for _ in range(8000):
+        true = keep * true + rng.normal(0.0, wander * WANDER_M * np.sqrt(1 - keep**2), 3)
+        bias, variance = keep * bias, keep**2 * variance + WANDER_M**2 * m.walk_scale[AID_PLACE] * (1 - keep**2)
+        spread = variance + NOISE_M**2 * m.noise_scale[AID_PLACE]
+        off = true + rng.normal(0.0, noise * NOISE_M, 3) - bias
+        for i in range(3):
+            m.fix_ratio[i] = off[i] / np.sqrt(spread[i])
+            estimate(m, i)
+        bias, variance = bias + variance / spread * off, variance * (1 - variance / spread)
+        scales.append((m.noise_scale[AID_PLACE], m.walk_scale[AID_PLACE]))
+    found = np.sqrt(np.mean(scales[4000:], axis=0))
+    np.testing.assert_allclose(found, [noise, wander], rtol=0.25)
+
+
+def test_a_lasting_error_of_one_sign_is_no_noise() -> None:
+    m = memory()
+    m.fix_ratio_mean[0] = 2.0
+    for _ in range(200):
+        m.fix_ratio[0] = 3.0
+        estimate(m, 0)
+    assert m.noise_scale[AID_PLACE] == m.walk_scale[AID_PLACE] == 1.0
