@@ -1,4 +1,4 @@
-"""May it be armed? What has to be so before the motors may run, each as a sentence with its remedy."""
+"""Checks before arming and before the start of a mission; each failure is a sentence with its remedy."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mufly.mission import Mission, check_geometry, check_mission, start_fault
 from mufly.world import World, obstacle_distance, obstacle_distances
 
 BATTERY_MARGIN_V = 0.2
-"""Above the voltage that it lands at (V): what a cell gives back in rest is lost in the first seconds of hover."""
+"""Margin above the landing voltage (V): a cell recovers at rest and loses this again in the first seconds of hover."""
 
 MAX_ARMING_SPEED_M_S, MAX_ARMING_RATE_RAD_S = 0.1, 0.2
 MAX_ESTIMATE_AGE_S = 0.5
@@ -23,22 +23,22 @@ MAX_ESTIMATE_AGE_S = 0.5
 def find_arming_faults(
     m: Estimate | None, stale_s: float, low_V: float, world: World, radius_m: float, crashed: str
 ) -> list[str]:
-    """Why it cannot be armed; empty if it can.
+    """Return the reasons against arming the vehicle; empty if arming is allowed.
 
     Parameters
     ----------
     m : Estimate or None
-        The latest, as received.
+        Latest estimate.
     stale_s : float
-        For how long its clock has stood still (s).
+        Time since the estimate's clock last advanced (s).
     low_V : float
-        Voltage that it lands at (V).
+        Battery voltage at which the vehicle lands (V).
     world : World
-        What is known to stand around it.
+        Known obstacles.
     radius_m : float
-        Of its rotors (m).
+        Rotor radius (m).
     crashed : str
-        What it hit, or "".
+        Cause of a crash, or "".
     """
     if crashed:
         return [f"crashed ({crashed}); reset it first"]
@@ -74,7 +74,7 @@ def find_arming_faults(
 
 
 def check_place(world: World, position: tuple[float, float, float], keep_m: float) -> str:
-    """Return the refusal of a place nearer than ``keep_m`` (m) to a known obstacle; "" for a free place."""
+    """Return the refusal of a position nearer than ``keep_m`` (m) to a known obstacle; "" for a free position."""
     if world.is_empty:
         return ""
     away, name = obstacle_distance(world, position)
@@ -85,7 +85,10 @@ def check_place(world: World, position: tuple[float, float, float], keep_m: floa
 
 
 def check_climb_column(world: World, position: tuple[float, float, float], up_to_m: float, keep_m: float) -> str:
-    """Words for a climb to the height ``up_to_m`` (m) that passes anything known too closely; "" for a free one."""
+    """Return the refusal of a climb to the height ``up_to_m`` (m); "" for a free one.
+
+    A climb is free if it passes no known obstacle within ``keep_m`` (m).
+    """
     if world.is_empty:
         return ""
     count = max(2, math.ceil((up_to_m + position[2]) / 0.05) + 1)
@@ -108,20 +111,20 @@ def check_mission_start(
     capacity_Ah: float,
     charge: float,
 ) -> str:
-    """Why a mission cannot be flown from where the vehicle stands; "" if it can, or if there is none.
+    """Return the reason against starting a mission here; "" if it may start or has no waypoints.
 
     Parameters
     ----------
     mission : Mission
-        As it is flown (:func:`mufly.mission.reduce_limits`).
+        Mission with the limits of the flight (:func:`mufly.mission.reduce_limits`).
     standing : (2,) tuple
-        N, E (m).
+        Position of the vehicle, N, E (m).
     heading : float
-        rad.
+        Heading of the vehicle (rad).
     hover_current_A, capacity_Ah : float
-        Battery current in hover, and charge of the full battery.
+        Battery current in hover (A) and capacity (Ah).
     charge : float
-        Present charge, as a fraction of the full battery's.
+        Present charge, as a fraction of the capacity.
     """
     if not mission.waypoint:
         return ""

@@ -1,4 +1,4 @@
-"""Controllers with the states that they carry along, from references to what is sent to motors and servos."""
+"""Controllers of a vehicle with their states: references and estimates in, motor and servo inputs out."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ _Array = NDArray[np.floating[Any]]
 
 @dataclass(frozen=True, slots=True)
 class Actuators:
-    """What the flight software sends out.
+    """Inputs of motors and servos.
 
     Attributes
     ----------
     motor_input : (2,) array
-        Upper, lower (0..1).
+        Upper and lower motor (0..1).
     servo_input : (2,) array
         Servo 1 (positive: nose down), servo 2 (positive: to the right); -1..1.
     """
@@ -44,13 +44,13 @@ class Actuators:
 
     @classmethod
     def idle(cls) -> Actuators:
-        """Everything at rest."""
+        """Return zero inputs."""
         return cls(np.zeros(2), np.zeros(2))
 
     @property
     def input_array(self) -> _Array:
-        """The input of the flight model: motor upper, motor lower, servo 1, servo 2."""
-        if not self._joined:  # asked for several times a period
+        """Input (4,) of the flight model: motor upper, motor lower, servo 1, servo 2."""
+        if not self._joined:  # cached for several calls a period
             self._joined.append(np.concatenate((self.motor_input, self.servo_input)))
         return self._joined[0]
 
@@ -64,14 +64,14 @@ HEAVE_YAW_TUNABLE = (
     "yaw_rate",
 )
 POSITION_TUNABLE = ("position_gain", "speed_limit", "tilt_limit")
-"""Numbers of the control law that may change in flight: limits, and gains outside of the H-infinity controllers."""
+"""Parameters of the control law that may change in flight: limits, and gains outside the H-infinity controllers."""
 
 RETUNE_TIME_S = 0.5
-"""Time constant with which a changed number is gone over to (s): a step of a gain would be a step of the output."""
+"""Time constant of a change of parameters (s): a step of a gain would be a step of the output."""
 
 
 def controller_limits(controller: FlightController) -> TrajectoryLimits:
-    """What the controllers can follow: limits of their reference filters and of the position cascade."""
+    """Return the limits of the controllers' reference filters and of the position cascade."""
     heave_yaw, position = controller.heave_yaw_gains, controller.position_gains
     speed = float(heave_yaw["heave_speed"])
     return TrajectoryLimits(
@@ -86,12 +86,12 @@ def controller_limits(controller: FlightController) -> TrajectoryLimits:
 
 
 class Controllers:
-    """Heave-yaw, roll-pitch and position control of one vehicle, with the states they carry along.
+    """Heave-yaw, roll-pitch and position controllers of one vehicle, with their states.
 
     Parameters
     ----------
     design : FlightController
-        From :func:`mufly.control.design_flight_controller`.
+        Design from :func:`mufly.control.design_flight_controller`.
     """
 
     def __init__(self, design: FlightController) -> None:
@@ -104,7 +104,7 @@ class Controllers:
         self._boxes: tuple[NDArray[np.void], ...] = ()
 
     def retune_gains(self, design: FlightController) -> None:
-        """Go over to the numbers of ``design``, which differs from the present one only in those that are tuned."""
+        """Change smoothly to the parameters of ``design``, which may differ in the tunable ones only."""
         if self._settled:
             now = self._design
             self._design = replace(
@@ -116,11 +116,11 @@ class Controllers:
 
     @property
     def is_settled(self) -> bool:
-        """Whether it goes over to no other numbers."""
+        """Whether no change of parameters is in progress."""
         return self._settled
 
     def _blend_gains(self) -> None:
-        """One period of going over to the target's numbers."""
+        """Advance the change to the target's parameters by one period."""
         blend = 1.0 - math.exp(-self._design.period_s / RETUNE_TIME_S)
         far = False
         for mine, wanted, names in (
@@ -135,13 +135,13 @@ class Controllers:
             self._design, self._settled = self._target, True
 
     def engage(self, estimate: Estimate, motor_input: _Array) -> None:
-        """Let heave-yaw take over, without a bump, from motors that run at ``motor_input`` (upper, lower)."""
+        """Start heave-yaw control with a bumpless transfer from ``motor_input`` (upper, lower; 0..1)."""
         self._heave_yaw = heave_yaw_init(
             self._design.heave_yaw_gains, _measure_heave_yaw(estimate), motor_input, estimate.battery_voltage
         )
 
     def lift_off(self, estimate: Estimate) -> None:
-        """Let roll-pitch and position take over, from neutral servos."""
+        """Start roll-pitch and position control from neutral servos."""
         self._roll_pitch = roll_pitch_init(self._design.roll_pitch_gains, _measure_roll_pitch(estimate))
         self._position = position_init(self._design.position_gains)
 
@@ -157,7 +157,7 @@ class Controllers:
         Returns
         -------
         (2,) array
-            Roll and pitch to hold (rad).
+            Roll and pitch commands (rad).
         """
         tilt, self._position = position_step(
             self._design.position_gains,
@@ -180,8 +180,8 @@ class Controllers:
         heave_yaw : (4,) array
             References: z (m, down), psi (rad, continuous) and their rates.
         tilt : (2,) array or None
-            References: roll, pitch (rad). None leaves the servos neutral: on its legs the helicopter cannot tilt,
-            and a controller that tries winds up.
+            References: roll, pitch (rad). None keeps the servos neutral: on its legs the helicopter cannot tilt,
+            and the controller would wind up.
 
         Returns
         -------
@@ -227,7 +227,7 @@ def _step_control_law(
     rates: _Array,
     voltage: float,
 ) -> tuple[_Array, _Array, _Array, _Array]:
-    """One period of both controllers in one call: motor and servo inputs, and their states."""
+    """Advance both controllers by one period; return motor and servo inputs and both controllers' states."""
     servo = np.zeros(2)
     if tilts:
         heave_yaw = limit_heave_reference(heave_yaw_gains[0], heave_yaw, position[2])
@@ -239,7 +239,7 @@ def _step_control_law(
 
 
 def copy_record(record: np.void) -> np.void:
-    """A record of its own with the same numbers, which may be written to."""
+    """Return a writable copy of a record."""
     own = np.zeros((), dtype=record.dtype)  # np.array(record) would share its memory
     own[...] = record
     return cast(np.void, own[()])

@@ -1,32 +1,30 @@
-"""What the flight software makes of an estimate that knows how good it is: go on, hold, land; what it says of sensors.
+"""Failsafe actions on an uncertain estimate, smoothing of its corrections, and reports of sensor faults.
 
-An estimator says how uncertain it is (its covariance), whether it stands by what it says, and what it thinks of each
-sensor. Flying goes by the first two alone, whatever the reason; the third gives the words.
+An estimator reports its uncertainty (covariance), whether its estimate is valid, and a status of each sensor. Failsafe
+actions follow from uncertainty and validity; the statuses explain them:
 
 ================================================ ===================================================================
-horizontal position uncertain by more than 0.25 m the mission waits in a hover; below 0.15 m for a second, it goes on
-... by more than 0.6 m, or waiting for 10 s       it lands where it is
-height uncertain by more than 0.3 m for 0.3 s     it lands
-roll or pitch uncertain by more than 8 degrees,   it sinks with its servos at trim, which the stabiliser bar makes a
-or two of its independent aids not believed      level attitude
+horizontal position uncertain by more than 0.25 m the mission waits in a hover; it resumes after 1 s below 0.15 m
+... by more than 0.6 m, or waiting for 10 s       the vehicle lands at its position
+height uncertain by more than 0.3 m for 0.3 s     the vehicle lands
+roll or pitch uncertain by more than 8 degrees,   the vehicle descends with its servos at trim, where the stabiliser
+or two independent attitude aids rejected         bar keeps a level attitude
 for 0.15 s at once
-heading uncertain by more than 30 degrees, or     it lands; without gyroscopes on the rates of turn of the rotor
-a bias of the gyroscopes that they cannot have,   model, and 3 cm above the floor its servos go to trim and its
-or gyroscopes gone for 0.1 s                      motors run down
+heading uncertain by more than 30 degrees, or     the vehicle lands; without gyroscopes it uses the angular rates of
+an impossible bias of the gyroscopes,             the rotor model, and from 3 cm above the floor its servos are at
+or no gyroscopes for 0.1 s                        trim and its motors ramp down
 ================================================ ===================================================================
 
-Uncertainties are standard deviations, that of the position beyond the one with which it stood on the floor. Besides
-them what is thought of sensors decides in two cases: without gyroscopes the attitude is what a model says, and
-where two that know nothing of each other contradict, it is the attitude between them that is wrong. In
-the air only, and not against a pilot, who is told and decides.
+Uncertainties are standard deviations; that of the position counts from its value on the floor. Sensor statuses
+decide in two cases only. Without gyroscopes the attitude depends on a model; and if two independent aids contradict
+the attitude, the attitude is wrong. Actions apply in the air. A pilot in manual flight is informed and decides.
 
-What the controllers get moves on smoothly (:class:`CorrectionSmoother`): a filter corrects itself at every measurement,
-a few millimetres at a time, and heave control answers a step of 1 cm with a fifth of the motors' range.
+The controllers receive smoothed corrections (:class:`CorrectionSmoother`): every measurement corrects the estimate by
+a few millimetres, and heave control answers a step of 1 cm with a fifth of the motors' range.
 
-Something is said of a sensor when it has not been used, or not believed, for most of a quarter of a second, or is used
-though something is wrong with it, and again when it has been fused for a second. A reading that is left out now and
-then is none of these: a level rises with the time that a sensor is not believed and sinks with a tenth of the time that
-it is.
+A sensor is reported after about 0.2 s without use, with rejection or with another fault, and again once it has been
+fused for a second. Single rejected readings are not reported: a level rises with the time of a fault, and falls with
+a tenth of the time without one.
 """
 
 from __future__ import annotations
@@ -48,25 +46,26 @@ from mufly.sensor_table import CHECKED
 _Array = NDArray[np.float64]
 
 HOLD_SIGMA_M, RESUME_SIGMA_M, LAND_SIGMA_M = 0.25, 0.15, 0.6
-"""Horizontal standard deviations from which it waits, below which it goes on, from which it lands (m)."""
+"""Horizontal standard deviations to hold, to resume (below) and to land (m)."""
 RESUME_DELAY_S, MAX_HOLD_S = 1.0, 10.0
-"""For how long it has to be certain to go on; how long it waits at most (s)."""
+"""Time below ``RESUME_SIGMA_M`` until the mission resumes, and longest hold (s)."""
 MAX_HEIGHT_SIGMA_M, HEIGHT_DELAY_S = 0.3, 0.3
-"""Standard deviation of the height from which it lands (m), once it has lasted (s): a board that is shaken until it
-clips does not know its height for an instant as it leaves the floor, and the sonar tells it right after."""
+"""Standard deviation of the height (m) that causes a landing, and its least duration (s).
+
+At lift-off, vibration may clip the accelerometers; the height is then uncertain until the next reading of the sonar."""
 GYRO_LOSS_DELAY_S, CONTRADICTION_DELAY_S = 0.1, 0.15
-"""For how long gyroscopes may be gone, two aids contradict (s)."""
+"""Longest loss of the gyroscopes, and longest contradiction of two attitude aids (s)."""
 MAX_TILT_SIGMA, MAX_HEADING_SIGMA = math.radians(8.0), math.radians(30.0)
 
 FAULT_REPORT_DELAY_S, RECOVERY_REPORT_DELAY_S = 0.2, 1.0
-"""For how long a sensor is not believed until that is said; fused, until it is said to be used again (s)."""
+"""Time of a fault until its report, and time of fusion until the report of the recovery (s)."""
 _FAULT_DECAY_RATE = 0.1
 
 FailsafeAction = Literal["", "hold", "land", "sink"]
 
 
 class HealthVerdict(NamedTuple):
-    """What an estimate is not good enough for, and why."""
+    """Failsafe action on an estimate ("": none), and its reason."""
 
     action: FailsafeAction = ""
     reason: str = ""
@@ -85,22 +84,22 @@ _ATTITUDE_AIDS = tuple(
 
 
 def describe_sensor(reading: str) -> str:
-    """Return what a reading comes from, in words."""
+    """Return the name of the sensor that supplies a reading."""
     return _SENSOR_NAMES.get(reading, reading.replace("_", " "))
 
 
 def sensor_checks(m: Estimate) -> Sequence[SensorStatus]:
-    """Return what the estimator thinks of its sensors; nothing where it is told the truth."""
+    """Return the estimator's status of each sensor; empty for an ideal estimator."""
     return () if m.auxiliary_states is None else m.auxiliary_states.checks
 
 
 def gyro_unavailable(m: Estimate) -> bool:
-    """Whether the rates of turn are those of the rotor model, as its gyroscopes say nothing that can be right."""
+    """Whether the gyroscopes are unusable, so that the angular rates come from the rotor model."""
     return any(c.name == "rates" and c.status in ("missing", "faulty", "rejected") for c in sensor_checks(m))
 
 
 def describe_check(check: SensorStatus) -> str:
-    """A sensor, what is thought of it, and why."""
+    """Return a sensor's name, status and reason as text."""
     state = {"missing": "says nothing", "rejected": "is not believed", "faulty": "is faulty"}
     if check.is_suspicious:
         state["fused"] = "is used, but something is wrong"
@@ -110,7 +109,7 @@ def describe_check(check: SensorStatus) -> str:
 
 
 def _fault_note(m: Estimate, sources: tuple[str, ...]) -> str:
-    """What is wrong with the sensors that would tell."""
+    """Return the faults of the readings ``sources`` in brackets; "" without a fault."""
     wrong = [
         describe_check(c)
         for c in sensor_checks(m)
@@ -120,23 +119,25 @@ def _fault_note(m: Estimate, sources: tuple[str, ...]) -> str:
 
 
 def position_std_growth(m: Estimate, stood: float = 0.0) -> float:
-    """By how much the horizontal position is uncertain beyond the variance ``floor_variance_m2`` (m2) with which it
-    stood (m)."""
+    """Return the standard deviation (m) that the horizontal position has gained over its variance ``stood`` (m2).
+
+    ``stood`` is the variance on the floor.
+    """
     variance = m.covariance.diagonal()
     return math.sqrt(max(float(variance[0]), float(variance[1]), stood) - stood)
 
 
 def judge_estimate(m: Estimate, stood: float = 0.0, *, height_counts: bool = True) -> HealthVerdict:
-    """Return what an estimate is not good enough for, whatever it was before.
+    """Return the failsafe action on an estimate, without hysteresis.
 
     Parameters
     ----------
     m : Estimate
     stood : float
-        Greatest variance of the horizontal position on the floor (m2): one that nothing tells where it is takes off
-        where it believes to stand, and can go on for as long as that does not become much worse.
+        Greatest variance of the horizontal position on the floor (m2). A vehicle without position sensors takes off
+        with this uncertainty, and only its growth counts.
     height_counts : bool
-        Whether an uncertain height has lasted for long enough to land for.
+        Whether an uncertain height has lasted for long enough to cause a landing.
     """
     if m.auxiliary_states is None:
         return HEALTHY_VERDICT
@@ -165,11 +166,12 @@ def judge_estimate(m: Estimate, stood: float = 0.0, *, height_counts: bool = Tru
 
 @dataclass
 class HealthMonitor:
-    """What is remembered of doubts, for their hysteresis.
+    """Failsafe action with hysteresis, from a sequence of estimates.
 
     Attributes
     ----------
-    verdict : Doubt
+    verdict : HealthVerdict
+        Latest action.
     floor_variance_m2 : float
         Variance of the horizontal position on the floor (m2).
     """
@@ -182,7 +184,7 @@ class HealthMonitor:
     _height_uncertain_since_s: float = math.nan
 
     def step(self, m: Estimate) -> HealthVerdict:
-        """Judge an estimate in the air; what was doubted stays so until it is certain again."""
+        """Return the failsafe action on an estimate in the air; a hold ends once the position is certain again."""
         t = m.time_s
         if not math.sqrt(m.covariance[2, 2]) > MAX_HEIGHT_SIGMA_M:
             self._height_uncertain_since_s = math.nan
@@ -217,7 +219,7 @@ class HealthMonitor:
         return self.verdict
 
     def _judge_attitude_sensors(self, m: Estimate) -> HealthVerdict:
-        """What is thought of sensors that an attitude depends on: it cannot be right, or is told by the model."""
+        """Return the action on contradicting attitude aids or lost gyroscopes."""
         for c in sensor_checks(m):
             bad = c.status in (("missing", "faulty") if c.name == "rates" else ("rejected",))
             if not bad:
@@ -241,17 +243,17 @@ class HealthMonitor:
 CORRECTION_TIME_S = 0.3
 """Time constant with which corrections of position and heading reach the controllers (s)."""
 MAX_CORRECTION_M_S, MAX_CORRECTION_RAD_S = 0.5, 0.5
-"""How fast, at most."""
+"""Largest rates of these corrections."""
 
 
 class CorrectionSmoother:
-    """Position and heading without the steps of a filter's corrections.
+    """Output predictor: position and heading without the steps of a filter's corrections.
 
-    They move with the estimated velocity and rate of turn, and are pulled towards the estimate::
+    Both move with the estimated velocity and yaw rate, and approach the estimate::
 
         x' = v + clip((x_est - x) / tau, +-v_max)
 
-    so that motion comes without lag and corrections within a second: what autopilots call an output predictor.
+    Motion has no lag, and corrections take effect within a second.
     """
 
     def __init__(self) -> None:
@@ -260,7 +262,7 @@ class CorrectionSmoother:
         self._heading = 0.0
 
     def step(self, m: Estimate, *, anew: bool = False) -> Estimate:
-        """Return the estimate to control by; ``anew``: nothing is controlled yet."""
+        """Return the smoothed estimate for the controllers; ``anew`` resets it to ``m``."""
         last, self._last = self._last, m
         if anew or last is None or not 0.0 < m.time_s - last.time_s < 0.1:
             self._place, self._heading = m.position.copy(), float(m.attitude[2])
@@ -293,7 +295,7 @@ def _propagate_smoothed(
     rates: _Array,
     dt: float,
 ) -> tuple[_Array, _Array]:
-    """Position and attitude a period later; ``before`` is the velocity then."""
+    """Return smoothed position and attitude after ``dt`` (s); ``before`` is the velocity at the period's start."""
     moved, turned = np.empty(3), np.empty(3)
     for k in range(3):
         v = 0.5 * (before[k] + velocity[k])
@@ -310,12 +312,12 @@ def _propagate_smoothed(
 
 @dataclass
 class SensorEventReporter:
-    """Turns what an estimator thinks of its sensors into events that are worth a line.
+    """Converter of sensor statuses into log messages.
 
     Attributes
     ----------
     reported_status : dict
-        Reading to the status that was told last, of those that are not believed.
+        Reported status of each reading with a reported fault.
     """
 
     reported_status: dict[str, str] = field(default_factory=dict)
@@ -324,7 +326,7 @@ class SensorEventReporter:
     _last_fault: dict[str, SensorStatus] = field(default_factory=dict)
 
     def has_nothing_to_report(self, checks: Sequence[SensorStatus]) -> bool:
-        """Whether a step with these changes nothing: all is believed, and nothing else was told."""
+        """Whether a step with these statuses changes nothing: no fault is present, building up or reported."""
         return (
             not self.reported_status
             and all(level <= 0.0 for level in self._fault_level.values())
@@ -334,8 +336,10 @@ class SensorEventReporter:
     def step(
         self, checks: Sequence[SensorStatus], period_s: float, excused: Collection[str] = ()
     ) -> list[tuple[str, str]]:
-        """Return (text, level) of what has changed, a period later; of those that are ``excused`` nothing is said
-        when they are missing."""
+        """Advance by one period; return (text, level) of every new report.
+
+        A missing reading in ``excused`` is not reported.
+        """
         said: list[tuple[str, str]] = []
         for check in checks:
             name = check.name
@@ -344,7 +348,7 @@ class SensorEventReporter:
             if check.is_suspicious or check.status in ("rejected", "missing", "faulty"):
                 self._last_fault[name] = check
                 self._fused_duration_s[name] = 0.0
-                # What is missing has been waited for already.
+                # A missing reading has already exceeded its timeout.
                 more = 4.0 * period_s if check.status == "missing" else period_s
                 level = self._fault_level[name] = min(
                     self._fault_level.get(name, 0.0) + more, FAULT_REPORT_DELAY_S + period_s
@@ -365,17 +369,18 @@ class SensorEventReporter:
         return said
 
 
-# Before take-off: what cannot work
+# Checks before take-off
 
 
 def preflight_warning(m: Estimate, reach_m: float) -> str:
-    """One line on what an estimate that is valid on the floor will not be good for in the air; "" if nothing.
+    """Return a warning if nothing will measure the horizontal position in flight; "" otherwise.
 
     Parameters
     ----------
     m : Estimate
+        Estimate on the floor.
     reach_m : float
-        How far the laser ring sees (m).
+        Range of the laser ring (m).
     """
     checks = {c.name: c for c in sensor_checks(m)}
     if not checks:

@@ -1,26 +1,25 @@
-"""The flight software: what runs on board, as a function of time steps.
+"""Flight software that runs on board: mission logic and controllers, independent of the simulator.
 
-``step(estimate, command) -> actuators``, called at the control design's rate. It knows nothing of the simulator.
-The mission logic runs in every n-th step, with the position cascade (50 Hz), and says what the motors are to do and
-what to follow:
+``step(estimate, command) -> actuators`` is called at the rate of the control design. Every n-th step runs the mission
+logic and the position cascade (50 Hz). The mission logic sets the reference and the mode of the motors:
 
 =========== =========================================================================================
 off         motors and servos at rest
-spin_up     motor inputs rise to 0.9 of hover, too little to lift off; servos at trim. A vehicle that lifts off all
-            the same, being lighter than its controllers believe, goes on to ``fly`` at once
-fly         heave-yaw controller; from 2 cm above the floor, or once it turns on its legs, also roll-pitch and,
-            every n-th step, position
+spin_up     motor inputs rise to 0.9 of hover, too little to lift off; servos at trim. A vehicle lighter than its
+            design may lift off all the same, and changes to ``fly`` at once
+fly         heave-yaw controller; from 2 cm above the floor, or once the vehicle tips on its legs, also roll-pitch
+            and, every n-th step, position
 ramp_down   after touchdown motor inputs fall to zero
-blind       the estimate is lost: servos at trim, which the stabiliser bar makes a level attitude, and motor
-            voltages around those of the last second that keep to a rate of descent while the height is known all
-            the same, else a little below them, until the floor has come
+blind       descent without an estimate. With servos at trim the stabiliser bar keeps a level attitude. Motor voltages
+            start from the mean of the last second of flight: they hold a rate of descent while the height is
+            known, and are slightly lower otherwise, until touchdown
 =========== =========================================================================================
 
-Between two steps of the mission logic its reference is carried on at the reference velocity. Where the mission asks
-for more than the controllers can follow, it is flown more slowly (:mod:`mufly.mission.mission_checks`). Estimates that
-are missing or frozen are bridged for half a second (:func:`mufly.estimate.check_estimate`), then the flight is given
-up; what is done about uncertain ones is in :mod:`mufly.flight.estimator_health`. Actuators that oscillate
-(:mod:`mufly.flight.oscillation_detector`) end the mission too.
+Between two steps of the mission logic the reference is propagated at the reference velocity. A mission that exceeds
+the limits of the controllers is flown more slowly (:mod:`mufly.mission.mission_checks`). Missing or frozen estimates
+are bridged for half a second (:func:`mufly.estimate.check_estimate`); then the flight software descends blindly.
+:mod:`mufly.flight.estimator_health` handles uncertain estimates. Oscillating actuators
+(:mod:`mufly.flight.oscillation_detector`) also end the mission.
 """
 
 from __future__ import annotations
@@ -75,33 +74,33 @@ from mufly.vehicle import Vehicle
 _Array = NDArray[np.floating[Any]]
 
 MEASUREMENT_TIMEOUT_S = 0.5
-"""How long a measurement may be missing or frozen in flight (s)."""
+"""Longest time without a new measurement in flight (s)."""
 
 RAMP_DOWN_SKIPPED_SHARE = 0.8
-"""How much of the motors' running down is left out where it is known to be down."""
+"""Fraction of the motors' ramp-down that is skipped after a known touchdown."""
 
 MAX_MOTOR_STEP, MAX_SERVO_STEP = 0.1, 0.2
-"""How far an input moves in a period at most, on an estimate: twice what flights in gusts need (quantile 0.999)."""
+"""Largest change of an input in a period, with a filter's estimate: twice the 0.999 quantile of flights in gusts."""
 
 _HOVER_VOLTAGE_FILTER_S = 1.0
-_BATTERY_FILTER_S = 0.5  # in which the battery's reading counts while the rotors speed up, on an estimate
+_BATTERY_FILTER_S = 0.5  # time constant of the battery voltage during spin-up, with a filter's estimate
 
 
 class FlightSoftware:
     """Mission logic and controllers of one vehicle.
 
-    ``plan`` is the mission as it is flown, ``requested_mission`` as it was loaded; ``slowdown_note`` says in words
-    which of its limits were brought down to what the controllers can follow. ``mission_state`` is what the
-    state machine remembers, ``oscillation`` what the actuators do that they should not, if anything.
+    ``requested_mission`` is the mission as loaded, ``plan`` the mission as flown, within the limits of the
+    controllers. ``slowdown_note`` describes the reduced limits. ``mission_state`` is the state of the mission's
+    state machine, and ``oscillation`` the detected oscillation of an actuator, if any.
 
     Parameters
     ----------
     vehicle : Vehicle
-        For its range ring and battery limit.
+        Supplies range ring and battery limit.
     controller : FlightController
-        From :func:`mufly.control.design_flight_controller`.
+        Design from :func:`mufly.control.design_flight_controller`.
     mission : Mission
-        Checked.
+        Checked mission.
 
     Raises
     ------
@@ -117,7 +116,7 @@ class FlightSoftware:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the flight: before the first step."""
+        """Return to the state before the first step of a flight."""
         controller = self._controller
         self._period_s = 1.0 / controller.rate_Hz
         self._every = controller.position_divider
@@ -139,39 +138,39 @@ class FlightSoftware:
         self._doubts, self._held, self._waits = HealthMonitor(), False, False
         self._smooth = CorrectionSmoother()
         self._given = Actuators.idle()
-        # Motor voltages, averaged over the last second of flight.
+        # Motor voltages, averaged over the last second of flight (V)
         self._held_up: _Array = np.zeros(2)
         self._trusts_until_s = 0.0
         self._volts = 0.0
 
     def use_controllers(self, make: Callable[[FlightController], Controllers]) -> None:
-        """Let other code compute the control law, such as that for a board; on the floor, before the first step."""
+        """Replace the implementation of the control law, for example by a board's code. Call before the first step."""
         self._make = make
         self.reset()
 
     def change_limits(self, mission: Mission) -> None:
-        """Fly by another mission's limits from now on; its waypoints and index have to be those of the present one.
+        """Apply the limits of a mission with the same waypoints as the present one.
 
         Raises
         ------
         InputError
-            If it does not suit the vehicle; nothing has changed then.
+            If the mission does not suit the vehicle; the present mission stays.
         """
         flown, slower = reduce_limits(mission, controller_limits(self._controller))
         self.plan = prepare_plan(flown, self._vehicle)
         self.requested_mission, self.slowdown_note = mission, slower
 
     def limit_mission(self, mission: Mission) -> Mission:
-        """A mission as it would be flown: no faster than the controllers can follow."""
+        """Return a mission with its limits reduced to those of the controllers."""
         return reduce_limits(mission, controller_limits(self._controller))[0]
 
     def load_mission(self, mission: Mission) -> None:
-        """Take another mission, from its first waypoint on, when it is started.
+        """Load another mission, which begins at its first waypoint when started.
 
         Raises
         ------
         InputError
-            If it does not suit the vehicle; nothing has changed then.
+            If the mission does not suit the vehicle; the present mission stays.
         """
         self.change_limits(mission)
         if self._watch is not None:
@@ -179,33 +178,36 @@ class FlightSoftware:
             loaded = LogMessage.ONE_WAYPOINT_LOADED if n == 1 else LogMessage.WAYPOINTS_LOADED
             s = log_event(self.mission_state, loaded(mission.name or "a mission", n))
             s = replace(s, waypoint_index=0, mission_begun=False)
-            # A flight that goes on is one without a mission until that is started.
+            # A flight in progress continues in manual mode until the new mission is started.
             flying = s.state is not State.INIT
             self.mission_state = replace(s, outcome="", reason="", manual=True, abort_reason="") if flying else s
 
     def retune_controllers(self, controller: FlightController) -> None:
-        """Go over to other numbers of the same control law, without a bump."""
+        """Change gains and limits of the control law without a step in its output."""
         self._controller = controller
         self._controllers.retune_gains(controller)
         self.change_limits(self.requested_mission)
 
     @property
     def is_mission_step_due(self) -> bool:
-        """Whether the next step runs the mission logic, which hears the user's signals."""
+        """Whether the next step runs the mission logic, which handles the user's commands."""
         return self._ticks % self._every == 0
 
     @property
     def mission_step_periods(self) -> int:
-        """Periods from one step of the mission logic to the next."""
+        """Number of periods between two steps of the mission logic."""
         return self._every
 
     def make_batch_runner(self, flight: Any) -> Callable[..., bool] | None:
-        """Return what advances a flight by many periods in one call, if there is such code: ``run(until)``."""
+        """Return the function ``run(until)`` that advances a flight by many periods in one call; None if there is none.
+
+        Implementations in other code override this method.
+        """
         return None
 
     @property
     def motors(self) -> str:
-        """What the motors do: the table above."""
+        """Mode of the motors, from the table of this module."""
         return self._motors
 
     @property
@@ -215,7 +217,7 @@ class FlightSoftware:
 
     @property
     def logged_count(self) -> int:
-        """Entries of the mission's log so far."""
+        """Number of entries in the mission's log."""
         return self.mission_state.logged_count
 
     @property
@@ -225,12 +227,12 @@ class FlightSoftware:
 
     @property
     def flying(self) -> bool:
-        """Whether it is off the floor."""
+        """Whether the vehicle is off the floor."""
         return self._lifted and self._motors in ("fly", "blind")
 
     @property
     def reference(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """What is being followed: position, velocity (N-E-D), and roll, pitch, yaw."""
+        """Reference position (m) and velocity (m/s), both N-E-D, and roll, pitch, yaw (rad); (3,) each."""
         r = self._reference
         heading = r.heading + self._late_s * r.heading_rate
         return r.position + self._late_s * r.velocity, r.velocity, np.array([*self._tilt, heading])
@@ -242,7 +244,7 @@ class FlightSoftware:
         ----------
         estimate : Estimate
         command : Command
-            The user's signals; one given between two steps of the mission logic is kept for the next.
+            The user's command; stored until the next step of the mission logic.
 
         Returns
         -------
@@ -285,15 +287,14 @@ class FlightSoftware:
         return self._given
 
     def _update_map_part(self, m: Estimate) -> None:
-        """What the beams see, in parts from one step of the mission logic to the next."""
+        """Update the obstacle map from some of the beams; all beams have a turn between two steps of the mission."""
         parts = max(1, self._every - 1)
         part = (self._ticks - 1) % self._every if self._every > 1 else 1
         if part > 0:
             self.mission_state = update_obstacle_map(self.plan, self.mission_state, m, part, parts)
 
     def _limit_actuator_rates(self, m: Estimate, wanted: Actuators) -> Actuators:
-        """What is wanted, no faster than :data:`MAX_MOTOR_STEP` and :data:`MAX_SERVO_STEP` where it comes from an
-        estimate."""
+        """Limit the inputs' steps to :data:`MAX_MOTOR_STEP` and :data:`MAX_SERVO_STEP` with a filter's estimate."""
         if m.auxiliary_states is not None:
             before = self._given
             motor, servo = _limit_actuator_step(
@@ -315,15 +316,15 @@ class FlightSoftware:
         return Actuators.idle()
 
     def _is_lost(self, w: EstimateMonitor) -> bool:
-        """Whether it flies without knowing where it is or how it moves; it does not come back from that."""
+        """Whether the estimate is lost in flight; a blind descent is final."""
         if self._motors == "blind":
             return True
-        # While the motors are off it stands still, and a repeated measurement is no fault.
+        # With the motors off the vehicle stands still, and a repeated measurement is no fault.
         running_s = w.last_good.time_s - self._since_s if self._motors in ("spin_up", "fly") else 0.0
         return min(w.lost_s, running_s) > MEASUREMENT_TIMEOUT_S
 
     def _act_on_health(self, m: Estimate) -> str:
-        """Hold or land where the estimate is not good enough for more; why it has to sink at once, "" if it has not."""
+        """Hold or land on an uncertain estimate; return the reason of an immediate blind descent, "" without one."""
         s = self.mission_state
         if not (self._lifted and self._motors == "fly"):
             stood = max(m.covariance[0, 0], m.covariance[1, 1])
@@ -364,9 +365,9 @@ class FlightSoftware:
             self._reference = replace(self._reference, motors="blind", velocity=np.zeros(3), heading_rate=0.0)
             self._tilt, self._command = np.zeros(2), NO_COMMAND
         knows = self._lifted and now < self._trusts_until_s and TOUCHDOWN_HEIGHT_M < height < math.inf
-        if knows:  # should that end, it goes on from here
+        if knows:  # the timed descent continues from here if the height is lost
             self._since_s = now + self._descent_time_s(height)
-        elif height <= TOUCHDOWN_HEIGHT_M:  # it is down: on its legs nothing holds a rotor that still lifts
+        elif height <= TOUCHDOWN_HEIGHT_M:  # touchdown: thrust on the legs would tip the vehicle over
             self._since_s = min(self._since_s, now - RAMP_DOWN_SKIPPED_SHARE * RAMP_DOWN_TIME_S)
         left_s = self._since_s + RAMP_DOWN_TIME_S - now
         if left_s <= 0.0:
@@ -382,7 +383,7 @@ class FlightSoftware:
         return float(self.mission_state.home_position[2] - m.position[2])
 
     def _height_if_known(self, m: Estimate) -> float:
-        """Height above where it stood (m) of an estimate that is lost as a whole; infinite if that is lost too."""
+        """Return the height above home (m) of an otherwise lost estimate; infinite if the height is lost, too."""
         certain = m.auxiliary_states is not None and m.covariance[2, 2] < MAX_HEIGHT_SIGMA_M * MAX_HEIGHT_SIGMA_M
         height = self._height_above_home(m)
         return height if certain and abs(height) + abs(float(m.velocity[2])) < 1e3 else math.inf
@@ -412,7 +413,7 @@ class FlightSoftware:
             hover_V = self._controller.motor_trim * self._controller.voltage_V
             self._motor_input = spin_up_motor_input(hover_V, elapsed, self._volts)
         elif motors == "ramp_down":
-            known = m.auxiliary_states is None  # else it may slide, and a rotor that still lifts tips it over
+            known = m.auxiliary_states is None  # else the vehicle may slide, and remaining thrust tip it over
             ahead = 0.0 if known else RAMP_DOWN_SKIPPED_SHARE * RAMP_DOWN_TIME_S
             self._motor_input = ramp_down_motor_input(self._released, elapsed + ahead)
         else:
@@ -456,7 +457,7 @@ class FlightSoftware:
 def _limit_actuator_step(
     motor: _Array, servo: _Array, wanted_motor: _Array, wanted_servo: _Array
 ) -> tuple[_Array, _Array]:
-    """Both inputs, from what they are towards what is wanted, by no more than a step."""
+    """Return motor and servo inputs (2,), moved towards the wanted ones by at most the largest step."""
     return (
         motor + np.minimum(np.maximum(wanted_motor - motor, -MAX_MOTOR_STEP), MAX_MOTOR_STEP),
         servo + np.minimum(np.maximum(wanted_servo - servo, -MAX_SERVO_STEP), MAX_SERVO_STEP),
@@ -464,63 +465,69 @@ def _limit_actuator_step(
 
 
 ControlImplementation = Callable[[FlightController], Controllers] | type[FlightSoftware]
-"""What may fly in place of the classes above: what computes the control law, or all of the flight software."""
+"""Other implementation of the control law, or of the whole flight software."""
 
 
-# Motors without a controller: speeding up and running down on the floor, and coming down when the estimate is lost
+# Open-loop motor inputs: spin-up and ramp-down on the floor, and the descent with a lost estimate
 #
-# Two rotors at a share s of the voltages that hold the helicopter up turn s times as fast and lift s^2 times as much.
-# Speeding up to 0.9 leaves a fifth of the weight on the legs. Sinking blindly at 0.98 the weight is 0.04 short: it
-# falls at 0.04 g and touches down from 2 m at 1.3 m/s (drag left out). Where height and rate of descent are known, the
-# share s keeps to a rate: (1 - s^2) g is the acceleration, which takes 0.4 s for the rate.
+# At a fraction s of the hover voltages the rotors have s times the speed and s^2 times the thrust of hover. A spin-up
+# to 0.9 leaves a fifth of the weight on the legs. A blind descent at 0.98 lacks 0.04 of the thrust: it accelerates at
+# 0.04 g and touches down from 2 m at 1.3 m/s (without drag). With known height and rate of descent, s controls the
+# rate: the acceleration (1 - s^2) g reaches the wanted rate with a time constant of 0.4 s.
 
 
 SPIN_UP_VOLTAGE_SHARE = 0.9
 DESCENT_VOLTAGE_SHARE = 0.98
 TOUCHDOWN_HEIGHT_M = 0.03
-"""Height from which it counts as down (m)."""
+"""Height below which the vehicle has touched down (m)."""
 _MAX_DESCENT_M_S, _TOUCHDOWN_M_S = (
     0.9,
     0.5,
-)  # high up and near the floor: the longer it takes, the faster it drifts
-_DESCENT_GAIN = 1.0 / (2.0 * GRAVITY * 0.4)  # of the share, to the rate of descent (s/m)
+)  # limits of the rate of descent; a slow descent drifts farther
+_DESCENT_GAIN = 1.0 / (2.0 * GRAVITY * 0.4)  # voltage fraction per rate of descent (s/m)
 _MIN_DESCENT_SHARE, _MAX_DESCENT_SHARE = 0.92, 1.08
 _DESCENT_MARGIN_S = 1.0
 
 
 def spin_up_motor_input(hover_V: _Array, elapsed_s: float, battery_V: float) -> _Array:
-    """Motor inputs (2,) while the rotors speed up, ``elapsed_s`` (s) after they began.
+    """Return the motor inputs (2,) during spin-up.
 
-    Half of the time is to rise, half for the slow upper rotor to follow.
+    The inputs rise over half of the spin-up time; the slow upper rotor follows in the other half.
 
     Parameters
     ----------
     hover_V : (2,) array
         Motor voltages of hover (V).
-    elapsed_s, battery_V : float
+    elapsed_s : float
+        Time since the beginning of the spin-up (s).
+    battery_V : float
+        Battery voltage (V).
     """
     share = SPIN_UP_VOLTAGE_SHARE * min(1.0, 2.0 * elapsed_s / SPIN_UP_S)
     return np.minimum(share * hover_V / battery_V, 1.0)
 
 
 def ramp_down_motor_input(released: _Array, elapsed_s: float) -> _Array:
-    """Motor inputs (2,) after touchdown: from ``released`` (2,) to zero within a second."""
+    """Return the motor inputs (2,) after touchdown, from ``released`` (2,) to zero within a second."""
     return released * max(0.0, 1.0 - elapsed_s / RAMP_DOWN_TIME_S)
 
 
 def descent_motor_input(held_up_V: _Array, share: float, left_s: float, battery_V: float) -> _Array:
-    """Motor inputs (2,) of a blind way down: a share of what held it up (V), to zero in its last second."""
+    """Return the motor inputs (2,) of a blind descent.
+
+    They are the fraction ``share`` of the hover voltages ``held_up_V`` (2,), and fall to zero in the last second.
+    """
     return np.minimum(share * min(1.0, left_s / RAMP_DOWN_TIME_S) * held_up_V / battery_V, 1.0)
 
 
 def descent_voltage_share(height_m: float, descent_m_s: float) -> float:
-    """Share of the voltages that held it up with which it comes down, at a height above the floor (m)."""
+    """Return the fraction of the hover voltages that controls the rate of descent at a height above the floor (m)."""
     wanted = min(max(height_m, _TOUCHDOWN_M_S), _MAX_DESCENT_M_S)
     return min(max(1.0 + _DESCENT_GAIN * (descent_m_s - wanted), _MIN_DESCENT_SHARE), _MAX_DESCENT_SHARE)
 
 
 def descent_time_s(height_m: float, gravity: float) -> float:
-    """How long a blind way down takes from a height (m), with a second to spare (s); ``gravity`` in m/s2."""
+    """Return the duration of a blind descent from a height (m), plus a margin of 1 s (s); ``gravity`` in m/s2."""
     return (
         math.sqrt(2.0 * max(0.0, height_m) / ((1.0 - DESCENT_VOLTAGE_SHARE * DESCENT_VOLTAGE_SHARE) * gravity))
         + _DESCENT_MARGIN_S

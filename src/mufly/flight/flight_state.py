@@ -1,4 +1,4 @@
-"""The state of a flight at one instant: the one record that autopilot, link, page and displays read."""
+"""State of a flight at one instant, as autopilot, link, page and displays read it."""
 
 from __future__ import annotations
 
@@ -22,70 +22,70 @@ def _unknown_vector() -> NDArray[np.float64]:
 
 @dataclass(frozen=True, slots=True)
 class FlightState:
-    """How a flight is at one instant; SI units, N-E-D. What is not known is NaN, None or empty.
+    """State of a flight at one instant; SI units, N-E-D. Unknown values are NaN, None or empty.
 
     Attributes
     ----------
     time_s : float
-        The vehicle's clock.
+        Time of the vehicle's clock (s).
     armed : bool
-        Whether its motors may run.
+        Whether the motors may run.
     flying : bool
-        Whether it is off the floor.
+        Whether the vehicle is off the floor.
     landed : bool
-        On the floor with the motors off or running down.
+        Whether the vehicle is on the floor with its motors off or ramping down.
     state : str
-        State of the mission machine ("take-off", "hover", ...; `mufly.mission.State`).
+        State of the mission's state machine ("take-off", "hover", ...; `mufly.mission.State`).
     motors : str
         "off", "spin_up", "fly", "ramp_down" or "blind" (:mod:`mufly.flight.flight_software`).
     mission_running : bool
-        Whether the waypoints of the mission are being flown, and nothing has interrupted that.
+        Whether the vehicle flies the waypoints of the mission without interruption.
     mission_begun : bool
-        The mission has been started since take-off.
+        Whether the mission has been started since take-off.
     manual : bool
-        The user has taken over from the mission, which waits.
+        Whether the user has taken over and the mission waits.
     returning_home : bool
-        It is on its way home.
+        Whether the vehicle is returning home.
     waypoint_index : int
-        The one that is flown to or comes next (from 0); the number of waypoints when all are reached.
+        Index of the present or next waypoint (from 0); the number of waypoints when all are reached.
     reached_count : int
-        How many were reached since take-off.
+        Number of waypoints reached since take-off.
     offboard_active, sticks_active : bool
         Whether a program's set-points, or the pilot's sticks, are in command.
     outcome, reason : str
-        Of the flight: "" while it is open, "succeeded" or "failed", and why.
+        Outcome of the flight ("succeeded", "failed", or "" while undecided), and its reason.
     oscillation : str
-        Which actuator oscillates, how far and how fast (:mod:`mufly.flight.oscillation_detector`); "" if none.
+        Oscillating actuator with amplitude and frequency (:mod:`mufly.flight.oscillation_detector`); "" if none.
     crash_cause : str
-        What it hit; "" if nothing.
+        Cause of a crash; "" without one.
     fence_breach_text : str
-        How far it is outside its fence, in words; "" inside, or without one.
+        Distance outside the geofence, as text; "" inside, or without a geofence.
     fence_breach_count : int
-        How often it has left its fence in this flight.
+        Number of geofence breaches in this flight.
     fence_breach_time_s : float
-        When it left it last (s).
+        Time of the last geofence breach (s).
     mission : Mission or None
-        As loaded, with the limits as tuned.
+        Mission as loaded, with tuned limits.
     home_position : (3,) tuple or None
-        Where it took off (N, E, D; m); None before it has.
+        Take-off position (N, E, D; m); None before take-off.
     goal : (3,) tuple or None
-        Where it is going or holds (N, E, D; m); None on the floor and by hand.
+        Position to fly to or to hold (N, E, D; m); None on the floor and in manual flight.
     estimate : Estimate
-        Where it believes to be, and how it believes to move.
+        Estimated position, velocity, attitude and rates.
     readings : Readings or None
-        What that is made from.
+        Sensor readings from which the estimate is computed.
     reference_position, reference_velocity, reference_attitude : (3,) arrays
-        What is being followed: N-E-D; roll, pitch, yaw.
+        References of the controllers: N-E-D (m, m/s); roll, pitch, yaw (rad).
     actuators : Actuators
-        What acts at this instant; on board, what was sent last.
+        Inputs that act at this instant; on board, the last ones sent.
     battery_current, battery_charge : float
-        A, 0..1.
+        Current (A) and charge (0..1).
     battery_left_s : float
-        How long it will last until it lands for low voltage (s), with the current of late; on the floor, of hover.
+        Time until a landing for low voltage (s), at the recent current; on the floor, at that of hover.
     truth : Truth or None
-        What only a simulation knows.
+        True state; known in a simulation only.
     faults : tuple of Fault
-        What is or will be wrong with simulated sensors.
+        Present and planned faults of simulated sensors.
     """
 
     time_s: float = math.nan
@@ -126,9 +126,9 @@ class FlightState:
 
     @property
     def height_m(self) -> float:
-        """Above where it took off (m)."""
+        """Height above the take-off position (m)."""
         return math.nan if self.home_position is None else self.home_position[2] - float(self.estimate.position[2])
 
     def check_request(self, ask: VehicleRequest) -> RequestAnswer:
-        """Whether this state lets it do something (:mod:`mufly.mission.mission_state`)."""
+        """Return whether this state permits a request (:mod:`mufly.mission.mission_state`)."""
         return check_request(ask, self, height_m=self.height_m, armed=self.armed, flying=self.flying)

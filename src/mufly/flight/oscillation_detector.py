@@ -1,14 +1,14 @@
-"""Whether actuators oscillate: a limit cycle, told from what they do.
+"""Detection of limit cycles in the actuators' inputs.
 
-An input *oscillates* when it goes to and fro by half of its range or more, in even periods of at most 4 s, four of them
-on end and for 2 s or longer, and nobody asked for it. Loops that are unstable with their delay, or that saturation
-makes so (docs/explanation/control.md), end like that: they neither settle nor diverge, and what the helicopter does
-meanwhile may look like flying.
+An input *oscillates* if it alternates by half of its range or more, in at least four consecutive even periods of at
+most 4 s each, for 2 s or longer, without a steering command. Loops that delay or saturation makes unstable
+(docs/explanation/control.md) reach such a limit cycle: they neither settle nor diverge, and the motion may still look
+like flight.
 
-A turn is where the input has come back from its extreme by half of the range; the period at a turn is the time since
-the one before the last. Even means that it differs from the period before by no more than a factor of 1.6: gusts do not
-keep time. Where a pilot's sticks or a program's set-points go to and fro themselves, counting begins anew with each of
-their turns. (Own definition; flights in 1.5 m/s of wind with gusts of 0.6 m/s stay below a tenth of the range.)
+A turn is an instant where the input has returned from its extreme by half of its range. The period at a turn is the
+time since the second last turn. Even means a ratio of at most 1.6 to the previous period; gusts are irregular. Every
+turn of a pilot's sticks or a program's set-points restarts the count. (Own definition; flights in 1.5 m/s of wind with
+gusts of 0.6 m/s stay below a tenth of the range.)
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ _Array = NDArray[np.float64]
 INPUT_NAMES = ("motor_input upper", "motor_input lower", "servo_input 1", "servo_input 2")
 INPUT_RANGES = (1.0, 1.0, 2.0, 2.0)
 MIN_SWING_SHARE, MIN_PERIOD_COUNT, MIN_DURATION_S = 0.5, 4, 2.0
-"""Part of its range that an input has to go to and fro by, how often on end, and for how long (s)."""
+"""Smallest swing (fraction of the input's range), number of consecutive periods, and duration (s) of an oscillation."""
 MAX_PERIOD_S, MAX_PERIOD_RATIO = 4.0, 1.6
-"""Longest period (s), and by what factor one may differ from the one before."""
+"""Longest period (s), and largest ratio of consecutive periods."""
 
 _STEERING_THRESHOLDS = (0.1, 0.1, 0.1, 0.2, 0.05, 0.05)
-"""What counts as a turn of what is asked for: velocity N-E-D (m/s), rate of turn (rad/s), roll, pitch (rad)."""
+"""Reversals that make a turn of a steering command: velocity N-E-D (m/s), yaw rate (rad/s), roll, pitch (rad)."""
 
 
 @dataclass(slots=True)
 class _TurningPoints:
-    """Turns of one signal: it has turned when it has come back by ``reversal_threshold`` from its extreme."""
+    """Turns of one signal: instants where it has returned by ``reversal_threshold`` from its extreme."""
 
     reversal_threshold: float
     is_rising: bool = True
@@ -60,7 +60,7 @@ class _TurningPoints:
 
 @dataclass(slots=True)
 class _InputOscillation:
-    """Even periods of one input so far, and how far it went in them."""
+    """Count of one input's consecutive even periods, with the input's extremes in them."""
 
     turning_points: _TurningPoints
     start_s: float = 0.0
@@ -76,7 +76,7 @@ class _InputOscillation:
 
 @dataclass(frozen=True, slots=True)
 class Oscillation:
-    """One input's oscillation: name, since when and for how long (s), size (in its unit), frequency (Hz)."""
+    """Oscillation of one input: name, start (s), duration (s), swing (in the input's unit), frequency (Hz)."""
 
     input_name: str
     start_s: float
@@ -90,7 +90,7 @@ class Oscillation:
 
 @cached_njit(error_model="numpy")
 def may_oscillate(inputs: _Array) -> bool:
-    """Whether any of the inputs (n, 4) turns often enough to oscillate, however slowly and whoever asks for it."""
+    """Whether any of the inputs (n, 4) turns often enough to oscillate, at any period and with any command."""
     for k in range(4):
         back, rising, extreme, turns = MIN_SWING_SHARE * INPUT_RANGES[k], True, -math.inf, 0
         for value in inputs[:, k]:
@@ -105,28 +105,29 @@ def may_oscillate(inputs: _Array) -> bool:
 
 
 class OscillationDetector:
-    """Looks at the inputs of one flight, period by period."""
+    """Detector of oscillations in the inputs of one flight, period by period."""
 
     def __init__(self) -> None:
         self._inputs = tuple(_InputOscillation(_TurningPoints(MIN_SWING_SHARE * r)) for r in INPUT_RANGES)
         self._asked = tuple(_TurningPoints(back) for back in _STEERING_THRESHOLDS)
 
     def step(self, time_s: float, inputs: Sequence[float], asked: Sequence[float] | None = None) -> Oscillation | None:
-        """Take one more instant.
+        """Add the inputs of one instant.
 
         Parameters
         ----------
         time_s : float
+            Time (s).
         inputs : (4,) sequence of float
             Motor upper, lower (0..1), servo 1, 2 (-1..1).
         asked : (6,) sequence of float, optional
-            What a pilot or a program asks for: velocity N-E-D (m/s), rate of turn (rad/s), roll and pitch (rad);
-            without it, nobody steers.
+            Command of a pilot or a program: velocity N-E-D (m/s), yaw rate (rad/s), roll and pitch (rad); default
+            no steering.
 
         Returns
         -------
         Oscillation or None
-            That which lasts longest, if any.
+            The longest present oscillation, if any.
         """
         if asked is not None and self._is_steered(time_s, asked):
             for one in self._inputs:
@@ -174,9 +175,9 @@ class OscillationDetector:
 def steering_demands(
     state: str, velocity: Sequence[float], heading_rate: float, roll: float, pitch: float
 ) -> tuple[float, ...] | None:
-    """What a pilot or a program asks for in this state of the mission; None where the mission flies.
+    """Return the command (6,) of a pilot or a program in a state of the mission; None where the mission flies.
 
-    Of a pilot's references the horizontal velocity is the measured one, which he does not ask for.
+    In manual flight the reference's horizontal velocity is the measured one, not a command: it is set to 0.
     """
     n, e, d = velocity
     if state == State.RC:

@@ -1,4 +1,4 @@
-"""The other side of the loop: the true helicopter, its air and its world."""
+"""Simulated helicopter in its air and world: time steps, collisions, rows of a recording, step responses."""
 
 from __future__ import annotations
 
@@ -46,14 +46,13 @@ from mufly.world import World, nearest_obstacles, obstacle_distance
 
 MIN_STEP_S = 1e-5
 COLLISION_TEXT, TIP_OVER_TEXT = "a rotor hit the", "tipped over"
-"""First words of a crash: into an obstacle, and onto the side."""
-_WIND_BLOCK_S = 5.0  # of wind drawn at once; what it is does not depend on it
+"""First words of the cause of a crash: collision with an obstacle, and tip-over."""
+_WIND_BLOCK_S = 5.0  # duration of wind drawn at once (s); no effect on the wind
 
 
 @cached_njit(error_model="numpy")
 def advance_period(x: _Array, u: _Array, wind: _Array, parameters: Any, dt: float, steps: int, supply: _Array) -> None:
-    """Advance the state by one period; write voltage and current of the battery at its end into ``battery_output``
-    (2,)."""
+    """Advance the state by one period; write the battery's final voltage (V) and current (A) into ``supply`` (2,)."""
     p = parameters[0]
     integrate_state(x, u, wind, p, dt, steps)
     supply[0], supply[1] = battery_state(x, u[U_MOTOR_UPPER], u[U_MOTOR_LOWER], p)
@@ -61,9 +60,9 @@ def advance_period(x: _Array, u: _Array, wind: _Array, parameters: Any, dt: floa
 
 @cached_njit(error_model="numpy")
 def true_attitude(x: _Array, attitude: _Array) -> None:
-    """Roll, pitch, yaw (rad) of a state into ``attitude`` (3,); yaw is the one nearest to what stands there.
+    """Write roll, pitch, yaw (rad) of a state into ``attitude`` (3,); yaw continues from its value there.
 
-    By :mod:`mufly.portable_math`, so that it is the same on every processor.
+    :mod:`mufly.portable_math` gives equal results on every processor.
     """
     w, i, j, k = x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
     sine = min(max(2.0 * (w * j - k * i), -1.0), 1.0)
@@ -84,7 +83,7 @@ def find_collision(
     cylinders: _Array,
     limits: _Array,
 ) -> int:
-    """What a helicopter has hit: 0 nothing, 1 an obstacle, 2 the floor with a rotor."""
+    """Return the kind of a collision: 0 none, 1 with an obstacle, 2 of a rotor with the floor."""
     p = parameters[0]
     if obstacles and nearest_obstacles(x[POSITION].reshape(1, 3), boxes, cylinders, limits)[0][0] < radius:
         return 1
@@ -103,11 +102,11 @@ class SimulatedPlant:
     vehicle : Vehicle
     world : World
     air : DrydenWind
-        Sampled at ``rate_Hz``.
+        Wind, sampled at ``rate_Hz``.
     rate_Hz : float
-        Rate of the flight software: how often it is measured, and for how long actuators are held.
+        Rate of the flight software, of measurements and of actuator updates (Hz).
     state : (21,) array
-        Where it starts.
+        Initial state.
     """
 
     def __init__(
@@ -142,7 +141,7 @@ class SimulatedPlant:
         true_attitude(self.state, self.attitude)
 
     def reset(self, state: NDArray[np.float64]) -> None:
-        """Put the helicopter somewhere else, whole and at rest, one period later; air and clock go on."""
+        """Replace the state, clear a crash and advance the clock by one period; the wind continues."""
         self.state[:] = state
         self.period_count += 1
         self.crash_cause = ""
@@ -155,7 +154,7 @@ class SimulatedPlant:
         return self.period_count / self.rate_Hz
 
     def check_collision(self) -> None:
-        """See whether anything was hit."""
+        """Detect a collision and store its cause."""
         if self.crash_cause:
             return
         hit = find_collision(self.state, self.packed_parameters, *self.collision_shape)
@@ -171,7 +170,7 @@ class SimulatedPlant:
 
     @property
     def truth(self) -> Truth:
-        """All that there is to know of this instant; the state is copied."""
+        """Truth at this instant, with a copy of the state."""
         true_attitude(self.state, self.attitude)
         return Truth(
             self.time_s,
@@ -198,18 +197,18 @@ class SimulatedPlant:
         self.count_periods(1)
 
     def upcoming_wind(self, most: int) -> NDArray[np.float64]:
-        """The wind of the periods to come (n, 3): as many as are known, at least one, at most ``most``."""
+        """Return the wind of the coming periods (n, 3; m/s): those already drawn, at least 1, at most ``most``."""
         if self._blown == self._block:
             self._coming, self._blown = self._air.next_samples(self._block), 0
         return self._coming[self._blown : self._blown + most]
 
     def consume_wind(self, wind: NDArray[np.float64], periods: int) -> None:
-        """Take notice that the wind of so many periods has passed, and what it was last (3,)."""
+        """Mark the wind of some periods as used; ``wind`` (3,) is that of the last one (m/s)."""
         self.wind = wind
         self._blown += periods
 
     def count_periods(self, periods: int) -> None:
-        """Take notice that the state has been advanced by so many."""
+        """Advance the clock by some periods, after the state; store the battery's voltage and current."""
         self.voltage, self.current = self.battery_output.tolist()
         self.period_count += periods
         if not math.isfinite(self.state[RS_POS + 2]):
@@ -220,7 +219,7 @@ class SimulatedPlant:
 
 
 # ----------------------------------------------------------------------------
-# One row of a recording: what is true, measured, wanted and done at one instant.
+# Rows of a recording: truth, readings, references and inputs at one instant.
 
 
 _Array = NDArray[np.float64]
@@ -231,8 +230,8 @@ def make_row_writer(
 ) -> Callable[[Truth, Readings, Actuators, tuple[_Array, _Array, _Array], str], None]:
     """Return the function that appends a row: ``write(truth, readings, actuators, reference, state)``.
 
-    ``reference`` is position and velocity (N-E-D) and attitude; ``state`` the state of the mission. What the table
-    of quantities holds beyond that stays NaN, and so does what no sensor reads, or all of it without ``measured``.
+    ``reference`` is position and velocity (N-E-D) and attitude; ``state`` is the state of the mission. All other
+    columns are NaN, and so are quantities without a reading; without ``measured``, so are all readings.
     """
     row, part = make_blank_row(recorder)
     fill = make_common_writer(part)
@@ -265,8 +264,7 @@ def append_rows(
     reference: tuple[_Array, _Array, _Array],
     states: list[str],
 ) -> None:
-    """Append many rows at once: as :func:`make_row_writer`, all arrays (n, ...), ``measured`` by the names of
-    columns."""
+    """Append many rows as :func:`make_row_writer` does; all arrays are (n, ...), ``measured`` by column name."""
     rows = np.full((len(states), recorder.layout.column_count), np.nan)
     part = {name: rows[:, column] for name, column in recorder.layout.column_slices.items()}
     rows[:, 0] = truth.time_s
@@ -277,7 +275,7 @@ def append_rows(
 
 
 def make_blank_row(recorder: FlightRecorder) -> tuple[_Array, dict[str, _Array]]:
-    """A row of a recording where nothing is known yet, and its parts by the names of the quantities."""
+    """Return a row of NaN, and views of its parts by the names of the quantities."""
     row = np.full(recorder.layout.column_count, np.nan)
     return row, {name: row[column] for name, column in recorder.layout.column_slices.items()}
 
@@ -285,7 +283,7 @@ def make_blank_row(recorder: FlightRecorder) -> tuple[_Array, dict[str, _Array]]
 def make_common_writer(
     part: Mapping[str, _Array],
 ) -> Callable[[Truth, Actuators, tuple[_Array, _Array, _Array]], None]:
-    """Return what fills the part of a row, or of many, that every flight has: truth, reference, actuators, battery."""
+    """Return the function that fills truth, references, actuators and battery of one or many rows."""
     position, velocity, attitude, rates, speed = (
         part[f"truth_{name}"] for name in ("position", "velocity", "attitude", "rates", "rotor_speed")
     )
@@ -310,15 +308,15 @@ def make_common_writer(
 
 
 # ----------------------------------------------------------------------------
-# Step responses: the controllers alone on the nonlinear model, without a mission (Figs 6.10 and 6.12).
+# Step responses of the low-level controllers on the nonlinear model (Figs 6.10 and 6.12).
 
 
-START_HEIGHT_M = 5.0  # out of the floor's reach for any sensible step
+START_HEIGHT_M = 5.0  # out of ground effect for any sensible step
 
 
 @dataclass(frozen=True, slots=True)
 class ControllerReference:
-    """What the low-level controllers have to follow: z (m, down, from the start), angles (rad)."""
+    """References of the low-level controllers: z (m, down, from the start), angles (rad)."""
 
     down_m: float = 0.0
     heading: float = 0.0
@@ -335,28 +333,28 @@ def simulate_response(
     charge: float = 0.8,
     wind: DrydenWind | None = None,
 ) -> xr.Dataset:
-    """Let the low-level controllers follow a reference on the full nonlinear model, from hover.
+    """Simulate the low-level controllers on a reference, on the full nonlinear model, from hover.
 
-    Inputs saturate, the battery sags, and the actuators act one period after the measurement, as in flight.
+    Inputs saturate, the battery voltage drops, and inputs act one period after the measurement, as in flight.
 
     Parameters
     ----------
     vehicle : Vehicle
     demand : callable
-        From time (s) to :class:`ControllerReference`.
+        Function from time (s) to :class:`ControllerReference`.
     duration_s : float
-        (s).
+        Duration (s).
     controller : FlightController, optional
-        By default ``mufly.control.design_flight_controller(vehicle)``.
+        Control design; default ``mufly.control.design_flight_controller(vehicle)``.
     charge : float
         Battery charge at the start (fraction).
     wind : DrydenWind, optional
-        Sampled at the controller's rate; still air by default.
+        Wind, sampled at the controller's rate; default still air.
 
     Returns
     -------
     xarray.Dataset
-        A recording in memory, a row every period; positions count from the start.
+        A recording in memory, with a row every period; positions count from the start.
 
     Raises
     ------

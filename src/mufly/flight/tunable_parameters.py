@@ -1,7 +1,7 @@
 """Parameters that can be changed in flight: name, unit, bounds and the key that stores each.
 
-Names are those of a MAVLink parameter: at most 16 characters. Values at this interface have the unit that the table
-names (degrees, not radians); inside they stay SI. ``docs/make_reference.py`` writes the page of parameters from here.
+A name is a MAVLink parameter name of at most 16 characters. Values at this interface have the unit of the table
+(degrees, not radians); stored values are SI. ``docs/make_reference.py`` writes the reference page from this table.
 There are three kinds:
 
 - mission (``MIS_``, ``LIM_``, ``AVD_``, ``BAT_``): keys of a mission file (docs/reference/missions.md), with its
@@ -35,21 +35,21 @@ DEGREES_PER_RADIAN = math.degrees(1.0)
 
 @dataclass(frozen=True, slots=True)
 class TunableParameter:
-    """One number that may be tuned, as a vehicle offers it and a station shows it.
+    """A tunable parameter, as a vehicle reports it and a ground station shows it.
 
     Attributes
     ----------
     name : str
         At most 16 characters.
     value : float
-        In ``unit``.
+        Value in ``unit``.
     unit : str
-        "" for a pure number, or where it is not known.
+        Unit of value and bounds; "" if dimensionless or unknown.
     minimum, maximum : float
-        Bounds, themselves permitted; infinite where none are known.
+        Inclusive bounds; infinite if unknown.
     description : str
     is_integer : bool
-        A whole number.
+        Whether the value must be an integer.
     """
 
     name: str
@@ -103,12 +103,12 @@ def _parse_rows() -> tuple[dict[str, TunableParameter], dict[str, tuple[str, str
 
 
 PARAMETERS, STORAGE_KEYS = _parse_rows()
-"""Every parameter without its value, by name; and the table and key under which its value is kept."""
+"""Every parameter without its value, by name; the table and key that store each value, by name."""
 
 
 @dataclass(slots=True)
 class StickRanges:
-    """What the pilot's sticks ask for at their ends: tilt (rad), rate of turn (rad/s), climb (m/s)."""
+    """Commands at full stick deflection: tilt (rad), yaw rate (rad/s), climb rate (m/s)."""
 
     tilt: float = math.radians(8.0)
     yaw_rate: float = math.radians(60.0)
@@ -116,20 +116,20 @@ class StickRanges:
 
 
 _BOUND_TOLERANCE = 1e-6
-"""A value that travelled in single precision may miss a bound by this share."""
+"""Relative tolerance of the bounds, for values transmitted in single precision."""
 
 
 class TunableParameters(Mapping[str, TunableParameter]):
-    """The numbers that may be tuned, as they are now.
+    """Mapping of names to tunable parameters with their present values.
 
     Parameters
     ----------
     vehicle : Vehicle
-        Its battery bounds the low voltage.
+        Its nominal battery voltage bounds ``BAT_LOW_V``.
     controller : FlightController
-        The design; tuned copies of it go to the flight software.
+        Control design; the flight software receives tuned copies of it.
     software : FlightSoftware
-        Which they act on.
+        Flight software that is tuned.
     """
 
     def __init__(self, vehicle: Vehicle, controller: FlightController, software: FlightSoftware) -> None:
@@ -157,12 +157,12 @@ class TunableParameters(Mapping[str, TunableParameter]):
         return replace(p, value=self._stored_value(table, key) * _unit_scale(p, table), minimum=least, maximum=greatest)
 
     def set_value(self, name: str, value: float) -> str:
-        """Change one.
+        """Set a parameter's value, in its unit.
 
         Returns
         -------
         str
-            Why not, in words; "" if it is done.
+            Reason of a refusal; "" if the value is set.
         """
         if name not in PARAMETERS:
             return f"there is no parameter {name[:40]!r}; the list names them all"
@@ -181,7 +181,7 @@ class TunableParameters(Mapping[str, TunableParameter]):
         return ""
 
     def _stored_value(self, table: str, key: str) -> float:
-        """The number itself, in the unit that it is kept in."""
+        """Return the stored value, in the unit of its table."""
         if table == "sticks":
             return float(getattr(self.stick_ranges, key))
         if table in _GAIN_RECORDS:
@@ -211,5 +211,5 @@ _GAIN_RECORDS = {"position": "position_gains", "heave_yaw": "heave_yaw_gains"}
 
 
 def _unit_scale(p: TunableParameter, table: str) -> float:
-    """From the unit that it is kept in to its own: a mission file is in degrees itself."""
+    """Return the factor from the stored unit to the parameter's unit. Mission files already store degrees."""
     return DEGREES_PER_RADIAN if p.unit.startswith("deg") and table in (*_GAIN_RECORDS, "sticks") else 1.0

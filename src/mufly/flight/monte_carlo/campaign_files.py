@@ -1,4 +1,4 @@
-"""The folder of a campaign: tables and pictures of its flights, and the recordings of those worth a look."""
+"""Files of a campaign: tables and pictures of its flights, and recordings of failed and worst flights."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mufly.vehicle import format_vehicle_toml
 
 
 class RecordedFlights(NamedTuple):
-    """Flights that were flown again, each with the command that does so, and the recordings that there are."""
+    """Repeated flights, each with the command that repeats it, and the available recordings."""
 
     commands: list[tuple[FlightResult, str]]
     recordings: list[Path]
@@ -27,7 +27,7 @@ def record_notable_flights(
     *, most: int | None = None, stop: Callable[[], bool] | None = None,
     progress: Callable[[int, int], None] | None = None, on_notice: Callable[[str], None] = lambda text: None,
 ) -> RecordedFlights:  # fmt: skip
-    """Fly failed flights, the worst good one and the worst one of a search again, with a full recording.
+    """Repeat failed flights, the worst success and the worst flight of a search, with full recordings.
 
     Parameters
     ----------
@@ -35,16 +35,16 @@ def record_notable_flights(
     flown, sought : sequence of FlightResult
         Flights of the campaign and of a search.
     folder : Path
-        Each flight has a folder in it: ``failed/00012``, ``worst/00003``, ``search/00001``.
+        Folder that receives one folder a flight: ``failed/00012``, ``worst/00003``, ``search/00001``.
     crew : WorkerPool
     most : int, optional
-        Failed flights to record; default all.
+        Number of failed flights to record; default all.
     stop : callable, optional
-        Asked between flights.
+        Called between flights; True stops.
     progress : callable, optional
-        Called with (flights done, flights in all).
+        Called with (flights done, total flights).
     on_notice : callable
-        Called with a sentence where a flight was not the same when flown again.
+        Called with a sentence about each flight that differs when repeated.
 
     Raises
     ------
@@ -78,7 +78,7 @@ def record_notable_flights(
         changed = list_differences(f, before[f.index, f.seed])
         if changed:
             on_notice(f"flight {f.index} was not the same when flown again ({', '.join(changed)})")
-        if path.exists():  # a flight that was refused before it began has none
+        if path.exists():  # a flight refused before its start has no recording
             with report_write_errors(path):
                 path.rename(path.with_name("flight.mcap"))
         if progress is not None:
@@ -87,7 +87,7 @@ def record_notable_flights(
 
 
 def write_flights(campaign: Campaign, flown: Sequence[FlightResult], folder: Path, name: str) -> list[Path]:
-    """Write tables (NetCDF, CSV, with pyarrow Parquet) and pictures of flights; return the files.
+    """Write tables (NetCDF, CSV, and Parquet if pyarrow is installed) and pictures of flights; return the files.
 
     Raises
     ------

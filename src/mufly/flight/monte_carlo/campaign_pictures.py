@@ -1,9 +1,9 @@
-"""Pictures of many flights: how their numbers are distributed, and what they depend on.
+"""Pictures of a campaign: distributions of the metrics of its flights, and their dependence on parameters.
 
-Successes are blue, failures vermilion; the dashed line is what is allowed, the dotted one the 95th percentile on the
-bad side. Influence is Spearman's rank correlation of a parameter with a number over all flights (Kendall and Gibbons,
-Rank Correlation Methods): it asks for no straight line, only for a direction. Within the grey band lies what chance
-alone gives in 19 of 20 cases.
+Successes are blue, failures vermilion. The dashed line is the limit, the dotted line the 95th percentile on the bad
+side. Influence is Spearman's rank correlation of a parameter with a metric over all flights (Kendall and Gibbons,
+Rank Correlation Methods); it assumes a monotonic relation, not a linear one. The grey band is the 95 % range of the
+correlation of independent values.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _INFLUENCED_METRICS = ("overshoot_m", "tracking_peak_m", "touchdown_speed_m_s", 
 
 
 def draw_distributions(flights: Sequence[FlightResult], tolerance_m: float, title: str = "") -> Figure:
-    """Draw a histogram of every number that the flights have and that differs between them."""
+    """Draw a histogram of every metric that differs between flights."""
     shown = [(m, v) for m in list_metrics(tolerance_m) if (v := _split_by_success(flights, m)) is not None]
     columns = 3
     rows = max(1, math.ceil(len(shown) / columns))
@@ -44,7 +44,7 @@ def draw_distributions(flights: Sequence[FlightResult], tolerance_m: float, titl
             if not math.isnan(m.limit):
                 limit = m.limit * m.factor
                 label += f", allowed {limit:g}"
-                if limit < both.max() + np.ptp(both):  # far off, it would make a line of the histogram
+                if limit < both.max() + np.ptp(both):  # a distant limit would compress the histogram
                     axes.axvline(limit, color=VERMILION, linestyle="--", linewidth=1.2)
             axes.set_xlabel(label)
             axes.set_ylabel("flights" if k % columns == 0 else "")
@@ -58,7 +58,7 @@ def draw_distributions(flights: Sequence[FlightResult], tolerance_m: float, titl
 
 
 def draw_outcome(outcome: CampaignOutcome) -> Figure:
-    """Draw the share of successes with its interval, and why the others failed."""
+    """Draw the success rate with its interval, and the reasons of failures."""
     with mpl.rc_context(PLOT_STYLE):
         figure = Figure(figsize=(8.0, 1.9 + 0.3 * len(outcome.reasons)), layout="constrained")
         heights = (1.0, max(0.6 * len(outcome.reasons), 0.01))
@@ -92,7 +92,7 @@ def _split_by_success(flights: Sequence[FlightResult], m: FlightMetric) -> tuple
 
 
 def draw_influences(flights: Sequence[FlightResult], campaign: Campaign) -> Figure | None:
-    """Draw how strongly flights depend on each parameter that varies; None where that is less than two."""
+    """Draw the influence of each varied parameter on the metrics; None for fewer than 2 parameters or 10 flights."""
     keys = [key for v in campaign.variations for key in v.keys]
     if len(keys) < 2 or len(flights) < 10:
         return None

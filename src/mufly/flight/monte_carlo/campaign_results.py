@@ -1,12 +1,12 @@
-"""Results of a campaign: success rate with its confidence interval, worst values, tables and files.
+"""Results of a campaign: success rate with its confidence interval, worst values and tables.
 
-The interval of a share is Wilson's (J. Am. Stat. Assoc. 22, 1927): of ``k`` successes in ``n`` flights, with
+The interval of a share is Wilson's (J. Am. Stat. Assoc. 22, 1927): for ``k`` successes in ``n`` flights, with
 ``p = k / n`` and ``z = 1.96`` for 95 %,
 
     (p + z^2 / 2n +- z sqrt(p (1 - p) / n + z^2 / 4n^2)) / (1 + z^2 / n)
 
-It holds at p = 1 too, where the usual ``p +- z sqrt(p (1 - p) / n)`` claims to be certain: none of 1000 failed means
-that at most 0.4 % fail.
+It is also valid at p = 1, where the usual ``p +- z sqrt(p (1 - p) / n)`` has no width: 1000 flights without a failure
+mean that at most 0.4 % fail.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ class FlightMetric(NamedTuple):
         Field of :class:`FlightResult`.
     label : str
     unit : str
-        To be read in.
+        Unit of display.
     factor : float
-        From the field's unit to that.
+        Factor from the field's unit to ``unit``.
     high_is_bad : bool
     limit : float
-        What is allowed of it, in the field's unit; NaN: nothing is said.
+        Largest allowed value (smallest if high is good), in the field's unit; NaN: no limit.
     """
 
     name: str
@@ -59,7 +59,7 @@ class FlightMetric(NamedTuple):
 
 
 def list_metrics(tolerance_m: float) -> tuple[FlightMetric, ...]:
-    """Return the numbers that tables and pictures show, in their order."""
+    """Return the metrics of tables and pictures, in their order; ``tolerance_m`` limits position errors (m)."""
     return (
         FlightMetric("overshoot_m", "overshoot, worst", "cm", 100.0),
         FlightMetric("waypoint_error_m", "off a waypoint, worst", "cm", 100.0, limit=tolerance_m),
@@ -78,7 +78,7 @@ def list_metrics(tolerance_m: float) -> tuple[FlightMetric, ...]:
 
 
 def wilson_interval(successes: int, flights: int, z: float = _Z95) -> tuple[float, float]:
-    """Return the interval of a share, 95 % by default.
+    """Return Wilson's interval of the success rate; ``z`` = 1.96 gives 95 %.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def wilson_interval(successes: int, flights: int, z: float = _Z95) -> tuple[floa
     middle = p + z * z / (2 * n)
     half = z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
     scale = 1 + z * z / n
-    # At the ends the closed form leaves the last bit.
+    # At 0 and 1 the closed form has rounding errors.
     low = 0.0 if successes == 0 else (middle - half) / scale
     return low, 1.0 if successes == n else (middle + half) / scale
 
@@ -103,17 +103,17 @@ class MetricSummary:
     Attributes
     ----------
     label : str
-        What it is.
+        Name of the metric.
     unit : str
-        Of the numbers.
+        Unit of the values.
     count : int
-        Flights that have it.
+        Number of flights with a value.
     median, percentile_95, worst : float
-        ``percentile_95`` is on the bad side.
+        Statistics of the values; ``percentile_95`` is on the bad side.
     flight : int
-        Which has the worst.
+        Index of the worst flight.
     beyond : int or None
-        Flights beyond what is allowed; None where nothing is said.
+        Number of flights beyond the limit; None without a limit.
     """
 
     label: str
@@ -133,21 +133,22 @@ class CampaignOutcome:
     Attributes
     ----------
     flights, successes : int
-        Judged by the truth.
+        Number of flights, and of successes confirmed by the truth.
     low, high : float
-        95 % interval of the share of successes (Wilson).
+        95 % interval of the success rate (Wilson).
     claimed : int
-        Successes by what the state machine says.
+        Number of successes reported by the state machine.
     refused : int
-        Vehicles drawn that cannot be, and were drawn again.
+        Number of impossible vehicles that were drawn again.
     endings : tuple
         Class by the truth (:data:`mufly.flight.monte_carlo.flight_ending.ENDINGS`), number of flights, and the 95 %
         interval of its share (Wilson); always with tip-overs.
     reasons : tuple
-        Why flights failed, with their number, the commonest first; numbers in a reason are left out.
+        Reasons of failures without their numbers, each with its count; the commonest first.
     failed : tuple of int
-        Which.
-    worst : tuple of Worst
+        Indices of the failed flights.
+    worst : tuple of MetricSummary
+        Statistics of each metric.
     """
 
     flights: int
@@ -162,7 +163,7 @@ class CampaignOutcome:
     worst: tuple[MetricSummary, ...]
 
     def describe_success(self) -> str:
-        """Return the share of successes and how sure it is, as a sentence."""
+        """Return the success rate and its confidence interval as a sentence."""
         share = self.successes / self.flights
         return (
             f"{self.successes} of {self.flights} flights succeeded, {_format_percent(share)}; of all such "
@@ -171,7 +172,7 @@ class CampaignOutcome:
         )
 
     def shown_blocks(self) -> list[ShownBlock]:
-        """Return the share of successes, why flights failed, and the worst numbers."""
+        """Return the success rate, the reasons of failures, and the worst values."""
         blocks = [
             show_lines(f"{self.describe_success()}.", style="green" if self.successes == self.flights else "yellow")
         ]
@@ -213,7 +214,7 @@ def summarise_outcome(flights: Sequence[FlightResult], tolerance_m: float) -> Ca
     Raises
     ------
     InputError
-        If there are none.
+        If there are no flights.
     """
     good = [f for f in flights if f.success]
     low, high = wilson_interval(len(good), len(flights))
@@ -252,9 +253,9 @@ def _summarise_metric(flights: Sequence[FlightResult], m: FlightMetric) -> Metri
 
 
 def results_dataset(flights: Sequence[FlightResult], campaign: Campaign) -> xr.Dataset:
-    """Return flights as labelled arrays over ``flight``, with every parameter that was drawn; unknown is NaN.
+    """Return flights and their drawn parameters as labelled arrays over ``flight``; unknown values are NaN.
 
-    It depends on the flights alone, not on who flew them.
+    The arrays do not depend on the workers.
     """
 
     def make_column(name: str, unit: str, meaning: str) -> tuple[str, NDArray[np.float64], dict[str, str]]:
@@ -282,7 +283,7 @@ def results_dataset(flights: Sequence[FlightResult], campaign: Campaign) -> xr.D
             np.array([f.told for f in flights], dtype=np.str_),
             {"long_name": "by the state machine"},
         ),
-        # As text: netCDF's classic format has no integers of 64 bits.
+        # Text, because netCDF's classic format has no 64-bit integers.
         "seed": (
             "flight",
             np.array([str(f.seed) for f in flights]),

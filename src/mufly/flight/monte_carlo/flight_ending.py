@@ -1,8 +1,8 @@
-"""Classes of flights by how they end in truth.
+"""Classification of flights by their true ending.
 
-A vehicle that comes down on its legs has *landed*: upright, at rest, motors off, touched down softly. Its landing has
-the right reason if the flight software reports a failure, and accuses no sensor or at least one whose errors differ
-from the vehicle file: by a fault, or by a variation that the filter is not told.
+A vehicle has *landed* if it is upright and at rest with its motors off, after a soft touchdown. The landing has the
+right reason under two conditions. The flight software reports a failure, and it blames no sensor or at least one
+whose errors differ from the vehicle file, by a fault or by a variation unknown to the filter.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ LANDED_HEIGHT_TOLERANCE_M, LANDED_MAX_SPEED_M_S, LANDED_MAX_TILT_DEG = 0.02, 0.0
 
 FlightEnding = Literal["succeeded", "landed", "landed, wrong reason", "not started", "tipped over", "hit", "lost"]
 ENDINGS: tuple[FlightEnding, ...] = get_args(FlightEnding)
-"""Classes, the best first: mission flown; landed safely with the right reason, or another one; stays on the floor;
-on its side; hit an obstacle, or the floor hard; anything else, as a flight that does not end."""
+"""Classes, the best first: mission flown; safe landing with the right or another reason; no take-off; tip-over;
+collision with an obstacle or a hard touchdown; anything else, such as a flight without an end."""
 
 
 def final_tilt_deg(data: xr.Dataset) -> float:
@@ -48,13 +48,13 @@ def classify_ending(
     Parameters
     ----------
     data : xarray.Dataset
-        Its recording.
+        Recording of the flight.
     s : FlightSummary
-        Of the recording.
+        Summary of the recording.
     success : bool
-        Success confirmed by the truth.
+        Whether the truth confirms a success.
     wrong_sources : collection of str
-        Sensors that may be accused, as :func:`wrong_sources` names them.
+        Sensors that the reason may blame, from :func:`wrong_sources`.
     """
     if success:
         return "succeeded"
@@ -78,14 +78,14 @@ def classify_ending(
 
 
 def wrong_sources(faults: Iterable[str], values: Mapping[str, float], filed: Mapping[str, float]) -> frozenset[str]:
-    """Return the sensors whose errors differ from the vehicle file, as messages name them.
+    """Return the sensors whose errors differ from the vehicle file, by their names in messages.
 
     Parameters
     ----------
     faults : iterable of str
-        As :func:`mufly.sensors.parse_fault` reads them.
+        Faults in the syntax of :func:`mufly.sensors.parse_fault`.
     values, filed : mapping
-        Parameters of the true vehicle that were drawn, and those of the file, by key.
+        Drawn parameters of the true vehicle, and parameters of the file, by key.
     """
     found = {READINGS[FAULT_TARGETS[parse_fault(text).name].reading].source for text in faults}
     for key, value in values.items():

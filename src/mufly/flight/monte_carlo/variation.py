@@ -1,8 +1,8 @@
-"""Parameter variations of a campaign: vehicle parameters drawn around the values of its file or of a fit.
+"""Parameter variations of a campaign: vehicle parameters drawn around the values of a vehicle file or a fit.
 
-A :class:`ParameterVariation` is linear: ``values = centre + factor z`` with ``z`` uniform within -1..1 or normal with
-unit variance, each component for itself. So a spread in percent, a range, and the covariance of an identification are
-one thing, and a search for the worst case moves in ``z``.
+A :class:`ParameterVariation` is linear: ``values = nominal_values + spread_matrix @ z``. The components of ``z`` are
+independent, uniform within -1..1 or normal with unit variance. This form covers a spread in percent, a range and the
+covariance of an identification; the search for the worst case varies ``z``.
 """
 
 from __future__ import annotations
@@ -47,17 +47,17 @@ class ParameterVariation:
     Attributes
     ----------
     request_text : str
-        As it was asked for.
+        The user's text.
     keys : tuple of str
-        The ``n`` parameters.
+        Keys of the ``n`` parameters.
     distribution : {"uniform", "normal"}
-        Of each ``z``: within -1..1, or of unit variance.
+        Distribution of each component of ``z``: within -1..1, or of unit variance.
     nominal_values : (n,) array
-        SI units.
+        Values at ``z`` = 0 (SI units).
     spread_matrix : (n, m) array
-        SI units for each ``z``.
+        Change of each value with each component of ``z`` (SI units).
     note : str
-        What is to be known about it, in words; empty if nothing.
+        Remark for the user; may be empty.
     """
 
     request_text: str
@@ -69,7 +69,7 @@ class ParameterVariation:
 
     @property
     def variable_count(self) -> int:
-        """How many ``z`` it takes."""
+        """Number of components of ``z``."""
         return self.spread_matrix.shape[1]
 
     def parameter_values(self, z: _Array) -> dict[str, float]:
@@ -85,7 +85,7 @@ class ParameterVariation:
         )
 
     def without_keys(self, keys: Iterable[str]) -> ParameterVariation:
-        """Return it with some parameters left as they are."""
+        """Return the variation without some of its parameters."""
         kept = [k for k, key in enumerate(self.keys) if key not in set(keys)]
         factor = self.spread_matrix[kept]
         used = np.flatnonzero(np.any(factor != 0.0, axis=0)) if self.distribution == "uniform" else slice(None)
@@ -97,7 +97,7 @@ class ParameterVariation:
         )
 
     def to_json(self) -> list[Any]:
-        """Return everything that values depend on, as JSON can hold it."""
+        """Return all that determines the drawn values, in JSON types."""
         return [list(self.keys), self.distribution, self.nominal_values.tolist(), self.spread_matrix.tolist()]
 
 
@@ -110,16 +110,16 @@ def parse_variations(texts: Sequence[str], vehicle: Vehicle) -> tuple[ParameterV
         ``NAME`` is ``parameters``, a table (``rotors``), a key (``body.mass``) or a symbol (``m``). ``10%`` and
         ``+-2g`` draw uniformly around the vehicle's value, ``90:100g`` uniformly in between, ``50:300%`` uniformly
         between these shares of the vehicle's value; equal ends give a fixed value. ``normal:3%`` and ``normal:2g`` draw
-        normally with this standard deviation, ``std`` with the one that the vehicle file states. A file is what
-        ``mufly identify flight --json`` printed (with the covariance) or a vehicle file (with standard deviations).
+        normally with this standard deviation, ``std`` with the one in the vehicle file. A file is the output of
+        ``mufly identify flight --json`` (with the covariance) or a vehicle file (with standard deviations).
         ``standard`` is the set of ``standard.toml``. A text with fewer parameters takes precedence.
     vehicle : Vehicle
-        Around which is drawn.
+        Vehicle with the nominal values.
 
     Raises
     ------
     InputError
-        If a text is none of these, or two draw the same parameter.
+        If a text has none of these forms, or two texts draw the same parameter.
     """
     found: list[ParameterVariation] = []
     for text in texts:
@@ -241,7 +241,7 @@ def _range_variation(text: str, how: str, match: re.Match[str], chosen: Sequence
 
 
 def _without_zeros(chosen: Sequence[Parameter], text: str) -> list[Parameter]:
-    """Return the parameters that are not 0: a share of 0, as without ground effect or friction, draws no number."""
+    """Return the parameters that are not 0; a share of 0, as without ground effect or friction, cannot vary."""
     kept = [p for p in chosen if p.value != 0.0]
     if not kept:
         raise ArgumentError("vary", text, "a share of 0 is 0", "write +-AMOUNT, or LOW:HIGH, with its unit")
@@ -263,7 +263,7 @@ def _parse_number(text: str, where: str) -> float:
 
 
 def _to_si_amount(number: str, unit: str, chosen: Sequence[Parameter], text: str) -> float:
-    """A number with a unit in the unit that the parameters have in common (SI)."""
+    """Return a number with a unit in the common SI unit of the parameters."""
     own = {p.unit for p in chosen}
     if len(own) > 1:
         raise ArgumentError("vary", text, f"its {len(chosen)} parameters have no unit in common", "vary them in %")

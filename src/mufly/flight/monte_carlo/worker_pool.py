@@ -1,8 +1,7 @@
-"""Many flights on all cores or on a cluster, kept as they land; the worst case searched by CMA-ES.
+"""Execution of a campaign on all cores or a cluster, with stored results; search for the worst case by CMA-ES.
 
-Every flight that is over becomes a line of ``flights.jsonl`` at once, so that whatever ends a campaign costs no more
-than the flights that were in the air. ``campaign.json`` holds the hash of the question: a folder goes on with the same
-one, and another is refused.
+Every finished flight becomes a line of ``flights.jsonl`` at once, so that an abort costs only the flights in progress.
+``campaign.json`` holds the hash of the campaign's settings: a folder resumes the same campaign and refuses another.
 """
 
 from __future__ import annotations
@@ -42,17 +41,17 @@ ProgressCallback = Callable[[int, int], None]
 StopCheck = Callable[[], bool]
 
 RESULTS_FILE, SETTINGS_FILE = "flights.jsonl", "campaign.json"
-_QUEUED_PER_WORKER = 2  # flights handed out a worker, so that none waits for the next
+_QUEUED_PER_WORKER = 2  # flights queued for each worker, so that no worker is idle
 _QUEUED_ON_CLUSTER = 256
 
 
 class WorkerPool:
-    """Workers that fly: local processes, threads, or a dask cluster. A context manager.
+    """Pool of workers that simulate flights: local processes, threads, or a dask cluster. A context manager.
 
     Parameters
     ----------
-    worker_count : int, optional
-        Number of processes; default one per core. A single one runs in this process.
+    jobs : int, optional
+        Number of workers; default one per core. A single worker runs in this process.
     cluster : str, optional
         Address of a dask scheduler, as ``tcp://host:8786``; its workers need mufly.
     how : "processes" or "threads"
@@ -99,14 +98,14 @@ class WorkerPool:
         cases: Iterable[tuple[FlightCase, Path | None]],
         stop: StopCheck = lambda: False,
     ) -> Iterator[FlightResult]:
-        """Yield flights as they land, in any order; where a path stands, with a recording.
+        """Yield results as flights end, in any order; a path beside a case receives its recording.
 
-        Asked to stop, no more begin, and those in the air are waited for.
+        Once ``stop`` returns True, no more flights begin, and running ones are completed.
 
         Raises
         ------
         MuflyError
-            If a worker has died.
+            If a worker process has ended.
         """
         todo, flying = iter(cases), set[Future[FlightResult]]()
         more = True
@@ -144,14 +143,14 @@ def _process_context() -> Any:
 
 
 def _begin_worker() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent says when it is over
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its workers
     threadpool_limits(1)
-    gc.freeze()  # what has been imported stays, and is not looked through again and again for garbage
+    gc.freeze()  # excludes imported objects from garbage collection
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 
 def _end_with_parent() -> None:
-    """End a worker whose parent was killed, which would otherwise wait for ever."""
+    """End a worker process when its parent has ended."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
@@ -211,30 +210,31 @@ def run_campaign(
     progress: ProgressCallback | None = None,
     stop: StopCheck = lambda: False,
 ) -> list[FlightResult]:
-    """Fly flights 0 to ``flights`` - 1 of a campaign.
+    """Run flights 0 to ``flights`` - 1 of a campaign.
 
     Parameters
     ----------
     campaign : Campaign
     flights : int
-    crew : Crew
-        Entered.
+        Number of flights.
+    crew : WorkerPool
+        Pool, entered as a context manager.
     folder : Path, optional
-        Where flights are kept; those that are there are not flown again.
+        Folder of the stored results, which are not computed again.
     progress : callable, optional
-        ``progress(done, total)``.
+        Called with (flights done, total flights).
     stop : callable, optional
-        Asked between flights; once it is true no more begin.
+        Called between flights; once it returns True, no more begin.
 
     Returns
     -------
-    list of Flown
-        By index; fewer than asked for if it was stopped. The same whoever flew them.
+    list of FlightResult
+        Results by index, fewer than ``flights`` after a stop. They do not depend on the workers.
 
     Raises
     ------
     InputError
-        If a folder holds another campaign, or hardly any vehicle that is drawn can be.
+        If the folder holds another campaign, or almost all drawn vehicles are impossible.
     """
     if flights < 1:
         raise ArgumentError("flights", "", f"{flights} flights", "give 1 or more")
@@ -257,14 +257,14 @@ def case_from_result(flown: FlightResult) -> FlightCase:
     return FlightCase(flown.index, flown.seed, flown.values, flown.wind, flown.refused)
 
 
-# The worst case: where in the box of everything that varies does a flight come nearest to failing?
+# Worst case: the flight nearest to failure within the range of all variations
 
 
 def flight_severity(flown: FlightResult, tolerance_m: float) -> float:
-    """How near to failing a flight is: the worst of its numbers over what is allowed of it; from 10 on it failed.
+    """Return the severity of a flight: its largest ratio of a metric to the limit, or 10 or more after a failure.
 
-    Allowed are the tolerance at waypoints and for the landing, twice that for tracking, 0.5 m/s at touchdown, 30
-    degrees of tilt, one second at a limit. A failed flight is the worse the earlier it ends.
+    The limits are the tolerance for waypoints, overshoot and landing, twice the tolerance for tracking, 0.5 m/s at
+    touchdown, 30 degrees of tilt, and one second at an input's limit. An earlier failure is more severe.
     """
     parts = (
         (flown.waypoint_error_m, tolerance_m),
@@ -290,26 +290,27 @@ def search_worst_case(
     progress: ProgressCallback | None = None,
     stop: StopCheck = lambda: False,
 ) -> list[FlightResult]:
-    """Look for the worst flight within what varies, by CMA-ES (Hansen, The CMA Evolution Strategy, arXiv:1604.00772).
+    """Search the worst flight of all variations by CMA-ES (Hansen, The CMA Evolution Strategy, arXiv:1604.00772).
 
-    Gusts and sensors are those of flight 0 in all of them: searched are the vehicle and where the wind comes from.
+    The search varies vehicle parameters and the direction of the wind; gusts and sensor noise are those of flight 0.
 
     Parameters
     ----------
     campaign, crew, folder, progress, stop
-        As for :func:`run_campaign`.
+        See :func:`run_campaign`.
     flights : int
-        About how many to fly: whole generations.
+        Number of flights, rounded up to whole generations.
 
     Returns
     -------
-    list of Flown
-        In the order of the search; vehicles that cannot be are flights that failed to begin and do not count.
+    list of FlightResult
+        Results in the order of the search. A flight of an impossible vehicle fails before its start and does not
+        count.
 
     Raises
     ------
     InputError
-        If nothing varies.
+        If the campaign varies only noise.
     """
     n = campaign.search_dimension
     if n == 0:
@@ -321,7 +322,7 @@ def search_worst_case(
         "bounds": [-1.0, 1.0], "popsize": size, "seed": campaign.seed % (2**31) + 1, "verbose": -9, "maxiter": 10**9,
         "tolfun": 0, "tolx": 0,
     }  # fmt: skip
-    # With one dimension pycma refuses to work; a second that nothing depends on does no harm.
+    # pycma needs two dimensions or more; the flights do not depend on an added one.
     strategy = cma.CMAEvolutionStrategy(np.zeros(max(n, 2)), 0.5, options)
     found: dict[int, FlightResult] = {}
     for first in range(0, total, size):

@@ -1,1 +1,1 @@
-"""Output of a flight: the recording, its summary, its pictures."""
+"""Output of a flight: recording, summary and pictures."""

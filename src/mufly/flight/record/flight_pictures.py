@@ -1,11 +1,14 @@
 """Pictures of a flight: the track in three dimensions and the histories over time.
 
-``track``: the true path, coloured by the state of the mission, over its shadow on the floor, with the reference, the
-numbered waypoints and the obstacles. Axes east, north, height: right-handed, up is up, one scale for all three.
-Matplotlib does not sort by depth, so the path is drawn over the obstacles and these are half transparent. ``history``:
-everything a flight is judged by, over time, with references (dashed) and the mission's states as background bands.
-``position``: north, east and height large, with the tracking error. Angles are in degrees. The colours are those of
-Okabe and Ito (2008, "Color universal design"), which the colour-blind can tell apart.
+- ``track``: the true path, coloured by the state of the mission, over its shadow on the floor, with the reference,
+  the numbered waypoints and the obstacles. The axes are east, north and height, with one scale. Matplotlib does not
+  sort by depth, so the path is drawn over half-transparent obstacles.
+- ``history``: states, inputs and battery over time, with references (dashed) and the mission's states as background
+  bands.
+- ``position``: north, east and height in large panels, with the tracking error.
+
+Angles are in degrees. The colours are distinguishable for colour-blind readers (Okabe and Ito 2008, "Color universal
+design").
 """
 
 from __future__ import annotations
@@ -93,7 +96,7 @@ def draw_flight(
     folder : str or Path
         Created if missing.
     waypoints : sequence of (3,)
-        N, E, D (m), numbered in this order.
+        Waypoints N, E, D (m), numbered in this order.
     world : World, optional
         Its boxes and cylinders are drawn.
     formats : sequence of str
@@ -161,7 +164,7 @@ def draw_position(dataset: xr.Dataset) -> Figure:
     measured = dataset.measured_position.values * up
     for k, name in enumerate(("North", "East", "Height")):
         ax = panels[k]
-        if np.isfinite(measured[:, k]).any():  # on sensors of its own nothing measures it as it is
+        if np.isfinite(measured[:, k]).any():  # only an ideal sensor measures the position itself
             ax.plot(dataset.time, measured[:, k], color=GREY, lw=0.8, alpha=0.8, label="measured")
         _draw_lines(ax, dataset, f"{name} (m)", ("true",), truth[:, k : k + 1], reference[:, k : k + 1])
     error = 100.0 * np.linalg.norm(truth - reference, axis=1)[:, None]
@@ -318,11 +321,11 @@ def _prism_faces(outline: _Array, foot: float, height: float) -> list[_Array]:
     return [*sides, top]
 
 
-# What they share
+# Shared parts of the pictures
 
 
 def state_stretches(dataset: xr.Dataset) -> list[tuple[str, int, int]]:
-    """Return (state, first, last) of every stretch of one state; ``last`` is also the next stretch's first row."""
+    """Return (state, first row, last row) of every run of one state; the last row is also the next run's first row."""
     last = len(dataset.mission_state) - 1
     return [(name, a, min(b, last)) for name, a, b in state_runs(dataset)]
 

@@ -1,29 +1,27 @@
-"""A flight in numbers.
+"""Summary of a flight: figures computed from a recording.
 
-Definitions (x is the true position, w a waypoint, both N-E-D; all from the recording alone):
+Definitions (x is the true position, w a waypoint, both N-E-D):
 
-- A waypoint is *reached* when the mission's state turns to ``hover`` near it after a leg (or at the times the
-  caller gives; or, where the mission does not stop, when x first comes within the reach of w). The *wait* lasts
-  until the state changes again.
-- *Distance at reach*: |x - w| when the wait starts. *Mean error in the wait*: mean of |x - w| over it.
-  *Farthest after reach*: largest |x - w| over it.
-- *Overshoot*: how far x gets past w, from the start of the leg to the end of the wait. Horizontally along the
-  leg's horizontal direction, vertically along its climb or descent; the greater of the two counts. The two are
-  taken apart because the helicopter changes height first and then flies level.
-- *Airborne*: more than 1 cm above where it stood at the first instant.
+- A waypoint is *reached* when the mission's state changes to ``hover`` near it after a leg, or at a time that the
+  caller gives. In a mission without stops it is reached when x is first within the acceptance radius of w. The *wait*
+  lasts until the state changes again.
+- *Distance at reach*: |x - w| at the start of the wait. *Mean error in the wait*: mean of |x - w| over the wait.
+  *Farthest after reach*: largest |x - w| over the wait.
+- *Overshoot*: largest distance of x beyond w, from the start of the leg to the end of the wait. The horizontal one is
+  along the leg's horizontal direction, the vertical one along its climb or descent; the greater counts. They are
+  separate because the helicopter first changes height and then flies level.
+- *Airborne*: more than 1 cm above the position at the first instant.
 - *Touchdown speed*: largest rate of descent within 0.1 s of the instant at which x first comes within 1 cm of its
-  final height, in the state ``landing`` or after.
-  A touchdown above ``HARD_TOUCHDOWN_M_S`` is hard.
-- *Oscillation*: as :mod:`mufly.flight.oscillation_detector` defines it, from the inputs as recorded, from the first
-  moment off
-  the floor to the touchdown.
-- *Railed*: a motor input at 0 or 1, or a servo input at -1 or 1, while airborne. A time of railing is counted in
-  whole sampling intervals of the recording.
+  final height, in the state ``landing`` or after. A touchdown above ``HARD_TOUCHDOWN_M_S`` is hard.
+- *Oscillation*: defined in :mod:`mufly.flight.oscillation_detector`, computed from the recorded inputs between
+  take-off and touchdown.
+- *Railed*: a motor input at 0 or 1, or a servo input at -1 or 1, while airborne. The time is counted in whole
+  sampling intervals of the recording.
 - *Tilt*: angle between the mast and the vertical, arccos(cos(roll) cos(pitch)).
 - *Energy*: integral of battery voltage times current, trapezoidal.
-- *Beyond the model*: the warning on wind given before the flight, if any. Otherwise the excess of the air met by the
-  rotors in flight, including the vehicle's motion, over the range of the model for more than a twentieth of the time
-  (gusts exceed twice their deviation for that long).
+- *Beyond the model*: the warning on wind given before the flight, if any. Otherwise a note if the rotors' inflow,
+  including the vehicle's motion, exceeds the range of the model for more than a twentieth of the time (gusts exceed
+  twice their standard deviation for that long).
 - *Real-time factor*: simulated seconds per second of wall-clock time, over the whole recording; *least*: over the worst
   5 s. *Slips*: number of times that a real-time flight skipped time because the machine was overloaded
   (`mufly.link.vehicle_process`).
@@ -61,14 +59,14 @@ _StateRun = tuple[str, int, int]
 
 @result
 class WaypointResult:
-    """The result of one waypoint; values that do not apply, or of a waypoint not reached, are None.
+    """Result of one waypoint; values that do not apply, or of a waypoint not reached, are None.
 
     Attributes
     ----------
     name : str
         ``take-off`` or the waypoint's number, from 1.
     position_m : (3,) tuple
-        N, E, D.
+        N, E, D (m).
     reached_s, distance_at_reach_m, mean_error_in_wait_m, farthest_after_reach_m : float or None
     overshoot_m, overshoot_horizontal_m, overshoot_vertical_m : float or None
         See the module's definitions.
@@ -87,7 +85,7 @@ class WaypointResult:
 
 @result
 class FlightSummary:
-    """The figures of a flight; unknown ones are None. Units in the names, definitions in the module."""
+    """Figures of a flight; unknown ones are None. Names give units; the module's docstring gives definitions."""
 
     outcome: str
     reason: str
@@ -155,32 +153,32 @@ def summarise_flight(
     dataset : xarray.Dataset
         A recording.
     waypoints : sequence of (3,)
-        In the order of the mission, N, E, D (m).
+        Waypoints in the order of the mission, N, E, D (m).
     events : sequence of (time_s, state, text, ...)
         Copied into the summary.
     outcome, reason : str, optional
-        Default: the recording's attributes.
+        Outcome and its reason; default the recording's attributes.
     take_off : (3,), optional
-        End position of the take-off (N, E, D; m); judged like a waypoint when given.
+        End position of the take-off (N, E, D; m), evaluated as a waypoint.
     reached_s : sequence of float or None, optional
         Times at which ``waypoints`` were reached (s), if the caller knows them.
     reach_m : float
-        Radius of a waypoint for missions without stops (m).
+        Acceptance radius of a waypoint in missions without stops (m).
     world : World, optional
-        For the least clearance: distance from the centre of gravity to the nearest surface but the floor (m).
+        Obstacles for the least clearance, from the centre of gravity to the nearest surface except the floor (m).
     realtime_factor : float, optional
         Simulated time over computing time.
 
     Returns
     -------
-    Summary
-        Without waypoints where the recording says that the mission was never begun (``mission_flown``).
+    FlightSummary
+        It has no waypoints if the mission was never begun (attribute ``mission_flown`` of the recording).
     """
     time = dataset.time.values
     x = dataset.truth_position.values
     states = state_runs(dataset)
     airborne = x[0, 2] - x[:, 2] > AIRBORNE_HEIGHT_M
-    # Flown by hand it had other places to be.
+    # The waypoints do not apply to a manual flight.
     by_hand = not dataset.attrs.get("mission_flown", True)
     goals = [] if by_hand else [np.asarray(w, dtype=np.float64) for w in waypoints]
     results = _waypoint_results(time, x, states, goals, take_off, reached_s, reach_m)
@@ -192,7 +190,7 @@ def summarise_flight(
     error = np.linalg.norm(x - dataset.reference_position.values, axis=1)
     angles = dataset.truth_attitude.values
     tilt = np.degrees(np.arccos(np.cos(angles[:, 0]) * np.cos(angles[:, 1])))
-    # One that ends with its return comes down where it stood.
+    # A mission that ends with a return lands at its start.
     foot = goals[-1] if goals and dataset.attrs.get("at_end") != "return" else x[0]
     return FlightSummary(
         outcome=str(dataset.attrs.get("outcome", "")) if outcome is None else outcome,
@@ -248,7 +246,7 @@ def _describe_model_excess(dataset: xr.Dataset, airborne: NDArray[np.bool_]) -> 
 
 
 def state_runs(dataset: xr.Dataset) -> list[_StateRun]:
-    """(state, first, past the last) of every stretch of one state; spelling is unified."""
+    """Return (state, first row, last row + 1) of every run of one state; names are lower case with hyphens."""
     states = dataset.mission_state.values
     edges = [0, *(np.flatnonzero(states[1:] != states[:-1]) + 1), len(states)]
     names = [str(states[a]).lower().replace("_", "-") for a in edges[:-1]]

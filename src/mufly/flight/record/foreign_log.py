@@ -1,4 +1,4 @@
-"""Estimation from a log of any vehicle: inertial unit, aids and truth in, a recording with the estimate out."""
+"""Estimation from a log of any vehicle: read inertial unit, aids and truth, and write a recording with the estimate."""
 
 from __future__ import annotations
 
@@ -44,6 +44,7 @@ class AidRequest:
     position, heading : str or None
         Signal names.
     std_m, heading_std_rad, rate_hz, delay_s : float or None
+        Standard deviations, rate and delay of the aids.
     seed : int
         Seed of the noise added to an aid made from the truth.
     """
@@ -59,18 +60,18 @@ class AidRequest:
 
 @dataclass(frozen=True)
 class ForeignLog:
-    """A log of any vehicle, ready for the filter.
+    """A log of any vehicle, prepared for the filter.
 
     Attributes
     ----------
     log : InertialLog
-    aids : Aids
+    aids : PositionAids
     truth : dict of str to (n, 3) array
-        Those of ``position``, ``velocity`` and ``attitude`` in the log, on the clock of ``log``.
+        True ``position`` (m), ``velocity`` (m/s) and ``attitude`` (rad), if logged, at the times of ``log``.
     mounting : (2,) array or None
         Roll and pitch (rad) of the true attitude minus those of the accelerometers at rest.
     notes : list of str
-        Findings, in words.
+        Findings, as text.
     """
 
     log: InertialLog
@@ -93,7 +94,7 @@ def parse_aid(text: str, where: str = "--aid") -> tuple[str, str]:
 def read_foreign_log(
     path: Path, columns: ColumnMap | None, asked: AidRequest, rate_hz: float | None, notes: list[str]
 ) -> ForeignLog:
-    """Read a log's inertial unit, aids and truth.
+    """Read a log's inertial unit, aids and truth; append the reader's notes to ``notes``.
 
     Raises
     ------
@@ -255,7 +256,7 @@ def _find_aids(by: dict[str, Channel], asked: AidRequest, where: str, log: Inert
 
 
 def _estimate_mounting(log: InertialLog, truth: dict[str, _Array]) -> _Array | None:
-    """Return the difference of the true attitude and the accelerometers' at rest, from mounting or bias."""
+    """Return true roll and pitch minus those of the accelerometers at rest (2,; rad), due to mounting or bias."""
     if "attitude" not in truth or not log.rest_rows.stop:
         return None
     felt = np.nanmean(log.acceleration[log.rest_rows], axis=0)
@@ -266,7 +267,7 @@ def _estimate_mounting(log: InertialLog, truth: dict[str, _Array]) -> _Array | N
 
 
 def truth_rows(f: ForeignLog, *, mounted: bool = False) -> _Array:
-    """Return position, velocity and attitude (n, 9), NaN if unknown; attitude without mounting angles on request."""
+    """Return true position, velocity and attitude (n, 9), NaN if unknown; ``mounted`` subtracts the mounting angles."""
     n = len(f.log.time_s)
     parts = {name: f.truth.get(name, np.full((n, 3), math.nan)) for name in _AXIS_LABELS}
     if "position" in f.truth and "velocity" not in f.truth:

@@ -1,11 +1,11 @@
-"""A flight in a 3-D viewer: the well-known messages that Foxglove's 3-D panel draws.
+"""Recorder of a flight: rows of numbers to an MCAP file, with messages for Foxglove's 3-D panel.
 
 Field names and schema names are those of the Foxglove message schemas (docs.foxglove.dev, message schemas):
 ``foxglove.FrameTransforms``, ``foxglove.PoseInFrame``, ``foxglove.SceneUpdate``, ``foxglove.Log``.
 
-Frames: ``world`` has z up, as viewers like it (x north, y west); ``ned`` is the inertial frame of mufly, half a
-turn about x away from it; ``body`` is the helicopter, x forward, y right, z down, at its position and attitude
-in ``ned``. What is drawn here is rounded to a micrometre; the numbers of record are in the other topics.
+Frames: ``world`` has x north, y west, z up. ``ned`` is the inertial frame of mufly, rotated by half a turn about x.
+``body`` is the helicopter's frame, x forward, y right, z down. Positions in these messages are rounded to a
+micrometre; the other topics hold the exact numbers.
 """
 
 from __future__ import annotations
@@ -125,7 +125,7 @@ SCHEMAS: dict[str, dict[str, Any]] = {
         "foxglove.SceneUpdate",
     ),
 }
-"""JSON schemas of the messages written here, by name."""
+"""JSON schemas of the messages for the 3-D panel, by name."""
 
 
 def transform_templates() -> tuple[list[bytes], list[bytes]]:
@@ -134,7 +134,7 @@ def transform_templates() -> tuple[list[bytes], list[bytes]]:
     Returns
     -------
     transforms, pose : list of bytes
-        Between them go sec, nsec, (``/tf``: sec, nsec again,) x, y, z, qx, qy, qz, qw.
+        Texts before, between and after the numbers sec, nsec, (``/tf``: sec, nsec again,) x, y, z, qx, qy, qz, qw.
     """
     place = [b',"y":', b',"z":', b'},"ROTATION":{"x":', b',"y":', b',"z":', b',"w":']
     rotation = [part.replace(b"ROTATION", b"rotation") for part in place]
@@ -207,13 +207,13 @@ def scene_message(
     Parameters
     ----------
     time_ns : int
-        Time of the message.
+        Time of the message (ns since 1970).
     waypoints : sequence of (3,)
-        N, E, D (m).
+        Waypoints N, E, D (m).
     world : World, optional
         Its boxes and cylinders are drawn.
     rotor_radius : float
-        Scales the drawn helicopter (m).
+        Rotor radius (m), which scales the drawn helicopter.
     """
     r = rotor_radius
     entities = [
@@ -293,10 +293,10 @@ def track_message(time_ns: int, track: NDArray[np.float64]) -> bytes:
 
 
 # ----------------------------------------------------------------------------
-# From rows of numbers to the messages of a chunk.
+# Conversion of rows of numbers to the messages of a chunk.
 #
-# The topics of the layout, the clock and the events are those of every recording (:mod:`mufly.logs.mcap_recording`); a
-# flight adds what the 3-D view needs (:mod:`mufly.flight.record.recorder`).
+# Every recording has the topics of its layout, a clock and events (:mod:`mufly.logs.mcap_recording`); a flight adds
+# the messages of the 3-D view.
 
 
 TRACK_POINT_COUNT = 400
@@ -331,7 +331,7 @@ class RecordingEncoder:
     ) -> list[tuple[int, int, bytes]]:
         out = self._rows.encode_messages(rows, states, events)
         if len(rows):
-            with np.errstate(over="ignore", invalid="ignore"):  # absurd numbers are recorded, not drawn
+            with np.errstate(over="ignore", invalid="ignore"):  # overflowing numbers are recorded, not drawn
                 self._add_poses(out, rows, self._rows.wall_times_ns(rows))
         out.sort(key=lambda message: message[1])
         return out
@@ -364,7 +364,7 @@ class RecordingEncoder:
         out.append((self._views[TRACK_TOPIC], times[-1], track_message(times[-1], shown)))
 
     def _drawn_pose(self, rows: NDArray[np.float64], prefix: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return position and attitude to draw: the truth, or the vehicle's estimate if the truth is unknown."""
+        """Return position and attitude to draw; an unknown truth is replaced by the vehicle's estimate."""
         both = [rows[:, self._columns[f"{prefix}_{name}"]] for name in ("position", "attitude")]
         if prefix == "truth" and "estimated_position" in self._columns and np.isnan(both[0]).any():
             believed = [rows[:, self._columns[f"estimated_{name}"]] for name in ("position", "attitude")]
@@ -377,10 +377,10 @@ def _split_time(time_ns: int) -> tuple[int, int]:
 
 
 # ----------------------------------------------------------------------------
-# The recorder: rows of a flight into a file that can be cut off at any moment.
+# Recorder: rows of a flight to a file that is valid at any moment.
 #
-# A row is copied into a block; once a second of recorded time the block goes to disk as one finished chunk of an
-# MCAP file. A crash, a full disk or a pulled plug costs at most the second that was being collected.
+# A row is copied into a block; after a second of recorded time the block is written as one finished chunk of an
+# MCAP file. A crash, a full disk or a power failure costs at most the last second.
 
 
 BLOCK_DURATION_S = 1.0
@@ -395,28 +395,28 @@ class FlightRecorder:
     path : str, Path or None
         MCAP file to write (overwritten); None records to memory only.
     attributes : mapping, optional
-        Vehicle name, mission name, seed, wind, versions, ...: whatever JSON can hold. ``start_time`` (ISO 8601,
-        UTC), ``start_time_ns`` and ``format`` are added.
-    layout : Layout, optional
+        Attributes in JSON types: vehicle name, mission name, seed, wind, versions, ... The recorder adds
+        ``start_time`` (ISO 8601, UTC), ``start_time_ns`` and ``format``.
+    layout : RecordingLayout, optional
         Columns of a row; default :func:`flight_layout` with eight beams.
     attachments : mapping, optional
         Texts to attach, ``{"mission.toml": ..., "vehicle.toml": ...}``.
     scene_view : mapping, optional
         Keyword arguments of :func:`mufly.flight.record.recorder.scene_message`.
     start_time_ns : int, optional
-        Wall time of the instant 0 (ns since 1970); default now.
+        Wall time of the instant 0 (ns since 1970); default the present time.
     keep : bool
-        Keep all rows in memory for :meth:`to_dataset`; without it the memory does not grow with the flight.
+        Whether all rows stay in memory for :meth:`to_dataset`; otherwise the memory does not grow with the flight.
 
     Raises
     ------
     InputError
-        The file cannot be created, or an attribute has no JSON form.
+        If the file cannot be created, or an attribute has no JSON form.
 
     Notes
     -----
-    Use as a context manager. Leaving the block by an exception finishes the file as well, with the outcome
-    "interrupted" (Ctrl-C) or "crashed".
+    Use as a context manager. An exception in the block also finishes the file, with the outcome "interrupted"
+    (Ctrl-C) or "crashed".
     """
 
     def __init__(
@@ -470,11 +470,11 @@ class FlightRecorder:
         self._file.write_chunk([self._encoder.encode_scene(scene_view)])
 
     def append_row(self, row: NDArray[np.float64], state: str) -> None:
-        """Add one instant.
+        """Append the row of one instant.
 
         Parameters
         ----------
-        row : (layout.width,) float64 array
+        row : (layout.column_count,) float64 array
             Time (s) and the columns of the layout; copied. Times must increase.
         state : str
             State of the mission.
@@ -486,7 +486,7 @@ class FlightRecorder:
         self._n += 1
 
     def append_rows(self, rows: NDArray[np.float64], states: Sequence[str]) -> None:
-        """Add many instants: rows (n, layout.width), and the state of each."""
+        """Append many rows (n, layout.column_count), each with the state of the mission."""
         first = 0
         while first < len(rows):
             if rows[first, 0] >= self._flush_at or self._n == BLOCK_ROWS:
@@ -499,15 +499,15 @@ class FlightRecorder:
             first = stop
 
     def add_event(self, time_s: float, state: str, text: str, level: str = "info") -> None:
-        """Add an event: a transition, a warning (``level="warning"``) or an error."""
+        """Append an event: a transition, a warning (``level="warning"``) or an error."""
         self._events.append(FlightEvent(float(time_s), state, text, level))
 
     def set_outcome(self, outcome: str, reason: str = "", **attributes: Any) -> None:
-        """State how the flight ended; written when the recorder closes, with any further attributes."""
+        """Set the outcome of the flight and further attributes, which :meth:`close` writes."""
         self._outcome = {"outcome": outcome, "reason": reason, **attributes}
 
     def close(self) -> None:
-        """Write the remaining rows, the outcome, the index and the end mark. Closing twice does nothing."""
+        """Write the remaining rows, the outcome, the index and the end mark; a second call has no effect."""
         if self._closed:
             return
         self._closed = True
@@ -526,12 +526,12 @@ class FlightRecorder:
                 self._stream.close()
 
     def to_dataset(self) -> xr.Dataset:
-        """Return the flight so far, as :func:`mufly.flight.read_recording` does.
+        """Return the rows recorded so far, in the form of :func:`mufly.flight.read_recording`.
 
         Raises
         ------
         MuflyError
-            The rows were not kept in memory.
+            If the rows were not kept in memory.
         """
         if not self._keep:
             raise MuflyError(f"the rows were not kept in memory; read {self._path or 'a recording on disk'}")
@@ -590,7 +590,7 @@ class FlightRecorder:
 
 
 def _json_values(where: str, content: Mapping[str, Any]) -> dict[str, str]:
-    """Return attributes as MCAP metadata: every value is JSON."""
+    """Return attributes as MCAP metadata, with values as JSON text."""
     out: dict[str, str] = {}
     for key, value in content.items():
         try:
