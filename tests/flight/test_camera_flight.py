@@ -107,7 +107,7 @@ def test_a_hop_on_pictures_ends_where_it_was_to(flown: tuple[xr.Dataset, list[Fl
     assert ds.attrs["camera"] == "webcam"
     assert np.hypot(*(ds["truth_position"].values[-1, :2] - [0.4, 0.0])) < 0.15
     # It sees nothing with its lens on the floor: nobody has to be warned of that.
-    assert [e.text for e in events if "says nothing" in e.text and e.time_s > 12.0] == []
+    assert [e.text for e in events if "is missing" in e.text and e.time_s > 12.0] == []
 
 
 def test_a_covered_lens_is_told_within_a_second_and_borne(

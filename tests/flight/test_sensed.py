@@ -102,7 +102,7 @@ def test_a_sonar_high_on_the_fuselage_takes_the_floor_for_no_flight(
         high, HOP, controller=controller, sensors="fitted", seed=5, on_event=lambda e: told.append(e.text)
     )
     assert flight.attrs["outcome"] == "succeeded"
-    assert not [text for text in told if "not believed" in text or "gyroscope" in text]
+    assert not [text for text in told if "is rejected" in text or "gyroscope" in text]
 
 
 @pytest.fixture
@@ -135,7 +135,7 @@ def test_an_uncertain_position_makes_it_wait_and_a_certain_one_go_on(doubting) -
     teller.doubt = {"xy": 0.3, "position_fix": "missing"}
     run(flight, 1.0)
     assert flight.status.state == "hover"
-    assert any("position uncertain by 0.30 m (position fix says nothing: so it is)" in e for e in events)
+    assert any("position uncertain by 0.30 m (position fix is missing: so it is)" in e for e in events)
     run(flight, 2.0)
     assert abs(flight.plant.state[3]) < 0.1  # it stands still meanwhile
     teller.doubt = {"xy": 0.2}
@@ -234,19 +234,19 @@ def watched(status_at, seconds: float, watch: SensorEventReporter, period_s: flo
 
 def test_what_is_said_of_sensors_comes_soon_and_once() -> None:
     told = watched(lambda t: "missing" if 1.0 <= t < 3.0 else "fused", 6.0, SensorEventReporter())
-    assert [text for _, text in told] == ["laser ring says nothing: why", "laser ring is used again"]
+    assert [text for _, text in told] == ["laser ring is missing: why", "laser ring is used again"]
     assert told[0][0] == pytest.approx(1.0 + FAULT_REPORT_DELAY_S / 4, abs=0.02)  # it has been waited for already
     assert told[1][0] == pytest.approx(3.0 + RECOVERY_REPORT_DELAY_S, abs=0.02)
     # one reading of 15 Hz that does not fit, every second, is no event; one in four is, and only one
     assert not watched(lambda t: "rejected" if t % 1.0 < 0.066 else "fused", 60.0, SensorEventReporter())
     told = watched(lambda t: "rejected" if t % 0.266 < 0.066 else "fused", 60.0, SensorEventReporter())
-    assert [text for _, text in told] == ["laser ring is not believed: why"]
+    assert [text for _, text in told] == ["laser ring is rejected: why"]
     watch, odd = (
         SensorEventReporter(),
         (SensorStatus("rates", "fused", reason="has spikes", is_suspicious=True),),
     )
     said = [text for _ in range(100) for text, _ in watch.step(odd, 0.005)]
-    assert said == ["gyroscope is used, but something is wrong: has spikes"]
+    assert said == ["gyroscope is used despite a fault: has spikes"]
     assert not watch.has_nothing_to_report(odd)
 
 
@@ -272,7 +272,7 @@ def test_smoothing_lets_motion_through_and_spreads_corrections() -> None:
 
 def test_before_take_off_it_says_what_will_not_work() -> None:
     m = believing(still(), position_fix="missing", ranges="fused")
-    assert "nothing tells where it is" in preflight_warning(m, 1.5)
+    assert "nothing measures the horizontal position" in preflight_warning(m, 1.5)
     assert preflight_warning(replace(m, ranges=np.array([1.5, 0.8])), 1.5) == ""
     assert preflight_warning(believing(still(), position_fix="fused", ranges="fused"), 1.5) == ""
     assert preflight_warning(still(), 1.5) == ""
@@ -301,7 +301,7 @@ def test_gyroscopes_that_are_gone_and_aids_that_contradict_bring_it_down(doubtin
     doubts = HealthMonitor()
     for k in range(8):
         doubts.step(believing(still(0.02 * k), rates="missing"))
-    assert doubts.verdict == ("land", "gyroscope says nothing: so it is")
+    assert doubts.verdict == ("land", "gyroscope is missing: so it is")
     doubts.step(believing(still(0.2), rates="missing", tilt=0.3))
     assert doubts.verdict.action == "sink"
 
@@ -346,7 +346,7 @@ def test_a_hop_on_sensors_succeeds_and_shows_what_it_believed(sensed) -> None:
         np.testing.assert_allclose(data.truth_attitude.values[row, :2], lean, atol=3e-4)
     texts = [str(t) for t in data.event_text.values]
     assert texts.count("sonar is used again") == 1
-    noticed = next(e for e, t in zip(data.event_time.values, texts, strict=True) if t.startswith("sonar says"))
+    noticed = next(e for e, t in zip(data.event_time.values, texts, strict=True) if t.startswith("sonar is missing"))
     assert 9.0 < noticed < 9.5
     assert {"estimate.png", "sensors.png", "way.png", "history.png"} <= {p.name for p in folder.iterdir()}
 

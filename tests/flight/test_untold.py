@@ -214,7 +214,7 @@ def test_endings_are_classed_by_the_truth(campaign: Campaign) -> None:
         assert flown.success == (flown.ending == "succeeded")
         return flown.ending
 
-    blamed = ended(data, "measurement lost: position (sonar is off by 0.5 m from what all others say)")
+    blamed = ended(data, "measurement lost: position (sonar is rejected: differs from the estimate by 0.5 m)")
     assert ending(data) == "succeeded"
     assert ending(blamed, ("sonar",)) == "landed"
     assert ending(blamed, ("gyroscope",)) == "landed, wrong reason"

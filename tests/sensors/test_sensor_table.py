@@ -102,7 +102,7 @@ def test_a_row_of_the_table_is_all_that_faults_link_recording_and_page_need() ->
     told = subprocess.run([sys.executable, script], capture_output=True, text=True, check=True, timeout=300)
     assert json.loads(told.stdout) == {
         "fault": ["pitot_tube", 2.0],
-        "reason": "is off by 1.5 m/s from what all others say",
+        "reason": "differs from the estimate by 1.5 m/s",
         "failure": "pitot",
         "status bit": True,
         "test ratio": ["airspeed", "airspeed"],

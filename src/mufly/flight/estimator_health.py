@@ -100,9 +100,9 @@ def gyro_unavailable(m: Estimate) -> bool:
 
 def describe_check(check: SensorStatus) -> str:
     """Return a sensor's name, status and reason as text."""
-    state = {"missing": "says nothing", "rejected": "is not believed", "faulty": "is faulty"}
+    state = {"missing": "is missing", "rejected": "is rejected", "faulty": "is faulty"}
     if check.is_suspicious:
-        state["fused"] = "is used, but something is wrong"
+        state["fused"] = "is used despite a fault"
     return f"{describe_sensor(check.name)} {state.get(check.status, check.status)}" + (
         f": {check.reason}" if check.reason else ""
     )
@@ -399,7 +399,7 @@ def preflight_warning(m: Estimate, reach_m: float) -> str:
         )
         seen = "no laser ring" if ring is None else f"no wall within the {reach_m:g} m of the lasers"
         lines.append(
-            f"nothing tells where it is: {why}, {seen}; it holds by drag and rotor model for as long as that goes, "
-            "then lands"
+            f"nothing measures the horizontal position: {why}, {seen}; in flight it is estimated by drag and rotor "
+            "model until it is too uncertain, then the vehicle lands"
         )
     return "; ".join(lines)

@@ -84,7 +84,7 @@ class Detour:
     lap_count : int
         Whole laps around the obstacle.
     lap_distance, least_goal_distance : float
-        Distance flown since then, and the least distance to the goal on it (m).
+        Distance flown since ``lap_start``, and the least distance to the goal on it (m).
     is_leaving : bool
         Whether the reference brakes, to continue straight from where it stops.
     obstacle_point : (2,) tuple

@@ -139,7 +139,7 @@ def check_fence(mission: Mission, where: str) -> None:
     Raises
     ------
     InputError
-        If it does not; the message names the key, the distance and the remedy.
+        If the mission leaves its fence; the message names the key, the distance and the remedy.
     """
     fence = mission.fence
     if fence is None:

@@ -355,9 +355,9 @@ def plan_leg_trajectory(
     mission : Mission
         Source of path kind and limits.
     index : int
-        Number of the waypoint.
+        Index of the waypoint.
     start : (3,) array
-        N, E, D (m).
+        Start position N, E, D (m).
     heading : float
         Heading at the start (rad).
     nose_offset : float

@@ -234,9 +234,9 @@ def limit_manual_tilt(
     height : float
         Height above the standing position (m).
     velocity : (2,) tuple
-        N, E (m/s).
+        Velocity N, E (m/s).
     yaw : float
-        rad.
+        Heading (rad).
     tilt : (2,) tuple
         Roll, pitch of the sticks (rad).
     """

@@ -409,7 +409,7 @@ class Trajectory:
     spline_curve : TimedSpline or None
         Curve flown in place of the line.
     initial_braking : BrakingMotion or None
-        Braking that comes first; `departure_s` and `duration_s` include it.
+        Braking before the trajectory; `departure_s` and `duration_s` include it.
     pending_curve : PendingCurve or None
         Curve that :meth:`finish_curve` computes; until then the trajectory is a line.
 

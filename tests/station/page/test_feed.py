@@ -340,13 +340,13 @@ def test_sensors_and_bands_are_told_where_an_estimator_says_what_it_believes() -
         ("position fix", "rejected", -7.3, ""),
     ]
     said = [
-        StatusMessage(0.2, "warning", "position fix says nothing: nothing has come for 0.52 s"),
-        StatusMessage(0.8, "warning", "position fix is not believed: is off by 0.4 m from what all others say"),
+        StatusMessage(0.2, "warning", "position fix is missing: no reading for 0.52 s"),
+        StatusMessage(0.8, "warning", "position fix is rejected: differs from the estimate by 0.4 m"),
         StatusMessage(0.9, "warning", "gyroscope is faulty: has spikes"),  # that was; it is believed again
     ]
     assert [why for *_, why in list_sensor_states(history, said)] == [
         "",
-        "is off by 0.4 m from what all others say",
+        "differs from the estimate by 0.4 m",
     ]
     (position,) = (q for q in build_catalog(history.names, history.signal_unit) if q["key"] == "position")
     assert position["bands"]["estimated/height"] == "estimated_position_sigma_D"
