@@ -194,8 +194,7 @@ class SimulatedRig:
     imperfections : BenchImperfections, optional
     faults : SimulatedFaults, optional
     spacing_m : float
-        Distance between the discs of a pair.
-    with_torque_cell : bool
+        Distance between the discs of a pair (m).
     """
 
     seed: int = 0

@@ -55,8 +55,6 @@ class SeriesReadings:
     settled, at_speed, saturated : (n,) arrays of bool
     spike_share : (n,) array
         Largest share of outliers among the samples of the cells.
-    low, high : dict of str to (n,) array
-        Smallest and largest sample by channel.
     record_lines : list of dict
         Lines of the record.
     """

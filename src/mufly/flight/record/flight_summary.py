@@ -459,7 +459,7 @@ def summary_rows(summary: FlightSummary) -> list[tuple[str, str]]:
 
 
 def _format_realtime_factor(summary: FlightSummary) -> str:
-    """Return the real-time factor as text: two decimals for slow flights, overruns for real-time flights."""
+    """Return the real-time factor as text: two decimals for slow flights, with overruns for real-time flights."""
     form = "{:.0f}" if (summary.realtime_factor or 0.0) >= 10.0 else "{:.2f}"
     least, slips = summary.realtime_factor_least, summary.slips
     return form if least is None else f"{form}, least {least:.2f}, {slips} timing overruns"

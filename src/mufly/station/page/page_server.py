@@ -143,8 +143,8 @@ async def serve_page(
 
     Parameters
     ----------
-    session : Session
-    address : Address
+    session : StationSession
+    address : PageAddress
         From :func:`mufly.station.page.page_address.bind_page_address`.
     open_browser : bool
         Whether to open the page in the default browser.
