@@ -111,8 +111,8 @@ from mufly.estimate.output_predictor import (
 from mufly.estimate.sensor_checks import (
     ACTUATOR_START,
     DIVERGED_BIAS_WALK,
+    FORCE_MODEL_WRONG,
     LATER_BIAS_WALK,
-    REASON_INNOVATION,
     REASON_LATE,
     REASON_NONE,
     STATUS_FAULTY,
@@ -171,6 +171,8 @@ INITIAL_ACCEL_DENSITY = 5.0
 MAX_MODEL_DISAGREEMENT = 0.4
 """Largest mean difference of accelerometers and model over 160 ms without added noise (m/s^2). Two standard deviations
 of the thrust scale are added to it; the excess counts as accelerometer noise that is correlated over a second."""
+WRONG_MODEL_DENSITY = 10.0
+"""Density of the force's error (m^2/s^3) while the rotor model contradicts accelerometers and fix."""
 _Z = READING_STARTS
 
 
@@ -360,7 +362,11 @@ def _sample_inputs(
         if not model and m.flight_phase > PHASE_RUNNING:
             row[IN_STATIC + k], row[IN_REST + k], row[IN_SLOPE + k] = 0.0, -GRAVITY if k == 2 else 0.0, 0.0
             made = 10.0
-        if m.status[R_ACCELERATION] >= STATUS_MISSING or m.is_accel_distrusted == 1 or s.is_fitted[R_ACCELERATION] == 0:
+        if m.force_conflict == FORCE_MODEL_WRONG:
+            made = max(made, WRONG_MODEL_DENSITY)
+        elif m.is_accel_distrusted == 1:
+            felt = 1e6
+        if m.status[R_ACCELERATION] >= STATUS_MISSING or s.is_fitted[R_ACCELERATION] == 0:
             felt = 1e6
         share = made / (felt + made)
         row[IN_SHARE + k] = share
@@ -576,14 +582,7 @@ def _estimate_accel_noise(m: FilterMemory, s: FilterSettings, z: _Array) -> None
                 apart = abs(mean - m.x[SX_ACCEL_BIAS + k]) - (MAX_MODEL_DISAGREEMENT + unknown)
                 density += max(apart, 0.0) * max(apart, 0.0)
                 if apart > (m.clip_share[0] + m.clip_share[1] + m.clip_share[2]) * CLIPPING_ERROR_SHARE * s.accel_range:
-                    set_fault(
-                        m,
-                        s,
-                        R_ACCELERATION,
-                        STATUS_REJECTED,
-                        REASON_INNOVATION,
-                        mean - m.x[SX_ACCEL_BIAS + k],
-                    )
+                    m.force_apart_tick = m.tick
             density = min(density, 100.0)
             most = max(0.6 if density > m.accel_noise_slow[k] else 0.2, 1.0 / (m.slow_mean_count + 1))
             m.slow_mean_prev[k] = mean

@@ -33,7 +33,7 @@ from mufly.rotor import coax_maps
 from mufly.toolchain import COMPILER_FLAGS, build_cached_library
 from mufly.vehicle import Vehicle
 
-VERIFIED_STAMP = "5bb6f1147b3bfa87"
+VERIFIED_STAMP = "d1fc1ce7626f9338"
 """Stamp (:func:`source_stamp`) of the Python sources that the C code is verified to equal."""
 
 FILTER_SOURCES = (

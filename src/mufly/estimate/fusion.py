@@ -342,9 +342,23 @@ def _fix_height_consistent(m: FilterMemory, s: FilterSettings, z: _Array, ahead:
 
 
 @cached_njit(error_model="numpy")
+def _align_to_first_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float) -> None:
+    """Inflate the variances of N, E and heading by the innovations of the first fix: the place of the start is unknown.
+
+    An innovation within the gate changes nothing: the initial variances explain it."""
+    for i in (0, 1, 3):
+        _fix_h_row(m, i)
+        nu = _fix_innovation(m, z, i, ahead)
+        if abs(_innovation_ratio(m, nu, _fix_variance(m, s, i))) > INNOVATION_GATE:
+            inflate_variance(m.u_transposed, m.d, EX_POS + i if i < 3 else EX_ATT + 2, nu * nu, m.f)
+
+
+@cached_njit(error_model="numpy")
 def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float) -> None:
     """Fuse position and heading of a fix; no height while it disagrees with the sonar."""
     k, worst, at = R_FIX, 0.0, 0.0
+    if m.is_heading_aligned == 0:
+        _align_to_first_fix(m, s, z, ahead)
     down = _fix_height_consistent(m, s, z, ahead)
     for i in range(4):
         if i == 2 and not down:
@@ -399,7 +413,7 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
         _fuse_scalar(m, _fix_innovation(m, z, i, ahead), _fix_variance(m, s, i))
     for i in range(3):
         most = GYRO_BIAS_RANGE_SIGMAS * s.initial_sigma[EX_GYRO_BIAS + i] + 2.0 * m.sigma_output[EX_GYRO_BIAS + i]
-        if abs(m.x[SX_GYRO_BIAS + i]) > most and m.status[R_RATES] == STATUS_FUSED:
+        if abs(m.x[SX_GYRO_BIAS + i]) > most and m.status[R_RATES] == STATUS_FUSED and down:
             set_fault(m, s, R_RATES, STATUS_REJECTED, REASON_LARGE_BIAS, m.x[SX_GYRO_BIAS + i])
     mark_fused(m, k)
     if not down:
@@ -743,7 +757,7 @@ def fuse_accel_residual(m: FilterMemory, s: FilterSettings, r: _Array, count: in
     r_ = m.residual_density[i] / (count * s.dt)
     known = innovation_variance(m.u_transposed, m.d, m.h_state, m.h, m.h_terms, m.f)
     ratio = nu / math.sqrt(known + r_)
-    check_accel_model(m, s, nu, r_, known, i)
+    check_accel_model(m, s, r, height_above_ground(m.x_output, s), nu, r_, known, i)
     if abs(ratio) < INNOVATION_GATE and m.is_accel_distrusted == 0:
         _fuse_scalar(m, nu, r_)
     if i == 0 or abs(ratio) > m.residual_ratio:

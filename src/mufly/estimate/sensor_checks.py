@@ -27,6 +27,7 @@ from mufly.dynamics.model_state import RS_SPEED_UPPER
 from mufly.estimate.filter_records import (
     EX_ATT,
     EX_GYRO_BIAS,
+    EX_POS,
     EX_VEL,
     PHASE_FLYING,
     PHASE_LIGHT,
@@ -76,7 +77,9 @@ STATUS_WAITING, STATUS_FUSED, STATUS_REJECTED, STATUS_MISSING, STATUS_FAULTY = r
     REASON_HEIGHT_CONFLICT,
     REASON_STUCK,
     REASON_LARGE_BIAS,
-) = range(21)
+    REASON_FORCE_CONFLICT,
+    REASON_MODEL_WRONG,
+) = range(23)
 """Codes of the reason; :mod:`mufly.estimate.sensor_status` has the texts."""
 REJECT_ALARM, SONAR_REJECT_ALARM, REJECT_DECAY = 1.5, 3.0, 0.93
 FAULT_HOLD_S = 0.5
@@ -99,6 +102,15 @@ _ROTOR_ACCEL_LIMIT, _ROTOR_ACCEL_MEAN_S, _ROTOR_ACCEL_SETTLING_S = 0.03, 4.0, 1.
 """Permitted deviation of the motor equations' error from its mean (fraction of the hover speed per second), averaging
 time (s), and settling time after lift-off (s); flights in gusts need a fifth of the limit."""
 _VOLTAGE_GATE = 0.6
+FORCE_AGREES, FORCE_UNDECIDED, FORCE_ACCEL_WRONG, FORCE_MODEL_WRONG, FORCE_FLOOR = range(5)
+"""Codes of a conflict between accelerometers and rotor model: none, not decided, which is wrong, floor contact."""
+_FORCE_GATE, _FORCE_AGREEMENT = 6.0, 2.0
+"""Deviations between accelerometers and model at which a conflict begins and ends."""
+_FORCE_EVIDENCE, _FORCE_FIX_AGE_S, _FORCE_DECISION_S = 1.0, 0.5, 1.0
+"""Mean ratio of the fix that decides a conflict (1), largest age of the fix (s), and the time without such a ratio
+after which the model, which the filter follows, is right (s)."""
+_FLOOR_CONTACT_HEIGHT = 0.03
+"""Height (m) below which legs may touch the surface, beyond three deviations of the height."""
 
 
 @cached_njit(error_model="numpy")
@@ -335,35 +347,95 @@ def rotor_speed_consistent(m: FilterMemory, s: FilterSettings, z: _Array, start:
 
 @cached_njit(error_model="numpy")
 def battery_voltage_consistent(m: FilterMemory, s: FilterSettings, off: float) -> bool:
-    """Return whether the measured voltage agrees with the battery's model."""
+    """Return whether the measured voltage agrees with the battery's model.
+
+    Without rotor speeds the model's current is unknown, and a difference is no fault."""
     if abs(off) > _VOLTAGE_GATE and m.tick * s.dt > 1.0:
-        mark_rejected(m, s, R_BATTERY, REASON_INNOVATION, off)
+        if s.is_fitted[R_ROTOR] == 0 or m.status[R_ROTOR] == STATUS_FUSED:
+            mark_rejected(m, s, R_BATTERY, REASON_INNOVATION, off)
         return False
     mark_fused(m, R_BATTERY)
     return True
 
 
 @cached_njit(error_model="numpy")
-def check_accel_model(m: FilterMemory, s: FilterSettings, nu: float, variance: float, known: float, i: int) -> None:
+def _force_evidence(m: FilterMemory, r: _Array, along: _Array) -> float:
+    """Return the mean innovation ratio of the fix along the difference ``along`` of accelerometers and model.
+
+    The filter follows one of the two forces. A vehicle that accelerates like the other one shows innovations of the
+    fix along the difference, or against it: a positive value contradicts the model, a negative one the accelerometers.
+    """
+    dot, square = 0.0, 1e-12
+    for j in range(3):
+        part = r[3 * j] * along[0] + r[3 * j + 1] * along[1] + r[3 * j + 2] * along[2]
+        dot += part * m.fix_ratio_mean[j]
+        square += part * part
+    return dot / math.sqrt(square)
+
+
+@cached_njit(error_model="numpy")
+def _update_force_conflict(m: FilterMemory, s: FilterSettings, r: _Array, height: float, worst: float) -> None:
+    """Decide which of accelerometers and rotor model is wrong, where ``worst`` deviations lie between them.
+
+    Rotor speeds that are not fused explain a wrong model. A floor that may carry the vehicle explains both, and nothing
+    is reported. Otherwise the fix decides (:func:`_force_evidence`). While nothing is decided the filter follows the
+    model, and both are reported.
+    ``height`` is that above the surface below (m)."""
+    if m.is_accel_distrusted == 0 and worst > _FORCE_GATE:
+        m.is_accel_distrusted = 1
+    elif m.is_accel_distrusted == 1 and worst < _FORCE_AGREEMENT:
+        m.is_accel_distrusted = 0
+    apart = m.force_apart_tick > 0 and (m.tick - m.force_apart_tick) * s.dt < FAULT_HOLD_S
+    if m.is_accel_distrusted == 0 and not apart:
+        m.force_conflict = FORCE_AGREES
+        return
+    if m.force_conflict == FORCE_AGREES:
+        m.force_conflict = FORCE_UNDECIDED
+        m.force_conflict_tick = m.tick
+    has_fix = m.status[R_FIX] == STATUS_FUSED and (m.tick - m.last_fused_tick[R_FIX]) * s.dt < _FORCE_FIX_AGE_S
+    evidence = _force_evidence(m, r, m.accel_residual_lp) if has_fix else 0.0
+    if m.accel_residual_lp[2] < 0.0 and height < _FLOOR_CONTACT_HEIGHT + 3.0 * m.sigma_output[EX_POS + 2]:
+        m.force_conflict = FORCE_FLOOR
+    elif (s.is_fitted[R_ROTOR] > 0 and m.status[R_ROTOR] != STATUS_FUSED) or evidence > _FORCE_EVIDENCE:
+        m.force_conflict = FORCE_MODEL_WRONG
+    elif evidence < -_FORCE_EVIDENCE:
+        m.force_conflict = FORCE_ACCEL_WRONG
+    elif m.force_conflict == FORCE_FLOOR:
+        m.force_conflict = FORCE_UNDECIDED
+        m.force_conflict_tick = m.tick
+    elif (
+        m.force_conflict == FORCE_UNDECIDED and has_fix and (m.tick - m.force_conflict_tick) * s.dt > _FORCE_DECISION_S
+    ):
+        m.force_conflict = FORCE_ACCEL_WRONG
+
+
+@cached_njit(error_model="numpy")
+def check_accel_model(
+    m: FilterMemory, s: FilterSettings, r: _Array, height: float, nu: float, variance: float, known: float, i: int
+) -> None:  # fmt: skip
     """Compare the mean of accelerometers less model over 0.4 s with its expected deviation.
 
     ``nu`` is the residual of axis ``i`` over a block, ``variance`` that of its noise, ``known`` that of the prediction.
+    ``r`` is the rotation matrix, ``height`` the height above the surface below (m).
     """
     m.accel_residual_lp[i] += 0.1 * (nu - m.accel_residual_lp[i])
-    k = R_ACCELERATION
     if i == 2:
-        worst = 0.0
+        worst, axis = 0.0, 2
         for j in range(3):
-            worst = (
-                max(worst, abs(m.accel_residual_lp[j]) / m.accel_residual_sigma[j])
-                if m.accel_residual_sigma[j] > 0.0
-                else worst
-            )
-        if m.is_accel_distrusted == 0 and worst > 6.0:
-            m.is_accel_distrusted = 1
-        elif m.is_accel_distrusted == 1 and worst < 2.0:
-            m.is_accel_distrusted = 0
-        if m.is_accel_distrusted == 1:
-            set_fault(m, s, k, STATUS_FAULTY, REASON_INNOVATION, m.accel_residual_lp[2])
+            if m.accel_residual_sigma[j] > 0.0:
+                ratio = abs(m.accel_residual_lp[j]) / m.accel_residual_sigma[j]
+                if ratio > worst:
+                    worst, axis = ratio, j
+        _update_force_conflict(m, s, r, height, worst)
+        number = m.accel_residual_lp[axis]
+        code = STATUS_FAULTY if m.is_accel_distrusted == 1 else STATUS_REJECTED
+        if m.force_conflict == FORCE_UNDECIDED:
+            set_fault(m, s, R_ACCELERATION, code, REASON_FORCE_CONFLICT, number)
+        elif m.force_conflict == FORCE_ACCEL_WRONG:
+            set_fault(m, s, R_ACCELERATION, code, REASON_INNOVATION, number)
+        elif m.force_conflict == FORCE_MODEL_WRONG:
+            set_fault(m, s, R_ACCELERATION, STATUS_FUSED, REASON_MODEL_WRONG, number)
+        elif m.force_conflict == FORCE_FLOOR and m.status[R_ACCELERATION] in (STATUS_REJECTED, STATUS_FAULTY):
+            set_fault(m, s, R_ACCELERATION, STATUS_FUSED, REASON_NONE, 0.0)
     # The mean of 0.1-weighted blocks keeps 0.1 / (2 - 0.1) of their variance.
     m.accel_residual_sigma[i] = math.sqrt(variance * 0.0526 + known + 0.04)

@@ -89,6 +89,13 @@ class AuxiliaryStates:
 
 
 _STATUS_NAMES: tuple[FusionStatus, ...] = ("waiting", "fused", "rejected", "missing", "faulty")
+_FIX_OR_SONAR, _FIX_OR_GYRO = "position fix or sonar: ", "position fix or gyroscopes: "
+_ACCEL_OR_MODEL, _ROTOR_MODEL = (
+    "accelerometers or rotor model (thrust, drag, wind): ",
+    "rotor model (thrust, drag, wind): ",
+)
+NAMED_CAUSES = (_FIX_OR_SONAR, _FIX_OR_GYRO, _ACCEL_OR_MODEL, _ROTOR_MODEL)
+"""Openings of reasons that name the possible causes themselves, where this sensor alone is not accused."""
 _REASON_TEXTS: Mapping[int, Callable[[float, str], str]] = {
     g.REASON_NONE: lambda x, u: "",
     g.REASON_NO_READING: lambda x, u: "no reading yet",
@@ -106,15 +113,19 @@ _REASON_TEXTS: Mapping[int, Callable[[float, str], str]] = {
     g.REASON_NO_WALL: lambda x, u: "detections match no wall of the room",
     g.REASON_SPIKES: lambda x, u: f"spikes of {x:.2g} {u}; the flight model bridges them",
     g.REASON_TERRAIN_SLOPE: lambda x, u: f"consistent deviation of {x:.3g} {u}: sloping surface below, or drift",
-    g.REASON_HEIGHT_CONFLICT: lambda x, u: f"height differs from the sonar's by {x:.2f} m; one of them is wrong",
+    g.REASON_HEIGHT_CONFLICT: lambda x, u: f"{_FIX_OR_SONAR}their heights differ by {x:.2f} m",
     g.REASON_STUCK: lambda x, u: f"stuck at {x:.2f} m: varies less than in any flight",
     g.REASON_LARGE_BIAS: lambda x, u: f"bias of {x:.2g} {u}, above the largest possible",
-    g.REASON_FUSED_THOUGH_OFFSET: lambda x, u: f"persistent offset of {x:.3g} {u}; this sensor or the gyroscopes drift",
+    g.REASON_FUSED_THOUGH_OFFSET: lambda x, u: f"{_FIX_OR_GYRO}persistent offset of {x:.3g} {u}",
+    g.REASON_FORCE_CONFLICT: lambda x, u: f"{_ACCEL_OR_MODEL}they differ by {x:.3g} {u}",
+    g.REASON_MODEL_WRONG: lambda x, u: f"{_ROTOR_MODEL}differs by {x:.3g} {u} from the accelerometers",
     g.REASON_JUMP: lambda x, u: f"sudden offset of {x:.2g} {u}, subtracted from its readings",
 }
 
 REASON_COUNT = len(_REASON_TEXTS)
-SUSPICIOUS_REASONS = (g.REASON_DUPLICATED, g.REASON_SPIKES, g.REASON_JUMP, g.REASON_FUSED_THOUGH_OFFSET)
+SUSPICIOUS_REASONS = (
+    g.REASON_DUPLICATED, g.REASON_SPIKES, g.REASON_JUMP, g.REASON_FUSED_THOUGH_OFFSET, g.REASON_MODEL_WRONG,
+)  # fmt: skip
 """Reasons that mark a fused sensor as suspicious. Clipping is usual and only reduces the weight."""
 
 

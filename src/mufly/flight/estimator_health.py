@@ -39,6 +39,7 @@ from numpy.typing import NDArray
 
 from mufly.estimate import Estimate, SensorStatus
 from mufly.estimate.filter_records import EX_ATT, EX_POS
+from mufly.estimate.sensor_status import NAMED_CAUSES
 from mufly.numba_cache import cached_njit
 from mufly.portable_math import sine_cosine
 from mufly.sensor_table import CHECKED
@@ -99,7 +100,9 @@ def gyro_unavailable(m: Estimate) -> bool:
 
 
 def describe_check(check: SensorStatus) -> str:
-    """Return a sensor's name, status and reason as text."""
+    """Return a sensor's name, status and reason as text, or the possible causes if no one sensor is accused."""
+    if check.reason.startswith(NAMED_CAUSES):
+        return check.reason
     state = {"missing": "is missing", "rejected": "is rejected", "faulty": "is faulty"}
     if check.is_suspicious:
         state["fused"] = "is used despite a fault"

@@ -256,7 +256,14 @@ static real_t sample_inputs(estimator_t *m, const estimator_settings_t *s, const
             row[IN_SLOPE + k] = REAL(0.0);
             made = REAL(10.0);
         }
-        if ((m->status[R_ACCELERATION] >= STATUS_MISSING) || (m->is_accel_distrusted == 1) || (s->is_fitted[R_ACCELERATION] == 0)) {
+        if (m->force_conflict == FORCE_MODEL_WRONG) {
+            made = real_max(made, WRONG_MODEL_DENSITY);
+        } else if (m->is_accel_distrusted == 1) {
+            felt = REAL(1e6);
+        } else {
+            /* both are used */
+        }
+        if ((m->status[R_ACCELERATION] >= STATUS_MISSING) || (s->is_fitted[R_ACCELERATION] == 0)) {
             felt = REAL(1e6);
         }
         share = made / (felt + made);
@@ -559,7 +566,7 @@ static void estimate_accel_noise(estimator_t *m, const estimator_settings_t *s, 
 
                 density += real_max(apart, REAL(0.0)) * real_max(apart, REAL(0.0));
                 if (apart > ((((m->clip_share[0] + m->clip_share[1]) + m->clip_share[2]) * CLIPPING_ERROR_SHARE) * s->accel_range)) {
-                    set_fault(m, s, R_ACCELERATION, STATUS_REJECTED, REASON_INNOVATION, mean - m->x[SX_ACCEL_BIAS + k]);
+                    m->force_apart_tick = m->tick;
                 }
             }
             density = real_min(density, REAL(100.0));

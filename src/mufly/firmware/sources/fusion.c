@@ -228,6 +228,22 @@ static void reset_to_fix(estimator_t *m, const real_t z[4], real_t ahead)
     inflate_variance(m, EX_ATT + 2, nu * nu);
 }
 
+/* Inflate the variances of N, E and heading by the innovations of the first fix: the place of the start is unknown. */
+static void align_to_first_fix(estimator_t *m, const estimator_settings_t *s, const real_t z[4], real_t ahead)
+{
+    for (int32_t i = 0; i < 4; i++) {
+        if (i != 2) {
+            real_t nu;
+
+            fix_h_row(m, i);
+            nu = fix_innovation(m, z, i, ahead);
+            if (real_abs(innovation_ratio(m, nu, fix_variance(m, s, i))) > INNOVATION_GATE) {
+                inflate_variance(m, (i < 3) ? (EX_POS + i) : (EX_ATT + 2), nu * nu);
+            }
+        }
+    }
+}
+
 /* Fuse position and heading of a fix; no height while it disagrees with the sonar. */
 static void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, const real_t z[4], real_t ahead)
 {
@@ -239,6 +255,9 @@ static void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, con
     bool lasting;
     bool led;
 
+    if (m->is_heading_aligned == 0) {
+        align_to_first_fix(m, s, z, ahead);
+    }
     for (int32_t i = 0; i < 4; i++) {
         real_t nu;
         real_t ratio;
@@ -293,7 +312,7 @@ static void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, con
     for (int32_t i = 0; i < 3; i++) {
         const real_t most = (GYRO_BIAS_RANGE_SIGMAS * s->initial_sigma[EX_GYRO_BIAS + i]) + (REAL(2.0) * m->sigma_output[EX_GYRO_BIAS + i]);
 
-        if ((real_abs(m->x[SX_GYRO_BIAS + i]) > most) && (m->status[R_RATES] == STATUS_FUSED)) {
+        if ((real_abs(m->x[SX_GYRO_BIAS + i]) > most) && (m->status[R_RATES] == STATUS_FUSED) && down) {
             set_fault(m, s, R_RATES, STATUS_REJECTED, REASON_LARGE_BIAS, m->x[SX_GYRO_BIAS + i]);
         }
     }
@@ -742,7 +761,7 @@ void fuse_accel_residual(estimator_t *m, const estimator_settings_t *s, int32_t 
     h_row_add(m, EX_WIND + 1, -slope * r[3 + i]);
     known = innovation_variance(m);
     ratio = nu / real_sqrt(known + variance);
-    check_accel_model(m, s, nu, variance, known, i);
+    check_accel_model(m, s, r, height_above_ground(m->x_output, s), nu, variance, known, i);
     if ((real_abs(ratio) < INNOVATION_GATE) && (m->is_accel_distrusted == 0)) {
         apply_correction(m, nu, variance);
     }

@@ -326,7 +326,9 @@ bool battery_voltage_consistent(estimator_t *m, const estimator_settings_t *s, r
     bool believed = true;
 
     if ((real_abs(off) > VOLTAGE_GATE) && (((real_t)m->tick * s->dt) > REAL(1.0))) {
-        mark_rejected(m, s, R_BATTERY, REASON_INNOVATION, off);
+        if ((s->is_fitted[R_ROTOR] == 0) || (m->status[R_ROTOR] == STATUS_FUSED)) {
+            mark_rejected(m, s, R_BATTERY, REASON_INNOVATION, off);
+        }
         believed = false;
     } else {
         mark_fused(m, R_BATTERY);
@@ -334,26 +336,98 @@ bool battery_voltage_consistent(estimator_t *m, const estimator_settings_t *s, r
     return believed;
 }
 
-void check_accel_model(estimator_t *m, const estimator_settings_t *s, real_t nu, real_t variance, real_t known, int32_t i)
+/* Return the mean innovation ratio of the fix along the difference of accelerometers and model: a positive value
+ * contradicts the model, a negative one the accelerometers. */
+static real_t force_evidence(const estimator_t *m, const real_t r[9], const real_t along[3])
+{
+    real_t dot = REAL(0.0);
+    real_t square = REAL(1e-12);
+
+    for (int32_t j = 0; j < 3; j++) {
+        const real_t part = ((r[3 * j] * along[0]) + (r[(3 * j) + 1] * along[1])) + (r[(3 * j) + 2] * along[2]);
+
+        dot += part * m->fix_ratio_mean[j];
+        square += part * part;
+    }
+    return dot / real_sqrt(square);
+}
+
+/* Decide which of accelerometers and rotor model is wrong, where worst deviations lie between them. */
+static void update_force_conflict(estimator_t *m, const estimator_settings_t *s, const real_t r[9], real_t height,
+                                  real_t worst)
+{
+    bool apart;
+
+    if ((m->is_accel_distrusted == 0) && (worst > FORCE_GATE)) {
+        m->is_accel_distrusted = 1;
+    } else if ((m->is_accel_distrusted == 1) && (worst < FORCE_AGREEMENT)) {
+        m->is_accel_distrusted = 0;
+    } else {
+        /* unchanged */
+    }
+    apart = (m->force_apart_tick > 0) && (((real_t)(m->tick - m->force_apart_tick) * s->dt) < FAULT_HOLD_S);
+    if ((m->is_accel_distrusted == 0) && !apart) {
+        m->force_conflict = FORCE_AGREES;
+    } else {
+        const bool has_fix = (m->status[R_FIX] == STATUS_FUSED) &&
+                             (((real_t)(m->tick - m->last_fused_tick[R_FIX]) * s->dt) < FORCE_FIX_AGE_S);
+        const real_t evidence = has_fix ? force_evidence(m, r, m->accel_residual_lp) : REAL(0.0);
+
+        if (m->force_conflict == FORCE_AGREES) {
+            m->force_conflict = FORCE_UNDECIDED;
+            m->force_conflict_tick = m->tick;
+        }
+        if ((m->accel_residual_lp[2] < REAL(0.0)) &&
+            (height < (FLOOR_CONTACT_HEIGHT + (REAL(3.0) * m->sigma_output[EX_POS + 2])))) {
+            m->force_conflict = FORCE_FLOOR;
+        } else if (((s->is_fitted[R_ROTOR] > 0) && (m->status[R_ROTOR] != STATUS_FUSED)) || (evidence > FORCE_EVIDENCE)) {
+            m->force_conflict = FORCE_MODEL_WRONG;
+        } else if (evidence < -FORCE_EVIDENCE) {
+            m->force_conflict = FORCE_ACCEL_WRONG;
+        } else if (m->force_conflict == FORCE_FLOOR) {
+            m->force_conflict = FORCE_UNDECIDED;
+            m->force_conflict_tick = m->tick;
+        } else if ((m->force_conflict == FORCE_UNDECIDED) && has_fix &&
+                   (((real_t)(m->tick - m->force_conflict_tick) * s->dt) > FORCE_DECISION_S)) {
+            m->force_conflict = FORCE_ACCEL_WRONG;
+        } else {
+            /* unchanged */
+        }
+    }
+}
+
+void check_accel_model(estimator_t *m, const estimator_settings_t *s, const real_t r[9], real_t height, real_t nu,
+                       real_t variance, real_t known, int32_t i)
 {
     m->accel_residual_lp[i] += REAL(0.1) * (nu - m->accel_residual_lp[i]);
     if (i == 2) {
         real_t worst = REAL(0.0);
+        int32_t axis = 2;
+        int32_t code;
 
         for (int32_t j = 0; j < 3; j++) {
             if (m->accel_residual_sigma[j] > REAL(0.0)) {
-                worst = real_max(worst, real_abs(m->accel_residual_lp[j]) / m->accel_residual_sigma[j]);
+                const real_t ratio = real_abs(m->accel_residual_lp[j]) / m->accel_residual_sigma[j];
+
+                if (ratio > worst) {
+                    worst = ratio;
+                    axis = j;
+                }
             }
         }
-        if ((m->is_accel_distrusted == 0) && (worst > REAL(6.0))) {
-            m->is_accel_distrusted = 1;
-        } else if ((m->is_accel_distrusted == 1) && (worst < REAL(2.0))) {
-            m->is_accel_distrusted = 0;
+        update_force_conflict(m, s, r, height, worst);
+        code = (m->is_accel_distrusted == 1) ? STATUS_FAULTY : STATUS_REJECTED;
+        if (m->force_conflict == FORCE_UNDECIDED) {
+            set_fault(m, s, R_ACCELERATION, code, REASON_FORCE_CONFLICT, m->accel_residual_lp[axis]);
+        } else if (m->force_conflict == FORCE_ACCEL_WRONG) {
+            set_fault(m, s, R_ACCELERATION, code, REASON_INNOVATION, m->accel_residual_lp[axis]);
+        } else if (m->force_conflict == FORCE_MODEL_WRONG) {
+            set_fault(m, s, R_ACCELERATION, STATUS_FUSED, REASON_MODEL_WRONG, m->accel_residual_lp[axis]);
+        } else if ((m->force_conflict == FORCE_FLOOR) && ((m->status[R_ACCELERATION] == STATUS_REJECTED) ||
+                                                          (m->status[R_ACCELERATION] == STATUS_FAULTY))) {
+            set_fault(m, s, R_ACCELERATION, STATUS_FUSED, REASON_NONE, REAL(0.0));
         } else {
-            /* unchanged */
-        }
-        if (m->is_accel_distrusted == 1) {
-            set_fault(m, s, R_ACCELERATION, STATUS_FAULTY, REASON_INNOVATION, m->accel_residual_lp[2]);
+            /* agrees */
         }
     }
     /* The mean of 0.1-weighted blocks keeps 0.1 / (2 - 0.1) of their variance. */

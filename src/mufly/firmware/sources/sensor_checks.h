@@ -27,7 +27,7 @@ bool rotor_speed_consistent(estimator_t *m, const estimator_settings_t *s, const
 /* Return whether the measured voltage agrees with the battery's model. */
 bool battery_voltage_consistent(estimator_t *m, const estimator_settings_t *s, real_t off);
 /* Compare the mean of accelerometers less model over 0.4 s with its expected deviation. */
-void check_accel_model(estimator_t *m, const estimator_settings_t *s, real_t nu, real_t variance, real_t known,
-               int32_t i);
+void check_accel_model(estimator_t *m, const estimator_settings_t *s, const real_t r[9], real_t height, real_t nu,
+                       real_t variance, real_t known, int32_t i);
 
 #endif
