@@ -264,7 +264,7 @@ def test_a_fault_is_noticed_within_half_a_second(vehicle: Vehicle, flown, felt, 
     ("fault", "name", "status", "word"),
     [
         ("sonar.freeze@9s", "ground_distance", "faulty", "stuck at"),
-        ("position.drift@9s", "position_fix", "faulty", "differs from the sonar's"),
+        ("position.drift@9s", "position_fix", "faulty", "heights differ"),
     ],
 )
 def test_what_grows_slowly_is_noticed_before_it_does_harm(
@@ -448,7 +448,7 @@ def test_rotors_that_run_down_after_landing_do_not_upset_it() -> None:
 
 
 def test_a_reason_names_the_unit_of_its_number() -> None:
-    assert describe_reason(g.REASON_FUSED_THOUGH_OFFSET, -0.0129, R_FIX).startswith("persistent offset of -0.0129 m;")
+    assert describe_reason(g.REASON_FUSED_THOUGH_OFFSET, -0.0129, R_FIX).endswith("persistent offset of -0.0129 m")
     assert describe_reason(g.REASON_FUSED_THOUGH_OFFSET, math.radians(-3.0), R_FIX, 3).startswith(
         "persistent offset of -3 deg in heading;"
     )

@@ -105,6 +105,36 @@ def test_a_sonar_high_on_the_fuselage_takes_the_floor_for_no_flight(
     assert not [text for text in told if "is rejected" in text or "gyroscope" in text]
 
 
+@pytest.mark.parametrize("heading_deg", [40.0, -170.0])
+def test_a_start_far_from_the_origin_is_found_by_the_first_fix(
+    vehicle: Vehicle, controller: FlightController, heading_deg: float
+) -> None:
+    """The filter begins at the origin heading north; nothing may be rejected because the vehicle stands elsewhere."""
+    far = parse_mission(
+        {
+            "start_m": [31.0, -24.0], "start_heading_deg": heading_deg, "take_off": {"height_m": 0.6, "wait_s": 0.5},
+            "waypoint": [{"position_m": [31.4, -24.0, -0.6]}],
+        }
+    )  # fmt: skip
+    told: list[str] = []
+    flight = fly_mission(
+        vehicle,
+        far,
+        controller=controller,
+        sensors="fitted",
+        seed=5,
+        wind=(0.2, 0.2, 0.0),
+        on_event=lambda e: told.append(e.text),
+    )
+    assert flight.attrs["outcome"] == "succeeded"
+    assert not [text for text in told if "fix" in text or "rejected" in text], told
+    aloft = flight.isel(time=flight.mission_state.values == "hover")
+    off = aloft.estimated_position.values - aloft.truth_position.values
+    assert np.abs(off[:, :2]).max() < 0.15
+    turned = aloft.estimated_attitude.values[:, 2] - aloft.truth_attitude.values[:, 2]
+    assert np.abs(np.sin(0.5 * turned)).max() < 0.05
+
+
 @pytest.fixture
 def doubting(vehicle: Vehicle, controller: FlightController):
     """A flight that hovers on its way, with an estimator whose doubts can be set: (flight, estimator, events)."""
