@@ -449,8 +449,8 @@ def test_rotors_that_run_down_after_landing_do_not_upset_it() -> None:
 
 def test_a_reason_names_the_unit_of_its_number() -> None:
     assert describe_reason(g.REASON_FUSED_THOUGH_OFFSET, -0.0129, R_FIX).endswith("persistent offset of -0.0129 m")
-    assert describe_reason(g.REASON_FUSED_THOUGH_OFFSET, math.radians(-3.0), R_FIX, 3).startswith(
-        "persistent offset of -3 deg in heading;"
+    assert describe_reason(g.REASON_FUSED_THOUGH_OFFSET, math.radians(-3.0), R_FIX, 3).endswith(
+        "persistent offset of -3 deg in heading"
     )
     assert describe_reason(g.REASON_INNOVATION, 0.4, R_FIX, 1) == "differs from the estimate by 0.4 m"
     assert describe_reason(g.REASON_FROZEN, 0.5, R_FIX, 3) == "value frozen for 0.50 s"
