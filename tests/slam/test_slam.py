@@ -54,7 +54,11 @@ def _case(rng: np.random.Generator, noise: float) -> tuple:
 
 def test_the_covariance_of_a_pose_is_true() -> None:
     rng, nees = np.random.default_rng(1), []
-    bend, tilts, sigma = np.zeros((90, 2, 2)), np.diag([TILT**2, TILT**2, 1e-12, 1e-12]), np.full(90, 0.3)
+    bend, tilts, sigma = (
+        np.zeros((90, 2, 2)),
+        np.diag([TILT**2, TILT**2, 1e-12, 1e-12]),
+        np.full((90, 1, 1), 0.3**-2) * np.eye(2),
+    )
     for _ in range(200):
         view, points, pixels, seconds, truth = _case(rng, 0.3)
         pose = solve_pose(view, np.array([0.1, 0.0, 1.0, 0.3]), points, bend, tilts, pixels, seconds, sigma)

@@ -37,7 +37,7 @@ prior of the tilt bounds this drift. Therefore nothing is decided here: :class:`
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -121,6 +121,8 @@ class PoseEstimate:
         Residuals over their standard deviations.
     pixel_residuals : (n, 2) array
         Residuals, measured minus predicted (pixels).
+    prior_information, prior_gradient : (8, 8), (8,) arrays
+        Information of the prediction along directions that the pixels do not show, and its gradient at ``state``.
     """
 
     state: _Array
@@ -131,6 +133,8 @@ class PoseEstimate:
     residual_scale: float
     normalised_residuals: _Array
     pixel_residuals: _Array
+    prior_information: _Array = field(default_factory=lambda: np.zeros((POSE_SIZE, POSE_SIZE)))
+    prior_gradient: _Array = field(default_factory=lambda: np.zeros(POSE_SIZE))
 
     @property
     def inlier_mask(self) -> NDArray[np.bool_]:
@@ -236,7 +240,7 @@ def ransac_two_points(
 
 def solve_pose(
     view: ViewPrior, start: _Array, points: _Array, bend: _Array, tilts: _Array, pixels: _Array, seconds: _Array,
-    sigma: _Array,
+    information: _Array, predicted: _Array | None = None,
 ) -> PoseEstimate:  # fmt: skip
     """Estimate the pose of the camera by robust least squares.
 
@@ -255,17 +259,24 @@ def solve_pose(
         Undistorted pixels from the principal point.
     seconds : (n,) array
         Exposure times relative to the middle of the picture.
-    sigma : (n,) array
-        Standard deviations of the pixels along an axis.
+    information : (n, 2, 2) array
+        Information of the pixels (1/pixel^2); singular where a point has texture along one direction only.
+    predicted : (4, 4) array, optional
+        Prior information on N, E, height and heading about ``start``, for a floor with texture along one direction.
     """
     shakes = SHAKE_SIZE if view.shake_sigma_px > 0.0 else 0
     size = POSE_SIZE + shakes
     x = np.zeros(size)
     x[:PX_TILT] = start
     known = np.zeros(size)
+    known[:PX_TILT] = start
     known[PX_HEIGHT], known[PX_TILT:PX_KEYFRAME_TILT] = view.height_m, view.tilt_error_rad
     prior = np.zeros((size, size))
-    prior[PX_HEIGHT, PX_HEIGHT] = view.height_sigma_m**-2
+    odometry = np.zeros((POSE_SIZE, POSE_SIZE))
+    if predicted is not None:
+        odometry[:PX_TILT, :PX_TILT] = predicted
+    prior[:POSE_SIZE, :POSE_SIZE] += odometry
+    prior[PX_HEIGHT, PX_HEIGHT] += view.height_sigma_m**-2
     prior[PX_TILT:POSE_SIZE, PX_TILT:POSE_SIZE] = np.linalg.inv(tilts)
     if shakes:
         known[POSE_SIZE:] = view.shake_amplitudes_px
@@ -288,16 +299,20 @@ def solve_pose(
         bend,
         pixels,
         seconds,
-        sigma,
+        information,
         normal,
         off,
         weight,
         _MAX_ITERATIONS,
     )
-    ratio = np.sqrt((off**2).sum(axis=1) / 2.0) / sigma
-    free = max(1.0, 2.0 * weight.sum() - size)
+    square = np.einsum("ni,nij,nj->n", off, information, off)
+    trace = information[:, 0, 0] + information[:, 1, 1]
+    det = information[:, 0, 0] * information[:, 1, 1] - information[:, 0, 1] ** 2
+    numbers = (trace > 0.0).astype(float) + (det > 1e-8 * trace**2)  # that a point measures
+    ratio = np.sqrt(square / np.maximum(numbers, 1.0))
+    free = max(1.0, float((numbers * weight).sum()) - size)
     # For errors as modelled, the weights reduce the mean square to 0.846 (r^2 / 2 is exponential).
-    scale = math.sqrt(float((weight * 2.0 * ratio**2).sum()) / free / 0.846)
+    scale = math.sqrt(float((weight * square).sum()) / free / 0.846)
     loose = max(1.0, scale) ** 2
     # At the minimum the gradient of the pixels balances that of the prior.
     pull = -prior[:POSE_SIZE, :POSE_SIZE] @ (known - x)[:POSE_SIZE]
@@ -307,7 +322,28 @@ def solve_pose(
         seen = seen - cross @ np.linalg.solve(normal[POSE_SIZE:, POSE_SIZE:] + prior[POSE_SIZE:, POSE_SIZE:], cross.T)
     amplitudes = x[POSE_SIZE:] if shakes else np.zeros(SHAKE_SIZE)
     covariance = np.asarray(np.linalg.inv(seen / loose + prior[:POSE_SIZE, :POSE_SIZE]), np.float64)
-    return PoseEstimate(x[:POSE_SIZE], amplitudes, covariance, seen / loose, pull / loose, scale, ratio, off)
+    return PoseEstimate(
+        x[:POSE_SIZE], amplitudes, covariance, seen / loose, pull / loose, scale, ratio, off,
+        odometry, odometry @ (known - x)[:POSE_SIZE],
+    )  # fmt: skip
+
+
+def predict_pixels(
+    view: ViewPrior, state: _Array, shakes: _Array, points: _Array, bend: _Array, seconds: _Array
+) -> _Array:
+    """Return the pixels (n, 2), from the principal point, in which a pose (8,) sees points of the floor.
+
+    Arguments are those of :func:`solve_pose`; ``shakes`` (8,) are the vibration amplitudes (pixels).
+    """
+    size, n = POSE_SIZE + SHAKE_SIZE, len(points)
+    off = np.empty((n, 2))
+    _minimise_residuals(
+        np.concatenate([state, shakes]), view.focal_px, view.body_from_camera, view.roll_rad, view.pitch_rad,
+        view.body_rates_rad_s, view.velocity_m_s, view.rotor_speeds_rad_s, view.rotor_phases_rad, np.zeros(size),
+        np.zeros((size, size)), points, bend, np.zeros((n, 2)), seconds, np.zeros((n, 2, 2)), np.empty((size, size)),
+        off, np.empty(n), 0,
+    )  # fmt: skip
+    return -off
 
 
 @cached_njit(error_model="numpy")
@@ -349,7 +385,7 @@ def _minimise_residuals(
     bend: _Array,
     pixels: _Array,
     seconds: _Array,
-    sigma: _Array,
+    information: _Array,
     normal: _Array,
     off: _Array,
     weight: _Array,
@@ -412,17 +448,17 @@ def _minimise_residuals(
                     row[0, j], row[0, j + 1], row[0, y], row[0, y + 1] = co * uu, si * uu, co * uv, si * uv
                     row[1, j], row[1, j + 1], row[1, y], row[1, y + 1] = co * uv, si * uv, co * vv, si * vv
             off[i, 0], off[i, 1] = pixels[i, 0] - px, pixels[i, 1] - py
-            loose = (off[i, 0] ** 2 + off[i, 1] ** 2) / (2.0 * sigma[i] ** 2)
+            xx, xy, yy = information[i, 0, 0], information[i, 0, 1], information[i, 1, 1]
+            force_x, force_y = xx * off[i, 0] + xy * off[i, 1], xy * off[i, 0] + yy * off[i, 1]
+            loose = 0.5 * (off[i, 0] * force_x + off[i, 1] * force_y)
             weight[i] = 1.0 / (1.0 + loose / (_CAUCHY_SCALE * _CAUCHY_SCALE))
-            w = weight[i] / sigma[i] ** 2
-            for k in range(2):
-                for a_ in range(size):
-                    h = w * row[k, a_]
-                    if h == 0.0:
-                        continue
-                    right[a_] += h * off[i, k]
-                    for b_ in range(size):
-                        normal[a_, b_] += h * row[k, b_]
+            w = weight[i]
+            for a_ in range(size):
+                hx = w * (xx * row[0, a_] + xy * row[1, a_])
+                hy = w * (xy * row[0, a_] + yy * row[1, a_])
+                right[a_] += hx * off[i, 0] + hy * off[i, 1]
+                for b_ in range(size):
+                    normal[a_, b_] += hx * row[0, b_] + hy * row[1, b_]
         if turn == rounds:
             break
         m = normal + prior

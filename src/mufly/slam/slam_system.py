@@ -49,6 +49,8 @@ from mufly.slam.image_tools import (
     warp_over_picture,
     warp_picture,
 )
+from mufly.slam.images.direct_alignment import FloorPoints, add_point_errors, align_picture, floor_axes
+from mufly.slam.images.patch_information import measure_patches, remove_background
 from mufly.slam.keyframe_map import FloorMap, Keyframe, compose_pose, remove_pose_fit, view_overlap
 from mufly.slam.place_recognition import MIN_INLIERS, correlate_pictures, is_unambiguous, relocalize_by_orb
 from mufly.slam.pose_graph import (
@@ -86,6 +88,19 @@ _STRAY_PX = 5.0  # maximum unexplained error of a point (pixels)
 _TILT_DRIFT_PER_HEIGHT = 0.005
 """Change of position between pictures by tilt errors, over the height (docs/log/2026-11-24-slam-accuracy.md)."""
 _LOST_AFTER_S, _RELOCALIZE_INTERVAL = 0.7, 4
+_MIN_TRACK_SIGMA_PX = 0.08  # least standard deviation of a tracked point
+_MAX_FREE_SIGMA_M = 5.0
+"""Largest standard deviation of a place along a direction without texture (m)."""
+_MAX_STRIPE_RESIDUAL = 1.7  # of a floor with texture along one direction, where the next stripe looks the same
+_HEADING_DRIFT_RAD_S = 0.01  # of integrated rates
+_USUAL_ROTOR_SPEED_RAD_S = 400.0  # where it is not reported
+_WEAK_SIGNIFICANCE = 1.7  # of the texture, below which a new keyframe follows earlier
+_CAUTION_AFTER_S = 0.1  # of results without texture along one direction
+_STRIPES_REASON = "the floor shows texture along one direction only"
+_MIN_TRACKED_SHARE = 0.75  # of the points in view, below which all patches are aligned together
+MAX_KNOWN_SIGMA = (0.5, 0.5, 0.5, 0.5)
+"""Standard deviations of N, E, D (m) and heading (rad) from which an axis counts as unknown."""
+_NO_DIRECTION = np.zeros((0, 2))
 _MIN_CONFIRMATIONS = 3
 _SHAKE_GAIN, _SHAKE_LEARNED_FRAMES, _SHAKE_REMAINING_SHARE = 0.02, 150, 0.3
 """Learning of the vibration: weight of a picture, number of pictures, and remaining share of the uncertainty."""
@@ -112,13 +127,16 @@ class TrackingResult:
     heading : float
         Heading (rad).
     covariance : (4, 4) array
-        Covariance of N, E, D, heading.
+        Covariance of N, E, D, heading. Along a direction without texture it is that of the prediction.
     keyframe : int
         Number of the matched keyframe.
     tracked_count, inlier_count : int
         Tracked points, inliers.
     inlier_pixels : (n, 2) array
         Inliers in the undistorted picture.
+    texture_bound_m : float
+        Cramer-Rao bound of the place, by the contrast of the floor against the noise of both pictures (m), along the
+        least known direction with texture.
     residual_ratio : float
         Ratio of the residuals to their expected size.
     is_new_keyframe, is_loop_closed : bool
@@ -136,8 +154,15 @@ class TrackingResult:
     inlier_count: int = 0
     inlier_pixels: _Array = field(default_factory=lambda: np.zeros((0, 2)), repr=False)
     residual_ratio: float = math.nan
+    texture_bound_m: float = math.nan
     is_new_keyframe: bool = False
     is_loop_closed: bool = False
+
+    @property
+    def known_axes(self) -> NDArray[np.bool_]:
+        """Mask (4,) of N, E, D and heading: whether the deviation is below :data:`MAX_KNOWN_SIGMA`."""
+        known: NDArray[np.bool_] = np.diag(self.covariance) < np.square(MAX_KNOWN_SIGMA)
+        return known
 
 
 @dataclass(frozen=True)
@@ -149,9 +174,17 @@ class _KeyframeMatch:
     inlier_indices: NDArray[np.intp]  # indices of the inliers
     inlier_pixels: _Array  # inliers in the undistorted picture
     exposure_offsets_s: _Array
-    pixel_sigmas: _Array
+    pixel_information: _Array  # (n, 2, 2), with the points' own errors
     tracked_count: int
     shift_px: float  # difference to the prediction (pixels)
+    unknown: _Array  # unit vectors N, E (k, 2) of directions without texture
+    bound_px: _Array  # Cramer-Rao bound of the shift of all patches in two directions
+    significance: float  # of the texture along the least known direction, 1 at the least
+
+    def bound_m(self, view: ViewPrior) -> float:
+        """Return the Cramer-Rao bound of the place along the least known direction with texture (m)."""
+        bounds = self.bound_px[np.isfinite(self.bound_px) & (self.bound_px > 0.0)]
+        return float(bounds.max(initial=0.0)) * view.height_m / view.focal_px or math.nan
 
     @property
     def graph_node(self) -> _Array:
@@ -206,6 +239,7 @@ class SlamSystem:
         # Predicted errors of tilt and sonar, and their correlation with those of the newest keyframe
         self._predicted_errors, self._error_transition = np.zeros(3), [np.zeros(3), np.ones(3)]
         self._odometry: Odometry | None = None  # since the last result
+        self._known_odometry: Odometry | None = None  # since the last result with texture in all directions
         self._last_time_s = math.nan
         self._position_sigma_m = 0.0  # of the predicted position (m)
         self._frame_count = self._frames_since_loop_check = 0
@@ -239,6 +273,8 @@ class SlamSystem:
         if self._odometry is None:
             return self._relocalize(frame, view, picture, "not found in the map yet")
         self._odometry = self._odometry.advance_to(frame.time_s, frame.vehicle_estimate)
+        if self._known_odometry is not None:
+            self._known_odometry = self._known_odometry.advance_to(frame.time_s, frame.vehicle_estimate)
         elapsed = self._odometry.elapsed_s
         node = self._predict_node(frame, view, self._odometry)
         pixels_off = self._position_sigma_m / view.height_m * view.focal_px
@@ -369,17 +405,42 @@ class SlamSystem:
         seen, correlation, sigma = track_points(template, picture, there[use], straight.smoothing_sigma_px, looked)
         good = (correlation > MIN_CORRELATION) & (sigma < 1.5)
         good &= is_in_mask(straight.valid_mask, seen) & (np.hypot(*(seen - there[use]).T) < reach)
-        if good.sum() < MIN_INLIERS:
-            return None
+        flat = remove_background(template), remove_background(picture)
+        points = FloorPoints(
+            self.floor_map.locate_points(k)[use],
+            self.floor_map.points_tilt_jacobian(k)[use],
+            tilts,
+            # In pixels of the present picture
+            np.sqrt(keyframe.variance[use]) * math.exp(at[LN_HEIGHT]) / view.height_m * view.focal_px,
+            there[use],
+            straight.exposure_offsets(there[use]),
+        )
+        match = None
+        if good.sum() >= MIN_INLIERS:
+            match = self._match_points(k, view, node, flat, points, use, good, seen, sigma, shift)
+        if match is not None and len(match.inlier_indices) >= _MIN_TRACKED_SHARE * len(use):
+            return match
+        # Few points of a weak floor are tracked, while all its patches together are known well.
+        direct = self._match_directly(k, view, node, flat, points, use, shift)
+        if direct is not None and (match is None or not len(direct.unknown)):
+            return direct
+        if match is None and not coarse and len(keyframe.pixels) >= MIN_INLIERS:
+            return self._match_keyframe(k, view, picture, node, coarse=True)
+        return match
+
+    def _match_points(
+        self, k: int, view: ViewPrior, node: _Array, flat: tuple[Any, Any], points: FloorPoints,
+        use: NDArray[np.intp], good: NDArray[np.bool_], seen: _Array, sigma: _Array, shift: float,
+    ) -> _KeyframeMatch | None:  # fmt: skip
+        """Match tracked points to keyframe ``k``; return None if they disagree, or show texture in one direction."""
+        straight, keyframe = self._undistorter, self.floor_map.keyframes[k]
         use, seen, sigma = use[good], seen[good], sigma[good]
+        places, bend, own = (q[good] for q in (points.positions_m, points.tilt_jacobian, points.sigma_px))
         seconds, pixels = straight.exposure_offsets(seen), seen - straight.principal_point
-        points = self.floor_map.locate_points(k)[use]
-        # In pixels of the present picture
-        own = np.sqrt(keyframe.variance[use]) * math.exp(at[LN_HEIGHT]) / view.height_m * view.focal_px
-        sigma = np.hypot(np.hypot(sigma, 0.08), own)
+        sigma = np.hypot(np.hypot(sigma, _MIN_TRACK_SIGMA_PX), own)
         rough = np.hypot(np.hypot(sigma, 0.5), self._shake_rms_px) / view.focal_px
         _, _, _, fits = ransac_two_points(
-            points[:, 0] + 1j * points[:, 1],
+            places[:, 0] + 1j * places[:, 1],
             normalised_rays(view, pixels, seconds, attitude_matrix(view), view.shake_amplitudes_px),
             rough,
             view.height_m,
@@ -389,19 +450,83 @@ class SlamSystem:
         if fits.sum() < MIN_INLIERS:
             return None
         begin = np.array([node[0], node[1], view.height_m, node[HEADING]])
-        bend = self.floor_map.points_tilt_jacobian(k)[use]
-        pose = solve_pose(view, begin, points[fits], bend[fits], tilts, pixels[fits], seconds[fits], sigma[fits])
+        isotropic = sigma[:, None, None] ** -2 * np.eye(2)
+        pose = solve_pose(
+            view, begin, places[fits], bend[fits], points.tilt_covariance, pixels[fits], seconds[fits], isotropic[fits]
+        )
         if pose.inlier_mask.sum() < MIN_INLIERS:
             return None
         keep = np.nonzero(fits)[0][pose.inlier_mask]
+        # Tracks fit the noise of their patch, so the texture is measured where the pose expects each point.
+        expected = seen[keep] - pose.pixel_residuals[pose.inlier_mask]
+        axes = floor_axes(view, pose.state, pose.shake_amplitudes_px, places[keep], bend[keep], seconds[keep])
+        patches = measure_patches(
+            *flat, points.template_pixels[good][keep], expected, straight.smoothing_sigma_px, axes,
+            row_slope=self._row_slope(view), caution=self._caution,
+        )  # fmt: skip
+        if not patches.known.all():
+            return None
+        information = add_point_errors(patches.information, np.hypot(own[keep], _MIN_TRACK_SIGMA_PX))
         pose = solve_pose(
-            view, pose.state[:PX_TILT], points[keep], bend[keep], tilts, pixels[keep], seconds[keep], sigma[keep]
-        )
+            view, pose.state[:PX_TILT], places[keep], bend[keep], points.tilt_covariance, pixels[keep], seconds[keep],
+            information,
+        )  # fmt: skip
         out = np.ones(len(use), bool)
         out[keep] = False
         keyframe.missed[use[out]] += 1
         keyframe.missed[use[keep]] = np.maximum(keyframe.missed[use[keep]] - 2, -4)
-        return _KeyframeMatch(k, pose, use[keep], seen[keep], seconds[keep], sigma[keep], len(use), shift)
+        return _KeyframeMatch(
+            k, pose, use[keep], seen[keep], seconds[keep], information, len(use), shift, _NO_DIRECTION,
+            patches.bound_px, float(patches.significance.min()),
+        )  # fmt: skip
+
+    def _match_directly(
+        self, k: int, view: ViewPrior, node: _Array, flat: tuple[Any, Any], points: FloorPoints,
+        use: NDArray[np.intp], shift: float,
+    ) -> _KeyframeMatch | None:  # fmt: skip
+        """Match all patches of a picture to keyframe ``k`` together; return None without texture in any direction."""
+        straight = self._undistorter
+        begin = np.array([node[0], node[1], view.height_m, node[HEADING]])
+        points = points._replace(sigma_px=np.hypot(points.sigma_px, _MIN_TRACK_SIGMA_PX))
+        found = align_picture(
+            view,
+            begin,
+            *flat,
+            points,
+            straight.principal_point,
+            straight.smoothing_sigma_px,
+            self._free_sigma(),
+            self._row_slope(view),
+            self._caution,
+        )
+        if found is None:
+            return None
+        keep = np.nonzero(found.pose.inlier_mask & (np.trace(found.information, axis1=1, axis2=2) > 0.0))[0]
+        if len(keep) < MIN_INLIERS:
+            return None
+        return _KeyframeMatch(
+            k, found.pose, use[keep], found.pixels[keep], points.exposure_offsets_s[keep], found.information[keep],
+            len(use), shift, found.unknown, found.patches.bound_px, float(found.patches.significance.min()),
+        )  # fmt: skip
+
+    @property
+    def _caution(self) -> float:
+        """Factor on the texture that a direction needs: larger after results without texture along it."""
+        known, latest = self._known_odometry, self._odometry
+        striped = known is None or latest is None or known.elapsed_s > latest.elapsed_s + _CAUTION_AFTER_S
+        return 2.0 if striped else 1.0
+
+    def _row_slope(self, view: ViewPrior) -> float:
+        """Return the rms slope by which vibration bends vertical lines in a rolling shutter."""
+        row_s = float(self.camera.shutter.readout) / self.camera.sensor.height
+        return self._shake_rms_px * row_s * float(view.rotor_speeds_rad_s.max(initial=_USUAL_ROTOR_SPEED_RAD_S))
+
+    def _free_sigma(self) -> tuple[float, float]:
+        """Return the deviations of the predicted place (m) and heading (rad) since a picture showed both directions."""
+        if self._known_odometry is None:
+            return _MAX_FREE_SIGMA_M, 0.1
+        sigma_m = 0.005 + self._known_odometry.predict_displacement(self._velocity_m_s)[1]
+        return min(_MAX_FREE_SIGMA_M, sigma_m), 0.003 + _HEADING_DRIFT_RAD_S * self._known_odometry.elapsed_s
 
     def _floor_homography(self, k: int, view: ViewPrior, node: _Array) -> _Array:
         """Return the homography over the floor from a keyframe's undistorted picture to the view from a node."""
@@ -434,22 +559,25 @@ class SlamSystem:
     def _rejection_reason(self, match: _KeyframeMatch | None, view: ViewPrior, node: _Array) -> str:
         """Return the reason not to trust a match; "" if it is trusted."""
         if match is None:
-            return "too little of the floor is recognised"
+            return _STRIPES_REASON if self._caution > 1.0 else "too little of the floor is recognised"
         pose = match.pose
         if len(match.inlier_indices) < max(MIN_INLIERS, 0.4 * match.tracked_count):
             return f"only {len(match.inlier_indices)} of {match.tracked_count} points agree"
-        if pose.residual_scale > 4.0:
+        if pose.residual_scale > (_MAX_STRIPE_RESIDUAL if len(match.unknown) else 4.0):
             return "points scatter more than they may"
-        sigma = math.sqrt(max(pose.covariance[0, 0], pose.covariance[1, 1]))
+        # Along directions without texture there is nothing to check.
+        known = np.eye(2) - match.unknown.T @ match.unknown
+        sigma = math.sqrt((known @ pose.covariance[:2, :2] @ known).diagonal().max())
         if sigma > 0.1 + 0.03 * view.height_m:
             return "the place is not known well enough"
-        way = pose.state[:2] - node[:2]
+        way = known @ (pose.state[:2] - node[:2])
         off = math.hypot(*way)
         if off > 4.0 * (self._position_sigma_m + sigma) + 0.08 * view.height_m:
             return f"{off:.2f} m off from where it should be"
         if self._odometry is None or not self._odometry.has_all_velocities or self._odometry.last_info.place is None:
             return ""  # there is no ambiguity test for a map that cannot be restarted
-        alike = self.floor_map.repeat_offsets(match.keyframe, view.focal_px)
+        alike = self.floor_map.repeat_offsets(match.keyframe, view.focal_px) @ known
+        alike = alike[np.hypot(*alike.T) > 0.03 * view.height_m]
         unsure = math.hypot(self._position_sigma_m, math.sqrt(2.0) * sigma, _TILT_DRIFT_PER_HEIGHT * view.height_m)
         if not is_unambiguous(way, alike, unsure):
             nearest = np.hypot(*alike.T).min()
@@ -463,7 +591,8 @@ class SlamSystem:
         elapsed, node = self._odometry.elapsed_s, match.graph_node
         if 0.0 < elapsed < 0.5:
             gain = min(1.0, 3.0 * elapsed)
-            self._velocity_m_s = self._velocity_m_s + gain * (
+            known = np.eye(2) - match.unknown.T @ match.unknown
+            self._velocity_m_s = self._velocity_m_s + gain * known @ (
                 (node[:2] - self._last_node[:2]) / elapsed - self._velocity_m_s
             )
         else:
@@ -473,13 +602,15 @@ class SlamSystem:
             Odometry(frame.time_s, frame.vehicle_estimate),
             match.keyframe,
         )
+        if not len(match.unknown):
+            self._known_odometry = self._odometry
         self._found_poses = []
         self._refine_keyframe(view, match)
         made = closed = False
         share = view_overlap(
             self.floor_map.nodes[match.keyframe], node, self._view_width_ratio, self._view_height_ratio
         )
-        few = share < 0.85 and len(match.inlier_indices) < FEW_INLIERS
+        few = share < 0.85 and (len(match.inlier_indices) < FEW_INLIERS or match.significance < _WEAK_SIGNIFICANCE)
         if (share < NEW_KEYFRAME_OVERLAP or few) and len(match.inlier_indices) >= MIN_INLIERS:
             made = self._insert_keyframe(frame, view, picture, match)
         self._frames_since_loop_check += 1
@@ -510,13 +641,18 @@ class SlamSystem:
         tilt = self.floor_map.nodes[match.keyframe, TILT] + match.pose.keyframe_tilt_error_rad - keyframe.tilt
         move = d_rays_d_tilt(keyframe.slopes[match.inlier_indices]) @ tilt
         to_keyframe = to_keyframe - (move[:, 0] + 1j * move[:, 1])
+        # Root mean square of both axes; a point with texture along one direction is not refined.
+        information = match.pixel_information
+        det = np.linalg.det(information)
+        sigmas = np.sqrt(0.5 * np.trace(information, axis1=1, axis2=2) / np.maximum(det, 1e-12))
+        sigmas = np.where(det > 1e-8, sigmas, 100.0)
         # Residuals that pose and tilt errors can explain are not the floor's shape.
         own = keyframe.slopes[match.inlier_indices]
-        to_keyframe = own + remove_pose_fit(to_keyframe - own, own, seen, 1.0 / match.pixel_sigmas)
+        to_keyframe = own + remove_pose_fit(to_keyframe - own, own, seen, 1.0 / sigmas)
         keyframe.refine_points(
             match.inlier_indices,
             to_keyframe,
-            (match.pixel_sigmas * ratio / view.focal_px) ** 2 + 1e-12,
+            (sigmas * ratio / view.focal_px) ** 2 + 1e-12,
             view.focal_px,
         )
 
@@ -571,9 +707,11 @@ class SlamSystem:
             return TrackingResult(frame.time_s, False, "no corners on the floor to begin a map with, or too bright")
         self._reference_index = self.floor_map.add_keyframe(keyframe, self._node_from_pose(pose), [])
         self._last_node = self.floor_map.nodes[self._reference_index, PLACE].copy()
-        self._odometry = Odometry(frame.time_s, frame.vehicle_estimate)
+        self._odometry = self._known_odometry = Odometry(frame.time_s, frame.vehicle_estimate)
         nobody = np.zeros(0, np.intp)
-        match = _KeyframeMatch(0, pose, nobody, np.zeros((0, 2)), np.zeros(0), np.zeros(0), 0, 0.0)
+        match = _KeyframeMatch(
+            0, pose, nobody, np.zeros((0, 2)), np.zeros(0), np.zeros((0, 2, 2)), 0, 0.0, _NO_DIRECTION, np.zeros(2), 1.0
+        )
         answer = self._make_result(frame, view, match, True, False)
         if frame.vehicle_estimate.place is None:
             return answer
@@ -714,8 +852,8 @@ class SlamSystem:
             match.keyframe,
             second,
             np.concatenate([relative_pose(at, match.graph_node), tilt, pose.tilt_error_rad]),
-            change.T @ pose.pixel_information @ change / VARIANCE_INFLATION,
-            change.T @ pose.pixel_gradient / VARIANCE_INFLATION,
+            change.T @ (pose.pixel_information / VARIANCE_INFLATION + pose.prior_information) @ change,
+            change.T @ (pose.pixel_gradient / VARIANCE_INFLATION + pose.prior_gradient),
             closes,
         )
 
@@ -775,6 +913,7 @@ class SlamSystem:
         self._position_sigma_m = spread
         if (
             other is None
+            or len(other.unknown)
             or len(other.inlier_indices) < max(1.5 * MIN_INLIERS, 0.5 * other.tracked_count)
             or other.pose.residual_scale > 3.0
         ):
@@ -803,12 +942,16 @@ class SlamSystem:
         else:
             at = self.floor_map.nodes[here]
             tilts = np.concatenate([pose.tilt_error_rad - view.tilt_error_rad, pose.keyframe_tilt_error_rad])
-            seen, pull = pose.pixel_information / VARIANCE_INFLATION, pose.pixel_gradient / VARIANCE_INFLATION
+            seen = pose.pixel_information / VARIANCE_INFLATION + pose.prior_information
+            pull = pose.pixel_gradient / VARIANCE_INFLATION + pose.prior_gradient
             belief, height = (
                 self.floor_map.predict_covariance(here, *self._error_transition),
                 math.log(view.height_m) - self._predicted_errors[2],
             )
             node, known = fuse_pose(at[PLACE], belief, match.graph_node, tilts, seen, pull, height)
+        for u in match.unknown:  # at least the variance of the prediction since the direction was seen
+            along = np.concatenate([u, np.zeros(2)])
+            known = known + max(0.0, self._free_sigma()[0] ** 2 - along @ known @ along) * np.outer(along, along)
         lever = attitude_matrix(view, pose.tilt_error_rad, node[HEADING]) @ self._camera_position_m
         h = math.exp(node[LN_HEIGHT])
         position = np.array([node[0] - lever[0], node[1] - lever[1], -h - lever[2]])
@@ -818,7 +961,8 @@ class SlamSystem:
         heading = (node[HEADING] + math.pi) % (2 * math.pi) - math.pi
         return TrackingResult(
             frame.time_s, True, "", position, heading, to @ known @ to.T, here,
-            match.tracked_count, len(match.inlier_indices), match.inlier_pixels, pose.residual_scale, made, closed,
+            match.tracked_count, len(match.inlier_indices), match.inlier_pixels, pose.residual_scale,
+            match.bound_m(view), made, closed,
         )  # fmt: skip
 
     # ------------------------------------------------------------------ Relocalisation
@@ -839,7 +983,12 @@ class SlamSystem:
         known = len(self.floor_map.keyframes) - (self._trial_frame_count > 0)
         node = relocalize_by_orb(self.floor_map, known, view, picture, self._undistorter, self._shake_rms_px, self._rng)
         match = None if node is None else self._match_keyframe(node[0], view, picture, node[1])
-        if match is None or len(match.inlier_indices) < 1.5 * MIN_INLIERS or match.pose.residual_scale > 3.0:
+        if (
+            match is None
+            or len(match.unknown)
+            or len(match.inlier_indices) < 1.5 * MIN_INLIERS
+            or match.pose.residual_scale > 3.0
+        ):
             return None
         here = match.graph_node
         if found and math.hypot(*(here[:2] - found[-1][1][:2])) > 0.1 + 1.0 * (frame.time_s - found[-1][0]):

@@ -43,6 +43,8 @@ class SlamTrajectory:
         Number of pictures.
     reasons : dict
         Reasons for pictures without a result, and their counts.
+    texture_bound_m : float
+        Median of the Cramer-Rao bounds of the place (m), NaN if unknown.
     """
 
     time: _Array
@@ -51,6 +53,14 @@ class SlamTrajectory:
     covariance: _Array
     pictures: int
     reasons: dict[str, int]
+    texture_bound_m: float = np.nan
+
+    @property
+    def position_sigma_m(self) -> float:
+        """Median of the largest horizontal standard deviation (m)."""
+        if not len(self.time):
+            return float("nan")
+        return float(np.median(np.sqrt(np.linalg.eigvalsh(self.covariance[:, :2, :2])[:, -1])))
 
     def to_dataset(self) -> xr.Dataset:
         """Return the trajectory as a table over its times."""
@@ -86,7 +96,13 @@ def collect_results(answers: Iterable[TrackingResult]) -> SlamTrajectory:
     return SlamTrajectory(
         np.array([a.time_s for a in good]), np.array([a.position for a in good]).reshape(-1, 3),
         np.array([a.heading for a in good]), np.array([a.covariance for a in good]).reshape(-1, 4, 4), count, reasons,
+        _median([a.texture_bound_m for a in good]),
     )  # fmt: skip
+
+
+def _median(values: list[float]) -> float:
+    finite = [v for v in values if np.isfinite(v)]
+    return float(np.median(finite)) if finite else float("nan")
 
 
 def run_slam(

@@ -317,6 +317,8 @@ def run(
         "missed": missed,
         "keyframes": len(slam.floor_map.keyframes),
         "closures": sum(e.is_loop_closure for e in slam.floor_map.edges),
+        "texture_bound_m": found.texture_bound_m,
+        "position_sigma_m": found.position_sigma_m,
         "errors": result,
         "stopped_by": str(failed[0]) if failed else "",
     }
@@ -324,6 +326,11 @@ def run(
     def print_result() -> None:
         print_lines(f"{len(found.time)} of {found.pictures} pictures have a position")
         print_lines(f"{content['keyframes']} keyframes, {content['closures']} loops closed")
+        if math.isfinite(found.texture_bound_m):
+            print_lines(
+                f"place known to {1e3 * found.position_sigma_m:.1f} mm (median); contrast against noise alone bounds a "
+                f"picture to {1e3 * found.texture_bound_m:.2f} mm (Cramer-Rao)"
+            )
         print_lines(*(f"  {n} not: {why}" for why, n in sorted(found.reasons.items(), key=lambda r: -r[1])))
         print_lines(*(f"  {line}" for line in missed))
         if result is not None:
