@@ -24,8 +24,8 @@ from fly_on_estimates import told
 from mufly.camera import load_camera
 from mufly.firmware import GenericFirmwareSoftware
 from mufly.flight import fly_mission
-from mufly.flight.camera_sensor import CameraConfig
-from mufly.flight.onboard_camera import parse_camera_fault
+from mufly.flight.fixes.camera_sensor import CameraConfig
+from mufly.flight.fixes.onboard_camera import parse_camera_fault
 from mufly.mission import load_mission
 from mufly.slam import TrackingResult
 

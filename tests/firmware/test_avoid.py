@@ -14,7 +14,8 @@ import pytest
 from mufly.control import design_flight_controller
 from mufly.errors import InputError
 from mufly.firmware import Firmware
-from mufly.firmware.compiled_software import _read_path_check, diff_fields
+from mufly.firmware.compiled_software import diff_fields
+from mufly.firmware.software_instance import read_path_check
 from mufly.mission import avoidance, detour, load_mission, parse_mission, phases, state_machine
 from mufly.portable_math import exp_decay
 from mufly.vehicle import load_vehicle
@@ -96,7 +97,7 @@ class Twin:
         return c
 
     def same_sight(self, s: avoidance.PathCheck, c) -> None:
-        assert diff_fields(s, _read_path_check(c)) == []
+        assert diff_fields(s, read_path_check(c)) == []
 
     def insert_beam_hits(self, memory, beams, time_s, position, attitude, ranges, first=0, count=None):
         self.asked["insert_beam_hits"] += 1

@@ -17,9 +17,9 @@ from mufly.errors import MuflyError
 from mufly.estimate import Estimate, KalmanEstimator
 from mufly.estimate.filter_records import EX_FIX_BIAS
 from mufly.flight import Flight, FlightEvent, fly_mission, read_recording, replay_estimator
-from mufly.flight.camera_sensor import CameraConfig, CameraSensor, make_camera, with_camera
-from mufly.flight.external_fixes import ExternalFixes
-from mufly.flight.onboard_camera import PictureStream, parse_camera_fault
+from mufly.flight.fixes.camera_sensor import CameraConfig, CameraSensor, make_camera, with_camera
+from mufly.flight.fixes.external_fixes import ExternalFixes
+from mufly.flight.fixes.onboard_camera import PictureStream, parse_camera_fault
 from mufly.mission import load_mission
 from mufly.sensors import Reading, Truth
 from mufly.slam import (
@@ -243,7 +243,7 @@ def test_answers_come_late_with_the_time_of_their_picture(monkeypatch: pytest.Mo
 
         def close(self) -> None: ...
 
-    monkeypatch.setattr("mufly.flight.camera_sensor.SlamProcess", Stub)
+    monkeypatch.setattr("mufly.flight.fixes.camera_sensor.SlamProcess", Stub)
     sensor = CameraSensor(
         CameraConfig(load_camera("webcam"), camera_faults=(parse_camera_fault("unplugged@1s"),)),
         load_vehicle("mufly-1.1"),

@@ -14,7 +14,7 @@ from mufly.estimate import AuxiliaryStates, Estimate, measured_tilt
 from mufly.firmware import FirmwareSoftware, GenericFirmwareSoftware
 from mufly.flight import Flight
 from mufly.flight.flight_software import FlightSoftware
-from mufly.flight.simulated_flight import align_and_start
+from mufly.flight.mission_flight import align_and_start
 from mufly.mission import Command, Mission, SetPoint, parse_mission
 from mufly.vehicle import Vehicle, load_vehicle
 

@@ -26,7 +26,7 @@ def report() -> dict[str, object]:
     from mufly.estimate.filter_records import ERROR_STATES
     from mufly.estimate.sensor_status import AuxiliaryStates, SensorStatus, describe_reason
     from mufly.flight.record.recorder import FlightRecorder
-    from mufly.flight.sensor_recording import iterate_readings, make_sensed_row_writer
+    from mufly.flight.record.sensor_recording import iterate_readings, make_sensed_row_writer
     from mufly.flight.simulated_plant import Actuators
     from mufly.link import mavlink
     from mufly.link.command_protocol import FAILURE_NAMES

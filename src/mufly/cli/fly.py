@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from mufly.flight import FlightProgress, FlightSummary
-    from mufly.flight.camera_sensor import CameraConfig
+    from mufly.flight.fixes.camera_sensor import CameraConfig
     from mufly.flight.flight_software import ControlImplementation
     from mufly.link import Endpoint, VehicleProcess
     from mufly.mission import Mission
@@ -188,8 +188,8 @@ def _make_camera(
     if sensors == "ideal":
         raise InputError("--position", "", "the true state needs no camera", "leave out --sensors ideal")
     from mufly.camera import FLOOR_KINDS, load_camera, parse_address
-    from mufly.flight.camera_sensor import CameraConfig
-    from mufly.flight.onboard_camera import parse_camera_fault
+    from mufly.flight.fixes.camera_sensor import CameraConfig
+    from mufly.flight.fixes.onboard_camera import parse_camera_fault
     from mufly.slam import load_opencv
 
     if position == "camera":
@@ -316,7 +316,7 @@ def fly_mission(
             remedy = "add --link, as --link udpin:127.0.0.1:14560"
             raise InputError("--position", "", "has no source of positions", remedy)
         if order.camera is not None and not order.has_external_position:
-            from mufly.flight.camera_sensor import with_camera
+            from mufly.flight.fixes.camera_sensor import with_camera
 
             with_camera(order.vehicle, order.camera.camera)
         # A vehicle flown by the controllers of another is checked as that other vehicle.

@@ -42,6 +42,7 @@ from mufly.estimate.filter_records import (
 from mufly.estimate.output_predictor import COVARIANCE_INTERVAL_TICKS
 from mufly.estimate.sensor_checks import ACTUATOR_START, CLIPPING_START, VALUE_COUNT
 from mufly.estimate.sensor_status import AuxiliaryStates, LazySensorStatuses, SensorStatus
+from mufly.numba_cache import cached_njit
 from mufly.quantities import CHECKED_READINGS
 from mufly.sensors import Reading, Readings
 from mufly.vehicle import Vehicle
@@ -72,6 +73,30 @@ def fitted_estimator(vehicle: Vehicle, world: World, rate_Hz: float) -> Estimato
     return KalmanEstimator(vehicle, world, rate_Hz)
 
 
+@cached_njit(error_model="numpy")
+def filter_ring_scan(scan: _Array, max_range_m: float, scans: _Array, ranges: _Array) -> None:
+    """Process a scan of the ring (n,): compute the median of each beam's last three readings.
+
+    The median removes single false detections, which would cause detours, and delays true ones by one reading.
+
+    Parameters
+    ----------
+    scan : (n,) array
+        Distances (m); a distance that is not finite counts as ``max_range_m``.
+    max_range_m : float
+        Maximum range of the ring (m).
+    scans : (3, n) array
+        The last three scans, overwritten.
+    ranges : (n,) array
+        Output: the medians (m).
+    """
+    for j in range(ranges.size):
+        c = scan[j] if math.isfinite(scan[j]) else max_range_m
+        a, b = scans[1, j], scans[2, j]
+        scans[0, j], scans[1, j], scans[2, j] = a, b, c
+        ranges[j] = max(min(a, b), min(max(a, b), c))
+
+
 class KalmanEstimator(Estimator):
     """The error-state Kalman filter of :mod:`mufly.estimate.ekf_step`.
 
@@ -90,6 +115,10 @@ class KalmanEstimator(Estimator):
     ----------
     uses_fix_covariance : bool
         Whether the covariance sent with a position fix is used as its accuracy.
+    reading_times : (SENSOR_COUNT,) array
+        Sampling time of the last reading of each sensor (s); NaN where there is none.
+    ring_scans, ranges : (3, n), (n,) arrays
+        The last three scans of the range ring, and their median, which is published (m).
     fix_correlation_s : float
         Correlation time of the errors of such fixes (s). With 0 the errors are white noise, and the random walk of the
         bias is that of the vehicle's file. Otherwise the covariance sets the size of the random walk, if larger than in
@@ -113,7 +142,9 @@ class KalmanEstimator(Estimator):
         self._fitted_indices = [k for k in range(SENSOR_COUNT) if self._settings["is_fitted"][k]]
         self._reading_indices = {CHECKED_READINGS[k]: k for k in self._fitted_indices}
         ring = vehicle.range_ring
-        self._empty_ranges = np.full(ring.count, float(ring.max_range))
+        self._max_range_m = float(ring.max_range)
+        self.ranges, self.ring_scans = np.empty(ring.count), np.empty((3, ring.count))
+        self.reading_times = np.empty(SENSOR_COUNT)
         self._beam_indices = fused_beam_indices(ring.count)
         # A record of an array is a view: the compiled step writes into the array.
         self._memory_array = np.zeros(1, memory_type(self._number_type))
@@ -158,12 +189,11 @@ class KalmanEstimator(Estimator):
         )
         self.backend.reset_memory(self._memory_array)
         self._period_count = 0
-        self._last_readings: dict[str, Reading] = {}
+        self.reading_times[:] = math.nan
+        self.ring_scans[:] = self.ranges[:] = self._max_range_m
         self._sensor_statuses: Sequence[SensorStatus] = ()
         self._published: tuple[Any, ...] = ()
         self._first_time_s = math.nan
-        self._last_pictures = [self._empty_ranges] * 3
-        self._filtered_ranges = self._empty_ranges
 
     def update(self, readings: Readings, acting: _Array | None = None) -> Estimate:
         self._fill_inputs(readings, acting)
@@ -182,7 +212,7 @@ class KalmanEstimator(Estimator):
             self._output_rates,
             self._output_angles,
             float(self._input_values[_VOLTAGE_START]),
-            self._filtered_ranges,
+            self.ranges.copy(),
             self._input_values[_ACCELERATION],
         )
 
@@ -212,27 +242,13 @@ class KalmanEstimator(Estimator):
             ),
         )  # fmt: skip
 
-    def _filter_ranges(self, seen: _Array) -> None:
-        """Process the ranges of the ring: compute the median of each beam's last three readings.
-
-        The median removes single false detections, which would cause detours, and delays true ones by one reading.
-        """
-        a, b, c = self._last_pictures = [
-            *self._last_pictures[1:],
-            np.where(np.isfinite(seen), seen, self._empty_ranges),
-        ]
-        self._filtered_ranges = np.maximum(np.minimum(a, b), np.minimum(np.maximum(a, b), c))
-
     def _fill_inputs(self, readings: Readings, acting: _Array | None) -> None:
         """Write the new readings into the input row."""
         self._input_values[ACTUATOR_START : ACTUATOR_START + 4] = 0.0 if acting is None else acting
         self._input_is_new[:] = 0
-        for k in self._fitted_indices:
-            r = readings.latest.get(CHECKED_READINGS[k])
-            if r is not None:
-                self._fill_reading(k, r, readings.time_s)
-        clipping = readings.latest.get("clipping")
-        self._input_values[CLIPPING_START:] = 0.0 if clipping is None else clipping.value
+        self.fill_readings(readings.latest, readings.time_s)
+        if "clipping" not in readings.latest:
+            self._input_values[CLIPPING_START:] = 0.0
 
     def fill_readings(self, said: Mapping[str, Reading], time_s: float) -> None:
         """Write readings of some sensors into the input row of this period."""
@@ -244,22 +260,21 @@ class KalmanEstimator(Estimator):
                 self._input_values[CLIPPING_START:] = r.value
 
     def _fill_reading(self, k: int, r: Reading, t: float) -> None:
-        """Write a new reading of one sensor into the input row."""
-        name, z = CHECKED_READINGS[k], self._input_values
-        before = self._last_readings.get(name)
-        if r is before or (before is not None and r.time_s == before.time_s):
+        """Write a reading of one sensor into the input row, if it is new."""
+        z, before_s = self._input_values, self.reading_times.item(k)
+        if r.time_s == before_s:
             return
-        self._last_readings[name] = r
+        self.reading_times[k] = r.time_s
         self._input_age[k] = t - r.time_s
         self._input_is_new[k] = 1 if r.valid else 2
         start = READING_STARTS[k]
         if k == R_RING:
             seen = np.asarray(r.value, dtype=np.float64)
-            self._filter_ranges(seen)
+            filter_ring_scan(seen, self._max_range_m, self.ring_scans, self.ranges)
             z[start : start + len(self._beam_indices)] = seen[self._beam_indices]
         else:
             if k == R_FIX and self.uses_fix_covariance:
-                self._set_fix_noise(r, 0.0 if before is None else r.time_s - before.time_s)
+                self._set_fix_noise(r, 0.0 if math.isnan(before_s) else r.time_s - before_s)
             offset = READING_OFFSETS[k]
             z[start : start + READING_WIDTHS[k]] = r.value - offset if offset else r.value
 
@@ -286,20 +301,7 @@ class KalmanEstimator(Estimator):
         s["fix_variance"], s["heading_variance"] = noise
         s["initial_sigma"][four] = np.sqrt(wander)
 
-    # Interface for the compiled loop, which writes the input row itself
-
-    def export_reading_state(self, taken: _Array, pictures: _Array, ranges: _Array) -> None:
-        """Write the times of the latest readings (s), the last three range readings (3, n; m) and the medians (n,)."""
-        taken[:] = math.nan
-        for name, reading in self._last_readings.items():
-            taken[self._reading_indices[name]] = reading.time_s
-        pictures[:], ranges[:] = self._last_pictures, self._filtered_ranges
-
-    def accept_external_readings(self, said: Mapping[str, Reading], pictures: _Array, ranges: _Array) -> None:
-        """Store readings that the compiled loop has written into the input row."""
-        self._last_readings |= {name: reading for name, reading in said.items() if name in self._reading_indices}
-        if "ranges" in said:
-            self._last_pictures, self._filtered_ranges = list(pictures.copy()), ranges.copy()
+    # Interface for the compiled loop, which writes the input row, the reading times and the ranges itself
 
     @property
     def reading_indices(self) -> Mapping[str, int]:
@@ -328,9 +330,9 @@ class KalmanEstimator(Estimator):
         return self._sensor_statuses
 
     @property
-    def ranges(self) -> _Array:
-        """Return the filtered ranges of the beams (m)."""
-        return self._filtered_ranges
+    def max_range_m(self) -> float:
+        """Return the maximum range of the range ring (m)."""
+        return self._max_range_m
 
     @property
     def input_row(self) -> tuple[_Array, NDArray[np.int32], _Array]:

@@ -4,6 +4,7 @@ from mufly.flight.autopilot import Autopilot
 from mufly.flight.controllers import Actuators, Controllers, controller_limits
 from mufly.flight.flight_software import FlightSoftware
 from mufly.flight.flight_state import FlightState
+from mufly.flight.mission_flight import ALIGNMENT_TIMEOUT_S, FlightProgress, fly_mission
 from mufly.flight.record.estimate_pictures import draw_checks, draw_estimate, draw_estimate_pictures
 from mufly.flight.record.flight_pictures import draw_flight
 from mufly.flight.record.flight_summary import FlightSummary, summarise_flight, summary_rows
@@ -16,14 +17,14 @@ from mufly.flight.record.sensor_log import (
     reading_errors,
     write_sensor_logs,
 )
-from mufly.flight.sensor_recording import (
+from mufly.flight.record.sensor_recording import (
     is_sensed,
     iterate_readings,
     list_truths,
     replace_estimates,
     replay_estimator,
 )
-from mufly.flight.simulated_flight import ALIGNMENT_TIMEOUT_S, Flight, FlightProgress, fly_mission
+from mufly.flight.simulated_flight import Flight
 from mufly.flight.simulated_plant import ControllerReference, SimulatedPlant, simulate_response
 from mufly.flight.tunable_parameters import TunableParameter
 from mufly.logs.mcap import FlightEvent, flight_layout, read_events, to_csv

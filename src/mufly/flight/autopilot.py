@@ -127,7 +127,7 @@ class Autopilot:
 
     def _reset_flight(self) -> None:
         self.crash_cause = ""
-        self._armed, self._armed_s, self._flight_begun_s = False, 0.0, 0.0
+        self._armed, self._armed_s = False, 0.0
         self._interruption, self._interruption_told = "", False
         self._rest_V = math.nan
         self._ran = False
@@ -192,14 +192,12 @@ class Autopilot:
             ):
                 self.log_event(text, level)
         if due:
-            if software.logged_count != self._logged:
-                self._forward_mission_events()
             self._check_after_step()
         # While the software has its motors off, what it gives is zero too.
         self._sent = actuators if self._armed or software.motors == "off" else _IDLE_ACTUATORS
         return self._sent
 
-    # many periods that others computed
+    # many periods of the compiled loop (mufly.firmware.quick)
 
     @property
     def has_pending_request(self) -> bool:
@@ -221,36 +219,26 @@ class Autopilot:
         for text, level in self._sensors.step(checks, self._period_s):
             self._emit_event(FlightEvent(time_s, state, text, level))
 
-    def account_for_periods(
-        self, estimate: Estimate | None, sent: Actuators, periods: int, due: int, tick: int, ran: bool
-    ) -> None:
-        """Take notice of periods that the flight software was stepped through by others; nothing was asked meanwhile.
+    def conclude_periods(self, estimate: Estimate | None, sent: Actuators, *, ran: bool | None, due: bool) -> None:
+        """Conclude periods in which the flight software was stepped and nothing was asked.
 
         Parameters
         ----------
         estimate : Estimate or None
-            Of the last; None: a period has begun in which it was not stepped.
+            Of the last period; None: the software was not stepped in it.
         sent : Actuators
-        periods, due, tick : int
-            How many, the last that ran the mission's logic (-1: none), and the last of all.
-        ran : bool
-            Whether the motors ran before the last.
+        ran : bool or None
+            Whether the motors ran as the mission's logic ran last before the last period; None: it did not run.
+        due : bool
+            Whether it ran in the last period.
         """
         if estimate is not None:
             self.observe_estimate(estimate)
         self._sent = sent
-        if due < 0:
-            return
-        if estimate is not None and due == tick:
-            if periods > self.software.mission_step_periods:
-                self._ran = ran
-            if self.software.logged_count != self._logged:
-                self._forward_mission_events()
-            self._check_after_step()
-        else:
+        if ran is not None:
             self._ran = ran
-            if self._armed and ran:
-                self._armed_s = due * self._period_s
+        if due:
+            self._check_after_step()
 
     def _collect_command(self) -> Command:
         """The signals for the mission logic: what was asked once, and what holds for as long as it is repeated."""
@@ -271,8 +259,10 @@ class Autopilot:
         return c
 
     def _check_after_step(self) -> None:
-        """What follows from how the step went: disarming, and leaving offboard."""
+        """What follows from a step of the mission's logic: events, disarming, and leaving offboard."""
         software = self.software
+        if software.logged_count != self._logged:
+            self._forward_mission_events()
         ran, self._ran = self._ran, software.motors != "off"
         if self._offboard and software.state not in ("offboard", "init"):
             self._offboard = False
@@ -280,12 +270,10 @@ class Autopilot:
         if not self._armed:
             return
         if ran and not self._ran:
-            ends = [e.text for e in software.mission_state.events[-4:] if e.time_s >= self._flight_begun_s]
+            ends = [e.text for e in software.mission_state.events[-4:] if e.time_s >= self._armed_s]
             self._note_interruption(next((text for text in ends if text in _INTERRUPTIONS), ""))
             self._set_disarmed()
-        elif self._ran:
-            self._armed_s = self._now
-        elif self._now - self._armed_s > AUTO_DISARM_S:
+        elif not self._ran and self._now - self._armed_s > AUTO_DISARM_S:
             self._set_disarmed()
             self.log_event(f"disarmed: no take-off within {AUTO_DISARM_S:g} s")
 
@@ -399,7 +387,7 @@ class Autopilot:
         if why:
             more = f" (and {len(why) - 1} more)" if len(why) > 1 else ""
             return reject_temporarily(why[0] + more)
-        self._armed, self._armed_s, self._flight_begun_s = True, self._now, self._now
+        self._armed, self._armed_s = True, self._now
         beware = (
             preflight_warning(self._estimate, self.software.plan.ring.max_range) if self._estimate is not None else ""
         )

@@ -1,13 +1,14 @@
-"""A flight that ticks: the true helicopter, its autopilot and the recorder, one period of the controllers at a time.
+"""A simulated flight: the true helicopter, its autopilot and the recorder, one period of the controllers at a time.
 
-One period at time ``t_k``::
+One period at time ``t_k``, in the stages of :mod:`mufly.flight.period_stages`::
 
     plant integrated from t_(k-1) to t_k under a_(k-2) and the wind
     truth(t_k) --> sensors --> readings --> estimator --> estimate --> autopilot.step --> actuators a_k
     a row of the recording, every second period (every one, on sensors)
 
 The actuators a_k take effect at t_(k+1): the delay of one period is that of a processor that needs the period to
-compute. Nothing here knows of the clock on the wall: :func:`fly_mission` ticks as fast as it can, a link in real time.
+compute. Nothing here knows of the clock on the wall: :func:`mufly.flight.mission_flight.fly_mission` steps as fast as
+it can, a link in real time.
 
 It flies on the true state, or on what the vehicle's own sensors say of that and a filter makes of it: ``sensors`` is
 ``"ideal"`` or ``"fitted"``. In Python, ideal is the default, since most that is asked there is about vehicle,
@@ -17,25 +18,24 @@ controllers and missions; the commands, which stand for the vehicle, fly on its 
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, cast
 
 import numpy as np
-import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from mufly.camera import CAMERA_FILE_NAME
 from mufly.control import FlightController, design_flight_controller
 from mufly.dynamics import DrydenWind, describe_model_excess, model_air_limits, standing_state
-from mufly.dynamics.model_state import POSITION, RS_CHARGE
+from mufly.dynamics.model_state import RS_CHARGE
 from mufly.errors import InputError
 from mufly.estimate import Estimate, Estimator, IdealEstimator, KalmanEstimator, fitted_estimator
 from mufly.flight.autopilot import Autopilot
-from mufly.flight.camera_sensor import (
+from mufly.flight.controllers import Actuators, Controllers
+from mufly.flight.fixes.camera_sensor import (
     LANDED_HEIGHT_M,
     CameraConfig,
     CameraSensor,
@@ -43,15 +43,15 @@ from mufly.flight.camera_sensor import (
     minimum_sonar_height,
     with_camera,
 )
-from mufly.flight.controllers import Actuators, Controllers
-from mufly.flight.external_fixes import ExternalFixes
+from mufly.flight.fixes.external_fixes import ExternalFixes
 from mufly.flight.flight_software import ControlImplementation, FlightSoftware
 from mufly.flight.flight_state import FlightState
+from mufly.flight.period_stages import BEGIN_PERIOD, CHECK_CONTACT, CONTINUE, DONE, PeriodClock, make_stepper
 from mufly.flight.record.recorder import FlightRecorder
-from mufly.flight.sensor_recording import FIX_DRIFT_ATTRIBUTE, make_sensed_row_writer
+from mufly.flight.record.sensor_recording import FIX_DRIFT_ATTRIBUTE, make_sensed_row_writer
 from mufly.flight.simulated_plant import SimulatedPlant, make_row_writer
 from mufly.logs.mcap import FlightEvent, flight_layout
-from mufly.mission import Mission, MissionEstimate, State, check_preflight, dump_mission, load_mission
+from mufly.mission import Mission, State, dump_mission, load_mission
 from mufly.sensors import (
     Fault,
     FittedSensors,
@@ -72,9 +72,6 @@ RECORD_RATE_HZ = 100.0
 RANGE_RING_RATE_HZ = 25.0
 AFTER_CRASH_S = 0.5
 """How long after a crash the motors go on (s): what is recorded of it."""
-
-ALIGNMENT_TIMEOUT_S = 15.0
-"""How long a mission waits on the floor for an estimate to fly by (s)."""
 
 GUST_LENGTH_M = 1.0
 _CURRENT_FILTER_S = 5.0
@@ -117,8 +114,8 @@ class Flight:
     brief : bool
         Record what a flight is judged by, at 100 Hz, and not what its sensors said.
     eye : Eye, optional
-        Fly on pictures (:mod:`mufly.flight.camera_sensor`) instead of the statistical position fix; on fitted sensors
-        only.
+        Fly on pictures (:mod:`mufly.flight.fixes.camera_sensor`) instead of the statistical position fix; on fitted
+        sensors only.
     outside_model_note : bool
         Fly on fixes that somebody gives to :attr:`outside_fixes`, by a link for instance; on fitted sensors only. With
         ``eye`` as well its pictures are sent to ``eye.stream``, for somebody who makes fixes of them.
@@ -249,6 +246,7 @@ class Flight:
         self._write_sensed = make_sensed_row_writer(self.recorder) if full else None
         self.record_periods = 1 if full else max(1, round(controller.rate_Hz / RECORD_RATE_HZ))
         self.acting_actuators = self.sent_actuators = Actuators.idle()
+        self.clock = PeriodClock()
         self.listener: Callable[[Truth, Estimate], None] = lambda truth, estimate: None
         self.listener_periods = 0  # periods; 0: nobody listens
         self._many: Callable[..., bool] | None = None
@@ -264,15 +262,13 @@ class Flight:
         self.sensors.reset()
         self.estimator.reset()
         self.plant.check_collision()
-        self._update_estimate(np.zeros(4))
+        self._is_estimated = False
+        self._measure()
+        self._estimate = self.estimator.update(self.readings, np.zeros(4))
         self.autopilot.observe_estimate(self._estimate)
         self.is_first_period, self._rests = True, False
-
-    def _update_estimate(self, acted: NDArray[np.floating[Any]]) -> None:
-        """From the truth of this instant to what the vehicle believes of it; it knows what acted until now."""
-        self._truth = self.plant.truth
-        self.readings = self.sensors.read(self._truth)
-        self._estimate = self.estimator.update(self.readings, acted.astype(np.float64, copy=False))
+        # The next period begins with an instant that a filter has heard of, and it hears of every instant once.
+        self._is_estimated = self.uses_fitted_sensors
 
     def _estimate_and_sonar(self) -> tuple[Estimate | None, float]:
         """What goes with a picture: the estimate of the period before, and what the sonar said last (m)."""
@@ -308,12 +304,17 @@ class Flight:
 
     def step_period(self) -> None:
         """Advance by one period of the controllers."""
-        acted, fresh = self.acting_actuators, self.is_first_period
-        self.is_first_period = False
-        if not fresh:
-            self.plant.advance_period(acted)
-            self.acting_actuators = self.sent_actuators
-        self.finish_period(acted.input_array, fresh)
+        if self.is_first_period:
+            self.finish_period(self.acting_actuators.input_array)
+        else:
+            self.clock.stage = BEGIN_PERIOD
+            _run_stages(self)
+
+    def finish_period(self, acted: NDArray[np.floating[Any]]) -> None:
+        """Run the stages of a period after the plant was advanced; ``acted`` (4,) are its inputs over the period."""
+        self._acted = acted
+        self.clock.stage = CHECK_CONTACT
+        _run_stages(self)
 
     def advance_until(self, until: int, **more: Any) -> None:
         """Advance by one period, or up to period ``until`` where nothing has to be decided before."""
@@ -323,7 +324,7 @@ class Flight:
             self.step_period()
 
     def set_instant(self, truth: Truth, readings: Readings, estimate: Estimate) -> None:
-        """Take what is so at the end of periods that others computed."""
+        """Take truth, readings and estimate at the end of periods that the compiled loop ran."""
         self._truth, self.readings, self._estimate = truth, readings, estimate
 
     @property
@@ -336,23 +337,48 @@ class Flight:
         """Share of a new current in that of late, every ``look_periods`` periods."""
         return self.look_periods * self.period_s / _CURRENT_FILTER_S
 
-    def finish_period(self, acted: NDArray[np.floating[Any]], fresh: bool = False) -> None:
-        """What follows when the plant has been advanced: measuring, the flight software, the recording."""
+    # The stages of a period, in the order of mufly.flight.period_stages; the last one ends every call
+
+    def _begin_period(self) -> int:
+        return CONTINUE
+
+    def _advance_plant(self) -> int:
+        self._acted = self.acting_actuators.input_array
+        self.plant.advance_period(self.acting_actuators)
+        self.acting_actuators = self.sent_actuators
+        return CONTINUE
+
+    def _check_contact(self) -> int:
         plant, autopilot = self.plant, self.autopilot
-        k = plant.period_count
-        if k % self.look_periods == 0:
+        if plant.period_count % self.look_periods == 0:
             plant.check_collision()
             flying = autopilot.software.motors == "fly"
             self.current_A += self.current_filter_share * (
                 (float(plant.current) if flying else autopilot.hover_current_A) - self.current_A
             )
-        if not (fresh and self.uses_fitted_sensors):  # a filter hears of every instant once
-            self._update_estimate(acted)
+        return CONTINUE
+
+    def _measure(self) -> int:
+        if not self._is_estimated:
+            self._truth = self.plant.truth
+            self.readings = self.sensors.read(self._truth)
+        return CONTINUE
+
+    def _update_estimate(self) -> int:
+        if not self._is_estimated:
+            self._estimate = self.estimator.update(self.readings, self._acted.astype(np.float64, copy=False))
+        self.is_first_period = self._is_estimated = False
         if self.camera is not None and (news := self.camera.tracking_message()):
             self.log_event(news, "info" if news.endswith("again") else "warning")
-        self.sent_actuators = autopilot.step(self._estimate)
-        if k % self.record_periods == 0:
-            software = autopilot.software
+        return CONTINUE
+
+    def _control(self) -> int:
+        self.sent_actuators = self.autopilot.step(self._estimate)
+        return CONTINUE
+
+    def _record(self) -> int:
+        if self.plant.period_count % self.record_periods == 0:
+            software = self.autopilot.software
             state = str(software.state)
             if self._write_sensed is None:
                 self._write(self._truth, self.readings, self.acting_actuators, software.reference, state)
@@ -365,8 +391,12 @@ class Flight:
                     software.reference,
                     state,
                 )
-        if plant.crash_cause:
+        return CONTINUE
+
+    def _end_period(self) -> int:
+        if self.plant.crash_cause:
             self._handle_crash()
+        return DONE
 
     def _handle_crash(self) -> None:
         if not self.autopilot.crash_cause:
@@ -481,6 +511,18 @@ class Flight:
                 one.close()
 
 
+_run_stages = make_stepper(
+    Flight._begin_period,
+    Flight._advance_plant,
+    Flight._check_contact,
+    Flight._measure,
+    Flight._update_estimate,
+    Flight._control,
+    Flight._record,
+    Flight._end_period,
+)
+
+
 def _make_sensors(
     wanted: SensorSet | str, vehicle: Vehicle, mission: Mission, look: int, seed: int, faults: Sequence[Fault],
     fixes: CameraSensor | ExternalFixes | None,
@@ -497,208 +539,3 @@ def _make_sensors(
         what = "has no table [sensors]" if wanted == "fitted" else "flies on the true state"
         raise InputError("fault", str(faults[0]), f"{vehicle.name} {what}", "fly on fitted sensors, or without faults")
     return ideal_sensors(vehicle, mission.world, look)
-
-
-# A mission flown to its end
-
-
-PROGRESS_INTERVAL_S = 0.1  # wall-clock time between two calls of on_progress
-RECORDED_AFTER_END_S = 0.5  # recorded after the mission has ended
-
-
-@dataclass(frozen=True, slots=True)
-class FlightProgress:
-    """What is happening, for a display. Times in s, position N, E, D in m."""
-
-    time_s: float
-    expected_s: float
-    state: str
-    position: NDArray[np.float64]
-    battery_V: float
-    battery_charge: float
-    realtime_factor: float
-
-
-def fly_mission(
-    vehicle: Vehicle | str | Path,
-    mission: Mission | str | Path = "demonstration",
-    *,
-    controller: FlightController | None = None,
-    wind: ArrayLike | None = None,
-    gust: float | None = None,
-    seed: int = 0,
-    realtime: bool = False,
-    path: str | Path | None = None,
-    on_progress: Callable[[FlightProgress], None] | None = None,
-    on_event: Callable[[FlightEvent], None] | None = None,
-    sensors: SensorSet | Literal["ideal", "fitted"] = "ideal",
-    estimator: Estimator | None = None,
-    faults: Sequence[Fault] = (),
-    controllers: ControlImplementation | None = None,
-    designed_for: Vehicle | None = None,
-    brief: bool = False,
-    eye: CameraConfig | None = None,
-    on_tick: Callable[[Truth, Estimate], None] | None = None,
-    tick_every: int = 1,
-) -> xr.Dataset:
-    """Fly a mission on the full nonlinear model.
-
-    Parameters
-    ----------
-    vehicle : Vehicle, str or Path
-        Or the name or file of one.
-    mission : Mission, str or Path
-        Or the name or file of one.
-    controller, wind, gust, seed, path, sensors, estimator, faults, controllers, designed_for, brief, eye : optional
-        As for :class:`Flight`; without a path the recording is in memory only.
-    realtime : bool
-        Keep pace with the clock instead of flying as fast as the machine can.
-    on_progress : callable, optional
-        Called with a :class:`FlightProgress` about ten times a second.
-    on_event : callable, optional
-        Called with every :class:`FlightEvent`: changes of the mission's state, with the reason, and what went wrong.
-    on_tick : callable, optional
-        Called with what is true and what is believed after every ``tick_every``-th period.
-    tick_every : int
-
-    Returns
-    -------
-    xarray.Dataset
-        The recording (docs/reference/recordings.md). ``attrs["outcome"]`` is ``"succeeded"`` or ``"failed"``, with
-        ``attrs["reason"]``.
-
-    Raises
-    ------
-    MuflyError
-        Before anything runs, if vehicle or mission is impossible. A flight that fails raises nothing.
-    """
-    if not isinstance(vehicle, Vehicle):
-        vehicle = load_vehicle(vehicle)
-    if not isinstance(mission, Mission):
-        mission = load_mission(mission)
-    # What the vehicle is taken for decides whether it may fly; whether it can is seen.
-    check_preflight(vehicle if designed_for is None else designed_for, mission)
-    with Flight(
-        vehicle,
-        mission,
-        controller=controller,
-        wind=wind,
-        gust=gust,
-        seed=seed,
-        path=path,
-        sensors=sensors,
-        estimator=estimator,
-        faults=faults,
-        controllers=controllers,
-        designed_for=designed_for,
-        brief=brief,
-        eye=eye,
-    ) as flight:
-        if on_event is not None:
-            flight.autopilot.listeners.append(on_event)
-        for line in filter(None, (flight.outside_model_note, flight.missing_sensors_note)):
-            flight.log_event(line, "warning")
-        slower = flight.autopilot.software.slowdown_note
-        expected = check_preflight(
-            vehicle if designed_for is None else designed_for, flight.autopilot.software.plan.mission
-        )
-        if slower:
-            flight.log_event(f"slower than asked, as the controllers can: {slower}", "warning")
-        wall_s = _run_flight(
-            flight, expected, _time_limit(mission, expected), realtime, on_progress,
-            None if on_tick is None else (on_tick, tick_every),
-        )  # fmt: skip
-        outcome, reason = _judge_mission(flight)
-        flight.close(outcome, reason, realtime_factor=flight.time_s / max(wall_s, 1e-9))
-    return flight.recorder.to_dataset()
-
-
-def _time_limit(mission: Mission, expected: MissionEstimate) -> float:
-    """When a flight is taken to be stuck (s)."""
-    limit = 3.0 * expected.duration_s + 60.0 + len(mission.waypoint) * mission.avoidance.give_up_s
-    # One that holds at the end does so until its battery is low.
-    return limit + expected.duration_s / expected.fraction if mission.at_end == "hover" else limit
-
-
-def _run_flight(
-    flight: Flight,
-    expected: MissionEstimate,
-    time_limit: float,
-    realtime: bool,
-    on_progress: Callable[[FlightProgress], None] | None,
-    heard: tuple[Callable[[Truth, Estimate], None], int] | None,
-) -> float:
-    """Fly until the mission has ended, the vehicle has crashed or time is up; return the wall time (s)."""
-    software, plant = flight.autopilot.software, flight.plant
-    began = shown = time.perf_counter()
-    ended_at = math.inf
-    if flight.uses_fitted_sensors:
-        refused = align_and_start(flight)
-        if refused:
-            ended_at = flight.time_s
-    else:
-        # The mission was checked as a whole (preflight); whether to arm is a question for a real one.
-        flight.autopilot.arm(force=True, quiet=True)
-        flight.autopilot.start_mission()
-    if heard is not None:
-        flight.listener, flight.listener_periods = heard
-    while flight.time_s < ended_at + RECORDED_AFTER_END_S:
-        end = min(time_limit, ended_at + RECORDED_AFTER_END_S)
-        flight.advance_until(plant.period_count + 1 if realtime else math.floor(end * plant.rate_Hz))
-        if flight.listener_periods and plant.period_count % flight.listener_periods == 0:
-            flight.listener(flight.truth, flight.estimate)
-        now = time.perf_counter()
-        if on_progress is not None and now - shown > PROGRESS_INTERVAL_S:
-            shown = now
-            on_progress(_make_progress(flight, expected.duration_s, now - began))
-        if realtime and flight.time_s > now - began:
-            time.sleep(flight.time_s - (now - began))
-        if ended_at == math.inf and (software.finished or plant.crash_cause or flight.time_s > time_limit):
-            ended_at = flight.time_s
-    return time.perf_counter() - began
-
-
-def align_and_start(flight: Flight) -> str:
-    """Stand on the floor until the estimate is one to fly by, arm and start the mission; return why it does not.
-
-    What will not work in the air is said before that.
-    """
-    autopilot, why = flight.autopilot, ["nothing is measured yet"]
-    last = math.floor(ALIGNMENT_TIMEOUT_S * flight.plant.rate_Hz)
-    while why and flight.time_s < ALIGNMENT_TIMEOUT_S:
-        if flight.estimate.valid:
-            flight.step_period()
-        else:
-            flight.advance_until(last, until_valid=True)  # before it is, it is not ready
-        if autopilot.software.is_mission_step_due:
-            why = autopilot.list_arming_faults()
-    answer = autopilot.arm(quiet=True)
-    if answer:
-        flight.log_event(f"aligned after {flight.time_s:.1f} s")
-        answer = autopilot.start_mission()
-    if answer:
-        return ""
-    flight.refusal_reason = f"it was not ready within {ALIGNMENT_TIMEOUT_S:g} s: {answer.reason}"
-    flight.log_event(flight.refusal_reason, "error")
-    return flight.refusal_reason
-
-
-def _make_progress(flight: Flight, expected_s: float, wall_s: float) -> FlightProgress:
-    plant = flight.plant
-    return FlightProgress(
-        time_s=flight.time_s,
-        expected_s=expected_s,
-        state=str(flight.autopilot.software.mission_state.state),
-        position=plant.state[POSITION].copy(),
-        battery_V=float(plant.voltage),
-        battery_charge=float(plant.state[RS_CHARGE]),
-        realtime_factor=flight.time_s / max(wall_s, 1e-9),
-    )
-
-
-def _judge_mission(flight: Flight) -> tuple[str, str]:
-    outcome, reason = flight.judge_outcome()
-    if outcome == "unfinished":
-        state = flight.autopilot.software.mission_state.state
-        return "failed", f"the mission was not over after {flight.time_s:.0f} s (state: {state})"
-    return outcome, reason

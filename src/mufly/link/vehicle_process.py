@@ -36,7 +36,7 @@ from typing import Any, Literal
 from mufly.control import FlightController, design_flight_controller
 from mufly.errors import MuflyError
 from mufly.flight import ALIGNMENT_TIMEOUT_S, Flight, FlightEvent, FlightState
-from mufly.flight.camera_sensor import CameraConfig
+from mufly.flight.fixes.camera_sensor import CameraConfig
 from mufly.flight.flight_software import ControlImplementation
 from mufly.link.codec import GlobalOrigin
 from mufly.link.ports import MAX_STALL_S, Endpoint, Peer, Port, open_port, read_boot_clock, wait_readable

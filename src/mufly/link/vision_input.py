@@ -1,8 +1,7 @@
 """VISION_POSITION_ESTIMATE in both directions: fixes from external SLAM, and publication of the vehicle's fix.
 
-In: position and heading of the message become the position fix of the filter (:mod:`mufly.flight.external_fixes`). Its
-covariance is the upper triangle, row by row, of x, y, z, roll, pitch, yaw; a NaN in front marks an unknown covariance.
-Roll and pitch are not used, since the inertial unit is more accurate.
+        Called with present time (s), time of the fix (s), position and heading (4,) and covariance; returns the reason
+        of a rejection (:meth:`mufly.flight.fixes.external_fixes.ExternalFixes.submit_fix`). None: no receiver.
 
 Its time, ``usec``, is the vehicle's if the sender synchronised its clock by TIMESYNC, as PX4 requires. For any other
 clock (Unix time, time since the sender's start) the least difference arrival - usec over the last 30 s is the offset:
@@ -64,7 +63,7 @@ class VisionInput:
     ----------
     give : callable or None
         Called with present time (s), time of the fix (s), position and heading (4,) and covariance; returns the reason
-        of a rejection (:meth:`mufly.flight.external_fixes.ExternalFixes.submit_fix`). None: no receiver.
+        of a rejection (:meth:`mufly.flight.fixes.external_fixes.ExternalFixes.submit_fix`). None: no receiver.
     note : callable
         Called with a text and its level.
     """

@@ -149,7 +149,11 @@ def parse_fault(text: str) -> Fault:
 
 
 class FaultySensor(Sensor):
-    """A sensor with ``faults``, which may change in flight; readings without a fault pass unchanged."""
+    """A sensor with ``faults``, which may change in flight; readings without a fault pass unchanged.
+
+    ``is_altered`` says whether a fault was active at the last reading. A compiled loop that samples the sensor itself
+    clears it.
+    """
 
     def __init__(self, sensor: Sensor, faults: Sequence[Fault], rng: np.random.Generator) -> None:
         self.sensor, self.faults, self._rng = sensor, tuple(faults), rng
@@ -165,6 +169,7 @@ class FaultySensor(Sensor):
 
     def _clear_history(self) -> None:
         self._last_output: Mapping[str, Reading] = {}  # as last published
+        self.is_altered = False
         self._last_input: dict[str, Reading] = {}  # as last received from the sensor
         self._delayed_readings: list[tuple[float, str, Reading]] = []
 
@@ -175,8 +180,10 @@ class FaultySensor(Sensor):
             clips = [f.amount for f in active if f.name == "accelerometer" and f.kind == "clip"]
             self._imu.clip_at(min(clips) if clips else None)
         if not active:
-            self._last_output = self.sensor.read(truth)
-            return self._last_output
+            self.is_altered = False
+            said = self._last_output = self.sensor.read(truth)
+            return said
+        self._last_output, self.is_altered = self.latest_readings, True
         said = dict(self.sensor.read(truth))
         for f in active:
             name = FAULT_TARGETS[f.name].reading
@@ -185,9 +192,10 @@ class FaultySensor(Sensor):
         self._last_output = {**self._last_output, **said}
         return said
 
-    def accept_external_readings(self, said: Mapping[str, Reading]) -> None:
-        """Store the last published readings of a healthy period in which compiled code sampled the sensor."""
-        self._last_output = said
+    @property
+    def latest_readings(self) -> Mapping[str, Reading]:
+        own = None if self.is_altered else self.sensor.latest_readings
+        return self._last_output if own is None else own
 
     def _apply_fault(self, f: Fault, name: str, said: dict[str, Reading], truth: Truth) -> None:
         """Apply a fault to the reading of a name."""

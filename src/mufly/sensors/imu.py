@@ -78,6 +78,11 @@ class Imu(Sensor):
     world : World
     rng : numpy.random.Generator
         Source of the unit's errors, the directions and phases of the vibration, and noise.
+
+    Notes
+    -----
+    The unit keeps its state in arrays (:meth:`sampling_arguments`), so that a compiled loop samples the unit by
+    :func:`sample_imu`, as :meth:`read` does.
     """
 
     def __init__(self, table: ImuTable, vehicle: Vehicle, world: World, rng: np.random.Generator) -> None:
@@ -119,10 +124,11 @@ class Imu(Sensor):
         self._drift_sigma, self._bias_drift = drift, drift * self._rng.standard_normal(6)
         self._azimuth = self._rng.uniform(0.0, 2 * math.pi, 2)
         self._filter_memory = np.zeros((6, 2))
-        self._previous_truth: Truth | None = None
-        self._previous_state, self._current_state = np.zeros(STATE_SIZE), np.zeros(STATE_SIZE)
+        self._clock, self._last_state = np.full(1, math.nan), np.zeros(STATE_SIZE)
+        self._normals, self._output = np.empty(0), np.zeros((2, 6))
         self._current_force = np.zeros(3)
-        self._last_readings: Mapping[str, Reading] = {}
+        self._readings: Mapping[str, Reading] = {}
+        self._readings_s = math.nan
 
     @property
     def current_bias(self) -> _Array:
@@ -134,38 +140,26 @@ class Imu(Sensor):
         self._limit[:GYRO] = self._range[:GYRO] if limit_m_s2 is None else limit_m_s2
 
     def read(self, truth: Truth) -> Mapping[str, Reading]:
-        before, self._previous_truth = self._previous_truth, truth
-        if before is not None and truth.time_s <= before.time_s:
-            self._previous_truth = before
-            return self._last_readings
-        self._previous_state, self._current_state = self._current_state, self._previous_state
-        self._current_state[:] = truth.state
-        if before is None:
-            _mean_specific_force(self._current_state, self._current_state, 1.0, self._place, self._current_force)
+        t, last = truth.time_s, self._clock.item()
+        if t <= last:
+            return self.latest_readings
+        if math.isnan(last):
+            self._clock[0], self._last_state[:] = t, truth.state
+            _mean_specific_force(self._last_state, self._last_state, 1.0, self._place, self._current_force)
             sensed = np.stack([self._current_force, truth.rates])
             sensed = sensed if self._mounting is None else sensed @ self._mounting.T
             self._filter_memory[:] = sensed.reshape(6, 1)
-            return self._make_readings(truth.time_s, self._filter_memory[:, 0] + self.current_bias, np.zeros(6))
-        elapsed = truth.time_s - before.time_s
-        normal = np.empty(6 + 6 * self.sample_count(elapsed))
-        draw_normals(self.source, normal)
-        out, clipped = np.empty(6), np.empty(6)
-        simulate_imu_period(
-            self._previous_state,
-            self._current_state,
-            elapsed,
-            truth.time_s,
-            normal,
-            *self.period_arguments,
-            out,
-            clipped,
-        )
-        return self._make_readings(truth.time_s, out, clipped)
+            self._output[0], self._output[1] = self._filter_memory[:, 0] + self.current_bias, 0.0
+        else:
+            sample_imu(truth.state, t, *self.sampling_arguments(t - last))
+        return self.latest_readings
 
-    @property
-    def period_arguments(self) -> tuple[_Array, ...]:
-        """Arguments of :func:`simulate_imu_period` after the normal numbers: parameters and state of this unit."""
-        return (
+    def sampling_arguments(self, elapsed_s: float) -> tuple[Any, ...]:
+        """Return the arguments of :func:`sample_imu` after the time, for periods of ``elapsed_s`` (s)."""
+        size = 6 + 6 * max(1, round(elapsed_s / self._dt))
+        if self._normals.size != size:
+            self._normals = np.empty(size)
+        unit = (
             self._vibration_numbers,
             self._place,
             self._axes,
@@ -183,16 +177,7 @@ class Imu(Sensor):
             self._filter_memory,
             self._current_force,
         )
-
-    def sample_count(self, elapsed_s: float) -> int:
-        """Return the number of samples in a period (s)."""
-        return max(1, round(elapsed_s / self._dt))
-
-    def accept_external_samples(self, truth: Truth, values: _Array, clipped: _Array) -> Mapping[str, Reading]:
-        """Store values and clipping shares, (6,) each, computed by compiled code for this instant; return readings."""
-        self._current_state[:] = truth.state
-        self._previous_truth = truth
-        return self._make_readings(truth.time_s, values.copy(), clipped.copy())
+        return self.source, self._normals, self._clock, self._last_state, self._output, unit
 
     def true_readings(self, truth: Truth) -> Mapping[str, Any]:
         """Return the true readings of the last period read."""
@@ -202,14 +187,19 @@ class Imu(Sensor):
         """Return the rise of temperature since switching on (K)."""
         return float(_warming_K(time_s, self._vibration_numbers))
 
-    def _make_readings(self, t: float, values: _Array, clipped: _Array) -> Mapping[str, Reading]:
-        self._last_readings = {
-            "acceleration": Reading(values[:GYRO], t),
-            "rates": Reading(values[GYRO:], t),
-            "clipping": Reading(clipped[:GYRO], t),
-            "temperature": Reading(ROOM_TEMPERATURE_K + self.warming_K(t), t),
-        }
-        return self._last_readings
+    @property
+    def latest_readings(self) -> Mapping[str, Reading]:
+        t = self._clock.item()
+        if t != self._readings_s and not math.isnan(t):
+            output = self._output.copy()
+            self._readings_s = t
+            self._readings = {
+                "acceleration": Reading(output[0, :GYRO], t),
+                "rates": Reading(output[0, GYRO:], t),
+                "clipping": Reading(output[1, :GYRO], t),
+                "temperature": Reading(ROOM_TEMPERATURE_K + self.warming_K(t), t),
+            }
+        return self._readings
 
 
 def board_resonance(vibration: VibrationParameters, speed_rad_s: float) -> float:
@@ -400,3 +390,37 @@ def simulate_imu_period(
         memory[j, 0], memory[j, 1] = s, first
     # This use keeps the borrowed arrays alive up to here.
     lines[0, 0], felt[0, 0], wave[0, 0] = 0.0, 0.0, 0.0
+
+
+@cached_njit(error_model="numpy")
+def sample_imu(
+    x: _Array,
+    t: float,
+    source: NDArray[np.uint64],
+    normal: _Array,
+    clock: _Array,
+    last_state: _Array,
+    output: _Array,
+    unit: tuple[_Array, ...],
+) -> None:
+    """Read the unit at time ``t`` (s) in state ``x`` (21,).
+
+    Parameters
+    ----------
+    x, t
+    source : (1,) array of uint64
+        State of the random numbers.
+    normal : (6 + 6 n,) array
+        Room for them.
+    clock, last_state : (1,), (21,) arrays
+        Time (s) and state of the reading before, overwritten.
+    output : (2, 6) array
+        Written: values of the six axes, and the share of their samples that clipped.
+    unit : tuple of arrays
+        Constants and memory of the unit, as :func:`simulate_imu_period` takes them after the normal numbers.
+    """
+    draw_normals(source, normal)
+    simulate_imu_period(last_state, x, t - clock[0], t, normal, *unit, output[0], output[1])
+    clock[0] = t
+    for k in range(x.size):
+        last_state[k] = x[k]

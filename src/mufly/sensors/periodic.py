@@ -121,7 +121,8 @@ class PeriodicSensor(Sensor):
     def reset(self) -> None:
         self.clock[[NEXT_MEASUREMENT, NEXT_SAMPLE]] = -math.inf
         self.counts[:] = 0
-        self._latest_readings: dict[str, Reading] = {}
+        self._readings: dict[str, Reading] = {}
+        self._readings_count = 0
 
     @property
     def next_sample_s(self) -> float:
@@ -135,8 +136,9 @@ class PeriodicSensor(Sensor):
 
     def read(self, truth: Truth) -> Mapping[str, Reading]:
         t = truth.time_s
-        if t < self.clock[NEXT_SAMPLE]:
-            return self._latest_readings
+        if t < self.clock.item(NEXT_SAMPLE):
+            is_current = self.counts.item(PUBLISHED_COUNT) == self._readings_count  # no property: half the time
+            return self._readings if is_current else self.latest_readings
         wait = NO_MEASUREMENT
         if advance_if_due(t, self.clock):
             row = self.pending_rows[1 + self.counts[PENDING]]
@@ -144,19 +146,21 @@ class PeriodicSensor(Sensor):
             wait = type(self).sample_function(
                 t, truth.state, truth.attitude, self._supply, self.source, self.sample_arguments, row
             )
-        if publish_if_due(t, wait, self.clock, self.counts, self.pending_rows):
-            self.make_readings()
-        return self._latest_readings
+        publish_if_due(t, wait, self.clock, self.counts, self.pending_rows)
+        return self.latest_readings
 
-    def make_readings(self) -> Mapping[str, Reading]:
-        """Return readings of the last published sample."""
-        row = self.pending_rows[0]
-        taken, stands, values = float(row[MEASURED_TIME]), bool(row[IS_VALID]), row[FIRST_VALUE:]
-        self._latest_readings = {
-            name: Reading(float(values[k]) if isinstance(k, int) else values[k].copy(), taken, stands)
-            for name, k in self.published_readings.items()
-        }
-        return self._latest_readings
+    @property
+    def latest_readings(self) -> Mapping[str, Reading]:
+        count = self.counts.item(PUBLISHED_COUNT)
+        if count != self._readings_count:
+            self._readings_count = count
+            row = self.pending_rows[0]
+            taken, stands, values = float(row[MEASURED_TIME]), bool(row[IS_VALID]), row[FIRST_VALUE:]
+            self._readings = {
+                name: Reading(float(values[k]) if isinstance(k, int) else values[k].copy(), taken, stands)
+                for name, k in self.published_readings.items()
+            }
+        return self._readings
 
 
 # Gauss-Markov errors: the first entry of ``memory`` is the time of the last step (s), or NaN; the errors follow.

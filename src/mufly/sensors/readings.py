@@ -122,6 +122,11 @@ class Sensor:
         """Return the readings at this instant, by name; called in every period of the flight software."""
         raise NotImplementedError
 
+    @property
+    def latest_readings(self) -> Mapping[str, Reading] | None:
+        """The last readings by name, of a sensor that a compiled loop can sample; None of any other sensor."""
+        return None
+
     def true_readings(self, truth: Truth) -> Mapping[str, Any]:
         """Return the readings without errors, by name."""
         raise NotImplementedError
@@ -142,6 +147,13 @@ class SensorSet:
         for sensor in self.sensors:
             latest |= sensor.read(truth)
         return Readings(truth.time_s, latest)
+
+    def gather_latest(self, time_s: float) -> Readings:
+        """Return the last readings of sensors that a compiled loop has sampled up to a time (s)."""
+        latest: dict[str, Reading] = {}
+        for sensor in self.sensors:
+            latest |= sensor.latest_readings or {}
+        return Readings(time_s, latest)
 
     def reset(self) -> None:
         """Reset all sensors to the start of the simulation."""
@@ -178,32 +190,40 @@ class IdealBattery(Sensor):
 
 
 class IdealRing(Sensor):
-    """Ideal sensor of distances along the ring of beams (m); the ring's maximum range where there is no surface."""
+    """Ideal sensor of distances along the ring of beams (m); the ring's maximum range where there is no surface.
+
+    ``ranges`` (n,) and ``clock`` (1,) are the last distances (m) and their time (s); a compiled loop writes to them.
+    """
 
     def __init__(self, vehicle: Vehicle, world: World, every: int = 1) -> None:
         self._world, self.read_interval = world, every
         self._directions = beam_directions(vehicle)
         ring = vehicle.range_ring
         self._limits = {"min_range_m": float(ring.min_range), "max_range_m": float(ring.max_range)}
-        self._last_reading: Reading | None = None
+        self.ranges, self.clock = np.empty(ring.count), np.empty(1)
+        self._reading: Reading | None = None
+        self.reset()
 
     def read(self, truth: Truth) -> Mapping[str, Reading]:
-        if self._last_reading is None or truth.tick % self.read_interval == 0:
-            seen = ideal_ranges(truth.state, self._world, self._directions, **self._limits)
-            self._last_reading = Reading(seen, truth.time_s)
-        return {"ranges": self._last_reading}
+        if math.isnan(self.clock.item()) or truth.tick % self.read_interval == 0:
+            measure_ranges(truth.state, *self.range_arguments, self.ranges)
+            self.clock[0], self._reading = truth.time_s, None
+        return self.latest_readings
+
+    @property
+    def latest_readings(self) -> Mapping[str, Reading]:
+        last = self._reading
+        if last is None or last.time_s != self.clock.item():
+            last = self._reading = Reading(self.ranges.copy(), self.clock.item())
+        return {"ranges": last}
 
     def reset(self) -> None:
-        self._last_reading = None
+        self.clock[0], self._reading = math.nan, None
 
     @property
     def range_arguments(self) -> tuple[Any, ...]:
         """Arguments of :func:`measure_ranges` after the state."""
         return self._directions, *self._limits.values(), *self._world.packed_tables
-
-    def accept_external_ranges(self, seen: NDArray[np.float64], time_s: float) -> None:
-        """Store ranges (n,) that compiled code measured, and their time (s)."""
-        self._last_reading = Reading(seen.copy(), time_s)
 
 
 def beam_angles(vehicle: Vehicle) -> NDArray[np.float64]:

@@ -20,7 +20,7 @@ from mufly.control import (
 from mufly.control.plots import draw_loop, draw_plant
 from mufly.errors import MuflyError
 from mufly.flight import ControllerReference, Flight, simulate_response
-from mufly.flight.simulated_flight import align_and_start
+from mufly.flight.mission_flight import align_and_start
 from mufly.mission import parse_mission
 from mufly.thesis.claims import CLAIMS, ProgressCallback, Study, StudyFindings, judge, new_figure
 from mufly.vehicle import load_vehicle

@@ -1,20 +1,24 @@
 """Simulate many periods of a flight in one compiled call: plant, inertial unit, filter and flight software.
 
-Numba compiles the loop (:mod:`mufly.firmware.quick.compiled_loop`). The loop calls the same functions as a flight that
-is simulated period by period: plant (:mod:`mufly.flight.simulated_plant`), inertial unit (:mod:`mufly.sensors.imu`) and
-other sensors (:mod:`mufly.sensors.sampling`). It calls filter and flight software in C by their addresses. Both ways
-therefore give equal flights, bit for bit (``tests/firmware/test_many.py``).
+Numba compiles the loop (:mod:`mufly.firmware.quick.compiled_loop`), which runs the stages of
+:mod:`mufly.flight.period_stages` over the arrays of plant, sensors, filter and flight software. The loop calls the same
+functions as a flight that is simulated period by period: plant (:mod:`mufly.flight.simulated_plant`), inertial unit
+(:mod:`mufly.sensors.imu`) and other sensors (:mod:`mufly.sensors.sampling`). It calls filter and flight software in C
+by their addresses. Both ways therefore give equal flights, bit for bit (``tests/firmware/test_many.py``).
 
 The loop returns to Python for the following events, and continues in the middle of the period:
 
-- a sensor with a fault is due (:data:`EXIT_SAMPLE_SENSORS`),
-- the filter changes a sensor's status (:data:`EXIT_UPDATE_STATUS`),
-- the log or the motor mode changes (:data:`EXIT_LOG_OR_MODE_CHANGED`),
-- the vehicle touches an obstacle (:data:`EXIT_CONTACT`),
-- a listener of the true state is due (:data:`EXIT_CALL_LISTENER`).
+- a sensor with a fault is due (:data:`SAMPLE_SENSORS`),
+- the filter changes a sensor's status (:data:`UPDATE_STATUS`),
+- a listener of the true state is due (:data:`CALL_LISTENER`).
 
-Listeners of estimates are called at the end of a call. Commands, faults of the inertial unit and crashes are simulated
-period by period (:meth:`Flight.tick`).
+A call ends when the log or the motor mode changes (:data:`LOG_OR_MODE_CHANGED`), and when the vehicle touches an
+obstacle (:data:`CONTACT`); the flight in Python then finishes the period. Listeners of estimates are called at the end
+of a call. Commands, faults of the inertial unit and crashes are simulated period by period
+(:meth:`Flight.step_period`).
+
+Three stages have a body in each language. Control: Python processes commands, arming and events. Measurement: a fault,
+a camera or a link gives objects, which a compiled sensor does not. Recording: readings are recorded from those objects.
 """
 
 from __future__ import annotations
@@ -28,49 +32,12 @@ from numpy.typing import NDArray
 
 from mufly.dynamics.model_state import MOTORS, POSITION, RATES, RS_ATT, SERVOS, VELOCITY
 from mufly.estimate import Estimate, IdealEstimator
-from mufly.estimate.filter_records import EX_GYRO_BIAS, SENSOR_COUNT, SX_ATT
+from mufly.estimate.filter_records import EX_GYRO_BIAS, R_RING, SENSOR_COUNT, SX_ATT
 from mufly.estimate.kalman_estimator import PUBLISHED_FIELDS, KalmanEstimator
 from mufly.estimate.output_predictor import COVARIANCE_INTERVAL_TICKS
 from mufly.firmware.quick.compiled_loop import (
-    C_BEAM_COUNT,
-    C_CONTACT_INTERVAL,
-    C_FILTER_PERIODS,
-    C_IMU_SAMPLED,
-    C_IS_ARMED,
-    C_IS_UNTROUBLED,
-    C_IS_VALID,
-    C_LAST_DUE_TICK,
-    C_LAST_LISTEN_TICK,
-    C_LAST_RING_TICK,
-    C_LISTEN_INTERVAL,
-    C_LISTENER_ROWS,
-    C_LOG_ROWS,
-    C_LOOP_PHASE,
-    C_PERIODS_RUN,
-    C_PLANT_STEPS,
-    C_RECORD_INTERVAL,
-    C_RING_INTERVAL,
-    C_SIZE,
-    C_STATUS_ROWS,
-    C_STOP_TICK,
-    C_STOP_WHEN_VALID,
-    C_TICK,
-    C_WIND_SAMPLES,
-    EXIT_CALL_LISTENER,
-    EXIT_CONTACT,
-    EXIT_NOT_FINITE,
-    EXIT_SAMPLE_SENSORS,
-    EXIT_UPDATE_STATUS,
-    F_CONTACT_RADIUS,
-    F_CURRENT_A,
-    F_CURRENT_BLEND,
-    F_HOVER_CURRENT_A,
-    F_LAST_IMU_S,
-    F_NEXT_PYTHON_SAMPLE_S,
-    F_NEXT_SAMPLE_S,
-    F_RATE_HZ,
-    F_SIZE,
-    F_STEP_S,
+    CALL_LISTENER,
+    CONTACT,
     FAULT_COMPONENT_INDEX,
     HEARD_ANGLES,
     HEARD_ATT,
@@ -86,8 +53,10 @@ from mufly.firmware.quick.compiled_loop import (
     HEARD_WIND,
     LISTENER_ROW_SIZE,
     LOG_ROW_SIZE,
+    LOOP_CLOCK,
     MAX_PERIODS_PER_CALL,
-    PHASE_ADVANCE_PLANT,
+    NOT_FINITE,
+    RECORD_OFFSETS,
     ROW_ATT,
     ROW_MISSION,
     ROW_MOTORS,
@@ -99,20 +68,29 @@ from mufly.firmware.quick.compiled_loop import (
     ROW_SUPPLY,
     ROW_TIME,
     ROW_WIND,
+    SAMPLE_SENSORS,
     SENSOR_STATUS_START,
     SENSOR_WIDE,
     SIGMA_START,
     STATUS_ROW_SIZE,
     TICK_INDEX,
-    run_until_event,
+    UPDATE_STATUS,
+    FilterArrays,
+    FittedPeriods,
+    IdealPeriods,
+    PlantArrays,
+    SensorArrays,
+    SoftwareArrays,
+    run_fitted_periods,
+    run_ideal_periods,
 )
 from mufly.flight.controllers import Actuators
+from mufly.flight.period_stages import BEGIN_PERIOD
 from mufly.flight.simulated_flight import Flight
 from mufly.flight.simulated_plant import append_rows
 from mufly.mission import State
 from mufly.sensors import FittedSensors, Imu, Readings, SensorSet, Truth
 from mufly.sensors.faults import FaultySensor
-from mufly.sensors.periodic import PUBLISHED_COUNT as TIMES_SAID
 from mufly.sensors.periodic import PeriodicSensor
 from mufly.sensors.readings import IdealRing
 from mufly.sensors.sampling import SAMPLED_SENSORS, sampling_table
@@ -146,94 +124,38 @@ class CompiledFlight:
         self._flight = flight
         software: Any = flight.autopilot.software
         self._software, self._board = software, software.software_instance
-        plant, sensors = flight.plant, flight.sensors
         self._filter: KalmanEstimator | None = None
         self._ring: IdealRing | None = None
         self._faulty: tuple[FaultySensor, ...] = ()
         self._sensors_by_index: dict[int, FaultySensor] = {}
-        self._sample_times = self._pictures = np.zeros(0)
-        self._sampling_arguments: Any = None
         self._faulty_imu: Any = None
         self._imu: Any = None
-        self.is_supported = flight.records_truth and self._supports_sensors(flight, sensors)
+        self.is_supported = flight.records_truth and self._supports_sensors(flight, flight.sensors)
         if not self.is_supported:
             return
-        ffi, lib, board = software.firmware.ffi, software.firmware.lib, self._board
-        kept = [np.frombuffer(ffi.buffer(p), dtype=np.uint8) for p in (board.software_record, board.estimate_record)]
-        self._record_views = tuple((raw.view(np.float64), raw.view(np.int32), raw) for raw in kept)
-        self._out = np.frombuffer(ffi.buffer(board.actuators_record), dtype=np.float64)
-        offset = ffi.offsetof
-        c, b = "software_t", "estimate_t"
-        self._record_offsets = np.array([
-            offset(b, "time_s") // 8, offset(b, "motion") // 8, offset(b, "valid"), offset(c, "motors") // 4,
-            offset(c, "since_mission_step_s") // 8, offset(c, "mission", "logged_count") // 4,
-            offset(c, "mission", "finished"),
-            offset(c, "mission", "state") // 4, offset(c, "reference", "path", "position") // 8,
-            offset(c, "reference", "path", "velocity") // 8, offset(c, "reference", "heading") // 8,
-            offset(c, "reference", "heading_rate") // 8, offset(c, "tilt") // 8, offset(b, "ranges") // 8,
-            offset(b, "position_variance") // 8, offset(b, "attitude_variance") // 8,
-            offset(b, "specific_force") // 8,
-            offset(b, "checks") // 4, ffi.sizeof("sensor_status_t") // 4, offset("sensor_status_t", "status") // 4,
-            offset("sensor_status_t", "why") // 4,
-        ])  # fmt: skip
-        place = [
-            int(ffi.cast("uintptr_t", p))
-            for p in (
-                board.setup_record,
-                board.software_record,
-                board.estimate_record,
-                board.command_record,
-                board.actuators_record,
-            )
-        ]
-        call = int(ffi.cast("uintptr_t", ffi.addressof(lib, "software_step")))
-        addresses = [call, *place]
-        self._filter_arguments: Any = None
-        if self._filter is not None:
-            m, row = self._filter.memory, self._filter.input_row
-            beams = flight.vehicle.range_ring.count
-            fitted = np.zeros(SENSOR_COUNT, np.uint8)
-            fitted[list(self._filter.reading_indices.values())] = 1
-            self._sample_times, self._pictures = np.zeros(SENSOR_COUNT), np.zeros((3, beams))
-            of_memory = tuple(m[name] for name in PUBLISHED_FIELDS[:-2])
-            self._filter_arguments = (
-                m["x_output"],
-                m["rates_output"],
-                m["angles_output"],
-                *row,
-                fitted,
-                self._sample_times,
-                self._pictures,
-                self._filter.beam_indices.astype(np.int64),
-                (*of_memory, *(self._filter.memory_array[name] for name in PUBLISHED_FIELDS[-2:])),
-                board.reason_text_numbers(),
-            )
-            self._sampling_arguments = sampling_table({k: one.sensor for k, one in self._sensors_by_index.items()})
-            step, *held = self._filter.backend.call_addresses
-            addresses += [step, self._filter.memory_array.ctypes.data, *held, *(a.ctypes.data for a in row)]
-        self._call_addresses = np.array(addresses, dtype=np.int64)
-        legs, radius, obstacles, *tables = plant.collision_shape
-        self._contact_tables = (legs, obstacles, *tables)
-        self._beams = np.zeros(flight.vehicle.range_ring.count)
-        self._log_rows = np.empty((MAX_PERIODS_PER_CALL, LOG_ROW_SIZE + self._beams.size))
+        plant, beams = flight.plant, flight.vehicle.range_ring.count
+        self._software_arrays = _make_software_arrays(software)
+        clock = self._clock = np.zeros(1, LOOP_CLOCK).view(np.recarray)[0]
+        legs, clock.contact_radius, obstacles, *tables = plant.collision_shape
+        self._contact_tables: tuple[Any, ...] = (legs, obstacles, *tables)
+        clock.contact_interval, clock.record_interval = flight.look_periods, flight.record_periods
+        clock.plant_steps, clock.rate_Hz, clock.step_s = plant.step_count, plant.rate_Hz, plant.step_s
+        clock.beam_count = min(beams, self._board.beam_count)
+        clock.hover_current_A, clock.current_share = flight.autopilot.hover_current_A, flight.current_filter_share
+        self._log_rows = np.empty((MAX_PERIODS_PER_CALL, LOG_ROW_SIZE + beams))
         self._acting = np.zeros((3, 4))
-        self._previous_state, self._imu_reading = np.zeros(plant.state.size), np.zeros((2, 6))
         self._status_rows = np.zeros((2 + MAX_PERIODS_PER_CALL // COVARIANCE_INTERVAL_TICKS + 1, STATUS_ROW_SIZE))
-        self._listener_rows = np.zeros((MAX_PERIODS_PER_CALL + 1, LISTENER_ROW_SIZE + self._beams.size))
-        self._counters, self._numbers = np.zeros(C_SIZE, np.int64), np.zeros(F_SIZE)
-        self._counters[[C_RING_INTERVAL, C_CONTACT_INTERVAL, C_RECORD_INTERVAL, C_PLANT_STEPS, C_BEAM_COUNT]] = (
-            0 if self._ring is None else self._ring.read_interval, flight.look_periods, flight.record_periods,
-            plant.step_count,
-            min(self._beams.size, board.beam_count),
-        )  # fmt: skip
-        self._numbers[[F_RATE_HZ, F_STEP_S, F_CONTACT_RADIUS, F_HOVER_CURRENT_A, F_CURRENT_BLEND]] = (
-            plant.rate_Hz, plant.step_s, radius, flight.autopilot.hover_current_A, flight.current_filter_share,
-        )  # fmt: skip
-        self._reported_periods, self._start_tick = 0, 0
+        self._listener_rows = np.zeros((MAX_PERIODS_PER_CALL + 1, LISTENER_ROW_SIZE + beams))
+        if self._filter is not None:
+            self._filter_arrays: FilterArrays = _make_filter_arrays(self._filter, self._board.reason_text_numbers())
+            self._sampling_table: tuple[Any, ...] = sampling_table(
+                {k: one.sensor for k, one in self._sensors_by_index.items()}
+            )
+        elif self._ring is not None:
+            clock.ring_interval = self._ring.read_interval
+        self._reported_periods = 0
         self._last_statuses: Any = None
         self._next_sample_times = [math.inf] * len(self._faulty)
-        self._last_readings: list[Any] = [None] * len(self._faulty)
-        self._last_ranges: Any = None
 
     def _supports_sensors(self, flight: Flight, sensors: SensorSet) -> bool:
         """Return whether the loop supports sensors and estimator, and store them."""
@@ -265,112 +187,56 @@ class CompiledFlight:
             ])  # fmt: skip
         if until - plant.period_count < 2 or not self._is_undisturbed():
             return False
-        board, c, f = self._board, self._counters, self._numbers
+        board, c = self._board, self._clock
         board.prepare_compiled_periods(self._software.law)
         wind = plant.upcoming_wind(until - plant.period_count)
-        c[
-            [
-                C_LOOP_PHASE,
-                C_TICK,
-                C_STOP_TICK,
-                C_WIND_SAMPLES,
-                C_IS_ARMED,
-                C_STOP_WHEN_VALID,
-                C_PERIODS_RUN,
-                C_LOG_ROWS,
-                C_LAST_DUE_TICK,
-                C_IMU_SAMPLED,
-            ]
-        ] = (
-            PHASE_ADVANCE_PLANT,
-            plant.period_count,
-            until,
-            0,
-            auto.armed,
-            until_valid,
-            0,
-            0,
-            -1,
-            0,
-        )
-        c[C_LISTEN_INTERVAL], c[C_LAST_LISTEN_TICK], c[C_LAST_RING_TICK] = (
-            flight.listener_periods,
-            plant.period_count,
-            -1,
-        )
-        c[[C_STATUS_ROWS, C_LISTENER_ROWS]] = 0
-        f[F_CURRENT_A] = flight.current_A
-        self._acting[1], self._acting[2] = (
-            flight.acting_actuators.input_array,
-            flight.sent_actuators.input_array,
-        )
-        imu: Any = None
-        self._start_tick = plant.period_count
+        c.stage, c.tick, c.start_tick, c.stop_tick = BEGIN_PERIOD, plant.period_count, plant.period_count, until
+        c.is_armed, c.stop_when_valid, c.listen_interval = auto.armed, until_valid, flight.listener_periods
+        c.wind_samples = c.periods_run = c.log_rows = c.status_rows = c.listener_rows = 0
+        c.last_due_tick, c.current_A, c.next_python_sample_s = -1, flight.current_A, math.inf
+        self._acting[1], self._acting[2] = flight.acting_actuators.input_array, flight.sent_actuators.input_array
         self._mission_state, ran = str(self._software.state), self._software.motors != "off"
-        f[F_NEXT_PYTHON_SAMPLE_S] = math.inf
-        self._latest = dict(flight.readings.latest)
-        imu = asked = ring = None
-        if self._filter is not None:
-            c[C_FILTER_PERIODS], f[F_LAST_IMU_S] = self._filter.period_count, plant.time_s
-            normal = np.empty(6 + 6 * self._imu.sample_count(flight.period_s))
-            imu = (
-                self._previous_state,
-                self._imu.source,
-                normal,
-                self._imu_reading[0],
-                self._imu_reading[1],
-                self._imu.period_arguments,
-            )
-            asked = self._assign_sensors()
-        elif self._ring is not None:
-            ring = self._ring.range_arguments
-            self._beams[:] = self._latest["ranges"].value
+        p, run = self._make_arrays(wind)
         self._reported_periods = 0
         while True:
-            why = run_until_event(
-                c,
-                f,
-                plant.state,
-                plant.packed_parameters,
-                wind,
-                plant.battery_output,
-                plant.attitude,
-                self._contact_tables,
-                self._acting,
-                *self._record_views,
-                self._out,
-                self._record_offsets,
-                self._call_addresses,
-                self._log_rows,
-                self._beams,
-                ring,
-                self._filter_arguments,
-                imu,
-                asked,
-                self._status_rows,
-                self._listener_rows,
-            )
-            if why == EXIT_SAMPLE_SENSORS:
+            why = run(p)
+            if why == SAMPLE_SENSORS:
                 self._sample_python_sensors()
-            elif why == EXIT_UPDATE_STATUS:
+            elif why == UPDATE_STATUS:
                 assert self._filter is not None
-                self._report_status(int(c[C_PERIODS_RUN]))
-                told = int(c[C_FILTER_PERIODS]) - self._filter.period_count
+                self._report_status(int(c.periods_run))
+                told = int(c.filter_periods) - self._filter.period_count
                 self._call_listener()
-                self._collect_samples()
-                board.write_estimate(
-                    self._filter.read_estimate(int(c[C_TICK]) / plant.rate_Hz, bool(c[C_IS_VALID]), told)
-                )
-                self._published_row = int(c[C_STATUS_ROWS])
-                c[C_IS_UNTROUBLED] = auto.has_no_sensor_events(self._filter.sensor_statuses)
-            elif why == EXIT_CALL_LISTENER:
-                self._update_ideal_ring()
-                truth = replace(self._current_truth(), wind=wind[int(c[C_WIND_SAMPLES]) - 1].copy())
+                board.write_estimate(self._filter.read_estimate(int(c.tick) / plant.rate_Hz, bool(c.is_valid), told))
+                self._published_row = int(c.status_rows)
+                c.is_untroubled = auto.has_no_sensor_events(self._filter.sensor_statuses)
+            elif why == CALL_LISTENER:
+                truth = replace(self._current_truth(), wind=wind[int(c.wind_samples) - 1].copy())
                 flight.listener(truth, self._read_at(truth)[1])
             else:
                 break
         self._synchronise_simulation(why, wind, ran)
         return True
+
+    def _make_arrays(self, wind: _Array) -> tuple[Any, Any]:
+        """Return the arrays that the loop works on, and the loop."""
+        plant = self._flight.plant
+        on_plant = PlantArrays(
+            plant.state, plant.packed_parameters, plant.attitude, plant.battery_output, wind, self._acting,
+            *self._contact_tables,
+        )  # fmt: skip
+        if self._filter is not None:
+            self._clock.filter_periods = self._filter.period_count
+            sensors = SensorArrays(self._imu.sampling_arguments(self._flight.period_s), *self._assign_sensors())
+            return FittedPeriods(
+                self._clock, on_plant, self._software_arrays, self._filter.ranges, self._log_rows, sensors,
+                self._filter_arrays, self._status_rows, self._listener_rows,
+            ), run_fitted_periods  # fmt: skip
+        assert self._ring is not None
+        return IdealPeriods(
+            self._clock, on_plant, self._software_arrays, self._ring.ranges, self._log_rows,
+            self._ring.range_arguments, self._ring.clock,
+        ), run_ideal_periods  # fmt: skip
 
     def _is_undisturbed(self) -> bool:
         """Return whether no request is pending and no fault is active."""
@@ -387,7 +253,7 @@ class CompiledFlight:
 
     def _current_truth(self) -> Truth:
         plant = self._flight.plant
-        tick = int(self._counters[C_TICK])
+        tick = int(self._clock.tick)
         return Truth(
             tick / plant.rate_Hz, tick, plant.state.copy(), plant.attitude.copy(), plant.wind,
             float(plant.battery_output[0]), float(plant.battery_output[1]),
@@ -395,74 +261,51 @@ class CompiledFlight:
 
     def _sample_python_sensors(self) -> None:
         """Sample the due sensors that Python handles."""
-        truth = self._current_truth()
-        t = truth.time_s
-        assert self._filter is not None
+        truth, filtered = self._current_truth(), self._filter
+        assert filtered is not None
+        t, scanned_s = truth.time_s, filtered.reading_times[R_RING]
         for k, sensor in enumerate(self._faulty):
             if self._next_sample_times[k] <= t:
-                said = sensor.read(truth)
+                filtered.fill_readings(sensor.read(truth), t)
                 self._next_sample_times[k] = _next_sample_time(sensor, t)
-                if said is not self._last_readings[k]:  # equal: no new reading
-                    self._last_readings[k] = said
-                    self._latest |= said
-                    self._filter.fill_readings(said, t)
-        self._numbers[F_NEXT_PYTHON_SAMPLE_S] = min(self._next_sample_times, default=math.inf)
-        if self._filter.ranges is not self._last_ranges:
-            self._last_ranges = self._filter.ranges
-            self._beams[:] = self._last_ranges
-            self._board.write_ranges(self._last_ranges)
+        self._clock.next_python_sample_s = min(self._next_sample_times, default=math.inf)
+        if filtered.reading_times[R_RING] != scanned_s:
+            self._board.write_ranges(filtered.ranges)
 
     def _assign_sensors(self) -> Any:
         """Assign sensors without an active fault to the loop, the others to Python; return the sampling table."""
         flight, filtered = self._flight, self._filter
         assert filtered is not None
-        now = flight.plant.time_s
-        quiet, asked, times = self._sampling_arguments[0], [], []
+        now, quiet = flight.plant.time_s, self._sampling_table[0]
+        self._faulty_imu.is_altered = False
+        asked = []
         for k, one in self._sensors_by_index.items():
             lent = not any(t.start_s <= now < t.stop_s for t in one.faults)
             assert isinstance(one.sensor, PeriodicSensor)
             quiet[k] = one.sensor.next_sample_s if lent else math.inf
             if lent:
+                one.is_altered = False
                 asked.append(one)
-                times.append(int(one.sensor.counts[TIMES_SAID]))
         self._next_sample_times = [math.inf if one in asked else _next_sample_time(one, now) for one in self._faulty]
-        self._last_readings, self._last_ranges = (
-            [None] * len(self._faulty),
-            filtered.ranges,
-        )  # single periods may have sampled since
-        self._numbers[F_NEXT_PYTHON_SAMPLE_S] = min(self._next_sample_times, default=math.inf)
-        self._numbers[F_NEXT_SAMPLE_S] = -math.inf
-        filtered.export_reading_state(self._sample_times, self._pictures, self._beams)
-        self._reading_counts, self._compiled_sensors = times, asked
+        self._clock.next_python_sample_s = min(self._next_sample_times, default=math.inf)
+        self._clock.next_sample_s = -math.inf
         # After single periods, the previous row is not the last published status.
         if self._last_statuses is not filtered.sensor_statuses:
             self._status_rows[0] = math.nan
         self._published_row = 0
-        self._counters[C_IS_UNTROUBLED] = flight.autopilot.has_no_sensor_events(filtered.sensor_statuses)
-        return self._sampling_arguments
-
-    def _collect_samples(self) -> None:
-        """Pass the samples of the loop to sensors and filter."""
-        filtered = self._filter
-        assert filtered is not None
-        for k, one in enumerate(self._compiled_sensors):
-            sensor: Any = one.sensor
-            if sensor.counts[TIMES_SAID] != self._reading_counts[k]:
-                self._reading_counts[k], said = int(sensor.counts[TIMES_SAID]), sensor.make_readings()
-                one.accept_external_readings(said)
-                self._latest |= said
-                filtered.accept_external_readings(said, self._pictures, self._beams)
+        self._clock.is_untroubled = flight.autopilot.has_no_sensor_events(filtered.sensor_statuses)
+        return self._sampling_table
 
     def _call_listener(self) -> None:
-        """Call the listener with the stored instants.
+        """Call the listener with the stored instants, and publish the status rows up to them.
 
         A listener with a method ``add_estimates`` gets all instants in one call: true and estimated position, velocity
         and attitude (n, 9), covariances (n, 9, 9), and validity (n,).
         """
-        flight, filtered, c = self._flight, self._filter, self._counters
+        flight, filtered, c = self._flight, self._filter, self._clock
         assert filtered is not None
-        rows, rate = self._listener_rows[: c[C_LISTENER_ROWS]], flight.plant.rate_Hz
-        c[C_LISTENER_ROWS] = 0
+        rows, rate = self._listener_rows[: c.listener_rows], flight.plant.rate_Hz
+        c.listener_rows = 0
         together: Any = getattr(flight.listener, "add_estimates", None)
         if together is not None and len(rows):
             told, nine = rows[:, HEARD_TOLD].astype(int), EX_GYRO_BIAS
@@ -494,12 +337,6 @@ class CompiledFlight:
             self._filter.publish_status(_unpack_status_row(self._status_rows[rows].copy()))
             self._published_row = rows
 
-    def _update_ideal_ring(self) -> None:
-        """Pass the last ranges of the loop to the ideal ring."""
-        if self._ring is not None and self._counters[C_LAST_RING_TICK] >= 0:
-            looked_s = int(self._counters[C_LAST_RING_TICK]) / self._flight.plant.rate_Hz
-            self._ring.accept_external_ranges(self._beams, looked_s)
-
     def _report_status(self, periods: int, last: str = "") -> None:
         """Report the sensor statuses of past periods to the autopilot; ``last``: mission state of the last period."""
         auto, filtered = self._flight.autopilot, self._filter
@@ -507,64 +344,56 @@ class CompiledFlight:
             for k in range(self._reported_periods, periods):
                 state = last if last and k == periods - 1 else self._mission_state
                 auto.report_sensor_checks(
-                    filtered.sensor_statuses, (self._start_tick + 1 + k) / self._flight.plant.rate_Hz, state
+                    filtered.sensor_statuses, int(self._clock.start_tick + 1 + k) / self._flight.plant.rate_Hz, state
                 )
         self._reported_periods = periods
 
     def _read_at(self, truth: Truth) -> tuple[Readings, Estimate]:
         """Return the latest readings and the estimate."""
-        flight, filtered, c = self._flight, self._filter, self._counters
+        flight, filtered, c = self._flight, self._filter, self._clock
         if filtered is None:
             readings = flight.sensors.read(truth)
             return readings, flight.estimator.update(readings)
         estimate = filtered.read_estimate(
-            truth.time_s, bool(c[C_IS_VALID]), int(c[C_FILTER_PERIODS]) - filtered.period_count
-        )
-        return Readings(truth.time_s, self._latest), estimate
+            truth.time_s, bool(c.is_valid), int(c.filter_periods) - filtered.period_count
+        )  # fmt: skip
+        return flight.sensors.gather_latest(truth.time_s), estimate
 
     def _synchronise_simulation(self, why: int, wind: _Array, ran: bool) -> None:
         """Copy the results of the loop into the simulation."""
         flight, plant, auto = self._flight, self._flight.plant, self._flight.autopilot
-        software, c, filtered = self._software, self._counters, self._filter
-        plant.consume_wind(wind[int(c[C_WIND_SAMPLES]) - 1], int(c[C_WIND_SAMPLES]))
+        software, c, filtered = self._software, self._clock, self._filter
+        periods, rows, due, winds = (
+            int(n) for n in (c.periods_run, c.log_rows, c.last_due_tick, c.wind_samples)
+        )  # fmt: skip
+        plant.consume_wind(wind[winds - 1], winds)
         truth = self._current_truth()
-        self._update_ideal_ring()
-        if filtered is not None:
-            self._collect_samples()
-        if filtered is not None and c[C_IMU_SAMPLED]:
-            sensed = truth if why not in (EXIT_CONTACT, EXIT_NOT_FINITE) else replace(
-                truth, time_s=float(self._numbers[F_LAST_IMU_S]), state=self._previous_state
-            )  # fmt: skip
-            said = self._imu.accept_external_samples(sensed, *self._imu_reading)
-            self._faulty_imu.accept_external_readings(said)
-            self._latest |= said
-        flight.current_A = float(self._numbers[F_CURRENT_A])
+        flight.current_A = float(c.current_A)
         self._board.read_log()
         software.clear_cached_records()
-        periods, rows = int(c[C_PERIODS_RUN]), int(c[C_LOG_ROWS])
-        whole = why not in (EXIT_CONTACT, EXIT_NOT_FINITE)
+        whole = why not in (CONTACT, NOT_FINITE)
         last = int(whole and truth.tick % flight.record_periods == 0)
         if filtered is not None:
             self._call_listener()
             self._report_status(periods, str(software.state))
-            self._publish_status_up_to(int(c[C_STATUS_ROWS]))
+            self._publish_status_up_to(int(c.status_rows))
         self._record_rows(0, rows - last)
         if filtered is not None or whole:
             readings, estimate = self._read_at(truth)
         if filtered is not None:
-            self._status_rows[0], self._last_statuses = (
-                self._status_rows[c[C_STATUS_ROWS]],
-                filtered.sensor_statuses,
-            )
+            self._status_rows[0], self._last_statuses = self._status_rows[c.status_rows], filtered.sensor_statuses
         flight.acting_actuators = Actuators(self._acting[1, MOTORS].copy(), self._acting[1, SERVOS].copy())
         flight.sent_actuators = Actuators(self._acting[2, MOTORS].copy(), self._acting[2, SERVOS].copy())
+        is_due = whole and due == truth.tick
+        # Motors change in the last period only: that ends a call.
+        was_due = due >= 0 and (not is_due or periods > software.mission_step_periods)
         if whole:
             flight.set_instant(truth, readings, estimate)
-            auto.account_for_periods(estimate, flight.sent_actuators, periods, int(c[C_LAST_DUE_TICK]), truth.tick, ran)
-        elif periods:
-            auto.account_for_periods(None, flight.sent_actuators, periods, int(c[C_LAST_DUE_TICK]), truth.tick, ran)
+        auto.conclude_periods(
+            estimate if whole else None, flight.sent_actuators, ran=ran if was_due else None, due=is_due
+        )
         self._record_rows(rows - last, rows)
-        plant.count_periods(int(c[C_WIND_SAMPLES]))
+        plant.count_periods(winds)
         if not whole:
             flight.finish_period(self._acting[0].copy())
 
@@ -602,3 +431,53 @@ def _next_sample_time(sensor: FaultySensor, time_s: float) -> float:
         elif time_s < fault.stop_s:
             return -math.inf
     return wakes
+
+
+def _make_software_arrays(software: Any) -> SoftwareArrays:
+    """Return the records of the exported flight software as arrays."""
+    ffi, lib, board = software.firmware.ffi, software.firmware.lib, software.software_instance
+    raw, raw_estimate = (
+        np.frombuffer(ffi.buffer(p), dtype=np.uint8) for p in (board.software_record, board.estimate_record)
+    )
+
+    def offset(unit: int, *path: str) -> int:
+        return int(ffi.offsetof(*path)) // unit
+
+    s, b = "software_t", "estimate_t"
+    offsets = np.zeros(1, RECORD_OFFSETS).view(np.recarray)[0]
+    offsets.time, offsets.motion, offsets.valid = offset(8, b, "time_s"), offset(8, b, "motion"), offset(1, b, "valid")
+    offsets.motors, offsets.late_s = offset(4, s, "motors"), offset(8, s, "since_mission_step_s")
+    offsets.log_count, offsets.finished = offset(4, s, "mission", "logged_count"), offset(1, s, "mission", "finished")
+    offsets.state = offset(4, s, "mission", "state")
+    offsets.position, offsets.velocity = (offset(8, s, "reference", "path", n) for n in ("position", "velocity"))
+    offsets.heading, offsets.heading_rate = (offset(8, s, "reference", n) for n in ("heading", "heading_rate"))
+    offsets.tilt, offsets.ranges = offset(8, s, "tilt"), offset(8, b, "ranges")
+    offsets.position_variance, offsets.attitude_variance = (
+        offset(8, b, n) for n in ("position_variance", "attitude_variance")
+    )
+    offsets.specific_force = offset(8, b, "specific_force")
+    offsets.checks, offsets.check_size = offset(4, b, "checks"), ffi.sizeof("sensor_status_t") // 4
+    offsets.check_status, offsets.check_reason = (offset(4, "sensor_status_t", n) for n in ("status", "why"))
+    records = (
+        board.setup_record, board.software_record, board.estimate_record, board.command_record, board.actuators_record,
+    )  # fmt: skip
+    addresses = tuple(int(ffi.cast("uintptr_t", p)) for p in (ffi.addressof(lib, "software_step"), *records))
+    return SoftwareArrays(
+        raw.view(np.float64), raw.view(np.int32), raw, raw_estimate.view(np.float64), raw_estimate.view(np.int32),
+        raw_estimate, np.frombuffer(ffi.buffer(board.actuators_record), dtype=np.float64), offsets, addresses,
+    )  # fmt: skip
+
+
+def _make_filter_arrays(filtered: KalmanEstimator, texts: NDArray[np.int64]) -> FilterArrays:
+    """Return the arrays of a filter in C, with the numbers of the reasons' texts."""
+    m, row, memory = filtered.memory, filtered.input_row, filtered.memory_array
+    step, *held = filtered.backend.call_addresses
+    is_fitted = np.zeros(SENSOR_COUNT, np.uint8)
+    is_fitted[list(filtered.reading_indices.values())] = 1
+    # The last two are numbers, not arrays: a field of an array of one is a view.
+    status = (*(m[name] for name in PUBLISHED_FIELDS[:-2]), *(memory[name] for name in PUBLISHED_FIELDS[-2:]))
+    return FilterArrays(
+        m["x_output"], m["rates_output"], m["angles_output"], *row, is_fitted, filtered.reading_times,
+        filtered.ring_scans, filtered.max_range_m, filtered.beam_indices.astype(np.int64), status, texts,
+        (step, memory.ctypes.data, *held, *(a.ctypes.data for a in row)),
+    )  # fmt: skip

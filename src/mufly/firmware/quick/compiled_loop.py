@@ -1,9 +1,14 @@
-"""Compiled loop over simulation periods: plant, sensors, filter and flight software in each period."""
+"""The stages of :mod:`mufly.flight.period_stages` over arrays, compiled: many periods of a flight in one call.
+
+There are two executors: :func:`run_ideal_periods` for a flight on the truth, :func:`run_fitted_periods` for one on
+sensors with errors and the filter. Plant, sensors, filter and flight software are the compiled functions and the C
+that a flight in Python calls, and work on the same arrays.
+"""
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,15 +31,17 @@ from mufly.estimate.filter_records import (
     SX_POS,
     SX_VEL,
 )
+from mufly.estimate.kalman_estimator import filter_ring_scan
 from mufly.estimate.output_predictor import COVARIANCE_INTERVAL_TICKS
 from mufly.estimate.sensor_checks import ACTUATOR_START, CLIPPING_START
+from mufly.flight.period_stages import CONTINUE, DONE, FIRST_FREE_CODE, make_stepper
 from mufly.flight.simulated_plant import advance_period, find_collision, true_attitude
 from mufly.numba_cache import cached_njit
 from mufly.numba_intrinsics import borrow_arrays, call_c_function
-from mufly.sensors.imu import GYRO, simulate_imu_period
+from mufly.record_fields import int_field, real_field, record_type
+from mufly.sensors.imu import GYRO, sample_imu
 from mufly.sensors.periodic import FIRST_VALUE, IS_VALID, MEASURED_TIME
 from mufly.sensors.readings import measure_ranges
-from mufly.sensors.rng import draw_normals
 from mufly.sensors.sampling import SAMPLED_READINGS, sample_all
 
 _Array = NDArray[np.float64]
@@ -42,74 +49,180 @@ _Array = NDArray[np.float64]
 MAX_PERIODS_PER_CALL = 1024
 """Maximum number of periods per call."""
 
-# Reasons for the return to Python
+# Codes of the stages: reasons for the return to Python
 (
-    EXIT_DONE,
-    EXIT_SAMPLE_SENSORS,
-    EXIT_UPDATE_STATUS,
-    EXIT_LOG_OR_MODE_CHANGED,
-    EXIT_CONTACT,
-    EXIT_NOT_FINITE,
-    EXIT_ESTIMATE_VALID,
-    EXIT_CALL_LISTENER,
-) = range(8)
-# Phases of a period, for resumption
-PHASE_ADVANCE_PLANT, PHASE_ESTIMATE, PHASE_CONTROL = range(3)
-# Indices of the integer state
-(
-    C_LOOP_PHASE,
-    C_TICK,
-    C_STOP_TICK,
-    C_WIND_SAMPLES,
-    C_RING_INTERVAL,
-    C_CONTACT_INTERVAL,
-    C_RECORD_INTERVAL,
-    C_IS_ARMED,
-    C_IS_VALID,
-    C_STOP_WHEN_VALID,
-    C_FILTER_PERIODS,
-    C_PERIODS_RUN,
-    C_LOG_ROWS,
-    C_LAST_DUE_TICK,
-    C_IMU_SAMPLED,
-    C_PLANT_STEPS,
-    C_LISTEN_INTERVAL,
-    C_LAST_LISTEN_TICK,
-    C_LAST_RING_TICK,
-    C_BEAM_COUNT,
-    C_STATUS_ROWS,
-    C_LISTENER_ROWS,
-    C_IS_UNTROUBLED,
-    C_SIZE,
-) = range(24)
-# Indices of the floating-point state
-(
-    F_RATE_HZ,
-    F_STEP_S,
-    F_CONTACT_RADIUS,
-    F_HOVER_CURRENT_A,
-    F_CURRENT_A,
-    F_CURRENT_BLEND,
-    F_NEXT_PYTHON_SAMPLE_S,
-    F_LAST_IMU_S,
-    F_NEXT_SAMPLE_S,
-    F_SIZE,
-) = range(10)
-# Offsets in the C records, in units of eight, four or one byte
-(
-    _B_TIME, _B_MOTION, _B_VALID, _S_MOTORS, _S_LATE_S, _S_LOG_COUNT, _S_FINISHED, _S_STATE, _S_POSITION, _S_VELOCITY,
-    _S_HEADING, _S_HEADING_RATE, _S_TILT, _B_RANGES, _B_POSITION_VARIANCE, _B_ATTITUDE_VARIANCE,
-    _B_SPECIFIC_FORCE, _B_CHECKS, _B_CHECK, _SENSOR_STATUS_CODE_OFFSET, _B_REASON,
-) = range(21)  # fmt: skip
+    SAMPLE_SENSORS,
+    UPDATE_STATUS,
+    LOG_OR_MODE_CHANGED,
+    CONTACT,
+    NOT_FINITE,
+    ESTIMATE_VALID,
+    CALL_LISTENER,
+) = range(FIRST_FREE_CODE, FIRST_FREE_CODE + 7)
+
+
+class LoopClock:
+    """Counts and numbers of a call."""
+
+    stage: int = int_field("stage due next")
+    tick: int = int_field("periods of the plant since its start")
+    start_tick: int = int_field("period in which this call began")
+    stop_tick: int = int_field("period in which this call ends")
+    contact_interval: int = int_field("periods between two checks of contacts")
+    record_interval: int = int_field("periods between two rows of the recording")
+    ring_interval: int = int_field("periods between two readings of an ideal ring")
+    listen_interval: int = int_field("periods between two calls of the listener; 0: no listener")
+    wind_samples: int = int_field("samples of the wind used")
+    plant_steps: int = int_field("Runge-Kutta steps of a period")
+    beam_count: int = int_field("beams of the ring in the flight software")
+    is_armed: int = int_field("1: armed")
+    is_valid: int = int_field("1: the estimate is valid")
+    stop_when_valid: int = int_field("1: the call ends when the estimate becomes valid")
+    is_untroubled: int = int_field("1: no sensor is suspected and none was reported")
+    is_changed: int = int_field("1: log or motors changed in this period")
+    periods_run: int = int_field("periods of the flight software")
+    filter_periods: int = int_field("periods of the filter")
+    last_due_tick: int = int_field("last period in which the mission's logic was due; -1: none")
+    log_rows: int = int_field("rows of the recording written")
+    status_rows: int = int_field("rows of sensor status written")
+    listener_rows: int = int_field("rows for the listener written")
+    rate_Hz: float = real_field("rate of the flight software", unit="Hz")
+    step_s: float = real_field("step of the integration", unit="s")
+    contact_radius: float = real_field("radius of a rotor", unit="m")
+    hover_current_A: float = real_field("current in hover", unit="A")
+    current_A: float = real_field("mean current", unit="A")
+    current_share: float = real_field("share of a new value in the mean current")
+    next_python_sample_s: float = real_field("next sample of the sensors that Python samples", unit="s")
+    next_sample_s: float = real_field("next sample of the other sensors", unit="s")
+
+
+LOOP_CLOCK = record_type(LoopClock, int_kind=np.int64)
+
+
+class RecordOffsets:
+    """Places of fields in the records of C, in units of their size."""
+
+    time: int = int_field("time of the estimate")
+    motion: int = int_field("motion of the estimate")
+    valid: int = int_field("validity of the estimate")
+    motors: int = int_field("state of the motors")
+    late_s: int = int_field("time that the period is late")
+    log_count: int = int_field("entries of the log")
+    finished: int = int_field("end of the mission")
+    state: int = int_field("state of the mission")
+    position: int = int_field("reference position")
+    velocity: int = int_field("reference velocity")
+    heading: int = int_field("reference heading")
+    heading_rate: int = int_field("reference rate of the heading")
+    tilt: int = int_field("reference tilt")
+    ranges: int = int_field("ranges of the ring")
+    position_variance: int = int_field("variance of the position")
+    attitude_variance: int = int_field("variance of the attitude")
+    specific_force: int = int_field("reading of the accelerometers")
+    checks: int = int_field("checks of the sensors")
+    check_size: int = int_field("size of a check")
+    check_status: int = int_field("status in a check")
+    check_reason: int = int_field("reason in a check")
+
+
+RECORD_OFFSETS = record_type(RecordOffsets, int_kind=np.int64)
+
+
+class PlantArrays(NamedTuple):
+    """The plant, and what acts on it."""
+
+    state: _Array
+    parameters: NDArray[np.void]
+    attitude: _Array
+    supply: _Array  # voltage and current of the battery
+    wind: _Array  # (n, 3), of the periods to come
+    acting: _Array  # (3, 4): over the last period, now, sent last
+    leg_count: int
+    has_obstacles: bool
+    boxes: _Array
+    cylinders: _Array
+    limits: _Array
+
+
+class SoftwareArrays(NamedTuple):
+    """The flight software in C: its records as arrays of each size of number."""
+
+    reals: _Array
+    ints: NDArray[np.int32]
+    bytes: NDArray[np.uint8]
+    estimate_reals: _Array
+    estimate_ints: NDArray[np.int32]
+    estimate_bytes: NDArray[np.uint8]
+    actuators: _Array
+    offsets: RecordOffsets
+    addresses: tuple[int, ...]  # of the step, and of its five arguments
+
+
+class FilterArrays(NamedTuple):
+    """The filter in C: what it publishes, its readings of a period, and what :class:`KalmanEstimator` keeps."""
+
+    state: _Array
+    rates: _Array
+    angles: _Array
+    values: _Array
+    is_new: NDArray[np.int32]
+    age: _Array
+    is_fitted: NDArray[np.uint8]
+    reading_times: _Array
+    ring_scans: _Array
+    max_range_m: float
+    beams: NDArray[np.int64]  # fused ones
+    status: tuple[_Array, ...]  # PUBLISHED_FIELDS of the memory
+    texts: NDArray[np.int64]  # numbers of the reasons' texts
+    addresses: tuple[int, ...]  # of the step, and of its six arguments
+
+
+class SensorArrays(NamedTuple):
+    """Sensors with errors: arguments of :func:`sample_imu` and :func:`sample_all`."""
+
+    imu: tuple[Any, ...]
+    quiet_until: _Array
+    has_come: NDArray[np.uint8]
+    rows: _Array
+    parts: tuple[Any, ...]
+
+
+class IdealPeriods(NamedTuple):
+    """What :func:`run_ideal_periods` works on."""
+
+    clock: LoopClock
+    plant: PlantArrays
+    software: SoftwareArrays
+    ranges: _Array
+    log: _Array  # (n, LOG_ROW_SIZE + beams)
+    ring: tuple[Any, ...]  # arguments of measure_ranges
+    ring_clock: _Array
+
+
+class FittedPeriods(NamedTuple):
+    """What :func:`run_fitted_periods` works on."""
+
+    clock: LoopClock
+    plant: PlantArrays
+    software: SoftwareArrays
+    ranges: _Array
+    log: _Array  # (n, LOG_ROW_SIZE + beams)
+    sensors: SensorArrays
+    filter: FilterArrays
+    status_rows: _Array  # (n, STATUS_ROW_SIZE), the first as it was before
+    listener_rows: _Array  # (n, LISTENER_ROW_SIZE + beams)
+
+
+Periods = IdealPeriods | FittedPeriods
+
 _MOTORS_OFF, _MOTORS_FLY = 0, 2
+_IMU_OUTPUT = 4  # place in the arguments of sample_imu after the time
 # First columns of a log row: time, state, attitude, wind, battery, active actuators, reference, mission state; the
 # ranges follow
 ROW_TIME, ROW_STATE, ROW_ATT, ROW_WIND, ROW_SUPPLY, ROW_MOTORS, ROW_SERVOS = 0, 1, 22, 25, 28, 30, 32
 ROW_REF_POS, ROW_REF_VEL, ROW_REF_ATT, ROW_MISSION, LOG_ROW_SIZE = 34, 37, 40, 43, 44
 # Offsets in the C record of motion (controllers.h)
 _M_POS, _M_VEL, _M_ATT, _M_RATES, _M_VOLTAGE = 0, 3, 6, 9, 12
-# First address of each C function and its arguments
-_TO_SOFTWARE, _TO_FILTER = 0, 6
 _ACCEL_START, _RATES_START, _VOLTAGE_START = (
     READING_STARTS[R_ACCELERATION],
     READING_STARTS[R_RATES],
@@ -143,64 +256,201 @@ LISTENER_ROW_SIZE = HEARD_ANGLES + 3
 
 
 @cached_njit(error_model="numpy")
-def _fill_readings(
-    t: float,
-    came: NDArray[np.uint8],
-    told: _Array,
-    z: _Array,
-    new: NDArray[np.int32],
-    age: _Array,
-    fitted: NDArray[np.uint8],
-    taken: _Array,
-    pictures: _Array,
-    used: NDArray[np.int64],
-    ranges: _Array,
-) -> bool:
-    """Copy sensor readings into the filter's input row; return whether a range picture was among them."""
-    seen = False
+def _copy_to_row(row: _Array, at: int, values: _Array) -> int:
+    """Copy values into a row from an index on; return the index behind them.
+
+    (An assignment to a slice adds 2 s of compilation, for the text of its shape error.)
+    """
+    for k in range(values.size):
+        row[at + k] = values[k]
+    return at + values.size
+
+
+# Stages. They are compiled into their executor: a call would copy what describes some sixty arrays.
+
+
+@cached_njit(inline="always")
+def _has_ended(p: Periods) -> bool:
+    c = p.clock
+    return c.tick >= c.stop_tick or c.wind_samples >= p.plant.wind.shape[0] or c.log_rows >= p.log.shape[0]
+
+
+@cached_njit(inline="always")
+def _is_heard(p: Periods) -> bool:
+    c = p.clock
+    return c.listen_interval > 0 and c.tick % c.listen_interval == 0 and c.tick != c.start_tick
+
+
+@cached_njit(inline="always")
+def _begin_ideal_period(p: IdealPeriods) -> int:
+    if _has_ended(p):
+        return DONE
+    if _is_heard(p):
+        return CALL_LISTENER
+    return CONTINUE
+
+
+@cached_njit(inline="always")
+def _begin_fitted_period(p: FittedPeriods) -> int:
+    if _has_ended(p):
+        return DONE
+    if _is_heard(p):
+        c, f = p.clock, p.filter
+        row = p.listener_rows[c.listener_rows]
+        c.listener_rows += 1
+        row[HEARD_TICK], row[HEARD_VALID] = c.tick, c.is_valid
+        row[HEARD_VOLTS], row[HEARD_TOLD] = f.values[_VOLTAGE_START], c.status_rows
+        n = _copy_to_row(row, HEARD_WIND, p.plant.wind[c.wind_samples - 1])
+        n = _copy_to_row(row, _copy_to_row(row, n, p.plant.supply), f.values[_ACCEL_START : _ACCEL_START + 3])
+        n = _copy_to_row(row, _copy_to_row(row, n, p.plant.state), p.plant.attitude)
+        n = _copy_to_row(row, _copy_to_row(row, _copy_to_row(row, n, f.state), f.rates), f.angles)
+        _copy_to_row(row, n, p.ranges)
+    return CONTINUE
+
+
+@cached_njit(inline="always")
+def _advance_plant(p: Periods) -> int:
+    c, q = p.clock, p.plant
+    acting = q.acting
+    advance_period(q.state, acting[1], q.wind[c.wind_samples], q.parameters, c.step_s, c.plant_steps, q.supply)
+    c.wind_samples += 1
+    c.tick += 1
+    for k in range(4):
+        acting[0, k], acting[1, k] = acting[1, k], acting[2, k]
+    if not math.isfinite(q.state[RS_POS + 2]):
+        return NOT_FINITE
+    return CONTINUE
+
+
+@cached_njit(inline="always")
+def _check_contact(p: Periods) -> int:
+    c, q = p.clock, p.plant
+    if c.tick % c.contact_interval == 0:
+        if find_collision(
+            q.state, q.parameters, q.leg_count, c.contact_radius, q.has_obstacles, q.boxes, q.cylinders, q.limits
+        ):
+            return CONTACT
+        flies = p.software.ints[p.software.offsets.motors] == _MOTORS_FLY
+        drawn = q.supply[1] if flies else c.hover_current_A
+        c.current_A += c.current_share * (drawn - c.current_A)
+    return CONTINUE
+
+
+@cached_njit(inline="always")
+def _publish_ranges(p: Periods) -> None:
+    for k in range(p.clock.beam_count):
+        p.software.estimate_reals[p.software.offsets.ranges + k] = p.ranges[k]
+
+
+@cached_njit(inline="always")
+def _measure_truth(p: IdealPeriods) -> int:
+    c, q = p.clock, p.plant
+    true_attitude(q.state, q.attitude)
+    if c.tick % c.ring_interval == 0:
+        measure_ranges(q.state, *p.ring, p.ranges)
+        p.ring_clock[0] = c.tick / c.rate_Hz
+        _publish_ranges(p)
+    return CONTINUE
+
+
+@cached_njit(error_model="numpy")
+def _fill_readings(t: float, has_come: NDArray[np.uint8], rows: _Array, f: FilterArrays, ranges: _Array) -> bool:
+    """Copy readings into the filter's row, as :meth:`KalmanEstimator.fill_readings`; return whether of the ring."""
+    is_ring = False
     for k in range(len(SAMPLED_READINGS)):
         r = SAMPLED_READINGS[k]
-        if came[k] == 0 or r < 0 or fitted[r] == 0 or told[k, MEASURED_TIME] == taken[r]:
+        if has_come[k] == 0 or r < 0 or f.is_fitted[r] == 0 or rows[k, MEASURED_TIME] == f.reading_times[r]:
             continue
-        row = told[k]
-        taken[r] = row[MEASURED_TIME]
-        age[r], new[r] = t - row[MEASURED_TIME], 1 if row[IS_VALID] != 0.0 else 2
+        row = rows[k]
+        f.reading_times[r] = row[MEASURED_TIME]
+        f.age[r], f.is_new[r] = t - row[MEASURED_TIME], 1 if row[IS_VALID] != 0.0 else 2
         start = READING_STARTS[r]
         if r == R_RING:
-            seen = True
-            for j in range(used.size):
-                z[start + j] = row[FIRST_VALUE + used[j]]
-            for j in range(ranges.size):
-                pictures[0, j], pictures[1, j], pictures[2, j] = (
-                    pictures[1, j],
-                    pictures[2, j],
-                    row[FIRST_VALUE + j],
-                )
-                a, b, c = pictures[0, j], pictures[1, j], pictures[2, j]
-                ranges[j] = max(min(a, b), min(max(a, b), c))
+            is_ring = True
+            for j in range(f.beams.size):
+                f.values[start + j] = row[FIRST_VALUE + f.beams[j]]
+            filter_ring_scan(row[FIRST_VALUE:], f.max_range_m, f.ring_scans, ranges)
         else:
             for j in range(READING_WIDTHS[r]):
-                z[start + j] = row[FIRST_VALUE + j] - READING_OFFSETS[r]
-    return seen
+                f.values[start + j] = row[FIRST_VALUE + j] - READING_OFFSETS[r]
+    return is_ring
+
+
+@cached_njit(inline="always")
+def _sample_sensors(p: FittedPeriods) -> int:
+    c, q, f, s = p.clock, p.plant, p.filter, p.sensors
+    t = c.tick / c.rate_Hz
+    true_attitude(q.state, q.attitude)
+    for k in range(f.is_new.size):
+        f.is_new[k] = 0
+    for k in range(4):
+        f.values[ACTUATOR_START + k] = q.acting[0, k]
+    sample_imu(q.state, t, *s.imu)
+    read = s.imu[_IMU_OUTPUT]
+    for k in range(3):
+        f.values[_ACCEL_START + k], f.values[_RATES_START + k] = read[0, k], read[0, GYRO + k]
+        f.values[CLIPPING_START + k] = read[1, k]
+    f.is_new[R_ACCELERATION] = f.is_new[R_RATES] = 1
+    f.age[R_ACCELERATION] = f.age[R_RATES] = 0.0
+    f.reading_times[R_ACCELERATION] = f.reading_times[R_RATES] = t
+    if t >= c.next_sample_s:
+        c.next_sample_s = sample_all(t, q.state, q.attitude, q.supply, s.quiet_until, s.has_come, s.rows, s.parts)
+        if _fill_readings(t, s.has_come, s.rows, f, p.ranges):
+            _publish_ranges(p)
+    if t >= c.next_python_sample_s:
+        return SAMPLE_SENSORS
+    return CONTINUE
+
+
+@cached_njit(inline="always")
+def _publish_truth(p: IdealPeriods) -> int:
+    c, q, b, at = p.clock, p.plant, p.software.estimate_reals, p.software.offsets
+    b[at.time] = c.tick / c.rate_Hz
+    for k in range(3):
+        b[at.motion + _M_POS + k], b[at.motion + _M_VEL + k] = q.state[RS_POS + k], q.state[RS_VEL + k]
+        b[at.motion + _M_ATT + k], b[at.motion + _M_RATES + k] = q.attitude[k], q.state[RS_RATES + k]
+    b[at.motion + _M_VOLTAGE] = q.supply[0]
+    return CONTINUE
+
+
+@cached_njit(inline="always")
+def _step_filter(p: FittedPeriods) -> int:
+    c, f, b, at = p.clock, p.filter, p.software.estimate_reals, p.software.offsets
+    b[at.time] = c.tick / c.rate_Hz
+    valid = call_c_function(f.addresses[0], f.addresses[1:]) & 1
+    for k in range(3):
+        b[at.motion + _M_POS + k], b[at.motion + _M_VEL + k] = f.state[SX_POS + k], f.state[SX_VEL + k]
+        b[at.motion + _M_ATT + k], b[at.motion + _M_RATES + k] = f.angles[k], f.rates[k]
+        b[at.specific_force + k] = f.values[_ACCEL_START + k]
+    volts = f.values[_VOLTAGE_START]
+    b[at.motion + _M_VOLTAGE] = volts if volts != 0.0 else math.nan
+    p.software.estimate_bytes[at.valid] = valid
+    c.is_valid = valid
+    c.filter_periods += 1
+    if c.filter_periods % COVARIANCE_INTERVAL_TICKS == 0:
+        n = c.status_rows
+        c.status_rows += 1
+        if not _write_filter_status(
+            f, c.is_untroubled, p.status_rows[n], p.status_rows[n + 1], p.software.estimate_ints, at
+        ):
+            return UPDATE_STATUS
+        covariance = f.status[0]
+        for k in range(3):
+            b[at.position_variance + k] = covariance[k, k]
+            b[at.attitude_variance + k] = covariance[EX_ATT + k, EX_ATT + k]
+    return CONTINUE
 
 
 @cached_njit(error_model="numpy")
 def _write_filter_status(
-    memory: tuple[Any, ...],
-    fitted: NDArray[np.uint8],
-    calm: int,
-    texts: NDArray[np.int64],
-    before: _Array,
-    row: _Array,
-    said: NDArray[np.int32],
-    at: NDArray[np.int64],
+    f: FilterArrays, calm: int, before: _Array, row: _Array, said: NDArray[np.int32], at: RecordOffsets
 ) -> bool:
     """Write the filter's status into a row and the C record; return whether Python need not format texts.
 
-    ``texts`` are the text numbers of the reasons, -1 for texts that contain a value. ``calm``: waiting and fused
+    ``f.texts`` are the text numbers of the reasons, -1 for texts that contain a value. ``calm``: waiting and fused
     sensors need no report.
     """
-    covariance, sigma, code, why, number, innovation, spread, used, came, component, tick = memory
+    covariance, sigma, code, why, number, innovation, spread, used, came, component, tick = f.status
     for j in range(EX_GYRO_BIAS):
         for k in range(EX_GYRO_BIAS):
             row[EX_GYRO_BIAS * j + k] = covariance[j, k]
@@ -213,17 +463,17 @@ def _write_filter_status(
         of, was = row[start : start + SENSOR_WIDE], before[start : start + SENSOR_WIDE]
         of[_STATUS], of[_REASON], of[_NUMBER], of[_INNOVATION] = code[k], why[k], number[k], innovation[k]
         of[_SPREAD], of[_FUSED], of[_NEW] = spread[k], used[k], came[k]
-        if fitted[k] == 0:
+        if f.is_fitted[k] == 0:
             continue
-        text = texts[why[k]]
+        text = f.texts[why[k]]
         if code[k] == g.STATUS_WAITING and why[k] == g.REASON_NONE and came[k] == 0:
-            text = texts[g.REASON_NO_READING]
+            text = f.texts[g.REASON_NO_READING]
         quiet = (
             calm != 0 and (code[k] == g.STATUS_WAITING or code[k] == g.STATUS_FUSED) and was[_STATUS] == was[_STATUS]
         )
         if quiet and text >= 0:
-            one = at[_B_CHECKS] + k * at[_B_CHECK]
-            said[one + at[_SENSOR_STATUS_CODE_OFFSET]], said[one + at[_B_REASON]] = code[k], text
+            one = at.checks + k * at.check_size
+            said[one + at.check_status], said[one + at.check_reason] = code[k], text
         else:
             same = same and of[_STATUS] == was[_STATUS] and of[_REASON] == was[_REASON]
             same = same and (text >= 0 or of[_NUMBER] == was[_NUMBER])
@@ -231,218 +481,73 @@ def _write_filter_status(
     return same
 
 
+@cached_njit(inline="always")
+def _step_software(p: Periods) -> int:
+    c, s = p.clock, p.software
+    at = s.offsets
+    logged, motors, finished = s.ints[at.log_count], s.ints[at.motors], s.bytes[at.finished]
+    call_c_function(s.addresses[0], s.addresses[1:])
+    runs = c.is_armed > 0 or s.ints[at.motors] == _MOTORS_OFF
+    for k in range(4):
+        p.plant.acting[2, k] = s.actuators[k] if runs else 0.0
+    if s.reals[at.late_s] == 0.0:
+        c.last_due_tick = c.tick
+    c.periods_run += 1
+    changed = s.ints[at.log_count] != logged or s.ints[at.motors] != motors or s.bytes[at.finished] != finished
+    c.is_changed = 1 if changed else 0
+    return CONTINUE
+
+
+@cached_njit(inline="always")
+def _write_row(p: Periods) -> int:
+    c, q, s = p.clock, p.plant, p.software
+    if c.tick % c.record_interval == 0:
+        at = s.offsets
+        row, late = p.log[c.log_rows], s.reals[at.late_s]
+        c.log_rows += 1
+        row[ROW_TIME] = c.tick / c.rate_Hz
+        n = _copy_to_row(row, _copy_to_row(row, ROW_STATE, q.state), q.attitude)
+        n = _copy_to_row(row, _copy_to_row(row, n, q.wind[c.wind_samples - 1]), q.supply)
+        _copy_to_row(row, n, q.acting[1])
+        for k in range(3):
+            way = s.reals[at.velocity + k]
+            row[ROW_REF_POS + k] = s.reals[at.position + k] + late * way
+            row[ROW_REF_VEL + k] = way
+        row[ROW_REF_ATT], row[ROW_REF_ATT + 1] = s.reals[at.tilt], s.reals[at.tilt + 1]
+        row[ROW_REF_ATT + 2] = s.reals[at.heading] + late * s.reals[at.heading_rate]
+        row[ROW_MISSION] = s.ints[at.state]
+        _copy_to_row(row, LOG_ROW_SIZE, p.ranges)
+    return CONTINUE
+
+
+@cached_njit(inline="always")
+def _end_period(p: Periods) -> int:
+    c = p.clock
+    if c.is_changed != 0:
+        return LOG_OR_MODE_CHANGED
+    if c.stop_when_valid > 0 and c.is_valid > 0:
+        return ESTIMATE_VALID
+    return CONTINUE
+
+
+def _compile_stepper(begin: Any, measure: Any, estimate: Any) -> Any:
+    stepper = make_stepper(
+        begin, _advance_plant, _check_contact, measure, estimate, _step_software, _write_row, _end_period
+    )
+    return cached_njit(stepper, inline="always", error_model="numpy")
+
+
+_step_ideal = _compile_stepper(_begin_ideal_period, _measure_truth, _publish_truth)
+_step_fitted = _compile_stepper(_begin_fitted_period, _sample_sensors, _step_filter)
+
+
 @cached_njit(error_model="numpy")
-def _copy_to_row(row: _Array, at: int, values: _Array) -> int:
-    """Copy values into a row from an index on; return the index behind them.
-
-    (An assignment to a slice adds 2 s of compilation, for the text of its shape error.)
-    """
-    for k in range(values.size):
-        row[at + k] = values[k]
-    return at + values.size
+def run_ideal_periods(p: IdealPeriods) -> int:
+    """Run periods of a flight on the truth, from ``p.clock.stage`` on; return the code of the stage that stops."""
+    return _step_ideal(borrow_arrays(p))
 
 
 @cached_njit(error_model="numpy")
-def run_until_event(
-    c: NDArray[np.int64],
-    f: _Array,
-    x: _Array,
-    parameters: Any,
-    wind: _Array,
-    supply: _Array,
-    attitude: _Array,
-    packed: tuple[int, bool, _Array, _Array, _Array],
-    acting: _Array,
-    software: tuple[_Array, NDArray[np.int32], NDArray[np.uint8]],
-    belief: tuple[_Array, NDArray[np.int32], NDArray[np.uint8]],
-    out: _Array,
-    at: NDArray[np.int64],
-    to: NDArray[np.int64],
-    log: _Array,
-    seen: _Array,
-    ring: Any,
-    filtered: Any,
-    imu: Any,
-    asked: Any,
-    shown: _Array,
-    heard: _Array,
-) -> int:
-    """Advance until an event that Python handles; return the reason.
-
-    Parameters
-    ----------
-    c, f : int64 and float64 arrays
-        Integer and floating-point state, by the indices above.
-    x, parameters, wind, supply, attitude
-        State and parameters of the plant; ``wind`` (n, 3) of the coming periods (m/s).
-    packed : tuple
-        Legs, presence of obstacles, and the tables of the world.
-    acting : (3, 4) array
-        Actuator inputs of the last period, of this period, and last sent.
-    software, belief : tuples of float64, int32 and uint8 arrays
-        Views of the C records.
-    out : (4,) array
-        Actuator commands of the software.
-    at : int64 array
-        Offsets in the C records.
-    to : int64 array
-        Addresses of software_step with five arguments and of estimator_step with six.
-    log : (n, columns) array
-        Log row of each recorded period.
-    seen : (n,) array
-        Ranges of the ring, as published (m).
-    ring : None, or tuple
-        Arguments of :func:`mufly.sensors.readings.measure_ranges` after the state, for an ideal ring.
-    filtered : None, or tuple of arrays
-        Output of the filter (state, rates, angles); its readings with flags of new ones and ages; fitted sensors,
-        sampling times, range pictures and beams in use; published fields of its memory; text numbers of the reasons.
-    imu : None, or tuple
-        Previous state; random generator and buffer of normal numbers; reading and clipping counts (6,); remaining
-        arguments of ``simulate_imu_period``.
-    asked : None, or tuple
-        Arguments of :func:`mufly.sensors.sampling.sample_all` after the supply; required with a filter, as ``imu`` is.
-    shown, heard : (n, columns) arrays
-        Status rows, the first being the previous one; listener rows.
-    """
-    # The caller owns all arrays and waits, so borrowing is safe.
-    c, f, x, parameters, wind, supply, attitude = borrow_arrays((c, f, x, parameters, wind, supply, attitude))
-    packed, acting, at, to, out, log, seen = borrow_arrays((packed, acting, at, to, out, log, seen))
-    shown, heard = borrow_arrays((shown, heard))
-    legs, obstacles, boxes, cylinders, limits = packed
-    sd, si, sb = borrow_arrays(software)
-    bd, bi, bb = borrow_arrays(belief)
-    now = at[_B_MOTION]
-    if ring is not None:
-        eyes = borrow_arrays(ring)
-    if filtered is not None:
-        told, rates, angles, z, new, age, fitted, taken, pictures, used, memory, texts = borrow_arrays(filtered)
-        was, source, normal, read, clipped, unit = borrow_arrays(imu)
-        quiet, came, said, all_parts = borrow_arrays(asked)
-        covariance = memory[0]
-    while True:
-        if c[C_LOOP_PHASE] == PHASE_ADVANCE_PLANT:
-            if c[C_TICK] >= c[C_STOP_TICK] or c[C_WIND_SAMPLES] >= wind.shape[0] or c[C_LOG_ROWS] >= log.shape[0]:
-                return EXIT_DONE
-            if (
-                c[C_LISTEN_INTERVAL] > 0
-                and c[C_TICK] % c[C_LISTEN_INTERVAL] == 0
-                and c[C_TICK] != c[C_LAST_LISTEN_TICK]
-            ):
-                c[C_LAST_LISTEN_TICK] = c[C_TICK]
-                if filtered is None:
-                    return EXIT_CALL_LISTENER
-                else:  # Numba omits the unreachable branch
-                    row = heard[c[C_LISTENER_ROWS]]
-                    c[C_LISTENER_ROWS] += 1
-                    row[HEARD_TICK], row[HEARD_VALID] = c[C_TICK], c[C_IS_VALID]
-                    row[HEARD_VOLTS], row[HEARD_TOLD] = z[_VOLTAGE_START], c[C_STATUS_ROWS]
-                    n = _copy_to_row(row, HEARD_WIND, wind[c[C_WIND_SAMPLES] - 1])
-                    n = _copy_to_row(row, _copy_to_row(row, n, supply), z[_ACCEL_START : _ACCEL_START + 3])
-                    n = _copy_to_row(row, _copy_to_row(row, n, x), attitude)
-                    n = _copy_to_row(row, _copy_to_row(row, _copy_to_row(row, n, told), rates), angles)
-                    _copy_to_row(row, n, seen)
-            if filtered is not None:
-                _copy_to_row(was, 0, x)
-            advance_period(x, acting[1], wind[c[C_WIND_SAMPLES]], parameters, f[F_STEP_S], c[C_PLANT_STEPS], supply)
-            c[C_WIND_SAMPLES] += 1
-            c[C_TICK] += 1
-            for k in range(4):
-                acting[0, k], acting[1, k] = acting[1, k], acting[2, k]
-            if not math.isfinite(x[RS_POS + 2]):
-                return EXIT_NOT_FINITE
-            t = c[C_TICK] / f[F_RATE_HZ]
-            if c[C_TICK] % c[C_CONTACT_INTERVAL] == 0:
-                if find_collision(x, parameters, legs, f[F_CONTACT_RADIUS], obstacles, boxes, cylinders, limits):
-                    return EXIT_CONTACT
-                drawn = supply[1] if si[at[_S_MOTORS]] == _MOTORS_FLY else f[F_HOVER_CURRENT_A]
-                f[F_CURRENT_A] += f[F_CURRENT_BLEND] * (drawn - f[F_CURRENT_A])
-            true_attitude(x, attitude)
-            c[C_LOOP_PHASE] = PHASE_ESTIMATE
-            if filtered is not None:
-                for k in range(new.size):
-                    new[k] = 0
-                for k in range(4):
-                    z[ACTUATOR_START + k] = acting[0, k]
-                c[C_IMU_SAMPLED] += 1
-                draw_normals(source, normal)
-                simulate_imu_period(was, x, t - f[F_LAST_IMU_S], t, normal, *unit, read, clipped)
-                f[F_LAST_IMU_S] = t
-                for k in range(3):
-                    z[_ACCEL_START + k], z[_RATES_START + k], z[CLIPPING_START + k] = (
-                        read[k],
-                        read[GYRO + k],
-                        clipped[k],
-                    )
-                new[R_ACCELERATION] = new[R_RATES] = 1
-                age[R_ACCELERATION] = age[R_RATES] = 0.0
-                if t >= f[F_NEXT_SAMPLE_S]:
-                    f[F_NEXT_SAMPLE_S] = sample_all(t, x, attitude, supply, quiet, came, said, all_parts)
-                    if _fill_readings(t, came, said, z, new, age, fitted, taken, pictures, used, seen):
-                        for k in range(c[C_BEAM_COUNT]):
-                            bd[at[_B_RANGES] + k] = seen[k]
-            if ring is not None and c[C_TICK] % c[C_RING_INTERVAL] == 0:
-                measure_ranges(x, *eyes, seen)
-                c[C_LAST_RING_TICK] = c[C_TICK]
-                for k in range(c[C_BEAM_COUNT]):
-                    bd[at[_B_RANGES] + k] = seen[k]
-            if t >= f[F_NEXT_PYTHON_SAMPLE_S]:
-                return EXIT_SAMPLE_SENSORS
-        t = c[C_TICK] / f[F_RATE_HZ]
-        if c[C_LOOP_PHASE] == PHASE_ESTIMATE:
-            bd[at[_B_TIME]] = t
-            if filtered is None:
-                for k in range(3):
-                    bd[now + _M_POS + k], bd[now + _M_VEL + k] = x[RS_POS + k], x[RS_VEL + k]
-                    bd[now + _M_ATT + k], bd[now + _M_RATES + k] = attitude[k], x[RS_RATES + k]
-                bd[now + _M_VOLTAGE] = supply[0]
-            else:
-                i = _TO_FILTER
-                valid = call_c_function(to[i], (to[i + 1], to[i + 2], to[i + 3], to[i + 4], to[i + 5], to[i + 6])) & 1
-                for k in range(3):
-                    bd[now + _M_POS + k], bd[now + _M_VEL + k] = told[SX_POS + k], told[SX_VEL + k]
-                    bd[now + _M_ATT + k], bd[now + _M_RATES + k] = angles[k], rates[k]
-                    bd[at[_B_SPECIFIC_FORCE] + k] = z[_ACCEL_START + k]
-                volts = z[_VOLTAGE_START]
-                bd[now + _M_VOLTAGE] = volts if volts != 0.0 else math.nan
-                bb[at[_B_VALID]] = c[C_IS_VALID] = valid
-                c[C_FILTER_PERIODS] += 1
-            c[C_LOOP_PHASE] = PHASE_CONTROL
-            if filtered is not None and c[C_FILTER_PERIODS] % COVARIANCE_INTERVAL_TICKS == 0:
-                n = c[C_STATUS_ROWS]
-                c[C_STATUS_ROWS] += 1
-                if not _write_filter_status(memory, fitted, c[C_IS_UNTROUBLED], texts, shown[n], shown[n + 1], bi, at):
-                    return EXIT_UPDATE_STATUS
-                for k in range(3):
-                    bd[at[_B_POSITION_VARIANCE] + k] = covariance[k, k]
-                    bd[at[_B_ATTITUDE_VARIANCE] + k] = covariance[EX_ATT + k, EX_ATT + k]
-        logged, motors, finished = si[at[_S_LOG_COUNT]], si[at[_S_MOTORS]], sb[at[_S_FINISHED]]
-        i = _TO_SOFTWARE
-        call_c_function(to[i], (to[i + 1], to[i + 2], to[i + 3], to[i + 4], to[i + 5]))
-        runs = c[C_IS_ARMED] > 0 or si[at[_S_MOTORS]] == _MOTORS_OFF
-        for k in range(4):
-            acting[2, k] = out[k] if runs else 0.0
-        late = sd[at[_S_LATE_S]]
-        if late == 0.0:
-            c[C_LAST_DUE_TICK] = c[C_TICK]
-        c[C_PERIODS_RUN] += 1
-        if c[C_TICK] % c[C_RECORD_INTERVAL] == 0:
-            row = log[c[C_LOG_ROWS]]
-            c[C_LOG_ROWS] += 1
-            row[ROW_TIME] = t
-            n = _copy_to_row(
-                row, _copy_to_row(row, _copy_to_row(row, ROW_STATE, x), attitude), wind[c[C_WIND_SAMPLES] - 1]
-            )
-            _copy_to_row(row, _copy_to_row(row, n, supply), acting[1])
-            for k in range(3):
-                way = sd[at[_S_VELOCITY] + k]
-                row[ROW_REF_POS + k] = sd[at[_S_POSITION] + k] + late * way
-                row[ROW_REF_VEL + k] = way
-            row[ROW_REF_ATT], row[ROW_REF_ATT + 1] = sd[at[_S_TILT]], sd[at[_S_TILT] + 1]
-            row[ROW_REF_ATT + 2] = sd[at[_S_HEADING]] + late * sd[at[_S_HEADING_RATE]]
-            row[ROW_MISSION] = si[at[_S_STATE]]
-            _copy_to_row(row, LOG_ROW_SIZE, seen)
-        c[C_LOOP_PHASE] = PHASE_ADVANCE_PLANT
-        if si[at[_S_LOG_COUNT]] != logged or si[at[_S_MOTORS]] != motors or sb[at[_S_FINISHED]] != finished:
-            return EXIT_LOG_OR_MODE_CHANGED
-        if c[C_STOP_WHEN_VALID] > 0 and c[C_IS_VALID] > 0:
-            return EXIT_ESTIMATE_VALID
+def run_fitted_periods(p: FittedPeriods) -> int:
+    """Run periods of a flight on sensors, from ``p.clock.stage`` on; return the code of the stage that stops."""
+    return _step_fitted(borrow_arrays(p))

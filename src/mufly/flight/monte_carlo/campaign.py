@@ -32,6 +32,7 @@ from mufly.estimate import Estimate
 from mufly.estimate.filter_records import EX_ATT, EX_GYRO_BIAS
 from mufly.estimate.nees import normalised_errors
 from mufly.flight.flight_software import ControlImplementation
+from mufly.flight.mission_flight import fly_mission
 from mufly.flight.monte_carlo.flight_ending import (
     LANDED_HEIGHT_TOLERANCE_M,
     LANDED_MAX_SPEED_M_S,
@@ -44,7 +45,6 @@ from mufly.flight.monte_carlo.flight_ending import (
 )
 from mufly.flight.monte_carlo.variation import ParameterVariation
 from mufly.flight.record.flight_summary import FlightSummary, summarise_flight
-from mufly.flight.simulated_flight import fly_mission
 from mufly.mission import Mission, check_preflight, dump_mission
 from mufly.results import result, to_plain_data
 from mufly.sensors import Truth, parse_fault

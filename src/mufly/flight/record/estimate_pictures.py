@@ -82,8 +82,9 @@ def draw_estimate(dataset: xr.Dataset) -> Figure:
     Parameters
     ----------
     dataset : xarray.Dataset
-        Recording of a flight on sensors, or the result of :func:`mufly.flight.sensor_recording.estimated`. Without
-        truth the errors are omitted, and the band is drawn around the estimate.
+        Recording of a flight on sensors, or one with other estimates
+        (:func:`mufly.flight.record.sensor_recording.replace_estimates`). Without truth the errors are omitted, and
+        the band is drawn around the estimate.
     """
     figure = Figure(figsize=(12.0, 14.5))
     panels: Any = figure.subplots(len(_ESTIMATE_PANELS), 2, sharex=True)

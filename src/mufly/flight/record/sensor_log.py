@@ -17,7 +17,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from mufly.control import design_flight_controller
-from mufly.flight.simulated_flight import RANGE_RING_RATE_HZ, FlightProgress, fly_mission
+from mufly.flight.mission_flight import FlightProgress, fly_mission
+from mufly.flight.simulated_flight import RANGE_RING_RATE_HZ
 from mufly.mission import Mission
 from mufly.quantities import DIMENSION_LABELS
 from mufly.result_figure import enable_notebook_display

@@ -41,7 +41,7 @@ from mufly.dynamics import standing_height
 from mufly.errors import MuflyError
 from mufly.estimate import Estimate
 from mufly.estimate.filter_records import EX_FIX_BIAS, EX_FIX_HEADING, EX_GYRO_BIAS
-from mufly.flight.onboard_camera import SHOWN_JPEG_QUALITY, CameraFault, OnboardCamera, PictureStream
+from mufly.flight.fixes.onboard_camera import SHOWN_JPEG_QUALITY, CameraFault, OnboardCamera, PictureStream
 from mufly.sensors import Reading, Sensor, Truth
 from mufly.sensors.sonar import max_grounded_range
 from mufly.slam import (

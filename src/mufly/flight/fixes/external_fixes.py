@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import MuflyError
-from mufly.flight.camera_sensor import MAX_FIX_SIGMA_M
-from mufly.flight.onboard_camera import PictureStream
+from mufly.flight.fixes.camera_sensor import MAX_FIX_SIGMA_M
+from mufly.flight.fixes.onboard_camera import PictureStream
 from mufly.sensors import Reading, Sensor, Truth
 from mufly.vehicle import Vehicle
 
