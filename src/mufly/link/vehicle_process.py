@@ -481,7 +481,7 @@ class VehicleProcess:
         self._reader.join(1.0)
 
     def inject_fault(self, fault: Fault) -> None:
-        """Inject a sensor fault (:meth:`mufly.flight.Flight.inject`); an event reports it."""
+        """Inject a sensor fault (:meth:`mufly.flight.Flight.inject_fault`); an event reports it."""
         self._send_fault(fault)
 
     def clear_faults(self) -> None:

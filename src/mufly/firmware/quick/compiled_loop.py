@@ -1,8 +1,8 @@
-"""The stages of :mod:`mufly.flight.period_stages` over arrays, compiled: many periods of a flight in one call.
+"""Compiled executors of :mod:`mufly.flight.period_stages` for arrays: many periods of a flight in one call.
 
-There are two executors: :func:`run_ideal_periods` for a flight on the truth, :func:`run_fitted_periods` for one on
-sensors with errors and the filter. Plant, sensors, filter and flight software are the compiled functions and the C
-that a flight in Python calls, and work on the same arrays.
+There are two executors: :func:`run_ideal_periods` for a flight on the truth, :func:`run_fitted_periods` for a flight on
+sensors with errors and the filter. Both call the same compiled functions and C code as a flight in Python: plant,
+sensors, filter and flight software.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ MAX_PERIODS_PER_CALL = 1024
 
 
 class LoopClock:
-    """Counts and numbers of a call."""
+    """Next stage, counters, intervals and constants of a call."""
 
     stage: int = int_field("stage due next")
     tick: int = int_field("periods of the plant since its start")
@@ -100,7 +100,7 @@ LOOP_CLOCK = record_type(LoopClock, int_kind=np.int64)
 
 
 class RecordOffsets:
-    """Places of fields in the records of C, in units of their size."""
+    """Offsets of fields in the C records, in units of the field's size."""
 
     time: int = int_field("time of the estimate")
     motion: int = int_field("motion of the estimate")
@@ -129,14 +129,14 @@ RECORD_OFFSETS = record_type(RecordOffsets, int_kind=np.int64)
 
 
 class PlantArrays(NamedTuple):
-    """The plant, and what acts on it."""
+    """Arrays of the plant, with its wind and inputs."""
 
     state: _Array
     parameters: NDArray[np.void]
     attitude: _Array
-    supply: _Array  # voltage and current of the battery
-    wind: _Array  # (n, 3), of the periods to come
-    acting: _Array  # (3, 4): over the last period, now, sent last
+    supply: _Array  # voltage (V) and current (A) of the battery
+    wind: _Array  # (n, 3), of the coming periods (m/s)
+    acting: _Array  # (3, 4): inputs of the last period, of this period, and sent last
     leg_count: int
     has_obstacles: bool
     boxes: _Array
@@ -145,7 +145,7 @@ class PlantArrays(NamedTuple):
 
 
 class SoftwareArrays(NamedTuple):
-    """The flight software in C: its records as arrays of each size of number."""
+    """Records of the flight software in C, as arrays of each number size."""
 
     reals: _Array
     ints: NDArray[np.int32]
@@ -155,11 +155,11 @@ class SoftwareArrays(NamedTuple):
     estimate_bytes: NDArray[np.uint8]
     actuators: _Array
     offsets: RecordOffsets
-    addresses: tuple[int, ...]  # of the step, and of its five arguments
+    addresses: tuple[int, ...]  # of the step function and its five arguments
 
 
 class FilterArrays(NamedTuple):
-    """The filter in C: what it publishes, its readings of a period, and what :class:`KalmanEstimator` keeps."""
+    """Arrays of the filter in C: outputs, readings of a period, and state of :class:`KalmanEstimator`."""
 
     state: _Array
     rates: _Array
@@ -171,10 +171,10 @@ class FilterArrays(NamedTuple):
     reading_times: _Array
     ring_scans: _Array
     max_range_m: float
-    beams: NDArray[np.int64]  # fused ones
+    beams: NDArray[np.int64]  # indices of the fused beams
     status: tuple[_Array, ...]  # PUBLISHED_FIELDS of the memory
     texts: NDArray[np.int64]  # numbers of the reasons' texts
-    addresses: tuple[int, ...]  # of the step, and of its six arguments
+    addresses: tuple[int, ...]  # of the step function and its six arguments
 
 
 class SensorArrays(NamedTuple):
@@ -188,7 +188,7 @@ class SensorArrays(NamedTuple):
 
 
 class IdealPeriods(NamedTuple):
-    """What :func:`run_ideal_periods` works on."""
+    """Data of :func:`run_ideal_periods`."""
 
     clock: LoopClock
     plant: PlantArrays
@@ -200,7 +200,7 @@ class IdealPeriods(NamedTuple):
 
 
 class FittedPeriods(NamedTuple):
-    """What :func:`run_fitted_periods` works on."""
+    """Data of :func:`run_fitted_periods`."""
 
     clock: LoopClock
     plant: PlantArrays
@@ -209,7 +209,7 @@ class FittedPeriods(NamedTuple):
     log: _Array  # (n, LOG_ROW_SIZE + beams)
     sensors: SensorArrays
     filter: FilterArrays
-    status_rows: _Array  # (n, STATUS_ROW_SIZE), the first as it was before
+    status_rows: _Array  # (n, STATUS_ROW_SIZE); the first row is from before the call
     listener_rows: _Array  # (n, LISTENER_ROW_SIZE + beams)
 
 
@@ -257,16 +257,16 @@ LISTENER_ROW_SIZE = HEARD_ANGLES + 3
 
 @cached_njit(error_model="numpy")
 def _copy_to_row(row: _Array, at: int, values: _Array) -> int:
-    """Copy values into a row from an index on; return the index behind them.
+    """Copy values into a row from index ``at`` on; return the index after them.
 
-    (An assignment to a slice adds 2 s of compilation, for the text of its shape error.)
+    An assignment to a slice would add 2 s of compilation.
     """
     for k in range(values.size):
         row[at + k] = values[k]
     return at + values.size
 
 
-# Stages. They are compiled into their executor: a call would copy what describes some sixty arrays.
+# Stages, compiled inline into their executor: a call would copy the descriptors of some sixty arrays.
 
 
 @cached_njit(inline="always")
@@ -355,7 +355,10 @@ def _measure_truth(p: IdealPeriods) -> int:
 
 @cached_njit(error_model="numpy")
 def _fill_readings(t: float, has_come: NDArray[np.uint8], rows: _Array, f: FilterArrays, ranges: _Array) -> bool:
-    """Copy readings into the filter's row, as :meth:`KalmanEstimator.fill_readings`; return whether of the ring."""
+    """Copy readings into the filter's row, as :meth:`KalmanEstimator.fill_readings` does.
+
+    Return whether the range ring has a new reading.
+    """
     is_ring = False
     for k in range(len(SAMPLED_READINGS)):
         r = SAMPLED_READINGS[k]
