@@ -144,7 +144,7 @@ def iterate_readings(dataset: xr.Dataset) -> Iterator[tuple[Readings, _Array]]:
 
 
 def replay_estimator(dataset: xr.Dataset, estimator: Estimator) -> list[Estimate]:
-    """Return an estimator's estimates from the readings of a recording, one a row.
+    """Return an estimator's estimates from the readings of a recording, one for each row.
 
     Fixes have the same weights as in flight.
     """
@@ -163,7 +163,7 @@ def is_sensed(dataset: xr.Dataset) -> bool:
 
 
 def replace_estimates(dataset: xr.Dataset, estimates: Sequence[Estimate]) -> xr.Dataset:
-    """Return a recording with other estimates, one a row, in place of those of the flight."""
+    """Return a recording with other estimates, one for each row, in place of those of the flight."""
     blocks = {
         str(name): np.full(dataset[name].shape, math.nan)
         for name in dataset.data_vars

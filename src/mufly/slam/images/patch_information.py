@@ -16,10 +16,11 @@ look like texture. The cross tensor contains the floor alone, since the noise of
 
     F^2 = sum_i (P_T,i P_I,i - G_i^2) c / n,    c = 3 pi / 2 s^2,
 
-where P are the powers of both gradients along v in a patch of n pixels (floor and noise), and c is the area over which
-products of noise gradients are correlated (integral of the squared autocorrelation of a smoothed gradient). Vibration
-bends stripes in a rolling shutter: by a random slope e of the rows (rms), different in both pictures. So stripes across
-v with the sum S' add e^2 S' / 2 to S. A direction has information if S exceeds :data:`MIN_SIGNIFICANCE` F + 2 e^2 S'.
+where P are the powers of both gradients along v in a patch of n pixels (floor and noise). The area c, over which
+products of noise gradients are correlated, is the integral of the squared autocorrelation of a smoothed gradient.
+Vibration bends stripes in a rolling shutter: by a random slope e of the rows (rms), different in both pictures. So
+stripes across v with the sum S' add e^2 S' / 2 to S. A direction has information if S exceeds :data:`MIN_SIGNIFICANCE`
+F + 2 e^2 S'.
 Along the others every tensor loses its negative part, and all are scaled so that their sum stays S. Own derivation.
 """
 
