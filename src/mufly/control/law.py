@@ -224,13 +224,14 @@ def heave_yaw_step(
     new[FILTERED_VOLTAGE] = state[FILTERED_VOLTAGE] + gains.voltage_blend * (believed - state[FILTERED_VOLTAGE])
     top = new[FILTERED_VOLTAGE] / gains.design_voltage
 
-    e = np.empty(5)  # z, psi, then what was measured: z, psi, r
+    e = np.empty(5)
     # Lead only on the reference's own rate: a bare step must not be sharpened.
     climb = _limit_lead_rate(new[FILTERED_W], climb)
     turn = _limit_lead_rate(new[FILTERED_R], turn)
-    e[0] = new[FILTERED_Z] + gains.heave_lead * climb - new[ORIGIN_Z]
-    e[1] = new[FILTERED_PSI] + gains.yaw_lead * turn - new[ORIGIN_PSI]
-    e[2], e[3], e[4] = new[ORIGIN_Z] - measurement[0], new[ORIGIN_PSI] - measurement[1], -measurement[2]
+    e[_ERROR_Z] = new[FILTERED_Z] + gains.heave_lead * climb - new[ORIGIN_Z]
+    e[_ERROR_PSI] = new[FILTERED_PSI] + gains.yaw_lead * turn - new[ORIGIN_PSI]
+    e[_MEASURED_Z], e[_MEASURED_PSI] = new[ORIGIN_Z] - measurement[0], new[ORIGIN_PSI] - measurement[1]
+    e[_MEASURED_R] = -measurement[2]
     u = np.empty(2)
     _compute_output(gains, state, e, u)
     lower, upper = gains.trim[0] + u[0], gains.trim[1] + u[1]
@@ -396,6 +397,7 @@ POSITION_GAINS = np.dtype(
 FILTERED_Z, FILTERED_W, FILTERED_PSI, FILTERED_R, ORIGIN_Z, ORIGIN_PSI, FILTERED_VOLTAGE, ROUNDING_REST = range(
     HEAVE_YAW_ORDER, HEAVE_YAW_ORDER + 8
 )
+_ERROR_Z, _ERROR_PSI, _MEASURED_Z, _MEASURED_PSI, _MEASURED_R = range(5)  # inputs of the heave-yaw controller
 ROUNDING_REST_Z, ROUNDING_REST_PSI = ROUNDING_REST + HEAVE_YAW_ORDER, ROUNDING_REST + HEAVE_YAW_ORDER + 1
 HEAVE_YAW_STATE_SIZE = ROUNDING_REST_PSI + 1
 

@@ -360,8 +360,9 @@ def rotor_loads(p: np.void, speed_up: float, speed_dw: float, climb: float = 0.0
     c = (p["thrust_up"], p["thrust_dw"], p["torque_up"], p["torque_dw"])
     if p["map_nodes"] > 0:
         c = map_coefficients(speed_up, speed_dw, climb, p)
+    thrust_up, thrust_dw, torque_up, torque_dw = c
     up, dw = speed_up * abs(speed_up), speed_dw * abs(speed_dw)
-    return float(c[0] * speed_up**2), float(c[1] * speed_dw**2), float(c[2] * up), float(c[3] * dw)
+    return float(thrust_up * speed_up**2), float(thrust_dw * speed_dw**2), float(torque_up * up), float(torque_dw * dw)
 
 
 def inside_map(vehicle: Vehicle, speed_up: float, speed_dw: float, climb: float) -> bool:

@@ -85,6 +85,9 @@ def normalise_state(x: _Array) -> None:
     x[RS_CHARGE] = max(x[RS_CHARGE], 0.0)
 
 
+_SLOPE_1, _SLOPE_2, _SLOPE_3, _SLOPE_4, _STAGE_STATE = range(5)  # rows of the work of a Runge-Kutta step
+
+
 @cached_njit(error_model="numpy")
 def integrate_state(x: _Array, u: _Array, wind: _Array, p: ModelParameters, dt: float, steps: int) -> None:
     """Integrate the state ``x`` in place over ``steps`` steps of ``dt`` with constant input and wind.
@@ -104,13 +107,9 @@ def integrate_state(x: _Array, u: _Array, wind: _Array, p: ModelParameters, dt: 
     """
     work = np.empty((5, x.shape[0]))
     x, u, wind = borrow_arrays(x), borrow_arrays(u), borrow_arrays(wind)
-    k1, k2, k3, k4, y = (
-        borrow_arrays(work[0]),
-        borrow_arrays(work[1]),
-        borrow_arrays(work[2]),
-        borrow_arrays(work[3]),
-        borrow_arrays(work[4]),
-    )
+    k1, k2 = borrow_arrays(work[_SLOPE_1]), borrow_arrays(work[_SLOPE_2])
+    k3, k4 = borrow_arrays(work[_SLOPE_3]), borrow_arrays(work[_SLOPE_4])
+    y = borrow_arrays(work[_STAGE_STATE])
     for _ in range(steps):
         state_derivative(x, u, wind, p, k1)
         for i in range(x.shape[0]):
@@ -123,7 +122,8 @@ def integrate_state(x: _Array, u: _Array, wind: _Array, p: ModelParameters, dt: 
             y[i] = x[i] + dt * k3[i]
         state_derivative(y, u, wind, p, k4)
         for i in range(x.shape[0]):  # from the stage table, which stays allocated until here
-            x[i] += dt / 6.0 * (work[0, i] + 2.0 * work[1, i] + 2.0 * work[2, i] + work[3, i])
+            middle = 2.0 * work[_SLOPE_2, i]
+            x[i] += dt / 6.0 * (work[_SLOPE_1, i] + middle + 2.0 * work[_SLOPE_3, i] + work[_SLOPE_4, i])
         normalise_state(x)
 
 
@@ -456,9 +456,9 @@ class DrydenWind:
             return np.tile(self.steady, (n, 1))
         noise = self._rng.standard_normal((n, 5))
         transition, scale, output, _ = self._lateral
-        along = self._filter_samples(self._longitudinal_state, math.sqrt(1.0 - self._decay**2) * noise[:, 0:1])
+        n0, n1, n2 = np.split(noise, (1, 3), axis=1)
+        along = self._filter_samples(self._longitudinal_state, math.sqrt(1.0 - self._decay**2) * n0)
         # s1 + s2 decays with exp(-h) independently and drives s1, so two first-order recursions suffice.
-        n1, n2 = noise[:, 1:3], noise[:, 3:5]
         first, second = scale[0, 0] * n1, scale[1, 0] * n1 + scale[1, 1] * n2
         both = self._filter_samples(self._both, first + second)
         s1 = self._filter_samples(self._lateral_state, transition[0, 1] * both[:n] + first)

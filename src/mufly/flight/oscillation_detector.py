@@ -161,14 +161,15 @@ class OscillationDetector:
         turned = one.turning_points.turn_times_s
         if len(turned) < 3:
             return
-        period = turned[-1] - turned[-3]
+        begun_s, _, ended_s = turned[-3:]
+        period = ended_s - begun_s
         even = period <= MAX_PERIOD_RATIO * one.period_s and one.period_s <= MAX_PERIOD_RATIO * period
         if period > MAX_PERIOD_S or (one.half_period_count and not even):
             one.reset_count()
         elif one.half_period_count:
             one.half_period_count, one.period_s = one.half_period_count + 1, period
         else:
-            one.half_period_count, one.period_s, one.start_s = 2, period, turned[-3]
+            one.half_period_count, one.period_s, one.start_s = 2, period, begun_s
             one.lowest_value = one.highest_value = value
 
 

@@ -1,13 +1,14 @@
 """Stages of one period of the controllers; this module alone defines their order.
 
-:func:`make_stepper` makes an executor of eight stages. There are two executors:
+:func:`make_stepper` makes an executor of eight stages. There are two kinds of executor, of the same function:
 
-- in Python, for a :class:`mufly.flight.simulated_flight.Flight` with any sensors, estimator and flight software;
-- compiled by Numba, for arrays (:mod:`mufly.firmware.quick.compiled_loop`): many periods in one call, with filter and
+- in Python, over a :class:`mufly.flight.simulated_flight.Flight`: any sensors, estimator and flight software;
+- compiled by Numba, over arrays (:mod:`mufly.firmware.quick.compiled_loop`): many periods in one call, filter and
   flight software in C.
 
 A stage is a function of the executor's data. It returns :data:`CONTINUE`, or a code with which the executor returns to
-its caller. ``clock.stage`` is then the next stage. Either executor can therefore continue in the middle of a period.
+its caller. ``clock.stage`` is then the stage that is due next. The executor can therefore be called again in the middle
+of a period, and one executor can finish a period that the other began.
 """
 
 from __future__ import annotations
@@ -17,9 +18,9 @@ from dataclasses import dataclass
 from typing import Any
 
 CONTINUE, DONE = 0, 1
-"""Codes of a stage: continue; or (first and last stage only) no period is left."""
+"""Results of a stage: continue; or, by the first or the last stage, that no period is left."""
 FIRST_FREE_CODE = 2
-"""First code that an executor may define."""
+"""Codes from here on belong to the executor."""
 
 (
     BEGIN_PERIOD,
@@ -37,7 +38,7 @@ Stage = Callable[[Any], int]
 
 @dataclass(slots=True)
 class PeriodClock:
-    """Clock of an executor in Python; ``stage`` is the next stage."""
+    """The clock of an executor in Python; ``stage`` is the stage that is due next."""
 
     stage: int = BEGIN_PERIOD
 
@@ -59,15 +60,15 @@ def make_stepper(
     begin_period
         Returns :data:`DONE` if no period is left.
     advance_plant
-        Integrates the plant over one period under the acting inputs; then the last sent inputs act.
+        Integrates the plant over one period under the actuators that act; then those sent last act.
     check_contact
-        Detects a collision; averages the battery's current.
+        Looks for a collision; averages the current of the battery.
     measure
         Samples the sensors.
     estimate
-        Updates the estimator with the readings.
+        Estimates from the readings.
     control
-        Steps the flight software, which computes the inputs of the period after the next.
+        Steps the flight software, which gives the actuators of the period after the next.
     record
         Appends a row to the recording.
     end_period

@@ -99,7 +99,11 @@ def _parse_rows() -> tuple[dict[str, TunableParameter], dict[str, tuple[str, str
         )
         for name, unit, least, greatest, _, text in rows
     }
-    return known, {row[0]: (row[4].split(".")[0], row[4].split(".")[1]) for row in rows}
+    keys = {}
+    for name, _, _, _, place, _ in rows:
+        table, key = place.split(".")
+        keys[name] = (table, key)
+    return known, keys
 
 
 PARAMETERS, STORAGE_KEYS = _parse_rows()

@@ -33,6 +33,7 @@ Pair = tuple[BoundedNumber, BoundedNumber]
 WindSpeed = Annotated[float, Strict(), Field(ge=-MAX_WIND_M_S, le=MAX_WIND_M_S)]
 
 MIN_WAYPOINT_HEIGHT_M = 0.2
+_SHOWN_PLACES = 7  # of a mission in its text: the start and six waypoints
 """Least height of a waypoint above the floor (m), above the legs and the ground effect."""
 
 
@@ -261,9 +262,9 @@ class Mission(_MissionTable):
         title = f"Mission {self.name}" + (f": {self.description}" if self.description else "")
         way = [self.start_m, *(w.position_m for w in self.waypoint)]
         lines = [f"  take-off to {self.take_off.height_m:g} m at N {way[0][0]:g}, E {way[0][1]:g} m"]
-        lines += [f"  {k}: N {w[0]:g}, E {w[1]:g}, D {w[2]:g} m" for k, w in enumerate(way[1:7], 1)]
-        if len(way) > 7:
-            lines.append(f"  {len(way) - 7} more waypoints")
+        lines += [f"  {k}: N {w[0]:g}, E {w[1]:g}, D {w[2]:g} m" for k, w in enumerate(way[1:_SHOWN_PLACES], 1)]
+        if len(way) > _SHOWN_PLACES:
+            lines.append(f"  {len(way) - _SHOWN_PLACES} more waypoints")
         lines.append(f"  at the end: {self.at_end}")
         given = sorted(self.model_fields_set - {"name", "description", "take_off", "waypoint", "at_end", "start_m"})
         lines += [f"  also given: {', '.join(given)}"] if given else []

@@ -67,14 +67,14 @@ def _sample_echo(
     row: _Array,
 ) -> float:
     numbers, place, rays, boxes, cylinders, limits = parts
-    noise, dropout, multipath, longest, least, step = (
-        numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[5],
+    noise, dropout, multipath, longest, least, step, upright = (
+        numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[5], numbers[6],
     )  # fmt: skip
     share, n = np.empty(2), np.empty(1)
     draw_uniforms(source, share)
     draw_normals(source, n)
     heard, doubled = share[0], share[1]
-    way = _cone_distance(x, place, rays, numbers[6], boxes, cylinders, limits)
+    way = _cone_distance(x, place, rays, upright, boxes, cylinders, limits)
     if doubled < multipath:
         draw_uniforms(source, share[:1])
         way *= 1.0 + share[0]
@@ -99,15 +99,20 @@ class UltrasonicSensor(PeriodicSensor):
     def __init__(self, table: SonarParameters, vehicle: Vehicle, world: World, rng: np.random.Generator) -> None:
         s, half = table, 0.5 * float(table.cone)
         longest = float(s.max_range)
+        self._upright = math.cos(half)
         numbers = [float(q) for q in (s.noise, s.dropout, s.multipath, longest, s.min_range, s.resolution)]
-        self._numbers = np.array([*numbers, math.cos(half)])
-        parts = (self._numbers, s.place.to_array()[0].copy(), cone_rays(half), *world.packed_tables)
+        parts = (
+            np.array([*numbers, self._upright]),
+            s.place.to_array()[0].copy(),
+            cone_rays(half),
+            *world.packed_tables,
+        )
         super().__init__(float(s.period), rng, parts, 2.0 * longest / SPEED_OF_SOUND_M_S)
 
     def true_readings(self, truth: Truth) -> dict[str, float]:
         """Return the distance to the nearest surface in the cone (m); infinite if there is none."""
         _, place, rays, *world = self.sample_arguments
-        return {"ground_distance": float(_cone_distance(truth.state, place, rays, self._numbers[6], *world))}
+        return {"ground_distance": float(_cone_distance(truth.state, place, rays, self._upright, *world))}
 
 
 def standing_sonar_range(vehicle: Vehicle) -> float:

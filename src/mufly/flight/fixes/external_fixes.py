@@ -1,8 +1,8 @@
-"""External position fixes, computed by another program and received over a link.
+"""Position from outside: fixes that come by a link, from whoever finds the vehicle's place elsewhere.
 
-:class:`ExternalFixes` replaces the statistical ``position_fix``; each fix has its own time and covariance. Invalid
-fixes are refused before they reach the filter, with the reason as text: numbers that are not finite, a large
-standard deviation, a time in the future, late, repeated or out-of-order fixes.
+:class:`ExternalFixes` takes the place of the statistical ``position_fix`` and goes through the same door, each fix
+with its own time and its own covariance. It judges what comes before the filter sees it: numbers that are none, of a
+place that is not known well enough, from the future, late, doubled or overtaken are refused, with the reason in words.
 """
 
 from __future__ import annotations
@@ -22,26 +22,26 @@ from mufly.vehicle import Vehicle
 
 _Array = NDArray[np.float64]
 MAX_FIX_DELAY_S, MAX_FIX_LEAD_S = 1.0, 0.05
-"""Largest age of a fix, which the filter predicts by the velocity only, and largest lead over the vehicle (s)."""
+"""A fix that is older is refused, as the filter leads it on by the velocity alone; so is one that is yet to come."""
 MAX_FIX_DISTANCE_M = 1000.0
 MIN_SIGMA_M, MIN_SIGMA_RAD = 0.002, math.radians(0.05)
-"""Least standard deviations of a fix; smaller ones are increased."""
+"""Nobody knows it better than that."""
 MAX_SIGMA_RAD = math.radians(20.0)
 
 
 class ExternalFixes(Sensor):
-    """Sensor of ``position_fix`` (4,): N, E, D (m) and heading (rad), received from outside.
+    """Reads ``position_fix`` (4,): N, E, D (m) and heading (rad), as it was given from outside.
 
     Parameters
     ----------
     vehicle : Vehicle
-    stream : PictureStream, optional
-        Stream of the vehicle's pictures for the program that computes the fixes.
+    stream : Stream, optional
+        Its camera, for whoever tells it where it is.
 
     Raises
     ------
     MuflyError
-        If the vehicle lacks an inertial unit or the table ``sensors.position_fix``.
+        If the vehicle has no sensors that a filter could fly on, or its file no word about fixes.
     """
 
     def __init__(self, vehicle: Vehicle, stream: PictureStream | None = None) -> None:
@@ -69,26 +69,26 @@ class ExternalFixes(Sensor):
         return self._said
 
     def close(self) -> None:
-        """Close the stream."""
+        """End the stream."""
         if self._stream is not None:
             self._stream.close()
 
     def submit_fix(self, now_s: float, time_s: float, place: _Array, covariance: _Array | None) -> str:
-        """Check a fix and make it the sensor's reading.
+        """Take a fix.
 
         Parameters
         ----------
         now_s, time_s : float
-            Present time, and time of the fix (s, the flight's clock).
+            Of the flight: now, and when it was there (s).
         place : (4,) array
             N, E, D (m), heading (rad).
         covariance : (4, 4) array or None
-            Covariance of ``place``; None: that of the vehicle file.
+            Of these; None: as the vehicle's file says.
 
         Returns
         -------
         str
-            Reason of a refusal; "" if the fix is accepted.
+            Why it is refused, in words; "" if it is taken.
         """
         why = _fix_fault(place, covariance)
         age = now_s - time_s

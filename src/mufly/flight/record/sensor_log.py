@@ -161,18 +161,18 @@ def log_sensors(
     Parameters
     ----------
     vehicle : Vehicle
-        Vehicle with the table ``sensors``.
+        With the table ``sensors``.
     mission : Mission
     seed : int
         Seed of the gusts and of all sensor errors.
     faults : sequence of Fault
     wind, gust, on_progress : optional
-        See :func:`mufly.flight.fly_mission`.
+        As for :func:`mufly.flight.fly_mission`.
 
     Returns
     -------
     dict
-        :class:`ReadingLog` of each reading, by name.
+        Name of the reading to its :class:`ReadingLog`.
 
     Raises
     ------
