@@ -1,4 +1,4 @@
-"""All of it at once: the flight software, the closed loop, the recorder, pictures and numbers of a flight."""
+"""Simulated flights: flight software, closed loop, recorder, pictures and summary."""
 
 from mufly.flight.autopilot import Autopilot
 from mufly.flight.controllers import Actuators, Controllers, controller_limits

@@ -1,16 +1,15 @@
-"""The autopilot: everything that a pilot, a program or a link may ask of the vehicle, and when it is refused.
+"""Autopilot of a vehicle: requests of a pilot, a program or a link, with arming, timeouts, geofence and events.
 
-It stands between whoever commands and the flight software: it steps that, turns what was asked into its signals, keeps
-the clock on what has to be repeated, arms and disarms, and tells what happened. Each request answers at once, and what
-it asks for happens in the next step; the mission's state machine (:mod:`mufly.mission.state_machine`) hears it when its
-logic runs next, within 20 ms. Which state lets what happen is in :mod:`mufly.mission.mission_state`. The clock is that
-of the measurements. Nothing here knows of MAVLink or of the simulator.
+The autopilot steps the flight software and converts requests to its commands. A request is answered at once and takes
+effect in the next step of the mission's state machine (:mod:`mufly.mission.state_machine`), within 20 ms.
+:mod:`mufly.mission.mission_state` defines the requests that each state permits. The clock is that of the estimates.
+This module depends neither on MAVLink nor on the simulator.
 
-A geofence is judged here, not in the flight software's C: like arming it belongs to whoever commands, and it acts by
-the same requests as a pilot does. Outside it the action of the fence is carried out once; nothing outside is accepted.
+The geofence is checked here, not in the flight software's C code, because like arming it belongs to the commands, and
+its actions are requests. A breach triggers the fence's action once; targets outside the fence are refused.
 
-Motors run only while it is armed. It disarms by itself once it has landed, and ten seconds after arming if it has not
-taken off. Sticks have to be repeated within a second, set-points within half a second; without, it stops and hovers.
+Motors run only while the vehicle is armed. It disarms after landing, and ten seconds after arming without a take-off.
+Sticks time out after a second and set-points after half a second; the vehicle then stops and hovers.
 """
 
 from __future__ import annotations
@@ -62,22 +61,22 @@ from mufly.mission.mission_timing import compute_reach_time
 from mufly.vehicle import Vehicle
 
 AUTO_DISARM_S = 10.0
-"""After arming without a take-off it disarms (s)."""
+"""Time from arming to disarming without a take-off (s)."""
 
 SET_POINT_TIMEOUT_S, STICKS_TIMEOUT_S = 0.5, 1.0
-"""For how long a set-point, and the position of the sticks, hold (s)."""
+"""Timeouts of a set-point and of the sticks (s)."""
 
 FENCE_RETURN_MARGIN_M, FENCE_REPEAT_DEPTH_M = 0.1, 1.0
-"""Inside its fence by so much it is back; outside by so much more the fence acts again (m)."""
+"""Distance inside the fence that ends a breach, and additional distance outside that repeats the action (m)."""
 
 STICKS_BLOCKED_S = 2.0
-"""For so long after a breach no sticks are taken, so that it comes to rest first (s)."""
+"""Time after a breach without stick control (s), in which the vehicle comes to rest."""
 
 FULL_CHARGE = 0.97
-"""Charge by the voltage at rest from which the battery counts as full: the voltage is known to a few centivolts."""
+"""Charge, from the voltage at rest, of a full battery: the voltage is known to a few centivolts."""
 
-_REST_FILTER_S = 1.0  # in which the voltage at rest is averaged
-_FALL_HEIGHT_M = 0.1  # above the standing position, from which a stop of the motors is a fall
+_REST_FILTER_S = 1.0  # time constant of the filtered voltage at rest
+_FALL_HEIGHT_M = 0.1  # height above the standing position from which stopped motors mean a fall
 _INTERRUPTIONS = (LogMessage.TIPPED_MOTORS_OFF(), LogMessage.MOTORS_OFF_AFTER_DESCENT())
 
 EVENT_CAPACITY = 1000
@@ -85,25 +84,25 @@ _IDLE_ACTUATORS = Actuators.idle()
 
 
 class Autopilot:
-    """The flight software of one vehicle, armed and commanded.
+    """Arming and commands of one vehicle's flight software.
 
-    ``listeners`` are called with every event as it happens; ``crash_cause`` is set by a simulation that knows;
-    ``excused_sensors`` tells which sensors may be silent now: nothing is said of these.
+    ``listeners`` are called with every event. A simulation sets ``crash_cause``. ``excused_sensors`` returns the
+    readings that may be missing at present without a report.
 
     Parameters
     ----------
     vehicle : Vehicle
     controller : FlightController
-        From :func:`mufly.control.design_flight_controller`.
+        Design from :func:`mufly.control.design_flight_controller`.
     mission : Mission
-        Checked; one without waypoints is no mission, but has limits and surroundings.
+        Checked mission; without waypoints it supplies limits and surroundings only.
     software : class
-        What flies: :class:`mufly.flight.flight_software.FlightSoftware`, or one that has other code compute all of it.
+        :class:`mufly.flight.flight_software.FlightSoftware`, or a subclass that runs other code.
 
     Raises
     ------
     InputError
-        If the mission does not suit the vehicle, or that cannot hover.
+        If the mission does not suit the vehicle, or the vehicle cannot hover.
     """
 
     def __init__(
@@ -148,19 +147,19 @@ class Autopilot:
         self._breach_depth = 0.0
 
     def reset(self) -> None:
-        """Forget the flight, disarmed; mission and parameters stay."""
+        """Return to the disarmed state before a flight; mission and parameters stay."""
         self.software.reset()
         self._reset_flight()
 
     # one period
 
     def observe_estimate(self, estimate: Estimate) -> None:
-        """Take notice of a measurement without a step: what arming is judged by before the first one."""
+        """Store an estimate without a step, for the arming checks before the first step."""
         t = estimate.time_s
-        # A clock that was set back goes on; one that stands still has nothing new to say.
+        # A clock that was set back still counts as running; a stopped clock makes the estimate stale.
         alive = math.isfinite(t) and t != self._heard_s
         self._stale_s = 0.0 if alive else self._stale_s + self._period_s
-        # What expires does so by counting periods where the clock of the measurements does not serve.
+        # Timeouts count periods when the estimate's clock stops or goes back.
         self._now = t if alive and t >= self._now else self._now + self._period_s
         if alive:
             self._heard_s = t
@@ -180,7 +179,7 @@ class Autopilot:
         Returns
         -------
         Actuators
-            All zero while it is not armed.
+            Zero while the vehicle is not armed.
         """
         self.observe_estimate(estimate)
         software = self.software
@@ -193,7 +192,7 @@ class Autopilot:
                 self.log_event(text, level)
         if due:
             self._check_after_step()
-        # While the software has its motors off, what it gives is zero too.
+        # With the motors off the software's inputs are zero, too.
         self._sent = actuators if self._armed or software.motors == "off" else _IDLE_ACTUATORS
         return self._sent
 
@@ -201,36 +200,38 @@ class Autopilot:
 
     @property
     def has_pending_request(self) -> bool:
-        """Whether anything is asked of it that the next period has to hear."""
+        """Whether the next period must handle a request, sticks, set-points or a fence."""
         fenced = self.software.requested_mission.fence is not None
         return self._command is not NO_COMMAND or self._sticks is not None or self._offboard or fenced
 
     @property
     def armed(self) -> bool:
-        """Whether its motors may run."""
+        """Whether the motors may run."""
         return self._armed
 
     def has_no_sensor_events(self, checks: Sequence[SensorStatus]) -> bool:
-        """Whether there is nothing to say of sensors of which this is thought, however long."""
+        """Whether these sensor statuses cause no report, however long they last."""
         return self._sensors.has_nothing_to_report(checks)
 
     def report_sensor_checks(self, checks: Sequence[SensorStatus], time_s: float, state: str) -> None:
-        """Say what is to be said of sensors in one period."""
+        """Report changes of the sensors' statuses in one period."""
         for text, level in self._sensors.step(checks, self._period_s):
             self._emit_event(FlightEvent(time_s, state, text, level))
 
     def conclude_periods(self, estimate: Estimate | None, sent: Actuators, *, ran: bool | None, due: bool) -> None:
-        """Conclude periods in which the flight software was stepped and nothing was asked.
+        """Update the autopilot after periods of the compiled loop without requests.
 
         Parameters
         ----------
         estimate : Estimate or None
-            Of the last period; None: the software was not stepped in it.
+            Estimate of the last period; None: the software was not stepped in it.
         sent : Actuators
+            Last inputs.
         ran : bool or None
-            Whether the motors ran as the mission's logic ran last before the last period; None: it did not run.
+            Whether the motors ran at the last step of the mission logic before the last period; None without such a
+            step.
         due : bool
-            Whether it ran in the last period.
+            Whether the mission logic ran in the last period.
         """
         if estimate is not None:
             self.observe_estimate(estimate)
@@ -241,7 +242,7 @@ class Autopilot:
             self._check_after_step()
 
     def _collect_command(self) -> Command:
-        """The signals for the mission logic: what was asked once, and what holds for as long as it is repeated."""
+        """Return the command for the mission logic: a single request, or repeated sticks or set-points."""
         c, self._command = self._command, NO_COMMAND
         if self._sticks is not None:
             if self._now - self._sticks_s > STICKS_TIMEOUT_S:
@@ -259,7 +260,7 @@ class Autopilot:
         return c
 
     def _check_after_step(self) -> None:
-        """What follows from a step of the mission's logic: events, disarming, and leaving offboard."""
+        """Forward events, check the fence, leave offboard control and disarm, after a step of the mission logic."""
         software = self.software
         if software.logged_count != self._logged:
             self._forward_mission_events()
@@ -278,8 +279,7 @@ class Autopilot:
             self.log_event(f"disarmed: no take-off within {AUTO_DISARM_S:g} s")
 
     def _enforce_fence(self) -> None:
-        """Act where it has left its fence, and again for every :data:`FENCE_REPEAT_DEPTH_M` that it is further
-        outside."""
+        """Execute the fence's action at a breach, and again every :data:`FENCE_REPEAT_DEPTH_M` further outside."""
         fence, m = self.software.requested_mission.fence, self._estimate
         if fence is None or m is None or not self.software.flying or not np.isfinite(m.position).all():
             self._breach = ""
@@ -309,14 +309,14 @@ class Autopilot:
         self._command = NO_COMMAND
 
     def _note_interruption(self, what: str) -> None:
-        """Remember how a flight was interrupted: arming asks for an acknowledgement of that."""
+        """Store how a flight was interrupted; arming requires its acknowledgement."""
         if what:
             self._interruption, self._interruption_told = what, False
 
     # arming
 
     def list_arming_faults(self) -> list[str]:
-        """Why it cannot be armed, each a sentence with its remedy; empty: it can."""
+        """Return the reasons against arming, each a sentence with its remedy; empty if arming is allowed."""
         plan = self.software.plan
         m = self._estimate
         why = find_arming_faults(
@@ -330,7 +330,7 @@ class Autopilot:
         return why
 
     def _mission_fault(self, m: Estimate) -> str:
-        """Whether the mission suits the place where it stands; asked again only when either has changed."""
+        """Return the reason against starting the mission here, cached for the same mission, place and charge."""
         mission = self.software.plan.mission
         north, east = round(float(m.position[0]), 2), round(float(m.position[1]), 2)
         heading = round(float(m.attitude[2]), 1) if math.isfinite(m.attitude[2]) else 0.0
@@ -351,26 +351,26 @@ class Autopilot:
 
     @property
     def _charge(self) -> float:
-        """Present charge of the battery by its voltage at rest, in per cents; 1 if full, or not known."""
+        """Charge of the battery (0..1) from its voltage at rest, in steps of 0.01; 1 if full or unknown."""
         if math.isnan(self._rest_V):
             return 1.0
         charge = round(charge_at_rest(self._battery, self._rest_V), 2)
         return 1.0 if charge >= FULL_CHARGE else charge
 
     def arm(self, *, force: bool = False, quiet: bool = False, repeated: bool = False) -> RequestAnswer:
-        """Let the motors run.
+        """Arm the vehicle, so that the motors may run.
 
-        After an interrupted flight (motors stopped in the air, tipped over, come down without an estimate) the first
-        request is refused with the reason; the next one acknowledges it.
+        After an interrupted flight (motors stopped in the air, tip-over, blind descent) the first request is refused
+        with the reason; the next request acknowledges it.
 
         Parameters
         ----------
         force : bool
-            Skip all checks but that of a crash.
+            Skip all checks except for a crash.
         quiet : bool
-            Leave no note of it.
+            Log no event of the arming.
         repeated : bool
-            Whether a link repeats a request that is answered already: that acknowledges nothing.
+            Whether a link repeats an answered request, which acknowledges nothing.
         """
         if self._armed:
             return REQUEST_ACCEPTED
@@ -398,7 +398,7 @@ class Autopilot:
         return REQUEST_ACCEPTED
 
     def disarm(self, force: bool = False) -> RequestAnswer:
-        """Motors off. Refused in flight, unless by ``force``, which is an emergency stop."""
+        """Disarm the vehicle; refused in flight, except with ``force``, which is an emergency stop."""
         if force:
             return self.emergency_stop()
         if not self._armed:
@@ -409,13 +409,13 @@ class Autopilot:
         return answer
 
     def emergency_stop(self) -> RequestAnswer:
-        """Motors off at once; it falls. Always accepted."""
+        """Stop the motors at once, also in flight, where the vehicle falls; always accepted."""
         self._stop_motors("emergency stop, motors off")
         return REQUEST_ACCEPTED
 
     @property
     def _is_stopping(self) -> bool:
-        """Whether a stop has been asked for that the next step carries out."""
+        """Whether the next step stops the motors."""
         return bool(self._command.stop_reason)
 
     def _stop_motors(self, why: str) -> None:
@@ -432,7 +432,7 @@ class Autopilot:
             self._command = Command(stop_reason=why)
 
     def _is_in_air(self) -> bool:
-        """Off the floor: by how it is flown, and by height unless that is not known."""
+        """Whether the vehicle is off the floor: by the mode of its motors, and by its height and speed."""
         m, s = self._estimate, self.software.mission_state
         if not self.software.flying or m is None:
             return False
@@ -442,19 +442,19 @@ class Autopilot:
 
     @property
     def parameters(self) -> Mapping[str, TunableParameter]:
-        """Everything that may be tuned, by name."""
+        """All tunable parameters, by name."""
         return self._parameters
 
     def set_parameter(self, name: str, value: float) -> RequestAnswer:
-        """Tune one number; it acts at once."""
+        """Set a parameter, with immediate effect."""
         fault = self._parameters.set_value(name, float(value))
         return deny_request(fault) if fault else REQUEST_ACCEPTED
 
-    # what there is to know
+    # status and events
 
     @property
     def status(self) -> FlightState:
-        """How the vehicle is now, as far as it is known on board."""
+        """Present state of the flight, as known on board."""
         software = self.software
         s = software.mission_state
         in_air = s.state not in (State.INIT, State.RC)
@@ -493,11 +493,11 @@ class Autopilot:
         )
 
     def log_event(self, text: str, level: str = "info") -> None:
-        """Put a line into the log of events."""
+        """Append an event to the log; ``level`` is "info", "warning" or "error"."""
         self._emit_event(FlightEvent(self._now, str(self.software.mission_state.state), text, level))
 
     def take_events(self) -> list[FlightEvent]:
-        """What happened since the last call; the latest thousand if nobody asked for long."""
+        """Return the events since the last call, at most the latest :data:`EVENT_CAPACITY`."""
         out = list(self._outbox)
         self._outbox.clear()
         return out
@@ -517,7 +517,7 @@ class Autopilot:
     # flight
 
     def take_off(self, height_m: float | None = None) -> RequestAnswer:
-        """Take off to a height above the floor (m; by default parameter MIS_TAKEOFF_ALT) and hover."""
+        """Take off to a height above the floor (m; default parameter MIS_TAKEOFF_ALT) and hover."""
         if height_m is None:
             height_m = self.software.plan.mission.take_off.height_m
         if not (math.isfinite(height_m) and MIN_WAYPOINT_HEIGHT_M <= height_m <= MAX_HEIGHT_M):
@@ -528,7 +528,7 @@ class Autopilot:
         return self._send_command(Command(take_off_height=float(height_m))) if answer else answer
 
     def _check_climb(self, ask: VehicleRequest, height_m: float) -> RequestAnswer:
-        """May it, from where it stands, and is the way up free?"""
+        """Check a request for a take-off: state, attitude, obstacles above, and fence."""
         answer = self._check_request(ask)
         if not answer:
             return answer
@@ -545,7 +545,7 @@ class Autopilot:
         return REQUEST_ACCEPTED
 
     def start_mission(self, first: int | None = None) -> RequestAnswer:
-        """On the floor: take off and fly the mission; in the air: go on, or from waypoint ``first`` (from 0)."""
+        """Take off and fly the mission; in the air, resume it. ``first`` is the first waypoint (from 0)."""
         n = len(self.software.plan.mission.waypoint)
         if n == 0:
             return reject_temporarily("no mission loaded; load one first")
@@ -561,14 +561,14 @@ class Autopilot:
         return self._send_command(Command(start=True, first_waypoint=first)) if answer else answer
 
     def pause(self) -> RequestAnswer:
-        """Stop and hover; :meth:`start_mission` goes on. Breaks off a landing that is still above 0.4 m.
+        """Stop and hover; :meth:`start_mission` resumes the mission. Above 0.4 m this aborts a landing.
 
-        Asked for before it is 0.2 m off the floor, it hovers once it is.
+        A take-off below 0.2 m continues to that height first.
         """
         return self._request_command(VehicleRequest.PAUSE, Command(pause=True))
 
     def go_to(self, position_m: Sequence[float], heading_rad: float | None = None) -> RequestAnswer:
-        """Fly to a place (N, E, D; m) and hold there, with a heading on the way if given; the mission waits."""
+        """Fly to a position (N, E, D; m) and hold it, with a heading (rad) if given; the mission waits."""
         if len(position_m) != 3:
             return deny_request("a place needs three numbers: N, E, D")
         place = (float(position_m[0]), float(position_m[1]), float(position_m[2]))
@@ -588,7 +588,7 @@ class Autopilot:
         return self._request_command(VehicleRequest.GO_TO, Command(waypoint=place, heading=heading))
 
     def _reach_fault(self, place: tuple[float, float, float]) -> str:
-        """Why a place is too far for what a full battery lasts, there and down; "" if it is not."""
+        """Return the reason if a full battery does not suffice to fly to a position and land there; "" if it does."""
         m, mission = self._estimate, self.software.plan.mission
         if m is None or not np.isfinite(m.position).all():
             return ""
@@ -599,7 +599,7 @@ class Autopilot:
         return f"out of reach: getting there and down takes {needed:.0f} s, a full battery lasts {lasts:.0f} s"
 
     def turn_to(self, heading_rad: float) -> RequestAnswer:
-        """Stop, and turn on the spot to a heading (rad, from north to east)."""
+        """Stop and turn on the spot to a heading (rad, from north to east)."""
         fault = user_waypoint_fault(None, heading_rad)
         return (
             deny_request(fault)
@@ -608,23 +608,23 @@ class Autopilot:
         )
 
     def set_speed(self, speed_m_s: float) -> RequestAnswer:
-        """Horizontal speed from the next leg on: parameter LIM_SPEED."""
+        """Set the horizontal speed (m/s; parameter LIM_SPEED), effective from the next leg."""
         answer = self.set_parameter("LIM_SPEED", speed_m_s)
         underway = answer and self.software.mission_state.state in ("waypoint", "obstacle")
         return RequestAnswer(True, "from the next leg on") if underway else answer
 
     def return_home(self) -> RequestAnswer:
-        """Fly to above where it took off, no lower than now, and land."""
+        """Fly to above the take-off position without descending, and land there."""
         return self._request_command(VehicleRequest.RETURN, Command(return_requested=True))
 
     def land(self) -> RequestAnswer:
-        """Land where it comes to rest."""
+        """Brake and land."""
         if self.software.mission_state.state == "landing":
             return REQUEST_ACCEPTED
         return self._request_command(VehicleRequest.LAND, Command(land=True))
 
     def _send_command(self, command: Command) -> RequestAnswer:
-        """Hand a request to the mission logic, unless the motors are about to stop: nothing may take its place."""
+        """Store a command for the mission logic; refused before a pending stop of the motors, which has priority."""
         if self._is_stopping:
             return reject_temporarily(MOTORS_STOPPING)
         self._offboard = False
@@ -636,13 +636,13 @@ class Autopilot:
         return self._send_command(command) if answer else answer
 
     def _check_request(self, ask: VehicleRequest) -> RequestAnswer:
-        """Whether its state lets it."""
+        """Return whether the present state permits a request."""
         return self.status.check_request(ask)
 
     # set-points and sticks
 
     def send_set_point(self, s: SetPoint) -> RequestAnswer:
-        """Take a set-point; it is followed while :meth:`set_offboard` is on."""
+        """Store a set-point, which the vehicle follows while :meth:`set_offboard` is on."""
         fault = set_point_fault(s)
         fence, place = self.software.requested_mission.fence, s.position_m
         if not fault and fence is not None and place is not None and self._estimate is not None:
@@ -654,7 +654,7 @@ class Autopilot:
         return REQUEST_ACCEPTED
 
     def set_offboard(self, on: bool) -> RequestAnswer:
-        """Follow set-points from now on, or no more. It needs one that is younger than half a second."""
+        """Start or end offboard control; the start requires a set-point of the last half second."""
         if not on:
             self._offboard = False
             return REQUEST_ACCEPTED
@@ -667,7 +667,7 @@ class Autopilot:
         return answer
 
     def set_sticks(self, roll_rad: float, pitch_rad: float, yaw_rate_rad_s: float, climb_m_s: float) -> RequestAnswer:
-        """The pilot's sticks (rad, rad/s, m/s upwards), within parameters ``STK_...``; the state is RC meanwhile."""
+        """Set the pilot's sticks, limited by parameters ``STK_...``; the mission's state becomes RC."""
         values = (roll_rad, pitch_rad, yaw_rate_rad_s, climb_m_s)
         if not all(math.isfinite(v) for v in values):
             return deny_request("sticks refused: give finite numbers")
@@ -687,14 +687,14 @@ class Autopilot:
         return REQUEST_ACCEPTED
 
     def release_sticks(self) -> RequestAnswer:
-        """The pilot lets go: it hovers, or stays on the floor."""
+        """End stick control; the vehicle hovers or stays on the floor."""
         self._sticks = None
         return REQUEST_ACCEPTED
 
     # mission and parameters
 
     def load_fence(self, fence: Fence | None) -> RequestAnswer:
-        """Take another fence, or none; refused where it stands, or hovers, outside."""
+        """Load another fence, or none; refused while the vehicle is outside."""
         m = self._estimate
         if m is not None and np.isfinite(m.position).all() and (fault := fence_fault(fence, m.position)):
             return reject_temporarily(f"fence refused: it is {fault}")
@@ -702,7 +702,7 @@ class Autopilot:
         return REQUEST_ACCEPTED
 
     def load_mission(self, mission: Mission) -> RequestAnswer:
-        """Take another mission, whole or not at all, to be flown when it is started; not while one is being flown."""
+        """Load another mission, which waits for its start; refused during a mission and for a faulty mission."""
         software = self.software
         answer = self._check_request(VehicleRequest.LOAD)
         if not answer:

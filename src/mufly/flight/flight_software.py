@@ -392,7 +392,7 @@ class FlightSoftware:
         return descent_time_s(height, float(self._controller.position_gains["gravity"]))
 
     def _switch_motors(self, motors: str, m: Estimate) -> None:
-        """Engage or release the controllers without a bump."""
+        """Change the mode of the motors; engage the controllers with a bumpless transfer."""
         if motors == "fly":
             self._controllers.engage(m, self._motor_input)
             self._lifted = False

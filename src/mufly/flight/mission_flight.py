@@ -1,4 +1,4 @@
-"""A mission flown to its end on the simulated helicopter, as fast as the machine can or in real time."""
+"""Flight of a whole mission on the simulated helicopter, as fast as possible or in real time."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from mufly.sensors import Fault, SensorSet, Truth
 from mufly.vehicle import Vehicle, load_vehicle
 
 ALIGNMENT_TIMEOUT_S = 15.0
-"""How long a mission waits on the floor for an estimate to fly by (s)."""
+"""Longest wait on the floor for a valid estimate (s)."""
 
 PROGRESS_INTERVAL_S = 0.1  # wall-clock time between two calls of on_progress
 RECORDED_AFTER_END_S = 0.5  # recorded after the mission has ended
@@ -33,7 +33,7 @@ RECORDED_AFTER_END_S = 0.5  # recorded after the mission has ended
 
 @dataclass(frozen=True, slots=True)
 class FlightProgress:
-    """What is happening, for a display. Times in s, position N, E, D in m."""
+    """Progress of a flight, for a display; times in s, position N, E, D in m."""
 
     time_s: float
     expected_s: float
@@ -71,19 +71,19 @@ def fly_mission(
     Parameters
     ----------
     vehicle : Vehicle, str or Path
-        Or the name or file of one.
+        Vehicle, or its name or file.
     mission : Mission, str or Path
-        Or the name or file of one.
+        Mission, or its name or file.
     controller, wind, gust, seed, path, sensors, estimator, faults, controllers, designed_for, brief, eye : optional
-        As for :class:`Flight`; without a path the recording is in memory only.
+        See :class:`Flight`; without a path the recording is in memory only.
     realtime : bool
-        Keep pace with the clock instead of flying as fast as the machine can.
+        Fly in real time instead of as fast as possible.
     on_progress : callable, optional
         Called with a :class:`FlightProgress` about ten times a second.
     on_event : callable, optional
-        Called with every :class:`FlightEvent`: changes of the mission's state, with the reason, and what went wrong.
+        Called with every :class:`FlightEvent`: changes of the mission's state with their reasons, and faults.
     on_tick : callable, optional
-        Called with what is true and what is believed after every ``tick_every``-th period.
+        Called with truth and estimate after every ``tick_every``-th period.
     tick_every : int
 
     Returns
@@ -95,13 +95,13 @@ def fly_mission(
     Raises
     ------
     MuflyError
-        Before anything runs, if vehicle or mission is impossible. A flight that fails raises nothing.
+        If vehicle or mission is invalid, before the flight. A failed flight raises no error.
     """
     if not isinstance(vehicle, Vehicle):
         vehicle = load_vehicle(vehicle)
     if not isinstance(mission, Mission):
         mission = load_mission(mission)
-    # What the vehicle is taken for decides whether it may fly; whether it can is seen.
+    # The checks use the vehicle of the design; the flight shows whether the true vehicle can fly.
     check_preflight(vehicle if designed_for is None else designed_for, mission)
     with Flight(
         vehicle,
@@ -139,9 +139,9 @@ def fly_mission(
 
 
 def _time_limit(mission: Mission, expected: MissionEstimate) -> float:
-    """When a flight is taken to be stuck (s)."""
+    """Return the longest duration of a flight (s), after which it has failed."""
     limit = 3.0 * expected.duration_s + 60.0 + len(mission.waypoint) * mission.avoidance.give_up_s
-    # One that holds at the end does so until its battery is low.
+    # A mission that ends in a hover lasts until the battery is low.
     return limit + expected.duration_s / expected.fraction if mission.at_end == "hover" else limit
 
 
@@ -153,7 +153,7 @@ def _run_flight(
     on_progress: Callable[[FlightProgress], None] | None,
     heard: tuple[Callable[[Truth, Estimate], None], int] | None,
 ) -> float:
-    """Fly until the mission has ended, the vehicle has crashed or time is up; return the wall time (s)."""
+    """Fly until the mission's end, a crash or the time limit; return the wall-clock time (s)."""
     software, plant = flight.autopilot.software, flight.plant
     began = shown = time.perf_counter()
     ended_at = math.inf
@@ -162,7 +162,7 @@ def _run_flight(
         if refused:
             ended_at = flight.time_s
     else:
-        # The mission was checked as a whole (preflight); whether to arm is a question for a real one.
+        # The preflight check covers the mission; the arming checks concern flights on sensors.
         flight.autopilot.arm(force=True, quiet=True)
         flight.autopilot.start_mission()
     if heard is not None:
@@ -184,17 +184,14 @@ def _run_flight(
 
 
 def align_and_start(flight: Flight) -> str:
-    """Stand on the floor until the estimate is one to fly by, arm and start the mission; return why it does not.
-
-    What will not work in the air is said before that.
-    """
+    """Wait on the floor for a valid estimate, arm and start the mission; return the reason of a failure, or ""."""
     autopilot, why = flight.autopilot, ["nothing is measured yet"]
     last = math.floor(ALIGNMENT_TIMEOUT_S * flight.plant.rate_Hz)
     while why and flight.time_s < ALIGNMENT_TIMEOUT_S:
         if flight.estimate.valid:
             flight.step_period()
         else:
-            flight.advance_until(last, until_valid=True)  # before it is, it is not ready
+            flight.advance_until(last, until_valid=True)  # arming needs a valid estimate
         if autopilot.software.is_mission_step_due:
             why = autopilot.list_arming_faults()
     answer = autopilot.arm(quiet=True)

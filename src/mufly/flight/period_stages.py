@@ -1,14 +1,13 @@
 """Stages of one period of the controllers; this module alone defines their order.
 
-:func:`make_stepper` makes an executor of eight stages. There are two kinds of executor, of the same function:
+:func:`make_stepper` makes an executor of eight stages. There are two executors:
 
-- in Python, over a :class:`mufly.flight.simulated_flight.Flight`: any sensors, estimator and flight software;
-- compiled by Numba, over arrays (:mod:`mufly.firmware.quick.compiled_loop`): many periods in one call, filter and
+- in Python, for a :class:`mufly.flight.simulated_flight.Flight` with any sensors, estimator and flight software;
+- compiled by Numba, for arrays (:mod:`mufly.firmware.quick.compiled_loop`): many periods in one call, with filter and
   flight software in C.
 
 A stage is a function of the executor's data. It returns :data:`CONTINUE`, or a code with which the executor returns to
-its caller. ``clock.stage`` is then the stage that is due next. The executor can therefore be called again in the middle
-of a period, and one executor can finish a period that the other began.
+its caller. ``clock.stage`` is then the next stage. Either executor can therefore continue in the middle of a period.
 """
 
 from __future__ import annotations
@@ -18,9 +17,9 @@ from dataclasses import dataclass
 from typing import Any
 
 CONTINUE, DONE = 0, 1
-"""Results of a stage: continue; or, by the first or the last stage, that no period is left."""
+"""Codes of a stage: continue; or (first and last stage only) no period is left."""
 FIRST_FREE_CODE = 2
-"""Codes from here on belong to the executor."""
+"""First code that an executor may define."""
 
 (
     BEGIN_PERIOD,
@@ -38,7 +37,7 @@ Stage = Callable[[Any], int]
 
 @dataclass(slots=True)
 class PeriodClock:
-    """The clock of an executor in Python; ``stage`` is the stage that is due next."""
+    """Clock of an executor in Python; ``stage`` is the next stage."""
 
     stage: int = BEGIN_PERIOD
 
@@ -60,15 +59,15 @@ def make_stepper(
     begin_period
         Returns :data:`DONE` if no period is left.
     advance_plant
-        Integrates the plant over one period under the actuators that act; then those sent last act.
+        Integrates the plant over one period under the acting inputs; then the last sent inputs act.
     check_contact
-        Looks for a collision; averages the current of the battery.
+        Detects a collision; averages the battery's current.
     measure
         Samples the sensors.
     estimate
-        Estimates from the readings.
+        Updates the estimator with the readings.
     control
-        Steps the flight software, which gives the actuators of the period after the next.
+        Steps the flight software, which computes the inputs of the period after the next.
     record
         Appends a row to the recording.
     end_period

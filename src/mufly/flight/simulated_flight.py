@@ -1,4 +1,4 @@
-"""A simulated flight: the true helicopter, its autopilot and the recorder, one period of the controllers at a time.
+"""Simulated flight: true helicopter, autopilot and recorder, one period of the controllers at a time.
 
 One period at time ``t_k``, in the stages of :mod:`mufly.flight.period_stages`::
 
@@ -6,13 +6,12 @@ One period at time ``t_k``, in the stages of :mod:`mufly.flight.period_stages`::
     truth(t_k) --> sensors --> readings --> estimator --> estimate --> autopilot.step --> actuators a_k
     a row of the recording, every second period (every one, on sensors)
 
-The actuators a_k take effect at t_(k+1): the delay of one period is that of a processor that needs the period to
-compute. Nothing here knows of the clock on the wall: :func:`mufly.flight.mission_flight.fly_mission` steps as fast as
-it can, a link in real time.
+The inputs a_k take effect at t_(k+1): one period is the computing time of the onboard processor. This module does not
+use the wall clock: :func:`mufly.flight.mission_flight.fly_mission` steps as fast as possible, a link in real time.
 
-It flies on the true state, or on what the vehicle's own sensors say of that and a filter makes of it: ``sensors`` is
-``"ideal"`` or ``"fitted"``. In Python, ideal is the default, since most that is asked there is about vehicle,
-controllers and missions; the commands, which stand for the vehicle, fly on its sensors.
+The vehicle flies on the true state (``sensors="ideal"``), or on the vehicle's sensors and a filter
+(``sensors="fitted"``). Ideal sensors are the default in Python, for studies of vehicle, controllers and missions; the
+commands fly on fitted sensors.
 """
 
 from __future__ import annotations
@@ -71,63 +70,63 @@ _Array = NDArray[np.float64]
 RECORD_RATE_HZ = 100.0
 RANGE_RING_RATE_HZ = 25.0
 AFTER_CRASH_S = 0.5
-"""How long after a crash the motors go on (s): what is recorded of it."""
+"""Time after a crash until the motors stop (s), for the recording."""
 
 GUST_LENGTH_M = 1.0
 _CURRENT_FILTER_S = 5.0
 
 
 class Flight:
-    """The simulated helicopter on the floor, ready to be commanded.
+    """The simulated helicopter on the floor, ready for commands.
 
     Parameters
     ----------
     vehicle : Vehicle, str or Path
-        Or the name or file of one.
+        Vehicle, or its name or file.
     mission : Mission, str or Path
-        Or the name or file of one; it says where the helicopter stands, what stands around it and which limits it has.
+        Mission, or its name or file; it supplies start position, obstacles and limits.
     controller : FlightController, optional
-        By default ``mufly.control.design_flight_controller(vehicle)``.
+        Control design; default ``mufly.control.design_flight_controller(vehicle)``.
     wind : (3,) array_like, optional
-        Steady wind N-E-D (m/s), instead of the mission's.
+        Steady wind N-E-D (m/s); default the mission's.
     gust : float, optional
-        Standard deviation of the gusts (m/s), instead of the mission's.
+        Standard deviation of the gusts (m/s); default the mission's.
     seed : int
-        Seed of everything random: gusts, errors of sensors.
+        Seed of gusts and sensor errors.
     path : str or Path, optional
-        MCAP file to record to; without it nothing reaches the disk.
+        MCAP file to record to; default no file.
     keep : bool
-        Keep every row in memory for :meth:`FlightRecorder.to_dataset`; without it, memory does not grow.
-    sensors : "ideal", "fitted" or Sensors
-        What it flies on: what is true (the ring of beams read at 25 Hz); what the vehicle's file has in ``[sensors]``
-        (a vehicle without flies on the true state, and says so); or sensors of one's own.
+        Whether all rows stay in memory for :meth:`FlightRecorder.to_dataset`; otherwise memory does not grow.
+    sensors : "ideal", "fitted" or SensorSet
+        True values (range ring at 25 Hz), the sensors in the vehicle file's ``[sensors]``, or other sensors. A vehicle
+        without ``[sensors]`` flies on true values, with a warning.
     estimator : Estimator, optional
-        By default the one that belongs to the sensors; the ideal one believes its readings.
+        Default: the estimator for the sensors; the one for ideal sensors returns their readings.
     faults : sequence of Fault
-        What goes wrong with fitted sensors; :meth:`inject_fault` adds to it in flight.
+        Faults of fitted sensors; :meth:`inject_fault` adds faults in flight.
     controllers : callable, optional
-        Makes what computes the control law, instead of :class:`mufly.flight.controllers.Controllers`; or a class of
-        flight software instead of :class:`mufly.flight.flight_software.FlightSoftware`: the exported code, for instance
+        Factory of another implementation of :class:`mufly.flight.controllers.Controllers`, or another class of flight
+        software in place of :class:`mufly.flight.flight_software.FlightSoftware`, for example exported code
         (:mod:`mufly.firmware`).
     designed_for : Vehicle, optional
-        The vehicle that controllers, autopilot and estimator take it for; by default they know the true one.
+        Vehicle for which controllers, autopilot and estimator are designed; default ``vehicle``.
     brief : bool
-        Record what a flight is judged by, at 100 Hz, and not what its sensors said.
-    eye : Eye, optional
-        Fly on pictures (:mod:`mufly.flight.fixes.camera_sensor`) instead of the statistical position fix; on fitted
-        sensors only.
-    outside_model_note : bool
-        Fly on fixes that somebody gives to :attr:`outside_fixes`, by a link for instance; on fitted sensors only. With
-        ``eye`` as well its pictures are sent to ``eye.stream``, for somebody who makes fixes of them.
+        Record the data of a flight's summary at 100 Hz, without sensor readings.
+    eye : CameraConfig, optional
+        Use a camera's fixes (:mod:`mufly.flight.fixes.camera_sensor`) in place of the statistical position fix; with
+        fitted sensors only.
+    outside : bool
+        Use fixes submitted to :attr:`outside_fixes`, for example by a link; with fitted sensors only. With ``eye`` the
+        pictures are streamed to ``eye.stream_address``, for a program that computes the fixes.
 
     Raises
     ------
     MuflyError
-        If the vehicle, the mission or the path is impossible.
+        If the vehicle, the mission or the path is invalid.
 
     Notes
     -----
-    Use as a context manager, or call :meth:`close`: it finishes the recording.
+    Use as a context manager, or call :meth:`close`, to finish the recording.
     """
 
     def __init__(
@@ -267,19 +266,22 @@ class Flight:
         self._estimate = self.estimator.update(self.readings, np.zeros(4))
         self.autopilot.observe_estimate(self._estimate)
         self.is_first_period, self._rests = True, False
-        # The next period begins with an instant that a filter has heard of, and it hears of every instant once.
+        # A filter must process each instant once, and it has processed the first instant of the next period.
         self._is_estimated = self.uses_fitted_sensors
 
     def _estimate_and_sonar(self) -> tuple[Estimate | None, float]:
-        """What goes with a picture: the estimate of the period before, and what the sonar said last (m)."""
+        """Return the estimate of the previous period and the latest sonar reading (m), for a picture."""
         if not hasattr(self, "readings"):
             return None, math.nan
         sonar = self.readings.latest.get("ground_distance")
         return self._estimate, math.nan if sonar is None else float(sonar.value)
 
     def _blinded_sensors(self) -> tuple[str, ...]:
-        """What sees nothing now, as it should: a camera that looks down, from when legs touch the floor in a landing
-        until the sonar sees it go up again. Pictures are told apart down to some 3 cm above the floor."""
+        """Return the sensors that may be missing at present.
+
+        The camera sees nothing on the floor: from touchdown until the sonar shows another lift-off. Tracking works down
+        to about 3 cm above the floor.
+        """
         m, sonar = self._estimate_and_sonar()
         if sonar > self._least_m:
             self._rests = False
@@ -289,12 +291,12 @@ class Flight:
 
     @property
     def truth(self) -> Truth:
-        """What is true at the instant of the last readings."""
+        """Truth at the time of the last readings."""
         return self._truth
 
     @property
     def estimate(self) -> Estimate:
-        """What is believed of it."""
+        """Estimate at the time of the last readings."""
         return self._estimate
 
     @property
@@ -311,30 +313,30 @@ class Flight:
             _run_stages(self)
 
     def finish_period(self, acted: NDArray[np.floating[Any]]) -> None:
-        """Run the stages of a period after the plant was advanced; ``acted`` (4,) are its inputs over the period."""
+        """Run the stages of a period after the plant's step; ``acted`` (4,) are the plant's inputs in the period."""
         self._acted = acted
         self.clock.stage = CHECK_CONTACT
         _run_stages(self)
 
     def advance_until(self, until: int, **more: Any) -> None:
-        """Advance by one period, or up to period ``until`` where nothing has to be decided before."""
+        """Advance by one period, or with compiled code up to period ``until`` if no earlier period needs Python."""
         if not self._asked_many:
             self._many, self._asked_many = self.autopilot.software.make_batch_runner(self), True
         if self._many is None or not self._many(until, **more):
             self.step_period()
 
     def set_instant(self, truth: Truth, readings: Readings, estimate: Estimate) -> None:
-        """Take truth, readings and estimate at the end of periods that the compiled loop ran."""
+        """Set truth, readings and estimate after periods of the compiled loop."""
         self._truth, self.readings, self._estimate = truth, readings, estimate
 
     @property
     def records_truth(self) -> bool:
-        """Whether a row of the recording holds nothing of sensors with errors."""
+        """Whether the recording holds no readings of fitted sensors."""
         return self._write_sensed is None
 
     @property
     def current_filter_share(self) -> float:
-        """Share of a new current in that of late, every ``look_periods`` periods."""
+        """Weight of a new current in the filtered current, every ``look_periods`` periods."""
         return self.look_periods * self.period_s / _CURRENT_FILTER_S
 
     # The stages of a period, in the order of mufly.flight.period_stages; the last one ends every call
@@ -407,7 +409,7 @@ class Flight:
             self.autopilot.emergency_stop()
 
     def inject_fault(self, fault: Fault) -> None:
-        """Let something go wrong with a sensor, at the fault's time or, where that is past, now; an event tells.
+        """Inject a sensor fault at its start time, or at once if that is past, and log an event.
 
         Raises
         ------
@@ -420,19 +422,19 @@ class Flight:
         self.log_event(f"fault injected: {fault}", "warning")
 
     def clear_faults(self) -> None:
-        """Nothing is wrong with the sensors any more."""
+        """Clear all sensor faults and log an event."""
         if isinstance(self.sensors, FittedSensors) and self.sensors.all_faults:
             self.sensors.clear_faults()
             self.log_event("all faults cleared")
 
     @property
     def faults(self) -> tuple[Fault, ...]:
-        """What is or will be wrong with the sensors."""
+        """Present and future faults of the sensors."""
         there = self.sensors.all_faults if isinstance(self.sensors, FittedSensors) else ()
         return tuple(f for f in there if f.stop_s > self.time_s)
 
     def log_event(self, text: str, level: str = "info") -> None:
-        """Put a line into the log of events and the recording: ``level`` "info", "warning" or "error"."""
+        """Append an event to log and recording; ``level`` is "info", "warning" or "error"."""
         self.autopilot.log_event(text, level)
 
     def _record_event(self, event: FlightEvent) -> None:
@@ -441,7 +443,7 @@ class Flight:
 
     @property
     def status(self) -> FlightState:
-        """How everything is now."""
+        """Present state of the flight, with the truth."""
         plant, truth = self.plant, self._truth
         return replace(
             self.autopilot.status,
@@ -456,7 +458,7 @@ class Flight:
         )
 
     def _battery_left_s(self) -> float:
-        """From the charge that is left above the one at which the voltage under this current is too low."""
+        """Return the time (s) until the voltage at the filtered current falls to the landing voltage."""
         p, current = self.plant.parameters, max(self.current_A, 1e-3)
         low = self.autopilot.software.plan.low_battery_V + float(p["battery_resistance"]) * current
         curve = np.asarray(p["battery_curve"], dtype=np.float64)
@@ -465,7 +467,7 @@ class Flight:
         return left * float(self.vehicle.battery.capacity) / current
 
     def reset(self) -> None:
-        """Back to the start with a full battery, motors off; the clock, the recording and the parameters go on."""
+        """Return to the start with a full battery and motors off; clock, recording and parameters continue."""
         self.plant.reset(self._start)
         self._many, self._asked_many = None, False
         self.autopilot.reset()
@@ -475,7 +477,7 @@ class Flight:
         self.log_event("back at the start")
 
     def close(self, outcome: str | None = None, reason: str = "", **attributes: Any) -> None:
-        """Finish the recording; by default with the outcome that the autopilot or a crash gave the flight."""
+        """Finish the recording; the default outcome is that of :meth:`judge_outcome`."""
         if self._finished:
             return
         self._finished = True
@@ -486,7 +488,7 @@ class Flight:
         self.recorder.close()
 
     def judge_outcome(self) -> tuple[str, str]:
-        """Outcome and reason of the flight as it stands."""
+        """Return outcome and reason of the flight at present."""
         s = self.autopilot.software.mission_state
         if self.plant.crash_cause or self.refusal_reason:
             return "failed", self.plant.crash_cause or self.refusal_reason
@@ -527,7 +529,7 @@ def _make_sensors(
     wanted: SensorSet | str, vehicle: Vehicle, mission: Mission, look: int, seed: int, faults: Sequence[Fault],
     fixes: CameraSensor | ExternalFixes | None,
 ) -> SensorSet:  # fmt: skip
-    """The sensors asked for; ideal ones where a vehicle has none."""
+    """Return the requested sensors; ideal ones for a vehicle without sensors."""
     if isinstance(wanted, SensorSet):
         return wanted
     if wanted not in ("ideal", "fitted"):

@@ -1,1 +1,1 @@
-"""Sources of position fixes in a flight: the camera with its pictures, and fixes that come by a link."""
+"""Sources of position fixes in a flight: a camera with SLAM, and fixes received over a link."""

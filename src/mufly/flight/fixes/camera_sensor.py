@@ -1,20 +1,20 @@
-"""Position by camera: pictures of the flight as it is flown, SLAM in a process of its own, and a radio between.
+"""Position fixes by camera: rendered pictures of the flight, SLAM in a separate process, and a radio link.
 
-    truth --> picture --radio--> SLAM's process --radio--> position_fix, with the picture's own time
+    truth --> picture --radio--> SLAM process --radio--> position_fix, with the time of the picture
 
-The picture is rendered at the middle of its exposure; with it goes what the vehicle's filter believes then of tilt,
-height, velocity and rates (its state one period of the flight software before, turned on by the rates). What the
-radio loses does not come back. An answer is known at t + latency + |jitter|, whatever the wall's clock says: the
-flight waits for the other process, so the same seed flies the same flight. Answers that are not trusted are not sent;
-after half a second without one the reason is told. Of the others go as many as the statistical fix would have made:
-errors of pictures that follow each other hang together, and the filter has no time for all.
+A picture is rendered at the middle of its exposure. The filter's estimate of tilt, height, velocity and rates, from
+one period of the flight software before, is predicted to that time and sent with the picture. The radio loses some
+pictures. A result is known at t + latency + abs(jitter) of simulated time: the flight waits for the SLAM process, so
+that equal seeds give equal flights. Untrusted results are not sent; half a second without a trusted one is reported
+with the reason. Trusted results are sent at most at the rate of the statistical fix, because errors of consecutive
+pictures are correlated and the filter's computing time is limited.
 
-It takes the place of the statistical ``position_fix`` and goes through the same door. For the filter its errors are
-described in the same words: white noise, and a bias that wanders (docs/log/2026-11-24-slam-accuracy.md).
+The sensor replaces the statistical ``position_fix``. Its errors are described to the filter in the same way: white
+noise, and a random-walk bias (docs/log/2026-11-24-slam-accuracy.md).
 
-Until the sonar first reads more than that of a standing vehicle can, the vehicle stands where it was put, or has just
-left it: that is told, with 2 mm of noise. A filter that heard nothing while the legs carry a part of the weight would
-lose its height. The map begins with the first picture from 10 cm up, where the vehicle then believes to be.
+Before the sonar first reads more than on the floor, the fix is the start position with 2 mm of noise. Without fixes
+the filter would lose its height while the legs carry a part of the weight. The map begins with the first picture from
+10 cm above the floor, at the estimated position.
 """
 
 from __future__ import annotations
@@ -63,36 +63,35 @@ from mufly.world import World
 
 _Array = NDArray[np.float64]
 MIN_FIX_INTERVAL_S, SILENCE_TIMEOUT_S, RECOVERY_TIME_S = 0.066, 0.5, 1.0
-"""Between two answers that are sent; without any, until that is told; with some again, until that is told (s)."""
+"""Least time between two fixes, time without a fix until its report, and time of recovery until its report (s)."""
 _STATIONARY_NOISE_M = 0.002
 LANDED_HEIGHT_M = 0.2
-"""Height as believed, below which one that flew and whose sonar says its least has landed: sonars fail in the air."""
+"""Estimated height (m) below which the least sonar reading after a flight means a landing, not a sonar's failure."""
 PATH_SPACING_M, MAX_PATH_POINTS = 0.03, 1500
 _TILT_CORRELATION_S, _HEIGHT_CORRELATION_S = 20.0, 2.0
-"""Over which the filter's errors of tilt and height hang together: in three flights tilts were off by 0.12 degrees on
-average over ten seconds, and went by 0.05 around that (s)."""
+"""Correlation times of the filter's errors of tilt and height (s)."""
 MAX_FIX_SIGMA_M = 0.2
-"""A place from outside that is known less well is refused (m)."""
+"""Largest standard deviation of an accepted external fix (m)."""
 _MAX_SENT_SIGMA_M = 0.6
-"""A place of its own that is known less well is not sent: a mission would land for that (m)."""
+"""Largest standard deviation of a sent fix (m): a mission would land with a larger one."""
 
 
 @dataclass(frozen=True)
 class CameraConfig:
-    """What a flight on pictures needs to know.
+    """Settings of a flight with an onboard camera.
 
     Attributes
     ----------
     camera : Camera
     floor_texture : str
-        Of :data:`mufly.camera.FLOOR_KINDS`.
+        One of :data:`mufly.camera.FLOOR_KINDS`.
     shadow_share : float
-        Share of the light that shadows take.
-    camera_faults : tuple of Spoil
+        Share of the light that shadows remove.
+    camera_faults : tuple of CameraFault
     on_tracking_result : callable, optional
-        Called with each answer as it is known.
+        Called with each tracking result when it is received.
     stream_address : (str, int), optional
-        Host and port where its pictures are sent as MJPEG, before the radio spoils them.
+        Host and port of an MJPEG stream of the pictures, without losses of the radio.
     """
 
     camera: Camera
@@ -116,7 +115,7 @@ def make_camera(eye: CameraConfig, vehicle: Vehicle, world: World, seed: int) ->
 
 
 def make_picture_stream(eye: CameraConfig, vehicle: Vehicle, world: World, seed: int) -> PictureStream | None:
-    """Return what sends the pictures of a flight that another program looks at; None where they are sent nowhere."""
+    """Return the stream of a flight's pictures for another program; None without a stream address."""
     return (
         None
         if eye.stream_address is None
@@ -125,8 +124,7 @@ def make_picture_stream(eye: CameraConfig, vehicle: Vehicle, world: World, seed:
 
 
 def position_fix_errors(camera: Camera) -> PositionFixParameters:
-    """Return how the filter describes fixes by this camera: the table ``sensors.position_fix`` of a
-    vehicle."""
+    """Return the filter's error model of a camera's fixes: the vehicle's table ``sensors.position_fix``."""
 
     def make_quantity(value: float, unit: str) -> Quantity:
         return Quantity(value=value, unit=unit, source="estimated", note=f"V-SLAM by {camera.name}")
@@ -147,7 +145,7 @@ def with_camera(vehicle: Vehicle, camera: Camera) -> Vehicle:
     Raises
     ------
     MuflyError
-        If it has no sensors that a filter could fly on.
+        If the vehicle lacks an inertial unit or a sonar.
     """
     if vehicle.sensors is None or vehicle.sensors.imu is None or vehicle.sensors.sonar is None:
         raise MuflyError(
@@ -158,43 +156,43 @@ def with_camera(vehicle: Vehicle, camera: Camera) -> Vehicle:
 
 
 def minimum_sonar_height(vehicle: Vehicle) -> float:
-    """Return up to which reading (m) the sonar cannot tell a standing vehicle from a flying one."""
+    """Return the largest sonar reading (m) of a vehicle that may stand on the floor."""
     sonar = vehicle.sensors.sonar if vehicle.sensors is not None else None
     return 0.0 if sonar is None else max_grounded_range(vehicle) + 0.5 * float(sonar.resolution)
 
 
 class CameraSensor(Sensor):
-    """Reads ``position_fix`` (4,): N, E, D (m) and heading (rad), from pictures.
+    """Sensor of ``position_fix`` (4,): N, E, D (m) and heading (rad), from pictures.
 
     Parameters
     ----------
-    eye : Eye
+    eye : CameraConfig
     vehicle : Vehicle
     world : World
-        Its boxes are seen.
+        Its boxes are visible.
     start : (3,) tuple
-        N, E (m) and heading (rad) where the vehicle stands.
+        Start position N, E (m) and heading (rad).
     seed : int
 
     Attributes
     ----------
     estimate_source : callable
-        Returns the latest estimate, or None, and what the sonar said last (m), or NaN.
-    last_result : Answer or None
-        The latest that came, trusted or not.
+        Returns the latest estimate, or None, and the latest sonar reading (m), or NaN.
+    last_result : TrackingResult or None
+        Latest result, trusted or not.
     last_picture : (rows, columns) uint8 array or None
-        The latest.
+        Latest picture.
     fix_drift_time_s : float
-        Over which errors of its fixes hang together.
+        Correlation time of the fixes' errors (s).
     on_map_view : callable or None
-        Told of every picture that was looked at (:class:`mufly.slam.TrackedPicture`); with it pictures are made on the
-        floor, too, which nobody looks at.
+        Called with every tracked picture (:class:`mufly.slam.TrackedPicture`). With it pictures are also rendered on
+        the floor, without tracking.
     """
 
     def __init__(
         self, eye: CameraConfig, vehicle: Vehicle, world: World, start: tuple[float, float, float], seed: int
     ) -> None:
-        load_opencv()  # say at once what is missing
+        load_opencv()  # an early error if OpenCV is missing
         self._eye, self._start, self._seed = eye, start, seed
         self._least_m = minimum_sonar_height(vehicle)
         self._stands_m = standing_height(vehicle)
@@ -214,7 +212,7 @@ class CameraSensor(Sensor):
         self._film.reset()
         self._scale = 1.0 + 0.01 * float(self._rng.standard_normal())
         self._offset = self._rng.uniform(0.0, 2 * math.pi, 2)
-        # When due; what is known without looking, or the picture as it is shown
+        # Time due; result without tracking, or the picture as JPEG
         self._queue: list[tuple[float, TrackingResult | bytes]] = []
         self.taken_count = self.lost_count = self.answered_count = self.trusted_count = 0
         self._path: list[tuple[float, float]] = []
@@ -226,7 +224,7 @@ class CameraSensor(Sensor):
         self._wrong, self._trusted_s, self._since_s = "", math.inf, math.nan
 
     def close(self) -> None:
-        """End the other process, and the stream."""
+        """End the SLAM process and the stream."""
         self._stop_slam()
         if self.stream_server is not None:
             self.stream_server.close()
@@ -235,8 +233,10 @@ class CameraSensor(Sensor):
             self._record.close()
 
     def record_pictures(self, path: Path, start_ns: int) -> None:
-        """Keep the pictures that are looked at, and what is told with them, from now on; ``start_ns`` is the wall's
-        time (ns since 1970) of the instant 0."""
+        """Start to record the tracked pictures with their estimates.
+
+        ``start_ns`` is the wall-clock time (ns since 1970) of the instant 0.
+        """
         facts = {"floor": self._eye.floor_texture, "seed": str(self._seed), "camera": self._eye.camera.name}
         self._record = PictureRecorder(path, format_camera_toml(self._eye.camera), start_ns, facts)
 
@@ -257,7 +257,7 @@ class CameraSensor(Sensor):
         return self._fix
 
     def tracking_message(self) -> str:
-        """What there is to be told: that it has given no position for a while, and why, or that it does again."""
+        """Return a new report of missing fixes with the reason, or of their recovery; "" if there is none."""
         t = self._film.last_time_s
         if not self._wrong and t - self._trusted_s > SILENCE_TIMEOUT_S and not self._stood:
             late = self.last_result is None or t - self.last_result.time_s > SILENCE_TIMEOUT_S + float(
@@ -280,7 +280,7 @@ class CameraSensor(Sensor):
             self._rng.uniform() < float(camera.radio.loss),
             abs(float(self._rng.standard_normal())),
         )
-        if self._process is None:  # while it stands, so that no flight waits until it can look
+        if self._process is None:  # started on the floor, so that no flight waits for its start
             self._process = SlamProcess(camera, start=self._start, seed=self._seed)
         told = self._make_frame_info(truth)
         if told is None:
@@ -289,7 +289,7 @@ class CameraSensor(Sensor):
         light = self._film.light_level(t)
         if light is None:
             return
-        # They come back in the order in which they were sent.
+        # Results arrive in the order of their pictures.
         due = t + float(camera.radio.latency)
         due = max(due + float(camera.radio.jitter) * jitter, self._queue[-1][0] if self._queue else 0.0)
         if told.standing and not self._begun:
@@ -312,7 +312,7 @@ class CameraSensor(Sensor):
         self._queue.append((due, shown))
 
     def _show_stationary_view(self, motion: VehicleMotion, light: float) -> None:
-        """A picture for those who watch: by chance of its own, so that a flight is the same with and without them."""
+        """Render a picture for viewers, with a separate random generator: viewers do not change the flight."""
         if self._floor_view is None:
             self._floor_view = self._film.make_renderer()
         self.last_picture = self._floor_view.render(motion, light)
@@ -325,7 +325,7 @@ class CameraSensor(Sensor):
         return self.on_map_view is not None or self.stream_server is not None
 
     def _encode_shown(self, time_s: float) -> bytes:
-        """The picture as a JPEG, sent to who watches; b"" where nobody does."""
+        """Return the picture as a JPEG, and publish it to the stream; b"" without viewers and recorder."""
         if self.last_picture is None or not (self._has_viewers or self._record):
             return b""
         jpeg = encode_jpeg(self.last_picture, SHOWN_JPEG_QUALITY)
@@ -337,14 +337,14 @@ class CameraSensor(Sensor):
         return PictureCounts(self.taken_count, self.lost_count, self.answered_count, self.trusted_count)
 
     def _stationary_pose(self, time_s: float) -> TrackingResult:
-        """It has not moved since it was put there."""
+        """Return the start position with noise, for a vehicle that has not moved."""
         *noise, turn = _STATIONARY_NOISE_M * self._rng.standard_normal(4)
         place = np.array([self._start[0], self._start[1], -self._stands_m]) + noise
         covariance = _STATIONARY_NOISE_M**2 * np.eye(4)
         return TrackingResult(time_s, True, "it stands", place, self._start[2] + turn, covariance)
 
     def _make_frame_info(self, truth: Truth) -> FrameInfo | None:
-        """What the vehicle believes at this instant: its estimate of a period ago, turned on."""
+        """Return the previous period's estimate, predicted to this instant; None without an estimate."""
         estimate, sonar = self.estimate_source()
         if estimate is None or not np.isfinite(estimate.attitude).all():
             return None
@@ -355,7 +355,7 @@ class CameraSensor(Sensor):
         pitch += dt * (q * math.cos(roll) - r * math.sin(roll))
         sigma = np.sqrt(np.diag(estimate.covariance))
         x = estimate.position + dt * estimate.velocity
-        # Places of the map are those of fixes: with what these are believed to be off by, and without its uncertainty.
+        # Map coordinates are those of the fixes: the estimated fix bias is added, and its uncertainty is left out.
         bias = np.zeros(4) if estimate.auxiliary_states is None else estimate.auxiliary_states.fix_bias
         north, east, height, v_north, v_east, _, roll_off, pitch_off, yaw_off = sigma[:EX_GYRO_BIAS].tolist()
         place = math.sqrt(max(max(north, east) ** 2 - float(self._fixes.wander) ** 2, 0.01**2))
@@ -411,7 +411,7 @@ class CameraSensor(Sensor):
 
 
 def _reject_uncertain(answer: TrackingResult) -> TrackingResult:
-    """The answer, not trusted where it is not sure enough."""
+    """Return a tracking result, marked as untrusted if its standard deviation is too large."""
     sigma = math.sqrt(max(float(answer.covariance[0, 0]), float(answer.covariance[1, 1])))
     if not answer.trusted or sigma <= _MAX_SENT_SIGMA_M:
         return answer

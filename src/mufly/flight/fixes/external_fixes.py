@@ -1,8 +1,8 @@
-"""Position from outside: fixes that come by a link, from whoever finds the vehicle's place elsewhere.
+"""External position fixes, computed by another program and received over a link.
 
-:class:`ExternalFixes` takes the place of the statistical ``position_fix`` and goes through the same door, each fix
-with its own time and its own covariance. It judges what comes before the filter sees it: numbers that are none, of a
-place that is not known well enough, from the future, late, doubled or overtaken are refused, with the reason in words.
+:class:`ExternalFixes` replaces the statistical ``position_fix``; each fix has its own time and covariance. Invalid
+fixes are refused before they reach the filter, with the reason as text: numbers that are not finite, a large
+standard deviation, a time in the future, late, repeated or out-of-order fixes.
 """
 
 from __future__ import annotations
@@ -22,26 +22,26 @@ from mufly.vehicle import Vehicle
 
 _Array = NDArray[np.float64]
 MAX_FIX_DELAY_S, MAX_FIX_LEAD_S = 1.0, 0.05
-"""A fix that is older is refused, as the filter leads it on by the velocity alone; so is one that is yet to come."""
+"""Largest age of a fix, which the filter predicts by the velocity only, and largest lead over the vehicle (s)."""
 MAX_FIX_DISTANCE_M = 1000.0
 MIN_SIGMA_M, MIN_SIGMA_RAD = 0.002, math.radians(0.05)
-"""Nobody knows it better than that."""
+"""Least standard deviations of a fix; smaller ones are increased."""
 MAX_SIGMA_RAD = math.radians(20.0)
 
 
 class ExternalFixes(Sensor):
-    """Reads ``position_fix`` (4,): N, E, D (m) and heading (rad), as it was given from outside.
+    """Sensor of ``position_fix`` (4,): N, E, D (m) and heading (rad), received from outside.
 
     Parameters
     ----------
     vehicle : Vehicle
-    stream : Stream, optional
-        Its camera, for whoever tells it where it is.
+    stream : PictureStream, optional
+        Stream of the vehicle's pictures for the program that computes the fixes.
 
     Raises
     ------
     MuflyError
-        If the vehicle has no sensors that a filter could fly on, or its file no word about fixes.
+        If the vehicle lacks an inertial unit or the table ``sensors.position_fix``.
     """
 
     def __init__(self, vehicle: Vehicle, stream: PictureStream | None = None) -> None:
@@ -69,26 +69,26 @@ class ExternalFixes(Sensor):
         return self._said
 
     def close(self) -> None:
-        """End the stream."""
+        """Close the stream."""
         if self._stream is not None:
             self._stream.close()
 
     def submit_fix(self, now_s: float, time_s: float, place: _Array, covariance: _Array | None) -> str:
-        """Take a fix.
+        """Check a fix and make it the sensor's reading.
 
         Parameters
         ----------
         now_s, time_s : float
-            Of the flight: now, and when it was there (s).
+            Present time, and time of the fix (s, the flight's clock).
         place : (4,) array
             N, E, D (m), heading (rad).
         covariance : (4, 4) array or None
-            Of these; None: as the vehicle's file says.
+            Covariance of ``place``; None: that of the vehicle file.
 
         Returns
         -------
         str
-            Why it is refused, in words; "" if it is taken.
+            Reason of a refusal; "" if the fix is accepted.
         """
         why = _fix_fault(place, covariance)
         age = now_s - time_s

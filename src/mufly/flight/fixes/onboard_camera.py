@@ -1,4 +1,4 @@
-"""The camera of a flight: when a picture is due, how the vehicle moves at its middle, what is wrong with the camera."""
+"""Onboard camera of a simulated flight: timing of pictures, motion during the exposure, and camera faults."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ CAMERA_FAULTS: Mapping[str, str] = {
     "dark": "the light is off: a hundredth of it is left",
     "unplugged": "no pictures come",
 }
-"""What can go wrong with the camera."""
+"""Kinds of camera faults and their descriptions."""
 SHOWN_JPEG_QUALITY = 85
-"""Of the JPEG of pictures that are shown; they have been through the radio's before."""
+"""JPEG quality of displayed pictures."""
 
 
 @dataclass(frozen=True)
 class CameraFault:
-    """What goes wrong with the camera, and when (s)."""
+    """Fault of the camera, with start and end (s)."""
 
     kind: str
     start_s: float = 0.0
@@ -37,12 +37,12 @@ class CameraFault:
 
 
 def parse_camera_fault(text: str) -> CameraFault:
-    """Return what ``"covered@20s+5s"`` says; start and duration may be left out.
+    """Parse a camera fault such as ``"covered@20s+5s"``; start and duration are optional.
 
     Raises
     ------
     InputError
-        If it is none of :data:`CAMERA_FAULTS`.
+        If the kind is not in :data:`CAMERA_FAULTS`, or the times are invalid.
     """
     kind, _, when = text.strip().partition("@")
     if kind not in CAMERA_FAULTS:
@@ -54,7 +54,7 @@ def parse_camera_fault(text: str) -> CameraFault:
 
 
 class OnboardCamera:
-    """A camera on a vehicle that flies.
+    """A camera on a flying vehicle.
 
     Parameters
     ----------
@@ -62,9 +62,9 @@ class OnboardCamera:
     floor : Floor
     vehicle : Vehicle
     world : World
-        Its boxes are seen.
+        Its boxes are visible.
     seed : int
-    spoils : tuple of Spoil
+    spoils : tuple of CameraFault
     """
 
     def __init__(
@@ -86,11 +86,11 @@ class OnboardCamera:
         self.rotor_phase, self.last_time_s, self._due_s = np.zeros(2), math.nan, -math.inf
 
     def make_renderer(self) -> Renderer:
-        """Return one more renderer of the same pictures."""
+        """Return a new renderer of the same pictures."""
         return Renderer(*self._given, seed=self._seed)
 
     def is_picture_due(self, truth: Truth) -> bool:
-        """Turn the rotors on to this instant, and say whether a picture is due; asked in every period."""
+        """Advance the rotors to this instant, and return whether a picture is due; call this every period."""
         t = truth.time_s
         if not math.isnan(self.last_time_s):
             self.rotor_phase = np.mod(self.rotor_phase + truth.rotor_speed * (t - self.last_time_s), 2 * math.pi)
@@ -102,14 +102,14 @@ class OnboardCamera:
         return True
 
     def light_level(self, time_s: float) -> float | None:
-        """Return how much light there is, 1 as it should be; None: no pictures come."""
+        """Return the share of light that faults leave (0..1); None if the camera is unplugged."""
         active = {s.kind for s in self._spoils if s.start_s <= time_s < s.stop_s}
         if "unplugged" in active:
             return None
         return 0.0 if "covered" in active else (0.01 if "dark" in active else 1.0)
 
     def camera_motion(self, truth: Truth) -> VehicleMotion:
-        """How it moves at the middle of a picture."""
+        """Return the vehicle's motion at the middle of the exposure."""
         share = min(1.5, (float(np.mean(truth.rotor_speed)) / self._hover) ** 2)
         return VehicleMotion(
             truth.time_s, truth.position.copy(), truth.velocity.copy(), body_to_ned_matrix(truth.state[ATTITUDE]),
@@ -118,11 +118,11 @@ class OnboardCamera:
 
 
 class PictureStream:
-    """Pictures of a flight for others to look at: rendered and sent, no more.
+    """Stream of a flight's rendered pictures for other programs.
 
     Parameters
     ----------
-    film : Film
+    film : OnboardCamera
     server : StreamServer
     """
 
@@ -130,7 +130,7 @@ class PictureStream:
         self._film, self._server = film, server
 
     def send_if_due(self, truth: Truth) -> None:
-        """Send a picture, if one is due."""
+        """Render and publish a picture if one is due."""
         light = self._film.light_level(truth.time_s)
         if self._film.is_picture_due(truth) and light is not None:
             picture = self._film.renderer.render(self._film.camera_motion(truth), light)

@@ -1,9 +1,9 @@
-"""One flight of a Monte Carlo campaign: its vehicle and wind, and its success judged by the truth.
+"""Settings of a Monte Carlo campaign, and one flight of it: vehicle, wind, and success confirmed by the truth.
 
 A :class:`Campaign` holds the settings shared by all flights. Flight ``k`` of seed ``s`` depends on both alone: its
 random numbers come from NumPy's seed sequence of ``(s, k)``. The worker and the order of flights do not matter.
 
-A flight succeeds if the state machine reports success *and* the truth agrees. Nothing was hit, and every waypoint was
+A flight succeeds if the state machine reports success *and* the truth confirms it: no collision, and every waypoint
 passed within the tolerance. At the end the vehicle stands on the take-off floor, upright, at rest, with motors off, and
 within the tolerance of the landing position.
 """
@@ -57,9 +57,9 @@ MAX_VEHICLE_DRAWS = 200
 """Number of consecutive impossible vehicles after which a campaign ends."""
 
 NEVER_TOLD_PREFIX = "sensors.imu.mount_"
-"""Keys that no filter uses: it takes the inertial unit for aligned with the body."""
+"""Prefix of the keys that no filter uses, as it assumes an aligned inertial unit."""
 
-NEES_INTERVAL_PERIODS = 10  # periods
+NEES_INTERVAL_PERIODS = 10  # periods between two samples of the estimation error
 
 
 @dataclass(frozen=True)
@@ -72,9 +72,9 @@ class FlightCase:
     seed : int
         Seed of gusts and sensors.
     parameter_values : dict
-        Parameters of the vehicle by key.
+        Drawn parameters of the vehicle by key.
     wind : (3,) tuple or None
-        N, E, D (m/s); None: the mission's.
+        Wind N, E, D (m/s); None: the mission's.
     refused_draws : int
         Number of impossible vehicles drawn before this one.
     """
@@ -88,7 +88,7 @@ class FlightCase:
 
 @result
 class FlightResult:
-    """One flight, judged by the truth.
+    """Result of one flight, evaluated by the truth.
 
     Attributes
     ----------
@@ -107,17 +107,17 @@ class FlightResult:
     refused : int
         Number of impossible vehicles drawn before this one.
     wind : (3,) tuple or None
-        N, E, D (m/s); None for the mission's.
+        Wind N, E, D (m/s); None for the mission's.
     values : dict
-        Parameters that were drawn, by key (SI).
+        Drawn parameters by key (SI).
     duration_s : float or None
-        From the first to the last instant.
+        Time from the first to the last instant.
     overshoot_m : float or None
         Worst overshoot beyond a waypoint.
     waypoint_error_m : float or None
         Largest distance from a waypoint when reported as reached.
     tracking_peak_m, tracking_rms_m : float or None
-        Distance from the reference while airborne: largest, root of mean square.
+        Distance from the reference while airborne: largest, root mean square.
     touchdown_speed_m_s : float or None
         Rate of descent at touchdown.
     landing_error_m : float or None
@@ -161,7 +161,7 @@ class FlightResult:
 
     @classmethod
     def from_json(cls, content: dict[str, Any]) -> FlightResult:
-        """Inverse of :func:`mufly.results.to_plain_data`."""
+        """Return the result from its JSON types, as the inverse of :func:`mufly.results.to_plain_data`."""
         wind = content["wind"]
         return cls(**{**content, "wind": None if wind is None else tuple(wind)})
 
@@ -175,29 +175,29 @@ class Campaign:
     vehicle : Vehicle
         Nominal vehicle, for which controllers, autopilot and estimator are designed.
     mission : Mission
-    variations : tuple of Variation
+    variations : tuple of ParameterVariation
     wind : float, (3,) tuple or None
-        A speed (m/s), its horizontal direction drawn; a wind N, E, D (m/s); None for the mission's.
+        Speed (m/s) of a horizontal wind in a drawn direction; wind N, E, D (m/s); None for the mission's.
     gust : float or None
-        Standard deviation (m/s); None for the mission's.
+        Standard deviation of the gusts (m/s); None for the mission's.
     sensors : "fitted" or "ideal"
     faults : tuple of str
-        As :func:`mufly.sensors.parse_fault` reads them; in every flight.
+        Faults of every flight, in the syntax of :func:`mufly.sensors.parse_fault`.
     seed : int
     tolerance_m : float
         Allowed distance from a waypoint and from the landing position (m).
     redesign : bool
-        Make controllers, autopilot and estimator for each vehicle drawn. By default they are made for ``vehicle``: no
-        variation is told to them, so that only the truth varies.
+        Whether controllers, autopilot and estimator are designed for each drawn vehicle. By default they are designed
+        for ``vehicle``, so that only the truth varies.
     controllers : callable, optional
-        As for :class:`mufly.flight.Flight`.
+        See :class:`mufly.flight.Flight`.
     quickly : callable, optional
         Faster flight software used if ``controllers`` is None, with identical flights
         (:class:`mufly.firmware.GenericFirmwareSoftware`); not part of the settings hash.
     computed_by : tuple of str
-        Command line options that stand for ``controllers``.
+        Command line options that select ``controllers``.
     vehicle_name, mission_name : str
-        Their names on a command line.
+        Names of vehicle and mission on a command line.
     """
 
     vehicle: Vehicle
@@ -243,7 +243,7 @@ class Campaign:
 
     @property
     def told_keys(self) -> list[str]:
-        """Return the varied keys whose drawn values controllers, filter and fault detection are designed with."""
+        """Return the varied keys whose drawn values enter the design of controllers, filter and fault detection."""
         return [key for key in self.varied_keys if self.redesign and not key.startswith(NEVER_TOLD_PREFIX)]
 
     @property
@@ -252,7 +252,7 @@ class Campaign:
         return [key for key in self.varied_keys if not self.redesign or key.startswith(NEVER_TOLD_PREFIX)]
 
     def describe_knowledge(self) -> str:
-        """Return how many parameters vary, and whether they are told to the flight software, in words."""
+        """Return the numbers of varied parameters known and unknown to the flight software, as text."""
         told, untold = len(self.told_keys), len(self.untold_keys)
         parts = [
             f"{n} varied parameter{'s' if n > 1 else ''} {word}"
@@ -278,12 +278,12 @@ class Campaign:
         return hash_question(content)
 
     def draw_case(self, index: int) -> FlightCase:
-        """Return flight ``index``.
+        """Return the drawn settings of flight ``index``.
 
         Raises
         ------
         InputError
-            If nearly all vehicles drawn are impossible.
+            If nearly all drawn vehicles are impossible.
         """
         rng = np.random.default_rng([self.seed, index])
         seed, towards = int(rng.integers(2**53)), rng.uniform(-1.0, 1.0)
@@ -305,9 +305,9 @@ class Campaign:
         return sum(v.variable_count for v in self.variations) + isinstance(self.wind, float)
 
     def case_at(self, point: _Array, index: int) -> FlightCase:
-        """Return the flight at a point of the box -1..1 in which a worst case is searched (searched,).
+        """Return the settings at a point (``search_dimension``,) of the search for the worst case, within -1..1.
 
-        The seed is that of flight 0. A normal ``z`` is looked for within two standard deviations.
+        The seed is that of flight 0. A normal ``z`` is searched within two standard deviations.
         """
         seed = int(np.random.default_rng([self.seed, 0]).integers(2**53))
         towards, rest = (float(point[0]), point[1:]) if isinstance(self.wind, float) else (0.0, point)
@@ -332,7 +332,7 @@ class Campaign:
         Raises
         ------
         InputError
-            If such a vehicle is impossible.
+            If the vehicle is impossible.
         """
         return replace_parameters(self.vehicle, dict(case.parameter_values)) if case.parameter_values else self.vehicle
 
@@ -342,7 +342,7 @@ class Campaign:
         Raises
         ------
         InputError
-            If such a vehicle is impossible.
+            If the vehicle is impossible.
         """
         return {
             "vehicle": self.make_vehicle(case),
@@ -362,7 +362,7 @@ class Campaign:
         return {p.key: p.value for p in list_parameters(self.vehicle) if isinstance(p.value, float)}
 
     def wrong_sources(self, case: FlightCase) -> frozenset[str]:
-        """Return the sensors whose true errors the filter does not know, as messages name them."""
+        """Return the sensors whose true errors are unknown to the filter, by their names in messages."""
         untold = {key: case.parameter_values[key] for key in self.untold_keys if key in case.parameter_values}
         return wrong_sources(self.faults, untold, self._filed_values)
 
@@ -383,9 +383,9 @@ class Campaign:
 
 
 def fly_case(campaign: Campaign, case: FlightCase, path: Path | None = None) -> FlightResult:
-    """Fly one flight, with a full recording if a path (MCAP) is given, and judge it.
+    """Simulate one flight, with a full recording if a path (MCAP) is given, and return its result.
 
-    A flight that raises an error counts as failed.
+    An error during the flight counts as a failure.
     """
     heard = _EstimateScore()
     sensed = campaign.sensors == "fitted" and campaign.vehicle.sensors is not None
@@ -398,14 +398,14 @@ def fly_case(campaign: Campaign, case: FlightCase, path: Path | None = None) -> 
         "values": case.parameter_values,
     }
     try:
-        with _thread_pools().limit(limits=1):  # the last bits of a design are not to depend on the number of cores
+        with _thread_pools().limit(limits=1):  # the last bits of a design must not depend on the number of cores
             data = fly_mission(
                 **campaign.flight_options(case), path=path, brief=path is None, on_tick=heard if sensed else None,
                 tick_every=NEES_INTERVAL_PERIODS,
             )  # fmt: skip
     except MuflyError as error:
         return FlightResult(**same, success=False, ending="not started", reason=f"did not fly: {error}", told="")
-    except Exception as error:  # a fault of the program; the others fly on
+    except Exception as error:  # a program error must not end the campaign
         why = f"raised {type(error).__name__}: {error}"
         return FlightResult(**same, success=False, ending="lost", reason=why, told="")
     return judge_flight(
@@ -432,7 +432,7 @@ class _EstimateScore:
         self.add_estimates(true[None], estimated[None], covariance, np.array([told.valid]))
 
     def add_estimates(self, true: _Array, told: _Array, covariances: _Array, valid: NDArray[np.bool_]) -> None:
-        """Add (n, 9), (n, 9), (n, 9, 9), (n,): position, velocity, attitude (m, m/s, rad)."""
+        """Add true and estimated position, velocity, attitude (n, 9; m, m/s, rad), covariances and validity."""
         self._parts.append((true[valid], told[valid], covariances[valid]))
 
     @property
@@ -450,11 +450,12 @@ def judge_flight(
     data: xr.Dataset, mission: Mission, tolerance_m: float, *, nees: float | None = None,
     wrong: Collection[str] = (), **same: Any,
 ) -> FlightResult:  # fmt: skip
-    """Judge a recording by its truth.
+    """Return the result of a flight from its recording, by the truth.
 
-    ``wrong`` names the sensors that may be accused; ``same`` are the other fields of :class:`FlightResult`.
+    ``wrong`` names the sensors that a failure's reason may blame; ``same`` are the other fields of
+    :class:`FlightResult`.
     """
-    # Sensors are recorded in every period, the truth is judged at 100 Hz: the result is the same with both.
+    # Recordings with sensors have a row each period; the evaluation at 100 Hz gives equal results for all recordings.
     step = round(0.01 / float(np.median(np.diff(data.time.values[:100]))))
     data = data.isel(time=slice(None, None, max(1, step)))
     s = summarise_flight(

@@ -1,9 +1,8 @@
-"""Pictures of a flight's estimates: against the truth, with their bounds, and the use of the sensors.
+"""Pictures of a flight's estimates: comparison with the truth, uncertainty bounds, and use of the sensors.
 
-``estimate``: left the true, measured and estimated values, right the error of the estimate in the estimator's own band
-of three standard deviations. ``sensors``: the innovation of every reading in its standard deviations, coloured by
-fusion status. ``way``: the ground track with ellipses of three standard deviations, and the biases of the inertial
-unit."""
+``estimate``: true, measured and estimated values on the left, and the estimate's error with its band of three standard
+deviations on the right. ``sensors``: normalised innovations of every reading, coloured by fusion status. ``way``: the
+ground track with ellipses of three standard deviations, and the biases of the inertial unit."""
 
 from __future__ import annotations
 
@@ -96,7 +95,7 @@ def draw_estimate(dataset: xr.Dataset) -> Figure:
         sigma = abs(factor) * dataset[f"estimated_{name}_sigma"].values[:, k]
         truth = factor * dataset[f"truth_{name}"].values[:, k]
         for ax in (left, right):
-            draw_bands(ax, states, low=0.93)  # at the top: the bands of the estimate need the rest
+            draw_bands(ax, states, low=0.93)  # at the top, above the bands of the estimate
         if measured is not None:
             which, part = measured
             when = dataset[f"measured_{which}_time"].values
@@ -140,8 +139,8 @@ def draw_ground_track(dataset: xr.Dataset) -> Figure:
     Parameters
     ----------
     dataset : xarray.Dataset
-        As for :func:`draw_estimate`. Bounds of the biases are drawn where it has ``estimated_gyro_bias_sigma`` and
-        ``estimated_accelerometer_bias_sigma``.
+        See :func:`draw_estimate`. Bounds of the biases are drawn if the recording has ``estimated_gyro_bias_sigma``
+        and ``estimated_accelerometer_bias_sigma``.
     """
     figure = Figure(figsize=(13.0, 7.0))
     grid = figure.add_gridspec(3, 3, width_ratios=(1.6, 1.0, 1.0))
@@ -193,7 +192,7 @@ def draw_ground_track(dataset: xr.Dataset) -> Figure:
 
 
 def _flying_rows(dataset: xr.Dataset) -> NDArray[np.bool_]:
-    """Return the rows in flight: the estimate before its convergence would set the scale."""
+    """Return the rows in flight; errors before the estimate's convergence would set the scale."""
     flown = dataset["estimated_valid"].values > 0.5
     return flown if flown.any() else np.ones(len(flown), dtype=bool)
 

@@ -161,18 +161,18 @@ def log_sensors(
     Parameters
     ----------
     vehicle : Vehicle
-        With the table ``sensors``.
+        Vehicle with the table ``sensors``.
     mission : Mission
     seed : int
         Seed of the gusts and of all sensor errors.
     faults : sequence of Fault
     wind, gust, on_progress : optional
-        As for :func:`mufly.flight.fly_mission`.
+        See :func:`mufly.flight.fly_mission`.
 
     Returns
     -------
     dict
-        Name of the reading to its :class:`ReadingLog`.
+        :class:`ReadingLog` of each reading, by name.
 
     Raises
     ------

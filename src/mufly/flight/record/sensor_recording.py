@@ -1,9 +1,9 @@
-"""What is recorded of a flight on sensors beside the truth: what they said, what was made of it; and both read back.
+"""Recording of readings and estimates of a flight on sensors, and its replay.
 
-A row for every period of the flight software. A reading stands in the row in which it came, with the time at which it
-was measured and whether the sensor stood by it; where nothing new came it is NaN. So a recording holds all that an
-estimator was told, and running it again over the recording (:func:`replay_estimator`) gives the same estimate to the
-bit. Of the covariance that a position fix may come with, variances are kept: an estimator asks for no more.
+A recording has a row for every period of the flight software. A new reading is in the row of its arrival, with its
+measurement time and its validity; rows without a new reading hold NaN. A recording so contains all inputs of the
+estimator, and a replay (:func:`replay_estimator`) gives bitwise equal estimates. Of a position fix's covariance only
+the variances are recorded, which are all that the estimator uses.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from mufly.sensors import Reading, Readings, Truth
 
 _Array = NDArray[np.float64]
 FIX_DRIFT_ATTRIBUTE = "fix_wander_s"
-"""Attribute of a recording whose filter took fixes for as good as their covariance says: over how long their errors
-hang together (s), :attr:`mufly.estimate.KalmanEstimator.wander_s`."""
+"""Attribute of a recording whose filter used the covariance of the fixes: correlation time of their errors (s),
+:attr:`mufly.estimate.KalmanEstimator.fix_correlation_s`."""
 _STATUS_CODES = {status: float(k) for k, status in enumerate(FUSION_STATUSES)}
 _READINGS_WITHOUT_TIME = tuple(name for name, row in READINGS.items() if not row.is_timed)
 _VARIANCE_SIGNALS = {name: f"measured_{name}_variance" for name, row in READINGS.items() if row.variance is not None}
@@ -86,14 +86,14 @@ def make_sensed_row_writer(
 
 
 def _reading_columns(recorder: FlightRecorder, names: list[str], timed: dict[str, Any]) -> slice:
-    """The columns of all readings, which stand together."""
+    """Return the slice of all readings' columns, which are contiguous."""
     columns = recorder.layout.column_slices
     found = [columns[n] for n in [*names, *(f"measured_{t}_{x}" for t in timed for x in ("time", "valid"))]]
     return slice(min(c.start for c in found), max(c.stop for c in found))
 
 
 def make_estimate_writer(part: dict[str, _Array]) -> Callable[[Estimate], None]:
-    """Return what fills the part of a row (or its like) that is believed: ``write(estimate)``."""
+    """Return the function ``write(estimate)`` that fills a row's columns of the estimate."""
     motion = [part[f"estimated_{name}"] for name in _MOTION_FIELDS]
     sigma = [part[f"estimated_{name}_sigma"] for name in _MOTION_FIELDS]
     beliefs = {name: part[f"estimated_{name}"] for name in _BELIEF_FIELDS}
@@ -119,7 +119,7 @@ def make_estimate_writer(part: dict[str, _Array]) -> Callable[[Estimate], None]:
 
 
 def iterate_readings(dataset: xr.Dataset) -> Iterator[tuple[Readings, _Array]]:
-    """Yield the readings of every row of a flight on sensors, and what acted over the period that ended with it."""
+    """Yield the readings of every row, and the inputs (4,) that acted over the period before it."""
     time = dataset["time"].values
     columns = {
         name: (
@@ -144,8 +144,10 @@ def iterate_readings(dataset: xr.Dataset) -> Iterator[tuple[Readings, _Array]]:
 
 
 def replay_estimator(dataset: xr.Dataset, estimator: Estimator) -> list[Estimate]:
-    """Return what an estimator makes of the readings of a recording, row by row; it weighs fixes as the one that flew
-    did."""
+    """Return an estimator's estimates from the readings of a recording, one for each row.
+
+    Fixes have the same weights as in flight.
+    """
     if isinstance(estimator, KalmanEstimator) and FIX_DRIFT_ATTRIBUTE in dataset.attrs:
         estimator.uses_fix_covariance, estimator.fix_correlation_s = (
             True,
@@ -156,12 +158,12 @@ def replay_estimator(dataset: xr.Dataset, estimator: Estimator) -> list[Estimate
 
 
 def is_sensed(dataset: xr.Dataset) -> bool:
-    """Whether a recording holds what sensors said, as flights on sensors record it."""
+    """Whether a recording holds the readings of a flight on sensors."""
     return all(f"measured_{name}_time" in dataset for name in READINGS if name not in _READINGS_WITHOUT_TIME)
 
 
 def replace_estimates(dataset: xr.Dataset, estimates: Sequence[Estimate]) -> xr.Dataset:
-    """Return a recording with other estimates, one for each row, in place of those that were made in flight."""
+    """Return a recording with other estimates, one for each row, in place of those of the flight."""
     blocks = {
         str(name): np.full(dataset[name].shape, math.nan)
         for name in dataset.data_vars
@@ -174,7 +176,7 @@ def replace_estimates(dataset: xr.Dataset, estimates: Sequence[Estimate]) -> xr.
 
 
 def list_truths(dataset: xr.Dataset) -> list[Truth]:
-    """Return what was true at every row, as far as a recording has it."""
+    """Return the truth of every row; unrecorded values are NaN."""
     columns = [dataset[f"truth_{name}"].values for name in ("position", "velocity", "attitude", "rates")]
     out = []
     for k, t in enumerate(dataset["time"].values.tolist()):
