@@ -188,7 +188,7 @@ def test_what_comes_after_the_horizon_has_passed_it_is_carried_there(vehicle: Ve
     passed, other = run(vehicle, felt(), flown[1], 32)
     assert passed.memory["late_count"].sum() < 3
     assert measure_consistency(flown[0], other, after_s=8.0).xy_rms < 0.08
-    none, _ = run(vehicle, felt()[:400], flown[1], 10)
+    none, _ = run(vehicle, felt(10_000, "position.late@0.5s")[:400], flown[1], 10)
     assert none.memory["late_count"].sum() > 10
 
 

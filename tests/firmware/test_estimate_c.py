@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import pytest
@@ -79,8 +81,9 @@ def felt(vehicle: Vehicle) -> Callable[[str], list[tuple[Readings, np.ndarray]]]
             truths.append(f.status.truth)
             acted.append(f.status.actuators.input_array)
 
-    def of(faults: str) -> list[tuple[Readings, np.ndarray]]:
-        sensors = fitted_sensors(vehicle, HOP.world, seed=10_000, faults=[parse_fault(x) for x in faults.split()])
+    def of(faults: str, mounted: dict[str, float] | None = None) -> list[tuple[Readings, np.ndarray]]:
+        own = replace_parameters(vehicle, mounted or {})
+        sensors = fitted_sensors(own, HOP.world, seed=10_000, faults=[parse_fault(x) for x in faults.split()])
         return [(sensors.read(t), a) for t, a in zip(truths, acted, strict=True)]
 
     return of
@@ -115,6 +118,29 @@ def test_c_remembers_what_python_remembers_to_the_last_bit(vehicle, felt, faults
         assert c.memory["flight_phase"] == PHASE_FLYING
         c.memory["x"][SX_TERRAIN] += 1e-15
         assert not same(c._memory_array, python._memory_array)  # the comparison can fail
+
+
+@needs_cc
+def test_a_tilted_inertial_unit_is_levelled_alike(vehicle: Vehicle, felt: Callable[..., Any]) -> None:
+    """The unit is mounted 3 and -2 degrees off; nobody tells the filter. At rest it is turned level in both."""
+    angles = {"sensors.imu.mount_roll": math.radians(3.0), "sensors.imu.mount_pitch": math.radians(-2.0)}
+    c, python = (estimator(vehicle, code) for code in ("c", "numba"))
+    plain = estimator(vehicle, "c")
+    upright = felt("")
+    for (r, a), (level, _) in zip(felt("", angles), upright, strict=True):
+        told, right, without = c.update(r, a), python.update(r, a), plain.update(level, a)
+    assert same(c._memory_array, python._memory_array)
+    assert (c.memory["is_levelled"], plain.memory["is_levelled"]) == (1, 0)
+    turned = c.memory["level_rotation"].reshape(3, 3)
+    np.testing.assert_allclose(turned @ turned.T, np.eye(3), atol=1e-12)
+    mounted = math.degrees(math.acos(turned[2, 2]))
+    assert mounted == pytest.approx(math.hypot(3.0, 2.0), abs=1.3)  # legs and bias: a degree
+    assert told.valid
+    assert right.valid
+    assert np.degrees(np.abs(told.attitude - without.attitude)[:2]).max() < 1.3
+    assert told.auxiliary_states is not None
+    raw = c.memory["last_value"][:3]
+    assert told.auxiliary_states.specific_force.tolist() == raw.tolist()  # what was measured, not what was turned
 
 
 @needs_cc

@@ -53,8 +53,8 @@ def standing(t: float, *, valid: bool = True, lean_deg: float = 0.0, force_deg: 
     ("wrong", "words"),
     [
         ({"valid": False}, "estimate is not valid; let it stand still"),
-        ({"lean_deg": 8.0}, "stands tilted 8.0 degrees; limit 5"),
-        ({"force_deg": 8.0}, "stands tilted 8.0 degrees; limit 5"),
+        ({"lean_deg": 8.0}, "stands tilted 8.0 degrees; limit 6"),
+        ({"force_deg": 8.0}, "stands tilted 8.0 degrees; limit 6"),
     ],
 )
 def test_no_command_starts_the_motors_on_a_wrong_estimate(vehicle, controller, make, command, wrong, words):
@@ -89,7 +89,7 @@ def test_a_vehicle_that_leans_is_not_armed(vehicle, controller, lean_deg):
         why = align_and_start(flight)
         assert np.abs(flight.status.estimate.attitude[:2]).max() < math.radians(1.0)
         assert f"stands tilted {lean_deg - 0.3:.1f}"[:-2] in why
-        assert "degrees; limit 5; set it on level ground" in why
+        assert "degrees; limit 6; set it on level ground" in why
         assert not flight.autopilot.armed
 
 

@@ -38,6 +38,7 @@ from mufly.estimate.filter_records import (
     AID_COUNT,
     BIAS_CYCLE_TICKS,
     ERROR_STATE_COUNT,
+    EX_ACCEL_BIAS,
     EX_ATT,
     EX_FIX_BIAS,
     EX_FIX_HEADING,
@@ -114,6 +115,7 @@ from mufly.estimate.sensor_checks import (
     FORCE_MODEL_WRONG,
     LATER_BIAS_WALK,
     REASON_LATE,
+    REASON_LEVELLED,
     REASON_NONE,
     STATUS_FAULTY,
     STATUS_FUSED,
@@ -139,9 +141,9 @@ from mufly.units import GRAVITY
 
 _Array = NDArray[np.float64]
 
-MAX_BACKDATE_S = 0.1
-"""How long before the horizon a measurement may have been made: speed and turning carry it there, and what they change
-by meanwhile, 1 m/s^2, moves it by 5 mm."""
+MAX_BACKDATE_S = 0.25
+"""Largest time by which a measurement is older than the horizon (s). Velocity and yaw rate move it to the horizon; an
+acceleration of 0.3 m/s^2 meanwhile is an error of 1 cm."""
 SLOW_NOISE_TICKS = 32
 """Periods over which low-frequency force noise is estimated."""
 COST_COVARIANCE, COST_HORIZON_STEP, COST_REST_AXIS = 3, 2, 3
@@ -152,6 +154,9 @@ _INITIAL_REST_S = 0.8
 _GYRO_OUTAGE_S = 0.1  # without gyroscopes
 GYRO_OUTAGE_DENSITY = 0.002
 """Density of the angular rate (rad^2/s) without gyroscopes: the stabiliser bar keeps the rotors level."""
+LEVEL_TIME_S, LEVEL_RATE, LEVEL_GATE = 0.5, 0.1, 3.0
+"""Time at rest in which the tilt of the inertial unit is measured (s), largest rate meanwhile (rad/s), and deviations
+of the standing tilt beyond which the unit is taken for tilted (1)."""
 STOPPED_SPEED_SHARE = 0.02
 """Share of the speeds in hover below which rotors stand. Those that run down with the motors off turn the vehicle."""
 LIFTOFF_SIGMA_LIMIT = 2.5
@@ -579,6 +584,7 @@ def _estimate_accel_noise(m: FilterMemory, s: FilterSettings, z: _Array) -> None
             made = row[IN_NOISE + k] / max(1.0 - row[IN_SHARE + k], 1e-9)
             density = max(0.5 * step * step * span - made, 0.0)
             if m.flight_phase == PHASE_FLYING and settled:
+                unknown += 2.0 * m.sigma_output[EX_ACCEL_BIAS + k]
                 apart = abs(mean - m.x[SX_ACCEL_BIAS + k]) - (MAX_MODEL_DISAGREEMENT + unknown)
                 density += max(apart, 0.0) * max(apart, 0.0)
                 if apart > (m.clip_share[0] + m.clip_share[1] + m.clip_share[2]) * CLIPPING_ERROR_SHARE * s.accel_range:
@@ -609,6 +615,86 @@ def _estimate_accel_noise(m: FilterMemory, s: FilterSettings, z: _Array) -> None
 
 
 @cached_njit(error_model="numpy")
+def _turn_level(m: FilterMemory, v: _Array, i: int) -> None:
+    """Turn the vector at ``i`` of ``v`` from the axes of a tilted inertial unit to those of the vehicle."""
+    r, x, y, z = m.level_rotation, v[i], v[i + 1], v[i + 2]
+    for k in range(3):
+        v[i + k] = r[3 * k] * x + r[3 * k + 1] * y + r[3 * k + 2] * z
+
+
+@cached_njit(error_model="numpy")
+def _restart_level(m: FilterMemory, s: FilterSettings) -> None:
+    """Turn the inputs since the horizon level, and begin anew with level attitude and no bias of the accelerometers."""
+    for b in range(INPUT_BLOCK_COUNT):
+        _turn_level(m, m.input_blocks[b], 0)
+        _turn_level(m, m.input_blocks[b], IN_ACCEL)
+    for k in range(3):
+        m.accel_mean[k] = m.gyro_mean[k] = m.model_accel_mean[k] = m.thrust_slope[k] = m.velocity_slope[k] = 0.0
+    m.block_mean_ticks = 0
+    m.task_stage = STAGE_DONE
+    for x in (m.x, m.x_repropagating, m.x_now, m.x_output):
+        turn = math.sqrt(x[SX_ATT] * x[SX_ATT] + x[SX_ATT + 3] * x[SX_ATT + 3])
+        x[SX_ATT] /= turn
+        x[SX_ATT + 3] /= turn
+        x[SX_ATT + 1] = x[SX_ATT + 2] = 0.0
+        for k in range(3):
+            x[SX_ACCEL_BIAS + k] = x[SX_VEL + k] = 0.0
+    for k in range(3):
+        tilt, bias = s.initial_sigma[EX_ATT + k], s.initial_sigma[EX_ACCEL_BIAS + k]
+        if k < 2:
+            inflate_variance(m.u_transposed, m.d, EX_ATT + k, tilt * tilt, m.f)
+        inflate_variance(m.u_transposed, m.d, EX_ACCEL_BIAS + k, bias * bias, m.f)
+
+
+@cached_njit(error_model="numpy")
+def _decide_level(m: FilterMemory, s: FilterSettings) -> None:
+    """Decide by the accelerometers' sum at rest whether the inertial unit is tilted, and begin anew if it is.
+
+    The smallest rotation that turns a / |a| to (0, 0, -1) is R = 1 + [v]x + [v]x^2 / (1 - a_z / |a|) with
+    v = (-a_y, a_x, 0) / |a| (Rodrigues)."""
+    x, y, d = m.level_sum[0], m.level_sum[1], m.level_sum[2]
+    size = math.sqrt(x * x + y * y + d * d)
+    x, y, d = -y / size, x / size, -d / size
+    tilt = s.initial_sigma[EX_ACCEL_BIAS] / GRAVITY
+    q = x * x + y * y
+    if q > LEVEL_GATE * LEVEL_GATE * (s.rest_tilt_sigma * s.rest_tilt_sigma + tilt * tilt) and d > 0.9:
+        r, k = m.level_rotation, 1.0 / (1.0 + d)
+        r[0], r[1], r[2] = 1.0 + k * (x * x - q), k * x * y, y
+        r[3], r[4], r[5] = r[1], 1.0 + k * (y * y - q), -x
+        r[6], r[7], r[8] = -y, x, 1.0 - k * q
+        m.is_levelled = 1
+        _restart_level(m, s)
+        set_fault(m, s, R_ACCELERATION, STATUS_FUSED, REASON_LEVELLED, math.sqrt(q))
+
+
+@cached_njit(error_model="numpy")
+def _level_inertial_unit(m: FilterMemory, s: FilterSettings, z: _Array) -> None:
+    """Measure the tilt of the inertial unit at rest before the first flight, and turn its readings level.
+
+    The vehicle stands level but for ``rest_tilt_sigma``. A specific force that is tilted by more than legs and bias
+    explain shows a tilted unit, whose attitude would err by twice the tilt after half a turn about the mast."""
+    needed = int(LEVEL_TIME_S / s.dt)
+    if m.level_ticks < needed:
+        still = m.flight_phase == PHASE_STANDING and m.status[R_ACCELERATION] == STATUS_FUSED
+        for k in range(3):
+            still = still and abs(z[_Z[R_RATES] + k]) < LEVEL_RATE
+        if m.flight_phase > PHASE_STANDING or s.has_rotor_model == 0:
+            m.level_ticks = needed
+        elif not still:
+            m.level_ticks = 0
+            m.level_sum[0] = m.level_sum[1] = m.level_sum[2] = 0.0
+        else:
+            m.level_ticks += 1
+            for k in range(3):
+                m.level_sum[k] += z[_Z[R_ACCELERATION] + k]
+            if m.level_ticks == needed:
+                _decide_level(m, s)
+    if m.is_levelled == 1:
+        _turn_level(m, z, _Z[R_ACCELERATION])
+        _turn_level(m, z, _Z[R_RATES])
+
+
+@cached_njit(error_model="numpy")
 def estimator_step(
     m: FilterMemory, s: FilterSettings, p: ModelParameters, z: _Array, new: NDArray[np.int32], age: _Array
 ) -> bool:
@@ -630,6 +716,7 @@ def estimator_step(
     """
     m.tick += 1
     check_readings(m, s, z, new, age)
+    _level_inertial_unit(m, s, z)
     r, a = m.rotation_work, m.accel_work
     for k in range(3):
         m.gyro_rates_prev[k] = m.gyro_rates[k]
@@ -686,4 +773,8 @@ def estimator_step(
         # Invalid inputs may make the model diverge: rates beyond the gyroscopes' range are no estimate.
         if not abs(m.rates_output[k]) < 2.0 * s.value_limit[R_RATES]:
             seen = False
+    if m.is_levelled == 1:
+        for k in range(3):
+            z[_Z[R_ACCELERATION] + k] = m.last_value[_Z[R_ACCELERATION] + k]
+            z[_Z[R_RATES] + k] = m.last_value[_Z[R_RATES] + k]
     return m.is_initialised > 0 and seen

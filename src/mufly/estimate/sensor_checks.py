@@ -5,7 +5,7 @@
 | NaN, or beyond all limits | value | one reading |
 | frozen | equal bit for bit, of a sensor with noise | three readings |
 | doubled | equal bit for bit, sooner than the sensor can measure | two readings; repeated ones are never used |
-| late | older than latency and jitter allow | one reading; used unless the horizon has passed it |
+| late | older than latency and jitter allow | one reading; used if the horizon can be corrected with it |
 | invalid time | no age, a negative age, or above 10 s | one reading; never used |
 | silent | no reading for six periods (:attr:`FilterSettings.timeout`) | that time |
 | gyroscope spike | a change of rates that the model's moments do not explain | at once; replaced by the model's rate |
@@ -79,7 +79,8 @@ STATUS_WAITING, STATUS_FUSED, STATUS_REJECTED, STATUS_MISSING, STATUS_FAULTY = r
     REASON_LARGE_BIAS,
     REASON_FORCE_CONFLICT,
     REASON_MODEL_WRONG,
-) = range(23)
+    REASON_LEVELLED,
+) = range(24)
 """Codes of the reason; :mod:`mufly.estimate.sensor_status` has the texts."""
 REJECT_ALARM, SONAR_REJECT_ALARM, REJECT_DECAY = 1.5, 3.0, 0.93
 FAULT_HOLD_S = 0.5
@@ -218,8 +219,10 @@ def check_readings(m: FilterMemory, s: FilterSettings, z: _Array, new: NDArray[n
                 # The ring's readings decide about its use: in a large room it detects no wall.
                 m.status[k], m.reason[k] = STATUS_WAITING if k == R_RING else STATUS_FUSED, REASON_NONE
             if age[k] > s.latency[k] + s.latency_slack[k]:
-                set_fault(m, s, k, STATUS_FAULTY, REASON_LATE, age[k])
+                # The others wait for the horizon, which decides whether they can be fused.
+                set_fault(m, s, k, m.status[k], REASON_LATE, age[k])
                 if k <= R_RATES or k in (R_ROTOR, R_BATTERY):
+                    set_fault(m, s, k, STATUS_FAULTY, REASON_LATE, age[k])
                     new[k] = 0
             if s.decimation[k] > 1:
                 m.decimation_count[k] += 1

@@ -119,6 +119,7 @@ _REASON_TEXTS: Mapping[int, Callable[[float, str], str]] = {
     g.REASON_FUSED_THOUGH_OFFSET: lambda x, u: f"{_FIX_OR_GYRO}persistent offset of {x:.3g} {u}",
     g.REASON_FORCE_CONFLICT: lambda x, u: f"{_ACCEL_OR_MODEL}they differ by {x:.3g} {u}",
     g.REASON_MODEL_WRONG: lambda x, u: f"{_ROTOR_MODEL}differs by {x:.3g} {u} from the accelerometers",
+    g.REASON_LEVELLED: lambda x, u: f"mounted {math.degrees(x):.1f} degrees off level; its axes are turned level",
     g.REASON_JUMP: lambda x, u: f"sudden offset of {x:.2g} {u}, subtracted from its readings",
 }
 

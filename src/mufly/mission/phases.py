@@ -297,7 +297,7 @@ LIFT_OFF_HEIGHT_M, TIPPING_RATE_RAD_S = 0.02, 0.15
 Wind drag on the rotors tips a vehicle whose legs carry little weight."""
 
 
-MAX_START_TILT_DEG = 5.0
+MAX_START_TILT_DEG = 6.0
 """Tilt on the floor up to which the motors are started (degrees): the mount of the inertial unit, its bias and legs."""
 _MAX_START_TILT = math.radians(MAX_START_TILT_DEG)
 

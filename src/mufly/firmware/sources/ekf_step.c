@@ -562,7 +562,7 @@ static void estimate_accel_noise(estimator_t *m, const estimator_settings_t *s, 
             real_t most;
 
             if ((m->flight_phase == PHASE_FLYING) && settled) {
-                const real_t apart = real_abs(mean - m->x[SX_ACCEL_BIAS + k]) - (MAX_MODEL_DISAGREEMENT + unknown);
+                const real_t apart = real_abs(mean - m->x[SX_ACCEL_BIAS + k]) - (MAX_MODEL_DISAGREEMENT + (unknown + (REAL(2.0) * m->sigma_output[EX_ACCEL_BIAS + k])));
 
                 density += real_max(apart, REAL(0.0)) * real_max(apart, REAL(0.0));
                 if (apart > ((((m->clip_share[0] + m->clip_share[1]) + m->clip_share[2]) * CLIPPING_ERROR_SHARE) * s->accel_range)) {
@@ -628,6 +628,129 @@ static void queue_new_measurements(estimator_t *m, const estimator_settings_t *s
     }
 }
 
+/* Turn a vector from the axes of a tilted inertial unit to those of the vehicle. */
+static void turn_level(const estimator_t *m, real_t v[3])
+{
+    const real_t *r = m->level_rotation;
+    const real_t x = v[0];
+    const real_t y = v[1];
+    const real_t z = v[2];
+
+    for (int32_t k = 0; k < 3; k++) {
+        v[k] = ((r[3 * k] * x) + (r[(3 * k) + 1] * y)) + (r[(3 * k) + 2] * z);
+    }
+}
+
+/* Begin a state anew with level attitude, at rest, and no bias of the accelerometers. */
+static void restart_level_state(real_t x[STATE_COUNT])
+{
+    const real_t turn = real_sqrt((x[SX_ATT] * x[SX_ATT]) + (x[SX_ATT + 3] * x[SX_ATT + 3]));
+
+    x[SX_ATT] /= turn;
+    x[SX_ATT + 3] /= turn;
+    x[SX_ATT + 1] = REAL(0.0);
+    x[SX_ATT + 2] = REAL(0.0);
+    for (int32_t k = 0; k < 3; k++) {
+        x[SX_ACCEL_BIAS + k] = REAL(0.0);
+        x[SX_VEL + k] = REAL(0.0);
+    }
+}
+
+/* Turn the inputs since the horizon level, and begin anew with level attitude and no bias of the accelerometers. */
+static void restart_level(estimator_t *m, const estimator_settings_t *s)
+{
+    for (int32_t b = 0; b < INPUT_BLOCK_COUNT; b++) {
+        turn_level(m, &m->input_blocks[b][0]);
+        turn_level(m, &m->input_blocks[b][IN_ACCEL]);
+    }
+    for (int32_t k = 0; k < 3; k++) {
+        m->accel_mean[k] = REAL(0.0);
+        m->gyro_mean[k] = REAL(0.0);
+        m->model_accel_mean[k] = REAL(0.0);
+        m->thrust_slope[k] = REAL(0.0);
+        m->velocity_slope[k] = REAL(0.0);
+    }
+    m->block_mean_ticks = 0;
+    m->task_stage = STAGE_DONE;
+    restart_level_state(m->x);
+    restart_level_state(m->x_repropagating);
+    restart_level_state(m->x_now);
+    restart_level_state(m->x_output);
+    for (int32_t k = 0; k < 3; k++) {
+        const real_t tilt = s->initial_sigma[EX_ATT + k];
+        const real_t bias = s->initial_sigma[EX_ACCEL_BIAS + k];
+
+        if (k < 2) {
+            inflate_variance(m, EX_ATT + k, tilt * tilt);
+        }
+        inflate_variance(m, EX_ACCEL_BIAS + k, bias * bias);
+    }
+}
+
+/* Decide by the accelerometers' sum at rest whether the inertial unit is tilted, and begin anew if it is. */
+static void decide_level(estimator_t *m, const estimator_settings_t *s)
+{
+    const real_t size = real_sqrt(((m->level_sum[0] * m->level_sum[0]) + (m->level_sum[1] * m->level_sum[1])) +
+                                  (m->level_sum[2] * m->level_sum[2]));
+    const real_t x = -m->level_sum[1] / size;
+    const real_t y = m->level_sum[0] / size;
+    const real_t d = -m->level_sum[2] / size;
+    const real_t tilt = s->initial_sigma[EX_ACCEL_BIAS] / GRAVITY;
+    const real_t q = (x * x) + (y * y);
+
+    if ((q > ((LEVEL_GATE * LEVEL_GATE) * ((s->rest_tilt_sigma * s->rest_tilt_sigma) + (tilt * tilt)))) && (d > REAL(0.9))) {
+        const real_t k = REAL(1.0) / (REAL(1.0) + d);
+        real_t *r = m->level_rotation;
+
+        r[0] = REAL(1.0) + (k * ((x * x) - q));
+        r[1] = (k * x) * y;
+        r[2] = y;
+        r[3] = r[1];
+        r[4] = REAL(1.0) + (k * ((y * y) - q));
+        r[5] = -x;
+        r[6] = -y;
+        r[7] = x;
+        r[8] = REAL(1.0) - (k * q);
+        m->is_levelled = 1;
+        restart_level(m, s);
+        set_fault(m, s, R_ACCELERATION, STATUS_FUSED, REASON_LEVELLED, real_sqrt(q));
+    }
+}
+
+/* Measure the tilt of the inertial unit at rest before the first flight, and turn its readings level. */
+static void level_inertial_unit(estimator_t *m, const estimator_settings_t *s, real_t z[VALUE_COUNT])
+{
+    const int32_t needed = (int32_t)(LEVEL_TIME_S / s->dt);
+
+    if (m->level_ticks < needed) {
+        bool still = (m->flight_phase == PHASE_STANDING) && (m->status[R_ACCELERATION] == STATUS_FUSED);
+
+        for (int32_t k = 0; k < 3; k++) {
+            still = still && (real_abs(z[READING_STARTS[R_RATES] + k]) < LEVEL_RATE);
+        }
+        if ((m->flight_phase > PHASE_STANDING) || (s->has_rotor_model == 0)) {
+            m->level_ticks = needed;
+        } else if (!still) {
+            m->level_ticks = 0;
+            m->level_sum[0] = REAL(0.0);
+            m->level_sum[1] = REAL(0.0);
+            m->level_sum[2] = REAL(0.0);
+        } else {
+            m->level_ticks += 1;
+            for (int32_t k = 0; k < 3; k++) {
+                m->level_sum[k] += z[READING_STARTS[R_ACCELERATION] + k];
+            }
+            if (m->level_ticks == needed) {
+                decide_level(m, s);
+            }
+        }
+    }
+    if (m->is_levelled == 1) {
+        turn_level(m, &z[READING_STARTS[R_ACCELERATION]]);
+        turn_level(m, &z[READING_STARTS[R_RATES]]);
+    }
+}
+
 bool estimator_step(estimator_t *m, const estimator_settings_t *s, const flight_model_t *p, real_t z[VALUE_COUNT],
                     int32_t fresh[SENSOR_COUNT], const real_t age[SENSOR_COUNT])
 {
@@ -640,6 +763,7 @@ bool estimator_step(estimator_t *m, const estimator_settings_t *s, const flight_
 
     m->tick += 1;
     check_readings(m, s, z, fresh, age);
+    level_inertial_unit(m, s, z);
     for (int32_t k = 0; k < 3; k++) {
         m->gyro_rates_prev[k] = m->gyro_rates[k];
         if (m->status[R_RATES] < STATUS_MISSING) {
@@ -683,6 +807,12 @@ bool estimator_step(estimator_t *m, const estimator_settings_t *s, const flight_
         /* Nonsense may have the model run away: what no gyroscope could say is no estimate. */
         if (!(real_abs(m->rates_output[k]) < (REAL(2.0) * s->value_limit[R_RATES]))) {
             seen = false;
+        }
+    }
+    if (m->is_levelled == 1) {
+        for (int32_t k = 0; k < 3; k++) {
+            z[READING_STARTS[R_ACCELERATION] + k] = m->last_value[READING_STARTS[R_ACCELERATION] + k];
+            z[READING_STARTS[R_RATES] + k] = m->last_value[READING_STARTS[R_RATES] + k];
         }
     }
     return (m->is_initialised > 0) && seen;

@@ -101,8 +101,10 @@ static bool accept_sample(estimator_t *m, const estimator_settings_t *s, const r
         m->reason[k] = REASON_NONE;
     }
     if (age > (s->latency[k] + s->latency_slack[k])) {
-        set_fault(m, s, k, STATUS_FAULTY, REASON_LATE, age);
+        /* The others wait for the horizon, which decides whether they can be fused. */
+        set_fault(m, s, k, m->status[k], REASON_LATE, age);
         if ((k <= R_RATES) || (k == R_ROTOR) || (k == R_BATTERY)) {
+            set_fault(m, s, k, STATUS_FAULTY, REASON_LATE, age);
             usable = false;
         }
     }
