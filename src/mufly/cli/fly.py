@@ -250,7 +250,8 @@ def fly_mission(
         list[str] | None,
         define_option(
             "--camera-fault FAULT",
-            "Fault of the camera: covered, dark or unplugged, as covered@20s+5s. Repeat it for more.",
+            "Fault of the camera: covered, dark, unplugged, frozen, mirrored, inverted or dirty, as covered@20s+5s. "
+            "Repeat it for more.",
         ),
     ] = None,
     stream: Annotated[

@@ -49,6 +49,7 @@ from mufly.slam.image_tools import (
     warp_over_picture,
     warp_picture,
 )
+from mufly.slam.images.camera_monitor import CameraMonitor, CameraVerdict
 from mufly.slam.images.direct_alignment import FloorPoints, add_point_errors, align_picture, floor_axes
 from mufly.slam.images.patch_information import measure_patches, remove_background
 from mufly.slam.keyframe_map import FloorMap, Keyframe, compose_pose, remove_pose_fit, view_overlap
@@ -72,6 +73,7 @@ MIN_CORRELATION = 0.5
 MIN_HEIGHT_M = 0.1  # least camera height for the start of a map
 TOO_NEAR_REASON = "too near to the floor"
 """Reason of a missing result below that height."""
+DIRT_MESSAGE = "dirt on the lens: a part of the picture does not move with the floor and is not used"
 FEW_INLIERS = 30  # below this number of inliers a new keyframe may help
 NEW_KEYFRAME_OVERLAP = 0.55  # least overlap of a keyframe and the picture
 LOOP_MIN_OVERLAP, LOOP_CHECK_INTERVAL = 0.4, 8
@@ -141,6 +143,8 @@ class TrackingResult:
         Ratio of the residuals to their expected size.
     is_new_keyframe, is_loop_closed : bool
         Whether the picture became a keyframe, whether a loop was closed.
+    camera_note : str
+        Defect of the camera in spite of which the result is trusted.
     """
 
     time_s: float
@@ -157,6 +161,7 @@ class TrackingResult:
     texture_bound_m: float = math.nan
     is_new_keyframe: bool = False
     is_loop_closed: bool = False
+    camera_note: str = ""
 
     @property
     def known_axes(self) -> NDArray[np.bool_]:
@@ -248,6 +253,9 @@ class SlamSystem:
         self._failed_closures: dict[int, tuple[int, float]] = {}
         self._trial_frame_count = 0  # pictures matched to a keyframe on trial; 0: there is none
         self.undistorted_picture: NDArray[np.uint8] | None = None
+        self.monitor = CameraMonitor(camera, self._undistorter.focal_px, self._undistorter.smoothing_sigma_px)
+        self.camera_verdicts: dict[str, tuple[float, str]] = {}  # first time (s) and message of each fault
+        self._usable = self._undistorter.valid_mask
         self.is_closing_loops = True  # whether loop closure is active
         self.on_closure: Callable[[int, int], None] = lambda a, b: None
 
@@ -262,11 +270,18 @@ class SlamSystem:
             If the picture does not have the camera's size.
         """
         check_picture_size(self.camera, frame.picture.shape, f"picture at {frame.time_s:g} s")
+        verdict = self.monitor.check_stamp(frame.time_s, self._last_time_s)
         if frame.time_s <= self._last_time_s:
-            return TrackingResult(frame.time_s, False, "older than the picture before")
+            return self._refuse(frame, verdict, "older than the picture before")
         self._last_time_s = frame.time_s
         self._frame_count += 1
+        if self.monitor.is_copy(frame.picture):
+            return self._refuse(frame, self.monitor.frozen_verdict, "a copy of the picture before")
         picture = self.undistorted_picture = self._undistorter.undistort_picture(frame.picture)
+        verdict = self.monitor.check_motion(frame, picture)
+        if verdict.fault:
+            return self._refuse(frame, verdict, "")
+        self._usable = self._usable_mask(frame.time_s)
         view = self._make_view(frame)
         if not self.floor_map.keyframes:
             return self._start_map(frame, view, picture)
@@ -301,6 +316,23 @@ class SlamSystem:
         if self._trial_frame_count > 0 and (answer := self._confirm_trial(frame, view, picture, match)) is not None:
             return answer
         return self._accept_match(frame, view, picture, match)
+
+    def _refuse(self, frame: CameraFrame, verdict: CameraVerdict, why: str) -> TrackingResult:
+        """Return a result that is not trusted, and keep the verdict on the camera."""
+        self._note_verdict(frame.time_s, verdict)
+        return TrackingResult(frame.time_s, False, verdict.message or why, keyframe=-1)
+
+    def _note_verdict(self, time_s: float, verdict: CameraVerdict) -> None:
+        if verdict.fault:
+            self.camera_verdicts.setdefault(verdict.fault, (time_s, verdict.message))
+
+    def _usable_mask(self, time_s: float) -> NDArray[np.uint8]:
+        """Return the mask of the undistorted picture without its border and dirt."""
+        dirt = self.monitor.dirt_mask
+        if dirt is None:
+            return self._undistorter.valid_mask
+        self._note_verdict(time_s, CameraVerdict("dirt", DIRT_MESSAGE))
+        return np.where(dirt > 0, 0, self._undistorter.valid_mask).astype(np.uint8)
 
     def _make_view(self, frame: CameraFrame) -> ViewPrior:
         told = frame.vehicle_estimate
@@ -390,7 +422,8 @@ class SlamSystem:
         template, covered = warp_over_picture(match_brightness(keyframe.picture, picture), homography, picture)
         h = np.column_stack([keyframe.pixels, np.ones(len(keyframe.pixels))]) @ homography.T
         there = h[:, :2] / h[:, 2:]
-        use = np.nonzero((h[:, 2] > 0) & (keyframe.missed < 8) & is_in_mask(covered, there))[0]
+        clean = is_in_mask(self._usable, there) & is_in_mask(self._usable, keyframe.pixels)
+        use = np.nonzero((h[:, 2] > 0) & (keyframe.missed < 8) & is_in_mask(covered, there) & clean)[0]
         if len(use) < MIN_INLIERS:
             return None
         tilts = self.floor_map.predict_covariance(k, *self._error_transition)[4:8, 4:8][
@@ -404,7 +437,7 @@ class SlamSystem:
         looked = reach if len(self.floor_map.repeat_offsets(k, view.focal_px)) else math.inf
         seen, correlation, sigma = track_points(template, picture, there[use], straight.smoothing_sigma_px, looked)
         good = (correlation > MIN_CORRELATION) & (sigma < 1.5)
-        good &= is_in_mask(straight.valid_mask, seen) & (np.hypot(*(seen - there[use]).T) < reach)
+        good &= is_in_mask(self._usable, seen) & (np.hypot(*(seen - there[use]).T) < reach)
         flat = remove_background(template), remove_background(picture)
         points = FloorPoints(
             self.floor_map.locate_points(k)[use],
@@ -501,7 +534,8 @@ class SlamSystem:
         )
         if found is None:
             return None
-        keep = np.nonzero(found.pose.inlier_mask & (np.trace(found.information, axis1=1, axis2=2) > 0.0))[0]
+        seen = (np.trace(found.information, axis1=1, axis2=2) > 0.0) & is_in_mask(self._usable, found.pixels)
+        keep = np.nonzero(found.pose.inlier_mask & seen)[0]
         if len(keep) < MIN_INLIERS:
             return None
         return _KeyframeMatch(
@@ -605,6 +639,7 @@ class SlamSystem:
         if not len(match.unknown):
             self._known_odometry = self._odometry
         self._found_poses = []
+        self.monitor.check_tilt(frame.time_s, match.pose.tilt_error_rad, frame.vehicle_estimate.tilt_sigma)
         self._refine_keyframe(view, match)
         made = closed = False
         share = view_overlap(
@@ -669,7 +704,7 @@ class SlamSystem:
     def _create_keyframe(
         self, frame: CameraFrame, view: ViewPrior, picture: Any, pose: PoseEstimate, sigma: float
     ) -> Keyframe | None:
-        pixels = detect_corners(picture, self._undistorter.valid_mask)
+        pixels = detect_corners(picture, self._usable)
         if len(pixels) < MIN_INLIERS or np.mean(picture > _WHITE_LEVEL) > _MAX_WHITE_SHARE:
             return None
         seconds = self._undistorter.exposure_offsets(pixels)
@@ -748,6 +783,7 @@ class SlamSystem:
         self._trial_frame_count += 1
         if self._trial_frame_count <= (_MIN_CONFIRMATIONS if self._is_map_young else _TRIAL_FRAMES):
             self._last_node, self._odometry = match.graph_node, Odometry(frame.time_s, frame.vehicle_estimate)
+            self._known_odometry = self._odometry
             self._refine_keyframe(view, match)
             return TrackingResult(frame.time_s, False, "begun anew, to be confirmed")
         self._trial_frame_count = 0
@@ -779,6 +815,7 @@ class SlamSystem:
             self.floor_map.nodes[self._reference_index, PLACE].copy(),
             Odometry(frame.time_s, frame.vehicle_estimate),
         )
+        self._known_odometry = self._odometry
         self._trial_frame_count = 1
         return TrackingResult(frame.time_s, False, why)
 
@@ -962,7 +999,7 @@ class SlamSystem:
         return TrackingResult(
             frame.time_s, True, "", position, heading, to @ known @ to.T, here,
             match.tracked_count, len(match.inlier_indices), match.inlier_pixels, pose.residual_scale,
-            match.bound_m(view), made, closed,
+            match.bound_m(view), made, closed, "" if self.monitor.dirt_mask is None else DIRT_MESSAGE,
         )  # fmt: skip
 
     # ------------------------------------------------------------------ Relocalisation
@@ -1004,6 +1041,7 @@ class SlamSystem:
             np.zeros(2),
             here,
         )
+        self._known_odometry = self._odometry
         return match
 
 

@@ -317,6 +317,7 @@ def run(
         "missed": missed,
         "keyframes": len(slam.floor_map.keyframes),
         "closures": sum(e.is_loop_closure for e in slam.floor_map.edges),
+        "camera_faults": {name: message for name, (_, message) in slam.camera_verdicts.items()},
         "texture_bound_m": found.texture_bound_m,
         "position_sigma_m": found.position_sigma_m,
         "errors": result,
@@ -324,6 +325,8 @@ def run(
     }
 
     def print_result() -> None:
+        for time_s, message in slam.camera_verdicts.values():
+            print_lines(f"from {time_s:.1f} s on {message}", mark="Warning", style="yellow")
         print_lines(f"{len(found.time)} of {found.pictures} pictures have a position")
         print_lines(f"{content['keyframes']} keyframes, {content['closures']} loops closed")
         if math.isfinite(found.texture_bound_m):

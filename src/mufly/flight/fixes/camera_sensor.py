@@ -222,6 +222,7 @@ class CameraSensor(Sensor):
         self.last_picture: NDArray[np.uint8] | None = None
         self._fix: dict[str, Reading] = {}
         self._wrong, self._trusted_s, self._since_s = "", math.inf, math.nan
+        self._note = ""  # the latest defect that was reported
 
     def close(self) -> None:
         """End the SLAM process and the stream."""
@@ -259,6 +260,10 @@ class CameraSensor(Sensor):
     def tracking_message(self) -> str:
         """Return a new report of missing fixes with the reason, or of their recovery; "" if there is none."""
         t = self._film.last_time_s
+        note = "" if self.last_result is None else self.last_result.camera_note
+        if note and note != self._note:
+            self._note = note
+            return f"camera: {note}"
         if not self._wrong and t - self._trusted_s > SILENCE_TIMEOUT_S and not self._stood:
             late = self.last_result is None or t - self.last_result.time_s > SILENCE_TIMEOUT_S + float(
                 self._eye.camera.radio.latency
@@ -299,7 +304,7 @@ class CameraSensor(Sensor):
                 self._show_stationary_view(self._film.camera_motion(truth), light)
             return
         self._begun = True
-        self.last_picture = self._film.renderer.render(self._film.camera_motion(truth), light)
+        self.last_picture = self._film.render_picture(truth, light)
         self.taken_count += 1
         self.lost_count += bool(lost)
         shown = self._encode_shown(t)

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mufly.camera import Camera, Floor, Renderer, StreamServer, VehicleMotion, encode_jpeg
 from mufly.dynamics import body_to_ned_matrix, model_parameters
@@ -21,6 +22,10 @@ CAMERA_FAULTS: Mapping[str, str] = {
     "covered": "the lens is covered: pictures are black",
     "dark": "the light is off: a hundredth of it is left",
     "unplugged": "no pictures come",
+    "frozen": "the same picture comes again and again",
+    "mirrored": "pictures are mirrored left to right",
+    "inverted": "the camera is mounted upside down",
+    "dirty": "two dark spots are on the lens",
 }
 """Kinds of camera faults and their descriptions."""
 SHOWN_JPEG_QUALITY = 85
@@ -53,6 +58,21 @@ def parse_camera_fault(text: str) -> CameraFault:
         raise ArgumentError("camera_fault", text, error.problem, error.remedy) from None
 
 
+_SPOTS = ((0.33, 0.31, 0.05), (0.62, 0.72, 0.06))
+"""Row, column and radius of dirt, over the picture's sides and its width."""
+
+
+def add_dirt(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return a picture with two dark, blurred spots at fixed pixels."""
+    high, wide = picture.shape
+    row, column = np.mgrid[:high, :wide]
+    clear = np.ones(picture.shape)
+    for y, x, radius in _SPOTS:
+        away = np.hypot(row - y * high, column - x * wide) - radius * wide
+        clear *= 1.0 / (1.0 + np.exp(-away / (0.005 * wide)))
+    return (picture * clear + 30.0 * (1.0 - clear)).astype(np.uint8)
+
+
 class OnboardCamera:
     """A camera on a flying vehicle.
 
@@ -83,6 +103,7 @@ class OnboardCamera:
 
     def reset(self) -> None:
         self.renderer = self.make_renderer()
+        self._frozen_picture: NDArray[np.uint8] | None = None
         self.rotor_phase, self.last_time_s, self._due_s = np.zeros(2), math.nan, -math.inf
 
     def make_renderer(self) -> Renderer:
@@ -107,6 +128,22 @@ class OnboardCamera:
         if "unplugged" in active:
             return None
         return 0.0 if "covered" in active else (0.01 if "dark" in active else 1.0)
+
+    def render_picture(self, truth: Truth, light: float) -> NDArray[np.uint8]:
+        """Return the picture at this instant, with the camera's faults."""
+        picture = self.renderer.render(self.camera_motion(truth), light)
+        active = {s.kind for s in self._spoils if s.start_s <= truth.time_s < s.stop_s}
+        if "mirrored" in active:
+            picture = np.ascontiguousarray(picture[:, ::-1])
+        if "inverted" in active:
+            picture = np.ascontiguousarray(picture[::-1, ::-1])
+        if "dirty" in active:
+            picture = add_dirt(picture)
+        if "frozen" in active:
+            self._frozen_picture = picture if self._frozen_picture is None else self._frozen_picture
+            return self._frozen_picture
+        self._frozen_picture = None
+        return picture
 
     def camera_motion(self, truth: Truth) -> VehicleMotion:
         """Return the vehicle's motion at the middle of the exposure."""
@@ -133,7 +170,7 @@ class PictureStream:
         """Render and publish a picture if one is due."""
         light = self._film.light_level(truth.time_s)
         if self._film.is_picture_due(truth) and light is not None:
-            picture = self._film.renderer.render(self._film.camera_motion(truth), light)
+            picture = self._film.render_picture(truth, light)
             self._server.publish_picture(encode_jpeg(picture, SHOWN_JPEG_QUALITY), truth.time_s)
 
     def reset(self) -> None:

@@ -1,0 +1,406 @@
+r"""Checks of a camera against gyroscopes and attitude: frozen pictures, clock, mounting, focal length, delay, dirt.
+
+**Motion of the picture.** A camera with rates w (its own axes) over a floor at height h moves the picture's middle by
+
+    p = f (-w_y, w_x) - (f / h) (v_x, v_y)
+
+in pixels per second; v is its velocity. A helicopter accelerates as it tilts, v' = g (-theta, phi) in the axes of its
+heading, so attitude alone gives v up to a constant. Slow parts are removed from both sides by the same high pass
+(:data:`_HIGH_PASS_S`), since biases, drag and wind are slow. With p and the measured motion y as complex numbers
+(picture x + i y), a camera that differs from its file shows
+
+    y = m p + n conj(p) + k p',        p' the derivative of p.
+
+| camera | m | n | k |
+|---|---|---|---|
+| as in its file | 1 | 0 | 0 |
+| turned about its axis by a | e^(i a) | 0 | 0 |
+| focal length in error by the factor s | s | 0 | 0 |
+| mirrored | 0 | of size 1 | 0 |
+| pictures late by t | 1 | 0 | -t |
+
+Recursive least squares with exponential forgetting (:data:`_MEMORY_S`) gives m, n, k and their covariance from the
+residuals (Ljung, *System Identification*, 1999, Sec. 11.2). A fault is reported if an estimate deviates by
+:data:`_MIN_SIGMAS` standard deviations and by a least amount. Own derivation.
+
+**Tilt.** Tracking estimates the errors of the reported tilt from the shear of the floor
+(:mod:`mufly.slam.camera_pose`). An error that stays beyond the filter's deviation shows a tilted mount.
+
+**Copies.** Noise makes any two pictures differ, so equal pictures are copies.
+
+**Dirt** stays at its pixels. The mean of n pictures of different floor keeps it, while floor of the deviation s
+averages to s / sqrt(n). A pixel is dirty if the mean, less its surroundings, exceeds :data:`_DIRT_SIGMAS` of that, and
+its own deviation is below :data:`_DIRT_STILLNESS` s, since dirt hides the floor. More than
+:data:`_MAX_DIRT_SHARE` of a picture is no dirt but a floor that looks alike along the path, such as stripes.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.camera import Camera, body_from_camera_rotation
+from mufly.dynamics import GRAVITY
+from mufly.slam.camera_frame import CameraFrame, FrameInfo
+from mufly.slam.image_tools import correlate_patches, is_in_mask, load_opencv
+from mufly.slam.images.direct_alignment import add_point_errors
+from mufly.slam.images.patch_information import measure_patches, remove_background
+
+_Array = NDArray[np.float64]
+_HIGH_PASS_S, _MEMORY_S, _VELOCITY_DECAY_S = 0.4, 6.0, 4.0
+_MIN_SIGMAS, _MIN_FRAMES, _MIN_GROSS_FRAMES = 5.0, 40, 12
+_MIN_TURN_RAD, _MIN_SCALE, _MIN_DELAY_S = math.radians(7.0), 0.1, 0.03
+"""Least errors of turn, focal length (share) and delay that are reported."""
+_FROZEN_COUNT, _STOPPED_COUNT = 4, 4
+_CONFIRM_COUNT, _GROSS_CONFIRM_COUNT, _HOLD_S = 10, 6, 10.0
+"""Pictures in a row that confirm a fault, those that confirm a gross one, and time for which a fault holds after it was
+last seen (s)."""
+_BACKGROUND_PX = 25  # side of the mean that is subtracted, at half the resolution
+_MIN_HEIGHT_M = 0.2  # below which the height is known too poorly
+_TILT_AVERAGE_S, _TILT_SIGMAS, _MIN_TILT_RAD = 1.5, 2.5, math.radians(1.2)
+_DIRT_REDUCTION, _DIRT_BACKGROUND_PX, _DIRT_STEP_PX, _DIRT_MIN_COUNT = 4, 8.0, 40.0, 7
+"""Reduction of the picture, smoothing of the surroundings (reduced pixels), motion between pictures that count
+(pixels), and their least number."""
+_DIRT_SIGMAS, _DIRT_STILLNESS, _MIN_DIRT_GREY, _MAX_DIRT_SHARE, _DIRT_MARGIN_PX = 5.0, 0.5, 10.0, 0.25, 12
+_MIN_CONTRAST = 2.0
+"""Standard deviation of grey levels below which equal pictures are dark, not frozen."""
+_GROSS_SIGMAS = 3.0
+_MIRRORED = "the picture moves mirrored against the gyroscopes: check the camera's driver"
+_MIN_POINTS, _WINDOW_PX, _MIN_CORRELATION, _STRONG_CORRELATION = 24, 21, 0.5, 0.85
+_WOBBLE_PX = 1.0  # deviation of a patch by vibration in a rolling shutter (pixels of half the resolution)
+
+
+@dataclass(frozen=True)
+class CameraVerdict:
+    """Result of the checks.
+
+    Attributes
+    ----------
+    fault : str
+        One of "", "frozen", "clock", "mirrored", "turned", "tilted", "focal length", "delay".
+    message : str
+        One line for the user.
+    """
+
+    fault: str = ""
+    message: str = ""
+
+
+_HEALTHY = CameraVerdict()
+
+
+class CameraMonitor:
+    """Checks of a sequence of pictures.
+
+    Parameters
+    ----------
+    camera : Camera
+    focal_px, smooth : float
+        Focal length and smoothing of undistorted pictures (pixels).
+    """
+
+    def __init__(self, camera: Camera, focal_px: float, smooth: float) -> None:
+        self._camera, self._focal_px, self._smooth = camera, focal_px, 0.5 * math.hypot(smooth, 1.0)
+        self._camera_from_body = body_from_camera_rotation(camera).T
+        self._last_raw: NDArray[np.uint8] | None = None
+        self._equal_count = self._stopped_count = 0
+        self._last_small: NDArray[np.uint8] | None = None
+        self._last_frame: CameraFrame | None = None
+        self._last_level_velocity = np.zeros(2)
+        self._slow = np.zeros(2, complex)  # slow parts of y and p
+        self._past: list[tuple[complex, complex]] = []  # y and p at the latest pictures, high-passed
+        self._normal, self._right = np.zeros((3, 3), complex), np.zeros(3, complex)
+        self._square = self._weight = 0.0
+        self._candidate, self._candidate_count = _HEALTHY, 0
+        self._verdict, self._held_until_s = _HEALTHY, -math.inf
+        self._tilt, self._tilt_weight, self._tilt_time_s = np.zeros(2), 0.0, math.nan
+        self._dirt = DirtMask()
+        self._moved_px = 0.0
+        self.estimate, self.sigma = np.array([1.0, 0.0, 0.0], complex), np.full(3, np.inf)
+
+    def check_stamp(self, time_s: float, last_time_s: float) -> CameraVerdict:
+        """Return the verdict on the time of a picture."""
+        self._stopped_count = self._stopped_count + 1 if time_s <= last_time_s else 0
+        if self._stopped_count < _STOPPED_COUNT:
+            return _HEALTHY
+        return CameraVerdict("clock", f"the times of the pictures do not advance (at {time_s:.3f} s)")
+
+    def is_copy(self, picture: NDArray[np.uint8]) -> bool:
+        """Return whether a picture is a copy of the one before; counts copies."""
+        before, self._last_raw = self._last_raw, picture
+        equal = (
+            before is not None
+            and float(self._camera.quality.noise) > 0.0
+            and np.array_equal(before, picture)
+            and float(picture[::4, ::4].std()) > _MIN_CONTRAST
+        )
+        self._equal_count = self._equal_count + 1 if equal else 0
+        return equal
+
+    @property
+    def frozen_verdict(self) -> CameraVerdict:
+        """The verdict on copies."""
+        if self._equal_count < _FROZEN_COUNT:
+            return _HEALTHY
+        return CameraVerdict("frozen", "the pictures are frozen: they are identical")
+
+    @property
+    def dirt_mask(self) -> NDArray[np.uint8] | None:
+        """Nonzero at dirty pixels of the undistorted picture; None if it is clean."""
+        return self._dirt.mask
+
+    def check_motion(self, frame: CameraFrame, picture: NDArray[np.uint8]) -> CameraVerdict:
+        """Return the verdict on the motion of the undistorted picture."""
+        self._measure_motion(frame, picture)
+        return self.verdict_at(frame.time_s)
+
+    def verdict_at(self, time_s: float) -> CameraVerdict:
+        """Return the verdict that holds at a time (s)."""
+        return self._verdict if time_s < self._held_until_s else _HEALTHY
+
+    def check_tilt(self, time_s: float, tilt_error_rad: _Array, sigma_rad: float) -> None:
+        """Note the tilt error (2,) that tracking finds, and its deviation by the filter (rad)."""
+        dt = time_s - self._tilt_time_s if self._tilt_time_s < time_s else 0.0
+        self._tilt_time_s = time_s
+        keep = math.exp(-dt / _TILT_AVERAGE_S)
+        self._tilt = keep * self._tilt + (1.0 - keep) * tilt_error_rad
+        self._tilt_weight = keep * self._tilt_weight + 1.0 - keep
+        size = math.hypot(*self._tilt) / max(self._tilt_weight, 1e-9)
+        if self._tilt_weight > 0.7 and size > max(_MIN_TILT_RAD, _TILT_SIGMAS * sigma_rad):
+            message = f"the floor is seen {math.degrees(size):.1f} degrees off the attitude: check the camera's mount"
+            self._verdict, self._held_until_s = CameraVerdict("tilted", message), time_s + _HOLD_S
+            self._tilt, self._tilt_weight = np.zeros(2), 0.0
+
+    def _measure_motion(self, frame: CameraFrame, picture: NDArray[np.uint8]) -> None:
+        small = load_opencv().pyrDown(picture)
+        before, last = self._last_small, self._last_frame
+        self._last_small, self._last_frame = small, frame
+        if before is None or last is None:
+            return
+        dt = frame.time_s - last.time_s
+        velocity = self._last_level_velocity
+        self._advance_velocity(last.vehicle_estimate, frame.vehicle_estimate, min(dt, 0.5))
+        moved = None
+        if 0.0 < dt < 1.6 * float(self._camera.sensor.period) and frame.vehicle_estimate.height_m > _MIN_HEIGHT_M:
+            moved = measure_shift(before, small, self._smooth, self._dirt.wide_mask)
+        if moved is None:
+            self._past = []
+            return
+        self._moved_px += 2.0 * abs(moved)
+        if self._moved_px > _DIRT_STEP_PX:
+            self._moved_px = 0.0
+            clean = self._dirt.mask is None
+            self._dirt.add_picture(picture)
+            if clean and self._dirt.mask is not None:  # it has held the motion back
+                self._normal, self._right = np.zeros((3, 3), complex), np.zeros(3, complex)
+                self._square = self._weight = 0.0
+        y = 2.0 * moved / dt
+        velocity = 0.5 * (velocity + self._last_level_velocity)
+        p = self._predict_motion(last.vehicle_estimate, frame.vehicle_estimate, velocity)
+        keep = math.exp(-dt / _HIGH_PASS_S)
+        self._slow = keep * self._slow + (1.0 - keep) * np.array([y, p])
+        self._past = [*self._past[-2:], (y - self._slow[0], p - self._slow[1])]
+        if len(self._past) == 3:
+            self._update(dt)
+            self._confirm(frame.time_s)
+
+    def _confirm(self, time_s: float) -> None:
+        """Report a fault that several pictures in a row show."""
+        found = judge_motion(self.estimate, self.sigma) if self._weight > _MIN_FRAMES else _HEALTHY
+        if not found.fault:
+            found = judge_gross_motion(self.estimate, self.sigma)
+        self._candidate_count = self._candidate_count + 1 if found.fault == self._candidate.fault else 1
+        self._candidate = found
+        needed = _CONFIRM_COUNT if self._weight > _MIN_FRAMES else _GROSS_CONFIRM_COUNT
+        if found.fault and self._candidate_count >= needed:
+            if time_s > self._held_until_s or self._verdict.fault != found.fault:
+                self._verdict = found
+            self._held_until_s = time_s + _HOLD_S
+
+    def _advance_velocity(self, before: FrameInfo, now: FrameInfo, dt: float) -> None:
+        """Integrate the velocity forward and to the right from the tilt; it decays, so that errors do not add up."""
+        pitch, roll = 0.5 * (before.pitch + now.pitch), 0.5 * (before.roll + now.roll)
+        push = GRAVITY * np.array([-math.tan(pitch), math.tan(roll)])
+        push = push + now.heading_rate_rad_s * np.array([self._last_level_velocity[1], -self._last_level_velocity[0]])
+        self._last_level_velocity = math.exp(-dt / _VELOCITY_DECAY_S) * self._last_level_velocity + dt * push
+
+    def _predict_motion(self, before: FrameInfo, now: FrameInfo, velocity: _Array) -> complex:
+        """Return p, above (pixels/s)."""
+        w = self._camera_from_body @ (0.5 * (before.rates + now.rates))
+        place = self._camera.mount.place.to_array()[0]
+        lever = np.cross(0.5 * (before.rates + now.rates), place)
+        v = self._camera_from_body @ (np.append(velocity, 0.0) + lever)
+        flow = np.array([-w[1], w[0]]) - v[:2] / max(0.1, now.height_m - place[2])
+        return self._focal_px * complex(flow[0], flow[1])
+
+    def _update(self, dt: float) -> None:
+        """Update the least squares by the picture before, and the verdict."""
+        (_, p0), (y, p), (_, p2) = self._past
+        row = np.array([p, p.conjugate(), (p2 - p0) / (2.0 * dt)])
+        keep = math.exp(-dt / _MEMORY_S)
+        off = y - row @ self.estimate
+        limit = 4.0 * math.sqrt(max(self._square / max(self._weight, 1.0), 1.0))
+        w = 1.0 if self._weight < 10.0 or abs(off) < limit else limit / abs(off)  # Huber
+        self._normal = keep * self._normal + w * np.outer(row.conj(), row)
+        self._right = keep * self._right + w * row.conj() * y
+        self._square, self._weight = keep * self._square + w * abs(off) ** 2, keep * self._weight + w
+        if self._weight < _MIN_GROSS_FRAMES:
+            return
+        inverse = np.linalg.inv(self._normal + 1e-6 * np.eye(3))
+        self.estimate = inverse @ self._right
+        self.sigma = np.sqrt(np.abs(np.diag(inverse)) * self._square / max(self._weight - 3.0, 1.0) / 2.0)
+
+
+def judge_gross_motion(estimate: NDArray[np.complex128], sigma: _Array) -> CameraVerdict:
+    """Return the verdict on a picture that moves against the gyroscopes, for which few pictures suffice."""
+    m, n, _ = estimate
+    if abs(n) > 0.5 + _GROSS_SIGMAS * sigma[1] and abs(n) > abs(m) + _GROSS_SIGMAS * sigma[0]:
+        return CameraVerdict("mirrored", _MIRRORED)
+    if m.real < -0.3 - _GROSS_SIGMAS * sigma[0]:
+        return CameraVerdict("turned", "the camera is upside down against the gyroscopes: check mount.turn")
+    return _HEALTHY
+
+
+def judge_motion(estimate: NDArray[np.complex128], sigma: _Array) -> CameraVerdict:
+    """Return the verdict on m, n, k and their standard deviations along one axis."""
+    m, n, k = estimate
+    if max(sigma[0], sigma[1]) > 0.2:
+        return _HEALTHY
+    if abs(n) > 0.5 and abs(n) > 1.5 * abs(m):
+        return CameraVerdict("mirrored", _MIRRORED)
+    turn, scale, s = cmath.phase(m), abs(m), sigma[0]
+    if abs(turn) > max(_MIN_TURN_RAD, _MIN_SIGMAS * s / max(scale, 0.2)) and scale > 0.4:
+        how = "upside down" if abs(turn) > math.radians(150.0) else f"turned by {math.degrees(turn):.0f} degrees"
+        return CameraVerdict("turned", f"the camera is {how} against the gyroscopes: check mount.turn")
+    delay = -(k / m).real if scale > 0.4 else 0.0
+    if abs(delay) > max(_MIN_DELAY_S, _MIN_SIGMAS * sigma[2] / max(scale, 0.2)):
+        return CameraVerdict("delay", f"the pictures are {1e3 * delay:.0f} ms late against the gyroscopes")
+    # Stripes hold back the motion along them: n is then as large as the deviation of m.
+    if abs(scale - 1.0) > max(_MIN_SCALE, _MIN_SIGMAS * s, 2.0 * abs(n)):
+        return CameraVerdict(
+            "focal length", f"the picture moves {scale:.2f} times as far as the gyroscopes: check the focal length"
+        )
+    return _HEALTHY
+
+
+class DirtMask:
+    """Mask of pixels that stay as they are while the floor moves.
+
+    Attributes
+    ----------
+    mask : (rows, columns) uint8 array or None
+        Nonzero at dirt, with a margin; None if there is none.
+    wide_mask : (rows, columns) uint8 array or None
+        The same with a margin for windows at half the resolution.
+    """
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._mean = self._square = np.zeros(0)
+        self.mask: NDArray[np.uint8] | None = None
+        self.wide_mask: NDArray[np.uint8] | None = None
+
+    def add_picture(self, picture: NDArray[np.uint8]) -> None:
+        """Add an undistorted picture of other floor than the one before (Welford's update of mean and variance)."""
+        cv2 = load_opencv()
+        high, wide = picture.shape
+        small = cv2.resize(
+            picture, (wide // _DIRT_REDUCTION, high // _DIRT_REDUCTION), interpolation=cv2.INTER_AREA
+        ).astype(np.float32)
+        small -= cv2.GaussianBlur(small, (0, 0), _DIRT_BACKGROUND_PX)
+        if not self._count:
+            self._mean, self._square = np.zeros_like(small), np.zeros_like(small)
+        self._count += 1
+        off = small - self._mean
+        self._mean = self._mean + off / self._count
+        self._square = self._square + off * (small - self._mean)
+        if self._count < _DIRT_MIN_COUNT:
+            return
+        usual = math.sqrt(float(np.median(self._square)) / (self._count - 1))
+        least = max(_MIN_DIRT_GREY, _DIRT_SIGMAS * usual / math.sqrt(self._count))
+        still = cv2.blur(self._square, (3, 3)) < (self._count - 1) * (_DIRT_STILLNESS * usual) ** 2
+        dirty = ((np.abs(self._mean) > least) & still).astype(np.uint8)
+        dirty = cv2.morphologyEx(dirty, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+        self.mask = self.wide_mask = None
+        if 0 < int(dirty.sum()) < _MAX_DIRT_SHARE * dirty.size:
+            whole = cv2.resize(dirty, (wide, high), interpolation=cv2.INTER_NEAREST)
+            self.mask, self.wide_mask = (
+                cv2.dilate(whole, np.ones((2 * margin + 1, 2 * margin + 1), np.uint8))
+                for margin in (_DIRT_MARGIN_PX, _DIRT_MARGIN_PX + _WINDOW_PX)
+            )
+
+
+def measure_shift(
+    before: NDArray[np.uint8], now: NDArray[np.uint8], smooth: float, dirt: NDArray[np.uint8] | None = None
+) -> complex | None:
+    """Return the motion of the middle between two pictures (pixels); None if a direction shows no texture.
+
+    Points are tracked, and a shift, a rotation and a scale are fitted to them. Noise draws tracks to no motion, so on
+    a floor whose patches correlate less than :data:`_STRONG_CORRELATION` all patches are then aligned together, with
+    the information of :mod:`mufly.slam.images.patch_information`.
+
+    Parameters
+    ----------
+    before, now : (rows, columns) uint8 arrays
+    smooth : float
+        Their smoothing (pixels).
+    dirt : (2 rows, 2 columns) uint8 array, optional
+        Mask of dirty pixels at twice the resolution.
+    """
+    cv2 = load_opencv()
+    high, wide = now.shape
+    x, y = np.meshgrid(np.linspace(14, wide - 15, 10), np.linspace(14, high - 15, 7))
+    points = np.column_stack([x.ravel(), y.ravel()])
+    if dirt is not None:
+        points = points[~is_in_mask(dirt, 2.0 * points)]
+        if len(points) < _MIN_POINTS:
+            return None
+    there, found, _ = cv2.calcOpticalFlowPyrLK(
+        before, now, points.astype(np.float32).reshape(-1, 1, 2), None, winSize=(_WINDOW_PX, _WINDOW_PX), maxLevel=2,
+        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.02),
+    )  # fmt: skip
+    there = there.reshape(-1, 2).astype(np.float64)
+    correlation, sigma = np.zeros(len(points)), np.full(len(points), 1e3)
+    correlate_patches(before, now, points, there, found.reshape(-1), smooth, correlation, sigma)
+    good = correlation > _MIN_CORRELATION
+    if good.sum() < _MIN_POINTS // 2:
+        return None
+    cx, cy = (points - [0.5 * (wide - 1), 0.5 * (high - 1)]).T
+    one, none = np.ones(len(points)), np.zeros(len(points))
+    jacobian = np.stack([np.stack([one, none, cx, -cy], axis=1), np.stack([none, one, cy, cx], axis=1)], axis=1)
+    fit, use = np.zeros(4), good
+    for _ in range(3):
+        fit = np.linalg.lstsq(jacobian[use].reshape(-1, 4), (there - points)[use].ravel(), rcond=None)[0]
+        off = np.hypot(*(there - points - jacobian @ fit).T)
+        use = good & (off < max(0.5, 2.5 * float(np.median(off[good]))))
+    if use.sum() < _MIN_POINTS // 2:
+        return None
+    if float(correlation[good].mean()) > _STRONG_CORRELATION:
+        return complex(fit[0], fit[1])
+    flat = remove_background(before, _BACKGROUND_PX), remove_background(now, _BACKGROUND_PX)
+    coarse = (cv2.pyrDown(flat[0]), cv2.pyrDown(flat[1]), 0.5 * math.hypot(smooth, 1.0))
+    level_axes, known = np.tile(np.eye(2), (len(points), 1, 1)), False
+    for scale, half, (a, b, s) in ((2.0, 5, coarse), (1.0, 7, (*flat, smooth)), (1.0, 7, (*flat, smooth))):
+        moved = jacobian @ fit
+        middle = 0.5 * (scale - 1.0)
+        patches = measure_patches(
+            a, b, (points - middle) / scale, (points + moved - middle) / scale, s, level_axes, half
+        )
+        known = bool(patches.known.all())
+        if not known:
+            continue
+        shift = moved + scale * patches.shift_px
+        information = add_point_errors(patches.information / scale**2, np.full(len(points), _WOBBLE_PX))
+        for _ in range(2):
+            off = shift - jacobian @ fit
+            square = np.einsum("ni,nij,nj->n", off, information, off)
+            weight = information / (1.0 + square / 8.0)[:, None, None]
+            normal = np.einsum("nki,nkl,nlj->ij", jacobian, weight, jacobian)
+            if np.linalg.cond(normal) > 1e12:
+                return None
+            fit = np.linalg.solve(normal, np.einsum("nki,nkl,nl->i", jacobian, weight, shift))
+    return complex(fit[0], fit[1]) if known else None

@@ -1,0 +1,149 @@
+"""Checks of the camera: copies, clock, mounting, focal length, delay and dirt are named; healthy floors raise none."""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mufly.camera import Camera, VehicleMotion, load_camera, make_floor
+from mufly.flight.onboard_camera import add_dirt
+from mufly.slam import CameraFrame, SlamSystem, make_square_path, render_frames
+from mufly.slam.image_tools import Undistorter
+from mufly.slam.images.camera_monitor import CameraMonitor, DirtMask, judge_motion
+from mufly.vehicle.quantity import Quantity
+
+pytest.importorskip("cv2")
+SEED, SECONDS = 6, 4.5
+Flown = list[tuple[CameraFrame, VehicleMotion]]
+
+
+@pytest.fixture(scope="module")
+def flown() -> Flown:
+    camera = load_camera("mufly-2.0")
+    path = make_square_path(duration_s=SECONDS, side_m=2.0, speed_m_s=0.4, seed=SEED)
+    return list(render_frames(camera, make_floor("rich", SEED, size=2048), path, duration_s=SECONDS, seed=SEED))
+
+
+def _scaled(camera: Camera, factor: float) -> Camera:
+    lens = camera.lens
+    new = {
+        k: q.model_copy(update={"value": factor * q.value}) for k in ("focal_x", "focal_y") if (q := getattr(lens, k))
+    }
+    return camera.model_copy(update={"lens": lens.model_copy(update=new)})
+
+
+def _turned(camera: Camera, angle_rad: float) -> Camera:
+    turn = Quantity(value=angle_rad, unit="rad", source="estimated")
+    return camera.model_copy(update={"mount": camera.mount.model_copy(update={"turn": turn})})
+
+
+def _first_fault(camera: Camera, frames: list[CameraFrame]) -> tuple[str, float, str]:
+    """Return the first fault, the time until it was reported (s) and its message."""
+    straight = Undistorter(camera)
+    monitor = CameraMonitor(camera, straight.focal_px, straight.smoothing_sigma_px)
+    for frame in frames:
+        verdict = monitor.check_motion(frame, straight.undistort_picture(frame.picture))
+        if verdict.fault:
+            return verdict.fault, frame.time_s - frames[0].time_s, verdict.message
+    return "", math.inf, ""
+
+
+@pytest.mark.parametrize(
+    ("case", "fault", "words"),
+    [
+        ("healthy", "", ""),
+        ("upside down", "turned", "upside down"),
+        ("mirrored", "mirrored", "mirrored"),
+        ("turned", "turned", "turned by"),
+        ("focal length", "focal length", "check the focal length"),
+        ("late", "delay", "ms late against the gyroscopes"),
+    ],
+)
+def test_a_motion_that_contradicts_the_gyroscopes_names_its_cause(
+    flown: Flown, case: str, fault: str, words: str
+) -> None:
+    camera, frames = load_camera("mufly-2.0"), [f for f, _ in flown]
+    match case:
+        case "upside down":
+            frames = [replace(f, picture=np.ascontiguousarray(f.picture[::-1, ::-1])) for f in frames]
+        case "mirrored":
+            frames = [replace(f, picture=np.ascontiguousarray(f.picture[:, ::-1])) for f in frames]
+        case "turned":
+            camera = _turned(camera, math.radians(20.0))
+        case "focal length":
+            camera = _scaled(camera, 1.4)
+        case "late":
+            frames = [replace(f, picture=g.picture) for f, g in zip(frames[2:], frames[:-2], strict=True)]
+    found, after_s, message = _first_fault(camera, frames)
+    assert found == fault
+    assert words in message
+    assert not fault or after_s < 3.0
+
+
+def test_no_alarm_over_floors_with_little_texture(make_weak_floor: Callable) -> None:
+    camera = load_camera("mufly-2.0")
+    path = make_square_path(duration_s=3.0, side_m=2.0, speed_m_s=0.4, seed=5)
+    for kind in ("felt", "stripes"):
+        made = render_frames(camera, make_weak_floor(kind, 5), path, duration_s=3.0, seed=5)
+        assert _first_fault(camera, [f for f, _ in made])[0] == ""
+
+
+def test_a_verdict_needs_its_standard_deviations() -> None:
+    sure, unsure = np.array([0.01, 0.01, 0.001]), np.array([0.05, 0.05, 0.01])
+    turned = np.array([cmath.exp(0.2j), 0.0, 0.0])
+    assert judge_motion(turned, sure).fault == "turned"
+    assert judge_motion(turned, unsure).fault == ""
+    assert judge_motion(np.array([1.2, 0.0, 0.0]), sure).fault == "focal length"
+    # Stripes hold back one direction: m falls by as much as n grows.
+    assert judge_motion(np.array([0.8, 0.2, 0.0]), sure).fault == ""
+    assert judge_motion(np.array([1.0, 0.0, -0.05]), sure).fault == "delay"
+    assert judge_motion(np.array([1.0, 0.0, 0.0]), sure).fault == ""
+
+
+def test_copies_and_a_stopped_clock_are_no_pictures(flown: Flown) -> None:
+    camera = load_camera("mufly-2.0")
+    slam = SlamSystem(camera, start=[*flown[0][1].position[:2].tolist(), 0.0])
+    frames = [f for f, _ in flown[:24]]
+    for f in frames[:12]:
+        assert slam.process_frame(f).trusted
+    copies = [slam.process_frame(replace(f, picture=frames[11].picture)) for f in frames[12:18]]
+    assert not any(a.trusted for a in copies)
+    assert "frozen" in copies[-1].reason
+    assert slam.process_frame(frames[18]).trusted  # 0.2 s later it goes on
+    stopped = [slam.process_frame(replace(f, time_s=frames[18].time_s)) for f in frames[19:]]
+    assert not any(a.trusted for a in stopped)
+    assert "do not advance" in stopped[-1].reason
+    assert set(slam.camera_verdicts) == {"frozen", "clock"}
+    dark = np.full_like(frames[0].picture, 5)
+    assert "frozen" not in [slam.process_frame(replace(flown[24 + k][0], picture=dark)).reason for k in range(6)][-1]
+
+
+def test_dirt_is_masked_where_it_is_and_floor_is_not(flown: Flown) -> None:
+    straight = Undistorter(load_camera("mufly-2.0"))
+    clean, dirty = DirtMask(), DirtMask()
+    for frame, _ in flown[::8]:
+        clean.add_picture(straight.undistort_picture(frame.picture))
+        dirty.add_picture(straight.undistort_picture(add_dirt(frame.picture)))
+    assert clean.mask is None
+    assert dirty.mask is not None
+    assert dirty.mask[79, 99]
+    assert dirty.mask[149, 230]
+    assert 0.01 < np.mean(dirty.mask > 0) < 0.15
+
+
+def test_a_lasting_tilt_error_is_reported() -> None:
+    camera = load_camera("mufly-2.0")
+    monitor = CameraMonitor(camera, 250.0, 1.6)
+    rng = np.random.default_rng(0)
+    for k in range(150):  # errors as the filter expects them
+        monitor.check_tilt(0.033 * k, math.radians(0.5) * rng.standard_normal(2), math.radians(0.5))
+    assert monitor.verdict_at(0.033 * 149).fault == ""
+    for k in range(150, 240):
+        monitor.check_tilt(0.033 * k, math.radians(0.5) * rng.standard_normal(2) + [0.04, 0.0], math.radians(0.5))
+    assert monitor.verdict_at(0.033 * 239).fault == "tilted"
+    assert "degrees off the attitude" in monitor.verdict_at(0.033 * 239).message
