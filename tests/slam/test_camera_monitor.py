@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from mufly.flight.onboard_camera import add_dirt
 
 from mufly.camera import Camera, VehicleMotion, load_camera, make_floor
+from mufly.flight.fixes.onboard_camera import add_dirt
 from mufly.slam import CameraFrame, SlamSystem, make_square_path, render_frames
 from mufly.slam.image_tools import Undistorter
 from mufly.slam.images.camera_monitor import CameraMonitor, DirtMask, judge_motion
