@@ -93,9 +93,9 @@ def test_intervals_shrink_with_the_bench_and_widen_away_from_it(swept):
 
 
 def test_truths_lie_inside_the_intervals():
-    """Six rotors with sections of their own, one point each: another speed is told with its interval."""
+    """Four rotors with sections of their own, one point each: another speed is told with its interval."""
     rng, inside = np.random.default_rng(5), []
-    for k in range(6):
+    for k in range(4):
         rotor = a_propeller(f"naca{rng.integers(2, 7)}4{rng.integers(6, 13):02d}")
         # What the prior says of engine and method, drawn
         truth = made_by(rotor, [4000.0, 6000.0, 8000.0], pitch_deg=rng.normal(0, 0.5))
@@ -108,7 +108,7 @@ def test_truths_lie_inside_the_intervals():
         t, q = truth.thrust_N[[0, 2]], truth.torque_Nm[[0, 2]]
         inside += [*(np.abs(t - band.thrust_N) < band.thrust_high_N - band.thrust_N)]
         inside += [*(np.abs(q - band.torque_Nm) < band.torque_high_Nm - band.torque_Nm)]
-    assert np.sum(inside) >= 20  # of 24
+    assert np.sum(inside) >= 13  # of 16
 
 
 def test_thrust_alone_will_do_and_a_known_section_is_left():
