@@ -275,11 +275,11 @@ def standing() -> Estimate:
         ({"battery_voltage": math.nan}, "battery voltage not measured"),
         (
             {"attitude": np.array([0.3, 0.0, 0.0])},
-            "stands tilted 17.2 degrees; limit 5; set it on level ground, or check the accelerometers",
+            "stands tilted 17.2 degrees; limit 6; set it on level ground, or check the accelerometers",
         ),
         (
             {"attitude": np.radians([0.0, -11.0, 90.0])},
-            "stands tilted 11.0 degrees; limit 5; set it on level ground, or check the accelerometers",
+            "stands tilted 11.0 degrees; limit 6; set it on level ground, or check the accelerometers",
         ),
         ({"velocity": np.array([0.0, 0.5, 0.0])}, "it is being moved"),
         ({"rates": np.array([0.0, 0.0, 1.0])}, "it is being moved"),

@@ -51,6 +51,7 @@ from mufly.estimate.filter_records import (
     IN_ACCEL,
     IN_NOISE,
     IN_PHASE,
+    IN_RATES,
     IN_REST,
     IN_SHARE,
     IN_SLOPE,
@@ -494,6 +495,16 @@ def _average_block_forces(m: FilterMemory, s: FilterSettings) -> None:
 
 
 @cached_njit(error_model="numpy")
+def _clear_block_forces(m: FilterMemory) -> None:
+    """Start new means of accelerometers and model."""
+    for k in range(3):
+        m.accel_mean[k] = m.model_accel_mean[k] = m.gyro_mean[k] = 0.0
+        m.thrust_slope[k] = m.velocity_slope[k] = 0.0
+    m.residual_ratio = 0.0
+    m.block_mean_ticks = 0
+
+
+@cached_njit(error_model="numpy")
 def _run_next_task(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array, left: int) -> int:
     """Run the next task at the horizon if it costs no more than ``left``; return its cost, 0 if none was run."""
     cost = _fuse_next_measurement(m, s, r, left)
@@ -532,11 +543,7 @@ def _run_next_task(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array, lef
     if m.task_stage == STAGE_GROUND_CONTACT:
         m.task_stage = STAGE_DONE
         cost = 1 if mode > PHASE_RUNNING and fuse_ground_contact(m, s) else 0
-        for k in range(3):
-            m.accel_mean[k] = m.model_accel_mean[k] = m.gyro_mean[k] = 0.0
-            m.thrust_slope[k] = m.velocity_slope[k] = 0.0
-        m.residual_ratio = 0.0
-        m.block_mean_ticks = 0
+        _clear_block_forces(m)
         if cost > 0:
             return cost
     if m.horizon_tick + s.block_ticks > m.tick - s.delay_ticks or left < COST_HORIZON_STEP:
@@ -615,22 +622,21 @@ def _estimate_accel_noise(m: FilterMemory, s: FilterSettings, z: _Array) -> None
 
 
 @cached_njit(error_model="numpy")
-def _turn_level(m: FilterMemory, v: _Array, i: int) -> None:
-    """Turn the vector at ``i`` of ``v`` from the axes of a tilted inertial unit to those of the vehicle."""
-    r, x, y, z = m.level_rotation, v[i], v[i + 1], v[i + 2]
-    for k in range(3):
-        v[i + k] = r[3 * k] * x + r[3 * k + 1] * y + r[3 * k + 2] * z
+def _turn_level(m: FilterMemory, v: _Array, start: int) -> None:
+    """Turn the two vectors from ``start`` on from the axes of a tilted inertial unit to those of the vehicle."""
+    r = m.level_rotation
+    for i in (start, start + 3):
+        x, y, z = v[i], v[i + 1], v[i + 2]
+        for k in range(3):
+            v[i + k] = r[3 * k] * x + r[3 * k + 1] * y + r[3 * k + 2] * z
 
 
 @cached_njit(error_model="numpy")
 def _restart_level(m: FilterMemory, s: FilterSettings) -> None:
     """Turn the inputs since the horizon level, and begin anew with level attitude and no bias of the accelerometers."""
     for b in range(INPUT_BLOCK_COUNT):
-        _turn_level(m, m.input_blocks[b], 0)
-        _turn_level(m, m.input_blocks[b], IN_ACCEL)
-    for k in range(3):
-        m.accel_mean[k] = m.gyro_mean[k] = m.model_accel_mean[k] = m.thrust_slope[k] = m.velocity_slope[k] = 0.0
-    m.block_mean_ticks = 0
+        _turn_level(m, m.input_blocks[b], IN_RATES)
+    _clear_block_forces(m)
     m.task_stage = STAGE_DONE
     for x in (m.x, m.x_repropagating, m.x_now, m.x_output):
         turn = math.sqrt(x[SX_ATT] * x[SX_ATT] + x[SX_ATT + 3] * x[SX_ATT + 3])
@@ -638,7 +644,7 @@ def _restart_level(m: FilterMemory, s: FilterSettings) -> None:
         x[SX_ATT + 3] /= turn
         x[SX_ATT + 1] = x[SX_ATT + 2] = 0.0
         for k in range(3):
-            x[SX_ACCEL_BIAS + k] = x[SX_VEL + k] = 0.0
+            x[SX_ACCEL_BIAS + k] = 0.0
     for k in range(3):
         tilt, bias = s.initial_sigma[EX_ATT + k], s.initial_sigma[EX_ACCEL_BIAS + k]
         if k < 2:
@@ -691,7 +697,6 @@ def _level_inertial_unit(m: FilterMemory, s: FilterSettings, z: _Array) -> None:
                 _decide_level(m, s)
     if m.is_levelled == 1:
         _turn_level(m, z, _Z[R_ACCELERATION])
-        _turn_level(m, z, _Z[R_RATES])
 
 
 @cached_njit(error_model="numpy")
@@ -774,7 +779,6 @@ def estimator_step(
         if not abs(m.rates_output[k]) < 2.0 * s.value_limit[R_RATES]:
             seen = False
     if m.is_levelled == 1:
-        for k in range(3):
-            z[_Z[R_ACCELERATION] + k] = m.last_value[_Z[R_ACCELERATION] + k]
-            z[_Z[R_RATES] + k] = m.last_value[_Z[R_RATES] + k]
+        for k in range(_Z[R_ACCELERATION], _Z[R_RATES] + 3):
+            z[k] = m.last_value[k]
     return m.is_initialised > 0 and seen

@@ -342,23 +342,9 @@ def _fix_height_consistent(m: FilterMemory, s: FilterSettings, z: _Array, ahead:
 
 
 @cached_njit(error_model="numpy")
-def _align_to_first_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float) -> None:
-    """Inflate the variances of N, E and heading by the innovations of the first fix: the place of the start is unknown.
-
-    An innovation within the gate changes nothing: the initial variances explain it."""
-    for i in (0, 1, 3):
-        _fix_h_row(m, i)
-        nu = _fix_innovation(m, z, i, ahead)
-        if abs(_innovation_ratio(m, nu, _fix_variance(m, s, i))) > INNOVATION_GATE:
-            inflate_variance(m.u_transposed, m.d, EX_POS + i if i < 3 else EX_ATT + 2, nu * nu, m.f)
-
-
-@cached_njit(error_model="numpy")
 def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float) -> None:
     """Fuse position and heading of a fix; no height while it disagrees with the sonar."""
     k, worst, at = R_FIX, 0.0, 0.0
-    if m.is_heading_aligned == 0:
-        _align_to_first_fix(m, s, z, ahead)
     down = _fix_height_consistent(m, s, z, ahead)
     for i in range(4):
         if i == 2 and not down:
@@ -366,6 +352,10 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
         _fix_h_row(m, i)
         nu = _fix_innovation(m, z, i, ahead)
         ratio = _innovation_ratio(m, nu, _fix_variance(m, s, i))
+        if m.is_heading_aligned == 0 and i != 2 and abs(ratio) > INNOVATION_GATE:
+            # The place of the start is unknown: the first fix gives it.
+            inflate_variance(m.u_transposed, m.d, EX_POS + i if i < 3 else EX_ATT + 2, nu * nu, m.f)
+            ratio = _innovation_ratio(m, nu, _fix_variance(m, s, i))
         m.fix_ratio[i] = ratio
         if abs(ratio) > abs(worst):
             worst, at = ratio, nu

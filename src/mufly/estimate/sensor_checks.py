@@ -430,15 +430,14 @@ def check_accel_model(
                 if ratio > worst:
                     worst, axis = ratio, j
         _update_force_conflict(m, s, r, height, worst)
-        number = m.accel_residual_lp[axis]
-        code = STATUS_FAULTY if m.is_accel_distrusted == 1 else STATUS_REJECTED
-        if m.force_conflict == FORCE_UNDECIDED:
-            set_fault(m, s, R_ACCELERATION, code, REASON_FORCE_CONFLICT, number)
-        elif m.force_conflict == FORCE_ACCEL_WRONG:
-            set_fault(m, s, R_ACCELERATION, code, REASON_INNOVATION, number)
-        elif m.force_conflict == FORCE_MODEL_WRONG:
-            set_fault(m, s, R_ACCELERATION, STATUS_FUSED, REASON_MODEL_WRONG, number)
-        elif m.force_conflict == FORCE_FLOOR and m.status[R_ACCELERATION] in (STATUS_REJECTED, STATUS_FAULTY):
-            set_fault(m, s, R_ACCELERATION, STATUS_FUSED, REASON_NONE, 0.0)
+        code, why = STATUS_FUSED, REASON_NONE
+        if m.force_conflict == FORCE_MODEL_WRONG:
+            why = REASON_MODEL_WRONG
+        elif m.force_conflict != FORCE_FLOOR:
+            code = STATUS_FAULTY if m.is_accel_distrusted == 1 else STATUS_REJECTED
+            why = REASON_FORCE_CONFLICT if m.force_conflict == FORCE_UNDECIDED else REASON_INNOVATION
+        rejected = m.status[R_ACCELERATION] in (STATUS_REJECTED, STATUS_FAULTY)
+        if m.force_conflict != FORCE_AGREES and (why != REASON_NONE or rejected):
+            set_fault(m, s, R_ACCELERATION, code, why, m.accel_residual_lp[axis])
     # The mean of 0.1-weighted blocks keeps 0.1 / (2 - 0.1) of their variance.
     m.accel_residual_sigma[i] = math.sqrt(variance * 0.0526 + known + 0.04)

@@ -628,20 +628,23 @@ static void queue_new_measurements(estimator_t *m, const estimator_settings_t *s
     }
 }
 
-/* Turn a vector from the axes of a tilted inertial unit to those of the vehicle. */
-static void turn_level(const estimator_t *m, real_t v[3])
+/* Turn two vectors, one after the other, from the axes of a tilted inertial unit to those of the vehicle. */
+static void turn_level(const estimator_t *m, real_t v[6])
 {
     const real_t *r = m->level_rotation;
-    const real_t x = v[0];
-    const real_t y = v[1];
-    const real_t z = v[2];
 
-    for (int32_t k = 0; k < 3; k++) {
-        v[k] = ((r[3 * k] * x) + (r[(3 * k) + 1] * y)) + (r[(3 * k) + 2] * z);
+    for (int32_t i = 0; i < 6; i += 3) {
+        const real_t x = v[i];
+        const real_t y = v[i + 1];
+        const real_t z = v[i + 2];
+
+        for (int32_t k = 0; k < 3; k++) {
+            v[i + k] = ((r[3 * k] * x) + (r[(3 * k) + 1] * y)) + (r[(3 * k) + 2] * z);
+        }
     }
 }
 
-/* Begin a state anew with level attitude, at rest, and no bias of the accelerometers. */
+/* Begin a state anew with level attitude and no bias of the accelerometers. */
 static void restart_level_state(real_t x[STATE_COUNT])
 {
     const real_t turn = real_sqrt((x[SX_ATT] * x[SX_ATT]) + (x[SX_ATT + 3] * x[SX_ATT + 3]));
@@ -652,30 +655,22 @@ static void restart_level_state(real_t x[STATE_COUNT])
     x[SX_ATT + 2] = REAL(0.0);
     for (int32_t k = 0; k < 3; k++) {
         x[SX_ACCEL_BIAS + k] = REAL(0.0);
-        x[SX_VEL + k] = REAL(0.0);
     }
 }
 
 /* Turn the inputs since the horizon level, and begin anew with level attitude and no bias of the accelerometers. */
 static void restart_level(estimator_t *m, const estimator_settings_t *s)
 {
+    real_t *const states[4] = {m->x, m->x_repropagating, m->x_now, m->x_output};
+
     for (int32_t b = 0; b < INPUT_BLOCK_COUNT; b++) {
-        turn_level(m, &m->input_blocks[b][0]);
-        turn_level(m, &m->input_blocks[b][IN_ACCEL]);
+        turn_level(m, &m->input_blocks[b][IN_RATES]);
     }
-    for (int32_t k = 0; k < 3; k++) {
-        m->accel_mean[k] = REAL(0.0);
-        m->gyro_mean[k] = REAL(0.0);
-        m->model_accel_mean[k] = REAL(0.0);
-        m->thrust_slope[k] = REAL(0.0);
-        m->velocity_slope[k] = REAL(0.0);
-    }
-    m->block_mean_ticks = 0;
+    clear_block_forces(m);
     m->task_stage = STAGE_DONE;
-    restart_level_state(m->x);
-    restart_level_state(m->x_repropagating);
-    restart_level_state(m->x_now);
-    restart_level_state(m->x_output);
+    for (int32_t i = 0; i < 4; i++) {
+        restart_level_state(states[i]);
+    }
     for (int32_t k = 0; k < 3; k++) {
         const real_t tilt = s->initial_sigma[EX_ATT + k];
         const real_t bias = s->initial_sigma[EX_ACCEL_BIAS + k];
@@ -747,7 +742,6 @@ static void level_inertial_unit(estimator_t *m, const estimator_settings_t *s, r
     }
     if (m->is_levelled == 1) {
         turn_level(m, &z[READING_STARTS[R_ACCELERATION]]);
-        turn_level(m, &z[READING_STARTS[R_RATES]]);
     }
 }
 
@@ -810,9 +804,8 @@ bool estimator_step(estimator_t *m, const estimator_settings_t *s, const flight_
         }
     }
     if (m->is_levelled == 1) {
-        for (int32_t k = 0; k < 3; k++) {
-            z[READING_STARTS[R_ACCELERATION] + k] = m->last_value[READING_STARTS[R_ACCELERATION] + k];
-            z[READING_STARTS[R_RATES] + k] = m->last_value[READING_STARTS[R_RATES] + k];
+        for (int32_t k = READING_STARTS[R_ACCELERATION]; k < (READING_STARTS[R_RATES] + 3); k++) {
+            z[k] = m->last_value[k];
         }
     }
     return (m->is_initialised > 0) && seen;

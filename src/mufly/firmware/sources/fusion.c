@@ -228,22 +228,6 @@ static void reset_to_fix(estimator_t *m, const real_t z[4], real_t ahead)
     inflate_variance(m, EX_ATT + 2, nu * nu);
 }
 
-/* Inflate the variances of N, E and heading by the innovations of the first fix: the place of the start is unknown. */
-static void align_to_first_fix(estimator_t *m, const estimator_settings_t *s, const real_t z[4], real_t ahead)
-{
-    for (int32_t i = 0; i < 4; i++) {
-        if (i != 2) {
-            real_t nu;
-
-            fix_h_row(m, i);
-            nu = fix_innovation(m, z, i, ahead);
-            if (real_abs(innovation_ratio(m, nu, fix_variance(m, s, i))) > INNOVATION_GATE) {
-                inflate_variance(m, (i < 3) ? (EX_POS + i) : (EX_ATT + 2), nu * nu);
-            }
-        }
-    }
-}
-
 /* Fuse position and heading of a fix; no height while it disagrees with the sonar. */
 static void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, const real_t z[4], real_t ahead)
 {
@@ -255,9 +239,6 @@ static void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, con
     bool lasting;
     bool led;
 
-    if (m->is_heading_aligned == 0) {
-        align_to_first_fix(m, s, z, ahead);
-    }
     for (int32_t i = 0; i < 4; i++) {
         real_t nu;
         real_t ratio;
@@ -267,6 +248,12 @@ static void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, con
         ratio = innovation_ratio(m, nu, fix_variance(m, s, i));
         if (i == 2) {
             down = fix_height_consistent(m, s, nu, ratio);
+        } else if ((m->is_heading_aligned == 0) && (real_abs(ratio) > INNOVATION_GATE)) {
+            /* The place of the start is unknown: the first fix gives it. */
+            inflate_variance(m, (i < 3) ? (EX_POS + i) : (EX_ATT + 2), nu * nu);
+            ratio = innovation_ratio(m, nu, fix_variance(m, s, i));
+        } else {
+            /* within the gate, or judged below */
         }
         if ((i != 2) || down) {
             m->fix_ratio[i] = ratio;

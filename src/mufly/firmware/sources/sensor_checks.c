@@ -405,7 +405,9 @@ void check_accel_model(estimator_t *m, const estimator_settings_t *s, const real
     if (i == 2) {
         real_t worst = REAL(0.0);
         int32_t axis = 2;
-        int32_t code;
+        int32_t code = STATUS_FUSED;
+        int32_t why = REASON_NONE;
+        bool rejected;
 
         for (int32_t j = 0; j < 3; j++) {
             if (m->accel_residual_sigma[j] > REAL(0.0)) {
@@ -418,18 +420,17 @@ void check_accel_model(estimator_t *m, const estimator_settings_t *s, const real
             }
         }
         update_force_conflict(m, s, r, height, worst);
-        code = (m->is_accel_distrusted == 1) ? STATUS_FAULTY : STATUS_REJECTED;
-        if (m->force_conflict == FORCE_UNDECIDED) {
-            set_fault(m, s, R_ACCELERATION, code, REASON_FORCE_CONFLICT, m->accel_residual_lp[axis]);
-        } else if (m->force_conflict == FORCE_ACCEL_WRONG) {
-            set_fault(m, s, R_ACCELERATION, code, REASON_INNOVATION, m->accel_residual_lp[axis]);
-        } else if (m->force_conflict == FORCE_MODEL_WRONG) {
-            set_fault(m, s, R_ACCELERATION, STATUS_FUSED, REASON_MODEL_WRONG, m->accel_residual_lp[axis]);
-        } else if ((m->force_conflict == FORCE_FLOOR) && ((m->status[R_ACCELERATION] == STATUS_REJECTED) ||
-                                                          (m->status[R_ACCELERATION] == STATUS_FAULTY))) {
-            set_fault(m, s, R_ACCELERATION, STATUS_FUSED, REASON_NONE, REAL(0.0));
+        if (m->force_conflict == FORCE_MODEL_WRONG) {
+            why = REASON_MODEL_WRONG;
+        } else if (m->force_conflict != FORCE_FLOOR) {
+            code = (m->is_accel_distrusted == 1) ? STATUS_FAULTY : STATUS_REJECTED;
+            why = (m->force_conflict == FORCE_UNDECIDED) ? REASON_FORCE_CONFLICT : REASON_INNOVATION;
         } else {
-            /* agrees */
+            /* a floor that carries accuses nobody */
+        }
+        rejected = (m->status[R_ACCELERATION] == STATUS_REJECTED) || (m->status[R_ACCELERATION] == STATUS_FAULTY);
+        if ((m->force_conflict != FORCE_AGREES) && ((why != REASON_NONE) || rejected)) {
+            set_fault(m, s, R_ACCELERATION, code, why, m->accel_residual_lp[axis]);
         }
     }
     /* The mean of 0.1-weighted blocks keeps 0.1 / (2 - 0.1) of their variance. */
