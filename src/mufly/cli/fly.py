@@ -361,7 +361,7 @@ def fly_mission(
     )  # fmt: skip
     seen = order.camera is not None and not order.has_external_position
     kept = [p for p in (recording, folder / "camera.mcap") if p is recording or seen]
-    summary = _write_results(terminal, dataset, order.mission, [*kept, *heard], as_json)
+    summary = write_flight_results(terminal, dataset, order.mission, [*kept, *heard], as_json)
     if summary.outcome == "unfinished":
         raise MuflyError(f"the mission was not flown to its end: {summary.reason}")
     if summary.outcome != "succeeded":
@@ -408,7 +408,7 @@ def _fly_in_terminal(order: FlightOrder, show: FlightDisplay) -> xr.Dataset:
         ending.waits_for_loop = True
         if ending.stop_requested.is_set():
             raise KeyboardInterrupt
-        display.set_live_line(_format_progress_line(p))
+        display.set_live_line(format_progress_line(p))
 
     ending.waits_for_loop = False
     show.startup.begin_stage("designing the controllers, compiling the model")
@@ -477,7 +477,7 @@ def _stayed_on_ground(dataset: xr.Dataset) -> bool:
     return bool((down > down[0] - 0.02).all())
 
 
-def _write_results(
+def write_flight_results(
     terminal: Console, dataset: xr.Dataset, mission: Mission, recordings: list[Path], as_json: bool
 ) -> FlightSummary:
     """Write summary and pictures beside the recordings, and print them."""
@@ -508,7 +508,7 @@ def _write_results(
     return summary
 
 
-def _format_progress_line(p: FlightProgress) -> str:
+def format_progress_line(p: FlightProgress) -> str:
     n, e, d = p.position
     return (
         f"{p.time_s:7.1f} s  {p.state:<9}  N {n:5.2f} E {e:5.2f} height {-d:4.2f} m  "

@@ -246,6 +246,10 @@ class SoftwareInstance:
             )
         self._log_count = s.logged_count
 
+    def sensor_reason(self, b: Any) -> str:
+        """Return the text of the reason in a ``message_sensor_t``."""
+        return self.text_table.look_up_text(b.why)
+
     def format_message(self, message: Any) -> str:
         """Return the text of a ``message_t``."""
         word, numbers = _MESSAGE_TEMPLATES[message.code], list(message.number)
@@ -253,7 +257,7 @@ class SoftwareInstance:
             SensorStatus(
                 CHECKED_READINGS[b.sensor],
                 _SENSOR_STATUSES[b.status],  # type: ignore[arg-type]
-                reason=self.text_table.look_up_text(b.why),
+                reason=self.sensor_reason(b),
             )
             for b in message.faulty_sensors
             if b.sensor >= 0

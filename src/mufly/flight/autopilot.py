@@ -184,6 +184,7 @@ class Autopilot:
         self.observe_estimate(estimate)
         software = self.software
         due = software.is_mission_step_due
+        software.is_armed = self._armed
         actuators = software.step(estimate, self._collect_command() if due or self._command.stop_reason else NO_COMMAND)
         if estimate.auxiliary_states is not None:
             for text, level in self._sensors.step(

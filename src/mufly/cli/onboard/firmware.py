@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mufly.cli.options import CommandGroup, JsonOption, SeedOption, VehicleOption, define_argument, define_option
+from mufly.cli.options import (
+    CommandGroup,
+    JsonOption,
+    MissionArgument,
+    SeedOption,
+    VehicleOption,
+    define_argument,
+    define_option,
+)
 from mufly.cli.output import (
+    LiveDisplay,
+    check_place,
+    make_console,
     print_answer,
     print_files,
     print_json,
@@ -23,9 +35,10 @@ from mufly.cli.station import (
     SensorsOption,
     WindOption,
     check_sensor_options,
+    new_dated_folder,
     resolve_wind,
 )
-from mufly.errors import InputError, report_write_errors
+from mufly.errors import InputError, MuflyError, report_write_errors
 from mufly.results import ResultColumn
 
 if TYPE_CHECKING:
@@ -238,6 +251,70 @@ def _print_fixed_law(vehicle: Vehicle, controller: FlightController, law: FixedP
     print_lines(
         "Bounds for any inputs within their limits, by the L1 norm, as a share of the number range: all below 1."
     )
+
+
+@app.command()
+def fly(
+    mission: MissionArgument = "demonstration",
+    vehicle: VehicleOption = "mufly-1.1",
+    qemu: Annotated[
+        bool,
+        define_option(
+            "--qemu", "Run the image of a Cortex-M4 in QEMU, and compare it with this machine in every period."
+        ),
+    ] = False,
+    out: Annotated[
+        Path | None, define_option("--out -o DIR", "Folder for the results. Default: flights/<date-time>.")
+    ] = None,
+    wind: WindOption = None,
+    gust: GustOption = None,
+    seed: SeedOption = 0,
+    fault: FaultOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Fly a mission with the board's code in single precision, in place of estimator and flight software.
+
+    Plant, sensors and faults are simulated. With --qemu the image for a board flies on an emulated Cortex-M4, and every
+    byte of its memory is compared with the same code on this machine, twice a period.
+
+    Needs a C compiler; --qemu also arm-none-eabi-gcc and qemu-system-arm. Ends with status 1 if the mission fails, or a
+    byte differs.
+
+    Example: mufly firmware fly --qemu box-on-leg --wind 0.5,0,0 --gust 0.3 --seed 7
+    """
+    from mufly.cli.fly import format_progress_line, write_flight_results
+    from mufly.firmware.emulated import fly_board
+    from mufly.mission import check_preflight, load_mission
+    from mufly.vehicle import load_vehicle
+
+    terminal = make_console(stderr=as_json)
+    steady = resolve_wind(wind, gust, seed)
+    folder = out if out is not None else new_dated_folder()
+    check_place("--out", folder, make=False)
+    helicopter, flown = load_vehicle(vehicle), load_mission(mission)
+    faults = check_sensor_options(helicopter, "fitted", fault)
+    check_preflight(helicopter, flown, vehicle_file=vehicle, mission_file=mission)
+    with LiveDisplay(terminal) as display:
+        try:
+            record, compared = fly_board(
+                helicopter, flown, emulated=qemu, wind=steady, gust=gust, seed=seed, faults=faults,
+                path=folder / "flight.mcap", on_event=display.show_event,
+                on_progress=lambda p: display.set_live_line(format_progress_line(p)),
+                on_stage=lambda stage: display.set_live_line(stage),
+            )  # fmt: skip
+        except KeyboardInterrupt:
+            raise typer.Exit(130) from None
+    summary = write_flight_results(terminal, record, flown, [folder / "flight.mcap"], as_json)
+    (folder / "board.json").write_text(json.dumps(vars(compared), indent=2) + "\n", encoding="utf-8")
+    pace = f"{compared.periods_per_s:.0f} periods/s, {compared.realtime_factor:.2g} times real time"
+    slower = " (slower than real time)" if compared.realtime_factor < 1.0 else ""
+    terminal.print(f"The board flew {pace}{slower}.", highlight=False)
+    if qemu and not compared.different:
+        terminal.print(f"No byte of its memory differs from this machine's in {compared.periods} periods.")
+    elif compared.different:
+        raise MuflyError(f"the emulated board differs from this machine: {compared.first_difference}")
+    if summary.outcome != "succeeded":
+        raise MuflyError(f"the mission failed: {summary.reason}")
 
 
 @app.command()

@@ -26,7 +26,8 @@ real_t hal_time_s(void);
 /* Return all readings since the last call, without waiting. */
 void hal_read_sensors(hal_readings_t *readings);
 
-/* Set motor inputs 0..1 (upper, lower) and servo inputs -1..1 at once. */
+/* Set motor inputs 0..1 (upper, lower) and servo inputs -1..1 at once. The loop calls this at the start of a period, with
+ * the inputs that it computed in the period before: the same delay as in the simulation. */
 void hal_write_actuators(const actuators_t *out);
 
 /* Return the user signals since the last call; all zero without one. The implementation repeats sticks for 1 s and

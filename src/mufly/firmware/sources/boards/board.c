@@ -23,7 +23,7 @@ void board_start(board_t *b, uint32_t fitted)
         b->belief.ranges[i] = mufly_plan.ring.max_range;
     }
     b->fitted = fitted;
-    b->told = 0;
+    b->period_count = 0;
 }
 
 /* Median of the last three readings of each beam: a spot seen once is noise. */
@@ -41,20 +41,13 @@ static void filter_ranges(board_t *b, const real_t ranges[])
     }
 }
 
-static void fill_estimate(board_t *b, bool valid, real_t time_s, real_t voltage)
+/* Covariance and sensor statuses, which the flight software gets as seldom as the covariance is computed. */
+static void publish_status(board_t *b)
 {
     const estimator_t *e = &b->estimator;
     estimate_t *m = &b->belief;
 
-    m->time_s = time_s;
-    m->valid = valid;
-    m->judged = true;
-    m->motion.voltage = voltage;
     for (int32_t i = 0; i < 3; i++) {
-        m->motion.position[i] = e->x_output[i];
-        m->motion.velocity[i] = e->x_output[3 + i];
-        m->motion.attitude[i] = e->angles_output[i];
-        m->motion.rates[i] = e->rates_output[i];
         m->position_variance[i] = e->covariance_output[i][i];
         m->attitude_variance[i] = e->covariance_output[6 + i][6 + i];
     }
@@ -67,51 +60,53 @@ static void fill_estimate(board_t *b, bool valid, real_t time_s, real_t voltage)
     }
 }
 
-void board_step(board_t *b, hal_readings_t *readings, const command_t *command, real_t time_s, bool armed)
+static void fill_estimate(board_t *b, bool valid, real_t time_s)
 {
-    const real_t voltage = readings->z[READING_STARTS[R_BATTERY]];
-    actuators_t out;
+    const estimator_t *e = &b->estimator;
+    const real_t voltage = b->readings.z[READING_STARTS[R_BATTERY]];
+    estimate_t *m = &b->belief;
+
+    m->time_s = time_s;
+    m->valid = valid;
+    m->judged = true;
+    m->motion.voltage = (voltage > REAL(0.0)) ? voltage : REAL_NAN; /* zero: no reading yet */
+    for (int32_t i = 0; i < 3; i++) {
+        m->motion.position[i] = e->x_output[i];
+        m->motion.velocity[i] = e->x_output[3 + i];
+        m->motion.attitude[i] = e->angles_output[i];
+        m->motion.rates[i] = e->rates_output[i];
+        m->specific_force[i] = b->readings.z[READING_STARTS[R_ACCELERATION] + i];
+    }
+    if ((b->period_count == 1) || ((b->period_count % COVARIANCE_INTERVAL_TICKS) == 0)) {
+        publish_status(b);
+    }
+}
+
+void board_estimate(board_t *b, real_t time_s)
+{
+    hal_readings_t *r = &b->readings;
     bool valid;
 
-    if (readings->fresh[R_RING] == 1) {
-        filter_ranges(b, readings->ranges);
+    if (r->fresh[R_RING] == 1) {
+        filter_ranges(b, r->ranges);
     }
     for (int32_t i = 0; i < 2; i++) {
-        readings->z[ACTUATOR_START + i] = b->acting.motor_input[i];
-        readings->z[ACTUATOR_START + 2 + i] = b->acting.servo_input[i];
+        r->z[ACTUATOR_START + i] = b->acting.motor_input[i];
+        r->z[ACTUATOR_START + 2 + i] = b->acting.servo_input[i];
     }
-    valid = estimator_step(&b->estimator, &mufly_settings, &mufly_flight_model, readings->z, readings->fresh,
-                           readings->age);
-    fill_estimate(b, valid, time_s, voltage);
-    for (int32_t i = 0; i < 3; i++) {
-        b->belief.specific_force[i] = readings->z[READING_STARTS[R_ACCELERATION] + i];
-    }
+    valid = estimator_step(&b->estimator, &mufly_settings, &mufly_flight_model, r->z, r->fresh, r->age);
+    b->period_count++;
+    fill_estimate(b, valid, time_s);
+}
+
+void board_control(board_t *b, const command_t *command, bool armed)
+{
+    actuators_t out;
+
     software_step(&mufly_setup, &b->software, &b->belief, command, &out);
     b->acting = b->sent;
     b->sent = out;
     if (!armed) {
         set_idle(&b->sent);
-    }
-}
-
-void board_run(board_t *b)
-{
-    static hal_readings_t readings;
-    static command_t command;
-
-    for (;;) {
-        (void)hal_wait_period();
-        hal_read_sensors(&readings);
-        hal_read_command(&command);
-        board_step(b, &readings, &command, hal_time_s(), hal_is_armed());
-        hal_write_actuators(&b->sent);
-        while (b->told < b->software.mission.logged_count) {
-            if ((b->software.mission.logged_count - b->told) > MISSION_LOG) {
-                b->told = b->software.mission.logged_count - MISSION_LOG; /* older entries are lost */
-            }
-            hal_send_log_entry(&b->software.mission.log[b->told % MISSION_LOG]);
-            b->told++;
-        }
-        hal_feed_watchdog();
     }
 }

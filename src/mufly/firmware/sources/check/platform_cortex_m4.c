@@ -1,6 +1,7 @@
 /* Cortex-M4 with floating-point unit, emulated by QEMU with -icount shift=0. An instruction takes a nanosecond, so SysTick
  * measures instructions: 40 a tick at the 25 MHz of mps2-an386. Output goes through semihosting. */
 #include "platform.h"
+#include "semihosting.h"
 
 #define CPACR (*(volatile uint32_t *)0xE000ED88U)
 #define SYST_CSR (*(volatile uint32_t *)0xE000E010U)
@@ -14,7 +15,7 @@ void trap_fault(void);
 void *memcpy(void *to, const void *from, uint32_t count);
 void *memset(void *to, int32_t value, uint32_t count);
 
-static uint32_t ask_host(uint32_t what, const void *with)
+uint32_t ask_host(uint32_t what, const void *with)
 {
     register uint32_t r0 __asm__("r0") = what;
     register const void *r1 __asm__("r1") = with;
@@ -62,8 +63,8 @@ void reset(void)
 
 void trap_fault(void)
 {
-    (void)ask_host(0x04U, "trap: the processor met a fault\n");
-    (void)ask_host(0x18U, (const void *)0x20023U);
+    (void)ask_host(HOST_PRINT, "trap: the processor met a fault\n");
+    (void)ask_host(HOST_EXIT, (const void *)0x20023U);
     for (;;) {
     }
 }
@@ -106,11 +107,11 @@ void platform_print(const char *what, uint64_t number)
     }
     line[16] = '\n';
     line[17] = '\0';
-    (void)ask_host(0x04U, what);
-    (void)ask_host(0x04U, line);
+    (void)ask_host(HOST_PRINT, what);
+    (void)ask_host(HOST_PRINT, line);
 }
 
 void platform_end(void)
 {
-    (void)ask_host(0x18U, (const void *)0x20026U); /* regular exit */
+    (void)ask_host(HOST_EXIT, (const void *)0x20026U); /* regular exit */
 }

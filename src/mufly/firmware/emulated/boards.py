@@ -1,0 +1,175 @@
+"""Boards that the simulation drives: the loop's code on this machine, and the image on a processor emulated by QEMU.
+
+A period has two halves. The first takes the readings and computes the estimate; the second takes the command and
+computes the inputs of the actuators. After each half the whole memory of the board is known here.
+"""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.errors import MuflyError
+from mufly.firmware.emulated.board_memory import MemoryLayout
+
+EMULATED_MACHINE = "mps2-an386"
+"""Board with a Cortex-M4F that QEMU emulates."""
+
+
+class Board(Protocol):
+    """A board with the memory ``record`` (``board_t *``), which the halves of a period change."""
+
+    ffi: Any
+    lib: Any
+    record: Any
+    memory: NDArray[np.uint8]
+
+    def restart(self) -> None:
+        """Return to the state after power-up."""
+
+    def compute_estimate(self, period: Any) -> None:
+        """Run the first half of a period; ``period`` is a ``board_period_t *``."""
+
+    def compute_control(self, request: Any) -> None:
+        """Run the second half of a period; ``request`` is a ``board_request_t *``."""
+
+    def close(self) -> None:
+        """End the board."""
+
+
+class HostBoard:
+    """The board's code on this machine.
+
+    Parameters
+    ----------
+    ffi, lib
+        From :func:`mufly.firmware.emulated.image_build.build_host_board`.
+    """
+
+    def __init__(self, ffi: Any, lib: Any) -> None:
+        self.ffi, self.lib = ffi, lib
+        self.memory = np.zeros(ffi.sizeof("board_t"), np.uint8)
+        self.record = ffi.cast("board_t *", ffi.from_buffer(self.memory))
+        fitted = lib.mufly_settings.is_fitted
+        self._fitted = sum(1 << k for k in range(len(fitted)) if fitted[k])
+        self.restart()
+
+    def restart(self) -> None:
+        """Return to the state after power-up."""
+        self.memory[:] = 0
+        self.lib.board_start(self.record, self._fitted)
+
+    def compute_estimate(self, period: Any) -> None:
+        """Run the first half of a period."""
+        self.record.readings = period.readings
+        self.lib.board_estimate(self.record, period.time_s)
+
+    def compute_control(self, request: Any) -> None:
+        """Run the second half of a period."""
+        self.lib.board_control(self.record, self.ffi.addressof(request, "command"), request.armed)
+
+    def close(self) -> None:
+        """Do nothing: no process runs."""
+
+
+class EmulatedBoard:
+    """The image of a board in QEMU, compared with the same code on this machine after each half of a period.
+
+    Parameters
+    ----------
+    image : Path
+        From :func:`mufly.firmware.emulated.image_build.build_image`.
+    twin : HostBoard
+        The code of this machine, in single precision.
+
+    Attributes
+    ----------
+    period_count, mismatch_count : int
+        Compared periods, and those after which any byte of the board's memory differs.
+    first_mismatch : str
+        Period, field and values of the first difference; "" without one.
+    """
+
+    def __init__(self, image: Path, twin: HostBoard) -> None:
+        self.ffi, self.lib, self._image, self._twin = twin.ffi, twin.lib, image, twin
+        self.memory = np.zeros_like(twin.memory)
+        self.record = self.ffi.cast("board_t *", self.ffi.from_buffer(self.memory))
+        self._layout = MemoryLayout(self.ffi, "board_t")
+        self._process: subprocess.Popen[bytes] | None = None
+        self.period_count = self.mismatch_count = 0
+        self.first_mismatch = ""
+        self.restart()
+
+    def restart(self) -> None:
+        """Return to the state after power-up: the emulation starts with the next period."""
+        self.close()
+        self._twin.restart()
+        self.memory[:] = self._twin.memory
+
+    def _start_emulation(self) -> subprocess.Popen[bytes]:
+        process = subprocess.Popen(
+            [
+                "qemu-system-arm", "-M", EMULATED_MACHINE, "-display", "none", "-monitor", "none", "-serial", "none",
+                "-semihosting-config", "enable=on,target=native", "-kernel", str(self._image),
+            ],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, bufsize=0,
+        )  # fmt: skip
+        self._process = process
+        names = [f"{name}_t" for name in ("board", "board_period", "board_request", "estimator", "software")]
+        ours = np.array([self.ffi.sizeof(name) for name in names], np.uint32)
+        theirs = np.zeros_like(ours)
+        self._receive(process, theirs.view(np.uint8))
+        if ours.tolist() != theirs.tolist():
+            raise MuflyError(
+                f"emulated board: its records have {theirs.tolist()} bytes, here they have {ours.tolist()}"
+            )
+        return process
+
+    def compute_estimate(self, period: Any) -> None:
+        """Run the first half of a period."""
+        self._exchange(period, self._twin.compute_estimate)
+        self.period_count += 1
+
+    def compute_control(self, request: Any) -> None:
+        """Run the second half of a period."""
+        self._exchange(request, self._twin.compute_control)
+
+    def _exchange(self, record: Any, compute: Any) -> None:
+        process = self._process or self._start_emulation()
+        assert process.stdin is not None
+        try:
+            process.stdin.write(self.ffi.buffer(record))
+        except BrokenPipeError:
+            self._fail(process)
+        compute(record)  # at the same time
+        self._receive(process, self.memory)
+        wrong = self._layout.first_difference(self.memory, self._twin.memory)
+        if wrong:
+            self.mismatch_count += 1
+            self.first_mismatch = self.first_mismatch or f"period {self._twin.record.period_count}: {wrong}"
+
+    def _receive(self, process: subprocess.Popen[bytes], into: NDArray[np.uint8]) -> None:
+        assert process.stdout is not None
+        view, filled = memoryview(into), 0
+        while filled < len(view):
+            count = process.stdout.readinto(view[filled:])  # type: ignore[attr-defined]
+            if not count:
+                self._fail(process)
+            filled += count
+
+    def _fail(self, process: subprocess.Popen[bytes]) -> None:
+        process.kill()
+        said = (process.communicate()[1] or b"").decode(errors="replace").strip()
+        self._process = None
+        raise MuflyError(f"emulated board: it ended by itself; QEMU said {said[-200:]!r}")
+
+    def close(self) -> None:
+        """End the emulation."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.communicate()
+            self._process = None

@@ -1,0 +1,103 @@
+"""Build the board's loop with the numbers of a vehicle and a mission: as a library of this machine, or as an image.
+
+Both are built from the tree of :func:`mufly.firmware.export_firmware` and cached on disk under a hash of sources, flags
+and compiler.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import cffi
+
+from mufly.answer_store import hash_question, replace_file
+from mufly.control import FlightController
+from mufly.errors import MuflyError
+from mufly.firmware.host_build import cffi_declarations
+from mufly.firmware.sil_pil import CORTEX_M4_FLAGS, SINGLE_PRECISION_BUILD, SPEED_OPTIMISED_SOURCES, missing_tools
+from mufly.firmware.source_export import export_firmware
+from mufly.mission import Mission
+from mufly.numba_cache import cache_folder
+from mufly.toolchain import COMPILER_FLAGS, build_cached_library
+from mufly.vehicle import Vehicle
+
+_HOST_BOARD_FILES = ("boards/board.c", "boards/board.h", "boards/qemu/exchange.h")
+_IMAGE_FILES = ("boards/board_loop.c", "boards/qemu/qemu.c", "check/platform_cortex_m4.c")
+_IMAGE_FLAGS = (*COMPILER_FLAGS, *CORTEX_M4_FLAGS, "-mthumb", "-ffreestanding", "-nostdlib", "-DMUFLY_FLOAT")
+
+
+def build_host_board(
+    vehicle: Vehicle, controller: FlightController, mission: Mission, *, single: bool = True
+) -> tuple[cffi.FFI, Any]:
+    """Return the board's code of this machine, through cffi.
+
+    Raises
+    ------
+    MuflyError
+        If there is no C compiler, or the mission is too long for a board.
+    """
+    with tempfile.TemporaryDirectory(prefix="mufly-board-") as temporary:
+        tree = Path(temporary) / "fw"
+        export_firmware(controller, tree, vehicle, mission.world, mission)
+        for name in _HOST_BOARD_FILES:
+            shutil.copy(tree / name, tree)
+        files = {p.name: p.read_text(encoding="utf-8") for p in sorted(tree.glob("*.[ch]"))}
+        library = build_cached_library(
+            "board", files, flags=(*COMPILER_FLAGS, *(SINGLE_PRECISION_BUILD.compiler_flags if single else ()))
+        )
+        declarations = library.with_suffix(".h")
+        if not declarations.exists():
+            with replace_file(declarations) as made:
+                made.write_text(cffi_declarations(tree, single), encoding="utf-8")
+    ffi = cffi.FFI()
+    ffi.cdef(declarations.read_text(encoding="utf-8"))
+    return ffi, ffi.dlopen(str(library))
+
+
+def build_image(vehicle: Vehicle, controller: FlightController, mission: Mission) -> Path:
+    """Return the image of a board with a Cortex-M4F: the board's loop, in single precision.
+
+    Raises
+    ------
+    MuflyError
+        If a tool is missing, the mission is too long for a board, or the compiler fails.
+    """
+    absent = missing_tools()
+    if absent:
+        raise MuflyError(f"emulated board: {absent}")
+    with tempfile.TemporaryDirectory(prefix="mufly-image-") as temporary:
+        tree = Path(temporary) / "fw"
+        export_firmware(controller, tree, vehicle, mission.world, mission)
+        parts = sorted(p for p in tree.rglob("*") if p.suffix in (".c", ".h", ".ld"))
+        version = subprocess.run(["arm-none-eabi-gcc", "--version"], capture_output=True, text=True).stdout
+        texts = [(str(p.relative_to(tree)), p.read_text(encoding="utf-8")) for p in parts]
+        image = cache_folder() / f"board-{hash_question(version, _IMAGE_FLAGS, texts)[:24]}.elf"
+        if not image.exists():
+            made = _link_image(tree)
+            ready = image.with_name(f"{image.name}.{os.getpid()}")
+            shutil.copy(made, ready)
+            os.replace(ready, image)
+    return image
+
+
+def _link_image(tree: Path) -> Path:
+    """Compile and link the image in a tree."""
+    command = ["arm-none-eabi-gcc", *_IMAGE_FLAGS, "-I.", "-Iboards"]
+    sources = sorted(p.name for p in tree.glob("*.c") if p.name not in SPEED_OPTIMISED_SOURCES)
+    _run_compiler([*command, "-O2", "-c", *SPEED_OPTIMISED_SOURCES], tree)
+    objects = [name.replace(".c", ".o") for name in SPEED_OPTIMISED_SOURCES]
+    others = [*sources, "boards/board.c", *_IMAGE_FILES, *objects]
+    _run_compiler([*command, *others, "-T", "check/cortex_m4.ld", "-o", "board.elf", "-lgcc"], tree)
+    return tree / "board.elf"
+
+
+def _run_compiler(command: list[str], folder: Path) -> None:
+    done = subprocess.run(command, capture_output=True, text=True, cwd=folder)
+    if done.returncode:
+        first = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr[:200])
+        raise MuflyError(f"{command[0]} could not build the board's image: {first}")

@@ -1,0 +1,31 @@
+#include "board.h"
+
+/* Send the log entries since the last call. */
+static void send_log(const mission_t *x)
+{
+    static int32_t told;
+
+    if ((x->logged_count - told) > MISSION_LOG) {
+        told = x->logged_count - MISSION_LOG; /* older entries are lost */
+    }
+    while (told < x->logged_count) {
+        hal_send_log_entry(&x->log[told % MISSION_LOG]);
+        told++;
+    }
+}
+
+void board_run(board_t *b)
+{
+    static command_t command;
+
+    for (;;) {
+        (void)hal_wait_period();
+        hal_write_actuators(&b->sent);
+        hal_read_sensors(&b->readings);
+        board_estimate(b, hal_time_s());
+        hal_read_command(&command);
+        board_control(b, &command, hal_is_armed());
+        send_log(&b->software.mission);
+        hal_feed_watchdog();
+    }
+}
