@@ -201,10 +201,15 @@ def check_estimate(before: EstimateMonitor | None, m: Estimate, period_s: float,
 def _replace_bad_values(
     before: EstimateMonitor | None, m: Estimate, bad: list[str], period_s: float, max_range_m: float
 ) -> Estimate:
-    """Return the estimate with bad values replaced by the last good ones; zero if none exist."""
+    """Return the estimate with bad values replaced by the last good ones; zero if none exist.
+
+    An estimate with replaced values is not valid: motors do not start with it.
+    """
     replaced: dict[str, Any] = {
         name: np.zeros(3) if before is None else getattr(before.last_good, name) for name in bad
     }
+    if bad:
+        replaced["valid"] = False
     last_s = 0.0 if before is None else before.last_good.time_s
     if not math.isfinite(m.time_s) or (before is not None and m.time_s <= last_s):
         replaced["time_s"] = last_s + period_s

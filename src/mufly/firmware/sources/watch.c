@@ -28,7 +28,8 @@ static void list_values(const motion_estimate_t *m, real_t out[12])
     }
 }
 
-/* Replace values that are not finite by the last good ones; return the replaced groups. */
+/* Replace values that are not finite by the last good ones; return the replaced groups. An estimate with replaced values is
+ * not valid: motors do not start with it. */
 static int32_t replace_bad_values(bool begun, const real_t values[12], const real_t last[12], estimate_t *out)
 {
     real_t *to[VITAL_COUNT] = {out->motion.position, out->motion.velocity, out->motion.attitude, out->motion.rates};
@@ -47,6 +48,7 @@ static int32_t replace_bad_values(bool begun, const real_t values[12], const rea
             }
         }
     }
+    out->valid = out->valid && (bad == 0);
     return bad;
 }
 
