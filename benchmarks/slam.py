@@ -1,6 +1,7 @@
 """Visual SLAM over rendered floors, measured against the truth: quality, drift and loops, tiles, speed.
 
 python benchmarks/slam.py quality --camera mufly-2.0 --floor rich --seeds 20
+python benchmarks/slam.py photographs --seeds 5       # every photograph of `mufly slam floors` that is installed
 python benchmarks/slam.py loop --seeds 5
 python benchmarks/slam.py tiles --seeds 20
 python benchmarks/slam.py edges --seeds 4     # what edges of the graph say, in their own deviations
@@ -17,7 +18,7 @@ from typing import Any
 import numpy as np
 from figure_record import RECORD_HELP, make_recorder
 
-from mufly.camera import Renderer, VehicleMotion, load_camera, make_floor
+from mufly.camera import PACKAGE_FLOORS, Renderer, VehicleMotion, find_floor, load_camera, make_floor
 from mufly.dynamics import body_to_ned_matrix
 from mufly.rotations import quaternion_from_euler
 from mufly.slam import (
@@ -49,7 +50,7 @@ def fly(
     nodes: dict[float, np.ndarray] = {}
     worst = 0.0
     for frame, motion in render_frames(
-        lens, make_floor(floor, seed, shadows=0.3), path, duration_s=duration, seed=seed, lose=lose
+        lens, find_floor(floor).make_floor(seed, shadows=0.3), path, duration_s=duration, seed=seed, lose=lose
     ):
         heading = math.atan2(motion.attitude[1, 0], motion.attitude[0, 0])
         nodes[motion.time_s] = node(lens, frame, motion)
@@ -168,7 +169,7 @@ def speed() -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("case", choices=("quality", "loop", "tiles", "edges", "speed"))
+    parser.add_argument("case", choices=("quality", "photographs", "loop", "tiles", "edges", "speed"))
     parser.add_argument("--camera", default="mufly-2.0")
     parser.add_argument("--floor", default="rich")
     parser.add_argument("--seeds", type=int, default=5)
@@ -187,6 +188,10 @@ def main() -> None:
                 record("slam_nees", np.mean([r.nees for r in found]), 100 * np.mean([r.inside for r in found]))
             elif (a.camera, a.floor) == ("worst", "rich"):
                 record("slam_worst", rms_cm(found))
+        case "photographs":
+            for name, source in PACKAGE_FLOORS.items():
+                if source.find_file() is not None:
+                    many(f"{a.camera}, {name}", a.camera, name, seeds, a.duration, a.v, side=2.0, speed=0.4)
         case "loop":
             for close in (False, True):
                 name = f"{a.camera}, 20 m round, {'closed' if close else 'not closed'}"

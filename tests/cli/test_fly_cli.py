@@ -233,7 +233,7 @@ def test_what_a_camera_needs_is_said_before_the_flight(monkeypatch, capsys, tmp_
     for words, said in (
         (("--camera", "webcam"), "without --position camera"),
         (("--position", "camera", *IDEAL), "the true state needs no camera"),
-        (("--position", "camera", "--floor", "grass"), "rich"),
+        (("--position", "camera", "--floor", "rihc"), "did you mean 'rich'"),
         (("--position", "camera", "--camera-fault", "blind@3s"), "use one of: covered, dark, unplugged"),
     ):
         assert run(monkeypatch, "fly", hop, "--out", tmp_path / "out", "--headless", *words) == 1

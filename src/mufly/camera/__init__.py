@@ -12,6 +12,7 @@ from mufly.camera.camera_model import (
     project_points,
     unproject_pixels,
 )
+from mufly.camera.floor_pictures import PACKAGE_FLOORS, FloorSource, find_floor, write_floor_set
 from mufly.camera.floor_texture import FLOOR_KINDS, Floor, load_floor_picture, make_floor
 from mufly.camera.live_pictures import LivePictures, is_live_source
 from mufly.camera.mjpeg_stream import (
@@ -33,8 +34,10 @@ from mufly.camera.renderer import Renderer, VehicleMotion, decode_picture, encod
 __all__ = [
     "CAMERA_FILE_NAME",
     "FLOOR_KINDS",
+    "PACKAGE_FLOORS",
     "Camera",
     "Floor",
+    "FloorSource",
     "LivePictures",
     "PictureRecorder",
     "RecordedPictures",
@@ -49,6 +52,7 @@ __all__ = [
     "distortion_coefficients",
     "encode_jpeg",
     "find_camera",
+    "find_floor",
     "is_live_source",
     "is_local_host",
     "iterate_parts",
@@ -61,4 +65,5 @@ __all__ = [
     "project_points",
     "read_pictures",
     "unproject_pixels",
+    "write_floor_set",
 ]

@@ -122,7 +122,7 @@ def load_floor_picture(path: str | Path, width_m: float, *, seed: int = 0, shado
     from PIL import Image, UnidentifiedImageError
 
     if not 0.01 <= width_m <= 1e4:
-        raise ArgumentError("width", f"{width_m:g} m", "is out of range", "give 0.01 to 10 000 m")
+        raise ArgumentError("floor_width", f"{width_m:g} m", "is out of range", "give 0.01 to 10 000 m")
     try:
         with Image.open(path) as opened:
             picture = opened.convert("L")

@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from mufly.cli.onboard.camera_options import FlightCameraOption, FloorOption, FloorWidthOption, make_flight_camera
 from mufly.cli.options import (
     JsonOption,
     MissionArgument,
     SeedOption,
     VehicleOption,
-    check_choice,
     define_option,
 )
 from mufly.cli.output import LiveDisplay, check_place, make_console, print_blocks, print_lines
@@ -159,6 +159,8 @@ Examples:
 
   mufly fly --headless --position camera --camera-fault covered@20s
 
+  mufly fly --headless --position camera --floor parquet.jpg --floor-width 1.2
+
   mufly fly --position camera --stream 8090      (its pictures at http://127.0.0.1:8090/stream)
 
   mufly fly my-mission.toml --vehicle my-helicopter.toml --out results
@@ -170,8 +172,9 @@ Examples:
 
 
 def _make_camera(
-    position: str, sensors: str, camera: str, floor: str, faults: Sequence[str] | None, stream: str
-) -> CameraConfig | None:
+    position: str, sensors: str, camera: str, floor: str, floor_width: float | None, faults: Sequence[str] | None,
+    stream: str, mission: Mission, mission_file: str,
+) -> CameraConfig | None:  # fmt: skip
     """Return the camera of ``--position`` and the camera options; None without a camera."""
     if position == "link" and sensors == "ideal":
         raise InputError("--position", "", "the true state needs no position fixes", "leave out --sensors ideal")
@@ -179,7 +182,10 @@ def _make_camera(
     lacking = {"fix": "there is no camera without --position camera", "camera": ""}.get(
         position, "" if stream else "its pictures are sent only with --stream"
     )
-    given = {"--camera": camera, "--floor": floor, "--camera-fault": faults, "--stream": stream}
+    given = {
+        "--camera": camera, "--floor": floor, "--floor-width": floor_width, "--camera-fault": faults,
+        "--stream": stream,
+    }  # fmt: skip
     for name, one in given.items():
         if one and lacking:
             raise InputError(name, "", lacking, "add that option, or leave this one out")
@@ -187,17 +193,14 @@ def _make_camera(
         return None
     if sensors == "ideal":
         raise InputError("--position", "", "the true state needs no camera", "leave out --sensors ideal")
-    from mufly.camera import FLOOR_KINDS, load_camera, parse_address
-    from mufly.flight.fixes.camera_sensor import CameraConfig
+    from mufly.camera import parse_address
     from mufly.flight.fixes.onboard_camera import parse_camera_fault
     from mufly.slam import load_opencv
 
     if position == "camera":
         load_opencv()
-    check_choice("--floor", floor or "rich", FLOOR_KINDS)
-    return CameraConfig(
-        load_camera(camera or "mufly-2.0"),
-        floor or "rich",
+    return replace(
+        make_flight_camera(camera, floor, floor_width, mission, mission_file),
         camera_faults=tuple(parse_camera_fault(f) for f in faults or ()),
         stream_address=parse_address(stream) if stream else None,
     )
@@ -236,16 +239,9 @@ def fly_mission(
             "another program at a --link).",
         ),
     ] = "fix",
-    camera: Annotated[
-        str,
-        define_option(
-            "--camera NAME|FILE",
-            "Camera of --position camera or --stream: mufly-2.0, webcam, worst or a camera file. Default: mufly-2.0.",
-        ),
-    ] = "",
-    floor: Annotated[
-        str, define_option("--floor KIND", "Floor below the camera: rich, poor, tiles or plain. Default: rich.")
-    ] = "",
+    camera: FlightCameraOption = "",
+    floor: FloorOption = "",
+    floor_width: FloorWidthOption = None,
     camera_fault: Annotated[
         list[str] | None,
         define_option(
@@ -307,11 +303,13 @@ def fly_mission(
         recording = folder / "flight.mcap"
         helicopter = load_vehicle(vehicle)
         faults = check_sensor_options(helicopter, sensors, fault)
+        flown = load_mission(mission)
         order = FlightOrder(
-            helicopter, load_mission(mission), recording, steady, gust, seed, tuple(ends), start, realtime, sensors,
+            helicopter, flown, recording, steady, gust, seed, tuple(ends), start, realtime, sensors,
             faults, select_flight_software(firmware, fixed_point),
             None if designed_for is None else load_vehicle(designed_for),
-            _make_camera(position, sensors, camera, floor, camera_fault, stream), position == "link",
+            _make_camera(position, sensors, camera, floor, floor_width, camera_fault, stream, flown, mission),
+            position == "link",
         )  # fmt: skip
         if order.has_external_position and not ends:
             remedy = "add --link, as --link udpin:127.0.0.1:14560"

@@ -8,10 +8,11 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from mufly.cli.onboard.camera_options import FlightCameraOption, FloorOption, FloorWidthOption, make_flight_camera
 from mufly.cli.options import ClusterOption, JsonOption, MissionArgument, VehicleOption, define_option
 from mufly.cli.output import (
     check_place,
@@ -39,7 +40,9 @@ from mufly.cli.station import (
 from mufly.errors import InputError
 
 if TYPE_CHECKING:
+    from mufly.flight.fixes.camera_sensor import CameraConfig
     from mufly.flight.monte_carlo import Campaign, FlightResult, RecordedFlights
+    from mufly.mission import Mission
 
 _MAX_PRINTED_COMMANDS = 10  # commands printed; all are in commands.txt
 
@@ -82,6 +85,8 @@ Examples:
 
   mufly monte-carlo box-on-leg --flights 200 --fault position.dropout@12s+5s --sensors fitted
 
+  mufly monte-carlo --flights 20 --position camera --floor parquet.jpg --floor-width 1.2
+
   mufly monte-carlo --flights 100 --vary m=90:100g --search 500 --sensors ideal --out heavy
 """
 
@@ -98,6 +103,17 @@ def run_monte_carlo(
     gust: GustOption = None,
     sensors: SensorsOption = "fitted",
     fault: FaultOption = None,
+    position: Annotated[
+        Literal["fix", "camera"],
+        define_option(
+            "--position WHICH",
+            "Source of position fixes: fix (simulated V-SLAM with the errors of the vehicle file) or camera (SLAM on "
+            "rendered pictures).",
+        ),
+    ] = "fix",
+    camera: FlightCameraOption = "",
+    floor: FloorOption = "",
+    floor_width: FloorWidthOption = None,
     untold: Annotated[
         bool,
         define_option(
@@ -163,11 +179,13 @@ def run_monte_carlo(
     from mufly.flight.monte_carlo import run_campaign as fly_all
     from mufly.flight.monte_carlo import search_worst_case as find_worst
 
+    flown_mission = load_mission(mission)
     campaign = Campaign.create_checked(
-        helicopter, load_mission(mission), variations=parse_variations(vary or [], helicopter), wind=towards,
+        helicopter, flown_mission, variations=parse_variations(vary or [], helicopter), wind=towards,
         gust=gust, sensors=sensors, faults=tuple(fault or ()), seed=seed,
         tolerance_m=tolerance, redesign=not untold, controllers=controllers, quickly=GenericFirmwareSoftware,
-        computed_by=by, vehicle_name=vehicle, mission_name=mission,
+        computed_by=by, vehicle_name=vehicle, mission_name=mission, camera_name=camera or "mufly-2.0",
+        camera=_make_camera(position, sensors, camera, floor, floor_width, flown_mission, mission),
     )  # fmt: skip
     if search and not campaign.search_dimension:
         raise InputError(
@@ -201,6 +219,24 @@ def run_monte_carlo(
         make_console(stderr=True).print(f"Stopped: {done} are in {out}; the same command resumes", highlight=False)
         raise typer.Exit(ending.exit_status)
     _write_and_print_results(campaign, flown, sought, out, recorded, as_json)
+
+
+def _make_camera(
+    position: str, sensors: str, camera: str, floor: str, floor_width: float | None, mission: Mission,
+    mission_file: str,
+) -> CameraConfig | None:  # fmt: skip
+    """Return the camera of a campaign; None without one."""
+    if position == "camera":
+        if sensors == "ideal":
+            raise InputError("--position", "", "the true state needs no camera", "leave out --sensors ideal")
+        from mufly.slam import load_opencv
+
+        load_opencv()
+        return make_flight_camera(camera, floor, floor_width, mission, mission_file)
+    for name, given in (("--camera", camera), ("--floor", floor), ("--floor-width", floor_width)):
+        if given:
+            raise InputError(name, "", "there is no camera without --position camera", "add that option")
+    return None
 
 
 def _print_campaign(campaign: Campaign) -> None:

@@ -41,6 +41,7 @@ from mufly.flight.fixes.camera_sensor import (
     make_picture_stream,
     minimum_sonar_height,
     with_camera,
+    with_mission_floor,
 )
 from mufly.flight.fixes.external_fixes import ExternalFixes
 from mufly.flight.flight_software import ControlImplementation, FlightSoftware
@@ -155,6 +156,7 @@ class Flight:
             raise InputError("outside", "", "ideal sensors use no position fixes", "fly on fitted sensors")
         if outside and eye is not None and eye.stream_address is None:
             raise InputError("eye", "stream", "its pictures have no receiver", "give an address to stream to")
+        eye = None if eye is None else with_mission_floor(eye, mission)
         if eye is not None and not outside:
             if sensors != "fitted":
                 raise InputError("eye", "", "ideal sensors use no pictures", "fly on fitted sensors")

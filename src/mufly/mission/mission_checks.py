@@ -299,11 +299,21 @@ def load_mission(name_or_path: str | Path) -> Mission:
     name = str(name_or_path)
     if name not in list_builtin_missions() and Path(name).is_file():
         try:
-            return parse_mission(read_mission_tables(Path(name).read_text(encoding="utf-8-sig"), name), name)
+            tables = read_mission_tables(Path(name).read_text(encoding="utf-8-sig"), name)
+            return parse_mission(_locate_floor(tables, name), name)
         except (OSError, UnicodeDecodeError) as error:
             raise InputError(name, "", f"cannot be read ({error})", "give a text file in UTF-8") from error
     tables, where = read_toml(name_or_path, _BUILTIN_FOLDER, "mission")
-    return parse_mission({"name": Path(where).stem, **tables}, where)
+    return parse_mission({"name": Path(where).stem, **_locate_floor(tables, where)}, where)
+
+
+def _locate_floor(tables: dict[str, Any], where: str) -> dict[str, Any]:
+    """Return the tables with the path of a floor's picture, which is relative to the mission file."""
+    floor = tables.get("floor")
+    texture = floor.get("texture") if isinstance(floor, dict) else None
+    if not isinstance(texture, str) or not (picture := Path(where).parent / texture).is_file():
+        return tables
+    return {**tables, "floor": {**floor, "texture": str(picture.resolve())}}
 
 
 def read_mission_tables(text: str, where: str) -> dict[str, Any]:

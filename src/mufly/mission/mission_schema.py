@@ -229,6 +229,15 @@ class RoomTable(_MissionTable):
     )
 
 
+class FloorTable(_MissionTable):
+    """Floor below an onboard camera, in the simulation."""
+
+    texture: str = Field(description="floor, as for `mufly fly --floor`: a kind, a package's picture or a picture file")
+    width_m: float | None = _strict_field(
+        None, "width of the picture from west to east; without it that of `mufly fly --floor`", ge=0.01, le=MAX_EXTENT_M
+    )
+
+
 class Mission(_MissionTable):
     """A mission as stated in its file; `mufly.mission.load_mission` reads and checks it.
 
@@ -253,6 +262,7 @@ class Mission(_MissionTable):
     wind: Wind = Wind()
     fence: Fence | None = None
     room: RoomTable | None = None
+    floor: FloorTable | None = None
     box: tuple[BoxTable, ...] = ()
     cylinder: tuple[CylinderTable, ...] = ()
     wall: tuple[WallTable, ...] = ()

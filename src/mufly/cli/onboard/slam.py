@@ -14,6 +14,7 @@ from mufly.cli.output import (
     print_answer,
     print_blocks,
     print_lines,
+    print_table,
     progress_bar,
     save_figure,
     write_text_file,
@@ -48,11 +49,20 @@ def render(
     out: Annotated[Path, define_option("--out -o DIR", "Folder for the data set.")],
     camera: _CameraOption = "mufly-2.0",
     floor: Annotated[
-        str, define_option("--floor KIND|PICTURE", "Floor: rich, poor, tiles, plain, or a picture file.")
+        str,
+        define_option(
+            "--floor NAME|PICTURE",
+            "Floor: rich, poor, tiles, plain, a name of `mufly slam floors`, or a picture file.",
+        ),
     ] = "rich",
-    width: Annotated[
-        float, define_option("--width", "Width of the floor in a picture file, from west to east.", unit="m")
-    ] = 2.0,
+    floor_width: Annotated[
+        float | None,
+        define_option(
+            "--floor-width --width",
+            "Width of the floor's picture, from west to east. Default: that of floors.toml beside it, or 2 m.",
+            unit="m",
+        ),
+    ] = None,
     recording: Annotated[
         Path | None,
         define_option("--from FILE", "Recording (flight.mcap) whose path is flown, instead of rounds of a square."),
@@ -73,10 +83,10 @@ def render(
 ) -> None:
     """Render a data set: pictures of a floor along a path, with the vehicle's telemetry and the truth.
 
-    Examples: mufly slam render -o tiles --floor tiles; mufly slam render -o mine --floor parquet.jpg --width 1.2
+    Examples: mufly slam render -o tiles --floor tiles; mufly slam render -o mine --floor parquet.jpg --floor-width 1.2
     --from flights/last/flight.mcap
     """
-    from mufly.camera import FLOOR_KINDS, load_camera, load_floor_picture, make_floor
+    from mufly.camera import find_floor, load_camera
     from mufly.logs import read_recording
     from mufly.slam import (
         make_square_path,
@@ -93,12 +103,7 @@ def render(
         if not low <= value <= high:
             raise InputError(name, "", f"{value:g} is out of range", f"give {low:g} to {high:g}")
     lens = load_camera(camera)
-    if floor in FLOOR_KINDS:
-        ground = make_floor(floor, seed, shadows=shadows)
-    elif Path(floor).suffix:
-        ground = load_floor_picture(floor, width, seed=seed, shadows=shadows)
-    else:
-        raise InputError("--floor", "", f"{floor!r} is unknown", f"use one of: {', '.join(FLOOR_KINDS)}, or a picture")
+    ground = find_floor(floor, floor_width).make_floor(seed, shadows)
     if recording is not None:
         path = path_from_recording(read_recording(recording), str(recording))
         duration = min(duration, float(path.time_s[-1] - path.time_s[0]))
@@ -115,6 +120,51 @@ def render(
         as_json, {"pictures": count, "floor": ground.name, "camera": lens.name},
         lambda: print_lines(f"{count} pictures of a {ground.name} floor by {lens.name}, layout {layout}"), [out],
     )  # fmt: skip
+
+
+@app.command()
+def floors(
+    out: Annotated[
+        Path | None,
+        define_option("--out -o DIR", "Folder to which to copy the pictures, with floors.toml for width and licence."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """List the floors for `--floor`: generated ones, and photographs from installed packages.
+
+    Photographs are not part of mufly. `pip install 'mufly\\[floors]'` installs scikit-image, with brick, grass and
+    gravel; miniworld and robosuite have more. Their widths are estimates.
+
+    Example: mufly slam floors -o floors; mufly fly --position camera --floor floors/gravel.png
+    """
+    from mufly.camera import FLOOR_KINDS, PACKAGE_FLOORS, write_floor_set
+
+    check_place("--out", out)
+    written = [] if out is None else write_floor_set(out)
+    rows = [
+        {
+            "name": f.name, "width_m": f.width_m, "package": f.package, "licence": f.licence,
+            "installed": f.find_file() is not None,
+        }
+        for f in PACKAGE_FLOORS.values()
+    ]  # fmt: skip
+
+    def print_floors() -> None:
+        print_lines(f"generated: {', '.join(FLOOR_KINDS)}")
+        shown = [
+            (
+                str(f["name"]),
+                f"{f['width_m']:g}",
+                "yes" if f["installed"] else "no",
+                str(f["package"]),
+                str(f["licence"]),
+            )
+            for f in rows
+        ]
+        print_table(("name", "width, m", "installed", "package", "licence"), shown, text=(0, 2, 3, 4))
+
+    content = {"generated": list(FLOOR_KINDS), "pictures": rows, "written": [f.name for f in written]}
+    print_answer(as_json, content, print_floors, [] if out is None else [out])
 
 
 @app.command()

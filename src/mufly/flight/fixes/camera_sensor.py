@@ -35,13 +35,14 @@ from mufly.camera import (
     StreamServer,
     VehicleMotion,
     encode_jpeg,
-    make_floor,
+    find_floor,
 )
 from mufly.dynamics import standing_height
 from mufly.errors import MuflyError
 from mufly.estimate import Estimate
 from mufly.estimate.filter_records import EX_FIX_BIAS, EX_FIX_HEADING, EX_GYRO_BIAS
 from mufly.flight.fixes.onboard_camera import SHOWN_JPEG_QUALITY, CameraFault, OnboardCamera, PictureStream
+from mufly.mission import Mission
 from mufly.sensors import Reading, Sensor, Truth
 from mufly.sensors.sonar import max_grounded_range
 from mufly.slam import (
@@ -83,8 +84,11 @@ class CameraConfig:
     Attributes
     ----------
     camera : Camera
-    floor_texture : str
-        One of :data:`mufly.camera.FLOOR_KINDS`.
+    floor_texture : str, optional
+        Floor for :func:`mufly.camera.find_floor`: a kind, a package's picture or a picture file. Default: the floor of
+        the mission, or ``"rich"``.
+    floor_width_m : float, optional
+        Width of a picture (m).
     shadow_share : float
         Share of the light that shadows remove.
     camera_faults : tuple of CameraFault
@@ -95,18 +99,29 @@ class CameraConfig:
     """
 
     camera: Camera
-    floor_texture: str = "rich"
+    floor_texture: str | None = None
+    floor_width_m: float | None = None
     shadow_share: float = 0.3
     camera_faults: tuple[CameraFault, ...] = ()
     on_tracking_result: Callable[[TrackingResult], None] | None = None
     stream_address: tuple[str, int] | None = None
 
 
+def with_mission_floor(eye: CameraConfig, mission: Mission) -> CameraConfig:
+    """Return the settings with the mission's floor, if they name none; without either the floor is ``"rich"``."""
+    if eye.floor_texture is not None:
+        return eye
+    if mission.floor is None:
+        return replace(eye, floor_texture="rich")
+    width = mission.floor.width_m if eye.floor_width_m is None else eye.floor_width_m
+    return replace(eye, floor_texture=mission.floor.texture, floor_width_m=width)
+
+
 def make_camera(eye: CameraConfig, vehicle: Vehicle, world: World, seed: int) -> OnboardCamera:
     """Return the camera of a flight."""
     return OnboardCamera(
         eye.camera,
-        make_floor(eye.floor_texture, seed, shadows=eye.shadow_share),
+        find_floor(eye.floor_texture or "rich", eye.floor_width_m).make_floor(seed, eye.shadow_share),
         vehicle,
         world,
         seed,
@@ -238,7 +253,7 @@ class CameraSensor(Sensor):
 
         ``start_ns`` is the wall-clock time (ns since 1970) of the instant 0.
         """
-        facts = {"floor": self._eye.floor_texture, "seed": str(self._seed), "camera": self._eye.camera.name}
+        facts = {"floor": self._eye.floor_texture or "rich", "seed": str(self._seed), "camera": self._eye.camera.name}
         self._record = PictureRecorder(path, format_camera_toml(self._eye.camera), start_ns, facts)
 
     def _stop_slam(self) -> None:

@@ -31,6 +31,7 @@ from mufly.errors import ArgumentError, InputError, MuflyError
 from mufly.estimate import Estimate
 from mufly.estimate.filter_records import EX_ATT, EX_GYRO_BIAS
 from mufly.estimate.nees import normalised_errors
+from mufly.flight.fixes.camera_sensor import CameraConfig
 from mufly.flight.flight_software import ControlImplementation
 from mufly.flight.mission_flight import fly_mission
 from mufly.flight.monte_carlo.flight_ending import (
@@ -183,6 +184,8 @@ class Campaign:
     sensors : "fitted" or "ideal"
     faults : tuple of str
         Faults of every flight, in the syntax of :func:`mufly.sensors.parse_fault`.
+    camera : CameraConfig, optional
+        See :class:`mufly.flight.Flight`'s ``eye``; its faults and stream are not part of the settings hash.
     seed : int
     tolerance_m : float
         Allowed distance from a waypoint and from the landing position (m).
@@ -196,8 +199,8 @@ class Campaign:
         (:class:`mufly.firmware.GenericFirmwareSoftware`); not part of the settings hash.
     computed_by : tuple of str
         Command line options that select ``controllers``.
-    vehicle_name, mission_name : str
-        Names of vehicle and mission on a command line.
+    vehicle_name, mission_name, camera_name : str
+        Names of vehicle, mission and camera on a command line.
     """
 
     vehicle: Vehicle
@@ -207,6 +210,7 @@ class Campaign:
     gust: float | None = None
     sensors: Literal["fitted", "ideal"] = "fitted"
     faults: tuple[str, ...] = ()
+    camera: CameraConfig | None = None
     seed: int = 0
     tolerance_m: float = 0.3
     redesign: bool = False
@@ -215,6 +219,7 @@ class Campaign:
     computed_by: tuple[str, ...] = ()
     vehicle_name: str = "mufly-1.1"
     mission_name: str = "demonstration"
+    camera_name: str = "mufly-2.0"
     controller: FlightController | None = field(default=None, repr=False)
 
     @classmethod
@@ -271,11 +276,19 @@ class Campaign:
             "variations": [v.to_json() for v in self.variations],
             "air": [self.wind, self.gust],
             "sensors": [self.sensors, list(self.faults)],
+            **self._describe_camera(),
             "seed": self.seed,
             "tolerance_m": self.tolerance_m,
             "software": [self.redesign, "" if self.controllers is None else self.controllers.__name__],
         }
         return hash_question(content)
+
+    def _describe_camera(self) -> dict[str, list[object]]:
+        """Return what a camera adds to the settings; nothing without one."""
+        eye = self.camera
+        if eye is None:
+            return {}
+        return {"camera": [eye.camera.model_dump_json(), eye.floor_texture, eye.floor_width_m, eye.shadow_share]}
 
     def draw_case(self, index: int) -> FlightCase:
         """Return the drawn settings of flight ``index``.
@@ -354,6 +367,7 @@ class Campaign:
             "seed": case.seed,
             "sensors": self.sensors,
             "faults": [parse_fault(text) for text in self.faults],
+            "eye": self.camera,
             "controllers": self.controllers or self.quickly,
         }
 
@@ -379,6 +393,17 @@ class Campaign:
             words += ["--gust", repr(self.gust)]
         for text in self.faults:
             words += ["--fault", text]
+        if self.camera is not None:
+            words += [
+                "--position",
+                "camera",
+                "--camera",
+                self.camera_name,
+                "--floor",
+                self.camera.floor_texture or "rich",
+            ]
+            if self.camera.floor_width_m is not None:
+                words += ["--floor-width", repr(self.camera.floor_width_m)]
         return shlex.join([*words, *self.computed_by, "--out", str(folder)])
 
 

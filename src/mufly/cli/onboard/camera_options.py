@@ -1,0 +1,63 @@
+"""Options of an onboard camera and of the floor below it, shared by flights, campaigns and rendered data sets."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+from mufly.cli.options import define_option
+from mufly.errors import ArgumentError, InputError
+
+if TYPE_CHECKING:
+    from mufly.flight.fixes.camera_sensor import CameraConfig
+    from mufly.mission import Mission
+
+FlightCameraOption = Annotated[
+    str,
+    define_option(
+        "--camera NAME|FILE",
+        "Camera of --position camera or --stream: mufly-2.0, webcam, worst or a camera file. Default: mufly-2.0.",
+    ),
+]
+FloorOption = Annotated[
+    str,
+    define_option(
+        "--floor NAME|PICTURE",
+        "Floor below the camera: rich, poor, tiles, plain, a name of `mufly slam floors`, or a picture file. "
+        "Default: the mission's, or rich.",
+    ),
+]
+FloorWidthOption = Annotated[
+    float | None,
+    define_option(
+        "--floor-width",
+        "Width of the floor's picture, from west to east. Default: that of floors.toml beside it, or 2 m.",
+        unit="m",
+    ),
+]
+
+
+def make_flight_camera(
+    camera: str, floor: str, floor_width: float | None, mission: Mission, mission_file: str
+) -> CameraConfig:
+    """Return the camera of a flight, with its floor found.
+
+    Raises
+    ------
+    InputError
+        If the camera, or the floor of the options or of the mission, is invalid.
+    """
+    from mufly.camera import find_floor, load_camera
+    from mufly.flight.fixes.camera_sensor import CameraConfig, with_mission_floor
+
+    lens = load_camera(camera or "mufly-2.0")
+    if not floor and floor_width is not None and mission.floor is None:
+        raise InputError("--floor-width", "", "there is no picture", "give --floor PICTURE, or leave it out")
+    config = with_mission_floor(CameraConfig(lens, floor or None, floor_width), mission)
+    try:
+        find_floor(config.floor_texture or "rich", config.floor_width_m)
+    except ArgumentError as error:
+        if floor:
+            raise
+        named = "floor.texture" if error.argument == "floor" else "floor.width_m"
+        raise InputError(mission_file, named, f"{error.key}: {error.problem}", error.remedy) from error
+    return config
