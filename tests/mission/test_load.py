@@ -210,6 +210,7 @@ BASE = {
     "cylinder": [{"centre_m": [50.0, -5.0], "radius_m": 0.2, "height_m": 2.0}],
     "wall": [{"start_m": [60.0, 1.0], "end_m": [60.0, 2.0], "height_m": 2.0}],
     "room": {"north_m": [-100.0, 100.0], "east_m": [-100.0, 100.0]},
+    "floor": {"texture": "rich"},
 }
 
 
