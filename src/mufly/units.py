@@ -139,6 +139,8 @@ _UNITS_BY_SI: dict[str, dict[str, tuple[float, float]]] = {
         "ozf ft": (_OUNCE_KG * _GRAVITY * _FOOT_M, 0),
         "dyn cm": (1e-7, 0),
     },
+    "N m2": {"N m2": (1, 0), "N cm2": (1e-4, 0), "N mm2": (1e-6, 0)},
+    "N m/rad": {"N m/rad": (1, 0), "mN m/rad": (1e-3, 0), "N m/deg": (180 / pi, 0), "mN m/deg": (0.18 / pi, 0)},
     "N m/A": {"N m/A": (1, 0), "mN m/A": (1e-3, 0), "ozf in/A": (_OUNCE_KG * _GRAVITY * _INCH_M, 0)},
     "N m s": {"N m s": (1, 0), "mN m s": (1e-3, 0), "uN m s": (1e-6, 0)},
     "N s/m": {"N s/m": (1, 0)},

@@ -57,10 +57,14 @@ from mufly.rotor.sections.polar_table import (
     lookup_lift_drag,
     stack_polars,
 )
+from mufly.rotor.structure.blade_structure import BladeStructure
+from mufly.rotor.structure.flap_modes import CampbellDiagram, FlapMode, compute_campbell, compute_flap_mode
+from mufly.rotor.structure.materials import MATERIALS, Material
 from mufly.rotor.uncertainty import InputUncertainty, PredictionInterval, predict_interval
 
 __all__ = [
     "BLADE_FAMILIES",
+    "MATERIALS",
     "MAX_TIP_SPEED_M_S",
     "METHODS",
     "TEXTBOOK_CORRECTIONS",
@@ -68,9 +72,13 @@ __all__ = [
     "Airfoil",
     "BatchResult",
     "BladeSections",
+    "BladeStructure",
     "Blading",
+    "CampbellDiagram",
     "Corrections",
+    "FlapMode",
     "InputUncertainty",
+    "Material",
     "MeasurementComparison",
     "OperatingCondition",
     "PolarStack",
@@ -91,7 +99,9 @@ __all__ = [
     "builtin_rotors",
     "calibrate_blading",
     "compare_measurements",
+    "compute_campbell",
     "compute_coax_map",
+    "compute_flap_mode",
     "compute_polar",
     "compute_polars",
     "compute_tip_mach",

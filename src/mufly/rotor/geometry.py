@@ -33,6 +33,7 @@ from mufly.errors import InputError
 from mufly.input_files import builtin_file_names, read_toml, validate_model
 from mufly.rotor.sections.airfoil import load_airfoil
 from mufly.rotor.sections.polar_file import is_polar_file
+from mufly.rotor.structure.blade_structure import BladeStructure
 from mufly.vehicle.quantity import ParameterGroup, Quantity, ValueSource, declare_parameter
 
 Array = NDArray[np.float64]
@@ -82,6 +83,7 @@ class Blade(ParameterGroup):
     airfoils: tuple[str, ...] = Field(
         min_length=1, description="airfoil at each station, or one name for the whole blade"
     )
+    structure: BladeStructure | None = Field(default=None, description="material, thickness and root of the blade")
 
     @model_validator(mode="after")
     def _check_stations(self) -> Blade:

@@ -1,0 +1,397 @@
+"""The blade as a beam of finite elements: flap, lag and torsion in the frame that turns with the rotor.
+
+Axes: r along the blade, y in the direction of rotation, z up the shaft; theta(r) is the angle of the chord line, nose
+up. v, w are the deflections of the elastic axis along y and z, phi the elastic twist. The centroid, at which mass and
+tension act, lies e behind the elastic axis. Potential energy per span, to second order in v, w, phi (own derivation;
+the terms are those of Houbolt and Doggett, NACA TN 3905, 1957, and Bramwell, Helicopter Dynamics, ch. 7 and 9)::
+
+    1/2 EI_f (w'' cos theta - v'' sin theta)^2 + 1/2 EI_l (v'' cos theta + w'' sin theta)^2    bending
+    1/2 GJ phi'^2                                                                 torsion
+    1/2 T [(v - e cos(theta + phi))'^2 + (w - e sin(theta + phi))'^2]             tension on the line of centroids
+    1/2 T k_A^2 (theta' + phi')^2                                                 tension on twisted fibres
+    -1/2 m Omega^2 (v - e cos(theta + phi))^2                                     centrifugal field in the plane
+    -1/2 Omega^2 (I_f sin^2 + I_l cos^2)(theta + phi)                             propeller moment
+
+with T = Omega^2 int_r^R m r dr, k_A^2 = (I_f + I_l) / A, I = rho times the area's moments. Kinetic energy: m times the
+squared velocity of the centroid, and (I_f + I_l) phi-dot^2. Coriolis forces are left out: they couple flap and lag of a
+coned blade and leave the frequencies of a stiff blade unchanged to second order in the coning angle.
+
+Elements: Hermite cubics in v and w, quadratics in phi; four Gauss points each, at which all section properties are
+evaluated. Root: clamped, or sprung hinges. A flap hinge at radius e < r0 makes w(r0) = (r0 - e) w'(r0).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import linalg
+
+from mufly.errors import InputError
+
+Array = NDArray[np.float64]
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
+GAUSS_POINTS: Array = 0.5 * (_NODES + 1.0)
+"""Places of the Gauss points in an element, 0 to 1."""
+_GAUSS_WEIGHTS: Array = 0.5 * _WEIGHTS
+# Degrees of freedom of an element: v, v', w, w', phi of the inner node, phi of the middle, the same five outside.
+_V, _W, _P, _SIZE = (0, 1, 6, 7), (2, 3, 8, 9), (4, 5, 10), 11
+
+
+def _integration_to_end() -> Array:
+    """Return the matrix from values at the Gauss points to the integrals from each point to the element's end."""
+    powers = np.vander(GAUSS_POINTS, increasing=True)
+    upto = (1.0 - GAUSS_POINTS[:, None] ** np.arange(1, 5)) / np.arange(1, 5)
+    return np.asarray(upto @ np.linalg.inv(powers))
+
+
+def _derivative() -> Array:
+    """Return the matrix from values at the Gauss points to the derivatives there, for an element of length 1."""
+    powers = np.vander(GAUSS_POINTS, increasing=True)
+    slopes = np.zeros_like(powers)
+    slopes[:, 1:] = np.arange(1, 4) * powers[:, :-1]
+    return np.asarray(slopes @ np.linalg.inv(powers))
+
+
+_TO_END, _SLOPE = _integration_to_end(), _derivative()
+
+
+@dataclass(frozen=True, eq=False)
+class BladeBeam:
+    """Blade as a beam; section properties at four Gauss points of each element.
+
+    Attributes
+    ----------
+    edges_m : (elements + 1,) array
+        Radius of the nodes, from the root to the tip.
+    mass_kg_m, flap_EI, lag_EI, torsion_GJ : (elements, 4) arrays
+        Mass per length, EI_f, EI_l, GJ (N m2).
+    flap_inertia, lag_inertia : (elements, 4) arrays
+        Mass moments of inertia per length about the centroid, I_f and I_l (kg m).
+    polar_radius2_m2 : (elements, 4) array
+        k_A^2 about the centroid.
+    centroid_behind_m : (elements, 4) array
+        e: centroid behind the elastic axis.
+    twist_rad : (elements, 4) array
+        Built-in twist.
+    chord_m, axis_over_chord : (elements, 4) arrays
+        Chord, and elastic axis over chord from the leading edge.
+    flap_root_N_m : float
+        Spring of the flap hinge (N m/rad); infinite: clamped.
+    hinge_radius_m : float
+        Radius of the flap hinge.
+    lag_root_N_m, pitch_root_N_m : float
+        Springs at the root (N m/rad); infinite: clamped, rigid.
+    """
+
+    edges_m: Array
+    mass_kg_m: Array
+    flap_EI: Array
+    lag_EI: Array
+    torsion_GJ: Array
+    flap_inertia: Array
+    lag_inertia: Array
+    polar_radius2_m2: Array
+    centroid_behind_m: Array
+    twist_rad: Array
+    chord_m: Array
+    axis_over_chord: Array
+    flap_root_N_m: float = math.inf
+    hinge_radius_m: float = 0.0
+    lag_root_N_m: float = math.inf
+    pitch_root_N_m: float = math.inf
+
+    @cached_property
+    def length_m(self) -> Array:
+        """Length of each element."""
+        return np.diff(self.edges_m)
+
+    @cached_property
+    def points_m(self) -> Array:
+        """Radius of the Gauss points, (elements, 4)."""
+        return self.edges_m[:-1, None] + self.length_m[:, None] * GAUSS_POINTS
+
+    @cached_property
+    def weights_m(self) -> Array:
+        """Length that each Gauss point stands for, (elements, 4)."""
+        return self.length_m[:, None] * _GAUSS_WEIGHTS
+
+    def integrate(self, values: ArrayLike) -> float:
+        """Return the integral of values at the Gauss points over the span."""
+        return float(np.sum(self.weights_m * values))
+
+    @property
+    def blade_mass_kg(self) -> float:
+        """Mass of the blade."""
+        return self.integrate(self.mass_kg_m)
+
+    @property
+    def flap_inertia_kg_m2(self) -> float:
+        """Moment of inertia of the blade about the shaft."""
+        return self.integrate(self.mass_kg_m * self.points_m**2)
+
+    def differentiate(self, values: Array) -> Array:
+        """Return the derivative along the span of values at the Gauss points, (elements, 4)."""
+        return np.asarray(values @ _SLOPE.T / self.length_m[:, None])
+
+    @cached_property
+    def tension_kg_m(self) -> Array:
+        """Tension over Omega^2 at the Gauss points, (elements, 4)."""
+        pull = self.mass_kg_m * self.points_m
+        each = np.sum(self.weights_m * pull, axis=1)
+        beyond = np.concatenate((np.cumsum(each[::-1])[::-1][1:], [0.0]))
+        return np.asarray(beyond[:, None] + self.length_m[:, None] * (pull @ _TO_END.T))
+
+    @cached_property
+    def size(self) -> int:
+        """Number of degrees of freedom before the root conditions."""
+        return 6 * self.length_m.size + 5
+
+    @cached_property
+    def _index(self) -> NDArray[np.int64]:
+        return np.asarray(6 * np.arange(self.length_m.size)[:, None] + np.arange(_SIZE), dtype=np.int64)
+
+    @cached_property
+    def shapes(self) -> dict[str, Array]:
+        """Shape functions at the Gauss points, (elements, 4, 11): v, w, p, their slopes v1, w1, p1, bending v2, w2."""
+        q, L = GAUSS_POINTS, self.length_m[:, None]
+        one = np.ones_like(L)
+        hermite = np.stack(
+            (one * (1 - 3 * q**2 + 2 * q**3), L * (q - 2 * q**2 + q**3), one * (3 * q**2 - 2 * q**3), L * (q**3 - q**2))
+        )
+        slope = np.stack(((6 * q**2 - 6 * q) / L, one * (1 - 4 * q + 3 * q**2), (6 * q - 6 * q**2) / L,
+                          one * (3 * q**2 - 2 * q)))  # fmt: skip
+        bend = np.stack(((12 * q - 6) / L**2, (6 * q - 4) / L, (6 - 12 * q) / L**2, (6 * q - 2) / L))
+        quad = np.stack((one * (1 - q) * (1 - 2 * q), one * 4 * q * (1 - q), one * q * (2 * q - 1)))
+        turn = np.stack(((4 * q - 3) / L, (4 - 8 * q) / L, (4 * q - 1) / L))
+        out = {}
+        for name, values, where in (
+            ("v", hermite, _V), ("w", hermite, _W), ("v1", slope, _V), ("w1", slope, _W), ("v2", bend, _V),
+            ("w2", bend, _W), ("p", quad, _P), ("p1", turn, _P),
+        ):  # fmt: skip
+            full = np.zeros((*self.points_m.shape, _SIZE))
+            full[..., where] = np.moveaxis(values, 0, -1)
+            out[name] = full
+        return out
+
+    @cached_property
+    def root_transform(self) -> Array:
+        """Matrix (size, free) from the free degrees of freedom to all: root conditions and hinge."""
+        keep = np.eye(self.size)[:, 5:]
+        extra = []
+        r0 = float(self.edges_m[0])
+        for row, spring in ((1, self.lag_root_N_m), (3, self.flap_root_N_m), (4, self.pitch_root_N_m)):
+            if math.isfinite(spring):
+                column = np.zeros(self.size)
+                column[row] = 1.0
+                if row == 3:
+                    column[2] = r0 - self.hinge_radius_m
+                extra.append(column)
+        return np.column_stack([*extra, keep]) if extra else keep
+
+    def assemble(self, *parts: tuple[Array | float, Array, Array]) -> Array:
+        """Return the matrix sum of int factor left right^T dr over all parts, symmetrised, (size, size)."""
+        total = np.zeros((self.length_m.size, _SIZE, _SIZE))
+        for factor, left, right in parts:
+            total += np.swapaxes((self.weights_m * factor)[..., None] * left, 1, 2) @ right
+        total = 0.5 * (total + np.swapaxes(total, 1, 2))
+        out = np.zeros((self.size, self.size))
+        np.add.at(out, (self._index[:, :, None], self._index[:, None, :]), total)
+        return out
+
+    def assemble_load(self, *parts: tuple[Array | float, Array]) -> Array:
+        """Return the load vector sum of int factor shape dr over all parts, (size,)."""
+        out = np.zeros(self.size)
+        for factor, shape in parts:
+            np.add.at(out, self._index, np.einsum("eg,egi->ei", self.weights_m * factor, shape))
+        return out
+
+    def evaluate(self, name: str, x: Array) -> Array:
+        """Return a deflection or slope (a key of :attr:`shapes`) at the Gauss points, (elements, 4)."""
+        return np.asarray(np.einsum("egi,ei->eg", self.shapes[name], x[self._index]))
+
+
+def stiffness_matrices(beam: BladeBeam, pitch_rad: float, twist_rad: Array | None = None) -> tuple[Array, Array]:
+    """Return elastic stiffness, and centrifugal stiffness over Omega^2, both (size, size).
+
+    Parameters
+    ----------
+    beam : BladeBeam
+    pitch_rad : float
+        Pitch setting, added to the built-in twist.
+    twist_rad : (elements, 4) array, optional
+        Elastic twist about which the centrifugal part is linear; default zero.
+    """
+    s = beam.shapes
+    theta = beam.twist_rad + pitch_rad
+    turned = theta if twist_rad is None else theta + twist_rad
+    sine, cosine = np.sin(theta), np.cos(theta)
+    flap = cosine[..., None] * s["w2"] - sine[..., None] * s["v2"]
+    lag = cosine[..., None] * s["v2"] + sine[..., None] * s["w2"]
+    elastic = beam.assemble((beam.flap_EI, flap, flap), (beam.lag_EI, lag, lag), (beam.torsion_GJ, s["p1"], s["p1"]))
+    for row, spring in ((1, beam.lag_root_N_m), (3, beam.flap_root_N_m), (4, beam.pitch_root_N_m)):
+        if math.isfinite(spring):
+            elastic[row, row] += spring
+    T, e, m = beam.tension_kg_m, beam.centroid_behind_m, beam.mass_kg_m
+    sine, cosine = np.sin(turned), np.cos(turned)
+    # (e cos phi)' and -(e sin phi)': the slopes of the centroid's line change by these with the twist.
+    up = (e * cosine)[..., None] * s["p1"] + beam.differentiate(e * cosine)[..., None] * s["p"]
+    back = -((e * sine)[..., None] * s["p1"] + beam.differentiate(e * sine)[..., None] * s["p"])
+    inertia = beam.lag_inertia - beam.flap_inertia + m * e**2
+    centrifugal = beam.assemble(
+        (T, s["w1"], s["w1"]),
+        (T, s["v1"], s["v1"]),
+        (T * (beam.polar_radius2_m2 + e**2), s["p1"], s["p1"]),
+        (-2.0 * T, s["w1"], up),
+        (-2.0 * T, s["v1"], back),
+        (-m, s["v"], s["v"]),
+        (-2.0 * m * e * sine, s["v"], s["p"]),
+        (inertia * np.cos(2.0 * turned), s["p"], s["p"]),
+    )
+    if math.isfinite(beam.flap_root_N_m):  # tension in the rigid arm between hinge and blade
+        arm = float(beam.edges_m[0]) - beam.hinge_radius_m
+        centrifugal[3, 3] += arm * beam.integrate(m * beam.points_m)
+    return elastic, centrifugal
+
+
+def mass_matrix(beam: BladeBeam, pitch_rad: float) -> Array:
+    """Return the mass matrix, (size, size)."""
+    s, theta = beam.shapes, beam.twist_rad + pitch_rad
+    m, e = beam.mass_kg_m, beam.centroid_behind_m
+    turn = beam.flap_inertia + beam.lag_inertia + m * e**2
+    return beam.assemble(
+        (m, s["v"], s["v"]),
+        (m, s["w"], s["w"]),
+        (turn, s["p"], s["p"]),
+        (-2.0 * m * e * np.cos(theta), s["w"], s["p"]),
+        (2.0 * m * e * np.sin(theta), s["v"], s["p"]),
+    )
+
+
+def centrifugal_load(beam: BladeBeam, pitch_rad: float, twist_rad: Array | None = None) -> Array:
+    """Return the load of the centrifugal field on the straight blade over Omega^2, (size,).
+
+    Propeller moment, untwisting by tension, and tension on the line of the centroids; with ``twist_rad`` (elements, 4)
+    those of the blade twisted by it, less the linear part that :func:`stiffness_matrices` holds.
+    """
+    s, theta = beam.shapes, beam.twist_rad + pitch_rad
+    phi = np.zeros_like(theta) if twist_rad is None else twist_rad
+    turned = theta + phi
+    T, e, m = beam.tension_kg_m, beam.centroid_behind_m, beam.mass_kg_m
+    inertia = beam.lag_inertia - beam.flap_inertia + m * e**2
+    moment = -0.5 * inertia * np.sin(2.0 * turned) + inertia * np.cos(2.0 * turned) * phi
+    return beam.assemble_load(
+        (moment, s["p"]),
+        (-T * (beam.polar_radius2_m2 + e**2) * beam.differentiate(beam.twist_rad), s["p1"]),
+        (T * beam.differentiate(e * np.sin(theta)), s["w1"]),
+        (T * beam.differentiate(e * np.cos(theta)), s["v1"]),
+        (-m * e * np.cos(theta), s["v"]),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class BeamModes:
+    """Modes of a blade at one rotor speed, the lowest first.
+
+    Attributes
+    ----------
+    speed_rad_s : float
+        Rotor speed.
+    frequency_rad_s : (n,) array
+        Natural frequencies in the rotating frame; 0 where the motion diverges.
+    kind : tuple of str
+        ``flap``, ``lag`` or ``torsion`` by the greatest share of the kinetic energy.
+    shape : (n, size) array
+        Degrees of freedom of each mode, of unit generalised mass.
+    """
+
+    speed_rad_s: float
+    frequency_rad_s: Array
+    kind: tuple[str, ...]
+    shape: Array
+
+    def find(self, kind: str, order: int = 1) -> int:
+        """Return the index of the ``order``-th mode of a kind.
+
+        Raises
+        ------
+        InputError
+            If it is not among the computed modes.
+        """
+        places = [k for k, name in enumerate(self.kind) if name == kind]
+        if len(places) < order:
+            raise InputError("beam", kind, f"mode {order} is not among {len(self.kind)} modes", "ask for more modes")
+        return places[order - 1]
+
+
+def compute_modes(beam: BladeBeam, speed_rad_s: float, *, pitch_rad: float = 0.0, count: int = 8) -> BeamModes:
+    """Return the modes of a blade.
+
+    Parameters
+    ----------
+    beam : BladeBeam
+    speed_rad_s : float
+        Rotor speed, 0 or more.
+    pitch_rad : float
+        Pitch setting, added to the built-in twist.
+    count : int
+        Number of modes.
+    """
+    elastic, centrifugal = stiffness_matrices(beam, pitch_rad)
+    full = mass_matrix(beam, pitch_rad)
+    root = beam.root_transform
+    stiff, mass = root.T @ (elastic + speed_rad_s**2 * centrifugal) @ root, root.T @ full @ root
+    values, vectors = linalg.eigh(stiff, mass, subset_by_index=(0, min(count, mass.shape[0]) - 1))
+    shape = (root @ vectors).T
+    m, turn = beam.mass_kg_m, beam.flap_inertia + beam.lag_inertia
+    kinds = []
+    for x in shape:
+        parts = {
+            "flap": beam.integrate(m * beam.evaluate("w", x) ** 2),
+            "lag": beam.integrate(m * beam.evaluate("v", x) ** 2),
+            "torsion": beam.integrate(turn * beam.evaluate("p", x) ** 2),
+        }
+        kinds.append(max(parts, key=lambda name: parts[name]))
+    return BeamModes(speed_rad_s, np.sqrt(np.maximum(values, 0.0)), tuple(kinds), shape)
+
+
+def uniform_beam(
+    length_m: float,
+    *,
+    mass_kg_m: float,
+    flap_EI: float,
+    lag_EI: float,
+    torsion_GJ: float,
+    flap_inertia: float = 0.0,
+    lag_inertia: float = 1e-9,
+    root_radius_m: float = 0.0,
+    elements: int = 24,
+    flap_root_N_m: float = math.inf,
+    hinge_radius_m: float = 0.0,
+) -> BladeBeam:
+    """Return a beam of constant section without twist and offsets, for comparison with closed forms.
+
+    Parameters
+    ----------
+    length_m, root_radius_m : float
+        Length, and radius of the root (m).
+    mass_kg_m, flap_EI, lag_EI, torsion_GJ, flap_inertia, lag_inertia : float
+        As for :class:`BladeBeam`.
+    elements : int
+    flap_root_N_m, hinge_radius_m : float
+        As for :class:`BladeBeam`.
+    """
+    edges = root_radius_m + np.linspace(0.0, length_m, elements + 1)
+
+    def fill(value: float) -> Array:
+        return np.full((elements, 4), value)
+
+    return BladeBeam(
+        edges, fill(mass_kg_m), fill(flap_EI), fill(lag_EI), fill(torsion_GJ), fill(flap_inertia), fill(lag_inertia),
+        fill((flap_inertia + lag_inertia) / mass_kg_m), fill(0.0), fill(0.0), fill(0.1 * length_m),
+        fill(0.25), flap_root_N_m, hinge_radius_m,
+    )  # fmt: skip

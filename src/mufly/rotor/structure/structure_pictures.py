@@ -1,0 +1,45 @@
+"""Pictures of blades as structures: the Campbell diagram."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mufly.units import RPM
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from mufly.rotor.structure.flap_modes import CampbellDiagram
+
+_HARMONICS = 8
+
+
+def campbell_picture(found: CampbellDiagram) -> Figure:
+    """Draw the frequencies over rotor speed with their bands, and the harmonics of the rotor speed."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.0, 5.0), layout="constrained")
+    axes = figure.subplots()
+    rpm = found.speed_rad_s / RPM
+    top = 1.15 * float(np.nanmax(found.frequency_rad_s[:, [0, 1, 3]])) / (2.0 * math.pi)
+    for k in range(1, _HARMONICS + 1):
+        axes.plot(rpm, k * rpm / 60.0, color="0.8", linewidth=0.8, zorder=0)
+        x = min(float(rpm[-1]), 60.0 * top / k)
+        axes.annotate(f"{k}/rev", (x, k * x / 60.0), fontsize="x-small", color="0.5", ha="right", va="bottom")
+    for j, name in enumerate(found.modes):
+        values = (found.frequency_rad_s[:, j], found.low_rad_s[:, j], found.high_rad_s[:, j])
+        middle, low, high = (v / (2.0 * math.pi) for v in values)
+        if np.all(np.isnan(middle)) or middle.min() > top:
+            continue
+        axes.plot(rpm, middle, color=f"C{j}", label=name)
+        axes.fill_between(rpm, low, high, color=f"C{j}", alpha=0.15, linewidth=0.0)
+    axes.set_xlim(rpm[0], rpm[-1])
+    axes.set_ylim(0.0, top)
+    axes.set_xlabel("Rotor speed (rpm)")
+    axes.set_ylabel("Frequency (Hz)")
+    axes.set_title(f"{found.rotor}: {found.basis}", fontsize="small")
+    axes.legend(fontsize="small", loc="upper left")
+    return figure
