@@ -30,8 +30,9 @@ from mufly.vehicle import Vehicle, load_vehicle
 from mufly.vehicle.quantity import Quantity, ValueSource
 
 ROOMS = (
-    "vehicle", "world", "rotor", "rotor.wake", "drive", "bench", "cfd", "study", "dynamics", "identify", "control",
-    "sensors", "estimate", "mission", "flight", "flight.monte_carlo", "firmware", "link", "station", "logs", "thesis",
+    "vehicle", "world", "rotor", "rotor.wake", "rotor.forward", "drive", "bench", "cfd", "study", "dynamics",
+    "identify", "control", "sensors", "estimate", "mission", "flight", "flight.monte_carlo", "firmware", "link",
+    "station", "logs", "thesis",
 )  # fmt: skip
 
 

@@ -105,7 +105,8 @@ DEFAULT_HOVER_OPTIONS = HoverOptions()
 app = CommandGroup(
     help=(
         "Show, compute, fit, rank and optimise rotors. Rotor files and polars: docs/explanation/polars.md; blade "
-        "element theory: docs/explanation/bemt.md; sweeps and rankings: docs/explanation/studies.md."
+        "element theory: docs/explanation/bemt.md; forward flight: "
+        "docs/explanation/forward-flight.md; sweeps and rankings: docs/explanation/studies.md."
     ),
     no_args_is_help=True,
 )
@@ -443,6 +444,103 @@ def hover(
             style="yellow",
         )
     print_files(files)
+
+
+FORWARD_SPEED_RANGE = OptionRange(0.0, 100.0, "m/s", "no small rotor flies so fast")
+_RATIO_RANGE = OptionRange(1.0, 20.0, "", "1 is a free hinge at the shaft, and no blade is so stiff")
+_CYCLIC_RANGE = OptionRange(0.01, 20.0, "deg", "it is the amplitude of a small input")
+_TILT_RANGE = OptionRange(-90.0, 90.0, "deg", "at 90 degrees the air comes along the shaft")
+
+
+@app.command()
+def forward(
+    rotor: RotorArgument = "walkera-5g6",
+    speed: Annotated[
+        str,
+        define_option("--speed", "Airspeeds, as 0:10:1 or 4.", unit="m/s", form="values", within=FORWARD_SPEED_RANGE),
+    ] = "0:10:1",
+    pitch: OptionalPitchOption = None,
+    rpm: OptionalRpmOption = None,
+    thrust: Annotated[
+        float | None,
+        define_option("--thrust", "Thrust in hover; with --pitch the speed is found, with --rpm the pitch.", unit="N"),
+    ] = None,
+    tilt: Annotated[
+        float,
+        define_option("--tilt", "Tilt of the disc into the wind, positive nose down.", unit="deg", within=_TILT_RANGE),
+    ] = 0.0,
+    cyclic: Annotated[
+        float,
+        define_option(
+            "--cyclic", "Amplitude of cyclic pitch whose response is computed.", unit="deg", within=_CYCLIC_RANGE
+        ),
+    ] = 1.0,
+    flap_frequency_ratio: Annotated[
+        str | None,
+        define_option(
+            "--flap-frequency-ratio",
+            "Flap frequency over rotor speed (1/rev). Default: 1 and 1.6, the band from a free hinge to a clamped "
+            "moulded blade.",
+            unit="1",
+            form="values",
+            within=_RATIO_RANGE,
+        ),
+    ] = None,
+    blade_mass: Annotated[
+        float | None,
+        define_option("--blade-mass", "Mass of one blade. Default: its contour, solid, of ABS (1040 kg/m3).", unit="g"),
+    ] = None,
+    density: DensityOption = 1.2,
+    polars: PolarOptions = DEFAULT_POLAR_OPTIONS,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Compute a rotor in forward flight: loads, flapping, hub moments and the response to cyclic pitch.
+
+    Give two of --pitch, --rpm and --thrust; pitch and speed then stay those of hover. The flap frequency of a small
+    blade is seldom known, so that results are a band over it. With --out: pictures over airspeed (forward.png) and
+    over the disc at the last airspeed (disc.png). Method: docs/explanation/forward-flight.md.
+    Examples: mufly rotor forward walkera-5g6 --pitch 13 --rpm 3600 --speed 0:8:2; mufly rotor forward --thrust 0.46
+    --rpm 3600 --flap-frequency-ratio 1,1.1,1.6 --out forward
+    """
+    from mufly.errors import InputError
+    from mufly.quantity_grammar import read_values
+    from mufly.rotor import Air, load_rotor, solve_for_thrust
+    from mufly.rotor.forward import ForwardCondition, blade_flap, sweep_forward
+    from mufly.rotor.forward.forward_pictures import disc_picture, sweep_picture
+
+    if sum(v is not None for v in (pitch, rpm, thrust)) != 2:
+        raise InputError(
+            "rotor forward", "", "needs two of --pitch, --rpm and --thrust", "give two; the third is found"
+        )
+    r, air = load_rotor(rotor), Air(density_kg_m3=density)
+    blading = polars.prepare_blading(r)
+    theta = math.radians(pitch) if pitch is not None else None
+    omega = rpm * RPM if rpm is not None else None
+    if thrust is not None:
+        found = solve_for_thrust(blading, thrust_N=thrust, pitch_rad=theta, speed_rad_s=omega, air=air)
+        theta, omega = found.pitch_rad, found.speed_rad_s
+    assert theta is not None
+    assert omega is not None
+    lean = math.radians(tilt)
+    conditions = [
+        ForwardCondition(theta, omega, v * math.cos(lean), v * math.sin(lean), air=air)
+        for v in read_values("--speed", speed, "m/s")
+    ]
+    if flap_frequency_ratio is None:
+        ratios: tuple[float, ...] = (1.0, 1.6)
+        basis = "flap frequency not known: free hinge at the shaft to clamped moulded blade"
+    else:
+        ratios, basis = read_values("--flap-frequency-ratio", flap_frequency_ratio, "1"), "flap frequency as given"
+    flaps = [blade_flap(r, ratio, mass_kg=None if blade_mass is None else 1e-3 * blade_mass) for ratio in ratios]
+    sweep = sweep_forward(blading, conditions, flaps, flap_basis=basis, cyclic_rad=math.radians(cyclic))
+    files = []
+    if out is not None:
+        files = [
+            save_figure(sweep_picture(sweep), out, "forward"),
+            save_figure(disc_picture(sweep.points[-1][-1]), out, "disc"),
+        ]
+    print_answer(as_json, sweep, None, files)
 
 
 def _point_index(name: str, line: int, bench: RotorMeasurements) -> int:

@@ -1,0 +1,23 @@
+"""Rotors in forward flight: blade elements over azimuth, flapping and dynamic inflow."""
+
+from mufly.rotor.forward.forward_results import (
+    BladeFlap,
+    CyclicResponse,
+    ForwardCondition,
+    ForwardResult,
+    ForwardSweep,
+)
+from mufly.rotor.forward.forward_solver import blade_flap, cyclic_response, lock_number, solve_forward, sweep_forward
+
+__all__ = [
+    "BladeFlap",
+    "CyclicResponse",
+    "ForwardCondition",
+    "ForwardResult",
+    "ForwardSweep",
+    "blade_flap",
+    "cyclic_response",
+    "lock_number",
+    "solve_forward",
+    "sweep_forward",
+]

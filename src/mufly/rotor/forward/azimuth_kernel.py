@@ -1,0 +1,551 @@
+"""Blade elements over azimuth with one flap mode and dynamic inflow, solved by harmonic balance (Numba).
+
+psi = 0 aft, increasing with the rotation; the air meets the disc with V from the front and V_z from above. At station r
+of the blade at psi, with beta = q0 + q1c cos psi + q1s sin psi + q2c cos 2 psi + q2s sin 2 psi the flap angle, p and q
+the rates of the hub, u the mean induced velocity of the annulus and u_t its swirl:
+
+    U_T = Omega r + V sin psi - u_t + stream_t            U_R = V cos psi
+    U_P = V_z + stream + u + R Omega (r/R) (lc cos psi + ls sin psi) + r beta' - r (p sin psi + q cos psi) + U_R beta
+    onset = theta - atan2(U_P, U_T)      theta = twist + th0 + th1c cos psi + th1s sin psi      (full circle)
+
+The flap mode is the rigid shape r with the moment of inertia I and the frequency nu Omega. Per harmonic n
+
+    I Omega^2 (nu^2 - n^2) q_n = [int r F_z dr]_n + 2 Omega I (p cos psi - q sin psi)_n
+
+Mean inflow of an annulus: u = w u_a + (1 - w) l0 Omega R. u_a is the momentum balance of the annulus with Prandtl's
+factor F, as in :mod:`mufly.rotor.bemt`, l0 the mean of :mod:`mufly.rotor.forward.inflow`, and w = cos chi. In axial
+flow (w = 1) the equations are those of blade element momentum theory. In edgewise flow the wake leaves backwards and
+an annulus no longer feeds itself; tip loss is then the factor 1 - (1 - w) (1 - F) on the lift (own rule).
+
+Unknowns are u of each station, the five flap coefficients, l0, lc and ls. The derivative of each section force with
+U_P, by one difference, gives the whole Jacobian; stations couple through eight global unknowns only, so that Newton
+steps eliminate them.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.numba_cache import cached_njit
+from mufly.rotor.forward.inflow import momentum_induced_velocity, pitt_peters_inflow
+
+Array = NDArray[np.float64]
+
+STATE_COUNT = 8  # q0, q1c, q1s, q2c, q2s (rad), l0, lc, ls (over Omega R)
+MAX_NEWTON_STEPS = 80
+TOLERANCE = 1e-10
+INFLOW_CODES = {"annular": 0, "pitt-peters": 1, "uniform": 2, "prescribed": 3}
+FIELD_COLUMNS = ("inflow_m_s", "alpha_rad", "lift_coefficient", "drag_coefficient", "reynolds", "thrust_per_length_N_m")
+_HALF_CIRCLE_CELLS = 720.0 / (2.0 * math.pi)
+
+
+class AzimuthBlade(NamedTuple):
+    """Arrays and numbers of a rotor for the kernel.
+
+    Attributes
+    ----------
+    r_m, dr_m, chord_m, twist_rad : (stations,) arrays
+    table : (stations, Reynolds numbers, 723, 2) array
+        :func:`mufly.rotor.forward.section_tables.station_tables`.
+    log_reynolds_min, per_log_reynolds : float
+        Grid of the tables.
+    blade_count, radius_m, hub_radius_m : float
+    has_tip_loss, has_hub_loss, has_swirl : int
+    flap_inertia_kg_m2 : float
+        Moment of inertia of a blade about the shaft.
+    flap_ratio : float
+        nu; infinite for blades that do not flap.
+    """
+
+    r_m: Array
+    dr_m: Array
+    chord_m: Array
+    twist_rad: Array
+    table: Array
+    log_reynolds_min: float
+    per_log_reynolds: float
+    blade_count: float
+    radius_m: float
+    hub_radius_m: float
+    has_tip_loss: int
+    has_hub_loss: int
+    has_swirl: int
+    flap_inertia_kg_m2: float
+    flap_ratio: float
+
+
+class AzimuthPoint(NamedTuple):
+    """Operating point in wind axes for the kernel.
+
+    Attributes
+    ----------
+    speed_rad_s, edgewise_m_s, axial_m_s : float
+        Omega, V and V_z.
+    collective_rad, cyclic_cos_rad, cyclic_sin_rad : float
+        th0, th1c, th1s.
+    roll_rate_rad_s, pitch_rate_rad_s : float
+        p and q.
+    density_kg_m3, kinematic_viscosity_m2_s : float
+    stream_m_s, swirl_m_s : (azimuths, stations) arrays
+        Velocity of the air due to another rotor: down through the disc, and against the motion of the blades.
+    inflow_code : int
+        A value of :data:`INFLOW_CODES`.
+    """
+
+    speed_rad_s: float
+    edgewise_m_s: float
+    axial_m_s: float
+    collective_rad: float
+    cyclic_cos_rad: float
+    cyclic_sin_rad: float
+    roll_rate_rad_s: float
+    pitch_rate_rad_s: float
+    density_kg_m3: float
+    kinematic_viscosity_m2_s: float
+    stream_m_s: Array
+    swirl_m_s: Array
+    inflow_code: int
+
+
+@cached_njit(error_model="numpy")
+def _section_force(table: Array, onset: float, row: float) -> tuple[float, float]:
+    """Interpolate c_l and c_d of a station: cubic over the angle, linear between the rows of Re."""
+    u = (onset + math.pi) * _HALF_CIRCLE_CELLS
+    u -= 720.0 * math.floor(u / 720.0)
+    i = int(u)
+    if i >= 720:
+        i, u = 0, 0.0
+    t = u - i
+    t2, t3 = t * t, t * t * t
+    w0, w1 = 0.5 * (-t3 + 2.0 * t2 - t), 0.5 * (3.0 * t3 - 5.0 * t2 + 2.0)
+    w2, w3 = 0.5 * (-3.0 * t3 + 4.0 * t2 + t), 0.5 * (t3 - t2)
+    last = table.shape[0] - 1
+    v = min(max(row, 0.0), float(last))
+    j = min(int(v), max(last - 1, 0))
+    s = v - j
+    k = min(j + 1, last)
+    cl = w0 * table[j, i, 0] + w1 * table[j, i + 1, 0] + w2 * table[j, i + 2, 0] + w3 * table[j, i + 3, 0]
+    cd = w0 * table[j, i, 1] + w1 * table[j, i + 1, 1] + w2 * table[j, i + 2, 1] + w3 * table[j, i + 3, 1]
+    cl2 = w0 * table[k, i, 0] + w1 * table[k, i + 1, 0] + w2 * table[k, i + 2, 0] + w3 * table[k, i + 3, 0]
+    cd2 = w0 * table[k, i, 1] + w1 * table[k, i + 1, 1] + w2 * table[k, i + 2, 1] + w3 * table[k, i + 3, 1]
+    return cl + s * (cl2 - cl), cd + s * (cd2 - cd)
+
+
+@cached_njit(error_model="numpy")
+def _element_forces(
+    table: Array, theta: float, across: float, down: float, half_rho_c: float, row_zero: float, per_row: float,
+    lift_share: float,
+) -> tuple[float, float, float, float, float]:  # fmt: skip
+    """Return F_z, F_T, lift in the axial direction, radial drag per U_R, and c_d of an element, per length."""
+    square = across * across + down * down + 1e-12
+    wind = math.sqrt(square)
+    cl, cd = _section_force(table, theta - math.atan2(down, across), row_zero + per_row * 0.5 * math.log(square))
+    cl *= lift_share
+    k = half_rho_c * wind
+    lift = k * cl * across
+    return lift - k * cd * down, k * (cl * down + cd * across), lift, k * cd, cd
+
+
+@cached_njit(error_model="numpy")
+def _annulus(
+    blade: AzimuthBlade, point: AzimuthPoint, i: int, u: float, stream: float, around: float, share: float
+) -> tuple[float, float, float]:
+    """Return swirl u_t (m/s), Prandtl's factor F and the factor on the lift of an annulus with mean inflow u."""
+    r, turn = blade.r_m[i], point.speed_rad_s * blade.r_m[i] + around
+    down = point.axial_m_s + stream + u
+    swirl = 0.0
+    if blade.has_swirl == 1:
+        full = 0.5 * (turn - math.sqrt(max(turn * turn - 4.0 * u * down, 0.0)))
+        swirl = share * full
+    loss = 1.0
+    slope = abs(down) / math.sqrt(down * down + (turn - swirl) * (turn - swirl) + 1e-300)
+    if slope > 1e-9:
+        if blade.has_tip_loss == 1:
+            f = 0.5 * blade.blade_count * (blade.radius_m - r) / (r * slope)
+            if f < 37.0:
+                loss = 2.0 / math.pi * math.acos(math.exp(-f))
+        if blade.has_hub_loss == 1 and blade.hub_radius_m > 0.0:
+            f = 0.5 * blade.blade_count * (r - blade.hub_radius_m) / (blade.hub_radius_m * slope)
+            if f < 37.0:
+                loss *= 2.0 / math.pi * math.acos(math.exp(-f))
+    loss = max(loss, 1e-6)
+    return swirl, loss, 1.0 - (1.0 - share) * (1.0 - loss)
+
+
+@cached_njit(error_model="numpy")
+def _sum_stations(
+    blade: AzimuthBlade, point: AzimuthPoint, inflow: Array, x: Array, share: float, trig: Array, sums: Array,
+    slopes: Array, losses: Array,
+) -> None:  # fmt: skip
+    """Sum the element forces over azimuth.
+
+    Parameters
+    ----------
+    inflow : (stations,) array
+        Mean induced velocity u (m/s).
+    x : (8,) array
+        Flap coefficients (rad), l0, lc and ls.
+    share : float
+        w of the module docstring.
+    trig : (azimuths, 5) array
+        1, cos psi, sin psi, cos 2 psi, sin 2 psi.
+    sums : (stations, 6) array
+        Filled with mean and harmonics of F_z (N/m; 1, c, s, 2c, 2s) and the mean of the lift in the axial direction.
+    slopes : (stations, 6, 8) array
+        Filled with their derivatives with u (m/s), the five flap coefficients, lc and ls.
+    losses : (stations,) array
+        Filled with Prandtl's factor.
+    """
+    speed, edgewise = point.speed_rad_s, point.edgewise_m_s
+    count = trig.shape[0]
+    row_scale = blade.per_log_reynolds
+    for i in range(blade.r_m.size):
+        for h in range(6):
+            sums[i, h] = 0.0
+            for k in range(8):
+                slopes[i, h, k] = 0.0
+    ways = np.empty(8)
+    ways[0] = 1.0
+    small = 1e-5 * speed * blade.radius_m
+    for i in range(blade.r_m.size):
+        r, chord = blade.r_m[i], blade.chord_m[i]
+        stream, around = 0.0, 0.0
+        for n in range(count):
+            stream += point.stream_m_s[n, i] / count
+            around += point.swirl_m_s[n, i] / count
+        swirl, loss, lift_share = _annulus(blade, point, i, inflow[i], stream, around, share)
+        losses[i] = loss
+        half = 0.5 * point.density_kg_m3 * chord
+        row_zero = row_scale * (math.log(chord / point.kinematic_viscosity_m2_s) - blade.log_reynolds_min)
+        for n in range(count):
+            c, s, c2, s2 = trig[n, 1], trig[n, 2], trig[n, 3], trig[n, 4]
+            along = edgewise * c
+            flap = x[0] + x[1] * c + x[2] * s + x[3] * c2 + x[4] * s2
+            flapping = speed * (x[2] * c - x[1] * s + 2.0 * (x[4] * c2 - x[3] * s2))
+            across = speed * r + edgewise * s - swirl + point.swirl_m_s[n, i]
+            down = (
+                point.axial_m_s + point.stream_m_s[n, i] + inflow[i] + speed * r * (x[6] * c + x[7] * s)
+                + r * (flapping - point.roll_rate_rad_s * s - point.pitch_rate_rad_s * c) + along * flap
+            )  # fmt: skip
+            theta = blade.twist_rad[i] + point.collective_rad + point.cyclic_cos_rad * c + point.cyclic_sin_rad * s
+            force, _, lift, _, _ = _element_forces(
+                blade.table[i], theta, across, down, half, row_zero, row_scale, lift_share
+            )
+            force2, _, lift2, _, _ = _element_forces(
+                blade.table[i], theta, across, down + small, half, row_zero, row_scale, lift_share
+            )
+            slope, lift_slope = (force2 - force) / small, (lift2 - lift) / small
+            ways[1] = along
+            ways[2] = along * c - speed * r * s
+            ways[3] = along * s + speed * r * c
+            ways[4] = along * c2 - 2.0 * speed * r * s2
+            ways[5] = along * s2 + 2.0 * speed * r * c2
+            ways[6] = speed * r * c
+            ways[7] = speed * r * s
+            for h in range(5):
+                weight = (1.0 if h == 0 else 2.0) * trig[n, h] / count
+                sums[i, h] += weight * force
+                for k in range(8):
+                    slopes[i, h, k] += weight * slope * ways[k]
+            sums[i, 5] += lift / count
+            for k in range(8):
+                slopes[i, 5, k] += lift_slope * ways[k] / count
+
+
+@cached_njit(error_model="numpy")
+def _global_residual(blade: AzimuthBlade, point: AzimuthPoint, x: Array, loads: Array, out: Array) -> float:
+    """Fill ``out`` (8) with the residuals of flapping and inflow for ``loads``: thrust (N) and the harmonics of the
+    flap moment (N m) of one blade. Return w."""
+    speed, radius = point.speed_rad_s, blade.radius_m
+    if math.isinf(blade.flap_ratio):
+        for n in range(5):
+            out[n] = x[n]
+    else:
+        scale = blade.flap_inertia_kg_m2 * speed * speed
+        square = blade.flap_ratio * blade.flap_ratio
+        out[0] = square * x[0] - loads[1] / scale
+        out[1] = (square - 1.0) * x[1] - loads[2] / scale - 2.0 * point.roll_rate_rad_s / speed
+        out[2] = (square - 1.0) * x[2] - loads[3] / scale + 2.0 * point.pitch_rate_rad_s / speed
+        out[3] = (square - 4.0) * x[3] - loads[4] / scale
+        out[4] = (square - 4.0) * x[4] - loads[5] / scale
+    if point.inflow_code == 3:
+        out[5], out[6], out[7] = x[5], x[6], x[7]
+        return 0.0
+    disc = point.density_kg_m3 * math.pi * radius * radius * (speed * radius) ** 2
+    stream = 0.0
+    for i in range(blade.r_m.size):
+        for n in range(point.stream_m_s.shape[0]):
+            stream += point.stream_m_s[n, i] * blade.r_m[i] * blade.dr_m[i]
+    stream *= 2.0 / (radius * radius * point.stream_m_s.shape[0])
+    tip = speed * radius
+    c_c = 0.5 * blade.blade_count * loads[2] / (disc * radius)
+    c_s = 0.5 * blade.blade_count * loads[3] / (disc * radius)
+    l0, lc, ls, cosine = pitt_peters_inflow(
+        blade.blade_count * loads[0] / disc, c_c if point.inflow_code < 2 else 0.0, c_s, x[5],
+        (point.axial_m_s + stream) / tip, point.edgewise_m_s / tip,
+    )  # fmt: skip
+    out[5] = x[5] - l0
+    if point.inflow_code == 2:
+        out[6], out[7] = x[6], x[7]
+    else:
+        out[6], out[7] = x[6] - lc, x[7] - ls
+    return cosine if point.inflow_code == 0 else 0.0
+
+
+@cached_njit(error_model="numpy")
+def _collect_loads(blade: AzimuthBlade, sums: Array, loads: Array) -> None:
+    for h in range(6):
+        loads[h] = 0.0
+    for i in range(blade.r_m.size):
+        loads[0] += sums[i, 0] * blade.dr_m[i]
+        for h in range(5):
+            loads[h + 1] += sums[i, h] * blade.r_m[i] * blade.dr_m[i]
+
+
+@cached_njit(error_model="numpy")
+def _eliminate(matrix: Array, side: Array) -> None:
+    """Replace ``side`` by the solution of a small linear system (Gauss, partial pivoting)."""
+    n = side.size
+    for k in range(n):
+        best = k
+        for i in range(k + 1, n):
+            if abs(matrix[i, k]) > abs(matrix[best, k]):
+                best = i
+        side[k], side[best] = side[best], side[k]
+        for j in range(k, n):
+            matrix[k, j], matrix[best, j] = matrix[best, j], matrix[k, j]
+        for i in range(k + 1, n):
+            ratio = matrix[i, k] / matrix[k, k]
+            side[i] -= ratio * side[k]
+            for j in range(k, n):
+                matrix[i, j] -= ratio * matrix[k, j]
+    for k in range(n - 1, -1, -1):
+        for j in range(k + 1, n):
+            side[k] -= matrix[k, j] * side[j]
+        side[k] /= matrix[k, k]
+
+
+@cached_njit(error_model="numpy")
+def _station_residuals(
+    blade: AzimuthBlade, point: AzimuthPoint, inflow: Array, x: Array, share: float, sums: Array, slopes: Array,
+    losses: Array, miss: Array, local: Array,
+) -> float:  # fmt: skip
+    """Fill the residuals of the stations (m/s) and their derivatives with the unknowns: u, then the eight of ``x``.
+    Return the largest residual over the tip speed."""
+    tip, count, largest = point.speed_rad_s * blade.radius_m, point.stream_m_s.shape[0], 0.0
+    for i in range(blade.r_m.size):
+        own, slope = 0.0, 0.0
+        if share > 0.0:
+            stream = 0.0
+            for n in range(count):
+                stream += point.stream_m_s[n, i] / count
+            factor = blade.blade_count / (4.0 * math.pi * blade.r_m[i] * point.density_kg_m3 * losses[i])
+            hover, axial = factor * sums[i, 5], point.axial_m_s + stream
+            nudge = 1e-8 * tip * tip + 1e-6 * abs(hover)
+            for side in range(2):
+                value = momentum_induced_velocity(hover + side * nudge, axial, point.edgewise_m_s)
+                if side == 0:
+                    own = value
+                else:
+                    slope = share * factor * (value - own) / nudge
+        miss[i] = inflow[i] - share * own - (1.0 - share) * x[5] * tip
+        largest = max(largest, abs(miss[i]) / tip)
+        local[i, 0] = max(1.0 - slope * slopes[i, 5, 0], 0.2)
+        for k in range(5):
+            local[i, k + 1] = -slope * slopes[i, 5, k + 1]
+        local[i, 6] = -(1.0 - share) * tip
+        local[i, 7], local[i, 8] = -slope * slopes[i, 5, 6], -slope * slopes[i, 5, 7]
+    return largest
+
+
+@cached_njit(error_model="numpy")
+def _load_slopes(blade: AzimuthBlade, point: AzimuthPoint, x: Array, loads: Array, out: Array) -> tuple[Array, Array]:
+    """Return the derivatives of the global residuals ``out`` with the loads, (8, 6), and with ``x``, (8, 8)."""
+    by_load, by_state, other = np.zeros((STATE_COUNT, 6)), np.zeros((STATE_COUNT, STATE_COUNT)), np.zeros(STATE_COUNT)
+    moved_loads, moved = np.zeros(6), np.zeros(STATE_COUNT)
+    for k in range(STATE_COUNT):
+        moved[k] = x[k]
+    for k in range(6):
+        moved_loads[k] = loads[k]
+    for k in range(6 + STATE_COUNT):
+        at_load = k < 6
+        nudge = 1e-6 * abs(loads[k]) + 1e-9 if at_load else 1e-7
+        if at_load:
+            moved_loads[k] += nudge
+        else:
+            moved[k - 6] += nudge
+        _global_residual(blade, point, moved, moved_loads, other)
+        if at_load:
+            moved_loads[k] = loads[k]
+            for m in range(STATE_COUNT):
+                by_load[m, k] = (other[m] - out[m]) / nudge
+        else:
+            moved[k - 6] = x[k - 6]
+            for m in range(STATE_COUNT):
+                by_state[m, k - 6] = (other[m] - out[m]) / nudge
+    return by_load, by_state
+
+
+@cached_njit(error_model="numpy")
+def _newton_step(
+    blade: AzimuthBlade, slopes: Array, by_load: Array, matrix: Array, out: Array, miss: Array, local: Array
+) -> Array:
+    """Return the Newton step of the eight global unknowns, the stations eliminated; ``matrix`` is overwritten."""
+    side = np.zeros(STATE_COUNT)
+    for m in range(STATE_COUNT):
+        side[m] = -out[m]
+    per_length = np.zeros(5)
+    direct = np.zeros(STATE_COUNT)  # derivatives with u, the flap coefficients, lc and ls
+    for i in range(blade.r_m.size):
+        for m in range(STATE_COUNT):
+            for h in range(5):
+                per_length[h] = by_load[m, h + 1] * blade.r_m[i] * blade.dr_m[i]
+            per_length[0] += by_load[m, 0] * blade.dr_m[i]
+            for k in range(STATE_COUNT):
+                total = 0.0
+                for h in range(5):
+                    total += per_length[h] * slopes[i, h, k]
+                direct[k] = total
+            through = direct[0] / local[i, 0]
+            side[m] += through * miss[i]
+            for k in range(STATE_COUNT):
+                matrix[m, k] -= through * local[i, k + 1]
+                if k != 5:
+                    matrix[m, k] += direct[k + 1 if k < 5 else k]
+    _eliminate(matrix, side)
+    return side
+
+
+@cached_njit(error_model="numpy", nogil=True)
+def solve_azimuth(
+    blade: AzimuthBlade, point: AzimuthPoint, trig: Array, inflow: Array, x: Array
+) -> tuple[int, float, float]:
+    """Solve a point by Newton steps; return their number, the last residual and w.
+
+    Parameters
+    ----------
+    blade : AzimuthBlade
+    point : AzimuthPoint
+    trig : (azimuths, 5) array
+        1, cos psi, sin psi, cos 2 psi, sin 2 psi.
+    inflow : (stations,) array
+        Mean induced velocity of each annulus (m/s): the start, replaced by the solution. Kept for the inflow code 3.
+    x : (8,) array
+        The other unknowns: the start, replaced by the solution.
+    """
+    ns, tip = blade.r_m.size, point.speed_rad_s * blade.radius_m
+    sums, slopes, losses = np.zeros((ns, 6)), np.zeros((ns, 6, STATE_COUNT)), np.ones(ns)
+    miss, local, loads, out = np.zeros(ns), np.zeros((ns, 9)), np.zeros(6), np.zeros(STATE_COUNT)
+    for i in range(ns):
+        local[i, 0] = 1.0
+    share, size, best, slow = 1.0 if point.inflow_code == 0 else 0.0, 1e9, 1e9, 1.0
+    for step in range(MAX_NEWTON_STEPS):
+        _sum_stations(blade, point, inflow, x, share, trig, sums, slopes, losses)
+        _collect_loads(blade, sums, loads)
+        share = _global_residual(blade, point, x, loads, out)
+        size = 0.0
+        for k in range(STATE_COUNT):
+            size = max(size, abs(out[k]))
+        if point.inflow_code != 3:
+            size = max(size, _station_residuals(blade, point, inflow, x, share, sums, slopes, losses, miss, local))
+        if size < TOLERANCE:
+            return step, size, share
+        if not size < 1e6:
+            break
+        if size > 2.0 * best and step > 3:
+            slow = max(0.5 * slow, 0.05)
+        elif size < best:
+            best, slow = size, min(1.3 * slow, 1.0)
+        by_load, matrix = _load_slopes(blade, point, x, loads, out)
+        change = _newton_step(blade, slopes, by_load, matrix, out, miss, local)
+        largest = 1e-12
+        for k in range(STATE_COUNT):
+            largest = max(largest, abs(change[k]) / (0.2 if k < 5 else 0.05))
+        part = slow * min(1.0, 1.0 / largest)
+        for i in range(ns):
+            turn = -miss[i]
+            for k in range(STATE_COUNT):
+                turn -= local[i, k + 1] * change[k]
+            inflow[i] += part * min(max(turn / local[i, 0], -0.05 * tip), 0.05 * tip)
+        for k in range(STATE_COUNT):
+            x[k] += part * change[k]
+    return MAX_NEWTON_STEPS, size, share
+
+
+@cached_njit(error_model="numpy", nogil=True)
+def integrate_loads(
+    blade: AzimuthBlade, point: AzimuthPoint, trig: Array, inflow: Array, induced: Array, x: Array, share: float,
+    fields: Array, totals: Array, annuli: Array,
+) -> None:  # fmt: skip
+    """Integrate the loads of a solved point.
+
+    Parameters
+    ----------
+    induced : (azimuths, stations) array
+        Further induced velocity (m/s), added to the inflow of the state.
+    fields : (azimuths, stations, 6) array
+        Filled with :data:`FIELD_COLUMNS`.
+    totals : (11,) array
+        Filled, for all blades, with thrust (N), torque (N m), H and Y force (N), cosine and sine of the aerodynamic
+        moment int r F_z (N m), induced power, profile power (W), power of the axial stream V_z T (W), and cos 2 psi and
+        sin 2 psi of the thrust of one blade (N).
+    annuli : (stations, 3) array
+        Filled with swirl u_t (m/s), Prandtl's factor, and the mean drag of all blades along the motion (N/m).
+    """
+    speed, edgewise, count = point.speed_rad_s, point.edgewise_m_s, trig.shape[0]
+    for k in range(totals.size):
+        totals[k] = 0.0
+    row_scale = blade.per_log_reynolds
+    for i in range(blade.r_m.size):
+        r, chord, dr = blade.r_m[i], blade.chord_m[i], blade.dr_m[i]
+        stream, around = 0.0, 0.0
+        for n in range(count):
+            stream += point.stream_m_s[n, i] / count
+            around += point.swirl_m_s[n, i] / count
+        swirl, loss, lift_share = _annulus(blade, point, i, inflow[i], stream, around, share)
+        annuli[i, 0], annuli[i, 1], annuli[i, 2] = swirl, loss, 0.0
+        half = 0.5 * point.density_kg_m3 * chord
+        row_zero = row_scale * (math.log(chord / point.kinematic_viscosity_m2_s) - blade.log_reynolds_min)
+        weight = blade.blade_count * dr / count
+        for n in range(count):
+            c, s, c2, s2 = trig[n, 1], trig[n, 2], trig[n, 3], trig[n, 4]
+            along = edgewise * c
+            flap = x[0] + x[1] * c + x[2] * s + x[3] * c2 + x[4] * s2
+            flapping = speed * (x[2] * c - x[1] * s + 2.0 * (x[4] * c2 - x[3] * s2))
+            around_here = point.swirl_m_s[n, i] - swirl
+            across = speed * r + edgewise * s + around_here
+            made = inflow[i] + speed * r * (x[6] * c + x[7] * s) + induced[n, i]
+            met = made + point.stream_m_s[n, i]
+            down = (
+                point.axial_m_s + met + along * flap
+                + r * (flapping - point.roll_rate_rad_s * s - point.pitch_rate_rad_s * c)
+            )  # fmt: skip
+            theta = blade.twist_rad[i] + point.collective_rad + point.cyclic_cos_rad * c + point.cyclic_sin_rad * s
+            force, turn, _, radial, cd = _element_forces(
+                blade.table[i], theta, across, down, half, row_zero, row_scale, lift_share
+            )
+            outward = radial * along - force * flap
+            wind = math.sqrt(across * across + down * down)
+            fields[n, i, 0] = made
+            onset = theta - math.atan2(down, across)
+            fields[n, i, 1] = (onset + math.pi) % (2.0 * math.pi) - math.pi
+            fields[n, i, 2] = (force * across + turn * down) / (half * wind**3 + 1e-300)
+            fields[n, i, 3] = cd
+            fields[n, i, 4] = wind * chord / point.kinematic_viscosity_m2_s
+            fields[n, i, 5] = force
+            totals[0] += weight * force
+            totals[1] += weight * turn * r
+            totals[2] += weight * (turn * s + outward * c)
+            totals[3] += weight * (outward * s - turn * c)
+            totals[4] += weight * force * r * c
+            totals[5] += weight * force * r * s
+            totals[6] += weight * (force * met - turn * around_here)
+            totals[7] += weight * (radial * wind * wind + radial * along * along)
+            totals[8] += weight * force * point.axial_m_s
+            totals[9] += 2.0 * dr / count * force * c2
+            totals[10] += 2.0 * dr / count * force * s2
+            annuli[i, 2] += blade.blade_count / count * radial * across

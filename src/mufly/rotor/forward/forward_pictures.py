@@ -1,0 +1,82 @@
+"""Pictures of rotors in forward flight: over the disc, and over airspeed."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from mufly.rotor.forward.forward_results import ForwardResult, ForwardSweep
+
+
+def disc_picture(result: ForwardResult) -> Figure:
+    """Draw induced velocity, onset angle and load of a blade over the disc, seen from above, the air from the top."""
+    from matplotlib.figure import Figure
+
+    disc = result.disc
+    figure = Figure(figsize=(12.0, 4.6), layout="constrained")
+    psi = np.append(disc.azimuth_rad, 2.0 * math.pi)
+    hidden = np.abs(disc.alpha_rad) > math.radians(45.0)
+    onset = np.ma.masked_where(hidden, np.degrees(disc.alpha_rad))
+    for k, (values, title, colours) in enumerate(
+        (
+            (disc.inflow_m_s, "Induced velocity, down (m/s)", "viridis"),
+            (onset, "Onset angle (deg)", "RdBu_r"),
+            (disc.thrust_per_length_N_m, "Thrust of a blade per length (N/m)", "magma"),
+        ),
+        start=1,
+    ):
+        axes: Any = figure.add_subplot(1, 3, k, projection="polar")
+        axes.set_theta_zero_location("S")  # psi = 0 aft
+        rings = np.ma.concatenate((values, values[:1]))
+        limits = {}
+        if k == 2:
+            most = float(np.ma.max(np.ma.abs(values)))
+            limits = {"vmin": -most, "vmax": most}
+        drawn = axes.pcolormesh(psi, 1e3 * disc.r_m, rings.T, shading="gouraud", cmap=colours, **limits)
+        axes.grid(False)
+        axes.set_xticks(np.radians([0, 90, 180, 270]), ["0° aft", "90°", "180°", "270°"])
+        tip = 1e3 * float(disc.r_m[-1])
+        axes.set_yticks([])
+        axes.set_xlabel(f"Radius {tip:.0f} mm", fontsize="small")
+        axes.set_title(title, fontsize="medium")
+        figure.colorbar(drawn, ax=axes, shrink=0.8, pad=0.1)
+    figure.suptitle(
+        f"{result.edgewise_m_s:g} m/s (advance ratio {result.advance_ratio:.3f}), flap frequency "
+        f"{result.flap_frequency_ratio:.3g}/rev; the air comes from the top, azimuth increases with the rotation",
+        fontsize="medium",
+    )
+    return figure
+
+
+def sweep_picture(sweep: ForwardSweep) -> Figure:
+    """Draw loads, moments, flapping and the response to cyclic pitch over airspeed, a line for each flap frequency."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12.0, 7.5), layout="constrained")
+    axes = figure.subplots(2, 4).ravel()
+    for line, answers in zip(sweep.points, sweep.responses, strict=True):
+        speed = np.array([p.edgewise_m_s for p in line])
+        label = f"{line[0].flap_frequency_ratio:.3g}/rev"
+        columns = (
+            ("Thrust (N)", [p.thrust_N for p in line]),
+            ("Shaft power (W)", [p.power_W for p in line]),
+            ("H force, aft (mN)", [1e3 * p.h_force_N for p in line]),
+            ("Y force, right (mN)", [1e3 * p.y_force_N for p in line]),
+            ("Hub moment, nose up (mN m)", [1e3 * p.pitch_moment_Nm for p in line]),
+            ("Hub moment, right side down (mN m)", [1e3 * p.roll_moment_Nm for p in line]),
+            ("Flapping aft, -b1c (deg)", [-math.degrees(p.flap_cos_rad) for p in line]),
+            ("Moment per cyclic (mN m/deg)", [1e3 * r.moment_Nm_deg for r in answers]),
+        )
+        for one, (name, values) in zip(axes, columns, strict=True):
+            one.plot(speed, values, label=label, marker="." if speed.size < 30 else "")
+            one.set_ylabel(name)
+            one.set_xlabel("Edgewise airspeed (m/s)")
+            one.grid(alpha=0.3)
+    axes[0].legend(title="Flap frequency", fontsize="small")
+    figure.suptitle(f"{sweep.rotor}: {sweep.flap_basis}" if sweep.flap_basis else sweep.rotor, fontsize="medium")
+    return figure

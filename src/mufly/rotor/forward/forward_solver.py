@@ -1,0 +1,420 @@
+"""Rotor in forward flight: blade elements over azimuth, one flap mode, dynamic inflow.
+
+:func:`solve_forward` solves one point, :func:`sweep_forward` a range of airspeeds with the response to cyclic pitch.
+Equations: :mod:`mufly.rotor.forward.azimuth_kernel` and docs/explanation/forward-flight.md.
+
+A point is solved in wind axes, so that wind from any azimuth is one rotation of inputs and loads. A rotor that turns
+clockwise from above is the mirror image of one that turns anticlockwise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.errors import InputError, MuflyError
+from mufly.rotor.blading import Blading, ensure_blading
+from mufly.rotor.forward.azimuth_kernel import (
+    FIELD_COLUMNS,
+    INFLOW_CODES,
+    STATE_COUNT,
+    TOLERANCE,
+    AzimuthBlade,
+    AzimuthPoint,
+    integrate_loads,
+    solve_azimuth,
+)
+from mufly.rotor.forward.forward_results import (
+    BladeFlap,
+    CyclicResponse,
+    DiscFields,
+    ForwardCondition,
+    ForwardResult,
+    ForwardSweep,
+    SolverState,
+)
+from mufly.rotor.forward.section_tables import station_tables
+from mufly.rotor.geometry import Rotor
+from mufly.rotor.rotor_system import VORTEX_RING_RANGE, Air, check_pitch
+from mufly.rotor.sections.airfoil import load_airfoil
+from mufly.rotor.sections.polar_file import is_polar_file
+
+Array = NDArray[np.float64]
+InflowModel = Literal["annular", "pitt-peters", "uniform"]
+
+AZIMUTH_COUNT = 24
+LIFT_SLOPE = 5.7
+"""Lift slope (1/rad) of the Lock number."""
+MAX_ADVANCE_RATIO = 0.35
+"""Advance ratio up to which strips and polars are sound; beyond, reversed flow covers much of the retreating side."""
+_VORTEX_RING_MU = 0.1  # advance ratio below which a descent may be in vortex ring state
+_DEFAULT_BLADE_DENSITY = 1040.0  # kg/m3, ABS (BASF Terluran GP)
+_SOLID_AREA = 0.68  # area of a section over chord times thickness, where no contour is known
+_POLAR_THICKNESS = 0.12
+
+
+def blade_flap(
+    rotor: Rotor, frequency_ratio: float, *, mass_kg: float | None = None, density_kg_m3: float = _DEFAULT_BLADE_DENSITY
+) -> BladeFlap:
+    """Return the flap mode of a blade with the mass distribution of its solid contour.
+
+    Parameters
+    ----------
+    rotor : Rotor
+    frequency_ratio : float
+        Flap frequency over rotor speed, 1 or more; infinite for a rigid blade.
+    mass_kg : float, optional
+        Mass of one blade outside the cut-out. Default: ``density_kg_m3`` times the volume of the contour.
+    density_kg_m3 : float
+        Density of the material. Default: ABS.
+
+    Raises
+    ------
+    InputError
+        If a value is out of range.
+    """
+    if not frequency_ratio >= 1.0:
+        raise InputError(
+            "flap", "frequency_ratio", f"is {frequency_ratio:g}", "give 1 (free hinge at the shaft) or more"
+        )
+    if mass_kg is not None and not 0.0 < mass_kg < math.inf:
+        raise InputError("flap", "mass_kg", f"is {mass_kg:g}", "give a mass above 0")
+    edges = np.linspace(float(rotor.hub_cutout), 1.0, 201)
+    x = 0.5 * (edges[1:] + edges[:-1])
+    cut = rotor.sections_at(x)
+    areas = np.array([_contour_area(name) for name in cut.airfoil_names])
+    share = cut.second_weight
+    area = cut.chord_m**2 * ((1.0 - share) * areas[cut.first_airfoil] + share * areas[cut.second_airfoil])
+    width = np.diff(edges) * rotor.radius_m
+    mass = density_kg_m3 * area * width
+    if mass_kg is not None:
+        mass *= mass_kg / mass.sum()
+    return BladeFlap(frequency_ratio, float(np.sum(mass * (x * rotor.radius_m) ** 2)))
+
+
+def _contour_area(name: str) -> float:
+    """Return the area of a section over the square of the chord."""
+    if is_polar_file(name):
+        return _SOLID_AREA * _POLAR_THICKNESS
+    x, y = load_airfoil(name).coordinates.T
+    return 0.5 * abs(float(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))))
+
+
+def lock_number(r_m: Array, dr_m: Array, chord_m: Array, flap: BladeFlap, air: Air) -> float:
+    """Return the Lock number 4 rho a int c r^3 dr / I with a = 5.7 per rad (rho a c R^4 / I for constant chord).
+
+    Parameters
+    ----------
+    r_m, dr_m, chord_m : (stations,) arrays
+        Radius, width and chord of the stations (m).
+    flap : BladeFlap
+    air : Air
+    """
+    return 4.0 * air.density_kg_m3 * LIFT_SLOPE * float(np.sum(chord_m * r_m**3 * dr_m)) / flap.inertia_kg_m2
+
+
+def _check_condition(c: ForwardCondition) -> None:
+    check_pitch("rotor forward", "pitch_rad", c.pitch_rad)
+    check_pitch("rotor forward", "cyclic_rad", c.cyclic_rad)
+    if not 0.0 < c.speed_rad_s < math.inf:
+        raise InputError(
+            "rotor forward", "speed_rad_s", f"is {c.speed_rad_s:g}",
+            "give a speed above 0: a rotor at rest has no azimuth to average over",
+        )  # fmt: skip
+    if not 0.0 <= c.edgewise_m_s < math.inf:
+        raise InputError(
+            "rotor forward", "edgewise_m_s", f"is {c.edgewise_m_s:g}",
+            "give 0 or more; wind_azimuth_rad turns the direction",
+        )  # fmt: skip
+    for name in ("climb_m_s", "wind_azimuth_rad", "rates_rad_s"):
+        if not np.all(np.isfinite(getattr(c, name))):
+            raise InputError("rotor forward", name, "is not finite", "give finite numbers")
+    if c.rotation_sign not in (1, -1):
+        raise InputError("rotor forward", "rotation_sign", f"is {c.rotation_sign}", "give 1 or -1")
+
+
+def azimuth_grid(count: int) -> tuple[Array, Array]:
+    """Return azimuths (rad) and the table 1, cos, sin, cos 2, sin 2 of them, (count, 5)."""
+    psi = np.arange(count) * (2.0 * math.pi / count)
+    return psi, np.stack((np.ones(count), np.cos(psi), np.sin(psi), np.cos(2 * psi), np.sin(2 * psi)), axis=1)
+
+
+def azimuth_blade(blading: Blading, which: int, flap: BladeFlap, air: Air) -> AzimuthBlade:
+    """Return the arrays of a rotor for the kernel."""
+    fixes, stack = blading.corrections, blading.polars
+    return AzimuthBlade(
+        blading.r_m[which], blading.dr_m[which], blading.chord_m[which], blading.twist_rad[which],
+        station_tables(blading, which, air), stack.log_reynolds_min, stack.per_log_reynolds,
+        float(blading.blades[which]), float(blading.radius_m[which]), float(blading.hub_radius_m[which]),
+        int(fixes.tip_loss == "prandtl"), int(fixes.hub_loss), int(fixes.swirl), float(flap.inertia_kg_m2),
+        float(flap.frequency_ratio),
+    )  # fmt: skip
+
+
+def solve_forward(
+    blading: Blading | Rotor,
+    condition: ForwardCondition,
+    flap: BladeFlap | None = None,
+    *,
+    inflow: InflowModel = "annular",
+    start: ForwardResult | None = None,
+    which: int = 0,
+    azimuths: int = AZIMUTH_COUNT,
+    stream_m_s: Array | None = None,
+    swirl_m_s: Array | None = None,
+) -> ForwardResult:
+    """Solve the steady periodic loads, flapping and inflow of a rotor.
+
+    Parameters
+    ----------
+    blading : Blading or Rotor
+    condition : ForwardCondition
+    flap : BladeFlap, optional
+        Default: a blade that does not flap.
+    inflow : 'annular', 'pitt-peters' or 'uniform'
+        Mean inflow by annuli in axial flow and Pitt-Peters' mean in edgewise flow; Pitt-Peters alone; or uniform.
+    start : ForwardResult, optional
+        Similar point to start from.
+    which : int
+        Index of the rotor in the blading.
+    azimuths : int
+        Azimuths of the harmonic balance, 12 or more.
+    stream_m_s, swirl_m_s : (azimuths, stations) arrays, optional
+        Velocity of the air due to another rotor in wind axes: down through the disc, and against the motion of the
+        blades.
+
+    Raises
+    ------
+    InputError
+        If a value is impossible.
+    MuflyError
+        If the Newton steps do not converge.
+    """
+    blading = ensure_blading(blading)
+    c, rotor = condition, blading.rotors[which]
+    _check_condition(c)
+    if inflow not in ("annular", "pitt-peters", "uniform"):
+        raise InputError("rotor forward", "inflow", f"{inflow!r} is unknown", "use annular, pitt-peters or uniform")
+    if not 12 <= azimuths <= 720:
+        raise InputError("rotor forward", "azimuths", f"is {azimuths}", "give 12 to 720")
+    flap = flap or BladeFlap(math.inf, blade_flap(rotor, math.inf).inertia_kg_m2)
+    hand = float(c.rotation_sign)
+    turn = hand * c.wind_azimuth_rad
+    cosine, sine = math.cos(turn), math.sin(turn)
+    th_c, th_s = c.cyclic_rad
+    p, q = hand * c.rates_rad_s[0], c.rates_rad_s[1]
+    psi, trig = azimuth_grid(azimuths)
+    none = np.zeros((azimuths, blading.r_m.shape[1]))
+    point = AzimuthPoint(
+        float(c.speed_rad_s), float(c.edgewise_m_s), float(c.climb_m_s), float(c.pitch_rad),
+        th_c * cosine - th_s * sine, th_c * sine + th_s * cosine, p * cosine + q * sine, q * cosine - p * sine,
+        float(c.air.density_kg_m3), float(c.air.viscosity_Pa_s / c.air.density_kg_m3),
+        none if stream_m_s is None else np.ascontiguousarray(stream_m_s, dtype=np.float64),
+        none if swirl_m_s is None else np.ascontiguousarray(swirl_m_s, dtype=np.float64), INFLOW_CODES[inflow],
+    )  # fmt: skip
+    blade = azimuth_blade(blading, which, flap, c.air)
+    speeds, x, steps, share = _find_solution(blade, point, trig, start)
+    fields, totals = np.empty((azimuths, none.shape[1], len(FIELD_COLUMNS))), np.empty(11)
+    annuli = np.empty((none.shape[1], 3))
+    integrate_loads(blade, point, trig, speeds, none, x, share, fields, totals, annuli)
+    return _make_result(c, flap, blade, x, totals, steps, psi, fields, SolverState(speeds, x, annuli))
+
+
+def _find_solution(
+    blade: AzimuthBlade, point: AzimuthPoint, trig: Array, start: ForwardResult | None
+) -> tuple[Array, Array, int, float]:
+    """Return inflow, unknowns, steps and w; the start is the given result, else a guess, else lower airspeeds."""
+    tip = point.speed_rad_s * blade.radius_m
+    guesses: list[tuple[Array, Array]] = []
+    if start is not None and start.state.inflow_m_s.size == blade.r_m.size:
+        guesses.append((start.state.inflow_m_s * tip / (start.speed_rad_s * blade.radius_m), start.state.unknowns))
+    for level in (0.05, 0.02, 0.1):
+        x = np.zeros(STATE_COUNT)
+        x[5] = level
+        guesses.append((np.full(blade.r_m.size, level * tip), x))
+    total = 0
+    for inflow, unknowns in guesses:
+        inflow, x = inflow.copy(), unknowns.copy()
+        steps, size, share = solve_azimuth(blade, point, trig, inflow, x)
+        total += steps
+        if size < TOLERANCE:
+            return inflow, x, total, share
+    inflow, x = (v.copy() for v in guesses[-3])
+    for part in np.linspace(0.0, 1.0, 9):
+        nearer = point._replace(
+            edgewise_m_s=part * point.edgewise_m_s, axial_m_s=part * point.axial_m_s,
+            stream_m_s=part * point.stream_m_s, swirl_m_s=part * point.swirl_m_s,
+        )  # fmt: skip
+        steps, size, share = solve_azimuth(blade, nearer, trig, inflow, x)
+        total += steps
+        if not size < 1e-2:
+            break
+    if size < TOLERANCE:
+        return inflow, x, total, share
+    raise MuflyError(
+        f"rotor forward: no steady solution at {point.edgewise_m_s:g} m/s edgewise and {point.axial_m_s:g} m/s along "
+        f"the shaft (residual {size:.1e}); blades stall or the wake returns to the disc"
+    )
+
+
+def _make_result(
+    c: ForwardCondition, flap: BladeFlap, blade: AzimuthBlade, x: Array, totals: Array, steps: int, psi: Array,
+    fields: Array, state: SolverState,
+) -> ForwardResult:  # fmt: skip
+    hand, radius, density = float(c.rotation_sign), blade.radius_m, c.air.density_kg_m3
+    tip = c.speed_rad_s * radius
+    cosine, sine = math.cos(c.wind_azimuth_rad), math.sin(c.wind_azimuth_rad)
+    turn_cos, turn_sin = cosine, hand * sine
+    thrust, torque, h_w, y_w, m_c, m_s, induced, profile, _, t2c, t2s = totals
+    y_w *= hand
+    p_w = hand * c.rates_rad_s[0] * turn_cos + c.rates_rad_s[1] * turn_sin
+    q_w = c.rates_rad_s[1] * turn_cos - hand * c.rates_rad_s[0] * turn_sin
+    gyroscopic = blade.blade_count * flap.inertia_kg_m2 * c.speed_rad_s
+    roll_w, pitch_w = hand * (-m_s + gyroscopic * q_w), -m_c - gyroscopic * p_w
+    forward = -h_w * cosine - y_w * sine
+    right = -h_w * sine + y_w * cosine
+    force_scale = density * math.pi * radius**2 * tip**2
+    axial = c.climb_m_s
+    hover = math.sqrt(max(thrust, 0.0) / (2.0 * density * math.pi * radius**2))
+    mu = c.edgewise_m_s / tip
+    notes = []
+    if mu > MAX_ADVANCE_RATIO:
+        notes.append(f"advance ratio above {MAX_ADVANCE_RATIO:g}: reversed flow, no unsteady aerodynamics")
+    if mu < _VORTEX_RING_MU and VORTEX_RING_RANGE[0] * hover < -axial < VORTEX_RING_RANGE[1] * hover:
+        notes.append("vortex ring or turbulent wake state: no steady wake; a curve through measured means")
+    thrusting = np.abs(fields[..., 5]) * blade.dr_m
+    stalled = float(thrusting[np.abs(fields[..., 1]) > _STALL_RAD].sum() / max(thrusting.sum(), 1e-300))
+    if stalled > 0.2:
+        notes.append("sections beyond 20 degrees carry more than a fifth of the thrust: no dynamic stall")
+    columns = {name: fields[..., k] for k, name in enumerate(FIELD_COLUMNS)}
+    return ForwardResult(
+        edgewise_m_s=c.edgewise_m_s,
+        climb_m_s=c.climb_m_s,
+        pitch_rad=c.pitch_rad,
+        speed_rad_s=c.speed_rad_s,
+        flap_frequency_ratio=flap.frequency_ratio,
+        lock_number=lock_number(blade.r_m, blade.dr_m, blade.chord_m, flap, c.air),
+        advance_ratio=mu,
+        thrust_N=float(thrust),
+        torque_Nm=float(torque),
+        power_W=float(torque * c.speed_rad_s),
+        h_force_N=float(-forward),
+        y_force_N=float(right),
+        roll_moment_Nm=float(roll_w * cosine - pitch_w * sine),
+        pitch_moment_Nm=float(roll_w * sine + pitch_w * cosine),
+        coning_rad=float(x[0]),
+        flap_cos_rad=float(x[1] * turn_cos + x[2] * turn_sin),
+        flap_sin_rad=float(x[2] * turn_cos - x[1] * turn_sin),
+        flap_2_rad=math.hypot(x[3], x[4]),
+        thrust_2_N=math.hypot(t2c, t2s),
+        inflow_mean=float(x[5]),
+        inflow_cos=float(x[6]),
+        inflow_sin=float(x[7]),
+        induced_power_W=float(induced),
+        profile_power_W=float(profile),
+        c_T=float(thrust / force_scale),
+        c_Q=float(torque / (force_scale * radius)),
+        c_H=float(-forward / force_scale),
+        outside=bool(notes),
+        notes=tuple(notes),
+        steps=steps,
+        disc=DiscFields(psi, blade.r_m, **columns),
+        state=state,
+    )
+
+
+_STALL_RAD = math.radians(20.0)
+
+
+def cyclic_response(
+    blading: Blading | Rotor,
+    condition: ForwardCondition,
+    flap: BladeFlap,
+    *,
+    amplitude_rad: float = math.radians(1.0),
+    inflow: InflowModel = "annular",
+    start: ForwardResult | None = None,
+    which: int = 0,
+) -> CyclicResponse:
+    """Return the response of flapping and hub moment to cyclic pitch, by central differences.
+
+    The response to (th1c, th1s) is a matrix of two by two; its part that turns with the input is reported, gain and
+    angle. In edgewise flow the two directions differ by terms of order mu^2.
+
+    Parameters
+    ----------
+    blading, condition, flap, inflow, start, which
+        As for :func:`solve_forward`.
+    amplitude_rad : float
+        Amplitude of the cyclic pitch, above 0.
+    """
+    if not amplitude_rad > 0.0:
+        raise InputError("rotor forward", "cyclic", f"is {amplitude_rad:g} rad", "give an amplitude above 0")
+    blading = ensure_blading(blading)
+    hand = float(condition.rotation_sign)
+    tilt, moment = np.zeros((2, 2)), np.zeros((2, 2))
+    for k in range(2):
+        for sign in (1.0, -1.0):
+            cyclic = list(condition.cyclic_rad)
+            cyclic[k] += sign * amplitude_rad
+            moved = solve_forward(
+                blading, replace(condition, cyclic_rad=(cyclic[0], cyclic[1])), flap, inflow=inflow, start=start,
+                which=which,
+            )  # fmt: skip
+            part = 0.5 * sign / amplitude_rad
+            tilt[:, k] += part * np.array([moved.flap_cos_rad, moved.flap_sin_rad])
+            # Lift aft lowers the nose, lift at psi = 90 degrees rolls away from that side.
+            moment[:, k] += part * np.array([-moved.pitch_moment_Nm, -hand * moved.roll_moment_Nm])
+    turned = [complex(0.5 * (m[0, 0] + m[1, 1]), 0.5 * (m[1, 0] - m[0, 1])) for m in (tilt, moment)]
+    disc = math.pi * float(blading.radius_m[which]) ** 3 * (condition.speed_rad_s * float(blading.radius_m[which])) ** 2
+    least = (1e-9, 1e-8 * condition.air.density_kg_m3 * disc)  # below, an angle is rounding
+    angles = [math.atan2(z.imag, z.real) if abs(z) > low else math.nan for z, low in zip(turned, least, strict=True)]
+    return CyclicResponse(abs(turned[0]), angles[0], abs(turned[1]), angles[1])
+
+
+def sweep_forward(
+    blading: Blading | Rotor,
+    conditions: Sequence[ForwardCondition],
+    flaps: Sequence[BladeFlap],
+    *,
+    flap_basis: str = "",
+    cyclic_rad: float = math.radians(1.0),
+    inflow: InflowModel = "annular",
+    which: int = 0,
+) -> ForwardSweep:
+    """Solve a rotor at several conditions for several flap modes, each point from its neighbour.
+
+    Parameters
+    ----------
+    blading : Blading or Rotor
+    conditions : sequence of ForwardCondition
+    flaps : sequence of BladeFlap
+    flap_basis : str
+        Origin of the flap modes, for the text.
+    cyclic_rad : float
+        Amplitude of cyclic pitch of the responses.
+    inflow, which
+        As for :func:`solve_forward`.
+    """
+    if not conditions or not flaps:
+        raise InputError("rotor forward", "", "has no points", "give at least one airspeed and one flap frequency")
+    blading = ensure_blading(blading)
+    points, answers = [], []
+    for flap in flaps:
+        line: list[ForwardResult] = []
+        for c in conditions:
+            line.append(solve_forward(blading, c, flap, inflow=inflow, start=line[-1] if line else None, which=which))
+        points.append(tuple(line))
+        answers.append(
+            tuple(
+                cyclic_response(blading, c, flap, amplitude_rad=cyclic_rad, inflow=inflow, start=at, which=which)
+                for c, at in zip(conditions, line, strict=True)
+            )
+        )
+    name = blading.rotors[which].name
+    return ForwardSweep(name, tuple(flaps), flap_basis, tuple(points), tuple(answers), cyclic_rad)
