@@ -83,6 +83,11 @@ FamilyOption = Annotated[
     ),
 ]
 
+MaterialOption = Annotated[
+    str | None,
+    define_option("--material NAME", "Material of elastic blades, as abs, in place of the file's."),
+]
+
 _DIAMETER_RANGE = OptionRange(1e-3, 10.0, "m", "no small rotor is so wide; 127 mm are written 127mm")
 _EDGE_THICKNESS_RANGE = OptionRange(0.0, 0.1, "m", "no trailing edge is so thick; 0.3 mm are written 0.3mm")
 
@@ -306,6 +311,10 @@ def hover(
         ),
     ] = "known",
     family: FamilyOption = "",
+    elastic: Annotated[
+        bool, define_option("--elastic", "Let the blades twist and bend; print the rigid rotor beside them.")
+    ] = False,
+    material: MaterialOption = None,
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -314,7 +323,8 @@ def hover(
     Give two of --pitch, --rpm and --thrust. With --drive, the electrical power at the same point is printed as well.
     With --out, the stations are drawn and written as CSV; with --method wake the wake and the air around it are drawn
     too. A wake that does not converge ends the command with status 1, its history written. With --method cfd it is
-    `mufly cfd run` with its defaults, which takes minutes and OpenFOAM.
+    `mufly cfd run` with its defaults, which takes minutes and OpenFOAM. With --elastic the blades are beams
+    (docs/explanation/blade-structure.md); values that the rotor file leaves out widen a band of 90 %.
     Examples: mufly rotor hover naca0012-r60-c20 --pitch 12 --rpm 5000; mufly rotor hover --pitch 12 --thrust 0.4
     --drive mufly; mufly rotor hover naca0012-r60-c20 --pitch 14 --rpm 6000 --method wake --out wake
     """
@@ -335,6 +345,18 @@ def hover(
 
     if sum(v is not None for v in (pitch, rpm, thrust)) != 2:
         raise InputError("rotor hover", "", "needs two of --pitch, --rpm and --thrust", "give two; the third is found")
+    if material is not None and not elastic:
+        raise InputError("--material", material, "applies to elastic blades only", "add --elastic")
+    if elastic:
+        from mufly.cli.aero.structure import solve_elastic_point
+
+        if pitch is None or rpm is None:
+            raise InputError("--elastic", "", "finds neither speed nor pitch", "give --pitch and --rpm")
+        if theory.method != "bemt" or band is not None or drive is not None:
+            raise InputError("--elastic", "", "is for blade elements alone", "leave --method, --band and --drive out")
+        return solve_elastic_point(
+            rotor, theory, pitch, rpm, climb=climb, density=density, material=material, out=out, as_json=as_json
+        )
     if theory.method == "cfd":
         from mufly.cli.aero.cfd import CaseOptions, solve_point
 

@@ -58,6 +58,7 @@ from mufly.rotor.sections.polar_table import (
     stack_polars,
 )
 from mufly.rotor.structure.blade_structure import BladeStructure
+from mufly.rotor.structure.elastic_rotor import ElasticRotorResult, solve_elastic_rotor
 from mufly.rotor.structure.flap_modes import CampbellDiagram, FlapMode, compute_campbell, compute_flap_mode
 from mufly.rotor.structure.materials import MATERIALS, Material
 from mufly.rotor.uncertainty import InputUncertainty, PredictionInterval, predict_interval
@@ -76,6 +77,7 @@ __all__ = [
     "Blading",
     "CampbellDiagram",
     "Corrections",
+    "ElasticRotorResult",
     "FlapMode",
     "InputUncertainty",
     "Material",
@@ -126,6 +128,7 @@ __all__ = [
     "replace_rotor",
     "rotor_from_tables",
     "rotor_loads_picture",
+    "solve_elastic_rotor",
     "solve_for_thrust",
     "solve_rotor",
     "solve_rotor_batch",

@@ -1,8 +1,9 @@
-"""``mufly rotor beam``: the blade as a beam, its frequencies over rotor speed."""
+"""``mufly rotor beam`` and ``mufly rotor hover --elastic``: the blade as a beam."""
 
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from mufly.cli.options import (
@@ -11,11 +12,12 @@ from mufly.cli.options import (
     JsonOption,
     OptionRange,
     OutOption,
+    PolarOptions,
     RotorArgument,
     define_option,
 )
 from mufly.cli.output import print_answer, print_table, save_figure, write_csv
-from mufly.cli.rotor import app
+from mufly.cli.rotor import MaterialOption, app
 from mufly.units import RPM
 
 if TYPE_CHECKING:
@@ -25,10 +27,6 @@ if TYPE_CHECKING:
 _PLATE_RANGE = OptionRange(1e-5, 0.05, "m", "no blade of a small rotor is so thick; 0.8 mm are written 0.8mm")
 _BEAM_SPEED_RANGE = OptionRange(0.0, 1e6, "rpm", "no rotor turns so")
 
-MaterialOption = Annotated[
-    str | None,
-    define_option("--material NAME", "Material of the blade, as abs, in place of the file's."),
-]
 PlateOption = Annotated[
     float | None,
     define_option(
@@ -132,3 +130,32 @@ def show_beam(
         ]  # fmt: skip
         files = [save_figure(campbell_picture(found), out, "campbell"), write_csv(out / "campbell.csv", heads, rows)]
     print_answer(as_json, to_plain_data(found) if as_json else found, None, files)
+
+
+def solve_elastic_point(
+    name: str,
+    theory: PolarOptions,
+    pitch_deg: float,
+    speed_rpm: float,
+    *,
+    climb: float,
+    density: float,
+    material: str | None,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Compute a rotor with elastic blades and print it beside the rigid rotor: ``mufly rotor hover --elastic``."""
+    from mufly.results import to_plain_data
+    from mufly.rotor import Air, load_rotor
+    from mufly.rotor.structure.elastic_rotor import solve_elastic_rotor
+    from mufly.rotor.structure.structure_pictures import elastic_picture
+
+    r = load_rotor(name)
+    found = solve_elastic_rotor(
+        r, pitch_rad=math.radians(pitch_deg), speed_rad_s=speed_rpm * RPM, climb_m_s=climb,
+        air=Air(density_kg_m3=density), structure=choose_structure(r, material, None), n_crit=theory.n_crit,
+        engine=theory.engine, corrections=theory.select_corrections(),
+    )  # fmt: skip
+    files = [] if out is None else [save_figure(elastic_picture(found), out, "elastic")]
+    content = {"rotor": r.name, "method": "bemt", "elastic_blades": to_plain_data(found)} if as_json else found
+    print_answer(as_json, content, None, files)

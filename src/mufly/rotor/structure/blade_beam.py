@@ -193,12 +193,13 @@ class BladeBeam:
                 extra.append(column)
         return np.column_stack([*extra, keep]) if extra else keep
 
-    def assemble(self, *parts: tuple[Array | float, Array, Array]) -> Array:
-        """Return the matrix sum of int factor left right^T dr over all parts, symmetrised, (size, size)."""
+    def assemble(self, *parts: tuple[Array | float, Array, Array], symmetric: bool = True) -> Array:
+        """Return the sum of int factor left right^T dr over all parts, (size, size), by default its symmetric part."""
         total = np.zeros((self.length_m.size, _SIZE, _SIZE))
         for factor, left, right in parts:
             total += np.swapaxes((self.weights_m * factor)[..., None] * left, 1, 2) @ right
-        total = 0.5 * (total + np.swapaxes(total, 1, 2))
+        if symmetric:
+            total = 0.5 * (total + np.swapaxes(total, 1, 2))
         out = np.zeros((self.size, self.size))
         np.add.at(out, (self._index[:, :, None], self._index[:, None, :]), total)
         return out

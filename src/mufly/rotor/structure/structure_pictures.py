@@ -1,4 +1,4 @@
-"""Pictures of blades as structures: the Campbell diagram."""
+"""Pictures of blades as structures: Campbell diagram, deformed blade."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from mufly.units import RPM
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from mufly.rotor.structure.elastic_rotor import ElasticRotorResult
     from mufly.rotor.structure.flap_modes import CampbellDiagram
 
 _HARMONICS = 8
@@ -42,4 +43,32 @@ def campbell_picture(found: CampbellDiagram) -> Figure:
     axes.set_ylabel("Frequency (Hz)")
     axes.set_title(f"{found.rotor}: {found.basis}", fontsize="small")
     axes.legend(fontsize="small", loc="upper left")
+    return figure
+
+
+def elastic_picture(found: ElasticRotorResult) -> Figure:
+    """Draw elastic twist with its band, deflection, and thrust per radius of the rigid and of the elastic blade."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10.0, 3.6), layout="constrained")
+    twist, bend, load = figure.subplots(1, 3)
+    r = 1e3 * found.r_m
+    twist.plot(r, np.degrees(found.twist_rad), color="C3")
+    if np.all(np.isfinite(found.twist_high_rad)):
+        twist.fill_between(r, np.degrees(found.twist_low_rad), np.degrees(found.twist_high_rad), color="C3", alpha=0.15)
+    twist.set_ylabel("Elastic twist (deg)")
+    bend.plot(r, 1e3 * found.deflection_m, color="C3")
+    bend.set_ylabel("Deflection (mm)")
+    for one, colour, name in ((found.rigid, "0.4", "rigid"), (found.elastic, "C3", "elastic")):
+        load.plot(1e3 * one.r_m, one.dT_N / one.dr_m, color=colour, label=name)
+    load.set_ylabel("Thrust per radius (N/m)")
+    load.legend(fontsize="small")
+    for axes in (twist, bend, load):
+        axes.set_xlabel("Radius (mm)")
+        axes.grid(alpha=0.3)
+    figure.suptitle(
+        f"{found.rigid.speed_rad_s / RPM:.0f} rpm, pitch {math.degrees(found.rigid.pitch_rad):.2f} deg: thrust "
+        f"{found.rigid.thrust_N:.4g} N rigid, {found.elastic.thrust_N:.4g} N elastic",
+        fontsize="medium",
+    )
     return figure
