@@ -501,8 +501,8 @@ def forward(
         str | None,
         define_option(
             "--flap-frequency-ratio",
-            "Flap frequency over rotor speed (1/rev). Default: 1 and 1.6, the band from a free hinge to a clamped "
-            "moulded blade.",
+            "Flap frequency over rotor speed (1/rev), one or several. Default: both ends of the band of `mufly rotor "
+            "beam`.",
             unit="1",
             form="values",
             within=_RATIO_RANGE,
@@ -510,7 +510,9 @@ def forward(
     ] = None,
     blade_mass: Annotated[
         float | None,
-        define_option("--blade-mass", "Mass of one blade. Default: its contour, solid, of ABS (1040 kg/m3).", unit="g"),
+        define_option(
+            "--blade-mass", "Mass of one blade. Default: that of its structure, else of solid ABS.", unit="g"
+        ),
     ] = None,
     density: DensityOption = 1.2,
     polars: PolarOptions = DEFAULT_POLAR_OPTIONS,
@@ -528,7 +530,7 @@ def forward(
     from mufly.errors import InputError
     from mufly.quantity_grammar import read_values
     from mufly.rotor import Air, load_rotor, solve_for_thrust
-    from mufly.rotor.forward import ForwardCondition, blade_flap, sweep_forward
+    from mufly.rotor.forward import ForwardCondition, blade_flap, blade_flap_band, sweep_forward
     from mufly.rotor.forward.forward_pictures import disc_picture, sweep_picture
 
     if sum(v is not None for v in (pitch, rpm, thrust)) != 2:
@@ -549,12 +551,12 @@ def forward(
         ForwardCondition(theta, omega, v * math.cos(lean), v * math.sin(lean), air=air)
         for v in read_values("--speed", speed, "m/s")
     ]
+    mass = None if blade_mass is None else 1e-3 * blade_mass
     if flap_frequency_ratio is None:
-        ratios: tuple[float, ...] = (1.0, 1.6)
-        basis = "flap frequency not known: free hinge at the shaft to clamped moulded blade"
+        flaps, basis = blade_flap_band(r, omega, pitch_rad=theta, mass_kg=mass)
     else:
-        ratios, basis = read_values("--flap-frequency-ratio", flap_frequency_ratio, "1"), "flap frequency as given"
-    flaps = [blade_flap(r, ratio, mass_kg=None if blade_mass is None else 1e-3 * blade_mass) for ratio in ratios]
+        ratios = read_values("--flap-frequency-ratio", flap_frequency_ratio, "1")
+        flaps, basis = [blade_flap(r, ratio, mass_kg=mass) for ratio in ratios], "flap frequency as given"
     sweep = sweep_forward(blading, conditions, flaps, flap_basis=basis, cyclic_rad=math.radians(cyclic))
     files = []
     if out is not None:

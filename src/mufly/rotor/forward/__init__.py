@@ -7,7 +7,14 @@ from mufly.rotor.forward.forward_results import (
     ForwardResult,
     ForwardSweep,
 )
-from mufly.rotor.forward.forward_solver import blade_flap, cyclic_response, lock_number, solve_forward, sweep_forward
+from mufly.rotor.forward.forward_solver import (
+    blade_flap,
+    blade_flap_band,
+    cyclic_response,
+    lock_number,
+    solve_forward,
+    sweep_forward,
+)
 
 __all__ = [
     "BladeFlap",
@@ -16,6 +23,7 @@ __all__ = [
     "ForwardResult",
     "ForwardSweep",
     "blade_flap",
+    "blade_flap_band",
     "cyclic_response",
     "lock_number",
     "solve_forward",

@@ -345,16 +345,27 @@ def _station_residuals(
                 stream += point.stream_m_s[n, i] / count
             factor = blade.blade_count / (4.0 * math.pi * blade.r_m[i] * point.density_kg_m3 * losses[i])
             hover, axial = factor * sums[i, 5], point.axial_m_s + stream
-            nudge = 1e-8 * tip * tip + 1e-6 * abs(hover)
-            for side in range(2):
-                value = momentum_induced_velocity(hover + side * nudge, axial, point.edgewise_m_s)
-                if side == 0:
-                    own = value
-                else:
-                    slope = share * factor * (value - own) / nudge
-        miss[i] = inflow[i] - share * own - (1.0 - share) * x[5] * tip
+            annulus = (inflow[i] - (1.0 - share) * x[5] * tip) / share
+            if share > 0.5 and annulus > 0.0 and axial >= 0.0:
+                # The balance as u sqrt(V^2 + (V_z + u)^2) = u_h^2: smooth where the load vanishes, as at the tip.
+                flow = math.sqrt(point.edgewise_m_s * point.edgewise_m_s + (axial + annulus) * (axial + annulus))
+                rate = max(flow + annulus * (axial + annulus) / max(flow, 1e-9 * tip), 1e-3 * tip)
+                slope = share * factor / rate
+                miss[i] = share * (annulus * flow - hover) / rate
+            else:
+                nudge = 1e-8 * tip * tip + 1e-6 * abs(hover)
+                for side in range(2):
+                    value = momentum_induced_velocity(hover + side * nudge, axial, point.edgewise_m_s)
+                    if side == 0:
+                        own = value
+                    else:
+                        slope = share * factor * (value - own) / nudge
+                miss[i] = inflow[i] - share * own - (1.0 - share) * x[5] * tip
+        else:
+            miss[i] = inflow[i] - x[5] * tip
         largest = max(largest, abs(miss[i]) / tip)
-        local[i, 0] = max(1.0 - slope * slopes[i, 5, 0], 0.2)
+        own_slope = 1.0 - slope * slopes[i, 5, 0]  # negative where a descent has several solutions
+        local[i, 0] = own_slope if abs(own_slope) > 0.2 else math.copysign(0.2, own_slope)
         for k in range(5):
             local[i, k + 1] = -slope * slopes[i, 5, k + 1]
         local[i, 6] = -(1.0 - share) * tip

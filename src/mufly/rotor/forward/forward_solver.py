@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError, MuflyError
+from mufly.rotor.bemt import solve_rotor
 from mufly.rotor.blading import Blading, ensure_blading
 from mufly.rotor.forward.azimuth_kernel import (
     FIELD_COLUMNS,
@@ -38,11 +39,11 @@ from mufly.rotor.forward.forward_results import (
     ForwardSweep,
     SolverState,
 )
+from mufly.rotor.forward.inflow import momentum_induced_velocity
 from mufly.rotor.forward.section_tables import station_tables
 from mufly.rotor.geometry import Rotor
 from mufly.rotor.rotor_system import VORTEX_RING_RANGE, Air, check_pitch
-from mufly.rotor.sections.airfoil import load_airfoil
-from mufly.rotor.sections.polar_file import is_polar_file
+from mufly.rotor.structure.flap_modes import ASSUMED_STRUCTURE, compute_flap_mode, make_blade_beam
 
 Array = NDArray[np.float64]
 InflowModel = Literal["annular", "pitt-peters", "uniform"]
@@ -53,15 +54,10 @@ LIFT_SLOPE = 5.7
 MAX_ADVANCE_RATIO = 0.35
 """Advance ratio up to which strips and polars are sound; beyond, reversed flow covers much of the retreating side."""
 _VORTEX_RING_MU = 0.1  # advance ratio below which a descent may be in vortex ring state
-_DEFAULT_BLADE_DENSITY = 1040.0  # kg/m3, ABS (BASF Terluran GP)
-_SOLID_AREA = 0.68  # area of a section over chord times thickness, where no contour is known
-_POLAR_THICKNESS = 0.12
 
 
-def blade_flap(
-    rotor: Rotor, frequency_ratio: float, *, mass_kg: float | None = None, density_kg_m3: float = _DEFAULT_BLADE_DENSITY
-) -> BladeFlap:
-    """Return the flap mode of a blade with the mass distribution of its solid contour.
+def blade_flap(rotor: Rotor, frequency_ratio: float, *, mass_kg: float | None = None) -> BladeFlap:
+    """Return a flap mode of given frequency with the inertia of the blade's beam.
 
     Parameters
     ----------
@@ -69,14 +65,12 @@ def blade_flap(
     frequency_ratio : float
         Flap frequency over rotor speed, 1 or more; infinite for a rigid blade.
     mass_kg : float, optional
-        Mass of one blade outside the cut-out. Default: ``density_kg_m3`` times the volume of the contour.
-    density_kg_m3 : float
-        Density of the material. Default: ABS.
+        Mass of one blade outside the cut-out. Default: that of ``[blade.structure]``, else of solid ABS.
 
     Raises
     ------
     InputError
-        If a value is out of range.
+        If a value is out of range, or an airfoil has no contour.
     """
     if not frequency_ratio >= 1.0:
         raise InputError(
@@ -84,25 +78,27 @@ def blade_flap(
         )
     if mass_kg is not None and not 0.0 < mass_kg < math.inf:
         raise InputError("flap", "mass_kg", f"is {mass_kg:g}", "give a mass above 0")
-    edges = np.linspace(float(rotor.hub_cutout), 1.0, 201)
-    x = 0.5 * (edges[1:] + edges[:-1])
-    cut = rotor.sections_at(x)
-    areas = np.array([_contour_area(name) for name in cut.airfoil_names])
-    share = cut.second_weight
-    area = cut.chord_m**2 * ((1.0 - share) * areas[cut.first_airfoil] + share * areas[cut.second_airfoil])
-    width = np.diff(edges) * rotor.radius_m
-    mass = density_kg_m3 * area * width
-    if mass_kg is not None:
-        mass *= mass_kg / mass.sum()
-    return BladeFlap(frequency_ratio, float(np.sum(mass * (x * rotor.radius_m) ** 2)))
+    beam = make_blade_beam(rotor, rotor.blade.structure or ASSUMED_STRUCTURE)
+    scale = 1.0 if mass_kg is None else mass_kg / float(beam.integrate(beam.mass_kg_m))
+    return BladeFlap(frequency_ratio, scale * float(beam.flap_inertia_kg_m2))
 
 
-def _contour_area(name: str) -> float:
-    """Return the area of a section over the square of the chord."""
-    if is_polar_file(name):
-        return _SOLID_AREA * _POLAR_THICKNESS
-    x, y = load_airfoil(name).coordinates.T
-    return 0.5 * abs(float(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))))
+def blade_flap_band(
+    rotor: Rotor, speed_rad_s: float, *, pitch_rad: float = 0.0, mass_kg: float | None = None
+) -> tuple[tuple[BladeFlap, BladeFlap], str]:
+    """Return the flap modes at both ends of the band of a blade's flap frequency, and the basis of the band.
+
+    Parameters
+    ----------
+    rotor : Rotor
+    speed_rad_s, pitch_rad : float
+        Rotor speed, and pitch setting.
+    mass_kg : float, optional
+        As for :func:`blade_flap`.
+    """
+    mode = compute_flap_mode(rotor, speed_rad_s, pitch_rad=pitch_rad)
+    low, high = (blade_flap(rotor, max(ratio, 1.0), mass_kg=mass_kg) for ratio in (mode.ratio_low, mode.ratio_high))
+    return (low, high), f"band of the flap frequency: {mode.basis}"
 
 
 def lock_number(r_m: Array, dr_m: Array, chord_m: Array, flap: BladeFlap, air: Air) -> float:
@@ -218,7 +214,7 @@ def solve_forward(
         none if swirl_m_s is None else np.ascontiguousarray(swirl_m_s, dtype=np.float64), INFLOW_CODES[inflow],
     )  # fmt: skip
     blade = azimuth_blade(blading, which, flap, c.air)
-    speeds, x, steps, share = _find_solution(blade, point, trig, start)
+    speeds, x, steps, share = _find_solution(blading, which, c, blade, point, trig, start)
     fields, totals = np.empty((azimuths, none.shape[1], len(FIELD_COLUMNS))), np.empty(11)
     annuli = np.empty((none.shape[1], 3))
     integrate_loads(blade, point, trig, speeds, none, x, share, fields, totals, annuli)
@@ -226,30 +222,45 @@ def solve_forward(
 
 
 def _find_solution(
-    blade: AzimuthBlade, point: AzimuthPoint, trig: Array, start: ForwardResult | None
-) -> tuple[Array, Array, int, float]:
-    """Return inflow, unknowns, steps and w; the start is the given result, else a guess, else lower airspeeds."""
+    blading: Blading, which: int, c: ForwardCondition, blade: AzimuthBlade, point: AzimuthPoint, trig: Array,
+    start: ForwardResult | None,
+) -> tuple[Array, Array, int, float]:  # fmt: skip
+    """Return inflow, unknowns, steps and w; the start is the given result, else a guess, else axial flow."""
     tip = point.speed_rad_s * blade.radius_m
-    guesses: list[tuple[Array, Array]] = []
-    if start is not None and start.state.inflow_m_s.size == blade.r_m.size:
-        guesses.append((start.state.inflow_m_s * tip / (start.speed_rad_s * blade.radius_m), start.state.unknowns))
-    for level in (0.05, 0.02, 0.1):
-        x = np.zeros(STATE_COUNT)
-        x[5] = level
-        guesses.append((np.full(blade.r_m.size, level * tip), x))
     total = 0
-    for inflow, unknowns in guesses:
-        inflow, x = inflow.copy(), unknowns.copy()
+
+    def axial_start() -> tuple[Array, Array]:
+        """Return the start from blade element momentum theory at the same axial velocity."""
+        mean = np.asarray(point.stream_m_s.mean(axis=0))
+        found = solve_rotor(
+            blading, pitch_rad=c.pitch_rad, speed_rad_s=c.speed_rad_s, climb_m_s=c.climb_m_s, air=c.air, which=which,
+            stream=(mean, np.asarray(point.swirl_m_s.mean(axis=0)), mean),
+        )  # fmt: skip
+        down = c.climb_m_s + 2.0 * float(np.sum(mean * blade.r_m * blade.dr_m)) / blade.radius_m**2
+        x = np.zeros(STATE_COUNT)
+        x[5] = momentum_induced_velocity(0.5 * found.c_T * tip**2, down, 0.0) / tip
+        return found.inflow_m_s.copy(), x
+
+    def first_guess() -> tuple[Array, Array]:
+        x = np.zeros(STATE_COUNT)
+        x[5] = 0.05
+        return np.full(blade.r_m.size, 0.05 * tip), x
+
+    guesses = []
+    if start is not None and start.state.inflow_m_s.size == blade.r_m.size:
+        scale = tip / (start.speed_rad_s * blade.radius_m)
+        guesses.append((scale * start.state.inflow_m_s, start.state.unknowns.copy()))
+    makers = (first_guess, axial_start) if c.climb_m_s >= 0.0 or c.edgewise_m_s > 0.1 * tip else (axial_start,)
+    for k in range(len(guesses) + len(makers)):
+        inflow, x = guesses[k] if k < len(guesses) else makers[k - len(guesses)]()
+        inflow = inflow.copy()
         steps, size, share = solve_azimuth(blade, point, trig, inflow, x)
         total += steps
         if size < TOLERANCE:
             return inflow, x, total, share
-    inflow, x = (v.copy() for v in guesses[-3])
+    inflow, x = axial_start()
     for part in np.linspace(0.0, 1.0, 9):
-        nearer = point._replace(
-            edgewise_m_s=part * point.edgewise_m_s, axial_m_s=part * point.axial_m_s,
-            stream_m_s=part * point.stream_m_s, swirl_m_s=part * point.swirl_m_s,
-        )  # fmt: skip
+        nearer = point._replace(edgewise_m_s=part * point.edgewise_m_s)
         steps, size, share = solve_azimuth(blade, nearer, trig, inflow, x)
         total += steps
         if not size < 1e-2:
