@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -10,11 +11,18 @@ import pytest
 
 from mufly.control import design_flight_controller
 from mufly.estimate import KalmanEstimator
-from mufly.firmware import FirmwareSoftware
+from mufly.firmware import FirmwareSoftware, GenericFirmwareSoftware
 from mufly.firmware.compiled_software import diff_fields
+from mufly.firmware.emulated import HostBoard
+from mufly.firmware.emulated.board_flight import _BoardFirmware
+from mufly.firmware.emulated.image_build import build_host_board
+from mufly.firmware.software_instance import SoftwareInstance
 from mufly.flight import Flight
 from mufly.flight.flight_software import FlightSoftware
-from mufly.mission import NO_COMMAND, Command, load_mission
+from mufly.link.clients import Clients, CommandAuthority
+from mufly.link.parameter_protocol import LINK_PARAMETERS
+from mufly.link.steering_input import ManualControl
+from mufly.mission import NO_COMMAND, Command, SetPoint, load_mission
 from mufly.vehicle import load_vehicle
 
 pytestmark = pytest.mark.skipif(
@@ -98,3 +106,186 @@ def test_no_start_with_a_valid_estimate_that_lacks_a_quantity(vehicle, controlle
             assert software.motors == "off"
     assert diff_fields(python.mission_state, c.mission_state) == []
     assert any("not valid" in e.text for e in python.mission_state.events)
+
+
+# The supervisor, twin of the autopilot and of the link failsafe
+
+KINDS = {
+    "arm": (lambda a, x: a.arm(), "USER_ARM"),
+    "force": (lambda a, x: a.arm(force=True), "USER_ARM"),
+    "disarm": (lambda a, x: a.disarm(), "USER_DISARM"),
+    "stop": (lambda a, x: a.disarm(force=True), "USER_DISARM"),
+    "start": (lambda a, x: a.start_mission(), "USER_START"),
+    "start at": (lambda a, x: a.start_mission(int(x[0] * 10)), "USER_START"),
+    "take-off": (lambda a, x: a.take_off(float(x[0])), "USER_TAKE_OFF"),
+    "pause": (lambda a, x: a.pause(), "USER_PAUSE"),
+    "return": (lambda a, x: a.return_home(), "USER_RETURN"),
+    "land": (lambda a, x: a.land(), "USER_LAND"),
+    "go to": (lambda a, x: a.go_to(x, float(x[1])), "USER_GO_TO"),
+    "turn": (lambda a, x: a.turn_to(float(x[1])), "USER_GO_TO"),
+    "sticks": (lambda a, x: a.set_sticks(0.3 * x[0], 0.1 * x[1], x[1], 0.5 + x[2]), "USER_STICKS"),
+    "release": (lambda a, x: a.release_sticks(), "USER_RELEASE_STICKS"),
+    "set-point": (lambda a, x: a.send_set_point(SetPoint(position_m=tuple(x))), "USER_SET_POINT"),
+    "offboard": (lambda a, x: a.set_offboard(True), "USER_OFFBOARD"),
+    "no offboard": (lambda a, x: a.set_offboard(False), "USER_END_OFFBOARD"),
+}
+
+
+class BoardSupervisor:
+    """The supervisor and the flight software in C, with estimates from outside."""
+
+    def __init__(self, vehicle, controller, mission) -> None:
+        self.ffi, self.lib = build_host_board(vehicle, controller, mission, single=False)
+        board = HostBoard(self.ffi, self.lib)
+        plan = FlightSoftware(vehicle, controller, mission).plan
+        self.instance = SoftwareInstance(_BoardFirmware(board), controller, plan)
+        for text in ("disarmed", "emergency stop, motors off"):
+            self.instance.text_table.assign_number(text)
+        self.supervisor = self.ffi.new("supervisor_t *")
+        self.lib.supervisor_start(self.supervisor, self.ffi.addressof(self.lib, "mufly_supervisor"), 0)
+        self.parts = (self.instance.setup_record, self.instance.software_record, self.instance.estimate_record)
+
+    def ask(self, what, x) -> int:
+        nan = float("nan")
+        ask = self.ffi.new("user_request_t *", {"kind": getattr(self.lib, KINDS[what][1])})
+        ask.force = what in ("force", "stop")
+        ask.has_first, ask.first = what == "start at", int(x[0] * 10)
+        ask.has_height, ask.height = True, x[0]
+        ask.has_position, ask.position = what != "turn", list(x)
+        ask.has_heading, ask.heading = True, x[1]
+        ask.roll, ask.pitch, ask.yaw_rate, ask.climb_rate = 0.3 * x[0], 0.1 * x[1], x[1], 0.5 + x[2]
+        ask.set_point.position, ask.set_point.velocity = list(x), [nan] * 3
+        ask.set_point.heading = ask.set_point.yaw_rate = nan
+        return self.lib.supervisor_request(self.supervisor, *self.parts, ask)
+
+    def step(self, estimate):
+        lib, s, command = self.lib, self.supervisor, self.instance.command_record
+        setup, software, belief = self.parts
+        self.instance.write_estimate(estimate)
+        lib.supervisor_observe(s, setup, belief)
+        due = software.tick == 0
+        lib.supervisor_collect(s, software, command)
+        out = self.instance.actuators_record
+        lib.software_step(setup, software, belief, command, out)
+        self.instance.read_log()
+        lib.supervisor_conclude(s, software, due)
+        sent = [*out.motor_input, *out.servo_input] if s.armed else [0.0] * 4
+        lib.supervisor_step_link(s, setup, software, belief)
+        return np.array(sent)
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_the_supervisor_answers_arms_and_disarms_as_the_autopilot_does(vehicle, controller, seed) -> None:
+    rng, mission = np.random.default_rng(seed), load_mission("demonstration")
+    twin = BoardSupervisor(vehicle, controller, mission)
+    accepted, refused, silent = Counter(), Counter(), 0.0
+    times = twin.supervisor.settings
+    defaults = (LINK_PARAMETERS["COM_DL_LOSS_T"].value, LINK_PARAMETERS["COM_DL_LAND_T"].value)
+    assert (times.link_loss_s, times.link_land_s) == defaults
+    times.link_loss_s, times.link_land_s = 2.0, 3.0
+    # The flight software in C is equal to that in Python, and faster.
+    software = GenericFirmwareSoftware
+    with Flight(
+        vehicle, mission, controller=controller, controllers=software, sensors="fitted", seed=seed, brief=True
+    ) as flight:
+        autopilot = flight.autopilot
+        authority = CommandAuthority(autopilot, Clients(1, 1), ManualControl(autopilot))
+        original = autopilot.step
+        authority.commander = "somebody"
+
+        def step(estimate):
+            ours, theirs = original(estimate), twin.step(estimate)
+            assert ours.input_array.tobytes() == (theirs + 0.0).tobytes()
+            authority.step_link_failsafe(autopilot._now, loss_s=2.0, land_s=3.0)
+            assert autopilot.armed == twin.supervisor.armed
+            return ours
+
+        autopilot.step = step
+        # A likely course of events, with random requests in between.
+        plan = {300: "arm", 304: "start" if seed != 3 else "take-off", 2900: "arm"}
+        heard = True
+        for k in range(4000):
+            what = plan.get(k) or (rng.choice(list(KINDS)) if k > 1000 and rng.random() < 0.02 else "")
+            if what in ("stop", "force") and rng.random() < 0.8:
+                what = "pause"
+            x = np.array([rng.uniform(-0.2, 1.2), rng.uniform(-1.0, 1.0), rng.uniform(-1.5, 0.1)])
+            if what:
+                if k == 304:
+                    x[0] = 0.6
+                answer = KINDS[what][0](autopilot, x)
+                theirs = twin.ask(what, x)
+                assert bool(answer) == (theirs == 0), (k, what, answer, theirs)
+                (accepted if answer else refused)[what] += 1
+            heard = heard and k < 2400  # the commander falls silent
+            if heard:
+                authority._heard_s = autopilot._now
+                twin.lib.supervisor_hear_commander(twin.supervisor)
+            flight.step_period()
+            if k % 50 == 0:
+                assert diff_fields(autopilot.software.mission_state, twin.instance.state) == []
+                silent = max(silent, authority.commander_silence_s(autopilot._now))
+    assert diff_fields(autopilot.software.mission_state, twin.instance.state) == []
+    assert len(accepted) > 6
+    assert len(refused) > 6
+    assert silent > 5.0
+
+
+# Resets
+
+
+@pytest.fixture(scope="module")
+def board(vehicle, controller):
+    return HostBoard(*build_host_board(vehicle, controller, load_mission("demonstration"), single=False))
+
+
+def test_kept_memory_tells_a_reset_in_flight_from_a_power_up(board) -> None:
+    ffi, lib = board.ffi, board.lib
+    r = ffi.new("fault_record_t *")
+    memory = ffi.buffer(r)
+    rng = np.random.default_rng(1)
+    memory[:] = rng.bytes(len(memory))  # as after a power-up
+    assert lib.fault_record_begin(r, lib.RESET_BY_WATCHDOG) == lib.RESTART_COLD
+    assert lib.fault_record_begin(r, lib.RESET_BY_PIN) == lib.RESTART_ON_FLOOR
+    lib.fault_record_update(r, True, 3, 12.345)
+    lib.fault_record_fault(r, 0x08001234, 7)
+    kept = bytes(memory)
+    # A memory with any bit changed is not believed, and nor is one after the power was off.
+    for bit in range(8 * len(kept)):
+        changed = bytearray(kept)
+        changed[bit // 8] ^= 1 << bit % 8
+        memory[:] = bytes(changed)
+        assert lib.fault_record_begin(r, lib.RESET_BY_BROWN_OUT) == lib.RESTART_COLD, bit
+        assert r.fault_address == 0
+    memory[:] = kept
+    assert lib.fault_record_begin(r, lib.RESET_BY_POWER) == lib.RESTART_COLD
+    memory[:] = kept
+    assert lib.fault_record_begin(r, lib.RESET_BY_BROWN_OUT) == lib.RESTART_IN_FLIGHT
+    assert (r.restarts, r.in_flight, r.cause) == (2, 1, lib.RESET_BY_BROWN_OUT)
+    assert (r.state, r.time_ms, r.fault_address, r.fault_status) == (3, 12345, 0x08001234, 7)
+    # The motors have not run since: another reset is none in flight.
+    assert lib.fault_record_begin(r, lib.RESET_BY_WATCHDOG) == lib.RESTART_ON_FLOOR
+
+
+def test_motors_stay_off_after_a_reset_in_flight_until_it_is_acknowledged(board, aligning) -> None:
+    ffi, lib, b = board.ffi, board.lib, board.record
+    board.restart()
+    for restart in (lib.RESTART_ON_FLOOR, lib.RESTART_IN_FLIGHT):
+        lib.board_start(b, 0, restart)
+        setup = ffi.addressof(lib, "mufly_setup")
+        for k in range(300):
+            lib.board_estimate(b, 0.005 * k, 0)
+            lib.board_control(b, ffi.NULL)
+            assert list(b.sent.motor_input) + list(b.sent.servo_input) == [0.0] * 4
+        m = ffi.new("estimate_t *")
+        m.motion.voltage, m.valid, m.time_s = 8.0, True, 2.0
+        m.specific_force[2] = -9.81
+        ask = ffi.new("user_request_t *", {"kind": lib.USER_ARM})
+        answers = [
+            lib.supervisor_request(ffi.addressof(b, "supervisor"), setup, ffi.addressof(b, "software"), m, ask)
+            for _ in range(2)
+        ]
+        if restart == lib.RESTART_IN_FLIGHT:
+            assert answers == [lib.ANSWER_REJECTED_FOR_NOW, lib.ANSWER_ACCEPTED]
+        else:
+            assert answers == [lib.ANSWER_ACCEPTED] * 2
+    board.restart()

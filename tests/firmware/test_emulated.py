@@ -12,10 +12,14 @@ from typer.testing import CliRunner
 from mufly.cli import app
 from mufly.control import design_flight_controller
 from mufly.errors import MuflyError
-from mufly.firmware import missing_tools
+from mufly.estimate import KalmanEstimator
+from mufly.firmware import GenericFirmwareSoftware, missing_tools
 from mufly.firmware.emulated import fly_board, make_board
+from mufly.firmware.emulated.board_flight import BoardEstimator, make_board_software
 from mufly.firmware.emulated.board_memory import MemoryLayout
-from mufly.flight import fly_mission
+from mufly.flight import Flight, fly_mission
+from mufly.flight.controllers import Actuators
+from mufly.flight.mission_flight import align_and_start
 from mufly.mission import load_mission
 from mufly.sensors import parse_fault
 from mufly.vehicle import load_vehicle
@@ -113,3 +117,65 @@ def test_memories_are_compared_by_fields(hop, vehicle) -> None:
     padding = next(k for k in range(layout.size) if not layout._used[k])
     other[padding] ^= 0xFF
     assert layout.first_difference(board.memory, other) == ""
+
+
+# Periods that the processor misses
+
+
+def _fly_with_lost_periods(vehicle, mission, estimator, controller, software, lost, *, made_up=True):
+    """Fly for 12 s while the processor misses periods: readings are lost, the actuators keep their inputs."""
+    with Flight(
+        vehicle, mission, controller=controller, controllers=software, estimator=estimator, sensors="fitted", seed=4
+    ) as flight:
+        update, step = estimator.update, flight.autopilot.step
+        count, missed, rows = 0, 0, []
+
+        def update_or_miss(readings, acting):
+            nonlocal count, missed
+            count += 1
+            if count in lost:
+                missed += 1
+                return flight.estimate
+            before, missed = missed if made_up else 0, 0
+            return update(readings, acting, before)
+
+        def step_or_miss(estimate):
+            if missed:
+                flight.acting_actuators = Actuators(flight._acted[:2], flight._acted[2:])
+                return flight.sent_actuators
+            return step(estimate)
+
+        estimator.update, flight.autopilot.step = update_or_miss, step_or_miss
+        align_and_start(flight)
+        while flight.time_s < 12.0 and not flight.plant.crash_cause:
+            flight.step_period()
+            m = flight.estimate
+            rows.append(
+                [*m.position, *m.velocity, *m.attitude, *flight.sent_actuators.input_array, *flight.truth.attitude]
+            )
+        assert not flight.plant.crash_cause
+        return np.array(rows)
+
+
+@needs_cc
+def test_lost_periods_are_made_up_alike_in_both_languages(hop, vehicle) -> None:
+    controller, mission = design_flight_controller(vehicle), load_mission(hop)
+    lost = {k + j for k in range(500, 2400, 37) for j in range(1 + k % 3)}
+    board = make_board(vehicle, controller, mission, emulated=False, single=False)
+    c = _fly_with_lost_periods(
+        vehicle,
+        mission,
+        BoardEstimator(board, vehicle, mission.world, 200.0),
+        controller,
+        make_board_software(board),
+        lost,
+    )
+    ours = [KalmanEstimator(vehicle, mission.world, 200.0) for _ in range(2)]
+    software = GenericFirmwareSoftware
+    python = _fly_with_lost_periods(vehicle, mission, ours[0], controller, software, lost)
+    assert python.tobytes() == c.tobytes()
+    flown = slice(1600, None)
+    error = np.abs(python[flown, 6:8] - python[flown, -3:-1]).max()
+    skipped = _fly_with_lost_periods(vehicle, mission, ours[1], controller, software, lost, made_up=False)
+    worse = np.abs(skipped[flown, 6:8] - skipped[flown, -3:-1]).max()
+    assert error < 0.8 * worse

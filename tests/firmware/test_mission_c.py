@@ -592,9 +592,10 @@ def test_another_mission_that_is_loaded_is_the_same(firmware, vehicle, controlle
 def test_templates_of_boards_compile_and_four_motors_turn_as_two_do(tmp_path, vehicle, controller) -> None:
     export_firmware(controller, tmp_path, vehicle, mission=parse_mission(SQUARE))
     strict = ("-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-pedantic", "-Werror", "-I.", "-Iboards")
-    for name in ("board.c", "board_loop.c", "stm32/stm32.c", "crazyflie/four_motors.c"):
+    onboard = [f"../onboard/{p.name}" for p in sorted(tmp_path.glob("onboard/*.c"))]
+    for name in ("board.c", "board_loop.c", "stm32/stm32.c", "crazyflie/four_motors.c", *onboard):
         done = subprocess.run(
-            [find_compiler(), "-std=c99", *strict, "-c", f"boards/{name}", "-o", "out.o"],
+            [find_compiler(), "-std=c99", *strict, "-Ionboard", "-c", f"boards/{name}", "-o", "out.o"],
             cwd=tmp_path, capture_output=True, text=True,
         )  # fmt: skip
         assert done.returncode == 0, done.stderr

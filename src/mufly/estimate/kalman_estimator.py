@@ -22,6 +22,7 @@ from mufly.estimate.filter_records import (
     R_BATTERY,
     R_FIX,
     R_RING,
+    R_SONAR,
     READING_OFFSETS,
     READING_STARTS,
     READING_WIDTHS,
@@ -51,6 +52,8 @@ from mufly.world import World
 _Array = NDArray[np.float64]
 _VOLTAGE_START = READING_STARTS[R_BATTERY]
 _ACCELERATION = slice(READING_STARTS[R_ACCELERATION], READING_STARTS[R_ACCELERATION] + 3)
+MAX_MISSED_PERIODS = 10
+"""Lost periods that the filter makes up at once; a board's watchdog allows no more (50 ms at 200 Hz)."""
 PUBLISHED_FIELDS = (
     "covariance_output", "sigma_output", "status", "reason", "fault_number", "innovation", "innovation_sigma",
     "last_fused_tick", "last_new_tick", "fault_component", "tick",
@@ -195,10 +198,31 @@ class KalmanEstimator(Estimator):
         self._published: tuple[Any, ...] = ()
         self._first_time_s = math.nan
 
-    def update(self, readings: Readings, acting: _Array | None = None) -> Estimate:
+    def update(self, readings: Readings, acting: _Array | None = None, missed: int = 0) -> Estimate:
+        """Process the readings of a period, and before them ``missed`` lost periods."""
         self._fill_inputs(readings, acting)
+        if missed:
+            self.make_up_periods(missed)
         valid = self.backend.step_filter(self._memory_array)
         return self.read_estimate(readings.time_s, valid)
+
+    def make_up_periods(self, count: int) -> None:
+        """Advance by lost periods, with the readings of the inertial unit and the actuators of the period after them.
+
+        The input row of that period is filled and stays. At most :data:`MAX_MISSED_PERIODS` are made up: after a longer
+        time a board's watchdog has reset it.
+        """
+        rows = (self._input_values, self._input_is_new, self._input_age)
+        values, is_new, age = (row.copy() for row in rows)
+        for _ in range(min(count, MAX_MISSED_PERIODS)):
+            self._input_is_new[:] = 0
+            self._input_is_new[:R_SONAR] = is_new[:R_SONAR]
+            self.backend.step_filter(self._memory_array)
+            self._period_count += 1
+            if self._period_count % COVARIANCE_INTERVAL_TICKS == 0 or not self._published:
+                self.publish_status(self.memory.copy())
+            for row, kept in zip(rows, (values, is_new, age), strict=True):
+                row[:] = kept
 
     def read_estimate(self, time_s: float, valid: bool, periods: int = 1) -> Estimate:
         """Return the estimate after further periods of the filter; publish the covariance and statuses if due."""

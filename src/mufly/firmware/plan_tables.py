@@ -8,6 +8,7 @@ from typing import Any
 from mufly.control import FlightController
 from mufly.errors import InputError
 from mufly.flight.controllers import controller_limits
+from mufly.flight.tunable_parameters import StickRanges
 from mufly.mission import Mission, MissionPlan, prepare_plan, reduce_limits
 from mufly.mission.phases import nose_offset
 from mufly.mission.trajectory import TrajectoryLimits
@@ -19,6 +20,8 @@ MAX_WAYPOINTS = 32
 HOST_MAX_WAYPOINTS = 1000
 """Waypoints that the code built on this machine has room for."""
 MAX_BEAMS = 64
+LINK_LOSS_S, LINK_LAND_S = 10.0, 20.0
+"""Silence of the commander until the vehicle holds, and then until it lands (s): COM_DL_LOSS_T, COM_DL_LAND_T."""
 _END_ACTIONS = ("land", "hover", "return")
 
 
@@ -103,6 +106,32 @@ def render_plan_source(plan: MissionPlan, controller: FlightController) -> str:
     return "\n".join(lines)
 
 
+def render_supervisor_source() -> str:
+    """Return the text of ``onboard/supervisor_settings.c``."""
+    lines = [
+        f"/* Settings of the supervisor, made by mufly {__version__}; do not edit. */",
+        '#include "supervisor.h"',
+        "",
+        "const supervisor_settings_t mufly_supervisor = {",
+        *render_initialiser(supervisor_numbers()),
+        "};",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def supervisor_numbers() -> dict[str, Any]:
+    """Return the fields of ``supervisor_settings_t`` by name: limits of the sticks, times of the link failsafe."""
+    most = StickRanges()
+    return {
+        "stick_tilt": most.tilt,
+        "stick_yaw_rate": most.yaw_rate,
+        "stick_climb": most.climb,
+        "link_loss_s": LINK_LOSS_S,
+        "link_land_s": LINK_LAND_S,
+    }
+
+
 def setup_numbers(controller: FlightController) -> dict[str, Any]:
     """Return the numeric fields of ``flight_setup_t`` by name."""
     return {
@@ -137,6 +166,7 @@ _FIELD_UNITS = {
     "wait_s": "s", "take_off_wait_s": "s", "give_up_s": "s", "period_s": "s", "hover_V": "V", "low_voltage": "V",
     "speed": "m/s", "climb": "m/s", "descent": "m/s", "touchdown": "m/s", "reach_speed": "m/s", "avoid_speed": "m/s",
     "acceleration": "m/s2", "climb_acceleration": "m/s2", "yaw_rate": "rad/s", "yaw_acceleration": "rad/s2",
+    "stick_tilt": "rad", "stick_yaw_rate": "rad/s", "stick_climb": "m/s", "link_loss_s": "s", "link_land_s": "s",
     "heading": "rad", "nose_offset": "rad", "first_angle": "rad", "spacing": "rad",
 }  # fmt: skip
 

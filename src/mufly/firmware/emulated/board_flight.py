@@ -131,13 +131,19 @@ class BoardEstimator(KalmanEstimator):
     def reset(self) -> None:
         """Return to the state after power-up."""
         super().reset()
+        self._missed = 0
         self._sent_values[:] = self._sent_ages[:] = self._sent_ranges[:] = self._sent_flags[:] = 0
 
-    def update(self, readings: Readings, acting: NDArray[np.float64] | None = None) -> Estimate:
+    def update(self, readings: Readings, acting: NDArray[np.float64] | None = None, missed: int = 0) -> Estimate:
         self._period.time_s = readings.time_s
-        return super().update(readings, acting)
+        return super().update(readings, acting, missed)
+
+    def make_up_periods(self, count: int) -> None:
+        """Tell the board how many periods were lost before this one; it makes them up."""
+        self._missed = count
 
     def _step_board(self) -> bool:
+        self._period.missed, self._missed = self._missed, 0
         self._sent_values[:] = self._input_values
         self._sent_flags[:] = self._input_is_new
         self._sent_ages[:] = self._input_age
@@ -180,7 +186,8 @@ class BoardInstance(SoftwareInstance):
         self.firmware: Any = _BoardFirmware(board)
         self.text_table = TextTable()
         self._request: Any = ffi.new("board_request_t *")
-        self.command_record = ffi.addressof(self._request, "command")
+        self._request.is_given = True
+        self.command_record = ffi.addressof(self._request, "given", "command")
         self.software_record = ffi.addressof(board.record, "software")
         self._last_command: Command | None = None
         self._mission_name = plan.mission.name
@@ -190,7 +197,7 @@ class BoardInstance(SoftwareInstance):
     def step_armed(self, command: Command, armed: bool) -> Actuators:
         """Run the second half of a period; return the inputs that the board sends to its actuators."""
         self._write_command(command)
-        self._request.armed = armed
+        self._request.given.armed = armed
         self._board.compute_control(self._request)
         self.read_log()
         out = self._board.record.sent

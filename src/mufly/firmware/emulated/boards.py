@@ -61,16 +61,17 @@ class HostBoard:
     def restart(self) -> None:
         """Return to the state after power-up."""
         self.memory[:] = 0
-        self.lib.board_start(self.record, self._fitted)
+        self.lib.board_start(self.record, self._fitted, self.lib.RESTART_COLD)
 
     def compute_estimate(self, period: Any) -> None:
         """Run the first half of a period."""
-        self.record.readings = period.readings
-        self.lib.board_estimate(self.record, period.time_s)
+        self.lib.merge_readings(self.ffi.addressof(self.record, "readings"), self.ffi.addressof(period, "readings"))
+        self.lib.board_estimate(self.record, period.time_s, period.missed)
 
     def compute_control(self, request: Any) -> None:
         """Run the second half of a period."""
-        self.lib.board_control(self.record, self.ffi.addressof(request, "command"), request.armed)
+        given = self.ffi.addressof(request, "given") if request.is_given else self.ffi.NULL
+        self.lib.board_control(self.record, given)
 
     def close(self) -> None:
         """Do nothing: no process runs."""

@@ -26,8 +26,8 @@ from mufly.numba_cache import cache_folder
 from mufly.toolchain import COMPILER_FLAGS, build_cached_library
 from mufly.vehicle import Vehicle
 
-_HOST_BOARD_FILES = ("boards/board.c", "boards/board.h", "boards/qemu/exchange.h")
-_IMAGE_FILES = ("boards/board_loop.c", "boards/qemu/qemu.c", "check/platform_cortex_m4.c")
+_HOST_BOARD_FILES = ("boards/board.c", "boards/board.h", "boards/qemu/exchange.[ch]", "onboard/*.[ch]")
+_IMAGE_FILES = ("boards/board_loop.c", "boards/qemu/exchange.c", "boards/qemu/qemu.c", "check/platform_cortex_m4.c")
 _IMAGE_FLAGS = (*COMPILER_FLAGS, *CORTEX_M4_FLAGS, "-mthumb", "-ffreestanding", "-nostdlib", "-DMUFLY_FLOAT")
 
 
@@ -44,8 +44,8 @@ def build_host_board(
     with tempfile.TemporaryDirectory(prefix="mufly-board-") as temporary:
         tree = Path(temporary) / "fw"
         export_firmware(controller, tree, vehicle, mission.world, mission)
-        for name in _HOST_BOARD_FILES:
-            shutil.copy(tree / name, tree)
+        for path in [p for pattern in _HOST_BOARD_FILES for p in tree.glob(pattern)]:
+            shutil.copy(path, tree)
         files = {p.name: p.read_text(encoding="utf-8") for p in sorted(tree.glob("*.[ch]"))}
         library = build_cached_library(
             "board", files, flags=(*COMPILER_FLAGS, *(SINGLE_PRECISION_BUILD.compiler_flags if single else ()))
@@ -87,11 +87,12 @@ def build_image(vehicle: Vehicle, controller: FlightController, mission: Mission
 
 def _link_image(tree: Path) -> Path:
     """Compile and link the image in a tree."""
-    command = ["arm-none-eabi-gcc", *_IMAGE_FLAGS, "-I.", "-Iboards"]
+    command = ["arm-none-eabi-gcc", *_IMAGE_FLAGS, "-I.", "-Iboards", "-Ionboard"]
     sources = sorted(p.name for p in tree.glob("*.c") if p.name not in SPEED_OPTIMISED_SOURCES)
     _run_compiler([*command, "-O2", "-c", *SPEED_OPTIMISED_SOURCES], tree)
     objects = [name.replace(".c", ".o") for name in SPEED_OPTIMISED_SOURCES]
-    others = [*sources, "boards/board.c", *_IMAGE_FILES, *objects]
+    onboard = [f"onboard/{p.name}" for p in sorted(tree.glob("onboard/*.c"))]
+    others = [*sources, *onboard, "boards/board.c", *_IMAGE_FILES, *objects]
     _run_compiler([*command, *others, "-T", "check/cortex_m4.ld", "-o", "board.elf", "-lgcc"], tree)
     return tree / "board.elf"
 

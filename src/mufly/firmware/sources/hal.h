@@ -16,7 +16,8 @@ typedef struct {
     real_t ranges[MAX_BEAMS]; /* all beams of the ring (m), when fresh[R_RING] is set */
 } hal_readings_t;
 
-/* Wait for the next period (1 / mufly_rate_Hz); return the number of periods missed since the last call. */
+/* Wait for the next period (1 / mufly_rate_Hz); return the number of periods missed since the last call: the filter makes
+ * them up. */
 int32_t hal_wait_period(void);
 
 /* Time since power-up (s), monotonic. Single precision resolves periods of 5 ms for some hours; restart the board after
@@ -30,12 +31,14 @@ void hal_read_sensors(hal_readings_t *readings);
  * the inputs that it computed in the period before: the same delay as in the simulation. */
 void hal_write_actuators(const actuators_t *out);
 
-/* Return the user signals since the last call; all zero without one. The implementation repeats sticks for 1 s and
- * set-points for 0.5 s after their last message, and limits all values. */
-void hal_read_command(command_t *command);
+/* A command with its arming, from a source that arms by itself; the loop then ignores the supervisor's. */
+typedef struct {
+    command_t command;
+    bool armed;
+} hal_command_t;
 
-/* Return whether the user has armed the motors, and not disarmed them since. */
-bool hal_is_armed(void);
+/* Fill in such a command and return true; a board without such a source (a simulation has one) returns false. */
+bool hal_read_command(hal_command_t *out);
 
 /* Send a log entry without waiting; the ground formats its text from the numbers. */
 void hal_send_log_entry(const log_entry_t *entry);

@@ -161,8 +161,7 @@ void stop_motors(mission_t *s, const message_t *why)
     }
 }
 
-/* Reason to refuse a user's waypoint; SAY_NO_MESSAGE if it is valid. */
-static message_t user_waypoint_fault(const command_t *c)
+message_t user_waypoint_fault(const command_t *c)
 {
     message_t fault = make_message(SAY_NO_MESSAGE);
     const real_t *where = c->waypoint;

@@ -150,6 +150,14 @@ void update_obstacle_map(const plan_t *plan, mission_t *s, const estimate_t *m, 
 /* Whether the state permits a request. height: above the standing position (m). */
 bool check_request(int32_t ask, const mission_t *s, real_t height, bool armed, bool flying);
 
+/* Reason to refuse a user's waypoint; SAY_NO_MESSAGE if it is valid. */
+message_t user_waypoint_fault(const command_t *c);
+
+/* Reason not to start the motors with this estimate; SAY_NO_MESSAGE if they may start. */
+message_t start_fault(const estimate_t *m);
+/* Whether the vehicle stands tilted, by its attitude or its accelerometers. */
+bool stands_tilted(const estimate_t *m);
+
 /* Stop the motors in any state. */
 void stop_motors(mission_t *s, const message_t *why);
 

@@ -418,6 +418,11 @@ static real_t measured_tilt(const estimate_t *m)
     return m->judged ? real_max(tilt, real_atan2(real_hypot(f[0], f[1]), -f[2])) : tilt;
 }
 
+bool stands_tilted(const estimate_t *m)
+{
+    return !(measured_tilt(m) <= (MAX_START_TILT_DEG * DEGREE));
+}
+
 message_t start_fault(const estimate_t *m)
 {
     message_t fault = make_message(SAY_NO_MESSAGE);
@@ -425,7 +430,7 @@ message_t start_fault(const estimate_t *m)
 
     if (!m->valid) {
         fault = make_message(SAY_ESTIMATE_NOT_VALID);
-    } else if (!(tilt <= (MAX_START_TILT_DEG * DEGREE))) {
+    } else if (stands_tilted(m)) {
         fault = make_message_2(SAY_STANDS_TILTED, tilt * (REAL(180.0) / REAL_PI), MAX_START_TILT_DEG);
     } else {
         /* may start */

@@ -37,8 +37,7 @@ void plan_braking(const plan_t *plan, const mission_t *s, braking_motion_t *out)
 void start_leg(const plan_t *plan, mission_t *s, const message_t *why, const leg_request_t *errand);
 void start_leg_home(const plan_t *plan, mission_t *s, const message_t *why);
 
-/* Why the motors may not be started with this estimate (SAY_NO_MESSAGE if they may); log a refusal once. */
-message_t start_fault(const estimate_t *m);
+/* Log the refusal of a start once. */
 void refuse_start(mission_t *s, const message_t *why);
 
 /* Lead the present user's leg to another goal without a stop; heading: NULL along the way. quiet: do not log it. */

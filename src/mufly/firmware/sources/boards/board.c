@@ -1,5 +1,7 @@
 #include "board.h"
 
+#include <stddef.h>
+
 static void set_idle(actuators_t *out)
 {
     for (int32_t i = 0; i < 2; i++) {
@@ -8,7 +10,7 @@ static void set_idle(actuators_t *out)
     }
 }
 
-void board_start(board_t *b, uint32_t fitted)
+void board_start(board_t *b, uint32_t fitted, int32_t restart)
 {
     estimator_reset(&b->estimator, &mufly_settings);
     software_reset(&mufly_setup, &b->software);
@@ -24,6 +26,8 @@ void board_start(board_t *b, uint32_t fitted)
     }
     b->fitted = fitted;
     b->period_count = 0;
+    supervisor_start(&b->supervisor, &mufly_supervisor,
+                     (restart == RESTART_IN_FLIGHT) ? INTERRUPTION_RESET : INTERRUPTION_NONE);
 }
 
 /* Median of the last three readings of each beam: a spot seen once is noise. */
@@ -77,33 +81,87 @@ static void fill_estimate(board_t *b, bool valid, real_t time_s)
         m->motion.rates[i] = e->rates_output[i];
         m->specific_force[i] = b->readings.z[READING_STARTS[R_ACCELERATION] + i];
     }
-    if ((b->period_count == 1) || ((b->period_count % COVARIANCE_INTERVAL_TICKS) == 0)) {
-        publish_status(b);
-    }
 }
 
-void board_estimate(board_t *b, real_t time_s)
+/* Run one period of the filter on b->readings; return whether its estimate is valid. */
+static bool step_filter(board_t *b)
 {
     hal_readings_t *r = &b->readings;
     bool valid;
 
-    if (r->fresh[R_RING] == 1) {
-        filter_ranges(b, r->ranges);
-    }
     for (int32_t i = 0; i < 2; i++) {
         r->z[ACTUATOR_START + i] = b->acting.motor_input[i];
         r->z[ACTUATOR_START + 2 + i] = b->acting.servo_input[i];
     }
     valid = estimator_step(&b->estimator, &mufly_settings, &mufly_flight_model, r->z, r->fresh, r->age);
     b->period_count++;
-    fill_estimate(b, valid, time_s);
+    if ((b->period_count == 1) || ((b->period_count % COVARIANCE_INTERVAL_TICKS) == 0)) {
+        publish_status(b);
+    }
+    return valid;
 }
 
-void board_control(board_t *b, const command_t *command, bool armed)
+/* Advance the filter by lost periods with the readings of the inertial unit of the period after them. */
+static void make_up_periods(board_t *b, int32_t missed)
 {
-    actuators_t out;
+    const int32_t count = (missed < MAX_MISSED_PERIODS) ? missed : MAX_MISSED_PERIODS;
+    hal_readings_t *r = &b->readings;
+    real_t z[VALUE_COUNT];
+    int32_t fresh[SENSOR_COUNT];
 
-    software_step(&mufly_setup, &b->software, &b->belief, command, &out);
+    for (int32_t i = 0; i < VALUE_COUNT; i++) {
+        z[i] = r->z[i];
+    }
+    for (int32_t k = 0; k < SENSOR_COUNT; k++) {
+        fresh[k] = r->fresh[k];
+    }
+    for (int32_t n = 0; n < count; n++) {
+        for (int32_t k = 0; k < SENSOR_COUNT; k++) {
+            r->fresh[k] = (k < R_SONAR) ? fresh[k] : 0;
+        }
+        (void)step_filter(b);
+        for (int32_t i = 0; i < VALUE_COUNT; i++) {
+            r->z[i] = z[i];
+        }
+    }
+    for (int32_t k = 0; k < SENSOR_COUNT; k++) {
+        r->fresh[k] = fresh[k];
+    }
+}
+
+void board_estimate(board_t *b, real_t time_s, int32_t missed)
+{
+    bool valid;
+
+    if (b->readings.fresh[R_RING] == 1) {
+        filter_ranges(b, b->readings.ranges);
+    }
+    if (missed > 0) {
+        make_up_periods(b, missed);
+    }
+    valid = step_filter(b);
+    fill_estimate(b, valid, time_s);
+    supervisor_observe(&b->supervisor, &mufly_setup, &b->belief);
+}
+
+void board_control(board_t *b, const hal_command_t *given)
+{
+    supervisor_t *s = &b->supervisor;
+    const bool due = b->software.tick == 0;
+    command_t command;
+    actuators_t out;
+    bool armed;
+
+    if (given != NULL) {
+        software_step(&mufly_setup, &b->software, &b->belief, &given->command, &out);
+        armed = given->armed;
+    } else {
+        supervisor_collect(s, &b->software, &command);
+        software_step(&mufly_setup, &b->software, &b->belief, &command, &out);
+        supervisor_conclude(s, &b->software, due);
+        armed = s->armed;
+        supervisor_step_link(s, &mufly_setup, &b->software, &b->belief);
+    }
     b->acting = b->sent;
     b->sent = out;
     if (!armed) {

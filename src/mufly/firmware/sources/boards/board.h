@@ -2,7 +2,9 @@
 #ifndef MUFLY_BOARD_H
 #define MUFLY_BOARD_H
 
+#include "fault_record.h"
 #include "hal.h"
+#include "supervisor.h"
 
 typedef struct {
     estimator_t estimator;
@@ -14,18 +16,25 @@ typedef struct {
     real_t pictures[3][MAX_BEAMS];   /* last three readings of the ring (m) */
     uint32_t fitted;                   /* bits of the fitted sensors */
     int32_t period_count;              /* periods of the estimator */
+    supervisor_t supervisor;
 } board_t;
 
-/* fitted: bits 1 << R_... of the fitted sensors. */
-void board_start(board_t *b, uint32_t fitted);
+/* The watchdog stops the processor after so many periods (50 ms). */
+#define MAX_MISSED_PERIODS 10
 
-/* First half of a period: from the readings in b->readings to the estimate in b->belief. */
-void board_estimate(board_t *b, real_t time_s);
+/* fitted: bits 1 << R_... of the fitted sensors; restart: RESTART_... of fault_record.h. The motors are off, whatever
+ * happened before the start; after a restart in flight the first request to arm is refused. */
+void board_start(board_t *b, uint32_t fitted, int32_t restart);
 
-/* Second half: from the estimate to b->sent, the actuator inputs of the next period; zero unless armed. */
-void board_control(board_t *b, const command_t *command, bool armed);
+/* First half of a period: from the readings in b->readings to the estimate in b->belief. missed: periods lost before it, which
+ * the filter makes up with the readings of the inertial unit of this one, at most MAX_MISSED_PERIODS. */
+void board_estimate(board_t *b, real_t time_s, int32_t missed);
 
-/* Run periods without end. */
-void board_run(board_t *b);
+/* Second half: from the estimate to b->sent, the actuator inputs of the next period; zero unless armed. given: NULL for the
+ * command and arming of the supervisor. */
+void board_control(board_t *b, const hal_command_t *given);
+
+/* Run periods without end; kept: memory that a reset does not clear. */
+void board_run(board_t *b, fault_record_t *kept);
 
 #endif

@@ -1,5 +1,7 @@
 #include "board.h"
 
+#include <stddef.h>
+
 /* Send the log entries since the last call. */
 static void send_log(const mission_t *x)
 {
@@ -14,17 +16,18 @@ static void send_log(const mission_t *x)
     }
 }
 
-void board_run(board_t *b)
+void board_run(board_t *b, fault_record_t *kept)
 {
-    static command_t command;
+    static hal_command_t command;
 
     for (;;) {
-        (void)hal_wait_period();
+        const int32_t missed = hal_wait_period();
+
         hal_write_actuators(&b->sent);
         hal_read_sensors(&b->readings);
-        board_estimate(b, hal_time_s());
-        hal_read_command(&command);
-        board_control(b, &command, hal_is_armed());
+        board_estimate(b, hal_time_s(), missed);
+        board_control(b, hal_read_command(&command) ? &command : NULL);
+        fault_record_update(kept, b->software.motors != MOTORS_OFF, b->software.mission.state, b->belief.time_s);
         send_log(&b->software.mission);
         hal_feed_watchdog();
     }

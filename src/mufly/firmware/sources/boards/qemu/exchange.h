@@ -13,13 +13,16 @@ typedef struct {
 
 /* Answer to the estimate, to the board. */
 typedef struct {
-    command_t command;
-    bool armed;
+    bool is_given; /* whether the simulation commands; otherwise the board's link does */
+    hal_command_t given;
 } board_request_t;
 
 /* Sizes of records in the image, from the board before its first period: those of the host must be equal. */
 typedef struct {
     uint32_t board, period, request, estimator, software;
 } board_sizes_t;
+
+/* Take over the new readings of a period, as a board's drivers write them; the others stay. */
+void merge_readings(hal_readings_t *to, const hal_readings_t *from);
 
 #endif

@@ -15,6 +15,7 @@
 int main(void);
 
 static board_t board;
+static fault_record_t kept; /* the emulation has no reset */
 static board_period_t period;
 static board_request_t request;
 static uint32_t input;
@@ -77,19 +78,15 @@ real_t hal_time_s(void)
 
 void hal_read_sensors(hal_readings_t *readings)
 {
-    *readings = period.readings;
+    merge_readings(readings, &period.readings);
 }
 
-void hal_read_command(command_t *command)
+bool hal_read_command(hal_command_t *out)
 {
     transmit(&board, sizeof(board)); /* after the first half */
     receive(&request, sizeof(request));
-    *command = request.command;
-}
-
-bool hal_is_armed(void)
-{
-    return request.armed;
+    *out = request.given;
+    return request.is_given;
 }
 
 void hal_write_actuators(const actuators_t *out)
@@ -121,7 +118,7 @@ int main(void)
         fitted |= (mufly_settings.is_fitted[k] != 0) ? (1UL << k) : 0U;
     }
     transmit(&sizes, sizeof(sizes));
-    board_start(&board, fitted);
-    board_run(&board);
+    board_start(&board, fitted, fault_record_begin(&kept, RESET_BY_POWER));
+    board_run(&board, &kept);
     return 0;
 }

@@ -1,7 +1,7 @@
 /* Stubs for an STM32F4: what hal.h asks for, without any vendor's code. Every TODO is a register or a buffer of your board.
  *
  * The inertial unit is read by DMA into two halves of a buffer, in turns; PWM is a timer's; telemetry goes out of a UART by
- * DMA, as MAVLink; the independent watchdog stops everything that the loop has forgotten. */
+ * DMA, as MAVLink; the independent watchdog resets the processor when the loop stops. */
 #include "../board.h"
 
 #define UPPER_CHANNEL 0
@@ -99,16 +99,10 @@ void hal_write_actuators(const actuators_t *out)
     write_pwm(SERVO_2_CHANNEL, (REAL(1.5) + (REAL(0.5) * out->servo_input[1])) / REAL(20.0));
 }
 
-void hal_read_command(command_t *command)
+bool hal_read_command(hal_command_t *command)
 {
-    static const command_t none;
-
-    *command = none; /* TODO: COMMAND_LONG, MANUAL_CONTROL, SET_POSITION_TARGET_LOCAL_NED from the UART, bounded */
-}
-
-bool hal_is_armed(void)
-{
-    return false; /* TODO: MAV_CMD_COMPONENT_ARM_DISARM, and a switch on the board */
+    (void)command;
+    return false; /* the supervisor commands, by the link */
 }
 
 void hal_send_log_entry(const log_entry_t *entry)
@@ -122,12 +116,27 @@ void hal_feed_watchdog(void)
     /* TODO: IWDG->KR = 0xAAAA, with a reload that leaves 50 ms */
 }
 
+/* TODO: the linker script puts this section where the start-up code does not clear it. */
+static fault_record_t kept __attribute__((section(".noinit")));
+
+/* TODO: the handlers of HardFault, BusFault, MemManage and UsageFault call this with the stacked program counter. */
+void stm32_fault(uint32_t address);
+void stm32_fault(uint32_t address)
+{
+    fault_record_fault(&kept, address, 0U); /* TODO: SCB->CFSR */
+    for (;;) {
+        /* TODO: NVIC_SystemReset(); the motors' timers stop with the reset */
+    }
+}
+
 int main(void)
 {
     static board_t board;
+    const uint32_t cause = RESET_BY_POWER; /* TODO: from RCC->CSR: BORRSTF, IWDGRSTF, SFTRSTF, PINRSTF; then clear it */
 
     /* TODO: clocks, floating unit, timers, DMA, UART, watchdog. */
-    board_start(&board, (1UL << R_ACCELERATION) | (1UL << R_RATES) | (1UL << R_SONAR) | (1UL << R_BATTERY));
-    board_run(&board);
+    board_start(&board, (1UL << R_ACCELERATION) | (1UL << R_RATES) | (1UL << R_SONAR) | (1UL << R_BATTERY),
+                fault_record_begin(&kept, cause));
+    board_run(&board, &kept);
     return 0;
 }
