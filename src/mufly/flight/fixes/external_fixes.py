@@ -2,7 +2,8 @@
 
 :class:`ExternalFixes` replaces the statistical ``position_fix``; each fix has its own time and covariance. Invalid
 fixes are refused before they reach the filter, with the reason as text: numbers that are not finite, a large
-standard deviation, a time in the future, late, repeated or out-of-order fixes.
+standard deviation, a time in the future, late, repeated or out-of-order fixes, and
+sources that contradict the inertial unit (:mod:`mufly.flight.fixes.fix_monitor`).
 """
 
 from __future__ import annotations
@@ -15,9 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import MuflyError
+from mufly.estimate import Estimate
 from mufly.flight.fixes.camera_sensor import MAX_FIX_SIGMA_M
+from mufly.flight.fixes.fix_monitor import FixMonitor
 from mufly.flight.fixes.onboard_camera import PictureStream
-from mufly.sensors import Reading, Sensor, Truth
+from mufly.sensors import Reading, Readings, Sensor, Truth
 from mufly.vehicle import Vehicle
 
 _Array = NDArray[np.float64]
@@ -52,6 +55,7 @@ class ExternalFixes(Sensor):
                 "nobody"
             )
         self._stream = stream
+        self._monitor = FixMonitor(float(sensors.position_fix.wander))
         self.reset()
 
     def reset(self) -> None:
@@ -59,6 +63,11 @@ class ExternalFixes(Sensor):
             self._stream.reset()
         self._said: dict[str, Reading] = {}
         self._last_s = -math.inf
+        self._monitor.reset()
+
+    def observe(self, readings: Readings, estimate: Estimate, is_resting: bool) -> None:
+        """Pass the latest readings to the checks of the source (:class:`FixMonitor`)."""
+        self._monitor.observe(readings, estimate, is_resting)
 
     def true_readings(self, truth: Truth) -> dict[str, Any]:
         return {"position_fix": np.append(truth.position, truth.attitude[2])}
@@ -101,6 +110,8 @@ class ExternalFixes(Sensor):
         if time_s <= self._last_s:
             return "doubled, or overtaken by a later one"
         self._last_s = time_s
+        if why := self._monitor.check_fix(time_s, place):
+            return why
         if covariance is not None:
             least = np.array([MIN_SIGMA_M] * 3 + [MIN_SIGMA_RAD]) ** 2
             covariance = covariance + np.diag(np.maximum(least - np.diag(covariance), 0.0))

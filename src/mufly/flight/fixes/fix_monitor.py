@@ -1,0 +1,344 @@
+r"""Checks of position fixes from outside against the inertial unit, before they reach the filter.
+
+The inertial unit alone gives the path over some seconds but for a parabola, because errors of its tilt, bias and start
+are constant for so long. With N + i E as complex numbers, A the second integral of the measured acceleration and V its
+first, fixes P at the times t follow over a window of :data:`WINDOW_S`
+
+    P = c0 + c1 t + c2 t^2 + b B + m A + n conj(A) - d V.
+
+B is the second integral of e^(i psi), the direction of the nose: an error of the accelerometers turns with the vehicle.
+
+| source | m | n | d |
+|---|---|---|---|
+| correct | 1 | 0 | 0 |
+| axes turned by a against its heading | e^(i a) | 0 | 0 |
+| scaled by s | s | 0 | 0 |
+| mirrored, or north and east exchanged | 0 | of size 1 | 0 |
+| late by d | 1 | 0 | d |
+
+Each row is fitted alone, and the best names the fault if a correct source leaves more than :data:`_REPORT_RATIO`
+times the usual drift and the fault at most the share :data:`_EXPLAINED` of it. The controller follows the drift, and
+the drift then looks like a source that lags, so a lag must be :data:`_FOLLOWED_FACTOR` times as large.
+Further checks: the heading against the gyroscopes,
+and motion while the motors are off, when the vehicle stands. The tilt and the bias of the gyroscopes are measured then.
+
+A fault must last :data:`_CONFIRM_COUNT` fixes. From :data:`_WITHHOLD_RATIO` times the drift on fixes are withheld, so
+that the filter does not follow a source that is about to be refused; after a jump they are withheld for
+:data:`_SETTLE_S`. A refused source returns after :data:`RETURN_S` of flight in which it agrees, or of rest if it moved
+at rest. The specific force contains drag and wind, so no model of the rotors enters. Own derivation.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.dynamics import body_to_ned_matrix
+from mufly.estimate import Estimate
+from mufly.rotations import quaternion_from_euler
+from mufly.sensors import Readings
+
+_Array = NDArray[np.float64]
+WINDOW_S, RETURN_S = 5.0, 10.0
+_MIN_SPAN_S, _MIN_COUNT = 1.2, 12
+"""Least span (s) and number of fixes for a fit."""
+_WITHHOLD_RATIO, _REPORT_RATIO, _FOLLOWED_FACTOR, _EXPLAINED, _CONFIRM_COUNT = 0.8, 1.2, 1.5, 0.45, 6
+_MIN_SIZE, _BOTH = 0.6, 2.5
+"""Contradictions over the source's usual drift from which fixes are withheld and the fault is reported, factor on both
+for sources that lag or move less than :data:`_MIN_SIZE` times as far, share of the contradiction that a fault leaves,
+and number of fixes that confirm a fault."""
+_HEADING_RAD, _HEADING_DECAY_S = math.radians(20.0), 30.0
+"""Largest error of heading against the gyroscopes, and time over which their drift is forgotten (s)."""
+_REST_WINDOW_S, _REST_SPEED_M_S = 4.0, 0.04
+_JUMP_M, _MAX_SPEED_M_S, _SETTLE_S = 0.3, 2.0, 4.0
+"""Change between two fixes that is a jump of the source: a length, and a speed that no flight has; time for which a
+source is withheld after a jump."""
+_MIN_TURN_EFFECT = 0.005  # rms of B beside a parabola, below which the nose did not turn (s^2)
+_WITHHELD = "it is withheld: "
+_ATTITUDE_CORRECTION_S, _REST_AVERAGE_S = 20.0, 1.0
+
+
+@dataclass(frozen=True)
+class PathFit:
+    """Fit of the fixes in a window to the path of the inertial unit, both without their parabolas.
+
+    Attributes
+    ----------
+    healthy_rms_m : float
+        Root mean square of the differences for a correct source (m).
+    motion_rms_m : float
+        Root mean square of the path itself (m).
+    rms_m : dict
+        Root mean squares of the differences for a source "turned", "mirrored", "scaled" or "late" (m).
+    turn : complex
+        m of a turned source; its real part is that of a scaled one.
+    mirror : complex
+        n of a mirrored source.
+    delay_s : float
+        d of a late source.
+    """
+
+    healthy_rms_m: float
+    motion_rms_m: float
+    rms_m: dict[str, float]
+    turn: complex
+    mirror: complex
+    delay_s: float
+
+
+_NO_FIT = PathFit(0.0, 0.0, {"turned": 0.0}, 1.0 + 0.0j, 0j, 0.0)
+
+
+class FixMonitor:
+    """Checks of one source of fixes.
+
+    Parameters
+    ----------
+    drift_m : float
+        Standard deviation of the source's usual drift (m).
+
+    Attributes
+    ----------
+    path_fit : PathFit
+        Fit of the latest window.
+    """
+
+    def __init__(self, drift_m: float) -> None:
+        self._withhold_m, self._report_m = _WITHHOLD_RATIO * drift_m, _REPORT_RATIO * drift_m
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self._time_s = math.nan
+        self._turn: _Array = np.eye(3)  # body to N-E-D
+        self._rest_force, self._rest_rates, self._rest_weight = np.zeros(3), np.zeros(3), 0.0
+        self._is_resting = True
+        self._speed = self._path = 0j
+        self._bias_speed = self._bias_path = 0j
+        self._history: deque[tuple[float, complex, complex, complex, float]] = deque()  # time, A, V, B, heading
+        self._fixes: deque[tuple[float, complex, complex, complex, complex]] = deque()  # time, P, A, V, B
+        self._rest_fixes: deque[tuple[float, complex]] = deque()
+        self._heading_offset = math.nan
+        self._candidate, self._count, self._sure_count = "", 0, 0
+        self._settled_s = -math.inf
+        self._fault, self._agreed_s, self._last_s = "", 0.0, math.nan
+        self.path_fit = _NO_FIT
+
+    def observe(self, readings: Readings, estimate: Estimate, is_resting: bool) -> None:
+        """Propagate by the latest readings of the inertial unit.
+
+        Parameters
+        ----------
+        readings : Readings
+        estimate : Estimate
+            The filter's latest estimate: its heading at rest, and its tilt, slowly, while the source is not refused.
+        is_resting : bool
+            Whether the motors are off.
+        """
+        t, latest = readings.time_s, readings.latest
+        dt = t - self._time_s
+        self._time_s = t
+        force, rates = latest.get("acceleration"), latest.get("rates")
+        if force is None or rates is None or not (force.valid and rates.valid) or not 0.0 < dt < 0.1:
+            return
+        if is_resting:
+            if not self._is_resting:
+                self._fixes.clear()
+            self._rest(force.value, rates.value, dt, float(estimate.attitude[2]))
+        else:
+            w = (rates.value - self._rest_rates) * dt
+            cross = np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
+            self._turn = self._turn @ (np.eye(3) + cross + 0.5 * cross @ cross)
+            if estimate.valid and not self._fault and not self._candidate:
+                self._follow_tilt(estimate, dt / _ATTITUDE_CORRECTION_S)
+            n, e, _ = self._turn @ force.value
+            acceleration = complex(n, e)
+            self._path += dt * (self._speed + 0.5 * dt * acceleration)
+            self._speed += dt * acceleration
+            forward = complex(self._turn[0, 0], self._turn[1, 0])
+            self._bias_path += dt * self._bias_speed
+            self._bias_speed += dt * forward / abs(forward)
+        self._is_resting = is_resting
+        heading = math.atan2(self._turn[1, 0], self._turn[0, 0])
+        self._history.append((t, self._path, self._speed, self._bias_path, heading))
+        while self._history[0][0] < t - 1.5:
+            self._history.popleft()
+
+    def _rest(self, force: _Array, rates: _Array, dt: float, heading: float) -> None:
+        """Average the readings at rest; they give the tilt and the gyroscopes' bias."""
+        share = dt / _REST_AVERAGE_S
+        self._rest_weight += share * (1.0 - self._rest_weight)
+        share /= self._rest_weight
+        self._rest_force = self._rest_force + share * (force - self._rest_force)
+        self._rest_rates = self._rest_rates + share * (rates - self._rest_rates)
+        x, y, z = self._rest_force
+        roll, pitch = math.atan2(-y, -z), math.atan2(x, math.hypot(y, z))
+        self._turn = body_to_ned_matrix(quaternion_from_euler(roll, pitch, heading))
+        self._speed = self._path = self._bias_speed = self._bias_path = 0j
+
+    def _follow_tilt(self, estimate: Estimate, share: float) -> None:
+        """Correct the tilt towards the filter's, and make the matrix orthogonal."""
+        roll, pitch, _ = estimate.attitude
+        down = np.array([-math.sin(pitch), math.cos(pitch) * math.sin(roll), math.cos(pitch) * math.cos(roll)])
+        third = self._turn[2] + share * (down - self._turn[2])
+        third = third / math.sqrt(float(third @ third))
+        first = self._turn[0] - (self._turn[0] @ third) * third
+        first = first / math.sqrt(float(first @ first))
+        self._turn = np.stack([first, np.cross(third, first), third])
+
+    def check_fix(self, time_s: float, place: _Array) -> str:
+        """Return the reason for which a fix is refused; "" if it is accepted.
+
+        Parameters
+        ----------
+        time_s : float
+            Time of the fix (s).
+        place : (4,) array
+            N, E, D (m), heading (rad).
+        """
+        fault, is_sure, is_known = self._assess(time_s, place)
+        gap = time_s - self._last_s
+        self._last_s = time_s
+        if fault:
+            self._count += 1
+            self._sure_count = self._sure_count + 1 if is_sure else 0
+            self._candidate, self._agreed_s = fault, 0.0
+            if self._sure_count >= _CONFIRM_COUNT:
+                self._fault = fault
+        else:
+            self._candidate, self._count, self._sure_count = "", 0, 0
+            if self._fault and is_known and 0.0 < gap < 0.5:
+                self._agreed_s += gap
+                if self._agreed_s >= RETURN_S:
+                    self._fault = ""
+        if self._fault:
+            return self._fault
+        if time_s < self._settled_s:
+            return f"{_WITHHELD}it has jumped"
+        return f"{_WITHHELD}{self._candidate}" if self._count > 2 else ""
+
+    @staticmethod
+    def _kind(fault: str) -> str:
+        return "".join(c for c in fault if c.isalpha())
+
+    def _assess(self, time_s: float, place: _Array) -> tuple[str, bool, bool]:
+        """Return the fault of a fix, or "", whether it is sure, and whether the source is known to agree."""
+        if not self._history or time_s < self._history[0][0]:
+            return "", False, False
+        north, east, _, heading = place
+        if self._is_resting:
+            fault = self._check_rest(time_s, complex(north, east))
+            self._heading_offset = heading - self._history[-1][4]
+            return fault, True, bool(self._rest_fixes) and self._kind(self._fault) == self._kind(_moving_text(0.0))
+        self._rest_fixes.clear()
+        k = len(self._history) - 1
+        while k > 0 and self._history[k][0] > time_s:
+            k -= 1
+        _, path, speed, bias, yaw = self._history[k]
+        fix = time_s, complex(north, east), path, speed, bias
+        if self._fixes and self._is_jump(fix):
+            self._fixes.clear()
+            self._settled_s = time_s + _SETTLE_S
+        self._fixes.append(fix)
+        while self._fixes[0][0] < time_s - WINDOW_S:
+            self._fixes.popleft()
+        if fault := self._check_heading(heading - yaw):
+            return fault, True, False
+        self._fit_path()
+        fit, fault = self.path_fit, self._judge_path(self._report_m)
+        agrees = fit.motion_rms_m > self._report_m and fit.healthy_rms_m < _EXPLAINED * fit.motion_rms_m
+        return fault or self._judge_path(self._withhold_m), bool(fault), agrees
+
+    def _is_jump(self, fix: tuple[float, complex, complex, complex, complex]) -> bool:
+        """Return whether a fix is farther from the last one than the vehicle can fly."""
+        last = self._fixes[-1]
+        return abs(fix[1] - last[1]) > _JUMP_M + _MAX_SPEED_M_S * (fix[0] - last[0])
+
+    def _check_rest(self, time_s: float, place: complex) -> str:
+        """Return the fault of a source that moves while the vehicle stands."""
+        self._rest_fixes.append((time_s, place))
+        while self._rest_fixes[0][0] < time_s - _REST_WINDOW_S:
+            self._rest_fixes.popleft()
+        t = np.array([f[0] for f in self._rest_fixes])
+        if len(t) < _MIN_COUNT or t[-1] - t[0] < 0.8 * _REST_WINDOW_S:
+            return ""
+        t = t - t.mean()
+        speed = abs(complex(t @ np.array([f[1] for f in self._rest_fixes]))) / float(t @ t)
+        return _moving_text(speed) if speed > _REST_SPEED_M_S else ""
+
+    def _check_heading(self, offset: float) -> str:
+        if math.isnan(self._heading_offset):
+            self._heading_offset = offset
+        off = math.remainder(offset - self._heading_offset, 2 * math.pi)
+        if abs(off) > _HEADING_RAD:
+            return f"its heading turns by {math.degrees(off):.0f} degrees against the gyroscopes"
+        self._heading_offset += off / (15.0 * _HEADING_DECAY_S)
+        return ""
+
+    def _fit_path(self) -> None:
+        """Fit the path over the window by each explanation in turn."""
+        self.path_fit = _NO_FIT
+        t, place, path, speed, bias = (np.array(c) for c in zip(*self._fixes, strict=True))
+        span = float(t[-1] - t[0])
+        if len(t) < _MIN_COUNT or span < _MIN_SPAN_S:
+            return
+        u = (t - t.mean()) / span
+        q, _ = np.linalg.qr(np.stack([np.ones_like(u), u, u * u], axis=1))
+        y, a, v, b = (c - q @ (q.T @ c) for c in (place, path, speed, bias))
+        if (size := float(np.vdot(b, b).real)) > len(t) * _MIN_TURN_EFFECT**2:
+            y, a, v = (c - b * (np.vdot(b, c) / size) for c in (y, a, v))
+        off = y - a
+        square = float(np.vdot(a, a).real) + 1e-9
+        turn, mirror = complex(np.vdot(a, y)) / square, complex(np.vdot(a.conj(), y)) / square
+        delay = -float(np.vdot(v, off).real) / (float(np.vdot(v, v).real) + 1e-9)
+        each = {
+            "turned": y - turn * a,
+            "mirrored": y - mirror * a.conj(),
+            "scaled": y - turn.real * a,
+            "late": off + delay * v,
+        }
+        rms = {name: _rms(r) for name, r in each.items()}
+        self.path_fit = PathFit(_rms(off), _rms(a), rms, turn, mirror, delay)
+
+    def _judge_path(self, least_m: float) -> str:
+        """Return the fault of the path if the source contradicts it by a least rms (m)."""
+        fit = self.path_fit
+        if fit.healthy_rms_m < least_m:
+            return ""
+        best = min(fit.rms_m, key=lambda name: fit.rms_m[name])
+        if fit.rms_m[best] > _EXPLAINED * fit.healthy_rms_m:
+            return ""
+        simple = [name for name in ("late", "scaled") if fit.rms_m[name] < 1.3 * fit.rms_m[best]]
+        kind = min(simple, key=lambda name: fit.rms_m[name]) if simple else best
+        scale = fit.turn.real
+        size = {"late": 0.0, "scaled": scale, "turned": abs(fit.turn), "mirrored": abs(fit.mirror)}[kind]
+        lags = size < (_MIN_SIZE if kind in ("turned", "mirrored") else 1.0)
+        if lags and fit.healthy_rms_m < _FOLLOWED_FACTOR * least_m:
+            return ""
+        if {kind, best} <= {"turned", "mirrored"} and fit.rms_m["turned"] + fit.rms_m["mirrored"] < _BOTH * fit.rms_m[
+            best
+        ]:
+            return "it moves turned or mirrored against the accelerometers: check the sign and order of its axes"
+        match kind:
+            case "late":
+                early = "later" if fit.delay_s > 0.0 else "earlier"
+                return f"it is {abs(1e3 * fit.delay_s):.0f} ms {early} than its times, against the accelerometers"
+            case "scaled" if scale > 0.0:
+                return f"it moves {scale:.2f} times as far as the accelerometers"
+            case "mirrored":
+                return "it moves mirrored against the accelerometers: check the sign and order of its axes"
+        degrees = math.degrees(cmath.phase(fit.turn))
+        return f"it moves turned by {degrees:.0f} degrees against the accelerometers: check its axes"
+
+
+def _rms(a: NDArray[np.complexfloating]) -> float:
+    return math.sqrt(float(np.vdot(a, a).real) / len(a))
+
+
+def _moving_text(speed_m_s: float) -> str:
+    return f"it moves by {100 * speed_m_s:.0f} cm/s while the vehicle stands"

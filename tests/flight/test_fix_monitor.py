@@ -1,0 +1,128 @@
+"""Sources of fixes that contradict the inertial unit are named; sources that only drift are not."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from mufly.dynamics import GRAVITY
+from mufly.estimate import Estimate
+from mufly.flight.fixes.external_fixes import ExternalFixes
+from mufly.flight.fixes.fix_monitor import FixMonitor
+from mufly.sensors import Reading, Readings
+from mufly.vehicle import load_vehicle
+
+RATE_HZ, REST_S, DRIFT_M = 100, 4.0, 0.03
+BIAS = np.array([0.08, -0.05, 0.02])
+Change = Callable[[np.ndarray, float], np.ndarray]
+
+
+def path_at(t: float) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return position, acceleration and heading of a flight that rests, then sways and turns its nose."""
+    u = max(0.0, t - REST_S)
+    w, size, start = np.array([1.3, 0.9]), np.array([0.5, 0.7]), 1.0 - math.exp(-u)
+    place = size * (1.0 - np.cos(w * u)) * start
+    step = 1e-3
+
+    def at(v: float) -> np.ndarray:
+        v = max(v, 0.0)
+        return size * (1.0 - np.cos(w * v)) * (1.0 - math.exp(-v))
+
+    acceleration = (at(u + step) - 2 * at(u) + at(u - step)) / step**2 if u > step else np.zeros(2)
+    return place, acceleration, 0.4 * u
+
+
+def rotate(angle: float) -> Change:
+    c, s = math.cos(angle), math.sin(angle)
+    return lambda p, t: np.array([c * p[0] - s * p[1], s * p[0] + c * p[1], p[2]])
+
+
+def run_source(change: Change, until_s: float = 12.0, late_s: float = 0.0, seed: int = 1) -> list[tuple[float, str]]:
+    """Return time and reason of each fix of a source that sees the path through a change."""
+    monitor, rng, out = FixMonitor(DRIFT_M), np.random.default_rng(seed), []
+    drift, zero = np.zeros(2), np.zeros(3)
+    for k in range(round(until_s * RATE_HZ)):
+        t = k / RATE_HZ
+        _, acceleration, heading = path_at(t)
+        c, s = math.cos(heading), math.sin(heading)
+        turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        force = turn.T @ np.array([*acceleration, -GRAVITY]) + BIAS + 0.02 * rng.standard_normal(3)
+        rates = np.array([0.01, -0.01, 0.005 + (0.4 if t > REST_S else 0.0)])
+        readings = Readings(t, {"acceleration": Reading(force, t), "rates": Reading(rates, t)})
+        estimate = Estimate(t, zero, zero, np.array([0.0, 0.0, heading]), zero)
+        monitor.observe(readings, estimate, t < REST_S)
+        if k % 6 == 5:
+            keep = math.exp(-6 / RATE_HZ / 3.0)
+            drift = keep * drift + 0.5 * DRIFT_M * math.sqrt(1 - keep**2) * rng.standard_normal(2)
+            place, _, seen = path_at(t - late_s)
+            fix = change(np.append(place, seen), t)
+            fix[:2] += drift + 0.005 * rng.standard_normal(2)
+            out.append((t, monitor.check_fix(t, np.array([fix[0], fix[1], -1.0, fix[2]]))))
+    return out
+
+
+def shift(p: np.ndarray, axis: int, length: float) -> np.ndarray:
+    out = p.copy()
+    out[axis] += length
+    return out
+
+
+def same(p: np.ndarray, t: float) -> np.ndarray:
+    return p.copy()
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_source_that_only_drifts_is_accepted(seed: int) -> None:
+    """With a bias of the accelerometers and a nose that turns."""
+    assert {why for _, why in run_source(same, 20.0, seed=seed)} == {""}
+
+
+@pytest.mark.parametrize(
+    ("change", "late_s", "named"),
+    [
+        (rotate(math.pi / 2), 0.0, "turned"),
+        (rotate(-math.pi / 4), 0.0, "turned by"),
+        (lambda p, t: p * [1.0, -1.0, 1.0], 0.0, "mirrored"),
+        (lambda p, t: p[[1, 0, 2]], 0.0, "mirrored"),
+        (lambda p, t: p * [1.5, 1.5, 1.0], 0.0, "times as far"),
+        (lambda p, t: p * [0.4, 0.4, 1.0], 0.0, "times as far"),
+        (same, 0.5, "later than its times"),
+        (lambda p, t: shift(p, 2, 0.6 if t > 8.0 else 0.0), 0.0, "heading turns by 34 degrees"),
+        (lambda p, t: shift(p, 0, 0.05 * t), 0.0, "cm/s while the vehicle stands"),
+        (lambda p, t: shift(p, 0, 1.0 if t > 9.0 else 0.0), 0.0, "it has jumped"),
+    ],
+)
+def test_a_source_with_an_error_is_named(change: Change, late_s: float, named: str) -> None:
+    reasons = run_source(change, late_s=late_s)
+    first = next((t, why) for t, why in reasons if why and not (why.startswith("it is withheld") and "jump" not in why))
+    assert named in first[1]
+    assert first[0] < (REST_S if "stands" in named else 10.0)
+
+
+def test_a_refused_source_returns_when_it_agrees_for_long() -> None:
+    """Not at once, and after a jump without another error, soon."""
+    turned = rotate(math.pi / 2)
+    reasons = run_source(lambda p, t: turned(p, t) if t < 11.0 else p.copy(), 36.0)
+    refused = [t for t, why in reasons if why]
+    assert 21.0 < refused[-1] < 34.0
+    assert all(why for t, why in reasons if 11.0 < t < 21.0)
+    jumped = [t for t, why in run_source(lambda p, t: shift(p, 0, 1.0 if t > 9.0 else 0.0), 16.0) if why]
+    assert (jumped[0], jumped[-1]) == pytest.approx((9.0, 13.0), abs=0.2)
+
+
+def test_fixes_that_move_before_take_off_do_not_reach_the_filter() -> None:
+    vehicle = load_vehicle("mufly-1.1")
+    fixes, zero = ExternalFixes(vehicle), np.zeros(3)
+    answers = []
+    for k in range(90):
+        t = k / 15
+        still = {"acceleration": Reading(np.array([0.0, 0.0, -GRAVITY]), t), "rates": Reading(zero, t)}
+        fixes.observe(Readings(t, still), Estimate(t, zero, zero, zero, zero), True)
+        answers.append(fixes.submit_fix(t, t, np.array([0.06 * t, 0.0, 0.0, 0.0]), None))
+    assert answers[0] == ""
+    assert "while the vehicle stands" in answers[-1]
+    fixes.reset()
+    assert fixes.submit_fix(7.0, 7.0, np.zeros(4), None) == ""
