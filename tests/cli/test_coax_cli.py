@@ -217,3 +217,10 @@ def test_rotor_sweep_by_the_wake_marks_what_does_not_converge() -> None:
     failed = json.loads(output(*arguments, "--wake-set", "iterations=5", "--json", of=rotor_app))
     assert all("not converged in 5" in f for f in failed["data_vars"]["fault"]["data"])
     assert failed["data_vars"]["thrust_N"]["data"] == [None, None]
+
+
+def test_forward_prints_both_rotors_over_airspeed(tmp_path) -> None:
+    found = runner.invoke(app, ["forward", "--speed", "3", "--flap-frequency-ratio", "1.6", "--out", str(tmp_path)])
+    assert found.exit_code == 0, found.output
+    assert "walkera-5g6 over walkera-5g6" in found.output
+    assert {f.name for f in tmp_path.iterdir()} == {"forward.png", "disc-upper.png", "disc-lower.png"}

@@ -208,3 +208,14 @@ def test_optimise_tells_what_each_change_brought_and_writes_the_rotor(tmp_path) 
     assert answer["results"]["least_thickness_m"] >= 0.8e-3 * (1 - 1e-6)
     shown = json.loads(output("show", str(file), "--json"))
     assert shown["blade_area_m2"] == pytest.approx(0.02 * 0.85 * 0.06, rel=1e-9)
+
+
+def test_forward_prints_a_band_over_the_flap_frequency(tmp_path) -> None:
+    told = ("forward", "walkera-5g6", "--pitch", "13", "--rpm", "3600", "--speed", "0:4:4")
+    text = output(*told, "--out", str(tmp_path))
+    assert "band of the flap frequency" in text
+    assert (tmp_path / "forward.png").stat().st_size > 10_000
+    assert (tmp_path / "disc.png").stat().st_size > 10_000
+    points = json.loads(output(*told, "--flap-frequency-ratio", "1,1.6", "--json"))["points"]
+    assert [p["flap_frequency_ratio"] for p in points] == [1.0, 1.0, 1.6, 1.6]
+    assert points[3]["cyclic"]["moment_Nm_rad"] > 0.05

@@ -14,13 +14,25 @@ from mufly.errors import InputError
 from mufly.rotor import (
     Air,
     Corrections,
+    OperatingCondition,
     PolarTable,
+    RotorSystem,
     load_rotor,
     make_rotor,
     prepare_blading,
     solve_rotor,
+    solve_system,
 )
-from mufly.rotor.forward import BladeFlap, ForwardCondition, blade_flap, cyclic_response, solve_forward, sweep_forward
+from mufly.rotor.forward import (
+    BladeFlap,
+    ForwardCondition,
+    PairSweep,
+    blade_flap,
+    cyclic_response,
+    solve_forward,
+    solve_forward_pair,
+    sweep_forward,
+)
 from mufly.rotor.forward.inflow import momentum_induced_velocity, pitt_peters_inflow
 from mufly.rotor.sections.polar_table import ALPHA_GRID
 
@@ -284,3 +296,79 @@ def test_impossible_settings(textbook, walkera):
     rotor = load_rotor("walkera-5g6")
     with pytest.raises(InputError, match="effective_radius"):
         solve_forward(prepare_blading(rotor, corrections=Corrections(tip_loss="effective_radius")), FLIGHT)
+
+
+# The pair
+
+SPEEDS, ANGLES, SPACING = (376.4, 443.6), (math.radians(13.0), math.radians(14.0)), 0.04
+
+
+def pair(case, ratio=1.6, speed=0.0, climb=0.0, spacing=SPACING, **changes):
+    mode = blade_flap(case.rotors[0], ratio)
+    conditions = tuple(
+        ForwardCondition(a, w, speed, climb, rotation_sign=s, **changes)
+        for a, w, s in zip(ANGLES, SPEEDS, (1, -1), strict=True)
+    )
+    return solve_forward_pair(case, case, conditions, (mode, mode), spacing_m=spacing)
+
+
+def test_the_pair_at_rest_is_coaxial_blade_element_momentum_theory(walkera):
+    got = pair(walkera)
+    same = solve_system(
+        RotorSystem.coaxial_pair(walkera, walkera, spacing_m=SPACING), OperatingCondition(ANGLES, SPEEDS)
+    )
+    for one, two in zip((got.upper, got.lower), same.rotors, strict=True):
+        assert one.thrust_N == pytest.approx(two.thrust_N, rel=1e-3)
+        assert one.torque_Nm == pytest.approx(two.torque_Nm, rel=1e-3)
+    assert got.overlap == 1.0
+    assert abs(got.h_force_N) + abs(got.y_force_N) + abs(got.pitch_moment_Nm) < 1e-9
+
+
+def test_a_lower_rotor_outside_the_stream_is_alone(walkera):
+    got = pair(walkera, speed=9.0, spacing=0.1)
+    mode = blade_flap(walkera.rotors[0], 1.6)
+    alone = solve_forward(walkera, ForwardCondition(ANGLES[1], SPEEDS[1], 9.0, rotation_sign=-1), mode)
+    assert got.overlap == 0.0
+    assert got.lower.thrust_N == pytest.approx(alone.thrust_N, rel=1e-9)
+    assert got.lower.pitch_moment_Nm == pytest.approx(alone.pitch_moment_Nm, rel=1e-9)
+
+
+def test_the_stream_leaves_the_lower_rotor_with_airspeed(walkera):
+    slow, fast = pair(walkera, speed=1.0), pair(walkera, speed=5.0)
+    assert 1.0 >= slow.overlap > fast.overlap > 0.0
+    assert fast.lower.thrust_N > slow.lower.thrust_N
+    equal = abs(slow.upper.pitch_moment_Nm - slow.lower.pitch_moment_Nm)
+    assert slow.pitch_moment_Nm > 2.0 * abs(slow.roll_moment_Nm)  # pitch moments add, roll moments nearly cancel
+    assert equal < abs(slow.pitch_moment_Nm)
+
+
+def test_wind_from_the_right_turns_the_loads_of_a_pair(walkera):
+    ahead, right = pair(walkera, speed=3.0), pair(walkera, speed=3.0, wind_azimuth_rad=0.5 * math.pi)
+    assert right.h_force_N == pytest.approx(ahead.y_force_N, abs=1e-10)
+    assert right.y_force_N == pytest.approx(-ahead.h_force_N, abs=1e-10)
+    assert right.roll_moment_Nm == pytest.approx(-ahead.pitch_moment_Nm, abs=1e-10)
+
+
+def test_pairs_that_do_not_belong_together(walkera):
+    one = ForwardCondition(ANGLES[0], SPEEDS[0], 1.0)
+    for other, key in (
+        (replace(one, edgewise_m_s=2.0, rotation_sign=-1), "edgewise_m_s"),
+        (one, "rotation_sign"),
+    ):
+        with pytest.raises(InputError, match=key):
+            solve_forward_pair(walkera, walkera, (one, other), spacing_m=SPACING)
+    with pytest.raises(InputError, match="spacing_m"):
+        pair(walkera, spacing=0.0)
+
+
+def test_pictures_have_units_on_their_axes(walkera):
+    conditions = [ForwardCondition(ANGLES[0], SPEEDS[0], edgewise_m_s=v) for v in (0.0, 4.0)]
+    sweep = sweep_forward(walkera, conditions, [blade_flap(walkera.rotors[0], 1.2)])
+    one = pair(walkera, speed=4.0)
+    several = PairSweep(("a", "b"), "", ((one, one),))
+    for result in (sweep, several):
+        for axes in result.plot().axes:
+            assert "(" in axes.get_ylabel()
+            assert "m/s" in axes.get_xlabel()
+    assert len(sweep.points[0][1].plot().axes) == len(one.plot().axes) == 6
+    assert "overlap" in str(several)

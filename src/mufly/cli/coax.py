@@ -12,14 +12,19 @@ import typer
 
 from mufly.cli.options import (
     DEFAULT_FREE_WAKE_OPTIONS,
+    DEFAULT_POLAR_OPTIONS,
     SPEED_RANGE,
     WAKE_FIELDS,
+    AirspeedsOption,
     ClimbOption,
     CommandGroup,
     DensityOption,
+    DiscTiltOption,
+    FlapRatiosOption,
     JsonOption,
     OutOption,
     PairPitchOption,
+    PolarOptions,
     SpacingOption,
     TheoryOptions,
     WakeOptions,
@@ -215,6 +220,69 @@ def hover(
         theory,
     )  # fmt: skip
     _solve_and_print(setup, isolated, out, as_json)
+
+
+@app.command()
+def forward(
+    upper: UpperArgument = "walkera-5g6",
+    lower: LowerArgument = None,
+    speed: AirspeedsOption = "0:10:1",
+    spacing: SpacingOption = 0.04,
+    rpm: Annotated[
+        str,
+        define_option(
+            "--rpm", "Speeds of upper and lower rotor, as 3600,4240.", unit="rpm", form="pair", within=SPEED_RANGE
+        ),
+    ] = "3600,4240",
+    pitch: PairPitchOption = "13,14",
+    tilt: DiscTiltOption = 0.0,
+    flap_frequency_ratio: FlapRatiosOption = None,
+    density: DensityOption = 1.2,
+    polars: PolarOptions = DEFAULT_POLAR_OPTIONS,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Compute a pair in forward flight, the lower rotor in the skewed stream of the upper one.
+
+    Pitch and speed of both rotors stay constant. At rest the pair is that of `mufly coax hover --method bemt`. With
+    --out: pictures over airspeed (forward.png) and over both discs at the last airspeed. Method:
+    docs/explanation/forward-flight.md.
+    Example: mufly coax forward walkera-5g6 --speed 0:6:1 --rpm 3600,4240 --pitch 13,14 --out pair
+    """
+    from mufly.quantity_grammar import read_values
+    from mufly.rotor import Air, load_rotor
+    from mufly.rotor.forward import ForwardCondition, blade_flap, blade_flap_band, sweep_forward_pair
+    from mufly.rotor.forward.forward_pictures import disc_picture, pair_sweep_picture
+
+    angles, speeds, air = parse_pitch_angles(pitch), parse_rotor_speeds(rpm), Air(density_kg_m3=density)
+    rotors = (load_rotor(upper), load_rotor(upper if lower is None else lower))
+    if flap_frequency_ratio is None:
+        bands = [blade_flap_band(r, w, pitch_rad=a) for r, w, a in zip(rotors, speeds, angles, strict=True)]
+        flaps = tuple((bands[0][0][k], bands[1][0][k]) for k in range(2))
+        basis = bands[0][1]
+    else:
+        ratios = read_values("--flap-frequency-ratio", flap_frequency_ratio, "1")
+        flaps = tuple((blade_flap(rotors[0], n), blade_flap(rotors[1], n)) for n in ratios)
+        basis = "flap frequency as given"
+    lean = math.radians(tilt)
+    sweep = sweep_forward_pair(
+        polars.prepare_blading(rotors[0]), polars.prepare_blading(rotors[1]),
+        (
+            ForwardCondition(angles[0], speeds[0], air=air),
+            ForwardCondition(angles[1], speeds[1], rotation_sign=-1, air=air),
+        ),
+        tuple((v * math.cos(lean), v * math.sin(lean)) for v in read_values("--speed", speed, "m/s")),
+        flaps, spacing_m=spacing, flap_basis=basis,
+    )  # fmt: skip
+    files = []
+    if out is not None:
+        last = sweep.points[-1][-1]
+        files = [
+            save_figure(pair_sweep_picture(sweep), out, "forward"),
+            save_figure(disc_picture(last.upper), out, "disc-upper"),
+            save_figure(disc_picture(last.lower), out, "disc-lower"),
+        ]
+    print_answer(as_json, sweep, None, files)
 
 
 @app.command()

@@ -349,6 +349,30 @@ PairPitchOption = Annotated[
         within=PITCH_RANGE,
     ),
 ]
+AirspeedsOption = Annotated[
+    str,
+    define_option(
+        "--speed", "Airspeeds, as 0:10:1 or 4.", unit="m/s", form="values",
+        within=OptionRange(0.0, 100.0, "m/s", "no small rotor flies so fast"),
+    ),
+]  # fmt: skip
+DiscTiltOption = Annotated[
+    float,
+    define_option(
+        "--tilt", "Tilt of the disc into the wind, positive nose down.", unit="deg",
+        within=OptionRange(-90.0, 90.0, "deg", "at 90 degrees the air comes along the shaft"),
+    ),
+]  # fmt: skip
+FlapRatiosOption = Annotated[
+    str | None,
+    define_option(
+        "--flap-frequency-ratio",
+        "Flap frequency over rotor speed (1/rev), one or several. Default: both ends of the band of `mufly rotor "
+        "beam`.",
+        unit="1", form="values",
+        within=OptionRange(1.0, 20.0, "", "1 is a free hinge at the shaft, and no blade is so stiff"),
+    ),
+]  # fmt: skip
 RotorArgument = Annotated[
     str, define_argument("NAME|FILE", "Built-in rotor (`mufly rotor list`), or rotor file (TOML).")
 ]

@@ -15,11 +15,14 @@ from mufly.cli.options import (
     PITCH_RANGE,
     SPEED_RANGE,
     WAKE_FIELDS,
+    AirspeedsOption,
     ClimbOption,
     ColumnOption,
     CommandGroup,
     DensityOption,
+    DiscTiltOption,
     DriveOption,
+    FlapRatiosOption,
     JsonOption,
     OptionalPitchOption,
     OptionalRpmOption,
@@ -468,46 +471,27 @@ def hover(
     print_files(files)
 
 
-FORWARD_SPEED_RANGE = OptionRange(0.0, 100.0, "m/s", "no small rotor flies so fast")
-_RATIO_RANGE = OptionRange(1.0, 20.0, "", "1 is a free hinge at the shaft, and no blade is so stiff")
 _CYCLIC_RANGE = OptionRange(0.01, 20.0, "deg", "it is the amplitude of a small input")
-_TILT_RANGE = OptionRange(-90.0, 90.0, "deg", "at 90 degrees the air comes along the shaft")
 
 
 @app.command()
 def forward(
     rotor: RotorArgument = "walkera-5g6",
-    speed: Annotated[
-        str,
-        define_option("--speed", "Airspeeds, as 0:10:1 or 4.", unit="m/s", form="values", within=FORWARD_SPEED_RANGE),
-    ] = "0:10:1",
+    speed: AirspeedsOption = "0:10:1",
     pitch: OptionalPitchOption = None,
     rpm: OptionalRpmOption = None,
     thrust: Annotated[
         float | None,
         define_option("--thrust", "Thrust in hover; with --pitch the speed is found, with --rpm the pitch.", unit="N"),
     ] = None,
-    tilt: Annotated[
-        float,
-        define_option("--tilt", "Tilt of the disc into the wind, positive nose down.", unit="deg", within=_TILT_RANGE),
-    ] = 0.0,
+    tilt: DiscTiltOption = 0.0,
     cyclic: Annotated[
         float,
         define_option(
             "--cyclic", "Amplitude of cyclic pitch whose response is computed.", unit="deg", within=_CYCLIC_RANGE
         ),
     ] = 1.0,
-    flap_frequency_ratio: Annotated[
-        str | None,
-        define_option(
-            "--flap-frequency-ratio",
-            "Flap frequency over rotor speed (1/rev), one or several. Default: both ends of the band of `mufly rotor "
-            "beam`.",
-            unit="1",
-            form="values",
-            within=_RATIO_RANGE,
-        ),
-    ] = None,
+    flap_frequency_ratio: FlapRatiosOption = None,
     blade_mass: Annotated[
         float | None,
         define_option(

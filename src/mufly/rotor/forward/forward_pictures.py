@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from mufly.rotor.forward.forward_results import ForwardResult, ForwardSweep
+    from mufly.rotor.forward.skewed_pair import ForwardPair, PairSweep
 
 
 def disc_picture(result: ForwardResult) -> Figure:
@@ -79,4 +80,48 @@ def sweep_picture(sweep: ForwardSweep) -> Figure:
             one.grid(alpha=0.3)
     axes[0].legend(title="Flap frequency", fontsize="small")
     figure.suptitle(f"{sweep.rotor}: {sweep.flap_basis}" if sweep.flap_basis else sweep.rotor, fontsize="medium")
+    return figure
+
+
+def pair_picture(pair: ForwardPair) -> Figure:
+    """Draw induced velocity, onset angle and load over the disc of the lower rotor, in the stream of the upper one."""
+    return disc_picture(pair.lower)
+
+
+def pair_sweep_picture(sweep: PairSweep) -> Figure:
+    """Draw the loads of both rotors and their sums over airspeed, a colour for each flap frequency."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12.0, 7.0), layout="constrained")
+    axes = figure.subplots(2, 3).ravel()
+    for k, line in enumerate(sweep.points):
+        speed = [p.upper.edgewise_m_s for p in line]
+        label = f"{line[0].upper.flap_frequency_ratio:.3g}/rev"
+        for values, style, side in (
+            ([p.upper.thrust_N for p in line], "-", "upper"),
+            ([p.lower.thrust_N for p in line], "--", "lower"),
+        ):
+            axes[0].plot(speed, values, style, color=f"C{k}", label=f"{label}, {side}")
+        for one, values in zip(
+            axes[1:],
+            (
+                [p.power_W for p in line],
+                [1e3 * p.h_force_N for p in line],
+                [1e3 * p.pitch_moment_Nm for p in line],
+                [1e3 * p.roll_moment_Nm for p in line],
+                [p.overlap for p in line],
+            ),
+            strict=True,
+        ):
+            one.plot(speed, values, color=f"C{k}", label=label)
+    labels = (
+        "Thrust (N)", "Shaft power of both (W)", "H force of both, aft (mN)", "Hub moments, nose up (mN m)",
+        "Hub moments, right side down (mN m)", "Stream on the lower disc (share)",
+    )  # fmt: skip
+    for one, name in zip(axes, labels, strict=True):
+        one.set_ylabel(name)
+        one.set_xlabel("Edgewise airspeed (m/s)")
+        one.grid(alpha=0.3)
+    axes[0].legend(title="Flap frequency", fontsize="small")
+    figure.suptitle(f"{' over '.join(sweep.rotors)}: {sweep.flap_basis}", fontsize="medium")
     return figure
