@@ -50,7 +50,7 @@ from __future__ import annotations
 
 import math
 from collections import namedtuple
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
 from typing import Any, Literal
@@ -63,6 +63,7 @@ from mufly.numba_cache import cached_njit
 from mufly.rotor.geometry import Rotor
 from mufly.rotor.sections import polar_engines
 from mufly.rotor.sections.polar_engines import PolarEngine
+from mufly.rotor.sections.polar_file import is_polar_file
 from mufly.rotor.sections.polar_table import PolarStack, PolarTable, stack_polars
 
 Array = NDArray[np.float64]
@@ -282,7 +283,7 @@ def prepare_blading(
         One rotor, or several for one batch.
     polars : mapping, optional
         Polar by airfoil name, for every airfoil of the rotors. By default ``engine`` computes them (or reads them from
-        the cache) at ``n_crit``, for Reynolds numbers from 2e3 to 6e6.
+        the cache) at ``n_crit`` and with the trips of each rotor, for Reynolds numbers from 2e3 to 6e6.
     corrections : Corrections, optional
         Default: all that docs/explanation/bemt.md recommends.
     stations : int
@@ -300,23 +301,31 @@ def prepare_blading(
     if stations < 4:
         raise InputError("rotor", "stations", f"{stations} is too few for a blade", "give 4 or more")
     fits = [None if rotor.fit is None else (rotor.fit.candidates[0].change, rotor.fit.reynolds) for rotor in many]
-    keys = list(
-        dict.fromkeys((name, fit) for rotor, fit in zip(many, fits, strict=True) for name in rotor.airfoil_names())
-    )
-    names = list(dict.fromkeys(name for name, _ in keys))
-    known = polar_engines.compute_polars(names, n_crit=n_crit, engine=engine) if polars is None else polars
-    for name in names:
-        if name not in known:
-            raise InputError("rotor", f"airfoil {name}", "has no polar", f"give one of {', '.join(sorted(known))}")
+    computed: dict[Any, Mapping[str, PolarTable]] = {}
     for rotor in many:
+        same = (rotor.airfoil_names(), rotor.transition(n_crit))
+        if polars is None and same not in computed:
+            computed[same] = compute_rotor_polars(rotor, n_crit=n_crit, engine=engine)
+    known = [computed.get((r.airfoil_names(), r.transition(n_crit)), polars or {}) for r in many]
+    found: dict[tuple[Any, ...], PolarTable] = {}  # one table for each airfoil, fit and transition
+    own: list[dict[str, tuple[Any, ...]]] = []  # key in it of each rotor's airfoils
+    for rotor, fit, at_hand in zip(many, fits, known, strict=True):
         made = rotor.fit.n_crit if rotor.fit is not None else math.nan
-        for name in rotor.airfoil_names():
-            if abs(known[name].n_crit - made) > 1e-9:
+        transition = rotor.transition(n_crit) if polars is None else None
+        own.append({name: (name, fit, transition) for name in rotor.airfoil_names()})
+        for name, key in own[-1].items():
+            if name not in at_hand:
+                raise InputError(
+                    "rotor", f"airfoil {name}", "has no polar", f"give one of {', '.join(sorted(at_hand))}"
+                )
+            if abs(at_hand[name].n_crit - made) > 1e-9:
                 raise InputError(
                     f"rotor {rotor.name}", "fit", f"was made with polars at n_crit {made:g}, these are at "
-                    f"{known[name].n_crit:g}", "use the same, or take [fit] out of the file",
+                    f"{at_hand[name].n_crit:g}", "use the same, or take [fit] out of the file",
                 )  # fmt: skip
-    tables = [apply_section_fit(known[name], *fit) if fit is not None else known[name] for name, fit in keys]
+            if key not in found:
+                found[key] = at_hand[name] if fit is None else apply_section_fit(at_hand[name], *fit)
+    keys, tables = list(found), list(found.values())
     shape = (len(many), stations)
     r, dr, chord, twist, e, g, base, weight = (np.zeros(shape) for _ in range(8))
     first, second = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64)
@@ -324,7 +333,7 @@ def prepare_blading(
         big = rotor.radius_m
         mid, edges = compute_panel_edges(float(rotor.hub_cutout), stations)
         cut = rotor.sections_at(mid)
-        index = np.array([keys.index((name, fits[k])) for name in cut.airfoil_names], dtype=np.int64)
+        index = np.array([keys.index(own[k][name]) for name in cut.airfoil_names], dtype=np.int64)
         r[k], dr[k], chord[k], twist[k] = mid * big, np.diff(edges) * big, cut.chord_m, cut.twist_rad
         if rotor.fit is not None:
             twist[k] += rotor.fit.candidates[0].change[0]
@@ -355,6 +364,37 @@ def prepare_blading(
         polar_zero_lift_rad=np.array([find_zero_lift_angle(table) for table in tables]),
         thickness=np.nan_to_num([table.thickness_ratio for table in tables], nan=_DEFAULT_THICKNESS_RATIO),
     )
+
+
+def compute_rotor_polars(
+    rotor: Rotor, airfoils: Iterable[str] = (), *, n_crit: float = 0.1, engine: PolarEngine = "neuralfoil"
+) -> dict[str, PolarTable]:
+    """Return the polars of a rotor's sections by airfoil name, with its trips and its surface.
+
+    Parameters
+    ----------
+    rotor : Rotor
+    airfoils : iterable of str
+        Airfoils in place of the rotor's.
+    n_crit, engine
+        As for :func:`prepare_blading`.
+
+    Raises
+    ------
+    InputError
+        If an airfoil is unknown, or a trip or a rough surface is given for a table of coefficients.
+    """
+    names = list(dict.fromkeys(airfoils)) or list(rotor.airfoil_names())
+    transition = rotor.transition(n_crit)
+    if transition != (n_crit, (1.0, 1.0)):
+        fixed = next((n for n in names if engine == "table" or is_polar_file(n)), None)
+        key = next((k for k in ("trip_upper", "trip_lower") if getattr(rotor.blade, k) is not None), "surface")
+        if fixed is not None:
+            raise InputError(
+                f"rotor {rotor.name}", f"blade.{key}", f"cannot move the transition of {fixed}, which is a table",
+                "take it out, or give an airfoil with a contour",
+            )  # fmt: skip
+    return polar_engines.compute_polars(names, n_crit=transition.n_crit, engine=engine, xtr=transition.xtr)
 
 
 def apply_section_fit(table: PolarTable, change: Sequence[float], reynolds: float) -> PolarTable:

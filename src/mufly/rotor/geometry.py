@@ -21,7 +21,7 @@ from collections.abc import Mapping, Sequence
 from importlib import resources
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import tomli_w
@@ -70,6 +70,24 @@ class BladeSections(NamedTuple):
     second_weight: Array
 
 
+ROUGH_TRIP, ROUGH_N_CRIT = 0.05, 0.1
+"""Transition of a rough surface: latest place x/c, and greatest amplification exponent."""
+
+
+class Transition(NamedTuple):
+    """Transition of the boundary layer: amplification exponent, and forced transition x/c on upper and lower side."""
+
+    n_crit: float
+    xtr: tuple[float, float]
+
+
+def _declare_trip(side: str) -> Any:
+    extra = {"unit": "1", "symbol": f"x_tr,{side[0]}", "above": None, "at_least": 0.0, "below": None, "at_most": 1.0}
+    return Field(
+        default=None, json_schema_extra=extra, description=f"turbulator on the {side} side, x/c; default: none"
+    )
+
+
 class Blade(ParameterGroup):
     """Chord, twist and airfoil from hub to tip."""
 
@@ -82,6 +100,11 @@ class Blade(ParameterGroup):
     )
     airfoils: tuple[str, ...] = Field(
         min_length=1, description="airfoil at each station, or one name for the whole blade"
+    )
+    trip_upper: Quantity | None = _declare_trip("upper")
+    trip_lower: Quantity | None = _declare_trip("lower")
+    surface: Literal["smooth", "rough"] | None = Field(
+        default=None, description="`smooth` (default), or `rough`: transition at 0.05 c at n_crit 0.1"
     )
     structure: BladeStructure | None = Field(default=None, description="material, thickness and root of the blade")
 
@@ -278,6 +301,13 @@ class Rotor(ParameterGroup):
             x, self.chord_m(x), self.twist_rad(x), names, index[j], index[j + 1], np.where(same, 0.0, weight)
         )
 
+    def transition(self, n_crit: float) -> Transition:
+        """Return the transition of the blade's sections in air with an amplification exponent."""
+        upper, lower = (1.0 if t is None else float(t) for t in (self.blade.trip_upper, self.blade.trip_lower))
+        if self.blade.surface != "rough":
+            return Transition(n_crit, (upper, lower))
+        return Transition(min(n_crit, ROUGH_N_CRIT), (min(upper, ROUGH_TRIP), min(lower, ROUGH_TRIP)))
+
     def toml_tables(self) -> dict[str, Any]:
         """Return the rotor as nested dictionaries with the keys of a rotor file."""
         tables = self.model_dump(exclude_none=True)
@@ -457,6 +487,11 @@ def replace_rotor(rotor: Rotor, values: Mapping[str, Any], *, source: str = "spe
     """
     tables = rotor.toml_tables()
     tables.setdefault("trailing_edge", rotor.trailing_edge.model_dump())
+    for trip in ("trip_upper", "trip_lower"):
+        if f"blade.{trip}" in values:
+            tables["blade"].setdefault(trip, {"value": 1.0, "unit": "1"})
+    if "blade.surface" in values:
+        tables["blade"].setdefault("surface", "smooth")
     stations = len(rotor.blade.r_over_R.value)
     for key, value in values.items():
         *path, last = key.split(".")
@@ -466,7 +501,7 @@ def replace_rotor(rotor: Rotor, values: Mapping[str, Any], *, source: str = "spe
         if not isinstance(table, dict) or last not in table:
             known = (
                 "name, blades, radius, hub_cutout, trailing_edge, blade.r_over_R, blade.chord, blade.twist, "
-                "blade.airfoils"
+                "blade.airfoils, blade.trip_upper, blade.trip_lower, blade.surface"
             )
             raise InputError("replace", key, "no such key", f"use one of: {known}")
         if last == "airfoils":

@@ -46,10 +46,9 @@ from mufly.results import result
 from mufly.rotor.bemt import solve_rotor_batch
 from mufly.rotor.bench_comparison import RotorMeasurements
 from mufly.rotor.blade_families import GRID_STEP_STD, ZERO_LIFT_PER_CAMBER, section_probabilities
-from mufly.rotor.blading import Blading, Corrections, apply_section_fit, prepare_blading
+from mufly.rotor.blading import Blading, Corrections, apply_section_fit, compute_rotor_polars, prepare_blading
 from mufly.rotor.geometry import Rotor, SectionCandidate, SectionFit, replace_rotor
 from mufly.rotor.rotor_system import Air
-from mufly.rotor.sections import polar_engines
 from mufly.rotor.sections.polar_engines import PolarEngine
 from mufly.rotor.sections.polar_table import PolarTable, stack_polars
 
@@ -199,7 +198,8 @@ def fit_rotor(
     )
     listed = section_probabilities(plain, family) if section == "guessed" else [(plain.blade.airfoils, 1.0)]
     wide = _prior_deviations(known=section == "known")
-    tables = polar_engines.compute_polars({a for airfoils, _ in listed for a in airfoils}, n_crit=n_crit, engine=engine)
+    every = {a for airfoils, _ in listed for a in airfoils}
+    tables = compute_rotor_polars(plain, every, n_crit=n_crit, engine=engine)
     prepared = []
     for done, (airfoils, share) in enumerate(listed):
         if progress is not None:
@@ -234,7 +234,7 @@ def fit_rotor(
     fit = SectionFit(
         bench=measurements.source,
         points=n,
-        n_crit=n_crit,
+        n_crit=plain.transition(n_crit).n_crit,
         reynolds=bench.reynolds,
         pitch_rad=(float(bench.pitch_rad.min()), float(bench.pitch_rad.max())),
         speed_rad_s=(float(bench.speed_rad_s.min()), float(bench.speed_rad_s.max())),

@@ -40,10 +40,9 @@ from mufly.rotor.blade_families import (
     ZERO_LIFT_PER_CAMBER,
     section_probabilities,
 )
-from mufly.rotor.blading import Blading, Corrections, prepare_blading
+from mufly.rotor.blading import Blading, Corrections, compute_rotor_polars, prepare_blading
 from mufly.rotor.geometry import Rotor, SectionCandidate, SectionFit, replace_rotor
 from mufly.rotor.rotor_system import Air
-from mufly.rotor.sections import polar_engines
 from mufly.rotor.sections.polar_engines import PolarEngine
 
 Array = NDArray[np.float64]
@@ -235,9 +234,8 @@ def predict_interval(
     values, all_causes = np.stack((thrust, torque)), {name: np.stack(pair) for name, pair in causes.items()}
     if guessed:
         listed = [(a, w) for a, w in section_probabilities(rotor, family) if w >= _MIN_SECTION_PROBABILITY]
-        tables = polar_engines.compute_polars(
-            {a for airfoils, _ in listed for a in airfoils}, n_crit=n_crit, engine=engine
-        )
+        every = {a for airfoils, _ in listed for a in airfoils}
+        tables = compute_rotor_polars(rotor, every, n_crit=n_crit, engine=engine)
         ones = [replace_rotor(rotor, {"blade.airfoils": a}) for a, _ in listed]
         several = np.array([solve_loads(prepare_blading(one, tables, corrections=fixes)) for one in ones])
         weights = np.array([w for _, w in listed])

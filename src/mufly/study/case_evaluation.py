@@ -60,6 +60,7 @@ from mufly.rotor import (
     solve_rotor_batch,
     solve_system,
 )
+from mufly.rotor.geometry import Transition
 from mufly.rotor.rotor_solver import solve_from_neighbour
 from mufly.rotor.wake import WakeSettings, check_rotors
 from mufly.study.study_parameters import GEOMETRY_PARAMETERS, ParameterValue
@@ -91,21 +92,22 @@ class StudyResults:
     fault: list[str]
 
 
-_POLAR_CACHE: dict[tuple[str, float, str, str], PolarTable | str] = {}  # most recently used polars
+_POLAR_CACHE: dict[tuple[str, Transition, str, str], PolarTable | str] = {}  # most recently used polars
 _MAX_CACHED_POLARS = 300  # 0.3 MB each
 _POLAR_LOCK = threading.Lock()
 
 
-def load_polar_tables(names: Sequence[str], n_crit: float, setup: StudySetup) -> dict[str, PolarTable | str]:
+def load_polar_tables(names: Sequence[str], transition: Transition, setup: StudySetup) -> dict[str, PolarTable | str]:
     """Return the polars of airfoils, or the reason of failure; missing polars are computed together on all cores."""
-    key = {name: (name, n_crit, setup.polar_engine, setup.polar_model) for name in names}
+    key = {name: (name, transition, setup.polar_engine, setup.polar_model) for name in names}
     with _POLAR_LOCK:
         missing = [name for name in names if key[name] not in _POLAR_CACHE]
         if missing:
             faults: dict[str, str] = {}
             found = compute_polars(
                 missing,
-                n_crit=n_crit,
+                n_crit=transition.n_crit,
+                xtr=transition.xtr,
                 model=setup.polar_model,
                 faults=faults,
                 engine=setup.polar_engine,  # type: ignore[arg-type]
@@ -156,7 +158,7 @@ def evaluate_cases(setup: StudySetup, cases: Sequence[StudyCase]) -> StudyResult
         return out
     rotors: dict[Any, Rotor | str] = {}
     keys = []
-    groups: dict[tuple[float, float, float], list[int]] = {}
+    groups: dict[tuple[Transition, float, float], list[int]] = {}
     air = Air()
     for k, case in enumerate(full):
         key = tuple((name, case[name]) for name in GEOMETRY_PARAMETERS if name in case)
@@ -171,13 +173,13 @@ def evaluate_cases(setup: StudySetup, cases: Sequence[StudyCase]) -> StudyResult
             out.fault[k] = shape
             continue
         conditions = (
-            float(case.get("n_crit", 0.1)),
+            shape.transition(float(case.get("n_crit", 0.1))),
             float(case.get("density", air.density_kg_m3)),
             float(case.get("viscosity", air.viscosity_Pa_s)),
         )
         groups.setdefault(conditions, []).append(k)
-    for (n_crit, density, viscosity), members in groups.items():
-        _evaluate_group(setup, full, members, rotors, keys, n_crit, Air(density, viscosity), out)
+    for (transition, density, viscosity), members in groups.items():
+        _evaluate_group(setup, full, members, rotors, keys, transition, Air(density, viscosity), out)
     return out
 
 
@@ -187,7 +189,7 @@ def _evaluate_group(
     members: list[int],
     rotors: Mapping[Any, Rotor | str],
     keys: Sequence[Any],
-    n_crit: float,
+    transition: Transition,
     air: Air,
     out: StudyResults,
 ) -> None:
@@ -195,7 +197,7 @@ def _evaluate_group(
     shapes = {keys[k]: rotors[keys[k]] for k in members}
     names = list(dict.fromkeys(n for r in shapes.values() if isinstance(r, Rotor) for n in r.airfoil_names()))
     try:
-        tables = load_polar_tables(names, n_crit, setup)
+        tables = load_polar_tables(names, transition, setup)
     except InputError as error:  # an impossible n_crit
         for k in members:
             out.fault[k] = str(error)
@@ -444,13 +446,15 @@ def build_system(setup: StudySetup, case: StudyCase | None = None) -> RotorSyste
             reshape_rotor(r, {n: every[f"{side}_{n}"] for n in ("chord", "taper", "twist") if f"{side}_{n}" in every})
             for side, r in zip(("upper", "lower"), setup.rotors, strict=True)
         ]
-    names = list(dict.fromkeys(n for r in shapes for n in r.airfoil_names()))
-    tables = {}
-    for name, table in load_polar_tables(names, float(every.get("n_crit", 0.1)), setup).items():
-        if isinstance(table, str):
-            raise MuflyError(table)
-        tables[name] = table
-    laid = [prepare_blading(r, tables, corrections=setup.corrections, stations=setup.station_count) for r in shapes]
+    laid = []
+    for shape in shapes:
+        tables = {}
+        transition = shape.transition(float(every.get("n_crit", 0.1)))
+        for name, table in load_polar_tables(shape.airfoil_names(), transition, setup).items():
+            if isinstance(table, str):
+                raise MuflyError(table)
+            tables[name] = table
+        laid.append(prepare_blading(shape, tables, corrections=setup.corrections, stations=setup.station_count))
     return (
         RotorSystem.single_rotor(laid[0])
         if setup.lower_rotor is None

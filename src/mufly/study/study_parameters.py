@@ -63,6 +63,8 @@ GEOMETRY_PARAMETERS: dict[str, StudyParameter] = {
     "thickness": StudyParameter("1", "%", "thickness over chord of a four-digit NACA section"),
     "camber": StudyParameter("1", "%", "camber over chord of a four-digit NACA section"),
     "camber_position": StudyParameter("1", "%", "place of the camber, x/c, of a four-digit NACA section"),
+    "trip_upper": StudyParameter("1", "", "place x/c of a turbulator on the upper side; 1: none"),
+    "trip_lower": StudyParameter("1", "", "place x/c of a turbulator on the lower side; 1: none"),
 }
 OPERATION_PARAMETERS: dict[str, StudyParameter] = {
     "pitch": StudyParameter("rad", "deg", "pitch setting, added to the twist"),

@@ -310,6 +310,9 @@ def reshape_rotor(rotor: Rotor, changes: Mapping[str, ParameterValue]) -> Rotor:
     for key in ("radius", "hub_cutout"):
         if key in changes:
             tables[key] = {**tables[key], "value": float(changes[key]), **_STUDY_SOURCE}
+    for key in ("trip_upper", "trip_lower"):
+        if key in changes:
+            blade[key] = {"value": float(changes[key]), "unit": "1", **_STUDY_SOURCE}
     if "blades" in changes:
         tables["blades"] = round(float(changes["blades"]))
     return rotor_from_tables(tables, rotor.name)

@@ -31,10 +31,10 @@ from scipy import linalg
 from mufly.errors import InputError, MuflyError
 from mufly.results import ShownBlock, ShownLines, ShownTable, result
 from mufly.rotor.bemt import solve_rotor
-from mufly.rotor.blading import Blading, Corrections, prepare_blading
+from mufly.rotor.blading import Blading, Corrections, compute_rotor_polars, prepare_blading
 from mufly.rotor.geometry import Rotor
 from mufly.rotor.rotor_system import Air, RotorResult
-from mufly.rotor.sections.polar_engines import PolarEngine, compute_polars
+from mufly.rotor.sections.polar_engines import PolarEngine
 from mufly.rotor.sections.polar_table import PolarTable, lookup_moment
 from mufly.rotor.structure.blade_beam import BladeBeam, centrifugal_load, stiffness_matrices
 from mufly.rotor.structure.blade_structure import BladeStructure
@@ -369,7 +369,7 @@ def solve_elastic_rotor(
         raise InputError(
             f"rotor {rotor.name}", "fit", "holds the twist of the loaded blade", "take [fit] out of the file"
         )
-    polars = compute_polars(rotor.airfoil_names(), n_crit=n_crit, engine=engine)
+    polars = compute_rotor_polars(rotor, n_crit=n_crit, engine=engine)
     blading = prepare_blading(rotor, polars, corrections=corrections)
     point = {"pitch_rad": pitch_rad, "speed_rad_s": speed_rad_s, "climb_m_s": climb_m_s}
     rigid = solve_rotor(blading, **point, air=air)
