@@ -201,7 +201,12 @@ def test_still_air_turning_with_the_blade_puts_nothing_on_it_and_a_gradient_lift
     solved_by_hand(tmp_path, -9.81 * m.cell_centres[:, 2], u)
     area, centre = m.face_areas[m.patch_faces("blade")], m.face_centres[m.patch_faces("blade")]
     volume = -np.einsum("fi,fi->", area, centre) / 3.0
-    assert read_solution(tmp_path).thrust_N == pytest.approx(2 * 1.2 * 9.81 * volume, rel=0.06)
+    lifted = read_solution(tmp_path)
+    assert lifted.thrust_N == pytest.approx(2 * 1.2 * 9.81 * volume, rel=0.06)
+    # The lift acts at the centroid of the volume, behind the quarter chord line: nose down.
+    behind = -0.5 * np.sum(centre[:, 0] ** 2 * area[:, 0]) / volume
+    assert behind > 0.1 * 0.02
+    assert np.sum(lifted.moment_Nm_m * lifted.dr_m) == pytest.approx(-behind * 1.2 * 9.81 * volume, rel=0.08)
     # Air at rest rubs the blade aft everywhere, air that overtakes it towards the nose.
     for factor, share in ((0.0, 0.0), (2.0, 1.0)):
         shutil.rmtree(tmp_path)

@@ -234,7 +234,7 @@ def test_faults_of_a_structure_are_one_line(structure, words):
 def test_faults_of_a_blade_are_one_line():
     with pytest.raises(InputError, match="beyond the cut-out"):
         make_blade_beam(structured(root="hinged", hinge_radius=quantity(30, "mm")))
-    with pytest.raises(InputError, match=r"blade\.structure: is missing.*--material"):
+    with pytest.raises(InputError, match=r"blade\.structure: is missing.*add \[blade\.structure\]"):
         make_blade_beam(load_rotor("naca0012-r60-c20"))
     with pytest.raises(InputError, match="speed_rad_s"):
         compute_flap_mode(load_rotor("walkera-5g6"), 0.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -40,6 +41,7 @@ from mufly.errors import InputError, MuflyError
 from mufly.results import result
 from mufly.rotor import (
     Air,
+    BladeStructure,
     OperatingCondition,
     Rotor,
     RotorResult,
@@ -48,11 +50,14 @@ from mufly.rotor import (
     solve_rotor,
     solve_system,
 )
+from mufly.rotor.structure.coupled_rounds import CoupledRounds, StripLoads, solve_coupled_rounds
+from mufly.rotor.structure.flap_modes import make_blade_beam
 from mufly.units import RPM
 
 Array = NDArray[np.float64]
 SCALED_START_ITERATIONS = 400
 """Iterations before a verdict if the start is the scaled solution of a neighbour."""
+_SAME_TWIST_RAD = 1e-5
 RESHAPED_START_ITERATIONS = 800
 """Iterations before a verdict if the neighbour has another pitch setting or tip."""
 
@@ -200,6 +205,76 @@ def solve_operating_point(
     save_case(folder, rotor, cores=cores, **given)
     run_case(folder, cores=cores, progress=progress)
     return read_solution(folder)
+
+
+_ROUND_FILE = "elastic.json"
+
+
+def solve_elastic_blade(
+    folder: Path,
+    rotor: Rotor,
+    structure: BladeStructure | None = None,
+    *,
+    cores: int = 1,
+    progress: Callable[[SolverProgress], None] | None = None,
+    run: Callable[..., CfdSolution] | None = None,
+    **given: Any,
+) -> tuple[CfdSolution, CoupledRounds]:
+    """Solve a rotor with elastic blades: mesh the twisted blade anew until the tip's twist rests within 0.05 degrees.
+
+    Round k is the case ``round-k`` in the folder; from the second on it starts from the solution before it. A stopped
+    run resumes.
+
+    Parameters
+    ----------
+    folder : Path
+    rotor : Rotor
+    structure : BladeStructure, optional
+        Default: that of the rotor file.
+    cores, progress
+        As for :func:`run_case`.
+    run : callable, optional
+        In place of :func:`solve_operating_point`, with its arguments.
+    given
+        Arguments of :func:`save_case` for one rotor.
+
+    Returns
+    -------
+    solution : CfdSolution
+        That of the last round.
+    rounds : CoupledRounds
+
+    Raises
+    ------
+    InputError
+        If the rotor has no structure, or a round in the folder has another twist.
+    MuflyError
+        If the twist does not rest, or a round does not settle.
+    """
+    found: list[CfdSolution] = []
+
+    def solve(deformed: Rotor, twist_rad: Array, turn: int) -> StripLoads:
+        place = folder / f"round-{turn}"
+        note = place / _ROUND_FILE
+        if note.is_file():
+            before = np.array(json.loads(note.read_text(encoding="utf-8"))["twist_rad"])
+            if before.shape != twist_rad.shape or np.max(np.abs(before - twist_rad)) > _SAME_TWIST_RAD:
+                raise InputError(str(place), "", "holds a blade of another twist", "give another folder, or delete it")
+        place.mkdir(parents=True, exist_ok=True)
+        note.write_text(json.dumps({"twist_rad": twist_rad.tolist()}), encoding="utf-8")
+        start = None if turn == 1 else folder / f"round-{turn - 1}"
+        one = (run or solve_operating_point)(
+            place, deformed, cores=cores, progress=progress, **{**given, "neighbour": start}
+        )
+        if not one.verdict.settled:
+            raise MuflyError(f"{place}: the loads have not settled, so they bend no blade; {one.verdict.what}")
+        found.append(one)
+        n = rotor.blades
+        return StripLoads(one.r_m, one.thrust_N_m / n, -one.torque_Nm_m / (one.r_m * n), one.moment_Nm_m)
+
+    point = {name: given[name] for name in ("pitch_rad", "speed_rad_s", "climb_m_s", "air") if name in given}
+    rounds = solve_coupled_rounds(rotor, make_blade_beam(rotor, structure), solve, **point)
+    return found[-1], rounds
 
 
 def sweep_speed(

@@ -51,6 +51,8 @@ class CfdSolution:
         Middle and width of the spanwise strips.
     thrust_N_m, torque_Nm_m : (strips,) arrays
         Loads per span of all blades (N/m, N m/m).
+    moment_Nm_m : (strips,) array
+        Moment of one blade about its quarter chord line per span, nose up (N m/m).
     yplus : (faces,) array
         y+ of the blade's faces.
     pressure_Pa : (faces,) array
@@ -87,6 +89,7 @@ class CfdSolution:
     wake_torque: float = math.nan
     wake_thrust: float = math.nan
     reversed_share: Array = field(default_factory=lambda: np.empty(0))
+    moment_Nm_m: Array = field(default_factory=lambda: np.empty(0))
 
 
 def read_solution(folder: Path, mesh: PolyMesh | None = None, *, patch: str = "blade") -> CfdSolution:
@@ -123,6 +126,8 @@ def read_solution(folder: Path, mesh: PolyMesh | None = None, *, patch: str = "b
     p = point.density_kg_m3 * pressure[cell]
     force = p[:, None] * area + friction * size[:, None]
     moment = centre[:, 0] * force[:, 1] - centre[:, 1] * force[:, 0]
+    # The quarter chord line is the y axis; the nose points to -x if the rotor turns anticlockwise.
+    pitching = math.copysign(1.0, speed) * (centre[:, 2] * force[:, 0] - centre[:, 0] * force[:, 2])
     of_friction = centre[:, 0] * friction[:, 1] - centre[:, 1] * friction[:, 0]
     edges = mesh.strip_edges_m
     # Caps belong to no strip: root cap and hub count to the first strip, the tip cap to the last.
@@ -168,6 +173,7 @@ def read_solution(folder: Path, mesh: PolyMesh | None = None, *, patch: str = "b
         eddy,
         *below,
         left,
+        np.bincount(strip, pitching, len(width)) / width,
     )
 
 

@@ -193,16 +193,26 @@ def run(
     ] = None,
     out: Annotated[Path, define_option("--out DIR", "Folder of the case; a stopped run resumes there.")] = Path("case"),
     save_only: Annotated[bool, define_option("--save-only", "Write the case without running it.")] = False,
+    elastic: Annotated[
+        bool, define_option("--elastic", "Let the blades twist under their loads; mesh anew until the twist rests.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Solve one operating point: mesh, run, convergence, loads along the blade, pictures.
 
     A run that was stopped resumes when the same command is given again. The case is a plain OpenFOAM case:
     its Allrun runs it without mufly. With --gap a second rotor turns the other way below; the solver alternates between
-    the two, each in the other's circumferential mean. A solution that does not settle ends with status 1.
+    the two, each in the other's circumferential mean. A solution that does not settle ends with status 1. With
+    --elastic each round is a case of its own in the folder (docs/explanation/blade-structure.md).
     Example: mufly cfd run naca0012-r60-c20 --pitch 12 --rpm 5000 --mesh coarse --out case
     """
     by_turns = gap > 0.0 and not frozen
+    if elastic:
+        if gap > 0.0 or save_only or start is not None:
+            raise InputError(
+                "--elastic", "", "is for one rotor that is run", "leave --gap, --save-only and --start out"
+            )
+        return solve_elastic_point(rotor, case, rpm=rpm, climb=climb, out=out, as_json=as_json)
     if by_turns and save_only:
         raise InputError("--gap", f"{gap:g}", "takes turns between two cases that are run", "add --frozen, or run it")
     second = {
@@ -246,6 +256,29 @@ def solve_point(
     with _show_solver_progress(not as_json) as tell:
         cfd.run_case(out, cores=case.cores, progress=tell)
     if not report_case(out, r, as_json):
+        raise typer.Exit(1)
+
+
+def solve_elastic_point(rotor: str, case: CaseOptions, *, rpm: float, climb: float, out: Path, as_json: bool) -> None:
+    """Solve and report one operating point of a rotor with elastic blades.
+
+    Raises
+    ------
+    typer.Exit
+        With status 1 if the answer did not settle.
+    """
+    from mufly import cfd
+    from mufly.rotor import load_rotor
+    from mufly.rotor.structure.flap_modes import blade_structure
+
+    r = load_rotor(rotor)
+    blade_structure(r)
+    given = {**case.case_arguments(), "speed_rad_s": rpm * RPM, "climb_m_s": climb}
+    cfd.find_solver()
+    with _show_solver_progress(not as_json) as tell:
+        _, rounds = cfd.solve_elastic_blade(out, r, progress=tell, **given)
+    last = out / f"round-{rounds.tip_twist_rad.size - 1}"
+    if not report_case(last, r, as_json, rounds):
         raise typer.Exit(1)
 
 

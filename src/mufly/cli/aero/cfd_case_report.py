@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from mufly.cli.output import (
     make_console,
     print_answer,
+    print_lines,
     print_result_table,
     print_table,
     save_figure,
@@ -22,11 +23,23 @@ from mufly.results import ResultColumn, select_fields, to_records
 if TYPE_CHECKING:
     from mufly.cfd import CfdSolution, OperatingPoint, PairSolution, SpanLoads
     from mufly.rotor import Rotor
+    from mufly.rotor.structure.coupled_rounds import CoupledRounds
 
 
-def report_case(folder: Path, rotor: Rotor | None, as_json: bool) -> bool:
-    """Print a solution, and write its tables and pictures into the case; return whether it has settled."""
+def report_case(folder: Path, rotor: Rotor | None, as_json: bool, rounds: CoupledRounds | None = None) -> bool:
+    """Print a solution, and write its tables and pictures into the case; return whether it has settled.
+
+    ``rounds`` are those that deformed an elastic blade.
+    """
     content, show, files, _ = _write_solution_report(folder, rotor)
+    if rounds is not None:
+        content = {**content, "rounds": rounds}
+        told = ", ".join(f"{math.degrees(v):+.2f}" for v in rounds.tip_twist_rad)
+        if not as_json:
+            print_lines(
+                f"elastic blade, twist of the tip: {told} degrees (blade elements, then after each round); tip up "
+                f"{1e3 * rounds.deflection_m[-1]:.2f} mm"
+            )
     print_answer(as_json, content, show, files)
     return all(found["verdict"].settled for found in (content, content.get("lower", content)))
 

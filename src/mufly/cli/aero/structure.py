@@ -18,6 +18,7 @@ from mufly.cli.options import (
 )
 from mufly.cli.output import print_answer, print_table, save_figure, write_csv
 from mufly.cli.rotor import MaterialOption, app
+from mufly.errors import InputError
 from mufly.units import RPM
 
 if TYPE_CHECKING:
@@ -56,7 +57,10 @@ def choose_structure(rotor: Rotor, material: str | None, thickness: float | None
     if rotor.blade.structure is None and material is not None:
         base = BladeStructure(material=material)
     else:
-        base = blade_structure(rotor)
+        try:
+            base = blade_structure(rotor)
+        except InputError as error:
+            raise InputError(error.where, error.key, error.problem, f"{error.remedy}, or give --material abs") from None
     changes: dict[str, object] = {} if material is None else {"material": material}
     if thickness is not None:
         changes["thickness"] = Quantity(value=thickness, unit="m", source="specified")

@@ -179,6 +179,25 @@ def divergence_speed(beam: BladeBeam, elastic: Array, destabilising: Array) -> f
     return math.sqrt(1.0 / float(real.max())) if real.size else math.inf
 
 
+def twisted_loads(
+    blading: Blading,
+    beam: BladeBeam,
+    polars: Mapping[str, PolarTable],
+    twist_rad: Array,
+    *,
+    pitch_rad: float,
+    speed_rad_s: float,
+    climb_m_s: float,
+    air: Air,
+    more_rad: float = 0.0,
+) -> tuple[RotorResult, SpanLoads]:
+    """Return solution and loads of a rotor with an elastic twist at the Gauss points, and some more pitch."""
+    there = np.interp(blading.r_m[0], beam.points_m.ravel(), twist_rad.ravel())
+    bent = replace(blading, twist_rad=blading.twist_rad + there)
+    found = solve_rotor(bent, pitch_rad=pitch_rad + more_rad, speed_rad_s=speed_rad_s, climb_m_s=climb_m_s, air=air)
+    return found, span_loads(beam, found, blading, polars, air)
+
+
 def solve_equilibrium(
     blading: Blading,
     beam: BladeBeam,
@@ -210,13 +229,12 @@ def solve_equilibrium(
         If the twist has no equilibrium below 30 degrees: the blade diverges.
     """
     gas, root = air or Air(), beam.root_transform
-    at = beam.points_m.ravel()
 
     def solve_loads(twist: Array, more: float = 0.0) -> tuple[RotorResult, SpanLoads]:
-        there = np.interp(blading.r_m[0], at, twist.ravel())
-        bent = replace(blading, twist_rad=blading.twist_rad + there)
-        found = solve_rotor(bent, pitch_rad=pitch_rad + more, speed_rad_s=speed_rad_s, climb_m_s=climb_m_s, air=gas)
-        return found, span_loads(beam, found, blading, polars, gas)
+        return twisted_loads(
+            blading, beam, polars, twist, pitch_rad=pitch_rad, speed_rad_s=speed_rad_s, climb_m_s=climb_m_s, air=gas,
+            more_rad=more,
+        )  # fmt: skip
 
     x = np.zeros(beam.size)
     phi = beam.evaluate("p", x)

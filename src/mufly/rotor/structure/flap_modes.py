@@ -56,7 +56,7 @@ def blade_structure(rotor: Rotor) -> BladeStructure:
     if rotor.blade.structure is None:
         raise InputError(
             f"rotor {rotor.name}", "blade.structure", "is missing: the material of the blade is not known",
-            'add [blade.structure] with material = "abs", or give --material abs',
+            'add [blade.structure] with material = "abs" to its file',
         )  # fmt: skip
     return rotor.blade.structure
 
