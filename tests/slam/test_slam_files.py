@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import shutil
 import time
@@ -16,7 +17,15 @@ import pytest
 import xarray as xr
 from typer.testing import CliRunner
 
-from mufly.camera import LivePictures, PictureRecorder, StreamServer, encode_jpeg, load_camera, project_points
+from mufly.camera import (
+    LivePictures,
+    PictureRecorder,
+    StreamServer,
+    encode_jpeg,
+    load_camera,
+    parse_camera,
+    project_points,
+)
 from mufly.cli import app
 from mufly.errors import InputError
 from mufly.logs import LogWarning, read_recording, write_log
@@ -37,6 +46,7 @@ from mufly.slam import (
     run_slam,
     write_dataset,
 )
+from mufly.slam.lens_calibration import resize_camera
 from mufly.slam.slam_trajectory import SlamTrajectory
 
 CAMERA = load_camera("webcam")
@@ -475,8 +485,34 @@ def test_a_lens_is_found_from_a_chessboard(tmp_path: Path) -> None:
     assert found.used >= 6
     assert found.residual_px < 0.3
     assert found.values["focal_x"] == pytest.approx(250, abs=8)
+    other = resize_camera(CAMERA, 800, 500)
+    assert float(other.lens.focal_x) == pytest.approx(2.5 * float(CAMERA.lens.focal_x))
+    again = calibrate_lens(list_board_pictures(tmp_path), other, columns=9, rows=6)
+    assert again.values == found.values
+    assert (again.camera.sensor.width, again.camera.sensor.height) == (320, 240)
+    assert parse_camera(format_camera_toml(again.camera), "") == again.camera
     with pytest.raises(InputError, match="board of 7 by 5 inner corners is in 0 of 8"):
         calibrate_lens(list_board_pictures(tmp_path), CAMERA, columns=7, rows=5)
+
+
+def test_telemetry_of_a_log_gives_its_velocity_and_place(tmp_path: Path) -> None:
+    t = np.arange(0.0, 4.0, 0.02)
+    axis = {"axis": ["N", "E", "D"]}
+    still = np.zeros((len(t), 3))
+    place, speed, attitude = still.copy(), still.copy(), still.copy()
+    place[:, 0], place[:, 2], speed[:, 0], attitude[:, 2] = 0.5 * t, -1.0, 0.5, 3.0 + 0.2 * t
+    attitude[:, 2] = np.angle(np.exp(1j * attitude[:, 2]))
+    signals = {"attitude": attitude, "position": place, "velocity": speed, "velocity_sigma": still + 0.03}
+    log = xr.Dataset({f"estimated_{k}": (("time", "axis"), v) for k, v in signals.items()}, {"time": t, **axis})
+    infos = read_telemetry(write_log(log, tmp_path / "log.nc"))(np.array([1.0, 2.01]))
+    assert infos[1].velocity == pytest.approx([0.5, 0.0, 0.0])
+    assert infos[1].place == pytest.approx([1.005, 0.0, 3.0 + 0.402], abs=1e-3)  # continuous over half a turn
+    assert (infos[0].velocity_sigma, *infos[0].place_sigma) == pytest.approx((0.03, 0.1, math.radians(2.0)))
+    bare = log.drop_vars(["estimated_velocity"])
+    info = read_telemetry(write_log(bare, tmp_path / "bare.nc"))(np.array([1.0]))[0]
+    assert info.velocity is None
+    assert info.place is None
+    assert info.height_m == pytest.approx(1.0)
 
 
 def test_from_rendering_to_errors_on_the_command_line(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -48,6 +48,7 @@ VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".mjpg", ".mjpeg")
 _COMPLEMENTARY_TIME_S, _FORCE_MEAN_WINDOW_S = 2.0, 0.5
 _UNKNOWN_TILT_SIGMA_RAD = math.radians(3.0)  # assumed for a vehicle without attitude data
 _MAX_CLOCK_MARGIN_S = 0.1
+_PLACE_SIGMA_M, _HEADING_SIGMA_RAD = 0.1, math.radians(2.0)  # of a recording that states none
 _FLU_TO_FRD = np.array([1.0, -1.0, -1.0])  # x forward, y left, z up to body axes, and back
 
 
@@ -343,7 +344,7 @@ def read_telemetry(file: Path, offset_s: float = 0.0) -> Callable[[_Array], list
     ----------
     file : Path
         A ``telemetry.csv``, or a recording (:func:`mufly.logs.read_log`) with estimated, measured or true attitude and
-        position.
+        position. Its velocity and heading are used if it has them.
     offset_s : float
         Clock of the file minus clock of the pictures (s).
 
@@ -356,7 +357,7 @@ def read_telemetry(file: Path, offset_s: float = 0.0) -> Callable[[_Array], list
         *TELEMETRY_COLUMNS
     ]:
         return lambda times: _read_telemetry_infos(file, times + offset_s)
-    a = _telemetry_from_recording(file)
+    a, motion = _telemetry_from_recording(file)
 
     def infos_at(times: _Array) -> list[FrameInfo]:
         t = times + offset_s
@@ -366,13 +367,24 @@ def read_telemetry(file: Path, offset_s: float = 0.0) -> Callable[[_Array], list
                 "give --offset: the recording's clock less the pictures'",
             )  # fmt: skip
         b = np.stack([np.interp(t, a[:, 0], c) for c in a.T], axis=1)
-        return [FrameInfo(r[1], r[2], r[3], r[4:7], r[7:9], None, r[9], r[10]) for r in b]
+        infos = [FrameInfo(r[1], r[2], r[3], r[4:7], r[7:9], None, r[9], r[10]) for r in b]
+        if motion is None:
+            return infos
+        c = np.stack([np.interp(t, a[:, 0], column) for column in motion.T], axis=1)
+        return [
+            replace(one, velocity=m[:3], velocity_sigma=m[3], place=m[4:7], place_sigma=(m[7], m[8]))
+            for one, m in zip(infos, c, strict=True)
+        ]
 
     return infos_at
 
 
-def _telemetry_from_recording(file: Path) -> _Array:
-    """Return the columns of :data:`TELEMETRY_COLUMNS` (n, 11) from a recording."""
+def _telemetry_from_recording(file: Path) -> tuple[_Array, _Array | None]:
+    """Return the columns of :data:`TELEMETRY_COLUMNS` (n, 11) from a recording, and its motion (n, 9).
+
+    The motion is velocity N, E, D (m/s) and its deviation, N, E (m), heading (rad), and the deviations of both; None
+    where the recording has no velocity or no heading.
+    """
     ds = read_log(file)
 
     def first_known_signal(what: str, *whose: str) -> _Array | None:
@@ -400,7 +412,22 @@ def _telemetry_from_recording(file: Path) -> _Array:
     for k in range(1, rows.shape[1]):
         good = np.isfinite(rows[:, k])
         rows[:, k] = np.interp(rows[:, 0], rows[good, 0], rows[good, k]) if good.any() else 0.0
-    return rows
+    velocity, known = (
+        first_known_signal("velocity", *who),
+        np.isfinite(attitude[:, 2]) & np.isfinite(position).all(axis=1),
+    )
+    if velocity is None or not known.any():
+        return rows, None
+    known &= np.isfinite(velocity).all(axis=1)
+    speed = first_known_signal("velocity_sigma", "estimated")
+    motion = np.column_stack([
+        velocity, np.full(n, 0.05) if speed is None else np.maximum(0.01, speed[:, :2].max(axis=1)), position[:, :2],
+        np.zeros(n), np.full(n, _PLACE_SIGMA_M) if height is None else np.maximum(0.01, height[:, :2].max(axis=1)),
+        np.full(n, _HEADING_SIGMA_RAD) if tilt is None else np.maximum(0.005, tilt[:, 2]),
+    ])  # fmt: skip
+    motion[known, 6] = np.unwrap(attitude[known, 2])
+    time = rows[:, 0]
+    return rows, np.stack([np.interp(time, time[known], c[known]) for c in motion.T], axis=1)
 
 
 def _open_recording(path: Path, camera: Camera, told: Callable[[_Array], list[FrameInfo]] | None) -> FrameSource:

@@ -54,7 +54,8 @@ def calibrate_lens(
     ----------
     pictures : sequence of Path
     camera : Camera
-        Its size must match; other values are kept.
+        Source of all values but the lens. Its size may differ: that of the first picture is taken
+        (:func:`resize_camera`).
     columns, rows : int
         Inner corners of the board.
     square_m : float
@@ -63,7 +64,7 @@ def calibrate_lens(
     Raises
     ------
     InputError
-        If fewer than five pictures show the board, or the lens is not observable from them.
+        If fewer than five pictures show the board, they differ in size, or the lens is not observable from them.
     """
     cv2 = load_opencv()
     if not (3 <= columns <= 50 and 3 <= rows <= 50 and columns != rows):
@@ -74,6 +75,7 @@ def calibrate_lens(
         raise ArgumentError("square", f"{square_m:g} m", "is out of range", "give 0.001 to 1 m")
     board = np.zeros((rows * columns, 3), np.float32)
     board[:, :2] = np.mgrid[:columns, :rows].T.reshape(-1, 2) * square_m
+    camera = resize_camera(camera, *_picture_size(pictures[0]))
     found = []
     stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-3)
     for k, file in enumerate(pictures):
@@ -111,6 +113,43 @@ def calibrate_lens(
         len(pictures),
         out,
     )
+
+
+def resize_camera(camera: Camera, width: int, height: int) -> Camera:
+    """Return a camera with pictures of another size: its lens is scaled with the width, lengths in pixels too."""
+    if (width, height) == (camera.sensor.width, camera.sensor.height):
+        return camera
+    scale = width / camera.sensor.width
+
+    def scaled(quantity: Quantity) -> Quantity:
+        return quantity.model_copy(update={"value": float(quantity) * scale, "std": None, "source": "estimated"})
+
+    lens, quality = camera.lens, camera.quality
+    middle_y = 0.5 * (height - 1) + scale * (float(lens.centre_y) - 0.5 * (camera.sensor.height - 1))
+    return camera.model_copy(
+        update={
+            "sensor": camera.sensor.model_copy(update={"width": width, "height": height}),
+            "lens": lens.model_copy(
+                update={
+                    "focal_x": scaled(lens.focal_x), "focal_y": scaled(lens.focal_y),
+                    "centre_x": scaled(lens.centre_x),
+                    "centre_y": scaled(lens.centre_y).model_copy(update={"value": middle_y}),
+                }
+            ),
+            "quality": quality.model_copy(update={"blur": scaled(quality.blur), "shaking": scaled(quality.shaking)}),
+        }
+    )  # fmt: skip
+
+
+def _picture_size(file: Path) -> tuple[int, int]:
+    """Return width and height of a picture file."""
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(file) as opened:
+            return opened.size
+    except (OSError, UnidentifiedImageError) as error:
+        raise InputError(str(file), "", f"is damaged: {error}", "take it out of the folder") from error
 
 
 def list_board_pictures(folder: Path) -> list[Path]:

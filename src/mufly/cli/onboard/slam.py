@@ -489,14 +489,20 @@ def calibrate(
     pictures: Annotated[Path, define_argument("FOLDER", "Folder with pictures of a chessboard, from many sides.")],
     board: Annotated[str, define_option("--board CxR", "Inner corners of the board along both sides, as 9x6.")] = "9x6",
     square: Annotated[float, define_option("--square", "Side of a square of the board.", unit="m")] = 0.025,
-    camera: _CameraOption = "mufly-2.0",
+    camera: Annotated[
+        str,
+        define_option(
+            "--camera NAME|FILE",
+            "Camera that supplies all but lens and picture size: a built-in one, a camera file, or a calibration.",
+        ),
+    ] = "mufly-2.0",
     out: Annotated[
         Path | None,
-        define_option("--out FILE", "Camera file to write, with the lens found and the rest of --camera."),
+        define_option("--out FILE", "Camera file to write, with the lens and size found and the rest of --camera."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Calibrate a camera's lens from pictures of a chessboard."""
+    """Calibrate a camera's lens from pictures of a chessboard, of any size."""
     from mufly.camera import load_camera
     from mufly.slam import calibrate_lens, format_camera_toml, list_board_pictures
 

@@ -21,7 +21,8 @@ heading, so attitude alone gives v up to a constant. Slow parts are removed from
 
 Recursive least squares with exponential forgetting (:data:`_MEMORY_S`) gives m, n, k and their covariance from the
 residuals (Ljung, *System Identification*, 1999, Sec. 11.2). A fault is reported if an estimate deviates by
-:data:`_MIN_SIGMAS` standard deviations and by a least amount. Own derivation.
+:data:`_MIN_SIGMAS` standard deviations and by a least amount. A second estimate forgets within
+:data:`_QUICK_MEMORY_S`, so that an opposite motion is also found soon after a time without fault. Own derivation.
 
 **Tilt.** Tracking estimates the errors of the reported tilt from the shear of the floor
 (:mod:`mufly.slam.camera_pose`). An error that stays beyond the filter's deviation shows a tilted mount.
@@ -51,7 +52,7 @@ from mufly.slam.images.direct_alignment import add_point_errors
 from mufly.slam.images.patch_information import measure_patches, remove_background
 
 _Array = NDArray[np.float64]
-_HIGH_PASS_S, _MEMORY_S, _VELOCITY_DECAY_S = 0.4, 6.0, 4.0
+_HIGH_PASS_S, _MEMORY_S, _QUICK_MEMORY_S, _VELOCITY_DECAY_S = 0.4, 6.0, 1.2, 4.0
 _MIN_SIGMAS, _MIN_FRAMES, _MIN_GROSS_FRAMES = 5.0, 40, 12
 _MIN_TURN_RAD, _MIN_SCALE, _MIN_DELAY_S = math.radians(7.0), 0.1, 0.03
 """Least errors of turn, focal length (share) and delay that are reported."""
@@ -113,14 +114,22 @@ class CameraMonitor:
         self._last_level_velocity = np.zeros(2)
         self._slow = np.zeros(2, complex)  # slow parts of y and p
         self._past: list[tuple[complex, complex]] = []  # y and p at the latest pictures, high-passed
-        self._normal, self._right = np.zeros((3, 3), complex), np.zeros(3, complex)
-        self._square = self._weight = 0.0
+        self._fit, self._quick_fit = MotionFit(_MEMORY_S), MotionFit(_QUICK_MEMORY_S)
         self._candidate, self._candidate_count = _HEALTHY, 0
         self._verdict, self._held_until_s = _HEALTHY, -math.inf
         self._tilt, self._tilt_weight, self._tilt_time_s = np.zeros(2), 0.0, math.nan
         self._dirt = DirtMask()
         self._moved_px = 0.0
-        self.estimate, self.sigma = np.array([1.0, 0.0, 0.0], complex), np.full(3, np.inf)
+
+    @property
+    def estimate(self) -> NDArray[np.complex128]:
+        """The numbers m, n and k (3,)."""
+        return self._fit.estimate
+
+    @property
+    def sigma(self) -> _Array:
+        """Standard deviations (3,) of m, n and k along one axis."""
+        return self._fit.sigma
 
     def check_stamp(self, time_s: float, last_time_s: float) -> CameraVerdict:
         """Return the verdict on the time of a picture."""
@@ -196,8 +205,8 @@ class CameraMonitor:
             clean = self._dirt.mask is None
             self._dirt.add_picture(picture)
             if clean and self._dirt.mask is not None:  # it has held the motion back
-                self._normal, self._right = np.zeros((3, 3), complex), np.zeros(3, complex)
-                self._square = self._weight = 0.0
+                self._fit.restart()
+                self._quick_fit.restart()
         y = 2.0 * moved / dt
         velocity = 0.5 * (velocity + self._last_level_velocity)
         p = self._predict_motion(last.vehicle_estimate, frame.vehicle_estimate, velocity)
@@ -205,17 +214,22 @@ class CameraMonitor:
         self._slow = keep * self._slow + (1.0 - keep) * np.array([y, p])
         self._past = [*self._past[-2:], (y - self._slow[0], p - self._slow[1])]
         if len(self._past) == 3:
-            self._update(dt)
+            (_, p0), (y, p), (_, p2) = self._past
+            row = np.array([p, p.conjugate(), (p2 - p0) / (2.0 * dt)])
+            for fit in (self._fit, self._quick_fit):
+                fit.add_picture(dt, row, y)
             self._confirm(frame.time_s)
 
     def _confirm(self, time_s: float) -> None:
         """Report a fault that several pictures in a row show."""
-        found = judge_motion(self.estimate, self.sigma) if self._weight > _MIN_FRAMES else _HEALTHY
-        if not found.fault:
-            found = judge_gross_motion(self.estimate, self.sigma)
+        is_known = self._fit.weight > _MIN_FRAMES
+        found = judge_motion(self.estimate, self.sigma) if is_known else _HEALTHY
+        for fit in (self._fit, self._quick_fit):
+            if not found.fault:
+                found = judge_gross_motion(fit.estimate, fit.sigma)
         self._candidate_count = self._candidate_count + 1 if found.fault == self._candidate.fault else 1
         self._candidate = found
-        needed = _CONFIRM_COUNT if self._weight > _MIN_FRAMES else _GROSS_CONFIRM_COUNT
+        needed = _CONFIRM_COUNT if is_known else _GROSS_CONFIRM_COUNT
         if found.fault and self._candidate_count >= needed:
             if time_s > self._held_until_s or self._verdict.fault != found.fault:
                 self._verdict = found
@@ -237,22 +251,47 @@ class CameraMonitor:
         flow = np.array([-w[1], w[0]]) - v[:2] / max(0.1, now.height_m - place[2])
         return self._focal_px * complex(flow[0], flow[1])
 
-    def _update(self, dt: float) -> None:
-        """Update the least squares by the picture before, and the verdict."""
-        (_, p0), (y, p), (_, p2) = self._past
-        row = np.array([p, p.conjugate(), (p2 - p0) / (2.0 * dt)])
-        keep = math.exp(-dt / _MEMORY_S)
+
+class MotionFit:
+    """Recursive least squares of m, n and k with exponential forgetting.
+
+    Parameters
+    ----------
+    memory_s : float
+        Time constant of the forgetting (s).
+
+    Attributes
+    ----------
+    estimate, sigma : (3,) arrays
+        m, n and k, and their standard deviations along one axis.
+    weight : float
+        Number of pictures that count.
+    """
+
+    def __init__(self, memory_s: float) -> None:
+        self._memory_s = memory_s
+        self.estimate, self.sigma = np.array([1.0, 0.0, 0.0], complex), np.full(3, np.inf)
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the pictures, but keep the estimate."""
+        self._normal, self._right = np.zeros((3, 3), complex), np.zeros(3, complex)
+        self._square = self.weight = 0.0
+
+    def add_picture(self, dt: float, row: NDArray[np.complex128], y: complex) -> None:
+        """Update by the motion ``y`` of a picture and its regressors (3,), ``dt`` (s) after the one before."""
+        keep = math.exp(-dt / self._memory_s)
         off = y - row @ self.estimate
-        limit = 4.0 * math.sqrt(max(self._square / max(self._weight, 1.0), 1.0))
-        w = 1.0 if self._weight < 10.0 or abs(off) < limit else limit / abs(off)  # Huber
+        limit = 4.0 * math.sqrt(max(self._square / max(self.weight, 1.0), 1.0))
+        w = 1.0 if self.weight < 10.0 or abs(off) < limit else limit / abs(off)  # Huber
         self._normal = keep * self._normal + w * np.outer(row.conj(), row)
         self._right = keep * self._right + w * row.conj() * y
-        self._square, self._weight = keep * self._square + w * abs(off) ** 2, keep * self._weight + w
-        if self._weight < _MIN_GROSS_FRAMES:
+        self._square, self.weight = keep * self._square + w * abs(off) ** 2, keep * self.weight + w
+        if self.weight < _MIN_GROSS_FRAMES:
             return
         inverse = np.linalg.inv(self._normal + 1e-6 * np.eye(3))
         self.estimate = inverse @ self._right
-        self.sigma = np.sqrt(np.abs(np.diag(inverse)) * self._square / max(self._weight - 3.0, 1.0) / 2.0)
+        self.sigma = np.sqrt(np.abs(np.diag(inverse)) * self._square / max(self.weight - 3.0, 1.0) / 2.0)
 
 
 def judge_gross_motion(estimate: NDArray[np.complex128], sigma: _Array) -> CameraVerdict:
