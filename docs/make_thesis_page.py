@@ -1,4 +1,5 @@
-"""Write docs/thesis/thesis.md, all figures and tables of the dissertation, from the answers in thesis.json.
+"""Write docs/thesis/thesis.md, all figures and tables of the dissertation, from the answers in thesis.json, and
+outlook.md, the sentences of its outlook.
 
     python docs/make_thesis_page.py               # what has not run, or has changed, is computed first: minutes
     python docs/make_thesis_page.py --as-kept     # only the page, from docs/thesis/thesis.json as it is
@@ -21,10 +22,12 @@ from mufly.thesis import (
     count_verdicts,
     load_cached_answer,
     render_markdown_page,
+    render_outlook_page,
     studies_by_cost,
 )
 
 PAGE = Path(__file__).parent / "thesis" / "thesis.md"
+OUTLOOK = Path(__file__).parent / "thesis" / "outlook.md"
 KEPT = Path(__file__).parent / "thesis" / "thesis.json"
 _LEFT_OUT = ("picture", "seconds")  # of this machine, not of the studies
 
@@ -44,6 +47,7 @@ def main() -> None:
         plain = [{k: v for k, v in row.items() if k not in _LEFT_OUT} for row in rows]
         KEPT.write_text(json.dumps(plain, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     PAGE.write_text(render_markdown_page(kept()), encoding="utf-8")
+    OUTLOOK.write_text(render_outlook_page(), encoding="utf-8")
     sys.stdout.write(f"{PAGE.name}: {count_verdicts(kept())}\n")
 
 

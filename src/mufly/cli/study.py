@@ -514,6 +514,26 @@ def show_thesis_item(name: _NameArgument, as_json: JsonOption = False) -> None:
         _print_answer(found)
 
 
+@thesis_commands.command("outlook")
+def show_outlook(as_json: JsonOption = False) -> None:
+    """Show the dissertation's outlook (Sec. 7.2) sentence by sentence, with what came out.
+
+    The same stands in docs/thesis/outlook.md, with the commands.
+    """
+    from dataclasses import asdict
+
+    from mufly.thesis import OUTLOOK_SENTENCES, count_outlook
+
+    if as_json:
+        return print_json([asdict(s) for s in OUTLOOK_SENTENCES])
+    print_table(
+        ("", "section", "sentence", "state", "answer"),
+        [(f"{s.number}", s.section, s.text, s.state, s.answer) for s in OUTLOOK_SENTENCES],
+        text=(1, 2, 3, 4),
+    )
+    make_console().print(", ".join(f"{n} {state}" for state, n in count_outlook().items()) + ".", highlight=False)
+
+
 @thesis_commands.command("report")
 def write_thesis_report(
     out: Annotated[Path, define_option("--out FILE", "Page to write, as thesis.html.")],

@@ -1,8 +1,14 @@
 """Comparison with the dissertation: each of its figures and tables, beside the results of this package."""
 
 from mufly.thesis.claims import CLAIMS, Claim, Verdict
-from mufly.thesis.comparison_pages import count_verdicts, render_html_page, render_markdown_page
-from mufly.thesis.figure_catalogue import THESIS_ITEMS, ThesisItem, find_item
+from mufly.thesis.comparison_pages import (
+    count_outlook,
+    count_verdicts,
+    render_html_page,
+    render_markdown_page,
+    render_outlook_page,
+)
+from mufly.thesis.figure_catalogue import OUTLOOK_SENTENCES, THESIS_ITEMS, OutlookSentence, ThesisItem, find_item
 from mufly.thesis.study_runner import (
     StudyAnswer,
     StudyOutcome,
@@ -15,19 +21,23 @@ from mufly.thesis.study_runner import (
 
 __all__ = [
     "CLAIMS",
+    "OUTLOOK_SENTENCES",
     "THESIS_ITEMS",
     "Claim",
+    "OutlookSentence",
     "StudyAnswer",
     "StudyOutcome",
     "ThesisItem",
     "Verdict",
     "answer_study",
+    "count_outlook",
     "count_verdicts",
     "find_item",
     "list_studies",
     "load_cached_answer",
     "render_html_page",
     "render_markdown_page",
+    "render_outlook_page",
     "run_study",
     "studies_by_cost",
 ]

@@ -10,7 +10,7 @@ from typing import Any
 from markupsafe import Markup, escape
 
 from mufly.report_page import render_page
-from mufly.thesis.figure_catalogue import THESIS_ITEMS, ThesisItem
+from mufly.thesis.figure_catalogue import OUTLOOK_SENTENCES, THESIS_ITEMS, ThesisItem
 from mufly.thesis.study_runner import StudyAnswer
 
 VERDICT_WORDS = ("agrees", "in part", "DIFFERS", "drawn", "needs CFD", "not run", "stands for it")
@@ -97,6 +97,35 @@ def render_markdown_page(answers: Sequence[StudyAnswer] | Sequence[Mapping[str, 
             lines += [f"- {_link_documents(str(r['note']))}"] if r["note"] else []
             lines.append("")
     return "\n".join(lines).rstrip() + "\n"
+
+
+_OUTLOOK_SECTIONS = {"7.2.1": "Aerodynamics", "7.2.2": "Modelling and control"}
+
+
+def count_outlook() -> dict[str, int]:
+    """Count the sentences of the outlook by their state."""
+    count = Counter(s.state for s in OUTLOOK_SENTENCES)
+    return {state: count[state] for state in ("built", "in part", "open", "context")}
+
+
+def render_outlook_page() -> str:
+    """Return the Markdown page of the dissertation's outlook, sentence by sentence."""
+    lines = [
+        "# The dissertation's outlook, sentence by sentence",
+        "",
+        "Section 7.2 of D. Schafroth's dissertation lists future work. Each sentence stands here in our words with the "
+        "answer of mufly. `mufly thesis outlook` prints the same. Sentences marked *context* ask for nothing.",
+        "",
+        "; ".join(f"{n} {state}" for state, n in count_outlook().items()) + ".",
+    ]
+    for section, title in _OUTLOOK_SECTIONS.items():
+        lines += ["", f"## {section} {title}", "", "| | sentence | state | answer | command |", "|---|---|---|---|---|"]
+        for s in OUTLOOK_SENTENCES:
+            if s.section == section:
+                answer = _link_documents(f"{s.answer} ({s.page})")
+                commands = "; ".join(f"`{c}`" for c in s.commands)
+                lines.append(f"| {s.number} | {s.text} | {s.state} | {answer} | {commands} |")
+    return "\n".join(lines) + "\n"
 
 
 def _chapter_number(i: ThesisItem) -> int:

@@ -1,5 +1,7 @@
 """Catalogue of the dissertation's 91 figures and 7 tables, each with its kind and, if it is no result, its substitute.
 
+:data:`OUTLOOK_SENTENCES` are the sentences of its outlook (Sec. 7.2), each with what came of it.
+
 A photograph, sketch or block diagram cannot agree or differ: its entry names the place of the same thing in this
 package. A result has a study (:mod:`mufly.thesis.study_runner`). Titles are paraphrased.
 """
@@ -60,6 +62,51 @@ THESIS_ITEMS: dict[str, ThesisItem] = {
     name: ThesisItem(name, **row) for name, row in tomllib.loads(ITEMS_FILE.read_text(encoding="utf-8")).items()
 }
 """Name -> figure or table, in the order of :data:`ITEMS_FILE`."""
+
+
+OutlookState = Literal["built", "in part", "open", "context"]
+
+
+@dataclass(frozen=True)
+class OutlookSentence:
+    """Sentence of the dissertation's outlook.
+
+    Attributes
+    ----------
+    number : int
+        Number of the sentence, from 1.
+    section : str
+        ``7.2.1`` (aerodynamics) or ``7.2.2`` (modelling and control).
+    text : str
+        The sentence in our words.
+    state : str
+        ``built``, ``in part``, ``open``, or ``context`` for a sentence that asks for nothing.
+    answer : str
+        Result of mufly.
+    page : str
+        Document that holds it.
+    commands : tuple of str
+        Commands that show it.
+    """
+
+    number: int
+    section: str
+    text: str
+    state: OutlookState
+    answer: str
+    page: str
+    commands: tuple[str, ...] = ()
+
+
+def _read_outlook() -> tuple[OutlookSentence, ...]:
+    rows = tomllib.loads(Path(__file__).with_name("outlook.toml").read_text(encoding="utf-8"))["sentence"]
+    return tuple(
+        OutlookSentence(k, **{**row, "commands": tuple(row.get("commands", ()))}) for k, row in enumerate(rows, 1)
+    )
+
+
+OUTLOOK_SENTENCES: tuple[OutlookSentence, ...] = _read_outlook()
+"""Sentences of the outlook in their order."""
 
 
 def find_item(name: str) -> ThesisItem:
