@@ -11,9 +11,11 @@ import typer
 
 from mufly.cli.options import (
     GEAR_RATIO_RANGE,
+    AirspeedsOption,
     CommandGroup,
     JsonOption,
     OptionRange,
+    OutOption,
     VehicleArgument,
     define_argument,
     define_option,
@@ -21,11 +23,13 @@ from mufly.cli.options import (
 from mufly.cli.output import (
     check_place,
     make_console,
+    print_answer,
     print_blocks,
     print_json,
     print_lines,
     print_result_table,
     print_table,
+    save_figure,
     write_text_file,
 )
 from mufly.errors import InputError
@@ -161,6 +165,33 @@ def check(vehicle: VehicleArgument, as_json: JsonOption = False) -> None:
             f"a simulation at the usual {DEFAULT_STEP_S * 1e3:g} ms.",
             style="yellow",
         )
+
+
+@app.command("speed")
+def show_speed(
+    vehicle: VehicleArgument = "mufly-1.1",
+    speed: AirspeedsOption = "0:6:0.5",
+    rotor: Annotated[
+        str,
+        define_option("--rotor NAME|FILE", "Blades of both rotors: built-in rotor or rotor file of the same radius."),
+    ] = "walkera-5g6",
+    out: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Compute level flight over airspeed: power, tilt, servo inputs, thrust margin, greatest and best speed.
+
+    Both ends of the band of the blades' flap frequency are computed (`mufly rotor beam`); the speeds are bands over it.
+    With --out, a picture is drawn (speed.png). Method: docs/explanation/forward-flight.md.
+    Example: mufly vehicle speed mufly-1.1 --speed 0:4:0.5 --out speed
+    """
+    from mufly.dynamics.level_flight import level_flight, level_flight_picture
+    from mufly.quantity_grammar import read_values
+    from mufly.rotor import load_rotor
+    from mufly.vehicle import load_vehicle
+
+    flight = level_flight(load_vehicle(vehicle), load_rotor(rotor), read_values("--speed", speed, "m/s"))
+    files = [save_figure(level_flight_picture(flight), out, "speed")] if out is not None else []
+    print_answer(as_json, flight, None, files)
 
 
 def _describe_coefficients(v: Vehicle) -> str:

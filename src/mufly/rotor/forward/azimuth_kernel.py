@@ -111,6 +111,24 @@ class AzimuthPoint(NamedTuple):
     inflow_code: int
 
 
+def velocity_ways(trig: Array) -> Array:
+    """Return the derivatives of U_P with its unknowns times the harmonics of a mean, (azimuths, 2, 40).
+
+    Entry 8 h + k belongs to the harmonic h (1, c, s, 2c, 2s) and the unknown k (u, five flap coefficients, lc, ls); the
+    first table is over V, the second over Omega r, the column of u over 1.
+    """
+    count = trig.shape[0]
+    one, c, s, c2, s2 = trig.T
+    none = np.zeros(count)
+    over_edgewise = (none, c, c * c, c * s, c * c2, c * s2, none, none)
+    over_rotation = (one, none, -s, c, -2.0 * s2, 2.0 * c2, c, s)
+    weights = np.array([1.0, 2.0, 2.0, 2.0, 2.0]) / count * trig
+    tables = [
+        np.stack([weights[:, h] * w for h in range(5) for w in way], axis=1) for way in (over_edgewise, over_rotation)
+    ]
+    return np.ascontiguousarray(np.stack(tables, axis=1))
+
+
 @cached_njit(error_model="numpy")
 def _section_force(table: Array, onset: float, row: float) -> tuple[float, float]:
     """Interpolate c_l and c_d of a station: cubic over the angle, linear between the rows of Re."""
@@ -178,8 +196,8 @@ def _annulus(
 
 @cached_njit(error_model="numpy")
 def _sum_stations(
-    blade: AzimuthBlade, point: AzimuthPoint, inflow: Array, x: Array, share: float, trig: Array, sums: Array,
-    slopes: Array, losses: Array,
+    blade: AzimuthBlade, point: AzimuthPoint, inflow: Array, x: Array, share: float, trig: Array, ways: Array,
+    fresh: bool, sums: Array, slopes: Array, losses: Array,
 ) -> None:  # fmt: skip
     """Sum the element forces over azimuth.
 
@@ -195,8 +213,12 @@ def _sum_stations(
         1, cos psi, sin psi, cos 2 psi, sin 2 psi.
     sums : (stations, 6) array
         Filled with mean and harmonics of F_z (N/m; 1, c, s, 2c, 2s) and the mean of the lift in the axial direction.
+    ways : (azimuths, 2, 40) array
+        :func:`velocity_ways`.
+    fresh : bool
+        True to fill in the derivatives as well.
     slopes : (stations, 6, 8) array
-        Filled with their derivatives with u (m/s), the five flap coefficients, lc and ls.
+        Filled with the derivatives of the sums with u (m/s), the five flap coefficients, lc and ls.
     losses : (stations,) array
         Filled with Prandtl's factor.
     """
@@ -206,10 +228,8 @@ def _sum_stations(
     for i in range(blade.r_m.size):
         for h in range(6):
             sums[i, h] = 0.0
-            for k in range(8):
-                slopes[i, h, k] = 0.0
-    ways = np.empty(8)
-    ways[0] = 1.0
+    by_edgewise, by_rotation = np.empty(40), np.empty(40)
+    lift_by_edgewise, lift_by_rotation = np.empty(8), np.empty(8)
     small = 1e-5 * speed * blade.radius_m
     for i in range(blade.r_m.size):
         r, chord = blade.r_m[i], blade.chord_m[i]
@@ -221,6 +241,10 @@ def _sum_stations(
         losses[i] = loss
         half = 0.5 * point.density_kg_m3 * chord
         row_zero = row_scale * (math.log(chord / point.kinematic_viscosity_m2_s) - blade.log_reynolds_min)
+        for k in range(40):
+            by_edgewise[k] = by_rotation[k] = 0.0
+        for k in range(8):
+            lift_by_edgewise[k] = lift_by_rotation[k] = 0.0
         for n in range(count):
             c, s, c2, s2 = trig[n, 1], trig[n, 2], trig[n, 3], trig[n, 4]
             along = edgewise * c
@@ -235,25 +259,27 @@ def _sum_stations(
             force, _, lift, _, _ = _element_forces(
                 blade.table[i], theta, across, down, half, row_zero, row_scale, lift_share
             )
+            for h in range(5):
+                sums[i, h] += (1.0 if h == 0 else 2.0) * trig[n, h] / count * force
+            sums[i, 5] += lift / count
+            if not fresh:
+                continue
             force2, _, lift2, _, _ = _element_forces(
                 blade.table[i], theta, across, down + small, half, row_zero, row_scale, lift_share
             )
             slope, lift_slope = (force2 - force) / small, (lift2 - lift) / small
-            ways[1] = along
-            ways[2] = along * c - speed * r * s
-            ways[3] = along * s + speed * r * c
-            ways[4] = along * c2 - 2.0 * speed * r * s2
-            ways[5] = along * s2 + 2.0 * speed * r * c2
-            ways[6] = speed * r * c
-            ways[7] = speed * r * s
-            for h in range(5):
-                weight = (1.0 if h == 0 else 2.0) * trig[n, h] / count
-                sums[i, h] += weight * force
-                for k in range(8):
-                    slopes[i, h, k] += weight * slope * ways[k]
-            sums[i, 5] += lift / count
+            for k in range(40):
+                by_edgewise[k] += slope * ways[n, 0, k]
+                by_rotation[k] += slope * ways[n, 1, k]
             for k in range(8):
-                slopes[i, 5, k] += lift_slope * ways[k] / count
+                lift_by_edgewise[k] += lift_slope * ways[n, 0, k]
+                lift_by_rotation[k] += lift_slope * ways[n, 1, k]
+        if fresh:
+            for k in range(8):
+                turning = 1.0 if k == 0 else speed * r
+                for h in range(5):
+                    slopes[i, h, k] = edgewise * by_edgewise[8 * h + k] + turning * by_rotation[8 * h + k]
+                slopes[i, 5, k] = edgewise * lift_by_edgewise[k] + turning * lift_by_rotation[k]
 
 
 @cached_njit(error_model="numpy")
@@ -433,7 +459,7 @@ def _newton_step(
 
 @cached_njit(error_model="numpy", nogil=True)
 def solve_azimuth(
-    blade: AzimuthBlade, point: AzimuthPoint, trig: Array, inflow: Array, x: Array
+    blade: AzimuthBlade, point: AzimuthPoint, trig: Array, ways: Array, inflow: Array, x: Array
 ) -> tuple[int, float, float]:
     """Solve a point by Newton steps; return their number, the last residual and w.
 
@@ -443,6 +469,8 @@ def solve_azimuth(
     point : AzimuthPoint
     trig : (azimuths, 5) array
         1, cos psi, sin psi, cos 2 psi, sin 2 psi.
+    ways : (azimuths, 2, 40) array
+        :func:`velocity_ways`.
     inflow : (stations,) array
         Mean induced velocity of each annulus (m/s): the start, replaced by the solution. Kept for the inflow code 3.
     x : (8,) array
@@ -454,8 +482,13 @@ def solve_azimuth(
     for i in range(ns):
         local[i, 0] = 1.0
     share, size, best, slow = 1.0 if point.inflow_code == 0 else 0.0, 1e9, 1e9, 1.0
+    previous = 1e9
+    by_load, by_state = np.zeros((STATE_COUNT, 6)), np.zeros((STATE_COUNT, STATE_COUNT))
+    matrix = np.zeros((STATE_COUNT, STATE_COUNT))
     for step in range(MAX_NEWTON_STEPS):
-        _sum_stations(blade, point, inflow, x, share, trig, sums, slopes, losses)
+        fresh = step < 3 or size > 1e-3 or size > 0.3 * previous  # else the last derivatives are good enough
+        previous = size
+        _sum_stations(blade, point, inflow, x, share, trig, ways, fresh, sums, slopes, losses)
         _collect_loads(blade, sums, loads)
         share = _global_residual(blade, point, x, loads, out)
         size = 0.0
@@ -471,7 +504,11 @@ def solve_azimuth(
             slow = max(0.5 * slow, 0.05)
         elif size < best:
             best, slow = size, min(1.3 * slow, 1.0)
-        by_load, matrix = _load_slopes(blade, point, x, loads, out)
+        if fresh:
+            by_load, by_state = _load_slopes(blade, point, x, loads, out)
+        for m in range(STATE_COUNT):
+            for k in range(STATE_COUNT):
+                matrix[m, k] = by_state[m, k]
         change = _newton_step(blade, slopes, by_load, matrix, out, miss, local)
         largest = 1e-12
         for k in range(STATE_COUNT):

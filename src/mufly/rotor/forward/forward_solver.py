@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -29,6 +30,7 @@ from mufly.rotor.forward.azimuth_kernel import (
     AzimuthPoint,
     integrate_loads,
     solve_azimuth,
+    velocity_ways,
 )
 from mufly.rotor.forward.forward_results import (
     BladeFlap,
@@ -134,10 +136,13 @@ def _check_condition(c: ForwardCondition) -> None:
         raise InputError("rotor forward", "rotation_sign", f"is {c.rotation_sign}", "give 1 or -1")
 
 
-def azimuth_grid(count: int) -> tuple[Array, Array]:
-    """Return azimuths (rad) and the table 1, cos, sin, cos 2, sin 2 of them, (count, 5)."""
+@lru_cache(maxsize=8)
+def azimuth_grid(count: int) -> tuple[Array, Array, Array]:
+    """Return azimuths (rad), the table 1, cos, sin, cos 2, sin 2 of them, (count, 5), and their
+    :func:`mufly.rotor.forward.azimuth_kernel.velocity_ways`."""
     psi = np.arange(count) * (2.0 * math.pi / count)
-    return psi, np.stack((np.ones(count), np.cos(psi), np.sin(psi), np.cos(2 * psi), np.sin(2 * psi)), axis=1)
+    trig = np.stack((np.ones(count), np.cos(psi), np.sin(psi), np.cos(2 * psi), np.sin(2 * psi)), axis=1)
+    return psi, trig, velocity_ways(trig)
 
 
 def azimuth_blade(blading: Blading, which: int, flap: BladeFlap, air: Air) -> AzimuthBlade:
@@ -204,7 +209,7 @@ def solve_forward(
     cosine, sine = math.cos(turn), math.sin(turn)
     th_c, th_s = c.cyclic_rad
     p, q = hand * c.rates_rad_s[0], c.rates_rad_s[1]
-    psi, trig = azimuth_grid(azimuths)
+    psi, trig, ways = azimuth_grid(azimuths)
     none = np.zeros((azimuths, blading.r_m.shape[1]))
     point = AzimuthPoint(
         float(c.speed_rad_s), float(c.edgewise_m_s), float(c.climb_m_s), float(c.pitch_rad),
@@ -214,7 +219,7 @@ def solve_forward(
         none if swirl_m_s is None else np.ascontiguousarray(swirl_m_s, dtype=np.float64), INFLOW_CODES[inflow],
     )  # fmt: skip
     blade = azimuth_blade(blading, which, flap, c.air)
-    speeds, x, steps, share = _find_solution(blading, which, c, blade, point, trig, start)
+    speeds, x, steps, share = _find_solution(blading, which, c, blade, point, trig, ways, start)
     fields, totals = np.empty((azimuths, none.shape[1], len(FIELD_COLUMNS))), np.empty(11)
     annuli = np.empty((none.shape[1], 3))
     integrate_loads(blade, point, trig, speeds, none, x, share, fields, totals, annuli)
@@ -223,7 +228,7 @@ def solve_forward(
 
 def _find_solution(
     blading: Blading, which: int, c: ForwardCondition, blade: AzimuthBlade, point: AzimuthPoint, trig: Array,
-    start: ForwardResult | None,
+    ways: Array, start: ForwardResult | None,
 ) -> tuple[Array, Array, int, float]:  # fmt: skip
     """Return inflow, unknowns, steps and w; the start is the given result, else a guess, else axial flow."""
     tip = point.speed_rad_s * blade.radius_m
@@ -254,14 +259,14 @@ def _find_solution(
     for k in range(len(guesses) + len(makers)):
         inflow, x = guesses[k] if k < len(guesses) else makers[k - len(guesses)]()
         inflow = inflow.copy()
-        steps, size, share = solve_azimuth(blade, point, trig, inflow, x)
+        steps, size, share = solve_azimuth(blade, point, trig, ways, inflow, x)
         total += steps
         if size < TOLERANCE:
             return inflow, x, total, share
     inflow, x = axial_start()
     for part in np.linspace(0.0, 1.0, 9):
         nearer = point._replace(edgewise_m_s=part * point.edgewise_m_s)
-        steps, size, share = solve_azimuth(blade, nearer, trig, inflow, x)
+        steps, size, share = solve_azimuth(blade, nearer, trig, ways, inflow, x)
         total += steps
         if not size < 1e-2:
             break

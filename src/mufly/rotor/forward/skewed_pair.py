@@ -185,6 +185,7 @@ def solve_forward_pair(
     spacing_m: float,
     inflow: InflowModel = "annular",
     start: ForwardPair | None = None,
+    tolerance: float = _TOLERANCE,
 ) -> ForwardPair:
     """Solve a coaxial pair of counter-rotating rotors in forward flight.
 
@@ -200,6 +201,8 @@ def solve_forward_pair(
     inflow : 'annular', 'pitt-peters' or 'uniform'
     start : ForwardPair, optional
         Similar point to start from.
+    tolerance : float
+        Greatest change of the coupling at convergence, over the greatest induced velocity.
 
     Raises
     ------
@@ -218,7 +221,7 @@ def solve_forward_pair(
         if getattr(first, name) != getattr(second, name):
             raise InputError("coax forward", name, "differs between the rotors", "give both the same")
     radii = float(above.radius_m[0]), float(below.radius_m[0])
-    psi, _ = azimuth_grid(AZIMUTH_COUNT)
+    psi = azimuth_grid(AZIMUTH_COUNT)[0]
     back = tube_axis_speed(-spacing_m, radii[1])
     upward = back * axial_influence(below.r_m[0], radii[1], 1.0 / math.sqrt(back), above.r_m[0], above.dr_m[0])
     met = np.zeros(above.r_m.shape[1])
@@ -226,6 +229,7 @@ def solve_forward_pair(
     if two is not None:
         met = upward @ two.state.inflow_m_s
     step, scale = math.inf, 1.0
+    last_change, last_image = np.empty(0), np.empty(0)
     for turn in range(1, _MAX_TURNS + 1):
         one = solve_forward(
             above, first, flaps[0], inflow=inflow, start=one, stream_m_s=np.tile(met, (AZIMUTH_COUNT, 1))
@@ -240,8 +244,15 @@ def solve_forward_pair(
         two = solve_forward(below, second, flaps[1], inflow=inflow, start=two, stream_m_s=axial, swirl_m_s=around)
         image = upward @ two.state.inflow_m_s
         step, scale = float(np.max(np.abs(image - met))), float(np.max(np.abs(one.state.inflow_m_s))) + 1e-9
-        met = image if turn < 25 else 0.5 * (met + image)
-        if step <= _TOLERANCE * scale:
+        change = image - met
+        following = image if turn < 25 else 0.5 * (met + image)
+        if last_change.size and turn < 25:  # Anderson acceleration of depth one
+            bend = change - last_change
+            weight = float(bend @ change) / max(float(bend @ bend), 1e-300)
+            if abs(weight) < 5.0:
+                following = image - weight * (image - last_image)
+        last_change, last_image, met = change, image, following
+        if step <= tolerance * scale:
             narrow = radii[0] / math.sqrt(tube_axis_speed(spacing_m, radii[0]))
             return ForwardPair(one, two, spacing_m, shift, _disc_overlap(shift, narrow, radii[1]), turn)
     raise MuflyError(
