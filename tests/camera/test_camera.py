@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -367,3 +368,31 @@ def test_a_lens_of_another_model_is_refused_by_its_name(tmp_path: Path, text: st
         load_camera(file)
     assert why in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_low_light_makes_pictures_noisy_smeared_and_dark() -> None:
+    """With the light of the file nothing changes; with a third of it exposure and gain make up for it."""
+    camera, floor = load_camera("webcam"), make_floor("plain", 1, size=1024)
+    standing = replace(_motion(), velocity=np.zeros(3), rates=np.zeros(3))
+
+    def render_pair(light: float) -> np.ndarray:
+        renderer = Renderer(camera, floor, seed=3)
+        return np.array([renderer.render(standing, light) for _ in range(2)], dtype=float)
+
+    level, noise = {}, {}
+    for light in (1.0, 0.3, 0.03):
+        a, b = render_pair(light)
+        level[light], noise[light] = a.mean(), (a - b).std() / np.sqrt(2.0)
+    assert level[0.3] == pytest.approx(level[1.0], rel=0.05)
+    assert noise[0.3] > 1.3 * noise[1.0]
+    assert level[0.03] < 0.2 * level[1.0]
+    assert noise[0.03] / level[0.03] > 8.0 * noise[1.0] / level[1.0]
+    lit = make_floor("rich", 1, size=1024)
+    silent = camera.quality.noise.model_copy(update={"value": 0.0})
+    clear = camera.model_copy(update={"quality": camera.quality.model_copy(update={"noise": silent})})
+    fast = replace(_motion(), velocity=np.array([3.0, 0.0, 0.0]), rates=np.zeros(3))
+    sharp, smeared = (
+        float(np.abs(np.diff(Renderer(clear, lit, seed=3).render(fast, light).astype(float), axis=0)).mean())
+        for light in (1.0, 0.3)
+    )
+    assert smeared < 0.95 * sharp

@@ -12,6 +12,13 @@ pixels along its axis j. The amplitude a_i grows with the square of the speed; t
 Both rotors have equal shares, so that the rms of their sum is the amplitude of the file. The seed draws the directions
 beta, for which there is no measurement.
 
+**Low light.** The values of the file hold for the light 1. With less, the control lengthens the exposure up to
+:data:`_MAX_EXPOSURE_SHARE` of the period and then raises the gain, together by the factor 4 at most; beyond it pictures
+become dark. A longer exposure smears moving pictures. Noise at the gain g and the mean grey level y follows the data
+sheets of image sensors (EMVA 1288): read noise grows with g, and the variance of shot noise with g y,
+
+    n(g, y)^2 = n^2 (s g^2 + (1 - s) g y / y_target),        s = :data:`_READ_NOISE_SHARE`.
+
 Own derivation; rolling shutter as in Meingast, Geyer and Sastry 2005.
 """
 
@@ -43,6 +50,9 @@ _NOISE_TABLE_SIZE = 1 << 16
 _DETAIL_MAX_HEIGHT_M = 0.6
 _TARGET_GREY = 112.0  # mean grey level that the exposure control aims at
 _EXPOSURE_TIME_CONSTANT_S = 0.4
+_MAX_AMPLIFICATION, _MAX_EXPOSURE_SHARE, _READ_NOISE_SHARE = 4.0, 0.15, 0.5
+"""Largest factor of exposure and gain together, largest exposure over the period, and share of read noise in the
+variance of the file's noise."""
 
 
 @dataclass(frozen=True)
@@ -126,6 +136,7 @@ class Renderer:
         )  # fmt: skip
         self._own_shadow = 0.0 if perfect else own_shadow
         self._gain, self._last_s = 1.0, math.nan
+        self._exposure_factor = self._sensor_gain = 1.0
         self._before: NDArray[np.uint8] | None = None
         self._out = np.empty((s.height, s.width), np.float32)
         self._work = np.empty_like(self._out)
@@ -137,10 +148,14 @@ class Renderer:
         ----------
         motion : VehicleMotion
         light : float
-            Light of the room relative to the first picture; the exposure follows a change within half a second.
+            Light of the room over that for which the camera's file holds; the exposure follows a change within half
+            a second.
         """
         s, shutter, q = self.camera.sensor, self.camera.shutter, self.camera.quality
-        readout, exposure = (0.0, 0.0) if self._perfect else (float(shutter.readout), float(shutter.exposure))
+        if self._perfect:
+            readout, exposure = 0.0, 0.0
+        else:
+            readout, exposure = float(shutter.readout), float(shutter.exposure) * self._exposure_factor
         place = np.concatenate([motion.position, motion.velocity, motion.rates, motion.rotor_speed, motion.rotor_phase])
         height = max(1e-3, -float(motion.position[2]))
         footprint = height / float(self.camera.lens.focal_x) / self.floor.pixel_size_m[0]
@@ -173,12 +188,14 @@ class Renderer:
         )
         if len(self._kernel) > 1:
             _blur_in_place(self._out, self._work, self._kernel)
+        is_first = math.isnan(self._last_s)
         self._adapt_exposure(motion.time_s, light)
+        if is_first and self._exposure_factor > 1.0:  # the control has settled before the first picture
+            return self.render(motion, light)
+        noise = self._noise * self._noise_factor(light)
         starts = self._rng.integers(0, _NOISE_TABLE_SIZE, s.height)
         picture = np.empty((s.height, s.width), np.uint8)
-        _convert_to_grey_levels(
-            picture, self._out, self._vignette, self._gain * light, self._noise, self._normals, starts
-        )
+        _convert_to_grey_levels(picture, self._out, self._vignette, self._gain * light, noise, self._normals, starts)
         if self._perfect:
             return picture
         if q.jpeg:
@@ -188,7 +205,7 @@ class Renderer:
     def _adapt_exposure(self, time_s: float, light: float) -> None:
         """Set the exposure: directly for the first picture, then with a first-order lag."""
         mean = float(self._out[::8, ::8].mean()) * light
-        wanted = min(4.0, max(0.25, _TARGET_GREY / max(mean, 1e-3)))
+        wanted = min(_MAX_AMPLIFICATION, max(1.0 / _MAX_AMPLIFICATION, _TARGET_GREY / max(mean, 1e-3)))
         if self._perfect:
             return
         if math.isnan(self._last_s):
@@ -197,6 +214,24 @@ class Renderer:
             share = 1.0 - math.exp(-max(0.0, time_s - self._last_s) / _EXPOSURE_TIME_CONSTANT_S)
             self._gain *= (wanted / self._gain) ** share
         self._last_s = time_s
+        self._share_amplification(mean / light if light > 0.0 else 0.0, light)
+
+    def _share_amplification(self, bright_mean: float, light: float) -> None:
+        """Divide the amplification that low light needs into exposure and gain; ``bright_mean`` is that of light 1."""
+        usual = min(_MAX_AMPLIFICATION, max(1.0 / _MAX_AMPLIFICATION, _TARGET_GREY / max(bright_mean, 1e-3)))
+        more = max(1.0, self._gain / usual) if light < 1.0 else 1.0
+        exposure = float(self.camera.shutter.exposure)
+        longest = _MAX_EXPOSURE_SHARE * float(self.camera.sensor.period) / exposure if exposure > 0.0 else 1.0
+        self._exposure_factor = min(more, max(1.0, longest))
+        self._sensor_gain = more / self._exposure_factor
+
+    def _noise_factor(self, light: float) -> float:
+        """Return the noise over that of the file."""
+        if light >= 1.0:
+            return 1.0
+        level = float(self._out[::8, ::8].mean()) * light * self._gain / _TARGET_GREY
+        gain = self._sensor_gain
+        return math.sqrt(_READ_NOISE_SHARE * gain * gain + (1.0 - _READ_NOISE_SHARE) * gain * level)
 
     def _lose_strips(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Replace lost strips by those of the previous picture, as a decoder does."""

@@ -74,6 +74,10 @@ def render(
     shadows: Annotated[
         float, define_option("--shadows", "Share of the light that shadows take, 0 to 1.", unit="1")
     ] = 0.3,
+    light: Annotated[
+        float,
+        define_option("--light", "Light of the room over that of the camera's file, 0.001 to 1.", unit="1"),
+    ] = 1.0,
     boxes: Annotated[int, define_option("--boxes N", "Number of low boxes on the floor.")] = 0,
     layout: Annotated[
         Literal["mufly", "euroc", "tum"], define_option("--layout NAME", "Layout of the folder: mufly, euroc or tum.")
@@ -98,7 +102,8 @@ def render(
 
     for name, value, low, high in (
         ("--duration", duration, 0.1, 3600), ("--side", side, 0, 50), ("--height", height, 0.15, 50),
-        ("--speed", speed, 0, 5), ("--shadows", shadows, 0, 1), ("--boxes", boxes, 0, 30), ("--seed", seed, 0, 2**31),
+        ("--speed", speed, 0, 5), ("--shadows", shadows, 0, 1), ("--light", light, 0.001, 1),
+        ("--boxes", boxes, 0, 30), ("--seed", seed, 0, 2**31),
     ):  # fmt: skip
         if not low <= value <= high:
             raise InputError(name, "", f"{value:g} is out of range", f"give {low:g} to {high:g}")
@@ -110,7 +115,15 @@ def render(
     else:
         path = make_square_path(duration_s=duration, side_m=side, height_m=height, speed_m_s=speed, seed=seed)
     check_place("--out", out)
-    made = render_frames(lens, ground, path, duration_s=duration, world=scatter_boxes(boxes, side, seed), seed=seed)
+    made = render_frames(
+        lens,
+        ground,
+        path,
+        duration_s=duration,
+        world=scatter_boxes(boxes, side, seed),
+        seed=seed,
+        light=lambda t: light,
+    )
     total = int(duration / float(lens.sensor.period))
     with report_write_errors("--out", key=str(out)), progress_bar("pictures", not as_json) as bar:
         count = write_dataset(
