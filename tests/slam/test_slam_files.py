@@ -515,6 +515,16 @@ def test_telemetry_of_a_log_gives_its_velocity_and_place(tmp_path: Path) -> None
     assert info.height_m == pytest.approx(1.0)
 
 
+def test_still_pictures_of_a_survey_are_refused(tmp_path: Path) -> None:
+    for k in range(5):
+        (tmp_path / f"{2.1 * k:.3f}.png").write_bytes(encode_jpeg(np.full((240, 320), 90, np.uint8), 90))
+    (tmp_path / "camera.toml").write_text(format_camera_toml(CAMERA))
+    said = CliRunner().invoke(app, ["slam", "run", str(tmp_path), "--height", "40"])
+    assert said.exit_code == 1
+    assert "its pictures are 2.1 s apart" in str(said.exception)
+    assert "photogrammetry" in str(said.exception)
+
+
 def test_from_rendering_to_errors_on_the_command_line(tmp_path: Path) -> None:
     pytest.importorskip("cv2")
     data, out = str(tmp_path / "data"), tmp_path / "out"

@@ -48,6 +48,8 @@ VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".mjpg", ".mjpeg")
 _COMPLEMENTARY_TIME_S, _FORCE_MEAN_WINDOW_S = 2.0, 0.5
 _UNKNOWN_TILT_SIGMA_RAD = math.radians(3.0)  # assumed for a vehicle without attitude data
 _MAX_CLOCK_MARGIN_S = 0.1
+MAX_PICTURE_INTERVAL_S = 1.0
+"""Longest time between pictures that odometry bridges (s)."""
 _PLACE_SIGMA_M, _HEADING_SIGMA_RAD = 0.1, math.radians(2.0)  # of a recording that states none
 _FLU_TO_FRD = np.array([1.0, -1.0, -1.0])  # x forward, y left, z up to body axes, and back
 
@@ -63,12 +65,25 @@ class FrameSource:
         Number of pictures.
     truth : tuple of (n,), (n, 3), (n,) arrays, or None
         Times (s), positions N-E-D (m), headings (rad).
+    interval_s : float
+        Median time between pictures of a folder (s); NaN for other sources.
     """
 
     name: str
     frame_count: int
     truth: tuple[_Array, _Array, _Array] | None
     _open_frames: Any
+    interval_s: float = math.nan
+
+    def check_interval(self) -> None:
+        """Raise InputError if the pictures are too far apart in time to be tracked, as those of a survey drone."""
+        if self.interval_s > MAX_PICTURE_INTERVAL_S:
+            raise InputError(
+                self.name,
+                "",
+                f"its pictures are {self.interval_s:.2g} s apart, more than {MAX_PICTURE_INTERVAL_S:g} s",
+                "give a video or a faster sequence; still pictures need photogrammetry (COLMAP)",
+            )  # fmt: skip
 
     def read_frames(self) -> Iterator[CameraFrame]:
         """Yield the pictures in order of time, read on demand.
@@ -133,7 +148,8 @@ def open_pictures(
         for file, t, one in zip(files, at, tellings, strict=True):
             yield CameraFrame(float(t), read_picture(file, camera), one)
 
-    return FrameSource(f"{where.name} ({layout})", len(names), read_truth(where), generate_frames)
+    interval_s = float(np.median(np.diff(at))) if len(at) > 1 else math.nan
+    return FrameSource(f"{where.name} ({layout})", len(names), read_truth(where), generate_frames, interval_s)
 
 
 def open_live(live: LivePictures, told: Callable[[_Array], Sequence[FrameInfo | None]]) -> FrameSource:

@@ -312,6 +312,7 @@ def run(
         else:
             lens = find_camera(Path(place), camera)
             source = open_pictures(place, lens, height_m=height, rate_Hz=rate, times=times, told=told)
+            source.check_interval()
         truth = source.truth
         start = (0.0, 0.0, 0.0) if truth is None else (*truth[1][0, :2], truth[2][0])
         slam = SlamSystem(lens, known, start=start)

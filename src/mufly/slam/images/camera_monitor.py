@@ -320,8 +320,10 @@ def judge_motion(estimate: NDArray[np.complex128], sigma: _Array) -> CameraVerdi
         return CameraVerdict("delay", f"the pictures are {1e3 * delay:.0f} ms late against the gyroscopes")
     # Stripes hold back the motion along them: n is then as large as the deviation of m.
     if abs(scale - 1.0) > max(_MIN_SCALE, _MIN_SIGMAS * s, 2.0 * abs(n)):
+        or_dirt = " and the lens for dirt" if scale < 1.0 else ""
         return CameraVerdict(
-            "focal length", f"the picture moves {scale:.2f} times as far as the gyroscopes: check the focal length"
+            "focal length",
+            f"the picture moves {scale:.2f} times as far as the gyroscopes: check the focal length{or_dirt}",
         )
     return _HEALTHY
 
