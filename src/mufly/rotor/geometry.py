@@ -82,7 +82,14 @@ class Transition(NamedTuple):
 
 
 def _declare_trip(side: str) -> Any:
-    extra = {"unit": "1", "symbol": f"x_tr,{side[0]}", "above": None, "at_least": 0.0, "below": None, "at_most": 1.0}
+    extra: dict[str, Any] = {
+        "unit": "1",
+        "symbol": f"x_tr,{side[0]}",
+        "above": None,
+        "at_least": 0.0,
+        "below": None,
+        "at_most": 1.0,
+    }
     return Field(
         default=None, json_schema_extra=extra, description=f"turbulator on the {side} side, x/c; default: none"
     )

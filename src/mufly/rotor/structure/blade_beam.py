@@ -27,7 +27,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy import linalg
 
 from mufly.errors import InputError
@@ -120,7 +120,7 @@ class BladeBeam:
         """Length that each Gauss point stands for, (elements, 4)."""
         return self.length_m[:, None] * _GAUSS_WEIGHTS
 
-    def integrate(self, values: ArrayLike) -> float:
+    def integrate(self, values: Array) -> float:
         """Return the integral of values at the Gauss points over the span."""
         return float(np.sum(self.weights_m * values))
 

@@ -150,8 +150,10 @@ def solve_coupled_rounds(
         strips = solve(deform_rotor(rotor, beam, x[4::6]), x[4::6].copy(), turn)
         loads = strips.lay_on_beam(beam, pitch_rad, held)
         step = math.radians(0.2)
-        pair = [twisted_loads(blading, beam, polars, held, **point, air=gas, more_rad=d)[1] for d in (0.0, step)]
-        slope = load_derivative(beam, *pair, step)
+        below, above = (
+            twisted_loads(blading, beam, polars, held, **point, air=gas, more_rad=more)[1] for more in (0.0, step)
+        )
+        slope = load_derivative(beam, below, above, step)
         new, force = x.copy(), loads.load_vector(beam)
         for _ in range(20):
             phi = beam.evaluate("p", new)

@@ -96,7 +96,7 @@ def section_constants(
     t = scale * t
 
     def integrate(values: Array) -> Array:
-        return np.trapezoid(values, x, axis=1)
+        return np.asarray(np.trapezoid(values, x, axis=1))
 
     area = integrate(t)
     x_c, y_c = integrate(t * x) / area, integrate(t * y) / area

@@ -174,7 +174,8 @@ def divergence_speed(beam: BladeBeam, elastic: Array, destabilising: Array) -> f
         D, which grows with the square of the speed: derivative of the loads less centrifugal stiffness, over Omega^2.
     """
     root = beam.root_transform
-    values = linalg.eigvals(np.linalg.solve(root.T @ elastic @ root, root.T @ destabilising @ root))
+    flexible = np.linalg.solve(root.T @ elastic @ root, root.T @ destabilising @ root)
+    values = np.asarray(linalg.eigvals(flexible), dtype=np.complex128)
     real = values.real[(np.abs(values.imag) < 1e-6 * np.abs(values)) & (values.real > 0.0)]
     return math.sqrt(1.0 / float(real.max())) if real.size else math.inf
 
@@ -390,7 +391,7 @@ def solve_elastic_rotor(
     polars = compute_rotor_polars(rotor, n_crit=n_crit, engine=engine)
     blading = prepare_blading(rotor, polars, corrections=corrections)
     point = {"pitch_rad": pitch_rad, "speed_rad_s": speed_rad_s, "climb_m_s": climb_m_s}
-    rigid = solve_rotor(blading, **point, air=air)
+    rigid = solve_rotor(blading, pitch_rad=pitch_rad, speed_rad_s=speed_rad_s, climb_m_s=climb_m_s, air=air)
     states: list[BladeEquilibrium] = []
     limits: list[float] = []
 
