@@ -223,10 +223,11 @@ class CameraMonitor:
     def _confirm(self, time_s: float) -> None:
         """Report a fault that several pictures in a row show."""
         is_known = self._fit.weight > _MIN_FRAMES
-        found = judge_motion(self.estimate, self.sigma) if is_known else _HEALTHY
-        for fit in (self._fit, self._quick_fit):
-            if not found.fault:
-                found = judge_gross_motion(fit.estimate, fit.sigma)
+        found = judge_gross_motion(self._quick_fit.estimate, self._quick_fit.sigma)
+        if not found.fault and is_known:
+            found = judge_motion(self.estimate, self.sigma)
+        if not found.fault:
+            found = judge_gross_motion(self.estimate, self.sigma)
         self._candidate_count = self._candidate_count + 1 if found.fault == self._candidate.fault else 1
         self._candidate = found
         needed = _CONFIRM_COUNT if is_known else _GROSS_CONFIRM_COUNT
