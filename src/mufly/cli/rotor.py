@@ -537,7 +537,8 @@ def forward(
     ]
     mass = None if blade_mass is None else 1e-3 * blade_mass
     if flap_frequency_ratio is None:
-        flaps, basis = blade_flap_band(r, omega, pitch_rad=theta, mass_kg=mass)
+        band, basis = blade_flap_band(r, omega, pitch_rad=theta, mass_kg=mass)
+        flaps = list(band)
     else:
         ratios = read_values("--flap-frequency-ratio", flap_frequency_ratio, "1")
         flaps, basis = [blade_flap(r, ratio, mass_kg=mass) for ratio in ratios], "flap frequency as given"

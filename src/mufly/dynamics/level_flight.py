@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _TRIM_TOLERANCE = 1e-5  # of weight, full servo moment and hover torque
+_TRIM_OPTIONS: Any = {"eps": 1e-4}  # relative step of the differences, far above the tolerance of the coupling
 _COUPLING_TOLERANCE = 1e-6
 _CYCLIC_STEP_RAD = math.radians(0.5)
 _MAX_SERVO = 1.6  # of full input, up to which a trim is followed
@@ -218,7 +219,7 @@ class _LevelModel:
 
         self.pitch = (0.2, 0.2)
         try:
-            found = root(miss, np.array(self.pitch), tol=1e-6, options={"eps": 1e-3})
+            found: Any = root(miss, np.array(self.pitch), tol=1e-6, options={"eps": 1e-3})
         except MuflyError:
             found = None
         if found is None or not np.max(np.abs(found.fun)) < 1e-4:
@@ -257,8 +258,12 @@ class _LevelModel:
 
     def trim(self, airspeed: float, start: Array) -> tuple[Array, ForwardPair] | None:
         """Return unknowns and loads of a trim, or None if there is none."""
+
+        def miss_of(x: Array) -> Array:
+            return self.wrench(x, airspeed)[0]
+
         try:
-            found = root(lambda x: self.wrench(x, airspeed)[0], start, tol=1e-7, options={"eps": 1e-4})
+            found: Any = root(miss_of, start, tol=1e-7, options=_TRIM_OPTIONS)
             miss, pair = self.wrench(found.x, airspeed)
         except MuflyError:
             return None

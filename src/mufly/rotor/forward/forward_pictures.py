@@ -21,8 +21,8 @@ def disc_picture(result: ForwardResult) -> Figure:
     disc = result.disc
     figure = Figure(figsize=(12.0, 4.6), layout="constrained")
     psi = np.append(disc.azimuth_rad, 2.0 * math.pi)
-    hidden = np.abs(disc.alpha_rad) > math.radians(45.0)
-    onset = np.ma.masked_where(hidden, np.degrees(disc.alpha_rad))
+    hidden = np.abs(disc.alpha_rad) > math.radians(45.0)  # reversed flow
+    onset = np.where(hidden, np.nan, np.degrees(disc.alpha_rad))
     for k, (values, title, colours) in enumerate(
         (
             (disc.inflow_m_s, "Induced velocity, down (m/s)", "viridis"),
@@ -33,10 +33,10 @@ def disc_picture(result: ForwardResult) -> Figure:
     ):
         axes: Any = figure.add_subplot(1, 3, k, projection="polar")
         axes.set_theta_zero_location("S")  # psi = 0 aft
-        rings = np.ma.concatenate((values, values[:1]))
+        rings = np.concatenate((values, values[:1]))
         limits = {}
         if k == 2:
-            most = float(np.ma.max(np.ma.abs(values)))
+            most = float(np.nanmax(np.abs(values)))
             limits = {"vmin": -most, "vmax": most}
         drawn = axes.pcolormesh(psi, 1e3 * disc.r_m, rings.T, shading="gouraud", cmap=colours, **limits)
         axes.grid(False)

@@ -55,6 +55,7 @@ LIFT_SLOPE = 5.7
 """Lift slope (1/rad) of the Lock number."""
 MAX_ADVANCE_RATIO = 0.35
 """Advance ratio up to which strips and polars are sound; beyond, reversed flow covers much of the retreating side."""
+_ACCEPTED_RESIDUAL = 1e-6  # of tip speed or angle, where Newton steps stall above their tolerance
 _VORTEX_RING_MU = 0.1  # advance ratio below which a descent may be in vortex ring state
 
 
@@ -140,7 +141,7 @@ def _check_condition(c: ForwardCondition) -> None:
 def azimuth_grid(count: int) -> tuple[Array, Array, Array]:
     """Return azimuths (rad), the table 1, cos, sin, cos 2, sin 2 of them, (count, 5), and their
     :func:`mufly.rotor.forward.azimuth_kernel.velocity_ways`."""
-    psi = np.arange(count) * (2.0 * math.pi / count)
+    psi: Array = np.arange(count, dtype=np.float64) * (2.0 * math.pi / count)
     trig = np.stack((np.ones(count), np.cos(psi), np.sin(psi), np.cos(2 * psi), np.sin(2 * psi)), axis=1)
     return psi, trig, velocity_ways(trig)
 
@@ -270,7 +271,7 @@ def _find_solution(
         total += steps
         if not size < 1e-2:
             break
-    if size < TOLERANCE:
+    if size < _ACCEPTED_RESIDUAL:
         return inflow, x, total, share
     raise MuflyError(
         f"rotor forward: no steady solution at {point.edgewise_m_s:g} m/s edgewise and {point.axial_m_s:g} m/s along "
