@@ -115,7 +115,7 @@ def arc(half_angle, radius=1.0, n=2001):
     return radius * np.cos(a), radius * np.sin(a)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(st.floats(0.2, 1.57), st.floats(0.0, 6.28))
 def test_shear_centre_of_a_thin_arc(half, turn):
     x, y = arc(half)

@@ -1,10 +1,9 @@
 """The outlook of the dissertation: its page, its documents, its commands, and the numbers that are quick."""
 
-import re
 import shlex
 from pathlib import Path
 
-import pytest
+import typer
 from typer.testing import CliRunner
 
 from mufly.cli import app
@@ -22,13 +21,17 @@ def test_the_page_is_that_of_the_sentences():
     assert all((DOCS.parent / s.page).is_file() for s in OUTLOOK_SENTENCES)
 
 
-@pytest.mark.parametrize("command", sorted({c for s in OUTLOOK_SENTENCES for c in s.commands}))
-def test_commands_exist_with_their_options(command):
-    words = shlex.split(command)[1:]
-    told = CliRunner().invoke(app, [*[w for w in words[:2] if not w.startswith("-")], "--help"], env={"COLUMNS": "200"})
-    assert told.exit_code == 0
-    for option in (w for w in words if w.startswith("--") and w != "--help"):
-        assert re.search(rf"{option}\b", told.output), option
+def test_commands_exist_with_their_options():
+    root = typer.main.get_command(app)
+    commands = {c for s in OUTLOOK_SENTENCES for c in s.commands}
+    assert len(commands) > 8
+    for command in commands:
+        words = shlex.split(command)[1:]
+        found = root
+        while hasattr(found, "commands"):
+            found = found.commands[words.pop(0)]
+        known = {"--help", *(option for p in found.params for option in p.opts)}
+        assert {w for w in words if w.startswith("--")} <= known, command
 
 
 def test_built_sentences_have_a_command_or_a_page_of_their_own():
