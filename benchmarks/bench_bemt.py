@@ -29,6 +29,7 @@ from mufly.rotor import (
     solve_rotor_batch,
     solve_system,
 )
+from mufly.rotor.forward import ForwardCondition, blade_flap, solve_forward
 
 
 def best(task: Callable[[], object], repeats: int = 5) -> float:
@@ -52,6 +53,11 @@ def main() -> None:
     print(f"start, polar, first point                {time.perf_counter() - start:8.2f} s ({first.thrust_N:.3f} N)")
     t = best(lambda: solve_rotor(case, pitch_rad=0.2, speed_rad_s=600.0), 50)
     print(f"one point from Python                    {1e3 * t:8.3f} ms")
+    flight = ForwardCondition(0.2, 600.0, edgewise_m_s=4.0)
+    mode = blade_flap(rotor, 1.6)
+    solve_forward(case, flight, mode)
+    t = best(lambda: solve_forward(case, flight, mode), 200)
+    print(f"one point in forward flight              {1e3 * t:8.3f} ms (target 1)")
     print(f"batch, {os.cpu_count()} cores:")
     for n in (1_000, 10_000, 100_000):
         pitch = np.linspace(0.0, 0.5, n)
