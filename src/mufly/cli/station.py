@@ -21,7 +21,7 @@ import typer
 
 from mufly.cli.options import OptionalMissionArgument, SeedOption, VehicleOption, define_option
 from mufly.cli.output import LiveDisplay, check_place, make_console, print_lines, progress_bar
-from mufly.errors import InputError
+from mufly.errors import InputError, MuflyError
 from mufly.quantity_grammar import read_vector
 
 if TYPE_CHECKING:
@@ -455,8 +455,27 @@ def run_link(
     sensors: SensorsOption = "fitted",
     fault: FaultOption = None,
     firmware: FirmwareOption = False,
+    qemu: Annotated[
+        bool,
+        define_option(
+            "--qemu",
+            "Fly the image of a board on a Cortex-M4 emulated by QEMU, which the MAVLink of its own UART commands "
+            "(docs/reference/firmware.md).",
+        ),
+    ] = False,
+    uart: Annotated[
+        int, define_option("--uart PORT", "TCP port of the UART of --qemu, on this machine.", min=1, max=65535)
+    ] = 5760,
 ) -> None:
     """Run the simulated helicopter as a MAVLink vehicle, in real time."""
+    if qemu:
+        given = {"--link": ends, "--origin": origin, "--firmware": firmware}
+        for name, one in given.items():
+            if one:
+                raise InputError(name, "", "the emulated board has a link of its own", "leave it out, use --uart")
+        steady = resolve_wind(wind, gust, seed)
+        _run_emulated_board(mission or "demonstration", vehicle, steady, gust, seed, fault, out, uart)
+        return
     endpoints = parse_endpoints(ends or _DEFAULT_LINK_ENDPOINTS, "vehicle", each="endpoint")
     if not 1 <= system <= 255:
         raise InputError("--system", "", f"{system} is not a MAVLink system", "give 1 to 255")
@@ -536,6 +555,41 @@ def run_link(
     raise typer.Exit(over.exit_status)
 
 
+def _run_emulated_board(
+    mission: str, vehicle: str, wind: list[float] | None, gust: float | None, seed: int, fault: list[str] | None,
+    out: Path | None, uart: int,
+) -> None:  # fmt: skip
+    """Fly the image of a board in QEMU until Ctrl-C; stations connect to its UART."""
+    if out is not None:
+        check_place("--out", out, make=False)
+    from mufly.firmware.emulated.board_link import run_linked_board
+    from mufly.mission import check_preflight, load_mission
+    from mufly.vehicle import load_vehicle
+
+    helicopter, plan = load_vehicle(vehicle), load_mission(mission)
+    check_preflight(helicopter, plan, vehicle_file=vehicle, mission_file=mission)
+    faults = check_sensor_options(helicopter, "fitted", fault)
+    terminal, over = make_console(), ShutdownHandler()
+    with over, LiveDisplay(terminal) as display:
+        display.set_live_line("building the board's image")
+        flown = run_linked_board(
+            helicopter, plan, port=uart, wind=wind, gust=gust, seed=seed, faults=faults,
+            path=None if out is None else out / "flight.mcap", on_event=display.show_event,
+            stop=lambda flight: over.stop_requested.is_set(),
+            on_open=lambda: terminal.print(
+                f"The UART of the emulated board is tcp:127.0.0.1:{uart}. Ctrl-C ends it.", highlight=False
+            ),
+        )  # fmt: skip
+    slower = " (slower than real time)" if flown.realtime_factor < SLOWEST_REAL_TIME else ""
+    terminal.print(f"{flown.realtime_factor:.2f} times real time{slower}.", highlight=False)
+    if flown.different:
+        raise MuflyError(f"the emulated board differs from this machine: {flown.first_difference}")
+    terminal.print(f"No byte of its memory differs from this machine's in {flown.periods} periods.", highlight=False)
+    raise typer.Exit(over.exit_status)
+
+
+SLOWEST_REAL_TIME = 0.95
+"""Real-time factor below which a warning is printed."""
 _DEFAULT_LINK_ENDPOINTS = ("udp:127.0.0.1:14550", "udp:127.0.0.1:14540")
 
 

@@ -18,12 +18,14 @@ from mufly.errors import MuflyError
 from mufly.firmware.fixed_point_law import export_fixed_point
 from mufly.firmware.sil_pil import run_compiler
 from mufly.firmware.source_export import export_firmware
+from mufly.mission import load_mission
 from mufly.results import result
 from mufly.vehicle import Vehicle
 
 _FUZZER_FLAGS = (
     "-std=gnu99", "-g", "-O1", "-ffp-contract=off", "-fno-math-errno",
-    "-fsanitize=fuzzer,address,undefined,float-cast-overflow", "-fno-sanitize-recover=all", "-I.", "-Icheck", "-Ifixed",
+    "-fsanitize=fuzzer,address,undefined,float-cast-overflow", "-fno-sanitize-recover=all",
+    "-I.", "-Icheck", "-Ifixed", "-Iboards", "-Ionboard",
 )  # fmt: skip
 
 
@@ -95,7 +97,8 @@ def fuzz_firmware(vehicle: Vehicle, *, seconds: float, seed: int = 1) -> FuzzRes
     with tempfile.TemporaryDirectory(prefix="mufly-fuzz-") as temporary:
         folder = Path(temporary) / "fw"
         controller = design_flight_controller(vehicle)
-        export_firmware(controller, folder, vehicle)
+        mission = load_mission("demonstration")
+        export_firmware(controller, folder, vehicle, mission.world, mission)
         export_fixed_point(controller, folder)
         return run_fuzzer(folder, seconds=seconds, seed=seed)
 
@@ -107,15 +110,18 @@ def run_fuzzer(folder: Path, *, seconds: float, seed: int = 1) -> FuzzResult:
         "controllers": True, "avoidance": True, "whole numbers": (folder / "fixed" / "tables_fixed.c").exists(),
         "flight software": (folder / "software.c").exists(),
         "estimator": (folder / "estimate_tables.c").exists(),
+        "link": (folder / "plan.c").exists(),
     }  # fmt: skip
     define = {
         "whole numbers": "-DFUZZ_FIXED",
         "flight software": "-DFUZZ_MISSION",
         "estimator": "-DFUZZ_ESTIMATE",
+        "link": "-DFUZZ_LINK",
     }
     flags = ["clang", *_FUZZER_FLAGS, *(flag for part, flag in define.items() if there[part])]
     objects = []
-    for source in sorted((*folder.glob("*.c"), *folder.glob("fixed/*.c"), folder / "check" / "fuzz.c")):
+    board = (*folder.glob("onboard/*.c"), folder / "boards" / "board.c") if there["link"] else ()
+    for source in sorted((*folder.glob("*.c"), *folder.glob("fixed/*.c"), *board, folder / "check" / "fuzz.c")):
         made = source.with_suffix(".fuzz.o")
         if not made.exists() or made.stat().st_mtime_ns < source.stat().st_mtime_ns:
             run_compiler([*flags, "-c", str(source), "-o", str(made)], folder)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from typing import Any
 
@@ -10,6 +11,7 @@ from mufly.errors import InputError
 from mufly.flight.controllers import controller_limits
 from mufly.flight.tunable_parameters import StickRanges
 from mufly.mission import Mission, MissionPlan, prepare_plan, reduce_limits
+from mufly.mission.log_messages import LogMessage
 from mufly.mission.phases import nose_offset
 from mufly.mission.trajectory import TrajectoryLimits
 from mufly.vehicle import Vehicle
@@ -118,6 +120,15 @@ def render_supervisor_source() -> str:
         "",
     ]
     return "\n".join(lines)
+
+
+def render_texts_source() -> str:
+    """Return the text of ``onboard/texts.c``: the templates of the log."""
+    rows = [f"    {json.dumps(message.value, ensure_ascii=True)}," for message in LogMessage]
+    return "\n".join(
+        ["/* Templates of the log, made from those of Python; do not edit. */", '#include "text.h"', "",
+         "const char *const mufly_texts[SAY_COUNT] = {", *rows, "};", ""]
+    )  # fmt: skip
 
 
 def supervisor_numbers() -> dict[str, Any]:

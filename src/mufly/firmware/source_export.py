@@ -18,7 +18,7 @@ from mufly.control import FlightController
 from mufly.control.law import GAIN_UNITS
 from mufly.errors import InputError
 from mufly.firmware.estimate_tables import render_estimator_files
-from mufly.firmware.plan_tables import make_plan, render_plan_source, render_supervisor_source
+from mufly.firmware.plan_tables import make_plan, render_plan_source, render_supervisor_source, render_texts_source
 from mufly.mission import Mission
 from mufly.vehicle import Vehicle
 from mufly.version import __version__
@@ -68,6 +68,7 @@ def export_firmware(
     if vehicle is not None and mission is not None:
         others["plan.c"] = render_plan_source(make_plan(vehicle, controller, mission), controller)
         others["onboard/supervisor_settings.c"] = render_supervisor_source()
+        others["onboard/texts.c"] = render_texts_source()
     write_tree(render_gains_source(controller), out, others)
     return sorted(p for p in out.rglob("*") if p.is_file())
 

@@ -183,6 +183,8 @@ class Autopilot:
         """
         self.observe_estimate(estimate)
         software = self.software
+        if software.commands_itself:
+            return self._follow_software(estimate)
         due = software.is_mission_step_due
         software.is_armed = self._armed
         actuators = software.step(estimate, self._collect_command() if due or self._command.stop_reason else NO_COMMAND)
@@ -195,6 +197,15 @@ class Autopilot:
             self._check_after_step()
         # With the motors off the software's inputs are zero, too.
         self._sent = actuators if self._armed or software.motors == "off" else _IDLE_ACTUATORS
+        return self._sent
+
+    def _follow_software(self, estimate: Estimate) -> Actuators:
+        """Step a flight software that commands itself, and follow its arming and its log."""
+        software = self.software
+        self._sent = software.step(estimate, NO_COMMAND)
+        self._armed = software.is_armed
+        if software.logged_count != self._logged:
+            self._forward_mission_events()
         return self._sent
 
     # many periods of the compiled loop (mufly.firmware.quick)

@@ -111,6 +111,7 @@ class FlightSoftware:
     def __init__(self, vehicle: Vehicle, controller: FlightController, mission: Mission) -> None:
         self._vehicle = vehicle
         self._controller = controller
+        self.commands_itself = False  # whether it takes its requests and arms by itself, as a board with its own link
         self.is_armed = False  # of the next step; set by the autopilot, for boards that idle their outputs themselves
         self._make: Callable[[FlightController], Controllers] = Controllers
         self.change_limits(mission)

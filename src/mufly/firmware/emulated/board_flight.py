@@ -186,7 +186,6 @@ class BoardInstance(SoftwareInstance):
         self.firmware: Any = _BoardFirmware(board)
         self.text_table = TextTable()
         self._request: Any = ffi.new("board_request_t *")
-        self._request.is_given = True
         self.command_record = ffi.addressof(self._request, "given", "command")
         self.software_record = ffi.addressof(board.record, "software")
         self._last_command: Command | None = None
@@ -194,10 +193,15 @@ class BoardInstance(SoftwareInstance):
         self._events: tuple[FlightEvent, ...] = ()
         self._log_count = 0
 
-    def step_armed(self, command: Command, armed: bool) -> Actuators:
-        """Run the second half of a period; return the inputs that the board sends to its actuators."""
-        self._write_command(command)
-        self._request.given.armed = armed
+    def step_board(self, command: Command | None, armed: bool) -> Actuators:
+        """Run the second half of a period; return the inputs that the board sends to its actuators.
+
+        Without a command the board's own link and supervisor command.
+        """
+        self._request.is_given = command is not None
+        if command is not None:
+            self._write_command(command)
+            self._request.given.armed = armed
         self._board.compute_control(self._request)
         self.read_log()
         out = self._board.record.sent
@@ -237,7 +241,9 @@ class BoardSoftware(FirmwareSoftware):
         """Advance by one period; the board uses its own estimate."""
         board = self._software_instance
         assert isinstance(board, BoardInstance)
-        actuators = board.step_armed(command, self.is_armed)
+        actuators = board.step_board(None if self.commands_itself else command, self.is_armed)
+        if self.commands_itself:
+            self.is_armed = bool(self.board.record.supervisor.armed)
         self.clear_cached_records()
         return actuators
 

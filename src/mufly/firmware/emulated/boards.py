@@ -7,6 +7,7 @@ computes the inputs of the actuators. After each half the whole memory of the bo
 from __future__ import annotations
 
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -73,6 +74,18 @@ class HostBoard:
         given = self.ffi.addressof(request, "given") if request.is_given else self.ffi.NULL
         self.lib.board_control(self.record, given)
 
+    def exchange_bytes(self, received: bytes) -> bytes:
+        """Give bytes to the link, and return those that it sends; call after the second half of a period."""
+        link = self.record.link
+        link.input_count = min(len(received), len(link.input))
+        self.ffi.memmove(link.input, received[: link.input_count], link.input_count)
+        self.lib.board_link(self.record)
+        out = self.ffi.new("uint8_t[]", len(link.output))
+        pointer = self.ffi.addressof(self.record, "link")
+        count = self.lib.link_waiting(pointer, out, len(link.output))
+        self.lib.link_sent(pointer, count)
+        return bytes(self.ffi.buffer(out, count))
+
     def close(self) -> None:
         """Do nothing: no process runs."""
 
@@ -86,6 +99,8 @@ class EmulatedBoard:
         From :func:`mufly.firmware.emulated.image_build.build_image`.
     twin : HostBoard
         The code of this machine, in single precision.
+    uart : str
+        Device of QEMU for the UART of the link, as ``tcp:127.0.0.1:5760,server=on,wait=off,nodelay=on``.
 
     Attributes
     ----------
@@ -95,8 +110,9 @@ class EmulatedBoard:
         Period, field and values of the first difference; "" without one.
     """
 
-    def __init__(self, image: Path, twin: HostBoard) -> None:
+    def __init__(self, image: Path, twin: HostBoard, uart: str = "none") -> None:
         self.ffi, self.lib, self._image, self._twin = twin.ffi, twin.lib, image, twin
+        self._uart = uart
         self.memory = np.zeros_like(twin.memory)
         self.record = self.ffi.cast("board_t *", self.ffi.from_buffer(self.memory))
         self._layout = MemoryLayout(self.ffi, "board_t")
@@ -114,8 +130,8 @@ class EmulatedBoard:
     def _start_emulation(self) -> subprocess.Popen[bytes]:
         process = subprocess.Popen(
             [
-                "qemu-system-arm", "-M", EMULATED_MACHINE, "-display", "none", "-monitor", "none", "-serial", "none",
-                "-semihosting-config", "enable=on,target=native", "-kernel", str(self._image),
+                "qemu-system-arm", "-M", EMULATED_MACHINE, "-display", "none", "-monitor", "none",
+                "-serial", self._uart, "-semihosting-config", "enable=on,target=native", "-kernel", str(self._image),
             ],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, bufsize=0,
         )  # fmt: skip
@@ -137,9 +153,17 @@ class EmulatedBoard:
 
     def compute_control(self, request: Any) -> None:
         """Run the second half of a period."""
-        self._exchange(request, self._twin.compute_control)
+        self._exchange(request, self._twin.compute_control, self._twin_link)
 
-    def _exchange(self, record: Any, compute: Any) -> None:
+    def _twin_link(self) -> None:
+        """Give the twin the bytes that the emulated UART has received and sent in this period."""
+        link, twin = self.record.link, self._twin.record.link
+        self.ffi.memmove(twin.input, link.input, len(link.input))
+        twin.input_count = link.input_count
+        self.lib.board_link(self._twin.record)
+        self.lib.link_sent(self.ffi.addressof(self._twin.record, "link"), link.sent_count)
+
+    def _exchange(self, record: Any, compute: Any, conclude: Callable[[], None] = lambda: None) -> None:
         process = self._process or self._start_emulation()
         assert process.stdin is not None
         try:
@@ -148,6 +172,7 @@ class EmulatedBoard:
             self._fail(process)
         compute(record)  # at the same time
         self._receive(process, self.memory)
+        conclude()
         wrong = self._layout.first_difference(self.memory, self._twin.memory)
         if wrong:
             self.mismatch_count += 1

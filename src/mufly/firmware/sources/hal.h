@@ -40,8 +40,11 @@ typedef struct {
 /* Fill in such a command and return true; a board without such a source (a simulation has one) returns false. */
 bool hal_read_command(hal_command_t *out);
 
-/* Send a log entry without waiting; the ground formats its text from the numbers. */
-void hal_send_log_entry(const log_entry_t *entry);
+/* Take up to most bytes that the link's UART has received; return their number, without waiting. */
+int32_t hal_read_bytes(uint8_t *to, int32_t most);
+
+/* Hand bytes to the link's UART; return how many it takes, without waiting. */
+int32_t hal_write_bytes(const uint8_t *from, int32_t count);
 
 /* Reset the watchdog; without a call for 50 ms the hardware stops the motors. */
 void hal_feed_watchdog(void);

@@ -26,8 +26,19 @@ void board_start(board_t *b, uint32_t fitted, int32_t restart)
     }
     b->fitted = fitted;
     b->period_count = 0;
+    b->plan = mufly_plan;
+    link_start(&b->link);
     supervisor_start(&b->supervisor, &mufly_supervisor,
                      (restart == RESTART_IN_FLIGHT) ? INTERRUPTION_RESET : INTERRUPTION_NONE);
+}
+
+/* Constants of the flight, with the mission as loaded. */
+static flight_setup_t present_setup(const board_t *b)
+{
+    flight_setup_t setup = mufly_setup;
+
+    setup.plan = &b->plan;
+    return setup;
 }
 
 /* Median of the last three readings of each beam: a spot seen once is noise. */
@@ -146,6 +157,7 @@ void board_estimate(board_t *b, real_t time_s, int32_t missed)
 
 void board_control(board_t *b, const hal_command_t *given)
 {
+    const flight_setup_t setup = present_setup(b);
     supervisor_t *s = &b->supervisor;
     const bool due = b->software.tick == 0;
     command_t command;
@@ -153,18 +165,26 @@ void board_control(board_t *b, const hal_command_t *given)
     bool armed;
 
     if (given != NULL) {
-        software_step(&mufly_setup, &b->software, &b->belief, &given->command, &out);
+        software_step(&setup, &b->software, &b->belief, &given->command, &out);
         armed = given->armed;
     } else {
         supervisor_collect(s, &b->software, &command);
-        software_step(&mufly_setup, &b->software, &b->belief, &command, &out);
+        software_step(&setup, &b->software, &b->belief, &command, &out);
         supervisor_conclude(s, &b->software, due);
         armed = s->armed;
-        supervisor_step_link(s, &mufly_setup, &b->software, &b->belief);
+        supervisor_step_link(s, &setup, &b->software, &b->belief);
     }
     b->acting = b->sent;
     b->sent = out;
     if (!armed) {
         set_idle(&b->sent);
     }
+}
+
+void board_link(board_t *b)
+{
+    const flight_setup_t setup = present_setup(b);
+    const link_vehicle_t vehicle = {&b->supervisor, &b->software, &setup, &b->plan, &b->belief, &b->estimator};
+
+    link_step(&b->link, &vehicle);
 }

@@ -4,6 +4,7 @@
 
 #include "fault_record.h"
 #include "hal.h"
+#include "link.h"
 #include "supervisor.h"
 
 typedef struct {
@@ -17,6 +18,8 @@ typedef struct {
     uint32_t fitted;                   /* bits of the fitted sensors */
     int32_t period_count;              /* periods of the estimator */
     supervisor_t supervisor;
+    plan_t plan;                       /* the mission as loaded: at first that of plan.c */
+    link_t link;
 } board_t;
 
 /* The watchdog stops the processor after so many periods (50 ms). */
@@ -33,6 +36,9 @@ void board_estimate(board_t *b, real_t time_s, int32_t missed);
 /* Second half: from the estimate to b->sent, the actuator inputs of the next period; zero unless armed. given: NULL for the
  * command and arming of the supervisor. */
 void board_control(board_t *b, const hal_command_t *given);
+
+/* After both halves: handle the bytes in b->link.input, and queue telemetry. */
+void board_link(board_t *b);
 
 /* Run periods without end; kept: memory that a reset does not clear. */
 void board_run(board_t *b, fault_record_t *kept);

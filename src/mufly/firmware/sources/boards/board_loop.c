@@ -2,18 +2,18 @@
 
 #include <stddef.h>
 
-/* Send the log entries since the last call. */
-static void send_log(const mission_t *x)
-{
-    static int32_t told;
+#define SENT_AT_ONCE 64 /* bytes handed to the UART in a period */
 
-    if ((x->logged_count - told) > MISSION_LOG) {
-        told = x->logged_count - MISSION_LOG; /* older entries are lost */
-    }
-    while (told < x->logged_count) {
-        hal_send_log_entry(&x->log[told % MISSION_LOG]);
-        told++;
-    }
+/* Exchange bytes with the link's UART. */
+static void exchange_bytes(board_t *b)
+{
+    uint8_t out[SENT_AT_ONCE];
+    int32_t count;
+
+    b->link.input_count = hal_read_bytes(b->link.input, LINK_INPUT);
+    board_link(b);
+    count = link_waiting(&b->link, out, SENT_AT_ONCE);
+    link_sent(&b->link, hal_write_bytes(out, count));
 }
 
 void board_run(board_t *b, fault_record_t *kept)
@@ -27,8 +27,8 @@ void board_run(board_t *b, fault_record_t *kept)
         hal_read_sensors(&b->readings);
         board_estimate(b, hal_time_s(), missed);
         board_control(b, hal_read_command(&command) ? &command : NULL);
+        exchange_bytes(b);
         fault_record_update(kept, b->software.motors != MOTORS_OFF, b->software.mission.state, b->belief.time_s);
-        send_log(&b->software.mission);
         hal_feed_watchdog();
     }
 }

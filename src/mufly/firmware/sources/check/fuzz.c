@@ -18,6 +18,9 @@
 #ifdef FUZZ_ESTIMATE
 #include "ekf_step.h"
 #endif
+#ifdef FUZZ_LINK
+#include "board.h"
+#endif
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 
@@ -265,17 +268,17 @@ static void any_plan(plan_t *p)
         waypoint_t *const w = &p->waypoint[i];
         fill_numbers(3, REAL(5.0), w->position);
         w->wait_s = real_abs(next_number(REAL(2.0)));
-        w->peak_speed = next_positive(REAL(1.0));
+        w->speed = next_positive(REAL(1.0));
         w->has_heading = (next_byte() & 1U) != 0U;
         w->heading = next_number(REAL(7.0));
     }
     p->at_end = (int32_t)(next_byte() % 3U);
     p->spline = (next_byte() & 1U) != 0U;
-    fill_numbers(2, REAL(2.0), p->initial_state);
+    fill_numbers(2, REAL(2.0), p->start);
     p->take_off_height = next_positive(REAL(2.0));
     p->take_off_wait_s = real_abs(next_number(REAL(2.0)));
-    p->limits.peak_speed = next_positive(REAL(1.0));
-    p->limits.climb_rate = next_positive(REAL(1.0));
+    p->limits.speed = next_positive(REAL(1.0));
+    p->limits.climb = next_positive(REAL(1.0));
     p->limits.descent = next_positive(REAL(1.0));
     p->limits.acceleration = next_positive(REAL(1.0));
     p->limits.climb_acceleration = next_positive(REAL(1.0));
@@ -306,7 +309,7 @@ static void any_belief(estimate_t *m, real_t time_s)
     fill_numbers(3, REAL(0.5), m->attitude_variance);
     for (int32_t i = 0; i < ESTIMATE_SENSORS; i++) {
         m->checks[i].status = (int32_t)(next_byte() % 6U);
-        m->checks[i].reason = (int32_t)(next_byte() % 16U);
+        m->checks[i].why = (int32_t)(next_byte() % 16U);
         m->checks[i].number = next_number(REAL(10.0));
     }
 }
@@ -318,7 +321,7 @@ static void any_command(command_t *c)
     const bool as_it_was = limit_inputs;
 
     (void)memset(c, 0, sizeof *c);
-    c->initial_state = (a & 1U) != 0U;
+    c->start = (a & 1U) != 0U;
     c->has_first_waypoint = (a & 2U) != 0U;
     c->first_waypoint = (b < 250U) ? (int32_t)(b % 4U) : next_int();
     c->has_take_off_height = (a & 4U) != 0U;
@@ -341,7 +344,7 @@ static void any_command(command_t *c)
     limit_inputs = as_it_was;
     c->has_program_set_point = (a & 136U) == 136U;
     fill_numbers(3, REAL(5.0), c->program_set_point.position);
-    fill_numbers(3, REAL(1.0), c->program_set_point.last_velocity);
+    fill_numbers(3, REAL(1.0), c->program_set_point.velocity);
     c->program_set_point.heading = next_number(REAL(7.0));
     c->program_set_point.yaw_rate = next_number(REAL(2.0));
 }
@@ -407,11 +410,61 @@ static void fuzz_estimate(void)
             (void)memcpy(fresh, came, sizeof fresh);
             if (estimator_step(&m, &mufly_settings, &mufly_flight_model, z, fresh, age)) {
                 for (int32_t i = 0; i < 3; i++) {
-                    require_true(is_between(m.angles[i], REAL(-1e9), REAL(1e9)));
-                    require_true(is_between(m.out_rates[i], REAL(-1e9), REAL(1e9)));
+                    require_true(is_between(m.angles_output[i], REAL(-1e9), REAL(1e9)));
+                    require_true(is_between(m.rates_output[i], REAL(-1e9), REAL(1e9)));
                 }
             }
         }
+    }
+}
+#endif
+
+#ifdef FUZZ_LINK
+/* A board with its link: any bytes at the UART, in a flight without readings. */
+static void fuzz_link(void)
+{
+    static board_t board;
+    uint8_t out[LINK_OUTPUT];
+    real_t time_s = REAL(0.0);
+
+    (void)memset(&board, 0, sizeof board);
+    board_start(&board, 1U << R_ACCELERATION, (int32_t)(next_byte() % 3U));
+    while (left > 0U) {
+        const uint8_t how = next_byte();
+
+        time_s += REAL(0.005) * (real_t)(1U + (how & 7U));
+        board.belief.time_s = time_s;
+        board.supervisor.now_s = time_s;
+        board.supervisor.armed = board.supervisor.armed || ((how & 0xC0U) == 0xC0U);
+        board.link.input_count = 0;
+        if ((how & 8U) != 0U) { /* a frame with a right checksum */
+            mavlink_message_t m;
+            uint8_t frame[MAVLINK_FRAME];
+            int32_t length;
+
+            mavlink_begin(&m, next_byte(), (int32_t)(next_byte() % 60U) + 1);
+            for (int32_t i = 0; i < m.length; i++) {
+                m.payload[i] = next_byte();
+            }
+            length = mavlink_encode(&m, 0U, frame);
+            for (int32_t i = 0; i < length; i++) {
+                board.link.input[board.link.input_count] = frame[i];
+                board.link.input_count++;
+                if (board.link.input_count == LINK_INPUT) {
+                    board_link(&board);
+                    board.link.input_count = 0;
+                }
+            }
+        } else {
+            while (board.link.input_count < (int32_t)(how % (LINK_INPUT + 1U))) {
+                board.link.input[board.link.input_count] = next_byte();
+                board.link.input_count++;
+            }
+        }
+        board_link(&board);
+        require_true((board.link.output_count >= 0) && (board.link.output_count <= LINK_OUTPUT));
+        require_true((board.plan.count >= 0) && (board.plan.count <= MISSION_WAYPOINTS));
+        link_sent(&board.link, link_waiting(&board.link, out, (int32_t)how));
     }
 }
 #endif
@@ -429,6 +482,9 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 #endif
 #ifdef FUZZ_ESTIMATE
         fuzz_estimate,
+#endif
+#ifdef FUZZ_LINK
+        fuzz_link,
 #endif
     };
     uint8_t first;

@@ -12,6 +12,7 @@ extern uint32_t stack_top, data_load, data_begin, data_end, bss_begin, bss_end;
 int main(void);
 void reset(void);
 void trap_fault(void);
+void interrupt_0(void) __attribute__((weak, alias("trap_fault"))); /* of the board, if it has one */
 void *memcpy(void *to, const void *from, uint32_t count);
 void *memset(void *to, int32_t value, uint32_t count);
 
@@ -71,12 +72,13 @@ void trap_fault(void)
 
 typedef struct {
     const uint32_t *stack;
-    void (*called[15])(void);
+    void (*called[16])(void);
 } vectors_t;
 
 __attribute__((section(".vectors"), used)) static const vectors_t vectors = {
     &stack_top,
-    {reset, trap_fault, trap_fault, trap_fault, trap_fault, trap_fault},
+    {reset, trap_fault, trap_fault, trap_fault, trap_fault, trap_fault, trap_fault, trap_fault, trap_fault, trap_fault,
+     trap_fault, trap_fault, trap_fault, trap_fault, trap_fault, interrupt_0},
 };
 
 void platform_start(void)

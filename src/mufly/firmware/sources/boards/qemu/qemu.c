@@ -1,5 +1,5 @@
 /* hal.h for QEMU's mps2-an386 (Cortex-M4F). The simulation of mufly takes the place of sensors and actuators: it writes
- * readings and commands to this program's input, and reads the whole memory of the board from its output, twice a period.
+ * readings and commands to this program's input, and reads the whole memory of the board from its output, twice a period. MAVLink goes through UART 0.
  *
  * The exchange goes through semihosting, on the standard input and output of QEMU: one call moves a whole record, while a
  * UART of the emulated board takes one byte per turn of QEMU's main loop. The program ends when its input ends. */
@@ -12,8 +12,26 @@
 #define MODE_READ 1U  /* "rb" */
 #define MODE_WRITE 5U /* "wb" */
 
-int main(void);
+/* UART 0 (CMSDK APB UART); its interrupt of reception has number 0. */
+#define UART_DATA (*(volatile uint32_t *)0x40004000U)
+#define UART_STATE (*(volatile uint32_t *)0x40004004U)
+#define UART_CTRL (*(volatile uint32_t *)0x40004008U)
+#define UART_INTERRUPT (*(volatile uint32_t *)0x4000400CU)
+#define UART_BAUD_DIVIDER (*(volatile uint32_t *)0x40004010U)
+#define UART_FULL 1U
+#define UART_RECEIVED 2U
+#define UART_ENABLED 3U
+#define UART_RX_INTERRUPT 8U
+#define UART_RX_PENDING 2U
+#define NVIC_ENABLE (*(volatile uint32_t *)0xE000E100U)
+#define RECEIVED_SIZE 512U
 
+int main(void);
+void interrupt_0(void);
+
+static uint8_t received[RECEIVED_SIZE];
+static volatile uint32_t received_head;
+static volatile uint32_t received_tail;
 static board_t board;
 static fault_record_t kept; /* the emulation has no reset */
 static board_period_t period;
@@ -94,9 +112,41 @@ void hal_write_actuators(const actuators_t *out)
     (void)out; /* the simulation takes them from the memory of the board */
 }
 
-void hal_send_log_entry(const log_entry_t *entry)
+void interrupt_0(void)
 {
-    (void)entry; /* likewise */
+    while ((UART_STATE & UART_RECEIVED) != 0U) {
+        if ((received_head - received_tail) >= RECEIVED_SIZE) {
+            UART_CTRL &= ~UART_RX_INTERRUPT; /* the sender waits until there is room */
+            break;
+        }
+        received[received_head % RECEIVED_SIZE] = (uint8_t)(UART_DATA & 0xFFU);
+        received_head++;
+    }
+    UART_INTERRUPT = UART_RX_PENDING;
+}
+
+int32_t hal_read_bytes(uint8_t *to, int32_t most)
+{
+    int32_t count = 0;
+
+    while ((count < most) && (received_tail != received_head)) {
+        to[count] = received[received_tail % RECEIVED_SIZE];
+        received_tail++;
+        count++;
+    }
+    UART_CTRL |= UART_RX_INTERRUPT;
+    return count;
+}
+
+int32_t hal_write_bytes(const uint8_t *from, int32_t count)
+{
+    int32_t sent = 0;
+
+    while ((sent < count) && ((UART_STATE & UART_FULL) == 0U)) {
+        UART_DATA = from[sent];
+        sent++;
+    }
+    return sent;
 }
 
 void hal_feed_watchdog(void)
@@ -118,6 +168,9 @@ int main(void)
         fitted |= (mufly_settings.is_fitted[k] != 0) ? (1UL << k) : 0U;
     }
     transmit(&sizes, sizeof(sizes));
+    UART_BAUD_DIVIDER = 16U;
+    UART_CTRL = UART_ENABLED | UART_RX_INTERRUPT;
+    NVIC_ENABLE = 1U;
     board_start(&board, fitted, fault_record_begin(&kept, RESET_BY_POWER));
     board_run(&board, &kept);
     return 0;

@@ -1,14 +1,13 @@
 /* Stubs for an STM32F4: what hal.h asks for, without any vendor's code. Every TODO is a register or a buffer of your board.
  *
- * The inertial unit is read by DMA into two halves of a buffer, in turns; PWM is a timer's; telemetry goes out of a UART by
- * DMA, as MAVLink; the independent watchdog resets the processor when the loop stops. */
+ * The inertial unit is read by DMA into two halves of a buffer, in turns; PWM is a timer's; MAVLink comes and goes by a UART
+ * with DMA; the independent watchdog resets the processor when the loop stops. */
 #include "../board.h"
 
 #define UPPER_CHANNEL 0
 #define LOWER_CHANNEL 1
 #define SERVO_1_CHANNEL 2
 #define SERVO_2_CHANNEL 3
-#define TELEMETRY_SLOTS 32U
 
 int main(void);
 
@@ -17,9 +16,6 @@ static volatile uint32_t periods;     /* of the loop's timer */
 static volatile uint32_t microseconds; /* of a free-running 32-bit timer; TODO: TIM2->CNT */
 static volatile bool imu_is_new;
 static volatile real_t imu[6];        /* specific force (m/s2), rates (rad/s); body axes forward, right, down */
-
-static log_entry_t telemetry[TELEMETRY_SLOTS];
-static uint32_t telemetry_count;
 
 /* TODO: the timer's interrupt at mufly_rate_Hz calls this. */
 void stm32_period(void);
@@ -105,10 +101,17 @@ bool hal_read_command(hal_command_t *command)
     return false; /* the supervisor commands, by the link */
 }
 
-void hal_send_log_entry(const log_entry_t *entry)
+int32_t hal_read_bytes(uint8_t *to, int32_t most)
 {
-    telemetry[telemetry_count % TELEMETRY_SLOTS] = *entry; /* TODO: the UART's DMA sends them as MAVLink V2_EXTENSION or TUNNEL */
-    telemetry_count++;
+    (void)to; /* TODO: from the ring that the UART's DMA fills */
+    (void)most;
+    return 0;
+}
+
+int32_t hal_write_bytes(const uint8_t *from, int32_t count)
+{
+    (void)from; /* TODO: into the ring that the UART's DMA empties; what fits counts */
+    return count;
 }
 
 void hal_feed_watchdog(void)

@@ -1,0 +1,87 @@
+"""Fly a board that its own MAVLink commands: stations connect to the UART of the emulated board by TCP."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from mufly.control import design_flight_controller
+from mufly.firmware.emulated.board_flight import BoardEstimator, BoardFlightResult, make_board_software
+from mufly.firmware.emulated.boards import EmulatedBoard, HostBoard
+from mufly.firmware.emulated.image_build import build_host_board, build_image
+from mufly.flight import Flight
+from mufly.logs.mcap import FlightEvent
+from mufly.mission import Mission
+from mufly.sensors import Fault
+from mufly.vehicle import Vehicle
+
+_MAX_LAG_S = 0.2  # of the flight behind the clock; a longer delay is dropped
+
+
+def run_linked_board(
+    vehicle: Vehicle,
+    mission: Mission,
+    *,
+    port: int,
+    host: str = "127.0.0.1",
+    wind: Sequence[float] | None = None,
+    gust: float | None = None,
+    seed: int = 0,
+    faults: Sequence[Fault] = (),
+    path: Path | None = None,
+    pace: float = 1.0,
+    stop: Callable[[Flight], bool] = lambda flight: False,
+    on_event: Callable[[FlightEvent], None] | None = None,
+    on_open: Callable[[], None] = lambda: None,
+) -> BoardFlightResult:
+    """Fly an emulated board whose own link commands it, until ``stop``.
+
+    Parameters
+    ----------
+    vehicle, mission, wind, gust, seed, faults, path
+        As for :func:`mufly.firmware.emulated.fly_board`; the mission is that of the image, and waits for its start.
+    port, host
+        Address at which the UART of the board listens (TCP).
+    pace : float
+        Flight time over wall-clock time; 0: as fast as possible.
+    stop : callable
+        Called with the flight after every period; True ends it.
+    on_event, on_open : callable
+        Called with every event; called when stations can connect.
+
+    Raises
+    ------
+    MuflyError
+        If a tool is missing, or the emulation ends by itself.
+    """
+    controller = design_flight_controller(vehicle)
+    uart = f"tcp:{host}:{port},server=on,wait=off,nodelay=on"
+    twin = HostBoard(*build_host_board(vehicle, controller, mission))
+    board = EmulatedBoard(build_image(vehicle, controller, mission), twin, uart)
+    try:
+        with Flight(
+            vehicle, mission, controller=controller, wind=wind, gust=gust, seed=seed, faults=faults, path=path,
+            keep=False, sensors="fitted", estimator=BoardEstimator(board, vehicle, mission.world, controller.rate_Hz),
+            controllers=make_board_software(board),
+        ) as flight:  # fmt: skip
+            flight.autopilot.software.commands_itself = True
+            if on_event is not None:
+                flight.autopilot.listeners.append(on_event)
+            on_open()
+            began = ahead = time.perf_counter()
+            while not stop(flight):
+                flight.step_period()
+                if pace > 0.0:
+                    ahead += flight.period_s / pace
+                    now = time.perf_counter()
+                    ahead = max(ahead, now - _MAX_LAG_S)
+                    time.sleep(max(0.0, ahead - now))
+            wall_s = max(time.perf_counter() - began, 1e-9)
+            flown_s = flight.time_s
+    finally:
+        board.close()
+    return BoardFlightResult(
+        periods=board.period_count, different=board.mismatch_count, first_difference=board.first_mismatch,
+        periods_per_s=board.period_count / wall_s, realtime_factor=flown_s / wall_s,
+    )  # fmt: skip
