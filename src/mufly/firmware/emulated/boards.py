@@ -180,7 +180,7 @@ class EmulatedBoard:
 
     def _receive(self, process: subprocess.Popen[bytes], into: NDArray[np.uint8]) -> None:
         assert process.stdout is not None
-        view, filled = memoryview(into), 0
+        view, filled = memoryview(into.data), 0
         while filled < len(view):
             count = process.stdout.readinto(view[filled:])  # type: ignore[attr-defined]
             if not count:
