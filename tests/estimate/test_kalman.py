@@ -13,14 +13,14 @@ from hypothesis import strategies as st
 from mufly.control import design_flight_controller
 from mufly.estimate import Estimate, SensorStatus
 from mufly.estimate import sensor_checks as g
-from mufly.estimate.filter_records import EX_ATT, R_FIX
+from mufly.estimate.filter_records import AID_PRESSURE, EX_ATT, R_FIX
 from mufly.estimate.kalman_estimator import KalmanEstimator
 from mufly.estimate.nees import Consistency, measure_consistency
 from mufly.estimate.sensor_status import describe_reason
 from mufly.flight import Flight
 from mufly.mission import parse_mission
 from mufly.sensors import Reading, Readings, Truth, beam_directions, fitted_sensors, parse_fault
-from mufly.vehicle import Vehicle, load_vehicle, replace_parameters
+from mufly.vehicle import Vehicle, list_parameters, load_vehicle, replace_parameters
 from mufly.world import Room, World
 
 HOP = parse_mission(
@@ -147,6 +147,25 @@ def test_beams_that_are_wrong_alike_do_not_grow_true_by_being_many(vehicle: Vehi
             # Told of now: what the 0.2 s since the horizon add is in it.
             assert 1.0 <= told.covariance[0, 0] * np.sum(1.0 / constant) < 1.4
             assert told.position[:2] == pytest.approx([-0.02 / n.size, 0.0], abs=1e-3)
+
+
+UNTOLD = ("position_fix.noise", "position_fix.wander", "position_fix.heading_wander", "pressure.noise", "sonar.noise")
+
+
+@pytest.mark.parametrize("seed", [3, 4, 6])
+def test_three_times_the_filed_noise_accuses_no_healthy_sensor(vehicle: Vehicle, flown, seed: int) -> None:
+    """At rest the wander of the fix is seen, and the noise of each aid is estimated.
+
+    The fix itself may be told; the accelerometers of this vehicle clip, which is told too."""
+    filed = {p.key: p.value for p in list_parameters(vehicle)}
+    noisier = replace_parameters(vehicle, {f"sensors.{key}": 3.0 * filed[f"sensors.{key}"] for key in UNTOLD})
+    sensors = fitted_sensors(noisier, World(), seed=seed)
+    e, accused = KalmanEstimator(vehicle, World(), 200.0), set()
+    for truth, acted in zip(*flown, strict=True):
+        e.update(sensors.read(truth), acted)
+        accused |= {s.name for s in e.sensor_statuses if s.status == "rejected"}
+    assert not accused & {"rates", "pressure", "magnetic_field", "ground_distance"}
+    assert 4.0 < e.memory["noise_scale"][AID_PRESSURE] < 16.0
 
 
 @pytest.mark.parametrize("share", [0.92, 1.08])

@@ -88,6 +88,7 @@ from mufly.estimate.filter_records import (
     SX_VEL,
     SX_WIND,
     TERRAIN_EDGE_S,
+    TURN_CORRELATION_S,
     FilterMemory,
     FilterSettings,
 )
@@ -425,9 +426,8 @@ def _advance_horizon(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array) -
         spread = s.gyro_density + (GYRO_OUTAGE_DENSITY if m.status[R_RATES] >= STATUS_MISSING else 0.0)
         for i in range(3):
             own = m.rates_lp[i] ** 2
-            spread += (
-                r[3 * k + i] * r[3 * k + i] * (s.gyro_cross_density[0] * (all_ - own) + s.gyro_cross_density[1] * own)
-            )
+            crossed = (s.gyro_cross_density[0] + m.mount_density) * (all_ - own)
+            spread += r[3 * k + i] * r[3 * k + i] * (crossed + s.gyro_cross_density[1] * own)
         m.q_work[EX_ATT + k] = spread * span
     error_transition(e, span, r, a, m.transition_work)
     ud_time_update(m.u_transposed, m.d, span, m.transition_work, m.q_work, m.w_work, m.f)
@@ -668,7 +668,9 @@ def _decide_level(m: FilterMemory, s: FilterSettings) -> None:
         r[0], r[1], r[2] = 1.0 + k * (x * x - q), k * x * y, y
         r[3], r[4], r[5] = r[1], 1.0 + k * (y * y - q), -x
         r[6], r[7], r[8] = -y, x, 1.0 - k * q
+        # A bias or a lean may have been taken for a tilted unit: half of it on each axis, twice TURN_CORRELATION_S
         m.is_levelled = 1
+        m.mount_density = TURN_CORRELATION_S * q
         _restart_level(m, s)
         set_fault(m, s, R_ACCELERATION, STATUS_FUSED, REASON_LEVELLED, math.sqrt(q))
 

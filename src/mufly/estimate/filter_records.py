@@ -110,8 +110,8 @@ MAX_WORK_LIMIT = 4  # scalar measurements, or what costs as much, for which ther
 TR_GYRO, TR_ACCEL, TR_AIR, TR_THRUST, TR_TURN = 0, 9, 18, 27, 30
 TRANSITION_SIZE = 33
 """Numbers of :func:`mufly.estimate.strapdown.error_transition`, and where its parts start."""
-AID_PLACE, AID_HEADING = range(2)
-AID_COUNT = 2
+AID_PLACE, AID_HEADING, AID_SONAR, AID_PRESSURE, AID_MAGNETIC = range(5)
+AID_COUNT = 5
 """Parts of the position fix whose noise and random walk are estimated in flight."""
 MAX_H_TERMS = 8  # largest number of states in a measurement equation
 ROTOR_FORCE_HISTORY = 8  # periods for which forces of the model wait for the slower inertial unit
@@ -188,8 +188,8 @@ class FilterMemory:
     rates_with_spikes: _Array = _real("rates of the period before, spikes included", 3, unit="rad/s")
     terrain_steps: int = _int("steps of the terrain over this edge")
     fix_ratio_lp: float = _real("square of the largest innovation ratio of the fix, lp")
-    noise_scale: _Array = _real("estimated variance of the fix's noise over the file's: place, heading", AID_COUNT)
-    walk_scale: _Array = _real("the same of its bias", AID_COUNT)
+    noise_scale: _Array = _real("estimated variance of an aid's noise over the file's", AID_COUNT)
+    walk_scale: _Array = _real("the same of the fix's bias: place, heading; 1 for other aids", AID_COUNT)
     fix_ratio: _Array = _real("innovation ratio of the fix: N, E, D, heading", 4)
     fix_ratio_prev: _Array = _real("innovation ratio of the last fused fix: N, E, D, heading", 4)
     fix_ratio_mean: _Array = _real("mean of these ratios, lp", 4)
@@ -205,6 +205,7 @@ class FilterMemory:
     level_sum: _Array = _real("sum of the accelerometers over them", 3, unit="m/s2")
     is_levelled: int = _int("1: the inertial unit is tilted, and its readings are turned level")
     level_rotation: _Array = _real("rotation matrix that turns them", 9)
+    mount_density: float = _real("density of rates that its error adds, over the rate squared", unit="s")
     is_heading_aligned: int = _int("1: a fix has been fused")
     gyro_mean: _Array = _real("measured rates, mean since the last comparison", 3, unit="rad/s")
     is_initialised: int = _int("1: the state may be used")
@@ -366,7 +367,7 @@ INITIAL_TERRAIN_SIGMA = 1e-4  # m: where it stands is D = 0, by definition
 INITIAL_POSITION_SIGMA_M = 5.0  # where it stands before anything is heard
 FULL_TURN_RAD = 2 * math.pi
 _MIN_BEAM_ERROR = 1e-4  # 1/m: what a wall is off by, 0.1 mm at 1 m, where beams have no error
-_TURN_CORRELATION_S = 1.5  # turns go the same way for about as long
+TURN_CORRELATION_S = 1.5  # turns go the same way for about as long
 
 
 def filter_settings(
@@ -433,7 +434,7 @@ def filter_settings(
             float(imu.accelerometer_noise) ** 2,
         )
         # Misalignment and scale make a rate of another: noise that grows with the turning
-        s["gyro_cross_density"] = 2 * _TURN_CORRELATION_S * np.square([float(imu.misalignment), float(imu.scale_error)])
+        s["gyro_cross_density"] = 2 * TURN_CORRELATION_S * np.square([float(imu.misalignment), float(imu.scale_error)])
         s["accel_range"], s["gyro_range"] = float(imu.accelerometer_range), float(imu.gyro_range)
         bound[R_ACCELERATION], bound[R_RATES] = 1.2 * s["accel_range"], 1.2 * s["gyro_range"]
         heat = float(imu.warming)

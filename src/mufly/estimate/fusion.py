@@ -23,7 +23,10 @@ from numpy.typing import NDArray
 
 from mufly.estimate.filter_records import (
     AID_HEADING,
+    AID_MAGNETIC,
     AID_PLACE,
+    AID_PRESSURE,
+    AID_SONAR,
     ERROR_STATE_COUNT,
     EX_ACCEL_BIAS,
     EX_ATT,
@@ -106,6 +109,8 @@ FIX_MEAN_SQUARE_GATE = 11.0
 """Mean square of the worst of the fix's four ratios over half a second; 2.4 is usual."""
 DIVERGENCE_MEAN_SQUARE = 5.0
 """Mean square of the ratios above which a rejected fix is not treated as a jump of the fix."""
+SETTLING_TIME_S = 3.0
+"""Time in flight before which no ratio of the fix accuses the filter: at rest it is known better than any fix (s)."""
 LASTING_RATIO = 1.0
 """Mean of a ratio of the fix over half a second above which the filter, not the noise, is the cause (1)."""
 _RESET_TIMEOUT_S = 1.0
@@ -127,10 +132,12 @@ TERRAIN_STEP_GATE, MAX_TERRAIN_STEPS = 3.0, 8
 LIFTOFF_THRUST_RATIO, LIFTOFF_THRUST_SIGMA = 1.08, 0.08
 """Lift over weight as the sonar shows lift-off (1), and its standard deviation (1)."""
 _BEAM_GATE = 4.0
-NOISE_GAIN_PLACE, NOISE_GAIN_HEADING = 0.004, 0.008
-"""Gain of the estimated variances of a fix, per component of a fix."""
+NOISE_GAIN_PLACE, NOISE_GAIN_HEADING, NOISE_GAIN_AID = 0.004, 0.008, 0.03
+"""Gain of the estimated variances of a fix, per component of a fix, and of another aid, per reading."""
 MAX_SQUARED_RATIO, MAX_RATIO_PRODUCT = 9.0, 3.0
 """A larger squared innovation ratio, or product of two, counts as this."""
+WIDENED_SIGMAS = 3.0
+"""An innovation of the fix at rest beyond the gate counts as this many deviations of its bias."""
 MIN_NOISE_SCALE, MAX_NOISE_SCALE = 0.25, 25.0
 """Bounds of the estimated variances over those of the file."""
 COST_FIX_BIAS, COST_FIX = 1, 4
@@ -268,6 +275,12 @@ def _fix_bias_variance(m: FilterMemory, s: FilterSettings, i: int) -> float:
 
 
 @cached_njit(error_model="numpy")
+def _scale_variance(scale: _Array, aid: int, gain: float, change: float) -> None:
+    """Change an estimated variance by ``gain * change``, at least by ``-gain``, within its bounds."""
+    scale[aid] = max(min(scale[aid] * (1.0 + gain * max(change, -1.0)), MAX_NOISE_SCALE), MIN_NOISE_SCALE)
+
+
+@cached_njit(error_model="numpy")
 def _estimate_fix_noise(m: FilterMemory, i: int) -> None:
     """Estimate noise and random walk of component ``i`` of the fix from its innovation ratio.
 
@@ -281,12 +294,16 @@ def _estimate_fix_noise(m: FilterMemory, i: int) -> None:
     excess = min(ratio * ratio, MAX_SQUARED_RATIO) - 1.0
     pair = max(min(ratio * m.fix_ratio_prev[i], MAX_RATIO_PRODUCT), -MAX_RATIO_PRODUCT)
     if m.is_heading_aligned != 0 and abs(m.fix_ratio_mean[i]) < LASTING_RATIO:
-        m.noise_scale[aid] *= 1.0 + gain * max(excess - pair, -1.0)
-        m.walk_scale[aid] *= 1.0 + gain * max(excess + pair, -1.0)
-        m.noise_scale[aid] = max(min(m.noise_scale[aid], MAX_NOISE_SCALE), MIN_NOISE_SCALE)
-        m.walk_scale[aid] = max(min(m.walk_scale[aid], MAX_NOISE_SCALE), MIN_NOISE_SCALE)
+        _scale_variance(m.noise_scale, aid, gain, excess - pair)
+        _scale_variance(m.walk_scale, aid, gain, excess + pair)
     m.fix_ratio_prev[i] = ratio
     m.fix_ratio_mean[i] += 0.15 * (ratio - m.fix_ratio_mean[i])
+
+
+@cached_njit(error_model="numpy")
+def _estimate_noise(m: FilterMemory, aid: int, ratio: float) -> None:
+    """Estimate the noise of an aid that measures one component from its innovation ratio."""
+    _scale_variance(m.noise_scale, aid, NOISE_GAIN_AID, min(ratio * ratio, MAX_SQUARED_RATIO) - 1.0)
 
 
 @cached_njit(error_model="numpy")
@@ -313,6 +330,23 @@ def _fix_bias_ratio(m: FilterMemory, s: FilterSettings, i: int) -> float:
 
 
 @cached_njit(error_model="numpy")
+def _widen_fix_bias(m: FilterMemory, s: FilterSettings, i: int, nu: float, ratio: float) -> float:
+    """Raise the random walk of the fix until it explains an innovation ``nu`` at rest; return the new ratio.
+
+    A vehicle at rest knows its velocity, so that an innovation beyond the gate is an error of the fix. One beyond
+    the largest random walk remains a jump."""
+    sigma = s.initial_sigma[EX_FIX_BIAS + i]
+    spread = nu / WIDENED_SIGMAS
+    scale = spread * spread / (sigma * sigma)
+    aid = AID_PLACE if i < 3 else AID_HEADING
+    if not scale < MAX_NOISE_SCALE:
+        return ratio
+    m.walk_scale[aid] = max(m.walk_scale[aid], scale)
+    inflate_variance(m.u_transposed, m.d, EX_FIX_BIAS + i, spread * spread, m.f)
+    return _innovation_ratio(m, nu, _fix_variance(m, s, i))
+
+
+@cached_njit(error_model="numpy")
 def _sonar_height_valid(m: FilterMemory, s: FilterSettings) -> bool:
     """Return whether the sonar measures the height, over a known floor."""
     k = R_SONAR
@@ -321,15 +355,13 @@ def _sonar_height_valid(m: FilterMemory, s: FilterSettings) -> bool:
 
 
 @cached_njit(error_model="numpy")
-def _fix_height_consistent(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float) -> bool:
+def _fix_height_consistent(m: FilterMemory, s: FilterSettings, nu: float, ratio: float) -> bool:
     """Return whether fix and sonar agree on the height; if not, write the gap to ``m.fix_height_gap``.
 
     The faulty one of the two is unknown: the pressure drifts by as much. The height follows the sonar, and the gap is
     added to the standard deviation of the position."""
     k = R_FIX
-    nu = _fix_innovation(m, z, 2, ahead)
-    _fix_h_row(m, 2)
-    off = abs(_innovation_ratio(m, nu, _fix_variance(m, s, 2)))
+    off = abs(ratio)
     whole = abs(nu + m.x[SX_FIX_BIAS + 2])
     if m.fix_height_gap > 0.0:
         blind = (m.tick - m.last_fused_tick[R_SONAR]) * s.dt > 0.3
@@ -345,14 +377,18 @@ def _fix_height_consistent(m: FilterMemory, s: FilterSettings, z: _Array, ahead:
 def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float) -> None:
     """Fuse position and heading of a fix; no height while it disagrees with the sonar."""
     k, worst, at = R_FIX, 0.0, 0.0
-    down = _fix_height_consistent(m, s, z, ahead)
+    down = True
     for i in range(4):
-        if i == 2 and not down:
-            continue
         _fix_h_row(m, i)
         nu = _fix_innovation(m, z, i, ahead)
         ratio = _innovation_ratio(m, nu, _fix_variance(m, s, i))
-        if m.is_heading_aligned == 0 and i != 2 and abs(ratio) > INNOVATION_GATE:
+        if abs(ratio) > INNOVATION_GATE and m.is_heading_aligned != 0 and m.flight_phase < PHASE_LIGHT:
+            ratio = _widen_fix_bias(m, s, i, nu, ratio)
+        if i == 2:
+            down = _fix_height_consistent(m, s, nu, ratio)
+            if not down:
+                continue
+        elif m.is_heading_aligned == 0 and abs(ratio) > INNOVATION_GATE:
             # The place of the start is unknown: the first fix gives it.
             inflate_variance(m.u_transposed, m.d, EX_POS + i if i < 3 else EX_ATT + 2, nu * nu, m.f)
             ratio = _innovation_ratio(m, nu, _fix_variance(m, s, i))
@@ -363,7 +399,8 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
     _log_innovation(m, k, at, worst)
     # Growing ratios of one sign show that the filter diverges, not that the fix jumps. Without a rotor model the
     # variances are a guess, and the filter would follow a record with wrong axes from fix to fix.
-    lasting = m.flight_phase >= PHASE_LIGHT and _largest_mean_ratio(m) > LASTING_RATIO
+    settled = (m.tick - m.grounded_tick) * s.dt > SETTLING_TIME_S
+    lasting = settled and _largest_mean_ratio(m) > LASTING_RATIO
     led = (
         s.has_rotor_model > 0
         and lasting
@@ -393,7 +430,7 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
         if i != 2 or down:
             _estimate_fix_noise(m, i)
     out = max(_fix_bias_ratio(m, s, 0), _fix_bias_ratio(m, s, 1), _fix_bias_ratio(m, s, 3))
-    if led or (lasting and m.fix_ratio_lp > FIX_MEAN_SQUARE_GATE) or (out > 1.0 and m.flight_phase >= PHASE_LIGHT):
+    if led or (lasting and m.fix_ratio_lp > FIX_MEAN_SQUARE_GATE) or (out > 1.0 and settled):
         reset_on_divergence(m, s)
         set_fault(m, s, k, STATUS_FUSED, REASON_FUSED_THOUGH_OFFSET, at)
     for i in range(4):
@@ -470,7 +507,7 @@ def fuse_sonar_range(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
     if r[8] < s.sonar_cone or z[0] >= s.sonar_max:
         return
     expect = -(m.x[SX_POS + 2] + ahead * m.x[SX_VEL + 2]) - down - m.x[SX_TERRAIN]
-    said, r_ = z[0], s.sonar_variance
+    said, r_ = z[0], s.sonar_variance * m.noise_scale[AID_SONAR]
     nearest, standing = s.sonar_min + 0.005, s.ground_clearance - s.sonar_position[2]
     if z[0] <= nearest and standing < nearest:
         # Nearer than it can tell: anywhere between there and where it stands.
@@ -493,6 +530,8 @@ def fuse_sonar_range(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
     # it is believed: the accelerometers' or the model's.
     if abs(ratio) < INNOVATION_GATE:
         m.sonar_ratio_lp += 0.2 * (ratio - m.sonar_ratio_lp)
+        if not over:
+            _estimate_noise(m, AID_SONAR, ratio)
     if abs(m.sonar_ratio_lp) > SONAR_MEAN_GATE:
         m.sonar_ratio_lp = 0.0
         set_fault(m, s, k, STATUS_FUSED, REASON_TERRAIN_SLOPE, nu)
@@ -640,37 +679,45 @@ def fuse_wall_ranges(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
 
 
 @cached_njit(error_model="numpy")
-def _gate_drifting_aid(
-    m: FilterMemory, s: FilterSettings, k: int, bias: int, nu: float, ratio: float, z: _Array, count: int, near: float
-) -> bool:  # fmt: skip
-    """Gate an aid with one bias, and free that bias after a second of consistent rejections; return whether to fuse."""
+def _fuse_drifting_aid(
+    m: FilterMemory,
+    s: FilterSettings,
+    k: int,
+    bias: int,
+    nu: float,
+    variance: float,
+    z: _Array,
+    count: int,
+    near: float,
+) -> None:
+    """Fuse an aid with one bias; free that bias after a second of consistent rejections."""
+    ratio = _innovation_ratio(m, nu, variance)
     _log_innovation(m, k, nu, ratio)
+    _estimate_noise(m, AID_PRESSURE if k == R_PRESSURE else AID_MAGNETIC, ratio)
     if abs(ratio) > INNOVATION_GATE:
         _reject_measurement(m, s, k, nu, z, count, near)
         if not _reset_timeout_expired(m, s, k):
-            return False
+            return
         inflate_variance(m.u_transposed, m.d, bias, nu * nu, m.f)
         set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu)
-    return True
+    _fuse_scalar(m, nu, variance)
+    mark_fused(m, k)
 
 
 @cached_njit(error_model="numpy")
 def fuse_pressure_height(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float) -> None:
     """Fuse the pressure less the standard one and less the rotors' part."""
-    k = R_PRESSURE
+    variance = s.pressure_variance * m.noise_scale[AID_PRESSURE]
     _h_row_begin(m, EX_POS + 2, s.pressure_slope)
     _h_row_add(m, EX_PRESSURE_BIAS, 1.0)
     nu = z[0] - s.pressure_slope * (m.x[SX_POS + 2] + ahead * m.x[SX_VEL + 2]) - m.x[SX_PRESSURE_BIAS]
-    ratio = _innovation_ratio(m, nu, s.pressure_variance)
-    if _gate_drifting_aid(m, s, k, EX_PRESSURE_BIAS, nu, ratio, z, 1, 10 * math.sqrt(s.pressure_variance)):
-        _fuse_scalar(m, nu, s.pressure_variance)
-        mark_fused(m, k)
+    _fuse_drifting_aid(m, s, R_PRESSURE, EX_PRESSURE_BIAS, nu, variance, z, 1, 10 * math.sqrt(variance))
 
 
 @cached_njit(error_model="numpy")
 def fuse_magnetic_heading(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float, r: _Array) -> None:
     """Fuse the heading by the direction of the magnetic field."""
-    k = R_MAGNET
+    variance = s.mag_heading_variance * m.noise_scale[AID_MAGNETIC]
     rotation_matrix(m.x[SX_ATT : SX_ATT + 4], r)
     north = r[0] * z[0] + r[1] * z[1] + r[2] * z[2]
     east = r[3] * z[0] + r[4] * z[1] + r[5] * z[2]
@@ -679,10 +726,7 @@ def fuse_magnetic_heading(m: FilterMemory, s: FilterSettings, z: _Array, ahead: 
     _h_row_add(m, EX_MAG_BIAS, 1.0)
     off = -portable_atan2(east, north) - ahead * m.yaw_rate - m.x[SX_MAG_BIAS]
     nu = wrap_angle(off)
-    ratio = _innovation_ratio(m, nu, s.mag_heading_variance)
-    if _gate_drifting_aid(m, s, k, EX_MAG_BIAS, nu, ratio, z, 3, 1e-5):
-        _fuse_scalar(m, nu, s.mag_heading_variance)
-        mark_fused(m, k)
+    _fuse_drifting_aid(m, s, R_MAGNET, EX_MAG_BIAS, nu, variance, z, 3, 1e-5)
 
 
 @cached_njit(error_model="numpy")

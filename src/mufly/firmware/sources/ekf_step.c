@@ -325,7 +325,7 @@ static void advance_horizon(estimator_t *m, const estimator_settings_t *s)
             const real_t own = m->rates_lp[i] * m->rates_lp[i];
 
             spread += (r[(3 * k) + i] * r[(3 * k) + i]) *
-                      ((s->gyro_cross_density[0] * (all - own)) + (s->gyro_cross_density[1] * own));
+                      (((s->gyro_cross_density[0] + m->mount_density) * (all - own)) + (s->gyro_cross_density[1] * own));
         }
         q[EX_ATT + k] = spread * span;
     }
@@ -707,6 +707,7 @@ static void decide_level(estimator_t *m, const estimator_settings_t *s)
         r[7] = x;
         r[8] = REAL(1.0) - (k * q);
         m->is_levelled = 1;
+        m->mount_density = TURN_CORRELATION_S * q;
         restart_level(m, s);
         set_fault(m, s, R_ACCELERATION, STATUS_FUSED, REASON_LEVELLED, real_sqrt(q));
     }

@@ -143,6 +143,12 @@ static real_t fix_bias_variance(const estimator_t *m, const estimator_settings_t
     return (sigma * sigma) * m->walk_scale[(i < 3) ? AID_PLACE : AID_HEADING];
 }
 
+/* Change an estimated variance by gain * change, at least by -gain, within its bounds. */
+static void scale_variance(real_t *scale, real_t gain, real_t change)
+{
+    *scale = real_max(real_min(*scale * (REAL(1.0) + (gain * real_max(change, REAL(-1.0)))), MAX_NOISE_SCALE), MIN_NOISE_SCALE);
+}
+
 /* Estimate noise and random walk of component i of the fix from its innovation ratio. */
 static void estimate_fix_noise(estimator_t *m, int32_t i)
 {
@@ -153,13 +159,17 @@ static void estimate_fix_noise(estimator_t *m, int32_t i)
     const real_t pair = real_max(real_min(ratio * m->fix_ratio_prev[i], MAX_RATIO_PRODUCT), -MAX_RATIO_PRODUCT);
 
     if ((m->is_heading_aligned != 0) && (real_abs(m->fix_ratio_mean[i]) < LASTING_RATIO)) {
-        m->noise_scale[aid] *= REAL(1.0) + (gain * real_max(excess - pair, REAL(-1.0)));
-        m->walk_scale[aid] *= REAL(1.0) + (gain * real_max(excess + pair, REAL(-1.0)));
-        m->noise_scale[aid] = real_max(real_min(m->noise_scale[aid], MAX_NOISE_SCALE), MIN_NOISE_SCALE);
-        m->walk_scale[aid] = real_max(real_min(m->walk_scale[aid], MAX_NOISE_SCALE), MIN_NOISE_SCALE);
+        scale_variance(&m->noise_scale[aid], gain, excess - pair);
+        scale_variance(&m->walk_scale[aid], gain, excess + pair);
     }
     m->fix_ratio_prev[i] = ratio;
     m->fix_ratio_mean[i] += REAL(0.15) * (ratio - m->fix_ratio_mean[i]);
+}
+
+/* Estimate the noise of an aid that measures one component from its innovation ratio. */
+static void estimate_noise(estimator_t *m, int32_t aid, real_t ratio)
+{
+    scale_variance(&m->noise_scale[aid], NOISE_GAIN_AID, real_min(ratio * ratio, MAX_SQUARED_RATIO) - REAL(1.0));
 }
 
 /* Return the largest mean of the innovation ratios of N, E and heading. */
@@ -177,6 +187,22 @@ real_t height_above_ground(const real_t x[STATE_COUNT], const estimator_settings
 static real_t fix_bias_ratio(const estimator_t *m, const estimator_settings_t *s, int32_t i)
 {
     return real_abs(m->x[SX_FIX_BIAS + i]) / (BIAS_RANGE_SIGMAS * real_sqrt(fix_bias_variance(m, s, i) + fix_variance(m, s, i)));
+}
+
+/* Raise the random walk of the fix until it explains an innovation of the vehicle at rest; return the new ratio. */
+static real_t widen_fix_bias(estimator_t *m, const estimator_settings_t *s, int32_t i, real_t nu, real_t ratio)
+{
+    const real_t sigma = s->initial_sigma[EX_FIX_BIAS + i];
+    const real_t spread = nu / WIDENED_SIGMAS;
+    const real_t scale = (spread * spread) / (sigma * sigma);
+    const int32_t aid = (i < 3) ? AID_PLACE : AID_HEADING;
+
+    if (!(scale < MAX_NOISE_SCALE)) {
+        return ratio;
+    }
+    m->walk_scale[aid] = real_max(m->walk_scale[aid], scale);
+    inflate_variance(m, EX_FIX_BIAS + i, spread * spread);
+    return innovation_ratio(m, nu, fix_variance(m, s, i));
 }
 
 /* Return whether the sonar measures the height, over a known floor. */
@@ -236,6 +262,7 @@ static void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, con
     real_t worst = REAL(0.0);
     real_t at = REAL(0.0);
     real_t out;
+    bool settled;
     bool lasting;
     bool led;
 
@@ -246,6 +273,9 @@ static void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, con
         fix_h_row(m, i);
         nu = fix_innovation(m, z, i, ahead);
         ratio = innovation_ratio(m, nu, fix_variance(m, s, i));
+        if ((real_abs(ratio) > INNOVATION_GATE) && (m->is_heading_aligned != 0) && (m->flight_phase < PHASE_LIGHT)) {
+            ratio = widen_fix_bias(m, s, i, nu, ratio);
+        }
         if (i == 2) {
             down = fix_height_consistent(m, s, nu, ratio);
         } else if ((m->is_heading_aligned == 0) && (real_abs(ratio) > INNOVATION_GATE)) {
@@ -266,7 +296,8 @@ static void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, con
     }
     log_innovation(m, k, at, worst);
     /* Growing ratios of one sign show that the filter diverges, not that the fix jumps. */
-    lasting = (m->flight_phase >= PHASE_LIGHT) && (largest_mean_ratio(m) > LASTING_RATIO);
+    settled = ((real_t)(m->tick - m->grounded_tick) * s->dt) > SETTLING_TIME_S;
+    lasting = settled && (largest_mean_ratio(m) > LASTING_RATIO);
     led = (s->has_rotor_model > 0) && lasting && (m->fix_ratio_lp > DIVERGENCE_MEAN_SQUARE) && (real_abs(worst) > INNOVATION_GATE) &&
           (real_abs(worst) < (REAL(2.0) * INNOVATION_GATE));
     if ((real_abs(worst) > INNOVATION_GATE) && !led) {
@@ -286,7 +317,7 @@ static void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, con
         }
     }
     out = real_max(real_max(fix_bias_ratio(m, s, 0), fix_bias_ratio(m, s, 1)), fix_bias_ratio(m, s, 3));
-    if (led || (lasting && (m->fix_ratio_lp > FIX_MEAN_SQUARE_GATE)) || ((out > REAL(1.0)) && (m->flight_phase >= PHASE_LIGHT))) {
+    if (led || (lasting && (m->fix_ratio_lp > FIX_MEAN_SQUARE_GATE)) || ((out > REAL(1.0)) && settled)) {
         reset_on_divergence(m, s);
         set_fault(m, s, k, STATUS_FUSED, REASON_FUSED_THOUGH_OFFSET, at);
     }
@@ -413,7 +444,7 @@ static void fuse_sonar_range(estimator_t *m, const estimator_settings_t *s, cons
     const real_t nearest = s->sonar_min + REAL(0.005);
     const real_t standing = s->ground_clearance - s->sonar_position[2];
     real_t said = z[0];
-    real_t variance = s->sonar_variance;
+    real_t variance = s->sonar_variance * m->noise_scale[AID_SONAR];
     real_t expect;
     real_t nu;
     real_t ratio;
@@ -444,6 +475,9 @@ static void fuse_sonar_range(estimator_t *m, const estimator_settings_t *s, cons
     /* Always off to the same side: over an edge it is the surface. Tops are flat, so else it is the height. */
     if (real_abs(ratio) < INNOVATION_GATE) {
         m->sonar_ratio_lp += REAL(0.2) * (ratio - m->sonar_ratio_lp);
+        if (!over) {
+            estimate_noise(m, AID_SONAR, ratio);
+        }
     }
     if (real_abs(m->sonar_ratio_lp) > SONAR_MEAN_GATE) {
         m->sonar_ratio_lp = REAL(0.0);
@@ -600,50 +634,46 @@ static bool fuse_wall_ranges(estimator_t *m, const estimator_settings_t *s, cons
     return all;
 }
 
-/* Gate an aid with one bias, and free that bias after a second of consistent rejections; return whether to fuse. */
-static bool gate_drifting_aid(estimator_t *m, const estimator_settings_t *s, int32_t k, int32_t bias, real_t nu, real_t ratio,
-                   const real_t *z, int32_t count, real_t near)
+/* Fuse an aid with one bias; free that bias after a second of consistent rejections. */
+static void fuse_drifting_aid(estimator_t *m, const estimator_settings_t *s, int32_t k, int32_t bias, real_t nu, real_t variance,
+                              const real_t *z, int32_t count, real_t near)
 {
-    bool taken = true;
+    const real_t ratio = innovation_ratio(m, nu, variance);
 
     log_innovation(m, k, nu, ratio);
+    estimate_noise(m, (k == R_PRESSURE) ? AID_PRESSURE : AID_MAGNETIC, ratio);
     if (real_abs(ratio) > INNOVATION_GATE) {
         reject_measurement(m, s, k, nu, z, count, near);
-        taken = reset_timeout_expired(m, s, k);
-        if (taken) {
-            inflate_variance(m, bias, nu * nu);
-            set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu);
+        if (!reset_timeout_expired(m, s, k)) {
+            return;
         }
+        inflate_variance(m, bias, nu * nu);
+        set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu);
     }
-    return taken;
+    fuse_scalar(m, nu, variance);
+    mark_fused(m, k);
 }
 
 /* Fuse the pressure less the standard one and less the rotors' part. */
 static void fuse_pressure_height(estimator_t *m, const estimator_settings_t *s, const real_t z[1], real_t ahead)
 {
-    const int32_t k = R_PRESSURE;
+    const real_t variance = s->pressure_variance * m->noise_scale[AID_PRESSURE];
     real_t nu;
-    real_t ratio;
 
     h_row_begin(m, EX_POS + 2, s->pressure_slope);
     h_row_add(m, EX_PRESSURE_BIAS, REAL(1.0));
     nu = (z[0] - (s->pressure_slope * (m->x[SX_POS + 2] + (ahead * m->x[SX_VEL + 2])))) - m->x[SX_PRESSURE_BIAS];
-    ratio = innovation_ratio(m, nu, s->pressure_variance);
-    if (gate_drifting_aid(m, s, k, EX_PRESSURE_BIAS, nu, ratio, z, 1, REAL(10.0) * real_sqrt(s->pressure_variance))) {
-        fuse_scalar(m, nu, s->pressure_variance);
-        mark_fused(m, k);
-    }
+    fuse_drifting_aid(m, s, R_PRESSURE, EX_PRESSURE_BIAS, nu, variance, z, 1, REAL(10.0) * real_sqrt(variance));
 }
 
 /* Fuse the heading by the direction of the magnetic field. */
 static void fuse_magnetic_heading(estimator_t *m, const estimator_settings_t *s, const real_t z[3], real_t ahead)
 {
-    const int32_t k = R_MAGNET;
+    const real_t variance = s->mag_heading_variance * m->noise_scale[AID_MAGNETIC];
     real_t r[9];
     real_t north;
     real_t east;
     real_t nu;
-    real_t ratio;
 
     rotation_matrix(&m->x[SX_ATT], r);
     north = ((r[0] * z[0]) + (r[1] * z[1])) + (r[2] * z[2]);
@@ -652,11 +682,7 @@ static void fuse_magnetic_heading(estimator_t *m, const estimator_settings_t *s,
     h_row_add(m, EX_ATT, -s->earth_field[2] / s->earth_field[0]);
     h_row_add(m, EX_MAG_BIAS, REAL(1.0));
     nu = real_wrap_angle((-real_atan2(east, north) - (ahead * m->yaw_rate)) - m->x[SX_MAG_BIAS]);
-    ratio = innovation_ratio(m, nu, s->mag_heading_variance);
-    if (gate_drifting_aid(m, s, k, EX_MAG_BIAS, nu, ratio, z, 3, REAL(1e-5))) {
-        fuse_scalar(m, nu, s->mag_heading_variance);
-        mark_fused(m, k);
-    }
+    fuse_drifting_aid(m, s, R_MAGNET, EX_MAG_BIAS, nu, variance, z, 3, REAL(1e-5));
 }
 
 /* Predict the bias of the fix to the horizon; N and E over the same time. */
