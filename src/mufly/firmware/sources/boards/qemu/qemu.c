@@ -24,6 +24,7 @@
 #define UART_RX_INTERRUPT 8U
 #define UART_RX_PENDING 2U
 #define NVIC_ENABLE (*(volatile uint32_t *)0xE000E100U)
+#define NVIC_DISABLE (*(volatile uint32_t *)0xE000E180U)
 #define RECEIVED_SIZE 512U
 
 int main(void);
@@ -112,29 +113,29 @@ void hal_write_actuators(const actuators_t *out)
     (void)out; /* the simulation takes them from the memory of the board */
 }
 
+/* The pending bit is cleared first: a byte that comes meanwhile sets it again. Without room the UART keeps its byte, and the
+ * sender waits, until hal_read_bytes has made room. */
 void interrupt_0(void)
 {
-    while ((UART_STATE & UART_RECEIVED) != 0U) {
-        if ((received_head - received_tail) >= RECEIVED_SIZE) {
-            UART_CTRL &= ~UART_RX_INTERRUPT; /* the sender waits until there is room */
-            break;
-        }
+    UART_INTERRUPT = UART_RX_PENDING;
+    while (((UART_STATE & UART_RECEIVED) != 0U) && ((received_head - received_tail) < RECEIVED_SIZE)) {
         received[received_head % RECEIVED_SIZE] = (uint8_t)(UART_DATA & 0xFFU);
         received_head++;
     }
-    UART_INTERRUPT = UART_RX_PENDING;
 }
 
 int32_t hal_read_bytes(uint8_t *to, int32_t most)
 {
     int32_t count = 0;
 
+    NVIC_DISABLE = 1U;
+    interrupt_0();
     while ((count < most) && (received_tail != received_head)) {
         to[count] = received[received_tail % RECEIVED_SIZE];
         received_tail++;
         count++;
     }
-    UART_CTRL |= UART_RX_INTERRUPT;
+    NVIC_ENABLE = 1U;
     return count;
 }
 
