@@ -130,12 +130,14 @@ COUNTS = {
     "--again", "--aid", "--baud", "--blades", "--boxes", "--cells", "--calibrate", "--cores", "--flights",
     "--generations", "--jobs", "--point", "--points", "--port", "--record", "--reference-every", "--repeat",
     "--restarts", "--search", "--seed", "--starts", "--stations", "--system", "--top",
+    "--uart",
 }  # fmt: skip
 PLAIN = {
     "--gear", "--n-crit", "--speed",
 }  # fmt: skip
 SHARES = {
-    "--amplitude", "--band", "--charge", "--duty", "--gear", "--gear-efficiency", "--hold-out-share",
+    "--amplitude", "--band", "--charge", "--duty", "--flap-frequency-ratio", "--gear", "--gear-efficiency",
+    "--hold-out-share", "--light",
     "--ratio", "--shadows", "--split", "--gurney",
 }  # fmt: skip
 # Options that hold names, files, addresses, or NAME=VALUE with values that the grammar reads.
@@ -146,7 +148,7 @@ TEXTS = {
     "--cluster", "--code", "--column", "--connect", "--data", "--designed-for", "--domain",
     "--drive", "--engine", "--family", "--fault", "--fit", "--floor", "--for", "--free", "--from",
     "--hold-out", "--host", "--imu", "--input", "--inputs", "--keep", "--kind", "--known", "--layout",
-    "--limit", "--link", "--logs", "--map", "--measured", "--mesh", "--method", "--mission", "--model",
+    "--limit", "--link", "--logs", "--map", "--material", "--measured", "--mesh", "--method", "--mission", "--model",
     "--name", "--noise", "--only", "--open", "--origin", "--others", "--out", "--output", "--outputs",
     "--over", "--part", "--plot", "--position", "--prefix", "--reference", "--report", "--rig", "--rotor",
     "--save-map", "--section", "--sensors", "--set", "--signal", "--start", "--stream", "--telemetry",

@@ -351,7 +351,7 @@ def hover(
     if material is not None and not elastic:
         raise InputError("--material", material, "applies to elastic blades only", "add --elastic")
     if elastic:
-        from mufly.cli.aero.structure import solve_elastic_point
+        from mufly.cli.aero.elastic_hover import solve_elastic_point
 
         if pitch is None or rpm is None:
             raise InputError("--elastic", "", "finds neither speed nor pitch", "give --pitch and --rpm")

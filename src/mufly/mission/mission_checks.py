@@ -310,8 +310,9 @@ def load_mission(name_or_path: str | Path) -> Mission:
 def _locate_floor(tables: dict[str, Any], where: str) -> dict[str, Any]:
     """Return the tables with the path of a floor's picture, which is relative to the mission file."""
     floor = tables.get("floor")
-    texture = floor.get("texture") if isinstance(floor, dict) else None
-    if not isinstance(texture, str) or not (picture := Path(where).parent / texture).is_file():
+    if not isinstance(floor, dict) or not isinstance(texture := floor.get("texture"), str):
+        return tables
+    if not (picture := Path(where).parent / texture).is_file():
         return tables
     return {**tables, "floor": {**floor, "texture": str(picture.resolve())}}
 

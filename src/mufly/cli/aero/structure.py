@@ -1,29 +1,26 @@
-"""``mufly rotor beam`` and ``mufly rotor hover --elastic``: the blade as a beam."""
+"""``mufly rotor beam``: the blade as a rotating beam."""
 
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from mufly.cli.aero.elastic_hover import choose_structure
 from mufly.cli.options import (
     PITCH_RANGE,
     DensityOption,
     JsonOption,
     OptionRange,
     OutOption,
-    PolarOptions,
     RotorArgument,
     define_option,
 )
 from mufly.cli.output import print_answer, print_table, save_figure, write_csv
 from mufly.cli.rotor import MaterialOption, app
-from mufly.errors import InputError
 from mufly.units import RPM
 
 if TYPE_CHECKING:
-    from mufly.rotor import Rotor
-    from mufly.rotor.structure.blade_structure import BladeStructure
+    pass
 
 _PLATE_RANGE = OptionRange(1e-5, 0.05, "m", "no blade of a small rotor is so thick; 0.8 mm are written 0.8mm")
 _BEAM_SPEED_RANGE = OptionRange(0.0, 1e6, "rpm", "no rotor turns so")
@@ -37,34 +34,6 @@ PlateOption = Annotated[
         within=_PLATE_RANGE,
     ),
 ]
-
-
-def choose_structure(rotor: Rotor, material: str | None, thickness: float | None) -> BladeStructure:
-    """Return the structure of a rotor file, with material and thickness of the options.
-
-    Raises
-    ------
-    InputError
-        If neither the file nor an option names a material, or the material is unknown.
-    """
-    from mufly.rotor.structure.blade_structure import BladeStructure
-    from mufly.rotor.structure.flap_modes import blade_structure
-    from mufly.rotor.structure.materials import find_material
-    from mufly.vehicle.quantity import Quantity
-
-    if material is not None:
-        find_material(material)
-    if rotor.blade.structure is None and material is not None:
-        base = BladeStructure(material=material)
-    else:
-        try:
-            base = blade_structure(rotor)
-        except InputError as error:
-            raise InputError(error.where, error.key, error.problem, f"{error.remedy}, or give --material abs") from None
-    changes: dict[str, object] = {} if material is None else {"material": material}
-    if thickness is not None:
-        changes["thickness"] = Quantity(value=thickness, unit="m", source="specified")
-    return base.model_copy(update=changes)
 
 
 @app.command("beam")
@@ -86,7 +55,7 @@ def show_beam(
 ) -> None:
     """Compute the natural frequencies of a blade over rotor speed: flap, lag and torsion of a rotating beam.
 
-    The table [blade.structure] of a rotor file names material, thickness and root; docs/explanation/blade-structure.md
+    The table blade.structure of a rotor file names material, thickness and root; docs/explanation/blade-structure.md
     has the equations. Values that the file leaves out widen the band. With --out, the Campbell diagram is drawn
     (campbell.png) and written as CSV.
     Examples: mufly rotor beam walkera-5g6 --rpm 0:9000:500; mufly rotor beam naca0012-r60-c20 --material spruce
@@ -134,32 +103,3 @@ def show_beam(
         ]  # fmt: skip
         files = [save_figure(campbell_picture(found), out, "campbell"), write_csv(out / "campbell.csv", heads, rows)]
     print_answer(as_json, to_plain_data(found) if as_json else found, None, files)
-
-
-def solve_elastic_point(
-    name: str,
-    theory: PolarOptions,
-    pitch_deg: float,
-    speed_rpm: float,
-    *,
-    climb: float,
-    density: float,
-    material: str | None,
-    out: Path | None,
-    as_json: bool,
-) -> None:
-    """Compute a rotor with elastic blades and print it beside the rigid rotor: ``mufly rotor hover --elastic``."""
-    from mufly.results import to_plain_data
-    from mufly.rotor import Air, load_rotor
-    from mufly.rotor.structure.elastic_rotor import solve_elastic_rotor
-    from mufly.rotor.structure.structure_pictures import elastic_picture
-
-    r = load_rotor(name)
-    found = solve_elastic_rotor(
-        r, pitch_rad=math.radians(pitch_deg), speed_rad_s=speed_rpm * RPM, climb_m_s=climb,
-        air=Air(density_kg_m3=density), structure=choose_structure(r, material, None), n_crit=theory.n_crit,
-        engine=theory.engine, corrections=theory.select_corrections(),
-    )  # fmt: skip
-    files = [] if out is None else [save_figure(elastic_picture(found), out, "elastic")]
-    content = {"rotor": r.name, "method": "bemt", "elastic_blades": to_plain_data(found)} if as_json else found
-    print_answer(as_json, content, None, files)

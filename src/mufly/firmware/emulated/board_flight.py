@@ -213,7 +213,7 @@ class BoardInstance(SoftwareInstance):
 
 
 class _BoardFirmware:
-    """What records need of a :class:`mufly.firmware.host_build.Firmware`."""
+    """The parts of a :class:`mufly.firmware.host_build.Firmware` that records need."""
 
     def __init__(self, board: Board) -> None:
         self.ffi, self.lib, self.is_generic = board.ffi, board.lib, False

@@ -2,8 +2,8 @@
 
 :class:`ExternalFixes` replaces the statistical ``position_fix``; each fix has its own time and covariance. Invalid
 fixes are refused before they reach the filter, with the reason as text: numbers that are not finite, a large
-standard deviation, a time in the future, late, repeated or out-of-order fixes, and
-sources that contradict the inertial unit (:mod:`mufly.flight.fixes.fix_monitor`).
+standard deviation, a time in the future, late, repeated or out-of-order fixes. So are sources that contradict the
+inertial unit (:mod:`mufly.flight.fixes.fix_monitor`).
 """
 
 from __future__ import annotations

@@ -49,9 +49,9 @@ _MIN_SPAN_S, _MIN_COUNT = 1.2, 12
 """Least span (s) and number of fixes for a fit."""
 _WITHHOLD_RATIO, _REPORT_RATIO, _FOLLOWED_FACTOR, _EXPLAINED, _CONFIRM_COUNT = 0.8, 1.2, 1.5, 0.45, 6
 _MIN_SIZE, _BOTH = 0.6, 2.5
-"""Contradictions over the source's usual drift from which fixes are withheld and the fault is reported, factor on both
-for sources that lag or move less than :data:`_MIN_SIZE` times as far, share of the contradiction that a fault leaves,
-and number of fixes that confirm a fault."""
+"""Contradictions over the source's usual drift from which fixes are withheld and the fault is reported. Then the factor
+on both for sources that lag or move less than :data:`_MIN_SIZE` times as far, the share of the contradiction that a
+fault leaves, and the number of fixes that confirm a fault."""
 _HEADING_RAD, _HEADING_DECAY_S = math.radians(20.0), 30.0
 """Largest error of heading against the gyroscopes, and time over which their drift is forgotten (s)."""
 _REST_WINDOW_S, _REST_SPEED_M_S = 4.0, 0.04

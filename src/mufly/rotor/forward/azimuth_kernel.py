@@ -1,11 +1,13 @@
 """Blade elements over azimuth with one flap mode and dynamic inflow, solved by harmonic balance (Numba).
 
-psi = 0 aft, increasing with the rotation; the air meets the disc with V from the front and V_z from above. At station r
-of the blade at psi, with beta = q0 + q1c cos psi + q1s sin psi + q2c cos 2 psi + q2s sin 2 psi the flap angle, p and q
-the rates of the hub, u the mean induced velocity of the annulus and u_t its swirl:
+psi = 0 aft, increasing with the rotation; the air meets the disc with V from the front and V_z from above.
+The flap angle is beta = q0 + q1c cos psi + q1s sin psi + q2c cos 2 psi + q2s sin 2 psi. p and q are the rates of the
+hub, u is the mean induced velocity of the annulus and u_t its swirl. At station r of the blade at psi:
 
     U_T = Omega r + V sin psi - u_t + stream_t            U_R = V cos psi
+
     U_P = V_z + stream + u + R Omega (r/R) (lc cos psi + ls sin psi) + r beta' - r (p sin psi + q cos psi) + U_R beta
+
     onset = theta - atan2(U_P, U_T)      theta = twist + th0 + th1c cos psi + th1s sin psi      (full circle)
 
 The flap mode is the rigid shape r with the moment of inertia I and the frequency nu Omega. Per harmonic n
@@ -114,8 +116,8 @@ class AzimuthPoint(NamedTuple):
 def velocity_ways(trig: Array) -> Array:
     """Return the derivatives of U_P with its unknowns times the harmonics of a mean, (azimuths, 2, 40).
 
-    Entry 8 h + k belongs to the harmonic h (1, c, s, 2c, 2s) and the unknown k (u, five flap coefficients, lc, ls); the
-    first table is over V, the second over Omega r, the column of u over 1.
+    Entry 8 h + k belongs to the harmonic h (1, c, s, 2c, 2s) and the unknown k (u, five flap coefficients, lc, ls).
+    The first table is over V, the second over Omega r, the column of u over 1.
     """
     count = trig.shape[0]
     one, c, s, c2, s2 = trig.T
@@ -539,8 +541,8 @@ def integrate_loads(
         Filled with :data:`FIELD_COLUMNS`.
     totals : (11,) array
         Filled, for all blades, with thrust (N), torque (N m), H and Y force (N), cosine and sine of the aerodynamic
-        moment int r F_z (N m), induced power, profile power (W), power of the axial stream V_z T (W), and cos 2 psi and
-        sin 2 psi of the thrust of one blade (N).
+        moment int r F_z (N m), and induced, profile and axial power (W). The last two
+        are cos 2 psi and sin 2 psi of the thrust of one blade (N).
     annuli : (stations, 3) array
         Filled with swirl u_t (m/s), Prandtl's factor, and the mean drag of all blades along the motion (N/m).
     """

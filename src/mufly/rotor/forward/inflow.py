@@ -6,14 +6,17 @@ through the disc, Glauert's momentum theory is
     u sqrt(V^2 + (V_z + u)^2) = u_h^2
 
 In descent between V_z = 0 and -2 u_h it has no valid root at small V. There the axial curve of
-:func:`mufly.rotor.bemt.induced_velocity_ratio` (Leishman 2006, eq. 2.99) gives the through-flow at V = 0; its change
-with V is interpolated between the roots at V_z = 0 and -2 u_h (own rule, continuous everywhere).
+:func:`mufly.rotor.bemt.induced_velocity_ratio` (Leishman 2006, eq. 2.99) gives the through-flow at V = 0. Its change
+with V is interpolated between the roots at V_z = 0 and -2 u_h. This is an own rule, continuous everywhere.
 
 Gradients, total form of Peters and HaQuang (J. Am. Helicopter Soc. 33(4), 1988). All velocities are over Omega R.
-lambda(r, psi) = l0 + r/R (lc cos psi + ls sin psi), psi = 0 aft; C_T, C_c, C_s are the thrust and the cosine and sine
-moments of the load over rho A (Omega R)^2 and R; lz = l0 + V_z, chi = atan2(mu, lz), X = tan(chi / 2):
+The inflow is lambda(r, psi) = l0 + r/R (lc cos psi + ls sin psi), psi = 0 aft. C_T, C_c, C_s are the thrust and the
+cosine and sine moments of the load over rho A (Omega R)^2 and R. The angle of the wake is chi = atan2(mu, lz):
+
+    lz = l0 + V_z        X = tan(chi / 2)
 
     l0 = C_T / (2 V_T) - (15 pi / 64) X C_c / V_e        V_T = sqrt(mu^2 + lz^2)
+
     lc = (15 pi / 64) X C_T / V_T + 4 cos chi / (1 + cos chi) C_c / V_e       V_e = (mu^2 + lz (lz + l0)) / V_T
     ls = 4 / (1 + cos chi) C_s / V_e
 """

@@ -1,8 +1,8 @@
 """Coaxial pair in forward flight: the lower rotor in the skewed stream of the upper one.
 
-The coupling is that of :mod:`mufly.rotor.rotor_solver`, with the stream shifted. With h the distance of the discs and k
-the factor of a vortex tube on its axis, the lower rotor meets k(h) times the velocity induced by the upper rotor, in a
-stream contracted by 1 / sqrt(k(h)) whose axis is displaced downwind by
+The coupling is that of :mod:`mufly.rotor.rotor_solver`, with the stream shifted. h is the distance of the discs, k the
+factor of a vortex tube on its axis. The lower rotor meets k(h) times the velocity induced by the upper rotor. The
+stream is contracted by 1 / sqrt(k(h)), and its axis is displaced downwind by
 
     h tan chi,    tan chi = V / (V_z + mean velocity through the upper disc)
 
