@@ -101,7 +101,7 @@ class PolarTable:
 
     def __post_init__(self) -> None:
         shape = (self.reynolds.size, self.alpha_rad.size)
-        if not np.allclose(self.alpha_rad, ALPHA_GRID, atol=1e-9, rtol=0):
+        if self.alpha_rad is not ALPHA_GRID and not np.allclose(self.alpha_rad, ALPHA_GRID, atol=1e-9, rtol=0):
             raise MuflyError(f"polar {self.name}: alpha is not the grid of half a degree from -180 to 180 degrees")
         if any(c.shape != shape or not np.all(np.isfinite(c)) for c in (self.cl, self.cd, self.cm)):
             raise MuflyError(f"polar {self.name}: coefficients are not finite arrays of shape {shape}")
@@ -183,7 +183,10 @@ def stack_polars(tables: Sequence[PolarTable]) -> PolarStack:
     if not tables:
         raise MuflyError("no polar given; give at least one airfoil")
     first = tables[0].reynolds
-    if all(t.reynolds.shape == first.shape and np.allclose(t.reynolds, first, rtol=1e-9) for t in tables):
+    if all(
+        t.reynolds.shape == first.shape and (t.reynolds is first or np.allclose(t.reynolds, first, rtol=1e-9))
+        for t in tables
+    ):
         reynolds = first
     else:
         n = max(t.reynolds.size for t in tables)
@@ -193,7 +196,7 @@ def stack_polars(tables: Sequence[PolarTable]) -> PolarStack:
     valid = np.empty((len(tables), reynolds.size, 2))
     log_re = np.log(reynolds)
     for k, table in enumerate(tables):
-        own = np.log(table.reynolds)
+        own = log_re if table.reynolds is reynolds else np.log(table.reynolds)
         for c, coefficient in enumerate((table.cl, table.cd)):
             rows = _interpolate_log_reynolds(coefficient, own, log_re)
             grid[k, :, 1:-1, c] = rows
@@ -207,7 +210,7 @@ def stack_polars(tables: Sequence[PolarTable]) -> PolarStack:
 
 def _interpolate_log_reynolds(rows: Array, own: Array, wanted: Array) -> Array:
     """Interpolate rows (nr, n) to other Reynolds numbers, linear in log Re, clamped."""
-    if own.shape == wanted.shape and np.allclose(own, wanted, atol=1e-12, rtol=0):
+    if own is wanted or (own.shape == wanted.shape and np.allclose(own, wanted, atol=1e-12, rtol=0)):
         return rows
     if own.size == 1:
         return np.repeat(rows, wanted.size, axis=0)
