@@ -57,17 +57,17 @@ def compare_inflow(folder: Path, record: Callable[..., None]) -> None:
         data = data[np.isfinite(data).all(axis=1) & (data[:, 1] >= 0.2) & (data[:, 1] <= 1.0)]
         angle = math.radians(degrees)
         for model in ("annular", "pitt-peters", "uniform"):
+            edgewise, axial = airspeed * math.cos(angle), -airspeed * math.sin(angle)
 
-            def trim(x, found=[None], angle=angle, airspeed=airspeed, model=model):  # noqa: B006
-                c = ForwardCondition(
-                    x[0], speed, airspeed * math.cos(angle), -airspeed * math.sin(angle), cyclic_rad=(x[1], x[2])
-                )
-                found[0] = solve_forward(blading, c, flap, inflow=model, start=found[0])
-                trim.found = found[0]
-                return [found[0].c_T - 0.0064, 0.01 * found[0].flap_cos_rad, 0.01 * found[0].flap_sin_rad]
+            def solve(x, edgewise=edgewise, axial=axial, model=model):
+                c = ForwardCondition(x[0], speed, edgewise, axial, cyclic_rad=(x[1], x[2]))
+                return solve_forward(blading, c, flap, inflow=model)
 
-            fsolve(trim, [0.2, 0.03, -0.04])
-            disc = trim.found.disc
+            def miss_trim(x, solve=solve):
+                found = solve(x)
+                return [found.c_T - 0.0064, 0.01 * found.flap_cos_rad, 0.01 * found.flap_sin_rad]
+
+            disc = solve(fsolve(miss_trim, [0.2, 0.03, -0.04])).disc
             psi = np.append(disc.azimuth_rad, 2.0 * math.pi)
             field = np.vstack([disc.inflow_m_s, disc.inflow_m_s[:1]]) / tip
             at = RegularGridInterpolator((psi, disc.r_m / radius), field, bounds_error=False, fill_value=None)

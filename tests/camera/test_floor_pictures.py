@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from mufly.errors import InputError
 from mufly.flight.fixes.camera_sensor import CameraConfig, make_camera, with_mission_floor
 from mufly.flight.monte_carlo import Campaign
 from mufly.flight.monte_carlo.campaign import FlightCase
-from mufly.mission import dump_mission, load_mission, parse_mission
+from mufly.mission import Mission, dump_mission, load_mission, parse_mission
 from mufly.sensors import Truth
 from mufly.vehicle import load_vehicle
 from mufly.world import World
@@ -115,7 +116,7 @@ def test_a_mission_has_its_floor_and_an_option_replaces_it(tmp_path: Path) -> No
     flown = make_flight_camera("webcam", "", None, mission, "m.toml")
     assert (flown.floor_texture, flown.floor_width_m) == (str(picture.resolve()), 0.8)
     assert make_flight_camera("", str(other), 1.0, mission, "m.toml").floor_texture == str(other)
-    assert with_mission_floor(CameraConfig(lens), load_mission("demonstration")).floor_texture == "rich"
+    assert with_mission_floor(CameraConfig(lens), load_mission("demonstration")).floor_name == "rich"
     state = initial_state(position=(0.0, 0.0, -1.0), attitude=(0.0, 0.0, 0.0), rotor_speed=(380.0, 420.0))
     truth = Truth(0.0, 0, state, np.zeros(3), np.zeros(3), 11.0, 5.0)
     seen = [
@@ -129,10 +130,8 @@ def test_a_mission_has_its_floor_and_an_option_replaces_it(tmp_path: Path) -> No
         make_flight_camera("", "", None, mission, "m.toml")
 
 
-def parse_mission_again(mission: object) -> object:
-    import tomllib
-
-    return parse_mission(tomllib.loads(dump_mission(mission)))  # type: ignore[arg-type]
+def parse_mission_again(mission: Mission) -> Mission:
+    return parse_mission(tomllib.loads(dump_mission(mission)))
 
 
 def test_a_campaign_flies_over_the_floor_and_its_commands_name_it(tmp_path: Path) -> None:

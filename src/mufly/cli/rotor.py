@@ -15,14 +15,11 @@ from mufly.cli.options import (
     PITCH_RANGE,
     SPEED_RANGE,
     WAKE_FIELDS,
-    AirspeedsOption,
     ClimbOption,
     ColumnOption,
     CommandGroup,
     DensityOption,
-    DiscTiltOption,
     DriveOption,
-    FlapRatiosOption,
     JsonOption,
     OptionalPitchOption,
     OptionalRpmOption,
@@ -469,87 +466,6 @@ def hover(
             style="yellow",
         )
     print_files(files)
-
-
-_CYCLIC_RANGE = OptionRange(0.01, 20.0, "deg", "it is the amplitude of a small input")
-
-
-@app.command()
-def forward(
-    rotor: RotorArgument = "walkera-5g6",
-    speed: AirspeedsOption = "0:10:1",
-    pitch: OptionalPitchOption = None,
-    rpm: OptionalRpmOption = None,
-    thrust: Annotated[
-        float | None,
-        define_option("--thrust", "Thrust in hover; with --pitch the speed is found, with --rpm the pitch.", unit="N"),
-    ] = None,
-    tilt: DiscTiltOption = 0.0,
-    cyclic: Annotated[
-        float,
-        define_option(
-            "--cyclic", "Amplitude of cyclic pitch whose response is computed.", unit="deg", within=_CYCLIC_RANGE
-        ),
-    ] = 1.0,
-    flap_frequency_ratio: FlapRatiosOption = None,
-    blade_mass: Annotated[
-        float | None,
-        define_option(
-            "--blade-mass", "Mass of one blade. Default: that of its structure, else of solid ABS.", unit="g"
-        ),
-    ] = None,
-    density: DensityOption = 1.2,
-    polars: PolarOptions = DEFAULT_POLAR_OPTIONS,
-    out: OutOption = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Compute a rotor in forward flight: loads, flapping, hub moments and the response to cyclic pitch.
-
-    Give two of --pitch, --rpm and --thrust; pitch and speed then stay those of hover. The flap frequency of a small
-    blade is seldom known, so that results are a band over it. With --out: pictures over airspeed (forward.png) and
-    over the disc at the last airspeed (disc.png). Method: docs/explanation/forward-flight.md.
-    Examples: mufly rotor forward walkera-5g6 --pitch 13 --rpm 3600 --speed 0:8:2; mufly rotor forward --thrust 0.46
-    --rpm 3600 --flap-frequency-ratio 1,1.1,1.6 --out forward
-    """
-    from mufly.errors import InputError
-    from mufly.quantity_grammar import read_values
-    from mufly.rotor import Air, load_rotor, solve_for_thrust
-    from mufly.rotor.forward import ForwardCondition, blade_flap, blade_flap_band, sweep_forward
-    from mufly.rotor.forward.forward_pictures import disc_picture, sweep_picture
-
-    if sum(v is not None for v in (pitch, rpm, thrust)) != 2:
-        raise InputError(
-            "rotor forward", "", "needs two of --pitch, --rpm and --thrust", "give two; the third is found"
-        )
-    r, air = load_rotor(rotor), Air(density_kg_m3=density)
-    blading = polars.prepare_blading(r)
-    theta = math.radians(pitch) if pitch is not None else None
-    omega = rpm * RPM if rpm is not None else None
-    if thrust is not None:
-        found = solve_for_thrust(blading, thrust_N=thrust, pitch_rad=theta, speed_rad_s=omega, air=air)
-        theta, omega = found.pitch_rad, found.speed_rad_s
-    assert theta is not None
-    assert omega is not None
-    lean = math.radians(tilt)
-    conditions = [
-        ForwardCondition(theta, omega, v * math.cos(lean), v * math.sin(lean), air=air)
-        for v in read_values("--speed", speed, "m/s")
-    ]
-    mass = None if blade_mass is None else 1e-3 * blade_mass
-    if flap_frequency_ratio is None:
-        band, basis = blade_flap_band(r, omega, pitch_rad=theta, mass_kg=mass)
-        flaps = list(band)
-    else:
-        ratios = read_values("--flap-frequency-ratio", flap_frequency_ratio, "1")
-        flaps, basis = [blade_flap(r, ratio, mass_kg=mass) for ratio in ratios], "flap frequency as given"
-    sweep = sweep_forward(blading, conditions, flaps, flap_basis=basis, cyclic_rad=math.radians(cyclic))
-    files = []
-    if out is not None:
-        files = [
-            save_figure(sweep_picture(sweep), out, "forward"),
-            save_figure(disc_picture(sweep.points[-1][-1]), out, "disc"),
-        ]
-    print_answer(as_json, sweep, None, files)
 
 
 def _point_index(name: str, line: int, bench: RotorMeasurements) -> int:

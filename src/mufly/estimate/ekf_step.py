@@ -668,7 +668,7 @@ def _decide_level(m: FilterMemory, s: FilterSettings) -> None:
         r[0], r[1], r[2] = 1.0 + k * (x * x - q), k * x * y, y
         r[3], r[4], r[5] = r[1], 1.0 + k * (y * y - q), -x
         r[6], r[7], r[8] = -y, x, 1.0 - k * q
-        # A bias or a lean may have been taken for a tilted unit: half of it on each axis, twice TURN_CORRELATION_S
+        # The tilt may be a bias or a lean: 2 TURN_CORRELATION_S times its variance, q / 2 on each axis
         m.is_levelled = 1
         m.mount_density = TURN_CORRELATION_S * q
         _restart_level(m, s)

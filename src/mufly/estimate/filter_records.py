@@ -112,7 +112,7 @@ TRANSITION_SIZE = 33
 """Numbers of :func:`mufly.estimate.strapdown.error_transition`, and where its parts start."""
 AID_PLACE, AID_HEADING, AID_SONAR, AID_PRESSURE, AID_MAGNETIC = range(5)
 AID_COUNT = 5
-"""Parts of the position fix whose noise and random walk are estimated in flight."""
+"""Aids whose noise is estimated in flight; of the first two, parts of the position fix, the random walk too."""
 MAX_H_TERMS = 8  # largest number of states in a measurement equation
 ROTOR_FORCE_HISTORY = 8  # periods for which forces of the model wait for the slower inertial unit
 

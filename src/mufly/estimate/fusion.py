@@ -110,7 +110,7 @@ FIX_MEAN_SQUARE_GATE = 11.0
 DIVERGENCE_MEAN_SQUARE = 5.0
 """Mean square of the ratios above which a rejected fix is not treated as a jump of the fix."""
 SETTLING_TIME_S = 3.0
-"""Time in flight before which no ratio of the fix accuses the filter: at rest it is known better than any fix (s)."""
+"""Time in flight before which no ratio of the fix accuses the filter, whose state is well known at rest (s)."""
 LASTING_RATIO = 1.0
 """Mean of a ratio of the fix over half a second above which the filter, not the noise, is the cause (1)."""
 _RESET_TIMEOUT_S = 1.0

@@ -54,7 +54,7 @@ def make_flight_camera(
         raise InputError("--floor-width", "", "there is no picture", "give --floor PICTURE, or leave it out")
     config = with_mission_floor(CameraConfig(lens, floor or None, floor_width), mission)
     try:
-        find_floor(config.floor_texture or "rich", config.floor_width_m)
+        find_floor(config.floor_name, config.floor_width_m)
     except ArgumentError as error:
         if floor:
             raise

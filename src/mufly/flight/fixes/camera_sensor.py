@@ -77,6 +77,10 @@ _MAX_SENT_SIGMA_M = 0.6
 """Largest standard deviation of a sent fix (m): a mission would land with a larger one."""
 
 
+DEFAULT_FLOOR = "rich"
+"""Floor of a flight whose settings and mission name none, one of :data:`mufly.camera.FLOOR_KINDS`."""
+
+
 @dataclass(frozen=True)
 class CameraConfig:
     """Settings of a flight with an onboard camera.
@@ -86,7 +90,7 @@ class CameraConfig:
     camera : Camera
     floor_texture : str, optional
         Floor for :func:`mufly.camera.find_floor`: a kind, a package's picture or a picture file. Default: the floor of
-        the mission, or ``"rich"``.
+        the mission, or :data:`DEFAULT_FLOOR`.
     floor_width_m : float, optional
         Width of a picture (m).
     shadow_share : float
@@ -106,13 +110,16 @@ class CameraConfig:
     on_tracking_result: Callable[[TrackingResult], None] | None = None
     stream_address: tuple[str, int] | None = None
 
+    @property
+    def floor_name(self) -> str:
+        """Return the name of the floor: the texture, or :data:`DEFAULT_FLOOR`."""
+        return self.floor_texture or DEFAULT_FLOOR
+
 
 def with_mission_floor(eye: CameraConfig, mission: Mission) -> CameraConfig:
-    """Return the settings with the mission's floor, if they name none; without either the floor is ``"rich"``."""
-    if eye.floor_texture is not None:
+    """Return the settings with the mission's floor, if they name none."""
+    if eye.floor_texture is not None or mission.floor is None:
         return eye
-    if mission.floor is None:
-        return replace(eye, floor_texture="rich")
     width = mission.floor.width_m if eye.floor_width_m is None else eye.floor_width_m
     return replace(eye, floor_texture=mission.floor.texture, floor_width_m=width)
 
@@ -121,7 +128,7 @@ def make_camera(eye: CameraConfig, vehicle: Vehicle, world: World, seed: int) ->
     """Return the camera of a flight."""
     return OnboardCamera(
         eye.camera,
-        find_floor(eye.floor_texture or "rich", eye.floor_width_m).make_floor(seed, eye.shadow_share),
+        find_floor(eye.floor_name, eye.floor_width_m).make_floor(seed, eye.shadow_share),
         vehicle,
         world,
         seed,
@@ -253,7 +260,7 @@ class CameraSensor(Sensor):
 
         ``start_ns`` is the wall-clock time (ns since 1970) of the instant 0.
         """
-        facts = {"floor": self._eye.floor_texture or "rich", "seed": str(self._seed), "camera": self._eye.camera.name}
+        facts = {"floor": self._eye.floor_name, "seed": str(self._seed), "camera": self._eye.camera.name}
         self._record = PictureRecorder(path, format_camera_toml(self._eye.camera), start_ns, facts)
 
     def _stop_slam(self) -> None:

@@ -18,9 +18,9 @@ B is the second integral of e^(i psi), the direction of the nose: an error of th
 
 Each row is fitted alone, and the best names the fault if a correct source leaves more than :data:`_REPORT_RATIO`
 times the usual drift and the fault at most the share :data:`_EXPLAINED` of it. The controller follows the drift, and
-the drift then looks like a source that lags, so a lag must be :data:`_FOLLOWED_FACTOR` times as large.
-Further checks: the heading against the gyroscopes,
-and motion while the motors are off, when the vehicle stands. The tilt and the bias of the gyroscopes are measured then.
+the drift then looks like a source that lags, so a lag must be :data:`_FOLLOWED_FACTOR` times as large. The heading is
+checked against the gyroscopes. While the motors are off, the source must not move; the tilt and the bias of the
+gyroscopes are measured then.
 
 A fault must last :data:`_CONFIRM_COUNT` fixes. From :data:`_WITHHOLD_RATIO` times the drift on fixes are withheld, so
 that the filter does not follow a source that is about to be refused; after a jump they are withheld for

@@ -400,7 +400,7 @@ class Campaign:
                 "--camera",
                 self.camera_name,
                 "--floor",
-                self.camera.floor_texture or "rich",
+                self.camera.floor_name,
             ]
             if self.camera.floor_width_m is not None:
                 words += ["--floor-width", repr(self.camera.floor_width_m)]
