@@ -125,7 +125,7 @@ def test_what_cannot_be_is_said():
     rotor = load_rotor("naca0012-r60-c20")
     bench = made_by(rotor, [4000.0], pitch_deg=12.0)
     with pytest.raises(MuflyError, match="units, pitch, radius"):
-        fit_rotor(rotor, replace(bench, thrust_N=30 * bench.thrust_N))
+        fit_rotor(rotor, replace(bench, thrust_N=30 * bench.thrust_N), section="known")
     with pytest.raises(InputError, match="section"):
         fit_rotor(rotor, bench, section="maybe")
 

@@ -159,16 +159,31 @@ class Page:
         return bool(self.page.locator(f"[data-testid={test_id}]").is_enabled())
 
 
-def press(window: Page, selector: str, done: Callable[[], Any], what: str) -> None:
-    """Press until it is done: a window that is still being built, or a busy station, drops a late press and says so."""
+def repeat(window: Page, act: Callable[[], Any], done: Callable[[], Any], what: str) -> None:
+    """Do it until it is done: a window that is still being built, or a busy station, drops a late press and says so."""
     for _ in range(12):
-        window.page.click(selector)
+        act()
         try:
             wait(done, what, 5.0)
             return
         except AssertionError:
             continue
     raise AssertionError(f"{what} did not happen: {window.page.inner_text('body')[-500:]}")
+
+
+def press(window: Page, selector: str, done: Callable[[], Any], what: str) -> None:
+    """Press until it is done, where the button is still there to be pressed."""
+
+    def click() -> None:
+        if window.page.locator(selector).count():
+            window.page.locator(selector).first.click(timeout=5000.0)
+
+    repeat(window, click, done, what)
+
+
+def open_tab(window: Page, name: str, done: Callable[[], Any], what: str) -> None:
+    """Choose a tab of the page until its content is there."""
+    repeat(window, lambda: window.page.get_by_role("tab", name=name).click(), done, what)
 
 
 def ask_twice(window: Page, test_id: str, done: Callable[[], Any], what: str) -> None:
@@ -395,13 +410,20 @@ def test_it_takes_off_flies_to_a_click_and_lands(window: Page) -> None:
     assert "✓ land" in page.inner_text(".mf-requests")
 
 
+def open_recording_of_the_station(window: Page, is_open: Callable[[], bool]) -> None:
+    """Let the list show every file, and open the station's."""
+    row = window.page.locator("tr", has_text="station.mcap").locator("button")
+    repeat(window, lambda: window.page.check("[data-testid=every-file]"), row.count, "every file")
+    repeat(window, lambda: is_open() or row.first.click(timeout=5000.0), is_open, "the recording")
+
+
 def stop_is_there_behind_a_recording_a_dialog_and_a_field(window: Page) -> None:
     """In flight; the first of the two presses only."""
     page, stop = window.page, window.page.locator(STOP)
-    page.get_by_role("tab", name="Recordings").click()
-    page.check("[data-testid=every-file]")
-    page.locator("tr", has_text="station.mcap").locator("button").first.click()
-    page.locator("[data-testid=replay-slider]").wait_for()
+    every = page.locator("[data-testid=every-file]")
+    open_tab(window, "Recordings", every.is_visible, "the recordings")
+    slider = page.locator("[data-testid=replay-slider]")
+    open_recording_of_the_station(window, slider.is_visible)
     page.keyboard.press("m")
     field = page.get_by_label("text").last
     field.fill("gust")
@@ -409,58 +431,57 @@ def stop_is_there_behind_a_recording_a_dialog_and_a_field(window: Page) -> None:
         page.set_viewport_size({"width": width, "height": height})
         assert window.whole(STOP)
         assert "Flying" in page.inner_text(".mf-flightbar")
-        slider = page.locator("[data-testid=replay-slider]").bounding_box()
-        assert slider["width"] > 250
+        assert slider.bounding_box()["width"] > 250
     page.set_viewport_size({"width": 1366, "height": 768})
     field.press("Shift+Backspace")
     wait(lambda: "PRESS AGAIN" in stop.inner_text(), "the question")
     assert field.input_value() == "gust"
     page.keyboard.press("Escape")
-    page.click("text=Close recording")
-    wait(lambda: window.ready("land") and not page.locator(".q-dialog").count(), "the vehicle again")
+    press(window, "text=Close recording", lambda: window.ready("land") and not page.locator(".q-dialog").count(),
+          "the vehicle again")  # fmt: skip
 
 
 def test_an_edit_of_a_parameter_is_made_and_taken_back(window: Page) -> None:
     page = window.page
-    page.get_by_role("tab", name="Parameters").click()
-    page.fill("[aria-label='search parameters']", "MIS_TAKEOFF")
-    field = page.locator("[data-name=MIS_TAKEOFF_ALT]")
+    search, field = page.locator("[aria-label='search parameters']"), page.locator("[data-name=MIS_TAKEOFF_ALT]")
+    open_tab(window, "Parameters", search.is_visible, "the parameters")
+    search.fill("MIS_TAKEOFF")
     field.wait_for()
     was = field.input_value()
-    field.fill("1.5")
-    field.press("Enter")
-    wait(lambda: page.locator(".mf-badge").count() == 1, "the mark of a change")
+
+    def enter(text: str, key: str) -> None:
+        field.fill(text)
+        field.press(key)
+
+    repeat(
+        window, lambda: enter("1.5", "Enter"), lambda: page.locator(".mf-badge").count() == 1, "the mark of a change"
+    )
     field.fill("1.7")
     field.press("Escape")
     assert field.input_value() == "1.5"  # what the vehicle has, and not what it had
-    field.fill("999")
-    field.press("Tab")
-    wait(lambda: field.input_value() == "1.5", "what the vehicle has")
+    repeat(window, lambda: enter("999", "Tab"), lambda: field.input_value() == "1.5", "what the vehicle has")
     assert "outside 0.2 to 50 m" in page.inner_text("body")
-    field.fill("999")
-    field.press("Enter")
-    wait(lambda: not field.evaluate("e => e.validity.valid"), "the reason at the field")
+    refused = "e => !e.validity.valid"
+    repeat(window, lambda: enter("999", "Enter"), lambda: field.evaluate(refused), "the reason at the field")
     assert field.input_value() == "999"  # who types may mend it
     field.press("Escape")
     assert field.input_value() == "1.5"
-    page.click("[data-testid=undo]")
-    wait(lambda: page.locator("[data-name=MIS_TAKEOFF_ALT]").input_value() == was, "undo")
+    press(window, "[data-testid=undo]", lambda: field.input_value() == was, "undo")
 
 
 def test_a_mission_is_sent_from_a_file_and_a_bad_one_is_refused(window: Page, tmp_path: Path) -> None:
     page = window.page
-    page.get_by_role("tab", name="Mission").click()
-    wait(lambda: page.locator(".mf-mission tbody tr").count() == 3, "the mission of the command line")
+    items = page.locator(".mf-mission tbody tr")
+    open_tab(window, "Mission", lambda: items.count() == 3, "the mission of the command line")
     good, bad = tmp_path / "two.toml", tmp_path / "bad.toml"
     moved = MISSION.replace("[3.0, -2.0, -0.5]", "[3.0, -2.2, -0.5]")
     good.write_text(moved + "\n[[waypoint]]\nposition_m = [0.0, 1.0, -0.7]\n")
     bad.write_text(MISSION.replace("-0.6]", "0.6]"))
     upload = page.locator("[data-testid=mission-file] input[type=file]")
-    upload.set_input_files(str(bad))
-    wait(lambda: "waypoint[1].position_m" in page.inner_text("body"), "the reason")
-    assert page.locator(".mf-mission tbody tr").count() == 3
-    upload.set_input_files(str(good))
-    wait(lambda: page.locator(".mf-mission tbody tr").count() == 4, "the new mission")
+    repeat(window, lambda: upload.set_input_files(str(bad)),
+           lambda: "waypoint[1].position_m" in page.inner_text("body"), "the reason")  # fmt: skip
+    assert items.count() == 3
+    repeat(window, lambda: upload.set_input_files(str(good)), lambda: items.count() == 4, "the new mission")
     wait(lambda: "the vehicle keeps its own: box" in page.inner_text("body"), "what items do not carry")
     assert "0.70" in page.inner_text(".mf-mission tbody")
 
@@ -468,8 +489,7 @@ def test_a_mission_is_sent_from_a_file_and_a_bad_one_is_refused(window: Page, tm
 def test_a_mission_is_drawn_checked_and_sent(window: Page) -> None:
     """After the one above the vehicle holds two waypoints. Point, drag, height, undo, and the check while one draws."""
     page = window.page
-    page.get_by_role("tab", name="Plan").click()
-    page.click("[data-testid=plan-fetch]")
+    open_tab(window, "Plan", lambda: page.locator("[data-testid=plan-fetch]").is_visible(), "the plan")
 
     def rows() -> list[list[float]]:
         found: list[list[float]] = page.evaluate("window.muflyDraft.state?.rows.map(r => r.at) ?? []")
@@ -478,7 +498,8 @@ def test_a_mission_is_drawn_checked_and_sent(window: Page) -> None:
     def verdict(words: str) -> bool:
         return words in page.inner_text("[data-testid=plan-verdict]")
 
-    wait(lambda: rows() == [[0.6, 0.4, 0.6], [0.0, 1.0, 0.7]], "the vehicle's mission")
+    held = [[0.6, 0.4, 0.6], [0.0, 1.0, 0.7]]
+    press(window, "[data-testid=plan-fetch]", lambda: rows() == held, "the vehicle's mission")
     wait(lambda: verdict("valid"), "the check")
     assert verdict("% of the battery")
     page.get_by_role("button", name="view from above, north up").click()
@@ -502,8 +523,8 @@ def test_a_mission_is_drawn_checked_and_sent(window: Page) -> None:
     page.keyboard.press("Tab")
     wait(lambda: verdict("waypoint[3].position_m") and verdict("too low to fly"), "the fault of the third")
     assert page.locator("tr.mf-bad-row").get_attribute("data-row") == "3"
-    page.click("[data-testid=plan-send]")
-    wait(lambda: "not uploaded: waypoint[3]" in page.inner_text("body"), "the refusal")
+    refusal = "not uploaded: waypoint[3]"
+    press(window, "[data-testid=plan-send]", lambda: refusal in page.inner_text("body"), "the refusal")
     for _ in range(2):  # the height and, in one step, the drag
         page.click("[data-testid=plan-undo]")
     wait(lambda: rows()[2] == pytest.approx([0.8, -0.6, 1.0], abs=0.06), "undo")
@@ -511,26 +532,34 @@ def test_a_mission_is_drawn_checked_and_sent(window: Page) -> None:
     page.keyboard.press("Enter")
     wait(lambda: page.evaluate("window.muflyDraft.state.rows[2].speed") == 0.25, "the speed")
     wait(lambda: verdict("valid"), "the check again")
-    page.click("[data-testid=plan-send]")
-    page.get_by_role("tab", name="Mission").click()
-    wait(lambda: page.locator(".mf-mission tbody tr").count() == 6, "the mission in the vehicle")  # its speed, too
+
+    def send() -> None:
+        open_tab(window, "Plan", lambda: page.locator("[data-testid=plan-send]").is_visible(), "the plan")
+        page.click("[data-testid=plan-send]")
+        page.get_by_role("tab", name="Mission").click()
+
+    items = page.locator(".mf-mission tbody tr")
+    repeat(window, send, lambda: items.count() == 6, "the mission in the vehicle")  # its speed, too
     with page.expect_download() as saved:
         page.get_by_test_id("plan-save").click()
-    held = load_mission(saved.value.path())
-    assert [w.speed_m_s for w in held.waypoint] == [None, None, 0.25]
+    kept = load_mission(saved.value.path())
+    assert [w.speed_m_s for w in kept.waypoint] == [None, None, 0.25]
     page.get_by_role("tab", name="Plots").click()
 
 
 def test_the_emergency_stop_wants_a_second_press(window: Page) -> None:
     stop = window.page.locator("[data-testid=emergency-stop]")
-    stop.click()
-    wait(lambda: "PRESS AGAIN" in stop.inner_text(), "the question")
+    repeat(window, stop.click, lambda: "PRESS AGAIN" in stop.inner_text(), "the question")
     wait(lambda: "EMERGENCY STOP" in stop.inner_text(), "the end of the question", 6)
     assert "EMERGENCY" not in window.page.inner_text(".mf-requests")
-    for _ in range(2):  # by the keyboard, and in earnest
-        window.page.keyboard.press("Shift+Backspace")
-        time.sleep(0.5)
-    wait(lambda: "✓ EMERGENCY STOP" in window.page.inner_text(".mf-requests"), "the stop")
+
+    def press_twice() -> None:  # by the keyboard, and in earnest
+        for _ in range(2):
+            window.page.keyboard.press("Shift+Backspace")
+            time.sleep(0.5)
+
+    done = "✓ EMERGENCY STOP"
+    repeat(window, press_twice, lambda: done in window.page.inner_text(".mf-requests"), "the stop")
     said = "window.muflyAlerts.said.some(a => a.level === 'error' && a.text.includes('emergency stop'))"
     wait(lambda: window.page.evaluate(said), "the alert")
 
@@ -651,9 +680,8 @@ def test_a_second_window_watches_until_it_takes_the_controls(browser: Any, fly: 
     press(second, "[data-testid=take-controls]", lambda: "Another window" in window.page.inner_text(".mf-banner"),
           "the controls to change hands")  # fmt: skip
     wait(lambda: second.ready("take-off"), "the controls")
-    second.page.get_by_role("tab", name="Parameters").click()
     rows = second.page.locator(".mf-parameter-table tbody tr")
-    wait(lambda: rows.count() > 20, "the parameters, one of them no number")
+    open_tab(second, "Parameters", lambda: rows.count() > 20, "the parameters, one of them no number")
     assert second.page.get_by_placeholder("not a number").count() == 1
     wait(lambda: not window.ready("take-off"), "the first window to watch")
     # A window that has lost the station asks for nothing: what waits would be done when it is back.
@@ -681,7 +709,6 @@ def test_a_recording_is_opened_and_its_slider_moves_everything(fly: Fly, window:
     """Out of the list of flights, which says who flew what, and why a file cannot be read."""
     page = window.page
     (fly.folder / "broken.tlog").write_bytes(b"\x01" * 999)
-    page.get_by_role("tab", name="Recordings").click()
 
     def rows() -> list[str]:
         return [text.replace("\t", " ") for text in page.locator(".mf-flight-list tbody tr").all_inner_texts()]
@@ -689,6 +716,7 @@ def test_a_recording_is_opened_and_its_slider_moves_everything(fly: Fly, window:
     def broken() -> bool:
         return any("broken.tlog" in r and "cannot be read: is not a log" in r for r in rows())
 
+    open_tab(window, "Recordings", lambda: page.locator("text=Refresh").count(), "the recordings")
     press(window, "text=Refresh", broken, "the broken file")
     assert page.locator("tr", has_text="broken.tlog").locator("[data-testid=open-recording]").is_disabled()
     page.uncheck("[data-testid=every-file]")
@@ -700,24 +728,28 @@ def test_a_recording_is_opened_and_its_slider_moves_everything(fly: Fly, window:
         page.locator("[aria-label^=download]").click()
     assert fetched.value.path().read_bytes().startswith(b"\x89MCAP")
     page.fill("[aria-label='filter recordings']", "")
-    page.check("[data-testid=every-file]")
-    page.locator("tr", has_text="station.mcap").locator("button").first.click()
     slider = page.locator("[data-testid=replay-slider]")
-    slider.wait_for()
+    open_recording_of_the_station(window, slider.is_visible)
     picture = window.picture(".mf-scene")
     # Where it stood and where it was highest: on a busy machine a recording may be of standing for the most part.
     heard = open_recording(next(fly.folder.rglob("station.mcap")))
     highest = int(np.nanargmin(heard.columns["measured_position_D"]))
     shown = []
     for moment_s in (0.0, float(heard.times_s[highest] - heard.times_s[0])):
-        slider.evaluate(f"e => {{ e.value = {moment_s}; e.dispatchEvent(new Event('input')); }}")
-        slider.evaluate("e => e.dispatchEvent(new Event('change'))")
-        wait(lambda t=moment_s: abs(window.frame()["time_s"] - t) < 0.1, "the slider's moment")  # type: ignore[misc, index]
+
+        def move(t: float = moment_s) -> None:
+            slider.evaluate(f"e => {{ e.value = {t}; e.dispatchEvent(new Event('input')); }}")
+            slider.evaluate("e => e.dispatchEvent(new Event('change'))")
+
+        def moved(t: float = moment_s) -> bool:
+            return bool(abs(window.frame()["time_s"] - t) < 0.1)  # type: ignore[index]
+
+        repeat(window, move, moved, "the slider's moment")
         shown.append(window.frame()["position"])  # type: ignore[index]
     assert np.linalg.norm(np.subtract(*shown)) > 0.05
     assert np.abs(window.picture(".mf-scene") - picture).max() > 0.2
-    page.click("text=Close recording")
-    wait(lambda: "recording" not in page.inner_text(".mf-status").lower(), "the vehicle again")
+    status = page.locator(".mf-status")
+    press(window, "text=Close recording", lambda: "recording" not in status.inner_text().lower(), "the vehicle again")
 
 
 def test_nothing_was_complained_of_and_nothing_asked_for_elsewhere(fly: Fly, window: Page) -> None:
