@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from mufly.cli import app
-from mufly.control import design_flight_controller
+from mufly.control import DesignSettings, design_flight_controller
 from mufly.errors import InputError, MuflyError
 from mufly.estimate import Estimate
 from mufly.firmware import (
@@ -80,6 +80,16 @@ def test_exported_code_is_the_law_to_the_last_bit_whatever_is_asked(controller, 
     for seed, size in enumerate((1e-3, 0.1, 3.0, 1e3)):
         pairs = list(_fly_both(Controllers(controller), FirmwareControllers(controller, firmware), seed, 300, size))
         assert len(pairs) == 370
+        assert all(a.tobytes() == b.tobytes() for a, b in pairs)
+
+
+@needs_cc
+@pytest.mark.parametrize("method", ["h2", "ltr"])
+def test_designs_of_other_methods_are_the_same_law(method) -> None:
+    other = design_flight_controller(load_vehicle("mufly-1.1"), settings=DesignSettings(method=method))
+    firmware = Firmware(other)
+    for seed, size in ((0, 0.1), (1, 3.0)):
+        pairs = list(_fly_both(Controllers(other), FirmwareControllers(other, firmware), seed, 200, size))
         assert all(a.tobytes() == b.tobytes() for a, b in pairs)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from mufly.cli.options import CommandGroup, JsonOption, VehicleArgument, define_option
 from mufly.cli.output import (
@@ -15,6 +15,14 @@ from mufly.errors import InputError, report_write_errors
 
 if TYPE_CHECKING:
     from mufly.control import FlightController
+
+MethodOption = Annotated[
+    Literal["hinf", "h2", "lqg", "ltr"],
+    define_option(
+        "--method WHICH",
+        "Method of synthesis: hinf, h2 (the same weights), lqg, or ltr (LQG with loop transfer recovery).",
+    ),
+]
 
 app = CommandGroup(help="Design and analyse the controllers of a vehicle.", no_args_is_help=True)
 
@@ -27,6 +35,7 @@ def _accept_group_options() -> None:
 @app.command()
 def design(
     vehicle: VehicleArgument = "mufly-1.1",
+    method: MethodOption = "hinf",
     rate: Annotated[
         float | None,
         define_option(
@@ -51,7 +60,9 @@ def design(
 ) -> None:
     """Design heave-yaw, roll-pitch and position control, and compare them with the dissertation's.
 
-    Printed for each H-infinity design: the level gamma claimed, and the norm of the closed loop computed from it; \
+    --method applies to heave-yaw and roll-pitch; the velocity loop is H-infinity.
+
+    Printed for each design: the level gamma claimed (H-infinity), and the norm of the closed loop computed from it; \
 0 dB crossings of the loop gain; peaks of the sensitivities S_u and T_u at the plant's input; margins. \
 Peaks are given for the controller of full order, of reduced order, and sampled with one sample of delay.
 
@@ -60,13 +71,16 @@ Peaks are given for the controller of full order, of reduced order, and sampled 
       mufly control design
 
       mufly control design mufly-2.0 --rate 250 --out designs
+
+      mufly control design --method ltr
     """
+    from mufly.control import DesignSettings
     from mufly.control import design_flight_controller as design_controllers
     from mufly.vehicle import load_vehicle
 
     loaded = load_vehicle(vehicle)
     try:
-        controller = design_controllers(loaded, rate_Hz=rate, voltage=voltage)
+        controller = design_controllers(loaded, rate_Hz=rate, voltage=voltage, settings=DesignSettings(method=method))
     except InputError as error:
         if error.where != loaded.name:
             raise

@@ -1,4 +1,4 @@
-"""Controllers: H-infinity design, analysis, order reduction, discretisation and the control law on board."""
+"""Controllers: design by several methods, analysis, order reduction, discretisation and the control law on board."""
 
 from mufly.control.designs import (
     DEFAULT_RATE_HZ,
@@ -6,6 +6,7 @@ from mufly.control.designs import (
     FlightController,
     design_flight_controller,
 )
+from mufly.control.h2 import H2Result, h2_norm, h2syn
 from mufly.control.hinf import HinfResult, close_loop, hinfsyn
 from mufly.control.implementation import (
     DiscreteController,
@@ -35,6 +36,8 @@ from mufly.control.linear_systems import (
     saturated_gain_limit,
     singular_values,
 )
+from mufly.control.loop_margins import DiskMargin, disk_margin, input_noise
+from mufly.control.lqg import LqgResult, LqgWeights, design_lqg
 from mufly.control.weighting_schemes import (
     DesignSettings,
     OneDegreeWeights,
@@ -50,10 +53,14 @@ __all__ = [
     "ControllerDesign",
     "DesignSettings",
     "DiscreteController",
+    "DiskMargin",
     "FlightController",
+    "H2Result",
     "HinfResult",
     "LoopAnalysis",
     "LoopCurves",
+    "LqgResult",
+    "LqgWeights",
     "OneDegreeWeights",
     "ReducedCandidate",
     "Reduction",
@@ -64,12 +71,17 @@ __all__ = [
     "close_loop",
     "connect_blocks",
     "design_flight_controller",
+    "design_lqg",
     "discretise_controller",
+    "disk_margin",
     "frequency_response",
+    "h2_norm",
+    "h2syn",
     "heave_yaw_init",
     "heave_yaw_step",
     "hinf_norm",
     "hinfsyn",
+    "input_noise",
     "limit_heave_reference",
     "loop_curves",
     "one_degree_plant",

@@ -13,7 +13,6 @@ from typing import Any
 import control
 import numpy as np
 
-from mufly.control.hinf import hinfsyn
 from mufly.control.implementation import (
     DiscreteController,
     Reduction,
@@ -40,6 +39,14 @@ from mufly.control.linear_systems import (
     sample_plant,
     singular_values,
     state_space,
+)
+from mufly.control.lqg import LqgWeights
+from mufly.control.synthesis_methods import (
+    METHOD_NAMES,
+    METHODS,
+    SynthesisMethod,
+    SynthesisProblem,
+    synthesise_controller,
 )
 from mufly.control.weighting_schemes import (
     DesignSettings,
@@ -110,6 +117,8 @@ class ControllerDesign:
     Attributes
     ----------
     name : str
+    method : str
+        Method of synthesis: a key of ``synthesis_methods.METHOD_NAMES``.
     plant : control.StateSpace
         Plant in physical units.
     scaling : SignalScaling
@@ -118,7 +127,8 @@ class ControllerDesign:
     controller : control.StateSpace
         Controller: continuous, full order, physical units.
     gamma, gamma_optimal, norm : float
-        Level of the controller, smallest feasible level found, and computed norm of the closed loop with weights.
+        Level of the controller, smallest feasible level found, and computed norm of the closed loop with weights; the
+        levels are nan for methods that claim none.
     reduction : Reduction
     reduced : control.StateSpace
         Reduced controller: continuous, physical units.
@@ -135,6 +145,7 @@ class ControllerDesign:
     """
 
     name: str
+    method: SynthesisMethod
     plant: control.StateSpace
     scaling: SignalScaling
     generalised: control.StateSpace
@@ -169,7 +180,8 @@ class ControllerDesign:
         """Return the figures as JSON data: units in the keys, None for infinite values."""
         return {
             "name": self.name,
-            "gamma": self.gamma,
+            "method": self.method,
+            "gamma": self.gamma if np.isfinite(self.gamma) else None,
             "norm": self.norm,
             "plant_crossovers_rad_s": list(self.plant_crossovers),
             "output_scale": list(self.scaling.outputs),
@@ -201,7 +213,13 @@ class ControllerDesign:
         sensitivity, complementary = thesis.sensitivity_peak_dB, thesis.complementary_peak_dB
         rows = [
             ("order", *(f"{order}" for _, order, _ in self.loop_analyses), format_value(thesis.order)),
-            ("gamma claimed", f"{self.gamma:.3f}", "", "", format_value(thesis.gamma, ".2f")),
+            (
+                "gamma claimed",
+                f"{self.gamma:.3f}" if np.isfinite(self.gamma) else "-",
+                "",
+                "",
+                format_value(thesis.gamma, ".2f"),
+            ),
             ("norm achieved", f"{self.norm:.3f}", f"{self.reduction.chosen.norm:.3f}", "", "-"),
             ("plant's crossovers (rad/s)", plant, "", "", printed),
             ("loop's crossovers (rad/s)", *crossovers, format_value(thesis.crossover)),
@@ -212,7 +230,8 @@ class ControllerDesign:
             loop_row("delay margin (ms)", "delay_margin_s", ".0f", factor=1e3),
         ]
         heads = ("", "full order", "reduced", f"{1 / self.discrete.period_s:g} Hz*", "thesis")
-        return [show_table(heads, rows, title=self.name)]
+        title = self.name if self.method == "hinf" else f"{self.name}, {METHOD_NAMES[self.method]}"
+        return [show_table(heads, rows, title=title)]
 
 
 @result(picture="mufly.control.plots:draw_sensitivities")
@@ -279,6 +298,7 @@ class FlightController:
         return {
             "warnings": list(self.design_warnings),
             "vehicle": self.vehicle_name,
+            "method": self.settings.method,
             "rate_Hz": self.rate_Hz,
             "position_rate_Hz": self.rate_Hz / self.position_divider,
             "design_voltage_V": self.voltage_V,
@@ -336,12 +356,14 @@ def design_flight_controller(
     Raises
     ------
     ArgumentError
-        If the rate is out of range, or the voltage is outside the battery's range of use.
+        If the method is unknown, the rate is out of range, or the voltage is outside the battery's range of use.
     MuflyError
         If the vehicle cannot hover, or a design fails: the message names the design and the failing mode, weight or
         step.
     """
     s = DesignSettings() if settings is None else settings
+    if s.method not in METHODS:
+        raise ArgumentError("method", "", f"{s.method!r} is not a method", f"give one of {', '.join(METHODS)}")
     rate = DEFAULT_RATE_HZ if rate_Hz is None else float(rate_Hz)
     if not (np.isfinite(rate) and 20.0 <= rate <= 5000.0):
         raise ArgumentError("rate_Hz", "", f"{rate:g} Hz is out of range", "give 20 to 5000 Hz; 200 is usual")
@@ -427,6 +449,9 @@ def _design_controller(
     relaxation: float,
     period_s: float,
     *,
+    method: SynthesisMethod = "hinf",
+    lqg: LqgWeights | None = None,
+    tracked: tuple[int, ...],
     references: tuple[int, ...] = (),
     orders: tuple[int, int],
     slow: tuple[float, ...],
@@ -434,14 +459,20 @@ def _design_controller(
     scheme: str = "one-degree scheme",
     windup_rate: float | None = None,
 ) -> ControllerDesign:
-    """Synthesise, reduce, discretise and analyse a controller; its inputs are ``references``, then all errors."""
+    """Synthesise, reduce, discretise and analyse a controller; its inputs are ``references``, then all errors.
+
+    ``tracked`` are the plant's outputs with a reference, whether the controller reads it apart or not.
+    """
     rows = tuple(range(len(references), len(references) + plant.noutputs))
     output_scale, input_scale = np.array(scaling.outputs), np.array(scaling.inputs)
     read = np.concatenate([output_scale[list(references)], output_scale])
     scaled = scale_plant(plant, scaling)
     generalised = generalise(scaled)
+    problem = SynthesisProblem(
+        generalised, scaled, tracked, bool(references), read.size, relaxation, lqg, 2 * np.pi / period_s
+    )
     try:
-        found = hinfsyn(generalised, read.size, plant.ninputs, relaxation=relaxation)
+        found = synthesise_controller(method, problem)
         reduction = reduce_controller(
             generalised,
             found.controller,
@@ -472,6 +503,7 @@ def _design_controller(
         raise MuflyError(f"{name} design, {scheme}: {error}") from None
     return ControllerDesign(
         name=name,
+        method=method,
         plant=plant,
         scaling=scaling,
         generalised=generalised,
@@ -505,8 +537,12 @@ def design_heave_yaw(plant: control.StateSpace, settings: DesignSettings, period
         lambda scaled: two_degree_plant(scaled, ("z", "psi"), settings.heave_yaw_weights),
         settings.heave_yaw_relaxation,
         period_s,
+        method=settings.method,
+        lqg=settings.heave_yaw_lqg,
+        tracked=(0, 1),
         references=(0, 1),
-        orders=(6, HEAVE_YAW_ORDER),
+        # LQG fits on board as it is; a lower order would lose the roll-off that gives yaw its delay margin.
+        orders=(8 if settings.method in ("lqg", "ltr") else 6, HEAVE_YAW_ORDER),
         slow=(0.1, 3.0),
         published=HEAVE_YAW,
         scheme="weights of eq. 6.4",
@@ -523,6 +559,9 @@ def design_roll_pitch(plant: control.StateSpace, settings: DesignSettings, perio
         lambda scaled: one_degree_plant(scaled, ("phi", "theta"), settings.roll_pitch_weights),
         settings.roll_pitch_relaxation,
         period_s,
+        method=settings.method,
+        lqg=settings.roll_pitch_lqg,
+        tracked=(0, 1),
         orders=(4, ROLL_PITCH_ORDER),
         slow=(0.1,),
         published=ROLL_PITCH,
@@ -553,6 +592,7 @@ def design_velocity(settings: DesignSettings, period_s: float) -> ControllerDesi
         lambda scaled: one_degree_plant(scaled, ("u", "v"), settings.velocity_weights),
         settings.velocity_relaxation,
         period_s,
+        tracked=(0, 1),
         # Order two suffices for the peaks, but loses the roll-off that keeps noise out of the tilt reference.
         orders=(4, VELOCITY_ORDER),
         slow=(0.05,),

@@ -69,7 +69,7 @@ class HinfResult:
     iterations: int
 
 
-class _PartitionedPlant(NamedTuple):
+class PartitionedPlant(NamedTuple):
     """Matrices of a generalised plant, partitioned by its signals."""
 
     A: Array
@@ -83,11 +83,11 @@ class _PartitionedPlant(NamedTuple):
     D22: Array
 
 
-def _partition_plant(A: Array, B: Array, C: Array, D: Array, ny: int, nu: int) -> _PartitionedPlant:
+def partition_plant(A: Array, B: Array, C: Array, D: Array, ny: int, nu: int) -> PartitionedPlant:
     """Partition the matrices of a plant before its last ``ny`` outputs and ``nu`` inputs."""
     nz, nw = D.shape[0] - ny, D.shape[1] - nu
     rows = D[:nz], D[nz:]
-    return _PartitionedPlant(
+    return PartitionedPlant(
         A, B[:, :nw], B[:, nw:], C[:nz], C[nz:], *(part for d in rows for part in (d[:, :nw], d[:, nw:]))
     )
 
@@ -100,7 +100,7 @@ def close_loop(P: control.StateSpace, K: control.StateSpace) -> control.StateSpa
     MuflyError
         If the loop is not well posed (I - D22 Dk singular).
     """
-    A, B1, B2, C1, C2, D11, D12, D21, D22 = _partition_plant(P.A, P.B, P.C, P.D, K.ninputs, K.noutputs)
+    A, B1, B2, C1, C2, D11, D12, D21, D22 = partition_plant(P.A, P.B, P.C, P.D, K.ninputs, K.noutputs)
     (nz, nw), ny = D11.shape, K.ninputs
     loop = np.eye(ny) - D22 @ K.D
     if np.linalg.cond(loop) > 1e12:
@@ -124,7 +124,7 @@ def _scale_signals(P: control.StateSpace, inputs: Array, outputs: Array) -> cont
     return replace_matrices(P, B=P.B * inputs, C=P.C * outputs[:, None], D=P.D * inputs * outputs[:, None])
 
 
-def _balance_states(P: control.StateSpace) -> control.StateSpace:
+def balance_states(P: control.StateSpace) -> control.StateSpace:
     """Return the plant after diagonal scaling, in powers of two, that balances rows and columns of [A B; C 0]."""
     n = P.nstates
     whole = np.block([[P.A, P.B], [P.C, np.zeros(P.D.shape)]])
@@ -151,8 +151,8 @@ def _signal_scales(P: control.StateSpace, ny: int, nu: int) -> tuple[Array, Arra
     inputs, outputs = np.ones(P.ninputs), np.ones(P.noutputs)
     nw, nz = P.ninputs - nu, P.noutputs - ny
     for _ in range(20):
-        even = _balance_states(_scale_signals(P, inputs, outputs))
-        p = _partition_plant(even.A, even.B, even.C, even.D, ny, nu)
+        even = balance_states(_scale_signals(P, inputs, outputs))
+        p = partition_plant(even.A, even.B, even.C, even.D, ny, nu)
         loops = ((p.B2 @ np.linalg.pinv(p.D12), p.C1), (p.B1, np.linalg.pinv(p.D21) @ p.C2))
         rate = max(np.linalg.norm(p.A), *(1e-6 * np.linalg.norm(M) * np.linalg.norm(N) for M, N in loops))
         root = np.sqrt(rate or 1.0)
@@ -174,10 +174,10 @@ def _signal_scales(P: control.StateSpace, ny: int, nu: int) -> tuple[Array, Arra
 
 def _normalise_plant(
     P: control.StateSpace, ny: int, nu: int, regularisation: float
-) -> tuple[_PartitionedPlant, Array, Array]:
+) -> tuple[PartitionedPlant, Array, Array]:
     """Return the plant with D12 = [0; I], D21 = [0, I], and Ru, Ry of u = Ru u~, y~ = Ry y."""
     n = P.nstates
-    p = _partition_plant(P.A, P.B, P.C, P.D, ny, nu)
+    p = partition_plant(P.A, P.B, P.C, P.D, ny, nu)
     if regularisation > 0.0:
         eps = regularisation
         p = p._replace(
@@ -244,7 +244,7 @@ def _solve_riccati(H: Array) -> Array | None:
     return symmetric
 
 
-def _central_controller(p: _PartitionedPlant, gamma: float) -> tuple[Array, Array, Array, Array] | None:
+def _central_controller(p: PartitionedPlant, gamma: float) -> tuple[Array, Array, Array, Array] | None:
     """Return the central controller of level ``gamma`` for the normalised plant, or None if there is none."""
     n, nw, nu = p.A.shape[0], p.B1.shape[1], p.B2.shape[1]
     nz, ny = p.C1.shape[0], p.C2.shape[0]
@@ -292,7 +292,7 @@ def _central_controller(p: _PartitionedPlant, gamma: float) -> tuple[Array, Arra
 
 
 def _recover_controller(
-    p: _PartitionedPlant, Ru: Array, Ry: Array, gamma: float, P: control.StateSpace
+    p: PartitionedPlant, Ru: Array, Ry: Array, gamma: float, P: control.StateSpace
 ) -> control.StateSpace | None:
     """Return the central controller of level ``gamma`` for the plant as given: rescaled, and shifted by D22."""
     matrices = _central_controller(p, gamma)
@@ -380,7 +380,7 @@ def hinfsyn(
         raise MuflyError("H-infinity synthesis: the plant holds a number that is not finite")
     inputs, outputs = _signal_scales(P, n_measurements, n_controls)
     unit = float(inputs[0] * outputs[0])  # ratio of a level of the scaled plant to one of the plant as given
-    scaled = _balance_states(_scale_signals(P, inputs, outputs))
+    scaled = balance_states(_scale_signals(P, inputs, outputs))
     p, Ru, Ry = _normalise_plant(scaled, n_measurements, n_controls, regularisation)
     a, b = p.C1.shape[0] - n_controls, p.B1.shape[1] - n_measurements
     floor = float(max(np.linalg.norm(p.D11[:a], 2) if a else 0.0, np.linalg.norm(p.D11[:, :b], 2) if b else 0.0))
@@ -446,7 +446,7 @@ def hinfsyn(
 
 
 def _explain_infeasible(
-    p: _PartitionedPlant, P: control.StateSpace, promised: float | None, most: float, unit: float
+    p: PartitionedPlant, P: control.StateSpace, promised: float | None, most: float, unit: float
 ) -> str:
     """Return the reason for infeasibility: levels in units of the scaled plant, and the least controllable mode."""
     if promised is None:
@@ -477,9 +477,13 @@ def _mode_controllability(A: Array, B: Array, which: str) -> list[tuple[complex,
     uncontrollable when ``[A - s I, B]`` loses rank; the degree is its smallest singular value over the largest.
     """
     scale = float(np.linalg.norm(A, 2)) if A.size else 0.0
+    values = np.linalg.eigvals(A)
+    size = np.abs(values)
+    # Rounding of the large modes must not make a slow stable weight count as an integrator.
+    zero = min(1e-9 * scale, 1e-3 * float(size[size > 1e-13 * scale].min(initial=np.inf)))
     found = []
-    for value in np.linalg.eigvals(A):
-        if value.real < -1e-9 * scale if which == "unstable" else abs(value.real) > 1e-9 * scale:
+    for value in values:
+        if value.real < -zero if which == "unstable" else abs(value.real) > zero:
             continue
         U, s, _ = np.linalg.svd(np.hstack([A - value * np.eye(A.shape[0]), B]))
         found.append((complex(value), float(s[-1] / (s[0] or 1.0)), int(np.argmax(np.abs(U[:, -1])))))
@@ -490,7 +494,7 @@ def _format_mode(mode: complex) -> str:
     return f"{mode.real:.4g}" if abs(mode.imag) < 1e-12 * abs(mode) else f"{mode.real:.4g}{mode.imag:+.4g}j"
 
 
-def _check_assumptions(p: _PartitionedPlant, P: control.StateSpace) -> None:
+def _check_assumptions(p: PartitionedPlant, P: control.StateSpace) -> None:
     """Raise a MuflyError that names the first assumption of the synthesis that the plant violates.
 
     The assumptions: (A, B2) stabilisable, (C2, A) detectable; D12 of full column rank, D21 of full row rank; no
@@ -500,7 +504,7 @@ def _check_assumptions(p: _PartitionedPlant, P: control.StateSpace) -> None:
 
     Parameters
     ----------
-    p : _PartitionedPlant
+    p : PartitionedPlant
         Plant in the coordinates of the synthesis (balanced, regularised if requested).
     P : control.StateSpace
         Plant as given: its labels name states and signals.

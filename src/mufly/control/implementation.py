@@ -52,7 +52,7 @@ from mufly.dynamics import extract_submodel
 from mufly.errors import MuflyError
 from mufly.results import result
 
-LOOP_TOLERANCES = ((0.1, 1.01), (0.2, 1.05), (0.5, 1.2))  # dB on the peaks, factor on the norm
+LOOP_TOLERANCES = ((0.1, 1.01), (0.2, 1.05), (0.5, 1.2), (1.0, 1.5))  # dB on the peaks, factor on the norm
 _NORM_TOLERANCE = 1e-6  # relative difference below which two norms count as equal
 
 
@@ -216,7 +216,6 @@ def reduce_controller(
     full_loop = close_loop(generalised, controller)
     full_norm = hinf_norm(full_loop, tolerance=1e-4)[0]
     n = controller.nstates
-    loosest = max(t[0] for t in tolerances)
     tried: list[tuple[ReducedCandidate, control.StateSpace, Array]] = []
     counts: set[int] = set()
     for threshold in slow:
@@ -231,13 +230,11 @@ def reduce_controller(
                     if removed is None:
                         continue
                     s, t = judge.sensitivity_peaks(removed[0])
-                    norm = np.nan
-                    if max(s - full_s, t - full_t) <= loosest:
-                        norm = hinf_norm(close_loop(generalised, removed[0]), tolerance=1e-3)[0]
                     method = f"{name} {'match' if match else 'truncate'}"
-                    tried.append((ReducedCandidate(order, method, kept, s, t, norm, False), *removed))
+                    tried.append((ReducedCandidate(order, method, kept, s, t, np.nan, False), *removed))
 
     for tolerance, factor in tolerances:
+        tried = [_with_norm(entry, generalised, full_s + tolerance, full_t + tolerance) for entry in tried]
         good = [
             entry
             for entry in tried
@@ -259,6 +256,16 @@ def reduce_controller(
         f"peaks {best.sensitivity_peak_dB:.2f} and {best.complementary_peak_dB:.2f} dB, norm {best.norm:.3g}); "
         "allow a larger tolerance or order"
     )
+
+
+def _with_norm(
+    entry: tuple[ReducedCandidate, control.StateSpace, Array], generalised: control.StateSpace, s: float, t: float
+) -> tuple[ReducedCandidate, control.StateSpace, Array]:
+    """Return a candidate with the norm of its loop, if its peaks are at most ``s`` and ``t`` (dB)."""
+    c, K, M = entry
+    if c.sensitivity_peak_dB > s or c.complementary_peak_dB > t or np.isfinite(c.norm):
+        return entry
+    return replace(c, norm=hinf_norm(close_loop(generalised, K), tolerance=1e-3)[0]), K, M
 
 
 def _choose_candidate(

@@ -33,6 +33,8 @@ import numpy as np
 from scipy import signal
 
 from mufly.control.linear_systems import Array, connect_blocks, replace_matrices, state_space
+from mufly.control.lqg import LqgWeights
+from mufly.control.synthesis_methods import SynthesisMethod
 from mufly.errors import MuflyError
 
 
@@ -268,6 +270,16 @@ VELOCITY_WEIGHTS = OneDegreeWeights(
     input_disturbance=TransferFunction((0.7, 0.14), (1.0, 0.007)),
 )
 VELOCITY_SCALING = SignalScaling(outputs=(1.0, 1.0), inputs=(0.08, 0.08))
+# Heave has the weight on its rate that lowers the peak of T_u; its gyro noise is stated higher than it is, so that the
+# filter's yaw pole stays below the sampling rate while heave recovers.
+HEAVE_YAW_LQG = LqgWeights(
+    error=(1.0, 1.0), rate=(0.2, 0.0), integral=(0.1, 0.1), control=0.05, noise=(0.01, 0.1, 0.1),
+    process_noise=1.0, recovery=15.0,
+)  # fmt: skip
+ROLL_PITCH_LQG = LqgWeights(
+    error=(1.0, 1.0), rate=(0.0, 0.0), integral=(20.0, 20.0), control=0.03, noise=(0.02, 0.02, 0.02, 0.02),
+    process_noise=0.2, recovery=10.0,
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -276,6 +288,8 @@ class DesignSettings:
 
     Attributes
     ----------
+    method : str
+        Method of synthesis of heave-yaw and roll-pitch (``synthesis_methods.METHODS``); velocity is H-infinity.
     heave_yaw_scaling : SignalScaling or None
         Outputs z (m), psi (rad), r (rad/s); inputs motor lower, upper. None: from the motors' capability, see
         :func:`heave_yaw_scaling`.
@@ -286,6 +300,8 @@ class DesignSettings:
         Likewise: phi, theta (rad), p, q (rad/s); servos 1, 2; see :func:`roll_pitch_scaling`.
     velocity_scaling, velocity_weights, velocity_relaxation
         Likewise: u, v (m/s); phi, theta (rad).
+    heave_yaw_lqg, roll_pitch_lqg : LqgWeights
+        Weights of LQG and LTR, in scaled units.
     heave_yaw_windup, roll_pitch_windup : float or None
         Rate at which the integrators follow saturated actuators (rad/s); None: the observer's anti-windup.
     position_gain : float
@@ -314,6 +330,7 @@ class DesignSettings:
         Time constant of the battery voltage's filter (s).
     """
 
+    method: SynthesisMethod = "hinf"
     heave_yaw_scaling: SignalScaling | None = None
     heave_yaw_weights: TwoDegreeWeights = HEAVE_YAW_WEIGHTS
     heave_yaw_relaxation: float = 1.003
@@ -323,6 +340,8 @@ class DesignSettings:
     velocity_scaling: SignalScaling = VELOCITY_SCALING
     velocity_weights: OneDegreeWeights = VELOCITY_WEIGHTS
     velocity_relaxation: float = 1.2
+    heave_yaw_lqg: LqgWeights = HEAVE_YAW_LQG
+    roll_pitch_lqg: LqgWeights = ROLL_PITCH_LQG
     heave_yaw_windup: float | None = 1.5
     roll_pitch_windup: float | None = 20.0
     position_gain: float = 1.0
