@@ -220,10 +220,10 @@ def solve_elastic_blade(
     run: Callable[..., CfdSolution] | None = None,
     **given: Any,
 ) -> tuple[CfdSolution, CoupledRounds]:
-    """Solve a rotor with elastic blades: mesh the twisted blade anew until the tip's twist rests within 0.05 degrees.
+    """Solve a rotor with elastic blades: repeat mesh, solution and twist until the tip's twist changes by < 0.05 deg.
 
-    Round k is the case ``round-k`` in the folder; from the second on it starts from the solution before it. A stopped
-    run resumes.
+    Round k is the case ``round-k`` in the folder. Each round after the first starts from the preceding solution. A
+    stopped run resumes.
 
     Parameters
     ----------
@@ -234,14 +234,14 @@ def solve_elastic_blade(
     cores, progress
         As for :func:`run_case`.
     run : callable, optional
-        In place of :func:`solve_operating_point`, with its arguments.
+        Function called in place of :func:`solve_operating_point`, with the same arguments.
     given
         Arguments of :func:`save_case` for one rotor.
 
     Returns
     -------
     solution : CfdSolution
-        That of the last round.
+        Solution of the last round.
     rounds : CoupledRounds
 
     Raises
@@ -249,7 +249,7 @@ def solve_elastic_blade(
     InputError
         If the rotor has no structure, or a round in the folder has another twist.
     MuflyError
-        If the twist does not rest, or a round does not settle.
+        If the twist or the solution of a round does not converge.
     """
     found: list[CfdSolution] = []
 

@@ -204,7 +204,7 @@ def hover(
 ) -> None:
     """Compute thrust, torque and power of both rotors, and their interference losses.
 
-    Without options: the dissertation's pair (Sec. 3.4.7). With --out: pictures of the wake, the air, the loads along
+    Without options: the dissertation's pair (Sec. 3.4.7). With --out: pictures of wake, air velocity, loads along
     the blades and the convergence, and tables. A wake that does not converge ends the command with status 1, its
     history written.
 
@@ -317,7 +317,7 @@ def trim(
 ) -> None:
     """Find the speeds, or the lower pitch, at which the torques of the two rotors cancel.
 
-    Give a thrust, and both speeds are found; or the upper speed, and the lower one is. With --free lower-pitch the
+    With --thrust both speeds are found, with --rpm (the upper speed) the lower speed. With --free lower-pitch the
     lower pitch is found instead. Torques cancel to 0.1 % by the wake method.
 
     Examples: mufly coax trim --rpm 6000; mufly coax trim --thrust 0.9 --method bemt; mufly coax trim --rpm 6000,6000
@@ -331,15 +331,15 @@ def trim(
     }  # fmt: skip
     if free == "lower-pitch":
         if "," in pitch:
-            raise InputError("--pitch", "", "holds the lower pitch, which is sought", "give the upper pitch only")
+            raise InputError("--pitch", "", "contains the lower pitch, which is computed", "give the upper pitch only")
         first, second = parse_rotor_speeds(rpm or "6000")
         fixed |= {"thrust": thrust} if thrust is not None else {"upper_speed": first}
         fixed["speed_ratio"] = second / first
     else:
         if thrust is not None and rpm is not None:
-            raise InputError("--rpm", "", "is given beside a thrust, which finds it", "leave one of the two out")
+            raise InputError("--rpm", "", "excludes --thrust", "leave one of the two out")
         if rpm is not None and "," in rpm:
-            raise InputError("--rpm", "", "holds the lower speed, which is sought", "give the upper speed only")
+            raise InputError("--rpm", "", "contains the lower speed, which is computed", "give the upper speed only")
         fixed |= {"thrust": thrust} if thrust is not None else {"upper_speed": parse_rotor_speeds(rpm or "6000")[0]}
         fixed["lower_pitch"] = below
     setup = make_pair_setup(upper, lower, fixed, theory, balance=free)
@@ -429,10 +429,9 @@ def compute_coax_map(
     """Compute c_T and c_Q of both rotors over their speeds and the climb velocity, as a map file for a vehicle.
 
     A line `coefficient_map = "pair.toml"` in the table `rotors` of a vehicle file makes the flight model use it in
-    place of the constant coefficients (docs/explanation/coax.md). A run that is stopped goes on when the same
-    command is given again. Blade elements take seconds, wakes minutes; these have turns=3 and tolerance=3e-3 unless
-    --wake-set differs. Example: mufly coax map walkera-5g6 --spacing 40mm --pitch 14 --rpm 2500:6000 --climb -1:3 --out
-    pair.toml
+    place of the constant coefficients (docs/explanation/coax.md). The same command resumes a stopped run. Blade
+    elements take seconds, wakes minutes; these have turns=3 and tolerance=3e-3 unless --wake-set differs. Example:
+    mufly coax map walkera-5g6 --spacing 40mm --pitch 14 --rpm 2500:6000 --climb -1:3 --out pair.toml
     """
     from mufly.answer_store import replace_file
     from mufly.rotor import Air, load_rotor, map_climb_ratios, map_picture

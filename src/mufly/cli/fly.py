@@ -137,13 +137,13 @@ def _start_vehicle_process(
 # One line for each paragraph: the terminal wraps them.
 FLY_HELP = """Fly a mission on the full nonlinear model.
 
-Opens the ground station in the browser. The helicopter stands on the floor with its mission loaded, by default the \
-demonstration of the muFly dissertation (take off, a square of four waypoints, land), and is flown from there. With \
-no page opened within 20 s it flies the mission by itself. It ends with Ctrl-C, or when the flight is over and the \
-page was closed. With --headless it flies in the terminal, as fast as the machine can.
+Opens the ground station in the browser, from which you fly. The helicopter stands on the floor with its mission \
+loaded, by default the demonstration of the muFly dissertation (take off, a square of four waypoints, land). If no \
+page connects within 20 s, the mission starts by itself. The command ends with Ctrl-C, or when the flight is over \
+and the page is closed. With --headless it flies in the terminal, as fast as the machine can.
 
-The filter uses the sensors of the table \\[sensors] of the vehicle file (`mufly sensors show`); it aligns \
-on the floor for a second or two. --sensors ideal flies on the true state.
+The filter uses the sensors of the table \\[sensors] of the vehicle file (`mufly sensors show`), and aligns \
+on the floor within two seconds. --sensors ideal flies on the true state.
 
 Writes a folder with the recording (flight.mcap; opens in Foxglove and PlotJuggler), summary.json and pictures; \
 with --position camera also the camera's pictures (camera.mcap; `mufly slam run` processes them again). \
@@ -161,7 +161,7 @@ Examples:
 
   mufly fly --headless --position camera --floor parquet.jpg --floor-width 1.2
 
-  mufly fly --position camera --stream 8090      (its pictures at http://127.0.0.1:8090/stream)
+  mufly fly --position camera --stream 8090      (serves the pictures at http://127.0.0.1:8090/stream)
 
   mufly fly my-mission.toml --vehicle my-helicopter.toml --out results
 

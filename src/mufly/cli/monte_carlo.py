@@ -47,22 +47,22 @@ if TYPE_CHECKING:
 _MAX_PRINTED_COMMANDS = 10  # commands printed; all are in commands.txt
 
 # One line for each paragraph: the terminal wraps them.
-MONTE_CARLO_HELP = """Fly a mission many times with varied vehicle, air and noise; report the success rate.
+MONTE_CARLO_HELP = """Fly a mission many times with varied vehicle, wind and noise; report the success rate.
 
-A flight succeeds by its true path: no collision, every waypoint passed within --tolerance, an upright landing on the \
-landing mark. Flight K of a seed is always the same, on any machine. A campaign that was stopped (Ctrl-C, a crash) \
-resumes with the same command, and more --flights can be added to it.
+A flight succeeds if its true path has no collision, passes every waypoint within --tolerance, and ends upright on \
+the landing mark. Flight K of a seed is the same on every machine. A stopped campaign (Ctrl-C, a crash) \
+resumes with the same command; a larger --flights extends it.
 
 --vary draws parameters of the true vehicle for each flight, all together. With --untold, the default, controllers, \
-filter and fault detection know none of them: they stay as designed for --vehicle. With --redesign they know all: they \
-are designed for each drawn vehicle. The mounting angles sensors.imu.mount_... are never known.
+filter and fault detection stay designed for --vehicle and do not know the drawn values. With --redesign they are \
+designed for each drawn vehicle. The mounting angles sensors.imu.mount_... are never known to them.
 
 NAME is `parameters` (the whole flight model), a table (rotors, sensors.imu), a key (body.mass) or a symbol (m). The \
 variation with fewer parameters takes precedence:
 
   --vary parameters=10%         uniformly within 10 % either way
 
-  --vary m=+-2g                 uniformly, or m=90:100g, in between
+  --vary m=+-2g                 uniformly within 2 g either way; m=90:100g: between both
 
   --vary sensors.position_fix.wander=50:300%    uniformly, between shares of the file's value
 
@@ -72,10 +72,10 @@ variation with fewer parameters takes precedence:
 
   --vary body=std               normally, as the vehicle file states
 
-  --vary fit.json               as identified: what `mufly identify flight --json` printed
+  --vary fit.json               with the covariance that `mufly identify flight --json` printed
 
 The folder holds flights.nc, flights.csv (with pyarrow flights.parquet), summary.json, pictures, and for each failed \
-flight a folder with its full recording and the command that flies it again.
+flight a folder with its full recording and the command that repeats it.
 
 Examples:
 
@@ -93,7 +93,7 @@ Examples:
 
 def run_monte_carlo(
     mission: MissionArgument = "demonstration",
-    flights: Annotated[int, define_option("--flights -n N", "Number of flights; 0 for a search alone.", min=0)] = 100,
+    flights: Annotated[int, define_option("--flights -n N", "Number of flights; 0: only the search.", min=0)] = 100,
     vary: Annotated[
         list[str] | None,
         define_option("--vary WHAT", "Parameters to vary and by how much (see above). Repeat it for more."),
@@ -151,7 +151,7 @@ def run_monte_carlo(
     ] = Path("monte-carlo"),
     as_json: JsonOption = False,
 ) -> None:
-    """Fly a mission many times with other vehicles, air and chance."""
+    """Fly a mission many times with drawn vehicle parameters, wind and sensor errors."""
     if flights + search < 1:
         raise InputError("--flights", "", "no flights", "give 1 or more, or --search")
     if not 0.0 < tolerance <= 10.0:

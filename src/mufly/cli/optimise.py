@@ -96,8 +96,8 @@ def optimise(
 ) -> None:
     """Search for a better rotor at a given thrust, within limits, and report the gain of each change.
 
-    Changes are listed from the start, the one that gains most first, each with the pitch set anew; a negative gain is
-    the price of a limit. Limits apply to the searched parameters and to thickness_mm (minimum along the blade),
+    The gains of the changes are listed in sequence, the greatest first, each with the pitch optimised again; a negative
+    gain is the cost of a limit. Limits apply to the searched parameters and to thickness_mm (minimum along the blade),
     tip_chord_mm, solidity, speed_rpm, motor_current_A and gear.
 
     Example: mufly rotor optimise --for endurance --free chord,twist,taper,radius,airfoil,gear --limit
@@ -177,10 +177,10 @@ def optimise_pairs(
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Search for the blades and pitches of both rotors with the least power at a thrust, torques balanced.
+    """Find blades and pitches of both rotors with the least power at a given thrust and balanced torques.
 
-    Blade elements search; the wake method, which the search does not see, computes start and optimum at the end, and
-    both gains are printed. With --out both rotors are written as rotor files, upper.toml and lower.toml.
+    The search uses blade elements. As an independent check the wake method then computes start and optimum, and
+    the gains by both methods are printed. With --out both rotors are written as rotor files, upper.toml and lower.toml.
 
     Examples: mufly coax optimise --thrust 0.9 --out better; mufly coax optimise --vary upper_pitch,lower_pitch
     --limit 'upper_pitch<=20deg'

@@ -123,7 +123,7 @@ def print_result_table(
 def print_estimates(
     estimates: Iterable[ParameterEstimate], title: str, beside: Mapping[str, Mapping[str, str]] | None = None
 ) -> None:
-    """Print a table of estimates with intervals, and the further columns ``beside`` by head and symbol."""
+    """Print a table of estimates with intervals; ``beside`` holds additional columns: heading to texts by symbol."""
     more = beside or {}
     rows = []
     for e in estimates:

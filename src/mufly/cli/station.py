@@ -261,11 +261,11 @@ DEFAULT_ENDPOINT = "udp:127.0.0.1:14550"
 
 STATION_HELP = """Open the ground station in the browser, for any MAVLink vehicles.
 
-Shows the vehicle in its world, instruments, plots of any signal, ranges, spectrum, messages, mission, checks and \
-parameters; commands it; records what it receives (station.mcap and station.tlog, a folder for each session). Several \
-vehicles and several links at once. Closing the page or the station stops nothing in the air.
+Shows the vehicle in 3-D, instruments, plots of any signal, ranges, spectrum, messages, mission, checks and \
+parameters. Sends commands, and records all received data (station.mcap and station.tlog, a folder for each session). \
+Supports several vehicles and links at once. A vehicle continues its flight when page or station are closed.
 
-Links: udp:HOST:PORT and udpin: listen, udpout: sends, tcp: calls, tcpin: waits for calls, serial:DEVICE:BAUD.
+Links: udp:HOST:PORT and udpin: listen, udpout: sends, tcp: connects, tcpin: listens, serial:DEVICE:BAUD.
 
 Examples:
 
@@ -275,7 +275,7 @@ Examples:
 
   mufly station --open flights/2031-05-06_14-07-01/flight.mcap
 
-  mufly station --host 0.0.0.0      (a tablet may join: the token is printed)
+  mufly station --host 0.0.0.0      (for a tablet in the network; prints the token)
 """
 
 PortOption = Annotated[
@@ -405,12 +405,12 @@ def print_page_address(address: PageAddress, links: list[str]) -> None:
 # One line for each paragraph: the terminal wraps them.
 LINK_HELP = """Run the simulated helicopter as a MAVLink vehicle, in real time.
 
-QGroundControl, MAVSDK, MAVProxy and pymavlink scripts fly it as they fly any other: arm, take off, \
-missions in metres, offboard, parameters. By default it sends to the ports where they listen: this machine's UDP \
-ports 14550 and 14540.
+QGroundControl, MAVSDK, MAVProxy and pymavlink scripts can arm it, take off, upload missions in metres, stream \
+offboard set-points and change parameters. By default the vehicle sends to the UDP ports 14550 and 14540 of this \
+machine, where these programs listen.
 
-Without a mission it stands in an empty hall and waits for commands. With a mission it has that mission loaded, and \
-its walls and obstacles around it; a station starts it. Ctrl-C ends it.
+Without a mission the vehicle stands in an empty hall and waits for commands. With a mission, the mission is loaded \
+and its walls and obstacles are present; a ground station starts the flight. Ctrl-C ends the command.
 
 Examples:
 

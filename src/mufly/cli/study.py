@@ -177,9 +177,9 @@ def sweep(
     """Evaluate every combination of some parameters' values: geometry, drive, air.
 
     The pitch has to be varied or set, and one of thrust (the speed is found), speed, or duty (the speed at
-    which rotor and motor settle). With a thrust, gear=adapted finds the gear ratio that just gives it at full
-    voltage, as the dissertation's studies do. A case that fails is marked with its reason and the others go on.
-    With --method wake a case takes seconds (a few wakes where a speed is found); each is kept as soon as it is there.
+    which rotor and motor settle). With a thrust, gear=adapted finds the gear ratio that gives this thrust at full
+    voltage, as in the dissertation's studies. A case that fails has its reason in 'fault' and does not stop the others.
+    With --method wake a case takes seconds (several wakes where a speed is found); each result is stored at once.
 
     Example: mufly rotor sweep naca4412-r60-c20 --vary chord=10:30:5mm --vary pitch=6:20:1deg --set thrust=0.4N
     --set gear=adapted --drive mufly --out chords
@@ -350,8 +350,8 @@ def sweep_pairs(
 
     Parameters: `mufly coax parameters`. Spacing is 20mm and pitch 14deg unless varied or set. With upper_speed (or
     upper_rpm) and lower_speed or speed_ratio the pair is evaluated there; with upper_speed alone, or with thrust, the
-    torques are balanced. A case that fails is marked with its reason, in 'fault'; the others go on. A wake takes
-    seconds a case; with --out each is kept as soon as it is there.
+    torques are balanced. A case that fails has its reason in 'fault' and does not stop the others. A wake takes
+    seconds; with --out each result is stored at once.
 
     Examples: mufly coax sweep --vary spacing=10:40:10mm --set upper_rpm=6000 --set speed_ratio=1 --out spacing;
     mufly coax sweep --vary upper_rpm=5000:7000:500 --vary lower_rpm=4000:8000:500 --method bemt --plot lower_thrust_N
@@ -516,9 +516,9 @@ def show_thesis_item(name: _NameArgument, as_json: JsonOption = False) -> None:
 
 @thesis_commands.command("outlook")
 def show_outlook(as_json: JsonOption = False) -> None:
-    """Show the dissertation's outlook (Sec. 7.2) sentence by sentence, with what came out.
+    """Show the dissertation's outlook (Sec. 7.2) sentence by sentence, with mufly's result beside each.
 
-    The same stands in docs/thesis/outlook.md, with the commands.
+    docs/thesis/outlook.md has the same table with the commands.
     """
     from dataclasses import asdict
 

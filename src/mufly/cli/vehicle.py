@@ -180,8 +180,8 @@ def show_speed(
 ) -> None:
     """Compute level flight over airspeed: power, tilt, servo inputs, thrust margin, greatest and best speed.
 
-    Both ends of the band of the blades' flap frequency are computed (`mufly rotor beam`); the speeds are bands over it.
-    With --out, a picture is drawn (speed.png). Method: docs/explanation/forward-flight.md.
+    The flap frequency of the blades is uncertain (`mufly rotor beam`): both ends of its band are computed, and the
+    speeds are given as ranges. With --out, a picture is drawn (speed.png). Method: docs/explanation/forward-flight.md.
     Example: mufly vehicle speed mufly-1.1 --speed 0:4:0.5 --out speed
     """
     from mufly.dynamics.level_flight import level_flight, level_flight_picture

@@ -23,17 +23,17 @@ from mufly.sensors.imu import Imu
 from mufly.sensors.readings import Reading, Sensor, Truth
 
 FAULT_KINDS: Mapping[str, str] = {
-    "freeze": "says again and again what it said last, with new times",
-    "dropout": "says nothing: its last reading grows old",
-    "jump": "is off by an amount at once",
-    "bias": "is off by an amount, reached within a second",
-    "drift": "is off by an amount more every second",
-    "clip": "is held within an amount; the accelerometer at its element",
-    "stuck": "says one value, the amount",
-    "outliers": "is off by up to an amount now and then, one reading in four",
-    "late": "comes later by an amount (s)",
-    "doubled": "every reading comes twice, the second time as if it were new",
-    "insane": "says what is no number, or is beyond all bounds",
+    "freeze": "repeats the last value with new time stamps",
+    "dropout": "publishes no readings",
+    "jump": "adds the amount to each reading, from the start",
+    "bias": "adds an offset that grows to the amount within 1 s",
+    "drift": "adds an offset that grows by the amount each second",
+    "clip": "limits readings to plus or minus the amount (accelerometer: before its low-pass filter)",
+    "stuck": "replaces each reading by the amount",
+    "outliers": "adds a random error of up to the amount to one reading in four",
+    "late": "delays each reading by the amount (s)",
+    "doubled": "sends each reading twice, the second time as a new reading",
+    "insane": "replaces readings by NaN or values far out of range",
 }
 """Kinds of fault and their descriptions."""
 

@@ -214,7 +214,7 @@ def _check_pair(setup: StudySetup, every: set[str]) -> tuple[str, str, str] | No
     if len(below) == 2:
         return "speed_ratio", "is given beside lower_speed", "leave one of the two out"
     if "thrust" in every and (below == ["lower_speed"] or (below and not by_pitch)):
-        return below[0], "is given beside a thrust, which finds it", "leave one of the two out"
+        return below[0], "excludes thrust", "leave one of the two out"
     return None
 
 

@@ -43,8 +43,7 @@ AcceptOption = Annotated[
     list[str] | None,
     define_option(
         "--accept KIND",
-        "Accept this kind of doubt, which otherwise refuses the series: 'reference', 'saturated', ... "
-        "Repeat it for more.",
+        "Kind of issue that does not refuse the series: 'reference', 'saturated', ... Repeat it for more.",
     ),
 ]
 KnownOption = Annotated[

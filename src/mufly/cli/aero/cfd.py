@@ -167,7 +167,7 @@ def run(
         define_option("--gap", "Distance of a second rotor below the first; 0: no second rotor.", unit="mm", min=0.0),
     ] = 0.0,
     frozen: Annotated[
-        bool, define_option("--frozen", "Hold the blades of the pair above each other, in one mesh.")
+        bool, define_option("--frozen", "Solve both rotors in one mesh, with the blades fixed above each other.")
     ] = False,
     lower_pitch: Annotated[
         float | None,
@@ -194,27 +194,27 @@ def run(
     out: Annotated[Path, define_option("--out DIR", "Folder of the case; a stopped run resumes there.")] = Path("case"),
     save_only: Annotated[bool, define_option("--save-only", "Write the case without running it.")] = False,
     elastic: Annotated[
-        bool, define_option("--elastic", "Let the blades twist under their loads; mesh anew until the twist rests.")
+        bool, define_option("--elastic", "Let the blades twist under their loads, in rounds until the twist converges.")
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Solve one operating point: mesh, run, convergence, loads along the blade, pictures.
 
-    A run that was stopped resumes when the same command is given again. The case is a plain OpenFOAM case:
-    its Allrun runs it without mufly. With --gap a second rotor turns the other way below; the solver alternates between
-    the two, each in the other's circumferential mean. A solution that does not settle ends with status 1. With
-    --elastic each round is a case of its own in the folder (docs/explanation/blade-structure.md).
+    The same command resumes a stopped run. The case is a plain OpenFOAM case: its Allrun runs it without mufly.
+    With --gap a second rotor turns the other way below. The solver alternates between the rotors; each is an actuator
+    disc with mean loads in the other's case. A solution that does not settle ends with status 1. With --elastic the
+    folder holds one case for each round of solver and beam (docs/explanation/blade-structure.md).
     Example: mufly cfd run naca0012-r60-c20 --pitch 12 --rpm 5000 --mesh coarse --out case
     """
     by_turns = gap > 0.0 and not frozen
     if elastic:
         if gap > 0.0 or save_only or start is not None:
             raise InputError(
-                "--elastic", "", "is for one rotor that is run", "leave --gap, --save-only and --start out"
+                "--elastic", "", "needs a single rotor, run from its own start", "leave --gap, --save-only, --start out"
             )
         return solve_elastic_point(rotor, case, rpm=rpm, climb=climb, out=out, as_json=as_json)
     if by_turns and save_only:
-        raise InputError("--gap", f"{gap:g}", "takes turns between two cases that are run", "add --frozen, or run it")
+        raise InputError("--gap", f"{gap:g}", "needs two running cases", "add --frozen, or leave --save-only out")
     second = {
         "gap_m": 1e-3 * gap,
         "lower_pitch_rad": None if lower_pitch is None else math.radians(lower_pitch),
@@ -325,7 +325,7 @@ def sweep(
     """Solve several speeds, each from the scaled solution of the one before, or several climb velocities.
 
     With --climb one speed is solved at each climb, from its own start, and the thrust over the climb is drawn beside
-    blade elements, wake and the flight model's coefficient map. `mufly cfd show sweep` tells that again.
+    blade elements, wake and the flight model's coefficient map. `mufly cfd show sweep` repeats this report.
     Example: mufly cfd sweep naca0012-r60-c20 --pitch 12 --rpm 5000,6000,7000 --mesh coarse --out sweep
     Example: mufly cfd sweep naca0012-r60-c20 --pitch 12 --rpm 5000 --climb -1,0,1 --mesh coarse --out climbs
     """
@@ -336,7 +336,7 @@ def sweep(
     speeds = [value * RPM for value in read_values("--rpm", rpm, "rpm")]
     climbs = None if climb is None else list(read_values("--climb", climb, "m/s"))
     if climbs is not None and len(speeds) > 1 and rpm != DEFAULT_SPEEDS_RPM:
-        raise InputError("--climb", "", f"goes with one speed, and --rpm is {rpm}", "give one speed")
+        raise InputError("--climb", "", f"needs one speed, and --rpm is {rpm}", "give one speed")
     cfd.find_solver()
     r = load_rotor(rotor)
     with _show_solver_progress(not as_json) as tell:
@@ -412,7 +412,7 @@ def show(
 ) -> None:
     """Show the last state of a case or a pair: convergence, loads and y+, beside blade elements and wake.
 
-    Of a folder of climbs that `mufly cfd sweep --climb` wrote: the thrust over the climb. No solver is needed.
+    For a folder that `mufly cfd sweep --climb` wrote, the thrust over the climb is shown. No solver is needed.
     The blades, with pressure and friction, are written as VTP and glTF into the case's results.
     Example: mufly cfd show case
     """

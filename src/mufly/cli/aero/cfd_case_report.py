@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 def report_case(folder: Path, rotor: Rotor | None, as_json: bool, rounds: CoupledRounds | None = None) -> bool:
     """Print a solution, and write its tables and pictures into the case; return whether it has settled.
 
-    ``rounds`` are those that deformed an elastic blade.
+    ``rounds`` are the rounds of solver and beam of an elastic blade; None for a rigid blade.
     """
     content, show, files, _ = _write_solution_report(folder, rotor)
     if rounds is not None:

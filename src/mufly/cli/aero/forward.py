@@ -60,8 +60,8 @@ def show_forward(
     """Compute a rotor in forward flight: loads, flapping, hub moments and the response to cyclic pitch.
 
     Give two of --pitch, --rpm and --thrust; pitch and speed then stay those of hover. The flap frequency of a small
-    blade is seldom known, so that results are a band over it. With --out: pictures over airspeed (forward.png) and
-    over the disc at the last airspeed (disc.png). Method: docs/explanation/forward-flight.md.
+    blade is usually uncertain, so the results are ranges over its band. With --out: pictures over airspeed
+    (forward.png) and over the disc at the last airspeed (disc.png). Method: docs/explanation/forward-flight.md.
     Examples: mufly rotor forward walkera-5g6 --pitch 13 --rpm 3600 --speed 0:8:2; mufly rotor forward --thrust 0.46
     --rpm 3600 --flap-frequency-ratio 1,1.1,1.6 --out forward
     """

@@ -115,7 +115,7 @@ def rotor(
     ] = None,
     place: Annotated[
         str | None,
-        define_option("--as upper|lower", "Rotor of --vehicle that a single rotor stands for: upper or lower."),
+        define_option("--as upper|lower", "Rotor of --vehicle that was measured as a single rotor: upper or lower."),
     ] = None,
     vehicle: StartVehicleOption = None,
     write: WriteOption = None,
@@ -481,7 +481,7 @@ def motor(
         define_option(
             "CHANNEL=AMOUNT,...",
             "Expected errors of channels, as 'current=1%+0.01,speed=0.5%fs' (of the reading, of full "
-            "scale, or SI); only their ratios count. Default: the likeliest shape.",
+            "scale, or SI); only their ratios count. Default: the most likely of five error models.",
         ),
     ] = None,
     columns: ColumnOption = None,

@@ -147,9 +147,9 @@ def flight(
     fresh: Annotated[bool, define_option("--fresh", "Ignore an existing checkpoint.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Fit the flight model to flight records, and predict records that the fit did not see.
+    """Fit the flight model to flight records, and predict held-out records.
 
-    Ctrl-C stops a fit; with --out or --checkpoint the same command goes on from its last iteration.
+    Ctrl-C stops a fit; with --out or --checkpoint the same command resumes at the last iteration.
 
     Example: mufly identify flight yaw.mcap heave.mcap roll.mcap pitch.mcap --hold-out mixed.mcap
     --free cQ_up,cQ_dw,Izz,Iyy,l_up,l_dw,Tf_up,delay --delay 20 --out mine.toml --report report

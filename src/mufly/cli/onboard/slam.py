@@ -72,7 +72,7 @@ def render(
     height: Annotated[float, define_option("--height", "Height of the path above the floor.", unit="m")] = 1.0,
     speed: Annotated[float, define_option("--speed", "Speed along the path.", unit="m/s")] = 0.4,
     shadows: Annotated[
-        float, define_option("--shadows", "Share of the light that shadows take, 0 to 1.", unit="1")
+        float, define_option("--shadows", "Darkness of the shadows: share of the light removed, 0 to 1.", unit="1")
     ] = 0.3,
     light: Annotated[
         float,
@@ -422,7 +422,7 @@ def serve(
         float, define_option("--speed FACTOR", "Speed relative to that at which the pictures were taken.")
     ] = 1.0,
 ) -> None:
-    """Send recorded pictures as an MJPEG stream, in real time, from the first viewer on.
+    """Send recorded pictures as an MJPEG stream in real time; the stream starts when the first viewer connects.
 
     For testing programs that read a camera's stream: browsers, OpenCV (VideoCapture("http://127.0.0.1:8090/stream")),
     `mufly slam run`. Example: mufly slam render -o rich; mufly slam serve rich
