@@ -49,7 +49,7 @@ class GroundLink:
     """The station's end of one link, with all vehicles heard there.
 
     A vehicle is a component whose heartbeat :func:`mufly.vehicle_types.is_vehicle` accepts. Companion computers,
-    cameras and antenna trackers are no vehicles. A vehicle is identified by its system number and its peer address. If
+    cameras and antenna trackers are not vehicles. A vehicle is identified by its system number and its peer address. If
     another component of the system called itself a vehicle first, the autopilot (component 1) replaces it when heard. A
     lost vehicle that is heard again under the same number counts as the same vehicle, from any address.
 

@@ -1,7 +1,7 @@
 """Data types of a station's vehicle, and its signal history: the interface between links and pages.
 
-A page draws a :class:`VehicleSnapshot` and a :class:`mufly.station.signal_history.SignalHistory`, whether they come
-from a radio, from the simulated helicopter or from a recording. Units SI and radians, axes N-E-D and body x-y-z.
+A page draws a :class:`VehicleSnapshot` and a :class:`mufly.station.signal_history.SignalHistory`. Their source is a
+radio, the simulated helicopter or a recording. Units SI and radians, axes N-E-D and body x-y-z.
 Unknown values are NaN (arrays), None or empty text.
 """
 

@@ -27,8 +27,10 @@ from mufly.station.signal_history import SLOW_SIGNAL_TIMEOUT_S, PresentSignals, 
 from mufly.vehicle_types import flight_mode_name
 
 ROW_MERGE_S = 0.009
-"""Messages with stamps closer than this share a row, with the first stamp as its time (s). Messages of one rate may
-differ by a tick or two. The tlog has every packet."""
+"""Messages with stamps closer than this share a row, with the first stamp as its time (s).
+
+Stamps of messages of the same instant may differ by a tick or two. The tlog has every packet.
+"""
 _ROW_TIMEOUT_S = 0.05
 _STALE_CHECK_PERIOD_S = 0.25
 _STATE_TIMEOUT_S = 3.0
@@ -660,7 +662,7 @@ class VehicleClock:
         return self._restart_clock(own_s, now_s)
 
     def change_clock(self) -> None:
-        """Align the next stamp anew, since it belongs to another clock."""
+        """Align the clock again at the next stamp, which belongs to another clock."""
         self._changed = True
 
     def _restart_clock(self, own_s: float, now_s: float) -> float:

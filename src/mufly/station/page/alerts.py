@@ -58,7 +58,7 @@ class AlertWatch:
         rows: Sequence[MissionRow] = (),
         requests: Iterable[OperatorRequest] = (),
     ) -> list[SpokenAlert]:
-        """Return what is new since the last look, the gravest first, at most three.
+        """Return at most three alerts that are new since the last call, the most severe first.
 
         Parameters
         ----------
@@ -66,11 +66,11 @@ class AlertWatch:
             Our clock (s).
         s : VehicleSnapshot
         messages : sequence of StatusMessage
-            Of the vehicle, newest last.
+            Messages of the vehicle, newest last.
         rows : sequence of MissionRow
-            Its mission.
+            Rows of the vehicle's mission.
         requests : iterable of OperatorRequest
-            Of this window.
+            Requests of this window.
         """
         found = [
             *self._check_link(s),

@@ -1,8 +1,8 @@
 """Checks before a command: failed preflight checks, reachability of a destination, and confirmation.
 
-QGroundControl asks for a slide before it arms, takes off, starts a mission, lands and returns ("guided actions"). Here
-the button, or its key, is pressed a second time within three seconds. A hover needs one press; the emergency stop has
-its own two presses.
+QGroundControl asks for a slide before it arms, takes off, starts a mission, lands and returns ("guided actions"). On
+this page the button, or its key, is pressed a second time within three seconds. A hover needs one press. The emergency
+stop counts its two presses separately.
 """
 
 from __future__ import annotations
@@ -90,20 +90,20 @@ def check_destination(
     place: tuple[float, float, float],
     far_m: float = FAR_DISTANCE_M,
 ) -> DestinationCheck:
-    """Judge a place to fly to.
+    """Check a destination of a vehicle.
 
     Parameters
     ----------
     s : VehicleSnapshot
         Position and remaining battery time of the vehicle.
     fence : Fence or None
-        The vehicle's.
+        Geofence of the vehicle.
     limits : Mission
-        With the vehicle's limits.
+        Mission with the vehicle's limits.
     place : (3,) tuple
         N, E, D (m).
     far_m : float
-        Without a fence, farther than this from the vehicle it is asked for twice (m).
+        Distance from the vehicle beyond which a destination without a fence needs confirmation (m).
     """
     if fault := fence_fault(fence, place, FENCE_MARGIN_M):
         return DestinationCheck(refusal_reason=f"destination is {fault}")
@@ -132,7 +132,7 @@ def check_destination(
 
 
 def check_vehicle_destination(vehicle: RemoteVehicle, place: tuple[float, float, float]) -> DestinationCheck:
-    """Judge a place (N, E, D; m) for a vehicle."""
+    """Check a destination (N, E, D; m) for a vehicle."""
     limits = mission_with_limits(vehicle.parameters, vehicle.station_context.base_mission)
     return check_destination(vehicle.snapshot, vehicle.fence, limits, place)
 

@@ -436,7 +436,7 @@ def _find_reason(reading: str, messages: Sequence[StatusMessage]) -> str:
 
 
 def build_catalog(names: Iterable[str], unit: Callable[[str], str]) -> list[dict[str, Any]]:
-    """Return the quantities that can be plotted, as the page wants them.
+    """Return the quantities that can be plotted, in the format of the page.
 
     Parameters
     ----------
@@ -448,9 +448,9 @@ def build_catalog(names: Iterable[str], unit: Callable[[str], str]) -> list[dict
     Returns
     -------
     list of dict
-        ``key``, ``title``, ``unit`` and ``factor`` of display, ``components`` (list of str), ``upward`` (those of
-        them whose sign is turned), ``sources`` (list of str), ``signals`` (``{"source/component": flat name}``) and
-        ``bands`` (the same of their standard deviations), best known first.
+        ``key``, ``title``, ``unit`` and ``factor`` of display, ``components`` (list of str), ``upward`` (components
+        plotted with reversed sign), ``sources`` (list of str), ``signals`` (``{"source/component": flat name}``) and
+        ``bands`` (the same for their standard deviations), the best-known quantity first.
     """
     found: dict[str, dict[str, Any]] = {}
     names = list(names)
@@ -495,8 +495,8 @@ def compute_spectrum(times: _Array, values: _Array) -> tuple[float, _Array, _Arr
     """Return sampling rate (Hz), frequencies (m,) and densities (m,; unit^2/Hz) of samples (n,) at times (n,; s).
 
     Power spectral density by Welch's method (Hann window, halves overlapping), one-sided, so that its integral over
-    frequency is the variance. Gaps are bridged by straight lines, onto an even clock at the median step. None if there
-    is too little to say.
+    frequency is the variance. Samples are interpolated linearly at the median step, also across gaps. None for too few
+    samples.
     """
     good = np.isfinite(values)
     times, values = times[good], values[good]
@@ -515,11 +515,10 @@ def compute_spectrum(times: _Array, values: _Array) -> tuple[float, _Array, _Arr
 
 
 def mark_rotor_frequencies(rotor_speed: _Array, rate_hz: float) -> list[dict[str, Any]]:
-    """Return where rotors (upper, lower; rad/s) show: ``name``, ``hz`` (true), ``at`` (in the picture),
-    ``alias_frequency``.
+    """Return the marks of rotors (upper, lower; rad/s): ``name``, ``hz`` (true), ``at`` (drawn), ``alias_frequency``.
 
-    A rotor of speed Omega shakes the fuselage at its rate of turn f = Omega / 2 pi and, with b blades, at b f. The link
-    samples at f_s; what lies above f_s / 2 shows, folded, at |f - round(f / f_s) f_s|, and is marked there.
+    A rotor of speed Omega with b blades excites vibration at f = Omega / 2 pi and at b f. The link
+    samples at f_s; a frequency above f_s / 2 appears at its alias |f - round(f / f_s) f_s| and is marked there.
     """
     out = []
     for name, speed in zip(("upper", "lower"), rotor_speed.tolist(), strict=True):

@@ -1,7 +1,7 @@
 """Rejection of requests that reach the station late.
 
-Every request of a window names the newest frame that it had: the station knows when it made that frame, by its own
-clock, so no clock of a browser matters. A request is late if that frame is older than
+Every request of a window names the newest frame that the window had: the station knows when it made that frame, by its
+own clock, so no clock of a browser matters. A request is late if that frame is older than
 :data:`mufly.link.ports.MAX_STALL_S`, or if so long has passed since the press. Late requests wait in sockets while the
 station's process is stopped, its machine suspended or the network cut; none of them is carried out. The window greys
 itself at the same age (``static/live.js``).
@@ -60,10 +60,10 @@ class FrameTimes:
         Parameters
         ----------
         frame : int
-            The newest frame that the window had; one that is not known makes it infinitely late.
+            Number of the newest frame that the window had; an unknown number makes the request infinitely late.
         held_ms, seen_ms : float
-            By the window's clock (ms): how long the press waited in the window, and how long it had had the frame when
-            the request left.
+            Times by the window's clock until the request was sent (ms): since the press, and since the arrival of the
+            frame.
         """
         made_s = self._made.get(frame) if isinstance(frame, int) else None
         waits = [max(0.0, 1e-3 * v) for v in (held_ms, seen_ms) if isinstance(v, int | float) and math.isfinite(v)]
@@ -86,14 +86,14 @@ def drop_late_events(
     tell: Callable[[OperatorRequest], None],
     clock: Callable[[], float] = read_boot_clock,
 ) -> None:
-    """Pass a window's events to their handlers only if they are in time.
+    """Pass a window's events to their handlers unless they are late.
 
     Parameters
     ----------
     client : nicegui.Client
     frames : FrameTimes
     tell : callable
-        Given a refused request for what is dropped, at most one a second for each element.
+        Called with a refused request for each dropped event, at most once a second for each element.
     clock : callable
         Monotonic (s).
     """
@@ -131,13 +131,13 @@ def _element_label(element: Element) -> str:
 
 
 class LateUploadFilter:
-    """An ASGI layer that refuses files which a window began to send too late (status 408).
+    """An ASGI layer that refuses files whose upload began too late (status 408).
 
     Parameters
     ----------
     app : ASGI application
     frames : callable
-        Returns the frames of a window by the number of its client, None for one that is not known.
+        Returns the frames of a window by the number of its client; None for an unknown client.
     """
 
     def __init__(self, app: ASGIApp, frames: Callable[[str], FrameTimes | None]) -> None:

@@ -54,11 +54,11 @@ class MissionDraft:
     Attributes
     ----------
     mission : Mission
-        It keeps to the schema; whether it can be flown is for :func:`judge_draft`.
+        Mission that satisfies the schema; :func:`judge_draft` checks whether it can be flown.
     undo_stack, redo_stack : tuple of Mission
-        For undo and redo, the nearest last.
+        Missions for undo and redo, the nearest last.
     drag_gesture : str
-        The drag that made the last step: what follows of the same drag is no step of its own.
+        Drag that made the last step; further edits of the same drag extend this step.
     """
 
     mission: Mission = field(default_factory=Mission)
@@ -67,7 +67,7 @@ class MissionDraft:
     drag_gesture: str = ""
 
     def with_mission(self, mission: Mission, gesture: str = "") -> MissionDraft:
-        """Return the draft after an edit; ``gesture`` names the drag that it belongs to, "" for a separate step."""
+        """Return the draft after an edit; ``gesture`` names the drag of the edit, "" for a separate step."""
         if mission == self.mission:
             return self
         going_on = gesture != "" and gesture == self.drag_gesture
@@ -91,12 +91,12 @@ class MissionDraft:
 
 
 def replace_mission_parts(mission: Mission, **parts: Any) -> Mission:
-    """The mission with other parts, checked by its schema.
+    """Return the mission with other parts, validated by its schema.
 
     Raises
     ------
     InputError
-        Naming the item, the value and what would be right.
+        If the schema refuses it; the error names item, value and remedy.
     """
     return validate_model(Mission, mission.model_dump(exclude_none=True) | parts, ERROR_LOCATION)
 
@@ -127,7 +127,7 @@ def add_waypoint(mission: Mission, place: PlaceNED, after: int | None = None) ->
 
 
 def insert_waypoint(mission: Mission, k: int) -> Mission:
-    """Insert a waypoint half way before waypoint ``k`` (from 1), or before where it would be."""
+    """Insert a waypoint half way between waypoint ``k`` (from 1) and the preceding row."""
     goal = _find_waypoint(mission, k).position_m
     before = (*mission.start_m, -mission.take_off.height_m) if k == 1 else mission.waypoint[k - 2].position_m
     north, east, down = (round(0.5 * (a + b), 3) for a, b in zip(before, goal, strict=True))
@@ -141,14 +141,14 @@ def delete_waypoint(mission: Mission, k: int) -> Mission:
 
 
 def reorder_waypoint(mission: Mission, k: int, by: int) -> Mission:
-    """Fly waypoint ``k`` (from 1) ``by`` places later; the same mission where it is the first or last already."""
+    """Move waypoint ``k`` (from 1) by ``by`` places; the mission is unchanged at the first or last place."""
     moved, rest = _find_waypoint(mission, k), [w for i, w in enumerate(mission.waypoint, 1) if i != k]
     at = min(max(k - 1 + by, 0), len(rest))
     return _replace_waypoints(mission, [*rest[:at], moved, *rest[at:]])
 
 
 def move_row(mission: Mission, k: int, place: PlaceNED) -> Mission:
-    """Move a row to a place (N, E, D; m); of the take-off (row 0) that is where it starts, and its height."""
+    """Move a row to a position (N, E, D; m); for the take-off (row 0), start position and take-off height."""
     if k == 0:
         climb = mission.take_off.model_dump() | {"height_m": -place[2]}
         return replace_mission_parts(mission, start_m=place[:2], take_off=climb)
@@ -159,7 +159,7 @@ def move_row(mission: Mission, k: int, place: PlaceNED) -> Mission:
 
 
 def set_row_value(mission: Mission, k: int, name: str, value: float | None) -> Mission:
-    """Set one field of a row: ``north``, ``east``, ``height`` (m), or one of the file's (``wait_s``, ...)."""
+    """Set one field of a row: ``north``, ``east``, ``height`` (m), or a key of the mission file (``wait_s``, ...)."""
     if name in _AXIS_INDEX:
         if value is None:
             raise InputError(ERROR_LOCATION, _row_key(k), f"{name} is missing", "give metres")
@@ -191,7 +191,7 @@ def apply_edit(draft: MissionDraft, order: Mapping[str, Any]) -> MissionDraft:
     Raises
     ------
     InputError
-        If it makes no sense or the schema refuses it; the draft is as it was.
+        If the edit is invalid or the schema refuses the result; the draft is unchanged.
     """
     m, op = draft.mission, order.get("op")
     if op == "undo":
@@ -258,7 +258,7 @@ class DraftVerdict:
     Attributes
     ----------
     fault : str
-        One line that names the item and why; "" if it can be flown.
+        One line with the item and the reason; "" if the mission can be flown.
     fault_row : int or None
         Row of the table with the fault.
     estimate : MissionEstimate or None
@@ -279,7 +279,7 @@ def judge_draft(
     ----------
     mission : Mission
     battery : (hover_current_A, capacity_Ah), optional
-        Of the vehicle, where it is known: then the charge has to last.
+        Battery of the vehicle; if given, its charge must suffice.
     able : Limits, optional
         Limits of the vehicle's controllers, if known; they bound the speeds.
     """
@@ -298,7 +298,7 @@ def judge_draft(
 
 
 def row_from_key(key: str, mission: Mission) -> int | None:
-    """Row of the table that a key of a mission file belongs to; None if it is no item's."""
+    """Return the table row of a key of a mission file; None if the key belongs to no item."""
     if found := _WAYPOINT_KEY_PATTERN.match(key):
         return int(found[1])
     if key.startswith(("take_off", "start_m")):
@@ -316,9 +316,9 @@ class SharedDraft:
     vehicle_mission : Mission or None
         Mission in the vehicle before the upload, if known; the vehicle keeps the settings that items do not hold.
     verdict : Verdict or None
-        None while it is being checked.
+        None while the draft is being checked.
     version : int
-        Counts the changes of either.
+        Number of changes of draft or verdict.
     """
 
     draft: MissionDraft = field(default_factory=MissionDraft)
@@ -358,12 +358,12 @@ class SharedDraft:
 
 
 def parse_mission_draft(text: str, name: str) -> Mission:
-    """Read a mission file to go on with; unlike for a flight, it need not be one that can be flown.
+    """Read a mission file for editing; the mission need not be one that can be flown.
 
     Raises
     ------
     InputError
-        If it is no mission file or does not keep to the schema.
+        If the text is no mission file or violates the schema.
     """
     mission: Mission = validate_model(Mission, read_mission_tables(text, name), name)
     return mission
@@ -375,7 +375,7 @@ def mission_from_vehicle(items: Sequence[MissionItem], base: Mission, origin: Gl
     Raises
     ------
     InputError
-        Naming the item that no mission file can say.
+        If an item has no equivalent in a mission file; the error names the item.
     """
     try:
         return mission_from_items(items, base, origin).mission
@@ -384,14 +384,14 @@ def mission_from_vehicle(items: Sequence[MissionItem], base: Mission, origin: Gl
 
 
 def find_untransmitted_keys(mission: Mission, held: Mission | None) -> list[str]:
-    """Keys in which a mission differs from what the vehicle has, and which items of MAVLink do not carry.
+    """Return the keys in which a mission differs from the vehicle's and which MAVLink items cannot transfer.
 
     Parameters
     ----------
     mission : Mission
-        That is sent.
+        Mission to be sent.
     held : Mission or None
-        The vehicle's, as far as the station knows it; None: the defaults.
+        Mission in the vehicle, if the station knows it; None: the defaults.
     """
     other = held if held is not None else Mission()
     keys = [k for k in Mission.model_fields if k not in _TRANSMITTED_KEYS and getattr(mission, k) != getattr(other, k)]
@@ -414,7 +414,7 @@ def encode_draft(draft: MissionDraft, verdict: DraftVerdict | None, refused: str
     verdict : Verdict or None
         None while it is being checked.
     refused : str
-        Why the last edit was not made, "" if it was.
+        Reason why the last edit was refused; "" if it was made.
     """
     m = draft.mission
     estimate = verdict.estimate if verdict is not None else None

@@ -1,14 +1,14 @@
 """The address of the page, and its access control.
 
-The address (host, port, token) is chosen and bound before anything heavy is loaded: this module needs no other of
-ours. :class:`AccessGuard` is an ASGI layer around everything, web sockets and static files included.
+The address (host, port, token) is bound before the heavy libraries are loaded, so this module imports no other of
+mufly. :class:`AccessGuard` is an ASGI layer around everything, web sockets and static files included.
 
-Two dangers on the loopback address: a foreign web page that opens a socket to us (the browser says so in
-``Origin``), and one whose name resolves to 127.0.0.1 (the browser then sends its name as ``Host``). So the host
-must be one that we serve under, and an origin, where given, must be the same as the host. On any other address a token
-is needed too: it comes once, as ``?token=`` or typed into the form, and becomes a cookie that scripts cannot read and
-that other sites cannot send; after that it is in no address. No site may show the page in a frame of its own, where a
-user's clicks could be led onto its buttons.
+Two attacks are possible on the loopback address. A foreign web page can open a socket to the station; the browser then
+sends that page's address as ``Origin``. A foreign name can resolve to 127.0.0.1; the browser then sends this name as
+``Host``. The host must therefore be one under which the page is served, and an origin, if given, must equal the host.
+On any other address a token is required too. The browser sends the token once, as ``?token=`` or by the form; it
+becomes a cookie that scripts cannot read and other sites cannot send, and does not appear in later addresses. No other
+site may show the page in a frame, because it could redirect a user's clicks to the page's buttons.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def bind_page_address(host: str = "127.0.0.1", port: int | None = None, token: s
     Parameters
     ----------
     host : str
-        Any other than loopback needs a token; one is made if none is given.
+        Address to listen on; any but loopback needs a token, which is generated if not given.
     port : int, optional
         Default: 8080, or the next one that is free.
     token : str, optional
@@ -103,7 +103,7 @@ def bind_page_address(host: str = "127.0.0.1", port: int | None = None, token: s
     Raises
     ------
     ArgumentError
-        If the address is none of this machine, or the port that was asked for is taken.
+        If the address does not belong to this machine, or the requested port is in use.
     """
     if token is not None and len(token) < 8:
         remedy = "give a longer token, or omit it to generate one"
@@ -134,7 +134,7 @@ def bind_page_address(host: str = "127.0.0.1", port: int | None = None, token: s
 
 
 def open_in_browser(address: PageAddress) -> None:
-    """Open the page in the default browser, where there is a screen; a text browser would take the terminal away."""
+    """Open the page in the default browser if there is a display; a text browser would occupy the terminal."""
     screen = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"))
     if screen or sys.platform in ("darwin", "win32"):
         webbrowser.open(address.url)
@@ -147,9 +147,9 @@ class AccessGuard:
     ----------
     app : ASGI application
     host : str
-        The address that is listened on.
+        Address on which the server listens.
     token : str
-        "" asks for none: only for loopback.
+        Required token; "" for none, on loopback only.
     """
 
     def __init__(self, app: ASGIApp, *, host: str = "127.0.0.1", token: str = "") -> None:
@@ -210,7 +210,7 @@ class AccessGuard:
 
 
 def _forbid_framing(send: Send) -> Send:
-    """Return ``send``, which tells browsers with every answer not to show it in a frame."""
+    """Return ``send`` with headers that forbid browsers to show the page in a frame."""
 
     async def send_with_headers(message: Message) -> None:
         if message["type"] == "http.response.start":

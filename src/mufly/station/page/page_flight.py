@@ -1,4 +1,4 @@
-"""A simulated vehicle flown in a process of its own, with the station's page before it or with other stations only."""
+"""A simulated vehicle in a separate process, operated from the station's page or from other ground stations."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ if TYPE_CHECKING:
     from mufly.vehicle import Vehicle
 
 NO_PAGE_TIMEOUT_S = 20.0
-"""With no page opened for so long the mission starts without a page (s)."""
+"""Time without an open page after which the mission starts by itself (s)."""
 PAGE_CLOSED_TIMEOUT_S = 10.0
-"""The session ends when the flight is over and no page has been open for so long (s)."""
+"""Time without an open page after which the session ends, once the flight is over (s)."""
 _POLL_INTERVAL_S = 0.1
 _ERROR_DISPLAY_S = 2.0  # an open page shows what went wrong before its server ends
 _MOTORS_OFF_RECORDING_S = 1.0  # recorded after the motors have stopped
 
 
 class FlightMonitor:
-    """Follow a vehicle's process: pass its events on, and know when its flight is over.
+    """Monitor of a vehicle's process: forwards its events and detects the end of the flight.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class FlightMonitor:
         self._over_s: float | None = None
 
     def process_events(self) -> None:
-        """Take what has come.
+        """Process the messages received from the vehicle's process.
 
         Raises
         ------
@@ -73,7 +73,7 @@ class FlightMonitor:
 
     @property
     def is_over(self) -> bool:
-        """Whether it has flown, and stands with its motors off."""
+        """Whether the vehicle has flown and stands with its motors off."""
         return self._over_s is not None and time.monotonic() - self._over_s > _MOTORS_OFF_RECORDING_S
 
     def stop_process(self) -> str:
@@ -109,27 +109,27 @@ def fly_behind_link(
 
 @dataclass(frozen=True)
 class PageFlight:
-    """A flight with the station's page before it.
+    """A flight operated from the station's page.
 
     Attributes
     ----------
     process : VehicleProcess
-        The vehicle; its first end is ``vehicle_endpoint(port)``.
+        Process of the vehicle; its first endpoint is ``vehicle_endpoint(port)``.
     vehicle : Vehicle
     mission : Mission
     port : int
-        On which the vehicle and the station of the page talk.
+        UDP port between the vehicle and the station of the page.
     folder : Path
-        For what the station records.
+        Folder for the station's recordings.
     startup : Startup
     starts_at_once : bool
-        Whether the mission starts without a press on the page.
+        Whether the mission starts without a command from the page.
     has_camera : bool
-        Whether the vehicle's process looks at pictures of a camera.
+        Whether the vehicle's process runs SLAM on pictures of a camera.
     on_event, on_notice : callable
-        Called with each event of the flight, and with a sentence on the session.
+        Called with each event of the flight, and with each notice about the session (text).
     stop : callable
-        Whether the session is to end.
+        Returns whether the session should end.
     """
 
     process: VehicleProcess
@@ -146,7 +146,7 @@ class PageFlight:
 
 
 def vehicle_endpoint(port: int, links: Sequence[Endpoint] = ()) -> list[Endpoint]:
-    """Return the end at which a vehicle meets the station of the page, and further links after it."""
+    """Return the vehicle's endpoint for the station of the page, followed by further links."""
     return [parse_endpoint(f"udp:127.0.0.1:{port}", "vehicle"), *links]
 
 
@@ -156,7 +156,7 @@ def fly_with_page(flight: PageFlight, address: PageAddress, page: StartPage) -> 
     Raises
     ------
     MuflyError
-        If the vehicle does not start, or cannot go on; an open page shows it first.
+        If the vehicle does not start or its process fails; an open page shows the reason first.
     """
     from mufly.dynamics import hover_performance
 

@@ -386,9 +386,9 @@ class CommandBar:
     ----------
     view : WindowView
     place : callable
-        Told the height (m) that was typed for the waypoint.
+        Called with the height typed for the waypoint (m).
     target : callable
-        Told where the vehicle was sent (north, east, height; m) while it is on its way there; then None.
+        Called with the destination (north, east, height; m) while the vehicle flies there, and then with None.
     """
 
     def __init__(

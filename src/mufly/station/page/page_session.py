@@ -57,7 +57,7 @@ PanelSource = RemoteVehicle | Replay
 
 @dataclass
 class StationSession:
-    """The station as its windows see it.
+    """State of the station that all windows share.
 
     Attributes
     ----------
@@ -66,25 +66,25 @@ class StationSession:
     recordings_folder : Path
         Folder searched for recordings.
     mission : Mission or None
-        The world to draw around vehicles; of a mission loaded later, that one's.
+        Mission whose world is drawn around the vehicles; a mission loaded later replaces it.
     rotor_radius_m : float
         Size of the vehicles in the scene.
     recorder : StationRecorder or None
     title : str
     initial_recording : FlightRecording or None
-        Shown by every window at first.
+        Recording that every new window shows.
     battery_data : (hover_current_A, capacity_Ah) or None
-        Of the vehicle, where it is known: a mission that is drawn is checked against it.
+        Battery of the vehicle, if known, against which a draft is checked.
     shared_draft : SharedDraft
-        The mission that is being drawn.
+        Draft of the mission editor.
     latest_sight : callable or None
-        Returns the picture that was looked at last, of a vehicle that flies on pictures.
+        Returns the last picture processed by SLAM, for a vehicle that flies on pictures.
     startup : Startup or None
-        How far the start of the vehicle is, where this station starts one.
+        Progress of the vehicle's start, if this station starts a vehicle.
     opened_count : int
-        How many windows were opened so far.
+        Number of windows opened.
     link_problems : callable or None
-        Returns what is wrong with the links, a line each.
+        Returns the problems of the links, one line each.
     """
 
     vehicles: Callable[[], Sequence[RemoteVehicle]]
@@ -232,7 +232,7 @@ class WindowView:
         self._shows += 1
 
     def close_recording(self) -> None:
-        """Go back to the vehicles."""
+        """Show the vehicles again."""
         self.replay = self.compared_recording = None
         self._shows += 1
 
@@ -266,16 +266,16 @@ class WindowView:
         return f"{self._shows}/{id(self.shown_source())}/{jumps}"
 
     def shown_sight(self) -> TrackedPicture | None:
-        """The picture of the vehicle that is shown."""
+        """Return the last SLAM picture of the displayed vehicle."""
         return None if self.replay is not None or self.session.latest_sight is None else self.session.latest_sight()
 
     def other_vehicles(self) -> list[RemoteVehicle]:
-        """The vehicles in the scene that are not selected."""
+        """Return the vehicles in the scene that are not selected."""
         chosen = self.shown_vehicle()
         return [v for v in self.session.vehicles() if v is not chosen] if self.replay is None else []
 
     def encode_scenery(self) -> dict[str, Any]:
-        """World and size of the vehicle; with the epoch, because after a jump the trail is drawn anew."""
+        """Return world and size of the vehicle, with the epoch: after a jump the trail is drawn again."""
         mission = self.replay.recording.mission if self.replay is not None else self.session.mission
         world = encode_world(mission.world if mission is not None else None)
         v = self.shown_vehicle()
@@ -368,7 +368,7 @@ class WindowView:
             self.on_late(f"{request.text}: {request.answer}")
 
     def recent_requests(self) -> list[OperatorRequest]:
-        """The newest requests, as long as they matter: not long after their answer, no refusal that was overcome."""
+        """Return the requests to show: open ones and recent answers, without refusals followed by a success."""
         now = self.session.clock()
         for asked in self._asked:
             if asked.request.is_done:
@@ -395,8 +395,7 @@ def describe_pace(s: VehicleSnapshot) -> str:
 def find_recordings(folder: Path) -> list[Path]:
     """Return the recordings in a folder and its sub-folders, and of the flights beside it, newest first.
 
-    A flight is a folder of its own, beside those of other flights: whoever looks for recordings in one looks for
-    theirs too.
+    Each flight has a separate folder; if ``folder`` is such a folder, the folders beside it are searched too.
     """
     found = set(_filter_recordings(folder.rglob("*"))) if folder.is_dir() else set()
     with contextlib.suppress(OSError):
@@ -418,7 +417,7 @@ def _filter_recordings(paths: Iterable[Path]) -> Iterator[Path]:
 
 
 def encode_world(world: World | None) -> dict[str, Any]:
-    """Return what stands in the world, as the 3-D scene draws it: N-E-D metres, lists and numbers only.
+    """Return the objects of the world in the format of the 3-D scene: N-E-D metres, lists and numbers only.
 
     Boxes are ``{name, c: [N, E, D], s: [x, y, z], yaw}``, cylinders ``{name, c: [N, E], r, h, foot}``, the room
     ``{n: [least, greatest], e: [...], h: height or None}``.
@@ -439,7 +438,7 @@ def encode_world(world: World | None) -> dict[str, Any]:
 
 
 def scene_shape(vehicle: RemoteVehicle | None) -> str:
-    """How a vehicle is drawn; a recording and a vehicle that has not said what it is as a coaxial helicopter."""
+    """Return the shape drawn for a vehicle; a coaxial helicopter for a recording or an unknown type."""
     known = 0 if vehicle is None else vehicle.telemetry.vehicle_type
     return vehicle_shape(known) if known else "coaxial"
 
@@ -472,7 +471,7 @@ def find_refusal_reasons(
     Parameters
     ----------
     s : VehicleSnapshot or None
-        None: there is no vehicle.
+        State of the vehicle; None without a vehicle.
     kind : str
         "mufly", "other" or "recording".
     has_controls : bool
@@ -480,7 +479,7 @@ def find_refusal_reasons(
     rows : int
         Length of the vehicle's mission.
     unready : str
-        Why it cannot be armed, "" if it can.
+        Reason why the vehicle cannot be armed; "" if it can.
     """
     if kind == "recording" or s is None:
         return dict.fromkeys(COMMAND_NAMES, "recording shown" if kind == "recording" else "no vehicle connected")
@@ -506,7 +505,7 @@ def find_refusal_reasons(
 
 
 def mission_label(s: VehicleSnapshot | None) -> str:
-    """Return what the mission button says."""
+    """Return the label of the mission button."""
     if s is None or not s.mission_begun:
         return "Start mission"
     return "Mission running" if s.mission_running else "Resume mission"
@@ -519,7 +518,7 @@ def mission_label(s: VehicleSnapshot | None) -> str:
 
 @dataclass(frozen=True, slots=True)
 class ParameterChange:
-    """One parameter, before and after."""
+    """Name of a parameter, with its value before and after a change."""
 
     name: str
     old_value: float
@@ -533,7 +532,7 @@ class ParameterEdits:
     Attributes
     ----------
     baseline : dict of str to float
-        Values as they were first heard.
+        First value received of each parameter.
     """
 
     baseline: dict[str, float] = field(default_factory=dict)
@@ -547,29 +546,29 @@ class ParameterEdits:
                 self.baseline.setdefault(name, parameter.value)
 
     def record_change(self, name: str, before: float, after: float) -> None:
-        """Note a change that was made; what had been undone can no longer be redone."""
+        """Record a change; undone changes can then not be redone."""
         self._undo.append(ParameterChange(name, before, after))
         self._redo.clear()
 
     @property
     def undo_name(self) -> str:
-        """Name of the parameter that undo would change, "" if none."""
+        """Return the name of the parameter that undo would change, "" if none."""
         return self._undo[-1].name if self._undo else ""
 
     @property
     def redo_name(self) -> str:
-        """Name of the parameter that redo would change, "" if none."""
+        """Return the name of the parameter that redo would change, "" if none."""
         return self._redo[-1].name if self._redo else ""
 
     def undo(self) -> tuple[str, float] | None:
-        """Take the last change back: the name and value to write, None if there is none."""
+        """Undo the last change: return name and value to write, None if there is none."""
         if not self._undo:
             return None
         self._redo.append(change := self._undo.pop())
         return change.name, change.old_value
 
     def redo(self) -> tuple[str, float] | None:
-        """Make the last undone change again."""
+        """Redo the last undone change: return name and value to write, None if there is none."""
         if not self._redo:
             return None
         self._undo.append(change := self._redo.pop())
@@ -598,23 +597,23 @@ _READ_ONLY_PATTERN = re.compile(r"\s+@READONLY\s*$", re.IGNORECASE)
 def read_parameter_file(text: str, where: str, component: int = AUTOPILOT_COMPONENT) -> dict[str, float]:
     """Read a file of parameters: name and value a line, or the five columns of QGroundControl.
 
-    A comment may stand behind a value (``#``, ``//`` or ``;``), as may ``@READONLY``, with which ArduPilot marks what
-    its firmware does not let a user change. Of a file with the parameters of several components those of one are read.
+    A comment may follow a value (``#``, ``//`` or ``;``), as may ``@READONLY``, ArduPilot's mark of parameters that a
+    user cannot change. If a file holds the parameters of several components, those of one component are read.
 
     Parameters
     ----------
     text : str
         Content of the file: ``.params`` (QGroundControl), ``.param`` or ``.parm`` (Mission Planner, ArduPilot).
     where : str
-        Its name, for errors.
+        Name of the file, for errors.
     component : int
-        MAV_COMPONENT whose parameters are wanted; lines of name and value belong to any.
+        MAV_COMPONENT whose parameters are read; lines with only name and value belong to any component.
 
     Raises
     ------
     InputError
-        Naming the line that is no parameter, that gives one a second value, or the components of a file without
-        parameters of the wanted one.
+        If a line is no parameter or gives a parameter a second value, or if the file has no parameters of the
+        component. The error names the line or the file's components.
     """
     out: dict[str, float] = {}
     lines: dict[str, int] = {}

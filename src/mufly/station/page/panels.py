@@ -102,13 +102,13 @@ class ActionButton:
     ----------
     label, test_id : str
     key : str
-        That presses it (``static/keys.js``).
+        Key that presses the button (``static/keys.js``).
     press : callable
     classes : str
     note : str, optional
-        The second line of a button that can be used; default the key.
+        Second line of an available button; default: the key.
     refuse : callable, optional
-        Told of a press that came when it could not be used any more: what it does, and why it cannot.
+        Called with action and reason if a press arrives when the button is unavailable.
     """
 
     def __init__(
@@ -145,7 +145,7 @@ class ActionButton:
     def show_state(self, label: str, reason: str, note: str = "", caution: bool = False) -> None:
         """Set the action's label, the reason of unavailability ("" if available), and a note.
 
-        ``caution``: something speaks against it, or it waits for a second press.
+        ``caution`` marks a button with a warning, or one that waits for a second press.
         """
         if caution != self._caution:
             self._caution = caution
@@ -479,11 +479,11 @@ def build_parameter_drawer(view: WindowView) -> Callable[[], None]:
 
 
 class FlightStrip:
-    """The strip above everything: whether the vehicle flies, and the emergency stop.
+    """Top strip of the page: flight state of the vehicle, and the emergency stop.
 
-    It stands on top of tabs, dialogs and recordings, at every width, and speaks of the selected vehicle even while a
-    recording is shown. The stop works from every window and whoever commands; it needs two presses within three
-    seconds. Its key is heard before any field or dialog hears it (``static/keys.js``).
+    The strip stays above tabs, dialogs and recordings, at every width. It shows the selected vehicle even while a
+    recording is shown. The stop works in every window and for every commander; it needs two presses within three
+    seconds. Its key takes effect before any field or dialog receives it (``static/keys.js``).
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
-"""The progress of a start, served on a page of its own until the station's page is served.
+"""The progress of a start, served as a page until the station's page is ready.
 
-Libraries are loaded, controllers designed, the model compiled: on a busy machine that takes a minute. A
+Loading libraries, designing controllers and compiling the model takes a minute on a busy machine. A
 :class:`Startup` is the list of these stages with their times; :class:`StartPage` serves it, from a thread and with
 nothing but the standard library, on the socket that the station's page takes over. A browser that shows it goes to the
 station's page by itself.
@@ -29,7 +29,7 @@ _POLL_TIMEOUT_S = 3.0
 
 @dataclass(slots=True)
 class StartStage:
-    """One stage of a start: when it began and ended (s of a monotonic clock), NaN while it goes on."""
+    """One stage of a start, with its begin and end (s of a monotonic clock); the end is NaN while the stage runs."""
 
     text: str
     began_s: float
@@ -37,7 +37,7 @@ class StartStage:
 
 
 class Startup:
-    """The stages of a start, as they come.
+    """The stages of a start, and its outcome.
 
     Parameters
     ----------
@@ -48,16 +48,16 @@ class Startup:
     Attributes
     ----------
     title, url : str
-        Name of what is started; address of its page, "" without a page.
+        Name of the started program; address of its page, "" without a page.
     stages : list of StartStage
     fault : str
         Reason of a failure, "" if none.
     is_done : bool
-        Whether it is over, well or not.
+        Whether the start is over, successfully or not.
     visit_count : int
-        How often a page was opened before the station's page was served.
+        Number of times that the start page was opened.
     on_change : callable or None
-        Told the text of a stage that begins; "" when the start is over.
+        Called with the text of a stage that begins; with "" when the start is over.
     """
 
     def __init__(self, title: str = "", clock: Callable[[], float] = time.monotonic) -> None:
@@ -127,7 +127,7 @@ class Startup:
         return f"{self.duration_s:.0f} s" + (f" ({parts})" if len(long) > 1 else "")
 
     def encode_status(self) -> dict[str, Any]:
-        """Return what a page shows: ``stages`` are ``[text, seconds, whether it has ended]``."""
+        """Return the content of the start page: ``stages`` are ``[text, seconds, whether it has ended]``."""
         now = self._clock()
         return {
             "title": self.title,
@@ -164,7 +164,7 @@ class StartPage:
         self._asked_s = time.monotonic()
 
     def stop(self) -> None:
-        """Serve no more; the socket listens on, and whoever calls meanwhile is answered by the next server."""
+        """Stop serving; the socket stays open, so that the next server answers waiting browsers."""
         if self._thread.is_alive():
             self._server.shutdown()
             self._thread.join()
