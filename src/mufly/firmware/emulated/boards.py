@@ -7,6 +7,7 @@ computes the inputs of the actuators. After each half the whole memory of the bo
 from __future__ import annotations
 
 import subprocess
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
@@ -19,6 +20,9 @@ from mufly.firmware.emulated.board_memory import MemoryLayout
 
 EMULATED_MACHINE = "mps2-an386"
 """Board with a Cortex-M4F that QEMU emulates."""
+FLASH_WORDS = 4096
+"""Words of 32 bits in each of the two sectors for settings: ``FLASH_WORDS`` of ``qemu.c``."""
+_FLASH_MEMORY_BYTES = 16 * 2**20  # of the emulated memory that holds the sectors
 
 
 class Board(Protocol):
@@ -49,10 +53,22 @@ class HostBoard:
     ----------
     ffi, lib
         From :func:`mufly.firmware.emulated.image_build.build_host_board`.
+
+    Attributes
+    ----------
+    flash : (2 * FLASH_WORDS,) array of uint32
+        Contents of both sectors for settings; blank at first, kept over restarts.
     """
 
     def __init__(self, ffi: Any, lib: Any) -> None:
         self.ffi, self.lib = ffi, lib
+        self.flash = np.full(2 * FLASH_WORDS, 0xFFFFFFFF, np.uint32)
+        self._weak_bits = np.zeros_like(self.flash)
+        self.flash_model = ffi.new("flash_model_t *")
+        model = self.flash_model
+        model.words, model.weak = (ffi.cast("uint32_t *", ffi.from_buffer(a)) for a in (self.flash, self._weak_bits))
+        model.sector_words, model.noise = FLASH_WORDS, 1
+        model.cut_after = model.worn_word = model.worn_sector = -1
         self.memory = np.zeros(ffi.sizeof("board_t"), np.uint8)
         self.record = ffi.cast("board_t *", ffi.from_buffer(self.memory))
         fitted = lib.mufly_settings.is_fitted
@@ -62,6 +78,8 @@ class HostBoard:
     def restart(self) -> None:
         """Return to the state after power-up."""
         self.memory[:] = 0
+        self.lib.flash_model_attach(self.flash_model)
+        self.lib.flash_model_start(self.flash_model)
         self.lib.board_start(self.record, self._fitted, self.lib.RESTART_COLD)
 
     def compute_estimate(self, period: Any) -> None:
@@ -79,6 +97,7 @@ class HostBoard:
         link = self.record.link
         link.input_count = min(len(received), len(link.input))
         self.ffi.memmove(link.input, received[: link.input_count], link.input_count)
+        self.lib.flash_model_attach(self.flash_model)
         self.lib.board_link(self.record)
         out = self.ffi.new("uint8_t[]", len(link.output))
         pointer = self.ffi.addressof(self.record, "link")
@@ -108,6 +127,8 @@ class EmulatedBoard:
         Compared periods, and those after which any byte of the board's memory differs.
     first_mismatch : str
         Period, field and values of the first difference; "" without one.
+    flash : (2 * FLASH_WORDS,) array of uint32
+        Memory of the emulated board in the place of its flash: both sectors for settings, kept over restarts.
     """
 
     def __init__(self, image: Path, twin: HostBoard, uart: str = "none") -> None:
@@ -119,6 +140,10 @@ class EmulatedBoard:
         self._process: subprocess.Popen[bytes] | None = None
         self.period_count = self.mismatch_count = 0
         self.first_mismatch = ""
+        self._flash_file = tempfile.NamedTemporaryFile(prefix="mufly-flash-", suffix=".bin")  # noqa: SIM115
+        self._flash_file.truncate(_FLASH_MEMORY_BYTES)
+        self.flash = np.memmap(self._flash_file.name, np.uint32, "r+", shape=twin.flash.shape)
+        self.flash[:] = twin.flash
         self.restart()
 
     def restart(self) -> None:
@@ -130,7 +155,10 @@ class EmulatedBoard:
     def _start_emulation(self) -> subprocess.Popen[bytes]:
         process = subprocess.Popen(
             [
-                "qemu-system-arm", "-M", EMULATED_MACHINE, "-display", "none", "-monitor", "none",
+                "qemu-system-arm", "-M", f"{EMULATED_MACHINE},memory-backend=flash",
+                "-object", f"memory-backend-file,id=flash,size={_FLASH_MEMORY_BYTES},"
+                f"mem-path={self._flash_file.name},share=on",
+                "-display", "none", "-monitor", "none",
                 "-serial", self._uart, "-semihosting-config", "enable=on,target=native", "-kernel", str(self._image),
             ],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, bufsize=0,
@@ -160,6 +188,7 @@ class EmulatedBoard:
         link, twin = self.record.link, self._twin.record.link
         self.ffi.memmove(twin.input, link.input, len(link.input))
         twin.input_count = link.input_count
+        self.lib.flash_model_attach(self._twin.flash_model)
         self.lib.board_link(self._twin.record)
         self.lib.link_sent(self.ffi.addressof(self._twin.record, "link"), link.sent_count)
 

@@ -26,7 +26,13 @@ from mufly.numba_cache import cache_folder
 from mufly.toolchain import COMPILER_FLAGS, build_cached_library
 from mufly.vehicle import Vehicle
 
-_HOST_BOARD_FILES = ("boards/board.c", "boards/board.h", "boards/qemu/exchange.[ch]", "onboard/*.[ch]")
+_HOST_BOARD_FILES = (
+    "boards/board.c",
+    "boards/board.h",
+    "boards/qemu/exchange.[ch]",
+    "onboard/*.[ch]",
+    "check/flash_model.[ch]",
+)
 _IMAGE_FILES = ("boards/board_loop.c", "boards/qemu/exchange.c", "boards/qemu/qemu.c", "check/platform_cortex_m4.c")
 _IMAGE_FLAGS = (*COMPILER_FLAGS, *CORTEX_M4_FLAGS, "-mthumb", "-ffreestanding", "-nostdlib", "-DMUFLY_FLOAT")
 

@@ -46,6 +46,19 @@ int32_t hal_read_bytes(uint8_t *to, int32_t most);
 /* Hand bytes to the link's UART; return how many it takes, without waiting. */
 int32_t hal_write_bytes(const uint8_t *from, int32_t count);
 
+/* Two sectors of flash for settings (onboard/storage.h). Words in a sector; 0: the board has no such storage. */
+int32_t hal_flash_words(void);
+
+/* Word of sector 0 or 1. */
+uint32_t hal_flash_read(int32_t sector, int32_t word);
+
+/* Program a word: bits only go from 1 to 0. A word is programmed once between two erases, or again with the value that it
+ * reads. Return whether the hardware reports no error. */
+bool hal_flash_program(int32_t sector, int32_t word, uint32_t value);
+
+/* Set all bits of a sector to 1. Called on the floor with motors off; may take a second, and resets the watchdog meanwhile. */
+bool hal_flash_erase(int32_t sector);
+
 /* Reset the watchdog; without a call for 50 ms the hardware stops the motors. */
 void hal_feed_watchdog(void);
 

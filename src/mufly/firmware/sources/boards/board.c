@@ -30,6 +30,11 @@ void board_start(board_t *b, uint32_t fitted, int32_t restart)
     link_start(&b->link);
     supervisor_start(&b->supervisor, &mufly_supervisor,
                      (restart == RESTART_IN_FLIGHT) ? INTERRUPTION_RESET : INTERRUPTION_NONE);
+    {
+        const tunables_t tunables = {&b->plan, &b->supervisor.settings, &b->settings.calibration};
+
+        settings_begin(&b->settings, &tunables);
+    }
 }
 
 /* Constants of the flight, with the mission as loaded. */
@@ -144,6 +149,7 @@ void board_estimate(board_t *b, real_t time_s, int32_t missed)
 {
     bool valid;
 
+    calibrate_readings(&b->settings.calibration, &b->readings);
     if (b->readings.fresh[R_RING] == 1) {
         filter_ranges(b, b->readings.ranges);
     }
@@ -184,7 +190,8 @@ void board_control(board_t *b, const hal_command_t *given)
 void board_link(board_t *b)
 {
     const flight_setup_t setup = present_setup(b);
-    const link_vehicle_t vehicle = {&b->supervisor, &b->software, &setup, &b->plan, &b->belief, &b->estimator};
+    const link_vehicle_t vehicle = {&b->supervisor, &b->software, &setup, &b->plan, &b->belief, &b->estimator,
+                                    &b->settings};
 
     link_step(&b->link, &vehicle);
 }

@@ -5,6 +5,7 @@
 #include "fault_record.h"
 #include "hal.h"
 #include "link.h"
+#include "settings.h"
 #include "supervisor.h"
 
 typedef struct {
@@ -18,7 +19,8 @@ typedef struct {
     uint32_t fitted;                   /* bits of the fitted sensors */
     int32_t period_count;              /* periods of the estimator */
     supervisor_t supervisor;
-    plan_t plan;                       /* the mission as loaded: at first that of plan.c */
+    plan_t plan;                       /* the mission as loaded: that of plan.c or of the settings */
+    settings_t settings;
     link_t link;
 } board_t;
 
@@ -26,7 +28,7 @@ typedef struct {
 #define MAX_MISSED_PERIODS 10
 
 /* fitted: bits 1 << R_... of the fitted sensors; restart: RESTART_... of fault_record.h. The motors are off, whatever
- * happened before the start; after a restart in flight the first request to arm is refused. */
+ * happened before the start; after a restart in flight the first request to arm is refused. Loads the stored settings. */
 void board_start(board_t *b, uint32_t fitted, int32_t restart);
 
 /* First half of a period: from the readings in b->readings to the estimate in b->belief. missed: periods lost before it, which

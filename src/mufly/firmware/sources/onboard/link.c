@@ -19,7 +19,7 @@
 #define UNSUPPORTED 3
 #define STICK_DEADBAND REAL(0.03)
 #define TEXT_CHUNK 50
-#define MAX_EXTENT_M REAL(1e4)
+#define FAILED 4
 
 enum { STREAM_HEARTBEAT, STREAM_SYS_STATUS, STREAM_BATTERY, STREAM_EXTENDED, STREAM_MISSION, STREAM_ATTITUDE,
        STREAM_POSITION, STREAM_ESTIMATOR };
@@ -299,15 +299,29 @@ static void make_stream(const link_vehicle_t *v, int32_t which, mavlink_message_
     }
 }
 
+/* Whether missions and settings may change: on the floor, with motors off. */
+static bool may_load(const link_vehicle_t *v)
+{
+    return !v->supervisor->armed && (v->software->motors == MOTORS_OFF) && (v->software->mission.state == STATE_INIT);
+}
+
 /* Parameters */
+
+static tunables_t tunables_of(const link_vehicle_t *v)
+{
+    const tunables_t t = {v->plan, &v->supervisor->settings, &v->settings->calibration};
+
+    return t;
+}
 
 static void send_parameter(link_t *k, const link_vehicle_t *v, int32_t which)
 {
     const char *name = parameter_name(which);
+    const tunables_t t = tunables_of(v);
     mavlink_message_t m;
 
     mavlink_begin(&m, MSG_PARAM_VALUE, 25);
-    mavlink_put_real(&m, 0, parameter_get(v->plan, &v->supervisor->settings, which));
+    mavlink_put_real(&m, 0, parameter_get(&t, which));
     mavlink_put(&m, 4, 2, (uint32_t)PARAMETERS);
     mavlink_put(&m, 6, 2, (uint32_t)which);
     for (int32_t i = 0; (i < PARAMETER_NAME) && (name[i] != '\0'); i++) {
@@ -333,8 +347,17 @@ static void handle_parameters(link_t *k, const link_vehicle_t *v, const mavlink_
         const int32_t which = parameter_find(&m->payload[6]);
 
         if (which >= 0) {
-            if (commands && !parameter_set(v->plan, &v->supervisor->settings, which, mavlink_get_real(m, 0))) {
-                send_words(k, "parameter out of its bounds; it stays", 4U);
+            if (commands) {
+                const tunables_t t = tunables_of(v);
+                const int32_t answer = settings_set(v->settings, &t, which, mavlink_get_real(m, 0), may_load(v));
+
+                if (answer == SETTING_OUT_OF_BOUNDS) {
+                    send_words(k, "parameter out of its bounds; it stays", 4U);
+                } else if (answer == SETTING_ON_FLOOR_ONLY) {
+                    send_words(k, "calibration needs motors off; it stays", 4U);
+                } else {
+                    /* set */
+                }
             }
             send_parameter(k, v, which); /* the value that counts */
         }
@@ -364,11 +387,6 @@ static void ask_for_item(link_t *k, const link_vehicle_t *v)
     mavlink_put(&m, 3, 1, k->load_component);
     (void)send_message(k, &m);
     k->load_asked_s = v->supervisor->now_s;
-}
-
-static bool may_load(const link_vehicle_t *v)
-{
-    return !v->supervisor->armed && (v->software->motors == MOTORS_OFF) && (v->software->mission.state == STATE_INIT);
 }
 
 /* Take an item into the mission that is being loaded; return whether it is a valid one. */
@@ -417,7 +435,7 @@ static bool take_item(link_t *k, const mavlink_message_t *m)
 static void finish_upload(link_t *k, const link_vehicle_t *v, const mavlink_message_t *to)
 {
     k->loads = false;
-    if (may_load(v) && (k->loaded.count > 0)) {
+    if (may_load(v) && (k->loaded.count > 0) && settings_store_mission(v->settings, &k->loaded)) {
         *v->plan = k->loaded;
         reset_for_loaded_mission(v->plan, &v->software->mission);
         send_mission_ack(k, to, 0U);
@@ -609,6 +627,37 @@ static int32_t request_message(link_t *k, const real_t p[7])
     return answer;
 }
 
+/* PREFLIGHT_STORAGE: parameters and calibration (p[0]: 0 load, 1 store, 2 to 4 reset), mission (p[1]: 1 store, 2 reset; a load
+ * changes nothing, since each upload is stored). */
+static int32_t store_or_reset(const link_vehicle_t *v, const real_t p[7])
+{
+    const tunables_t t = tunables_of(v);
+    const uint32_t values = to_field(p[0], REAL(4.0), 5U);
+    const uint32_t mission = to_field(p[1], REAL(2.0), 3U);
+    bool stored = true;
+    int32_t answer = ANSWER_REJECTED_FOR_NOW;
+
+    if (may_load(v)) {
+        if (values == 0U) {
+            settings_reload(v->settings, &t);
+        } else if (values <= 4U) {
+            settings_reset(v->settings, &t, (values == 2U) || (values == 4U), values >= 3U);
+            stored = settings_store(v->settings, &t);
+        } else {
+            /* nothing to do */
+        }
+        if (mission == 2U) {
+            settings_reset_mission(v->plan);
+            reset_for_loaded_mission(v->plan, &v->software->mission);
+        }
+        if ((mission == 1U) || (mission == 2U)) {
+            stored = settings_store_mission(v->settings, v->plan) && stored;
+        }
+        answer = stored ? ANSWER_ACCEPTED : FAILED;
+    }
+    return answer;
+}
+
 static int32_t execute(link_t *k, const link_vehicle_t *v, const mavlink_message_t *m, uint32_t command, const real_t p[7],
                        bool repeated)
 {
@@ -651,6 +700,9 @@ static int32_t execute(link_t *k, const link_vehicle_t *v, const mavlink_message
         break;
     case 192U: /* DO_REPOSITION */
         answer = reposition(v, m, p);
+        break;
+    case 245U: /* PREFLIGHT_STORAGE */
+        answer = store_or_reset(v, p);
         break;
     case 176U: /* DO_SET_MODE */
         answer = set_mode(k, v, p);
@@ -828,6 +880,7 @@ static void handle_message(link_t *k, const link_vehicle_t *v, const mavlink_mes
 {
     supervisor_t *s = v->supervisor;
 
+    k->is_heard = true;
     if (s->has_commander && (m->system == k->commander_system) && (m->component == k->commander_component)) {
         supervisor_hear_commander(s);
     }
@@ -909,6 +962,28 @@ static void send_arming_faults(link_t *k, uint32_t faults)
     }
 }
 
+/* Store what was set in flight; report the faults of the settings to the first station. */
+static void step_settings(link_t *k, const link_vehicle_t *v)
+{
+    static const char *const words[4] = {
+        "not stored: the flash is worn or full", "stored settings of another version, not used",
+        "stored setting out of bounds, not used", "stored mission replaced another one; not used",
+    };
+    settings_t *s = v->settings;
+
+    if (settings_are_due(s) && may_load(v)) {
+        const tunables_t t = tunables_of(v);
+
+        (void)settings_store(s, &t);
+    }
+    for (uint32_t i = 0U; (i < 4U) && k->is_heard; i++) {
+        if ((s->faults & (1UL << i)) != 0U) {
+            send_words(k, words[i], 4U);
+        }
+    }
+    s->faults = k->is_heard ? 0U : s->faults;
+}
+
 static void send_log(link_t *k, const link_vehicle_t *v)
 {
     static const uint8_t severity[3] = {6U, 4U, 3U};
@@ -954,6 +1029,7 @@ void link_step(link_t *k, const link_vehicle_t *v)
         k->listed++;
         k->lists = k->listed < (int32_t)PARAMETERS;
     }
+    step_settings(k, v);
     send_log(k, v);
     for (int32_t i = 0; (i < LINK_STREAMS) && (sent < 2); i++) {
         if (k->once[i] || (now_s >= k->due_s[i])) {

@@ -5,6 +5,7 @@
 
 #include "ekf_step.h"
 #include "mavlink.h"
+#include "settings.h"
 #include "supervisor.h"
 
 #define LINK_INPUT 64   /* bytes taken in a period */
@@ -40,6 +41,7 @@ typedef struct {
     uint8_t commander_system, commander_component;
     bool by_hand;                /* a manual mode was requested: MANUAL_CONTROL counts */
     bool tells_faults;           /* reasons against arming are to be sent as text */
+    bool is_heard;               /* whether a station has sent anything yet */
     /* upload of a mission */
     bool loads;
     int32_t load_count, load_next;
@@ -56,6 +58,7 @@ typedef struct {
     plan_t *plan;
     const estimate_t *belief;
     const estimator_t *estimator;
+    settings_t *settings;
 } link_vehicle_t;
 
 void link_start(link_t *k);

@@ -11,6 +11,19 @@ static const parameter_t parameters[PARAMETERS] = {
     {"AVD_CLEARANCE", REAL(0.15), REAL(1.0), REAL(1.0)},
     {"AVD_SPEED", REAL(0.06), REAL(1.0), REAL(1.0)},
     {"BAT_LOW_V", REAL(0.0), REAL(60.0), REAL(1.0)},
+    {"CAL_ACC0_XOFF", REAL(-2.0), REAL(2.0), REAL(1.0)},
+    {"CAL_ACC0_XSCALE", REAL(0.8), REAL(1.2), REAL(1.0)},
+    {"CAL_ACC0_YOFF", REAL(-2.0), REAL(2.0), REAL(1.0)},
+    {"CAL_ACC0_YSCALE", REAL(0.8), REAL(1.2), REAL(1.0)},
+    {"CAL_ACC0_ZOFF", REAL(-2.0), REAL(2.0), REAL(1.0)},
+    {"CAL_ACC0_ZSCALE", REAL(0.8), REAL(1.2), REAL(1.0)},
+    {"CAL_GYRO0_XOFF", REAL(-0.5), REAL(0.5), REAL(1.0)},
+    {"CAL_GYRO0_YOFF", REAL(-0.5), REAL(0.5), REAL(1.0)},
+    {"CAL_GYRO0_ZOFF", REAL(-0.5), REAL(0.5), REAL(1.0)},
+    {"CAL_RING_OFF", REAL(-0.2), REAL(0.2), REAL(1.0)},
+    {"CAL_RING_SCALE", REAL(0.8), REAL(1.2), REAL(1.0)},
+    {"CAL_SONAR_OFF", REAL(-0.2), REAL(0.2), REAL(1.0)},
+    {"CAL_SONAR_SCALE", REAL(0.8), REAL(1.2), REAL(1.0)},
     {"COM_DL_LAND_T", REAL(0.0), REAL(3600.0), REAL(1.0)},
     {"COM_DL_LOSS_T", REAL(1.0), REAL(300.0), REAL(1.0)},
     {"LIM_REACH", REAL(0.01), REAL(1.0), REAL(1.0)},
@@ -21,12 +34,17 @@ static const parameter_t parameters[PARAMETERS] = {
     {"STK_YAWRATE", REAL(5.0), REAL(110.0), DEGREE},
 };
 
-static real_t *place(plan_t *plan, supervisor_settings_t *settings, int32_t k)
+static real_t *place(const tunables_t *t, int32_t k)
 {
+    plan_t *plan = t->plan;
+    supervisor_settings_t *settings = t->supervisor;
+    calibration_t *c = t->calibration;
     real_t *const places[PARAMETERS] = {
-        &plan->clearance, &plan->avoid_speed, &plan->low_voltage, &settings->link_land_s, &settings->link_loss_s,
-        &plan->reach, &plan->touchdown, &plan->take_off_height, &settings->stick_climb, &settings->stick_tilt,
-        &settings->stick_yaw_rate,
+        &plan->clearance, &plan->avoid_speed, &plan->low_voltage, &c->acceleration_offset[0], &c->acceleration_scale[0],
+        &c->acceleration_offset[1], &c->acceleration_scale[1], &c->acceleration_offset[2], &c->acceleration_scale[2],
+        &c->rate_offset[0], &c->rate_offset[1], &c->rate_offset[2], &c->ring_offset, &c->ring_scale, &c->sonar_offset,
+        &c->sonar_scale, &settings->link_land_s, &settings->link_loss_s, &plan->reach, &plan->touchdown,
+        &plan->take_off_height, &settings->stick_climb, &settings->stick_tilt, &settings->stick_yaw_rate,
     };
 
     return places[k];
@@ -37,24 +55,23 @@ const char *parameter_name(int32_t k)
     return parameters[k].name;
 }
 
-real_t parameter_get(const plan_t *plan, const supervisor_settings_t *settings, int32_t k)
+bool parameter_calibrates(int32_t k)
 {
-    const real_t values[PARAMETERS] = {
-        plan->clearance, plan->avoid_speed, plan->low_voltage, settings->link_land_s, settings->link_loss_s,
-        plan->reach, plan->touchdown, plan->take_off_height, settings->stick_climb, settings->stick_tilt,
-        settings->stick_yaw_rate,
-    };
-
-    return values[k] / parameters[k].unit;
+    return (k >= (int32_t)PARAM_CAL_ACC0_XOFF) && (k <= (int32_t)PARAM_CAL_SONAR_SCALE);
 }
 
-bool parameter_set(plan_t *plan, supervisor_settings_t *settings, int32_t k, real_t value)
+real_t parameter_get(const tunables_t *t, int32_t k)
+{
+    return *place(t, k) / parameters[k].unit;
+}
+
+bool parameter_set(const tunables_t *t, int32_t k, real_t value)
 {
     const real_t slack = REAL(1e-6) * real_max(real_abs(parameters[k].least), real_abs(parameters[k].most));
     const bool fits = (value >= (parameters[k].least - slack)) && (value <= (parameters[k].most + slack));
 
     if (fits) {
-        *place(plan, settings, k) = value * parameters[k].unit;
+        *place(t, k) = value * parameters[k].unit;
     }
     return fits;
 }

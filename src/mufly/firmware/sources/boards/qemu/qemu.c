@@ -27,6 +27,10 @@
 #define NVIC_DISABLE (*(volatile uint32_t *)0xE000E180U)
 #define RECEIVED_SIZE 512U
 
+/* Two sectors of flash, which this machine has as memory that outlasts the program; where that is new, no bit need be set. */
+#define FLASH ((volatile uint32_t *)0x21000000U)
+#define FLASH_WORDS 4096
+
 int main(void);
 void interrupt_0(void);
 
@@ -148,6 +152,30 @@ int32_t hal_write_bytes(const uint8_t *from, int32_t count)
         sent++;
     }
     return sent;
+}
+
+int32_t hal_flash_words(void)
+{
+    return FLASH_WORDS;
+}
+
+uint32_t hal_flash_read(int32_t sector, int32_t word)
+{
+    return FLASH[(sector * FLASH_WORDS) + word];
+}
+
+bool hal_flash_program(int32_t sector, int32_t word, uint32_t value)
+{
+    FLASH[(sector * FLASH_WORDS) + word] &= value;
+    return true;
+}
+
+bool hal_flash_erase(int32_t sector)
+{
+    for (int32_t i = 0; i < FLASH_WORDS; i++) {
+        FLASH[(sector * FLASH_WORDS) + i] = 0xFFFFFFFFU;
+    }
+    return true;
 }
 
 void hal_feed_watchdog(void)

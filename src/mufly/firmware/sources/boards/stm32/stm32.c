@@ -114,6 +114,32 @@ int32_t hal_write_bytes(const uint8_t *from, int32_t count)
     return count;
 }
 
+int32_t hal_flash_words(void)
+{
+    return 0; /* TODO: 4096, with sectors 2 and 3 (16 kB each) left out of the linker script */
+}
+
+uint32_t hal_flash_read(int32_t sector, int32_t word)
+{
+    (void)sector; /* TODO: *(volatile uint32_t *)(0x08008000 + (sector * 0x4000) + (4 * word)) */
+    (void)word;
+    return 0xFFFFFFFFU;
+}
+
+bool hal_flash_program(int32_t sector, int32_t word, uint32_t value)
+{
+    (void)sector; /* TODO: FLASH->KEYR, FLASH->CR with PG and PSIZE of 32 bits, the word, FLASH->SR until not BSY, its errors */
+    (void)word;
+    (void)value;
+    return false;
+}
+
+bool hal_flash_erase(int32_t sector)
+{
+    (void)sector; /* TODO: FLASH->CR with SER, SNB and STRT, from a function in RAM that resets the watchdog until not BSY */
+    return false;
+}
+
 void hal_feed_watchdog(void)
 {
     /* TODO: IWDG->KR = 0xAAAA, with a reload that leaves 50 ms */
