@@ -10,14 +10,18 @@ import pytest
 
 from mufly.dynamics import GRAVITY
 from mufly.estimate import Estimate
+from mufly.flight import Flight
 from mufly.flight.fixes.external_fixes import ExternalFixes
 from mufly.flight.fixes.fix_monitor import FixMonitor
+from mufly.flight.mission_flight import align_and_start
+from mufly.mission import load_mission
 from mufly.sensors import Reading, Readings
 from mufly.vehicle import load_vehicle
 
 RATE_HZ, REST_S, DRIFT_M = 100, 4.0, 0.03
 BIAS = np.array([0.08, -0.05, 0.02])
 Change = Callable[[np.ndarray, float], np.ndarray]
+Check = Callable[[float, np.ndarray], str]
 
 
 def path_at(t: float) -> tuple[np.ndarray, np.ndarray, float]:
@@ -40,9 +44,13 @@ def rotate(angle: float) -> Change:
     return lambda p, t: np.array([c * p[0] - s * p[1], s * p[0] + c * p[1], p[2]])
 
 
-def run_source(change: Change, until_s: float = 12.0, late_s: float = 0.0, seed: int = 1) -> list[tuple[float, str]]:
+def run_source(
+    change: Change, until_s: float = 12.0, late_s: float = 0.0, seed: int = 1, check: Check | None = None,
+    monitor: FixMonitor | None = None,
+) -> list[tuple[float, str]]:  # fmt: skip
     """Return time and reason of each fix of a source that sees the path through a change."""
-    monitor, rng, out = FixMonitor(DRIFT_M), np.random.default_rng(seed), []
+    monitor, rng, out = monitor or FixMonitor(DRIFT_M), np.random.default_rng(seed), []
+    check = check or monitor.check_fix
     drift, zero = np.zeros(2), np.zeros(3)
     for k in range(round(until_s * RATE_HZ)):
         t = k / RATE_HZ
@@ -60,7 +68,7 @@ def run_source(change: Change, until_s: float = 12.0, late_s: float = 0.0, seed:
             place, _, seen = path_at(t - late_s)
             fix = change(np.append(place, seen), t)
             fix[:2] += drift + 0.005 * rng.standard_normal(2)
-            out.append((t, monitor.check_fix(t, np.array([fix[0], fix[1], -1.0, fix[2]]))))
+            out.append((t, check(t, np.array([fix[0], fix[1], -1.0, fix[2]]))))
     return out
 
 
@@ -84,7 +92,7 @@ def test_a_source_that_only_drifts_is_accepted(seed: int) -> None:
     ("change", "late_s", "named"),
     [
         (rotate(math.pi / 2), 0.0, "turned"),
-        (rotate(-math.pi / 4), 0.0, "turned by"),
+        (rotate(-math.pi / 4), 0.0, "turned"),
         (lambda p, t: p * [1.0, -1.0, 1.0], 0.0, "mirrored"),
         (lambda p, t: p[[1, 0, 2]], 0.0, "mirrored"),
         (lambda p, t: p * [1.5, 1.5, 1.0], 0.0, "times as far"),
@@ -111,6 +119,63 @@ def test_a_refused_source_returns_when_it_agrees_for_long() -> None:
     assert all(why for t, why in reasons if 11.0 < t < 21.0)
     jumped = [t for t, why in run_source(lambda p, t: shift(p, 0, 1.0 if t > 9.0 else 0.0), 16.0) if why]
     assert (jumped[0], jumped[-1]) == pytest.approx((9.0, 13.0), abs=0.2)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        rotate(math.pi / 2),
+        lambda p, t: p * [1.0, -1.0, 1.0],
+        lambda p, t: p * [1.6, 1.6, 1.0],
+    ],
+)
+def test_the_motion_of_a_refused_source_is_corrected_for_the_landing(change: Change) -> None:
+    monitor, corrected = FixMonitor(DRIFT_M), []
+
+    def keep(t: float, place: np.ndarray) -> str:
+        why = FixMonitor.check_fix(monitor, t, place)
+        if (fix := monitor.correct_fix(t, place)) is not None:
+            corrected.append((t, *fix[1][:2]))
+        return why
+
+    run_source(change, 14.0, check=keep, monitor=monitor)
+    t, *place = np.array(corrected).T
+    assert t[0] < 10.0
+    late = t > t[0] + 2.0  # motion in two directions distinguishes a turn from a mirror
+    true = np.array([path_at(s)[0] for s in t[late]])
+    off = np.array(place).T[late] - true
+    assert np.ptp(true, axis=0).min() > 0.5
+    assert np.ptp(off, axis=0).max() < 0.2
+
+
+def test_a_flight_on_a_turned_source_lands_upright_and_blames_no_sensor() -> None:
+    events = []
+    mission = load_mission("demonstration")
+    with Flight("mufly-1.1", mission, sensors="fitted", seed=2, outside=True, brief=True, keep=False) as flight:
+        flight.autopilot.listeners.append(lambda e: events.append(e.text))
+        source, rng, queue = flight.outside_fixes, np.random.default_rng(2), []
+        assert source is not None
+
+        def step() -> None:
+            Flight.step_period(flight)
+            truth, t = flight.truth, flight.time_s
+            if flight.plant.period_count % 13 == 0:
+                n, e, d = truth.position + 0.01 * rng.standard_normal(3)
+                queue.append((t, np.array([-e, n, d, truth.attitude[2]])))
+            while queue and queue[0][0] <= t - 0.2:
+                source.submit_fix(t, *queue.pop(0), None)
+
+        flight.step_period = flight.advance_until = lambda *_, **__: step()  # type: ignore[method-assign]
+        assert align_and_start(flight) == ""
+        while not flight.autopilot.software.finished and not flight.plant.crash_cause and flight.time_s < 40.0:
+            step()
+        outcome, reason = flight.judge_outcome()
+        assert outcome == "failed"
+        assert "position by link refused: it moves turned" in reason
+        assert math.hypot(*flight.truth.velocity[:2]) < 0.05
+        assert math.hypot(*flight.truth.attitude[:2]) < math.radians(5.0)
+        assert flight.autopilot.list_arming_faults()
+    assert not [text for text in events if "gyro" in text or "magnetometer" in text or "accelerom" in text[:20]]
 
 
 def test_fixes_that_move_before_take_off_do_not_reach_the_filter() -> None:

@@ -79,6 +79,7 @@ _REST_FILTER_S = 1.0  # time constant of the filtered voltage at rest
 _FALL_HEIGHT_M = 0.1  # height above the standing position from which stopped motors mean a fall
 _INTERRUPTIONS = (LogMessage.TIPPED_MOTORS_OFF(), LogMessage.MOTORS_OFF_AFTER_DESCENT())
 
+SOURCE_REFUSED = "position by link refused: "
 EVENT_CAPACITY = 1000
 _IDLE_ACTUATORS = Actuators.idle()
 
@@ -87,7 +88,7 @@ class Autopilot:
     """Arming and commands of one vehicle's flight software.
 
     ``listeners`` are called with every event. A simulation sets ``crash_cause``. ``excused_sensors`` returns the
-    readings that may be missing at present without a report.
+    readings that may be missing at present without a report, ``source_fault`` the fault of a source of positions.
 
     Parameters
     ----------
@@ -115,6 +116,7 @@ class Autopilot:
         self.software = software(vehicle, controller, mission)
         self.listeners: list[Callable[[FlightEvent], None]] = []
         self.excused_sensors: Callable[[], Collection[str]] = lambda: ()
+        self.source_fault: Callable[[], str] = lambda: ""
         self.hover_current_A = hover_current_A(vehicle)
         self._battery = vehicle.battery
         self._capacity_Ah = float(vehicle.battery.capacity) / 3600.0
@@ -128,6 +130,7 @@ class Autopilot:
         self.crash_cause = ""
         self._armed, self._armed_s = False, 0.0
         self._interruption, self._interruption_told = "", False
+        self.refused_source = ""  # fault of a source of positions that was refused in flight
         self._rest_V = math.nan
         self._ran = False
         self._sent = _IDLE_ACTUATORS
@@ -280,6 +283,7 @@ class Autopilot:
         if self._offboard and software.state not in ("offboard", "init"):
             self._offboard = False
         self._enforce_fence()
+        self._act_on_source_fault()
         if not self._armed:
             return
         if ran and not self._ran:
@@ -316,6 +320,14 @@ class Autopilot:
         done = "landing" if landing else words if answer else f"cannot be helped: {answer.reason}"
         self.log_event(f"fence breached, {self._breach}: {done}", "error")
 
+    def _act_on_source_fault(self) -> None:
+        """Land once a source of positions is refused in flight; a pilot is only informed, and decides."""
+        fault, before = self.source_fault() if self._ran else "", self.refused_source
+        self.refused_source = fault or before
+        if fault and not before:
+            lands = self._sticks is None and self.land()
+            self.log_event(f"{SOURCE_REFUSED}{fault}{': landing' if lands else ''}", "error")
+
     def _set_disarmed(self) -> None:
         self._armed = self._offboard = False
         self._command = NO_COMMAND
@@ -337,6 +349,8 @@ class Autopilot:
         if m is not None and not self.crash_cause and np.isfinite(m.position).all():
             fault = self._mission_fault(m)
             why += [fault] if fault else []
+        if fault := self.source_fault():
+            why.append(f"{SOURCE_REFUSED}{fault}; mend its source")
         if self._interruption and not self.crash_cause:
             why.insert(0, f"its last flight was interrupted: {self._interruption}; inspect it, then arm again")
         return why
@@ -393,6 +407,7 @@ class Autopilot:
             self.log_event(f"acknowledged: {self._interruption}", "warning")
             self._interruption = ""
         self._interruption_told = True
+        self.refused_source = ""
         why = self.list_arming_faults() if not force else [self.crash_cause] if self.crash_cause else []
         if self._sticks is not None and self._sticks.climb_rate > 0.0:
             why.append("the climb stick is up; lower it first")

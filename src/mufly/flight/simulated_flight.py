@@ -32,7 +32,7 @@ from mufly.dynamics import DrydenWind, describe_model_excess, model_air_limits, 
 from mufly.dynamics.model_state import RS_CHARGE
 from mufly.errors import InputError
 from mufly.estimate import Estimate, Estimator, IdealEstimator, KalmanEstimator, fitted_estimator
-from mufly.flight.autopilot import Autopilot
+from mufly.flight.autopilot import SOURCE_REFUSED, Autopilot
 from mufly.flight.controllers import Actuators, Controllers
 from mufly.flight.fixes.camera_sensor import (
     LANDED_HEIGHT_M,
@@ -186,7 +186,8 @@ class Flight:
         self.outside_fixes: ExternalFixes | None = None
         if outside:
             stream = None if eye is None else make_picture_stream(eye, vehicle, mission.world, seed)
-            self.outside_fixes = ExternalFixes(vehicle, stream)
+            source = self.outside_fixes = ExternalFixes(vehicle, stream)
+            self.autopilot.source_fault = lambda: source.fault
         elif eye is not None:
             self.camera = CameraSensor(eye, vehicle, mission.world, start, seed)
         fixes = self.camera or self.outside_fixes
@@ -497,6 +498,8 @@ class Flight:
         s = self.autopilot.software.mission_state
         if self.plant.crash_cause or self.refusal_reason:
             return "failed", self.plant.crash_cause or self.refusal_reason
+        if s.outcome == "failed" and (fault := self.autopilot.refused_source):
+            return "failed", f"{SOURCE_REFUSED}{fault}"
         return (s.outcome, s.reason) if s.outcome else ("unfinished", f"in state '{s.state}' when it was ended")
 
     def __enter__(self) -> Flight:

@@ -3,7 +3,7 @@
 :class:`ExternalFixes` replaces the statistical ``position_fix``; each fix has its own time and covariance. Invalid
 fixes are refused before they reach the filter, with the reason as text: numbers that are not finite, a large
 standard deviation, a time in the future, late, repeated or out-of-order fixes. So are sources that contradict the
-inertial unit (:mod:`mufly.flight.fixes.fix_monitor`).
+inertial unit (:mod:`mufly.flight.fixes.fix_monitor`); the vehicle then lands on their corrected motion.
 """
 
 from __future__ import annotations
@@ -30,6 +30,8 @@ MAX_FIX_DISTANCE_M = 1000.0
 MIN_SIGMA_M, MIN_SIGMA_RAD = 0.002, math.radians(0.05)
 """Least standard deviations of a fix; smaller ones are increased."""
 MAX_SIGMA_RAD = math.radians(20.0)
+_CORRECTED_COVARIANCE = np.diag([0.1**2] * 3 + [math.radians(1.0) ** 2])
+"""Covariance of the corrected fixes of a refused source: their motion counts, not their place."""
 
 
 class ExternalFixes(Sensor):
@@ -68,6 +70,11 @@ class ExternalFixes(Sensor):
     def observe(self, readings: Readings, estimate: Estimate, is_resting: bool) -> None:
         """Pass the latest readings to the checks of the source (:class:`FixMonitor`)."""
         self._monitor.observe(readings, estimate, is_resting)
+
+    @property
+    def fault(self) -> str:
+        """Fault for which the source is refused, or ""."""
+        return self._monitor.fault
 
     def true_readings(self, truth: Truth) -> dict[str, Any]:
         return {"position_fix": np.append(truth.position, truth.attitude[2])}
@@ -111,6 +118,9 @@ class ExternalFixes(Sensor):
             return "doubled, or overtaken by a later one"
         self._last_s = time_s
         if why := self._monitor.check_fix(time_s, place):
+            if (corrected := self._monitor.correct_fix(time_s, place)) is not None:
+                time_s, place = corrected
+                self._said = {"position_fix": Reading(place, min(time_s, now_s), True, _CORRECTED_COVARIANCE)}
             return why
         if covariance is not None:
             least = np.array([MIN_SIGMA_M] * 3 + [MIN_SIGMA_RAD]) ** 2

@@ -7,6 +7,7 @@ first, fixes P at the times t follow over a window of :data:`WINDOW_S`
     P = c0 + c1 t + c2 t^2 + b B + m A + n conj(A) - d V.
 
 B is the second integral of e^(i psi), the direction of the nose: an error of the accelerometers turns with the vehicle.
+For a mirrored source conj(B) replaces it.
 
 | source | m | n | d |
 |---|---|---|---|
@@ -25,7 +26,9 @@ gyroscopes are measured then.
 A fault must last :data:`_CONFIRM_COUNT` fixes. From :data:`_WITHHOLD_RATIO` times the drift on fixes are withheld, so
 that the filter does not follow a source that is about to be refused; after a jump they are withheld for
 :data:`_SETTLE_S`. A refused source returns after :data:`RETURN_S` of flight in which it agrees, or of rest if it moved
-at rest. The specific force contains drag and wind, so no model of the rotors enters. Own derivation.
+at rest. The filter has taken over a wrong velocity by then, which the vehicle would keep until touchdown: the motion of
+a refused source is therefore corrected for the landing (:meth:`FixMonitor.correct_fix`). The specific force contains
+drag and wind, so no model of the rotors enters. Own derivation.
 """
 
 from __future__ import annotations
@@ -48,7 +51,7 @@ WINDOW_S, RETURN_S = 5.0, 10.0
 _MIN_SPAN_S, _MIN_COUNT = 1.2, 12
 """Least span (s) and number of fixes for a fit."""
 _WITHHOLD_RATIO, _REPORT_RATIO, _FOLLOWED_FACTOR, _EXPLAINED, _CONFIRM_COUNT = 0.8, 1.2, 1.5, 0.45, 6
-_MIN_SIZE, _BOTH = 0.6, 2.5
+_MIN_SIZE, _BOTH = 0.6, 4.0
 """Contradictions over the source's usual drift from which fixes are withheld and the fault is reported. Then the factor
 on both for sources that lag or move less than :data:`_MIN_SIZE` times as far, the share of the contradiction that a
 fault leaves, and the number of fixes that confirm a fault."""
@@ -91,6 +94,25 @@ class PathFit:
     delay_s: float
 
 
+@dataclass(frozen=True)
+class FixCorrection:
+    """Correction of a source's motion, the inverse of its fault.
+
+    Attributes
+    ----------
+    factor : complex
+        Correct over measured motion.
+    is_mirrored : bool
+        Whether the corrected motion is conjugated.
+    delay_s : float
+        Delay to subtract from the times of the fixes.
+    """
+
+    factor: complex
+    is_mirrored: bool = False
+    delay_s: float = 0.0
+
+
 _NO_FIT = PathFit(0.0, 0.0, {"turned": 0.0}, 1.0 + 0.0j, 0j, 0.0)
 
 
@@ -106,6 +128,8 @@ class FixMonitor:
     ----------
     path_fit : PathFit
         Fit of the latest window.
+    fault : str
+        Fault for which the source is refused, or "".
     """
 
     def __init__(self, drift_m: float) -> None:
@@ -126,8 +150,11 @@ class FixMonitor:
         self._heading_offset = math.nan
         self._candidate, self._count, self._sure_count = "", 0, 0
         self._settled_s = -math.inf
-        self._fault, self._agreed_s, self._last_s = "", 0.0, math.nan
+        self.fault, self._agreed_s, self._last_s = "", 0.0, math.nan
         self.path_fit = _NO_FIT
+        self._correction: FixCorrection | None = None
+        self._measured = self._corrected = 0j  # last fix of a refused source
+        self._estimate: tuple[complex, complex] = 0j, 0j  # place and velocity
 
     def observe(self, readings: Readings, estimate: Estimate, is_resting: bool) -> None:
         """Propagate by the latest readings of the inertial unit.
@@ -143,6 +170,7 @@ class FixMonitor:
         t, latest = readings.time_s, readings.latest
         dt = t - self._time_s
         self._time_s = t
+        self._estimate = complex(*estimate.position[:2]), complex(*estimate.velocity[:2])
         force, rates = latest.get("acceleration"), latest.get("rates")
         if force is None or rates is None or not (force.valid and rates.valid) or not 0.0 < dt < 0.1:
             return
@@ -154,7 +182,7 @@ class FixMonitor:
             w = (rates.value - self._rest_rates) * dt
             cross = np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
             self._turn = self._turn @ (np.eye(3) + cross + 0.5 * cross @ cross)
-            if estimate.valid and not self._fault and not self._candidate:
+            if estimate.valid and not self.fault and not self._candidate:
                 self._follow_tilt(estimate, dt / _ATTITUDE_CORRECTION_S)
             n, e, _ = self._turn @ force.value
             acceleration = complex(n, e)
@@ -209,18 +237,54 @@ class FixMonitor:
             self._sure_count = self._sure_count + 1 if is_sure else 0
             self._candidate, self._agreed_s = fault, 0.0
             if self._sure_count >= _CONFIRM_COUNT:
-                self._fault = fault
+                self._refuse(time_s, complex(*place[:2]), fault)
         else:
             self._candidate, self._count, self._sure_count = "", 0, 0
-            if self._fault and is_known and 0.0 < gap < 0.5:
+            if self.fault and is_known and 0.0 < gap < 0.5:
                 self._agreed_s += gap
+                self._correction = None
                 if self._agreed_s >= RETURN_S:
-                    self._fault = ""
-        if self._fault:
-            return self._fault
+                    self.fault = ""
+        if self.fault:
+            return self.fault
         if time_s < self._settled_s:
             return f"{_WITHHELD}it has jumped"
         return f"{_WITHHELD}{self._candidate}" if self._count > 2 else ""
+
+    def _refuse(self, time_s: float, place: complex, fault: str) -> None:
+        """Refuse the source, and correct its motion from the filter's present place on."""
+        if self._correction is None:
+            now, velocity = self._estimate
+            self._measured, self._corrected = place, now - (self._time_s - time_s) * velocity
+        self.fault = fault
+        self._correction = self._find_correction() or self._correction
+
+    def _find_correction(self) -> FixCorrection | None:
+        """Return the correction of the fault that the path shows; None if it shows none."""
+        fit = self.path_fit
+        match self._classify_path(self._report_m):
+            case "turned":
+                return FixCorrection(1.0 / fit.turn)
+            case "mirrored":
+                return FixCorrection(1.0 / fit.mirror, is_mirrored=True)
+            case "scaled":
+                return FixCorrection(1.0 / complex(fit.turn.real))
+            case "late":
+                return FixCorrection(1.0 + 0j, delay_s=fit.delay_s)
+        return None
+
+    def correct_fix(self, time_s: float, place: _Array) -> tuple[float, _Array] | None:
+        """Return time and place of a fix of a refused source without its fault; None if that is not known.
+
+        The place continues from the filter's at the refusal.
+        """
+        if not self.fault or self._correction is None or self._is_resting:
+            return None
+        c, measured = self._correction, complex(*place[:2])
+        moved = c.factor * (measured - self._measured)
+        self._measured = measured
+        self._corrected += moved.conjugate() if c.is_mirrored else moved
+        return time_s - max(c.delay_s, 0.0), np.array([self._corrected.real, self._corrected.imag, *place[2:]])
 
     @staticmethod
     def _kind(fault: str) -> str:
@@ -234,7 +298,7 @@ class FixMonitor:
         if self._is_resting:
             fault = self._check_rest(time_s, complex(north, east))
             self._heading_offset = heading - self._history[-1][4]
-            return fault, True, bool(self._rest_fixes) and self._kind(self._fault) == self._kind(_moving_text(0.0))
+            return fault, True, bool(self._rest_fixes) and self._kind(self.fault) == self._kind(_moving_text(0.0))
         self._rest_fixes.clear()
         k = len(self._history) - 1
         while k > 0 and self._history[k][0] > time_s:
@@ -290,23 +354,25 @@ class FixMonitor:
         u = (t - t.mean()) / span
         q, _ = np.linalg.qr(np.stack([np.ones_like(u), u, u * u], axis=1))
         y, a, v, b = (c - q @ (q.T @ c) for c in (place, path, speed, bias))
+        mirror_y = y
         if (size := float(np.vdot(b, b).real)) > len(t) * _MIN_TURN_EFFECT**2:
+            mirror_y = y - b.conj() * (np.vdot(b.conj(), y) / size)
             y, a, v = (c - b * (np.vdot(b, c) / size) for c in (y, a, v))
         off = y - a
         square = float(np.vdot(a, a).real) + 1e-9
-        turn, mirror = complex(np.vdot(a, y)) / square, complex(np.vdot(a.conj(), y)) / square
+        turn, mirror = complex(np.vdot(a, y)) / square, complex(np.vdot(a.conj(), mirror_y)) / square
         delay = -float(np.vdot(v, off).real) / (float(np.vdot(v, v).real) + 1e-9)
         each = {
             "turned": y - turn * a,
-            "mirrored": y - mirror * a.conj(),
+            "mirrored": mirror_y - mirror * a.conj(),
             "scaled": y - turn.real * a,
             "late": off + delay * v,
         }
         rms = {name: _rms(r) for name, r in each.items()}
         self.path_fit = PathFit(_rms(off), _rms(a), rms, turn, mirror, delay)
 
-    def _judge_path(self, least_m: float) -> str:
-        """Return the fault of the path if the source contradicts it by a least rms (m)."""
+    def _classify_path(self, least_m: float) -> str:
+        """Return the fault that explains the path best, if the source contradicts it by a least rms (m); else ""."""
         fit = self.path_fit
         if fit.healthy_rms_m < least_m:
             return ""
@@ -318,11 +384,15 @@ class FixMonitor:
         scale = fit.turn.real
         size = {"late": 0.0, "scaled": scale, "turned": abs(fit.turn), "mirrored": abs(fit.mirror)}[kind]
         lags = size < (_MIN_SIZE if kind in ("turned", "mirrored") else 1.0)
-        if lags and fit.healthy_rms_m < _FOLLOWED_FACTOR * least_m:
+        return "" if lags and fit.healthy_rms_m < _FOLLOWED_FACTOR * least_m else kind
+
+    def _judge_path(self, least_m: float) -> str:
+        """Return the fault of the path, as text, if the source contradicts it by a least rms (m)."""
+        fit, kind = self.path_fit, self._classify_path(least_m)
+        if not kind:
             return ""
-        if {kind, best} <= {"turned", "mirrored"} and fit.rms_m["turned"] + fit.rms_m["mirrored"] < _BOTH * fit.rms_m[
-            best
-        ]:
+        scale, both = fit.turn.real, (fit.rms_m["turned"], fit.rms_m["mirrored"])
+        if kind in ("turned", "mirrored") and sum(both) < _BOTH * min(both):
             return "it moves turned or mirrored against the accelerometers: check the sign and order of its axes"
         match kind:
             case "late":
