@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 
 from mufly.control.designs import ControllerDesign, FlightController
 from mufly.control.linear_systems import Array, LoopCurves, loop_curves, sample_plant, singular_values
+from mufly.control.robust.parameter_robustness import ParameterRobustness
 
 BLUE, ORANGE, GREEN, VERMILION, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#7f7f7f"
 _FREQUENCY_GRID = np.geomspace(1e-4, 1e4, 700)
@@ -174,6 +175,23 @@ def draw_sensitivities(controller: FlightController) -> Figure:
         axes.set_xlabel("frequency (rad/s)")
         axes.legend(fontsize=8, frameon=False, loc="lower center")
         axes.label_outer()
+    return figure
+
+
+def draw_mu_bounds(robustness: ParameterRobustness) -> Figure:
+    """Draw the bounds of mu of heave-yaw and roll-pitch over frequency."""
+    figure = Figure(figsize=(7.0, 3.6), layout="constrained")
+    axes = figure.add_subplot()
+    for loop, colour in zip(robustness.loops, (BLUE, ORANGE), strict=True):
+        axes.semilogx(loop.frequency, loop.upper, color=colour, label=f"{loop.name}, upper bound")
+        if loop.lower:
+            axes.plot(loop.lower_frequency, loop.lower, "o", color=colour, label=f"{loop.name}, unstable example")
+    axes.axhline(1.0, color="black", linewidth=0.7)
+    axes.set_ylim(bottom=0.0)
+    axes.set_xlabel("frequency (rad/s)")
+    axes.set_ylabel("structured singular value")
+    axes.set_title(f"{robustness.vehicle_name}: stability over its parameters", loc="left", fontsize=10)
+    axes.legend(fontsize=8, frameon=False)
     return figure
 
 

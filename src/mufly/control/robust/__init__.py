@@ -1,0 +1,27 @@
+"""Robustness: the structured singular value, and the bounds of a vehicle's uncertain parameters."""
+
+from mufly.control.robust.parameter_robustness import (
+    LoopRobustness,
+    ParameterRobustness,
+    analyse_parameter_robustness,
+    default_spreads,
+)
+from mufly.control.robust.structured_singular_value import (
+    Block,
+    LowerBound,
+    UpperBound,
+    mu_lower_bound,
+    mu_upper_bound,
+)
+
+__all__ = [
+    "Block",
+    "LoopRobustness",
+    "LowerBound",
+    "ParameterRobustness",
+    "UpperBound",
+    "analyse_parameter_robustness",
+    "default_spreads",
+    "mu_lower_bound",
+    "mu_upper_bound",
+]

@@ -1,0 +1,401 @@
+"""Robust stability over a vehicle's uncertain parameters: bounds of mu over frequency, and the worst parameters.
+
+The parameters are ``p = p0 + S z`` with every component of z within -1 to 1. The linear model at z is taken as affine,
+``[A B] = [A0 B0] + sum z_i E_i``, with ``E_i`` by central differences of the linearised vehicle. A singular value
+decomposition ``E_i = L_i R_i`` makes every z_i a real scalar, repeated as often as E_i has rank. The loop from the
+scalars' outputs to their inputs, closed by the controller and 1.5 periods of delay (hold and computation), is M.
+
+``mu(M(j w)) < 1 / k`` at every frequency proves stability for all z within k. An example proves the other side: the
+smallest k for which some z of size k puts a closed-loop pole on the axis. The affine loop has its least damped pole at
+corners of the box in nearly all cases, so signs of the pole's derivatives lead from corner to corner.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import control
+import numpy as np
+from scipy import linalg, signal
+
+from mufly.control.designs import ControllerDesign, FlightController
+from mufly.control.linear_systems import Array, ComplexArray, frequency_response
+from mufly.control.robust.structured_singular_value import Block, mu_upper_bound
+from mufly.dynamics import linearise_vehicle
+from mufly.errors import ArgumentError, InputError, MuflyError
+from mufly.results import ShownBlock, result, show_lines, show_table
+from mufly.vehicle import Vehicle, list_parameters, replace_parameters
+
+DEFAULT_SPREADS: Mapping[str, float] = {
+    "body.inertia_xx": 0.2,
+    "body.inertia_yy": 0.2,
+    "rotors.upper.thrust_coefficient": 0.1,
+    "swash_plate.linkage": 0.3,
+    "stabiliser_bar.linkage": 0.3,
+    "stabiliser_bar.time_constant": 0.3,
+    "rotors.inplane_drag": 0.5,
+}
+"""Relative spreads of parameters for which a vehicle file states no standard deviation."""
+
+STANDARD_DEVIATIONS = 2.0
+"""Size of a stated standard deviation's range."""
+
+_RANK_TOLERANCE = 1e-4
+_DELAY_PERIODS = 1.5
+_SMALLEST_FACTOR, _LARGEST_FACTOR = 0.1, 10.0  # of the spreads, in the search for the worst parameters
+_ENOUGH = 0.8  # share of the lower bound's peak at which the descent of the upper bound ends
+
+
+@result
+class LoopRobustness:
+    """Bounds of mu of one loop.
+
+    Attributes
+    ----------
+    name : str
+    frequency : array, shape (n,)
+        Frequencies (rad/s).
+    upper : array, shape (n,)
+        Upper bound of mu. It is tight near its peak; elsewhere its descent ends at 0.8 of ``lower``.
+    peak, peak_frequency : float
+        Its largest value and frequency.
+    lower, lower_frequency : float
+        Lower bound by the worst parameters found, and the frequency of the pole on the axis; 0 if none is found.
+    worst : dict
+        Components of z at the lower bound, by the names of the directions, in units of their spread.
+    block_sizes : tuple of int
+        Size of every real block.
+    seconds : float
+        Processor time for both bounds.
+    """
+
+    name: str
+    frequency: Array
+    upper: Array
+    peak: float
+    peak_frequency: float
+    lower: float
+    lower_frequency: float
+    worst: dict[str, float]
+    block_sizes: tuple[int, ...]
+    seconds: float
+
+
+@result(picture="mufly.control.plots:draw_mu_bounds")
+class ParameterRobustness:
+    """Bounds of mu of heave-yaw and roll-pitch over a vehicle's parameters.
+
+    Attributes
+    ----------
+    vehicle_name : str
+    method : str
+        Method of synthesis of the controllers.
+    spreads : dict
+        Spread of every parameter (SI), by key: half the range, or the row's length of a correlated spread.
+    heave_yaw, roll_pitch : LoopRobustness
+    worst_values : dict
+        Parameters (SI) of the worst vehicle within the spreads, or at the boundary of stability if that is nearer.
+    worst_loop : str
+        Loop that they are the worst for.
+    """
+
+    vehicle_name: str
+    method: str
+    spreads: dict[str, float]
+    heave_yaw: LoopRobustness
+    roll_pitch: LoopRobustness
+    worst_values: dict[str, float]
+    worst_loop: str
+
+    @property
+    def loops(self) -> tuple[LoopRobustness, LoopRobustness]:
+        """Heave-yaw and roll-pitch."""
+        return self.heave_yaw, self.roll_pitch
+
+    def as_record(self) -> dict[str, Any]:
+        """Return bounds and worst parameters as JSON data."""
+        return {
+            "vehicle": self.vehicle_name,
+            "method": self.method,
+            "spreads": self.spreads,
+            "loops": [
+                {
+                    "name": x.name,
+                    "mu_upper": x.peak,
+                    "mu_upper_frequency_rad_s": x.peak_frequency if x.peak else None,
+                    "mu_lower": x.lower,
+                    "mu_lower_frequency_rad_s": x.lower_frequency if x.lower else None,
+                    "worst": x.worst,
+                    "block_sizes": list(x.block_sizes),
+                    "frequency_rad_s": x.frequency.tolist(),
+                    "mu_upper_over_frequency": x.upper.tolist(),
+                }
+                for x in self.loops
+            ],
+            "worst_loop": self.worst_loop,
+            "worst_values": self.worst_values,
+        }
+
+    def shown_blocks(self) -> list[ShownBlock]:
+        """Return the bounds, the verdict and the worst parameters."""
+        rows = [
+            ("mu, upper bound", *(f"{x.peak:.3f}" for x in self.loops)),
+            ("at (rad/s)", *(f"{x.peak_frequency:.3g}" for x in self.loops)),
+            ("mu, lower bound", *(f"{x.lower:.3f}" if x.lower else "-" for x in self.loops)),
+            (
+                "stable for all within (times the spreads)",
+                *(f"{1 / x.peak:.2f}" if x.peak else "any" for x in self.loops),
+            ),
+            ("unstable at (times the spreads)", *(f"{1 / x.lower:.2f}" if x.lower else "-" for x in self.loops)),
+            ("real blocks, size in all", *(f"{len(x.block_sizes)}, {sum(x.block_sizes)}" for x in self.loops)),
+        ]
+        values = [(key, f"{value:.5g}", f"{self.spreads[key]:.2g}") for key, value in self.worst_values.items()]
+        return [
+            show_table(("", *(x.name for x in self.loops)), rows, title=f"{self.vehicle_name}, {self.method}"),
+            show_table(
+                ("parameter", f"worst for {self.worst_loop}", "spread"), values, title="Worst parameters, SI units"
+            ),
+            show_lines(
+                *(
+                    f"{x.name}: stability for all parameters within the spreads is "
+                    + ("proved" if x.peak < 1 else "not proved")
+                    for x in self.loops
+                )
+            ),
+        ]
+
+
+def default_spreads(vehicle: Vehicle) -> dict[str, float]:
+    """Return spreads (SI) by key: two stated standard deviations, or :data:`DEFAULT_SPREADS` where none is stated."""
+    parameters = {p.key: p for p in list_parameters(vehicle) if isinstance(p.value, float)}
+    left_out = ("mass_budget.", "range_ring.", "sensors.")
+    spreads = {
+        key: STANDARD_DEVIATIONS * float(p.std)
+        for key, p in parameters.items()
+        if p.std and not key.startswith(left_out)
+    }
+    for key, share in DEFAULT_SPREADS.items():
+        if key in parameters and key not in spreads and parameters[key].value:
+            spreads[key] = share * abs(float(parameters[key].value))
+    return spreads
+
+
+class _UncertainLoop:
+    """A loop with the derivatives of its plant by the components of z."""
+
+    def __init__(self, design: ControllerDesign, derivatives: Sequence[Array]) -> None:
+        self.name = design.name
+        self.plant, self.feedback = design.plant, design.feedback_controller(design.reduced)
+        self.delay_s = _DELAY_PERIODS * design.discrete.period_s
+        n = self.plant.nstates
+        scale = float(np.linalg.norm(self.plant.A))
+        left, right, self.blocks, self.kept = [], [], [], []
+        for i, E in enumerate(derivatives):
+            U, s, Vt = np.linalg.svd(E)
+            rank = int((s > max(_RANK_TOLERANCE * s[0], 1e-9 * scale)).sum())
+            if rank:
+                self.kept.append(i)
+                self.blocks.append(Block(rank, True))
+                left.append(U[:, :rank] * np.sqrt(s[:rank]))
+                right.append(Vt[:rank] * np.sqrt(s[:rank])[:, None])
+        self.left = np.hstack(left) if left else np.zeros((n, 0))
+        self.right = np.vstack(right) if right else np.zeros((0, n + self.plant.ninputs))
+        self.derivatives = [derivatives[i] for i in self.kept]
+
+    def responses(self, frequency: Array) -> ComplexArray:
+        """Return M at the frequencies (rad/s)."""
+        g, n, m = self.plant, self.plant.nstates, self.left.shape[1]
+        B, C = np.hstack([self.left, g.B]), np.vstack([self.right[:, :n], g.C])
+        D = np.zeros((C.shape[0], B.shape[1]))
+        D[:m, m:] = self.right[:, n:]
+        s = 1j * frequency[:, None, None]
+        P = C @ np.linalg.solve(s * np.eye(n) - g.A, np.broadcast_to(B, (frequency.size, *B.shape))) + D
+        K = -frequency_response(self.feedback, frequency) * np.exp(-s * self.delay_s)
+        closed = np.linalg.solve(np.eye(g.noutputs) - P[:, m:, m:] @ K, P[:, m:, :m])
+        response: ComplexArray = P[:, :m, :m] + P[:, :m, m:] @ K @ closed
+        return response
+
+    def closed_matrices(self) -> tuple[Array, list[Array]]:
+        """Return the closed loop's matrix with the delay as a Pade approximation of third order, and derivatives."""
+        g, k, m = self.plant, self.feedback, self.plant.ninputs
+        pade = control.pade(self.delay_s, 3)
+        A1, B1, C1, D1 = (np.kron(np.eye(m), X) for X in signal.tf2ss(*pade))
+        n, d, c = g.nstates, len(A1), k.nstates
+
+        def closed(A: Array, B: Array) -> Array:
+            u = np.hstack([-D1 @ k.D @ g.C, C1, D1 @ k.C])
+            return np.vstack(
+                [
+                    np.hstack([A, np.zeros((n, d + c))]) + B @ u,
+                    np.hstack([-B1 @ k.D @ g.C, A1, B1 @ k.C]),
+                    np.hstack([-k.B @ g.C, np.zeros((c, d)), k.A]),
+                ]
+            )
+
+        nominal = closed(g.A, g.B)
+        steps = [closed(g.A + E[:, :n], g.B + E[:, n:]) - nominal for E in self.derivatives]
+        return nominal, steps
+
+
+def _least_damped(A: Array) -> tuple[complex, Array, Array]:
+    """Return the eigenvalue nearest to instability by its damping ratio, and its left and right eigenvectors."""
+    values, left, right = linalg.eig(A, left=True, right=True)
+    k = int(np.argmax(values.real / np.maximum(np.abs(values), 1e-12) + 1e3 * (values.real > 0) * np.abs(values.real)))
+    return complex(values[k]), left[:, k], right[:, k]
+
+
+def _worst_corner(nominal: Array, steps: Sequence[Array], size: float, starts: Sequence[Array]) -> tuple[float, Array]:
+    """Return the largest real part of an eigenvalue that corners of the box of a size reach, and the corner."""
+    best, at = -np.inf, np.zeros(len(steps))
+    for start in starts:
+        z, seen = np.array(start, dtype=float), set()
+        while tuple(np.sign(z)) not in seen:
+            seen.add(tuple(np.sign(z)))
+            A = nominal + sum(size * v * E for v, E in zip(z, steps, strict=True))
+            value, y, x = _least_damped(A)
+            if value.real > best:
+                best, at = value.real, z.copy()
+            slope = np.array([(np.vdot(y, E @ x) / np.vdot(y, x)).real for E in steps])
+            z = np.where(slope >= 0.0, 1.0, -1.0)
+    return float(best), at
+
+
+def find_worst_parameters(loop: _UncertainLoop, least: float) -> tuple[float, float, Array]:
+    """Return the smallest box, from the size ``least`` on, with an unstable corner: size, pole frequency, corner.
+
+    The size is ``inf`` if there is none up to ten times the spreads.
+    """
+    nominal, steps = loop.closed_matrices()
+    rng = np.random.default_rng(0)
+    starts = [np.zeros(len(steps)), *rng.choice([-1.0, 1.0], (5, len(steps)))]
+    low, high, corner = 0.0, least, None
+    while high <= _LARGEST_FACTOR:
+        value, at = _worst_corner(nominal, steps, high, starts)
+        if value > 0.0:
+            corner = at
+            break
+        starts[0] = at
+        low, high = high, 1.15 * high
+    if corner is None:
+        return np.inf, np.nan, np.zeros(len(steps))
+    direction = sum(v * E for v, E in zip(corner, steps, strict=True))
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if np.linalg.eigvals(nominal + middle * direction).real.max() > 0 else (middle, high)
+    pole = _least_damped(nominal + high * direction)[0]
+    return high, abs(pole.imag), corner
+
+
+def sweep_mu(loop: _UncertainLoop, points: int, names: Sequence[str]) -> LoopRobustness:
+    """Return the bounds of a loop at ``points`` frequencies; ``names`` are those of all directions."""
+    began = time.process_time()
+    poles = np.abs(np.linalg.eigvals(loop.closed_matrices()[0]))
+    inside = poles[(poles > 0.3) & (poles < 100.0)]
+    frequency = np.geomspace(0.3 * inside.min(initial=1.0), 5.0 * inside.max(initial=30.0), points)
+    if not loop.blocks:
+        return LoopRobustness(loop.name, frequency, np.zeros(points), 0.0, np.nan, 0.0, np.nan, {}, (), 0.0)
+    size, where, corner = find_worst_parameters(loop, _SMALLEST_FACTOR)
+    if np.isfinite(where) and where > 0.0:  # the grid must hold the frequency at which the lower bound is
+        frequency[int(np.argmin(np.abs(np.log(frequency / where))))] = where
+    M = loop.responses(frequency)
+    upper, start = np.empty(points), None
+    enough = _ENOUGH / size if np.isfinite(size) else 0.1
+    for k in range(points):
+        found = mu_upper_bound(M[k], loop.blocks, start=start, restarts=0, tolerance=1e-3, max_steps=150, enough=enough)
+        upper[k], start = found.value, found.parameters
+    for _ in range(5):  # descend further where the bound is largest
+        k = int(np.argmax(upper))
+        better = mu_upper_bound(M[k], loop.blocks, restarts=1, tolerance=1e-5, enough=enough).value
+        if better > 0.99 * upper[k]:
+            break
+        upper[k] = better
+    k = int(np.argmax(upper))
+    seconds = time.process_time() - began
+    worst = {names[i]: float(size * v) for i, v in zip(loop.kept, corner, strict=True)} if np.isfinite(size) else {}
+    return LoopRobustness(
+        loop.name, frequency, upper, float(upper[k]), float(frequency[k]), 1.0 / size, where, worst,
+        tuple(b.size for b in loop.blocks), seconds,
+    )  # fmt: skip
+
+
+def analyse_parameter_robustness(
+    vehicle: Vehicle,
+    controller: FlightController,
+    spreads: Mapping[str, float] | None = None,
+    *,
+    keys: Sequence[str] = (),
+    spread_matrix: Array | None = None,
+    points: int = 60,
+) -> ParameterRobustness:
+    """Return bounds of mu over frequency for the loops of a vehicle with uncertain parameters.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    controller : FlightController
+        Design for the vehicle.
+    spreads : mapping, optional
+        Spread of every parameter (SI) by key, independent of each other; :func:`default_spreads` by default.
+    keys, spread_matrix : sequence of str, array of shape (keys, directions), optional
+        Correlated spreads instead: the parameters move by ``spread_matrix @ z``.
+    points : int
+        Number of frequencies.
+
+    Returns
+    -------
+    ParameterRobustness
+
+    Raises
+    ------
+    ArgumentError
+        If nothing varies.
+    MuflyError
+        If a parameter moves no loop.
+    """
+    if spread_matrix is None:
+        spreads = default_spreads(vehicle) if spreads is None else dict(spreads)
+        keys, spread_matrix = list(spreads), np.diag(list(spreads.values()))
+        names = list(keys)
+    else:
+        names = [f"direction {i + 1}" for i in range(spread_matrix.shape[1])]
+        if np.count_nonzero(spread_matrix) == len(keys) == spread_matrix.shape[1]:
+            names = list(keys)
+    if not len(keys):
+        raise ArgumentError("vary", "", "nothing varies", "vary parameters")
+    known = {p.key: float(p.value) for p in list_parameters(vehicle) if isinstance(p.value, float)}
+    centre = np.array([known[key] for key in keys])
+    linear = {"heave-yaw": [], "roll-pitch": []}  # type: dict[str, list[Array]]
+    nominal = linearise_vehicle(vehicle, voltage=controller.voltage_V)
+    for column in spread_matrix.T:
+        ends, width = [], 0.0
+        for sign in (1.0, -1.0):
+            try:
+                moved = replace_parameters(vehicle, dict(zip(keys, (centre + sign * column).tolist(), strict=True)))
+                ends.append(linearise_vehicle(moved, voltage=controller.voltage_V))
+                width += 1.0
+            except (InputError, MuflyError):  # an impossible vehicle on one side: the other side's difference
+                ends.append(nominal)
+        for name, part in (("heave-yaw", "heave_yaw"), ("roll-pitch", "roll_pitch")):
+            high, low = (getattr(end, part) for end in ends)
+            linear[name].append(np.hstack([high.A - low.A, high.B - low.B]) / max(width, 1.0))
+    loops = [
+        sweep_mu(_UncertainLoop(design, linear[design.name]), points, names)
+        for design in (controller.heave_yaw, controller.roll_pitch)
+    ]
+    if not any(x.block_sizes for x in loops):
+        raise MuflyError("no parameter that varies enters heave-yaw or roll-pitch; vary others")
+    worst = max(loops, key=lambda x: (x.lower, x.peak))
+    direction = np.array([worst.worst.get(name, 0.0) for name in names])
+    direction *= min(1.0, 1.0 / max(float(np.abs(direction).max(initial=0.0)), 1e-12))
+    values = centre + spread_matrix @ direction
+    return ParameterRobustness(
+        vehicle.name,
+        controller.settings.method,
+        {key: float(np.linalg.norm(row)) for key, row in zip(keys, spread_matrix, strict=True)},
+        loops[0],
+        loops[1],
+        dict(zip(keys, values.tolist(), strict=True)),
+        worst.name,
+    )

@@ -1,0 +1,370 @@
+"""The structured singular value mu of a matrix: upper bound by scaling, lower bound by perturbations.
+
+``mu(M) = 1 / min { |Delta| : det(I - M Delta) = 0 }`` over block diagonal Delta. A block is a real scalar that repeats
+on its diagonal, or a full complex matrix. mu is at most the largest singular value.
+
+Upper bound (Fan, Tits and Doyle, IEEE Trans. Autom. Control 36, 1991). With D > 0 and G Hermitian of the structure, G
+for the real blocks only,
+
+    M* D M + j (G M - M* G) - b^2 D <= 0   implies   mu(M) <= b.
+
+The least ``b^2`` for given D and G is the largest eigenvalue of a Hermitian pencil. It is convex-like in (D, G) and has
+kinks where eigenvalues coincide; ``minimise_nonsmooth`` descends it with its analytic gradient. Three full complex
+blocks give mu exactly.
+
+Lower bound. For full complex blocks a power iteration (Packard, Fan and Doyle 1988) finds a Delta, whose eigenvalue
+certifies the bound. Real blocks are searched from outside: with their values fixed up to a common factor, the remaining
+complex problem decides the factor. Without complex blocks a singular Delta exists only at isolated frequencies, so
+:mod:`mufly.control.robust.parameter_robustness` searches over frequency instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy import optimize
+
+from mufly.control.linear_systems import Array, ComplexArray
+from mufly.control.tuning.nonsmooth_bfgs import minimise_nonsmooth
+from mufly.errors import ArgumentError
+
+_LARGEST_PARAMETER = 60.0  # of the scalings, for a matrix of norm one: logarithms of D, and G
+
+
+class Block(NamedTuple):
+    """A block of the perturbation: ``size`` rows and columns, a repeated real scalar or a full complex matrix."""
+
+    size: int
+    is_real: bool
+
+
+class UpperBound(NamedTuple):
+    """The upper bound of mu, the scalings' parameters for a warm start, and D (one matrix) that attains it."""
+
+    value: float
+    parameters: Array
+    scaling: ComplexArray
+
+
+class LowerBound(NamedTuple):
+    """The lower bound of mu and a perturbation of size ``1 / value`` with ``det(I - M Delta) = 0``."""
+
+    value: float
+    perturbation: ComplexArray
+
+
+def _block_slices(M: ComplexArray, blocks: Sequence[Block]) -> list[slice]:
+    total = sum(b.size for b in blocks)
+    if M.shape != (total, total):
+        raise ArgumentError("blocks", "", f"{total} rows for a matrix of shape {M.shape}", "give blocks that fill it")
+    ends = np.cumsum([b.size for b in blocks])
+    return [slice(int(e) - b.size, int(e)) for e, b in zip(ends, blocks, strict=True)]
+
+
+class _Scalings:
+    """D = C* C and G as functions of free parameters; C is upper triangular, G Hermitian, both block diagonal.
+
+    The parameters begin with the logarithms of D's diagonal: one for a full complex block, one a row of a real block.
+    Then come real and imaginary parts of C above the diagonal, G's diagonal, and real and imaginary parts above it.
+    """
+
+    def __init__(self, M: ComplexArray, blocks: Sequence[Block]) -> None:
+        self.M, n = M, len(M)
+        owner, pairs, real = np.empty(n, dtype=int), [], []
+        k = 0
+        for block, at in zip(blocks, _block_slices(M, blocks), strict=True):
+            rows = np.arange(n)[at]
+            owner[at] = k if not block.is_real else k + np.arange(block.size)
+            k = owner[at.stop - 1] + 1
+            if block.is_real:
+                real.append(rows)
+                pairs.append(np.array(np.triu_indices(block.size, 1)) + at.start)
+        self.owner, self.n_scales = owner, k
+        self.real = np.concatenate(real) if real else np.zeros(0, dtype=int)
+        upper = np.hstack(pairs) if pairs else np.zeros((2, 0), dtype=int)
+        self.upper = upper[0], upper[1]
+        self.sizes = np.cumsum([k, upper.shape[1], upper.shape[1], self.real.size, upper.shape[1], upper.shape[1]])
+        self.size = int(self.sizes[-1])
+
+    def matrices(self, x: Array) -> tuple[ComplexArray, ComplexArray]:
+        """Return C and G."""
+        d, c_re, c_im, g, g_re, g_im = np.split(x, self.sizes[:-1])
+        C = np.diag(np.exp(0.5 * d[self.owner])).astype(complex)
+        C[self.upper] = c_re + 1j * c_im
+        G = np.zeros_like(C)
+        G[self.upper] = g_re + 1j * g_im
+        G = G + G.conj().T
+        G[self.real, self.real] = g
+        return C, G
+
+    def evaluate(self, x: Array) -> tuple[float, Array]:
+        """Return the largest eigenvalue of the pencil and its gradient."""
+        if np.abs(x).max() > _LARGEST_PARAMETER:
+            return np.inf, np.zeros(self.size)
+        M = self.M
+        C, G = self.matrices(x)
+        inverse = np.linalg.inv(C)
+        right = M @ inverse
+        scaled = C @ right
+        turned = inverse.conj().T @ (G @ right)
+        pencil = scaled.conj().T @ scaled + 1j * (turned - turned.conj().T)
+        values, vectors = np.linalg.eigh(0.5 * (pencil + pencil.conj().T))
+        top = float(values[-1])
+        u = inverse @ vectors[:, -1]
+        v = M @ u
+        W = np.outer(v, v.conj()) - top * np.outer(u, u.conj())
+        slope = 2.0 * (W @ C.conj().T).T  # d top = Re sum(slope * dC)
+        V = 1j * (np.outer(v, u.conj()) - np.outer(u, v.conj()))  # d top = tr(V dG)
+        diagonal = 0.5 * (np.diag(slope) * np.diag(C)).real
+        above, turn = slope[self.upper], 2.0 * V.T[self.upper]
+        parts = (
+            np.bincount(self.owner, diagonal, self.n_scales),
+            above.real,
+            -above.imag,
+            np.diag(V).real[self.real],
+            turn.real,
+            -turn.imag,
+        )
+        return top, np.concatenate(parts)
+
+
+def mu_upper_bound(
+    M: ComplexArray,
+    blocks: Sequence[Block],
+    *,
+    start: Array | None = None,
+    restarts: int = 2,
+    tolerance: float = 1e-9,
+    max_steps: int = 400,
+    enough: float = 0.0,
+) -> UpperBound:
+    """Return an upper bound of the structured singular value by D and G scaling.
+
+    Parameters
+    ----------
+    M : complex array, shape (n, n)
+    blocks : sequence of Block
+        Their sizes add up to n.
+    start : array, optional
+        ``UpperBound.parameters`` of a similar matrix.
+    restarts : int
+        Number of further descents from a disturbed best point.
+    tolerance : float
+        Relative decrease at which a descent ends.
+    max_steps : int
+        Steps of one descent.
+    enough : float
+        Bound at which the descents end.
+
+    Returns
+    -------
+    UpperBound
+
+    Raises
+    ------
+    ArgumentError
+        If the blocks do not fill the matrix.
+    """
+    size = float(np.linalg.norm(M, 2))
+    scalings = _Scalings(M / (size or 1.0), blocks)
+    x = np.zeros(scalings.size) if start is None else np.array(start, dtype=float)
+    if size == 0.0:
+        return UpperBound(0.0, x, np.eye(len(M)).astype(complex))
+    rng = np.random.default_rng(0)
+    best = None
+    for k in range(restarts + 1):
+        if best is not None and k:
+            x = best.x + 0.1 * rng.normal(size=x.size)
+        found = minimise_nonsmooth(
+            scalings.evaluate, x, max_steps=max_steps, tolerance=tolerance, window=10, enough=(enough / size) ** 2
+        )
+        if best is None or found.value < best.value:
+            best = found
+        if best.value <= (enough / size) ** 2:
+            break
+    assert best is not None
+    C, _ = scalings.matrices(best.x)
+    return UpperBound(size * float(np.sqrt(max(best.value, 0.0))), best.x, C.conj().T @ C)
+
+
+def _complex_lower_bound(M: ComplexArray, slices: Sequence[slice], starts: int, tolerance: float = 1e-12) -> LowerBound:
+    """Return a lower bound for full complex blocks, by power iterations from several starts."""
+    n = len(M)
+    rng = np.random.default_rng(0)
+    best = LowerBound(0.0, np.zeros((n, n), dtype=complex))
+    size = float(np.linalg.norm(M))
+    if size == 0.0:
+        return best
+    Mh = M.conj().T
+    U, top_values, Vh = np.linalg.svd(M)
+    if len(slices) == 1:
+        return LowerBound(float(top_values[0]), np.outer(Vh[0].conj(), U[:, 0].conj()) / top_values[0])
+    for k in range(starts):
+        b = Vh[0].conj() if k == 0 else rng.normal(size=n) + 1j * rng.normal(size=n)
+        w = U[:, 0] if k == 0 else rng.normal(size=n) + 1j * rng.normal(size=n)
+        b, w = b / np.linalg.norm(b), w / np.linalg.norm(w)
+        last = 0.0
+        for _ in range(200):
+            a = M @ b
+            level = float(np.linalg.norm(a))
+            if level == 0.0:
+                break
+            a = a / level
+            z = np.concatenate(
+                [a[s] * (np.linalg.norm(w[s]) / max(float(np.linalg.norm(a[s])), 1e-300)) for s in slices]
+            )
+            w = Mh @ z
+            w = w / max(float(np.linalg.norm(w)), 1e-300)
+            b = np.concatenate(
+                [w[s] * (np.linalg.norm(a[s]) / max(float(np.linalg.norm(w[s])), 1e-300)) for s in slices]
+            )
+            b = b / max(float(np.linalg.norm(b)), 1e-300)
+            if abs(level - last) < tolerance * level:
+                break
+            last = level
+        a = M @ b
+        unit = np.zeros((n, n), dtype=complex)
+        for s in slices:
+            la, lb = float(np.linalg.norm(a[s])), float(np.linalg.norm(b[s]))
+            if la > 0.0 and lb > 0.0:
+                unit[s, s] = np.outer(b[s], a[s].conj()) / (la * lb)
+        values = np.linalg.eigvals(M @ unit)
+        top = values[int(np.argmax(np.abs(values)))]
+        if abs(top) > best.value * (1.0 + 1e-12):
+            best = LowerBound(float(abs(top)), unit / top)
+    return best
+
+
+def mu_lower_bound(M: ComplexArray, blocks: Sequence[Block], *, starts: int = 6) -> LowerBound:
+    """Return a lower bound of the structured singular value, with a perturbation that proves it.
+
+    Parameters
+    ----------
+    M : complex array, shape (n, n)
+    blocks : sequence of Block
+        Their sizes add up to n.
+    starts : int
+        Number of starts of the power iteration, and of the search over real blocks.
+
+    Returns
+    -------
+    LowerBound
+        0 with a zero perturbation if all blocks are real and none was found.
+
+    Raises
+    ------
+    ArgumentError
+        If the blocks do not fill the matrix.
+    """
+    slices = _block_slices(M, blocks)
+    real = [k for k, b in enumerate(blocks) if b.is_real]
+    if not real:
+        return _complex_lower_bound(M, slices, starts)
+    n = len(M)
+    if len(real) == len(blocks):
+        return _real_lower_bound(M, blocks, slices, starts)
+    r = np.concatenate([np.arange(n)[slices[k]] for k in real])
+    c = np.concatenate([np.arange(n)[s] for s, b in zip(slices, blocks, strict=True) if not b.is_real])
+    sizes = [b.size for b in blocks if not b.is_real]
+    ends = np.cumsum(sizes)
+    inner = [slice(int(e) - k, int(e)) for e, k in zip(ends, sizes, strict=True)]
+
+    def repeated(delta: Array) -> Array:
+        return np.concatenate([np.full(blocks[k].size, d) for k, d in zip(real, delta, strict=True)])
+
+    def certify(delta: Array, tries: int = 1, tolerance: float = 1e-5) -> LowerBound:
+        """Return the bound for real blocks ``t delta`` and complex blocks of size at most t, for the smallest t."""
+        d = repeated(np.clip(delta, -1.0, 1.0))
+
+        def closed(t: float) -> LowerBound:
+            F = M[np.ix_(c, c)] + M[np.ix_(c, r)] * (t * d) @ np.linalg.solve(
+                np.eye(r.size) - M[np.ix_(r, r)] * (t * d), M[np.ix_(r, c)]
+            )
+            return _complex_lower_bound(F, inner, tries, 1e-2 * tolerance)
+
+        low, high, kept = 0.0, 1.0 / max(float(np.linalg.norm(M, 2)), 1e-300), None
+        for _ in range(60):
+            if high * (found := closed(high)).value >= 1.0:
+                kept = found
+                break
+            low, high = high, 1.3 * high
+            if high > 1e6 / float(np.linalg.norm(M, 2)):
+                break
+        if kept is None:
+            return LowerBound(0.0, np.zeros((n, n), dtype=complex))
+        while high - low > tolerance * high:
+            middle = 0.5 * (low + high)
+            found = closed(middle)
+            if middle * found.value >= 1.0:
+                high, kept = middle, found
+            else:
+                low = middle
+        Delta = np.zeros((n, n), dtype=complex)
+        Delta[r, r] = high * d
+        Delta[np.ix_(c, c)] = kept.perturbation
+        return LowerBound(1.0 / high, Delta)
+
+    rng = np.random.default_rng(0)
+    best, best_at = LowerBound(0.0, np.zeros((n, n), dtype=complex)), np.zeros(len(real))
+    known: dict[tuple[float, ...], LowerBound] = {}
+
+    def look_up(delta: Array) -> LowerBound:
+        key = tuple(delta)
+        if key not in known:
+            known[key] = certify(delta)
+        return known[key]
+
+    for corner in (np.ones(len(real)), -np.ones(len(real)), *rng.choice([-1.0, 1.0], (max(starts - 2, 0), len(real)))):
+        at, value, improved = np.array(corner), look_up(corner), True
+        while improved:  # one coordinate at a time, among the corners
+            improved = False
+            for k in range(at.size):
+                other = at.copy()
+                other[k] = -at[k]
+                found = look_up(other)
+                if found.value > value.value * (1 + 1e-6):
+                    at, value, improved = other, found, True
+        if value.value > best.value:
+            best, best_at = value, at
+    simplex = best_at * (1.0 - 0.3 * np.vstack([np.zeros(len(real)), np.eye(len(real))]))
+    inside = optimize.minimize(
+        lambda d: -certify(d).value + float(np.sum(np.maximum(np.abs(d) - 1.0, 0.0))), best_at, method="Nelder-Mead",
+        options={"maxfev": 25 * len(real), "initial_simplex": simplex},
+    ).x  # fmt: skip
+    return max((certify(d, starts, 1e-10) for d in (best_at, inside)), key=lambda b: b.value)
+
+
+def _real_lower_bound(M: ComplexArray, blocks: Sequence[Block], slices: Sequence[slice], starts: int) -> LowerBound:
+    """Return a bound for real blocks alone: the smallest Delta with det(I - M Delta) = 0, if any is found.
+
+    The determinant is complex, so there are two equations. Gauss-Newton from several starts solves them, and the size
+    of the solution is then reduced along the solutions by sequential quadratic programming.
+    """
+    n = len(M)
+    rng = np.random.default_rng(0)
+    sizes = [b.size for b in blocks]
+
+    def determinant(delta: Array) -> Array:
+        value = np.linalg.det(np.eye(n) - M * np.repeat(delta, sizes))
+        return np.array([value.real, value.imag])
+
+    best = LowerBound(0.0, np.zeros((n, n), dtype=complex))
+    scale = 1.0 / max(float(np.linalg.norm(M, 2)), 1e-300)
+    for _ in range(4 * starts):
+        x0 = np.append(scale * 3.0 * rng.choice([-1.0, 1.0], len(blocks)), 3.0 * scale)
+        found = optimize.minimize(
+            lambda x: x[-1] / scale, x0, jac=lambda x: np.append(np.zeros(len(blocks)), 1.0 / scale), method="SLSQP",
+            constraints=[
+                {"type": "eq", "fun": lambda x: determinant(x[:-1])},
+                {"type": "ineq", "fun": lambda x: np.concatenate([x[-1] - x[:-1], x[-1] + x[:-1]]) / scale},
+            ],
+            options={"maxiter": 200, "ftol": 1e-10},
+        )  # fmt: skip
+        delta = found.x[:-1]
+        size = float(np.abs(delta).max())
+        singular = np.linalg.svd(np.eye(n) - M * np.repeat(delta, sizes), compute_uv=False)
+        if size > 0.0 and singular[-1] < 1e-7 * singular[0] and 1.0 / size > best.value:
+            best = LowerBound(1.0 / size, np.diag(np.repeat(delta, sizes)).astype(complex))
+    return best
