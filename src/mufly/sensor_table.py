@@ -137,16 +137,16 @@ SENSORS: dict[str, tuple[ReadingRow, ...]] = {
     ),
     "battery": (
         ReadingRow(
-            name="battery_voltage", unit="V", meaning="battery voltage as its monitor tells it",
+            name="battery_voltage", unit="V", meaning="battery voltage measured by the battery monitor",
             fault="battery", fault_amounts=(1.0, 0.1, 6.0, 6.0),
             filter_index=8, source="battery monitor", failure_unit="SYSTEM_BATTERY", status_bit="SENSOR_BATTERY",
         ),
-        ReadingRow(name="battery_current", unit="A", meaning="battery current as its monitor tells it"),
+        ReadingRow(name="battery_current", unit="A", meaning="battery current measured by the battery monitor"),
     ),
     "position_fix": (
         ReadingRow(
-            name="position_fix", unit="m", dim="fix", meaning="position and heading (rad) as fixed from outside",
-            variance=("m^2", "of the position fix, by itself, where it told one (heading: rad^2)"),
+            name="position_fix", unit="m", dim="fix", meaning="position and heading (rad) of the external fix",
+            variance=("m^2", "variance in the message of the position fix, if given (heading: rad^2)"),
             fault="position", fault_amounts=(0.5, 0.1, 0.5, 0.0),
             filter_index=7, is_queued=True, source="position fix", supports=("position", "height", "heading"),
             unit_components=3, attitude_aid=0,

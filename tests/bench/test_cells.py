@@ -53,7 +53,7 @@ def test_stated_deviations_match_the_scatter():
     [
         (LOADS * [1, 0], "is the same in every line"),
         (LOADS[:4], "too few"),
-        (np.outer(np.arange(8), [0.2, 0.001]), "rise and fall together"),
+        (np.outer(np.arange(8), [0.2, 0.001]), "vary together"),
     ],
 )
 def test_what_a_calibration_cannot_tell(loads, what):

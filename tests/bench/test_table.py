@@ -279,7 +279,7 @@ def test_throttles_of_all_kinds(tmp_path, head, cells, words):
 
 
 def test_a_throttle_that_reverses_is_asked_for(tmp_path):
-    with pytest.raises(InputError, match="throttle: goes from -1 to 1: the speed does not say"):
+    with pytest.raises(InputError, match="throttle: goes from -1 to 1: the speed does not show"):
         read_bench_file(write(tmp_path, "throttle,RPM\n-1,5000\n0,0\n1,5000\n"))
 
 

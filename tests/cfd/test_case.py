@@ -333,7 +333,7 @@ def test_a_full_disk_or_a_second_run_is_said_in_one_line(tmp_path: Path, monkeyp
             run_case(case)
     log.unlink()
     log.symlink_to("/dev/full")
-    with pytest.raises(MuflyError, match=r"No space left on device.*: make room.* the same command again"):
+    with pytest.raises(MuflyError, match=r"No space left on device.*: free disk space.* the same command resumes"):
         run_case(case)
 
 

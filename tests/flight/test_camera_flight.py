@@ -272,7 +272,7 @@ def test_answers_come_late_with_the_time_of_their_picture(monkeypatch: pytest.Mo
     assert np.mean(late) < 0.25
     assert 8 < len(seen) <= 16
     assert max(f.time_s for _, f in seen) < 1.0
-    assert [text for _, text in news] == ["the camera gives no position: no pictures come"]
+    assert [text for _, text in news] == ["the camera gives no position: no pictures arrive"]
     assert news[0][0] < 2.0
 
 

@@ -141,7 +141,7 @@ def test_an_identified_covariance_is_drawn_from(tmp_path: Path, vehicle: Vehicle
         (["m=0%"], "above 0"),
         (["motor.friction_torque=5%"], "a share of 0 is 0"),
         (["body.inertia_zz=std"], "no standard deviation is stated"),
-        (["body.mass"], "does not say how"),
+        (["body.mass"], "names no parameter"),
         (["m=5%", "body.mass=3%"], "drawn by 'm=5%' too"),
         (["nowhere.json"], "cannot be read"),
     ],

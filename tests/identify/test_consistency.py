@@ -130,7 +130,7 @@ def test_the_height_of_a_record_that_hardly_moves():
     quiet[:, k], rounded[:, k] = slow, np.round(slow)
     rounded[:40, k] = 151
     (said,) = check_flight_records([replace(r, measured=quiet)], VEHICLE)
-    assert "height answers thrust too little to tell metres from centimetres" in said
+    assert "height responds too little to thrust to distinguish metres from centimetres" in said
     with pytest.raises(InputError, match=r"height: is resolved to 1 m only: it seems to be in cent"):
         check_flight_records([replace(r, measured=rounded)], VEHICLE)
 

@@ -287,7 +287,7 @@ def test_two_minima_that_a_record_does_not_tell_apart_are_said(truth, flights):
         delay_s=RADIO_DELAY_S,
     )
     found = [e.value for e in fit.estimates]
-    assert fit.message.startswith("two minima that these records do not tell apart")
+    assert fit.message.startswith("two minima that these records cannot distinguish")
     other = [float(w.split()[1]) for w in fit.message.split("the other one has ")[1].split(", ")[:2]]
     assert other == pytest.approx(found[::-1], rel=0.3)
 

@@ -44,7 +44,7 @@ def test_the_page_needs_nothing_else_and_holds_what_was_asked(tmp_path):
     page = path.read_text()
     assert not re.search(r'(src|href|srcset)="(?!data:image/png;base64,)', page)
     for words in (
-        "Parameters", "Convergence", "What the data cannot tell apart", "only the ratio of a and b is seen",
+        "Parameters", "Convergence", "Parameters that the data cannot separate", "only the ratio of a and b is seen",
         "mufly identify x", "at a bound", "-3.2 … -2.8", "held out", "Theil", "prefers-color-scheme: dark",
     ):  # fmt: skip
         assert words in page

@@ -134,7 +134,7 @@ def test_what_was_asked_while_the_vehicle_stood_still_is_not_carried_out(monkeyp
             flight, [Endpoint("udpout", "127.0.0.1", here.port)], link=link, stop=stop, clock=lambda: clock[0]
         )
     assert heard == ["arm"]  # the first of two
-    assert any("stood still for 7.0 s" in text for text in said)
+    assert any("simulation stalled for 7.0 s" in text for text in said)
     assert link.authority.commander_silence_s(clock[0]) < 1.0
 
 

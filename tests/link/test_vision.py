@@ -75,7 +75,7 @@ def test_it_flies_where_it_is_told_to_be(flown) -> None:
     flight = rig.flight
     assert -flight.truth.position[2] == pytest.approx(0.8, abs=0.1), station.text
     assert np.hypot(*flight.truth.position[:2]) < 0.15
-    assert "position comes by link, from" in station.text
+    assert "position is received over the link, from" in station.text
     fix = flight.readings["position_fix"]
     # By another clock the fastest message counts as if it had taken no time.
     assert fix.time_s == pytest.approx(flight.time_s, abs=outside.every_s + 0.02)

@@ -143,7 +143,7 @@ def test_a_reference_that_tells_nothing_is_in_the_unit_of_its_measurement(table)
     words = " ".join(str(w.message) for w in said)
     assert "reference_attitude names no unit and is taken to be in deg (as in measured_attitude)" in words
     assert data.reference_attitude.values[-1, 0] == pytest.approx(np.radians(0.02 * 199))
-    with pytest.warns(LogWarning, match="taken to be in rad .nothing in the data tells otherwise"):
+    with pytest.warns(LogWarning, match="taken to be in rad .nothing in the data contradicts it"):
         read_log(table("t_s,reference_attitude_roll\n" + "\n".join(f"{k},0.01" for k in range(50))))
 
 

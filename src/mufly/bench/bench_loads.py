@@ -174,7 +174,7 @@ def calibrate_cells(table: BenchTable) -> CellCalibration:
         raise table.column_error("", f"{n} lines are too few for {p} numbers a sensor", f"give {p + 2} or more")
     size = np.abs(loads).max(axis=0)
     if np.linalg.matrix_rank(a / np.r_[1.0, size], tol=1e-6) < p:
-        problem = "rise and fall together, so that cross-talk cannot be told from gain"
+        problem = "vary together, so cross-talk and gain cannot be separated"
         raise table.column_error(" and ".join(channels), problem, "load each cell also without the other")
     order = np.argsort(table["time"], kind="stable") if "time" in table else np.arange(n)
     a, run = a[order], (table["run"].astype(np.int64)[order] if "run" in table else None)
@@ -190,7 +190,7 @@ def calibrate_cells(table: BenchTable) -> CellCalibration:
         spreads.append(s)
     b = np.array(rows)
     if abs(np.linalg.det(b[:, 1:] / np.abs(b[:, 1:]).max(axis=0))) < 1e-9:
-        raise table.column_error("", "the sensors do not tell the loads apart", "check the columns")
+        raise table.column_error("", "the readings cannot separate the loads", "check the columns")
     return CellCalibration(
         channels=channels,
         offset=b[:, 0],
@@ -399,7 +399,7 @@ def compute_loads(
             drifts[channel] = drift
             notes.append(_describe_drift(table, channel, drift, time[turning], raw=channel in raw))
     if not drifts:
-        notes.append("no reading at zero speed: the zero of the load cells is taken on trust")
+        notes.append("no reading at zero speed: the zero of the load cells is assumed to be correct")
     running, t = table.select_lines(turning), time[turning]
     values = {name: running[name] for name in direct}
     inverse, blocks = np.eye(len(direct)), []
@@ -438,7 +438,7 @@ def compute_loads(
 def _describe_drift(table: BenchTable, channel: str, d: ZeroDrift, t: Array, *, raw: bool) -> str:
     unit = "units of the reading" if raw else SI_UNITS[channel.split("_")[0]]
     if d.blocks == 1:
-        return f"{channel}: zero read once, {d.coefficients[0]:.4g} {unit}; that it stayed there is taken on trust"
+        return f"{channel}: zero read once, {d.coefficients[0]:.4g} {unit}; its drift is assumed to be zero"
     kind = ("constant", "a straight line", "a parabola", "a cubic")[d.coefficients.size - 1]
     doubt = f" +- {2 * float(np.max(d.zero_std_at(t))):.2g}" if d.spread.scale > 0 and t.size else ""
     return f"{channel}: zero read {d.blocks} times, followed as {kind}{doubt}, changes by {d.change:.3g} {unit}"
@@ -464,7 +464,7 @@ def resolve_air_density(table: BenchTable, density_kg_m3: float | None) -> tuple
             return moist, f"density {moist.mean():.4g} kg/m3 from temperature, pressure and humidity"
         rho = table["pressure"] / (287.05 * (table["temperature"] + 273.15))
         return rho, f"density {rho.mean():.4g} kg/m3 from temperature and pressure (dry air)"
-    return np.full(n, 1.2), "density 1.2 kg/m3 assumed: every coefficient is wrong by as much as it is"
+    return np.full(n, 1.2), "density 1.2 kg/m3 assumed: its relative error is that of every coefficient"
 
 
 @result(eq=False)

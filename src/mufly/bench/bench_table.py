@@ -359,7 +359,7 @@ def _convert_duty(table: BenchTable, reading: _ColumnReading | None) -> BenchTab
         )
         if not speed.any() or reverse:
             raise table.column_error(
-                "duty", f"goes from {low:g} to {high:g}: the speed does not say which end is rest",
+                "duty", f"goes from {low:g} to {high:g}: the speed does not show which end is rest",
                 "give a column duty from 0 to 1",
             )  # fmt: skip
         table = table.with_columns(

@@ -79,7 +79,7 @@ def add_loads_from_coefficients(table: BenchTable, radius_m: float | None, densi
         if name not in table or load in table:
             continue
         if not radius_m:
-            raise table.column_error(name, "is a coefficient", "say to which rotor it belongs, or give thrust_N")
+            raise table.column_error(name, "is a coefficient", "name the rotor, or give thrust_N")
         table = resolve_speed_unit(table, radius_m)
         table.require_columns(("speed",))
         _check_convention(table, name)

@@ -28,7 +28,7 @@ _RADTAN_MODELS = (
     "pinhole",
 )
 _PINHOLE_MODELS = ("", "pinhole", "plumb_bob", "perspective", "mono")
-_UNSUPPORTED_LENS_REMEDY = "undistort the pictures for a pinhole, or find the lens anew: mufly slam calibrate"
+_UNSUPPORTED_LENS_REMEDY = "undistort the pictures to a pinhole model, or calibrate the lens: mufly slam calibrate"
 _YAML_KEY_PATTERN = re.compile(r"(\s*)(?:- )?([A-Za-z_][\w.\-]*|\"[^\"]+\")\s*:(?:\s+(.*))?$")
 _DISTORTION_NAMES = ("k1", "k2", "p1", "p2", "k3")
 _INTRINSIC_NAMES = ("fx", "fy", "cx", "cy")

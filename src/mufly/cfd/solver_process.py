@@ -217,8 +217,8 @@ def run_case(
         raise  # the reader of the progress is closed
     except OSError as error:
         raise MuflyError(
-            f"{error.filename or folder}: cannot be written ({error.strerror}): make room; what was written stands, "
-            "give the same command again to go on"
+            f"{error.filename or folder}: cannot be written ({error.strerror}): free disk space; the written state "
+            "is kept, and the same command resumes"
         ) from error
     return verdict
 
@@ -321,8 +321,8 @@ def _run_solver(
             return  # judged as diverged
         if status < 0:
             raise MuflyError(
-                f"simpleFoam was killed (signal {-status}) at iteration {iteration}: what it wrote stands, give the "
-                "same command again to go on"
+                f"simpleFoam was killed (signal {-status}) at iteration {iteration}: its written state is "
+                "kept, and the same command resumes"
             )
         raise MuflyError(
             f"simpleFoam ended with status {status}: {_find_first_error(folder / _LOG_FILE)}; see {folder / _LOG_FILE}"

@@ -360,7 +360,7 @@ DiscTiltOption = Annotated[
     float,
     define_option(
         "--tilt", "Tilt of the disc into the wind, positive nose down.", unit="deg",
-        within=OptionRange(-90.0, 90.0, "deg", "at 90 degrees the air comes along the shaft"),
+        within=OptionRange(-90.0, 90.0, "deg", "at 90 degrees the flow is along the shaft"),
     ),
 ]  # fmt: skip
 FlapRatiosOption = Annotated[

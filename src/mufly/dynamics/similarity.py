@@ -248,8 +248,8 @@ def _build_similar(
         "motor.friction_torque": (power / speed, "share of the torque"),
         "air.density": (1.0, "same air"),
         **{f"rotors.{r}.{key}": rule for r in ("upper", "lower") for key, rule in {
-            "thrust_coefficient": (1.0, "same shape of blade; `mufly coax map` knows better"),
-            "torque_coefficient": (1.0, "same shape of blade; `mufly coax map` knows better"),
+            "thrust_coefficient": (1.0, "same shape of blade; `mufly coax map` computes it"),
+            "torque_coefficient": (1.0, "same shape of blade; `mufly coax map` computes it"),
             "hub_z": (la, "size"),
             "drive_inertia": (mu * la**2, "mass times size squared"),
             "reaction_inertia": (mu * la**2, "mass times size squared"),

@@ -128,7 +128,7 @@ def fly_mission(
             vehicle if designed_for is None else designed_for, flight.autopilot.software.plan.mission
         )
         if slower:
-            flight.log_event(f"slower than asked, as the controllers can: {slower}", "warning")
+            flight.log_event(f"limits reduced to those of the controllers: {slower}", "warning")
         wall_s = _run_flight(
             flight, expected, _time_limit(mission, expected), realtime, on_progress,
             None if on_tick is None else (on_tick, tick_every),

@@ -180,7 +180,7 @@ _BODY = """
 <h2>In doubt for what was held</h2>
 {{ listed(fit.held) }}
 {% endif %}
-<h2>What the data cannot tell apart</h2>
+<h2>Parameters that the data cannot separate</h2>
 {{ listed(fit.unseen, "Nothing stands out: every parameter is determined by these records.") }}
 {% if fit.records %}
 <h2>Prediction from inputs alone</h2>
@@ -198,7 +198,7 @@ the residual is not white, so that plain Cramér-Rao bounds would be too small.<
 {% if record.doubt %}<p class="warn">{{ record.doubt }}.</p>{% endif %}
 {{ figure(album(name ~ "-prediction", pictures.prediction_picture, record), "Prediction") }}
 {% if record.time_s | length >= enough %}
-<h3>What the residuals say</h3>
+<h3>Findings from the residuals</h3>
 {{ listed(what_is_missing(record), "Nothing stands out of the noise.") }}
 {{ figure(album(name ~ "-residuals", pictures.residual_picture, record), "Residuals") }}
 {% if record.input_names %}

@@ -442,7 +442,7 @@ def describe_unseen_combinations(
         ):
             continue
         said.append(
-            f"{names[i]} and {names[j]} are hardly told apart (correlation {c:+.4f}): the data see their "
+            f"{names[i]} and {names[j]} can hardly be separated (correlation {c:+.4f}): the data determine their "
             f"{'sum' if c < 0 else 'ratio'} {1.0 / np.sqrt(max(1.0 - c * c, 1e-12)):.0f} times better than either"
         )
     return tuple(said)

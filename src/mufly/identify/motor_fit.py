@@ -386,15 +386,15 @@ def _resolve_speed_unit(table: BenchTable, data: MotorData, notes: list[str]) ->
     if "speed" in table.unitless:
         unit, factor = ("rpm", RPM) if e > 0.95 else ("rad/s", 1.0)
         notes.append(
-            f"speed has no unit: taken as {unit}, with which {100 * e * factor:.0f} % of the electrical power comes "
-            "out as mechanical power"
+            f"speed has no unit: taken as {unit}, with which {100 * e * factor:.0f} % of the electrical power becomes "
+            "mechanical power"
         )
         data = replace(data, speed_rad_s=data.speed_rad_s * factor)
         e = _mean_efficiency(data)
     for name, unit in (("voltage", "mV"), ("current", "mA")):
         if name in table.unitless and e < _MIN_EFFICIENCY < 1e3 * e < _MAX_EFFICIENCY:
             notes.append(
-                f"{table.headers[name]}: as {SI_UNITS[name]} only {100 * e:.2g} % would come out: taken as {unit}"
+                f"{table.headers[name]}: as {SI_UNITS[name]} only {100 * e:.2g} % would be mechanical: taken as {unit}"
             )
             data = replace(data, **{f"{name}_{SI_UNITS[name]}": 1e-3 * getattr(data, f"{name}_{SI_UNITS[name]}")})
             notes[:] = [n for n in notes if not n.startswith(f"{table.headers[name]}: no unit is written")]
@@ -416,8 +416,8 @@ def _resolve_speed_unit(table: BenchTable, data: MotorData, notes: list[str]) ->
         raise InputError(table.source, "", much, guess)
     if e < _MIN_EFFICIENCY:
         notes.append(
-            f"only {100 * e:.2g} % of the electrical power comes out: unless the motor ran without load, a unit is "
-            "wrong (rad/s for rpm, N m for mN m)"
+            f"only {100 * e:.2g} % of the electrical power becomes mechanical: unless the motor ran without load, "
+            "a unit is wrong (rad/s for rpm, N m for mN m)"
         )
     return data
 
@@ -629,11 +629,14 @@ def _estimates_of_constants(
     if i is None:
         tails |= {"kE": "*igear", "kM": "*igear", "dR": "*igear^2", "Mf": "*igear"}
         unseen.append(
-            "kE, kM and dR cannot be told from the gear ratio: only kE*igear, kM*igear and dR*igear^2 are seen"
+            "kE, kM and dR cannot be separated from the gear ratio: only kE*igear, kM*igear and dR*igear^2 are "
+            "observable"
         )
     if eta is None:
         tails |= {k: tails[k] + "*eta_gear" for k in ("kM", "dR", "Mf")}
-        unseen.append("kM and dR cannot be told from the gear's efficiency: only kM*eta_gear and dR*eta_gear are seen")
+        unseen.append(
+            "kM and dR cannot be separated from the gear's efficiency: only kM*eta_gear and dR*eta_gear are observable"
+        )
     estimates = []
     told = [*range(4), *([_FRICTION] if free[_FRICTION] else [])]
     cov, value = cov[np.ix_(told, told)], value[told]

@@ -218,7 +218,7 @@ def _check_scale(name: str, source: str, a: SignalAgreement, kind: str) -> list[
                     SignalFault(
                         signal,
                         f"{says}: it seems to be in {words}",
-                        f"say so in the column map (unit '{short}')",
+                        f"state the unit in the column map ('{short}')",
                     )
                 ]
     if a.scale_low > 1.0 + _REPORTED_SCALE_ERROR or a.scale_high < 1.0 - _REPORTED_SCALE_ERROR:
@@ -319,7 +319,7 @@ def _check_angles(r: FlightRecord) -> list[SignalFault]:
         turned, limit = known[angle], (np.pi / 2 if angle == "pitch" else np.pi) + 0.01
         if float(np.max(np.abs(turned))) > limit:
             reaches = f"reaches {turned[np.argmax(np.abs(turned))]:.3g} rad: it seems to be in degrees"
-            found.append(SignalFault(angle, reaches, "say so in the column map (unit 'deg')"))
+            found.append(SignalFault(angle, reaches, "state the unit in the column map ('deg')"))
     if found or not pairs:
         return found
     level, tilt = np.zeros(n), 0.0
@@ -365,7 +365,7 @@ def _check_height_unit(r: FlightRecord) -> list[SignalFault]:
     if size <= _MAX_ACCELERATION_m_s2:
         return []
     what = f"accelerates by {size:.0f} m/s2 (RMS): it seems to be in centimetres or millimetres"
-    return [SignalFault("height", what, "say so in the column map (unit 'cm' or 'mm')")]
+    return [SignalFault("height", what, "state the unit in the column map ('cm' or 'mm')")]
 
 
 def _check_input_range(r: FlightRecord) -> list[SignalFault]:

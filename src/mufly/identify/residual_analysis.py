@@ -351,7 +351,9 @@ def _describe_input_correlation(
     name: str, u: Array, output: str, e: Array, dt: float, max_lag_s: float, confidence: float, least: float
 ) -> list[tuple[float, str]]:
     if np.std(u) == 0.0:
-        return [(0.05, f"{name} never moved in this record, so it says nothing about the response to it")]
+        return [
+            (0.05, f"{name} never moved in this record, so the record holds no information about the response to it")
+        ]
     looks = max(1.0, 2.0 * max_lag_s / _correlation_time(u, dt))
     c = input_cross_correlation(u, e, dt, max_lag_s=max_lag_s, confidence=1.0 - (1.0 - confidence) / looks)
     middle = c.lag_s.size // 2
@@ -365,7 +367,7 @@ def _describe_input_correlation(
             (
                 0.3 * float(behind.max()),
                 f"residual of {output} leads {name} by {lag:.2g} s (correlation {behind.max():.2f}): feedback from "
-                f"{output} to {name}, which says nothing against the model",
+                f"{output} to {name}, which does not contradict the model",
             )
         ]
     best = int(ahead.argmax())

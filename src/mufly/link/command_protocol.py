@@ -459,7 +459,7 @@ class CommandProtocol:
 
     def _reboot_autopilot(self, now_s: float, command: Command) -> RequestAnswer:
         if command.params[0] != 1.0:
-            return deny_request("only 1 (the autopilot anew) is known here")
+            return deny_request("only parameter 1 = 1 (restart of the autopilot) is supported")
         status = self._autopilot.status
         if status.flying and not status.crash_cause:
             return reject_temporarily("it flies; land first")

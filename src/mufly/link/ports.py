@@ -46,12 +46,12 @@ _DEVICE_ERROR_TEXTS = {
     errno.ENOENT: "there is no such device; plug it in",
     errno.ENODEV: "there is no such device; plug it in",
     errno.ENXIO: "there is no such device; plug it in",
-    errno.EACCES: "no permission; on Linux its group is dialout or uucp: join it and log in anew",
+    errno.EACCES: "no permission; on Linux its group is dialout or uucp: join it and log in again",
     errno.EBUSY: "another program uses it; end that one",
     errno.EAGAIN: "another program uses it; end that one",
     errno.ENOTTY: "it is no serial device",
     errno.EISDIR: "it is no serial device",
-    errno.EINVAL: "it is no serial device, or does not know this baud rate",
+    errno.EINVAL: "it is no serial device, or does not support this baud rate",
 }
 _TRANSIENT_ERRORS = {errno.EAGAIN, errno.EWOULDBLOCK, errno.EINTR, errno.ENOBUFS, errno.ECONNREFUSED}
 
@@ -214,7 +214,7 @@ def parse_endpoint(
     if found is None:
         brackets = "put an IPv6 address in brackets, as in udp:[::1]:14550"
         raise make_error(
-            " has no host and port that can be told apart",
+            " has no recognisable host and port",
             brackets if rest.count(":") > 1 else _ENDPOINT_EXAMPLES,
         )
     number = found["port"]

@@ -220,7 +220,7 @@ class _PortGroup:
                 port.discard_input()
             link.resume_after_stall(now_s)
             link.flight.log_event(
-                f"stood still for {stood_s:.1f} s; what was asked meanwhile is not carried out", "warning"
+                f"simulation stalled for {stood_s:.1f} s; requests of that time are dropped", "warning"
             )
             came = []
         for peer, data in came:

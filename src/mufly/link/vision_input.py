@@ -93,7 +93,7 @@ class VisionInput:
         if sender != self._sender:
             self._sender, self._counter = sender, -1
             self._offsets.clear()
-            self._note(f"position comes by link, from {sender}", "info")
+            self._note(f"position is received over the link, from {sender}", "info")
         self._heard_s = now_s
         place = np.array([m.x, m.y, m.z, m.yaw], dtype=np.float64)
         time_s = self._vehicle_time_s(flight_s, int(m.usec))
@@ -103,7 +103,7 @@ class VisionInput:
             return
         counter = int(getattr(m, "reset_counter", 0))
         if self._counter not in (-1, counter):
-            self._note("the sender of positions says that its map has jumped", "warning")
+            self._note("the sender of positions reports a jump of its map", "warning")
         self._counter = counter
 
     def _vehicle_time_s(self, flight_s: float, usec: int) -> float:

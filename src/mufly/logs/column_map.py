@@ -241,7 +241,7 @@ def _settle_angle_units(channels: list[Channel]) -> tuple[list[Channel], list[st
                 chosen = {"deg": deg, "rad": si}.get(unit) or like or si
                 why = guess.reason if unit else f"as in measured_{named}"
                 if not unit and not like:
-                    why = "nothing in the data tells otherwise"
+                    why = "nothing in the data contradicts it"
                 words.append(f"{what} names no unit and is taken to be in {chosen} ({why})")
                 settled |= {c.name: chosen for c in unnamed}
             # Angle and rate that agree in degrees do not contradict stated units.

@@ -532,7 +532,7 @@ def _find_rate_unit(rate: RawTable, gyro: RawTable | None, firmware: str) -> tup
         ]
         # The ratio is 57.3 in degrees and 5730 in hundredths; the geometric mean of these is the threshold.
         if size[1] > 0 and size[0] / size[1] > 573:
-            return "cdeg/s", ": it says a hundred times what the gyroscope in IMU does"
+            return "cdeg/s", ": it is a hundred times the gyroscope's rate in IMU"
     return "deg/s", ""
 
 

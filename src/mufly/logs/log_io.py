@@ -103,7 +103,7 @@ def detect_log_format(path: str | Path) -> str:
         name = "HDF5" if head.startswith(b"\x89HDF") else "MATLAB"
         remedy = "export it as CSV or NetCDF 3"
         if name == "MATLAB":
-            remedy += "; `mufly identify linear` and its kin read it as it is"
+            remedy += "; `mufly identify linear` reads it directly"
         raise InputError(where, "", f"is a {name} file, which is not read here", remedy)
     if looks_like_table(head.rstrip(b"\0")):
         return "CSV"

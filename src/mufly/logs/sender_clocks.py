@@ -80,7 +80,7 @@ def repair_arrival_times(arrival: _Array, kept: NDArray[np.int64]) -> tuple[_Arr
         times = int((back < 0).sum())
         words.append(
             f"the recording computer's clock was set back {'once' if times == 1 else f'{times} times'}, by "
-            f"{-back.min():.6g} s at most; times go on"
+            f"{-back.min():.6g} s at most; times continue without the step"
         )
         t = t - np.cumsum(back)
     out = arrival.copy()

@@ -250,8 +250,8 @@ class Mission(_MissionTable):
     start_heading_deg: float = _strict_field(0.0, "its heading there, from north to east", ge=-360.0, le=360.0)
     at_end: Literal["land", "hover", "return"] = Field(
         default="land",
-        description='after the last wait: "land" there, "hover" there until told otherwise or until the battery is '
-        'low, or "return" to above the start and land',
+        description='after the last wait: "land" there, "hover" there until a request or a low battery, '
+        'or "return" above the start and land',
     )
     take_off: TakeOff = TakeOff()
     waypoint: tuple[Waypoint, ...] = ()

@@ -268,7 +268,7 @@ def _hash_bladings(*bladings: Blading) -> str:
 
 _WRONG_MAP_MESSAGE = (
     "holds the points of another map that was stopped",
-    "go on with that one, delete this file, or write to another file",
+    "resume that map, delete this file, or write to another file",
 )
 
 

@@ -204,7 +204,7 @@ class Rotor(ParameterGroup):
         "m", "h", "thickness of the trailing edge; 0: as its airfoils have it", at_least=0, absent=0.0
     )
     blade: Blade
-    fit: SectionFit | None = Field(default=None, description="what a bench run said about the sections")
+    fit: SectionFit | None = Field(default=None, description="corrections of the sections from a bench fit")
 
     @model_validator(mode="after")
     def _check_cutout(self) -> Rotor:

@@ -374,8 +374,8 @@ def _fit_sections(
     found.sort(key=lambda f: -f.log_evidence)
     if not found or not np.nanmean(np.abs(found[0].scaled_errors[0])) < 0.25:
         raise MuflyError(
-            "no section with any sensible change comes within 25 % of the measured thrust; check units, pitch, radius, "
-            "number of blades and the direction of the twist"
+            "no section with plausible corrections predicts the measured thrust within 25 %; check units, pitch, "
+            "radius, number of blades and the direction of the twist"
         )
     return found
 
@@ -401,12 +401,12 @@ def _describe_undecided(
     shrunk: Array, correlation: Array, weights: Array, found: Sequence[_FittedSection]
 ) -> tuple[str, ...]:
     words = [
-        f"the bench says little of {name}"
+        f"the bench data hardly determine {name}"
         for name, s in zip(FIT_PARAMETERS, shrunk.tolist(), strict=True)
         if s > _UNINFORMED_STD_RATIO
     ]
     words += [
-        f"{FIT_PARAMETERS[i]} and {FIT_PARAMETERS[j]} cannot be told apart (correlation {correlation[i, j]:+.2f})"
+        f"{FIT_PARAMETERS[i]} and {FIT_PARAMETERS[j]} cannot be separated (correlation {correlation[i, j]:+.2f})"
         for i in range(5)
         for j in range(i + 1, 5)
         if abs(correlation[i, j]) > _HIGH_CORRELATION

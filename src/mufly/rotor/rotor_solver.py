@@ -503,7 +503,7 @@ def _trim_by_secant(
         fault = math.log(max(known.lower.torque_Nm, 1e-12) / max(known.upper.torque_Nm, 1e-12))
         short = 0.0 if thrust_N is None else math.log(thrust_N / total) if total > 0.0 else math.nan
         if not (math.isfinite(fault) and math.isfinite(short)):
-            raise MuflyError("coaxial: no thrust at these pitches, so no speed gives the one asked for")
+            raise MuflyError("coaxial: no thrust at these pitches, so no speed gives the required thrust")
         if abs(fault) <= close and abs(short) <= close:
             return known
         # ln(torque ratio) over ln(speed ratio) is close to a line; for isolated rotors its slope is 2.
@@ -548,7 +548,7 @@ def _trim_lower_pitch(
         if not now.upper.torque_Nm > 0.0:
             raise MuflyError("coaxial: the upper rotor takes no torque at this pitch, so no balance exists")
         if thrust_N is not None and not now.thrust_N > 0.0:
-            raise MuflyError("coaxial: no thrust at these pitches, so no speed gives the one asked for")
+            raise MuflyError("coaxial: no thrust at these pitches, so no speed gives the required thrust")
         fault = math.log(max(now.lower.torque_Nm / now.upper.torque_Nm, 1e-3))
         short = 0.0 if thrust_N is None else math.log(thrust_N / now.thrust_N)
         if abs(fault) <= close and abs(short) <= close:

@@ -785,7 +785,7 @@ class SlamSystem:
             self._last_node, self._odometry = match.graph_node, Odometry(frame.time_s, frame.vehicle_estimate)
             self._known_odometry = self._odometry
             self._refine_keyframe(view, match)
-            return TrackingResult(frame.time_s, False, "begun anew, to be confirmed")
+            return TrackingResult(frame.time_s, False, "new map begun, not yet confirmed")
         self._trial_frame_count = 0
         return None
 

@@ -186,7 +186,7 @@ def plot_trajectory(
         label = f"deviation told {name}" if truth is None else None
         band = 200 * deviation[:, k]
         right.fill_between(t - since, -band, band, color=colour, alpha=0.15, lw=0, label=label)
-    what = "twice the deviation told" if truth is None else "errors, and twice the deviation told"
+    what = "twice the reported deviation" if truth is None else "errors, and twice the reported deviation"
     right.set(xlabel="time since the first (s)" if since else "time (s)", ylabel="cm", title=what)
     right.legend(loc="best", fontsize=8)
     return figure

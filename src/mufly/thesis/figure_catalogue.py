@@ -36,7 +36,7 @@ class ThesisItem:
     title : str
     kind : str
     substitute : str
-        Substitute in this package; "" for a result.
+        Part of mufly that takes the place of a photograph, sketch or diagram; "" for a result.
     """
 
     name: str

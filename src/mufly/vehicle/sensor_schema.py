@@ -105,7 +105,7 @@ class ImuParameters(ParameterGroup):
     level: Quantity = declare_parameter(
         "rad",
         "s_level",
-        "how level it stands where it is calibrated, about x and about y, one sigma",
+        "roll and pitch of the vehicle standing on its legs, one sigma each",
         at_least=0,
         at_most=0.2,
         absent=DEFAULT_LEVEL_ERROR_RAD,

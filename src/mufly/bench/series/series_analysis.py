@@ -274,9 +274,9 @@ def check_reference(name: str, channel: LoadChannel, plan: SeriesPlan) -> list[S
                 out.append(
                     SeriesIssue(
                         "reference",
-                        f"the reference's {name} on the {axis} axis went by {100 * step:+.1f} +- "
-                        f"{200 * doubt:.1f} % between its mountings {k} and {k + 1}: its blades have moved, or the "
-                        "cell has; no point in between can be trusted",
+                        f"the reference's {name} on the {axis} axis changed by {100 * step:+.1f} +- "
+                        f"{200 * doubt:.1f} % between its mountings {k} and {k + 1}: its blades or the cell "
+                        "have moved; the points in between are not reliable",
                         True,
                     )
                 )

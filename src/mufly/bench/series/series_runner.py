@@ -97,7 +97,7 @@ class LimitGuard:
 
     def __call__(self, samples: Samples) -> None:
         if self.stop_requested():
-            raise Stopped("stopped as asked; the series goes on from here when it is run again")
+            raise Stopped("stopped on request; the same command resumes the series")
         most = {
             "speed": (self.limits.speed_rpm * RPM, 1 / RPM, "rpm"), "current": (self.limits.current_A, 1.0, "A"),
             "vibration": (self.limits.vibration_m_s2, 1.0, "m/s2"),

@@ -99,7 +99,7 @@ def split_torque(
             continue
         if train.size < _MIN_TRAINING_POINTS or np.ptp(speed[side][train]) < 0.2 * speed[side][train].max():
             return (
-                f"the torques of a pair cannot be told apart: the {side} motor's current was calibrated at "
+                f"the torques of a pair cannot be separated: the {side} motor's current was calibrated at "
                 f"{train.size} points; mount the reference alone on that axis, at five speeds over the whole range"
             )
         design = np.column_stack([current, -np.ones(n), -speed[side]])

@@ -260,7 +260,7 @@ def _wait_for_mounting(m: BladeMounting, asked: threading.Event) -> None:
     threading.Thread(target=read_enter, daemon=True).start()
     while not entered.wait(0.1):
         if asked.is_set():
-            raise Stopped("stopped as asked; the series goes on from here when it is run again")
+            raise Stopped("stopped on request; the same command resumes the series")
 
 
 def _load_real_rig(name: str, fault: str | None) -> BenchRig:

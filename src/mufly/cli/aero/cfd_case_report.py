@@ -95,7 +95,7 @@ def report_inflow(folder: Path, rotor: Rotor | None, solutions: list[CfdSolution
     def print_inflow() -> None:
         names = (name.replace("_over_", ", of ") for name in columns)
         heads = (ResultColumn(key, head=name) for key, name in zip(list(rows[0])[1:-2], names, strict=True))
-        title = "c_T by each method, and what the flight model's map makes of its own in hover"
+        title = "c_T by each method, and thrust of the flight model's map over its thrust in hover"
         print_result_table(rows, [ResultColumn("climb_m_s", form="g"), *heads, "torque_Nm", "verdict"], title=title)
         lines = [(n, *(f"{100 * x:+.1f} %" for x in of.values())) for n, of in slopes.items()]
         print_table(("thrust for 1 m/s of climb", "from -0.5 to 0.5", "from -1 to 1 m/s"), lines)

@@ -290,7 +290,7 @@ class CameraSensor(Sensor):
             late = self.last_result is None or t - self.last_result.time_s > SILENCE_TIMEOUT_S + float(
                 self._eye.camera.radio.latency
             )
-            why = "no pictures come" if late or self.last_result is None else self.last_result.reason
+            why = "no pictures arrive" if late or self.last_result is None else self.last_result.reason
             self._wrong, self._since_s = why, math.nan
             return f"the camera gives no position: {why}"
         if self._wrong and t - self._trusted_s < SILENCE_TIMEOUT_S:

@@ -20,9 +20,9 @@ from mufly.world import World
 
 CAMERA_FAULTS: Mapping[str, str] = {
     "covered": "the lens is covered: pictures are black",
-    "dark": "the light is off: a hundredth of it is left",
-    "unplugged": "no pictures come",
-    "frozen": "the same picture comes again and again",
+    "dark": "the light is off: a hundredth of the brightness remains",
+    "unplugged": "no pictures arrive",
+    "frozen": "the camera repeats the same picture",
     "mirrored": "pictures are mirrored left to right",
     "inverted": "the camera is mounted upside down",
     "dirty": "two dark spots are on the lens",

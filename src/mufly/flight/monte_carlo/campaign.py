@@ -529,7 +529,7 @@ def _failure_reason(s: FlightSummary, data: xr.Dataset, tolerance_m: float) -> s
         if w.reached_s is None:
             return f"{name} was not reached"
         if (w.distance_at_reach_m or 0.0) > tolerance_m:
-            return f"{name} was said to be reached, {w.distance_at_reach_m:.2f} m from it"
+            return f"{name} was reported as reached, {w.distance_at_reach_m:.2f} m from it"
     last = data.isel(time=-1)
     up = float(data.truth_position.values[0, 2] - last.truth_position.values[2])
     if abs(up) > LANDED_HEIGHT_TOLERANCE_M:

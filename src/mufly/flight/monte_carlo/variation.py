@@ -188,7 +188,7 @@ def _parse_assignment(text: str, vehicle: Vehicle) -> ParameterVariation:
     name, equals, how = (part.strip() for part in text.partition("="))
     if not equals or not how:
         remedy = suggest_name(name, [STANDARD_SET], f"write {_SYNTAX_HELP}") if not equals else f"write {_SYNTAX_HELP}"
-        raise ArgumentError("vary", text, "does not say how to vary what", remedy)
+        raise ArgumentError("vary", text, "names no parameter or no variation", remedy)
     chosen = _select_parameters(name, text, vehicle)
     keys = tuple(p.key for p in chosen)
     if how == "std":

@@ -258,7 +258,7 @@ def _predict_held_out_record(
     ratios, doubt = predicted.rms_over_noise(), ""
     worst = int(np.argmax(ratios))
     if not found.converged[0]:
-        doubt = f"{record.name}: its start values were not found, so that its prediction says nothing"
+        doubt = f"{record.name}: its start values were not found, so its prediction is meaningless"
     elif ratios[worst] > MAX_RESIDUAL_OVER_NOISE:
         doubt = (
             f"{record.name}: {predicted.output_names[worst]} is predicted with an error of {ratios[worst]:.0f} times "

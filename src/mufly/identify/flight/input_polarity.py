@@ -432,7 +432,9 @@ def _check_height(r: FlightRecord, heave: InputGain | None) -> list[SignalFault]
     if low > _MAX_METRE_GAIN:
         what = f"accelerates {heave.value:.3g} +- {heave.std:.2g} times as much as thrust makes it"
         return [
-            SignalFault("height", f"{what}: it seems to be in {unit}", "say so in the column map (unit 'cm' or 'mm')")
+            SignalFault(
+                "height", f"{what}: it seems to be in {unit}", "state the unit in the column map ('cm' or 'mm')"
+            )
         ]
     if "height" not in r.outputs:
         return []
@@ -444,9 +446,9 @@ def _check_height(r: FlightRecord, heave: InputGain | None) -> list[SignalFault]
     coarse = noise if noise > _MAX_HEIGHT_NOISE_M else resolution if np.isfinite(resolution) else 0.0
     if coarse > _MAX_HEIGHT_NOISE_M:
         what = f"is resolved to {coarse:.2g} m only: it seems to be in centimetres or millimetres"
-        return [SignalFault("height", what, "say so in the column map (unit 'cm' or 'mm')")]
+        return [SignalFault("height", what, "state the unit in the column map ('cm' or 'mm')")]
     if high < _MAX_METRE_GAIN and heave.value > 0.1:
         return []
     size = f"{heave.value:.2g} +- {heave.std:.2g} of the model's"
-    what = f"answers thrust too little to tell metres from centimetres ({size})"
+    what = f"responds too little to thrust to distinguish metres from centimetres ({size})"
     return [SignalFault("height", f"{what}: its unit is not checked", "", is_fatal=False)]

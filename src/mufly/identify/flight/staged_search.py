@@ -227,8 +227,8 @@ class StagedSearch:
             f"{free[k].symbol} {v:.4g}" for k, v in zip(moved, theta_to_values(free, worse)[moved], strict=True)
         )
         return (
-            f"two minima that these records do not tell apart (logarithm of the likelihood {abs(rise):.1f} apart): the "
-            f"other one has {values}, and no interval holds it; fly one motor alone and measure yaw, "
+            f"two minima that these records cannot distinguish (log likelihoods {abs(rise):.1f} apart): the "
+            f"other one has {values}, and no interval contains it; fly one motor alone and measure yaw, "
             "`mufly identify plan --channel yaw`"
         )
 
@@ -376,12 +376,12 @@ def problem_digest(problem: OutputErrorProblem, method: str) -> str:
     return hash_question(*parts, problem.vehicle.model_dump_json())
 
 
-_DAMAGED = ("is not a checkpoint of a fit", "delete it to start anew")
-_OTHER_FIT = ("belongs to a fit of other records, parameters or method", "delete it to start anew")
+_DAMAGED = ("is not a checkpoint of a fit", "delete it to start again")
+_OTHER_FIT = ("belongs to a fit of other records, parameters or method", "delete it to start again")
 
 
 def _point_from_json(d: dict[str, Any] | None) -> FitPoint:
     if d is None:
-        raise InputError("checkpoint", "", "contains no iterate", "delete it to start anew")
+        raise InputError("checkpoint", "", "contains no iterate", "delete it to start again")
     states = [np.array(s) for s in d["states"]]
     return FitPoint(np.array(d["theta"]), states, d["cost"], d["damping"], d["simulations"])

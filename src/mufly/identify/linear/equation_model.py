@@ -256,7 +256,9 @@ def identify_equation_model(
     moving = fitted.std(axis=0) > 1e-9 * np.maximum(1.0, np.abs(fitted).max(axis=0))
     for name, moves in zip(names, moving, strict=True):
         if not moves:
-            notes.append(f"{name} never moved in the fitted records and was left out: the data say nothing about it")
+            notes.append(
+                f"{name} never moved in the fitted records and was left out: the data hold no information about it"
+            )
     if not moving.any():
         raise ArgumentError("inputs", ",".join(names), "never move in the fitted part", "use another part or record")
     names = tuple(n for n, moves in zip(names, moving, strict=True) if moves)

@@ -277,7 +277,9 @@ def _reconstruct_path(record: EvenLogTable, imu: Mapping[str, str], outputs: Map
     std = size
     if np.any(std > 0.8 * _PRIOR_STD):
         names = ", ".join(n for n, s, p in zip(IMU_ERROR_SYMBOLS, std, _PRIOR_STD, strict=True) if s > 0.8 * p)
-        notes.append(f"{names}: the flight says little, the values are the prior's; turn more about these axes")
+        notes.append(
+            f"{names}: the flight hardly determines them, the values are the prior's; turn more about these axes"
+        )
     estimates = tuple(
         ParameterEstimate.from_std(n, "", unit, 0.0, float(v), float(s), quantile=1.96)
         for n, unit, v, s in zip(IMU_ERROR_SYMBOLS, ["rad/s"] * 3 + ["m/s^2"] * 3 + ["1"] * 6, theta, std, strict=True)

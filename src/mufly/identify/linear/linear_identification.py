@@ -211,7 +211,9 @@ def identify_linear_model(
     moving = np.std(us[:cut], axis=0) > 1e-9 * np.maximum(1.0, np.abs(us[:cut]).max(axis=0))
     for name, moves in zip(inputs, moving, strict=True):
         if not moves:
-            notes.append(f"{name} never moved in the fitted part and was left out: the data say nothing about it")
+            notes.append(
+                f"{name} never moved in the fitted part and was left out: the data hold no information about it"
+            )
     if not moving.any():
         raise ArgumentError("inputs", ",".join(inputs), "never move in the fitted part", "use another part or record")
     u, names = us[:, moving], tuple(n for n, moves in zip(inputs, moving, strict=True) if moves)
