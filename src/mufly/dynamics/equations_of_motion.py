@@ -62,6 +62,9 @@ below the floor. With h the hub's height, V the air's velocity along the floor a
 with the increment multiplied by ``rotors.ground_effect``. Each rotor has its own height and image. Below h = R/2, where
 a source no longer represents a disc, the value at R/2 holds. A comparison with measured and computed curves is in
 docs/log/2026-11-28-wake-single-rotors.md.
+
+Edgewise flow, rate damping and the phase of the swash plate (``rotors.flight_map``, ``swash_plate.phase``):
+:mod:`mufly.dynamics.edgewise_loads`.
 """
 
 from __future__ import annotations
@@ -72,6 +75,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.drive.drive_train import armature_current, interpolate_table, rotor_acceleration, terminal_voltage
+from mufly.dynamics.edgewise_loads import add_flight_map, add_swash_phase
 from mufly.dynamics.model_state import (
     ATTITUDE,
     RS_ATT,
@@ -159,9 +163,14 @@ def state_derivative(x: _Array, u: _Array, wind: _Array, p: ModelParameters, dx:
     Thesis: eqs 4.5 to 4.10, 4.13 to 4.23, 4.31.
     """
     a, b = x[RS_SWASH_ROLL], x[RS_SWASH_PITCH]
-    state_derivative_tilted(x, u, wind, p, math.sin(a), math.cos(a), math.sin(b), math.cos(b), True, dx)
+    sin_a, cos_a, sin_b, cos_b = math.sin(a), math.cos(a), math.sin(b), math.cos(b)
+    state_derivative_tilted(x, u, wind, p, sin_a, cos_a, sin_b, cos_b, True, dx)
     if p.ground_effect > 0.0:
         _add_ground_effect(x, wind, p, dx)
+    if p.swash_phase != 0.0:
+        add_swash_phase(u, p, dx)
+    if p.flight_nodes > 0:
+        _add_flight_map(x, wind, p, (-sin_b, cos_b * sin_a, -cos_a * cos_b), dx)
 
 
 # Inlining is forced: with a map LLVM would not inline the function, which slows single flights by a tenth.
@@ -316,6 +325,16 @@ def _add_ground_effect(x: _Array, wind: _Array, p: ModelParameters, dx: _Array) 
         dx[RS_VEL + k] += (a[k, 0] * fx + a[k, 1] * fy + a[k, 2] * fz) / p.mass
     dx[RS_RATES] -= (p.z_up * fy_up + p.z_dw * fy_dw) / p.Ixx
     dx[RS_RATES + 1] += (p.z_up * fx_up + p.z_dw * fx_dw) / p.Iyy
+
+
+@cached_njit(error_model="numpy")
+def _add_flight_map(x: _Array, wind: _Array, p: ModelParameters, tilt: tuple[float, float, float], dx: _Array) -> None:
+    """Add the loads of the flight map with the lower disc's normal ``tilt``; see
+    :mod:`mufly.dynamics.edgewise_loads`."""
+    coefficients = p.thrust_up, p.thrust_dw, p.torque_up, p.torque_dw
+    if p.map_nodes > 0:
+        coefficients = map_coefficients(x[RS_SPEED_UPPER], x[RS_SPEED_LOWER], climb_velocity(x, wind), p)
+    add_flight_map(x, wind, p, coefficients, tilt, dx)
 
 
 _MIN_ROTOR_SPEED = 1e-3  # rad/s; below this speed rotor forces are negligible

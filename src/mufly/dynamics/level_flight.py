@@ -158,7 +158,7 @@ class LevelFlight:
         return tuple(blocks)
 
 
-class _LevelModel:
+class LevelFlightModel:
     """Blades, hover point and servo authority of a vehicle for one pair of flap modes."""
 
     def __init__(self, vehicle: Vehicle, blading: Blading, flaps: tuple[BladeFlap, BladeFlap]) -> None:
@@ -307,6 +307,22 @@ def _crossing(speeds: list[float], values: list[float], level: float) -> float:
     return math.inf
 
 
+def check_blade_radius(vehicle: Vehicle, rotor: Rotor) -> None:
+    """Check that blades have the vehicle's rotor radius.
+
+    Raises
+    ------
+    InputError
+        If the radii differ by more than 1 %.
+    """
+    radius = float(vehicle.rotors.radius)
+    if abs(rotor.radius_m / radius - 1.0) > _RADIUS_TOLERANCE:
+        raise InputError(
+            vehicle.name, "rotors.radius", f"is {1e3 * radius:g} mm, but the blades {rotor.name} have "
+            f"{1e3 * rotor.radius_m:g} mm", "give the vehicle's blades by --rotor FILE",
+        )  # fmt: skip
+
+
 def level_flight(vehicle: Vehicle, rotor: Rotor, airspeeds: Sequence[float], *, n_crit: float = 0.1) -> LevelFlight:
     """Compute level flight over airspeed.
 
@@ -327,12 +343,7 @@ def level_flight(vehicle: Vehicle, rotor: Rotor, airspeeds: Sequence[float], *, 
     MuflyError
         If the blades cannot give the hover thrusts.
     """
-    radius = float(vehicle.rotors.radius)
-    if abs(rotor.radius_m / radius - 1.0) > _RADIUS_TOLERANCE:
-        raise InputError(
-            vehicle.name, "rotors.radius", f"is {1e3 * radius:g} mm, but the blades {rotor.name} have "
-            f"{1e3 * rotor.radius_m:g} mm", "give the vehicle's blades by --rotor FILE",
-        )  # fmt: skip
+    check_blade_radius(vehicle, rotor)
     wanted = sorted({0.0, *map(float, airspeeds)})
     if not all(math.isfinite(v) and v >= 0.0 for v in wanted):
         raise InputError(vehicle.name, "airspeeds", "are not all 0 or more", "give finite airspeeds")
@@ -341,7 +352,7 @@ def level_flight(vehicle: Vehicle, rotor: Rotor, airspeeds: Sequence[float], *, 
     bands = [blade_flap_band(rotor, float(w)) for w in hover.rotor_speed]
     lines, greatest, best = [], [], []
     for end in range(2):
-        model = _LevelModel(vehicle, blading, (bands[0][0][end], bands[1][0][end]))
+        model = LevelFlightModel(vehicle, blading, (bands[0][0][end], bands[1][0][end]))
         x, line, stopped = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0]), [], math.inf
         for v in wanted:
             found = model.trim(v, x)

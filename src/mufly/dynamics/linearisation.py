@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import root
 
+from mufly.dynamics.edgewise_loads import edgewise_factors, inside_flight_map
 from mufly.dynamics.equations_of_motion import (
     battery_state,
     climb_velocity,
@@ -88,7 +89,7 @@ class Trim:
     constant_voltage_V : float or None
         Constant voltage of the model; None with the vehicle's battery model.
     inside_map : bool
-        False if the point lies beyond an edge of the vehicle's coefficient map.
+        False if the point lies beyond an edge of the vehicle's coefficient map or flight map.
     """
 
     state: NDArray[np.float64]
@@ -113,7 +114,7 @@ class Trim:
             f"  rotor speed {rpm[0]:.0f} upper, {rpm[1]:.0f} lower rpm; "
             f"thrust {self.thrust_N[0]:.3f}, {self.thrust_N[1]:.3f} N\n"
             f"  battery {self.voltage_V:.2f} V, {self.current_A:.2f} A, {self.power_W:.1f} W"
-            + ("" if self.inside_map else "\n  beyond the coefficient map, whose edge is used")
+            + ("" if self.inside_map else "\n  beyond the vehicle's map, whose edge is used")
         )
 
     @property
@@ -227,6 +228,11 @@ def find_trim(
     climb = float(climb_velocity(x, wind_))
     speed_up, speed_dw = x[ROTOR_SPEEDS]
     t_up, t_dw, q_up, q_dw = rotor_loads(p, speed_up, speed_dw, climb)
+    inside = inside_map(vehicle, speed_up, speed_dw, climb)
+    if p["flight_nodes"] > 0:
+        f_up, f_dw = edgewise_factors(x, wind_, p)
+        t_up, q_up, t_dw, q_dw = t_up * f_up[0], q_up * f_up[1], t_dw * f_dw[0], q_dw * f_dw[1]
+        inside = inside and inside_flight_map(x, wind_, p)
     return Trim(
         state=x,
         input=u,
@@ -237,7 +243,7 @@ def find_trim(
         current_A=float(current),
         power_W=float(volts * current),
         constant_voltage_V=constant,
-        inside_map=inside_map(vehicle, speed_up, speed_dw, climb),
+        inside_map=inside,
     )
 
 

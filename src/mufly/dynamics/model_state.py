@@ -36,9 +36,11 @@ from mufly.record_fields import real_field as _real
 from mufly.record_fields import record_fields, record_type
 from mufly.rotations import quaternion_from_euler
 from mufly.rotor.coax_maps import interpolate_map, pack_map_tables
+from mufly.rotor.forward.edgewise_map import fit_flight_splines
 from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle
 from mufly.vehicle.coefficient_map import MAP_NODES
+from mufly.vehicle.flight_map import MAP_CLIMBS, MAP_EDGES
 from mufly.vehicle.vehicle_schema import MAX_LEGS
 
 _Array = NDArray[np.float64]
@@ -130,7 +132,8 @@ _MAX_FRICTION_RATE = 2000.0  # 1/s, resolved by Runge-Kutta steps of 1 ms
 class ModelParameters:
     """Parameters of the equations of motion (:func:`model_parameters`), SI units.
 
-    Without a coefficient map its tables are zero; with one ``thrust_up`` to ``torque_dw`` are not used.
+    Without a coefficient map its tables are zero; with one ``thrust_up`` to ``torque_dw`` are not used. The fields from
+    ``swash_phase`` on are not part of the filter's model.
     """
 
     mass: float = _real("mass", unit="kg", source="body.mass")
@@ -187,6 +190,19 @@ class ModelParameters:
     torque_over_speed2_table_up: _Array = _real("upper torque over the speed's square", MAP_NODES, unit="N m s2")
     thrust_over_speed2_table_dw: _Array = _real("lower thrust over the speed's square", MAP_NODES, unit="N s2")
     torque_over_speed2_table_dw: _Array = _real("lower torque over the speed's square", MAP_NODES, unit="N m s2")
+    swash_phase: float = _real(
+        "lag of the lower disc's tilt behind the plate's", unit="rad", source="swash_plate.phase"
+    )
+    flight_nodes: int = _int("climbs times edgewise velocities of the flight map; 0: no map")
+    flight_size: NDArray[np.int64] = _int("climbs and edgewise velocities of the map", 2)
+    flight_start: _Array = _real("first of each", 2)
+    flight_per_step: _Array = _real("inverse of the step of each", 2)
+    flight_ratio: _Array = _real("middle, lowest and highest speed ratio of the map", 3)
+    flight_knee2: float = _real("k^2 of the edgewise axis")
+    flight_scale: float = _real("rho pi R^3", unit="kg")
+    flight_radius: float = _real("rotor radius", unit="m", source="rotors.radius")
+    flight_table: _Array = _real("spline coefficients of the loads of both rotors", 12 * (MAP_CLIMBS + 2) * MAP_EDGES)
+    flight_rates: _Array = _real("loads of roll and pitch rate", 8 * MAP_EDGES)
 
 
 _PARAMETER_GETTERS = {
@@ -264,7 +280,7 @@ def model_parameters(vehicle: Vehicle, voltage: float | None = None) -> np.void:
         "contact_count": len(points),
         "contact_points": padded,
     }
-    values |= _map_fields(vehicle, values)
+    values |= _map_fields(vehicle, values) | _flight_map_fields(vehicle)
     record = np.zeros((), dtype=PARAMETER_DTYPE)
     for name, value in values.items():
         record[name] = value
@@ -331,4 +347,28 @@ def _map_fields(vehicle: Vehicle, constants: dict[str, float]) -> dict[str, Any]
         "map_per_step": per_step,
         "map_radius": radius,
         **dict(zip(MAP_TABLE_FIELDS, full, strict=True)),
+    }
+
+
+def _flight_map_fields(vehicle: Vehicle) -> dict[str, Any]:
+    """Return the fields of a record for a vehicle's flight map; empty without a map."""
+    m = vehicle.rotors.flight_map
+    if m is None:
+        return {}
+    splines = fit_flight_splines(m.parse_tables())
+    padded = {}
+    for name, values, room in (
+        ("flight_table", splines.table, 12 * (MAP_CLIMBS + 2) * MAP_EDGES),
+        ("flight_rates", splines.rates, 8 * MAP_EDGES),
+    ):
+        padded[name] = np.zeros(room)
+        padded[name][: values.size] = values.ravel()
+    return padded | {
+        "flight_nodes": int(np.prod(splines.size)),
+        "flight_size": splines.size,
+        "flight_start": splines.start,
+        "flight_per_step": splines.per_step,
+        "flight_ratio": [splines.ratio, splines.ratio_low, splines.ratio_high],
+        "flight_knee2": m.knee**2,
+        "flight_scale": np.pi * float(vehicle.air.density) * float(vehicle.rotors.radius) ** 3,
     }

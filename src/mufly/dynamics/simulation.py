@@ -38,6 +38,7 @@ from scipy.signal import lfilter
 from scipy.special import gammainc
 
 from mufly.drive.drive_train import FULL_FRICTION_SPEED_rad_s
+from mufly.dynamics.edgewise_loads import flight_map_rates
 from mufly.dynamics.equations_of_motion import battery_state, coefficient_bounds, state_derivative
 from mufly.dynamics.model_state import (
     ATTITUDE,
@@ -152,7 +153,7 @@ def longest_step(p: np.void) -> float:
 
     The method requires ``step * |lambda| < 2.78`` for every mode. The estimate considers swash plate, bar, motors at
     their greatest speed on the battery, swing under the bar, heave damped by the slope of a coefficient map over climb,
-    and legs as springs and dampers.
+    loads of a flight map, and legs as springs and dampers.
 
     Parameters
     ----------
@@ -193,6 +194,7 @@ def _mode_rates(p: np.void) -> dict[str, float]:
         "stabiliser_bar.linkage": swing,
         "rotors.inplane_drag": float(inplane),
         "rotors.coefficient_map": float(heave),
+        "rotors.flight_map": flight_map_rates(p, float(speed)),
         "contact.stiffness": math.sqrt(p["leg_stiffness"] * mobility),
         "contact.damping": float(p["leg_damping"] * mobility),
     }

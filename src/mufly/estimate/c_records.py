@@ -42,7 +42,9 @@ _GROUND_PREFIXES = (
     "friction_",
     "contact_",
     "ground_",
-)  # unused parameters of the flight model, since the filter evaluates it far above the floor
+    "flight_",
+    "swash_phase",
+)  # unused parameters of the flight model: ground, which is far below, and loads outside the filter's function
 _FILTER_MODULES: tuple[types.ModuleType, ...] = (
     filter_records,
     sensor_checks,

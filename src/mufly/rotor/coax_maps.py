@@ -152,7 +152,7 @@ def compute_coax_map(
     system = RotorSystem.coaxial_pair(upper, lower, spacing_m=spacing_m)
     store: AnswerLines[MapPointValues] = AnswerLines(
         kept, lambda row: (tuple(row[0]), tuple(row[1])), other=_WRONG_MAP_MESSAGE,
-        question=hash_question(about, *axes, _hash_bladings(upper, lower)),
+        question=hash_question(about, *axes, hash_bladings(upper, lower)),
     )  # fmt: skip
     points = order_map_points(shape)
     values = np.full((*shape, 4), np.nan)
@@ -258,7 +258,7 @@ def _fill_unsolved(values: Array, solved: NDArray[np.bool_]) -> Array:
     return found
 
 
-def _hash_bladings(*bladings: Blading) -> str:
+def hash_bladings(*bladings: Blading) -> str:
     """Return the hash of blades and polars."""
     parts: list[object] = []
     for b in bladings:

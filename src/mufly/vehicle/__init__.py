@@ -7,6 +7,13 @@ from mufly.vehicle.coefficient_map import (
     format_map_toml,
     load_coefficient_map,
 )
+from mufly.vehicle.flight_map import (
+    FlightMap,
+    FlightMapTables,
+    builtin_flight_maps,
+    format_flight_map_toml,
+    load_flight_map,
+)
 from mufly.vehicle.plausibility import UnusualParameter, find_unusual_parameters
 from mufly.vehicle.vehicle_schema import (
     Parameter,
@@ -21,18 +28,23 @@ from mufly.vehicle.vehicle_schema import (
 
 __all__ = [
     "CoefficientMap",
+    "FlightMap",
+    "FlightMapTables",
     "MapTables",
     "Parameter",
     "UnusualParameter",
     "Vehicle",
     "battery_voltage_range",
     "builtin_coefficient_maps",
+    "builtin_flight_maps",
     "builtin_vehicles",
     "find_unusual_parameters",
+    "format_flight_map_toml",
     "format_map_toml",
     "format_vehicle_toml",
     "list_parameters",
     "load_coefficient_map",
+    "load_flight_map",
     "load_vehicle",
     "replace_parameters",
 ]

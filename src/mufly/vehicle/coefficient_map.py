@@ -15,7 +15,7 @@ from __future__ import annotations
 from functools import lru_cache, partial
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import tomli_w
@@ -101,17 +101,29 @@ class CoefficientMap(BaseModel):
         return self
 
 
-@lru_cache(maxsize=32)
-def _parse_table(text: str) -> MapTables:
+def parse_table_rows(text: str, columns: tuple[str, ...]) -> NDArray[np.float64]:
+    """Return the rows of a ``table`` whose first line names the columns, (rows, columns).
+
+    Raises
+    ------
+    PydanticCustomError
+        If a line is wrong.
+    """
     lines = [line.split() for line in text.strip().splitlines() if line.strip()]
-    if not lines or tuple(lines[0]) != TABLE_COLUMNS:
-        raise _table_error("the first line does not name the columns", f"begin with: {' '.join(TABLE_COLUMNS)}")
+    if not lines or tuple(lines[0]) != columns:
+        raise _table_error("the first line does not name the columns", f"begin with: {' '.join(columns)}")
     try:
         rows = np.array([[float(v) for v in line] for line in lines[1:]], dtype=np.float64)
     except ValueError as error:
-        raise _table_error(f"a line is not {len(TABLE_COLUMNS)} numbers ({error})", "correct that line") from None
-    if rows.ndim != 2 or rows.shape[1] != len(TABLE_COLUMNS) or not np.all(np.isfinite(rows)):
-        raise _table_error(f"a line is not {len(TABLE_COLUMNS)} finite numbers", "correct that line")
+        raise _table_error(f"a line is not {len(columns)} numbers ({error})", "correct that line") from None
+    if rows.ndim != 2 or rows.shape[1] != len(columns) or not np.all(np.isfinite(rows)):
+        raise _table_error(f"a line is not {len(columns)} finite numbers", "correct that line")
+    return rows
+
+
+@lru_cache(maxsize=32)
+def _parse_table(text: str) -> MapTables:
+    rows = parse_table_rows(text, TABLE_COLUMNS)
     axes = [np.unique(rows[:, k]) for k in range(3)]
     shape = tuple(a.size for a in axes)
     full = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -187,22 +199,3 @@ def load_coefficient_map(name_or_path: str | Path, folder: Path | None = None) -
     if "table" not in tables:
         raise InputError(where, "table", "is missing, so this is not a coefficient map", "make one: mufly coax map")
     return validate_model(CoefficientMap, tables, where)
-
-
-def load_named_maps(tables: dict[str, Any], folder: Path | None, where: str) -> dict[str, Any]:
-    """Return a vehicle's tables with ``rotors.coefficient_map`` replaced by the content of the named file."""
-    rotors = tables.get("rotors")
-    name = rotors.get("coefficient_map") if isinstance(rotors, dict) else None
-    if not isinstance(rotors, dict) or name is None or isinstance(name, dict):
-        return tables
-    if not isinstance(name, str | Path):
-        raise InputError(
-            where,
-            "rotors.coefficient_map",
-            f"{name!r} is not a name of a file",
-            'write coefficient_map = "pair.toml"',
-        )
-    return {
-        **tables,
-        "rotors": {**rotors, "coefficient_map": load_coefficient_map(name, folder).model_dump()},
-    }

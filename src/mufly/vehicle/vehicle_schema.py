@@ -20,7 +20,8 @@ from pydantic import BaseModel, Field, model_validator
 from mufly.errors import InputError
 from mufly.input_files import builtin_file_names, model_error, read_toml, validate_model
 from mufly.units import GRAVITY
-from mufly.vehicle.coefficient_map import CoefficientMap, load_named_maps
+from mufly.vehicle.coefficient_map import CoefficientMap
+from mufly.vehicle.flight_map import FlightMap, load_named_maps
 from mufly.vehicle.quantity import BodyPoints, ParameterGroup, Quantity, TabulatedCurve, declare_parameter
 from mufly.vehicle.sensor_schema import SensorSuite
 
@@ -31,6 +32,7 @@ from mufly.vehicle.sensor_schema import SensorSuite
 
 MAX_LEGS = 16
 _RADIUS_TOLERANCE = 0.01
+_SPACING_TOLERANCE, _THRUST_TOLERANCE = 0.25, 0.25  # of a flight map, wide enough for drawn and fitted parameters
 MAX_PLACE_TO_REACH_RATIO = 2.0
 """Greatest distance of a sensor from the centre of gravity over the reach of rotors and legs; a boom is shorter."""
 MAX_TORQUE_TO_EMF_RATIO = 1.02
@@ -112,6 +114,10 @@ class Rotors(ParameterGroup):
         default="computed",
         description="'computed' takes the map as it is; 'constants' scales it to the constant coefficients at hover",
     )
+    flight_map: FlightMap | None = Field(
+        default=None,
+        description="file of loads in edgewise flow and of rate damping (`mufly coax flight-map`)",
+    )
 
     @model_validator(mode="after")
     def _check_map_radius(self) -> Rotors:
@@ -122,6 +128,20 @@ class Rotors(ParameterGroup):
                 "make a map for these rotors: mufly coax map",
                 "rotors.coefficient_map",
             )
+        return self
+
+    @model_validator(mode="after")
+    def _check_flight_map(self) -> Rotors:
+        """Check that the flight map belongs to these rotors: radius, distance, thrust coefficients, names of blades."""
+        m = self.flight_map
+        if m is None:
+            return self
+        problem = describe_other_rotors(self, m)
+        if problem:
+            raise model_error(
+                f"map {m.name!r} is for {problem}", "make one for these rotors: mufly coax flight-map",
+                "rotors.flight_map",
+            )  # fmt: skip
         return self
 
     @model_validator(mode="after")
@@ -150,6 +170,27 @@ class Rotors(ParameterGroup):
         return self
 
 
+def describe_other_rotors(rotors: Rotors, flight_map: FlightMap) -> str:
+    """Return in what a flight map's rotors differ from a vehicle's; "" if they are the same."""
+    m, c = flight_map, rotors.coefficient_map
+    spacing = float(rotors.lower.hub_z) - float(rotors.upper.hub_z)
+    for name, made, own, tolerance in (
+        ("radius", m.radius_m, float(rotors.radius), _RADIUS_TOLERANCE),
+        ("distance of the discs", m.spacing_m, spacing, _SPACING_TOLERANCE),
+    ):
+        if abs(made / own - 1.0) > tolerance:
+            return f"rotors with a {name} of {1e3 * made:.4g} mm, these have {1e3 * own:.4g} mm"
+    if c is not None:
+        if (m.upper, m.lower) != (c.upper, c.lower):
+            return f"blades {m.upper} and {m.lower}, the coefficient map is for {c.upper} and {c.lower}"
+        return ""
+    for side, made in zip(("upper", "lower"), m.thrust_coefficients, strict=True):
+        own = float(getattr(rotors, side).thrust_coefficient)
+        if abs(made / own - 1.0) > _THRUST_TOLERANCE:
+            return f"a {side} rotor with thrust coefficient {made:.3g}, this one has {own:.3g}"
+    return ""
+
+
 class SwashPlate(ParameterGroup):
     time_constant: Quantity = declare_parameter(
         "s", "Tf_dw", "following time of the lower tip-path plane", at_least=1e-6, at_most=1e3
@@ -159,6 +200,14 @@ class SwashPlate(ParameterGroup):
     )
     max_tilt: Quantity = declare_parameter(
         "rad", "theta_SP_max", "tilt of the plate at full servo input", at_least=1e-3, below=0.7
+    )
+    phase: Quantity = declare_parameter(
+        "rad",
+        "phi_SP",
+        "lag of the tip-path plane's tilt behind the plate's, along the lower rotor's rotation",
+        at_least=-3.2,
+        at_most=3.2,
+        absent=0.0,
     )
 
 
@@ -488,8 +537,8 @@ def replace_parameters(
         The vehicle to start from.
     values : mapping of str to float, str, sequence or None
         New SI values by dotted key, as in ``{"body.mass": 0.08, "battery.model": "constant"}``.
-        ``"rotors.coefficient_map"`` takes the name or path of a map, or None for the constants. A new ``body.mass``
-        removes the mass budget, whose sum would differ.
+        ``"rotors.coefficient_map"`` and ``"rotors.flight_map"`` take the name or path of a map, or None. A new
+        ``body.mass`` removes the mass budget, whose sum would differ.
     source : str
         Provenance of the changed parameters.
 
@@ -519,7 +568,7 @@ def replace_parameters(
 def format_vehicle_toml(vehicle: Vehicle) -> str:
     """Return the text of a vehicle file in SI units that :func:`load_vehicle` can read.
 
-    It contains a coefficient map in full and needs no other file.
+    It contains its maps in full and needs no other file.
     """
     tables = vehicle.model_dump(exclude_none=True)
     return tomli_w.dumps(tables, multiline_strings=True)

@@ -10,8 +10,10 @@ import numpy as np
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from mufly.rotor.forward.edgewise_map import MapLoads
     from mufly.rotor.forward.forward_results import ForwardResult, ForwardSweep
     from mufly.rotor.forward.skewed_pair import ForwardPair, PairSweep
+    from mufly.vehicle import FlightMap
 
 
 def disc_picture(result: ForwardResult) -> Figure:
@@ -124,4 +126,36 @@ def pair_sweep_picture(sweep: PairSweep) -> Figure:
         one.grid(alpha=0.3)
     axes[0].legend(title="Flap frequency", fontsize="small")
     figure.suptitle(f"{' over '.join(sweep.rotors)}: {sweep.flap_basis}", fontsize="medium")
+    return figure
+
+
+def flight_map_picture(flight_map: FlightMap, loads: MapLoads) -> Figure:
+    """Draw the loads of a flight map over airspeed at its middle speed ratio without climb."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12.0, 6.5), layout="constrained")
+    axes = figure.subplots(2, 3).ravel()
+    columns = (
+        ("Thrust over that of hover (%)", 100.0 * loads.thrust_excess + 100.0),
+        ("Torque over that of hover (%)", 100.0 * loads.torque_excess + 100.0),
+        ("H force, aft (mN)", 1e3 * loads.drag_N),
+        ("Y force, right (mN)", 1e3 * loads.side_N),
+        ("Hub moment, nose up (mN m)", 1e3 * loads.pitch_moment_Nm),
+        ("Hub moment, right side down (mN m)", 1e3 * loads.roll_moment_Nm),
+    )
+    for one, (name, values) in zip(axes, columns, strict=True):
+        for k, side in enumerate(("upper", "lower")):
+            one.plot(loads.airspeed_m_s, values[:, k], marker=".", label=side)
+        if float(abs(values).max()) < 1e-6:  # rounding, as the hub moments of a free hinge
+            one.set_ylim(-1.0, 1.0)
+        one.set_xlabel("Edgewise airspeed (m/s)")
+        one.set_ylabel(name)
+        one.grid(alpha=0.3)
+    axes[0].legend(title="Rotor", fontsize="small")
+    low, high = flight_map.level_speed_m_s
+    figure.suptitle(
+        f"{flight_map.upper} on {flight_map.vehicle}, flap frequency {flight_map.flap_frequency_ratios[0]:.3g} and "
+        f"{flight_map.flap_frequency_ratios[1]:.3g}/rev; greatest level airspeed {low:.1f} to {high:.1f} m/s",
+        fontsize="medium",
+    )
     return figure

@@ -1,0 +1,231 @@
+"""Loads of a flight map in the equations of motion, and the phase of the swash plate.
+
+:func:`mufly.dynamics.equations_of_motion.state_derivative` adds them to the derivative of
+:func:`~mufly.dynamics.equations_of_motion.state_derivative_tilted`, the function that the estimator carries, which has
+neither. State and inputs are unchanged.
+
+Map. With w the velocity of a hub through the air, (w_x, w_y) its part across the mast, K = rho pi R^3 and Omega the
+speed of the rotor, a rotor adds, in body axes (columns: :mod:`mufly.vehicle.flight_map`)
+
+    F = K Omega [-(drag) w + (side_force) z x w + R (rate_force) (p, q) + R (rate_side) z x (p, q)] + thrust_excess T n
+
+    M = K R Omega [(roll_moment) w + (pitch_moment) z x w + R (rate_damping) (p, q) + R (rate_coupling) z x (p, q)]
+
+and the torque ``torque_excess Q``, with z x (a, b) = (-b, a). The linear drag ``rotors.inplane_drag`` is replaced.
+Thrust T, torque Q and disc normal n are those of the flight model: in axial flow and in hover, thrust and torque are
+unchanged. The edgewise velocity and the climb that enter the table are those of the mean of both hubs.
+
+The map is computed at zero cyclic pitch. A cyclic input gives the identified tilt of the flight model alone: linkage,
+time constant and flap frequency are one measurement, so that no hub moment of a cyclic input is added.
+
+Phase. The tilt of the lower tip-path plane follows the input turned by ``swash_plate.phase`` along the rotation of the
+lower rotor (clockwise from above):
+
+    T_f,dw d(a, b)/dt = R(phase) l_dw theta_max (servo 2, -servo 1) - (a, b)
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.dynamics.model_state import (
+    RS_ATT,
+    RS_BAR,
+    RS_RATES,
+    RS_SPEED_LOWER,
+    RS_SPEED_UPPER,
+    RS_SWASH_PITCH,
+    RS_SWASH_ROLL,
+    RS_VEL,
+    U_SERVO_1,
+    U_SERVO_2,
+    ModelParameters,
+)
+from mufly.numba_cache import cached_njit
+from mufly.rotor.forward.edgewise_map import interpolate_flow_loads, interpolate_rate_loads
+
+_Array = NDArray[np.float64]
+
+_MIN_ROTOR_SPEED = 1e-3  # rad/s
+_EDGE_SLACK = 1e-6  # steps
+
+
+@cached_njit(error_model="numpy", forceinline=True)
+def _air_velocity(x: _Array, wind: _Array) -> tuple[float, float, float]:
+    """Return the velocity of the centre of gravity through the air, body axes (m/s)."""
+    w, i, j, k = x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
+    n, e, d = x[RS_VEL] - wind[0], x[RS_VEL + 1] - wind[1], x[RS_VEL + 2] - wind[2]
+    return (
+        (1 - 2 * (j * j + k * k)) * n + 2 * (i * j + w * k) * e + 2 * (i * k - w * j) * d,
+        2 * (i * j - w * k) * n + (1 - 2 * (i * i + k * k)) * e + 2 * (j * k + w * i) * d,
+        2 * (i * k + w * j) * n + 2 * (j * k - w * i) * e + (1 - 2 * (i * i + j * j)) * d,
+    )
+
+
+@cached_njit(error_model="numpy", forceinline=True)
+def find_map_point(x: _Array, wind: _Array, p: ModelParameters) -> tuple[float, float, float]:
+    """Return the speed ratio of a state, and its climb ratio and e in steps of the flight map's axes.
+
+    Parameters
+    ----------
+    x : (21,) array
+        State.
+    wind : (3,) array
+        N-E-D (m/s).
+    p : record of :class:`ModelParameters`
+    """
+    air_x, air_y, air_z = _air_velocity(x, wind)
+    up, dw = abs(x[RS_SPEED_UPPER]), abs(x[RS_SPEED_LOWER])
+    tip = max(0.5 * (up + dw), _MIN_ROTOR_SPEED) * p.flight_radius
+    z = 0.5 * (p.z_up + p.z_dw)
+    v_x, v_y = air_x + x[RS_RATES + 1] * z, air_y - x[RS_RATES] * z
+    square = v_x * v_x + v_y * v_y
+    edge = square / (square + p.flight_knee2 * tip * tip)
+    climb = (-air_z / tip - p.flight_start[0]) * p.flight_per_step[0]
+    return dw / max(up, _MIN_ROTOR_SPEED), climb, (edge - p.flight_start[1]) * p.flight_per_step[1]
+
+
+@cached_njit(error_model="numpy", forceinline=True)
+def _flow_loads(
+    p: ModelParameters, point: tuple[float, float, float]
+) -> tuple[float, float, float, float, float, float, float, float, float, float, float, float]:
+    """Return the six first columns of both rotors at a point of the map."""
+    away = min(max(point[0], p.flight_ratio[1]), p.flight_ratio[2]) - p.flight_ratio[0]
+    return interpolate_flow_loads(p.flight_table, p.flight_size[0], p.flight_size[1], away, point[1], point[2])
+
+
+@cached_njit(error_model="numpy", forceinline=True)
+def _hub_wrench(
+    flow: tuple[float, float, float, float], turning: tuple[float, float, float, float], v_x: float, v_y: float,
+    roll: float, pitch: float, scale: float, radius: float, inplane: float,
+) -> tuple[float, float, float, float]:  # fmt: skip
+    """Return force (N) and moment (N m) of a rotor about its hub along body x and y.
+
+    Arguments are the loads of the flow from ``drag`` on and those of rates, the velocity of the hub, both rates,
+    K Omega, R, and the linear drag that is replaced.
+    """
+    drag, arm = scale * flow[0] - inplane, scale * radius
+    side, turned = scale * flow[1], arm * radius
+    f_x = -drag * v_x - side * v_y + arm * (turning[0] * roll - turning[1] * pitch)
+    f_y = -drag * v_y + side * v_x + arm * (turning[0] * pitch + turning[1] * roll)
+    m_x = arm * (flow[2] * v_x - flow[3] * v_y) + turned * (turning[2] * roll - turning[3] * pitch)
+    m_y = arm * (flow[2] * v_y + flow[3] * v_x) + turned * (turning[2] * pitch + turning[3] * roll)
+    return f_x, f_y, m_x, m_y
+
+
+@cached_njit(error_model="numpy")
+def add_flight_map(
+    x: _Array, wind: _Array, p: ModelParameters, coefficients: tuple[float, float, float, float],
+    tilt: tuple[float, float, float], dx: _Array,
+) -> None:  # fmt: skip
+    """Add the loads of the map to the time derivative.
+
+    Parameters
+    ----------
+    x : (21,) array
+        State.
+    wind : (3,) array
+        N-E-D (m/s).
+    p : record of :class:`ModelParameters`
+    coefficients : (float, float, float, float)
+        Thrust (N s^2) of upper and lower rotor, then torque (N m s^2), over the squares of the speeds.
+    tilt : (float, float, float)
+        Normal of the lower disc, body axes.
+    dx : (21,) array
+        dx/dt; changed.
+    """
+    kT_up, kT_dw, kQ_up, kQ_dw = coefficients
+    w, i, j, k = x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
+    a00, a01, a02 = 1 - 2 * (j * j + k * k), 2 * (i * j - w * k), 2 * (i * k + w * j)
+    a10, a11, a12 = 2 * (i * j + w * k), 1 - 2 * (i * i + k * k), 2 * (j * k - w * i)
+    a20, a21, a22 = 2 * (i * k - w * j), 2 * (j * k + w * i), 1 - 2 * (i * i + j * j)
+    air_x, air_y, _ = _air_velocity(x, wind)
+    roll, pitch = x[RS_RATES], x[RS_RATES + 1]
+    speed_up, speed_dw = x[RS_SPEED_UPPER], x[RS_SPEED_LOWER]
+    point = find_map_point(x, wind, p)
+    flow = _flow_loads(p, point)
+    turning = interpolate_rate_loads(p.flight_rates, p.flight_size[1], point[2])
+    radius = p.flight_radius
+    scale_up, scale_dw = p.flight_scale * abs(speed_up), p.flight_scale * abs(speed_dw)
+    ux, uy, mx_up, my_up = _hub_wrench(
+        flow[2:6], turning[:4], air_x + pitch * p.z_up, air_y - roll * p.z_up, roll, pitch, scale_up, radius,
+        p.inplane * abs(speed_up),
+    )  # fmt: skip
+    lx, ly, mx_dw, my_dw = _hub_wrench(
+        flow[8:], turning[4:], air_x + pitch * p.z_dw, air_y - roll * p.z_dw, roll, pitch, scale_dw, radius,
+        p.inplane * abs(speed_dw),
+    )  # fmt: skip
+    # Thrust along the tilted normals, as in the flight model.
+    more = flow[0] * kT_up * speed_up * speed_up
+    bar_n, bar_e, bar_d = x[RS_BAR], x[RS_BAR + 1], x[RS_BAR + 2]
+    nx = p.bar_gain * (a00 * bar_n + a10 * bar_e + a20 * bar_d)
+    ny = p.bar_gain * (a01 * bar_n + a11 * bar_e + a21 * bar_d)
+    ux, uy, uz = ux + more * nx, uy + more * ny, -more * math.sqrt(max(1.0 - nx * nx - ny * ny, 0.0))
+    more = flow[6] * kT_dw * speed_dw * speed_dw
+    lx, ly = lx + more * tilt[0], ly + more * tilt[1]
+    fx, fy, fz = ux + lx, uy + ly, uz + more * tilt[2]
+    dx[RS_VEL] += (a00 * fx + a01 * fy + a02 * fz) / p.mass
+    dx[RS_VEL + 1] += (a10 * fx + a11 * fy + a12 * fz) / p.mass
+    dx[RS_VEL + 2] += (a20 * fx + a21 * fy + a22 * fz) / p.mass
+    torque_up, torque_dw = flow[1] * kQ_up * speed_up * abs(speed_up), flow[7] * kQ_dw * speed_dw * abs(speed_dw)
+    gear = p.gear_ratio * p.gear_ratio * p.gear_efficiency
+    slow_up, slow_dw = torque_up / (gear * p.J_up), torque_dw / (gear * p.J_dw)
+    dx[RS_SPEED_UPPER] -= slow_up
+    dx[RS_SPEED_LOWER] -= slow_dw
+    dx[RS_RATES] += (mx_up + mx_dw - p.z_up * uy - p.z_dw * ly) / p.Ixx
+    dx[RS_RATES + 1] += (my_up + my_dw + p.z_up * ux + p.z_dw * lx) / p.Iyy
+    dx[RS_RATES + 2] += (torque_up - p.Jreact_up * slow_up - torque_dw + p.Jreact_dw * slow_dw) / p.Izz
+
+
+@cached_njit(error_model="numpy")
+def add_swash_phase(u: _Array, p: ModelParameters, dx: _Array) -> None:
+    """Turn the target of the lower tip-path plane's tilt by the phase of the swash plate, in ``dx``."""
+    servo_1, servo_2 = min(max(u[U_SERVO_1], -1.0), 1.0), min(max(u[U_SERVO_2], -1.0), 1.0)
+    less, sine = math.cos(p.swash_phase) - 1.0, math.sin(p.swash_phase)
+    full = p.swash_rate * p.swash_gain
+    # The thrust leans forward with servo 1 and to the right with servo 2; positive turns forward to the right.
+    dx[RS_SWASH_ROLL] += full * (less * servo_2 + sine * servo_1)
+    dx[RS_SWASH_PITCH] -= full * (less * servo_1 - sine * servo_2)
+
+
+def edgewise_factors(
+    x: _Array, wind: _Array, p: np.void
+) -> tuple[tuple[float, float], tuple[float, float]]:  # fmt: skip
+    """Return the factors of the map on thrust and torque of the upper and of the lower rotor at a state."""
+    flow = _flow_loads(p, find_map_point(x, wind, p))
+    return (1.0 + flow[0], 1.0 + flow[1]), (1.0 + flow[6], 1.0 + flow[7])
+
+
+def inside_flight_map(x: _Array, wind: _Array, p: np.void) -> bool:
+    """Return True if a state lies within the edges of the vehicle's flight map; beyond, values at the edge hold."""
+    ratio, climb, edge = find_map_point(x, wind, p)
+    last = p["flight_size"] - 1
+    return bool(
+        p["flight_ratio"][1] <= ratio <= p["flight_ratio"][2]
+        and -_EDGE_SLACK <= climb <= last[0] + _EDGE_SLACK
+        and edge <= last[1] + _EDGE_SLACK
+    )
+
+
+def flight_map_rates(p: np.void, speed: float) -> float:
+    """Return an upper bound of the rates (1/s) that a flight map adds, for ``longest_step``.
+
+    Parameters
+    ----------
+    p : record of :class:`ModelParameters`
+    speed : float
+        Greatest rotor speed (rad/s).
+    """
+    if p["flight_nodes"] == 0:
+        return 0.0
+    scale, radius = float(p["flight_scale"]) * speed, float(p["flight_radius"])
+    used = 12 * int(p["flight_nodes"])
+    flow = np.abs(p["flight_table"][:used]).reshape(-1, 6).max(axis=0)
+    rates = np.abs(p["flight_rates"]).reshape(-1, 4).max(axis=0)
+    arm, inertia = max(abs(float(p["z_up"])), radius), float(min(p["Ixx"], p["Iyy"]))
+    linear = (flow[2] + flow[3]) * (1.0 / float(p["mass"]) + arm**2 / inertia)
+    moment, turning = (flow[4] + flow[5]) * radius * arm / inertia, float(rates.sum()) * radius * arm / inertia
+    return 2.0 * scale * float(linear + moment + turning)

@@ -1,0 +1,223 @@
+"""Flight map of a vehicle: blades at its own hover, the map, and the greatest level speed of the flight model with it.
+
+Pitch settings of the blades give the hover thrusts of the vehicle's own coefficients at its own hover speeds, as in
+:mod:`mufly.dynamics.level_flight`. The knee of the edgewise axis is the inflow ratio of hover.
+
+The flap frequency of small blades is seldom known. A map holds for one value; its band of greatest level speed comes
+from two further, small maps at the ends of the band. The default is the upper end, a clamped root: the identified
+following time of the lower disc, ``swash_plate.time_constant``, is that of a stiff blade.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from mufly.dynamics.level_flight import LevelFlightModel, check_blade_radius
+from mufly.dynamics.linearisation import find_trim
+from mufly.errors import InputError, MuflyError
+from mufly.rotor import Rotor, prepare_blading
+from mufly.rotor.coax_maps import hash_bladings
+from mufly.rotor.forward import BladeFlap, blade_flap, blade_flap_band
+from mufly.rotor.forward.edgewise_map import MAP_ADVANCE_RATIO, compute_flight_loads, edgewise_axis
+from mufly.units import GRAVITY
+from mufly.vehicle import FlightMap, FlightMapTables, Vehicle, builtin_flight_maps, load_flight_map, replace_parameters
+from mufly.vehicle.flight_map import format_flight_table
+from mufly.vehicle.vehicle_schema import describe_other_rotors
+
+RATIO_FACTORS = (0.8, 1.25)
+"""Speed ratios of a map over that of hover."""
+CLIMB_FACTORS = (-0.5, -0.25, 0.0, 0.25, 0.5, 0.75)
+"""Climb velocities of a map over the induced velocity of hover, of both rotors as one disc."""
+EDGEWISE_COUNT = 9
+_COARSE_CLIMBS, _COARSE_COUNT = (-0.25, 0.0, 0.25), 7  # of the maps that give the band of level speeds
+_SPEED_TOLERANCE_M_S = 0.02
+_SPEED_STEP_M_S = 0.25
+_MASS_TOLERANCE = 0.02
+
+
+def find_level_speed(vehicle: Vehicle) -> float:
+    """Return the greatest level airspeed (m/s) at which the flight model has a trim within its inputs' range.
+
+    With a flight map the search ends at the map's last advance ratio. Speeds below the first without a trim count.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    """
+    flight_map = vehicle.rotors.flight_map
+    edge = 30.0 if flight_map is None else flight_map.edges_m_s[0]
+
+    def is_flyable(speed: float) -> bool:
+        try:
+            find_trim(vehicle, velocity=(speed, 0.0, 0.0))
+        except MuflyError:
+            return False
+        return True
+
+    low = 0.0
+    for high in np.arange(_SPEED_STEP_M_S, edge + _SPEED_STEP_M_S, _SPEED_STEP_M_S).tolist():
+        if not is_flyable(high):
+            break
+        low = high
+    else:
+        return edge
+    while high - low > _SPEED_TOLERANCE_M_S:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if is_flyable(middle) else (low, middle)
+    return low
+
+
+def level_speed_band(vehicle: Vehicle) -> tuple[float, float] | None:
+    """Return the greatest level airspeed (m/s) as a band over the flap frequency; None if it is not known.
+
+    It stands in the vehicle's flight map. Without one, it is that of the built-in map with the vehicle's rotors and
+    mass.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    """
+    own = vehicle.rotors.flight_map
+    if own is not None:
+        return own.level_speed_m_s
+    for name in builtin_flight_maps():
+        built_in = load_flight_map(name)
+        is_same_mass = abs(built_in.mass_kg / float(vehicle.body.mass) - 1.0) < _MASS_TOLERANCE
+        if is_same_mass and not describe_other_rotors(vehicle.rotors, built_in):
+            return built_in.level_speed_m_s
+    return None
+
+
+def make_flight_map(
+    vehicle: Vehicle,
+    rotor: Rotor,
+    *,
+    flap_frequency_ratio: float | None = None,
+    n_crit: float = 0.1,
+    name: str = "",
+    progress: Callable[[int, int], None] | None = None,
+) -> FlightMap:
+    """Compute the flight map of a vehicle.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    rotor : Rotor
+        Blades of both rotors, with the vehicle's rotor radius.
+    flap_frequency_ratio : float, optional
+        Flap frequency over rotor speed, of both rotors. Default: the upper ends of their bands.
+    n_crit : float
+        Amplification exponent of the polars.
+    name : str
+        Name of the map; default: the vehicle's.
+    progress : callable, optional
+        ``progress(done, total)`` after each point.
+
+    Returns
+    -------
+    FlightMap
+
+    Raises
+    ------
+    InputError
+        If the radius differs from the vehicle's, or the flap frequency is impossible.
+    MuflyError
+        If the blades cannot give the hover thrusts.
+    """
+    check_blade_radius(vehicle, rotor)
+    plain = replace_parameters(vehicle, {"rotors.flight_map": None})
+    blading = prepare_blading(rotor, n_crit=n_crit)
+    hover = find_trim(plain, charge=0.5)
+    speeds = (float(hover.rotor_speed[0]), float(hover.rotor_speed[1]))
+    bands = [blade_flap_band(rotor, w) for w in speeds]
+    ends = [(bands[0][0][k], bands[1][0][k]) for k in range(2)]
+    if flap_frequency_ratio is None:
+        flaps, basis = ends[1], f"upper end of the {bands[0][1]}"
+    else:
+        flaps = (blade_flap(rotor, flap_frequency_ratio), blade_flap(rotor, flap_frequency_ratio))
+        basis = "flap frequency as given"
+    model = LevelFlightModel(plain, blading, flaps)
+    mean, ratio = 0.5 * sum(speeds), speeds[1] / speeds[0]
+    radius = float(vehicle.rotors.radius)
+    disc = 2.0 * float(vehicle.air.density) * math.pi * radius**2
+    weight = float(vehicle.body.mass) * GRAVITY + float(vehicle.body.downwash_drag)
+    knee = round(math.sqrt(weight / disc) / (mean * radius), 5)
+    spacing = model.heights[0] - model.heights[1]
+    counts = (
+        len(RATIO_FACTORS) * len(CLIMB_FACTORS) * EDGEWISE_COUNT,
+        len(_COARSE_CLIMBS) * _COARSE_COUNT,
+    )
+    done_before = 0
+
+    def report(done: int, _: int) -> None:
+        if progress is not None:
+            progress(done_before + done, counts[0] + 2 * counts[1])
+
+    def compute(
+        modes: tuple[BladeFlap, BladeFlap], ratios: tuple[float, ...], climbs: tuple[float, ...], count: int
+    ) -> tuple[FlightMapTables, int]:
+        return compute_flight_loads(
+            blading, blading, modes, pitch_rad=model.pitch, spacing_m=spacing, mean_speed_rad_s=mean,
+            ratio=[ratio * f for f in ratios], climb_ratio=[knee * f for f in climbs], knee=knee,
+            edgewise=edgewise_axis(knee, count), air=model.air, progress=report,
+        )  # fmt: skip
+
+    tables, missing = compute(flaps, RATIO_FACTORS, CLIMB_FACTORS, EDGEWISE_COUNT)
+    thrust_scale = float(vehicle.air.density) * math.pi * radius**4
+    made = FlightMap(
+        name=name or vehicle.name,
+        description=f"{rotor.name} twice on {vehicle.name}, {1e3 * spacing:g} mm apart, flap frequency "
+        f"{flaps[0].frequency_ratio:.3g} and {flaps[1].frequency_ratio:.3g}/rev ({basis})"
+        + (f"; {missing} points without a solution take that of less sink or climb" if missing else ""),
+        vehicle=vehicle.name, mass_kg=float(vehicle.body.mass), upper=rotor.name, lower=rotor.name,
+        blades=hash_bladings(blading), radius_m=radius, spacing_m=spacing,
+        thrust_coefficients=(
+            float(hover.thrust_N[0]) / (thrust_scale * speeds[0] ** 2),
+            float(hover.thrust_N[1]) / (thrust_scale * speeds[1] ** 2),
+        ),
+        pitch_deg=(round(math.degrees(model.pitch[0]), 6), round(math.degrees(model.pitch[1]), 6)),
+        flap_frequency_ratios=(flaps[0].frequency_ratio, flaps[1].frequency_ratio), flap_basis=basis,
+        mean_speed_rad_s=mean, density_kg_m3=float(vehicle.air.density), knee=knee,
+        level_speed_m_s=(0.0, 0.0), table=format_flight_table(tables, knee),
+    )  # fmt: skip
+    found = [_level_speed_with(plain, made)]
+    for k, modes in enumerate(ends):
+        done_before = counts[0] + k * counts[1]
+        coarse, _ = compute(modes, (1.0,), _COARSE_CLIMBS, _COARSE_COUNT)
+        end_map = made.model_copy(update={"table": format_flight_table(coarse, knee)})
+        found.append(_level_speed_with(plain, end_map))
+    return made.model_copy(update={"level_speed_m_s": (round(min(found), 2), round(max(found), 2))})
+
+
+def _level_speed_with(vehicle: Vehicle, flight_map: FlightMap) -> float:
+    return find_level_speed(replace_parameters(vehicle, {"rotors.flight_map": flight_map.model_dump()}))
+
+
+def check_map_blades(flight_map: FlightMap, rotor: Rotor, *, n_crit: float = 0.1) -> None:
+    """Check that a map was computed with these blades.
+
+    Raises
+    ------
+    InputError
+        If blades or polars differ.
+    """
+    if hash_bladings(prepare_blading(rotor, n_crit=n_crit)) != flight_map.blades:
+        raise InputError(
+            flight_map.name, "blades", f"is the hash of other blades than {rotor.name}",
+            "make the map again: mufly coax flight-map",
+        )  # fmt: skip
+
+
+__all__ = [
+    "CLIMB_FACTORS",
+    "EDGEWISE_COUNT",
+    "MAP_ADVANCE_RATIO",
+    "RATIO_FACTORS",
+    "check_map_blades",
+    "find_level_speed",
+    "level_speed_band",
+    "make_flight_map",
+]

@@ -1,0 +1,380 @@
+"""Loads of a coaxial pair over speed ratio, climb and edgewise velocity: computation of flight maps, interpolation.
+
+:mod:`mufly.vehicle.flight_map` defines axes and columns. A point (r, m, e) of the map is the pair at
+
+    Omega_up = 2 s / (1 + r),    Omega_dw = r Omega_up,    V_z = m s R,    V = k sqrt(e / (1 - e)) s R
+
+At e = 0 a small V gives the loads over V, and the thrust and torque of axial flight. Points start from neighbours.
+Rates need one turn of the coupling: the stream of the upper rotor with its new inflow gradients meets the lower one,
+whose mean inflow does not change to first order.
+
+The flight model interpolates by quadratic splines over climb and e, which have continuous slopes and pass through the
+points; over the ratio it is linear (:func:`fit_flight_splines`). Beyond an edge the value at the edge is kept.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.errors import InputError, MuflyError
+from mufly.numba_cache import cached_njit
+from mufly.rotor.blading import Blading
+from mufly.rotor.forward.forward_results import BladeFlap, ForwardCondition, ForwardResult
+from mufly.rotor.forward.skewed_pair import ForwardPair, solve_forward_pair
+from mufly.rotor.rotor_system import Air
+from mufly.vehicle.flight_map import LOAD_COLUMNS, FlightMap, FlightMapTables
+
+Array = NDArray[np.float64]
+
+LOAD_COUNT = len(LOAD_COLUMNS)
+MAP_ADVANCE_RATIO = 0.35
+"""Greatest advance ratio of a map."""
+_SMALL_ADVANCE = 0.01  # of the knee, where loads over V are those of V = 0
+_RATE = 0.002  # of the rotor speed, the rates of the differences
+_TOLERANCE = 1e-5  # of the coupling
+
+
+def edgewise_axis(knee: float, count: int, *, advance_ratio: float = MAP_ADVANCE_RATIO) -> Array:
+    """Return ``count`` even steps of e from 0 to the one of an advance ratio."""
+    return np.round(np.linspace(0.0, advance_ratio**2 / (advance_ratio**2 + knee**2), count), 5)
+
+
+def _sum_loads(pair: ForwardPair, axial: ForwardPair, density: float, radius: float) -> Array:
+    """Return the six first columns of both rotors, (2, 6); ``axial`` is the pair at the smallest V."""
+    out = np.zeros((2, 6))
+    for k, (at, rest) in enumerate(((pair.upper, axial.upper), (pair.lower, axial.lower))):
+        force = density * math.pi * radius**3 * at.speed_rad_s * at.edgewise_m_s
+        out[k] = (
+            at.thrust_N / rest.thrust_N - 1.0, at.torque_Nm / rest.torque_Nm - 1.0, at.h_force_N / force,
+            at.y_force_N / force, at.roll_moment_Nm / (force * radius), at.pitch_moment_Nm / (force * radius),
+        )  # fmt: skip
+    return out
+
+
+def _rate_loads(
+    solve: Callable[[tuple[float, float]], ForwardPair], pair: ForwardPair, density: float, radius: float
+) -> Array:
+    """Return the four last columns of both rotors, (2, 4), by differences with roll and pitch rate."""
+    rate = _RATE * pair.upper.speed_rad_s
+    rolling, pitching = solve((rate, 0.0)), solve((0.0, rate))
+
+    def change(moved: ForwardResult, at: ForwardResult) -> tuple[float, float, float, float]:
+        """Return the changes of the forces forward and to the right, and of the moments about x and y, per rate."""
+        return (
+            (at.h_force_N - moved.h_force_N) / rate, (moved.y_force_N - at.y_force_N) / rate,
+            (moved.roll_moment_Nm - at.roll_moment_Nm) / rate, (moved.pitch_moment_Nm - at.pitch_moment_Nm) / rate,
+        )  # fmt: skip
+
+    out = np.zeros((2, 4))
+    for k, side in enumerate(("upper", "lower")):
+        at: ForwardResult = getattr(pair, side)
+        by_p, by_q = change(getattr(rolling, side), at), change(getattr(pitching, side), at)
+        force = density * math.pi * radius**4 * at.speed_rad_s
+        turned = (by_p[0] + by_q[1], by_p[1] - by_q[0], by_p[2] + by_q[3], by_p[3] - by_q[2])
+        out[k] = 0.5 * np.array(turned) / np.array([force, force, force * radius, force * radius])
+    return out
+
+
+def compute_flight_loads(
+    upper: Blading,
+    lower: Blading,
+    flaps: tuple[BladeFlap | None, BladeFlap | None],
+    *,
+    pitch_rad: tuple[float, float],
+    spacing_m: float,
+    mean_speed_rad_s: float,
+    ratio: Sequence[float],
+    climb_ratio: Sequence[float],
+    knee: float,
+    edgewise: Sequence[float] | Array,
+    air: Air | None = None,
+    upper_sign: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[FlightMapTables, int]:
+    """Compute the tables of a flight map.
+
+    Parameters
+    ----------
+    upper, lower : Blading
+        Upper and lower rotor, of one radius.
+    flaps : (BladeFlap, BladeFlap)
+        Flap modes; None for blades that do not flap.
+    pitch_rad : (float, float)
+    spacing_m, mean_speed_rad_s : float
+    ratio, climb_ratio, edgewise : sequences of float
+        Axes in equal steps; the last begins at 0.
+    knee : float
+        k of the edgewise axis.
+    air : Air, optional
+    upper_sign : int
+        Sense of rotation of the upper rotor: 1 anticlockwise from above (vehicles), -1 clockwise.
+    progress : callable, optional
+        ``progress(done, total)`` after each point.
+
+    Returns
+    -------
+    tables : FlightMapTables
+    missing : int
+        Points without a solution; they have the loads of the next climb towards 0.
+
+    Raises
+    ------
+    InputError
+        If a value is impossible.
+    MuflyError
+        If a hover has no solution.
+    """
+    gas, radius = air or Air(), float(upper.radius_m[0])
+    axes = tuple(np.asarray(a, dtype=np.float64) for a in (ratio, climb_ratio, edgewise))
+    shape = (axes[0].size, axes[1].size, axes[2].size)
+    total = math.prod(shape)
+    tip = mean_speed_rad_s * radius
+    loads = np.zeros((*shape, 2, LOAD_COUNT))
+    solved, done = np.zeros(shape, dtype=np.bool_), 0
+    order = sorted(range(shape[1]), key=lambda j: abs(axes[1][j]))
+    for i in range(shape[0]):
+        up = 2.0 * mean_speed_rad_s / (1.0 + float(axes[0][i]))
+        first = ForwardCondition(pitch_rad[0], up, rotation_sign=upper_sign, air=gas)
+        second = replace(
+            first, pitch_rad=pitch_rad[1], speed_rad_s=float(axes[0][i]) * up, rotation_sign=-upper_sign
+        )  # fmt: skip
+
+        def solve_at(
+            edge: float, climb: float, start: ForwardPair | None, tolerance: float = _TOLERANCE,
+            rates: tuple[float, float] = (0.0, 0.0), conditions: tuple[ForwardCondition, ...] = (first, second),
+        ) -> ForwardPair:  # fmt: skip
+            one, two = (replace(c, edgewise_m_s=edge, climb_m_s=climb, rates_rad_s=rates) for c in conditions)
+            return solve_forward_pair(
+                upper, lower, (one, two), flaps, spacing_m=spacing_m, start=start, tolerance=tolerance
+            )
+
+        hover: ForwardPair | None = None
+        for j in order:
+            climb = float(axes[1][j]) * tip
+            rest, last = None, hover
+            for k in range(shape[2]):
+                e = float(axes[2][k])
+                edge = tip * knee * (math.sqrt(e / (1.0 - e)) if k else _SMALL_ADVANCE)
+                try:
+                    last = pair = solve_at(edge, climb, last)
+                    by_rate = _rate_loads(
+                        lambda rates, at=pair, v=edge, w=climb: solve_at(v, w, at, 1e9, rates),  # type: ignore[misc]
+                        pair, gas.density_kg_m3, radius,
+                    )  # fmt: skip
+                    rest = rest or pair
+                    hover = hover or pair
+                    loads[i, j, k, :, :6] = _sum_loads(pair, rest, gas.density_kg_m3, radius)
+                    loads[i, j, k, :, 6:] = by_rate
+                    solved[i, j, k] = rest.upper.edgewise_m_s < edge or k == 0
+                except MuflyError as error:
+                    if isinstance(error, InputError) or hover is None:
+                        raise
+                done += 1
+                if progress is not None:
+                    progress(done, total)
+        for j in order:  # away from V_z = 0
+            near = j - 1 if axes[1][j] > 0.0 else j + 1
+            for k in range(shape[2]):
+                if not solved[i, j, k] and 0 <= near < shape[1]:
+                    loads[i, j, k] = loads[i, near, k]
+    return FlightMapTables(*axes, loads.reshape(*shape, 2 * LOAD_COUNT)), int(np.count_nonzero(~solved))
+
+
+@cached_njit(error_model="numpy", forceinline=True)
+def spline_weights(x: float, n: int) -> tuple[int, float, float, float]:
+    """Return the index of the first of three neighbouring coefficients of a quadratic spline, and their weights.
+
+    ``x`` is the position in steps from the first of ``n`` points, 3 or more; beyond an edge it is held.
+    """
+    x = min(max(x, 0.0), n - 1.0)
+    i = min(max(int(x + 0.5), 1), n - 2)
+    t = x - i
+    return i - 1, 0.5 * (0.5 - t) * (0.5 - t), 0.75 - t * t, 0.5 * (0.5 + t) * (0.5 + t)
+
+
+def spline_matrix(n: int) -> Array:
+    """Return the (n, n) matrix that gives the values at ``n`` points from the coefficients of a quadratic spline."""
+    matrix = np.zeros((n, n))
+    for k in range(n):
+        first, *weights = spline_weights(float(k), n)
+        matrix[k, first : first + 3] = weights
+    return matrix
+
+
+@cached_njit(error_model="numpy", forceinline=True)
+def interpolate_flow_loads(
+    table: Array, climbs: int, edges: int, ratio: float, climb: float, edge: float
+) -> tuple[float, float, float, float, float, float, float, float, float, float, float, float]:
+    """Interpolate the six first columns of both rotors.
+
+    Parameters
+    ----------
+    table : ((climbs + 2) * edges * 12,) array
+        Spline coefficients at the middle ratio; then, over e, those of the slope over the ratio, and of the change of
+        this slope per step of climb.
+    climbs, edges : int
+        Points of the axes of climb and e, 3 or more.
+    ratio : float
+        Speed ratio less that of the table.
+    climb, edge : float
+        Position on the axes in steps.
+    """
+    j0, ca, cb, cc = spline_weights(climb, climbs)
+    i0, ea, eb, ec = spline_weights(edge, edges)
+    skewed = ratio * min(max(climb, 0.0), climbs - 1.0)
+    t0 = t1 = t2 = t3 = t4 = t5 = t6 = t7 = t8 = t9 = t10 = t11 = 0.0
+    for j in range(5):
+        v = ca if j == 0 else cb if j == 1 else cc if j == 2 else ratio if j == 3 else skewed
+        row = 12 * edges * (j0 + j if j < 3 else climbs + j - 3)
+        for i in range(3):
+            f = v * (ea if i == 0 else eb if i == 1 else ec)
+            n = np.uint64(row + 12 * (i0 + i))
+            t0 += f * table[n]
+            t1 += f * table[n + np.uint64(1)]
+            t2 += f * table[n + np.uint64(2)]
+            t3 += f * table[n + np.uint64(3)]
+            t4 += f * table[n + np.uint64(4)]
+            t5 += f * table[n + np.uint64(5)]
+            t6 += f * table[n + np.uint64(6)]
+            t7 += f * table[n + np.uint64(7)]
+            t8 += f * table[n + np.uint64(8)]
+            t9 += f * table[n + np.uint64(9)]
+            t10 += f * table[n + np.uint64(10)]
+            t11 += f * table[n + np.uint64(11)]
+    return t0, t1, t2, t3, t4, t5, t6, t7, t8, t9, t10, t11
+
+
+@cached_njit(error_model="numpy", forceinline=True)
+def interpolate_rate_loads(
+    rates: Array, edges: int, edge: float
+) -> tuple[float, float, float, float, float, float, float, float]:
+    """Interpolate the four last columns of both rotors over e; ``rates`` are (edges * 8,) spline coefficients."""
+    i0, ea, eb, ec = spline_weights(edge, edges)
+    t0 = t1 = t2 = t3 = t4 = t5 = t6 = t7 = 0.0
+    for i in range(3):
+        f = ea if i == 0 else eb if i == 1 else ec
+        n = np.uint64(8 * (i0 + i))
+        t0 += f * rates[n]
+        t1 += f * rates[n + np.uint64(1)]
+        t2 += f * rates[n + np.uint64(2)]
+        t3 += f * rates[n + np.uint64(3)]
+        t4 += f * rates[n + np.uint64(4)]
+        t5 += f * rates[n + np.uint64(5)]
+        t6 += f * rates[n + np.uint64(6)]
+        t7 += f * rates[n + np.uint64(7)]
+    return t0, t1, t2, t3, t4, t5, t6, t7
+
+
+class FlightSplines(NamedTuple):
+    """Spline coefficients of a flight map.
+
+    Attributes
+    ----------
+    ratio, ratio_low, ratio_high : float
+        Middle, lowest and highest speed ratio; infinite edges for a map of one ratio.
+    start, per_step : (2,) arrays
+        First value of climb ratio and e, and reciprocal of the step.
+    size : (2,) integer array
+    table : (climbs + 2, edges, 12) array
+        As for :func:`interpolate_flow_loads`.
+    rates : (edges, 8) array
+    """
+
+    ratio: float
+    ratio_low: float
+    ratio_high: float
+    start: Array
+    per_step: Array
+    size: NDArray[np.int64]
+    table: Array
+    rates: Array
+
+
+def fit_flight_splines(tables: FlightMapTables) -> FlightSplines:
+    """Return the spline coefficients of a map.
+
+    The loads are linear over the ratio, with a slope that is linear over the climb. Loads of rates are those of the
+    middle ratio at the climb nearest to 0.
+
+    Parameters
+    ----------
+    tables : FlightMapTables
+    """
+    ratio, climb, edge, loads = tables
+    both = loads.reshape(*loads.shape[:3], 2, LOAD_COUNT)
+    flow = both[..., :6].reshape(*loads.shape[:3], 12)
+    rates = both[..., 6:].reshape(*loads.shape[:3], 8)
+    middle = float(ratio.mean())
+    away = ratio - middle
+    slope = np.zeros(flow.shape[1:])
+    if ratio.size > 1:
+        slope = np.tensordot(away / float(away @ away), flow, axes=1)
+    steps = np.arange(climb.size)
+    line = np.stack([np.ones(climb.size), steps], axis=1)
+    fitted = np.linalg.lstsq(line, slope.reshape(climb.size, -1), rcond=None)[0].reshape(2, edge.size, 12)
+    over_edge, over_climb = np.linalg.inv(spline_matrix(edge.size)), np.linalg.inv(spline_matrix(climb.size))
+    return FlightSplines(
+        middle, float(ratio[0]) if ratio.size > 1 else -math.inf, float(ratio[-1]) if ratio.size > 1 else math.inf,
+        np.array([climb[0], edge[0]]),
+        np.array([(a.size - 1) / (a[-1] - a[0]) for a in (climb, edge)]),
+        np.array([climb.size, edge.size], dtype=np.int64),
+        np.concatenate((
+            np.einsum("ab,cd,bdk->ack", over_climb, over_edge, flow.mean(axis=0)),
+            np.einsum("ab,cbk->cak", over_edge, fitted),
+        )),
+        over_edge @ rates.mean(axis=0)[int(np.argmin(np.abs(climb)))],
+    )  # fmt: skip
+
+
+class MapLoads(NamedTuple):
+    """Loads of a flight map over airspeed at its middle speed ratio without climb; columns are upper and lower rotor.
+
+    Attributes
+    ----------
+    airspeed_m_s : (n,) array
+    thrust_excess, torque_excess : (n, 2) arrays
+        Thrust and torque over those of hover, less 1.
+    drag_N, side_N : (n, 2) arrays
+        In-plane forces against the velocity and to the right (N).
+    roll_moment_Nm, pitch_moment_Nm : (n, 2) arrays
+        Hub moments, right side down and nose up (N m).
+    rate_damping_Nms : float
+        Hub moment of both rotors per roll rate in hover (N m s).
+    """
+
+    airspeed_m_s: Array
+    thrust_excess: Array
+    torque_excess: Array
+    drag_N: Array
+    side_N: Array
+    roll_moment_Nm: Array
+    pitch_moment_Nm: Array
+    rate_damping_Nms: float
+
+
+def evaluate_flight_map(flight_map: FlightMap) -> MapLoads:
+    """Return the loads of a flight map at its airspeeds, in SI units, as the flight model interpolates them."""
+    splines = fit_flight_splines(flight_map.parse_tables())
+    edge = flight_map.parse_tables().edgewise
+    mean, radius = flight_map.mean_speed_rad_s, flight_map.radius_m
+    up = 2.0 * mean / (1.0 + splines.ratio)
+    speeds = np.array([up, splines.ratio * up])
+    speed = flight_map.knee * np.sqrt(edge / (1.0 - edge)) * mean * radius
+    rest = float(-splines.start[0] * splines.per_step[0])
+    climbs, edges = (int(n) for n in splines.size)
+    flow = np.array([
+        interpolate_flow_loads(splines.table.ravel(), climbs, edges, 0.0, rest, float(k)) for k in range(edges)
+    ]).reshape(edges, 2, 6)  # fmt: skip
+    scale = flight_map.density_kg_m3 * math.pi * radius**3 * speeds
+    turning = np.array(interpolate_rate_loads(splines.rates.ravel(), edges, 0.0)).reshape(2, 4)
+    force, moment = scale * speed[:, None], scale * radius * speed[:, None]
+    return MapLoads(
+        speed, flow[..., 0], flow[..., 1], flow[..., 2] * force, flow[..., 3] * force, flow[..., 4] * moment,
+        flow[..., 5] * moment, float(turning[:, 2] @ scale) * radius**2,
+    )  # fmt: skip
