@@ -1,7 +1,8 @@
 """Fuzz the exported code: libFuzzer searches for inputs that crash the code or cause undefined behaviour.
 
-The harness (``check/fuzz.c``) converts bytes to readings, estimates, commands and missions. Clang's address and
-undefined-behaviour sanitizers end the run at faults that would go unnoticed on a board.
+The harness (``check/fuzz.c``) converts bytes to readings, estimates, commands, missions, flash contents and bytes of
+link and receiver. Clang's address and undefined-behaviour sanitizers end the run at faults that would go unnoticed on a
+board.
 """
 
 from __future__ import annotations
@@ -120,7 +121,8 @@ def run_fuzzer(folder: Path, *, seconds: float, seed: int = 1) -> FuzzResult:
     }
     flags = ["clang", *_FUZZER_FLAGS, *(flag for part, flag in define.items() if there[part])]
     objects = []
-    board = (*folder.glob("onboard/*.c"), folder / "boards" / "board.c") if there["link"] else ()
+    parts = (folder / "boards" / "board.c", folder / "check" / "flash_model.c")
+    board = (*folder.glob("onboard/*.c"), *parts) if there["link"] else ()
     for source in sorted((*folder.glob("*.c"), *folder.glob("fixed/*.c"), *board, folder / "check" / "fuzz.c")):
         made = source.with_suffix(".fuzz.o")
         if not made.exists() or made.stat().st_mtime_ns < source.stat().st_mtime_ns:

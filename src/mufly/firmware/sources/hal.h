@@ -46,6 +46,13 @@ int32_t hal_read_bytes(uint8_t *to, int32_t most);
 /* Hand bytes to the link's UART; return how many it takes, without waiting. */
 int32_t hal_write_bytes(const uint8_t *from, int32_t count);
 
+/* Receiver of a pilot's transmitter, RC_... of onboard/rc_frames.h: RC_CRSF at 420000 baud, 8N1; RC_SBUS at 100000 baud, 8E2,
+ * inverted. */
+int32_t hal_rc_kind(void);
+
+/* Take up to most bytes that the receiver's UART has received; return their number, without waiting. */
+int32_t hal_read_rc(uint8_t *to, int32_t most);
+
 /* Two sectors of flash for settings (onboard/storage.h). Words in a sector; 0: the board has no such storage. */
 int32_t hal_flash_words(void);
 

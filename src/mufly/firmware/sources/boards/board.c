@@ -31,8 +31,9 @@ void board_start(board_t *b, uint32_t fitted, int32_t restart)
     supervisor_start(&b->supervisor, &mufly_supervisor,
                      (restart == RESTART_IN_FLIGHT) ? INTERRUPTION_RESET : INTERRUPTION_NONE);
     {
-        const tunables_t tunables = {&b->plan, &b->supervisor.settings, &b->settings.calibration};
+        const tunables_t tunables = {&b->plan, &b->supervisor.settings, &b->settings.calibration, &b->rc.settings};
 
+        rc_start(&b->rc, RC_NONE);
         settings_begin(&b->settings, &tunables);
     }
 }
@@ -191,7 +192,11 @@ void board_link(board_t *b)
 {
     const flight_setup_t setup = present_setup(b);
     const link_vehicle_t vehicle = {&b->supervisor, &b->software, &setup, &b->plan, &b->belief, &b->estimator,
-                                    &b->settings};
+                                    &b->settings, &b->rc.settings};
+    const rc_vehicle_t piloted = {&b->supervisor, &setup, &b->software, &b->belief};
 
+    rc_step(&b->rc, &piloted);
+    b->link.tells_faults = b->link.tells_faults || b->rc.tells_faults;
+    b->rc.tells_faults = false;
     link_step(&b->link, &vehicle);
 }

@@ -5,6 +5,7 @@
 #include "fault_record.h"
 #include "hal.h"
 #include "link.h"
+#include "rc.h"
 #include "settings.h"
 #include "supervisor.h"
 
@@ -22,6 +23,7 @@ typedef struct {
     plan_t plan;                       /* the mission as loaded: that of plan.c or of the settings */
     settings_t settings;
     link_t link;
+    rc_t rc;
 } board_t;
 
 /* The watchdog stops the processor after so many periods (50 ms). */
@@ -39,7 +41,7 @@ void board_estimate(board_t *b, real_t time_s, int32_t missed);
  * command and arming of the supervisor. */
 void board_control(board_t *b, const hal_command_t *given);
 
-/* After both halves: handle the bytes in b->link.input, and queue telemetry. */
+/* After both halves: handle the bytes in b->rc.input and b->link.input, and queue telemetry. */
 void board_link(board_t *b);
 
 /* Run periods without end; kept: memory that a reset does not clear. */

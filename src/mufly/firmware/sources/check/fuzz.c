@@ -20,6 +20,7 @@
 #endif
 #ifdef FUZZ_LINK
 #include "board.h"
+#include "flash_model.h"
 #endif
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
@@ -420,7 +421,95 @@ static void fuzz_estimate(void)
 #endif
 
 #ifdef FUZZ_LINK
-/* A board with its link: any bytes at the UART, in a flight without readings. */
+#define FUZZ_FLASH_WORDS 256
+
+/* Flash with any words, records with any payload, and wear. */
+static void any_flash(void)
+{
+    static uint32_t words[2 * FUZZ_FLASH_WORDS];
+    static uint32_t weak[2 * FUZZ_FLASH_WORDS];
+    static flash_model_t flash;
+    const uint8_t how = next_byte();
+    storage_t storage;
+
+    (void)memset(words, ((how & 1U) != 0U) ? 0 : 0xFF, sizeof words);
+    (void)memset(weak, 0, sizeof weak);
+    if ((how & 2U) != 0U) {
+        fill_raw(words, (size_t)(how >> 2U) * sizeof words[0]);
+    }
+    flash.sector_words = FUZZ_FLASH_WORDS;
+    flash.words = words;
+    flash.weak = weak;
+    flash.operations = 0U;
+    flash.cut_after = -1;
+    flash.noise = 1U;
+    flash.worn_word = -1;
+    flash.worn_sector = -1;
+    flash_model_attach(&flash);
+    flash_model_start(&flash);
+    storage_open(&storage);
+    for (int32_t n = (int32_t)(next_byte() % 4U); n > 0; n--) {
+        uint32_t payload[64] = {0U};
+        const int32_t count = (int32_t)(next_byte() % 64U);
+
+        fill_raw(payload, (size_t)count * sizeof payload[0]);
+        (void)storage_write(&storage, (int32_t)(next_byte() % (uint8_t)STORED_KINDS), next_byte() % 3U, payload, count);
+    }
+    flash.cut_after = ((how & 4U) != 0U) ? ((int32_t)flash.operations + (int32_t)next_byte()) : -1;
+    flash.worn_word = ((how & 8U) != 0U) ? (2 * (int32_t)next_byte()) : -1;
+    flash.worn_bits = 0xFFFFFFFFU;
+    flash.worn_sector = ((how & 16U) != 0U) ? (int32_t)(next_byte() % 2U) : -1;
+}
+
+/* Bytes of a receiver; of SBUS often two frames, of CRSF often one with a right checksum. */
+static void any_receiver(rc_t *rc)
+{
+    rc->input_count = (int32_t)(next_byte() % (RC_INPUT + 1U));
+    fill_raw(rc->input, (size_t)rc->input_count);
+    if ((rc->decoder.kind == (int32_t)RC_SBUS) && (rc->input_count >= 50)) {
+        for (int32_t i = 0; i < 50; i += 25) {
+            rc->input[i] = 0x0FU;
+            rc->input[i + 23] &= 0x0FU;
+            rc->input[i + 24] = 0U;
+        }
+    } else if ((rc->decoder.kind == (int32_t)RC_CRSF) && (rc->input_count >= 26)) {
+        uint32_t crc = 0U;
+
+        rc->input[0] = 0xC8U;
+        rc->input[1] = 24U;
+        rc->input[2] = 0x16U;
+        for (int32_t i = 2; i < 25; i++) {
+            crc ^= rc->input[i];
+            for (int32_t bit = 0; bit < 8; bit++) {
+                crc = ((crc & 0x80U) != 0U) ? (((crc << 1U) ^ 0xD5U) & 0xFFU) : (crc << 1U);
+            }
+        }
+        rc->input[25] = (uint8_t)crc;
+    } else {
+        /* any bytes */
+    }
+}
+
+static void check_board(const board_t *board)
+{
+    const supervisor_t *s = &board->supervisor;
+    const calibration_t *c = &board->settings.calibration;
+
+    require_true((board->link.output_count >= 0) && (board->link.output_count <= LINK_OUTPUT));
+    require_true((board->plan.count >= 0) && (board->plan.count <= MISSION_WAYPOINTS));
+    require_true((board->rc.decoder.length >= 0) && (board->rc.decoder.length < RC_FRAME));
+    for (int32_t i = 0; i < RC_CHANNELS; i++) {
+        require_true((board->rc.decoder.channel[i] >= 0) && (board->rc.decoder.channel[i] < 2048));
+    }
+    require_true(is_between(s->settings.stick_tilt, REAL(0.0), REAL(0.3)));
+    require_true(is_between(s->sticks.roll, REAL(-0.3), REAL(0.3)));
+    require_true(is_between(c->rate_offset[0], REAL(-0.51), REAL(0.51)));
+    for (int32_t k = 0; k < board->plan.count; k++) {
+        require_true(is_between(board->plan.waypoint[k].position[2], REAL(-51.0), REAL(0.0)));
+    }
+}
+
+/* A board with its link: any bytes at the UART and of a receiver, any flash, in a flight without readings. */
 static void fuzz_link(void)
 {
     static board_t board;
@@ -428,7 +517,9 @@ static void fuzz_link(void)
     real_t time_s = REAL(0.0);
 
     (void)memset(&board, 0, sizeof board);
+    any_flash();
     board_start(&board, 1U << R_ACCELERATION, (int32_t)(next_byte() % 3U));
+    rc_start(&board.rc, (int32_t)(next_byte() % 3U));
     while (left > 0U) {
         const uint8_t how = next_byte();
 
@@ -437,6 +528,10 @@ static void fuzz_link(void)
         board.supervisor.now_s = time_s;
         board.supervisor.armed = board.supervisor.armed || ((how & 0xC0U) == 0xC0U);
         board.link.input_count = 0;
+        board.rc.input_count = 0;
+        if ((how & 0x30U) == 0x30U) {
+            any_receiver(&board.rc);
+        }
         if ((how & 8U) != 0U) { /* a frame with a right checksum */
             mavlink_message_t m;
             uint8_t frame[MAVLINK_FRAME];
@@ -462,8 +557,7 @@ static void fuzz_link(void)
             }
         }
         board_link(&board);
-        require_true((board.link.output_count >= 0) && (board.link.output_count <= LINK_OUTPUT));
-        require_true((board.plan.count >= 0) && (board.plan.count <= MISSION_WAYPOINTS));
+        check_board(&board);
         link_sent(&board.link, link_waiting(&board.link, out, (int32_t)how));
     }
 }

@@ -3,6 +3,7 @@
 #include <stddef.h>
 
 #include "parameters.h"
+#include "rc.h"
 #include "text.h"
 
 #define VEHICLE_SYSTEM 1U
@@ -17,7 +18,6 @@
 #define LOAD_RETRY_S REAL(0.5)
 #define LOAD_TIMEOUT_S REAL(5.0)
 #define UNSUPPORTED 3
-#define STICK_DEADBAND REAL(0.03)
 #define TEXT_CHUNK 50
 #define FAILED 4
 
@@ -309,7 +309,7 @@ static bool may_load(const link_vehicle_t *v)
 
 static tunables_t tunables_of(const link_vehicle_t *v)
 {
-    const tunables_t t = {v->plan, &v->supervisor->settings, &v->settings->calibration};
+    const tunables_t t = {v->plan, &v->supervisor->settings, &v->settings->calibration, v->rc};
 
     return t;
 }
@@ -811,13 +811,6 @@ static real_t stick(const mavlink_message_t *m, int32_t at)
     const real_t value = (raw == 32767) ? REAL(0.0) : real_clip((real_t)wide / REAL(1000.0), REAL(-1.0), REAL(1.0));
 
     return value;
-}
-
-static real_t apply_deadband(real_t value)
-{
-    const real_t size = real_max(REAL(0.0), real_abs(value) - STICK_DEADBAND) / (REAL(1.0) - STICK_DEADBAND);
-
-    return (value < REAL(0.0)) ? -size : size;
 }
 
 static void handle_steering(const link_t *k, const link_vehicle_t *v, const mavlink_message_t *m)

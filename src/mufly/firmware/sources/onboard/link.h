@@ -59,6 +59,7 @@ typedef struct {
     const estimate_t *belief;
     const estimator_t *estimator;
     settings_t *settings;
+    rc_settings_t *rc;
 } link_vehicle_t;
 
 void link_start(link_t *k);

@@ -26,9 +26,17 @@ static const parameter_t parameters[PARAMETERS] = {
     {"CAL_SONAR_SCALE", REAL(0.8), REAL(1.2), REAL(1.0)},
     {"COM_DL_LAND_T", REAL(0.0), REAL(3600.0), REAL(1.0)},
     {"COM_DL_LOSS_T", REAL(1.0), REAL(300.0), REAL(1.0)},
+    {"COM_RC_LOSS_T", REAL(0.1), REAL(5.0), REAL(1.0)},
     {"LIM_REACH", REAL(0.01), REAL(1.0), REAL(1.0)},
     {"LIM_TOUCHDOWN", REAL(0.05), REAL(0.25), REAL(1.0)},
     {"MIS_TAKEOFF_ALT", REAL(0.2), REAL(50.0), REAL(1.0)},
+    {"RC_MAP_ARM_SW", REAL(0.0), REAL(16.0), REAL(1.0)},
+    {"RC_MAP_KILL_SW", REAL(0.0), REAL(16.0), REAL(1.0)},
+    {"RC_MAP_MAN_SW", REAL(0.0), REAL(16.0), REAL(1.0)},
+    {"RC_MAP_PITCH", REAL(0.0), REAL(16.0), REAL(1.0)},
+    {"RC_MAP_ROLL", REAL(0.0), REAL(16.0), REAL(1.0)},
+    {"RC_MAP_THROTTLE", REAL(0.0), REAL(16.0), REAL(1.0)},
+    {"RC_MAP_YAW", REAL(0.0), REAL(16.0), REAL(1.0)},
     {"STK_CLIMB", REAL(0.1), REAL(1.0), REAL(1.0)},
     {"STK_TILT", REAL(1.0), REAL(15.0), DEGREE},
     {"STK_YAWRATE", REAL(5.0), REAL(110.0), DEGREE},
@@ -39,12 +47,14 @@ static real_t *place(const tunables_t *t, int32_t k)
     plan_t *plan = t->plan;
     supervisor_settings_t *settings = t->supervisor;
     calibration_t *c = t->calibration;
+    rc_settings_t *rc = t->rc;
     real_t *const places[PARAMETERS] = {
         &plan->clearance, &plan->avoid_speed, &plan->low_voltage, &c->acceleration_offset[0], &c->acceleration_scale[0],
         &c->acceleration_offset[1], &c->acceleration_scale[1], &c->acceleration_offset[2], &c->acceleration_scale[2],
         &c->rate_offset[0], &c->rate_offset[1], &c->rate_offset[2], &c->ring_offset, &c->ring_scale, &c->sonar_offset,
-        &c->sonar_scale, &settings->link_land_s, &settings->link_loss_s, &plan->reach, &plan->touchdown,
-        &plan->take_off_height, &settings->stick_climb, &settings->stick_tilt, &settings->stick_yaw_rate,
+        &c->sonar_scale, &settings->link_land_s, &settings->link_loss_s, &rc->loss_s, &plan->reach,
+        &plan->touchdown, &plan->take_off_height, &rc->switches[RC_SWITCH_ARM], &rc->switches[RC_SWITCH_KILL],
+        &rc->switches[RC_SWITCH_MANUAL], &rc->pitch, &rc->roll, &rc->throttle, &rc->yaw, &settings->stick_climb, &settings->stick_tilt, &settings->stick_yaw_rate,
     };
 
     return places[k];

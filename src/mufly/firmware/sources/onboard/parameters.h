@@ -1,9 +1,10 @@
 /* Parameters that a station may read and set: those of tunable_parameters.py of mufly.flight and parameter_protocol.py of
- * mufly.link that act on plan and supervisor at once, and the calibration of the sensors. */
+ * mufly.link that act on plan and supervisor at once, the calibration of the sensors, and the channels of a receiver. */
 #ifndef MUFLY_PARAMETERS_H
 #define MUFLY_PARAMETERS_H
 
 #include "calibration.h"
+#include "rc.h"
 #include "supervisor.h"
 
 #define PARAMETER_NAME 16
@@ -11,14 +12,16 @@
 enum { PARAM_AVD_CLEARANCE, PARAM_AVD_SPEED, PARAM_BAT_LOW_V, PARAM_CAL_ACC0_XOFF, PARAM_CAL_ACC0_XSCALE, PARAM_CAL_ACC0_YOFF,
        PARAM_CAL_ACC0_YSCALE, PARAM_CAL_ACC0_ZOFF, PARAM_CAL_ACC0_ZSCALE, PARAM_CAL_GYRO0_XOFF, PARAM_CAL_GYRO0_YOFF,
        PARAM_CAL_GYRO0_ZOFF, PARAM_CAL_RING_OFF, PARAM_CAL_RING_SCALE, PARAM_CAL_SONAR_OFF, PARAM_CAL_SONAR_SCALE,
-       PARAM_COM_DL_LAND_T, PARAM_COM_DL_LOSS_T, PARAM_LIM_REACH, PARAM_LIM_TOUCHDOWN, PARAM_MIS_TAKEOFF_ALT, PARAM_STK_CLIMB,
-       PARAM_STK_TILT, PARAM_STK_YAWRATE, PARAMETERS };
+       PARAM_COM_DL_LAND_T, PARAM_COM_DL_LOSS_T, PARAM_COM_RC_LOSS_T, PARAM_LIM_REACH, PARAM_LIM_TOUCHDOWN,
+       PARAM_MIS_TAKEOFF_ALT, PARAM_RC_MAP_ARM_SW, PARAM_RC_MAP_KILL_SW, PARAM_RC_MAP_MAN_SW, PARAM_RC_MAP_PITCH,
+       PARAM_RC_MAP_ROLL, PARAM_RC_MAP_THROTTLE, PARAM_RC_MAP_YAW, PARAM_STK_CLIMB, PARAM_STK_TILT, PARAM_STK_YAWRATE, PARAMETERS };
 
 /* What the parameters are values of. */
 typedef struct {
     plan_t *plan;
     supervisor_settings_t *supervisor;
     calibration_t *calibration;
+    rc_settings_t *rc;
 } tunables_t;
 
 const char *parameter_name(int32_t k);

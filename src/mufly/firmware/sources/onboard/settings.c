@@ -36,9 +36,11 @@ static real_t default_value(int32_t k)
     plan_t plan = mufly_plan;
     supervisor_settings_t supervisor = mufly_supervisor;
     calibration_t calibration;
-    const tunables_t t = {&plan, &supervisor, &calibration};
+    rc_settings_t rc;
+    const tunables_t t = {&plan, &supervisor, &calibration, &rc};
 
     calibration_reset(&calibration);
+    rc_reset_settings(&rc);
     return parameter_get(&t, k);
 }
 
@@ -274,7 +276,8 @@ void settings_begin(settings_t *s, const tunables_t *t)
     static const settings_t none;
 
     *s = none;
-    calibration_reset(&s->calibration);
+    calibration_reset(t->calibration);
+    rc_reset_settings(t->rc);
     storage_open(&s->storage);
     if (s->storage.place[STORED_MISSION] < s->storage.place[STORED_PARAMETERS]) {
         load_mission(s, t->plan);

@@ -154,6 +154,18 @@ int32_t hal_write_bytes(const uint8_t *from, int32_t count)
     return sent;
 }
 
+int32_t hal_rc_kind(void)
+{
+    return RC_NONE;
+}
+
+int32_t hal_read_rc(uint8_t *to, int32_t most)
+{
+    (void)to;
+    (void)most;
+    return 0;
+}
+
 int32_t hal_flash_words(void)
 {
     return FLASH_WORDS;

@@ -114,6 +114,18 @@ int32_t hal_write_bytes(const uint8_t *from, int32_t count)
     return count;
 }
 
+int32_t hal_rc_kind(void)
+{
+    return RC_NONE; /* TODO: RC_CRSF or RC_SBUS */
+}
+
+int32_t hal_read_rc(uint8_t *to, int32_t most)
+{
+    (void)to; /* TODO: from the ring that the receiver's DMA fills */
+    (void)most;
+    return 0;
+}
+
 int32_t hal_flash_words(void)
 {
     return 0; /* TODO: 4096, with sectors 2 and 3 (16 kB each) left out of the linker script */
