@@ -125,7 +125,7 @@ def test_without_a_torque_cell_the_reference_tells_the_torque(single):
             cells["channels"], cells["offset"] = ["thrust"], cells["offset"][:1]
             cells["sensitivity"], cells["applied"] = [[cells["sensitivity"][0][0]]], cells["applied"][:1]
             cells["covariance"] = [row[:2] for row in cells["covariance"][:2]]
-        record.write(copy)
+        record.append_line(copy)
     rig = SimulatedRig(3)
     rig.mount(made.mounting[0])
     speeds = np.linspace(2500, 7500, 11) * RPM
@@ -169,7 +169,7 @@ def test_zero_that_jumps_and_thrust_of_the_wrong_sign_are_seen(single):
             if copy["kind"] == "reading":
                 mean = copy["channels"]["thrust_raw"]
                 mean[0] = change(mean[0], k)
-            record.write(copy)
+            record.append_line(copy)
         assert kind in {d.kind for d in analyse_series(record).fatal_issues}
 
 
@@ -179,7 +179,7 @@ def test_a_point_that_does_not_lie_with_the_others_is_named(single):
         copy = json.loads(json.dumps(line))
         if copy["kind"] == "reading" and (copy["mounting"], copy["speed_rpm"]) == (1, 5500):
             copy["channels"]["thrust_raw"][0] += 0.025
-        record.write(copy)
+        record.append_line(copy)
     found = [d for d in analyse_series(record).doubts if d.kind == "outlier"]
     assert len(found) == 1
     assert "at 5500 rpm is +" in found[0].text
@@ -192,7 +192,7 @@ def test_a_kill_at_any_moment_loses_at_most_the_point_that_was_measured(tmp_path
     made, path = plan(), tmp_path / "raw.jsonl"
     record = SeriesRecord(tmp_path)
     for line in single.lines[:kept]:
-        record.write(line)
+        record.append_line(line)
     record.close()
     whole = path.read_bytes()
     path.write_bytes(whole[: -len(whole.splitlines()[-1]) // 2])

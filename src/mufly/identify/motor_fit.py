@@ -549,15 +549,17 @@ def _needs_constant_friction(
     same: _MotorEquations, effective: Array, scales: Array, free: NDArray[np.bool_], gear: GearKnowledge
 ) -> bool:
     """Return whether a constant friction restores the energy balance and halves the residual of the torque equation."""
-    if free[_FRICTION] or not _constant_ratio(effective, gear) > _MAX_CONSTANT_RATIO:
+    if free[_FRICTION] or not _torque_constant_ratio(effective, gear) > _MAX_CONSTANT_RATIO:
         return False
     x, s = same.solve_constants(np.array([True, True, True, True, True]))
     if x[_DAMPING] < 0.0:
         x, s = same.solve_constants(np.array([True, True, True, False, True]))
-    return bool(x[_FRICTION] > 0.0 and s[1] < 0.5 * scales[1] and _constant_ratio(x, gear) <= _MAX_CONSTANT_RATIO)
+    return bool(
+        x[_FRICTION] > 0.0 and s[1] < 0.5 * scales[1] and _torque_constant_ratio(x, gear) <= _MAX_CONSTANT_RATIO
+    )
 
 
-def _constant_ratio(x: Array, gear: GearKnowledge) -> float:
+def _torque_constant_ratio(x: Array, gear: GearKnowledge) -> float:
     """Return the ratio kM / kE."""
     return float(x[2] / (x[1] * (gear.efficiency or 1.0)))
 
@@ -590,7 +592,7 @@ def _find_unmodelled_terms(
 
 def _check_energy_balance(x: Array, gear: GearKnowledge) -> list[str]:
     """Describe constants that violate the energy balance, or have unusual losses."""
-    ratio = _constant_ratio(x, gear)
+    ratio = _torque_constant_ratio(x, gear)
     if ratio > _MAX_CONSTANT_RATIO:
         return [f"kM/kE = {ratio:.2f}: more mechanical than electrical power; check units and the current's channel"]
     if ratio < 0.3:

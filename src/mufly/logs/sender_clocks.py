@@ -278,9 +278,10 @@ def estimate_sending_times(
     Parameters
     ----------
     arrival : (n,) array
-        Times of arrival by place (s).
+        Time of arrival of each packet, in the order of the file (s).
     places, clocks : dict
-        Places and clocks of each sender and kind of message; kinds without a clock are missing in ``clocks``.
+        Indices of the packets, and clocks (s), of each sender and kind of message; ``clocks`` omits kinds without a
+        clock.
     vehicle : (system, component)
         MAVLink address of the vehicle.
 

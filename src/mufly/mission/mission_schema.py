@@ -307,7 +307,7 @@ class Mission(_MissionTable):
 
     @cached_property
     def trajectory_limits(self) -> TrajectoryLimits:
-        """Limits in SI units and radians; a flight that scans is slower."""
+        """Limits of the trajectories in SI units; while scanning, ``avoidance.speed_m_s`` bounds the speed."""
         return self.leg_limits(None)
 
     def leg_limits(self, index: int | None) -> TrajectoryLimits:

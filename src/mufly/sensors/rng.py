@@ -59,9 +59,13 @@ _EXPONENT_OF_ONE = np.uint64(0x3FF0000000000000)  # exponent bits of numbers fro
 _FRACTION_MASK = np.uint64(0x000FFFFFFFFFFFFF)
 _TWO_POW_52_BITS = np.uint64(0x4330000000000000)  # 2^52: its last bits hold an integer
 _LN2, _ROOT2 = math.log(2.0), math.sqrt(2.0)
-_L3, _L5, _L7, _L9, _L11, _L13, _L15 = (1.0 / n for n in (3, 5, 7, 9, 11, 13, 15))
-_S3, _S5, _S7, _S9, _S11, _S13 = ((-1.0) ** (n // 2) / math.factorial(n) for n in (3, 5, 7, 9, 11, 13))
-_C2, _C4, _C6, _C8, _C10, _C12, _C14 = ((-1.0) ** (n // 2) / math.factorial(n) for n in (2, 4, 6, 8, 10, 12, 14))
+_ATANH_3, _ATANH_5, _ATANH_7, _ATANH_9, _ATANH_11, _ATANH_13, _ATANH_15 = (1.0 / n for n in (3, 5, 7, 9, 11, 13, 15))
+_SINE_3, _SINE_5, _SINE_7, _SINE_9, _SINE_11, _SINE_13 = (
+    (-1.0) ** (n // 2) / math.factorial(n) for n in (3, 5, 7, 9, 11, 13)
+)
+_COSINE_2, _COSINE_4, _COSINE_6, _COSINE_8, _COSINE_10, _COSINE_12, _COSINE_14 = (
+    (-1.0) ** (n // 2) / math.factorial(n) for n in (2, 4, 6, 8, 10, 12, 14)
+)
 
 
 @cached_njit(error_model="numpy")
@@ -83,14 +87,19 @@ def _normal_pair(a: float, b: float) -> tuple[float, float]:
     power = power + 1.0 if big else power
     s = (m - 1.0) / (m + 1.0)
     q = s * s
-    series = 1.0 + q * (_L3 + q * (_L5 + q * (_L7 + q * (_L9 + q * (_L11 + q * (_L13 + q * _L15))))))
+    series = 1.0 + q * (
+        _ATANH_3 + q * (_ATANH_5 + q * (_ATANH_7 + q * (_ATANH_9 + q * (_ATANH_11 + q * (_ATANH_13 + q * _ATANH_15)))))
+    )
     far = math.sqrt(-(power * _LN2 + 2.0 * s * series))  # the factor sqrt(2) is in the lines below
     x = b - 1.5  # turns
     y = (x if x > 0.0 else -x) - 0.25
     t = 2.0 * math.pi * ((y if y > 0.0 else -y) - 0.125)
     p = t * t
-    sine = t * (1.0 + p * (_S3 + p * (_S5 + p * (_S7 + p * (_S9 + p * (_S11 + p * _S13))))))
-    cosine = 1.0 + p * (_C2 + p * (_C4 + p * (_C6 + p * (_C8 + p * (_C10 + p * (_C12 + p * _C14))))))
+    sine = t * (1.0 + p * (_SINE_3 + p * (_SINE_5 + p * (_SINE_7 + p * (_SINE_9 + p * (_SINE_11 + p * _SINE_13))))))
+    cosine = 1.0 + p * (
+        _COSINE_2
+        + p * (_COSINE_4 + p * (_COSINE_6 + p * (_COSINE_8 + p * (_COSINE_10 + p * (_COSINE_12 + p * _COSINE_14)))))
+    )
     first, second = far * (cosine - sine), far * (cosine + sine)
     return first if x > 0.0 else -first, second if y > 0.0 else -second
 

@@ -555,7 +555,7 @@ _RESTART_BACKSTEP_S = 2.0
 """Backward step too large for a late packet (s)."""
 _RESTART_STAMP_COUNT = 3
 """Number of backward stamps in a row that mean a restart: a single one may be damaged or very late."""
-_PACE_MARK_PERIOD_S, _MAX_PACE_MARKS, _MIN_PACE_MARKS = 1.0, 11, 5
+_RATE_SAMPLE_PERIOD_S, _MAX_RATE_SAMPLES, _MIN_RATE_SAMPLES = 1.0, 11, 5
 """Period of the marks (the fastest stamp of each, s), and their largest and least number to measure the rate."""
 
 
@@ -581,7 +581,9 @@ class VehicleClock:
         self._heard_s = math.nan
         self._changed = False
         self._backward: list[float] = []
-        self._marks: deque[tuple[float, float]] = deque(maxlen=_MAX_PACE_MARKS)  # arrival time of a stamp, and its age
+        self._marks: deque[tuple[float, float]] = deque(
+            maxlen=_MAX_RATE_SAMPLES
+        )  # arrival time of a stamp, and its age
         self._marked_s = -math.inf
 
     def place_stamp(self, boot_ms: int, now_s: float) -> float:
@@ -628,7 +630,10 @@ class VehicleClock:
             Station's clock (s).
         """
         marks = list(self._marks)[:-1]  # a faster packet of the present second may still arrive
-        if len(marks) < _MIN_PACE_MARKS or now_s - self._marked_s > 2.0 * _PACE_MARK_PERIOD_S + _PACE_MARK_PERIOD_S:
+        if (
+            len(marks) < _MIN_RATE_SAMPLES
+            or now_s - self._marked_s > 2.0 * _RATE_SAMPLE_PERIOD_S + _RATE_SAMPLE_PERIOD_S
+        ):
             return math.nan
         (first_s, age_s), (last_s, later_age_s) = marks[0], marks[-1]
         return 1.0 - (later_age_s - age_s) / (last_s - first_s)
@@ -645,7 +650,7 @@ class VehicleClock:
         return time_s
 
     def _record_mark(self, now_s: float, age_s: float) -> None:
-        if now_s - self._marked_s >= _PACE_MARK_PERIOD_S:
+        if now_s - self._marked_s >= _RATE_SAMPLE_PERIOD_S:
             self._marked_s = now_s
             self._marks.append((now_s, age_s))
         elif age_s < self._marks[-1][1]:

@@ -365,9 +365,9 @@ class OptimisationProblem:
         return reshape_rotor(self.setup.rotor, {name: every[name] for name in GEOMETRY_PARAMETERS if name in every})
 
     def _limit_violation(self, case: Mapping[str, float | str], values: Mapping[str, float]) -> float:
-        return sum(limit.relative_violation(v) for limit, v in self._limited_values(case, values))
+        return sum(limit.relative_violation(v) for limit, v in self._limited_quantities(case, values))
 
-    def _limited_values(
+    def _limited_quantities(
         self, case: Mapping[str, float | str], values: Mapping[str, float]
     ) -> list[tuple[DesignLimit, float]]:
         if not self.limits:
@@ -403,7 +403,7 @@ class OptimisationProblem:
             return fault[0]
         broken = [
             f"{limit} (is {v:.4g})"
-            for limit, v in self._limited_values(case, {n: float(x[0]) for n, x in values.items()})
+            for limit, v in self._limited_quantities(case, {n: float(x[0]) for n, x in values.items()})
             if limit.relative_violation(v) > 0
         ]
         return "; ".join(broken) or "the battery cannot hold the hover"

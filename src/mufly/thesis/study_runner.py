@@ -369,7 +369,7 @@ def run_study(name: str, progress: ProgressCallback | None = None, *, case: Path
     Raises
     ------
     InputError
-        If there is no such figure or table, or it is no result.
+        If there is no such figure or table, or it shows no result (a photograph, a sketch).
     """
     of = find_item(name)
     if of.name not in STUDIES:

@@ -45,7 +45,7 @@ class SeriesRecord:
             if path.stat().st_size and not path.read_bytes().endswith(b"\n"):
                 self._file.write("\n")
 
-    def write(self, line: dict[str, Any]) -> None:
+    def append_line(self, line: dict[str, Any]) -> None:
         """Append a line and flush it to the disk."""
         self.lines.append(line)
         if self._file is not None:

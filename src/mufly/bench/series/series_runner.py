@@ -201,10 +201,10 @@ def run_series(
     try:
         rig.open()
         if not record.lines:
-            record.write({"kind": "head", "plan": plan.to_toml(), "digest": plan.digest(), "facts": rig.facts.to_dict(),
-                          "time": rig.now()})  # fmt: skip
+            head = {"plan": plan.to_toml(), "digest": plan.digest(), "facts": rig.facts.to_dict(), "time": rig.now()}
+            record.append_line({"kind": "head", **head})
         else:
-            record.write({"kind": "event", "what": "resumed", "time": rig.now()})
+            record.append_line({"kind": "event", "what": "resumed", "time": rig.now()})
         runner = _SeriesRunner(plan, rig, record, guard, told, mounted, keep_samples, truth)
         for number, step in enumerate(steps):
             if (step.mounting_index, step.step_in_mounting) not in record.completed_steps:
@@ -212,7 +212,7 @@ def run_series(
         told(SeriesProgress(len(steps), len(steps), "done"))
     except (LimitError, Stopped, DeviceError) as error:
         rig.stop()
-        record.write({"kind": "event", "what": type(error).__name__, "why": str(error), "time": rig.now()})
+        record.append_line({"kind": "event", "what": type(error).__name__, "why": str(error), "time": rig.now()})
         raise
     finally:
         # The rotors stop before any error is reported, also for a program fault.
@@ -272,7 +272,7 @@ class _SeriesRunner:
             self.on_mount(mounting)
             self.rig.mount(mounting)
             self.mounted_index = step.mounting_index
-            self.record.write(
+            self.record.append_line(
                 {"kind": "event", "what": "mounted", "mounting": step.mounting_index, "time": self.rig.now()}
             )
         for tries in range(1, STEP_TRIES + 1):
@@ -288,7 +288,7 @@ class _SeriesRunner:
                 return
             except DeviceError as error:
                 self.rig.stop()
-                self.record.write(
+                self.record.append_line(
                     {
                         "kind": "event",
                         "what": "device",
@@ -338,7 +338,7 @@ class _SeriesRunner:
             "time": self.rig.now(),
             "currents": currents[::3],
         }
-        self.record.write(line)
+        self.record.append_line(line)
         self.is_cold = False
 
     def _take_reading(self, number: int, step: PlanStep, mounting: BladeMounting) -> None:
@@ -378,7 +378,7 @@ class _SeriesRunner:
             line["samples"] = {k: [float(f"{x:.7g}") for x in v] for k, v in block.items()}
         if self.true_loads is not None and point:
             line["truth"] = dict(self.true_loads(step))
-        self.record.write(line)
+        self.record.append_line(line)
         self.needs_zero = False
         self._report_progress(number + 1, f"{name}: done" + ("" if settled else ", but it had not settled"), line)
 

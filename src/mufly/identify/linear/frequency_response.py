@@ -398,7 +398,7 @@ def fit_frequency_response(
         return np.asarray(rows[:, good].ravel())
 
     lower, upper = at.bounds
-    start = np.clip(at.to_coordinates(np.clip(first, at.low, at.high)), lower + 1e-9, upper - 1e-9)
+    start = np.clip(at.to_search_coordinates(np.clip(first, at.low, at.high)), lower + 1e-9, upper - 1e-9)
     solution = least_squares(response_residual, start, bounds=(lower, upper), x_scale="jac", max_nfev=200)
     found = at.to_values(solution.x)
     model = structure_response(structure, found, data.frequency_hz)

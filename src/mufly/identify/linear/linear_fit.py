@@ -267,7 +267,7 @@ def fit_linear_model(
     with threadpool_limits(1, "blas"):
         best = None
         for trial in trials:
-            solution = run_search(at.to_coordinates(trial), 25 if starts > 1 else 200, 1e-5)
+            solution = run_search(at.to_search_coordinates(trial), 25 if starts > 1 else 200, 1e-5)
             costs.append(history[-1]["cost"])
             if best is None or solution.cost < best[0].cost:
                 best = (solution, trial)

@@ -155,9 +155,9 @@ class SearchCoordinates:
     @property
     def bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds of the coordinates."""
-        return self.to_coordinates(self.low), self.to_coordinates(self.high)
+        return self.to_search_coordinates(self.low), self.to_search_coordinates(self.high)
 
-    def to_coordinates(self, values: Array) -> Array:
+    def to_search_coordinates(self, values: Array) -> Array:
         """Return the search coordinates of parameter values (p,)."""
         return np.where(
             self.is_logarithmic,
