@@ -15,6 +15,7 @@ from mufly.estimate.filter_records import R_ACCELERATION, R_RATES, R_RING, R_SON
 from mufly.firmware import missing_tools
 from mufly.firmware.emulated import HostBoard, make_board
 from mufly.firmware.emulated.image_build import build_host_board
+from mufly.firmware.evidence_report import BOARD_TARGETS, measure_board_image
 from mufly.mission import load_mission
 from mufly.vehicle import load_vehicle
 
@@ -298,3 +299,12 @@ def test_the_emulated_board_keeps_its_settings_over_a_restart(vehicle) -> None:
             assert board.flash.tobytes() == board._twin.flash.tobytes(), n
     finally:
         board.close()
+
+
+@needs_qemu
+def test_a_whole_board_fits_its_processor(vehicle) -> None:
+    """Loop, estimator, MAVLink, receiver and settings: flash, RAM, and the stack of the deepest path of calls."""
+    found = measure_board_image(vehicle)
+    assert found.keys() == BOARD_TARGETS.keys()
+    for name, size in found.items():
+        assert 0.3 * BOARD_TARGETS[name] < size < BOARD_TARGETS[name], name
