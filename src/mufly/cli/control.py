@@ -14,15 +14,35 @@ from mufly.cli.output import (
 from mufly.errors import InputError, report_write_errors
 
 if TYPE_CHECKING:
-    from mufly.control import FlightController
+    from mufly.control import DesignSettings, FlightController
+    from mufly.control.synthesis_methods import SynthesisMethod
 
 MethodOption = Annotated[
-    Literal["hinf", "h2", "lqg", "ltr"],
+    Literal["hinf", "h2", "lqg", "ltr", "fixed"],
     define_option(
         "--method WHICH",
-        "Method of synthesis: hinf, h2 (the same weights), lqg, or ltr (LQG with loop transfer recovery).",
+        "Method of synthesis: hinf, h2 (the same weights), lqg, ltr (LQG with loop transfer recovery), or fixed "
+        "(roll-pitch of --order, tuned for several aims; heave-yaw by hinf).",
     ),
 ]
+OrderOption = Annotated[
+    int | None, define_option("--order N", "Order of roll-pitch with --method fixed, 2 to 8. Default: 4.")
+]
+
+
+def _method_settings(method: SynthesisMethod, order: int | None) -> DesignSettings:
+    """Return the settings of a method; an order without --method fixed is refused."""
+    from dataclasses import replace
+
+    from mufly.control import DesignSettings
+
+    settings = DesignSettings(method=method)
+    if order is None:
+        return settings
+    if method != "fixed":
+        raise InputError("--order", "", f"--method {method} chooses its order", "add --method fixed")
+    return replace(settings, roll_pitch_aims=replace(settings.roll_pitch_aims, order=order))
+
 
 app = CommandGroup(help="Design and analyse the controllers of a vehicle.", no_args_is_help=True)
 
@@ -36,6 +56,7 @@ def _accept_group_options() -> None:
 def design(
     vehicle: VehicleArgument = "mufly-1.1",
     method: MethodOption = "hinf",
+    order: OrderOption = None,
     rate: Annotated[
         float | None,
         define_option(
@@ -73,14 +94,15 @@ Peaks are given for the controller of full order, of reduced order, and sampled 
       mufly control design mufly-2.0 --rate 250 --out designs
 
       mufly control design --method ltr
+
+      mufly control design --method fixed --order 2
     """
-    from mufly.control import DesignSettings
     from mufly.control import design_flight_controller as design_controllers
     from mufly.vehicle import load_vehicle
 
     loaded = load_vehicle(vehicle)
     try:
-        controller = design_controllers(loaded, rate_Hz=rate, voltage=voltage, settings=DesignSettings(method=method))
+        controller = design_controllers(loaded, rate_Hz=rate, voltage=voltage, settings=_method_settings(method, order))
     except InputError as error:
         if error.where != loaded.name:
             raise
@@ -95,6 +117,7 @@ Peaks are given for the controller of full order, of reduced order, and sampled 
 def mu(
     vehicle: VehicleArgument = "mufly-1.1",
     method: MethodOption = "hinf",
+    order: OrderOption = None,
     vary: Annotated[
         list[str] | None,
         define_option(
@@ -123,14 +146,14 @@ from an example: parameters with a pole on the axis. worst.toml is that vehicle,
     """
     import numpy as np
 
-    from mufly.control import DesignSettings, design_flight_controller
+    from mufly.control import design_flight_controller
     from mufly.control.plots import draw_mu_bounds
     from mufly.control.robust import analyse_parameter_robustness
     from mufly.flight.monte_carlo import parse_variations
     from mufly.vehicle import format_vehicle_toml, load_vehicle, replace_parameters
 
     loaded = load_vehicle(vehicle)
-    controller = design_flight_controller(loaded, settings=DesignSettings(method=method))
+    controller = design_flight_controller(loaded, settings=_method_settings(method, order))
     given = parse_variations(vary or [], loaded)
     if given:
         wide = [(1.0 if v.distribution == "uniform" else 2.0) * v.spread_matrix for v in given]

@@ -8,6 +8,7 @@ The reasons for the design choices are in docs/explanation/control.md; weights, 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import control
@@ -44,6 +45,7 @@ from mufly.control.lqg import LqgWeights
 from mufly.control.synthesis_methods import (
     METHOD_NAMES,
     METHODS,
+    FixedOrderAims,
     SynthesisMethod,
     SynthesisProblem,
     synthesise_controller,
@@ -356,7 +358,7 @@ def design_flight_controller(
     Raises
     ------
     ArgumentError
-        If the method is unknown, the rate is out of range, or the voltage is outside the battery's range of use.
+        If method or order is unknown, the rate is out of range, or the voltage is outside the battery's range of use.
     MuflyError
         If the vehicle cannot hover, or a design fails: the message names the design and the failing mode, weight or
         step.
@@ -364,6 +366,8 @@ def design_flight_controller(
     s = DesignSettings() if settings is None else settings
     if s.method not in METHODS:
         raise ArgumentError("method", "", f"{s.method!r} is not a method", f"give one of {', '.join(METHODS)}")
+    if not 2 <= s.roll_pitch_aims.order <= ROLL_PITCH_ORDER:
+        raise ArgumentError("order", "", f"{s.roll_pitch_aims.order} is out of range", f"give 2 to {ROLL_PITCH_ORDER}")
     rate = DEFAULT_RATE_HZ if rate_Hz is None else float(rate_Hz)
     if not (np.isfinite(rate) and 20.0 <= rate <= 5000.0):
         raise ArgumentError("rate_Hz", "", f"{rate:g} Hz is out of range", "give 20 to 5000 Hz; 200 is usual")
@@ -451,6 +455,7 @@ def _design_controller(
     *,
     method: SynthesisMethod = "hinf",
     lqg: LqgWeights | None = None,
+    fixed: FixedOrderAims | None = None,
     tracked: tuple[int, ...],
     references: tuple[int, ...] = (),
     orders: tuple[int, int],
@@ -468,9 +473,12 @@ def _design_controller(
     read = np.concatenate([output_scale[list(references)], output_scale])
     scaled = scale_plant(plant, scaling)
     generalised = generalise(scaled)
+    if fixed is not None:
+        fixed = replace(fixed, noise_outputs=tuple(np.array(fixed.noise_outputs) / output_scale))
     problem = SynthesisProblem(
-        generalised, scaled, tracked, bool(references), read.size, relaxation, lqg, 2 * np.pi / period_s
-    )
+        generalised, scaled, tracked, bool(references), read.size, relaxation, lqg, fixed, generalise,
+        2 * np.pi / period_s,
+    )  # fmt: skip
     try:
         found = synthesise_controller(method, problem)
         reduction = reduce_controller(
@@ -537,7 +545,7 @@ def design_heave_yaw(plant: control.StateSpace, settings: DesignSettings, period
         lambda scaled: two_degree_plant(scaled, ("z", "psi"), settings.heave_yaw_weights),
         settings.heave_yaw_relaxation,
         period_s,
-        method=settings.method,
+        method="hinf" if settings.method == "fixed" else settings.method,
         lqg=settings.heave_yaw_lqg,
         tracked=(0, 1),
         references=(0, 1),
@@ -552,6 +560,7 @@ def design_heave_yaw(plant: control.StateSpace, settings: DesignSettings, period
 
 def design_roll_pitch(plant: control.StateSpace, settings: DesignSettings, period_s: float) -> ControllerDesign:
     """Design roll-pitch: one degree of freedom (Sec. 6.1.5). Controller inputs: errors of phi, theta, p, q."""
+    tuned = settings.method == "fixed"
     return _design_controller(
         "roll-pitch",
         plant,
@@ -561,8 +570,9 @@ def design_roll_pitch(plant: control.StateSpace, settings: DesignSettings, perio
         period_s,
         method=settings.method,
         lqg=settings.roll_pitch_lqg,
+        fixed=settings.roll_pitch_aims if tuned else None,
         tracked=(0, 1),
-        orders=(4, ROLL_PITCH_ORDER),
+        orders=(settings.roll_pitch_aims.order,) * 2 if tuned else (4, ROLL_PITCH_ORDER),
         slow=(0.1,),
         published=ROLL_PITCH,
         windup_rate=settings.roll_pitch_windup,

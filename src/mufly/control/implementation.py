@@ -111,7 +111,7 @@ class Reduction:
     candidates: tuple[ReducedCandidate, ...]
 
 
-def _split_modes(A: Array, slow: float) -> tuple[Array, int]:
+def split_modes(A: Array, slow: float) -> tuple[Array, int]:
     """Return T that block-diagonalises A into modes slower than ``slow`` (rad/s) or unstable, and the rest."""
 
     def is_kept(real: float, imag: float) -> bool:
@@ -147,7 +147,7 @@ def balancing_transform(P: Array, Q: Array) -> tuple[Array, Array]:
     return T, Tinv
 
 
-def _remove_states(K: control.StateSpace, M: Array, order: int, match: bool) -> tuple[control.StateSpace, Array] | None:
+def remove_states(K: control.StateSpace, M: Array, order: int, match: bool) -> tuple[control.StateSpace, Array] | None:
     """Remove the states after ``order``; ``M`` is an input without feedthrough."""
     A, B, C, D = K.A, np.hstack([K.B, M]), K.C, np.hstack([K.D, np.zeros((K.noutputs, M.shape[1]))])
     if match and order < K.nstates:
@@ -219,14 +219,14 @@ def reduce_controller(
     tried: list[tuple[ReducedCandidate, control.StateSpace, Array]] = []
     counts: set[int] = set()
     for threshold in slow:
-        Z, kept = _split_modes(controller.A, threshold)
+        Z, kept = split_modes(controller.A, threshold)
         if kept in counts:
             continue
         counts.add(kept)
-        for name, (K, M) in _balanced_realisations(generalised, controller, actuation, Z, kept).items():
+        for name, (K, M) in balanced_realisations(generalised, controller, actuation, Z, kept).items():
             for order in range(max(kept, order_min, 1), min(order_max, n) + 1):
                 for match in (True, False):
-                    removed = _remove_states(K, M, order, match)
+                    removed = remove_states(K, M, order, match)
                     if removed is None:
                         continue
                     s, t = judge.sensitivity_peaks(removed[0])
@@ -294,22 +294,24 @@ class _LoopPeaks:
         return float(20 * np.log10(s)), float(20 * np.log10(t))
 
 
-def _balanced_realisations(
+def balanced_realisations(
     generalised: control.StateSpace, controller: control.StateSpace, actuation: Array, Z: Array, kept: int
 ) -> dict[str, tuple[control.StateSpace, Array]]:
     """Return the controller with its kept modes first and the others balanced, for each choice of Gramians."""
     n = controller.nstates
+    if kept == n:
+        return {"loop": (controller, actuation)}
     Zinv = np.linalg.inv(Z)
     A, B, C, M = Zinv @ controller.A @ Z, Zinv @ controller.B, controller.C @ Z, Zinv @ actuation
     rest = slice(kept, n)
     Ar, Br, Cr = A[rest, rest], B[rest], C[:, rest]
-    gramians = {}
-    if kept < n:
-        gramians["loop"] = _loop_gramians(generalised, controller, Zinv[rest], Ar, Cr)
-        gramians["open"] = (
+    gramians = {
+        "loop": _loop_gramians(generalised, controller, Zinv[rest], Ar, Cr),
+        "open": (
             linalg.solve_continuous_lyapunov(Ar, -_outer_product(Br)),
             linalg.solve_continuous_lyapunov(Ar.T, -_outer_product(Cr.T)),
-        )
+        ),
+    }
     found: dict[str, tuple[control.StateSpace, Array]] = {}
     for name, (P, Q) in gramians.items():
         T, Tinv = balancing_transform(P, Q)

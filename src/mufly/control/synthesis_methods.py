@@ -6,6 +6,8 @@ not minimise the H-infinity norm have that norm all the same: it is computed fro
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Literal, NamedTuple, get_args
 
 import control
@@ -15,15 +17,43 @@ from mufly.control.h2 import h2syn
 from mufly.control.hinf import close_loop, hinfsyn
 from mufly.control.linear_systems import Array, hinf_norm
 from mufly.control.lqg import LqgWeights, design_lqg, limit_recovery
+from mufly.control.tuning.fixed_order import add_delay, aim_norms, flight_aims, reduced_starts, tune_controller
 
-SynthesisMethod = Literal["hinf", "h2", "lqg", "ltr"]
+SynthesisMethod = Literal["hinf", "h2", "lqg", "ltr", "fixed"]
 METHODS: tuple[SynthesisMethod, ...] = get_args(SynthesisMethod)
 METHOD_NAMES: dict[SynthesisMethod, str] = {
     "hinf": "H-infinity",
     "h2": "H2",
     "lqg": "LQG",
     "ltr": "LQG/LTR",
+    "fixed": "fixed order",
 }
+
+
+@dataclass(frozen=True)
+class FixedOrderAims:
+    """Order and levels of a tuned controller.
+
+    Attributes
+    ----------
+    order : int
+    sensitivity_dB, complementary_dB : float
+        Levels of the peaks of S_u and T_u with the delay of the sampled loop.
+    weighted, noise : float
+        Levels of the weighted norm, and of the norm from sensor noise to the inputs, relative to H-infinity.
+    noise_outputs : tuple of float
+        Noise of every output (SI).
+    descents : int
+        Number of starts from which the tuning descends.
+    """
+
+    order: int
+    sensitivity_dB: float
+    complementary_dB: float
+    noise_outputs: tuple[float, ...]
+    weighted: float = 1.015
+    noise: float = 1.0
+    descents: int = 2
 
 
 class SynthesisProblem(NamedTuple):
@@ -45,6 +75,10 @@ class SynthesisProblem(NamedTuple):
         Factor on the smallest H-infinity level; see ``hinfsyn``.
     lqg : LqgWeights or None
         Weights of LQG and LTR.
+    fixed : FixedOrderAims or None
+        Aims of a tuned controller, with the noise in scaled units.
+    generalise : callable
+        Function from the scaled plant to the plant with weights.
     sampling_rate : float
         Sampling rate of the controller (rad/s).
     """
@@ -56,6 +90,8 @@ class SynthesisProblem(NamedTuple):
     n_measurements: int
     relaxation: float
     lqg: LqgWeights | None
+    fixed: FixedOrderAims | None
+    generalise: Callable[[control.StateSpace], control.StateSpace]
     sampling_rate: float
 
 
@@ -81,7 +117,7 @@ class SynthesisedController(NamedTuple):
 
 
 def synthesise_controller(method: SynthesisMethod, problem: SynthesisProblem) -> SynthesisedController:
-    """Return a controller of full order by a method; LQG without weights falls back on H-infinity.
+    """Return a controller by a method, of full order but for ``fixed``; without its weights it is H-infinity.
 
     Raises
     ------
@@ -98,5 +134,32 @@ def synthesise_controller(method: SynthesisMethod, problem: SynthesisProblem) ->
         lqg = design_lqg(p.plant, p.references, p.lqg, recovery=recovery, two_degrees=p.two_degrees)
         norm = hinf_norm(close_loop(p.generalised, lqg.controller))[0]
         return SynthesisedController(lqg.controller, lqg.actuation, np.nan, np.nan, norm)
+    if method == "fixed" and p.fixed is not None:
+        return _tune(p, p.fixed)
     found = hinfsyn(p.generalised, p.n_measurements, n_controls, relaxation=p.relaxation)
     return SynthesisedController(found.controller, found.actuation, found.gamma, found.gamma_optimal, found.norm)
+
+
+def _tune(p: SynthesisProblem, fixed: FixedOrderAims) -> SynthesisedController:
+    """Return a tuned controller that starts from H-infinity with and without the delay, and from LTR."""
+    n_controls = p.plant.ninputs
+    delayed = add_delay(p.plant, 1.5 * 2 * np.pi / p.sampling_rate)
+    generalised = p.generalise(delayed)
+    plain = hinfsyn(p.generalised, p.n_measurements, n_controls, relaxation=p.relaxation)
+    starts = [plain.controller, hinfsyn(generalised, p.n_measurements, n_controls, relaxation=p.relaxation).controller]
+    if p.lqg is not None:
+        starts.append(synthesise_controller("ltr", p).controller)
+    levels = {
+        "weighted": fixed.weighted * plain.norm,
+        "sensitivity": 10 ** (fixed.sensitivity_dB / 20),
+        "complementary": 10 ** (fixed.complementary_dB / 20),
+        "noise": 1.0,
+    }
+    noise = np.array(fixed.noise_outputs)
+    aims = flight_aims(generalised, delayed, p.n_measurements, noise, levels)
+    reached = aim_norms(aims, plain.controller)["noise"]
+    aims = [aim._replace(level=fixed.noise * reached) if aim.name == "noise" else aim for aim in aims]
+    tuned = tune_controller(aims, reduced_starts(generalised, starts, fixed.order), descents=fixed.descents)
+    K = tuned.controller
+    norm = hinf_norm(close_loop(p.generalised, K))[0]
+    return SynthesisedController(K, np.zeros((K.nstates, n_controls)), np.nan, np.nan, norm)

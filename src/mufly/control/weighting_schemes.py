@@ -25,6 +25,7 @@ not zero.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -34,7 +35,7 @@ from scipy import signal
 
 from mufly.control.linear_systems import Array, connect_blocks, replace_matrices, state_space
 from mufly.control.lqg import LqgWeights
-from mufly.control.synthesis_methods import SynthesisMethod
+from mufly.control.synthesis_methods import FixedOrderAims, SynthesisMethod
 from mufly.errors import MuflyError
 
 
@@ -282,6 +283,12 @@ ROLL_PITCH_LQG = LqgWeights(
 )  # fmt: skip
 
 
+ROLL_PITCH_AIMS = FixedOrderAims(
+    order=4, sensitivity_dB=2.6, complementary_dB=2.0,
+    noise_outputs=(math.radians(0.1), math.radians(0.1), math.radians(0.3), math.radians(0.3)),
+)  # fmt: skip
+
+
 @dataclass(frozen=True)
 class DesignSettings:
     """Settings of the designs; the defaults suit ``mufly-1.1``.
@@ -302,6 +309,8 @@ class DesignSettings:
         Likewise: u, v (m/s); phi, theta (rad).
     heave_yaw_lqg, roll_pitch_lqg : LqgWeights
         Weights of LQG and LTR, in scaled units.
+    roll_pitch_aims : FixedOrderAims
+        Order and aims of the method ``fixed``, which tunes roll-pitch; heave-yaw is H-infinity then.
     heave_yaw_windup, roll_pitch_windup : float or None
         Rate at which the integrators follow saturated actuators (rad/s); None: the observer's anti-windup.
     position_gain : float
@@ -342,6 +351,7 @@ class DesignSettings:
     velocity_relaxation: float = 1.2
     heave_yaw_lqg: LqgWeights = HEAVE_YAW_LQG
     roll_pitch_lqg: LqgWeights = ROLL_PITCH_LQG
+    roll_pitch_aims: FixedOrderAims = ROLL_PITCH_AIMS
     heave_yaw_windup: float | None = 1.5
     roll_pitch_windup: float | None = 20.0
     position_gain: float = 1.0

@@ -1,0 +1,297 @@
+"""Controllers of a given order, tuned so that several norms of the loop stay below their levels.
+
+The controller's matrices ``[Ak Bk; Ck Dk]`` are one static gain of a plant whose states include the controller's. With
+this gain every aim is the H-infinity norm of a closed loop; the objective is the largest of ``norm / level``. At the
+peak, with frequency w and singular vectors u and v, the gradient is ``Re (u* T_zu)' (T_yw v)'`` (Gumussoy and Overton,
+ACC 2008). BFGS for functions with kinks descends from reduced controllers of other methods.
+
+Aims of a flight loop, on the scaled plant with 1.5 periods of delay (Pade approximation of second order):
+
+- ``weighted``: the generalised plant's norm, the aim of the H-infinity design;
+- ``sensitivity`` and ``complementary``: the peaks of S_u and T_u, which the sampled loop then has nearly;
+- ``noise``: from the sensors' noise to the inputs. Without it the tuning buys margins with servo activity.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import control
+import numpy as np
+from scipy import linalg, signal
+
+from mufly.control.hinf import PartitionedPlant, partition_plant
+from mufly.control.implementation import balanced_realisations, remove_states, split_modes
+from mufly.control.linear_systems import Array, replace_matrices, state_space
+from mufly.control.tuning.nonsmooth_bfgs import minimise_nonsmooth
+from mufly.errors import MuflyError
+from mufly.results import result
+
+_FREQUENCIES = np.geomspace(1e-3, 3e3, 90)
+_SLOW = (0.1, 3.0)  # rad/s; modes of a start below these are kept by its reduction
+_POWERS = (8.0, 30.0, np.inf)  # of the mean of all aims, in successive descents; inf is the largest
+_STABILITY_MARGIN = 1e-5  # rad/s; least distance of the closed loop's poles from the axis
+
+
+class Aim(NamedTuple):
+    """A norm that is to stay below a level: its name, the plant from disturbance to error, and the level."""
+
+    name: str
+    plant: PartitionedPlant
+    level: float
+
+
+@result
+class TunedController:
+    """A tuned controller and what it reached.
+
+    Attributes
+    ----------
+    controller : control.StateSpace
+        Controller in scaled units.
+    objective, start_objective : float
+        Largest norm over its level: at the end and at the start. Below 1 all aims are reached.
+    norms, levels : dict
+        Norm and level of every aim, by its name.
+    steps : int
+        Steps of the descent.
+    """
+
+    controller: control.StateSpace
+    objective: float
+    start_objective: float
+    norms: dict[str, float]
+    levels: dict[str, float]
+    steps: int
+
+
+def add_delay(plant: control.StateSpace, delay_s: float) -> control.StateSpace:
+    """Return the plant with a delay at every input, as a Pade approximation of second order."""
+    A1, B1, C1, D1 = (np.kron(np.eye(plant.ninputs), X) for X in signal.tf2ss(*control.pade(delay_s, 2)))
+    A = np.block([[plant.A, plant.B @ C1], [np.zeros((len(A1), plant.nstates)), A1]])
+    return state_space(
+        A,
+        np.vstack([plant.B @ D1, B1]),
+        np.hstack([plant.C, np.zeros((plant.noutputs, len(A1)))]),
+        np.zeros((plant.noutputs, plant.ninputs)),
+        inputs=plant.input_labels,
+        outputs=plant.output_labels,
+    )
+
+
+def margin_plants(plant: control.StateSpace, noise: Array, n_measurements: int) -> dict[str, PartitionedPlant]:
+    """Return the plants of S_u, T_u and of noise to inputs for a controller whose last inputs are ``-y``."""
+    n, p, m = plant.nstates, plant.noutputs, plant.ninputs
+    C2 = np.vstack([np.zeros((n_measurements - p, n)), -plant.C])
+    none, eye = np.zeros((n_measurements, m)), np.eye(m)
+    N = np.vstack([np.zeros((n_measurements - p, p)), -np.diag(noise)])
+    zero = np.zeros((m, n))
+    return {
+        "sensitivity": PartitionedPlant(plant.A, plant.B, plant.B, zero, C2, eye, eye, none, none),
+        "complementary": PartitionedPlant(plant.A, plant.B, plant.B, zero, C2, 0 * eye, eye, none, none),
+        "noise": PartitionedPlant(plant.A, np.zeros((n, p)), plant.B, zero, C2, np.zeros((m, p)), eye, N, none),
+    }
+
+
+class _StaticLoop:
+    """The loop of one aim as static feedback of the plant with the controller's states."""
+
+    def __init__(self, p: PartitionedPlant, order: int) -> None:
+        n, m, ny, k = p.A.shape[0], p.B2.shape[1], p.C2.shape[0], order
+        self.A = linalg.block_diag(p.A, np.zeros((k, k)))
+        self.B = np.block([[np.zeros((n, k)), p.B2], [np.eye(k), np.zeros((k, m))]])
+        self.C = np.block([[np.zeros((k, n)), np.eye(k)], [p.C2, np.zeros((ny, k))]])
+        self.B1 = np.vstack([p.B1, np.zeros((k, p.B1.shape[1]))])
+        self.C1 = np.hstack([p.C1, np.zeros((p.C1.shape[0], k))])
+        self.D11 = p.D11
+        self.D12 = np.hstack([np.zeros((p.D12.shape[0], k)), p.D12])
+        self.D21 = np.vstack([np.zeros((k, p.D21.shape[1])), p.D21])
+
+    def norm_and_gradient(self, K: Array) -> tuple[float, Array]:
+        """Return the H-infinity norm with the gain K, ``inf`` for an unstable loop, and its gradient by K."""
+        A = self.A + self.B @ K @ self.C
+        B, C = self.B1 + self.B @ K @ self.D21, self.C1 + self.D12 @ K @ self.C
+        D = self.D11 + self.D12 @ K @ self.D21
+        values, V = np.linalg.eig(A)
+        if values.real.max() >= -_STABILITY_MARGIN:
+            return np.inf, np.zeros_like(K)
+        try:
+            VB = np.linalg.solve(V, B.astype(complex))
+        except np.linalg.LinAlgError:
+            return np.inf, np.zeros_like(K)
+        CV = C @ V
+
+        def gains(w: Array) -> Array:
+            response = (CV[None] / (1j * w[:, None, None] - values)) @ VB + D
+            # Singular values of small matrices by the smaller Gram matrix.
+            wide = response.shape[1] > response.shape[2]
+            turned = response.conj().swapaxes(1, 2)
+            gram = turned @ response if wide else response @ turned
+            return np.sqrt(np.maximum(np.linalg.eigvalsh(gram)[:, -1], 0.0))
+
+        w = np.unique(np.concatenate([_FREQUENCIES, np.abs(values), np.abs(values.imag[values.imag > 1e-3])]))
+        size = gains(w)
+        # Every peak near the largest is refined, so that the norm is continuous where two of them change places.
+        inside = size[1:-1]
+        peaks = 1 + np.flatnonzero((inside >= size[:-2]) & (inside >= size[2:]) & (inside > 0.9 * size.max()))
+        best, top = float(w[int(np.argmax(size))]), float(size.max())
+        for i in peaks:
+            around, height = w[[i - 1, i, i + 1]], size[[i - 1, i, i + 1]]
+            for _ in range(4):
+                k = int(np.argmax(height))
+                around = np.geomspace(around[max(k - 1, 0)], around[min(k + 1, around.size - 1)], 9)
+                height = gains(around)
+            k = int(np.argmax(height))
+            if height[k] > top:
+                best, top = float(around[k]), float(height[k])
+        T = np.linalg.inv(1j * best * np.eye(len(A)) - A)
+        U, s, Vh = np.linalg.svd(C @ T @ B + D)
+        left = U[:, 0].conj() @ (C @ T @ self.B + self.D12)
+        right = (self.C @ T @ B + self.D21) @ Vh[0].conj()
+        return float(s[0]), np.outer(left, right).real
+
+
+def _gain(K: control.StateSpace) -> Array:
+    return np.block([[K.A, K.B], [K.C, K.D]])
+
+
+def aim_norms(aims: Sequence[Aim], controller: control.StateSpace) -> dict[str, float]:
+    """Return the norm of every aim with a controller, by name; ``inf`` for an unstable loop."""
+    K = _gain(controller)
+    return {aim.name: _StaticLoop(aim.plant, controller.nstates).norm_and_gradient(K)[0] for aim in aims}
+
+
+def reduced_starts(
+    generalised: control.StateSpace, controllers: Sequence[control.StateSpace], order: int
+) -> list[control.StateSpace]:
+    """Return controllers of an order: all balanced reductions of some controllers, as in the reduction of a design."""
+    found = []
+    for K in controllers:
+        if K.nstates < order:
+            continue
+        counts = set()
+        for threshold in _SLOW:
+            Z, kept = split_modes(K.A, threshold)
+            if kept in counts or kept > order:
+                continue
+            counts.add(kept)
+            actuation = np.zeros((K.nstates, K.noutputs))
+            for whole, M in balanced_realisations(generalised, K, actuation, Z, kept).values():
+                for match in (True, False):
+                    removed = remove_states(whole, M, order, match)
+                    if removed is not None:
+                        found.append(removed[0])
+    return found
+
+
+def tune_controller(
+    aims: Sequence[Aim],
+    starts: Sequence[control.StateSpace],
+    *,
+    descents: int = 2,
+    max_steps: int = 400,
+    budget_s: float = 30.0,
+) -> TunedController:
+    """Tune a controller of fixed order for several aims.
+
+    Parameters
+    ----------
+    aims : sequence of Aim
+    starts : sequence of control.StateSpace
+        Controllers of the order wanted; the best ones are descended from.
+    descents : int
+        Number of starts used.
+    max_steps : int
+        Steps of one descent.
+    budget_s : float
+        Time for one descent (s).
+
+    Returns
+    -------
+    TunedController
+        Never worse than the best start.
+
+    Raises
+    ------
+    MuflyError
+        If no start stabilises all plants.
+    """
+    if not starts:
+        raise MuflyError("tuning: there is no start of this order; choose another order")
+    order = starts[0].nstates
+    loops = [_StaticLoop(aim.plant, order) for aim in aims]
+    shape = _gain(starts[0]).shape
+
+    def objective(K: Array, power: float = np.inf) -> tuple[float, Array]:
+        """Return the largest norm over its level, or the mean of that power, and its gradient."""
+        shares, slopes = np.empty(len(aims)), np.empty((len(aims), *shape))
+        for i, (aim, loop) in enumerate(zip(aims, loops, strict=True)):
+            norm, gradient = loop.norm_and_gradient(K)
+            if not np.isfinite(norm):
+                return np.inf, np.zeros(shape)
+            shares[i], slopes[i] = norm / aim.level, gradient / aim.level
+        worst = int(np.argmax(shares))
+        if not np.isfinite(power):
+            return float(shares[worst]), slopes[worst]
+        weights = (shares / shares[worst]) ** power
+        value = shares[worst] * weights.mean() ** (1.0 / power)
+        return float(value), np.tensordot(weights / shares / weights.sum(), slopes, 1) * value
+
+    ranked = sorted(((objective(_gain(K))[0], i) for i, K in enumerate(starts)))
+    ranked = [r for r in ranked if np.isfinite(r[0])][:descents]
+    if not ranked:
+        raise MuflyError(f"tuning: no start of order {order} stabilises the loop; choose a higher order")
+    best, best_K, first, steps = np.inf, _gain(starts[0]), ranked[0][0], 0
+    for _, i in ranked:
+        K, value, done, began = _gain(starts[i]), np.inf, 0, time.perf_counter()
+        for power in _POWERS:
+            K0 = K
+            row, column = np.abs(K0).max(axis=1, keepdims=True), np.abs(K0).max(axis=0, keepdims=True)
+            unit = np.abs(K0) + 0.05 * np.sqrt(row * column) + 1e-6  # entries of size one for the search
+
+            def scaled(x: Array, K0: Array = K0, unit: Array = unit, power: float = power) -> tuple[float, Array]:
+                mean, slope = objective(K0 + unit * x.reshape(shape), power)
+                return mean, (slope * unit).ravel()
+
+            left = budget_s - (time.perf_counter() - began)
+            found = minimise_nonsmooth(
+                scaled, np.zeros(K0.size), max_steps=max_steps, tolerance=1e-4, window=20, first_step=0.1, budget_s=left
+            )
+            K, done = K0 + unit * found.x.reshape(shape), done + found.steps
+            value = objective(K)[0]
+            if value < best:
+                best, best_K, steps = value, K, done
+            if left <= 0.0:
+                break
+    k = order
+    tuned = replace_matrices(starts[0], A=best_K[:k, :k], B=best_K[:k, k:], C=best_K[k:, :k], D=best_K[k:, k:])
+    return TunedController(tuned, best, first, aim_norms(aims, tuned), {aim.name: aim.level for aim in aims}, steps)
+
+
+def flight_aims(
+    generalised: control.StateSpace,
+    plant: control.StateSpace,
+    n_measurements: int,
+    noise: Array,
+    levels: Mapping[str, float],
+) -> list[Aim]:
+    """Return the aims of a flight loop; ``generalised`` and ``plant`` carry the delay.
+
+    Parameters
+    ----------
+    generalised, plant : control.StateSpace
+        Generalised and bare plant, scaled, with delay.
+    n_measurements : int
+        Number of the controller's inputs, the last of them the negative outputs of the plant.
+    noise : array, shape (outputs,)
+        Noise of the scaled outputs.
+    levels : mapping
+        Levels by name: ``weighted``, ``sensitivity``, ``complementary``, ``noise``; a name left out is no aim.
+    """
+    weighted = partition_plant(
+        generalised.A, generalised.B, generalised.C, generalised.D, n_measurements, plant.ninputs
+    )
+    plants = {"weighted": weighted, **margin_plants(plant, noise, n_measurements)}
+    return [Aim(name, plants[name], level) for name, level in levels.items()]
