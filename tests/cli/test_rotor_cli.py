@@ -1,6 +1,7 @@
 """``mufly rotor``: what it prints, what it writes, and how it says what is wrong."""
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -153,6 +154,17 @@ def test_a_blade_goes_out_as_a_body_and_comes_in_again(tmp_path) -> None:
     assert "--out: is missing" in fault("import", str(body))
 
 
+def test_forward_flight_states_its_default_hover() -> None:
+    given = ("--speed", "0", "--flap-frequency-ratio", "1.1", "--json")
+    known = json.loads(output("forward", "walkera-5g6", *given))
+    assert "of the upper rotor of mufly-1.1 in hover" in known["flap_basis"]
+    assert known["points"][0]["thrust_N"] == pytest.approx(0.432, abs=2e-3)
+    other = json.loads(output("forward", "naca0012-r60-c20", *given))
+    assert "speed by default, pitch by default" in other["flap_basis"]
+    assert other["points"][0]["pitch_rad"] == pytest.approx(math.radians(12.0))
+    assert "default" not in json.loads(output("forward", "--pitch", "13", "--rpm", "3600", *given))["flap_basis"]
+
+
 def test_parameters_are_listed_with_units() -> None:
     listed = json.loads(output("parameters", "--json"))
     assert listed["chord"]["unit"] == "m"
@@ -163,6 +175,7 @@ def test_parameters_are_listed_with_units() -> None:
     ("arguments", "message"),
     [
         (("hover", "--pitch", "12"), "needs two of"),
+        (("forward", "--pitch", "12", "--rpm", "3600", "--thrust", "0.4"), "has all of"),
         (("hover", "--pitch", "steep", "--rpm", "5000"), "--pitch: 'steep' is not a number"),
         (("hover", "--pitch", "12mm", "--rpm", "5000"), "--pitch: '12mm' is in mm, which cannot become deg"),
         (("hover", "propeller", "--pitch", "12", "--rpm", "5000"), "no such rotor"),

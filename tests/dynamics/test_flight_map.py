@@ -12,6 +12,7 @@ from mufly.dynamics import (
     initial_state,
     integrate_batch,
     integrate_state,
+    level_speed_band,
     linearise_vehicle,
     longest_step,
     model_parameters,
@@ -26,7 +27,7 @@ from mufly.dynamics.model_state import (
     RS_SWASH_ROLL,
     STATE_SIZE,
 )
-from mufly.dynamics.vehicle_flight_map import find_level_speed, level_speed_band
+from mufly.dynamics.vehicle_flight_map import find_level_speed
 from mufly.errors import InputError
 from mufly.rotor.forward.edgewise_map import evaluate_flight_map, fit_flight_splines, interpolate_flow_loads
 from mufly.vehicle import format_vehicle_toml, load_flight_map, load_vehicle, replace_parameters

@@ -6,12 +6,12 @@ import pytest
 from typer.testing import CliRunner
 
 from mufly.cli.vehicle import app
-from mufly.dynamics import find_trim
+from mufly.dynamics import describe_model_excess, find_trim, level_speed_band
 from mufly.dynamics import level_flight as level_flight_module
 from mufly.dynamics.level_flight import level_flight
 from mufly.errors import InputError
 from mufly.rotor import load_rotor
-from mufly.vehicle import load_vehicle
+from mufly.vehicle import load_vehicle, replace_parameters
 
 
 @pytest.fixture(scope="module")
@@ -42,6 +42,28 @@ def test_blow_back_limits_the_speed_of_stiff_blades_first(flight):
     assert free[2].power_W < free[0].power_W  # translational lift
     assert free[2].thrust_margin > free[0].thrust_margin > 0.0
     assert "greatest level airspeed" in str(flight)
+
+
+def test_the_flight_map_reaches_full_servo_at_the_same_speeds(flight):
+    """The flight model with a map and the rotors solved at every trim agree within a tenth of a metre per second."""
+    vehicle = load_vehicle("mufly-1.1")
+    low, high = flight.greatest_speed_m_s
+    band = level_speed_band(vehicle)
+    assert band[0] == pytest.approx(low, abs=0.1)
+    assert band[1] > 2.0
+    assert high > 2.0
+    hinged = replace_parameters(vehicle, {"rotors.flight_map": "mufly-1.1-hinged"})
+    for trim in flight.trims[0][1:]:
+        servo = find_trim(hinged, velocity=(trim.airspeed_m_s, 0.0, 0.0), charge=0.5).servo_input
+        assert float(abs(servo).max()) == pytest.approx(trim.servo, rel=0.15)
+
+
+def test_a_flight_beyond_the_level_speed_says_so():
+    vehicle = load_vehicle("mufly-1.1")
+    assert "level flight ends at 0.7 to" in describe_model_excess(vehicle, (3.0, 0, 0), 0.0)
+    hinged = replace_parameters(vehicle, {"rotors.flight_map": "mufly-1.1-hinged"})
+    assert describe_model_excess(hinged, (3.0, 0, 0), 0.0) == ""
+    assert "3.7 and" in describe_model_excess(hinged, (4.0, 0, 0), 0.0)
 
 
 def test_picture_has_units(flight):

@@ -29,6 +29,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 import xarray as xr
@@ -65,7 +66,8 @@ from mufly.quantities import make_dataset
 from mufly.rotations import euler_from_quaternion
 from mufly.rotor.rotor_system import VORTEX_RING_RANGE
 from mufly.units import GRAVITY
-from mufly.vehicle import Vehicle
+from mufly.vehicle import FlightMap, Vehicle, builtin_flight_maps, load_flight_map
+from mufly.vehicle.vehicle_schema import describe_other_rotors
 
 _Array = NDArray[np.float64]
 
@@ -341,6 +343,7 @@ def dryden_filter(time_constant_s: float, step_s: float) -> tuple[NDArray[np.flo
     return transition, noise, np.array([0.5, math.sqrt(0.75)]), np.eye(2)
 
 
+_MASS_TOLERANCE = 0.02  # of a vehicle that takes the level speed of a built-in flight map
 MAX_INFLOW_CHANGE = 0.1
 """Relative change of the hover inflow up to which constant coefficients describe a rotor."""
 
@@ -356,7 +359,9 @@ def model_air_limits(vehicle: Vehicle) -> tuple[float, float, float]:
 
     which differs from one by ``MAX_INFLOW_CHANGE`` at ``x = 0.19`` and ``y = 0.65``. (For muFly that is 0.8 and 2.6
     m/s; the thesis relies on its constant coefficients up to 0.5 m/s, Sec. 4.3.1.) A coefficient map covers climb and
-    descent up to half of v_h, where the vortex ring state begins.
+    descent up to half of v_h, where the vortex ring state begins. A flight map covers edgewise flow up to its last
+    advance ratio. Blow-back limits the level speed as well (:func:`level_speed_band`): across the mast, the limit is
+    at most the upper end of that band.
 
     Parameters
     ----------
@@ -367,7 +372,42 @@ def model_air_limits(vehicle: Vehicle) -> tuple[float, float, float]:
     induced = math.sqrt(weight / (2.0 * float(vehicle.air.density) * area))
     more, less = 1.0 + MAX_INFLOW_CHANGE, (1.0 - MAX_INFLOW_CHANGE) ** 2
     along = more - 1.0 / more if vehicle.rotors.coefficient_map is None else VORTEX_RING_RANGE[0]
-    return induced, along * induced, math.sqrt((1.0 - less**2) / less) * induced
+    flight_map, band = vehicle.rotors.flight_map, level_speed_band(vehicle)
+    across = math.sqrt((1.0 - less**2) / less) * induced if flight_map is None else flight_map.edges_m_s[0]
+    return induced, along * induced, min(across, math.inf if band is None else band[1])
+
+
+@lru_cache(maxsize=1)
+def _load_builtin_maps() -> tuple[FlightMap, ...]:
+    return tuple(load_flight_map(name) for name in builtin_flight_maps())
+
+
+def level_speed_band(vehicle: Vehicle) -> tuple[float, float] | None:
+    """Return the greatest level airspeed (m/s) as a band over the flap frequency; None if it is not known.
+
+    It stands in the vehicle's flight map. Without one, it is that of the built-in map for the vehicle's rotors and
+    mass.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    """
+    own = vehicle.rotors.flight_map
+    if own is not None:
+        return own.level_speed_m_s
+    for built_in in _load_builtin_maps():
+        is_same_mass = abs(built_in.mass_kg / float(vehicle.body.mass) - 1.0) < _MASS_TOLERANCE
+        if is_same_mass and not describe_other_rotors(vehicle.rotors, built_in):
+            return built_in.level_speed_m_s
+    return None
+
+
+def describe_level_speed(vehicle: Vehicle) -> str:
+    """Return the greatest level airspeed as a band, in words; "" if it is not known."""
+    band = level_speed_band(vehicle)
+    if band is None:
+        return ""
+    return f"level flight ends at {band[0]:.1f} to {band[1]:.1f} m/s (blow-back at full servo, by flap frequency)"
 
 
 def describe_model_excess(vehicle: Vehicle, wind: ArrayLike, gust: float) -> str:
@@ -391,9 +431,10 @@ def describe_model_excess(vehicle: Vehicle, wind: ArrayLike, gust: float) -> str
         state = "vortex ring" if -down <= VORTEX_RING_RANGE[1] * induced else "windmill"
         rises = f"in air that rises at {-down + 2.0 * gust:.1f} m/s"
         ring = f"; {rises} rotors are in {state} state, of which it knows nothing"
+    limit = describe_level_speed(vehicle)
     return (
         f"the model is not valid in this air, {level:.1f} m/s across and {rising:.1f} m/s along the mast with gusts: "
-        f"its rotors hold up to {across:.1f} and {along:.1f} m/s{ring}"
+        f"its rotors hold up to {across:.1f} and {along:.1f} m/s{ring}{limit and '; ' + limit}"
     )
 
 

@@ -23,9 +23,8 @@ from mufly.rotor.coax_maps import hash_bladings
 from mufly.rotor.forward import BladeFlap, blade_flap, blade_flap_band
 from mufly.rotor.forward.edgewise_map import MAP_ADVANCE_RATIO, compute_flight_loads, edgewise_axis
 from mufly.units import GRAVITY
-from mufly.vehicle import FlightMap, FlightMapTables, Vehicle, builtin_flight_maps, load_flight_map, replace_parameters
+from mufly.vehicle import FlightMap, FlightMapTables, Vehicle, replace_parameters
 from mufly.vehicle.flight_map import format_flight_table
-from mufly.vehicle.vehicle_schema import describe_other_rotors
 
 RATIO_FACTORS = (0.8, 1.25)
 """Speed ratios of a map over that of hover."""
@@ -35,7 +34,6 @@ EDGEWISE_COUNT = 9
 _COARSE_CLIMBS, _COARSE_COUNT = (-0.25, 0.0, 0.25), 7  # of the maps that give the band of level speeds
 _SPEED_TOLERANCE_M_S = 0.02
 _SPEED_STEP_M_S = 0.25
-_MASS_TOLERANCE = 0.02
 
 
 def find_level_speed(vehicle: Vehicle) -> float:
@@ -68,27 +66,6 @@ def find_level_speed(vehicle: Vehicle) -> float:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if is_flyable(middle) else (low, middle)
     return low
-
-
-def level_speed_band(vehicle: Vehicle) -> tuple[float, float] | None:
-    """Return the greatest level airspeed (m/s) as a band over the flap frequency; None if it is not known.
-
-    It stands in the vehicle's flight map. Without one, it is that of the built-in map with the vehicle's rotors and
-    mass.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-    """
-    own = vehicle.rotors.flight_map
-    if own is not None:
-        return own.level_speed_m_s
-    for name in builtin_flight_maps():
-        built_in = load_flight_map(name)
-        is_same_mass = abs(built_in.mass_kg / float(vehicle.body.mass) - 1.0) < _MASS_TOLERANCE
-        if is_same_mass and not describe_other_rotors(vehicle.rotors, built_in):
-            return built_in.level_speed_m_s
-    return None
 
 
 def make_flight_map(
@@ -218,6 +195,5 @@ __all__ = [
     "RATIO_FACTORS",
     "check_map_blades",
     "find_level_speed",
-    "level_speed_band",
     "make_flight_map",
 ]

@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mufly.camera import CAMERA_FILE_NAME
 from mufly.control import FlightController, design_flight_controller
-from mufly.dynamics import DrydenWind, describe_model_excess, model_air_limits, standing_state
+from mufly.dynamics import DrydenWind, describe_level_speed, describe_model_excess, model_air_limits, standing_state
 from mufly.dynamics.model_state import RS_CHARGE
 from mufly.errors import InputError
 from mufly.estimate import Estimate, Estimator, IdealEstimator, KalmanEstimator, fitted_estimator
@@ -221,6 +221,7 @@ class Flight:
                 "wind_m_s": steady.tolist(),
                 "gust_m_s": gust,
                 "model_air_m_s": model_air_limits(vehicle)[1:],
+                "level_speed": describe_level_speed(vehicle),
                 **({"outside_model": self.outside_model_note} if self.outside_model_note else {}),
                 "rate_Hz": controller.rate_Hz,
                 **({} if designed_for is None else {"designed_for": designed_for.name}),

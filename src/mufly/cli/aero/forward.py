@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from mufly.cli.options import (
     DEFAULT_POLAR_OPTIONS,
@@ -25,6 +25,10 @@ from mufly.cli.rotor import app
 from mufly.errors import InputError
 from mufly.units import RPM
 
+if TYPE_CHECKING:
+    from mufly.rotor import Rotor
+
+_DEFAULT_PITCH_RAD, _DEFAULT_TIP_SPEED_M_S = math.radians(12.0), 35.0
 _CYCLIC_RANGE = OptionRange(0.01, 20.0, "deg", "it is the amplitude of a small input")
 
 
@@ -59,7 +63,9 @@ def show_forward(
 ) -> None:
     """Compute a rotor in forward flight: loads, flapping, hub moments and the response to cyclic pitch.
 
-    Give two of --pitch, --rpm and --thrust; pitch and speed then stay those of hover. The flap frequency of a small
+    Give two of --pitch, --rpm and --thrust; pitch and speed then stay those of hover. With one or none, missing ones
+    are those of the upper rotor of mufly-1.1 in hover if its radius is that of the rotor, else 12 degrees and a tip
+    speed of 35 m/s; the answer says which. The flap frequency of a small
     blade is usually uncertain, so the results are ranges over its band. With --out: pictures over airspeed
     (forward.png) and over the disc at the last airspeed (disc.png). Method: docs/explanation/forward-flight.md.
     Examples: mufly rotor forward walkera-5g6 --pitch 13 --rpm 3600 --speed 0:8:2; mufly rotor forward --thrust 0.46
@@ -70,14 +76,15 @@ def show_forward(
     from mufly.rotor.forward import ForwardCondition, blade_flap, blade_flap_band, sweep_forward
     from mufly.rotor.forward.forward_pictures import disc_picture, sweep_picture
 
-    if sum(v is not None for v in (pitch, rpm, thrust)) != 2:
-        raise InputError(
-            "rotor forward", "", "needs two of --pitch, --rpm and --thrust", "give two; the third is found"
-        )
+    if None not in (pitch, rpm, thrust):
+        raise InputError("rotor forward", "", "has all of --pitch, --rpm and --thrust", "give two; the third is found")
     r, air = load_rotor(rotor), Air(density_kg_m3=density)
     blading = polars.prepare_blading(r)
     theta = math.radians(pitch) if pitch is not None else None
     omega = rpm * RPM if rpm is not None else None
+    note = ""
+    if sum(v is not None for v in (pitch, rpm, thrust)) < 2:
+        theta, omega, thrust, note = _complete_hover(r, theta, omega, thrust)
     if thrust is not None:
         found = solve_for_thrust(blading, thrust_N=thrust, pitch_rad=theta, speed_rad_s=omega, air=air)
         theta, omega = found.pitch_rad, found.speed_rad_s
@@ -95,6 +102,7 @@ def show_forward(
     else:
         ratios = read_values("--flap-frequency-ratio", flap_frequency_ratio, "1")
         flaps, basis = [blade_flap(r, ratio, mass_kg=mass) for ratio in ratios], "flap frequency as given"
+    basis = "; ".join(filter(None, [basis, note]))
     sweep = sweep_forward(blading, conditions, flaps, flap_basis=basis, cyclic_rad=math.radians(cyclic))
     files = []
     if out is not None:
@@ -103,3 +111,31 @@ def show_forward(
             save_figure(disc_picture(sweep.points[-1][-1]), out, "disc"),
         ]
     print_answer(as_json, sweep, None, files)
+
+
+def _complete_hover(
+    rotor: Rotor, pitch_rad: float | None, speed_rad_s: float | None, thrust_N: float | None
+) -> tuple[float | None, float | None, float | None, str]:
+    """Return pitch, speed and thrust of which two are given, and a note on those that are defaults."""
+    from mufly.dynamics import find_trim
+    from mufly.vehicle import load_vehicle
+
+    vehicle = load_vehicle("mufly-1.1")
+    if abs(rotor.radius_m / float(vehicle.rotors.radius) - 1.0) < 0.01:
+        hover = find_trim(vehicle)
+        origin = "of the upper rotor of mufly-1.1 in hover"
+        speed, thrust = float(hover.rotor_speed[0]), float(hover.thrust_N[0])
+    else:
+        origin, speed, thrust = "by default", _DEFAULT_TIP_SPEED_M_S / rotor.radius_m, None
+    used = []
+    if speed_rad_s is None:
+        speed_rad_s = speed
+        used.append(f"speed {origin}")
+    if pitch_rad is None and thrust_N is None:
+        if thrust is None:
+            pitch_rad = _DEFAULT_PITCH_RAD
+            used.append("pitch by default")
+        else:
+            thrust_N = thrust
+            used.append(f"thrust {origin}")
+    return pitch_rad, speed_rad_s, thrust_N, ", ".join(used)

@@ -235,13 +235,14 @@ def _describe_model_excess(dataset: xr.Dataset, airborne: NDArray[np.bool_]) -> 
     air = (dataset.truth_velocity.values - dataset.wind.values)[airborne]
     along = np.abs(np.sum(air * mast, axis=1))
     across = np.sqrt(np.maximum(np.sum(air**2, axis=1) - along**2, 0.0))
+    level = str(dataset.attrs.get("level_speed", ""))
     share = float(np.mean((along > limits[0]) | (across > limits[1])))
     if not share > 0.05:
         return ""
     return (
         f"the model was not valid for {100 * share:.0f} % of the time in the air: its rotors met "
         f"{across.max():.1f} m/s across and {along.max():.1f} m/s along the mast, and hold up to {limits[1]:.1f} and "
-        f"{limits[0]:.1f} m/s"
+        f"{limits[0]:.1f} m/s{level and '; ' + level}"
     )
 
 
