@@ -6,11 +6,11 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
+import typer
+
 from mufly.cli.options import CommandGroup, JsonOption, VehicleArgument, define_option
-from mufly.cli.output import (
-    print_answer,
-    print_json,
-)
+from mufly.cli.output import make_console, print_answer, print_json, progress_bar
+from mufly.cli.station import GustOption, ShutdownHandler, WindOption, parse_wind
 from mufly.errors import InputError, report_write_errors
 
 if TYPE_CHECKING:
@@ -175,6 +175,100 @@ from an example: parameters with a pole on the axis. worst.toml is that vehicle,
             draw_mu_bounds(found).savefig(written[1], dpi=150)
             worst = replace_parameters(loaded, dict(found.worst_values))
             written[2].write_text(format_vehicle_toml(worst), encoding="utf-8")
+    print_answer(as_json, found, files=written)
+
+
+@app.command()
+def compare(
+    vehicle: VehicleArgument = "mufly-1.1",
+    methods: Annotated[
+        list[str] | None,
+        define_option("--methods WHICH", "A method to compare; repeat it. Default: hinf, h2, lqg, ltr and fixed."),
+    ] = None,
+    order: Annotated[int, define_option("--order N", "Order of roll-pitch by the method fixed.", min=2, max=8)] = 4,
+    points: Annotated[int, define_option("--frequencies N", "Number of frequencies of mu.", min=5)] = 30,
+    flights: Annotated[
+        int, define_option("--flights -n N", "Flights of each method on simulated sensors; 0: none.", min=0)
+    ] = 0,
+    mission: Annotated[str, define_option("--mission NAME", "Mission to fly.")] = "demonstration",
+    vary: Annotated[
+        list[str] | None, define_option("--vary WHAT", "Variation of the flights, as for `mufly monte-carlo`.")
+    ] = None,
+    wind: WindOption = None,
+    gust: GustOption = None,
+    seed: Annotated[int, define_option("--seed", "Seed of the flights, the same for every method.")] = 0,
+    jobs: Annotated[
+        int | None, define_option("--jobs -j N", "Parallel flights. Default: one for each core.", min=1)
+    ] = None,
+    out: Annotated[
+        Path, define_option("DIR", "Folder for compare.json, compare.png and the flights; flights resume there.")
+    ] = Path("compare"),
+    as_json: JsonOption = False,
+) -> None:
+    """Compare controllers of several methods on one vehicle: margins, robustness, noise, cost and flights.
+
+    Figures are those of the controllers as they fly: reduced, sampled, with one sample of delay. gamma is the norm of \
+the weighted loop. GM, PM and DM are gain, phase and delay margin. mu is an upper bound over the parameters, \
+noise the largest input by sensor noise, n the order, MAC the multiply-adds in a period. The verdict \
+names the criterion that decides it.
+
+    Examples:
+
+      mufly control compare
+
+      mufly control compare --methods hinf --methods ltr --flights 200 --wind 0.5 --gust 0.3
+    """
+    from dataclasses import replace
+
+    from mufly.control import DesignSettings
+    from mufly.control.comparison import FlightFigures, compare_methods, judge_comparison
+    from mufly.control.plots import draw_comparison
+    from mufly.control.synthesis_methods import METHODS
+    from mufly.results import to_plain_data
+    from mufly.vehicle import load_vehicle
+
+    wanted = tuple(dict.fromkeys(methods or METHODS))
+    for name in wanted:
+        if name not in METHODS:
+            raise InputError("--methods", name, "is not a method", f"give one of {', '.join(METHODS)}")
+    loaded = load_vehicle(vehicle)
+    settings = DesignSettings()
+    settings = replace(settings, roll_pitch_aims=replace(settings.roll_pitch_aims, order=order))
+    chosen = [method for method in METHODS if method in wanted]
+    with progress_bar("Designing", not as_json) as progress:
+        found, controllers = compare_methods(loaded, chosen, settings=settings, points=points, progress=progress)
+    if flights:
+        from mufly.firmware import GenericFirmwareSoftware
+        from mufly.flight.monte_carlo import Campaign, WorkerPool, parse_variations, run_campaign, wilson_interval
+        from mufly.mission import load_mission
+
+        rows = []
+        ending = ShutdownHandler()
+        with ending, WorkerPool(jobs) as crew:
+            for row in found.methods:
+                campaign = Campaign.create_checked(
+                    loaded, load_mission(mission), variations=parse_variations(vary or [], loaded),
+                    wind=parse_wind(wind), gust=gust, seed=seed, quickly=GenericFirmwareSoftware,
+                    vehicle_name=vehicle, mission_name=mission, controller=controllers[row.method],
+                )  # fmt: skip
+                with progress_bar(f"Flying {row.label}", not as_json) as progress:
+                    flown = run_campaign(
+                        campaign, flights, crew=crew, folder=out / row.method, progress=progress,
+                        stop=ending.stop_requested.is_set,
+                    )  # fmt: skip
+                if len(flown) < flights:
+                    make_console(stderr=True).print(f"Stopped; the same command resumes in {out}", highlight=False)
+                    raise typer.Exit(ending.exit_status)
+                good = sum(f.success for f in flown)
+                over = sorted(f.overshoot_m for f in flown if f.overshoot_m is not None)
+                worst = over[min(len(over) - 1, int(0.95 * len(over)))] if over else None
+                rows.append(replace(row, flights=FlightFigures(flights, good, *wilson_interval(good, flights), worst)))
+        found = judge_comparison(found.vehicle_name, found.rate_Hz, rows)
+    with report_write_errors("--out", "give a folder that can be written", str(out)):
+        out.mkdir(parents=True, exist_ok=True)
+        written = [out / "compare.json", out / "compare.png"]
+        written[0].write_text(json.dumps(to_plain_data(found), indent=2) + "\n", encoding="utf-8")
+        draw_comparison(found).savefig(written[1], dpi=150)
     print_answer(as_json, found, files=written)
 
 

@@ -6,6 +6,7 @@ and Ito, which are distinct for colour-blind readers.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from mufly.control.comparison import ControllerComparison, LoopFigures
 from mufly.control.designs import ControllerDesign, FlightController
 from mufly.control.linear_systems import Array, LoopCurves, loop_curves, sample_plant, singular_values
 from mufly.control.robust.parameter_robustness import ParameterRobustness
@@ -192,6 +194,29 @@ def draw_mu_bounds(robustness: ParameterRobustness) -> Figure:
     axes.set_ylabel("structured singular value")
     axes.set_title(f"{robustness.vehicle_name}: stability over its parameters", loc="left", fontsize=10)
     axes.legend(fontsize=8, frameon=False)
+    return figure
+
+
+def draw_comparison(comparison: ControllerComparison) -> Figure:
+    """Draw peaks, disk margin, mu and input noise of every method, for both loops."""
+    figure = Figure(figsize=(9.0, 5.0), layout="constrained")
+    axes = figure.subplots(2, 2).ravel()
+    methods = comparison.methods
+    place = np.arange(len(methods), dtype=float)
+    panels: tuple[tuple[str, Callable[[LoopFigures], float]], ...] = (
+        ("largest sampled peak (dB)", lambda f: max(f.sampled.sensitivity_peak_dB, f.sampled.complementary_peak_dB)),
+        ("disk margin", lambda f: f.disk.margin),
+        ("mu over parameters, upper bound", lambda f: f.mu_upper),
+        ("input noise (%)", lambda f: 100 * f.input_noise),
+    )
+    for ax, (title, figure_of) in zip(axes, panels, strict=True):
+        for shift, name, colour in ((-0.2, "roll_pitch", BLUE), (0.2, "heave_yaw", ORANGE)):
+            heights = [figure_of(getattr(m, name)) for m in methods]
+            ax.bar(place + shift, heights, 0.38, color=colour, label=name.replace("_", "-"))
+        ax.set_xticks(place, [m.label for m in methods], fontsize=8)
+        ax.set_title(title, loc="left", fontsize=9)
+    axes[0].legend(fontsize=8, frameon=False)
+    figure.suptitle(f"{comparison.vehicle_name} at {comparison.rate_Hz:g} Hz", fontsize=10)
     return figure
 
 

@@ -234,12 +234,9 @@ class Campaign:
         check_preflight(vehicle, mission)
         for text in more.get("faults", ()):
             parse_fault(text)
-        return cls(
-            vehicle,
-            mission,
-            controller=None if more.get("redesign") else design_flight_controller(vehicle),
-            **more,
-        )
+        if more.get("controller") is None and not more.get("redesign"):
+            more["controller"] = design_flight_controller(vehicle)
+        return cls(vehicle, mission, **more)
 
     @property
     def varied_keys(self) -> list[str]:
@@ -279,9 +276,20 @@ class Campaign:
             **self._describe_camera(),
             "seed": self.seed,
             "tolerance_m": self.tolerance_m,
-            "software": [self.redesign, "" if self.controllers is None else self.controllers.__name__],
+            "software": [
+                self.redesign,
+                "" if self.controllers is None else self.controllers.__name__,
+                *self._describe_method(),
+            ],
         }
         return hash_question(content)
+
+    def _describe_method(self) -> list[str]:
+        """Return the gains of a controller that is not the default design; nothing for the default."""
+        c = self.controller
+        if c is None or c.settings.method == "hinf":
+            return []
+        return [c.settings.method, *(g.tobytes().hex() for g in (c.heave_yaw_gains, c.roll_pitch_gains))]
 
     def _describe_camera(self) -> dict[str, list[object]]:
         """Return what a camera adds to the settings; nothing without one."""

@@ -1,0 +1,286 @@
+"""Controllers of several methods on one vehicle, in one table: margins, robustness, noise, cost, flights, verdict.
+
+Every figure is that of the controller as it flies: reduced, sampled, with one sample of delay. The verdict goes by four
+criteria in turn; each keeps the methods that are as good as the best by it, until one is left:
+
+1. sampled peaks of both loops below 6 dB, and stability proved over the vehicle's parameters (mu below 1);
+2. success in flights: the 95 % interval reaches the best share;
+3. disk margin of the weaker loop, within 0.05 of the best;
+4. servo activity.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from mufly.control.designs import ControllerDesign, FlightController, design_flight_controller
+from mufly.control.linear_systems import Array, LoopAnalysis, sample_plant
+from mufly.control.loop_margins import DiskMargin, disk_margin, input_noise
+from mufly.control.robust.parameter_robustness import analyse_parameter_robustness
+from mufly.control.synthesis_methods import METHOD_NAMES, SynthesisMethod
+from mufly.control.weighting_schemes import DesignSettings
+from mufly.results import ShownBlock, result, show_lines, show_table
+from mufly.vehicle import Vehicle
+
+ATTITUDE_NOISE_RAD = float(np.radians(0.1))
+"""Deviation of the estimated attitude from sample to sample."""
+HEIGHT_NOISE_M = 0.003
+"""Deviation of the estimated height from sample to sample."""
+DEFAULT_GYRO_NOISE_RAD_S = float(np.radians(0.3))
+"""Deviation of a gyro's sample on a vehicle without a modelled IMU."""
+LARGEST_PEAK_DB = 6.0
+_SAME_DISK_MARGIN = 0.05
+
+
+@result
+class LoopFigures:
+    """Figures of one loop as it flies.
+
+    Attributes
+    ----------
+    order, multiply_adds : int
+        States of the controller, and its multiply-adds in a period in modal form.
+    norm : float
+        H-infinity norm of the weighted loop (gamma reached).
+    sampled : LoopAnalysis
+        Margins of the sampled loop.
+    disk : DiskMargin
+    input_noise : float
+        Largest deviation of an input (1) by sensor noise.
+    mu_upper, mu_lower : float
+        Bounds of mu over the vehicle's parameters.
+    """
+
+    order: int
+    multiply_adds: int
+    norm: float
+    sampled: LoopAnalysis
+    disk: DiskMargin
+    input_noise: float
+    mu_upper: float
+    mu_lower: float
+
+
+@result
+class FlightFigures:
+    """Outcome of a method's flights.
+
+    Attributes
+    ----------
+    flights, successes : int
+    low, high : float
+        95 % interval of the success rate.
+    overshoot_p95_m : float or None
+        95th percentile of the worst overshoot beyond a waypoint; None without flights that reach one.
+    """
+
+    flights: int
+    successes: int
+    low: float
+    high: float
+    overshoot_p95_m: float | None
+
+
+@result
+class MethodFigures:
+    """One method: its two loops, its cascade's peak and its flights (None if none are flown)."""
+
+    method: SynthesisMethod
+    heave_yaw: LoopFigures
+    roll_pitch: LoopFigures
+    cascade_peak_dB: float
+    flights: FlightFigures | None = None
+
+    @property
+    def label(self) -> str:
+        """Name of the method, with the order of a tuned controller."""
+        name = METHOD_NAMES[self.method]
+        return f"{name} {self.roll_pitch.order}" if self.method == "fixed" else name
+
+    @property
+    def weaker_disk_margin(self) -> float:
+        """Disk margin of the weaker loop."""
+        return min(self.heave_yaw.disk.margin, self.roll_pitch.disk.margin)
+
+    @property
+    def shortcoming(self) -> str:
+        """First requirement that the loops miss; empty if they meet all."""
+        for name, loop in (("heave-yaw", self.heave_yaw), ("roll-pitch", self.roll_pitch)):
+            peak = max(loop.sampled.sensitivity_peak_dB, loop.sampled.complementary_peak_dB)
+            if peak > LARGEST_PEAK_DB:
+                return f"{name} peaks at {peak:.1f} dB"
+            if not loop.mu_upper < 1.0:
+                return f"{name} has mu up to {loop.mu_upper:.2f}"
+        return ""
+
+
+@result(picture="mufly.control.plots:draw_comparison")
+class ControllerComparison:
+    """Methods on one vehicle.
+
+    Attributes
+    ----------
+    vehicle_name : str
+    rate_Hz : float
+    methods : tuple of MethodFigures
+    recommended : str
+        Method that the verdict chooses.
+    verdict : str
+        The choice and what decided it.
+    """
+
+    vehicle_name: str
+    rate_Hz: float
+    methods: tuple[MethodFigures, ...]
+    recommended: SynthesisMethod
+    verdict: str
+
+    def shown_blocks(self) -> list[ShownBlock]:
+        """Return the table of both loops and of flights, and the verdict."""
+        heads = ("", "gamma", "S_u", "T_u", "GM", "PM", "DM", "disk", "mu", "noise", "n", "MAC")
+        units = ("", "", "dB", "dB", "dB", "deg", "ms", "", "", "%", "", "")
+        blocks: list[ShownBlock] = []
+        for title, part in (("roll-pitch", "roll_pitch"), ("heave-yaw", "heave_yaw")):
+            rows = [units]
+            for m in self.methods:
+                loop: LoopFigures = getattr(m, part)
+                s = loop.sampled
+                rows.append(
+                    (
+                        m.label, f"{loop.norm:.3f}", f"{s.sensitivity_peak_dB:.2f}", f"{s.complementary_peak_dB:.2f}",
+                        f"{s.gain_margin_dB:.1f}", f"{s.phase_margin_deg:.0f}", f"{1e3 * s.delay_margin_s:.0f}",
+                        f"{loop.disk.margin:.2f}", f"{loop.mu_upper:.2f}", f"{100 * loop.input_noise:.2f}",
+                        f"{loop.order}", f"{loop.multiply_adds}",
+                    )
+                )  # fmt: skip
+            blocks.append(show_table(heads, rows, title=f"{self.vehicle_name}, {title}, {self.rate_Hz:g} Hz"))
+        flown = [(m, m.flights) for m in self.methods if m.flights is not None]
+        if flown:
+            rows = [
+                (
+                    m.label,
+                    f"{f.successes} of {f.flights}",
+                    f"{100 * f.low:.0f} to {100 * f.high:.0f} %",
+                    "-" if f.overshoot_p95_m is None else f"{f.overshoot_p95_m:.3f}",
+                )
+                for m, f in flown
+            ]
+            blocks.append(show_table(("flights", "succeeded", "95 % interval", "overshoot (m), 95 %"), rows))
+        blocks.append(show_lines(self.verdict))
+        return blocks
+
+
+def sensor_noise(vehicle: Vehicle, outputs: Sequence[str]) -> Array:
+    """Return the deviation of each measured output from sample to sample (SI): gyro of the IMU, attitude, height."""
+    imu = getattr(vehicle.sensors, "imu", None) if vehicle.sensors is not None else None
+    gyro = DEFAULT_GYRO_NOISE_RAD_S
+    if imu is not None:  # white noise behind a filter of first order
+        bandwidth_Hz = float(imu.bandwidth) / (2 * np.pi)
+        gyro = float(imu.gyro_noise) * float(np.sqrt(bandwidth_Hz * np.pi / 2))
+    kinds = {"p": gyro, "q": gyro, "r": gyro, "z": HEIGHT_NOISE_M}
+    return np.array([kinds.get(name, ATTITUDE_NOISE_RAD) for name in outputs])
+
+
+def loop_figures(vehicle: Vehicle, design: ControllerDesign, mu: tuple[float, float]) -> LoopFigures:
+    """Return the figures of a design; ``mu`` are its upper and lower bound."""
+    plant = sample_plant(design.plant, design.discrete.period_s, 1)
+    feedback = design.feedback_controller(design.discrete.to_state_space())
+    n, (outputs, inputs) = design.discrete.order, design.discrete.D.shape
+    noise = sensor_noise(vehicle, design.plant.output_labels)
+    return LoopFigures(
+        order=n,
+        multiply_adds=n * (inputs + outputs) + 2 * n + inputs * outputs,
+        norm=design.reduction.chosen.norm,
+        sampled=design.sampled_loop,
+        disk=disk_margin(plant, feedback),
+        input_noise=float(input_noise(plant, feedback, noise).max()),
+        mu_upper=mu[0],
+        mu_lower=mu[1],
+    )
+
+
+def compare_methods(
+    vehicle: Vehicle,
+    methods: Sequence[SynthesisMethod],
+    *,
+    settings: DesignSettings | None = None,
+    points: int = 30,
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[ControllerComparison, dict[SynthesisMethod, FlightController]]:
+    """Design controllers by several methods and compare them, without flights.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    methods : sequence of str
+        Methods of synthesis.
+    settings : DesignSettings, optional
+        Settings but for the method.
+    points : int
+        Frequencies of the bounds of mu.
+    progress : callable, optional
+        Called with (methods done, all methods).
+
+    Returns
+    -------
+    comparison : ControllerComparison
+    controllers : dict
+        Controllers by method, to fly them.
+
+    Raises
+    ------
+    MuflyError
+        If a design fails.
+    """
+    base = DesignSettings() if settings is None else settings
+    rows, controllers = [], {}
+    for k, method in enumerate(methods):
+        if progress is not None:
+            progress(k, len(methods))
+        c = design_flight_controller(vehicle, settings=replace(base, method=method))
+        robust = analyse_parameter_robustness(vehicle, c, points=points)
+        rows.append(
+            MethodFigures(
+                method,
+                loop_figures(vehicle, c.heave_yaw, (robust.heave_yaw.peak, robust.heave_yaw.lower)),
+                loop_figures(vehicle, c.roll_pitch, (robust.roll_pitch.peak, robust.roll_pitch.lower)),
+                c.cascade.sensitivity_peak_dB,
+            )
+        )
+        controllers[method] = c
+        if progress is not None:
+            progress(k + 1, len(methods))
+    rate = next(iter(controllers.values())).rate_Hz
+    return judge_comparison(vehicle.name, rate, rows), controllers
+
+
+def judge_comparison(vehicle_name: str, rate_Hz: float, rows: Sequence[MethodFigures]) -> ControllerComparison:
+    """Return the comparison with its verdict; the criteria are those of the module's docstring."""
+    reasons = [f"{m.label} is out: {m.shortcoming}" for m in rows if m.shortcoming]
+    left = [m for m in rows if not m.shortcoming]
+    if not left:
+        reasons.append("no method meets all requirements, so all stay in")
+        left = list(rows)
+    decided = "the only one that meets the requirements"
+    if len(left) > 1 and all(m.flights is not None for m in left):
+        best = max(m.flights.successes / m.flights.flights for m in left if m.flights is not None)
+        kept = [m for m in left if m.flights is not None and m.flights.high >= best]
+        if len(kept) < len(left):
+            reasons += [f"{m.label} succeeds in fewer flights" for m in left if m not in kept]
+            decided = "success in flights"
+        left = kept
+    if len(left) > 1:
+        widest = max(m.weaker_disk_margin for m in left)
+        kept = [m for m in left if m.weaker_disk_margin >= widest - _SAME_DISK_MARGIN]
+        if len(kept) < len(left):
+            decided = f"the disk margin of its weaker loop, {widest:.2f}"
+        left = kept
+    if len(left) > 1:
+        left = [min(left, key=lambda m: m.roll_pitch.input_noise)]
+        decided = f"servo activity of {100 * left[0].roll_pitch.input_noise:.2f} % by sensor noise"
+    chosen = left[0]
+    verdict = f"Recommended: {chosen.label}; decided by {decided}." + (f" {'; '.join(reasons)}." if reasons else "")
+    return ControllerComparison(vehicle_name, rate_Hz, tuple(rows), chosen.method, verdict)
