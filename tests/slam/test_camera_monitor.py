@@ -14,7 +14,7 @@ from mufly.camera import Camera, VehicleMotion, load_camera, make_floor
 from mufly.flight.fixes.onboard_camera import add_dirt
 from mufly.slam import CameraFrame, SlamSystem, make_square_path, render_frames
 from mufly.slam.image_tools import Undistorter
-from mufly.slam.images.camera_monitor import CameraMonitor, DirtMask, judge_motion
+from mufly.slam.images.camera_monitor import CameraMonitor, DirtMask, FlipTest, judge_motion
 from mufly.vehicle.quantity import Quantity
 
 pytest.importorskip("cv2")
@@ -103,6 +103,44 @@ def test_a_verdict_needs_its_standard_deviations() -> None:
     assert judge_motion(np.array([0.8, 0.2, 0.0]), sure).fault == ""
     assert judge_motion(np.array([1.0, 0.0, -0.05]), sure).fault == "delay"
     assert judge_motion(np.array([1.0, 0.0, 0.0]), sure).fault == ""
+
+
+def _judge_flips(change: Callable[[complex], complex]) -> tuple[str, float]:
+    """Return the fault of a motion that changes after 8 s, and the time until it was found (s)."""
+    test, rng = FlipTest(), np.random.default_rng(3)
+    for k in range(600):
+        t = k / 30
+        p = 60.0 * complex(math.sin(5.1 * t), math.cos(3.7 * t))
+        y = (p if t < 8.0 else change(p)) + 12.0 * complex(*rng.standard_normal(2))
+        test.add_picture(1 / 30, p, y)
+        if fault := test.judge_flips().fault:
+            return fault, t - 8.0
+    return "", math.inf
+
+
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [
+        (lambda p: -p.conjugate(), "mirrored"),
+        (lambda p: p.conjugate(), "mirrored"),
+        (lambda p: -p, "turned"),
+        (lambda p: 1j * p, ""),
+        (lambda p: 0.7 * p, ""),
+    ],
+)
+def test_a_flip_in_flight_is_found_within_two_seconds(change: Callable[[complex], complex], fault: str) -> None:
+    found, after_s = _judge_flips(change)
+    assert found == fault
+    assert not fault or 0.0 < after_s < 2.0
+
+
+def test_dirt_that_comes_in_flight_is_masked(flown: Flown) -> None:
+    straight, mask = Undistorter(load_camera("mufly-2.0")), DirtMask()
+    pictures = [f.picture for f, _ in flown[::8]]
+    for picture in [*pictures[:8], *map(add_dirt, pictures[8:])]:
+        mask.add_picture(straight.undistort_picture(picture))
+    assert mask.mask is not None
+    assert mask.mask[79, 99]
 
 
 def test_copies_and_a_stopped_clock_are_no_pictures(flown: Flown) -> None:

@@ -20,16 +20,18 @@ heading, so attitude alone gives v up to a constant. Slow parts are removed from
 | pictures late by t | 1 | 0 | -t |
 
 Recursive least squares with exponential forgetting (:data:`_MEMORY_S`) gives m, n, k and their covariance from the
-residuals (Ljung, *System Identification*, 1999, Sec. 11.2). A fault is reported if an estimate deviates by
+residuals (Ljung, *System Identification*, 1999, Sec. 11.2). A fault is reported if a steady estimate deviates by
 :data:`_MIN_SIGMAS` standard deviations and by a least amount. A second estimate forgets within
-:data:`_QUICK_MEMORY_S`, so that an opposite motion is also found soon after a time without fault. Own derivation.
+:data:`_QUICK_MEMORY_S`, so that an opposite motion is also found soon after a time without fault. Pictures that are
+flipped along x or y or both have y = -conj(p), conj(p) or -p. These have no unknown number, so a sequential test of
+each axis against y = p finds them first (Wald, *Sequential Analysis*, 1947). Own derivation.
 
 **Tilt.** Tracking estimates the errors of the reported tilt from the shear of the floor
 (:mod:`mufly.slam.camera_pose`). An error that stays beyond the filter's deviation shows a tilted mount.
 
 **Copies.** Noise makes any two pictures differ, so equal pictures are copies.
 
-**Dirt** stays at its pixels. The mean of n pictures of different floor keeps it, while floor of the deviation s
+**Dirt** stays at its pixels. The mean of the last n pictures of different floor keeps it, while floor of deviation s
 averages to s / sqrt(n). A pixel is dirty if the mean, less its surroundings, exceeds :data:`_DIRT_SIGMAS` of that, and
 its own deviation is below :data:`_DIRT_STILLNESS` s, since dirt hides the floor. More than
 :data:`_MAX_DIRT_SHARE` of a picture is no dirt but a floor that looks alike along the path, such as stripes.
@@ -39,6 +41,7 @@ from __future__ import annotations
 
 import cmath
 import math
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,6 +59,7 @@ _HIGH_PASS_S, _MEMORY_S, _QUICK_MEMORY_S, _VELOCITY_DECAY_S = 0.4, 6.0, 1.2, 4.0
 _MIN_SIGMAS, _MIN_FRAMES, _MIN_GROSS_FRAMES = 5.0, 40, 12
 _MIN_TURN_RAD, _MIN_SCALE, _MIN_DELAY_S = math.radians(7.0), 0.1, 0.03
 """Least errors of turn, focal length (share) and delay that are reported."""
+_LEAST_SCALE = 0.5  # below which no focal length is wrong, but the estimate passes from 1 to that of a flip
 _FROZEN_COUNT, _STOPPED_COUNT = 4, 4
 _CONFIRM_COUNT, _GROSS_CONFIRM_COUNT, _HOLD_S = 10, 6, 10.0
 """Pictures in a row that confirm a fault, those that confirm a gross one, and time for which a fault holds after it was
@@ -63,15 +67,24 @@ last seen (s)."""
 _BACKGROUND_PX = 25  # side of the mean that is subtracted, at half the resolution
 _MIN_HEIGHT_M = 0.2  # below which the height is known too poorly
 _TILT_AVERAGE_S, _TILT_SIGMAS, _MIN_TILT_RAD = 1.5, 2.5, math.radians(1.2)
-_DIRT_REDUCTION, _DIRT_BACKGROUND_PX, _DIRT_STEP_PX, _DIRT_MIN_COUNT = 4, 8.0, 40.0, 7
+_DIRT_REDUCTION, _DIRT_BACKGROUND_PX, _DIRT_STEP_PX, _DIRT_MIN_COUNT, _DIRT_COUNT = 4, 8.0, 40.0, 7, 9
 """Reduction of the picture, smoothing of the surroundings (reduced pixels), motion between pictures that count
-(pixels), and their least number."""
+(pixels), and their least and largest number."""
 _DIRT_SIGMAS, _DIRT_STILLNESS, _MIN_DIRT_GREY, _MAX_DIRT_SHARE, _DIRT_MARGIN_PX = 5.0, 0.5, 10.0, 0.25, 12
 _MIN_CONTRAST = 2.0
 """Standard deviation of grey levels below which equal pictures are dark, not frozen."""
 _GROSS_SIGMAS = 3.0
+_FLIP_SIGMA_PX_S, _MAX_FLIP_STEP, _FLIP_LIMIT = 15.0, 3.0, 15.0
+"""Usual residual of the motion along an axis (pixels/s), and the largest step and the limit of the logarithm of the
+likelihood ratio between a flipped and a correct axis."""
+_FLIP_MEMORY_S, _FLIP_SHARE = 0.5, 0.25
+"""Memory of the residuals (s), and their largest share of the motion for a flip: other faults leave more."""
+_STEADY_SHARE, _STEADY_LEAST = 0.3, 0.05
+"""Change of an estimate over the confirming pictures, as a share of its deviation and at the least, below which it is
+steady."""
 _MIRRORED = "the picture moves mirrored against the gyroscopes: check the camera's driver"
 _MIN_POINTS, _WINDOW_PX, _MIN_CORRELATION, _STRONG_CORRELATION = 24, 21, 0.5, 0.85
+_UPSIDE_DOWN = "the camera is upside down against the gyroscopes: check mount.turn"
 _WOBBLE_PX = 1.0  # deviation of a patch by vibration in a rolling shutter (pixels of half the resolution)
 
 
@@ -115,6 +128,8 @@ class CameraMonitor:
         self._slow = np.zeros(2, complex)  # slow parts of y and p
         self._past: list[tuple[complex, complex]] = []  # y and p at the latest pictures, high-passed
         self._fit, self._quick_fit = MotionFit(_MEMORY_S), MotionFit(_QUICK_MEMORY_S)
+        self._flips = FlipTest()
+        self._latest: deque[NDArray[np.complex128]] = deque(maxlen=_CONFIRM_COUNT)  # estimates
         self._candidate, self._candidate_count = _HEALTHY, 0
         self._verdict, self._held_until_s = _HEALTHY, -math.inf
         self._tilt, self._tilt_weight, self._tilt_time_s = np.zeros(2), 0.0, math.nan
@@ -218,23 +233,34 @@ class CameraMonitor:
             row = np.array([p, p.conjugate(), (p2 - p0) / (2.0 * dt)])
             for fit in (self._fit, self._quick_fit):
                 fit.add_picture(dt, row, y)
+            self._flips.add_picture(dt, p, y)
+            self._latest.append(self.estimate[:2].copy())
             self._confirm(frame.time_s)
 
     def _confirm(self, time_s: float) -> None:
         """Report a fault that several pictures in a row show."""
         is_known = self._fit.weight > _MIN_FRAMES
-        found = judge_gross_motion(self._quick_fit.estimate, self._quick_fit.sigma)
-        if not found.fault and is_known:
+        flip = found = self._flips.judge_flips()
+        if not found.fault:
+            found = judge_gross_motion(self._quick_fit.estimate, self._quick_fit.sigma)
+        if not found.fault and is_known and self._is_steady:
             found = judge_motion(self.estimate, self.sigma)
         if not found.fault:
             found = judge_gross_motion(self.estimate, self.sigma)
         self._candidate_count = self._candidate_count + 1 if found.fault == self._candidate.fault else 1
         self._candidate = found
-        needed = _CONFIRM_COUNT if is_known else _GROSS_CONFIRM_COUNT
+        needed = 1 if flip.fault else _CONFIRM_COUNT if is_known else _GROSS_CONFIRM_COUNT
         if found.fault and self._candidate_count >= needed:
             if time_s > self._held_until_s or self._verdict.fault != found.fault:
                 self._verdict = found
             self._held_until_s = time_s + _HOLD_S
+
+    @property
+    def _is_steady(self) -> bool:
+        """Whether m and n are steady: after a change of the camera they pass values that no fault has."""
+        first, last = self._latest[0], self._latest[-1]
+        off = float(np.abs(last - [1.0, 0.0]).max())
+        return float(np.abs(last - first).max()) < max(_STEADY_LEAST, _STEADY_SHARE * off)
 
     def _advance_velocity(self, before: FrameInfo, now: FrameInfo, dt: float) -> None:
         """Integrate the velocity forward and to the right from the tilt; it decays, so that errors do not add up."""
@@ -251,6 +277,35 @@ class CameraMonitor:
         v = self._camera_from_body @ (np.append(velocity, 0.0) + lever)
         flow = np.array([-w[1], w[0]]) - v[:2] / max(0.1, now.height_m - place[2])
         return self._focal_px * complex(flow[0], flow[1])
+
+
+class FlipTest:
+    """Sequential test of pictures that are flipped along x, along y or along both, against correct ones."""
+
+    def __init__(self) -> None:
+        self._ratio = np.full(2, -_FLIP_LIMIT)  # logarithm of the likelihood ratio, flipped over correct; x, y
+        self._squares = np.zeros((2, 2))  # of the residuals, by flips along x and y
+        self._motion_square = 0.0
+
+    def add_picture(self, dt: float, predicted: complex, measured: complex) -> None:
+        """Add the predicted and the measured motion of a picture, ``dt`` (s) after the one before."""
+        p, y = np.array([predicted.real, predicted.imag]), np.array([measured.real, measured.imag])
+        # (y + p)^2 - (y - p)^2 = 4 p y; halved again, since the errors of successive pictures are alike
+        step = np.clip(-p * y / _FLIP_SIGMA_PX_S**2, -_MAX_FLIP_STEP, _MAX_FLIP_STEP)
+        self._ratio = np.clip(self._ratio + step, -_FLIP_LIMIT, 1.2 * _FLIP_LIMIT)
+        keep = math.exp(-dt / _FLIP_MEMORY_S)
+        (x0, y0), (x1, y1) = (y - p) ** 2, (y + p) ** 2
+        self._squares = keep * self._squares + np.array([[x0 + y0, x0 + y1], [x1 + y0, x1 + y1]])
+        self._motion_square = keep * self._motion_square + float(y @ y)
+
+    def judge_flips(self) -> CameraVerdict:
+        """Return the verdict on flipped pictures."""
+        flipped = self._ratio > _FLIP_LIMIT
+        if not flipped.any() or not (flipped | (self._ratio < -0.5 * _FLIP_LIMIT)).all():
+            return _HEALTHY
+        if self._squares[int(flipped[0]), int(flipped[1])] > _FLIP_SHARE * self._motion_square:
+            return _HEALTHY
+        return CameraVerdict("turned", _UPSIDE_DOWN) if flipped.all() else CameraVerdict("mirrored", _MIRRORED)
 
 
 class MotionFit:
@@ -301,7 +356,7 @@ def judge_gross_motion(estimate: NDArray[np.complex128], sigma: _Array) -> Camer
     if abs(n) > 0.5 + _GROSS_SIGMAS * sigma[1] and abs(n) > abs(m) + _GROSS_SIGMAS * sigma[0]:
         return CameraVerdict("mirrored", _MIRRORED)
     if m.real < -0.3 - _GROSS_SIGMAS * sigma[0]:
-        return CameraVerdict("turned", "the camera is upside down against the gyroscopes: check mount.turn")
+        return CameraVerdict("turned", _UPSIDE_DOWN)
     return _HEALTHY
 
 
@@ -320,7 +375,7 @@ def judge_motion(estimate: NDArray[np.complex128], sigma: _Array) -> CameraVerdi
     if abs(delay) > max(_MIN_DELAY_S, _MIN_SIGMAS * sigma[2] / max(scale, 0.2)):
         return CameraVerdict("delay", f"the pictures are {1e3 * delay:.0f} ms late against the gyroscopes")
     # Stripes hold back the motion along them: n is then as large as the deviation of m.
-    if abs(scale - 1.0) > max(_MIN_SCALE, _MIN_SIGMAS * s, 2.0 * abs(n)):
+    if scale > _LEAST_SCALE and abs(scale - 1.0) > max(_MIN_SCALE, _MIN_SIGMAS * s, 2.0 * abs(n)):
         or_dirt = " and the lens for dirt" if scale < 1.0 else ""
         return CameraVerdict(
             "focal length",
@@ -341,31 +396,27 @@ class DirtMask:
     """
 
     def __init__(self) -> None:
-        self._count = 0
-        self._mean = self._square = np.zeros(0)
+        self._pictures: deque[NDArray[np.float32]] = deque(maxlen=_DIRT_COUNT)
         self.mask: NDArray[np.uint8] | None = None
         self.wide_mask: NDArray[np.uint8] | None = None
 
     def add_picture(self, picture: NDArray[np.uint8]) -> None:
-        """Add an undistorted picture of other floor than the one before (Welford's update of mean and variance)."""
+        """Add an undistorted picture of other floor than the one before."""
         cv2 = load_opencv()
         high, wide = picture.shape
         small = cv2.resize(
             picture, (wide // _DIRT_REDUCTION, high // _DIRT_REDUCTION), interpolation=cv2.INTER_AREA
         ).astype(np.float32)
         small -= cv2.GaussianBlur(small, (0, 0), _DIRT_BACKGROUND_PX)
-        if not self._count:
-            self._mean, self._square = np.zeros_like(small), np.zeros_like(small)
-        self._count += 1
-        off = small - self._mean
-        self._mean = self._mean + off / self._count
-        self._square = self._square + off * (small - self._mean)
-        if self._count < _DIRT_MIN_COUNT:
+        self._pictures.append(small)
+        count = len(self._pictures)
+        if count < _DIRT_MIN_COUNT:
             return
-        usual = math.sqrt(float(np.median(self._square)) / (self._count - 1))
-        least = max(_MIN_DIRT_GREY, _DIRT_SIGMAS * usual / math.sqrt(self._count))
-        still = cv2.blur(self._square, (3, 3)) < (self._count - 1) * (_DIRT_STILLNESS * usual) ** 2
-        dirty = ((np.abs(self._mean) > least) & still).astype(np.uint8)
+        mean, variance = np.mean(self._pictures, axis=0), np.var(self._pictures, axis=0, ddof=1)
+        usual = math.sqrt(float(np.median(variance)))
+        least = max(_MIN_DIRT_GREY, _DIRT_SIGMAS * usual / math.sqrt(count))
+        still = cv2.blur(variance, (3, 3)) < (_DIRT_STILLNESS * usual) ** 2
+        dirty = ((np.abs(mean) > least) & still).astype(np.uint8)
         dirty = cv2.morphologyEx(dirty, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
         self.mask = self.wide_mask = None
         if 0 < int(dirty.sum()) < _MAX_DIRT_SHARE * dirty.size:
