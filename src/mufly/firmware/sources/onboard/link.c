@@ -938,7 +938,21 @@ static void handle_message(link_t *k, const link_vehicle_t *v, const mavlink_mes
     }
 }
 
-static void send_arming_faults(link_t *k, uint32_t faults)
+/* Send the text of one of these bits, and clear it: one text a period. */
+static void send_one_fault(link_t *k, uint32_t *faults, const char *const words[], uint32_t count)
+{
+    bool sent = false;
+
+    for (uint32_t i = 0U; (i < count) && !sent; i++) {
+        sent = (*faults & (1UL << i)) != 0U;
+        if (sent) {
+            send_words(k, words[i], 4U);
+            *faults &= ~(1UL << i);
+        }
+    }
+}
+
+static void send_arming_faults(link_t *k, const link_vehicle_t *v)
 {
     static const char *const words[9] = {
         "position, velocity, attitude, rates not measured", "measurements are old; check the sensors",
@@ -948,11 +962,11 @@ static void send_arming_faults(link_t *k, uint32_t faults)
         "the climb stick is up; lower it first",
     };
 
-    for (uint32_t i = 0U; i < 9U; i++) {
-        if ((faults & (1UL << i)) != 0U) {
-            send_words(k, words[i], 4U);
-        }
+    if (k->tells_faults) {
+        k->tells_faults = false;
+        k->untold_faults = v->supervisor->arming_faults;
     }
+    send_one_fault(k, &k->untold_faults, words, 9U);
 }
 
 /* Store what was set in flight; report the faults of the settings to the first station. */
@@ -969,12 +983,9 @@ static void step_settings(link_t *k, const link_vehicle_t *v)
 
         (void)settings_store(s, &t);
     }
-    for (uint32_t i = 0U; (i < 4U) && k->is_heard; i++) {
-        if ((s->faults & (1UL << i)) != 0U) {
-            send_words(k, words[i], 4U);
-        }
+    if (k->is_heard) {
+        send_one_fault(k, &s->faults, words, 4U);
     }
-    s->faults = k->is_heard ? 0U : s->faults;
 }
 
 static void send_log(link_t *k, const link_vehicle_t *v)
@@ -1006,10 +1017,7 @@ void link_step(link_t *k, const link_vehicle_t *v)
             handle_message(k, v, &m);
         }
     }
-    if (k->tells_faults) {
-        k->tells_faults = false;
-        send_arming_faults(k, v->supervisor->arming_faults);
-    }
+    send_arming_faults(k, v);
     if (k->loads && ((now_s - k->load_begun_s) > LOAD_TIMEOUT_S)) {
         k->loads = false;
     } else if (k->loads && ((now_s - k->load_asked_s) > LOAD_RETRY_S)) {

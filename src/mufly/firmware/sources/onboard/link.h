@@ -40,7 +40,8 @@ typedef struct {
     int32_t next_last;
     uint8_t commander_system, commander_component;
     bool by_hand;                /* a manual mode was requested: MANUAL_CONTROL counts */
-    bool tells_faults;           /* reasons against arming are to be sent as text */
+    bool tells_faults;           /* a request to arm was refused: its reasons are to be sent as text */
+    uint32_t untold_faults;      /* reasons that are not sent yet */
     bool is_heard;               /* whether a station has sent anything yet */
     /* upload of a mission */
     bool loads;
