@@ -947,7 +947,7 @@ static void send_one_fault(link_t *k, uint32_t *faults, const char *const words[
         sent = (*faults & (1UL << i)) != 0U;
         if (sent) {
             send_words(k, words[i], 4U);
-            *faults &= ~(1UL << i);
+            *faults &= ~((uint32_t)1U << i);
         }
     }
 }
