@@ -30,6 +30,7 @@ from mufly.control import (
     sample_plant,
 )
 from mufly.control.linear_systems import feedback_part
+from mufly.control.robust import analyse_parameter_robustness
 
 
 def best(function: Callable[[], object], repeat: int, number: int = 1) -> float:
@@ -52,6 +53,10 @@ def speed(controller: FlightController) -> None:
     for d, ny in ((controller.heave_yaw, 5), (controller.roll_pitch, 4), (controller.velocity, 2)):
         seconds = best(lambda d=d, ny=ny: hinfsyn(d.generalised, ny, 2, relaxation=1.01), 5)
         print(f"synthesis, {d.name:10} {d.generalised.nstates:3d} states {seconds * 1e3:8.1f} ms")
+    start = time.process_time()
+    robust = analyse_parameter_robustness(vehicle, controller, points=60)
+    blocks = sum(len(loop.block_sizes) for loop in robust.loops)
+    print(f"mu, 60 frequencies, {blocks} real blocks {time.process_time() - start:8.1f} s    target below 10 s")
     g, h, p = controller.heave_yaw_gains, controller.roll_pitch_gains, controller.position_gains
     zero2, zero3, zero4 = np.zeros(2), np.zeros(3), np.zeros(4)
     a, b, c = (

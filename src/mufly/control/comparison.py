@@ -144,7 +144,7 @@ class ControllerComparison:
         units = ("", "", "dB", "dB", "dB", "deg", "ms", "", "", "%", "", "")
         blocks: list[ShownBlock] = []
         for title, part in (("roll-pitch", "roll_pitch"), ("heave-yaw", "heave_yaw")):
-            rows = [units]
+            rows: list[tuple[str, ...]] = [units]
             for m in self.methods:
                 loop: LoopFigures = getattr(m, part)
                 s = loop.sampled

@@ -19,7 +19,7 @@ import numpy as np
 from scipy import linalg
 
 from mufly.control.hinf import balance_states, close_loop, partition_plant
-from mufly.control.linear_systems import Array, state_space
+from mufly.control.linear_systems import Array, ComplexArray, state_space
 from mufly.errors import MuflyError
 from mufly.results import result
 
@@ -49,8 +49,8 @@ class H2Result:
     riccati_norm: float
     closed_loop: control.StateSpace
     actuation: Array
-    regulator_poles: Array
-    filter_poles: Array
+    regulator_poles: ComplexArray
+    filter_poles: ComplexArray
 
 
 def h2_norm(system: control.StateSpace) -> tuple[float, float]:
@@ -139,6 +139,6 @@ def h2syn(P: control.StateSpace, n_measurements: int, n_controls: int, *, regula
         float(np.sqrt(max(cost, 0.0))),
         loop,
         p.B2 + L @ p.D22,
-        np.linalg.eigvals(p.A + p.B2 @ F),
-        np.linalg.eigvals(p.A + L @ p.C2),
+        np.linalg.eigvals(p.A + p.B2 @ F).astype(complex),
+        np.linalg.eigvals(p.A + L @ p.C2).astype(complex),
     )

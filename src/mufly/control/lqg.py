@@ -23,7 +23,7 @@ import control
 import numpy as np
 from scipy import linalg
 
-from mufly.control.linear_systems import Array, state_space
+from mufly.control.linear_systems import Array, ComplexArray, state_space
 from mufly.errors import ArgumentError, MuflyError
 from mufly.results import result
 
@@ -84,8 +84,8 @@ class LqgResult:
     state_gain: Array
     filter_gain: Array
     actuation: Array
-    regulator_poles: Array
-    filter_poles: Array
+    regulator_poles: ComplexArray
+    filter_poles: ComplexArray
     recovery: float
 
 
@@ -209,8 +209,8 @@ def design_lqg(
         F,
         L,
         np.vstack([plant.B, np.zeros((len(rows), m))]),
-        np.linalg.eigvals(A - B @ F),
-        np.linalg.eigvals(plant.A - L @ plant.C),
+        np.linalg.eigvals(A - B @ F).astype(complex),
+        np.linalg.eigvals(plant.A - L @ plant.C).astype(complex),
         q,
     )
 

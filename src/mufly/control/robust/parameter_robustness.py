@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import control
 import numpy as np
@@ -235,13 +235,13 @@ class _UncertainLoop:
             )
 
         nominal = closed(g.A, g.B)
-        steps = [closed(g.A + E[:, :n], g.B + E[:, n:]) - nominal for E in self.derivatives]
+        steps: list[Array] = [closed(g.A + E[:, :n], g.B + E[:, n:]) - nominal for E in self.derivatives]
         return nominal, steps
 
 
 def _least_damped(A: Array) -> tuple[complex, Array, Array]:
     """Return the eigenvalue nearest to instability by its damping ratio, and its left and right eigenvectors."""
-    values, left, right = linalg.eig(A, left=True, right=True)
+    values, left, right = cast(tuple[Any, Any, Any], linalg.eig(A, left=True, right=True))
     k = int(np.argmax(values.real / np.maximum(np.abs(values), 1e-12) + 1e3 * (values.real > 0) * np.abs(values.real)))
     return complex(values[k]), left[:, k], right[:, k]
 
@@ -366,7 +366,7 @@ def analyse_parameter_robustness(
         raise ArgumentError("vary", "", "nothing varies", "vary parameters")
     known = {p.key: float(p.value) for p in list_parameters(vehicle) if isinstance(p.value, float)}
     centre = np.array([known[key] for key in keys])
-    linear = {"heave-yaw": [], "roll-pitch": []}  # type: dict[str, list[Array]]
+    linear: dict[str, list[Array]] = {"heave-yaw": [], "roll-pitch": []}
     nominal = linearise_vehicle(vehicle, voltage=controller.voltage_V)
     for column in spread_matrix.T:
         ends, width = [], 0.0

@@ -21,7 +21,7 @@ complex problem decides the factor. Without complex blocks a singular Delta exis
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import optimize
@@ -30,6 +30,7 @@ from mufly.control.linear_systems import Array, ComplexArray
 from mufly.control.tuning.nonsmooth_bfgs import minimise_nonsmooth
 from mufly.errors import ArgumentError
 
+_minimise: Any = optimize.minimize  # its stubs know no options of single methods
 _LARGEST_PARAMETER = 60.0  # of the scalings, for a matrix of norm one: logarithms of D, and G
 
 
@@ -329,7 +330,7 @@ def mu_lower_bound(M: ComplexArray, blocks: Sequence[Block], *, starts: int = 6)
         if value.value > best.value:
             best, best_at = value, at
     simplex = best_at * (1.0 - 0.3 * np.vstack([np.zeros(len(real)), np.eye(len(real))]))
-    inside = optimize.minimize(
+    inside = _minimise(
         lambda d: -certify(d).value + float(np.sum(np.maximum(np.abs(d) - 1.0, 0.0))), best_at, method="Nelder-Mead",
         options={"maxfev": 25 * len(real), "initial_simplex": simplex},
     ).x  # fmt: skip
@@ -354,7 +355,7 @@ def _real_lower_bound(M: ComplexArray, blocks: Sequence[Block], slices: Sequence
     scale = 1.0 / max(float(np.linalg.norm(M, 2)), 1e-300)
     for _ in range(4 * starts):
         x0 = np.append(scale * 3.0 * rng.choice([-1.0, 1.0], len(blocks)), 3.0 * scale)
-        found = optimize.minimize(
+        found = _minimise(
             lambda x: x[-1] / scale, x0, jac=lambda x: np.append(np.zeros(len(blocks)), 1.0 / scale), method="SLSQP",
             constraints=[
                 {"type": "eq", "fun": lambda x: determinant(x[:-1])},
