@@ -170,7 +170,8 @@ def make_flight_map(
 
 
 def _level_speed_with(vehicle: Vehicle, flight_map: FlightMap) -> float:
-    return find_level_speed(replace_parameters(vehicle, {"rotors.flight_map": flight_map.model_dump()}))
+    rotors = vehicle.rotors.model_copy(update={"flight_map": flight_map})
+    return find_level_speed(vehicle.model_copy(update={"rotors": rotors}))
 
 
 def check_map_blades(flight_map: FlightMap, rotor: Rotor, *, n_crit: float = 0.1) -> None:

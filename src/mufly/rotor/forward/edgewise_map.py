@@ -183,7 +183,9 @@ def compute_flight_loads(
             for k in range(shape[2]):
                 if not solved[i, j, k] and 0 <= near < shape[1]:
                     loads[i, j, k] = loads[i, near, k]
-    return FlightMapTables(*axes, loads.reshape(*shape, 2 * LOAD_COUNT)), int(np.count_nonzero(~solved))
+    return FlightMapTables(axes[0], axes[1], axes[2], loads.reshape(*shape, 2 * LOAD_COUNT)), int(
+        np.count_nonzero(~solved)
+    )
 
 
 @cached_njit(error_model="numpy", forceinline=True)
