@@ -204,6 +204,27 @@ def ended(data: xr.Dataset, reason: str = "", **last: object) -> xr.Dataset:
     return data.assign_attrs(outcome="failed", reason=reason) if reason else data
 
 
+@pytest.mark.parametrize(("roll", "pitch"), [(0.02, -0.03), (-0.03, 0.06)])  # below and above what is turned level
+def test_a_turn_shows_the_axis_error_of_the_inertial_unit(roll: float, pitch: float) -> None:
+    """Half a turn at 1 rad/s: the leak of the yaw rate into the other axes is learned, and forgotten with the turn."""
+    half_turn = parse_mission(
+        {
+            "take_off": {"height_m": 0.5, "wait_s": 0.2},
+            "waypoint": [{"position_m": [0.0, 0.0, -0.5], "heading_deg": 180.0, "wait_s": 1.0}],
+        }
+    )
+    turning = Campaign.create_checked(
+        VEHICLE, half_turn, variations=(STANDARD,), wind=0.2, gust=0.1, seed=5, quickly=GenericFirmwareSoftware
+    )
+    mount = {"sensors.imu.mount_roll": roll, "sensors.imu.mount_pitch": pitch}
+    flown = fly_mission(**turning.flight_options(replace(NO_CASE, parameter_values=mount)))
+    turned = np.flatnonzero(np.abs(flown.truth_rates[:, 2].to_numpy()) > 0.5)
+    flown = flown.isel(time=slice(turned[0], turned[-1] + 200))
+    error = (flown.estimated_attitude - flown.truth_attitude).to_numpy()[:, :2]
+    deviations = error / flown.estimated_attitude_sigma.to_numpy()[:, :2]
+    assert np.square(deviations).mean() < 2.0
+
+
 def test_endings_are_classed_by_the_truth(campaign: Campaign) -> None:
     data = fly_mission(VEHICLE, HOP, controller=campaign.controller, brief=True)
     common: dict[str, Any] = {"index": 0, "seed": 0, "refused": 0, "wind": None, "values": {}}

@@ -88,7 +88,6 @@ from mufly.estimate.filter_records import (
     SX_VEL,
     SX_WIND,
     TERRAIN_EDGE_S,
-    TURN_CORRELATION_S,
     FilterMemory,
     FilterSettings,
 )
@@ -157,6 +156,8 @@ _GYRO_OUTAGE_S = 0.1  # without gyroscopes
 GYRO_OUTAGE_DENSITY = 0.002
 """Density of the angular rate (rad^2/s) without gyroscopes: the stabiliser bar keeps the rotors level."""
 LEVEL_TIME_S, LEVEL_RATE, LEVEL_GATE = 0.5, 0.1, 3.0
+LEAK_RATE = 0.25
+"""Yaw rate (rad/s) above which an axis error of the inertial unit is estimated."""
 """Time at rest in which the tilt of the inertial unit is measured (s), largest rate meanwhile (rad/s), and deviations
 of the standing tilt beyond which the unit is taken for tilted (1)."""
 STOPPED_SPEED_SHARE = 0.02
@@ -411,23 +412,17 @@ def _advance_horizon(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array) -
     m.task_stage = 0
     predict_state(m.x, e, span, r, a)
     for k in range(3):
-        m.rates_lp[k] += span / 1.5 * (e[k] - m.x[SX_GYRO_BIAS + k] - m.rates_lp[k])
         m.accel_mean[k] += e[IN_ACCEL + k]
         m.model_accel_mean[k] += a[MODEL_ACCEL + k]
         m.gyro_mean[k] += e[k]
         m.thrust_slope[k] += e[IN_STATIC + k]
         m.velocity_slope[k] += e[IN_SLOPE + k]
-    all_ = m.rates_lp[0] ** 2 + m.rates_lp[1] ** 2 + m.rates_lp[2] ** 2
+    spread = s.gyro_density + (GYRO_OUTAGE_DENSITY if m.status[R_RATES] >= STATUS_MISSING else 0.0)
     m.yaw_rate = 0.0
     for k in range(3):
         m.yaw_rate += r[6 + k] * (e[k] - m.x[SX_GYRO_BIAS + k])
         m.q_work[k] = s.process_variance[k]
         m.q_work[EX_VEL + k] = velocity_noise_density(r, k, e) * span
-        spread = s.gyro_density + (GYRO_OUTAGE_DENSITY if m.status[R_RATES] >= STATUS_MISSING else 0.0)
-        for i in range(3):
-            own = m.rates_lp[i] ** 2
-            crossed = (s.gyro_cross_density[0] + m.mount_density) * (all_ - own)
-            spread += r[3 * k + i] * r[3 * k + i] * (crossed + s.gyro_cross_density[1] * own)
         m.q_work[EX_ATT + k] = spread * span
     error_transition(e, span, r, a, m.transition_work)
     ud_time_update(m.u_transposed, m.d, span, m.transition_work, m.q_work, m.w_work, m.f)
@@ -438,12 +433,16 @@ def _advance_horizon(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array) -
 
 @cached_njit(error_model="numpy")
 def _predict_bias(m: FilterMemory, s: FilterSettings) -> None:
-    """Predict one bias in cyclic order; those of the fix are predicted when a fix is fused."""
+    """Predict one bias in cyclic order; those of the fix are predicted when a fix is fused.
+
+    An axis error e of the inertial unit leaks the yaw rate r into the measured rates: e_y r into that of roll, -e_x r
+    into that of pitch, and a scale error into that of yaw. Accelerometers at rest tell e and their own bias only
+    together. In a turn the bias of the gyroscopes carries the leak: its deviation and its variance follow the yaw rate
+    and return to their values when the turn ends."""
     k = EX_GYRO_BIAS + m.tick % BIAS_CYCLE_TICKS
     if k >= EX_FIX_BIAS:
         k += EX_FIX_HEADING + 1 - EX_FIX_BIAS
-    m.x[k + 1] = s.initial_state[k + 1] + (m.x[k + 1] - s.initial_state[k + 1]) * s.decay[k]
-    q = s.process_variance[k]
+    origin, keep, q = s.initial_state[k + 1], s.decay[k], s.process_variance[k]
     if k < EX_GYRO_BIAS + 3 and m.divergence_ticks > 0:
         may = DIVERGED_BIAS_WALK if m.divergence_ticks > 1 else LATER_BIAS_WALK
         q += may * may * (BIAS_CYCLE_TICKS * s.dt)
@@ -451,8 +450,21 @@ def _predict_bias(m: FilterMemory, s: FilterSettings) -> None:
         q *= math.sqrt(
             m.x[SX_VEL] * m.x[SX_VEL] + m.x[SX_VEL + 1] * m.x[SX_VEL + 1]
         )  # another floor lies elsewhere, not later
+    if k < EX_GYRO_BIAS + 3:
+        i = k - EX_GYRO_BIAS
+        turning = m.yaw_rate if abs(m.yaw_rate) > LEAK_RATE else 0.0
+        if m.leaked_yaw_rate[i] != 0.0:
+            keep = turning / m.leaked_yaw_rate[i]
+            q += m.leak_origin_variance[i] if turning == 0.0 else 0.0
+        else:
+            m.leak_origin[i] = m.x[k + 1]
+            m.leak_origin_variance[i] = state_variance(m.u_transposed, m.d, k)
+            q += (s.gyro_axis_variance[i] + m.mount_variance[i]) * (turning * turning)
+        origin = m.leak_origin[i]
+        m.leaked_yaw_rate[i] = turning
+    m.x[k + 1] = origin + (m.x[k + 1] - origin) * keep
     if q > 0.0:
-        gauss_markov_update(m.u_transposed, m.d, k, s.decay[k], q, m.f)
+        gauss_markov_update(m.u_transposed, m.d, k, keep, q, m.f)
 
 
 @cached_njit(error_model="numpy")
@@ -656,21 +668,18 @@ def _restart_level(m: FilterMemory, s: FilterSettings) -> None:
 def _decide_level(m: FilterMemory, s: FilterSettings) -> None:
     """Decide by the accelerometers' sum at rest whether the inertial unit is tilted, and begin anew if it is.
 
-    The smallest rotation that turns a / |a| to (0, 0, -1) is R = 1 + [v]x + [v]x^2 / (1 - a_z / |a|) with
-    v = (-a_y, a_x, 0) / |a| (Rodrigues)."""
+    The smallest rotation that turns a / |a| to (0, 0, -1) has the axis (-a_y, a_x, 0) and the cosine -a_z / |a|."""
     x, y, d = m.level_sum[0], m.level_sum[1], m.level_sum[2]
     size = math.sqrt(x * x + y * y + d * d)
     x, y, d = -y / size, x / size, -d / size
     tilt = s.initial_sigma[EX_ACCEL_BIAS] / GRAVITY
     q = x * x + y * y
-    if q > LEVEL_GATE * LEVEL_GATE * (s.rest_tilt_sigma * s.rest_tilt_sigma + tilt * tilt) and d > 0.9:
-        r, k = m.level_rotation, 1.0 / (1.0 + d)
-        r[0], r[1], r[2] = 1.0 + k * (x * x - q), k * x * y, y
-        r[3], r[4], r[5] = r[1], 1.0 + k * (y * y - q), -x
-        r[6], r[7], r[8] = -y, x, 1.0 - k * q
-        # The tilt may be a bias or a lean: 2 TURN_CORRELATION_S times its variance, q / 2 on each axis
+    m.mount_variance[0] = m.mount_variance[1] = 0.5 * q  # the tilt may be a bias, a lean or the unit's
+    if q > LEVEL_GATE * LEVEL_GATE * (s.rest_tilt_sigma * s.rest_tilt_sigma + tilt * tilt) and d > 0.875:
+        half = math.sqrt(0.5 * d + 0.5)
+        turn = np.array((half, 0.5 * x / half, 0.5 * y / half, 0.0))
+        rotation_matrix(turn, m.level_rotation)
         m.is_levelled = 1
-        m.mount_density = TURN_CORRELATION_S * q
         _restart_level(m, s)
         set_fault(m, s, R_ACCELERATION, STATUS_FUSED, REASON_LEVELLED, math.sqrt(q))
 

@@ -33,7 +33,7 @@ from mufly.rotor import coax_maps
 from mufly.toolchain import COMPILER_FLAGS, build_cached_library
 from mufly.vehicle import Vehicle
 
-VERIFIED_STAMP = "85c71c8ff88308f8"
+VERIFIED_STAMP = "0fcd8eb57aed7b61"
 """Stamp (:func:`source_stamp`) of the Python sources that the C code is verified to equal."""
 
 FILTER_SOURCES = (

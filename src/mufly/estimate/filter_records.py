@@ -174,7 +174,6 @@ class FilterMemory:
     residual_ratio: float = _real("largest innovation ratio of the axes so far")
     block_mean_ticks: int = _int("periods in these means")
     # Flight phase, terrain, faults
-    rates_lp: _Array = _real("rates without bias at the horizon, lp", 3, unit="rad/s")
     terrain_edge_weight: float = _real("1 at an edge in the sonar's cone, falling to 0")
     divergence_ticks: int = _int("periods for which the gyroscopes' bias stays free; 1: has been freed once")
     flight_phase: int = _int("STANDING, COASTING, RUNNING, LIGHT or FLYING")
@@ -205,7 +204,10 @@ class FilterMemory:
     level_sum: _Array = _real("sum of the accelerometers over them", 3, unit="m/s2")
     is_levelled: int = _int("1: the inertial unit is tilted, and its readings are turned level")
     level_rotation: _Array = _real("rotation matrix that turns them", 9)
-    mount_density: float = _real("density of rates that its error adds, over the rate squared", unit="s")
+    mount_variance: _Array = _real("variance of the axis error that the tilt at rest leaves open", 3, unit="rad2")
+    leaked_yaw_rate: _Array = _real("yaw rate whose leak is in the bias of each gyroscope", 3, unit="rad/s")
+    leak_origin: _Array = _real("these biases without the leak", 3, unit="rad/s")
+    leak_origin_variance: _Array = _real("variance of these biases before the turn", 3, unit="rad2/s2")
     is_heading_aligned: int = _int("1: a fix has been fused")
     gyro_mean: _Array = _real("measured rates, mean since the last comparison", 3, unit="rad/s")
     is_initialised: int = _int("1: the state may be used")
@@ -290,7 +292,7 @@ class FilterSettings:
     decay: _Array = _real("decay of each bias in its step", ERROR_STATE_COUNT)
     process_variance: _Array = _real("variance that each error gains in its step", ERROR_STATE_COUNT)
     gyro_density: float = _real("density of the gyroscopes' noise", unit="rad2/s")
-    gyro_cross_density: _Array = _real("the same per square of the rate: across the axis, along it", 2, unit="s")
+    gyro_axis_variance: _Array = _real("variance of the share of the yaw rate that each gyroscope measures wrongly", 3)
     accel_density: float = _real("density of the accelerometers' noise", unit="m2/s3")
     model_accel_density: _Array = _real("density of the rotor model's error", 3, unit="m2/s3")
     accel_range: float = _real("range of the accelerometers", unit="m/s2")
@@ -367,7 +369,6 @@ INITIAL_TERRAIN_SIGMA = 1e-4  # m: where it stands is D = 0, by definition
 INITIAL_POSITION_SIGMA_M = 5.0  # where it stands before anything is heard
 FULL_TURN_RAD = 2 * math.pi
 _MIN_BEAM_ERROR = 1e-4  # 1/m: what a wall is off by, 0.1 mm at 1 m, where beams have no error
-TURN_CORRELATION_S = 1.5  # turns go the same way for about as long
 
 
 def filter_settings(
@@ -433,8 +434,7 @@ def filter_settings(
             float(imu.gyro_noise) ** 2,
             float(imu.accelerometer_noise) ** 2,
         )
-        # Misalignment and scale make a rate of another: noise that grows with the turning
-        s["gyro_cross_density"] = 2 * TURN_CORRELATION_S * np.square([float(imu.misalignment), float(imu.scale_error)])
+        s["gyro_axis_variance"] = np.square([float(imu.misalignment)] * 2 + [float(imu.scale_error)])
         s["accel_range"], s["gyro_range"] = float(imu.accelerometer_range), float(imu.gyro_range)
         bound[R_ACCELERATION], bound[R_RATES] = 1.2 * s["accel_range"], 1.2 * s["gyro_range"]
         heat = float(imu.warming)

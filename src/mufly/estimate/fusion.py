@@ -440,8 +440,8 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
         _fuse_scalar(m, _fix_innovation(m, z, i, ahead), _fix_variance(m, s, i))
     for i in range(3):
         most = GYRO_BIAS_RANGE_SIGMAS * s.initial_sigma[EX_GYRO_BIAS + i] + 2.0 * m.sigma_output[EX_GYRO_BIAS + i]
-        if abs(m.x[SX_GYRO_BIAS + i]) > most and m.status[R_RATES] == STATUS_FUSED and down:
-            set_fault(m, s, R_RATES, STATUS_REJECTED, REASON_LARGE_BIAS, m.x[SX_GYRO_BIAS + i])
+        if abs(m.leak_origin[i]) > most and m.status[R_RATES] == STATUS_FUSED and down:
+            set_fault(m, s, R_RATES, STATUS_REJECTED, REASON_LARGE_BIAS, m.leak_origin[i])
     mark_fused(m, k)
     if not down:
         set_fault(m, s, k, STATUS_FAULTY, REASON_HEIGHT_CONFLICT, m.fix_height_gap)

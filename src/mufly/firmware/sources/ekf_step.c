@@ -296,37 +296,27 @@ static void advance_horizon(estimator_t *m, const estimator_settings_t *s)
 {
     const real_t span = (real_t)s->block_ticks * s->dt;
     const real_t *e = input_block(m, s, m->horizon_tick);
+    const real_t spread = s->gyro_density + ((m->status[R_RATES] >= STATUS_MISSING) ? GYRO_OUTAGE_DENSITY : REAL(0.0));
     real_t r[9];
     real_t a[6];
     real_t q[MOTION_STATE_COUNT];
     real_t transition[TRANSITION_SIZE];
-    real_t all;
 
     m->horizon_tick += s->block_ticks;
     m->task_stage = 0;
     predict_state(m->x, e, span, r, a);
     for (int32_t k = 0; k < 3; k++) {
-        m->rates_lp[k] += (span / REAL(1.5)) * ((e[k] - m->x[SX_GYRO_BIAS + k]) - m->rates_lp[k]);
         m->accel_mean[k] += e[IN_ACCEL + k];
         m->model_accel_mean[k] += a[MODEL_ACCEL + k];
         m->gyro_mean[k] += e[k];
         m->thrust_slope[k] += e[IN_STATIC + k];
         m->velocity_slope[k] += e[IN_SLOPE + k];
     }
-    all = ((m->rates_lp[0] * m->rates_lp[0]) + (m->rates_lp[1] * m->rates_lp[1])) + (m->rates_lp[2] * m->rates_lp[2]);
     m->yaw_rate = REAL(0.0);
     for (int32_t k = 0; k < 3; k++) {
-        real_t spread = s->gyro_density + ((m->status[R_RATES] >= STATUS_MISSING) ? GYRO_OUTAGE_DENSITY : REAL(0.0));
-
         m->yaw_rate += r[6 + k] * (e[k] - m->x[SX_GYRO_BIAS + k]);
         q[k] = s->process_variance[k];
         q[EX_VEL + k] = velocity_noise_density(r, k, e) * span;
-        for (int32_t i = 0; i < 3; i++) {
-            const real_t own = m->rates_lp[i] * m->rates_lp[i];
-
-            spread += (r[(3 * k) + i] * r[(3 * k) + i]) *
-                      (((s->gyro_cross_density[0] + m->mount_density) * (all - own)) + (s->gyro_cross_density[1] * own));
-        }
         q[EX_ATT + k] = spread * span;
     }
     error_transition(e, span, r, a, transition);
@@ -344,14 +334,31 @@ static void predict_bias(estimator_t *m, const estimator_settings_t *s)
     const int32_t k = (turn >= EX_FIX_BIAS) ? (turn + ((EX_FIX_HEADING + 1) - EX_FIX_BIAS)) : turn;
     const bool adrift = (k < (EX_GYRO_BIAS + 3)) && (m->divergence_ticks > 0);
     const real_t may = (m->divergence_ticks > 1) ? DIVERGED_BIAS_WALK : LATER_BIAS_WALK;
+    real_t origin = s->initial_state[k + 1];
+    real_t keep = s->decay[k];
     real_t q = s->process_variance[k] + (adrift ? ((may * may) * ((real_t)BIAS_CYCLE_TICKS * s->dt)) : REAL(0.0));
 
     if (k == EX_TERRAIN) {
         q *= real_sqrt((m->x[SX_VEL] * m->x[SX_VEL]) + (m->x[SX_VEL + 1] * m->x[SX_VEL + 1])); /* another floor lies elsewhere, not later */
     }
-    m->x[k + 1] = s->initial_state[k + 1] + ((m->x[k + 1] - s->initial_state[k + 1]) * s->decay[k]);
+    if (k < (EX_GYRO_BIAS + 3)) {
+        const int32_t i = k - EX_GYRO_BIAS;
+        const real_t turning = (real_abs(m->yaw_rate) > LEAK_RATE) ? m->yaw_rate : REAL(0.0);
+
+        if (m->leaked_yaw_rate[i] != REAL(0.0)) {
+            keep = turning / m->leaked_yaw_rate[i];
+            q += (turning == REAL(0.0)) ? m->leak_origin_variance[i] : REAL(0.0);
+        } else {
+            m->leak_origin[i] = m->x[k + 1];
+            m->leak_origin_variance[i] = state_variance(m, k);
+            q += (s->gyro_axis_variance[i] + m->mount_variance[i]) * (turning * turning);
+        }
+        origin = m->leak_origin[i];
+        m->leaked_yaw_rate[i] = turning;
+    }
+    m->x[k + 1] = origin + ((m->x[k + 1] - origin) * keep);
     if (q > REAL(0.0)) {
-        gauss_markov_update(m, k, s->decay[k], q);
+        gauss_markov_update(m, k, keep, q);
     }
 }
 
@@ -651,11 +658,11 @@ static void restart_level_state(real_t x[STATE_COUNT])
 
     x[SX_ATT] /= turn;
     x[SX_ATT + 3] /= turn;
-    x[SX_ATT + 1] = REAL(0.0);
-    x[SX_ATT + 2] = REAL(0.0);
     for (int32_t k = 0; k < 3; k++) {
         x[SX_ACCEL_BIAS + k] = REAL(0.0);
     }
+    x[SX_ATT + 1] = REAL(0.0);
+    x[SX_ATT + 2] = REAL(0.0);
 }
 
 /* Turn the inputs since the horizon level, and begin anew with level attitude and no bias of the accelerometers. */
@@ -693,21 +700,14 @@ static void decide_level(estimator_t *m, const estimator_settings_t *s)
     const real_t tilt = s->initial_sigma[EX_ACCEL_BIAS] / GRAVITY;
     const real_t q = (x * x) + (y * y);
 
-    if ((q > ((LEVEL_GATE * LEVEL_GATE) * ((s->rest_tilt_sigma * s->rest_tilt_sigma) + (tilt * tilt)))) && (d > REAL(0.9))) {
-        const real_t k = REAL(1.0) / (REAL(1.0) + d);
-        real_t *r = m->level_rotation;
+    m->mount_variance[0] = REAL(0.5) * q;
+    m->mount_variance[1] = REAL(0.5) * q;
+    if ((q > ((LEVEL_GATE * LEVEL_GATE) * ((s->rest_tilt_sigma * s->rest_tilt_sigma) + (tilt * tilt)))) && (d > REAL(0.875))) {
+        const real_t half = real_sqrt((REAL(0.5) * d) + REAL(0.5));
+        const real_t turn[4] = {half, (REAL(0.5) * x) / half, (REAL(0.5) * y) / half, REAL(0.0)};
 
-        r[0] = REAL(1.0) + (k * ((x * x) - q));
-        r[1] = (k * x) * y;
-        r[2] = y;
-        r[3] = r[1];
-        r[4] = REAL(1.0) + (k * ((y * y) - q));
-        r[5] = -x;
-        r[6] = -y;
-        r[7] = x;
-        r[8] = REAL(1.0) - (k * q);
+        rotation_matrix(turn, m->level_rotation);
         m->is_levelled = 1;
-        m->mount_density = TURN_CORRELATION_S * q;
         restart_level(m, s);
         set_fault(m, s, R_ACCELERATION, STATUS_FUSED, REASON_LEVELLED, real_sqrt(q));
     }

@@ -330,8 +330,8 @@ static void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, con
     for (int32_t i = 0; i < 3; i++) {
         const real_t most = (GYRO_BIAS_RANGE_SIGMAS * s->initial_sigma[EX_GYRO_BIAS + i]) + (REAL(2.0) * m->sigma_output[EX_GYRO_BIAS + i]);
 
-        if ((real_abs(m->x[SX_GYRO_BIAS + i]) > most) && (m->status[R_RATES] == STATUS_FUSED) && down) {
-            set_fault(m, s, R_RATES, STATUS_REJECTED, REASON_LARGE_BIAS, m->x[SX_GYRO_BIAS + i]);
+        if ((real_abs(m->leak_origin[i]) > most) && (m->status[R_RATES] == STATUS_FUSED) && down) {
+            set_fault(m, s, R_RATES, STATUS_REJECTED, REASON_LARGE_BIAS, m->leak_origin[i]);
         }
     }
     mark_fused(m, k);
