@@ -313,6 +313,7 @@ def test_c_is_a_translation_of_these_sources() -> None:
     """Fails when a line of the filter's compiled functions changes: C has to follow, which the tests above tell; then
     this stamp is written into mufly/estimate/filter_backend.py."""
     assert filter_backend.source_stamp() == filter_backend.VERIFIED_STAMP
+    assert all(hasattr(module, name) for module, names in filter_backend._TRANSLATED_MODULES for name in names)
 
 
 @needs_cc

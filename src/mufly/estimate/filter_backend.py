@@ -33,7 +33,7 @@ from mufly.rotor import coax_maps
 from mufly.toolchain import COMPILER_FLAGS, build_cached_library
 from mufly.vehicle import Vehicle
 
-VERIFIED_STAMP = "0fcd8eb57aed7b61"
+VERIFIED_STAMP = "44aef136016bd5ad"
 """Stamp (:func:`source_stamp`) of the Python sources that the C code is verified to equal."""
 
 FILTER_SOURCES = (
@@ -219,7 +219,7 @@ _TRANSLATED_MODULES: tuple[tuple[types.ModuleType, tuple[str, ...]], ...] = (
         ),
     ),
     (drive_train, ("armature_current", "rotor_acceleration", "interpolate_table", "terminal_voltage")),
-    (coax_maps, ("interpolate", "_cubic_weights")),
+    (coax_maps, ("interpolate_tables", "_cubic_weights")),
 )
 """Modules with a C translation, and the names of the translated functions (empty: all compiled ones)."""
 

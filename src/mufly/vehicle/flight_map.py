@@ -152,7 +152,9 @@ def _parse_flight_table(text: str, knee: float) -> FlightMapTables:
     if axes[0][0] <= 0.0 or axes[2][0] != 0.0:
         raise _table_error("ratio is not above 0, or advance_ratio does not begin at 0", "correct the table")
     ordered = rows[np.lexsort(rows[:, 2::-1].T)]
-    out = FlightMapTables(*axes, np.ascontiguousarray(ordered[:, 3:]).reshape(*shape, 2 * len(LOAD_COLUMNS)))
+    ratio, climb_ratio, edgewise = axes
+    loads = np.ascontiguousarray(ordered[:, 3:]).reshape(*shape, 2 * len(LOAD_COLUMNS))
+    out = FlightMapTables(ratio, climb_ratio, edgewise, loads)
     for array in out:
         array.setflags(write=False)
     return out
