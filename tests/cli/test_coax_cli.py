@@ -165,7 +165,7 @@ def test_a_wake_that_does_not_converge_is_an_error_and_keeps_its_history(tmp_pat
         (("hover", "--wake-set", "turns=many"), "not a number"),
         (("trim", "--thrust", "-1"), "above 0"),
         (("trim", "--thrust", "1", "--rpm", "6000"), "--rpm"),
-        (("trim", "--rpm", "6000,6000"), "sought"),
+        (("trim", "--rpm", "6000,6000"), "contains the lower speed"),
         (("trim", "--free", "upper-pitch"), "lower-speed or lower-pitch"),
         (("sweep",), "nothing is varied"),
         (("sweep", "--vary", "spacing=10:30:10mm", "--set", "spacing=1cm"), "varied too"),

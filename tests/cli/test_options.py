@@ -128,7 +128,7 @@ def notation_of(option: Any) -> NumberNotation | None:
 # Options whose numbers have no dimension.
 COUNTS = {
     "--again", "--aid", "--baud", "--blades", "--boxes", "--cells", "--calibrate", "--cores", "--flights",
-    "--generations", "--jobs", "--point", "--points", "--port", "--record", "--reference-every", "--repeat",
+    "--frequencies", "--generations", "--jobs", "--order", "--point", "--points", "--port", "--record", "--reference-every", "--repeat",
     "--restarts", "--search", "--seed", "--starts", "--stations", "--system", "--top",
     "--uart",
 }  # fmt: skip
@@ -144,7 +144,7 @@ SHARES = {
 TEXTS = {
     "--align", "--with",
     "--accept", "--aid", "--airfoil", "--airfoils", "--as", "--axis", "--board", "--by", "--calibration",
-    "--camera", "--camera-fault", "--case", "--channel", "--checkpoint", "--clock",
+    "--camera", "--camera-fault", "--case", "--methods", "--channel", "--checkpoint", "--clock",
     "--cluster", "--code", "--column", "--connect", "--data", "--designed-for", "--domain",
     "--drive", "--engine", "--family", "--fault", "--fit", "--floor", "--for", "--free", "--from",
     "--hold-out", "--host", "--imu", "--input", "--inputs", "--keep", "--kind", "--known", "--layout",

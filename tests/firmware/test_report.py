@@ -50,7 +50,7 @@ def test_any_bytes_are_borne_and_a_fault_is_found(tree) -> None:
     source = tree / "real.c"
     text = source.read_text()
     try:
-        source.write_text(text.replace("if (real_abs(angle) < GREATEST) {", "if (true) {"))
+        source.write_text(text.replace("    if (real_abs(angle) < MAX_ANGLE) {", "    if (true) {"))
         assert source.read_text() != text
         broken = run_fuzzer(tree, seconds=90)  # ends when it has found it
     finally:

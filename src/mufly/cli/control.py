@@ -26,7 +26,8 @@ MethodOption = Annotated[
     ),
 ]
 OrderOption = Annotated[
-    int | None, define_option("--order N", "Order of roll-pitch with --method fixed, 2 to 8. Default: 4.")
+    int | None,
+    define_option("--order N", "Order of roll-pitch with --method fixed. Default: 4.", min=2, max=8),
 ]
 
 
