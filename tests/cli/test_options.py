@@ -128,7 +128,8 @@ def notation_of(option: Any) -> NumberNotation | None:
 # Options whose numbers have no dimension.
 COUNTS = {
     "--again", "--aid", "--baud", "--blades", "--boxes", "--cells", "--calibrate", "--cores", "--flights",
-    "--frequencies", "--generations", "--jobs", "--order", "--point", "--points", "--port", "--record", "--reference-every", "--repeat",
+    "--frequencies", "--generations", "--jobs", "--order",
+    "--point", "--points", "--port", "--record", "--reference-every", "--repeat",
     "--restarts", "--search", "--seed", "--starts", "--stations", "--system", "--top",
     "--uart",
 }  # fmt: skip

@@ -191,6 +191,15 @@ def test_bounds_of_a_vehicle_enclose_its_unstable_corners(vehicle: Vehicle, cont
     assert "proved" in str(found)
 
 
+def test_the_worst_vehicle_of_the_default_spreads_is_possible(vehicle: Vehicle, controller: FlightController) -> None:
+    """Two standard deviations reach below zero for some parameters; the worst vehicle stops at the end of the range."""
+    found = analyse_parameter_robustness(vehicle, controller, points=5)
+    below = [k for k, spread in found.spreads.items() if _value(vehicle, k) < spread]
+    assert below
+    worst = replace_parameters(vehicle, found.worst_values)
+    assert all(_value(worst, k) >= 0.0 for k in below)
+
+
 def test_command_writes_a_vehicle_that_loads(tmp_path: Path) -> None:
     arguments = ["mu", "--vary", "swash_plate.linkage=30%", "--vary", "stabiliser_bar.linkage=30%"]
     result = CliRunner().invoke(app, [*arguments, "--frequencies", "8", "--json", "--out", str(tmp_path)])

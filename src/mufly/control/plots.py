@@ -189,11 +189,11 @@ def draw_mu_bounds(robustness: ParameterRobustness) -> Figure:
         if loop.lower:
             axes.plot(loop.lower_frequency, loop.lower, "o", color=colour, label=f"{loop.name}, unstable example")
     axes.axhline(1.0, color="black", linewidth=0.7)
-    axes.set_ylim(bottom=0.0)
+    axes.set_ylim(0.0, 1.5 * max(1.0, *(float(loop.upper.max(initial=0.0)) for loop in robustness.loops)))
     axes.set_xlabel("frequency (rad/s)")
     axes.set_ylabel("structured singular value")
     axes.set_title(f"{robustness.vehicle_name}: stability over its parameters", loc="left", fontsize=10)
-    axes.legend(fontsize=8, frameon=False)
+    axes.legend(fontsize=8, frameon=False, ncols=2, loc="upper left")
     return figure
 
 
@@ -215,7 +215,7 @@ def draw_comparison(comparison: ControllerComparison) -> Figure:
             ax.bar(place + shift, heights, 0.38, color=colour, label=name.replace("_", "-"))
         ax.set_xticks(place, [m.label for m in methods], fontsize=8)
         ax.set_title(title, loc="left", fontsize=9)
-    axes[0].legend(fontsize=8, frameon=False)
+    figure.legend(*axes[0].get_legend_handles_labels(), fontsize=8, frameon=False, loc="outside lower center", ncols=2)
     figure.suptitle(f"{comparison.vehicle_name} at {comparison.rate_Hz:g} Hz", fontsize=10)
     return figure
 

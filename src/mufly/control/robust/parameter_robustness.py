@@ -96,7 +96,8 @@ class ParameterRobustness:
         Spread of every parameter (SI), by key: half the range, or the row's length of a correlated spread.
     heave_yaw, roll_pitch : LoopRobustness
     worst_values : dict
-        Parameters (SI) of the worst vehicle within the spreads, or at the boundary of stability if that is nearer.
+        Parameters (SI) of the worst vehicle within the spreads, or at the boundary of stability if that is nearer. A
+        value beyond the range of its parameter is the range's end.
     worst_loop : str
         Loop that they are the worst for.
     """
@@ -389,13 +390,33 @@ def analyse_parameter_robustness(
     worst = max(loops, key=lambda x: (x.lower, x.peak))
     direction = np.array([worst.worst.get(name, 0.0) for name in names])
     direction *= min(1.0, 1.0 / max(float(np.abs(direction).max(initial=0.0)), 1e-12))
-    values = centre + spread_matrix @ direction
+    values = [
+        _nearest_possible(vehicle, key, middle, middle + step)
+        for key, middle, step in zip(keys, centre.tolist(), (spread_matrix @ direction).tolist(), strict=True)
+    ]
     return ParameterRobustness(
         vehicle.name,
         controller.settings.method,
         {key: float(np.linalg.norm(row)) for key, row in zip(keys, spread_matrix, strict=True)},
         loops[0],
         loops[1],
-        dict(zip(keys, values.tolist(), strict=True)),
+        dict(zip(keys, values, strict=True)),
         worst.name,
     )
+
+
+def _nearest_possible(vehicle: Vehicle, key: str, middle: float, wanted: float) -> float:
+    """Return the value nearest to ``wanted`` on the way from ``middle`` that a vehicle may have."""
+    low, high = 0.0, 1.0
+    share = high
+    for _ in range(20):  # 1e-6 of the way
+        try:
+            replace_parameters(vehicle, {key: middle + share * (wanted - middle)})
+        except InputError:
+            high = share
+        else:
+            low = share
+        if low == high:
+            break
+        share = 0.5 * (low + high)
+    return middle + low * (wanted - middle)
