@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
 from mufly.answer_store import hash_question
-from mufly.control import FlightController, design_flight_controller
+from mufly.control import DesignSettings, FlightController, design_flight_controller
 from mufly.errors import ArgumentError, InputError, MuflyError
 from mufly.estimate import Estimate
 from mufly.estimate.filter_records import EX_ATT, EX_GYRO_BIAS
@@ -285,9 +285,9 @@ class Campaign:
         return hash_question(content)
 
     def _describe_method(self) -> list[str]:
-        """Return the gains of a controller that is not the default design; nothing for the default."""
+        """Return method and gains of a controller of other settings than the default; nothing for the default."""
         c = self.controller
-        if c is None or c.settings.method == "hinf":
+        if c is None or c.settings == DesignSettings():
             return []
         return [c.settings.method, *(g.tobytes().hex() for g in (c.heave_yaw_gains, c.roll_pitch_gains))]
 
