@@ -37,7 +37,7 @@ MOST_WORDS = 40
 """Words of the longest sentence."""
 MOST_CHARACTERS = 72
 """Characters of the longest commit subject."""
-SUBJECTS_SINCE = "b0814f96ebffd564ff1179c7e3306bf1a74372dd"
+SUBJECTS_SINCE = "24c06bdd2ef5277936f08f88c1719a3313c88da6"
 """The commit after which subjects are checked."""
 
 BUDGETS: tuple[tuple[str, int], ...] = (
