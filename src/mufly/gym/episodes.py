@@ -1,0 +1,325 @@
+"""Compiled episodes: start, inputs of a step, motion of the vehicles, observation and reward of many environments.
+
+A step of an environment is one period, by default 20 ms, in which the wind is constant. The action acts after a delay
+of a part of the period, drawn for each episode; until then the preceding action acts. Every environment has its own
+source of random numbers (:mod:`mufly.sensors.rng`), so that it moves as it does alone.
+
+Estimate errors (``sensors="noisy"``) have the statistics that the vehicle file's sensors imply without a filter's
+model: position and heading have the correlated and the white error of the position fix, the velocity the white error
+over the period of the fixes, roll and pitch the error of the level, and the rates the white noise of the gyroscopes
+over a step. A Gauss-Markov process of variance 1 and time constant tau is sampled exactly,
+``e[k+1] = d e[k] + sqrt(1 - d^2) n``, ``d = exp(-T / tau)``.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.dynamics.equations_of_motion import battery_state, lowest_point
+from mufly.dynamics.model_state import (
+    POSITION,
+    RS_ATT,
+    RS_BAR,
+    RS_CHARGE,
+    RS_POS,
+    RS_RATES,
+    RS_VEL,
+    STATE_SIZE,
+    U_MOTOR_LOWER,
+    U_MOTOR_UPPER,
+)
+from mufly.dynamics.simulation import integrate_state
+from mufly.gym.observation import (
+    ACTION_SIZE,
+    MAX_RANGE_M,
+    OBS_EXTRA,
+    RANGE_COUNT,
+    fill_observation,
+    heading_direction,
+    map_action,
+)
+from mufly.gym.tasks import COLUMN_COUNT, OBSTACLE, WAYPOINT, draw_waypoint, judge_step, place_task
+from mufly.numba_cache import cached_njit
+from mufly.portable_math import sine_cosine
+from mufly.sensors.rng import draw_normals, draw_uniforms
+from mufly.world.obstacles import first_hit, nearest_obstacles
+
+_Array = NDArray[np.float64]
+_Ints = NDArray[np.int64]
+
+_UNIFORMS = 40  # drawn at the start of an episode
+_START_TILT_RAD, _START_SPEED_M_S, _START_RATE_rad_s = 0.15, 0.3, 0.3
+_LEAST_CHARGE = 0.5
+ERR_POSITION, ERR_HEADING, ERR_LEVEL, ERROR_SIZE = 0, 3, 4, 6
+"""Places of the correlated errors of an estimate."""
+
+
+class EpisodeArrays(NamedTuple):
+    """Episodes of n environments.
+
+    ``state`` (n, 21), ``source`` (n,) of random numbers, ``target`` and ``after``, the next target (n, 3; m),
+    ``heading`` (n, 2) cosine and sine of the target heading, ``action`` (n, 4), ``inputs_before`` and ``inputs`` (n,
+    4) of the flight model, ``wind`` (n, 3; m/s), ``vehicle`` and ``series`` (n,) indices of fleet and winds,
+    ``sample`` (n,) of the wind, ``delay`` (n,) in integration steps, ``steps`` (n,) of the episode, ``distance`` (n,)
+    to the target (m), ``speed`` (n,) (m/s), ``change`` (n,) square of the last change of the action, ``error`` (n, 6)
+    unit correlated errors, ``columns`` (n, 6, 5), ``reached`` (n,) number of targets.
+    """
+
+    state: _Array
+    source: NDArray[np.uint64]
+    target: _Array
+    after: _Array
+    heading: _Array
+    action: _Array
+    inputs_before: _Array
+    inputs: _Array
+    wind: _Array
+    vehicle: _Ints
+    series: _Ints
+    sample: _Ints
+    delay: _Ints
+    steps: _Ints
+    distance: _Array
+    speed: _Array
+    change: _Array
+    error: _Array
+    columns: _Array
+    reached: _Ints
+
+
+class EpisodeSettings(NamedTuple):
+    """Settings of all environments of a vector.
+
+    ``kind`` of the task, ``most_steps`` of an episode, greatest ``delay`` in integration steps, ``trim`` (4,) of an
+    action of zero, ``nominal_V`` of the battery, ``radius`` of the rotors (m), ``limits`` (6,) of the room, ``low`` and
+    ``high`` (m,) of an observation, ``has_errors`` of the estimate, ``decay`` (6,) and ``sigma`` (6,) of the correlated
+    errors, and ``white`` (4,) standard deviations of position (m), velocity (m/s), heading (rad) and rates (rad/s).
+    """
+
+    kind: int
+    most_steps: int
+    delay: int
+    trim: _Array
+    nominal_V: float
+    radius: float
+    limits: _Array
+    low: _Array
+    high: _Array
+    has_errors: bool
+    decay: _Array
+    sigma: _Array
+    white: _Array
+
+
+def make_episodes(count: int) -> EpisodeArrays:
+    """Return the arrays of ``count`` environments before their first episode."""
+    n = count
+
+    def whole() -> _Ints:
+        return np.zeros(n, dtype=np.int64)
+
+    return EpisodeArrays(
+        state=np.zeros((n, STATE_SIZE)), source=np.zeros(n, dtype=np.uint64), target=np.zeros((n, 3)),
+        after=np.zeros((n, 3)), heading=np.zeros((n, 2)), action=np.zeros((n, ACTION_SIZE)),
+        inputs_before=np.zeros((n, 4)), inputs=np.zeros((n, 4)), wind=np.zeros((n, 3)), vehicle=whole(),
+        series=whole(), sample=whole(), delay=whole(), steps=whole(), distance=np.zeros(n),
+        speed=np.zeros(n), change=np.zeros(n), error=np.zeros((n, ERROR_SIZE)),
+        columns=np.zeros((n, COLUMN_COUNT, 5)), reached=whole(),
+    )  # fmt: skip
+
+
+@cached_njit(error_model="numpy")
+def copy_numbers(source: _Array, target: _Array) -> None:
+    """Copy an array (n,); a loop compiles in a tenth of the time of a slice."""
+    for i in range(source.size):
+        target[i] = source[i]
+
+
+@cached_njit(error_model="numpy", nogil=True)
+def start_episodes(
+    e: EpisodeArrays, s: EpisodeSettings, which: NDArray[np.bool_], states: _Array, inputs: _Array, winds: _Array
+) -> None:
+    """Start a new episode in the environments of ``which`` (n,).
+
+    ``states`` (k, 21) and ``inputs`` (k, 4) are those of the fleet in hover, ``winds`` is (w, samples, 3).
+    """
+    r = np.empty(_UNIFORMS)
+    for k in range(which.size):
+        if not which[k]:
+            continue
+        draw_uniforms(e.source[k : k + 1], r)
+        e.vehicle[k], e.series[k] = int(r[0] * states.shape[0]), int(r[1] * winds.shape[0])
+        e.sample[k], e.delay[k] = int(r[2] * winds.shape[1]), int(r[3] * (s.delay + 1))
+        x = e.state[k]
+        copy_numbers(states[e.vehicle[k]], x)
+        place_task(s.kind, r[14:], x, e.target[k], e.after[k], e.columns[k])
+        # Start heading, and target heading within a quarter turn of it; no heading to hold on the way to a target.
+        yaw = math.pi * (2.0 * r[4] - 1.0)
+        wanted = yaw + 0.5 * math.pi * (2.0 * r[5] - 1.0)
+        e.heading[k, 1], e.heading[k, 0] = sine_cosine(wanted)
+        roll, pitch = _START_TILT_RAD * (2.0 * r[6] - 1.0), _START_TILT_RAD * (2.0 * r[7] - 1.0)
+        _set_attitude(x, roll, pitch, yaw)
+        for i in range(3):
+            x[RS_VEL + i] = _START_SPEED_M_S * (2.0 * r[8 + i] - 1.0)
+            x[RS_RATES + i] = _START_RATE_rad_s * (2.0 * r[11 + i] - 1.0)
+        x[RS_CHARGE] = _LEAST_CHARGE + (1.0 - _LEAST_CHARGE) * r[39]
+        copy_numbers(inputs[e.vehicle[k]], e.inputs[k])
+        copy_numbers(winds[e.series[k], e.sample[k]], e.wind[k])
+        for i in range(ACTION_SIZE):
+            e.action[k, i] = 0.0
+        e.steps[k], e.reached[k], e.change[k] = 0, 0, 0.0
+        e.distance[k], e.speed[k] = _distance(x, e.target[k]), _speed(x)
+        if s.has_errors:
+            draw_normals(e.source[k : k + 1], e.error[k])
+
+
+@cached_njit(error_model="numpy")
+def _set_attitude(x: _Array, roll: float, pitch: float, yaw: float) -> None:
+    """Write the attitude, with the stabiliser bar's disc normal to the mast."""
+    s1, c1 = sine_cosine(0.5 * roll)
+    s2, c2 = sine_cosine(0.5 * pitch)
+    s3, c3 = sine_cosine(0.5 * yaw)
+    x[RS_ATT] = c1 * c2 * c3 + s1 * s2 * s3
+    x[RS_ATT + 1] = s1 * c2 * c3 - c1 * s2 * s3
+    x[RS_ATT + 2] = c1 * s2 * c3 + s1 * c2 * s3
+    x[RS_ATT + 3] = c1 * c2 * s3 - s1 * s2 * c3
+    w, i, j, k = x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
+    x[RS_BAR], x[RS_BAR + 1] = -2.0 * (i * k + w * j), -2.0 * (j * k - w * i)
+    x[RS_BAR + 2] = 2.0 * (i * i + j * j) - 1.0
+
+
+@cached_njit(error_model="numpy")
+def _distance(x: _Array, target: _Array) -> float:
+    n, e, d = target[0] - x[RS_POS], target[1] - x[RS_POS + 1], target[2] - x[RS_POS + 2]
+    return math.sqrt(n * n + e * e + d * d)
+
+
+@cached_njit(error_model="numpy")
+def _speed(x: _Array) -> float:
+    return math.sqrt(x[RS_VEL] * x[RS_VEL] + x[RS_VEL + 1] * x[RS_VEL + 1] + x[RS_VEL + 2] * x[RS_VEL + 2])
+
+
+@cached_njit(error_model="numpy", nogil=True)
+def command_episodes(
+    e: EpisodeArrays, s: EpisodeSettings, actions: NDArray[np.float32], which: NDArray[np.bool_], winds: _Array
+) -> None:
+    """Take the actions (n, 4) of the environments of ``which``, and the next sample of their wind."""
+    for k in range(which.size):
+        if not which[k]:
+            continue
+        change = 0.0
+        for i in range(ACTION_SIZE):
+            a = min(max(float(actions[k, i]), -1.0), 1.0)
+            change += (a - e.action[k, i]) ** 2
+            e.action[k, i] = a
+        e.change[k] = change
+        copy_numbers(e.inputs[k], e.inputs_before[k])
+        map_action(e.action[k], s.trim, e.inputs[k])
+        e.sample[k] = (e.sample[k] + 1) % winds.shape[1]
+        copy_numbers(winds[e.series[k], e.sample[k]], e.wind[k])
+
+
+@cached_njit(error_model="numpy", nogil=True)
+def move_episodes(e: EpisodeArrays, which: NDArray[np.bool_], fleet: NDArray[np.void], dt: float, steps: int) -> None:
+    """Integrate the vehicles of the environments of ``which`` over a period of ``steps`` steps of ``dt`` (s)."""
+    for k in range(which.size):
+        if which[k]:
+            p = fleet[e.vehicle[k]]
+            integrate_state(e.state[k], e.inputs_before[k], e.wind[k], p, dt, e.delay[k])
+            integrate_state(e.state[k], e.inputs[k], e.wind[k], p, dt, steps - e.delay[k])
+
+
+@cached_njit(error_model="numpy", nogil=True)
+def judge_episodes(
+    e: EpisodeArrays, s: EpisodeSettings, which: NDArray[np.bool_], fleet: NDArray[np.void], reward: _Array,
+    terminated: NDArray[np.bool_], truncated: NDArray[np.bool_], success: NDArray[np.bool_],
+) -> None:  # fmt: skip
+    """Write reward and end of the step of the environments of ``which``; take the next target at a waypoint."""
+    boxes, r = np.empty((0, 8)), np.empty(3)
+    for k in range(which.size):
+        if not which[k]:
+            continue
+        x = e.state[k]
+        p = fleet[e.vehicle[k]]
+        now = _distance(x, e.target[k])
+        touches = x[RS_POS + 2] + p.contact_reach > 0.0 and lowest_point(x, p)[0] > 0.0
+        collides = False
+        if s.kind == OBSTACLE:
+            near = nearest_obstacles(x[POSITION].reshape(1, 3), boxes, e.columns[k], s.limits)[0][0]
+            collides = not near > s.radius
+        w, i, j, z = x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
+        c, sn = heading_direction(w, i, j, z)
+        speed = max(_speed(x), e.speed[k])  # legs stop a vehicle within a step
+        e.speed[k] = _speed(x)
+        rates = x[RS_RATES] ** 2 + x[RS_RATES + 1] ** 2 + x[RS_RATES + 2] ** 2
+        reward[k], terminated[k], success[k] = judge_step(
+            s.kind, e.distance[k], now, e.heading[k, 0] * c + e.heading[k, 1] * sn, rates, e.change[k],
+            1.0 - 2.0 * (i * i + j * j), speed, touches, collides,
+        )  # fmt: skip
+        if success[k]:
+            e.reached[k] += 1
+            if s.kind == WAYPOINT:
+                copy_numbers(e.after[k], e.target[k])
+                draw_uniforms(e.source[k : k + 1], r)
+                draw_waypoint(r, e.after[k])
+                now = _distance(x, e.target[k])
+        e.distance[k] = now
+        e.steps[k] += 1
+        truncated[k] = not terminated[k] and e.steps[k] >= s.most_steps
+
+
+@cached_njit(error_model="numpy", nogil=True)
+def observe_episodes(
+    e: EpisodeArrays, s: EpisodeSettings, which: NDArray[np.bool_], fleet: NDArray[np.void], out: NDArray[np.float32]
+) -> None:
+    """Write the observations (n, m) of the environments of ``which``; draw their estimates' errors."""
+    row, boxes = np.empty(s.low.size), np.empty((0, 8))
+    error, velocity, rates, white = np.empty(3), np.empty(3), np.empty(3), np.empty(10 + ERROR_SIZE)
+    for k in range(which.size):
+        if not which[k]:
+            continue
+        x = e.state[k]
+        p = fleet[e.vehicle[k]]
+        for i in range(3):
+            error[i] = e.target[k, i] - x[RS_POS + i]
+            velocity[i] = x[RS_VEL + i]
+            rates[i] = x[RS_RATES + i]
+        w, qx, qy, qz = x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
+        down_x, down_y = 2.0 * (qx * qz - w * qy), 2.0 * (qy * qz + w * qx)
+        down_z = 1.0 - 2.0 * (qx * qx + qy * qy)
+        c, sn = heading_direction(w, qx, qy, qz)
+        if s.has_errors:
+            draw_normals(e.source[k : k + 1], white)
+            drift = e.error[k]
+            for i in range(3):
+                error[i] -= s.sigma[ERR_POSITION + i] * drift[ERR_POSITION + i] + s.white[0] * white[i]
+                velocity[i] += s.white[1] * white[3 + i]
+                rates[i] += s.white[3] * white[6 + i]
+            turn_s, turn_c = sine_cosine(s.sigma[ERR_HEADING] * drift[ERR_HEADING] + s.white[2] * white[9])
+            c, sn = c * turn_c - sn * turn_s, sn * turn_c + c * turn_s
+            down_x -= s.sigma[ERR_LEVEL + 1] * drift[ERR_LEVEL + 1]
+            down_y += s.sigma[ERR_LEVEL] * drift[ERR_LEVEL]
+            for i in range(ERROR_SIZE):
+                drift[i] = s.decay[i] * drift[i] + math.sqrt(1.0 - s.decay[i] * s.decay[i]) * white[10 + i]
+        voltage = battery_state(x, e.inputs[k, U_MOTOR_UPPER], e.inputs[k, U_MOTOR_LOWER], p)[0]
+        fill_observation(
+            row, error, velocity, (down_x, down_y, down_z), rates, (c, sn), (e.heading[k, 0], e.heading[k, 1]),
+            voltage / s.nominal_V, e.action[k], -e.target[k, 2] + error[2],
+        )  # fmt: skip
+        if s.kind == WAYPOINT:
+            north, east = e.after[k, 0] - e.target[k, 0] + error[0], e.after[k, 1] - e.target[k, 1] + error[1]
+            row[OBS_EXTRA], row[OBS_EXTRA + 1] = c * north + sn * east, c * east - sn * north
+            row[OBS_EXTRA + 2] = e.after[k, 2] - e.target[k, 2] + error[2]
+        elif s.kind == OBSTACLE:
+            for i in range(RANGE_COUNT):
+                sa, ca = sine_cosine(i * 2.0 * math.pi / RANGE_COUNT)
+                row[OBS_EXTRA + i] = first_hit(
+                    x[POSITION], c * ca - sn * sa, sn * ca + c * sa, 0.0, MAX_RANGE_M, boxes, e.columns[k], s.limits
+                )
+        for i in range(row.size):
+            v = row[i]
+            out[k, i] = min(max(v, s.low[i]), s.high[i]) if v == v else 0.0

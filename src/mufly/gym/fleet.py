@@ -1,0 +1,142 @@
+"""Vehicles and winds from which the episodes of an environment draw.
+
+Both are drawn once, from a seed of their own (``fleet_seed``), with the variations of a campaign
+(:mod:`mufly.flight.monte_carlo.variation`) and the Dryden turbulence of flights. Each episode takes a vehicle, and a
+wind at a random instant, by its own random numbers. Episodes are therefore independent of the other environments of a
+vector.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.dynamics import (
+    DEFAULT_STEP_S,
+    PARAMETER_DTYPE,
+    STATE_SIZE,
+    DrydenWind,
+    fastest_mode_key,
+    find_trim,
+    longest_step,
+    model_parameters,
+)
+from mufly.errors import InputError, MuflyError
+from mufly.flight.monte_carlo.variation import parse_variations
+from mufly.vehicle import Vehicle, replace_parameters
+
+_Array = NDArray[np.float64]
+
+TRIM_CHARGE = 0.8
+"""Charge of the battery at which the inputs of hover are computed."""
+
+_WIND_SERIES_S = 60.0
+_MOST_ATTEMPTS = 20  # for each vehicle of the fleet
+
+
+@dataclass(frozen=True, eq=False)
+class Fleet:
+    """Vehicles that episodes draw from.
+
+    Attributes
+    ----------
+    parameters : (k,) structured array of type :data:`~mufly.dynamics.PARAMETER_DTYPE`
+    states : (k, 21) array
+        State of each vehicle in hover at the origin.
+    inputs : (k, 4) array
+        Inputs of each vehicle in hover.
+    trim : (4,) array
+        Inputs of the nominal vehicle in hover.
+    nominal_voltage_V : float
+        Battery voltage of the nominal vehicle.
+    """
+
+    parameters: NDArray[np.void]
+    states: _Array
+    inputs: _Array
+    trim: _Array
+    nominal_voltage_V: float
+
+
+def draw_fleet(vehicle: Vehicle, vary: Sequence[str], count: int, seed: int) -> Fleet:
+    """Return ``count`` vehicles drawn around a vehicle; without ``vary`` the vehicle alone.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    vary : sequence of str
+        Variations as ``mufly montecarlo --vary`` takes them, such as ``"parameters=10%"`` or ``"parameters=std"``.
+    count : int
+    seed : int
+
+    Raises
+    ------
+    InputError
+        If a variation cannot be read.
+    MuflyError
+        If nearly all drawn vehicles cannot hover.
+    """
+    variations, rng = parse_variations(vary, vehicle), np.random.default_rng(seed)
+    nominal = find_trim(vehicle, charge=TRIM_CHARGE)
+    made: list[tuple[np.void, _Array, _Array]] = []
+    refused = ""
+    for _ in range(_MOST_ATTEMPTS * count if variations else 1):
+        try:
+            drawn = vehicle
+            for variation in variations:
+                drawn = replace_parameters(drawn, variation.parameter_values(variation.draw_variables(rng)))
+            hover = find_trim(drawn, charge=TRIM_CHARGE)
+        except (InputError, MuflyError) as error:
+            refused = str(error)
+            continue
+        made.append((model_parameters(drawn), hover.state, hover.input))
+        if len(made) == count or not variations:
+            break
+    else:
+        raise MuflyError(f"only {len(made)} of {count} drawn vehicles can hover ({refused}); vary less")
+    parameters = np.zeros(len(made), dtype=PARAMETER_DTYPE)
+    states, inputs = np.zeros((len(made), STATE_SIZE)), np.zeros((len(made), 4))
+    for k, (record, state, trim) in enumerate(made):
+        parameters[k], states[k], inputs[k] = record, state, trim
+    voltage = float(vehicle.battery.nominal_voltage)
+    return Fleet(parameters, states, inputs, np.asarray(nominal.input, dtype=np.float64), voltage)
+
+
+def common_step(fleet: Fleet, period_s: float) -> tuple[float, int]:
+    """Return the longest integration step (s) that divides a period and is stable for every vehicle, and their number.
+
+    Raises
+    ------
+    MuflyError
+        If a vehicle needs steps below a fiftieth of the default.
+    """
+    steps = [longest_step(p) for p in fleet.parameters]
+    longest = min(DEFAULT_STEP_S, *steps)
+    if longest < DEFAULT_STEP_S / 50.0:
+        slowest = fleet.parameters[int(np.argmin(steps))]
+        raise MuflyError(f"a vehicle needs steps of {longest * 1e6:.2g} us; its fastest mode is that of "
+                         f"{fastest_mode_key(slowest)}")  # fmt: skip
+    count = int(np.ceil(period_s / longest - 1e-9))
+    return period_s / count, count
+
+
+def draw_winds(wind_m_s: float, gust_m_s: float, period_s: float, count: int, seed: int) -> _Array:
+    """Return ``count`` series of the air's velocity (count, samples, 3; N-E-D, m/s), one sample a period.
+
+    Each has a steady level wind of random direction, at most ``wind_m_s``, and gusts of a standard deviation of at most
+    ``gust_m_s``. Without both there is one series of still air.
+    """
+    samples = max(1, round(_WIND_SERIES_S / period_s))
+    if wind_m_s == 0.0 and gust_m_s == 0.0:
+        return np.zeros((1, samples, 3))
+    rng = np.random.default_rng([seed, 1])
+    series = np.empty((count, samples, 3))
+    for k in range(count):
+        speed, direction, gust = wind_m_s * rng.random(), 2.0 * np.pi * rng.random(), gust_m_s * rng.random()
+        steady = (speed * np.cos(direction), speed * np.sin(direction), 0.0)
+        air = DrydenWind(steady, gust, step_s=period_s, seed=int(rng.integers(2**31)))
+        series[k] = air.next_samples(samples)
+    return series

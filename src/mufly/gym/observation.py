@@ -1,0 +1,131 @@
+"""Observation and action of the environments and of learned policies.
+
+An observation has what an estimate knows, so that a policy can fly on a filter. The heading frame has its x axis along
+the vehicle's heading, level, y to the right and z down.
+
+==============  ==============================================================================================
+index           meaning
+==============  ==============================================================================================
+``OBS_ERROR``   target minus position, heading frame (m)
+``OBS_VEL``     velocity, heading frame (m/s)
+``OBS_DOWN``    direction of gravity, body axes
+``OBS_RATES``   p, q, r (rad/s)
+``OBS_HEADING``  sine and cosine of target heading minus heading
+``OBS_SUPPLY``  battery voltage over nominal voltage, minus 1
+``OBS_ACTION``  action of the preceding step
+``OBS_HEIGHT``  height above the floor (m)
+``OBS_EXTRA``   Waypoint: the next target minus position, heading frame (m). Obstacle: distances (m) to the nearest
+                surface in eight level directions, clockwise from the heading
+==============  ==============================================================================================
+
+An action has four numbers from -1 to 1: collective, turn to the right, forward, right. With the inputs of hover
+``trim``, the inputs of the flight model are
+
+    motor upper, lower = trim + 0.3 collective +- 0.15 turn        servo 1 = forward,  servo 2 = right
+
+The C code of an exported policy does the same operations in the same order.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.dynamics.model_state import U_MOTOR_LOWER, U_MOTOR_UPPER, U_SERVO_1, U_SERVO_2
+from mufly.numba_cache import cached_njit
+
+_Array = NDArray[np.float64]
+
+OBS_ERROR, OBS_VEL, OBS_DOWN, OBS_RATES, OBS_HEADING, OBS_SUPPLY, OBS_ACTION, OBS_HEIGHT, OBS_EXTRA = (
+    0, 3, 6, 9, 12, 14, 15, 19, 20
+)  # fmt: skip
+ACTION_SIZE = 4
+RANGE_COUNT = 8
+"""Directions of the distances that ``Obstacle`` observes."""
+MAX_RANGE_M = 4.0
+COLLECTIVE_SPAN, TURN_SPAN = 0.3, 0.15
+
+_BASE_LIMITS = (
+    (10.0,) * 3 + (20.0,) * 3 + (1.0,) * 3 + (50.0,) * 3 + (1.0,) * 2 + (1.0,) + (1.0,) * ACTION_SIZE + (20.0,)
+)
+
+
+def observation_limits(task: str) -> tuple[_Array, _Array]:
+    """Return the lowest and the highest observation of a task; observations are clipped to them."""
+    extra = {"waypoint": (10.0,) * 3, "obstacle": (MAX_RANGE_M,) * RANGE_COUNT}.get(task, ())
+    high = np.array(_BASE_LIMITS + extra)
+    low = -high
+    if task == "obstacle":
+        low[OBS_EXTRA:] = 0.0
+    return low, high
+
+
+@cached_njit(error_model="numpy")
+def map_action(action: _Array, trim: _Array, inputs: _Array) -> None:
+    """Write the inputs (4,) of the flight model for an action (4,) about the inputs ``trim`` (4,) of hover."""
+    collective, turn = COLLECTIVE_SPAN * action[0], TURN_SPAN * action[1]
+    inputs[U_MOTOR_UPPER] = min(max(trim[U_MOTOR_UPPER] + collective + turn, 0.0), 1.0)
+    inputs[U_MOTOR_LOWER] = min(max(trim[U_MOTOR_LOWER] + collective - turn, 0.0), 1.0)
+    inputs[U_SERVO_1] = action[2]
+    inputs[U_SERVO_2] = action[3]
+
+
+@cached_njit(error_model="numpy")
+def heading_direction(w: float, x: float, y: float, z: float) -> tuple[float, float]:
+    """Return cosine and sine of the heading of a unit quaternion; north where the nose points straight up or down."""
+    north, east = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z)
+    length = math.sqrt(north * north + east * east)
+    if length < 1e-9:
+        return 1.0, 0.0
+    return north / length, east / length
+
+
+@cached_njit(error_model="numpy")
+def fill_observation(
+    out: _Array,
+    error: _Array,
+    velocity: _Array,
+    down: tuple[float, float, float],
+    rates: _Array,
+    heading: tuple[float, float],
+    target_heading: tuple[float, float],
+    supply: float,
+    action: _Array,
+    height: float,
+) -> None:
+    """Write the common part of an observation.
+
+    Parameters
+    ----------
+    out : (n,) array
+        Output; the first ``OBS_EXTRA`` numbers are written.
+    error, velocity : (3,) array
+        Target minus position (m), and velocity (m/s), N-E-D.
+    down : (float, float, float)
+        Direction of gravity, body axes.
+    rates : (3,) array
+        p, q, r (rad/s).
+    heading, target_heading : (float, float)
+        Cosine and sine.
+    supply : float
+        Battery voltage over nominal voltage.
+    action : (4,) array
+        Action of the preceding step.
+    height : float
+        Height above the floor (m).
+    """
+    c, s = heading
+    out[OBS_ERROR], out[OBS_ERROR + 1] = c * error[0] + s * error[1], c * error[1] - s * error[0]
+    out[OBS_ERROR + 2] = error[2]
+    out[OBS_VEL], out[OBS_VEL + 1] = c * velocity[0] + s * velocity[1], c * velocity[1] - s * velocity[0]
+    out[OBS_VEL + 2] = velocity[2]
+    out[OBS_DOWN], out[OBS_DOWN + 1], out[OBS_DOWN + 2] = down
+    out[OBS_RATES], out[OBS_RATES + 1], out[OBS_RATES + 2] = rates[0], rates[1], rates[2]
+    out[OBS_HEADING] = target_heading[1] * c - target_heading[0] * s
+    out[OBS_HEADING + 1] = target_heading[0] * c + target_heading[1] * s
+    out[OBS_SUPPLY] = supply - 1.0
+    for i in range(ACTION_SIZE):
+        out[OBS_ACTION + i] = action[i]
+    out[OBS_HEIGHT] = height

@@ -1,0 +1,122 @@
+"""Tasks of the environments: start, target, reward and end of an episode.
+
+==========  ==============================================================================================
+Hover       hold a point 1 m above the floor and a heading, from up to 0.5 m beside it. A step earns at most 1
+Waypoint    fly to points within 1.5 m, one after the other; 5 for a point within 0.2 m of it, 2 for a metre on the way
+Obstacle    fly 4 m north around six columns between walls 4 m apart; 10 at the target, 2 for a metre on the way
+Land        descend to a point on the floor; 10 for a soft touchdown, less 5 for a metre beside it, 2 for a metre on
+            the way
+==========  ==============================================================================================
+
+With e the distance (m), psi the heading error, w the body rates and a the action, a step of Hover earns
+
+    0.7 / (1 + 4 e^2) + 0.2 (1 + cos psi) / 2 + 0.1 / (1 + w^2) - 0.05 (a - a_before)^2
+
+The other tasks cost 0.02 (a - a_before)^2 + 0.01 (1 - cos psi) a step. A fall costs 5, in Hover the rewards to come.
+
+An episode terminates with success, or with a fall: a leg or rotor on the floor (Land: a hard touchdown), a rotor at a
+column or wall, more than 60 degrees of tilt, or more than 3 m from the target (Obstacle: 6 m). Time truncates it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.numba_cache import cached_njit
+from mufly.world import World
+from mufly.world.obstacles import Room
+
+_Array = NDArray[np.float64]
+
+TASKS = ("hover", "waypoint", "obstacle", "land")
+HOVER, WAYPOINT, OBSTACLE, LAND = range(4)
+DURATIONS_S = (10.0, 20.0, 20.0, 10.0)
+"""Default length of an episode of each task."""
+
+COLUMN_COUNT = 6
+OBSTACLE_WORLD = World(room=Room((-3.0, 3.0), (-2.0, 2.0), 2.5))
+"""Walls and ceiling of ``Obstacle``; its columns differ from episode to episode."""
+
+REACHED_M = 0.2
+MOST_DISTANCE_M, MOST_DISTANCE_OBSTACLE_M = 3.0, 6.0
+LEAST_UPRIGHT = 0.5  # cosine of the tilt
+HOVER_HEIGHT_M = 1.0
+START_SPREAD_M = 0.5
+SOFT_SPEED_M_S, SOFT_UPRIGHT = 0.5, 0.94  # touchdown: greatest speed, least cosine of the tilt
+_FALL = -5.0
+
+
+@cached_njit(error_model="numpy")
+def place_task(kind: int, r: _Array, start: _Array, target: _Array, after: _Array, columns: _Array) -> None:
+    """Write start, target and the target after it (three numbers each; N-E-D), and the columns (6, 5).
+
+    ``r`` are uniform numbers; ``columns`` has the layout of a packed :class:`mufly.world.World`.
+    """
+    target[0], target[1], target[2] = 0.0, 0.0, -HOVER_HEIGHT_M
+    for i in range(3):
+        start[i] = target[i] + START_SPREAD_M * (2.0 * r[i] - 1.0)
+    if kind == WAYPOINT:
+        draw_waypoint(r[3:6], target)
+        draw_waypoint(r[6:9], after)
+    elif kind == OBSTACLE:
+        start[0], target[0] = -2.0 + 0.4 * (r[0] - 0.5), 2.0
+        target[1] = 2.0 * (r[3] - 0.5)
+        for k in range(COLUMN_COUNT):
+            columns[k, 0] = -1.3 + 2.6 * (k + r[4 + k]) / COLUMN_COUNT
+            columns[k, 1] = 3.2 * (r[10 + k] - 0.5)
+            columns[k, 2] = 0.1 + 0.15 * r[16 + k]
+            columns[k, 3], columns[k, 4] = -2.5, 0.0
+    elif kind == LAND:
+        start[2] = -0.8 - 0.7 * r[2]
+        target[2] = 0.0
+
+
+@cached_njit(error_model="numpy")
+def draw_waypoint(r: _Array, point: _Array) -> None:
+    """Write a waypoint (3,; N-E-D, m) from three uniform numbers."""
+    point[0], point[1], point[2] = 3.0 * (r[0] - 0.5), 3.0 * (r[1] - 0.5), -0.5 - 1.5 * r[2]
+
+
+@cached_njit(error_model="numpy")
+def judge_step(
+    kind: int, before: float, now: float, heading_cosine: float, rates_squared: float, change_squared: float,
+    upright: float, speed: float, touches: bool, collides: bool,
+) -> tuple[float, bool, bool]:  # fmt: skip
+    """Return the reward of a step, whether it ends the episode, and whether with success.
+
+    Parameters
+    ----------
+    kind : int
+        Index of the task in :data:`TASKS`.
+    before, now : float
+        Distance to the target before and after the step (m).
+    heading_cosine : float
+        Cosine of the heading error.
+    rates_squared, change_squared : float
+        Square sums of the body rates (rad2/s2) and of the change of the action.
+    upright : float
+        Cosine of the tilt.
+    speed : float
+        Greatest speed at begin and end of the step (m/s).
+    touches, collides : bool
+        Whether a leg or a rotor touches the floor, and a rotor an obstacle.
+    """
+    far = now > (MOST_DISTANCE_OBSTACLE_M if kind == OBSTACLE else MOST_DISTANCE_M)
+    lost = not (upright > LEAST_UPRIGHT) or far or collides or not (speed < 100.0)
+    if kind == HOVER:
+        if lost or touches:
+            return 0.0, True, False
+        held = 0.7 / (1.0 + 4.0 * now * now) + 0.1 * (1.0 + heading_cosine) + 0.1 / (1.0 + rates_squared)
+        return held - 0.05 * change_squared, False, False
+    reward = 2.0 * (before - now) - 0.02 * change_squared - 0.01 * (1.0 - heading_cosine)
+    if kind == LAND and touches and not lost:
+        soft = speed < SOFT_SPEED_M_S and upright > SOFT_UPRIGHT
+        return (reward + max(10.0 - 5.0 * now, 0.0), True, True) if soft else (_FALL, True, False)
+    if lost or touches:
+        return _FALL, True, False
+    if now < REACHED_M and kind == WAYPOINT:
+        return reward + 5.0, False, True
+    if now < REACHED_M and kind == OBSTACLE:
+        return reward + 10.0, True, True
+    return reward, False, False

@@ -1,0 +1,309 @@
+"""Vector of environments in compiled code, and a single environment.
+
+Both take the same options::
+
+    gymnasium.make("mufly/Hover-v0", vary=["parameters=10%"], wind_m_s=0.5, gust_m_s=0.3, delay_s=0.01)
+    gymnasium.make_vec("mufly/Hover-v0", num_envs=256, autoreset_mode="SameStep")
+
+Environment i of a vector with seed s moves bit for bit as a single environment with seed s + i. Options: see
+:class:`MuflyVectorEnv`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import gymnasium
+import numpy as np
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+
+from mufly.errors import ArgumentError
+from mufly.gym.episodes import (
+    ERR_HEADING,
+    ERR_LEVEL,
+    ERR_POSITION,
+    ERROR_SIZE,
+    EpisodeArrays,
+    EpisodeSettings,
+    command_episodes,
+    judge_episodes,
+    make_episodes,
+    move_episodes,
+    observe_episodes,
+    start_episodes,
+)
+from mufly.gym.fleet import common_step, draw_fleet, draw_winds
+from mufly.gym.observation import ACTION_SIZE, observation_limits
+from mufly.gym.pictures import draw_episode
+from mufly.gym.tasks import DURATIONS_S, OBSTACLE_WORLD, TASKS
+from mufly.sensors.rng import make_source
+from mufly.vehicle import Vehicle, load_vehicle
+
+_Array = NDArray[np.float64]
+_Flags = NDArray[np.bool_]
+Observation = NDArray[np.float32]
+
+DEFAULT_FLEET_SIZE, DEFAULT_WIND_COUNT = 32, 32
+
+
+class MuflyVectorEnv(gymnasium.vector.VectorEnv):
+    """Environments that step together.
+
+    Parameters
+    ----------
+    num_envs : int
+    task : {"hover", "waypoint", "obstacle", "land"}
+        See :mod:`mufly.gym.tasks`.
+    vehicle : str, Path or Vehicle
+        Name of a built-in vehicle, path of a vehicle file, or a vehicle.
+    vary : sequence of str
+        Parameters of the vehicle that differ from episode to episode, as for ``mufly montecarlo --vary``:
+        ``"parameters=std"`` draws from the standard deviations of the vehicle file.
+    fleet_size, fleet_seed : int
+        Number of vehicles, and of winds, that episodes draw from; seed of both.
+    wind_m_s, gust_m_s : float
+        Greatest steady wind and standard deviation of gusts.
+    delay_s : float
+        Greatest delay of an action, at most a period.
+    sensors : {"ideal", "noisy"}
+        Observe the true state, or a state with the errors of an estimate; see :mod:`mufly.gym.episodes`.
+    period_s : float
+        Time of a step.
+    duration_s : float, optional
+        Length of an episode; default: that of the task.
+    render_mode : {"rgb_array"}, optional
+    autoreset_mode : AutoresetMode or its value
+        When an environment starts its next episode: ``"NextStep"`` (the step after the end ignores its action and
+        starts it), ``"SameStep"`` (the last observation is in ``info["final_obs"]``), or ``"Disabled"`` (call ``reset``
+        with ``options={"reset_mask": ...}``).
+
+    Raises
+    ------
+    ArgumentError
+        If an option is out of range.
+    InputError
+        If vehicle or variation cannot be read.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        task: str = "hover",
+        vehicle: str | Path | Vehicle = "mufly-1.1",
+        vary: Sequence[str] = (),
+        fleet_size: int = DEFAULT_FLEET_SIZE,
+        fleet_seed: int = 0,
+        wind_m_s: float = 0.0,
+        gust_m_s: float = 0.0,
+        delay_s: float = 0.0,
+        sensors: Literal["ideal", "noisy"] = "ideal",
+        period_s: float = 0.02,
+        duration_s: float | None = None,
+        render_mode: str | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+    ) -> None:
+        _check_options(num_envs, task, fleet_size, wind_m_s, gust_m_s, delay_s, sensors, period_s, duration_s)
+        self.num_envs, self.render_mode = num_envs, render_mode
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {
+            "render_modes": ["rgb_array"], "render_fps": round(1.0 / period_s), "autoreset_mode": self.autoreset_mode,
+        }  # fmt: skip
+        nominal = vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle)
+        self.vehicle, self.task, self.period_s = nominal, task, period_s
+        self.fleet = draw_fleet(nominal, vary, fleet_size, fleet_seed)
+        self._winds = draw_winds(wind_m_s, gust_m_s, period_s, fleet_size, fleet_seed)
+        self._step_s, self._step_count = common_step(self.fleet, period_s)
+        kind = TASKS.index(task)
+        low, high = observation_limits(task)
+        length = DURATIONS_S[kind] if duration_s is None else duration_s
+        errors = (
+            _estimate_errors(nominal, period_s) if sensors == "noisy" else (np.zeros(ERROR_SIZE),) * 2 + (np.zeros(4),)
+        )
+        self._settings = EpisodeSettings(
+            kind, max(1, round(length / period_s)), round(delay_s / self._step_s), self.fleet.trim,
+            self.fleet.nominal_voltage_V, float(nominal.rotors.radius), OBSTACLE_WORLD.packed_tables[2], low, high,
+            sensors == "noisy", *errors,
+        )  # fmt: skip
+        self.single_observation_space = gymnasium.spaces.Box(low.astype(np.float32), high.astype(np.float32))
+        self.single_action_space = gymnasium.spaces.Box(-1.0, 1.0, (ACTION_SIZE,), np.float32)
+        batch = gymnasium.vector.utils.batch_space
+        self.observation_space = batch(self.single_observation_space, num_envs)
+        self.action_space = batch(self.single_action_space, num_envs)
+        self.episodes: EpisodeArrays = make_episodes(num_envs)
+        self._all = np.ones(num_envs, dtype=np.bool_)
+        self._ended = np.zeros(num_envs, dtype=np.bool_)
+        self._is_seeded = False
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start episodes and return observations (n, m) and info.
+
+        Parameters
+        ----------
+        seed : int or sequence of int, optional
+            Seed of the first environment, the others count on; or one seed for each. Without it the random numbers
+            continue.
+        options : dict, optional
+            ``{"reset_mask": (n,) array of bool}`` restarts some environments only.
+        """
+        super().reset(seed=seed if isinstance(seed, int) else None)
+        which = self._all
+        if options and "reset_mask" in options:
+            which = np.ascontiguousarray(options["reset_mask"], dtype=np.bool_)
+            if which.shape != (self.num_envs,):
+                raise ArgumentError("reset_mask", "", f"has shape {which.shape}", f"give ({self.num_envs},)")
+        if seed is not None or not self._is_seeded:
+            one = [seed + k for k in range(self.num_envs)] if isinstance(seed, int) else seed
+            seeds: Sequence[int | None] = [None] * self.num_envs if one is None else one
+            if len(seeds) != self.num_envs:
+                raise ArgumentError("seed", "", f"{len(seeds)} seeds", f"give {self.num_envs}")
+            for k in np.flatnonzero(which):
+                if seeds[k] is not None or not self._is_seeded:
+                    self.episodes.source[k] = make_source(seeding.np_random(seeds[k])[0])[0]
+            self._is_seeded = True
+        start_episodes(
+            self.episodes, self._settings, which, self.fleet.states, self.fleet.inputs, self._winds
+        )  # fmt: skip
+        self._ended[which] = False
+        observations = np.zeros(self.observation_space.shape, dtype=np.float32)  # type: ignore[arg-type]
+        observe_episodes(self.episodes, self._settings, self._all, self.fleet.parameters, observations)
+        return observations, {}
+
+    def step(self, actions: Any) -> tuple[Observation, _Array, _Flags, _Flags, dict[str, Any]]:
+        """Step all environments.
+
+        Parameters
+        ----------
+        actions : (n, 4) array
+            See :mod:`mufly.gym.observation`; clipped to -1..1.
+
+        Returns
+        -------
+        observations : (n, m) array
+        rewards : (n,) array
+        terminated, truncated : (n,) arrays of bool
+        info : dict
+            ``"success"`` (n,): whether the step reached a target.
+        """
+        if not self._is_seeded:
+            raise ArgumentError("step", "", "no episode has started", "call reset first")
+        given = np.ascontiguousarray(actions, dtype=np.float32)
+        if given.shape != (self.num_envs, ACTION_SIZE):
+            raise ArgumentError("actions", "", f"have shape {given.shape}", f"give ({self.num_envs}, {ACTION_SIZE})")
+        if not np.isfinite(given).all():
+            raise ArgumentError("actions", "", "contain NaN or infinity", "give numbers from -1 to 1")
+        n, e, s, fleet = self.num_envs, self.episodes, self._settings, self.fleet
+        rewards, terminated, truncated, success = np.zeros(n), *(np.zeros(n, dtype=np.bool_) for _ in range(3))
+        observations = np.zeros(self.observation_space.shape, dtype=np.float32)  # type: ignore[arg-type]
+        next_step = self.autoreset_mode is AutoresetMode.NEXT_STEP
+        which = self._all
+        if self._ended.any():
+            if self.autoreset_mode is AutoresetMode.DISABLED:
+                raise ArgumentError("step", "", "an episode has ended", "reset it with options={'reset_mask': ...}")
+            which = ~self._ended
+        command_episodes(e, s, given, which, self._winds)
+        move_episodes(e, which, fleet.parameters, self._step_s, self._step_count)
+        judge_episodes(e, s, which, fleet.parameters, rewards, terminated, truncated, success)
+        if next_step and self._ended.any():
+            start_episodes(e, s, self._ended, fleet.states, fleet.inputs, self._winds)
+        observe_episodes(e, s, self._all, fleet.parameters, observations)
+        info: dict[str, Any] = {"success": success}
+        ended = terminated | truncated
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
+            info["final_obs"], info["_final_obs"] = observations.copy(), ended
+            start_episodes(e, s, ended, fleet.states, fleet.inputs, self._winds)
+            observe_episodes(e, s, ended, fleet.parameters, observations)
+            ended = np.zeros(n, dtype=np.bool_)
+        self._ended = ended
+        return observations, rewards, terminated, truncated, info
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """Return a picture (height, width, 3) of each environment; None without a render mode."""
+        if self.render_mode is None:
+            return None
+        return tuple(self.draw(k) for k in range(self.num_envs))
+
+    def draw(self, index: int) -> NDArray[np.uint8]:
+        """Return a picture (height, width, 3) of one environment."""
+        return draw_episode(self.episodes, index, self.task, float(self.vehicle.rotors.radius), self.period_s)
+
+
+class MuflyEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
+    """Single environment; options: those of :class:`MuflyVectorEnv` without ``num_envs`` and ``autoreset_mode``."""
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 50}  # noqa: RUF012  Gymnasium's own declaration
+
+    def __init__(self, **options: Any) -> None:
+        self.vector = MuflyVectorEnv(1, autoreset_mode=AutoresetMode.DISABLED, **options)
+        self.render_mode = self.vector.render_mode
+        self.metadata = {**self.metadata, "render_fps": self.vector.metadata["render_fps"]}
+        self.observation_space = self.vector.single_observation_space
+        self.action_space = self.vector.single_action_space
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start an episode and return its first observation (m,) and info."""
+        super().reset(seed=seed)
+        observations, info = self.vector.reset(seed=seed)
+        return observations[0], info
+
+    def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Step with an action (4,); as :meth:`MuflyVectorEnv.step`."""
+        given = np.asarray(action, dtype=np.float32)[None]
+        self.vector._ended[:] = False  # a step after the end of an episode continues it, as in Gymnasium's own
+        observations, rewards, terminated, truncated, info = self.vector.step(given)
+        return (
+            observations[0], float(rewards[0]), bool(terminated[0]), bool(truncated[0]),
+            {"success": bool(info["success"][0])},
+        )  # fmt: skip
+
+    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+        """Return a picture (height, width, 3); None without a render mode."""
+        return None if self.render_mode is None else self.vector.draw(0)
+
+
+def _check_options(
+    num_envs: int, task: str, fleet_size: int, wind_m_s: float, gust_m_s: float, delay_s: float, sensors: str,
+    period_s: float, duration_s: float | None,
+) -> None:  # fmt: skip
+    def check(name: str, value: Any, is_right: bool, remedy: str) -> None:
+        if not is_right:
+            raise ArgumentError(name, "", f"{value!r} is out of range", remedy)
+
+    check("num_envs", num_envs, num_envs >= 1, "give 1 or more")
+    check("task", task, task in TASKS, f"give one of {', '.join(TASKS)}")
+    check("fleet_size", fleet_size, fleet_size >= 1, "give 1 or more")
+    check("sensors", sensors, sensors in ("ideal", "noisy"), "give 'ideal' or 'noisy'")
+    check("period_s", period_s, 1e-3 <= period_s <= 0.1, "give 0.001 to 0.1 s")
+    check("delay_s", delay_s, 0.0 <= delay_s <= period_s, f"give 0 to {period_s:g} s, a period")
+    for name, value in (("wind_m_s", wind_m_s), ("gust_m_s", gust_m_s)):
+        check(name, value, 0.0 <= value <= 20.0, "give 0 to 20 m/s")
+    check("duration_s", duration_s, duration_s is None or 0.0 < duration_s <= 3600.0, "give up to 3600 s")
+
+
+def _estimate_errors(vehicle: Vehicle, period_s: float) -> tuple[_Array, _Array, _Array]:
+    """Return decay (6,) and deviation (6,) of the correlated errors, and the white deviations (4,)."""
+    fitted = vehicle.sensors
+    fix, imu = (None, None) if fitted is None else (fitted.position_fix, fitted.imu)
+    if fix is None or imu is None:
+        raise ArgumentError(
+            "sensors", "", f"{vehicle.name} has no sensors.position_fix and sensors.imu", "use 'ideal' sensors"
+        )
+    decay, sigma = np.ones(ERROR_SIZE), np.zeros(ERROR_SIZE)
+    decay[ERR_POSITION:ERR_LEVEL] = math.exp(-period_s / float(fix.wander_time))
+    sigma[ERR_POSITION:ERR_HEADING] = float(fix.wander)
+    sigma[ERR_HEADING] = float(fix.heading_wander)
+    sigma[ERR_LEVEL:] = float(imu.level)
+    white = np.array([
+        float(fix.noise), float(fix.noise) / float(fix.period), float(fix.heading_noise),
+        float(imu.gyro_noise) / math.sqrt(2.0 * period_s),
+    ])  # fmt: skip
+    return decay, sigma, white
