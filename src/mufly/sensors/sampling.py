@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.numba_cache import cached_njit
-from mufly.numba_intrinsics import borrow_arrays
+from mufly.numba_intrinsics import borrow_arrays, refer_to
 from mufly.sensor_table import SENSORS
 from mufly.sensors.periodic import (
     NEXT_SAMPLE,
@@ -129,10 +129,10 @@ def sample_all(
     """
     # Reference counting of the caller's arrays costs more than sampling.
     x, attitude, supply, quiet = borrow_arrays((x, attitude, supply, quiet))
-    came, told, all_parts = borrow_arrays((came, told, all_parts))
+    came, told = borrow_arrays((came, told))
     for k in range(came.size):
         came[k] = 0
-    _sample_in_turn(t, x, attitude, supply, quiet, came, told, all_parts)
+    _sample_in_turn(t, x, attitude, supply, quiet, came, told, refer_to(all_parts))
     wakes = math.inf
     for k in range(quiet.size):
         wakes = min(wakes, quiet[k])

@@ -37,7 +37,7 @@ from mufly.estimate.sensor_checks import ACTUATOR_START, CLIPPING_START
 from mufly.flight.period_stages import CONTINUE, DONE, FIRST_FREE_CODE, make_stepper
 from mufly.flight.simulated_plant import advance_period, find_collision, true_attitude
 from mufly.numba_cache import cached_njit
-from mufly.numba_intrinsics import borrow_arrays, call_c_function
+from mufly.numba_intrinsics import call_c_function, refer_to
 from mufly.record_fields import int_field, real_field, record_type
 from mufly.sensors.imu import GYRO, sample_imu
 from mufly.sensors.periodic import FIRST_VALUE, IS_VALID, MEASURED_TIME
@@ -266,22 +266,22 @@ def _copy_to_row(row: _Array, at: int, values: _Array) -> int:
     return at + values.size
 
 
-# Stages, compiled inline into their executor: a call would copy the descriptors of some sixty arrays.
+# Stages. The executors pass their arrays by address: a copy of some sixty array descriptors costs seconds to compile.
 
 
-@cached_njit(inline="always")
+@cached_njit(error_model="numpy")
 def _has_ended(p: Periods) -> bool:
     c = p.clock
     return c.tick >= c.stop_tick or c.wind_samples >= p.plant.wind.shape[0] or c.log_rows >= p.log.shape[0]
 
 
-@cached_njit(inline="always")
+@cached_njit(error_model="numpy")
 def _is_heard(p: Periods) -> bool:
     c = p.clock
     return c.listen_interval > 0 and c.tick % c.listen_interval == 0 and c.tick != c.start_tick
 
 
-@cached_njit(inline="always")
+@cached_njit(error_model="numpy")
 def _begin_ideal_period(p: IdealPeriods) -> int:
     if _has_ended(p):
         return DONE
@@ -290,7 +290,7 @@ def _begin_ideal_period(p: IdealPeriods) -> int:
     return CONTINUE
 
 
-@cached_njit(inline="always")
+@cached_njit(error_model="numpy")
 def _begin_fitted_period(p: FittedPeriods) -> int:
     if _has_ended(p):
         return DONE
@@ -308,7 +308,7 @@ def _begin_fitted_period(p: FittedPeriods) -> int:
     return CONTINUE
 
 
-@cached_njit(inline="always")
+@cached_njit(error_model="numpy")
 def _advance_plant(p: Periods) -> int:
     c, q = p.clock, p.plant
     acting = q.acting
@@ -322,7 +322,7 @@ def _advance_plant(p: Periods) -> int:
     return CONTINUE
 
 
-@cached_njit(inline="always")
+@cached_njit(error_model="numpy")
 def _check_contact(p: Periods) -> int:
     c, q = p.clock, p.plant
     if c.tick % c.contact_interval == 0:
@@ -336,13 +336,13 @@ def _check_contact(p: Periods) -> int:
     return CONTINUE
 
 
-@cached_njit(inline="always")
+@cached_njit(error_model="numpy")
 def _publish_ranges(p: Periods) -> None:
     for k in range(p.clock.beam_count):
         p.software.estimate_reals[p.software.offsets.ranges + k] = p.ranges[k]
 
 
-@cached_njit(inline="always")
+@cached_njit(error_model="numpy")
 def _measure_truth(p: IdealPeriods) -> int:
     c, q = p.clock, p.plant
     true_attitude(q.state, q.attitude)
@@ -379,7 +379,7 @@ def _fill_readings(t: float, has_come: NDArray[np.uint8], rows: _Array, f: Filte
     return is_ring
 
 
-@cached_njit(inline="always")
+@cached_njit(error_model="numpy")
 def _sample_sensors(p: FittedPeriods) -> int:
     c, q, f, s = p.clock, p.plant, p.filter, p.sensors
     t = c.tick / c.rate_Hz
@@ -405,7 +405,7 @@ def _sample_sensors(p: FittedPeriods) -> int:
     return CONTINUE
 
 
-@cached_njit(inline="always")
+@cached_njit(error_model="numpy")
 def _publish_truth(p: IdealPeriods) -> int:
     c, q, b, at = p.clock, p.plant, p.software.estimate_reals, p.software.offsets
     b[at.time] = c.tick / c.rate_Hz
@@ -416,7 +416,7 @@ def _publish_truth(p: IdealPeriods) -> int:
     return CONTINUE
 
 
-@cached_njit(inline="always")
+@cached_njit(error_model="numpy")
 def _step_filter(p: FittedPeriods) -> int:
     c, f, b, at = p.clock, p.filter, p.software.estimate_reals, p.software.offsets
     b[at.time] = c.tick / c.rate_Hz
@@ -484,7 +484,7 @@ def _write_filter_status(
     return same
 
 
-@cached_njit(inline="always")
+@cached_njit(error_model="numpy")
 def _step_software(p: Periods) -> int:
     c, s = p.clock, p.software
     at = s.offsets
@@ -501,7 +501,7 @@ def _step_software(p: Periods) -> int:
     return CONTINUE
 
 
-@cached_njit(inline="always")
+@cached_njit(error_model="numpy")
 def _write_row(p: Periods) -> int:
     c, q, s = p.clock, p.plant, p.software
     if c.tick % c.record_interval == 0:
@@ -523,7 +523,7 @@ def _write_row(p: Periods) -> int:
     return CONTINUE
 
 
-@cached_njit(inline="always")
+@cached_njit(error_model="numpy")
 def _end_period(p: Periods) -> int:
     c = p.clock
     if c.is_changed != 0:
@@ -547,10 +547,10 @@ _step_fitted = _compile_stepper(_begin_fitted_period, _sample_sensors, _step_fil
 @cached_njit(error_model="numpy")
 def run_ideal_periods(p: IdealPeriods) -> int:
     """Run periods of a flight on the truth, from ``p.clock.stage`` on; return the code of the stage that stops."""
-    return _step_ideal(borrow_arrays(p))
+    return _step_ideal(refer_to(p))
 
 
 @cached_njit(error_model="numpy")
 def run_fitted_periods(p: FittedPeriods) -> int:
     """Run periods of a flight on sensors, from ``p.clock.stage`` on; return the code of the stage that stops."""
-    return _step_fitted(borrow_arrays(p))
+    return _step_fitted(refer_to(p))
