@@ -1,5 +1,6 @@
 """Flight dynamics: equations of motion, trim, linearisation, simulation, wind and ground."""
 
+from mufly.dynamics.casadi_equations import casadi_model
 from mufly.dynamics.equations_of_motion import (
     battery_state,
     lowest_point,
@@ -61,6 +62,7 @@ __all__ = [
     "Trim",
     "battery_state",
     "body_to_ned_matrix",
+    "casadi_model",
     "describe_level_speed",
     "describe_model_excess",
     "euler_from_quaternion",

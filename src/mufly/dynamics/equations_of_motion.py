@@ -106,6 +106,17 @@ _Array = NDArray[np.float64]
 
 
 @cached_njit(error_model="numpy")
+def attitude_axes(x: _Array) -> tuple[float, float, float, float, float, float, float, float, float]:
+    """Return the rotation matrix from body axes to N-E-D at state ``x``, row by row, as nine numbers."""
+    w, i, j, k = x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
+    return (
+        1 - 2 * (j * j + k * k), 2 * (i * j - w * k), 2 * (i * k + w * j),
+        2 * (i * j + w * k), 1 - 2 * (i * i + k * k), 2 * (j * k - w * i),
+        2 * (i * k - w * j), 2 * (j * k + w * i), 1 - 2 * (i * i + j * j),
+    )  # fmt: skip
+
+
+@cached_njit(error_model="numpy")
 def _clip_value(value: float, low: float, high: float) -> float:
     return min(max(value, low), high)
 
@@ -309,20 +320,21 @@ def _add_ground_effect(x: _Array, wind: _Array, p: ModelParameters, dx: _Array) 
     kT_up, kT_dw = p.thrust_up, p.thrust_dw
     if p.map_nodes > 0:
         kT_up, kT_dw, _, _ = map_coefficients(speed_up, speed_dw, climb_velocity(x, wind), p)
-    a = body_to_ned_matrix(x[ATTITUDE])
+    a00, a01, a02, a10, a11, a12, a20, a21, a22 = attitude_axes(x)
     v_n, v_e = x[RS_VEL] - wind[0], x[RS_VEL + 1] - wind[1]
     across = v_n * v_n + v_e * v_e
-    up = ground_effect_thrust(kT_up * speed_up * speed_up, height - a[2, 2] * p.z_up, across, p)
-    dw = ground_effect_thrust(kT_dw * speed_dw * speed_dw, height - a[2, 2] * p.z_dw, across, p)
-    nx = p.bar_gain * (a[0, 0] * x[RS_BAR] + a[1, 0] * x[RS_BAR + 1] + a[2, 0] * x[RS_BAR + 2])
-    ny = p.bar_gain * (a[0, 1] * x[RS_BAR] + a[1, 1] * x[RS_BAR + 1] + a[2, 1] * x[RS_BAR + 2])
+    up = ground_effect_thrust(kT_up * speed_up * speed_up, height - a22 * p.z_up, across, p)
+    dw = ground_effect_thrust(kT_dw * speed_dw * speed_dw, height - a22 * p.z_dw, across, p)
+    nx = p.bar_gain * (a00 * x[RS_BAR] + a10 * x[RS_BAR + 1] + a20 * x[RS_BAR + 2])
+    ny = p.bar_gain * (a01 * x[RS_BAR] + a11 * x[RS_BAR + 1] + a21 * x[RS_BAR + 2])
     alpha, beta = x[RS_SWASH_ROLL], x[RS_SWASH_PITCH]
     sin_b, cos_b = math.sin(beta), math.cos(beta)
     fx_up, fy_up, fz_up = up * nx, up * ny, -up * math.sqrt(max(1.0 - nx * nx - ny * ny, 0.0))
     fx_dw, fy_dw, fz_dw = -dw * sin_b, dw * cos_b * math.sin(alpha), -dw * cos_b * math.cos(alpha)
     fx, fy, fz = fx_up + fx_dw, fy_up + fy_dw, fz_up + fz_dw
-    for k in range(3):
-        dx[RS_VEL + k] += (a[k, 0] * fx + a[k, 1] * fy + a[k, 2] * fz) / p.mass
+    dx[RS_VEL] += (a00 * fx + a01 * fy + a02 * fz) / p.mass
+    dx[RS_VEL + 1] += (a10 * fx + a11 * fy + a12 * fz) / p.mass
+    dx[RS_VEL + 2] += (a20 * fx + a21 * fy + a22 * fz) / p.mass
     dx[RS_RATES] -= (p.z_up * fy_up + p.z_dw * fy_dw) / p.Ixx
     dx[RS_RATES + 1] += (p.z_up * fx_up + p.z_dw * fx_dw) / p.Iyy
 
@@ -437,20 +449,20 @@ def coefficient_bounds(p: np.void, name: str) -> tuple[float, float, float]:
 @cached_njit(error_model="numpy")
 def contact_wrench(x: _Array, p: ModelParameters) -> tuple[float, float, float, float, float, float]:
     """Return the contact force of the floor (N-E-D, N) and its moment (body axes, N m) as six numbers."""
-    a = body_to_ned_matrix(x[ATTITUDE])
+    a00, a01, a02, a10, a11, a12, a20, a21, a22 = attitude_axes(x)
     f_n = f_e = f_d = m_x = m_y = m_z = 0.0
     for k in range(p.contact_count):
         rx, ry, rz = p.contact_points[k, 0], p.contact_points[k, 1], p.contact_points[k, 2]
-        depth = x[RS_POS + 2] + a[2, 0] * rx + a[2, 1] * ry + a[2, 2] * rz
+        depth = x[RS_POS + 2] + a20 * rx + a21 * ry + a22 * rz
         if depth <= 0.0:
             continue
         # Velocity of the point: body v + W x r, in N-E-D.
         vx = x[RS_RATES + 1] * rz - x[RS_RATES + 2] * ry
         vy = x[RS_RATES + 2] * rx - x[RS_RATES] * rz
         vz = x[RS_RATES] * ry - x[RS_RATES + 1] * rx
-        v_n = x[RS_VEL] + a[0, 0] * vx + a[0, 1] * vy + a[0, 2] * vz
-        v_e = x[RS_VEL + 1] + a[1, 0] * vx + a[1, 1] * vy + a[1, 2] * vz
-        v_d = x[RS_VEL + 2] + a[2, 0] * vx + a[2, 1] * vy + a[2, 2] * vz
+        v_n = x[RS_VEL] + a00 * vx + a01 * vy + a02 * vz
+        v_e = x[RS_VEL + 1] + a10 * vx + a11 * vy + a12 * vz
+        v_d = x[RS_VEL + 2] + a20 * vx + a21 * vy + a22 * vz
         normal = max(0.0, p.leg_stiffness * depth + p.leg_damping * v_d)
         rub = p.leg_friction * normal / math.sqrt(v_n * v_n + v_e * v_e + p.slip_speed * p.slip_speed)
         rub = min(rub, p.friction_bound[k])
@@ -458,9 +470,9 @@ def contact_wrench(x: _Array, p: ModelParameters) -> tuple[float, float, float, 
         f_n += g_n
         f_e += g_e
         f_d += g_d
-        gx = a[0, 0] * g_n + a[1, 0] * g_e + a[2, 0] * g_d
-        gy = a[0, 1] * g_n + a[1, 1] * g_e + a[2, 1] * g_d
-        gz = a[0, 2] * g_n + a[1, 2] * g_e + a[2, 2] * g_d
+        gx = a00 * g_n + a10 * g_e + a20 * g_d
+        gy = a01 * g_n + a11 * g_e + a21 * g_d
+        gz = a02 * g_n + a12 * g_e + a22 * g_d
         m_x += ry * gz - rz * gy
         m_y += rz * gx - rx * gz
         m_z += rx * gy - ry * gx

@@ -1,7 +1,7 @@
 """Gymnasium environments: learning to hover, to follow waypoints, to avoid columns and to land.
 
 ``import mufly.gym`` registers ``mufly/Hover-v0``, ``mufly/Waypoint-v0``, ``mufly/Obstacle-v0`` and ``mufly/Land-v0``.
-Where mufly is installed with its metadata, Gymnasium finds them by itself. :mod:`mufly.gym.vector_env` describes the
+Gymnasium also finds the environments of an installed mufly by itself. :mod:`mufly.gym.vector_env` describes the
 options, :mod:`mufly.gym.observation` what a learner observes and commands, :mod:`mufly.gym.tasks` the rewards.
 """
 

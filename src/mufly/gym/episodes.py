@@ -4,11 +4,11 @@ A step of an environment is one period, by default 20 ms, in which the wind is c
 of a part of the period, drawn for each episode; until then the preceding action acts. Every environment has its own
 source of random numbers (:mod:`mufly.sensors.rng`), so that it moves as it does alone.
 
-Estimate errors (``sensors="noisy"``) have the statistics that the vehicle file's sensors imply without a filter's
-model: position and heading have the correlated and the white error of the position fix, the velocity the white error
-over the period of the fixes, roll and pitch the error of the level, and the rates the white noise of the gyroscopes
-over a step. A Gauss-Markov process of variance 1 and time constant tau is sampled exactly,
-``e[k+1] = d e[k] + sqrt(1 - d^2) n``, ``d = exp(-T / tau)``.
+With ``sensors="noisy"`` an observation has the errors of an estimate, from the sensors of the vehicle file. Position
+and heading have the correlated and the white error of the position fix. The velocity has the white error over the
+period of the fixes. Roll and pitch have the error of the level. The rates have the white noise of the gyroscopes over a
+step. There is no filter. A Gauss-Markov process of variance 1 and time constant tau is sampled exactly, ``e[k+1] =
+d e[k] + sqrt(1 - d^2) n``, ``d = exp(-T / tau)``.
 """
 
 from __future__ import annotations
@@ -61,12 +61,30 @@ ERR_POSITION, ERR_HEADING, ERR_LEVEL, ERROR_SIZE = 0, 3, 4, 6
 class EpisodeArrays(NamedTuple):
     """Episodes of n environments.
 
-    ``state`` (n, 21), ``source`` (n,) of random numbers, ``target`` and ``after``, the next target (n, 3; m),
-    ``heading`` (n, 2) cosine and sine of the target heading, ``action`` (n, 4), ``inputs_before`` and ``inputs`` (n,
-    4) of the flight model, ``wind`` (n, 3; m/s), ``vehicle`` and ``series`` (n,) indices of fleet and winds,
-    ``sample`` (n,) of the wind, ``delay`` (n,) in integration steps, ``steps`` (n,) of the episode, ``distance`` (n,)
-    to the target (m), ``speed`` (n,) (m/s), ``change`` (n,) square of the last change of the action, ``error`` (n, 6)
-    unit correlated errors, ``columns`` (n, 6, 5), ``reached`` (n,) number of targets.
+    Attributes
+    ----------
+    state : (n, 21) array
+        States of the flight model.
+    source : (n,) array
+        Sources of random numbers (:mod:`mufly.sensors.rng`).
+    target, after : (n, 3) array
+        Target and the target after it (m).
+    heading : (n, 2) array
+        Cosine and sine of the target heading.
+    action, inputs_before, inputs : (n, 4) array
+        Action, and inputs of the flight model in the preceding step and in this one.
+    wind : (n, 3) array
+        Velocity of the air (m/s).
+    vehicle, series, sample : (n,) array
+        Index of the vehicle in the fleet, of the wind, and of the wind's sample.
+    delay, steps, reached : (n,) array
+        Delay in integration steps, steps of the episode, number of reached targets.
+    distance, speed, change : (n,) array
+        Distance to the target (m), speed (m/s), square of the last change of the action.
+    error : (n, 6) array
+        Correlated errors of the estimate, of variance 1.
+    columns : (n, 6, 5) array
+        Columns of ``Obstacle``, packed as in :class:`mufly.world.World`.
     """
 
     state: _Array
@@ -94,10 +112,26 @@ class EpisodeArrays(NamedTuple):
 class EpisodeSettings(NamedTuple):
     """Settings of all environments of a vector.
 
-    ``kind`` of the task, ``most_steps`` of an episode, greatest ``delay`` in integration steps, ``trim`` (4,) of an
-    action of zero, ``nominal_V`` of the battery, ``radius`` of the rotors (m), ``limits`` (6,) of the room, ``low`` and
-    ``high`` (m,) of an observation, ``has_errors`` of the estimate, ``decay`` (6,) and ``sigma`` (6,) of the correlated
-    errors, and ``white`` (4,) standard deviations of position (m), velocity (m/s), heading (rad) and rates (rad/s).
+    Attributes
+    ----------
+    kind, most_steps : int
+        Index of the task, and steps of an episode.
+    delay : int
+        Greatest delay in integration steps.
+    trim : (4,) array
+        Inputs for an action of zero.
+    nominal_V, radius : float
+        Nominal voltage of the battery, radius of the rotors (m).
+    limits : (6,) array
+        Packed walls and ceiling of ``Obstacle``.
+    low, high : (m,) array
+        Bounds of an observation.
+    has_errors : bool
+        Whether an observation has errors.
+    decay, sigma : (6,) array
+        Decay in a step and standard deviation of the correlated errors.
+    white : (4,) array
+        White standard deviations of position (m), velocity (m/s), heading (rad) and rates (rad/s).
     """
 
     kind: int

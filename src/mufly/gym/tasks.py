@@ -14,8 +14,9 @@ With e the distance (m), psi the heading error, w the body rates and a the actio
 
 The other tasks cost 0.02 (a - a_before)^2 + 0.01 (1 - cos psi) a step. A fall costs 5, in Hover the rewards to come.
 
-An episode terminates with success, or with a fall: a leg or rotor on the floor (Land: a hard touchdown), a rotor at a
-column or wall, more than 60 degrees of tilt, or more than 3 m from the target (Obstacle: 6 m). Time truncates it.
+An episode of Obstacle or Land terminates with success. Each episode terminates with a fall: a leg or rotor on the floor
+(Land: a hard touchdown), a rotor at a column or wall, or more than 60 degrees of tilt. More than 3 m from the target
+(Obstacle: 6 m) counts as a fall, too. Time truncates an episode.
 """
 
 from __future__ import annotations

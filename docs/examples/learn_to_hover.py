@@ -1,0 +1,117 @@
+"""Learn to hover with Stable-Baselines3, and export the policy for `mufly fly --policy`.
+
+    pip install "mufly[gym]" stable-baselines3
+    python learn_to_hover.py --out hover-policy.json
+
+The vehicle, its wind, the delay of its actions and the errors of its estimate differ from episode to episode.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import VecEnv
+
+import mufly.gym
+
+RANDOMISED = {
+    "vary": ["parameters=10%"], "wind_m_s": 0.5, "gust_m_s": 0.3, "delay_s": 0.01, "sensors": "noisy",
+}  # fmt: skip
+
+
+class CompiledVecEnv(VecEnv):
+    """Stable-Baselines3's interface of a compiled vector of environments."""
+
+    def __init__(self, name: str, num_envs: int, **options: Any) -> None:
+        self.env = gymnasium.make_vec(name, num_envs=num_envs, autoreset_mode="SameStep", **options)
+        super().__init__(num_envs, self.env.single_observation_space, self.env.single_action_space)
+        self._seed = 0
+
+    def reset(self) -> np.ndarray:
+        return self.env.reset(seed=self._seed)[0]
+
+    def seed(self, seed: int | None = None) -> list[int | None]:
+        self._seed = seed or 0
+        return [self._seed + k for k in range(self.num_envs)]
+
+    def step_async(self, actions: np.ndarray) -> None:
+        self._actions = actions
+
+    def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
+        seen, rewards, terminated, truncated, info = self.env.step(self._actions)
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        for k in np.flatnonzero(terminated | truncated):
+            infos[k] = {"terminal_observation": info["final_obs"][k], "TimeLimit.truncated": bool(truncated[k])}
+        return seen, rewards.astype(np.float32), terminated | truncated, infos
+
+    def close(self) -> None:
+        self.env.close()
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        return [None if attr_name == "render_mode" else getattr(self.env, attr_name)] * self.num_envs
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        setattr(self.env, attr_name, value)
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
+        return [getattr(self.env, method_name)(*args, **kwargs)]
+
+    def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
+        return [False] * self.num_envs
+
+
+def judge_policy(model: PPO, episodes: int = 200) -> tuple[float, float, float]:
+    """Return falls (share), and median and 95 % quantile of the distance (m) after 5 s, over new episodes."""
+    env = gymnasium.make_vec(
+        "mufly/Hover-v0", num_envs=episodes, autoreset_mode="NextStep", fleet_seed=99, **RANDOMISED
+    )
+    seen, _ = env.reset(seed=10_000)
+    fallen, distances = np.zeros(episodes, dtype=bool), []
+    for k in range(500):
+        seen, _, terminated, _, _ = env.step(model.predict(seen, deterministic=True)[0])
+        fallen |= terminated
+        if k >= 250:
+            distances.append(env.unwrapped.episodes.distance[~fallen].copy())
+    far = np.concatenate(distances)
+    return float(fallen.mean()), float(np.median(far)), float(np.quantile(far, 0.95))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--steps", type=int, default=3_000_000, help="steps of all environments together")
+    parser.add_argument("--envs", type=int, default=256, help="environments")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path, default=Path("hover-policy.json"), help="file of the policy")
+    args = parser.parse_args()
+    begin = time.perf_counter()
+    model = PPO(
+        "MlpPolicy", CompiledVecEnv("mufly/Hover-v0", args.envs, **RANDOMISED), n_steps=64, batch_size=2048, n_epochs=5,
+        gamma=0.98, gae_lambda=0.95, learning_rate=lambda left: 1e-3 * left, ent_coef=0.0, seed=args.seed,
+        policy_kwargs={"net_arch": [32, 32], "log_std_init": -1.0}, verbose=0, device="cpu",
+    )  # fmt: skip
+    model.learn(args.steps)
+    falls, median, most = judge_policy(model)
+    taken = time.perf_counter() - begin
+    print(f"learnt in {taken:.0f} s: falls {falls:.1%}, distance {median:.3f} m (95 %: {most:.3f} m)")
+    export_policy(model, args.out)
+
+
+def export_policy(model: PPO, path: Path) -> None:
+    """Write the layers of the mean action; the hidden layers are hyperbolic tangents."""
+    state = {name: value.numpy().tolist() for name, value in model.policy.state_dict().items()}
+    names = ["mlp_extractor.policy_net.0", "mlp_extractor.policy_net.2", "action_net"]
+    layers = [{"weights": state[f"{n}.weight"], "bias": state[f"{n}.bias"]} for n in names]
+    path.write_text(json.dumps({"task": "hover", "period_s": 0.02, "layers": layers}), encoding="utf-8")
+    print(f"written to {path}")
+
+
+if __name__ == "__main__":
+    assert mufly.gym.ENVIRONMENT_IDS
+    main()

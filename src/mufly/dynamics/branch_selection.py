@@ -1,0 +1,200 @@
+"""The equations of motion for types without branches: lanes of vehicles, and symbols.
+
+The source of a function is rewritten so that a decision on data becomes a selection between two results::
+
+    if depth <= 0.0:                    test = depth > 0.0 (each number of its own)
+        continue                        if any_of(test):
+    ...                                     ...
+    force += step                           force = select(test, force + step, force)
+
+A type supplies ``select(test, a, b)``, ``any_of(test)``, ``both_of(a, b)``, ``negate(test)`` and, for decisions on
+parameters, ``uniform(test)``, which is the same for all vehicles. The functions that a function calls are rewritten
+with it. Nothing else of the source changes: order and number of the operations are those of a single vehicle.
+
+The rewritten forms are those that the equations need: ``if`` without ``else``; ``if test: continue`` in a loop; ``if
+test: return value`` before the last ``return``. Other forms raise :class:`NotImplementedError`.
+"""
+
+from __future__ import annotations
+
+import ast
+import builtins
+import inspect
+import textwrap
+from collections.abc import Callable, Collection, Mapping
+from typing import Any
+
+_PARAMETER = "p"
+
+
+def select_branches(
+    function: Any,
+    namespace: Mapping[str, Any],
+    *,
+    wrap: Callable[[Any], Any] = lambda f: f,
+    absent: Collection[str] = (),
+    file: str | None = None,
+) -> Any:
+    """Return a function, and all that it calls, with selections for decisions.
+
+    Parameters
+    ----------
+    function : compiled function
+        Function of the flight model.
+    namespace : mapping
+        ``select``, ``any_of``, ``both_of``, ``negate`` and ``uniform`` of the type, and other names that take the place
+        of the source's, such as functions and ``math``.
+    wrap : callable
+        Compiles each rewritten function.
+    absent : collection of str
+        Parameters that are zero, as ``"map_nodes"`` without a map: ``if p.map_nodes > 0`` is left out.
+    file : str, optional
+        File of the rewritten functions; Numba caches them under its sources.
+    """
+    return _Rewriter(dict(namespace), wrap, frozenset(absent), file).rewrite(function)
+
+
+class _Rewriter:
+    def __init__(
+        self, namespace: dict[str, Any], wrap: Callable[[Any], Any], absent: frozenset[str], file: str | None
+    ) -> None:
+        self._namespace, self._wrap, self._absent, self._file = namespace, wrap, absent, file
+        self._made: dict[Any, Any] = {}
+
+    def rewrite(self, function: Any) -> Any:
+        if function in self._made:
+            return self._made[function]
+        plain = function.py_func
+        tree = ast.parse(textwrap.dedent(inspect.getsource(plain)))
+        definition = tree.body[0]
+        assert isinstance(definition, ast.FunctionDef)
+        definition.decorator_list, definition.returns = [], None
+        for argument in definition.args.args:
+            argument.annotation = None
+        defined = {argument.arg for argument in definition.args.args}
+        body = definition.body
+        if isinstance(body[0], ast.Expr) and isinstance(body[0].value, ast.Constant):
+            body = body[1:]
+        definition.body = _Selection(self._absent).block(body, defined)
+        # Numba tells functions of a file apart by line and name.
+        definition.name = f"{plain.__module__.rpartition('.')[2]}_{plain.__name__}_{len(self._absent)}"
+        ast.increment_lineno(tree, plain.__code__.co_firstlineno - 1)
+        ast.fix_missing_locations(tree)
+        scope = {**plain.__globals__, **self._namespace}
+        for name in _called_names(definition):
+            value = self._namespace.get(name, plain.__globals__.get(name))
+            if hasattr(value, "py_func") and name not in self._namespace:
+                scope[name] = self.rewrite(value)
+        scope["__name__"] = plain.__module__ if self._file is None else __name__
+        code = compile(tree, self._file or f"<{plain.__name__}>", "exec")
+        exec(code, scope)
+        made = self._made[function] = self._wrap(scope[definition.name])
+        return made
+
+
+def _called_names(definition: ast.FunctionDef) -> list[str]:
+    names = [n.func.id for n in ast.walk(definition) if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)]
+    return [n for n in dict.fromkeys(names) if not hasattr(builtins, n)]
+
+
+def _assigned_names(statements: list[ast.stmt]) -> list[str]:
+    names = [n.id for s in statements for n in ast.walk(s) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)]
+    return list(dict.fromkeys(names))
+
+
+def _call(name: str, *arguments: ast.expr) -> ast.Call:
+    return ast.Call(ast.Name(name, ast.Load()), list(arguments), [])
+
+
+def _store(name: str, value: ast.expr) -> ast.Assign:
+    return ast.Assign([ast.Name(name, ast.Store())], value)
+
+
+def _load(name: str) -> ast.Name:
+    return ast.Name(name, ast.Load())
+
+
+class _Expressions(ast.NodeTransformer):
+    """``a and b`` of tests and whole numbers of an index as calls."""
+
+    def visit_BoolOp(self, node: ast.BoolOp) -> ast.expr:
+        self.generic_visit(node)
+        if not isinstance(node.op, ast.And) or len(node.values) != 2:
+            raise NotImplementedError("only `a and b`")
+        return _call("both_of", *node.values)
+
+    def visit_Call(self, node: ast.Call) -> ast.expr:
+        self.generic_visit(node)
+        if ast.unparse(node.func) == "np.uint64":
+            return _call("whole_number", *node.args)
+        return node
+
+
+class _Selection:
+    """Rewrites the statements of one function."""
+
+    def __init__(self, absent: frozenset[str]) -> None:
+        self._absent, self._count = absent, 0
+
+    def block(self, statements: list[ast.stmt], defined: set[str]) -> list[ast.stmt]:
+        out: list[ast.stmt] = []
+        for k, statement in enumerate(statements):
+            rest = statements[k + 1 :]
+            if isinstance(statement, ast.If):
+                if self._is_absent(statement.test):
+                    continue
+                if statement.orelse:
+                    raise NotImplementedError("if with else")
+                last = statement.body[-1]
+                if isinstance(last, ast.Continue):
+                    if len(statement.body) > 1:
+                        raise NotImplementedError("statements before continue")
+                    test = _call("negate", _Expressions().visit(statement.test))
+                    return out + self._selected(test, rest, defined)
+                if isinstance(last, ast.Return) and last.value is not None:
+                    return out + self._guard(statement, last.value, rest, defined)
+                out += self._selected(_Expressions().visit(statement.test), statement.body, defined)
+                continue
+            if isinstance(statement, ast.For):
+                inner = set(defined) | set(_assigned_names([statement]))
+                names = {n.id for n in ast.walk(statement.target) if isinstance(n, ast.Name)}
+                statement.body = self.block(statement.body, set(defined) | names) or [ast.Pass()]
+                defined |= inner
+                out.append(statement)
+                continue
+            out.append(_Expressions().visit(statement))
+            defined |= set(_assigned_names([statement]))
+        return out
+
+    def _is_absent(self, test: ast.expr) -> bool:
+        left = test.left if isinstance(test, ast.Compare) else None
+        return isinstance(left, ast.Attribute) and ast.unparse(left.value) == _PARAMETER and left.attr in self._absent
+
+    def _fresh(self, kind: str) -> str:
+        self._count += 1
+        return f"{kind}_{self._count}"
+
+    def _selected(self, test: ast.expr, body: list[ast.stmt], defined: set[str]) -> list[ast.stmt]:
+        """Return ``body`` for the numbers of ``test``, merged with the values of before."""
+        stores = [n for s in body for n in ast.walk(s) if isinstance(n, ast.Subscript) and isinstance(n.ctx, ast.Store)]
+        if stores or any(isinstance(s, ast.Expr) for s in body):  # writes to arrays: the same for all vehicles
+            return [ast.If(_call("uniform", test), self.block(body, defined), [])]
+        merged = [name for name in _assigned_names(body) if name in defined]
+        test_name = self._fresh("test")
+        kept = {name: self._fresh("kept") for name in merged}
+        inside: list[ast.stmt] = [_store(kept[name], _load(name)) for name in merged]
+        inside += self.block(body, set(defined))
+        inside += [_store(n, _call("select", _load(test_name), _load(n), _load(kept[n]))) for n in merged]
+        return [_store(test_name, test), ast.If(_call("any_of", _load(test_name)), inside, [])]
+
+    def _guard(self, guard: ast.If, value: ast.expr, rest: list[ast.stmt], defined: set[str]) -> list[ast.stmt]:
+        """Return the statements after ``if test: return value``, with a selection in the last ``return``."""
+        if len(guard.body) > 1 or not isinstance(rest[-1], ast.Return) or rest[-1].value is None:
+            raise NotImplementedError("a guard with statements, or without a last return")
+        test_name, value_name = self._fresh("test"), self._fresh("value")
+        out: list[ast.stmt] = [
+            _store(test_name, _Expressions().visit(guard.test)), _store(value_name, _Expressions().visit(value)),
+        ]  # fmt: skip
+        out += self.block(rest[:-1], defined)
+        last = _Expressions().visit(rest[-1].value)
+        return [*out, ast.Return(_call("select", _load(test_name), _load(value_name), last))]

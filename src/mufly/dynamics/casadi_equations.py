@@ -1,0 +1,229 @@
+"""The flight model as a CasADi function, from the source of the equations of motion.
+
+Each function of the model runs once on symbols, with decisions on data as selections
+(:mod:`mufly.dynamics.branch_selection`). There is no second derivation: an edited equation is in the CasADi function.
+
+Tables with a symbolic index become selections between neighbouring entries (``SX``, without a map) or look-ups
+(``MX``, with a coefficient map or flight map).
+"""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.dynamics.branch_selection import select_branches
+from mufly.dynamics.equations_of_motion import state_derivative
+from mufly.dynamics.model_state import INPUT_SIZE, PARAMETER_DTYPE, STATE_SIZE, model_parameters
+from mufly.errors import MuflyError
+from mufly.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    import casadi
+
+
+def casadi_model(vehicle: Vehicle, voltage: float | None = None) -> casadi.Function:
+    """Return the equations of motion as a CasADi function.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    voltage : float, optional
+        Constant battery voltage (V); by default the vehicle's battery model applies.
+
+    Returns
+    -------
+    casadi.Function
+        ``derivative = f(state, inputs, wind)``: (21,), (4,) and (3,) to (21,), as
+        :func:`mufly.dynamics.state_derivative`. It is smooth except at saturations, contact and nodes of tables.
+
+    Raises
+    ------
+    MuflyError
+        If CasADi is not installed.
+
+    Examples
+    --------
+    >>> import mufly
+    >>> from mufly.dynamics import casadi_model, find_trim
+    >>> vehicle = mufly.load_vehicle("mufly-1.1")
+    >>> hover = find_trim(vehicle)
+    >>> abs(float(casadi_model(vehicle, hover.voltage_V)(hover.state, hover.input, [0, 0, 0])[5])) < 1e-6
+    True
+    """
+    try:
+        import casadi
+    except ImportError:
+        raise MuflyError("CasADi is not installed; run: pip install casadi") from None
+    p = model_parameters(vehicle, voltage)
+    kind = casadi.SX if p["map_nodes"] == 0 and p["flight_nodes"] == 0 else casadi.MX
+    names = {"state": STATE_SIZE, "inputs": INPUT_SIZE, "wind": 3}
+    symbols = {name: kind.sym(name, size) for name, size in names.items()}
+    arguments = [[_Symbol(symbols[name][k]) for k in range(size)] for name, size in names.items()]
+    derivative: list[Any] = [0.0] * STATE_SIZE
+    select_branches(state_derivative, _NAMESPACE)(*arguments, _Parameters(p), derivative)
+    out = casadi.vertcat(*(_value(d) for d in derivative))
+    return casadi.Function("derivative", list(symbols.values()), [out], list(names), ["derivative"])
+
+
+class _Symbol:
+    """A CasADi expression, with the operations that the equations use."""
+
+    __array_ufunc__ = None
+
+    def __init__(self, value: Any) -> None:
+        self.value = value
+
+    def __bool__(self) -> bool:
+        raise TypeError("a decision on a symbol; see mufly.dynamics.branch_selection")
+
+    def __add__(self, other: Any) -> _Symbol:
+        return _Symbol(self.value + _value(other))
+
+    def __radd__(self, other: Any) -> _Symbol:
+        return _Symbol(_value(other) + self.value)
+
+    def __sub__(self, other: Any) -> _Symbol:
+        return _Symbol(self.value - _value(other))
+
+    def __rsub__(self, other: Any) -> _Symbol:
+        return _Symbol(_value(other) - self.value)
+
+    def __mul__(self, other: Any) -> _Symbol:
+        return _Symbol(self.value * _value(other))
+
+    def __rmul__(self, other: Any) -> _Symbol:
+        return _Symbol(_value(other) * self.value)
+
+    def __truediv__(self, other: Any) -> _Symbol:
+        return _Symbol(self.value / _value(other))
+
+    def __rtruediv__(self, other: Any) -> _Symbol:
+        return _Symbol(_value(other) / self.value)
+
+    def __neg__(self) -> _Symbol:
+        return _Symbol(-self.value)
+
+    def __abs__(self) -> _Symbol:
+        return _apply("fabs", self)
+
+    def __lt__(self, other: Any) -> _Symbol:
+        return _Symbol(self.value < _value(other))
+
+    def __le__(self, other: Any) -> _Symbol:
+        return _Symbol(self.value <= _value(other))
+
+    def __gt__(self, other: Any) -> _Symbol:
+        return _Symbol(self.value > _value(other))
+
+    def __ge__(self, other: Any) -> _Symbol:
+        return _Symbol(self.value >= _value(other))
+
+    def __eq__(self, other: object) -> Any:
+        return _Symbol(self.value == _value(other))
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+def _value(number: Any) -> Any:
+    return number.value if isinstance(number, _Symbol) else float(number)
+
+
+def _apply(name: str, *numbers: Any) -> Any:
+    """Return CasADi's function of numbers or symbols."""
+    import casadi
+
+    if not any(isinstance(n, _Symbol) for n in numbers):
+        return float(getattr(casadi, name)(*numbers))
+    return _Symbol(getattr(casadi, name)(*(_value(n) for n in numbers)))
+
+
+def _select(test: Any, a: Any, b: Any) -> Any:
+    if not isinstance(test, _Symbol):
+        return a if test else b
+    return _apply("if_else", test, a, b)
+
+
+def _whole(number: Any) -> Any:
+    """Return the integer part, as ``int`` of a number that is not negative or an index below."""
+    if not isinstance(number, _Symbol):
+        return int(number)
+    return _select(number >= 0.0, _apply("floor", number), _apply("ceil", number))
+
+
+def _greatest(*numbers: Any) -> Any:
+    if not any(isinstance(n, _Symbol) for n in numbers):
+        return max(numbers)
+    out = numbers[0]
+    for n in numbers[1:]:
+        out = _apply("fmax", out, n)
+    return out
+
+
+def _least(*numbers: Any) -> Any:
+    if not any(isinstance(n, _Symbol) for n in numbers):
+        return min(numbers)
+    out = numbers[0]
+    for n in numbers[1:]:
+        out = _apply("fmin", out, n)
+    return out
+
+
+_NAMESPACE: dict[str, Any] = {
+    "math": SimpleNamespace(
+        sin=lambda x: _apply("sin", x), cos=lambda x: _apply("cos", x), sqrt=lambda x: _apply("sqrt", x)
+    ),
+    "min": _least,
+    "max": _greatest,
+    "int": _whole,
+    "select": _select,
+    "any_of": lambda test: isinstance(test, _Symbol) or bool(test),
+    "both_of": lambda a, b: b if a is True else _select(a, b, False),
+    "negate": lambda test: 1.0 - test if isinstance(test, _Symbol) else not test,
+    "uniform": bool,
+    "whole_number": lambda n: n,
+}
+
+
+class _Parameters:
+    """A record of parameters with tables that take a symbolic index."""
+
+    def __init__(self, record: np.void) -> None:
+        for name in PARAMETER_DTYPE.names or ():
+            value = record[name]
+            if value.ndim:
+                setattr(self, name, _Table(value))
+            else:
+                setattr(self, name, int(value) if value.dtype.kind == "i" else float(value))
+
+
+class _Table:
+    def __init__(self, numbers: NDArray[Any]) -> None:
+        self._numbers = numbers
+        self.shape = numbers.shape
+        self._looked_up: Any = None
+
+    def __getitem__(self, index: Any) -> Any:
+        if not isinstance(index, _Symbol):
+            return self._numbers[index].item()
+        import casadi
+
+        if isinstance(index.value, casadi.MX):
+            if self._looked_up is None:
+                self._looked_up = casadi.MX(casadi.DM(self._numbers))
+            return _Symbol(self._looked_up[index.value])
+        return _Symbol(self._halved(index.value, 0, len(self._numbers)))
+
+    def _halved(self, index: Any, first: int, end: int) -> Any:
+        """Return the entry at a symbolic index by halving."""
+        import casadi
+
+        if end - first == 1:
+            return casadi.SX(float(self._numbers[first]))
+        middle = (first + end) // 2
+        if np.ptp(self._numbers[first:end]) == 0.0:
+            return casadi.SX(float(self._numbers[first]))
+        return casadi.if_else(index < middle, self._halved(index, first, middle), self._halved(index, middle, end))
