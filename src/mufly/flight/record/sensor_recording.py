@@ -38,11 +38,11 @@ _BELIEF_FIELDS = ("gyro_bias", "accelerometer_bias", "floor_height", "fix_bias",
 
 def make_sensed_row_writer(
     recorder: FlightRecorder,
-) -> Callable[[Truth, Readings, Estimate, Actuators, tuple[_Array, _Array, _Array], str], None]:
+) -> Callable[[Truth, Readings, Estimate | None, Actuators, tuple[_Array, _Array, _Array], str], None]:
     """Return the function that appends a row of a flight on sensors.
 
     ``write(truth, readings, estimate, actuators, reference, state)``, as
-    :func:`mufly.flight.simulated_plant.make_row_writer`.
+    :func:`mufly.flight.simulated_plant.make_row_writer`. Without an estimate (None), its columns are NaN.
     """
     row, part = make_blank_row(recorder)
     fill, put = make_common_writer(part), make_estimate_writer(part)
@@ -61,7 +61,7 @@ def make_sensed_row_writer(
     def write_row(
         truth: Truth,
         readings: Readings,
-        estimate: Estimate,
+        estimate: Estimate | None,
         actuators: Actuators,
         reference: tuple[_Array, _Array, _Array],
         state: str,
@@ -78,8 +78,9 @@ def make_sensed_row_writer(
                     when[0], valid[0] = reading.time_s, reading.valid
                 if reading.covariance is not None and name in variances:
                     variances[name][:] = reading.covariance.diagonal()
-        put(estimate)
-        part["range"][:] = estimate.ranges
+        if estimate is not None:
+            put(estimate)
+            part["range"][:] = estimate.ranges
         recorder.append_row(row, state)
 
     return write_row

@@ -1,0 +1,494 @@
+"""Gains of PX4's cascaded controllers, designed on the linear model of the vehicle file, with predicted margins.
+
+PX4 controls each axis by a cascade; ``k``: position, velocity, angle, rate. In the order of its computation::
+
+    v_sp = P_x (x_sp - x)        a_sp = P_v (v_sp - v) + I_v int (v_sp - v) dt - D_v dv/dt
+    angle_sp = a_sp / g          rate_sp = P_angle (angle_sp - angle)
+    torque = P (rate_sp - rate) + I int (rate_sp - rate) dt - D d(rate)/dt
+
+Roll and pitch move the servos, yaw the difference of the motors, and the vertical axis, without angle and rate, their
+sum. The plant is :func:`mufly.dynamics.linearise_vehicle` at hover on a half-full battery, with one and a half periods
+of delay, the filter of the vehicle's inertial unit and PX4's own filters.
+
+Design: the inner loops first, then position. Gains of a stage minimise the integral of the squared error after a step
+of a disturbance: a torque for angles, wind for positions, an acceleration for the height. Constraints:
+
+- sensitivity at most :data:`MAX_SENSITIVITY`, at the actuator and at the acceleration that the outer loop commands,
+- response of a position to its reference at most :data:`MAX_REFERENCE_PEAK`,
+- an angle error of :data:`ANGLE_ERROR_DEG` moves a servo by half its range at most,
+- gains within the limits of PX4's parameter list.
+
+Load disturbance with limited sensitivity: Åström and Hägglund, Advanced PID Control (2006), Ch. 6. Assumptions: signals
+are small, rates and angles have no errors, estimates of position and velocity lag by :data:`ESTIMATE_LAG_S`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+from scipy.optimize import minimize
+
+from mufly.dynamics import Linearisation, find_trim, linearise_vehicle
+from mufly.errors import MuflyError
+from mufly.results import result
+from mufly.units import GRAVITY
+from mufly.vehicle import Vehicle
+
+_Array = NDArray[np.float64]
+_Complex = NDArray[np.complex128]
+
+MAX_SENSITIVITY = 1.7
+"""Largest sensitivity at the actuators: a phase margin of 34 degrees and a gain margin of 7.7 dB at least."""
+MAX_REFERENCE_PEAK = 1.1
+"""Largest response of a position to its reference."""
+ESTIMATE_LAG_S = 0.1
+"""Lag of PX4's estimates of position and velocity (s)."""
+ANGLE_ERROR_DEG = 10.0
+GYRO_CUTOFF_HZ, GYRO_RATE_CUTOFF_HZ, VELOCITY_RATE_CUTOFF_HZ = 60.0, 40.0, 5.0
+"""Cut-offs of PX4's low passes: IMU_GYRO_CUTOFF, IMU_DGYRO_CUTOFF, MPC_VELD_LP."""
+CONTROL_RATE_HZ = 250.0
+_DELAY_PERIODS = 1.5
+_FREQUENCY = np.geomspace(1e-2, 600.0, 220)
+_STABLE = -1e-3
+_PENALTY = 40.0
+_EVALUATIONS = 400
+_STEP_RESPONSE_S = 20.0
+_STATES = {
+    "roll": ("v", "phi", "p", "b_dw", "bar_roll"),
+    "pitch": ("u", "theta", "q", "a_dw", "bar_pitch"),
+    "yaw": ("r", "Omega_dw", "Omega_up"),
+    "vertical": ("w", "Omega_dw", "Omega_up"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class CascadeGains:
+    """Gains of one axis, in the order of the module's equations.
+
+    Attributes
+    ----------
+    position, velocity, velocity_integral, velocity_rate : float
+        P_x (1/s), P_v (1/s), I_v (1/s^2), D_v (1).
+    angle : float
+        P_angle (1/s).
+    rate, rate_integral, rate_rate : float
+        P, I, D of the rate: actuator input per rad/s, rad and rad/s^2.
+    """
+
+    position: float = 0.0
+    velocity: float = 0.0
+    velocity_integral: float = 0.0
+    velocity_rate: float = 0.0
+    angle: float = 0.0
+    rate: float = 0.0
+    rate_integral: float = 0.0
+    rate_rate: float = 0.0
+
+
+@result
+class AxisMargins:
+    """Predicted loop of one axis, broken at its actuator.
+
+    Attributes
+    ----------
+    axis : str
+    crossover_rad_s : float
+        Highest frequency of a loop gain of 1.
+    sensitivity, outer_sensitivity : float
+        Largest sensitivity at the actuator and at the commanded acceleration; the second is NaN of yaw.
+    gain_margin_dB, phase_margin_deg : float
+        Least margins; of the gain in both directions.
+    reference_peak : float
+        Largest response of the position (of yaw: the angle) to its reference.
+    push_m : float
+        Largest displacement after a step of the wind of 0.5 m/s; NaN of yaw and height.
+    """
+
+    axis: str
+    crossover_rad_s: float
+    sensitivity: float
+    outer_sensitivity: float
+    gain_margin_dB: float
+    phase_margin_deg: float
+    reference_peak: float
+    push_m: float
+
+
+@result
+class AutopilotGains:
+    """Gains of all axes with their margins.
+
+    Attributes
+    ----------
+    vehicle : str
+    hover_thrust : float
+        Mean of the motor inputs in hover on a half-full battery.
+    yaw_trim : float
+        Half the difference of the motor inputs, upper minus lower.
+    roll, pitch, yaw, vertical : CascadeGains
+        Positions of roll and pitch share their gains.
+    margins : tuple of AxisMargins
+    """
+
+    vehicle: str
+    hover_thrust: float
+    yaw_trim: float
+    roll: CascadeGains
+    pitch: CascadeGains
+    yaw: CascadeGains
+    vertical: CascadeGains
+    margins: tuple[AxisMargins, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Axis:
+    """Plant of one axis: state matrix, input column, rows of position, velocity, angle, rate; column of the wind,
+    for the height of an acceleration.
+
+    ``delay_s`` and ``filters`` (natural frequencies of second-order low passes, rad/s) act on the frequency response
+    alone; the test of stability approximates them.
+    """
+
+    name: str
+    A: _Array
+    B: _Array
+    C: _Array
+    wind: _Array
+    thrust_per_acceleration: float
+    delay_s: float
+    rate_filters: tuple[float, ...]
+
+
+def design_autopilot_gains(vehicle: Vehicle) -> AutopilotGains:
+    """Design the gains of PX4's controllers for a vehicle.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+
+    Returns
+    -------
+    AutopilotGains
+
+    Raises
+    ------
+    MuflyError
+        If the vehicle cannot hover, or no gains stabilise an axis.
+    """
+    trim = find_trim(vehicle, charge=0.5)
+    model = linearise_vehicle(vehicle, trim)
+    upper, lower = (float(u) for u in trim.motor_input)
+    hover = 0.5 * (upper + lower)
+    axes = {name: _make_axis(vehicle, model, name, hover) for name in _STATES}
+    gains = {name: _design_angle(axes[name]) for name in ("roll", "pitch", "yaw")}
+    shared = _design_position([axes["roll"], axes["pitch"]], [gains["roll"], gains["pitch"]])
+    vertical = _design_position([axes["vertical"]], [CascadeGains()])
+    for name in ("roll", "pitch"):
+        gains[name] = _with_position(gains[name], shared)
+    gains["vertical"] = vertical
+    return AutopilotGains(
+        vehicle.name, hover, 0.5 * (upper - lower), gains["roll"], gains["pitch"], gains["yaw"], vertical,
+        tuple(predict_margins(axes[name], gains[name]) for name in ("roll", "pitch", "yaw", "vertical")),
+    )  # fmt: skip
+
+
+def _with_position(inner: CascadeGains, outer: CascadeGains) -> CascadeGains:
+    names = ("position", "velocity", "velocity_integral", "velocity_rate")
+    return replace(inner, **{name: getattr(outer, name) for name in names})
+
+
+def _make_axis(vehicle: Vehicle, model: Linearisation, name: str, hover: float) -> _Axis:
+    full, states = model.full, list(model.full.state_labels)
+    inputs = list(full.input_labels)
+    rows = [states.index(s) for s in _STATES[name]]
+    part = full.A[np.ix_(rows, rows)]
+    column = {s: full.B[rows, inputs.index(s)] for s in inputs}
+    speed = {"roll": "v", "pitch": "u"}.get(name, "w")
+    sign = -1.0 if name in ("pitch", "vertical") else 1.0
+    B = {
+        "roll": column["servo_2"],
+        "pitch": -column["servo_1"],
+        "yaw": column["motor_upper"] - column["motor_lower"],
+        "vertical": column["motor_upper"] + column["motor_lower"],
+    }[name]
+    n = len(rows) + 1  # the last state is the integral of the velocity, or of the rate
+    local = _STATES[name]
+    A = np.zeros((n, n))
+    A[:-1, :-1] = part
+    C = np.zeros((4, n))
+    place, moving, turned, turning = range(4)
+    wind = np.zeros(n)
+    if name == "yaw":
+        A[-1, local.index("r")] = 1.0
+        C[turned, -1] = C[turning, local.index("r")] = 1.0
+    else:
+        A[-1, local.index(speed)] = sign
+        C[place, -1], C[moving, local.index(speed)] = 1.0, sign
+        if name == "vertical":
+            wind[local.index("w")] = -1.0  # an upward acceleration: in hover the wind has no vertical force
+        else:
+            wind[:-1] = -sign * full.A[rows, states.index(speed)]
+            C[turned, local.index("phi" if name == "roll" else "theta")] = 1.0
+            C[turning, local.index("p" if name == "roll" else "q")] = 1.0
+    imu = None if vehicle.sensors is None else vehicle.sensors.imu
+    filters = [2.0 * math.pi * GYRO_CUTOFF_HZ]
+    if imu is not None:
+        filters.append(2.0 * math.pi * float(imu.bandwidth))
+    return _Axis(
+        name, A, np.append(B, 0.0), C, wind, hover / GRAVITY if name == "vertical" else 1.0 / GRAVITY,
+        _DELAY_PERIODS / CONTROL_RATE_HZ, tuple(filters),
+    )  # fmt: skip
+
+
+# Frequency responses
+
+
+def _plant_response(axis: _Axis, w: _Array, column: _Array) -> _Complex:
+    """Return the response (n, 4) of position, velocity, angle and rate to an input column."""
+    s = 1j * w[:, None, None]
+    size = len(axis.A)
+    x = np.linalg.solve(s * np.eye(size) - axis.A, np.broadcast_to(column[:, None], (len(w), size, 1)))
+    return np.asarray((axis.C @ x)[..., 0])
+
+
+def _controller_response(axis: _Axis, k: CascadeGains, w: _Array) -> tuple[_Complex, _Complex]:
+    """Return the response of the actuator to minus the four outputs (n, 4), and to the reference (n,)."""
+    s = 1j * w
+    delay = np.exp(-s * axis.delay_s)
+    gyro = np.ones_like(s)
+    for cutoff in axis.rate_filters:
+        gyro /= 1.0 + math.sqrt(2.0) * s / cutoff + (s / cutoff) ** 2
+    rate = k.rate + k.rate_integral / s
+    rate_rate = k.rate_rate * s / (1.0 + s / (2.0 * math.pi * GYRO_RATE_CUTOFF_HZ))
+    speed = k.velocity + k.velocity_integral / s
+    speed_rate = k.velocity_rate * s / (1.0 + s / (2.0 * math.pi * VELOCITY_RATE_CUTOFF_HZ))
+    inner = axis.thrust_per_acceleration * (1.0 if axis.name == "vertical" else k.angle * rate)
+    out = np.empty((len(w), 4), dtype=np.complex128)
+    late = np.exp(-s * ESTIMATE_LAG_S)
+    reference = k.angle * rate if axis.name == "yaw" else inner * speed * k.position
+    out[:, 0] = inner * speed * k.position * late
+    out[:, 1] = inner * (speed + speed_rate) * late
+    out[:, 2], out[:, 3] = k.angle * rate, (rate + rate_rate) * gyro
+    return out * delay[:, None], reference * delay
+
+
+# State-space form, for stability and step responses
+
+
+def _closed_loop(axis: _Axis, k: CascadeGains) -> tuple[_Array, _Array, _Array]:
+    """Return the closed loop's A (n, n), and its columns of the reference and of the wind (n,).
+
+    Its states begin with those of the plant. The delay and the gyroscope's filters are one low pass of second order
+    with the same delay at low frequency.
+    """
+    n = len(axis.A)
+    lag = axis.delay_s + sum(math.sqrt(2.0) / cutoff for cutoff in axis.rate_filters)
+    # states: plant, velocity integral, low-passed velocity, rate integral, low-passed rate, two of the delay
+    vi, vl, ri, rl, d1, d2 = range(n, n + 6)
+    A = np.zeros((n + 6, n + 6))
+    A[:n, :n] = axis.A
+    A[:n, d2] = axis.B
+    place, moving, turned, turning = (np.append(row, np.zeros(6)) for row in axis.C)
+    unit = np.eye(n + 6)
+    cut_v, cut_r = 2.0 * math.pi * VELOCITY_RATE_CUTOFF_HZ, 2.0 * math.pi * GYRO_RATE_CUTOFF_HZ
+    A[vl], A[rl] = cut_v * (moving - unit[vl]), cut_r * (turning - unit[rl])
+    speed_error = -k.position * place - moving
+    acceleration = (
+        k.velocity * speed_error + k.velocity_integral * unit[vi] - k.velocity_rate * cut_v * (moving - unit[vl])
+    )
+    A[vi] = speed_error
+    if axis.name == "vertical":
+        command, reference_gain = axis.thrust_per_acceleration * acceleration, axis.thrust_per_acceleration
+        rate_reference = 0.0
+    else:
+        rate_error = k.angle * (axis.thrust_per_acceleration * acceleration - turned) - turning
+        A[ri] = rate_error
+        command = k.rate * rate_error + k.rate_integral * unit[ri] - k.rate_rate * cut_r * (turning - unit[rl])
+        rate_reference = k.angle * (
+            1.0 if axis.name == "yaw" else axis.thrust_per_acceleration * k.velocity * k.position
+        )
+        reference_gain = k.rate
+    A[d1] = (command - unit[d1]) * 2.0 / lag
+    A[d2] = (unit[d1] - unit[d2]) * 2.0 / lag
+    reference = np.zeros(n + 6)
+    reference[vi] = k.position
+    if axis.name == "vertical":
+        reference[d1] = reference_gain * k.velocity * k.position * 2.0 / lag
+    else:
+        reference[ri] = rate_reference
+        reference[d1] = reference_gain * rate_reference * 2.0 / lag
+    wind = np.append(axis.wind, np.zeros(6))
+    if axis.name == "yaw":  # no position: these states are none of the loop
+        keep = [i for i in range(n + 6) if i not in (vi, vl)]
+        return A[np.ix_(keep, keep)], reference[keep], wind[keep]
+    if axis.name == "vertical":
+        keep = [i for i in range(n + 6) if i not in (ri, rl)]
+        return A[np.ix_(keep, keep)], reference[keep], wind[keep]
+    if k.position == k.velocity == k.velocity_integral == 0.0:  # the angle alone: no velocity, no position
+        keep = [i for i in range(n + 6) if i not in (n - 1, vi, vl)]
+        return A[np.ix_(keep, keep)], reference[keep], wind[keep]
+    return A, reference, wind
+
+
+def _damping_excess(axis: _Axis, k: CascadeGains) -> float:
+    """Return by how much the slowest mode misses stability (1/s); 0 for a stable loop."""
+    A, _, _ = _closed_loop(axis, k)
+    return max(0.0, float(np.max(np.linalg.eigvals(A).real)) - _STABLE)
+
+
+# Design
+
+
+def _optimise(cost: Callable[[_Array], float], starts: Sequence[Sequence[float]]) -> _Array:
+    """Return the gains of least cost; they are searched as logarithms, from each start."""
+    best: tuple[float, _Array] | None = None
+    for start in starts:
+        found = minimize(
+            lambda x: cost(_exponential(x)), np.log(start), method="Nelder-Mead",
+            options={"maxfev": _EVALUATIONS, "xatol": 1e-3, "fatol": 1e-4},
+        )  # fmt: skip
+        if best is None or found.fun < best[0]:
+            best = float(found.fun), _exponential(found.x)
+    assert best is not None
+    return best[1]
+
+
+def _exponential(x: _Array) -> _Array:
+    return np.exp(np.clip(x, -25.0, 5.0))
+
+
+def _outer_sensitivity(plant: _Complex, feedback: _Complex) -> _Complex:
+    """Return the sensitivity at the commanded acceleration, with the inner loops closed."""
+    inner, outer = (np.sum(feedback[:, part] * plant[:, part], axis=1) for part in (slice(2, 4), slice(0, 2)))
+    return np.asarray((1.0 + inner) / (1.0 + inner + outer))
+
+
+def _loop_cost(axis: _Axis, k: CascadeGains, plant: _Complex, disturbance: _Complex, output: int, peak: float) -> float:
+    """Return the logarithm of the integral of the squared error after a step, with penalties."""
+    excess = _damping_excess(axis, k)
+    feedback, reference = _controller_response(axis, k, _FREQUENCY)
+    loop = np.sum(feedback * plant, axis=1)
+    sensitivity = 1.0 / (1.0 + loop)
+    error = disturbance[:, output] - plant[:, output] * sensitivity * np.sum(feedback * disturbance, axis=1)
+    ise = float(np.trapezoid(np.abs(error / _FREQUENCY) ** 2, _FREQUENCY)) / math.pi
+    answer = float(np.max(np.abs(plant[:, output] * reference * sensitivity)))
+    over = max(0.0, float(np.max(np.abs(sensitivity))) / MAX_SENSITIVITY - 1.0) + max(0.0, answer / peak - 1.0)
+    if output == 0:
+        over += max(0.0, float(np.max(np.abs(_outer_sensitivity(plant, feedback)))) / MAX_SENSITIVITY - 1.0)
+    elif axis.name != "yaw":
+        over += max(0.0, k.angle * k.rate * math.radians(ANGLE_ERROR_DEG) / 0.5 - 1.0)
+    return math.log(ise) + _PENALTY * over + _PENALTY * (10.0 + excess) * (excess > 0.0)
+
+
+_ANGLE_LIMITS = {"roll": (12.0, 0.5, 4.0, 0.01), "pitch": (12.0, 0.6, 4.0, 0.01), "yaw": (5.0, 0.6, 4.0, 0.0)}
+_XY_LIMITS, _Z_LIMITS = (2.0, 5.0, 60.0, 2.0), (1.5, 15.0, 3.0, 2.0)
+_XY_LEAST, _Z_LEAST = (0.0, 1.2, 0.0, 0.1), (0.1, 2.0, 0.2, 0.0)
+_ANGLE_PEAK = 1.3
+
+
+def _without_velocity(axis: _Axis) -> _Axis:
+    """Return the fast part of an axis: the velocity, which the position loop stabilises, stays zero."""
+    if axis.name == "yaw":
+        return axis
+    return replace(
+        axis, A=axis.A[1:, 1:], B=axis.B[1:], C=np.vstack([0.0 * axis.C[:2, 1:], axis.C[2:, 1:]]), wind=axis.wind[1:]
+    )  # fmt: skip
+
+
+def _design_angle(axis: _Axis) -> CascadeGains:
+    axis = _without_velocity(axis)
+    limits = _ANGLE_LIMITS[axis.name]
+    plant = _plant_response(axis, _FREQUENCY, axis.B)
+
+    def to_gains(x: _Array) -> CascadeGains:
+        angle, rate, integral, slope = np.minimum(x, limits)
+        return CascadeGains(angle=float(angle), rate=float(rate), rate_integral=float(integral), rate_rate=float(slope))
+
+    def cost(x: _Array) -> float:
+        return _loop_cost(axis, to_gains(x), plant, plant, 2, _ANGLE_PEAK)
+
+    scale = 0.02 if axis.name == "yaw" else 0.2
+    slope = 1e-9 if axis.name == "yaw" else 3e-3
+    k = to_gains(_optimise(cost, [(a, scale * r, scale, slope) for a, r in ((2.0, 0.5), (4.0, 1.0), (8.0, 1.5))]))
+    if _damping_excess(axis, k) > 0.0:
+        raise MuflyError(f"no gains of PX4 stabilise {axis.name}; check the vehicle with `mufly vehicle check`")
+    return k
+
+
+def _design_position(axes: Sequence[_Axis], inner: Sequence[CascadeGains]) -> CascadeGains:
+    vertical = axes[0].name == "vertical"
+    most, least = (_Z_LIMITS, _Z_LEAST) if vertical else (_XY_LIMITS, _XY_LEAST)
+    plants = [_plant_response(axis, _FREQUENCY, axis.B) for axis in axes]
+    winds = [_plant_response(axis, _FREQUENCY, axis.wind) for axis in axes]
+
+    def to_gains(x: _Array, k: CascadeGains) -> CascadeGains:
+        place, speed, integral, slope = np.clip(x, least, most)
+        return replace(
+            k, position=float(place), velocity=float(speed), velocity_integral=float(integral),
+            velocity_rate=float(slope),
+        )  # fmt: skip
+
+    def cost(x: _Array) -> float:
+        parts = zip(axes, inner, plants, winds, strict=True)
+        return sum(_loop_cost(a, to_gains(x, k), p, d, 0, MAX_REFERENCE_PEAK) for a, k, p, d in parts)
+
+    starts = [(0.5, 2.5, 1.0, 0.2), (1.0, 4.0, 1.0, 0.3)] if vertical else [(0.5, 1.4, 0.3, 0.2), (0.9, 2.0, 0.6, 0.3)]
+    x = _optimise(cost, starts)
+    for axis, k in zip(axes, inner, strict=True):
+        if _damping_excess(axis, to_gains(x, k)) > 0.0:
+            raise MuflyError(f"no gains of PX4 hold a position ({axis.name}); check it with `mufly vehicle check`")
+    return to_gains(x, CascadeGains())
+
+
+# Prediction
+
+
+def predict_margins(axis: _Axis, k: CascadeGains) -> AxisMargins:
+    """Return the margins and responses of an axis with its gains."""
+    w = np.geomspace(1e-2, 600.0, 4000)
+    plant = _plant_response(axis, w, axis.B)
+    feedback, reference = _controller_response(axis, k, w)
+    loop = np.sum(feedback * plant, axis=1)
+    sensitivity = 1.0 / (1.0 + loop)
+    size, output = np.abs(loop), 2 if axis.name == "yaw" else 0
+    crossings = np.flatnonzero(np.diff(np.sign(size - 1.0)))
+    phase = [abs(math.degrees(np.angle(-loop[i]))) for i in crossings]
+    real = np.flatnonzero(np.diff(np.sign(loop.imag)) * (loop.real[:-1] < 0.0))
+    gains_dB = [abs(20.0 * math.log10(size[i])) for i in real]
+    push = math.nan if axis.name in ("yaw", "vertical") else 0.5 * _step_peak(axis, k)
+    return AxisMargins(
+        axis=axis.name,
+        crossover_rad_s=float(w[crossings[-1]]) if crossings.size else math.nan,
+        sensitivity=float(np.max(np.abs(sensitivity))),
+        outer_sensitivity=math.nan
+        if axis.name == "yaw"
+        else float(np.max(np.abs(_outer_sensitivity(plant, feedback)))),
+        gain_margin_dB=min(gains_dB, default=math.inf),
+        phase_margin_deg=min(phase, default=math.inf),
+        reference_peak=float(np.max(np.abs(plant[:, output] * reference * sensitivity))),
+        push_m=push,
+    )
+
+
+def _step_peak(axis: _Axis, k: CascadeGains) -> float:
+    """Return the largest displacement (m) after a step of the wind of 1 m/s."""
+    A, _, wind = _closed_loop(axis, k)
+    n, step_s = len(A), 0.01
+    both = np.zeros((n + 1, n + 1))
+    both[:n, :n], both[:n, n] = A, wind
+    advance = expm(both * step_s)
+    x, worst = np.append(np.zeros(n), 1.0), 0.0
+    for _ in range(round(_STEP_RESPONSE_S / step_s)):
+        x = advance @ x
+        worst = max(worst, abs(float(axis.C[0] @ x[: len(axis.A)])))
+    return worst
+
+
+def describe_axis(gains: AutopilotGains) -> Mapping[str, CascadeGains]:
+    """Return the gains by the name of their axis."""
+    return {name: getattr(gains, name) for name in ("roll", "pitch", "yaw", "vertical")}

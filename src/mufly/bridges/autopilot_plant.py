@@ -1,0 +1,238 @@
+"""The simulated vehicle that another program's autopilot flies: plant, wind, sensors, battery and recording.
+
+One period at time ``t_k``::
+
+    plant integrated from t_(k-1) to t_k under the inputs that act, and the wind
+    truth(t_k) --> sensors --> readings --> the other autopilot --> inputs u_k
+    a row of the recording: truth, readings, inputs
+
+As in :mod:`mufly.flight.simulated_flight`, the inputs u_k act from t_(k+1): one period is the computing time of the
+onboard processor. The autopilot never receives the truth; PX4 records it beside its estimate
+(:mod:`mufly.bridges.px4_messages`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from mufly.dynamics import DrydenWind, standing_state
+from mufly.errors import InputError
+from mufly.flight.controllers import Actuators
+from mufly.flight.record.recorder import FlightRecorder
+from mufly.flight.record.sensor_recording import make_sensed_row_writer
+from mufly.flight.simulated_flight import GUST_LENGTH_M, RANGE_RING_RATE_HZ
+from mufly.flight.simulated_plant import SimulatedPlant
+from mufly.logs.mcap import FlightEvent, flight_layout
+from mufly.mission import Mission, dump_mission
+from mufly.sensors import Fault, Readings, Truth, draw_leaning_vehicle, fitted_sensors
+from mufly.vehicle import Vehicle, format_vehicle_toml
+from mufly.version import __version__
+
+_Array = NDArray[np.float64]
+
+ARMED_STATE, DISARMED_STATE = "armed", "disarmed"
+"""States of a flight in the recording."""
+_INPUT_LEAST = np.array([0.0, 0.0, -1.0, -1.0])
+_NO_REFERENCE = (np.full(3, math.nan), np.full(3, math.nan), np.full(3, math.nan))
+
+
+class AutopilotPlant:
+    """The simulated vehicle on the floor, ready for the inputs of another autopilot.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        With a table ``[sensors]`` that has an inertial unit.
+    mission : Mission
+        Start, obstacles and wind; its waypoints have no effect.
+    rate_Hz : float
+        Rate of the autopilot's inertial readings (Hz).
+    autopilot : str
+        Name of the autopilot, for messages and the recording.
+    wind : sequence of 3 floats, optional
+        Steady wind N, E, D (m/s); default the mission's.
+    gust : float, optional
+        Standard deviation of the gusts (m/s); default the mission's.
+    seed : int
+        Seed of gusts and sensor errors.
+    faults : sequence of Fault
+    path : str or Path, optional
+        MCAP file to record to.
+    keep : bool
+        Whether the rows stay in memory, for :meth:`to_dataset`.
+
+    Attributes
+    ----------
+    truth : Truth
+    readings : Readings
+        Those of the present time.
+    listeners : list of callables
+        Called with each :class:`FlightEvent`.
+
+    Raises
+    ------
+    InputError
+        If the vehicle has no inertial unit, or lacks the sensor of a fault.
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        mission: Mission,
+        *,
+        rate_Hz: float,
+        autopilot: str,
+        wind: Sequence[float] | None = None,
+        gust: float | None = None,
+        seed: int = 0,
+        faults: Sequence[Fault] = (),
+        path: str | Path | None = None,
+        keep: bool = False,
+    ) -> None:
+        if vehicle.sensors is None or vehicle.sensors.imu is None:
+            raise InputError(
+                vehicle.name, "sensors.imu", f"is missing, and {autopilot} needs an inertial unit",
+                "add the table (docs/reference/sensors.md)",
+            )  # fmt: skip
+        self.vehicle, self.autopilot_name, self.period_s = vehicle, autopilot, 1.0 / rate_Hz
+        steady = np.asarray(mission.wind.steady_m_s if wind is None else wind, dtype=np.float64)
+        gust = mission.wind.gust_m_s if gust is None else gust
+        unit = draw_leaning_vehicle(vehicle, seed=seed)
+        self._start = standing_state(unit, mission.start_m, math.radians(mission.start_heading_deg))
+        air = DrydenWind(steady, gust, step_s=self.period_s, length_m=GUST_LENGTH_M, seed=seed)
+        self.plant = SimulatedPlant(unit, mission.world, air, rate_Hz, self._start)
+        self.sensors = fitted_sensors(vehicle, mission.world, seed=seed, faults=faults)
+        self.recorder = FlightRecorder(
+            path,
+            {
+                "vehicle": vehicle.name, "mission": mission.name, "autopilot": autopilot, "seed": seed,
+                "wind_m_s": steady.tolist(), "gust_m_s": gust, "rate_Hz": rate_Hz, "sensors": "fitted",
+                "faults": [str(f) for f in faults], "version": __version__,
+            },
+            layout=flight_layout(vehicle.range_ring.count, sensors=True),
+            attachments={}
+            if path is None
+            else {"vehicle.toml": format_vehicle_toml(vehicle), "mission.toml": dump_mission(mission)},
+            scene_view={
+                "world": mission.world,
+                "waypoints": [w.position_m for w in mission.waypoint],
+                "rotor_radius": float(vehicle.rotors.radius),
+            },
+            keep=keep,
+        )  # fmt: skip
+        self._write = make_sensed_row_writer(self.recorder)
+        self._look_periods = max(1, round(rate_Hz / RANGE_RING_RATE_HZ))
+        self._low_voltage, self._battery_was_low = float(vehicle.battery.low_voltage), False
+        self._crash_told = ""
+        self.listeners: list[Callable[[FlightEvent], None]] = []
+        self.acting = self.sent = Actuators.idle()
+        self.is_armed = self._has_flown = self._has_moved = False
+        self.sensors.reset()
+        self._measure()
+
+    @property
+    def time_s(self) -> float:
+        """Time of the readings (s)."""
+        return self.truth.time_s
+
+    @property
+    def height_m(self) -> float:
+        """True height above the start's floor (m)."""
+        return -float(self.truth.position[2])
+
+    @property
+    def has_moved(self) -> bool:
+        """Whether the vehicle was armed since it stood at the start."""
+        return self._has_moved
+
+    def advance_period(self, inputs: _Array, armed: bool) -> None:
+        """Apply the autopilot's inputs and advance by one period.
+
+        Parameters
+        ----------
+        inputs : (4,) array
+            Motor upper, motor lower (0..1), servo 1, servo 2 (-1..1). They are clipped; NaN counts as zero.
+        armed : bool
+            Whether the autopilot is armed; otherwise the motors are off.
+        """
+        clipped = np.clip(np.nan_to_num(np.asarray(inputs, dtype=np.float64), nan=0.0), _INPUT_LEAST, 1.0)
+        if not armed:
+            clipped[:2] = 0.0
+        self.set_armed(armed)
+        self.sent = Actuators(clipped[:2], clipped[2:])
+        self.plant.advance_period(self.acting)
+        self.acting = self.sent
+        self._measure()
+        if self.plant.period_count % self._look_periods == 0:
+            self._check_events()
+
+    def set_armed(self, armed: bool) -> None:
+        """Set whether the autopilot is armed, and log a change."""
+        if armed != self.is_armed:
+            self.is_armed = armed
+            self._has_flown |= armed
+            self._has_moved |= armed
+            self.log_event(f"{self.autopilot_name} has {'armed' if armed else 'disarmed'}")
+
+    def reset(self) -> None:
+        """Return to the start with a full battery and motors off; clock, recording and sensors' errors continue."""
+        self.set_armed(False)
+        self.plant.reset(self._start)
+        self.acting = self.sent = Actuators.idle()
+        self._crash_told, self._battery_was_low, self._has_moved = "", False, False
+        self._measure()
+        self.log_event("the vehicle is back at the start")
+
+    def log_event(self, text: str, level: str = "info") -> None:
+        """Append an event to the recording; ``level`` is "info", "warning" or "error"."""
+        state = ARMED_STATE if self.is_armed else DISARMED_STATE
+        event = FlightEvent(self.truth.time_s if hasattr(self, "truth") else 0.0, state, text, level)
+        self.recorder.add_event(*event)
+        for listener in self.listeners:
+            listener(event)
+
+    def to_dataset(self) -> xr.Dataset:
+        """Return the rows kept in memory."""
+        return self.recorder.to_dataset()
+
+    def close(self) -> None:
+        """Finish the recording; its outcome tells a crash."""
+        if self.plant.crash_cause:
+            self.recorder.set_outcome("failed", self.plant.crash_cause, mission_flown=self._has_flown)
+        else:
+            why = f"{self.autopilot_name} flew it" if self._has_flown else f"{self.autopilot_name} never armed"
+            self.recorder.set_outcome("unfinished", why, mission_flown=self._has_flown)
+        self.recorder.close()
+
+    def __enter__(self) -> AutopilotPlant:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is None:
+            self.close()
+        else:
+            self.recorder.__exit__(kind, error, trace)
+
+    def _measure(self) -> None:
+        self.truth: Truth = self.plant.truth
+        self.readings: Readings = self.sensors.read(self.truth)
+        state = ARMED_STATE if self.is_armed else DISARMED_STATE
+        self._write(self.truth, self.readings, None, self.acting, _NO_REFERENCE, state)
+
+    def _check_events(self) -> None:
+        self.plant.check_collision()
+        if self.plant.crash_cause and self.plant.crash_cause != self._crash_told:
+            self._crash_told = self.plant.crash_cause
+            self.log_event(self.plant.crash_cause, "error")
+        if not self._battery_was_low and self.truth.voltage < self._low_voltage:
+            self._battery_was_low = True
+            self.log_event(f"the battery is low: {self.truth.voltage:.2f} V", "warning")

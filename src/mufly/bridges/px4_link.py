@@ -1,0 +1,318 @@
+"""Simulator of PX4: lockstep over TCP, as PX4's module ``simulator_mavlink`` speaks it.
+
+PX4 calls the simulator. Its clock follows the time in HIL_SENSOR, so PX4 computes as long as it needs, and the
+simulation waits for its answer, HIL_ACTUATOR_CONTROLS with the same time. While PX4 starts it does not answer, and the
+simulation runs in real time. A PX4 built without lockstep is served in real time throughout.
+
+====================== ========================================================================================
+state                  condition
+====================== ========================================================================================
+waiting                no PX4 is connected; the simulated time stands
+starting               PX4 is connected and does not answer every period yet; real time
+lockstep               every period waits for its answer
+free-running           PX4 has no lockstep; real time
+silent                 PX4 has not answered for :data:`SILENCE_S`; the simulated time stands
+====================== ========================================================================================
+
+A PX4 that hangs up and calls again is a new one: the vehicle returns to the start. PX4 itself does not call again after
+it has lost its simulator: it must be restarted.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from mufly.bridges.autopilot_plant import AutopilotPlant
+from mufly.bridges.px4_messages import (
+    OUTPUT_COUNT,
+    ActuatorCommand,
+    PositionSource,
+    SensorMessages,
+    read_actuator_command,
+)
+from mufly.bridges.simulator_pace import SimulatorPace, SimulatorReport
+from mufly.link.codec import FrameDecoder, FrameEncoder, GlobalOrigin, MavMessage, mavlink
+from mufly.link.ports import Endpoint, Peer, open_port, wait_readable
+
+PX4_PORT = 4560
+PX4_RATE_HZ = 250.0
+"""Rate of HIL_SENSOR, which PX4's start-up script for simulators expects (IMU_INTEG_RATE)."""
+DEFAULT_ORIGIN = GlobalOrigin(47.3977, 8.5456, 488.0)
+"""Global position of N = E = D = 0 (deg, m): the start that PX4's own simulators use."""
+SILENCE_S = 2.0
+"""Wall-clock time without an answer after which PX4 counts as silent (s)."""
+SKIP_S = 1.0
+"""Wall-clock time without an answer after which one further period is sent (s)."""
+_WAIT_S = 0.05
+_START_WAIT_S = 0.2  # for an answer while PX4 starts, if it has answered the previous period
+_FIRST_PERIODS = 50  # answered in a row, after which the lockstep begins
+_TRUTH_PERIODS = 5
+_CHECK_PERIODS = 250  # of one check of rates and outputs
+_MANY_ANSWERS = 1.2  # answers to a period
+_FEW_ANSWERS = 3  # skipped periods with an answer after each
+_NOISE_BYTES = 500
+_ALIKE, _SPINNING = 0.02, 0.05  # of outputs
+
+
+class Px4Simulator:
+    """Simulator that one PX4 flies.
+
+    Parameters
+    ----------
+    vehicle : AutopilotPlant
+        With a rate of :data:`PX4_RATE_HZ`.
+    endpoint : Endpoint
+        Address where PX4 calls.
+    position : "vision" or "gps"
+    origin : GlobalOrigin
+    speed : float
+        Simulated seconds per second of wall-clock time; 0: as fast as possible.
+    where : str
+        Source of the endpoint, for error messages.
+    clock : callable
+        Wall clock (s).
+
+    Attributes
+    ----------
+    state : str
+    step_count, unanswered_count : int
+        Periods in lockstep, and those that PX4 did not answer.
+    on_period : callable
+        Called after every period; a program that commands PX4 in simulated time uses it.
+
+    Raises
+    ------
+    InputError
+        If the port is in use.
+    """
+
+    def __init__(
+        self,
+        vehicle: AutopilotPlant,
+        *,
+        endpoint: Endpoint = Endpoint("tcpin", "127.0.0.1", PX4_PORT),  # noqa: B008
+        position: PositionSource = "vision",
+        origin: GlobalOrigin = DEFAULT_ORIGIN,
+        speed: float = 1.0,
+        where: str = "endpoint",
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.vehicle, self._clock = vehicle, clock
+        self._settings = (vehicle.vehicle, position, origin)
+        self.port = open_port(endpoint, where)
+        self.pace = SimulatorPace(vehicle, speed, clock)
+        self.state = "waiting"
+        self.step_count = self.unanswered_count = 0
+        self.on_period: Callable[[], None] = lambda: None
+        self._decoder, self._encode = FrameDecoder(keep_duplicates=True), FrameEncoder(1, 200)
+        self._peer: Peer | None = None
+        self._waits_s = clock()
+        self._forget_autopilot()
+
+    def run(
+        self,
+        stop: Callable[[], bool],
+        on_report: Callable[[SimulatorReport], None] = lambda report: None,
+    ) -> None:
+        """Simulate until ``stop()``; the port is closed at the end."""
+        self.vehicle.log_event(f"waiting for PX4 at {self.port.endpoint}")
+        try:
+            while not stop():
+                self._receive()
+                if self._peer is None:
+                    wait_readable([self.port], _WAIT_S)
+                else:
+                    self._run_period(stop)
+                report = self.pace.take_report(self.state, self.step_count, self.unanswered_count)
+                if report is not None:
+                    on_report(report)
+        finally:
+            self.port.close()
+
+    # One period
+
+    def _run_period(self, stop: Callable[[], bool]) -> None:
+        vehicle = self.vehicle
+        self._send_sensors()
+        if self.state in ("lockstep", "silent"):
+            self._await_answer(stop)
+        begun_s = self._clock()
+        while self._peer is not None and not stop():
+            rest_s = self.pace.rest_s(in_real_time=self.state != "lockstep")
+            if self.state == "starting" and self._streak and not self._is_answered:
+                rest_s = max(rest_s, begun_s + _START_WAIT_S - self._clock())
+            if rest_s <= 0.0:
+                break
+            wait_readable([self.port], rest_s)
+            self._receive()
+        if self._peer is None or stop():
+            return
+        if self.state == "starting":
+            self._streak = self._streak + 1 if self._is_answered else 0
+            if self._streak >= _FIRST_PERIODS:
+                self._begin_lockstep()
+        if notice := self.pace.record_period():
+            vehicle.log_event(notice, "warning" if "slower" in notice else "info")
+        self._periods += 1
+        self.step_count += self.state == "lockstep"
+        vehicle.advance_period(
+            np.zeros(4) if self._command is None else self._command.inputs,
+            self._command is not None and self._command.is_armed,
+        )
+        if self._periods % _CHECK_PERIODS == 0:
+            self._check_outputs()
+        self.on_period()
+
+    def _send_sensors(self) -> None:
+        vehicle = self.vehicle
+        self._time_us = round((self._periods + 1) * vehicle.period_s * 1e6)
+        messages: list[MavMessage] = []
+        if self._periods % self._truth_periods == 0:
+            force = vehicle.sensors.sensors[0].true_readings(vehicle.truth)["acceleration"]
+            messages.append(self._sensors.encode_truth(self._time_us, vehicle.truth, force))
+        messages += self._sensors.encode_readings(self._time_us, vehicle.readings)
+        self.port.send(self._peer, b"".join(self._encode(m) for m in messages))
+
+    def _await_answer(self, stop: Callable[[], bool]) -> None:
+        """Wait for the answer to the last HIL_SENSOR; a PX4 that has answered the previous one may skip one."""
+        begun_s = self._clock()
+        while not self._is_answered and self._peer is not None and not stop():
+            wait_readable([self.port], _WAIT_S)
+            self._receive()
+            waited_s = self._clock() - begun_s
+            if self._was_answered and not self._is_answered and waited_s > SKIP_S:
+                self.unanswered_count += 1
+                self._was_answered = False
+                self._skipped = True
+                return
+            if self.state != "silent" and waited_s > SILENCE_S:
+                self.state = "silent"
+                self.vehicle.log_event(
+                    f"PX4 has not answered for {SILENCE_S:g} s of wall-clock time; the simulation waits for it",
+                    "warning",
+                )
+        if not self._is_answered:
+            return
+        if self.state == "silent":
+            self.state = "lockstep"
+            self.vehicle.log_event("PX4 answers again")
+            self.pace.restart()
+        if self._skipped and not self._was_answered:
+            self._skip_count += 1
+            if self._skip_count == _FEW_ANSWERS:
+                self.vehicle.log_event(
+                    f"PX4 answers only some of the periods; set IMU_GYRO_RATEMAX and IMU_INTEG_RATE to "
+                    f"{1.0 / self.vehicle.period_s:g} Hz or more",
+                    "warning",
+                )
+        self._was_answered = True
+
+    @property
+    def _is_answered(self) -> bool:
+        return self._command is not None and self._command.time_us >= self._time_us
+
+    # Messages of PX4
+
+    def _receive(self) -> None:
+        for peer, data in self.port.receive():
+            if peer != self._peer:
+                self._meet_autopilot(peer)
+            for message in self._decoder.receive(self._clock(), peer, data):
+                self._handle_message(message)
+            counts = self._decoder.packet_counts(peer)
+            if not counts.received_count and counts.garbage_bytes > _NOISE_BYTES and not self._noise_told:
+                self._noise_told = True
+                self.vehicle.log_event(f"{peer.address} does not speak MAVLink; is it PX4?", "warning")
+        gone = self._peer is not None and self._peer not in self.port.peers
+        if gone:
+            self._decoder.forget_peer(self._peer)
+            self._peer, self.state = None, "waiting"
+            self.vehicle.log_event("PX4 has hung up; the simulation waits for another call", "warning")
+        if self._peer is None:
+            for peer in self.port.peers:
+                self._meet_autopilot(peer)
+
+    def _meet_autopilot(self, peer: Peer) -> None:
+        if self._peer is not None:
+            self.vehicle.log_event("another PX4 has called and replaces the first one", "warning")
+        self._peer, self.state = peer, "starting"
+        self.vehicle.log_event(f"PX4 has called from {peer.address}")
+        self._forget_autopilot()
+        if self.vehicle.has_moved:
+            self.vehicle.reset()
+        self.pace.restart()
+
+    def _forget_autopilot(self) -> None:
+        self._sensors = SensorMessages(*self._settings)
+        self._command: ActuatorCommand | None = None
+        self._time_us = self._periods = self._answers = self._skip_count = self._streak = 0
+        self._truth_periods = _TRUTH_PERIODS
+        self._was_answered = self._skipped = self._noise_told = False
+        self._told: set[str] = set()
+
+    def _handle_message(self, message: MavMessage) -> None:
+        kind = message.get_type()
+        if kind == "HIL_ACTUATOR_CONTROLS":
+            self._answers += 1
+            self._command = read_actuator_command(message)
+            if self.state == "starting" and not self._command.has_lockstep:
+                self.state = "free-running"
+                self.vehicle.log_event("PX4 was built without lockstep; the simulation runs in real time", "warning")
+        elif (
+            kind == "COMMAND_LONG"
+            and message.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
+            and int(message.param1) == mavlink.MAVLINK_MSG_ID_HIL_STATE_QUATERNION
+            and message.param2 > 0
+        ):
+            self._truth_periods = max(1, round(message.param2 * 1e-6 / self.vehicle.period_s))
+
+    def _begin_lockstep(self) -> None:
+        self.state, self._answers, self._was_answered = "lockstep", 0, True
+        self.vehicle.log_event("PX4 runs in lockstep")
+        self.pace.restart()
+
+    # Checks of its outputs
+
+    def _check_outputs(self) -> None:
+        answers, self._answers = self._answers, 0
+        command = self._command
+        if command is None:
+            return
+        if self.state == "lockstep" and answers > _MANY_ANSWERS * _CHECK_PERIODS:
+            self._warn_once(
+                "rate",
+                f"PX4 sends {answers / _CHECK_PERIODS:.1f} answers a period; set IMU_GYRO_RATEMAX to "
+                f"{1.0 / self.vehicle.period_s:g} Hz",
+            )
+        if self.state == "free-running" and answers < _CHECK_PERIODS / _MANY_ANSWERS:
+            rate_Hz = answers / _CHECK_PERIODS / self.vehicle.period_s
+            self._warn_once("rate", f"PX4 sends its outputs at {rate_Hz:.0f} Hz, less often than the sensors' rate")
+        if problem := describe_wrong_outputs(command):
+            self._warn_once("airframe", problem)
+
+    def _warn_once(self, topic: str, text: str) -> None:
+        if topic not in self._told:
+            self._told.add(topic)
+            self.vehicle.log_event(text, "warning")
+
+
+def describe_wrong_outputs(command: ActuatorCommand) -> str:
+    """Return why outputs are not those of a coaxial helicopter with two motors and two servos; "" if they can be."""
+    remedy = "load the airframe file of `mufly autopilot gains px4`"
+    u: Any = command.outputs
+    if not command.is_armed:
+        return ""
+    if not np.isfinite(u).all():
+        return f"PX4's outputs are no numbers; {remedy}"
+    if np.any(np.abs(u[OUTPUT_COUNT:]) > _SPINNING):
+        return f"PX4 drives more than {OUTPUT_COUNT} outputs, which is another airframe; {remedy}"
+    motors, servos = u[:2], u[2:OUTPUT_COUNT]
+    if np.all(servos > _SPINNING) and np.ptp(u[:OUTPUT_COUNT]) < _ALIKE:
+        return f"PX4 drives outputs 1 to {OUTPUT_COUNT} alike, as a quadrotor; {remedy}"
+    if np.all(motors == 0.0) and np.any(np.abs(servos) > _SPINNING):
+        return f"PX4 is armed and outputs 1 and 2 are off; {remedy}"
+    return ""

@@ -1,0 +1,112 @@
+"""Pace and state of a simulation that an autopilot steps: real time, faster, or as slow as the machine is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from mufly.bridges.autopilot_plant import AutopilotPlant
+from mufly.errors import InputError
+from mufly.link.vehicle_process import RealTimePacer
+
+MAX_SPEED = 100.0
+REPORT_PERIOD_S = 0.5
+SLOW_FACTOR = 0.95
+"""Share of the wanted speed below which a simulation counts as slow."""
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatorReport:
+    """State of a simulation, for a display.
+
+    Attributes
+    ----------
+    time_s : float
+        Simulated time.
+    state : str
+        "waiting", "starting", "lockstep", "free-running" or "silent".
+    is_armed : bool
+    height_m, voltage_V : float
+        True height above the floor, and battery voltage.
+    step_count, unanswered_count : int
+        Periods in lockstep, and those that the autopilot did not answer.
+    speed : float
+        Simulated seconds per second of wall-clock time since the last report.
+    """
+
+    time_s: float
+    state: str
+    is_armed: bool
+    height_m: float
+    voltage_V: float
+    step_count: int
+    unanswered_count: int
+    speed: float
+
+    def __str__(self) -> str:
+        lost = f", {self.unanswered_count} unanswered" if self.unanswered_count else ""
+        return (
+            f"{self.time_s:7.1f} s  {self.state:<9}  {'armed' if self.is_armed else 'disarmed'}  "
+            f"{self.height_m:5.2f} m  {self.voltage_V:.2f} V  {self.step_count} steps{lost}  "
+            f"{self.speed:.2f} times real time"
+        )
+
+
+def check_speed(speed: float, where: str = "speed") -> float:
+    """Return a speed relative to real time; 0 means as fast as possible.
+
+    Raises
+    ------
+    InputError
+        If it is not between 0 and :data:`MAX_SPEED`.
+    """
+    if not 0.0 <= speed <= MAX_SPEED:
+        raise InputError(where, "", f"{speed:g} is no speed", f"give 0 (as fast as possible) to {MAX_SPEED:g}")
+    return speed
+
+
+class SimulatorPace:
+    """Timer of the periods, and source of the reports.
+
+    Parameters
+    ----------
+    vehicle : AutopilotPlant
+    speed : float
+        Simulated seconds per second of wall-clock time; 0: as fast as possible.
+    clock : callable
+        Wall clock (s).
+    """
+
+    def __init__(self, vehicle: AutopilotPlant, speed: float, clock: Callable[[], float]) -> None:
+        self._vehicle, self.speed, self._clock = vehicle, check_speed(speed), clock
+        self.restart()
+        self._report_s, self._report_time_s = clock(), vehicle.time_s
+
+    def restart(self) -> None:
+        """Begin a new count of periods, after a wait."""
+        period_s = self._vehicle.period_s
+        self._pacer = RealTimePacer(self._clock(), period_s / (self.speed or 1.0))
+
+    def rest_s(self, *, in_real_time: bool = False) -> float:
+        """Return the time until the next period (s); 0 or less if it is due, and at once without a wanted speed."""
+        if self.speed == 0.0 and not in_real_time:
+            return 0.0
+        return self._pacer.sleep_time_s(self._clock())
+
+    def record_period(self) -> str:
+        """Count a period; return a warning when the wanted speed is not reached, or is reached again; else ""."""
+        self._pacer.record_tick(self._clock())
+        return self._pacer.take_notice(self._clock()) if self.speed == 1.0 else ""
+
+    def take_report(self, state: str, step_count: int, unanswered_count: int) -> SimulatorReport | None:
+        """Return the state of the simulation every :data:`REPORT_PERIOD_S`; None between."""
+        now_s, vehicle = self._clock(), self._vehicle
+        if now_s - self._report_s < REPORT_PERIOD_S:
+            return None
+        speed = (vehicle.time_s - self._report_time_s) / (now_s - self._report_s)
+        self._report_s, self._report_time_s = now_s, vehicle.time_s
+        return SimulatorReport(
+            vehicle.time_s, state, vehicle.is_armed, vehicle.height_m, float(vehicle.truth.voltage), step_count,
+            unanswered_count, speed if math.isfinite(speed) else 0.0,
+        )  # fmt: skip
