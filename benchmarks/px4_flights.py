@@ -73,12 +73,16 @@ class Companion:
                 return
             for m in self._decode.receive(time.monotonic(), "px4", data):
                 kind = m.get_type()
-                if kind == "SYS_STATUS":
-                    bit = mavlink.MAV_SYS_STATUS_PREARM_CHECK
-                    self.ready = bool(m.onboard_control_sensors_health & bit)
+                if kind == "ESTIMATOR_STATUS":
+                    wanted = (
+                        mavlink.ESTIMATOR_ATTITUDE | mavlink.ESTIMATOR_POS_HORIZ_REL | mavlink.ESTIMATOR_VELOCITY_HORIZ
+                    )
+                    self.ready = m.flags & wanted == wanted
                 elif kind == "HEARTBEAT" and m.get_srcComponent() == 1:
                     self.armed = bool(m.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
                     self.offboard = (m.custom_mode >> 16) & 0xFF == OFFBOARD
+                elif kind == "COMMAND_ACK" and m.result != mavlink.MAV_RESULT_ACCEPTED:
+                    self.texts.append(f"{self.vehicle.time_s:.1f} command {m.command} answered {m.result}")
                 elif kind == "STATUSTEXT":
                     self.texts.append(f"{self.vehicle.time_s:.1f} {m.text}")
 

@@ -400,6 +400,10 @@ def _without_velocity(axis: _Axis) -> _Axis:
     )  # fmt: skip
 
 
+def _drop_small(gain: float) -> float:
+    return float(gain) if gain > 1e-5 else 0.0
+
+
 def _design_angle(axis: _Axis) -> CascadeGains:
     axis = _without_velocity(axis)
     limits = _ANGLE_LIMITS[axis.name]
@@ -407,7 +411,9 @@ def _design_angle(axis: _Axis) -> CascadeGains:
 
     def to_gains(x: _Array) -> CascadeGains:
         angle, rate, integral, slope = np.minimum(x, limits)
-        return CascadeGains(angle=float(angle), rate=float(rate), rate_integral=float(integral), rate_rate=float(slope))
+        return CascadeGains(
+            angle=float(angle), rate=float(rate), rate_integral=float(integral), rate_rate=_drop_small(slope)
+        )
 
     def cost(x: _Array) -> float:
         return _loop_cost(axis, to_gains(x), plant, plant, 2, _ANGLE_PEAK)

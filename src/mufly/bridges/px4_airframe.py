@@ -27,7 +27,7 @@ from mufly.vehicle import Vehicle
 
 AIRFRAME_NUMBER = 22001
 """Number of the airframe file, in the range that PX4 leaves to custom airframes."""
-SPOOL_UP_S = 2.0
+SPOOL_UP_S, INTEGRAL_LIMIT = 2.0, 0.15
 _MEAN_OF_HALF_NORMAL = math.sqrt(2.0 / math.pi)
 
 
@@ -87,7 +87,7 @@ def _gain_parameters(gains: AutopilotGains) -> Iterator[Px4Parameter]:
         yield Px4Parameter(f"MC_{name}RATE_P", k.rate, f"{axis} rate")
         yield Px4Parameter(f"MC_{name}RATE_I", k.rate_integral, "")
         yield Px4Parameter(f"MC_{name}RATE_D", k.rate_rate, "")
-        yield Px4Parameter(f"MC_{limit}_INT_LIM", 0.3, "")
+        yield Px4Parameter(f"MC_{limit}_INT_LIM", INTEGRAL_LIMIT, "trim; limits the wind-up on the floor")
     for name, k in (("XY", gains.roll), ("Z", gains.vertical)):
         yield Px4Parameter(f"MPC_{name}_P", k.position, "position (1/s)")
         yield Px4Parameter(f"MPC_{name}_VEL_P_ACC", k.velocity, "velocity (1/s)")

@@ -20,6 +20,8 @@ it has lost its simulator: it must be restarted.
 
 from __future__ import annotations
 
+import math
+import select
 import time
 from collections.abc import Callable
 from typing import Any
@@ -36,7 +38,7 @@ from mufly.bridges.px4_messages import (
 )
 from mufly.bridges.simulator_pace import SimulatorPace, SimulatorReport
 from mufly.link.codec import FrameDecoder, FrameEncoder, GlobalOrigin, MavMessage, mavlink
-from mufly.link.ports import Endpoint, Peer, open_port, wait_readable
+from mufly.link.ports import Endpoint, Peer, open_port
 
 PX4_PORT = 4560
 PX4_RATE_HZ = 250.0
@@ -124,7 +126,7 @@ class Px4Simulator:
             while not stop():
                 self._receive()
                 if self._peer is None:
-                    wait_readable([self.port], _WAIT_S)
+                    self._wait(_WAIT_S)
                 else:
                     self._run_period(stop)
                 report = self.pace.take_report(self.state, self.step_count, self.unanswered_count)
@@ -147,7 +149,7 @@ class Px4Simulator:
                 rest_s = max(rest_s, begun_s + _START_WAIT_S - self._clock())
             if rest_s <= 0.0:
                 break
-            wait_readable([self.port], rest_s)
+            self._wait(rest_s)
             self._receive()
         if self._peer is None or stop():
             return
@@ -181,7 +183,7 @@ class Px4Simulator:
         """Wait for the answer to the last HIL_SENSOR; a PX4 that has answered the previous one may skip one."""
         begun_s = self._clock()
         while not self._is_answered and self._peer is not None and not stop():
-            wait_readable([self.port], _WAIT_S)
+            self._wait(_WAIT_S)
             self._receive()
             waited_s = self._clock() - begun_s
             if self._was_answered and not self._is_answered and waited_s > SKIP_S:
@@ -214,6 +216,10 @@ class Px4Simulator:
     @property
     def _is_answered(self) -> bool:
         return self._command is not None and self._command.time_us >= self._time_us
+
+    def _wait(self, timeout_s: float) -> None:
+        """Sleep until PX4 has sent something, for ``timeout_s`` at most."""
+        select.select([self.port.fileno()], [], [], max(0.0, timeout_s))
 
     # Messages of PX4
 
@@ -268,7 +274,7 @@ class Px4Simulator:
             and int(message.param1) == mavlink.MAVLINK_MSG_ID_HIL_STATE_QUATERNION
             and message.param2 > 0
         ):
-            self._truth_periods = max(1, round(message.param2 * 1e-6 / self.vehicle.period_s))
+            self._truth_periods = max(1, math.ceil(message.param2 * 1e-6 / self.vehicle.period_s - 1e-6))
 
     def _begin_lockstep(self) -> None:
         self.state, self._answers, self._was_answered = "lockstep", 0, True

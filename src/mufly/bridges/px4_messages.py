@@ -74,7 +74,7 @@ class ActuatorCommand:
     @property
     def inputs(self) -> NDArray[np.float64]:
         """Motor upper, motor lower, servo 1, servo 2."""
-        return self.outputs[[LOWER_OUTPUT, UPPER_OUTPUT, SERVO_1_OUTPUT, SERVO_2_OUTPUT]]
+        return self.outputs[[UPPER_OUTPUT, LOWER_OUTPUT, SERVO_1_OUTPUT, SERVO_2_OUTPUT]]
 
 
 def read_actuator_command(message: MavMessage) -> ActuatorCommand:
