@@ -32,7 +32,7 @@ from mufly.mission import Mission
 from mufly.vehicle import load_vehicle
 
 HEIGHT_M, SIDE_M, LEG_S, HOVER_S = 1.0, 1.0, 8.0, 8.0
-TIMEOUT_S, WALL_LIMIT_S = 150.0, 200.0
+TIMEOUT_S, WALL_LIMIT_S = 150.0, 600.0
 READY_S = 60.0
 SETPOINT_PERIODS = 12  # 20 Hz
 OFFBOARD, AUTO, LAND = 6, 4, 6  # PX4's main and sub modes

@@ -152,7 +152,7 @@ TEXTS = {
     "--limit", "--link", "--logs", "--map", "--material", "--measured", "--mesh", "--method", "--mission", "--model",
     "--name", "--noise", "--only", "--open", "--origin", "--others", "--out", "--output", "--outputs",
     "--over", "--part", "--plot", "--position", "--prefix", "--reference", "--report", "--rig", "--rotor",
-    "--save-map", "--section", "--sensors", "--set", "--signal", "--start", "--stream", "--telemetry",
+    "--save-map", "--section", "--sensors", "--set", "--signal", "--simulator", "--start", "--stream", "--telemetry",
     "--times", "--tip", "--token", "--unit", "--vary", "--vehicle", "--wake", "--wake-set", "--without",
     "--write",
 }  # fmt: skip

@@ -25,7 +25,7 @@ are small, rates and angles have no errors, estimates of position and velocity l
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -42,6 +42,7 @@ from mufly.vehicle import Vehicle
 _Array = NDArray[np.float64]
 _Complex = NDArray[np.complex128]
 
+AXIS_NAMES = ("roll", "pitch", "yaw", "vertical")
 MAX_SENSITIVITY = 1.7
 """Largest sensitivity at the actuators: a phase margin of 34 degrees and a gain margin of 7.7 dB at least."""
 MAX_REFERENCE_PEAK = 1.1
@@ -53,10 +54,10 @@ GYRO_CUTOFF_HZ, GYRO_RATE_CUTOFF_HZ, VELOCITY_RATE_CUTOFF_HZ = 60.0, 40.0, 5.0
 """Cut-offs of PX4's low passes: IMU_GYRO_CUTOFF, IMU_DGYRO_CUTOFF, MPC_VELD_LP."""
 CONTROL_RATE_HZ = 250.0
 _DELAY_PERIODS = 1.5
-_FREQUENCY = np.geomspace(1e-2, 600.0, 220)
+_FREQUENCY = np.geomspace(1e-2, 600.0, 120)
 _STABLE = -1e-3
 _PENALTY = 40.0
-_EVALUATIONS = 400
+_EVALUATIONS = 200
 _STEP_RESPONSE_S = 20.0
 _STATES = {
     "roll": ("v", "phi", "p", "b_dw", "bar_roll"),
@@ -193,7 +194,7 @@ def design_autopilot_gains(vehicle: Vehicle) -> AutopilotGains:
     gains["vertical"] = vertical
     return AutopilotGains(
         vehicle.name, hover, 0.5 * (upper - lower), gains["roll"], gains["pitch"], gains["yaw"], vertical,
-        tuple(predict_margins(axes[name], gains[name]) for name in ("roll", "pitch", "yaw", "vertical")),
+        tuple(predict_margins(axes[name], gains[name]) for name in AXIS_NAMES),
     )  # fmt: skip
 
 
@@ -420,7 +421,7 @@ def _design_angle(axis: _Axis) -> CascadeGains:
 
     scale = 0.02 if axis.name == "yaw" else 0.2
     slope = 1e-9 if axis.name == "yaw" else 3e-3
-    k = to_gains(_optimise(cost, [(a, scale * r, scale, slope) for a, r in ((2.0, 0.5), (4.0, 1.0), (8.0, 1.5))]))
+    k = to_gains(_optimise(cost, [(a, scale * r, scale, slope) for a, r in ((4.0, 1.0), (8.0, 1.5))]))
     if _damping_excess(axis, k) > 0.0:
         raise MuflyError(f"no gains of PX4 stabilise {axis.name}; check the vehicle with `mufly vehicle check`")
     return k
@@ -493,8 +494,3 @@ def _step_peak(axis: _Axis, k: CascadeGains) -> float:
         x = advance @ x
         worst = max(worst, abs(float(axis.C[0] @ x[: len(axis.A)])))
     return worst
-
-
-def describe_axis(gains: AutopilotGains) -> Mapping[str, CascadeGains]:
-    """Return the gains by the name of their axis."""
-    return {name: getattr(gains, name) for name in ("roll", "pitch", "yaw", "vertical")}

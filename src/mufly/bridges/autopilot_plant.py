@@ -236,3 +236,10 @@ class AutopilotPlant:
         if not self._battery_was_low and self.truth.voltage < self._low_voltage:
             self._battery_was_low = True
             self.log_event(f"the battery is low: {self.truth.voltage:.2f} V", "warning")
+
+
+def warm_up_plant(vehicle: Vehicle, rate_Hz: float) -> None:
+    """Simulate a few periods, so that everything is compiled before an autopilot calls."""
+    with AutopilotPlant(vehicle, Mission(name="warm-up"), rate_Hz=rate_Hz, autopilot="warm-up") as plant:
+        for _ in range(round(0.2 * rate_Hz)):
+            plant.advance_period(np.full(4, 0.1), True)

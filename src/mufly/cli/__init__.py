@@ -19,7 +19,7 @@ from mufly.cli.aero import flight_map as _flight_map  # noqa: F401  adds to the 
 from mufly.cli.aero import forward as _forward  # noqa: F401  adds to the commands of rotor
 from mufly.cli.aero import structure as _structure  # noqa: F401  adds to the commands of rotor
 from mufly.cli.identify import flight as identify
-from mufly.cli.onboard import estimate, firmware, sensors, slam
+from mufly.cli.onboard import autopilot, estimate, firmware, sensors, slam
 from mufly.cli.options import CommandGroup
 from mufly.errors import MuflyError
 from mufly.version import __version__
@@ -47,6 +47,7 @@ app.add_typer(bench.app, name="bench")
 app.add_typer(drive.app, name="drive")
 app.add_typer(vehicle.app, name="vehicle")
 app.add_typer(control.app, name="control")
+app.add_typer(autopilot.app, name="autopilot")
 app.add_typer(mission.app, name="mission")
 app.add_typer(identify.app, name="identify")
 app.add_typer(log.app, name="log")

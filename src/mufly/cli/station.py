@@ -419,6 +419,8 @@ Examples:
   mufly link box-on-leg --out flights/today
 
   mufly link --link udpin:0.0.0.0:14550 --link serial:/dev/ttyUSB0:57600 --origin 47.3769,8.5417,408
+
+  mufly link --simulator px4 --wind 0.5 --out flights/px4
 """
 
 
@@ -466,8 +468,39 @@ def run_link(
     uart: Annotated[
         int, define_option("--uart PORT", "TCP port of the UART of --qemu, on this machine.", min=1, max=65535)
     ] = 5760,
+    simulator: Annotated[
+        Literal["px4", "ardupilot"] | None,
+        define_option(
+            "--simulator AUTOPILOT",
+            "Simulate the vehicle for px4 (MAVLink in lockstep, TCP 4560) or ardupilot (JSON, UDP 9002), which flies "
+            "it in place of mufly's own flight software; --link gives another address (docs/how-to/fly-with-px4.md).",
+        ),
+    ] = None,
+    position: Annotated[
+        Literal["vision", "gps"],
+        define_option(
+            "--position WHICH", "Position fixes of --simulator: vision (VISION_POSITION_ESTIMATE, in a room) or gps."
+        ),
+    ] = "vision",
+    speed: Annotated[
+        float,
+        define_option(
+            "--speed", "Speed of --simulator relative to real time, 0 (as fast as possible) to 100.", unit=""
+        ),
+    ] = 1.0,
 ) -> None:
     """Run the simulated helicopter as a MAVLink vehicle, in real time."""
+    if simulator is not None:
+        from mufly.cli.onboard.autopilot import run_simulator
+
+        for name, one in {"--qemu": qemu, "--firmware": firmware}.items():
+            if one:
+                raise InputError(name, "", f"with --simulator {simulator} flies", "leave it out")
+        run_simulator(
+            simulator, mission=mission, vehicle=vehicle, ends=ends, origin=origin, out=out, wind=wind, gust=gust,
+            seed=seed, sensors=sensors, fault=fault, position=position, speed=speed,
+        )  # fmt: skip
+        return
     if qemu:
         given = {"--link": ends, "--origin": origin, "--firmware": firmware}
         for name, one in given.items():

@@ -1,0 +1,275 @@
+r"""Simulator of ArduPilot: its JSON interface over UDP.
+
+ArduPilot sends a packet and waits for its answer, so that both run in lockstep
+(https://github.com/ArduPilot/ardupilot/tree/master/libraries/SITL/examples/JSON)::
+
+    to the simulator    uint16 magic, uint16 frame_rate, uint32 frame_count, uint16 pwm[16 or 32], little endian
+    to ArduPilot        one line: {"timestamp": s, "imu": {"gyro": [...], "accel_body": [...]}, "position": [...],
+                        "attitude": [...], "velocity": [...], "rng_1": m, "battery": {"voltage": V, "current": A}}\n
+
+Inertial readings, sonar and battery are those of the vehicle's sensors, with their faults. ArduPilot makes GPS,
+pressure and magnetometer itself from position, attitude and velocity, which are true values here. So faults of the
+vehicle's position fix, pressure sensor and magnetometer have no effect.
+
+The frame is ArduPilot's "CoaxCopter" (FRAME_CLASS 8): two motors of fixed pitch on one mast (outputs 5 and 6), roll and
+pitch by surfaces (outputs 1 to 4, opposite ones mirrored), which are the swash plate here. Its helicopter frames need a
+collective pitch and a constant rotor speed, which this vehicle lacks.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import select
+import struct
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.bridges.autopilot_plant import AutopilotPlant
+from mufly.bridges.simulator_pace import SimulatorPace, SimulatorReport
+from mufly.link.ports import Endpoint, Peer, open_port
+from mufly.sensors import Fault
+
+ARDUPILOT_PORT = 9002
+ARDUPILOT_RATE_HZ = 400.0
+"""Rate of the simulation: the loop rate of ArduPilot's copters."""
+SILENCE_S = 2.0
+"""Wall-clock time without a packet after which ArduPilot counts as silent (s)."""
+ROLL_CHANNEL, PITCH_CHANNEL, ROLL_MIRROR, PITCH_MIRROR, UPPER_CHANNEL, LOWER_CHANNEL = range(6)
+"""Outputs of ArduPilot's CoaxCopter; the fifth one is the motor that yaws right."""
+_CHANNELS_BY_MAGIC = {18458: 16, 29569: 32}
+_HEAD = struct.Struct("<HHI")
+_CENTRE_US, _HALF_US, _LEAST_US = 1500.0, 500.0, 1000.0
+_MIRROR_US = 40.0  # largest difference of mirrored outputs from their mean
+_SPINNING = 0.01
+_WAIT_S = 0.05
+_REPLY_DIGITS = 9
+_UNSEEN_SENSORS = ("position_fix", "pressure", "magnetometer")
+
+
+@dataclass(frozen=True, slots=True)
+class ServoPacket:
+    """Packet of ArduPilot.
+
+    Attributes
+    ----------
+    rate_Hz : int
+        Rate that ArduPilot asks for.
+    frame : int
+        Number of the packet since its start.
+    pulse_us : (16,) or (32,) array
+        Outputs.
+    """
+
+    rate_Hz: int
+    frame: int
+    pulse_us: NDArray[np.float64]
+
+    @property
+    def inputs(self) -> NDArray[np.float64]:
+        """Motor upper, motor lower (0..1), servo 1, servo 2 (-1..1)."""
+        p = self.pulse_us
+        motors = (p[[UPPER_CHANNEL, LOWER_CHANNEL]] - _LEAST_US) / (2.0 * _HALF_US)
+        roll, pitch = (p[[ROLL_CHANNEL, PITCH_CHANNEL]] - _CENTRE_US) / _HALF_US
+        return np.array([*motors, -pitch, roll])
+
+    @property
+    def is_started(self) -> bool:
+        """Whether ArduPilot drives its outputs; while it starts they are zero."""
+        return bool(np.all(self.pulse_us[: LOWER_CHANNEL + 1] > 0.0))
+
+
+def read_servo_packet(data: bytes) -> ServoPacket | None:
+    """Return the content of a packet; None if it is no packet of ArduPilot."""
+    if len(data) < _HEAD.size:
+        return None
+    magic, rate, frame = _HEAD.unpack_from(data)
+    count = _CHANNELS_BY_MAGIC.get(magic)
+    if count is None or len(data) != _HEAD.size + 2 * count:
+        return None
+    return ServoPacket(rate, frame, np.frombuffer(data, "<u2", count, _HEAD.size).astype(np.float64))
+
+
+def encode_state(vehicle: AutopilotPlant, start_s: float) -> bytes:
+    """Return the answer to ArduPilot at the present time; ``start_s`` is the time of its start (s)."""
+    truth, readings = vehicle.truth, vehicle.readings
+
+    def plain(values: Any) -> list[float]:
+        return [round(float(v), _REPLY_DIGITS) for v in values]
+
+    state: dict[str, Any] = {
+        "timestamp": round(truth.time_s - start_s, 6),
+        "imu": {"gyro": plain(readings["rates"].value), "accel_body": plain(readings["acceleration"].value)},
+        "position": plain(truth.position),
+        "attitude": plain([*truth.attitude[:2], math.remainder(truth.attitude[2], 2.0 * math.pi)]),
+        "velocity": plain(truth.velocity),
+    }
+    if "ground_distance" in readings and readings["ground_distance"].valid:
+        state["rng_1"] = round(float(readings["ground_distance"].value), 4)
+    if "battery_voltage" in readings and "battery_current" in readings:
+        state["battery"] = {
+            "voltage": round(float(readings["battery_voltage"].value), 4),
+            "current": round(float(readings["battery_current"].value), 4),
+        }
+    # ArduPilot's parser wants a space after the commas of a list.
+    return (json.dumps(state) + "\n").encode()
+
+
+class ArduPilotSimulator:
+    """Simulator that one ArduPilot flies.
+
+    Parameters
+    ----------
+    vehicle : AutopilotPlant
+        With a rate of :data:`ARDUPILOT_RATE_HZ`.
+    endpoint : Endpoint
+        Address where ArduPilot sends.
+    speed : float
+        Simulated seconds per second of wall-clock time; 0: as fast as possible.
+    where : str
+        Source of the endpoint, for error messages.
+    clock : callable
+        Wall clock (s).
+
+    Attributes
+    ----------
+    state : str
+        "waiting", "lockstep" or "silent".
+    step_count, unanswered_count : int
+        Periods, and packets that were lost.
+    on_period : callable
+        Called after every period.
+
+    Raises
+    ------
+    InputError
+        If the port is in use.
+    """
+
+    def __init__(
+        self,
+        vehicle: AutopilotPlant,
+        *,
+        endpoint: Endpoint = Endpoint("udpin", "127.0.0.1", ARDUPILOT_PORT),  # noqa: B008
+        speed: float = 1.0,
+        where: str = "endpoint",
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.vehicle, self._clock = vehicle, clock
+        self.port = open_port(endpoint, where)
+        self.pace = SimulatorPace(vehicle, speed, clock)
+        self.state = "waiting"
+        self.step_count = self.unanswered_count = 0
+        self.on_period: Callable[[], None] = lambda: None
+        self._heard_s = clock()
+        self._start_s = 0.0
+        self._last: ServoPacket | None = None
+        self._reply = b""
+        self._told: set[str] = set()
+
+    def run(
+        self,
+        stop: Callable[[], bool],
+        on_report: Callable[[SimulatorReport], None] = lambda report: None,
+    ) -> None:
+        """Simulate until ``stop()``; the port is closed at the end."""
+        self.vehicle.log_event(f"waiting for ArduPilot at {self.port.endpoint}")
+        for fault in unseen_faults(self.vehicle):
+            self.vehicle.log_event(
+                f"{fault}: ArduPilot makes this sensor itself, so the fault has no effect", "warning"
+            )
+        try:
+            while not stop():
+                self._wait(_WAIT_S)
+                for peer, data in self.port.receive():
+                    self._answer(peer, data, stop)
+                if self.state == "lockstep" and self._clock() - self._heard_s > SILENCE_S:
+                    self.state = "silent"
+                    self.vehicle.log_event(
+                        f"ArduPilot has sent nothing for {SILENCE_S:g} s of wall-clock time; the simulation waits",
+                        "warning",
+                    )
+                report = self.pace.take_report(self.state, self.step_count, self.unanswered_count)
+                if report is not None:
+                    on_report(report)
+        finally:
+            self.port.close()
+
+    def _wait(self, timeout_s: float) -> None:
+        select.select([self.port.fileno()], [], [], max(0.0, timeout_s))
+
+    def _answer(self, peer: Peer, data: bytes, stop: Callable[[], bool]) -> None:
+        packet = read_servo_packet(data)
+        if packet is None:
+            self._warn_once("packet", f"{peer.address} sends packets that are not ArduPilot's; is it another program?")
+            return
+        self._heard_s = self._clock()
+        if self.state == "silent" and self._last is not None and packet.frame >= self._last.frame:
+            self.vehicle.log_event("ArduPilot sends again")
+            self.pace.restart()
+        last = self._last
+        if last is None or packet.frame < last.frame:
+            self._begin(peer, again=last is not None)
+        elif packet.frame == last.frame:  # its answer was lost
+            self.port.send(peer, self._reply)
+            return
+        elif packet.frame > last.frame + 1:
+            self.unanswered_count += packet.frame - last.frame - 1
+        self._last, self.state = packet, "lockstep"
+        self._check(packet)
+        while (rest_s := self.pace.rest_s()) > 0.0 and not stop():
+            time.sleep(min(rest_s, _WAIT_S))
+        if notice := self.pace.record_period():
+            self.vehicle.log_event(notice, "warning" if "slower" in notice else "info")
+        inputs = packet.inputs if packet.is_started else np.zeros(4)
+        self.vehicle.advance_period(inputs, bool(np.any(inputs[:2] > _SPINNING)))
+        self.step_count += 1
+        self._reply = encode_state(self.vehicle, self._start_s)
+        self.port.send(peer, self._reply)
+        self.on_period()
+
+    def _begin(self, peer: Peer, *, again: bool) -> None:
+        self.vehicle.log_event(f"ArduPilot {'has restarted' if again else 'sends'} from {peer.address}")
+        self._told.clear()
+        if self.vehicle.has_moved:
+            self.vehicle.reset()
+        self._start_s = self.vehicle.time_s
+        self.pace.restart()
+
+    def _check(self, packet: ServoPacket) -> None:
+        rate_Hz = 1.0 / self.vehicle.period_s
+        if abs(packet.rate_Hz - rate_Hz) > 1.0:
+            self._warn_once(
+                "rate",
+                f"ArduPilot asks for {packet.rate_Hz} Hz, the simulation has {rate_Hz:g} Hz; set SIM_RATE_HZ to it",
+            )
+        if problem := describe_wrong_channels(packet):
+            self._warn_once("frame", problem)
+
+    def _warn_once(self, topic: str, text: str) -> None:
+        if topic not in self._told:
+            self._told.add(topic)
+            self.vehicle.log_event(text, "warning")
+
+
+def describe_wrong_channels(packet: ServoPacket) -> str:
+    """Return why outputs are not those of a CoaxCopter; "" if they can be."""
+    if not packet.is_started:
+        return ""
+    pairs = ((ROLL_CHANNEL, ROLL_MIRROR), (PITCH_CHANNEL, PITCH_MIRROR))
+    if any(abs(float(packet.pulse_us[[a, b]].sum()) - 2.0 * _CENTRE_US) > 2.0 * _MIRROR_US for a, b in pairs):
+        return (
+            "ArduPilot's outputs 1 to 4 are not mirrored, so its frame is another one; load the file of "
+            "`mufly autopilot gains ardupilot` (FRAME_CLASS 8)"
+        )
+    return ""
+
+
+def unseen_faults(vehicle: AutopilotPlant) -> list[Fault]:
+    """Return the faults of sensors that ArduPilot makes itself."""
+    return [fault for fault in vehicle.sensors.all_faults if fault.sensor_name in _UNSEEN_SENSORS]

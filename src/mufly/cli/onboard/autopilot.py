@@ -1,0 +1,174 @@
+"""``mufly autopilot``: gains and parameter files of other autopilots; and ``mufly link --simulator``."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from mufly.cli.options import CommandGroup, JsonOption, VehicleOption, define_argument, define_option
+from mufly.cli.output import LiveDisplay, check_place, make_console, print_answer, print_lines, print_table
+from mufly.cli.station import ShutdownHandler, check_sensor_options, describe_sensor_source, resolve_wind
+from mufly.errors import InputError, report_write_errors
+
+Autopilot = Literal["px4", "ardupilot"]
+PositionOption = Annotated[
+    Literal["vision", "gps"],
+    define_option(
+        "--position WHICH",
+        "Message of the position fixes to another autopilot: vision (VISION_POSITION_ESTIMATE, in a room) or gps.",
+    ),
+]
+
+app = CommandGroup(
+    help="Prepare other autopilots for a vehicle: gains from its linear model, and their parameter file.",
+    no_args_is_help=True,
+)
+
+
+@app.callback()
+def _accept_group_options() -> None:
+    pass
+
+
+@app.command()
+def gains(
+    autopilot: Annotated[Autopilot, define_argument("px4|ardupilot", "Autopilot that flies the vehicle.")],
+    vehicle: VehicleOption = "mufly-1.1",
+    position: PositionOption = "vision",
+    out: Annotated[
+        Path | None,
+        define_option("--out -o DIR", "Folder for the airframe file (PX4) or the parameter file (ArduPilot)."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Design the gains of another autopilot for a vehicle, with predicted margins, and write its parameter file.
+
+    The gains of PX4's cascades minimise the error after a step of a disturbance on the linear model of the vehicle \
+file, with a limited sensitivity at the actuators and at the commanded acceleration.
+
+    Examples:
+
+      mufly autopilot gains px4 --vehicle mine.toml --out etc/init.d-posix/airframes
+
+      mufly autopilot gains ardupilot --out parameters
+    """
+    if out is not None:
+        check_place("--out", out, make=False)
+    from mufly.bridges.autopilot_gains import AXIS_NAMES, design_autopilot_gains
+    from mufly.results import format_value
+    from mufly.vehicle import load_vehicle
+
+    loaded = load_vehicle(vehicle)
+    designed = design_autopilot_gains(loaded)
+    command = f"mufly autopilot gains {autopilot} --vehicle {shlex.quote(vehicle)} --position {position}"
+    files: list[Path] = []
+    if autopilot == "px4":
+        from mufly.bridges.px4_airframe import airframe_file_name, format_airframe_file, list_px4_parameters
+
+        name, text = airframe_file_name(loaded), format_airframe_file(loaded, designed, position, command)
+        parameters = [p._asdict() for p in list_px4_parameters(loaded, designed, position)]
+    else:
+        from mufly.bridges.ardupilot_parameters import format_parameter_file, list_ardupilot_parameters
+
+        name, text = f"{loaded.name}.parm", format_parameter_file(loaded, designed, command)
+        parameters = [p._asdict() for p in list_ardupilot_parameters(loaded, designed)]
+    if out is not None:
+        with report_write_errors(out):
+            out.mkdir(parents=True, exist_ok=True)
+            files.append(out / name)
+            files[0].write_text(text, encoding="utf-8")
+
+    def show() -> None:
+        fields = ("position", "velocity", "velocity_integral", "velocity_rate", "angle", "rate", "rate_integral")
+        heads = ("axis", "P_x 1/s", "P_v 1/s", "I_v 1/s^2", "D_v", "P_angle 1/s", "P", "I")
+        rows = [(axis, *(f"{getattr(getattr(designed, axis), f):.3g}" for f in fields)) for axis in AXIS_NAMES]
+        print_table(heads, rows, title=f"Gains of PX4's cascades for {loaded.name}")
+        heads = ("axis", "crossover rad/s", "sensitivity", "outer", "gain dB", "phase deg", "pushed m")
+        names = ("crossover_rad_s", "sensitivity", "outer_sensitivity", "gain_margin_dB", "phase_margin_deg", "push_m")
+        rows = [(m.axis, *(format_value(getattr(m, n)) for n in names)) for m in designed.margins]
+        print_table(heads, rows, title="Predicted margins; pushed: by a step of the wind of 0.5 m/s")
+        print_lines(f"Hover: mean motor input {designed.hover_thrust:.3f}.")
+        if not files:
+            print_lines("--out DIR writes the file.")
+
+    print_answer(as_json, {"autopilot": autopilot, "gains": designed, "parameters": parameters}, show, files)
+
+
+def run_simulator(
+    autopilot: Autopilot,
+    *,
+    mission: str | None,
+    vehicle: str,
+    ends: Sequence[str] | None,
+    origin: str | None,
+    out: Path | None,
+    wind: str | None,
+    gust: float | None,
+    seed: int,
+    sensors: str,
+    fault: list[str] | None,
+    position: Literal["vision", "gps"],
+    speed: float,
+) -> None:
+    """Simulate the vehicle for another autopilot until Ctrl-C (``mufly link --simulator``)."""
+    if sensors != "fitted":
+        raise InputError("--sensors", sensors, f"{autopilot} flies on sensors", "leave it out")
+    if ends is not None and len(ends) > 1:
+        raise InputError("--link", "", "a simulator has one endpoint", "give it once")
+    from mufly.bridges.simulator_pace import check_speed
+    from mufly.link.codec import parse_origin
+    from mufly.link.ports import parse_endpoint
+
+    check_speed(speed, "--speed")
+    steady = resolve_wind(wind, gust, seed)
+    default = {"px4": "tcpin:127.0.0.1:4560", "ardupilot": "udpin:127.0.0.1:9002"}[autopilot]
+    endpoint = parse_endpoint((ends or [default])[0], "vehicle", "--link")
+    kind = default.partition(":")[0]
+    if endpoint.kind != kind:
+        raise InputError("--link", str(endpoint), f"{autopilot} calls by {kind}", f"write {default}")
+    place = None if origin is None else parse_origin(origin)
+    if autopilot == "ardupilot" and (place is not None or position != "vision"):
+        given = "--origin" if place is not None else "--position"
+        raise InputError(given, "", "ArduPilot makes its global position itself", "leave it out; see its option --home")
+    if out is not None:
+        check_place("--out", out, make=False)
+    from mufly.mission import Mission, load_mission
+    from mufly.vehicle import load_vehicle
+
+    helicopter = load_vehicle(vehicle)
+    plan = Mission(name="no mission") if mission is None else load_mission(mission)
+    faults = check_sensor_options(helicopter, "fitted", fault)
+    terminal, over = make_console(), ShutdownHandler()
+    name = {"px4": "PX4", "ardupilot": "ArduPilot"}[autopilot]
+    terminal.print(f"[bold]{helicopter.name}[/bold] is simulated for {name}", highlight=False)
+    print_lines(describe_sensor_source(helicopter, "fitted"))
+    with LiveDisplay(terminal) as display:
+        display.set_live_line("compiling the model")
+        from mufly.bridges.ardupilot_link import ARDUPILOT_RATE_HZ, ArduPilotSimulator
+        from mufly.bridges.autopilot_plant import AutopilotPlant, warm_up_plant
+        from mufly.bridges.px4_link import DEFAULT_ORIGIN, PX4_RATE_HZ, Px4Simulator
+
+        rate_Hz = {"px4": PX4_RATE_HZ, "ardupilot": ARDUPILOT_RATE_HZ}[autopilot]
+        warm_up_plant(helicopter, rate_Hz)
+    path = None if out is None else out / "flight.mcap"
+    plant = AutopilotPlant(
+        helicopter, plan, rate_Hz=rate_Hz, autopilot=name, wind=steady, gust=gust, seed=seed, faults=faults, path=path,
+    )  # fmt: skip
+    with plant, over, LiveDisplay(terminal) as display:
+        plant.listeners.append(display.show_event)
+        simulator: Px4Simulator | ArduPilotSimulator
+        if autopilot == "px4":
+            simulator = Px4Simulator(
+                plant, endpoint=endpoint, position=position, origin=place or DEFAULT_ORIGIN, speed=speed, where="--link"
+            )
+        else:
+            simulator = ArduPilotSimulator(plant, endpoint=endpoint, speed=speed, where="--link")
+        terminal.print("Ctrl-C ends it.", style="dim")
+        simulator.run(over.stop_requested.is_set, lambda report: display.set_live_line(str(report)))
+    if path is not None:
+        print_lines(f"Ended; the recording is in {path}")
+    raise typer.Exit(over.exit_status)
