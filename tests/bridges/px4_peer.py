@@ -23,8 +23,7 @@ Outputs = tuple[float, ...]
 class ScriptedPx4:
     """PX4 in a thread: ``law(time_s, message)`` returns whether it is armed, and its outputs.
 
-    ``message`` is the last HIL_STATE_QUATERNION. ``answer_every`` skips answers, ``quiet_s`` is a pause in wall-clock
-    time before the answer at ``quiet_at_s``, ``copies`` repeats answers.
+    ``message`` is the last HIL_STATE_QUATERNION. ``answer_every`` skips answers, ``copies`` repeats them.
     """
 
     def __init__(
@@ -35,12 +34,9 @@ class ScriptedPx4:
         lockstep: bool = True,
         answer_every: int = 1,
         copies: int = 1,
-        quiet_at_s: float = math.inf,
-        quiet_s: float = 0.0,
     ) -> None:
         self.line = socket.create_connection(("127.0.0.1", port), 5.0)
         self._law, self._flags, self._every, self._copies = law, int(lockstep), answer_every, copies
-        self._quiet_at_s, self._quiet_s = quiet_at_s, quiet_s
         self.times_us: list[int] = []
         self.messages: dict[str, list] = {}
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -74,9 +70,6 @@ class ScriptedPx4:
                 self.times_us.append(message.time_usec)
                 if len(self.times_us) > 60 and len(self.times_us) % self._every:
                     continue
-                if message.time_usec >= self._quiet_at_s * 1e6:
-                    self._quiet_at_s = math.inf
-                    time.sleep(self._quiet_s)
                 armed, outputs = self._law(message.time_usec * 1e-6, state)
                 controls = [*outputs, *[0.0] * (16 - len(outputs))]
                 mode = 1 | (mavlink.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0)

@@ -7,13 +7,14 @@ import pytest
 
 from mufly.bench.rig.simulated_rig import SIMULATED_FAULTS
 from mufly.bench.series.series_plan import SIDES_BY_AXIS
+from mufly.bridges.px4_messages import PositionSource
 from mufly.camera.live_pictures import PictureClock
 from mufly.cfd.openfoam_case import TURBULENCE_MODELS
 from mufly.cfd.sector_mesh import MESH_LEVELS
-from mufly.cli import coax, fly, log, monte_carlo, options, rotor, station
+from mufly.cli import coax, fly, log, monte_carlo, options, rotor
 from mufly.cli.aero import bench, cfd
 from mufly.cli.identify import flight as identify
-from mufly.cli.onboard import slam
+from mufly.cli.onboard import link, slam
 from mufly.identify.flight.output_error_problem import DynamicsPart
 from mufly.identify.flight.staged_search import FitMethod
 from mufly.link.vehicle_process import SensorMode
@@ -32,7 +33,8 @@ CASES: list[tuple[Any, str, Iterable[str]]] = [
     (cfd.CaseOptions, "model", TURBULENCE_MODELS),
     (coax.MapOptions, "method", set(SOLVERS) - {"tubes"}),  # a map has no tubes
     (fly.fly_mission, "sensors", get_args(SensorMode)),
-    (station.run_link, "sensors", get_args(SensorMode)),
+    (link.run_link, "sensors", get_args(SensorMode)),
+    (link.run_link, "position", get_args(PositionSource)),
     (monte_carlo.run_monte_carlo, "sensors", get_args(SensorMode)),
     (identify.flight, "part", (*get_args(DynamicsPart), "split")),
     (identify.flight, "method", get_args(FitMethod)),

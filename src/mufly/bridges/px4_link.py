@@ -50,7 +50,7 @@ SILENCE_S = 2.0
 SKIP_S = 1.0
 """Wall-clock time without an answer after which one further period is sent (s)."""
 _WAIT_S = 0.05
-_START_WAIT_S = 0.2  # for an answer while PX4 starts, if it has answered the previous period
+_FIRST_WAIT_S, _START_WAIT_S = 0.02, 0.2  # for an answer while PX4 starts; if it has answered the previous period
 _FIRST_PERIODS = 50  # answered in a row, after which the lockstep begins
 _TRUTH_PERIODS = 5
 _CHECK_PERIODS = 250  # of one check of rates and outputs
@@ -145,8 +145,9 @@ class Px4Simulator:
         begun_s = self._clock()
         while self._peer is not None and not stop():
             rest_s = self.pace.rest_s(in_real_time=self.state != "lockstep")
-            if self.state == "starting" and self._streak and not self._is_answered:
-                rest_s = max(rest_s, begun_s + _START_WAIT_S - self._clock())
+            if self.state == "starting" and self._command is not None and not self._is_answered:
+                patience_s = _START_WAIT_S if self._streak else _FIRST_WAIT_S
+                rest_s = max(rest_s, begun_s + patience_s - self._clock())
             if rest_s <= 0.0:
                 break
             self._wait(rest_s)

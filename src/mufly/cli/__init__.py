@@ -12,14 +12,13 @@ import typer
 
 from mufly.cli import coax, control, drive, fly, log, mission, monte_carlo, rotor, station, study, vehicle
 from mufly.cli import optimise as _optimise  # noqa: F401  adds to the commands of rotor and coax, as study does
-from mufly.cli import station as link
 from mufly.cli.aero import bench, cfd, export
 from mufly.cli.aero import benchmark as _benchmark  # noqa: F401  adds to the commands of rotor
 from mufly.cli.aero import flight_map as _flight_map  # noqa: F401  adds to the commands of coax
 from mufly.cli.aero import forward as _forward  # noqa: F401  adds to the commands of rotor
 from mufly.cli.aero import structure as _structure  # noqa: F401  adds to the commands of rotor
 from mufly.cli.identify import flight as identify
-from mufly.cli.onboard import autopilot, estimate, firmware, sensors, slam
+from mufly.cli.onboard import autopilot, estimate, firmware, link, sensors, slam
 from mufly.cli.options import CommandGroup
 from mufly.errors import MuflyError
 from mufly.version import __version__
