@@ -251,6 +251,9 @@ def read_text_table(path: str | Path, *, short_rows: Literal["refuse", "cut", "d
     if len(rows) < len(lines):
         numbers = [n for s, n in zip(lines, numbers, strict=True) if _is_content_line(s)]
     separator, decimal = detect_layout(rows)
+    if separator == " " and _has_title_line(rows, decimal):
+        notes.append(f"line {numbers[0]} is a title ({' '.join(rows[0].split())})")
+        rows, numbers = rows[1:], numbers[1:]
     header, units = split_cells(rows[0], separator), list[str]()
     if not _is_plain_number(header[0] or "-") and not all(_is_number(c, decimal) for c in header):
         units = _units_below(rows[1:2], len(header), separator, decimal)
@@ -509,6 +512,23 @@ def _parse_preamble(lines: Sequence[str]) -> dict[str, str]:
     """Parse keys and values before a table; a line with one cell is a key without value."""
     rows = [split_cells(s, "," if "," in s else ";") for s in lines if _is_content_line(s)]
     return {row[0]: ",".join(row[1:]) for row in rows if row}
+
+
+def _has_title_line(rows: Sequence[str], decimal: str) -> bool:
+    """Return True if the first line is a title above the header: the second line holds names, not units, and the rows
+    below are numbers, as many as those names."""
+    names, below = split_cells(rows[1], " ") if len(rows) > 2 else [], rows[2 : 2 + _SAMPLED_ROWS]
+    if len(names) < 2 or any(_is_number(c, decimal) for c in names):
+        return False
+    title = split_cells(rows[0], " ")
+    if all(_is_number(c, decimal) for c in title):
+        return False
+    units = sum(bool(normalise_unit(c.strip("[]()-. "))) for c in names)
+    words = len(title) == len(names) and not any(c.isdigit() for c in rows[0])
+    if units * (2 if words else 1) >= len(names):
+        return False
+    cells = [split_cells(row, " ") for row in below]
+    return all(len(row) == len(names) and all(_is_number(c, decimal) for c in row) for row in cells)
 
 
 def _units_below(rows: Sequence[str], width: int, separator: str, decimal: str) -> list[str]:

@@ -137,6 +137,7 @@ PLAIN = {
     "--gear", "--n-crit", "--speed",
 }  # fmt: skip
 SHARES = {
+    "--zero-thrust", "--zero-torque",
     "--amplitude", "--band", "--charge", "--duty", "--flap-frequency-ratio", "--gear", "--gear-efficiency",
     "--hold-out-share", "--light",
     "--ratio", "--shadows", "--split", "--gurney",
@@ -150,7 +151,7 @@ TEXTS = {
     "--drive", "--engine", "--family", "--fault", "--fit", "--floor", "--for", "--free", "--from",
     "--hold-out", "--host", "--imu", "--input", "--inputs", "--keep", "--kind", "--known", "--layout",
     "--limit", "--link", "--logs", "--map", "--material", "--measured", "--mesh", "--method", "--mission", "--model",
-    "--name", "--noise", "--only", "--open", "--origin", "--others", "--out", "--output", "--outputs",
+    "--name", "--noise", "--template", "--only", "--open", "--origin", "--others", "--out", "--output", "--outputs",
     "--over", "--part", "--plot", "--position", "--prefix", "--reference", "--report", "--rig", "--rotor",
     "--save-map", "--section", "--sensors", "--set", "--signal", "--simulator", "--start", "--stream", "--telemetry",
     "--times", "--tip", "--token", "--unit", "--vary", "--vehicle", "--wake", "--wake-set", "--without",

@@ -32,6 +32,7 @@ from mufly.text_table import TextTable, read_text_table
 from mufly.units import compatible_units, conversion_factor, normalise_unit, unit_conversion
 
 Array = NDArray[np.float64]
+_UNIT_ASSUMED = "no unit is written, taken as"
 
 
 class TruncatedFileWarning(UserWarning):
@@ -135,8 +136,13 @@ class BenchTable:
         )
 
     def rescale_column(self, name: str, factor: float, note: str) -> BenchTable:
-        """Return the table with one column multiplied by ``factor``, and a note with the reason."""
-        return self.with_columns(note, **{name: self.columns[name] * factor})
+        """Return the table with one column multiplied by ``factor``, and a note with the reason.
+
+        The note replaces that of the first reading, which took a column without a unit as SI.
+        """
+        first = f"{self.headers[name]}: {_UNIT_ASSUMED}"
+        known = replace(self, notes=tuple(n for n in self.notes if not n.startswith(first)))
+        return known.with_columns(note, **{name: self.columns[name] * factor})
 
     def select_lines(self, keep: NDArray[np.bool_]) -> BenchTable:
         """Return the lines that ``keep`` (n,) selects."""
@@ -270,7 +276,7 @@ def _read_columns(written: TextTable, mapped: Mapping[int, list[tuple[str, float
     notes = [*told, *notes]
     unitless = tuple(n for n, r in chosen.items() if r.column.unit == "" and not n.endswith("_raw"))
     notes += [
-        f"{r.header}: no unit is written, taken as {SI_UNITS[r.column.base_quantity]}"
+        f"{r.header}: {_UNIT_ASSUMED} {SI_UNITS[r.column.base_quantity]}"
         for n, r in chosen.items()
         if n in unitless and r.column.base_quantity not in ("speed", "pitch")
     ]

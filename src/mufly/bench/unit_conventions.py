@@ -41,6 +41,7 @@ _HOVER_THRUST_COEFFICIENTS, _HOVER_TORQUE_COEFFICIENTS = (
     (0.0015, 0.045),
     (1e-4, 6e-3),
 )  # ranges of c_T and c_Q of hovering rotors
+_HEAVY_THRUST_COEFFICIENT, _LIGHT_THRUST_COEFFICIENT = 0.025, 2e-4  # c_T at which newtons may be grams
 _HOVER_FIGURES_OF_MERIT = (0.15, 0.95)  # range of the figure of merit of hovering rotors
 _MIN_PROPELLER_CT = 0.02
 _CANDIDATE_THRUST_UNITS, _CANDIDATE_TORQUE_UNITS = ("N", "gf", "kgf"), ("N m", "mN m", "N cm", "kgf cm")
@@ -203,6 +204,14 @@ def guess_load_units(
             ordinary = low < factor * size < high or (quantity == "torque" and beside is not None)
             if ordinary and (math.isnan(merit) or _HOVER_FIGURES_OF_MERIT[0] < merit < _HOVER_FIGURES_OF_MERIT[1]):
                 fits.append((unit, factor, merit))
+        if quantity == "thrust" and [u for u, _, _ in fits] == ["N"]:
+            # Grams of a rotor at low pitch look like newtons of a heavily loaded one.
+            light = conversion_factor("gf") * size
+            merit = median_figure_of_merit(
+                loads[channel] * conversion_factor("gf"), beside, squares, density_kg_m3, radius_m
+            )
+            if size > _HEAVY_THRUST_COEFFICIENT and light > _LIGHT_THRUST_COEFFICIENT and math.isnan(merit):
+                fits.append(("gf", conversion_factor("gf"), merit))
         if len(fits) != 1:
             what = " or ".join(u for u, _, _ in fits) if fits else "no unit"
             stem = table.headers[channel].strip()

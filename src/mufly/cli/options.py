@@ -324,8 +324,12 @@ ClusterOption = Annotated[
     str | None,
     define_option("--cluster ADDRESS", "Scheduler of a dask cluster, as tcp://host:8786. Default: this machine."),
 ]
-ClimbOption = Annotated[float, define_option("--climb", "Axial speed, positive in climb.", unit="m/s")]
-DensityOption = Annotated[float, define_option("--density", "Density of the air.", unit="kg/m3")]
+CLIMB_RANGE = OptionRange(-300.0, 300.0, "m/s", "no rotor of these methods flies near the speed of sound")
+DENSITY_RANGE = OptionRange(1e-3, 20.0, "kg/m3", "no air is so; 1200 g/m3 are 1.2")
+ClimbOption = Annotated[
+    float, define_option("--climb", "Axial speed, positive in climb.", unit="m/s", within=CLIMB_RANGE)
+]
+DensityOption = Annotated[float, define_option("--density", "Density of the air.", unit="kg/m3", within=DENSITY_RANGE)]
 RpmOption = Annotated[float, define_option("--rpm", "Rotor speed.", unit="rpm", within=SPEED_RANGE)]
 OptionalRpmOption = Annotated[float | None, define_option("--rpm", "Rotor speed.", unit="rpm", within=SPEED_RANGE)]
 PitchOption = Annotated[

@@ -12,6 +12,7 @@ import typer
 from mufly.cli.options import (
     DEFAULT_BEMT_OPTIONS,
     DEFAULT_POLAR_OPTIONS,
+    DENSITY_RANGE,
     PITCH_RANGE,
     SPEED_RANGE,
     WAKE_FIELDS,
@@ -73,7 +74,12 @@ BenchSpeedOption = Annotated[
 ]
 BenchDensityOption = Annotated[
     float | None,
-    define_option("--density", "Density of the air at the bench. Default: the file's, else 1.2.", unit="kg/m3"),
+    define_option(
+        "--density",
+        "Density of the air at the bench. Default: the file's, else 1.2.",
+        unit="kg/m3",
+        within=DENSITY_RANGE,
+    ),
 ]
 FamilyOption = Annotated[
     str,
@@ -259,6 +265,7 @@ def import_blade(
             blade, folder=out.parent, blades=blades, name=name or out.stem,
             unit_m=None if unit is None else compatible_units("m")[unit],
         )  # fmt: skip
+        r = replace_rotor(r, {"blade.geometry": "scan"})
     else:
         r, notes = read_blade(blade, radius_m=radius, blades=blades, airfoil=airfoil, name=name)
     if trailing_edge is not None:
@@ -526,6 +533,18 @@ def fit(
     point: Annotated[
         int | None, define_option("--point LINE", "Measured point to fit alone, counted from 1. Default: all points.")
     ] = None,
+    zero_thrust: Annotated[
+        float | None,
+        define_option(
+            "--zero-thrust J", "Advance ratio V/(n D) at which a tunnel measured no thrust.", unit="1", min=0.0
+        ),
+    ] = None,
+    zero_torque: Annotated[
+        float | None,
+        define_option(
+            "--zero-torque J", "Advance ratio V/(n D) at which the rotor windmills without torque.", unit="1", min=0.0
+        ),
+    ] = None,
     density: BenchDensityOption = None,
     columns: ColumnOption = None,
     pitch: BenchPitchOption = None,
@@ -546,7 +565,7 @@ def fit(
     import numpy as np
 
     from mufly.errors import InputError
-    from mufly.rotor import fit_picture, fit_rotor, format_rotor_toml, load_rotor
+    from mufly.rotor import append_tunnel_points, fit_picture, fit_rotor, format_rotor_toml, load_rotor
     from mufly.rotor.rotor_fit import FIT_PARAMETERS
 
     if out is not None and out.suffix != ".toml":
@@ -556,6 +575,7 @@ def fit(
     air = bench.air
     if point is not None:
         bench = bench.select_points(np.array([_point_index("--point", point, bench)]))
+    bench = append_tunnel_points(bench, r.radius_m, zero_thrust=zero_thrust, zero_torque=zero_torque)
     with progress_bar("sections", not as_json) as progress:
         found = fit_rotor(
             r, bench, section=section, family=family, air=air, n_crit=polars.n_crit, engine=polars.engine,
@@ -571,7 +591,7 @@ def fit(
             **select_fields(found, "change std prior_std correlation undecided"),
             "sections": [{"airfoils": name, "probability": share} for name, share in found.fit.list_sections()],
             **select_fields(found, "error_before=before error_after=after held_out_error=held_out"),
-            "held_out": found.held_out_note,
+            "held_out": found.held_out_note, "notes": bench.notes,
         }  # fmt: skip
         return print_answer(as_json, content, None, files)
     c = make_console()
@@ -671,7 +691,8 @@ def compare(
         content = {
             "rotor": r.name, "measurements": bench.source, "calibrated": c.calibrated, "model": theory.model,
             **select_fields(blading.corrections, "lift_factor drag_factor"), "method": theory.method,
-            **select_fields(c, "mean_thrust_error mean_torque_error"), "points": to_records(select_fields(c, keys)),
+            **select_fields(c, "mean_thrust_error mean_torque_error"), "notes": bench.notes,
+            "points": to_records(select_fields(c, keys)),
         }  # fmt: skip
         return print_json(content)
     typer.echo(str(c))

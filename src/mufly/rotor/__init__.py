@@ -11,6 +11,7 @@ from mufly.rotor.blade_families import BLADE_FAMILIES
 from mufly.rotor.blade_files import read_blade
 from mufly.rotor.blading import TEXTBOOK_CORRECTIONS, Blading, Corrections, prepare_blading
 from mufly.rotor.coax_maps import compute_coax_map, map_climb_ratios
+from mufly.rotor.effective_pitch import PitchPrior, effective_pitch_prior
 from mufly.rotor.geometry import (
     BladeSections,
     Rotor,
@@ -22,7 +23,7 @@ from mufly.rotor.geometry import (
     replace_rotor,
     rotor_from_tables,
 )
-from mufly.rotor.rotor_fit import RotorFit, fit_rotor
+from mufly.rotor.rotor_fit import RotorFit, append_tunnel_points, fit_rotor
 from mufly.rotor.rotor_pictures import (
     blade_picture,
     field_picture,
@@ -83,6 +84,7 @@ __all__ = [
     "Material",
     "MeasurementComparison",
     "OperatingCondition",
+    "PitchPrior",
     "PolarStack",
     "PolarTable",
     "PredictionInterval",
@@ -95,6 +97,7 @@ __all__ = [
     "SolverMethod",
     "SystemSolution",
     "VortexRingWarning",
+    "append_tunnel_points",
     "blade_picture",
     "blade_stations",
     "blade_thickness_m",
@@ -108,6 +111,7 @@ __all__ = [
     "compute_polars",
     "compute_tip_mach",
     "database_airfoils",
+    "effective_pitch_prior",
     "extrapolation_flags",
     "field_picture",
     "fit_picture",

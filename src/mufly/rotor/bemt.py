@@ -382,7 +382,7 @@ def solve_rotor_batch(
     thrust, torque = totals[:, 0], totals[:, 1]
     radius = blading.radius_m[index]
     if index.size:
-        warn_tip_mach(compute_tip_mach(1.0, float(np.max(radius * speed)), gas))
+        warn_tip_mach(compute_tip_mach(1.0, float(np.max(np.hypot(radius * speed, climb))), gas))
     values = {"thrust_N": thrust, "torque_Nm": torque}
     values |= _compute_coefficients(thrust, torque, speed, radius, gas.density_kg_m3)
     return BatchResult(**{name: v.reshape(shape) for name, v in values.items()})
@@ -558,8 +558,10 @@ def section_coefficients(
         if fade > 0.0:
             a = alpha - section.polar_zero_lift_rad
             attached = 2.0 * math.pi * math.sin(a) * math.cos(a) ** 2
-            if attached * (attached - cl) > 0.0:
-                gain = rotation * fade * (attached - cl)
+            # Lift of the opposite sign near zero lift is no loss by separation; counted as one it makes cl jump.
+            lost = min(attached - max(cl, 0.0), attached) if attached > 0.0 else max(attached - min(cl, 0.0), attached)
+            if attached * lost > 0.0:
+                gain = rotation * fade * lost
                 cl += gain
                 cd += max(gain * math.tan(alpha), 0.0)  # the recovered force is normal to the chord
     beyond = mach - (_KORN_FACTOR - section.thickness_ratio - 0.1 * abs(cl) - _CRITICAL_MACH_OFFSET)

@@ -85,6 +85,7 @@ def read_blade(
         If the format is not recognised, a column is missing, or a value is impossible.
     """
     where = Path(path).name
+    geometry = "maker" if Path(path).suffix.lower() == ".pe0" else None
     if radius_m is not None and not 0.0 < radius_m < 100.0:
         raise ArgumentError("radius", f"{radius_m:g} m", "is out of range", "give a length above 0")
     notes: list[str] = []
@@ -136,6 +137,7 @@ def read_blade(
                 "chord": {"value": chord.tolist(), "unit": "m", **source},
                 "twist": {"value": twist.tolist(), "unit": "rad", **source},
                 "airfoils": foils if len(set(foils)) > 1 else foils[:1],
+                **({} if geometry is None else {"geometry": geometry}),
             },
         },
         where,
@@ -143,10 +145,28 @@ def read_blade(
     return ImportedRotor(rotor, tuple(notes))
 
 
+def read_station_readings(path: str | Path) -> tuple[Array, Array, Array]:
+    """Return radius (m), chord (m) and angle (rad) of a table of readings, (n,) arrays; rows without chord and angle
+    are left out.
+
+    Raises
+    ------
+    InputError
+        As for :func:`read_blade`, or if a chord is not above 0.
+    """
+    r, chord, twist, *_ = _read_station_table(path, None, [], optional=True)
+    filled = np.isfinite(chord) & np.isfinite(twist)
+    if not np.all(chord[filled] > 0.0):
+        raise InputError(Path(path).name, "chord", "is not above 0 in every row", "correct or delete the row")
+    return r[filled], chord[filled], twist[filled]
+
+
 _StationTable = tuple[Array, Array, Array, list[str], float, int | None]
 
 
-def _read_station_table(path: str | Path, radius_m: float | None, notes: list[str]) -> _StationTable:
+def _read_station_table(
+    path: str | Path, radius_m: float | None, notes: list[str], *, optional: bool = False
+) -> _StationTable:
     where = Path(path).name
     written = read_text_table(path)
     headers = written.titles
@@ -180,7 +200,7 @@ def _read_station_table(path: str | Path, radius_m: float | None, notes: list[st
     def scaled_column(quantity: str) -> Array:
         index, factor = known[quantity]
         scale = factor if factor > 0.0 else radius_m or math.nan
-        return scale * written.read_numbers(index)
+        return scale * written.read_numbers(index, optional=optional)
 
     r, chord, twist = scaled_column("radius"), scaled_column("chord"), scaled_column("twist")
     _check_columns(where, {q: headers[k] for q, (k, _) in known.items()}, known, r, chord, twist, radius_m)

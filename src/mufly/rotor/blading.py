@@ -60,6 +60,7 @@ from numpy.typing import NDArray
 
 from mufly.errors import InputError
 from mufly.numba_cache import cached_njit
+from mufly.rotor.effective_pitch import effective_pitch_prior
 from mufly.rotor.geometry import Rotor
 from mufly.rotor.sections import polar_engines
 from mufly.rotor.sections.polar_engines import PolarEngine
@@ -334,7 +335,8 @@ def prepare_blading(
         mid, edges = compute_panel_edges(float(rotor.hub_cutout), stations)
         cut = rotor.sections_at(mid)
         index = np.array([keys.index(own[k][name]) for name in cut.airfoil_names], dtype=np.int64)
-        r[k], dr[k], chord[k], twist[k] = mid * big, np.diff(edges) * big, cut.chord_m, cut.twist_rad
+        r[k], dr[k], chord[k] = mid * big, np.diff(edges) * big, cut.chord_m
+        twist[k] = cut.twist_rad + effective_pitch_prior(rotor).mean_rad
         if rotor.fit is not None:
             twist[k] += rotor.fit.candidates[0].change[0]
         first[k], second[k], weight[k] = (

@@ -44,6 +44,11 @@ def _make_validation_error(key: str, problem: str, remedy: str) -> PydanticCusto
     return PydanticCustomError("mufly", "{problem}; {remedy}", context)
 
 
+GeometrySource = Literal["photograph", "maker", "caliper", "scan", "CAD"]
+"""Sources of a blade's geometry; :mod:`mufly.rotor.effective_pitch` has the uncertainty of each."""
+_MIN_CHORD_OVER_RADIUS = 0.005  # widest chord over radius; long blades of sailplane-like rotors have 0.02
+
+
 class StationColumn(ParameterGroup):
     """Values of a quantity at every station of a blade, with unit and provenance."""
 
@@ -113,6 +118,17 @@ class Blade(ParameterGroup):
     surface: Literal["smooth", "rough"] | None = Field(
         default=None, description="`smooth` (default), or `rough`: transition at 0.05 c at n_crit 0.1"
     )
+    geometry: GeometrySource | None = Field(
+        default=None,
+        description="source of the geometry, which sets the uncertainty of the angles; default: own design",
+    )
+    pitch_std: Quantity | None = Field(
+        default=None,
+        json_schema_extra={
+            "unit": "rad", "symbol": "s_p", "above": 0.0, "at_least": None, "below": 0.5, "at_most": None
+        },
+        description="standard deviation of the angles as a whole, in place of the one by `geometry`",
+    )  # fmt: skip
     structure: BladeStructure | None = Field(default=None, description="material, thickness and root of the blade")
 
     @model_validator(mode="after")
@@ -203,6 +219,13 @@ class Rotor(ParameterGroup):
     trailing_edge: Quantity = declare_parameter(
         "m", "h", "thickness of the trailing edge; 0: as its airfoils have it", at_least=0, absent=0.0
     )
+    nominal_pitch: Quantity | None = Field(
+        default=None,
+        json_schema_extra={
+            "unit": "m", "symbol": "H", "above": 0.0, "at_least": None, "below": None, "at_most": None
+        },
+        description="pitch that the maker states, advance in a turn; a second estimate of the blade's angle",
+    )  # fmt: skip
     blade: Blade
     fit: SectionFit | None = Field(default=None, description="corrections of the sections from a bench fit")
 
@@ -406,7 +429,14 @@ def rotor_from_tables(tables: Mapping[str, Any], where: str = "rotor") -> Rotor:
     InputError
         As for :func:`load_rotor`.
     """
-    return validate_model(Rotor, tables, where)
+    rotor = validate_model(Rotor, tables, where)
+    widest = max(rotor.blade.chord.value)
+    if widest < _MIN_CHORD_OVER_RADIUS * rotor.radius_m:
+        raise InputError(
+            where, "blade.chord", f"{1e3 * widest:g} mm is no blade of a radius of {1e3 * rotor.radius_m:g} mm",
+            "check both, and their units",
+        )  # fmt: skip
+    return rotor
 
 
 def make_rotor(
@@ -497,6 +527,12 @@ def replace_rotor(rotor: Rotor, values: Mapping[str, Any], *, source: str = "spe
     for trip in ("trip_upper", "trip_lower"):
         if f"blade.{trip}" in values:
             tables["blade"].setdefault(trip, {"value": 1.0, "unit": "1"})
+    if "blade.geometry" in values:
+        tables["blade"].setdefault("geometry", None)
+    if "nominal_pitch" in values:
+        tables.setdefault("nominal_pitch", {"value": 1.0, "unit": "m"})
+    if "blade.pitch_std" in values:
+        tables["blade"].setdefault("pitch_std", {"value": 0.01, "unit": "rad"})
     if "blade.surface" in values:
         tables["blade"].setdefault("surface", "smooth")
     stations = len(rotor.blade.r_over_R.value)
@@ -507,8 +543,9 @@ def replace_rotor(rotor: Rotor, values: Mapping[str, Any], *, source: str = "spe
             table = table.get(part) if isinstance(table, dict) else None
         if not isinstance(table, dict) or last not in table:
             known = (
-                "name, blades, radius, hub_cutout, trailing_edge, blade.r_over_R, blade.chord, blade.twist, "
-                "blade.airfoils, blade.trip_upper, blade.trip_lower, blade.surface"
+                "name, blades, radius, hub_cutout, trailing_edge, nominal_pitch, blade.r_over_R, blade.chord, "
+                "blade.twist, blade.airfoils, blade.trip_upper, blade.trip_lower, blade.surface, blade.geometry, "
+                "blade.pitch_std"
             )
             raise InputError("replace", key, "no such key", f"use one of: {known}")
         if last == "airfoils":

@@ -15,7 +15,11 @@ method. With prior deviations s the five parameters are found by least squares,
 
 T_s, Q_s are the measured T_m, Q_m in hover. In axial flight, where thrust vanishes at some airspeed, they are at least
 0.3 of the greatest measured load, scaled by the square of the rotor speed, because the error of a balance is a fraction
-of its range. Tunnel runs separate angle and lift, because induced velocity is small where thrust vanishes.
+of its range. Tunnel runs separate angle and lift, because induced velocity is small where thrust vanishes: the advance
+ratio without thrust gives the pitch, the one without torque (windmilling) pitch and drag together. A single point of
+either kind is used (:func:`append_tunnel_points`); T_s and Q_s are then shares of the predicted loads in hover.
+
+Points at the same pitch, speed and airspeed repeat one error of the method: m copies count as one point together.
 
 Each fit is repeated with one, two and four times the prior deviations of p, l and d, equally likely (Jeffreys' prior of
 a scale), because some blades differ from every candidate by more than the priors allow. The curvature H gives the
@@ -23,11 +27,11 @@ covariance H^-1, times chi^2 of the points over their degrees of freedom if that
 1932). The probability of a section and width follows from Laplace's approximation (MacKay, Neural Computation 4, 415,
 1992): its prior times exp(-chi^2 / 2) / sqrt(det H).
 
-The priors are not fitted to measurements. Pitch setting: 0.5 degrees. Camber, which moves the zero-lift angle by 2 rad
-per chord (thin airfoil, parabola): 0.3 % of the chord for a known section, 0.6 % between candidates. Lift: 4 % (polar
-engines, docs/log/2026-11-28-polars.md) and 5 % (method). Drag: 8 % and 8 %. Exponents: 0.05 and 0.2. Priors of guessed
-sections: :mod:`mufly.rotor.blade_families`. Hub cut-out and transition have the same effects as lift, drag and their
-exponents, and are not fitted.
+The priors are not fitted to measurements. Pitch: :mod:`mufly.rotor.effective_pitch`. Camber, which moves the zero-lift
+angle by 2 rad per chord (thin airfoil, parabola): 0.3 % of the chord for a known section, 0.6 % between candidates.
+Lift: 4 % (polar engines, docs/log/2026-11-28-polars.md) and 5 % (method). Drag: 8 % and 8 %. Exponents: 0.05 and 0.2.
+Priors of guessed sections: :mod:`mufly.rotor.blade_families`. Hub cut-out and transition have the same effects as lift,
+drag and their exponents, and are not fitted.
 """
 
 from __future__ import annotations
@@ -47,6 +51,7 @@ from mufly.rotor.bemt import solve_rotor_batch
 from mufly.rotor.bench_comparison import RotorMeasurements
 from mufly.rotor.blade_families import GRID_STEP_STD, ZERO_LIFT_PER_CAMBER, section_probabilities
 from mufly.rotor.blading import Blading, Corrections, apply_section_fit, compute_rotor_polars, prepare_blading
+from mufly.rotor.effective_pitch import effective_pitch_prior
 from mufly.rotor.geometry import Rotor, SectionCandidate, SectionFit, replace_rotor
 from mufly.rotor.rotor_system import Air
 from mufly.rotor.sections.polar_engines import PolarEngine
@@ -175,7 +180,7 @@ def fit_rotor(
     """
     if section not in ("guessed", "known"):
         raise InputError("fit", "section", f"{section!r} is unknown", "use 'guessed' or 'known'")
-    if not np.nanmax(measurements.thrust_N) > 0.0:
+    if not np.nanmax(measurements.thrust_N) > 0.0 and not measurements.axial:
         raise InputError(measurements.source, "thrust", "is nowhere above 0", "give points with thrust")
     plain, gas, fixes = (
         rotor.model_copy(update={"fit": None}),
@@ -187,17 +192,22 @@ def fit_rotor(
     wind = np.hypot(0.75 * rotor.radius_m * measurements.speed_rad_s, measurements.climb_m_s)
     re = chord * wind * gas.density_kg_m3 / gas.viscosity_Pa_s
     load = np.stack((measurements.thrust_N, measurements.torque_Nm))
+    hover = np.zeros((2, 0))
+    if measurements.axial:
+        still = prepare_blading(plain, n_crit=n_crit, engine=engine, corrections=fixes)
+        out = solve_rotor_batch(still, pitch_rad=measurements.pitch_rad, speed_rad_s=measurements.speed_rad_s, air=gas)
+        hover = np.stack((out.thrust_N, out.torque_Nm))
     bench = _BenchPoints(
         measurements.pitch_rad,
         measurements.speed_rad_s,
         measurements.climb_m_s,
         load,
-        _compute_load_scales(measurements, load),
+        _compute_load_scales(measurements, load, hover),
         gas,
         float(np.exp(np.mean(np.log(re)))),
     )
     listed = section_probabilities(plain, family) if section == "guessed" else [(plain.blade.airfoils, 1.0)]
-    wide = _prior_deviations(known=section == "known")
+    wide = _prior_deviations(effective_pitch_prior(plain).std_rad, known=section == "known")
     every = {a for airfoils, _ in listed for a in airfoils}
     tables = compute_rotor_polars(plain, every, n_crit=n_crit, engine=engine)
     prepared = []
@@ -256,10 +266,10 @@ def fit_rotor(
     )  # fmt: skip
 
 
-def _prior_deviations(known: bool) -> Array:
+def _prior_deviations(pitch_std_rad: float, known: bool) -> Array:
     """Return the prior standard deviations of :data:`FIT_PARAMETERS`."""
     camber = 0.003 if known else GRID_STEP_STD[0]
-    pitch = math.hypot(math.radians(0.5), ZERO_LIFT_PER_CAMBER * camber)
+    pitch = math.hypot(pitch_std_rad, ZERO_LIFT_PER_CAMBER * camber)
     return np.array([pitch, math.hypot(0.04, 0.05), math.hypot(0.08, 0.08), 0.05, 0.2])
 
 
@@ -279,10 +289,65 @@ def _value_range(values: Array) -> tuple[float, float]:
     return float(values.min()), float(values.max())
 
 
-def _compute_load_scales(measurements: RotorMeasurements, load: Array) -> Array:
-    """Return T_s (N) and Q_s (N m) of the module docstring, (2, n)."""
+def append_tunnel_points(
+    measurements: RotorMeasurements,
+    radius_m: float,
+    *,
+    zero_thrust: float | None = None,
+    zero_torque: float | None = None,
+) -> RotorMeasurements:
+    """Return measurements with the points of a tunnel at which thrust or torque vanishes.
+
+    Parameters
+    ----------
+    measurements : RotorMeasurements
+        Their geometric mean speed and mean pitch are those of the points.
+    radius_m : float
+    zero_thrust, zero_torque : float, optional
+        Advance ratio V / (n D) without thrust, and without torque (windmilling).
+
+    Raises
+    ------
+    InputError
+        If an advance ratio is not between 0 and 5.
+    """
+    m = measurements
+    speed = float(np.exp(np.mean(np.log(m.speed_rad_s))))
+    for name, ratio in (("zero thrust", zero_thrust), ("zero torque", zero_torque)):
+        if ratio is None:
+            continue
+        if not 0.0 < ratio < 5.0:
+            raise InputError("fit", name, f"is an advance ratio of {ratio:g}", "give V / (n D), between 0 and 5")
+        thrust, torque = (0.0, math.nan) if name == "zero thrust" else (math.nan, 0.0)
+        m = replace(
+            m,
+            pitch_rad=np.append(m.pitch_rad, float(np.mean(m.pitch_rad))),
+            speed_rad_s=np.append(m.speed_rad_s, speed),
+            thrust_N=np.append(m.thrust_N, thrust),
+            torque_Nm=np.append(m.torque_Nm, torque),
+            climb_m_s=np.append(m.climb_m_s, ratio * speed * radius_m / math.pi),
+        )
+    return m
+
+
+def _count_copies(bench: _BenchPoints) -> Array:
+    """Return for each point the number of points at its pitch (0.1 degrees), speed (1 %) and airspeed (1 %), (n,)."""
+    pitch, climb = bench.pitch_rad, bench.climb_m_s
+    speed = np.log(bench.speed_rad_s)
+    near = (
+        (np.abs(pitch[:, None] - pitch) < math.radians(0.1))
+        & (np.abs(speed[:, None] - speed) < 0.01)
+        & (np.abs(climb[:, None] - climb) <= 0.01 * np.maximum(np.abs(climb[:, None]), np.abs(climb)))
+    )
+    return np.asarray(near.sum(axis=1), dtype=np.float64)
+
+
+def _compute_load_scales(measurements: RotorMeasurements, load: Array, hover: Array) -> Array:
+    """Return T_s (N) and Q_s (N m) of the module docstring, (2, n); ``hover``: predicted loads without airspeed."""
     square = np.square(measurements.speed_rad_s)
     greatest = np.nanmax(np.where(np.isfinite(load), np.abs(load) / square, 0.0), axis=1)
+    if hover.size:
+        greatest = np.where(greatest > 0.0, greatest, np.max(np.abs(hover) / square, axis=1))
     least = np.where(measurements.climb_m_s != 0.0, _MIN_AXIAL_SCALE * greatest[:, None] * square, 0.0)
     return np.asarray(np.maximum(np.abs(load), least), dtype=np.float64)
 
@@ -329,7 +394,7 @@ def _fit_sections(
     bench: _BenchPoints,
 ) -> list[_FittedSection]:
     """Fit every section; return the fits, the likeliest first."""
-    size = np.repeat([_SIGMA_THRUST, _SIGMA_TORQUE], bench.speed_rad_s.size)
+    size = np.outer((_SIGMA_THRUST, _SIGMA_TORQUE), np.sqrt(_count_copies(bench))).ravel()
     known = np.isfinite(bench.measured_loads.ravel())
     found = []
     widths = [wide * [f, f, f, 1.0, 1.0] for f in _PRIOR_WIDTH_FACTORS]
@@ -361,14 +426,15 @@ def _fit_sections(
             jacobian = np.asarray(solved.jac, dtype=np.float64)
             curvature, data = jacobian.T @ jacobian, jacobian[:-5]
             inverse = np.linalg.inv(curvature)
-            freedom = float(known.sum() - np.trace(inverse @ data.T @ data))
+            several = np.broadcast_to(1.0 / _count_copies(bench), bench.measured_loads.shape).ravel()
+            freedom = float(several[known].sum() - np.trace(inverse @ data.T @ data))
             chi2 = float(np.sum(solved.fun[:-5] ** 2))
             birge = max(1.0, chi2 / freedom) if freedom > 0.5 else 1.0
             evidence = math.log(share / len(widths)) - solved.cost - 0.5 * float(np.linalg.slogdet(curvature)[1])
             found.append(
                 _FittedSection(
-                    evidence, airfoils, solved.x * wide, birge * inverse * np.outer(wide, wide),
-                    _compute_scaled_errors(blading, tables, solved.x * wide, bench), freedom, wide,
+                    evidence, airfoils, ended, birge * inverse * np.outer(wide, wide),
+                    _compute_scaled_errors(blading, tables, ended, bench), freedom, wide,
                 )
             )  # fmt: skip
     found.sort(key=lambda f: -f.log_evidence)
@@ -388,7 +454,7 @@ def _section_probabilities(found: Sequence[_FittedSection]) -> Array:
 
 def _estimate_scatter(best: _FittedSection) -> tuple[float, float]:
     """Estimate the scatter of single points from the residuals of the fit."""
-    used = np.isfinite(best.scaled_errors).sum()
+    used = np.isfinite(best.scaled_errors).sum()  # copies do not lessen what is unknown: freedom counts them as one
     grow = math.sqrt(used / max(best.degrees_of_freedom, 1.0)) if used > 5 else 1.0
     out = []
     for errors, least in zip(best.scaled_errors, (_SIGMA_THRUST, _SIGMA_TORQUE), strict=True):

@@ -149,12 +149,19 @@ def solve_system(
     pitch = _per_rotor_values("pitch_rad", condition.pitch_rad, count)
     speed = _per_rotor_values("speed_rad_s", condition.speed_rad_s, count)
     check_pitch("rotor", "pitch_rad", [p for p in pitch if p is not None])
+    climb = condition.climb_m_s
+    if math.isfinite(climb) and abs(climb) >= condition.air.sound_m_s:
+        raise InputError(
+            "rotor", "climb_m_s", f"{climb:g} m/s is Mach {abs(climb) / condition.air.sound_m_s:.2f}",
+            "stay below 1, better below 0.7: the methods have no shock model",
+        )  # fmt: skip
     for blading, which, given in zip(system.bladings, system.rotor_indices, speed, strict=True):
         if given is not None:
-            mach = compute_tip_mach(blading.rotors[which].radius_m, given, condition.air)
+            mach = compute_tip_mach(blading.rotors[which].radius_m, given, condition.air, climb)
             if mach >= 1.0:
                 raise InputError(
-                    "rotor", "speed_rad_s", f"{given:g} ({given / RPM:.6g} rpm) gives a tip Mach number of {mach:.1f}",
+                    "rotor", "speed_rad_s", f"{given:g} ({given / RPM:.6g} rpm) gives a tip Mach number of {mach:.1f}"
+                    + (f" with {climb:g} m/s of climb" if climb else ""),
                     "stay below 1, better below 0.7: the methods have no shock model; speeds are in rad/s, not in rpm",
                 )  # fmt: skip
             warn_tip_mach(mach)

@@ -29,6 +29,11 @@ SPEED_OF_SOUND_M_S = 343.2
 """Speed of sound in dry air at 20 C (ISO 2533)."""
 
 
+_AIR_RANGES = {"density_kg_m3": (1e-3, 20.0), "viscosity_Pa_s": (0.0, 1e-4), "sound_m_s": (100.0, math.inf)}
+"""Ranges of gases in which rotors run, tunnels under pressure or vacuum included; water and g/m3 lie outside. A great
+speed of sound stands for incompressible flow, a small viscosity for none."""
+
+
 @dataclass(frozen=True)
 class Air:
     """Properties of the air: density (kg/m^3), dynamic viscosity (Pa s), speed of sound (m/s).
@@ -41,9 +46,16 @@ class Air:
     sound_m_s: float = SPEED_OF_SOUND_M_S
 
     def __post_init__(self) -> None:
-        for key in ("density_kg_m3", "viscosity_Pa_s", "sound_m_s"):
+        for key, (low, high) in _AIR_RANGES.items():
             if not 0.0 < getattr(self, key) < math.inf:
                 raise InputError("air", key, f"is {getattr(self, key):g}", "give a number above 0")
+            if not low <= getattr(self, key) <= high:
+                raise InputError(
+                    "air",
+                    key,
+                    f"is {getattr(self, key):g}, which is no air's",
+                    f"give {low:g} to {high:g}, in SI units",
+                )
 
 
 def blade_stations(rotor: Rotor, speed_rad_s: float, air: Air | None = None) -> dict[str, Array]:
@@ -83,9 +95,9 @@ MAX_TIP_MACH = 0.7
 (:func:`mufly.rotor.bemt.equivalent_incompressible_alpha`)."""
 
 
-def compute_tip_mach(radius_m: float, speed_rad_s: float, air: Air | None = None) -> float:
-    """Return the Mach number of the blade tips."""
-    return radius_m * speed_rad_s / (air or Air()).sound_m_s
+def compute_tip_mach(radius_m: float, speed_rad_s: float, air: Air | None = None, axial_m_s: float = 0.0) -> float:
+    """Return the Mach number of the blade tips: of their motion and the axial flow together."""
+    return math.hypot(radius_m * speed_rad_s, axial_m_s) / (air or Air()).sound_m_s
 
 
 class VortexRingWarning(RotorWarning):
@@ -530,7 +542,8 @@ class SystemSolution:
     def lower_over_upper(self) -> dict[str, float]:
         """Ratios lower over upper of speed, thrust, torque and power."""
         names = ("speed_rad_s", "thrust_N", "torque_Nm", "power_W")
-        return {name.partition("_")[0]: getattr(self.lower, name) / getattr(self.upper, name) for name in names}
+        both = {name: (getattr(self.lower, name), getattr(self.upper, name)) for name in names}
+        return {name.partition("_")[0]: low / up if up else math.nan for name, (low, up) in both.items()}
 
     def interference_losses(self, isolated: Sequence[RotorResult]) -> dict[str, float]:
         """Return the relative changes of the loads of a pair against its isolated rotors at the same pitch and speed.

@@ -7,7 +7,7 @@ Causes are varied one at a time about the nominal rotor, each by one standard de
   code and wind tunnel below Re 1e5 (docs/log/2026-11-28-polars.md);
 * ``camber``: 0.3 % of the chord for a known section; zero-lift angle -2 f (thin airfoil, parabola);
 * ``thickness``: 0.5 % of the chord; drag 1 + 2 t (Hoerner, Fluid-Dynamic Drag, 1965, ch. II);
-* ``pitch``: half a degree of setting and twist;
+* ``pitch``: the prior of the effective pitch (:mod:`mufly.rotor.effective_pitch`), by the source of the geometry;
 * ``method``: 5 % of thrust, 8 % of torque, the order of the difference to a vortex lattice with a contracting wake
   (docs/log/2026-11-28-bemt-accuracy.md).
 
@@ -41,6 +41,7 @@ from mufly.rotor.blade_families import (
     section_probabilities,
 )
 from mufly.rotor.blading import Blading, Corrections, compute_rotor_polars, prepare_blading
+from mufly.rotor.effective_pitch import effective_pitch_prior
 from mufly.rotor.geometry import Rotor, SectionCandidate, SectionFit, replace_rotor
 from mufly.rotor.rotor_system import Air
 from mufly.rotor.sections.polar_engines import PolarEngine
@@ -181,7 +182,10 @@ def predict_interval(
             "run `mufly rotor fit` on a bench file, or give section known or guessed",
         )  # fmt: skip
     guessed = section == "guessed" and rotor.fit is None
-    unsure = doubt or (InputUncertainty.for_guessed_section() if guessed else InputUncertainty())
+    unsure = doubt or replace(
+        InputUncertainty.for_guessed_section() if guessed else InputUncertainty(),
+        pitch_rad=effective_pitch_prior(rotor).std_rad,
+    )
     fixes = corrections or Corrections()
     pitch, speed, climb = np.broadcast_arrays(*np.atleast_1d(pitch_rad, speed_rad_s, climb_m_s))
     if rotor.fit is not None:

@@ -59,6 +59,7 @@ _POINTS_PER_PANEL = 3  # sample points on a panel within a stream
 _MIN_SPEED_RATIO = 0.1  # least convection velocity over the greatest of the wake, so that p stays finite
 _MAX_ITERATIONS, _RESTART_INTERVAL, _ANDERSON_MEMORY, _ANDERSON_MIXING = 200, 40, 12, 0.3
 _CONVERGENCE_TOLERANCE = 1e-5  # of the greatest induced velocity
+_MIN_INDUCED_RATIO = 0.005  # of the tip speed: least induced velocity of that scale; below, a rotor carries no load
 
 
 @cached_njit(error_model="numpy")
@@ -273,7 +274,7 @@ def solve_tubes(
         for k, share in enumerate((p0, p1)):
             together = _rollup_matrix(bare[k])
             alone = (together @ (own[k][1] @ steps[k] + climb_m_s).reshape(-1, cells)).ravel()
-            alone = np.hypot(alone, _MIN_SPEED_RATIO * float(np.max(alone)) + 1e-9)
+            alone = np.hypot(alone, max(_MIN_SPEED_RATIO * float(np.max(np.abs(alone))), least))
             w = other[k][1] @ (steps[1 - k] * (p1, p0)[k]) + own[k][1] @ (steps[k] * (share - 1.0))
             ratio = (together @ w.reshape(-1, cells)).ravel() / alone
             thinned.append(np.where(ratio > 0.0, 1.0 / (1.0 + np.maximum(ratio, 0.0)), 1.0 - ratio))
@@ -283,6 +284,7 @@ def solve_tubes(
         return np.concatenate((*met, *thinned))
 
     x = np.concatenate((np.zeros(sum(stations)), np.ones(sum(sizes[2:]))))
+    least = _MIN_INDUCED_RATIO * max(p.speed_rad_s * p.blading.rotors[p.rotor_index].radius_m for p in rotors)
     if start is not None and [v.size for v in start.streams] == sizes:
         x = np.concatenate(start.streams)
     points: list[Array] = []
@@ -290,7 +292,7 @@ def solve_tubes(
     for turn in range(1, _MAX_ITERATIONS + 1):
         miss = iterate_streams(x) - x
         size = sum(float(np.max(np.abs(u * loss))) for u, loss, _ in found)
-        far_off = float(np.max(np.abs(miss[: cuts[1]]))) / max(size, 1e-12)
+        far_off = float(np.max(np.abs(miss[: cuts[1]]))) / max(size, least)
         if progress is not None:
             progress(turn, far_off, math.nan)
         if far_off <= _CONVERGENCE_TOLERANCE:
@@ -309,5 +311,6 @@ def solve_tubes(
             x = x - (ways + _ANDERSON_MIXING * bends) @ np.linalg.lstsq(bends, miss, rcond=1e-8)[0]
     raise MuflyError(
         f"coaxial: the two wakes do not settle at {climb_m_s:g} m/s climb; "
-        f"the stream still changes by {far_off:.1e} of itself a turn"
+        f"the stream still changes by {far_off:.1e} of itself a turn; tubes need rotors that push air down: "
+        "raise the pitch or climb faster, or use the method bemt or wake"
     )

@@ -127,7 +127,7 @@ def benchmark(
     for text in dict.fromkeys(faults):
         c.print(text, style="yellow", highlight=False)
     for text in missing:
-        c.print(f"not in {data}: {text}", style="dim", highlight=False)
+        c.print(f"not scored or with an assumption: {text}", style="dim", highlight=False)
     print_files(files)
     silent = sorted({r.code for r in rows} - {r.code for r in rows if r.without < r.points})
     if silent:

@@ -44,7 +44,7 @@ from mufly.rotor.forward.forward_results import (
 from mufly.rotor.forward.inflow import momentum_induced_velocity
 from mufly.rotor.forward.section_tables import station_tables
 from mufly.rotor.geometry import Rotor
-from mufly.rotor.rotor_system import VORTEX_RING_RANGE, Air, check_pitch
+from mufly.rotor.rotor_system import VORTEX_RING_RANGE, Air, check_pitch, warn_tip_mach
 from mufly.rotor.structure.flap_modes import ASSUMED_STRUCTURE, compute_flap_mode, make_blade_beam
 
 Array = NDArray[np.float64]
@@ -200,6 +200,14 @@ def solve_forward(
     blading = ensure_blading(blading)
     c, rotor = condition, blading.rotors[which]
     _check_condition(c)
+    air_speed = rotor.radius_m * c.speed_rad_s + c.edgewise_m_s  # of the advancing tip, in the disc
+    mach = math.hypot(air_speed, c.climb_m_s) / c.air.sound_m_s
+    if mach >= 1.0:
+        raise InputError(
+            "rotor forward", "edgewise_m_s", f"{c.edgewise_m_s:g} m/s gives the advancing tip Mach {mach:.2f}",
+            "stay below 1: the method has no shock model",
+        )  # fmt: skip
+    warn_tip_mach(mach)
     if inflow not in ("annular", "pitt-peters", "uniform"):
         raise InputError("rotor forward", "inflow", f"{inflow!r} is unknown", "use annular, pitt-peters or uniform")
     if not 12 <= azimuths <= 720:

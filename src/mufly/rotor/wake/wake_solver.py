@@ -23,6 +23,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +40,7 @@ from mufly.rotor.rotor_system import (
     check_rotors,
 )
 from mufly.rotor.vortex_tube import swirl_influence
-from mufly.rotor.wake.biot_savart import filament_influence, induce_velocity, make_segments
+from mufly.rotor.wake.biot_savart import convert_to_single, filament_influence, induce_velocity, make_segments
 from mufly.rotor.wake.lifting_surface import (
     BladeState,
     bound_influence,
@@ -68,7 +69,7 @@ _INITIAL_CORE_LIMIT, _CORE_LIMIT_DECAY_ITERATIONS = (
     15.0,
 )  # initial core limit (R); iterations until it has decreased
 _FLUCTUATING_RESIDUAL_FACTOR = 2.0  # factor on the permitted residual of a fluctuating wake
-_MUTUAL_UPDATE_INTERVAL = 3  # iterations between updates of the mutual influence on the wakes
+_MUTUAL_UPDATE_INTERVAL = 4  # iterations between updates of the mutual influence on the wakes
 _SWIRL_RELAXATION = 0.3  # relaxation of the swirl at each update
 _TYPICAL_BLADE_LOADING = 0.06  # c_T over solidity, first guess
 _MIN_GROUND_CLEARANCE = 0.05  # R: least height of vortices above the ground
@@ -360,11 +361,12 @@ class RotorState:
         self.surface = make_lifting_surface(placed.blading, placed.rotor_index, placed.pitch_rad, placed.speed_rad_s)
         s = self.surface
         n = s.chord_m.size
-        self.induce_function = induce_velocity
+        self.induce_function: Callable[..., Array] = induce_velocity
+        self.pack_segments: Callable[..., Any] = convert_to_single
         if settings.gpu:
             from mufly.rotor.wake.biot_savart_gpu import induce_velocity_gpu
 
-            self.induce_function = induce_velocity_gpu
+            self.induce_function, self.pack_segments = induce_velocity_gpu, tuple
         self.free_ages_rad = free_wake_ages(settings.turns, math.radians(settings.step_deg))
         self.chords_per_step = max(round(settings.step_deg / settings.chord_deg), 1)
         self.free_points_m = np.empty((n + 1, self.free_ages_rad.size, 3))
@@ -443,11 +445,13 @@ class RotorState:
         gamma = (
             self.blade_state.circulation_m2_s if self.blade_state is not None else np.zeros(self.shed_matrix.shape[1])
         )
-        self.vortex_segments = collect_segments(
-            self.surface, self.filament_paths_m, self.core_radius_m, strength, gamma
+        self.vortex_segments = self.pack_segments(
+            collect_segments(self.surface, self.filament_paths_m, self.core_radius_m, strength, gamma)
         )
         core = compute_core_radii(self.surface, self.coarse_ages_rad, strength, viscosity, settings.core, limit)
-        self.coarse_segments = collect_segments(self.surface, self.coarse_paths_m, core, strength, gamma)
+        self.coarse_segments = self.pack_segments(
+            collect_segments(self.surface, self.coarse_paths_m, core, strength, gamma)
+        )
 
     def induced_velocity(self, points: Array, *, few: bool = False) -> Array:
         """Return the velocity induced by this rotor at points of its own frame; ``few`` selects the wake with coarse

@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mufly.bench import read_measurements
-from mufly.errors import InputError
+from mufly.errors import InputError, MuflyError
 from mufly.rotor import Air, Rotor, RotorMeasurements, load_rotor, read_blade, replace_rotor
 from mufly.text_table import read_text_table
 from mufly.units import RPM
@@ -134,7 +134,7 @@ def load_cases(folder: Path, only: str = "") -> tuple[list[RotorCase], list[str]
     -------
     cases : list of RotorCase
     missing : list of str
-        Missing data sets and their sources.
+        Missing data sets with their sources, and files that are left out with the reason.
 
     Raises
     ------
@@ -162,10 +162,14 @@ def load_cases(folder: Path, only: str = "") -> tuple[list[RotorCase], list[str]
         else:
             missing.append(f"{name}: {DATA_SOURCES[name]}")
     known = {case.name for case in cases}
-    cases += [case for case in (*load_uiuc_files(folder), *load_own_rotors(folder)) if case.name not in known]
+    left_out: list[str] = []
+    cases += [
+        c for c in (*load_uiuc_files(folder, left_out), *load_own_rotors(folder, left_out)) if c.name not in known
+    ]
+    missing += left_out
     words = [w.strip().lower() for w in only.split(",") if w.strip()]
     chosen = [c for c in cases if not words or any(w in f"{c.name} {c.group}".lower() for w in words)]
-    chosen = [replace(c, tunnel_runs=tuple(load_tunnel_runs(folder, c))) for c in chosen]
+    chosen = [replace(c, tunnel_runs=tuple(load_tunnel_runs(folder, c, missing))) for c in chosen]
     if not chosen:
         if not cases:
             raise InputError("--data", str(folder), "contains no measurements that are known here", _FETCH_REMEDY)
@@ -242,7 +246,9 @@ def load_uiuc_propellers(folder: Path) -> list[RotorCase]:
         family, section, known = section_of_propeller(name)
         foils = _airfoils_by_station(section, g[:, 0])
         rotor = _build_rotor(name, int(blades), radius, 0.15, g[:, 0], g[:, 1] * radius, g[:, 2], *foils)
-        rotor = replace_rotor(rotor, {"trailing_edge": TRAILING_EDGE_M}, source="estimated")
+        rotor = replace_rotor(
+            rotor, {"trailing_edge": TRAILING_EDGE_M, **_photographed(name, radius)}, source="estimated"
+        )
         n, d = m[:, 0] / 60, 2 * radius
         rho = BENCHMARK_AIR.density_kg_m3
         thrust, torque = m[:, 1] * rho * n**2 * d**4, m[:, 2] / (2 * np.pi) * rho * n**2 * d**5
@@ -259,53 +265,97 @@ def load_uiuc_propellers(folder: Path) -> list[RotorCase]:
     return out
 
 
+_STATED_PITCH_IN_NAME = re.compile(r"_(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)|_(\d+(?:\.\d+)?)deg")
+
+
+def _photographed(name: str, radius_m: float) -> dict[str, object]:
+    """Return the values of a rotor file about UIUC's geometry: photographs, and the pitch that the name states.
+
+    A name as 5x3 or 96x70 states diameter and pitch in the same unit, 15deg the blade angle at 0.75 R.
+    """
+    found = _STATED_PITCH_IN_NAME.search(name)
+    if found is None:
+        return {"blade.geometry": "photograph"}
+    if found[3]:
+        pitch = 1.5 * math.pi * radius_m * math.tan(math.radians(float(found[3])))
+    else:
+        pitch = 2.0 * radius_m * float(found[2]) / float(found[1])
+    return {"blade.geometry": "photograph", "nominal_pitch": pitch}
+
+
 _INCH = 0.0254
 _DIAMETER_IN_NAME = re.compile(r"_(\d+(?:\.\d+)?)(?:x\d|_\d+deg)")
 
 
-def load_uiuc_files(folder: Path) -> Iterator[RotorCase]:
+def load_uiuc_files(folder: Path, left_out: list[str]) -> Iterator[RotorCase]:
     """Load UIUC's files, pairs of ``NAME_geom.txt`` and ``NAME_static_RUN.txt``, anywhere below a folder.
 
     The first number in a name is the diameter, in inches below 30 and in millimetres above. ``_3b`` before ``_static``
-    marks a propeller with three of the blades.
+    marks a propeller with three of the blades. A file that cannot be used is named in ``left_out`` with the reason.
     """
+    used: set[Path] = set()
     for geometry, more in product(sorted(folder.rglob("*_geom.txt")), ("", "_3b", "_4b")):
         name = geometry.name.removesuffix("_geom.txt") + more
         runs = sorted(geometry.parent.glob(f"{name}_static*.txt"))
         size, several = _DIAMETER_IN_NAME.search(name), re.search(r"_(\d)b(_|$)", name)
         blades = int(several[1]) if several else 2
+        used |= {geometry, *runs} if runs else set()
+        if runs and size is None:
+            left_out.append(f"{geometry.name}: its name holds no size; name it as MAKER_9x5_geom.txt, in inches or mm")
         if not runs or size is None:
             continue
         diameter = float(size[1]) * (_INCH if float(size[1]) < 30.0 else 1e-3)
         family, section, known = section_of_propeller(name)
-        rotor = read_blade(geometry, radius_m=0.5 * diameter, blades=blades, name=name).rotor
-        foils = _airfoils_by_station(section, rotor.blade.r_over_R.array())
-        rotor = replace_rotor(
-            rotor,
-            {"hub_cutout": 0.15, "trailing_edge": TRAILING_EDGE_M, "blade.airfoils": foils},
-            source="estimated",
-        )
-        points = [
-            read_measurements(run, diameter_m=diameter, density_kg_m3=BENCHMARK_AIR.density_kg_m3) for run in runs
-        ]
-        pitch, speed, thrust, torque = (np.concatenate([getattr(p, k) for p in points]) for k in _MEASUREMENT_FIELDS)
+        try:
+            rotor = read_blade(geometry, radius_m=0.5 * diameter, blades=blades, name=name).rotor
+            foils = _airfoils_by_station(section, rotor.blade.r_over_R.array())
+            rotor = replace_rotor(
+                rotor,
+                {
+                    "hub_cutout": 0.15,
+                    "trailing_edge": TRAILING_EDGE_M,
+                    "blade.airfoils": foils,
+                    **_photographed(name, 0.5 * diameter),
+                },
+                source="estimated",
+            )
+            points = [
+                read_measurements(run, diameter_m=diameter, density_kg_m3=BENCHMARK_AIR.density_kg_m3) for run in runs
+            ]
+            pitch, speed, thrust, torque = (
+                np.concatenate([getattr(p, k) for p in points]) for k in _MEASUREMENT_FIELDS
+            )
+        except MuflyError as error:
+            left_out.append(f"{name}: {error}")
+            continue
         group = "UIUC micro" if diameter < 0.18 else "UIUC"
         yield RotorCase(name, group, family, rotor, known, RotorMeasurements(pitch, speed, thrust, torque, name))
+    for file in sorted((*folder.rglob("*_geom.txt"), *folder.rglob("*_static*.txt"))):
+        if file not in used:
+            other = "NAME_static_RUN.txt" if file.name.endswith("_geom.txt") else "NAME_geom.txt"
+            left_out.append(f"{file.name}: there is no {other} beside it")
 
 
 _MEASUREMENT_FIELDS = ("pitch_rad", "speed_rad_s", "thrust_N", "torque_Nm")
 
 
-def load_tunnel_runs(folder: Path, case: RotorCase) -> Iterator[RotorMeasurements]:
-    """Load UIUC's tunnel runs of a propeller, ``NAME_RUN_RPM.txt`` with the columns J, CT, CP."""
+def load_tunnel_runs(folder: Path, case: RotorCase, left_out: list[str]) -> Iterator[RotorMeasurements]:
+    """Load UIUC's tunnel runs of a propeller, ``NAME_RUN_RPM.txt`` with the columns J, CT, CP.
+
+    A file that cannot be read is named in ``left_out`` with the reason.
+    """
     named = re.compile(re.escape(case.name) + r"_[^_]+_(\d+)")
     for file in sorted(folder.rglob(f"{case.name}_*.txt")):
         found = named.fullmatch(file.stem)
         if found is not None:
-            run = read_measurements(
-                file, diameter_m=2.0 * case.rotor.radius_m, density_kg_m3=case.air.density_kg_m3,
-                speed_rad_s=float(found[1]) * RPM,
-            )  # fmt: skip
+            try:
+                run = read_measurements(
+                    file, diameter_m=2.0 * case.rotor.radius_m, density_kg_m3=case.air.density_kg_m3,
+                    speed_rad_s=float(found[1]) * RPM,
+                )  # fmt: skip
+            except MuflyError as error:
+                left_out.append(f"{file.name}: {error}")
+                continue
             yield run.select_points(np.argsort(run.climb_m_s, kind="stable"))
 
 
@@ -358,13 +408,23 @@ def load_t_motor_28(folder: Path) -> RotorCase:
     return RotorCase("tmotor28", "T-motor 28", "T-motor", make_t_motor_rotor(), False, points, T_MOTOR_AIR)
 
 
-def load_own_rotors(folder: Path) -> Iterator[RotorCase]:
-    """Load the pairs of rotor file ``NAME.toml`` and bench points ``NAME.csv`` in ``rotors/``."""
+def load_own_rotors(folder: Path, left_out: list[str]) -> Iterator[RotorCase]:
+    """Load the pairs of rotor file ``NAME.toml`` and bench points ``NAME.csv`` in ``rotors/``.
+
+    A file that cannot be used, or whose units were guessed, is named in ``left_out`` with the reason.
+    """
     for file in sorted((folder / "rotors").glob("*.toml")):
         points = file.with_suffix(".csv")
-        if points.exists():
+        if not points.exists():
+            left_out.append(f"rotors/{file.name}: there is no {points.name} beside it")
+            continue
+        try:
             rotor = load_rotor(str(file))
             bench = read_measurements(
                 points, diameter_m=2.0 * rotor.radius_m, density_kg_m3=BENCHMARK_AIR.density_kg_m3
             )
-            yield RotorCase(rotor.name, "own", f"own {rotor.name}", rotor, True, bench)
+        except MuflyError as error:
+            left_out.append(f"rotors/{file.name}: {error}")
+            continue
+        left_out += [f"rotors/{points.name}: {note}" for note in bench.notes]
+        yield RotorCase(rotor.name, "own", f"own {rotor.name}", rotor, True, bench)

@@ -1,0 +1,143 @@
+"""``mufly rotor measure``: a rotor file from caliper and protractor readings."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mufly.cli.options import JsonOption, OptionRange, define_argument, define_option
+from mufly.cli.output import make_console, print_answer, print_files, print_table, write_text_file
+from mufly.cli.rotor import app as rotor_commands
+from mufly.errors import InputError
+
+_DIAMETER_RANGE = OptionRange(1e-2, 10.0, "m", "no small rotor is so wide; 127 mm are written 127mm")
+_PITCH_RANGE = OptionRange(1e-3, 10.0, "m", "no propeller advances so far; 3 inches are written 3in")
+_HEIGHT_RANGE = OptionRange(-0.5, 0.5, "m", "no blade is so wide; 2.1 mm are written 2.1mm")
+
+
+@rotor_commands.command()
+def measure(
+    readings: Annotated[
+        Path | None,
+        define_argument(
+            "[CSV]", "Readings: r_mm, chord_mm, angle_deg; several rows of one radius are averaged. Default: asked for."
+        ),
+    ] = None,
+    diameter: Annotated[
+        float | None,
+        define_option("--diameter", "Diameter of the rotor, as 5in or 127mm.", unit="m", within=_DIAMETER_RANGE),
+    ] = None,
+    blades: Annotated[int, define_option("N", "Number of blades.", min=1, max=20)] = 2,
+    tip_height: Annotated[
+        float | None,
+        define_option(
+            "--tip-height",
+            "Height of leading less trailing edge at the last station, as 2.1mm, by caliper.",
+            unit="m",
+            within=_HEIGHT_RANGE,
+        ),
+    ] = None,
+    stated_pitch: Annotated[
+        float | None,
+        define_option(
+            "--stated-pitch", "Pitch that the maker states, as 3in: advance in a turn.", unit="m", within=_PITCH_RANGE
+        ),
+    ] = None,
+    airfoil: Annotated[str, define_option("NAME", "Airfoil of the blade.")] = "naca4412",
+    chord_std: Annotated[
+        float, define_option("--chord-std", "Standard deviation of a chord.", unit="mm", min=0.01, max=5.0)
+    ] = 0.2,
+    angle_std: Annotated[
+        float, define_option("--angle-std", "Standard deviation of an angle.", unit="deg", min=0.05, max=10.0)
+    ] = 1.0,
+    template: Annotated[
+        Path | None, define_option("--template CSV", "Write an empty table with the steps of the measurement.")
+    ] = None,
+    name: Annotated[str | None, define_option("NAME", "Name of the rotor. Default: the file's.")] = None,
+    out: Annotated[Path | None, define_option("--out FILE.toml", "Rotor file to write.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Make a rotor file from caliper and protractor readings, with their uncertainty.
+
+    --template writes the table to fill in; without a table the stations are asked for at the terminal. The file holds
+    the standard deviation of the angles, which 'rotor hover --band' and 'rotor fit' use.
+    Examples: mufly rotor measure --diameter 5in --template readings.csv; mufly rotor measure readings.csv
+    --diameter 5in --tip-height 2.1mm --stated-pitch 3in --out mine.toml
+    """
+    import numpy as np
+
+    from mufly.rotor import effective_pitch_prior, format_rotor_toml
+    from mufly.rotor.blade_files import read_station_readings
+    from mufly.rotor.measured_geometry import GeometryReadings, format_reading_table, measure_geometry
+
+    if diameter is None:
+        raise InputError("--diameter", "", "is missing", "give it, as 5in: twice the radius of the tips")
+    if out is not None and out.suffix != ".toml":
+        raise InputError("--out", str(out), "does not end in .toml", "give a name that ends in .toml")
+    radius = 0.5 * diameter
+    if template is not None:
+        write_text_file(template, format_reading_table(radius, stated_pitch), option="--template")
+        return print_files([template])
+    if readings is not None:
+        r, chord, angle = read_station_readings(readings)
+    else:
+        r, chord, angle = _ask_readings(radius)
+    found = measure_geometry(
+        GeometryReadings(r, chord, angle, tip_height), radius_m=radius, blades=blades, airfoil=airfoil,
+        name=name or (out or readings or Path("measured")).stem, stated_pitch_m=stated_pitch,
+        chord_std_m=1e-3 * chord_std, angle_std_rad=math.radians(angle_std),
+    )  # fmt: skip
+    prior = effective_pitch_prior(found.rotor)
+    files = []
+    if out is not None:
+        files = [write_text_file(out, format_rotor_toml(found.rotor))]
+    blade = found.rotor.blade
+    if as_json:
+        content = {
+            "name": found.rotor.name, "pitch_std_rad": found.pitch_std_rad, "chord_std_m": found.chord_std_m,
+            "effective_pitch_mean_rad": prior.mean_rad, "effective_pitch_std_rad": prior.std_rad,
+            "notes": found.notes,
+        }  # fmt: skip
+        return print_answer(as_json, content, None, files)
+    print_table(
+        ("r/R", "chord", "angle"),
+        [
+            (f"{x:.3f}", f"{1e3 * c:.2f} ± {1e3 * found.chord_std_m:.2f} mm", f"{math.degrees(t):.1f}°")
+            for x, c, t in zip(blade.r_over_R.value, blade.chord.value, np.asarray(blade.twist.value), strict=True)
+        ],
+    )
+    c = make_console()
+    for note in found.notes:
+        c.print(f"Note: {note}", style="yellow", highlight=False)
+    c.print(
+        f"angles as a whole: ± {math.degrees(found.pitch_std_rad):.2f}°; effective pitch {prior.basis}: "
+        f"{math.degrees(prior.mean_rad):+.2f} ± {math.degrees(prior.std_rad):.2f}°",
+        highlight=False,
+    )
+    if out is None:
+        return c.print("Nothing written; add --out FILE.toml")
+    print_files(files)
+
+
+def _ask_readings(radius_m: float) -> tuple[object, ...]:
+    """Ask for chord and angle at the recommended stations."""
+    import numpy as np
+
+    from mufly.quantity_grammar import read_quantity
+    from mufly.rotor.measured_geometry import STATION_RATIOS
+
+    if not sys.stdin.isatty():
+        raise InputError("CSV", "", "is missing", "give a table of readings; --template writes an empty one")
+    rows = []
+    for ratio in STATION_RATIOS:
+        r = ratio * radius_m
+        chord, angle = (
+            read_quantity(what, str(typer.prompt(f"r = {1e3 * r:.1f} mm: {what} ({unit})")), unit)
+            for what, unit in (("chord", "mm"), ("angle", "deg"))
+        )
+        rows.append((r, 1e-3 * chord, math.radians(angle)))
+    return tuple(np.array(rows).T)

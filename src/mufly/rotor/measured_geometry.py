@@ -1,0 +1,191 @@
+"""Rotor from a caliper and a protractor: chords and angles at a few stations, with the uncertainty of both.
+
+The propeller lies with its hub flat on a plate. At each station the caliper gives the chord c along the chord line, the
+protractor the angle b of the chord line against the plate. A protractor's error has a part common to all stations
+(zero, plate, hub) and a part of each reading; the variance s^2 of a reading is divided equally between the two. At the
+last station the caliper also gives the height h of the leading over the trailing edge, an angle independent of the
+protractor,
+
+    b_h = asin(h / c),      variance  2 s_c^2 / (c cos b)^2 + s_z^2
+
+with the caliper's deviation s_c and s_z = 0.5 degrees for the plate. The offset d = b_h - b of that station corrects
+all angles by d v_p / (v_p + v_h), with v_p = s^2 / 2 the common variance and v_h the variance of d without it. The
+remaining variance of the angles as a whole, and s^2 / (2 N) of the N readings, go into the rotor file as
+``blade.pitch_std``. Several readings of one station (other blades, other days) are averaged; if they scatter by more
+than s, their scatter replaces it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.errors import InputError
+from mufly.rotor.geometry import Rotor, rotor_from_tables
+
+Array = NDArray[np.float64]
+
+STATION_RATIOS = (0.25, 0.40, 0.55, 0.70, 0.85, 0.95)
+"""Recommended stations, r/R: more of them where the loading is greatest."""
+CHORD_STD_M, ANGLE_STD_RAD = 2e-4, math.radians(1.0)
+"""Standard deviations of a caliper's chord on rounded edges, and of a protractor's angle."""
+_PLATE_STD_RAD = math.radians(0.5)
+_SAME_STATION = 0.01  # of the radius: readings closer than this are of one station
+_MAX_DISAGREEMENT = 3.0  # standard deviations between protractor and caliper at the last station
+_OUTLIER = 3.0  # standard deviations of an angle from a smooth curve through the others
+
+
+class GeometryReadings(NamedTuple):
+    """Readings of calipers and protractor, (n,) arrays: radius and chord (m), angle (rad); height of the leading over
+    the trailing edge at the last station (m), or None."""
+
+    r_m: Array
+    chord_m: Array
+    angle_rad: Array
+    tip_height_m: float | None = None
+
+
+class MeasuredGeometry(NamedTuple):
+    """Measured rotor, standard deviations of its angles as a whole (rad) and of a chord (m), and notes."""
+
+    rotor: Rotor
+    pitch_std_rad: float
+    chord_std_m: float
+    notes: tuple[str, ...]
+
+
+def measure_geometry(
+    readings: GeometryReadings,
+    *,
+    radius_m: float,
+    blades: int,
+    name: str,
+    airfoil: str = "naca4412",
+    stated_pitch_m: float | None = None,
+    chord_std_m: float = CHORD_STD_M,
+    angle_std_rad: float = ANGLE_STD_RAD,
+) -> MeasuredGeometry:
+    """Return the rotor of caliper and protractor readings.
+
+    Parameters
+    ----------
+    readings : GeometryReadings
+    radius_m, blades, name, airfoil
+        As in a rotor file.
+    stated_pitch_m : float, optional
+        Pitch that the maker states, advance in a turn (m).
+    chord_std_m, angle_std_rad : float
+        Standard deviations of a reading.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than three stations, one lies outside the radius, or the tip height exceeds the chord.
+    """
+    order = np.argsort(readings.r_m, kind="stable")
+    r, chord, angle = (np.asarray(v, dtype=np.float64)[order] for v in readings[:3])
+    if r.size and not (r[0] > 0.0 and r[-1] <= radius_m * (1.0 + 1e-6)):
+        raise InputError(
+            name, "r", f"goes from {1e3 * r[0]:g} to {1e3 * r[-1]:g} mm",
+            f"measure within the radius of {1e3 * radius_m:g} mm, from the middle of the shaft",
+        )  # fmt: skip
+    starts = np.flatnonzero(np.diff(r, prepend=-math.inf) > _SAME_STATION * radius_m)
+    if starts.size < 3:
+        raise InputError(name, "stations", f"are {starts.size}", "measure at three radii or more; six are recommended")
+    counts = np.diff(np.append(starts, r.size))
+    at, width, twist = (np.add.reduceat(v, starts) / counts for v in (r, chord, angle))
+    notes = []
+    s, s_c = angle_std_rad, chord_std_m
+    if r.size > starts.size:
+        free = r.size - starts.size
+        scatter, scatter_c = (
+            math.sqrt(float(np.sum((v - np.repeat(mean, counts)) ** 2)) / free)
+            for v, mean in ((angle, twist), (chord, width))
+        )
+        notes.append(
+            f"{r.size} readings at {starts.size} stations scatter by {math.degrees(scatter):.2f} degrees and "
+            f"{1e3 * scatter_c:.2f} mm"
+        )
+        s, s_c = max(s, scatter), max(s_c, scatter_c)
+    common, single = 0.5 * s**2, 0.5 * s**2
+    left = common
+    if readings.tip_height_m is not None:
+        h, c, b = readings.tip_height_m, float(width[-1]), float(twist[-1])
+        if not abs(h) < c:
+            raise InputError(
+                name, "tip height", f"{1e3 * h:g} mm is not less than the chord of {1e3 * c:g} mm",
+                "give the height of the leading over the trailing edge at the last station",
+            )  # fmt: skip
+        apart = math.asin(h / c) - b
+        caliper = 2.0 * s_c**2 / (c * math.cos(b)) ** 2 + _PLATE_STD_RAD**2 + single / counts[-1]
+        twist = twist + apart * common / (common + caliper)
+        left = common * caliper / (common + caliper)
+        notes.append(
+            f"the tip height gives {math.degrees(b + apart):.1f} degrees at the last station, the protractor "
+            f"{math.degrees(b):.1f}: all angles move by {math.degrees(apart * common / (common + caliper)):+.2f}"
+        )
+        if abs(apart) > _MAX_DISAGREEMENT * math.sqrt(common + caliper):
+            notes.append("protractor and tip height disagree; measure both again")
+    std = math.sqrt(left + single / r.size)
+    notes += _describe_outliers(at / radius_m, twist, math.sqrt(s**2 / float(np.median(counts))))
+    x = np.append(at / radius_m, 1.0) if at[-1] < radius_m * (1.0 - 1e-6) else at / radius_m
+    x[-1] = 1.0
+    held = (np.append(v, v[-1]) if x.size > at.size else v for v in (width, twist))
+    source = {"source": "measured", "note": f"caliper and protractor, {r.size} readings"}
+    columns = {k: {"value": v.tolist(), "unit": u, **source} for k, v, u in zip(("chord", "twist"), held, ("m", "rad"),
+               strict=True)}  # fmt: skip
+    tables = {
+        "name": name,
+        "description": "measured by caliper and protractor",
+        "blades": blades,
+        "radius": {"value": radius_m, "unit": "m", **source},
+        "hub_cutout": {"value": min(float(x[0]), 0.9), "unit": "1", "source": "estimated", "note": "first station"},
+        "blade": {
+            "r_over_R": {"value": x.tolist(), "unit": "1", **source}, **columns, "airfoils": [airfoil],
+            "geometry": "caliper",
+            "pitch_std": {"value": std, "unit": "rad", "source": "estimated", "note": "of the readings"},
+        },
+    }  # fmt: skip
+    if stated_pitch_m is not None:
+        tables["nominal_pitch"] = {"value": stated_pitch_m, "unit": "m", "source": "datasheet"}
+    return MeasuredGeometry(rotor_from_tables(tables, name), std, s_c / math.sqrt(float(np.median(counts))),
+                            tuple(notes))  # fmt: skip
+
+
+def _describe_outliers(x: Array, angle: Array, std: float) -> list[str]:
+    """Return a note for each angle that lies off the parabola through the other stations."""
+    notes = []
+    for k in range(x.size) if x.size >= 5 else ():
+        others = np.delete(np.arange(x.size), k)
+        basis = np.polynomial.polynomial.polyvander(x - x[k], 2)
+        inverse = np.linalg.inv(basis[others].T @ basis[others])
+        off = float(angle[k] - (inverse @ basis[others].T @ angle[others])[0])
+        if abs(off) > _OUTLIER * std * math.sqrt(1.0 + inverse[0, 0]):
+            notes.append(f"the angle at {x[k]:.2f} R is {math.degrees(off):+.1f} degrees off its neighbours; check it")
+    return notes
+
+
+def format_reading_table(radius_m: float, stated_pitch_m: float | None = None) -> str:
+    """Return an empty table of readings, CSV, with the steps of the measurement as comments.
+
+    Parameters
+    ----------
+    radius_m : float
+    stated_pitch_m : float, optional
+        Pitch that the maker states (m); angles to expect are then written as comments.
+    """
+    lines = [
+        "# 1. Lay the propeller with its hub flat on a plate. Mark the radii below from the middle of the shaft.",
+        "# 2. Caliper: chord_mm from leading to trailing edge, along the blade's surface line.",
+        "# 3. Protractor: angle_deg against the plate; on a curved underside, of the line through both edges.",
+        "# 4. Repeat the rows for the other blade. Empty rows may be deleted.",
+        "# 5. At the last station, caliper: height of leading edge less height of trailing edge, for --tip-height.",
+    ]
+    if stated_pitch_m is not None:
+        angles = [math.degrees(math.atan(stated_pitch_m / (2.0 * math.pi * x * radius_m))) for x in STATION_RATIOS]
+        lines.append("# The stated pitch gives " + ", ".join(f"{a:.0f}" for a in angles) + " degrees.")
+    rows = [f"{1e3 * x * radius_m:.1f},," for x in STATION_RATIOS]
+    return "\n".join([*lines, "r_mm,chord_mm,angle_deg", *rows, ""])

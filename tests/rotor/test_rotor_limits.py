@@ -1,0 +1,112 @@
+"""Rotors outside the range of the methods, and files that a benchmark cannot use: reported, never passed over."""
+
+import math
+
+import numpy as np
+import pytest
+
+from mufly.bench import read_measurements
+from mufly.errors import InputError
+from mufly.rotor import (
+    Air,
+    OperatingCondition,
+    RotorSystem,
+    load_rotor,
+    make_rotor,
+    prepare_blading,
+    solve_rotor_batch,
+    solve_system,
+)
+from mufly.rotor.forward import ForwardCondition, solve_forward
+from mufly.study.benchmark import load_cases
+
+
+@pytest.fixture(scope="module")
+def blading():
+    return prepare_blading(load_rotor("naca4412-r60-c20"))
+
+
+def test_axial_flow_counts_in_the_mach_number(blading):
+    with pytest.raises(InputError, match=r"climb_m_s: 420 m/s is Mach 1\.2"):
+        solve_system(RotorSystem.single_rotor(blading), OperatingCondition(0.2, 500.0, climb_m_s=420.0))
+    with pytest.raises(InputError, match=r"tip Mach number of 1\.0 with -330 m/s"):
+        solve_system(RotorSystem.single_rotor(blading), OperatingCondition(0.2, 1800.0, climb_m_s=-330.0))
+    with pytest.warns(UserWarning, match=r"Mach 0\.88"):
+        solve_rotor_batch(blading, pitch_rad=0.2, speed_rad_s=500.0, climb_m_s=300.0)
+    with pytest.raises(InputError, match="Mach"):
+        solve_forward(blading, ForwardCondition(0.2, 500.0, edgewise_m_s=400.0))
+
+
+@pytest.mark.parametrize("pitch_deg", [-6.0, -5.0, -7.0])
+def test_thrust_is_continuous_in_the_climb(blading, pitch_deg):
+    climb = np.linspace(-0.01, 0.01, 21)
+    out = solve_rotor_batch(blading, pitch_rad=math.radians(pitch_deg), speed_rad_s=480.0, climb_m_s=climb)
+    assert np.max(np.abs(np.diff(out.thrust_N))) < 0.003 * np.max(np.abs(out.thrust_N))
+
+
+def test_thrust_has_no_jumps_over_the_pitch(blading):
+    pitch = np.radians(np.arange(-12.0, 12.0, 0.02))
+    thrust = solve_rotor_batch(blading, pitch_rad=pitch, speed_rad_s=480.0).thrust_N
+    assert np.max(np.abs(np.diff(thrust))) < 0.005 * np.ptp(thrust)
+
+
+@pytest.mark.parametrize("pitch_deg", [0.0, -3.0])
+def test_a_pair_without_load_settles_by_tubes(pitch_deg):
+    case = prepare_blading(load_rotor("naca0012-r60-c20"))
+    pair = RotorSystem.coaxial_pair(case, case, spacing_m=0.03)
+    both = solve_system(pair, OperatingCondition(math.radians(pitch_deg), (450.0, 470.0)), "tubes")
+    assert both.converged
+    assert abs(both.thrust_N) < 0.05
+    assert set(both.lower_over_upper) == {"speed", "thrust", "torque", "power"}
+
+
+def test_a_pair_that_does_not_settle_suggests_a_remedy():
+    case = prepare_blading(load_rotor("naca0012-r60-c20"))
+    pair = RotorSystem.coaxial_pair(case, case, spacing_m=0.03)
+    with pytest.raises(Exception, match="raise the pitch or climb faster, or use the method bemt or wake"):
+        solve_system(pair, OperatingCondition(math.radians(-8.0), (500.0, 500.0), climb_m_s=1.0), "tubes")
+
+
+def test_impossible_air_and_chord_are_refused():
+    with pytest.raises(InputError, match="density_kg_m3: is 998"):
+        Air(density_kg_m3=998.0)
+    with pytest.raises(InputError, match="viscosity_Pa_s"):
+        Air(viscosity_Pa_s=0.0181)
+    with pytest.raises(InputError, match="chord"):
+        make_rotor(name="thin", radius_m=0.08, chord_m=3e-5)
+
+
+def test_grams_of_a_light_rotor_are_not_taken_as_newtons(tmp_path):
+    file = tmp_path / "light.csv"  # c_T 0.0004 in grams-force, 0.04 in newtons
+    rows = [(n, 0.0004 * 1.2 * math.pi * 0.06**4 * (n * math.pi / 30) ** 2 / 9.80665e-3) for n in (4000, 6000, 8000)]
+    file.write_text("rpm,thrust\n" + "\n".join(f"{n},{t:.4f}" for n, t in rows))
+    with pytest.raises(InputError, match="N or gf"):
+        read_measurements(file, diameter_m=0.12)
+
+
+def test_a_guessed_unit_is_noted_once(tmp_path):
+    file = tmp_path / "grams.csv"
+    file.write_text("rpm,thrust\n3100,5.6\n5200,15.9\n")
+    notes = read_measurements(file, diameter_m=0.12).notes
+    assert [n for n in notes if "no unit" in n] == ["thrust: no unit is written, taken as gf (c_T near 0.011)"]
+
+
+def test_files_of_uiuc_with_titles_and_without_sizes(tmp_path):
+    blade = "r/R c/R beta\n" + "".join(f"{x:.2f} 0.15 {14 - 6 * x:.1f}\n" for x in np.linspace(0.15, 1.0, 8))
+    static = "RPM CT CP\n3000 0.11 0.05\n4000 0.11 0.05\n"
+    for name in ("maker_5x4", "maker_plain", "maker_6x3"):
+        (tmp_path / f"{name}_geom.txt").write_text("MAKER prop blade\n" + blade)
+        (tmp_path / f"{name}_static_1.txt").write_text("MAKER 5x4 static\n" + static)
+    (tmp_path / "maker_5x4_run_4004.txt").write_text(
+        "MAKER 5x4 tunnel 4004\nJ CT CP eta\n0.2 0.1 0.05 0.4\n0.4 0.08 0.05 0.6\n"
+    )
+    (tmp_path / "maker_6x3_run_4001.txt").write_text("J CT CP eta\n0.2 0.1 oops 0.4\n")
+    (tmp_path / "maker_9x5_geom.txt").write_text(blade)
+    cases, left_out = load_cases(tmp_path)
+    assert [c.name for c in cases] == ["maker_5x4", "maker_6x3"]
+    assert cases[0].tunnel_runs[0].thrust_N.size == 2
+    said = "\n".join(left_out)
+    assert "maker_plain_geom.txt: its name holds no size" in said
+    assert "maker_6x3_run_4001.txt" in said
+    assert "oops" in said
+    assert "maker_9x5_geom.txt: there is no NAME_static_RUN.txt" in said
