@@ -50,7 +50,7 @@ Array = NDArray[np.float64]
 SectionKnowledge = Literal["known", "guessed", "measured"]
 SECTION_KNOWLEDGE_LEVELS: tuple[SectionKnowledge, ...] = ("known", "guessed", "measured")
 
-INTERVAL_WIDENING = (1.06, 1.55)
+INTERVAL_WIDENING = (0.98, 1.33)
 """Factors on the deviations of thrust and torque, fitted to the 90 % intervals of 21 rotors (docs/accuracy.md)."""
 _MIN_SECTION_PROBABILITY = 0.003  # sections below this probability are left out of the mean
 

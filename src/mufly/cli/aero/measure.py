@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -123,7 +123,7 @@ def measure(
     print_files(files)
 
 
-def _ask_readings(radius_m: float) -> tuple[object, ...]:
+def _ask_readings(radius_m: float) -> tuple[Any, Any, Any]:
     """Ask for chord and angle at the recommended stations."""
     import numpy as np
 
@@ -134,10 +134,11 @@ def _ask_readings(radius_m: float) -> tuple[object, ...]:
         raise InputError("CSV", "", "is missing", "give a table of readings; --template writes an empty one")
     rows = []
     for ratio in STATION_RATIOS:
-        r = ratio * radius_m
+        at = ratio * radius_m
         chord, angle = (
-            read_quantity(what, str(typer.prompt(f"r = {1e3 * r:.1f} mm: {what} ({unit})")), unit)
+            read_quantity(what, str(typer.prompt(f"r = {1e3 * at:.1f} mm: {what} ({unit})")), unit)
             for what, unit in (("chord", "mm"), ("angle", "deg"))
         )
-        rows.append((r, 1e-3 * chord, math.radians(angle)))
-    return tuple(np.array(rows).T)
+        rows.append((at, 1e-3 * chord, math.radians(angle)))
+    r, chord, angle = np.array(rows).T
+    return r, chord, angle
