@@ -130,11 +130,11 @@ COUNTS = {
     "--again", "--aid", "--baud", "--blades", "--boxes", "--cells", "--calibrate", "--cores", "--flights",
     "--frequencies", "--generations", "--jobs", "--order",
     "--point", "--points", "--port", "--record", "--reference-every", "--repeat",
-    "--restarts", "--search", "--seed", "--starts", "--stations", "--system", "--top",
+    "--restarts", "--rounds", "--search", "--seed", "--starts", "--stations", "--steps", "--system", "--top",
     "--uart",
 }  # fmt: skip
 PLAIN = {
-    "--gear", "--n-crit", "--speed",
+    "--activity", "--complementary", "--disk", "--gamma", "--gear", "--mu", "--n-crit", "--sensitivity", "--speed",
 }  # fmt: skip
 SHARES = {
     "--zero-thrust", "--zero-torque",
@@ -155,7 +155,7 @@ TEXTS = {
     "--over", "--part", "--plot", "--position", "--prefix", "--reference", "--report", "--rig", "--rotor",
     "--save-map", "--section", "--sensors", "--set", "--signal", "--simulator", "--start", "--stream", "--telemetry",
     "--times", "--tip", "--token", "--unit", "--vary", "--vehicle", "--wake", "--wake-set", "--without",
-    "--write",
+    "--loop", "--tuned", "--write",
 }  # fmt: skip
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,11 +21,14 @@ from mufly.control import (
     sample_plant,
 )
 from mufly.control.designs import design_roll_pitch
+from mufly.control.robust import analyse_parameter_robustness
 from mufly.control.tuning import flight_aims, reduced_starts, tune_controller
-from mufly.control.tuning.fixed_order import _gain, _StaticLoop, add_delay, aim_norms
+from mufly.control.tuning.fixed_order import add_delay, aim_norms, controller_gain
+from mufly.control.tuning.loop_tuning import TuningGoals, find_starts, pose_loop_problem, settings_with
+from mufly.control.tuning.tuned_loop import load_tuned_settings, tune_loop
 from mufly.control.weighting_schemes import one_degree_plant, scale_plant
 from mufly.dynamics import linearise_vehicle
-from mufly.errors import ArgumentError, MuflyError
+from mufly.errors import ArgumentError, InputError, MuflyError
 from mufly.vehicle import Vehicle
 
 LEVELS = {"weighted": 0.62, "sensitivity": 1.35, "complementary": 1.26, "noise": 0.05}
@@ -36,7 +41,7 @@ def problem(controller: FlightController):
     generalised = one_degree_plant(plant, ("phi", "theta"), controller.settings.roll_pitch_weights)
     noise = np.radians([0.1, 0.1, 0.3, 0.3]) / np.array(d.scaling.outputs)
     full = hinfsyn(generalised, 4, 2, relaxation=1.2).controller
-    return generalised, flight_aims(generalised, plant, 4, noise, LEVELS), full
+    return generalised, flight_aims(generalised, plant, 4, noise, LEVELS, controller.period_s), full
 
 
 def test_norms_are_those_of_the_closed_loop(problem) -> None:
@@ -51,9 +56,9 @@ def test_gradient_is_exact(problem) -> None:
     rng = np.random.default_rng(0)
     checked = 0
     for start in reduced_starts(generalised, [full], 4):
-        K = _gain(start)
+        K = controller_gain(start)
         for aim in aims:
-            loop = _StaticLoop(aim.plant, 4)
+            loop = aim.loop(4)
             norm, gradient = loop.norm_and_gradient(K)
             if not np.isfinite(norm):
                 continue
@@ -63,6 +68,63 @@ def test_gradient_is_exact(problem) -> None:
                 assert by_difference == pytest.approx(np.sum(gradient * step), rel=3e-3, abs=1e-7)
                 checked += 1
     assert checked >= 30
+
+
+def test_gradients_of_disk_activity_and_mu_are_exact(vehicle: Vehicle, controller: FlightController) -> None:
+    spreads = {"body.inertia_xx": 2e-5, "swash_plate.linkage": 0.2, "stabiliser_bar.time_constant": 0.07}
+    goals = TuningGoals(disk=0.9, activity=1.0, mu=0.3)
+    noise = np.radians([0.1, 0.1, 0.3, 0.3])
+    p = pose_loop_problem(vehicle, controller, "roll-pitch", goals, noise, spreads)
+    assert [a.name for a in p.aims] == ["disk", "activity", "mu"]
+    K = find_starts(p, ["delay"], 4)[0]
+    gain = controller_gain(K)
+    bound = p.mu.rescale(gain, 4)
+    rng = np.random.default_rng(3)
+    for aim in p.aims:
+        loop = aim.loop(4)
+        norm, gradient = loop.norm_and_gradient(gain)
+        step = 1e-5 * np.abs(gain) * rng.normal(size=gain.shape)
+        by_difference = (loop.norm_and_gradient(gain + step)[0] - loop.norm_and_gradient(gain - step)[0]) / 2
+        assert by_difference == pytest.approx(np.sum(gradient * step), rel=1e-3)
+        assert norm == pytest.approx(bound, rel=1e-6) or aim.name != "mu"
+    # The activity is the deviation of the sampled loop's inputs, the disk its margin, and mu the analysis's bound.
+    flown = design_flight_controller(vehicle, settings=settings_with(DesignSettings(), p, K))
+    d = flown.roll_pitch
+    loop = sample_plant(d.plant, flown.period_s, 1), d.feedback_controller(d.discrete.to_state_space())
+    norms = aim_norms(p.aims, K)
+    deviation = input_noise(*loop, noise) / np.array(d.scaling.inputs)
+    assert norms["activity"] == pytest.approx(np.linalg.norm(deviation), rel=0.1)
+    assert 1 / norms["disk"] == pytest.approx(disk_margin(*loop).margin, rel=0.05)
+    judged = analyse_parameter_robustness(vehicle, flown, spreads, points=12).roll_pitch
+    assert 0.9 * judged.lower <= bound <= 1.05 * judged.peak  # the two have frequencies of their own
+
+
+def test_tuned_loop_is_continued_flown_and_refused(vehicle: Vehicle, tmp_path: Path) -> None:
+    path = tmp_path / "roll-pitch.json"
+    goals = TuningGoals(sensitivity_dB=2.6, complementary_dB=2.4)
+    more = {"starts": ["delay"], "steps": 3, "spreads": {"swash_plate.linkage": 0.2}, "path": path}
+    calls: list[int] = []
+    first = tune_loop(vehicle, "roll-pitch", 2, goals, rounds=1, progress=lambda a, b: calls.append(a), **more)
+    kept = json.loads(path.read_text())
+    again = tune_loop(vehicle, "roll-pitch", 2, goals, rounds=1, progress=lambda a, b: calls.append(-1), **more)
+    assert calls == list(range(1, len(calls) + 1))  # the second call finds its rounds done
+    assert json.loads(path.read_text()) == kept
+    assert again.objective == first.objective
+    settings = load_tuned_settings([path])
+    flown = design_flight_controller(vehicle, settings=settings)
+    assert flown.roll_pitch.method == "fixed"
+    assert flown.heave_yaw.method == "hinf"
+    assert np.array_equal(flown.roll_pitch.discrete.A, first.design.discrete.A)
+    with pytest.raises(InputError, match="holds another tuning"):
+        tune_loop(vehicle, "roll-pitch", 3, goals, rounds=1, **more)
+    with pytest.raises(InputError, match="a second controller for roll-pitch"):
+        load_tuned_settings([path, path])
+    with pytest.raises(ArgumentError, match="give 2 to 10 for heave-yaw"):
+        tune_loop(vehicle, "heave-yaw", 11, goals)
+    other = tmp_path / "other.json"
+    other.write_text("{}")
+    with pytest.raises(InputError, match="is no tuned controller"):
+        load_tuned_settings([other])
 
 
 def test_descent_is_never_above_its_start(problem) -> None:

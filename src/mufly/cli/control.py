@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from mufly.cli.options import CommandGroup, JsonOption, VehicleArgument, define_option
+from mufly.cli.options import CommandGroup, JsonOption, TunedOption, VehicleArgument, define_option
 from mufly.cli.output import make_console, print_answer, print_json, progress_bar
 from mufly.cli.station import GustOption, ShutdownHandler, WindOption, parse_wind
 from mufly.errors import InputError, report_write_errors
@@ -31,13 +31,14 @@ OrderOption = Annotated[
 ]
 
 
-def _method_settings(method: SynthesisMethod, order: int | None) -> DesignSettings:
-    """Return the settings of a method; an order without --method fixed is refused."""
+def _method_settings(method: SynthesisMethod, order: int | None, tuned: list[str] | None) -> DesignSettings:
+    """Return the settings of a method and of tuned loops; an order without --method fixed is refused."""
     from dataclasses import replace
 
     from mufly.control import DesignSettings
+    from mufly.control.tuning.tuned_loop import load_tuned_settings
 
-    settings = DesignSettings(method=method)
+    settings = load_tuned_settings(tuned or [], DesignSettings(method=method))
     if order is None:
         return settings
     if method != "fixed":
@@ -58,6 +59,7 @@ def design(
     vehicle: VehicleArgument = "mufly-1.1",
     method: MethodOption = "hinf",
     order: OrderOption = None,
+    tuned: TunedOption = None,
     rate: Annotated[
         float | None,
         define_option(
@@ -97,13 +99,17 @@ Peaks are given for the controller of full order, of reduced order, and sampled 
       mufly control design --method ltr
 
       mufly control design --method fixed --order 2
+
+      mufly control design --tuned tuned/roll-pitch.json
     """
     from mufly.control import design_flight_controller as design_controllers
     from mufly.vehicle import load_vehicle
 
     loaded = load_vehicle(vehicle)
     try:
-        controller = design_controllers(loaded, rate_Hz=rate, voltage=voltage, settings=_method_settings(method, order))
+        controller = design_controllers(
+            loaded, rate_Hz=rate, voltage=voltage, settings=_method_settings(method, order, tuned)
+        )
     except InputError as error:
         if error.where != loaded.name:
             raise
@@ -119,6 +125,7 @@ def mu(
     vehicle: VehicleArgument = "mufly-1.1",
     method: MethodOption = "hinf",
     order: OrderOption = None,
+    tuned: TunedOption = None,
     vary: Annotated[
         list[str] | None,
         define_option(
@@ -154,7 +161,7 @@ from an example: parameters with a pole on the axis. worst.toml is that vehicle,
     from mufly.vehicle import format_vehicle_toml, load_vehicle, replace_parameters
 
     loaded = load_vehicle(vehicle)
-    controller = design_flight_controller(loaded, settings=_method_settings(method, order))
+    controller = design_flight_controller(loaded, settings=_method_settings(method, order, tuned))
     given = parse_variations(vary or [], loaded)
     if given:
         wide = [(1.0 if v.distribution == "uniform" else 2.0) * v.spread_matrix for v in given]
@@ -177,6 +184,111 @@ from an example: parameters with a pole on the axis. worst.toml is that vehicle,
             worst = replace_parameters(loaded, dict(found.worst_values))
             written[2].write_text(format_vehicle_toml(worst), encoding="utf-8")
     print_answer(as_json, found, files=written)
+
+
+@app.command()
+def tune(
+    vehicle: VehicleArgument = "mufly-1.1",
+    loop: Annotated[Literal["roll-pitch", "heave-yaw"], define_option("--loop WHICH", "Loop to tune.")] = "roll-pitch",
+    order: Annotated[
+        int | None,
+        define_option(
+            "--order N", "Order of the controller. Default: 4 for roll-pitch, 6 for heave-yaw.", min=2, max=10
+        ),
+    ] = None,
+    gamma: Annotated[
+        float | None,
+        define_option("--gamma LEVEL", "Norm of the weighted loop. Default: 0.66; heave-yaw 1.05.", min=0.01),
+    ] = None,
+    sensitivity: Annotated[
+        float | None, define_option("--sensitivity DB", "Peak of S_u in dB. Default: 2.5; heave-yaw 3.2.", min=0.01)
+    ] = None,
+    complementary: Annotated[
+        float | None, define_option("--complementary DB", "Peak of T_u in dB. Default: 2.4; heave-yaw 3.1.", min=0.01)
+    ] = None,
+    disk: Annotated[
+        float | None,
+        define_option(
+            "--disk RADIUS",
+            "Disk margin, each input disturbed by itself. Default: 0.97; heave-yaw none.",
+            min=0.01,
+            max=1.99,
+        ),
+    ] = None,
+    activity: Annotated[
+        float | None,
+        define_option(
+            "--activity RATIO",
+            "Input noise by the sensors, relative to H-infinity. Default: 1; heave-yaw 1.2.",
+            min=0.01,
+        ),
+    ] = None,
+    mu: Annotated[
+        float | None,
+        define_option("--mu LEVEL", "mu over the vehicle's parameters. Default: 0.6; heave-yaw none.", min=0.01),
+    ] = None,
+    only: Annotated[bool, define_option("--only", "No aims but those given; otherwise the defaults join.")] = False,
+    starts: Annotated[
+        list[str] | None,
+        define_option(
+            "--start WHICH",
+            "Start: a method (hinf, h2, lqg, ltr), delay (hinf with the delay in its plant), or the file of a tuned "
+            "loop; repeat it. Default: hinf, delay and ltr.",
+        ),
+    ] = None,
+    rounds: Annotated[int, define_option("--rounds N", "Rounds for each of the two best starts.", min=1)] = 4,
+    steps: Annotated[int, define_option("--steps N", "Steps of a descent; a round has three.", min=1)] = 60,
+    rate: Annotated[float | None, define_option("--rate", "Rate of the control law. Default: 200.", unit="Hz")] = None,
+    out: Annotated[
+        Path, define_option("DIR", "Folder for LOOP.json and LOOP.png; a tuning is continued there.")
+    ] = Path("tuned"),
+    as_json: JsonOption = False,
+) -> None:
+    """Tune the controller of one loop, of a given order, for several aims at once.
+
+    The descent lowers the largest aim relative to its level: below 1 all aims are reached. Aims are computed with \
+1.5 periods of delay; the figures below the table are those of the sampled loop. --rounds continues a \
+tuning that has had fewer.
+
+    LOOP.json is the controller: give it as --tuned to `mufly control design`, `mufly control mu`, `mufly fly`, \
+`mufly monte-carlo` and `mufly firmware export`.
+
+    Examples:
+
+      mufly control tune --order 2
+
+      mufly control tune --loop heave-yaw --order 6
+
+      mufly control tune --order 8 --start ltr --start tuned/roll-pitch.json --out further
+    """
+    from mufly.control.plots import draw_tuned_loop
+    from mufly.control.synthesis_methods import METHODS
+    from mufly.control.tuning.loop_tuning import DEFAULT_GOALS, DEFAULT_ORDERS, TuningGoals
+    from mufly.control.tuning.tuned_loop import DEFAULT_STARTS, tune_loop
+    from mufly.vehicle import load_vehicle
+
+    loaded = load_vehicle(vehicle)
+    known = [m for m in METHODS if m != "fixed"] + ["delay"]
+    for start in starts or ():
+        if start not in known and not start.endswith(".json"):
+            raise InputError("--start", start, "is no start", f"give one of {', '.join(known)}, or a file")
+    goals = (TuningGoals() if only else DEFAULT_GOALS[loop]).merge_goals(
+        {
+            "gamma": gamma, "sensitivity_dB": sensitivity, "complementary_dB": complementary, "disk": disk,
+            "activity": activity, "mu": mu,
+        }
+    )  # fmt: skip
+    target = out / f"{loop}.json"
+    with report_write_errors("--out", "give a folder that can be written", str(out)):
+        out.mkdir(parents=True, exist_ok=True)
+    with progress_bar("Tuning", not as_json) as progress:
+        found = tune_loop(
+            loaded, loop, DEFAULT_ORDERS[loop] if order is None else order, goals, starts=starts or DEFAULT_STARTS,
+            rounds=rounds, steps=steps, rate_Hz=rate, path=target, progress=progress,
+        )  # fmt: skip
+    with report_write_errors("--out", "give a folder that can be written", str(out)):
+        draw_tuned_loop(found).savefig(target.with_suffix(".png"), dpi=150)
+    print_answer(as_json, found, files=[target, target.with_suffix(".png")])
 
 
 @app.command()

@@ -20,6 +20,7 @@ from mufly.cli.options import (
     JsonOption,
     MissionArgument,
     SeedOption,
+    TunedOption,
     VehicleOption,
     define_option,
 )
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
     import xarray as xr
     from rich.console import Console
 
+    from mufly.control import FlightController
     from mufly.flight import FlightProgress, FlightSummary
     from mufly.flight.fixes.camera_sensor import CameraConfig
     from mufly.flight.flight_software import ControlImplementation
@@ -84,6 +86,7 @@ class FlightOrder:
     design_vehicle: Vehicle | None
     camera: CameraConfig | None
     has_external_position: bool = False
+    controller: FlightController | None = None
 
 
 @dataclass(frozen=True)
@@ -230,6 +233,7 @@ def fly_mission(
             "Vehicle for which the controllers and the filter are designed, while --vehicle flies. Default: --vehicle.",
         ),
     ] = None,
+    tuned: TunedOption = None,
     position: Annotated[
         Literal["fix", "camera", "link"],
         define_option(
@@ -311,6 +315,16 @@ def fly_mission(
             _make_camera(position, sensors, camera, floor, floor_width, camera_fault, stream, flown, mission),
             position == "link",
         )  # fmt: skip
+        if tuned:
+            if order.extra_links or show.page_address is not None:
+                raise InputError("--tuned", "", "is for flights in the terminal", "add --headless, without --link")
+            from mufly.control import design_flight_controller
+            from mufly.control.tuning.tuned_loop import load_tuned_settings
+
+            settings = load_tuned_settings(tuned)
+            order = replace(
+                order, controller=design_flight_controller(order.design_vehicle or order.vehicle, settings=settings)
+            )
         if order.has_external_position and not ends:
             remedy = "add --link, as --link udpin:127.0.0.1:14560"
             raise InputError("--position", "", "has no source of positions", remedy)
@@ -421,6 +435,7 @@ def _fly_in_terminal(order: FlightOrder, show: FlightDisplay) -> xr.Dataset:
                 sensors=order.sensors,
                 faults=order.faults,
                 controllers=order.controllers,
+                controller=order.controller,
                 realtime=order.is_realtime,
                 path=order.recording_path,
                 designed_for=order.design_vehicle,

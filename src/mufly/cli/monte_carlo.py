@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from mufly.cli.onboard.camera_options import FlightCameraOption, FloorOption, FloorWidthOption, make_flight_camera
-from mufly.cli.options import ClusterOption, JsonOption, MissionArgument, VehicleOption, define_option
+from mufly.cli.options import ClusterOption, JsonOption, MissionArgument, TunedOption, VehicleOption, define_option
 from mufly.cli.output import (
     check_place,
     make_console,
@@ -121,6 +121,7 @@ def run_monte_carlo(
             "Controllers, filter and fault detection know none of --vary, or are designed with it for each flight.",
         ),
     ] = True,
+    tuned: TunedOption = None,
     tolerance: Annotated[
         float,
         define_option(
@@ -167,6 +168,7 @@ def run_monte_carlo(
     check_sensor_options(helicopter, sensors, fault)
     controllers = select_flight_software(firmware, fixed_point)
     by = tuple(word for word, wanted in (("--firmware", firmware), ("--fixed-point", fixed_point)) if wanted)
+    by += tuple(word for file in tuned or () for word in ("--tuned", file))
 
     from mufly.firmware import GenericFirmwareSoftware
     from mufly.flight.monte_carlo import (
@@ -180,12 +182,21 @@ def run_monte_carlo(
     from mufly.flight.monte_carlo import search_worst_case as find_worst
 
     flown_mission = load_mission(mission)
+    controller = None
+    if tuned:
+        from mufly.control import design_flight_controller
+        from mufly.control.tuning.tuned_loop import load_tuned_settings
+
+        if not untold:
+            raise InputError("--tuned", "", "is one design for all flights", "leave out --redesign")
+        controller = design_flight_controller(helicopter, settings=load_tuned_settings(tuned))
     campaign = Campaign.create_checked(
         helicopter, flown_mission, variations=parse_variations(vary or [], helicopter), wind=towards,
         gust=gust, sensors=sensors, faults=tuple(fault or ()), seed=seed,
         tolerance_m=tolerance, redesign=not untold, controllers=controllers, quickly=GenericFirmwareSoftware,
         computed_by=by, vehicle_name=vehicle, mission_name=mission, camera_name=camera or "mufly-2.0",
         camera=_make_camera(position, sensors, camera, floor, floor_width, flown_mission, mission),
+        controller=controller,
     )  # fmt: skip
     if search and not campaign.search_dimension:
         raise InputError(

@@ -313,6 +313,10 @@ VehicleOption = Annotated[
     str,
     define_option("--vehicle -v NAME|FILE", "Built-in vehicle (`mufly vehicle list`), or vehicle file (TOML)."),
 ]
+TunedOption = Annotated[
+    list[str] | None,
+    define_option("--tuned FILE", "Controller of a loop by `mufly control tune`; one file a loop."),
+]
 MissionArgument = Annotated[
     str, define_argument("MISSION", "Built-in mission (`mufly mission list`), or mission file.")
 ]

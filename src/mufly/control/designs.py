@@ -46,6 +46,7 @@ from mufly.control.synthesis_methods import (
     METHOD_NAMES,
     METHODS,
     FixedOrderAims,
+    GivenController,
     SynthesisMethod,
     SynthesisProblem,
     synthesise_controller,
@@ -456,6 +457,7 @@ def _design_controller(
     method: SynthesisMethod = "hinf",
     lqg: LqgWeights | None = None,
     fixed: FixedOrderAims | None = None,
+    given: GivenController | None = None,
     tracked: tuple[int, ...],
     references: tuple[int, ...] = (),
     orders: tuple[int, int],
@@ -475,11 +477,11 @@ def _design_controller(
     generalised = generalise(scaled)
     if fixed is not None:
         fixed = replace(fixed, noise_outputs=tuple(np.array(fixed.noise_outputs) / output_scale))
-    problem = SynthesisProblem(
-        generalised, scaled, tracked, bool(references), read.size, relaxation, lqg, fixed, generalise,
-        2 * np.pi / period_s,
-    )  # fmt: skip
     try:
+        problem = SynthesisProblem(
+            generalised, scaled, tracked, bool(references), read.size, relaxation, lqg, fixed, generalise,
+            2 * np.pi / period_s, None if given is None else given.to_scaled(generalised, read, input_scale),
+        )  # fmt: skip
         found = synthesise_controller(method, problem)
         reduction = reduce_controller(
             generalised,
@@ -536,21 +538,43 @@ def _plant_crossovers(plant: control.StateSpace) -> tuple[float, ...]:
     return find_crossovers(frequency, singular_values(plant, frequency))
 
 
+def _given_orders(given: GivenController | None, highest: int) -> tuple[int, int] | None:
+    """Return the order of a given controller as the range for its reduction, which leaves it as it is."""
+    if given is None:
+        return None
+    if given.order > highest:
+        raise MuflyError(f"the given controller has order {given.order}; the law on board holds {highest}")
+    return given.order, given.order
+
+
+def weight_heave_yaw(scaled: control.StateSpace, settings: DesignSettings) -> control.StateSpace:
+    """Return the generalised plant of heave-yaw from its scaled plant."""
+    return two_degree_plant(scaled, ("z", "psi"), settings.heave_yaw_weights)
+
+
+def weight_roll_pitch(scaled: control.StateSpace, settings: DesignSettings) -> control.StateSpace:
+    """Return the generalised plant of roll-pitch from its scaled plant."""
+    return one_degree_plant(scaled, ("phi", "theta"), settings.roll_pitch_weights)
+
+
 def design_heave_yaw(plant: control.StateSpace, settings: DesignSettings, period_s: float) -> ControllerDesign:
     """Design heave-yaw: two degrees of freedom (Sec. 6.1.4). Controller inputs: z, psi references, then errors."""
+    given = settings.heave_yaw_given
     return _design_controller(
         "heave-yaw",
         plant,
         settings.heave_yaw_scaling or heave_yaw_scaling(plant),
-        lambda scaled: two_degree_plant(scaled, ("z", "psi"), settings.heave_yaw_weights),
+        lambda scaled: weight_heave_yaw(scaled, settings),
         settings.heave_yaw_relaxation,
         period_s,
-        method="hinf" if settings.method == "fixed" else settings.method,
+        method="fixed" if given is not None else "hinf" if settings.method == "fixed" else settings.method,
         lqg=settings.heave_yaw_lqg,
+        given=given,
         tracked=(0, 1),
         references=(0, 1),
         # LQG fits on board as it is; a lower order would lose the roll-off that gives yaw its delay margin.
-        orders=(8 if settings.method in ("lqg", "ltr") else 6, HEAVE_YAW_ORDER),
+        orders=_given_orders(given, HEAVE_YAW_ORDER)
+        or (8 if settings.method in ("lqg", "ltr") else 6, HEAVE_YAW_ORDER),
         slow=(0.1, 3.0),
         published=HEAVE_YAW,
         scheme="weights of eq. 6.4",
@@ -560,19 +584,22 @@ def design_heave_yaw(plant: control.StateSpace, settings: DesignSettings, period
 
 def design_roll_pitch(plant: control.StateSpace, settings: DesignSettings, period_s: float) -> ControllerDesign:
     """Design roll-pitch: one degree of freedom (Sec. 6.1.5). Controller inputs: errors of phi, theta, p, q."""
-    tuned = settings.method == "fixed"
+    given = settings.roll_pitch_given
+    tuned = settings.method == "fixed" and given is None
     return _design_controller(
         "roll-pitch",
         plant,
         settings.roll_pitch_scaling or roll_pitch_scaling(plant),
-        lambda scaled: one_degree_plant(scaled, ("phi", "theta"), settings.roll_pitch_weights),
+        lambda scaled: weight_roll_pitch(scaled, settings),
         settings.roll_pitch_relaxation,
         period_s,
-        method=settings.method,
+        method=settings.method if given is None else "fixed",
         lqg=settings.roll_pitch_lqg,
+        given=given,
         fixed=settings.roll_pitch_aims if tuned else None,
         tracked=(0, 1),
-        orders=(settings.roll_pitch_aims.order,) * 2 if tuned else (4, ROLL_PITCH_ORDER),
+        orders=_given_orders(given, ROLL_PITCH_ORDER)
+        or ((settings.roll_pitch_aims.order,) * 2 if tuned else (4, ROLL_PITCH_ORDER)),
         slow=(0.1,),
         published=ROLL_PITCH,
         windup_rate=settings.roll_pitch_windup,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import control
 import numpy as np
@@ -19,6 +19,9 @@ from mufly.control.comparison import ControllerComparison, LoopFigures
 from mufly.control.designs import ControllerDesign, FlightController
 from mufly.control.linear_systems import Array, LoopCurves, loop_curves, sample_plant, singular_values
 from mufly.control.robust.parameter_robustness import ParameterRobustness
+
+if TYPE_CHECKING:
+    from mufly.control.tuning.tuned_loop import TunedLoop
 
 BLUE, ORANGE, GREEN, VERMILION, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#7f7f7f"
 _FREQUENCY_GRID = np.geomspace(1e-4, 1e4, 700)
@@ -151,6 +154,11 @@ def draw_loop(design: ControllerDesign) -> Figure:
     upper.legend(fontsize=8, frameon=False, loc="lower left")
     lower.legend(fontsize=8, frameon=False, loc="lower left", title="lines as above", title_fontsize=8)
     return figure
+
+
+def draw_tuned_loop(tuned: TunedLoop) -> Figure:
+    """Return the picture of a tuned loop's design."""
+    return draw_loop(tuned.design)
 
 
 def draw_sensitivities(controller: FlightController) -> Figure:

@@ -15,9 +15,10 @@ import numpy as np
 
 from mufly.control.h2 import h2syn
 from mufly.control.hinf import close_loop, hinfsyn
-from mufly.control.linear_systems import Array, hinf_norm
+from mufly.control.linear_systems import Array, hinf_norm, state_space
 from mufly.control.lqg import LqgWeights, design_lqg, limit_recovery
 from mufly.control.tuning.fixed_order import add_delay, aim_norms, flight_aims, reduced_starts, tune_controller
+from mufly.errors import MuflyError
 
 SynthesisMethod = Literal["hinf", "h2", "lqg", "ltr", "fixed"]
 METHODS: tuple[SynthesisMethod, ...] = get_args(SynthesisMethod)
@@ -56,6 +57,51 @@ class FixedOrderAims:
     descents: int = 2
 
 
+@dataclass(frozen=True)
+class GivenController:
+    """A controller of continuous time in physical units, from references (if any) and errors to the plant's inputs.
+
+    Attributes
+    ----------
+    A, B, C, D : tuple of tuple of float
+        Matrices by rows.
+    """
+
+    A: tuple[tuple[float, ...], ...]
+    B: tuple[tuple[float, ...], ...]
+    C: tuple[tuple[float, ...], ...]
+    D: tuple[tuple[float, ...], ...]
+
+    @classmethod
+    def from_matrices(cls, A: Array, B: Array, C: Array, D: Array) -> GivenController:
+        """Return the record of a controller's matrices."""
+        return cls(*(tuple(tuple(float(v) for v in row) for row in np.asarray(M)) for M in (A, B, C, D)))
+
+    @property
+    def order(self) -> int:
+        """Number of states."""
+        return len(self.A)
+
+    def to_scaled(self, generalised: control.StateSpace, read_scale: Array, input_scale: Array) -> control.StateSpace:
+        """Return the controller in scaled units, with the signals of the generalised plant.
+
+        Raises
+        ------
+        MuflyError
+            If its size does not fit the plant.
+        """
+        n, m = len(read_scale), len(input_scale)
+        A, B, C, D = (np.array(M, dtype=float) for M in (self.A, self.B, self.C, self.D))
+        k = self.order
+        if A.shape != (k, k) or B.shape != (k, n) or C.shape != (m, k) or D.shape != (m, n):
+            raise MuflyError(f"the given controller is not one of {n} inputs and {m} outputs; tune it for this loop")
+        out = np.asarray(input_scale)[:, None]
+        return state_space(
+            A, B * read_scale, C / out, D * read_scale / out,
+            inputs=generalised.output_labels[-n:], outputs=generalised.input_labels[-m:],
+        )  # fmt: skip
+
+
 class SynthesisProblem(NamedTuple):
     """One loop to design, in scaled units.
 
@@ -81,6 +127,8 @@ class SynthesisProblem(NamedTuple):
         Function from the scaled plant to the plant with weights.
     sampling_rate : float
         Sampling rate of the controller (rad/s).
+    given : control.StateSpace or None
+        Controller that exists, in place of a synthesis.
     """
 
     generalised: control.StateSpace
@@ -93,6 +141,7 @@ class SynthesisProblem(NamedTuple):
     fixed: FixedOrderAims | None
     generalise: Callable[[control.StateSpace], control.StateSpace]
     sampling_rate: float
+    given: control.StateSpace | None = None
 
 
 class SynthesisedController(NamedTuple):
@@ -125,6 +174,8 @@ def synthesise_controller(method: SynthesisMethod, problem: SynthesisProblem) ->
         If the method finds no controller; the message names what is in the way.
     """
     p, n_controls = problem, problem.plant.ninputs
+    if p.given is not None:
+        return _describe_controller(p, p.given)
     if method == "h2":
         optimal = h2syn(p.generalised, p.n_measurements, n_controls)
         norm = hinf_norm(optimal.closed_loop)[0]
@@ -160,6 +211,10 @@ def _tune(p: SynthesisProblem, fixed: FixedOrderAims) -> SynthesisedController:
     reached = aim_norms(aims, plain.controller)["noise"]
     aims = [aim._replace(level=fixed.noise * reached) if aim.name == "noise" else aim for aim in aims]
     tuned = tune_controller(aims, reduced_starts(generalised, starts, fixed.order), descents=fixed.descents)
-    K = tuned.controller
+    return _describe_controller(p, tuned.controller)
+
+
+def _describe_controller(p: SynthesisProblem, K: control.StateSpace) -> SynthesisedController:
+    """Return a controller without an observer, with the norm of its loop."""
     norm = hinf_norm(close_loop(p.generalised, K))[0]
-    return SynthesisedController(K, np.zeros((K.nstates, n_controls)), np.nan, np.nan, norm)
+    return SynthesisedController(K, np.zeros((K.nstates, p.plant.ninputs)), np.nan, np.nan, norm)

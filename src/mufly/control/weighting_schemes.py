@@ -35,7 +35,7 @@ from scipy import signal
 
 from mufly.control.linear_systems import Array, connect_blocks, replace_matrices, state_space
 from mufly.control.lqg import LqgWeights
-from mufly.control.synthesis_methods import FixedOrderAims, SynthesisMethod
+from mufly.control.synthesis_methods import FixedOrderAims, GivenController, SynthesisMethod
 from mufly.errors import MuflyError
 
 
@@ -311,6 +311,8 @@ class DesignSettings:
         Weights of LQG and LTR, in scaled units.
     roll_pitch_aims : FixedOrderAims
         Order and aims of the method ``fixed``, which tunes roll-pitch; heave-yaw is H-infinity then.
+    heave_yaw_given, roll_pitch_given : GivenController or None
+        Controllers that exist, in place of a synthesis.
     heave_yaw_windup, roll_pitch_windup : float or None
         Rate at which the integrators follow saturated actuators (rad/s); None: the observer's anti-windup.
     position_gain : float
@@ -352,6 +354,8 @@ class DesignSettings:
     heave_yaw_lqg: LqgWeights = HEAVE_YAW_LQG
     roll_pitch_lqg: LqgWeights = ROLL_PITCH_LQG
     roll_pitch_aims: FixedOrderAims = ROLL_PITCH_AIMS
+    heave_yaw_given: GivenController | None = None
+    roll_pitch_given: GivenController | None = None
     heave_yaw_windup: float | None = 1.5
     roll_pitch_windup: float | None = 20.0
     position_gain: float = 1.0

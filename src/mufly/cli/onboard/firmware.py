@@ -14,6 +14,7 @@ from mufly.cli.options import (
     JsonOption,
     MissionArgument,
     SeedOption,
+    TunedOption,
     VehicleOption,
     define_argument,
     define_option,
@@ -70,6 +71,7 @@ def export(
         str, define_option("--mission NAME|FILE", "Built-in mission (`mufly mission list`), or mission file.")
     ] = "demonstration",
     fixed_point: _FixedOption = False,
+    tuned: TunedOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Write the flight software of a vehicle as C99, with Makefile, CMake file, self-tests and a README.
@@ -82,12 +84,13 @@ def export(
     """
     from mufly import firmware
     from mufly.control import design_flight_controller
+    from mufly.control.tuning.tuned_loop import load_tuned_settings
     from mufly.mission import load_mission
     from mufly.vehicle import load_vehicle
 
     helicopter = load_vehicle(vehicle)
     flown = load_mission(mission)
-    controller = design_flight_controller(helicopter)
+    controller = design_flight_controller(helicopter, settings=load_tuned_settings(tuned or []))
     law = None
     with report_write_errors("--out", key=str(out)):
         files = firmware.export_firmware(controller, out, helicopter, flown.world, flown)

@@ -183,7 +183,7 @@ def default_spreads(vehicle: Vehicle) -> dict[str, float]:
     return spreads
 
 
-class _UncertainLoop:
+class UncertainLoop:
     """A loop with the derivatives of its plant by the components of z."""
 
     def __init__(self, design: ControllerDesign, derivatives: Sequence[Array]) -> None:
@@ -205,16 +205,24 @@ class _UncertainLoop:
         self.right = np.vstack(right) if right else np.zeros((0, n + self.plant.ninputs))
         self.derivatives = [derivatives[i] for i in self.kept]
 
-    def responses(self, frequency: Array) -> ComplexArray:
-        """Return M at the frequencies (rad/s)."""
+    def open_responses(self, frequency: Array) -> ComplexArray:
+        """Return the response from (scalars' outputs, u) to (scalars' inputs, y) without controller."""
         g, n, m = self.plant, self.plant.nstates, self.left.shape[1]
         B, C = np.hstack([self.left, g.B]), np.vstack([self.right[:, :n], g.C])
         D = np.zeros((C.shape[0], B.shape[1]))
         D[:m, m:] = self.right[:, n:]
         s = 1j * frequency[:, None, None]
-        P = C @ np.linalg.solve(s * np.eye(n) - g.A, np.broadcast_to(B, (frequency.size, *B.shape))) + D
-        K = -frequency_response(self.feedback, frequency) * np.exp(-s * self.delay_s)
-        closed = np.linalg.solve(np.eye(g.noutputs) - P[:, m:, m:] @ K, P[:, m:, :m])
+        right = np.broadcast_to(B, (frequency.size, *B.shape))
+        inner: ComplexArray = np.linalg.solve(s * np.eye(n) - g.A, right).astype(complex)
+        response: ComplexArray = C @ inner + D
+        return response
+
+    def responses(self, frequency: Array) -> ComplexArray:
+        """Return M at the frequencies (rad/s)."""
+        m, P = self.left.shape[1], self.open_responses(frequency)
+        delay = np.exp(-1j * frequency[:, None, None] * self.delay_s)
+        K = -frequency_response(self.feedback, frequency) * delay
+        closed = np.linalg.solve(np.eye(self.plant.noutputs) - P[:, m:, m:] @ K, P[:, m:, :m])
         response: ComplexArray = P[:, :m, :m] + P[:, :m, m:] @ K @ closed
         return response
 
@@ -263,7 +271,7 @@ def _worst_corner(nominal: Array, steps: Sequence[Array], size: float, starts: S
     return float(best), at
 
 
-def find_worst_parameters(loop: _UncertainLoop, least: float) -> tuple[float, float, Array]:
+def find_worst_parameters(loop: UncertainLoop, least: float) -> tuple[float, float, Array]:
     """Return the smallest box, from the size ``least`` on, with an unstable corner: size, pole frequency, corner.
 
     The size is ``inf`` if there is none up to ten times the spreads.
@@ -289,7 +297,7 @@ def find_worst_parameters(loop: _UncertainLoop, least: float) -> tuple[float, fl
     return high, abs(pole.imag), corner
 
 
-def sweep_mu(loop: _UncertainLoop, points: int, names: Sequence[str]) -> LoopRobustness:
+def sweep_mu(loop: UncertainLoop, points: int, names: Sequence[str]) -> LoopRobustness:
     """Return the bounds of a loop at ``points`` frequencies; ``names`` are those of all directions."""
     began = time.process_time()
     poles = np.abs(np.linalg.eigvals(loop.closed_matrices()[0]))
@@ -301,11 +309,11 @@ def sweep_mu(loop: _UncertainLoop, points: int, names: Sequence[str]) -> LoopRob
     if np.isfinite(where) and where > 0.0:  # the grid must hold the frequency at which the lower bound is
         frequency[int(np.argmin(np.abs(np.log(frequency / where))))] = where
     M = loop.responses(frequency)
-    upper, start = np.empty(points), None
     enough = _ENOUGH / size if np.isfinite(size) else 0.1
-    for k in range(points):
-        found = mu_upper_bound(M[k], loop.blocks, start=start, restarts=0, tolerance=1e-3, max_steps=150, enough=enough)
-        upper[k], start = found.value, found.parameters
+    # Every frequency starts anew: the scalings of its neighbour are often at a kink that the descent does not leave.
+    upper = np.array(
+        [mu_upper_bound(m, loop.blocks, restarts=0, tolerance=1e-3, max_steps=150, enough=enough).value for m in M]
+    )
     for _ in range(5):  # descend further where the bound is largest
         k = int(np.argmax(upper))
         better = mu_upper_bound(M[k], loop.blocks, restarts=1, tolerance=1e-5, enough=enough).value
@@ -319,6 +327,44 @@ def sweep_mu(loop: _UncertainLoop, points: int, names: Sequence[str]) -> LoopRob
         loop.name, frequency, upper, float(upper[k]), float(frequency[k]), 1.0 / size, where, worst,
         tuple(b.size for b in loop.blocks), seconds,
     )  # fmt: skip
+
+
+def _parameter_values(vehicle: Vehicle, keys: Sequence[str]) -> Array:
+    known = {p.key: float(p.value) for p in list_parameters(vehicle) if isinstance(p.value, float)}
+    return np.array([known[key] for key in keys])
+
+
+def spread_derivatives(
+    vehicle: Vehicle, voltage_V: float, keys: Sequence[str], spread_matrix: Array
+) -> dict[str, list[Array]]:
+    """Return the derivatives ``[dA dB]`` of heave-yaw and roll-pitch by every component of z, by the loop's name.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    voltage_V : float
+        Battery voltage of the linear model.
+    keys : sequence of str
+        Parameters.
+    spread_matrix : array, shape (keys, directions)
+        The parameters move by ``spread_matrix @ z``.
+    """
+    centre = _parameter_values(vehicle, keys)
+    linear: dict[str, list[Array]] = {"heave-yaw": [], "roll-pitch": []}
+    nominal = linearise_vehicle(vehicle, voltage=voltage_V)
+    for column in spread_matrix.T:
+        ends, width = [], 0.0
+        for sign in (1.0, -1.0):
+            try:
+                moved = replace_parameters(vehicle, dict(zip(keys, (centre + sign * column).tolist(), strict=True)))
+                ends.append(linearise_vehicle(moved, voltage=voltage_V))
+                width += 1.0
+            except (InputError, MuflyError):  # an impossible vehicle on one side: the other side's difference
+                ends.append(nominal)
+        for name, part in (("heave-yaw", "heave_yaw"), ("roll-pitch", "roll_pitch")):
+            high, low = (getattr(end, part) for end in ends)
+            linear[name].append(np.hstack([high.A - low.A, high.B - low.B]) / max(width, 1.0))
+    return linear
 
 
 def analyse_parameter_robustness(
@@ -365,24 +411,10 @@ def analyse_parameter_robustness(
             names = list(keys)
     if not len(keys):
         raise ArgumentError("vary", "", "nothing varies", "vary parameters")
-    known = {p.key: float(p.value) for p in list_parameters(vehicle) if isinstance(p.value, float)}
-    centre = np.array([known[key] for key in keys])
-    linear: dict[str, list[Array]] = {"heave-yaw": [], "roll-pitch": []}
-    nominal = linearise_vehicle(vehicle, voltage=controller.voltage_V)
-    for column in spread_matrix.T:
-        ends, width = [], 0.0
-        for sign in (1.0, -1.0):
-            try:
-                moved = replace_parameters(vehicle, dict(zip(keys, (centre + sign * column).tolist(), strict=True)))
-                ends.append(linearise_vehicle(moved, voltage=controller.voltage_V))
-                width += 1.0
-            except (InputError, MuflyError):  # an impossible vehicle on one side: the other side's difference
-                ends.append(nominal)
-        for name, part in (("heave-yaw", "heave_yaw"), ("roll-pitch", "roll_pitch")):
-            high, low = (getattr(end, part) for end in ends)
-            linear[name].append(np.hstack([high.A - low.A, high.B - low.B]) / max(width, 1.0))
+    linear = spread_derivatives(vehicle, controller.voltage_V, keys, spread_matrix)
+    centre = _parameter_values(vehicle, keys)
     loops = [
-        sweep_mu(_UncertainLoop(design, linear[design.name]), points, names)
+        sweep_mu(UncertainLoop(design, linear[design.name]), points, names)
         for design in (controller.heave_yaw, controller.roll_pitch)
     ]
     if not any(x.block_sizes for x in loops):

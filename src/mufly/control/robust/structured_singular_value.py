@@ -42,11 +42,15 @@ class Block(NamedTuple):
 
 
 class UpperBound(NamedTuple):
-    """The upper bound of mu, the scalings' parameters for a warm start, and D (one matrix) that attains it."""
+    """The upper bound of mu, the scalings' parameters for a warm start, and D and G that attain it.
+
+    G is in the units of ``M* D M + j (G M - M* G)``.
+    """
 
     value: float
     parameters: Array
     scaling: ComplexArray
+    skew: ComplexArray
 
 
 class LowerBound(NamedTuple):
@@ -172,7 +176,7 @@ def mu_upper_bound(
     scalings = _Scalings(M / (size or 1.0), blocks)
     x = np.zeros(scalings.size) if start is None else np.array(start, dtype=float)
     if size == 0.0:
-        return UpperBound(0.0, x, np.eye(len(M)).astype(complex))
+        return UpperBound(0.0, x, np.eye(len(M)).astype(complex), np.zeros_like(M, dtype=complex))
     rng = np.random.default_rng(0)
     best = None
     for k in range(restarts + 1):
@@ -186,8 +190,8 @@ def mu_upper_bound(
         if best.value <= (enough / size) ** 2:
             break
     assert best is not None
-    C, _ = scalings.matrices(best.x)
-    return UpperBound(size * float(np.sqrt(max(best.value, 0.0))), best.x, C.conj().T @ C)
+    C, G = scalings.matrices(best.x)
+    return UpperBound(size * float(np.sqrt(max(best.value, 0.0))), best.x, C.conj().T @ C, size * G)
 
 
 def _complex_lower_bound(M: ComplexArray, slices: Sequence[slice], starts: int, tolerance: float = 1e-12) -> LowerBound:

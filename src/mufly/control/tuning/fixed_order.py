@@ -9,14 +9,19 @@ Aims of a flight loop, on the scaled plant with 1.5 periods of delay (Pade appro
 
 - ``weighted``: the generalised plant's norm, the aim of the H-infinity design;
 - ``sensitivity`` and ``complementary``: the peaks of S_u and T_u, which the sampled loop then has nearly;
-- ``noise``: from the sensors' noise to the inputs. Without it the tuning buys margins with servo activity.
+- ``noise``: from the sensors' noise to the inputs. Without it the tuning buys margins with servo activity;
+- ``activity``: the deviation of the inputs by the sensors' noise, an H2 norm. A sampled sequence of noise is modelled
+  as white noise behind a pole at ``2 / T``, which has the sequence's variance;
+- ``disk``: the inverse of the disk margin with a factor of its own on each input.
+
+An aim is any object with a name, a level and a ``loop`` that returns norm and gradient; see :class:`TuningAim`.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import control
 import numpy as np
@@ -25,22 +30,61 @@ from scipy import linalg, signal
 from mufly.control.hinf import PartitionedPlant, partition_plant
 from mufly.control.implementation import balanced_realisations, remove_states, split_modes
 from mufly.control.linear_systems import Array, replace_matrices, state_space
+from mufly.control.loop_margins import scalar_block_mu
 from mufly.control.tuning.nonsmooth_bfgs import minimise_nonsmooth
 from mufly.errors import MuflyError
 from mufly.results import result
 
-_FREQUENCIES = np.geomspace(1e-3, 3e3, 90)
+_FREQUENCIES = np.concatenate([[1e-7, 1e-6, 1e-5, 1e-4], np.geomspace(1e-3, 3e3, 90)])
 _SLOW = (0.1, 3.0)  # rad/s; modes of a start below these are kept by its reduction
 _POWERS = (8.0, 30.0, np.inf)  # of the mean of all aims, in successive descents; inf is the largest
 _STABILITY_MARGIN = 1e-5  # rad/s; least distance of the closed loop's poles from the axis
 
 
+class NormOfGain(Protocol):
+    """A norm as a function of the gain ``[Ak Bk; Ck Dk]``."""
+
+    def norm_and_gradient(self, K: Array) -> tuple[float, Array]:
+        """Return the norm, ``inf`` for an unstable loop, and its gradient."""
+
+
+class TuningAim(Protocol):
+    """A norm that is to stay below a level."""
+
+    @property
+    def name(self) -> str:
+        """Name in results."""
+
+    @property
+    def level(self) -> float:
+        """Level that the norm is to stay below."""
+
+    def loop(self, order: int) -> NormOfGain:
+        """Return the norm for controllers of an order."""
+
+
 class Aim(NamedTuple):
-    """A norm that is to stay below a level: its name, the plant from disturbance to error, and the level."""
+    """A norm of a closed loop that is to stay below a level.
+
+    Attributes
+    ----------
+    name : str
+    plant : PartitionedPlant
+        From disturbance to error, with the controller's signals.
+    level : float
+    kind : str
+        ``"hinf"``, ``"h2"`` (of a loop without feedthrough), or ``"disk"``: the structured singular value of one or two
+        scalar complex blocks.
+    """
 
     name: str
     plant: PartitionedPlant
     level: float
+    kind: str = "hinf"
+
+    def loop(self, order: int) -> NormOfGain:
+        """Return the norm for controllers of an order."""
+        return _StaticLoop(self.plant, order, self.kind)
 
 
 @result
@@ -81,24 +125,45 @@ def add_delay(plant: control.StateSpace, delay_s: float) -> control.StateSpace:
     )
 
 
-def margin_plants(plant: control.StateSpace, noise: Array, n_measurements: int) -> dict[str, PartitionedPlant]:
-    """Return the plants of S_u, T_u and of noise to inputs for a controller whose last inputs are ``-y``."""
+def margin_plants(
+    plant: control.StateSpace, noise: Array, n_measurements: int, period_s: float = 0.0
+) -> dict[str, PartitionedPlant]:
+    """Return the plants of all aims but ``weighted`` for a controller whose last inputs are ``-y``.
+
+    ``activity`` is among them if a sampling period is given.
+    """
     n, p, m = plant.nstates, plant.noutputs, plant.ninputs
     C2 = np.vstack([np.zeros((n_measurements - p, n)), -plant.C])
     none, eye = np.zeros((n_measurements, m)), np.eye(m)
     N = np.vstack([np.zeros((n_measurements - p, p)), -np.diag(noise)])
     zero = np.zeros((m, n))
-    return {
+    found = {
         "sensitivity": PartitionedPlant(plant.A, plant.B, plant.B, zero, C2, eye, eye, none, none),
+        "disk": PartitionedPlant(plant.A, plant.B, plant.B, zero, C2, 0.5 * eye, eye, none, none),
         "complementary": PartitionedPlant(plant.A, plant.B, plant.B, zero, C2, 0 * eye, eye, none, none),
         "noise": PartitionedPlant(plant.A, np.zeros((n, p)), plant.B, zero, C2, np.zeros((m, p)), eye, N, none),
     }
+    if period_s > 0.0:
+        pole = 2.0 / period_s
+        found["activity"] = PartitionedPlant(
+            linalg.block_diag(plant.A, -pole * np.eye(p)),
+            np.vstack([np.zeros((n, p)), np.sqrt(period_s) * pole * np.eye(p)]),
+            np.vstack([plant.B, np.zeros((p, m))]),
+            np.zeros((m, n + p)),
+            np.hstack([C2, N]),
+            np.zeros((m, p)),
+            eye,
+            0.0 * N,
+            none,
+        )
+    return found
 
 
 class _StaticLoop:
     """The loop of one aim as static feedback of the plant with the controller's states."""
 
-    def __init__(self, p: PartitionedPlant, order: int) -> None:
+    def __init__(self, p: PartitionedPlant, order: int, kind: str = "hinf") -> None:
+        self.kind = kind
         n, m, ny, k = p.A.shape[0], p.B2.shape[1], p.C2.shape[0], order
         self.A = linalg.block_diag(p.A, np.zeros((k, k)))
         self.B = np.block([[np.zeros((n, k)), p.B2], [np.eye(k), np.zeros((k, m))]])
@@ -110,13 +175,19 @@ class _StaticLoop:
         self.D21 = np.vstack([np.zeros((k, p.D21.shape[1])), p.D21])
 
     def norm_and_gradient(self, K: Array) -> tuple[float, Array]:
-        """Return the H-infinity norm with the gain K, ``inf`` for an unstable loop, and its gradient by K."""
+        """Return the norm with the gain K, ``inf`` for an unstable loop, and its gradient by K."""
         A = self.A + self.B @ K @ self.C
         B, C = self.B1 + self.B @ K @ self.D21, self.C1 + self.D12 @ K @ self.C
         D = self.D11 + self.D12 @ K @ self.D21
         values, V = np.linalg.eig(A)
         if values.real.max() >= -_STABILITY_MARGIN:
             return np.inf, np.zeros_like(K)
+        if self.kind == "h2":
+            P = linalg.solve_continuous_lyapunov(A, -B @ B.T)
+            Q = linalg.solve_continuous_lyapunov(A.T, -C.T @ C)
+            norm = float(np.sqrt(max(np.trace(C @ P @ C.T), 0.0)))
+            slope = (self.B.T @ Q + self.D12.T @ C) @ P @ self.C.T + self.B.T @ Q @ B @ self.D21.T
+            return norm, slope / max(norm, 1e-300)
         try:
             VB = np.linalg.solve(V, B.astype(complex))
         except np.linalg.LinAlgError:
@@ -125,6 +196,8 @@ class _StaticLoop:
 
         def gains(w: Array) -> Array:
             response = (CV[None] / (1j * w[:, None, None] - values)) @ VB + D
+            if self.kind == "disk":
+                return scalar_block_mu(response)
             # Singular values of small matrices by the smaller Gram matrix.
             wide = response.shape[1] > response.shape[2]
             turned = response.conj().swapaxes(1, 2)
@@ -147,20 +220,25 @@ class _StaticLoop:
             if height[k] > top:
                 best, top = float(around[k]), float(height[k])
         T = np.linalg.inv(1j * best * np.eye(len(A)) - A)
-        U, s, Vh = np.linalg.svd(C @ T @ B + D)
-        left = U[:, 0].conj() @ (C @ T @ self.B + self.D12)
-        right = (self.C @ T @ B + self.D21) @ Vh[0].conj()
+        M = C @ T @ B + D
+        rows, columns = np.ones(M.shape[0]), np.ones(M.shape[1])
+        if self.kind == "disk" and len(M) == 2:  # the scaling that attains the structured singular value
+            rows[0] = columns[0] = np.sqrt(max(abs(M[1, 0]), 1e-12) / max(abs(M[0, 1]), 1e-12))
+        U, s, Vh = np.linalg.svd(rows[:, None] * M / columns)
+        left = (U[:, 0].conj() * rows) @ (C @ T @ self.B + self.D12)
+        right = (self.C @ T @ B + self.D21) @ (Vh[0].conj() / columns)
         return float(s[0]), np.outer(left, right).real
 
 
-def _gain(K: control.StateSpace) -> Array:
+def controller_gain(K: control.StateSpace) -> Array:
+    """Return a controller's matrices as one gain ``[A B; C D]``."""
     return np.block([[K.A, K.B], [K.C, K.D]])
 
 
-def aim_norms(aims: Sequence[Aim], controller: control.StateSpace) -> dict[str, float]:
+def aim_norms(aims: Sequence[TuningAim], controller: control.StateSpace) -> dict[str, float]:
     """Return the norm of every aim with a controller, by name; ``inf`` for an unstable loop."""
-    K = _gain(controller)
-    return {aim.name: _StaticLoop(aim.plant, controller.nstates).norm_and_gradient(K)[0] for aim in aims}
+    K = controller_gain(controller)
+    return {aim.name: aim.loop(controller.nstates).norm_and_gradient(K)[0] for aim in aims}
 
 
 def reduced_starts(
@@ -187,7 +265,7 @@ def reduced_starts(
 
 
 def tune_controller(
-    aims: Sequence[Aim],
+    aims: Sequence[TuningAim],
     starts: Sequence[control.StateSpace],
     *,
     descents: int = 2,
@@ -198,7 +276,7 @@ def tune_controller(
 
     Parameters
     ----------
-    aims : sequence of Aim
+    aims : sequence of TuningAim
     starts : sequence of control.StateSpace
         Controllers of the order wanted; the best ones are descended from.
     descents : int
@@ -221,8 +299,8 @@ def tune_controller(
     if not starts:
         raise MuflyError("tuning: there is no start of this order; choose another order")
     order = starts[0].nstates
-    loops = [_StaticLoop(aim.plant, order) for aim in aims]
-    shape = _gain(starts[0]).shape
+    loops = [aim.loop(order) for aim in aims]
+    shape = controller_gain(starts[0]).shape
 
     def objective(K: Array, power: float = np.inf) -> tuple[float, Array]:
         """Return the largest norm over its level, or the mean of that power, and its gradient."""
@@ -239,13 +317,13 @@ def tune_controller(
         value = shares[worst] * weights.mean() ** (1.0 / power)
         return float(value), np.tensordot(weights / shares / weights.sum(), slopes, 1) * value
 
-    ranked = sorted(((objective(_gain(K))[0], i) for i, K in enumerate(starts)))
+    ranked = sorted(((objective(controller_gain(K))[0], i) for i, K in enumerate(starts)))
     ranked = [r for r in ranked if np.isfinite(r[0])][:descents]
     if not ranked:
         raise MuflyError(f"tuning: no start of order {order} stabilises the loop; choose a higher order")
-    best, best_K, first, steps = np.inf, _gain(starts[0]), ranked[0][0], 0
+    best, best_K, first, steps = np.inf, controller_gain(starts[0]), ranked[0][0], 0
     for _, i in ranked:
-        K, value, done, began = _gain(starts[i]), np.inf, 0, time.perf_counter()
+        K, value, done, began = controller_gain(starts[i]), np.inf, 0, time.perf_counter()
         for power in _POWERS:
             K0 = K
             row, column = np.abs(K0).max(axis=1, keepdims=True), np.abs(K0).max(axis=0, keepdims=True)
@@ -276,6 +354,7 @@ def flight_aims(
     n_measurements: int,
     noise: Array,
     levels: Mapping[str, float],
+    period_s: float = 0.0,
 ) -> list[Aim]:
     """Return the aims of a flight loop; ``generalised`` and ``plant`` carry the delay.
 
@@ -288,10 +367,14 @@ def flight_aims(
     noise : array, shape (outputs,)
         Noise of the scaled outputs.
     levels : mapping
-        Levels by name: ``weighted``, ``sensitivity``, ``complementary``, ``noise``; a name left out is no aim.
+        Levels by name: ``weighted``, ``sensitivity``, ``complementary``, ``noise``, ``activity``, ``disk``; a name left
+        out is no aim.
+    period_s : float
+        Sampling period, for ``activity``.
     """
     weighted = partition_plant(
         generalised.A, generalised.B, generalised.C, generalised.D, n_measurements, plant.ninputs
     )
-    plants = {"weighted": weighted, **margin_plants(plant, noise, n_measurements)}
-    return [Aim(name, plants[name], level) for name, level in levels.items()]
+    plants = {"weighted": weighted, **margin_plants(plant, noise, n_measurements, period_s)}
+    kinds = {"activity": "h2", "disk": "disk"}
+    return [Aim(name, plants[name], level, kinds.get(name, "hinf")) for name, level in levels.items()]

@@ -1,0 +1,334 @@
+"""Tuning of a vehicle's heave-yaw or roll-pitch loop for several aims at once, in rounds that can be continued.
+
+A round descends on the largest of all aims over their levels (:func:`tune_controller`), then finds new scalings of mu
+(:class:`ParameterAim`). Every start is a line of its own; the best controller of all rounds is the result. After each
+round the state holds all that the next one needs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal, NamedTuple
+
+import control
+import numpy as np
+
+from mufly.control.designs import (
+    ControllerDesign,
+    FlightController,
+    weight_heave_yaw,
+    weight_roll_pitch,
+)
+from mufly.control.hinf import hinfsyn
+from mufly.control.linear_systems import Array, replace_matrices
+from mufly.control.robust.parameter_robustness import UncertainLoop, spread_derivatives
+from mufly.control.synthesis_methods import GivenController, SynthesisProblem, synthesise_controller
+from mufly.control.tuning.fixed_order import (
+    TuningAim,
+    add_delay,
+    aim_norms,
+    controller_gain,
+    flight_aims,
+    reduced_starts,
+    tune_controller,
+)
+from mufly.control.tuning.parameter_aim import ParameterAim
+from mufly.control.weighting_schemes import DesignSettings, scale_plant
+from mufly.errors import MuflyError
+from mufly.vehicle import Vehicle
+
+LoopName = Literal["heave-yaw", "roll-pitch"]
+_FAST_PADDING = 300.0  # rad/s, of states that a start of lower order gets
+_DELAY_PERIODS = 1.5
+
+
+@dataclass(frozen=True)
+class TuningGoals:
+    """Levels of a tuning; None is no aim.
+
+    Attributes
+    ----------
+    gamma : float or None
+        Norm of the weighted loop, with the delay.
+    sensitivity_dB, complementary_dB : float or None
+        Peaks of S_u and T_u.
+    disk : float or None
+        Disk margin with a disturbance of its own on each input.
+    activity : float or None
+        Deviation of the inputs by sensor noise (root of the sum of squares), relative to the H-infinity design.
+    mu : float or None
+        Upper bound of mu over the vehicle's parameters.
+    """
+
+    gamma: float | None = None
+    sensitivity_dB: float | None = None
+    complementary_dB: float | None = None
+    disk: float | None = None
+    activity: float | None = None
+    mu: float | None = None
+
+    def norm_levels(self) -> dict[str, float]:
+        """Return the levels of all aims but mu as norms, by the names of :func:`flight_aims`."""
+        found = {
+            "weighted": self.gamma,
+            "sensitivity": None if self.sensitivity_dB is None else 10 ** (self.sensitivity_dB / 20),
+            "complementary": None if self.complementary_dB is None else 10 ** (self.complementary_dB / 20),
+            "disk": None if self.disk is None else 1.0 / self.disk,
+            "activity": self.activity,
+        }
+        return {name: level for name, level in found.items() if level is not None}
+
+    def merge_goals(self, other: Mapping[str, float | None]) -> TuningGoals:
+        """Return the goals with those that ``other`` states."""
+        changes: dict[str, Any] = {k: v for k, v in other.items() if v is not None}
+        return replace(self, **changes)
+
+
+DEFAULT_GOALS: dict[LoopName, TuningGoals] = {
+    "heave-yaw": TuningGoals(gamma=1.05, sensitivity_dB=3.2, complementary_dB=3.1, activity=1.2),
+    "roll-pitch": TuningGoals(gamma=0.66, sensitivity_dB=2.5, complementary_dB=2.4, disk=0.97, activity=1.0, mu=0.6),
+}
+"""Goals of a tuning by the name of the loop."""
+DEFAULT_ORDERS: dict[LoopName, int] = {"heave-yaw": 6, "roll-pitch": 4}
+HIGHEST_ORDERS: dict[LoopName, int] = {"heave-yaw": 10, "roll-pitch": 8}
+"""Largest orders that the law on board holds."""
+
+
+class LoopProblem(NamedTuple):
+    """One loop with everything that its tuning needs.
+
+    Attributes
+    ----------
+    name : str
+    design : ControllerDesign
+        H-infinity design of the loop.
+    generalised : control.StateSpace
+        Scaled plant with weights and delay.
+    aims : list of TuningAim
+    mu : ParameterAim or None
+    read_scale, input_scale : array
+        Scales of the controller's inputs and outputs.
+    synthesis : SynthesisProblem
+        The loop without delay.
+    """
+
+    name: LoopName
+    design: ControllerDesign
+    generalised: control.StateSpace
+    aims: list[TuningAim]
+    mu: ParameterAim | None
+    read_scale: Array
+    input_scale: Array
+    synthesis: SynthesisProblem
+
+
+class TuningState(NamedTuple):
+    """What a tuning has reached; JSON data by :meth:`to_record`.
+
+    Attributes
+    ----------
+    lines : tuple
+        For each start its controller ``[A B; C D]`` (scaled) as rows, and the objective after every round.
+    """
+
+    lines: tuple[tuple[tuple[tuple[float, ...], ...], tuple[float, ...]], ...] = ()
+
+    def to_record(self) -> list[dict[str, Any]]:
+        """Return JSON data."""
+        return [{"gain": K, "objectives": history} for K, history in self.lines]
+
+    @classmethod
+    def from_record(cls, record: Sequence[Mapping[str, Any]]) -> TuningState:
+        """Return the state of JSON data."""
+        return cls(tuple((tuple(tuple(row) for row in line["gain"]), tuple(line["objectives"])) for line in record))
+
+
+def pose_loop_problem(
+    vehicle: Vehicle,
+    base: FlightController,
+    name: LoopName,
+    goals: TuningGoals,
+    noise: Array,
+    spreads: Mapping[str, float],
+) -> LoopProblem:
+    """Return the problem of a loop.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    base : FlightController
+        H-infinity design of the vehicle.
+    name : str
+    goals : TuningGoals
+    noise : array, shape (outputs,)
+        Deviation of each measured output from sample to sample (SI).
+    spreads : mapping
+        Spread of every parameter (SI) by its key, for mu.
+    """
+    heave = name == "heave-yaw"
+    d, s = (base.heave_yaw if heave else base.roll_pitch), base.settings
+    weight = weight_heave_yaw if heave else weight_roll_pitch
+    output_scale, input_scale = np.array(d.scaling.outputs), np.array(d.scaling.inputs)
+    n_references = d.controller.ninputs - d.plant.noutputs
+    read = np.concatenate([output_scale[:n_references], output_scale])
+    plant = scale_plant(d.plant, d.scaling)
+    delayed = add_delay(plant, _DELAY_PERIODS * base.period_s)
+    generalised = weight(delayed, s)
+    levels = goals.norm_levels()
+    aims: list[TuningAim] = list(
+        flight_aims(generalised, delayed, read.size, noise / output_scale, levels, base.period_s)
+    )
+    if "activity" in levels:
+        reached = aim_norms([a for a in aims if a.name == "activity"], _scaled(d.reduced, read, input_scale))
+        aims = [
+            a._replace(level=a.level * reached["activity"]) if a.name == "activity" else a  # type: ignore[attr-defined]
+            for a in aims
+        ]
+    mu = None
+    if goals.mu is not None:
+        E = spread_derivatives(vehicle, base.voltage_V, list(spreads), np.diag(list(spreads.values())))[name]
+        mu = ParameterAim(UncertainLoop(d, E), d.feedback_inputs, read, input_scale, goals.mu)
+        aims.append(mu)
+    synthesis = SynthesisProblem(
+        weight(plant, s), plant, (0, 1), n_references > 0, read.size,
+        s.heave_yaw_relaxation if heave else s.roll_pitch_relaxation,
+        s.heave_yaw_lqg if heave else s.roll_pitch_lqg, None,
+        lambda scaled: weight(scaled, s), 2 * np.pi / base.period_s,
+    )  # fmt: skip
+    return LoopProblem(name, d, generalised, aims, mu, read, input_scale, synthesis)
+
+
+def _scaled(K: control.StateSpace, read: Array, input_scale: Array) -> control.StateSpace:
+    out = input_scale[:, None]
+    return replace_matrices(K, B=K.B * read, C=K.C / out, D=K.D * read / out)
+
+
+def find_starts(problem: LoopProblem, names: Sequence[str], order: int) -> list[control.StateSpace]:
+    """Return starts of an order: balanced reductions of controllers of other methods.
+
+    ``delay`` names the H-infinity controller whose plant has the delay.
+    """
+    full = []
+    for name in names:
+        if name == "delay":
+            p = problem.synthesis
+            full.append(hinfsyn(problem.generalised, p.n_measurements, 2, relaxation=p.relaxation).controller)
+        else:
+            full.append(synthesise_controller(name, problem.synthesis).controller)  # type: ignore[arg-type]
+    found = reduced_starts(problem.generalised, full, order)
+    return [K for K in found if np.isfinite(max(aim_norms(problem.aims, K).values()))]
+
+
+def raise_order(controller: control.StateSpace, order: int) -> control.StateSpace:
+    """Return a controller with further fast states, without effect until the tuning uses them."""
+    k = order - controller.nstates
+    if k <= 0:
+        return controller
+    K, rng = controller, np.random.default_rng(0)
+    poles = -_FAST_PADDING * np.linspace(0.5, 1.0, k)
+    size = 1e-2 * np.linalg.norm(K.D) / np.sqrt(K.ninputs * K.noutputs) if K.D.any() else 1e-2
+    A = np.block([[K.A, np.zeros((K.nstates, k))], [np.zeros((k, K.nstates)), np.diag(poles)]])
+    B = np.vstack([K.B, rng.normal(size=(k, K.ninputs)) * np.sqrt(_FAST_PADDING)])
+    C = np.hstack([K.C, rng.normal(size=(K.noutputs, k)) * np.sqrt(_FAST_PADDING) * size])
+    return replace_matrices(K, A=A, B=B, C=C)
+
+
+def continue_tuning(
+    problem: LoopProblem,
+    starts: Sequence[control.StateSpace],
+    *,
+    rounds: int,
+    steps: int,
+    lines: int = 2,
+    state: TuningState | None = None,
+    progress: Callable[[int, int, TuningState], None] | None = None,
+) -> tuple[control.StateSpace, TuningState]:
+    """Tune until every line has its rounds.
+
+    Parameters
+    ----------
+    problem : LoopProblem
+    starts : sequence of control.StateSpace
+        Starts of one order (scaled); the best ``lines`` of them are used.
+    rounds, steps : int
+        Rounds of a line, and steps of every descent in a round.
+    lines : int
+        Number of starts that are descended from.
+    state : TuningState, optional
+        State of an earlier tuning with the same starts.
+    progress : callable, optional
+        Called after each round with (rounds done, all rounds, state).
+
+    Returns
+    -------
+    controller : control.StateSpace
+        The best one, scaled.
+    state : TuningState
+
+    Raises
+    ------
+    MuflyError
+        If no start stabilises the loop.
+    """
+    if not starts:
+        raise MuflyError(f"{problem.name}: no start of this order stabilises the loop; give a higher order")
+    order = starts[0].nstates
+    if state is None or not state.lines:
+        quick = [aim for aim in problem.aims if aim is not problem.mu] or problem.aims
+        levels = [aim.level for aim in quick]
+        ranked = sorted(
+            (max(n / v for n, v in zip(aim_norms(quick, K).values(), levels, strict=True)), i)
+            for i, K in enumerate(starts)
+        )
+        picked = [starts[i] for value, i in ranked if np.isfinite(value)][:lines]
+        if not picked:
+            raise MuflyError(f"{problem.name}: no start of order {order} stabilises the loop; give a higher order")
+        state = TuningState(tuple((_rows(controller_gain(K)), (_evaluate(problem, K),)) for K in picked))
+    every = list(state.lines)
+    total = rounds * len(every)
+    for i in range(len(every)):
+        while len(every[i][1]) <= rounds:
+            K = _controller(starts[0], np.array(every[i][0]))
+            if problem.mu is not None:
+                problem.mu.rescale(controller_gain(K), order)
+            found = tune_controller(problem.aims, [K], descents=1, max_steps=steps, budget_s=np.inf)
+            value = _evaluate(problem, found.controller)
+            history = every[i][1]
+            better = value < history[-1]
+            every[i] = (
+                _rows(controller_gain(found.controller)) if better else every[i][0],
+                (*history, min(value, history[-1])),
+            )
+            if not better or value > history[-1] - 1e-4:  # nothing is left to gain on this line
+                every[i] = (every[i][0], every[i][1] + (every[i][1][-1],) * (rounds + 1 - len(every[i][1])))
+            state = TuningState(tuple(every))
+            if progress is not None:
+                progress(sum(len(h) - 1 for _, h in every), total, state)
+    best = min(every, key=lambda line: line[1][-1])
+    return _controller(starts[0], np.array(best[0])), TuningState(tuple(every))
+
+
+def _evaluate(problem: LoopProblem, K: control.StateSpace) -> float:
+    """Return the largest aim over its level, mu with scalings of its own."""
+    if problem.mu is not None:
+        problem.mu.rescale(controller_gain(K), K.nstates)
+    return max(norm / aim.level for aim, norm in zip(problem.aims, aim_norms(problem.aims, K).values(), strict=True))
+
+
+def _rows(K: Array) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(float(v) for v in row) for row in K)
+
+
+def _controller(like: control.StateSpace, gain: Array) -> control.StateSpace:
+    k = like.nstates
+    return replace_matrices(like, A=gain[:k, :k], B=gain[:k, k:], C=gain[k:, :k], D=gain[k:, k:])
+
+
+def settings_with(base: DesignSettings, problem: LoopProblem, controller: control.StateSpace) -> DesignSettings:
+    """Return design settings that fly a tuned controller (scaled) in its loop."""
+    K, read, out = controller, problem.read_scale, problem.input_scale[:, None]
+    given = GivenController.from_matrices(K.A, K.B / read, K.C * out, K.D * out / read)
+    key = "heave_yaw_given" if problem.name == "heave-yaw" else "roll_pitch_given"
+    changes: dict[str, Any] = {key: given}
+    return replace(base, **changes)

@@ -1,0 +1,124 @@
+"""The structured singular value over a vehicle's parameters as an aim of the tuning.
+
+At fixed frequencies and with fixed scalings D and G the upper bound of mu is the root of the largest eigenvalue of the
+pencil ``M* D M + j (G M - M* G)`` and D (Fan, Tits and Doyle, IEEE Trans. Autom. Control 36, 1991). As a function of
+the controller this value has the gradient of a simple eigenvalue. :meth:`ParameterAim.rescale` finds the best scalings
+for a controller; tuning and rescaling alternate, as in D-K iteration.
+
+The loop is that of :mod:`mufly.control.robust.parameter_robustness`: affine in the parameters, with 1.5 periods of
+exact delay. The frequencies are the tuning's own; ``analyse_parameter_robustness`` judges on others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mufly.control.linear_systems import Array, ComplexArray
+from mufly.control.robust.parameter_robustness import UncertainLoop
+from mufly.control.robust.structured_singular_value import mu_upper_bound
+from mufly.control.tuning.fixed_order import NormOfGain
+
+_RANGE = (0.5, 2.0)  # of the slowest and fastest mode of the loop, about which the frequencies lie
+_POINTS = 24
+_ENOUGH = 0.7  # share of the level at which the descent for the scalings of a frequency ends
+
+
+def _pencil_values(M: ComplexArray, D: ComplexArray, G: ComplexArray) -> tuple[Array, ComplexArray, ComplexArray]:
+    """Return the largest eigenvalues of the pencils, the Hermitian matrices that have them, and the roots of D."""
+    root = np.linalg.cholesky(D)
+    skew = G @ M
+    pencil = M.conj().swapaxes(1, 2) @ D @ M + 1j * (skew - skew.conj().swapaxes(1, 2))
+    half = np.linalg.solve(root, pencil)
+    turned = np.linalg.solve(root, half.conj().swapaxes(1, 2))
+    whole: ComplexArray = (0.5 * (turned + turned.conj().swapaxes(1, 2))).astype(complex)
+    return np.linalg.eigvalsh(whole)[:, -1], whole, root
+
+
+class ParameterAim:
+    """The upper bound of mu over a vehicle's parameters, as an aim.
+
+    Parameters
+    ----------
+    loop : UncertainLoop
+        Loop in physical units.
+    feedback_inputs : sequence of int
+        Controller inputs that are errors of the plant's outputs.
+    read_scale, input_scale : array
+        Scales of the controller's inputs and outputs.
+    level : float
+        Level that mu is to stay below.
+    """
+
+    name = "mu"
+
+    def __init__(
+        self, loop: UncertainLoop, feedback_inputs: Sequence[int], read_scale: Array, input_scale: Array, level: float
+    ) -> None:
+        self.level = level
+        self.blocks, self.rows, self.n_inputs = loop.blocks, list(feedback_inputs), len(read_scale)
+        poles = np.abs(np.linalg.eigvals(loop.closed_matrices()[0]))
+        inside = poles[(poles > 1.0) & (poles < 60.0)]
+        low, high = inside.min(initial=4.0), inside.max(initial=20.0)
+        self.frequency = np.geomspace(_RANGE[0] * low, _RANGE[1] * high, _POINTS)
+        m, P = loop.left.shape[1], loop.open_responses(self.frequency)
+        delay = np.exp(-1j * self.frequency * loop.delay_s)[:, None, None]
+        self.M11, self.P12 = P[:, :m, :m], P[:, :m, m:] * np.asarray(input_scale) * delay
+        scale = np.asarray(read_scale)[self.rows][:, None]
+        self.P21, self.P22 = P[:, m:, :m] / scale, P[:, m:, m:] * np.asarray(input_scale) * delay / scale
+        self.size = m
+        self._D = np.broadcast_to(np.eye(m, dtype=complex), (_POINTS, m, m)).copy()
+        self._G = np.zeros((_POINTS, m, m), dtype=complex)
+
+    def response(self, K: Array, order: int) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """Return M at the frequencies for a gain ``[Ak Bk; Ck Dk]``, and its factors ``dM = left dK right``."""
+        eye = np.eye(order)
+        R = np.linalg.inv(1j * self.frequency[:, None, None] * eye - K[:order, :order])
+        picked = np.zeros((self.n_inputs, len(self.rows)))
+        picked[self.rows, range(len(self.rows))] = -1.0  # the controller reads errors, -y
+        B, C, D = K[:order, order:] @ picked, K[order:, :order], K[order:, order:] @ picked
+        k = C @ R @ B + D
+        loop = np.linalg.inv(np.eye(len(self.rows)) - self.P22 @ k)
+        M = self.M11 + self.P12 @ k @ loop @ self.P21
+        after = self.P12 @ np.linalg.inv(np.eye(k.shape[1]) - k @ self.P22)
+        before = loop @ self.P21
+        left = np.concatenate([after @ C @ R, after], axis=2)
+        right = np.concatenate([R @ B @ before, np.broadcast_to(picked, (len(R), *picked.shape)) @ before], axis=1)
+        return M, left, right
+
+    def rescale(self, K: Array, order: int) -> float:
+        """Set the scalings that are best for a gain; return the upper bound of mu at the frequencies."""
+        M = self.response(K, order)[0]
+        kept = np.sqrt(np.maximum(_pencil_values(M, self._D, self._G)[0], 0.0))
+        for k in range(_POINTS):
+            if kept[k] < _ENOUGH * self.level:
+                continue
+            found = mu_upper_bound(
+                M[k], self.blocks, restarts=0, tolerance=1e-3, max_steps=150, enough=_ENOUGH * self.level
+            )
+            if found.value < kept[k]:
+                kept[k], self._D[k], self._G[k] = found.value, found.scaling, found.skew
+        return float(kept.max())
+
+    def loop(self, order: int) -> NormOfGain:
+        """Return the norm for controllers of an order."""
+        return _ScaledBound(self, order)
+
+
+class _ScaledBound:
+    """The bound with the aim's present scalings."""
+
+    def __init__(self, aim: ParameterAim, order: int) -> None:
+        self.aim, self.order = aim, order
+
+    def norm_and_gradient(self, K: Array) -> tuple[float, Array]:
+        """Return the bound, at least a small positive number, and its gradient by K."""
+        M, left, right = self.aim.response(K, self.order)
+        values, whole, root = _pencil_values(M, self.aim._D, self.aim._G)
+        k = int(np.argmax(values))
+        u = np.linalg.solve(root[k].conj().T, np.linalg.eigh(whole[k])[1][:, -1])
+        norm = float(np.sqrt(max(values[k], 1e-6)))
+        co = u.conj() @ (M[k].conj().T @ self.aim._D[k] + 1j * self.aim._G[k])
+        slope = 2.0 * np.outer(co @ left[k], right[k] @ u).real
+        return norm, slope / (2.0 * norm)

@@ -1,0 +1,277 @@
+"""A tuned loop as a result and as a file that designs, flights and exports read."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mufly.control.comparison import LoopFigures, loop_figures, sensor_noise
+from mufly.control.designs import ControllerDesign, FlightController, design_flight_controller
+from mufly.control.robust.parameter_robustness import analyse_parameter_robustness, default_spreads
+from mufly.control.synthesis_methods import GivenController
+from mufly.control.tuning.fixed_order import aim_norms
+from mufly.control.tuning.loop_tuning import (
+    HIGHEST_ORDERS,
+    LoopName,
+    LoopProblem,
+    TuningGoals,
+    TuningState,
+    continue_tuning,
+    find_starts,
+    pose_loop_problem,
+    raise_order,
+    settings_with,
+)
+from mufly.control.weighting_schemes import DesignSettings, scale_plant
+from mufly.errors import ArgumentError, InputError
+from mufly.results import ShownBlock, result, show_lines, show_table
+from mufly.vehicle import Vehicle
+
+DEFAULT_STARTS = ("hinf", "delay", "ltr")
+_FORMAT = "mufly tuned controller 1"
+_KEYS = {"heave-yaw": "heave_yaw_given", "roll-pitch": "roll_pitch_given"}
+_UNITS = {"weighted": "", "sensitivity": "dB", "complementary": "dB", "disk": "", "activity": "%", "mu": ""}
+
+
+@result(picture="mufly.control.plots:draw_tuned_loop")
+class TunedLoop:
+    """A tuned loop: its aims, and its figures as it flies.
+
+    Attributes
+    ----------
+    loop : str
+    order : int
+    levels, norms : dict
+        Level and norm of every aim, by its name.
+    figures : LoopFigures
+        Figures of the sampled controller; mu at frequencies other than the tuning's.
+    controller : FlightController
+        All designs with this loop.
+    """
+
+    loop: LoopName
+    order: int
+    levels: dict[str, float]
+    norms: dict[str, float]
+    figures: LoopFigures
+    controller: FlightController
+
+    @property
+    def objective(self) -> float:
+        """Largest aim over its level; below 1 all aims are reached."""
+        return max(self.norms[name] / level for name, level in self.levels.items())
+
+    @property
+    def design(self) -> ControllerDesign:
+        """Design of the loop."""
+        c = self.controller
+        return c.heave_yaw if self.loop == "heave-yaw" else c.roll_pitch
+
+    def as_record(self) -> dict[str, Any]:
+        """Return aims and figures as JSON data."""
+        f = self.figures
+        return {
+            "loop": self.loop,
+            "order": self.order,
+            "objective": self.objective,
+            "aims": {name: {"level": level, "reached": self.norms[name]} for name, level in self.levels.items()},
+            "sampled": {
+                "gamma": f.norm,
+                "sensitivity_peak_dB": f.sampled.sensitivity_peak_dB,
+                "complementary_peak_dB": f.sampled.complementary_peak_dB,
+                "disk_margin": f.disk.margin,
+                "input_noise": f.input_noise,
+                "mu_upper": f.mu_upper,
+                "mu_lower": f.mu_lower,
+                "multiply_adds": f.multiply_adds,
+            },
+        }
+
+    def shown_blocks(self) -> list[ShownBlock]:
+        """Return the aims and the figures."""
+        rows = []
+        for name, level in self.levels.items():
+            reached = self.norms[name]
+            if _UNITS[name] == "dB":
+                level, shown, reached = 20 * np.log10(level), 20 * np.log10(reached), reached
+                rows.append((f"{name} (dB)", f"{level:.2f}", f"{shown:.2f}", f"{reached / self.levels[name]:.3f}"))
+            else:
+                rows.append((name, f"{level:.4g}", f"{reached:.4g}", f"{reached / level:.3f}"))
+        f, s = self.figures, self.figures.sampled
+        title = f"{self.controller.vehicle_name}, {self.loop}, order {self.order}"
+        return [
+            show_table(("aim", "level", "reached", "share"), rows, title=title),
+            show_lines(
+                f"Sampled at {self.controller.rate_Hz:g} Hz: gamma {f.norm:.3f}, S_u {s.sensitivity_peak_dB:.2f} dB, "
+                f"T_u {s.complementary_peak_dB:.2f} dB, disk margin {f.disk.margin:.2f}, mu {f.mu_upper:.3f}, input "
+                f"noise {100 * f.input_noise:.2f} %, {f.multiply_adds} multiply-adds",
+                "All aims are reached" if self.objective <= 1.0 else "Not all aims are reached: shares above 1",
+            ),
+        ]
+
+
+def tune_loop(
+    vehicle: Vehicle,
+    loop: LoopName,
+    order: int,
+    goals: TuningGoals,
+    *,
+    starts: Sequence[str] = DEFAULT_STARTS,
+    rounds: int = 4,
+    steps: int = 60,
+    rate_Hz: float | None = None,
+    spreads: Mapping[str, float] | None = None,
+    path: Path | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> TunedLoop:
+    """Tune one loop of a vehicle.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    loop : str
+        ``"heave-yaw"`` or ``"roll-pitch"``.
+    order : int
+        Order of the controller.
+    goals : TuningGoals
+    starts : sequence of str
+        Methods whose reduced controllers are starts, ``"delay"`` (H-infinity with the delay), or files of tuned loops.
+    rounds, steps : int
+        Rounds for each of the two best starts, and steps of every descent.
+    rate_Hz : float, optional
+    spreads : mapping, optional
+        Spread of every parameter (SI) by its key; :func:`default_spreads` by default.
+    path : Path, optional
+        File written after every round. A tuning of the same problem is continued from it.
+    progress : callable, optional
+        Called with (rounds done, all rounds).
+
+    Returns
+    -------
+    TunedLoop
+
+    Raises
+    ------
+    ArgumentError
+        If the order is out of range or there is no goal.
+    MuflyError
+        If no start stabilises the loop.
+    """
+    if not 2 <= order <= HIGHEST_ORDERS[loop]:
+        raise ArgumentError("order", "", f"{order} is out of range", f"give 2 to {HIGHEST_ORDERS[loop]} for {loop}")
+    if not any(v is not None for v in asdict(goals).values()):
+        raise ArgumentError("goals", "", "there is no aim", "give one of " + ", ".join(asdict(goals)))
+    base = design_flight_controller(vehicle, rate_Hz=rate_Hz)
+    spreads = default_spreads(vehicle) if spreads is None else dict(spreads)
+    d = base.heave_yaw if loop == "heave-yaw" else base.roll_pitch
+    problem = pose_loop_problem(vehicle, base, loop, goals, sensor_noise(vehicle, d.plant.output_labels), spreads)
+    question = {
+        "format": _FORMAT, "vehicle": vehicle.name, "loop": loop, "order": order, "rate_Hz": base.rate_Hz,
+        "goals": asdict(goals), "starts": list(starts), "steps": steps, "plant": _plant_numbers(d),
+    }  # fmt: skip
+    state = _read_state(path, question)
+    files = [name for name in starts if name.endswith(".json")]
+    methods = [name for name in starts if name not in files]
+    first = find_starts(problem, methods, order) if methods else []
+    for file in files:
+        given = _read_record(Path(file))[1]
+        K = given.to_scaled(problem.generalised, problem.read_scale, problem.input_scale)
+        if K.nstates > order:
+            raise InputError(file, "", f"a controller of order {K.nstates}", f"give --order {K.nstates} or more")
+        first.insert(0, raise_order(K, order))
+
+    def report(done: int, total: int, reached: TuningState) -> None:
+        if path is not None:
+            _write_record(path, question, problem, reached)
+        if progress is not None:
+            progress(done, total)
+
+    K, state = continue_tuning(problem, first, rounds=rounds, steps=steps, state=state, progress=report)
+    if path is not None:
+        _write_record(path, question, problem, state)
+    norms = aim_norms([a for a in problem.aims if a is not problem.mu], K)
+    if problem.mu is not None:
+        gain = np.block([[K.A, K.B], [K.C, K.D]])
+        norms["mu"] = problem.mu.rescale(gain, order)
+    c = design_flight_controller(vehicle, rate_Hz=rate_Hz, settings=settings_with(DesignSettings(), problem, K))
+    robust = analyse_parameter_robustness(vehicle, c, spreads, points=40)
+    mu = robust.heave_yaw if loop == "heave-yaw" else robust.roll_pitch
+    figures = loop_figures(vehicle, c.heave_yaw if loop == "heave-yaw" else c.roll_pitch, (mu.peak, mu.lower))
+    return TunedLoop(loop, order, {a.name: a.level for a in problem.aims}, norms, figures, c)
+
+
+def _plant_numbers(d: ControllerDesign) -> list[float]:
+    """Return numbers that differ between plants, to tell whether a file belongs to the same problem."""
+    scaled = scale_plant(d.plant, d.scaling)
+    return [float(f"{np.linalg.norm(M):.9g}") for M in (scaled.A, scaled.B, scaled.C)]
+
+
+def _read_state(path: Path | None, question: Mapping[str, Any]) -> TuningState | None:
+    if path is None or not path.exists():
+        return None
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+        if record["question"] == json.loads(json.dumps(question)):
+            return TuningState.from_record(record["lines"])
+    except (ValueError, KeyError, TypeError):
+        pass
+    raise InputError(
+        str(path),
+        "",
+        "holds another tuning",
+        "give another --out, or the same options to continue; delete it to start anew",
+    )
+
+
+def _write_record(path: Path, question: Mapping[str, Any], problem: LoopProblem, state: TuningState) -> None:
+    gain, history = min(state.lines, key=lambda line: line[1][-1])
+    k = len(gain) - len(problem.input_scale)
+    g, read, out = np.array(gain), problem.read_scale, problem.input_scale[:, None]
+    given = GivenController.from_matrices(g[:k, :k], g[:k, k:] / read, g[k:, :k] * out, g[k:, k:] * out / read)
+    record = {
+        "question": dict(question), "objective": history[-1], "controller": asdict(given), "lines": state.to_record()
+    }  # fmt: skip
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_suffix(".part")
+    partial.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    os.replace(partial, path)
+
+
+def _read_record(path: Path) -> tuple[dict[str, Any], GivenController]:
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+        question = record["question"]
+        if question["format"] != _FORMAT:
+            raise KeyError("format")
+        return question, GivenController.from_matrices(*(record["controller"][k] for k in "ABCD"))
+    except OSError as error:
+        raise InputError(
+            str(path), "", error.strerror or "cannot be read", "give a file of `mufly control tune`"
+        ) from None
+    except (ValueError, KeyError, TypeError):
+        raise InputError(str(path), "", "is no tuned controller", "give a file of `mufly control tune`") from None
+
+
+def load_tuned_settings(paths: Sequence[str | Path], base: DesignSettings | None = None) -> DesignSettings:
+    """Return design settings that fly the tuned loops of files; other loops keep their method.
+
+    Raises
+    ------
+    InputError
+        If a file is no tuned controller, or two are for the same loop.
+    """
+    settings = DesignSettings() if base is None else base
+    for path in paths:
+        question, given = _read_record(Path(path))
+        key = _KEYS[question["loop"]]
+        if getattr(settings, key) is not None:
+            raise InputError(str(path), "", f"a second controller for {question['loop']}", "give one file a loop")
+        changes: dict[str, Any] = {key: given}
+        settings = replace(settings, **changes)
+    return settings
