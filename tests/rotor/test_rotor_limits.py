@@ -11,12 +11,14 @@ from mufly.rotor import (
     Air,
     OperatingCondition,
     RotorSystem,
+    effective_pitch_prior,
     load_rotor,
     make_rotor,
     prepare_blading,
     solve_rotor_batch,
     solve_system,
 )
+from mufly.rotor.blade_solid import blade_contours, loft_solid, write_stl
 from mufly.rotor.forward import ForwardCondition, solve_forward
 from mufly.study.benchmark import load_cases
 
@@ -110,3 +112,20 @@ def test_files_of_uiuc_with_titles_and_without_sizes(tmp_path):
     assert "maker_6x3_run_4001.txt" in said
     assert "oops" in said
     assert "maker_9x5_geom.txt: there is no NAME_static_RUN.txt" in said
+
+
+def test_a_makers_file_and_a_scan_are_preferred_to_photographs(tmp_path):
+    blade = "r/R c/R beta\n" + "".join(f"{x:.2f} 0.15 {14 - 6 * x:.1f}\n" for x in np.linspace(0.15, 1.0, 8))
+    rows = "".join(f"  {r:.2f} {0.4 - 0.08 * r:.3f} 0.12 {25 - 5 * r:.1f}\n" for r in (0.5, 1.0, 1.5, 2.0, 2.5))
+    for name in ("maker_5x4", "maker_5x3", "maker_5x2"):
+        (tmp_path / f"{name}_geom.txt").write_text(blade)
+        (tmp_path / f"{name}_static_1.txt").write_text("RPM CT CP\n3000 0.11 0.05\n4000 0.11 0.05\n")
+    (tmp_path / "maker_5x3.PE0").write_text(f"STATION CHORD THICKNESS TWIST\n{rows}\nRADIUS: 2.50\nBLADES: 2\n")
+    scanned = make_rotor(name="s", radius_m=0.0635, chord_m=0.011, twist_rad=0.3, hub_cutout=0.2)
+    write_stl(tmp_path / "maker_5x2.stl", loft_solid(blade_contours(scanned, along=20)), "s")
+    two, three, four = (c.rotor for c in sorted(load_cases(tmp_path)[0], key=lambda c: c.name))
+    assert [r.blade.geometry for r in (two, three, four)] == ["scan", "maker", "photograph"]
+    assert float(two.chord_m(0.6)) == pytest.approx(0.011, rel=0.02)
+    assert float(two.twist_rad(0.6)) == pytest.approx(0.3, abs=0.01)
+    assert float(three.twist_rad(0.8)) == pytest.approx(math.radians(15.0))
+    assert effective_pitch_prior(four).std_rad > 2.0 * effective_pitch_prior(two).std_rad

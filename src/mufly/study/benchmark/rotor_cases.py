@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import math
 import re
+import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import product
@@ -32,6 +33,7 @@ from numpy.typing import ArrayLike, NDArray
 from mufly.bench import read_measurements
 from mufly.errors import InputError, MuflyError
 from mufly.rotor import Air, Rotor, RotorMeasurements, load_rotor, read_blade, replace_rotor
+from mufly.rotor.blade_solid import rotor_from_body
 from mufly.text_table import read_text_table
 from mufly.units import RPM
 
@@ -307,18 +309,7 @@ def load_uiuc_files(folder: Path, left_out: list[str]) -> Iterator[RotorCase]:
         diameter = float(size[1]) * (_INCH if float(size[1]) < 30.0 else 1e-3)
         family, section, known = section_of_propeller(name)
         try:
-            rotor = read_blade(geometry, radius_m=0.5 * diameter, blades=blades, name=name).rotor
-            foils = _airfoils_by_station(section, rotor.blade.r_over_R.array())
-            rotor = replace_rotor(
-                rotor,
-                {
-                    "hub_cutout": 0.15,
-                    "trailing_edge": TRAILING_EDGE_M,
-                    "blade.airfoils": foils,
-                    **_photographed(name, 0.5 * diameter),
-                },
-                source="estimated",
-            )
+            rotor = _read_best_geometry(geometry, name, diameter, blades, section)
             points = [
                 read_measurements(run, diameter_m=diameter, density_kg_m3=BENCHMARK_AIR.density_kg_m3) for run in runs
             ]
@@ -334,6 +325,28 @@ def load_uiuc_files(folder: Path, left_out: list[str]) -> Iterator[RotorCase]:
         if file not in used:
             other = "NAME_static_RUN.txt" if file.name.endswith("_geom.txt") else "NAME_geom.txt"
             left_out.append(f"{file.name}: there is no {other} beside it")
+
+
+def _read_best_geometry(photographed: Path, name: str, diameter_m: float, blades: int, section: str) -> Rotor:
+    """Return the rotor of a propeller from its best geometry beside the photographed one.
+
+    A scan ``NAME.stl`` comes first, then the maker's ``NAME.PE0``, which has sections of its own.
+    """
+    beside = {p.suffix.lower(): p for p in photographed.parent.glob(f"{name}.*")}
+    values: dict[str, object] = {"hub_cutout": 0.15, "trailing_edge": TRAILING_EDGE_M}
+    values |= _photographed(name, 0.5 * diameter_m)
+    if ".stl" in beside:
+        with tempfile.TemporaryDirectory() as contours:  # chord and twist alone are used
+            rotor = rotor_from_body(beside[".stl"], folder=contours, blades=blades, name=name)[0]
+        values["blade.geometry"] = "scan"
+    elif ".pe0" in beside:
+        rotor = read_blade(beside[".pe0"], blades=blades, name=name).rotor
+        values["blade.geometry"] = "maker"
+    else:
+        rotor = read_blade(photographed, radius_m=0.5 * diameter_m, blades=blades, name=name).rotor
+    if values["blade.geometry"] != "maker":
+        values["blade.airfoils"] = _airfoils_by_station(section, rotor.blade.r_over_R.array())
+    return replace_rotor(rotor, values, source="estimated")
 
 
 _MEASUREMENT_FIELDS = ("pitch_rad", "speed_rad_s", "thrust_N", "torque_Nm")
