@@ -15,6 +15,7 @@ from mufly.version import __version__
 if TYPE_CHECKING:
     from mufly import (
         bench,
+        bridges,
         camera,
         cfd,
         cli,
@@ -45,6 +46,7 @@ __all__ = [
     "MuflyError",
     "__version__",
     "bench",
+    "bridges",
     "camera",
     "cfd",
     "cli",
