@@ -8,7 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from mufly.cli import app
 from mufly.control import (
     DesignSettings,
     FlightController,
@@ -156,3 +158,20 @@ def test_order_out_of_range_is_refused(vehicle: Vehicle) -> None:
         design_flight_controller(
             vehicle, settings=replace(settings, roll_pitch_aims=replace(settings.roll_pitch_aims, order=9))
         )
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("control", "tune", "--start", "pid"), "--start: pid: is no start; give one of hinf, h2, lqg, ltr, delay"),
+        (("control", "tune", "--order", "9"), "give 2 to 8 for roll-pitch"),
+        (("control", "tune", "--only"), "there is no aim"),
+        (("control", "design", "--tuned", "absent.json"), "absent.json: No such file"),
+    ],
+)
+def test_commands_refuse_in_one_line(words: tuple[str, ...], message: str, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    error = CliRunner().invoke(app, words).exception
+    assert isinstance(error, InputError)
+    assert message in str(error)
+    assert "\n" not in str(error)

@@ -257,7 +257,7 @@ tuning that has had fewer.
 
       mufly control tune --order 2
 
-      mufly control tune --loop heave-yaw --order 6
+      mufly control tune --loop heave-yaw --order 6 --steps 200
 
       mufly control tune --order 8 --start ltr --start tuned/roll-pitch.json --out further
     """

@@ -124,7 +124,7 @@ class LoopProblem(NamedTuple):
 
 
 class TuningState(NamedTuple):
-    """What a tuning has reached; JSON data by :meth:`to_record`.
+    """State of a tuning between two rounds; JSON data by :meth:`to_record`.
 
     Attributes
     ----------
