@@ -13,9 +13,11 @@ With the variances v_a and v_h of the two, and d the stated less the measured an
 
     mean p = d v_a / (v_a + v_h),      1 / variance = 1 / v_a + 1 / v_h        (inverse-variance weights)
 
-Without a stated pitch the mean is 0. The deviations are judgement, not fitted: offsets of series of photographed
-propellers reach 3.3 degrees, two protractor readings of a small blade agree within a degree. `mufly rotor fit` replaces
-the prior by a posterior.
+Without a stated pitch the mean is 0. The deviations are judgement: offsets of series of photographed propellers reach
+3.3 degrees, two protractor readings of a small blade agree within a degree. The ratio of photograph to stated pitch, 2
+to 3 degrees, was chosen with the errors of 17 propellers in view. Their mean errors of thrust and torque
+are 11.2 and 14.6 % without a stated pitch, 9.8 and 14.4 % with it. They are 10.6 and 14.9 % if the weight for a family
+is chosen on the other families. `mufly rotor fit` replaces the prior by a posterior.
 """
 
 from __future__ import annotations
