@@ -7,14 +7,10 @@ import numpy as np
 import pytest
 
 from mufly.dynamics import (
-    PARAMETER_DTYPE,
     find_trim,
     initial_state,
-    integrate_batch,
-    integrate_state,
     level_speed_band,
     linearise_vehicle,
-    longest_step,
     model_parameters,
     state_derivative,
 )
@@ -147,19 +143,6 @@ def test_the_map_passes_through_its_points(clamped):
     loads = evaluate_flight_map(flight_map)
     assert loads.airspeed_m_s[-1] == pytest.approx(flight_map.edges_m_s[0])
     assert loads.rate_damping_Nms < 0.0
-
-
-def test_batch_equals_single(clamped, random_state):
-    rng = np.random.default_rng(3)
-    p = model_parameters(clamped)
-    x = np.array([random_state(rng) for _ in range(3)])
-    many, u, wind = x.copy(), np.tile([0.7, 0.7, 0.1, -0.2], (3, 1)), rng.normal(size=(3, 3))
-    integrate_batch(many, u, wind, np.array([p, p, p], dtype=PARAMETER_DTYPE), 1e-3, 20)
-    for k in range(3):
-        integrate_state(x[k], u[k], wind[k], p, 1e-3, 20)
-    assert np.array_equal(many, x)
-    assert np.all(np.isfinite(x))
-    assert longest_step(p) > 1e-3
 
 
 def test_the_filters_function_knows_no_map(vehicle, clamped, random_state):

@@ -7,13 +7,10 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from mufly.dynamics import (
-    PARAMETER_DTYPE,
     body_to_ned_matrix,
     find_trim,
     hover_performance,
     initial_state,
-    integrate_batch,
-    integrate_state,
     linearise_vehicle,
     longest_step,
     model_parameters,
@@ -189,19 +186,6 @@ def test_a_fast_climb_needs_more_input_than_the_constants_say(scaled, vehicle) -
     assert np.all(fast > constant + 0.05)
     slow, constant = (find_trim(v, velocity=(0, 0, -0.2)).motor_input for v in (scaled, vehicle))
     assert np.all(np.abs(slow - constant) < 0.02)  # Sec. 4.3.1: constants do below 0.5 m/s
-
-
-def test_batch_equals_scalar_with_and_without_maps(mapped, vehicle, random_state) -> None:
-    rng = np.random.default_rng(5)
-    p = np.array([model_parameters(v) for v in (mapped, vehicle, mapped, vehicle)], dtype=PARAMETER_DTYPE)
-    x = np.array([random_state(rng) for _ in range(4)])
-    u, wind = rng.uniform(0, 1, size=(4, 4)), rng.normal(size=(4, 3))
-    together = x.copy()
-    integrate_batch(together, u, wind, p, 1e-3, 200)
-    for k in range(4):
-        alone = x[k].copy()
-        integrate_state(alone, u[k], wind[k], p[k], 1e-3, 200)
-        assert_array_equal(alone, together[k])
 
 
 def test_bounds_hold_everywhere(mapped) -> None:

@@ -1,5 +1,9 @@
 """Flight dynamics: equations of motion, trim, linearisation, simulation, wind and ground."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
 from mufly.dynamics.casadi_equations import casadi_model
 from mufly.dynamics.equations_of_motion import (
     battery_state,
@@ -37,7 +41,6 @@ from mufly.dynamics.simulation import (
     describe_level_speed,
     describe_model_excess,
     fastest_mode_key,
-    integrate_batch,
     integrate_state,
     level_speed_band,
     longest_step,
@@ -47,6 +50,9 @@ from mufly.dynamics.simulation import (
 )
 from mufly.rotations import euler_from_quaternion, quaternion_from_euler
 from mufly.units import GRAVITY
+
+if TYPE_CHECKING:
+    from mufly.dynamics.lane_equations import integrate_batch
 
 __all__ = [
     "DEFAULT_STEP_S",
@@ -92,3 +98,12 @@ __all__ = [
     "state_derivative",
     "tip_mach_number",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Load the equations of batches on first use."""
+    if name == "integrate_batch":
+        from mufly.dynamics.lane_equations import integrate_batch
+
+        return integrate_batch
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -7,9 +7,10 @@ The source of a function is rewritten so that a decision on data becomes a selec
     ...                                     ...
     force += step                           force = select(test, force + step, force)
 
-A type supplies ``select(test, a, b)``, ``any_of(test)``, ``both_of(a, b)``, ``negate(test)`` and, for decisions on
-parameters, ``uniform(test)``, which is the same for all vehicles. The functions that a function calls are rewritten
-with it. Nothing else of the source changes: order and number of the operations are those of a single vehicle.
+A type supplies the functions ``select(test, a, b)``, ``any_of(test)``, ``both_of(a, b)``, ``negate(test)``,
+``sine_of``, ``cosine_of``, ``whole_number`` and, for decisions on parameters, ``uniform(test)``, which is the same for
+all vehicles. The functions that a function calls are rewritten with it. Nothing else of the source changes: order and
+number of the operations are those of a single vehicle.
 
 The rewritten forms are those that the equations need: ``if`` without ``else``; ``if test: continue`` in a loop; ``if
 test: return value`` before the last ``return``. Other forms raise :class:`NotImplementedError`.
@@ -25,6 +26,7 @@ from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 _PARAMETER = "p"
+_RENAMED = {"np.uint64": "whole_number", "math.sin": "sine_of", "math.cos": "cosine_of"}
 
 
 def select_branches(
@@ -42,8 +44,7 @@ def select_branches(
     function : compiled function
         Function of the flight model.
     namespace : mapping
-        ``select``, ``any_of``, ``both_of``, ``negate`` and ``uniform`` of the type, and other names that take the place
-        of the source's, such as functions and ``math``.
+        The functions of the type that are named above, and others that take the place of the source's names.
     wrap : callable
         Compiles each rewritten function.
     absent : collection of str
@@ -115,7 +116,7 @@ def _load(name: str) -> ast.Name:
 
 
 class _Expressions(ast.NodeTransformer):
-    """``a and b`` of tests and whole numbers of an index as calls."""
+    """``a and b`` of tests, sine, cosine and whole numbers of an index as calls of the type's functions."""
 
     def visit_BoolOp(self, node: ast.BoolOp) -> ast.expr:
         self.generic_visit(node)
@@ -125,9 +126,8 @@ class _Expressions(ast.NodeTransformer):
 
     def visit_Call(self, node: ast.Call) -> ast.expr:
         self.generic_visit(node)
-        if ast.unparse(node.func) == "np.uint64":
-            return _call("whole_number", *node.args)
-        return node
+        name = _RENAMED.get(ast.unparse(node.func))
+        return node if name is None else _call(name, *node.args)
 
 
 class _Selection:

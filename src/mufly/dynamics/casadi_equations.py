@@ -173,9 +173,9 @@ def _least(*numbers: Any) -> Any:
 
 
 _NAMESPACE: dict[str, Any] = {
-    "math": SimpleNamespace(
-        sin=lambda x: _apply("sin", x), cos=lambda x: _apply("cos", x), sqrt=lambda x: _apply("sqrt", x)
-    ),
+    "math": SimpleNamespace(sqrt=lambda x: _apply("sqrt", x)),
+    "sine_of": lambda x: _apply("sin", x),
+    "cosine_of": lambda x: _apply("cos", x),
     "min": _least,
     "max": _greatest,
     "int": _whole,

@@ -343,10 +343,10 @@ def _add_ground_effect(x: _Array, wind: _Array, p: ModelParameters, dx: _Array) 
 def _add_flight_map(x: _Array, wind: _Array, p: ModelParameters, tilt: tuple[float, float, float], dx: _Array) -> None:
     """Add the loads of the flight map with the lower disc's normal ``tilt``; see
     :mod:`mufly.dynamics.edgewise_loads`."""
-    coefficients = p.thrust_up, p.thrust_dw, p.torque_up, p.torque_dw
+    kT_up, kT_dw, kQ_up, kQ_dw = p.thrust_up, p.thrust_dw, p.torque_up, p.torque_dw
     if p.map_nodes > 0:
-        coefficients = map_coefficients(x[RS_SPEED_UPPER], x[RS_SPEED_LOWER], climb_velocity(x, wind), p)
-    add_flight_map(x, wind, p, coefficients, tilt, dx)
+        kT_up, kT_dw, kQ_up, kQ_dw = map_coefficients(x[RS_SPEED_UPPER], x[RS_SPEED_LOWER], climb_velocity(x, wind), p)
+    add_flight_map(x, wind, p, (kT_up, kT_dw, kQ_up, kQ_dw), tilt, dx)
 
 
 _MIN_ROTOR_SPEED = 1e-3  # rad/s; below this speed rotor forces are negligible

@@ -1,8 +1,7 @@
-"""Fixed-step Runge-Kutta integration of the flight model, one vehicle or a batch on all cores; wind.
+"""Fixed-step Runge-Kutta integration of the flight model; wind.
 
-Single vehicles and batches use the same compiled step and memory layout, so their results are equal bit for bit. After
-every step the attitude quaternion and the bar's normal are normalised; at the default step the fourth-order method
-changes their length by about 1e-12 only.
+Batches of vehicles: :mod:`mufly.dynamics.lane_equations`. After every step the attitude quaternion and the bar's normal
+are normalised; at the default step the fourth-order method changes their length by about 1e-12 only.
 
 The default step of 1 ms keeps the fastest mode (swash plate, -1000 rad/s) stable with a margin of 2.8, and everything
 slower accurate. Numba's ``error_model="numpy"`` (a division by zero gives infinity) saves a sixth of the time.
@@ -33,7 +32,6 @@ from functools import lru_cache
 
 import numpy as np
 import xarray as xr
-from numba import prange
 from numpy.typing import ArrayLike, NDArray
 from scipy.signal import lfilter
 from scipy.special import gammainc
@@ -128,26 +126,6 @@ def integrate_state(x: _Array, u: _Array, wind: _Array, p: ModelParameters, dt: 
             middle = 2.0 * work[_SLOPE_2, i]
             x[i] += dt / 6.0 * (work[_SLOPE_1, i] + middle + 2.0 * work[_SLOPE_3, i] + work[_SLOPE_4, i])
         normalise_state(x)
-
-
-@cached_njit(parallel=True, error_model="numpy")
-def integrate_batch(x: _Array, u: _Array, wind: _Array, p: NDArray[np.void], dt: float, steps: int) -> None:
-    """Integrate ``n`` vehicles in place on all cores; see :func:`integrate_state`.
-
-    Parameters
-    ----------
-    x : (n, 21) array
-        States; overwritten.
-    u : (n, 4) array
-    wind : (n, 3) array
-    p : (n,) structured array of type :data:`~mufly.dynamics.PARAMETER_DTYPE`
-        Parameters, one record for each vehicle.
-    dt : float
-        Step (s).
-    steps : int
-    """
-    for k in prange(x.shape[0]):
-        integrate_state(x[k], u[k], wind[k], p[k], dt, steps)
 
 
 def longest_step(p: np.void) -> float:

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.dynamics.equations_of_motion import battery_state, lowest_point
+from mufly.dynamics.lane_equations import integrate_lanes, lay_out_blocks
 from mufly.dynamics.model_state import (
     POSITION,
     RS_ATT,
@@ -32,7 +33,7 @@ from mufly.dynamics.model_state import (
     U_MOTOR_LOWER,
     U_MOTOR_UPPER,
 )
-from mufly.dynamics.simulation import integrate_state
+from mufly.gym.fleet import LEAST_CHARGE
 from mufly.gym.observation import (
     ACTION_SIZE,
     MAX_RANGE_M,
@@ -53,7 +54,6 @@ _Ints = NDArray[np.int64]
 
 _UNIFORMS = 40  # drawn at the start of an episode
 _START_TILT_RAD, _START_SPEED_M_S, _START_RATE_rad_s = 0.15, 0.3, 0.3
-_LEAST_CHARGE = 0.5
 ERR_POSITION, ERR_HEADING, ERR_LEVEL, ERROR_SIZE = 0, 3, 4, 6
 """Places of the correlated errors of an estimate."""
 
@@ -200,7 +200,7 @@ def start_episodes(
         for i in range(3):
             x[RS_VEL + i] = _START_SPEED_M_S * (2.0 * r[8 + i] - 1.0)
             x[RS_RATES + i] = _START_RATE_rad_s * (2.0 * r[11 + i] - 1.0)
-        x[RS_CHARGE] = _LEAST_CHARGE + (1.0 - _LEAST_CHARGE) * r[39]
+        x[RS_CHARGE] = LEAST_CHARGE + (1.0 - LEAST_CHARGE) * r[39]
         copy_numbers(inputs[e.vehicle[k]], e.inputs[k])
         copy_numbers(winds[e.series[k], e.sample[k]], e.wind[k])
         for i in range(ACTION_SIZE):
@@ -257,14 +257,18 @@ def command_episodes(
         copy_numbers(winds[e.series[k], e.sample[k]], e.wind[k])
 
 
-@cached_njit(error_model="numpy", nogil=True)
-def move_episodes(e: EpisodeArrays, which: NDArray[np.bool_], fleet: NDArray[np.void], dt: float, steps: int) -> None:
-    """Integrate the vehicles of the environments of ``which`` over a period of ``steps`` steps of ``dt`` (s)."""
-    for k in range(which.size):
-        if which[k]:
-            p = fleet[e.vehicle[k]]
-            integrate_state(e.state[k], e.inputs_before[k], e.wind[k], p, dt, e.delay[k])
-            integrate_state(e.state[k], e.inputs[k], e.wind[k], p, dt, steps - e.delay[k])
+def move_episodes(
+    e: EpisodeArrays, fleet: NDArray[np.void], group: _Ints, dt: float, steps: int, threads: int = 1
+) -> None:
+    """Integrate all vehicles over a period of ``steps`` steps of ``dt`` (s).
+
+    ``group`` (k,) of the fleet's vehicles is that of :func:`mufly.dynamics.lane_equations.group_vehicles`. Vehicles of
+    ended episodes move, too; they start anew before anyone observes them.
+    """
+    blocks = lay_out_blocks(group[e.vehicle])
+    integrate_lanes(
+        e.state, e.inputs_before, e.inputs, e.delay, e.wind, fleet, e.vehicle, blocks, dt, steps, threads=threads
+    )
 
 
 @cached_njit(error_model="numpy", nogil=True)

@@ -33,6 +33,12 @@ _Array = NDArray[np.float64]
 TRIM_CHARGE = 0.8
 """Charge of the battery at which the inputs of hover are computed."""
 
+LEAST_CHARGE = 0.5
+"""Least charge of the battery at the start of an episode."""
+
+MAX_TRIM_INPUT = 0.95
+"""Greatest motor input of a drawn vehicle in hover at the least charge; others are drawn again."""
+
 _WIND_SERIES_S = 60.0
 _MOST_ATTEMPTS = 20  # for each vehicle of the fleet
 
@@ -89,8 +95,12 @@ def draw_fleet(vehicle: Vehicle, vary: Sequence[str], count: int, seed: int) -> 
             for variation in variations:
                 drawn = replace_parameters(drawn, variation.parameter_values(variation.draw_variables(rng)))
             hover = find_trim(drawn, charge=TRIM_CHARGE)
+            weak = find_trim(drawn, charge=LEAST_CHARGE)
         except (InputError, MuflyError) as error:
             refused = str(error)
+            continue
+        if variations and weak.motor_input.max() > MAX_TRIM_INPUT:
+            refused = f"hover at half charge takes a motor input of {weak.motor_input.max():.2f}"
             continue
         made.append((model_parameters(drawn), hover.state, hover.input))
         if len(made) == count or not variations:

@@ -22,6 +22,7 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from mufly.dynamics.lane_equations import group_vehicles
 from mufly.errors import ArgumentError
 from mufly.gym.episodes import (
     ERR_HEADING,
@@ -76,6 +77,8 @@ class MuflyVectorEnv(gymnasium.vector.VectorEnv):
         Time of a step.
     duration_s : float, optional
         Length of an episode; default: that of the task.
+    threads : int
+        Cores that move the vehicles.
     render_mode : {"rgb_array"}, optional
     autoreset_mode : AutoresetMode or its value
         When an environment starts its next episode: ``"NextStep"`` (the step after the end ignores its action and
@@ -105,10 +108,11 @@ class MuflyVectorEnv(gymnasium.vector.VectorEnv):
         sensors: Literal["ideal", "noisy"] = "ideal",
         period_s: float = 0.02,
         duration_s: float | None = None,
+        threads: int = 1,
         render_mode: str | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     ) -> None:
-        _check_options(num_envs, task, fleet_size, wind_m_s, gust_m_s, delay_s, sensors, period_s, duration_s)
+        _check_options(num_envs, task, fleet_size, wind_m_s, gust_m_s, delay_s, sensors, period_s, duration_s, threads)
         self.num_envs, self.render_mode = num_envs, render_mode
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {
@@ -118,6 +122,7 @@ class MuflyVectorEnv(gymnasium.vector.VectorEnv):
         self.vehicle, self.task, self.period_s = nominal, task, period_s
         self.fleet = draw_fleet(nominal, vary, fleet_size, fleet_seed)
         self._winds = draw_winds(wind_m_s, gust_m_s, period_s, fleet_size, fleet_seed)
+        self._group, self._threads = group_vehicles(self.fleet.parameters), threads
         self._step_s, self._step_count = common_step(self.fleet, period_s)
         kind = TASKS.index(task)
         low, high = observation_limits(task)
@@ -209,7 +214,7 @@ class MuflyVectorEnv(gymnasium.vector.VectorEnv):
                 raise ArgumentError("step", "", "an episode has ended", "reset it with options={'reset_mask': ...}")
             which = ~self._ended
         command_episodes(e, s, given, which, self._winds)
-        move_episodes(e, which, fleet.parameters, self._step_s, self._step_count)
+        move_episodes(e, fleet.parameters, self._group, self._step_s, self._step_count, self._threads)
         judge_episodes(e, s, which, fleet.parameters, rewards, terminated, truncated, success)
         if next_step and self._ended.any():
             start_episodes(e, s, self._ended, fleet.states, fleet.inputs, self._winds)
@@ -272,7 +277,7 @@ class MuflyEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
 def _check_options(
     num_envs: int, task: str, fleet_size: int, wind_m_s: float, gust_m_s: float, delay_s: float, sensors: str,
-    period_s: float, duration_s: float | None,
+    period_s: float, duration_s: float | None, threads: int,
 ) -> None:  # fmt: skip
     def check(name: str, value: Any, is_right: bool, remedy: str) -> None:
         if not is_right:
@@ -280,6 +285,7 @@ def _check_options(
 
     check("num_envs", num_envs, num_envs >= 1, "give 1 or more")
     check("task", task, task in TASKS, f"give one of {', '.join(TASKS)}")
+    check("threads", threads, 1 <= threads <= 256, "give 1 to 256")
     check("fleet_size", fleet_size, fleet_size >= 1, "give 1 or more")
     check("sensors", sensors, sensors in ("ideal", "noisy"), "give 'ideal' or 'noisy'")
     check("period_s", period_s, 1e-3 <= period_s <= 0.1, "give 0.001 to 0.1 s")
