@@ -68,7 +68,7 @@ class ScriptedPx4:
                 if message.get_type() != "HIL_SENSOR":
                     continue
                 self.times_us.append(message.time_usec)
-                if len(self.times_us) > 60 and len(self.times_us) % self._every:
+                if len(self.times_us) > 300 and len(self.times_us) % self._every:
                     continue
                 armed, outputs = self._law(message.time_usec * 1e-6, state)
                 controls = [*outputs, *[0.0] * (16 - len(outputs))]

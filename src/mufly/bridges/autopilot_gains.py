@@ -27,6 +27,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -348,10 +349,11 @@ def _damping_excess(axis: _Axis, k: CascadeGains) -> float:
 def _optimise(cost: Callable[[_Array], float], starts: Sequence[Sequence[float]]) -> _Array:
     """Return the gains of least cost; they are searched as logarithms, from each start."""
     best: tuple[float, _Array] | None = None
+    options: Any = {"maxfev": _EVALUATIONS, "xatol": 1e-3, "fatol": 1e-4}
     for start in starts:
-        found = minimize(
+        found = minimize(  # type: ignore[call-overload]
             lambda x: cost(_exponential(x)), np.log(start), method="Nelder-Mead",
-            options={"maxfev": _EVALUATIONS, "xatol": 1e-3, "fatol": 1e-4},
+            options=options,
         )  # fmt: skip
         if best is None or found.fun < best[0]:
             best = float(found.fun), _exponential(found.x)

@@ -92,6 +92,17 @@ class Px4Simulator:
         If the port is in use.
     """
 
+    # Of the present PX4; _forget_autopilot sets them
+    _time_us: int
+    _periods: int
+    _answers: int
+    _skip_count: int
+    _streak: int
+    _truth_periods: int
+    _was_answered: bool
+    _skipped: bool
+    _noise_told: bool
+
     def __init__(
         self,
         vehicle: AutopilotPlant,
@@ -256,9 +267,15 @@ class Px4Simulator:
     def _forget_autopilot(self) -> None:
         self._sensors = SensorMessages(*self._settings)
         self._command: ActuatorCommand | None = None
-        self._time_us = self._periods = self._answers = self._skip_count = self._streak = 0
+        self._time_us = 0
+        self._periods = 0
+        self._answers = 0
+        self._skip_count = 0
+        self._streak = 0
         self._truth_periods = _TRUTH_PERIODS
-        self._was_answered = self._skipped = self._noise_told = False
+        self._was_answered = False
+        self._skipped = False
+        self._noise_told = False
         self._told: set[str] = set()
 
     def _handle_message(self, message: MavMessage) -> None:

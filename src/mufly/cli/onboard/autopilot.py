@@ -87,10 +87,10 @@ file, with a limited sensitivity at the actuators and at the commanded accelerat
         heads = ("axis", "P_x 1/s", "P_v 1/s", "I_v 1/s^2", "D_v", "P_angle 1/s", "P", "I")
         rows = [(axis, *(f"{getattr(getattr(designed, axis), f):.3g}" for f in fields)) for axis in AXIS_NAMES]
         print_table(heads, rows, title=f"Gains of PX4's cascades for {loaded.name}")
-        heads = ("axis", "crossover rad/s", "sensitivity", "outer", "gain dB", "phase deg", "pushed m")
+        titles = ("axis", "crossover rad/s", "sensitivity", "outer", "gain dB", "phase deg", "pushed m")
         names = ("crossover_rad_s", "sensitivity", "outer_sensitivity", "gain_margin_dB", "phase_margin_deg", "push_m")
-        rows = [(m.axis, *(format_value(getattr(m, n)) for n in names)) for m in designed.margins]
-        print_table(heads, rows, title="Predicted margins; pushed: by a step of the wind of 0.5 m/s")
+        margins = [(m.axis, *(format_value(getattr(m, n), ".3g") for n in names)) for m in designed.margins]
+        print_table(titles, margins, title="Predicted margins; pushed: by a step of the wind of 0.5 m/s")
         print_lines(f"Hover: mean motor input {designed.hover_thrust:.3f}.")
         if not files:
             print_lines("--out DIR writes the file.")

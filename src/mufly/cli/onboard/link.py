@@ -113,8 +113,8 @@ def run_link(
 ) -> None:
     """Run the simulated helicopter as a MAVLink vehicle, in real time."""
     if simulator is not None:
-        for name, one in {"--qemu": qemu, "--firmware": firmware}.items():
-            if one:
+        for name, chosen in {"--qemu": qemu, "--firmware": firmware}.items():
+            if chosen:
                 raise InputError(name, "", f"with --simulator {simulator} flies", "leave it out")
         run_simulator(
             simulator, mission=mission, vehicle=vehicle, ends=ends, origin=origin, out=out, wind=wind, gust=gust,
