@@ -25,26 +25,27 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import types
+from numba import extending, types
 from numba.core import cgutils
-from numba.core.typing.templates import (
-    AbstractTemplate,
-    AttributeTemplate,
-    infer_getattr,
-    infer_global,
-    signature,
-)
-from numba.extending import (
-    intrinsic,
-    lower_builtin,
-    lower_cast,
-    lower_getattr_generic,
-    models,
-    register_model,
-)
+from numba.core.typing import templates
 
 from mufly.numba_cache import cached_njit
 from mufly.portable_math import HALF_PI_PARTS, MAX_ANGLE_RAD, TWO_OVER_PI
+
+# Numba declares types for a part of its functions only.
+_numba_types: Any = types
+_get_function: Any = cgutils.get_or_insert_function
+infer_getattr: Any = templates.infer_getattr
+infer_global: Any = templates.infer_global
+signature: Any = templates.signature
+intrinsic: Any = extending.intrinsic
+lower_builtin: Any = extending.lower_builtin
+lower_cast: Any = extending.lower_cast
+lower_getattr_generic: Any = extending.lower_getattr_generic
+register_model: Any = extending.register_model
+AbstractTemplate: Any = templates.AbstractTemplate
+AttributeTemplate: Any = templates.AttributeTemplate
+PrimitiveModel: Any = extending.models.PrimitiveModel
 
 LANES = 8
 """Vehicles in a block."""
@@ -112,7 +113,7 @@ VECTOR, MASK, ROWS, INTEGERS = LaneVector(), LaneMask(), LaneRows(), LaneInteger
 
 
 def _register_primitive(kind: type, make: Callable[[Any], ir.Type]) -> None:
-    class Model(models.PrimitiveModel):
+    class Model(PrimitiveModel):
         def __init__(self, manager: Any, fe_type: Any) -> None:
             super().__init__(manager, fe_type, make(fe_type))
 
@@ -142,7 +143,7 @@ def _splat(builder: Any, value: Any, vector: ir.VectorType = _VECTOR) -> Any:
 @lower_cast(types.Integer, LaneVector)
 @lower_cast(types.IntegerLiteral, LaneVector)
 def _number_to_lanes(context: Any, builder: Any, source: Any, target: Any, value: Any) -> Any:
-    return _splat(builder, context.cast(builder, value, types.unliteral(source), types.float64))
+    return _splat(builder, context.cast(builder, value, _numba_types.unliteral(source), types.float64))
 
 
 def _is_number(kind: Any) -> bool:
@@ -174,7 +175,7 @@ def _define(functions: Iterable[Any], count: int, emit: Callable[..., Any], resu
 def _intrinsic_call(name: str) -> Callable[..., Any]:
     def emit(builder: Any, x: Any) -> Any:
         kind = ir.FunctionType(_VECTOR, [_VECTOR])
-        return builder.call(cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{LANES}f64"), [x])
+        return builder.call(_get_function(builder.module, kind, f"llvm.{name}.v{LANES}f64"), [x])
 
     return emit
 
@@ -337,7 +338,7 @@ class _GetItem(AbstractTemplate):
             if isinstance(index, LaneVector):
                 return signature(VECTOR, held, VECTOR)
             if isinstance(index, types.BaseTuple) and len(index) == 2:
-                return signature(VECTOR, held, types.UniTuple(types.intp, 2))
+                return signature(VECTOR, held, _numba_types.UniTuple(types.intp, 2))
         return None
 
 
@@ -404,7 +405,7 @@ class _TableAttributes(AttributeTemplate):
     key = LaneTable
 
     def resolve_shape(self, table: Any) -> Any:
-        return types.UniTuple(types.int64, 1)
+        return _numba_types.UniTuple(types.int64, 1)
 
 
 @lower_getattr_generic(LaneTable)

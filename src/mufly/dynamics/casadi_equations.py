@@ -61,7 +61,7 @@ def casadi_model(vehicle: Vehicle, voltage: float | None = None) -> casadi.Funct
     p = model_parameters(vehicle, voltage)
     kind = casadi.SX if p["map_nodes"] == 0 and p["flight_nodes"] == 0 else casadi.MX
     names = {"state": STATE_SIZE, "inputs": INPUT_SIZE, "wind": 3}
-    symbols = {name: kind.sym(name, size) for name, size in names.items()}
+    symbols: dict[str, Any] = {name: kind.sym(name, size) for name, size in names.items()}
     arguments = [[_Symbol(symbols[name][k]) for k in range(size)] for name, size in names.items()]
     derivative: list[Any] = [0.0] * STATE_SIZE
     select_branches(state_derivative, _NAMESPACE)(*arguments, _Parameters(p), derivative)

@@ -176,7 +176,8 @@ def integrate_lanes(
     if len(parts) == 1:
         integrate(*shared, blocks, dt, steps)
         return
-    work = [_workers(threads - 1).submit(integrate, *shared, part, dt, steps) for part in parts[1:]]
+    submit: Any = _workers(threads - 1).submit
+    work = [submit(integrate, *shared, part, dt, steps) for part in parts[1:]]
     integrate(*shared, parts[0], dt, steps)
     for one in work:
         one.result()

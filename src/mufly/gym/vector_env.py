@@ -177,7 +177,7 @@ class MuflyVectorEnv(gymnasium.vector.VectorEnv):
             self.episodes, self._settings, which, self.fleet.states, self.fleet.inputs, self._winds
         )  # fmt: skip
         self._ended[which] = False
-        observations = np.zeros(self.observation_space.shape, dtype=np.float32)  # type: ignore[arg-type]
+        observations = np.zeros((self.num_envs, self._settings.low.size), dtype=np.float32)
         observe_episodes(self.episodes, self._settings, self._all, self.fleet.parameters, observations)
         return observations, {}
 
@@ -206,7 +206,7 @@ class MuflyVectorEnv(gymnasium.vector.VectorEnv):
             raise ArgumentError("actions", "", "contain NaN or infinity", "give numbers from -1 to 1")
         n, e, s, fleet = self.num_envs, self.episodes, self._settings, self.fleet
         rewards, terminated, truncated, success = np.zeros(n), *(np.zeros(n, dtype=np.bool_) for _ in range(3))
-        observations = np.zeros(self.observation_space.shape, dtype=np.float32)  # type: ignore[arg-type]
+        observations = np.zeros((self.num_envs, self._settings.low.size), dtype=np.float32)
         next_step = self.autoreset_mode is AutoresetMode.NEXT_STEP
         which = self._all
         if self._ended.any():
