@@ -165,11 +165,12 @@ class MuflyVectorEnv(gymnasium.vector.VectorEnv):
             if which.shape != (self.num_envs,):
                 raise ArgumentError("reset_mask", "", f"has shape {which.shape}", f"give ({self.num_envs},)")
         if seed is not None or not self._is_seeded:
-            one = [seed + k for k in range(self.num_envs)] if isinstance(seed, int) else seed
+            one: Any = [seed + k for k in range(self.num_envs)] if isinstance(seed, int) else seed
             seeds: Sequence[int | None] = [None] * self.num_envs if one is None else one
+            places: list[int] = np.flatnonzero(which).tolist()
             if len(seeds) != self.num_envs:
                 raise ArgumentError("seed", "", f"{len(seeds)} seeds", f"give {self.num_envs}")
-            for k in np.flatnonzero(which):
+            for k in places:
                 if seeds[k] is not None or not self._is_seeded:
                     self.episodes.source[k] = make_source(seeding.np_random(seeds[k])[0])[0]
             self._is_seeded = True
@@ -270,7 +271,7 @@ class MuflyEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             {"success": bool(info["success"][0])},
         )  # fmt: skip
 
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+    def render(self) -> NDArray[np.uint8] | None:
         """Return a picture (height, width, 3); None without a render mode."""
         return None if self.render_mode is None else self.vector.draw(0)
 
