@@ -35,7 +35,7 @@ def draw_episode(episodes: EpisodeArrays, index: int, task: str, radius_m: float
     """
     x, target = episodes.state[index], episodes.target[index]
     figure = Figure(figsize=(7.2, 3.6), dpi=100)
-    canvas = FigureCanvasAgg(figure)
+    canvas: Any = FigureCanvasAgg(figure)
     top, side = figure.subplots(1, 2)
     reach = 3.0 if task == "obstacle" else 2.2
     _draw_world(top, side, episodes, index, task)
