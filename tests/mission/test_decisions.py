@@ -162,6 +162,19 @@ def test_a_take_off_that_hangs_half_way_lands_8_s_and_half_a_climb_late(rig, mor
     assert ("0.60 m high in place of 1.00 m" in s.reason) is (state == "landing")
 
 
+@pytest.mark.parametrize(
+    ("aside", "more", "state"),
+    [(0.03, -8.0, "hover"), (0.4, -8.0, "take-off"), (0.4, -0.1, "take-off"), (0.4, 0.1, "hover")],
+)
+def test_a_take_off_ends_above_its_start_or_8_s_and_half_a_climb_late(rig, aside, more, state):
+    """Wind pushes a climbing helicopter aside until its controllers have learned it."""
+    plan = rig.plan_for(parse_mission(TWO))
+    s = in_state(plan, measured(x=(0.0, 0.0, -0.07)), Command(start=True))
+    s = replace(s, motors="fly", motion_clock_s=1.5 * s.motion.duration_s + 8.0 + more)
+    s, _ = step_mission(plan, s, measured(0.04, (aside, 0.0, -1.0)), Command())
+    assert s.state == state
+
+
 @pytest.mark.parametrize(("height", "moves", "motors"), [(0.1, 0.0, "off"), (0.1, 0.06, "fly"), (1.0, 0.0, "fly")])
 def test_what_does_not_sink_any_more_lies_on_something(rig, height, moves, motors):
     """A box, or a floor that is believed to be lower; what sinks, or waits far up to be told to, does not lie."""

@@ -373,6 +373,12 @@ def start_flight(
     return enter_state(fresh, State.TAKE_OFF, why, motors="spin_up", goal=goal, motion=motion)
 
 
+def _is_at_goal(plan: MissionPlan, s: MissionState, m: Estimate) -> bool:
+    """Whether the vehicle is as near its goal, and as slow, as a reached waypoint asks."""
+    q = plan.mission.limits
+    return _distance_to_goal(m, s.goal) < q.reach_m and vector_length(*m.velocity.tolist()) < q.reach_m_s
+
+
 def step_take_off(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionState:
     """Step the take-off: spin up, climb, and check progress."""
     if s.motors == "spin_up":
@@ -382,14 +388,16 @@ def step_take_off(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) ->
     late = s.motion_clock_s - way.duration_s
     if late >= 0.0:
         q = plan.mission.limits
-        if abs(m.position[2] - s.goal[2]) < q.reach_m and abs(m.velocity[2]) < q.reach_m_s:
+        overdue = late > 8.0 + 0.5 * way.duration_s
+        high = abs(m.position[2] - s.goal[2]) < q.reach_m and abs(m.velocity[2]) < q.reach_m_s
+        if high and (overdue or _is_at_goal(plan, s, m)):
             ready = s.time_s + plan.mission.take_off.wait_s
             return _hover_until(s, LogMessage.ALTITUDE_REACHED(-m.position[2]), s.goal, ready)
         gained = s.home_position[2] - m.position[2]
         if late > 3.0 and gained < 0.1:
             s = fail_mission(s, LogMessage.TAKE_OFF_FAILED(gained, s.motion_clock_s))
             return enter_state(s, State.INIT, s.reason, level="error", motors="ramp_down")
-        if late > 8.0 + 0.5 * way.duration_s:
+        if overdue:
             why = LogMessage.TAKE_OFF_SHORT(-m.position[2], -s.goal[2])
             return start_landing(fail_mission(s, why), why, level="warning")
     # On its legs the vehicle cannot avoid obstacles.
@@ -488,25 +496,24 @@ def step_leg(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> Miss
     way = s.motion
     assert isinstance(way, Trajectory)
     s = _track_goal(plan, s, m, way, dt)
-    q = plan.mission.limits
-    if s.motion_clock_s >= way.duration_s if s.set_point_reference is None else _has_settled(s, way):
+    is_over = s.motion_clock_s >= way.duration_s if s.set_point_reference is None else _has_settled(s, way)
+    if is_over and _is_at_goal(plan, s, m):
         off = _distance_to_goal(m, s.goal)
-        if off < q.reach_m and vector_length(*m.velocity.tolist()) < q.reach_m_s:
-            why = _leg_message(
-                s,
-                LogMessage.WAYPOINT_REACHED,
-                LogMessage.USER_WAYPOINT_REACHED,
-                LogMessage.HOME_REACHED,
-                100.0 * off,
-            )
-            if s.returning_home:
-                return start_landing(s, why)
-            if s.manual:
-                at = s.goal if s.set_point_reference is None else s.set_point_reference.position
-                return _hover_until(s, why, at, s.time_s)
-            wait = plan.mission.waypoint[s.waypoint_index].wait_s
-            s = _hover_until(s, why, s.goal, s.time_s + wait)
-            return replace(s, waypoint_index=s.waypoint_index + 1, reached_count=s.reached_count + 1)
+        why = _leg_message(
+            s,
+            LogMessage.WAYPOINT_REACHED,
+            LogMessage.USER_WAYPOINT_REACHED,
+            LogMessage.HOME_REACHED,
+            100.0 * off,
+        )
+        if s.returning_home:
+            return start_landing(s, why)
+        if s.manual:
+            at = s.goal if s.set_point_reference is None else s.set_point_reference.position
+            return _hover_until(s, why, at, s.time_s)
+        wait = plan.mission.waypoint[s.waypoint_index].wait_s
+        s = _hover_until(s, why, s.goal, s.time_s + wait)
+        return replace(s, waypoint_index=s.waypoint_index + 1, reached_count=s.reached_count + 1)
     spent = s.time_s - s.state_entered_s
     if spent > 2.0 * way.duration_s + 20.0:
         off = _distance_to_goal(m, s.goal)

@@ -557,6 +557,12 @@ static void hover_until(mission_t *s, const message_t *why, real_t ready_s)
     s->hover_until_s = ready_s;
 }
 
+/* Whether the vehicle is as near its goal, and as slow, as a reached waypoint asks. */
+static bool is_at_goal(const plan_t *plan, const mission_t *s, const estimate_t *m)
+{
+    return (distance_between(m->motion.position, s->goal) < plan->reach) && (real_vector_length(m->motion.velocity) < plan->reach_speed);
+}
+
 static void step_take_off(const plan_t *plan, mission_t *s, const estimate_t *m)
 {
     const real_t z = m->motion.position[2];
@@ -570,11 +576,12 @@ static void step_take_off(const plan_t *plan, mission_t *s, const estimate_t *m)
     } else {
         const real_t late = s->motion_clock_s - s->course.way.duration_s;
         const real_t gained = s->home_position[2] - z;
-        const bool there = (real_abs(z - s->goal[2]) < plan->reach) &&
-                           (real_abs(m->motion.velocity[2]) < plan->reach_speed);
+        const bool overdue = late > (REAL(8.0) + (REAL(0.5) * s->course.way.duration_s));
+        const bool high = (real_abs(z - s->goal[2]) < plan->reach) &&
+                          (real_abs(m->motion.velocity[2]) < plan->reach_speed);
         message_t why;
 
-        if ((late >= REAL(0.0)) && there) {
+        if ((late >= REAL(0.0)) && high && (overdue || is_at_goal(plan, s, m))) {
             why = make_message_1(SAY_ALTITUDE_REACHED, -z);
             hover_until(s, &why, s->time_s + plan->take_off_wait_s);
         } else if ((late >= REAL(0.0)) && (late > REAL(3.0)) && (gained < REAL(0.1))) {
@@ -583,7 +590,7 @@ static void step_take_off(const plan_t *plan, mission_t *s, const estimate_t *m)
             why = s->reason;
             enter_state(s, STATE_INIT, &why, LEVEL_ERROR);
             s->motors = MOTORS_RAMP_DOWN;
-        } else if ((late >= REAL(0.0)) && (late > (REAL(8.0) + (REAL(0.5) * s->course.way.duration_s)))) {
+        } else if (overdue) {
             why = make_message_2(SAY_TAKE_OFF_SHORT, -z, -s->goal[2]);
             fail_mission(s, &why);
             start_landing(s, &why, LEVEL_WARNING);
@@ -822,8 +829,7 @@ static void step_leg(const plan_t *plan, mission_t *s, const estimate_t *m, real
     message_t why;
 
     track_goal(plan, s, m, dt);
-    there = (s->has_set_point_reference ? has_settled(s) : (s->motion_clock_s >= duration)) && (off < plan->reach) &&
-            (real_vector_length(m->motion.velocity) < plan->reach_speed);
+    there = (s->has_set_point_reference ? has_settled(s) : (s->motion_clock_s >= duration)) && is_at_goal(plan, s, m);
     if (there && s->returning_home) {
         why = make_message_1(SAY_HOME_REACHED, REAL(100.0) * off);
         start_landing(s, &why, LEVEL_INFO);
