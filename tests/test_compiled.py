@@ -5,10 +5,15 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
+import pytest
+from numba.core.caching import CompileResultCacheImpl
+from numba.core.errors import NumbaWarning
 
 import mufly
+from mufly import numba_cache
 from mufly.numba_cache import imported_sources, record_as_array
 
 PACKAGE = Path(mufly.__file__).parent
@@ -102,6 +107,16 @@ def test_every_compiled_function_of_the_package_is_kept_by_its_sources():
     for path in PACKAGE.rglob("*.py"):
         if path.name != "numba_cache.py":
             assert "njit(cache" not in path.read_text(encoding="utf-8"), path
+
+
+def test_a_function_that_cannot_be_kept_is_told():
+    """Numba warns with the file's name from our locator."""
+    locator = numba_cache._BySource(record_as_array, Path(numba_cache.__file__))
+    compiled = SimpleNamespace(
+        lifted=[], library=SimpleNamespace(has_dynamic_globals=True), fndesc=SimpleNamespace(qualname="m.gain")
+    )
+    with pytest.warns(NumbaWarning, match='Cannot cache compiled function "gain"'):
+        CompileResultCacheImpl.check_cachable(SimpleNamespace(_locator=locator, _lineno=1), compiled)
 
 
 def test_a_boxed_record_is_the_record():

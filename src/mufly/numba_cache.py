@@ -186,6 +186,7 @@ class _BySource(_CacheLocator):
     def __init__(self, function: Any, file: Path) -> None:
         self._line = function.__code__.co_firstlineno
         self._file = file
+        self._py_file = str(file)  # Numba's warnings read this name
 
     def get_cache_path(self) -> str:
         return str(_function_cache_folder(self._file))
