@@ -47,11 +47,12 @@ def casadi_model(vehicle: Vehicle, voltage: float | None = None) -> casadi.Funct
 
     Examples
     --------
-    >>> import mufly
+    >>> import mufly, numpy as np
     >>> from mufly.dynamics import casadi_model, find_trim
     >>> vehicle = mufly.load_vehicle("mufly-1.1")
     >>> hover = find_trim(vehicle)
-    >>> abs(float(casadi_model(vehicle, hover.voltage_V)(hover.state, hover.input, [0, 0, 0])[5])) < 1e-6
+    >>> high = hover.state - np.eye(21)[2]  # 1 m above the floor
+    >>> abs(float(casadi_model(vehicle, hover.voltage_V)(high, hover.input, [0, 0, 0])[5])) < 1e-6
     True
     """
     try:
