@@ -6,3 +6,5 @@ The plant, its wind, its sensors with their faults, its battery and the recordin
 Gains, margins and parameter files for both come from the linear model of the vehicle file
 (:mod:`mufly.bridges.autopilot_gains`).
 """
+
+__all__: list[str] = []

@@ -10,7 +10,7 @@ Tables with a symbolic index become selections between neighbouring entries (``S
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,11 +21,8 @@ from mufly.dynamics.model_state import INPUT_SIZE, PARAMETER_DTYPE, STATE_SIZE, 
 from mufly.errors import MuflyError
 from mufly.vehicle import Vehicle
 
-if TYPE_CHECKING:
-    import casadi
 
-
-def casadi_model(vehicle: Vehicle, voltage: float | None = None) -> casadi.Function:
+def casadi_model(vehicle: Vehicle, voltage: float | None = None) -> Any:
     """Return the equations of motion as a CasADi function.
 
     Parameters
