@@ -18,6 +18,7 @@ import socket
 import subprocess
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +26,8 @@ import numpy as np
 
 from mufly.bridges.autopilot_plant import AutopilotPlant
 from mufly.bridges.px4_airframe import AIRFRAME_NUMBER
-from mufly.bridges.px4_link import PX4_PORT, PX4_RATE_HZ, Px4Simulator
+from mufly.bridges.px4_link import PX4_ENDPOINT, PX4_RATE_HZ, Px4Simulator
 from mufly.link.codec import FrameDecoder, FrameEncoder, mavlink
-from mufly.link.ports import Endpoint
 from mufly.mission import Mission
 from mufly.vehicle import load_vehicle
 
@@ -199,7 +199,7 @@ def fly(build: Path, seed: int, wind_m_s: float, vehicle: str, out: Path | None,
             path=path, keep=True,
         ) as plant,
     ):  # fmt: skip
-        endpoint = Endpoint("tcpin", "127.0.0.1", PX4_PORT + instance)
+        endpoint = replace(PX4_ENDPOINT, port=PX4_ENDPOINT.port + instance)
         simulator = Px4Simulator(plant, endpoint=endpoint, speed=speed)
         companion = Companion(plant, instance)
         simulator.on_period = companion.step

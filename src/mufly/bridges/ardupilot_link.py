@@ -35,7 +35,8 @@ from mufly.bridges.simulator_pace import SimulatorPace, SimulatorReport
 from mufly.link.ports import Endpoint, Peer, open_port
 from mufly.sensors import Fault
 
-ARDUPILOT_PORT = 9002
+ARDUPILOT_ENDPOINT = Endpoint("udpin", "127.0.0.1", 9002)
+"""Address where ArduPilot sends to its simulator."""
 ARDUPILOT_RATE_HZ = 400.0
 """Rate of the simulation: the loop rate of ArduPilot's copters."""
 SILENCE_S = 2.0
@@ -155,7 +156,7 @@ class ArduPilotSimulator:
         self,
         vehicle: AutopilotPlant,
         *,
-        endpoint: Endpoint = Endpoint("udpin", "127.0.0.1", ARDUPILOT_PORT),  # noqa: B008
+        endpoint: Endpoint = ARDUPILOT_ENDPOINT,
         speed: float = 1.0,
         where: str = "endpoint",
         clock: Callable[[], float] = time.monotonic,

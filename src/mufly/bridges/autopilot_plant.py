@@ -25,14 +25,14 @@ from numpy.typing import NDArray
 from mufly.dynamics import DrydenWind, standing_state
 from mufly.errors import InputError
 from mufly.flight.controllers import Actuators
-from mufly.flight.record.recorder import FlightRecorder
+from mufly.flight.record.recorder import open_flight_recorder
 from mufly.flight.record.sensor_recording import make_sensed_row_writer
 from mufly.flight.simulated_flight import GUST_LENGTH_M, RANGE_RING_RATE_HZ
 from mufly.flight.simulated_plant import SimulatedPlant
-from mufly.logs.mcap import FlightEvent, flight_layout
-from mufly.mission import Mission, dump_mission
+from mufly.logs.mcap import FlightEvent
+from mufly.mission import Mission
 from mufly.sensors import Fault, Readings, Truth, draw_leaning_vehicle, fitted_sensors
-from mufly.vehicle import Vehicle, format_vehicle_toml
+from mufly.vehicle import Vehicle
 from mufly.version import __version__
 
 _Array = NDArray[np.float64]
@@ -109,23 +109,14 @@ class AutopilotPlant:
         air = DrydenWind(steady, gust, step_s=self.period_s, length_m=GUST_LENGTH_M, seed=seed)
         self.plant = SimulatedPlant(unit, mission.world, air, rate_Hz, self._start)
         self.sensors = fitted_sensors(vehicle, mission.world, seed=seed, faults=faults)
-        self.recorder = FlightRecorder(
+        self.recorder = open_flight_recorder(
             path,
             {
                 "vehicle": vehicle.name, "mission": mission.name, "autopilot": autopilot, "seed": seed,
                 "wind_m_s": steady.tolist(), "gust_m_s": gust, "rate_Hz": rate_Hz, "sensors": "fitted",
                 "faults": [str(f) for f in faults], "version": __version__,
             },
-            layout=flight_layout(vehicle.range_ring.count, sensors=True),
-            attachments={}
-            if path is None
-            else {"vehicle.toml": format_vehicle_toml(vehicle), "mission.toml": dump_mission(mission)},
-            scene_view={
-                "world": mission.world,
-                "waypoints": [w.position_m for w in mission.waypoint],
-                "rotor_radius": float(vehicle.rotors.radius),
-            },
-            keep=keep,
+            vehicle, mission, sensors=True, keep=keep,
         )  # fmt: skip
         self._write = make_sensed_row_writer(self.recorder)
         self._look_periods = max(1, round(rate_Hz / RANGE_RING_RATE_HZ))

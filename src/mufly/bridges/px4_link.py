@@ -40,7 +40,8 @@ from mufly.bridges.simulator_pace import SimulatorPace, SimulatorReport
 from mufly.link.codec import FrameDecoder, FrameEncoder, GlobalOrigin, MavMessage, mavlink
 from mufly.link.ports import Endpoint, Peer, open_port
 
-PX4_PORT = 4560
+PX4_ENDPOINT = Endpoint("tcpin", "127.0.0.1", 4560)
+"""Address where PX4 calls its simulator."""
 PX4_RATE_HZ = 250.0
 """Rate of HIL_SENSOR, which PX4's start-up script for simulators expects (IMU_INTEG_RATE)."""
 DEFAULT_ORIGIN = GlobalOrigin(47.3977, 8.5456, 488.0)
@@ -107,7 +108,7 @@ class Px4Simulator:
         self,
         vehicle: AutopilotPlant,
         *,
-        endpoint: Endpoint = Endpoint("tcpin", "127.0.0.1", PX4_PORT),  # noqa: B008
+        endpoint: Endpoint = PX4_ENDPOINT,
         position: PositionSource = "vision",
         origin: GlobalOrigin = DEFAULT_ORIGIN,
         speed: float = 1.0,

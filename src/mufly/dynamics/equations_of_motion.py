@@ -95,6 +95,7 @@ from mufly.dynamics.model_state import (
     ModelParameters,
     body_to_ned_matrix,
     initial_state,
+    rotation_entries,
 )
 from mufly.numba_cache import cached_njit
 from mufly.rotor.coax_maps import interpolate_map
@@ -103,17 +104,6 @@ from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle
 
 _Array = NDArray[np.float64]
-
-
-@cached_njit(error_model="numpy")
-def attitude_axes(x: _Array) -> tuple[float, float, float, float, float, float, float, float, float]:
-    """Return the rotation matrix from body axes to N-E-D at state ``x``, row by row, as nine numbers."""
-    w, i, j, k = x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
-    return (
-        1 - 2 * (j * j + k * k), 2 * (i * j - w * k), 2 * (i * k + w * j),
-        2 * (i * j + w * k), 1 - 2 * (i * i + k * k), 2 * (j * k - w * i),
-        2 * (i * k - w * j), 2 * (j * k + w * i), 1 - 2 * (i * i + j * j),
-    )  # fmt: skip
 
 
 @cached_njit(error_model="numpy")
@@ -320,7 +310,9 @@ def _add_ground_effect(x: _Array, wind: _Array, p: ModelParameters, dx: _Array) 
     kT_up, kT_dw = p.thrust_up, p.thrust_dw
     if p.map_nodes > 0:
         kT_up, kT_dw, _, _ = map_coefficients(speed_up, speed_dw, climb_velocity(x, wind), p)
-    a00, a01, a02, a10, a11, a12, a20, a21, a22 = attitude_axes(x)
+    a00, a01, a02, a10, a11, a12, a20, a21, a22 = rotation_entries(
+        x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
+    )
     v_n, v_e = x[RS_VEL] - wind[0], x[RS_VEL + 1] - wind[1]
     across = v_n * v_n + v_e * v_e
     up = ground_effect_thrust(kT_up * speed_up * speed_up, height - a22 * p.z_up, across, p)
@@ -449,7 +441,9 @@ def coefficient_bounds(p: np.void, name: str) -> tuple[float, float, float]:
 @cached_njit(error_model="numpy")
 def contact_wrench(x: _Array, p: ModelParameters) -> tuple[float, float, float, float, float, float]:
     """Return the contact force of the floor (N-E-D, N) and its moment (body axes, N m) as six numbers."""
-    a00, a01, a02, a10, a11, a12, a20, a21, a22 = attitude_axes(x)
+    a00, a01, a02, a10, a11, a12, a20, a21, a22 = rotation_entries(
+        x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
+    )
     f_n = f_e = f_d = m_x = m_y = m_z = 0.0
     for k in range(p.contact_count):
         rx, ry, rz = p.contact_points[k, 0], p.contact_points[k, 1], p.contact_points[k, 2]

@@ -1,9 +1,9 @@
 """Batches of vehicles in lanes of eight.
 
-The equations of motion are compiled on lanes (:mod:`mufly.numba_lanes`) from the source of a single vehicle, with
-selections for decisions (:mod:`mufly.dynamics.branch_selection`). Each vehicle moves as it does alone, to the last bit,
-in any block with any neighbours. A single vehicle of :func:`mufly.dynamics.integrate_state` takes sine and cosine of
-the swash plate's tilt from the C library, so that its last bits differ.
+The equations of motion are compiled on lanes (:mod:`mufly.dynamics.numba_lanes`) from the source of a single vehicle,
+with selections for decisions (:mod:`mufly.dynamics.branch_selection`). Each vehicle moves as it does alone, to the last
+bit, in any block with any neighbours. A single vehicle of :func:`mufly.dynamics.integrate_state` takes sine and cosine
+of the swash plate's tilt from the C library, so that its last bits differ.
 
 The vehicles of a block share the decisions on parameters: whether they have maps, ground effect or a phase of the swash
 plate, and the sizes of their tables. Vehicles are grouped by these (:func:`group_vehicles`).
@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 from mufly.dynamics.branch_selection import select_branches
 from mufly.dynamics.equations_of_motion import state_derivative
 from mufly.dynamics.model_state import INPUT_SIZE, STATE_SIZE
+from mufly.dynamics.numba_lanes import LANE_NAMES, LANES, make_record, make_rows, put_number, put_record, take_number
 from mufly.dynamics.simulation import normalise_state
 from mufly.numba_cache import cached_njit
-from mufly.numba_lanes import LANE_NAMES, LANES, make_record, make_rows, put_number, put_record, take_number
 
 _Array = NDArray[np.float64]
 _Ints = NDArray[np.int64]

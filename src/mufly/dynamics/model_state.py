@@ -58,19 +58,30 @@ MOTORS_SWAPPED = [U_MOTOR_LOWER, U_MOTOR_UPPER, U_SERVO_1, U_SERVO_2]  # the ord
 
 
 @cached_njit(error_model="numpy")
+def rotation_entries(
+    w: float, x: float, y: float, z: float
+) -> tuple[float, float, float, float, float, float, float, float, float]:
+    """Return the nine entries of :func:`body_to_ned_matrix`, row by row, of a unit quaternion.
+
+    The equations of motion use them as numbers, which lanes and symbols have too.
+    """
+    return (
+        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+    )  # fmt: skip
+
+
+@cached_njit(error_model="numpy")
 def body_to_ned_matrix(quaternion: _Array) -> _Array:
     """Return the 3x3 rotation matrix from body axes to N-E-D of a unit quaternion (w, x, y, z).
 
     Thesis: eqs 4.1, 4.2.
     """
-    w, x, y, z = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
+    a00, a01, a02, a10, a11, a12, a20, a21, a22 = rotation_entries(
+        quaternion[0], quaternion[1], quaternion[2], quaternion[3]
     )
+    return np.array([[a00, a01, a02], [a10, a11, a12], [a20, a21, a22]])
 
 
 def initial_state(

@@ -47,11 +47,11 @@ from mufly.flight.fixes.external_fixes import ExternalFixes
 from mufly.flight.flight_software import ControlImplementation, FlightSoftware
 from mufly.flight.flight_state import FlightState
 from mufly.flight.period_stages import BEGIN_PERIOD, CHECK_CONTACT, CONTINUE, DONE, PeriodClock, make_stepper
-from mufly.flight.record.recorder import FlightRecorder
+from mufly.flight.record.recorder import open_flight_recorder
 from mufly.flight.record.sensor_recording import FIX_DRIFT_ATTRIBUTE, make_sensed_row_writer
 from mufly.flight.simulated_plant import SimulatedPlant, make_row_writer
-from mufly.logs.mcap import FlightEvent, flight_layout
-from mufly.mission import Mission, State, dump_mission, load_mission
+from mufly.logs.mcap import FlightEvent
+from mufly.mission import Mission, State, load_mission
 from mufly.sensors import (
     Fault,
     FittedSensors,
@@ -62,7 +62,7 @@ from mufly.sensors import (
     fitted_sensors,
     ideal_sensors,
 )
-from mufly.vehicle import Vehicle, format_vehicle_toml, load_vehicle
+from mufly.vehicle import Vehicle, load_vehicle
 from mufly.version import __version__
 
 _Array = NDArray[np.float64]
@@ -97,7 +97,7 @@ class Flight:
     path : str or Path, optional
         MCAP file to record to; default no file.
     keep : bool
-        Whether all rows stay in memory for :meth:`FlightRecorder.to_dataset`; otherwise memory does not grow.
+        Whether all rows stay in memory for :meth:`to_dataset`; otherwise memory does not grow.
     sensors : "ideal", "fitted" or SensorSet
         True values (range ring at 25 Hz), the sensors in the vehicle file's ``[sensors]``, or other sensors. A vehicle
         without ``[sensors]`` flies on true values, with a warning.
@@ -211,7 +211,7 @@ class Flight:
             if sensors == "fitted" and not sensed
             else ""
         )
-        self.recorder = FlightRecorder(
+        self.recorder = open_flight_recorder(
             path,
             {
                 "vehicle": vehicle.name,
@@ -231,15 +231,9 @@ class Flight:
                 **({} if eye is None else {"camera": eye.camera.name, "camera_floor": eye.floor_texture}),
                 "version": __version__,
             },
-            layout=flight_layout(vehicle.range_ring.count, sensors=full),
-            attachments={}
-            if path is None
-            else {"vehicle.toml": format_vehicle_toml(vehicle), "mission.toml": dump_mission(mission)},
-            scene_view={
-                "world": mission.world,
-                "waypoints": [w.position_m for w in mission.waypoint],
-                "rotor_radius": float(vehicle.rotors.radius),
-            },
+            vehicle,
+            mission,
+            sensors=full,
             keep=keep,
         )
         if self.camera is not None and path is not None:

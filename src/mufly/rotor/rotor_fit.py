@@ -180,7 +180,9 @@ def fit_rotor(
     """
     if section not in ("guessed", "known"):
         raise InputError("fit", "section", f"{section!r} is unknown", "use 'guessed' or 'known'")
-    if not np.nanmax(measurements.thrust_N) > 0.0 and not measurements.axial:
+    thrust = measurements.thrust_N
+    # Points without thrust say something in an airstream only; negative thrust alone is a sign taken the wrong way.
+    if not np.any(thrust > 0.0) and (np.any(thrust < 0.0) or not measurements.axial):
         raise InputError(measurements.source, "thrust", "is nowhere above 0", "give points with thrust")
     plain, gas, fixes = (
         rotor.model_copy(update={"fit": None}),

@@ -119,17 +119,18 @@ def run_simulator(
         raise InputError("--sensors", sensors, f"{autopilot} flies on sensors", "leave it out")
     if ends is not None and len(ends) > 1:
         raise InputError("--link", "", "a simulator has one endpoint", "give it once")
+    from mufly.bridges.ardupilot_link import ARDUPILOT_ENDPOINT
+    from mufly.bridges.px4_link import PX4_ENDPOINT
     from mufly.bridges.simulator_pace import check_speed
     from mufly.link.codec import parse_origin
     from mufly.link.ports import parse_endpoint
 
     check_speed(speed, "--speed")
     steady = resolve_wind(wind, gust, seed)
-    default = {"px4": "tcpin:127.0.0.1:4560", "ardupilot": "udpin:127.0.0.1:9002"}[autopilot]
-    endpoint = parse_endpoint((ends or [default])[0], "vehicle", "--link")
-    kind = default.partition(":")[0]
-    if endpoint.kind != kind:
-        raise InputError("--link", str(endpoint), f"{autopilot} calls by {kind}", f"write {default}")
+    default = PX4_ENDPOINT if autopilot == "px4" else ARDUPILOT_ENDPOINT
+    endpoint = parse_endpoint(ends[0], "vehicle", "--link") if ends else default
+    if endpoint.kind != default.kind:
+        raise InputError("--link", str(endpoint), f"{autopilot} calls by {default.kind}", f"write {default}")
     place = None if origin is None else parse_origin(origin)
     if autopilot == "ardupilot" and (place is not None or position != "vision"):
         given = "--origin" if place is not None else "--position"

@@ -176,15 +176,11 @@ def pose_loop_problem(
     delayed = add_delay(plant, _DELAY_PERIODS * base.period_s)
     generalised = weight(delayed, s)
     levels = goals.norm_levels()
-    aims: list[TuningAim] = list(
-        flight_aims(generalised, delayed, read.size, noise / output_scale, levels, base.period_s)
-    )
+    norms = flight_aims(generalised, delayed, read.size, noise / output_scale, levels, base.period_s)
     if "activity" in levels:
-        reached = aim_norms([a for a in aims if a.name == "activity"], _scaled(d.reduced, read, input_scale))
-        aims = [
-            a._replace(level=a.level * reached["activity"]) if a.name == "activity" else a  # type: ignore[attr-defined]
-            for a in aims
-        ]
+        reached = aim_norms([a for a in norms if a.name == "activity"], _scaled(d.reduced, read, input_scale))
+        norms = [a._replace(level=a.level * reached["activity"]) if a.name == "activity" else a for a in norms]
+    aims: list[TuningAim] = [*norms]
     mu = None
     if goals.mu is not None:
         E = spread_derivatives(vehicle, base.voltage_V, list(spreads), np.diag(list(spreads.values())))[name]

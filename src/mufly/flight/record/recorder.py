@@ -36,7 +36,9 @@ from mufly.logs.mcap_recording import (
     foxglove_time,
     object_schema,
 )
+from mufly.mission import Mission, dump_mission
 from mufly.rotations import quaternions_from_euler
+from mufly.vehicle import Vehicle, format_vehicle_toml
 from mufly.world import World
 
 BODY_COLOUR = (0.20, 0.20, 0.20, 1.0)
@@ -599,3 +601,36 @@ def _json_values(where: str, content: Mapping[str, Any]) -> dict[str, str]:
             problem = f"cannot be recorded ({error})"
             raise InputError(where, key, problem, "give text, numbers, lists or tables") from error
     return out
+
+
+def open_flight_recorder(
+    path: str | Path | None,
+    attributes: Mapping[str, Any],
+    vehicle: Vehicle,
+    mission: Mission,
+    *,
+    sensors: bool,
+    keep: bool,
+) -> FlightRecorder:
+    """Return the recorder of a simulated flight; its file holds vehicle and mission, and their scene.
+
+    Parameters
+    ----------
+    path : str or Path, optional
+        MCAP file.
+    attributes : mapping
+    vehicle : Vehicle
+    mission : Mission
+    sensors : bool
+        Whether rows have the readings of sensors.
+    keep : bool
+        Whether rows stay in memory.
+    """
+    files = {"vehicle.toml": format_vehicle_toml(vehicle), "mission.toml": dump_mission(mission)} if path else {}
+    scene = {
+        "world": mission.world,
+        "waypoints": [w.position_m for w in mission.waypoint],
+        "rotor_radius": float(vehicle.rotors.radius),
+    }
+    layout = flight_layout(vehicle.range_ring.count, sensors=sensors)
+    return FlightRecorder(path, attributes, layout=layout, attachments=files, scene_view=scene, keep=keep)
