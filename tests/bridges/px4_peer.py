@@ -36,6 +36,8 @@ class ScriptedPx4:
         copies: int = 1,
     ) -> None:
         self.line = socket.create_connection(("127.0.0.1", port), 5.0)
+        # As PX4 does. Without it an answer may wait for the simulator's next message, and every answer is one late.
+        self.line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._law, self._flags, self._every, self._copies = law, int(lockstep), answer_every, copies
         self.times_us: list[int] = []
         self.messages: dict[str, list] = {}
