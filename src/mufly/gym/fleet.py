@@ -74,7 +74,7 @@ def draw_fleet(vehicle: Vehicle, vary: Sequence[str], count: int, seed: int) -> 
     ----------
     vehicle : Vehicle
     vary : sequence of str
-        Variations as ``mufly montecarlo --vary`` takes them, such as ``"parameters=10%"`` or ``"parameters=std"``.
+        Variations as ``mufly monte-carlo --vary`` takes them, such as ``"parameters=10%"`` or ``"parameters=std"``.
     count : int
     seed : int
 

@@ -63,7 +63,7 @@ class MuflyVectorEnv(gymnasium.vector.VectorEnv):
     vehicle : str, Path or Vehicle
         Name of a built-in vehicle, path of a vehicle file, or a vehicle.
     vary : sequence of str
-        Parameters of the vehicle that differ from episode to episode, as for ``mufly montecarlo --vary``:
+        Parameters of the vehicle that differ from episode to episode, as for ``mufly monte-carlo --vary``:
         ``"parameters=std"`` draws from the standard deviations of the vehicle file.
     fleet_size, fleet_seed : int
         Number of vehicles, and of winds, that episodes draw from; seed of both.
