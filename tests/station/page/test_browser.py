@@ -160,13 +160,15 @@ class Page:
 
 
 def repeat(window: Page, act: Callable[[], Any], done: Callable[[], Any], what: str) -> None:
-    """Do it until it is done: a window that is still being built, or a busy station, drops a late press and says so."""
+    """Do it until it is done: a greyed or half built window takes no press, a busy station drops a late one."""
+    from playwright.sync_api import TimeoutError as NotTaken
+
     for _ in range(12):
-        act()
         try:
+            act()
             wait(done, what, 5.0)
             return
-        except AssertionError:
+        except (AssertionError, NotTaken):
             continue
     raise AssertionError(f"{what} did not happen: {window.page.inner_text('body')[-500:]}")
 
@@ -181,9 +183,22 @@ def press(window: Page, selector: str, done: Callable[[], Any], what: str) -> No
     repeat(window, click, done, what)
 
 
+def download(window: Page, selector: str) -> Path:
+    """Press until its file comes."""
+    files: list[Path] = []
+
+    def ask() -> None:
+        with window.page.expect_download(timeout=10_000.0) as sent:
+            window.page.locator(selector).click(timeout=5000.0)
+        files.append(sent.value.path())
+
+    repeat(window, ask, lambda: files, "the download")
+    return files[-1]
+
+
 def open_tab(window: Page, name: str, done: Callable[[], Any], what: str) -> None:
     """Choose a tab of the page until its content is there."""
-    repeat(window, lambda: window.page.get_by_role("tab", name=name).click(), done, what)
+    repeat(window, lambda: window.page.get_by_role("tab", name=name).click(timeout=5000.0), done, what)
 
 
 def ask_twice(window: Page, test_id: str, done: Callable[[], Any], what: str) -> None:
@@ -333,16 +348,16 @@ def by_joystick(window: Page, state: Callable[[], Any]) -> None:
     page.evaluate(PAD)
     wait(lambda: "Test pad" in page.inner_text(".mf-sticks-bar select"), "the joystick")
     page.evaluate("window.pad.axes[1] = -0.9")
-    page.click("[data-testid=by-hand]")
-    wait(lambda: "not centred" in page.inner_text("[data-testid=sticks-said]"), "the refusal")
+    by_hand = "[data-testid=by-hand]"
+    press(window, by_hand, lambda: "not centred" in page.inner_text("[data-testid=sticks-said]"), "the refusal")
     page.evaluate("window.pad.axes[1] = 0")
-    page.click("[data-testid=by-hand]")
+    page.click(by_hand)
     wait(lambda: state() == "rc", "the joystick to be taken up")
 
     def turns() -> bool:
         if state() == "hover":  # a busy machine is late with the sticks, and the vehicle lets go of them
             page.evaluate("window.pad.axes[0] = 0")
-            page.click("[data-testid=by-hand]")
+            page.click(by_hand)
             wait(lambda: state() == "rc", "the joystick to be taken up again")
         page.evaluate("window.pad.axes[0] = 0.6")
         return abs(window.frame()["rates"][2]) > 0.1  # type: ignore[index]
@@ -543,14 +558,12 @@ def test_a_mission_is_drawn_checked_and_sent(window: Page) -> None:
 
     def send() -> None:
         open_tab(window, "Plan", lambda: page.locator("[data-testid=plan-send]").is_visible(), "the plan")
-        page.click("[data-testid=plan-send]")
-        page.get_by_role("tab", name="Mission").click()
+        page.click("[data-testid=plan-send]", timeout=5000.0)
+        page.get_by_role("tab", name="Mission").click(timeout=5000.0)
 
     items = page.locator(".mf-mission tbody tr")
     repeat(window, send, lambda: items.count() == 6, "the mission in the vehicle")  # its speed, too
-    with page.expect_download() as saved:
-        page.get_by_test_id("plan-save").click()
-    kept = load_mission(saved.value.path())
+    kept = load_mission(download(window, "[data-testid=plan-save]"))
     assert [w.speed_m_s for w in kept.waypoint] == [None, None, 0.25]
     page.get_by_role("tab", name="Plots").click()
 
@@ -646,7 +659,7 @@ def test_a_mark_goes_into_the_recording(window: Page) -> None:
     page.keyboard.press("m")
     page.get_by_label("text").last.fill("gust from the left")
     page.keyboard.press("Enter")
-    page.get_by_role("tab", name="Messages").click()
+    open_tab(window, "Messages", lambda: page.locator(".mf-messages").is_visible(), "the messages")
     wait(lambda: "mark: gust from the left" in page.inner_text(".mf-messages"), "the mark")
 
 
@@ -732,9 +745,7 @@ def test_a_recording_is_opened_and_its_slider_moves_everything(fly: Fly, window:
     assert not any("station.mcap" in r for r in rows())  # it lies beside that of the vehicle
     page.fill("[aria-label='filter recordings']", "mufly-1.1 hop")
     assert len(rows()) == 1
-    with page.expect_download() as fetched:
-        page.locator("[aria-label^=download]").click()
-    assert fetched.value.path().read_bytes().startswith(b"\x89MCAP")
+    assert download(window, "[aria-label^=download]").read_bytes().startswith(b"\x89MCAP")
     page.fill("[aria-label='filter recordings']", "")
     slider = page.locator("[data-testid=replay-slider]")
     open_recording_of_the_station(window, slider.is_visible)
