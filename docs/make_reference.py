@@ -31,8 +31,8 @@ from mufly.vehicle.quantity import Quantity, ValueSource
 
 ROOMS = (
     "vehicle", "world", "rotor", "rotor.wake", "rotor.forward", "drive", "bench", "cfd", "study", "dynamics",
-    "identify", "control", "sensors", "estimate", "mission", "flight", "flight.monte_carlo", "firmware", "gym",
-    "link", "station", "logs", "thesis",
+    "identify", "control", "sensors", "estimate", "mission", "flight", "flight.monte_carlo", "flight.policy",
+    "firmware", "gym", "link", "station", "logs", "thesis",
 )  # fmt: skip
 
 

@@ -1,7 +1,8 @@
-"""Learn to hover with Stable-Baselines3, and export the policy for `mufly fly --policy`.
+"""Learn to hover with Stable-Baselines3, and save the policy for `mufly fly --policy`.
 
     pip install "mufly[gym]" stable-baselines3
     python learn_to_hover.py --out hover-policy.json
+    mufly fly --headless --policy hover-policy.json
 
 The vehicle, its wind, the delay of its actions and the errors of its estimate differ from episode to episode.
 """
@@ -9,7 +10,6 @@ The vehicle, its wind, the delay of its actions and the errors of its estimate d
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecEnv
 
 import mufly.gym
+from mufly.flight.policy import LearnedPolicy, PolicyLayer, save_policy
 
 RANDOMISED = {
     "vary": ["parameters=10%"], "wind_m_s": 0.5, "gust_m_s": 0.3, "delay_s": 0.01, "sensors": "noisy",
@@ -85,31 +86,38 @@ def judge_policy(model: PPO, episodes: int = 200) -> tuple[float, float, float]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--steps", type=int, default=3_000_000, help="steps of all environments together")
+    parser.add_argument("--steps", type=int, default=8_000_000, help="steps of all environments together")
     parser.add_argument("--envs", type=int, default=256, help="environments")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("hover-policy.json"), help="file of the policy")
     args = parser.parse_args()
-    begin = time.perf_counter()
+    begin = time.process_time()
     model = PPO(
         "MlpPolicy", CompiledVecEnv("mufly/Hover-v0", args.envs, **RANDOMISED), n_steps=64, batch_size=2048, n_epochs=5,
-        gamma=0.98, gae_lambda=0.95, learning_rate=lambda left: 1e-3 * left, ent_coef=0.0, seed=args.seed,
+        gamma=0.99, gae_lambda=0.95, learning_rate=lambda left: 1e-3 * left, ent_coef=0.0, seed=args.seed,
         policy_kwargs={"net_arch": [32, 32], "log_std_init": -1.0}, verbose=0, device="cpu",
     )  # fmt: skip
     model.learn(args.steps)
+    taken = time.process_time() - begin
     falls, median, most = judge_policy(model)
-    taken = time.perf_counter() - begin
-    print(f"learnt in {taken:.0f} s: falls {falls:.1%}, distance {median:.3f} m (95 %: {most:.3f} m)")
-    export_policy(model, args.out)
+    print(f"learnt in {taken:.0f} s of processor time: falls {falls:.1%}, distance {median:.3f} m (95 %: {most:.3f} m)")
+    save_policy(make_policy(model, {"steps": float(args.steps), "seed": float(args.seed)}), args.out)
+    print(f"written to {args.out}")
 
 
-def export_policy(model: PPO, path: Path) -> None:
-    """Write the layers of the mean action; the hidden layers are hyperbolic tangents."""
-    state = {name: value.numpy().tolist() for name, value in model.policy.state_dict().items()}
-    names = ["mlp_extractor.policy_net.0", "mlp_extractor.policy_net.2", "action_net"]
-    layers = [{"weights": state[f"{n}.weight"], "bias": state[f"{n}.bias"]} for n in names]
-    path.write_text(json.dumps({"task": "hover", "period_s": 0.02, "layers": layers}), encoding="utf-8")
-    print(f"written to {path}")
+def make_policy(model: PPO, training: dict[str, str | float]) -> LearnedPolicy:
+    """Return the network of the mean action; observations are not normalised, and hidden layers are tanh."""
+    env = model.get_env().env.unwrapped
+    state = {name: value.numpy().astype(np.float64) for name, value in model.policy.state_dict().items()}
+    names = {"mlp_extractor.policy_net.0": "tanh", "mlp_extractor.policy_net.2": "tanh", "action_net": "linear"}
+    size = env.single_observation_space.shape[0]
+    return LearnedPolicy(
+        task=env.task, vehicle_name=env.vehicle.name, period_s=env.period_s, trim=env.fleet.trim,
+        nominal_voltage_V=env.fleet.nominal_voltage_V, mean=np.zeros(size), scale=np.ones(size),
+        limit=float(env.single_observation_space.high.max()),
+        layers=tuple(PolicyLayer(state[f"{n}.weight"], state[f"{n}.bias"], act) for n, act in names.items()),
+        training=training,
+    )  # fmt: skip
 
 
 if __name__ == "__main__":

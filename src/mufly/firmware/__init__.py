@@ -17,6 +17,7 @@ from mufly.firmware.fixed_point_law import (
 )
 from mufly.firmware.fuzzing import FuzzResult, fuzz_firmware, missing_fuzzer_tools, run_fuzzer
 from mufly.firmware.host_build import Firmware, FirmwareControllers, build_library
+from mufly.firmware.policy_export import export_policy
 from mufly.firmware.sil_pil import PilResult, SilResult, find_deepest_stack, missing_tools, run_pil, run_sil
 from mufly.firmware.source_export import export_firmware, render_gains_source
 from mufly.toolchain import find_compiler
@@ -38,6 +39,7 @@ __all__ = [
     "build_library",
     "export_firmware",
     "export_fixed_point",
+    "export_policy",
     "find_compiler",
     "find_deepest_stack",
     "fly_fixed_point",

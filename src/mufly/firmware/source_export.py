@@ -81,9 +81,9 @@ def write_tree(tables: str, out: Path, others: Mapping[str, str] | None = None) 
 
 
 def copy_sources(out: Path) -> None:
-    """Copy the sources into a folder, without tables and fixed-point code."""
+    """Copy the sources into a folder, without tables, fixed-point code and learned policy."""
     with resources.as_file(SOURCE_FOLDER) as sources:
-        shutil.copytree(sources, out, dirs_exist_ok=True, ignore=shutil.ignore_patterns("*fixed*"))
+        shutil.copytree(sources, out, dirs_exist_ok=True, ignore=shutil.ignore_patterns("*fixed*", "policy"))
     for name, text in render_estimator_files(None, None, 0.0).items():
         (out / name).write_text(text, encoding="utf-8")
 

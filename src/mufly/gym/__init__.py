@@ -2,7 +2,8 @@
 
 ``import mufly.gym`` registers ``mufly/Hover-v0``, ``mufly/Waypoint-v0``, ``mufly/Obstacle-v0`` and ``mufly/Land-v0``.
 Gymnasium also finds the environments of an installed mufly by itself. :mod:`mufly.gym.vector_env` describes the
-options, :mod:`mufly.gym.observation` what a learner observes and commands, :mod:`mufly.gym.tasks` the rewards.
+options, :mod:`mufly.flight.policy.observation` what a learner observes and commands, :mod:`mufly.gym.tasks` the
+rewards.
 """
 
 from __future__ import annotations

@@ -33,8 +33,7 @@ from mufly.dynamics.model_state import (
     U_MOTOR_LOWER,
     U_MOTOR_UPPER,
 )
-from mufly.gym.fleet import LEAST_CHARGE
-from mufly.gym.observation import (
+from mufly.flight.policy.observation import (
     ACTION_SIZE,
     MAX_RANGE_M,
     OBS_EXTRA,
@@ -43,6 +42,7 @@ from mufly.gym.observation import (
     heading_direction,
     map_action,
 )
+from mufly.gym.fleet import LEAST_CHARGE
 from mufly.gym.tasks import COLUMN_COUNT, OBSTACLE, WAYPOINT, draw_waypoint, judge_step, place_task
 from mufly.numba_cache import cached_njit
 from mufly.portable_math import sine_cosine

@@ -1,16 +1,17 @@
 """Tasks of the environments: start, target, reward and end of an episode.
 
 ==========  ==============================================================================================
-Hover       hold a point 1 m above the floor and a heading, from up to 0.5 m beside it. A step earns at most 1
+Hover       hold a point 0.2 to 2 m above the floor and a heading, from up to 0.5 m beside it. A step earns at most 1
 Waypoint    fly to points within 1.5 m, one after the other; 5 for a point within 0.2 m of it, 2 for a metre on the way
 Obstacle    fly 4 m north around six columns between walls 4 m apart; 10 at the target, 2 for a metre on the way
 Land        descend to a point on the floor; 10 for a soft touchdown, less 5 for a metre beside it, 2 for a metre on
             the way
 ==========  ==============================================================================================
 
-With e the distance (m), psi the heading error, w the body rates and a the action, a step of Hover earns
+With e the distance (m), v the speed (m/s), psi the heading error, w the body rates (rad/s) and a the action, a step of
+Hover earns
 
-    0.7 / (1 + 4 e^2) + 0.2 (1 + cos psi) / 2 + 0.1 / (1 + w^2) - 0.05 (a - a_before)^2
+    0.6 / (1 + 4 e^2) + 0.2 (1 + cos psi) / 2 + 0.2 / (1 + w^2 + 10 v^2) - 0.1 (a - a_before)^2
 
 The other tasks cost 0.02 (a - a_before)^2 + 0.01 (1 - cos psi) a step. A fall costs 5, in Hover the rewards to come.
 
@@ -42,7 +43,8 @@ OBSTACLE_WORLD = World(room=Room((-3.0, 3.0), (-2.0, 2.0), 2.5))
 REACHED_M = 0.2
 MOST_DISTANCE_M, MOST_DISTANCE_OBSTACLE_M = 3.0, 6.0
 LEAST_UPRIGHT = 0.5  # cosine of the tilt
-HOVER_HEIGHT_M = 1.0
+HEIGHT_M = 1.0
+HOVER_HEIGHTS_M = (0.2, 2.0)
 START_SPREAD_M = 0.5
 SOFT_SPEED_M_S, SOFT_UPRIGHT = 0.5, 0.94  # touchdown: greatest speed, least cosine of the tilt
 _FALL = -5.0
@@ -54,10 +56,14 @@ def place_task(kind: int, r: _Array, start: _Array, target: _Array, after: _Arra
 
     ``r`` are uniform numbers; ``columns`` has the layout of a packed :class:`mufly.world.World`.
     """
-    target[0], target[1], target[2] = 0.0, 0.0, -HOVER_HEIGHT_M
+    target[0], target[1], target[2] = 0.0, 0.0, -HEIGHT_M
+    if kind == HOVER:  # a height that differs from episode to episode is no measure of the error
+        target[2] = -(HOVER_HEIGHTS_M[0] + (HOVER_HEIGHTS_M[1] - HOVER_HEIGHTS_M[0]) * r[3])
     for i in range(3):
         start[i] = target[i] + START_SPREAD_M * (2.0 * r[i] - 1.0)
-    if kind == WAYPOINT:
+    if kind == HOVER:
+        start[2] = min(start[2], -HOVER_HEIGHTS_M[0])
+    elif kind == WAYPOINT:
         draw_waypoint(r[3:6], target)
         draw_waypoint(r[6:9], after)
     elif kind == OBSTACLE:
@@ -108,8 +114,9 @@ def judge_step(
     if kind == HOVER:
         if lost or touches:
             return 0.0, True, False
-        held = 0.7 / (1.0 + 4.0 * now * now) + 0.1 * (1.0 + heading_cosine) + 0.1 / (1.0 + rates_squared)
-        return held - 0.05 * change_squared, False, False
+        still = 0.2 / (1.0 + rates_squared + 10.0 * speed * speed)
+        held = 0.6 / (1.0 + 4.0 * now * now) + 0.1 * (1.0 + heading_cosine) + still
+        return held - 0.1 * change_squared, False, False
     reward = 2.0 * (before - now) - 0.02 * change_squared - 0.01 * (1.0 - heading_cosine)
     if kind == LAND and touches and not lost:
         soft = speed < SOFT_SPEED_M_S and upright > SOFT_UPRIGHT

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from mufly.dynamics.lane_equations import group_vehicles
 from mufly.errors import ArgumentError
+from mufly.flight.policy.observation import ACTION_SIZE, observation_limits
 from mufly.gym.episodes import (
     ERR_HEADING,
     ERR_LEVEL,
@@ -39,7 +40,6 @@ from mufly.gym.episodes import (
     start_episodes,
 )
 from mufly.gym.fleet import common_step, draw_fleet, draw_winds
-from mufly.gym.observation import ACTION_SIZE, observation_limits
 from mufly.gym.pictures import draw_episode
 from mufly.gym.tasks import DURATIONS_S, OBSTACLE_WORLD, TASKS
 from mufly.sensors.rng import make_source
@@ -188,7 +188,7 @@ class MuflyVectorEnv(gymnasium.vector.VectorEnv):
         Parameters
         ----------
         actions : (n, 4) array
-            See :mod:`mufly.gym.observation`; clipped to -1..1.
+            See :mod:`mufly.flight.policy.observation`; clipped to -1..1.
 
         Returns
         -------

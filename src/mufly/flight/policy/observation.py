@@ -1,4 +1,4 @@
-"""Observation and action of the environments and of learned policies.
+"""Observation and action of learned policies and of the environments of :mod:`mufly.gym`.
 
 An observation has what an estimate knows, so that a policy can fly on a filter. The heading frame has its x axis along
 the vehicle's heading, level, y to the right and z down.
@@ -23,7 +23,7 @@ An action has four numbers from -1 to 1: collective, turn to the right, forward,
 
     motor upper, lower = trim + 0.3 collective +- 0.15 turn        servo 1 = forward,  servo 2 = right
 
-The C code of an exported policy does the same operations in the same order.
+The C code of an exported policy (``firmware/sources/policy``) does the same operations in the same order.
 """
 
 from __future__ import annotations
@@ -46,6 +46,14 @@ RANGE_COUNT = 8
 """Directions of the distances that ``Obstacle`` observes."""
 MAX_RANGE_M = 4.0
 COLLECTIVE_SPAN, TURN_SPAN = 0.3, 0.15
+ACTION_NAMES = ("collective", "turn_right", "forward", "right")
+
+_BASE_UNITS = {
+    "error_forward": "m", "error_right": "m", "error_down": "m", "velocity_forward": "m/s", "velocity_right": "m/s",
+    "velocity_down": "m/s", "down_x": "1", "down_y": "1", "down_z": "1", "roll_rate": "rad/s", "pitch_rate": "rad/s",
+    "yaw_rate": "rad/s", "heading_error_sine": "1", "heading_error_cosine": "1", "supply": "1",
+    **{f"last_{name}": "1" for name in ACTION_NAMES}, "height": "m",
+}  # fmt: skip
 
 _BASE_LIMITS = (
     (10.0,) * 3 + (20.0,) * 3 + (1.0,) * 3 + (50.0,) * 3 + (1.0,) * 2 + (1.0,) + (1.0,) * ACTION_SIZE + (20.0,)
@@ -60,6 +68,15 @@ def observation_limits(task: str) -> tuple[_Array, _Array]:
     if task == "obstacle":
         low[OBS_EXTRA:] = 0.0
     return low, high
+
+
+def observation_names(task: str) -> dict[str, str]:
+    """Return the names of a task's observation in order, each with its unit."""
+    extra = {
+        "waypoint": [f"next_error_{axis}" for axis in ("forward", "right", "down")],
+        "obstacle": [f"range_{round(360 * k / RANGE_COUNT)}_deg" for k in range(RANGE_COUNT)],
+    }.get(task, [])
+    return {**_BASE_UNITS, **dict.fromkeys(extra, "m")}
 
 
 @cached_njit(error_model="numpy")

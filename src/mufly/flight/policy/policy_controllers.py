@@ -1,0 +1,179 @@
+"""A learned policy flies in place of the control law.
+
+The flight software, its mission logic and the filter stay as they are. The policy acts from lift-off to touchdown
+whenever the mission logic gives a reference position. H-infinity control runs the motors on the floor until lift-off,
+and flies while a pilot commands the tilt.
+
+Every 20 ms the policy observes, as in the task ``hover`` (:mod:`mufly.flight.policy.observation`):
+
+- error: reference position minus estimated position;
+- velocity: estimated velocity minus reference velocity. A frame that moves with the reference is inertial while its
+  velocity is constant: following it in still air is hovering in a wind of the opposite velocity;
+- direction of gravity, rates and heading of the estimate; heading of the reference;
+- measured battery voltage, its own last action, and height above the floor at N = E = D = 0.
+
+Its inputs are held until the next action. The flight software limits their rate of change, as for every control law.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.control import FlightController
+from mufly.errors import InputError
+from mufly.estimate import Estimate
+from mufly.flight.controllers import Actuators, Controllers
+from mufly.flight.policy.observation import (
+    ACTION_SIZE,
+    COLLECTIVE_SPAN,
+    OBS_EXTRA,
+    TURN_SPAN,
+    fill_observation,
+    map_action,
+)
+from mufly.flight.policy.policy_network import LearnedPolicy, PackedPolicy, evaluate_policy
+from mufly.numba_cache import cached_njit
+from mufly.portable_math import sine_cosine
+
+_Array = NDArray[np.floating[Any]]
+
+
+@cached_njit(error_model="numpy")
+def step_policy(
+    p: PackedPolicy, trim: _Array, nominal_V: float, position: _Array, velocity: _Array, attitude: _Array,
+    rates: _Array, voltage: float, reference: _Array, action: _Array, inputs: _Array,
+) -> None:  # fmt: skip
+    """Observe, act and write the inputs of the flight model.
+
+    Parameters
+    ----------
+    p : PackedPolicy
+    trim : (4,) array
+        Inputs for an action of zero.
+    nominal_V : float
+        Nominal voltage of the battery (V).
+    position, velocity : (3,) array
+        Estimate, N-E-D (m, m/s).
+    attitude, rates : (3,) array
+        Estimated roll, pitch, yaw (rad), and body rates (rad/s).
+    voltage : float
+        Battery voltage (V).
+    reference : (7,) array
+        Position and velocity, N-E-D (m, m/s), and heading (rad).
+    action : (4,) array
+        Last action, overwritten by the new one.
+    inputs : (4,) array
+        Output: motors upper, lower (0..1), servos 1, 2 (-1..1).
+    """
+    error, relative, seen = np.zeros(3), np.zeros(3), np.zeros(OBS_EXTRA)
+    for i in range(3):
+        error[i] = reference[i] - position[i]
+        relative[i] = velocity[i] - reference[3 + i]
+    sine_roll, cosine_roll = sine_cosine(attitude[0])
+    sine_pitch, cosine_pitch = sine_cosine(attitude[1])
+    sine_yaw, cosine_yaw = sine_cosine(attitude[2])
+    sine_wanted, cosine_wanted = sine_cosine(reference[6])
+    down = (-sine_pitch, sine_roll * cosine_pitch, cosine_roll * cosine_pitch)
+    fill_observation(
+        seen, error, relative, down, rates, (cosine_yaw, sine_yaw), (cosine_wanted, sine_wanted),
+        voltage / nominal_V, action, -position[2],
+    )  # fmt: skip
+    evaluate_policy(p, seen, action)
+    map_action(action, trim, inputs)
+
+
+def check_policy(policy: LearnedPolicy, vehicle_name: str, where: str) -> None:
+    """Check that a policy can fly a vehicle; ``where`` names its source in errors.
+
+    Raises
+    ------
+    InputError
+        If it has another task than ``hover``, or was trained for another vehicle.
+    """
+    if policy.task != "hover":
+        raise InputError(where, "task", f"{policy.task!r} cannot follow a mission", "give a policy of the task hover")
+    if policy.vehicle_name != vehicle_name:
+        raise InputError(
+            where, "vehicle", f"trained for {policy.vehicle_name}, not for {vehicle_name}",
+            f"fly {policy.vehicle_name}, or train a policy for {vehicle_name}",
+        )  # fmt: skip
+
+
+class PolicyControllers(Controllers):
+    """A learned policy in place of the control law of one vehicle; see this module.
+
+    Parameters
+    ----------
+    design : FlightController
+        Design from :func:`mufly.control.design_flight_controller`.
+    policy : LearnedPolicy
+
+    Raises
+    ------
+    InputError
+        If the policy suits neither the vehicle nor the period of the mission logic.
+    """
+
+    def __init__(self, design: FlightController, policy: LearnedPolicy) -> None:
+        super().__init__(design)
+        check_policy(policy, design.vehicle_name, "policy")
+        period_s = design.position_divider * design.period_s
+        if abs(policy.period_s - period_s) > 1e-6:
+            raise InputError(
+                "policy", "period_s", f"{policy.period_s:g} s, the mission logic has {period_s:g} s",
+                f"train with period_s={period_s:g}",
+            )  # fmt: skip
+        self._policy, self._packed = policy, policy.packed
+        self._action, self._inputs = np.zeros(ACTION_SIZE), policy.trim.copy()
+        self._reference = np.zeros(7)
+        self._no_tilt = np.zeros(2)  # the very array that step gets back from the flight software
+        self._acted = self._is_due = False
+
+    def lift_off(self, estimate: Estimate) -> None:
+        super().lift_off(estimate)
+        self._acted = self._is_due = False
+
+    def tilt_for(self, estimate: Estimate, position: _Array, velocity: _Array, acceleration: _Array) -> _Array:
+        """Take the references of the next action; the policy commands no tilt and returns zeros (2,)."""
+        self._reference[:3], self._reference[3:6] = position, velocity
+        self._is_due = True
+        return self._no_tilt
+
+    def step(self, estimate: Estimate, heave_yaw: _Array, tilt: _Array | None) -> Actuators:
+        if tilt is not self._no_tilt:
+            if self._acted:  # a pilot takes over
+                self.engage(estimate, self._inputs[:2])
+                self.lift_off(estimate)
+            self._acted = False
+            given = super().step(estimate, heave_yaw, tilt)
+            self._inputs = given.input_array.astype(np.float64)
+            return given
+        if not self._acted:
+            self._action = find_equal_action(self._inputs, self._policy.trim)
+        self._acted = True
+        if self._is_due:
+            self._reference[6] = heave_yaw[1]
+            step_policy(
+                self._packed, self._policy.trim, self._policy.nominal_voltage_V, estimate.position, estimate.velocity,
+                estimate.attitude, estimate.rates, estimate.battery_voltage, self._reference, self._action,
+                self._inputs,
+            )  # fmt: skip
+            self._is_due = False
+        return Actuators(self._inputs[:2].copy(), self._inputs[2:].copy())
+
+
+def find_equal_action(inputs: _Array, trim: _Array) -> NDArray[np.float64]:
+    """Return the action (4,) that commands inputs (4,) of the flight model, within -1..1."""
+    upper, lower = inputs[0] - trim[0], inputs[1] - trim[1]
+    wanted = (0.5 * (upper + lower) / COLLECTIVE_SPAN, 0.5 * (upper - lower) / TURN_SPAN, inputs[2], inputs[3])
+    return np.clip(np.array(wanted, dtype=np.float64), -1.0, 1.0)
+
+
+def fly_by_policy(policy: LearnedPolicy) -> Callable[[FlightController], Controllers]:
+    """Return the control law by a policy, for ``controllers`` of :func:`mufly.flight.fly_mission`."""
+    return functools.partial(PolicyControllers, policy=policy)

@@ -1,0 +1,164 @@
+"""Fully connected network of a learned policy, equal bit for bit to its exported C code.
+
+    y = clip((x - mean) / scale, -limit, limit),   y <- act(W y + b) for each layer,   action = clip(y, -1, 1)
+
+Sums begin with the bias and run over the inputs in order, without fused multiply-add. With ``e = exp(-2 |x|)`` from
+:func:`mufly.portable_math.exp_decay`, ``tanh x`` is ``(1 - e) / (1 + e)`` with the sign of x; its error is below 3e-16.
+All numbers are in double precision.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mufly.flight.policy.observation import ACTION_SIZE, observation_limits
+from mufly.numba_cache import cached_njit
+from mufly.portable_math import exp_decay
+
+_Array = NDArray[np.float64]
+
+ACTIVATIONS = ("linear", "tanh", "relu")
+"""Activations of a layer; C and compiled code use the index."""
+
+
+@dataclass(frozen=True, eq=False)
+class PolicyLayer:
+    """Layer ``act(W x + b)`` of a network.
+
+    Attributes
+    ----------
+    weights : (outputs, inputs) array
+    bias : (outputs,) array
+    activation : {"linear", "tanh", "relu"}
+    """
+
+    weights: _Array
+    bias: _Array
+    activation: str
+
+
+class PackedPolicy(NamedTuple):
+    """Arrays of a policy for compiled code.
+
+    Attributes
+    ----------
+    sizes : (layers + 1,) array
+        Number of inputs, then of the outputs of each layer.
+    activations : (layers,) array
+        Indices in :data:`ACTIVATIONS`.
+    low, high, mean, scale : (inputs,) array
+        Bounds of the observation, and its normalisation.
+    limit : float
+        Largest magnitude of a normalised observation.
+    weights, biases : (m,) array
+        All layers after each other, weights by rows.
+    """
+
+    sizes: NDArray[np.int64]
+    activations: NDArray[np.int64]
+    low: _Array
+    high: _Array
+    mean: _Array
+    scale: _Array
+    limit: float
+    weights: _Array
+    biases: _Array
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedPolicy:
+    """Policy that a learner has trained in an environment of :mod:`mufly.gym`.
+
+    Attributes
+    ----------
+    task : str
+        Task of the environment, such as ``"hover"``.
+    vehicle_name : str
+        Name of the vehicle that it was trained for.
+    period_s : float
+        Time between two actions.
+    trim : (4,) array
+        Inputs of the flight model for an action of zero: motors upper, lower (0..1), servos 1, 2 (-1..1).
+    nominal_voltage_V : float
+        Battery voltage at which the observed supply is zero.
+    mean, scale : (inputs,) array
+        Normalisation of the observation.
+    limit : float
+        Largest magnitude of a normalised observation.
+    layers : tuple of PolicyLayer
+    training : mapping
+        Description of the training, for readers.
+    """
+
+    task: str
+    vehicle_name: str
+    period_s: float
+    trim: _Array
+    nominal_voltage_V: float
+    mean: _Array
+    scale: _Array
+    limit: float
+    layers: tuple[PolicyLayer, ...]
+    training: Mapping[str, str | float] = field(default_factory=dict)
+
+    @property
+    def input_count(self) -> int:
+        """Size of the observation."""
+        return int(self.mean.size)
+
+    @functools.cached_property
+    def packed(self) -> PackedPolicy:
+        """Arrays for :func:`evaluate_policy`."""
+        low, high = observation_limits(self.task)
+        return PackedPolicy(
+            np.array([self.input_count, *(layer.bias.size for layer in self.layers)], dtype=np.int64),
+            np.array([ACTIVATIONS.index(layer.activation) for layer in self.layers], dtype=np.int64),
+            low, high, self.mean, self.scale, self.limit,
+            np.concatenate([layer.weights.ravel() for layer in self.layers]),
+            np.concatenate([layer.bias for layer in self.layers]),
+        )  # fmt: skip
+
+    def find_action(self, observation: ArrayLike) -> _Array:
+        """Return the action (4,) for an observation (m,), or the actions (n, 4) for observations (n, m)."""
+        seen = np.asarray(observation, dtype=np.float64)
+        out = np.empty((*seen.shape[:-1], ACTION_SIZE))
+        for row, action in zip(np.atleast_2d(seen), np.atleast_2d(out), strict=True):
+            evaluate_policy(self.packed, row, action)
+        return out
+
+
+@cached_njit(error_model="numpy")
+def evaluate_policy(p: PackedPolicy, observation: _Array, action: _Array) -> None:
+    """Write the action (4,) for an observation (m,); an observation that is not a number counts as zero."""
+    widest = 0
+    for n in p.sizes:
+        widest = max(widest, n)
+    x, y = np.zeros(widest), np.zeros(widest)
+    for i in range(p.sizes[0]):
+        v = observation[i]
+        v = min(max(v, p.low[i]), p.high[i]) if v == v else 0.0
+        x[i] = min(max((v - p.mean[i]) / p.scale[i], -p.limit), p.limit)
+    place, row = 0, 0
+    for k in range(p.activations.size):
+        for j in range(p.sizes[k + 1]):
+            total = p.biases[row]
+            for i in range(p.sizes[k]):
+                total = total + p.weights[place] * x[i]
+                place += 1
+            row += 1
+            if p.activations[k] == 1:
+                e = exp_decay(2.0 * abs(total))
+                size = (1.0 - e) / (1.0 + e)
+                total = -size if total < 0.0 else size
+            elif p.activations[k] == 2 and not total > 0.0:
+                total = 0.0
+            y[j] = total
+        x, y = y, x
+    for i in range(action.size):
+        action[i] = min(max(x[i], -1.0), 1.0)
