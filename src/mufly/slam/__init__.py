@@ -1,8 +1,16 @@
 """Visual SLAM over a floor: tracking, keyframes, loop closure, and data sets for tests."""
 
 from mufly.slam.camera_frame import CameraFrame, FrameInfo
-from mufly.slam.dataset_readers import FrameSource, info_from_height, open_live, open_pictures, read_telemetry
-from mufly.slam.dataset_writers import DATASET_LAYOUTS, format_camera_toml, write_dataset
+from mufly.slam.datasets.dataset_readers import FrameSource, info_from_height, open_live, open_pictures, read_telemetry
+from mufly.slam.datasets.dataset_writers import DATASET_LAYOUTS, format_camera_toml, write_dataset
+from mufly.slam.datasets.synthetic_datasets import (
+    PHASE_SIGMA_RAD,
+    FrameInfoSimulator,
+    VehiclePath,
+    make_square_path,
+    path_from_recording,
+    render_frames,
+)
 from mufly.slam.image_tools import load_opencv
 from mufly.slam.keyframe_map import FloorMap, Keyframe
 from mufly.slam.lens_calibration import LensCalibration, calibrate_lens, list_board_pictures
@@ -21,14 +29,6 @@ from mufly.slam.slam_trajectory import (
     plot_trajectory,
     read_trajectory,
     run_slam,
-)
-from mufly.slam.synthetic_datasets import (
-    PHASE_SIGMA_RAD,
-    FrameInfoSimulator,
-    VehiclePath,
-    make_square_path,
-    path_from_recording,
-    render_frames,
 )
 from mufly.slam.trajectory_evaluation import TrajectoryEvaluation, evaluate_trajectory, read_truth
 

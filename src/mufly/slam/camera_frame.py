@@ -99,6 +99,10 @@ _MAX_UNKNOWN_ACCEL_M_S2 = 1.0
 """Largest unpredicted acceleration between pictures (m/s^2)."""
 _UNKNOWN_VELOCITY_SIGMA_M_S = 0.02
 """Standard deviation of a velocity derived from SLAM results, without one from the vehicle (m/s)."""
+_MAX_FREE_SIGMA_M = 5.0
+"""Largest standard deviation of a place along a direction without texture (m)."""
+_HEADING_DRIFT_RAD_S = 0.01  # of integrated rates
+_CAUTION_AFTER_S = 0.1  # of results without texture along one direction
 
 
 @dataclass(frozen=True)
@@ -166,3 +170,49 @@ class Odometry:
         return np.append(
             speed * t, self.heading_change_rad
         ), _UNKNOWN_VELOCITY_SIGMA_M_S * t + 0.5 * _MAX_UNKNOWN_ACCEL_M_S2 * t**2
+
+
+@dataclass(frozen=True)
+class MotionPrior:
+    """Motion since the last results, by which the next picture's pose is predicted.
+
+    Attributes
+    ----------
+    latest : Odometry or None
+        Since the last result; None before the first.
+    textured : Odometry or None
+        Since the last result with texture in all directions.
+    velocity_m_s : (2,) array
+        N, E by the last results.
+    """
+
+    latest: Odometry | None = None
+    textured: Odometry | None = None
+    velocity_m_s: _Array = field(default_factory=lambda: np.zeros(2))
+
+    def advance_to(self, frame: CameraFrame) -> MotionPrior:
+        """Return the motion propagated to the next picture."""
+        told = frame.vehicle_estimate
+        latest, textured = (
+            None if q is None else q.advance_to(frame.time_s, told) for q in (self.latest, self.textured)
+        )
+        return MotionPrior(latest, textured, self.velocity_m_s)
+
+    def restart_at(self, frame: CameraFrame) -> MotionPrior:
+        """Return the motion from a result at this picture on, with texture in all directions."""
+        here = Odometry(frame.time_s, frame.vehicle_estimate)
+        return MotionPrior(here, here, self.velocity_m_s)
+
+    @property
+    def is_striped(self) -> bool:
+        """Whether the last results show no texture along one direction."""
+        known, latest = self.textured, self.latest
+        return known is None or latest is None or known.elapsed_s > latest.elapsed_s + _CAUTION_AFTER_S
+
+    @property
+    def free_sigma(self) -> tuple[float, float]:
+        """Deviations of the predicted place (m) and heading (rad) since a picture showed both directions."""
+        if self.textured is None:
+            return _MAX_FREE_SIGMA_M, 0.1
+        sigma_m = 0.005 + self.textured.predict_displacement(self.velocity_m_s)[1]
+        return min(_MAX_FREE_SIGMA_M, sigma_m), 0.003 + _HEADING_DRIFT_RAD_S * self.textured.elapsed_s

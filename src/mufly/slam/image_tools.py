@@ -80,6 +80,8 @@ class Undistorter:
             ]
         )
         self.camera_matrix = wanted
+        # Sides of the picture over the focal length: width, height
+        self.view_ratios = size[0] / self.focal_px, size[1] / self.focal_px
         self._remap_tables = cv2.initUndistortRectifyMap(
             camera_matrix(camera), distortion_coefficients(camera), None, wanted, size, cv2.CV_16SC2
         )

@@ -15,11 +15,11 @@ from mufly.errors import InputError
 from mufly.slam.camera_pose import d_rays_d_tilt
 from mufly.slam.image_tools import find_repeat_shifts
 from mufly.slam.pose_graph import (
-    ERRORS,
     HEADING,
     LN_HEIGHT,
     NODE_SIZE,
     PLACE,
+    SENSOR_ERRORS,
     SONAR,
     TILT,
     GraphEdge,
@@ -187,7 +187,7 @@ class FloorMap:
         of_tilt = gauss_markov_transition(since, tilt[0] if last is None else last.tilt_sigma, *tilt)
         of_height = gauss_markov_transition(since, height[0] if last is None else last.height_sigma, *height)
         keep, noise = np.array([of_tilt, of_tilt, of_height]).T
-        return keep * (0.0 if last is None else self.nodes[-1, ERRORS]), keep, noise
+        return keep * (0.0 if last is None else self.nodes[-1, SENSOR_ERRORS]), keep, noise
 
     def predict_covariance(self, k: int, keep: _Array, noise: _Array) -> _Array:
         """Return the covariance (9, 9) of node ``k``, its tilt error, and a picture's tilt and sonar error."""

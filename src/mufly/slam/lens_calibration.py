@@ -15,7 +15,7 @@ import numpy as np
 from mufly.camera import Camera
 from mufly.errors import ArgumentError, InputError
 from mufly.results import ShownBlock, result, show_lines, show_table
-from mufly.slam.dataset_readers import PICTURE_SUFFIXES, read_picture
+from mufly.slam.datasets.dataset_readers import PICTURE_SUFFIXES, read_picture
 from mufly.slam.image_tools import load_opencv
 from mufly.vehicle.quantity import Quantity
 

@@ -41,7 +41,7 @@ from scipy.sparse.linalg import SuperLU, splu
 
 _Array = NDArray[np.float64]
 HEADING, LN_HEIGHT, SONAR, NODE_SIZE = 2, 3, 6, 7
-PLACE, TILT, ERRORS = slice(0, 4), slice(4, SONAR), slice(4, NODE_SIZE)
+PLACE, TILT, SENSOR_ERRORS = slice(0, 4), slice(4, SONAR), slice(4, NODE_SIZE)
 """Slices of a node: place (N, E, heading, ln h), tilt errors about x and y of the heading, errors of tilt and sonar."""
 EDGE_TILT_A, EDGE_TILT_B, EDGE_SIZE = slice(4, 6), slice(6, 8), 8
 """Slices of an edge after the four numbers of the relation: tilt errors of its first and second node."""
@@ -234,13 +234,16 @@ def solve_graph(
         for k in range(n):
             keep, noise = chain[k]
             block = np.diag([1e-9, 1e-9, 1e-9, 0.0, *(1.0 / noise)])
-            before = x[k - 1, ERRORS] if k else np.zeros(3)
-            off = (x[k, ERRORS] - keep * before) / noise
-            right[k, ERRORS] -= off
+            before = x[k - 1, SENSOR_ERRORS] if k else np.zeros(3)
+            off = (x[k, SENSOR_ERRORS] - keep * before) / noise
+            right[k, SENSOR_ERRORS] -= off
             if k:
-                right[k - 1, ERRORS] += keep * off
+                right[k - 1, SENSOR_ERRORS] += keep * off
                 a, b = np.zeros((NODE_SIZE, NODE_SIZE)), np.zeros((NODE_SIZE, NODE_SIZE))
-                a[ERRORS, ERRORS], b[ERRORS, ERRORS] = np.diag(-keep / noise), np.diag(keep**2 / noise)
+                a[SENSOR_ERRORS, SENSOR_ERRORS], b[SENSOR_ERRORS, SENSOR_ERRORS] = (
+                    np.diag(-keep / noise),
+                    np.diag(keep**2 / noise),
+                )
                 blocks += [(k - 1, k, a), (k, k - 1, a), (k - 1, k - 1, b)]
             else:
                 block[:3, :3] += np.diag(hold)

@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from mufly.slam.camera_frame import CameraFrame
-from mufly.slam.dataset_writers import write_tum
+from mufly.slam.datasets.dataset_writers import write_tum
 from mufly.slam.slam_system import SlamSystem, TrackingResult
 from mufly.slam.trajectory_evaluation import read_poses
 

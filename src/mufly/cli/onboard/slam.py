@@ -98,7 +98,7 @@ def render(
         render_frames,
         write_dataset,
     )
-    from mufly.slam.synthetic_datasets import scatter_boxes
+    from mufly.slam.datasets.synthetic_datasets import scatter_boxes
 
     for name, value, low, high in (
         ("--duration", duration, 0.1, 3600), ("--side", side, 0, 50), ("--height", height, 0.15, 50),

@@ -9,7 +9,7 @@ The vehicle data (telemetry) are tilt with a first-order Gauss-Markov error (2 s
     camera.toml, pictures/000000.jpg, pictures.csv (time, file), telemetry.csv, truth.txt (TUM: t x y z qx qy qz qw),
     imu.csv, sonar.csv
 
-in N-E-D. The layouts "euroc" and "tum" also have their own files (:mod:`mufly.slam.dataset_readers`).
+in N-E-D. The layouts "euroc" and "tum" also have their own files (:mod:`mufly.slam.datasets.dataset_readers`).
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Writers of data sets and trajectories in mufly's, EuRoC's and TUM's layout (:mod:`mufly.slam.dataset_readers`)."""
+"""Writers of data sets and trajectories in the layouts of mufly, EuRoC and TUM.
+
+:mod:`mufly.slam.datasets.dataset_readers` reads them.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +19,8 @@ from mufly.camera import Camera, VehicleMotion, encode_jpeg
 from mufly.dynamics import GRAVITY
 from mufly.rotations import quaternion_from_euler
 from mufly.slam.camera_frame import CameraFrame
-from mufly.slam.dataset_readers import PHASE_COLUMNS, TELEMETRY_COLUMNS
-from mufly.slam.synthetic_datasets import VehiclePath
+from mufly.slam.datasets.dataset_readers import PHASE_COLUMNS, TELEMETRY_COLUMNS
+from mufly.slam.datasets.synthetic_datasets import VehiclePath
 
 _Array = NDArray[np.float64]
 DATASET_LAYOUTS = ("mufly", "euroc", "tum")
@@ -42,7 +45,7 @@ def write_dataset(
     path : VehiclePath
         Source of inertial data and truth.
     made : iterable of (CameraFrame, VehicleMotion)
-        Pictures of :func:`mufly.slam.synthetic_datasets.render_frames`.
+        Pictures of :func:`mufly.slam.datasets.synthetic_datasets.render_frames`.
     layout : str
         One of :data:`DATASET_LAYOUTS`.
     on_picture : callable

@@ -1,0 +1,1 @@
+"""Data sets of pictures: readers, writers, and synthetic ones."""

@@ -1,0 +1,388 @@
+"""Matching of a picture to a keyframe of the floor's map.
+
+The keyframe is warped to the predicted pose, its points are tracked in the picture (:mod:`mufly.slam.image_tools`), and
+the camera's pose follows from them (:mod:`mufly.slam.camera_pose`). If few points of a weak floor are tracked, all
+patches are aligned together (:mod:`mufly.slam.images.direct_alignment`). :func:`rejection_reason` tests a match against
+the prediction.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.slam.camera_frame import CameraFrame, MotionPrior
+from mufly.slam.camera_pose import (
+    PX_TILT,
+    PoseEstimate,
+    ViewPrior,
+    attitude_matrix,
+    normalised_rays,
+    ransac_two_points,
+    solve_pose,
+)
+from mufly.slam.image_tools import (
+    Undistorter,
+    is_in_mask,
+    match_brightness,
+    track_points,
+    warp_over_picture,
+    warp_picture,
+)
+from mufly.slam.images.direct_alignment import FloorPoints, add_point_errors, align_picture, floor_axes
+from mufly.slam.images.patch_information import measure_patches, remove_background
+from mufly.slam.keyframe_map import FloorMap, view_overlap
+from mufly.slam.place_recognition import MIN_INLIERS, correlate_pictures, is_unambiguous
+from mufly.slam.pose_graph import HEADING, LN_HEIGHT, TILT
+
+_Array = NDArray[np.float64]
+MIN_CORRELATION = 0.5
+_STRAY_PX = 5.0  # maximum unexplained error of a point (pixels)
+_TILT_DRIFT_PER_HEIGHT = 0.005
+"""Change of position between pictures by tilt errors, over the height (docs/log/2026-11-24-slam-accuracy.md)."""
+_MIN_TRACK_SIGMA_PX = 0.08  # least standard deviation of a tracked point
+_MAX_STRIPE_RESIDUAL = 1.7  # of a floor with texture along one direction, where the next stripe looks the same
+_USUAL_ROTOR_SPEED_RAD_S = 400.0  # where it is not reported
+_STRIPES_REASON = "the floor shows texture along one direction only"
+_MIN_TRACKED_SHARE = 0.75  # of the points in view, below which all patches are aligned together
+_NO_DIRECTION = np.zeros((0, 2))
+
+
+@dataclass(frozen=True)
+class FrameContext:
+    """A picture with what is known of it before it is matched.
+
+    Attributes
+    ----------
+    frame : CameraFrame
+    picture : (rows, columns) uint8 array
+        Undistorted picture.
+    view : ViewPrior
+    usable_mask : (rows, columns) uint8 array
+        Pixels of the undistorted picture without border and dirt.
+    motion : MotionPrior
+        Motion since the last results.
+    position_sigma_m : float
+        Standard deviation of the predicted position along an axis (m).
+    predicted_errors : (3,) array
+        Predicted errors of tilt (rad) and sonar (ln h).
+    error_transition : tuple of two (3,) arrays
+        Factors and noise variances from the newest keyframe's errors to those of the picture.
+    undistorter : Undistorter
+    shake_rms_px : float
+        Rms of the vibration along an axis (pixels).
+    shake_tilt_rad : float
+        The same as a tilt (rad), where vibration is not modelled.
+    row_time_s : float
+        Time between the exposures of two rows (s).
+    rng : numpy.random.Generator
+        Source of the random point pairs.
+    """
+
+    frame: CameraFrame
+    picture: NDArray[np.uint8]
+    view: ViewPrior
+    usable_mask: NDArray[np.uint8]
+    motion: MotionPrior
+    position_sigma_m: float
+    predicted_errors: _Array
+    error_transition: tuple[_Array, _Array]
+    undistorter: Undistorter
+    shake_rms_px: float
+    shake_tilt_rad: float
+    row_time_s: float
+    rng: np.random.Generator
+
+    @property
+    def texture_caution(self) -> float:
+        """Factor on the texture that a direction needs: larger after results without texture along it."""
+        return 2.0 if self.motion.is_striped else 1.0
+
+    @property
+    def row_slope(self) -> float:
+        """Rms slope by which vibration bends vertical lines in a rolling shutter."""
+        fastest = float(self.view.rotor_speeds_rad_s.max(initial=_USUAL_ROTOR_SPEED_RAD_S))
+        return self.shake_rms_px * self.row_time_s * fastest
+
+    def view_overlap(self, a: _Array, b: _Array) -> float:
+        """Return the share of node ``b``'s view that node ``a`` also sees (:func:`keyframe_map.view_overlap`)."""
+        return view_overlap(a, b, *self.undistorter.view_ratios)
+
+
+@dataclass(frozen=True)
+class KeyframeMatch:
+    """A picture matched to a keyframe.
+
+    Attributes
+    ----------
+    keyframe : int
+        Number of the keyframe.
+    pose : PoseEstimate
+    inlier_indices : (n,) int array
+        Points of the keyframe that are inliers.
+    inlier_pixels : (n, 2) array
+        Inliers in the undistorted picture.
+    exposure_offsets_s : (n,) array
+        Exposure times of the inliers, from the middle of the picture (s).
+    pixel_information : (n, 2, 2) array
+        Information of the inliers with the points' own errors (1/pixels^2).
+    tracked_count : int
+    unknown : (k, 2) array
+        Unit vectors N, E of directions without texture.
+    bound_px : (2,) array
+        Cramer-Rao bound of the shift of all patches in two directions (pixels).
+    significance : float
+        Significance of the texture along the least known direction, 1 at the least.
+    """
+
+    keyframe: int
+    pose: PoseEstimate
+    inlier_indices: NDArray[np.intp]
+    inlier_pixels: _Array
+    exposure_offsets_s: _Array
+    pixel_information: _Array
+    tracked_count: int
+    unknown: _Array
+    bound_px: _Array
+    significance: float
+
+    @classmethod
+    def from_pose(cls, pose: PoseEstimate) -> KeyframeMatch:
+        """Return the match of the first keyframe to itself."""
+        nobody = np.zeros(0, np.intp)
+        return cls(
+            0, pose, nobody, np.zeros((0, 2)), np.zeros(0), np.zeros((0, 2, 2)), 0, _NO_DIRECTION, np.zeros(2), 1.0
+        )
+
+    def bound_m(self, view: ViewPrior) -> float:
+        """Return the Cramer-Rao bound of the place along the least known direction with texture (m)."""
+        bounds = self.bound_px[np.isfinite(self.bound_px) & (self.bound_px > 0.0)]
+        return float(bounds.max(initial=0.0)) * view.height_m / view.focal_px or math.nan
+
+    @property
+    def graph_node(self) -> _Array:
+        """N, E (m), heading (rad), ln h of the camera."""
+        p = self.pose
+        return np.array([*p.state[:2], p.heading_rad, math.log(p.height_m)])
+
+    @property
+    def known_projection(self) -> _Array:
+        """Projection (2, 2) of N, E onto the directions with texture."""
+        known: _Array = np.eye(2) - self.unknown.T @ self.unknown
+        return known
+
+
+def match_keyframe(
+    floor_map: FloorMap, k: int, context: FrameContext, node: _Array, coarse: bool = False
+) -> KeyframeMatch | None:
+    """Match a picture to keyframe ``k``; return None without a match.
+
+    Parameters
+    ----------
+    floor_map : FloorMap
+    k : int
+    context : FrameContext
+    node : (4,) array
+        Predicted N, E (m), heading (rad), ln h of the camera.
+    coarse : bool
+        Whether to correlate small pictures first.
+    """
+    view, picture, straight = context.view, context.picture, context.undistorter
+    keyframe, at = floor_map.keyframes[k], floor_map.nodes[k]
+    if coarse:
+        found = _align_coarsely(floor_map, k, context, node, 3.0 * context.position_sigma_m + 0.03)
+        if found is None:
+            return None
+        node = found
+    homography = _floor_homography(floor_map, k, context, node)
+    template, covered = warp_over_picture(match_brightness(keyframe.picture, picture), homography, picture)
+    h = np.column_stack([keyframe.pixels, np.ones(len(keyframe.pixels))]) @ homography.T
+    there = h[:, :2] / h[:, 2:]
+    clean = is_in_mask(context.usable_mask, there) & is_in_mask(context.usable_mask, keyframe.pixels)
+    use = np.nonzero((h[:, 2] > 0) & (keyframe.missed < 8) & is_in_mask(covered, there) & clean)[0]
+    if len(use) < MIN_INLIERS:
+        return None
+    tilts = floor_map.predict_covariance(k, *context.error_transition)[4:8, 4:8][np.ix_([2, 3, 0, 1], [2, 3, 0, 1])]
+    # A match further away than the total uncertainty is a false one, for example the next tile.
+    unsure = 0.0 if coarse else context.position_sigma_m / view.height_m * view.focal_px
+    tilted = view.focal_px * math.sqrt(tilts[0, 0] + tilts[2, 2])
+    reach = _STRAY_PX + 4.0 * unsure + 3.0 * (context.shake_rms_px + tilted)
+    # Without repeats, a search over the whole picture is best.
+    looked = reach if len(floor_map.repeat_offsets(k, view.focal_px)) else math.inf
+    seen, correlation, sigma = track_points(template, picture, there[use], straight.smoothing_sigma_px, looked)
+    good = (correlation > MIN_CORRELATION) & (sigma < 1.5)
+    good &= is_in_mask(context.usable_mask, seen) & (np.hypot(*(seen - there[use]).T) < reach)
+    flat = remove_background(template), remove_background(picture)
+    points = FloorPoints(
+        floor_map.locate_points(k)[use],
+        floor_map.points_tilt_jacobian(k)[use],
+        tilts,
+        # In pixels of the present picture
+        np.sqrt(keyframe.variance[use]) * math.exp(at[LN_HEIGHT]) / view.height_m * view.focal_px,
+        there[use],
+        straight.exposure_offsets(there[use]),
+    )
+    match = None
+    if good.sum() >= MIN_INLIERS:
+        match = _match_points(floor_map, k, context, node, flat, points, use, good, seen, sigma)
+    if match is not None and len(match.inlier_indices) >= _MIN_TRACKED_SHARE * len(use):
+        return match
+    # Few points of a weak floor are tracked, while all its patches together are known well.
+    direct = _match_directly(k, context, node, flat, points, use)
+    if direct is not None and (match is None or not len(direct.unknown)):
+        return direct
+    if match is None and not coarse and len(keyframe.pixels) >= MIN_INLIERS:
+        return match_keyframe(floor_map, k, context, node, coarse=True)
+    return match
+
+
+def _match_points(
+    floor_map: FloorMap, k: int, context: FrameContext, node: _Array, flat: tuple[Any, Any], points: FloorPoints,
+    use: NDArray[np.intp], good: NDArray[np.bool_], seen: _Array, sigma: _Array,
+) -> KeyframeMatch | None:  # fmt: skip
+    """Match tracked points to keyframe ``k``; return None if they disagree, or show texture in one direction."""
+    view, straight, keyframe = context.view, context.undistorter, floor_map.keyframes[k]
+    use, seen, sigma = use[good], seen[good], sigma[good]
+    places, bend, own = (q[good] for q in (points.positions_m, points.tilt_jacobian, points.sigma_px))
+    seconds, pixels = straight.exposure_offsets(seen), seen - straight.principal_point
+    sigma = np.hypot(np.hypot(sigma, _MIN_TRACK_SIGMA_PX), own)
+    rough = np.hypot(np.hypot(sigma, 0.5), context.shake_rms_px) / view.focal_px
+    _, _, _, fits = ransac_two_points(
+        places[:, 0] + 1j * places[:, 1],
+        normalised_rays(view, pixels, seconds, attitude_matrix(view), view.shake_amplitudes_px),
+        rough,
+        view.height_m,
+        view.height_sigma_m,
+        context.rng,
+    )
+    if fits.sum() < MIN_INLIERS:
+        return None
+    begin = np.array([node[0], node[1], view.height_m, node[HEADING]])
+    isotropic = sigma[:, None, None] ** -2 * np.eye(2)
+    pose = solve_pose(
+        view, begin, places[fits], bend[fits], points.tilt_covariance, pixels[fits], seconds[fits], isotropic[fits]
+    )
+    if pose.inlier_mask.sum() < MIN_INLIERS:
+        return None
+    keep = np.nonzero(fits)[0][pose.inlier_mask]
+    # Tracks fit the noise of their patch, so the texture is measured where the pose expects each point.
+    expected = seen[keep] - pose.pixel_residuals[pose.inlier_mask]
+    axes = floor_axes(view, pose.state, pose.shake_amplitudes_px, places[keep], bend[keep], seconds[keep])
+    patches = measure_patches(
+        *flat, points.template_pixels[good][keep], expected, straight.smoothing_sigma_px, axes,
+        row_slope=context.row_slope, caution=context.texture_caution,
+    )  # fmt: skip
+    if not patches.known.all():
+        return None
+    information = add_point_errors(patches.information, np.hypot(own[keep], _MIN_TRACK_SIGMA_PX))
+    pose = solve_pose(
+        view, pose.state[:PX_TILT], places[keep], bend[keep], points.tilt_covariance, pixels[keep], seconds[keep],
+        information,
+    )  # fmt: skip
+    out = np.ones(len(use), bool)
+    out[keep] = False
+    keyframe.missed[use[out]] += 1
+    keyframe.missed[use[keep]] = np.maximum(keyframe.missed[use[keep]] - 2, -4)
+    return KeyframeMatch(
+        k, pose, use[keep], seen[keep], seconds[keep], information, len(use), _NO_DIRECTION,
+        patches.bound_px, float(patches.significance.min()),
+    )  # fmt: skip
+
+
+def _match_directly(
+    k: int, context: FrameContext, node: _Array, flat: tuple[Any, Any], points: FloorPoints, use: NDArray[np.intp]
+) -> KeyframeMatch | None:
+    """Match all patches of a picture to keyframe ``k`` together; return None without texture in any direction."""
+    view, straight = context.view, context.undistorter
+    begin = np.array([node[0], node[1], view.height_m, node[HEADING]])
+    points = points._replace(sigma_px=np.hypot(points.sigma_px, _MIN_TRACK_SIGMA_PX))
+    found = align_picture(
+        view,
+        begin,
+        *flat,
+        points,
+        straight.principal_point,
+        straight.smoothing_sigma_px,
+        context.motion.free_sigma,
+        context.row_slope,
+        context.texture_caution,
+    )
+    if found is None:
+        return None
+    seen = (np.trace(found.information, axis1=1, axis2=2) > 0.0) & is_in_mask(context.usable_mask, found.pixels)
+    keep = np.nonzero(found.pose.inlier_mask & seen)[0]
+    if len(keep) < MIN_INLIERS:
+        return None
+    return KeyframeMatch(
+        k, found.pose, use[keep], found.pixels[keep], points.exposure_offsets_s[keep], found.information[keep],
+        len(use), found.unknown, found.patches.bound_px, float(found.patches.significance.min()),
+    )  # fmt: skip
+
+
+def _floor_homography(floor_map: FloorMap, k: int, context: FrameContext, node: _Array) -> _Array:
+    """Return the homography over the floor from a keyframe's undistorted picture to the view from a node."""
+    view, keyframe, at = context.view, floor_map.keyframes[k], floor_map.nodes[k]
+    c, s = math.cos(at[HEADING]), math.sin(at[HEADING])
+    x, y = at[TILT] - keyframe.tilt
+    tilt = np.array([[1.0, 0.0, y], [0.0, 1.0, -x], [-y, x, 1.0]])
+    then = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ tilt @ keyframe.turn
+    now = attitude_matrix(view, None, node[HEADING]) @ view.body_from_camera
+    h = math.exp(at[LN_HEIGHT])
+    way = np.array([at[0] - node[0], at[1] - node[1], view.height_m - h])
+    plane = h * np.eye(3) + np.outer(way, [0.0, 0.0, 1.0])
+    m = context.undistorter.camera_matrix
+    return m @ now.T @ plane @ then @ np.linalg.inv(m)
+
+
+def _align_coarsely(floor_map: FloorMap, k: int, context: FrameContext, node: _Array, reach: float) -> _Array | None:
+    """Return the node by correlation of small pictures within a reach (m); None if it is ambiguous."""
+    view = context.view
+    seen = warp_picture(
+        floor_map.keyframes[k].picture,
+        _floor_homography(floor_map, k, context, node),
+        context.undistorter.picture_size,
+    )
+    pixel = correlate_pictures(seen, context.picture, max(10.0, reach / view.height_m * view.focal_px))
+    if pixel is None:
+        return None
+    # The shift of the warped keyframe against the picture is the camera's displacement over the floor.
+    d = attitude_matrix(view, None, node[HEADING]) @ view.body_from_camera @ np.append(pixel / view.focal_px, 0.0)
+    return node + np.array([d[0] * view.height_m, d[1] * view.height_m, 0.0, 0.0])
+
+
+def rejection_reason(floor_map: FloorMap, match: KeyframeMatch | None, context: FrameContext, node: _Array) -> str:
+    """Return the reason not to trust a match; "" if it is trusted.
+
+    A match is tested by its inliers, its residuals, its covariance, its distance from the predicted ``node`` (4,), and
+    the places within reach that look the same (:func:`mufly.slam.place_recognition.is_unambiguous`).
+    """
+    if match is None:
+        return _STRIPES_REASON if context.motion.is_striped else "too little of the floor is recognised"
+    pose, height = match.pose, context.view.height_m
+    if len(match.inlier_indices) < max(MIN_INLIERS, 0.4 * match.tracked_count):
+        return f"only {len(match.inlier_indices)} of {match.tracked_count} points agree"
+    if pose.residual_scale > (_MAX_STRIPE_RESIDUAL if len(match.unknown) else 4.0):
+        return "points scatter more than they may"
+    # Along directions without texture there is nothing to check.
+    known = match.known_projection
+    sigma = math.sqrt((known @ pose.covariance[:2, :2] @ known).diagonal().max())
+    if sigma > 0.1 + 0.03 * height:
+        return "the place is not known well enough"
+    way = known @ (pose.state[:2] - node[:2])
+    off = math.hypot(*way)
+    if off > 4.0 * (context.position_sigma_m + sigma) + 0.08 * height:
+        return f"{off:.2f} m off from where it should be"
+    latest = context.motion.latest
+    if latest is None or not latest.has_all_velocities or latest.last_info.place is None:
+        return ""  # there is no ambiguity test for a map that cannot be restarted
+    alike = floor_map.repeat_offsets(match.keyframe, context.view.focal_px) @ known
+    alike = alike[np.hypot(*alike.T) > 0.03 * height]
+    unsure = math.hypot(context.position_sigma_m, math.sqrt(2.0) * sigma, _TILT_DRIFT_PER_HEIGHT * height)
+    if not is_unambiguous(way, alike, unsure):
+        nearest = np.hypot(*alike.T).min()
+        return f"the floor repeats every {nearest:.2f} m, and {off:.2f} m off it may be another place"
+    return ""

@@ -1,0 +1,244 @@
+"""Growth of the floor's map: new keyframes, their edges, refined points, and loop closures.
+
+Residuals of inliers correct a keyframe's points, which averages vibration and noise out of the map. A loop closes under
+three conditions: enough inliers, a result within the covariance of the map, and no other place within reach that looks
+the same. On a floor of tiles the covariance alone decides; if it is too large, no loop closes.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.slam.camera_pose import (
+    POSE_SIZE,
+    PX_HEIGHT,
+    PX_KEYFRAME_TILT,
+    PX_TILT,
+    PoseEstimate,
+    attitude_matrix,
+    d_rays_d_tilt,
+    normalised_rays,
+)
+from mufly.slam.image_tools import detect_corners
+from mufly.slam.keyframe_map import FloorMap, Keyframe, compose_pose, remove_pose_fit
+from mufly.slam.keyframe_matching import FrameContext, KeyframeMatch, match_keyframe, rejection_reason
+from mufly.slam.place_recognition import MIN_INLIERS
+from mufly.slam.pose_graph import (
+    EDGE_SIZE,
+    EDGE_TILT_A,
+    EDGE_TILT_B,
+    HEADING,
+    LN_HEIGHT,
+    TILT,
+    GraphEdge,
+    relative_pose,
+    relative_pose_jacobians,
+)
+
+_Array = NDArray[np.float64]
+LOOP_MIN_OVERLAP = 0.4
+LOOP_MAX_CHI2 = 28.0  # of eight numbers: rejects one true closure in 2000
+_LOOP_SEARCH_SIGMAS = 2.5  # standard deviations within which keyframes are searched
+VARIANCE_INFLATION = 3.0
+"""Ratio of the joint variance of all points to that of independent points, for correlated errors of neighbours.
+
+A compromise over twelve floors (docs/log/2026-11-24-slam-accuracy.md): edges with true tilts need 3.9, results less."""
+NEWEST_TRANSITION = (np.ones(3), np.full(3, 1e-10))
+"""Factors and noise variances of the errors of a picture that is the newest keyframe itself."""
+_WHITE_LEVEL, _MAX_WHITE_SHARE = 248, 0.02
+"""Grey level, and largest share of brighter pixels in a keyframe: a camera that was covered overexposes for half a
+second, and white areas have no corners."""
+
+
+def make_node(context: FrameContext, pose: PoseEstimate) -> _Array:
+    """Return the node (7,) of a pose: N, E, heading, ln h, errors of the tilt and of the sonar."""
+    height_error = context.predicted_errors[2]
+    return np.array([*pose.state[:2], pose.heading_rad, math.log(pose.height_m), *pose.tilt_error_rad, height_error])
+
+
+def create_keyframe(context: FrameContext, pose: PoseEstimate, sigma_px: float) -> Keyframe | None:
+    """Return the picture as a keyframe, its points of that deviation; None without corners, or if too bright."""
+    frame, view, picture = context.frame, context.view, context.picture
+    pixels = detect_corners(picture, context.usable_mask)
+    if len(pixels) < MIN_INLIERS or np.mean(picture > _WHITE_LEVEL) > _MAX_WHITE_SHARE:
+        return None
+    seconds = context.undistorter.exposure_offsets(pixels)
+    turn = _remove_heading(attitude_matrix(view, pose.tilt_error_rad, pose.heading_rad), pose.heading_rad)
+    return Keyframe(
+        frame.time_s,
+        picture.copy(),
+        turn @ view.body_from_camera,
+        pixels,
+        _level_rays(context, pose, pixels, seconds),
+        np.full(len(pixels), (sigma_px / view.focal_px) ** 2),
+        np.zeros(len(pixels), np.int64),
+        pose.tilt_error_rad.copy(),
+        math.log(view.height_m),
+        view.height_sigma_m / view.height_m,
+        frame.vehicle_estimate.height_time_s,
+        frame.vehicle_estimate.tilt_sigma,
+        frame.vehicle_estimate.tilt_time_s,
+        context.shake_tilt_rad,
+    )
+
+
+def insert_keyframe(floor_map: FloorMap, context: FrameContext, match: KeyframeMatch) -> int | None:
+    """Make a keyframe of a matched picture; return its number, or None where it cannot be one.
+
+    It has an edge to the matched keyframe, and to the connected one with the largest overlap.
+    """
+    keyframe = create_keyframe(context, match.pose, 0.4)
+    if keyframe is None:
+        return None
+    # Edges to other keyframes that see it constrain it better
+    node = match.graph_node
+    others = sorted(
+        floor_map.connected_keyframes(match.keyframe),
+        key=lambda k: -context.view_overlap(floor_map.nodes[k], node),
+    )
+    edge = make_edge(floor_map, match, len(floor_map.keyframes))
+    k = floor_map.add_keyframe(keyframe, make_node(context, match.pose), [edge])
+    # It is the newest keyframe from here on
+    view = context.view._replace(tilt_error_rad=floor_map.nodes[k, TILT].copy())
+    context = replace(context, view=view, error_transition=NEWEST_TRANSITION)
+    for other in others[:1]:
+        if context.view_overlap(floor_map.nodes[other], node) > 0.25:
+            second = match_keyframe(floor_map, other, context, node)
+            if second is not None and not rejection_reason(floor_map, second, context, node):
+                floor_map.try_add_edge(make_edge(floor_map, second, k))
+    return k
+
+
+def make_edge(floor_map: FloorMap, match: KeyframeMatch, second: int, closes: bool = False) -> GraphEdge:
+    """Return the edge between the matched keyframe and a picture that is node ``second``."""
+    at, pose = floor_map.nodes[match.keyframe], match.pose
+    tilt = at[TILT] + pose.keyframe_tilt_error_rad
+    _, by_b = relative_pose_jacobians(at, match.graph_node)
+    # Jacobian of N, E, height, heading, tilt of the picture, tilt of the keyframe by the edge's eight numbers
+    change = np.zeros((POSE_SIZE, EDGE_SIZE))
+    change[:4, :4] = np.linalg.inv(by_b)[[0, 1, LN_HEIGHT, HEADING]]
+    change[PX_HEIGHT] *= pose.height_m
+    change[PX_TILT:PX_KEYFRAME_TILT, EDGE_TILT_B] = change[PX_KEYFRAME_TILT:, EDGE_TILT_A] = np.eye(2)
+    information, gradient = pose_information(pose)
+    return GraphEdge(
+        match.keyframe,
+        second,
+        np.concatenate([relative_pose(at, match.graph_node), tilt, pose.tilt_error_rad]),
+        change.T @ information @ change,
+        change.T @ gradient,
+        closes,
+    )
+
+
+def pose_information(pose: PoseEstimate) -> tuple[_Array, _Array]:
+    """Return the information (8, 8) of a match on its pose, with correlated points, and the gradient (8,)."""
+    return (
+        pose.pixel_information / VARIANCE_INFLATION + pose.prior_information,
+        pose.pixel_gradient / VARIANCE_INFLATION + pose.prior_gradient,
+    )
+
+
+def refine_keyframe(floor_map: FloorMap, context: FrameContext, match: KeyframeMatch) -> None:
+    """Correct the points of the matched keyframe by their residuals."""
+    view, pose = context.view, match.pose
+    keyframe, at = floor_map.keyframes[match.keyframe], floor_map.nodes[match.keyframe]
+    seen = _level_rays(context, pose, match.inlier_pixels, match.exposure_offsets_s)
+    z = pose.height_m * np.exp(1j * pose.heading_rad)
+    c = complex(pose.state[0], pose.state[1])
+    to_keyframe = (c - complex(at[0], at[1]) + z * seen) / np.exp(at[LN_HEIGHT] + 1j * at[HEADING])
+    ratio = pose.height_m / math.exp(at[LN_HEIGHT])
+    # Refer to the tilt error for which the slopes were computed
+    tilt = at[TILT] + pose.keyframe_tilt_error_rad - keyframe.tilt
+    move = d_rays_d_tilt(keyframe.slopes[match.inlier_indices]) @ tilt
+    to_keyframe = to_keyframe - (move[:, 0] + 1j * move[:, 1])
+    # Root mean square of both axes; a point with texture along one direction is not refined.
+    information = match.pixel_information
+    det = np.linalg.det(information)
+    sigmas = np.sqrt(0.5 * np.trace(information, axis1=1, axis2=2) / np.maximum(det, 1e-12))
+    sigmas = np.where(det > 1e-8, sigmas, 100.0)
+    # Residuals that pose and tilt errors can explain are not the floor's shape.
+    own = keyframe.slopes[match.inlier_indices]
+    to_keyframe = own + remove_pose_fit(to_keyframe - own, own, seen, 1.0 / sigmas)
+    keyframe.refine_points(
+        match.inlier_indices,
+        to_keyframe,
+        (sigmas * ratio / view.focal_px) ** 2 + 1e-12,
+        view.focal_px,
+    )
+
+
+class LoopSearch:
+    """Search for keyframes to which a loop can close; it remembers where closures failed."""
+
+    def __init__(self) -> None:
+        # For each keyframe, the number of failed closures and the overlap at the last one
+        self._failed_closures: dict[int, tuple[int, float]] = {}
+
+    def match_candidate(
+        self, floor_map: FloorMap, here: int, context: FrameContext, last_node: _Array
+    ) -> KeyframeMatch | None:
+        """Match the picture to the next keyframe without an edge to keyframe ``here``; return None without a match.
+
+        Candidates are keyframes that the map's covariance permits to be in view from ``last_node`` (4,), the node of
+        the last result. Those with the largest gain of overlap since their last trial come first.
+        """
+        most = _LOOP_SEARCH_SIGMAS * math.sqrt(np.linalg.eigvalsh(floor_map.joint_covariance(here)[:2, :2])[-1])
+        most_in_view = math.hypot(*context.undistorter.view_ratios)
+        near, may = {here, *floor_map.connected_keyframes(here)}, []
+        for k in range(len(floor_map.keyframes)):
+            t = relative_pose(floor_map.nodes[k], last_node)
+            way, h = math.hypot(t[0], t[1]), math.exp(floor_map.nodes[k, LN_HEIGHT])
+            if k in near or h * way > most + h * most_in_view:
+                continue
+            sigma = math.sqrt(np.linalg.eigvalsh(floor_map.edge_covariance(k, here)[:2, :2])[-1])
+            t[:2] *= max(0.0, 1.0 - _LOOP_SEARCH_SIGMAS * sigma / max(way, 1e-9))
+            node = compose_pose(floor_map.nodes[k], t)
+            if context.view_overlap(floor_map.nodes[k], node) > LOOP_MIN_OVERLAP:
+                share = context.view_overlap(floor_map.nodes[k], last_node)
+                tries, before = self._failed_closures.get(k, (0, 0.0))
+                may.append((-round(share - before, 1), tries, -share, k, node, h * sigma))
+        if not may:
+            return None
+        _, tries, share, k, node, sigma = min(may, key=lambda m: m[:3])
+        self._failed_closures[k] = (tries + 1, -share)
+        # Always coarse: this search includes the test for other places that look the same.
+        match = match_keyframe(floor_map, k, replace(context, position_sigma_m=2.0 * sigma), node, coarse=True)
+        if (
+            match is None
+            or len(match.unknown)
+            or len(match.inlier_indices) < max(1.5 * MIN_INLIERS, 0.5 * match.tracked_count)
+            or match.pose.residual_scale > 3.0
+        ):
+            return None
+        return match
+
+    def close_loop(self, floor_map: FloorMap, match: KeyframeMatch, here: int) -> bool:
+        """Add the edge of a match to keyframe ``here`` if the map's covariance permits it; return whether it did."""
+        k, edge = match.keyframe, make_edge(floor_map, match, here, closes=True)
+        off = edge.compute_residual(floor_map.nodes[k], floor_map.nodes[here])
+        if edge.compute_chi2(off, floor_map.edge_covariance(k, here)) > LOOP_MAX_CHI2:
+            return False
+        if not floor_map.try_add_edge(edge, LOOP_MAX_CHI2):
+            return False
+        self._failed_closures = {}
+        return True
+
+
+def _level_rays(context: FrameContext, pose: PoseEstimate, pixels: _Array, seconds: _Array) -> NDArray[np.complex128]:
+    """Return slopes with heading 0 of pixels of the undistorted picture, referred to the middle of its exposure."""
+    view = context.view
+    turn = attitude_matrix(view, pose.tilt_error_rad, pose.heading_rad)
+    centred = pixels - context.undistorter.principal_point
+    m = normalised_rays(view, centred, seconds, turn, pose.shake_amplitudes_px)
+    move = (view.velocity_m_s[0] + 1j * view.velocity_m_s[1]) * seconds
+    down = 1.0 - view.velocity_m_s[2] * seconds / pose.height_m
+    return (m * down + move / pose.height_m) * np.exp(-1j * pose.heading_rad)
+
+
+def _remove_heading(turn: _Array, heading: float) -> _Array:
+    c, s = math.cos(heading), math.sin(heading)
+    return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ turn
