@@ -35,6 +35,11 @@ size_m = [0.5, 0.5, 1.0]
 """
 
 
+CALM = """
+const ask = window.requestAnimationFrame.bind(window);
+window.requestAnimationFrame = (draw) => setTimeout(() => ask(draw), 100);
+"""
+"""Draw some eight times a second: WebGL in software takes a core for what a graphics card draws sixty times."""
 SIZES = ((1366, 768), (1024, 768), (820, 1180), (390, 844))
 STOP = "[data-testid=emergency-stop]"
 
@@ -110,7 +115,7 @@ def fly(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fly]
 class Page:
     """A window, and everything that it asked for or complained of."""
 
-    def __init__(self, browser: Any, url: str, script: str = "") -> None:
+    def __init__(self, browser: Any, url: str, script: str = CALM) -> None:
         self.complaints: list[str] = []
         self.requests: list[str] = []
         self.context = browser.new_context(viewport={"width": 1366, "height": 768}, color_scheme="dark")
@@ -119,8 +124,7 @@ class Page:
         self.page.on("console", self._heard)
         self.page.on("pageerror", lambda e: self.complaints.append(str(e)))
         self.page.on("request", lambda r: self.requests.append(r.url))
-        if script:
-            self.page.add_init_script(script)
+        self.page.add_init_script(script)
         self.page.goto(url)
 
     def _heard(self, message: Any) -> None:
@@ -199,6 +203,14 @@ def download(window: Page, selector: str) -> Path:
 def open_tab(window: Page, name: str, done: Callable[[], Any], what: str) -> None:
     """Choose a tab of the page until its content is there."""
     repeat(window, lambda: window.page.get_by_role("tab", name=name).click(timeout=5000.0), done, what)
+
+
+def open_mark(window: Page) -> Any:
+    """Press the key of a mark until its field is there."""
+    field = window.page.get_by_label("text").last
+    is_open = window.page.locator(".q-dialog").count
+    repeat(window, lambda: is_open() or window.page.keyboard.press("m"), is_open, "the dialog of a mark")
+    return field
 
 
 def ask_twice(window: Page, test_id: str, done: Callable[[], Any], what: str) -> None:
@@ -427,8 +439,13 @@ def test_it_takes_off_flies_to_a_click_and_lands(window: Page) -> None:
     wait(lambda: page.evaluate("window.muflyScene.sent()") is None, "the mark to go")
     stop_is_there_behind_a_recording_a_dialog_and_a_field(window)
     fly_by_hand(window)
-    page.keyboard.press("Shift+L")
-    page.keyboard.press("Shift+L")
+
+    def press_land_twice() -> None:
+        for _ in range(2):
+            page.keyboard.press("Shift+L")
+            time.sleep(0.5)
+
+    repeat(window, press_land_twice, lambda: window.frame()["state"] != "hover", "to begin the landing")  # type: ignore[index]
     wait(lambda: not window.frame()["armed"], "the landing")  # type: ignore[index]
     assert "✓ land" in page.inner_text(".mf-requests")
 
@@ -447,8 +464,7 @@ def stop_is_there_behind_a_recording_a_dialog_and_a_field(window: Page) -> None:
     open_tab(window, "Recordings", every.is_visible, "the recordings")
     slider = page.locator("[data-testid=replay-slider]")
     open_recording_of_the_station(window, slider.is_visible)
-    page.keyboard.press("m")
-    field = page.get_by_label("text").last
+    field = open_mark(window)
     field.fill("gust")
     for width, height in SIZES:
         page.set_viewport_size({"width": width, "height": height})
@@ -640,7 +656,7 @@ async () => {
 
 
 def test_no_number_hangs_the_page_and_the_stop_stays_in_reach(browser: Any, fly: Fly, window: Page) -> None:
-    second = Page(browser, fly.url)
+    second = Page(browser, fly.url, "")
     wait(lambda: second.frame(), "a vehicle on the page")
     wait(lambda: second.page.evaluate("Boolean(window.muflyScene)"), "the scene")
     found = second.page.evaluate(ANY_NUMBER)
@@ -656,10 +672,9 @@ def test_no_number_hangs_the_page_and_the_stop_stays_in_reach(browser: Any, fly:
 
 def test_a_mark_goes_into_the_recording(window: Page) -> None:
     page = window.page
-    page.keyboard.press("m")
-    page.get_by_label("text").last.fill("gust from the left")
+    open_mark(window).fill("gust from the left")
     page.keyboard.press("Enter")
-    open_tab(window, "Messages", lambda: page.locator(".mf-messages").is_visible(), "the messages")
+    open_tab(window, "Messages", page.locator(".mf-messages").first.is_visible, "the messages")
     wait(lambda: "mark: gust from the left" in page.inner_text(".mf-messages"), "the mark")
 
 
@@ -694,7 +709,7 @@ window.find_again = () => { cut = false; };
 
 
 def test_a_second_window_watches_until_it_takes_the_controls(browser: Any, fly: Fly, window: Page) -> None:
-    second = Page(browser, fly.url, ONE_IS_NAN + KEEP_SOCKETS)
+    second = Page(browser, fly.url, CALM + ONE_IS_NAN + KEEP_SOCKETS)
     wait(lambda: "Another window" in second.page.inner_text(".mf-banner"), "the note")
     assert not second.ready("take-off")
     wait(second.frame, "its first frame")
