@@ -152,7 +152,7 @@ TEXTS = {
     "--hold-out", "--host", "--imu", "--input", "--inputs", "--keep", "--kind", "--known", "--layout",
     "--limit", "--link", "--logs", "--map", "--material", "--measured", "--mesh", "--method", "--mission", "--model",
     "--name", "--noise", "--template", "--only", "--open", "--origin", "--others", "--out", "--output", "--outputs",
-    "--over", "--part", "--plot", "--position", "--prefix", "--reference", "--report", "--rig", "--rotor",
+    "--over", "--part", "--plot", "--policy", "--position", "--prefix", "--reference", "--report", "--rig", "--rotor",
     "--save-map", "--section", "--sensors", "--set", "--signal", "--simulator", "--start", "--stream", "--telemetry",
     "--times", "--tip", "--token", "--unit", "--vary", "--vehicle", "--wake", "--wake-set", "--without",
     "--loop", "--tuned", "--write",

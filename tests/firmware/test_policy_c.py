@@ -16,7 +16,13 @@ from mufly.control import design_flight_controller
 from mufly.errors import InputError
 from mufly.estimate import Estimate
 from mufly.firmware import export_policy
-from mufly.flight.policy import LearnedPolicy, PolicyControllers, PolicyLayer, load_policy, save_policy
+from mufly.flight.policy import (
+    LearnedPolicy,
+    PolicyControllers,
+    PolicyLayer,
+    load_policy,
+    save_policy,
+)
 from mufly.flight.policy.observation import OBS_HEIGHT, map_action, observation_limits, observation_names
 from mufly.flight.policy.policy_controllers import find_equal_action, step_policy
 from mufly.flight.policy.policy_network import evaluate_policy

@@ -32,6 +32,7 @@ from mufly.cli.station import (
     FixedPointOption,
     GustOption,
     HostOption,
+    PolicyOption,
     PortOption,
     SensorsOption,
     ShutdownHandler,
@@ -168,6 +169,8 @@ Examples:
 
   mufly fly my-mission.toml --vehicle my-helicopter.toml --out results
 
+  mufly fly --headless --policy hover-policy.json --wind 0.5,0,0 --gust 0.3
+
   mufly fly --link udp:127.0.0.1:14550      (QGroundControl or a script may fly it too)
 
   mufly fly --position link --link udpin:127.0.0.1:14560      (position from another program's SLAM)
@@ -226,6 +229,7 @@ def fly_mission(
     fault: FaultOption = None,
     firmware: FirmwareOption = False,
     fixed_point: FixedPointOption = False,
+    policy: PolicyOption = "",
     designed_for: Annotated[
         str | None,
         define_option(
@@ -308,10 +312,11 @@ def fly_mission(
         helicopter = load_vehicle(vehicle)
         faults = check_sensor_options(helicopter, sensors, fault)
         flown = load_mission(mission)
+        design_vehicle = None if designed_for is None else load_vehicle(designed_for)
         order = FlightOrder(
             helicopter, flown, recording, steady, gust, seed, tuple(ends), start, realtime, sensors,
-            faults, select_flight_software(firmware, fixed_point),
-            None if designed_for is None else load_vehicle(designed_for),
+            faults, select_flight_software(firmware, fixed_point, policy, (design_vehicle or helicopter).name),
+            design_vehicle,
             _make_camera(position, sensors, camera, floor, floor_width, camera_fault, stream, flown, mission),
             position == "link",
         )  # fmt: skip
@@ -348,6 +353,8 @@ def fly_mission(
             if browser:
                 open_in_background(show.page_address)
         display.follow_startup(startup)
+        if policy:
+            terminal.print(f"Control law: learned policy {policy}", highlight=False, markup=False)
         _prepare_flight(order, show, firmware)
         heard: list[Path] = []
         if order.extra_links or show.page_address is not None:

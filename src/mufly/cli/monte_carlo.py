@@ -28,6 +28,7 @@ from mufly.cli.station import (
     FirmwareOption,
     FixedPointOption,
     GustOption,
+    PolicyOption,
     SensorsOption,
     ShutdownHandler,
     WindOption,
@@ -138,6 +139,7 @@ def run_monte_carlo(
     ] = 0,
     firmware: FirmwareOption = False,
     fixed_point: FixedPointOption = False,
+    policy: PolicyOption = "",
     seed: Annotated[int, define_option("--seed", "Seed of the campaign, from which each flight's seed is drawn.")] = 0,
     jobs: Annotated[
         int | None, define_option("--jobs -j N", "Parallel flights. Default: one for each core.", min=1)
@@ -166,8 +168,9 @@ def run_monte_carlo(
 
     helicopter = load_vehicle(vehicle)
     check_sensor_options(helicopter, sensors, fault)
-    controllers = select_flight_software(firmware, fixed_point)
+    controllers = select_flight_software(firmware, fixed_point, policy, helicopter.name)
     by = tuple(word for word, wanted in (("--firmware", firmware), ("--fixed-point", fixed_point)) if wanted)
+    by += ("--policy", policy) if policy else ()
     by += tuple(word for file in tuned or () for word in ("--tuned", file))
 
     from mufly.firmware import GenericFirmwareSoftware

@@ -122,8 +122,29 @@ FixedPointOption = Annotated[
 ]
 
 
-def select_flight_software(wanted: bool, fixed_point: bool = False) -> ControlImplementation | None:
-    """Return the implementation of the control law: the exported code if requested, which needs a compiler."""
+PolicyOption = Annotated[
+    str,
+    define_option(
+        "--policy FILE", "Fly by a learned policy in place of the control law (docs/how-to/learn-to-fly.md)."
+    ),
+]
+
+
+def select_flight_software(
+    wanted: bool, fixed_point: bool = False, policy: str = "", vehicle_name: str = ""
+) -> ControlImplementation | None:
+    """Return the implementation of the control law: the exported code, which needs a compiler, or a learned policy.
+
+    ``vehicle_name`` is that of the vehicle for which the controllers are designed.
+    """
+    if policy:
+        if wanted:
+            raise InputError("--policy", "", "is another control law than --firmware", "leave out one of them")
+        from mufly.flight.policy import PolicyControlLaw, check_policy, load_policy
+
+        learned = load_policy(policy)
+        check_policy(learned, vehicle_name, policy)
+        return PolicyControlLaw(learned)
     if fixed_point and not wanted:
         raise InputError("--fixed-point", "", "is a way of computing the exported code", "give --firmware, too")
     if not wanted:

@@ -117,6 +117,33 @@ def export(
 
 
 @app.command()
+def policy(
+    file: Annotated[Path, define_argument("FILE", "Policy by docs/examples/learn_to_hover.py.")],
+    out: Annotated[
+        Path, define_option("--out DIR", "Folder to write: a new or empty one, or one of an earlier export.")
+    ],
+) -> None:
+    """Write a learned policy as C99 of fixed size without heap.
+
+    In double precision the code equals the policy of mufly fly --policy bit for bit; -DMUFLY_FLOAT builds it in single
+    precision.
+
+    Example: mufly firmware policy hover-policy.json --out policy-c
+    """
+    from mufly.firmware import export_policy
+    from mufly.flight.policy import load_policy
+
+    learned = load_policy(file)
+    with report_write_errors("--out", key=str(out)):
+        files = export_policy(learned, out)
+    print_files([out])
+    shape = " x ".join(map(str, learned.packed.sizes))
+    print_lines(
+        f"{len(files)} files: network {shape}, {learned.packed.weights.size + learned.packed.biases.size} numbers."
+    )
+
+
+@app.command()
 def sil(
     missions: Annotated[
         list[str] | None,

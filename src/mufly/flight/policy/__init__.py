@@ -5,8 +5,16 @@
 :mod:`mufly.flight.policy.policy_controllers` how it flies.
 """
 
-from mufly.flight.policy.policy_controllers import PolicyControllers, fly_by_policy
+from mufly.flight.policy.policy_controllers import PolicyControlLaw, PolicyControllers, check_policy
 from mufly.flight.policy.policy_file import load_policy, save_policy
 from mufly.flight.policy.policy_network import LearnedPolicy, PolicyLayer
 
-__all__ = ["LearnedPolicy", "PolicyControllers", "PolicyLayer", "fly_by_policy", "load_policy", "save_policy"]
+__all__ = [
+    "LearnedPolicy",
+    "PolicyControlLaw",
+    "PolicyControllers",
+    "PolicyLayer",
+    "check_policy",
+    "load_policy",
+    "save_policy",
+]

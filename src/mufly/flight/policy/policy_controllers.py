@@ -17,13 +17,13 @@ Its inputs are held until the next action. The flight software limits their rate
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.answer_store import hash_question
 from mufly.control import FlightController
 from mufly.errors import InputError
 from mufly.estimate import Estimate
@@ -174,6 +174,23 @@ def find_equal_action(inputs: _Array, trim: _Array) -> NDArray[np.float64]:
     return np.clip(np.array(wanted, dtype=np.float64), -1.0, 1.0)
 
 
-def fly_by_policy(policy: LearnedPolicy) -> Callable[[FlightController], Controllers]:
-    """Return the control law by a policy, for ``controllers`` of :func:`mufly.flight.fly_mission`."""
-    return functools.partial(PolicyControllers, policy=policy)
+@dataclass(frozen=True, eq=False)
+class PolicyControlLaw:
+    """Control law by a policy, for ``controllers`` of :func:`mufly.flight.fly_mission`.
+
+    Attributes
+    ----------
+    policy : LearnedPolicy
+    """
+
+    policy: LearnedPolicy
+
+    def __call__(self, design: FlightController) -> PolicyControllers:
+        """Return the controllers of a vehicle with this design."""
+        return PolicyControllers(design, self.policy)
+
+    @property
+    def __name__(self) -> str:
+        """Name that differs between policies; a campaign stores its flights under it."""
+        numbers = (*self.policy.packed, self.policy.trim, self.policy.nominal_voltage_V)
+        return f"policy-{hash_question(*(np.asarray(x).tobytes() for x in numbers))[:16]}"
