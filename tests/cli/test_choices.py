@@ -17,7 +17,7 @@ from mufly.cli.identify import flight as identify
 from mufly.cli.onboard import link, slam
 from mufly.identify.flight.output_error_problem import DynamicsPart
 from mufly.identify.flight.staged_search import FitMethod
-from mufly.link.vehicle_process import SensorMode
+from mufly.link.real_time.real_time_loop import SensorMode
 from mufly.rotor.rotor_system import SolverMethod
 from mufly.rotor.sections.polar_engines import PolarEngine
 from mufly.rotor.uncertainty import SECTION_KNOWLEDGE_LEVELS

@@ -27,7 +27,7 @@ from mufly.link import (
     wait_readable,
 )
 from mufly.link import mavlink as m
-from mufly.link.vehicle_process import CATCH_UP_SPEED, MAX_CATCH_UP_S, PACE_WINDOW_S, RealTimePacer
+from mufly.link.real_time.real_time_loop import CATCH_UP_SPEED, MAX_CATCH_UP_S, PACE_WINDOW_S, RealTimePacer
 from mufly.logs import read_log, read_raw
 from mufly.mission import REQUEST_ACCEPTED, Mission
 
@@ -67,7 +67,7 @@ def test_a_long_stall_is_not():
 
 def test_real_time_that_is_lost_is_measured_and_said(monkeypatch):
     """A clock that goes five times as fast as the machine can tick, from 8 s to 18 s; no load is needed for that."""
-    monkeypatch.setattr("mufly.link.vehicle_process.wait_readable", lambda ports, timeout_s: None)
+    monkeypatch.setattr("mufly.link.real_time.real_time_loop.wait_readable", lambda ports, timeout_s: None)
     flight, said, told = new_flight(), [], {}
     link = VehicleLink(flight)
     flight.autopilot.listeners.append(lambda e: "real time" in e.text and said.append((e.level, e.text)))
@@ -111,7 +111,7 @@ def test_what_was_asked_while_the_vehicle_stood_still_is_not_carried_out(monkeyp
     flight.autopilot.listeners.append(lambda e: said.append(e.text))
     clock = [100.0]
     monkeypatch.setattr(
-        "mufly.link.vehicle_process.wait_readable",
+        "mufly.link.real_time.real_time_loop.wait_readable",
         lambda ports, timeout_s: clock.__setitem__(0, clock[0] + timeout_s),
     )
     encode, turns = FrameEncoder(255, 190), itertools.count()

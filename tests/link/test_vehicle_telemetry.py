@@ -15,8 +15,8 @@ from mufly.link import mavlink as m
 from mufly.link.estimate_messages import UNKNOWN_COVARIANCE
 from mufly.link.telemetry_streams import MissionProgress, TelemetryState
 from mufly.sensors import Reading, Readings
+from mufly.station.remote.vehicle_telemetry import VehicleTelemetry
 from mufly.station.signal_history import SignalHistory
-from mufly.station.vehicle_telemetry import VehicleTelemetry
 
 UNIT = {
     "": 1.0, "m": 1.0, "mm": 1e-3, "cm": 1e-2, "m/s": 1.0, "cm/s": 1e-2, "rad": 1.0, "rad/s": 1.0, "s": 1.0,

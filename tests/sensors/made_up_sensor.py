@@ -37,7 +37,7 @@ def report() -> dict[str, object]:
     from mufly.sensors import Reading, Readings, Truth, parse_fault
     from mufly.station import SignalHistory
     from mufly.station.page.frame_feed import list_sensor_states
-    from mufly.station.vehicle_telemetry import VehicleTelemetry
+    from mufly.station.remote.vehicle_telemetry import VehicleTelemetry
 
     fault = parse_fault("pitot.jump@5s")
     zero = np.zeros(3)

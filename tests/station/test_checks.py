@@ -20,9 +20,9 @@ from mufly.station import SignalHistory, VehicleSnapshot
 from mufly.station.mission_endurance import estimate_mission_duration
 from mufly.station.mission_rows import rows_from_items
 from mufly.station.preflight_checks import StationContext, run_preflight_checks
-from mufly.station.remote_commands import StatusTextLog
-from mufly.station.remote_transfers import RemoteMission, RemoteParameters
-from mufly.station.vehicle_telemetry import VehicleTelemetry
+from mufly.station.remote.remote_commands import StatusTextLog
+from mufly.station.remote.remote_transfers import RemoteMission, RemoteParameters
+from mufly.station.remote.vehicle_telemetry import VehicleTelemetry
 
 PREARM = 268435456
 NAMES = [

@@ -6,9 +6,10 @@ from itertools import pairwise
 import pytest
 
 from mufly.link import Command, GlobalOrigin, mavlink
-from mufly.station import RequestOutcome, autopilots
-from mufly.station.autopilots import identify_firmware, select_commands
-from mufly.station.remote_commands import (
+from mufly.station import RequestOutcome
+from mufly.station.remote import autopilots
+from mufly.station.remote.autopilots import identify_firmware, select_commands
+from mufly.station.remote.remote_commands import (
     MAX_TRIES,
     PROGRESS_TIMEOUT_S,
     REASON_WAIT_S,

@@ -14,8 +14,8 @@ from mufly.mission.mission_items import mission_to_items
 from mufly.station import GroundLink, RequestOutcome
 from mufly.station.ground_station import choose_telemetry_rate
 from mufly.station.mission_rows import MISSION_SPEED_TEXT, is_same_mission, rows_from_items
-from mufly.station.remote_commands import StatusTextLog
-from mufly.station.remote_transfers import RemoteParameters
+from mufly.station.remote.remote_commands import StatusTextLog
+from mufly.station.remote.remote_transfers import RemoteParameters
 
 MISSION = parse_mission(
     {

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from mufly.link.steering_input import StickDeflection, parse_manual_control
-from mufly.station.pilot_sticks import PilotSticks, manual_control_message
+from mufly.station.remote.pilot_sticks import PilotSticks, manual_control_message
 
 BEGIN_S = 5000.0  # of no clock's beginning
 

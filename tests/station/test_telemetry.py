@@ -10,9 +10,9 @@ import pytest
 from mufly.link import MISSION_STATES, mavlink
 from mufly.quantities import mavlink_columns
 from mufly.station import SignalHistory
-from mufly.station.remote_commands import StatusTextLog
+from mufly.station.remote.remote_commands import StatusTextLog
+from mufly.station.remote.vehicle_telemetry import TABLE_MESSAGES, VehicleClock, VehicleTelemetry
 from mufly.station.signal_history import SIGNAL_TIMEOUT_S
-from mufly.station.vehicle_telemetry import TABLE_MESSAGES, VehicleClock, VehicleTelemetry
 from mufly.vehicle_types import flight_mode_name
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from mufly.bridges.autopilot_plant import AutopilotPlant
 from mufly.errors import InputError
-from mufly.link.vehicle_process import RealTimePacer
+from mufly.link.real_time.real_time_loop import RealTimePacer
 
 MAX_SPEED = 100.0
 REPORT_PERIOD_S = 0.5

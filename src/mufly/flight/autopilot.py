@@ -22,12 +22,11 @@ from dataclasses import replace
 import numpy as np
 
 from mufly.control import FlightController
-from mufly.drive import charge_at_rest
-from mufly.dynamics import hover_current_A
 from mufly.errors import InputError
 from mufly.estimate import Estimate, SensorStatus
-from mufly.flight.arming import check_climb_column, check_mission_start, check_place, find_arming_faults
+from mufly.flight.arming import check_climb_column, check_place, find_arming_faults
 from mufly.flight.controllers import Actuators
+from mufly.flight.energy_check import EnergyCheck
 from mufly.flight.estimator_health import SensorEventReporter, preflight_warning
 from mufly.flight.flight_software import FlightSoftware
 from mufly.flight.flight_state import FlightState
@@ -57,7 +56,6 @@ from mufly.mission import (
     user_waypoint_fault,
 )
 from mufly.mission.geofence import FENCE_MARGIN_M
-from mufly.mission.mission_timing import compute_reach_time
 from mufly.vehicle import Vehicle
 
 AUTO_DISARM_S = 10.0
@@ -72,10 +70,6 @@ FENCE_RETURN_MARGIN_M, FENCE_REPEAT_DEPTH_M = 0.1, 1.0
 STICKS_BLOCKED_S = 2.0
 """Time after a breach without stick control (s), in which the vehicle comes to rest."""
 
-FULL_CHARGE = 0.97
-"""Charge, from the voltage at rest, of a full battery: the voltage is known to a few centivolts."""
-
-_REST_FILTER_S = 1.0  # time constant of the filtered voltage at rest
 _FALL_HEIGHT_M = 0.1  # height above the standing position from which stopped motors mean a fall
 _INTERRUPTIONS = (LogMessage.TIPPED_MOTORS_OFF(), LogMessage.MOTORS_OFF_AFTER_DESCENT())
 
@@ -117,9 +111,7 @@ class Autopilot:
         self.listeners: list[Callable[[FlightEvent], None]] = []
         self.excused_sensors: Callable[[], Collection[str]] = lambda: ()
         self.source_fault: Callable[[], str] = lambda: ""
-        self.hover_current_A = hover_current_A(vehicle)
-        self._battery = vehicle.battery
-        self._capacity_Ah = float(vehicle.battery.capacity) / 3600.0
+        self.energy_check = EnergyCheck(vehicle)
         self._radius_m = float(vehicle.rotors.radius)
         self._period_s = 1.0 / controller.rate_Hz
         self._parameters = TunableParameters(vehicle, controller, self.software)
@@ -131,7 +123,7 @@ class Autopilot:
         self._armed, self._armed_s = False, 0.0
         self._interruption, self._interruption_told = "", False
         self.refused_source = ""  # fault of a source of positions that was refused in flight
-        self._rest_V = math.nan
+        self.energy_check.reset()
         self._ran = False
         self._sent = _IDLE_ACTUATORS
         self._command = NO_COMMAND
@@ -145,7 +137,6 @@ class Autopilot:
         self._stale_s = 0.0
         self._sensors = SensorEventReporter()
         self._logged = 0
-        self._suits: tuple[Mission | None, tuple[float, ...], str] = (None, (), "")
         self._breach, self._breaches, self._breach_s = "", 0, math.nan
         self._breach_depth = 0.0
 
@@ -169,8 +160,7 @@ class Autopilot:
         self._estimate = estimate
         volts = estimate.battery_voltage
         if self.software.motors == "off" and 0.0 < volts < math.inf:
-            blend = min(1.0, self._period_s / _REST_FILTER_S)
-            self._rest_V = volts if math.isnan(self._rest_V) else self._rest_V + blend * (volts - self._rest_V)
+            self.energy_check.observe_rest_voltage(volts, self._period_s)
 
     def step(self, estimate: Estimate) -> Actuators:
         """Advance by one period.
@@ -347,41 +337,13 @@ class Autopilot:
             m, self._stale_s, plan.low_battery_V, plan.mission.world, self._radius_m, self.crash_cause
         )
         if m is not None and not self.crash_cause and np.isfinite(m.position).all():
-            fault = self._mission_fault(m)
+            fault = self.energy_check.check_start_here(plan.mission, m)
             why += [fault] if fault else []
         if fault := self.source_fault():
             why.append(f"{SOURCE_REFUSED}{fault}; mend its source")
         if self._interruption and not self.crash_cause:
             why.insert(0, f"its last flight was interrupted: {self._interruption}; inspect it, then arm again")
         return why
-
-    def _mission_fault(self, m: Estimate) -> str:
-        """Return the reason against starting the mission here, cached for the same mission, place and charge."""
-        mission = self.software.plan.mission
-        north, east = round(float(m.position[0]), 2), round(float(m.position[1]), 2)
-        heading = round(float(m.attitude[2]), 1) if math.isfinite(m.attitude[2]) else 0.0
-        where = (north, east, heading, self._charge)
-        if self._suits[0] is not mission or self._suits[1] != where:
-            self._suits = (mission, where, self._compute_mission_fault(mission, (north, east), heading))
-        return self._suits[2]
-
-    def _compute_mission_fault(self, mission: Mission, standing: tuple[float, float], heading: float) -> str:
-        return check_mission_start(
-            mission,
-            standing,
-            heading,
-            hover_current_A=self.hover_current_A,
-            capacity_Ah=self._capacity_Ah,
-            charge=self._charge,
-        )
-
-    @property
-    def _charge(self) -> float:
-        """Charge of the battery (0..1) from its voltage at rest, in steps of 0.01; 1 if full or unknown."""
-        if math.isnan(self._rest_V):
-            return 1.0
-        charge = round(charge_at_rest(self._battery, self._rest_V), 2)
-        return 1.0 if charge >= FULL_CHARGE else charge
 
     def arm(self, *, force: bool = False, quiet: bool = False, repeated: bool = False) -> RequestAnswer:
         """Arm the vehicle, so that the motors may run.
@@ -400,7 +362,9 @@ class Autopilot:
         """
         if self._armed:
             return REQUEST_ACCEPTED
-        answer = reject_temporarily(MOTORS_STOPPING) if self._is_stopping else self._check_request(VehicleRequest.ARM)
+        answer = (
+            reject_temporarily(MOTORS_STOPPING) if self._is_stopping else self.status.check_request(VehicleRequest.ARM)
+        )
         if not answer:
             return answer
         if self._interruption and (force or (self._interruption_told and not repeated)):
@@ -430,7 +394,7 @@ class Autopilot:
             return self.emergency_stop()
         if not self._armed:
             return REQUEST_ACCEPTED
-        answer = self._check_request(VehicleRequest.DISARM)
+        answer = self.status.check_request(VehicleRequest.DISARM)
         if answer:
             self._stop_motors("disarmed")
         return answer
@@ -556,7 +520,7 @@ class Autopilot:
 
     def _check_climb(self, ask: VehicleRequest, height_m: float) -> RequestAnswer:
         """Check a request for a take-off: state, attitude, obstacles above, and fence."""
-        answer = self._check_request(ask)
+        answer = self.status.check_request(ask)
         if not answer:
             return answer
         m, mission = self._estimate, self.software.plan.mission
@@ -581,10 +545,10 @@ class Autopilot:
         if self.software.mission_state.state == "init":
             answer = self._check_climb(VehicleRequest.START, self.software.plan.mission.take_off.height_m)
             if answer and self._estimate is not None:
-                fault = self._mission_fault(self._estimate)
+                fault = self.energy_check.check_start_here(self.software.plan.mission, self._estimate)
                 answer = reject_temporarily(fault) if fault else answer
         else:
-            answer = self._check_request(VehicleRequest.START)
+            answer = self.status.check_request(VehicleRequest.START)
         return self._send_command(Command(start=True, first_waypoint=first)) if answer else answer
 
     def pause(self) -> RequestAnswer:
@@ -609,30 +573,17 @@ class Autopilot:
             return deny_request(f"[{place[0]:g}, {place[1]:g}, {place[2]:g}] refused: {fault}")
         here = place if self._estimate is None else self._estimate.position
         fault = fence_fault(mission.fence, place, FENCE_MARGIN_M) or fence_path_fault(mission.fence, here, place)
-        fault = fault or self._reach_fault(place)
+        fault = fault or self.energy_check.check_reach(mission, self._estimate, place)
         if fault:
             return deny_request(f"[{place[0]:g}, {place[1]:g}, {place[2]:g}] refused: {fault}")
         return self._request_command(VehicleRequest.GO_TO, Command(waypoint=place, heading=heading))
 
-    def _reach_fault(self, place: tuple[float, float, float]) -> str:
-        """Return the reason if a full battery does not suffice to fly to a position and land there; "" if it does."""
-        m, mission = self._estimate, self.software.plan.mission
-        if m is None or not np.isfinite(m.position).all():
-            return ""
-        needed = compute_reach_time(mission, m.position, place)
-        lasts = 3600.0 * mission.battery.usable * self._capacity_Ah / self.hover_current_A
-        if needed <= lasts:
-            return ""
-        return f"out of reach: getting there and down takes {needed:.0f} s, a full battery lasts {lasts:.0f} s"
-
     def turn_to(self, heading_rad: float) -> RequestAnswer:
         """Stop and turn on the spot to a heading (rad, from north to east)."""
         fault = user_waypoint_fault(None, heading_rad)
-        return (
-            deny_request(fault)
-            if fault
-            else self._request_command(VehicleRequest.GO_TO, Command(heading=float(heading_rad)))
-        )
+        if fault:
+            return deny_request(fault)
+        return self._request_command(VehicleRequest.GO_TO, Command(heading=float(heading_rad)))
 
     def set_speed(self, speed_m_s: float) -> RequestAnswer:
         """Set the horizontal speed (m/s; parameter LIM_SPEED), effective from the next leg."""
@@ -659,12 +610,8 @@ class Autopilot:
         return REQUEST_ACCEPTED
 
     def _request_command(self, ask: VehicleRequest, command: Command) -> RequestAnswer:
-        answer = self._check_request(ask)
+        answer = self.status.check_request(ask)
         return self._send_command(command) if answer else answer
-
-    def _check_request(self, ask: VehicleRequest) -> RequestAnswer:
-        """Return whether the present state permits a request."""
-        return self.status.check_request(ask)
 
     # set-points and sticks
 
@@ -689,7 +636,7 @@ class Autopilot:
             return reject_temporarily(f"no set-point in the last {SET_POINT_TIMEOUT_S:g} s; stream them first")
         if self._is_stopping:
             return reject_temporarily(MOTORS_STOPPING)
-        answer = self._check_request(VehicleRequest.OFFBOARD)
+        answer = self.status.check_request(VehicleRequest.OFFBOARD)
         self._offboard = self._offboard or answer.accepted
         return answer
 
@@ -698,7 +645,7 @@ class Autopilot:
         values = (roll_rad, pitch_rad, yaw_rate_rad_s, climb_m_s)
         if not all(math.isfinite(v) for v in values):
             return deny_request("sticks refused: give finite numbers")
-        answer = self._check_request(VehicleRequest.STICKS)
+        answer = self.status.check_request(VehicleRequest.STICKS)
         if answer and self._breach and self._now - self._breach_s < STICKS_BLOCKED_S:
             answer = reject_temporarily("it has just left its fence; wait until it holds, then fly it back")
         if not answer:
@@ -731,7 +678,7 @@ class Autopilot:
     def load_mission(self, mission: Mission) -> RequestAnswer:
         """Load another mission, which waits for its start; refused during a mission and for a faulty mission."""
         software = self.software
-        answer = self._check_request(VehicleRequest.LOAD)
+        answer = self.status.check_request(VehicleRequest.LOAD)
         if not answer:
             return answer
         if self._command is not NO_COMMAND:
@@ -740,7 +687,7 @@ class Autopilot:
         known = m is not None and bool(np.isfinite(m.position).all())
         n, e = (float(m.position[0]), float(m.position[1])) if m is not None and known else mission.start_m
         heading = float(m.attitude[2]) if m is not None and known else 0.0
-        fault = self._compute_mission_fault(software.limit_mission(mission), (n, e), heading)
+        fault = self.energy_check.check_start(software.limit_mission(mission), (n, e), heading)
         if fault:
             return deny_request(fault)
         try:

@@ -250,7 +250,7 @@ class Flight:
         self._asked_many = False
         self._measure_start()
         self._crash_s = math.inf
-        self.current_A = self.autopilot.hover_current_A
+        self.current_A = self.autopilot.energy_check.hover_current_A
         self._finished = self._mission_flown = False
         self.refusal_reason = ""
         self.autopilot.listeners.append(self._record_event)
@@ -354,7 +354,7 @@ class Flight:
             plant.check_collision()
             flying = autopilot.software.motors == "fly"
             self.current_A += self.current_filter_share * (
-                (float(plant.current) if flying else autopilot.hover_current_A) - self.current_A
+                (float(plant.current) if flying else autopilot.energy_check.hover_current_A) - self.current_A
             )
         return CONTINUE
 

@@ -37,6 +37,8 @@ from mufly.link.mission_transfer import (
 )
 from mufly.link.parameter_protocol import INTEGER_RANGES, LINK_PARAMETERS, decode_parameter, encode_parameter
 from mufly.link.ports import Endpoint, Peer, Port, open_port, parse_endpoint, wait_readable
+from mufly.link.real_time.real_time_loop import LoopReport, run_real_time, warm_up
+from mufly.link.real_time.vehicle_process import VehicleProcess, start_vehicle
 from mufly.link.telemetry_streams import (
     MESSAGE_STREAMS,
     MISSION_STATES,
@@ -44,7 +46,6 @@ from mufly.link.telemetry_streams import (
     TelemetryState,
 )
 from mufly.link.vehicle_link import VehicleLink
-from mufly.link.vehicle_process import LoopReport, VehicleProcess, run_real_time, start_vehicle, warm_up
 from mufly.logs.tlog import TlogWriter
 from mufly.mission.mission_items import (
     MissionRefusedError,

@@ -57,7 +57,7 @@ class VehicleLink:
     on_received : callable or None
         Called with the bytes of every received message, for a log.
     real_time_factor, slip_count : float, int
-        Real-time performance of the flight's loop (:class:`mufly.link.vehicle_process.RealTimePacer`), published to
+        Real-time performance of the loop (:class:`mufly.link.real_time.real_time_loop.RealTimePacer`), published to
         stations. NaN: not measured.
     """
 

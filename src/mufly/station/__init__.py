@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from mufly.flight.tunable_parameters import TunableParameter
     from mufly.station.ground_station import GroundLink, GroundStation
-    from mufly.station.remote_vehicle import RemoteVehicle
+    from mufly.station.remote.remote_vehicle import RemoteVehicle
     from mufly.station.signal_history import (
         MissionRow,
         OperatorRequest,
@@ -37,7 +37,7 @@ _MODULES_BY_NAME = {
         "VehicleSnapshot",
     ),
     "mufly.station.station_recorder": ("StationRecorder",),
-    "mufly.station.remote_vehicle": ("RemoteVehicle",),
+    "mufly.station.remote.remote_vehicle": ("RemoteVehicle",),
 }
 __all__ = [
     "GroundLink",

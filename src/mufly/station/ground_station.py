@@ -22,7 +22,7 @@ from pathlib import Path
 from mufly.errors import ArgumentError, InputError
 from mufly.link.codec import FrameDecoder, FrameEncoder, MavMessage, OutgoingFrame, mavlink
 from mufly.link.ports import MAX_STALL_S, Endpoint, Port, open_port, parse_endpoint, read_boot_clock
-from mufly.station.remote_vehicle import LOST_TIMEOUT_S, RemoteVehicle
+from mufly.station.remote.remote_vehicle import LOST_TIMEOUT_S, RemoteVehicle
 from mufly.station.station_recorder import StationRecorder
 from mufly.vehicle_types import is_vehicle, vehicle_rank, vehicle_type_name
 

@@ -16,10 +16,10 @@ from mufly.link.mission_transfer import MissionItem
 from mufly.mission import Mission
 from mufly.station.mission_endurance import estimate_mission_duration
 from mufly.station.mission_rows import is_same_mission
-from mufly.station.remote_commands import StatusTextLog
-from mufly.station.remote_transfers import RemoteMission, RemoteParameters
+from mufly.station.remote.remote_commands import StatusTextLog
+from mufly.station.remote.remote_transfers import RemoteMission, RemoteParameters
+from mufly.station.remote.vehicle_telemetry import EstimatorStatus, VehicleTelemetry
 from mufly.station.signal_history import PreflightCheck, VehicleSnapshot, format_clock
-from mufly.station.vehicle_telemetry import EstimatorStatus, VehicleTelemetry
 from mufly.vehicle_types import ARDUPILOT
 
 MAX_LINK_LOSS = 0.1

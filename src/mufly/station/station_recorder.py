@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from mufly.errors import InputError, MuflyError
 from mufly.flight import FlightRecorder
 from mufly.link import TlogWriter
-from mufly.station.remote_vehicle import RemoteVehicle
+from mufly.station.remote.remote_vehicle import RemoteVehicle
 from mufly.station.signal_history import StatusMessage
 from mufly.version import __version__
 

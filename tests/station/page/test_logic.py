@@ -30,7 +30,7 @@ from mufly.station.page.page_session import (
     mission_label,
     read_parameter_file,
 )
-from mufly.station.remote_transfers import refusal_reason
+from mufly.station.remote.remote_transfers import refusal_reason
 
 
 def test_one_quantity_holds_all_who_speak_of_it() -> None:

@@ -170,7 +170,8 @@ def run_link(
         from mufly.control import design_flight_controller
         from mufly.flight import Flight
         from mufly.link import TlogWriter, VehicleLink, run_real_time
-        from mufly.link.vehicle_process import STAGE_COMPILING, STAGE_DESIGNING, warm_up
+        from mufly.link.real_time.real_time_loop import warm_up
+        from mufly.link.real_time.vehicle_process import STAGE_COMPILING, STAGE_DESIGNING
 
         startup.begin_stage(STAGE_DESIGNING)
         controller = design_flight_controller(helicopter)

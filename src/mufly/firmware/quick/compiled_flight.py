@@ -141,7 +141,10 @@ class CompiledFlight:
         clock.contact_interval, clock.record_interval = flight.look_periods, flight.record_periods
         clock.plant_steps, clock.rate_Hz, clock.step_s = plant.step_count, plant.rate_Hz, plant.step_s
         clock.beam_count = min(beams, self._board.beam_count)
-        clock.hover_current_A, clock.current_share = flight.autopilot.hover_current_A, flight.current_filter_share
+        clock.hover_current_A, clock.current_share = (
+            flight.autopilot.energy_check.hover_current_A,
+            flight.current_filter_share,
+        )
         self._log_rows = np.empty((MAX_PERIODS_PER_CALL, LOG_ROW_SIZE + beams))
         self._acting = np.zeros((3, 4))
         self._status_rows = np.zeros((2 + MAX_PERIODS_PER_CALL // COVARIANCE_INTERVAL_TICKS + 1, STATUS_ROW_SIZE))

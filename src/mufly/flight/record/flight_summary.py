@@ -24,7 +24,7 @@ Definitions (x is the true position, w a waypoint, both N-E-D):
   twice their standard deviation for that long).
 - *Real-time factor*: simulated seconds per second of wall-clock time, over the whole recording; *least*: over the worst
   5 s. *Slips*: number of times that a real-time flight skipped time because the machine was overloaded
-  (`mufly.link.vehicle_process`).
+  (`mufly.link.real_time.real_time_loop`).
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from mufly.mission.geofence import FENCE_MARGIN_M
 from mufly.mission.mission_timing import compute_reach_time
 from mufly.station.mission_endurance import mission_with_limits
 from mufly.station.preflight_checks import BATTERY_RESERVE, MIN_BATTERY_CHARGE, OWN_CHECKS_NAME
-from mufly.station.remote_vehicle import RemoteVehicle
+from mufly.station.remote.remote_vehicle import RemoteVehicle
 from mufly.station.signal_history import PreflightCheck, VehicleSnapshot, format_clock
 
 CONFIRM_TIMEOUT_S = 3.0

@@ -27,6 +27,7 @@ from mufly.station.page.panels import (
     ActionButton,
     BrowserPanel,
     FlightStrip,
+    StickPanel,
     build_check_drawer,
     build_mission_drawer,
     build_parameter_drawer,
@@ -36,10 +37,9 @@ from mufly.station.page.panels import (
     show_refusal,
     static_url,
 )
-from mufly.station.page.stick_panel import StickPanel
 from mufly.station.preflight_checks import OWN_CHECKS_NAME
 from mufly.station.recording_comparison import ALIGNMENTS
-from mufly.station.remote_vehicle import RemoteVehicle
+from mufly.station.remote.remote_vehicle import RemoteVehicle
 from mufly.station.signal_history import OperatorRequest, RequestOutcome, VehicleSnapshot
 
 REFRESH_PERIOD_S = 0.2

@@ -29,7 +29,7 @@ from mufly.station.page.late_requests import FrameTimes
 from mufly.station.page.mission_draft import SharedDraft
 from mufly.station.page.start_page import Startup
 from mufly.station.recording_comparison import COMPARED_PREFIX, RecordingComparison
-from mufly.station.remote_vehicle import RemoteVehicle
+from mufly.station.remote.remote_vehicle import RemoteVehicle
 from mufly.station.replay import FlightRecording, Replay
 from mufly.station.signal_history import OperatorRequest, RequestOutcome, VehicleSnapshot
 from mufly.station.station_recorder import StationRecorder

@@ -33,7 +33,7 @@ from mufly.link.mission_transfer import (
     to_mavlink,
 )
 from mufly.link.parameter_protocol import INTEGER_RANGES, decode_parameter, encode_parameter
-from mufly.station.remote_commands import RETRY_PERIOD_S, RepeatedRequest, StatusTextLog
+from mufly.station.remote.remote_commands import RETRY_PERIOD_S, RepeatedRequest, StatusTextLog
 from mufly.station.signal_history import OperatorRequest, RequestOutcome
 
 _PEER_NAME = "vehicle"

@@ -1,0 +1,93 @@
+"""Checks of a mission and of a flight to a position against the charge of the battery."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mufly.drive import charge_at_rest
+from mufly.dynamics import hover_current_A
+from mufly.estimate import Estimate
+from mufly.flight.arming import check_mission_start
+from mufly.mission import Mission
+from mufly.mission.mission_timing import compute_reach_time
+from mufly.vehicle import Vehicle
+
+FULL_CHARGE = 0.97
+"""Charge, from the voltage at rest, of a full battery: the voltage is known to a few centivolts."""
+
+_REST_FILTER_S = 1.0  # time constant of the filtered voltage at rest
+
+
+class EnergyCheck:
+    """Charge of the battery from its voltage at rest, and the flights for which it suffices.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+
+    Attributes
+    ----------
+    hover_current_A : float
+        Battery current in hover (A).
+
+    Raises
+    ------
+    InputError
+        If the vehicle cannot hover.
+    """
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self.hover_current_A = hover_current_A(vehicle)
+        self._battery = vehicle.battery
+        self._capacity_Ah = float(vehicle.battery.capacity) / 3600.0
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the voltage and the last answer."""
+        self._rest_V = math.nan
+        self._checked: tuple[Mission | None, tuple[float, ...], str] = (None, (), "")
+
+    def observe_rest_voltage(self, voltage_V: float, dt_s: float) -> None:
+        """Filter a voltage that was measured with the motors off."""
+        blend = min(1.0, dt_s / _REST_FILTER_S)
+        self._rest_V = voltage_V if math.isnan(self._rest_V) else self._rest_V + blend * (voltage_V - self._rest_V)
+
+    @property
+    def charge(self) -> float:
+        """Charge of the battery (0..1) from its voltage at rest, in steps of 0.01; 1 if full or unknown."""
+        if math.isnan(self._rest_V):
+            return 1.0
+        charge = round(charge_at_rest(self._battery, self._rest_V), 2)
+        return 1.0 if charge >= FULL_CHARGE else charge
+
+    def check_start(self, mission: Mission, standing: tuple[float, float], heading: float) -> str:
+        """Return the reason against a start of the mission at N, E (m) with a heading (rad); "" if it may start."""
+        return check_mission_start(
+            mission,
+            standing,
+            heading,
+            hover_current_A=self.hover_current_A,
+            capacity_Ah=self._capacity_Ah,
+            charge=self.charge,
+        )
+
+    def check_start_here(self, mission: Mission, m: Estimate) -> str:
+        """Return :meth:`check_start` at the estimated position, cached for the same mission, place and charge."""
+        north, east = round(float(m.position[0]), 2), round(float(m.position[1]), 2)
+        heading = round(float(m.attitude[2]), 1) if math.isfinite(m.attitude[2]) else 0.0
+        where = (north, east, heading, self.charge)
+        if self._checked[0] is not mission or self._checked[1] != where:
+            self._checked = (mission, where, self.check_start(mission, (north, east), heading))
+        return self._checked[2]
+
+    def check_reach(self, mission: Mission, m: Estimate | None, place: tuple[float, float, float]) -> str:
+        """Return the reason if a full battery does not suffice to fly to a position and land there; "" if it does."""
+        if m is None or not np.isfinite(m.position).all():
+            return ""
+        needed = compute_reach_time(mission, m.position, place)
+        lasts = 3600.0 * mission.battery.usable * self._capacity_Ah / self.hover_current_A
+        if needed <= lasts:
+            return ""
+        return f"out of reach: getting there and down takes {needed:.0f} s, a full battery lasts {lasts:.0f} s"
