@@ -18,9 +18,11 @@ import functools
 import json
 import math
 import os
+import tempfile
 import time
 import types
 from collections.abc import Callable
+from pathlib import Path
 
 import numba
 import numpy as np
@@ -39,6 +41,9 @@ from mufly.dynamics import (
     state_derivative,
 )
 from mufly.dynamics import equations_of_motion as model_source
+from mufly.errors import MuflyError
+from mufly.fmi import UnitLibrary, export_fmu
+from mufly.fmi.unit_flight import measure_step_rate
 
 STEP = 1e-3
 TARGET_SINGLE, TARGET_BATCH, BATCH = 0.5e6, 4e6, 1000
@@ -132,7 +137,7 @@ def operations_per_step(p: np.void, x: np.ndarray, u: np.ndarray) -> int:
 
     counting = parameters_for(p, Counting)
     counting.contact_reach = Counting(0.0)
-    run = source_with({"math": counting_math, "interpolate": interpolation}, counting)
+    run = source_with({"math": counting_math, "interpolate_table": interpolation}, counting)
     Counting.operations = 0
     run([Counting(v) for v in x], [Counting(v) for v in u], [Counting(0.0)] * 3, [0.0] * 21)
     combine, normalise = 21 * (3 * 2 + 7), 9 + 7 + 7
@@ -147,7 +152,7 @@ def numpy_step(p: np.void) -> Callable[[np.ndarray, np.ndarray, np.ndarray], Non
             "math": np,
             "min": np.minimum,
             "max": np.maximum,
-            "interpolate": lambda table, fraction: np.interp(fraction, fractions, curve),
+            "interpolate_table": lambda table, fraction: np.interp(fraction, fractions, curve),
         },
         parameters_for(p, float),
     )
@@ -199,6 +204,21 @@ def machine_limit(cores: int) -> tuple[float, float]:
     return scalar, vector
 
 
+def unit_rates(vehicle: mufly.vehicle.Vehicle, repeats: int) -> dict[str, float]:
+    """Steps a second of the vehicle's co-simulation unit; none without a C compiler."""
+    with tempfile.TemporaryDirectory() as folder:
+        export_fmu(vehicle, Path(folder) / "unit.fmu")
+        try:
+            unit = UnitLibrary(Path(folder) / "unit.fmu", Path(folder) / "unit")
+        except MuflyError:
+            return {}
+        rates = {"co-simulation unit in C": 1000, "co-simulation unit, 10 steps a call from Python": 10}
+        return {
+            name: max(measure_step_rate(unit, steps_a_call=n, duration_s=0.1) for _ in range(repeats))
+            for name, n in rates.items()
+        }
+
+
 def measure(quick: bool) -> dict[str, float]:
     vehicle = mufly.load_vehicle("mufly-1.1")
     hover, p = find_trim(vehicle), model_parameters(vehicle)
@@ -231,6 +251,8 @@ def measure(quick: bool) -> dict[str, float]:
         lambda: integrate_state(standing, still, CALM, p, STEP, steps), repeats
     )
 
+    result |= unit_rates(vehicle, repeats)
+
     xs, us = np.tile(start, (BATCH, 1)), np.tile(u, (BATCH, 1))
     winds, ps = np.zeros((BATCH, 3)), np.full(BATCH, np.array(p), dtype=PARAMETER_DTYPE)
     integrate_batch(xs, us, winds, ps, STEP, 1)
@@ -253,7 +275,7 @@ def measure(quick: bool) -> dict[str, float]:
 
     rates = np.empty(21)
     python = source_with(
-        {"interpolate": lambda t, f: np.interp(f, np.linspace(0, 1, len(t)), t)}, parameters_for(p, float)
+        {"interpolate_table": lambda t, f: np.interp(f, np.linspace(0, 1, len(t)), t)}, parameters_for(p, float)
     )
 
     def pure(_: float, state: np.ndarray) -> np.ndarray:

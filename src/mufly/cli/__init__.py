@@ -20,6 +20,7 @@ from mufly.cli.aero import measure as _measure  # noqa: F401  adds to the comman
 from mufly.cli.aero import structure as _structure  # noqa: F401  adds to the commands of rotor
 from mufly.cli.identify import flight as identify
 from mufly.cli.onboard import autopilot, estimate, firmware, link, sensors, slam
+from mufly.cli.onboard import fmu as _fmu  # noqa: F401  adds to the commands of vehicle
 from mufly.cli.options import CommandGroup
 from mufly.errors import MuflyError
 from mufly.version import __version__

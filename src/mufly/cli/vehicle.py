@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from mufly.vehicle import Parameter, Vehicle
 
 app = CommandGroup(
-    help="List, show and check vehicles. Keys of a vehicle file: docs/reference/vehicles.md.",
+    help="List, show, check and export vehicles. Keys of a vehicle file: docs/reference/vehicles.md.",
     no_args_is_help=True,
 )
 

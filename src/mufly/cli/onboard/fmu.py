@@ -1,0 +1,79 @@
+"""``mufly vehicle export``: a vehicle as a co-simulation unit (FMU) for other simulators."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from mufly.cli.options import JsonOption, VehicleArgument, define_option
+from mufly.cli.output import check_place, print_answer, print_lines
+from mufly.cli.vehicle import app
+from mufly.errors import InputError
+
+if TYPE_CHECKING:
+    from mufly.fmi import ExportedUnit, UnitComparison
+
+
+@app.command("export")
+def export_vehicle(
+    vehicle: VehicleArgument,
+    out: Annotated[Path, define_option("--out FILE", "File to write: name.fmu.")],
+    sources_only: Annotated[
+        bool, define_option("--sources-only", "Leave out the library for this machine; importers compile the sources.")
+    ] = False,
+    check: Annotated[
+        bool,
+        define_option("--check", "Fly the library of the unit beside the Python model, and compare every bit."),
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Write the flight model as an FMI 3.0 co-simulation unit in C, for Dymola, SimulationX, Simulink and others.
+
+    Inputs are the four actuators and the wind; outputs are motion, rotor speeds, thrusts and battery. Parameters have
+    the names of the vehicle file. Use: docs/how-to/use-in-other-simulators.md. With --check the command ends with
+    status 1 if a bit differs.
+
+    Example: mufly vehicle export mine.toml --out mine.fmu --check
+    """
+    if out.suffix != ".fmu":
+        raise InputError("--out", str(out), "does not end in .fmu", "give a name that ends in .fmu")
+    if check and sources_only:
+        raise InputError("--check", "", "needs a library", "leave out --sources-only")
+    check_place("--out", out, "file")
+    from mufly.fmi import check_unit, export_fmu
+    from mufly.vehicle import load_vehicle
+
+    loaded = load_vehicle(vehicle)
+    try:
+        made = export_fmu(loaded, out, binary=not sources_only)
+    except InputError as error:
+        raise error.with_location(vehicle) if error.where == loaded.name else error from None
+    compared = check_unit(out, loaded) if check else None
+    content = made if compared is None else {**vars(made), "check": compared}
+    print_answer(as_json, content, lambda: _print_unit(made, compared, sources_only), [out])
+    if compared is not None and compared.different:
+        raise typer.Exit(1)
+
+
+def _print_unit(made: ExportedUnit, compared: UnitComparison | None, sources_only: bool) -> None:
+    print_lines(
+        f"Unit {made.model}: {made.inputs} inputs, {made.outputs} outputs, {made.parameters} parameters, "
+        f"{made.start_values} start values of hover.",
+        f"Fixed in it: {', '.join(made.fixed)}.",
+        f"Library for {made.platform}, and C sources for other platforms." if made.platform else "C sources only.",
+    )
+    if not made.platform and not sources_only:
+        print_lines(
+            "there is no C compiler, so the unit has no library for this machine; install gcc or clang",
+            mark="Warning", style="yellow",
+        )  # fmt: skip
+    if compared is not None and compared.different:
+        print_lines(
+            f"The unit differs from the Python model after {compared.different} of {compared.steps} steps, by "
+            f"{compared.largest_difference:.2g} at most.",
+            style="red",
+        )  # fmt: skip
+    elif compared is not None:
+        print_lines(f"No bit of the state differs from the Python model in {compared.steps} communication steps.")

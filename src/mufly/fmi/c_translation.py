@@ -1,0 +1,490 @@
+"""C functions from the Python source of compiled functions.
+
+The equations of motion are Python functions that Numba compiles. Here each of them becomes a C function with the same
+names, the same branches and the same operations in the same order. There is no second derivation: an edited equation is
+in the C code. With ``-ffp-contract=off`` both give the same numbers, to the last bit.
+
+The types come from the arguments: ``double``, ``int64_t``, ``bool``, tables of known shape, a record of parameters, and
+tuples of numbers (structs in C). The translated forms are those that the equations need: assignments, also of tuples
+and to elements; ``if``; ``for`` over a range; ``return`` of a number or a tuple; arithmetic, comparisons and ``a and
+b``; calls of functions that are translated, too. Other forms raise :class:`NotImplementedError`.
+
+Three rules keep the results equal:
+
+- ``min`` and ``max`` keep the first number if both are equal or one is not a number, as Numba's do;
+- ``int`` of a number that is no index, such as NaN, gives 0: Numba leaves that open, and a table must not be left;
+- sine, cosine, arc sine and arc tangent are those of the C library, which compiled Python calls, too.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import math
+import textwrap
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+REAL, WHOLE, TRUTH, NOTHING = "double", "int64_t", "bool", "void"
+
+HELPERS = """\
+static inline double smaller(double a, double b) { return b < a ? b : a; }
+static inline double greater(double a, double b) { return b > a ? b : a; }
+static inline int64_t smaller_int(int64_t a, int64_t b) { return b < a ? b : a; }
+static inline int64_t greater_int(int64_t a, int64_t b) { return b > a ? b : a; }
+static inline int64_t whole_part(double x) { return x > -1e15 && x < 1e15 ? (int64_t)x : 0; }
+"""
+_C_WORDS = frozenset((
+    "auto", "bool", "case", "char", "const", "default", "do", "double", "enum", "extern", "float", "goto", "inline",
+    "int", "long", "register", "restrict", "short", "signed", "sizeof", "static", "struct", "switch", "typedef",
+    "union", "unsigned", "void", "volatile",
+))  # fmt: skip
+_MATH_FUNCTIONS = ("sqrt", "sin", "cos", "asin", "atan2")
+_TERNARY, _AND, _COMPARE, _ADD, _MULTIPLY, _UNARY, _ATOM = range(7)  # precedences
+_ARITHMETIC = {ast.Add: ("+", _ADD), ast.Sub: ("-", _ADD), ast.Mult: ("*", _MULTIPLY), ast.Div: ("/", _MULTIPLY)}
+_COMPARISONS = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
+
+
+@dataclass(frozen=True)
+class TableType:
+    """Type of an array of numbers."""
+
+    element: str
+    shape: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class RecordType:
+    """Type of a pointer to a C struct that stands for a NumPy record."""
+
+    name: str
+    fields: np.dtype[Any]
+
+
+@dataclass(frozen=True)
+class TupleType:
+    """Type of a tuple of numbers."""
+
+    parts: tuple[Any, ...]
+
+    @property
+    def name(self) -> str:
+        """Name of its C struct, with a letter or a number of letters for each member."""
+        letters = {REAL: "r", WHOLE: "i", TRUTH: "b"}
+        return "tuple_" + "".join(
+            letters[p] if isinstance(p, str) else f"{len(p.parts)}{p.name.removeprefix('tuple_')}" for p in self.parts
+        )
+
+
+CType = str | TableType | RecordType | TupleType
+
+
+@dataclass(frozen=True)
+class Expression:
+    """C text of an expression, its precedence and its type."""
+
+    text: str
+    level: int
+    kind: CType
+
+    def inside(self, level: int) -> str:
+        """Return the text as an operand of an operation of a precedence, in brackets where they are needed."""
+        return self.text if self.level >= level else f"({self.text})"
+
+
+@dataclass(frozen=True)
+class Function:
+    """A translated function: its C name, the type of its result, and which arguments it writes to."""
+
+    name: str
+    result: CType
+    written: tuple[bool, ...]
+
+
+class CTranslation:
+    """Collects translated functions, with the constants and tuples that they use.
+
+    Parameters
+    ----------
+    record : numpy.dtype
+        Type of the record of parameters.
+    record_name : str
+        Name of its C struct.
+    """
+
+    def __init__(self, record: np.dtype[Any], record_name: str) -> None:
+        self.record = RecordType(record_name, record)
+        self._functions: dict[Any, tuple[tuple[CType, ...], Function]] = {}
+        self._names: dict[str, object] = {}
+        self._constants: dict[str, float | int] = {}
+        self._tuples: dict[str, TupleType] = {}
+        self._bodies: list[str] = []
+
+    def add_function(self, function: Any, kinds: Sequence[CType]) -> Function:
+        """Translate a function, and all that it calls, for arguments of some types.
+
+        Raises
+        ------
+        NotImplementedError
+            If the source has a form that has no translation, or a function is called with other types than before.
+        """
+        plain = getattr(function, "py_func", function)
+        found = self._functions.get(plain)
+        if found is not None:
+            if found[0] != tuple(kinds):
+                raise NotImplementedError(f"{plain.__name__} for two kinds of arguments")
+            return found[1]
+        name = self._unique_name(plain.__name__, plain, plain.__module__)
+        made, body = _FunctionTranslation(self, plain, name, kinds).translate()
+        self._functions[plain] = tuple(kinds), made
+        self._bodies.append(body)
+        return made
+
+    def source(self) -> str:
+        """Return the C text: helpers, constants, tuples and functions, each after what it uses."""
+        whole = [f"    {n} = {v}," for n, v in self._constants.items() if isinstance(v, int)]
+        real = [f"static const double {n} = {v!r};" for n, v in self._constants.items() if isinstance(v, float)]
+        structs = []
+        for name, kind in self._tuples.items():
+            members = " ".join(f"{_type_name(part)} f{k};" for k, part in enumerate(kind.parts))
+            structs.append(f"typedef struct {{ {members} }} {name};")
+        enum = ["enum {", *whole, "};"] if whole else []
+        return "\n".join([HELPERS, *enum, "", *real, "", *structs, "", *self._bodies])
+
+    def use_tuple(self, parts: Sequence[str | TupleType]) -> TupleType:
+        """Return the type of a tuple, whose struct is then declared."""
+        kind = TupleType(tuple(parts))
+        self._tuples.setdefault(kind.name, kind)
+        return kind
+
+    def use_constant(self, name: str, value: float | int, module: str) -> Expression:
+        """Return a constant of a module, which is then declared."""
+        number = int(value) if isinstance(value, int | np.integer) else float(value)
+        c_name = self._unique_name(name, number, module)
+        self._constants[c_name] = number
+        return Expression(c_name, _ATOM, WHOLE if isinstance(number, int) else REAL)
+
+    def _unique_name(self, name: str, what: object, module: str) -> str:
+        """Return a C name: without leading underscores, and with the module's name if another thing has it already."""
+        short = name.lstrip("_")
+        for candidate in (short, f"{module.rpartition('.')[2]}_{short}"):
+            known = self._names.setdefault(candidate, what)
+            if known is what or (isinstance(what, int | float) and type(known) is type(what) and known == what):
+                return candidate
+        raise NotImplementedError(f"a third meaning of {name}")
+
+
+class _FunctionTranslation:
+    """Translates one function."""
+
+    def __init__(self, owner: CTranslation, function: Callable[..., Any], name: str, kinds: Sequence[CType]) -> None:
+        self._owner, self._function, self._name = owner, function, name
+        tree = ast.parse(textwrap.dedent(inspect.getsource(function))).body[0]
+        assert isinstance(tree, ast.FunctionDef)
+        self._tree = tree
+        self._arguments = [a.arg for a in tree.args.args]
+        if len(self._arguments) != len(kinds):
+            raise NotImplementedError(f"{function.__name__}: {len(kinds)} arguments")
+        self._kinds: dict[str, CType] = dict(zip(self._arguments, kinds, strict=True))
+        self._globals = function.__globals__
+        self._written: set[str] = set()
+        self._result: CType | None = None
+        self._lines: list[str] = []
+        self._hoisted: list[str] = []
+        self._depth, self._count = 1, 0
+
+    def translate(self) -> tuple[Function, str]:
+        self._block(self._tree.body)
+        result: CType = NOTHING if self._result is None else self._result
+        arguments = []
+        for argument in self._arguments:
+            kind = self._kinds[argument]
+            constant = "" if argument in self._written else "const "
+            if isinstance(kind, TableType):
+                inner = "".join(f"[{n}]" for n in kind.shape[1:])
+                text = f"(*{argument}){inner}" if inner else f"*{argument}"
+                arguments.append(f"{constant}{kind.element} {text}")
+            elif isinstance(kind, RecordType):
+                arguments.append(f"const {kind.name} *{argument}")
+            else:
+                arguments.append(f"{_type_name(kind)} {_c_name(argument)}")
+        head = f"static {_type_name(result)} {self._name}({', '.join(arguments)})"
+        about = (inspect.getdoc(self._function) or "").partition("\n\n")[0].replace("*/", "* /").split()
+        place = f"{self._function.__module__}.{self._function.__name__}"
+        comment = textwrap.wrap(
+            f"{' '.join(about)} Source: {place}.", 114, initial_indent="/* ", subsequent_indent="   "
+        )
+        written = tuple(a in self._written for a in self._arguments)
+        text = "\n".join(
+            [*comment[:-1], f"{comment[-1]} */", *_wrap_code(head), "{", *self._hoisted, *self._lines, "}", ""]
+        )
+        return Function(self._name, result, written), text
+
+    # Statements
+
+    def _emit(self, text: str) -> None:
+        self._lines += _wrap_code("    " * self._depth + text)
+
+    def _refuse(self, node: ast.AST) -> NotImplementedError:
+        return NotImplementedError(f"{self._function.__name__}: no C form of `{ast.unparse(node)}`")
+
+    def _block(self, statements: Sequence[ast.stmt]) -> None:
+        for statement in statements:
+            self._statement(statement)
+
+    def _nested(self, statements: Sequence[ast.stmt]) -> None:
+        self._depth += 1
+        self._block(statements)
+        self._depth -= 1
+
+    def _statement(self, node: ast.stmt) -> None:
+        match node:
+            case ast.Expr(value=ast.Constant()):
+                pass
+            case ast.Expr(value=ast.Call()):
+                self._emit(f"{self._expression(node.value).text};")
+            case ast.Assign(targets=[ast.Tuple() as targets]):
+                self._assign_tuple(targets, node.value)
+            case ast.Assign():
+                value = self._expression(node.value) if not _is_new_array(node.value) else None
+                for target in node.targets:
+                    if value is None:
+                        self._declare_array(target, node.value)
+                    else:
+                        self._assign(target, value)
+            case ast.AugAssign():
+                sign = _ARITHMETIC[type(node.op)][0]
+                self._emit(f"{self._target(node.target)} {sign}= {self._expression(node.value).text};")
+            case ast.If():
+                self._emit(f"if ({self._expression(node.test).text}) {{")
+                self._nested(node.body)
+                if node.orelse:
+                    self._emit("} else {")
+                    self._nested(node.orelse)
+                self._emit("}")
+            case ast.For(target=ast.Name(id=name), iter=ast.Call(func=ast.Name(id="range"), args=bounds), orelse=[]):
+                limits = [self._expression(b).text for b in bounds]
+                first, end = ("0", limits[0]) if len(limits) == 1 else limits
+                c_name = _c_name(name)
+                if name in self._kinds:  # its value after the loop would be another in C
+                    raise self._refuse(node.target)
+                self._kinds[name] = WHOLE
+                self._emit(f"for (int64_t {c_name} = {first}; {c_name} < {end}; {c_name}++) {{")
+                self._nested(node.body)
+                self._emit("}")
+                del self._kinds[name]
+            case ast.Continue():
+                self._emit("continue;")
+            case ast.Return(value=None):
+                self._emit("return;")
+            case ast.Return(value=ast.expr() as value):
+                self._return(value)
+            case _:
+                raise self._refuse(node)
+
+    def _return(self, node: ast.expr) -> None:
+        if isinstance(node, ast.Call) and ast.unparse(node.func) == "np.array" and isinstance(node.args[0], ast.List):
+            value = self._expression(ast.Tuple(node.args[0].elts, ast.Load()))
+        else:
+            value = self._expression(node)
+        if self._result is not None and self._result != value.kind:
+            raise self._refuse(node)
+        self._result = value.kind
+        self._emit(f"return {value.text};")
+
+    def _assign_tuple(self, target: ast.Tuple, value: ast.expr) -> None:
+        if isinstance(value, ast.Tuple):
+            values = [self._expression(v) for v in value.elts]
+            names = [ast.unparse(t.value if isinstance(t, ast.Subscript) else t) for t in target.elts]
+            read = [{n.id for n in ast.walk(v) if isinstance(n, ast.Name)} for v in value.elts]
+            if any(names[k] in read[j] for j in range(len(names)) for k in range(j)):
+                values = [self._keep(v) for v in values]
+        else:
+            whole = self._expression(value)
+            if not isinstance(whole.kind, TupleType) or len(whole.kind.parts) != len(target.elts):
+                raise self._refuse(value)
+            if all(isinstance(t, ast.Name) and t.id == "_" for t in target.elts):
+                return
+            name = self._keep(whole).text
+            values = [Expression(f"{name}.f{k}", _ATOM, part) for k, part in enumerate(whole.kind.parts)]
+        for one, number in zip(target.elts, values, strict=True):
+            if not (isinstance(one, ast.Name) and one.id == "_"):
+                self._assign(one, number)
+
+    def _keep(self, value: Expression) -> Expression:
+        """Store a value in a constant of its own."""
+        self._count += 1
+        name = f"t{self._count}_"
+        self._emit(f"const {_type_name(value.kind)} {name} = {value.text};")
+        return Expression(name, _ATOM, value.kind)
+
+    def _assign(self, target: ast.expr, value: Expression) -> None:
+        if not isinstance(target, ast.Name):
+            self._emit(f"{self._target(target)} = {value.text};")
+            return
+        name, known = _c_name(target.id), self._kinds.get(target.id)
+        if isinstance(value.kind, TableType):
+            if value.text == name:  # the same array under the same name
+                return
+            if known is not None or self._depth > 1:
+                raise self._refuse(target)
+            self._emit(f"{value.kind.element} *{name} = {value.text};")
+        elif known is not None:
+            if known != value.kind and (known, value.kind) != (REAL, WHOLE):
+                raise self._refuse(target)
+            self._emit(f"{name} = {value.text};")
+            return
+        elif self._depth > 1:
+            self._hoisted.append(f"    {_type_name(value.kind)} {name};")
+            self._emit(f"{name} = {value.text};")
+        else:
+            self._emit(f"{_type_name(value.kind)} {name} = {value.text};")
+        self._kinds[target.id] = value.kind
+
+    def _declare_array(self, target: ast.expr, value: ast.expr) -> None:
+        assert isinstance(value, ast.Call)
+        shape = value.args[0]
+        sizes = [self._expression(n).text for n in (shape.elts if isinstance(shape, ast.Tuple) else [shape])]
+        if not isinstance(target, ast.Name) or not all(s.isdecimal() for s in sizes):
+            raise self._refuse(value)
+        self._emit(f"double {_c_name(target.id)}{''.join(f'[{n}]' for n in sizes)};")
+        self._kinds[target.id] = TableType(REAL, tuple(map(int, sizes)))
+
+    def _target(self, target: ast.expr) -> str:
+        if isinstance(target, ast.Subscript) and isinstance(target.value, ast.Name):
+            self._written.add(target.value.id)
+        return self._expression(target).text
+
+    # Expressions
+
+    def _expression(self, node: ast.expr) -> Expression:
+        match node:
+            case ast.Constant(value=bool(value)):
+                return Expression(str(value).lower(), _ATOM, TRUTH)
+            case ast.Constant(value=int(value) | float(value)):
+                return Expression(repr(value), _ATOM, WHOLE if isinstance(value, int) else REAL)
+            case ast.Name(id=name) if name in self._kinds:
+                return Expression(_c_name(name), _ATOM, self._kinds[name])
+            case ast.Name(id=name) if isinstance(self._globals.get(name), int | float):
+                return self._owner.use_constant(name, self._globals[name], self._function.__module__)
+            case ast.Attribute(value=ast.Name(id="math"), attr=name):
+                return Expression({"inf": "INFINITY"}.get(name) or repr(getattr(math, name)), _ATOM, REAL)
+            case ast.Attribute(value=ast.Name(id=name), attr=field):
+                return self._field(node, name, field)
+            case ast.Subscript():
+                return self._element(node)
+            case ast.UnaryOp(op=ast.USub()):
+                operand = self._expression(node.operand)
+                text = operand.inside(_UNARY)
+                return Expression(f"-{text if not text.startswith('-') else f'({text})'}", _UNARY, operand.kind)
+            case ast.BinOp() if type(node.op) in _ARITHMETIC:
+                return self._arithmetic(node)
+            case ast.BoolOp(op=ast.And()):
+                parts = [self._expression(v).inside(_COMPARE) for v in node.values]
+                return Expression(" && ".join(parts), _AND, TRUTH)
+            case ast.Compare(ops=[op], comparators=[other]):
+                left, right = self._expression(node.left).inside(_ADD), self._expression(other).inside(_ADD)
+                return Expression(f"{left} {_COMPARISONS[type(op)]} {right}", _COMPARE, TRUTH)
+            case ast.IfExp():
+                test, a, b = (self._expression(v) for v in (node.test, node.body, node.orelse))
+                kind = a.kind if a.kind == b.kind else REAL
+                text = f"{test.inside(_COMPARE)} ? {a.inside(_ADD)} : {b.inside(_ADD)}"
+                return Expression(f"({text})", _ATOM, kind)
+            case ast.Tuple():
+                return self._tuple([self._expression(v) for v in node.elts], node)
+            case ast.Call():
+                return self._call(node)
+        raise self._refuse(node)
+
+    def _field(self, node: ast.expr, name: str, field: str) -> Expression:
+        kind = self._kinds.get(name)
+        if not isinstance(kind, RecordType) or kind.fields.fields is None:
+            raise self._refuse(node)
+        of = kind.fields.fields[field][0]
+        element = REAL if of.base.kind == "f" else WHOLE
+        return Expression(f"{name}->{field}", _ATOM, TableType(element, of.shape) if of.shape else element)
+
+    def _element(self, node: ast.Subscript) -> Expression:
+        match node.value, node.slice:
+            case ast.Attribute(attr="shape", value=array), ast.Constant(value=int(k)):
+                kind = self._expression(array).kind
+                if isinstance(kind, TableType):
+                    return Expression(str(kind.shape[k]), _ATOM, WHOLE)
+                raise self._refuse(node)
+        held = self._expression(node.value)
+        if isinstance(held.kind, TupleType):
+            parts = [Expression(f"{held.text}.f{k}", _ATOM, part) for k, part in enumerate(held.kind.parts)]
+            if isinstance(node.slice, ast.Slice):
+                bounds = (None if b is None else ast.literal_eval(b) for b in (node.slice.lower, node.slice.upper))
+                return self._tuple(parts[slice(*bounds)], node)
+            return parts[int(ast.literal_eval(node.slice))]
+        if not isinstance(held.kind, TableType):
+            raise self._refuse(node)
+        index = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
+        inner = held.kind.shape[len(index) :]
+        text = held.text + "".join(f"[{self._expression(i).text}]" for i in index)
+        return Expression(text, _ATOM, TableType(held.kind.element, inner) if inner else held.kind.element)
+
+    def _arithmetic(self, node: ast.BinOp) -> Expression:
+        sign, level = _ARITHMETIC[type(node.op)]
+        left, right = self._expression(node.left), self._expression(node.right)
+        if not {left.kind, right.kind} <= {REAL, WHOLE}:
+            raise self._refuse(node)
+        kind = WHOLE if left.kind == right.kind == WHOLE else REAL
+        if sign == "/" and kind == WHOLE:
+            raise self._refuse(node)
+        # C groups from the left, as Python does: an operand on the right of the same precedence needs brackets.
+        return Expression(f"{left.inside(level)} {sign} {right.inside(level + 1)}", level, kind)
+
+    def _tuple(self, parts: Sequence[Expression], node: ast.expr) -> Expression:
+        kinds = [p.kind for p in parts if isinstance(p.kind, str | TupleType)]
+        if len(kinds) != len(parts):
+            raise self._refuse(node)
+        kind = self._owner.use_tuple(kinds)
+        return Expression(f"({kind.name}){{{', '.join(p.text for p in parts)}}}", _ATOM, kind)
+
+    def _call(self, node: ast.Call) -> Expression:
+        name = ast.unparse(node.func)
+        if name in ("np.uint64", "borrow_arrays"):
+            return self._expression(node.args[0])
+        arguments = [self._expression(a) for a in node.args]
+        texts = ", ".join(a.text for a in arguments)
+        if name.startswith("math.") and name[5:] in _MATH_FUNCTIONS:
+            return Expression(f"{name[5:]}({texts})", _ATOM, REAL)
+        if name == "abs" and arguments[0].kind == REAL:
+            return Expression(f"fabs({texts})", _ATOM, REAL)
+        if name == "int":
+            return Expression(f"whole_part({texts})", _ATOM, WHOLE)
+        if name in ("min", "max") and len(arguments) == 2:
+            is_whole = all(a.kind == WHOLE for a in arguments)
+            c_name = {"min": "smaller", "max": "greater"}[name] + ("_int" if is_whole else "")
+            return Expression(f"{c_name}({texts})", _ATOM, WHOLE if is_whole else REAL)
+        called = self._globals.get(name)
+        if not callable(called) or node.keywords:
+            raise self._refuse(node)
+        made = self._owner.add_function(called, [a.kind for a in arguments])
+        for argument, is_written in zip(node.args, made.written, strict=True):
+            if is_written and isinstance(argument, ast.Name):
+                self._written.add(argument.id)
+        return Expression(f"{made.name}({texts})", _ATOM, made.result)
+
+
+def _type_name(kind: CType) -> str:
+    return kind.name if isinstance(kind, TupleType) else str(kind)
+
+
+def _c_name(name: str) -> str:
+    return f"{name}_" if name in _C_WORDS or name == "_" else name
+
+
+def _is_new_array(node: ast.expr) -> bool:
+    return isinstance(node, ast.Call) and ast.unparse(node.func) == "np.empty"
+
+
+def _wrap_code(line: str) -> list[str]:
+    """Break a long line at spaces; continuations are indented."""
+    indent = " " * (len(line) - len(line.lstrip()) + 4)
+    return textwrap.wrap(line, 120, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)

@@ -1,0 +1,151 @@
+"""Export of a vehicle as an FMI 3.0 co-simulation unit (FMU).
+
+The archive holds ``modelDescription.xml``, ``sources/`` with ``buildDescription.xml``, a library for this machine in
+``binaries/`` if there is a C compiler, ``documentation/`` with licences, and the vehicle file in ``resources/``. Equal
+vehicles give equal archives.
+"""
+
+from __future__ import annotations
+
+import platform
+import re
+import tempfile
+import zipfile
+from pathlib import Path
+
+from mufly.answer_store import replace_file
+from mufly.errors import MuflyError, report_write_errors
+from mufly.fmi.model_description import (
+    model_identifier,
+    render_build_description,
+    render_model_description,
+    render_page,
+)
+from mufly.fmi.unit_sources import SOURCE_FOLDER, UNIT_SOURCE, render_flight_model, render_vehicle_data
+from mufly.fmi.unit_variables import list_unit_variables
+from mufly.results import result
+from mufly.toolchain import compile_library, find_compiler
+from mufly.vehicle import Vehicle, format_vehicle_toml
+
+_FMI_HEADERS = ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h")
+_COPIED_SOURCES = (UNIT_SOURCE, "unsupported_functions.h", *_FMI_HEADERS)
+_MACHINES = {"x86_64": "x86_64", "amd64": "x86_64", "arm64": "aarch64", "aarch64": "aarch64"}
+_SYSTEMS = {"linux": ("linux", ".so"), "darwin": ("darwin", ".dylib"), "windows": ("windows", ".dll")}
+_ZIP_TIME = (1980, 1, 1, 0, 0, 0)
+
+
+@result
+class ExportedUnit:
+    """Exported co-simulation unit.
+
+    Attributes
+    ----------
+    file : str
+        Archive.
+    model : str
+        Model identifier.
+    token : str
+        Instantiation token: a hash of the sources.
+    platform : str
+        Platform of the library in the archive; "" without one.
+    inputs, outputs, start_values, parameters : int
+        Numbers of variables.
+    fixed : tuple of str
+        Keys of the vehicle file that the unit cannot change.
+    """
+
+    file: str
+    model: str
+    token: str
+    platform: str
+    inputs: int
+    outputs: int
+    start_values: int
+    parameters: int
+    fixed: tuple[str, ...]
+
+
+def platform_tuple() -> tuple[str, str]:
+    """Return FMI's name of this platform and the ending of its libraries; ("", "") for others than FMI's examples."""
+    machine, system = _MACHINES.get(platform.machine().lower()), _SYSTEMS.get(platform.system().lower())
+    return ("", "") if machine is None or system is None else (f"{machine}-{system[0]}", system[1])
+
+
+def export_fmu(vehicle: Vehicle, out: Path, *, binary: bool = True) -> ExportedUnit:
+    """Write a vehicle as an FMI 3.0 co-simulation unit.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    out : Path
+        File to write, ``.fmu``.
+    binary : bool
+        Compile a library for this machine, if it has a C compiler.
+
+    Returns
+    -------
+    ExportedUnit
+
+    Raises
+    ------
+    InputError
+        If the vehicle is too heavy to hover, or the file cannot be written.
+    MuflyError
+        If the vehicle has no trim in hover, or compilation fails.
+    """
+    interface, name = list_unit_variables(vehicle), model_identifier(vehicle)
+    data, token = render_vehicle_data(vehicle, interface)
+    sources = {file: (SOURCE_FOLDER / file).read_text(encoding="utf-8") for file in _COPIED_SOURCES}
+    sources |= {"flight_model.h": render_flight_model(), "vehicle_data.h": data}
+    files: dict[str, str | bytes] = {f"sources/{file}": text for file, text in sources.items()}
+    files |= {
+        "modelDescription.xml": render_model_description(vehicle, interface, token),
+        "sources/buildDescription.xml": render_build_description(vehicle),
+        "documentation/index.html": render_page(vehicle, interface),
+        "documentation/licenses/license.txt": (SOURCE_FOLDER / "license.txt").read_text(encoding="utf-8"),
+        "documentation/licenses/fmi-headers.txt": _first_notice(sources[_FMI_HEADERS[0]]),
+        "resources/vehicle.toml": format_vehicle_toml(vehicle),
+    }
+    place, ending = platform_tuple()
+    if binary and place and _has_compiler():
+        files[f"binaries/{place}/{name}{ending}"] = _compile_unit(sources, name + ending)
+    else:
+        place = ""
+    with (
+        report_write_errors(out),
+        replace_file(out) as part,
+        zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive,
+    ):
+        for file, content in sorted(files.items()):
+            info = zipfile.ZipInfo(file, _ZIP_TIME)
+            info.compress_type, info.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
+            archive.writestr(info, content)
+    return ExportedUnit(
+        file=str(out), model=name, token=token, platform=place, inputs=interface.count("input"),
+        outputs=interface.count("output"), start_values=interface.count("start", "step"),
+        parameters=interface.count("parameter"), fixed=tuple(interface.fixed),
+    )  # fmt: skip
+
+
+def _has_compiler() -> bool:
+    try:
+        find_compiler()
+    except MuflyError:
+        return False
+    return True
+
+
+def _compile_unit(sources: dict[str, str], library: str) -> bytes:
+    with tempfile.TemporaryDirectory(prefix="mufly-fmu-") as temporary:
+        folder = Path(temporary)
+        for file, text in sources.items():
+            (folder / file).write_text(text, encoding="utf-8")
+        compile_library([folder / UNIT_SOURCE], folder / library)
+        return (folder / library).read_bytes()
+
+
+def _first_notice(header: str) -> str:
+    """Return the copyright notice of a header of the standard."""
+    found = re.search(r"Copyright.*?(?=\*/)", header, re.S)
+    assert found is not None
+    return found[0]

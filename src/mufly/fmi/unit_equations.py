@@ -1,0 +1,130 @@
+"""Start of the state and outputs of a co-simulation unit, as source of its C functions.
+
+:mod:`mufly.fmi.c_translation` translates these functions together with the equations of motion that they call. They
+are not compiled for Python.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.dynamics.edgewise_loads import edgewise_factors
+from mufly.dynamics.equations_of_motion import (
+    battery_state,
+    climb_velocity,
+    ground_effect_thrust,
+    map_coefficients,
+    state_derivative,
+)
+from mufly.dynamics.model_state import (
+    RS_ATT,
+    RS_BAR,
+    RS_CHARGE,
+    RS_POS,
+    RS_RATES,
+    RS_SPEED_LOWER,
+    RS_SPEED_UPPER,
+    RS_SWASH_PITCH,
+    RS_SWASH_ROLL,
+    RS_VEL,
+    STATE_SIZE,
+    U_MOTOR_LOWER,
+    U_MOTOR_UPPER,
+    ModelParameters,
+    rotation_entries,
+)
+from mufly.rotations import quaternion_from_euler
+from mufly.units import GRAVITY
+
+_Array = NDArray[np.float64]
+
+# Indices of the start values.
+SV_POSITION, SV_VELOCITY, SV_ATTITUDE, SV_RATES = 0, 3, 6, 9
+SV_SWASH_ROLL, SV_SWASH_PITCH, SV_BAR_ROLL, SV_BAR_PITCH = 12, 13, 14, 15
+SV_SPEED_UPPER, SV_SPEED_LOWER, SV_CHARGE = 16, 17, 18
+START_COUNT = 19
+# Indices of the outputs: the state, and then
+OUT_ROLL = STATE_SIZE
+OUT_PITCH, OUT_YAW, OUT_THRUST_UPPER, OUT_THRUST_LOWER, OUT_VOLTAGE, OUT_CURRENT, OUT_FORCE = range(
+    OUT_ROLL + 1, OUT_ROLL + 8
+)
+OUTPUT_COUNT = OUT_FORCE + 3
+
+
+def write_start_state(start: _Array, x: _Array) -> None:
+    """Write the state of some start values, as :func:`mufly.dynamics.initial_state`.
+
+    Parameters
+    ----------
+    start : (19,) array
+        Indices ``SV_...``: attitude as roll, pitch, yaw (rad), the bar's disc by its roll and pitch at that yaw (rad).
+    x : (21,) array
+        Output: state.
+    """
+    for i in range(3):
+        x[RS_POS + i] = start[SV_POSITION + i]
+        x[RS_VEL + i] = start[SV_VELOCITY + i]
+        x[RS_RATES + i] = start[SV_RATES + i]
+    q = quaternion_from_euler(start[SV_ATTITUDE], start[SV_ATTITUDE + 1], start[SV_ATTITUDE + 2])
+    x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3] = q[0], q[1], q[2], q[3]
+    x[RS_SWASH_ROLL], x[RS_SWASH_PITCH] = start[SV_SWASH_ROLL], start[SV_SWASH_PITCH]
+    bar = quaternion_from_euler(start[SV_BAR_ROLL], start[SV_BAR_PITCH], start[SV_ATTITUDE + 2])
+    _, _, n, _, _, e, _, _, d = rotation_entries(bar[0], bar[1], bar[2], bar[3])
+    x[RS_BAR], x[RS_BAR + 1], x[RS_BAR + 2] = -n, -e, -d
+    x[RS_SPEED_UPPER], x[RS_SPEED_LOWER], x[RS_CHARGE] = start[SV_SPEED_UPPER], start[SV_SPEED_LOWER], start[SV_CHARGE]
+
+
+def write_outputs(x: _Array, u: _Array, wind: _Array, p: ModelParameters, out: _Array) -> None:
+    """Write the outputs at a state: the state, and what the indices ``OUT_...`` name.
+
+    Parameters
+    ----------
+    x : (21,) array
+        State.
+    u : (4,) array
+        Motor upper, motor lower, servo 1, servo 2.
+    wind : (3,) array
+        N-E-D (m/s).
+    p : record of :class:`~mufly.dynamics.ModelParameters`
+    out : (31,) array
+        Output: state; roll, pitch, yaw (rad); thrust of upper and lower rotor with ground effect and edgewise flow (N);
+        voltage (V) and current (A) of the battery; specific force of the centre of gravity in body axes (m/s^2). An
+        ideal accelerometer measures the specific force.
+    """
+    for i in range(STATE_SIZE):
+        out[i] = x[i]
+    qw, qx, qy, qz = x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
+    out[OUT_ROLL] = math.atan2(2 * (qw * qx + qy * qz), 1 - 2 * (qx * qx + qy * qy))
+    out[OUT_PITCH] = math.asin(min(max(2 * (qw * qy - qz * qx), -1.0), 1.0))
+    out[OUT_YAW] = math.atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
+
+    a00, a01, a02, a10, a11, a12, a20, a21, a22 = rotation_entries(qw, qx, qy, qz)
+    speed_up, speed_dw = x[RS_SPEED_UPPER], x[RS_SPEED_LOWER]
+    kT_up, kT_dw = p.thrust_up, p.thrust_dw
+    if p.map_nodes > 0:
+        kT_up, kT_dw, _, _ = map_coefficients(speed_up, speed_dw, climb_velocity(x, wind), p)
+    free_up, free_dw = kT_up * speed_up * speed_up, kT_dw * speed_dw * speed_dw
+    thrust_up, thrust_dw = free_up, free_dw
+    if p.flight_nodes > 0:
+        factors = edgewise_factors(x, wind, p)  # type: ignore[arg-type]
+        thrust_up, thrust_dw = factors[0][0] * free_up, factors[1][0] * free_dw
+    if p.ground_effect > 0.0:
+        v_n, v_e = x[RS_VEL] - wind[0], x[RS_VEL + 1] - wind[1]
+        across, height = v_n * v_n + v_e * v_e, -x[RS_POS + 2]
+        thrust_up += ground_effect_thrust(free_up, height - a22 * p.z_up, across, p)
+        thrust_dw += ground_effect_thrust(free_dw, height - a22 * p.z_dw, across, p)
+    out[OUT_THRUST_UPPER], out[OUT_THRUST_LOWER] = thrust_up, thrust_dw
+
+    motor_up, motor_dw = min(max(u[U_MOTOR_UPPER], 0.0), 1.0), min(max(u[U_MOTOR_LOWER], 0.0), 1.0)
+    voltage, current = battery_state(x, motor_up, motor_dw, p)
+    out[OUT_VOLTAGE], out[OUT_CURRENT] = voltage, current
+
+    dx = np.empty(x.shape[0])
+    state_derivative(x, u, wind, p, dx)
+    f_n, f_e, f_d = dx[RS_VEL], dx[RS_VEL + 1], dx[RS_VEL + 2] - GRAVITY
+    out[OUT_FORCE] = a00 * f_n + a10 * f_e + a20 * f_d
+    out[OUT_FORCE + 1] = a01 * f_n + a11 * f_e + a21 * f_d
+    out[OUT_FORCE + 2] = a02 * f_n + a12 * f_e + a22 * f_d

@@ -1,0 +1,257 @@
+"""Flights of co-simulation units: a minimal importer, and the comparison of a unit with the Python model, bit by bit.
+
+The importer calls the library of an archive through the C interface of FMI 3.0 and knows scalar numbers only.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import tempfile
+import time
+import zipfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.dynamics import STATE_SIZE, integrate_state, model_parameters
+from mufly.dynamics.model_state import INPUT_SIZE
+from mufly.errors import MuflyError
+from mufly.fmi.fmu_export import platform_tuple
+from mufly.results import result
+from mufly.vehicle import Vehicle
+
+_LOG_TYPE = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_char_p)
+_OK = 0
+_STEP_SIZES_S = (0.01, 0.004, 0.0105, 0.02, 0.0007)
+_MOTION_START = {
+    "start.position_down": -1.5, "start.velocity_north": 1.1, "start.velocity_east": -0.6,
+    "start.velocity_down": 0.3, "start.roll": 0.2, "start.pitch": -0.15, "start.yaw": 2.0, "start.roll_rate": 0.7,
+    "start.pitch_rate": -0.4, "start.yaw_rate": 1.2, "start.swash_roll": 0.03, "start.bar_roll": 0.1,
+    "start.bar_pitch": -0.05, "start.battery_charge": 0.73,
+}  # fmt: skip
+"""Start of a comparison, near the floor."""
+
+
+class UnitLibrary:
+    """Extracted archive of a unit with its library for this machine.
+
+    Parameters
+    ----------
+    file : Path
+        Archive.
+    folder : Path
+        Folder to extract it to.
+
+    Attributes
+    ----------
+    references : dict
+        Value reference of each variable.
+    inputs, outputs : list of str
+        Names of the variables.
+    starts : dict
+        Start values of all variables that have one.
+
+    Raises
+    ------
+    MuflyError
+        If the archive has no library for this machine.
+    """
+
+    def __init__(self, file: Path, folder: Path) -> None:
+        with zipfile.ZipFile(file) as archive:
+            archive.extractall(folder)
+        root = ElementTree.parse(folder / "modelDescription.xml").getroot()
+        variables = [v.attrib for v in root.findall("ModelVariables/Float64")]
+        self.folder = folder
+        self.token = root.attrib["instantiationToken"]
+        self.references = {v["name"]: int(v["valueReference"]) for v in variables}
+        self.inputs = [v["name"] for v in variables if v["causality"] == "input"]
+        self.outputs = [v["name"] for v in variables if v["causality"] == "output"]
+        self.starts = {v["name"]: float(v["start"]) for v in variables if "start" in v}
+        found = list((folder / "binaries" / platform_tuple()[0]).glob("*.*"))
+        if len(found) != 1:
+            raise MuflyError(f"{file} has no library for this machine; export it again where there is a C compiler")
+        self.library = ctypes.CDLL(str(found[0]))
+        self.library.fmi3InstantiateCoSimulation.restype = ctypes.c_void_p
+        self.library.fmi3FreeInstance.restype = None
+
+
+class UnitInstance:
+    """Instance of a unit.
+
+    Parameters
+    ----------
+    library : UnitLibrary
+    token : str, optional
+        Instantiation token; by default that of the model description.
+
+    Attributes
+    ----------
+    messages : list of str
+        Messages that the unit has logged.
+    """
+
+    def __init__(self, library: UnitLibrary, token: str | None = None) -> None:
+        self._library, self.messages = library, list[str]()
+        self._log = _LOG_TYPE(lambda _, status, category, text: self.messages.append(text.decode()))
+        made = library.library.fmi3InstantiateCoSimulation(
+            b"unit", (library.token if token is None else token).encode(), b"", False, False, False, False, None,
+            ctypes.c_size_t(0), None, self._log, None,
+        )  # fmt: skip
+        self.handle = ctypes.c_void_p(made)
+
+    def call(self, function: str, *arguments: Any) -> int:
+        """Call a function of the interface with this instance; return its status."""
+        return int(getattr(self._library.library, function)(self.handle, *arguments))
+
+    def free(self) -> None:
+        """Free the instance."""
+        self._library.library.fmi3FreeInstance(self.handle)
+
+    def set_values(self, values: Mapping[str, float]) -> int:
+        """Set variables by name; return the status."""
+        references = (ctypes.c_uint32 * len(values))(*(self._library.references[name] for name in values))
+        count = ctypes.c_size_t(len(values))
+        numbers = (ctypes.c_double * len(values))(*values.values())
+        return self.call("fmi3SetFloat64", references, count, numbers, count)
+
+    def get_values(self, names: Sequence[str] | None = None) -> NDArray[np.float64]:
+        """Return the values of variables; by default all outputs.
+
+        Raises
+        ------
+        MuflyError
+            If the unit reports an error.
+        """
+        names = self._library.outputs if names is None else names
+        references = (ctypes.c_uint32 * len(names))(*(self._library.references[name] for name in names))
+        numbers, count = (ctypes.c_double * len(names))(), ctypes.c_size_t(len(names))
+        self.check_status(self.call("fmi3GetFloat64", references, count, numbers, count))
+        return np.array(numbers)
+
+    def initialise(self, values: Mapping[str, float] | None = None) -> UnitInstance:
+        """Set variables and pass the initialisation mode.
+
+        Raises
+        ------
+        MuflyError
+            If the unit reports an error.
+        """
+        if values:
+            self.check_status(self.set_values(values))
+        zero = ctypes.c_double(0.0)
+        self.check_status(self.call("fmi3EnterInitializationMode", False, zero, zero, False, zero))
+        self.check_status(self.call("fmi3ExitInitializationMode"))
+        return self
+
+    def do_step(self, time_s: float, step_s: float) -> int:
+        """Simulate a communication step; return the status."""
+        flags = [ctypes.byref(ctypes.c_bool()) for _ in range(3)]
+        last = ctypes.byref(ctypes.c_double())
+        return self.call("fmi3DoStep", ctypes.c_double(time_s), ctypes.c_double(step_s), True, *flags, last)
+
+    def check_status(self, status: int) -> None:
+        """Raise the last message if a status is not OK."""
+        if status != _OK:
+            raise MuflyError(f"the unit reports: {self.messages[-1] if self.messages else 'an error'}")
+
+
+@result
+class UnitComparison:
+    """Comparison of a unit with the Python model in one flight with moving inputs and wind.
+
+    Attributes
+    ----------
+    steps, different : int
+        Communication steps, and those after which a bit of the state differs.
+    on_floor : int
+        Communication steps in contact with the floor, or close to it.
+    largest_difference : float
+        Largest difference of an entry of the state.
+    """
+
+    steps: int
+    different: int
+    on_floor: int
+    largest_difference: float
+
+
+def compare_unit(unit: UnitLibrary, p: np.void, *, duration_s: float = 5.0, seed: int = 0) -> UnitComparison:
+    """Fly a unit and the Python model with the same inputs and wind, which change at every communication step.
+
+    The flight begins in motion and ends on the floor. The communication steps have five sizes, 0.7 to 20 ms.
+
+    Parameters
+    ----------
+    unit : UnitLibrary
+    p : record of :class:`~mufly.dynamics.ModelParameters`
+        Parameters of the Python model.
+    duration_s : float
+        Simulated time (s).
+    seed : int
+        Seed of inputs and wind.
+
+    Raises
+    ------
+    MuflyError
+        If the unit reports an error.
+    """
+    instance, rng = UnitInstance(unit).initialise(_MOTION_START), np.random.default_rng(seed)
+    state = unit.outputs[:STATE_SIZE]
+    hover = np.array([unit.starts[name] for name in unit.inputs[:INPUT_SIZE]])
+    x, u, wind = instance.get_values(state), hover.copy(), np.zeros(3)
+    time_s, steps, different, on_floor, largest = 0.0, 0, 0, 0, 0.0
+    while time_s < duration_s:
+        u += rng.normal(0.0, [0.02, 0.02, 0.1, 0.1]) + 0.1 * (hover - u)
+        wind += rng.normal(0.0, 0.2, 3) - 0.05 * wind
+        step_s = _STEP_SIZES_S[steps % len(_STEP_SIZES_S)]
+        instance.check_status(instance.set_values(dict(zip(unit.inputs, (*u, *wind), strict=True))))
+        instance.check_status(instance.do_step(time_s, step_s))
+        count = max(1, math.ceil(step_s / unit.starts["solver.step"] - 1e-9))
+        integrate_state(x, u, wind, p, step_s / count, count)
+        there = instance.get_values(state)
+        different += not np.array_equal(there, x)
+        largest = max(largest, float(np.max(np.abs(there - x))))
+        on_floor += bool(x[2] + p["contact_reach"] > 0.0)
+        time_s, steps = time_s + step_s, steps + 1
+    instance.free()
+    return UnitComparison(steps=steps, different=different, on_floor=on_floor, largest_difference=largest)
+
+
+def check_unit(file: Path, vehicle: Vehicle) -> UnitComparison:
+    """Compare the library in an archive with the Python model of a vehicle; see :func:`compare_unit`.
+
+    Parameters
+    ----------
+    file : Path
+        Archive with a library for this machine.
+    vehicle : Vehicle
+    """
+    with tempfile.TemporaryDirectory(prefix="mufly-fmu-") as folder:
+        return compare_unit(UnitLibrary(file, Path(folder)), model_parameters(vehicle))
+
+
+def measure_step_rate(unit: UnitLibrary, *, steps_a_call: int, duration_s: float = 1.0) -> float:
+    """Return the integration steps per second of a unit in hover.
+
+    Parameters
+    ----------
+    unit : UnitLibrary
+    steps_a_call : int
+        Integration steps in a communication step.
+    duration_s : float
+        Time of the measurement (s).
+    """
+    instance, step_s, calls = UnitInstance(unit).initialise(), steps_a_call * unit.starts["solver.step"], 0
+    start = time.perf_counter()
+    while time.perf_counter() < start + duration_s:
+        instance.do_step(calls * step_s, step_s)
+        calls += 1
+    taken = time.perf_counter() - start
+    instance.free()
+    return calls * steps_a_call / taken

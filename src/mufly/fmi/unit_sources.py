@@ -1,0 +1,140 @@
+"""C sources of a co-simulation unit: the equations of motion, and the numbers of a vehicle.
+
+``flight_model.h`` is the translation of :func:`mufly.dynamics.integrate_state` and of the functions of
+:mod:`mufly.fmi.unit_equations`, with all that they call; it is the same for every vehicle. ``vehicle_data.h`` holds the
+numbers: each is a hexadecimal float, which no compiler rounds.
+"""
+
+from __future__ import annotations
+
+import math
+import uuid
+from collections.abc import Iterable, Iterator
+from functools import cache
+from importlib import resources
+
+import numpy as np
+
+from mufly.answer_store import hash_question
+from mufly.dynamics import INPUT_SIZE, PARAMETER_DTYPE, STATE_SIZE, ModelParameters, model_parameters
+from mufly.dynamics.simulation import integrate_state
+from mufly.fmi.c_translation import REAL, WHOLE, CTranslation, TableType
+from mufly.fmi.unit_equations import OUTPUT_COUNT, START_COUNT, write_outputs, write_start_state
+from mufly.fmi.unit_variables import UnitInterface
+from mufly.record_fields import record_fields
+from mufly.vehicle import Vehicle
+
+SOURCE_FOLDER = resources.files("mufly.fmi") / "sources"
+UNIT_SOURCE = "cosimulation_unit.c"
+"""The only file that is compiled; it includes the others."""
+_RECORD = "model_parameters"
+
+
+@cache
+def render_flight_model() -> str:
+    """Return the text of ``flight_model.h``: record of parameters and functions of the flight model.
+
+    Raises
+    ------
+    NotImplementedError
+        If the equations have a form without a translation.
+    """
+    state, inputs, wind = (TableType(REAL, (n,)) for n in (STATE_SIZE, INPUT_SIZE, 3))
+    translation = CTranslation(PARAMETER_DTYPE, _RECORD)
+    p = translation.record
+    translation.add_function(integrate_state, [state, inputs, wind, p, REAL, WHOLE])
+    translation.add_function(write_start_state, [TableType(REAL, (START_COUNT,)), state])
+    translation.add_function(write_outputs, [state, inputs, wind, p, TableType(REAL, (OUTPUT_COUNT,))])
+    head = "/* Equations of motion, translated by mufly from Python (docs/explanation/dynamics.md); do not edit. */"
+    return "\n".join([head, "", *_record_lines(), "", translation.source()])
+
+
+def _record_lines() -> Iterator[str]:
+    yield "typedef struct {"
+    for name, field in record_fields(ModelParameters).items():
+        size = "".join(f"[{n}]" for n in field.shape)
+        unit = f" ({field.unit})" if field.unit else ""
+        yield f"    {'int64_t' if field.is_int else 'double'} {name}{size}; /* {field.meaning}{unit} */"
+    yield f"}} {_RECORD};"
+
+
+def render_vehicle_data(vehicle: Vehicle, interface: UnitInterface) -> tuple[str, str]:
+    """Return the text of ``vehicle_data.h`` and the instantiation token, a hash of all sources.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    interface : UnitInterface
+    """
+    settable = [v for v in interface.variables if v.role != "output"]
+    index = {v.name: k for k, v in enumerate(settable)}
+    inputs, starts = interface.count("input"), interface.count("start")
+    # Ratios apply to fields that other parameters have set.
+    effects = [(p.key, e) for p in interface.parameters for e in p.effects]
+    effects.sort(key=lambda pair: pair[1].kind == "RATIO")
+    rows = []
+    for key, effect in effects:
+        count = math.prod(np.atleast_1d(np.zeros(PARAMETER_DTYPE[effect.field].shape)).shape)
+        place = f"offsetof({_RECORD}, {effect.field}), {count}"
+        rows.append(f"{{{index[key]}, EFFECT_{effect.kind}, {place}, {format_real(effect.factor)}}}, /* {key} */")
+    body = [
+        "enum {",
+        f"    SETTABLE_COUNT = {len(settable)},",
+        f"    WIND_FIRST = {INPUT_SIZE}, /* after the inputs of the actuators */",
+        f"    START_FIRST = {inputs},",
+        f"    STEP_VARIABLE = {inputs + starts},",
+        f"    PARAMETER_FIRST = {inputs + starts + 1},",
+        f"    OUTPUT_COUNT = {OUTPUT_COUNT},",
+        "};",
+        "",
+        "typedef enum { EFFECT_EQUAL, EFFECT_INVERSE, EFFECT_SCALED, EFFECT_RATIO } effect_kind;",
+        "typedef struct { size_t variable; effect_kind kind; size_t offset, count; double factor; } parameter_effect;",
+        "",
+        *_array_lines("const char *const VARIABLE_NAMES[SETTABLE_COUNT]", (f'"{v.name}",' for v in settable)),
+        *_array_lines("const double START_VALUES[SETTABLE_COUNT]", (f"{format_real(v.start)}," for v in settable)),
+        *_array_lines("const double LOWEST_VALUES[SETTABLE_COUNT]", (f"{format_real(v.lowest)}," for v in settable)),
+        *_array_lines("const double HIGHEST_VALUES[SETTABLE_COUNT]", (f"{format_real(v.highest)}," for v in settable)),
+        *_array_lines("const parameter_effect PARAMETER_EFFECTS[]", rows),
+        *_array_lines(f"const {_RECORD} NOMINAL_PARAMETERS", _parameter_lines(model_parameters(vehicle))),
+    ]
+    unit = (SOURCE_FOLDER / UNIT_SOURCE).read_text(encoding="utf-8")
+    token = f"{{{uuid.UUID(hex=hash_question(vehicle.name, body, render_flight_model(), unit)[:32])}}}"
+    head = [
+        "/* Numbers of one vehicle, generated by mufly; do not edit. */",
+        "#include <stddef.h>",
+        "",
+        f'#define INSTANTIATION_TOKEN "{token}"',
+        "",
+    ]
+    return "\n".join([*head, *body, ""]), token
+
+
+def _array_lines(head: str, rows: Iterable[str]) -> list[str]:
+    return [f"static {head} = {{", *(f"    {row}" for row in rows), "};", ""]
+
+
+def _parameter_lines(record: np.void) -> Iterator[str]:
+    for name, field in record_fields(ModelParameters).items():
+        values = np.asarray(record[name])
+        if not np.any(values):  # C sets what is left out to zero
+            continue
+        if values.ndim == 0:
+            unit = f" {field.unit}" if field.unit else ""
+            yield f".{name} = {_format_entry(values.item())}, /* {float(values):.9g}{unit} */"
+        else:
+            yield f".{name} = {{"
+            for row in values.reshape(len(values), -1):
+                text = ", ".join(map(_format_entry, row.tolist()))
+                yield f"    {{{text}}}," if values.ndim > 1 else f"    {text},"
+            yield "},"
+
+
+def _format_entry(value: float | int) -> str:
+    return str(value) if isinstance(value, int) else format_real(value)
+
+
+def format_real(value: float) -> str:
+    """Return a C constant that equals a number, to the last bit."""
+    if math.isinf(value):
+        return "INFINITY" if value > 0 else "-INFINITY"
+    return value.hex()
