@@ -5,10 +5,15 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
 
 import mufly
-from mufly.control import FlightController, design_flight_controller
+from mufly.control import DesignSettings, FlightController, design_flight_controller
+from mufly.control.designs import ControllerDesign, design_roll_pitch
+from mufly.control.robust.parameter_spreads import spread_derivatives
+from mufly.control.synthesis_methods import RobustAims
+from mufly.dynamics import linearise_vehicle
 from mufly.vehicle import Vehicle
 
 
@@ -43,3 +48,13 @@ def vehicle() -> Vehicle:
 @pytest.fixture(scope="session")
 def controller(vehicle: Vehicle) -> FlightController:
     return design_flight_controller(vehicle)
+
+
+@pytest.fixture(scope="session")
+def mu_roll_pitch(vehicle: Vehicle, controller: FlightController) -> ControllerDesign:
+    """Roll-pitch by one round of D-K iteration over three parameters, at few frequencies."""
+    spreads = {"swash_plate.linkage": 0.23, "stabiliser_bar.linkage": 0.14, "body.inertia_xx": 2.2e-5}
+    linear = linearise_vehicle(vehicle)
+    E = spread_derivatives(vehicle, controller.voltage_V, list(spreads), np.diag(list(spreads.values())))
+    aims = RobustAims(rounds=1, frequencies=(1.0, 100.0, 12))
+    return design_roll_pitch(linear.roll_pitch, DesignSettings(method="mu", robust_aims=aims), 1 / 200, E["roll-pitch"])

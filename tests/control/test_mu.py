@@ -11,15 +11,8 @@ import pytest
 from typer.testing import CliRunner
 
 from mufly.cli.control import app
-from mufly.control import (
-    FlightController,
-    TransferFunction,
-    close_loop,
-    connect_blocks,
-    frequency_response,
-    sample_plant,
-)
-from mufly.control.linear_systems import is_stable_loop, state_space
+from mufly.control import FlightController, sample_plant
+from mufly.control.linear_systems import is_stable_loop
 from mufly.control.robust import Block, analyse_parameter_robustness, mu_lower_bound, mu_upper_bound
 from mufly.control.robust.structured_singular_value import _Scalings
 from mufly.control.tuning import minimise_nonsmooth
@@ -127,37 +120,6 @@ def test_minimiser_reaches_a_kink() -> None:
     assert found.value < 1e-4
     assert found.x == pytest.approx([1.0, 1.0], abs=1e-3)
     assert minimise_nonsmooth(lambda x: (np.inf, x), np.zeros(2)).steps == 0
-
-
-def test_distillation_column_of_skogestad_and_postlethwaite() -> None:
-    """*Multivariable Feedback Control* (2006), Sec. 8.11.3: robust performance of the inverse controller, 5.7726."""
-    G0 = np.array([[87.8, -86.4], [108.2, -109.6]])
-    plant = state_space(
-        -np.eye(2) / 75, G0 / 75, np.eye(2), np.zeros((2, 2)), inputs=["gu1", "gu2"], outputs=["g1", "g2"]
-    )
-    blocks, wiring = [plant], {}
-    for i in "12":
-        blocks += [
-            TransferFunction((5.0, 0.5), (10.0, 1e-5)).to_block(f"wp{i}", f"wp_in{i}", f"zp{i}"),
-            TransferFunction((1.0, 0.2), (0.5, 1.0)).to_block(f"wi{i}", f"wi_in{i}", f"zd{i}"),
-        ]
-        wiring |= {f"gu{i}": {f"u{i}": 1.0, f"d{i}": 1.0}, f"wp_in{i}": {f"g{i}": 1.0, f"w{i}": 1.0}}
-        wiring |= {f"wi_in{i}": {f"u{i}": 1.0}, f"e{i}": {f"g{i}": -1.0, f"w{i}": -1.0}}
-    P = connect_blocks(blocks, wiring, ["d1", "d2", "w1", "w2", "u1", "u2"], ["zd1", "zd2", "zp1", "zp2", "e1", "e2"])
-    inverse = np.linalg.inv(G0)
-    K = state_space(
-        -1e-5 * np.eye(2), inverse, 0.7 * (1 - 75e-5) * np.eye(2), 0.7 * 75 * inverse,
-        inputs=["e1", "e2"], outputs=["u1", "u2"],
-    )  # fmt: skip
-    N = frequency_response(close_loop(P, K), np.geomspace(1e-3, 1e3, 61))
-    structure = [COMPLEX, COMPLEX, Block(2, False)]
-    start, performance = None, 0.0
-    for M in N:
-        found = mu_upper_bound(M, structure, start=start, restarts=0)
-        performance, start = max(performance, found.value), found.parameters
-    assert performance == pytest.approx(5.7726, abs=1e-3)
-    assert np.linalg.norm(N[:, 2:, 2:], 2, axis=(1, 2)).max() == pytest.approx(0.500, abs=1e-3)
-    assert max(mu_upper_bound(M[:2, :2], [COMPLEX, COMPLEX]).value for M in N) == pytest.approx(0.524, abs=2e-3)
 
 
 def _value(vehicle: Vehicle, key: str) -> float:

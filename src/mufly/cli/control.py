@@ -18,11 +18,12 @@ if TYPE_CHECKING:
     from mufly.control.synthesis_methods import SynthesisMethod
 
 MethodOption = Annotated[
-    Literal["hinf", "h2", "lqg", "ltr", "fixed"],
+    Literal["hinf", "h2", "lqg", "ltr", "mu", "fixed"],
     define_option(
         "--method WHICH",
-        "Method of synthesis: hinf, h2 (the same weights), lqg, ltr (LQG with loop transfer recovery), or fixed "
-        "(roll-pitch of --order, tuned for several aims; heave-yaw by hinf).",
+        "Method of synthesis: hinf, h2 (the same weights), lqg, ltr (LQG with loop transfer recovery), mu (roll-pitch "
+        "by D-K iteration over the vehicle's parameters), or fixed (roll-pitch of --order, tuned for several aims). "
+        "With mu and fixed heave-yaw is by hinf.",
     ),
 ]
 OrderOption = Annotated[
@@ -268,7 +269,7 @@ tuning that has had fewer.
     from mufly.vehicle import load_vehicle
 
     loaded = load_vehicle(vehicle)
-    known = [m for m in METHODS if m != "fixed"] + ["delay"]
+    known = [m for m in METHODS if m not in ("mu", "fixed")] + ["delay"]
     for start in starts or ():
         if start not in known and not start.endswith(".json"):
             raise InputError("--start", start, "is no start", f"give one of {', '.join(known)}, or a file")
@@ -296,7 +297,10 @@ def compare(
     vehicle: VehicleArgument = "mufly-1.1",
     methods: Annotated[
         list[str] | None,
-        define_option("--methods WHICH", "A method to compare; repeat it. Default: hinf, h2, lqg, ltr and fixed."),
+        define_option(
+            "--methods WHICH",
+            "A method to compare; repeat it. Default: all, as for --method of `mufly control design`.",
+        ),
     ] = None,
     order: Annotated[int, define_option("--order N", "Order of roll-pitch by the method fixed.", min=2, max=8)] = 4,
     points: Annotated[int, define_option("--frequencies N", "Number of frequencies of mu.", min=5)] = 30,

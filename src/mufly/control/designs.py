@@ -7,7 +7,7 @@ The reasons for the design choices are in docs/explanation/control.md; weights, 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -42,11 +42,13 @@ from mufly.control.linear_systems import (
     state_space,
 )
 from mufly.control.lqg import LqgWeights
+from mufly.control.robust.parameter_spreads import default_spreads, spread_derivatives
 from mufly.control.synthesis_methods import (
     METHOD_NAMES,
     METHODS,
     FixedOrderAims,
     GivenController,
+    RobustAims,
     SynthesisMethod,
     SynthesisProblem,
     synthesise_controller,
@@ -380,9 +382,15 @@ def design_flight_controller(
         )  # fmt: skip
     linear = linearise_vehicle(vehicle, voltage=voltage)
     period = 1.0 / rate
+    derivatives: Sequence[Array] = ()
+    if s.method == "mu":
+        spreads = default_spreads(vehicle)
+        derivatives = spread_derivatives(
+            vehicle, float(linear.trim.voltage_V), list(spreads), np.diag(list(spreads.values()))
+        )["roll-pitch"]
     try:
         heave_yaw = design_heave_yaw(linear.heave_yaw, s, period)
-        roll_pitch = design_roll_pitch(linear.roll_pitch, s, period)
+        roll_pitch = design_roll_pitch(linear.roll_pitch, s, period, derivatives)
         velocity = design_velocity(s, POSITION_DIVIDER * period)
         cascade = analyse_cascade(
             linear.full, roll_pitch.discrete, velocity.discrete, s.position_gain, POSITION_DIVIDER
@@ -458,6 +466,8 @@ def _design_controller(
     lqg: LqgWeights | None = None,
     fixed: FixedOrderAims | None = None,
     given: GivenController | None = None,
+    derivatives: Sequence[Array] = (),
+    robust: RobustAims | None = None,
     tracked: tuple[int, ...],
     references: tuple[int, ...] = (),
     orders: tuple[int, int],
@@ -481,6 +491,8 @@ def _design_controller(
         problem = SynthesisProblem(
             generalised, scaled, tracked, bool(references), read.size, relaxation, lqg, fixed, generalise,
             2 * np.pi / period_s, None if given is None else given.to_scaled(generalised, read, input_scale),
+            tuple(E * np.concatenate([np.ones(plant.nstates), input_scale]) for E in derivatives),
+            robust or RobustAims(),
         )  # fmt: skip
         found = synthesise_controller(method, problem)
         reduction = reduce_controller(
@@ -558,7 +570,10 @@ def weight_roll_pitch(scaled: control.StateSpace, settings: DesignSettings) -> c
 
 
 def design_heave_yaw(plant: control.StateSpace, settings: DesignSettings, period_s: float) -> ControllerDesign:
-    """Design heave-yaw: two degrees of freedom (Sec. 6.1.4). Controller inputs: z, psi references, then errors."""
+    """Design heave-yaw: two degrees of freedom (Sec. 6.1.4). Controller inputs: z, psi references, then errors.
+
+    The methods ``fixed`` and ``mu`` design roll-pitch alone; heave-yaw is H-infinity then.
+    """
     given = settings.heave_yaw_given
     return _design_controller(
         "heave-yaw",
@@ -567,7 +582,7 @@ def design_heave_yaw(plant: control.StateSpace, settings: DesignSettings, period
         lambda scaled: weight_heave_yaw(scaled, settings),
         settings.heave_yaw_relaxation,
         period_s,
-        method="fixed" if given is not None else "hinf" if settings.method == "fixed" else settings.method,
+        method="fixed" if given is not None else "hinf" if settings.method in ("fixed", "mu") else settings.method,
         lqg=settings.heave_yaw_lqg,
         given=given,
         tracked=(0, 1),
@@ -582,7 +597,9 @@ def design_heave_yaw(plant: control.StateSpace, settings: DesignSettings, period
     )
 
 
-def design_roll_pitch(plant: control.StateSpace, settings: DesignSettings, period_s: float) -> ControllerDesign:
+def design_roll_pitch(
+    plant: control.StateSpace, settings: DesignSettings, period_s: float, derivatives: Sequence[Array] = ()
+) -> ControllerDesign:
     """Design roll-pitch: one degree of freedom (Sec. 6.1.5). Controller inputs: errors of phi, theta, p, q."""
     given = settings.roll_pitch_given
     tuned = settings.method == "fixed" and given is None
@@ -596,6 +613,8 @@ def design_roll_pitch(plant: control.StateSpace, settings: DesignSettings, perio
         method=settings.method if given is None else "fixed",
         lqg=settings.roll_pitch_lqg,
         given=given,
+        derivatives=derivatives,
+        robust=settings.robust_aims,
         fixed=settings.roll_pitch_aims if tuned else None,
         tracked=(0, 1),
         orders=_given_orders(given, ROLL_PITCH_ORDER)

@@ -17,16 +17,19 @@ from mufly.control.h2 import h2syn
 from mufly.control.hinf import close_loop, hinfsyn
 from mufly.control.linear_systems import Array, hinf_norm, state_space
 from mufly.control.lqg import LqgWeights, design_lqg, limit_recovery
+from mufly.control.robust.dk_iteration import iterate_dk
+from mufly.control.robust.uncertain_plant import add_uncertainty
 from mufly.control.tuning.fixed_order import add_delay, aim_norms, flight_aims, reduced_starts, tune_controller
 from mufly.errors import MuflyError
 
-SynthesisMethod = Literal["hinf", "h2", "lqg", "ltr", "fixed"]
+SynthesisMethod = Literal["hinf", "h2", "lqg", "ltr", "mu", "fixed"]
 METHODS: tuple[SynthesisMethod, ...] = get_args(SynthesisMethod)
 METHOD_NAMES: dict[SynthesisMethod, str] = {
     "hinf": "H-infinity",
     "h2": "H2",
     "lqg": "LQG",
     "ltr": "LQG/LTR",
+    "mu": "mu (D-K)",
     "fixed": "fixed order",
 }
 
@@ -55,6 +58,31 @@ class FixedOrderAims:
     weighted: float = 1.015
     noise: float = 1.0
     descents: int = 2
+
+
+@dataclass(frozen=True)
+class RobustAims:
+    """Settings of D-K iteration.
+
+    Attributes
+    ----------
+    rounds : int
+        Rounds of the iteration.
+    filter_order : int
+        Largest order of a scaling's filter.
+    input_uncertainty : float
+        Relative uncertainty of every plant input at low frequency; see ``robust.uncertain_plant``.
+    frequencies : tuple of (float, float, int)
+        Lowest and highest frequency (rad/s) of the D step, and their number.
+    relaxation : float
+        Factor on the smallest level; see ``hinfsyn``.
+    """
+
+    rounds: int = 3
+    filter_order: int = 1
+    input_uncertainty: float = 0.2
+    frequencies: tuple[float, float, int] = (0.3, 300.0, 30)
+    relaxation: float = 1.05
 
 
 @dataclass(frozen=True)
@@ -129,6 +157,10 @@ class SynthesisProblem(NamedTuple):
         Sampling rate of the controller (rad/s).
     given : control.StateSpace or None
         Controller that exists, in place of a synthesis.
+    derivatives : tuple of array
+        Derivatives ``[dA dB]`` of the plant by uncertain parameters, one spread each, for ``mu``.
+    robust : RobustAims
+        Settings of ``mu``.
     """
 
     generalised: control.StateSpace
@@ -142,6 +174,8 @@ class SynthesisProblem(NamedTuple):
     generalise: Callable[[control.StateSpace], control.StateSpace]
     sampling_rate: float
     given: control.StateSpace | None = None
+    derivatives: tuple[Array, ...] = ()
+    robust: RobustAims = RobustAims()
 
 
 class SynthesisedController(NamedTuple):
@@ -153,7 +187,7 @@ class SynthesisedController(NamedTuple):
     actuation : array, shape (states, controls)
         Effect of actuation beyond the command on its states; see ``hinf.HinfResult.actuation``.
     gamma, gamma_optimal : float
-        Level claimed and smallest level; nan for a method that claims none.
+        Level claimed and smallest level, of mu for D-K iteration; nan for a method that claims none.
     norm : float
         H-infinity norm of the weighted loop.
     """
@@ -185,10 +219,33 @@ def synthesise_controller(method: SynthesisMethod, problem: SynthesisProblem) ->
         lqg = design_lqg(p.plant, p.references, p.lqg, recovery=recovery, two_degrees=p.two_degrees)
         norm = hinf_norm(close_loop(p.generalised, lqg.controller))[0]
         return SynthesisedController(lqg.controller, lqg.actuation, np.nan, np.nan, norm)
+    if method == "mu":
+        return _iterate_dk(p, p.robust)
     if method == "fixed" and p.fixed is not None:
         return _tune(p, p.fixed)
     found = hinfsyn(p.generalised, p.n_measurements, n_controls, relaxation=p.relaxation)
     return SynthesisedController(found.controller, found.actuation, found.gamma, found.gamma_optimal, found.norm)
+
+
+def _iterate_dk(p: SynthesisProblem, aims: RobustAims) -> SynthesisedController:
+    """Return the controller of D-K iteration on the plant with delay and uncertainty; it starts from H-infinity."""
+    n_controls = p.plant.ninputs
+    generalised = p.generalise(add_delay(p.plant, 1.5 * 2 * np.pi / p.sampling_rate))
+    uncertain, channels = add_uncertainty(generalised, p.plant, p.n_measurements, p.derivatives, aims.input_uncertainty)
+    found = iterate_dk(
+        uncertain,
+        channels,
+        p.n_measurements,
+        n_controls,
+        np.geomspace(*aims.frequencies),
+        start=hinfsyn(p.generalised, p.n_measurements, n_controls, relaxation=p.relaxation).controller,
+        rounds=aims.rounds,
+        order_max=aims.filter_order,
+        fit_tolerance=0.1,
+        relaxation=aims.relaxation,
+    )
+    norm = hinf_norm(close_loop(p.generalised, found.controller))[0]
+    return SynthesisedController(found.controller, found.actuation, found.gamma, found.gamma, norm)
 
 
 def _tune(p: SynthesisProblem, fixed: FixedOrderAims) -> SynthesisedController:

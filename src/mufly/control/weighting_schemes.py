@@ -35,7 +35,7 @@ from scipy import signal
 
 from mufly.control.linear_systems import Array, connect_blocks, replace_matrices, state_space
 from mufly.control.lqg import LqgWeights
-from mufly.control.synthesis_methods import FixedOrderAims, GivenController, SynthesisMethod
+from mufly.control.synthesis_methods import FixedOrderAims, GivenController, RobustAims, SynthesisMethod
 from mufly.errors import MuflyError
 
 
@@ -287,6 +287,7 @@ ROLL_PITCH_AIMS = FixedOrderAims(
     order=4, sensitivity_dB=2.6, complementary_dB=2.0,
     noise_outputs=(math.radians(0.1), math.radians(0.1), math.radians(0.3), math.radians(0.3)),
 )  # fmt: skip
+ROBUST_AIMS = RobustAims()
 
 
 @dataclass(frozen=True)
@@ -311,6 +312,8 @@ class DesignSettings:
         Weights of LQG and LTR, in scaled units.
     roll_pitch_aims : FixedOrderAims
         Order and aims of the method ``fixed``, which tunes roll-pitch; heave-yaw is H-infinity then.
+    robust_aims : RobustAims
+        Settings of the method ``mu``, which designs roll-pitch; heave-yaw is H-infinity then.
     heave_yaw_given, roll_pitch_given : GivenController or None
         Controllers that exist, in place of a synthesis.
     heave_yaw_windup, roll_pitch_windup : float or None
@@ -354,6 +357,7 @@ class DesignSettings:
     heave_yaw_lqg: LqgWeights = HEAVE_YAW_LQG
     roll_pitch_lqg: LqgWeights = ROLL_PITCH_LQG
     roll_pitch_aims: FixedOrderAims = ROLL_PITCH_AIMS
+    robust_aims: RobustAims = ROBUST_AIMS
     heave_yaw_given: GivenController | None = None
     roll_pitch_given: GivenController | None = None
     heave_yaw_windup: float | None = 1.5

@@ -4,8 +4,8 @@ from mufly.control.robust.parameter_robustness import (
     LoopRobustness,
     ParameterRobustness,
     analyse_parameter_robustness,
-    default_spreads,
 )
+from mufly.control.robust.parameter_spreads import default_spreads
 from mufly.control.robust.structured_singular_value import (
     Block,
     LowerBound,

@@ -1,9 +1,8 @@
 """Robust stability over a vehicle's uncertain parameters: bounds of mu over frequency, and the worst parameters.
 
-The parameters are ``p = p0 + S z`` with every component of z within -1 to 1. The linear model at z is taken as affine,
-``[A B] = [A0 B0] + sum z_i E_i``, with ``E_i`` by central differences of the linearised vehicle. A singular value
-decomposition ``E_i = L_i R_i`` makes every z_i a real scalar, repeated as often as E_i has rank. The loop from the
-scalars' outputs to their inputs, closed by the controller and 1.5 periods of delay (hold and computation), is M.
+The affine model ``[A B] = [A0 B0] + sum z_i L_i R_i`` of :mod:`mufly.control.robust.parameter_spreads`, with every
+component of z within -1 to 1, makes every z_i a real scalar block. The loop from the scalars' outputs to their inputs,
+closed by the controller and 1.5 periods of delay (hold and computation), is M.
 
 ``mu(M(j w)) < 1 / k`` at every frequency proves stability for all z within k. An example proves the other side: the
 smallest k for which some z of size k puts a closed-loop pole on the axis. The affine loop has its least damped pole at
@@ -14,35 +13,27 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import control
 import numpy as np
 from scipy import linalg, signal
 
-from mufly.control.designs import ControllerDesign, FlightController
 from mufly.control.linear_systems import Array, ComplexArray, frequency_response
+from mufly.control.robust.parameter_spreads import (
+    default_spreads,
+    factor_derivatives,
+    parameter_values,
+    spread_derivatives,
+)
 from mufly.control.robust.structured_singular_value import Block, mu_upper_bound
-from mufly.dynamics import linearise_vehicle
 from mufly.errors import ArgumentError, InputError, MuflyError
 from mufly.results import ShownBlock, result, show_lines, show_table
-from mufly.vehicle import Vehicle, list_parameters, replace_parameters
+from mufly.vehicle import Vehicle, replace_parameters
 
-DEFAULT_SPREADS: Mapping[str, float] = {
-    "body.inertia_xx": 0.2,
-    "body.inertia_yy": 0.2,
-    "rotors.upper.thrust_coefficient": 0.1,
-    "swash_plate.linkage": 0.3,
-    "stabiliser_bar.linkage": 0.3,
-    "stabiliser_bar.time_constant": 0.3,
-    "rotors.inplane_drag": 0.5,
-}
-"""Relative spreads of parameters for which a vehicle file states no standard deviation."""
+if TYPE_CHECKING:
+    from mufly.control.designs import ControllerDesign, FlightController
 
-STANDARD_DEVIATIONS = 2.0
-"""Size of a stated standard deviation's range."""
-
-_RANK_TOLERANCE = 1e-4
 _DELAY_PERIODS = 1.5
 _SMALLEST_FACTOR, _LARGEST_FACTOR = 0.1, 10.0  # of the spreads, in the search for the worst parameters
 _ENOUGH = 0.8  # share of the lower bound's peak at which the descent of the upper bound ends
@@ -168,21 +159,6 @@ class ParameterRobustness:
         ]
 
 
-def default_spreads(vehicle: Vehicle) -> dict[str, float]:
-    """Return spreads (SI) by key: two stated standard deviations, or :data:`DEFAULT_SPREADS` where none is stated."""
-    parameters = {p.key: p for p in list_parameters(vehicle) if isinstance(p.value, float)}
-    left_out = ("mass_budget.", "range_ring.", "sensors.")
-    spreads = {
-        key: STANDARD_DEVIATIONS * float(p.std)
-        for key, p in parameters.items()
-        if p.std and not key.startswith(left_out)
-    }
-    for key, share in DEFAULT_SPREADS.items():
-        if key in parameters and key not in spreads and parameters[key].value:
-            spreads[key] = share * abs(float(parameters[key].value))
-    return spreads
-
-
 class UncertainLoop:
     """A loop with the derivatives of its plant by the components of z."""
 
@@ -191,16 +167,10 @@ class UncertainLoop:
         self.plant, self.feedback = design.plant, design.feedback_controller(design.reduced)
         self.delay_s = _DELAY_PERIODS * design.discrete.period_s
         n = self.plant.nstates
-        scale = float(np.linalg.norm(self.plant.A))
-        left, right, self.blocks, self.kept = [], [], [], []
-        for i, E in enumerate(derivatives):
-            U, s, Vt = np.linalg.svd(E)
-            rank = int((s > max(_RANK_TOLERANCE * s[0], 1e-9 * scale)).sum())
-            if rank:
-                self.kept.append(i)
-                self.blocks.append(Block(rank, True))
-                left.append(U[:, :rank] * np.sqrt(s[:rank]))
-                right.append(Vt[:rank] * np.sqrt(s[:rank])[:, None])
+        factors = factor_derivatives(derivatives, float(np.linalg.norm(self.plant.A)))
+        self.kept = [i for i, (L, _) in enumerate(factors) if L.shape[1]]
+        self.blocks = [Block(factors[i][0].shape[1], True) for i in self.kept]
+        left, right = [factors[i][0] for i in self.kept], [factors[i][1] for i in self.kept]
         self.left = np.hstack(left) if left else np.zeros((n, 0))
         self.right = np.vstack(right) if right else np.zeros((0, n + self.plant.ninputs))
         self.derivatives = [derivatives[i] for i in self.kept]
@@ -329,44 +299,6 @@ def sweep_mu(loop: UncertainLoop, points: int, names: Sequence[str]) -> LoopRobu
     )  # fmt: skip
 
 
-def _parameter_values(vehicle: Vehicle, keys: Sequence[str]) -> Array:
-    known = {p.key: float(p.value) for p in list_parameters(vehicle) if isinstance(p.value, float)}
-    return np.array([known[key] for key in keys])
-
-
-def spread_derivatives(
-    vehicle: Vehicle, voltage_V: float, keys: Sequence[str], spread_matrix: Array
-) -> dict[str, list[Array]]:
-    """Return the derivatives ``[dA dB]`` of heave-yaw and roll-pitch by every component of z, by the loop's name.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-    voltage_V : float
-        Battery voltage of the linear model.
-    keys : sequence of str
-        Parameters.
-    spread_matrix : array, shape (keys, directions)
-        The parameters move by ``spread_matrix @ z``.
-    """
-    centre = _parameter_values(vehicle, keys)
-    linear: dict[str, list[Array]] = {"heave-yaw": [], "roll-pitch": []}
-    nominal = linearise_vehicle(vehicle, voltage=voltage_V)
-    for column in spread_matrix.T:
-        ends, width = [], 0.0
-        for sign in (1.0, -1.0):
-            try:
-                moved = replace_parameters(vehicle, dict(zip(keys, (centre + sign * column).tolist(), strict=True)))
-                ends.append(linearise_vehicle(moved, voltage=voltage_V))
-                width += 1.0
-            except (InputError, MuflyError):  # an impossible vehicle on one side: the other side's difference
-                ends.append(nominal)
-        for name, part in (("heave-yaw", "heave_yaw"), ("roll-pitch", "roll_pitch")):
-            high, low = (getattr(end, part) for end in ends)
-            linear[name].append(np.hstack([high.A - low.A, high.B - low.B]) / max(width, 1.0))
-    return linear
-
-
 def analyse_parameter_robustness(
     vehicle: Vehicle,
     controller: FlightController,
@@ -412,7 +344,7 @@ def analyse_parameter_robustness(
     if not len(keys):
         raise ArgumentError("vary", "", "nothing varies", "vary parameters")
     linear = spread_derivatives(vehicle, controller.voltage_V, keys, spread_matrix)
-    centre = _parameter_values(vehicle, keys)
+    centre = parameter_values(vehicle, keys)
     loops = [
         sweep_mu(UncertainLoop(design, linear[design.name]), points, names)
         for design in (controller.heave_yaw, controller.roll_pitch)

@@ -22,7 +22,8 @@ from mufly.control.designs import (
 )
 from mufly.control.hinf import hinfsyn
 from mufly.control.linear_systems import Array, replace_matrices
-from mufly.control.robust.parameter_robustness import UncertainLoop, spread_derivatives
+from mufly.control.robust.parameter_robustness import UncertainLoop
+from mufly.control.robust.parameter_spreads import spread_derivatives
 from mufly.control.synthesis_methods import GivenController, SynthesisProblem, synthesise_controller
 from mufly.control.tuning.fixed_order import (
     TuningAim,

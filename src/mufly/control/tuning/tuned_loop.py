@@ -13,7 +13,8 @@ import numpy as np
 
 from mufly.control.comparison import LoopFigures, loop_figures, sensor_noise
 from mufly.control.designs import ControllerDesign, FlightController, design_flight_controller
-from mufly.control.robust.parameter_robustness import analyse_parameter_robustness, default_spreads
+from mufly.control.robust.parameter_robustness import analyse_parameter_robustness
+from mufly.control.robust.parameter_spreads import default_spreads
 from mufly.control.synthesis_methods import GivenController
 from mufly.control.tuning.fixed_order import aim_norms
 from mufly.control.tuning.loop_tuning import (

@@ -1,0 +1,343 @@
+"""D-K iteration: a controller with a small structured singular value for full complex blocks.
+
+The generalised plant has the channels of the uncertainty before those of the performance, then the controller's
+signals. With positive scalings D(w), one for each block, mu is at most the largest singular value of ``D N D^-1``, N
+the closed loop. Two steps alternate (Doyle 1985; Skogestad and Postlethwaite, *Multivariable Feedback Control*, 2006,
+Sec. 8.12):
+
+- K: an H-infinity controller for the plant with the present scalings;
+- D: the scalings that are best for the loop at every frequency, then their magnitudes as stable filters with stable
+  inverses: a gain times factors ``(s + z) / (s + p)``, fitted by least squares to the logarithms, with more weight
+  where mu is large. The order of a filter is the smallest one whose error stays below a tolerance.
+
+Neither step raises the bound but for the error of the filters. The iteration may end in a local minimum.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import control
+import numpy as np
+from scipy import linalg, optimize
+
+from mufly.control.hinf import HinfResult, close_loop, hinfsyn
+from mufly.control.linear_systems import Array, ComplexArray, frequency_response, replace_matrices
+from mufly.control.robust.structured_singular_value import Block, mu_upper_bound
+from mufly.errors import ArgumentError, MuflyError
+from mufly.results import result
+
+_REGULARISATION = 1e-5  # of the synthesis where rounding denies it an exact one
+_FIT_WEIGHT = 4.0  # power of mu's bound, relative to its peak, that weights the errors of a filter
+
+
+class Channel(NamedTuple):
+    """A full complex block: numbers of the plant's outputs that enter it and of inputs that leave it."""
+
+    outputs: int
+    inputs: int
+
+
+class ScalingFilter(NamedTuple):
+    """``gain * prod (s + zeros) / (s + poles)``; zeros and poles are positive (rad/s)."""
+
+    gain: float
+    zeros: Array
+    poles: Array
+
+    @property
+    def inverse(self) -> ScalingFilter:
+        """The inverse filter."""
+        return ScalingFilter(1.0 / self.gain, self.poles, self.zeros)
+
+    def magnitude(self, frequency: Array) -> Array:
+        """Return the magnitude at the frequencies (rad/s)."""
+        w2 = np.asarray(frequency)[:, None] ** 2
+        size: Array = self.gain * np.sqrt(np.prod((w2 + self.zeros**2) / (w2 + self.poles**2), axis=1))
+        return size
+
+    def to_matrices(self) -> tuple[Array, Array, Array, Array]:
+        """Return A, B, C, D of the factors in series."""
+        n = len(self.poles)
+        A, B, C, D = np.zeros((n, n)), np.zeros((n, 1)), np.zeros((1, n)), 1.0
+        for i, (z, p) in enumerate(zip(self.zeros, self.poles, strict=True)):
+            A[i], B[i] = C[0], D  # the factor's input is the output of the factors before it
+            A[i, i] = -p
+            C[0, i] = z - p
+        return A, B, C * self.gain, np.array([[D * self.gain]])
+
+
+@result
+class DkRound:
+    """One round of the iteration.
+
+    Attributes
+    ----------
+    gamma : float
+        Level of the scaled plant's controller.
+    mu : float
+        Largest upper bound of mu over the frequencies with this controller.
+    order : int
+        Order of the controller.
+    """
+
+    gamma: float
+    mu: float
+    order: int
+
+
+@result
+class DkResult:
+    """The best controller of the iteration.
+
+    Attributes
+    ----------
+    controller : control.StateSpace
+    actuation : array, shape (states, controls)
+        See ``HinfResult.actuation``.
+    gamma : float
+        Level of its scaled plant.
+    mu : float
+        Largest upper bound of mu over the frequencies.
+    frequency, bound : array, shape (n,)
+        Frequencies (rad/s) and upper bound of mu.
+    rounds : tuple of DkRound
+    """
+
+    controller: control.StateSpace
+    actuation: Array
+    gamma: float
+    mu: float
+    frequency: Array
+    bound: Array
+    rounds: tuple[DkRound, ...]
+
+
+def fit_magnitude(
+    frequency: Array, magnitude: Array, order_max: int, tolerance: float, weight: Array | None = None
+) -> ScalingFilter:
+    """Fit a filter of low order to a magnitude.
+
+    Parameters
+    ----------
+    frequency, magnitude : array, shape (n,)
+        Frequencies (rad/s) and positive magnitudes.
+    order_max : int
+        Largest order.
+    tolerance : float
+        Weighted root-mean-square error of the logarithm at which no higher order is tried.
+    weight : array, shape (n,), optional
+        Weights of the squared errors; equal ones by default.
+
+    Returns
+    -------
+    ScalingFilter
+        Its order is the lowest that meets the tolerance, or the best one.
+    """
+    log = np.log(magnitude)
+    share = np.ones_like(log) if weight is None else np.asarray(weight, dtype=float)
+    share = np.sqrt(share / share.sum())
+    low, high = np.log(frequency[0]), np.log(frequency[-1])
+    w2 = frequency[:, None] ** 2
+    best = ScalingFilter(float(np.exp(share**2 @ log)), np.zeros(0), np.zeros(0))
+    least = float(np.linalg.norm(share * (log - np.log(best.gain))))
+    for order in range(1, order_max + 1):
+        if least <= tolerance:
+            break
+
+        def errors(x: Array, n: int = order) -> Array:
+            z, p = np.exp(2.0 * x[1 : n + 1]), np.exp(2.0 * x[n + 1 :])
+            value: Array = x[0] + 0.5 * (np.log(w2 + z) - np.log(w2 + p)).sum(axis=1) - log
+            return share * value
+
+        def slopes(x: Array, n: int = order) -> Array:
+            z, p = np.exp(2.0 * x[1 : n + 1]), np.exp(2.0 * x[n + 1 :])
+            return share[:, None] * np.hstack([np.ones_like(w2), z / (w2 + z), -p / (w2 + p)])
+
+        bounds = (
+            np.concatenate([[-50.0], np.full(2 * order, low)]),
+            np.concatenate([[50.0], np.full(2 * order, high)]),
+        )
+        centre = low + (np.arange(order) + 0.5) / order * (high - low)
+        for shift in (0.3, -0.3):
+            x0 = np.concatenate([[np.log(best.gain)], centre + shift, centre - shift])
+            found = optimize.least_squares(errors, x0, jac=slopes, bounds=bounds, max_nfev=200)
+            rms = float(np.sqrt(2.0 * found.cost))
+            if rms < least:
+                k, z, p = found.x[0], found.x[1 : order + 1], found.x[order + 1 :]
+                best, least = ScalingFilter(float(np.exp(k)), np.exp(z), np.exp(p)), rms
+    return best
+
+
+def scale_channels(
+    plant: control.StateSpace, channels: Sequence[Channel], filters: Sequence[ScalingFilter]
+) -> control.StateSpace:
+    """Return the plant with every channel's outputs filtered, and its inputs by the inverse; other signals as they are.
+
+    Parameters
+    ----------
+    plant : control.StateSpace
+    channels : sequence of Channel
+        The plant's first channels.
+    filters : sequence of ScalingFilter
+        One for each channel.
+    """
+    rows = sum(c.outputs for c in channels)
+    columns = sum(c.inputs for c in channels)
+    left = [f.to_matrices() for c, f in zip(channels, filters, strict=True) for _ in range(c.outputs)]
+    right = [f.inverse.to_matrices() for c, f in zip(channels, filters, strict=True) for _ in range(c.inputs)]
+    Al, Bl, Cl, Dl = (linalg.block_diag(*M) for M in zip(*left, strict=True))
+    Ar, Br, Cr, Dr = (linalg.block_diag(*M) for M in zip(*right, strict=True))
+    Bl = np.hstack([Bl, np.zeros((len(Al), plant.noutputs - rows))])
+    Cl = np.vstack([Cl, np.zeros((plant.noutputs - rows, len(Al)))])
+    Dl = linalg.block_diag(Dl, np.eye(plant.noutputs - rows))
+    Br = np.hstack([Br, np.zeros((len(Ar), plant.ninputs - columns))])
+    Cr = np.vstack([Cr, np.zeros((plant.ninputs - columns, len(Ar)))])
+    Dr = linalg.block_diag(Dr, np.eye(plant.ninputs - columns))
+    A, B, C, D = plant.A, plant.B, plant.C, plant.D
+    n, k, m = len(A), len(Ar), len(Al)
+    return replace_matrices(
+        plant,
+        A=np.block(
+            [[A, B @ Cr, np.zeros((n, m))], [np.zeros((k, n)), Ar, np.zeros((k, m))], [Bl @ C, Bl @ D @ Cr, Al]]
+        ),
+        B=np.vstack([B @ Dr, Br, Bl @ D @ Dr]),
+        C=np.hstack([Dl @ C, Dl @ D @ Cr, Cl]),
+        D=Dl @ D @ Dr,
+    )
+
+
+def sweep_complex_mu(response: ComplexArray, channels: Sequence[Channel]) -> tuple[Array, Array]:
+    """Return the upper bound of mu over frequency, and the magnitudes of the scalings relative to the last channel's.
+
+    Parameters
+    ----------
+    response : complex array, shape (n, outputs, inputs)
+        Closed loop of all channels.
+    channels : sequence of Channel
+
+    Returns
+    -------
+    bound : array, shape (n,)
+    scalings : array, shape (n, channels)
+    """
+    sizes = [max(c) for c in channels]
+    blocks = [Block(size, False) for size in sizes]
+    starts = np.concatenate([[0], np.cumsum(sizes)[:-1]])
+    rows = np.concatenate([s + np.arange(c.outputs) for s, c in zip(starts, channels, strict=True)])
+    columns = np.concatenate([s + np.arange(c.inputs) for s, c in zip(starts, channels, strict=True)])
+    square = np.zeros((len(response), sum(sizes), sum(sizes)), dtype=complex)
+    square[:, rows[:, None], columns] = response  # a row or column of zeros leaves mu
+    bound, scalings, start = np.empty(len(response)), np.empty((len(response), len(channels))), None
+    for i, M in enumerate(square):
+        found = mu_upper_bound(M, blocks, start=start, restarts=0, tolerance=1e-4)
+        start = found.parameters
+        d = np.sqrt(np.diag(found.scaling).real[starts])
+        bound[i], scalings[i] = found.value, d / d[-1]
+    return bound, scalings
+
+
+def iterate_dk(
+    plant: control.StateSpace,
+    channels: Sequence[Channel],
+    n_measurements: int,
+    n_controls: int,
+    frequency: Array,
+    *,
+    scalings: Sequence[float] | None = None,
+    start: control.StateSpace | None = None,
+    rounds: int = 8,
+    order_max: int = 4,
+    fit_tolerance: float = 0.01,
+    relaxation: float = 1.002,
+    progress: Callable[[int, int], None] | None = None,
+) -> DkResult:
+    """Synthesise a controller by D-K iteration.
+
+    Parameters
+    ----------
+    plant : control.StateSpace
+        Generalised plant, continuous time: the channels' signals, then those of the controller.
+    channels : sequence of Channel
+        Full complex blocks in the order of the signals; the last one keeps the scaling 1.
+    n_measurements, n_controls : int
+        Numbers of the controller's inputs and outputs.
+    frequency : array, shape (n,)
+        Frequencies of the D step (rad/s), ascending.
+    scalings : sequence of float, optional
+        Constant scalings of the first K step, one for each channel; 1 by default.
+    start : control.StateSpace, optional
+        Controller whose loop gives the first scalings instead.
+    rounds : int
+        Largest number of rounds; the second one in succession that lowers mu by less than 0.1 % is the last.
+    order_max : int
+        Largest order of a scaling's filter.
+    fit_tolerance : float
+        Error of a filter's logarithm; see :func:`fit_magnitude`.
+    relaxation : float
+        Factor on the smallest level; see ``hinfsyn``.
+    progress : callable, optional
+        Called with (rounds done, all rounds).
+
+    Returns
+    -------
+    DkResult
+
+    Raises
+    ------
+    ArgumentError
+        If the channels do not fill the plant.
+    MuflyError
+        If the first K step finds no controller.
+    """
+    have = plant.noutputs - n_measurements, plant.ninputs - n_controls
+    need = sum(c.outputs for c in channels), sum(c.inputs for c in channels)
+    if have != need:
+        raise ArgumentError(
+            "channels", "", f"{need[0]} outputs and {need[1]} inputs for a plant of {have[0]} and {have[1]}",
+            "give channels that fill it",
+        )  # fmt: skip
+    none = np.zeros(0)
+    filters = [ScalingFilter(float(d), none, none) for d in (scalings or [1.0] * len(channels))]
+    done: list[DkRound] = []
+    best: DkResult | None = None
+    poor = 0
+
+    def sweep(K: control.StateSpace) -> tuple[Array, Array]:
+        return sweep_complex_mu(frequency_response(close_loop(plant, K), frequency), channels)
+
+    def fit(bound: Array, magnitudes: Array) -> list[ScalingFilter]:
+        share = (bound / bound.max()) ** _FIT_WEIGHT
+        fitted = [fit_magnitude(frequency, d, order_max, fit_tolerance, share) for d in magnitudes.T[:-1]]
+        return [*fitted, ScalingFilter(1.0, none, none)]
+
+    if start is not None:
+        filters = fit(*sweep(start))
+    for k in range(rounds):
+        try:
+            found = _synthesise(scale_channels(plant, channels, filters), n_measurements, n_controls, relaxation)
+        except MuflyError:
+            if best is None:
+                raise
+            break
+        bound, magnitudes = sweep(found.controller)
+        peak = float(bound.max())
+        done.append(DkRound(found.gamma, peak, found.controller.nstates))
+        poor = poor + 1 if best is not None and peak > 0.999 * best.mu else 0
+        if best is None or peak < best.mu:
+            best = DkResult(found.controller, found.actuation, found.gamma, peak, frequency, bound, ())
+        if progress is not None:
+            progress(k + 1, rounds)
+        if poor == 2 or k + 1 == rounds:
+            break
+        filters = fit(bound, magnitudes)
+    assert best is not None
+    return DkResult(best.controller, best.actuation, best.gamma, best.mu, frequency, best.bound, tuple(done))
+
+
+def _synthesise(plant: control.StateSpace, n_measurements: int, n_controls: int, relaxation: float) -> HinfResult:
+    try:
+        return hinfsyn(plant, n_measurements, n_controls, relaxation=relaxation)
+    except MuflyError:
+        return hinfsyn(plant, n_measurements, n_controls, relaxation=relaxation, regularisation=_REGULARISATION)
