@@ -6,6 +6,7 @@ import math
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from typer.testing import CliRunner
 
 from mufly.cli import app
 from mufly.control import DesignSettings, design_flight_controller
+from mufly.control.synthesis_methods import GivenController, RobustAims
 from mufly.errors import InputError, MuflyError
 from mufly.estimate import Estimate
 from mufly.firmware import (
@@ -83,10 +85,25 @@ def test_exported_code_is_the_law_to_the_last_bit_whatever_is_asked(controller, 
         assert all(a.tobytes() == b.tobytes() for a, b in pairs)
 
 
+def _settings_of(method: str) -> DesignSettings:
+    """Return settings of a method; the tuned law of order 2 stands for all of fixed order."""
+    if method == "mu":
+        return DesignSettings(method="mu", robust_aims=RobustAims(rounds=1, frequencies=(3.0, 30.0, 4)))
+    if method == "tuned":
+        K = GivenController(
+            A=((-0.0523, -0.0013), (0.0017, -0.0499)),
+            B=((-5.94, 0.02, -0.0476, 0.002), (0.006, 6.88, -0.0024, 0.0717)),
+            C=((0.001, -8.57), (-8.13, -0.011)),
+            D=((0.07, -12.67, 0.0085, -0.937), (9.72, -0.112, 0.724, -0.0085)),
+        )
+        return DesignSettings(roll_pitch_given=K)
+    return DesignSettings(method=method)
+
+
 @needs_cc
-@pytest.mark.parametrize("method", ["h2", "ltr"])
+@pytest.mark.parametrize("method", ["h2", "lqg", "ltr", "mu", "tuned"])
 def test_designs_of_other_methods_are_the_same_law(method) -> None:
-    other = design_flight_controller(load_vehicle("mufly-1.1"), settings=DesignSettings(method=method))
+    other = design_flight_controller(load_vehicle("mufly-1.1"), settings=_settings_of(method))
     firmware = Firmware(other)
     for seed, size in ((0, 0.1), (1, 3.0)):
         pairs = list(_fly_both(Controllers(other), FirmwareControllers(other, firmware), seed, 200, size))
@@ -95,8 +112,6 @@ def test_designs_of_other_methods_are_the_same_law(method) -> None:
 
 @needs_cc
 def test_numbers_that_change_in_flight_change_in_the_exported_code_too(controller) -> None:
-    from dataclasses import replace
-
     from mufly.flight.controllers import copy_record
 
     gains = copy_record(controller.position_gains)
