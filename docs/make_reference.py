@@ -32,7 +32,7 @@ from mufly.vehicle.quantity import Quantity, ValueSource
 ROOMS = (
     "vehicle", "world", "rotor", "rotor.wake", "rotor.forward", "drive", "bench", "cfd", "study", "dynamics",
     "identify", "control", "sensors", "estimate", "mission", "flight", "flight.monte_carlo", "flight.policy",
-    "firmware", "gym", "link", "station", "fmi", "logs", "thesis",
+    "firmware", "gym", "link", "station", "bridges", "fmi", "logs", "thesis",
 )  # fmt: skip
 
 

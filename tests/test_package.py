@@ -1,6 +1,7 @@
 """The package as its users see it: every room by its name, and no name that means two things."""
 
 import ast
+import glob
 import importlib
 import pkgutil
 import subprocess
@@ -23,6 +24,16 @@ ROOMS = [name for name in NAMES if (_PACKAGE / name / "__init__.py").is_file()]
 
 def test_the_list_of_layers_holds_every_room():
     assert sorted(p.parent.name for p in _PACKAGE.glob("*/__init__.py")) == sorted(ROOMS)
+
+
+def test_the_wheel_holds_every_data_file():
+    """Setuptools packs only what the patterns of pyproject.toml name, such as C sources and vehicle files."""
+    patterns = tomllib.loads(_FILE.read_text())["tool"]["setuptools"]["package-data"]["mufly"]
+    packed = {path for pattern in patterns for path in glob.glob(pattern, root_dir=_PACKAGE, recursive=True)}
+    files = [p for p in _PACKAGE.rglob("*") if p.is_file() and p.suffix not in (".py", ".pyc")]
+    data = {str(p.relative_to(_PACKAGE)) for p in files}
+    assert len(data) > 50
+    assert sorted(data - packed) == []
 
 
 _FRESH = """

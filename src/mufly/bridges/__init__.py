@@ -5,6 +5,51 @@ The plant, its wind, its sensors with their faults, its battery and the recordin
 (:mod:`mufly.bridges.px4_link`), and ArduPilot packets of its JSON interface (:mod:`mufly.bridges.ardupilot_link`).
 Gains, margins and parameter files for both come from the linear model of the vehicle file
 (:mod:`mufly.bridges.autopilot_gains`).
+Attributes of the package load on first use, so that gains are designed without the flight software.
 """
 
-__all__: list[str] = []
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from mufly.bridges.ardupilot_link import ArduPilotSimulator
+    from mufly.bridges.ardupilot_parameters import format_parameter_file, list_ardupilot_parameters
+    from mufly.bridges.autopilot_gains import AutopilotGains, AxisMargins, CascadeGains, design_autopilot_gains
+    from mufly.bridges.autopilot_plant import AutopilotPlant
+    from mufly.bridges.px4_airframe import format_airframe_file, list_px4_parameters
+    from mufly.bridges.px4_link import Px4Simulator
+
+_MODULES_BY_NAME = {
+    "mufly.bridges.ardupilot_link": ("ArduPilotSimulator",),
+    "mufly.bridges.ardupilot_parameters": ("format_parameter_file", "list_ardupilot_parameters"),
+    "mufly.bridges.autopilot_gains": ("AutopilotGains", "AxisMargins", "CascadeGains", "design_autopilot_gains"),
+    "mufly.bridges.autopilot_plant": ("AutopilotPlant",),
+    "mufly.bridges.px4_airframe": ("format_airframe_file", "list_px4_parameters"),
+    "mufly.bridges.px4_link": ("Px4Simulator",),
+}
+__all__ = [
+    "ArduPilotSimulator",
+    "AutopilotGains",
+    "AutopilotPlant",
+    "AxisMargins",
+    "CascadeGains",
+    "Px4Simulator",
+    "design_autopilot_gains",
+    "format_airframe_file",
+    "format_parameter_file",
+    "list_ardupilot_parameters",
+    "list_px4_parameters",
+]
+
+
+def __getattr__(name: str) -> Any:
+    for home, names in _MODULES_BY_NAME.items():
+        if name in names:
+            return getattr(importlib.import_module(home), name)
+    raise AttributeError(f"module 'mufly.bridges' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
