@@ -130,6 +130,8 @@ class AutopilotGains:
     vehicle : str
     hover_thrust : float
         Mean of the motor inputs in hover on a half-full battery.
+    hover_voltage_V : float
+        Voltage of the battery in that hover.
     yaw_trim : float
         Half the difference of the motor inputs, upper minus lower.
     roll, pitch, yaw, vertical : CascadeGains
@@ -139,6 +141,7 @@ class AutopilotGains:
 
     vehicle: str
     hover_thrust: float
+    hover_voltage_V: float
     yaw_trim: float
     roll: CascadeGains
     pitch: CascadeGains
@@ -153,7 +156,7 @@ class _Axis:
     for the height of an acceleration.
 
     ``delay_s`` and ``filters`` (natural frequencies of second-order low passes, rad/s) act on the frequency response
-    alone; the test of stability approximates them.
+    alone; the test of stability approximates them. ``angle_delay_s`` is a further delay of the loop of the angle.
     """
 
     name: str
@@ -164,14 +167,17 @@ class _Axis:
     thrust_per_acceleration: float
     delay_s: float
     rate_filters: tuple[float, ...]
+    angle_delay_s: float = 0.0
 
 
-def design_autopilot_gains(vehicle: Vehicle) -> AutopilotGains:
+def design_autopilot_gains(vehicle: Vehicle, *, angle_delay_s: float = 0.0) -> AutopilotGains:
     """Design the gains of PX4's controllers for a vehicle.
 
     Parameters
     ----------
     vehicle : Vehicle
+    angle_delay_s : float
+        Delay of the loop of the angles besides those of PX4 (s).
 
     Returns
     -------
@@ -186,7 +192,9 @@ def design_autopilot_gains(vehicle: Vehicle) -> AutopilotGains:
     model = linearise_vehicle(vehicle, trim)
     upper, lower = (float(u) for u in trim.motor_input)
     hover = 0.5 * (upper + lower)
-    axes = {name: _make_axis(vehicle, model, name, hover) for name in _STATES}
+    axes = {
+        name: replace(_make_axis(vehicle, model, name, hover), angle_delay_s=angle_delay_s) for name in _STATES
+    }  # fmt: skip
     gains = {name: _design_angle(axes[name]) for name in ("roll", "pitch", "yaw")}
     shared = _design_position([axes["roll"], axes["pitch"]], [gains["roll"], gains["pitch"]])
     vertical = _design_position([axes["vertical"]], [CascadeGains()])
@@ -194,8 +202,8 @@ def design_autopilot_gains(vehicle: Vehicle) -> AutopilotGains:
         gains[name] = _with_position(gains[name], shared)
     gains["vertical"] = vertical
     return AutopilotGains(
-        vehicle.name, hover, 0.5 * (upper - lower), gains["roll"], gains["pitch"], gains["yaw"], vertical,
-        tuple(predict_margins(axes[name], gains[name]) for name in AXIS_NAMES),
+        vehicle.name, hover, trim.voltage_V, 0.5 * (upper - lower), gains["roll"], gains["pitch"], gains["yaw"],
+        vertical, tuple(predict_margins(axes[name], gains[name]) for name in AXIS_NAMES),
     )  # fmt: skip
 
 
@@ -275,7 +283,7 @@ def _controller_response(axis: _Axis, k: CascadeGains, w: _Array) -> tuple[_Comp
     reference = k.angle * rate if axis.name == "yaw" else inner * speed * k.position
     out[:, 0] = inner * speed * k.position * late
     out[:, 1] = inner * (speed + speed_rate) * late
-    out[:, 2], out[:, 3] = k.angle * rate, (rate + rate_rate) * gyro
+    out[:, 2], out[:, 3] = k.angle * rate * np.exp(-s * axis.angle_delay_s), (rate + rate_rate) * gyro
     return out * delay[:, None], reference * delay
 
 

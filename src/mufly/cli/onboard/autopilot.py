@@ -14,7 +14,8 @@ from mufly.cli.output import LiveDisplay, check_place, make_console, print_answe
 from mufly.cli.station import ShutdownHandler, check_sensor_options, describe_sensor_source, resolve_wind
 from mufly.errors import InputError, report_write_errors
 
-Autopilot = Literal["px4", "ardupilot"]
+Autopilot = Literal["px4", "ardupilot", "betaflight"]
+_NAMES: dict[Autopilot, str] = {"px4": "PX4", "ardupilot": "ArduPilot", "betaflight": "Betaflight"}
 PositionOption = Annotated[
     Literal["vision", "gps"],
     define_option(
@@ -36,12 +37,12 @@ def _accept_group_options() -> None:
 
 @app.command()
 def gains(
-    autopilot: Annotated[Autopilot, define_argument("px4|ardupilot", "Autopilot that flies the vehicle.")],
+    autopilot: Annotated[Autopilot, define_argument("px4|ardupilot|betaflight", "Autopilot that flies the vehicle.")],
     vehicle: VehicleOption = "mufly-1.1",
     position: PositionOption = "vision",
     out: Annotated[
         Path | None,
-        define_option("--out -o DIR", "Folder for the airframe file (PX4) or the parameter file (ArduPilot)."),
+        define_option("--out -o DIR", "Folder for the airframe, parameter or CLI file (PX4, ArduPilot, Betaflight)."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -55,6 +56,8 @@ file, with a limited sensitivity at the actuators and at the commanded accelerat
       mufly autopilot gains px4 --vehicle mine.toml --out etc/init.d-posix/airframes
 
       mufly autopilot gains ardupilot --out parameters
+
+      mufly autopilot gains betaflight --out parameters
     """
     if out is not None:
         check_place("--out", out, make=False)
@@ -63,17 +66,29 @@ file, with a limited sensitivity at the actuators and at the commanded accelerat
     from mufly.vehicle import load_vehicle
 
     loaded = load_vehicle(vehicle)
-    designed = design_autopilot_gains(loaded)
-    command = f"mufly autopilot gains {autopilot} --vehicle {shlex.quote(vehicle)} --position {position}"
+    command = f"mufly autopilot gains {autopilot} --vehicle {shlex.quote(vehicle)}"
+    command += f" --position {position}" if autopilot == "px4" else ""
     files: list[Path] = []
-    if autopilot == "px4":
+    if autopilot == "betaflight":
+        from mufly.bridges.betaflight_settings import (
+            design_betaflight_gains,
+            format_cli_file,
+            list_betaflight_settings,
+        )
+
+        designed = design_betaflight_gains(loaded)
+        name, text = f"{loaded.name}-betaflight.txt", format_cli_file(loaded, designed, command)
+        parameters = [line._asdict() for line in list_betaflight_settings(designed)]
+    elif autopilot == "px4":
         from mufly.bridges.px4_airframe import airframe_file_name, format_airframe_file, list_px4_parameters
 
+        designed = design_autopilot_gains(loaded)
         name, text = airframe_file_name(loaded), format_airframe_file(loaded, designed, position, command)
         parameters = [p._asdict() for p in list_px4_parameters(loaded, designed, position)]
     else:
         from mufly.bridges.ardupilot_parameters import format_parameter_file, list_ardupilot_parameters
 
+        designed = design_autopilot_gains(loaded)
         name, text = f"{loaded.name}.parm", format_parameter_file(loaded, designed, command)
         parameters = [p._asdict() for p in list_ardupilot_parameters(loaded, designed)]
     if out is not None:
@@ -86,7 +101,7 @@ file, with a limited sensitivity at the actuators and at the commanded accelerat
         fields = ("position", "velocity", "velocity_integral", "velocity_rate", "angle", "rate", "rate_integral")
         heads = ("axis", "P_x 1/s", "P_v 1/s", "I_v 1/s^2", "D_v", "P_angle 1/s", "P", "I")
         rows = [(axis, *(f"{getattr(getattr(designed, axis), f):.3g}" for f in fields)) for axis in AXIS_NAMES]
-        print_table(heads, rows, title=f"Gains of PX4's cascades for {loaded.name}")
+        print_table(heads, rows, title=f"Gains of {_NAMES[autopilot]}'s cascades for {loaded.name}")
         titles = ("axis", "crossover rad/s", "sensitivity", "outer", "gain dB", "phase deg", "pushed m")
         names = ("crossover_rad_s", "sensitivity", "outer_sensitivity", "gain_margin_dB", "phase_margin_deg", "push_m")
         margins = [(m.axis, *(format_value(getattr(m, n), ".3g") for n in names)) for m in designed.margins]
@@ -96,6 +111,34 @@ file, with a limited sensitivity at the actuators and at the commanded accelerat
             print_lines("--out DIR writes the file.")
 
     print_answer(as_json, {"autopilot": autopilot, "gains": designed, "parameters": parameters}, show, files)
+
+
+@app.command()
+def load(
+    file: Annotated[Path, define_argument("FILE", "CLI file of `mufly autopilot gains betaflight`.")],
+    to: Annotated[
+        str, define_option("--to ENDPOINT", "First serial port of Betaflight's SITL.", unit="")
+    ] = "tcp:127.0.0.1:5761",
+) -> None:
+    """Send a CLI file to Betaflight's software in the loop, which saves it and ends; then start it again.
+
+    Examples:
+
+      mufly autopilot load parameters/mufly-1.1-betaflight.txt
+    """
+    from mufly.bridges.betaflight_cli import load_cli_file
+    from mufly.link.ports import parse_endpoint
+
+    endpoint = parse_endpoint(to, "vehicle", "--to")
+    if endpoint.kind != "tcp":
+        raise InputError("--to", to, "is no TCP address", "write tcp:127.0.0.1:5761")
+    try:
+        text = file.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "it is no text"
+        raise InputError(str(file), "", reason, "name a file of `mufly autopilot gains betaflight`") from None
+    load_cli_file(text, endpoint=endpoint)
+    print_lines(f"Betaflight has saved {file} and ended; start it again in the same folder.")
 
 
 def run_simulator(
@@ -120,6 +163,7 @@ def run_simulator(
     if ends is not None and len(ends) > 1:
         raise InputError("--link", "", "a simulator has one endpoint", "give it once")
     from mufly.bridges.ardupilot_link import ARDUPILOT_ENDPOINT
+    from mufly.bridges.betaflight_link import BETAFLIGHT_ENDPOINT
     from mufly.bridges.px4_link import PX4_ENDPOINT
     from mufly.bridges.simulator_pace import check_speed
     from mufly.link.codec import parse_origin
@@ -127,13 +171,15 @@ def run_simulator(
 
     check_speed(speed, "--speed")
     steady = resolve_wind(wind, gust, seed)
-    default = PX4_ENDPOINT if autopilot == "px4" else ARDUPILOT_ENDPOINT
+    default = {"px4": PX4_ENDPOINT, "ardupilot": ARDUPILOT_ENDPOINT, "betaflight": BETAFLIGHT_ENDPOINT}[autopilot]
     endpoint = parse_endpoint(ends[0], "vehicle", "--link") if ends else default
     if endpoint.kind != default.kind:
-        raise InputError("--link", str(endpoint), f"{autopilot} calls by {default.kind}", f"write {default}")
+        raise InputError("--link", str(endpoint), f"{autopilot} needs {default.kind}", f"write {default}")
     place = None if origin is None else parse_origin(origin)
-    if autopilot == "ardupilot" and (place is not None or position != "vision"):
+    if autopilot != "px4" and (place is not None or position != "vision"):
         given = "--origin" if place is not None else "--position"
+        if autopilot == "betaflight":
+            raise InputError(given, "", "Betaflight receives no position", "leave it out")
         raise InputError(given, "", "ArduPilot makes its global position itself", "leave it out; see its option --home")
     if out is not None:
         check_place("--out", out, make=False)
@@ -144,28 +190,37 @@ def run_simulator(
     plan = Mission(name="no mission") if mission is None else load_mission(mission)
     faults = check_sensor_options(helicopter, "fitted", fault)
     terminal, over = make_console(), ShutdownHandler()
-    name = {"px4": "PX4", "ardupilot": "ArduPilot"}[autopilot]
+    name = _NAMES[autopilot]
     terminal.print(f"[bold]{helicopter.name}[/bold] is simulated for {name}", highlight=False)
     print_lines(describe_sensor_source(helicopter, "fitted"))
     with LiveDisplay(terminal) as display:
         display.set_live_line("compiling the model")
         from mufly.bridges.ardupilot_link import ARDUPILOT_RATE_HZ, ArduPilotSimulator
         from mufly.bridges.autopilot_plant import AutopilotPlant, warm_up_plant
+        from mufly.bridges.betaflight_link import BETAFLIGHT_RATE_HZ, BetaflightSimulator
         from mufly.bridges.px4_link import DEFAULT_ORIGIN, PX4_RATE_HZ, Px4Simulator
 
-        rate_Hz = {"px4": PX4_RATE_HZ, "ardupilot": ARDUPILOT_RATE_HZ}[autopilot]
+        rate_Hz = {"px4": PX4_RATE_HZ, "ardupilot": ARDUPILOT_RATE_HZ, "betaflight": BETAFLIGHT_RATE_HZ}[autopilot]
         warm_up_plant(helicopter, rate_Hz)
+        if autopilot == "betaflight":
+            from mufly.bridges.betaflight_pilot import BetaflightPilot
+            from mufly.bridges.betaflight_settings import design_betaflight_gains
+
+            display.set_live_line("designing the pilot's gains")
+            pilot = BetaflightPilot(design_betaflight_gains(helicopter))
     path = None if out is None else out / "flight.mcap"
     plant = AutopilotPlant(
         helicopter, plan, rate_Hz=rate_Hz, autopilot=name, wind=steady, gust=gust, seed=seed, faults=faults, path=path,
     )  # fmt: skip
     with plant, over, LiveDisplay(terminal) as display:
         plant.listeners.append(display.show_event)
-        simulator: Px4Simulator | ArduPilotSimulator
+        simulator: Px4Simulator | ArduPilotSimulator | BetaflightSimulator
         if autopilot == "px4":
             simulator = Px4Simulator(
                 plant, endpoint=endpoint, position=position, origin=place or DEFAULT_ORIGIN, speed=speed, where="--link"
             )
+        elif autopilot == "betaflight":
+            simulator = BetaflightSimulator(plant, pilot, endpoint=endpoint, speed=speed, where="--link")
         else:
             simulator = ArduPilotSimulator(plant, endpoint=endpoint, speed=speed, where="--link")
         terminal.print("Ctrl-C ends it.", style="dim")

@@ -96,11 +96,12 @@ def run_link(
         int, define_option("--uart PORT", "TCP port of the UART of --qemu, on this machine.", min=1, max=65535)
     ] = 5760,
     simulator: Annotated[
-        Literal["px4", "ardupilot"] | None,
+        Literal["px4", "ardupilot", "betaflight"] | None,
         define_option(
             "--simulator AUTOPILOT",
-            "Simulate the vehicle for px4 (MAVLink in lockstep, TCP 4560) or ardupilot (JSON, UDP 9002), which flies "
-            "it in place of mufly's own flight software; --link gives another address (docs/how-to/fly-with-px4.md).",
+            "Simulate the vehicle for px4 (MAVLink in lockstep, TCP 4560), ardupilot (JSON, UDP 9002) or betaflight "
+            "(UDP 9003, with a pilot), which flies it in place of mufly's own flight software; --link gives another "
+            "address (docs/how-to/fly-with-px4.md).",
         ),
     ] = None,
     position: PositionOption = "vision",

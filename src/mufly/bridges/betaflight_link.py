@@ -1,0 +1,336 @@
+"""Simulator of Betaflight: its software in the loop ("SITL") over UDP, with a pilot of ours.
+
+Betaflight answers each state of the vehicle with at most one packet of outputs. The simulation waits for it, so both
+run in lockstep; a lost packet is sent again. A state that comes while Betaflight starts can crash it. So states are
+sent, and sent again, only after its serial port has been open for :data:`READY_S`.
+
+Betaflight's clock follows the ratio of simulated to wall-clock time between the last two states. So states come at
+even intervals, and a slow machine slows both down. Its loop has 8000 periods per simulated second, and sleeps 0.05 ms
+or more in each; faster than real time it would miss some.
+
+====================== ========================================================================================
+state                  condition
+====================== ========================================================================================
+waiting                no Betaflight has answered; the simulated time stands
+running                every period waits for its answer
+silent                 Betaflight has not answered for :data:`SILENCE_S`; the simulated time stands
+====================== ========================================================================================
+
+Inertial readings and pressure are those of the vehicle's sensors, with their faults. The SITL takes the attitude from
+the simulator, which is the true one here; it has no further sensors, and no battery. A Betaflight with another address
+is a restarted one: the vehicle returns to the start, and the pilot begins anew.
+
+The outputs answer a state before Betaflight's filters have seen it: one more period of delay, of 2 ms at
+:data:`BETAFLIGHT_RATE_HZ`. With the plant's own one and a half periods this is 5 ms, where the design of the gains
+assumes 6 ms.
+"""
+
+from __future__ import annotations
+
+import math
+import select
+import socket
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from mufly.bridges.autopilot_plant import AutopilotPlant
+from mufly.bridges.betaflight_messages import (
+    GAZEBO_BYTES,
+    LEAST_US,
+    BetaflightOutputs,
+    encode_channels,
+    encode_state,
+    encode_status_request,
+    read_arming_obstacles,
+    read_outputs,
+)
+from mufly.bridges.betaflight_pilot import REST_PULSES_US, BetaflightPilot
+from mufly.bridges.betaflight_settings import MOTOR_IDLE, PILOT_RATE_HZ
+from mufly.bridges.simulator_pace import SimulatorPace, SimulatorReport
+from mufly.errors import InputError
+from mufly.link.ports import Endpoint, Peer, Port, UdpPort, open_port
+from mufly.sensors import Fault
+
+BETAFLIGHT_ENDPOINT = Endpoint("udpout", "127.0.0.1", 9003)
+"""Address where Betaflight receives the state of the vehicle."""
+BETAFLIGHT_RATE_HZ = 500.0
+"""Rate of the simulation."""
+SILENCE_S = 2.0
+"""Wall-clock time without an answer after which Betaflight counts as silent (s)."""
+READY_S = 0.5
+"""Wall-clock time that Betaflight's serial port has been open before it receives states (s)."""
+ARMING_PATIENCE_S = 4.0
+"""Simulated time of a refused arming after which Betaflight is asked for its reasons (s)."""
+_PILOT_PERIODS = round(BETAFLIGHT_RATE_HZ / PILOT_RATE_HZ)
+_RESEND_S, _WAIT_S, _PROBE_S = 0.1, 0.02, 0.1
+_ARMED_US = LEAST_US + 500.0 * MOTOR_IDLE
+_MAX_SPEED = 1.0
+_SEEN_SENSORS = ("imu", "pressure")
+
+
+class BetaflightPorts(NamedTuple):
+    """Ports of Betaflight beside that of its state, which are fixed in it: outputs and channels (UDP), MSP (TCP)."""
+
+    outputs: int = 9001
+    channels: int = 9004
+    msp: int = 5761
+
+
+class BetaflightSimulator:
+    """Simulator that one Betaflight flies.
+
+    Parameters
+    ----------
+    vehicle : AutopilotPlant
+        With a rate of :data:`BETAFLIGHT_RATE_HZ`.
+    pilot : BetaflightPilot, optional
+        Sender of the channels; without one another program sends them.
+    endpoint : Endpoint
+        Address where Betaflight receives the state.
+    ports : BetaflightPorts
+    speed : float
+        Simulated seconds per second of wall-clock time, at most 1.
+    where : str
+        Source of the endpoint, for error messages.
+    clock : callable
+        Wall clock (s).
+
+    Attributes
+    ----------
+    state : str
+        "waiting", "running" or "silent".
+    step_count, unanswered_count : int
+        Periods, and states that were sent again.
+    output_port : int
+        Number of the UDP port where the outputs arrive.
+    on_period : callable
+        Called after every period.
+
+    Raises
+    ------
+    InputError
+        If a port is in use, or the speed is not between 0 and 1.
+    """
+
+    def __init__(
+        self,
+        vehicle: AutopilotPlant,
+        pilot: BetaflightPilot | None = None,
+        *,
+        endpoint: Endpoint = BETAFLIGHT_ENDPOINT,
+        ports: BetaflightPorts | None = None,
+        speed: float = 1.0,
+        where: str = "endpoint",
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        if not 0.0 < speed <= _MAX_SPEED:
+            raise InputError(
+                "speed", "", f"{speed:g} is too fast for Betaflight's loop", f"give a speed up to {_MAX_SPEED:g}"
+            )  # fmt: skip
+        self.vehicle, self.pilot, self._clock = vehicle, pilot, clock
+        ports = ports or BetaflightPorts()
+        listens = "127.0.0.1" if endpoint.host in ("127.0.0.1", "localhost") else "0.0.0.0"
+        self._outputs = open_port(Endpoint("udpin", listens, ports.outputs), where)
+        assert isinstance(self._outputs, UdpPort)
+        self.output_port = self._outputs.port
+        self._state_port = open_port(endpoint, where)
+        self._channel_port = open_port(Endpoint("udpout", endpoint.host, ports.channels), where)
+        self._msp_endpoint = Endpoint("tcp", endpoint.host, ports.msp)
+        self._msp: Port | None = None
+        self._msp_data = b""
+        self.pace = SimulatorPace(vehicle, speed, clock)
+        self._interval_s = vehicle.period_s / speed
+        self.state = "waiting"
+        self.step_count = self.unanswered_count = 0
+        self.on_period: Callable[[], None] = lambda: None
+        self._peer: Peer | None = None
+        self._command: BetaflightOutputs | None = None
+        self._is_answered = False
+        self._refused_s = 0.0
+        self._open_s = self._probed_s = math.nan
+        self._told: set[str] = set()
+
+    def run(
+        self,
+        stop: Callable[[], bool],
+        on_report: Callable[[SimulatorReport], None] = lambda report: None,
+    ) -> None:
+        """Simulate until ``stop()``; the ports are closed at the end."""
+        self.vehicle.log_event(f"waiting for Betaflight at {self._state_port.endpoint}")
+        for fault in unseen_faults(self.vehicle):
+            self.vehicle.log_event(
+                f"{fault}: Betaflight does not receive this sensor, so the fault has no effect", "warning"
+            )
+        try:
+            while not stop():
+                if self.state == "waiting":
+                    if self._is_ready():
+                        self._send()
+                    self._wait(_WAIT_S)
+                    self._receive()
+                else:
+                    self._run_period(stop)
+                report = self.pace.take_report(self.state, self.step_count, self.unanswered_count)
+                if report is not None:
+                    on_report(report)
+        finally:
+            for port in (self._outputs, self._state_port, self._channel_port, self._msp):
+                if port is not None:
+                    port.close()
+
+    # One period
+
+    def _run_period(self, stop: Callable[[], bool]) -> None:
+        vehicle = self.vehicle
+        self._receive()  # answers to states that were sent twice
+        self._is_answered, self._open_s = False, math.nan
+        sent_s = self._clock()
+        self._send()
+        self._await_answer(sent_s, stop)
+        while (rest_s := max(self.pace.rest_s(), sent_s + self._interval_s - self._clock())) > 0.0 and not stop():
+            time.sleep(min(rest_s, _WAIT_S))
+        if stop() or self.state != "running" or self._command is None:
+            return
+        if notice := self.pace.record_period():
+            vehicle.log_event(notice, "warning" if "slower" in notice else "info")
+        problem = describe_wrong_outputs(self._command)
+        if problem:
+            self._warn_once("outputs", problem)
+        inputs = np.zeros(4) if problem else self._command.inputs
+        is_armed = not problem and bool(np.all(self._command.pulse_us[:2] > _ARMED_US))
+        vehicle.advance_period(inputs, is_armed)
+        self.step_count += 1
+        self._watch_arming(is_armed)
+        self.on_period()
+
+    def _send(self) -> None:
+        """Send the state, and at the pilot's rate the channels."""
+        vehicle = self.vehicle
+        if self.pilot is not None and self.step_count % _PILOT_PERIODS == 0:
+            if self.state == "running":
+                pulses = self.pilot.command_channels(vehicle.truth, vehicle.readings, vehicle.is_armed)
+            else:
+                pulses = REST_PULSES_US
+            for peer in self._channel_port.call_targets:
+                self._channel_port.send(peer, encode_channels(vehicle.time_s, pulses))
+        for peer in self._state_port.call_targets:
+            self._state_port.send(peer, encode_state(vehicle.time_s, vehicle.truth, vehicle.readings))
+
+    def _await_answer(self, begun_s: float, stop: Callable[[], bool]) -> None:
+        again_s = begun_s + _RESEND_S
+        while not self._is_answered and not stop():
+            self._wait(_WAIT_S)
+            self._receive()
+            now_s = self._clock()
+            if self.state == "running" and now_s - begun_s > SILENCE_S and not self._is_answered:
+                self.state = "silent"
+                self.vehicle.log_event(
+                    f"Betaflight has not answered for {SILENCE_S:g} s of wall-clock time; the simulation waits for it",
+                    "warning",
+                )
+            if not self._is_answered and now_s >= again_s and self._is_ready():
+                again_s = now_s + _RESEND_S
+                self.unanswered_count += 1
+                self._send()
+        if self._is_answered and self.state == "silent":
+            self.state = "running"
+            self.vehicle.log_event("Betaflight answers again")
+            self.pace.restart()
+
+    def _is_ready(self) -> bool:
+        """Return whether Betaflight's serial port has been open for :data:`READY_S`; it is called every so often."""
+        now_s = self._clock()
+        if not now_s - self._probed_s < _PROBE_S:
+            self._probed_s = now_s
+            try:
+                socket.create_connection((self._msp_endpoint.host, self._msp_endpoint.port), timeout=_PROBE_S).close()
+            except OSError:
+                self._open_s = math.nan
+            else:
+                self._open_s = now_s if math.isnan(self._open_s) else self._open_s
+        return now_s - self._open_s >= READY_S
+
+    def _wait(self, timeout_s: float) -> None:
+        select.select([self._outputs.fileno()], [], [], timeout_s)
+
+    # Packets of Betaflight
+
+    def _receive(self) -> None:
+        for peer, data in self._outputs.receive():
+            outputs = read_outputs(data)
+            if outputs is None:
+                what = (
+                    "the packets of port 9002, which carry no servos; Betaflight's outputs are at 9001"
+                    if len(data) == GAZEBO_BYTES
+                    else "packets that are not Betaflight's; is it another program?"
+                )
+                self._warn_once("packet", f"{peer.address} sends {what}")
+                continue
+            if peer != self._peer:
+                self._meet_autopilot(peer)
+            self._command, self._is_answered = outputs, True
+
+    def _meet_autopilot(self, peer: Peer) -> None:
+        again, self._peer, self.state = self._peer is not None, peer, "running"
+        self.vehicle.log_event(f"Betaflight {'has restarted' if again else 'answers'} from {peer.address}")
+        self._told.clear()
+        self._refused_s = 0.0
+        self._close_msp()
+        if self.vehicle.has_moved:
+            self.vehicle.reset()
+        if self.pilot is not None:
+            self.pilot.reset()
+        self.pace.restart()
+
+    # Arming
+
+    def _watch_arming(self, is_armed: bool) -> None:
+        """Ask Betaflight for its reasons when it does not arm."""
+        if self.pilot is None or is_armed or not self.pilot.wants_arming:
+            self._refused_s = 0.0
+            self._close_msp()
+            return
+        self._refused_s += self.vehicle.period_s
+        if self._refused_s < ARMING_PATIENCE_S or "arming" in self._told:
+            return
+        if self._msp is None:
+            self._msp, self._msp_data = open_port(self._msp_endpoint), b""
+        for _, data in self._msp.receive():
+            self._msp_data += data
+        obstacles = read_arming_obstacles(self._msp_data)
+        if obstacles is None:
+            if self.step_count % round(BETAFLIGHT_RATE_HZ) == 0:
+                for peer in self._msp.peers:
+                    self._msp.send(peer, encode_status_request())
+            return
+        reasons = [name for name in obstacles if name != "arm switch"] or obstacles
+        self._warn_once("arming", f"Betaflight does not arm: {', '.join(reasons) or 'it gives no reason'}")
+        self._close_msp()
+
+    def _close_msp(self) -> None:
+        if self._msp is not None:
+            self._msp.close()
+            self._msp = None
+
+    def _warn_once(self, topic: str, text: str) -> None:
+        if topic not in self._told:
+            self._told.add(topic)
+            self.vehicle.log_event(text, "warning")
+
+
+def describe_wrong_outputs(outputs: BetaflightOutputs) -> str:
+    """Return why outputs are not those of the mixer DUALCOPTER; "" if they can be."""
+    remedy = "load the file of `mufly autopilot gains betaflight`"
+    if outputs.motor_count != 2:
+        return f"Betaflight drives {outputs.motor_count} motors, which is another mixer than DUALCOPTER; {remedy}"
+    if np.any(outputs.pulse_us[2:4] <= 0.0):
+        return "Betaflight drives no servos; build it with servos (make TARGET=SITL EXTRA_FLAGS=-DUSE_SERVOS)"
+    return ""
+
+
+def unseen_faults(vehicle: AutopilotPlant) -> list[Fault]:
+    """Return the faults of sensors that Betaflight does not receive."""
+    return [fault for fault in vehicle.sensors.all_faults if fault.sensor_name not in _SEEN_SENSORS]
