@@ -17,6 +17,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
+from mufly.bridges.betaflight_messages import encode_status_request, read_arming_obstacles
 from mufly.errors import MuflyError
 from mufly.link.ports import Endpoint
 
@@ -139,15 +140,22 @@ def run_betaflight(program: Path, folder: Path, text: str) -> Iterator[subproces
 
 
 def _start_program(program: Path, folder: Path, log: IO[bytes]) -> subprocess.Popen[bytes]:
-    """Start Betaflight and wait for its serial port; a start that hangs or crashes, as a few do, is tried again."""
+    """Start Betaflight and wait until it answers MSP; a start that hangs or crashes, as a few do, is tried again."""
     for _ in range(_STARTS):
         process = subprocess.Popen([program.absolute()], cwd=folder, stdout=log, stderr=subprocess.STDOUT)
         end_s = time.monotonic() + _START_S
         while process.poll() is None and time.monotonic() < end_s:
-            with contextlib.suppress(OSError):
-                socket.create_connection((CLI_ENDPOINT.host, CLI_ENDPOINT.port), timeout=1.0).close()
-                return process
+            with (
+                contextlib.suppress(OSError),
+                socket.create_connection((CLI_ENDPOINT.host, CLI_ENDPOINT.port), timeout=_START_S) as line,
+            ):
+                line.sendall(encode_status_request())
+                answer = b""
+                while part := line.recv(65536):
+                    answer += part
+                    if read_arming_obstacles(answer) is not None:
+                        return process
             time.sleep(_RETRY_S)
         process.kill()
         process.wait()
-    raise MuflyError(f"{program} does not open its serial port {CLI_ENDPOINT.port}; see {folder / 'betaflight.log'}")
+    raise MuflyError(f"{program} does not answer at port {CLI_ENDPOINT.port}; see {folder / 'betaflight.log'}")

@@ -212,9 +212,9 @@ class BetaflightPilot:
             place[2] -= plan.height_m - plan.sink_m_s * self.phase_s
             speed[2] = plan.sink_m_s
         if self.phase == "square":
-            offset, rate = find_square_point(plan, self.phase_s)
+            offset, drift = find_square_point(plan, self.phase_s)
             place[:2] += offset
-            speed[:2] = rate
+            speed[:2] = drift
         self.reference, self._reference_velocity = place, speed
 
     def _follow_voltage(self, readings: Readings) -> None:
