@@ -86,7 +86,7 @@ def judge_policy(model: PPO, episodes: int = 200) -> tuple[float, float, float]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--steps", type=int, default=8_000_000, help="steps of all environments together")
+    parser.add_argument("--steps", type=int, default=10_000_000, help="steps of all environments together")
     parser.add_argument("--envs", type=int, default=256, help="environments")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("hover-policy.json"), help="file of the policy")

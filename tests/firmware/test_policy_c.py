@@ -148,6 +148,17 @@ def test_file_gives_the_policy_back_to_the_last_bit(tmp_path: Path) -> None:
     assert again.training == {"seed": 0}
 
 
+def test_policy_of_the_documents_turns_towards_its_target() -> None:
+    policy = load_policy(Path(__file__).parents[2] / "docs" / "examples" / "hover-policy.json")
+    seen = np.zeros(20)
+    seen[[8, 13, 19]] = 1.0  # level, at the wanted heading, 1 m high
+    for place, output, sign in ((0, 2, 1), (1, 3, 1), (2, 0, -1), (12, 1, 1)):
+        one = np.array([seen, seen])
+        one[:, place] = 0.3, -0.3
+        actions = policy.find_action(one)[:, output]
+        assert sign * (actions[0] - actions[1]) > 0.1
+
+
 @pytest.mark.parametrize(("change", "message"), [
     (lambda c: c["layers"][0]["bias"].__setitem__(0, 0.5), "sha256: does not fit the content"),
     (lambda c: c["observation"].pop(), "observation: has 19 inputs, the task hover 20"),

@@ -128,7 +128,7 @@ def test_hover_at_the_target_earns_one_a_step_and_far_away_less() -> None:
     env, zero = placed("hover", position=(0, 0, -1))
     assert env.step(zero)[1] == pytest.approx(1.0, abs=0.02)
     env, zero = placed("hover", position=(1, 0, -1))
-    assert env.step(zero)[1] == pytest.approx(0.6 / 5 + 0.4, abs=0.02)
+    assert env.step(zero)[1] == pytest.approx(0.3 / 5 + 0.3 / 101 + 0.4, abs=0.02)
 
 
 def test_action_of_zero_holds_the_nominal_vehicle_and_observation_has_the_true_state() -> None:

@@ -11,7 +11,7 @@ Land        descend to a point on the floor; 10 for a soft touchdown, less 5 for
 With e the distance (m), v the speed (m/s), psi the heading error, w the body rates (rad/s) and a the action, a step of
 Hover earns
 
-    0.6 / (1 + 4 e^2) + 0.2 (1 + cos psi) / 2 + 0.2 / (1 + w^2 + 10 v^2) - 0.1 (a - a_before)^2
+    0.3 / (1 + 4 e^2) + 0.3 / (1 + 100 e^2) + 0.2 (1 + cos psi) / 2 + 0.2 / (1 + w^2 + 10 v^2) - 0.1 (a - a_before)^2
 
 The other tasks cost 0.02 (a - a_before)^2 + 0.01 (1 - cos psi) a step. A fall costs 5, in Hover the rewards to come.
 
@@ -115,8 +115,8 @@ def judge_step(
         if lost or touches:
             return 0.0, True, False
         still = 0.2 / (1.0 + rates_squared + 10.0 * speed * speed)
-        held = 0.6 / (1.0 + 4.0 * now * now) + 0.1 * (1.0 + heading_cosine) + still
-        return held - 0.1 * change_squared, False, False
+        near = 0.3 / (1.0 + 4.0 * now * now) + 0.3 / (1.0 + 100.0 * now * now)
+        return near + still + 0.1 * (1.0 + heading_cosine) - 0.1 * change_squared, False, False
     reward = 2.0 * (before - now) - 0.02 * change_squared - 0.01 * (1.0 - heading_cosine)
     if kind == LAND and touches and not lost:
         soft = speed < SOFT_SPEED_M_S and upright > SOFT_UPRIGHT
