@@ -8,7 +8,6 @@ from __future__ import annotations
 import ctypes
 import math
 import tempfile
-import time
 import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -234,24 +233,3 @@ def check_unit(file: Path, vehicle: Vehicle) -> UnitComparison:
     """
     with tempfile.TemporaryDirectory(prefix="mufly-fmu-") as folder:
         return compare_unit(UnitLibrary(file, Path(folder)), model_parameters(vehicle))
-
-
-def measure_step_rate(unit: UnitLibrary, *, steps_a_call: int, duration_s: float = 1.0) -> float:
-    """Return the integration steps per second of a unit in hover.
-
-    Parameters
-    ----------
-    unit : UnitLibrary
-    steps_a_call : int
-        Integration steps in a communication step.
-    duration_s : float
-        Time of the measurement (s).
-    """
-    instance, step_s, calls = UnitInstance(unit).initialise(), steps_a_call * unit.starts["solver.step"], 0
-    start = time.perf_counter()
-    while time.perf_counter() < start + duration_s:
-        instance.do_step(calls * step_s, step_s)
-        calls += 1
-    taken = time.perf_counter() - start
-    instance.free()
-    return calls * steps_a_call / taken
