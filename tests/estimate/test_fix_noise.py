@@ -16,7 +16,7 @@ estimate = fusion._estimate_fix_noise.py_func
 
 def memory() -> SimpleNamespace:
     return SimpleNamespace(
-        noise_scale=np.ones(AID_COUNT), walk_scale=np.ones(AID_COUNT), fix_ratio=np.zeros(4),
+        noise_scale=np.ones(AID_COUNT), bias_walk_scale=np.ones(AID_COUNT), fix_ratio=np.zeros(4),
         fix_ratio_prev=np.zeros(4), fix_ratio_mean=np.zeros(4), is_heading_aligned=1,
     )  # fmt: skip
 
@@ -29,14 +29,14 @@ def test_variances_come_to_those_of_the_truth(noise: float, wander: float) -> No
     scales = []
     for _ in range(8000):
         true = keep * true + rng.normal(0.0, wander * WANDER_M * np.sqrt(1 - keep**2), 3)
-        bias, variance = keep * bias, keep**2 * variance + WANDER_M**2 * m.walk_scale[AID_PLACE] * (1 - keep**2)
+        bias, variance = keep * bias, keep**2 * variance + WANDER_M**2 * m.bias_walk_scale[AID_PLACE] * (1 - keep**2)
         spread = variance + NOISE_M**2 * m.noise_scale[AID_PLACE]
         off = true + rng.normal(0.0, noise * NOISE_M, 3) - bias
         for i in range(3):
             m.fix_ratio[i] = off[i] / np.sqrt(spread[i])
             estimate(m, i)
         bias, variance = bias + variance / spread * off, variance * (1 - variance / spread)
-        scales.append((m.noise_scale[AID_PLACE], m.walk_scale[AID_PLACE]))
+        scales.append((m.noise_scale[AID_PLACE], m.bias_walk_scale[AID_PLACE]))
     found = np.sqrt(np.mean(scales[4000:], axis=0))
     np.testing.assert_allclose(found, [noise, wander], rtol=0.25)
 
@@ -47,4 +47,4 @@ def test_a_lasting_error_of_one_sign_is_no_noise() -> None:
     for _ in range(200):
         m.fix_ratio[0] = 3.0
         estimate(m, 0)
-    assert m.noise_scale[AID_PLACE] == m.walk_scale[AID_PLACE] == 1.0
+    assert m.noise_scale[AID_PLACE] == m.bias_walk_scale[AID_PLACE] == 1.0

@@ -28,7 +28,7 @@ class Flight:
     def __init__(self) -> None:
         self.s = SimpleNamespace(dt=PERIOD_S, is_fitted=np.ones(SENSOR_COUNT, int))
         self.m = SimpleNamespace(
-            tick=1000, is_accel_distrusted=0, force_apart_tick=0, force_conflict=checks.FORCE_AGREES,
+            tick=1000, is_accel_distrusted=0, force_apart_tick=0, force_verdict=checks.FORCE_AGREES,
             force_conflict_tick=0, accel_residual_lp=np.zeros(3), accel_residual_sigma=np.zeros(3),
             fix_ratio_mean=np.zeros(4), last_fused_tick=np.full(SENSOR_COUNT, 1000),
             status=np.full(SENSOR_COUNT, checks.STATUS_FUSED), reason=np.zeros(SENSOR_COUNT, int),
@@ -43,7 +43,7 @@ class Flight:
             self.m.last_fused_tick[R_FIX] = self.m.tick
             for i in range(3):
                 check(self.m, self.s, r, height, residual[i], 0.01, 0.0, i)
-        return int(self.m.force_conflict)
+        return int(self.m.force_verdict)
 
     @property
     def accused(self) -> tuple[int, int]:

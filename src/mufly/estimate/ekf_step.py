@@ -12,7 +12,7 @@ end of one block to the end of the next. A measurement counts at the nearest end
 
 Work is bounded: a period has time for ``work_limit`` scalar measurements (:func:`_run_next_task`). With more work the
 horizon falls behind; from :data:`mufly.estimate.filter_records.MAX_LAG_BLOCKS` blocks on, measurements that are due are
-dropped. One bias is predicted a period, in turn. The bias of the fix is predicted when a fix is fused, over the time
+dropped. Each period predicts one bias, in turn. The bias of the fix is predicted when a fix is fused, over the time
 since the last one.
 
 The inertial unit's filter delays its output by ``lag``: a state belongs to ``lag`` before its tick."""
@@ -196,7 +196,7 @@ def estimator_reset(m: FilterMemory, s: FilterSettings) -> None:
     for i in range(QUEUE_SIZE):
         m.queue_due[i] = -1
     for i in range(AID_COUNT):
-        m.noise_scale[i] = m.walk_scale[i] = 1.0
+        m.noise_scale[i] = m.bias_walk_scale[i] = 1.0
     m.task_stage = STAGE_DONE
     m.x_output[SX_ATT] = m.rotor_state[RS_ATT] = m.rotor_state[RS_CHARGE] = 1.0
     m.rotor_state[RS_POS + 2] = -1000.0  # far above the floor
@@ -370,7 +370,7 @@ def _sample_inputs(
         if not model and m.flight_phase > PHASE_RUNNING:
             row[IN_STATIC + k], row[IN_REST + k], row[IN_SLOPE + k] = 0.0, -GRAVITY if k == 2 else 0.0, 0.0
             made = 10.0
-        if m.force_conflict == FORCE_MODEL_WRONG:
+        if m.force_verdict == FORCE_MODEL_WRONG:
             made = max(made, WRONG_MODEL_DENSITY)
         elif m.is_accel_distrusted == 1:
             felt = 1e6

@@ -33,7 +33,7 @@ from mufly.rotor import coax_maps
 from mufly.toolchain import COMPILER_FLAGS, build_cached_library
 from mufly.vehicle import Vehicle
 
-VERIFIED_STAMP = "44aef136016bd5ad"
+VERIFIED_STAMP = "fe52bf9e527a1762"
 """Stamp (:func:`source_stamp`) of the Python sources that the C code is verified to equal."""
 
 FILTER_SOURCES = (

@@ -188,13 +188,16 @@ class FilterMemory:
     terrain_steps: int = _int("steps of the terrain over this edge")
     fix_ratio_lp: float = _real("square of the largest innovation ratio of the fix, lp")
     noise_scale: _Array = _real("estimated variance of an aid's noise over the file's", AID_COUNT)
-    walk_scale: _Array = _real("the same of the fix's bias: place, heading; 1 for other aids", AID_COUNT)
+    bias_walk_scale: _Array = _real(
+        "estimated variance of the random walk of the fix's bias over the file's: place, heading; 1 for other aids",
+        AID_COUNT,
+    )
     fix_ratio: _Array = _real("innovation ratio of the fix: N, E, D, heading", 4)
     fix_ratio_prev: _Array = _real("innovation ratio of the last fused fix: N, E, D, heading", 4)
     fix_ratio_mean: _Array = _real("mean of these ratios, lp", 4)
     is_accel_distrusted: int = _int("1: accelerometers and model differ by six deviations")
     force_apart_tick: int = _int("last period in which their means over 160 ms differed")
-    force_conflict: int = _int("which of the two is wrong, FORCE of sensor_checks.py")
+    force_verdict: int = _int("verdict on which of the two is wrong, FORCE of sensor_checks.py")
     force_conflict_tick: int = _int("period in which the conflict began")
     accel_residual_lp: _Array = _real("accelerometers less model, lp", 3, unit="m/s2")
     accel_residual_sigma: _Array = _real("standard deviation expected of it", 3, unit="m/s2")
@@ -340,13 +343,13 @@ class FilterSettings:
 
 
 def memory_type(kind: Any = np.float64, kept: int = INPUT_BLOCK_COUNT, waiting: int = QUEUE_SIZE) -> np.dtype:
-    """Return the type of :class:`FilterMemory` in numbers of this kind, with room for so many blocks of input and
-    waiting measurements."""
+    """Return the record type of :class:`FilterMemory` for a number type, with room for so many input blocks and queued
+    measurements."""
     return record_type(FilterMemory, kind, INPUT_BLOCK_COUNT=kept, QUEUE_SIZE=waiting)
 
 
 def settings_type(kind: Any = np.float64) -> np.dtype:
-    """Return the type of :class:`FilterSettings` in numbers of this kind."""
+    """Return the record type of :class:`FilterSettings` for a number type."""
     return record_type(FilterSettings, kind)
 
 
@@ -573,5 +576,5 @@ def filter_settings(
 
 
 def fused_beam_indices(count: int) -> NDArray[np.intp]:
-    """Return which beams of a ring the filter looks at: all, or :data:`MAX_FUSED_BEAMS` spread evenly."""
+    """Return the beams of a ring that the filter fuses: all, or :data:`MAX_FUSED_BEAMS` spread evenly."""
     return np.unique(np.linspace(0, count, min(count, MAX_FUSED_BEAMS), endpoint=False).astype(np.intp))

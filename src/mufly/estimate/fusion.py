@@ -271,7 +271,7 @@ def _fix_variance(m: FilterMemory, s: FilterSettings, i: int) -> float:
 def _fix_bias_variance(m: FilterMemory, s: FilterSettings, i: int) -> float:
     """Return the estimated variance of the bias of component ``i`` of the fix."""
     sigma = s.initial_sigma[EX_FIX_BIAS + i]
-    return sigma * sigma * m.walk_scale[AID_PLACE if i < 3 else AID_HEADING]
+    return sigma * sigma * m.bias_walk_scale[AID_PLACE if i < 3 else AID_HEADING]
 
 
 @cached_njit(error_model="numpy")
@@ -295,7 +295,7 @@ def _estimate_fix_noise(m: FilterMemory, i: int) -> None:
     pair = max(min(ratio * m.fix_ratio_prev[i], MAX_RATIO_PRODUCT), -MAX_RATIO_PRODUCT)
     if m.is_heading_aligned != 0 and abs(m.fix_ratio_mean[i]) < LASTING_RATIO:
         _scale_variance(m.noise_scale, aid, gain, excess - pair)
-        _scale_variance(m.walk_scale, aid, gain, excess + pair)
+        _scale_variance(m.bias_walk_scale, aid, gain, excess + pair)
     m.fix_ratio_prev[i] = ratio
     m.fix_ratio_mean[i] += 0.15 * (ratio - m.fix_ratio_mean[i])
 
@@ -314,7 +314,7 @@ def _largest_mean_ratio(m: FilterMemory) -> float:
 
 @cached_njit(error_model="numpy")
 def height_above_ground(x: _Array, s: FilterSettings) -> float:
-    """Return the height of the legs above the surface below (m); that surface is not below the floor."""
+    """Return the height of the legs above the surface below (m); the surface is at least as high as the floor."""
     return -x[SX_POS + 2] - max(x[SX_TERRAIN], 0.0) - s.ground_clearance
 
 
@@ -341,7 +341,7 @@ def _widen_fix_bias(m: FilterMemory, s: FilterSettings, i: int, nu: float, ratio
     aid = AID_PLACE if i < 3 else AID_HEADING
     if not scale < MAX_NOISE_SCALE:
         return ratio
-    m.walk_scale[aid] = max(m.walk_scale[aid], scale)
+    m.bias_walk_scale[aid] = max(m.bias_walk_scale[aid], scale)
     inflate_variance(m.u_transposed, m.d, EX_FIX_BIAS + i, spread * spread, m.f)
     return _innovation_ratio(m, nu, _fix_variance(m, s, i))
 
@@ -589,7 +589,7 @@ def reset_terrain(m: FilterMemory) -> None:
 
 @cached_njit(error_model="numpy")
 def fuse_liftoff_thrust(m: FilterMemory, lift: float) -> None:
-    """Fuse the thrust's scale at lift-off, where the rotors lift the weight; ``lift``: the model's lift over it."""
+    """Fuse the thrust's scale at lift-off, where thrust equals weight; ``lift``: the model's thrust over the weight."""
     scale = LIFTOFF_THRUST_RATIO / lift
     spread = LIFTOFF_THRUST_SIGMA * scale
     _h_row_begin(m, EX_THRUST_SCALE, 1.0)
@@ -600,7 +600,7 @@ def fuse_liftoff_thrust(m: FilterMemory, lift: float) -> None:
 def fuse_ground_contact(m: FilterMemory, s: FilterSettings) -> bool:
     """Keep the legs above the surface below, and stop a fall into it; return whether they were below.
 
-    Below the sonar's least range and with less lift than the weight no other sensor says that it does not fall.
+    Below the sonar's minimum range, with less thrust than weight, no other sensor shows that the vehicle stands.
     """
     height = height_above_ground(m.x, s)
     if height >= 0.0:
@@ -749,7 +749,7 @@ def _predict_fix_bias(m: FilterMemory, s: FilterSettings) -> None:
 
 @cached_njit(error_model="numpy")
 def measurement_cost(m: FilterMemory, s: FilterSettings, kind: int, left: int) -> int:
-    """Return the cost of a measurement in scalar ones; of the ring as many beams as there is time for."""
+    """Return the cost in scalar measurements; for the ring, the number of beams for which there is time."""
     if kind == R_FIX:
         return COST_FIX_BIAS if m.fix_bias_tick < m.horizon_tick else COST_FIX
     return max(min(s.beam_count - m.next_beam, left), 1) if kind == R_RING else 1
@@ -757,7 +757,7 @@ def measurement_cost(m: FilterMemory, s: FilterSettings, kind: int, left: int) -
 
 @cached_njit(error_model="numpy")
 def fuse_measurement(m: FilterMemory, s: FilterSettings, i: int, r: _Array, cost: int) -> bool:
-    """Fuse queued measurement ``i``, or as much of it as ``cost`` pays for; return whether all of it is fused."""
+    """Fuse queued measurement ``i``, as far as the budget ``cost`` permits; return whether all of it is fused."""
     kind, z, ahead = m.queue_sensor[i], m.queue_value[i], m.queue_ahead[i]
     if kind == R_FIX and m.fix_bias_tick < m.horizon_tick:
         _predict_fix_bias(m, s)
@@ -801,7 +801,7 @@ def fuse_accel_residual(m: FilterMemory, s: FilterSettings, r: _Array, count: in
 
 @cached_njit(error_model="numpy")
 def fuse_zero_motion(m: FilterMemory, s: FilterSettings, r: _Array, count: int, mode: int, i: int) -> None:
-    """Fuse zero velocity along axis ``i`` on the floor, zero rate unless rotors run down, gravity where they stand."""
+    """Fuse on the floor zero velocity along axis ``i``, zero rate unless rotors run down, and gravity at rest."""
     _h_row_begin(m, EX_VEL + i, 1.0)
     _fuse_scalar(m, -m.x[SX_VEL + i], 4e-4)
     if mode == PHASE_COASTING:

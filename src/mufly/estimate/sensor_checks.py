@@ -390,26 +390,24 @@ def _update_force_conflict(m: FilterMemory, s: FilterSettings, r: _Array, height
         m.is_accel_distrusted = 0
     apart = m.force_apart_tick > 0 and (m.tick - m.force_apart_tick) * s.dt < FAULT_HOLD_S
     if m.is_accel_distrusted == 0 and not apart:
-        m.force_conflict = FORCE_AGREES
+        m.force_verdict = FORCE_AGREES
         return
-    if m.force_conflict == FORCE_AGREES:
-        m.force_conflict = FORCE_UNDECIDED
+    if m.force_verdict == FORCE_AGREES:
+        m.force_verdict = FORCE_UNDECIDED
         m.force_conflict_tick = m.tick
     has_fix = m.status[R_FIX] == STATUS_FUSED and (m.tick - m.last_fused_tick[R_FIX]) * s.dt < _FORCE_FIX_AGE_S
     evidence = _force_evidence(m, r, m.accel_residual_lp) if has_fix else 0.0
     if m.accel_residual_lp[2] < 0.0 and height < _FLOOR_CONTACT_HEIGHT + 3.0 * m.sigma_output[EX_POS + 2]:
-        m.force_conflict = FORCE_FLOOR
+        m.force_verdict = FORCE_FLOOR
     elif (s.is_fitted[R_ROTOR] > 0 and m.status[R_ROTOR] != STATUS_FUSED) or evidence > _FORCE_EVIDENCE:
-        m.force_conflict = FORCE_MODEL_WRONG
+        m.force_verdict = FORCE_MODEL_WRONG
     elif evidence < -_FORCE_EVIDENCE:
-        m.force_conflict = FORCE_ACCEL_WRONG
-    elif m.force_conflict == FORCE_FLOOR:
-        m.force_conflict = FORCE_UNDECIDED
+        m.force_verdict = FORCE_ACCEL_WRONG
+    elif m.force_verdict == FORCE_FLOOR:
+        m.force_verdict = FORCE_UNDECIDED
         m.force_conflict_tick = m.tick
-    elif (
-        m.force_conflict == FORCE_UNDECIDED and has_fix and (m.tick - m.force_conflict_tick) * s.dt > _FORCE_DECISION_S
-    ):
-        m.force_conflict = FORCE_ACCEL_WRONG
+    elif m.force_verdict == FORCE_UNDECIDED and has_fix and (m.tick - m.force_conflict_tick) * s.dt > _FORCE_DECISION_S:
+        m.force_verdict = FORCE_ACCEL_WRONG
 
 
 @cached_njit(error_model="numpy")
@@ -431,13 +429,13 @@ def check_accel_model(
                     worst, axis = ratio, j
         _update_force_conflict(m, s, r, height, worst)
         code, why = STATUS_FUSED, REASON_NONE
-        if m.force_conflict == FORCE_MODEL_WRONG:
+        if m.force_verdict == FORCE_MODEL_WRONG:
             why = REASON_MODEL_WRONG
-        elif m.force_conflict != FORCE_FLOOR:
+        elif m.force_verdict != FORCE_FLOOR:
             code = STATUS_FAULTY if m.is_accel_distrusted == 1 else STATUS_REJECTED
-            why = REASON_FORCE_CONFLICT if m.force_conflict == FORCE_UNDECIDED else REASON_INNOVATION
+            why = REASON_FORCE_CONFLICT if m.force_verdict == FORCE_UNDECIDED else REASON_INNOVATION
         rejected = m.status[R_ACCELERATION] in (STATUS_REJECTED, STATUS_FAULTY)
-        if m.force_conflict != FORCE_AGREES and (why != REASON_NONE or rejected):
+        if m.force_verdict != FORCE_AGREES and (why != REASON_NONE or rejected):
             set_fault(m, s, R_ACCELERATION, code, why, m.accel_residual_lp[axis])
     # The mean of 0.1-weighted blocks keeps 0.1 / (2 - 0.1) of their variance.
     m.accel_residual_sigma[i] = math.sqrt(variance * 0.0526 + known + 0.04)

@@ -69,8 +69,8 @@ from mufly.firmware.quick.compiled_loop import (
     ROW_TIME,
     ROW_WIND,
     SAMPLE_SENSORS,
+    SENSOR_STATUS_SIZE,
     SENSOR_STATUS_START,
-    SENSOR_WIDE,
     SIGMA_START,
     STATUS_ROW_SIZE,
     TICK_INDEX,
@@ -100,7 +100,7 @@ _Array = NDArray[np.float64]
 
 def _unpack_status_row(row: _Array) -> dict[str, Any]:
     """Return the fields of a status row by the names of the filter's memory."""
-    of = row[SENSOR_STATUS_START:FAULT_COMPONENT_INDEX].reshape(SENSOR_COUNT, SENSOR_WIDE)
+    of = row[SENSOR_STATUS_START:FAULT_COMPONENT_INDEX].reshape(SENSOR_COUNT, SENSOR_STATUS_SIZE)
     parts = (
         row[:SIGMA_START].reshape(EX_GYRO_BIAS, EX_GYRO_BIAS),
         row[SIGMA_START:SENSOR_STATUS_START],

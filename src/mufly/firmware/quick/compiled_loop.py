@@ -232,8 +232,17 @@ _ACCEL_START, _RATES_START, _VOLTAGE_START = (
 # numbers of each sensor, the faulty component of the position fix, and the period
 SIGMA_START = EX_GYRO_BIAS**2
 SENSOR_STATUS_START = SIGMA_START + ERROR_STATE_COUNT
-_STATUS, _REASON, _NUMBER, _INNOVATION, _SPREAD, _FUSED, _NEW, SENSOR_WIDE = range(8)
-FAULT_COMPONENT_INDEX = SENSOR_STATUS_START + SENSOR_WIDE * SENSOR_COUNT
+(
+    _CHECK_STATUS,
+    _CHECK_REASON,
+    _CHECK_NUMBER,
+    _CHECK_INNOVATION,
+    _CHECK_INNOVATION_SIGMA,
+    _CHECK_FUSED,
+    _CHECK_CAME,
+    SENSOR_STATUS_SIZE,
+) = range(8)
+FAULT_COMPONENT_INDEX = SENSOR_STATUS_START + SENSOR_STATUS_SIZE * SENSOR_COUNT
 TICK_INDEX = FAULT_COMPONENT_INDEX + 1
 STATUS_ROW_SIZE = TICK_INDEX + 1
 # Listener row: period, validity, battery (V), index of the status row; wind, supply, accelerometer reading, state,
@@ -462,24 +471,31 @@ def _write_filter_status(
     row[FAULT_COMPONENT_INDEX], row[TICK_INDEX] = component[0], tick[0]
     same = True
     for k in range(SENSOR_COUNT):
-        start = SENSOR_STATUS_START + SENSOR_WIDE * k
-        of, was = row[start : start + SENSOR_WIDE], before[start : start + SENSOR_WIDE]
-        of[_STATUS], of[_REASON], of[_NUMBER], of[_INNOVATION] = code[k], why[k], number[k], innovation[k]
-        of[_SPREAD], of[_FUSED], of[_NEW] = spread[k], used[k], came[k]
+        start = SENSOR_STATUS_START + SENSOR_STATUS_SIZE * k
+        of, was = row[start : start + SENSOR_STATUS_SIZE], before[start : start + SENSOR_STATUS_SIZE]
+        of[_CHECK_STATUS], of[_CHECK_REASON], of[_CHECK_NUMBER], of[_CHECK_INNOVATION] = (
+            code[k],
+            why[k],
+            number[k],
+            innovation[k],
+        )
+        of[_CHECK_INNOVATION_SIGMA], of[_CHECK_FUSED], of[_CHECK_CAME] = spread[k], used[k], came[k]
         if f.is_fitted[k] == 0:
             continue
         text = f.texts[why[k]]
         if code[k] == g.STATUS_WAITING and why[k] == g.REASON_NONE and came[k] == 0:
             text = f.texts[g.REASON_NO_READING]
         quiet = (
-            calm != 0 and (code[k] == g.STATUS_WAITING or code[k] == g.STATUS_FUSED) and was[_STATUS] == was[_STATUS]
+            calm != 0
+            and (code[k] == g.STATUS_WAITING or code[k] == g.STATUS_FUSED)
+            and was[_CHECK_STATUS] == was[_CHECK_STATUS]
         )
         if quiet and text >= 0:
             one = at.checks + k * at.check_size
             said[one + at.check_status], said[one + at.check_reason] = code[k], text
         else:
-            same = same and of[_STATUS] == was[_STATUS] and of[_REASON] == was[_REASON]
-            same = same and (text >= 0 or of[_NUMBER] == was[_NUMBER])
+            same = same and of[_CHECK_STATUS] == was[_CHECK_STATUS] and of[_CHECK_REASON] == was[_CHECK_REASON]
+            same = same and (text >= 0 or of[_CHECK_NUMBER] == was[_CHECK_NUMBER])
             same = same and (text >= 0 or row[FAULT_COMPONENT_INDEX] == before[FAULT_COMPONENT_INDEX])
     return same
 

@@ -28,7 +28,7 @@ void estimator_reset(estimator_t *m, const estimator_settings_t *s)
     }
     for (int32_t i = 0; i < AID_COUNT; i++) {
         m->noise_scale[i] = REAL(1.0);
-        m->walk_scale[i] = REAL(1.0);
+        m->bias_walk_scale[i] = REAL(1.0);
     }
     m->task_stage = STAGE_DONE;
     m->x_output[SX_ATT] = REAL(1.0);
@@ -256,7 +256,7 @@ static real_t sample_inputs(estimator_t *m, const estimator_settings_t *s, const
             row[IN_SLOPE + k] = REAL(0.0);
             made = REAL(10.0);
         }
-        if (m->force_conflict == FORCE_MODEL_WRONG) {
+        if (m->force_verdict == FORCE_MODEL_WRONG) {
             made = real_max(made, WRONG_MODEL_DENSITY);
         } else if (m->is_accel_distrusted == 1) {
             felt = REAL(1e6);

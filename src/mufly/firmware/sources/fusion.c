@@ -140,7 +140,7 @@ static real_t fix_bias_variance(const estimator_t *m, const estimator_settings_t
 {
     const real_t sigma = s->initial_sigma[EX_FIX_BIAS + i];
 
-    return (sigma * sigma) * m->walk_scale[(i < 3) ? AID_PLACE : AID_HEADING];
+    return (sigma * sigma) * m->bias_walk_scale[(i < 3) ? AID_PLACE : AID_HEADING];
 }
 
 /* Change an estimated variance by gain * change, at least by -gain, within its bounds. */
@@ -160,7 +160,7 @@ static void estimate_fix_noise(estimator_t *m, int32_t i)
 
     if ((m->is_heading_aligned != 0) && (real_abs(m->fix_ratio_mean[i]) < LASTING_RATIO)) {
         scale_variance(&m->noise_scale[aid], gain, excess - pair);
-        scale_variance(&m->walk_scale[aid], gain, excess + pair);
+        scale_variance(&m->bias_walk_scale[aid], gain, excess + pair);
     }
     m->fix_ratio_prev[i] = ratio;
     m->fix_ratio_mean[i] += REAL(0.15) * (ratio - m->fix_ratio_mean[i]);
@@ -200,7 +200,7 @@ static real_t widen_fix_bias(estimator_t *m, const estimator_settings_t *s, int3
     if (!(scale < MAX_NOISE_SCALE)) {
         return ratio;
     }
-    m->walk_scale[aid] = real_max(m->walk_scale[aid], scale);
+    m->bias_walk_scale[aid] = real_max(m->bias_walk_scale[aid], scale);
     inflate_variance(m, EX_FIX_BIAS + i, spread * spread);
     return innovation_ratio(m, nu, fix_variance(m, s, i));
 }

@@ -369,29 +369,29 @@ static void update_force_conflict(estimator_t *m, const estimator_settings_t *s,
     }
     apart = (m->force_apart_tick > 0) && (((real_t)(m->tick - m->force_apart_tick) * s->dt) < FAULT_HOLD_S);
     if ((m->is_accel_distrusted == 0) && !apart) {
-        m->force_conflict = FORCE_AGREES;
+        m->force_verdict = FORCE_AGREES;
     } else {
         const bool has_fix = (m->status[R_FIX] == STATUS_FUSED) &&
                              (((real_t)(m->tick - m->last_fused_tick[R_FIX]) * s->dt) < FORCE_FIX_AGE_S);
         const real_t evidence = has_fix ? force_evidence(m, r, m->accel_residual_lp) : REAL(0.0);
 
-        if (m->force_conflict == FORCE_AGREES) {
-            m->force_conflict = FORCE_UNDECIDED;
+        if (m->force_verdict == FORCE_AGREES) {
+            m->force_verdict = FORCE_UNDECIDED;
             m->force_conflict_tick = m->tick;
         }
         if ((m->accel_residual_lp[2] < REAL(0.0)) &&
             (height < (FLOOR_CONTACT_HEIGHT + (REAL(3.0) * m->sigma_output[EX_POS + 2])))) {
-            m->force_conflict = FORCE_FLOOR;
+            m->force_verdict = FORCE_FLOOR;
         } else if (((s->is_fitted[R_ROTOR] > 0) && (m->status[R_ROTOR] != STATUS_FUSED)) || (evidence > FORCE_EVIDENCE)) {
-            m->force_conflict = FORCE_MODEL_WRONG;
+            m->force_verdict = FORCE_MODEL_WRONG;
         } else if (evidence < -FORCE_EVIDENCE) {
-            m->force_conflict = FORCE_ACCEL_WRONG;
-        } else if (m->force_conflict == FORCE_FLOOR) {
-            m->force_conflict = FORCE_UNDECIDED;
+            m->force_verdict = FORCE_ACCEL_WRONG;
+        } else if (m->force_verdict == FORCE_FLOOR) {
+            m->force_verdict = FORCE_UNDECIDED;
             m->force_conflict_tick = m->tick;
-        } else if ((m->force_conflict == FORCE_UNDECIDED) && has_fix &&
+        } else if ((m->force_verdict == FORCE_UNDECIDED) && has_fix &&
                    (((real_t)(m->tick - m->force_conflict_tick) * s->dt) > FORCE_DECISION_S)) {
-            m->force_conflict = FORCE_ACCEL_WRONG;
+            m->force_verdict = FORCE_ACCEL_WRONG;
         } else {
             /* unchanged */
         }
@@ -420,16 +420,16 @@ void check_accel_model(estimator_t *m, const estimator_settings_t *s, const real
             }
         }
         update_force_conflict(m, s, r, height, worst);
-        if (m->force_conflict == FORCE_MODEL_WRONG) {
+        if (m->force_verdict == FORCE_MODEL_WRONG) {
             why = REASON_MODEL_WRONG;
-        } else if (m->force_conflict != FORCE_FLOOR) {
+        } else if (m->force_verdict != FORCE_FLOOR) {
             code = (m->is_accel_distrusted == 1) ? STATUS_FAULTY : STATUS_REJECTED;
-            why = (m->force_conflict == FORCE_UNDECIDED) ? REASON_FORCE_CONFLICT : REASON_INNOVATION;
+            why = (m->force_verdict == FORCE_UNDECIDED) ? REASON_FORCE_CONFLICT : REASON_INNOVATION;
         } else {
             /* a floor that carries accuses nobody */
         }
         rejected = (m->status[R_ACCELERATION] == STATUS_REJECTED) || (m->status[R_ACCELERATION] == STATUS_FAULTY);
-        if ((m->force_conflict != FORCE_AGREES) && ((why != REASON_NONE) || rejected)) {
+        if ((m->force_verdict != FORCE_AGREES) && ((why != REASON_NONE) || rejected)) {
             set_fault(m, s, R_ACCELERATION, code, why, m->accel_residual_lp[axis]);
         }
     }

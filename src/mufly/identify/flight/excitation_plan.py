@@ -68,6 +68,7 @@ from mufly.dynamics.linearisation import (
 )
 from mufly.dynamics.model_state import (
     ATTITUDE,
+    INPUT_SIZE,
     MOTORS,
     MOTORS_SWAPPED,
     POSITION,
@@ -223,20 +224,20 @@ def design_pilot_support(vehicle: Vehicle, *, sample_s: float = 0.01, delay_s: f
 def _discretise_with_delay(A: Array, B: Array, sample_s: float, late: int) -> tuple[Array, Array]:
     """Return the sampled model with ``late`` delayed inputs as further states, newest first."""
     n = A.shape[0]
-    step = expm(sample_s * np.block([[A, B], [np.zeros((4, n + 4))]]))
+    step = expm(sample_s * np.block([[A, B], [np.zeros((INPUT_SIZE, n + INPUT_SIZE))]]))
     if late == 0:
         return step[:n, :n], step[:n, n:]
-    size = n + 4 * late
-    a, b = np.zeros((size, size)), np.zeros((size, 4))
+    size = n + INPUT_SIZE * late
+    a, b = np.zeros((size, size)), np.zeros((size, INPUT_SIZE))
     a[:n, :n] = step[:n, :n]
-    a[:n, size - 4 :] = step[:n, n:]
-    a[n + 4 :, n : size - 4] = np.eye(4 * (late - 1))
-    b[n : n + 4] = np.eye(4)
+    a[:n, size - INPUT_SIZE :] = step[:n, n:]
+    a[n + INPUT_SIZE :, n : size - INPUT_SIZE] = np.eye(INPUT_SIZE * (late - 1))
+    b[n : n + INPUT_SIZE] = np.eye(INPUT_SIZE)
     return a, b
 
 
 @cached_njit(error_model="numpy")
-def _write_state_deviation(x: _Floats, hover: _Floats, height: float, yaw: float, off: _Floats) -> None:
+def _subtract_hover_state(x: _Floats, hover: _Floats, height: float, yaw: float, off: _Floats) -> None:
     """Write the linear model's states except the charge, as deviations from hover in heading axes, into ``off``."""
     a = body_to_ned_matrix(x[ATTITUDE])
     roll, pitch = math.atan2(a[2, 1], a[2, 2]), math.asin(min(max(-a[2, 0], -1.0), 1.0))
@@ -278,7 +279,7 @@ def _fly_closed_loop(
         qw, qx, qy, qz = x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
         heading = math.atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
         yaw = heading + 2 * math.pi * round((yaw - heading) / (2 * math.pi))
-        _write_state_deviation(x, hover, height, yaw, off)
+        _subtract_hover_state(x, hover, height, yaw, off)
         for j in range(late):
             for i in range(4):
                 off[LX_CHARGE + 4 * j + i] = inputs[k - 1 - j, i] - trimmed[i] if k > j else 0.0
