@@ -39,7 +39,7 @@ _SPEED_STEP_M_S = 0.25
 def find_level_speed(vehicle: Vehicle) -> float:
     """Return the greatest level airspeed (m/s) at which the flight model has a trim within its inputs' range.
 
-    With a flight map the search ends at the map's last advance ratio. Speeds below the first without a trim count.
+    With a flight map the search ends at the map's last advance ratio. Only speeds below the first without a trim count.
 
     Parameters
     ----------

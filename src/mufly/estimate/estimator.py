@@ -115,7 +115,7 @@ class IdealEstimator(Estimator):
 def measured_tilt(m: Estimate) -> float:
     """Return the tilt of a standing vehicle (rad): the greater of that of the estimate and of its accelerometers.
 
-    An estimator may take a lean for a bias of the accelerometers, or reject it, so their reading counts by itself.
+    An estimator may explain a lean by a bias of the accelerometers, or reject their reading, so it also counts alone.
 
     Parameters
     ----------

@@ -224,7 +224,7 @@ def check_inertial_log(log: InertialLog, where: str) -> None:
 
 
 def estimate_rest_noise(log: InertialLog) -> InertialNoise:
-    """Return the densities from the Allan deviation at rest; those of a good unit without a rest."""
+    """Return the densities from the Allan deviation at rest; without a rest, those of a good unit."""
     part = log.rest_rows
     gyro = _allan_density(log.rates[part], log.step_s)
     felt = _allan_density(log.acceleration[part], log.step_s)
@@ -414,7 +414,7 @@ def estimate_flight_noise(
     least: InertialNoise,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> InertialNoise:
-    """Return the densities of maximum likelihood of the aids in the first minute of flight, not below ``least``."""
+    """Return the densities of greatest likelihood of the aids in the first minute of flight, at least ``least``."""
     if not log.is_flying.any():
         return least
     begin, end = float(log.time_s[np.argmax(log.is_flying)]), float(log.time_s[-1])

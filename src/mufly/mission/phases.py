@@ -530,7 +530,7 @@ _SETTLED_M, _SETTLED_M_S, _SETTLED_RAD = 0.002, 0.01, 0.01
 def change_leg_goal(
     plan: MissionPlan, s: MissionState, why: str, goal: Triple, heading: float | None, *, quiet: bool
 ) -> MissionState:
-    """Lead the present user's leg to another goal, from the present motion of the reference and without a stop.
+    """Redirect the user's present leg to another goal without a stop, from the present motion of the reference.
 
     The reference follows the goal as that of a program (:mod:`mufly.mission.offboard`), height and way together.
     Without a ``heading`` the nose turns along the way to the goal, unless that is short.

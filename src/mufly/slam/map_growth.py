@@ -61,7 +61,7 @@ def make_node(context: FrameContext, pose: PoseEstimate) -> _Array:
 
 
 def create_keyframe(context: FrameContext, pose: PoseEstimate, sigma_px: float) -> Keyframe | None:
-    """Return the picture as a keyframe, its points of that deviation; None without corners, or if too bright."""
+    """Return the picture as a keyframe with points of deviation ``sigma_px``; None without corners or if too bright."""
     frame, view, picture = context.frame, context.view, context.picture
     pixels = detect_corners(picture, context.usable_mask)
     if len(pixels) < MIN_INLIERS or np.mean(picture > _WHITE_LEVEL) > _MAX_WHITE_SHARE:
@@ -135,7 +135,7 @@ def make_edge(floor_map: FloorMap, match: KeyframeMatch, second: int, closes: bo
 
 
 def pose_information(pose: PoseEstimate) -> tuple[_Array, _Array]:
-    """Return the information (8, 8) of a match on its pose, with correlated points, and the gradient (8,)."""
+    """Return the information (8, 8) of a match on its pose, reduced for correlated points, and the gradient (8,)."""
     return (
         pose.pixel_information / VARIANCE_INFLATION + pose.prior_information,
         pose.pixel_gradient / VARIANCE_INFLATION + pose.prior_gradient,

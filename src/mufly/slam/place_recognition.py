@@ -106,7 +106,6 @@ def correlate_pictures(seen: Any, picture: Any, reach: float) -> _Array | None:
         Keyframe, warped to the predicted view and black outside, and present picture.
     reach : float
         Largest shift (pixels), limited to half a picture.
-        Pixels; at most half of a picture is looked at.
     """
     cv2 = load_opencv()
     size = (picture.shape[1], picture.shape[0])

@@ -104,7 +104,7 @@ def _find_solved_cases(folder: Path) -> list[Path]:
 
 
 def study_mesh_convergence(progress: ProgressCallback | None = None, case: Path | None = None) -> StudyFindings:
-    """Fig. 3.22: thrust over the number of cells; given a folder with solved cases of several meshes.
+    """Fig. 3.22: thrust over the number of cells, from a folder with solved cases of several meshes.
 
     Thesis: Fig. 3.22.
     """

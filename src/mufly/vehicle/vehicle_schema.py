@@ -171,7 +171,7 @@ class Rotors(ParameterGroup):
 
 
 def describe_other_rotors(rotors: Rotors, flight_map: FlightMap) -> str:
-    """Return in what a flight map's rotors differ from a vehicle's; "" if they are the same."""
+    """Return the differences between a flight map's rotors and a vehicle's; "" without any."""
     m, c = flight_map, rotors.coefficient_map
     spacing = float(rotors.lower.hub_z) - float(rotors.upper.hub_z)
     for name, made, own, tolerance in (

@@ -1,6 +1,6 @@
 """Fly a mission with a board in place of estimator and flight software: plant, sensors and faults stay simulated.
 
-The board gets the readings of each period, and what the autopilot asks for; it returns its whole memory, from which
+The board receives the readings of each period and the autopilot's requests; it returns its whole memory, from which
 autopilot and recorder read estimate, state of the mission and log (:mod:`mufly.firmware.emulated.boards`).
 """
 
@@ -139,7 +139,7 @@ class BoardEstimator(KalmanEstimator):
         return super().update(readings, acting, missed)
 
     def make_up_periods(self, count: int) -> None:
-        """Tell the board how many periods were lost before this one; it makes them up."""
+        """Report the number of periods lost before this one to the board, which makes them up."""
         self._missed = count
 
     def _step_board(self) -> bool:

@@ -1,6 +1,6 @@
 """Compare two memories of a board field by field: every byte of a field counts, padding does not.
 
-Two fields of floating-point type are also equal if both are not a number: processors make the bits of a NaN in
+Two fields of floating-point type are also equal if both are NaN: processors make the bits of a NaN in
 different ways, and no result depends on them.
 """
 
