@@ -36,7 +36,9 @@ def builtin_file_names(folder: Traversable) -> list[str]:
     return sorted(f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml"))
 
 
-def read_toml(name_or_path: str | Path, folder: Traversable, kind: str) -> tuple[dict[str, Any], str]:
+def read_toml(
+    name_or_path: str | Path, folder: Traversable, kind: str, base: Path | None = None
+) -> tuple[dict[str, Any], str]:
     """Read a TOML file by built-in name or by path.
 
     Parameters
@@ -47,6 +49,8 @@ def read_toml(name_or_path: str | Path, folder: Traversable, kind: str) -> tuple
         Folder of the built-in files.
     kind : str
         Kind of file in errors: ``"vehicle"``.
+    base : Path, optional
+        Folder of relative paths; by default the working directory.
 
     Returns
     -------
@@ -60,8 +64,10 @@ def read_toml(name_or_path: str | Path, folder: Traversable, kind: str) -> tuple
     InputError
         If there is no such file, or it is not text or not TOML.
     """
-    name = str(name_or_path)
     known = builtin_file_names(folder)
+    if base is not None and str(name_or_path) not in known:
+        name_or_path = base / name_or_path
+    name = str(name_or_path)
     if name in known:
         text, where = (folder / f"{name}.toml").read_text(encoding="utf-8"), f"{name}.toml"
     else:

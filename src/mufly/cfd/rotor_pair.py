@@ -93,7 +93,7 @@ def make_pair_mesh(
     marks["bottom"] = np.concatenate((none_up, lower.point_marks["bottom"][own]))
     marks["lower"] = np.concatenate((none_up, ~none_low))
     # Reflection inverts a hexahedron: its two ends are exchanged.
-    image = number[lower.hexahedra][:, [4, 5, 6, 7, 0, 1, 2, 3]]
+    image = number[np.roll(lower.hexahedra, 4, axis=1)]
     strips = len(upper.strip_edges_m) - 1
     return replace(
         upper,

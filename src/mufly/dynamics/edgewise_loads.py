@@ -51,6 +51,9 @@ _Array = NDArray[np.float64]
 
 _MIN_ROTOR_SPEED = 1e-3  # rad/s
 _EDGE_SLACK = 1e-6  # steps
+_THRUST, _TORQUE, _DRAG, _SIDE, _ROLL_MOMENT, _PITCH_MOMENT, _LOWER_THRUST, _LOWER_TORQUE, _LOWER_DRAG = range(9)
+"""Loads of the flow, those of the upper rotor first: places of :data:`mufly.vehicle.flight_map.LOAD_COLUMNS`."""
+_LOWER_RATES = 4  # first load of rates of the lower rotor
 
 
 @cached_njit(error_model="numpy", forceinline=True)
@@ -99,7 +102,7 @@ def _flow_loads(
 
 @cached_njit(error_model="numpy", forceinline=True)
 def _hub_wrench(
-    flow: tuple[float, float, float, float], turning: tuple[float, float, float, float], v_x: float, v_y: float,
+    hub: tuple[float, float, float, float], turning: tuple[float, float, float, float], v_x: float, v_y: float,
     roll: float, pitch: float, scale: float, radius: float, inplane: float,
 ) -> tuple[float, float, float, float]:  # fmt: skip
     """Return force (N) and moment (N m) of a rotor about its hub along body x and y.
@@ -107,12 +110,14 @@ def _hub_wrench(
     Arguments are the loads of the flow from ``drag`` on and those of rates, the velocity of the hub, both rates,
     K Omega, R, and the linear drag that is replaced.
     """
-    drag, arm = scale * flow[0] - inplane, scale * radius
-    side, turned = scale * flow[1], arm * radius
-    f_x = -drag * v_x - side * v_y + arm * (turning[0] * roll - turning[1] * pitch)
-    f_y = -drag * v_y + side * v_x + arm * (turning[0] * pitch + turning[1] * roll)
-    m_x = arm * (flow[2] * v_x - flow[3] * v_y) + turned * (turning[2] * roll - turning[3] * pitch)
-    m_y = arm * (flow[2] * v_y + flow[3] * v_x) + turned * (turning[2] * pitch + turning[3] * roll)
+    drag_slope, side_slope, roll_slope, pitch_slope = hub
+    force, sideways, damping, coupling = turning
+    drag, arm = scale * drag_slope - inplane, scale * radius
+    side, turned = scale * side_slope, arm * radius
+    f_x = -drag * v_x - side * v_y + arm * (force * roll - sideways * pitch)
+    f_y = -drag * v_y + side * v_x + arm * (force * pitch + sideways * roll)
+    m_x = arm * (roll_slope * v_x - pitch_slope * v_y) + turned * (damping * roll - coupling * pitch)
+    m_y = arm * (roll_slope * v_y + pitch_slope * v_x) + turned * (damping * pitch + coupling * roll)
     return f_x, f_y, m_x, m_y
 
 
@@ -151,26 +156,29 @@ def add_flight_map(
     radius = p.flight_radius
     scale_up, scale_dw = p.flight_scale * abs(speed_up), p.flight_scale * abs(speed_dw)
     ux, uy, mx_up, my_up = _hub_wrench(
-        flow[2:6], turning[:4], air_x + pitch * p.z_up, air_y - roll * p.z_up, roll, pitch, scale_up, radius,
+        flow[_DRAG:_LOWER_THRUST], turning[:_LOWER_RATES], air_x + pitch * p.z_up, air_y - roll * p.z_up, roll, pitch,
+        scale_up, radius,
         p.inplane * abs(speed_up),
     )  # fmt: skip
     lx, ly, mx_dw, my_dw = _hub_wrench(
-        flow[8:], turning[4:], air_x + pitch * p.z_dw, air_y - roll * p.z_dw, roll, pitch, scale_dw, radius,
+        flow[_LOWER_DRAG:], turning[_LOWER_RATES:], air_x + pitch * p.z_dw, air_y - roll * p.z_dw, roll, pitch,
+        scale_dw, radius,
         p.inplane * abs(speed_dw),
     )  # fmt: skip
     # Thrust along the tilted normals, as in the flight model.
-    more = flow[0] * kT_up * speed_up * speed_up
+    more = flow[_THRUST] * kT_up * speed_up * speed_up
     bar_n, bar_e, bar_d = x[RS_BAR], x[RS_BAR + 1], x[RS_BAR + 2]
     nx = p.bar_gain * (a00 * bar_n + a10 * bar_e + a20 * bar_d)
     ny = p.bar_gain * (a01 * bar_n + a11 * bar_e + a21 * bar_d)
     ux, uy, uz = ux + more * nx, uy + more * ny, -more * math.sqrt(max(1.0 - nx * nx - ny * ny, 0.0))
-    more = flow[6] * kT_dw * speed_dw * speed_dw
+    more = flow[_LOWER_THRUST] * kT_dw * speed_dw * speed_dw
     lx, ly = lx + more * tilt[0], ly + more * tilt[1]
     fx, fy, fz = ux + lx, uy + ly, uz + more * tilt[2]
     dx[RS_VEL] += (a00 * fx + a01 * fy + a02 * fz) / p.mass
     dx[RS_VEL + 1] += (a10 * fx + a11 * fy + a12 * fz) / p.mass
     dx[RS_VEL + 2] += (a20 * fx + a21 * fy + a22 * fz) / p.mass
-    torque_up, torque_dw = flow[1] * kQ_up * speed_up * abs(speed_up), flow[7] * kQ_dw * speed_dw * abs(speed_dw)
+    torque_up = flow[_TORQUE] * kQ_up * speed_up * abs(speed_up)
+    torque_dw = flow[_LOWER_TORQUE] * kQ_dw * speed_dw * abs(speed_dw)
     gear = p.gear_ratio * p.gear_ratio * p.gear_efficiency
     slow_up, slow_dw = torque_up / (gear * p.J_up), torque_dw / (gear * p.J_dw)
     dx[RS_SPEED_UPPER] -= slow_up
@@ -196,7 +204,7 @@ def edgewise_factors(
 ) -> tuple[tuple[float, float], tuple[float, float]]:  # fmt: skip
     """Return the factors of the map on thrust and torque of the upper and of the lower rotor at a state."""
     flow = _flow_loads(p, find_map_point(x, wind, p))
-    return (1.0 + flow[0], 1.0 + flow[1]), (1.0 + flow[6], 1.0 + flow[7])
+    return (1.0 + flow[_THRUST], 1.0 + flow[_TORQUE]), (1.0 + flow[_LOWER_THRUST], 1.0 + flow[_LOWER_TORQUE])
 
 
 def inside_flight_map(x: _Array, wind: _Array, p: np.void) -> bool:
@@ -226,6 +234,7 @@ def flight_map_rates(p: np.void, speed: float) -> float:
     flow = np.abs(p["flight_table"][:used]).reshape(-1, 6).max(axis=0)
     rates = np.abs(p["flight_rates"]).reshape(-1, 4).max(axis=0)
     arm, inertia = max(abs(float(p["z_up"])), radius), float(min(p["Ixx"], p["Iyy"]))
-    linear = (flow[2] + flow[3]) * (1.0 / float(p["mass"]) + arm**2 / inertia)
-    moment, turning = (flow[4] + flow[5]) * radius * arm / inertia, float(rates.sum()) * radius * arm / inertia
+    linear = (flow[_DRAG] + flow[_SIDE]) * (1.0 / float(p["mass"]) + arm**2 / inertia)
+    moment = (flow[_ROLL_MOMENT] + flow[_PITCH_MOMENT]) * radius * arm / inertia
+    turning = float(rates.sum()) * radius * arm / inertia
     return 2.0 * scale * float(linear + moment + turning)

@@ -11,7 +11,7 @@ hover (identified). Cyclic pitch of the lower blades is therefore scaled such th
 the plate is turned such that a servo moves one axis in hover. The stabiliser bar of the upper rotor is square to the
 mast in steady flight.
 
-Flap frequency decides the result, so that two trims are made, one for each end of its band
+The flap frequency decides the result, so two trims are computed, one for each end of its band
 (:func:`mufly.rotor.forward.blade_flap_band`).
 """
 
@@ -131,7 +131,7 @@ class LevelFlight:
     endurance_speed_m_s: tuple[float, float]
 
     def shown_blocks(self) -> tuple[ShownBlock, ...]:
-        """Return the text: trims, and the speeds that they give."""
+        """Return the trims and the speeds that follow from them, as text."""
         rows = [t for line in self.trims for t in line]
         low, high = self.greatest_speed_m_s
         fastest = max((t.airspeed_m_s for t in rows), default=0.0)
@@ -156,6 +156,9 @@ class LevelFlight:
                 show_lines(f"{at} m/s: a rotor is outside the range of its method", mark="Warning", style="yellow")
             )
         return tuple(blocks)
+
+
+_PITCH, _ROLL, _SERVO_ROLL, _SERVO_PITCH, _UPPER_FACTOR, _LOWER_FACTOR = range(6)  # unknowns of a trim
 
 
 class LevelFlightModel:
@@ -233,14 +236,18 @@ class LevelFlightModel:
     def wrench(self, x: Array, airspeed: float) -> tuple[Array, ForwardPair]:
         """Return the residuals of a trim for pitch, roll, servo roll, servo pitch and the factors of both speeds."""
         v, body = self.vehicle, self.vehicle.body
-        pitch, roll = float(x[0]), float(x[1])
+        pitch, roll = float(x[_PITCH]), float(x[_ROLL])
         flow = airspeed * np.array(
             [math.cos(pitch), math.sin(pitch) * math.sin(roll), math.sin(pitch) * math.cos(roll)]
         )
         edgewise, azimuth = math.hypot(flow[0], flow[1]), math.atan2(flow[1], flow[0])
-        cyclic = self.cyclic_per_servo @ x[2:4]
+        cyclic = self.cyclic_per_servo @ x[[_SERVO_ROLL, _SERVO_PITCH]]
         pair = self.solve_pair(
-            edgewise, -float(flow[2]), azimuth, (float(x[4]), float(x[5])), (float(cyclic[0]), float(cyclic[1]))
+            edgewise,
+            -float(flow[2]),
+            azimuth,
+            (float(x[_UPPER_FACTOR]), float(x[_LOWER_FACTOR])),
+            (float(cyclic[0]), float(cyclic[1])),
         )
         weight = float(body.mass) * GRAVITY
         gravity = weight * np.array(
@@ -284,7 +291,7 @@ class LevelFlightModel:
         return watts + supply * float(battery.electronics_current), inputs
 
     def thrust_margin(self, torques: Sequence[float], speeds: Sequence[float]) -> float:
-        """Return the thrust margin, both speeds scaled together until a motor is at full input."""
+        """Return the thrust margin: both speeds are scaled together until a motor is at full input."""
         low, high = 0.2, 5.0
         for _ in range(50):
             middle = 0.5 * (low + high)
@@ -361,16 +368,16 @@ def level_flight(vehicle: Vehicle, rotor: Rotor, airspeeds: Sequence[float], *, 
                 break
             x, pair = found
             torques = [k * r.torque_Nm for k, r in zip(model.torque_scale, (pair.upper, pair.lower), strict=True)]
-            speeds = (float(x[4]) * model.speeds[0], float(x[5]) * model.speeds[1])
+            speeds = (float(x[_UPPER_FACTOR]) * model.speeds[0], float(x[_LOWER_FACTOR]) * model.speeds[1])
             power, inputs = model.electrical(torques, speeds)
             line.append(
                 LevelTrim(
                     v,
                     model.flaps[0].frequency_ratio,
-                    float(x[0]),
-                    float(x[1]),
-                    float(x[3]),
-                    float(x[2]),
+                    float(x[_PITCH]),
+                    float(x[_ROLL]),
+                    float(x[_SERVO_PITCH]),
+                    float(x[_SERVO_ROLL]),
                     speeds,
                     sum(q * w for q, w in zip(torques, speeds, strict=True)),
                     power,
@@ -400,17 +407,17 @@ def level_flight_picture(flight: LevelFlight) -> Figure:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(10.0, 7.0), layout="constrained")
-    axes = figure.subplots(2, 2).ravel()
+    axes = power, attitude, servo, margin = figure.subplots(2, 2).ravel()
     for k, line in enumerate(flight.trims):
         speed = [t.airspeed_m_s for t in line]
         label = f"{line[0].flap_frequency_ratio:.3g}/rev" if line else ""
-        axes[0].plot(speed, [t.power_W for t in line], color=f"C{k}", label=label)
-        axes[1].plot(speed, [math.degrees(t.pitch_rad) for t in line], color=f"C{k}", label=f"pitch, {label}")
-        axes[1].plot(speed, [math.degrees(t.roll_rad) for t in line], "--", color=f"C{k}", label=f"roll, {label}")
-        axes[2].plot(speed, [t.servo for t in line], color=f"C{k}", label=label)
-        axes[3].plot(speed, [t.thrust_margin for t in line], color=f"C{k}", label=label)
-    axes[2].axhline(1.0, color="0.4", linewidth=0.8, linestyle=":")
-    axes[3].axhline(0.0, color="0.4", linewidth=0.8, linestyle=":")
+        power.plot(speed, [t.power_W for t in line], color=f"C{k}", label=label)
+        attitude.plot(speed, [math.degrees(t.pitch_rad) for t in line], color=f"C{k}", label=f"pitch, {label}")
+        attitude.plot(speed, [math.degrees(t.roll_rad) for t in line], "--", color=f"C{k}", label=f"roll, {label}")
+        servo.plot(speed, [t.servo for t in line], color=f"C{k}", label=label)
+        margin.plot(speed, [t.thrust_margin for t in line], color=f"C{k}", label=label)
+    servo.axhline(1.0, color="0.4", linewidth=0.8, linestyle=":")
+    margin.axhline(0.0, color="0.4", linewidth=0.8, linestyle=":")
     names = ("Power at the battery (W)", "Attitude (deg)", "Larger servo input (1 is full)", "Thrust margin (1)")
     for one, name in zip(axes, names, strict=True):
         one.set_xlabel("Airspeed (m/s)")

@@ -55,6 +55,7 @@ MAX_CHANNELS = 128
 _REORDER_WINDOW = 32  # a number at most this far behind the newest is late; others are a jump
 _DUPLICATE_WINDOW_S = 1.0  # the same packet after this time is a new one, of a restarted program
 _MARKER_V1, _MARKER_V2, _FLAG_SIGNED = 0xFE, 0xFD, 0x01
+_MESSAGE_ID_V1, _MESSAGE_ID_V2 = slice(5, 6), slice(7, 10)  # bytes of a frame
 _TEXT_CHUNK_BYTES = 50
 MAX_TEXT_BYTES = 400
 """Longest line (bytes); the rest is cut."""
@@ -303,7 +304,7 @@ def _find_next_marker(buffer: bytearray, at: int) -> int:
 
 
 def _message_id(frame: bytes) -> int:
-    return frame[5] if frame[0] == _MARKER_V1 else int.from_bytes(frame[7:10], "little")
+    return int.from_bytes(frame[_MESSAGE_ID_V1 if frame[0] == _MARKER_V1 else _MESSAGE_ID_V2], "little")
 
 
 def _is_unknown_message(frame: bytes, buffer: bytearray, end: int) -> bool:

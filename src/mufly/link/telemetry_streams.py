@@ -210,7 +210,7 @@ def vision_position_message(p: TelemetryState) -> MavMessage | None:
     if "position" in r and "attitude" in r:
         place, angles = r["position"].value, r["attitude"].value
     elif _VISION_READING in r and (said := r[_VISION_READING]).valid:
-        place, angles = said.value[:3], [math.nan, math.nan, said.value[3]]
+        place, angles = said.value[:-1], [math.nan, math.nan, said.value[-1]]
         usec = round(said.time_s * 1e6)
         if said.covariance is not None:
             triangle = pack_covariance(said.covariance)

@@ -48,6 +48,7 @@ from mufly.vehicle_types import (
 
 _STAMP_STRUCT = struct.Struct(">Q")
 _MAVLINK_2_MAGIC = 0xFD
+_SENDER_AND_ID_V1, _SENDER_AND_ID_V2 = slice(3, 6), slice(5, 10)  # bytes of system, component and message
 _STAMP_SIZE = 8  # bytes before the packet of an entry
 _YEAR_2000_US, _YEAR_2100_US = 946_684_800 * 10**6, 4_102_444_800 * 10**6
 _SEVERITY_WORDS = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
@@ -139,7 +140,7 @@ def read_tlog(path: str | Path, progress: Callable[[int, int], None] | None = No
         except Exception:  # wrong checksum, unknown message: counted
             bad += 1
             continue
-        offsets, messages = raw_rows[packet[5:10] if packet[0] == _MAVLINK_2_MAGIC else packet[3:6]]
+        offsets, messages = raw_rows[packet[_SENDER_AND_ID_V2 if packet[0] == _MAVLINK_2_MAGIC else _SENDER_AND_ID_V1]]
         offsets.append(at)
         messages.append(message)
     if behind < len(data):

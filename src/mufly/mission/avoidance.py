@@ -185,7 +185,7 @@ def _insert_hits(
                     if points[k, _SEEN_S] < points[row, _SEEN_S]:
                         row = k
                 turn = turn + _REPLACE_CANDIDATES if turn + _REPLACE_CANDIDATES < MAP_CAPACITY else 0
-            points[row, 0], points[row, 1], points[row, 2], points[row, 3] = n, e, d, time
+            points[row, 0], points[row, 1], points[row, 2], points[row, _SEEN_S] = n, e, d, time
     return points, used, turn
 
 
@@ -515,6 +515,6 @@ def _limit_approach(near: _Array, n: float, e: float, vn: float, ve: float, keep
 def limit_approach_velocity(
     sight: PathCheck, position: tuple[float, ...], velocity: tuple[float, float], keep: float
 ) -> tuple[float, float]:
-    """Return the velocity N, E (m/s) nearest to the given one that nears distance ``keep`` (m) only exponentially."""
+    """Limit a velocity N, E (m/s) so that the distance to each point falls to ``keep`` (m) at most exponentially."""
     vn, ve = velocity
     return _limit_approach(sight.nearest_points, position[0], position[1], vn, ve, keep)

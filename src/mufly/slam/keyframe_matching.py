@@ -50,6 +50,7 @@ _USUAL_ROTOR_SPEED_RAD_S = 400.0  # where it is not reported
 _STRIPES_REASON = "the floor shows texture along one direction only"
 _MIN_TRACKED_SHARE = 0.75  # of the points in view, below which all patches are aligned together
 _NO_DIRECTION = np.zeros((0, 2))
+_BOTH_TILTS = np.ix_([6, 7, 4, 5], [6, 7, 4, 5])  # tilt errors of the picture, then of the keyframe
 
 
 @dataclass(frozen=True)
@@ -206,7 +207,7 @@ def match_keyframe(
     use = np.nonzero((h[:, 2] > 0) & (keyframe.missed < 8) & is_in_mask(covered, there) & clean)[0]
     if len(use) < MIN_INLIERS:
         return None
-    tilts = floor_map.predict_covariance(k, *context.error_transition)[4:8, 4:8][np.ix_([2, 3, 0, 1], [2, 3, 0, 1])]
+    tilts = floor_map.predict_covariance(k, *context.error_transition)[_BOTH_TILTS]
     # A match further away than the total uncertainty is a false one, for example the next tile.
     unsure = 0.0 if coarse else context.position_sigma_m / view.height_m * view.focal_px
     tilted = view.focal_px * math.sqrt(tilts[0, 0] + tilts[2, 2])

@@ -397,11 +397,11 @@ def study_repulsive_forces(progress: ProgressCallback | None = None) -> StudyFin
                         ),
                     )
                 )
-    field = np.array(arrows)
-    size = np.hypot(field[:, 2], field[:, 3])
+    north, east, force_n, force_e = np.array(arrows).T
+    size = np.hypot(force_n, force_e)
     acting = size > 1e-9
-    away = (field[acting, 0] * field[acting, 2] + field[acting, 1] * field[acting, 3]) > 0
-    seen_by_none = int(np.sum(~acting & (np.maximum(np.abs(field[:, 0]), np.abs(field[:, 1])) < 0.8)))
+    away = (north * force_n + east * force_e)[acting] > 0
+    seen_by_none = int(np.sum(~acting & (np.maximum(np.abs(north), np.abs(east)) < 0.8)))
     verdicts = [
         judge(
             "fig-6.19/forces-from-eight-ranges",
@@ -422,10 +422,10 @@ def study_repulsive_forces(progress: ProgressCallback | None = None) -> StudyFin
     axes = drawn.subplots()
     length = np.log1p(size)
     axes.quiver(
-        field[acting, 1],
-        field[acting, 0],
-        (field[:, 3] / np.maximum(size, 1e-12) * length)[acting],
-        (field[:, 2] / np.maximum(size, 1e-12) * length)[acting],
+        east[acting],
+        north[acting],
+        (force_e / np.maximum(size, 1e-12) * length)[acting],
+        (force_n / np.maximum(size, 1e-12) * length)[acting],
         color="C3",
     )
     axes.add_patch(_obstacle_patch())

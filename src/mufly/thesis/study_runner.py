@@ -16,7 +16,7 @@ from functools import cache, partial
 from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -267,28 +267,35 @@ def _run_sections_study(name: str, progress: ProgressCallback | None) -> StudyFi
 
 
 # Name -> computation, verdicts, picture, seconds.
-_PAIR_STUDIES: dict[
-    str, tuple[Callable[..., xr.Dataset], Callable[..., list[Verdict]], Callable[..., Figure], float]
-] = {
-    "fig-3.43": (
+class _PairStudy(NamedTuple):
+    """Functions that compute, judge and draw a study of rotor pairs, and its time (s)."""
+
+    compute: Callable[..., xr.Dataset]
+    judge: Callable[..., list[Verdict]]
+    draw: Callable[..., Figure]
+    cost_s: float
+
+
+_PAIR_STUDIES = {
+    "fig-3.43": _PairStudy(
         coaxial_studies.compute_equal_speeds,
         coaxial_studies.judge_equal_speeds,
         rotor_figures.draw_equal_speeds,
         120,
     ),
-    "fig-3.44": (
+    "fig-3.44": _PairStudy(
         coaxial_studies.compute_one_speed_fixed,
         coaxial_studies.judge_one_speed_fixed,
         rotor_figures.draw_one_speed_fixed,
         250,
     ),
-    "table-3.4": (
+    "table-3.4": _PairStudy(
         coaxial_studies.compute_torque_balance,
         coaxial_studies.judge_balance,
         rotor_figures.draw_torque_balance,
         300,
     ),
-    "fig-3.45": (
+    "fig-3.45": _PairStudy(
         coaxial_studies.compute_rotor_spacing,
         coaxial_studies.judge_rotor_spacing,
         rotor_figures.draw_rotor_spacing,
@@ -298,14 +305,14 @@ _PAIR_STUDIES: dict[
 
 
 def _run_pair_study(name: str, progress: ProgressCallback | None) -> StudyFindings:
-    compute, judge, draw, _ = _PAIR_STUDIES[name]
+    study = _PAIR_STUDIES[name]
 
     def compute_and_judge(model: str, step: ProgressCallback) -> tuple[xr.Dataset, list[Verdict]]:
-        data = compute(model, progress=step)
-        return data, judge(model, data)
+        data = study.compute(model, progress=step)
+        return data, study.judge(model, data)
 
     return _run_models(
-        coaxial_studies.COAXIAL_MODELS, compute_and_judge, lambda d: draw(d, _item_heading(name)), progress
+        coaxial_studies.COAXIAL_MODELS, compute_and_judge, lambda d: study.draw(d, _item_heading(name)), progress
     )
 
 
@@ -328,8 +335,8 @@ _ROTOR_STUDIES: dict[str, Study] = {
     **_make_studies(_run_coefficients_study, ("fig-3.25",), 1),
     **_make_studies(_run_sweep_study, tuple(single_rotor_studies.SWEEP_STUDIES), 2),
     **_make_studies(_run_ranking_study, ("table-3.3",), 20),
-    **{name: Study(partial(_run_pair_study, name), entry[3]) for name, entry in _PAIR_STUDIES.items()},
-    **_make_studies(_run_equal_speeds_study, ("fig-3.43",), _PAIR_STUDIES["fig-3.43"][3]),
+    **{name: Study(partial(_run_pair_study, name), study.cost_s) for name, study in _PAIR_STUDIES.items()},
+    **_make_studies(_run_equal_speeds_study, ("fig-3.43",), _PAIR_STUDIES["fig-3.43"].cost_s),
 }
 _STUDY_MODULES: tuple[ModuleType, ...] = (
     airframe_studies,

@@ -126,8 +126,7 @@ def _parse_table(text: str) -> MapTables:
     rows = parse_table_rows(text, TABLE_COLUMNS)
     axes = [np.unique(rows[:, k]) for k in range(3)]
     shape = tuple(a.size for a in axes)
-    full = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    if len(full) != len(rows) or len(np.unique(rows[:, :3], axis=0)) != len(rows):
+    if len(rows) != np.prod(shape) or len(np.unique(rows[:, :3], axis=0)) != len(rows):
         raise _table_error(
             f"{len(rows)} points are no full grid of {shape[0]} mean speeds, {shape[1]} ratios and {shape[2]} climbs",
             "give every combination once",
@@ -192,10 +191,7 @@ def load_coefficient_map(name_or_path: str | Path, folder: Path | None = None) -
     InputError
         If the file does not exist, is not TOML, or is no map.
     """
-    place = name_or_path
-    if str(name_or_path) not in builtin_coefficient_maps() and folder is not None:
-        place = folder / name_or_path
-    tables, where = read_toml(place, _BUILTIN_MAPS_FOLDER, "coefficient map")
+    tables, where = read_toml(name_or_path, _BUILTIN_MAPS_FOLDER, "coefficient map", folder)
     if "table" not in tables:
         raise InputError(where, "table", "is missing, so this is not a coefficient map", "make one: mufly coax map")
     return validate_model(CoefficientMap, tables, where)

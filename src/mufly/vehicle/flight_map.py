@@ -153,7 +153,7 @@ def _parse_flight_table(text: str, knee: float) -> FlightMapTables:
         raise _table_error("ratio is not above 0, or advance_ratio does not begin at 0", "correct the table")
     ordered = rows[np.lexsort(rows[:, 2::-1].T)]
     ratio, climb_ratio, edgewise = axes
-    loads = np.ascontiguousarray(ordered[:, 3:]).reshape(*shape, 2 * len(LOAD_COLUMNS))
+    loads = np.ascontiguousarray(ordered[:, len(AXIS_COLUMNS) :]).reshape(*shape, 2 * len(LOAD_COLUMNS))
     out = FlightMapTables(ratio, climb_ratio, edgewise, loads)
     for array in out:
         array.setflags(write=False)
@@ -165,7 +165,8 @@ def format_flight_table(tables: FlightMapTables, knee: float) -> str:
     advance = knee * np.sqrt(tables.edgewise / (1.0 - tables.edgewise))
     grid = np.meshgrid(tables.ratio, tables.climb_ratio, advance, indexing="ij")
     rows = np.column_stack([*(a.ravel() for a in grid), tables.loads.reshape(-1, tables.loads.shape[-1])])
-    lines = [" ".join([*(f"{v:.7g}" for v in row[:3]), *(f"{v:.5g}" for v in row[3:])]) for row in rows]
+    formats = ["{:.7g}"] * len(AXIS_COLUMNS) + ["{:.5g}"] * tables.loads.shape[-1]
+    lines = [" ".join(f.format(v) for f, v in zip(formats, row, strict=True)) for row in rows]
     return "\n".join([" ".join(FLIGHT_TABLE_COLUMNS), *lines]) + "\n"
 
 
@@ -194,10 +195,7 @@ def load_flight_map(name_or_path: str | Path, folder: Path | None = None) -> Fli
     InputError
         If the file does not exist, is not TOML, or is no flight map.
     """
-    place = name_or_path
-    if str(name_or_path) not in builtin_flight_maps() and folder is not None:
-        place = folder / name_or_path
-    tables, where = read_toml(place, _BUILTIN_FOLDER, "flight map")
+    tables, where = read_toml(name_or_path, _BUILTIN_FOLDER, "flight map", folder)
     if "table" not in tables or "knee" not in tables:
         raise InputError(where, "table", "is missing, so this is not a flight map", "make one: mufly coax flight-map")
     return validate_model(FlightMap, tables, where)

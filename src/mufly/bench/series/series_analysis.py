@@ -267,9 +267,11 @@ def check_reference(name: str, channel: LoadChannel, plan: SeriesPlan) -> list[S
     out: list[SeriesIssue] = []
     visits = channel.reference_visits
     for axis in ("upper", "lower"):
-        mine = [v for v in visits if plan.mounting[int(v[3])].axis == axis]
-        for k, (a, b) in enumerate(itertools.pairwise(mine), 1):
-            step, doubt = float(b[1] - a[1]), math.hypot(a[2], b[2])
+        mine = [
+            (log_ratio, sigma) for _, log_ratio, sigma, mounting in visits if plan.mounting[int(mounting)].axis == axis
+        ]
+        for k, ((before, before_sigma), (after, after_sigma)) in enumerate(itertools.pairwise(mine), 1):
+            step, doubt = float(after - before), math.hypot(before_sigma, after_sigma)
             if abs(step) > REFERENCE_LIMIT and abs(step) > 4.0 * doubt:
                 out.append(
                     SeriesIssue(

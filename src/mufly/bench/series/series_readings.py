@@ -280,14 +280,15 @@ def _correct_gain_drift(
     visits = compute_reference_visits(channel, name, points, plan, facts, density, speed)
     if not visits.size:
         return channel
-    axes = sorted({plan.mounting[int(k)].axis for k in visits[:, 3]})
-    design = np.array([[float(plan.mounting[int(k)].axis == a) for a in axes] for k in visits[:, 3]])
+    time_s, log_ratio, sigma, mounting = visits.T
+    axes = sorted({plan.mounting[int(k)].axis for k in mounting})
+    design = np.array([[float(plan.mounting[int(k)].axis == a) for a in axes] for k in mounting])
     design = design[:, design.any(axis=0)]
     if len(visits) < design.shape[1] + 1:
         return LoadChannel(
             channel.value, channel.common_covariance, channel.own_covariance, channel.zero_drift, None, visits
         )
-    walk = fit_random_walk(visits[:, 0], visits[:, 1], visits[:, 2], design, start)
+    walk = fit_random_walk(time_s, log_ratio, sigma, design, start)
     gain, cov = walk.predict_drift(points.time_s)
     value = channel.value * np.exp(-gain)
     scale = np.outer(np.exp(-gain), np.exp(-gain))

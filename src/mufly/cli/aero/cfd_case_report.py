@@ -49,13 +49,14 @@ def report_pair(folder: Path, rotor: Rotor | None, pair: PairSolution, as_json: 
     settled."""
     from mufly.cfd import pair_picture
 
-    reports = [_write_solution_report(folder / name, rotor) for name in ("upper", "lower")]
-    files = [save_figure(pair_picture(pair), folder, "pair"), *reports[0][2], *reports[1][2]]
-    ratios = [("cfd", pair.upper.verdict, pair.lower.verdict), *_pair_by_method(reports[0][3], reports[1][3])]
+    upper, show_upper, upper_files, upper_loads = _write_solution_report(folder / "upper", rotor)
+    lower, show_lower, lower_files, lower_loads = _write_solution_report(folder / "lower", rotor)
+    files = [save_figure(pair_picture(pair), folder, "pair"), *upper_files, *lower_files]
+    ratios = [("cfd", pair.upper.verdict, pair.lower.verdict), *_pair_by_method(upper_loads, lower_loads)]
 
     def print_pair() -> None:
-        for report in reports:
-            report[1]()
+        show_upper()
+        show_lower()
         _print_pair_ratios(ratios)
         up, low = pair.between_m_s
         make_console().print(
@@ -67,7 +68,7 @@ def report_pair(folder: Path, rotor: Rotor | None, pair: PairSolution, as_json: 
             make_console().print("Not settled: do not rely on these numbers.", style="yellow", highlight=False)
 
     ratios_of = select_fields(pair, "settled thrust_ratio torque_ratio between_m_s")
-    print_answer(as_json, {**ratios_of, "upper": reports[0][0], "lower": reports[1][0]}, print_pair, files)
+    print_answer(as_json, {**ratios_of, "upper": upper, "lower": lower}, print_pair, files)
     return pair.settled
 
 

@@ -297,7 +297,8 @@ class FixMonitor:
         north, east, _, heading = place
         if self._is_resting:
             fault = self._check_rest(time_s, complex(north, east))
-            self._heading_offset = heading - self._history[-1][4]
+            *_, own_heading = self._history[-1]
+            self._heading_offset = heading - own_heading
             return fault, True, bool(self._rest_fixes) and self._kind(self.fault) == self._kind(_moving_text(0.0))
         self._rest_fixes.clear()
         k = len(self._history) - 1

@@ -152,6 +152,9 @@ def fly_demo_record(
     return FlightRecord(name, time_s, inputs, _LOGGED_OUTPUTS, measured, measured[:, -1].copy())
 
 
+_ANGLES, _CLIMB_AND_RATES = slice(1, 4), slice(3, 7)
+
+
 class _PilotPid:
     """Pilot support: PID controller of height, roll, pitch and yaw at the sample rate of the log."""
 
@@ -164,13 +167,14 @@ class _PilotPid:
     def step(self, y: _Array, set_point: _Array, motor: _Array) -> _Array:
         if self._is_first_step:
             self._height_estimate, self._is_first_step = set_point[0], False
+        y_height, y_angles, (_, p, q, r) = y[0], y[_ANGLES], y[_CLIMB_AND_RATES]
         # Height and climb from a second-order observer with poles at -6 1/s.
-        error = y[0] - self._height_estimate
+        error = y_height - self._height_estimate
         self._height_estimate += SAMPLE_S * (self._climb_estimate + 12.0 * error)
         self._climb_estimate += SAMPLE_S * 36.0 * error
-        off = set_point - [self._height_estimate, *y[1:4]]
+        off = set_point - [self._height_estimate, *y_angles]
         self._error_integral = np.clip(self._error_integral + SAMPLE_S * off, -1.0, 1.0)
-        (height, roll, pitch, yaw), (_, p, q, r) = off, y[3:7]
+        height, roll, pitch, yaw = off
         i_height, i_roll, i_pitch, i_yaw = self._error_integral
         heave = 0.05 * height - 0.10 * self._climb_estimate + 0.01 * i_height
         turn = 0.04 * yaw - 0.02 * r + 0.01 * i_yaw

@@ -43,6 +43,7 @@ _REPORT_PERIOD_S = 0.2
 _WARM_UP_S = 8.0
 _READY_TIMEOUT_S = 3.0
 _LATENESS_FILTER_GAIN = 0.02
+_SENDER_TO_CHECKSUM = slice(5, -2)  # bytes of a MAVLink frame after its number
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,8 +212,8 @@ class _PortGroup:
             if isinstance(peer, Peer):
                 self._by_name[peer.endpoint].send(peer, out.data)
                 if self._tlog is not None:
-                    # Peers get the same frames with different numbers: equal from the sender id to the checksum.
-                    content = out.data[5:-2]
+                    # Peers get the same frames with different numbers.
+                    content = out.data[_SENDER_TO_CHECKSUM]
                     if content not in logged:
                         logged.add(content)
                         self._tlog.write_packet(out.data)

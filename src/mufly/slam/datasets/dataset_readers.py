@@ -349,6 +349,10 @@ TELEMETRY_COLUMNS = (
     "time_s", "roll_rad", "pitch_rad", "height_m", "p_rad_s", "q_rad_s", "r_rad_s", "rotor_upper_rad_s",
     "rotor_lower_rad_s", "tilt_sigma_rad", "height_sigma_m",
 )  # fmt: skip
+_ROLL, _PITCH, _HEIGHT, _TILT_SIGMA, _HEIGHT_SIGMA = 1, 2, 3, 9, 10  # columns of telemetry
+_RATES, _ROTOR_SPEEDS, _ROTOR_PHASES = slice(4, 7), slice(7, 9), slice(11, 13)
+_MOTION_VELOCITY, _MOTION_VELOCITY_SIGMA, _MOTION_PLACE = slice(0, 3), 3, slice(4, 7)  # columns of a motion
+_MOTION_HEADING, _MOTION_PLACE_SIGMA, _MOTION_HEADING_SIGMA = 6, 7, 8
 PHASE_COLUMNS = ("rotor_upper_rad", "rotor_lower_rad")
 """Optional columns of the telemetry; phases are continuous."""
 
@@ -383,12 +387,18 @@ def read_telemetry(file: Path, offset_s: float = 0.0) -> Callable[[_Array], list
                 "give --offset: the recording's clock less the pictures'",
             )  # fmt: skip
         b = np.stack([np.interp(t, a[:, 0], c) for c in a.T], axis=1)
-        infos = [FrameInfo(r[1], r[2], r[3], r[4:7], r[7:9], None, r[9], r[10]) for r in b]
+        infos = [_make_frame_info(r) for r in b]
         if motion is None:
             return infos
         c = np.stack([np.interp(t, a[:, 0], column) for column in motion.T], axis=1)
         return [
-            replace(one, velocity=m[:3], velocity_sigma=m[3], place=m[4:7], place_sigma=(m[7], m[8]))
+            replace(
+                one,
+                velocity=m[_MOTION_VELOCITY],
+                velocity_sigma=m[_MOTION_VELOCITY_SIGMA],
+                place=m[_MOTION_PLACE],
+                place_sigma=(m[_MOTION_PLACE_SIGMA], m[_MOTION_HEADING_SIGMA]),
+            )
             for one, m in zip(infos, c, strict=True)
         ]
 
@@ -441,7 +451,7 @@ def _telemetry_from_recording(file: Path) -> tuple[_Array, _Array | None]:
         np.zeros(n), np.full(n, _PLACE_SIGMA_M) if height is None else np.maximum(0.01, height[:, :2].max(axis=1)),
         np.full(n, _HEADING_SIGMA_RAD) if tilt is None else np.maximum(0.005, tilt[:, 2]),
     ])  # fmt: skip
-    motion[known, 6] = np.unwrap(attitude[known, 2])
+    motion[known, _MOTION_HEADING] = np.unwrap(attitude[known, 2])
     time = rows[:, 0]
     return rows, np.stack([np.interp(time, time[known], c[known]) for c in motion.T], axis=1)
 
@@ -479,19 +489,21 @@ def _read_telemetry_infos(file: Path, times: _Array) -> list[FrameInfo]:
     if not len(a) or (np.diff(a[:, 0]) <= 0).any():
         raise InputError(str(file), "time_s", "does not rise", "sort it by time")
     b = np.stack([np.interp(times, a[:, 0], c) for c in a.T], axis=1)
-    return [
-        FrameInfo(
-            float(r[1]),
-            float(r[2]),
-            float(r[3]),
-            r[4:7].copy(),
-            r[7:9].copy(),
-            r[11:13].copy() if phased else None,
-            float(r[9]),
-            float(r[10]),
-        )
-        for r in b
-    ]
+    return [_make_frame_info(r, r[_ROTOR_PHASES].copy() if phased else None) for r in b]
+
+
+def _make_frame_info(row: _Array, rotor_phase: _Array | None = None) -> FrameInfo:
+    """Return the vehicle's estimate of a row of :data:`TELEMETRY_COLUMNS`."""
+    return FrameInfo(
+        float(row[_ROLL]),
+        float(row[_PITCH]),
+        float(row[_HEIGHT]),
+        row[_RATES].copy(),
+        row[_ROTOR_SPEEDS].copy(),
+        rotor_phase,
+        float(row[_TILT_SIGMA]),
+        float(row[_HEIGHT_SIGMA]),
+    )
 
 
 def _open_video(

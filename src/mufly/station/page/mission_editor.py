@@ -82,14 +82,15 @@ class MissionEditor:
     def refresh(self) -> None:
         """Send changes of the draft to the window."""
         sketch = self._shared_draft
-        now = (sketch.version, self._order, self._refused, self._refusal_reason())
+        reason = self._refusal_reason()
+        now = (sketch.version, self._order, self._refused, reason)
         if now == self._shown:
             return
         self._shown = now
         state = encode_draft(sketch.draft, sketch.verdict, self._refused)
         state["world"] = encode_world(sketch.draft.mission.world)
         state["world"]["fence"] = encode_fence(sketch.draft.mission.fence)
-        self._panel.call_method("take", {"state": state, "may": now[3], "last": self._order})
+        self._panel.call_method("take", {"state": state, "may": reason, "last": self._order})
 
     # ---- what the window asks for
 

@@ -40,6 +40,7 @@ _BODY_FRAME = 12  # MAV_FRAME_BODY_FRD
 _OLD_BODY_FRAME = 8  # MAV_FRAME_BODY_NED, in messages of older PX4 versions
 _LEVEL_FRAMES = (1, 20)  # MAV_FRAME_LOCAL_NED; MAV_FRAME_LOCAL_FRD, also level
 _DIAGONAL_INDICES = (0, 6, 11, 15, 18, 20)  # diagonal in a 6 x 6 upper triangle, row by row
+_XX_TO_XZ, _YY_TO_YZ, _ZZ = slice(0, 3), slice(6, 8), 11  # its first 3 x 3 block
 _MISSING_ESTIMATE_FLAGS = ((1, "attitude"), (2, "velocity"), (32, "height"), (8 | 16, "position"))
 _FAULT_FLAGS = ((1024, "GPS glitch"), (2048, "accelerometer error"), (128, "constant position mode"))
 """ESTIMATOR_STATUS_FLAGS: estimates missing if unset, faults if set."""
@@ -464,7 +465,7 @@ def _ned_velocity_deviations(upper: Sequence[float], q: Sequence[float]) -> tupl
     size = math.sqrt(sum(v * v for v in q))
     if len(upper) != 21 or math.isnan(upper[0]) or not 0.5 < size < 2.0:
         return (math.nan,) * 3
-    (xx, xy, xz), (yy, yz), zz = upper[:3], upper[6:8], upper[11]
+    (xx, xy, xz), (yy, yz), zz = upper[_XX_TO_XZ], upper[_YY_TO_YZ], upper[_ZZ]
     own = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     turn = body_to_ned_matrix(np.array(q, dtype=np.float64) / size)
     with np.errstate(all="ignore"):

@@ -267,7 +267,7 @@ def load_uiuc_propellers(folder: Path) -> list[RotorCase]:
     return out
 
 
-_STATED_PITCH_IN_NAME = re.compile(r"_(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)|_(\d+(?:\.\d+)?)deg")
+_STATED_PITCH_IN_NAME = re.compile(r"_(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)|_(?P<deg>\d+(?:\.\d+)?)deg")
 
 
 def _photographed(name: str, radius_m: float) -> dict[str, object]:
@@ -278,8 +278,8 @@ def _photographed(name: str, radius_m: float) -> dict[str, object]:
     found = _STATED_PITCH_IN_NAME.search(name)
     if found is None:
         return {"blade.geometry": "photograph"}
-    if found[3]:
-        pitch = 1.5 * math.pi * radius_m * math.tan(math.radians(float(found[3])))
+    if found["deg"]:
+        pitch = 1.5 * math.pi * radius_m * math.tan(math.radians(float(found["deg"])))
     else:
         pitch = 2.0 * radius_m * float(found[2]) / float(found[1])
     return {"blade.geometry": "photograph", "nominal_pitch": pitch}
