@@ -6,8 +6,11 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import control
 import numpy as np
 import pytest
+import xarray as xr
+from scipy import linalg
 from typer.testing import CliRunner
 
 from mufly.cli.control import app
@@ -15,11 +18,17 @@ from mufly.control import DesignSettings, FlightController, design_flight_contro
 from mufly.control.comparison import (
     ControllerComparison,
     FlightFigures,
+    GUST_LENGTH_m,
+    GUST_m_s,
     MethodFigures,
+    gust_response,
     judge_comparison,
     loop_figures,
     sensor_noise,
 )
+from mufly.control.implementation import LATERAL_STATES
+from mufly.control.linear_systems import frequency_response
+from mufly.dynamics import dryden_filter, linearise_vehicle
 from mufly.errors import InputError
 from mufly.flight.monte_carlo import Campaign
 from mufly.mission import load_mission
@@ -29,7 +38,7 @@ from mufly.vehicle import Vehicle
 @pytest.fixture(scope="module")
 def row(vehicle: Vehicle, controller: FlightController) -> MethodFigures:
     loops = [loop_figures(vehicle, d, (0.6, 0.5)) for d in (controller.heave_yaw, controller.roll_pitch)]
-    return MethodFigures("hinf", loops[0], loops[1], controller.cascade.sensitivity_peak_dB)
+    return MethodFigures("hinf", loops[0], loops[1], controller.cascade.sensitivity_peak_dB, 0.01)
 
 
 def _judge(*rows: MethodFigures) -> ControllerComparison:
@@ -46,6 +55,35 @@ def test_figures_are_those_of_the_sampled_loop(
     assert loop.input_noise == pytest.approx(0.0264, abs=2e-4)
     # 0.03 deg/s/sqrt(Hz) behind 60 Hz.
     assert np.degrees(sensor_noise(vehicle, ("phi", "p"))) == pytest.approx([0.1, 0.03 * np.sqrt(60 * np.pi / 2)])
+
+
+def test_tilt_in_gusts_is_the_integral_over_frequency(vehicle: Vehicle, controller: FlightController) -> None:
+    """The loop is closed at every frequency, and the spectrum is that of the sampled Dryden filter."""
+    linear, T = linearise_vehicle(vehicle, voltage=controller.voltage_V), controller.period_s
+    full, of = linear.full, {name: i for i, name in enumerate(LATERAL_STATES)}
+    lateral = [list(full.state_labels).index(name) for name in LATERAL_STATES]
+    A = full.A[np.ix_(lateral, lateral)]
+    gusts = -A[:, [of["u"], of["v"]]]
+    gusts[:2] = 0.0  # a place moves with the velocity over ground
+    n, w = len(lateral), np.geomspace(1e-4, np.pi / T, 12_000)
+    held = linalg.expm(T * np.block([[A, full.B[lateral, 2:], gusts], [np.zeros((4, n + 4))]]))[:n]
+    delay = np.exp(-1j * w * T)[:, None, None]
+    open_loop = np.linalg.solve(np.eye(n) / delay - held[:, :n], np.broadcast_to(held[:, n:], (w.size, n, 4)))
+    velocity = control.sample_system(controller.velocity.reduced, T, method="bilinear")
+    outer, inner = (frequency_response(K, w) for K in (velocity, controller.roll_pitch.discrete.to_state_space()))
+    picked, mix = np.zeros((4, n)), np.zeros((2, n))
+    picked[range(4), [of[name] for name in ("phi", "theta", "p", "q")]] = -1.0
+    mix[range(2), [of["x"], of["y"]]] = -controller.settings.position_gain
+    mix[range(2), [of["u"], of["v"]]] = -1.0
+    feedback = inner @ (picked + np.eye(4, 2) @ outer @ mix)
+    state = np.linalg.solve(np.eye(n) - delay * open_loop[:, :, :2] @ feedback, open_loop[:, :, 2:])
+    F, scale, output, _ = dryden_filter(GUST_LENGTH_m / 0.5, T)
+    gust = GUST_m_s * output @ np.linalg.solve(np.eye(2) / delay - F, np.broadcast_to(scale, (w.size, 2, 2)))
+    spectrum = (np.abs(gust) ** 2).sum(axis=1)
+    assert np.trapezoid(spectrum, w) * T / np.pi == pytest.approx(GUST_m_s**2, rel=1e-3)
+    size = (np.abs(state[:, [of["phi"], of["theta"]]]) ** 2).sum(axis=2) * spectrum[:, None]
+    by_frequency = np.sqrt(np.trapezoid(size, w, axis=0) * T / np.pi)
+    assert gust_response(linear, controller) == pytest.approx(by_frequency.max(), rel=1e-3)
 
 
 def test_the_verdict_names_what_decided_it(row: MethodFigures) -> None:
@@ -96,6 +134,10 @@ def test_command_compares_and_writes(tmp_path: Path) -> None:
     assert method["flights"] is None
     assert method["roll_pitch"]["disk"]["margin"] > 0.93
     assert (tmp_path / "compare.png").stat().st_size > 5000
+    with xr.open_dataset(tmp_path / "compare.nc", engine="scipy") as table:
+        disk = float(table.disk_margin.sel(controller="ltr", loop="roll-pitch"))
+        assert disk == pytest.approx(method["roll_pitch"]["disk"]["margin"])
+        assert float(table.gust_tilt_rad.sel(controller="ltr")) == pytest.approx(method["gust_tilt_rad"])
     assert json.loads((tmp_path / "compare.json").read_text())["verdict"] == content["verdict"]
     with pytest.raises(InputError, match="--methods"):
         CliRunner().invoke(app, ["compare", "--methods", "pid"], catch_exceptions=False)

@@ -318,7 +318,8 @@ def compare(
         int | None, define_option("--jobs -j N", "Parallel flights. Default: one for each core.", min=1)
     ] = None,
     out: Annotated[
-        Path, define_option("DIR", "Folder for compare.json, compare.png and the flights; flights resume there.")
+        Path,
+        define_option("DIR", "Folder for compare.json, compare.nc, compare.png and the flights; flights resume there."),
     ] = Path("compare"),
     as_json: JsonOption = False,
 ) -> None:
@@ -326,7 +327,8 @@ def compare(
 
     Figures are those of the controllers as they fly: reduced, sampled, with one sample of delay. gamma is the norm of \
 the weighted loop. GM, PM and DM are gain, phase and delay margin. mu is an upper bound over the parameters, \
-noise the largest input by sensor noise, n the order, MAC the multiply-adds in a period. The verdict \
+noise the largest input by sensor noise, gust the tilt in gusts of 0.5 m/s, n the order, \
+MAC the multiply-adds in a period. The verdict \
 names the criterion that decides it.
 
     Examples:
@@ -338,9 +340,10 @@ names the criterion that decides it.
     from dataclasses import replace
 
     from mufly.control import DesignSettings
-    from mufly.control.comparison import FlightFigures, compare_methods, judge_comparison
+    from mufly.control.comparison import FlightFigures, compare_methods, comparison_dataset, judge_comparison
     from mufly.control.plots import draw_comparison
     from mufly.control.synthesis_methods import METHODS
+    from mufly.logs.tables.columnar_files import write_netcdf
     from mufly.results import to_plain_data
     from mufly.vehicle import load_vehicle
 
@@ -383,9 +386,10 @@ names the criterion that decides it.
         found = judge_comparison(found.vehicle_name, found.rate_Hz, rows)
     with report_write_errors("--out", "give a folder that can be written", str(out)):
         out.mkdir(parents=True, exist_ok=True)
-        written = [out / "compare.json", out / "compare.png"]
+        written = [out / "compare.json", out / "compare.png", out / "compare.nc"]
         written[0].write_text(json.dumps(to_plain_data(found), indent=2) + "\n", encoding="utf-8")
         draw_comparison(found).savefig(written[1], dpi=150)
+        write_netcdf(comparison_dataset(found), written[2])
     print_answer(as_json, found, files=written)
 
 

@@ -13,15 +13,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import pairwise
+from typing import Any
 
+import control
 import numpy as np
+import xarray as xr
+from scipy import linalg
 
 from mufly.control.designs import ControllerDesign, FlightController, design_flight_controller
-from mufly.control.linear_systems import Array, LoopAnalysis, sample_plant
+from mufly.control.implementation import LATERAL_STATES
+from mufly.control.linear_systems import Array, LoopAnalysis, sample_plant, state_space
 from mufly.control.loop_margins import DiskMargin, disk_margin, input_noise
 from mufly.control.robust.parameter_robustness import analyse_parameter_robustness
 from mufly.control.synthesis_methods import METHOD_NAMES, SynthesisMethod
 from mufly.control.weighting_schemes import DesignSettings
+from mufly.dynamics import Linearisation, dryden_filter, linearise_vehicle
 from mufly.results import ShownBlock, result, show_lines, show_table
 from mufly.vehicle import Vehicle
 
@@ -31,6 +38,8 @@ HEIGHT_NOISE_M = 0.003
 """Deviation of the estimated height from sample to sample."""
 DEFAULT_GYRO_NOISE_RAD_S = float(np.radians(0.3))
 """Deviation of a gyro's sample on a vehicle without a modelled IMU."""
+GUST_m_s, GUST_LENGTH_m = 0.5, 1.0
+"""Deviation and length scale of the gusts."""
 LARGEST_PEAK_DB = 6.0
 _SAME_DISK_MARGIN = 0.05
 
@@ -86,12 +95,13 @@ class FlightFigures:
 
 @result
 class MethodFigures:
-    """One method: its two loops, its cascade's peak and its flights (None if none are flown)."""
+    """One method: its two loops, its cascade's peak, its tilt in gusts and its flights (None if none are flown)."""
 
     method: SynthesisMethod
     heave_yaw: LoopFigures
     roll_pitch: LoopFigures
     cascade_peak_dB: float
+    gust_tilt_rad: float
     flights: FlightFigures | None = None
 
     @property
@@ -140,11 +150,10 @@ class ControllerComparison:
 
     def shown_blocks(self) -> list[ShownBlock]:
         """Return the table of both loops and of flights, and the verdict."""
-        heads = ("", "gamma", "S_u", "T_u", "GM", "PM", "DM", "disk", "mu", "noise", "n", "MAC")
-        units = ("", "", "dB", "dB", "dB", "deg", "ms", "", "", "%", "", "")
+        heads = ("", "gamma", "S_u", "T_u", "GM", "PM", "DM", "disk", "mu", "noise", "gust", "n", "MAC")
         blocks: list[ShownBlock] = []
         for title, part in (("roll-pitch", "roll_pitch"), ("heave-yaw", "heave_yaw")):
-            rows: list[tuple[str, ...]] = [units]
+            rows: list[tuple[str, ...]] = [("", "", "dB", "dB", "dB", "deg", "ms", "", "", "%", "deg", "", "")]
             for m in self.methods:
                 loop: LoopFigures = getattr(m, part)
                 s = loop.sampled
@@ -153,6 +162,7 @@ class ControllerComparison:
                         m.label, f"{loop.norm:.3f}", f"{s.sensitivity_peak_dB:.2f}", f"{s.complementary_peak_dB:.2f}",
                         f"{s.gain_margin_dB:.1f}", f"{s.phase_margin_deg:.0f}", f"{1e3 * s.delay_margin_s:.0f}",
                         f"{loop.disk.margin:.2f}", f"{loop.mu_upper:.2f}", f"{100 * loop.input_noise:.2f}",
+                        f"{np.degrees(m.gust_tilt_rad):.2f}" if part == "roll_pitch" else "-",
                         f"{loop.order}", f"{loop.multiply_adds}",
                     )
                 )  # fmt: skip
@@ -202,6 +212,60 @@ def loop_figures(vehicle: Vehicle, design: ControllerDesign, mu: tuple[float, fl
     )
 
 
+def gust_response(linear: Linearisation, controller: FlightController) -> float:
+    """Return the larger deviation of roll and pitch (rad) in Dryden gusts, while the position is held.
+
+    The velocity relative to the air drives the linear model, so a gust enters by the negative columns of the velocities
+    in all rows but those of the position. North and east have the lateral spectrum of ``dynamics.DrydenWind`` with
+    :data:`GUST_m_s`, :data:`GUST_LENGTH_m` and a convection speed of 0.5 m/s. Roll-pitch is sampled with one period of
+    delay. The velocity controller is sampled at the same rate instead of a quarter of it, which changes the tilt by
+    0.8 % (mufly-1.1). The covariance X of the whole loop solves ``X = A X A' + B B'``.
+
+    Returns
+    -------
+    float
+        ``inf`` for an unstable loop.
+    """
+    T, full, design = controller.period_s, linear.full, controller.roll_pitch
+    names, inputs = list(full.state_labels), list(full.input_labels)
+    kept = [names.index(name) for name in LATERAL_STATES]
+    gusts = -full.A[np.ix_(kept, [names.index("u"), names.index("v")])]
+    gusts[[LATERAL_STATES.index("x"), LATERAL_STATES.index("y")]] = 0.0
+    B = np.hstack([full.B[np.ix_(kept, [inputs.index(name) for name in design.plant.input_labels])], gusts])
+    plant = state_space(
+        full.A[np.ix_(kept, kept)], B, np.eye(len(kept)), np.zeros(B.shape),
+        inputs=[*design.plant.input_labels, "gust_u", "gust_v"], outputs=LATERAL_STATES,
+    )  # fmt: skip
+    held, K = sample_plant(plant, T), design.discrete.to_state_space()
+    V = control.sample_system(controller.velocity.reduced, T, method="bilinear")
+    F, scale, output, _ = dryden_filter(GUST_LENGTH_m / 0.5, T)
+    # Rows that make errors of the velocity controller and of roll-pitch from the state, and from tilt references.
+    mix = np.zeros((2, len(kept)))
+    for i, (place, speed) in enumerate((("x", "u"), ("y", "v"))):
+        mix[i, LATERAL_STATES.index(place)] = -controller.settings.position_gain
+        mix[i, LATERAL_STATES.index(speed)] = -1.0
+    measured = np.zeros((4, len(kept)))
+    measured[range(4), [LATERAL_STATES.index(name) for name in design.plant.output_labels]] = -1.0
+    tilt = np.eye(4, 2)
+    n, m, c, k = len(kept), 2, K.nstates, V.nstates
+    ends = np.cumsum([0, n, m, c, k, 4])
+    x, d, q, v, g = (slice(int(i), int(j)) for i, j in pairwise(ends))
+    A, noise = np.zeros((ends[-1], ends[-1])), np.zeros((ends[-1], 4))
+    error = np.zeros((4, ends[-1]))
+    error[:, x], error[:, v] = measured + tilt @ V.D @ mix, tilt @ V.C
+    A[x, x], A[x, d] = held.A, held.B[:, :m]  # the input of one period ago acts
+    A[x, g] = held.B[:, m:] @ np.kron(np.eye(2), GUST_m_s * np.asarray(output)[None])
+    A[d], A[q] = K.D @ error, K.B @ error
+    A[d, q] += K.C
+    A[q, q] += K.A
+    A[v, v], A[v, x] = V.A, V.B @ mix
+    A[g, g], noise[g] = np.kron(np.eye(2), F), np.kron(np.eye(2), scale)
+    if np.abs(np.linalg.eigvals(A)).max() >= 1.0:
+        return float("inf")
+    X = linalg.solve_discrete_lyapunov(A, noise @ noise.T)
+    return float(np.sqrt(max(X[i, i] for i in map(LATERAL_STATES.index, ("phi", "theta")))))
+
+
 def compare_methods(
     vehicle: Vehicle,
     methods: Sequence[SynthesisMethod],
@@ -241,6 +305,7 @@ def compare_methods(
         if progress is not None:
             progress(k, len(methods))
         c = design_flight_controller(vehicle, settings=replace(base, method=method))
+        linear = linearise_vehicle(vehicle, voltage=c.voltage_V)
         robust = analyse_parameter_robustness(vehicle, c, points=points)
         rows.append(
             MethodFigures(
@@ -248,6 +313,7 @@ def compare_methods(
                 loop_figures(vehicle, c.heave_yaw, (robust.heave_yaw.peak, robust.heave_yaw.lower)),
                 loop_figures(vehicle, c.roll_pitch, (robust.roll_pitch.peak, robust.roll_pitch.lower)),
                 c.cascade.sensitivity_peak_dB,
+                gust_response(linear, c),
             )
         )
         controllers[method] = c
@@ -255,6 +321,49 @@ def compare_methods(
             progress(k + 1, len(methods))
     rate = next(iter(controllers.values())).rate_Hz
     return judge_comparison(vehicle.name, rate, rows), controllers
+
+
+def comparison_dataset(comparison: ControllerComparison) -> xr.Dataset:
+    """Return the figures over controller (by method) and loop, and flights over controller."""
+    loops = ("roll-pitch", "heave-yaw")
+
+    def over_loops(figure: Callable[[LoopFigures], float]) -> tuple[tuple[str, str], list[list[float]]]:
+        return ("controller", "loop"), [
+            [float(figure(x)) for x in (m.roll_pitch, m.heave_yaw)] for m in comparison.methods
+        ]
+
+    variables: dict[str, Any] = {
+        "gamma": over_loops(lambda x: x.norm),
+        "sensitivity_peak_dB": over_loops(lambda x: x.sampled.sensitivity_peak_dB),
+        "complementary_peak_dB": over_loops(lambda x: x.sampled.complementary_peak_dB),
+        "gain_margin_dB": over_loops(lambda x: x.sampled.gain_margin_dB),
+        "phase_margin_deg": over_loops(lambda x: x.sampled.phase_margin_deg),
+        "delay_margin_s": over_loops(lambda x: x.sampled.delay_margin_s),
+        "disk_margin": over_loops(lambda x: x.disk.margin),
+        "mu_upper": over_loops(lambda x: x.mu_upper),
+        "mu_lower": over_loops(lambda x: x.mu_lower),
+        "input_noise": over_loops(lambda x: x.input_noise),
+        "order": over_loops(lambda x: x.order),
+        "multiply_adds": over_loops(lambda x: x.multiply_adds),
+        "cascade_peak_dB": ("controller", [m.cascade_peak_dB for m in comparison.methods]),
+        "gust_tilt_rad": ("controller", [m.gust_tilt_rad for m in comparison.methods]),
+    }
+    flown = [m.flights for m in comparison.methods]
+    if any(f is not None for f in flown):
+        variables["flights"] = "controller", [0.0 if f is None else float(f.flights) for f in flown]
+        variables["successes"] = "controller", [0.0 if f is None else float(f.successes) for f in flown]
+        variables["overshoot_p95_m"] = (
+            "method",
+            [np.nan if f is None or f.overshoot_p95_m is None else f.overshoot_p95_m for f in flown],
+        )
+    return xr.Dataset(
+        variables,
+        {"controller": [m.method for m in comparison.methods], "loop": list(loops)},
+        {
+            "vehicle": comparison.vehicle_name, "rate_Hz": comparison.rate_Hz,
+            "recommended": comparison.recommended, "verdict": comparison.verdict,
+        },
+    )  # fmt: skip
 
 
 def judge_comparison(vehicle_name: str, rate_Hz: float, rows: Sequence[MethodFigures]) -> ControllerComparison:
