@@ -65,7 +65,7 @@ READY_S = 0.5
 ARMING_PATIENCE_S = 4.0
 """Simulated time of a refused arming after which Betaflight is asked for its reasons (s)."""
 _PILOT_PERIODS = round(BETAFLIGHT_RATE_HZ / PILOT_RATE_HZ)
-_RESEND_S, _WAIT_S, _PROBE_S = 0.1, 0.02, 0.1
+_RESEND_S, _WAIT_S, _PROBE_S = 0.1, 0.02, 0.5
 _ARMED_US = LEAST_US + 500.0 * MOTOR_IDLE
 _MAX_SPEED = 1.0
 _SEEN_SENSORS = ("imu", "pressure")
