@@ -9,8 +9,9 @@ better.
 
 Compared with, in the same run: the same sum in NumPy (chunks that fit the cache), and what the machine could do at
 best. An interaction takes two 1/sqrt(x) and a 1/x, all through one unit of a core, and 77 additions and
-multiplications; loops that do nothing else, on data in the first cache, give two limits, and the lower one binds. The
-solver's sum is in single precision, twice as wide in the registers; its limits are those of the same loops.
+multiplications (61 in single precision). Loops that do nothing else, on data in the first cache, give two limits, and
+the lower one binds. The solver's sum is in single precision, twice as wide in the registers; its limits are those of
+the same loops.
 """
 
 from __future__ import annotations
@@ -26,11 +27,11 @@ import numpy as np
 from numba import njit
 
 from mufly.rotor import OperatingCondition, RotorSystem, load_rotor, prepare_blading, solve_system
-from mufly.rotor.wake import WakeSettings
+from mufly.rotor.wake import WakeSettings, biot_savart
 from mufly.rotor.wake.biot_savart import convert_to_single, induce_velocity, make_segments
 
 RPM = math.pi / 30
-OPERATIONS = 77  # additions and multiplications an interaction, counted in wake/kernel.py
+OPERATIONS = {"double": 77, "single": 61}  # additions and multiplications an interaction, in wake/biot_savart.py
 
 
 def best(task: Callable[[], object], repeats: int = 5) -> float:
@@ -87,8 +88,8 @@ def _products(x, y, half, one, rounds):  # type: ignore[no-untyped-def]
 PRODUCTS = 34  # additions and multiplications of one pass of the loop above
 
 
-def report_kernel() -> None:
-    """Interactions a second against NumPy and against the machine."""
+def report_kernel() -> float:
+    """Interactions a second against NumPy and against the machine; return those of one thread, in single precision."""
     rng = np.random.default_rng(1)
     paths = np.cumsum(rng.normal(size=(25, 201, 3)), axis=1) * 0.01
     segments = make_segments(paths, np.full((25, 200), 0.01), rng.normal(size=25))
@@ -129,10 +130,11 @@ def report_kernel() -> None:
     print(f"the same sum in NumPy, one thread       {peer:8.4f} G/s: the kernel is {single / peer:.0f} times as fast")
     for name, rate, word in (("double", double, ""), ("single", single, " single")):
         roots = 1e-9 * 1024 * rounds / times["roots" + word]
-        products = 1e-9 * 1024 * rounds * PRODUCTS / times["products" + word] / OPERATIONS
+        products = 1e-9 * 1024 * rounds * PRODUCTS / times["products" + word] / OPERATIONS[name]
         print(f"one thread, {name} precision            {rate:8.3f} G/s")
         print(f"  limit by roots and divisions          {roots:8.3f} G/s, of which {100 * rate / roots:.0f} %")
         print(f"  limit by products and sums            {products:8.3f} G/s, of which {100 * rate / products:.0f} %")
+    return 1e9 * single
 
 
 def report_iteration() -> None:
@@ -172,25 +174,35 @@ def report_iteration() -> None:
     print(f"exponent of the four largest             {slope:8.2f} (target: 2 at most)")
 
 
-def report_solutions() -> None:
-    """Time to a converged rotor and pair, from nothing, and from a neighbour."""
+def report_solutions(rate: float) -> None:
+    """Time to a converged rotor and pair, from nothing, and from a neighbour; ``rate`` of the kernel (1/s)."""
+    kernel, interactions = biot_savart._grouped_kernel_single, 0
+
+    def count(points: np.ndarray, rows: np.ndarray, out: np.ndarray) -> None:
+        nonlocal interactions
+        interactions += points.shape[0] * rows[0].size
+        kernel(points, rows, out)
+
+    biot_savart._grouped_kernel_single = count
     blade, pitch = prepare_blading(load_rotor("naca0012-r60-c20")), math.radians(14)
     single, pair = RotorSystem.single_rotor(blade), RotorSystem.coaxial_pair(blade, blade, spacing_m=0.02)
     start, work = time.perf_counter(), time.process_time()
     one = solve_system(single, OperatingCondition(pitch, 6000 * RPM), "wake")
-    first, work = time.perf_counter() - start, time.process_time() - work
+    first, work, least = time.perf_counter() - start, time.process_time() - work, interactions / rate
     start = time.perf_counter()
     near = solve_system(single, OperatingCondition(1.03 * pitch, 6000 * RPM), "wake", start=one)
     again = time.perf_counter() - start
     print(f"\none rotor                                {first:8.1f} s, {work:.1f} s of processor time (target 3)")
+    print(f"  its interactions at the kernel's rate  {least:8.1f} s")
     print(f"from a neighbour, 3 % more pitch         {again:8.1f} s: {near.message}")
-    start, work = time.perf_counter(), time.process_time()
+    interactions, start, work = 0, time.perf_counter(), time.process_time()
     two = solve_system(pair, OperatingCondition(pitch, (6000 * RPM, 6650 * RPM)), "wake")
-    first, work = time.perf_counter() - start, time.process_time() - work
+    first, work, least = time.perf_counter() - start, time.process_time() - work, interactions / rate
     start = time.perf_counter()
     near = solve_system(pair, OperatingCondition(pitch, (6000 * RPM, 6500 * RPM)), "wake", start=two)
     again = time.perf_counter() - start
     print(f"a pair                                   {first:8.1f} s, {work:.1f} s of processor time (target 7)")
+    print(f"  its interactions at the kernel's rate  {least:8.1f} s")
     print(f"from a neighbour, 2 % less speed below   {again:8.1f} s: {near.message}")
 
 
@@ -198,16 +210,20 @@ def main() -> None:
     """Print the numbers."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--short", action="store_true", help="leave out the solutions")
+    parser.add_argument("--solutions", action="store_true", help="leave out the cost of an iteration")
     args = parser.parse_args()
     load = os.getloadavg()[0]
     print(
         f"{os.cpu_count()} cores, load of the machine {load:.1f}"
         + (" (busy: ratios hold, rates do not)" if load > 0.5 else "")
     )
-    report_kernel()
+    rate = report_kernel()
+    if args.solutions:
+        report_solutions(rate)
+        return
     report_iteration()
     if not args.short:
-        report_solutions()
+        report_solutions(rate)
 
 
 if __name__ == "__main__":

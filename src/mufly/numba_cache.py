@@ -32,6 +32,9 @@ from numba.core import config
 from numba.core.caching import CacheImpl, _CacheLocator
 from numpy.typing import NDArray
 
+# Idle threads of a parallel function sleep instead of spinning: a wake on a busy machine takes half the processor time.
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # read when Numba loads its threads
+
 UNUSED_CACHE_DAYS = 30.0
 _PACKAGE_FOLDER = Path(__file__).resolve().parent
 _IMPORT_PATTERN = re.compile(r"^[ \t]*from (mufly[\w.]*) import (\([^)]*\)|[^\n]*)|^[ \t]*import (mufly[\w.]*)", re.M)

@@ -29,7 +29,13 @@ from mufly.rotor.wake import (
     momentum_thrust,
     solve_wake,
 )
-from mufly.rotor.wake.biot_savart import filament_influence, induce_velocity, make_segments
+from mufly.rotor.wake.biot_savart import (
+    convert_to_single,
+    filament_influence,
+    group_velocity,
+    induce_velocity,
+    make_segments,
+)
 from mufly.rotor.wake.lifting_surface import (
     compute_core_radii,
     extend_filaments,
@@ -127,6 +133,23 @@ def test_influence_times_strength_is_velocity():
         rtol=1e-9,
         atol=1e-12,
     )
+
+
+def test_single_precision_agrees_with_double_at_ends_of_segments_and_far_away():
+    # Beside an end of a long segment the squared distance to that end is a small difference of large numbers.
+    rng = np.random.default_rng(2)
+    paths = 1e-3 * rng.normal(size=(3, 6, 3))
+    paths[1, 3] = paths[1, 2]  # a segment without length
+    core, strength = np.full((3, 5), 1e-5), rng.normal(size=3)
+    beside = paths.reshape(-1, 3) + 2e-5 * rng.normal(size=(18, 3))
+    segments = make_segments(paths, core, strength)
+    for points, error in ((beside, 3e-5), (paths.reshape(-1, 3), 2e-4), (1e3 * beside, 5e-4)):
+        exact = induce_velocity(points, segments)
+        single = convert_to_single(segments, 3)
+        np.testing.assert_allclose(induce_velocity(points, single), exact, atol=error * np.max(np.abs(exact)))
+        each = convert_to_single(make_segments(paths, core, np.ones(3)), 3)
+        together = np.einsum("ijc,j->ic", group_velocity(points, each), strength)
+        np.testing.assert_allclose(together, exact, atol=error * np.max(np.abs(exact)))
 
 
 # Shape

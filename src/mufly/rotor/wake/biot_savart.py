@@ -60,41 +60,35 @@ def segment_velocity(px, py, pz, x0, y0, z0, x1, y1, z1, core):  # type: ignore[
 
 
 _segment_velocity = njit(inline="always", fastmath=True, error_model="numpy")(segment_velocity)
-_ONE, _HALF, _GUARD_SINGLE = np.float32(1.0), np.float32(0.5), np.float32(1e-30)
-
-
-@njit(inline="always", fastmath=True, error_model="numpy")
-def _segment_velocity_single(px, py, pz, x0, y0, z0, x1, y1, z1, core):  # type: ignore[no-untyped-def]
-    """Return :func:`segment_velocity` in single precision, with the cross product a x b = l x a, free of cancellation
-    between distant points."""
-    ax, ay, az = px - x0, py - y0, pz - z0
-    bx, by, bz = px - x1, py - y1, pz - z1
-    lx, ly, lz = x1 - x0, y1 - y0, z1 - z0
-    cx, cy, cz = az * ly - ay * lz, ax * lz - az * lx, ay * lx - ax * ly
-    ra = _ONE / np.sqrt(ax * ax + ay * ay + az * az + core)
-    rb = _ONE / np.sqrt(bx * bx + by * by + bz * bz + core)
-    along_a = (lx * ax + ly * ay + lz * az) * ra
-    along_b = (lx * bx + ly * by + lz * bz) * rb
-    thick = core * (lx * lx + ly * ly + lz * lz)
-    e = _ONE / (cx * cx + cy * cy + cz * cz + thick + _GUARD_SINGLE)
-    f = e * ((along_a - along_b) * (_ONE + thick * e) + _HALF * core * (along_a * ra * ra - along_b * rb * rb))
-    return f * cx, f * cy, f * cz
+_ONE, _HALF, _GUARD_SINGLE = np.float32(1.0), np.float32(0.5), 1e-30
 
 
 @cached_njit(parallel=True, fastmath=True, error_model="numpy")
-def _induce_kernel_single(points: Any, start: Any, end: Any, strength: Any, core: Any, out: Array) -> None:
+def _grouped_kernel_single(points: Any, rows: Any, out: Array) -> None:
+    # As segment_velocity, but the terms of the segment alone are given: 61 operations instead of 77. The cross product
+    # a x b = l x a is free of cancellation between distant points.
     zero = np.float32(0.0)
     for i in prange(points.shape[0]):
         px, py, pz = points[i, 0], points[i, 1], points[i, 2]
-        sx, sy, sz = zero, zero, zero
-        for k in range(start.shape[1]):
-            vx, vy, vz = _segment_velocity_single(
-                px, py, pz, start[0, k], start[1, k], start[2, k], end[0, k], end[1, k], end[2, k], core[k]
-            )
-            sx += strength[k] * vx
-            sy += strength[k] * vy
-            sz += strength[k] * vz
-        out[i, 0], out[i, 1], out[i, 2] = sx, sy, sz
+        for j in range(rows.shape[1]):
+            sx, sy, sz = zero, zero, zero
+            for k in range(rows.shape[2]):
+                ax, ay, az = px - rows[0, j, k], py - rows[1, j, k], pz - rows[2, j, k]
+                lx, ly, lz = rows[3, j, k], rows[4, j, k], rows[5, j, k]
+                core, thick = rows[7, j, k], rows[8, j, k]
+                cx, cy, cz = az * ly - ay * lz, ax * lz - az * lx, ay * lx - ax * ly
+                along_a = lx * ax + ly * ay + lz * az
+                along_b = along_a - rows[6, j, k]
+                bx, by, bz = ax - lx, ay - ly, az - lz
+                ra = _ONE / np.sqrt(ax * ax + ay * ay + az * az + core)
+                rb = _ONE / np.sqrt(bx * bx + by * by + bz * bz + core)
+                e = _ONE / (cx * cx + cy * cy + cz * cz + thick)
+                g, h = _ONE + thick * e, _HALF * core
+                f = rows[9, j, k] * e * (along_a * ra * (g + h * ra * ra) - along_b * rb * (g + h * rb * rb))
+                sx += f * cx
+                sy += f * cy
+                sz += f * cz
+            out[i, j, 0], out[i, j, 1], out[i, j, 2] = sx, sy, sz
 
 
 @cached_njit(parallel=True, fastmath=True, error_model="numpy")
@@ -155,31 +149,47 @@ def make_segments(paths: Array, core: Array, strength: Array) -> tuple[Array, Ar
 
 
 class SingleSegments(NamedTuple):
-    """Segments of :func:`make_segments` in single precision; lengths are over ``length_m``, against underflow."""
+    """Segments in single precision, in groups; lengths are over ``length_m``, against underflow.
+
+    ``rows``, (10, groups, segments): start, line to the end, its square, s^2, s^2 times that square, circulation.
+    """
 
     length_m: float
-    arrays: tuple[Any, Any, Any, Any]
+    rows: Any
 
 
-def convert_to_single(segments: tuple[Array, Array, Array, Array]) -> SingleSegments:
-    """Return segments in single precision for :func:`induce_velocity`."""
+def convert_to_single(segments: tuple[Array, Array, Array, Array], groups: int = 1) -> SingleSegments:
+    """Return the segments of :func:`make_segments` in single precision, in groups of equal size."""
     start, end, strength, core = segments
     length = max(float(np.abs(start).max(initial=0.0)), 1e-30)
-    parts = (start / length, end / length, strength / length, core / length**2)
-    a, b, c, d = (np.ascontiguousarray(v, dtype=np.float32) for v in parts)
-    return SingleSegments(length, (a, b, c, d))
+    rows = np.empty((10, strength.size), dtype=np.float32)
+    rows[:3] = start / length
+    # Between rounded ends: a point at the end of a segment stays on its line.
+    rows[3:6] = (end / length).astype(np.float32) - rows[:3]
+    rows[6] = np.sum(rows[3:6].astype(np.float64) ** 2, axis=0)
+    rows[7] = core / length**2
+    rows[8] = rows[6] * rows[7] + _GUARD_SINGLE
+    rows[9] = strength / length
+    return SingleSegments(length, rows.reshape(10, groups, -1))
 
 
 def induce_velocity(points: Array, segments: tuple[Array, Array, Array, Array] | SingleSegments) -> Array:
     """Return the velocity (m/s) at points (m, 3) due to the segments of :func:`make_segments`.
 
-    Segments of :func:`convert_to_single` take half the time; the error is 1e-5 of the greatest velocity.
+    Segments of :func:`convert_to_single` take a quarter of the time; the error is 1e-5 of the greatest velocity.
     """
-    out = np.empty((points.shape[0], 3))
     if isinstance(segments, SingleSegments):
-        _induce_kernel_single((points / segments.length_m).astype(np.float32), *segments.arrays, out)
-    else:
-        _induce_kernel(np.ascontiguousarray(points), *segments, out)
+        velocity = group_velocity(points, segments)
+        return velocity[:, 0] if velocity.shape[1] == 1 else velocity.sum(axis=1)
+    out = np.empty((points.shape[0], 3))
+    _induce_kernel(np.ascontiguousarray(points), *segments, out)
+    return out
+
+
+def group_velocity(points: Array, segments: SingleSegments) -> Array:
+    """Return the velocity (m/s) at points (m, 3) due to each group of segments: (m, groups, 3) array."""
+    out = np.empty((points.shape[0], segments.rows.shape[1], 3))
+    _grouped_kernel_single((points / segments.length_m).astype(np.float32), segments.rows, out)
     return out
 
 

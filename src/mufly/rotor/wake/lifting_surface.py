@@ -74,6 +74,7 @@ from mufly.rotor.wake.biot_savart import filament_influence
 
 Array = NDArray[np.float64]
 
+CHORDWISE_CORE_RADII = 1e-4  # R; core of the trailing vortices on the chord
 _MAX_ALPHA_STEP_RAD = 0.05  # rad; greatest Newton step, keeps a panel on its branch of the polar
 _CIRCULATION_TOLERANCE = 1e-9  # of the greatest circulation
 _MAX_ITERATIONS = 200
@@ -136,22 +137,22 @@ def make_lifting_surface(blading: Blading, which: int, pitch_rad: float, speed_r
     )
 
 
-def rotate_vectors(vectors: Array, angle_rad: float) -> Array:
-    """Return vectors (..., 3) rotated about the shaft."""
-    c, s = math.cos(angle_rad), math.sin(angle_rad)
-    out = np.empty_like(vectors)
-    out[..., 0] = c * vectors[..., 0] - s * vectors[..., 1]
-    out[..., 1] = s * vectors[..., 0] + c * vectors[..., 1]
-    out[..., 2] = vectors[..., 2]
+def rotate_vectors(vectors: Array, angle_rad: float | NDArray[Any]) -> Array:
+    """Return vectors (..., 3) rotated about the shaft; angles broadcast against (...)."""
+    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    first = c * x - s * y
+    out = np.empty((*first.shape, 3))
+    out[..., 0], out[..., 1], out[..., 2] = first, s * x + c * y, z
     return out
 
 
 def sum_over_blades(points: Array, blades: int, one: Callable[[Array], Array]) -> Array:
-    """Return the velocity or influence of all blades at points, given the function of one blade."""
-    total = one(points)
-    for b in range(1, blades):
-        angle = 2.0 * math.pi * b / blades
-        total += rotate_vectors(one(rotate_vectors(points, -angle)), angle)
+    """Return the velocity or influence of all blades at points (m, 3), given the function of one blade."""
+    angle = 2.0 * math.pi / blades * np.arange(blades)[:, None]
+    each = one(rotate_vectors(points, -angle).reshape(-1, 3))
+    each = each.reshape(blades, len(points), *each.shape[1:])
+    total: Array = rotate_vectors(each, angle.reshape(blades, *[1] * (each.ndim - 2))).sum(axis=0)
     return total
 
 
@@ -431,5 +432,5 @@ def compute_core_radii(
     spread = 4.0 * _LAMB_OSEEN_ALPHA * (viscosity_m2_s + _SQUIRE_COEFFICIENT * np.abs(strength)) / surface.speed_rad_s
     breakdown = (limit * surface.radius_m) ** 2 * (1.0 - np.exp(-((_BREAKDOWN_PER_RAD * middle) ** 2)))
     core2 = first2[:, None] + spread[:, None] * middle + breakdown
-    core2[:, 0] = (1e-4 * surface.radius_m) ** 2
+    core2[:, 0] = (CHORDWISE_CORE_RADII * surface.radius_m) ** 2
     return np.sqrt(core2)

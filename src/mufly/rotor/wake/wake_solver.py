@@ -23,6 +23,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -40,8 +41,15 @@ from mufly.rotor.rotor_system import (
     check_rotors,
 )
 from mufly.rotor.vortex_tube import swirl_influence
-from mufly.rotor.wake.biot_savart import convert_to_single, filament_influence, induce_velocity, make_segments
+from mufly.rotor.wake.biot_savart import (
+    convert_to_single,
+    filament_influence,
+    group_velocity,
+    induce_velocity,
+    make_segments,
+)
 from mufly.rotor.wake.lifting_surface import (
+    CHORDWISE_CORE_RADII,
     BladeState,
     bound_influence,
     chordwise_leg_points,
@@ -373,11 +381,16 @@ class RotorState:
         ground = math.inf if settings.ground_m is None else settings.ground_m
         self.ground_z_m = -(ground + placed.height_m)
         self.evaluation_points_m = np.concatenate([s.control_points_m, s.quarter_chord_m, chordwise_leg_points(s)])
-        self.bound_influence_matrix = self.add_ground_image(self.evaluation_points_m, lambda p: bound_influence(s, p))
         # Circulation of the filament at edge j, towards the wake: inboard panel less outboard panel.
         self.shed_matrix = np.zeros((n + 1, n))
         self.shed_matrix[np.arange(n), np.arange(n)] = -1.0
         self.shed_matrix[np.arange(1, n + 1), np.arange(n)] = 1.0
+        # Bound vortices and the trailing vortices on the chord do not move.
+        chordwise = np.stack([s.edge_quarter_chord_m, s.trailing_edge_m], axis=1)
+        core = np.full((n + 1, 1), CHORDWISE_CORE_RADII * s.radius_m)
+        self.blade_influence_matrix = self.add_ground_image(
+            self.evaluation_points_m, lambda p: bound_influence(s, p)
+        ) + self.circulation_influence(lambda p: filament_influence(p, chordwise, core))
         self.blade_state: BladeState | None = None
         self.quarter_chord_wind_m_s = np.zeros((n, 3))
         self.next_free_points_m = self.free_points_m
@@ -401,6 +414,14 @@ class RotorState:
         if math.isfinite(self.ground_z_m):
             points[..., 2] = np.maximum(points[..., 2], self.ground_z_m + _MIN_GROUND_CLEARANCE * self.surface.radius_m)
         return points
+
+    def circulation_influence(self, one: Callable[[Array], Array]) -> Array:
+        """Return the velocity at the evaluation points per panel circulation, (m, panels, 3), given the velocity of one
+        blade's filaments of unit circulation, (m, filaments, 3), at points."""
+        legs = self.add_ground_image(
+            self.evaluation_points_m, lambda x: sum_over_blades(x, self.surface.blade_count, one)
+        )
+        return np.einsum("ijc,jk->ikc", legs, self.shed_matrix)
 
     def filament_circulation(self) -> Array:
         return (
@@ -445,18 +466,17 @@ class RotorState:
         gamma = (
             self.blade_state.circulation_m2_s if self.blade_state is not None else np.zeros(self.shed_matrix.shape[1])
         )
-        self.vortex_segments = self.pack_segments(
-            collect_segments(self.surface, self.filament_paths_m, self.core_radius_m, strength, gamma)
-        )
-        core = compute_core_radii(self.surface, self.coarse_ages_rad, strength, viscosity, settings.core, limit)
-        self.coarse_segments = self.pack_segments(
-            collect_segments(self.surface, self.coarse_paths_m, core, strength, gamma)
-        )
+        coarse = compute_core_radii(self.surface, self.coarse_ages_rad, strength, viscosity, settings.core, limit)
+        wakes = ((self.filament_paths_m, self.core_radius_m), (self.coarse_paths_m, coarse))
+        self._collect = [partial(collect_segments, self.surface, *wake, strength, gamma) for wake in wakes]
+        self._packed: list[Any] = [None, None]  # on first use
 
     def induced_velocity(self, points: Array, *, few: bool = False) -> Array:
         """Return the velocity induced by this rotor at points of its own frame; ``few`` selects the wake with coarse
         chords."""
-        vortices = self.coarse_segments if few else self.vortex_segments
+        if self._packed[few] is None:
+            self._packed[few] = self.pack_segments(self._collect[few]())
+        vortices = self._packed[few]
         return self.add_ground_image(
             points,
             lambda x: sum_over_blades(x, self.surface.blade_count, lambda p: self.induce_function(p, vortices)),
@@ -482,18 +502,12 @@ def collect_segments(
     return start, end, strengths, cores
 
 
-def circulation_influence(unit: RotorState) -> Array:
-    """Return the velocity at the rotor's control and quarter chord points per panel circulation, from blades and
-    wake."""
-    legs = unit.add_ground_image(
-        unit.evaluation_points_m,
-        lambda x: sum_over_blades(
-            x,
-            unit.surface.blade_count,
-            lambda p: filament_influence(p, unit.filament_paths_m, unit.core_radius_m),
-        ),
-    )
-    return unit.bound_influence_matrix + np.einsum("ijc,jk->ikc", legs, unit.shed_matrix)
+def wake_influence(unit: RotorState) -> Array:
+    """Return the velocity at the rotor's evaluation points per panel circulation, from the wake behind the trailing
+    edges."""
+    paths, core = unit.filament_paths_m[:, 1:], unit.core_radius_m[:, 1:]
+    wake = convert_to_single(make_segments(paths, core, np.ones(len(paths))), len(paths))
+    return unit.circulation_influence(lambda p: group_velocity(p, wake))
 
 
 def _to_frame(points: Array, of: RotorState, other: RotorState) -> Array:
@@ -505,12 +519,13 @@ def _to_frame(points: Array, of: RotorState, other: RotorState) -> Array:
 
 
 def mutual_inflow_at(
-    target: RotorState, source: RotorState, points: Array, azimuth_rad: float, *, few: bool = False
+    target: RotorState, source: RotorState, points: Array, azimuth_rad: float | NDArray[Any], *, few: bool = False
 ) -> Array:
-    """Return the velocity induced at points of the target's frame by another rotor at a given azimuth of its blade
-    1."""
-    there = _to_frame(points, target, source)
-    v = rotate_vectors(source.induced_velocity(rotate_vectors(there, -azimuth_rad), few=few), azimuth_rad)
+    """Return the velocity induced at points of the target's frame by another rotor at a given azimuth of its blade 1;
+    azimuths of shape (k, 1) give an array (k, points, 3)."""
+    there = rotate_vectors(_to_frame(points, target, source), -azimuth_rad)
+    v = source.induced_velocity(there.reshape(-1, 3), few=few).reshape(there.shape)
+    v = rotate_vectors(v, azimuth_rad)
     v[..., 1] *= target.placed.rotation_sign * source.placed.rotation_sign
     return v
 
@@ -518,10 +533,9 @@ def mutual_inflow_at(
 def mutual_inflow(target: RotorState, source: RotorState, points: Array, phases: int) -> Array:
     """Return the mutual inflow averaged over the relative azimuth; coarse chords suffice for the average."""
     step = 2.0 * math.pi / (phases * source.surface.blade_count)
-    total = np.zeros_like(points)
-    for k in range(phases):
-        total += mutual_inflow_at(target, source, points, (k + 0.5) * step, few=True)
-    return total / phases
+    azimuths = step * (np.arange(phases)[:, None] + 0.5)
+    average: Array = mutual_inflow_at(target, source, points, azimuths, few=True).mean(axis=0)
+    return average
 
 
 def drag_swirl_velocity(target: RotorState, source: RotorState, climb: float, phases: int) -> Array:
@@ -556,7 +570,7 @@ def solve_blade_loads(unit: RotorState, others: Array, air: Air, climb: float, s
     points."""
     s, p = unit.surface, unit.placed
     n = s.chord_m.size
-    matrix = circulation_influence(unit)
+    matrix = unit.blade_influence_matrix + wake_influence(unit)
     x = unit.evaluation_points_m
     own = np.stack([x[:, 1], -x[:, 0], np.zeros(len(x))], axis=1) * s.speed_rad_s  # air past the rotating blade
     wind = own + others
