@@ -291,3 +291,22 @@ def test_gurney_flap_lowers_the_tail_by_its_height():
     assert np.allclose(np.interp(ahead, *lowered.T), np.interp(ahead, *lower.T), atol=1e-6)
     assert np.allclose(flapped.coordinates[0], clean.coordinates[0])
     assert flapped.contour_hash() != clean.contour_hash()
+
+
+@pytest.mark.parametrize(("name", "percent"), [("naca4412", 18), ("naca6409", 4), ("e63", 12), ("clarky", 8)])
+def test_a_thickness_keeps_the_camber_and_scaled_heights_keep_a_flat_side(name, percent):
+    plain, thick, scaled = (load_airfoil(name + s) for s in ("", f"+thick{percent}", f"+scaled{percent}"))
+    ratio = percent / 100 / plain.thickness_ratio
+    for section in (thick, scaled):
+        assert section.thickness_ratio == pytest.approx(percent / 100, rel=2e-3)
+    assert thick.camber == pytest.approx(plain.camber, abs=2e-4)
+    assert thick.max_camber_position == pytest.approx(plain.max_camber_position, abs=0.02)
+    assert scaled.camber == pytest.approx(ratio * plain.camber, rel=1e-6)
+    np.testing.assert_allclose(scaled.coordinates[:, 1], ratio * plain.coordinates[:, 1], atol=1e-12)
+
+
+def test_thickness_of_a_naca_section_is_that_of_its_formula():
+    thin, formula = load_airfoil("naca4418+thick9"), load_airfoil("naca4409")
+    x = np.linspace(0.1, 0.98, 45)  # laid off normal to the mean line there, to the x axis here: it matters at the nose
+    for ours, theirs in zip(split_sides(thin.coordinates), split_sides(formula.coordinates), strict=True):
+        np.testing.assert_allclose(np.interp(x, *ours.T), np.interp(x, *theirs.T), atol=2.5e-3)

@@ -13,7 +13,8 @@ airfoil  ``airfoil``, ``section``: a name for each station; optional
 
 APC's ``...-PERF.PE0`` files name radius, number of blades, and for each station chord (inches), thickness ratio and
 twist (degrees). Below the table stand the airfoil inside a first radius and the airfoil outside a second. APC blends
-them in between; here the airfoil changes halfway. Each airfoil is scaled to the station's thickness in whole per cent.
+them in between; here the airfoil changes halfway. Each airfoil gets the station's thickness, in whole per cent, about
+its mean line.
 APC's radius is rounded to a hundredth of an inch; a last station within that distance is the tip. Airfoils without
 published coordinates (such as ``APC12``) are replaced by NACA 4412, which APC calls similar; a note reports it.
 Stations with a chord below a thousandth of the radius, as at pointed tips, are left out, and the last remaining station

@@ -123,7 +123,8 @@ def load_airfoil(name_or_path: str | Path) -> Airfoil:
     name_or_path : str or Path
         ``"naca4412"``, ``"NACA 23012"``, a name that :func:`database_airfoils` lists, or the path of a file in
         Selig's or Lednicer's order. With ``"+gurney1.5"`` appended, the section carries a Gurney flap of 1.5 %
-        of the chord on its lower side; with ``"+thick8"``, its heights are scaled so that it is 8 % thick.
+        of the chord on its lower side. With ``"+thick8"``, it is 8 % thick about its own mean line. With
+        ``"+scaled8"``, all its heights are scaled so that it is 8 % thick, which keeps a flat side flat.
 
     Raises
     ------
@@ -134,9 +135,10 @@ def load_airfoil(name_or_path: str | Path) -> Airfoil:
     base, plus, flap = text.rpartition("+gurney")
     if plus:
         return with_gurney(load_airfoil(base), _parse_percent(text, flap, "a Gurney flap", "a height", 8.0))
-    base, plus, thick = text.rpartition("+thick")
-    if plus:
-        return with_thickness(load_airfoil(base), _parse_percent(text, thick, "a section", "a thickness", 40.0))
+    for suffix, change in (("+thick", with_thickness), ("+scaled", with_scaled_heights)):
+        base, plus, thick = text.rpartition(suffix)
+        if plus:
+            return change(load_airfoil(base), _parse_percent(text, thick, "a section", "a thickness", 40.0))
     path = Path(name_or_path)
     if path.is_file():
         contour, words = read_custom_contour(path)
@@ -169,10 +171,33 @@ def _parse_percent(where: str, text: str, what: str, size: str, most: float) -> 
 
 
 def with_thickness(airfoil: Airfoil, thickness: float) -> Airfoil:
-    """Return the section with all heights, including camber, scaled to a thickness over chord."""
+    """Return the section with its thickness scaled about the mean line; the camber is kept.
+
+    The mean line halves the section normal to the x axis. So does the family of NACA Report 460, whose members share
+    mean lines.
+    """
+    half = 0.5 * thickness / airfoil.thickness_ratio
+    upper, lower = split_sides(airfoil.coordinates)
+    (x_u, y_u), (x_l, y_l) = upper.T, lower.T
+    opposite_l, opposite_u = np.interp(x_u, x_l, y_l), np.interp(x_l, x_u, y_u)
+    upper_side = np.column_stack((x_u, 0.5 * (y_u + opposite_l) + half * (y_u - opposite_l)))
+    lower_side = np.column_stack((x_l, 0.5 * (y_l + opposite_u) + half * (y_l - opposite_u)))
+    contour = np.concatenate((upper_side[::-1], lower_side[1:]))
+    return _renamed(airfoil, contour, "thick", thickness, "with a thickness of")
+
+
+def with_scaled_heights(airfoil: Airfoil, thickness: float) -> Airfoil:
+    """Return the section with all heights, including camber, scaled to a thickness over chord.
+
+    Propellers with Clark Y sections are made so (NACA Report 640): the lower side stays flat.
+    """
     scaled = airfoil.coordinates * [1.0, thickness / airfoil.thickness_ratio]
-    name = f"{airfoil.name}+thick{100 * thickness:g}"
-    return Airfoil(name, scaled, f"{airfoil.source}; scaled to a thickness of {100 * thickness:g} %")
+    return _renamed(airfoil, scaled, "scaled", thickness, "scaled to a thickness of")
+
+
+def _renamed(airfoil: Airfoil, contour: Array, suffix: str, thickness: float, word: str) -> Airfoil:
+    percent = f"{100 * thickness:g}"
+    return Airfoil(f"{airfoil.name}+{suffix}{percent}", contour, f"{airfoil.source}; {word} {percent} %")
 
 
 def with_gurney(airfoil: Airfoil, height: float) -> Airfoil:

@@ -50,7 +50,7 @@ SECTION_BY_PREFIX: dict[str, tuple[str, str, bool]] = {
     "da40": ("DA40x2, printed", SDA1075_FILE, True),  # published with its coordinates
     "nr640": (
         "NR640, printed",
-        "clarky+thick9",
+        "clarky+scaled9",
         True,
     ),  # NACA Report 640: Clark Y, 9 % thick over the outer half
     "apcff": ("APC", "naca4412", False),  # APC's own pages: close to NACA 4412 and Clark Y
@@ -61,8 +61,8 @@ SECTION_BY_PREFIX: dict[str, tuple[str, str, bool]] = {
     # and the zero-lift angle of the others is one degree beyond that of NACA 4412 and Clark Y
     "apc": ("APC", "naca5412", False),
     "gwssf": ("GWS slow-flyer", "naca5503", False),  # cambered plates
-    "gwsdd": ("GWS", "clarky+thick8", False),  # moulded, flat-bottomed; 1 mm on 12 mm of chord
-    "gws": ("GWS", "clarky+thick8", False),
+    "gwsdd": ("GWS", "clarky+scaled8", False),  # moulded, flat-bottomed; 1 mm on 12 mm of chord
+    "gws": ("GWS", "clarky+scaled8", False),
     "mi_": ("Micro Invent", "naca5503", False),  # thin sheet or shell, cambered: 5 % camber, 3 % thick
     "mit": ("Micro Invent", "naca5503", False),
     "pl_": ("Plantraco", "naca5503", False),
