@@ -256,6 +256,28 @@ def test_tubes_far_apart_and_of_one_rotor_are_blade_elements():
         )
 
 
+def test_touching_tubes_share_one_stream_and_only_swirl_favours_the_lower_rotor():
+    # Momentum theory at zero distance: two discs in one stream, as one rotor of twice the blades, share alike.
+    plain = {"tip_loss": "none", "hub_loss": False, "lifting_surface": False, "rotation": "none"}
+    double = solve_rotor(blading(Corrections(**plain, swirl=False), chord=0.01), pitch_rad=PITCH, speed_rad_s=SPEED)
+    both = tubes(1e-6, case=blading(Corrections(**plain, swirl=False), chord=0.005))
+    assert_allclose(both.thrust_N, double.thrust_N, rtol=0.02)
+    assert_allclose(both.lower.thrust_N, both.upper.thrust_N, rtol=0.02)
+    # The stream turns at once behind the upper disc, against the lower blades.
+    turned = tubes(1e-6, case=blading(Corrections(**plain), chord=0.005))
+    assert turned.lower.thrust_N > 1.05 * turned.upper.thrust_N
+
+
+def test_share_of_the_lower_rotor_follows_its_pitch_and_its_speed():
+    def share(pitch, speed=SPEED):
+        both = tubes(0.1 * 2 * R, pitch=pitch, speed=speed)
+        return both.lower.thrust_N / both.upper.thrust_N
+
+    # At equal speeds; balancing the torques turns the lower rotor faster, and its share rises.
+    assert share(0.15) < share(0.20) - 0.03 < share(0.25) - 0.06
+    assert share(0.25, (SPEED, 1.1 * SPEED)) > share(0.25) + 0.05
+
+
 def test_tubes_do_not_depend_on_stations_speed_or_where_they_start():
     coarse, fine = tubes(0.02), tubes(0.02, case=blading(stations=48))
     for a, b in zip(coarse.rotors, fine.rotors, strict=True):
