@@ -84,6 +84,15 @@ def test_the_time_stands_until_betaflight_answers_and_advances_by_a_period_with_
     session.await_event("position.jump")  # the SITL does not receive it
 
 
+def test_a_start_that_failed_is_named(plant, monkeypatch):
+    monkeypatch.setattr(betaflight_link, "START_S", 0.1)
+    session = Session(plant)
+    session.await_event("answers no state")
+    session.peer.answer()
+    session.await_event("Betaflight answers from")
+    session.close()
+
+
 def test_the_state_has_the_signs_of_betaflight_and_outputs_move_the_vehicle(session):
     peer, vehicle = session.peer, session.simulator.vehicle
     state = peer.answer()

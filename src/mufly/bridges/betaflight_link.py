@@ -62,6 +62,8 @@ SILENCE_S = 2.0
 """Wall-clock time without an answer after which Betaflight counts as silent (s)."""
 READY_S = 0.5
 """Wall-clock time that Betaflight's serial port has been open before it receives states (s)."""
+START_S = 10.0
+"""Wall-clock time that the port has been open without an answer, after which the start counts as failed (s)."""
 ARMING_PATIENCE_S = 4.0
 """Simulated time of a refused arming after which Betaflight is asked for its reasons (s)."""
 _PILOT_PERIODS = round(BETAFLIGHT_RATE_HZ / PILOT_RATE_HZ)
@@ -169,6 +171,7 @@ class BetaflightSimulator:
                 if self.state == "waiting":
                     if self._is_ready():
                         self._send()
+                        self._check_start()
                     self._wait(_WAIT_S)
                     self._receive()
                 else:
@@ -252,6 +255,13 @@ class BetaflightSimulator:
             else:
                 self._open_s = now_s if math.isnan(self._open_s) else self._open_s
         return now_s - self._open_s >= READY_S
+
+    def _check_start(self) -> None:
+        """Report a start that failed: the clock of some stands still from the beginning."""
+        if self._clock() - self._open_s > START_S:
+            self._warn_once(
+                "start", f"Betaflight's port is open, but it answers no state for {START_S:g} s; start it again"
+            )
 
     def _wait(self, timeout_s: float) -> None:
         select.select([self._outputs.fileno()], [], [], timeout_s)
