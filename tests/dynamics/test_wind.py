@@ -45,7 +45,7 @@ def test_autocorrelation_of_the_lateral_gust(lag_steps) -> None:
 @pytest.mark.parametrize("step_s", [0.05, 1.0])
 def test_variance_of_samples_at_any_step(step_s) -> None:
     sigma, n = 0.3, 60_000
-    wind = DrydenWind((0.5, 0, 0), sigma, step_s=step_s, length_m=0.25, seed=5).next_samples(n) - [0.5, 0, 0]
+    wind = DrydenWind((0.5, 0, 0), sigma, step_s=step_s, length_m=0.25, seed=5).draw_wind_samples(n) - [0.5, 0, 0]
     # The mean square of a process with correlation rho has variance 2 sum(rho^2) / n, at most 2 T / step here.
     independent = n / max(1.0, 2 * 0.5 / step_s)
     spread = 5 * math.sqrt(2 / independent)
@@ -57,7 +57,7 @@ def test_spectrum_is_drydens() -> None:
     #   along    4 sigma^2 T / (1 + (omega T)^2)
     #   across   2 sigma^2 T (1 + 3 (omega T)^2) / (1 + (omega T)^2)^2
     sigma, step, T = 0.4, 0.02, 0.5
-    gusts = DrydenWind((2.0, 0, 0), sigma, step_s=step, length_m=1.0, seed=11).next_samples(120_000) - [
+    gusts = DrydenWind((2.0, 0, 0), sigma, step_s=step, length_m=1.0, seed=11).draw_wind_samples(120_000) - [
         2.0,
         0,
         0,
@@ -78,26 +78,26 @@ def test_spectrum_is_drydens() -> None:
 
 
 def test_the_seed_repeats_a_wind_and_another_does_not() -> None:
-    first, again, other = (DrydenWind((0.5, 0, 0), 0.3, step_s=0.01, seed=s).next_samples(50) for s in (4, 4, 5))
+    first, again, other = (DrydenWind((0.5, 0, 0), 0.3, step_s=0.01, seed=s).draw_wind_samples(50) for s in (4, 4, 5))
     assert_array_equal(first, again)
     assert np.max(np.abs(first - other)) > 0.05
 
 
 def test_blocks_join() -> None:
-    whole = DrydenWind((0.5, 0.2, 0), 0.3, step_s=0.01, seed=1).next_samples(100)
+    whole = DrydenWind((0.5, 0.2, 0), 0.3, step_s=0.01, seed=1).draw_wind_samples(100)
     wind = DrydenWind((0.5, 0.2, 0), 0.3, step_s=0.01, seed=1)
-    assert_array_equal(np.vstack([wind.next_samples(n) for n in (1, 30, 69)]), whole)
+    assert_array_equal(np.vstack([wind.draw_wind_samples(n) for n in (1, 30, 69)]), whole)
 
 
 def test_without_gusts_it_is_steady() -> None:
-    wind = DrydenWind((0.5, -0.2, 0.1), step_s=0.01).next_samples(20)
+    wind = DrydenWind((0.5, -0.2, 0.1), step_s=0.01).draw_wind_samples(20)
     assert_array_equal(wind, np.tile([0.5, -0.2, 0.1], (20, 1)))
 
 
 def test_turbulence_is_laid_out_along_the_mean_wind() -> None:
     # The same seed in a wind from elsewhere gives the same gusts, turned.
-    north = DrydenWind((1.0, 0, 0), 0.3, step_s=0.01, seed=2).next_samples(40)
-    east = DrydenWind((0, 1.0, 0), 0.3, step_s=0.01, seed=2).next_samples(40)
+    north = DrydenWind((1.0, 0, 0), 0.3, step_s=0.01, seed=2).draw_wind_samples(40)
+    east = DrydenWind((0, 1.0, 0), 0.3, step_s=0.01, seed=2).draw_wind_samples(40)
     assert_allclose(east, np.column_stack([-north[:, 1], north[:, 0], north[:, 2]]), atol=1e-12)
 
 

@@ -17,7 +17,7 @@ from mufly.errors import MuflyError
 from mufly.estimate import Estimate, KalmanEstimator
 from mufly.estimate.filter_records import EX_FIX_BIAS
 from mufly.flight import Flight, FlightEvent, fly_mission, read_recording, replay_estimator
-from mufly.flight.fixes.camera_sensor import CameraConfig, CameraSensor, make_camera, with_camera
+from mufly.flight.fixes.camera_sensor import CameraConfig, CameraSensor, make_camera, replace_fix_by_camera
 from mufly.flight.fixes.external_fixes import ExternalFixes
 from mufly.flight.fixes.onboard_camera import PictureStream, parse_camera_fault
 from mufly.mission import load_mission
@@ -53,7 +53,7 @@ def test_faults_of_the_camera_are_read_or_refused_in_a_line() -> None:
 
 def test_the_camera_takes_the_place_of_the_statistical_fix() -> None:
     camera = load_camera("mufly-2.0")
-    fix = with_camera(load_vehicle("mufly-2.0"), camera).sensors.position_fix  # type: ignore[union-attr]
+    fix = replace_fix_by_camera(load_vehicle("mufly-2.0"), camera).sensors.position_fix  # type: ignore[union-attr]
     assert fix is not None
     assert float(fix.latency) == pytest.approx(0.2)
     assert float(fix.period) == pytest.approx(0.066)
@@ -184,7 +184,7 @@ def test_its_recording_gives_the_same_estimate_again(flown: tuple[xr.Dataset, li
     assert np.isfinite(kept[came]).all()
     assert np.isnan(kept[~came]).all()
     assert kept[came].max() > 4 * kept[came].min()
-    vehicle = with_camera(load_vehicle("mufly-1.1"), load_camera("webcam"))
+    vehicle = replace_fix_by_camera(load_vehicle("mufly-1.1"), load_camera("webcam"))
     again = replay_estimator(
         data, KalmanEstimator(vehicle, load_mission(folder / "hop.toml").world, data.attrs["rate_Hz"])
     )
@@ -204,7 +204,7 @@ def test_features_lie_where_the_lens_has_them() -> None:
 def test_what_the_map_is_unsure_of_wanders_in_the_filter() -> None:
     """Not noise: fifteen a second of that would be known to a quarter of it at once."""
     camera = load_camera("mufly-2.0")
-    filter_ = KalmanEstimator(with_camera(load_vehicle("mufly-1.1"), camera), World(), 250.0)
+    filter_ = KalmanEstimator(replace_fix_by_camera(load_vehicle("mufly-1.1"), camera), World(), 250.0)
     filter_.uses_fix_covariance, filter_.fix_correlation_s = True, 3.0
     settings = filter_.backend.settings
     of_file = float(settings["fix_variance"])

@@ -334,9 +334,9 @@ def fly_mission(
             remedy = "add --link, as --link udpin:127.0.0.1:14560"
             raise InputError("--position", "", "has no source of positions", remedy)
         if order.camera is not None and not order.has_external_position:
-            from mufly.flight.fixes.camera_sensor import with_camera
+            from mufly.flight.fixes.camera_sensor import replace_fix_by_camera
 
-            with_camera(order.vehicle, order.camera.camera)
+            replace_fix_by_camera(order.vehicle, order.camera.camera)
         # A vehicle flown by the controllers of another is checked as that other vehicle.
         check_preflight(
             order.design_vehicle or order.vehicle,

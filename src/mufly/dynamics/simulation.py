@@ -471,7 +471,7 @@ class DrydenWind:
         )
         self._both = self._lateral_state + self._rng.standard_normal(2)
 
-    def next_samples(self, n: int) -> NDArray[np.float64]:
+    def draw_wind_samples(self, n: int) -> NDArray[np.float64]:
         """Return the next ``n`` samples of the wind, N-E-D (m/s), shape (n, 3)."""
         if self._gust == 0.0:
             return np.tile(self.steady, (n, 1))

@@ -40,7 +40,7 @@ from mufly.flight.fixes.camera_sensor import (
     CameraSensor,
     make_picture_stream,
     minimum_sonar_height,
-    with_camera,
+    replace_fix_by_camera,
     with_mission_floor,
 )
 from mufly.flight.fixes.external_fixes import ExternalFixes
@@ -160,8 +160,8 @@ class Flight:
         if eye is not None and not outside:
             if sensors != "fitted":
                 raise InputError("eye", "", "ideal sensors use no pictures", "fly on fitted sensors")
-            vehicle = with_camera(vehicle, eye.camera)
-            designed_for = None if designed_for is None else with_camera(designed_for, eye.camera)
+            vehicle = replace_fix_by_camera(vehicle, eye.camera)
+            designed_for = None if designed_for is None else replace_fix_by_camera(designed_for, eye.camera)
         believed = vehicle if designed_for is None else designed_for
         controller = design_flight_controller(believed) if controller is None else controller
         steady = np.asarray(mission.wind.steady_m_s if wind is None else wind, dtype=np.float64)

@@ -122,7 +122,7 @@ class SimulatedPlant:
         self.voltage, self.current = battery_state(self.state, 0.0, 0.0, self.parameters)
         self.crash_cause = ""
         self._air, self._block = air, max(1, round(_WIND_BLOCK_S * rate_Hz))
-        self._coming, self._blown = air.next_samples(self._block), 0
+        self._coming, self._blown = air.draw_wind_samples(self._block), 0
         longest = min(DEFAULT_STEP_S, longest_step(self.parameters))
         if longest < MIN_STEP_S:
             raise MuflyError(
@@ -199,7 +199,7 @@ class SimulatedPlant:
     def upcoming_wind(self, most: int) -> NDArray[np.float64]:
         """Return the wind of the coming periods (n, 3; m/s): those already drawn, at least 1, at most ``most``."""
         if self._blown == self._block:
-            self._coming, self._blown = self._air.next_samples(self._block), 0
+            self._coming, self._blown = self._air.draw_wind_samples(self._block), 0
         return self._coming[self._blown : self._blown + most]
 
     def consume_wind(self, wind: NDArray[np.float64], periods: int) -> None:

@@ -148,5 +148,5 @@ def draw_winds(wind_m_s: float, gust_m_s: float, period_s: float, count: int, se
         speed, direction, gust = wind_m_s * rng.random(), 2.0 * np.pi * rng.random(), gust_m_s * rng.random()
         steady = (speed * np.cos(direction), speed * np.sin(direction), 0.0)
         air = DrydenWind(steady, gust, step_s=period_s, seed=int(rng.integers(2**31)))
-        series[k] = air.next_samples(samples)
+        series[k] = air.draw_wind_samples(samples)
     return series

@@ -161,7 +161,7 @@ def position_fix_errors(camera: Camera) -> PositionFixParameters:
     )  # fmt: skip
 
 
-def with_camera(vehicle: Vehicle, camera: Camera) -> Vehicle:
+def replace_fix_by_camera(vehicle: Vehicle, camera: Camera) -> Vehicle:
     """Return the vehicle with the camera in place of its statistical position fix.
 
     Raises

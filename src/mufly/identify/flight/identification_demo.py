@@ -126,7 +126,7 @@ def fly_demo_record(
     """
     p, n = model_parameters(vehicle), len(excitation.motor_input)
     hover = find_trim(vehicle, charge=_INITIAL_CHARGE)
-    x, wind = hover.state.copy(), np.zeros((n, 3)) if air is None else air.next_samples(n)
+    x, wind = hover.state.copy(), np.zeros((n, 3)) if air is None else air.draw_wind_samples(n)
     x[RS_POS + 2] = -_FLIGHT_HEIGHT_M
     std = np.array([SENSOR_NOISE_STD[o] for o in _LOGGED_OUTPUTS])
     inputs, measured = np.empty((n, 4)), np.empty((n, len(_LOGGED_OUTPUTS)))
