@@ -407,6 +407,15 @@ class _FunctionTranslation:
         element = REAL if of.base.kind == "f" else WHOLE
         return Expression(f"{name}->{field}", _ATOM, TableType(element, of.shape) if of.shape else element)
 
+    def _fixed_index(self, node: ast.expr) -> int:
+        """Return an index of a tuple: a literal, or an integer of the module by name."""
+        match node:
+            case ast.Constant(value=int(k)) | ast.UnaryOp(op=ast.USub(), operand=ast.Constant(value=int(k))):
+                return k if isinstance(node, ast.Constant) else -k
+            case ast.Name(id=name) if name not in self._kinds and isinstance(self._globals.get(name), int):
+                return int(self._globals[name])
+        raise self._refuse(node)
+
     def _element(self, node: ast.Subscript) -> Expression:
         match node.value, node.slice:
             case ast.Attribute(attr="shape", value=array), ast.Constant(value=int(k)):
@@ -418,9 +427,9 @@ class _FunctionTranslation:
         if isinstance(held.kind, TupleType):
             parts = [Expression(f"{held.text}.f{k}", _ATOM, part) for k, part in enumerate(held.kind.parts)]
             if isinstance(node.slice, ast.Slice):
-                bounds = (None if b is None else ast.literal_eval(b) for b in (node.slice.lower, node.slice.upper))
+                bounds = (None if b is None else self._fixed_index(b) for b in (node.slice.lower, node.slice.upper))
                 return self._tuple(parts[slice(*bounds)], node)
-            return parts[int(ast.literal_eval(node.slice))]
+            return parts[self._fixed_index(node.slice)]
         if not isinstance(held.kind, TableType):
             raise self._refuse(node)
         index = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]

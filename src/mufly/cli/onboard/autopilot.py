@@ -116,8 +116,8 @@ file, with a limited sensitivity at the actuators and at the commanded accelerat
 @app.command()
 def load(
     file: Annotated[Path, define_argument("FILE", "CLI file of `mufly autopilot gains betaflight`.")],
-    to: Annotated[
-        str, define_option("--to ENDPOINT", "First serial port of Betaflight's SITL.", unit="")
+    connect: Annotated[
+        str, define_option("--connect LINK", "First serial port of Betaflight's SITL.")
     ] = "tcp:127.0.0.1:5761",
 ) -> None:
     """Send a CLI file to Betaflight's software in the loop, which saves it and ends; then start it again.
@@ -129,9 +129,9 @@ def load(
     from mufly.bridges.betaflight_cli import load_cli_file
     from mufly.link.ports import parse_endpoint
 
-    endpoint = parse_endpoint(to, "vehicle", "--to")
+    endpoint = parse_endpoint(connect, "vehicle", "--connect")
     if endpoint.kind != "tcp":
-        raise InputError("--to", to, "is no TCP address", "write tcp:127.0.0.1:5761")
+        raise InputError("--connect", connect, "is no TCP address", "write tcp:127.0.0.1:5761")
     try:
         text = file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
