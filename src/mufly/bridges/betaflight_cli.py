@@ -81,7 +81,9 @@ def _converse(line: socket.socket, data: bytes, endpoint: Endpoint) -> bytes:
         except OSError:
             part = b""
         if not part:
-            raise MuflyError(f"Betaflight's command line at {endpoint} does not answer; is another program connected?")
+            raise MuflyError(
+                f"Betaflight's command line at {endpoint} does not answer; end other connections, or start it again"
+            )
         answer += part
     return answer
 
