@@ -528,7 +528,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parts = parser.add_subparsers(dest="part", required=True, metavar="PART")
     for name, (report, methods) in PARTS.items():
-        part = parts.add_parser(name, help=(report.__doc__ or "").split("\n")[0], description=report.__doc__)
+        part = parts.add_parser(
+            name, help=(report.__doc__ or "").split("\n")[0].replace("%", "%%"), description=report.__doc__
+        )
         if name not in ("polars", "inplane-drag"):
             part.add_argument("--data", type=Path, default=DATA, metavar="DIR", help="measurements")
             part.add_argument("--keep", type=Path, metavar="DIR", help="keep solved wakes there, and read them again")
