@@ -26,7 +26,7 @@ from mufly.sensors.faults import parse_fault
 from mufly.vehicle import load_vehicle
 
 WIND_M_S = 0.3
-STARTS, ANSWER_S, FLIGHT_S = 3, 20.0, 300.0
+STARTS, ANSWER_S, FLIGHT_S = 5, 20.0, 300.0
 
 
 class Session:
@@ -250,7 +250,7 @@ def test_the_real_betaflight_arms_takes_off_hovers_in_wind_and_lands(tmp_path):
     vehicle = load_vehicle("mufly-1.1")
     warm_up_plant(vehicle, BETAFLIGHT_RATE_HZ)
     plan = PilotPlan(height_m=0.6, hover_s=10.0, side_m=0.0)
-    for _ in range(STARTS):  # a few starts of the program never answer a state
+    for _ in range(STARTS):  # one start in ten of the program never answers a state on a busy machine
         pilot, events, rows = BetaflightPilot(GAINS, plan), [], []
         with (
             run_betaflight(program, tmp_path, format_cli_file(vehicle, GAINS)),
@@ -278,8 +278,6 @@ def test_the_real_betaflight_arms_takes_off_hovers_in_wind_and_lands(tmp_path):
             truth, height_m, crash = plant.truth, plant.height_m, plant.plant.crash_cause
         if simulator.step_count:
             break
-    else:
-        pytest.skip(f"Betaflight's program answered no state in {STARTS} starts")
     assert pilot.phase == "landed", (pilot.phase, events)
     assert not crash
     assert "Betaflight has armed" in events
