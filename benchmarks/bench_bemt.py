@@ -17,6 +17,7 @@ from collections.abc import Callable
 import numpy as np
 from figure_record import take_record_option
 
+from mufly.dynamics.vehicle_flight_map import make_flight_map
 from mufly.rotor import (
     TEXTBOOK_CORRECTIONS,
     OperatingCondition,
@@ -30,6 +31,7 @@ from mufly.rotor import (
     solve_system,
 )
 from mufly.rotor.forward import ForwardCondition, blade_flap, solve_forward
+from mufly.vehicle import load_vehicle
 
 
 def best(task: Callable[[], object], repeats: int = 5) -> float:
@@ -58,6 +60,9 @@ def main() -> None:
     solve_forward(case, flight, mode)
     t = best(lambda: solve_forward(case, flight, mode), 200)
     print(f"one point in forward flight              {1e3 * t:8.3f} ms (target 1)")
+    vehicle, blades = load_vehicle("mufly-1.1"), load_rotor("walkera-5g6")
+    t = best(lambda: make_flight_map(vehicle, blades, flap_frequency_ratio=1.0), 2)
+    print(f"flight map of a pair                     {t:8.2f} s (target 5)")
     print(f"batch, {os.cpu_count()} cores:")
     for n in (1_000, 10_000, 100_000):
         pitch = np.linspace(0.0, 0.5, n)

@@ -33,6 +33,7 @@ from mufly.rotor.forward import (
     solve_forward_pair,
     sweep_forward,
 )
+from mufly.rotor.forward.azimuth_elements import element_forces
 from mufly.rotor.forward.inflow import momentum_induced_velocity, pitt_peters_inflow
 from mufly.rotor.sections.polar_table import ALPHA_GRID
 
@@ -99,6 +100,22 @@ def test_coning_and_flapping_in_edgewise_flight(textbook, mu, lock):
     assert got.flap_sin_rad == pytest.approx(-(4 / 3 * mu * coning) / (1 + mu**2 / 2), rel=0.03)
     thrust = CHORD * 2 / math.pi / RADIUS * SLOPE / 2 * (PITCH * (1 / 3 + mu**2 / 2) - inflow / 2)
     assert got.c_T == pytest.approx(thrust, rel=0.03)
+
+
+def test_slopes_of_an_element_are_those_of_its_forces():
+    """Differences of F_z and lift over both velocities, inside the rows of Re, above them and in reversed flow."""
+    rng = np.random.default_rng(4)
+    table = np.cumsum(rng.normal(0.0, 0.02, (3, 723, 2)), axis=1)
+    for across, down, row_zero in ((20.0, 3.0, 0.0), (20.0, -2.0, 40.0), (-4.0, 1.0, 0.3)):
+        given = (0.01, row_zero, 0.25, 0.8)
+        at = element_forces.py_func(table, 0.31, across, down, *given)
+        nudge = 1e-6
+        for first, moved in ((5, (0.0, nudge)), (7, (nudge, 0.0))):
+            over = [
+                element_forces.py_func(table, 0.31, across + k * moved[0], down + k * moved[1], *given) for k in (1, -1)
+            ]
+            for slope, force in ((at[first], 0), (at[first + 1], 2)):
+                assert slope == pytest.approx((over[0][force] - over[1][force]) / (2.0 * nudge), rel=1e-5, abs=1e-8)
 
 
 def test_free_blade_follows_its_cyclic_and_lags_its_shaft(textbook):

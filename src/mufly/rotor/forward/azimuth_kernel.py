@@ -19,20 +19,20 @@ factor F, as in :mod:`mufly.rotor.bemt`, l0 the mean of :mod:`mufly.rotor.forwar
 flow (w = 1) the equations are those of blade element momentum theory. In edgewise flow the wake leaves backwards and
 an annulus no longer feeds itself; tip loss is then the factor 1 - (1 - w) (1 - F) on the lift (own rule).
 
-Unknowns are u of each station, the five flap coefficients, l0, lc and ls. The derivative of each section force with
-U_P, by one difference, gives the whole Jacobian; stations couple through eight global unknowns only, so that Newton
-steps eliminate them.
+Unknowns are u of each station, the five flap coefficients, l0, lc and ls. The derivatives of the section forces
+with U_P, and near the solution with swirl and tip loss, give the whole Jacobian. Stations couple through eight global
+unknowns only, so that Newton steps eliminate them.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mufly.numba_cache import cached_njit
+from mufly.rotor.forward.azimuth_elements import AzimuthBlade, AzimuthPoint, annulus_losses, element_forces
 from mufly.rotor.forward.inflow import momentum_induced_velocity, pitt_peters_inflow
 
 Array = NDArray[np.float64]
@@ -42,75 +42,9 @@ MAX_NEWTON_STEPS = 80
 TOLERANCE = 1e-10
 INFLOW_CODES = {"annular": 0, "pitt-peters": 1, "uniform": 2, "prescribed": 3}
 FIELD_COLUMNS = ("inflow_m_s", "alpha_rad", "lift_coefficient", "drag_coefficient", "reynolds", "thrust_per_length_N_m")
-_HALF_CIRCLE_CELLS = 720.0 / (2.0 * math.pi)
-
-
-class AzimuthBlade(NamedTuple):
-    """Arrays and numbers of a rotor for the kernel.
-
-    Attributes
-    ----------
-    r_m, dr_m, chord_m, twist_rad : (stations,) arrays
-    table : (stations, Reynolds numbers, 723, 2) array
-        :func:`mufly.rotor.forward.section_tables.station_tables`.
-    log_reynolds_min, per_log_reynolds : float
-        Grid of the tables.
-    blade_count, radius_m, hub_radius_m : float
-    has_tip_loss, has_hub_loss, has_swirl : int
-    flap_inertia_kg_m2 : float
-        Moment of inertia of a blade about the shaft.
-    flap_ratio : float
-        nu; infinite for blades that do not flap.
-    """
-
-    r_m: Array
-    dr_m: Array
-    chord_m: Array
-    twist_rad: Array
-    table: Array
-    log_reynolds_min: float
-    per_log_reynolds: float
-    blade_count: float
-    radius_m: float
-    hub_radius_m: float
-    has_tip_loss: int
-    has_hub_loss: int
-    has_swirl: int
-    flap_inertia_kg_m2: float
-    flap_ratio: float
-
-
-class AzimuthPoint(NamedTuple):
-    """Operating point in wind axes for the kernel.
-
-    Attributes
-    ----------
-    speed_rad_s, edgewise_m_s, axial_m_s : float
-        Omega, V and V_z.
-    collective_rad, cyclic_cos_rad, cyclic_sin_rad : float
-        th0, th1c, th1s.
-    roll_rate_rad_s, pitch_rate_rad_s : float
-        p and q.
-    density_kg_m3, kinematic_viscosity_m2_s : float
-    stream_m_s, swirl_m_s : (azimuths, stations) arrays
-        Velocity of the air due to another rotor: down through the disc, and against the motion of the blades.
-    inflow_code : int
-        A value of :data:`INFLOW_CODES`.
-    """
-
-    speed_rad_s: float
-    edgewise_m_s: float
-    axial_m_s: float
-    collective_rad: float
-    cyclic_cos_rad: float
-    cyclic_sin_rad: float
-    roll_rate_rad_s: float
-    pitch_rate_rad_s: float
-    density_kg_m3: float
-    kinematic_viscosity_m2_s: float
-    stream_m_s: Array
-    swirl_m_s: Array
-    inflow_code: int
+_NEAR = 0.02
+"""Residual below which Newton steps see how swirl and tip loss change with the inflow. Farther away, and in descent,
+these slopes lead astray."""
 
 
 def velocity_ways(trig: Array) -> Array:
@@ -132,74 +66,9 @@ def velocity_ways(trig: Array) -> Array:
 
 
 @cached_njit(error_model="numpy")
-def _section_force(table: Array, onset: float, row: float) -> tuple[float, float]:
-    """Interpolate c_l and c_d of a station: cubic over the angle, linear between the rows of Re."""
-    u = (onset + math.pi) * _HALF_CIRCLE_CELLS
-    u -= 720.0 * math.floor(u / 720.0)
-    i = int(u)
-    if i >= 720:
-        i, u = 0, 0.0
-    t = u - i
-    t2, t3 = t * t, t * t * t
-    w0, w1 = 0.5 * (-t3 + 2.0 * t2 - t), 0.5 * (3.0 * t3 - 5.0 * t2 + 2.0)
-    w2, w3 = 0.5 * (-3.0 * t3 + 4.0 * t2 + t), 0.5 * (t3 - t2)
-    last = table.shape[0] - 1
-    v = min(max(row, 0.0), float(last))
-    j = min(int(v), max(last - 1, 0))
-    s = v - j
-    k = min(j + 1, last)
-    cl = w0 * table[j, i, 0] + w1 * table[j, i + 1, 0] + w2 * table[j, i + 2, 0] + w3 * table[j, i + 3, 0]
-    cd = w0 * table[j, i, 1] + w1 * table[j, i + 1, 1] + w2 * table[j, i + 2, 1] + w3 * table[j, i + 3, 1]
-    cl2 = w0 * table[k, i, 0] + w1 * table[k, i + 1, 0] + w2 * table[k, i + 2, 0] + w3 * table[k, i + 3, 0]
-    cd2 = w0 * table[k, i, 1] + w1 * table[k, i + 1, 1] + w2 * table[k, i + 2, 1] + w3 * table[k, i + 3, 1]
-    return cl + s * (cl2 - cl), cd + s * (cd2 - cd)
-
-
-@cached_njit(error_model="numpy")
-def _element_forces(
-    table: Array, theta: float, across: float, down: float, half_rho_c: float, row_zero: float, per_row: float,
-    lift_share: float,
-) -> tuple[float, float, float, float, float]:  # fmt: skip
-    """Return F_z, F_T, lift in the axial direction, radial drag per U_R, and c_d of an element, per length."""
-    square = across * across + down * down + 1e-12
-    wind = math.sqrt(square)
-    cl, cd = _section_force(table, theta - math.atan2(down, across), row_zero + per_row * 0.5 * math.log(square))
-    cl *= lift_share
-    k = half_rho_c * wind
-    lift = k * cl * across
-    return lift - k * cd * down, k * (cl * down + cd * across), lift, k * cd, cd
-
-
-@cached_njit(error_model="numpy")
-def _annulus(
-    blade: AzimuthBlade, point: AzimuthPoint, i: int, u: float, stream: float, around: float, share: float
-) -> tuple[float, float, float]:
-    """Return swirl u_t (m/s), Prandtl's factor F and the factor on the lift of an annulus with mean inflow u."""
-    r, turn = blade.r_m[i], point.speed_rad_s * blade.r_m[i] + around
-    down = point.axial_m_s + stream + u
-    swirl = 0.0
-    if blade.has_swirl == 1:
-        full = 0.5 * (turn - math.sqrt(max(turn * turn - 4.0 * u * down, 0.0)))
-        swirl = share * full
-    loss = 1.0
-    slope = abs(down) / math.sqrt(down * down + (turn - swirl) * (turn - swirl) + 1e-300)
-    if slope > 1e-9:
-        if blade.has_tip_loss == 1:
-            f = 0.5 * blade.blade_count * (blade.radius_m - r) / (r * slope)
-            if f < 37.0:
-                loss = 2.0 / math.pi * math.acos(math.exp(-f))
-        if blade.has_hub_loss == 1 and blade.hub_radius_m > 0.0:
-            f = 0.5 * blade.blade_count * (r - blade.hub_radius_m) / (blade.hub_radius_m * slope)
-            if f < 37.0:
-                loss *= 2.0 / math.pi * math.acos(math.exp(-f))
-    loss = max(loss, 1e-6)
-    return swirl, loss, 1.0 - (1.0 - share) * (1.0 - loss)
-
-
-@cached_njit(error_model="numpy")
 def _sum_stations(
     blade: AzimuthBlade, point: AzimuthPoint, inflow: Array, x: Array, share: float, trig: Array, ways: Array,
-    fresh: bool, sums: Array, slopes: Array, losses: Array,
+    fresh: bool, near: bool, sums: Array, slopes: Array, losses: Array,
 ) -> None:  # fmt: skip
     """Sum the element forces over azimuth.
 
@@ -219,10 +88,12 @@ def _sum_stations(
         :func:`velocity_ways`.
     fresh : bool
         True to fill in the derivatives as well.
+    near : bool
+        True to take the change of swirl and losses with u into the derivatives.
     slopes : (stations, 6, 8) array
         Filled with the derivatives of the sums with u (m/s), the five flap coefficients, lc and ls.
-    losses : (stations,) array
-        Filled with Prandtl's factor.
+    losses : (stations, 2) array
+        Filled with Prandtl's factor, and if ``fresh`` with its derivative with u (s/m).
     """
     speed, edgewise = point.speed_rad_s, point.edgewise_m_s
     count = trig.shape[0]
@@ -230,19 +101,28 @@ def _sum_stations(
     for i in range(blade.r_m.size):
         for h in range(6):
             sums[i, h] = 0.0
-    by_edgewise, by_rotation = np.empty(40), np.empty(40)
+    by_edgewise, by_rotation, by_annulus = np.empty(40), np.empty(40), np.empty(6)
     lift_by_edgewise, lift_by_rotation = np.empty(8), np.empty(8)
-    small = 1e-5 * speed * blade.radius_m
+    swirl_u, loss_u, share_u, tip = 0.0, 0.0, 0.0, speed * blade.radius_m
     for i in range(blade.r_m.size):
         r, chord = blade.r_m[i], blade.chord_m[i]
         stream, around = 0.0, 0.0
         for n in range(count):
             stream += point.stream_m_s[n, i] / count
             around += point.swirl_m_s[n, i] / count
-        swirl, loss, lift_share = _annulus(blade, point, i, inflow[i], stream, around, share)
-        losses[i] = loss
+        swirl, loss, lift_share = annulus_losses(blade, point, i, inflow[i], stream, around, share)
+        losses[i, 0] = loss
+        if near:
+            nudge = 1e-6 * tip
+            swirl_u, loss_u, share_u = annulus_losses(blade, point, i, inflow[i] + nudge, stream, around, share)
+            swirl_u, loss_u = (swirl_u - swirl) / nudge, (loss_u - loss) / nudge
+            share_u = (share_u - lift_share) / (nudge * lift_share)
+        if fresh:
+            losses[i, 1] = loss_u
         half = 0.5 * point.density_kg_m3 * chord
         row_zero = row_scale * (math.log(chord / point.kinematic_viscosity_m2_s) - blade.log_reynolds_min)
+        for h in range(6):
+            by_annulus[h] = 0.0
         for k in range(40):
             by_edgewise[k] = by_rotation[k] = 0.0
         for k in range(8):
@@ -258,7 +138,7 @@ def _sum_stations(
                 + r * (flapping - point.roll_rate_rad_s * s - point.pitch_rate_rad_s * c) + along * flap
             )  # fmt: skip
             theta = blade.twist_rad[i] + point.collective_rad + point.cyclic_cos_rad * c + point.cyclic_sin_rad * s
-            force, _, lift, _, _ = _element_forces(
+            force, _, lift, _, _, slope, lift_slope, force_t, lift_t = element_forces(
                 blade.table[i], theta, across, down, half, row_zero, row_scale, lift_share
             )
             for h in range(5):
@@ -266,10 +146,10 @@ def _sum_stations(
             sums[i, 5] += lift / count
             if not fresh:
                 continue
-            force2, _, lift2, _, _ = _element_forces(
-                blade.table[i], theta, across, down + small, half, row_zero, row_scale, lift_share
-            )
-            slope, lift_slope = (force2 - force) / small, (lift2 - lift) / small
+            more, lift_more = share_u * lift - swirl_u * force_t, share_u * lift - swirl_u * lift_t
+            for h in range(5):
+                by_annulus[h] += (1.0 if h == 0 else 2.0) * trig[n, h] / count * more
+            by_annulus[5] += lift_more / count
             for k in range(40):
                 by_edgewise[k] += slope * ways[n, 0, k]
                 by_rotation[k] += slope * ways[n, 1, k]
@@ -282,6 +162,8 @@ def _sum_stations(
                 for h in range(5):
                     slopes[i, h, k] = edgewise * by_edgewise[8 * h + k] + turning * by_rotation[8 * h + k]
                 slopes[i, 5, k] = edgewise * lift_by_edgewise[k] + turning * lift_by_rotation[k]
+            for h in range(6):
+                slopes[i, h, 0] += by_annulus[h]
 
 
 @cached_njit(error_model="numpy")
@@ -371,7 +253,7 @@ def _station_residuals(
             stream = 0.0
             for n in range(count):
                 stream += point.stream_m_s[n, i] / count
-            factor = blade.blade_count / (4.0 * math.pi * blade.r_m[i] * point.density_kg_m3 * losses[i])
+            factor = blade.blade_count / (4.0 * math.pi * blade.r_m[i] * point.density_kg_m3 * losses[i, 0])
             hover, axial = factor * sums[i, 5], point.axial_m_s + stream
             annulus = (inflow[i] - (1.0 - share) * x[5] * tip) / share
             if share > 0.5 and annulus > 0.0 and axial >= 0.0:
@@ -392,7 +274,8 @@ def _station_residuals(
         else:
             miss[i] = inflow[i] - x[5] * tip
         largest = max(largest, abs(miss[i]) / tip)
-        own_slope = 1.0 - slope * slopes[i, 5, 0]  # negative where a descent has several solutions
+        by_inflow = slopes[i, 5, 0] - sums[i, 5] * losses[i, 1] / losses[i, 0]
+        own_slope = 1.0 - slope * by_inflow  # negative where a descent has several solutions
         local[i, 0] = own_slope if abs(own_slope) > 0.2 else math.copysign(0.2, own_slope)
         for k in range(5):
             local[i, k + 1] = -slope * slopes[i, 5, k + 1]
@@ -479,7 +362,7 @@ def solve_azimuth(
         The other unknowns: the start, replaced by the solution.
     """
     ns, tip = blade.r_m.size, point.speed_rad_s * blade.radius_m
-    sums, slopes, losses = np.zeros((ns, 6)), np.zeros((ns, 6, STATE_COUNT)), np.ones(ns)
+    sums, slopes, losses = np.zeros((ns, 6)), np.zeros((ns, 6, STATE_COUNT)), np.ones((ns, 2))
     miss, local, loads, out = np.zeros(ns), np.zeros((ns, 9)), np.zeros(6), np.zeros(STATE_COUNT)
     for i in range(ns):
         local[i, 0] = 1.0
@@ -490,7 +373,7 @@ def solve_azimuth(
     for step in range(MAX_NEWTON_STEPS):
         fresh = step < 3 or size > 1e-3 or size > 0.3 * previous  # else the last derivatives are good enough
         previous = size
-        _sum_stations(blade, point, inflow, x, share, trig, ways, fresh, sums, slopes, losses)
+        _sum_stations(blade, point, inflow, x, share, trig, ways, fresh, size < _NEAR, sums, slopes, losses)
         _collect_loads(blade, sums, loads)
         share = _global_residual(blade, point, x, loads, out)
         size = 0.0
@@ -556,7 +439,7 @@ def integrate_loads(
         for n in range(count):
             stream += point.stream_m_s[n, i] / count
             around += point.swirl_m_s[n, i] / count
-        swirl, loss, lift_share = _annulus(blade, point, i, inflow[i], stream, around, share)
+        swirl, loss, lift_share = annulus_losses(blade, point, i, inflow[i], stream, around, share)
         annuli[i, 0], annuli[i, 1], annuli[i, 2] = swirl, loss, 0.0
         half = 0.5 * point.density_kg_m3 * chord
         row_zero = row_scale * (math.log(chord / point.kinematic_viscosity_m2_s) - blade.log_reynolds_min)
@@ -575,7 +458,7 @@ def integrate_loads(
                 + r * (flapping - point.roll_rate_rad_s * s - point.pitch_rate_rad_s * c)
             )  # fmt: skip
             theta = blade.twist_rad[i] + point.collective_rad + point.cyclic_cos_rad * c + point.cyclic_sin_rad * s
-            force, turn, _, radial, cd = _element_forces(
+            force, turn, _, radial, cd, _, _, _, _ = element_forces(
                 blade.table[i], theta, across, down, half, row_zero, row_scale, lift_share
             )
             outward = radial * along - force * flap

@@ -21,13 +21,12 @@ from numpy.typing import NDArray
 from mufly.errors import InputError, MuflyError
 from mufly.rotor.bemt import solve_rotor
 from mufly.rotor.blading import Blading, ensure_blading
+from mufly.rotor.forward.azimuth_elements import AzimuthBlade, AzimuthPoint
 from mufly.rotor.forward.azimuth_kernel import (
     FIELD_COLUMNS,
     INFLOW_CODES,
     STATE_COUNT,
     TOLERANCE,
-    AzimuthBlade,
-    AzimuthPoint,
     integrate_loads,
     solve_azimuth,
     velocity_ways,
