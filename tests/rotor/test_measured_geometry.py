@@ -94,12 +94,14 @@ def test_measure_command_writes_a_rotor_that_loads(tmp_path):
     lines = table.read_text().splitlines()
     rows = [line for line in lines if line[0].isdigit()]
     filled = [
-        f"{row.split(',')[0]},{1e3 * c:.2f},{a / DEG:.2f}" for row, c, a in zip(rows, CHORD, TRUE_ANGLE, strict=True)
+        f"{row.split(',')[0]},{1e3 * c:.2f},{a / DEG:.2f},{120 * c:.2f}"
+        for row, c, a in zip(rows, CHORD, TRUE_ANGLE, strict=True)
     ]
     table.write_text("\n".join([*lines[: -len(rows)], *filled[:-1], rows[-1]]))  # the last row is left empty
     answer = json.loads(run(table, "--stated-pitch", "70mm", "--out", out, "--json"))
     rotor = load_rotor(out)
     assert rotor.blade.geometry == "caliper"
+    assert rotor.stated_thickness(0.7) == pytest.approx(0.12, rel=1e-3)
     assert float(rotor.nominal_pitch) == pytest.approx(0.07)
     assert effective_pitch_prior(rotor).std_rad == pytest.approx(answer["effective_pitch_std_rad"])
     assert rotor.twist_rad(0.7) == pytest.approx(TRUE_ANGLE[3], abs=0.05 * DEG)

@@ -170,7 +170,7 @@ def show(
     c.print(f"[bold]{r.name}[/bold]  {r.description}", highlight=False)
     c.print(
         f"{r.blades} blades, R {1e3 * r.radius_m:g} mm, cut-out {1e3 * r.hub_radius_m:.3g} mm, solidity "
-        f"{r.solidity:.3f}, aspect ratio {r.aspect_ratio:.2f}, airfoils {', '.join(r.airfoil_names())}",
+        f"{r.solidity:.3f}, aspect ratio {r.aspect_ratio:.2f}, airfoils {r.describe_sections()}",
         highlight=False,
     )
     columns = (
@@ -277,7 +277,7 @@ def import_blade(
     c = make_console()
     c.print(
         f"[bold]{r.name}[/bold]: {r.blades} blades, R {1e3 * r.radius_m:g} mm, {len(r.blade.chord.value)} stations, "
-        f"solidity {r.solidity:.3f}, airfoils {', '.join(r.airfoil_names())}",
+        f"solidity {r.solidity:.3f}, airfoils {r.describe_sections()}",
         highlight=False,
     )
     for note in notes:

@@ -7,7 +7,8 @@ distributions of camber and thickness (% of the chord). They give each four-digi
     p(m, t) = sum_f p_f exp(-((m - m_f) / s_f)^2 / 2 - ((t - t_f) / u_f)^2 / 2) / norm_f
 
 Thin sections are plates with maximum camber at half the chord; thicker sections have it further forward. If a rotor
-file names an airfoil as a guess, that section keeps the probability :data:`STATED_SECTION_PROBABILITY`.
+file names an airfoil as a guess, that section keeps the probability :data:`STATED_SECTION_PROBABILITY`. If it states
+the thickness along the blade, only the camber is a guess.
 
 The numbers are not fitted. They follow the makers' statements (APC: NACA 4412, Clark Y, for slow-flyers E63) and the
 look of such blades, and were chosen with the 17 propellers of the benchmark known. docs/explanation/bemt.md lists them;
@@ -83,6 +84,10 @@ def section_probabilities(rotor: Rotor, family: str = "") -> list[tuple[tuple[st
         for i, m in enumerate(CAMBER_GRID_PERCENT)
         for j, t in enumerate(THICKNESS_GRID_PERCENT)
     }
+    if rotor.blade.thickness is not None:  # the thickness is known: one section for each camber
+        t = 100.0 * float(rotor.stated_thickness(0.75))
+        near = THICKNESS_GRID_PERCENT[int(np.argmin(np.abs(np.array(THICKNESS_GRID_PERCENT) - t)))]
+        listed = {(_naca_name(m, near),): float(total[i].sum()) for i, m in enumerate(CAMBER_GRID_PERCENT)}
     own = rotor.blade.airfoils
     return list({own: listed.pop(own, 0.0) + STATED_SECTION_PROBABILITY, **listed}.items())
 

@@ -4,17 +4,17 @@ A table is any text that :func:`mufly.text_table.read_text_table` reads. Columns
 in the header. A length without unit is an error. Angles without unit are in degrees; if all of them could be radians, a
 missing unit is an error. Stations run from hub to tip or from tip to hub.
 
-=======  =====================================================================================================
-radius   ``r/R``, ``r_over_R``, ``x``; or a length: ``r_mm``, ``radius (in)``, ``station``
-chord    ``c/R``, ``c_over_R``; or a length: ``chord_mm``, ``c [in]``
-angle    ``beta``, ``twist``, ``angle``, ``pitch``
-airfoil  ``airfoil``, ``section``: a name for each station; optional
-=======  =====================================================================================================
+=========  ===================================================================================================
+radius     ``r/R``, ``r_over_R``, ``x``; or a length: ``r_mm``, ``radius (in)``, ``station``
+chord      ``c/R``, ``c_over_R``; or a length: ``chord_mm``, ``c [in]``
+angle      ``beta``, ``twist``, ``angle``, ``pitch``
+thickness  ``t/c``, ``thickness (%)``; or a length: ``thickness_mm``; optional
+airfoil    ``airfoil``, ``section``: a name for each station; optional
+=========  ===================================================================================================
 
 APC's ``...-PERF.PE0`` files name radius, number of blades, and for each station chord (inches), thickness ratio and
 twist (degrees). Below the table stand the airfoil inside a first radius and the airfoil outside a second. APC blends
-them in between; here the airfoil changes halfway. Each airfoil gets the station's thickness, in whole per cent, about
-its mean line.
+them in between; here the airfoil changes halfway. Thickness ratios become ``blade.thickness`` of the rotor file.
 APC's radius is rounded to a hundredth of an inch; a last station within that distance is the tip. Airfoils without
 published coordinates (such as ``APC12``) are replaced by NACA 4412, which APC calls similar; a note reports it.
 Stations with a chord below a thousandth of the radius, as at pointed tips, are left out, and the last remaining station
@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 from mufly.errors import ArgumentError, InputError
 from mufly.rotor.geometry import Rotor, rotor_from_tables
-from mufly.rotor.sections.airfoil import load_airfoil
+from mufly.rotor.sections.airfoil import MAX_THICKNESS_RATIO, load_airfoil
 from mufly.text_table import read_text_table
 from mufly.units import compatible_units, normalise_unit, split_header, split_unit_suffix, unit_conversion
 
@@ -42,6 +42,7 @@ Array = NDArray[np.float64]
 _RELATIVE_HEADERS = {"radius": ("r/r", "r_over_r", "x", "r_r"), "chord": ("c/r", "c_over_r", "c_r")}
 _LENGTH_HEADERS = {"radius": ("r", "radius", "station"), "chord": ("c", "chord")}
 _ANGLE_HEADERS, _AIRFOIL_HEADERS = ("beta", "twist", "angle", "pitch", "theta"), ("airfoil", "section")
+_THICKNESS_HEADERS, _THICKNESS_RATIO_HEADERS = ("t", "thickness"), ("t/c", "t_c", "t_over_c")
 _INCH_M = 0.0254
 _DEFAULT_AIRFOIL = "naca4412"
 _DEFAULT_AIRFOIL_NOTE = f"airfoil {_DEFAULT_AIRFOIL}"
@@ -91,9 +92,10 @@ def read_blade(
         raise ArgumentError("radius", f"{radius_m:g} m", "is out of range", "give a length above 0")
     notes: list[str] = []
     if Path(path).suffix.lower() == ".pe0":
-        r, chord, twist, foils, radius, count = _read_apc_file(Path(path), notes)
+        table = _read_apc_file(Path(path), notes)
     else:
-        r, chord, twist, foils, radius, count = _read_station_table(path, radius_m, notes)
+        table = _read_station_table(path, radius_m, notes)
+    r, chord, twist, foils, thick, radius, count = table
     radius = radius_m or radius
     if radius < _MIN_RADIUS_M:
         raise InputError(
@@ -101,6 +103,7 @@ def read_blade(
         )  # fmt: skip
     if r.size > 1 and np.all(np.diff(r) < 0.0):
         r, chord, twist, foils = r[::-1], chord[::-1], twist[::-1], foils[::-1]
+        thick = None if thick is None else thick[::-1]
         notes.append("the stations run from tip to hub and were turned round")
     if airfoil is not None:
         foils = [airfoil]
@@ -114,11 +117,13 @@ def read_blade(
         raise InputError(where, "", "has fewer than two stations within the radius", "check radius and units")
     r, chord, twist = r[keep], chord[keep], twist[keep]
     foils = [f for f, k in zip(foils, keep, strict=True) if k] if len(foils) > 1 else foils
+    thick = None if thick is None else thick[keep]
     x = r / radius
     if x[-1] < 1.0 - 1e-6:
         notes.append(f"the last station ({x[-1]:.3f} R) is held to the tip")
         x, chord, twist = np.append(x, 1.0), np.append(chord, chord[-1]), np.append(twist, twist[-1])
         foils = [*foils, foils[-1]] if len(foils) > 1 else foils
+        thick = None if thick is None else np.append(thick, thick[-1])
     x[-1] = 1.0
     blades = blades or count
     if blades is None:
@@ -138,6 +143,7 @@ def read_blade(
                 "chord": {"value": chord.tolist(), "unit": "m", **source},
                 "twist": {"value": twist.tolist(), "unit": "rad", **source},
                 "airfoils": foils if len(set(foils)) > 1 else foils[:1],
+                **({} if thick is None else {"thickness": {"value": thick.tolist(), "unit": "1", **source}}),
                 **({} if geometry is None else {"geometry": geometry}),
             },
         },
@@ -146,23 +152,34 @@ def read_blade(
     return ImportedRotor(rotor, tuple(notes))
 
 
-def read_station_readings(path: str | Path) -> tuple[Array, Array, Array]:
-    """Return radius (m), chord (m) and angle (rad) of a table of readings, (n,) arrays; rows without chord and angle
-    are left out.
+def read_station_readings(path: str | Path) -> tuple[Array, Array, Array, Array]:
+    """Return radius (m), chord (m), angle (rad) and thickness over chord of a table of readings, (n,) arrays.
+
+    Rows without chord and angle are left out; a thickness that is not given is nan.
 
     Raises
     ------
     InputError
         As for :func:`read_blade`, or if a chord is not above 0.
     """
-    r, chord, twist, *_ = _read_station_table(path, None, [], optional=True)
+    r, chord, twist, _, thick, *_ = _read_station_table(path, None, [], optional=True)
     filled = np.isfinite(chord) & np.isfinite(twist)
     if not np.all(chord[filled] > 0.0):
         raise InputError(Path(path).name, "chord", "is not above 0 in every row", "correct or delete the row")
-    return r[filled], chord[filled], twist[filled]
+    return r[filled], chord[filled], twist[filled], (np.full(r.size, math.nan) if thick is None else thick)[filled]
 
 
-_StationTable = tuple[Array, Array, Array, list[str], float, int | None]
+class _StationTable(NamedTuple):
+    """Radius and chord (m), twist (rad), airfoils (one or by station) and thickness over chord by station; radius of
+    the rotor (m) and number of blades."""
+
+    r_m: Array
+    chord_m: Array
+    twist_rad: Array
+    airfoils: list[str]
+    thickness: Array | None
+    radius_m: float
+    blades: int | None
 
 
 def _read_station_table(
@@ -190,6 +207,14 @@ def _read_station_table(
             if unit and not normalise_unit(unit, "rad"):
                 raise InputError(where, header, f"has the unit {unit!r}", f"give an angle, as {stem}_deg or {stem}_rad")
             known.setdefault("twist", (k, unit_conversion(unit or "deg", "rad")[1]))
+        if low in _THICKNESS_HEADERS or low in _THICKNESS_RATIO_HEADERS:
+            ratio = low in _THICKNESS_RATIO_HEADERS
+            if ratio or unit in compatible_units("1"):
+                known.setdefault("thickness", (k, -unit_conversion(unit or "1", "1")[1]))
+            elif unit in compatible_units("m"):
+                known.setdefault("thickness", (k, unit_conversion(unit, "m")[1]))
+            else:
+                raise InputError(where, header, "has no unit", "name it t/c, thickness (%) or thickness_mm")
         if whole in _AIRFOIL_HEADERS:
             known.setdefault("airfoil", (k, 1.0))
     for quantity, example in (("radius", "r/R or r_mm"), ("chord", "c/R or chord_mm"), ("twist", "beta_deg")):
@@ -205,12 +230,22 @@ def _read_station_table(
 
     r, chord, twist = scaled_column("radius"), scaled_column("chord"), scaled_column("twist")
     _check_columns(where, {q: headers[k] for q, (k, _) in known.items()}, known, r, chord, twist, radius_m)
+    thick = None
+    if "thickness" in known:
+        index, factor = known["thickness"]
+        thick = written.read_numbers(index, optional=optional) * (-factor if factor < 0.0 else factor / chord)
+        if np.any((thick <= 0.0) | (thick > MAX_THICKNESS_RATIO)):
+            raise InputError(
+                where, headers[index],
+                f"is not above 0 and up to {100 * MAX_THICKNESS_RATIO:g} % of the chord everywhere",
+                "correct it, or its unit",
+            )  # fmt: skip
     if "airfoil" in known:
         foils = written.read_texts(known["airfoil"][0])
     else:
         foils = [_DEFAULT_AIRFOIL]
         notes.append(f"{_DEFAULT_AIRFOIL_NOTE}, since the file names none; `mufly rotor fit` asks a bench for it")
-    return r, chord, twist, foils, radius_m or float(r.max(initial=0.0)), None
+    return _StationTable(r, chord, twist, foils, thick, radius_m or float(r.max(initial=0.0)), None)
 
 
 def _check_columns(
@@ -265,7 +300,7 @@ def _read_apc_file(path: Path, notes: list[str]) -> _StationTable:
     data = np.array(table)
     r = _INCH_M * data[:, names.index("STATION")]
     ends = [re.search(rf"AIRFOIL{k}:\s*([\d.]+)\s*,\s*([^\s(,]+(?: \d+)?)", text) for k in (1, 2)]
-    foils = [_DEFAULT_AIRFOIL] * r.size
+    foils, thick = [_DEFAULT_AIRFOIL] * r.size, None
     if all(ends):
         (from_m, inner), (to_m, outer) = (
             (_INCH_M * float(e[1]), _resolve_airfoil(e[2], notes)) for e in ends if e is not None
@@ -273,8 +308,7 @@ def _read_apc_file(path: Path, notes: list[str]) -> _StationTable:
         middle = 0.5 * (from_m + to_m)
         foils = [inner if here <= middle else outer for here in r.tolist()]
         if "THICKNESS" in names:
-            percent = np.clip(np.round(100.0 * data[:, names.index("THICKNESS")]), 1.0, 40.0)
-            foils = [f"{foil}+thick{p:g}" for foil, p in zip(foils, percent.tolist(), strict=True)]
+            thick = np.clip(data[:, names.index("THICKNESS")], 0.01, MAX_THICKNESS_RATIO)
         if inner != outer:
             notes.append(
                 f"{inner} becomes {outer} at {1e3 * middle:.1f} mm; APC blends them from {1e3 * from_m:.1f} to "
@@ -286,7 +320,7 @@ def _read_apc_file(path: Path, notes: list[str]) -> _StationTable:
     whole = _INCH_M * float(radius[1])
     if whole < float(r.max()) <= whole + 0.005 * _INCH_M:
         whole = float(r.max())
-    return r, chord, twist, foils, whole, int(count[1]) if count else None
+    return _StationTable(r, chord, twist, foils, thick, whole, int(count[1]) if count else None)
 
 
 def _resolve_airfoil(name: str, notes: list[str]) -> str:

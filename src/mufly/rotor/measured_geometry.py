@@ -40,12 +40,13 @@ _OUTLIER = 3.0  # standard deviations of an angle from a smooth curve through th
 
 class GeometryReadings(NamedTuple):
     """Readings of calipers and protractor, (n,) arrays: radius and chord (m), angle (rad); height of the leading over
-    the trailing edge at the last station (m), or None."""
+    the trailing edge at the last station (m), or None; greatest thickness over chord, nan where not measured."""
 
     r_m: Array
     chord_m: Array
     angle_rad: Array
     tip_height_m: float | None = None
+    thickness: Array | None = None
 
 
 class MeasuredGeometry(NamedTuple):
@@ -137,18 +138,24 @@ def measure_geometry(
     source = {"source": "measured", "note": f"caliper and protractor, {r.size} readings"}
     columns = {k: {"value": v.tolist(), "unit": u, **source} for k, v, u in zip(("chord", "twist"), held, ("m", "rad"),
                strict=True)}  # fmt: skip
+    blade: dict[str, object] = {
+        "r_over_R": {"value": x.tolist(), "unit": "1", **source}, **columns, "airfoils": [airfoil],
+        "geometry": "caliper",
+        "pitch_std": {"value": std, "unit": "rad", "source": "estimated", "note": "of the readings"},
+    }  # fmt: skip
     tables = {
         "name": name,
         "description": "measured by caliper and protractor",
         "blades": blades,
         "radius": {"value": radius_m, "unit": "m", **source},
         "hub_cutout": {"value": min(float(x[0]), 0.9), "unit": "1", "source": "estimated", "note": "first station"},
-        "blade": {
-            "r_over_R": {"value": x.tolist(), "unit": "1", **source}, **columns, "airfoils": [airfoil],
-            "geometry": "caliper",
-            "pitch_std": {"value": std, "unit": "rad", "source": "estimated", "note": "of the readings"},
-        },
-    }  # fmt: skip
+        "blade": blade,
+    }
+    if readings.thickness is not None and np.isfinite(readings.thickness).any():
+        thick = readings.thickness[order]
+        total, seen = (np.add.reduceat(v, starts) for v in (np.nan_to_num(thick), np.isfinite(thick).astype(float)))
+        ratios = np.interp(x, (at / radius_m)[seen > 0.0], total[seen > 0.0] / seen[seen > 0.0])
+        blade["thickness"] = {"value": ratios.tolist(), "unit": "1", **source}
     if stated_pitch_m is not None:
         tables["nominal_pitch"] = {"value": stated_pitch_m, "unit": "m", "source": "datasheet"}
     return MeasuredGeometry(rotor_from_tables(tables, name), std, s_c / math.sqrt(float(np.median(counts))),
@@ -181,11 +188,12 @@ def format_reading_table(radius_m: float, stated_pitch_m: float | None = None) -
         "# 1. Lay the propeller with its hub flat on a plate. Mark the radii below from the middle of the shaft.",
         "# 2. Caliper: chord_mm from leading to trailing edge, along the blade's surface line.",
         "# 3. Protractor: angle_deg against the plate; on a curved underside, of the line through both edges.",
-        "# 4. Repeat the rows for the other blade. Empty rows may be deleted.",
-        "# 5. At the last station, caliper: height of leading edge less height of trailing edge, for --tip-height.",
+        "# 4. Caliper: thickness_mm, the greatest at that radius. The column may stay empty.",
+        "# 5. Repeat the rows for the other blade. Empty rows may be deleted.",
+        "# 6. At the last station, caliper: height of leading edge less height of trailing edge, for --tip-height.",
     ]
     if stated_pitch_m is not None:
         angles = [math.degrees(math.atan(stated_pitch_m / (2.0 * math.pi * x * radius_m))) for x in STATION_RATIOS]
         lines.append("# The stated pitch gives " + ", ".join(f"{a:.0f}" for a in angles) + " degrees.")
-    rows = [f"{1e3 * x * radius_m:.1f},," for x in STATION_RATIOS]
-    return "\n".join([*lines, "r_mm,chord_mm,angle_deg", *rows, ""])
+    rows = [f"{1e3 * x * radius_m:.1f},,," for x in STATION_RATIOS]
+    return "\n".join([*lines, "r_mm,chord_mm,angle_deg,thickness_mm", *rows, ""])

@@ -210,13 +210,13 @@ def fit_rotor(
     )
     listed = section_probabilities(plain, family) if section == "guessed" else [(plain.blade.airfoils, 1.0)]
     wide = _prior_deviations(effective_pitch_prior(plain).std_rad, known=section == "known")
-    every = {a for airfoils, _ in listed for a in airfoils}
+    ones = [replace_rotor(plain, {"blade.airfoils": airfoils}) for airfoils, _ in listed]
+    every = {name for one in ones for name in one.airfoil_names()}
     tables = compute_rotor_polars(plain, every, n_crit=n_crit, engine=engine)
     prepared = []
-    for done, (airfoils, share) in enumerate(listed):
+    for done, (one, (airfoils, share)) in enumerate(zip(ones, listed, strict=True)):
         if progress is not None:
             progress(done, len(listed))
-        one = replace_rotor(plain, {"blade.airfoils": airfoils})
         prepared.append((airfoils, share, prepare_blading(one, tables, corrections=fixes)))
 
     def fit_subset(index: NDArray[np.intp]) -> list[_FittedSection]:

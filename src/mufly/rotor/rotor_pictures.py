@@ -58,7 +58,8 @@ def blade_picture(rotor: Rotor) -> Figure:
     twist.set_xlabel("Radius (mm)")
     twist.set_ylabel("Twist (deg)")
     twist.grid(alpha=0.3)
-    for k, name in enumerate(rotor.airfoil_names()):
+    names = rotor.airfoil_names()
+    for k, name in enumerate(names):
         try:
             contour = load_airfoil(name).coordinates
         except MuflyError:  # a polar has no contour
@@ -67,7 +68,7 @@ def blade_picture(rotor: Rotor) -> Figure:
     section.set_aspect("equal")
     section.set_xlabel("x / c")
     section.set_ylabel("y / c")
-    section.legend(fontsize="small")
+    section.legend(fontsize="small", ncols=1 + len(names) // 6)
     return figure
 
 

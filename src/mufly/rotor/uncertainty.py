@@ -238,9 +238,9 @@ def predict_interval(
     values, all_causes = np.stack((thrust, torque)), {name: np.stack(pair) for name, pair in causes.items()}
     if guessed:
         listed = [(a, w) for a, w in section_probabilities(rotor, family) if w >= _MIN_SECTION_PROBABILITY]
-        every = {a for airfoils, _ in listed for a in airfoils}
-        tables = compute_rotor_polars(rotor, every, n_crit=n_crit, engine=engine)
         ones = [replace_rotor(rotor, {"blade.airfoils": a}) for a, _ in listed]
+        every = {name for one in ones for name in one.airfoil_names()}
+        tables = compute_rotor_polars(rotor, every, n_crit=n_crit, engine=engine)
         several = np.array([solve_loads(prepare_blading(one, tables, corrections=fixes)) for one in ones])
         weights = np.array([w for _, w in listed])
         weights /= weights.sum()

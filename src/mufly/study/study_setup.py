@@ -304,7 +304,12 @@ def reshape_rotor(rotor: Rotor, changes: Mapping[str, ParameterValue]) -> Rotor:
     blade["airfoils"] = names
     if names != list(rotor.blade.airfoils):
         tables.pop("fit", None)  # a fit is valid only for its own sections
-    for key, values in (("r_over_R", x), ("chord", chord), ("twist", twist)):
+    columns = {"r_over_R": x, "chord": chord, "twist": twist}
+    if "thickness" in changes:
+        blade.pop("thickness", None)
+    elif rotor.blade.thickness is not None:
+        columns["thickness"] = rotor.stated_thickness(x)
+    for key, values in columns.items():
         if not np.array_equal(values, getattr(rotor.blade, key).array()):
             blade[key] = {**blade[key], "value": values.tolist(), **_STUDY_SOURCE}
     for key in ("radius", "hub_cutout"):

@@ -24,7 +24,9 @@ def measure(
     readings: Annotated[
         Path | None,
         define_argument(
-            "[CSV]", "Readings: r_mm, chord_mm, angle_deg; several rows of one radius are averaged. Default: asked for."
+            "[CSV]",
+            "Readings: r_mm, chord_mm, angle_deg, optional thickness_mm; several rows of one radius are averaged. "
+            "Default: asked for.",
         ),
     ] = None,
     diameter: Annotated[
@@ -68,8 +70,6 @@ def measure(
     Examples: mufly rotor measure --diameter 5in --template readings.csv; mufly rotor measure readings.csv
     --diameter 5in --tip-height 2.1mm --stated-pitch 3in --out mine.toml
     """
-    import numpy as np
-
     from mufly.rotor import effective_pitch_prior, format_rotor_toml
     from mufly.rotor.blade_files import read_station_readings
     from mufly.rotor.measured_geometry import GeometryReadings, format_reading_table, measure_geometry
@@ -83,11 +83,11 @@ def measure(
         write_text_file(template, format_reading_table(radius, stated_pitch), option="--template")
         return print_files([template])
     if readings is not None:
-        r, chord, angle = read_station_readings(readings)
+        r, chord, angle, thickness = read_station_readings(readings)
     else:
-        r, chord, angle = _ask_readings(radius)
+        r, chord, angle, thickness = _ask_readings(radius)
     found = measure_geometry(
-        GeometryReadings(r, chord, angle, tip_height), radius_m=radius, blades=blades, airfoil=airfoil,
+        GeometryReadings(r, chord, angle, tip_height, thickness), radius_m=radius, blades=blades, airfoil=airfoil,
         name=name or (out or readings or Path("measured")).stem, stated_pitch_m=stated_pitch,
         chord_std_m=1e-3 * chord_std, angle_std_rad=math.radians(angle_std),
     )  # fmt: skip
@@ -103,13 +103,15 @@ def measure(
             "notes": found.notes,
         }  # fmt: skip
         return print_answer(as_json, content, None, files)
+    thick = found.rotor.stated_thickness(blade.r_over_R.value)
     print_table(
-        ("r/R", "chord", "angle"),
+        ("r/R", "chord", "angle", "thickness"),
         [
-            (f"{x:.3f}", f"{1e3 * c:.2f} ± {1e3 * found.chord_std_m:.2f} mm", f"{math.degrees(t):.1f}°")
-            for x, c, t in zip(blade.r_over_R.value, blade.chord.value, np.asarray(blade.twist.value), strict=True)
+            (f"{x:.3f}", f"{1e3 * c:.2f} ± {1e3 * found.chord_std_m:.2f} mm", f"{math.degrees(a):.1f}°",
+             "airfoil's" if math.isnan(t) else f"{100 * t:.1f} %")
+            for x, c, a, t in zip(blade.r_over_R.value, blade.chord.value, blade.twist.value, thick, strict=True)
         ],
-    )
+    )  # fmt: skip
     c = make_console()
     for note in found.notes:
         c.print(f"Note: {note}", style="yellow", highlight=False)
@@ -123,22 +125,44 @@ def measure(
     print_files(files)
 
 
-def _ask_readings(radius_m: float) -> tuple[Any, Any, Any]:
-    """Ask for chord and angle at the recommended stations."""
+def _ask_readings(radius_m: float) -> tuple[Any, Any, Any, Any]:
+    """Ask for chord, angle and thickness at the recommended stations."""
     import numpy as np
 
     from mufly.quantity_grammar import read_quantity
     from mufly.rotor.measured_geometry import STATION_RATIOS
+    from mufly.rotor.sections.airfoil import MAX_THICKNESS_RATIO
 
     if not sys.stdin.isatty():
         raise InputError("CSV", "", "is missing", "give a table of readings; --template writes an empty one")
+
+    def ask(question: str, what: str, unit: str, low: float, high: float, optional: bool = False) -> float:
+        """Ask until the answer is a number within the limits; nan for Enter at an optional question."""
+
+        def read(text: str) -> float:
+            if optional and not text.strip():
+                return math.nan
+            try:
+                value = read_quantity(what, text, unit)
+            except InputError as error:
+                raise typer.BadParameter(str(error)) from None
+            if not low < value < high:
+                raise typer.BadParameter(f"{text} is out of range; give a value between {low:g} and {high:g} {unit}")
+            return value
+
+        hint = " (Enter: not measured)" if optional else ""
+        default = "" if optional else None
+        return float(
+            typer.prompt(f"{question}: {what} ({unit}){hint}", default=default, show_default=False, value_proc=read)
+        )
+
     rows = []
     for ratio in STATION_RATIOS:
-        at = ratio * radius_m
-        chord, angle = (
-            read_quantity(what, str(typer.prompt(f"r = {1e3 * at:.1f} mm: {what} ({unit})")), unit)
-            for what, unit in (("chord", "mm"), ("angle", "deg"))
-        )
-        rows.append((at, 1e-3 * chord, math.radians(angle)))
-    r, chord, angle = np.array(rows).T
-    return r, chord, angle
+        at = 1e3 * ratio * radius_m
+        question = f"r = {at:.1f} mm"
+        chord = ask(question, "chord", "mm", 0.0, 1e3 * radius_m)
+        angle = ask(question, "angle", "deg", -60.0, 80.0)
+        thickness = ask(question, "thickness", "mm", 0.0, MAX_THICKNESS_RATIO * chord, optional=True)
+        rows.append((1e-3 * at, 1e-3 * chord, math.radians(angle), thickness / chord))
+    r, chords, angles, ratios = np.array(rows).T
+    return r, chords, angles, ratios

@@ -43,6 +43,10 @@ from mufly.rotor.sections.contour_file import read_contour, read_custom_contour
 
 Array = NDArray[np.float64]
 
+MAX_THICKNESS_RATIO = 0.4
+"""Greatest thickness over chord of a section."""
+_SAME_THICKNESS = 5e-4  # of chord: a contour and its designation differ by less
+
 
 @result(eq=False, picture="mufly.rotor.rotor_pictures:section_picture")
 class Airfoil:
@@ -138,7 +142,8 @@ def load_airfoil(name_or_path: str | Path) -> Airfoil:
     for suffix, change in (("+thick", with_thickness), ("+scaled", with_scaled_heights)):
         base, plus, thick = text.rpartition(suffix)
         if plus:
-            return change(load_airfoil(base), _parse_percent(text, thick, "a section", "a thickness", 40.0))
+            most = 100.0 * MAX_THICKNESS_RATIO
+            return change(load_airfoil(base), _parse_percent(text, thick, "a section", "a thickness", most))
     path = Path(name_or_path)
     if path.is_file():
         contour, words = read_custom_contour(path)
@@ -160,6 +165,15 @@ def load_airfoil(name_or_path: str | Path) -> Airfoil:
     raise InputError(text, "", "no such airfoil or file", suggest_name(name, _index_database(), otherwise))
 
 
+def name_thickened_airfoil(name: str, thickness: float) -> str:
+    """Return the name of an airfoil with another thickness (over chord), as :func:`load_airfoil` takes it.
+
+    A Gurney flap keeps its height.
+    """
+    clean, flap, height = name.partition("+gurney")
+    return f"{clean}+thick{100.0 * thickness:.4g}{flap}{height}"
+
+
 def _parse_percent(where: str, text: str, what: str, size: str, most: float) -> float:
     try:
         value = float(text)
@@ -174,8 +188,10 @@ def with_thickness(airfoil: Airfoil, thickness: float) -> Airfoil:
     """Return the section with its thickness scaled about the mean line; the camber is kept.
 
     The mean line halves the section normal to the x axis. So does the family of NACA Report 460, whose members share
-    mean lines.
+    mean lines. A section that has the thickness to 0.05 % of the chord keeps its contour to the last bit.
     """
+    if abs(airfoil.thickness_ratio - thickness) < _SAME_THICKNESS:
+        return _renamed(airfoil, airfoil.coordinates, "thick", thickness, "with a thickness of")
     half = 0.5 * thickness / airfoil.thickness_ratio
     upper, lower = split_sides(airfoil.coordinates)
     (x_u, y_u), (x_l, y_l) = upper.T, lower.T

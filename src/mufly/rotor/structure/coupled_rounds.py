@@ -77,6 +77,8 @@ def deform_rotor(rotor: Rotor, beam: BladeBeam, twist_rad: Array) -> Rotor:
     listed = list(rotor.blade.airfoils)
     if len(listed) > 1 and len(set(listed)) > 1:
         x = stations  # sections between stations are mixtures, which a file cannot name
+    if rotor.blade.thickness is not None:
+        blade["thickness"] = {**blade["thickness"], "value": rotor.stated_thickness(x).tolist()}
     more = np.interp(x * rotor.radius_m, beam.edges_m, twist_rad)
     for key, values in (("r_over_R", x), ("chord", rotor.chord_m(x)), ("twist", rotor.twist_rad(x) + more)):
         blade[key] = {**blade[key], "value": values.tolist()}

@@ -109,6 +109,11 @@ def parse_code(text: str, *, n_crit: float | None = None, limit_s: float = 600.0
     return PredictionCode(name or function, lambda case: _predict_by_function(found, what, case))
 
 
+def _contour_name(airfoil: str) -> str:
+    """Return an airfoil's name as the name of a file, without folder and ending."""
+    return Path(airfoil).stem if Path(airfoil).is_file() else airfoil
+
+
 def describe_case(case: RotorCase) -> RotorDescription:
     """Return the description of a case for an external code."""
     r, blade = case.rotor, case.rotor.blade
@@ -126,8 +131,8 @@ def describe_case(case: RotorCase) -> RotorDescription:
         "chord_m": r.chord_m(x).tolist(),
         "twist_rad": r.twist_rad(x).tolist(),
         "trailing_edge_m": float(r.trailing_edge),
-        "airfoils": [Path(n).stem for n in names],
-        "contours": {Path(n).stem: load_airfoil(n).coordinates.tolist() for n in dict.fromkeys(names)},
+        "airfoils": [_contour_name(n) for n in names],
+        "contours": {_contour_name(n): load_airfoil(n).coordinates.tolist() for n in dict.fromkeys(names)},
         "pitch_rad": case.measured.pitch_rad.tolist(),
         "speed_rad_s": case.measured.speed_rad_s.tolist(),
         "climb_m_s": case.measured.climb_m_s.tolist(),
