@@ -66,9 +66,9 @@ def peer_rate(generations: int) -> tuple[float, float]:
     free = choose_free_parameters(truth, ("Izz", "Iyy", "l_up", "l_dw"), records[0].outputs)
     problem = make_problem(truth, free, records[2:3], voltage="nominal", delay_s=0.0)
     record = problem.records[0]
-    from mufly.identify.flight.free_parameters import log_scaled_parameters, parameters_at_theta
+    from mufly.identify.flight.free_parameters import parameters_at_theta, scaled_parameters
 
-    base, powers = log_scaled_parameters(truth, free, 7.2)
+    base, changes = scaled_parameters(truth, free, 7.2)
     hover, rates = find_trim(truth), np.empty(21)
     columns = [FLIGHT_OUTPUTS.index(o) for o in record.outputs]
     flights = 0
@@ -76,7 +76,7 @@ def peer_rate(generations: int) -> tuple[float, float]:
     def cost(theta: np.ndarray) -> float:
         nonlocal flights
         flights += 1
-        p = parameters_at_theta(base, powers, np.asarray(theta)[None])[0]
+        p = parameters_at_theta(base, changes, np.asarray(theta)[None])[0]
         x, total = hover.state.copy(), 0.0
         for k in range(len(record.time_s) - 1):
             u = record.inputs[k]

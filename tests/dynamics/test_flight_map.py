@@ -18,9 +18,11 @@ from mufly.dynamics.edgewise_loads import inside_flight_map
 from mufly.dynamics.equations_of_motion import state_derivative_tilted
 from mufly.dynamics.model_state import (
     ROTOR_SPEEDS,
+    RS_POS,
     RS_RATES,
     RS_SWASH_PITCH,
     RS_SWASH_ROLL,
+    RS_VEL,
     STATE_SIZE,
 )
 from mufly.dynamics.vehicle_flight_map import find_level_speed
@@ -152,6 +154,17 @@ def test_the_filters_function_knows_no_map(vehicle, clamped, random_state):
     state_derivative_tilted(x, u, CALM, model_parameters(vehicle), 0.1, 0.99, 0.05, 0.99, True, first)
     state_derivative_tilted(x, u, CALM, model_parameters(turned), 0.1, 0.99, 0.05, 0.99, True, second)
     assert np.array_equal(first, second)
+
+
+def test_trim_in_wind_is_steady_with_a_phase(clamped):
+    """All rates but those of position and charge: the swash plate's tilt follows its turned input as well."""
+    turned = replace_parameters(clamped, {"swash_plate.phase": 0.5})
+    trim = find_trim(turned, wind=(0.4, 0.2, 0.0), charge=0.9)
+    state = trim.state.copy()
+    state[RS_POS + 2] = -5.0  # above the floor
+    rates = derivative(turned, state, (0.4, 0.2, 0.0), trim.input)
+    assert np.hypot(*trim.input[2:]) > 0.3
+    assert np.abs(rates[RS_VEL : STATE_SIZE - 1]).max() < 1e-6
 
 
 def test_phase_turns_the_cyclic_input_along_the_rotation(vehicle):

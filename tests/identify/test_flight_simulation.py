@@ -59,9 +59,11 @@ def reference(p, x, u, delay_ms=0):
     return np.array(states)
 
 
-@pytest.mark.parametrize("delay_ms", [0, 13, 25])
-def test_steps_of_10_ms_are_right_to_3e_4_of_the_motion(case, delay_ms):
+@pytest.mark.parametrize(("delay_ms", "phase"), [(0, 0.0), (13, 0.0), (25, 0.0), (0, 0.4)])
+def test_steps_of_10_ms_are_right_to_3e_4_of_the_motion(case, delay_ms, phase):
     p, x, u = case
+    p = p.copy()
+    p["swash_phase"] = phase
     states = reference(p, x, u, delay_ms)
     y = fly(p, x, u, delay=delay_ms / 1e3)[0]
     truth = np.column_stack([-states[:, 2], euler_from_quaternion(states[:, 6:10])[:, :2], states[:, 10:13]])

@@ -27,6 +27,7 @@ lower rotor (clockwise from above):
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -186,6 +187,23 @@ def add_flight_map(
     dx[RS_RATES] += (mx_up + mx_dw - p.z_up * uy - p.z_dw * ly) / p.Ixx
     dx[RS_RATES + 1] += (my_up + my_dw + p.z_up * ux + p.z_dw * lx) / p.Iyy
     dx[RS_RATES + 2] += (torque_up - p.Jreact_up * slow_up - torque_dw + p.Jreact_dw * slow_dw) / p.Izz
+
+
+@cached_njit(error_model="numpy")
+def swash_plate_target(servo_1: Any, servo_2: Any, gain: Any, phase: Any) -> tuple[Any, Any]:
+    """Return the tilt (rad) about x and y that the lower tip-path plane follows.
+
+    Parameters
+    ----------
+    servo_1, servo_2 : float
+        Servo inputs, limited by the caller. Uncompiled, all arguments may be arrays.
+    gain : float
+        Tilt at full input (rad), ``swash_gain``.
+    phase : float
+        ``swash_phase`` (rad).
+    """
+    cosine, sine = np.cos(phase), np.sin(phase)
+    return gain * (cosine * servo_2 + sine * servo_1), -gain * (cosine * servo_1 - sine * servo_2)
 
 
 @cached_njit(error_model="numpy")

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import root
 
-from mufly.dynamics.edgewise_loads import edgewise_factors, inside_flight_map
+from mufly.dynamics.edgewise_loads import edgewise_factors, inside_flight_map, swash_plate_target
 from mufly.dynamics.equations_of_motion import (
     battery_state,
     climb_velocity,
@@ -197,7 +197,7 @@ def find_trim(
             rotor_speed=np.array([upper, lower]) * speed,
             charge=charge_,
         )
-        x[RS_SWASH_ROLL], x[RS_SWASH_PITCH] = p["swash_gain"] * servo_2, -p["swash_gain"] * servo_1
+        x[RS_SWASH_ROLL], x[RS_SWASH_PITCH] = swash_plate_target(servo_1, servo_2, p["swash_gain"], p["swash_phase"])
         return x, np.array([motor_up, motor_dw, servo_1, servo_2])
 
     rates = np.empty(STATE_SIZE)

@@ -38,6 +38,7 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
+from mufly.dynamics.edgewise_loads import swash_plate_target
 from mufly.dynamics.equations_of_motion import battery_state, state_derivative
 from mufly.dynamics.model_state import (
     BAR_NORMAL,
@@ -111,8 +112,9 @@ def _integrate_state(
     h = length / steps
     decay = math.exp(-h * p.swash_rate)
     line, slope = _lag_line_coefficients(h * p.swash_rate)
-    roll_in = p.swash_gain * min(max(u[U_SERVO_2], -1.0), 1.0)
-    pitch_in = -p.swash_gain * min(max(u[U_SERVO_1], -1.0), 1.0)
+    roll_in, pitch_in = swash_plate_target(
+        min(max(u[U_SERVO_1], -1.0), 1.0), min(max(u[U_SERVO_2], -1.0), 1.0), p.swash_gain, p.swash_phase
+    )
     for _ in range(steps):
         roll_off, pitch_off = x[RS_SWASH_ROLL] - roll_in, x[RS_SWASH_PITCH] - pitch_in
         x[RS_SWASH_ROLL], x[RS_SWASH_PITCH] = roll_in + line * roll_off, pitch_in + line * pitch_off

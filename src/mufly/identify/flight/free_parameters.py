@@ -4,8 +4,8 @@ Every coefficient of the equations is a product of powers of vehicle parameters 
 batch of parameter sets therefore follows from one record of :data:`mufly.dynamics.PARAMETER_DTYPE` by multiplication
 of its fields. The powers are found by changing each free parameter once and evaluating
 :func:`mufly.dynamics.model_parameters`. Vehicle parameters are fitted as ``theta = ln(value / start)``, which keeps
-their signs and gives a factor of two the same step for each. Delays and biases may be zero and are fitted as
-``theta = (value - start) / scale``.
+their signs and gives a factor of two the same step for each. Delays, biases and parameters of either sign, such as
+the phase of the swash plate, may be zero. They are fitted as ``theta = (value - start) / scale``.
 
 The provenance of a parameter sets the standard deviation of its prior (of ``ln value``) and the factor that bounds it.
 The priors are wide: they matter only where the data do not determine a parameter. Held parameters are uncertain, too
@@ -45,11 +45,26 @@ PROVENANCE_DOUBT: dict[str, tuple[float, float, float]] = {
 HEAVE_YAW_SYMBOLS = ("cT_up", "cT_dw", "cQ_up", "cQ_dw", "Jdrive_up", "Jdrive_dw", "Jrot_up", "Jrot_dw", "Izz", "Whub",
              "cDAz", "m", "kE", "kM", "dR", "Mf", "Rohm", "igear", "eta_gear", "Ubat", "Rbat", "C", "Iel")  # fmt: skip
 ROLL_PITCH_SYMBOLS = ("Ixx", "Iyy", "z_up", "z_dw", "Tf_up", "Tf_dw", "l_up", "l_dw", "theta_SP_max", "cH", "cDAx",
-              "cDAy")  # fmt: skip
+              "cDAy", "phi_SP")  # fmt: skip
 # Groups of the vehicle file that the equations of free flight may depend on.
 _FLIGHT_GROUPS = ("body", "air", "rotors", "swash_plate", "stabiliser_bar", "motor", "gear", "battery")
 _MAX_DELAY_S = 0.2  # s
+_ANGLE_SCALE = 0.1  # rad a step of a parameter that may have either sign
 _BIAS_BOUNDS = {"m": 1.0, "m/s": 1.0, "rad": 0.3, "rad/s": 0.5, "V": 1.0}  # bound by unit; the prior is a tenth of it
+
+
+@dataclass(frozen=True)
+class FieldChanges:
+    """Effect of the free parameters on the fields of a record: ``field * exp(powers @ theta) + shifts @ theta``.
+
+    Attributes
+    ----------
+    powers, shifts : dict of str to (n,) array
+        Field of the record -> number for every free parameter; fields without effect are absent.
+    """
+
+    powers: dict[str, _Array]
+    shifts: dict[str, _Array]
 
 
 @dataclass(frozen=True)
@@ -111,8 +126,8 @@ def choose_free_parameters(
     Raises
     ------
     InputError
-        For an unknown symbol (with suggestions), a repeated symbol, or a start value of zero; for a vehicle whose
-        rotor coefficients come from a map, which the fit cannot change.
+        For an unknown symbol (with suggestions), a repeated symbol, or a start value of zero where the sign is fixed;
+        for a vehicle whose rotor coefficients come from a map, which the fit cannot change.
     """
     if vehicle.rotors.coefficient_map is not None:
         raise InputError(
@@ -144,11 +159,17 @@ def choose_free_parameters(
             known = [s for s, r in rows.items() if isinstance(r.value, float)]
             remedy = suggest_name(symbol, [*known, "delay"], "use symbols of `mufly vehicle show`")
             raise ArgumentError("symbols", symbol, "is not a parameter of a vehicle that can be fitted", remedy)
+        bounds = limits.get(row.key, [])
+        if _has_either_sign(bounds):
+            low, high = ((limit - row.value) / _ANGLE_SCALE for limit in (min(bounds), max(bounds)))
+            std = (PROVENANCE_DOUBT[row.source][0] if row.std is None else row.std) / _ANGLE_SCALE
+            chosen.append(FreeParameter(symbol, row.key, row.unit, row.value, _ANGLE_SCALE, low, high, std, row.source))
+            continue
         if row.value == 0.0:
             raise InputError(vehicle.name, row.key, "starts at 0", "give a start of the right size")
         std, factor, _ = PROVENANCE_DOUBT[row.source]
         low, high = -math.log(factor), math.log(factor)
-        for limit in limits.get(row.key, ()):
+        for limit in bounds:
             t = math.log(limit / row.value) if limit / row.value > 0 else math.inf
             low, high = (max(low, t), high) if t <= 0 else (low, min(high, t))
         chosen.append(FreeParameter(symbol, row.key, row.unit, row.value, 0.0, low, high, std, row.source))
@@ -164,14 +185,21 @@ def list_held_parameters(
     and the delay, whose provenance counts as estimated.
     """
     chosen, found = {f.symbol for f in free}, []
+    limits = _schema_limits(vehicle)
     for row in list_parameters(vehicle):
-        if row.symbol in chosen or not isinstance(row.value, float) or row.value == 0.0:
+        if row.symbol in chosen or not isinstance(row.value, float):
             continue
         if row.key.partition(".")[0] not in _FLIGHT_GROUPS:
             continue
-        doubt = PROVENANCE_DOUBT[row.source][2] if row.std is None else row.std / abs(row.value)
-        one = FreeParameter(row.symbol, row.key, row.unit, row.value, 0.0, -np.inf, np.inf, doubt, row.source)
-        if doubt > 0.0 and log_scaled_parameters(vehicle, [one], voltage)[1]:
+        added = _has_either_sign(limits.get(row.key, []))
+        if not added and row.value == 0.0:
+            continue
+        if added:
+            scale, doubt = _ANGLE_SCALE, (row.std or 0.0) / _ANGLE_SCALE
+        else:
+            scale, doubt = 0.0, PROVENANCE_DOUBT[row.source][2] if row.std is None else row.std / abs(row.value)
+        one = FreeParameter(row.symbol, row.key, row.unit, row.value, scale, -np.inf, np.inf, doubt, row.source)
+        if doubt > 0.0 and _changed_fields(vehicle, one, voltage):
             found.append(one)
     if "delay" not in chosen and delay_s > 0.0:
         doubt = PROVENANCE_DOUBT["estimated"][2] * delay_s / 0.01
@@ -187,10 +215,10 @@ def theta_to_values(free: Sequence[FreeParameter], theta: _Array) -> _Array:
     return np.where(log, start * np.exp(np.where(log, t, 0.0)), start + scale * t)
 
 
-def log_scaled_parameters(
+def scaled_parameters(
     vehicle: Vehicle, free: Sequence[FreeParameter], voltage: float | None
-) -> tuple[NDArray[np.void], dict[str, _Array]]:
-    """Return the start record and the power of each free parameter in its fields, for :func:`parameters_at_theta`.
+) -> tuple[NDArray[np.void], FieldChanges]:
+    """Return the start record and the effect of the free parameters on its fields, for :func:`parameters_at_theta`.
 
     Parameters
     ----------
@@ -203,40 +231,66 @@ def log_scaled_parameters(
     -------
     base : () structured array of type ``PARAMETER_DTYPE``
         Model parameters at the start values, without floor contact.
-    powers : dict of str to (n,) array
-        Field of the record -> exponent of every free parameter, 0 for those without effect on the field.
+    changes : FieldChanges
     """
     base = np.array(model_parameters(vehicle, voltage), dtype=PARAMETER_DTYPE)
-    powers: dict[str, _Array] = {}
+    changes = FieldChanges({}, {})
     for j, f in enumerate(free):
-        if not f.key:
-            continue
-        changed, factor = _perturb_parameter(vehicle, f, voltage)
-        for name in PARAMETER_DTYPE.names or ():
-            if name in ("contact_points", "contact_count", "contact_reach", "friction_bound"):
-                continue
-            old, new = float(np.ravel(base[name])[-1]), float(np.ravel(changed[name])[-1])
-            if old != new:
-                powers.setdefault(name, np.zeros(len(free)))[j] = round(math.log(new / old) / math.log(factor), 9)
+        into = changes.powers if f.scale == 0.0 else changes.shifts
+        for name, effect in _changed_fields(vehicle, f, voltage).items():
+            into.setdefault(name, np.zeros(len(free)))[j] = effect
     base["contact_reach"] = -1e9
     base["ground_effect"] = 0.0
-    return base, powers
+    return base, changes
+
+
+def _has_either_sign(bounds: Sequence[float]) -> bool:
+    return bool(bounds) and min(bounds) < 0.0 < max(bounds)
+
+
+def _changed_fields(vehicle: Vehicle, f: FreeParameter, voltage: float | None) -> dict[str, float]:
+    """Return the fields that a parameter changes, with its power in each, or what a unit of ``theta`` adds."""
+    if not f.key:
+        return {}
+    base = np.array(model_parameters(vehicle, voltage), dtype=PARAMETER_DTYPE)
+    changed, step = _perturb_parameter(vehicle, f, voltage)
+    effects: dict[str, float] = {}
+    for name in PARAMETER_DTYPE.names or ():
+        if name in ("contact_points", "contact_count", "contact_reach", "friction_bound"):
+            continue
+        old, new = float(np.ravel(base[name])[-1]), float(np.ravel(changed[name])[-1])
+        if old != new:
+            power = f.scale == 0.0
+            effects[name] = round(math.log(new / old) / math.log(step), 9) if power else (new - old) / step
+    return effects
 
 
 def _perturb_parameter(vehicle: Vehicle, f: FreeParameter, voltage: float | None) -> tuple[Any, float]:
-    """Return the model parameters with one parameter changed by 0.1 % in a valid direction, and the factor."""
+    """Return the model parameters with one parameter changed in a valid direction, and the step.
+
+    The step is a factor of 0.1 %, or 0.001 of ``theta`` for a parameter that is added.
+    """
+
+    def changed(value: float) -> Any:
+        return model_parameters(replace_parameters(vehicle, {f.key: value}), voltage)
+
+    if f.scale != 0.0:
+        step = -1e-3 if f.start_value > 0.0 else 1e-3
+        return changed(f.start_value + step * f.scale), step
     try:
-        return model_parameters(replace_parameters(vehicle, {f.key: 0.999 * f.start_value}), voltage), 0.999
+        return changed(0.999 * f.start_value), 0.999
     except InputError:  # the decrease violates a relation between two parameters
-        return model_parameters(replace_parameters(vehicle, {f.key: 1.001 * f.start_value}), voltage), 1.001
+        return changed(1.001 * f.start_value), 1.001
 
 
-def parameters_at_theta(base: NDArray[np.void], powers: dict[str, _Array], theta: _Array) -> NDArray[np.void]:
+def parameters_at_theta(base: NDArray[np.void], changes: FieldChanges, theta: _Array) -> NDArray[np.void]:
     """Return the records (b,) of type ``PARAMETER_DTYPE`` at the scaled values ``theta`` (b, n)."""
     p = np.full(len(theta), base, dtype=PARAMETER_DTYPE)
-    for name, exponent in powers.items():
+    for name, exponent in changes.powers.items():
         factor = np.exp(theta @ exponent)
         p[name] = p[name] * (factor if p[name].ndim == 1 else factor[:, None])
+    for name, slope in changes.shifts.items():
+        p[name] = p[name] + theta @ slope
     return p
 
 

@@ -33,6 +33,7 @@ from dataclasses import replace as dataclasses_replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.dynamics.edgewise_loads import swash_plate_target
 from mufly.dynamics.model_state import (
     MOTORS,
     MOTORS_SWAPPED,
@@ -155,7 +156,8 @@ def estimate_input_gains(vehicle: Vehicle, r: FlightRecord) -> tuple[dict[str, I
                 == 1
             ):
                 found["yaw"] = dataclasses_replace(found["yaw"], sign=-1)
-    arm = -p["z_dw"] * thrust[:, 1, None] * np.sin(p["swash_gain"] * np.clip(f.inputs[:, SERVOS], -1.0, 1.0))
+    tilt = swash_plate_target.py_func(*np.clip(f.inputs[:, SERVOS], -1.0, 1.0).T, p["swash_gain"], p["swash_phase"])
+    arm = -p["z_dw"] * thrust[:, 1, None] * np.sin(np.column_stack((-tilt[1], tilt[0])))
     bar = np.einsum("nji,nj->ni", turn, _bar_normal(f.mast_direction, -np.expm1(-dt * p["bar_rate"])))
     lean = -p["z_up"] * p["bar_gain"] * thrust[:, :1] * bar[:, :2]
     if has & {"roll", "p"}:
@@ -189,7 +191,7 @@ def estimate_input_gains(vehicle: Vehicle, r: FlightRecord) -> tuple[dict[str, I
 
 def _simulate_rotors(f: PreparedRecord, dt: float) -> tuple[np.void, Array, Array]:
     """Return the model parameters, and thrust (N) and torque on the body (N m) of the rotors, each (n, 2)."""
-    p = parameters_at_theta(f.base_parameters, f.parameter_powers, np.zeros((1, 0)))
+    p = parameters_at_theta(f.base_parameters, f.parameter_changes, np.zeros((1, 0)))
     starts = np.arange(0, len(f.inputs), max(1, round(0.5 / dt)))  # restarts limit the body motion
     x = np.zeros((1, STATE_SIZE))
     x[:, RS_ATT], x[:, RS_BAR + 2] = 1.0, -1.0

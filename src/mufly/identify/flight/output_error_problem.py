@@ -27,6 +27,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.dynamics.edgewise_loads import swash_plate_target
 from mufly.dynamics.model_state import (
     BAR_NORMAL,
     MOTORS,
@@ -47,10 +48,11 @@ from mufly.identify.flight.batch_simulation import (
     steady_rotor_speeds,
 )
 from mufly.identify.flight.free_parameters import (
+    FieldChanges,
     FreeParameter,
     list_held_parameters,
-    log_scaled_parameters,
     parameters_at_theta,
+    scaled_parameters,
     theta_to_values,
 )
 from mufly.identify.flight_record import (
@@ -139,8 +141,8 @@ class PreparedRecord:
     smoothed_motion, mast_direction : (n, 12), (n, 3) array
         Smoothed measurement (SI), and the mast direction from it.
     inputs : (n, 4) array
-    base_parameters, parameter_powers
-        Results of :func:`log_scaled_parameters`.
+    base_parameters, parameter_changes
+        Results of :func:`scaled_parameters`.
     initial_charge : float
         State of charge at the start, unless it is an unknown.
     constant_voltage : float or None
@@ -162,7 +164,7 @@ class PreparedRecord:
     mast_direction: _Array
     inputs: _Array
     base_parameters: NDArray[np.void]
-    parameter_powers: dict[str, _Array]
+    parameter_changes: FieldChanges
     initial_charge: float
     constant_voltage: float | None
     initial_offset: _Array
@@ -240,8 +242,8 @@ class OutputErrorProblem:
             self.vehicle, self.free_parameters, self.delay_s, self.prepared_records[0].constant_voltage
         )
         wider = (*self.free_parameters, *held)
-        powers = [log_scaled_parameters(self.vehicle, wider, f.constant_voltage)[1] for f in self.prepared_records]
-        return dataclasses_replace(self._replace_in_records(parameter_powers=powers), free_parameters=wider), len(
+        changes = [scaled_parameters(self.vehicle, wider, f.constant_voltage)[1] for f in self.prepared_records]
+        return dataclasses_replace(self._replace_in_records(parameter_changes=changes), free_parameters=wider), len(
             self.free_parameters
         )
 
@@ -294,7 +296,7 @@ class OutputErrorProblem:
     def simulate_record(self, i: int, theta: _Array, states: _Array) -> _Array:
         """Return the outputs of record ``i`` (b, n, m) for ``theta`` (b, t) and initial states (b, windows, k)."""
         f, r, b = self.prepared_records[i], self.records[i], len(theta)
-        p = parameters_at_theta(f.base_parameters, f.parameter_powers, theta)
+        p = parameters_at_theta(f.base_parameters, f.parameter_changes, theta)
         values = theta_to_values(self.free_parameters, theta)
         symbols = [one.symbol for one in self.free_parameters]
         delay = values[:, symbols.index("delay")] if "delay" in symbols else np.full(b, self.delay_s)
@@ -314,8 +316,9 @@ class OutputErrorProblem:
             speeds = steady_rotor_speeds(p, np.clip(first, 0.0, 1.0), f.first_and_mean_voltage[0])
         x = np.zeros((b, STATE_SIZE))
         x[:, RS_ATT] = 1.0
-        x[:, RS_SWASH_ROLL] = p["swash_gain"] * np.clip(f.inputs[0, U_SERVO_2], -1, 1)
-        x[:, RS_SWASH_PITCH] = -p["swash_gain"] * np.clip(f.inputs[0, U_SERVO_1], -1, 1)
+        x[:, RS_SWASH_ROLL], x[:, RS_SWASH_PITCH] = swash_plate_target.py_func(
+            *np.clip(f.inputs[0, [U_SERVO_1, U_SERVO_2]], -1.0, 1.0), p["swash_gain"], p["swash_phase"]
+        )
         x[:, BAR_NORMAL] = bar_normal(motion[:, 0, MO_EULER:MO_RATES], actuator[:, AC_BAR:AC_CHARGE])
         x[:, ROTOR_SPEEDS] = speeds * np.maximum(1.0 + actuator[:, :AC_BAR], 0.01)
         x[:, RS_CHARGE] = np.clip(f.initial_charge + actuator[:, AC_CHARGE], 0.0, 1.0)
@@ -396,7 +399,7 @@ class OutputErrorProblem:
             return np.zeros((len(theta), 0))
         out = []
         for f in self.prepared_records:
-            p = parameters_at_theta(f.base_parameters, f.parameter_powers, theta)
+            p = parameters_at_theta(f.base_parameters, f.parameter_changes, theta)
             duty = np.clip(f.inputs[:, MOTORS], 0.0, 1.0).mean(axis=0)
             speed = steady_rotor_speeds(p, duty, f.first_and_mean_voltage[1])
             weight = p["mass"] * GRAVITY + p["downwash"]
@@ -479,7 +482,7 @@ def _prepare_record(
     else:
         constant = float(np.max(volts))
         held = (constant, constant)
-    base, powers = log_scaled_parameters(vehicle, free, constant)
+    base, changes = scaled_parameters(vehicle, free, constant)
     mast = bar_normal(motion[:, MO_EULER:MO_RATES], np.zeros((len(motion), 2)))
     none, begin = np.zeros(0, dtype=np.int64), np.zeros(len(MOTION_STATES) + len(ACTUATOR_STATES))
     return PreparedRecord(
@@ -489,7 +492,7 @@ def _prepare_record(
         mast,
         u,
         base,
-        powers,
+        changes,
         charge,
         constant,
         begin,
