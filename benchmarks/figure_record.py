@@ -142,8 +142,6 @@ def record_scores(folder: Path) -> None:
         ("bemt, half seen", "bemt_half"),
     ):
         record_figure(key, 100 * float(scores[code]["thrust_error"]), 100 * float(scores[code]["torque_error"]))
-    inside = scores["bemt, families"]
-    record_figure("bemt_intervals", 100 * float(inside["thrust_inside_90"]), 100 * float(inside["torque_inside_90"]))
 
 
 def main() -> None:

@@ -11,7 +11,7 @@ table-3.2          four points: methods, the dissertation's CFD, open choices   
 singles            all other single rotors, one by one; wakes at three or five points               10 s; wake 15 min
 held-out           sections fitted to a part of each sweep, scored on the rest                      1 min
 variants           each correction, transition and assumed section: mean errors, blade elements     20 s
-intervals          share of measurements inside the 90 % intervals                                  10 s
+intervals          share of measurements inside 90 % intervals                                      10 s
 stations           Caradonna and Tung: thrust from five stations beside that of the whole blade     1 min
 momentum           thrust from momentum through planes below the disc, by the wake                  2 min
 pair               the dissertation's pair: equal speeds, torque balance, spacing                   5 s; wake 5 min
@@ -58,7 +58,6 @@ from mufly.rotor import (
     calibrate_blading,
     compare_measurements,
     compute_polars,
-    predict_interval,
     prepare_blading,
     replace_rotor,
     solve_system,
@@ -69,6 +68,7 @@ from mufly.study.benchmark import (
     RotorCase,
     RotorPrediction,
     score_codes,
+    score_cross_validated,
     score_held_out_points,
     tabulate_by_group,
 )
@@ -252,31 +252,24 @@ def report_variants(asked: argparse.Namespace) -> None:
 
 
 def report_intervals(asked: argparse.Namespace) -> None:
-    """Share of measurements inside the 90 % intervals as shipped (refitted by family: ``--held-out``)."""
-    count: dict[str, list[list[float]]] = {}
-    for case in load_singles(asked.data):
-        m, section = case.measured, "known" if case.section_known else "guessed"
-        b = predict_interval(
-            case.rotor, pitch_rad=m.pitch_rad, speed_rad_s=m.speed_rad_s, air=case.air, section=section
-        )
-        line = []
-        for value, middle, low, high in (
-            (m.thrust_N, b.thrust_N, b.thrust_low_N, b.thrust_high_N),
-            (m.torque_Nm, b.torque_Nm, b.torque_low_Nm, b.torque_high_Nm),
-        ):
-            inside = (value >= low) & (value <= high)
-            line += [inside.sum(), np.isfinite(value).sum(), 50 * np.mean((high - low) / middle)]
-        count.setdefault(f"{case.group}, section {section}", []).append(line)
-    rows, all_lines = [], np.concatenate([np.array(v) for v in count.values()])
-    for name, lines in (*((k, np.array(v)) for k, v in count.items()), ("all", all_lines)):
-        a = lines.sum(axis=0)
-        cells = [
-            [f"{a[k]:.0f} of {a[k + 1]:.0f}", f"{lines[:, k + 2].mean():.0f}"] if a[k + 1] else ["not measured", ""]
-            for k in (0, 3)
-        ]
-        rows.append([name, *cells[0], *cells[1]])
-    head = ["rotors", "thrust inside", "half width, %", "torque inside", "half width, %"]
-    show_table("90 % intervals", head, rows)
+    """Share of measurements inside 90 % intervals whose scales are fitted to the other families of rotors."""
+    rows, scores = [], score_cross_validated(load_singles(asked.data))
+    for section in ("known", "guessed"):
+        part, cells, shares = [s for s in scores if s.code.endswith(section)], [], []
+        for k in (0, 1):
+            inside = [s.inside_interval[k] for s in part if s.inside_interval is not None]
+            half = [s.half_width[k] for s in part if s.half_width is not None]
+            held = [(i[np.isfinite(i)], h) for i, h in zip(inside, half, strict=True) if np.isfinite(i).any()]
+            points = np.concatenate([i for i, _ in held])
+            means, widths = np.mean([i.mean() for i, _ in held]), np.mean([h.mean() for _, h in held])
+            shares.append(100 * points.mean())
+            cells += [f"{shares[-1]:.0f} % of {points.size}", f"{100 * means:.0f} % of {len(held)}"]
+            cells.append(f"{100 * widths:.0f} %")
+        rows.append([section, *cells])
+        asked.record(f"bemt_intervals_{section}", *shares)
+    words = ("points inside", "mean of rotors", "half width")
+    head = [f"{of}: {word}" for of in ("thrust", "torque") for word in words]
+    show_table("90 % intervals, scales fitted to the other families", ["section", *head], rows)
 
 
 def report_stations(asked: argparse.Namespace) -> None:

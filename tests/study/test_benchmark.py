@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose
 
 from mufly.errors import InputError
 from mufly.rotor import format_rotor_toml, load_rotor
+from mufly.rotor.uncertainty import fit_interval_scale, interval_quantile
 from mufly.study.benchmark import (
     describe_case,
     load_cases,
@@ -20,7 +21,6 @@ from mufly.study.benchmark import (
     tabulate_by_group,
     tabulate_propellers,
 )
-from mufly.study.benchmark.benchmark_scores import fit_interval_factor
 from mufly.study.benchmark.prediction_codes import n_crit_of_turbulence
 from mufly.study.benchmark.propeller_efficiency import measure_efficiency_curve
 
@@ -133,12 +133,19 @@ def test_what_is_no_code_is_refused_in_one_line(text):
         parse_code(text)
 
 
-def test_intervals_are_widened_until_they_hold():
-    off = [np.linspace(0.1, 1.0, 10), np.array([np.nan]), np.array([2.0])]  # two rotors with the same weight
-    assert fit_interval_factor(off[:1]) == pytest.approx(0.9)
-    assert fit_interval_factor(off) == 2.0
-    assert fit_interval_factor(off, 0.25) == pytest.approx(0.5)
-    assert fit_interval_factor([]) == 1.0
+def test_scales_of_intervals_hold_what_they_state():
+    rng = np.random.default_rng(41)
+    errors = 0.7 * rng.standard_t(3, 4000)
+    scale = fit_interval_scale(list(errors[:, None]))
+    assert scale == pytest.approx(0.7, rel=0.04)
+    for level in (0.5, 0.9, 0.95):
+        assert np.mean(np.abs(errors) < interval_quantile(level) * scale) == pytest.approx(level, abs=0.015)
+    few = [np.array([e]) for e in (0.2, -0.5, 1.1, -1.6)]
+    copied = [np.repeat(few[0], 4), np.append(few[1], np.nan), *few[2:], np.array([np.nan])]
+    assert fit_interval_scale(copied) == fit_interval_scale(few)  # a rotor counts once
+    many = list(errors[:20, None])
+    assert fit_interval_scale([*many, np.array([1e3])]) < 1.3 * fit_interval_scale(many)  # nor does one rotor decide
+    assert fit_interval_scale([]) == 1.0
 
 
 def falling(question):

@@ -15,10 +15,16 @@ If the section is guessed, the prediction is the mean over the candidate section
 weighted with their probabilities, and their variance adds to the causes. Camber and thickness then vary only within one
 step of the grid of candidates.
 
-The causes are treated as independent: variances add. Their standard deviations are not fitted. The sum is widened by
-:data:`INTERVAL_WIDENING` for unlisted causes. These two factors are fitted: nominal 90 % intervals then contain 90 % of
-the points of the benchmark's rotors, each rotor with the same weight. `mufly rotor benchmark --held-out` measures the
-coverage on held-out families of rotors (docs/accuracy.md).
+The causes are treated as independent: variances add to s^2. Their standard deviations are not fitted. Errors of rotors
+have heavy tails (a wrong geometry, an unlisted cause), so error / (k s) is taken to follow Student's distribution with
+three degrees of freedom, the fewest whole number with a variance. The interval of level p is
+
+    prediction +- k t_3((1 + p) / 2) s
+
+The scales k of thrust and torque (:data:`INTERVAL_SCALES`) are the likeliest for the rotors of the benchmark
+(:func:`fit_interval_scale`), each rotor counting once: its points share its error. `mufly rotor benchmark --held-out`
+measures the coverage on families that had no part in the fit (docs/accuracy.md). The interval of a rotor fitted to a
+bench is normal, with k = 1.
 """
 
 from __future__ import annotations
@@ -30,6 +36,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtri, stdtrit
 
 from mufly.errors import ArgumentError, InputError
 from mufly.results import result
@@ -50,8 +57,10 @@ Array = NDArray[np.float64]
 SectionKnowledge = Literal["known", "guessed", "measured"]
 SECTION_KNOWLEDGE_LEVELS: tuple[SectionKnowledge, ...] = ("known", "guessed", "measured")
 
-INTERVAL_WIDENING = (0.98, 1.33)
-"""Factors on the deviations of thrust and torque, fitted to the 90 % intervals of 21 rotors (docs/accuracy.md)."""
+INTERVAL_SCALES = (0.635, 0.833)
+"""Scales k of the errors of thrust and torque over their deviations, fitted to 21 rotors (docs/accuracy.md)."""
+_FREEDOM = 3.0  # degrees of freedom of the errors
+_MAX_SCALE_ITERATIONS = 1000
 _MIN_SECTION_PROBABILITY = 0.003  # sections below this probability are left out of the mean
 
 
@@ -116,7 +125,7 @@ class PredictionInterval:
         }
 
 
-_SIGMAS_BY_LEVEL = {0.5: 0.674, 0.68: 0.994, 0.8: 1.282, 0.9: 1.645, 0.95: 1.960, 0.99: 2.576}
+INTERVAL_LEVELS = (0.5, 0.68, 0.8, 0.9, 0.95, 0.99)
 
 
 def predict_interval(
@@ -133,7 +142,7 @@ def predict_interval(
     family: str = "",
     doubt: InputUncertainty | None = None,
     level: float = 0.9,
-    wider: tuple[float, float] | None = None,
+    scales: tuple[float, float] = INTERVAL_SCALES,
 ) -> PredictionInterval:
     """Predict thrust and torque with an interval.
 
@@ -158,16 +167,16 @@ def predict_interval(
         Standard deviations of the causes; default: those of a known or guessed section.
     level : float
         Coverage: 0.5, 0.68, 0.8, 0.9, 0.95 or 0.99.
-    wider : (float, float), optional
-        Factors in place of :data:`INTERVAL_WIDENING`.
+    scales : (float, float)
+        Scales of thrust and torque in place of :data:`INTERVAL_SCALES`.
 
     Raises
     ------
     InputError
         If level, section or family is invalid, or the section is 'measured' and the rotor is not fitted.
     """
-    if level not in _SIGMAS_BY_LEVEL:
-        known = ", ".join(map(str, _SIGMAS_BY_LEVEL))
+    if level not in INTERVAL_LEVELS:
+        known = ", ".join(map(str, INTERVAL_LEVELS))
         raise ArgumentError("band", f"{level:g}", "is not a probability of a known interval", f"choose one of {known}")
     if section not in SECTION_KNOWLEDGE_LEVELS:
         raise InputError(
@@ -197,7 +206,7 @@ def predict_interval(
 
         ratio = climb / (rotor.radius_m * speed)
         values, parts = _predict_fitted_rotor(rotor, rotor.fit, solve_rotor_loads, (pitch, speed, ratio), unsure)
-        return _make_interval(values, parts, level)
+        return _make_interval(values, parts, level, (float(ndtri(0.5 + 0.5 * level)),) * 2)
     nominal = prepare_blading(rotor, n_crit=n_crit, engine=engine, corrections=fixes)
 
     def solve_loads(blading: Blading = nominal, turned: float = 0.0) -> tuple[Array, Array]:
@@ -246,20 +255,55 @@ def predict_interval(
         weights /= weights.sum()
         values = np.tensordot(weights, several, 1)
         all_causes["section"] = np.sqrt(np.tensordot(weights, (several - values) ** 2, 1))
-    return _make_interval(values, all_causes, level, wider or INTERVAL_WIDENING)
+    quantile = interval_quantile(level)
+    return _make_interval(values, all_causes, level, (quantile * scales[0], quantile * scales[1]))
+
+
+def interval_quantile(level: float) -> float:
+    """Return t_3((1 + level) / 2), the half width of an interval over the scale of Student's distribution."""
+    return float(stdtrit(_FREEDOM, 0.5 + 0.5 * level))
+
+
+def fit_interval_scale(errors: Sequence[Array]) -> float:
+    """Return the likeliest scale k of errors, each error in standard deviations of its prediction.
+
+    The root mean square z_i of a rotor's errors counts as one draw, so that neither long sweeps nor copies of a point
+    count more than others. The maximum of sum_i log(f_3(z_i / k) / k), f_3 Student's density with n = 3 degrees of
+    freedom, is where (own derivation)
+
+        k^2 = (n + 1) / N sum_i z_i^2 / (n + z_i^2 / k^2)
+
+    which is solved by iteration (Lange, Little, Taylor, J. Am. Stat. Assoc. 84, 1989).
+
+    Parameters
+    ----------
+    errors : sequence of (points,) arrays
+        Measured less predicted over the standard deviation s, one array a rotor; nan without measurement.
+
+    Returns
+    -------
+    float
+        1 if nothing was measured.
+    """
+    z2 = np.array([np.mean(e[np.isfinite(e)] ** 2) for e in errors if np.isfinite(e).any()])
+    if not z2.any():
+        return 1.0
+    k2 = float(np.median(z2)) or float(z2.mean())
+    for _ in range(_MAX_SCALE_ITERATIONS):
+        before, k2 = k2, (_FREEDOM + 1.0) * float(np.mean(z2 / (_FREEDOM + z2 / k2)))
+        if abs(k2 - before) < 1e-12 * k2:
+            break
+    return math.sqrt(k2)
 
 
 def _make_interval(
-    values: Array, causes: Mapping[str, Array], level: float, wider: tuple[float, float] = (1.0, 1.0)
+    values: Array, causes: Mapping[str, Array], level: float, sigmas: tuple[float, float]
 ) -> PredictionInterval:
-    """Make the interval from nominal thrust and torque (2, n) and standard deviations of each cause (2, n)."""
-    sigma = (
-        np.array(wider)[:, None]
-        * _SIGMAS_BY_LEVEL[level]
-        * np.sqrt(np.sum([np.square(c) for c in causes.values()], axis=0))
-    )
+    """Make the interval from nominal thrust and torque (2, n), standard deviations of each cause (2, n) and half widths
+    of thrust and torque in standard deviations."""
+    half = np.array(sigmas)[:, None] * np.sqrt(np.sum([np.square(c) for c in causes.values()], axis=0))
     size = np.where(values == 0.0, np.nan, np.abs(values))
-    low, high = values - sigma, values + sigma
+    low, high = values - half, values + half
     return PredictionInterval(
         values[0], values[1], low[0], high[0], low[1], high[1], level,
         {name: c[0] / size[0] for name, c in causes.items()}, {name: c[1] / size[1] for name, c in causes.items()},

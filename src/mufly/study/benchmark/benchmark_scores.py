@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from mufly.answer_store import hash_question, read_answer, write_answer
 from mufly.errors import MuflyError
 from mufly.rotor import fit_rotor, predict_interval
+from mufly.rotor.uncertainty import fit_interval_scale, interval_quantile
 from mufly.study.benchmark.prediction_codes import PredictionCode, RotorPrediction, describe_case
 from mufly.study.benchmark.rotor_cases import RotorCase
 from mufly.version import __version__
@@ -45,6 +46,8 @@ class RotorScore:
         1 if the nominal 90 % interval contains the measured thrust or torque, 0 if not, nan without interval.
     fault : str
         Reason why points have no prediction.
+    half_width : (2, points) array, optional
+        Half width of the interval over the predicted thrust or torque.
     """
 
     code: str
@@ -53,6 +56,7 @@ class RotorScore:
     torque_error: Array
     inside_interval: Array | None = None
     fault: str = ""
+    half_width: Array | None = None
 
     def mean_abs_error(self, of: str) -> float:
         """Return the mean absolute error of ``"thrust"`` or ``"torque"``; nan if there is none."""
@@ -190,52 +194,37 @@ def score_held_out_points(
 def score_cross_validated(cases: Sequence[RotorCase], progress: ProgressCallback | None = None) -> list[RotorScore]:
     """Score nominal 90 % intervals (:func:`mufly.rotor.predict_interval`) by cross-validation over families.
 
-    For each family the factor on the widths is fitted to the other families, so that 90 % of their points lie inside;
-    every rotor has the same weight. If the section is guessed, the prediction is the mean over its candidates.
+    For each family the scales of the intervals are fitted to the other families
+    (:func:`mufly.rotor.uncertainty.fit_interval_scale`). If the section is guessed, the prediction is the mean over its
+    candidates. Rotors of known and of guessed sections are scored apart.
     """
-    bands, label = [], "bemt, families"
+    bands = []
     for done, case in enumerate(cases):
         if progress is not None:
             progress(done, len(cases))
         m = case.measured
         bands.append(
             predict_interval(
-                case.rotor, pitch_rad=m.pitch_rad, speed_rad_s=m.speed_rad_s, air=case.air, wider=(1.0, 1.0),
+                case.rotor, pitch_rad=m.pitch_rad, speed_rad_s=m.speed_rad_s, air=case.air, scales=(1.0, 1.0),
                 section="known" if case.section_known else "guessed",
             )
         )  # fmt: skip
     means = [np.stack((b.thrust_N, b.torque_Nm)) for b in bands]
     truths = [np.stack((c.measured.thrust_N, c.measured.torque_Nm)) for c in cases]
     highs = [np.stack((b.thrust_high_N, b.torque_high_Nm)) for b in bands]
-    off = [np.abs(t - p) / (h - p) for t, p, h in zip(truths, means, highs, strict=True)]
+    quantile = interval_quantile(0.9)
+    off = [quantile * (t - p) / (h - p) for t, p, h in zip(truths, means, highs, strict=True)]
     scores = []
-    for case, mean, truth, miss in zip(cases, means, truths, off, strict=True):
+    for case, mean, truth, high, miss in zip(cases, means, truths, highs, off, strict=True):
         others = [o for c, o in zip(cases, off, strict=True) if c.family != case.family]
-        factor = np.array([[fit_interval_factor([o[k] for o in others])] for k in (0, 1)])
-        inside = np.where(np.isfinite(miss), (miss <= factor).astype(np.float64), math.nan)
-        scores.append(RotorScore(label, case, mean[0] / truth[0] - 1.0, mean[1] / truth[1] - 1.0, inside))
+        scale = np.array([[fit_interval_scale([o[k] for o in others])] for k in (0, 1)])
+        width = scale * (high - mean) / np.abs(mean)
+        inside = np.where(np.isfinite(miss), (np.abs(miss) <= quantile * scale).astype(np.float64), math.nan)
+        label = f"bemt, families, section {'known' if case.section_known else 'guessed'}"
+        scores.append(
+            RotorScore(label, case, mean[0] / truth[0] - 1.0, mean[1] / truth[1] - 1.0, inside, half_width=width)
+        )
     return scores
-
-
-def fit_interval_factor(off: Sequence[Array], level: float = 0.9) -> float:
-    """Return the factor on half widths so that the fraction ``level`` of points lies inside; 1 without points.
-
-    Parameters
-    ----------
-    off : sequence of (points,) arrays
-        Distance of each rotor's measured points from the prediction over the half width; nan without measurement.
-        Every rotor has the same weight.
-    level : float
-    """
-    known = [o[np.isfinite(o)] for o in off]
-    known = [o for o in known if o.size]
-    if not known:
-        return 1.0
-    values = np.concatenate(known)
-    weights = np.concatenate([np.full(o.size, 1.0 / (o.size * len(known))) for o in known])
-    order = np.argsort(values)
-    at = int(np.searchsorted(np.cumsum(weights[order]), level - 1e-12))
-    return float(values[order][min(at, values.size - 1)])
 
 
 def _is_within(value: Array, low: Array, high: Array) -> Array:
