@@ -53,6 +53,17 @@ def data(tmp_path):
     return folder
 
 
+def test_sets_lie_in_folders_below_and_static_runs_are_no_tunnel_runs(data):
+    (data / "aero").mkdir()
+    (data / "aero" / "thesis_table_3_2.csv").write_text("pitch_deg,rpm,thrust_N,torque_Nm\n12,5000,0.151,0.0015\n")
+    (data / "volume-2" / "kpf_96x70_static_0001.txt").write_text(STATIC)
+    cases, missing = load_cases(data, "table,kpf")
+    assert [c.group for c in cases] == ["Table 3.2", "UIUC micro"]
+    assert cases[1].measured.thrust_N.size == 6
+    assert cases[1].tunnel_runs == ()
+    assert not any("static" in text or "table" in text for text in missing)
+
+
 def half(question):
     """An outside code: thrust by a law, torque not known."""
     speed = np.array(question["speed_rad_s"])

@@ -1,7 +1,7 @@
 """Measured rotors of the benchmark: geometry, assumed sections, and measured points.
 
-Measurements are read from a folder with the following layout. Missing data sets are skipped and reported with their
-source, because some may not be redistributed.
+Measurements are read from a folder with the following layout; each set may lie in a folder below it. Missing data sets
+are skipped and reported with their source, because some may not be redistributed.
 
 * ``uiuc_micro/``: ``index.csv`` (name, diameter_m, blades, geometry), ``*_geom.csv``, ``*_static.csv``.
 * ``*_geom.txt``, ``*_static*``: UIUC's own files, anywhere below the folder: the propellers of all its volumes.
@@ -159,8 +159,9 @@ def load_cases(folder: Path, only: str = "") -> tuple[list[RotorCase], list[str]
     }
     cases, missing = [], []
     for name, read in readers.items():
-        if (folder / name).exists():
-            cases += read(folder)
+        found = min(folder.rglob(name), key=lambda path: (len(path.parts), path), default=None)
+        if found is not None:
+            cases += read(found.parent)
         else:
             missing.append(f"{name}: {DATA_SOURCES[name]}")
     known = {case.name for case in cases}
@@ -357,7 +358,7 @@ def load_tunnel_runs(folder: Path, case: RotorCase, left_out: list[str]) -> Iter
 
     A file that cannot be read is named in ``left_out`` with the reason.
     """
-    named = re.compile(re.escape(case.name) + r"_[^_]+_(\d+)")
+    named = re.compile(re.escape(case.name) + r"_(?!static)[^_]+_(\d+)")
     for file in sorted(folder.rglob(f"{case.name}_*.txt")):
         found = named.fullmatch(file.stem)
         if found is not None:
