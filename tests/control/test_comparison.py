@@ -18,14 +18,12 @@ from mufly.control import DesignSettings, FlightController, design_flight_contro
 from mufly.control.comparison import (
     ControllerComparison,
     FlightFigures,
-    GUST_LENGTH_m,
-    GUST_m_s,
     MethodFigures,
-    gust_response,
     judge_comparison,
     loop_figures,
     sensor_noise,
 )
+from mufly.control.gust_response import GUST_LENGTH_m, GUST_m_s, gust_response
 from mufly.control.implementation import LATERAL_STATES
 from mufly.control.linear_systems import frequency_response
 from mufly.dynamics import dryden_filter, linearise_vehicle

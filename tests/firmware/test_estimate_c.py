@@ -144,6 +144,21 @@ def test_a_tilted_inertial_unit_is_levelled_alike(vehicle: Vehicle, felt: Callab
 
 
 @needs_cc
+def test_a_filter_that_knows_of_no_bar_is_the_same(
+    vehicle: Vehicle, felt: Callable[[str], list[tuple[Readings, np.ndarray]]]
+) -> None:
+    """The upper rotor of its flight model follows the mast: other numbers than with a bar, and the same in C."""
+    bare = replace_parameters(vehicle, {"stabiliser_bar.fitted": False})
+    c, python, barred = estimator(bare, "c"), estimator(bare, "numba"), estimator(vehicle, "c")
+    for r, a in felt(""):
+        for e in (c, python, barred):
+            e.update(r, a)
+    assert same(c._memory_array, python._memory_array)
+    assert c.memory["flight_phase"] == PHASE_FLYING
+    assert c.memory["x_output"].tobytes() != barred.memory["x_output"].tobytes()
+
+
+@needs_cc
 @pytest.mark.parametrize("settings", [{"model": 0}, {"model": 0, "fitted": 1}, {"fitted": 2}, {"fitted": 3}])
 def test_a_vehicle_with_less_on_board_is_the_same(
     vehicle: Vehicle, felt: Callable[[str], list[tuple[Readings, np.ndarray]]], settings: dict[str, int]

@@ -187,6 +187,79 @@ from an example: parameters with a pole on the axis. worst.toml is that vehicle,
     print_answer(as_json, found, files=written)
 
 
+@app.command("servo-map")
+def servo_map(
+    vehicle: VehicleArgument = "mufly-1.1",
+    no_bar: Annotated[bool, define_option("--no-bar", "Take the stabiliser bar off.")] = False,
+    lag: Annotated[list[float] | None, define_option("--lag", "Servo lag; repeat it.", unit="ms")] = None,
+    rate: Annotated[list[float] | None, define_option("--rate", "Control rate; repeat it.", unit="Hz")] = None,
+    frame: Annotated[
+        list[float] | None,
+        define_option("--frame", "Servo frame: 20 for analogue servos, 0 for none; repeat it.", unit="ms"),
+    ] = None,
+    out: Annotated[Path | None, define_option("DIR", "Folder for servo-map.json, .nc and .png.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Map the servo lag, servo frame and control rate that roll-pitch needs, with or without the stabiliser bar.
+
+    A cell is the best of several bandwidths of the H-infinity design: disk margin, tilt in gusts of 0.5 m/s, and the \
+speed of the swash plate there (three deviations), which the servos must reach.
+
+    Examples:
+
+      mufly control servo-map
+
+      mufly control servo-map --no-bar --out servos
+
+      mufly control servo-map my-helicopter/vehicle.toml --lag 30 --rate 100 --rate 200 --frame 20
+    """
+    from mufly.control.plots import draw_servo_map
+    from mufly.control.servo_map import FRAMES_s, LAGS_s, RATES_Hz, map_servos
+    from mufly.logs.tables.columnar_files import write_netcdf
+    from mufly.vehicle import load_vehicle, replace_parameters
+
+    loaded = load_vehicle(vehicle)
+    if no_bar:
+        loaded = replace_parameters(loaded, {"stabiliser_bar.fitted": False})
+    grids = [
+        check_grid(name, given, low, high, unit)
+        for name, given, low, high, unit in (
+            ("--lag", lag, 0.1, 1e3, "ms"), ("--rate", rate, 20.0, 5e3, "Hz"), ("--frame", frame, 0.0, 100.0, "ms")
+        )
+    ]  # fmt: skip
+    with progress_bar("Designing", not as_json) as progress:
+        found = map_servos(
+            loaded,
+            lags_s=[v / 1e3 for v in grids[0]] or LAGS_s,
+            rates_Hz=grids[1] or RATES_Hz,
+            frames_s=[v / 1e3 for v in grids[2]] or FRAMES_s,
+            progress=progress,
+        )
+    written: list[Path] = []
+    if out is not None:
+        with report_write_errors("--out", "give a folder that can be written", str(out)):
+            out.mkdir(parents=True, exist_ok=True)
+            written = [out / f"servo-map.{suffix}" for suffix in ("json", "nc", "png")]
+            written[0].write_text(json.dumps(found.as_record(), indent=2) + "\n", encoding="utf-8")
+            write_netcdf(found.table, written[1])
+            draw_servo_map(found).savefig(written[2], dpi=150)
+    print_answer(as_json, found, files=written)
+
+
+def check_grid(option: str, given: list[float] | None, low: float, high: float, unit: str) -> list[float]:
+    """Return the values of an option in rising order, each once; empty if none are given.
+
+    Raises
+    ------
+    InputError
+        If a value is out of range.
+    """
+    for value in given or ():
+        if not low <= value <= high:
+            raise InputError(option, "", f"{value:g} {unit} is out of range", f"give {low:g} to {high:g} {unit}")
+    return sorted(set(given or ()))
+
+
 @app.command()
 def tune(
     vehicle: VehicleArgument = "mufly-1.1",

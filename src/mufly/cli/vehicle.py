@@ -114,7 +114,8 @@ def show(vehicle: VehicleArgument = "mufly-1.1", as_json: JsonOption = False, to
     if v.sensors is not None:
         print_lines(f"\nSensors: mufly sensors show {vehicle}")
     print_lines(
-        f"\nbattery.model = {v.battery.model!r}, range_ring.count = {v.range_ring.count}",
+        f"\nbattery.model = {v.battery.model!r}, range_ring.count = {v.range_ring.count}, "
+        f"stabiliser_bar.fitted = {str(v.stabiliser_bar.fitted).lower()}",
         _describe_coefficients(v),
     )
 
@@ -346,6 +347,10 @@ def create_vehicle_project(
             "--capacity", "Capacity of the battery. Default: estimated.", unit="mA h", within=_CAPACITY_RANGE
         ),
     ] = None,
+    no_bar: Annotated[
+        bool,
+        define_option("--no-bar", "No stabiliser bar: unstable without control, and steered by the servos alone."),
+    ] = False,
     out: Annotated[Path | None, define_option("--out DIR", "Folder for the files. Default: NAME.")] = None,
 ) -> None:
     """See :data:`NEW_HELP`."""
@@ -380,6 +385,7 @@ def create_vehicle_project(
         gear_ratio=gear,
         cells=None if given_cells is None else int(given_cells),
         capacity_As=None if capacity is None else capacity * 3.6,
+        bar=not no_bar,
     )  # fmt: skip
     scale = radius / 1e3 / float(blade.radius)
     chord = [c * scale for c in blade.blade.chord.value]

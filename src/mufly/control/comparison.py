@@ -13,22 +13,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any
 
-import control
 import numpy as np
 import xarray as xr
-from scipy import linalg
 
 from mufly.control.designs import ControllerDesign, FlightController, design_flight_controller
-from mufly.control.implementation import LATERAL_STATES
-from mufly.control.linear_systems import Array, LoopAnalysis, sample_plant, state_space
+from mufly.control.gust_response import gust_response
+from mufly.control.linear_systems import Array, LoopAnalysis, sample_plant
 from mufly.control.loop_margins import DiskMargin, disk_margin, input_noise
 from mufly.control.robust.parameter_robustness import analyse_parameter_robustness
 from mufly.control.synthesis_methods import METHOD_NAMES, SynthesisMethod
 from mufly.control.weighting_schemes import DesignSettings
-from mufly.dynamics import Linearisation, dryden_filter, linearise_vehicle
+from mufly.dynamics import linearise_vehicle
 from mufly.results import ShownBlock, result, show_lines, show_table
 from mufly.vehicle import Vehicle
 
@@ -38,8 +35,6 @@ HEIGHT_NOISE_M = 0.003
 """Deviation of the estimated height from sample to sample."""
 DEFAULT_GYRO_NOISE_RAD_S = float(np.radians(0.3))
 """Deviation of a gyro's sample on a vehicle without a modelled IMU."""
-GUST_m_s, GUST_LENGTH_m = 0.5, 1.0
-"""Deviation and length scale of the gusts."""
 LARGEST_PEAK_DB = 6.0
 _SAME_DISK_MARGIN = 0.05
 
@@ -210,60 +205,6 @@ def loop_figures(vehicle: Vehicle, design: ControllerDesign, mu: tuple[float, fl
         mu_upper=mu[0],
         mu_lower=mu[1],
     )
-
-
-def gust_response(linear: Linearisation, controller: FlightController) -> float:
-    """Return the larger deviation of roll and pitch (rad) in Dryden gusts, while the position is held.
-
-    The velocity relative to the air drives the linear model, so a gust enters by the negative columns of the velocities
-    in all rows but those of the position. North and east have the lateral spectrum of ``dynamics.DrydenWind`` with
-    :data:`GUST_m_s`, :data:`GUST_LENGTH_m` and a convection speed of 0.5 m/s. Roll-pitch is sampled with one period of
-    delay. The velocity controller is sampled at the same rate instead of a quarter of it, which changes the tilt by
-    0.8 % (mufly-1.1). The covariance X of the whole loop solves ``X = A X A' + B B'``.
-
-    Returns
-    -------
-    float
-        ``inf`` for an unstable loop.
-    """
-    T, full, design = controller.period_s, linear.full, controller.roll_pitch
-    names, inputs = list(full.state_labels), list(full.input_labels)
-    kept = [names.index(name) for name in LATERAL_STATES]
-    gusts = -full.A[np.ix_(kept, [names.index("u"), names.index("v")])]
-    gusts[[LATERAL_STATES.index("x"), LATERAL_STATES.index("y")]] = 0.0
-    B = np.hstack([full.B[np.ix_(kept, [inputs.index(name) for name in design.plant.input_labels])], gusts])
-    plant = state_space(
-        full.A[np.ix_(kept, kept)], B, np.eye(len(kept)), np.zeros(B.shape),
-        inputs=[*design.plant.input_labels, "gust_u", "gust_v"], outputs=LATERAL_STATES,
-    )  # fmt: skip
-    held, K = sample_plant(plant, T), design.discrete.to_state_space()
-    V = control.sample_system(controller.velocity.reduced, T, method="bilinear")
-    F, scale, output, _ = dryden_filter(GUST_LENGTH_m / 0.5, T)
-    # Rows that make errors of the velocity controller and of roll-pitch from the state, and from tilt references.
-    mix = np.zeros((2, len(kept)))
-    for i, (place, speed) in enumerate((("x", "u"), ("y", "v"))):
-        mix[i, LATERAL_STATES.index(place)] = -controller.settings.position_gain
-        mix[i, LATERAL_STATES.index(speed)] = -1.0
-    measured = np.zeros((4, len(kept)))
-    measured[range(4), [LATERAL_STATES.index(name) for name in design.plant.output_labels]] = -1.0
-    tilt = np.eye(4, 2)
-    n, m, c, k = len(kept), 2, K.nstates, V.nstates
-    ends = np.cumsum([0, n, m, c, k, 4])
-    x, d, q, v, g = (slice(int(i), int(j)) for i, j in pairwise(ends))
-    A, noise = np.zeros((ends[-1], ends[-1])), np.zeros((ends[-1], 4))
-    error = np.zeros((4, ends[-1]))
-    error[:, x], error[:, v] = measured + tilt @ V.D @ mix, tilt @ V.C
-    A[x, x], A[x, d] = held.A, held.B[:, :m]  # the input of one period ago acts
-    A[x, g] = held.B[:, m:] @ np.kron(np.eye(2), GUST_m_s * np.asarray(output)[None])
-    A[d], A[q] = K.D @ error, K.B @ error
-    A[d, q] += K.C
-    A[q, q] += K.A
-    A[v, v], A[v, x] = V.A, V.B @ mix
-    A[g, g], noise[g] = np.kron(np.eye(2), F), np.kron(np.eye(2), scale)
-    if np.abs(np.linalg.eigvals(A)).max() >= 1.0:
-        return float("inf")
-    X = linalg.solve_discrete_lyapunov(A, noise @ noise.T)
-    return float(np.sqrt(max(X[i, i] for i in map(LATERAL_STATES.index, ("phi", "theta")))))
 
 
 def compare_methods(

@@ -54,8 +54,10 @@ from mufly.control.synthesis_methods import (
     synthesise_controller,
 )
 from mufly.control.weighting_schemes import (
+    ROLL_PITCH_WEIGHTS,
     DesignSettings,
     SignalScaling,
+    complete_settings,
     heave_acceleration_per_input,
     heave_yaw_scaling,
     one_degree_plant,
@@ -366,7 +368,7 @@ def design_flight_controller(
         If the vehicle cannot hover, or a design fails: the message names the design and the failing mode, weight or
         step.
     """
-    s = DesignSettings() if settings is None else settings
+    s = complete_settings(DesignSettings() if settings is None else settings, vehicle)
     if s.method not in METHODS:
         raise ArgumentError("method", "", f"{s.method!r} is not a method", f"give one of {', '.join(METHODS)}")
     if not 2 <= s.roll_pitch_aims.order <= ROLL_PITCH_ORDER:
@@ -566,7 +568,7 @@ def weight_heave_yaw(scaled: control.StateSpace, settings: DesignSettings) -> co
 
 def weight_roll_pitch(scaled: control.StateSpace, settings: DesignSettings) -> control.StateSpace:
     """Return the generalised plant of roll-pitch from its scaled plant."""
-    return one_degree_plant(scaled, ("phi", "theta"), settings.roll_pitch_weights)
+    return one_degree_plant(scaled, ("phi", "theta"), settings.roll_pitch_weights or ROLL_PITCH_WEIGHTS)
 
 
 def design_heave_yaw(plant: control.StateSpace, settings: DesignSettings, period_s: float) -> ControllerDesign:

@@ -350,7 +350,7 @@ def _frequency_grid(plant: control.StateSpace, feedback: control.StateSpace, poi
     top = 0.999 * np.pi / dt if dt else 1e4
     poles = np.concatenate([np.linalg.eigvals(plant.A), np.linalg.eigvals(feedback.A)])
     if dt:
-        poles = np.log(np.where(np.abs(poles) > 1e-12, poles, 1e-12)) / dt
+        poles = np.log(np.where(np.abs(poles) > 1e-12, poles, 1e-12).astype(complex)) / dt
     size = np.abs(poles)
     size = size[(size > 1e-4) & (size < top)]
     return np.unique(np.concatenate([np.geomspace(1e-4, top, points), size]))

@@ -19,6 +19,7 @@ from mufly.control.comparison import ControllerComparison, LoopFigures
 from mufly.control.designs import ControllerDesign, FlightController
 from mufly.control.linear_systems import Array, LoopCurves, loop_curves, sample_plant, singular_values
 from mufly.control.robust.parameter_robustness import ParameterRobustness
+from mufly.control.servo_map import SAFE_DISK_MARGIN, ServoMap
 
 if TYPE_CHECKING:
     from mufly.control.tuning.tuned_loop import TunedLoop
@@ -202,6 +203,27 @@ def draw_mu_bounds(robustness: ParameterRobustness) -> Figure:
     axes.set_ylabel("structured singular value")
     axes.set_title(f"{robustness.vehicle_name}: stability over its parameters", loc="left", fontsize=10)
     axes.legend(fontsize=8, frameon=False, ncols=2, loc="upper left")
+    return figure
+
+
+def draw_servo_map(found: ServoMap) -> Figure:
+    """Draw disk margin and speed of the swash plate over servo lag, a line for each control rate."""
+    t = found.table
+    figure = Figure(figsize=(4.5 * t.frame_s.size, 5.6), layout="constrained")
+    axes = figure.subplots(2, t.frame_s.size, sharex=True, sharey="row", squeeze=False)
+    for column, frame in zip(axes.T, t.frame_s.values, strict=True):
+        for rate in t.rate_Hz.values:
+            cell = t.sel(frame_s=frame, rate_Hz=rate)
+            column[0].semilogx(1e3 * t.lag_s, cell.disk_margin, "o-", markersize=3, label=f"{rate:g} Hz")
+            column[1].loglog(1e3 * t.lag_s, np.degrees(cell.plate_speed_rad_s), "o-", markersize=3)
+        column[0].axhline(SAFE_DISK_MARGIN, color="black", linewidth=0.7)
+        column[0].set_title(f"servo frame {1e3 * frame:g} ms", loc="left", fontsize=9)
+        column[1].set_xlabel("servo lag (ms)")
+    axes[0, 0].set_ylim(bottom=0.0)
+    axes[0, 0].set_ylabel("disk margin")
+    axes[1, 0].set_ylabel("plate speed, 3 deviations (deg/s)")
+    axes[0, 0].legend(fontsize=8, frameon=False)
+    figure.suptitle(f"{found.vehicle_name} {'with' if found.bar else 'without'} stabiliser bar", fontsize=10)
     return figure
 
 

@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import control
 import numpy as np
@@ -37,6 +37,7 @@ from mufly.control.linear_systems import Array, connect_blocks, replace_matrices
 from mufly.control.lqg import LqgWeights
 from mufly.control.synthesis_methods import FixedOrderAims, GivenController, RobustAims, SynthesisMethod
 from mufly.errors import MuflyError
+from mufly.vehicle import Vehicle
 
 
 @dataclass(frozen=True)
@@ -265,6 +266,12 @@ ROLL_PITCH_WEIGHTS = OneDegreeWeights(
     input_disturbance=TransferFunction((0.7, 7.0), (1.0, 0.03)),
     auxiliary=0.0,
 )
+# Without a bar a crossover of 25 to 35 rad/s holds the unstable poles at 4 rad/s with any servo up to 80 ms.
+NO_BAR_ROLL_PITCH_WEIGHTS = replace(
+    ROLL_PITCH_WEIGHTS,
+    output_noise=TransferFunction((1.0, 12.0), (0.1, 24.0)),
+    input_disturbance=TransferFunction((0.7, 2.4), (1.0, 0.03)),
+)
 VELOCITY_WEIGHTS = OneDegreeWeights(
     control=TransferFunction((0.001,)),
     output_noise=TransferFunction((1.0, 20.0), (0.1, 40.0)),
@@ -305,7 +312,8 @@ class DesignSettings:
     heave_yaw_relaxation : float
         Factor on the smallest level; see ``hinfsyn``.
     roll_pitch_scaling, roll_pitch_weights, roll_pitch_relaxation
-        Likewise: phi, theta (rad), p, q (rad/s); servos 1, 2; see :func:`roll_pitch_scaling`.
+        Likewise: phi, theta (rad), p, q (rad/s); servos 1, 2; see :func:`roll_pitch_scaling`. Weights None: those of
+        a vehicle with or without a stabiliser bar, see :func:`complete_settings`.
     velocity_scaling, velocity_weights, velocity_relaxation
         Likewise: u, v (m/s); phi, theta (rad).
     heave_yaw_lqg, roll_pitch_lqg : LqgWeights
@@ -349,7 +357,7 @@ class DesignSettings:
     heave_yaw_weights: TwoDegreeWeights = HEAVE_YAW_WEIGHTS
     heave_yaw_relaxation: float = 1.003
     roll_pitch_scaling: SignalScaling | None = None
-    roll_pitch_weights: OneDegreeWeights = ROLL_PITCH_WEIGHTS
+    roll_pitch_weights: OneDegreeWeights | None = None
     roll_pitch_relaxation: float = 1.2
     velocity_scaling: SignalScaling = VELOCITY_SCALING
     velocity_weights: OneDegreeWeights = VELOCITY_WEIGHTS
@@ -376,6 +384,14 @@ class DesignSettings:
     yaw_acceleration: float = 8.0
     yaw_rate: float = 2.0
     voltage_filter: float = 0.05
+
+
+def complete_settings(settings: DesignSettings, vehicle: Vehicle) -> DesignSettings:
+    """Return the settings with the roll-pitch weights of a vehicle with or without a bar, if none are given."""
+    if settings.roll_pitch_weights is not None:
+        return settings
+    weights = ROLL_PITCH_WEIGHTS if vehicle.stabiliser_bar.fitted else NO_BAR_ROLL_PITCH_WEIGHTS
+    return replace(settings, roll_pitch_weights=weights)
 
 
 def heave_yaw_scaling(plant: control.StateSpace) -> SignalScaling:

@@ -413,6 +413,7 @@ class Linearisation:
         States ``z, w, psi, r, Omega_dw, Omega_up``; outputs ``z, psi, r`` (B.1 to B.8).
     roll_pitch : control.StateSpace
         States ``phi, theta, p, q, a_dw, b_dw, bar_roll, bar_pitch``; outputs ``phi, theta, p, q`` (B.9 to B.18).
+        Without a bar the last two states are left out.
     """
 
     trim: Trim
@@ -496,7 +497,9 @@ def linearise_vehicle(vehicle: Vehicle, at: Trim | None = None, *, voltage: floa
         name="full",
     )
     vertical = ["z", "w", "psi", "r", "Omega_dw", "Omega_up"]
-    tilting = ["phi", "theta", "p", "q", "a_dw", "b_dw", "bar_roll", "bar_pitch"]
+    tilting = ["phi", "theta", "p", "q", "a_dw", "b_dw"]
+    if vehicle.stabiliser_bar.fitted:
+        tilting += ["bar_roll", "bar_pitch"]
     return Linearisation(
         trim=point,
         full=full,

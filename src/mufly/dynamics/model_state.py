@@ -175,7 +175,7 @@ class ModelParameters:
     swash_rate: float = _real("1 / T_f,dw", unit="1/s")
     swash_gain: float = _real("tilt at full servo input", unit="rad")
     bar_rate: float = _real("1 / T_f,up", unit="1/s")
-    bar_gain: float = _real("l_up", source="stabiliser_bar.linkage")
+    bar_gain: float = _real("l_up; 0 without a bar")
     downwash: float = _real("drag in the downwash", unit="N", source="body.downwash_drag")
     drag_over_speed2_x: float = _real("rho cD A / 2 along x", unit="N s2/m2")
     drag_over_speed2_y: float = _real("rho cD A / 2 along y", unit="N s2/m2")
@@ -280,6 +280,7 @@ def model_parameters(vehicle: Vehicle, voltage: float | None = None) -> np.void:
         "ground_disc": 2.0 * rho * np.pi * radius**2,
         "swash_rate": 1.0 / float(vehicle.swash_plate.time_constant),
         "swash_gain": float(vehicle.swash_plate.linkage) * float(vehicle.swash_plate.max_tilt),
+        "bar_gain": float(vehicle.stabiliser_bar.linkage) * vehicle.stabiliser_bar.fitted,
         "bar_rate": 1.0 / float(vehicle.stabiliser_bar.time_constant),
         "drag_over_speed2_x": 0.5 * rho * float(b.drag_area_x),
         "drag_over_speed2_y": 0.5 * rho * float(b.drag_area_y),

@@ -38,7 +38,7 @@ from mufly.dynamics.model_state import hover_speeds, model_parameters
 from mufly.errors import ArgumentError, InputError, MuflyError
 from mufly.input_files import validate_model
 from mufly.units import RPM
-from mufly.vehicle import Vehicle, battery_voltage_range
+from mufly.vehicle import Vehicle, battery_voltage_range, replace_parameters
 
 MAX_HOVER_VOLTAGE_SHARE = 0.8
 """Greatest motor voltage in hover over the half-full battery's voltage; the rest is a margin for climb and gusts."""
@@ -56,6 +56,7 @@ def similar_vehicle(
     gear_ratio: float | None = None,
     cells: int | None = None,
     capacity_As: float | None = None,
+    bar: bool = True,
 ) -> Vehicle:
     """Return a vehicle of another mass and rotor radius; values that are not given are guessed by similarity.
 
@@ -77,6 +78,8 @@ def similar_vehicle(
         Number of cells in series.
     capacity_As : float, optional
         Charge of the battery.
+    bar : bool
+        Whether the new vehicle has a stabiliser bar. Without one both rotors have the lower one's inertia.
 
     Returns
     -------
@@ -122,6 +125,8 @@ def similar_vehicle(
         "speed_constant_rad_Vs": speed_constant_rad_Vs, "resistance_ohm": resistance_ohm,
         "no_load_current_A": no_load_current_A, "gear_ratio": gear_ratio, "cells": cells, "capacity_As": capacity_As,
     }  # fmt: skip
+    if not bar:
+        k = _remove_bar(k)
     try:
         vehicle = _build_similar(k, name, mass_kg, radius_m, **given)
     except _TooWeakError as weak:
@@ -181,6 +186,22 @@ def _blame_option(
         return ArgumentError(blamed, "", problem, remedy)
     blamed = "mass_kg" if given["resistance_ohm"] is None else "resistance_ohm"
     return ArgumentError(blamed, "", problem, _MOTOR_REMEDY)
+
+
+def _remove_bar(known: Vehicle) -> Vehicle:
+    """Return the known vehicle without its bar, whose inertia is that of the upper rotor above the lower one's.
+
+    The share of the bar in the upper rotor's torque is not known separately (Sec. 5.2), so the torque stays.
+    """
+    r = known.rotors
+    return replace_parameters(
+        known,
+        {
+            "stabiliser_bar.fitted": False,
+            "rotors.upper.drive_inertia": float(r.lower.drive_inertia),
+            "rotors.upper.reaction_inertia": float(r.lower.reaction_inertia),
+        },
+    )
 
 
 def _build_similar(

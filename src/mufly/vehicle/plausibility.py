@@ -44,6 +44,7 @@ def find_unusual_parameters(vehicle: Vehicle) -> list[UnusualParameter]:
     return [
         *_check_body(vehicle),
         *_check_rotors(vehicle),
+        *_check_bar(vehicle),
         *_check_battery(vehicle),
         *_check_legs(vehicle),
         *_check_sensors(vehicle),
@@ -93,6 +94,16 @@ def _check_rotors(v: Vehicle) -> Iterator[UnusualParameter]:
             "rotors.upper.hub_z",
             f"the hubs are {1e3 * spacing:.3g} mm apart, {spacing / radius:.2g} rotor radii",
             f"check both hub_z: {low:g} to {high:g} radii are usual",
+        )
+
+
+def _check_bar(v: Vehicle) -> Iterator[UnusualParameter]:
+    if not v.stabiliser_bar.fitted:
+        yield UnusualParameter(
+            "stabiliser_bar.fitted",
+            "false: without the bar the helicopter is unstable and falls over within a second without control; a "
+            "descent after the loss of the attitude or of the gyroscopes is not safe",
+            "fly it only with a cage or a tether first; `mufly control servo-map` shows the servos and rate it needs",
         )
 
 

@@ -212,10 +212,25 @@ class SwashPlate(ParameterGroup):
 
 
 class StabiliserBar(ParameterGroup):
+    fitted: bool = Field(
+        default=True,
+        strict=True,
+        description="false: no bar, upper blades fixed to the mast; time_constant and linkage may then be left out",
+    )
     time_constant: Quantity = declare_parameter("s", "Tf_up", "following time of the bar", at_least=1e-4, at_most=1e9)
     linkage: Quantity = declare_parameter(
         "1", "l_up", "tilt of the upper tip-path plane per tilt of the bar", at_least=0, at_most=1
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_missing_bar(cls, data: Any) -> Any:
+        """Fill the two parameters of a bar that is not fitted; nothing depends on them."""
+        if isinstance(data, dict) and data.get("fitted") is False:
+            missing = {"source": "estimated", "note": "no bar"}
+            data = {"time_constant": {"value": 1.0, "unit": "s"} | missing,
+                    "linkage": {"value": 0.0, "unit": "1"} | missing} | data  # fmt: skip
+        return data
 
 
 class Motor(ParameterGroup):
@@ -509,6 +524,8 @@ def _iterate_parameters(model: BaseModel, prefix: str = "") -> Iterator[tuple[st
         extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
         if isinstance(value, Quantity | BodyPoints | TabulatedCurve):
             yield f"{prefix}{name}", extra, value, field.description or ""
+        elif isinstance(value, StabiliserBar) and not value.fitted:
+            continue
         elif isinstance(value, BaseModel):
             yield from _iterate_parameters(value, f"{prefix}{name}.")
 

@@ -27,6 +27,7 @@ from threadpoolctl import ThreadpoolController
 
 from mufly.answer_store import hash_question
 from mufly.control import DesignSettings, FlightController, design_flight_controller
+from mufly.control.weighting_schemes import complete_settings
 from mufly.errors import ArgumentError, InputError, MuflyError
 from mufly.estimate import Estimate
 from mufly.estimate.filter_records import EX_ATT, EX_GYRO_BIAS
@@ -287,7 +288,7 @@ class Campaign:
     def _describe_method(self) -> list[str]:
         """Return method and gains of a controller of other settings than the default; nothing for the default."""
         c = self.controller
-        if c is None or c.settings == DesignSettings():
+        if c is None or c.settings == complete_settings(DesignSettings(), self.vehicle):
             return []
         return [c.settings.method, *(g.tobytes().hex() for g in (c.heave_yaw_gains, c.roll_pitch_gains))]
 

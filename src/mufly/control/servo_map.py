@@ -1,0 +1,201 @@
+"""Servos and control rate that a vehicle needs: roll-pitch over servo lag, servo frame and control rate.
+
+A servo has a lag (first order, ``swash_plate.time_constant``) and a frame: it takes a new command once in a frame, so a
+command waits up to one frame, here always. A frame of 20 ms is that of analogue servos (50 Hz), 0 stands for one that
+follows every command. Commands are delayed by one period and the frame, in whole periods.
+
+For every cell several bandwidths of the H-infinity design are tried, the weights' frequencies times
+:data:`BANDWIDTHS`. Of the sampled loops with a disk margin of :data:`SAFE_DISK_MARGIN` the one of least tilt in gusts
+counts; if there is none, that of the largest margin. The designs do not know the delay, and orders differ from cell to
+cell, so the figures are not smooth over lag. Speed of the swash plate is three deviations in gusts of 0.5 m/s with the
+sensors' noise: a servo slower than that does not follow.
+
+Thesis: Sec. 6.1.9 doubts that servos are fast enough without the stabiliser bar.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from mufly.control.comparison import sensor_noise
+from mufly.control.designs import POSITION_DIVIDER, design_roll_pitch, design_velocity
+from mufly.control.gust_response import GUST_m_s, lateral_gust_response
+from mufly.control.linear_systems import analyse_loop, sample_plant
+from mufly.control.loop_margins import disk_margin
+from mufly.control.weighting_schemes import DesignSettings, TransferFunction, complete_settings
+from mufly.dynamics import linearise_vehicle
+from mufly.errors import MuflyError
+from mufly.results import ShownBlock, result, show_lines, show_table
+from mufly.vehicle import Vehicle, replace_parameters
+
+LAGS_s = (0.001, 0.01, 0.03, 0.05, 0.08, 0.12)
+RATES_Hz = (50.0, 100.0, 200.0, 400.0)
+FRAMES_s = (0.0, 0.02)
+BANDWIDTHS = (0.35, 0.7, 1.4)
+"""Factors on the frequencies of the roll-pitch weights."""
+SAFE_DISK_MARGIN = 0.6
+"""Least disk margin that counts as enough: gains within 5.4 dB and phases within 33 degrees, in both servos."""
+_FIGURES = {
+    "disk_margin": ("disk margin", "1"), "sensitivity_peak_dB": ("peak of S_u", "dB"),
+    "crossover_rad_s": ("highest crossover of the loop gain", "rad/s"),
+    "gust_tilt_rad": (f"tilt in gusts of {GUST_m_s:g} m/s", "rad"),
+    "plate_speed_rad_s": ("speed of the swash plate, three deviations", "rad/s"),
+}  # fmt: skip
+
+
+@result(picture="mufly.control.plots:draw_servo_map")
+class ServoMap:
+    """Figures of roll-pitch over servo frame, control rate and servo lag.
+
+    Attributes
+    ----------
+    vehicle_name : str
+    bar : bool
+        Whether the vehicle has a stabiliser bar.
+    table : xarray.Dataset
+        Over ``frame_s``, ``rate_Hz``, ``lag_s``: ``disk_margin``, ``sensitivity_peak_dB``, ``crossover_rad_s``,
+        ``gust_tilt_rad``, ``plate_speed_rad_s``; nan where no design is stable.
+    """
+
+    vehicle_name: str
+    bar: bool
+    table: xr.Dataset
+
+    def slowest_servo_s(self, frame_s: float, rate_Hz: float) -> float:
+        """Return the longest lag (s) up to which every disk margin is enough; nan if none is."""
+        margins = self.table.disk_margin.sel(frame_s=frame_s, rate_Hz=rate_Hz)
+        enough = np.cumprod(np.nan_to_num(margins.values) >= SAFE_DISK_MARGIN).astype(bool)
+        return float(self.table.lag_s.values[enough][-1]) if enough.any() else float("nan")
+
+    def as_record(self) -> dict[str, Any]:
+        """Return the table as JSON data, None where no design is stable."""
+        values = {
+            name: [[[float(v) if np.isfinite(v) else None for v in row] for row in plane] for plane in array.values]
+            for name, array in self.table.data_vars.items()
+        }
+        axes = {str(name): axis.values.tolist() for name, axis in self.table.coords.items()}
+        return {"vehicle": self.vehicle_name, "bar": self.bar, **axes, **{str(k): v for k, v in values.items()}}
+
+    def shown_blocks(self) -> list[ShownBlock]:
+        """Return a table for each frame, and the slowest servo at each rate."""
+        blocks: list[ShownBlock] = []
+        t = self.table
+        for frame in t.frame_s.values:
+            rows = []
+            for rate in t.rate_Hz.values:
+                for name, factor, form in (
+                    ("disk_margin", 1.0, ".2f"),
+                    ("gust_tilt_rad", np.degrees(1.0), ".2f"),
+                    ("plate_speed_rad_s", np.degrees(1.0), ".0f"),
+                ):
+                    label = {"disk_margin": "disk margin", "gust_tilt_rad": "tilt (deg)"}.get(name, "plate (deg/s)")
+                    cells = [
+                        f"{factor * v:{form}}" if np.isfinite(v) else "-"
+                        for v in t[name].sel(frame_s=frame, rate_Hz=rate).values
+                    ]
+                    rows.append((f"{rate:g} Hz" if name == "disk_margin" else "", label, *cells))
+            heads = ("control rate", "", *(f"{1e3 * lag:g} ms" for lag in t.lag_s.values))
+            servo = "servos without a frame" if frame == 0.0 else f"servo frame {1e3 * frame:g} ms"
+            with_bar = "with" if self.bar else "without"
+            blocks.append(show_table(heads, rows, title=f"{self.vehicle_name} {with_bar} bar, {servo}, by servo lag"))
+        said = []
+        for frame in t.frame_s.values:
+            for rate in t.rate_Hz.values:
+                slowest = self.slowest_servo_s(frame, rate)
+                up_to = "no servo" if np.isnan(slowest) else f"servo lags up to {1e3 * slowest:g} ms"
+                cell = f"Frame {1e3 * frame:g} ms, {rate:g} Hz"
+                said.append(f"{cell}: {up_to} with a disk margin of {SAFE_DISK_MARGIN:g}")
+        blocks.append(show_lines(*said))
+        return blocks
+
+
+def map_servos(
+    vehicle: Vehicle,
+    *,
+    lags_s: Sequence[float] = LAGS_s,
+    rates_Hz: Sequence[float] = RATES_Hz,
+    frames_s: Sequence[float] = FRAMES_s,
+    settings: DesignSettings | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> ServoMap:
+    """Design and assess roll-pitch for servos and control rates.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    lags_s, rates_Hz, frames_s : sequence of float
+        Servo lags, control rates and servo frames.
+    settings : DesignSettings, optional
+    progress : callable, optional
+        Called with (lags done, all lags).
+
+    Raises
+    ------
+    MuflyError
+        If the vehicle cannot hover.
+    """
+    s = complete_settings(DesignSettings() if settings is None else settings, vehicle)
+    shape = len(frames_s), len(rates_Hz), len(lags_s)
+    values = {name: np.full(shape, np.nan) for name in _FIGURES}
+    best = dict.fromkeys(np.ndindex(shape), (0.0, 0.0))
+    velocities = [design_velocity(s, POSITION_DIVIDER / rate) for rate in rates_Hz]
+    for j, lag in enumerate(lags_s):
+        slow = replace_parameters(vehicle, {"swash_plate.time_constant": lag})
+        linear = linearise_vehicle(slow)
+        for i, rate in enumerate(rates_Hz):
+            for factor in BANDWIDTHS:
+                try:
+                    design = design_roll_pitch(linear.roll_pitch, scale_bandwidth(s, factor), 1.0 / rate)
+                except MuflyError:
+                    continue
+                noise = sensor_noise(vehicle, design.plant.output_labels)
+                K = design.discrete.to_state_space()
+                for f, frame in enumerate(frames_s):
+                    delay = 1 + int(np.ceil(frame * rate - 1e-9))
+                    plant = sample_plant(design.plant, 1.0 / rate, delay)
+                    loop = analyse_loop(plant, design.feedback_controller(K))
+                    if not loop.stable:
+                        continue
+                    margin = disk_margin(plant, design.feedback_controller(K)).margin
+                    gust = lateral_gust_response(
+                        linear, design, velocities[i], s.position_gain, delay_samples=delay, noise=noise
+                    )
+                    rank = min(margin, SAFE_DISK_MARGIN), -gust.tilt_rad
+                    if not np.isfinite(gust.tilt_rad) or rank <= best[f, i, j]:
+                        continue
+                    best[f, i, j] = rank
+                    new = (margin, loop.sensitivity_peak_dB, max(loop.crossovers, default=np.nan), gust.tilt_rad,
+                           3.0 * gust.plate_speed_rad_s)  # fmt: skip
+                    for name, value in zip(values, new, strict=True):
+                        values[name][f, i, j] = value
+        if progress is not None:
+            progress(j + 1, len(lags_s))
+    table = xr.Dataset(
+        {
+            name: (("frame_s", "rate_Hz", "lag_s"), array, {"long_name": _FIGURES[name][0], "units": _FIGURES[name][1]})
+            for name, array in values.items()
+        },
+        {"frame_s": list(frames_s), "rate_Hz": list(rates_Hz), "lag_s": list(lags_s)},
+        {"vehicle": vehicle.name},
+    )
+    return ServoMap(vehicle.name, vehicle.stabiliser_bar.fitted, table)
+
+
+def scale_bandwidth(settings: DesignSettings, factor: float) -> DesignSettings:
+    """Return the settings with both corners of the roll-pitch weight W_r and the zero of W_v times a factor."""
+    w = settings.roll_pitch_weights
+    assert w is not None  # complete_settings
+    r, v = w.output_noise, w.input_disturbance
+    moved = replace(
+        w,
+        output_noise=TransferFunction(
+            (r.numerator[0], factor * r.numerator[1]), (r.denominator[0], factor * r.denominator[1])
+        ),
+        input_disturbance=TransferFunction((v.numerator[0], factor * v.numerator[1]), v.denominator),
+    )
+    return replace(settings, roll_pitch_weights=moved)
