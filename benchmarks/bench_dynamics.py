@@ -47,6 +47,7 @@ from mufly.fmi import UnitInstance, UnitLibrary, export_fmu
 STEP = 1e-3
 TARGET_SINGLE, TARGET_BATCH, BATCH = 0.5e6, 4e6, 1000
 CALM = np.zeros(3)
+FLIGHT_MAP = {"rotors.flight_map": "mufly-1.1-hinged"}
 
 
 def best(run: Callable[[], object], repeats: int) -> float:
@@ -244,6 +245,9 @@ def measure(quick: bool) -> dict[str, float]:
         lambda: integrate_state(y, hold, CALM, with_map, STEP, steps), repeats
     )
 
+    flown, z = model_parameters(mufly.vehicle.replace_parameters(vehicle, FLIGHT_MAP)), start.copy()
+    result["one vehicle, flight map"] = steps / best(lambda: integrate_state(z, u, CALM, flown, STEP, steps), repeats)
+
     def from_python() -> None:
         for _ in range(500):
             integrate_state(x, u, CALM, p, STEP, 4)
@@ -263,6 +267,13 @@ def measure(quick: bool) -> dict[str, float]:
     n = 100 if quick else 1000
     result[f"batch of {BATCH}, {cores} cores"] = (
         BATCH * n / best(lambda: integrate_batch(xs, us, winds, ps, STEP, n), 7)
+    )
+
+    flown_batch = np.full(BATCH, np.array(flown), dtype=PARAMETER_DTYPE)
+    xs = np.tile(start, (BATCH, 1))
+    integrate_batch(xs, us, winds, flown_batch, STEP, 1)
+    result[f"batch of {BATCH}, flight map"] = (
+        BATCH * n / 4 / best(lambda: integrate_batch(xs, us, winds, flown_batch, STEP, n // 4), 7)
     )
 
     # Peers.
@@ -311,6 +322,7 @@ def print_table(r: dict[str, float]) -> None:
 
     cores = int(r["cores"])
     batch_name = f"batch of {BATCH}, {cores} cores"
+    mapped_batch = f"batch of {BATCH}, flight map"
     targets = {"one vehicle": TARGET_SINGLE, batch_name: TARGET_BATCH}
     numpy_peer = r[f"peer: NumPy over a batch of {BATCH}"]
     table = Table("plant alone", box=None, header_style="bold")
@@ -320,10 +332,14 @@ def print_table(r: dict[str, float]) -> None:
         if name in ("cores", "operations per step") or name.startswith(("limit", "load")):
             continue
         scipy_peer = r["peer: SciPy RK45, compiled (4 evaluations = 1 step)"]
-        peer = "" if name.startswith("peer") else f"{value / (numpy_peer if name == batch_name else scipy_peer):.0f}"
+        peer = (
+            ""
+            if name.startswith("peer")
+            else f"{value / (numpy_peer if name in (batch_name, mapped_batch) else scipy_peer):.0f}"
+        )
         limit = r[
             "limit: multiply-adds/s, all cores, vector"
-            if name == batch_name
+            if name in (batch_name, mapped_batch)
             else "limit: multiply-adds/s, one core, scalar"
         ]
         share = "" if name.startswith("peer") else f"{value * r['operations per step'] / limit:.1%}"
@@ -331,6 +347,13 @@ def print_table(r: dict[str, float]) -> None:
         table.add_row(name, f"{value:,.0f}", target, peer, share)
     console = Console()
     console.print(table)
+    shares = [
+        r[with_map] / r[name]
+        for name, with_map in (("one vehicle", "one vehicle, flight map"), (batch_name, mapped_batch))
+    ]
+    console.print(
+        f"with a flight map {shares[0]:.0%} of the speed of one vehicle (target 60 %), {shares[1]:.0%} of a batch"
+    )
     console.print(
         f"\n{r['operations per step']:.0f} operations a step (a root, sine or division counts as one); "
         f"{r['limit: multiply-adds/s, one core, scalar'] / 1e9:.1f} G/s scalar on one core, "

@@ -1,11 +1,13 @@
 """Flight maps: loads of a pair over edgewise velocity, climb and rates."""
 
+import numba
 import numpy as np
 import pytest
 
 from mufly.rotor import load_rotor, prepare_blading
 from mufly.rotor.forward import ForwardCondition, blade_flap, solve_forward_pair
 from mufly.rotor.forward.edgewise_map import compute_flight_loads, edgewise_axis
+from mufly.rotor.forward.row_sums import sum_flow_rows, sum_rate_rows
 
 KNEE, MEAN, PITCH, RADIUS = 0.1125, 410.0, (0.2636, 0.2627), 0.0875
 
@@ -81,3 +83,13 @@ def test_stream_that_misses_the_lower_disc_leaves_it_alone(blading):
     # Far below, the displaced stream meets nothing: the lower rotor has no more lift to gain than the upper one.
     assert near[1, 0] > 2.0 * near[0, 0]
     assert np.all(np.isfinite(far))
+
+
+def test_rows_summed_in_vectors_are_those_of_the_source_to_the_last_bit():
+    rng = np.random.default_rng(8)
+    table, weights = rng.normal(size=700), rng.normal(size=8)
+    flow = numba.njit(lambda t, a, b, s, w: sum_flow_rows(t, a, b, s, w[0], w[1], w[2], w[3], w[4], w[5], w[6], w[7]))
+    rate = numba.njit(lambda t, a, w: sum_rate_rows(t, a, w[0], w[1], w[2]))
+    for first, later, stride in ((0, 300, 96), (1, 431, 121)):  # aligned in memory, and not
+        assert flow(table, first, later, stride, weights) == sum_flow_rows(table, first, later, stride, *weights)
+        assert rate(table, first, weights) == sum_rate_rows(table, first, *weights[:3])

@@ -65,7 +65,7 @@ class _Rewriter:
     def rewrite(self, function: Any) -> Any:
         if function in self._made:
             return self._made[function]
-        plain = function.py_func
+        plain = getattr(function, "py_func", function)
         tree = ast.parse(textwrap.dedent(inspect.getsource(plain)))
         definition = tree.body[0]
         assert isinstance(definition, ast.FunctionDef)
@@ -84,13 +84,18 @@ class _Rewriter:
         scope = {**plain.__globals__, **self._namespace}
         for name in _called_names(definition):
             value = self._namespace.get(name, plain.__globals__.get(name))
-            if hasattr(value, "py_func") and name not in self._namespace:
+            if _is_source(value) and name not in self._namespace:
                 scope[name] = self.rewrite(value)
         scope["__name__"] = plain.__module__ if self._file is None else __name__
         code = compile(tree, self._file or f"<{plain.__name__}>", "exec")
         exec(code, scope)
         made = self._made[function] = self._wrap(scope[definition.name])
         return made
+
+
+def _is_source(value: Any) -> bool:
+    """Return True for a function of this package, compiled or with another form for compiled callers."""
+    return hasattr(value, "py_func") or (inspect.isfunction(value) and value.__module__.startswith("mufly."))
 
 
 def _called_names(definition: ast.FunctionDef) -> list[str]:

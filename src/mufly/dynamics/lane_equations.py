@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from mufly.dynamics.branch_selection import select_branches
 from mufly.dynamics.equations_of_motion import state_derivative
+from mufly.dynamics.lane_row_sums import LANE_ROW_SUMS
 from mufly.dynamics.model_state import INPUT_SIZE, STATE_SIZE
 from mufly.dynamics.numba_lanes import LANE_NAMES, LANES, make_record, make_rows, put_number, put_record, take_number
 from mufly.dynamics.simulation import normalise_state
@@ -55,7 +56,7 @@ def lay_out_blocks(group: _Ints) -> _Ints:
 
 def _compile_lanes(function: Any, absent: tuple[str, ...] = ()) -> Any:
     wrap = cached_njit(error_model="numpy")
-    return select_branches(function, LANE_NAMES, wrap=wrap, absent=absent, file=__file__)
+    return select_branches(function, LANE_NAMES | LANE_ROW_SUMS, wrap=wrap, absent=absent, file=__file__)
 
 
 _normalise, _derivative = _compile_lanes(normalise_state), _compile_lanes(state_derivative)

@@ -26,6 +26,7 @@ from mufly.errors import InputError, MuflyError
 from mufly.numba_cache import cached_njit
 from mufly.rotor.blading import Blading
 from mufly.rotor.forward.forward_results import BladeFlap, ForwardCondition, ForwardResult
+from mufly.rotor.forward.row_sums import sum_flow_rows, sum_rate_rows
 from mufly.rotor.forward.skewed_pair import ForwardPair, solve_forward_pair
 from mufly.rotor.rotor_system import Air
 from mufly.vehicle.flight_map import LOAD_COLUMNS, FlightMap, FlightMapTables
@@ -230,26 +231,9 @@ def interpolate_flow_loads(
     j0, ca, cb, cc = spline_weights(climb, climbs)
     i0, ea, eb, ec = spline_weights(edge, edges)
     skewed = ratio * min(max(climb, 0.0), climbs - 1.0)
-    t0 = t1 = t2 = t3 = t4 = t5 = t6 = t7 = t8 = t9 = t10 = t11 = 0.0
-    for j in range(5):
-        v = ca if j == 0 else cb if j == 1 else cc if j == 2 else ratio if j == 3 else skewed
-        row = 12 * edges * (j0 + j if j < 3 else climbs + j - 3)
-        for i in range(3):
-            f = v * (ea if i == 0 else eb if i == 1 else ec)
-            n = np.uint64(row + 12 * (i0 + i))
-            t0 += f * table[n]
-            t1 += f * table[n + np.uint64(1)]
-            t2 += f * table[n + np.uint64(2)]
-            t3 += f * table[n + np.uint64(3)]
-            t4 += f * table[n + np.uint64(4)]
-            t5 += f * table[n + np.uint64(5)]
-            t6 += f * table[n + np.uint64(6)]
-            t7 += f * table[n + np.uint64(7)]
-            t8 += f * table[n + np.uint64(8)]
-            t9 += f * table[n + np.uint64(9)]
-            t10 += f * table[n + np.uint64(10)]
-            t11 += f * table[n + np.uint64(11)]
-    return t0, t1, t2, t3, t4, t5, t6, t7, t8, t9, t10, t11
+    return sum_flow_rows(
+        table, 12 * (edges * j0 + i0), 12 * (edges * climbs + i0), 12 * edges, ca, cb, cc, ratio, skewed, ea, eb, ec
+    )
 
 
 @cached_njit(error_model="numpy", forceinline=True)
@@ -258,19 +242,7 @@ def interpolate_rate_loads(
 ) -> tuple[float, float, float, float, float, float, float, float]:
     """Interpolate the four last columns of both rotors over e; ``rates`` are (edges * 8,) spline coefficients."""
     i0, ea, eb, ec = spline_weights(edge, edges)
-    t0 = t1 = t2 = t3 = t4 = t5 = t6 = t7 = 0.0
-    for i in range(3):
-        f = ea if i == 0 else eb if i == 1 else ec
-        n = np.uint64(8 * (i0 + i))
-        t0 += f * rates[n]
-        t1 += f * rates[n + np.uint64(1)]
-        t2 += f * rates[n + np.uint64(2)]
-        t3 += f * rates[n + np.uint64(3)]
-        t4 += f * rates[n + np.uint64(4)]
-        t5 += f * rates[n + np.uint64(5)]
-        t6 += f * rates[n + np.uint64(6)]
-        t7 += f * rates[n + np.uint64(7)]
-    return t0, t1, t2, t3, t4, t5, t6, t7
+    return sum_rate_rows(rates, 8 * i0, ea, eb, ec)
 
 
 class FlightSplines(NamedTuple):
