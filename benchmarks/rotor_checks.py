@@ -10,10 +10,21 @@ from rotor_tables import LIFT, percent, show_table
 from scipy.optimize import root
 
 from mufly.dynamics import find_trim
-from mufly.rotor import Air, OperatingCondition, RotorSystem, SystemSolution, load_airfoil, load_rotor, solve_system
+from mufly.errors import MuflyError
+from mufly.rotor import (
+    Air,
+    OperatingCondition,
+    RotorSystem,
+    SystemSolution,
+    load_airfoil,
+    load_rotor,
+    prepare_blading,
+    replace_rotor,
+    solve_system,
+)
 from mufly.rotor.sections.neuralfoil_network import compute_neuralfoil_polars
 from mufly.rotor.sections.polar_engines import compute_xfoil_polars
-from mufly.study.benchmark.rotor_cases import load_caradonna_tung
+from mufly.study.benchmark.rotor_cases import load_caradonna_tung, load_uiuc_propellers, make_t_motor_rotor
 from mufly.units import RPM
 from mufly.vehicle import load_vehicle
 
@@ -83,6 +94,41 @@ def report_inplane_drag(asked: argparse.Namespace) -> None:
     mean, speeds = float(np.average(total, weights=hover.rotor_speed)), float(np.sum(hover.rotor_speed))
     force = mean * rho * np.pi * float(vehicle.rotors.radius) ** 3 * speeds
     print(f"inplane_drag {mean:.5f}: {1e3 * force:.2f} mN per m/s at hover")
+
+
+RIG_SPACINGS, RIG_SHARES = (0.10, 0.25, 0.55, 1.0), np.array((0.60, 0.56, 0.56, 0.53))
+"""Spacing over diameter and measured lower over upper thrust of an 11 inch pair; its blades are not recorded."""
+
+
+def report_pair_blades(asked: argparse.Namespace) -> None:
+    """Lower over upper thrust of 11 inch pairs by tubes, for seven planforms scaled to that size, and four pitches.
+
+    Equal speeds of 4000 rpm, and the lower speed that balances the torques; -: the tubes do not settle.
+    """
+    radius, speed, rows = 0.5 * 11 * 0.0254, 4000 * RPM, []
+    chosen = ("apcff_4.2x4", "da4002_5x2.65", "gwsdd_5x3", "nr640_5_15deg")
+    rotors = [c.rotor for c in load_uiuc_propellers(asked.data) if c.name in chosen]
+    for rotor in (*rotors, make_t_motor_rotor(), load_rotor("walkera-5g6"), load_rotor("naca4412-r60-c20")):
+        chord = rotor.blade.chord.array() * radius / rotor.radius_m
+        blading = prepare_blading(replace_rotor(rotor, {"radius": radius, "blade.chord": chord}))
+        twist = float(np.interp(0.75 * radius, blading.r_m[0], blading.twist_rad[0]))
+        for degrees in (4, 6, 8, 12):
+            pitch, cells = math.radians(degrees) - twist, []
+            for lower_speed in (speed, None):
+                shares = []
+                for spacing in RIG_SPACINGS:
+                    pair = RotorSystem.coaxial_pair(blading, blading, spacing_m=2.0 * radius * spacing)
+                    try:
+                        found = solve_system(pair, OperatingCondition((pitch, pitch), (speed, lower_speed)), "tubes")
+                        shares.append(found.rotors[1].thrust_N / found.rotors[0].thrust_N)
+                    except MuflyError:
+                        shares.append(math.nan)
+                off = float(np.max(np.abs(np.array(shares) - RIG_SHARES)))
+                cells += [", ".join("-" if math.isnan(v) else f"{v:.2f}" for v in shares), f"{off:.2f}"]
+            rows.append([rotor.name, f"{degrees}", *cells])
+    measured = ", ".join(f"{v:.2f}" for v in RIG_SHARES)
+    head = ["planform", "deg at 0.75 R", "equal speeds", "farthest", "equal torques", "farthest"]
+    show_table(f"Lower over upper thrust at z/D 0.10, 0.25, 0.55, 1.0; measured: {measured}", head, rows)
 
 
 C_T, TIP_MACH, STATION = {5.0: 0.00213, 8.0: 0.00459}, 0.439, 0.68

@@ -18,6 +18,7 @@ from mufly.rotor import (
     RotorSystem,
     load_rotor,
     prepare_blading,
+    replace_rotor,
     solve_rotor,
     solve_system,
 )
@@ -308,6 +309,18 @@ def test_tubes_settle_whatever_the_lower_rotor_does(spacing):
             both = tubes(spacing, case, (math.radians(14), math.radians(lower)), (628.0, 628.0 * ratio))
             assert both.converged
             assert both.iterations < 150
+
+
+def test_a_station_that_alternates_does_not_keep_tubes_from_settling():
+    # 11 inch, 4000 rpm: a jump of the polar at the lower root; its neighbours in pitch settle as others do.
+    rotor = replace_rotor(load_rotor("naca4412-r60-c20"), {"radius": 0.1397, "blade.chord": 0.1397 / 3.0})
+    case = prepare_blading(rotor)
+    pairs = [tubes(0.55 * 2 * 0.1397, case, math.radians(deg), 4000.0 * math.pi / 30.0) for deg in (11.7, 12.0, 12.3)]
+    assert pairs[1].iterations > 200
+    assert "single stations" in pairs[1].message
+    for k in (0, 1):
+        thrust = [pair.rotors[k].thrust_N for pair in pairs]
+        assert_allclose(thrust[1], 0.5 * (thrust[0] + thrust[2]), rtol=1e-3)
 
 
 def test_tubes_find_the_pair_of_the_dissertation():

@@ -34,6 +34,9 @@ The upper rotor is hardly affected by the lower rotor, as measured: the velocity
 disc nearly equals the loss of induction of the upper wake, which is convected faster. No constant is fitted. Neglected
 are the passing of blades, the path of the tip vortex during roll-up, mixing, and the effect of the lower rotor on the
 contraction of the upper wake.
+
+A jump of a polar or of p can leave single stations alternating between two values. The iteration then continues with
+steps 2 / (k + 8), and its last turn counts if thrust and torque of both rotors stay within 0.2 % of the pair's.
 """
 
 from __future__ import annotations
@@ -59,6 +62,8 @@ _POINTS_PER_PANEL = 3  # sample points on a panel within a stream
 _MIN_SPEED_RATIO = 0.1  # least convection velocity over the greatest of the wake, so that p stays finite
 _MAX_ITERATIONS, _RESTART_INTERVAL, _ANDERSON_MEMORY, _ANDERSON_MIXING = 200, 40, 12, 0.3
 _CONVERGENCE_TOLERANCE = 1e-5  # of the greatest induced velocity
+_DAMPED_ITERATIONS, _JUDGED_ITERATIONS = 200, 40
+_LOAD_TOLERANCE = 2e-3  # of thrust and torque of the pair: range over the judged iterations
 _MIN_INDUCED_RATIO = 0.005  # of the tip speed: least induced velocity of that scale; below, a rotor carries no load
 
 
@@ -289,18 +294,27 @@ def solve_tubes(
         x = np.concatenate(start.streams)
     points: list[Array] = []
     misses: list[Array] = []
-    for turn in range(1, _MAX_ITERATIONS + 1):
+    loads: list[Array] = []
+
+    def collect_solution(turns: int, words: str) -> SystemSolution:
+        both = (solve_placed_rotor(p, climb_m_s, air, m) for p, m in zip(rotors, met_by, strict=True))
+        streams = tuple(np.split(x, cuts))
+        return SystemSolution(tuple(both), rotors, climb_m_s, air, "tubes", True, words, turns, streams)
+
+    for turn in range(1, _MAX_ITERATIONS + _DAMPED_ITERATIONS + 1):
         miss = iterate_streams(x) - x
         size = sum(float(np.max(np.abs(u * loss))) for u, loss, _ in found)
         far_off = float(np.max(np.abs(miss[: cuts[1]]))) / max(size, least)
         if progress is not None:
             progress(turn, far_off, math.nan)
         if far_off <= _CONVERGENCE_TOLERANCE:
-            both = (solve_placed_rotor(p, climb_m_s, air, m) for p, m in zip(rotors, met_by, strict=True))
-            return SystemSolution(
-                tuple(both), rotors, climb_m_s, air, "tubes", True, f"settled in {turn} turns", turn,
-                tuple(np.split(x, cuts)),
-            )  # fmt: skip
+            return collect_solution(turn, f"settled in {turn} turns")
+        if turn > _MAX_ITERATIONS:
+            if turn > _MAX_ITERATIONS + _DAMPED_ITERATIONS - _JUDGED_ITERATIONS:
+                now = collect_solution(turn, "")
+                loads.append(np.array([(r.thrust_N, r.torque_Nm) for r in now.rotors]))
+            x = x + 2.0 / (turn - _MAX_ITERATIONS + 8.0) * miss
+            continue
         # Anderson's acceleration.
         points, misses = [*points[-_ANDERSON_MEMORY + 1 :], x], [*misses[-_ANDERSON_MEMORY + 1 :], miss]
         x = x + _ANDERSON_MIXING * miss
@@ -309,6 +323,9 @@ def solve_tubes(
         if len(points) > 1:
             bends, ways = np.diff(misses, axis=0).T, np.diff(points, axis=0).T
             x = x - (ways + _ANDERSON_MIXING * bends) @ np.linalg.lstsq(bends, miss, rcond=1e-8)[0]
+    spread = float(np.max(np.ptp(loads, axis=0) / np.sum(np.abs(loads[-1]), axis=0)))
+    if spread <= _LOAD_TOLERANCE:
+        return collect_solution(turn, f"settled in {turn} turns but for single stations; loads within {spread:.1e}")
     raise MuflyError(
         f"coaxial: the two wakes do not settle at {climb_m_s:g} m/s climb; "
         f"the stream still changes by {far_off:.1e} of itself a turn; tubes need rotors that push air down: "
