@@ -29,7 +29,7 @@ from mufly.estimate import (
     measure_row_consistency,
     run_log,
 )
-from mufly.estimate.nees import Consistency, measure_consistency
+from mufly.estimate.nees import ERROR_BLOCKS, Consistency, measure_consistency
 from mufly.flight import Flight
 from mufly.flight.monte_carlo import parse_variations
 from mufly.flight.record.foreign_log import AidRequest, read_foreign_log, truth_rows
@@ -153,7 +153,7 @@ def nees(asked: argparse.Namespace) -> None:
         "yaw rms",
         "NIS",
     )
-    print(f"{head[0]:18s}" + "".join(f"{h:>9s}" for h in head[1:]) + "   (cm, degrees)")
+    print(f"{head[0]:18s}" + "".join(f"{h:>9s}" for h in head[1:]) + f"   {', '.join(ERROR_BLOCKS)} (cm, degrees)")
     found = {}
     for name, scenario in SCENARIOS.items():
         if asked.scenario and asked.scenario != name:

@@ -6,6 +6,13 @@
     python benchmarks/fly_on_estimates.py pairs --seeds 1           # and every two of different sensors
     python benchmarks/fly_on_estimates.py pairs --seeds 1 --sample 100  # of these a hundred, drawn by --first
     python benchmarks/fly_on_estimates.py alarms --seeds 60         # false alarms: ten minutes of hover each
+    python benchmarks/fly_on_estimates.py alarms --seeds 60 --untold 1.5  # true errors 1.5 times the file's
+    python benchmarks/fly_on_estimates.py consistency --seeds 24    # NEES of each block over the demonstration
+    python benchmarks/fly_on_estimates.py consistency --seeds 24 --untold standard  # errors of the standard campaign
+
+``--untold`` changes the truth alone: a number scales all errors of the sensors (mounting, rate and latency as filed),
+``standard`` draws a vehicle of the standard set for each seed. An accusation names one sensor as rejected, faulty,
+missing or used despite a fault. A report that names several candidates accuses none of them.
 
 Whole missions: ``mufly monte-carlo demonstration --flights 1000 --wind 0.5 --gust 0.3``, and ``box-on-leg``; with
 unknown errors: ``mufly monte-carlo demonstration --flights 500 --wind 0.5 --gust 0.3 --vary standard --untold``.
@@ -23,6 +30,7 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict
 from functools import cache
 from itertools import combinations
 from pathlib import Path
@@ -34,11 +42,15 @@ import numpy as np
 import xarray as xr
 
 from mufly.control import design_flight_controller
+from mufly.estimate import Estimate
+from mufly.estimate.nees import ERROR_BLOCKS, Consistency, measure_consistency
 from mufly.firmware import GenericFirmwareSoftware
 from mufly.flight import Flight, fly_mission, read_events, summarise_flight
-from mufly.mission import Mission, parse_mission
-from mufly.sensors import FAULT_KINDS, FAULT_TARGETS, parse_fault
-from mufly.vehicle import load_vehicle
+from mufly.flight.monte_carlo import Campaign, parse_variations
+from mufly.mission import Mission, load_mission, parse_mission
+from mufly.sensor_table import READINGS
+from mufly.sensors import FAULT_KINDS, FAULT_TARGETS, Truth, parse_fault
+from mufly.vehicle import Vehicle, list_parameters, load_vehicle, replace_parameters
 
 WIND, GUST = (0.5, 0.0, 0.0), 0.3
 FAULT_S, NOTICED_S = 12.0, 0.5
@@ -57,7 +69,10 @@ ROOM = parse_mission(
     }
 )
 SETTLED_S = 10.0
-CHARGED_EVERY = 20  # periods
+CHARGED_EVERY = 200  # periods
+CONSISTENCY_EVERY = 20  # periods: a covariance is published so often
+NO_ERROR_SIZES = ("mount_roll", "mount_pitch", "mount_yaw", "latency", "period", "wander_time")
+SENSOR_SOURCES = tuple(sorted({row.source for row in READINGS.values() if row.source}))
 
 
 @cache
@@ -66,11 +81,34 @@ def vehicle_and_controller(name: str = "mufly-1.1") -> tuple[Any, Any]:
     return vehicle, design_flight_controller(vehicle)
 
 
-def flown(mission: Mission, seed: int, faults: tuple[str, ...] = (), **options: Any) -> xr.Dataset:
+def true_vehicle(untold: str, seed: int) -> Vehicle | None:
+    """The vehicle that flies, of which filter and controllers know nothing; None: it is as its file says."""
+    if not untold:
+        return None
+    vehicle, controller = vehicle_and_controller()
+    (standard,) = parse_variations(["standard"], vehicle)
+    if untold == "standard":
+        campaign = Campaign(vehicle, load_mission("demonstration"), (standard,), controller=controller, seed=seed)
+        return campaign.make_vehicle(campaign.draw_case(0))
+    filed = {p.key: p.value for p in list_parameters(vehicle)}
+    errors = [k for k in standard.keys if k.startswith("sensors.") and not k.endswith(NO_ERROR_SIZES)]
+    return replace_parameters(vehicle, {k: float(untold) * filed[k] for k in errors})
+
+
+def accused(text: str) -> str:
+    """The one sensor that a warning names as wrong; "" if it names none, or several candidates."""
+    words = (" is rejected", " is faulty", " is missing", " is used despite")
+    return next((s for s in SENSOR_SOURCES if any(text.startswith(s + w) for w in words)), "")
+
+
+def flown(
+    mission: Mission, seed: int, faults: tuple[str, ...] = (), true: Vehicle | None = None, **options: Any
+) -> xr.Dataset:
     vehicle, controller = vehicle_and_controller()
     return fly_mission(
-        vehicle, mission, controller=controller, seed=seed, sensors="fitted", controllers=GenericFirmwareSoftware,
-        faults=[parse_fault(f) for f in faults], **{"wind": WIND, "gust": GUST} | options,
+        true or vehicle, mission, controller=controller, designed_for=vehicle, seed=seed, sensors="fitted",
+        controllers=GenericFirmwareSoftware,
+        faults=[parse_fault(f) for f in faults], **{"wind": WIND, "gust": GUST, "brief": True} | options,
     )  # fmt: skip
 
 
@@ -115,7 +153,7 @@ def errors(data: xr.Dataset, after_s: float) -> dict[str, float]:
 def one_hover(seed: int) -> dict[str, Any]:
     out = {}
     for name, mission in (("fix", HOLD), ("fix and lasers", ROOM)):
-        data = flown(mission, seed)
+        data = flown(mission, seed, brief=False)
         out[name] = told(data, mission) | errors(data, SETTLED_S)
     return out
 
@@ -139,6 +177,8 @@ def one_with(faults: tuple[str, ...], seed: int) -> dict[str, Any]:
     """A hover of which something goes wrong: noticed when, how far it went, how it came down."""
     data = flown(HOLD, seed, faults)
     out = told(data, HOLD)
+    wrong = {READINGS[FAULT_TARGETS[parse_fault(f).name].reading].source for f in faults}
+    blamed = sorted({accused(text) for t, text in out["warnings"] if t >= FAULT_S} - {""} - wrong)
     after = [t - FAULT_S for t, text in out["warnings"] if t >= FAULT_S and not text.startswith("hard touchdown")]
     down = data.truth_position.values[-1, 2] > -0.2
     tipped = "tipped over" in out["reason"] or "hit" in out["reason"]
@@ -147,6 +187,7 @@ def one_with(faults: tuple[str, ...], seed: int) -> dict[str, Any]:
     sink = float(data.truth_velocity.sel(time=slice(last_s - 8.0, None)).values[:, 2].max())
     return out | {
         "noticed_s": min(after, default=None),
+        "blamed": blamed,
         "strayed_m": strayed(data, FAULT_S, last_s),
         "sink_m_s": sink,
         "tilt_deg": float(tilt),
@@ -154,13 +195,13 @@ def one_with(faults: tuple[str, ...], seed: int) -> dict[str, Any]:
     }
 
 
-def one_alarm(seed: int) -> dict[str, Any]:
-    """Ten minutes of hover with nothing wrong; the battery is full for good."""
+def one_alarm(seed: int, untold: str = "") -> dict[str, Any]:
+    """Ten minutes of hover with nothing wrong but errors of ``untold`` size; the battery is full for good."""
     vehicle, controller = vehicle_and_controller()
     mission = Mission(name="hold")
     flight = Flight(
-        vehicle, mission, controller=controller, seed=seed, sensors="fitted", wind=WIND, gust=GUST, keep=False,
-        controllers=GenericFirmwareSoftware,
+        true_vehicle(untold, seed) or vehicle, mission, controller=controller, designed_for=vehicle, seed=seed,
+        sensors="fitted", wind=WIND, gust=GUST, keep=False, brief=True, controllers=GenericFirmwareSoftware,
     )  # fmt: skip
     warnings: list[tuple[float, str]] = []
     flight.autopilot.listeners.append(lambda e: warnings.append((e.time_s, e.text)) if e.level != "info" else None)
@@ -184,6 +225,27 @@ def one_alarm(seed: int) -> dict[str, Any]:
     }
 
 
+def one_consistency(seed: int, untold: str = "") -> dict[str, Any]:
+    """The demonstration in closed loop: errors over covariance, block by block, from a second after take-off on."""
+    truths: list[Truth] = []
+    estimates: list[Estimate] = []
+
+    def listen(truth: Truth, estimate: Estimate) -> None:
+        truths.append(truth)
+        estimates.append(estimate)
+
+    mission = load_mission("demonstration")
+    data = flown(
+        mission, seed, on_tick=listen, tick_every=CONSISTENCY_EVERY,
+        **({} if not untold else {"true": true_vehicle(untold, seed)}),
+    )  # fmt: skip
+    down = data.truth_position.values[:, 2]
+    airborne = data.time.values[down < down[0] - 0.05]
+    span = [(t, e) for t, e in zip(truths, estimates, strict=True) if e.time_s <= airborne[-1]]
+    found = measure_consistency(*zip(*span, strict=True), after_s=float(airborne[0]) + 1.0, every=1)
+    return told(data, mission) | {"consistency": asdict(found)}
+
+
 def kinds_of(name: str) -> Iterator[str]:
     """The faults of a sensor; accelerometers alone clip at an element."""
     for kind in FAULT_KINDS:
@@ -199,7 +261,9 @@ def pairs() -> list[tuple[str, ...]]:
     return [two for two in combinations(alone, 2) if two[0].split(".")[0] != two[1].split(".")[0]]
 
 
-def jobs_of(what: str, seeds: range) -> Iterator[tuple[str, Callable[..., dict[str, Any]], tuple[Any, ...]]]:
+def jobs_of(
+    what: str, seeds: range, untold: str = ""
+) -> Iterator[tuple[str, Callable[..., dict[str, Any]], tuple[Any, ...]]]:
     """(name, function, arguments) of every flight."""
     if what in ("faults", "pairs"):
         for faults in catalogue() if what == "faults" else pairs():
@@ -210,9 +274,10 @@ def jobs_of(what: str, seeds: range) -> Iterator[tuple[str, Callable[..., dict[s
         "hover": one_hover,
         "outage": one_outage,
         "alarms": one_alarm,
+        "consistency": one_consistency,
     }[what]
     for seed in seeds:
-        yield str(seed), one, (seed,)
+        yield str(seed), one, (seed, untold) if what in ("alarms", "consistency") else (seed,)
 
 
 def guarded(function: Callable[..., dict[str, Any]], arguments: tuple[Any, ...]) -> dict[str, Any]:
@@ -256,18 +321,31 @@ def report(what: str, found: dict[str, dict[str, Any]]) -> None:
         )
         print("never told, down safely", share([r["safe"] and r["noticed_s"] is None for r in rows]))
         print("mission flown to its end", share(fine))
+        print("healthy sensor accused", share([bool(r["blamed"]) for r in rows]))
         print("finite inputs", share([r["finite"] for r in rows]))
         for k, r in good.items():
             when = "never" if r["noticed_s"] is None else f"{r['noticed_s']:.2f} s"
             mark = "" if r["safe"] else "LOST "
             print(
                 f"  {mark}{k}: noticed {when}, strayed {r['strayed_m']:.2f} m, tilt {r['tilt_deg']:.0f} deg, "
-                f"{r['outcome']}: {r['reason']}"
+                f"{r['outcome']}: {r['reason']}" + (f"; accuses {', '.join(r['blamed'])}" if r["blamed"] else "")
+            )
+    elif what == "consistency":
+        merged = Consistency.merge_flights([Consistency(**r["consistency"]) for r in rows])
+        print("succeeded", share([r["outcome"] == "succeeded" for r in rows]))
+        print(f"NEES/n {merged.nees:.2f}, {merged.inside:.1%} inside")
+        for k, name in enumerate(ERROR_BLOCKS):
+            each = [r["consistency"]["block_nees"][k] for r in rows]
+            print(
+                f"  {name}: NEES/n {merged.block_nees[k]:.2f}, {merged.block_inside[k]:.1%} inside; "
+                f"units: median {np.median(each):.2f}, worst {max(each):.2f}"
             )
     else:
         hours = sum(r["hours"] for r in rows)
         alarms = [(k, t, text) for k, r in good.items() for t, text in r["warnings"]]
-        print(f"{len(alarms)} alarms in {hours:.2f} h; xy {np.mean([r['xy_rms_m'] for r in rows]):.3f} m rms")
+        false = [a for a in alarms if accused(a[2])]
+        away = np.mean([r["xy_rms_m"] for r in rows])
+        print(f"{len(alarms)} alarms, {len(false)} accusations in {hours:.2f} h; xy {away:.3f} m rms")
         for k, t, text in alarms:
             print(f"  {k} at {t:.1f} s: {text}")
     jumps = [r["jump"] for r in rows if "jump" in r]
@@ -280,19 +358,20 @@ def report(what: str, found: dict[str, dict[str, Any]]) -> None:
 
 def main() -> None:
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    p.add_argument("what", choices=("hover", "outage", "faults", "pairs", "alarms"))
+    p.add_argument("what", choices=("hover", "outage", "faults", "pairs", "alarms", "consistency"))
     p.add_argument("--seeds", type=int, default=20)
     p.add_argument("--first", type=int, default=0)
     p.add_argument("--only", default="", help="names that contain this")
     p.add_argument("--sample", type=int, default=0, help="fly so many of them, drawn by --first; 0: all")
+    p.add_argument("--untold", default="", help="errors of the truth alone: a factor, or 'standard'")
     p.add_argument("--jobs", type=int, default=2)
     p.add_argument("--out", type=Path, default=None, help="JSON lines; default fly_on_estimates-WHAT.jsonl")
     a = p.parse_args()
-    out = a.out or Path(f"fly_on_estimates-{a.what}.jsonl")
+    out = a.out or Path(f"fly_on_estimates-{a.what}{a.untold}.jsonl")
     found: dict[str, dict[str, Any]] = {}
     if out.exists():
         found = dict(json.loads(line) for line in out.read_text().splitlines() if line.endswith("]"))
-    jobs = [j for j in jobs_of(a.what, range(a.first, a.first + a.seeds)) if a.only in j[0]]
+    jobs = [j for j in jobs_of(a.what, range(a.first, a.first + a.seeds), a.untold) if a.only in j[0]]
     if 0 < a.sample < len(jobs):
         print(f"{a.sample} of {len(jobs)} flights")
         drawn = np.random.default_rng(a.first).choice(len(jobs), a.sample, replace=False)

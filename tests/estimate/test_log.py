@@ -98,7 +98,7 @@ def test_noise_is_found_in_the_log(made: tuple[InertialLog, PositionAids, np.nda
     # Nothing is known of attitude: its errors do not count, and nothing is said of them.
     blind = truth.copy()
     blind[:, 6:] = np.nan
-    assert np.isnan(measure_row_consistency(blind, told, after_s=4.0).parts[2])
+    assert np.isnan(measure_row_consistency(blind, told, after_s=4.0).block_nees[2])
 
 
 def test_standing_is_told_by_the_unit_alone(made: tuple[InertialLog, PositionAids, np.ndarray]) -> None:

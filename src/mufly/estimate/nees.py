@@ -24,6 +24,15 @@ from mufly.sensors import Truth
 
 _Array = NDArray[np.float64]
 
+ERROR_BLOCKS = {
+    "position": slice(EX_POS, EX_VEL),
+    "velocity": slice(EX_VEL, EX_ATT),
+    "tilt": slice(EX_ATT, EX_ATT + 2),
+    "heading": slice(EX_ATT + 2, EX_GYRO_BIAS),
+}
+"""Blocks of the error that are consistent one by one; an ellipsoid of all nine components hides a narrow block."""
+_NO_BLOCK = (math.nan, math.nan)
+
 
 def normalised_errors(errors: _Array, covariances: _Array) -> _Array:
     """Return e^T P^-1 e of each row; errors (k, n), covariances (k, n, n)."""
@@ -44,8 +53,8 @@ class Consistency:
         Mean of NEES / n over position, velocity and attitude (n = 9).
     inside : float
         Share of instants inside the 95 % ellipsoid.
-    parts : (3,) tuple
-        NEES / 3 of position, velocity, attitude.
+    block_nees, block_inside : (4,) tuples
+        NEES / n of each block of :data:`ERROR_BLOCKS`, and the share of instants inside the block's 95 % ellipsoid.
     nis : float
         Mean square of the innovation ratios of the position fix.
     xy_rms, xy_peak, z_rms, z_peak, tilt_rms, tilt_peak, yaw_rms : float
@@ -55,7 +64,8 @@ class Consistency:
     count: int
     nees: float
     inside: float
-    parts: tuple[float, float, float]
+    block_nees: tuple[float, ...]
+    block_inside: tuple[float, ...]
     nis: float
     xy_rms: float
     xy_peak: float
@@ -76,9 +86,14 @@ class Consistency:
             for k in ("xy_rms", "z_rms", "tilt_rms", "yaw_rms")
         }
         peak = {k: max(getattr(c, k) for c in several) for k in ("xy_peak", "z_peak", "tilt_peak")}
-        a, b, d = (float(x) for x in n @ np.array([one.parts for one in several]))
-        parts = (a, b, d)
-        return cls(count=sum(one.count for one in several), parts=parts, **mean, **rms, **peak)
+        return cls(
+            count=sum(one.count for one in several),
+            block_nees=tuple((n @ np.array([one.block_nees for one in several])).tolist()),
+            block_inside=tuple((n @ np.array([one.block_inside for one in several])).tolist()),
+            **mean,
+            **rms,
+            **peak,
+        )
 
     def format_row(self) -> str:
         """Return the errors in centimetres and degrees, for a table."""
@@ -89,7 +104,8 @@ class Consistency:
             f"{d(self.tilt_peak):.2f}",
             f"{d(self.yaw_rms):.2f}", f"{self.nis:.2f}",
         )  # fmt: skip
-        return "".join(f"{c:>9s}" for c in cells) + "   pva " + " ".join(f"{p:.2f}" for p in self.parts)
+        blocks = zip(self.block_nees, self.block_inside, strict=True)
+        return "".join(f"{c:>9s}" for c in cells) + "   " + ", ".join(f"{p:.2f} {100 * q:.1f} %" for p, q in blocks)
 
 
 def measure_consistency(
@@ -140,10 +156,7 @@ def measure_row_consistency(
     some = e[::every]
     p = np.array([told[k].covariance[:EX_GYRO_BIAS, :EX_GYRO_BIAS] for k in use[::every]])
     nees = normalised_errors(some[:, known], p[:, known][:, :, known])
-    place, speed, turn = (
-        float(normalised_errors(some[:, part], p[:, part, part]).mean()) / 3 if known[part].all() else math.nan
-        for part in (slice(EX_POS, EX_VEL), slice(EX_VEL, EX_ATT), slice(EX_ATT, EX_GYRO_BIAS))
-    )  # fmt: skip
+    blocks = [_measure_block(some[:, b], p[:, b, b]) if known[b].all() else _NO_BLOCK for b in ERROR_BLOCKS.values()]
     ratios = []
     for k in use[::every]:
         b = told[k].auxiliary_states
@@ -154,7 +167,8 @@ def measure_row_consistency(
         count=len(use),
         nees=float(nees.mean()) / count,
         inside=float(np.mean(nees < stats.chi2.ppf(0.95, count))),
-        parts=(place, speed, turn),
+        block_nees=tuple(b[0] for b in blocks),
+        block_inside=tuple(b[1] for b in blocks),
         nis=float(np.mean(np.square(ratios))) if ratios else np.nan,
         xy_rms=_root_mean_square(xy),
         xy_peak=float(xy.max()),
@@ -164,6 +178,12 @@ def measure_row_consistency(
         tilt_peak=float(tilt.max()),
         yaw_rms=_root_mean_square(e[:, EX_ATT + 2]),
     )
+
+
+def _measure_block(errors: _Array, covariances: _Array) -> tuple[float, float]:
+    """Return NEES / n of a block (k, n), and the share of its instants inside the 95 % ellipsoid."""
+    nees, n = normalised_errors(errors, covariances), errors.shape[1]
+    return float(nees.mean()) / n, float(np.mean(nees < stats.chi2.ppf(0.95, n)))
 
 
 def _root_mean_square(x: _Array) -> float:

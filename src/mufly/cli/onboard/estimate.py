@@ -299,6 +299,8 @@ def _print_aid_innovations(fore: AidInnovations) -> None:
 
 
 def _print_consistency(c: Consistency, what: str = "") -> None:
+    from mufly.estimate.nees import ERROR_BLOCKS
+
     def format_cell(x: float, unit: str, digits: int) -> str:
         return f"{x:.{digits}f} {unit}" if math.isfinite(x) else ""
 
@@ -309,8 +311,9 @@ def _print_consistency(c: Consistency, what: str = "") -> None:
         ("heading", format_cell(math.degrees(c.yaw_rms), "deg", 2), ""),
     ]
     print_table((f"error {what}".strip(), "rms", "worst"), rows, text=(0, 1, 2))
-    parts = ", ".join(
-        f"{name} {x:.2f}" for name, x in zip(("position", "velocity", "attitude"), c.parts, strict=True)
+    parts = "; ".join(
+        f"{name} {x:.2f}, {inside:.0%}"
+        for name, x, inside in zip(ERROR_BLOCKS, c.block_nees, c.block_inside, strict=True)
         if math.isfinite(x)
     )  # fmt: skip
     print_lines(f"NEES / n {c.nees:.2f} (1 if consistent; {parts}); {c.inside:.1%} inside the 95 % ellipsoid")
