@@ -46,7 +46,7 @@ from mufly.slam import (
     run_slam,
     write_dataset,
 )
-from mufly.slam.lens_calibration import resize_camera
+from mufly.slam.calibration.lens_calibration import resize_camera
 from mufly.slam.slam_trajectory import SlamTrajectory
 
 CAMERA = load_camera("webcam")

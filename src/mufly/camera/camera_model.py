@@ -10,12 +10,12 @@ With r^2 = x^2 + y^2 and the radial factor R = 1 + k1 r^2 + k2 r^4 + k3 r^6,
 
 and (u, v) = (0, 0) is the middle of the first pixel. The inverse has no closed form; Newton's method solves the two
 equations. The top of the picture points to the vehicle's nose: picture x is body y, picture y is body -x, and the
-axis is body z. ``mount.turn`` rotates the camera about this axis.
+axis is body z. ``mount.turn``, ``mount.pitch`` and ``mount.roll`` rotate the camera, as yaw, pitch and roll of the
+vehicle (z-y-x).
 """
 
 from __future__ import annotations
 
-import math
 import re
 import tomllib
 import warnings
@@ -30,6 +30,7 @@ from mufly.camera.calibration_files import convert_calibration
 from mufly.errors import InputError
 from mufly.input_files import builtin_file_names, model_error, read_toml, validate_model
 from mufly.logs import LogWarning
+from mufly.rotations import body_to_ned_matrices
 from mufly.text_table import decode_text
 from mufly.vehicle.quantity import BodyPoints, ParameterGroup, Quantity, declare_parameter
 
@@ -62,7 +63,7 @@ class Lens(ParameterGroup):
 
 
 class Mount(ParameterGroup):
-    """Position and rotation of the camera on the vehicle; the camera looks along body z."""
+    """Position and rotation of the camera on the vehicle; without pitch and roll the camera looks along body z."""
 
     place: BodyPoints = declare_parameter("m", "r_cam", "one point, in body axes", at_least=-10, at_most=10)
     turn: Quantity = declare_parameter(
@@ -72,6 +73,12 @@ class Mount(ParameterGroup):
         at_least=-3.2,
         at_most=3.2,
         absent=0.0,
+    )
+    pitch: Quantity = declare_parameter(
+        "rad", "theta_cam", "of the mount about body y, nose up", at_least=-0.8, at_most=0.8, absent=0.0
+    )
+    roll: Quantity = declare_parameter(
+        "rad", "phi_cam", "of the mount about body x, right side down", at_least=-0.8, at_most=0.8, absent=0.0
     )
 
     @model_validator(mode="after")
@@ -85,6 +92,9 @@ class Shutter(ParameterGroup):
     exposure: Quantity = declare_parameter("s", "T_exp", "of each row", at_least=0, at_most=1)
     readout: Quantity = declare_parameter(
         "s", "T_roll", "from the first row to the last; 0: a global shutter", at_least=0, at_most=1
+    )
+    delay: Quantity = declare_parameter(
+        "s", "T_stamp", "of a data set's time stamps behind the exposure", at_least=-1, at_most=1, absent=0.0
     )
 
 
@@ -233,9 +243,13 @@ def distortion_coefficients(camera: Camera) -> _Array:
 
 def body_from_camera_rotation(camera: Camera) -> _Array:
     """Return the rotation matrix (3, 3) from the camera's to the body's axes."""
-    c, s = math.cos(float(camera.mount.turn)), math.sin(float(camera.mount.turn))
-    nose = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ nose
+    mount = camera.mount
+    turn: _Array = body_to_ned_matrices(np.array([float(mount.roll), float(mount.pitch), float(mount.turn)]))
+    return turn @ NOSE_UP
+
+
+NOSE_UP = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+"""Rotation matrix from the camera's to the body's axes for a mount without turn, pitch and roll."""
 
 
 def _distort_rays(k: _Array, x: _Array, y: _Array) -> tuple[_Array, _Array]:

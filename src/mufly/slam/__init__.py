@@ -1,5 +1,6 @@
 """Visual SLAM over a floor: tracking, keyframes, loop closure, and data sets for tests."""
 
+from mufly.slam.calibration.lens_calibration import LensCalibration, calibrate_lens, list_board_pictures
 from mufly.slam.camera_frame import CameraFrame, FrameInfo
 from mufly.slam.datasets.dataset_readers import FrameSource, info_from_height, open_live, open_pictures, read_telemetry
 from mufly.slam.datasets.dataset_writers import DATASET_LAYOUTS, format_camera_toml, write_dataset
@@ -13,7 +14,6 @@ from mufly.slam.datasets.synthetic_datasets import (
 )
 from mufly.slam.image_tools import load_opencv
 from mufly.slam.keyframe_map import FloorMap, Keyframe
-from mufly.slam.lens_calibration import LensCalibration, calibrate_lens, list_board_pictures
 from mufly.slam.slam_process import (
     MapView,
     PictureCounts,

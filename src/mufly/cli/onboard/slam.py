@@ -67,6 +67,13 @@ def render(
         Path | None,
         define_option("--from FILE", "Recording (flight.mcap) whose path is flown, instead of rounds of a square."),
     ] = None,
+    motion: Annotated[
+        Literal["square", "hand"],
+        define_option(
+            "--motion WHICH",
+            "Motion: rounds of a square, or by hand with still rotors and the errors of a small inertial unit.",
+        ),
+    ] = "square",
     duration: Annotated[float, define_option("--duration", "Length of the data set.", unit="s")] = 20.0,
     side: Annotated[float, define_option("--side", "Side of the square that is flown; 0 hovers.", unit="m")] = 3.0,
     height: Annotated[float, define_option("--height", "Height of the path above the floor.", unit="m")] = 1.0,
@@ -98,7 +105,8 @@ def render(
         render_frames,
         write_dataset,
     )
-    from mufly.slam.datasets.synthetic_datasets import scatter_boxes
+    from mufly.slam.datasets.dataset_writers import ideal_imu_rows
+    from mufly.slam.datasets.synthetic_datasets import add_imu_errors, make_hand_path, scatter_boxes
 
     for name, value, low, high in (
         ("--duration", duration, 0.1, 3600), ("--side", side, 0, 50), ("--height", height, 0.15, 50),
@@ -112,6 +120,8 @@ def render(
     if recording is not None:
         path = path_from_recording(read_recording(recording), str(recording))
         duration = min(duration, float(path.time_s[-1] - path.time_s[0]))
+    elif motion == "hand":
+        path = make_hand_path(duration_s=duration, height_m=height, seed=seed)
     else:
         path = make_square_path(duration_s=duration, side_m=side, height_m=height, speed_m_s=speed, seed=seed)
     check_place("--out", out)
@@ -127,8 +137,9 @@ def render(
     total = int(duration / float(lens.sensor.period))
     with report_write_errors("--out", key=str(out)), progress_bar("pictures", not as_json) as bar:
         count = write_dataset(
-            out, lens, path, made, layout, (lambda k: None) if bar is None else (lambda k: bar(k + 1, total))
-        )
+            out, lens, path, made, layout, (lambda k: None) if bar is None else (lambda k: bar(k + 1, total)),
+            add_imu_errors(ideal_imu_rows(path), seed) if motion == "hand" and recording is None else None,
+        )  # fmt: skip
     print_answer(
         as_json, {"pictures": count, "floor": ground.name, "camera": lens.name},
         lambda: print_lines(f"{count} pictures of a {ground.name} floor by {lens.name}, layout {layout}"), [out],
@@ -500,31 +511,64 @@ def evaluate(
 
 @app.command()
 def calibrate(
-    pictures: Annotated[Path, define_argument("FOLDER", "Folder with pictures of a chessboard, from many sides.")],
+    pictures: Annotated[
+        Path,
+        define_argument(
+            "FOLDER", "Folder with pictures of a chessboard, or (--by hand) of a floor with imu.csv (mufly, EuRoC)."
+        ),
+    ],
+    by: Annotated[
+        Literal["board", "hand"],
+        define_option(
+            "--by WHICH",
+            "Method: a chessboard for the lens, or a motion by hand over a floor for focal length, mount and delay.",
+        ),
+    ] = "board",
     board: Annotated[str, define_option("--board CxR", "Inner corners of the board along both sides, as 9x6.")] = "9x6",
     square: Annotated[float, define_option("--square", "Side of a square of the board.", unit="m")] = 0.025,
+    height: _HeightOption = None,
     camera: Annotated[
-        str,
+        str | None,
         define_option(
             "--camera NAME|FILE",
-            "Camera that supplies all but lens and picture size: a built-in one, a camera file, or a calibration.",
+            "Camera that supplies the initial and all other values. Default: mufly-2.0; by hand: camera.toml in the "
+            "folder.",
         ),
-    ] = "mufly-2.0",
+    ] = None,
     out: Annotated[
         Path | None,
-        define_option("--out FILE", "Camera file to write, with the lens and size found and the rest of --camera."),
+        define_option("--out FILE", "Camera file to write, with the values found and the rest of --camera."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Calibrate a camera's lens from pictures of a chessboard, of any size."""
-    from mufly.camera import load_camera
-    from mufly.slam import calibrate_lens, format_camera_toml, list_board_pictures
+    """Calibrate a camera's lens from pictures of a chessboard, or its mount, delay and focal length by hand.
 
+    By hand: take the vehicle, rotors off, hold it 0.3 to 1.5 m over a level floor with texture, and turn it by 20
+    degrees about all axes for 60 s. Heights come from sonar.csv or --height.
+
+    Examples:
+
+      mufly slam calibrate boards --board 9x6 --out lens.toml
+
+      mufly slam calibrate turned --by hand --camera lens.toml --out camera.toml
+    """
+    from mufly.camera import find_camera, load_camera
+    from mufly.slam import calibrate_lens, format_camera_toml, list_board_pictures
+    from mufly.slam.calibration.hand_calibration import calibrate_from_folder
+
+    if by == "hand":
+        initial = find_camera(pictures, camera)
+        with progress_bar("pictures", not as_json) as bar:
+            held = calibrate_from_folder(pictures, initial, height_m=height, on_picture=bar)
+        if out is not None:
+            write_text_file(out, format_camera_toml(held.camera), "give another file")
+        print_answer(as_json, held, files=[] if out is None else [out])
+        return
     try:
         columns, rows = (int(n) for n in board.lower().split("x"))
     except ValueError:
         raise InputError("--board", "", f"{board!r} is not a board size", "give inner corners: 9x6") from None
-    lens, files = load_camera(camera), list_board_pictures(pictures)
+    lens, files = load_camera(camera or "mufly-2.0"), list_board_pictures(pictures)
     with progress_bar("pictures", not as_json) as bar:
         found = calibrate_lens(files, lens, columns=columns, rows=rows, square_m=square, on_picture=bar)
     if out is not None:

@@ -142,6 +142,7 @@ def open_pictures(
         raise InputError(str(where), "", "no such folder or video", "give one with pictures")
     layout = detect_layout(where)
     names, at, files = _list_pictures(where, layout)
+    at = at - float(camera.shutter.delay)
     tellings = _read_frame_infos(where, layout, at, height_m) if told is None else told(at)
 
     def generate_frames() -> Iterator[CameraFrame]:
@@ -282,11 +283,9 @@ def _read_frame_infos(folder: Path, layout: DatasetLayout, times: _Array, height
     if (folder / "telemetry.csv").is_file():
         return _read_telemetry_infos(folder / "telemetry.csv", times)
     heights = _read_heights(folder, times, height_m)
-    imu, accelerometer = _euroc_folder(folder) / "imu0" / "data.csv", folder / "accelerometer.txt"
-    if layout == "euroc" and imu.is_file():
-        rows = read_text_table(imu).read_matrix(7)
-        t = rows[:, 0] * (1e-9 if rows[0, 0] > 1e12 else 1.0)
-        rates, force = (part * _FLU_TO_FRD for part in np.split(rows[:, 1:], 2, axis=1))
+    imu, accelerometer = find_inertial_file(folder, layout), folder / "accelerometer.txt"
+    if imu is not None:
+        t, rates, force = read_inertial_data(imu)
         roll, pitch = complementary_filter(t, rates, force)
         sigma = math.radians(1.0)
         turning = np.stack([np.interp(times, t, c) for c in rates.T], axis=1)
@@ -314,6 +313,31 @@ def _read_frame_infos(folder: Path, layout: DatasetLayout, times: _Array, height
         )
         for k in range(len(times))
     ]
+
+
+def find_inertial_file(folder: Path, layout: DatasetLayout) -> Path | None:
+    """Return the file with rates and specific force of a folder, if it has one."""
+    file = _euroc_folder(folder) / "imu0" / "data.csv" if layout == "euroc" else folder / "imu.csv"
+    return file if layout in ("euroc", "mufly") and file.is_file() else None
+
+
+def read_inertial_data(file: Path) -> tuple[_Array, _Array, _Array]:
+    """Return times (n,) (s), rates (n, 3) (rad/s) and specific force (n, 3) (m/s^2), body axes.
+
+    ``data.csv`` has EuRoC's axes (x forward, y left, z up), other files those of mufly.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two rows or times do not rise.
+    """
+    rows = read_text_table(file).read_matrix(7)
+    if len(rows) < 2 or (np.diff(rows[:, 0]) <= 0.0).any():
+        raise InputError(str(file), "time", "does not rise", "write two rows or more, sorted by time")
+    t = rows[:, 0] * (1e-9 if rows[0, 0] > 1e12 else 1.0)
+    axes = _FLU_TO_FRD if file.name == "data.csv" else np.ones(3)
+    rates, force = (part * axes for part in np.split(rows[:, 1:], 2, axis=1))
+    return t, rates, force
 
 
 def complementary_filter(t: _Array, rates: _Array, force: _Array) -> tuple[_Array, _Array]:

@@ -35,6 +35,7 @@ def write_dataset(
     made: Iterable[tuple[CameraFrame, VehicleMotion]],
     layout: str = "mufly",
     on_picture: Callable[[int], None] = lambda k: None,
+    imu: _Array | None = None,
 ) -> int:
     """Write a data set and return the number of its pictures.
 
@@ -50,6 +51,10 @@ def write_dataset(
         One of :data:`DATASET_LAYOUTS`.
     on_picture : callable
         Called with the number of each picture.
+    imu : (n, 7) array, optional
+        Time, rates and specific force to write instead of error-free ones; the layout mufly then has no telemetry.
+
+    Stamps of pictures are late by the camera's ``shutter.delay``.
     """
     base = {"mufly": folder / "pictures", "tum": folder / "rgb", "euroc": folder / "mav0" / "cam0" / "data"}[layout]
     base.mkdir(parents=True, exist_ok=True)
@@ -57,10 +62,11 @@ def write_dataset(
     listed, told, sonar, last = [], [], [], -1.0
     with contextlib.suppress(GeneratorExit):
         for k, (frame, _) in enumerate(made):
-            ns = round(frame.time_s * 1e9) + 10**18
-            name = {"mufly": f"{k:06d}.jpg", "tum": f"{frame.time_s:.6f}.jpg", "euroc": f"{ns}.jpg"}[layout]
+            stamp = frame.time_s + float(camera.shutter.delay)
+            ns = round(stamp * 1e9) + 10**18
+            name = {"mufly": f"{k:06d}.jpg", "tum": f"{stamp:.6f}.jpg", "euroc": f"{ns}.jpg"}[layout]
             (base / name).write_bytes(encode_jpeg(frame.picture, _JPEG_QUALITY))
-            listed.append((f"{frame.time_s:.6f}", name, ns))
+            listed.append((f"{stamp:.6f}", name, ns))
             t = frame.vehicle_estimate
             told.append(
                 (
@@ -77,22 +83,24 @@ def write_dataset(
             )
             if frame.time_s > last + 0.05:
                 last = frame.time_s
-                clock = f"{ns // 10**9}.{ns % 10**9 // 1000:06d}" if layout == "euroc" else f"{frame.time_s:.6f}"
+                at = round(frame.time_s * 1e9) + 10**18
+                clock = f"{at // 10**9}.{at % 10**9 // 1000:06d}" if layout == "euroc" else f"{frame.time_s:.6f}"
                 sonar.append(f"{clock},{t.height_m:.2f}")
             on_picture(k)
+    rows = ideal_imu_rows(path) if imu is None else imu
     (folder / "sonar.csv").write_text("\n".join(["time_s,distance_m", *sonar]) + "\n", encoding="utf-8")
     if layout == "mufly":
         lines = ["time_s,file", *(f"{t},{name}" for t, name, _ in listed)]
         (folder / "pictures.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
-        _write_csv(
-            folder / "telemetry.csv",
-            TELEMETRY_COLUMNS + PHASE_COLUMNS if told and len(told[0]) > len(TELEMETRY_COLUMNS) else TELEMETRY_COLUMNS,
-            told,
-        )
+        if imu is None:
+            phased = told and len(told[0]) > len(TELEMETRY_COLUMNS)
+            _write_csv(
+                folder / "telemetry.csv", TELEMETRY_COLUMNS + PHASE_COLUMNS if phased else TELEMETRY_COLUMNS, told
+            )
         _write_csv(
             folder / "imu.csv",
             ("time_s", "p_rad_s", "q_rad_s", "r_rad_s", "ax_m_s2", "ay_m_s2", "az_m_s2"),
-            _ideal_imu_rows(path),
+            rows,
         )
         write_tum(
             folder / "truth.txt",
@@ -104,9 +112,8 @@ def write_dataset(
     elif layout == "tum":
         lines = ["# timestamp filename", *(f"{t} rgb/{name}" for t, name, _ in listed)]
         (folder / "rgb.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
-        imu = _ideal_imu_rows(path)
-        rows = [f"{r[0]:.6f} {r[4]:.6f} {-r[5]:.6f} {-r[6]:.6f}" for r in imu]
-        (folder / "accelerometer.txt").write_text("\n".join(["# timestamp ax ay az", *rows]) + "\n", encoding="utf-8")
+        force = [f"{r[0]:.6f} {r[4]:.6f} {-r[5]:.6f} {-r[6]:.6f}" for r in rows]
+        (folder / "accelerometer.txt").write_text("\n".join(["# timestamp ax ay az", *force]) + "\n", encoding="utf-8")
         up = path.position_m[::2] * _FLU_TO_FRD
         write_tum(
             folder / "groundtruth.txt",
@@ -116,17 +123,17 @@ def write_dataset(
             "x north, y west, z up",
         )
     else:
-        _write_euroc(folder / "mav0", path, [(name, ns) for _, name, ns in listed])
+        _write_euroc(folder / "mav0", path, [(name, ns) for _, name, ns in listed], rows)
     return len(listed)
 
 
-def _write_euroc(base: Path, path: VehiclePath, listed: list[tuple[str, int]]) -> None:
+def _write_euroc(base: Path, path: VehiclePath, listed: list[tuple[str, int]], imu: _Array) -> None:
     lines = ["#timestamp [ns],filename", *(f"{ns},{name}" for name, ns in listed)]
     (base / "cam0" / "data.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
     head = _csv_header("#timestamp [ns]", "w_RS_S_{} [rad s^-1]", "a_RS_S_{} [m s^-2]")
     (base / "imu0").mkdir(parents=True, exist_ok=True)
     rows = []
-    for r in _ideal_imu_rows(path):
+    for r in imu:
         w, a = r[1:4] * _FLU_TO_FRD, r[4:7] * _FLU_TO_FRD
         rows.append(f"{round(r[0] * 1e9) + 10**18}," + ",".join(f"{x:.6f}" for x in (*w, *a)))
     (base / "imu0" / "data.csv").write_text("\n".join([head, *rows]) + "\n", encoding="utf-8")
@@ -148,7 +155,7 @@ def _csv_header(first: str, *forms: str) -> str:
     return ",".join([first, *(form.format(axis) for form in forms for axis in "xyz")])
 
 
-def _ideal_imu_rows(path: VehiclePath) -> _Array:
+def ideal_imu_rows(path: VehiclePath) -> _Array:
     """Return rows of time, rates and specific force of an error-free inertial unit, body axes."""
     a = np.gradient(path.velocity_m_s, path.time_s, axis=0)
     roll, pitch, yaw = path.attitude_rad.T

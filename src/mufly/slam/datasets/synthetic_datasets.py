@@ -1,7 +1,8 @@
 """Synthetic data sets: pictures rendered along a path, with simulated vehicle data and truth.
 
-Paths are laps of a square with round corners, or those of a recorded flight. On a lap the vehicle sways, and it tilts
-according to its acceleration: pitch = -a_x / g, roll = a_y / g in the axes of its heading, plus a random 0.4 degrees.
+Paths are laps of a square with round corners, those of a recorded flight, or a motion by hand with still rotors. On a
+lap the vehicle sways, and it tilts according to its acceleration: pitch = -a_x / g, roll = a_y / g in the axes of its
+heading, plus a random 0.4 degrees. A hand turns the vehicle by about 20 degrees about all axes.
 
 The vehicle data (telemetry) are tilt with a first-order Gauss-Markov error (2 s), height above the floor with one of
 1 cm over 1 s, rates with bias and noise, and rotor speeds. A folder holds
@@ -76,7 +77,8 @@ class VehiclePath:
                 self.rotor_phases_rad,
             )
         )
-        return VehicleMotion(time_s, x, v, body_to_ned_matrix(quaternion_from_euler(*e)), w, o, f)
+        shaking = 1.0 if o.any() else 0.0
+        return VehicleMotion(time_s, x, v, body_to_ned_matrix(quaternion_from_euler(*e)), w, o, f, shaking)
 
 
 def make_square_path(
@@ -135,6 +137,54 @@ def make_square_path(
     return VehiclePath(
         t, p, v, attitude, _compute_body_rates(t, attitude), speed, np.cumsum(speed, axis=0) / PATH_RATE_HZ
     )
+
+
+def make_hand_path(*, duration_s: float, height_m: float = 0.8, seed: int = 0) -> VehiclePath:
+    """Return a motion by hand with still rotors, for :mod:`mufly.slam.calibration.hand_calibration`.
+
+    Angles and place are sums of sines of 0.15 to 0.9 Hz: roll and pitch of 12 degrees rms, yaw of 25, place of 8 cm.
+    The first 0.8 s are at rest.
+
+    Parameters
+    ----------
+    duration_s : float
+    height_m : float
+        Mean height above the floor (m).
+    seed : int
+    """
+    if not (duration_s > 0 and height_m > 0.2):
+        raise ArgumentError("path", "", "is none", "give a duration above zero and a height over 0.2 m")
+    rng = np.random.default_rng([seed, 36])
+    t = np.arange(0.0, duration_s + 0.5, 1.0 / PATH_RATE_HZ)
+    rms = np.array([*np.radians([12.0, 12.0, 25.0]), 0.08, 0.08, 0.08 * min(1.0, height_m)])
+    grown = np.clip((t - 0.8) / 2.0, 0.0, 1.0)
+    grown = grown**3 * (10.0 - 15.0 * grown + 6.0 * grown**2)  # smooth to the second derivative
+    waves = np.zeros((len(t), 6))
+    for k in range(6):
+        for _ in range(5):
+            w = 2 * math.pi * rng.uniform(0.15, 0.9)
+            waves[:, k] += rms[k] * math.sqrt(2.0 / 5.0) * np.sin(w * t + rng.uniform(0, 2 * math.pi))
+    waves *= grown[:, None]
+    attitude, p = waves[:, :3], waves[:, 3:] - [0.0, 0.0, height_m]
+    still = np.zeros((len(t), 2))
+    return VehiclePath(
+        t, p, np.asarray(np.gradient(p, t, axis=0)), attitude, _compute_body_rates(t, attitude), still, still
+    )
+
+
+def add_imu_errors(rows: _Array, seed: int = 0) -> _Array:
+    """Return rows of time, rates and specific force with the errors of a small MEMS unit.
+
+    Gyroscopes: bias 0.5 degrees/s, scale 1 %, white noise 5 mrad/s a sample; accelerometers: bias 0.05 m/s^2, scale
+    0.3 %, noise 0.05 m/s^2 (one sigma each).
+    """
+    rng = np.random.default_rng([seed, 37])
+    out = rows.copy()
+    for part, bias, scale, noise in ((slice(1, 4), math.radians(0.5), 0.01, 0.005), (slice(4, 7), 0.05, 0.003, 0.05)):
+        values = out[:, part]
+        values *= 1.0 + scale * rng.standard_normal(3)
+        values += bias * rng.standard_normal(3) + noise * rng.standard_normal(values.shape)
+    return out
 
 
 def _trace_square(way: _Array, side: float) -> tuple[_Array, _Array]:

@@ -1,0 +1,584 @@
+r"""Calibration of a camera on its vehicle from a motion by hand over a flat, level floor (batch least squares).
+
+The recording holds pictures, gyroscopes, accelerometers and, if possible, the height (sonar). Unknown are the focal
+length, principal point, first radial coefficient, rotation of the mount, place of the camera, delay of the stamps,
+bias and scale of the gyroscopes, bias of the accelerometers and the initial tilt. Each segment of a few pictures
+(:mod:`mufly.slam.calibration.point_tracks`) has seven more: velocity, logarithm of the camera's height, rotation error.
+
+**Model.** Integrated rates give the attitude R(t); the specific force f gives the velocity up to a constant,
+
+    v(t) = v_k + C(t) - C(t_k),    C' = R f + g,    p(t) = integral of v.
+
+The camera has the attitude R R_c and the place p + R l, l its lever arm. The ray of a point in the first picture of a
+segment meets the floor; the last picture shows this floor point. Each pixel has the time of its row: stamp less delay
+plus row offset. Residuals, divided by their deviations, are
+
+- pixels of the points in the last picture (Huber weights; deviation from their median absolute residual);
+- steps of velocity, and of the height of the floor, between neighbouring segments;
+- height of the camera against the sonar; rotation errors against the noise of the gyroscopes;
+- priors of principal point, radial coefficient, lever arm, sensor scales and biases (:data:`_PRIOR_SIGMA`).
+
+Since attitude, gravity and rates fix rotations in absolute terms, the focal length needs no board: it shows as pixels a
+radian, and by the perspective of the picture apart from the scale of the gyroscopes. Mount and tilt separate because
+the floor is level and gravity is measured. Gauss-Newton solves the sparse normal equations; standard deviations are
+those of their inverse, times :data:`_INFLATION`, since errors of neighbouring tracks and segments are correlated. The
+pictures are then tracked again with patches warped by this fit, and fitted again: tracking by shift alone errs by some
+hundredths of a pixel where the motion varies within a patch, which moves the principal point by pixels.
+
+Own derivation, after Furgale, Rehder and Siegwart, *Unified Temporal and Spatial Calibration for Multi-Sensor Systems*,
+2013 (Kalibr); noise from differences as in von Neumann, 1941.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.sparse.linalg import splu
+
+from mufly.camera import Camera, body_from_camera_rotation, unproject_pixels
+from mufly.camera.camera_model import NOSE_UP, project_points
+from mufly.errors import InputError
+from mufly.results import ShownBlock, result, show_lines, show_table
+from mufly.slam.calibration.inertial_motion import (
+    InertialData,
+    IntegratedMotion,
+    estimate_white_noise,
+    integrate_inertial,
+    multiply_quaternions,
+    quaternion_exponential,
+    rotation_matrices,
+)
+from mufly.slam.calibration.point_tracks import PointTracks, retrack_segments, track_segments
+from mufly.slam.datasets.dataset_readers import (
+    detect_layout,
+    find_inertial_file,
+    open_pictures,
+    read_inertial_data,
+)
+from mufly.vehicle.quantity import Quantity
+
+_Array = NDArray[np.float64]
+SEGMENT_PICTURES = 3
+"""Pictures from the first to the last of a segment."""
+_INFLATION = 2.0
+"""Factor on all standard deviations, chosen on recordings other than those that judge it."""
+_CONFIDENCE_95 = 1.96
+_MIN_SEGMENTS = 20
+_MAX_FOCAL_SIGMA, _MAX_MOUNT_SIGMA_RAD = 0.03, math.radians(1.5)
+_MAX_ITERATIONS, _TOLERANCE, _ROW_ITERATIONS = 15, 0.05, 3
+_DELAY_GRID_S = np.arange(-0.15, 0.301, 0.01)
+
+FOCAL, CENTRE, RADIAL, MOUNT, DELAY = slice(0, 1), slice(1, 3), slice(3, 4), slice(4, 7), slice(7, 8)
+GYRO_BIAS, GYRO_SCALE, ACCEL_BIAS, LEVER = (slice(a, a + 3) for a in (8, 11, 14, 17))
+TILT = slice(20, 22)
+COMMON_SIZE, SEGMENT_SIZE = 22, 7
+"""Unknowns of the whole recording (tilt has two), and of a segment: velocity, logarithm of the height, rotation."""
+_V, _H, _E = slice(0, 3), 3, slice(4, 7)
+_PRIOR_SIGMA = np.array(
+    [0.5, 8.0, 8.0, 0.03, 3.0, 3.0, 3.0, 0.3, *[0.2] * 3, *[0.03] * 3, *[0.3] * 3, *[0.1] * 3, 0.5, 0.5]
+)
+"""Deviations of the priors: focal length (share), centre (pixels of a 320 pixel picture), k1, mount (rad), delay (s),
+gyroscopes (rad/s, share), accelerometers (m/s^2), lever arm (m), initial tilt (rad)."""
+_STEPS = np.array(
+    [1e-4, 0.05, 0.05, 1e-4, *[1e-4] * 3, 1e-4, *[1e-4] * 3, *[1e-4] * 3, *[1e-3] * 3, *[1e-3] * 3, 1e-4, 1e-4]
+)
+_SEGMENT_STEPS = np.array([*[1e-3] * 3, 1e-4, *[1e-4] * 3])
+_SONAR_SIGMA_M, _VELOCITY_STEP_M_S, _FLOOR_STEP_M = 0.025, 0.02, 0.004
+_GUESS_SHARE = 0.2
+"""Standard deviation of a given mean height, as its share."""
+_MIN_PIXEL_SIGMA, _HUBER = 0.05, 1.5
+_TRANSLATION_SHARE = 0.3
+
+
+@result(json="values deviations residual_px segments tracks")
+class HandCalibration:
+    """A camera calibrated on its vehicle."""
+
+    values: dict[str, float] = field(metadata={"unit": "1", "meaning": "estimates; the names state units"})
+    deviations: dict[str, float] = field(metadata={"unit": "1", "meaning": "one sigma of each"})
+    residual_px: float = field(metadata={"unit": "1", "meaning": "deviation of a point along an axis (pixels)"})
+    segments: int = field(metadata={"unit": "1", "meaning": "segments of pictures"})
+    tracks: int = field(metadata={"unit": "1", "meaning": "tracks of points"})
+    camera: Camera = field(repr=False, metadata={"unit": "", "meaning": "the initial camera with these values"})
+
+    def shown_blocks(self) -> list[ShownBlock]:
+        """Return the calibration as a sentence and a table."""
+        rows = [
+            (n, f"{v:.5g}", f"{v - _CONFIDENCE_95 * s:.5g} to {v + _CONFIDENCE_95 * s:.5g}")
+            for (n, v), s in zip(self.values.items(), self.deviations.values(), strict=True)
+        ]
+        said = f"{self.tracks} tracks in {self.segments} segments; residual {self.residual_px:.2f} pixels"
+        return [show_lines(said), show_table(("", "found", "95 % interval"), rows)]
+
+
+def calibrate_from_folder(
+    folder: Path, camera: Camera, *, height_m: float | None = None,
+    on_picture: Callable[[int, int], None] | None = None,
+) -> HandCalibration:  # fmt: skip
+    """Calibrate a camera from a folder with pictures of a floor, inertial data and, if possible, heights.
+
+    Parameters
+    ----------
+    folder : Path
+        In the layout of mufly (``pictures.csv``, ``imu.csv``, ``sonar.csv``) or of EuRoC.
+    camera : Camera
+        Initial values, and all that is not estimated (distortion but k1, readout).
+    height_m : float, optional
+        Mean height above the floor (m), for a folder without ``sonar.csv``; known to 20 %.
+    on_picture : callable, optional
+        Called with the number of each picture and the number of all.
+
+    Raises
+    ------
+    InputError
+        If pictures or inertial data are missing, there are too few tracks, the pictures are mirrored, or the motion
+        does not determine focal length or mount.
+    """
+    undelayed = camera.shutter.delay.model_copy(update={"value": 0.0})
+    stamped = camera.model_copy(update={"shutter": camera.shutter.model_copy(update={"delay": undelayed})})
+    source = open_pictures(folder, stamped, height_m=height_m)
+    file = find_inertial_file(folder, detect_layout(folder)) if folder.is_dir() else None
+    if file is None:
+        raise InputError(
+            str(folder), "imu.csv", "is missing",
+            "give a folder of mufly's or EuRoC's layout with rates and specific force",
+        )  # fmt: skip
+    imu = InertialData(*read_inertial_data(file))
+    heights: list[tuple[float, float]] = []
+
+    def iterate_pictures() -> Iterator[tuple[float, NDArray[np.uint8]]]:
+        for frame in source.read_frames():
+            heights.append((frame.time_s, frame.vehicle_estimate.height_m))
+            yield frame.time_s, frame.picture
+
+    def note_picture(k: int) -> None:
+        if on_picture is not None:
+            on_picture(k + 1, source.frame_count)
+
+    tracks = track_segments(iterate_pictures(), SEGMENT_PICTURES, note_picture)
+    times, values = np.array(heights).T
+    return fit_camera(
+        tracks, camera, imu, height_m=lambda t: np.interp(t, times, values), frames=iterate_pictures,
+        height_sigma_m=_SONAR_SIGMA_M if height_m is None else _GUESS_SHARE * height_m,
+    )  # fmt: skip
+
+
+def fit_camera(
+    tracks: PointTracks, camera: Camera, imu: InertialData, *, height_m: Callable[[_Array], _Array],
+    height_sigma_m: float = _SONAR_SIGMA_M,
+    frames: Callable[[], Iterable[tuple[float, NDArray[np.uint8]]]] | None = None,
+) -> HandCalibration:  # fmt: skip
+    """Calibrate a camera from tracks.
+
+    Parameters
+    ----------
+    tracks : PointTracks
+        Of raw pictures of ``camera``'s size.
+    camera : Camera
+        Initial values, and all that is not estimated.
+    imu : InertialData
+        On the clock to which the delay refers.
+    height_m : callable
+        Times (n,) to heights (n,) of the inertial unit above the floor (m).
+    height_sigma_m : float
+        Their standard deviation (m).
+    frames : callable, optional
+        Returns stamps (s) and raw pictures, to track them again with patches warped by the first fit.
+
+    Raises
+    ------
+    InputError
+        As :func:`calibrate_from_folder`.
+    """
+    margin = float(_DELAY_GRID_S[-1])
+    inside = (tracks.times_s[:, 0] > imu.time_s[0] + margin) & (tracks.times_s[:, 1] < imu.time_s[-1] - margin)
+    tracks = _select_segments(tracks, inside)
+    if len(tracks.times_s) < _MIN_SEGMENTS:
+        raise InputError(
+            "pictures", "", f"{len(tracks.times_s)} segments show the floor and have inertial data",
+            "record 60 s over a floor with texture, 0.3 to 1.5 m above it",
+        )  # fmt: skip
+    problem = _Problem.prepare(tracks, camera, imu, height_m, height_sigma_m)
+    common, own, covariance, sigma_px = _minimise(problem, problem.common, problem.own)
+    if frames is not None:
+        att = problem.integrate(common)
+        again = retrack_segments(
+            frames(), tracks.times_s, lambda k, px: problem.predict_first_pixels(common, own, att, k, px)
+        )
+        problem = replace(problem, tracks=again)
+        common, own, covariance, sigma_px = _minimise(problem, common, own)
+    return problem.describe(common, _INFLATION**2 * covariance, sigma_px)
+
+
+def _minimise(problem: _Problem, common: _Array, own: _Array) -> tuple[_Array, _Array, _Array, float]:
+    """Return the unknowns at the minimum, the covariance of the common ones, and the deviation of pixels."""
+    covariance, sigma_px = np.zeros((COMMON_SIZE, COMMON_SIZE)), 0.0
+    for _ in range(_MAX_ITERATIONS):
+        sigma_px = problem.pixel_sigma(common, own)
+        jacobian, residual = problem.linearise(common, own, sigma_px)
+        factor = splu((jacobian.T @ jacobian).tocsc())
+        step = -factor.solve(jacobian.T @ residual)
+        common = common + step[:COMMON_SIZE]
+        own = own + step[COMMON_SIZE:].reshape(-1, SEGMENT_SIZE)
+        unit = np.zeros((len(step), COMMON_SIZE))
+        unit[:COMMON_SIZE] = np.eye(COMMON_SIZE)
+        covariance = factor.solve(unit)[:COMMON_SIZE]
+        if np.abs(step[:COMMON_SIZE] / np.sqrt(np.diag(covariance))).max() < _TOLERANCE:
+            break
+    return common, own, covariance, sigma_px
+
+
+def _select_segments(tracks: PointTracks, keep: NDArray[np.bool_]) -> PointTracks:
+    number = np.cumsum(keep) - 1
+    kept = keep[tracks.segment] if len(tracks.segment) else np.zeros(0, np.bool_)
+    return PointTracks(tracks.times_s[keep], number[tracks.segment[kept]], tracks.first_px[kept], tracks.last_px[kept])
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """Residuals of the calibration and their derivatives."""
+
+    tracks: PointTracks
+    camera: Camera
+    imu: InertialData
+    heights_m: _Array
+    height_sigma_m: float
+    mount: _Array
+    start: _Array
+    common: _Array
+    own: _Array
+    gyro_noise: float
+    accel_noise: float
+    linked: NDArray[np.bool_]
+
+    @classmethod
+    def prepare(
+        cls, tracks: PointTracks, camera: Camera, imu: InertialData, height_m: Callable[[_Array], _Array],
+        height_sigma_m: float,
+    ) -> _Problem:  # fmt: skip
+        """Return the problem with initial values."""
+        calm = imu.force_m_s2[: max(2, int(np.searchsorted(imu.time_s, imu.time_s[0] + 1.0)))].mean(axis=0)
+        roll, pitch = math.atan2(-calm[1], -calm[2]), math.atan2(calm[0], math.hypot(calm[1], calm[2]))
+        start = multiply_quaternions(
+            quaternion_exponential(np.array([[0.0, pitch, 0.0]])), quaternion_exponential(np.array([[roll, 0.0, 0.0]]))
+        )[0]
+        delay, focal, turn = _guess_rotation(tracks, camera, imu)
+        mount = rotation_matrices(quaternion_exponential(np.array([[0.0, 0.0, turn]])))[0] @ body_from_camera_rotation(
+            camera
+        )
+        common = np.zeros(COMMON_SIZE)
+        common[FOCAL], common[DELAY] = math.log(focal), delay
+        common[LEVER] = camera.mount.place.to_array()[0]
+        heights = height_m(tracks.times_s[:, 0] - delay)
+        own = np.zeros((len(tracks.times_s), SEGMENT_SIZE))
+        own[:, _H] = np.log(np.maximum(0.05, heights - common[LEVER][2]))
+        gap = tracks.times_s[1:, 0] - tracks.times_s[:-1, 1]
+        return cls(
+            tracks, camera, imu, heights, height_sigma_m, mount, start, common, own,
+            estimate_white_noise(imu.rates_rad_s), estimate_white_noise(imu.force_m_s2), np.abs(gap) < 1e-6,
+        )  # fmt: skip
+
+    @property
+    def prior_mean(self) -> _Array:
+        """Means of the priors of the common unknowns."""
+        mean = np.zeros(COMMON_SIZE)
+        mean[LEVER] = self.camera.mount.place.to_array()[0]
+        mean[DELAY] = self.common[DELAY]
+        return mean
+
+    def integrate(self, common: _Array) -> IntegratedMotion:
+        """Return the motion by the inertial data."""
+        tilt = quaternion_exponential(np.array([[*common[TILT], 0.0]]))
+        return integrate_inertial(
+            self.imu, multiply_quaternions(tilt, self.start[None])[0], gyro_bias=common[GYRO_BIAS],
+            gyro_scale=common[GYRO_SCALE], accel_bias=common[ACCEL_BIAS],
+        )  # fmt: skip
+
+    def lens_of(self, common: _Array) -> Camera:
+        """Return the camera with the estimated lens."""
+        lens, scale = self.camera.lens, math.exp(common[FOCAL][0])
+
+        def changed(q: Quantity, value: float) -> Quantity:
+            return q.model_copy(update={"value": float(value)})
+
+        return self.camera.model_copy(update={"lens": lens.model_copy(update={
+            "focal_x": changed(lens.focal_x, float(lens.focal_x) * scale),
+            "focal_y": changed(lens.focal_y, float(lens.focal_y) * scale),
+            "centre_x": changed(lens.centre_x, float(lens.centre_x) + common[CENTRE][0]),
+            "centre_y": changed(lens.centre_y, float(lens.centre_y) + common[CENTRE][1]),
+            "k1": changed(lens.k1, float(lens.k1) + common[RADIAL][0]),
+        })})  # fmt: skip
+
+    def mount_of(self, common: _Array) -> _Array:
+        """Return the rotation matrix (3, 3) from camera to body axes."""
+        return np.asarray(self.mount @ _rotate(common[MOUNT]))
+
+    def _row_offsets(self, pixels: _Array) -> _Array:
+        rows = self.camera.sensor.height
+        return np.asarray((pixels[:, 1] / (rows - 1.0) - 0.5) * float(self.camera.shutter.readout))
+
+    def point_residuals(self, common: _Array, own: _Array, att: IntegratedMotion) -> _Array:
+        """Return the pixel residuals (n, 2) of the tracks."""
+        tr = self.tracks
+        return self._transfer(common, own, att, tr.segment, tr.first_px, tr.last_px, True) - tr.last_px
+
+    def predict_first_pixels(
+        self, common: _Array, own: _Array, att: IntegratedMotion, segment: int, last_px: _Array
+    ) -> _Array:
+        """Return the pixels (n, 2) of the first picture that show the floor points at pixels of the last one."""
+        k, first_px = np.full(len(last_px), segment), last_px
+        for _ in range(_ROW_ITERATIONS):
+            first_px = self._transfer(common, own, att, k, last_px, first_px, False)
+        return first_px
+
+    def _transfer(
+        self, common: _Array, own: _Array, att: IntegratedMotion, k: NDArray[np.int64], pixels: _Array, rows_of: _Array,
+        is_forward: bool,
+    ) -> _Array:  # fmt: skip
+        """Return where the floor points at pixels (n, 2) of one picture of segments ``k`` are in the other one.
+
+        The rows of ``rows_of`` (n, 2) give the times in the other picture; ``is_forward``: from the first to the last.
+        """
+        lens, mount, lever = self.lens_of(common), self.mount_of(common), common[LEVER]
+        begin, end = (self.tracks.times_s - common[DELAY]).T
+        v, e = own[:, _V], own[k, _E]
+        speed0, way0 = att.speed_at(begin), att.way_at(begin)
+
+        def place_at(t: _Array, turn: _Array) -> _Array:
+            dt = (t - begin[k])[:, None]
+            moved = v[k] * dt + att.way_at(t) - way0[k] - speed0[k] * dt
+            return np.asarray(moved + turn @ lever)
+
+        here, there = (begin, end) if is_forward else (end, begin)
+        ta, tb = here[k] + self._row_offsets(pixels), there[k] + self._row_offsets(rows_of)
+        turn_a, turn_b = att.rotation_at(ta), att.rotation_at(tb)
+        floor_d = (att.rotation_at(begin) @ lever)[k, 2] + np.exp(own[k, _H])
+        ray = np.concatenate([unproject_pixels(lens, pixels), np.ones((len(k), 1))], axis=1) @ mount.T
+        if not is_forward:
+            ray = ray + np.cross(e, ray)
+        d = np.einsum("nij,nj->ni", turn_a, ray)
+        at = place_at(ta, turn_a)
+        point = at + d * ((floor_d - at[:, 2]) / np.maximum(d[:, 2], 0.05))[:, None]
+        seen = np.einsum("nji,nj->ni", turn_b, point - place_at(tb, turn_b))
+        if is_forward:
+            seen = seen - np.cross(e, seen)
+        seen = seen @ mount
+        seen[:, 2] = np.maximum(seen[:, 2], 0.02)
+        return project_points(lens, seen)
+
+    def chain_residuals(self, common: _Array, own: _Array, att: IntegratedMotion) -> _Array:
+        """Return the residuals (m, 8) of segments: velocity and floor against the next, height, rotation."""
+        begin, end = (self.tracks.times_s - common[DELAY]).T
+        v, height = own[:, _V], np.exp(own[:, _H])
+        lever_d = np.einsum("nij,j->ni", att.rotation_at(begin), common[LEVER])[:, 2]
+        speed, way = att.speed_at(begin), att.way_at(begin)
+        dt = (end - begin)[:, None]
+        out = np.zeros((len(begin), 8))
+        step = (v[1:] - v[:-1] - speed[1:] + speed[:-1]) / self._velocity_sigma
+        moved = (v[:-1] * dt[:-1] + way[1:] - way[:-1] - speed[:-1] * dt[:-1])[:, 2]
+        floor = moved + lever_d[1:] + height[1:] - lever_d[:-1] - height[:-1]
+        out[:-1, :3] = step * self.linked[:, None]
+        out[:-1, 3] = floor / _FLOOR_STEP_M * self.linked
+        out[:, 4] = (height + lever_d - self.heights_m) / self.height_sigma_m
+        out[:, 5:] = own[:, _E] / self._rotation_sigma
+        return out
+
+    @property
+    def _segment_s(self) -> float:
+        return float(np.median(np.diff(self.tracks.times_s, axis=1)))
+
+    @property
+    def _interval_s(self) -> float:
+        return float(np.median(np.diff(self.imu.time_s)))
+
+    @property
+    def _velocity_sigma(self) -> float:
+        return math.hypot(_VELOCITY_STEP_M_S, self.accel_noise * math.sqrt(self._interval_s * self._segment_s))
+
+    @property
+    def _rotation_sigma(self) -> float:
+        return max(1e-5, self.gyro_noise * math.sqrt(self._interval_s * self._segment_s))
+
+    def pixel_sigma(self, common: _Array, own: _Array) -> float:
+        """Return the deviation of pixel residuals along an axis (pixels), from their median."""
+        r = self.point_residuals(common, own, self.integrate(common))
+        return max(_MIN_PIXEL_SIGMA, 1.4826 * float(np.median(np.abs(r))))
+
+    def linearise(self, common: _Array, own: _Array, sigma_px: float) -> tuple[Any, _Array]:
+        """Return the sparse Jacobian matrix and the weighted residuals."""
+        att = self.integrate(common)
+        points, chain = self.point_residuals(common, own, att), self.chain_residuals(common, own, att)
+        size = np.hypot(*points.T) / sigma_px
+        weight = np.sqrt(np.minimum(1.0, _HUBER / np.maximum(size, 1e-9)))[:, None] / sigma_px
+        n, m = points.size, chain.size
+        dense = np.empty((n + m, COMMON_SIZE))
+        for j in range(COMMON_SIZE):
+            moved = common.copy()
+            moved[j] += _STEPS[j]
+            integral = GYRO_BIAS.start <= j < LEVER.start or j >= TILT.start
+            other = self.integrate(moved) if integral else att
+            dense[:n, j] = (weight * (self.point_residuals(moved, own, other) - points)).ravel() / _STEPS[j]
+            dense[n:, j] = (self.chain_residuals(moved, own, other) - chain).ravel() / _STEPS[j]
+        rows, columns, values = [], [], []
+        of_point = np.repeat(self.tracks.segment, 2)
+        of_chain = np.repeat(np.arange(len(own)), chain.shape[1])
+        for j in range(SEGMENT_SIZE):
+            moved = own.copy()
+            moved[:, j] += _SEGMENT_STEPS[j]
+            change = (weight * (self.point_residuals(common, moved, att) - points)).ravel() / _SEGMENT_STEPS[j]
+            rows.append(np.arange(n))
+            columns.append(COMMON_SIZE + SEGMENT_SIZE * of_point + j)
+            values.append(change)
+            for parity in (0, 1):  # a row depends on its segment and the next
+                mask = np.arange(len(own)) % 2 == parity
+                moved = own.copy()
+                moved[mask, j] += _SEGMENT_STEPS[j]
+                change = (self.chain_residuals(common, moved, att) - chain).ravel() / _SEGMENT_STEPS[j]
+                whose = np.where(mask[of_chain], of_chain, of_chain + 1)
+                used = (whose < len(own)) & (change != 0.0)
+                rows.append(n + np.flatnonzero(used))
+                columns.append(COMMON_SIZE + SEGMENT_SIZE * whose[used] + j)
+                values.append(change[used])
+        width = COMMON_SIZE + own.size
+        sparse = sp.coo_matrix(
+            (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=(n + m, width)
+        )
+        wide = sp.hstack([sp.csr_matrix(dense), sp.csr_matrix((n + m, own.size))])
+        prior_sigma = self._prior_sigma
+        prior: Any = sp.hstack([sp.diags(1.0 / prior_sigma), sp.csr_matrix((COMMON_SIZE, own.size))])
+        jacobian: Any = sp.vstack([sparse + wide, prior], format="csr")
+        off = (common - self.prior_mean) / prior_sigma
+        return jacobian, np.concatenate([(weight * points).ravel(), chain.ravel(), off])
+
+    @property
+    def _prior_sigma(self) -> _Array:
+        out = _PRIOR_SIGMA.copy()
+        out[CENTRE] *= self.camera.sensor.width / 320.0
+        return out
+
+    def describe(self, common: _Array, covariance: _Array, sigma_px: float) -> HandCalibration:
+        """Return the result; raise InputError if the motion does not determine the camera."""
+        sigma = np.sqrt(np.diag(covariance))
+        if sigma[FOCAL][0] > _MAX_FOCAL_SIGMA or sigma[MOUNT].max() > _MAX_MOUNT_SIGMA_RAD:
+            raise InputError(
+                "pictures", "", f"the motion leaves the focal length to {100 * sigma[FOCAL][0]:.1f} % and the mount to "
+                f"{math.degrees(sigma[MOUNT].max()):.1f} degrees (one sigma)",
+                "turn it by 20 degrees about all three axes, again and again, for 60 s",
+            )  # fmt: skip
+        lens, mount = self.lens_of(common), self.mount_of(common)
+        angles, slopes = _mount_angles(mount), np.empty((3, 3))
+        for j in range(3):
+            turned = common.copy()
+            turned[MOUNT.start + j] += 1e-5
+            slopes[:, j] = (_mount_angles(self.mount_of(turned)) - angles) / 1e-5
+        angle_sigma = np.sqrt(np.diag(slopes @ covariance[MOUNT, MOUNT] @ slopes.T))
+        focal = float(lens.lens.focal_x)
+        values = {
+            "focal_x_px": (focal, focal * sigma[FOCAL][0]),
+            "focal_y_px": (float(lens.lens.focal_y), float(lens.lens.focal_y) * sigma[FOCAL][0]),
+            "centre_x_px": (float(lens.lens.centre_x), sigma[CENTRE][0]),
+            "centre_y_px": (float(lens.lens.centre_y), sigma[CENTRE][1]),
+            "k1": (float(lens.lens.k1), sigma[RADIAL][0]),
+            **{
+                f"mount_{name}_deg": (math.degrees(a), math.degrees(s))
+                for name, a, s in zip(("roll", "pitch", "turn"), angles, angle_sigma, strict=True)
+            },
+            "delay_ms": (1e3 * common[DELAY][0], 1e3 * sigma[DELAY][0]),
+            **{f"lever_{a}_mm": (1e3 * common[LEVER][k], 1e3 * sigma[LEVER][k]) for k, a in enumerate("xyz")},
+            **{
+                f"gyro_bias_{a}_deg_s": (math.degrees(common[GYRO_BIAS][k]), math.degrees(sigma[GYRO_BIAS][k]))
+                for k, a in enumerate("xyz")
+            },
+            **{f"gyro_scale_{a}": (1.0 + common[GYRO_SCALE][k], sigma[GYRO_SCALE][k]) for k, a in enumerate("xyz")},
+        }
+        return HandCalibration(
+            {n: float(v) for n, (v, _) in values.items()}, {n: float(s) for n, (_, s) in values.items()},
+            sigma_px / math.sqrt(2.0), len(self.tracks.times_s), len(self.tracks.segment),
+            _with_extrinsics(lens, {n: (float(v), float(s)) for n, (v, s) in values.items()}),
+        )  # fmt: skip
+
+
+def _with_extrinsics(camera: Camera, found: dict[str, tuple[float, float]]) -> Camera:
+    """Return a camera file's content with the calibrated values and their deviations."""
+    note = "by hand over a floor"
+
+    def measured(name: str, scale: float, unit: str) -> Quantity:
+        value, std = found[name]
+        return Quantity(value=scale * value, unit=unit, source="measured", note=note, std=scale * std)
+
+    lens = {
+        name: measured(key, 1.0, "1")
+        for name, key in (
+            ("focal_x", "focal_x_px"), ("focal_y", "focal_y_px"), ("centre_x", "centre_x_px"),
+            ("centre_y", "centre_y_px"), ("k1", "k1"),
+        )
+    }  # fmt: skip
+    place = camera.mount.place.model_copy(update={"value": (tuple(1e-3 * found[f"lever_{a}_mm"][0] for a in "xyz"),)})
+    mount: dict[str, Any] = {n: measured(f"mount_{n}_deg", math.pi / 180, "rad") for n in ("roll", "pitch", "turn")}
+    return camera.model_copy(
+        update={
+            "lens": camera.lens.model_copy(update=lens),
+            "mount": camera.mount.model_copy(update={**mount, "place": place}),
+            "shutter": camera.shutter.model_copy(update={"delay": measured("delay_ms", 1e-3, "s")}),
+        }
+    )
+
+
+def _rotate(vector: _Array) -> _Array:
+    """Return the rotation matrix (3, 3) of a rotation vector (3,)."""
+    return rotation_matrices(quaternion_exponential(vector[None]))[0]
+
+
+def _mount_angles(mount: _Array) -> _Array:
+    """Return roll, pitch and turn (3,) of the rotation from camera to body axes."""
+    r = mount @ NOSE_UP.T
+    return np.array(
+        [math.atan2(r[2, 1], r[2, 2]), -math.asin(max(-1.0, min(1.0, r[2, 0]))), math.atan2(r[1, 0], r[0, 0])]
+    )
+
+
+def _guess_rotation(tracks: PointTracks, camera: Camera, imu: InertialData) -> tuple[float, float, float]:
+    """Return delay (s), scale of the focal length and turn (rad) by which gyroscopes explain the mean motion best.
+
+    The motion y of the middle of the picture is regressed on that of the rotation alone, y = m p + n conj(p); the
+    delay is that of the best fit.
+    """
+    flow = np.array([np.median(a, axis=0) for a in _split_by_segment(tracks, tracks.last_px - tracks.first_px)])
+    y = flow[:, 0] + 1j * flow[:, 1]
+    angle = np.concatenate([np.zeros((1, 3)), np.cumsum(
+        0.5 * (imu.rates_rad_s[1:] + imu.rates_rad_s[:-1]) * np.diff(imu.time_s)[:, None], axis=0)])  # fmt: skip
+    angle = angle @ body_from_camera_rotation(camera)
+    focal = float(camera.lens.focal_x)
+    best = (-1.0, 0.0, 1.0 + 0j, 0j)
+    for delay in _DELAY_GRID_S:
+        first, last = (
+            np.stack([np.interp(t - delay, imu.time_s, a) for a in angle.T], axis=1) for t in tracks.times_s.T
+        )
+        turned = last - first
+        p = focal * (-turned[:, 1] + 1j * turned[:, 0])
+        p, z = p - p.mean(), y - y.mean()
+        a = np.stack([p, p.conj()], axis=1)
+        (m, n), *_ = np.linalg.lstsq(a, z, rcond=None)
+        share = 1.0 - float(np.sum(np.abs(z - a @ [m, n]) ** 2) / max(np.sum(np.abs(z) ** 2), 1e-12))
+        if share > best[0]:
+            best = (share, float(delay), m, n)
+    share, delay, m, n = best
+    if share < _TRANSLATION_SHARE:
+        raise InputError(
+            "pictures", "", "their motion does not follow the gyroscopes",
+            "turn the vehicle rather than shift it, and check that both clocks are the same",
+        )  # fmt: skip
+    if abs(n) > abs(m):
+        raise InputError("pictures", "", "they move mirrored against the gyroscopes", "check the camera's driver")
+    return delay, float(np.clip(abs(m), 0.6, 1.6)), float(np.angle(m))
+
+
+def _split_by_segment(tracks: PointTracks, values: _Array) -> list[_Array]:
+    return np.split(values, np.flatnonzero(np.diff(tracks.segment)) + 1)
