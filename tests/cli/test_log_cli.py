@@ -147,3 +147,12 @@ def test_the_px4_sample_loads_plots_and_converts(tmp_path):
     back = read_log(tmp_path / "sample.ulg")
     assert back.sizes["time"] == pytest.approx(6892, abs=3)  # from the first sample, at 0.07 s
     assert np.nanmax(back.measured_attitude.sel(angle="roll")) == pytest.approx(0.371, abs=0.003)
+
+
+def test_convert_to_a_bag_of_ros_and_back(log, tmp_path):
+    pytest.importorskip("rosbags", reason="rosbags is not installed: pip install 'mufly[ros]'")
+    recording, bag, back = tmp_path / "a.mcap", tmp_path / "a.rosbag2", tmp_path / "back.csv"
+    assert run("convert", log, recording, "-c", "time=t (ms)", "-c", "battery_voltage=U (V)").exit_code == 0
+    assert "2 topics, " in run("convert", recording, bag, "--rate", 10).output  # and the state
+    assert run("convert", bag, back).exit_code == 0
+    assert np.allclose(read_log(back).battery_voltage.dropna("time"), 7.4)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import warnings
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -20,6 +21,8 @@ from mufly.cli.output import (
 from mufly.errors import InputError, report_write_errors
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from mufly.logs import ColumnMap
 
 LogArgument = Annotated[Path, define_argument("LOG", "Log file of any format that `mufly log` reads.")]
@@ -49,7 +52,11 @@ def column_map_from_options(file: str | None, pairs: Sequence[str] | None) -> Co
 def convert_log(
     log: LogArgument,
     out: Annotated[
-        Path, define_argument("OUT", "File to write; the ending selects the format: .csv, .parquet, .nc, .mcap, .ulg.")
+        Path,
+        define_argument(
+            "OUT",
+            "File to write; the ending selects the format: .csv, .parquet, .nc, .mcap, .ulg, or .rosbag2 (a folder).",
+        ),
     ],
     signals: Annotated[
         list[str] | None,
@@ -76,13 +83,13 @@ def convert_log(
     """Resample the signals of a log to one clock, in SI units and under mufly's names, and write them to a file.
 
     Examples: mufly log convert flight.ulg flight.csv --rate 100; mufly log convert bench.csv bench.nc --map bench.toml;
-    mufly log export flight.mcap flight.parquet --signal 'measured_*'
+    mufly log export flight.mcap flight.parquet --signal 'measured_*'; mufly log convert flight.mcap flight.rosbag2
     """
-    from mufly.logs import LOG_WRITERS, LogWarning, read_log, write_log
+    from mufly.logs import BAG_ENDING, LOG_WRITERS, LogWarning, read_log, write_log
 
-    if out.suffix.lower() not in LOG_WRITERS:
+    if out.suffix.lower() not in (*LOG_WRITERS, BAG_ENDING):
         problem = f"the ending {out.suffix!r} is unknown"
-        raise InputError(str(out), "", problem, f"use one of: {', '.join(LOG_WRITERS)}")
+        raise InputError(str(out), "", problem, f"use one of: {', '.join((*LOG_WRITERS, BAG_ENDING))}")
     if out.exists() and not force:
         raise InputError(str(out), "", "already exists", "choose another name, or add --force")
     columns = column_map_from_options(map_file, column)
@@ -99,14 +106,16 @@ def convert_log(
             progress=progress,
         )
     _print_notes(log, data.attrs.get("notes", []))
-    written = write_log(data, out)
+    topics = _write_bag(data, log, out) if out.suffix.lower() == BAG_ENDING else ()
+    written = out if topics else write_log(data, out)
     time = data["time"].values
     step = f", {1 / (time[1] - time[0]):.5g} Hz" if len(time) > 1 else ""
     kind = out.suffix.lower()
     over_time = [str(v) for v in data.data_vars if "time" in data[v].dims]
     text = [v for v in over_time if kind == ".mcap" and data[v].dtype.kind == "U" and v != "mission_state"]
     print_lines(
-        f"{written}: {len(over_time) - len(text)} signals, {len(time)} instants from {time[0]:.2f} to {time[-1]:.2f} s"
+        f"{written}: {f'{len(topics)} topics' if topics else f'{len(over_time) - len(text)} signals'}, "
+        f"{len(time)} instants from {time[0]:.2f} to {time[-1]:.2f} s"
         f"{step}"
     )
     if text:
@@ -115,9 +124,26 @@ def convert_log(
         print_lines("A CSV file holds no events; .mcap, .nc, .parquet and .ulg do.", style="dim")
 
 
+def _write_bag(data: xr.Dataset, log: Path, out: Path) -> tuple[str, ...]:
+    """Write a bag of ROS 2, with the vehicle's range sensors and the pictures beside the recording; return topics."""
+    from mufly.bridges.ros_geometry import recorded_range_limits
+    from mufly.camera.picture_recording import read_pictures
+    from mufly.logs import RangeLimits, read_attachments, write_rosbag2
+
+    limits, pictures = RangeLimits(), list[tuple[float, bytes]]()
+    if data.attrs.get("format") == "MCAP":
+        limits = recorded_range_limits(read_attachments(log).get("vehicle.toml", b""))
+        with contextlib.suppress(InputError):  # no pictures
+            found = read_pictures(log)
+            first, last = data["time"].values[[0, -1]]
+            timed = zip(found.times_s, found.iterate_jpegs(), strict=True)
+            pictures = [one for one in timed if first <= one[0] <= last]
+    return write_rosbag2(data, out, limits=limits, pictures=pictures)
+
+
 app = CommandGroup(
     help="Read, check, convert and draw logs: MCAP (mufly's and others'), PX4 ULog, ArduPilot DataFlash, MAVLink tlog, "
-    "Crazyflie micro-SD, CSV, Parquet, NetCDF.\n\n"
+    "Crazyflie micro-SD, rosbag2, CSV, Parquet, NetCDF.\n\n"
     "The format is detected from the content. Column maps and checks: docs/reference/logs.md.",
     no_args_is_help=True,
 )  # fmt: skip

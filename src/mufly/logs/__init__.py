@@ -52,8 +52,11 @@ from mufly.logs.raw_log import (
     resample_signal,
     select_usable_samples,
 )
+from mufly.logs.ros.ros_messages import RangeLimits
+from mufly.logs.ros.rosbag2 import BAG_ENDING, read_rosbag2, write_rosbag2
 
 __all__ = [
+    "BAG_ENDING",
     "LOG_WRITERS",
     "Channel",
     "ChannelReport",
@@ -65,6 +68,7 @@ __all__ = [
     "LogReport",
     "LogWarning",
     "McapWriter",
+    "RangeLimits",
     "RawLog",
     "RawTable",
     "RecordingLayout",
@@ -98,6 +102,7 @@ __all__ = [
     "read_raw",
     "read_recording",
     "read_recording_summary",
+    "read_rosbag2",
     "resample_signal",
     "rows_to_dataset",
     "select_channels",
@@ -105,4 +110,5 @@ __all__ = [
     "select_usable_samples",
     "to_csv",
     "write_log",
+    "write_rosbag2",
 ]

@@ -506,7 +506,8 @@ def _make_channels(
     elif signal is None or signal.dim is None:
         labels = [None]
     else:
-        labels = [str(k) for k in (signal.component_labels or range(1, len(columns) + 1))]
+        first = 0 if signal.dim == "beam" else 1
+        labels = [str(k) for k in (signal.component_labels or range(first, first + len(columns)))]
     out = []
     for one, column, unit, sign, source in zip(labels, columns, units, signs, sources, strict=True):
         if column.dtype.kind not in "US":

@@ -36,6 +36,7 @@ from mufly.logs.raw_log import (
     resample_signal,
     select_usable_samples,
 )
+from mufly.logs.ros.rosbag2 import BAG_ENDING, bag_column_map, is_bag, read_rosbag2, write_rosbag2
 from mufly.logs.tables import (
     FEATHER_MAGIC,
     NETCDF_MAGIC,
@@ -64,6 +65,9 @@ _MAGIC_BY_FORMAT: dict[str, bytes | tuple[bytes, ...]] = {
 
 
 _HEAD_SIZE = 65536
+SQLITE_MAGIC = b"SQLite format 3\0"
+MCAP_PROFILE, ROS_PROFILE = slice(17, 25), b"\4\0\0\0ros2"
+"""Place of the profile in the header of an MCAP file (mcap.dev/spec), and that of ROS 2."""
 
 
 def detect_log_format(path: str | Path) -> str:
@@ -75,6 +79,8 @@ def detect_log_format(path: str | Path) -> str:
         If the file cannot be read, is empty, or has none of the formats.
     """
     where = str(path)
+    if is_bag(Path(path)):
+        return "rosbag2"
     try:
         head, _ = read_unpacked(path, _HEAD_SIZE)
         with open(path, "rb") as stream:
@@ -86,6 +92,8 @@ def detect_log_format(path: str | Path) -> str:
         raise InputError(where, "", problem, "give a log" if not head else "give another copy of the log")
     if packed and not looks_like_table(head):
         raise InputError(where, "", "is packed (gzip), and no table of text", "unpack it: gunzip FILE")
+    if head.startswith(SQLITE_MAGIC) or (head.startswith(MCAP_MAGIC) and head[MCAP_PROFILE] == ROS_PROFILE):
+        return "rosbag2"
     for kind, magic in _MAGIC_BY_FORMAT.items():
         if head.startswith(magic):
             return kind
@@ -109,7 +117,8 @@ def detect_log_format(path: str | Path) -> str:
         return "CSV"
     raise InputError(
         where, "", "is not a log that is known here",
-        "give MCAP, ULog, DataFlash (.bin, .log), MAVLink tlog, Crazyflie micro-SD, CSV, Parquet, Feather or NetCDF",
+        "give MCAP, ULog, DataFlash (.bin, .log), MAVLink tlog, Crazyflie micro-SD, rosbag2, CSV, Parquet, Feather or "
+        "NetCDF",
     )  # fmt: skip
 
 
@@ -128,8 +137,8 @@ def read_raw(path: str | Path, *, time: TimeEntry | None = None, progress: Progr
     Parameters
     ----------
     path : str or Path
-        MCAP, ULog, DataFlash, MAVLink telemetry, Crazyflie micro-SD, CSV, Parquet, Feather or NetCDF, judged by its
-        content.
+        MCAP, ULog, DataFlash, MAVLink telemetry, Crazyflie micro-SD, rosbag2, CSV, Parquet, Feather or NetCDF, judged
+        by its content.
     time : TimeEntry, optional
         Clock of a table: CSV, Parquet, Feather or NetCDF.
     progress : callable, optional
@@ -161,6 +170,8 @@ def open_log(
         contents = read_mcap(path)
         raw = parse_json_topics(contents, where)
         return raw, recording_from_contents(contents, where) if is_recording(contents) else None
+    if kind == "rosbag2":
+        return read_rosbag2(path), None
     if kind == "ULog":
         raw = read_ulog(path)
         return raw, _restore_own_ulog(raw)
@@ -185,6 +196,7 @@ def map_channels(
     Parameters and errors are those of :func:`mufly.logs.column_map.map_signals`.
     """
     standard = load_column_map(_MAP_BY_FORMAT[raw.format_name]) if raw.format_name in _MAP_BY_FORMAT else None
+    standard = bag_column_map(raw) if raw.format_name == "rosbag2" else standard
     return map_signals(raw, columns, standard, wanted)
 
 
@@ -223,8 +235,8 @@ def read_log(
     Parameters
     ----------
     path : str or Path
-        MCAP, ULog, DataFlash, MAVLink telemetry, Crazyflie micro-SD, CSV, Parquet, Feather or NetCDF, judged by its
-        content.
+        MCAP, ULog, DataFlash, MAVLink telemetry, Crazyflie micro-SD, rosbag2, CSV, Parquet, Feather or NetCDF, judged
+        by its content.
     columns : optional
         Column map, as for :func:`load_column_map`; it takes precedence over the map of PX4, ArduPilot or MAVLink.
     signals : sequence of str
@@ -475,7 +487,7 @@ LOG_WRITERS: dict[str, Callable[[xr.Dataset, Path], object]] = {
     ".mcap": write_mcap,
     ".ulg": write_ulog,
 }
-"""Writer of each file format."""
+"""Writer of each file format that keeps every signal. A bag of ROS 2 (:data:`BAG_ENDING`) is a folder of messages."""
 
 
 def write_log(dataset: xr.Dataset, path: str | Path) -> Path:
@@ -486,7 +498,8 @@ def write_log(dataset: xr.Dataset, path: str | Path) -> Path:
     dataset : xarray.Dataset
         Signals, as from :func:`read_log`.
     path : str or Path
-        File; its ending decides the format: .csv, .parquet, .nc (NetCDF 3), .mcap (a recording) or .ulg.
+        File; its ending decides the format: .csv, .parquet, .nc (NetCDF 3), .mcap (a recording), .ulg or .rosbag2 (the
+        folder of a bag of ROS 2).
 
     Returns
     -------
@@ -499,10 +512,13 @@ def write_log(dataset: xr.Dataset, path: str | Path) -> Path:
         If the ending is unknown, pyarrow is missing for Parquet, or the file cannot be written.
     """
     target = Path(path)
+    if target.suffix.lower() == BAG_ENDING:
+        write_rosbag2(dataset, target)
+        return target
     writer = LOG_WRITERS.get(target.suffix.lower())
     if writer is None:
         problem = f"the ending {target.suffix!r} says nothing"
-        raise InputError(str(path), "", problem, f"use one of: {', '.join(LOG_WRITERS)}")
+        raise InputError(str(path), "", problem, f"use one of: {', '.join((*LOG_WRITERS, BAG_ENDING))}")
     with replace_file(target, "choose another place or make room") as part:
         writer(dataset, part)
     return target

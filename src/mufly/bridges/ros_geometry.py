@@ -1,0 +1,35 @@
+"""Geometry of a vehicle's range sensors for ROS 2 messages."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+from mufly.errors import InputError
+from mufly.logs import RangeLimits
+from mufly.vehicle import Vehicle, load_vehicle
+
+
+def vehicle_range_limits(vehicle: Vehicle) -> RangeLimits:
+    """Return cone, directions and limits of the range sensors of a vehicle."""
+    ring, sensors = vehicle.range_ring, vehicle.sensors
+    limits = RangeLimits(
+        first_beam_rad=float(ring.first_angle), ring_min_m=float(ring.min_range), ring_max_m=float(ring.max_range)
+    )
+    if sensors is None or sensors.sonar is None:
+        return limits
+    sonar = sensors.sonar
+    return limits._replace(
+        sonar_cone_rad=float(sonar.cone), sonar_min_m=float(sonar.min_range), sonar_max_m=float(sonar.max_range)
+    )
+
+
+def recorded_range_limits(vehicle_file: bytes) -> RangeLimits:
+    """Return the limits by the vehicle file in a recording; none without one that can be read."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "vehicle.toml"
+        path.write_bytes(vehicle_file)
+        try:
+            return vehicle_range_limits(load_vehicle(path))
+        except InputError:
+            return RangeLimits()

@@ -1,0 +1,1 @@
+"""ROS 2 messages: the table of topics, and bags."""
