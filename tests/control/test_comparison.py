@@ -14,20 +14,35 @@ from scipy import linalg
 from typer.testing import CliRunner
 
 from mufly.cli.control import app
-from mufly.control import DesignSettings, FlightController, design_flight_controller
+from mufly.control import (
+    DesignSettings,
+    FlightController,
+    comparison,
+    design_flight_controller,
+    design_store,
+    designs,
+)
 from mufly.control.comparison import (
     ControllerComparison,
     FlightFigures,
     MethodFigures,
     judge_comparison,
     loop_figures,
+    recall_bounds,
     sensor_noise,
 )
 from mufly.control.gust_response import GUST_LENGTH_m, GUST_m_s, gust_response
 from mufly.control.implementation import LATERAL_STATES
 from mufly.control.linear_systems import frequency_response
+from mufly.control.synthesis_methods import (
+    SynthesisedController,
+    SynthesisMethod,
+    SynthesisProblem,
+    synthesise_controller,
+)
 from mufly.dynamics import dryden_filter, linearise_vehicle
 from mufly.errors import InputError
+from mufly.firmware import missing_tools
 from mufly.flight.monte_carlo import Campaign
 from mufly.mission import load_mission
 from mufly.vehicle import Vehicle
@@ -37,6 +52,11 @@ from mufly.vehicle import Vehicle
 def row(vehicle: Vehicle, controller: FlightController) -> MethodFigures:
     loops = [loop_figures(vehicle, d, (0.6, 0.5)) for d in (controller.heave_yaw, controller.roll_pitch)]
     return MethodFigures("hinf", loops[0], loops[1], controller.cascade.sensitivity_peak_dB, 0.01)
+
+
+@pytest.fixture(scope="module")
+def ltr(vehicle: Vehicle) -> FlightController:
+    return design_flight_controller(vehicle, settings=DesignSettings(method="ltr"))
 
 
 def _judge(*rows: MethodFigures) -> ControllerComparison:
@@ -89,6 +109,10 @@ def test_the_verdict_names_what_decided_it(row: MethodFigures) -> None:
     found = _judge(row, quiet)
     assert found.recommended == "ltr"
     assert "decided by servo activity of 0.50 %" in found.verdict
+    swaying = replace(quiet, method="mu", gust_tilt_rad=2.0 * row.gust_tilt_rad)
+    found = _judge(row, swaying)
+    assert found.recommended == "hinf"
+    assert "decided by tilt of 0.57 degrees in gusts" in found.verdict
     wide = replace(
         row,
         method="h2",
@@ -113,16 +137,17 @@ def test_the_verdict_names_what_decided_it(row: MethodFigures) -> None:
     assert "no method meets" in _judge(fragile).verdict
 
 
-def test_another_method_is_another_campaign(vehicle: Vehicle) -> None:
+def test_another_method_is_another_campaign(vehicle: Vehicle, ltr: FlightController) -> None:
     mission = load_mission("box-on-leg")
     plain = Campaign.create_checked(vehicle, mission)
-    ltr = design_flight_controller(vehicle, settings=DesignSettings(method="ltr"))
     other = Campaign.create_checked(vehicle, mission, controller=ltr)
     assert other.controller is ltr
     assert plain.settings_hash != other.settings_hash
 
 
-def test_command_compares_and_writes(tmp_path: Path) -> None:
+def test_command_compares_and_writes(
+    vehicle: Vehicle, ltr: FlightController, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     arguments = ["compare", "--methods", "ltr", "--frequencies", "5"]
     result = CliRunner().invoke(app, [*arguments, "--json", "--out", str(tmp_path)])
     assert result.exit_code == 0, result.output
@@ -137,5 +162,36 @@ def test_command_compares_and_writes(tmp_path: Path) -> None:
         assert disk == pytest.approx(method["roll_pitch"]["disk"]["margin"])
         assert float(table.gust_tilt_rad.sel(controller="ltr")) == pytest.approx(method["gust_tilt_rad"])
     assert json.loads((tmp_path / "compare.json").read_text())["verdict"] == content["verdict"]
+    if not missing_tools():
+        assert 2500 < method["instructions"] < 4500
+    # Bounds of mu come from the folder; those at other frequencies are not there.
+    monkeypatch.setattr(comparison, "analyse_parameter_robustness", lambda *_, **__: pytest.fail("computed again"))
+    assert recall_bounds(vehicle, ltr, 5, tmp_path)[1][0] == method["roll_pitch"]["mu_upper"]
+    with pytest.raises(pytest.fail.Exception, match="computed again"):
+        recall_bounds(vehicle, ltr, 6, tmp_path)
     with pytest.raises(InputError, match="--methods"):
         CliRunner().invoke(app, ["compare", "--methods", "pid"], catch_exceptions=False)
+
+
+def test_a_slow_synthesis_is_computed_once(
+    controller: FlightController, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MUFLY_CACHE", str(tmp_path))
+    monkeypatch.setattr(design_store, "STORED_METHODS", ("h2",))
+    computed = []
+
+    def count(method: SynthesisMethod, problem: SynthesisProblem) -> SynthesisedController:
+        computed.append(method)
+        return synthesise_controller(method, problem)
+
+    monkeypatch.setattr(designs, "synthesise_controller", count)
+    found = [
+        designs.design_roll_pitch(controller.roll_pitch.plant, DesignSettings(method=method), 0.005)
+        for method in ("h2", "h2", "ltr", "ltr")
+    ]
+    assert computed == ["h2", "ltr", "ltr"]
+    assert found[0].discrete.A.tobytes() == found[1].discrete.A.tobytes()
+    assert found[0].controller.input_labels == found[1].controller.input_labels
+    faster = replace(DesignSettings(method="h2"), roll_pitch_relaxation=1.3)
+    designs.design_roll_pitch(controller.roll_pitch.plant, faster, 0.005)
+    assert len(computed) == 4  # another question

@@ -101,7 +101,7 @@ def _settings_of(method: str) -> DesignSettings:
 
 
 @needs_cc
-@pytest.mark.parametrize("method", ["h2", "lqg", "ltr", "mu", "tuned"])
+@pytest.mark.parametrize("method", ["h2", "lqg", "ltr", "mu", "tuned", "indi"])
 def test_designs_of_other_methods_are_the_same_law(method) -> None:
     other = design_flight_controller(load_vehicle("mufly-1.1"), settings=_settings_of(method))
     firmware = Firmware(other)

@@ -18,12 +18,12 @@ if TYPE_CHECKING:
     from mufly.control.synthesis_methods import SynthesisMethod
 
 MethodOption = Annotated[
-    Literal["hinf", "h2", "lqg", "ltr", "mu", "fixed"],
+    Literal["hinf", "h2", "lqg", "ltr", "mu", "fixed", "indi"],
     define_option(
         "--method WHICH",
-        "Method of synthesis: hinf, h2 (the same weights), lqg, ltr (LQG with loop transfer recovery), mu (roll-pitch "
-        "by D-K iteration over the vehicle's parameters), or fixed (roll-pitch of --order, tuned for several aims). "
-        "With mu and fixed heave-yaw is by hinf.",
+        "Method of synthesis: hinf, h2 (the same weights), lqg or ltr (LQG with loop transfer recovery). Of roll-pitch "
+        "alone, with heave-yaw by hinf: mu (D-K iteration over the vehicle's parameters), fixed (--order, tuned for "
+        "several aims) or indi (incremental inversion).",
     ),
 ]
 OrderOption = Annotated[
@@ -342,7 +342,7 @@ tuning that has had fewer.
     from mufly.vehicle import load_vehicle
 
     loaded = load_vehicle(vehicle)
-    known = [m for m in METHODS if m not in ("mu", "fixed")] + ["delay"]
+    known = [m for m in METHODS if m not in ("mu", "fixed", "indi")] + ["delay"]
     for start in starts or ():
         if start not in known and not start.endswith(".json"):
             raise InputError("--start", start, "is no start", f"give one of {', '.join(known)}, or a file")
@@ -401,8 +401,8 @@ def compare(
     Figures are those of the controllers as they fly: reduced, sampled, with one sample of delay. gamma is the norm of \
 the weighted loop. GM, PM and DM are gain, phase and delay margin. mu is an upper bound over the parameters, \
 noise the largest input by sensor noise, gust the tilt in gusts of 0.5 m/s, n the order, \
-MAC the multiply-adds in a period. The verdict \
-names the criterion that decides it.
+MAC the multiply-adds in a period, instr. the instructions of the law on a Cortex-M4, where its compiler and emulator \
+are installed. The verdict names the criterion that decides it. Designs, bounds of mu and flights resume.
 
     Examples:
 
@@ -416,6 +416,7 @@ names the criterion that decides it.
     from mufly.control.comparison import FlightFigures, compare_methods, comparison_dataset, judge_comparison
     from mufly.control.plots import draw_comparison
     from mufly.control.synthesis_methods import METHODS
+    from mufly.firmware.sil_pil import law_instructions, missing_tools
     from mufly.logs.tables.columnar_files import write_netcdf
     from mufly.results import to_plain_data
     from mufly.vehicle import load_vehicle
@@ -429,7 +430,15 @@ names the criterion that decides it.
     settings = replace(settings, roll_pitch_aims=replace(settings.roll_pitch_aims, order=order))
     chosen = [method for method in METHODS if method in wanted]
     with progress_bar("Designing", not as_json) as progress:
-        found, controllers = compare_methods(loaded, chosen, settings=settings, points=points, progress=progress)
+        found, controllers = compare_methods(
+            loaded, chosen, settings=settings, points=points, folder=out, progress=progress
+        )
+    counts: list[float | None] = [None] * len(chosen)
+    if not missing_tools():
+        counts = [*law_instructions(loaded, [controllers[method] for method in chosen])]
+    found = replace(
+        found, methods=tuple(replace(m, instructions=n) for m, n in zip(found.methods, counts, strict=True))
+    )
     if flights:
         from mufly.firmware import GenericFirmwareSoftware
         from mufly.flight.monte_carlo import Campaign, WorkerPool, parse_variations, run_campaign, wilson_interval

@@ -1,31 +1,36 @@
 """Controllers of several methods on one vehicle, in one table: margins, robustness, noise, cost, flights, verdict.
 
-Every figure is that of the controller as it flies: reduced, sampled, with one sample of delay. The verdict goes by four
+Every figure is that of the controller as it flies: reduced, sampled, with one sample of delay. The verdict goes by five
 criteria in turn; each keeps the methods that are as good as the best by it, until one is left:
 
 1. sampled peaks of both loops below 6 dB, and stability proved over the vehicle's parameters (mu below 1);
 2. success in flights: the 95 % interval reaches the best share;
 3. disk margin of the weaker loop, within 0.05 of the best;
-4. servo activity.
+4. tilt in gusts, within a fifth of the best;
+5. servo activity.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
+from mufly.answer_store import hash_question, read_answer, write_answer
 from mufly.control.designs import ControllerDesign, FlightController, design_flight_controller
 from mufly.control.gust_response import gust_response
 from mufly.control.linear_systems import Array, LoopAnalysis, sample_plant
 from mufly.control.loop_margins import DiskMargin, disk_margin, input_noise
+from mufly.control.robust import parameter_robustness
 from mufly.control.robust.parameter_robustness import analyse_parameter_robustness
 from mufly.control.synthesis_methods import METHOD_NAMES, SynthesisMethod
 from mufly.control.weighting_schemes import DesignSettings
 from mufly.dynamics import linearise_vehicle
+from mufly.numba_cache import imported_sources
 from mufly.results import ShownBlock, result, show_lines, show_table
 from mufly.vehicle import Vehicle
 
@@ -37,6 +42,7 @@ DEFAULT_GYRO_NOISE_RAD_S = float(np.radians(0.3))
 """Deviation of a gyro's sample on a vehicle without a modelled IMU."""
 LARGEST_PEAK_DB = 6.0
 _SAME_DISK_MARGIN = 0.05
+_SAME_GUST_TILT = 1.2
 
 
 @result
@@ -90,7 +96,10 @@ class FlightFigures:
 
 @result
 class MethodFigures:
-    """One method: its two loops, its cascade's peak, its tilt in gusts and its flights (None if none are flown)."""
+    """One method: its two loops, its cascade's peak, its tilt in gusts, instructions and flights (None if not known).
+
+    ``instructions`` are those of the whole law in a period on a Cortex-M4, mean over a self-test.
+    """
 
     method: SynthesisMethod
     heave_yaw: LoopFigures
@@ -98,6 +107,7 @@ class MethodFigures:
     cascade_peak_dB: float
     gust_tilt_rad: float
     flights: FlightFigures | None = None
+    instructions: float | None = None
 
     @property
     def label(self) -> str:
@@ -145,10 +155,10 @@ class ControllerComparison:
 
     def shown_blocks(self) -> list[ShownBlock]:
         """Return the table of both loops and of flights, and the verdict."""
-        heads = ("", "gamma", "S_u", "T_u", "GM", "PM", "DM", "disk", "mu", "noise", "gust", "n", "MAC")
+        heads = ("", "gamma", "S_u", "T_u", "GM", "PM", "DM", "disk", "mu", "noise", "gust", "n", "MAC", "instr.")
         blocks: list[ShownBlock] = []
         for title, part in (("roll-pitch", "roll_pitch"), ("heave-yaw", "heave_yaw")):
-            rows: list[tuple[str, ...]] = [("", "", "dB", "dB", "dB", "deg", "ms", "", "", "%", "deg", "", "")]
+            rows: list[tuple[str, ...]] = [("", "", "dB", "dB", "dB", "deg", "ms", "", "", "%", "deg", "", "", "")]
             for m in self.methods:
                 loop: LoopFigures = getattr(m, part)
                 s = loop.sampled
@@ -159,6 +169,7 @@ class ControllerComparison:
                         f"{loop.disk.margin:.2f}", f"{loop.mu_upper:.2f}", f"{100 * loop.input_noise:.2f}",
                         f"{np.degrees(m.gust_tilt_rad):.2f}" if part == "roll_pitch" else "-",
                         f"{loop.order}", f"{loop.multiply_adds}",
+                        f"{m.instructions:.0f}" if part == "roll_pitch" and m.instructions is not None else "-",
                     )
                 )  # fmt: skip
             blocks.append(show_table(heads, rows, title=f"{self.vehicle_name}, {title}, {self.rate_Hz:g} Hz"))
@@ -213,6 +224,7 @@ def compare_methods(
     *,
     settings: DesignSettings | None = None,
     points: int = 30,
+    folder: Path | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[ControllerComparison, dict[SynthesisMethod, FlightController]]:
     """Design controllers by several methods and compare them, without flights.
@@ -226,6 +238,8 @@ def compare_methods(
         Settings but for the method.
     points : int
         Frequencies of the bounds of mu.
+    folder : Path, optional
+        Folder that keeps the bounds of every method, for an interrupted comparison to resume.
     progress : callable, optional
         Called with (methods done, all methods).
 
@@ -247,12 +261,12 @@ def compare_methods(
             progress(k, len(methods))
         c = design_flight_controller(vehicle, settings=replace(base, method=method))
         linear = linearise_vehicle(vehicle, voltage=c.voltage_V)
-        robust = analyse_parameter_robustness(vehicle, c, points=points)
+        bounds = recall_bounds(vehicle, c, points, folder)
         rows.append(
             MethodFigures(
                 method,
-                loop_figures(vehicle, c.heave_yaw, (robust.heave_yaw.peak, robust.heave_yaw.lower)),
-                loop_figures(vehicle, c.roll_pitch, (robust.roll_pitch.peak, robust.roll_pitch.lower)),
+                loop_figures(vehicle, c.heave_yaw, bounds[0]),
+                loop_figures(vehicle, c.roll_pitch, bounds[1]),
                 c.cascade.sensitivity_peak_dB,
                 gust_response(linear, c),
             )
@@ -262,6 +276,24 @@ def compare_methods(
             progress(k + 1, len(methods))
     rate = next(iter(controllers.values())).rate_Hz
     return judge_comparison(vehicle.name, rate, rows), controllers
+
+
+def recall_bounds(
+    vehicle: Vehicle, c: FlightController, points: int, folder: Path | None
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return upper and lower bound of mu of heave-yaw and of roll-pitch, from the folder if it holds them."""
+    sources = [path.read_bytes() for path in imported_sources(Path(parameter_robustness.__file__))]
+    gains = [np.ascontiguousarray(g).tobytes() for g in (c.heave_yaw_gains, c.roll_pitch_gains)]
+    question = hash_question(vehicle.model_dump_json(), c.rate_Hz, c.voltage_V, points, *gains, *sources)
+    path = None if folder is None else folder / f"mu-{c.settings.method}.json"
+    kept = None if path is None else read_answer(path, question)
+    if kept is None:
+        robust = analyse_parameter_robustness(vehicle, c, points=points)
+        kept = {loop.name: [loop.peak, loop.lower] for loop in robust.loops}
+        if path is not None:
+            write_answer(path, question, kept)
+    heave_yaw, roll_pitch = ((float(kept[name][0]), float(kept[name][1])) for name in ("heave-yaw", "roll-pitch"))
+    return heave_yaw, roll_pitch
 
 
 def comparison_dataset(comparison: ControllerComparison) -> xr.Dataset:
@@ -288,6 +320,10 @@ def comparison_dataset(comparison: ControllerComparison) -> xr.Dataset:
         "multiply_adds": over_loops(lambda x: x.multiply_adds),
         "cascade_peak_dB": ("controller", [m.cascade_peak_dB for m in comparison.methods]),
         "gust_tilt_rad": ("controller", [m.gust_tilt_rad for m in comparison.methods]),
+        "instructions": (
+            "controller",
+            [np.nan if m.instructions is None else m.instructions for m in comparison.methods],
+        ),
     }
     flown = [m.flights for m in comparison.methods]
     if any(f is not None for f in flown):
@@ -327,6 +363,12 @@ def judge_comparison(vehicle_name: str, rate_Hz: float, rows: Sequence[MethodFig
         kept = [m for m in left if m.weaker_disk_margin >= widest - _SAME_DISK_MARGIN]
         if len(kept) < len(left):
             decided = f"the disk margin of its weaker loop, {widest:.2f}"
+        left = kept
+    if len(left) > 1:
+        stiffest = min(m.gust_tilt_rad for m in left)
+        kept = [m for m in left if m.gust_tilt_rad <= _SAME_GUST_TILT * stiffest]
+        if len(kept) < len(left):
+            decided = f"tilt of {np.degrees(stiffest):.2f} degrees in gusts"
         left = kept
     if len(left) > 1:
         left = [min(left, key=lambda m: m.roll_pitch.input_noise)]

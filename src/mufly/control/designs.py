@@ -14,6 +14,7 @@ from typing import Any
 import control
 import numpy as np
 
+from mufly.control.design_store import recall_controller
 from mufly.control.implementation import (
     DiscreteController,
     Reduction,
@@ -21,6 +22,7 @@ from mufly.control.implementation import (
     discretise_controller,
     reduce_controller,
 )
+from mufly.control.indi import IndiGains
 from mufly.control.law import (
     HEAVE_YAW_GAINS,
     HEAVE_YAW_ORDER,
@@ -470,6 +472,7 @@ def _design_controller(
     given: GivenController | None = None,
     derivatives: Sequence[Array] = (),
     robust: RobustAims | None = None,
+    indi: IndiGains | None = None,
     tracked: tuple[int, ...],
     references: tuple[int, ...] = (),
     orders: tuple[int, int],
@@ -494,9 +497,9 @@ def _design_controller(
             generalised, scaled, tracked, bool(references), read.size, relaxation, lqg, fixed, generalise,
             2 * np.pi / period_s, None if given is None else given.to_scaled(generalised, read, input_scale),
             tuple(E * np.concatenate([np.ones(plant.nstates), input_scale]) for E in derivatives),
-            robust or RobustAims(),
+            robust or RobustAims(), indi,
         )  # fmt: skip
-        found = synthesise_controller(method, problem)
+        found = recall_controller(method, problem, synthesise_controller)
         reduction = reduce_controller(
             generalised,
             found.controller,
@@ -574,7 +577,7 @@ def weight_roll_pitch(scaled: control.StateSpace, settings: DesignSettings) -> c
 def design_heave_yaw(plant: control.StateSpace, settings: DesignSettings, period_s: float) -> ControllerDesign:
     """Design heave-yaw: two degrees of freedom (Sec. 6.1.4). Controller inputs: z, psi references, then errors.
 
-    The methods ``fixed`` and ``mu`` design roll-pitch alone; heave-yaw is H-infinity then.
+    The methods ``fixed``, ``mu`` and ``indi`` design roll-pitch alone; heave-yaw is H-infinity then.
     """
     given = settings.heave_yaw_given
     return _design_controller(
@@ -584,7 +587,11 @@ def design_heave_yaw(plant: control.StateSpace, settings: DesignSettings, period
         lambda scaled: weight_heave_yaw(scaled, settings),
         settings.heave_yaw_relaxation,
         period_s,
-        method="fixed" if given is not None else "hinf" if settings.method in ("fixed", "mu") else settings.method,
+        method="fixed"
+        if given is not None
+        else "hinf"
+        if settings.method in ("fixed", "mu", "indi")
+        else settings.method,
         lqg=settings.heave_yaw_lqg,
         given=given,
         tracked=(0, 1),
@@ -605,6 +612,7 @@ def design_roll_pitch(
     """Design roll-pitch: one degree of freedom (Sec. 6.1.5). Controller inputs: errors of phi, theta, p, q."""
     given = settings.roll_pitch_given
     tuned = settings.method == "fixed" and given is None
+    indi = settings.method == "indi" and given is None
     return _design_controller(
         "roll-pitch",
         plant,
@@ -617,13 +625,14 @@ def design_roll_pitch(
         given=given,
         derivatives=derivatives,
         robust=settings.robust_aims,
+        indi=settings.indi_gains if indi else None,
         fixed=settings.roll_pitch_aims if tuned else None,
         tracked=(0, 1),
         orders=_given_orders(given, ROLL_PITCH_ORDER)
-        or ((settings.roll_pitch_aims.order,) * 2 if tuned else (4, ROLL_PITCH_ORDER)),
+        or ((settings.roll_pitch_aims.order,) * 2 if tuned else (ROLL_PITCH_ORDER if indi else 4, ROLL_PITCH_ORDER)),
         slow=(0.1,),
         published=ROLL_PITCH,
-        windup_rate=settings.roll_pitch_windup,
+        windup_rate=None if indi else settings.roll_pitch_windup,
     )
 
 

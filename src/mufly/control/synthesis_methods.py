@@ -15,6 +15,7 @@ import numpy as np
 
 from mufly.control.h2 import h2syn
 from mufly.control.hinf import close_loop, hinfsyn
+from mufly.control.indi import IndiGains, design_indi
 from mufly.control.linear_systems import Array, hinf_norm, state_space
 from mufly.control.lqg import LqgWeights, design_lqg, limit_recovery
 from mufly.control.robust.dk_iteration import iterate_dk
@@ -22,7 +23,7 @@ from mufly.control.robust.uncertain_plant import add_uncertainty
 from mufly.control.tuning.fixed_order import add_delay, aim_norms, flight_aims, reduced_starts, tune_controller
 from mufly.errors import MuflyError
 
-SynthesisMethod = Literal["hinf", "h2", "lqg", "ltr", "mu", "fixed"]
+SynthesisMethod = Literal["hinf", "h2", "lqg", "ltr", "mu", "fixed", "indi"]
 METHODS: tuple[SynthesisMethod, ...] = get_args(SynthesisMethod)
 METHOD_NAMES: dict[SynthesisMethod, str] = {
     "hinf": "H-infinity",
@@ -31,6 +32,7 @@ METHOD_NAMES: dict[SynthesisMethod, str] = {
     "ltr": "LQG/LTR",
     "mu": "mu (D-K)",
     "fixed": "fixed order",
+    "indi": "INDI",
 }
 
 
@@ -161,6 +163,8 @@ class SynthesisProblem(NamedTuple):
         Derivatives ``[dA dB]`` of the plant by uncertain parameters, one spread each, for ``mu``.
     robust : RobustAims
         Settings of ``mu``.
+    indi : IndiGains or None
+        Gains of INDI.
     """
 
     generalised: control.StateSpace
@@ -176,6 +180,7 @@ class SynthesisProblem(NamedTuple):
     given: control.StateSpace | None = None
     derivatives: tuple[Array, ...] = ()
     robust: RobustAims = RobustAims()
+    indi: IndiGains | None = None
 
 
 class SynthesisedController(NamedTuple):
@@ -219,6 +224,10 @@ def synthesise_controller(method: SynthesisMethod, problem: SynthesisProblem) ->
         lqg = design_lqg(p.plant, p.references, p.lqg, recovery=recovery, two_degrees=p.two_degrees)
         norm = hinf_norm(close_loop(p.generalised, lqg.controller))[0]
         return SynthesisedController(lqg.controller, lqg.actuation, np.nan, np.nan, norm)
+    if method == "indi" and p.indi is not None:
+        law = design_indi(p.plant, p.indi, 2 * np.pi / p.sampling_rate)
+        norm = hinf_norm(close_loop(p.generalised, law.controller))[0]
+        return SynthesisedController(law.controller, law.actuation, np.nan, np.nan, norm)
     if method == "mu":
         return _iterate_dk(p, p.robust)
     if method == "fixed" and p.fixed is not None:

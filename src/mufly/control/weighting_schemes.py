@@ -33,6 +33,7 @@ import control
 import numpy as np
 from scipy import signal
 
+from mufly.control.indi import IndiGains
 from mufly.control.linear_systems import Array, connect_blocks, replace_matrices, state_space
 from mufly.control.lqg import LqgWeights
 from mufly.control.synthesis_methods import FixedOrderAims, GivenController, RobustAims, SynthesisMethod
@@ -295,6 +296,7 @@ ROLL_PITCH_AIMS = FixedOrderAims(
     noise_outputs=(math.radians(0.1), math.radians(0.1), math.radians(0.3), math.radians(0.3)),
 )  # fmt: skip
 ROBUST_AIMS = RobustAims()
+INDI_GAINS = IndiGains()
 
 
 @dataclass(frozen=True)
@@ -320,6 +322,8 @@ class DesignSettings:
         Weights of LQG and LTR, in scaled units.
     roll_pitch_aims : FixedOrderAims
         Order and aims of the method ``fixed``, which tunes roll-pitch; heave-yaw is H-infinity then.
+    indi_gains : IndiGains
+        Gains of the method ``indi``, which designs roll-pitch; heave-yaw is H-infinity then.
     robust_aims : RobustAims
         Settings of the method ``mu``, which designs roll-pitch; heave-yaw is H-infinity then.
     heave_yaw_given, roll_pitch_given : GivenController or None
@@ -365,6 +369,7 @@ class DesignSettings:
     heave_yaw_lqg: LqgWeights = HEAVE_YAW_LQG
     roll_pitch_lqg: LqgWeights = ROLL_PITCH_LQG
     roll_pitch_aims: FixedOrderAims = ROLL_PITCH_AIMS
+    indi_gains: IndiGains = INDI_GAINS
     robust_aims: RobustAims = ROBUST_AIMS
     heave_yaw_given: GivenController | None = None
     roll_pitch_given: GivenController | None = None

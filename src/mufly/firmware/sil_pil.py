@@ -392,6 +392,41 @@ def run_pil(vehicle: Vehicle, *, fixed_point: bool = False, timeout_s: float = 1
         return found
 
 
+_LAW_SOURCES = ("controllers.c", "law.c", "linear.c", "cascade.c", "mixer.c", "real.c", "tables.c")
+
+
+def law_instructions(
+    vehicle: Vehicle, controllers: Sequence[FlightController], *, timeout_s: float = 120.0
+) -> list[float]:
+    """Return the mean instructions of the law in a period on a Cortex-M4, for every controller.
+
+    The law computes with arrays of the largest order, whatever a controller's, so counts differ only by what saturates
+    in the self-test.
+
+    Raises
+    ------
+    MuflyError
+        If a tool is missing, or a program does not end.
+    """
+    absent = missing_tools()
+    if absent:
+        raise MuflyError(f"instructions of the law: {absent}")
+    how, machine = SINGLE_PRECISION_BUILD, "mps2-an386"
+    cpu, per_tick = how.emulated_boards[machine]
+    counts: list[float] = []
+    with tempfile.TemporaryDirectory(prefix="mufly-law-") as temporary:
+        for k, controller in enumerate(controllers):
+            folder = Path(temporary) / str(k)
+            export_firmware(controller, folder, vehicle)
+            for source in folder.glob("*.c"):
+                if source.name not in _LAW_SOURCES:
+                    source.unlink()
+            compile_objects(folder, how, cpu)
+            elf = _link_selftest(folder, how, cpu, "selftest")
+            counts.append(run_emulated(machine, per_tick, elf, [], timeout_s)["mean_instructions"])
+    return counts
+
+
 def run_emulated(machine: str, per_tick: float, elf: Path, right: list[str], timeout_s: float) -> dict[str, Any]:
     """Run a self-test on an emulated board; return whether its digests are right, and the instructions per period.
 

@@ -1,0 +1,73 @@
+"""Store of controllers whose synthesis takes long, so that a design is computed once and an interrupted run resumes.
+
+A file belongs to the question of :func:`synthesis_question`: plants, weights, aims, and all sources of the synthesis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+
+import control
+import numpy as np
+
+from mufly.answer_store import cache_folder, hash_question, read_answer, write_answer
+from mufly.control.linear_systems import state_space
+from mufly.control.synthesis_methods import SynthesisedController, SynthesisMethod, SynthesisProblem
+from mufly.numba_cache import imported_sources
+
+STORED_METHODS: tuple[SynthesisMethod, ...] = ("mu", "fixed")
+"""Methods that take seconds to minutes."""
+_NUMBERS = ("gamma", "gamma_optimal", "norm")
+
+
+@cache
+def _source_digest() -> str:
+    libraries = [f"{name} {version(name)}" for name in ("numpy", "scipy")]
+    sources = imported_sources(Path(__file__).with_name("synthesis_methods.py"))
+    return hash_question(libraries, *(path.read_bytes() for path in sources))
+
+
+def synthesis_question(method: SynthesisMethod, problem: SynthesisProblem) -> str:
+    """Return the hash of all that the controller of a method depends on."""
+    p = problem
+
+    def matrices(system: control.StateSpace) -> list[object]:
+        return [M for A in (system.A, system.B, system.C, system.D) for M in (A.shape, np.ascontiguousarray(A))]
+
+    return hash_question(
+        _source_digest(), method, *matrices(p.generalised), *matrices(p.plant), p.references, p.two_degrees,
+        p.n_measurements, p.relaxation, repr(p.lqg), repr(p.fixed), p.sampling_rate, repr(p.robust),
+        *(np.ascontiguousarray(E) for E in p.derivatives),
+    )  # fmt: skip
+
+
+def recall_controller(
+    method: SynthesisMethod,
+    problem: SynthesisProblem,
+    compute: Callable[[SynthesisMethod, SynthesisProblem], SynthesisedController],
+) -> SynthesisedController:
+    """Return the controller of a method, from the store if it holds it; otherwise compute it and store it.
+
+    Only :data:`STORED_METHODS` are stored.
+    """
+    folder = cache_folder("control")
+    if folder is None or problem.given is not None or method not in STORED_METHODS:
+        return compute(method, problem)
+    question = synthesis_question(method, problem)
+    path = folder / f"{method}-{question[:24]}.npz"
+    kept = read_answer(path, question)
+    if kept is None:
+        found = compute(method, problem)
+        K = found.controller
+        numbers = {name: np.array(getattr(found, name)) for name in _NUMBERS}
+        write_answer(path, question, {"A": K.A, "B": K.B, "C": K.C, "D": K.D, "actuation": found.actuation, **numbers})
+        return found
+    n, m = problem.n_measurements, problem.plant.ninputs
+    K = state_space(
+        *(kept[name] for name in "ABCD"),
+        inputs=problem.generalised.output_labels[-n:], outputs=problem.generalised.input_labels[-m:],
+    )  # fmt: skip
+    return SynthesisedController(K, kept["actuation"], *(float(kept[name]) for name in _NUMBERS))
