@@ -33,7 +33,6 @@ from numpy.typing import NDArray
 from mufly.bridges.autopilot_plant import AutopilotPlant
 from mufly.bridges.simulator_pace import SimulatorPace, SimulatorReport
 from mufly.link.ports import Endpoint, Peer, open_port
-from mufly.sensors import Fault
 
 ARDUPILOT_ENDPOINT = Endpoint("udpin", "127.0.0.1", 9002)
 """Address where ArduPilot sends to its simulator."""
@@ -171,7 +170,6 @@ class ArduPilotSimulator:
         self._start_s = 0.0
         self._last: ServoPacket | None = None
         self._reply = b""
-        self._told: set[str] = set()
 
     def run(
         self,
@@ -180,10 +178,9 @@ class ArduPilotSimulator:
     ) -> None:
         """Simulate until ``stop()``; the port is closed at the end."""
         self.vehicle.log_event(f"waiting for ArduPilot at {self.port.endpoint}")
-        for fault in unseen_faults(self.vehicle):
-            self.vehicle.log_event(
-                f"{fault}: ArduPilot makes this sensor itself, so the fault has no effect", "warning"
-            )
+        self.vehicle.warn_of_unseen_faults(
+            lambda name: name not in _UNSEEN_SENSORS, "ArduPilot makes this sensor itself"
+        )
         try:
             while not stop():
                 self._wait(_WAIT_S)
@@ -207,7 +204,9 @@ class ArduPilotSimulator:
     def _answer(self, peer: Peer, data: bytes, stop: Callable[[], bool]) -> None:
         packet = read_servo_packet(data)
         if packet is None:
-            self._warn_once("packet", f"{peer.address} sends packets that are not ArduPilot's; is it another program?")
+            self.vehicle.warn_once(
+                "packet", f"{peer.address} sends packets that are not ArduPilot's; is it another program?"
+            )
             return
         self._heard_s = self._clock()
         if self.state == "silent" and self._last is not None and packet.frame >= self._last.frame:
@@ -236,7 +235,7 @@ class ArduPilotSimulator:
 
     def _begin(self, peer: Peer, *, again: bool) -> None:
         self.vehicle.log_event(f"ArduPilot {'has restarted' if again else 'sends'} from {peer.address}")
-        self._told.clear()
+        self.vehicle.allow_warnings()
         if self.vehicle.has_moved:
             self.vehicle.reset()
         self._start_s = self.vehicle.time_s
@@ -245,17 +244,12 @@ class ArduPilotSimulator:
     def _check(self, packet: ServoPacket) -> None:
         rate_Hz = 1.0 / self.vehicle.period_s
         if abs(packet.rate_Hz - rate_Hz) > 1.0:
-            self._warn_once(
+            self.vehicle.warn_once(
                 "rate",
                 f"ArduPilot asks for {packet.rate_Hz} Hz, the simulation has {rate_Hz:g} Hz; set SIM_RATE_HZ to it",
             )
         if problem := describe_wrong_channels(packet):
-            self._warn_once("frame", problem)
-
-    def _warn_once(self, topic: str, text: str) -> None:
-        if topic not in self._told:
-            self._told.add(topic)
-            self.vehicle.log_event(text, "warning")
+            self.vehicle.warn_once("frame", problem)
 
 
 def describe_wrong_channels(packet: ServoPacket) -> str:
@@ -269,8 +263,3 @@ def describe_wrong_channels(packet: ServoPacket) -> str:
             "`mufly autopilot gains ardupilot` (FRAME_CLASS 8)"
         )
     return ""
-
-
-def unseen_faults(vehicle: AutopilotPlant) -> list[Fault]:
-    """Return the faults of sensors that ArduPilot makes itself."""
-    return [fault for fault in vehicle.sensors.all_faults if fault.sensor_name in _UNSEEN_SENSORS]

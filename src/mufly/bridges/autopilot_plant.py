@@ -122,6 +122,7 @@ class AutopilotPlant:
         self._look_periods = max(1, round(rate_Hz / RANGE_RING_RATE_HZ))
         self._low_voltage, self._battery_was_low = float(vehicle.battery.low_voltage), False
         self._crash_told = ""
+        self._warned: set[str] = set()
         self.listeners: list[Callable[[FlightEvent], None]] = []
         self.acting = self.sent = Actuators.idle()
         self.is_armed = self._has_flown = self._has_moved = False
@@ -188,6 +189,34 @@ class AutopilotPlant:
         self.recorder.add_event(*event)
         for listener in self.listeners:
             listener(event)
+
+    def warn_once(self, topic: str, text: str) -> None:
+        """Append a warning, unless one of this topic was given since :meth:`allow_warnings`."""
+        if topic not in self._warned:
+            self._warned.add(topic)
+            self.log_event(text, "warning")
+
+    def has_warned(self, topic: str) -> bool:
+        """Return whether a warning of this topic was given."""
+        return topic in self._warned
+
+    def allow_warnings(self) -> None:
+        """Let every topic warn again, as for an autopilot that starts anew."""
+        self._warned.clear()
+
+    def warn_of_unseen_faults(self, is_seen: Callable[[str], bool], why: str) -> None:
+        """Append a warning for each fault of a sensor that the autopilot does not receive.
+
+        Parameters
+        ----------
+        is_seen : callable
+            Whether the autopilot receives the sensor of this name.
+        why : str
+            Why it does not, with the autopilot as subject.
+        """
+        for fault in self.sensors.all_faults:
+            if not is_seen(fault.sensor_name):
+                self.log_event(f"{fault}: {why}, so the fault has no effect", "warning")
 
     def to_dataset(self) -> xr.Dataset:
         """Return the rows kept in memory."""

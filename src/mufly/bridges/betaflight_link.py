@@ -52,7 +52,6 @@ from mufly.bridges.betaflight_settings import MOTOR_IDLE, PILOT_RATE_HZ
 from mufly.bridges.simulator_pace import SimulatorPace, SimulatorReport
 from mufly.errors import InputError
 from mufly.link.ports import Endpoint, Peer, Port, UdpPort, open_port
-from mufly.sensors import Fault
 
 BETAFLIGHT_ENDPOINT = Endpoint("udpout", "127.0.0.1", 9003)
 """Address where Betaflight receives the state of the vehicle."""
@@ -153,7 +152,6 @@ class BetaflightSimulator:
         self._is_answered = False
         self._refused_s = 0.0
         self._open_s = self._probed_s = math.nan
-        self._told: set[str] = set()
 
     def run(
         self,
@@ -162,10 +160,7 @@ class BetaflightSimulator:
     ) -> None:
         """Simulate until ``stop()``; the ports are closed at the end."""
         self.vehicle.log_event(f"waiting for Betaflight at {self._state_port.endpoint}")
-        for fault in unseen_faults(self.vehicle):
-            self.vehicle.log_event(
-                f"{fault}: Betaflight does not receive this sensor, so the fault has no effect", "warning"
-            )
+        self.vehicle.warn_of_unseen_faults(_SEEN_SENSORS.__contains__, "Betaflight does not receive this sensor")
         try:
             while not stop():
                 if self.state == "waiting":
@@ -201,7 +196,7 @@ class BetaflightSimulator:
             vehicle.log_event(notice, "warning" if "slower" in notice else "info")
         problem = describe_wrong_outputs(self._command)
         if problem:
-            self._warn_once("outputs", problem)
+            self.vehicle.warn_once("outputs", problem)
         inputs = np.zeros(4) if problem else self._command.inputs
         is_armed = not problem and bool(np.all(self._command.pulse_us[:2] > _ARMED_US))
         vehicle.advance_period(inputs, is_armed)
@@ -259,7 +254,7 @@ class BetaflightSimulator:
     def _check_start(self) -> None:
         """Report a start that failed: the clock of some stands still from the beginning."""
         if self._clock() - self._open_s > START_S:
-            self._warn_once(
+            self.vehicle.warn_once(
                 "start", f"Betaflight's port is open, but it answers no state for {START_S:g} s; start it again"
             )
 
@@ -277,7 +272,7 @@ class BetaflightSimulator:
                     if len(data) == GAZEBO_BYTES
                     else "packets that are not Betaflight's; is it another program?"
                 )
-                self._warn_once("packet", f"{peer.address} sends {what}")
+                self.vehicle.warn_once("packet", f"{peer.address} sends {what}")
                 continue
             if peer != self._peer:
                 self._meet_autopilot(peer)
@@ -286,7 +281,7 @@ class BetaflightSimulator:
     def _meet_autopilot(self, peer: Peer) -> None:
         again, self._peer, self.state = self._peer is not None, peer, "running"
         self.vehicle.log_event(f"Betaflight {'has restarted' if again else 'answers'} from {peer.address}")
-        self._told.clear()
+        self.vehicle.allow_warnings()
         self._refused_s = 0.0
         self._close_msp()
         if self.vehicle.has_moved:
@@ -304,7 +299,7 @@ class BetaflightSimulator:
             self._close_msp()
             return
         self._refused_s += self.vehicle.period_s
-        if self._refused_s < ARMING_PATIENCE_S or "arming" in self._told:
+        if self._refused_s < ARMING_PATIENCE_S or self.vehicle.has_warned("arming"):
             return
         if self._msp is None:
             self._msp, self._msp_data = open_port(self._msp_endpoint), b""
@@ -317,18 +312,13 @@ class BetaflightSimulator:
                     self._msp.send(peer, encode_status_request())
             return
         reasons = [name for name in obstacles if name != "arm switch"] or obstacles
-        self._warn_once("arming", f"Betaflight does not arm: {', '.join(reasons) or 'it gives no reason'}")
+        self.vehicle.warn_once("arming", f"Betaflight does not arm: {', '.join(reasons) or 'it gives no reason'}")
         self._close_msp()
 
     def _close_msp(self) -> None:
         if self._msp is not None:
             self._msp.close()
             self._msp = None
-
-    def _warn_once(self, topic: str, text: str) -> None:
-        if topic not in self._told:
-            self._told.add(topic)
-            self.vehicle.log_event(text, "warning")
 
 
 def describe_wrong_outputs(outputs: BetaflightOutputs) -> str:
@@ -339,8 +329,3 @@ def describe_wrong_outputs(outputs: BetaflightOutputs) -> str:
     if np.any(outputs.pulse_us[2:4] <= 0.0):
         return "Betaflight drives no servos; build it with servos (make TARGET=SITL EXTRA_FLAGS=-DUSE_SERVOS)"
     return ""
-
-
-def unseen_faults(vehicle: AutopilotPlant) -> list[Fault]:
-    """Return the faults of sensors that Betaflight does not receive."""
-    return [fault for fault in vehicle.sensors.all_faults if fault.sensor_name not in _SEEN_SENSORS]

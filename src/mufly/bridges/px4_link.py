@@ -277,7 +277,7 @@ class Px4Simulator:
         self._was_answered = False
         self._skipped = False
         self._noise_told = False
-        self._told: set[str] = set()
+        self.vehicle.allow_warnings()
 
     def _handle_message(self, message: MavMessage) -> None:
         kind = message.get_type()
@@ -308,21 +308,18 @@ class Px4Simulator:
         if command is None:
             return
         if self.state == "lockstep" and answers > _MANY_ANSWERS * _CHECK_PERIODS:
-            self._warn_once(
+            self.vehicle.warn_once(
                 "rate",
                 f"PX4 sends {answers / _CHECK_PERIODS:.1f} answers a period; set IMU_GYRO_RATEMAX to "
                 f"{1.0 / self.vehicle.period_s:g} Hz",
             )
         if self.state == "free-running" and answers < _CHECK_PERIODS / _MANY_ANSWERS:
             rate_Hz = answers / _CHECK_PERIODS / self.vehicle.period_s
-            self._warn_once("rate", f"PX4 sends its outputs at {rate_Hz:.0f} Hz, less often than the sensors' rate")
+            self.vehicle.warn_once(
+                "rate", f"PX4 sends its outputs at {rate_Hz:.0f} Hz, less often than the sensors' rate"
+            )
         if problem := describe_wrong_outputs(command):
-            self._warn_once("airframe", problem)
-
-    def _warn_once(self, topic: str, text: str) -> None:
-        if topic not in self._told:
-            self._told.add(topic)
-            self.vehicle.log_event(text, "warning")
+            self.vehicle.warn_once("airframe", problem)
 
 
 def describe_wrong_outputs(command: ActuatorCommand) -> str:
