@@ -218,7 +218,7 @@ def add_swash_phase(u: _Array, p: ModelParameters, dx: _Array) -> None:
 
 
 def edgewise_factors(
-    x: _Array, wind: _Array, p: np.void
+    x: _Array, wind: _Array, p: np.void | ModelParameters
 ) -> tuple[tuple[float, float], tuple[float, float]]:  # fmt: skip
     """Return the factors of the map on thrust and torque of the upper and of the lower rotor at a state."""
     flow = _flow_loads(p, find_map_point(x, wind, p))
