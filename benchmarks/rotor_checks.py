@@ -16,10 +16,12 @@ from mufly.rotor import (
     OperatingCondition,
     RotorSystem,
     SystemSolution,
+    fit_rotor,
     load_airfoil,
     load_rotor,
     prepare_blading,
     replace_rotor,
+    solve_rotor_batch,
     solve_system,
 )
 from mufly.rotor.sections.neuralfoil_network import compute_neuralfoil_polars
@@ -129,6 +131,59 @@ def report_pair_blades(asked: argparse.Namespace) -> None:
     measured = ", ".join(f"{v:.2f}" for v in RIG_SHARES)
     head = ["planform", "deg at 0.75 R", "equal speeds", "farthest", "equal torques", "farthest"]
     show_table(f"Lower over upper thrust at z/D 0.10, 0.25, 0.55, 1.0; measured: {measured}", head, rows)
+
+
+def report_inner_inflow(asked: argparse.Namespace) -> None:
+    """Wide blades by blade elements and by the wake at the middle speed: errors, and the flow along the blade."""
+    rows, at = [], np.array((0.3, 0.5, 0.7, 0.9))
+    for case in load_uiuc_propellers(asked.data):
+        if max(case.rotor.blade.chord.value) < 0.2 * case.rotor.radius_m:
+            continue
+        m, middle = case.measured, case.measured.thrust_N.size // 2
+        rotor = RotorSystem.single_rotor(prepare_blading(case.rotor))
+        point = OperatingCondition(float(m.pitch_rad[middle]), float(m.speed_rad_s[middle]), air=case.air)
+        found = [solve_system(rotor, point, method).rotors[0] for method in ("bemt", "wake")]
+        cells = [
+            f"{percent(r.thrust_N, m.thrust_N[middle])}, {percent(r.torque_Nm, m.torque_Nm[middle])}" for r in found
+        ]
+        x = [r.r_m / case.rotor.radius_m for r in found]
+        inside = [r.dT_N[k < 0.5].sum() / r.thrust_N for r, k in zip(found, x, strict=True)]
+        cells.append(" / ".join(f"{share:.2f}" for share in inside))
+        for of, form in (("alpha_rad", ".1f"), ("inflow_m_s", ".2f")):
+            each = [np.interp(at, k, getattr(r, of)) for r, k in zip(found, x, strict=True)]
+            scale = np.degrees(1.0) if of == "alpha_rad" else 1.0
+            cells += [f"{scale * a:{form}} / {scale * b:{form}}" for a, b in zip(*each, strict=True)]
+        rows.append([case.name, *cells])
+    places = [f"{of} {x:g} R" for of in ("alpha", "inflow") for x in at]
+    head = ["propeller", "bemt: thrust, torque, %", "wake", "thrust inside 0.5 R: bemt / wake", *places]
+    show_table("Wide blades: blade elements / wake, degrees and m/s", head, rows)
+
+
+SECTION_CHOICES = ("naca2408", "naca4412", "clarky+scaled8", "e63", "naca5503", "naca8503")
+
+
+def report_sections(asked: argparse.Namespace) -> None:
+    """Sections of propellers whose section is not known: each fitted to half a sweep, scored on the other half.
+
+    Cells: error of thrust, torque (%) on the unseen points; turn of the blade (degrees) that the fit chose.
+    """
+    rows = []
+    for case in load_uiuc_propellers(asked.data):
+        if case.section_known:
+            continue
+        n, cells = case.measured.thrust_N.size, []
+        seen = np.arange(0, n, 2)
+        rest = case.measured.select_points(np.setdiff1d(np.arange(n), seen))
+        for name in SECTION_CHOICES:
+            rotor = replace_rotor(case.rotor, {"blade.airfoils": name})
+            fit = fit_rotor(rotor, case.measured.select_points(seen), section="known", air=case.air)
+            how = {"pitch_rad": rest.pitch_rad, "speed_rad_s": rest.speed_rad_s, "air": case.air}
+            found = solve_rotor_batch(prepare_blading(fit.rotor), **how)
+            off = [np.nanmean(np.abs(a / b - 1.0)) for a, b in ((found.thrust_N, rest.thrust_N),
+                   (found.torque_Nm, rest.torque_Nm))]  # fmt: skip
+            cells.append(f"{100 * off[0]:.1f}, {100 * off[1]:.1f}; {math.degrees(fit.change[0]):+.1f}")
+        rows.append([case.name, *cells])
+    show_table("Half a sweep fitted with each section: thrust, torque %; turn", ["propeller", *SECTION_CHOICES], rows)
 
 
 C_T, TIP_MACH, STATION = {5.0: 0.00213, 8.0: 0.00459}, 0.439, 0.68

@@ -19,6 +19,8 @@ pair-28            the measured 28 inch pair, each rotor                        
 pair-ratios        blade elements against the wake over speed ratio and spacing                     5 min
 pair-spacing       share of the lower rotor over the spacing by three methods                       2 min
 pair-blades        share of the lower rotor over planform and pitch, beside a rig of unknown blades 2 min
+inner-inflow       wide blades by blade elements and by the wake: errors, angles, inflow                20 s
+sections           unknown sections: each fitted to half a sweep, scored on the other half          2 min
 polars [NAME ...]  NeuralFoil beside XFOIL (Debian: apt install xfoil)                              2 min
 inplane-drag       drag of the rotors in their planes: `rotors.inplane_drag` of a vehicle file      5 s
 caradonna-cfd DIR  Caradonna and Tung by OpenFOAM: lift of five stations, pressures of one          10 CPU min
@@ -43,7 +45,15 @@ from typing import Any
 
 import numpy as np
 from figure_record import RECORD_HELP, make_recorder
-from rotor_checks import C_T, report_caradonna_cfd, report_inplane_drag, report_pair_blades, report_polars
+from rotor_checks import (
+    C_T,
+    report_caradonna_cfd,
+    report_inner_inflow,
+    report_inplane_drag,
+    report_pair_blades,
+    report_polars,
+    report_sections,
+)
 from rotor_tables import LIFT, percent, show_table, sizes
 
 from mufly.answer_store import hash_question, read_answer, write_answer
@@ -511,6 +521,8 @@ PARTS: dict[str, tuple[Callable[[argparse.Namespace], None], tuple[str, ...]]] =
     "pair-ratios": (report_pair_ratios, ()),
     "pair-spacing": (report_pair_spacing, ()),
     "pair-blades": (report_pair_blades, ()),
+    "inner-inflow": (report_inner_inflow, ()),
+    "sections": (report_sections, ()),
     "polars": (report_polars, ()),
     "inplane-drag": (report_inplane_drag, ()),
     "caradonna-cfd": (report_caradonna_cfd, ()),

@@ -57,7 +57,7 @@ def test_hub_and_all_blades(rotor, tmp_path):
     ring, disc = make_hub_solid(0.006, 0.001, -0.003, 0.003), make_hub_solid(0.006, 0.0, -0.003, 0.003)
     assert ring.count_open_edges() == disc.count_open_edges() == 0
     assert_allclose([ring.volume_m3, disc.volume_m3], np.pi * np.array([35e-6, 36e-6]) * 0.006, rtol=2e-3)
-    blade = loft_solid(blade_contours(rotor))
+    blade = loft_solid(blade_contours(rotor, along=25, per_side=24))
     whole = join_solids([blade, rotate_about_shaft(blade, np.pi), ring])
     assert whole.count_open_edges() == 0
     assert_allclose(whole.volume_m3, 2 * blade.volume_m3 + ring.volume_m3)
@@ -83,6 +83,28 @@ def test_a_body_is_cut_into_the_stations_that_it_was_made_of(rotor, tmp_path, ta
     assert (again.blades, len(notes)) == (3, 1)
     camber = load_airfoil(again.blade.airfoils[5]).camber
     assert_allclose(camber, load_airfoil("clarky").camber, atol=5e-3)
+
+
+def test_a_scan_of_a_whole_rotor_is_turned_and_its_hub_left_out(rotor, tmp_path):
+    blade = loft_solid(blade_contours(rotor, along=25, per_side=24))
+    whole = join_solids([blade, rotate_about_shaft(blade, np.pi), make_hub_solid(0.006, 0.001, -0.003, 0.003)])
+    plain, _ = rotor_from_body(_saved(tmp_path / "one.stl", blade), folder=tmp_path)
+    x = np.linspace(0.25, 0.98, 20)
+    for angle in (0.0, 50.0):
+        turned = rotate_about_shaft(whole, np.radians(angle))
+        found, notes = rotor_from_body(_saved(tmp_path / "p.stl", turned), folder=tmp_path)
+        assert float(found.hub_cutout) == pytest.approx(0.2, abs=0.02)
+        assert_allclose(found.chord_m(x), plain.chord_m(x), rtol=0.01)
+        assert_allclose(found.twist_rad(x), plain.twist_rad(x), atol=np.radians(0.3))
+        assert any("turned by" in note for note in notes) == (angle != 0.0)
+    tilted = type(blade)(blade.points_m[:, [0, 2, 1]] * [1.0, -1.0, 1.0], blade.triangles)
+    with pytest.raises(InputError, match="chord stands along z"):
+        rotor_from_body(_saved(tmp_path / "p.stl", tilted), folder=tmp_path)
+
+
+def _saved(file, body):
+    write_stl(file, body)
+    return file
 
 
 @pytest.mark.parametrize(("unit_m", "unit"), [(1.0, "m"), (0.0254, "in"), (1e-6, "um")])

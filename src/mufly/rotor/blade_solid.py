@@ -11,7 +11,8 @@ theorem, V = sum a.(b x c) / 6.
 
 **Import.** A plane x = r cuts a triangle surface in closed curves. On the curve nearest to y = 0 the two points
 furthest apart are leading and trailing edge; they give chord and twist. The leading edge is the end that is thicker at
-most stations, or, at equal thickness, the higher end.
+most stations, or, at equal thickness, the higher end. A body is turned about the shaft until a blade lies along x; its
+hub is left out.
 """
 
 from __future__ import annotations
@@ -428,7 +429,8 @@ def rotor_from_body(
     Parameters
     ----------
     path : str or Path
-        STL or STEP file; the shaft lies along z through the origin, thrust upwards.
+        STL or STEP file; the shaft lies along z through the origin, thrust upwards. A body whose blades lie elsewhere
+        in the plane of the disc is turned; a hub is left out.
     stations : int
         Number of stations.
     unit_m : float, optional
@@ -453,14 +455,23 @@ def rotor_from_body(
     """
     where, called = Path(path).name, name or Path(path).stem
     step = Path(path).suffix.lower() in (".step", ".stp")
-    corners = read_step(path) if step else read_stl(path, unit_m or 1.0 / _MM_PER_M)
+    corners, turned = _turn_blade_to_x(read_step(path) if step else read_stl(path, unit_m or 1.0 / _MM_PER_M))
     radius = float(corners[:, :, 0].max())
     if not radius > 0.0:
         raise InputError(where, "", "has nothing at x > 0", "let the blade lie along x, the shaft along z")
+    outer = corners[
+        (corners[:, :, 0] > 0.5 * radius).all(axis=1) & (np.abs(corners[:, :, 1]) < 0.5 * radius).all(axis=1)
+    ]
+    if outer.size and np.ptp(outer[:, :, 2]) > np.ptp(outer[:, :, 1]):
+        raise InputError(
+            where, "", "has a blade whose chord stands along z, where the shaft belongs",
+            "turn the body: blade along x, shaft along z, thrust towards +z",
+        )  # fmt: skip
     share = np.linspace(0.05, 1.0, 200)[:-1]
     found = {s.r_m: s for s in slice_blade(corners, radius * share)}
     # The blade begins at the innermost radius where the section's nose lies in front of the x axis and its tail behind.
     good = [s for s in found.values() if s.chord_m < 0.6 * radius and float(np.ptp(s.contour[:, 1])) < 0.5]
+    good = _leave_hub_out(good, float(share[1] - share[0]) * radius)
     if len(good) < 4:
         raise InputError(where, "", "cuts into no closed sections along x", "give one closed blade along x")
     if unit_m is None and not step and not _MIN_RADIUS_M <= radius <= _MAX_RADIUS_M:
@@ -485,6 +496,8 @@ def rotor_from_body(
     x = np.array([s.r_m / radius for s in cut])
     x[-1] = 1.0
     notes = [f"{len(cut)} sections from {x[0]:.2f} R on, sweep and rake are left out"]
+    if turned:
+        notes.append(f"the body was turned by {math.degrees(turned):.0f} degrees about the shaft: a blade lies along x")
     if blades is None:
         notes.append("two blades; say --blades if it has others")
     rotor = make_rotor(
@@ -493,6 +506,54 @@ def rotor_from_body(
         description=f"cut from {where}",
     )  # fmt: skip
     return rotor, tuple(notes)
+
+
+def _turn_blade_to_x(corners: Array) -> tuple[Array, float]:
+    """Turn a body about the shaft, z, until its longest blade lies along x; return it and the angle (rad).
+
+    A body that reaches its radius within 20 degrees of x already is not turned: a swept tip is no direction. Otherwise
+    the middle of the chord is fitted by a r + b w over the radius r and the width w of the blade; a is what a straight
+    line through one part of the chord is still off.
+    """
+    points = corners.reshape(-1, 3)
+    size, angle = np.hypot(points[:, 0], points[:, 1]), np.arctan2(points[:, 1], points[:, 0])
+    tips = size > 0.99 * size.max()
+    if np.any(tips & (np.abs(angle) < _TIP_SWEEP_RAD)):
+        return corners, 0.0
+    first = angle[np.argmax(size)]
+    apart = (angle - first + math.pi) % (2.0 * math.pi) - math.pi
+    blade = (size > 0.7 * size.max()) & (np.abs(apart) < _TIP_SWEEP_RAD)
+    turn = -float(first + 0.5 * (apart[blade].min() + apart[blade].max()))
+    near = _turn_about_shaft(corners, turn)
+    radii = float(near[:, :, 0].max()) * np.linspace(0.35, 0.95, 13)
+    cuts = [(r, loop[:, 0]) for r in radii if (loop := _slice_contour(near, float(r))) is not None]
+    if len(cuts) > 2:
+        ends = np.array([(r, y.min(), y.max()) for r, y in cuts])
+        shape = np.column_stack((ends[:, 0], ends[:, 2] - ends[:, 1]))
+        turn -= math.atan(float(np.linalg.lstsq(shape, 0.5 * (ends[:, 1] + ends[:, 2]), rcond=None)[0][0]))
+    return _turn_about_shaft(corners, turn), turn
+
+
+def _turn_about_shaft(corners: Array, angle_rad: float) -> Array:
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    return np.asarray(corners @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]))
+
+
+def _leave_hub_out(slices: list[BladeSlice], step_m: float) -> list[BladeSlice]:
+    """Return the slices outside the hub, where chord, thickness or angle jump, or where cuts are missing."""
+    middle = next((k for k, s in enumerate(slices) if s.r_m > 0.5 * slices[-1].r_m), 0)
+    for k in range(middle, 0, -1):
+        inner, outer = slices[k - 1], slices[k]
+        thick = [float(np.ptp(s.contour[:, 1])) for s in (inner, outer)]
+        jump = max(abs(math.log(inner.chord_m / outer.chord_m)), abs(math.log(thick[0] / thick[1])))
+        bent = abs(inner.twist_rad - outer.twist_rad)
+        if outer.r_m - inner.r_m > 2.5 * step_m or jump > _HUB_JUMP or bent > _HUB_TWIST_RAD:
+            return slices[k:]
+    return slices
+
+
+_TIP_SWEEP_RAD = math.radians(20.0)
+_HUB_JUMP, _HUB_TWIST_RAD = 0.2, math.radians(8.0)  # of chord or thickness; of the angle, between neighbouring cuts
 
 
 def _drop_duplicate_points(contour: Array) -> Array:
@@ -517,19 +578,18 @@ def _slice_contour(corners: Array, r: float) -> Array | None:
     """Return the closed curve (y, z) nearest to y = 0 in which the plane x = r cuts the triangles, or None."""
     side = corners[:, :, 0] > r
     cut = np.flatnonzero(side.any(axis=1) & ~side.all(axis=1))
-    ends: list[tuple[Array, Array]] = []
-    for k in cut.tolist():
-        at = []
-        for i, j in ((0, 1), (1, 2), (2, 0)):
-            if side[k, i] != side[k, j]:
-                p, q = (corners[k, i], corners[k, j]) if side[k, i] else (corners[k, j], corners[k, i])
-                share = (r - p[0]) / (q[0] - p[0])
-                at.append((p + share * (q - p))[1:])
-        ends.append((at[0], at[1]))
-    if len(ends) < 8:
+    if cut.size < 8:
         return None
-    scale = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
-    key = [tuple(np.round(p / (1e-7 * scale)).astype(np.int64).tolist()) for pair in ends for p in pair]
+    scale = float(max(corners.max(), -corners.min()))
+    corners, side = corners[cut], side[cut]
+    begin, end = corners[:, [0, 1, 2]], corners[:, [1, 2, 0]]  # the three edges of each triangle
+    beyond = side[:, [0, 1, 2], None]
+    p, q = np.where(beyond, begin, end), np.where(beyond, end, begin)
+    crossed = side[:, [0, 1, 2]] != side[:, [1, 2, 0]]  # two edges of each
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at = (p + ((r - p[..., 0]) / (q[..., 0] - p[..., 0]))[..., None] * (q - p))[..., 1:]
+    ends = at[crossed].reshape(-1, 2, 2)
+    key = [tuple(v) for v in np.round(ends.reshape(-1, 2) / (1e-7 * scale)).astype(np.int64).tolist()]
     meets: dict[tuple[int, ...], list[int]] = {}
     for k, name in enumerate(key):
         meets.setdefault(name, []).append(k)
