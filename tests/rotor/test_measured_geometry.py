@@ -1,5 +1,6 @@
 """Effective pitch and measured geometry: priors, caliper and protractor tables, tunnel points of a fit."""
 
+import io
 import json
 import math
 
@@ -8,6 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from mufly.cli import app
+from mufly.cli.aero import measure as measure_command
 from mufly.errors import InputError
 from mufly.rotor import (
     RotorMeasurements,
@@ -108,6 +110,21 @@ def test_measure_command_writes_a_rotor_that_loads(tmp_path):
     done = CliRunner().invoke(app, ["rotor", "measure", str(table)])
     assert isinstance(done.exception, InputError)
     assert "--diameter" in str(done.exception)
+
+
+def test_a_mistyped_reading_at_the_terminal_is_asked_for_again(monkeypatch, capsys):
+    station = ["11", "33", ""]
+    terminal = io.StringIO("\n".join(["abc", "-3", *station, *station * 5, "90", "1.2", "left"]))
+    monkeypatch.setattr(terminal, "isatty", lambda: True)
+    monkeypatch.setattr("sys.stdin", terminal)
+    r, chord, angle, thickness, height = measure_command._ask_readings(RADIUS, None)
+    assert chord == pytest.approx(6 * [0.011])
+    assert np.isnan(thickness).all()
+    assert (r[0], angle[0], height) == pytest.approx((0.25 * RADIUS, 33.0 * DEG, 1.2e-3))
+    said = "".join(capsys.readouterr())
+    assert said.count("Error") == 3
+    assert "'abc' is not a number" in said
+    assert terminal.read() == "left"
 
 
 @pytest.fixture(scope="module")

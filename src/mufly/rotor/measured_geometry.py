@@ -38,6 +38,19 @@ _MAX_DISAGREEMENT = 3.0  # standard deviations between protractor and caliper at
 _OUTLIER = 3.0  # standard deviations of an angle from a smooth curve through the others
 
 
+MEASUREMENT_STEPS = (
+    "Lay the propeller with its hub flat on a plate. Mark the radii below from the middle of the shaft.",
+    "Caliper: chord from leading to trailing edge, along the blade's surface line.",
+    "Protractor: angle against the plate; on a curved underside, of the line through both edges.",
+    "Caliper: thickness, the greatest at that radius; it may be left out.",
+    "Caliper, at the last station: height of leading edge less height of trailing edge.",
+)
+_TABLE_STEPS = (
+    "Columns: chord_mm, angle_deg, thickness_mm. The height at the last station is for --tip-height.",
+    "Repeat the rows for the other blade. Empty rows may be deleted.",
+)
+
+
 class GeometryReadings(NamedTuple):
     """Readings of calipers and protractor, (n,) arrays: radius and chord (m), angle (rad); height of the leading over
     the trailing edge at the last station (m), or None; greatest thickness over chord, nan where not measured."""
@@ -184,14 +197,7 @@ def format_reading_table(radius_m: float, stated_pitch_m: float | None = None) -
     stated_pitch_m : float, optional
         Pitch that the maker states (m); angles to expect are then written as comments.
     """
-    lines = [
-        "# 1. Lay the propeller with its hub flat on a plate. Mark the radii below from the middle of the shaft.",
-        "# 2. Caliper: chord_mm from leading to trailing edge, along the blade's surface line.",
-        "# 3. Protractor: angle_deg against the plate; on a curved underside, of the line through both edges.",
-        "# 4. Caliper: thickness_mm, the greatest at that radius. The column may stay empty.",
-        "# 5. Repeat the rows for the other blade. Empty rows may be deleted.",
-        "# 6. At the last station, caliper: height of leading edge less height of trailing edge, for --tip-height.",
-    ]
+    lines = [f"# {k}. {text}" for k, text in enumerate((*MEASUREMENT_STEPS, *_TABLE_STEPS), 1)]
     if stated_pitch_m is not None:
         angles = [math.degrees(math.atan(stated_pitch_m / (2.0 * math.pi * x * radius_m))) for x in STATION_RATIOS]
         lines.append("# The stated pitch gives " + ", ".join(f"{a:.0f}" for a in angles) + " degrees.")

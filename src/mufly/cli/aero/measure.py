@@ -84,8 +84,10 @@ def measure(
         return print_files([template])
     if readings is not None:
         r, chord, angle, thickness = read_station_readings(readings)
+    elif out is None and not as_json:
+        raise InputError("--out", "", "is missing", "give one, as --out mine.toml: what is asked for would be lost")
     else:
-        r, chord, angle, thickness = _ask_readings(radius)
+        r, chord, angle, thickness, tip_height = _ask_readings(radius, tip_height)
     found = measure_geometry(
         GeometryReadings(r, chord, angle, tip_height, thickness), radius_m=radius, blades=blades, airfoil=airfoil,
         name=name or (out or readings or Path("measured")).stem, stated_pitch_m=stated_pitch,
@@ -125,12 +127,12 @@ def measure(
     print_files(files)
 
 
-def _ask_readings(radius_m: float) -> tuple[Any, Any, Any, Any]:
-    """Ask for chord, angle and thickness at the recommended stations."""
+def _ask_readings(radius_m: float, tip_height_m: float | None) -> tuple[Any, Any, Any, Any, float | None]:
+    """Ask for chord, angle and thickness at the recommended stations, and for the tip height unless it is given."""
     import numpy as np
 
     from mufly.quantity_grammar import read_quantity
-    from mufly.rotor.measured_geometry import STATION_RATIOS
+    from mufly.rotor.measured_geometry import MEASUREMENT_STEPS, STATION_RATIOS
     from mufly.rotor.sections.airfoil import MAX_THICKNESS_RATIO
 
     if not sys.stdin.isatty():
@@ -156,6 +158,8 @@ def _ask_readings(radius_m: float) -> tuple[Any, Any, Any, Any]:
             typer.prompt(f"{question}: {what} ({unit}){hint}", default=default, show_default=False, value_proc=read)
         )
 
+    for text in MEASUREMENT_STEPS:
+        typer.echo(text)
     rows = []
     for ratio in STATION_RATIOS:
         at = 1e3 * ratio * radius_m
@@ -165,4 +169,9 @@ def _ask_readings(radius_m: float) -> tuple[Any, Any, Any, Any]:
         thickness = ask(question, "thickness", "mm", 0.0, MAX_THICKNESS_RATIO * chord, optional=True)
         rows.append((1e-3 * at, 1e-3 * chord, math.radians(angle), thickness / chord))
     r, chords, angles, ratios = np.array(rows).T
-    return r, chords, angles, ratios
+    if tip_height_m is None:
+        most = 1e3 * chords[-1]
+        tip_height_m = 1e-3 * ask(
+            "last station", "height of leading less trailing edge", "mm", -most, most, optional=True
+        )
+    return r, chords, angles, ratios, None if math.isnan(tip_height_m) else tip_height_m
