@@ -78,9 +78,8 @@ def body_to_ned_matrix(quaternion: _Array) -> _Array:
 
     Thesis: eqs 4.1, 4.2.
     """
-    a00, a01, a02, a10, a11, a12, a20, a21, a22 = rotation_entries(
-        quaternion[0], quaternion[1], quaternion[2], quaternion[3]
-    )
+    w, x, y, z = quaternion
+    a00, a01, a02, a10, a11, a12, a20, a21, a22 = rotation_entries(w, x, y, z)
     return np.array([[a00, a01, a02], [a10, a11, a12], [a20, a21, a22]])
 
 

@@ -746,9 +746,9 @@ def solve_cases(
                 inflow += u * r * dr
                 area += r * dr
                 if keep:
-                    row = stations[case, i]
-                    row[0], row[1], row[2], row[3], row[4] = alpha, phi, u, u_t, cl
-                    row[5], row[6], row[7], row[8], row[9] = cd, math.exp(log_re), loss, d_thrust, d_torque
+                    column = (alpha, phi, u, u_t, cl, cd, math.exp(log_re), loss, d_thrust, d_torque)
+                    for c, value in enumerate(column):
+                        stations[case, i, c] = value
             if on.tip_loss_code == 2:
                 lam = max(inflow / area + climb, 0.0) / (speed * radius)
                 effective = radius * (1.0 - 1.386 / count * lam / math.sqrt(1.0 + lam * lam))

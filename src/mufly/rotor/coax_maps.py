@@ -179,7 +179,8 @@ def compute_coax_map(
                 reason, last = str(error), None
                 answer = (math.nan, math.nan, math.nan, math.nan, False)
             store.add(point, answer, [point, answer])
-        values[point], solved[point] = answer[:4], answer[4] and np.all(np.isfinite(answer[:4]))
+        *coefficients, converged = answer
+        values[point], solved[point] = coefficients, converged and np.all(np.isfinite(coefficients))
     if progress is not None:
         progress(len(points), len(points))
     if np.mean(solved) < _MIN_SOLVED_SHARE:
@@ -190,8 +191,7 @@ def compute_coax_map(
             + "; ask for less descent, or for method 'bemt'"
         )
     values = _fill_unsolved(values, solved)
-    c = np.moveaxis(values, -1, 0)
-    tables = MapTables(axes[0], axes[1], axes[2], c[0], c[1], c[2], c[3], solved=solved)
+    tables = MapTables(axes[0], axes[1], axes[2], *np.moveaxis(values, -1, 0), solved)
     made = CoefficientMap(
         name=name or f"{about['upper']}-{about['lower']}-{method}",
         description=f"{about['upper']} above {about['lower']}, {1e3 * spacing_m:g} mm apart, "

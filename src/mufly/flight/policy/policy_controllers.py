@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from mufly.answer_store import hash_question
 from mufly.control import FlightController
+from mufly.dynamics.model_state import SERVOS
 from mufly.errors import InputError
 from mufly.estimate import Estimate
 from mufly.flight.controllers import Actuators, Controllers
@@ -41,6 +42,9 @@ from mufly.numba_cache import cached_njit
 from mufly.portable_math import sine_cosine
 
 _Array = NDArray[np.floating[Any]]
+
+REF_VELOCITY, REF_HEADING = 3, 6
+"""Places of velocity and heading in a reference, which begins with the position."""
 
 
 @cached_njit(error_model="numpy")
@@ -73,11 +77,11 @@ def step_policy(
     error, relative, seen = np.zeros(3), np.zeros(3), np.zeros(OBS_EXTRA)
     for i in range(3):
         error[i] = reference[i] - position[i]
-        relative[i] = velocity[i] - reference[3 + i]
+        relative[i] = velocity[i] - reference[REF_VELOCITY + i]
     sine_roll, cosine_roll = sine_cosine(attitude[0])
     sine_pitch, cosine_pitch = sine_cosine(attitude[1])
     sine_yaw, cosine_yaw = sine_cosine(attitude[2])
-    sine_wanted, cosine_wanted = sine_cosine(reference[6])
+    sine_wanted, cosine_wanted = sine_cosine(reference[REF_HEADING])
     down = (-sine_pitch, sine_roll * cosine_pitch, cosine_roll * cosine_pitch)
     fill_observation(
         seen, error, relative, down, rates, (cosine_yaw, sine_yaw), (cosine_wanted, sine_wanted),
@@ -140,7 +144,7 @@ class PolicyControllers(Controllers):
 
     def tilt_for(self, estimate: Estimate, position: _Array, velocity: _Array, acceleration: _Array) -> _Array:
         """Take the references of the next action; the policy commands no tilt and returns zeros (2,)."""
-        self._reference[:3], self._reference[3:6] = position, velocity
+        self._reference[:REF_VELOCITY], self._reference[REF_VELOCITY:REF_HEADING] = position, velocity
         self._is_due = True
         return self._no_tilt
 
@@ -157,7 +161,7 @@ class PolicyControllers(Controllers):
             self._action = find_equal_action(self._inputs, self._policy.trim)
         self._acted = True
         if self._is_due:
-            self._reference[6] = heave_yaw[1]
+            self._reference[REF_HEADING] = heave_yaw[1]
             step_policy(
                 self._packed, self._policy.trim, self._policy.nominal_voltage_V, estimate.position, estimate.velocity,
                 estimate.attitude, estimate.rates, estimate.battery_voltage, self._reference, self._action,
@@ -170,7 +174,7 @@ class PolicyControllers(Controllers):
 def find_equal_action(inputs: _Array, trim: _Array) -> NDArray[np.float64]:
     """Return the action (4,) that commands inputs (4,) of the flight model, within -1..1."""
     upper, lower = inputs[0] - trim[0], inputs[1] - trim[1]
-    wanted = (0.5 * (upper + lower) / COLLECTIVE_SPAN, 0.5 * (upper - lower) / TURN_SPAN, inputs[2], inputs[3])
+    wanted = (0.5 * (upper + lower) / COLLECTIVE_SPAN, 0.5 * (upper - lower) / TURN_SPAN, *inputs[SERVOS])
     return np.clip(np.array(wanted, dtype=np.float64), -1.0, 1.0)
 
 

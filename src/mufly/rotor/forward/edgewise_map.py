@@ -34,6 +34,8 @@ from mufly.vehicle.flight_map import LOAD_COLUMNS, FlightMap, FlightMapTables
 Array = NDArray[np.float64]
 
 LOAD_COUNT = len(LOAD_COLUMNS)
+FLOW_COUNT = LOAD_COLUMNS.index("rate_force")
+"""Columns of the flow; those of rates follow."""
 MAP_ADVANCE_RATIO = 0.35
 """Greatest advance ratio of a map."""
 _SMALL_ADVANCE = 0.01  # of the knee, where loads over V are those of V = 0
@@ -65,19 +67,20 @@ def _rate_loads(
     rate = _RATE * pair.upper.speed_rad_s
     rolling, pitching = solve((rate, 0.0)), solve((0.0, rate))
 
-    def change(moved: ForwardResult, at: ForwardResult) -> tuple[float, float, float, float]:
-        """Return the changes of the forces forward and to the right, and of the moments about x and y, per rate."""
-        return (
-            (at.h_force_N - moved.h_force_N) / rate, (moved.y_force_N - at.y_force_N) / rate,
-            (moved.roll_moment_Nm - at.roll_moment_Nm) / rate, (moved.pitch_moment_Nm - at.pitch_moment_Nm) / rate,
-        )  # fmt: skip
+    def change(moved: ForwardResult, at: ForwardResult) -> tuple[Array, Array]:
+        """Return the changes of force (forward, right) and of moment (about x, y) per rate."""
+        force = at.h_force_N - moved.h_force_N, moved.y_force_N - at.y_force_N
+        moment = moved.roll_moment_Nm - at.roll_moment_Nm, moved.pitch_moment_Nm - at.pitch_moment_Nm
+        return np.array(force) / rate, np.array(moment) / rate
 
     out = np.zeros((2, 4))
     for k, side in enumerate(("upper", "lower")):
         at: ForwardResult = getattr(pair, side)
-        by_p, by_q = change(getattr(rolling, side), at), change(getattr(pitching, side), at)
+        (force_p, moment_p), (force_q, moment_q) = (change(getattr(turn, side), at) for turn in (rolling, pitching))
         force = density * math.pi * radius**4 * at.speed_rad_s
-        turned = (by_p[0] + by_q[1], by_p[1] - by_q[0], by_p[2] + by_q[3], by_p[3] - by_q[2])
+        turned = (
+            force_p[0] + force_q[1], force_p[1] - force_q[0], moment_p[0] + moment_q[1], moment_p[1] - moment_q[0]
+        )  # fmt: skip
         out[k] = 0.5 * np.array(turned) / np.array([force, force, force * radius, force * radius])
     return out
 
@@ -170,8 +173,8 @@ def compute_flight_loads(
                     )  # fmt: skip
                     rest = rest or pair
                     hover = hover or pair
-                    loads[i, j, k, :, :6] = _sum_loads(pair, rest, gas.density_kg_m3, radius)
-                    loads[i, j, k, :, 6:] = by_rate
+                    loads[i, j, k, :, :FLOW_COUNT] = _sum_loads(pair, rest, gas.density_kg_m3, radius)
+                    loads[i, j, k, :, FLOW_COUNT:] = by_rate
                     solved[i, j, k] = rest.upper.edgewise_m_s < edge or k == 0
                 except MuflyError as error:
                     if isinstance(error, InputError) or hover is None:
@@ -282,8 +285,8 @@ def fit_flight_splines(tables: FlightMapTables) -> FlightSplines:
     """
     ratio, climb, edge, loads = tables
     both = loads.reshape(*loads.shape[:3], 2, LOAD_COUNT)
-    flow = both[..., :6].reshape(*loads.shape[:3], 12)
-    rates = both[..., 6:].reshape(*loads.shape[:3], 8)
+    flow = both[..., :FLOW_COUNT].reshape(*loads.shape[:3], 12)
+    rates = both[..., FLOW_COUNT:].reshape(*loads.shape[:3], 8)
     middle = float(ratio.mean())
     away = ratio - middle
     slope = np.zeros(flow.shape[1:])
@@ -344,11 +347,12 @@ def evaluate_flight_map(flight_map: FlightMap) -> MapLoads:
     climbs, edges = (int(n) for n in splines.size)
     flow = np.array([
         interpolate_flow_loads(splines.table.ravel(), climbs, edges, 0.0, rest, float(k)) for k in range(edges)
-    ]).reshape(edges, 2, 6)  # fmt: skip
+    ]).reshape(edges, 2, FLOW_COUNT)  # fmt: skip
+    thrust, torque, drag, side, roll, pitch = np.moveaxis(flow, -1, 0)
     scale = flight_map.density_kg_m3 * math.pi * radius**3 * speeds
     turning = np.array(interpolate_rate_loads(splines.rates.ravel(), edges, 0.0)).reshape(2, 4)
     force, moment = scale * speed[:, None], scale * radius * speed[:, None]
     return MapLoads(
-        speed, flow[..., 0], flow[..., 1], flow[..., 2] * force, flow[..., 3] * force, flow[..., 4] * moment,
-        flow[..., 5] * moment, float(turning[:, 2] @ scale) * radius**2,
+        speed, thrust, torque, drag * force, side * force, roll * moment, pitch * moment,
+        float(turning[:, 2] @ scale) * radius**2,
     )  # fmt: skip

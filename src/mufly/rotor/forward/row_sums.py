@@ -23,6 +23,7 @@ _overload: Any = extending.overload
 _types: Any = types
 
 FLOW_COLUMNS, RATE_COLUMNS = 12, 8
+_GROUPS = 5  # of rows of the flow's loads
 _WORD, _QUARTET = ir.IntType(64), ir.VectorType(ir.DoubleType(), 4)
 
 
@@ -115,10 +116,11 @@ def sum_rows(builder: Any, table: Any, rows: Iterable[tuple[Any, Any]], columns:
 def emit_flow_sum(builder: Any, table: Any, first: Any, later: Any, stride: Any, *weights: Any) -> list[Any]:
     """Write :func:`sum_flow_rows`; arguments and results are llvmlite values."""
     rows = []
-    for j, v in enumerate(weights[:5]):
+    groups, along = weights[:_GROUPS], weights[_GROUPS:]
+    for j, v in enumerate(groups):
         start, k = (first, j) if j < 3 else (later, j - 3)
         row = builder.add(start, builder.mul(stride, ir.Constant(_WORD, k)))
-        for i, w in enumerate(weights[5:]):
+        for i, w in enumerate(along):
             rows.append((builder.add(row, ir.Constant(_WORD, FLOW_COLUMNS * i)), builder.fmul(v, w)))
     return sum_rows(builder, table, rows, FLOW_COLUMNS)
 

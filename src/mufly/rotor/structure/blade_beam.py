@@ -57,6 +57,8 @@ def _derivative() -> Array:
     return np.asarray(slopes @ np.linalg.inv(powers))
 
 
+FLAP_AT_NODES, TWIST_AT_NODES = slice(2, None, 6), slice(4, None, 6)
+"""Places of the flap displacement (m) and the twist (rad) of the nodes in a displacement of the beam."""
 _TO_END, _SLOPE = _integration_to_end(), _derivative()
 
 

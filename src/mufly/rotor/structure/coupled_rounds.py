@@ -24,7 +24,13 @@ from mufly.results import result
 from mufly.rotor.blading import compute_rotor_polars, prepare_blading
 from mufly.rotor.geometry import Rotor, rotor_from_tables
 from mufly.rotor.rotor_system import Air
-from mufly.rotor.structure.blade_beam import BladeBeam, centrifugal_load, stiffness_matrices
+from mufly.rotor.structure.blade_beam import (
+    FLAP_AT_NODES,
+    TWIST_AT_NODES,
+    BladeBeam,
+    centrifugal_load,
+    stiffness_matrices,
+)
 from mufly.rotor.structure.elastic_rotor import SpanLoads, load_derivative, solve_equilibrium, twisted_loads
 
 Array = NDArray[np.float64]
@@ -146,10 +152,10 @@ def solve_coupled_rounds(
     point = {"pitch_rad": pitch_rad, "speed_rad_s": speed_rad_s, "climb_m_s": climb_m_s}
     first = solve_equilibrium(blading, beam, polars, **point, air=gas)
     x, root = first.displacement, beam.root_transform
-    tips = [float(x[4::6][-1])]
+    tips = [float(x[TWIST_AT_NODES][-1])]
     for turn in range(1, _MAX_ROUNDS + 1):
         held = beam.evaluate("p", x)
-        strips = solve(deform_rotor(rotor, beam, x[4::6]), x[4::6].copy(), turn)
+        strips = solve(deform_rotor(rotor, beam, x[TWIST_AT_NODES]), x[TWIST_AT_NODES].copy(), turn)
         loads = strips.lay_on_beam(beam, pitch_rad, held)
         step = math.radians(0.2)
         below, above = (
@@ -167,9 +173,9 @@ def solve_coupled_rounds(
             if np.max(np.abs(beam.evaluate("p", change))) < 1e-9:
                 break
         x = new
-        tips.append(float(x[4::6][-1]))
+        tips.append(float(x[TWIST_AT_NODES][-1]))
         if abs(tips[-1] - tips[-2]) < tolerance_rad:
-            return CoupledRounds(np.array(tips), x[4::6].copy(), beam.edges_m, x[2::6].copy())
+            return CoupledRounds(np.array(tips), x[TWIST_AT_NODES].copy(), beam.edges_m, x[FLAP_AT_NODES].copy())
     raise MuflyError(
         f"rotor {rotor.name}: the tip's twist still changes by {math.degrees(abs(tips[-1] - tips[-2])):.2f} degrees "
         f"after {_MAX_ROUNDS} rounds; turn slower, or give a stiffer blade"

@@ -36,7 +36,13 @@ from mufly.rotor.geometry import Rotor
 from mufly.rotor.rotor_system import Air, RotorResult
 from mufly.rotor.sections.polar_engines import PolarEngine
 from mufly.rotor.sections.polar_table import PolarTable, lookup_moment
-from mufly.rotor.structure.blade_beam import BladeBeam, centrifugal_load, stiffness_matrices
+from mufly.rotor.structure.blade_beam import (
+    FLAP_AT_NODES,
+    TWIST_AT_NODES,
+    BladeBeam,
+    centrifugal_load,
+    stiffness_matrices,
+)
 from mufly.rotor.structure.blade_structure import BladeStructure
 from mufly.rotor.structure.flap_modes import blade_structure, vary_structure
 from mufly.units import RPM
@@ -141,12 +147,12 @@ class BladeEquilibrium:
     @property
     def twist_rad(self) -> Array:
         """Elastic twist at the nodes, nose up."""
-        return np.asarray(self.displacement[4::6])
+        return np.asarray(self.displacement[TWIST_AT_NODES])
 
     @property
     def deflection_m(self) -> Array:
         """Deflection along the shaft at the nodes, up."""
-        return np.asarray(self.displacement[2::6])
+        return np.asarray(self.displacement[FLAP_AT_NODES])
 
 
 def load_derivative(beam: BladeBeam, below: SpanLoads, above: SpanLoads, step_rad: float) -> Array:

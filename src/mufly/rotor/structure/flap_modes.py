@@ -26,7 +26,7 @@ from mufly.errors import InputError
 from mufly.results import ShownBlock, ShownLines, ShownTable, result
 from mufly.rotor.geometry import Rotor
 from mufly.rotor.rotor_system import Air
-from mufly.rotor.structure.blade_beam import GAUSS_POINTS, BeamModes, BladeBeam, compute_modes
+from mufly.rotor.structure.blade_beam import FLAP_AT_NODES, GAUSS_POINTS, BeamModes, BladeBeam, compute_modes
 from mufly.rotor.structure.blade_structure import BladeStructure, structure_deviations
 from mufly.rotor.structure.cross_section import contour_lines, section_constants
 from mufly.rotor.structure.materials import find_material
@@ -303,7 +303,7 @@ def compute_flap_mode(
         low = solve(make_blade_beam(rotor, free_hinge(s)))
     modes = compute_modes(beam, speed_rad_s, pitch_rad=pitch_rad, count=4)
     x = modes.shape[modes.find("flap")]
-    shape = x[2::6]
+    shape = x[FLAP_AT_NODES]
     mass = np.interp(beam.edges_m, beam.points_m.ravel(), beam.mass_kg_m.ravel())
     return FlapMode(
         speed_rad_s, float(value[0]), float(low[0]), float(high[0]), lock_number(rotor, beam, air), beam.edges_m,

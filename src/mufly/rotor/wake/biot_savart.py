@@ -60,6 +60,10 @@ def segment_velocity(px, py, pz, x0, y0, z0, x1, y1, z1, core):  # type: ignore[
 
 
 _segment_velocity = njit(inline="always", fastmath=True, error_model="numpy")(segment_velocity)
+S_COUNT = 10
+S_X, S_Y, S_Z, S_DX, S_DY, S_DZ, S_LENGTH_2, S_CORE, S_THICK, S_STRENGTH = range(S_COUNT)
+"""Rows of a segment in single precision: start, vector to the end, its squared length, squared core radius, the product
+of both, circulation."""
 _ONE, _HALF, _GUARD_SINGLE = np.float32(1.0), np.float32(0.5), 1e-30
 
 
@@ -73,18 +77,18 @@ def _grouped_kernel_single(points: Any, rows: Any, out: Array) -> None:
         for j in range(rows.shape[1]):
             sx, sy, sz = zero, zero, zero
             for k in range(rows.shape[2]):
-                ax, ay, az = px - rows[0, j, k], py - rows[1, j, k], pz - rows[2, j, k]
-                lx, ly, lz = rows[3, j, k], rows[4, j, k], rows[5, j, k]
-                core, thick = rows[7, j, k], rows[8, j, k]
+                ax, ay, az = px - rows[S_X, j, k], py - rows[S_Y, j, k], pz - rows[S_Z, j, k]
+                lx, ly, lz = rows[S_DX, j, k], rows[S_DY, j, k], rows[S_DZ, j, k]
+                core, thick = rows[S_CORE, j, k], rows[S_THICK, j, k]
                 cx, cy, cz = az * ly - ay * lz, ax * lz - az * lx, ay * lx - ax * ly
                 along_a = lx * ax + ly * ay + lz * az
-                along_b = along_a - rows[6, j, k]
+                along_b = along_a - rows[S_LENGTH_2, j, k]
                 bx, by, bz = ax - lx, ay - ly, az - lz
                 ra = _ONE / np.sqrt(ax * ax + ay * ay + az * az + core)
                 rb = _ONE / np.sqrt(bx * bx + by * by + bz * bz + core)
                 e = _ONE / (cx * cx + cy * cy + cz * cz + thick)
                 g, h = _ONE + thick * e, _HALF * core
-                f = rows[9, j, k] * e * (along_a * ra * (g + h * ra * ra) - along_b * rb * (g + h * rb * rb))
+                f = rows[S_STRENGTH, j, k] * e * (along_a * ra * (g + h * ra * ra) - along_b * rb * (g + h * rb * rb))
                 sx += f * cx
                 sy += f * cy
                 sz += f * cz
@@ -162,15 +166,15 @@ def convert_to_single(segments: tuple[Array, Array, Array, Array], groups: int =
     """Return the segments of :func:`make_segments` in single precision, in groups of equal size."""
     start, end, strength, core = segments
     length = max(float(np.abs(start).max(initial=0.0)), 1e-30)
-    rows = np.empty((10, strength.size), dtype=np.float32)
-    rows[:3] = start / length
+    rows = np.empty((S_COUNT, strength.size), dtype=np.float32)
+    rows[:S_DX] = start / length
     # Between rounded ends: a point at the end of a segment stays on its line.
-    rows[3:6] = (end / length).astype(np.float32) - rows[:3]
-    rows[6] = np.sum(rows[3:6].astype(np.float64) ** 2, axis=0)
-    rows[7] = core / length**2
-    rows[8] = rows[6] * rows[7] + _GUARD_SINGLE
-    rows[9] = strength / length
-    return SingleSegments(length, rows.reshape(10, groups, -1))
+    rows[S_DX:S_LENGTH_2] = (end / length).astype(np.float32) - rows[:S_DX]
+    rows[S_LENGTH_2] = np.sum(rows[S_DX:S_LENGTH_2].astype(np.float64) ** 2, axis=0)
+    rows[S_CORE] = core / length**2
+    rows[S_THICK] = rows[S_LENGTH_2] * rows[S_CORE] + _GUARD_SINGLE
+    rows[S_STRENGTH] = strength / length
+    return SingleSegments(length, rows.reshape(S_COUNT, groups, -1))
 
 
 def induce_velocity(points: Array, segments: tuple[Array, Array, Array, Array] | SingleSegments) -> Array:

@@ -417,8 +417,8 @@ def make_t_motor_rotor() -> Rotor:
 
 def load_t_motor_28(folder: Path) -> RotorCase:
     """Load the isolated 28 inch rotor with 30 speeds."""
-    m = read_text_table(folder / "tmotor28_single.csv").read_matrix()
-    points = _build_measurements("T-motor 28", 0, m[:, 0], m[:, 3], m[:, 4])
+    rpm, _, _, thrust, torque, *_ = read_text_table(folder / "tmotor28_single.csv").read_matrix().T
+    points = _build_measurements("T-motor 28", 0, rpm, thrust, torque)
     return RotorCase("tmotor28", "T-motor 28", "T-motor", make_t_motor_rotor(), False, points, T_MOTOR_AIR)
 
 
