@@ -191,7 +191,8 @@ def compute_coax_map(
             + "; ask for less descent, or for method 'bemt'"
         )
     values = _fill_unsolved(values, solved)
-    tables = MapTables(axes[0], axes[1], axes[2], *np.moveaxis(values, -1, 0), solved)
+    upper_T, upper_Q, lower_T, lower_Q = np.moveaxis(values, -1, 0)
+    tables = MapTables(axes[0], axes[1], axes[2], upper_T, upper_Q, lower_T, lower_Q, solved)
     made = CoefficientMap(
         name=name or f"{about['upper']}-{about['lower']}-{method}",
         description=f"{about['upper']} above {about['lower']}, {1e3 * spacing_m:g} mm apart, "
