@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 from dataclasses import replace
 from pathlib import Path
 
+import control
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -175,3 +177,22 @@ def test_commands_refuse_in_one_line(words: tuple[str, ...], message: str, tmp_p
     assert isinstance(error, InputError)
     assert message in str(error)
     assert "\n" not in str(error)
+
+
+@pytest.mark.parametrize(("name", "published"), [("AC2", 0.1115), ("AC17", 6.6124)])
+def test_static_gains_reach_the_norms_of_hifoo_and_hinfstruct(name: str, published: float) -> None:
+    """Two plants of COMPleib; `benchmarks/published_plants.py` has the others and their sources."""
+    file = Path(__file__).parents[2] / "benchmarks" / "published_plants.py"
+    spec = importlib.util.spec_from_file_location("published_plants", file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    plant = module.PLANTS[name]
+    norm, K = module.tuned_norm(plant)
+    assert norm == pytest.approx(published, rel=1e-3)
+    P = plant.partitioned
+    closed = control.ss(
+        P.A + P.B2 @ K @ P.C2, P.B1 + P.B2 @ K @ P.D21, P.C1 + P.D12 @ K @ P.C2, P.D12 @ K @ P.D21
+    )  # fmt: skip
+    assert hinf_norm(closed)[0] == pytest.approx(norm, rel=1e-3)  # by Hamiltonian bisection
