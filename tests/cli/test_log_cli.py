@@ -150,7 +150,7 @@ def test_the_px4_sample_loads_plots_and_converts(tmp_path):
 
 
 def test_convert_to_a_bag_of_ros_and_back(log, tmp_path):
-    pytest.importorskip("rosbags", reason="rosbags is not installed: pip install 'mufly[ros]'")
+    pytest.importorskip("rosbags", reason="rosbags is not installed: pip install 'mufly[rosbag]'")
     recording, bag, back = tmp_path / "a.mcap", tmp_path / "a.rosbag2", tmp_path / "back.csv"
     assert run("convert", log, recording, "-c", "time=t (ms)", "-c", "battery_voltage=U (V)").exit_code == 0
     assert "2 topics, " in run("convert", recording, bag, "--rate", 10).output  # and the state

@@ -20,7 +20,7 @@ from mufly.logs import (
 from mufly.logs.ros.ros_messages import ROS_TOPICS, attitude_to_ros, body_to_flu, ned_to_enu
 from mufly.rotations import body_to_ned_matrices, quaternions_from_euler
 
-rosbags = pytest.importorskip("rosbags", reason="rosbags is not installed: pip install 'mufly[ros]'")
+rosbags = pytest.importorskip("rosbags", reason="rosbags is not installed: pip install 'mufly[rosbag]'")
 START_NS = 1_790_000_000_123_456_789
 COUNT = 40
 

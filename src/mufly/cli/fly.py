@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from mufly.cli.onboard.camera_options import FlightCameraOption, FloorOption, FloorWidthOption, make_flight_camera
+from mufly.cli.onboard.view_options import FoxgloveOption, RosOption, make_views
 from mufly.cli.options import (
     JsonOption,
     MissionArgument,
@@ -58,6 +59,7 @@ if TYPE_CHECKING:
     from mufly.flight import FlightProgress, FlightSummary
     from mufly.flight.fixes.camera_sensor import CameraConfig
     from mufly.flight.flight_software import ControlImplementation
+    from mufly.flight.record.live_view import FlightView
     from mufly.link import Endpoint, VehicleProcess
     from mufly.mission import Mission
     from mufly.sensors import Fault
@@ -88,6 +90,7 @@ class FlightOrder:
     camera: CameraConfig | None
     has_external_position: bool = False
     controller: FlightController | None = None
+    views: tuple[FlightView, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -130,6 +133,7 @@ def _start_vehicle_process(
         outside=order.has_external_position,
         autostart=autostart,
         where="--link",
+        views=order.views,
         on_stage=startup.begin_stage,
     )
 
@@ -170,6 +174,8 @@ Examples:
   mufly fly my-mission.toml --vehicle my-helicopter.toml --out results
 
   mufly fly --headless --policy hover-policy.json --wind 0.5,0,0 --gust 0.3
+
+  mufly fly --foxglove 8765      (Foxglove connects to ws://127.0.0.1:8765)
 
   mufly fly --link udp:127.0.0.1:14550      (QGroundControl or a script may fly it too)
 
@@ -280,6 +286,8 @@ def fly_mission(
             "serial:DEVICE:BAUD. Repeat it for more.",
         ),
     ] = None,
+    foxglove: FoxgloveOption = "",
+    ros: RosOption = False,
     port: PortOption = None,
     host: HostOption = "127.0.0.1",
     token: TokenOption = None,
@@ -318,8 +326,10 @@ def fly_mission(
             faults, select_flight_software(firmware, fixed_point, policy, (design_vehicle or helicopter).name),
             design_vehicle,
             _make_camera(position, sensors, camera, floor, floor_width, camera_fault, stream, flown, mission),
-            position == "link",
+            position == "link", views=make_views(foxglove, ros),
         )  # fmt: skip
+        if ros and not order.extra_links and show.page_address is None:
+            raise InputError("--ros", "", "needs a flight in real time", "leave --headless out, or add --link")
         if tuned:
             if order.extra_links or show.page_address is not None:
                 raise InputError("--tuned", "", "is for flights in the terminal", "add --headless, without --link")
@@ -447,6 +457,7 @@ def _fly_in_terminal(order: FlightOrder, show: FlightDisplay) -> xr.Dataset:
                 path=order.recording_path,
                 designed_for=order.design_vehicle,
                 eye=order.camera,
+                views=order.views,
                 on_progress=show_progress,
                 on_event=display.show_event,
             )

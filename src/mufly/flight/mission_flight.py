@@ -18,6 +18,7 @@ from mufly.dynamics.model_state import POSITION, RS_CHARGE
 from mufly.estimate import Estimate, Estimator
 from mufly.flight.fixes.camera_sensor import CameraConfig
 from mufly.flight.flight_software import ControlImplementation
+from mufly.flight.record.live_view import FlightView
 from mufly.flight.simulated_flight import Flight
 from mufly.logs.mcap import FlightEvent
 from mufly.mission import Mission, MissionEstimate, check_preflight, load_mission
@@ -65,6 +66,7 @@ def fly_mission(
     eye: CameraConfig | None = None,
     on_tick: Callable[[Truth, Estimate], None] | None = None,
     tick_every: int = 1,
+    views: Sequence[FlightView] = (),
 ) -> xr.Dataset:
     """Fly a mission on the full nonlinear model.
 
@@ -85,6 +87,8 @@ def fly_mission(
     on_tick : callable, optional
         Called with truth and estimate after every ``tick_every``-th period.
     tick_every : int
+    views : sequence of FlightView
+        Live views.
 
     Returns
     -------
@@ -121,6 +125,7 @@ def fly_mission(
     ) as flight:
         if on_event is not None:
             flight.autopilot.listeners.append(on_event)
+        shown = [view.open_view(flight) for view in views]
         for line in filter(None, (flight.outside_model_note, flight.missing_sensors_note)):
             flight.log_event(line, "warning")
         slower = flight.autopilot.software.slowdown_note
@@ -134,6 +139,8 @@ def fly_mission(
             None if on_tick is None else (on_tick, tick_every),
         )  # fmt: skip
         outcome, reason = _judge_mission(flight)
+        for one in shown:
+            one.close()
         flight.close(outcome, reason, realtime_factor=flight.time_s / max(wall_s, 1e-9))
     return flight.recorder.to_dataset()
 

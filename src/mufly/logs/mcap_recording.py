@@ -19,7 +19,7 @@ from contextlib import suppress
 from datetime import datetime
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import orjson
@@ -290,10 +290,17 @@ FOXGLOVE_LOG_SCHEMA = object_schema(
 """JSON schema of an event (foxglove.Log)."""
 
 
+class ChannelTable(Protocol):
+    """Receiver of topics: a file, or a server of live views."""
+
+    def add_channel(self, topic: str, schema_name: str, schema: bytes) -> int:
+        """Register a topic and its JSON schema; return the channel number."""
+
+
 class TopicEncoder:
     """Encoder that registers the topics of a layout and converts blocks of rows to messages."""
 
-    def __init__(self, file: McapWriter, layout: RecordingLayout, start_time_ns: int) -> None:
+    def __init__(self, file: ChannelTable, layout: RecordingLayout, start_time_ns: int) -> None:
         self._start = start_time_ns
         self._topics: list[tuple[int, slice, list[bytes]]] = []
         for topic, quantities in layout.quantities_by_topic.items():

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from mufly.cli.onboard.autopilot import PositionOption, run_simulator
+from mufly.cli.onboard.view_options import FoxgloveOption, RosOption, make_views
 from mufly.cli.options import OptionalMissionArgument, SeedOption, VehicleOption, define_option
 from mufly.cli.output import LiveDisplay, check_place, make_console, print_lines
 from mufly.cli.station import (
@@ -46,6 +47,8 @@ Examples:
   mufly link box-on-leg --out flights/today
 
   mufly link --link udpin:0.0.0.0:14550 --link serial:/dev/ttyUSB0:57600 --origin 47.3769,8.5417,408
+
+  mufly link --ros --foxglove 8765
 
   mufly link --simulator px4 --wind 0.5 --out flights/px4
 """
@@ -111,8 +114,13 @@ def run_link(
             "--speed", "Speed of --simulator relative to real time, 0 (as fast as possible) to 100.", unit=""
         ),
     ] = 1.0,
+    foxglove: FoxgloveOption = "",
+    ros: RosOption = False,
 ) -> None:
     """Run the simulated helicopter as a MAVLink vehicle, in real time."""
+    if (simulator is not None or qemu) and (foxglove or ros):
+        which = "--foxglove" if foxglove else "--ros"
+        raise InputError(which, "", "shows flights of mufly's own flight software", "leave it out")
     if simulator is not None:
         for name, chosen in {"--qemu": qemu, "--firmware": firmware}.items():
             if chosen:
@@ -134,6 +142,7 @@ def run_link(
     if not 1 <= system <= 255:
         raise InputError("--system", "", f"{system} is not a MAVLink system", "give 1 to 255")
     steady = resolve_wind(wind, gust, seed)
+    views = make_views(foxglove, ros)
     if out is not None:
         check_place("--out", out, make=False)
 
@@ -200,6 +209,7 @@ def run_link(
                 on_open=lambda: terminal.print("Ctrl-C ends it.", style="dim"),
                 on_report=lambda report: display.set_live_line(_format_loop_report(report)),
                 where="--link",
+                views=views,
             )
             flight.close(*flight.judge_outcome(), **pace.recording_attributes)
     finally:

@@ -24,12 +24,14 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from mufly.errors import InputError, MuflyError
+from mufly.flight.record.live_view import LiveView
 from mufly.logs.mcap import FlightEvent, McapWriter, RecordingLayout, flight_layout, rows_to_dataset
 from mufly.logs.mcap_recording import (
     FLIGHT_METADATA,
     LAYOUT_METADATA,
     OUTCOME_METADATA,
     RECORDING_FORMAT,
+    ChannelTable,
     TopicEncoder,
     add_checksum,
     encode_json_numbers,
@@ -308,7 +310,7 @@ TF_TOPIC, REFERENCE_POSE_TOPIC, SCENE_TOPIC, TRACK_TOPIC = "/tf", "/reference_po
 class RecordingEncoder:
     """Encoder of a block of rows into the messages of one chunk."""
 
-    def __init__(self, file: McapWriter, layout: RecordingLayout, start_time_ns: int) -> None:
+    def __init__(self, file: ChannelTable, layout: RecordingLayout, start_time_ns: int) -> None:
         self._start = start_time_ns
         self._columns = layout.column_slices
         self._rows = TopicEncoder(file, layout, start_time_ns)
@@ -327,6 +329,10 @@ class RecordingEncoder:
 
     def encode_scene(self, view: Mapping[str, Any]) -> tuple[int, int, bytes]:
         return self._views[SCENE_TOPIC], self._start, scene_message(self._start, **view)
+
+    def last_time_ns(self, rows: NDArray[np.float64]) -> int:
+        """Return the wall time of the last row (ns)."""
+        return self._rows.wall_times_ns(rows[-1:])[0]
 
     def encode_rows(
         self, rows: NDArray[np.float64], states: Sequence[str], events: Sequence[FlightEvent]
@@ -415,6 +421,11 @@ class FlightRecorder:
     InputError
         If the file cannot be created, or an attribute has no JSON form.
 
+    Attributes
+    ----------
+    views : list of LiveView
+        Live views of the rows.
+
     Notes
     -----
     Use as a context manager. An exception in the block also finishes the file, with the outcome "interrupted"
@@ -449,12 +460,13 @@ class FlightRecorder:
         self._all_states: list[str] = []
         self._all_events: list[FlightEvent] = []
         self._closed = False
+        self.scene_view, self.views = dict(scene_view or {}), list[LiveView]()
         self._path = None if path is None else Path(path)
         self._stream: BinaryIO | None = None
         if self._path is not None:
-            self._open_file(self._path, attachments or {}, scene_view or {})
+            self._open_file(self._path, attachments or {})
 
-    def _open_file(self, path: Path, attachments: Mapping[str, str | bytes], scene_view: Mapping[str, Any]) -> None:
+    def _open_file(self, path: Path, attachments: Mapping[str, str | bytes]) -> None:
         values = _json_values(str(path), self._attributes)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -469,7 +481,7 @@ class FlightRecorder:
         for name, content in attachments.items():
             data = content.encode() if isinstance(content, str) else bytes(content)
             self._file.write_attachment(name, "text/plain", data, self.start_time_ns)
-        self._file.write_chunk([self._encoder.encode_scene(scene_view)])
+        self._file.write_chunk([self._encoder.encode_scene(self.scene_view)])
 
     def append_row(self, row: NDArray[np.float64], state: str) -> None:
         """Append the row of one instant.
@@ -486,9 +498,14 @@ class FlightRecorder:
         self._block[self._n] = row
         self._states.append(state)
         self._n += 1
+        for view in self.views:
+            view.show_row(row, state)
 
     def append_rows(self, rows: NDArray[np.float64], states: Sequence[str]) -> None:
         """Append many rows (n, layout.column_count), each with the state of the mission."""
+        for view in self.views:
+            for row, state in zip(rows, states, strict=True):
+                view.show_row(row, state)
         first = 0
         while first < len(rows):
             if rows[first, 0] >= self._flush_at or self._n == BLOCK_ROWS:
@@ -503,6 +520,8 @@ class FlightRecorder:
     def add_event(self, time_s: float, state: str, text: str, level: str = "info") -> None:
         """Append an event: a transition, a warning (``level="warning"``) or an error."""
         self._events.append(FlightEvent(float(time_s), state, text, level))
+        for view in self.views:
+            view.show_event(self._events[-1])
 
     def set_outcome(self, outcome: str, reason: str = "", **attributes: Any) -> None:
         """Set the outcome of the flight and further attributes, which :meth:`close` writes."""

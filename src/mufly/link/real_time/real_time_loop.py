@@ -22,6 +22,7 @@ from typing import Any, Literal
 
 from mufly.control import FlightController
 from mufly.flight import ALIGNMENT_TIMEOUT_S, Flight, FlightEvent, FlightState
+from mufly.flight.record.live_view import FlightView
 from mufly.link.ports import MAX_STALL_S, Endpoint, Peer, Port, open_port, read_boot_clock, wait_readable
 from mufly.link.telemetry_streams import SLOW_REAL_TIME_FACTOR
 from mufly.link.vehicle_link import VehicleLink
@@ -253,6 +254,7 @@ def run_real_time(
     on_report: Callable[[LoopReport], None] | None = None,
     autostart: bool = False,
     where: str = "endpoint",
+    views: Sequence[FlightView] = (),
     clock: Callable[[], float] = read_boot_clock,
 ) -> RealTimePacer:
     """Fly in real time behind a MAVLink link, until told to stop.
@@ -279,6 +281,8 @@ def run_real_time(
         Arm and fly the mission by itself, as soon as it is ready.
     where : str
         Source of the endpoints, for error messages.
+    views : sequence of FlightView
+        Live views; their requests are carried out before a tick.
     clock : callable
         Wall clock (s).
 
@@ -298,6 +302,10 @@ def run_real_time(
         for endpoint in endpoints:
             ports.append(open_port(endpoint, where))
             stack.callback(ports[-1].close)
+        shown = []
+        for view in views:
+            shown.append(view.open_view(flight))
+            stack.callback(shown[-1].close)
         if on_event is not None:
             flight.autopilot.listeners.append(on_event)
             stack.callback(flight.autopilot.listeners.remove, on_event)
@@ -321,6 +329,8 @@ def run_real_time(
             if news := pace.take_notice(now_s):
                 flight.log_event(news, "warning" if pace.real_time_factor < SLOW_REAL_TIME_FACTOR else "info")
             wire.receive(link, now_s)
+            for one in shown:
+                one.serve_requests()
             if autostart and (flight.time_s > start_within_s or not flight.autopilot.list_arming_faults()):
                 autostart = False
                 _start_mission(flight)

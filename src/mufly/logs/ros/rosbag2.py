@@ -60,7 +60,7 @@ def _import_rosbags() -> ModuleType:
         import rosbags.rosbag2
         import rosbags.typesys
     except ImportError as error:
-        remedy = "install it: pip install 'mufly[ros]'"
+        remedy = "install it: pip install 'mufly[rosbag]'"
         raise InputError("rosbag2", "", "needs rosbags, which is not installed", remedy) from error
     return rosbags
 

@@ -1,0 +1,47 @@
+"""Options of live views: Foxglove and ROS 2."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+from mufly.cli.options import define_option
+
+if TYPE_CHECKING:
+    from mufly.flight.record.live_view import FlightView
+
+FoxgloveOption = Annotated[
+    str,
+    define_option(
+        "--foxglove [HOST:]PORT",
+        "Address at which Foxglove shows the running flight (docs/how-to/use-with-ros.md); its own default is 8765.",
+    ),
+]
+RosOption = Annotated[
+    bool,
+    define_option(
+        "--ros", "Run a node of ROS 2 that publishes the flight and takes commands (docs/how-to/use-with-ros.md)."
+    ),
+]
+
+
+def make_views(foxglove: str, ros: bool) -> tuple[FlightView, ...]:
+    """Return the live views of the options.
+
+    Raises
+    ------
+    InputError
+        If an address is wrong or a package is missing.
+    """
+    views: list[FlightView] = []
+    if foxglove:
+        from mufly.bridges.foxglove_live import FoxgloveView, load_foxglove
+        from mufly.camera import parse_address
+
+        load_foxglove()
+        views.append(FoxgloveView(*parse_address(foxglove, "--foxglove")))
+    if ros:
+        from mufly.bridges.ros_node import RosView, load_rclpy
+
+        load_rclpy()
+        views.append(RosView())
+    return tuple(views)

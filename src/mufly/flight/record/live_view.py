@@ -1,0 +1,132 @@
+"""Live views: the rows of a recording, handed to other programs while the flight goes on.
+
+The flight appends a copy of a row to a queue of limited length and never waits. A thread of the view takes the rows
+out and publishes them. When a viewer is slow the oldest rows are dropped. When it fails the view ends with an event,
+and the flight continues. Requests of a viewer wait until the loop of the flight calls
+:meth:`LiveView.serve_requests`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.logs.mcap import FlightEvent
+
+if TYPE_CHECKING:
+    from mufly.flight.simulated_flight import Flight
+
+_Rows = NDArray[np.float64]
+QUEUED_ROWS = 1000
+"""Rows that wait for a viewer at most."""
+PUBLISH_PERIOD_S = 0.04
+"""Time between two batches of a view (s)."""
+ANSWER_TIMEOUT_S = 1.0
+"""Time that a viewer's request waits for its answer (s)."""
+
+
+class Publisher(Protocol):
+    """Connection to viewers; all calls come from the thread of the view."""
+
+    def publish(self, rows: _Rows, states: Sequence[str], events: Sequence[FlightEvent]) -> None:
+        """Publish new rows (n, columns), n >= 0, with the states of the mission, and new events."""
+
+    def close(self) -> None:
+        """Close the connection."""
+
+
+class FlightView(Protocol):
+    """Description of a live view, which can be sent to the process of the vehicle."""
+
+    def open_view(self, flight: Flight) -> LiveView:
+        """Open the view of a flight."""
+
+
+class LiveView:
+    """Thread that publishes the rows of a flight.
+
+    Parameters
+    ----------
+    flight : Flight
+    publisher : Publisher
+    rate_Hz : float
+        Highest rate of rows, by the clock of the flight.
+    name : str
+        For the event of a failure.
+    """
+
+    def __init__(self, flight: Flight, publisher: Publisher, *, rate_Hz: float, name: str) -> None:
+        self._flight, self._publisher, self._name = flight, publisher, name
+        # With a small tolerance, so that rounding of the times drops no row.
+        self._least_s, self._last_s = (1.0 - 1e-6) / rate_Hz, -np.inf
+        self._rows: deque[tuple[_Rows, str]] = deque(maxlen=QUEUED_ROWS)
+        self._events: deque[FlightEvent] = deque(maxlen=QUEUED_ROWS)
+        self._requests: deque[tuple[Callable[[Flight], Any], list[Any], threading.Event]] = deque(maxlen=QUEUED_ROWS)
+        self._ended = threading.Event()
+        self._failure = ""
+        self._thread = threading.Thread(target=self._run, name=f"mufly {name}", daemon=True)
+        flight.recorder.views.append(self)
+        self._thread.start()
+
+    def show_row(self, row: _Rows, state: str) -> None:
+        """Queue the row of one instant; called by the recorder."""
+        if row[0] - self._last_s >= self._least_s:
+            self._last_s = float(row[0])
+            self._rows.append((row.copy(), state))
+
+    def show_event(self, event: FlightEvent) -> None:
+        """Queue an event; called by the recorder."""
+        self._events.append(event)
+
+    def request(self, act: Callable[[Flight], Any], *, wait: bool = False) -> Any:
+        """Ask the flight's loop for an action; with ``wait`` return its answer, or None after a second.
+
+        Called from the thread of the view.
+        """
+        answer, done = list[Any](), threading.Event()
+        self._requests.append((act, answer, done))
+        if wait:
+            done.wait(ANSWER_TIMEOUT_S)
+        return answer[0] if answer else None
+
+    def serve_requests(self) -> None:
+        """Carry out the viewers' requests; called by the loop of the flight between two periods."""
+        if self._failure:
+            failure, self._failure = self._failure, ""
+            self._flight.log_event(f"{self._name} has ended: {failure}", "warning")
+        while self._requests:
+            act, answer, done = self._requests.popleft()
+            answer.append(act(self._flight))
+            done.set()
+
+    def close(self) -> None:
+        """Publish what is queued, and close the connection; wait for at most two seconds."""
+        with contextlib.suppress(ValueError):
+            self._flight.recorder.views.remove(self)
+        self._ended.set()
+        self._thread.join(2.0)
+
+    def _run(self) -> None:
+        try:
+            while not self._ended.wait(PUBLISH_PERIOD_S):
+                self._publish_queue()
+            self._publish_queue()
+        except Exception as error:  # any fault of a viewer's library ends the view and not the flight
+            self._failure = f"{type(error).__name__}: {error}"
+            with contextlib.suppress(ValueError):
+                self._flight.recorder.views.remove(self)
+        finally:
+            with contextlib.suppress(Exception):
+                self._publisher.close()
+
+    def _publish_queue(self) -> None:
+        rows = [self._rows.popleft() for _ in range(len(self._rows))]
+        events = [self._events.popleft() for _ in range(len(self._events))]
+        block = np.array([row for row, _ in rows]) if rows else np.empty((0, self._flight.recorder.layout.column_count))
+        self._publisher.publish(block, [state for _, state in rows], events)
