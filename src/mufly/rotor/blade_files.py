@@ -213,7 +213,7 @@ def _read_station_table(
                 known.setdefault("thickness", (k, -unit_conversion(unit or "1", "1")[1]))
             elif unit in compatible_units("m"):
                 known.setdefault("thickness", (k, unit_conversion(unit, "m")[1]))
-            else:
+            elif low == "thickness":
                 raise InputError(where, header, "has no unit", "name it t/c, thickness (%) or thickness_mm")
         if whole in _AIRFOIL_HEADERS:
             known.setdefault("airfoil", (k, 1.0))
