@@ -408,7 +408,7 @@ def _number_labels(cells: list[str]) -> Array:
 
 
 def _read_values(table: TextTable, index: int, column: ColumnMeaning) -> Array:
-    """Return the numbers of a column as written; NaN for empty cells. ``12%`` is a share."""
+    """Return the numbers of a column in its own unit; NaN for empty cells. ``12%`` gives 0.12."""
     share = SI_UNITS[column.base_quantity] == "1"
     values = np.full(len(table.rows), math.nan)
     for k, cell in enumerate(table.read_texts(index)):

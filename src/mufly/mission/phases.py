@@ -560,7 +560,7 @@ SHORT_WAY_M = 0.3
 
 
 def _track_goal(plan: MissionPlan, s: MissionState, m: Estimate, way: Trajectory, dt: float) -> MissionState:
-    """Propagate the reference towards a changed goal; in the step of the change it is predicted already."""
+    """Move the reference towards a changed goal. The step in which the goal changes has moved it already."""
     if s.set_point_reference is None or s.motion_clock_s == 0.0:
         return s
     wanted = SetPoint(position_m=s.goal, heading_rad=way.start_heading + way.turn_angle)

@@ -279,8 +279,10 @@ def _solve_bemt(
     cuts = np.cumsum(stations[:-1])[:-1]
 
     def iterate_streams(x: Array) -> tuple[Array, list[tuple[Array, Array]], float]:
-        """Solve all rotors from the top with inflow ``x`` from below; return new inflow, onset streams and velocity
-        scale."""
+        """Solve all rotors from the top down, given the velocities ``x`` that lower rotors induce at upper ones.
+
+        Returns the new ``x``, the stream that meets each rotor, and a velocity that scales the residual.
+        """
         met: list[tuple[Array, Array]] = []
         given: list[tuple[Array, Array, Array]] = []
         for b, p in enumerate(rotors):

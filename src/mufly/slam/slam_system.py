@@ -366,8 +366,8 @@ class SlamSystem:
     def _learn_vibration(self, view: ViewPrior, pose: PoseEstimate) -> None:
         """Average the amplitudes of the vibration over pictures.
 
-        A rotor at two revolutions a picture shakes consecutive pictures alike: their difference holds little of the
-        vibration, which would bend the floor permanently. Slow learning over all phases finds it.
+        A rotor that turns twice per picture distorts consecutive pictures alike. Their difference shows little of the
+        vibration, and the map would stay bent. An average over many pictures, whose rotor phases drift, finds it.
         """
         if view.rotor_phases_rad.any():
             self._shake_frame_count += 1

@@ -103,7 +103,7 @@ _OUTLOOK_SECTIONS = {"7.2.1": "Aerodynamics", "7.2.2": "Modelling and control"}
 
 
 def count_outlook() -> dict[str, int]:
-    """Count the sentences of the outlook by their state."""
+    """Count the sentences of the dissertation's outlook by their state: built, in part, open or context."""
     count = Counter(s.state for s in OUTLOOK_SENTENCES)
     return {state: count[state] for state in ("built", "in part", "open", "context")}
 

@@ -389,7 +389,7 @@ def _loads_by_axis(
     alone: Array,
     alone_relative: float,
 ) -> dict[str, LoadChannel]:
-    """Return thrust, and torque of each axis, at all points; NaN if unknown."""
+    """Return the thrust, and the torque about each rotor's shaft (axis), at all points; NaN if unknown."""
     n = len(points)
     axis = np.array([plan.mounting[k].axis for k in points.mounting_index])
     out = {"thrust": loads["thrust"]}

@@ -274,9 +274,9 @@ class FixMonitor:
         return None
 
     def correct_fix(self, time_s: float, place: _Array) -> tuple[float, _Array] | None:
-        """Return time and place of a fix of a refused source without its fault; None if that is not known.
+        """Return time and position of a fix with the fault of its refused source removed; None if that is not known.
 
-        The place continues from the filter's at the refusal.
+        The corrected position begins at the filter's estimate at the time of the refusal.
         """
         if not self.fault or self._correction is None or self._is_resting:
             return None

@@ -146,7 +146,7 @@ class PageFlight:
 
 
 def vehicle_endpoint(port: int, links: Sequence[Endpoint] = ()) -> list[Endpoint]:
-    """Return the vehicle's endpoint for the station of the page, followed by further links."""
+    """Return the endpoints of the vehicle's link: that of the page's own station, then ``links``."""
     return [parse_endpoint(f"udp:127.0.0.1:{port}", "vehicle"), *links]
 
 
