@@ -246,6 +246,62 @@ speed of the swash plate there (three deviations), which the servos must reach.
     print_answer(as_json, found, files=written)
 
 
+@app.command("rotor-speeds")
+def rotor_speeds(
+    vehicle: VehicleArgument = "mufly-1.1",
+    rate: Annotated[float, define_option("--rate", "Control rate.", unit="Hz", min=20.0, max=5e3)] = 200.0,
+    as_json: JsonOption = False,
+) -> None:
+    """Show what measured rotor speeds (back-EMF) bring to heave-yaw.
+
+    Both loops are LQG/LTR with the same weights, swept over the weight of the inputs.
+
+    Example: mufly control rotor-speeds
+    """
+    from mufly.control.rotor_speed_feedback import compare_rotor_speeds
+    from mufly.vehicle import load_vehicle
+
+    print_answer(as_json, compare_rotor_speeds(load_vehicle(vehicle), rate_Hz=rate))
+
+
+@app.command()
+def schedule(
+    vehicle: VehicleArgument = "mufly-1.1",
+    flight_map: Annotated[
+        str | None, define_option("--flight-map FILE", "Flight map of the rotors; `mufly coax flight-map` makes it.")
+    ] = None,
+    speed: Annotated[
+        list[float] | None,
+        define_option("--speed", "Forward speed of designs and flight; repeat it. Default: 0, 1, 2.", unit="m/s"),
+    ] = None,
+    methods: Annotated[
+        list[str] | None,
+        define_option("--methods WHICH", "Method: hinf, h2, lqg, ltr or indi; repeat it. Default: all."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Show what gains scheduled over forward speed would bring to roll-pitch.
+
+    Every design is closed around the model at every speed. A schedule has at best the diagonal's margins.
+
+    Example: mufly control schedule --flight-map pair.toml --speed 0 --speed 1 --speed 2
+    """
+    from mufly.control.speed_schedule import SCHEDULED_METHODS, SPEEDS_m_s, compare_schedules
+    from mufly.vehicle import load_vehicle, replace_parameters
+
+    loaded = load_vehicle(vehicle)
+    if flight_map is not None:
+        loaded = replace_parameters(loaded, {"rotors.flight_map": flight_map})
+    chosen = [method for method in SCHEDULED_METHODS if methods is None or method in methods]
+    for name in methods or ():
+        if name not in SCHEDULED_METHODS:
+            raise InputError("--methods", name, "is not a method", f"give one of {', '.join(SCHEDULED_METHODS)}")
+    speeds = check_grid("--speed", speed, 0.0, 50.0, "m/s") or list(SPEEDS_m_s)
+    with progress_bar("Designing", not as_json) as progress:
+        found = compare_schedules(loaded, chosen, speeds_m_s=speeds, progress=progress)
+    print_answer(as_json, found)
+
+
 def check_grid(option: str, given: list[float] | None, low: float, high: float, unit: str) -> list[float]:
     """Return the values of an option in rising order, each once; empty if none are given.
 

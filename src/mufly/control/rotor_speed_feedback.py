@@ -1,0 +1,206 @@
+"""Rotor speeds as measurements of heave-yaw: what they bring over height, heading and yaw rate alone.
+
+The motors' back-EMF gives the rotor speeds (Sec. 6.1.9). Both loops are LQG/LTR with the same weights and the same
+bound on the filter's poles; one reads z, psi and r, the other also both rotor speeds, with the noise of the vehicle's
+``sensors.rotor_speed``. The weight of the inputs is swept. Every row is a sampled loop with one sample of delay:
+
+- height and heading: deviations by disturbances of both motors' inputs and by the noise of all sensors, from the
+  covariance of the loop, ``X = A X A' + B B'``. Disturbances are independent, of :data:`DISTURBANCE` below
+  :data:`DISTURBANCE_RAD_S`: gusts, ground and battery in terms of an input;
+- inputs: the larger deviation of a motor's command.
+
+The verdict compares the smallest height deviations with a disk margin of :data:`LEAST_DISK_MARGIN`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import control
+import numpy as np
+from scipy import linalg
+
+from mufly.control.comparison import sensor_noise
+from mufly.control.implementation import discretise_controller
+from mufly.control.linear_systems import Array, analyse_loop, feedback_part, sample_plant
+from mufly.control.loop_margins import disk_margin
+from mufly.control.lqg import LqgWeights, design_lqg, limit_recovery
+from mufly.control.weighting_schemes import (
+    HEAVE_YAW_LQG,
+    SignalScaling,
+    heave_yaw_scaling,
+    scale_plant,
+    unscale_controller,
+)
+from mufly.dynamics import extract_submodel, linearise_vehicle
+from mufly.dynamics.linearisation import LINEAR_INPUTS
+from mufly.errors import MuflyError
+from mufly.results import ShownBlock, result, show_lines, show_table
+from mufly.vehicle import Vehicle
+
+CONTROL_WEIGHTS = (0.4, 0.2, 0.1, 0.05, 0.025, 0.0125)
+DISTURBANCE, DISTURBANCE_RAD_S = 0.02, 2.0
+LEAST_DISK_MARGIN = 0.7
+DEFAULT_SPEED_NOISE_V = 0.01
+"""Noise of a back-EMF reading (V) on a vehicle without that sensor."""
+_STATES = ["z", "w", "psi", "r", "Omega_dw", "Omega_up"]
+_SPEEDS = ["Omega_dw", "Omega_up"]
+
+
+@result
+class HeaveYawRow:
+    """One loop: whether it reads rotor speeds, the weight of its inputs, and its figures.
+
+    Attributes
+    ----------
+    rotor_speeds : bool
+    control_weight : float
+    crossover_rad_s : float
+        Lowest crossover of the loop gain's singular values: that of heave.
+    sensitivity_peak_dB, disk_margin : float
+    height_m, heading_rad, input : float
+        Deviations by disturbances and noise.
+    """
+
+    rotor_speeds: bool
+    control_weight: float
+    crossover_rad_s: float
+    sensitivity_peak_dB: float
+    disk_margin: float
+    height_m: float
+    heading_rad: float
+    input: float
+
+
+@result
+class RotorSpeedComparison:
+    """Heave-yaw with and without rotor speeds.
+
+    Attributes
+    ----------
+    vehicle_name : str
+    speed_noise_rad_s : float
+        Noise of a measured rotor speed.
+    rows : tuple of HeaveYawRow
+    """
+
+    vehicle_name: str
+    speed_noise_rad_s: float
+    rows: tuple[HeaveYawRow, ...]
+
+    def best_row(self, rotor_speeds: bool) -> HeaveYawRow | None:
+        """Return the row of least height deviation with enough disk margin; None without one."""
+        rows = [r for r in self.rows if r.rotor_speeds == rotor_speeds and r.disk_margin >= LEAST_DISK_MARGIN]
+        return min(rows, key=lambda r: r.height_m, default=None)
+
+    @property
+    def verdict(self) -> str:
+        """Sentence on what the rotor speeds bring."""
+        plain, more = self.best_row(False), self.best_row(True)
+        if plain is None or more is None:
+            which = "without" if plain is None else "with"
+            return f"No loop {which} rotor speeds has a disk margin of {LEAST_DISK_MARGIN:g}."
+        return (
+            f"At a disk margin of {LEAST_DISK_MARGIN:g} rotor speeds change the height's deviation from "
+            f"{100 * plain.height_m:.2f} to {100 * more.height_m:.2f} cm, the crossover of heave from "
+            f"{plain.crossover_rad_s:.1f} to {more.crossover_rad_s:.1f} rad/s and the inputs' deviation from "
+            f"{100 * plain.input:.1f} to {100 * more.input:.1f} %."
+        )
+
+    def shown_blocks(self) -> list[ShownBlock]:
+        """Return the table and the verdict."""
+        heads = ("rotor speeds", "weight", "crossover", "S_u", "disk", "height", "heading", "inputs")
+        rows: list[tuple[str, ...]] = [("", "", "rad/s", "dB", "", "cm", "deg", "%")]
+        for r in self.rows:
+            rows.append(
+                (
+                    "measured" if r.rotor_speeds else "-", f"{r.control_weight:g}", f"{r.crossover_rad_s:.1f}",
+                    f"{r.sensitivity_peak_dB:.2f}", f"{r.disk_margin:.2f}", f"{100 * r.height_m:.2f}",
+                    f"{np.degrees(r.heading_rad):.2f}", f"{100 * r.input:.1f}",
+                )
+            )  # fmt: skip
+        return [
+            show_table(heads, rows, title=f"{self.vehicle_name}, heave-yaw by LQG/LTR"),
+            show_lines(f"Noise of a rotor speed: {self.speed_noise_rad_s:.2f} rad/s", self.verdict),
+        ]
+
+
+def rotor_speed_noise(vehicle: Vehicle) -> float:
+    """Return the noise of a rotor speed from back-EMF (rad/s): that of the reading over ``kE`` and the gear ratio."""
+    sensor = getattr(vehicle.sensors, "rotor_speed", None) if vehicle.sensors is not None else None
+    volts = DEFAULT_SPEED_NOISE_V if sensor is None else float(sensor.noise)
+    return volts / (float(vehicle.motor.back_emf_constant) * float(vehicle.gear.ratio))
+
+
+def compare_rotor_speeds(
+    vehicle: Vehicle, *, rate_Hz: float = 200.0, control_weights: Sequence[float] = CONTROL_WEIGHTS
+) -> RotorSpeedComparison:
+    """Compare heave-yaw with and without rotor speeds as measurements.
+
+    Raises
+    ------
+    MuflyError
+        If the vehicle cannot hover.
+    """
+    full = linearise_vehicle(vehicle).full
+    speed_noise, period = rotor_speed_noise(vehicle), 1.0 / rate_Hz
+    base = heave_yaw_scaling(extract_submodel(full, _STATES, LINEAR_INPUTS[:2], ["z", "psi", "r"]))
+    rows = []
+    for measured in (False, True):
+        outputs = ["z", "psi", "r", *(_SPEEDS if measured else [])]
+        plant = extract_submodel(full, _STATES, LINEAR_INPUTS[:2], outputs, name="heave_yaw")
+        noise = sensor_noise(vehicle, outputs)
+        noise[3:] = speed_noise
+        scaling = SignalScaling((*base.outputs, *[100.0] * (len(outputs) - 3)), base.inputs)
+        told = (*HEAVE_YAW_LQG.noise, *(speed_noise / 100.0 for _ in outputs[3:]))
+        for weight in control_weights:
+            weights = replace(HEAVE_YAW_LQG, control=weight, noise=told)
+            row = _heave_yaw_row(plant, scaling, weights, noise, period, measured)
+            if row is not None:
+                rows.append(row)
+    return RotorSpeedComparison(vehicle.name, speed_noise, tuple(rows))
+
+
+def _heave_yaw_row(
+    plant: control.StateSpace, scaling: SignalScaling, weights: LqgWeights, noise: Array, period: float, measured: bool
+) -> HeaveYawRow | None:
+    """Return the figures of a loop; None if it is not stable when sampled."""
+    G = scale_plant(plant, scaling)
+    q = limit_recovery(G, weights, 2.0 * np.pi / period)
+    try:
+        found = design_lqg(G, (0, 1), weights, recovery=q)
+    except MuflyError:
+        return None
+    so, si = np.array(scaling.outputs), np.array(scaling.inputs)
+    discrete = discretise_controller(unscale_controller(found.controller, so, si), found.actuation / si, period)
+    held, K = sample_plant(plant, period, 1), discrete.to_state_space()
+    feedback = feedback_part(K, plant, range(plant.noutputs))
+    loop = analyse_loop(held, feedback, output_scale=so)
+    if not loop.stable:
+        return None
+    deviations = _deviations(plant, K, noise, period)
+    return HeaveYawRow(
+        measured, weights.control, min(loop.crossovers, default=float("nan")), loop.sensitivity_peak_dB,
+        disk_margin(held, feedback).margin, *deviations,
+    )  # fmt: skip
+
+
+def _deviations(
+    plant: control.StateSpace, K: control.StateSpace, noise: Array, period: float
+) -> tuple[float, float, float]:
+    """Return the deviations of height (m), heading (rad) and the larger input by disturbances and sensor noise."""
+    states = list(plant.state_labels)
+    held = control.sample_system(plant, period, method="zoh")
+    n, m, k, p = plant.nstates, plant.ninputs, K.nstates, len(noise)
+    pole = np.exp(-DISTURBANCE_RAD_S * period)
+    A, shocks = np.zeros((n + 2 * m + k,) * 2), np.zeros((n + 2 * m + k, m + p))
+    x, d, q, e = slice(0, n), slice(n, n + m), slice(n + m, n + m + k), slice(n + m + k, None)
+    A[x, x], A[x, d], A[x, e] = held.A, held.B, held.B
+    A[d, x], A[d, q] = -K.D @ plant.C, K.C
+    A[q, x], A[q, q] = -K.B @ plant.C, K.A
+    A[e, e], shocks[e, :m] = pole * np.eye(m), DISTURBANCE * np.sqrt(1.0 - pole**2) * np.eye(m)
+    shocks[d, m:], shocks[q, m:] = K.D * noise, K.B * noise
+    X = linalg.solve_discrete_lyapunov(A, shocks @ shocks.T)
+    spread = np.sqrt(np.maximum(X.diagonal(), 0.0))
+    return float(spread[states.index("z")]), float(spread[states.index("psi")]), float(spread[d].max())

@@ -1,0 +1,143 @@
+"""Roll-pitch over forward speed: what gains scheduled over speed would bring.
+
+Roll-pitch is designed at every speed and closed around the linear model at every speed, sampled with one sample of
+delay. A schedule that knows the speed exactly has the margins of the diagonal: each design at its own speed. The gain
+of scheduling is the largest excess of a disk margin on the diagonal over that of the hover design at the same speed.
+``rotors.flight_map`` of the vehicle file adds translational lift, blow-back and rate damping; without it only the
+drags change with speed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from mufly.control.designs import DEFAULT_RATE_HZ, design_roll_pitch
+from mufly.control.linear_systems import Array, analyse_loop, sample_plant
+from mufly.control.loop_margins import disk_margin
+from mufly.control.synthesis_methods import METHOD_NAMES, SynthesisMethod
+from mufly.control.weighting_schemes import DesignSettings, complete_settings
+from mufly.dynamics import find_trim, linearise_vehicle
+from mufly.results import ShownBlock, result, show_lines, show_table
+from mufly.vehicle import Vehicle
+
+SPEEDS_m_s = (0.0, 1.0, 2.0)
+SCHEDULED_METHODS: tuple[SynthesisMethod, ...] = ("hinf", "h2", "lqg", "ltr", "indi")
+"""Methods that design in a fraction of a second."""
+WORTHWHILE = 0.1
+"""Gain of the disk margin from which a schedule is worth its effort."""
+
+
+@result
+class SpeedSchedule:
+    """Margins of one method's roll-pitch designs over forward speed.
+
+    Attributes
+    ----------
+    method : str
+    speeds_m_s : tuple of float
+        Speeds of designs (rows) and of flight (columns).
+    disk_margin, sensitivity_peak_dB : array, shape (speeds, speeds)
+        Zero and ``inf`` for an unstable loop.
+    """
+
+    method: SynthesisMethod
+    speeds_m_s: tuple[float, ...]
+    disk_margin: Array
+    sensitivity_peak_dB: Array
+
+    @property
+    def gain(self) -> float:
+        """Largest gain of the disk margin by the design at the speed over the one at the first speed."""
+        return float(np.max(np.diag(self.disk_margin) - self.disk_margin[0]))
+
+
+@result
+class ScheduleComparison:
+    """Schedules of several methods.
+
+    Attributes
+    ----------
+    vehicle_name : str
+    has_flight_map : bool
+    schedules : tuple of SpeedSchedule
+    """
+
+    vehicle_name: str
+    has_flight_map: bool
+    schedules: tuple[SpeedSchedule, ...]
+
+    @property
+    def verdict(self) -> str:
+        """Sentence on whether scheduling over speed is worthwhile."""
+        most = max(self.schedules, key=lambda s: s.gain)
+        said = f"Scheduling over speed gains at most {most.gain:.2f} of disk margin ({METHOD_NAMES[most.method]}): " + (
+            "worthwhile." if most.gain >= WORTHWHILE else "one design at the first speed does for all."
+        )
+        if not self.has_flight_map:
+            said += " The vehicle has no flight map, so only its drags change with speed."
+        return said
+
+    def shown_blocks(self) -> list[ShownBlock]:
+        """Return a table of disk margin and peak of S_u, and the verdict."""
+        speeds = self.schedules[0].speeds_m_s
+        heads = ("method", "designed at", *(f"at {v:g} m/s" for v in speeds))
+        rows = [
+            (
+                METHOD_NAMES[s.method] if i == 0 else "", f"{v:g} m/s",
+                *(f"{d:.2f}, {p:.2f} dB" for d, p in zip(s.disk_margin[i], s.sensitivity_peak_dB[i], strict=True)),
+            )
+            for s in self.schedules for i, v in enumerate(speeds)
+        ]  # fmt: skip
+        title = f"{self.vehicle_name}, roll-pitch: disk margin, peak of S_u"
+        return [show_table(heads, rows, title=title), show_lines(self.verdict)]
+
+
+def compare_schedules(
+    vehicle: Vehicle,
+    methods: Sequence[SynthesisMethod] = SCHEDULED_METHODS,
+    *,
+    speeds_m_s: Sequence[float] = SPEEDS_m_s,
+    rate_Hz: float = DEFAULT_RATE_HZ,
+    settings: DesignSettings | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> ScheduleComparison:
+    """Design roll-pitch at forward speeds by several methods, and assess every design at every speed.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    methods : sequence of str
+    speeds_m_s : sequence of float
+        Forward speeds, rising; the first is that of the single design.
+    rate_Hz : float
+    settings : DesignSettings, optional
+        Settings but for the method.
+    progress : callable, optional
+        Called with (methods done, all methods).
+
+    Raises
+    ------
+    MuflyError
+        If there is no steady flight at a speed, or a design fails.
+    """
+    base = complete_settings(DesignSettings() if settings is None else settings, vehicle)
+    period, n = 1.0 / rate_Hz, len(speeds_m_s)
+    plants = [linearise_vehicle(vehicle, find_trim(vehicle, velocity=(v, 0.0, 0.0))).roll_pitch for v in speeds_m_s]
+    held = [sample_plant(plant, period, 1) for plant in plants]
+    found = []
+    for done, method in enumerate(methods):
+        disk, peak = np.zeros((n, n)), np.full((n, n), np.inf)
+        for i, plant in enumerate(plants):
+            design = design_roll_pitch(plant, replace(base, method=method), period)
+            K = design.feedback_controller(design.discrete.to_state_space())
+            for j, flown in enumerate(held):
+                loop = analyse_loop(flown, K)
+                if loop.stable:
+                    disk[i, j], peak[i, j] = disk_margin(flown, K).margin, loop.sensitivity_peak_dB
+        found.append(SpeedSchedule(method, tuple(speeds_m_s), disk, peak))
+        if progress is not None:
+            progress(done + 1, len(methods))
+    return ScheduleComparison(vehicle.name, vehicle.rotors.flight_map is not None, tuple(found))
