@@ -110,6 +110,49 @@ def test_a_source_with_an_error_is_named(change: Change, late_s: float, named: s
     assert first[0] < (REST_S if "stands" in named else 10.0)
 
 
+def run_hover(
+    until_s: float, late_s: float = 0.0, scale: float = 1.0, sway_m: float = 0.0, turn_rad: float = 0.0
+) -> list[tuple[float, str]]:
+    """Return time and reason of each fix over a hover that sways and turns its nose to and fro."""
+    monitor, rng, out, zero = FixMonitor(DRIFT_M), np.random.default_rng(4), [], np.zeros(3)
+    w = np.array([1.3, 0.9])
+
+    def heading_at(t: float) -> float:
+        return turn_rad * (1.0 - math.cos(0.8 * max(0.0, t - REST_S - 3.0)))
+
+    for k in range(round(until_s * RATE_HZ)):
+        t = k / RATE_HZ
+        u, heading = max(0.0, t - REST_S), heading_at(t)
+        rate = (heading_at(t + 0.005) - heading_at(t - 0.005)) / 0.01
+        accel = sway_m * w * w * np.cos(w * u) * (t > REST_S)
+        c, s = math.cos(heading), math.sin(heading)
+        force = np.array([c * accel[0] + s * accel[1], c * accel[1] - s * accel[0], -GRAVITY])
+        noisy = Reading(force + 0.02 * rng.standard_normal(3), t), Reading(np.array([0.0, 0.0, rate]), t)
+        readings = Readings(t, {"acceleration": noisy[0], "rates": noisy[1]})
+        monitor.observe(readings, Estimate(t, zero, zero, np.array([0.0, 0.0, heading]), zero), t < REST_S)
+        if k % 6 == 5:
+            v = max(0.0, t - late_s - REST_S)
+            north, east = scale * sway_m * (1.0 - np.cos(w * v)) + 0.01 * rng.standard_normal(2)
+            out.append((t, monitor.check_fix(t, np.array([north, east, -1.0, heading_at(t - late_s)]))))
+    return out
+
+
+def test_a_late_heading_shows_the_delay_when_the_nose_turns() -> None:
+    """Within a second of the turn, and fixes are withheld before; without a delay none is."""
+    assert {why for _, why in run_hover(12.0, turn_rad=0.6)} == {""}
+    reasons = [(t, why) for t, why in run_hover(12.0, late_s=0.5, turn_rad=0.6) if why]
+    assert "does not follow the gyroscopes" in reasons[0][1]
+    told = next(t for t, why in reasons if "ms later than its times" in why and "withheld" not in why)
+    assert told < REST_S + 3.0 + 2.0
+
+
+def test_a_small_error_of_scale_is_named_after_a_while() -> None:
+    assert {why for _, why in run_hover(40.0, sway_m=0.08)} == {""}
+    reasons = [why for _, why in run_hover(40.0, sway_m=0.08, scale=1.3) if why]
+    assert "times as far" in reasons[-1]
+    assert float(reasons[-1].split()[2]) == pytest.approx(1.3, abs=0.1)
+
+
 def test_a_refused_source_returns_when_it_agrees_for_long() -> None:
     """Not at once, and after a jump without another error, soon."""
     turned = rotate(math.pi / 2)

@@ -19,9 +19,13 @@ For a mirrored source conj(B) replaces it.
 
 Each row is fitted alone, and the best names the fault if a correct source leaves more than :data:`_REPORT_RATIO`
 times the usual drift and the fault at most the share :data:`_EXPLAINED` of it. The controller follows the drift, and
-the drift then looks like a source that lags, so a lag must be :data:`_FOLLOWED_FACTOR` times as large. The heading is
-checked against the gyroscopes. While the motors are off, the source must not move; the tilt and the bias of the
-gyroscopes are measured then.
+the drift then looks like a source that lags, so a lag must be :data:`_FOLLOWED_FACTOR` times as large. A scale whose
+effect in one window is below the drift is found by a long fit over :data:`_LONG_MEMORY_S`. A steady drift of a source
+in flight is not found: it is a part of the parabola.
+
+The heading is checked against the gyroscopes, which follow it slowly. A heading that lags shows the delay d in a turn
+long before the path does: psi(t) = psi_gyro(t - d) is fitted over d. While the motors are off, the source must not
+move; the tilt and the bias of the gyroscopes are measured then.
 
 A fault must last :data:`_CONFIRM_COUNT` fixes. From :data:`_WITHHOLD_RATIO` times the drift on fixes are withheld, so
 that the filter does not follow a source that is about to be refused; after a jump they are withheld for
@@ -57,12 +61,23 @@ on both for sources that lag or move less than :data:`_MIN_SIZE` times as far, t
 fault leaves, and the number of fixes that confirm a fault."""
 _HEADING_RAD, _HEADING_DECAY_S = math.radians(20.0), 30.0
 """Largest error of heading against the gyroscopes, and time over which their drift is forgotten (s)."""
+_MAX_DELAY_S, _MIN_DELAY_S, _HEADING_WINDOW_S, _MIN_LAG_RAD = 0.8, 0.12, 3.0, math.radians(2.5)
+_DELAYS_S = np.arange(0.0, _MAX_DELAY_S, 0.04)
+"""Largest delay that is tried against the heading, least that is reported, window of the fit (s), and the rms by which
+the heading must contradict the gyroscopes (rad)."""
+_APART_RAD = math.radians(3.0)
+"""Change of the heading against the gyroscopes within a second from which fixes are withheld (rad)."""
+_LONG_STEP_S, _LONG_MEMORY_S, _LONG_CORRELATION, _LONG_SIGMAS = 2.5, 60.0, 30.0, 3.5
+"""Step between windows of the long fit and its memory (s), fixes whose errors are alike, and deviations of a report."""
+_LONG_SCALE, _LONG_TURN_RAD = 0.2, math.radians(20.0)
+"""Least error of the scale that the long fit reports, and the turn beyond which it is no error of scale (rad)."""
 _REST_WINDOW_S, _REST_SPEED_M_S = 4.0, 0.04
 _JUMP_M, _MAX_SPEED_M_S, _SETTLE_S = 0.3, 2.0, 4.0
 """Change between two fixes that is a jump of the source: a length, and a speed that no flight has; time for which a
 source is withheld after a jump."""
 _MIN_TURN_EFFECT = 0.005  # rms of B beside a parabola, below which the nose did not turn (s^2)
 _WITHHELD = "it is withheld: "
+_LAGGING = "its heading does not follow the gyroscopes"
 _ATTITUDE_CORRECTION_S, _REST_AVERAGE_S = 20.0, 1.0
 
 
@@ -148,10 +163,13 @@ class FixMonitor:
         self._fixes: deque[tuple[float, complex, complex, complex, complex]] = deque()  # time, P, A, V, B
         self._rest_fixes: deque[tuple[float, complex]] = deque()
         self._heading_offset = math.nan
+        self._headings: deque[tuple[float, float, float]] = deque()  # time, heading, that of the gyroscopes
+        self.heading_fit = (0.0, 0.0, 0.0)
         self._candidate, self._count, self._sure_count = "", 0, 0
         self._settled_s = -math.inf
         self.fault, self._agreed_s, self._last_s = "", 0.0, math.nan
         self.path_fit = _NO_FIT
+        self._long_s, self._long_sums, self.long_fit = -math.inf, np.zeros(4, complex), (1.0 + 0j, math.inf)
         self._correction: FixCorrection | None = None
         self._measured = self._corrected = 0j  # last fix of a refused source
         self._estimate: tuple[complex, complex] = 0j, 0j  # place and velocity
@@ -249,7 +267,7 @@ class FixMonitor:
             return self.fault
         if time_s < self._settled_s:
             return f"{_WITHHELD}it has jumped"
-        return f"{_WITHHELD}{self._candidate}" if self._count > 2 else ""
+        return f"{_WITHHELD}{self._candidate}" if self._count > 2 or fault == _LAGGING else ""
 
     def _refuse(self, time_s: float, place: complex, fault: str) -> None:
         """Refuse the source, and correct its motion from the filter's present place on."""
@@ -271,7 +289,7 @@ class FixMonitor:
                 return FixCorrection(1.0 / complex(fit.turn.real))
             case "late":
                 return FixCorrection(1.0 + 0j, delay_s=fit.delay_s)
-        return None
+        return FixCorrection(1.0 / abs(self.long_fit[0]) + 0j) if self._judge_long_fit() else None
 
     def correct_fix(self, time_s: float, place: _Array) -> tuple[float, _Array] | None:
         """Return time and position of a fix with the fault of its refused source removed; None if that is not known.
@@ -312,10 +330,13 @@ class FixMonitor:
         self._fixes.append(fix)
         while self._fixes[0][0] < time_s - WINDOW_S:
             self._fixes.popleft()
-        if fault := self._check_heading(heading - yaw):
+        self._fit_heading(time_s, heading, yaw)
+        if fault := self._judge_heading() or self._check_heading(heading - yaw):
             return fault, True, False
+        if self._is_heading_apart(time_s):
+            return _LAGGING, False, False
         self._fit_path()
-        fit, fault = self.path_fit, self._judge_path(self._report_m)
+        fit, fault = self.path_fit, self._judge_path(self._report_m) or self._judge_long_fit()
         agrees = fit.motion_rms_m > self._report_m and fit.healthy_rms_m < _EXPLAINED * fit.motion_rms_m
         return fault or self._judge_path(self._withhold_m), bool(fault), agrees
 
@@ -342,8 +363,38 @@ class FixMonitor:
         off = math.remainder(offset - self._heading_offset, 2 * math.pi)
         if abs(off) > _HEADING_RAD:
             return f"its heading turns by {math.degrees(off):.0f} degrees against the gyroscopes"
-        self._heading_offset += off / (15.0 * _HEADING_DECAY_S)
+        step = off / (15.0 * _HEADING_DECAY_S)  # the gyroscopes drift: follow the source's heading slowly
+        c, s = math.cos(step), math.sin(step)
+        self._turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ self._turn
         return ""
+
+    def _fit_heading(self, time_s: float, heading: float, yaw: float) -> None:
+        """Fit the delay of the source by its heading, against the integrated turn rate of the inertial unit."""
+        if self._headings:
+            *_, last, last_yaw = self._headings[-1]
+            heading = last + math.remainder(heading - last, 2 * math.pi)
+            yaw = last_yaw + math.remainder(yaw - last_yaw, 2 * math.pi)
+        self._headings.append((time_s, heading, yaw))
+        while self._headings[0][0] < time_s - WINDOW_S:
+            self._headings.popleft()
+        t, y, own = (np.array(c) for c in zip(*self._headings, strict=True))
+        self.heading_fit = (0.0, 0.0, 0.0)
+        if len(t) >= _MIN_COUNT and t[-1] - t[0] > _MIN_SPAN_S + _MAX_DELAY_S:
+            used = (t > t[0] + _MAX_DELAY_S) & (t > t[-1] - _HEADING_WINDOW_S)
+            rms = [float(np.std(y[used] - np.interp(t[used] - d, t, own))) for d in _DELAYS_S]
+            best = int(np.argmin(rms))
+            self.heading_fit = rms[0], rms[best], float(_DELAYS_S[best])
+
+    def _judge_heading(self) -> str:
+        """Return the fault of a source whose heading lags behind the gyroscopes."""
+        off, left, delay = self.heading_fit
+        explains = off > _MIN_LAG_RAD and left < _EXPLAINED * off and delay > _MIN_DELAY_S
+        return _late_text(delay) if explains else ""
+
+    def _is_heading_apart(self, time_s: float) -> bool:
+        """Return whether the heading and that of the gyroscopes have turned apart within a second."""
+        recent = [heading - own for t, heading, own in self._headings if t > time_s - 1.0]
+        return abs(recent[-1] - float(np.median(recent))) > _APART_RAD
 
     def _fit_path(self) -> None:
         """Fit the path over the window by each explanation in turn."""
@@ -359,6 +410,9 @@ class FixMonitor:
         if (size := float(np.vdot(b, b).real)) > len(t) * _MIN_TURN_EFFECT**2:
             mirror_y = y - b.conj() * (np.vdot(b.conj(), y) / size)
             y, a, v = (c - b * (np.vdot(b, c) / size) for c in (y, a, v))
+        if t[-1] > self._long_s + _LONG_STEP_S and span > 0.9 * WINDOW_S:
+            self._long_s = float(t[-1])
+            self._accumulate(y, a)
         off = y - a
         square = float(np.vdot(a, a).real) + 1e-9
         turn, mirror = complex(np.vdot(a, y)) / square, complex(np.vdot(a.conj(), mirror_y)) / square
@@ -371,6 +425,22 @@ class FixMonitor:
         }
         rms = {name: _rms(r) for name, r in each.items()}
         self.path_fit = PathFit(_rms(off), _rms(a), rms, turn, mirror, delay)
+
+    def _accumulate(self, y: NDArray[np.complexfloating], a: NDArray[np.complexfloating]) -> None:
+        """Add a window to the long fit y = m a, with its deviation."""
+        self._long_sums *= math.exp(-_LONG_STEP_S / _LONG_MEMORY_S)
+        self._long_sums += [np.vdot(a, a), np.vdot(a, y), np.vdot(y, y), len(a)]
+        square, product, total, count = self._long_sums
+        m = complex(product / square)
+        noise = max(0.0, float((total - abs(product) ** 2 / square).real)) / float(count.real)
+        self.long_fit = m, math.sqrt(_LONG_CORRELATION * noise / (2.0 * float(square.real)))
+
+    def _judge_long_fit(self) -> str:
+        """Return the fault of a source whose scale is wrong, though by less than its drift in each window."""
+        m, sigma = self.long_fit
+        off = abs(abs(m) - 1.0)
+        is_wrong = off > max(_LONG_SCALE, _LONG_SIGMAS * sigma) and abs(cmath.phase(m)) < _LONG_TURN_RAD
+        return _scaled_text(abs(m)) if is_wrong else ""
 
     def _classify_path(self, least_m: float) -> str:
         """Return the fault that explains the path best, if the source contradicts it by a least rms (m); else ""."""
@@ -397,18 +467,30 @@ class FixMonitor:
             return "it moves turned or mirrored against the accelerometers: check the sign and order of its axes"
         match kind:
             case "late":
-                early = "later" if fit.delay_s > 0.0 else "earlier"
-                return f"it is {abs(1e3 * fit.delay_s):.0f} ms {early} than its times, against the accelerometers"
+                return _late_text(fit.delay_s)
             case "scaled" if scale > 0.0:
-                return f"it moves {scale:.2f} times as far as the accelerometers"
+                return _scaled_text(scale)
             case "mirrored":
                 return "it moves mirrored against the accelerometers: check the sign and order of its axes"
-        degrees = math.degrees(cmath.phase(fit.turn))
-        return f"it moves turned by {degrees:.0f} degrees against the accelerometers: check its axes"
+        return _turned_text(fit.turn)
 
 
 def _rms(a: NDArray[np.complexfloating]) -> float:
     return math.sqrt(float(np.vdot(a, a).real) / len(a))
+
+
+def _scaled_text(scale: float) -> str:
+    return f"it moves {scale:.2f} times as far as the accelerometers"
+
+
+def _turned_text(turn: complex) -> str:
+    degrees = math.degrees(cmath.phase(turn))
+    return f"it moves turned by {degrees:.0f} degrees against the accelerometers: check its axes"
+
+
+def _late_text(delay_s: float) -> str:
+    early = "later" if delay_s > 0.0 else "earlier"
+    return f"it is {abs(1e3 * delay_s):.0f} ms {early} than its times, against the inertial unit"
 
 
 def _moving_text(speed_m_s: float) -> str:
