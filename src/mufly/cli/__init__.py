@@ -17,6 +17,7 @@ from mufly.cli.aero import benchmark as _benchmark  # noqa: F401  adds to the co
 from mufly.cli.aero import flight_map as _flight_map  # noqa: F401  adds to the commands of coax
 from mufly.cli.aero import forward as _forward  # noqa: F401  adds to the commands of rotor
 from mufly.cli.aero import measure as _measure  # noqa: F401  adds to the commands of rotor
+from mufly.cli.aero import rotor_measurements as _rotor_measurements  # noqa: F401  adds to the commands of rotor
 from mufly.cli.aero import structure as _structure  # noqa: F401  adds to the commands of rotor
 from mufly.cli.identify import flight as identify
 from mufly.cli.onboard import autopilot, estimate, firmware, link, sensors, slam

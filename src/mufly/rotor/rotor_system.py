@@ -92,7 +92,7 @@ VORTEX_RING_RANGE = (0.5, 2.0)
 
 MAX_TIP_MACH = 0.7
 """Tip Mach number up to which the correction for compressible flow is valid
-(:func:`mufly.rotor.bemt.equivalent_incompressible_alpha`)."""
+(:func:`mufly.rotor.sections.section_coefficients.equivalent_incompressible_alpha`)."""
 
 
 def compute_tip_mach(radius_m: float, speed_rad_s: float, air: Air | None = None, axial_m_s: float = 0.0) -> float:

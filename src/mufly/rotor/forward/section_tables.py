@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from mufly.errors import InputError
 from mufly.numba_cache import cached_njit
-from mufly.rotor.bemt import PolarGrid, SectionParameters, section_coefficients
 from mufly.rotor.blading import Blading
 from mufly.rotor.rotor_system import Air
 from mufly.rotor.sections.polar_table import ALPHA_GRID
+from mufly.rotor.sections.section_coefficients import PolarGrid, SectionParameters, section_coefficients
 
 Array = NDArray[np.float64]
 

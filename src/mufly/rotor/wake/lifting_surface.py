@@ -67,9 +67,9 @@ from numpy.typing import NDArray
 
 from mufly.errors import InputError
 from mufly.numba_cache import cached_njit
-from mufly.rotor.bemt import SectionParameters, section_coefficients
 from mufly.rotor.blading import Blading, compute_panel_edges
 from mufly.rotor.rotor_system import Air, LiftingSurface
+from mufly.rotor.sections.section_coefficients import SectionParameters, section_coefficients
 from mufly.rotor.wake.biot_savart import filament_influence
 
 Array = NDArray[np.float64]
