@@ -24,6 +24,7 @@ from mufly.estimate.sensor_status import AuxiliaryStates
 from mufly.firmware import Firmware, export_firmware, find_compiler
 from mufly.firmware.compiled_software import diff_fields
 from mufly.firmware.software_instance import SoftwareInstance, read_course, read_point
+from mufly.firmware.source_export import BOARD_INCLUDE_FLAGS
 from mufly.flight.flight_software import FlightSoftware
 from mufly.flight.oscillation_detector import INPUT_NAMES, OscillationDetector
 from mufly.mission import (
@@ -591,11 +592,11 @@ def test_another_mission_that_is_loaded_is_the_same(firmware, vehicle, controlle
 
 def test_templates_of_boards_compile_and_four_motors_turn_as_two_do(tmp_path, vehicle, controller) -> None:
     export_firmware(controller, tmp_path, vehicle, mission=parse_mission(SQUARE))
-    strict = ("-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-pedantic", "-Werror", "-I.", "-Iboards")
-    onboard = [f"../onboard/{p.name}" for p in sorted(tmp_path.glob("onboard/*.c"))]
+    strict = ("-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-pedantic", "-Werror", *BOARD_INCLUDE_FLAGS)
+    onboard = [f"../{p.relative_to(tmp_path)}" for p in sorted(tmp_path.glob("onboard/*/*.c"))]
     for name in ("board.c", "board_loop.c", "stm32/stm32.c", "crazyflie/four_motors.c", *onboard):
         done = subprocess.run(
-            [find_compiler(), "-std=c99", *strict, "-Ionboard", "-c", f"boards/{name}", "-o", "out.o"],
+            [find_compiler(), "-std=c99", *strict, "-c", f"boards/{name}", "-o", "out.o"],
             cwd=tmp_path, capture_output=True, text=True,
         )  # fmt: skip
         assert done.returncode == 0, done.stderr

@@ -18,7 +18,7 @@ from mufly.control import design_flight_controller
 from mufly.errors import MuflyError
 from mufly.firmware.fixed_point_law import export_fixed_point
 from mufly.firmware.sil_pil import run_compiler
-from mufly.firmware.source_export import export_firmware
+from mufly.firmware.source_export import BOARD_INCLUDE_FLAGS, export_firmware
 from mufly.mission import load_mission
 from mufly.results import result
 from mufly.vehicle import Vehicle
@@ -26,7 +26,7 @@ from mufly.vehicle import Vehicle
 _FUZZER_FLAGS = (
     "-std=gnu99", "-g", "-O1", "-ffp-contract=off", "-fno-math-errno",
     "-fsanitize=fuzzer,address,undefined,float-cast-overflow", "-fno-sanitize-recover=all",
-    "-I.", "-Icheck", "-Ifixed", "-Iboards", "-Ionboard",
+    *BOARD_INCLUDE_FLAGS, "-Icheck", "-Ifixed",
 )  # fmt: skip
 
 
@@ -121,8 +121,8 @@ def run_fuzzer(folder: Path, *, seconds: float, seed: int = 1) -> FuzzResult:
     }
     flags = ["clang", *_FUZZER_FLAGS, *(flag for part, flag in define.items() if there[part])]
     objects = []
-    parts = (folder / "boards" / "board.c", folder / "check" / "flash_model.c")
-    board = (*folder.glob("onboard/*.c"), *parts) if there["link"] else ()
+    parts = (folder / "boards" / "board.c", *folder.glob("check/*_model.c"))
+    board = (*folder.glob("onboard/*/*.c"), *parts) if there["link"] else ()
     for source in sorted((*folder.glob("*.c"), *folder.glob("fixed/*.c"), *board, folder / "check" / "fuzz.c")):
         made = source.with_suffix(".fuzz.o")
         if not made.exists() or made.stat().st_mtime_ns < source.stat().st_mtime_ns:

@@ -10,10 +10,14 @@ from mufly.control import FlightController
 from mufly.errors import InputError
 from mufly.flight.controllers import controller_limits
 from mufly.flight.tunable_parameters import StickRanges
+from mufly.logs.tables import TABLE_TOPIC
+from mufly.logs.ulog import DATASET_INFO_KEY, TEXTS_INFO_KEY, encode_table_head
 from mufly.mission import Mission, MissionPlan, prepare_plan, reduce_limits
 from mufly.mission.log_messages import LogMessage
+from mufly.mission.mission_state import State
 from mufly.mission.phases import nose_offset
 from mufly.mission.trajectory import TrajectoryLimits
+from mufly.quantities import find_quantity
 from mufly.vehicle import Vehicle
 from mufly.version import __version__
 
@@ -109,7 +113,7 @@ def render_plan_source(plan: MissionPlan, controller: FlightController) -> str:
 
 
 def render_supervisor_source() -> str:
-    """Return the text of ``onboard/supervisor_settings.c``."""
+    """Return the text of ``onboard/supervisor/supervisor_settings.c``."""
     lines = [
         f"/* Settings of the supervisor, made by mufly {__version__}; do not edit. */",
         '#include "supervisor.h"',
@@ -123,12 +127,49 @@ def render_supervisor_source() -> str:
 
 
 def render_texts_source() -> str:
-    """Return the text of ``onboard/texts.c``: the templates of the log."""
+    """Return the text of ``onboard/link/texts.c``: the templates of the log."""
     rows = [f"    {json.dumps(message.value, ensure_ascii=True)}," for message in LogMessage]
     return "\n".join(
         ["/* Templates of the log, made from those of Python; do not edit. */", '#include "text.h"', "",
          "const char *const mufly_texts[SAY_COUNT] = {", *rows, "};", ""]
     )  # fmt: skip
+
+
+LOGGED_QUANTITIES = (
+    "estimated_position", "estimated_velocity", "estimated_attitude", "estimated_rates", "estimated_valid",
+    "measured_acceleration", "reference_position", "reference_velocity", "motor_input", "servo_input",
+    "battery_voltage",
+)  # fmt: skip
+"""Signals of a row in the log on board, in the order of ``flight_log.c``; the mission's state follows."""
+
+
+def render_log_source() -> str:
+    """Return the text of ``onboard/log/flight_log_head.c``: the begin of a ULog file, with names and units."""
+    known = {name: find_quantity(name) for name in LOGGED_QUANTITIES}
+    columns, variables = [], {}
+    for name, quantity in known.items():
+        assert quantity is not None, name
+        labels = list(quantity.component_labels) if quantity.dim else None
+        columns += [name] if labels is None else [f"{name}_{label}" for label in labels]
+        attributes = {"units": quantity.units, "long_name": quantity.long_name}
+        variables[name] = {"dim": quantity.dim, "labels": labels, "attrs": attributes}
+    variables["mission_state"] = {"dim": None, "labels": None, "attrs": {"long_name": "state of the mission"}}
+    declared = ["uint64_t timestamp", *(f"float {c}" for c in columns), "uint16_t mission_state"]
+    head = encode_table_head(
+        f"{TABLE_TOPIC}:{';'.join(declared)};".encode(),
+        {
+            "sys_name": "mufly",
+            TEXTS_INFO_KEY: json.dumps({"mission_state": [str(s) for s in State]}),
+            DATASET_INFO_KEY: json.dumps({"variables": variables, "events": {}, "attributes": {"source": "board"}}),
+        },
+    )
+    rows = [f"    {', '.join(map(str, head[k : k + 24]))}," for k in range(0, len(head), 24)]
+    lines = [
+        f"/* Begin of a log, made by mufly {__version__}; do not edit. */", '#include "flight_log.h"', "",
+        f"const int32_t mufly_log_head_size = {len(head)};", f"const uint8_t mufly_log_head[{len(head)}] = {{",
+        *rows, "};", "",
+    ]  # fmt: skip
+    return "\n".join(lines)
 
 
 def supervisor_numbers() -> dict[str, Any]:

@@ -18,13 +18,24 @@ from mufly.control import FlightController
 from mufly.control.law import GAIN_UNITS
 from mufly.errors import InputError
 from mufly.firmware.estimate_tables import render_estimator_files
-from mufly.firmware.plan_tables import make_plan, render_plan_source, render_supervisor_source, render_texts_source
+from mufly.firmware.plan_tables import (
+    make_plan,
+    render_log_source,
+    render_plan_source,
+    render_supervisor_source,
+    render_texts_source,
+)
 from mufly.mission import Mission
 from mufly.vehicle import Vehicle
 from mufly.version import __version__
 from mufly.world import World
 
 SOURCE_FOLDER = resources.files("mufly.firmware") / "sources"
+BOARD_INCLUDE_FLAGS = (
+    "-I.", "-Iboards", "-Ionboard/link", "-Ionboard/log", "-Ionboard/receiver", "-Ionboard/storage",
+    "-Ionboard/supervisor",
+)  # fmt: skip
+"""Include folders of a board's code, within an exported tree."""
 _GAIN_GROUPS = ("heave_yaw", "roll_pitch", "position")
 
 
@@ -67,8 +78,9 @@ def export_firmware(
     others = dict(render_estimator_files(vehicle, known, controller.rate_Hz))
     if vehicle is not None and mission is not None:
         others["plan.c"] = render_plan_source(make_plan(vehicle, controller, mission), controller)
-        others["onboard/supervisor_settings.c"] = render_supervisor_source()
-        others["onboard/texts.c"] = render_texts_source()
+        others["onboard/supervisor/supervisor_settings.c"] = render_supervisor_source()
+        others["onboard/link/texts.c"] = render_texts_source()
+        others["onboard/log/flight_log_head.c"] = render_log_source()
     write_tree(render_gains_source(controller), out, others)
     return sorted(p for p in out.rglob("*") if p.is_file())
 

@@ -20,12 +20,21 @@ from numpy.typing import NDArray
 
 from mufly.answer_store import replace_file
 from mufly.errors import ArgumentError, InputError
+from mufly.logs.block_log import BLOCK_LOG_FORMAT, looks_like_block_log, read_block_log
 from mufly.logs.column_map import ColumnMap, TimeEntry, load_column_map, map_signals
 from mufly.logs.crazyflie import looks_like_crazyflie, read_crazyflie
 from mufly.logs.dataflash import MAGIC as DATAFLASH_MAGIC
 from mufly.logs.dataflash import is_text_log, read_dataflash
 from mufly.logs.mcap import MAGIC as MCAP_MAGIC
-from mufly.logs.mcap import component_channels, make_dataset, read_mcap, restore_dataset, to_csv
+from mufly.logs.mcap import (
+    FlightEvent,
+    component_channels,
+    event_variables,
+    make_dataset,
+    read_mcap,
+    restore_dataset,
+    to_csv,
+)
 from mufly.logs.mcap_recording import is_recording, parse_json_topics, recording_from_contents, write_mcap
 from mufly.logs.raw_log import (
     Channel,
@@ -97,6 +106,8 @@ def detect_log_format(path: str | Path) -> str:
     for kind, magic in _MAGIC_BY_FORMAT.items():
         if head.startswith(magic):
             return kind
+    if looks_like_block_log(head):
+        return BLOCK_LOG_FORMAT
     if is_text_log(head):
         return "DataFlash"
     if looks_like_crazyflie(head):
@@ -125,6 +136,7 @@ def detect_log_format(path: str | Path) -> str:
 ProgressCallback = Callable[[int, int], None]
 _MAP_BY_FORMAT = {
     "ULog": "px4",
+    BLOCK_LOG_FORMAT: "px4",
     "DataFlash": "ardupilot",
     "MAVLink tlog": "mavlink",
     "Crazyflie": "crazyflie",
@@ -172,8 +184,8 @@ def open_log(
         return raw, recording_from_contents(contents, where) if is_recording(contents) else None
     if kind == "rosbag2":
         return read_rosbag2(path), None
-    if kind == "ULog":
-        raw = read_ulog(path)
+    if kind in ("ULog", BLOCK_LOG_FORMAT):
+        raw = read_ulog(path) if kind == "ULog" else read_block_log(path)
         return raw, _restore_own_ulog(raw)
     if kind == "DataFlash":
         return read_dataflash(path), None
@@ -213,10 +225,13 @@ def _restore_own_ulog(raw: RawLog) -> xr.Dataset | None:
             if bad := int((number == len(known)).sum()):
                 which = f"{bad} text{'s' if bad > 1 else ''} of {name}"
                 warnings.warn(f"{Path(raw.path).name}: {which} is damaged, and empty", LogWarning, stacklevel=4)
-        return restore_dataset(fields.pop("time"), fields, description)
+        restored = restore_dataset(fields.pop("time", raw[TABLE_TOPIC].time), fields, description)
     except (KeyError, IndexError, ValueError, TypeError) as error:
         problem = f"has a damaged description ({error})"
         raise InputError(raw.path, "", problem, "give another copy of the file") from error
+    if "event_time" in restored:
+        return restored
+    return restored.assign(event_variables([FlightEvent(t, "", text, level) for t, level, text in raw.messages]))
 
 
 def read_log(

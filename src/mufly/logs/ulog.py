@@ -39,7 +39,7 @@ from mufly.logs.tables import TABLE_TOPIC
 
 MAGIC = b"ULog\x01\x12\x35"
 _HEAD_SIZE, _STAMP_SIZE = 3, 8  # bytes of length and type of a message, and of a stamp
-_HEADER_SIZE = 16
+HEADER_SIZE = 16
 _SYNC_BYTES = b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"
 _LEVEL_WORDS = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
 _MAX_HEADER_OFFSET_US = 600_000_000
@@ -109,10 +109,13 @@ def read_ulog(path: str | Path) -> RawLog:
     InputError
         If its header is damaged, it holds no data, or it uses an unknown feature.
     """
-    where = str(path)
-    data = Path(path).read_bytes()
-    if len(data) < _HEADER_SIZE:
-        raise InputError(where, "", f"is a ULog file cut in its header, {len(data)} of {_HEADER_SIZE} bytes are there",
+    return parse_ulog(Path(path).read_bytes(), str(path))
+
+
+def parse_ulog(data: bytes, where: str) -> RawLog:
+    """Parse the bytes of a ULog file, as :func:`read_ulog`; ``where`` names them in messages."""
+    if len(data) < HEADER_SIZE:
+        raise InputError(where, "", f"is a ULog file cut in its header, {len(data)} of {HEADER_SIZE} bytes are there",
                          "give another copy of the file")  # fmt: skip
     header = struct.unpack_from("<Q", data, 8)[0]
     scan = _scan_messages(data, header, where)
@@ -164,7 +167,7 @@ def read_ulog(path: str | Path) -> RawLog:
 def _scan_messages(data: bytes, header: int, where: str) -> _ScanResult:
     """Find every valid message; messages other than data are processed at once."""
     scan = _ScanResult()
-    at, end = _HEADER_SIZE, len(data)
+    at, end = HEADER_SIZE, len(data)
     limits = [end]
     heads: re.Pattern[bytes] | None = None
     unpack, numbers, kinds = struct.Struct("<HBH").unpack_from, scan.topics_by_id, _MESSAGE_TYPES
@@ -242,7 +245,7 @@ def _check_flags(scan: _ScanResult, where: str, end: int) -> list[int]:
     if flags[0] & ~_APPENDED_DATA_FLAG or any(flags[1:]):
         raise InputError(where, "flag bits", f"has incompatible flags ({flags.hex()}) that are not known here",
                          "convert it with PX4's own tools: ulog2csv")  # fmt: skip
-    return [*sorted(o for o in offsets if flags[0] & _APPENDED_DATA_FLAG and _HEADER_SIZE < o < end), end]
+    return [*sorted(o for o in offsets if flags[0] & _APPENDED_DATA_FLAG and HEADER_SIZE < o < end), end]
 
 
 def _message_head_pattern(scan: _ScanResult) -> re.Pattern[bytes]:
@@ -453,7 +456,7 @@ def _find_start_time(tables: dict[str, RawTable], info: dict[str, Any]) -> str:
     return ""
 
 
-TEXTS_INFO_KEY = "mufly_texts"
+TEXTS_INFO_KEY, DATASET_INFO_KEY = "mufly_texts", "mufly_dataset"
 _ULOG_WRITE_LEVELS = {"error": b"3", "warning": b"4", "info": b"6"}
 _MAX_TEXT_LENGTH = 65535
 _NAME_PATTERN = re.compile(r"[A-Za-z0-9_]+")
@@ -528,16 +531,11 @@ def write_ulog(dataset: xr.Dataset, path: Path) -> None:
     rows["time"] = time
     for column, value in zip(columns, values, strict=True):
         rows[column.column_name] = value
-    head = MAGIC + b"\x01" + struct.pack("<Q", 0) + _encode_message(b"B", bytes(40))
-    head += _encode_message(b"F", format_text)
-    head += _encode_information("sys_name", "mufly") + _encode_information(
-        "mufly_start_time", str(dataset.attrs.get("start_time", ""))
-    )
-    head += _encode_information(_ROW_COUNT_KEY, str(len(time)))
-    head += _encode_information(TEXTS_INFO_KEY, json.dumps(texts)) + _encode_information(
-        "mufly_dataset", describe_dataset(dataset)
-    )
-    head += _encode_message(b"A", struct.pack("<BH", 0, 0) + TABLE_TOPIC.encode())
+    information = {
+        "sys_name": "mufly", "mufly_start_time": str(dataset.attrs.get("start_time", "")),
+        _ROW_COUNT_KEY: str(len(time)), TEXTS_INFO_KEY: json.dumps(texts), DATASET_INFO_KEY: describe_dataset(dataset),
+    }  # fmt: skip
+    head = encode_table_head(format_text, information)
     said = b"".join(
         _encode_message(
             b"L",
@@ -548,6 +546,14 @@ def write_ulog(dataset: xr.Dataset, path: Path) -> None:
         for e in (read_events(dataset) if "event_time" in dataset else [])
     )
     path.write_bytes(head + rows.tobytes() + said)
+
+
+def encode_table_head(format_text: bytes, information: Mapping[str, str]) -> bytes:
+    """Return the begin of a ULog file with the topic ``table`` as number 0: header, definitions, subscription."""
+    head = MAGIC + b"\x01" + struct.pack("<Q", 0) + _encode_message(b"B", bytes(40))
+    head += _encode_message(b"F", format_text)
+    head += b"".join(_encode_information(key, text) for key, text in information.items())
+    return head + _encode_message(b"A", struct.pack("<BH", 0, 0) + TABLE_TOPIC.encode())
 
 
 def _encode_log_text(state: str, text: str) -> bytes:

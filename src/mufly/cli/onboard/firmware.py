@@ -296,6 +296,9 @@ def fly(
     out: Annotated[
         Path | None, define_option("--out -o DIR", "Folder for the results. Default: flights/<date-time>.")
     ] = None,
+    log: Annotated[
+        Path | None, define_option("--log FILE", "File for the log that the board writes to its block device (ULog).")
+    ] = None,
     wind: WindOption = None,
     gust: GustOption = None,
     seed: SeedOption = 0,
@@ -321,6 +324,8 @@ def fly(
     steady = resolve_wind(wind, gust, seed)
     folder = out if out is not None else new_dated_folder()
     check_place("--out", folder, make=False)
+    if log is not None:
+        check_place("--log", log.parent, make=False)
     helicopter, flown = load_vehicle(vehicle), load_mission(mission)
     faults = check_sensor_options(helicopter, "fitted", fault)
     check_preflight(helicopter, flown, vehicle_file=vehicle, mission_file=mission)
@@ -328,7 +333,7 @@ def fly(
         try:
             record, compared = fly_board(
                 helicopter, flown, emulated=qemu, wind=steady, gust=gust, seed=seed, faults=faults,
-                path=folder / "flight.mcap", on_event=display.show_event,
+                path=folder / "flight.mcap", log_path=log, on_event=display.show_event,
                 on_progress=lambda p: display.set_live_line(format_progress_line(p)),
                 on_stage=lambda stage: display.set_live_line(stage),
             )  # fmt: skip
@@ -345,6 +350,49 @@ def fly(
         raise MuflyError(f"the emulated board differs from this machine: {compared.first_difference}")
     if summary.outcome != "succeeded":
         raise MuflyError(f"the mission failed: {summary.reason}")
+
+
+@app.command("log")
+def split_log(
+    image: Annotated[
+        Path, define_argument("IMAGE", "Image of the block device of a board's log: a copy of the SD card.")
+    ],
+    out: Annotated[Path, define_option("--out DIR", "Folder for the files, one for each start of the board.")],
+    as_json: JsonOption = False,
+) -> None:
+    """Extract the logs of a board from its SD card or flash, as ULog.
+
+    `mufly log` also reads the image itself: its latest log.
+
+    Example: mufly firmware log card.img --out logs, then mufly log info logs/session-0003.ulg
+    """
+    from mufly.logs.block_log import split_sessions
+
+    try:
+        sessions = split_sessions(image.read_bytes())
+    except OSError as error:
+        problem = f"cannot be read ({error.strerror})"
+        raise InputError(str(image), "", problem, "give a copy of the whole device") from error
+    if not sessions:
+        raise InputError(str(image), "", "holds no log of a board", "give a copy of the whole device")
+    check_place("--out", out, make=False)
+    files, rows = [], []
+    with report_write_errors("--out", key=str(out)):
+        out.mkdir(parents=True, exist_ok=True)
+        for s in sessions:
+            rows.append(
+                {"session": s.number, "bytes": len(s.ulog), "missing_blocks": s.missing_blocks, "whole": s.has_begin}
+            )
+            if s.has_begin:
+                files.append(out / f"session-{s.number:04d}.ulg")
+                files[-1].write_bytes(s.ulog)
+
+    def show() -> None:
+        print_result_table(rows, ("session", "bytes", "missing_blocks", ResultColumn("whole", head="begin")))
+        if len(files) < len(sessions):
+            print_lines("A session without its begin has been overwritten in part; it is left out.")
+
+    print_answer(as_json, {"sessions": rows}, show, files)
 
 
 @app.command()

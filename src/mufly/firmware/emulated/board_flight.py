@@ -27,6 +27,7 @@ from mufly.firmware.software_instance import SoftwareInstance, TextTable
 from mufly.flight import fly_mission
 from mufly.flight.controllers import Actuators
 from mufly.flight.mission_flight import FlightProgress
+from mufly.logs.block_log import split_sessions
 from mufly.logs.mcap import FlightEvent
 from mufly.mission import Command, Mission, MissionPlan
 from mufly.results import result
@@ -267,6 +268,7 @@ def fly_board(
     seed: int = 0,
     faults: Sequence[Fault] = (),
     path: Path | None = None,
+    log_path: Path | None = None,
     single: bool = True,
     on_progress: Callable[[FlightProgress], None] | None = None,
     on_event: Callable[[FlightEvent], None] | None = None,
@@ -284,6 +286,8 @@ def fly_board(
         As for :func:`make_board`.
     wind, gust, seed, faults, path, on_progress, on_event
         As for :func:`mufly.flight.fly_mission`.
+    log_path : Path, optional
+        File for the log that the board has written (ULog); it lacks what a cut of the power at the end would lose.
     on_stage : callable, optional
         Called with the name of each stage before the flight.
 
@@ -312,6 +316,8 @@ def fly_board(
             sensors="fitted", estimator=BoardEstimator(board, vehicle, mission.world, controller.rate_Hz),
             controllers=make_board_software(board), on_progress=on_progress, on_event=on_event,
         )  # fmt: skip
+        if log_path is not None:
+            log_path.write_bytes(split_sessions(board.log_blocks.tobytes())[-1].ulog)
     finally:
         board.close()
     factor = float(record.attrs["realtime_factor"])

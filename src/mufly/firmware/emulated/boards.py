@@ -22,7 +22,10 @@ EMULATED_MACHINE = "mps2-an386"
 """Board with a Cortex-M4F that QEMU emulates."""
 FLASH_WORDS = 4096
 """Words of 32 bits in each of the two sectors for settings: ``FLASH_WORDS`` of ``qemu.c``."""
-_FLASH_MEMORY_BYTES = 16 * 2**20  # of the emulated memory that holds the sectors
+LOG_BLOCKS = 30720
+"""Blocks of 512 bytes for the log: ``LOG_BLOCKS`` of ``qemu.c``."""
+_LOG_OFFSET = 2**20  # in the memory that holds the sectors
+_FLASH_MEMORY_BYTES = 16 * 2**20  # of the emulated memory that holds sectors and log
 
 
 class Board(Protocol):
@@ -32,6 +35,7 @@ class Board(Protocol):
     lib: Any
     record: Any
     memory: NDArray[np.uint8]
+    log_blocks: NDArray[np.uint32]
 
     def restart(self) -> None:
         """Return to the state after power-up."""
@@ -58,6 +62,10 @@ class HostBoard:
     ----------
     flash : (2 * FLASH_WORDS,) array of uint32
         Contents of both sectors for settings; blank at first, kept over restarts.
+    log_blocks : (LOG_BLOCKS, 128) array of uint32
+        Contents of the block device of the log, kept over restarts.
+    flash_model, block_model : cffi pointers
+        Models of both, with their faults.
     """
 
     def __init__(self, ffi: Any, lib: Any) -> None:
@@ -69,6 +77,9 @@ class HostBoard:
         model.words, model.weak = (ffi.cast("uint32_t *", ffi.from_buffer(a)) for a in (self.flash, self._weak_bits))
         model.sector_words, model.noise = FLASH_WORDS, 1
         model.cut_after = model.worn_word = model.worn_sector = -1
+        self.log_blocks = np.zeros((LOG_BLOCKS, 128), np.uint32)
+        self.block_model = ffi.new("block_model_t *", {"blocks": LOG_BLOCKS, "noise": 1, "cut_after": -1})
+        self.block_model.words = ffi.cast("uint32_t *", ffi.from_buffer(self.log_blocks))
         self.memory = np.zeros(ffi.sizeof("board_t"), np.uint8)
         self.record = ffi.cast("board_t *", ffi.from_buffer(self.memory))
         fitted = lib.mufly_settings.is_fitted
@@ -78,9 +89,14 @@ class HostBoard:
     def restart(self) -> None:
         """Return to the state after power-up."""
         self.memory[:] = 0
-        self.lib.flash_model_attach(self.flash_model)
+        self._attach_models()
         self.lib.flash_model_start(self.flash_model)
+        self.lib.block_model_start(self.block_model)
         self.lib.board_start(self.record, self._fitted, self.lib.RESTART_COLD)
+
+    def _attach_models(self) -> None:
+        self.lib.flash_model_attach(self.flash_model)
+        self.lib.block_model_attach(self.block_model)
 
     def compute_estimate(self, period: Any) -> None:
         """Run the first half of a period."""
@@ -90,6 +106,7 @@ class HostBoard:
     def compute_control(self, request: Any) -> None:
         """Run the second half of a period."""
         given = self.ffi.addressof(request, "given") if request.is_given else self.ffi.NULL
+        self._attach_models()
         self.lib.board_control(self.record, given)
 
     def exchange_bytes(self, received: bytes) -> bytes:
@@ -97,7 +114,7 @@ class HostBoard:
         link = self.record.link
         link.input_count = min(len(received), len(link.input))
         self.ffi.memmove(link.input, received[: link.input_count], link.input_count)
-        self.lib.flash_model_attach(self.flash_model)
+        self._attach_models()
         self.lib.board_link(self.record)
         out = self.ffi.new("uint8_t[]", len(link.output))
         pointer = self.ffi.addressof(self.record, "link")
@@ -129,6 +146,8 @@ class EmulatedBoard:
         Period, field and values of the first difference; "" without one.
     flash : (2 * FLASH_WORDS,) array of uint32
         Memory of the emulated board in the place of its flash: both sectors for settings, kept over restarts.
+    log_blocks : (LOG_BLOCKS, 128) array of uint32
+        Memory of the emulated board in the place of the log's block device, kept over restarts.
     """
 
     def __init__(self, image: Path, twin: HostBoard, uart: str = "none") -> None:
@@ -144,6 +163,9 @@ class EmulatedBoard:
         self._flash_file.truncate(_FLASH_MEMORY_BYTES)
         self.flash = np.memmap(self._flash_file.name, np.uint32, "r+", shape=twin.flash.shape)
         self.flash[:] = twin.flash
+        self.log_blocks: NDArray[np.uint32] = np.memmap(
+            self._flash_file.name, np.uint32, "r+", _LOG_OFFSET, twin.log_blocks.shape
+        )
         self.restart()
 
     def restart(self) -> None:

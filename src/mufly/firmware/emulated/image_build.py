@@ -20,7 +20,7 @@ from mufly.control import FlightController
 from mufly.errors import MuflyError
 from mufly.firmware.host_build import cffi_declarations
 from mufly.firmware.sil_pil import CORTEX_M4_FLAGS, SINGLE_PRECISION_BUILD, SPEED_OPTIMISED_SOURCES, missing_tools
-from mufly.firmware.source_export import export_firmware
+from mufly.firmware.source_export import BOARD_INCLUDE_FLAGS, export_firmware
 from mufly.mission import Mission
 from mufly.numba_cache import cache_folder
 from mufly.toolchain import COMPILER_FLAGS, build_cached_library
@@ -30,8 +30,8 @@ _HOST_BOARD_FILES = (
     "boards/board.c",
     "boards/board.h",
     "boards/qemu/exchange.[ch]",
-    "onboard/*.[ch]",
-    "check/flash_model.[ch]",
+    "onboard/*/*.[ch]",
+    "check/*_model.[ch]",
 )
 _IMAGE_FILES = ("boards/board_loop.c", "boards/qemu/exchange.c", "boards/qemu/qemu.c", "check/platform_cortex_m4.c")
 _IMAGE_FLAGS = (*COMPILER_FLAGS, *CORTEX_M4_FLAGS, "-mthumb", "-ffreestanding", "-nostdlib", "-DMUFLY_FLOAT")
@@ -93,11 +93,11 @@ def build_image(vehicle: Vehicle, controller: FlightController, mission: Mission
 
 def _link_image(tree: Path) -> Path:
     """Compile and link the image in a tree."""
-    command = ["arm-none-eabi-gcc", *_IMAGE_FLAGS, "-I.", "-Iboards", "-Ionboard"]
+    command = ["arm-none-eabi-gcc", *_IMAGE_FLAGS, *BOARD_INCLUDE_FLAGS]
     sources = sorted(p.name for p in tree.glob("*.c") if p.name not in SPEED_OPTIMISED_SOURCES)
     _run_compiler([*command, "-O2", "-c", *SPEED_OPTIMISED_SOURCES], tree)
     objects = [name.replace(".c", ".o") for name in SPEED_OPTIMISED_SOURCES]
-    onboard = [f"onboard/{p.name}" for p in sorted(tree.glob("onboard/*.c"))]
+    onboard = [str(p.relative_to(tree)) for p in sorted(tree.glob("onboard/*/*.c"))]
     others = [*sources, *onboard, "boards/board.c", *_IMAGE_FILES, *objects]
     _run_compiler([*command, *others, "-T", "check/cortex_m4.ld", "-o", "board.elf", "-lgcc"], tree)
     return tree / "board.elf"

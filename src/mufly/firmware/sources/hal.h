@@ -66,6 +66,21 @@ bool hal_flash_program(int32_t sector, int32_t word, uint32_t value);
 /* Set all bits of a sector to 1. Called on the floor with motors off; may take a second, and resets the watchdog meanwhile. */
 bool hal_flash_erase(int32_t sector);
 
+/* Block device of the log (onboard/log/block_log.h): number of blocks; 0: the board has none. A driver of flash erases a sector
+ * when its first block is written. */
+int32_t hal_block_count(void);
+
+/* Begin to read or write a block of BLOCK_WORDS words, or to make all written blocks last without power; one operation at a time.
+ * The memory belongs to the device until hal_block_poll returns another value than BLOCK_BUSY. false: the device refuses. */
+#define BLOCK_WORDS 128
+bool hal_block_read(int32_t block, uint32_t to[BLOCK_WORDS]);
+bool hal_block_write(int32_t block, const uint32_t from[BLOCK_WORDS]);
+bool hal_block_flush(void);
+
+/* State of the operation, without waiting. */
+enum { BLOCK_DONE, BLOCK_BUSY, BLOCK_ERROR };
+int32_t hal_block_poll(void);
+
 /* Reset the watchdog; without a call for 50 ms the hardware stops the motors. */
 void hal_feed_watchdog(void);
 

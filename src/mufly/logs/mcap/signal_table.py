@@ -167,9 +167,13 @@ def rows_to_dataset(
             coords[quantity.dim] = list(layout.component_labels(quantity))
             variables[quantity.name] = (("time", quantity.dim), block, attrs)
     variables["mission_state"] = ("time", np.array(states, dtype=str), {"long_name": "state of the mission"})
+    return xr.Dataset(variables | event_variables(events), coords, dict(attributes or {}))
+
+
+def event_variables(events: Sequence[FlightEvent]) -> dict[str, Any]:
+    """Return the variables of a dataset for events, over the dimension ``event``."""
     parts = zip(*events, strict=True) if events else [()] * len(_EVENT_VARIABLES)
-    variables |= {name: _event_variable(name, values) for name, values in zip(_EVENT_VARIABLES, parts, strict=True)}
-    return xr.Dataset(variables, coords, dict(attributes or {}))
+    return {name: _event_variable(name, values) for name, values in zip(_EVENT_VARIABLES, parts, strict=True)}
 
 
 def _event_variable(name: str, values: Sequence[Any]) -> tuple[Any, ...]:

@@ -28,6 +28,7 @@ void board_start(board_t *b, uint32_t fitted, int32_t restart)
     b->period_count = 0;
     b->plan = mufly_plan;
     link_start(&b->link);
+    flight_log_start(&b->log);
     supervisor_start(&b->supervisor, &mufly_supervisor,
                      (restart == RESTART_IN_FLIGHT) ? INTERRUPTION_RESET : INTERRUPTION_NONE);
     {
@@ -186,13 +187,18 @@ void board_control(board_t *b, const hal_command_t *given)
     if (!armed) {
         set_idle(&b->sent);
     }
+    {
+        const flight_log_vehicle_t logged = {&b->belief, &b->software, &b->acting, armed};
+
+        flight_log_step(&b->log, &logged);
+    }
 }
 
 void board_link(board_t *b)
 {
     const flight_setup_t setup = present_setup(b);
     const link_vehicle_t vehicle = {&b->supervisor, &b->software, &setup, &b->plan, &b->belief, &b->estimator,
-                                    &b->settings, &b->rc.settings};
+                                    &b->settings, &b->rc.settings, &b->log.device.faults};
     const rc_vehicle_t piloted = {&b->supervisor, &setup, &b->software, &b->belief};
 
     rc_step(&b->rc, &piloted);

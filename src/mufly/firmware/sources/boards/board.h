@@ -3,6 +3,7 @@
 #define MUFLY_BOARD_H
 
 #include "fault_record.h"
+#include "flight_log.h"
 #include "hal.h"
 #include "link.h"
 #include "rc.h"
@@ -24,6 +25,7 @@ typedef struct {
     settings_t settings;
     link_t link;
     rc_t rc;
+    flight_log_t log;
 } board_t;
 
 /* The watchdog stops the processor after so many periods (50 ms). */
@@ -37,7 +39,7 @@ void board_start(board_t *b, uint32_t fitted, int32_t restart);
  * the filter makes up with the readings of the inertial unit of this one, at most MAX_MISSED_PERIODS. */
 void board_estimate(board_t *b, real_t time_s, int32_t missed);
 
-/* Second half: from the estimate to b->sent, the actuator inputs of the next period; zero unless armed. given: NULL for the
+/* Second half: from the estimate to b->sent, the actuator inputs of the next period; zero unless armed; appends to the log. given: NULL for the
  * command and arming of the supervisor. */
 void board_control(board_t *b, const hal_command_t *given);
 

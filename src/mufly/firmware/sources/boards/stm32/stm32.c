@@ -152,6 +152,35 @@ bool hal_flash_erase(int32_t sector)
     return false;
 }
 
+int32_t hal_block_count(void)
+{
+    return 0; /* TODO: blocks of 512 bytes of an SD card, or of a flash that erases a sector at its first block */
+}
+
+bool hal_block_read(int32_t block, uint32_t to[BLOCK_WORDS])
+{
+    (void)block; /* TODO: begin by DMA */
+    (void)to;
+    return false;
+}
+
+bool hal_block_write(int32_t block, const uint32_t from[BLOCK_WORDS])
+{
+    (void)block; /* TODO: begin by DMA */
+    (void)from;
+    return false;
+}
+
+bool hal_block_flush(void)
+{
+    return false; /* TODO: true where the device holds nothing back */
+}
+
+int32_t hal_block_poll(void)
+{
+    return (int32_t)BLOCK_ERROR; /* TODO: BLOCK_BUSY, BLOCK_DONE */
+}
+
 void hal_feed_watchdog(void)
 {
     /* TODO: IWDG->KR = 0xAAAA, with a reload that leaves 50 ms */

@@ -61,6 +61,7 @@ typedef struct {
     const estimator_t *estimator;
     settings_t *settings;
     rc_settings_t *rc;
+    uint32_t *log_faults; /* LOG_... bits; the link clears those that it has sent */
 } link_vehicle_t;
 
 void link_start(link_t *k);

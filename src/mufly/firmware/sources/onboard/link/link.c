@@ -969,12 +969,16 @@ static void send_arming_faults(link_t *k, const link_vehicle_t *v)
     send_one_fault(k, &k->untold_faults, words, 9U);
 }
 
-/* Store what was set in flight; report the faults of the settings to the first station. */
+/* Store what was set in flight; report the faults of settings and log to the first station. */
 static void step_settings(link_t *k, const link_vehicle_t *v)
 {
     static const char *const words[4] = {
         "not stored: the flash is worn or full", "stored settings of another version, not used",
         "stored setting out of bounds, not used", "stored mission replaced another one; not used",
+    };
+    static const char *const log_words[3] = {
+        "log full: this flight is recorded no further", "log: the device fails; nothing is recorded",
+        "log: blocks of the device are worn",
     };
     settings_t *s = v->settings;
 
@@ -985,6 +989,7 @@ static void step_settings(link_t *k, const link_vehicle_t *v)
     }
     if (k->is_heard) {
         send_one_fault(k, &s->faults, words, 4U);
+        send_one_fault(k, v->log_faults, log_words, 3U);
     }
 }
 

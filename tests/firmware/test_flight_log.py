@@ -1,0 +1,265 @@
+"""The log of a board: a power cut loses at most a second, and no fault of the device stops a period."""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pytest
+from board_station import Station
+from pymavlink.dialects.v20 import common as mavlink
+from pyulog import ULog
+from typer.testing import CliRunner
+
+from mufly.cli import app
+from mufly.control import design_flight_controller
+from mufly.firmware.emulated.image_build import build_host_board
+from mufly.logs import read_log
+from mufly.logs.block_log import split_sessions
+from mufly.mission import load_mission
+from mufly.vehicle import load_vehicle
+
+pytestmark = pytest.mark.skipif(
+    not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="no C compiler: install gcc or clang"
+)
+RATE = 200
+ROW_BYTES = 123
+BLOCK_MAGIC, FILLED, FAILED, WORN = 0x676F6C6D, 1, 2, 4  # of block_log.h
+HEADER = bytes(16)  # of a ULog file
+
+
+@pytest.fixture(scope="module")
+def library():
+    vehicle = load_vehicle("mufly-1.1")
+    return build_host_board(vehicle, design_flight_controller(vehicle), load_mission("demonstration"), single=False)
+
+
+class Device:
+    """A block device with its faults, and the log on it."""
+
+    def __init__(self, library, blocks=256, noise=1, worn=None, **faults) -> None:
+        self.ffi, self.lib = library
+        self.array = np.zeros((blocks, 128), np.uint32)
+        self.model = self.ffi.new("block_model_t *", {"blocks": blocks, "noise": noise, "cut_after": -1, **faults})
+        self.model.words = self.ffi.cast("uint32_t *", self.ffi.from_buffer(self.array))
+        self.worn = np.zeros(blocks, np.uint8) if worn is None else worn
+        self.model.worn = self.ffi.cast("uint8_t *", self.ffi.from_buffer(self.worn))
+        self.log = self.ffi.new("block_log_t *")
+        self.messages: list[tuple[int, bytes]] = []
+        self.begun = False
+
+    def start(self, cut_after=-1) -> None:
+        self.lib.block_model_attach(self.model)
+        self.lib.block_model_start(self.model)
+        self.model.operations, self.model.cut_after = 0, cut_after
+        self.lib.block_log_start(self.log)
+        self.messages, self.begun = [], False
+
+    def step(self, k, every=4) -> None:
+        """Run a period; every fourth a message is appended: its number, as a ULog message."""
+        if not self.begun:
+            self.begun = self.lib.block_log_append(self.log, HEADER, len(HEADER), True)
+        elif k % every == 0:
+            count = len(self.messages)
+            message = (ROW_BYTES - 3).to_bytes(2, "little") + b"D" + count.to_bytes(4, "little") + bytes(ROW_BYTES - 7)
+            if self.lib.block_log_append(self.log, message, ROW_BYTES, True):
+                self.messages.append((k, message))
+        self.lib.block_log_step(self.log)
+
+    def run(self, periods, **options) -> int:
+        """Run until the power is cut; return the period of the cut."""
+        for k in range(periods):
+            if self.model.is_off:
+                return k
+            self.step(k, **options)
+        return periods
+
+    def latest(self):
+        return split_sessions(self.array.tobytes())[-1]
+
+    def kept(self) -> list[int]:
+        """Return the numbers of the messages of the latest session, whole and in order."""
+        data = self.latest().ulog[len(HEADER) :]
+        rows = [data[k : k + ROW_BYTES] for k in range(0, len(data) - ROW_BYTES + 1, ROW_BYTES)]
+        assert all(r == self.messages[int.from_bytes(r[3:7], "little")][1] for r in rows)
+        return [int.from_bytes(r[3:7], "little") for r in rows]
+
+
+@pytest.mark.parametrize(("caches", "write_polls"), [(False, 0), (True, 0), (True, 3)])
+def test_a_power_cut_at_every_write_loses_at_most_a_second(library, caches, write_polls) -> None:
+    whole = Device(library, 128, caches=caches, write_polls=write_polls)
+    whole.start()
+    whole.run(900)
+    assert whole.log.lost_messages <= 30  # those before the search was over
+    assert whole.model.operations > 40
+    for cut in range(whole.model.operations):
+        device = Device(library, 128, noise=cut + 1, caches=caches, write_polls=write_polls)
+        device.start(cut)
+        off = device.run(900)
+        sessions = split_sessions(device.array.tobytes())
+        kept = device.kept() if sessions else []
+        assert kept == sorted(set(kept))
+        lost = [k for n, (k, _) in enumerate(device.messages) if n not in kept]
+        assert not lost or off - lost[0] <= RATE, cut
+        # The next start finds its place behind, and both sessions are there.
+        before = sessions[-1].ulog if sessions else b""
+        device.start()
+        device.run(200)
+        after = {s.number: s.ulog for s in split_sessions(device.array.tobytes())}
+        assert len(device.kept()) > 5
+        assert not sessions or after[sessions[-1].number] == before
+
+
+def test_a_slow_trickle_is_on_the_device_within_a_second(library) -> None:
+    """One message in two seconds, as on the floor: each is there after a second."""
+    device = Device(library, caches=True)
+    device.start()
+    for k in range(3000):
+        device.step(k, every=400)
+        if k % 400 == RATE and device.messages:
+            image = device.array.tobytes()
+            assert len(split_sessions(image)[-1].ulog) == len(HEADER) + ROW_BYTES * len(device.messages)
+    assert len(device.messages) > 5
+
+
+def test_sessions_follow_each_other_round_the_device(library) -> None:
+    device = Device(library, 100)
+    for number in range(1, 60):
+        device.start()
+        device.run(300 + 7 * (number % 5))
+        latest = device.latest()
+        assert (latest.number, latest.missing_blocks, latest.has_begin) == (number, 0, True)
+        assert device.kept() == list(range(len(device.kept())))
+    numbers = [s.number for s in split_sessions(device.array.tobytes())]
+    assert numbers == sorted(numbers)
+    assert len(numbers) > 3
+
+
+def test_a_full_log_is_reported_and_keeps_what_it_holds(library) -> None:
+    device = Device(library, 80)
+    device.start()
+    device.run(4000)
+    assert (device.log.state, device.log.faults) == (device.lib.BLOCK_LOG_FULL, FILLED)
+    kept = device.kept()
+    assert kept == list(range(len(kept)))
+    assert len(kept) > 0.7 * 48 * 488 / ROW_BYTES  # blocks are closed early for each flush
+    device.start()
+    device.run(400)
+    assert device.latest().number == 2
+
+
+def test_worn_blocks_are_skipped_and_reported(library) -> None:
+    rng = np.random.default_rng(3)
+    for kind in (1, 2):
+        worn = (kind * (rng.random(256) < 0.3)).astype(np.uint8)
+        device = Device(library, worn=worn)
+        device.start()
+        device.run(1500)
+        assert device.log.state == device.lib.BLOCK_LOG_WRITES
+        assert device.log.bad_blocks > 5
+        assert device.log.faults == WORN
+        assert device.latest().missing_blocks == 0
+        kept = device.kept()
+        assert kept == list(range(len(kept)))
+        assert len(kept) >= len(device.messages) - 60
+    device = Device(library, worn=np.ones(256, np.uint8))
+    device.start()
+    device.run(600)
+    assert device.log.faults & FAILED
+
+
+def test_a_block_that_decays_later_costs_its_messages_only(library) -> None:
+    device = Device(library)
+    device.start()
+    device.run(1200)
+    all_of_it = device.kept()
+    device.array[5, 40] ^= 0x10
+    latest = device.latest()
+    assert latest.missing_blocks == 1
+    kept = device.kept()
+    assert set(kept) < set(all_of_it)
+    assert 3 <= len(all_of_it) - len(kept) <= 6
+    device.array[0, 7] ^= 1
+    assert not device.latest().has_begin
+
+
+def test_a_device_that_refuses_or_is_silent_fails_in_two_seconds(library) -> None:
+    for fault in ("refuses", "is_silent"):
+        for at in (0, 500):  # in the search, and while writing
+            device = Device(library)
+            device.start()
+            device.run(at)
+            assert at == 0 or device.log.state == device.lib.BLOCK_LOG_WRITES
+            setattr(device.model, fault, True)
+            device.run(2 * RATE + 120)
+            assert (device.log.state, device.log.faults) == (device.lib.BLOCK_LOG_FAILED, FAILED)
+            assert not device.lib.block_log_append(device.log, b"x", 1, True)
+    device = Device(library, 8)
+    device.start()
+    device.run(300)
+    assert device.log.state == device.lib.BLOCK_LOG_ABSENT
+    # A device that takes 0.35 s for a block now and then loses nothing; the buffers hold 0.4 s.
+    device = Device(library, 1024)
+    device.start()
+    for k in range(4000):
+        device.model.write_polls = 70 if k % 400 == 399 else 0
+        device.step(k)
+        if k == 100:
+            searched = device.log.lost_messages
+    assert device.log.lost_messages == searched
+    # One that is too slow loses messages, and says how many.
+    device = Device(library, write_polls=60)
+    device.start()
+    device.run(2000)
+    assert device.log.lost_messages > 100
+
+
+def test_the_search_bears_any_contents(library) -> None:
+    rng = np.random.default_rng(1)
+    for _ in range(60):
+        device = Device(library, 64)
+        device.array[:] = rng.integers(0, 2**32, device.array.shape, dtype=np.uint32)
+        device.array[rng.random(64) < 0.5, 0] = BLOCK_MAGIC
+        device.start()
+        device.run(300)
+        assert device.log.state == device.lib.BLOCK_LOG_WRITES
+        assert (device.log.session, len(device.kept()) > 10) == (1, True)
+
+
+def test_a_board_logs_names_units_and_texts_and_pyulog_reads_them(library, tmp_path) -> None:
+    station = Station(library)
+    board, r = station.board, station.board.record
+    for k in range(600):
+        station.step()
+        if k >= 400:
+            station.request.is_given = True
+            station.request.given.armed = True
+    image = tmp_path / "card.img"
+    image.write_bytes(board.log_blocks[:200].tobytes())
+    done = CliRunner().invoke(app, ["firmware", "log", str(image), "--out", str(tmp_path / "logs")])
+    assert done.exit_code == 0, done.output
+    file = tmp_path / "logs" / "session-0001.ulg"
+    data = read_log(file)
+    assert read_log(image).sizes == data.sizes
+    assert data["estimated_position"].attrs["units"] == "m"
+    assert data["servo_input"].dims == ("time", "servo")
+    assert "ready for" in str(data["event_text"].values[0])
+    assert set(data["mission_state"].values) == {"init"}
+    steps = np.diff(data.time.values)
+    assert abs(steps[-10:] - 0.02).max() < 1e-5  # armed
+    assert abs(steps[0] - 1.0) < 1e-5
+    place = list(r.belief.motion.position)
+    assert data["estimated_position"].values[-1] == pytest.approx(place, abs=1e-4)
+    (topic,) = ULog(str(file)).data_list
+    assert topic.name == "table"
+    assert len(topic.data["timestamp"]) == data.sizes["time"]
+    # Faults of the log reach the station as text, and the board goes on.
+    board.block_model.refuses = True
+    station.send(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))
+    station.heard.clear()
+    for _ in range(200):
+        station.step()
+    said = [m.text for m in station.heard if m.get_type() == "STATUSTEXT"]
+    assert any("the device fails" in t for t in said)
+    done = CliRunner().invoke(app, ["firmware", "log", str(file), "--out", str(tmp_path / "logs")])
+    assert "holds no log of a board" in str(done.exception)
