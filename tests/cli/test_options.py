@@ -148,7 +148,7 @@ TEXTS = {
     "--accept", "--aid", "--airfoil", "--airfoils", "--as", "--axis", "--board", "--by", "--calibration",
     "--camera", "--camera-fault", "--case", "--methods", "--channel", "--checkpoint", "--clock",
     "--cluster", "--code", "--column", "--connect", "--data", "--designed-for", "--domain",
-    "--drive", "--engine", "--family", "--fault", "--fit", "--floor", "--for", "--foxglove", "--free", "--from",
+    "--drive", "--engine", "--family", "--fault", "--fit", "--flight-map", "--floor", "--for", "--foxglove", "--free", "--from",
     "--hold-out", "--host", "--imu", "--input", "--inputs", "--keep", "--kind", "--known", "--layout",
     "--limit", "--link", "--logs", "--map", "--material", "--measured", "--mesh", "--method", "--mission", "--model",
     "--name", "--noise", "--template", "--only", "--open", "--origin", "--others", "--out", "--output", "--outputs",
