@@ -150,7 +150,7 @@ TEXTS = {
     "--cluster", "--code", "--column", "--connect", "--data", "--designed-for", "--domain",
     "--drive", "--engine", "--family", "--fault", "--fit", "--flight-map", "--floor", "--for", "--foxglove", "--free", "--from",
     "--hold-out", "--host", "--imu", "--input", "--inputs", "--keep", "--kind", "--known", "--layout",
-    "--limit", "--link", "--logs", "--map", "--material", "--measured", "--mesh", "--method", "--mission", "--model",
+    "--limit", "--link", "--logs", "--map", "--material", "--measured", "--mesh", "--method", "--mission", "--model", "--motion",
     "--name", "--noise", "--template", "--only", "--open", "--origin", "--others", "--out", "--output", "--outputs",
     "--over", "--part", "--plot", "--policy", "--position", "--prefix", "--reference", "--report", "--rig", "--rotor",
     "--save-map", "--section", "--sensors", "--set", "--signal", "--simulator", "--start", "--stream", "--telemetry",
