@@ -144,18 +144,17 @@ SHARES = {
 }  # fmt: skip
 # Options that hold names, files, addresses, or NAME=VALUE with values that the grammar reads.
 TEXTS = {
-    "--align", "--with",
-    "--accept", "--aid", "--airfoil", "--airfoils", "--as", "--axis", "--board", "--by", "--calibration",
-    "--camera", "--camera-fault", "--case", "--methods", "--channel", "--checkpoint", "--clock",
-    "--cluster", "--code", "--column", "--connect", "--data", "--designed-for", "--domain",
-    "--drive", "--engine", "--family", "--fault", "--fit", "--flight-map", "--floor", "--for", "--foxglove", "--free", "--from",
-    "--hold-out", "--host", "--imu", "--input", "--inputs", "--keep", "--kind", "--known", "--layout",
-    "--limit", "--link", "--logs", "--map", "--material", "--measured", "--mesh", "--method", "--mission", "--model", "--motion",
-    "--name", "--noise", "--template", "--only", "--open", "--origin", "--others", "--out", "--output", "--outputs",
-    "--over", "--part", "--plot", "--policy", "--position", "--prefix", "--reference", "--report", "--rig", "--rotor",
-    "--save-map", "--section", "--sensors", "--set", "--signal", "--simulator", "--start", "--stream", "--telemetry",
-    "--times", "--tip", "--token", "--unit", "--vary", "--vehicle", "--wake", "--wake-set", "--without",
-    "--loop", "--tuned", "--write",
+    "--accept", "--aid", "--airfoil", "--airfoils", "--align", "--as", "--axis", "--board", "--by", "--calibration",
+    "--camera", "--camera-fault", "--case", "--channel", "--checkpoint", "--clock", "--cluster", "--code",
+    "--column", "--connect", "--data", "--designed-for", "--domain", "--drive", "--engine", "--family", "--fault",
+    "--fit", "--flight-map", "--floor", "--for", "--foxglove", "--free", "--from", "--hold-out", "--host", "--imu",
+    "--input", "--inputs", "--keep", "--kind", "--known", "--layout", "--limit", "--link", "--log", "--logs",
+    "--loop", "--map", "--material", "--measured", "--mesh", "--method", "--methods", "--mission", "--model",
+    "--motion", "--name", "--noise", "--only", "--open", "--origin", "--others", "--out", "--output", "--outputs",
+    "--over", "--part", "--plot", "--policy", "--position", "--prefix", "--reference", "--report", "--rig",
+    "--rotor", "--save-map", "--section", "--sensors", "--set", "--signal", "--simulator", "--start", "--stream",
+    "--telemetry", "--template", "--times", "--tip", "--token", "--tuned", "--unit", "--vary", "--vehicle",
+    "--wake", "--wake-set", "--with", "--without", "--write",
 }  # fmt: skip
 
 
