@@ -162,3 +162,15 @@ def test_a_mass_in_grams_or_a_radius_in_millimetres_is_refused(mass: float, radi
 
     with pytest.raises(InputError, match=words):
         dynamics.similar_vehicle(load_vehicle("mufly-1.1"), "mine", mass_kg=mass, radius_m=radius)
+
+
+def test_a_new_vehicle_without_a_bar_has_equal_rotors(known: Vehicle) -> None:
+    """The upper rotor loses the bar's inertia, so both rotors answer a motor alike; the bar's parameters are gone."""
+    new = similar_vehicle(known, "bare", mass_kg=0.05, radius_m=0.06, bar=False)
+    assert not new.stabiliser_bar.fitted
+    p = model_parameters(new)
+    assert p["J_up"] == p["J_dw"]
+    assert p["bar_gain"] == 0.0
+    barred = model_parameters(similar_vehicle(known, "barred", mass_kg=0.05, radius_m=0.06))
+    assert barred["J_up"] == pytest.approx(3.0 * p["J_up"], rel=0.01)
+    assert barred["J_dw"] == p["J_dw"]
