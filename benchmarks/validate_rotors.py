@@ -73,6 +73,7 @@ from mufly.rotor import (
     replace_rotor,
     solve_system,
 )
+from mufly.rotor.uncertainty import INTERVAL_SCALES, fit_interval_scale
 from mufly.rotor.wake import WakeSettings, momentum_thrust
 from mufly.study.benchmark import (
     PredictionCode,
@@ -281,6 +282,9 @@ def report_intervals(asked: argparse.Namespace) -> None:
     words = ("points inside", "mean of rotors", "half width")
     head = [f"{of}: {word}" for of in ("thrust", "torque") for word in words]
     show_table("90 % intervals, scales fitted to the other families", ["section", *head], rows)
+    errors = [s.standard_error for s in scores if s.standard_error is not None]
+    fitted, shipped = [fit_interval_scale([e[k] for e in errors]) for k in (0, 1)], INTERVAL_SCALES
+    print(f"scales fitted to all rotors: {fitted[0]:.3f}, {fitted[1]:.3f}; in mufly: {shipped[0]:g}, {shipped[1]:g}")
 
 
 def report_stations(asked: argparse.Namespace) -> None:

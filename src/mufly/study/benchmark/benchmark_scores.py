@@ -48,6 +48,8 @@ class RotorScore:
         Reason why points have no prediction.
     half_width : (2, points) array, optional
         Half width of the interval over the predicted thrust or torque.
+    standard_error : (2, points) array, optional
+        Measured less predicted thrust and torque over the summed standard deviation of the causes.
     """
 
     code: str
@@ -57,6 +59,7 @@ class RotorScore:
     inside_interval: Array | None = None
     fault: str = ""
     half_width: Array | None = None
+    standard_error: Array | None = None
 
     def mean_abs_error(self, of: str) -> float:
         """Return the mean absolute error of ``"thrust"`` or ``"torque"``; nan if there is none."""
@@ -221,9 +224,8 @@ def score_cross_validated(cases: Sequence[RotorCase], progress: ProgressCallback
         width = scale * (high - mean) / np.abs(mean)
         inside = np.where(np.isfinite(miss), (np.abs(miss) <= quantile * scale).astype(np.float64), math.nan)
         label = f"bemt, families, section {'known' if case.section_known else 'guessed'}"
-        scores.append(
-            RotorScore(label, case, mean[0] / truth[0] - 1.0, mean[1] / truth[1] - 1.0, inside, half_width=width)
-        )
+        error = mean / truth - 1.0
+        scores.append(RotorScore(label, case, error[0], error[1], inside, half_width=width, standard_error=miss))
     return scores
 
 
