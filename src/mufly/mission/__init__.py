@@ -9,6 +9,15 @@ from mufly.mission.geofence import (
     fence_to_items,
 )
 from mufly.mission.ground_files import FILE_ENDINGS, GROUND_FILE_DESCRIPTION, is_ground_file
+from mufly.mission.ground_phases import (
+    HARD_TOUCHDOWN_M_S,
+    enter_blind_descent,
+    fail_and_land,
+    finish_blind_descent,
+    has_lifted_off,
+    is_tipping,
+    start_fault,
+)
 from mufly.mission.log_messages import LogMessage
 from mufly.mission.mission_checks import (
     USABLE_LIMIT_SHARE,
@@ -62,15 +71,6 @@ from mufly.mission.mission_timing import (
     plan_legs,
 )
 from mufly.mission.offboard import MAX_HEIGHT_M, SetPoint, needs_lift_off, set_point_fault
-from mufly.mission.phases import (
-    HARD_TOUCHDOWN_M_S,
-    enter_blind_descent,
-    fail_and_land,
-    finish_blind_descent,
-    has_lifted_off,
-    is_tipping,
-    start_fault,
-)
 from mufly.mission.state_machine import (
     pause_mission,
     resume_mission,

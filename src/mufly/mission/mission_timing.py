@@ -163,7 +163,7 @@ def compute_landing_rate(above: float, descent: float, touchdown: float, acceler
 def compute_landing_time(height: float, mission: Mission) -> float:
     """Return the time from the land signal, at rest at a ``height`` (m), until the rotors are at rest (s).
 
-    The landing law is that of :func:`mufly.mission.phases.step_landing`.
+    The landing law is that of :func:`mufly.mission.ground_phases.step_landing`.
     """
     q = mission.limits
     a, steady = q.climb_acceleration_m_s2, q.descent_m_s

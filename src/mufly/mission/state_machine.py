@@ -21,10 +21,10 @@ last one. Signals of the user override it, if the state permits them (:mod:`mufl
 of state is logged with its reason in `MissionState.events`.
 
 One step takes measurements and commands and returns the next state and the `Reference` for the controllers. It runs at
-about 50 Hz. Trajectories are planned at transitions; other steps only evaluate one. `mufly.mission.phases` holds the
-behaviour of each state. Every function below takes a state and returns the next one: first the effects of the user's
-signals, then control by a pilot (the thesis's state RC) or a program (offboard). A moving reference comes to rest
-before any other motion, so that no transition makes it jump.
+about 50 Hz. Trajectories are planned at transitions; other steps only evaluate one. `mufly.mission.phases` and
+`mufly.mission.ground_phases` hold the behaviour of each state. Every function below takes a state and returns the next
+one: first the effects of the user's signals, then control by a pilot (the thesis's state RC) or a program (offboard). A
+moving reference comes to rest before any other motion, so that no transition makes it jump.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from dataclasses import replace
 from typing import Any
 
 from mufly.estimate import Estimate
-from mufly.mission import phases
+from mufly.mission import ground_phases, phases
 from mufly.mission.avoidance import (
     LOOK_AHEAD_M,
     begin_path_check,
@@ -42,7 +42,16 @@ from mufly.mission.avoidance import (
     insert_beam_hits,
 )
 from mufly.mission.detour import DETOUR_ACCELERATION_M_S2
+from mufly.mission.ground_phases import (
+    has_spun_up,
+    measured_position,
+    refuse_start,
+    reset_mission,
+    start_fault,
+    start_landing,
+)
 from mufly.mission.log_messages import LogMessage
+from mufly.mission.mission_reference import current_reference, is_scanning, make_reference, predict_reference, scan_yaw
 from mufly.mission.mission_schema import MIN_WAYPOINT_HEIGHT_M
 from mufly.mission.mission_state import (
     Command,
@@ -59,24 +68,7 @@ from mufly.mission.mission_state import (
 )
 from mufly.mission.mission_timing import LOOK_AROUND_TIME_S
 from mufly.mission.offboard import MAX_HEIGHT_M, SetPoint, limit_manual_climb, needs_lift_off, set_point_fault
-from mufly.mission.phases import (
-    change_leg_goal,
-    current_reference,
-    has_spun_up,
-    is_scanning,
-    make_reference,
-    measured_position,
-    plan_braking,
-    predict_reference,
-    refuse_start,
-    reset_mission,
-    scan_yaw,
-    start_fault,
-    start_landing,
-    start_leg,
-    start_leg_home,
-    track_set_point,
-)
+from mufly.mission.phases import change_leg_goal, plan_braking, start_leg, start_leg_home, track_set_point
 from mufly.mission.trajectory import Trajectory, Triple, plan_stop, plan_straight, smooth_stop_distance, wrap_turn
 from mufly.portable_math import vector_length
 
@@ -87,12 +79,12 @@ _VOLTAGE_LAG_S = 0.5
 _DEPARTURE_HEIGHT_TOLERANCE_M, _DEPARTURE_HEADING_TOLERANCE = 0.1, math.radians(8.0)
 
 _PHASE_STEPS = {
-    State.INIT: phases.step_on_floor,
+    State.INIT: ground_phases.step_on_floor,
     State.TAKE_OFF: phases.step_take_off,
     State.HOVER: phases.step_hover,
     State.WAYPOINT: phases.step_leg,
     State.OBSTACLE: phases.step_detour,
-    State.LANDING: phases.step_landing,
+    State.LANDING: ground_phases.step_landing,
 }
 
 

@@ -71,6 +71,7 @@ void insert_beam_hits(obstacle_map_t *memory, const beam_ring_t *beams, real_t t
 /* Begin the check of the straight level path from position to goal (N, E), over at most ahead metres. */
 void begin_path_check(const real_t position[3], const real_t goal[2], real_t ahead, path_check_t *out);
 #define LOOK_AHEAD_M REAL(1.2) /* usual value of ahead */
+#define DETOUR_ACCELERATION_M_S2 REAL(1.0)
 
 /* Check one of several parts of the points (from 1): remove expired points, evaluate the others for the path. */
 void check_map_part(obstacle_map_t *memory, path_check_t *sight, real_t time_s, real_t clearance, int32_t part, int32_t parts);

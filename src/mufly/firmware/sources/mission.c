@@ -2,6 +2,9 @@
 
 #include <stddef.h>
 
+#include "ground_phases.h"
+#include "mission_reference.h"
+#include "mission_state.h"
 #include "phases.h"
 
 #define TIPPED_ANGLE (REAL(60.0) * DEGREE)

@@ -1,7 +1,7 @@
 /* Mission state machine: states, signals, references, and memory between steps.
  *
- * Explanation: state_machine.py, phases.py and mission_state.py of mufly.mission. mission.c handles the user's signals,
- * phases.c the behaviour of each state. The caller owns all state. N, E, D; m, s, rad, V. */
+ * Explanation: the modules of mufly.mission. mission.c (state_machine.py) handles the user's signals; phases.c and
+ * ground_phases.c hold the behaviour of each state. The caller owns all state. N, E, D; m, s, rad, V. */
 #ifndef MUFLY_MISSION_H
 #define MUFLY_MISSION_H
 

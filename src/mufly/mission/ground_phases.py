@@ -1,0 +1,214 @@
+"""Phases on and near the floor: start, landing, and the descent without an estimate.
+
+Every function takes a state and returns the next one; there is no other memory.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+from mufly.estimate import Estimate, measured_tilt
+from mufly.mission.detour import DETOUR_ACCELERATION_M_S2
+from mufly.mission.log_messages import LogMessage
+from mufly.mission.mission_reference import current_reference, predict_reference
+from mufly.mission.mission_schema import SPIN_UP_S
+from mufly.mission.mission_state import MissionPlan, MissionState, State, enter_state, fail_mission, log_event
+from mufly.mission.mission_timing import DESCENT_LAG_S, RAMP_DOWN_TIME_S, compute_landing_rate
+from mufly.mission.offboard import DRIFT_DESCENT_M_S
+from mufly.mission.trajectory import Triple, plan_stop
+
+_STILL_DURATION_S = 0.3
+_NEAR_FLOOR_HEIGHT_M = 0.1
+_DRIFT_CHECK_HEIGHT_M, _DRIFT_SPEED_M_S = 0.6, 0.3  # below this, above this drift, it descends at DRIFT_DESCENT_M_S
+_MAX_DESCENT_LAG_M = 0.25  # largest height error during descent
+_STANDING_HEIGHT_M, _PRESSED_DEPTH_M, _PRESSED_DURATION_S = (
+    0.02,
+    0.03,
+    0.05,
+)  # standing on the floor by the estimate: height, reference below it, duration
+_CERTAIN_HEIGHT_M = 0.05  # largest height deviation for this test
+HARD_TOUCHDOWN_M_S = 0.3
+"""Speed above which a touchdown counts as hard (m/s): a fifth above the greatest touchdown speed of missions."""
+LIFT_OFF_HEIGHT_M, TIPPING_RATE_RAD_S = 0.02, 0.15
+"""Height above the standing position that counts as lift-off (m); roll or pitch rate that counts as tipping (rad/s).
+
+Wind drag on the rotors tips a vehicle whose legs carry little weight."""
+MAX_START_TILT_DEG = 6.0
+"""Tilt on the floor up to which the motors are started (degrees): the mount of the inertial unit, its bias and legs."""
+_MAX_START_TILT = math.radians(MAX_START_TILT_DEG)
+
+
+def start_landing(s: MissionState, why: str, *, level: str = "info") -> MissionState:
+    """Start a landing below the point where the reference comes to rest."""
+    if s.motors == "spin_up":
+        s = fail_mission(s, why) if s.mission_begun else s
+        return enter_state(s, State.INIT, why, level=level, motors="ramp_down")
+    now = current_reference(s)
+    brake = plan_stop(predict_reference(s).position, (*now.velocity[:2], 0.0), now.heading, DETOUR_ACCELERATION_M_S2)
+    foot = brake.evaluate(math.inf).position
+    return enter_state(
+        s,
+        State.LANDING,
+        why,
+        level=level,
+        motion=brake,
+        hold_position=(foot[0], foot[1], now.position[2]),
+        goal=(foot[0], foot[1], s.home_position[2]),
+        hold_heading=now.heading,
+        descent_rate=now.velocity[2],
+        descent_acceleration=now.acceleration[2],
+        motors="fly",
+        still_duration_s=0.0,
+        touchdown_speed=0.0,
+    )
+
+
+def step_landing(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionState:
+    """Descend, slower near the floor, then press down until the legs carry the weight, and stop the rotors.
+
+    With a certain height estimate they stop as soon as the vehicle is 3 cm above its reference, within 2 cm of the
+    floor. An undetected drift would otherwise make the controller chase a false position and lift the vehicle over the
+    rubbing leg. With friction mu, a centre of mass h above the floor and legs at distance l, a slide does not tip the
+    vehicle while mu h < l, without rotor thrust: so the rotors must not lift while it slides.
+    """
+    if s.motors == "ramp_down":
+        if s.motion_clock_s < RAMP_DOWN_TIME_S:
+            return s
+        return enter_state(_judge_outcome(s), State.INIT, LogMessage.LANDED(), motors="off", finished=True)
+    q = plan.mission.limits
+    a = q.climb_acceleration_m_s2
+    above = s.home_position[2] - s.hold_position[2]
+    wanted = compute_landing_rate(above, q.descent_m_s, q.touchdown_m_s, a)
+    if above < -0.3:
+        wanted = 0.0
+    elif 0.0 < above < _DRIFT_CHECK_HEIGHT_M and m.velocity[0] ** 2 + m.velocity[1] ** 2 > _DRIFT_SPEED_M_S**2:
+        wanted = min(wanted, DRIFT_DESCENT_M_S)
+    ask = min(max((wanted - s.descent_rate) / DESCENT_LAG_S, -a), a)
+    rate = s.descent_acceleration + (ask - s.descent_acceleration) * min(1.0, dt / 0.1)
+    speed = s.descent_rate + rate * dt
+    depth = s.hold_position[2] + speed * dt
+    lying = m.position[2] > s.home_position[2] - 0.03 and depth > s.home_position[2] + 0.1
+    # A vehicle that does not follow lies on an object, or is lower than estimated.
+    lying = lying or depth > m.position[2] + _MAX_DESCENT_LAG_M
+    # With unknown drift the vehicle must not be steered with a leg on the floor.
+    stands = m.auxiliary_states is not None and m.position[2] > s.home_position[2] - _STANDING_HEIGHT_M
+    stands = (
+        stands
+        and depth > m.position[2] + _PRESSED_DEPTH_M
+        and bool(m.covariance[2, 2] < _CERTAIN_HEIGHT_M * _CERTAIN_HEIGHT_M)
+    )
+    still = s.still_duration_s + dt if stands or (lying and abs(m.velocity[2]) < 0.05) else 0.0
+    near = m.position[2] > s.home_position[2] - _NEAR_FLOOR_HEIGHT_M
+    if m.auxiliary_states is not None:  # a filter that has not detected the floor keeps falling for a moment
+        near = near and m.position[2] < s.home_position[2] - LIFT_OFF_HEIGHT_M
+    impact = max(s.touchdown_speed, float(m.velocity[2])) if near else s.touchdown_speed
+    s = replace(
+        s,
+        hold_position=(s.hold_position[0], s.hold_position[1], depth),
+        descent_rate=speed,
+        descent_acceleration=rate,
+        still_duration_s=still,
+        touchdown_speed=impact,
+    )
+    lasts = _PRESSED_DURATION_S if stands else _STILL_DURATION_S
+    return replace(_handle_touchdown(s), motors="ramp_down", motion_clock_s=0.0) if still > lasts else s
+
+
+def _handle_touchdown(s: MissionState) -> MissionState:
+    if s.touchdown_speed <= HARD_TOUCHDOWN_M_S:
+        return log_event(s, LogMessage.TOUCHDOWN())
+    return log_event(s, LogMessage.HARD_TOUCHDOWN(s.touchdown_speed, HARD_TOUCHDOWN_M_S), level="warning")
+
+
+def _judge_outcome(s: MissionState) -> MissionState:
+    """Set the outcome of the flight after landing."""
+    if s.outcome != "":
+        return s
+    if s.abort_reason:
+        return fail_mission(s, s.abort_reason)
+    return replace(
+        s,
+        outcome="succeeded",
+        reason=(LogMessage.MISSION_COMPLETE if s.mission_begun else LogMessage.LANDED)(),
+    )
+
+
+def enter_blind_descent(s: MissionState, time_s: float, why: str) -> MissionState:
+    """Enter the descent without measurements, which the flight software controls by itself."""
+    s = fail_mission(replace(s, time_s=time_s), why)
+    return enter_state(s, State.LANDING, why, level="error", motors="blind", detour=None)
+
+
+def fail_and_land(s: MissionState, why: str) -> MissionState:
+    """Fail the mission and land; under RC only report the reason to the pilot."""
+    if s.state in (State.INIT, State.RC):
+        return log_event(s, why, level="error")
+    s = fail_mission(s, why)
+    return log_event(s, why, level="error") if s.state is State.LANDING else start_landing(s, why, level="error")
+
+
+def finish_blind_descent(s: MissionState, time_s: float) -> MissionState:
+    """Finish the descent without measurements after its time."""
+    s = replace(s, time_s=time_s)
+    return enter_state(s, State.INIT, LogMessage.MOTORS_OFF_AFTER_DESCENT(), motors="off", finished=True)
+
+
+def measured_position(m: Estimate) -> Triple:
+    """Return the measured position as three numbers (N, E, D; m)."""
+    n, e, d = m.position.tolist()
+    return n, e, d
+
+
+def start_fault(m: Estimate) -> str:
+    """Return the reason why the motors may not be started with this estimate; "" if they may."""
+    if not m.valid:
+        return LogMessage.ESTIMATE_NOT_VALID()
+    tilt = measured_tilt(m)
+    return "" if tilt <= _MAX_START_TILT else LogMessage.STANDS_TILTED(math.degrees(tilt), MAX_START_TILT_DEG)
+
+
+def refuse_start(s: MissionState, why: str) -> MissionState:
+    """Log the refusal of a start, once for each reason."""
+    head = LogMessage.STANDS_TILTED.value.partition("{")[0]
+    last = s.events[-1].text
+    return s if last == why or (last.startswith(head) and why.startswith(head)) else log_event(s, why, level="warning")
+
+
+def has_lifted_off(s: MissionState, m: Estimate) -> bool:
+    """Return whether the vehicle is off the floor."""
+    return bool(m.position[2] < s.home_position[2] - LIFT_OFF_HEIGHT_M)
+
+
+def is_tipping(m: Estimate) -> bool:
+    """Return whether the vehicle, nearly lifted, rotates on its legs and needs attitude control."""
+    return bool(max(abs(m.rates[0]), abs(m.rates[1])) > TIPPING_RATE_RAD_S)
+
+
+def has_spun_up(s: MissionState, m: Estimate) -> bool:
+    """Return whether the rotors are up to speed, or already lift a vehicle lighter than its controllers' model."""
+    return s.motion_clock_s >= SPIN_UP_S or has_lifted_off(s, m)
+
+
+def step_on_floor(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionState:
+    """Step on the floor; the motors run down after a flight."""
+    if s.motors == "ramp_down" and s.motion_clock_s > RAMP_DOWN_TIME_S:
+        return replace(s, motors="off", finished=s.outcome != "")
+    return s
+
+
+def reset_mission(s: MissionState, m: Estimate, **changes: Any) -> MissionState:
+    """Return the state of a new flight from the present position."""
+    x = measured_position(m)
+    return MissionState(
+        time_s=s.time_s,
+        has_taken_off=True,
+        hold_position=x,
+        home_position=x,
+        hold_heading=float(m.attitude[2]),
+        battery_V=s.battery_V,
+        events=s.events,
+        logged_count=s.logged_count,
+        **changes,
+    )

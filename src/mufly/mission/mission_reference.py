@@ -1,0 +1,112 @@
+"""Reference of the mission for the controllers: the point of the present motion, and the swing of the nose."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mufly.estimate import Estimate
+from mufly.mission.mission_state import Command, MissionPlan, MissionState, Reference, State
+from mufly.mission.offboard import limit_manual_tilt
+from mufly.mission.trajectory import Trajectory, TrajectoryPoint
+from mufly.portable_math import sine_cosine
+
+NOSE_SWING_PERIOD_S = 4.0
+"""Period of the nose swing while scanning (s); half of it covers every direction."""
+_ZERO_VECTOR = (0.0, 0.0, 0.0)
+
+
+def current_reference(s: MissionState) -> TrajectoryPoint:
+    """Return the present reference, without the swing of the nose."""
+    if s.state is State.OBSTACLE and s.detour is not None:
+        return TrajectoryPoint(s.detour.position, s.detour.velocity, s.detour.acceleration, s.hold_heading, 0.0)
+    if s.state in (State.OFFBOARD, State.WAYPOINT) and s.set_point_reference is not None:
+        return s.set_point_reference
+    if s.motion is None or s.motors == "spin_up":
+        return TrajectoryPoint(s.hold_position, _ZERO_VECTOR, _ZERO_VECTOR, s.hold_heading, 0.0)
+    at = s.motion.evaluate(s.motion_clock_s)
+    if s.state is State.LANDING:
+        (n, e, _), (u, v, _), (a, b, _) = at.position, at.velocity, at.acceleration
+        return TrajectoryPoint(
+            (n, e, s.hold_position[2]),
+            (u, v, s.descent_rate),
+            (a, b, s.descent_acceleration),
+            at.heading,
+            at.heading_rate,
+        )
+    return at
+
+
+def predict_reference(s: MissionState) -> TrajectoryPoint:
+    """Return the reference at the end of this step, from which another motion must continue.
+
+    A motion's clock is already advanced. References that a state integrates itself (a detour, a landing's height, the
+    tracker of set-points) are not.
+    """
+    at = current_reference(s)
+    if s.state not in (State.OBSTACLE, State.LANDING, State.OFFBOARD) and s.set_point_reference is None:
+        return at
+    (n, e, d), (u, v, w), dt = at.position, at.velocity, s.step_duration_s
+    place = (n, e, d + dt * w) if s.state is State.LANDING else (n + dt * u, e + dt * v, d + dt * w)
+    return at._replace(position=place, heading=at.heading + dt * at.heading_rate)
+
+
+def has_departed(s: MissionState) -> bool:
+    """Return whether a trajectory has finished height and heading and begun its path, or a moving target is tracked."""
+    if s.set_point_reference is not None:
+        return True
+    return isinstance(s.motion, Trajectory) and s.motion_clock_s >= s.motion.departure_s
+
+
+def is_scanning(plan: MissionPlan, s: MissionState) -> bool:
+    """Return whether the nose swings: around an obstacle, and on a level path if the mission scans."""
+    return s.state is State.OBSTACLE or (plan.scans_with_nose and s.state is State.WAYPOINT and has_departed(s))
+
+
+def scan_yaw(plan: MissionPlan, s: MissionState) -> tuple[float, float]:
+    """Return angle and rate of the nose swing (rad, rad/s), with an amplitude of half the gap between two beams.
+
+    The amplitude grows and decays within a second.
+    """
+    if s.scan_duration_s <= 0.0:
+        return 0.0, 0.0
+    x, most, omega = min(s.scan_duration_s, 1.0), 0.5 * plan.ring.spacing, math.tau / NOSE_SWING_PERIOD_S
+    size = most * x * x * (3.0 - 2.0 * x)
+    growth = most * 6.0 * x * (1.0 - x) * (1.0 if is_scanning(plan, s) else -1.0)
+    sine, cosine = sine_cosine(omega * (s.time_s - NOSE_SWING_PERIOD_S * int(s.time_s / NOSE_SWING_PERIOD_S)))
+    return size * sine, growth * sine + size * omega * cosine
+
+
+def make_reference(plan: MissionPlan, s: MissionState, m: Estimate, c: Command) -> Reference:
+    """Return the reference for the controllers."""
+    if s.state is State.RC:
+        position = np.array((m.position[0], m.position[1], s.hold_position[2]))
+        velocity = np.array((m.velocity[0], m.velocity[1], s.descent_rate))
+        turning = c.yaw_rate if s.motors == "fly" else 0.0
+        height = s.home_position[2] - float(m.position[2])
+        vn, ve, _ = m.velocity.tolist()
+        roll, pitch = limit_manual_tilt(height, (vn, ve), float(m.attitude[2]), (c.roll, c.pitch))
+        return Reference(
+            position,
+            velocity,
+            np.zeros(3),
+            s.hold_heading,
+            turning,
+            s.motors,
+            rc_active=True,
+            roll=roll,
+            pitch=pitch,
+        )
+    if s.state is State.INIT:
+        return Reference(m.position.copy(), np.zeros(3), np.zeros(3), float(m.attitude[2]), 0.0, s.motors)
+    at = current_reference(s)
+    angle, rate = scan_yaw(plan, s)
+    return Reference(
+        np.array(at.position),
+        np.array(at.velocity),
+        np.array(at.acceleration),
+        at.heading + angle,
+        at.heading_rate + rate,
+        s.motors,
+    )
