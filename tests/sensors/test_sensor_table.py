@@ -44,7 +44,8 @@ OF_ONE_SENSOR = {
     "sonar": {
         "sensors/sonar.py": "its model",
         **_PROOF,
-        "estimate/ekf_step.py": "it tells whether the vehicle has left the floor",
+        "estimate/filter_horizon.py": "the terrain is uncertain while its cone passes over an edge",
+        "estimate/filter_inputs.py": "it tells whether the vehicle has left the floor",
         "estimate/kalman_estimator.py": "lost periods repeat the rows before its own: those of the inertial unit",
         "estimate/sensor_checks.py": "it hears second surfaces, so more rejections are no alarm",
         "flight/fixes/camera_sensor.py": "pictures tell no place on the floor, where the sonar reads its least",

@@ -16,6 +16,8 @@ from mufly.dynamics import equations_of_motion, model_state
 from mufly.dynamics.model_state import MAP_TABLE_FIELDS, PARAMETER_DTYPE, STATE_SIZE, ModelParameters
 from mufly.estimate import (
     ekf_step,
+    filter_horizon,
+    filter_inputs,
     filter_records,
     fusion,
     output_predictor,
@@ -52,6 +54,8 @@ _FILTER_MODULES: tuple[types.ModuleType, ...] = (
     strapdown,
     fusion,
     output_predictor,
+    filter_horizon,
+    filter_inputs,
     ekf_step,
 )
 

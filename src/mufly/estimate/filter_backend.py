@@ -27,17 +27,28 @@ from mufly import portable_math
 from mufly.drive import drive_train
 from mufly.dynamics import equations_of_motion, model_parameters
 from mufly.errors import MuflyError
-from mufly.estimate import ekf_step, fusion, output_predictor, sensor_checks, strapdown, ud_filter
+from mufly.estimate import (
+    ekf_step,
+    filter_horizon,
+    filter_inputs,
+    fusion,
+    output_predictor,
+    sensor_checks,
+    strapdown,
+    ud_filter,
+)
 from mufly.estimate.c_records import model_record, render_records_header
 from mufly.rotor import coax_maps
 from mufly.toolchain import COMPILER_FLAGS, build_cached_library
 from mufly.vehicle import Vehicle
 
-VERIFIED_STAMP = "fe52bf9e527a1762"
+VERIFIED_STAMP = "ca879912b4632cec"
 """Stamp (:func:`source_stamp`) of the Python sources that the C code is verified to equal."""
 
 FILTER_SOURCES = (
     "ekf_step",
+    "filter_inputs",
+    "filter_horizon",
     "output_predictor",
     "fusion",
     "sensor_checks",
@@ -205,7 +216,19 @@ def collect_sources(records: str) -> dict[str, str]:
 
 
 _TRANSLATED_MODULES: tuple[tuple[types.ModuleType, tuple[str, ...]], ...] = (
-    *((module, ()) for module in (ekf_step, output_predictor, fusion, sensor_checks, ud_filter, strapdown)),
+    *(
+        (module, ())
+        for module in (
+            ekf_step,
+            filter_inputs,
+            filter_horizon,
+            output_predictor,
+            fusion,
+            sensor_checks,
+            ud_filter,
+            strapdown,
+        )
+    ),
     (portable_math, ("sine_cosine", "portable_atan2", "wrap_angle", "floor_int")),
     (
         equations_of_motion,

@@ -1,0 +1,281 @@
+"""Horizon of the filter: its queue of measurements, its steps, and its tasks within the work of a period.
+
+The horizon lies ``delay_ticks`` periods behind now. The delay is the usual latency of the slowest sensor. A measurement
+waits in a queue until the horizon reaches the time at which it was taken, so measurements are fused in the order of
+their time. A measurement that comes later than that is moved to the next end of a block by velocity and yaw rate.
+
+The horizon moves from the end of one block of averaged inputs to the end of the next. A measurement counts at the
+nearest end of a block (10 ms away at most).
+
+Work is bounded: a period has time for ``work_limit`` scalar measurements (:func:`run_next_task`). With more work the
+horizon falls behind; from :data:`mufly.estimate.filter_records.MAX_LAG_BLOCKS` blocks on, measurements that are due are
+dropped. Each period predicts one bias, in turn. The bias of the fix is predicted when a fix is fused, over the time
+since the last one."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.estimate.filter_records import (
+    BIAS_CYCLE_TICKS,
+    EX_ATT,
+    EX_FIX_BIAS,
+    EX_FIX_HEADING,
+    EX_GYRO_BIAS,
+    EX_TERRAIN,
+    EX_VEL,
+    FLOOR_SETTLED_SIGMA,
+    IN_ACCEL,
+    IN_NOISE,
+    IN_PHASE,
+    IN_SHARE,
+    IN_SLOPE,
+    IN_STATIC,
+    INPUT_BLOCK_COUNT,
+    MAX_FLOOR_HEIGHT,
+    MAX_LAG_BLOCKS,
+    MODEL_ACCEL,
+    PHASE_FLYING,
+    PHASE_RUNNING,
+    PHASE_STANDING,
+    QUEUE_SIZE,
+    R_ACCELERATION,
+    R_RATES,
+    SX_GYRO_BIAS,
+    SX_POS,
+    SX_TERRAIN,
+    SX_VEL,
+    TERRAIN_EDGE_S,
+    FilterMemory,
+    FilterSettings,
+)
+from mufly.estimate.fusion import (
+    fuse_accel_residual,
+    fuse_ground_contact,
+    fuse_measurement,
+    fuse_zero_motion,
+    measurement_cost,
+    reset_terrain,
+)
+from mufly.estimate.output_predictor import FORCE_MEAN_TICKS, velocity_noise_density
+from mufly.estimate.sensor_checks import DIVERGED_BIAS_WALK, LATER_BIAS_WALK, STATUS_MISSING
+from mufly.estimate.strapdown import error_transition, predict_state
+from mufly.estimate.ud_filter import gauss_markov_update, inflate_variance, state_variance, ud_time_update
+from mufly.numba_cache import cached_njit
+from mufly.portable_math import floor_int
+
+_Array = NDArray[np.float64]
+
+MAX_BACKDATE_S = 0.25
+"""Largest time by which a measurement is older than the horizon (s). Velocity and yaw rate move it to the horizon; an
+acceleration of 0.3 m/s^2 meanwhile is an error of 1 cm."""
+COST_COVARIANCE, COST_HORIZON_STEP, COST_REST_AXIS = 3, 2, 3
+"""Cost of publishing a covariance, of a step of the horizon, and of an axis on the floor, in scalar measurements."""
+STAGE_TERRAIN, STAGE_FORCE_MEANS, STAGE_AXES, STAGE_GROUND_CONTACT, STAGE_DONE = 1, 2, 3, 6, 7
+"""Stages of the work at the horizon; measurements that wait come first, in the order of their kinds."""
+GYRO_OUTAGE_DENSITY = 0.002
+"""Density of the angular rate (rad^2/s) without gyroscopes: the stabiliser bar keeps the rotors level."""
+LEAK_RATE = 0.25
+"""Yaw rate (rad/s) above which an axis error of the inertial unit is estimated."""
+
+
+@cached_njit(error_model="numpy")
+def queue_measurement(
+    m: FilterMemory, s: FilterSettings, kind: int, at: float, z: _Array, start: int, count: int
+) -> bool:
+    """Queue a measurement of tick ``at`` until the horizon reaches it.
+
+    Returns False if the horizon has passed it by more than :data:`MAX_BACKDATE_S`, or the queue is full."""
+    due = s.block_ticks * floor_int(at / s.block_ticks + 0.5)
+    if due <= m.horizon_tick:
+        due = m.horizon_tick + s.block_ticks  # by what it moves and turns, the next end of a block will do
+    ahead = (at - due) * s.dt
+    if -ahead > MAX_BACKDATE_S:
+        return False
+    for i in range(QUEUE_SIZE):
+        if m.queue_due[i] < 0:
+            m.queue_due[i] = due
+            m.queue_sensor[i] = kind
+            m.queue_ahead[i] = ahead
+            for j in range(count):
+                m.queue_value[i, j] = z[start + j]
+            return True
+    return False
+
+
+@cached_njit(error_model="numpy")
+def _pass_terrain_edge(m: FilterMemory, s: FilterSettings, span: float) -> None:
+    """Inflate the terrain's variance while the sonar's cone passes over an edge: the nearest point moves along an
+    arc."""
+    away = max(-m.x[SX_POS + 2] - m.x[SX_TERRAIN], 0.1)
+    speed = math.sqrt(m.x[SX_VEL] * m.x[SX_VEL] + m.x[SX_VEL + 1] * m.x[SX_VEL + 1])
+    arc = s.sonar_arc * away
+    passed = span * max(speed / max(s.sonar_cone_slope * away, 0.05), 1.0 / TERRAIN_EDGE_S)
+    inflate_variance(m.u_transposed, m.d, EX_TERRAIN, arc * arc * passed, m.f)
+    m.terrain_edge_weight = max(m.terrain_edge_weight - passed, 0.0)
+    if not m.terrain_edge_weight > 0.0:
+        m.terrain_steps = 0
+
+
+@cached_njit(error_model="numpy")
+def _advance_horizon(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array) -> None:
+    """Advance the horizon by a block: state and covariance."""
+    span = s.block_ticks * s.dt
+    e = m.input_blocks[m.horizon_tick // s.block_ticks % INPUT_BLOCK_COUNT]
+    m.horizon_tick += s.block_ticks
+    m.task_stage = 0
+    predict_state(m.x, e, span, r, a)
+    for k in range(3):
+        m.accel_mean[k] += e[IN_ACCEL + k]
+        m.model_accel_mean[k] += a[MODEL_ACCEL + k]
+        m.gyro_mean[k] += e[k]
+        m.thrust_slope[k] += e[IN_STATIC + k]
+        m.velocity_slope[k] += e[IN_SLOPE + k]
+    spread = s.gyro_density + (GYRO_OUTAGE_DENSITY if m.status[R_RATES] >= STATUS_MISSING else 0.0)
+    m.yaw_rate = 0.0
+    for k in range(3):
+        m.yaw_rate += r[6 + k] * (e[k] - m.x[SX_GYRO_BIAS + k])
+        m.q_work[k] = s.process_variance[k]
+        m.q_work[EX_VEL + k] = velocity_noise_density(r, k, e) * span
+        m.q_work[EX_ATT + k] = spread * span
+    error_transition(e, span, r, a, m.transition_work)
+    ud_time_update(m.u_transposed, m.d, span, m.transition_work, m.q_work, m.w_work, m.f)
+    if m.terrain_edge_weight > 0.0:
+        _pass_terrain_edge(m, s, span)
+    m.block_mean_ticks += s.block_ticks
+
+
+@cached_njit(error_model="numpy")
+def predict_bias(m: FilterMemory, s: FilterSettings) -> None:
+    """Predict one bias in cyclic order; those of the fix are predicted when a fix is fused.
+
+    An axis error e of the inertial unit leaks the yaw rate r into the measured rates: e_y r into that of roll, -e_x r
+    into that of pitch, and a scale error into that of yaw. Accelerometers at rest tell e and their own bias only
+    together. In a turn the bias of the gyroscopes carries the leak: its deviation and its variance follow the yaw rate
+    and return to their values when the turn ends."""
+    k = EX_GYRO_BIAS + m.tick % BIAS_CYCLE_TICKS
+    if k >= EX_FIX_BIAS:
+        k += EX_FIX_HEADING + 1 - EX_FIX_BIAS
+    origin, keep, q = s.initial_state[k + 1], s.decay[k], s.process_variance[k]
+    if k < EX_GYRO_BIAS + 3 and m.divergence_ticks > 0:
+        may = DIVERGED_BIAS_WALK if m.divergence_ticks > 1 else LATER_BIAS_WALK
+        q += may * may * (BIAS_CYCLE_TICKS * s.dt)
+    elif k == EX_TERRAIN:
+        q *= math.sqrt(
+            m.x[SX_VEL] * m.x[SX_VEL] + m.x[SX_VEL + 1] * m.x[SX_VEL + 1]
+        )  # another floor lies elsewhere, not later
+    if k < EX_GYRO_BIAS + 3:
+        i = k - EX_GYRO_BIAS
+        turning = m.yaw_rate if abs(m.yaw_rate) > LEAK_RATE else 0.0
+        if m.leaked_yaw_rate[i] != 0.0:
+            keep = turning / m.leaked_yaw_rate[i]
+            q += m.leak_origin_variance[i] if turning == 0.0 else 0.0
+        else:
+            m.leak_origin[i] = m.x[k + 1]
+            m.leak_origin_variance[i] = state_variance(m.u_transposed, m.d, k)
+            q += (s.gyro_axis_variance[i] + m.mount_variance[i]) * (turning * turning)
+        origin = m.leak_origin[i]
+        m.leaked_yaw_rate[i] = turning
+    m.x[k + 1] = origin + (m.x[k + 1] - origin) * keep
+    if q > 0.0:
+        gauss_markov_update(m.u_transposed, m.d, k, keep, q, m.f)
+
+
+@cached_njit(error_model="numpy")
+def _fuse_next_measurement(m: FilterMemory, s: FilterSettings, r: _Array, left: int) -> int:
+    """Fuse the next queued measurement of the horizon; return its cost, 0 without time for it, -1 without any."""
+    behind = m.tick - s.delay_ticks - m.horizon_tick >= MAX_LAG_BLOCKS * s.block_ticks
+    i = -1
+    for j in range(QUEUE_SIZE if m.task_stage == 0 else 0):
+        if m.queue_due[j] == m.horizon_tick:
+            if behind:
+                m.late_count[m.queue_sensor[j]] += 1
+                m.next_beam = 0
+                m.queue_due[j] = -1
+            elif i < 0 or m.queue_sensor[j] < m.queue_sensor[i]:
+                i = j
+    if i >= 0:
+        cost = measurement_cost(m, s, m.queue_sensor[i], left)
+        if cost > left:
+            return 0
+        if fuse_measurement(m, s, i, r, cost):
+            m.queue_due[i] = -1
+        return cost
+    return -1
+
+
+@cached_njit(error_model="numpy")
+def _average_block_forces(m: FilterMemory, s: FilterSettings) -> None:
+    """Average accelerometers and model since the last comparison."""
+    e = m.input_blocks[(m.horizon_tick // s.block_ticks - 1) % INPUT_BLOCK_COUNT]
+    n = m.block_mean_ticks // s.block_ticks
+    for k in range(3):
+        m.accel_mean[k] /= n
+        m.model_accel_mean[k] /= n
+        m.gyro_mean[k] /= n
+        m.thrust_slope[k] /= n
+        m.velocity_slope[k] /= n
+        # Density of the whole difference at the horizon, from what was weighed there
+        share = max(e[IN_SHARE + k], 1e-9)
+        m.residual_density[k] = e[IN_NOISE + k] / share / max(1 - share, 1e-9) + m.accel_noise[k]
+
+
+@cached_njit(error_model="numpy")
+def clear_block_forces(m: FilterMemory) -> None:
+    """Start new means of accelerometers and model."""
+    for k in range(3):
+        m.accel_mean[k] = m.model_accel_mean[k] = m.gyro_mean[k] = 0.0
+        m.thrust_slope[k] = m.velocity_slope[k] = 0.0
+    m.residual_ratio = 0.0
+    m.block_mean_ticks = 0
+
+
+@cached_njit(error_model="numpy")
+def run_next_task(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array, left: int) -> int:
+    """Run the next task at the horizon if it costs no more than ``left``; return its cost, 0 if none was run."""
+    cost = _fuse_next_measurement(m, s, r, left)
+    if cost >= 0:
+        return cost
+    if m.task_stage == 0:
+        m.task_stage = STAGE_TERRAIN
+    if m.task_stage == STAGE_TERRAIN:
+        m.task_stage = STAGE_FORCE_MEANS
+        if not m.terrain_edge_weight > 0.0 and abs(m.x[SX_TERRAIN]) < MAX_FLOOR_HEIGHT:
+            sure = state_variance(m.u_transposed, m.d, EX_TERRAIN)
+            if sure > FLOOR_SETTLED_SIGMA * FLOOR_SETTLED_SIGMA and m.x[SX_TERRAIN] * m.x[SX_TERRAIN] < 9.0 * sure:
+                reset_terrain(m)
+                return 1
+    if m.task_stage == STAGE_FORCE_MEANS:
+        m.task_stage = STAGE_DONE
+        if m.block_mean_ticks >= FORCE_MEAN_TICKS:
+            _average_block_forces(m, s)
+            m.task_stage = STAGE_AXES
+    mode = int(m.input_blocks[(m.horizon_tick // s.block_ticks - 1) % INPUT_BLOCK_COUNT, IN_PHASE])
+    while STAGE_AXES <= m.task_stage < STAGE_GROUND_CONTACT:
+        i = m.task_stage - STAGE_AXES
+        cost = 0
+        if mode <= PHASE_RUNNING:
+            cost = COST_REST_AXIS
+            if cost > left:
+                return 0
+            fuse_zero_motion(m, s, r, m.block_mean_ticks, mode, i)
+            m.standing_ticks += m.block_mean_ticks if mode == PHASE_STANDING and i == 0 else 0
+        elif mode == PHASE_FLYING and s.has_rotor_model > 0 and s.is_fitted[R_ACCELERATION] > 0:
+            cost = 1
+            fuse_accel_residual(m, s, r, m.block_mean_ticks, i)
+        m.task_stage += 1
+        if cost > 0:
+            return cost
+    if m.task_stage == STAGE_GROUND_CONTACT:
+        m.task_stage = STAGE_DONE
+        cost = 1 if mode > PHASE_RUNNING and fuse_ground_contact(m, s) else 0
+        clear_block_forces(m)
+        if cost > 0:
+            return cost
+    if m.horizon_tick + s.block_ticks > m.tick - s.delay_ticks or left < COST_HORIZON_STEP:
+        return 0
+    _advance_horizon(m, s, r, a)
+    return COST_HORIZON_STEP

@@ -1,0 +1,405 @@
+"""Inputs of the filter from the readings of a period: rates and accelerations, the rotors' force, and their noise.
+
+Inputs are averaged over blocks of :data:`mufly.estimate.filter_records.INPUT_BLOCK_S`. The flight phase decides which
+force model holds: legs on the floor, or rotors alone. The difference of accelerometers and force model gives the noise
+of the accelerometers. At rest, the specific force shows the tilt of the inertial unit."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.dynamics.model_state import RS_CHARGE, RS_RATES, RS_SPEED_LOWER, RS_SPEED_UPPER, ModelParameters
+from mufly.estimate.filter_horizon import STAGE_DONE, clear_block_forces
+from mufly.estimate.filter_records import (
+    EX_ACCEL_BIAS,
+    EX_ATT,
+    EX_POS,
+    EX_THRUST_SCALE,
+    IN_ACCEL,
+    IN_NOISE,
+    IN_PHASE,
+    IN_RATES,
+    IN_REST,
+    IN_SHARE,
+    IN_SLOPE,
+    IN_STATIC,
+    INPUT_BLOCK_COUNT,
+    INPUT_ROW_SIZE,
+    PHASE_COASTING,
+    PHASE_FLYING,
+    PHASE_LIGHT,
+    PHASE_RUNNING,
+    PHASE_STANDING,
+    R_ACCELERATION,
+    R_BATTERY,
+    R_RATES,
+    R_ROTOR,
+    R_SONAR,
+    READING_STARTS,
+    RF_STATIC,
+    ROTOR_FORCE_HISTORY,
+    SX_ACCEL_BIAS,
+    SX_ATT,
+    SX_GYRO_BIAS,
+    SX_TERRAIN,
+    SX_THRUST_SCALE,
+    SX_VEL,
+    SX_WIND,
+    FilterMemory,
+    FilterSettings,
+)
+from mufly.estimate.fusion import MIN_TERRAIN_HEIGHT, height_above_ground
+from mufly.estimate.output_predictor import FORCE_MEAN_TICKS
+from mufly.estimate.sensor_checks import (
+    ACTUATOR_START,
+    FORCE_MODEL_WRONG,
+    REASON_LEVELLED,
+    REASON_NONE,
+    STATUS_FUSED,
+    STATUS_MISSING,
+    STATUS_REJECTED,
+    battery_voltage_consistent,
+    rotor_speed_consistent,
+    set_fault,
+)
+from mufly.estimate.strapdown import predict_rotor_force, predict_terminal_voltage, rotation_matrix
+from mufly.estimate.ud_filter import inflate_variance
+from mufly.numba_cache import cached_njit
+from mufly.units import GRAVITY
+
+_Array = NDArray[np.float64]
+
+SLOW_NOISE_TICKS = 32
+"""Periods over which low-frequency force noise is estimated."""
+LEVEL_TIME_S, LEVEL_RATE, LEVEL_GATE = 0.5, 0.1, 3.0
+"""Time at rest in which the tilt of the inertial unit is measured (s), largest rate meanwhile (rad/s), and deviations
+of the standing tilt beyond which the unit is taken for tilted (1)."""
+STOPPED_SPEED_SHARE = 0.02
+"""Share of the speeds in hover below which rotors stand. Those that run down with the motors off turn the vehicle."""
+LIFTOFF_SIGMA_LIMIT = 2.5
+"""Deviations of the thrust scale by which lift-off may come earlier or later than modelled."""
+MODELLED_THRUST_SIGMA, THRUST_ERROR_TIME_S = 0.03, 0.02
+"""Deviation of the thrust scale without added noise (1); correlation time of larger errors (s)."""
+ERROR_TIME_TWICE_S = 0.3
+"""Twice the correlation time (s) of an acceleration error; over the filter's delay it changes the velocity."""
+CLIPPING_ERROR_SHARE = 0.25
+"""Error of the mean of clipping accelerometers over range times share of clipped samples (1); 0.1 to 0.3 is usual."""
+GROUND_FORCE_ERROR = 1.0
+"""Joint error of rotor and leg forces on the floor (m/s^2)."""
+SONAR_LIFTOFF_HEIGHT, LIFTOFF_CLEARANCE = 0.3, 0.015
+"""Height (m) up to which the sonar decides about lift-off; excess over its least reading (m) that shows lift-off."""
+MAX_MODEL_DISAGREEMENT = 0.4
+"""Largest mean difference of accelerometers and model over 160 ms without added noise (m/s^2). Two standard deviations
+of the thrust scale are added to it; the excess counts as accelerometer noise that is correlated over a second."""
+WRONG_MODEL_DENSITY = 10.0
+"""Density of the force's error (m^2/s^3) while the rotor model contradicts accelerometers and fix."""
+_Z = READING_STARTS
+
+
+@cached_njit(error_model="numpy")
+def _update_flight_phase(m: FilterMemory, s: FilterSettings, z: _Array) -> float:
+    """Update the flight phase from the rotors' lift and the height.
+
+    Returns the model's lift over the weight in the period in which the sonar sees it leave the floor, else 0.
+    """
+    lift = (
+        -m.rotor_force[m.tick % ROTOR_FORCE_HISTORY, RF_STATIC + 2] * m.x[SX_THRUST_SCALE] / GRAVITY
+        if s.has_rotor_model > 0
+        else 1.0
+    )
+    height = height_above_ground(m.x_output, s)
+    off = z[ACTUATOR_START] + z[ACTUATOR_START + 1] < 0.02
+    # Rotors with more lift than modelled leave the floor earlier, others later.
+    doubt = LIFTOFF_SIGMA_LIMIT * m.sigma_output[EX_THRUST_SCALE] if s.has_rotor_model > 0 else 0.0
+    # The sonar is newer than the estimated height, except below the floor.
+    says = m.status[R_SONAR] == STATUS_FUSED and height < SONAR_LIFTOFF_HEIGHT and m.x[SX_TERRAIN] > MIN_TERRAIN_HEIGHT
+    near = says and m.last_value[_Z[R_SONAR]] <= s.sonar_min + 0.5 * s.sonar_resolution
+    clear = says and m.last_value[_Z[R_SONAR]] > s.sonar_min + LIFTOFF_CLEARANCE
+    rises = 0.0
+    m.is_sonar_at_minimum = 1 if near else 0
+    if m.flight_phase <= PHASE_RUNNING:
+        turning = m.rotor_state[RS_SPEED_UPPER] + m.rotor_state[RS_SPEED_LOWER]
+        stands = turning <= STOPPED_SPEED_SHARE * (s.hover_speed[0] + s.hover_speed[1])
+        m.flight_phase = PHASE_RUNNING if not off else PHASE_STANDING if stands else PHASE_COASTING
+        if lift * (1.0 + doubt) > 0.9 and m.flight_phase == PHASE_RUNNING:
+            m.flight_phase = PHASE_LIGHT
+            m.is_initialised = 1
+    elif m.flight_phase == PHASE_LIGHT:
+        up = height > 0.03 + min(2.0 * m.sigma_output[EX_POS + 2], 0.1) and not near
+        if up or clear or lift > 1.1 + doubt:
+            m.flight_phase = PHASE_FLYING
+            if says and not near and s.has_rotor_model > 0:
+                rises = lift / m.x[SX_THRUST_SCALE]
+        elif lift * (1.0 + doubt) < 0.85 and height < 0.02:
+            m.flight_phase = PHASE_RUNNING
+    elif (height < 0.015 and lift < 0.9 and not clear) or (near and lift < 1.1 + doubt):
+        m.flight_phase = PHASE_LIGHT
+    if (
+        off
+        and m.flight_phase >= PHASE_LIGHT
+        and height < 0.05
+        and m.rotor_state[RS_SPEED_UPPER] < 0.3 * s.hover_speed[0]
+    ):
+        m.flight_phase = PHASE_RUNNING
+    if m.flight_phase != PHASE_FLYING:
+        m.grounded_tick = m.tick
+    return rises
+
+
+@cached_njit(error_model="numpy")
+def _ground_force_noise(m: FilterMemory, force: float) -> float:
+    """Return the density of the force's error on the legs or just off them (m^2/s^3).
+
+    ``force`` is the rotors' force per mass, down (m/s^2). The error shrinks as the rotors lift more or less than the
+    weight."""
+    spread = (
+        GROUND_FORCE_ERROR
+        if m.is_sonar_at_minimum == 1
+        else max(m.sigma_output[EX_THRUST_SCALE] * -force, GROUND_FORCE_ERROR)
+    )
+    over = (-m.x_output[SX_THRUST_SCALE] * force - GRAVITY) / spread
+    may = min(max(1.0 + over / LIFTOFF_SIGMA_LIMIT, 0.0), 1.0) * spread
+    return ERROR_TIME_TWICE_S * may * may
+
+
+@cached_njit(error_model="numpy")
+def sample_inputs(
+    m: FilterMemory, s: FilterSettings, p: ModelParameters, z: _Array, new: NDArray[np.int32], r: _Array
+) -> float:
+    """Write the row of inputs of the period that has just ended, and average it into its block.
+
+    Returns the same as :func:`_update_flight_phase`."""
+    now = m.tick % ROTOR_FORCE_HISTORY
+    for j in range(4):
+        sent = z[ACTUATOR_START + j]
+        m.actuators[j] = min(max(sent, -1.0), 1.0) if sent == sent else 0.0
+    rotation_matrix(m.x_output[SX_ATT : SX_ATT + 4], r)
+    n, e, d = (
+        m.x_output[SX_VEL] - m.x_output[SX_WIND],
+        m.x_output[SX_VEL + 1] - m.x_output[SX_WIND + 1],
+        m.x_output[SX_VEL + 2],
+    )
+    for k in range(3):
+        m.axis_work[k] = r[k] * n + r[3 + k] * e + r[6 + k] * d
+        m.rotor_state[RS_RATES + k] = m.gyro_rates[k] - m.x_output[SX_GYRO_BIAS + k]
+    if s.has_rotor_model > 0:
+        predict_rotor_force(m, s, p, m.axis_work, m.rotor_force[now])
+        for k in range(2):
+            m.rotor_state[RS_SPEED_UPPER + k] += s.dt * m.motor_accel_bias[k]
+        if new[R_ROTOR] == 1:
+            a = _Z[R_ROTOR]
+            if rotor_speed_consistent(m, s, z, a):
+                for k in range(2):
+                    off = z[a + k] - m.rotor_state[RS_SPEED_UPPER + k]
+                    m.rotor_state[RS_SPEED_UPPER + k] += s.rotor_speed_gain * off
+                    m.motor_accel_bias[k] += s.motor_error_gain * off
+        if new[R_BATTERY] == 1:
+            off = z[_Z[R_BATTERY]] - predict_terminal_voltage(m, p)
+            if battery_voltage_consistent(m, s, off):
+                fast = 0.2 if m.tick * s.dt < 1.0 else 0.02
+                m.rotor_state[RS_CHARGE] = min(max(m.rotor_state[RS_CHARGE] + fast * off, 0.0), 1.0)
+    rises = _update_flight_phase(m, s, z)
+    a, b = (now - s.imu_lag_ticks) % ROTOR_FORCE_HISTORY, (now - s.imu_lag_ticks - 1) % ROTOR_FORCE_HISTORY
+    row = m.inputs_now
+    model = s.has_rotor_model > 0
+    for k in range(3):
+        row[k] = 0.5 * (m.gyro_rates[k] + m.gyro_rates_prev[k])
+        row[IN_ACCEL + k] = z[k]
+        for g in range(3):
+            row[IN_STATIC + 3 * g + k] = (1 - s.imu_lag_share) * m.rotor_force[
+                a, RF_STATIC + 3 * g + k
+            ] + s.imu_lag_share * m.rotor_force[b, RF_STATIC + 3 * g + k]
+        clip = m.clip_share[k] * CLIPPING_ERROR_SHARE * s.accel_range
+        # Without what a shaking leaves; but whose attitude is not known knows the force of the air better.
+        noise = m.accel_noise_slow[k] if m.status[R_RATES] < STATUS_MISSING else m.accel_noise[k]
+        felt = (
+            max(s.accel_density, noise) if s.has_rotor_model > 0 else s.accel_density
+        ) + ERROR_TIME_TWICE_S * clip * clip
+        made = s.model_accel_density[k]
+        if m.flight_phase <= PHASE_RUNNING:
+            row[IN_STATIC + k], row[IN_REST + k], row[IN_SLOPE + k] = 0.0, -GRAVITY * r[6 + k], 0.0
+            felt, made = 1e6, 1e-3
+        elif m.flight_phase == PHASE_LIGHT:
+            # Legs may support the weight that the rotors do not: no thrust is estimated.
+            row[IN_REST + k] += m.x_output[SX_THRUST_SCALE] * row[IN_STATIC + k]
+            if k == 2:
+                row[IN_REST + 2] = (
+                    -GRAVITY * r[8] if m.is_sonar_at_minimum == 1 else min(row[IN_REST + 2], -GRAVITY * r[8])
+                )
+            made = 0.05
+            if k == 2:
+                made += _ground_force_noise(m, row[IN_STATIC + 2])
+            row[IN_STATIC + k] = 0.0
+        elif model:
+            # Until the thrust is known, which takes the delay and more, it flies by the accelerometers.
+            unknown = max(m.sigma_output[EX_THRUST_SCALE] - MODELLED_THRUST_SIGMA, 0.0) * row[IN_STATIC + k]
+            made += THRUST_ERROR_TIME_S * unknown * unknown
+        if not model and m.flight_phase > PHASE_RUNNING:
+            row[IN_STATIC + k], row[IN_REST + k], row[IN_SLOPE + k] = 0.0, -GRAVITY if k == 2 else 0.0, 0.0
+            made = 10.0
+        if m.force_verdict == FORCE_MODEL_WRONG:
+            made = max(made, WRONG_MODEL_DENSITY)
+        elif m.is_accel_distrusted == 1:
+            felt = 1e6
+        if m.status[R_ACCELERATION] >= STATUS_MISSING or s.is_fitted[R_ACCELERATION] == 0:
+            felt = 1e6
+        share = made / (felt + made)
+        row[IN_SHARE + k] = share
+        row[IN_NOISE + k] = felt * share
+    row[IN_PHASE] = m.flight_phase
+    # Mean over the block so far
+    into = m.input_blocks[(m.tick - 1) // s.block_ticks % INPUT_BLOCK_COUNT]
+    share = 1.0 / ((m.tick - 1) % s.block_ticks + 1)
+    for j in range(INPUT_ROW_SIZE - 1):
+        into[j] = row[j] if share == 1.0 else into[j] + share * (row[j] - into[j])
+    into[IN_PHASE] = m.flight_phase
+    return rises
+
+
+@cached_njit(error_model="numpy")
+def _backdate_accel_noise(m: FilterMemory, s: FilterSettings, k: int) -> None:
+    """Apply the new noise of an accelerometer to buffered inputs that the horizon has not reached."""
+    for at in range(m.horizon_tick, m.tick, s.block_ticks):
+        e = m.input_blocks[at // s.block_ticks % INPUT_BLOCK_COUNT]
+        share = max(e[IN_SHARE + k], 1e-9)
+        felt = max(e[IN_NOISE + k] / share, m.accel_noise_slow[k])
+        made = e[IN_NOISE + k] / max(1.0 - share, 1e-9)
+        e[IN_SHARE + k] = made / (felt + made)
+        e[IN_NOISE + k] = felt * e[IN_SHARE + k]
+
+
+@cached_njit(error_model="numpy")
+def estimate_accel_noise(m: FilterMemory, s: FilterSettings, z: _Array) -> None:
+    """Estimate the noise of accelerometers less model from means over short and over long blocks.
+
+    Short means hold what vibration leaves in the velocity; the triangular weights of the long ones suppress vibration.
+    """
+    row = m.inputs_now
+    m.accel_noise_count += 1
+    m.slow_count += 1
+    weight = m.slow_count if m.slow_count <= SLOW_NOISE_TICKS // 2 else SLOW_NOISE_TICKS + 1 - m.slow_count
+    for k in range(3):
+        off = z[k] - (m.x[SX_THRUST_SCALE] * row[IN_STATIC + k] + row[IN_REST + k])
+        m.accel_noise_sum[k] += off
+        m.slow_sum[k] += weight * (off - row[IN_SLOPE + k] * m.axis_work[k])
+    if m.slow_count >= SLOW_NOISE_TICKS:
+        half = float(SLOW_NOISE_TICKS // 2)
+        span = 0.75 * SLOW_NOISE_TICKS * s.dt
+        # Off the floor the model has another force, and the thrust's scale is found.
+        settled = m.flight_phase != PHASE_FLYING or m.tick - m.grounded_tick > 2 * SLOW_NOISE_TICKS
+        for k in range(3):
+            mean = m.slow_sum[k] / (half * (half + 1.0))
+            # What the model may be off by, at lift-off by much, is not the accelerometers'.
+            unknown = 2.0 * m.sigma_output[EX_THRUST_SCALE] * abs(row[IN_STATIC + k])
+            step = max(abs(mean - m.slow_mean_prev[k]) - unknown, 0.0)
+            made = row[IN_NOISE + k] / max(1.0 - row[IN_SHARE + k], 1e-9)
+            density = max(0.5 * step * step * span - made, 0.0)
+            if m.flight_phase == PHASE_FLYING and settled:
+                unknown += 2.0 * m.sigma_output[EX_ACCEL_BIAS + k]
+                apart = abs(mean - m.x[SX_ACCEL_BIAS + k]) - (MAX_MODEL_DISAGREEMENT + unknown)
+                density += max(apart, 0.0) * max(apart, 0.0)
+                if apart > (m.clip_share[0] + m.clip_share[1] + m.clip_share[2]) * CLIPPING_ERROR_SHARE * s.accel_range:
+                    m.force_apart_tick = m.tick
+            density = min(density, 100.0)
+            most = max(0.6 if density > m.accel_noise_slow[k] else 0.2, 1.0 / (m.slow_mean_count + 1))
+            m.slow_mean_prev[k] = mean
+            m.slow_sum[k] = 0.0
+            if settled:
+                m.accel_noise_slow[k] += most * (density - m.accel_noise_slow[k])
+                if density > made:
+                    _backdate_accel_noise(m, s, k)
+        m.slow_count = 0
+        m.slow_mean_count += 1
+        if m.status[R_ACCELERATION] == STATUS_REJECTED and m.tick >= m.fault_until_tick[R_ACCELERATION]:
+            m.status[R_ACCELERATION], m.reason[R_ACCELERATION] = STATUS_FUSED, REASON_NONE
+    if m.accel_noise_count >= FORCE_MEAN_TICKS:
+        span = m.accel_noise_count * s.dt
+        for k in range(3):
+            mean = m.accel_noise_sum[k] / m.accel_noise_count
+            step = mean - m.accel_noise_mean[k]
+            m.accel_noise_mean[k] = mean
+            density = max(0.5 * step * step * span - s.model_accel_density[k], 0.0)
+            density = min(density, 100.0)
+            m.accel_noise[k] += (0.2 if density > m.accel_noise[k] else 0.05) * (density - m.accel_noise[k])
+            m.accel_noise_sum[k] = 0.0
+        m.accel_noise_count = 0
+
+
+@cached_njit(error_model="numpy")
+def _turn_level(m: FilterMemory, v: _Array, start: int) -> None:
+    """Turn the two vectors from ``start`` on from the axes of a tilted inertial unit to those of the vehicle."""
+    r = m.level_rotation
+    for i in (start, start + 3):
+        x, y, z = v[i], v[i + 1], v[i + 2]
+        for k in range(3):
+            v[i + k] = r[3 * k] * x + r[3 * k + 1] * y + r[3 * k + 2] * z
+
+
+@cached_njit(error_model="numpy")
+def _restart_level(m: FilterMemory, s: FilterSettings) -> None:
+    """Turn the inputs since the horizon level, and begin anew with level attitude and no bias of the accelerometers."""
+    for b in range(INPUT_BLOCK_COUNT):
+        _turn_level(m, m.input_blocks[b], IN_RATES)
+    clear_block_forces(m)
+    m.task_stage = STAGE_DONE
+    for x in (m.x, m.x_repropagating, m.x_now, m.x_output):
+        turn = math.sqrt(x[SX_ATT] * x[SX_ATT] + x[SX_ATT + 3] * x[SX_ATT + 3])
+        x[SX_ATT] /= turn
+        x[SX_ATT + 3] /= turn
+        x[SX_ATT + 1] = x[SX_ATT + 2] = 0.0
+        for k in range(3):
+            x[SX_ACCEL_BIAS + k] = 0.0
+    for k in range(3):
+        tilt, bias = s.initial_sigma[EX_ATT + k], s.initial_sigma[EX_ACCEL_BIAS + k]
+        if k < 2:
+            inflate_variance(m.u_transposed, m.d, EX_ATT + k, tilt * tilt, m.f)
+        inflate_variance(m.u_transposed, m.d, EX_ACCEL_BIAS + k, bias * bias, m.f)
+
+
+@cached_njit(error_model="numpy")
+def _decide_level(m: FilterMemory, s: FilterSettings) -> None:
+    """Decide by the accelerometers' sum at rest whether the inertial unit is tilted, and begin anew if it is.
+
+    The smallest rotation that turns a / |a| to (0, 0, -1) has the axis (-a_y, a_x, 0) and the cosine -a_z / |a|."""
+    x, y, d = m.level_sum[0], m.level_sum[1], m.level_sum[2]
+    size = math.sqrt(x * x + y * y + d * d)
+    x, y, d = -y / size, x / size, -d / size
+    tilt = s.initial_sigma[EX_ACCEL_BIAS] / GRAVITY
+    q = x * x + y * y
+    m.mount_variance[0] = m.mount_variance[1] = 0.5 * q  # the tilt may be a bias, a lean or the unit's
+    if q > LEVEL_GATE * LEVEL_GATE * (s.rest_tilt_sigma * s.rest_tilt_sigma + tilt * tilt) and d > 0.875:
+        half = math.sqrt(0.5 * d + 0.5)
+        turn = np.array((half, 0.5 * x / half, 0.5 * y / half, 0.0))
+        rotation_matrix(turn, m.level_rotation)
+        m.is_levelled = 1
+        _restart_level(m, s)
+        set_fault(m, s, R_ACCELERATION, STATUS_FUSED, REASON_LEVELLED, math.sqrt(q))
+
+
+@cached_njit(error_model="numpy")
+def level_inertial_unit(m: FilterMemory, s: FilterSettings, z: _Array) -> None:
+    """Measure the tilt of the inertial unit at rest before the first flight, and turn its readings level.
+
+    The vehicle stands level but for ``rest_tilt_sigma``. A specific force that is tilted by more than legs and bias
+    explain shows a tilted unit, whose attitude would err by twice the tilt after half a turn about the mast."""
+    needed = int(LEVEL_TIME_S / s.dt)
+    if m.level_ticks < needed:
+        still = m.flight_phase == PHASE_STANDING and m.status[R_ACCELERATION] == STATUS_FUSED
+        for k in range(3):
+            still = still and abs(z[_Z[R_RATES] + k]) < LEVEL_RATE
+        if m.flight_phase > PHASE_STANDING or s.has_rotor_model == 0:
+            m.level_ticks = needed
+        elif not still:
+            m.level_ticks = 0
+            m.level_sum[0] = m.level_sum[1] = m.level_sum[2] = 0.0
+        else:
+            m.level_ticks += 1
+            for k in range(3):
+                m.level_sum[k] += z[_Z[R_ACCELERATION] + k]
+            if m.level_ticks == needed:
+                _decide_level(m, s)
+    if m.is_levelled == 1:
+        _turn_level(m, z, _Z[R_ACCELERATION])
