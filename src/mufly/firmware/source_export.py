@@ -32,8 +32,8 @@ from mufly.world import World
 
 SOURCE_FOLDER = resources.files("mufly.firmware") / "sources"
 BOARD_INCLUDE_FLAGS = (
-    "-I.", "-Iboards", "-Ionboard/link", "-Ionboard/log", "-Ionboard/receiver", "-Ionboard/storage",
-    "-Ionboard/supervisor",
+    "-I.", "-Iboards", "-Ionboard/drivers", "-Ionboard/link", "-Ionboard/log", "-Ionboard/receiver",
+    "-Ionboard/storage", "-Ionboard/supervisor",
 )  # fmt: skip
 """Include folders of a board's code, within an exported tree."""
 _GAIN_GROUPS = ("heave_yaw", "roll_pitch", "position")

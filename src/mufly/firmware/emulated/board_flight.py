@@ -54,6 +54,8 @@ class BoardFlightResult:
         Flown periods per second of wall-clock time (1/s), without builds and start-up.
     realtime_factor : float
         Flight time over wall-clock time.
+    worst_instructions : int
+        Instructions of the longest period on the emulated board; 0 unless they are counted.
     """
 
     periods: int
@@ -61,6 +63,7 @@ class BoardFlightResult:
     first_difference: str
     periods_per_s: float
     realtime_factor: float
+    worst_instructions: int = 0
 
 
 def make_board(

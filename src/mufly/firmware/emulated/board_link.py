@@ -31,6 +31,7 @@ def run_linked_board(
     faults: Sequence[Fault] = (),
     path: Path | None = None,
     pace: float = 1.0,
+    counts_instructions: bool = False,
     stop: Callable[[Flight], bool] = lambda flight: False,
     on_event: Callable[[FlightEvent], None] | None = None,
     on_open: Callable[[], None] = lambda: None,
@@ -45,6 +46,8 @@ def run_linked_board(
         Address at which the UART of the board listens (TCP).
     pace : float
         Flight time over wall-clock time; 0: as fast as possible.
+    counts_instructions : bool
+        Count the instructions of each period; slower.
     stop : callable
         Called with the flight after every period; True ends it.
     on_event, on_open : callable
@@ -58,7 +61,7 @@ def run_linked_board(
     controller = design_flight_controller(vehicle)
     uart = f"tcp:{host}:{port},server=on,wait=off,nodelay=on"
     twin = HostBoard(*build_host_board(vehicle, controller, mission))
-    board = EmulatedBoard(build_image(vehicle, controller, mission), twin, uart)
+    board = EmulatedBoard(build_image(vehicle, controller, mission), twin, uart, counts_instructions)
     try:
         with Flight(
             vehicle, mission, controller=controller, wind=wind, gust=gust, seed=seed, faults=faults, path=path,
@@ -84,4 +87,5 @@ def run_linked_board(
     return BoardFlightResult(
         periods=board.period_count, different=board.mismatch_count, first_difference=board.first_mismatch,
         periods_per_s=board.period_count / wall_s, realtime_factor=flown_s / wall_s,
+        worst_instructions=board.worst_instructions,
     )  # fmt: skip

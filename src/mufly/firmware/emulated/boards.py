@@ -137,6 +137,8 @@ class EmulatedBoard:
         The code of this machine, in single precision.
     uart : str
         Device of QEMU for the UART of the link, as ``tcp:127.0.0.1:5760,server=on,wait=off,nodelay=on``.
+    counts_instructions : bool
+        Let an instruction take 1 ns, so that the board's timer measures instructions; slower.
 
     Attributes
     ----------
@@ -144,15 +146,20 @@ class EmulatedBoard:
         Compared periods, and those after which any byte of the board's memory differs.
     first_mismatch : str
         Period, field and values of the first difference; "" without one.
+    worst_instructions : int
+        Of a period, exchange with the simulation excluded, to 40 instructions; 0 unless they are counted.
     flash : (2 * FLASH_WORDS,) array of uint32
         Memory of the emulated board in the place of its flash: both sectors for settings, kept over restarts.
     log_blocks : (LOG_BLOCKS, 128) array of uint32
         Memory of the emulated board in the place of the log's block device, kept over restarts.
     """
 
-    def __init__(self, image: Path, twin: HostBoard, uart: str = "none") -> None:
+    def __init__(self, image: Path, twin: HostBoard, uart: str = "none", counts_instructions: bool = False) -> None:
         self.ffi, self.lib, self._image, self._twin = twin.ffi, twin.lib, image, twin
         self._uart = uart
+        self._instructions_per_tick = 40 if counts_instructions else 0
+        self._ticks = np.zeros(1, np.uint32)
+        self.worst_instructions = 0
         self.memory = np.zeros_like(twin.memory)
         self.record = self.ffi.cast("board_t *", self.ffi.from_buffer(self.memory))
         self._layout = MemoryLayout(self.ffi, "board_t")
@@ -182,6 +189,7 @@ class EmulatedBoard:
                 f"mem-path={self._flash_file.name},share=on",
                 "-display", "none", "-monitor", "none",
                 "-serial", self._uart, "-semihosting-config", "enable=on,target=native", "-kernel", str(self._image),
+                *(("-icount", "shift=0") if self._instructions_per_tick else ()),
             ],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, bufsize=0,
         )  # fmt: skip
@@ -203,10 +211,14 @@ class EmulatedBoard:
 
     def compute_control(self, request: Any) -> None:
         """Run the second half of a period."""
-        self._exchange(request, self._twin.compute_control, self._twin_link)
+        self._exchange(request, self._twin.compute_control, self._conclude_period)
 
-    def _twin_link(self) -> None:
-        """Give the twin the bytes that the emulated UART has received and sent in this period."""
+    def _conclude_period(self) -> None:
+        """Take the time of the period; give the twin the bytes that the emulated UART has received and sent."""
+        assert self._process is not None
+        self._receive(self._process, self._ticks.view(np.uint8))
+        spent = int(self._ticks[0]) * self._instructions_per_tick
+        self.worst_instructions = max(self.worst_instructions, spent)
         link, twin = self.record.link, self._twin.record.link
         self.ffi.memmove(twin.input, link.input, len(link.input))
         twin.input_count = link.input_count

@@ -35,6 +35,13 @@
 #define LOG_MEMORY ((volatile uint32_t *)0x21100000U)
 #define LOG_BLOCKS 30720
 
+/* SysTick: ticks of 40 ns; with -icount shift=0 an instruction takes 1 ns. It counts down. */
+#define TICKS_CTRL (*(volatile uint32_t *)0xE000E010U)
+#define TICKS_RELOAD (*(volatile uint32_t *)0xE000E014U)
+#define TICKS (*(volatile uint32_t *)0xE000E018U)
+#define TICKS_MASK 0xFFFFFFU
+#define TICKS_ENABLED 5U
+
 int main(void);
 void interrupt_0(void);
 
@@ -47,6 +54,8 @@ static board_period_t period;
 static board_request_t request;
 static uint32_t input;
 static uint32_t output;
+static uint32_t spent_ticks; /* in this period, without the exchange */
+static uint32_t resumed_at;
 
 static uint32_t open_stream(const char *name, uint32_t length, uint32_t mode)
 {
@@ -86,15 +95,24 @@ static void transmit(const void *from, uint32_t size)
     }
 }
 
+static void pause_ticks(void)
+{
+    spent_ticks += (resumed_at - TICKS) & TICKS_MASK;
+}
+
 int32_t hal_wait_period(void)
 {
     static bool began;
 
     if (began) {
+        pause_ticks();
         transmit(&board, sizeof(board)); /* after the second half of the period that has just ended */
+        transmit(&spent_ticks, sizeof(spent_ticks));
     }
     began = true;
     receive(&period, sizeof(period));
+    spent_ticks = 0U;
+    resumed_at = TICKS;
     return period.missed;
 }
 
@@ -110,8 +128,10 @@ void hal_read_sensors(hal_readings_t *readings)
 
 bool hal_read_command(hal_command_t *out)
 {
+    pause_ticks();
     transmit(&board, sizeof(board)); /* after the first half */
     receive(&request, sizeof(request));
+    resumed_at = TICKS;
     *out = request.given;
     return request.is_given;
 }
@@ -244,6 +264,8 @@ int main(void)
         fitted |= (mufly_settings.is_fitted[k] != 0) ? (1UL << k) : 0U;
     }
     transmit(&sizes, sizeof(sizes));
+    TICKS_RELOAD = TICKS_MASK;
+    TICKS_CTRL = TICKS_ENABLED;
     UART_BAUD_DIVIDER = 16U;
     UART_CTRL = UART_ENABLED | UART_RX_INTERRUPT;
     NVIC_ENABLE = 1U;

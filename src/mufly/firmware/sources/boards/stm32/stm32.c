@@ -1,21 +1,26 @@
-/* Stubs for an STM32F4: what hal.h asks for, without any vendor's code. Every TODO is a register or a buffer of your board.
+/* An STM32F4, without any vendor's code: the drivers of onboard/drivers on the buses and timers of your board. Every TODO is a
+ * register or a buffer of it.
  *
- * The inertial unit is read by DMA into two halves of a buffer, in turns; PWM is a timer's; MAVLink comes and goes by a UART
- * with DMA; the independent watchdog resets the processor when the loop stops. */
+ * SPI and I2C transfers go by DMA; the motors' timer takes DShot frames by DMA; servos are a timer's pulses; MAVLink comes and goes by
+ * a UART with DMA; the independent watchdog resets the processor when the loop stops. */
 #include "../board.h"
+#include "actuator_outputs.h"
+#include "sensor_suite.h"
 
-#define UPPER_CHANNEL 0
-#define LOWER_CHANNEL 1
-#define SERVO_1_CHANNEL 2
-#define SERVO_2_CHANNEL 3
+#define BAROMETER_ON_SPI true
+#define DSHOT_BIT_TICKS 280U  /* DShot300 of a timer at 84 MHz */
+#define ADC_REFERENCE_V REAL(3.3)
+#define BATTERY_DIVIDER REAL(11.0)
 
 int main(void);
 
 /* Set by interrupts. */
 static volatile uint32_t periods;     /* of the loop's timer */
 static volatile uint32_t microseconds; /* of a free-running 32-bit timer; TODO: TIM2->CNT */
-static volatile bool imu_is_new;
-static volatile real_t imu[6];        /* specific force (m/s2), rates (rad/s); body axes forward, right, down */
+
+static sensor_suite_t sensors;
+static uint32_t dshot[2][DSHOT_BITS]; /* compare values of both motors, for the DMA of their timer */
+static uint32_t servo_us[2];          /* TODO: TIMx->CCRy of a timer that counts microseconds, 20 ms a frame */
 
 /* TODO: the timer's interrupt at mufly_rate_Hz calls this. */
 void stm32_period(void);
@@ -24,21 +29,30 @@ void stm32_period(void)
     periods++;
 }
 
-/* TODO: the DMA's half and full transfer interrupts call this with what the unit said, scaled, in body axes. */
-void stm32_imu(const real_t force[3], const real_t rates[3]);
-void stm32_imu(const real_t force[3], const real_t rates[3])
+bool bus_begin(int32_t device, const uint8_t out[], int32_t out_count, uint8_t in[], int32_t in_count)
 {
-    for (int32_t i = 0; i < 3; i++) {
-        imu[i] = force[i];
-        imu[3 + i] = rates[i];
-    }
-    imu_is_new = true;
+    (void)device; /* TODO: chip select of the device and DMA on its SPI, or its address and DMA on I2C */
+    (void)out;
+    (void)out_count;
+    (void)in;
+    (void)in_count;
+    return false;
 }
 
-static void write_pwm(int32_t channel, real_t share)
+int32_t bus_poll(int32_t device)
 {
-    (void)channel; /* TODO: TIMx->CCRy = (uint32_t)(share * TIMx->ARR) */
-    (void)share;
+    (void)device; /* TODO: BUS_BUSY until the DMA is over; BUS_ERROR by OVR and MODF, or AF, BERR and ARLO */
+    return (int32_t)BUS_ERROR;
+}
+
+void bus_abort(int32_t device)
+{
+    (void)device; /* TODO: SPI: DMA off, deselect; I2C: SWRST, nine clocks on SCL as a pin, stop */
+}
+
+static uint32_t read_battery_count(void)
+{
+    return 0xFFFFU; /* TODO: ADC1->DR; what is above 12 bits counts as no reading */
 }
 
 int32_t hal_wait_period(void)
@@ -67,32 +81,19 @@ real_t hal_time_s(void)
 
 void hal_read_sensors(hal_readings_t *readings)
 {
-    for (int32_t k = 0; k < SENSOR_COUNT; k++) {
-        readings->fresh[k] = 0;
-        readings->age[k] = REAL(0.0);
-    }
-    for (int32_t i = 0; i < 3; i++) {
-        readings->z[CLIPPING_START + i] = REAL(0.0); /* TODO: the share of samples at full scale */
-    }
-    if (imu_is_new) {
-        imu_is_new = false; /* TODO: with interrupts off, or from the half of the buffer that DMA does not write */
-        for (int32_t i = 0; i < 3; i++) {
-            readings->z[READING_STARTS[R_ACCELERATION] + i] = imu[i];
-            readings->z[READING_STARTS[R_RATES] + i] = imu[3 + i];
-        }
-        readings->fresh[R_ACCELERATION] = 1;
-        readings->fresh[R_RATES] = 1;
-    }
-    /* TODO: sonar, ring, pressure (less 101325 Pa), compass, rotor speeds, position fix, battery voltage. */
+    const real_t voltage = battery_voltage(read_battery_count(), ADC_REFERENCE_V, BATTERY_DIVIDER);
+
+    sensor_suite_read(&sensors, microseconds, voltage, readings);
+    /* TODO: ring, compass, rotor speeds, position fix, where fitted. */
 }
 
 void hal_write_actuators(const actuators_t *out)
 {
-    write_pwm(UPPER_CHANNEL, out->motor_input[0]);
-    write_pwm(LOWER_CHANNEL, out->motor_input[1]);
-    /* Servos: 1 to 2 ms of a 20 ms frame, the middle at rest. */
-    write_pwm(SERVO_1_CHANNEL, (REAL(1.5) + (REAL(0.5) * out->servo_input[0])) / REAL(20.0));
-    write_pwm(SERVO_2_CHANNEL, (REAL(1.5) + (REAL(0.5) * out->servo_input[1])) / REAL(20.0));
+    for (int32_t i = 0; i < 2; i++) {
+        dshot_compare_values(dshot_frame(out->motor_input[i]), DSHOT_BIT_TICKS, dshot[i]);
+        servo_us[i] = servo_pulse_us(out->servo_input[i]);
+    }
+    /* TODO: start the DMA of both motors */
 }
 
 bool hal_read_command(hal_command_t *command)
@@ -205,7 +206,9 @@ int main(void)
     const uint32_t cause = RESET_BY_POWER; /* TODO: from RCC->CSR: BORRSTF, IWDGRSTF, SFTRSTF, PINRSTF; then clear it */
 
     /* TODO: clocks, floating unit, timers, DMA, UART, watchdog. */
-    board_start(&board, (1UL << R_ACCELERATION) | (1UL << R_RATES) | (1UL << R_SONAR) | (1UL << R_BATTERY),
+    sensor_suite_start(&sensors, BAROMETER_ON_SPI, microseconds);
+    board_start(&board,
+                (1UL << R_ACCELERATION) | (1UL << R_RATES) | (1UL << R_SONAR) | (1UL << R_PRESSURE) | (1UL << R_BATTERY),
                 fault_record_begin(&kept, cause));
     board_run(&board, &kept);
     return 0;
