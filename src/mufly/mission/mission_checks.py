@@ -31,7 +31,7 @@ from mufly.mission.mission_timing import (
     plan_legs,
     plan_return_leg,
 )
-from mufly.mission.trajectory import TrajectoryLimits
+from mufly.mission.trajectory import Trajectory, TrajectoryLimits
 from mufly.results import result
 from mufly.vehicle import Vehicle
 from mufly.world import World, obstacle_distance, obstacle_distances
@@ -64,6 +64,7 @@ def check_geometry(mission: Mission, where: str) -> None:
         raise InputError(where, "waypoint", "the mission has no waypoint", "add at least one [[waypoint]]")
     clear = mission.avoidance.clearance_m
     world = mission.world
+    has_obstacles = bool(world.boxes or world.cylinders)
     for i, waypoint in enumerate(mission.waypoint):
         key, (n, e, d) = f"waypoint[{i + 1}].position_m", waypoint.position_m
         if d > -MIN_WAYPOINT_HEIGHT_M:
@@ -88,7 +89,7 @@ def check_geometry(mission: Mission, where: str) -> None:
     for leg in plan_legs(mission):
         key = f"waypoint[{leg.waypoint_number}].position_m"
         way = leg.trajectory
-        track = np.array([way.evaluate(float(t)).position for t in np.linspace(way.departure_s, way.duration_s, 200)])
+        track = _sample_track(way) if way.spline_curve is not None or has_obstacles else np.empty((0, 3))
         if way.spline_curve is None:
             begin = np.array(way.start)
             _check_column(mission, where, key, begin, way.goal[2], "the change of height before it")
@@ -105,10 +106,16 @@ def check_geometry(mission: Mission, where: str) -> None:
     back = plan_return_leg(mission)
     if back is not None:
         last, end = "at_end", np.array(back.goal)
-        times = np.linspace(back.departure_s, back.duration_s, 200)
-        _check_over_and_under(mission, where, last, np.array([back.evaluate(float(t)).position for t in times]))
+        if has_obstacles:
+            _check_over_and_under(mission, where, last, _sample_track(back))
     _check_column(mission, where, last, end, _COLUMN_START_DOWN_M, "the landing")
     check_fence(mission, where)
+
+
+def _sample_track(way: Trajectory) -> NDArray[np.float64]:
+    """Return 200 positions (200, 3) along a leg."""
+    times = np.linspace(way.departure_s, way.duration_s, 200)
+    return np.array([way.evaluate(float(t)).position for t in times])
 
 
 def _describe_distance(least: float, name: str) -> str:

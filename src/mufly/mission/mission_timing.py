@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -166,13 +167,17 @@ def compute_landing_time(height: float, mission: Mission) -> float:
     The landing law is that of :func:`mufly.mission.ground_phases.step_landing`.
     """
     q = mission.limits
-    a, steady = q.climb_acceleration_m_s2, q.descent_m_s
+    return _integrate_landing(float(height), q.climb_acceleration_m_s2, q.descent_m_s, q.touchdown_m_s)
+
+
+@lru_cache(maxsize=1024)  # the checks before every flight of a campaign ask for the same landings
+def _integrate_landing(height: float, a: float, steady: float, touchdown: float) -> float:
     # The phase of constant descent rate is skipped analytically.
-    slow = SLOW_LANDING_HEIGHT_M + (steady * steady - q.touchdown_m_s * q.touchdown_m_s) / a
+    slow = SLOW_LANDING_HEIGHT_M + (steady * steady - touchdown * touchdown) / a
     skipped = max(0.0, height - slow - 4.0 * steady)
     above, speed, rate, time = height - skipped, 0.0, 0.0, skipped / steady
     while above > -_TOUCHDOWN_HEIGHT_M:
-        wanted = compute_landing_rate(above, steady, q.touchdown_m_s, a)
+        wanted = compute_landing_rate(above, steady, touchdown, a)
         ask = min(max((wanted - speed) / DESCENT_LAG_S, -a), a)
         rate += (ask - rate) * min(1.0, _INTEGRATION_STEP_S / 0.1)
         speed += rate * _INTEGRATION_STEP_S
