@@ -524,3 +524,21 @@ def test_a_second_column_of_times_stays_beside_the_clock(table):
 def test_a_row_of_a_table_without_a_header_is_refused_with_its_line(table):
     with pytest.raises(InputError, match="line 4: has 2 cells, the header 1"):
         read_raw(table("65000\n65040\n65080\n65280,x"))
+
+
+@pytest.mark.parametrize("motors", [2, 4])
+def test_two_motors_of_px4_are_those_of_a_coaxial_helicopter(motors):
+    from mufly.logs import RawLog, RawTable
+    from mufly.logs.log_io import map_channels
+
+    time = np.arange(20) * 0.1
+    held = {f"control[{k}]": np.full(20, 0.1 * (k + 1) if k < motors else np.nan) for k in range(8)}
+    tables = {name: RawTable(name, time, dict(held)) for name in ("actuator_motors", "actuator_servos")}
+    channels, _ = map_channels(RawLog("a.ulg", "ULog", tables))
+    found = {c.name: c.values[0] for c in channels}
+    assert found["actuator_command.1"] == 0.1
+    if motors == 2:
+        assert found["motor_input.lower"] == found["servo_input.1"] == 0.1
+        assert found["motor_input.upper"] == found["servo_input.2"] == 0.2
+    else:
+        assert not [name for name in found if name.startswith(("motor_input", "servo_input"))]

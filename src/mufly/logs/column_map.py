@@ -82,6 +82,7 @@ class SignalEntry(_MapTable):
     offset: float = Field(0.0, description="added after sign and factor, in the unit of the column")
     quaternion: bool = Field(False, description="four columns w, x, y, z become roll, pitch, yaw")
     hold: bool = Field(False, description="hold the last value between samples instead of interpolating")
+    absent: tuple[str, ...] = Field((), description="columns that have to be empty, else the entry is skipped")
     long_name: str = Field("", description="what the signal means")
 
     @model_validator(mode="after")
@@ -447,6 +448,8 @@ def _resolve_entry(raw: RawLog, entry: SignalEntry, must: bool) -> tuple[RawTabl
             raise InputError(raw.path, topic, "there is no such topic", _suggest_names(topic, list(raw), "topics"))
         return None
     table = raw[topic]
+    if any(c in table.fields and _has_value(table.fields[c]) for c in entry.absent):
+        return None
     known = find_quantity(entry.name)
     if not must and known is not None and known.dim and not known.component_labels:
         # A signal with any number of channels uses the leading channels that exist in the topic.
