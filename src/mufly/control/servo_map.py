@@ -10,7 +10,9 @@ counts; if there is none, that of the largest margin. The designs do not know th
 cell, so the figures are not smooth over lag. Speed of the swash plate is three deviations in gusts of 0.5 m/s with the
 sensors' noise: a servo slower than that does not follow.
 
-Thesis: Sec. 6.1.9 doubts that servos are fast enough without the stabiliser bar.
+Sec. 6.1.9 of the dissertation doubts that servos are fast enough without the stabiliser bar.
+
+Thesis: Sec. 6.1.9.
 """
 
 from __future__ import annotations
