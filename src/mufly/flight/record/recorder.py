@@ -16,7 +16,7 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Protocol
 
 import numpy as np
 import orjson
@@ -24,7 +24,6 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from mufly.errors import InputError, MuflyError
-from mufly.flight.record.live_view import LiveView
 from mufly.logs.mcap import FlightEvent, McapWriter, RecordingLayout, flight_layout, rows_to_dataset
 from mufly.logs.mcap_recording import (
     FLIGHT_METADATA,
@@ -395,6 +394,16 @@ BLOCK_DURATION_S = 1.0
 BLOCK_ROWS = 1024
 
 
+class RowViewer(Protocol):
+    """Receiver of rows and events as they are recorded, such as :class:`mufly.flight.record.live_view.LiveView`."""
+
+    def show_row(self, row: NDArray[np.float64], state: str) -> None:
+        """Take the row of one instant; it has to be copied."""
+
+    def show_event(self, event: FlightEvent) -> None:
+        """Take an event."""
+
+
 class FlightRecorder:
     """Record a flight, row by row.
 
@@ -423,7 +432,7 @@ class FlightRecorder:
 
     Attributes
     ----------
-    views : list of LiveView
+    views : list of RowViewer
         Live views of the rows.
 
     Notes
@@ -460,7 +469,7 @@ class FlightRecorder:
         self._all_states: list[str] = []
         self._all_events: list[FlightEvent] = []
         self._closed = False
-        self.scene_view, self.views = dict(scene_view or {}), list[LiveView]()
+        self.scene_view, self.views = dict(scene_view or {}), list[RowViewer]()
         self._path = None if path is None else Path(path)
         self._stream: BinaryIO | None = None
         if self._path is not None:
