@@ -42,7 +42,7 @@ from mufly.rotor import coax_maps
 from mufly.toolchain import COMPILER_FLAGS, build_cached_library
 from mufly.vehicle import Vehicle
 
-VERIFIED_STAMP = "ca879912b4632cec"
+VERIFIED_STAMP = "06f255c604cad351"
 """Stamp (:func:`source_stamp`) of the Python sources that the C code is verified to equal."""
 
 FILTER_SOURCES = (

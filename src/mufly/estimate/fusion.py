@@ -72,6 +72,7 @@ from mufly.estimate.sensor_checks import (
     REASON_LARGE_BIAS,
     REASON_NO_WALL,
     REASON_NONE,
+    REASON_OUT_OF_RANGE,
     REASON_RESET,
     REASON_STUCK,
     REASON_TERRAIN_SLOPE,
@@ -103,8 +104,11 @@ _Array = NDArray[np.float64]
 
 INNOVATION_GATE = 5.0
 """Gate in standard deviations: one healthy reading in two million is rejected."""
-SONAR_MEAN_GATE = 2.2
-"""Mean of five ratios or so of the sonar: six and a half deviations."""
+SONAR_MEAN_GATE = PRESSURE_MEAN_GATE = 2.2
+"""Mean of five ratios or so of the sonar, and of the pressure: six and a half deviations."""
+FIELD_GATE = 5.0
+"""Deviations of the magnetic field from the earth's, across and along the vertical, above which a field is no heading.
+A healthy sensor exceeds them at one place in 270 000 (chi-square of two)."""
 FIX_MEAN_SQUARE_GATE = 11.0
 """Mean square of the worst of the fix's four ratios over half a second; 2.4 is usual."""
 DIVERGENCE_MEAN_SQUARE = 5.0
@@ -213,9 +217,9 @@ def _log_innovation(m: FilterMemory, k: int, innovation: float, ratio: float) ->
 
 @cached_njit(error_model="numpy")
 def _reject_measurement(
-    m: FilterMemory, s: FilterSettings, k: int, innovation: float, z: _Array, count: int, near: float
+    m: FilterMemory, s: FilterSettings, k: int, innovation: float, z: _Array, count: int, near: float, why: int
 ) -> None:
-    """Reject a reading, and count in ``m.agree_count`` whether it agrees with the one rejected before."""
+    """Reject a reading for reason ``why``; count in ``m.agree_count`` whether it agrees with the last rejected one."""
     alike = m.reject_count[k] > 0
     for j in range(count):
         alike = alike and abs(z[j] - m.rejected_value[k, j]) < near
@@ -227,7 +231,7 @@ def _reject_measurement(
         m.reject_since_tick[k] = m.horizon_tick
     if k != R_SONAR and abs(innovation) > 2.0 * INNOVATION_GATE * m.innovation_sigma[k]:
         m.reject_score[k] += 1.0  # by so much nothing healthy is off, but for a sonar that hears a second surface
-    mark_rejected(m, s, k, REASON_INNOVATION, innovation)
+    mark_rejected(m, s, k, why, innovation)
 
 
 @cached_njit(error_model="numpy")
@@ -276,8 +280,10 @@ def _fix_bias_variance(m: FilterMemory, s: FilterSettings, i: int) -> float:
 
 @cached_njit(error_model="numpy")
 def _scale_variance(scale: _Array, aid: int, gain: float, change: float) -> None:
-    """Change an estimated variance by ``gain * change``, at least by ``-gain``, within its bounds."""
-    scale[aid] = max(min(scale[aid] * (1.0 + gain * max(change, -1.0)), MAX_NOISE_SCALE), MIN_NOISE_SCALE)
+    """Change an estimated variance by ``gain * change`` within its bounds.
+
+    Changes in both directions count in full: a limit on one of them alone would bias the estimate."""
+    scale[aid] = max(min(scale[aid] * (1.0 + gain * change), MAX_NOISE_SCALE), MIN_NOISE_SCALE)
 
 
 @cached_njit(error_model="numpy")
@@ -374,6 +380,20 @@ def _fix_height_consistent(m: FilterMemory, s: FilterSettings, nu: float, ratio:
 
 
 @cached_njit(error_model="numpy")
+def _is_height_alone_off(m: FilterMemory) -> bool:
+    """Return whether the height is the one component of the fix that lies outside the gate."""
+    off = max(max(abs(m.fix_ratio[0]), abs(m.fix_ratio[1])), abs(m.fix_ratio[3]))
+    return m.fix_component == 2 and off < INNOVATION_GATE
+
+
+@cached_njit(error_model="numpy")
+def _clear_attitude_evidence(m: FilterMemory) -> None:
+    """Mark a fix that is rejected for its height alone as faulty: a height does not contradict the attitude."""
+    if m.status[R_FIX] == STATUS_REJECTED and _is_height_alone_off(m):
+        m.status[R_FIX] = STATUS_FAULTY
+
+
+@cached_njit(error_model="numpy")
 def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float) -> None:
     """Fuse position and heading of a fix; no height while it disagrees with the sonar."""
     k, worst, at = R_FIX, 0.0, 0.0
@@ -408,7 +428,12 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
         and INNOVATION_GATE < abs(worst) < 2.0 * INNOVATION_GATE
     )
     if abs(worst) > INNOVATION_GATE and not led:
-        _reject_measurement(m, s, k, at, z, 3, 2.0 * s.sensor_period[k] + 8 * math.sqrt(_fix_variance(m, s, 0)) + 0.05)
+        # A height off the sonar's accuses neither of the two.
+        apart = _is_height_alone_off(m) and m.status[R_SONAR] == STATUS_FUSED
+        why = REASON_HEIGHT_CONFLICT if apart else REASON_INNOVATION
+        near = 2.0 * s.sensor_period[k] + 8 * math.sqrt(_fix_variance(m, s, 0)) + 0.05
+        _reject_measurement(m, s, k, at, z, 3, near, why)
+        _clear_attitude_evidence(m)
         if not _reset_timeout_expired(m, s, k):
             return
         # What other sensors hold is not given up: the fix is off there.
@@ -424,6 +449,7 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
         inflate_variance(m.u_transposed, m.d, EX_ATT + 2, nu * nu, m.f)
         nu = at
         set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu)
+        _clear_attitude_evidence(m)
     # Large ratios of one sign show an unmodelled error of the filter, for example drifting gyroscopes.
     m.fix_ratio_lp += 0.15 * (worst * worst - m.fix_ratio_lp)
     for i in range(4):
@@ -485,11 +511,12 @@ def _sonar_stuck(m: FilterMemory, s: FilterSettings, z: float, nu: float) -> boo
     """Whether the sonar repeats itself for longer than its noise and the vehicle's moving allow.
 
     A reading in steps of h is the one before with a chance of about h / (sqrt(2 pi) sigma) exp(-nu^2 / (2 sigma^2)),
-    sigma of the innovation nu; exp(-x) <= 1 / (1 + x).
+    sigma of the innovation nu; exp(-x) <= 1 / (1 + x). A vehicle that may stand on the floor, by the fix's height,
+    shows nothing.
     """
     same = z == m.sonar_prev
     m.sonar_prev = z
-    if not same or height_above_ground(m.x, s) < LEG_CLEARANCE_HEIGHT:
+    if not same or height_above_ground(m.x, s) - m.fix_height_gap < LEG_CLEARANCE_HEIGHT:
         m.sonar_repeat_chance = 1.0
         return False
     # A height that is hardly known has no part in it: it may be better than believed.
@@ -547,7 +574,7 @@ def fuse_sonar_range(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
         inflate_variance(m.u_transposed, m.d, EX_TERRAIN, nu * nu, m.f)
         _sonar_h_row(m, s, r)
     elif abs(ratio) > INNOVATION_GATE:
-        _reject_measurement(m, s, k, nu, z, 1, 0.02 + 1.5 * s.sensor_period[k])
+        _reject_measurement(m, s, k, nu, z, 1, 0.02 + 1.5 * s.sensor_period[k], REASON_INNOVATION)
         step = m.agree_count[k] >= 2 and floor > MIN_TERRAIN_HEIGHT
         if step and m.terrain_steps >= MAX_TERRAIN_STEPS:
             # Step after step: it is not the floor that goes, it is the height.
@@ -679,6 +706,13 @@ def fuse_wall_ranges(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
 
 
 @cached_njit(error_model="numpy")
+def _reset_aid_bias(m: FilterMemory, s: FilterSettings, k: int, bias: int, nu: float) -> None:
+    """Free the bias of an aid after consistent innovations ``nu``."""
+    inflate_variance(m.u_transposed, m.d, bias, nu * nu, m.f)
+    set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu)
+
+
+@cached_njit(error_model="numpy")
 def _fuse_drifting_aid(
     m: FilterMemory,
     s: FilterSettings,
@@ -695,11 +729,16 @@ def _fuse_drifting_aid(
     _log_innovation(m, k, nu, ratio)
     _estimate_noise(m, AID_PRESSURE if k == R_PRESSURE else AID_MAGNETIC, ratio)
     if abs(ratio) > INNOVATION_GATE:
-        _reject_measurement(m, s, k, nu, z, count, near)
+        _reject_measurement(m, s, k, nu, z, count, near, REASON_INNOVATION)
         if not _reset_timeout_expired(m, s, k):
             return
-        inflate_variance(m.u_transposed, m.d, bias, nu * nu, m.f)
-        set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu)
+        _reset_aid_bias(m, s, k, bias, nu)
+    elif k == R_PRESSURE:
+        # A bias that grows faster than it may drags innovations of one sign behind it.
+        m.pressure_ratio_lp += 0.2 * (ratio - m.pressure_ratio_lp)
+        if abs(m.pressure_ratio_lp) > PRESSURE_MEAN_GATE:
+            m.pressure_ratio_lp = 0.0
+            _reset_aid_bias(m, s, k, bias, nu)
     _fuse_scalar(m, nu, variance)
     mark_fused(m, k)
 
@@ -716,11 +755,17 @@ def fuse_pressure_height(m: FilterMemory, s: FilterSettings, z: _Array, ahead: f
 
 @cached_njit(error_model="numpy")
 def fuse_magnetic_heading(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float, r: _Array) -> None:
-    """Fuse the heading by the direction of the magnetic field."""
+    """Fuse the heading by the direction of a magnetic field that has the earth's strength across and along the
+    vertical."""
     variance = s.mag_heading_variance * m.noise_scale[AID_MAGNETIC]
     rotation_matrix(m.x[SX_ATT : SX_ATT + 4], r)
     north = r[0] * z[0] + r[1] * z[1] + r[2] * z[2]
     east = r[3] * z[0] + r[4] * z[1] + r[5] * z[2]
+    across = math.sqrt(north * north + east * east) - s.earth_field[0]
+    along = r[6] * z[0] + r[7] * z[1] + r[8] * z[2] - s.earth_field[2]
+    if across * across + along * along > FIELD_GATE * FIELD_GATE * s.mag_field_variance:
+        set_fault(m, s, R_MAGNET, STATUS_FAULTY, REASON_OUT_OF_RANGE, 0.0)
+        return
     _h_row_begin(m, EX_ATT + 2, 1.0)
     _h_row_add(m, EX_ATT, -s.earth_field[2] / s.earth_field[0])
     _h_row_add(m, EX_MAG_BIAS, 1.0)

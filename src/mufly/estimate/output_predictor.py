@@ -43,7 +43,7 @@ FORCE_MEAN_TICKS = 8
 COVARIANCE_INTERVAL_TICKS = 20
 """Number of periods between two published covariances."""
 OUTPUT_JUMP_M, OUTPUT_JUMP_DECAY_S = 0.05, 0.4
-"""Jump of the position above which it is smoothed (m), and decay time (s)."""
+"""Jump of the position from which on a share of it is smoothed, at twice its size the whole (m), and decay time (s)."""
 
 
 @cached_njit(error_model="numpy")
@@ -57,12 +57,14 @@ def velocity_noise_density(r: _Array, k: int, e: _Array) -> float:
 
 @cached_njit(error_model="numpy")
 def _smooth_output(m: FilterMemory, s: FilterSettings) -> None:
-    """Remove a jump of the output's position and let it decay over :data:`OUTPUT_JUMP_DECAY_S`."""
+    """Remove a large jump of the output's position and let it decay over :data:`OUTPUT_JUMP_DECAY_S`.
+
+    The removed share grows steadily with the jump, so that small differences have small effects."""
     x = m.x_output
     for k in range(3):
         jump = x[k] - (m.position_prev[k] + s.dt * x[SX_VEL + k])
-        if m.is_initialised > 0 and abs(jump) > OUTPUT_JUMP_M:
-            m.position_slip[k] -= jump
+        if m.is_initialised > 0:
+            m.position_slip[k] -= jump * min(max(abs(jump) / OUTPUT_JUMP_M - 1.0, 0.0), 1.0)
         m.position_prev[k] = x[k]
         m.position_slip[k] -= s.dt / OUTPUT_JUMP_DECAY_S * m.position_slip[k]
         x[k] += m.position_slip[k]

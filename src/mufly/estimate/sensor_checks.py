@@ -88,6 +88,9 @@ FAULT_HOLD_S = 0.5
 _MAX_READING_AGE_S = 10.0
 """Age above which a reading is rejected (s); negative and NaN ages are rejected, too."""
 _SPIKE_RATE, _SPIKE_AGREEMENT = 0.12, 0.06  # rad/s within a period, relative to the model
+_JUMP_REPEATS = 3
+"""Agreeing spikes in a row that are a jump. Outliers in a quarter of the readings, uniform within 0.6 rad/s on three
+axes, agree twice in a row every 80 s, and three times in a row every few days."""
 _MAX_GYRO_OFFSET = 5.0  # rad/s: largest offset; repeated jumps beyond it indicate a diverging model
 _SPIKE_CARRY_SHARE = 0.7  # share of the residual of the previous period
 _ROUGHNESS_FACTOR = 3.0  # of the mean residual over some 50 ms
@@ -276,17 +279,17 @@ def replace_gyro_spikes(m: FilterMemory, s: FilterSettings, flying: bool) -> Non
         m.ang_accel_bias[k] += (
             _ANG_ACCEL_BIAS_GAIN * min(max(off, -_SPIKE_RATE), _SPIKE_RATE) if m.flight_phase >= PHASE_LIGHT else 0.0
         )
-    # A model with repeated errors cannot distinguish a spike from a motion.
-    most = _SPIKE_RATE + _ROUGHNESS_FACTOR * m.rate_residual_lp
-    m.rate_residual_lp += 0.1 * (min(worst, _SPIKE_RATE) - m.rate_residual_lp)
-    m.divergence_ticks = max(m.divergence_ticks - 1, min(m.divergence_ticks, 1))  # a past divergence is remembered
-    if not flying or s.has_rotor_model == 0:
-        m.spike_repeats = 0
-        return
     alike = m.spike_repeats > 0
     for k in range(3):
         alike = alike and abs(m.gyro_rates[k] - m.rates_with_spikes[k]) < _SPIKE_AGREEMENT
         m.rates_with_spikes[k] = m.gyro_rates[k]
+    # A model with repeated errors cannot distinguish a spike from a motion. Agreeing spikes are one error.
+    most = _SPIKE_RATE + _ROUGHNESS_FACTOR * m.rate_residual_lp
+    m.rate_residual_lp += 0.0 if alike else 0.1 * (min(worst, _SPIKE_RATE) - m.rate_residual_lp)
+    m.divergence_ticks = max(m.divergence_ticks - 1, min(m.divergence_ticks, 1))  # a past divergence is remembered
+    if not flying or s.has_rotor_model == 0:
+        m.spike_repeats = 0
+        return
     fine = max(worst, led) < most
     for k in range(3):
         m.spike_residual_carry[k] *= _SPIKE_CARRY_SHARE
@@ -304,8 +307,8 @@ def replace_gyro_spikes(m: FilterMemory, s: FilterSettings, flying: bool) -> Non
     small = True
     for k in range(3):
         small = small and abs(m.gyro_offset[k] + (m.gyro_rates[k] - m.axis_work[k])) < _MAX_GYRO_OFFSET
-    if m.spike_repeats >= 2 and small:
-        # Twice the same: a sudden offset is no motion. It is subtracted from the following readings.
+    if m.spike_repeats >= _JUMP_REPEATS and small:
+        # A sudden offset is no motion. It is subtracted from the following readings.
         for k in range(3):
             off = m.gyro_rates[k] - m.axis_work[k]
             m.gyro_offset[k] += off

@@ -74,7 +74,7 @@ static void log_innovation(estimator_t *m, int32_t k, real_t innovation, real_t 
 
 /* Reject a reading, and count in m->agree_count whether it agrees with the one rejected before. */
 static void reject_measurement(estimator_t *m, const estimator_settings_t *s, int32_t k, real_t innovation, const real_t *z,
-                      int32_t count, real_t near)
+                      int32_t count, real_t near, int32_t why)
 {
     bool alike = m->reject_count[k] > 0;
 
@@ -91,7 +91,7 @@ static void reject_measurement(estimator_t *m, const estimator_settings_t *s, in
     if ((k != R_SONAR) && (real_abs(innovation) > ((REAL(2.0) * INNOVATION_GATE) * m->innovation_sigma[k]))) {
         m->reject_score[k] += REAL(1.0); /* by so much nothing healthy is off, but for a sonar that hears a second surface */
     }
-    mark_rejected(m, s, k, REASON_INNOVATION, innovation);
+    mark_rejected(m, s, k, why, innovation);
 }
 
 /* Return whether rejected readings have agreed with each other for RESET_TIMEOUT_S. */
@@ -143,10 +143,10 @@ static real_t fix_bias_variance(const estimator_t *m, const estimator_settings_t
     return (sigma * sigma) * m->bias_walk_scale[(i < 3) ? AID_PLACE : AID_HEADING];
 }
 
-/* Change an estimated variance by gain * change, at least by -gain, within its bounds. */
+/* Change an estimated variance by gain * change within its bounds. */
 static void scale_variance(real_t *scale, real_t gain, real_t change)
 {
-    *scale = real_max(real_min(*scale * (REAL(1.0) + (gain * real_max(change, REAL(-1.0)))), MAX_NOISE_SCALE), MIN_NOISE_SCALE);
+    *scale = real_max(real_min(*scale * (REAL(1.0) + (gain * change)), MAX_NOISE_SCALE), MIN_NOISE_SCALE);
 }
 
 /* Estimate noise and random walk of component i of the fix from its innovation ratio. */
@@ -254,6 +254,22 @@ static void reset_to_fix(estimator_t *m, const real_t z[4], real_t ahead)
     inflate_variance(m, EX_ATT + 2, nu * nu);
 }
 
+/* Return whether the height is the one component of the fix that lies outside the gate. */
+static bool is_height_alone_off(const estimator_t *m)
+{
+    const real_t off = real_max(real_max(real_abs(m->fix_ratio[0]), real_abs(m->fix_ratio[1])), real_abs(m->fix_ratio[3]));
+
+    return (m->fix_component == 2) && (off < INNOVATION_GATE);
+}
+
+/* Mark a fix that is rejected for its height alone as faulty: a height does not contradict the attitude. */
+static void clear_attitude_evidence(estimator_t *m)
+{
+    if ((m->status[R_FIX] == STATUS_REJECTED) && is_height_alone_off(m)) {
+        m->status[R_FIX] = STATUS_FAULTY;
+    }
+}
+
 /* Fuse position and heading of a fix; no height while it disagrees with the sonar. */
 static void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, const real_t z[4], real_t ahead)
 {
@@ -301,13 +317,17 @@ static void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, con
     led = (s->has_rotor_model > 0) && lasting && (m->fix_ratio_lp > DIVERGENCE_MEAN_SQUARE) && (real_abs(worst) > INNOVATION_GATE) &&
           (real_abs(worst) < (REAL(2.0) * INNOVATION_GATE));
     if ((real_abs(worst) > INNOVATION_GATE) && !led) {
+        /* A height off the sonar's accuses neither of the two. */
         reject_measurement(m, s, k, at, z, 3,
-                  ((REAL(2.0) * s->sensor_period[k]) + (REAL(8.0) * real_sqrt(fix_variance(m, s, 0)))) + REAL(0.05));
+                  ((REAL(2.0) * s->sensor_period[k]) + (REAL(8.0) * real_sqrt(fix_variance(m, s, 0)))) + REAL(0.05),
+                  (is_height_alone_off(m) && (m->status[R_SONAR] == STATUS_FUSED)) ? REASON_HEIGHT_CONFLICT : REASON_INNOVATION);
+        clear_attitude_evidence(m);
         if (!reset_timeout_expired(m, s, k)) {
             return;
         }
         reset_to_fix(m, z, ahead);
         set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, at);
+        clear_attitude_evidence(m);
     }
     /* Large ratios of one sign show an unmodelled error of the filter. */
     m->fix_ratio_lp += REAL(0.15) * ((worst * worst) - m->fix_ratio_lp);
@@ -382,7 +402,7 @@ static bool reset_to_sonar(estimator_t *m, const estimator_settings_t *s, const 
     real_t floor_height;
     bool step;
 
-    reject_measurement(m, s, k, nu, z, 1, REAL(0.02) + (REAL(1.5) * s->sensor_period[k]));
+    reject_measurement(m, s, k, nu, z, 1, REAL(0.02) + (REAL(1.5) * s->sensor_period[k]), REASON_INNOVATION);
     floor_height = m->x[SX_TERRAIN] - nu;
     step = (m->agree_count[k] >= 2) && (floor_height > MIN_TERRAIN_HEIGHT);
     if (step && (m->terrain_steps >= MAX_TERRAIN_STEPS)) {
@@ -422,7 +442,7 @@ static bool sonar_stuck(estimator_t *m, const estimator_settings_t *s, real_t z,
     const bool same = (z <= m->sonar_prev) && (z >= m->sonar_prev);
 
     m->sonar_prev = z;
-    if ((!same) || (height_above_ground(m->x, s) < LEG_CLEARANCE_HEIGHT)) {
+    if ((!same) || ((height_above_ground(m->x, s) - m->fix_height_gap) < LEG_CLEARANCE_HEIGHT)) {
         m->sonar_repeat_chance = REAL(1.0);
     } else {
         /* A height that is hardly known has no part in it: it may be better than believed. */
@@ -634,6 +654,13 @@ static bool fuse_wall_ranges(estimator_t *m, const estimator_settings_t *s, cons
     return all;
 }
 
+/* Free the bias of an aid after consistent innovations nu. */
+static void reset_aid_bias(estimator_t *m, const estimator_settings_t *s, int32_t k, int32_t bias, real_t nu)
+{
+    inflate_variance(m, bias, nu * nu);
+    set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu);
+}
+
 /* Fuse an aid with one bias; free that bias after a second of consistent rejections. */
 static void fuse_drifting_aid(estimator_t *m, const estimator_settings_t *s, int32_t k, int32_t bias, real_t nu, real_t variance,
                               const real_t *z, int32_t count, real_t near)
@@ -643,12 +670,20 @@ static void fuse_drifting_aid(estimator_t *m, const estimator_settings_t *s, int
     log_innovation(m, k, nu, ratio);
     estimate_noise(m, (k == R_PRESSURE) ? AID_PRESSURE : AID_MAGNETIC, ratio);
     if (real_abs(ratio) > INNOVATION_GATE) {
-        reject_measurement(m, s, k, nu, z, count, near);
+        reject_measurement(m, s, k, nu, z, count, near, REASON_INNOVATION);
         if (!reset_timeout_expired(m, s, k)) {
             return;
         }
-        inflate_variance(m, bias, nu * nu);
-        set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu);
+        reset_aid_bias(m, s, k, bias, nu);
+    } else if (k == R_PRESSURE) {
+        /* A bias that grows faster than it may drags innovations of one sign behind it. */
+        m->pressure_ratio_lp += REAL(0.2) * (ratio - m->pressure_ratio_lp);
+        if (real_abs(m->pressure_ratio_lp) > PRESSURE_MEAN_GATE) {
+            m->pressure_ratio_lp = REAL(0.0);
+            reset_aid_bias(m, s, k, bias, nu);
+        }
+    } else {
+        /* the field of the motors keeps the mean of a magnetometer's ratio off zero */
     }
     fuse_scalar(m, nu, variance);
     mark_fused(m, k);
@@ -673,11 +708,19 @@ static void fuse_magnetic_heading(estimator_t *m, const estimator_settings_t *s,
     real_t r[9];
     real_t north;
     real_t east;
+    real_t across;
+    real_t along;
     real_t nu;
 
     rotation_matrix(&m->x[SX_ATT], r);
     north = ((r[0] * z[0]) + (r[1] * z[1])) + (r[2] * z[2]);
     east = ((r[3] * z[0]) + (r[4] * z[1])) + (r[5] * z[2]);
+    across = real_sqrt((north * north) + (east * east)) - s->earth_field[0];
+    along = (((r[6] * z[0]) + (r[7] * z[1])) + (r[8] * z[2])) - s->earth_field[2];
+    if (((across * across) + (along * along)) > ((FIELD_GATE * FIELD_GATE) * s->mag_field_variance)) {
+        set_fault(m, s, R_MAGNET, STATUS_FAULTY, REASON_OUT_OF_RANGE, REAL(0.0));
+        return;
+    }
     h_row_begin(m, EX_ATT + 2, REAL(1.0));
     h_row_add(m, EX_ATT, -s->earth_field[2] / s->earth_field[0]);
     h_row_add(m, EX_MAG_BIAS, REAL(1.0));

@@ -232,17 +232,17 @@ void replace_gyro_spikes(estimator_t *m, const estimator_settings_t *s, bool fly
         /* Error of the model's moments, in flight and on the legs */
         m->ang_accel_bias[k] += (m->flight_phase >= PHASE_LIGHT) ? (ANG_ACCEL_BIAS_GAIN * real_min(real_max(off, -SPIKE_RATE), SPIKE_RATE)) : REAL(0.0);
     }
-    /* A model with repeated errors cannot distinguish a spike from a motion. */
+    for (int32_t k = 0; k < 3; k++) {
+        alike = alike && (real_abs(m->gyro_rates[k] - m->rates_with_spikes[k]) < SPIKE_AGREEMENT);
+        m->rates_with_spikes[k] = m->gyro_rates[k];
+    }
+    /* A model with repeated errors cannot distinguish a spike from a motion. Agreeing spikes are one error. */
     most = SPIKE_RATE + (ROUGHNESS_FACTOR * m->rate_residual_lp);
-    m->rate_residual_lp += REAL(0.1) * (real_min(worst, SPIKE_RATE) - m->rate_residual_lp);
+    m->rate_residual_lp += alike ? REAL(0.0) : (REAL(0.1) * (real_min(worst, SPIKE_RATE) - m->rate_residual_lp));
     m->divergence_ticks = (m->divergence_ticks > 1) ? (m->divergence_ticks - 1) : m->divergence_ticks; /* a past divergence is remembered */
     if ((!flying) || (s->has_rotor_model == 0)) {
         m->spike_repeats = 0;
         return;
-    }
-    for (int32_t k = 0; k < 3; k++) {
-        alike = alike && (real_abs(m->gyro_rates[k] - m->rates_with_spikes[k]) < SPIKE_AGREEMENT);
-        m->rates_with_spikes[k] = m->gyro_rates[k];
     }
     fine = real_max(worst, led) < most;
     for (int32_t k = 0; k < 3; k++) {
@@ -267,7 +267,7 @@ void replace_gyro_spikes(estimator_t *m, const estimator_settings_t *s, bool fly
     for (int32_t k = 0; k < 3; k++) {
         small = small && (real_abs(m->gyro_offset[k] + (m->gyro_rates[k] - m->axis_work[k])) < MAX_GYRO_OFFSET);
     }
-    if ((m->spike_repeats >= 2) && small) {
+    if ((m->spike_repeats >= JUMP_REPEATS) && small) {
         /* Twice the same: a sudden offset is no motion. It is subtracted from the following readings. */
         for (int32_t k = 0; k < 3; k++) {
             const real_t off = m->gyro_rates[k] - m->axis_work[k];

@@ -1,0 +1,140 @@
+"""Checks of sensors against healthy readings: statistics of what chance alone shows, and faults beside it."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mufly.estimate import fusion, sensor_checks
+from mufly.estimate.filter_records import (
+    AID_COUNT,
+    AID_PLACE,
+    PHASE_FLYING,
+    R_FIX,
+    R_MAGNET,
+    RF_ANG_ACCEL,
+    ROTOR_FORCE_HISTORY,
+    SENSOR_COUNT,
+    STATE_COUNT,
+    SX_ATT,
+    SX_POS,
+    filter_settings,
+)
+from mufly.estimate.sensor_checks import STATUS_FAULTY, STATUS_REJECTED
+from mufly.vehicle import load_vehicle
+from mufly.world import World
+
+
+@pytest.fixture(scope="module")
+def settings() -> Any:
+    s = filter_settings(load_vehicle("mufly-1.1"), World(), 200.0)
+    return SimpleNamespace(**{name: s[name] for name in s.dtype.names})
+
+
+@pytest.fixture(autouse=True)
+def faults(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Sensors of which a fault is set; compiled functions are replaced by their Python."""
+    found: list[int] = []
+    for module in (fusion, sensor_checks):
+        monkeypatch.setattr(module, "set_fault", lambda m, s, k, code, why, number: found.append(k))
+        monkeypatch.setattr(module, "inflate_variance", lambda *of: None)
+    for name in ("height_above_ground", "rotation_matrix", "_scale_variance", "_is_height_alone_off"):
+        monkeypatch.setattr(fusion, name, getattr(fusion, name).py_func)
+    return found
+
+
+def test_white_ratios_of_unit_variance_change_no_estimated_noise() -> None:
+    rng = np.random.default_rng(8)
+    ratios, changes = rng.standard_normal((40_000, 2)), []
+    for now, before in ratios:
+        m = SimpleNamespace(
+            noise_scale=np.ones(AID_COUNT), bias_walk_scale=np.ones(AID_COUNT), fix_ratio=np.array([now]),
+            fix_ratio_prev=np.array([before]), fix_ratio_mean=np.zeros(1), is_heading_aligned=1,
+        )  # fmt: skip
+        fusion._estimate_fix_noise.py_func(m, 0)
+        changes.append((m.noise_scale[AID_PLACE], m.bias_walk_scale[AID_PLACE]))
+    assert np.mean(changes, axis=0) == pytest.approx((1.0, 1.0), abs=0.03 * fusion.NOISE_GAIN_PLACE)
+
+
+def sonar_memory(height_m: float) -> SimpleNamespace:
+    x = np.zeros(STATE_COUNT)
+    x[SX_POS + 2] = -height_m
+    return SimpleNamespace(x=x, sonar_prev=0.0, sonar_repeat_chance=1.0, fix_height_gap=0.0)
+
+
+def test_equal_readings_of_a_moving_vehicle_are_stuck_unless_it_may_stand(settings: Any) -> None:
+    flying, standing = sonar_memory(1.0), sonar_memory(0.4)
+    standing.fix_height_gap = 0.3  # the fix says that it stands
+    moves = 0.02 * np.sin(np.arange(100))
+    assert any(fusion._sonar_stuck.py_func(flying, settings, 1.0, nu) for nu in moves)
+    assert not any(fusion._sonar_stuck.py_func(standing, settings, 0.36, nu) for nu in moves)
+
+
+def spiking_memory() -> SimpleNamespace:
+    three = {
+        name: np.zeros(3)
+        for name in (
+            "axis_work", "gyro_rates", "gyro_rates_prev", "ang_accel_bias", "rates_with_spikes",
+            "spike_residual_carry", "gyro_offset",
+        )
+    }  # fmt: skip
+    return SimpleNamespace(
+        **three, tick=1, rotor_force=np.zeros((ROTOR_FORCE_HISTORY, RF_ANG_ACCEL + 3)), rate_residual_lp=0.01,
+        divergence_ticks=0, spike_repeats=0, spike_count=0, flight_phase=PHASE_FLYING, u_transposed=None, d=None,
+        f=None, reject_score=np.zeros(SENSOR_COUNT),
+    )  # fmt: skip
+
+
+def run_gyros(m: SimpleNamespace, settings: Any, readings: np.ndarray) -> list[float]:
+    """Rates that the filter uses."""
+    used = []
+    for reading in readings:
+        m.gyro_rates_prev[:] = m.gyro_rates
+        m.gyro_rates[:] = reading - m.gyro_offset
+        sensor_checks.replace_gyro_spikes.py_func(m, settings, True)
+        used.append(float(np.abs(m.gyro_rates).max()))
+    return used
+
+
+def test_two_agreeing_outliers_of_gyroscopes_are_no_jump_and_a_jump_is_removed(settings: Any) -> None:
+    twice = np.zeros((40, 3))
+    twice[[10, 11]] = 0.5, -0.3, 0.2
+    m = spiking_memory()
+    assert max(run_gyros(m, settings, twice)) < 0.05
+    assert np.all(m.gyro_offset == 0.0)
+    lasting = np.zeros((40, 3))
+    lasting[10:] = 0.2
+    m = spiking_memory()
+    assert max(run_gyros(m, settings, lasting)) < 0.05
+    assert m.gyro_offset == pytest.approx(np.full(3, 0.2), abs=0.02)
+
+
+@pytest.mark.parametrize(("factor", "told"), [(1.0, False), (1.2, False), (0.5, True), (1.6, True)])
+def test_a_field_of_another_strength_than_the_earth_s_is_no_heading(
+    settings: Any, faults: list[int], monkeypatch: pytest.MonkeyPatch, factor: float, told: bool
+) -> None:
+    """Errors of the file make 4 uT of 48: five deviations are 20 uT."""
+    fused: list[float] = []
+    monkeypatch.setattr(fusion, "_fuse_drifting_aid", lambda m, s, k, bias, nu, *rest: fused.append(nu))
+    for name in ("_h_row_begin", "_h_row_add"):
+        monkeypatch.setattr(fusion, name, lambda *of: None)
+    x = np.zeros(STATE_COUNT)
+    x[SX_ATT] = 1.0
+    m = SimpleNamespace(x=x, noise_scale=np.ones(AID_COUNT), yaw_rate=0.0)
+    fusion.fuse_magnetic_heading.py_func(m, settings, factor * settings.earth_field, 0.0, np.zeros(9))
+    assert (faults == [R_MAGNET], bool(fused)) == (told, not told)
+
+
+@pytest.mark.parametrize(("component", "status"), [(0, STATUS_REJECTED), (2, STATUS_FAULTY), (3, STATUS_REJECTED)])
+def test_a_fix_off_in_height_alone_does_not_contradict_the_attitude(component: int, status: int) -> None:
+    ratios = np.zeros(4)
+    ratios[component] = 9.0
+    m = SimpleNamespace(status=np.full(SENSOR_COUNT, STATUS_REJECTED), fix_component=component, fix_ratio=ratios)
+    fusion._clear_attitude_evidence.py_func(m)
+    assert m.status[R_FIX] == status
+    ratios[0], m.status[R_FIX] = 6.0, STATUS_REJECTED  # a jump on several axes
+    fusion._clear_attitude_evidence.py_func(m)
+    assert m.status[R_FIX] == STATUS_REJECTED
