@@ -69,6 +69,7 @@ _PILOT_PERIODS = round(BETAFLIGHT_RATE_HZ / PILOT_RATE_HZ)
 _RESEND_S, _WAIT_S, _PROBE_S = 0.1, 0.02, 0.5
 _ARMED_US = LEAST_US + 500.0 * MOTOR_IDLE
 _MAX_SPEED = 1.0
+_SERVO_PULSES = slice(2, 4)  # of the outputs; the motors come before
 _SEEN_SENSORS = ("imu", "pressure")
 
 
@@ -326,6 +327,6 @@ def describe_wrong_outputs(outputs: BetaflightOutputs) -> str:
     remedy = "load the file of `mufly autopilot gains betaflight`"
     if outputs.motor_count != 2:
         return f"Betaflight drives {outputs.motor_count} motors, which is another mixer than DUALCOPTER; {remedy}"
-    if np.any(outputs.pulse_us[2:4] <= 0.0):
+    if np.any(outputs.pulse_us[_SERVO_PULSES] <= 0.0):
         return "Betaflight drives no servos; build it with servos (make TARGET=SITL EXTRA_FLAGS=-DUSE_SERVOS)"
     return ""

@@ -41,6 +41,8 @@ CENTRE_US, HALF_US, LEAST_US, MOST_US = 1500.0, 500.0, 1000.0, 2000.0
 _CHANNEL_COUNT = 16
 _MSP_HEAD, _MSP_ANSWER = b"$M<", b"$M>"
 _MSP_STATUS_EX = 150
+_MSP_BODY_OFFSET, _MSP_PAYLOAD_OFFSET = 3, 5  # from the start of an answer: size and command; the payload
+_FLAG_BYTES = 4
 _FLAG_COUNT_OFFSET = 15  # of the status: number of further bytes of flight modes
 
 ARMING_OBSTACLES = (
@@ -123,15 +125,15 @@ def read_arming_obstacles(data: bytes) -> list[str] | None:
     """Return the reasons not to arm in an MSP answer; None while no whole status is in ``data``."""
     at = data.find(_MSP_ANSWER)
     while at >= 0:
-        head = data[at + 3 : at + 5]
-        end = at + 5 + (head[0] if head else 0)
-        body = data[at + 3 : end]
+        head = data[at + _MSP_BODY_OFFSET : at + _MSP_PAYLOAD_OFFSET]
+        end = at + _MSP_PAYLOAD_OFFSET + (head[0] if head else 0)
+        body = data[at + _MSP_BODY_OFFSET : end]
         if len(head) < 2 or len(data) <= end:
             return None
         if head[1] == _MSP_STATUS_EX and functools.reduce(operator.xor, body) == data[end]:
             payload = body[2:]
             flags_at = _FLAG_COUNT_OFFSET + 1 + (payload[_FLAG_COUNT_OFFSET] & 15) + 1
-            flags = int.from_bytes(payload[flags_at : flags_at + 4], "little")
+            flags = int.from_bytes(payload[flags_at : flags_at + _FLAG_BYTES], "little")
             return [name for k, name in enumerate(ARMING_OBSTACLES) if flags >> k & 1]
         at = data.find(_MSP_ANSWER, at + 1)
     return None

@@ -149,10 +149,11 @@ def _flatten_yaml(text: str) -> Iterator[tuple[str, Any]]:
             if above and line.lstrip().startswith("-"):
                 listed.setdefault(above[-1][1], []).extend(_split_tokens(line.replace("- ", " ")))
             continue
+        spaces, key, text_value = found.groups()
         indent, name, value = (
-            len(found[1]),
-            found[2].strip('"'),
-            re.sub(r"^!!?\S+", "", (found[3] or "")).strip(),
+            len(spaces),
+            key.strip('"'),
+            re.sub(r"^!!?\S+", "", (text_value or "")).strip(),
         )
         while above and above[-1][0] >= indent:
             above.pop()
@@ -204,7 +205,7 @@ def _parse_calibration(
                          "give a camera file (TOML), or the YAML of Kalibr, ROS, OpenCV or EuRoC")  # fmt: skip
     names = ("distortion_coeffs", "distortion_coefficients", "distortion_coefficents", "dist_coeffs", "d")
     distortion = _find_numbers(v, names) or [_parse_float(v.get(name, 0)) for name in _DISTORTION_NAMES]
-    if any(distortion[5:]) or not all(map(math.isfinite, distortion)):
+    if any(distortion[len(_DISTORTION_NAMES) :]) or not all(map(math.isfinite, distortion)):
         problem = f"is {whose} with {len(distortion)} coefficients of distortion, of which five are known here"
         raise InputError(where, "", problem, _UNSUPPORTED_LENS_REMEDY)
     rate = _parse_float(v.get("rate_hz", v.get("fps", 0)))

@@ -243,7 +243,8 @@ def vorticity_picture(mesh: PolyMesh, flow: FlowField, point: OperatingPoint) ->
     sense = np.sign(point.speed_rad_s)
     r, z = np.linspace(0.0, 1.4, 211), np.linspace(-1.2, 0.35, 233)
     rr, zz = np.meshgrid(r, z)
-    axes = figure.subplots(2, 3, sharex=True, sharey=True).ravel()
+    grid = figure.subplots(2, 3, sharex=True, sharey=True)
+    axes = grid.ravel()
     for ax, behind in zip(axes, VORTICITY_PLANES_DEG, strict=True):
         psi = np.full(rr.size, 0.5 * np.pi - sense * np.radians(behind))
         at = (radius * rr.ravel(), psi, radius * zz.ravel())
@@ -258,9 +259,9 @@ def vorticity_picture(mesh: PolyMesh, flow: FlowField, point: OperatingPoint) ->
         ax.axhline(0.0, color="0.4", lw=0.5, ls=":")
         ax.set_aspect("equal")
         ax.set_title(f"{behind}° behind a blade" if behind else "at the blade", fontsize="medium")
-    for ax in axes[3:]:
+    for ax in grid[-1]:
         ax.set_xlabel("radius / R")
-    for ax in axes[::3]:
+    for ax in grid[:, 0]:
         ax.set_ylabel("height / R")
     figure.colorbar(image, ax=list(axes), label="vorticity around the shaft / rotor speed", extend="both", shrink=0.8)
     return figure

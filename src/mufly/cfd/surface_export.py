@@ -76,7 +76,7 @@ def interpolate_to_points(mesh: PolyMesh, values: Array) -> Array:
         total += np.bincount(faces.ravel(), (near * values[cells][:, None]).ravel(), len(total))
         weight += np.bincount(faces.ravel(), near.ravel(), len(total))
     left = mesh.faces[mesh.patch_faces("sector_left")]
-    right = mesh.faces[mesh.patch_faces("sector_right")][:, [0, 3, 2, 1]]  # opposite orientation
+    right = mesh.faces[mesh.patch_faces("sector_right")][:, _OPPOSITE_ORIENTATION]
     pairs = np.unique(np.stack((left.ravel(), right.ravel()), axis=-1), axis=0)
     for sums in (total, weight):
         both = sums[pairs].sum(axis=1)
@@ -124,10 +124,10 @@ def extract_iso_surface(
     corner, value = mesh.points[faces], at_points[faces]
     n = 4 * len(faces)
     place, scalar = np.empty((len(faces), 4, 4, 3)), np.empty((len(faces), 4, 4))
-    place[:, :, 0], scalar[:, :, 0] = mesh.cell_centres[cell][:, None], values[cell][:, None]
-    place[:, :, 1], scalar[:, :, 1] = corner.mean(axis=1)[:, None], value.mean(axis=1)[:, None]
-    place[:, :, 2], scalar[:, :, 2] = corner, value
-    place[:, :, 3], scalar[:, :, 3] = np.roll(corner, -1, axis=1), np.roll(value, -1, axis=1)
+    place[:, :, _CENTRE], scalar[:, :, _CENTRE] = mesh.cell_centres[cell][:, None], values[cell][:, None]
+    place[:, :, _FACE], scalar[:, :, _FACE] = corner.mean(axis=1)[:, None], value.mean(axis=1)[:, None]
+    place[:, :, _CORNER], scalar[:, :, _CORNER] = corner, value
+    place[:, :, _NEXT_CORNER], scalar[:, :, _NEXT_CORNER] = np.roll(corner, -1, axis=1), np.roll(value, -1, axis=1)
     four: Array = place.reshape(n, 4, 3)
     four_values: Array = scalar.reshape(n, 4)
     order = np.argsort(-four_values, axis=1)  # the highest first
@@ -157,6 +157,8 @@ def extract_iso_surface(
 
 
 _WELD_TOLERANCE = 1e-6
+_CENTRE, _FACE, _CORNER, _NEXT_CORNER = range(4)  # corners of a tetrahedron
+_OPPOSITE_ORIENTATION = (0, 3, 2, 1)  # corners of a face
 """Distance below which points are merged, over the largest coordinate."""
 
 

@@ -464,9 +464,10 @@ def put_number(context: Any, rows: Any, row: Any, lane: Any, value: Any) -> Any:
     """``put_number(rows, row, lane, value)``: write one vehicle's number."""
 
     def emit(ctx: Any, builder: Any, made: Any, values: Any) -> Any:
-        base = builder.bitcast(values[0], _DOUBLE.as_pointer())
-        at = builder.add(builder.mul(values[1], ir.Constant(_WORD, LANES)), values[2])
-        builder.store(values[3], builder.gep(base, [at]))
+        into, which, number, stored = values
+        base = builder.bitcast(into, _DOUBLE.as_pointer())
+        at = builder.add(builder.mul(which, ir.Constant(_WORD, LANES)), number)
+        builder.store(stored, builder.gep(base, [at]))
         return ctx.get_dummy_value()
 
     return types.none(ROWS, types.intp, types.intp, types.float64), emit

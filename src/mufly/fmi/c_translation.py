@@ -461,8 +461,9 @@ class _FunctionTranslation:
             return self._expression(node.args[0])
         arguments = [self._expression(a) for a in node.args]
         texts = ", ".join(a.text for a in arguments)
-        if name.startswith("math.") and name[5:] in _MATH_FUNCTIONS:
-            return Expression(f"{name[5:]}({texts})", _ATOM, REAL)
+        function = name.removeprefix("math.")
+        if function != name and function in _MATH_FUNCTIONS:
+            return Expression(f"{function}({texts})", _ATOM, REAL)
         if name == "abs" and arguments[0].kind == REAL:
             return Expression(f"fabs({texts})", _ATOM, REAL)
         if name == "int":

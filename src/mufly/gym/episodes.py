@@ -43,7 +43,7 @@ from mufly.flight.policy.observation import (
     map_action,
 )
 from mufly.gym.fleet import LEAST_CHARGE
-from mufly.gym.tasks import COLUMN_COUNT, OBSTACLE, WAYPOINT, draw_waypoint, judge_step, place_task
+from mufly.gym.tasks import COLUMN_COUNT, COLUMN_SIZE, OBSTACLE, WAYPOINT, draw_waypoint, judge_step, place_task
 from mufly.numba_cache import cached_njit
 from mufly.portable_math import sine_cosine
 from mufly.sensors.rng import draw_normals, draw_uniforms
@@ -56,6 +56,10 @@ _UNIFORMS = 40  # drawn at the start of an episode
 _START_TILT_RAD, _START_SPEED_M_S, _START_RATE_rad_s = 0.15, 0.3, 0.3
 ERR_POSITION, ERR_HEADING, ERR_LEVEL, ERROR_SIZE = 0, 3, 4, 6
 """Places of the correlated errors of an estimate."""
+WHITE_POSITION, WHITE_VELOCITY, WHITE_HEADING, WHITE_RATES = 0, 1, 2, 3
+"""Places of the white deviations of an estimate."""
+DRAW_POSITION, DRAW_VELOCITY, DRAW_RATES, DRAW_HEADING, DRAW_DRIFT = 0, 3, 6, 9, 10
+"""First places of the normal numbers that a step draws for its white and its correlated errors."""
 
 
 class EpisodeArrays(NamedTuple):
@@ -162,7 +166,7 @@ def make_episodes(count: int) -> EpisodeArrays:
         inputs_before=np.zeros((n, 4)), inputs=np.zeros((n, 4)), wind=np.zeros((n, 3)), vehicle=whole(),
         series=whole(), sample=whole(), delay=whole(), steps=whole(), distance=np.zeros(n),
         speed=np.zeros(n), change=np.zeros(n), error=np.zeros((n, ERROR_SIZE)),
-        columns=np.zeros((n, COLUMN_COUNT, 5)), reached=whole(),
+        columns=np.zeros((n, COLUMN_COUNT, COLUMN_SIZE)), reached=whole(),
     )  # fmt: skip
 
 
@@ -316,7 +320,7 @@ def observe_episodes(
 ) -> None:
     """Write the observations (n, m) of the environments of ``which``; draw their estimates' errors."""
     row, boxes = np.empty(s.low.size), np.empty((0, 8))
-    error, velocity, rates, white = np.empty(3), np.empty(3), np.empty(3), np.empty(10 + ERROR_SIZE)
+    error, velocity, rates, white = np.empty(3), np.empty(3), np.empty(3), np.empty(DRAW_DRIFT + ERROR_SIZE)
     for k in range(which.size):
         if not which[k]:
             continue
@@ -334,15 +338,19 @@ def observe_episodes(
             draw_normals(e.source[k : k + 1], white)
             drift = e.error[k]
             for i in range(3):
-                error[i] -= s.sigma[ERR_POSITION + i] * drift[ERR_POSITION + i] + s.white[0] * white[i]
-                velocity[i] += s.white[1] * white[3 + i]
-                rates[i] += s.white[3] * white[6 + i]
-            turn_s, turn_c = sine_cosine(s.sigma[ERR_HEADING] * drift[ERR_HEADING] + s.white[2] * white[9])
+                error[i] -= (
+                    s.sigma[ERR_POSITION + i] * drift[ERR_POSITION + i]
+                    + s.white[WHITE_POSITION] * white[DRAW_POSITION + i]
+                )
+                velocity[i] += s.white[WHITE_VELOCITY] * white[DRAW_VELOCITY + i]
+                rates[i] += s.white[WHITE_RATES] * white[DRAW_RATES + i]
+            noise = s.white[WHITE_HEADING] * white[DRAW_HEADING]
+            turn_s, turn_c = sine_cosine(s.sigma[ERR_HEADING] * drift[ERR_HEADING] + noise)
             c, sn = c * turn_c - sn * turn_s, sn * turn_c + c * turn_s
             down_x -= s.sigma[ERR_LEVEL + 1] * drift[ERR_LEVEL + 1]
             down_y += s.sigma[ERR_LEVEL] * drift[ERR_LEVEL]
             for i in range(ERROR_SIZE):
-                drift[i] = s.decay[i] * drift[i] + math.sqrt(1.0 - s.decay[i] * s.decay[i]) * white[10 + i]
+                drift[i] = s.decay[i] * drift[i] + math.sqrt(1.0 - s.decay[i] * s.decay[i]) * white[DRAW_DRIFT + i]
         voltage = battery_state(x, e.inputs[k, U_MOTOR_UPPER], e.inputs[k, U_MOTOR_LOWER], p)[0]
         fill_observation(
             row, error, velocity, (down_x, down_y, down_z), rates, (c, sn), (e.heading[k, 0], e.heading[k, 1]),

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from mufly.dynamics import body_to_ned_matrix
 from mufly.dynamics.model_state import ATTITUDE, POSITION
 from mufly.gym.episodes import EpisodeArrays
-from mufly.gym.tasks import OBSTACLE_WORLD
+from mufly.gym.tasks import COLUMN_EAST, COLUMN_NORTH, COLUMN_RADIUS, COLUMN_TOP, OBSTACLE_WORLD
 
 _HUBS_M = (-0.03, -0.08)  # drawn discs, body axes
 _TILTED = np.linspace(-1.0, 1.0, 2)
@@ -72,6 +72,8 @@ def _draw_world(top: Any, side: Any, episodes: EpisodeArrays, index: int, task: 
     (south, north), (west, east) = room.north, room.east
     top.add_patch(Rectangle((west, south), east - west, north - south, fill=False))
     side.add_patch(Rectangle((west, 0.0), east - west, room.height, fill=False))
-    for row in episodes.columns[index]:
-        top.add_patch(Circle((row[1], row[0]), row[2], color="tab:brown"))
-        side.add_patch(Rectangle((row[1] - row[2], 0.0), 2.0 * row[2], -row[3], color="tab:brown", alpha=0.3))
+    for column in episodes.columns[index]:
+        north, east, radius = column[COLUMN_NORTH], column[COLUMN_EAST], column[COLUMN_RADIUS]
+        top.add_patch(Circle((east, north), radius, color="tab:brown"))
+        height = -column[COLUMN_TOP]
+        side.add_patch(Rectangle((east - radius, 0.0), 2.0 * radius, height, color="tab:brown", alpha=0.3))

@@ -37,6 +37,8 @@ DURATIONS_S = (10.0, 20.0, 20.0, 10.0)
 """Default length of an episode of each task."""
 
 COLUMN_COUNT = 6
+COLUMN_NORTH, COLUMN_EAST, COLUMN_RADIUS, COLUMN_TOP, COLUMN_FOOT, COLUMN_SIZE = 0, 1, 2, 3, 4, 5
+"""Places of a column: its axis, radius, upper and lower end (m; down is positive)."""
 OBSTACLE_WORLD = World(room=Room((-3.0, 3.0), (-2.0, 2.0), 2.5))
 """Walls and ceiling of ``Obstacle``; its columns differ from episode to episode."""
 
@@ -70,10 +72,10 @@ def place_task(kind: int, r: _Array, start: _Array, target: _Array, after: _Arra
         start[0], target[0] = -2.0 + 0.4 * (r[0] - 0.5), 2.0
         target[1] = 2.0 * (r[3] - 0.5)
         for k in range(COLUMN_COUNT):
-            columns[k, 0] = -1.3 + 2.6 * (k + r[4 + k]) / COLUMN_COUNT
-            columns[k, 1] = 3.2 * (r[10 + k] - 0.5)
-            columns[k, 2] = 0.1 + 0.15 * r[16 + k]
-            columns[k, 3], columns[k, 4] = -2.5, 0.0
+            columns[k, COLUMN_NORTH] = -1.3 + 2.6 * (k + r[4 + k]) / COLUMN_COUNT
+            columns[k, COLUMN_EAST] = 3.2 * (r[10 + k] - 0.5)
+            columns[k, COLUMN_RADIUS] = 0.1 + 0.15 * r[16 + k]
+            columns[k, COLUMN_TOP], columns[k, COLUMN_FOOT] = -2.5, 0.0
     elif kind == LAND:
         start[2] = -0.8 - 0.7 * r[2]
         target[2] = 0.0

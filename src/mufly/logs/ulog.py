@@ -42,6 +42,9 @@ _HEAD_SIZE, _STAMP_SIZE = 3, 8  # bytes of length and type of a message, and of 
 HEADER_SIZE = 16
 _SYNC_BYTES = b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"
 _LEVEL_WORDS = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
+_TYPE_OFFSET = 2  # of a message, after its size
+_INCOMPATIBLE_FLAGS = slice(8, 16)  # of the message of flag bits
+_SUBSCRIPTION_NAME = 3  # after instance and number
 _MAX_HEADER_OFFSET_US = 600_000_000
 _NUMPY_TYPES = {
     "int8_t": "i1", "uint8_t": "u1", "int16_t": "<i2", "uint16_t": "<u2", "int32_t": "<i4", "uint32_t": "<u4",
@@ -264,9 +267,14 @@ def _find_next_message(data: bytes, start: int, limit: int, scan: _ScanResult, h
             break
     if not scan.in_data:
         for at in range(start, min(limit, start + 70_000)):
-            if data[at + 2 : at + 3] in (b"F", b"I", b"M", b"P", b"Q", b"A") and _messages_follow(
-                data, at, len(data), scan, 3
-            ):
+            if data[at + _TYPE_OFFSET : at + _TYPE_OFFSET + 1] in (
+                b"F",
+                b"I",
+                b"M",
+                b"P",
+                b"Q",
+                b"A",
+            ) and _messages_follow(data, at, len(data), scan, 3):
                 return at
     return limit
 
@@ -326,7 +334,7 @@ def _process_message(scan: _ScanResult, kind: int, body: bytes, header: int, dat
         elif kind == _SYNC_MESSAGE:
             return body == _SYNC_BYTES
         elif kind == _FLAG_BITS_MESSAGE:
-            scan.info[_FLAG_BITS_NAME] = (body[8:16], struct.unpack_from("<QQQ", body, 16))
+            scan.info[_FLAG_BITS_NAME] = (body[_INCOMPATIBLE_FLAGS], struct.unpack_from("<QQQ", body, 16))
         return kind != _REMOVAL_MESSAGE or len(body) == 2
     except (ValueError, KeyError, IndexError, struct.error, RecursionError):
         return False
@@ -347,7 +355,7 @@ def _decode_value(type_name: str, value: bytes) -> Any:
 def _add_subscription(scan: _ScanResult, body: bytes) -> None:
     """Process a subscription; KeyError, ValueError if its format is unknown or contradictory."""
     instance, number = struct.unpack_from("<BH", body)
-    name = body[3:].decode("ascii")
+    name = body[_SUBSCRIPTION_NAME:].decode("ascii")
     fields = _expand_fields(scan.formats, name)
     most = 2 + np.dtype(fields).itemsize
     while fields and fields[-1][0].startswith("_padding"):

@@ -200,7 +200,7 @@ class TimedSpline(NamedTuple):
         tangent = math.sqrt(square)
         bn, be, bd = (6.0 * c[0] * u + 2.0 * c[1] for c in (p, q, r))
         along = (tn * bn + te * be + td * bd) / square
-        n, e, d = (((c[0] * u + c[1]) * u + c[2]) * u + c[3] for c in (p, q, r))
+        n, e, d = (((c3 * u + c2) * u + c1) * u + c0 for c3, c2, c1, c0 in (p, q, r))
         velocity = (ds * tn / tangent, ds * te / tangent, ds * td / tangent)
         f, g = dds / tangent, ds * ds / square
         acceleration = (

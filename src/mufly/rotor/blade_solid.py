@@ -39,6 +39,7 @@ Integers = NDArray[np.int64]
 _POINTS_PER_SIDE = 40
 _SPAN_STATIONS = 60
 _MM_PER_M = 1e3
+_STL_COORDINATES = slice(1, 4)  # words of a line that begins with "vertex"
 _MIN_RADIUS_M, _MAX_RADIUS_M = 8e-3, 5.0  # m, range of radii in which mm is assumed as the unit
 _LENGTH_UNITS_M = {"m": 1.0, "in": 0.0254, "cm": 0.01, "mm": 1e-3, "um": 1e-6}
 _END_REGION, _THICKNESS_TOLERANCE = 0.15, 0.25  # of the chord; of the thickness in that region
@@ -241,7 +242,8 @@ def make_hub_solid(radius_m: float, bore_m: float, low_m: float, high_m: float, 
     if bore_m <= 0.0:
         points = np.concatenate((points, [[0, 0, high_m], [0, 0, low_m]]))
         top, bottom = np.full(around, 4 * around), np.full(around, 4 * around + 1)
-        parts += [np.column_stack((index[2], follow[2], top)), np.column_stack((follow[3], index[3], bottom))]
+        _, _, upper, lower = zip(index, follow, strict=True)
+        parts += [np.column_stack((*upper, top)), np.column_stack((*reversed(lower), bottom))]
     return TriangleSolid(points, np.concatenate(parts))
 
 
@@ -336,7 +338,7 @@ def read_stl(path: str | Path, unit_m: float = 1e-3) -> Array:
             return unit_m * corners
     try:
         words = [line.split() for line in data.decode("utf-8").splitlines()]
-        rows = [[float(v) for v in w[1:4]] for w in words if w[:1] == ["vertex"]]
+        rows = [[float(v) for v in w[_STL_COORDINATES]] for w in words if w[:1] == ["vertex"]]
     except ValueError:
         rows = []
     if not rows or len(rows) % 3 or any(len(r) != 3 for r in rows):

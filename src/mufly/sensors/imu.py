@@ -59,7 +59,7 @@ _Array = NDArray[np.float64]
 _TRIPOD_ELEVATION = math.asin(math.sqrt(1 / 3))  # of the vibration above the horizon: all axes have equal shares
 ROOM_TEMPERATURE_K = 293.15
 _VIBRATION_LINES = 5  # 1/rev and 2/rev of both rotors, and the blade passage
-GYRO = 3  # index of the first gyroscope among the six axes
+GYRO, _AXES = 3, 6  # index of the first gyroscope among the axes, and their number
 # Indices of the parameters: amplitudes, resonance, damping, hover speeds, drift time, warming and its time constant
 (
     _ONCE, _TWICE, _PASSING, _RESONANCE, _DAMPING, _HOVER_UPPER, _HOVER_LOWER, _DRIFT_TIME, _WARMING, _WARMING_TIME,
@@ -355,8 +355,9 @@ def simulate_imu_period(
             phasor[k, _COS], phasor[k, _SIN] = c, s
             phasor[k, _PHASOR_STEP_COS] = tc * phasor[k, _GROWTH_COS] - ts * phasor[k, _GROWTH_SIN]
             phasor[k, _PHASOR_STEP_SIN] = tc * phasor[k, _GROWTH_SIN] + ts * phasor[k, _GROWTH_COS]
-            lines[4 * k, i], lines[4 * k + 1, i] = c, s
-            lines[4 * k + 2, i], lines[4 * k + 3, i] = c * c - s * s, 2.0 * c * s
+            once, twice = 4 * k, 4 * k + _UP_TWICE
+            lines[once, i], lines[once + 1, i] = c, s
+            lines[twice, i], lines[twice + 1, i] = c * c - s * s, 2.0 * c * s
         up_c, up_s = lines[_UP_TWICE, i], lines[_UP_TWICE + 1, i]
         dw_c, dw_s = lines[_DW_TWICE, i], lines[_DW_TWICE + 1, i]
         lines[_PASSES, i], lines[_PASSES + 1, i] = up_c * dw_c - up_s * dw_s, up_c * dw_s + up_s * dw_c
@@ -364,7 +365,7 @@ def simulate_imu_period(
     for j in range(6):
         x, noise, w = (
             borrow_arrays(felt[j]),
-            borrow_arrays(normal[6 + n * j : 6 + n * (j + 1)]),
+            borrow_arrays(normal[_AXES + n * j : _AXES + n * (j + 1)]),
             borrow_arrays(wave[j]),
         )
         start, more, loud, most, beyond = begin[j], slope[j], white[j], limit[j], 0

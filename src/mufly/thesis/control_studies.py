@@ -26,6 +26,7 @@ from mufly.thesis.claims import CLAIMS, ProgressCallback, Study, StudyFindings, 
 from mufly.vehicle import load_vehicle
 
 Array = NDArray[np.float64]
+_BODY_RATES = slice(2, 4)  # p and q among the outputs of the roll-pitch plant
 _NOMINAL_VOLTAGE_V, _USED_BATTERY_VOLTAGE_V = 7.2, 6.4
 
 
@@ -105,7 +106,7 @@ def study_roll_pitch_plant(progress: ProgressCallback | None = None) -> StudyFin
     poles = one.plant.poles()
     damped = sorted({round(abs(float(p.imag)), 2) for p in poles if p.imag > 1.0})
     frequency = np.geomspace(5, 30, 1500)
-    rates = np.abs(frequency_response(one.plant, frequency)[:, 2:4, :]).max(axis=2)  # p and q, the larger input
+    rates = np.abs(frequency_response(one.plant, frequency)[:, _BODY_RATES, :]).max(axis=2)  # of the larger input
     peaks = [float(frequency[k]) for k in rates.argmax(axis=0)]
     verdicts = [
         judge(

@@ -26,6 +26,7 @@ from mufly.errors import InputError
 from mufly.input_files import builtin_file_names, model_error, read_toml, validate_model
 
 MAP_NODES = 512  # size of the tables in the flight model's record, e.g. 3 mean speeds x 13 ratios x 13 climbs
+_AXIS_COUNT = 3  # first arrays of the tables
 TABLE_COLUMNS = (
     "mean_speed_rad_s",
     "ratio",
@@ -160,8 +161,8 @@ def _parse_table(text: str) -> MapTables:
 
 def format_table(tables: MapTables) -> str:
     """Return the ``table`` of a map."""
-    grid = np.meshgrid(*tables[:3], indexing="ij")
-    columns = [np.ravel(a) for a in (*grid, *tables[3:])]
+    grid = np.meshgrid(*tables[:_AXIS_COUNT], indexing="ij")
+    columns = [np.ravel(a) for a in (*grid, *tables[_AXIS_COUNT:])]
     lines = [" ".join(f"{v:.7g}" for v in row[:-1]) + f" {int(row[-1])}" for row in zip(*columns, strict=True)]
     return "\n".join([" ".join(TABLE_COLUMNS), *lines]) + "\n"
 

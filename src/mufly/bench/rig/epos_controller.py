@@ -32,6 +32,7 @@ from mufly.units import RPM
 
 DLE, STX = 0x90, 0x02
 REQUEST_TRIES = 3
+_CODE_BYTES = 4  # the error code, first in an answer
 _READS_PER_STATUS_CHECK = 10  # readings between two checks of the status word
 
 CONTROL_WORD, STATUS_WORD, OPERATION_MODE, TARGET_VELOCITY, ERROR_CODE = (
@@ -165,14 +166,14 @@ class EposController:
             until = time.monotonic() + patience_s
             while (left := until - time.monotonic()) > 0:
                 for answer, payload in self._frames.feed_bytes(self._line.read(left)):
-                    if answer != 0x00 or len(payload) < 4:
+                    if answer != 0x00 or len(payload) < _CODE_BYTES:
                         continue
-                    code = struct.unpack("<I", payload[:4])[0]
+                    code = struct.unpack("<I", payload[:_CODE_BYTES])[0]
                     if code == 0x0504_0005 or code & 0xFFFF_0000 == 0x0F00_0000:
                         break  # the device rejected a damaged frame: repeat
                     if code:
                         raise DeviceError(f"{self.name}: refuses the request (error 0x{code:08X})")
-                    return payload[4:]
+                    return payload[_CODE_BYTES:]
         raise DeviceError(f"{self.name}: does not answer ({tries} tries of {patience_s:g} s)")
 
     def _object_address(self, item: tuple[int, int]) -> bytes:

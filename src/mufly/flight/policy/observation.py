@@ -82,11 +82,12 @@ def observation_names(task: str) -> dict[str, str]:
 @cached_njit(error_model="numpy")
 def map_action(action: _Array, trim: _Array, inputs: _Array) -> None:
     """Write the inputs (4,) of the flight model for an action (4,) about the inputs ``trim`` (4,) of hover."""
-    collective, turn = COLLECTIVE_SPAN * action[0], TURN_SPAN * action[1]
+    up, turned, servo_1, servo_2 = action[0], action[1], action[2], action[3]
+    collective, turn = COLLECTIVE_SPAN * up, TURN_SPAN * turned
     inputs[U_MOTOR_UPPER] = min(max(trim[U_MOTOR_UPPER] + collective + turn, 0.0), 1.0)
     inputs[U_MOTOR_LOWER] = min(max(trim[U_MOTOR_LOWER] + collective - turn, 0.0), 1.0)
-    inputs[U_SERVO_1] = action[2]
-    inputs[U_SERVO_2] = action[3]
+    inputs[U_SERVO_1] = servo_1
+    inputs[U_SERVO_2] = servo_2
 
 
 @cached_njit(error_model="numpy")

@@ -38,6 +38,8 @@ _TO_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 _TO_FLU = np.array([1.0, -1.0, -1.0])
 _ULTRASOUND, _DISCHARGING, _LITHIUM_POLYMER = 0, 2, 3  # sensor_msgs/Range, sensor_msgs/BatteryState
 _MAX_RING_BEAMS = 64
+_FIX_HEADING = 3  # of a fix and its variances: north, east, down, heading
+_ENU_VARIANCES = (1, 0, 2, _FIX_HEADING)
 NANOSECONDS = 1_000_000_000
 
 
@@ -262,15 +264,15 @@ def _encode_velocity_setpoint(blocks: Blocks, _: RangeLimits) -> Columns:
 def _encode_fix(blocks: Blocks, _: RangeLimits) -> Columns:
     fix = blocks["measured_position_fix"]
     level = np.zeros((len(fix), 2))
-    variance = _get(blocks, "measured_position_fix_variance", fix)[:, [1, 0, 2, 3]]
+    variance = _get(blocks, "measured_position_fix_variance", fix)[:, _ENU_VARIANCES]
     return {
         "header": _header(MAP_FRAME),
         "pose": {
             "pose": {
                 "position": _vector(ned_to_enu(fix[:, :3])),
-                "orientation": _orientation(np.column_stack((level, fix[:, 3]))),
+                "orientation": _orientation(np.column_stack((level, fix[:, _FIX_HEADING]))),
             },
-            "covariance": _diagonal(np.column_stack((variance[:, :3], level, variance[:, 3]))),
+            "covariance": _diagonal(np.column_stack((variance[:, :3], level, variance[:, _FIX_HEADING]))),
         },
     }
 

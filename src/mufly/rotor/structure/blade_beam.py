@@ -40,6 +40,8 @@ GAUSS_POINTS: Array = 0.5 * (_NODES + 1.0)
 _GAUSS_WEIGHTS: Array = 0.5 * _WEIGHTS
 # Degrees of freedom of an element: v, v', w, w', phi of the inner node, phi of the middle, the same five outside.
 _V, _W, _P, _SIZE = (0, 1, 6, 7), (2, 3, 8, 9), (4, 5, 10), 11
+# Those of the root's node.
+_ROOT_LAG, _ROOT_RISE, _ROOT_FLAP, _ROOT_PITCH, _ROOT_SIZE = 1, 2, 3, 4, 5
 
 
 def _integration_to_end() -> Array:
@@ -183,15 +185,19 @@ class BladeBeam:
     @cached_property
     def root_transform(self) -> Array:
         """Matrix (size, free) from the free degrees of freedom to all: root conditions and hinge."""
-        keep = np.eye(self.size)[:, 5:]
+        keep = np.eye(self.size)[:, _ROOT_SIZE:]
         extra = []
         r0 = float(self.edges_m[0])
-        for row, spring in ((1, self.lag_root_N_m), (3, self.flap_root_N_m), (4, self.pitch_root_N_m)):
+        for row, spring in (
+            (_ROOT_LAG, self.lag_root_N_m),
+            (_ROOT_FLAP, self.flap_root_N_m),
+            (_ROOT_PITCH, self.pitch_root_N_m),
+        ):
             if math.isfinite(spring):
                 column = np.zeros(self.size)
                 column[row] = 1.0
-                if row == 3:
-                    column[2] = r0 - self.hinge_radius_m
+                if row == _ROOT_FLAP:
+                    column[_ROOT_RISE] = r0 - self.hinge_radius_m
                 extra.append(column)
         return np.column_stack([*extra, keep]) if extra else keep
 
@@ -236,7 +242,11 @@ def stiffness_matrices(beam: BladeBeam, pitch_rad: float, twist_rad: Array | Non
     flap = cosine[..., None] * s["w2"] - sine[..., None] * s["v2"]
     lag = cosine[..., None] * s["v2"] + sine[..., None] * s["w2"]
     elastic = beam.assemble((beam.flap_EI, flap, flap), (beam.lag_EI, lag, lag), (beam.torsion_GJ, s["p1"], s["p1"]))
-    for row, spring in ((1, beam.lag_root_N_m), (3, beam.flap_root_N_m), (4, beam.pitch_root_N_m)):
+    for row, spring in (
+        (_ROOT_LAG, beam.lag_root_N_m),
+        (_ROOT_FLAP, beam.flap_root_N_m),
+        (_ROOT_PITCH, beam.pitch_root_N_m),
+    ):
         if math.isfinite(spring):
             elastic[row, row] += spring
     T, e, m = beam.tension_kg_m, beam.centroid_behind_m, beam.mass_kg_m
@@ -257,7 +267,7 @@ def stiffness_matrices(beam: BladeBeam, pitch_rad: float, twist_rad: Array | Non
     )
     if math.isfinite(beam.flap_root_N_m):  # tension in the rigid arm between hinge and blade
         arm = float(beam.edges_m[0]) - beam.hinge_radius_m
-        centrifugal[3, 3] += arm * beam.integrate(m * beam.points_m)
+        centrifugal[_ROOT_FLAP, _ROOT_FLAP] += arm * beam.integrate(m * beam.points_m)
     return elastic, centrifugal
 
 

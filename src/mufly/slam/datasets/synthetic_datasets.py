@@ -165,7 +165,8 @@ def make_hand_path(*, duration_s: float, height_m: float = 0.8, seed: int = 0) -
             w = 2 * math.pi * rng.uniform(0.15, 0.9)
             waves[:, k] += rms[k] * math.sqrt(2.0 / 5.0) * np.sin(w * t + rng.uniform(0, 2 * math.pi))
     waves *= grown[:, None]
-    attitude, p = waves[:, :3], waves[:, 3:] - [0.0, 0.0, height_m]
+    attitude, moved = np.hsplit(waves, 2)
+    p = moved - [0.0, 0.0, height_m]
     still = np.zeros((len(t), 2))
     return VehiclePath(
         t, p, np.asarray(np.gradient(p, t, axis=0)), attitude, _compute_body_rates(t, attitude), still, still
