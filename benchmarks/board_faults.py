@@ -132,7 +132,7 @@ def check_restart(r: Replay, k: int, cause: int) -> list[str]:
                 r.ffi.addressof(s, "belief"), ask,
             )  # fmt: skip
             refused = s.supervisor.arming_faults & ARMING_INTERRUPTED
-            if s.supervisor.armed or (ran and not refused):
+            if ran and (s.supervisor.armed or not refused):
                 wrong.append("the first request to arm was not refused for the interrupted flight")
     now = {s.number: s.ulog for s in split_sessions(b.log_blocks[:4096].tobytes())}
     if any(now.get(s.number) != s.ulog for s in logged):
