@@ -128,13 +128,14 @@ static void append_row_or_drop(flight_log_t *g, const flight_log_vehicle_t *v)
     }
 }
 
-/* One entry of the mission's log, when there is room for it. */
-static void append_text(flight_log_t *g, const flight_log_vehicle_t *v)
+/* One entry of the mission's log, when there is room for it; return whether there was one. */
+static bool append_text(flight_log_t *g, const flight_log_vehicle_t *v)
 {
     const mission_t *x = &v->software->mission;
     uint8_t message[TEXT_HEAD + TEXT_LENGTH];
     char text[TEXT_LENGTH];
     log_message_t m;
+    bool is_due = false;
     int32_t length;
 
     if ((x->logged_count - g->texts_written) > MISSION_LOG) {
@@ -156,11 +157,15 @@ static void append_text(flight_log_t *g, const flight_log_vehicle_t *v)
         }
         (void)block_log_append(&g->device, message, TEXT_HEAD + length, true);
         g->texts_written++;
+        is_due = true;
     }
+    return is_due;
 }
 
 void flight_log_step(flight_log_t *g, const flight_log_vehicle_t *v)
 {
+    bool appended = false;
+
     if (g->device.state != (int32_t)BLOCK_LOG_WRITES) {
         /* nothing can be appended */
     } else if (g->head_written < mufly_log_head_size) {
@@ -171,10 +176,11 @@ void flight_log_step(flight_log_t *g, const flight_log_vehicle_t *v)
             g->head_written += part;
         }
     } else {
-        append_text(g, v);
+        appended = append_text(g, v);
         if (g->periods_to_row <= 0) {
             g->periods_to_row = v->armed ? (mufly_rate_Hz / ROWS_PER_S) : mufly_rate_Hz;
             append_row_or_drop(g, v);
+            appended = true;
         } else if (v->armed && (g->periods_to_row > (mufly_rate_Hz / ROWS_PER_S))) {
             g->periods_to_row = 0; /* just armed */
         } else {
@@ -182,5 +188,7 @@ void flight_log_step(flight_log_t *g, const flight_log_vehicle_t *v)
         }
         g->periods_to_row--;
     }
-    block_log_step(&g->device);
+    if (!appended) { /* a period either appends or works on the device, which needs a checksum: that bounds its length */
+        block_log_step(&g->device);
+    }
 }
