@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mufly.estimate import fusion, sensor_checks
+from mufly.estimate import fix_fusion, fusion, sensor_checks
 from mufly.estimate.filter_records import (
     AID_COUNT,
     AID_PLACE,
@@ -41,8 +41,13 @@ def faults(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     for module in (fusion, sensor_checks):
         monkeypatch.setattr(module, "set_fault", lambda m, s, k, code, why, number: found.append(k))
         monkeypatch.setattr(module, "inflate_variance", lambda *of: None)
-    for name in ("height_above_ground", "rotation_matrix", "_scale_variance", "_is_height_alone_off"):
-        monkeypatch.setattr(fusion, name, getattr(fusion, name).py_func)
+    for module, name in (
+        (fusion, "height_above_ground"),
+        (fusion, "rotation_matrix"),
+        (fix_fusion, "scale_variance"),
+        (fix_fusion, "_is_height_alone_off"),
+    ):
+        monkeypatch.setattr(module, name, getattr(module, name).py_func)
     return found
 
 
@@ -54,9 +59,9 @@ def test_white_ratios_of_unit_variance_change_no_estimated_noise() -> None:
             noise_scale=np.ones(AID_COUNT), bias_walk_scale=np.ones(AID_COUNT), fix_ratio=np.array([now]),
             fix_ratio_prev=np.array([before]), fix_ratio_mean=np.zeros(1), is_heading_aligned=1,
         )  # fmt: skip
-        fusion._estimate_fix_noise.py_func(m, 0)
+        fix_fusion._estimate_fix_noise.py_func(m, 0)
         changes.append((m.noise_scale[AID_PLACE], m.bias_walk_scale[AID_PLACE]))
-    assert np.mean(changes, axis=0) == pytest.approx((1.0, 1.0), abs=0.03 * fusion.NOISE_GAIN_PLACE)
+    assert np.mean(changes, axis=0) == pytest.approx((1.0, 1.0), abs=0.03 * fix_fusion.NOISE_GAIN_PLACE)
 
 
 def sonar_memory(height_m: float) -> SimpleNamespace:
@@ -119,7 +124,7 @@ def test_a_field_of_another_strength_than_the_earth_s_is_no_heading(
     """Errors of the file make 4 uT of 48: five deviations are 20 uT."""
     fused: list[float] = []
     monkeypatch.setattr(fusion, "_fuse_drifting_aid", lambda m, s, k, bias, nu, *rest: fused.append(nu))
-    for name in ("_h_row_begin", "_h_row_add"):
+    for name in ("h_row_begin", "h_row_add"):
         monkeypatch.setattr(fusion, name, lambda *of: None)
     x = np.zeros(STATE_COUNT)
     x[SX_ATT] = 1.0
@@ -133,8 +138,8 @@ def test_a_fix_off_in_height_alone_does_not_contradict_the_attitude(component: i
     ratios = np.zeros(4)
     ratios[component] = 9.0
     m = SimpleNamespace(status=np.full(SENSOR_COUNT, STATUS_REJECTED), fix_component=component, fix_ratio=ratios)
-    fusion._clear_attitude_evidence.py_func(m)
+    fix_fusion._clear_attitude_evidence.py_func(m)
     assert m.status[R_FIX] == status
     ratios[0], m.status[R_FIX] = 6.0, STATUS_REJECTED  # a jump on several axes
-    fusion._clear_attitude_evidence.py_func(m)
+    fix_fusion._clear_attitude_evidence.py_func(m)
     assert m.status[R_FIX] == STATUS_REJECTED

@@ -46,6 +46,8 @@ OF_ONE_SENSOR = {
         **_PROOF,
         "estimate/filter_horizon.py": "the terrain is uncertain while its cone passes over an edge",
         "estimate/filter_inputs.py": "it tells whether the vehicle has left the floor",
+        "estimate/fix_fusion.py": "its height is compared with that of the fix",
+        "estimate/scalar_fusion.py": "it hears second surfaces, so a large innovation is no fault",
         "estimate/kalman_estimator.py": "lost periods repeat the rows before its own: those of the inertial unit",
         "estimate/sensor_checks.py": "it hears second surfaces, so more rejections are no alarm",
         "flight/fixes/camera_sensor.py": "pictures tell no place on the floor, where the sonar reads its least",
@@ -56,6 +58,7 @@ OF_ONE_SENSOR = {
     },
     "position_fix": {
         "sensors/position_fix.py": "its model",
+        "estimate/fix_fusion.py": "its measurement model, whose biases are estimated",
         "estimate/ekf_step.py": "the heading is aligned by it; its biases step when it is fused",
         "estimate/inertial_log.py": "positions of a log are fused as fixes",
         "estimate/kalman_estimator.py": "it may come with a covariance",

@@ -31,8 +31,10 @@ from mufly.estimate import (
     ekf_step,
     filter_horizon,
     filter_inputs,
+    fix_fusion,
     fusion,
     output_predictor,
+    scalar_fusion,
     sensor_checks,
     strapdown,
     ud_filter,
@@ -42,7 +44,7 @@ from mufly.rotor import coax_maps
 from mufly.toolchain import COMPILER_FLAGS, build_cached_library
 from mufly.vehicle import Vehicle
 
-VERIFIED_STAMP = "06f255c604cad351"
+VERIFIED_STAMP = "6bb34c015f26e59d"
 """Stamp (:func:`source_stamp`) of the Python sources that the C code is verified to equal."""
 
 FILTER_SOURCES = (
@@ -51,6 +53,8 @@ FILTER_SOURCES = (
     "filter_horizon",
     "output_predictor",
     "fusion",
+    "fix_fusion",
+    "scalar_fusion",
     "sensor_checks",
     "ud_filter",
     "strapdown",
@@ -224,6 +228,8 @@ _TRANSLATED_MODULES: tuple[tuple[types.ModuleType, tuple[str, ...]], ...] = (
             filter_horizon,
             output_predictor,
             fusion,
+            fix_fusion,
+            scalar_fusion,
             sensor_checks,
             ud_filter,
             strapdown,

@@ -1,0 +1,318 @@
+"""Fusion of a fix of position and heading: noise and bias of the fix, its agreement with the sonar, its reset.
+
+The fix measures p + v dt + b and the heading + b_h. Its biases b are Gauss-Markov processes. Their variance and that of
+the noise are estimated from the innovations. A reset inflates variances, so the correlations of the errors stay.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.estimate.filter_records import (
+    AID_HEADING,
+    AID_PLACE,
+    EX_ATT,
+    EX_FIX_BIAS,
+    EX_FIX_HEADING,
+    EX_GYRO_BIAS,
+    EX_POS,
+    EX_VEL,
+    PHASE_LIGHT,
+    R_FIX,
+    R_RATES,
+    R_RING,
+    R_SONAR,
+    SX_ATT,
+    SX_FIX_BIAS,
+    SX_FIX_HEADING,
+    SX_VEL,
+    FilterMemory,
+    FilterSettings,
+)
+from mufly.estimate.scalar_fusion import (
+    INNOVATION_GATE,
+    MAX_NOISE_SCALE,
+    MAX_RATIO_PRODUCT,
+    MAX_SQUARED_RATIO,
+    NOISE_GAIN_HEADING,
+    NOISE_GAIN_PLACE,
+    fuse_scalar,
+    h_row_add,
+    h_row_begin,
+    innovation_ratio,
+    log_innovation,
+    reject_measurement,
+    reset_timeout_expired,
+    scale_variance,
+)
+from mufly.estimate.sensor_checks import (
+    REASON_FUSED_THOUGH_OFFSET,
+    REASON_HEIGHT_CONFLICT,
+    REASON_INNOVATION,
+    REASON_LARGE_BIAS,
+    REASON_NONE,
+    REASON_RESET,
+    STATUS_FAULTY,
+    STATUS_FUSED,
+    STATUS_REJECTED,
+    mark_fused,
+    reset_on_divergence,
+    set_fault,
+)
+from mufly.estimate.ud_filter import gauss_markov_update, inflate_variance
+from mufly.numba_cache import cached_njit
+from mufly.portable_math import portable_atan2, wrap_angle
+
+_Array = NDArray[np.float64]
+
+FIX_MEAN_SQUARE_GATE = 11.0
+"""Mean square of the worst of the fix's four ratios over half a second; 2.4 is usual."""
+DIVERGENCE_MEAN_SQUARE = 5.0
+"""Mean square of the ratios above which a rejected fix is not treated as a jump of the fix."""
+SETTLING_TIME_S = 3.0
+"""Time in flight before which no ratio of the fix accuses the filter, whose state is well known at rest (s)."""
+LASTING_RATIO = 1.0
+"""Mean of a ratio of the fix over half a second above which the filter, not the noise, is the cause (1)."""
+BIAS_RANGE_SIGMAS = 5.5
+"""Largest bias of the fix in standard deviations a. A Gauss-Markov bias of time constant tau passes a on either side
+2 a phi(a) / tau times a second (phi: normal density; Pickands, 1969). Three axes with tau of 2 s pass 5.5 deviations
+0.06 times in ten hours, and 5 deviations 0.8 times."""
+GYRO_BIAS_RANGE_SIGMAS = 8.0
+"""Deviations of the initial gyroscope bias beyond which the gyroscopes are unusable for long."""
+WIDENED_SIGMAS = 3.0
+"""An innovation of the fix at rest beyond the gate counts as this many deviations of its bias."""
+
+
+@cached_njit(error_model="numpy")
+def _fix_h_row(m: FilterMemory, i: int) -> None:
+    """Write the row H of component ``i`` of the fix."""
+    if i < 3:
+        h_row_begin(m, EX_POS + i, 1.0)
+        h_row_add(m, EX_FIX_BIAS + i, 1.0)
+    else:
+        h_row_begin(m, EX_ATT + 2, 1.0)
+        h_row_add(m, EX_FIX_HEADING, 1.0)
+
+
+@cached_njit(error_model="numpy")
+def _fix_innovation(m: FilterMemory, z: _Array, i: int, ahead: float) -> float:
+    """Return the innovation of component ``i`` of the fix."""
+    x = m.x
+    if i < 3:
+        return z[i] - x[i] - ahead * x[SX_VEL + i] - x[SX_FIX_BIAS + i]
+    yaw = portable_atan2(
+        2 * (x[SX_ATT] * x[SX_ATT + 3] + x[SX_ATT + 1] * x[SX_ATT + 2]),
+        1 - 2 * (x[SX_ATT + 2] * x[SX_ATT + 2] + x[SX_ATT + 3] * x[SX_ATT + 3]),
+    )
+    off = z[3] - yaw - ahead * m.yaw_rate - x[SX_FIX_HEADING]
+    return wrap_angle(off)
+
+
+@cached_njit(error_model="numpy")
+def _fix_variance(m: FilterMemory, s: FilterSettings, i: int) -> float:
+    """Return the estimated variance of component ``i`` of the fix."""
+    return s.fix_variance * m.noise_scale[AID_PLACE] if i < 3 else s.heading_variance * m.noise_scale[AID_HEADING]
+
+
+@cached_njit(error_model="numpy")
+def _fix_bias_variance(m: FilterMemory, s: FilterSettings, i: int) -> float:
+    """Return the estimated variance of the bias of component ``i`` of the fix."""
+    sigma = s.initial_sigma[EX_FIX_BIAS + i]
+    return sigma * sigma * m.bias_walk_scale[AID_PLACE if i < 3 else AID_HEADING]
+
+
+@cached_njit(error_model="numpy")
+def _estimate_fix_noise(m: FilterMemory, i: int) -> None:
+    """Estimate noise and random walk of component ``i`` of the fix from its innovation ratio.
+
+    The mean square of the ratio is 1 where the sum of noise and random walk is right. The mean product of two
+    successive ratios is 0 where their proportion is right: it is negative where the noise is larger than assumed, and
+    positive where the random walk is (correlation of innovations, Mehra 1970). Both variances follow by stochastic
+    approximation. Ratios with a lasting mean say that the filter errs: they do not change the variances."""
+    aid = AID_PLACE if i < 3 else AID_HEADING
+    gain = NOISE_GAIN_PLACE if i < 3 else NOISE_GAIN_HEADING
+    ratio = m.fix_ratio[i]
+    excess = min(ratio * ratio, MAX_SQUARED_RATIO) - 1.0
+    pair = max(min(ratio * m.fix_ratio_prev[i], MAX_RATIO_PRODUCT), -MAX_RATIO_PRODUCT)
+    if m.is_heading_aligned != 0 and abs(m.fix_ratio_mean[i]) < LASTING_RATIO:
+        scale_variance(m.noise_scale, aid, gain, excess - pair)
+        scale_variance(m.bias_walk_scale, aid, gain, excess + pair)
+    m.fix_ratio_prev[i] = ratio
+    m.fix_ratio_mean[i] += 0.15 * (ratio - m.fix_ratio_mean[i])
+
+
+@cached_njit(error_model="numpy")
+def _largest_mean_ratio(m: FilterMemory) -> float:
+    """Return the largest mean of the innovation ratios of N, E and heading."""
+    return max(max(abs(m.fix_ratio_mean[0]), abs(m.fix_ratio_mean[1])), abs(m.fix_ratio_mean[3]))
+
+
+@cached_njit(error_model="numpy")
+def _fix_bias_ratio(m: FilterMemory, s: FilterSettings, i: int) -> float:
+    """Return the estimated bias of component ``i`` of the fix over the largest that its model allows.
+
+    A Gauss-Markov process of deviation sigma exceeds 5 sigma once in two million correlation times. Innovations do
+    not show such an error, because the bias follows it."""
+    return abs(m.x[SX_FIX_BIAS + i]) / (
+        BIAS_RANGE_SIGMAS * math.sqrt(_fix_bias_variance(m, s, i) + _fix_variance(m, s, i))
+    )
+
+
+@cached_njit(error_model="numpy")
+def _widen_fix_bias(m: FilterMemory, s: FilterSettings, i: int, nu: float, ratio: float) -> float:
+    """Raise the random walk of the fix until it explains an innovation ``nu`` at rest; return the new ratio.
+
+    A vehicle at rest knows its velocity, so that an innovation beyond the gate is an error of the fix. One beyond
+    the largest random walk remains a jump."""
+    sigma = s.initial_sigma[EX_FIX_BIAS + i]
+    spread = nu / WIDENED_SIGMAS
+    scale = spread * spread / (sigma * sigma)
+    aid = AID_PLACE if i < 3 else AID_HEADING
+    if not scale < MAX_NOISE_SCALE:
+        return ratio
+    m.bias_walk_scale[aid] = max(m.bias_walk_scale[aid], scale)
+    inflate_variance(m.u_transposed, m.d, EX_FIX_BIAS + i, spread * spread, m.f)
+    return innovation_ratio(m, nu, _fix_variance(m, s, i))
+
+
+@cached_njit(error_model="numpy")
+def _sonar_height_valid(m: FilterMemory, s: FilterSettings) -> bool:
+    """Return whether the sonar measures the height, over a known floor."""
+    k = R_SONAR
+    fresh = m.last_fused_tick[k] > 0 and (m.tick - m.last_fused_tick[k]) * s.dt < 0.3
+    return fresh and m.status[k] == STATUS_FUSED and m.reason[k] == REASON_NONE and not m.terrain_edge_weight > 0.0
+
+
+@cached_njit(error_model="numpy")
+def _fix_height_consistent(m: FilterMemory, s: FilterSettings, nu: float, ratio: float) -> bool:
+    """Return whether fix and sonar agree on the height; if not, write the gap to ``m.fix_height_gap``.
+
+    The faulty one of the two is unknown: the pressure drifts by as much. The height follows the sonar, and the gap is
+    added to the standard deviation of the position."""
+    k = R_FIX
+    off = abs(ratio)
+    whole = abs(nu + m.x[SX_FIX_BIAS + 2])
+    if m.fix_height_gap > 0.0:
+        blind = (m.tick - m.last_fused_tick[R_SONAR]) * s.dt > 0.3
+        m.fix_height_gap = 0.0 if blind or off < 2.5 else whole
+    elif _sonar_height_valid(m, s) and (
+        _fix_bias_ratio(m, s, 2) > 1.0 or (off > INNOVATION_GATE and reset_timeout_expired(m, s, k))
+    ):
+        m.fix_height_gap = whole
+    return m.fix_height_gap == 0.0
+
+
+@cached_njit(error_model="numpy")
+def _is_height_alone_off(m: FilterMemory) -> bool:
+    """Return whether the height is the one component of the fix that lies outside the gate."""
+    off = max(max(abs(m.fix_ratio[0]), abs(m.fix_ratio[1])), abs(m.fix_ratio[3]))
+    return m.fix_component == 2 and off < INNOVATION_GATE
+
+
+@cached_njit(error_model="numpy")
+def _clear_attitude_evidence(m: FilterMemory) -> None:
+    """Mark a fix that is rejected for its height alone as faulty: a height does not contradict the attitude."""
+    if m.status[R_FIX] == STATUS_REJECTED and _is_height_alone_off(m):
+        m.status[R_FIX] = STATUS_FAULTY
+
+
+@cached_njit(error_model="numpy")
+def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float) -> None:
+    """Fuse position and heading of a fix; no height while it disagrees with the sonar."""
+    k, worst, at = R_FIX, 0.0, 0.0
+    down = True
+    for i in range(4):
+        _fix_h_row(m, i)
+        nu = _fix_innovation(m, z, i, ahead)
+        ratio = innovation_ratio(m, nu, _fix_variance(m, s, i))
+        if abs(ratio) > INNOVATION_GATE and m.is_heading_aligned != 0 and m.flight_phase < PHASE_LIGHT:
+            ratio = _widen_fix_bias(m, s, i, nu, ratio)
+        if i == 2:
+            down = _fix_height_consistent(m, s, nu, ratio)
+            if not down:
+                continue
+        elif m.is_heading_aligned == 0 and abs(ratio) > INNOVATION_GATE:
+            # The place of the start is unknown: the first fix gives it.
+            inflate_variance(m.u_transposed, m.d, EX_POS + i if i < 3 else EX_ATT + 2, nu * nu, m.f)
+            ratio = innovation_ratio(m, nu, _fix_variance(m, s, i))
+        m.fix_ratio[i] = ratio
+        if abs(ratio) > abs(worst):
+            worst, at = ratio, nu
+            m.fix_component = i
+    log_innovation(m, k, at, worst)
+    # Growing ratios of one sign show that the filter diverges, not that the fix jumps. Without a rotor model the
+    # variances are a guess, and the filter would follow a record with wrong axes from fix to fix.
+    settled = (m.tick - m.grounded_tick) * s.dt > SETTLING_TIME_S
+    lasting = settled and _largest_mean_ratio(m) > LASTING_RATIO
+    led = (
+        s.has_rotor_model > 0
+        and lasting
+        and m.fix_ratio_lp > DIVERGENCE_MEAN_SQUARE
+        and INNOVATION_GATE < abs(worst) < 2.0 * INNOVATION_GATE
+    )
+    if abs(worst) > INNOVATION_GATE and not led:
+        # A height off the sonar's accuses neither of the two.
+        apart = _is_height_alone_off(m) and m.status[R_SONAR] == STATUS_FUSED
+        why = REASON_HEIGHT_CONFLICT if apart else REASON_INNOVATION
+        near = 2.0 * s.sensor_period[k] + 8 * math.sqrt(_fix_variance(m, s, 0)) + 0.05
+        reject_measurement(m, s, k, at, z, 3, near, why)
+        _clear_attitude_evidence(m)
+        if not reset_timeout_expired(m, s, k):
+            return
+        # What other sensors hold is not given up: the fix is off there.
+        held = m.status[R_SONAR] == STATUS_FUSED, m.status[R_RING] == STATUS_FUSED
+        for i in range(3):
+            nu = _fix_innovation(m, z, i, ahead)
+            if held[0] if i == 2 else held[1]:
+                inflate_variance(m.u_transposed, m.d, EX_FIX_BIAS + i, nu * nu, m.f)
+            else:
+                inflate_variance(m.u_transposed, m.d, EX_POS + i, nu * nu, m.f)
+                inflate_variance(m.u_transposed, m.d, EX_VEL + i, 0.01 + 0.1 * nu * nu, m.f)
+        nu = _fix_innovation(m, z, 3, ahead)
+        inflate_variance(m.u_transposed, m.d, EX_ATT + 2, nu * nu, m.f)
+        nu = at
+        set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu)
+        _clear_attitude_evidence(m)
+    # Large ratios of one sign show an unmodelled error of the filter, for example drifting gyroscopes.
+    m.fix_ratio_lp += 0.15 * (worst * worst - m.fix_ratio_lp)
+    for i in range(4):
+        if i != 2 or down:
+            _estimate_fix_noise(m, i)
+    out = max(_fix_bias_ratio(m, s, 0), _fix_bias_ratio(m, s, 1), _fix_bias_ratio(m, s, 3))
+    if led or (lasting and m.fix_ratio_lp > FIX_MEAN_SQUARE_GATE) or (out > 1.0 and settled):
+        reset_on_divergence(m, s)
+        set_fault(m, s, k, STATUS_FUSED, REASON_FUSED_THOUGH_OFFSET, at)
+    for i in range(4):
+        if i == 2 and not down:
+            continue
+        _fix_h_row(m, i)
+        fuse_scalar(m, _fix_innovation(m, z, i, ahead), _fix_variance(m, s, i))
+    for i in range(3):
+        most = GYRO_BIAS_RANGE_SIGMAS * s.initial_sigma[EX_GYRO_BIAS + i] + 2.0 * m.sigma_output[EX_GYRO_BIAS + i]
+        if abs(m.leak_origin[i]) > most and m.status[R_RATES] == STATUS_FUSED and down:
+            set_fault(m, s, R_RATES, STATUS_REJECTED, REASON_LARGE_BIAS, m.leak_origin[i])
+    mark_fused(m, k)
+    if not down:
+        set_fault(m, s, k, STATUS_FAULTY, REASON_HEIGHT_CONFLICT, m.fix_height_gap)
+    m.is_heading_aligned = 1
+
+
+@cached_njit(error_model="numpy")
+def predict_fix_bias(m: FilterMemory, s: FilterSettings) -> None:
+    """Predict the bias of the fix to the horizon; N and E over the same time."""
+    for k in range(EX_FIX_BIAS, EX_FIX_HEADING + 1):
+        keep, by = 1.0, s.decay[k]
+        blocks = (m.horizon_tick - m.fix_bias_tick) // s.block_ticks
+        while blocks > 0:
+            if blocks % 2 == 1:
+                keep *= by
+            by *= by
+            blocks //= 2
+        m.x[k + 1] *= keep
+        q = _fix_bias_variance(m, s, k - EX_FIX_BIAS) * (1.0 - keep * keep)
+        if q > 0.0:
+            gauss_markov_update(m.u_transposed, m.d, k, keep, q, m.f)
+    m.fix_bias_tick = m.horizon_tick

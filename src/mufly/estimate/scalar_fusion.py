@@ -1,0 +1,145 @@
+"""Fusion of one scalar measurement: its row H, its gate, its rejection, and the estimate of its noise.
+
+A scalar measurement z = h(x) + n has an innovation of variance S = H P H^T + r. The row H holds few states; ``m.h``
+keeps their numbers and slopes. A correction applies to the state at the horizon and to those propagated from it.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mufly.estimate.filter_records import (
+    ERROR_STATE_COUNT,
+    EX_ATT,
+    EX_POS,
+    EX_VEL,
+    R_SONAR,
+    SX_POS,
+    SX_VEL,
+    FilterMemory,
+    FilterSettings,
+)
+from mufly.estimate.sensor_checks import mark_rejected
+from mufly.estimate.strapdown import rotate_attitude
+from mufly.estimate.ud_filter import innovation_variance, ud_measurement_update
+from mufly.numba_cache import cached_njit
+
+_Array = NDArray[np.float64]
+
+INNOVATION_GATE = 5.0
+"""Gate in standard deviations: one healthy reading in two million is rejected."""
+RESET_TIMEOUT_S = 1.0
+"""Time over which rejected readings agree with each other before the filter is reset to them (s)."""
+NOISE_GAIN_PLACE, NOISE_GAIN_HEADING, NOISE_GAIN_AID = 0.004, 0.008, 0.03
+"""Gain of the estimated variances of a fix, per component of a fix, and of another aid, per reading."""
+MAX_SQUARED_RATIO, MAX_RATIO_PRODUCT = 9.0, 3.0
+"""A larger squared innovation ratio, or product of two, counts as this."""
+MIN_NOISE_SCALE, MAX_NOISE_SCALE = 0.25, 25.0
+"""Bounds of the estimated variances over those of the file."""
+
+
+@cached_njit(error_model="numpy")
+def h_row_begin(m: FilterMemory, i: int, h: float) -> None:
+    """Begin the row H of a measurement with ``h`` times error state ``i``."""
+    m.h_terms = 1
+    m.h_state[0] = i
+    m.h[0] = h
+
+
+@cached_njit(error_model="numpy")
+def h_row_add(m: FilterMemory, i: int, h: float) -> None:
+    """Add ``h`` times error state ``i`` to the row H."""
+    m.h_state[m.h_terms] = i
+    m.h[m.h_terms] = h
+    m.h_terms += 1
+
+
+@cached_njit(error_model="numpy")
+def _shift_state(x: _Array, by: _Array, span: float, push: _Array) -> None:
+    """Add an error to a state, propagated over ``span`` (s), in which ``push`` (3,) was added to the velocity without
+    gravity."""
+    v_x = by[EX_VEL] + (by[EX_ATT + 1] * push[2] - by[EX_ATT + 2] * push[1] if span > 0.0 else 0.0)
+    v_y = by[EX_VEL + 1] + (by[EX_ATT + 2] * push[0] - by[EX_ATT] * push[2] if span > 0.0 else 0.0)
+    v_z = by[EX_VEL + 2] + (by[EX_ATT] * push[1] - by[EX_ATT + 1] * push[0] if span > 0.0 else 0.0)
+    x[SX_POS] += by[EX_POS] + 0.5 * span * (by[EX_VEL] + v_x)
+    x[SX_POS + 1] += by[EX_POS + 1] + 0.5 * span * (by[EX_VEL + 1] + v_y)
+    x[SX_POS + 2] += by[EX_POS + 2] + 0.5 * span * (by[EX_VEL + 2] + v_z)
+    x[SX_VEL] += v_x
+    x[SX_VEL + 1] += v_y
+    x[SX_VEL + 2] += v_z
+    rotate_attitude(x, by[EX_ATT], by[EX_ATT + 1], by[EX_ATT + 2], False)
+    for i in range(9, ERROR_STATE_COUNT):
+        x[i + 1] += by[i]
+
+
+@cached_njit(error_model="numpy")
+def apply_correction(m: FilterMemory, innovation: float, r: float) -> None:
+    """Fuse a scalar measurement whose ``m.f`` is known; correct the horizon's state and those propagated from it."""
+    ud_measurement_update(m.u_transposed, m.d, m.f, r, m.gain)
+    for i in range(ERROR_STATE_COUNT):
+        m.gain[i] *= innovation
+    _shift_state(m.x, m.gain, 0.0, m.repropagating_velocity_gain)
+    _shift_state(m.x_repropagating, m.gain, m.repropagating_span, m.repropagating_velocity_gain)
+    _shift_state(m.x_now, m.gain, m.now_span, m.now_velocity_gain)
+
+
+@cached_njit(error_model="numpy")
+def fuse_scalar(m: FilterMemory, innovation: float, r: float) -> None:
+    """Fuse a scalar measurement of variance ``r`` without a gate; its row is in ``m.h``."""
+    innovation_variance(m.u_transposed, m.d, m.h_state, m.h, m.h_terms, m.f)
+    apply_correction(m, innovation, r)
+
+
+@cached_njit(error_model="numpy")
+def innovation_ratio(m: FilterMemory, innovation: float, r: float) -> float:
+    """Return the innovation over its standard deviation."""
+    return innovation / math.sqrt(innovation_variance(m.u_transposed, m.d, m.h_state, m.h, m.h_terms, m.f) + r)
+
+
+@cached_njit(error_model="numpy")
+def log_innovation(m: FilterMemory, k: int, innovation: float, ratio: float) -> None:
+    """Record innovation and standard deviation of a sensor."""
+    m.innovation[k] = innovation
+    m.innovation_sigma[k] = abs(innovation / ratio) if ratio != 0.0 else 0.0
+
+
+@cached_njit(error_model="numpy")
+def reject_measurement(
+    m: FilterMemory, s: FilterSettings, k: int, innovation: float, z: _Array, count: int, near: float, why: int
+) -> None:
+    """Reject a reading for reason ``why``; count in ``m.agree_count`` whether it agrees with the last rejected one."""
+    alike = m.reject_count[k] > 0
+    for j in range(count):
+        alike = alike and abs(z[j] - m.rejected_value[k, j]) < near
+        m.rejected_value[k, j] = z[j]
+    if alike:
+        m.agree_count[k] += 1
+    else:
+        m.agree_count[k] = 0
+        m.reject_since_tick[k] = m.horizon_tick
+    if k != R_SONAR and abs(innovation) > 2.0 * INNOVATION_GATE * m.innovation_sigma[k]:
+        m.reject_score[k] += 1.0  # by so much nothing healthy is off, but for a sonar that hears a second surface
+    mark_rejected(m, s, k, why, innovation)
+
+
+@cached_njit(error_model="numpy")
+def reset_timeout_expired(m: FilterMemory, s: FilterSettings, k: int) -> bool:
+    """Return whether rejected readings have agreed with each other for :data:`RESET_TIMEOUT_S`."""
+    return m.agree_count[k] >= 3 and (m.horizon_tick - m.reject_since_tick[k]) * s.dt >= RESET_TIMEOUT_S
+
+
+@cached_njit(error_model="numpy")
+def scale_variance(scale: _Array, aid: int, gain: float, change: float) -> None:
+    """Change an estimated variance by ``gain * change`` within its bounds.
+
+    Changes in both directions count in full: a limit on one of them alone would bias the estimate."""
+    scale[aid] = max(min(scale[aid] * (1.0 + gain * change), MAX_NOISE_SCALE), MIN_NOISE_SCALE)
+
+
+@cached_njit(error_model="numpy")
+def estimate_noise(m: FilterMemory, aid: int, ratio: float) -> None:
+    """Estimate the noise of an aid that measures one component from its innovation ratio."""
+    scale_variance(m.noise_scale, aid, NOISE_GAIN_AID, min(ratio * ratio, MAX_SQUARED_RATIO) - 1.0)
