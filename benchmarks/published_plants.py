@@ -12,7 +12,7 @@ weights, B1 is the identity, and z holds the states with the inputs added to the
 
 Published norms: HIFOO and hinfstruct as tabled by D. Arzelier, E. Gryazina, D. Peaucelle and B. Polyak, "Mixed
 LMI/randomized methods for static output feedback control design", American Control Conference 2010, the better of the
-two. They are quoted without access to the paper; where two values were remembered, the smaller one stands here.
+two. The quotations are not checked against the paper; of two values the smaller one stands here.
 
 Starts: gains from a normal distribution, made stabilising by descent of the largest real part of the poles. The tuning
 descends from the best of them.
