@@ -75,9 +75,9 @@ class ArithmeticBuild:
 
 CORTEX_M4_FLAGS = (
     "-mcpu=cortex-m4", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16",
-    "-Os", "-fno-move-loop-invariants", "-fno-schedule-insns2",
+    "-Os", "-fno-move-loop-invariants", "-fno-schedule-insns2", "-fno-expensive-optimizations", "-fno-reorder-blocks",
 )  # fmt: skip
-"""Target and optimisation: without these two passes, GCC's code takes 0.6 % less flash."""
+"""Target and optimisation: without these four passes, GCC's code takes 1.8 % less flash and no more instructions."""
 SPEED_OPTIMISED_SOURCES = ("linear.c",)
 """Sources built with ``-O2``, which saves instructions there. Elsewhere ``-Os`` needs no more, in 80 % of the flash."""
 SINGLE_PRECISION_BUILD = ArithmeticBuild(
