@@ -337,7 +337,7 @@ class FilterSettings:
     pressure_slope: float = _real("pressure over the height down", unit="Pa/m")
     pressure_thrust: _Array = _real("pressure over the square of the rotor speed: upper, lower", 2)
     mag_heading_variance: float = _real("variance of the magnetic heading", unit="rad2")
-    mag_field_variance: float = _real("variance of the field along an axis in a climb", unit="T2")
+    mag_field_variance: float = _real("variance of the field along an axis in hover", unit="T2")
     earth_field: _Array = _real("field of the earth N, E, D", 3, unit="T")
     rotor_speed_gain: float = _real("gain of the rotor speed's filter")
     motor_error_gain: float = _real("gain of the motors' error", unit="1/s")
@@ -367,7 +367,6 @@ WIND_SIGMA_AND_TIME = (0.5, 10.0)
 MOTOR_SPEED_NOISE = 1e-3  # what the motors' equations miss between two readings of the speed, of the hover speed
 EARTH_FIELD_ERROR = 0.02  # of a place, over its strength: the file names a city
 HOVER_CURRENT_A = 2.0  # of both motors in a hover (A)
-CLIMB_OVER_HOVER_CURRENT = 1.5  # at a thrust of 1.3 times the weight: power grows as thrust to the power 1.5
 TERRAIN_EDGE_S, MAX_FLOOR_HEIGHT, FLOOR_SETTLED_SIGMA = 3.0, 0.05, 0.01
 """An edge in the sonar's cone counts for this long (s) where it is not flown over sooner; what is lower is the floor
 (m), and known to be once its height is uncertain by more than the last (m)."""
@@ -525,10 +524,7 @@ def filter_settings(
         s["mag_heading_variance"] = (math.hypot(float(compass.noise), swing) / field) ** 2
         current = float(vehicle.battery.electronics_current) + HOVER_CURRENT_A
         wrong = math.hypot(float(compass.distortion), float(compass.hard_iron), float(compass.motor_field) * current)
-        climbing = float(compass.motor_field) * CLIMB_OVER_HOVER_CURRENT * current
-        place = EARTH_FIELD_ERROR * float(compass.field)
-        parts = float(compass.distortion), float(compass.hard_iron), climbing, float(compass.noise), place
-        s["mag_field_variance"] = math.hypot(*parts) ** 2
+        s["mag_field_variance"] = wrong**2 + float(compass.noise) ** 2 + (EARTH_FIELD_ERROR * float(compass.field)) ** 2
         sigma[EX_MAG_BIAS], tau[EX_MAG_BIAS] = min(wrong / field, 2.0), float(compass.distortion_length) / 0.3
         bound[R_MAGNET] = 1e-3
     if (rotor := sensing.rotor_speed) is not None:
