@@ -1,7 +1,7 @@
 """Weighted sums of rows of a table (:mod:`mufly.rotor.forward.row_sums`) for eight vehicles in lanes.
 
 Each vehicle reads rows of its own table. A row is summed in vector registers, vehicle by vehicle, and the sums are then
-put into lanes. That takes a tenth of the loads of a gather of each number.
+put into lanes. That takes a quarter of the loads of a gather of each number.
 """
 
 # mypy: disable-error-code="no-untyped-def"

@@ -5,6 +5,9 @@ vector register, in the same order, so that both give the same bits. :mod:`mufly
 for lanes of vehicles. The sources here are what is translated to C and to symbols.
 """
 
+# mypy: disable-error-code="no-untyped-def"
+# Numba's interface for typed functions has no annotations.
+
 from __future__ import annotations
 
 from collections.abc import Iterable
@@ -153,27 +156,27 @@ _rate_form = _make_intrinsic(RATE_COLUMNS, "ifff", emit_rate_sum)
 
 
 @_intrinsic
-def _sum_flow(context, table, first, later, stride, ca, cb, cc, cd, ce, ea, eb, ec):  # type: ignore[no-untyped-def]
+def _sum_flow(context, table, first, later, stride, ca, cb, cc, cd, ce, ea, eb, ec):
     return _flow_form(table)
 
 
 @_intrinsic
-def _sum_rates(context, table, first, ea, eb, ec):  # type: ignore[no-untyped-def]
+def _sum_rates(context, table, first, ea, eb, ec):
     return _rate_form(table)
 
 
 # Numba compares the names of the arguments, and takes an annotation for a part of the name.
 @_overload(sum_flow_rows)
-def _choose_flow_form(table, first, later, stride, ca, cb, cc, cd, ce, ea, eb, ec):  # type: ignore[no-untyped-def]
-    def in_vectors(table, first, later, stride, ca, cb, cc, cd, ce, ea, eb, ec):  # type: ignore[no-untyped-def]
+def _choose_flow_form(table, first, later, stride, ca, cb, cc, cd, ce, ea, eb, ec):
+    def in_vectors(table, first, later, stride, ca, cb, cc, cd, ce, ea, eb, ec):
         return _sum_flow(table, first, later, stride, ca, cb, cc, cd, ce, ea, eb, ec)
 
     return in_vectors
 
 
 @_overload(sum_rate_rows)
-def _choose_rate_form(table, first, ea, eb, ec):  # type: ignore[no-untyped-def]
-    def in_vectors(table, first, ea, eb, ec):  # type: ignore[no-untyped-def]
+def _choose_rate_form(table, first, ea, eb, ec):
+    def in_vectors(table, first, ea, eb, ec):
         return _sum_rates(table, first, ea, eb, ec)
 
     return in_vectors
