@@ -76,7 +76,7 @@ def missing_fuzzer_tools() -> str:
     return ""
 
 
-def fuzz_firmware(vehicle: Vehicle, *, seconds: float, seed: int = 1) -> FuzzResult:
+def fuzz_firmware(vehicle: Vehicle, *, seconds: float, seed: int = 1, link_only: bool = False) -> FuzzResult:
     """Fuzz the exported code of a vehicle.
 
     Parameters
@@ -86,6 +86,8 @@ def fuzz_firmware(vehicle: Vehicle, *, seconds: float, seed: int = 1) -> FuzzRes
         Duration (s).
     seed : int
         Seed of the fuzzer.
+    link_only : bool
+        Fuzz only the board with its link: bytes of UART and receiver, contents of flash.
 
     Raises
     ------
@@ -101,10 +103,10 @@ def fuzz_firmware(vehicle: Vehicle, *, seconds: float, seed: int = 1) -> FuzzRes
         mission = load_mission("demonstration")
         export_firmware(controller, folder, vehicle, mission.world, mission)
         export_fixed_point(controller, folder)
-        return run_fuzzer(folder, seconds=seconds, seed=seed)
+        return run_fuzzer(folder, seconds=seconds, seed=seed, link_only=link_only)
 
 
-def run_fuzzer(folder: Path, *, seconds: float, seed: int = 1) -> FuzzResult:
+def run_fuzzer(folder: Path, *, seconds: float, seed: int = 1, link_only: bool = False) -> FuzzResult:
     """Build and run the harness with the parts present in an exported tree; store new inputs in its ``corpus/``."""
     (folder / "corpus").mkdir(exist_ok=True)
     there = {
@@ -119,13 +121,16 @@ def run_fuzzer(folder: Path, *, seconds: float, seed: int = 1) -> FuzzResult:
         "estimator": "-DFUZZ_ESTIMATE",
         "link": "-DFUZZ_LINK",
     }
+    if link_only:
+        there = dict.fromkeys(there, False) | {"link": there["link"]}
     flags = ["clang", *_FUZZER_FLAGS, *(flag for part, flag in define.items() if there[part])]
+    flags += ["-DFUZZ_ONLY=fuzz_link"] if link_only else []
     objects = []
     parts = (folder / "boards" / "board.c", *folder.glob("check/*_model.c"))
     board = (*folder.glob("onboard/*/*.c"), *parts) if there["link"] else ()
     for source in sorted((*folder.glob("*.c"), *folder.glob("fixed/*.c"), *board, folder / "check" / "fuzz.c")):
         made = source.with_suffix(".fuzz.o")
-        if not made.exists() or made.stat().st_mtime_ns < source.stat().st_mtime_ns:
+        if source.stem == "fuzz" or not made.exists() or made.stat().st_mtime_ns < source.stat().st_mtime_ns:
             run_compiler([*flags, "-c", str(source), "-o", str(made)], folder)
         objects.append(str(made))
     run_compiler([*flags, *objects, "-o", "fuzz", "-lm"], folder)

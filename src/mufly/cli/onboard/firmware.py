@@ -468,6 +468,7 @@ def fuzz(
         float, define_option("--minutes", "Duration of the run.", unit="min", min=0.01, max=6000.0)
     ] = 10.0,
     seed: SeedOption = 1,
+    link_only: Annotated[bool, define_option("--link-only", "Fuzz only link, receiver and flash of a board.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Fuzz the exported code: random bytes as readings, estimates and commands, with clang's sanitizers on.
@@ -478,7 +479,7 @@ def fuzz(
     from mufly.firmware import fuzz_firmware as feed
     from mufly.vehicle import load_vehicle
 
-    result = feed(load_vehicle(vehicle), seconds=60.0 * minutes, seed=seed)
+    result = feed(load_vehicle(vehicle), seconds=60.0 * minutes, seed=seed, link_only=link_only)
 
     def print_result() -> None:
         print_lines(f"Fed: {', '.join(result.parts)}. {result.runs} inputs, {result.covered} code locations reached.")

@@ -41,9 +41,17 @@ void link_start(link_t *k)
     static const link_t none;
 
     *k = none;
+    for (int32_t i = 0; i < LINK_STREAMS; i++) {
+        k->due_s[i] = (real_t)i / (real_t)mufly_rate_Hz; /* a period apart, here and in all that follow */
+    }
 }
 
 /* Output */
+
+static int32_t next_output(int32_t place)
+{
+    return ((place + 1) < LINK_OUTPUT) ? (place + 1) : 0;
+}
 
 static bool send_message(link_t *k, mavlink_message_t *m)
 {
@@ -56,8 +64,11 @@ static bool send_message(link_t *k, mavlink_message_t *m)
     length = mavlink_encode(m, k->sequence, frame);
     fits = (k->output_count + length) <= LINK_OUTPUT;
     if (fits) {
+        int32_t to = (k->output_first + k->output_count) % LINK_OUTPUT;
+
         for (int32_t i = 0; i < length; i++) {
-            k->output[((k->output_first + k->output_count) + i) % LINK_OUTPUT] = frame[i];
+            k->output[to] = frame[i];
+            to = next_output(to);
         }
         k->output_count += length;
         k->sequence = (uint8_t)((k->sequence + 1U) & 0xFFU);
@@ -70,9 +81,11 @@ static bool send_message(link_t *k, mavlink_message_t *m)
 int32_t link_waiting(const link_t *k, uint8_t *to, int32_t most)
 {
     const int32_t count = (k->output_count < most) ? k->output_count : most;
+    int32_t from = k->output_first;
 
     for (int32_t i = 0; i < count; i++) {
-        to[i] = k->output[(k->output_first + i) % LINK_OUTPUT];
+        to[i] = k->output[from];
+        from = next_output(from);
     }
     return count;
 }
@@ -481,6 +494,7 @@ static void send_item(link_t *k, const link_vehicle_t *v, const mavlink_message_
         mavlink_put(&m, 32, 1, to->system);
         mavlink_put(&m, 33, 1, to->component);
         mavlink_put(&m, 34, 1, FRAME_LOCAL_NED);
+        mavlink_put(&m, 35, 1, (which == 0) ? 1U : 0U); /* the item that a start begins with */
         mavlink_put(&m, 36, 1, 1U);
         (void)send_message(k, &m);
     } else {
@@ -938,8 +952,8 @@ static void handle_message(link_t *k, const link_vehicle_t *v, const mavlink_mes
     }
 }
 
-/* Send the text of one of these bits, and clear it: one text a period. */
-static void send_one_fault(link_t *k, uint32_t *faults, const char *const words[], uint32_t count)
+/* Send the text of one of these bits, and clear it; return whether there was one. */
+static bool send_one_fault(link_t *k, uint32_t *faults, const char *const words[], uint32_t count)
 {
     bool sent = false;
 
@@ -950,9 +964,10 @@ static void send_one_fault(link_t *k, uint32_t *faults, const char *const words[
             *faults &= ~((uint32_t)1U << i);
         }
     }
+    return sent;
 }
 
-static void send_arming_faults(link_t *k, const link_vehicle_t *v)
+static bool send_arming_fault(link_t *k, const link_vehicle_t *v)
 {
     static const char *const words[9] = {
         "position, velocity, attitude, rates not measured", "measurements are old; check the sensors",
@@ -966,11 +981,21 @@ static void send_arming_faults(link_t *k, const link_vehicle_t *v)
         k->tells_faults = false;
         k->untold_faults = v->supervisor->arming_faults;
     }
-    send_one_fault(k, &k->untold_faults, words, 9U);
+    return send_one_fault(k, &k->untold_faults, words, 9U);
 }
 
-/* Store what was set in flight; report the faults of settings and log to the first station. */
-static void step_settings(link_t *k, const link_vehicle_t *v)
+/* Store what was set in flight. */
+static void step_settings(const link_vehicle_t *v)
+{
+    if (settings_are_due(v->settings) && may_load(v)) {
+        const tunables_t t = tunables_of(v);
+
+        (void)settings_store(v->settings, &t);
+    }
+}
+
+/* Report a fault of settings or log, once a station is there. */
+static bool send_storage_fault(link_t *k, const link_vehicle_t *v)
 {
     static const char *const words[4] = {
         "not stored: the flash is worn or full", "stored settings of another version, not used",
@@ -980,34 +1005,68 @@ static void step_settings(link_t *k, const link_vehicle_t *v)
         "log full: this flight is recorded no further", "log: the device fails; nothing is recorded",
         "log: blocks of the device are worn",
     };
-    settings_t *s = v->settings;
+    bool sent = false;
 
-    if (settings_are_due(s) && may_load(v)) {
-        const tunables_t t = tunables_of(v);
-
-        (void)settings_store(s, &t);
-    }
     if (k->is_heard) {
-        send_one_fault(k, &s->faults, words, 4U);
-        send_one_fault(k, v->log_faults, log_words, 3U);
+        sent = send_one_fault(k, &v->settings->faults, words, 4U);
+        if (!sent) {
+            sent = send_one_fault(k, v->log_faults, log_words, 3U);
+        }
     }
+    return sent;
 }
 
-static void send_log(link_t *k, const link_vehicle_t *v)
+/* One entry of the mission's log, where there is room. */
+static bool send_log_entry(link_t *k, const link_vehicle_t *v)
 {
     static const uint8_t severity[3] = {6U, 4U, 3U};
     const mission_t *x = &v->software->mission;
     char text[TEXT_LENGTH];
+    bool sends;
 
     if ((x->logged_count - k->told) > MISSION_LOG) {
         k->told = x->logged_count - MISSION_LOG;
     }
-    if ((k->told < x->logged_count) && (k->output_count < (LINK_OUTPUT / 2))) { /* one a period, where there is room */
+    sends = (k->told < x->logged_count) && (k->output_count < (LINK_OUTPUT / 2));
+    if (sends) {
         const log_entry_t *e = &x->log[k->told % MISSION_LOG];
         const int32_t length = write_message_text(&e->message, text);
 
         send_text(k, text, length, severity[((e->level >= 0) && (e->level < 3)) ? e->level : 0]);
         k->told++;
+    }
+    return sends;
+}
+
+static bool send_listed_parameter(link_t *k, const link_vehicle_t *v)
+{
+    const bool sends = k->lists && (k->output_count < (LINK_OUTPUT / 2));
+
+    if (sends) {
+        send_parameter(k, v, k->listed);
+        k->listed++;
+        k->lists = k->listed < (int32_t)PARAMETERS;
+    }
+    return sends;
+}
+
+static void send_stream(link_t *k, const link_vehicle_t *v)
+{
+    const real_t now_s = v->supervisor->now_s;
+    bool sent = false;
+
+    for (int32_t i = 0; (i < LINK_STREAMS) && !sent; i++) {
+        sent = k->once[i] || (now_s >= k->due_s[i]);
+        if (sent) {
+            mavlink_message_t m;
+
+            make_stream(v, i, &m);
+            (void)send_message(k, &m);
+            if (now_s >= k->due_s[i]) {
+                k->due_s[i] = real_max(k->due_s[i] + streams[i].interval_s, now_s);
+            }
+            k->once[i] = false;
+        }
     }
 }
 
@@ -1015,14 +1074,13 @@ void link_step(link_t *k, const link_vehicle_t *v)
 {
     const real_t now_s = v->supervisor->now_s;
     mavlink_message_t m;
-    int32_t sent = 0;
+    bool sent;
 
     for (int32_t i = 0; i < k->input_count; i++) {
         if (mavlink_parse(&k->parser, k->input[i], &m)) {
             handle_message(k, v, &m);
         }
     }
-    send_arming_faults(k, v);
     if (k->loads && ((now_s - k->load_begun_s) > LOAD_TIMEOUT_S)) {
         k->loads = false;
     } else if (k->loads && ((now_s - k->load_asked_s) > LOAD_RETRY_S)) {
@@ -1030,22 +1088,19 @@ void link_step(link_t *k, const link_vehicle_t *v)
     } else {
         /* nothing is late */
     }
-    if (k->lists && (k->output_count < (LINK_OUTPUT / 2))) {
-        send_parameter(k, v, k->listed);
-        k->listed++;
-        k->lists = k->listed < (int32_t)PARAMETERS;
+    step_settings(v);
+    /* At most one message a period, besides answers: that bounds its length. */
+    sent = send_arming_fault(k, v);
+    if (!sent) {
+        sent = send_storage_fault(k, v);
     }
-    step_settings(k, v);
-    send_log(k, v);
-    for (int32_t i = 0; (i < LINK_STREAMS) && (sent < 2); i++) {
-        if (k->once[i] || (now_s >= k->due_s[i])) {
-            make_stream(v, i, &m);
-            (void)send_message(k, &m);
-            if (now_s >= k->due_s[i]) {
-                k->due_s[i] = real_max(k->due_s[i] + streams[i].interval_s, now_s);
-            }
-            k->once[i] = false;
-            sent++;
-        }
+    if (!sent) {
+        sent = send_listed_parameter(k, v);
+    }
+    if (!sent) {
+        sent = send_log_entry(k, v);
+    }
+    if (!sent) {
+        send_stream(k, v);
     }
 }

@@ -33,23 +33,18 @@ static int32_t find_extra(uint32_t message)
     return extra;
 }
 
-/* CRC-16/MCRF4XX, one byte. */
-static uint32_t add_to_crc(uint32_t crc, uint8_t byte)
-{
-    uint32_t t = (uint32_t)byte ^ (crc & 0xFFU);
-
-    t = (t ^ (t << 4U)) & 0xFFU;
-    return ((crc >> 8U) ^ (t << 8U) ^ (t << 3U) ^ (t >> 4U)) & 0xFFFFU;
-}
-
+/* CRC-16/MCRF4XX of a frame and of the byte extra after it. */
 static uint32_t compute_crc(const uint8_t frame[MAVLINK_FRAME], int32_t count, uint8_t extra)
 {
     uint32_t crc = 0xFFFFU;
 
-    for (int32_t i = 1; i < count; i++) {
-        crc = add_to_crc(crc, frame[i]);
+    for (int32_t i = 1; i <= count; i++) {
+        uint32_t t = (uint32_t)((i < count) ? frame[i] : extra) ^ (crc & 0xFFU);
+
+        t = (t ^ (t << 4U)) & 0xFFU;
+        crc = (crc >> 8U) ^ (t << 8U) ^ (t << 3U) ^ (t >> 4U);
     }
-    return add_to_crc(crc, extra);
+    return crc;
 }
 
 static bool read_frame(mavlink_parser_t *p, mavlink_message_t *out)
@@ -65,10 +60,13 @@ static bool read_frame(mavlink_parser_t *p, mavlink_message_t *out)
         p->bad_count += good ? 0U : 1U;
     }
     if (good) {
-        mavlink_begin(out, message, length);
+        const int32_t held = (length < MAVLINK_PAYLOAD) ? length : MAVLINK_PAYLOAD;
+
+        mavlink_begin(out, message, MAVLINK_PAYLOAD);
+        out->length = held;
         out->system = p->frame[5];
         out->component = p->frame[6];
-        for (int32_t i = 0; i < length; i++) {
+        for (int32_t i = 0; i < held; i++) {
             out->payload[i] = p->frame[HEADER + i];
         }
     }
@@ -127,7 +125,7 @@ void mavlink_begin(mavlink_message_t *m, uint32_t message, int32_t length)
     m->component = 1U;
     m->message = message;
     m->length = length;
-    for (int32_t i = 0; i < MAVLINK_PAYLOAD; i++) {
+    for (int32_t i = 0; i < length; i++) {
         m->payload[i] = 0U;
     }
 }

@@ -6,7 +6,7 @@
 
 #include "real.h"
 
-#define MAVLINK_PAYLOAD 255
+#define MAVLINK_PAYLOAD 64 /* bytes of a message that are kept: more than any message below has */
 #define MAVLINK_FRAME 280 /* largest frame, without a signature */
 
 #define MSG_HEARTBEAT 0U
@@ -39,7 +39,7 @@ typedef struct {
     uint8_t system, component;
     uint32_t message;
     int32_t length;
-    uint8_t payload[MAVLINK_PAYLOAD]; /* zero beyond length */
+    uint8_t payload[MAVLINK_PAYLOAD]; /* of a received message zero beyond length */
 } mavlink_message_t;
 
 typedef struct {

@@ -8,7 +8,9 @@
 #define PATIENCE_S 2          /* without an answer for so long, the device has failed */
 #define FLUSHES_PER_S 4       /* after what is written; while more waits to be written, half as many */
 
-enum { IDLE, READS, WRITES, READS_BACK, FLUSHES };
+#define SUM_WORDS 64          /* of a block's checksum in one period: that bounds the period's length */
+
+enum { IDLE, READS, SUMS, WRITES, READS_BACK, FLUSHES };
 
 void block_log_start(block_log_t *l)
 {
@@ -118,19 +120,26 @@ static void close_buffer(block_log_t *l)
 bool block_log_append(block_log_t *l, const uint8_t bytes[], int32_t count, bool begins)
 {
     const bool fits = (l->state == (int32_t)BLOCK_LOG_WRITES) && (count < block_log_room(l));
+    int32_t taken = 0;
 
-    for (int32_t i = 0; fits && (i < count); i++) {
+    while (fits && (taken < count)) {
         uint32_t *buffer = l->buffers[filled_buffer(l)];
-        const uint32_t at = (uint32_t)l->fill;
+        const int32_t room = BLOCK_PAYLOAD - l->fill;
+        const int32_t part = ((count - taken) < room) ? (count - taken) : room;
 
         if (l->fill == 0) {
             clear_buffer(buffer);
         }
-        if (begins && (i == 0) && ((buffer[4] >> 16U) == BLOCK_NO_START)) {
-            buffer[4] = at << 16U;
+        if (begins && (taken == 0) && ((buffer[4] >> 16U) == BLOCK_NO_START)) {
+            buffer[4] = (uint32_t)l->fill << 16U;
         }
-        buffer[(uint32_t)BLOCK_HEADER + (at / 4U)] |= (uint32_t)bytes[i] << (8U * (at % 4U));
-        l->fill++;
+        for (int32_t i = 0; i < part; i++) {
+            const uint32_t at = (uint32_t)l->fill + (uint32_t)i;
+
+            buffer[(uint32_t)BLOCK_HEADER + (at / 4U)] |= (uint32_t)bytes[taken + i] << (8U * (at % 4U));
+        }
+        taken += part;
+        l->fill += part;
         if (l->fill == BLOCK_PAYLOAD) {
             close_buffer(l);
         }
@@ -193,16 +202,26 @@ static void conclude_operation(block_log_t *l, bool done)
     }
 }
 
-static void begin_write(block_log_t *l)
+/* A block takes two periods before its write: one each for half of its checksum. */
+static void begin_sum(block_log_t *l)
 {
     uint32_t *buffer = l->buffers[l->first];
 
     buffer[3] = l->sequence;
-    buffer[BLOCK_WORDS - 1] = storage_crc(buffer, BLOCK_WORDS - 1);
+    l->sum = storage_crc_on(0U, buffer, SUM_WORDS);
+    l->operation = (int32_t)SUMS;
+}
+
+static void begin_write(block_log_t *l)
+{
+    uint32_t *buffer = l->buffers[l->first];
+
+    buffer[BLOCK_WORDS - 1] = storage_crc_on(l->sum, &buffer[SUM_WORDS], (BLOCK_WORDS - 1) - SUM_WORDS);
     l->owes_flush = true;
     if (hal_block_write(l->place, buffer)) {
         l->operation = (int32_t)WRITES;
     } else {
+        l->operation = (int32_t)IDLE;
         conclude_block(l, false);
     }
 }
@@ -241,7 +260,7 @@ static void begin_operation(block_log_t *l)
     } else if (l->owes_flush && ((l->since_flush >= (2 * interval)) || (due && (l->full_count == 0)))) {
         begin_flush(l);
     } else if ((l->full_count > 0) && (l->state == (int32_t)BLOCK_LOG_WRITES)) {
-        begin_write(l);
+        begin_sum(l);
     } else {
         /* nothing to do */
     }
@@ -251,7 +270,9 @@ void block_log_step(block_log_t *l)
 {
     if ((l->state != (int32_t)BLOCK_LOG_ABSENT) && (l->state != (int32_t)BLOCK_LOG_FAILED)) {
         l->since_flush++;
-        if (l->operation != (int32_t)IDLE) {
+        if (l->operation == (int32_t)SUMS) {
+            begin_write(l);
+        } else if (l->operation != (int32_t)IDLE) {
             const int32_t now = hal_block_poll();
 
             l->waited++;
@@ -262,6 +283,8 @@ void block_log_step(block_log_t *l)
             } else {
                 /* wait */
             }
+        } else {
+            /* idle */
         }
         if ((l->operation == (int32_t)IDLE) && (l->state != (int32_t)BLOCK_LOG_FAILED)) {
             begin_operation(l);

@@ -42,6 +42,7 @@ typedef struct {
     int32_t used_places;      /* of the device, by this session */
     uint32_t buffers[BLOCK_BUFFERS][BLOCK_WORDS];
     uint32_t check[BLOCK_WORDS]; /* block that is read */
+    uint32_t sum;             /* checksum of the first half of the block to write */
     int32_t first, full_count;  /* full buffers, from the oldest */
     int32_t fill;             /* bytes in the buffer after them */
     int32_t since_flush;      /* periods */

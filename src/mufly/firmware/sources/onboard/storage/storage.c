@@ -2,9 +2,9 @@
 
 #include <stddef.h>
 
+#define CRC_START 0xFFFFFFFFU
 #define BLANK 0xFFFFFFFFU
 #define FILLER 0U
-#define CRC_START 0xFFFFFFFFU
 #define MOST_COUNT 0xFFFF
 #define ERASE_TRIES 2
 
@@ -63,14 +63,19 @@ static uint32_t add_to_crc(uint32_t crc, uint32_t word)
     return c;
 }
 
-uint32_t storage_crc(const uint32_t words[], int32_t count)
+uint32_t storage_crc_on(uint32_t before, const uint32_t words[], int32_t count)
 {
-    uint32_t crc = CRC_START;
+    uint32_t crc = ~before;
 
     for (int32_t i = 0; i < count; i++) {
         crc = add_to_crc(crc, words[i]);
     }
     return ~crc;
+}
+
+uint32_t storage_crc(const uint32_t words[], int32_t count)
+{
+    return storage_crc_on(0U, words, count);
 }
 
 /* Open */

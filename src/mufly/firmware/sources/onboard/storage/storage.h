@@ -47,4 +47,7 @@ int32_t storage_read(const storage_t *s, int32_t kind, uint32_t version, uint32_
 /* CRC-32 (IEEE 802.3) of words, as of their bytes in little-endian order. */
 uint32_t storage_crc(const uint32_t words[], int32_t count);
 
+/* The same, going on from the CRC-32 of the words before; 0: there are none. */
+uint32_t storage_crc_on(uint32_t before, const uint32_t words[], int32_t count);
+
 #endif
