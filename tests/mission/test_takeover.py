@@ -7,7 +7,7 @@ import pytest
 
 from mufly.estimate import Estimate
 from mufly.mission import MissionState, State
-from mufly.mission.state_machine import exit_manual
+from mufly.mission.external_control import exit_manual
 
 FLYING = MissionState(state=State.RC, motors="fly", has_taken_off=True, home_position=(0.0, 0.0, -0.07), manual=True)
 

@@ -145,7 +145,7 @@ def check(mission: _MissionArgument, vehicle: VehicleOption = "mufly-1.1", as_js
         print_lines(f"Read {m.description}.", style="dim")
     if len(m.waypoint) > MAX_WAYPOINTS:
         print_lines(
-            f"The exported firmware has room for {MAX_WAYPOINTS} waypoints: raise MISSION_WAYPOINTS in mission.h for "
-            "this mission.",
+            f"The exported firmware has room for {MAX_WAYPOINTS} waypoints: raise MISSION_WAYPOINTS in mission_state.h "
+            "for this mission.",
             style="yellow",
         )

@@ -52,7 +52,7 @@ def cffi_declarations(folder: Path, single: bool = False) -> str:
 
 def _make_room(folder: Path) -> None:
     """Give the sources in a folder room for :data:`HOST_MAX_WAYPOINTS` waypoints: memory is scarce on boards only."""
-    header = folder / "mission.h"
+    header = folder / "mission_state.h"
     board = f"#define MISSION_WAYPOINTS {MAX_WAYPOINTS} "
     text = header.read_text(encoding="utf-8")
     assert board in text

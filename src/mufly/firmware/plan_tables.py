@@ -22,7 +22,7 @@ from mufly.vehicle import Vehicle
 from mufly.version import __version__
 
 MAX_WAYPOINTS = 32
-"""Waypoints that the exported code has room for: ``MISSION_WAYPOINTS`` of ``mission.h``."""
+"""Waypoints that the exported code has room for: ``MISSION_WAYPOINTS`` of ``mission_state.h``."""
 HOST_MAX_WAYPOINTS = 1000
 """Waypoints that the code built on this machine has room for."""
 MAX_BEAMS = 64
@@ -51,7 +51,7 @@ def plan_numbers(plan: MissionPlan, max_waypoints: int = MAX_WAYPOINTS) -> dict[
             m.name,
             "waypoint",
             f"{len(m.waypoint)} are more than the {max_waypoints} that the exported code has room for",
-            "fly it in parts, or raise MISSION_WAYPOINTS in mission.h",
+            "fly it in parts, or raise MISSION_WAYPOINTS in mission_state.h",
         )
     count = len(plan.ring.cos)
     if count > MAX_BEAMS:

@@ -43,24 +43,15 @@ from mufly.mission.mission_schema import (
     limits_to_file_units,
 )
 from mufly.mission.mission_state import (
-    GO_AROUND_HEIGHT_M,
-    MOTORS_STOPPING,
     NO_COMMAND,
-    OFF_FLOOR_HEIGHT_M,
-    REQUEST_ACCEPTED,
     Command,
     MissionPlan,
     MissionState,
     Reference,
-    RequestAnswer,
     State,
-    VehicleRequest,
-    check_request,
-    deny_request,
     initial_mission_state,
     log_event,
     prepare_plan,
-    reject_temporarily,
 )
 from mufly.mission.mission_timing import (
     RAMP_DOWN_TIME_S,
@@ -71,14 +62,18 @@ from mufly.mission.mission_timing import (
     plan_legs,
 )
 from mufly.mission.offboard import MAX_HEIGHT_M, SetPoint, needs_lift_off, set_point_fault
-from mufly.mission.state_machine import (
-    pause_mission,
-    resume_mission,
-    step_mission,
-    stop_motors,
-    update_obstacle_map,
-    user_waypoint_fault,
+from mufly.mission.request_checks import (
+    GO_AROUND_HEIGHT_M,
+    MOTORS_STOPPING,
+    OFF_FLOOR_HEIGHT_M,
+    REQUEST_ACCEPTED,
+    RequestAnswer,
+    VehicleRequest,
+    check_request,
+    deny_request,
+    reject_temporarily,
 )
+from mufly.mission.state_machine import step_mission, update_obstacle_map
 from mufly.mission.trajectory import (
     CubicSpline,
     Trajectory,
@@ -87,6 +82,7 @@ from mufly.mission.trajectory import (
     plan_curved,
     plan_straight,
 )
+from mufly.mission.user_requests import pause_mission, resume_mission, stop_motors, user_waypoint_fault
 
 __all__ = [
     "FILE_ENDINGS",

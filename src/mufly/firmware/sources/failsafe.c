@@ -1,6 +1,6 @@
 #include "failsafe.h"
 
-#include "mission.h"
+#include "mission_state.h"
 
 #define SPIN_UP_VOLTAGE_SHARE REAL(0.9)
 #define MAX_DESCENT_M_S REAL(0.9)

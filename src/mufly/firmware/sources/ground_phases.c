@@ -1,7 +1,6 @@
 #include "ground_phases.h"
 
 #include "mission_reference.h"
-#include "mission_state.h"
 
 #define DESCENT_LAG_S REAL(0.15)
 #define NEAR_FLOOR_HEIGHT_M REAL(0.1)

@@ -1,6 +1,5 @@
 #include "mission_reference.h"
 
-#include "mission_state.h"
 
 #define NOSE_SWING_PERIOD_S REAL(4.0)
 #define NOSE_SWING_RATE_RAD_S (REAL(0x1.921fb54442d18p+2) / NOSE_SWING_PERIOD_S)

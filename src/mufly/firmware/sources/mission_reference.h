@@ -2,7 +2,7 @@
 #ifndef MUFLY_MISSION_REFERENCE_H
 #define MUFLY_MISSION_REFERENCE_H
 
-#include "mission.h"
+#include "mission_state.h"
 
 /* Reference at present, without the swing of the nose; and at the end of this step. */
 void current_reference(const mission_t *s, trajectory_point_t *out);

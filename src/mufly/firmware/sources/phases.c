@@ -4,7 +4,6 @@
 
 #include "ground_phases.h"
 #include "mission_reference.h"
-#include "mission_state.h"
 
 #define SETTLE_BEFORE_LANDING_S REAL(2.0)
 #define SETTLED_M REAL(0.002)

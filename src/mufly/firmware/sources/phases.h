@@ -2,7 +2,7 @@
 #ifndef MUFLY_PHASES_H
 #define MUFLY_PHASES_H
 
-#include "mission.h"
+#include "mission_state.h"
 
 /* Goal of a leg, set by the caller that starts it. */
 enum { LEG_TO_WAYPOINT, LEG_TO_USER_WAYPOINT, LEG_TO_HOME };

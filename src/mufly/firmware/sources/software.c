@@ -3,6 +3,9 @@
 #include <stddef.h>
 
 #include "failsafe.h"
+#include "ground_phases.h"
+#include "state_machine.h"
+#include "user_requests.h"
 
 #define MEASUREMENT_TIMEOUT_S REAL(0.5)
 #define MAX_MOTOR_STEP REAL(0.1)

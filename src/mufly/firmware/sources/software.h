@@ -5,7 +5,7 @@
 #define MUFLY_SOFTWARE_H
 
 #include "controllers.h"
-#include "mission.h"
+#include "mission_state.h"
 #include "watch.h"
 
 /* Constants of a flight. */

@@ -5,6 +5,7 @@
 #include "parameters.h"
 #include "rc.h"
 #include "text.h"
+#include "user_requests.h"
 
 #define VEHICLE_SYSTEM 1U
 #define VEHICLE_COMPONENT 1U

@@ -2,7 +2,7 @@
 #ifndef MUFLY_TEXT_H
 #define MUFLY_TEXT_H
 
-#include "mission.h"
+#include "mission_state.h"
 
 #define TEXT_LENGTH 100
 

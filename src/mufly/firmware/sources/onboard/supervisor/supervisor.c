@@ -2,6 +2,10 @@
 
 #include <stddef.h>
 
+#include "ground_phases.h"
+#include "request_checks.h"
+#include "user_requests.h"
+
 #define BATTERY_MARGIN_V REAL(0.2)
 #define MAX_ARMING_SPEED_M_S REAL(0.1)
 #define MAX_ARMING_RATE_RAD_S REAL(0.2)

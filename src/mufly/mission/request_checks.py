@@ -1,0 +1,275 @@
+"""Permitted requests in each state: one table for the state machine, the autopilot, links and pages."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Protocol
+
+from mufly.estimate import Estimate
+from mufly.mission.mission_state import MissionState, State
+
+REQUEST_TABLE = """
+asked     init      take-off  hover     waypoint  obstacle  landing   rc        offboard
+arm       at-rest   at-rest   at-rest   at-rest   at-rest   at-rest   at-rest   at-rest
+disarm    grounded  grounded  grounded  grounded  grounded  grounded  grounded  grounded
+take-off  armed     up        up        up        up        up        up        up
+start     armed     knows     knows     knows     knows     lands     by-hand   lifted
+pause     floor     knows     knows     knows     knows     high      by-hand   lifted
+go-to     floor     lifted    knows     knows     knows     lands     by-hand   lifted
+return    floor     lifted    knows     knows     knows     lands     by-hand   lifted
+land      floor     knows     knows     knows     knows     yes       by-hand   knows
+offboard  yes       lifted    knows     knows     knows     lands     by-hand   yes
+sticks    seen      seen      seen      seen      seen      seen      seen      seen
+load      still     waits     waits     waits     waits     busy      busy      busy
+stop      yes       yes       yes       yes       yes       yes       yes       yes
+"""
+"""Permitted requests by state; each word names a condition below, which gives the reason for a refusal."""
+
+GO_AROUND_HEIGHT_M = 0.4
+"""Height above the floor above which a landing can be aborted (m)."""
+
+OFF_FLOOR_HEIGHT_M = 0.2
+"""Height above the standing position above which a take-off can be aborted (m)."""
+
+
+@dataclass(frozen=True, slots=True)
+class RequestAnswer:
+    """Answer to a request; ``bool(answer)`` is True if it is accepted.
+
+    Attributes
+    ----------
+    accepted : bool
+    reason : str
+        Reason for a refusal, with the remedy; or a remark on an accepted request.
+    is_temporary : bool
+        The request may be accepted later.
+    short_reason : str
+        Reason in two or three words for a button.
+    """
+
+    accepted: bool
+    reason: str = ""
+    is_temporary: bool = False
+    short_reason: str = ""
+
+    def __bool__(self) -> bool:
+        return self.accepted
+
+
+REQUEST_ACCEPTED = RequestAnswer(True)
+
+
+def deny_request(reason: str) -> RequestAnswer:
+    """Return a permanent refusal."""
+    return RequestAnswer(False, reason)
+
+
+def reject_temporarily(reason: str, brief: str = "") -> RequestAnswer:
+    """Return a temporary refusal."""
+    return RequestAnswer(False, reason, is_temporary=True, short_reason=brief or reason)
+
+
+class VehicleRequest(StrEnum):
+    """Requests to a vehicle."""
+
+    ARM = "arm"
+    DISARM = "disarm"
+    TAKE_OFF = "take-off"
+    START = "start"
+    PAUSE = "pause"
+    GO_TO = "go-to"
+    RETURN = "return"
+    LAND = "land"
+    OFFBOARD = "offboard"
+    STICKS = "sticks"
+    LOAD = "load"
+    STOP = "stop"
+
+
+class RequestContext(Protocol):
+    """Facts for the decision: a :class:`MissionState`, or any record of a flight with these attributes."""
+
+    @property
+    def state(self) -> str: ...
+    @property
+    def motors(self) -> str: ...
+    @property
+    def outcome(self) -> str: ...
+    @property
+    def reason(self) -> str: ...
+    @property
+    def manual(self) -> bool: ...
+
+
+@dataclass(frozen=True, slots=True)
+class _RequestFacts:
+    context: RequestContext
+    motors: str
+    height_m: float
+    armed: bool
+    flying: bool
+
+
+MOTORS_STOPPING = "its motors are being stopped; ask again"
+"""Reason for refusals between a stop and the step that executes it."""
+
+_MEASUREMENTS_LOST = reject_temporarily("measurements are lost; it comes down by itself", "comes down")
+
+
+def _allow_always(f: _RequestFacts) -> RequestAnswer:
+    return REQUEST_ACCEPTED
+
+
+def _allow_at_rest(f: _RequestFacts) -> RequestAnswer:
+    # Arming would restore power to motors that are being stopped.
+    return REQUEST_ACCEPTED if f.armed or f.motors == "off" else reject_temporarily(MOTORS_STOPPING, "motors running")
+
+
+def _allow_grounded(f: _RequestFacts) -> RequestAnswer:
+    return (
+        reject_temporarily("it flies; land first, or stop it by force", "in flight") if f.flying else REQUEST_ACCEPTED
+    )
+
+
+def _deny_in_air(f: _RequestFacts) -> RequestAnswer:
+    return reject_temporarily(f"it is in state {str(f.context.state)!r} already", "in the air")
+
+
+def _allow_armed(f: _RequestFacts) -> RequestAnswer:
+    if f.motors != "off":
+        return _deny_in_air(f)
+    return REQUEST_ACCEPTED if f.armed else reject_temporarily("not armed; arm first", "not armed")
+
+
+def _deny_on_floor(f: _RequestFacts) -> RequestAnswer:
+    return reject_temporarily("it does not fly; take off first", "on the floor")
+
+
+def _allow_unless_blind(f: _RequestFacts) -> RequestAnswer:
+    return _MEASUREMENTS_LOST if f.motors == "blind" else REQUEST_ACCEPTED
+
+
+def _deny_manual(f: _RequestFacts) -> RequestAnswer:
+    return _allow_unless_blind(f) and reject_temporarily("the pilot flies; let go of the sticks first", "flown by hand")
+
+
+def _allow_unless_failed(f: _RequestFacts) -> RequestAnswer:
+    """Accept if the vehicle knows its position and the mission has not failed."""
+    failed = f.context.outcome == "failed"
+    return _allow_unless_blind(f) and (
+        reject_temporarily(f"it lands: {f.context.reason}", "landing") if failed else REQUEST_ACCEPTED
+    )
+
+
+def _deny_landing(f: _RequestFacts) -> RequestAnswer:
+    return _allow_unless_failed(f) and reject_temporarily(
+        f"it lands; pause first (above {GO_AROUND_HEIGHT_M:g} m)", "landing"
+    )
+
+
+def _allow_go_around(f: _RequestFacts) -> RequestAnswer:
+    """Accept if the height suffices to abort a landing."""
+    if f.context.outcome == "failed" or f.motors != "fly":
+        return _deny_landing(f)
+    low = f.height_m <= GO_AROUND_HEIGHT_M
+    return (
+        reject_temporarily(f"landing, and below {GO_AROUND_HEIGHT_M:g} m already", "landing")
+        if low
+        else REQUEST_ACCEPTED
+    )
+
+
+def _allow_lifted(f: _RequestFacts) -> RequestAnswer:
+    """Accept if the vehicle is safely off the floor."""
+    if f.motors == "spin_up" or f.height_m < OFF_FLOOR_HEIGHT_M:
+        return _allow_unless_failed(f) and reject_temporarily(
+            f"taking off; wait until it is {OFF_FLOOR_HEIGHT_M:g} m off the floor", "taking off"
+        )
+    return _allow_unless_failed(f)
+
+
+def _deny_busy(f: _RequestFacts) -> RequestAnswer:
+    return reject_temporarily(
+        f"in state {str(f.context.state)!r} no mission is taken; pause or land first", "in flight"
+    )
+
+
+def _allow_motors_off(f: _RequestFacts) -> RequestAnswer:
+    return REQUEST_ACCEPTED if f.motors == "off" else _deny_busy(f)
+
+
+def _allow_mission_waiting(f: _RequestFacts) -> RequestAnswer:
+    """Accept if the vehicle takes off, hovers or flies by user signals, and no mission is in progress."""
+    if f.motors not in ("spin_up", "fly"):
+        return _deny_busy(f)
+    return (
+        _allow_unless_failed(f)
+        if f.context.manual
+        else reject_temporarily("a mission is being flown; pause it first", "mission under way")
+    )
+
+
+_BY_WORD: dict[str, Callable[[_RequestFacts], RequestAnswer]] = {
+    "yes": _allow_always,
+    "at-rest": _allow_at_rest,
+    "grounded": _allow_grounded,
+    "up": _deny_in_air,
+    "armed": _allow_armed,
+    "floor": _deny_on_floor,
+    "seen": _allow_unless_blind,
+    "by-hand": _deny_manual,
+    "knows": _allow_unless_failed,
+    "lands": _deny_landing,
+    "high": _allow_go_around,
+    "lifted": _allow_lifted,
+    "busy": _deny_busy,
+    "still": _allow_motors_off,
+    "waits": _allow_mission_waiting,
+}
+"""Condition functions by the words of :data:`REQUEST_TABLE`."""
+
+
+def _make_conditions() -> dict[tuple[str, str], Callable[[_RequestFacts], RequestAnswer]]:
+    head, *rows = (line.split() for line in REQUEST_TABLE.strip().splitlines())
+    words = {(ask, state): word for ask, *cells in rows for state, word in zip(head[1:], cells, strict=True)}
+    return {key: _BY_WORD[word] for key, word in words.items()}
+
+
+_CONDITIONS = _make_conditions()
+
+
+def check_request(
+    ask: VehicleRequest,
+    situation: RequestContext,
+    *,
+    height_m: float = math.nan,
+    armed: bool = True,
+    flying: bool | None = None,
+) -> RequestAnswer:
+    """Return whether the vehicle's state permits a request; other obstacles to it are not checked here.
+
+    Parameters
+    ----------
+    ask : VehicleRequest
+    situation : RequestContext
+        ``state`` may be a flight mode of another autopilot: it counts as a hover or as on the floor. ``motors`` may be
+        "" if unknown.
+    height_m : float
+        Height above the standing position (m); NaN if unknown.
+    armed : bool
+    flying : bool, optional
+        Whether the vehicle is off the floor; derived from the state by default.
+    """
+    state = situation.state
+    up = state not in ("", State.INIT) if flying is None else flying
+    condition = _CONDITIONS.get((ask, state)) or _CONDITIONS[ask, State.HOVER if up else State.INIT]
+    motors = situation.motors or ("fly" if up else "off")
+    return condition(_RequestFacts(situation, motors, height_m, armed, up))
+
+
+def is_granted(ask: VehicleRequest, s: MissionState, m: Estimate) -> bool:
+    """Return whether the state permits a request of an armed vehicle at the estimated height."""
+    return bool(check_request(ask, s, height_m=s.home_position[2] - float(m.position[2])))
