@@ -165,7 +165,7 @@ def test_a_log_of_others_through_the_command(
     assert run.exit_code == 0, run.output
     assert json.loads(run.stdout[run.stdout.index("{") :])["aids"]["nis"] > 5.0
     for more, words in (
-        ([], "wanted where an aid is made from the truth"),
+        ([], "needed when the fixes are made from the truth"),
         (["--aid-std", "0.02", "--aid", "speed=x"], "is not an aid"),
         (["--aid-std", "-1"], "not above zero"),
         (["--aid-std", "0.02", "--aid-delay", "9"], "as far as the filter"),

@@ -160,11 +160,12 @@ def test_policy_of_the_documents_turns_towards_its_target() -> None:
 
 
 @pytest.mark.parametrize(("change", "message"), [
-    (lambda c: c["layers"][0]["bias"].__setitem__(0, 0.5), "sha256: does not fit the content"),
+    (lambda c: c["layers"][0]["bias"].__setitem__(0, 0.5), "sha256: is not the checksum of the content"),
     (lambda c: c["observation"].pop(), "observation: has 19 inputs, the task hover 20"),
     (lambda c: c["observation"][2].update(name="depth"), r"observation: has the input depth \(m\)"),
     (lambda c: c["observation"][2].update(scale=0.0), r"observation\[3\].scale: 0.0 is out of range"),
-    (lambda c: c["layers"][1]["weights"].pop(), r"layers\[2\]: its shapes do not fit 9 inputs and 7 outputs"),
+    (lambda c: c["layers"][1]["weights"].pop(), r"layers\[2\]: weights or bias do not fit 9 inputs and 7 "
+    r"outputs"),
     (lambda c: c.update(version=2), "version"),
     (lambda c: c.pop("trim"), "trim: is missing"),
     (lambda c: c["action"].reverse(), "action: has other outputs"),

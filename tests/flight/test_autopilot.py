@@ -270,19 +270,19 @@ def standing() -> Estimate:
     [
         (
             {"battery_voltage": 6.0},
-            "battery low: 6.00 V at rest, and it lands at 6.00 V; charge it to 6.20 V",
+            "battery low: 6.00 V at rest; flights end at 6.00 V; charge the battery to 6.20 V",
         ),
         ({"battery_voltage": math.nan}, "battery voltage not measured"),
         (
             {"attitude": np.array([0.3, 0.0, 0.0])},
-            "stands tilted 17.2 degrees; limit 6; set it on level ground, or check the accelerometers",
+            "stands tilted 17.2 degrees; limit 6; set the vehicle on level ground, or check the accelerometers",
         ),
         (
             {"attitude": np.radians([0.0, -11.0, 90.0])},
-            "stands tilted 11.0 degrees; limit 6; set it on level ground, or check the accelerometers",
+            "stands tilted 11.0 degrees; limit 6; set the vehicle on level ground, or check the accelerometers",
         ),
-        ({"velocity": np.array([0.0, 0.5, 0.0])}, "it is being moved"),
-        ({"rates": np.array([0.0, 0.0, 1.0])}, "it is being moved"),
+        ({"velocity": np.array([0.0, 0.5, 0.0])}, "the vehicle is moving"),
+        ({"rates": np.array([0.0, 0.0, 1.0])}, "the vehicle is moving"),
         ({"position": np.array([math.nan, 0.0, 0.0])}, "position not measured; check the sensors"),
         (
             {"position": np.array([0.0, 0.0, math.inf]), "rates": np.full(3, math.nan)},
@@ -321,7 +321,7 @@ def test_a_mission_is_taken_where_the_position_is_not_known_yet(pilot: Pilot) ->
 def test_arming_needs_measurements_that_are_fresh() -> None:
     assert "wait a moment" in find_arming_faults(None, 0.0, 6.0, World(), 0.09, "")[0]
     assert "1.2 s old" in find_arming_faults(standing(), 1.2, 6.0, World(), 0.09, "")[0]
-    assert "reset it first" in find_arming_faults(standing(), 0.0, 6.0, World(), 0.09, "hit a wall")[0]
+    assert "reset the vehicle first" in find_arming_faults(standing(), 0.0, 6.0, World(), 0.09, "hit a wall")[0]
 
 
 def test_arming_needs_room_and_a_mission_that_suits(vehicle: Vehicle, controller: FlightController) -> None:
@@ -377,7 +377,7 @@ def test_offboard_needs_a_stream_and_hovers_without(pilot: Pilot) -> None:
     pilot.run(SET_POINT_TIMEOUT_S + 0.05)
     assert a.status.state == "hover"
     assert not a.status.offboard_active
-    assert "set-points lost: none for 0.5 s" in pilot.texts
+    assert "set-points lost: no message for 0.5 s" in pilot.texts
     pilot.run(3.0)
     assert np.linalg.norm(pilot.flight.status.truth.velocity) < 0.02
 
@@ -420,7 +420,7 @@ def test_sticks_fly_and_are_missed(pilot: Pilot) -> None:
     assert "let go of the sticks" in a.land().reason
     pilot.run(STICKS_TIMEOUT_S + 0.1)
     assert a.status.state == "hover"
-    assert "sticks lost: nothing heard of them for 1 s" in pilot.texts
+    assert "sticks lost: no message for 1 s" in pilot.texts
     assert a.set_sticks(9.0, -9.0, 9.0, -9.0)
     assert a.release_sticks()
     assert not a.set_sticks(math.nan, 0.0, 0.0, 0.0)
@@ -499,7 +499,7 @@ def test_a_crash_is_final_until_the_simulation_is_reset(pilot: Pilot) -> None:
     assert "tipped over" in a.status.crash_cause
     assert not a.status.armed
     assert np.all(np.array(pilot.sent[-10:]) == 0.0)
-    assert "reset it first" in a.arm().reason
+    assert "reset the vehicle first" in a.arm().reason
     before = pilot.flight.time_s
     pilot.flight.reset()
     pilot.run(0.1)

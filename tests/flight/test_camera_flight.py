@@ -115,9 +115,9 @@ def test_a_covered_lens_is_told_within_a_second_and_borne(
 ) -> None:
     ds, events = flown
     said = [(e.time_s, e.text) for e in events if "camera" in e.text]
-    assert said[0][1].startswith("the camera gives no position: too little of the floor")
+    assert said[0][1].startswith("no position from the camera: too little of the floor")
     assert 8.5 < said[0][0] < 9.5
-    assert said[1][1] == "the camera gives its position again"
+    assert said[1][1] == "position from the camera is available again"
     # When it finds itself again hangs on the last bit of OpenCV's sums; that it does, in the air, does not.
     height = np.interp(said[1][0], ds.time.values, -ds.truth_position.values[:, 2])
     assert height > 0.3, said
@@ -272,7 +272,7 @@ def test_answers_come_late_with_the_time_of_their_picture(monkeypatch: pytest.Mo
     assert np.mean(late) < 0.25
     assert 8 < len(seen) <= 16
     assert max(f.time_s for _, f in seen) < 1.0
-    assert [text for _, text in news] == ["the camera gives no position: no pictures arrive"]
+    assert [text for _, text in news] == ["no position from the camera: no pictures arrive"]
     assert news[0][0] < 2.0
 
 
@@ -316,5 +316,5 @@ def test_a_flight_on_places_from_outside_sends_its_pictures() -> None:
     assert sent[-1][1].std() > 10
     sensor.close()
     assert not sent
-    with pytest.raises(MuflyError, match="its pictures have no receiver"):
+    with pytest.raises(MuflyError, match="pictures have no receiver"):
         Flight(vehicle, "demonstration", eye=eye, outside=True, sensors="fitted")

@@ -141,7 +141,7 @@ def test_a_late_heading_shows_the_delay_when_the_nose_turns() -> None:
     """Within a second of the turn, and fixes are withheld before; without a delay none is."""
     assert {why for _, why in run_hover(12.0, turn_rad=0.6)} == {""}
     reasons = [(t, why) for t, why in run_hover(12.0, late_s=0.5, turn_rad=0.6) if why]
-    assert "does not follow the gyroscopes" in reasons[0][1]
+    assert "does not follow the measured turn rate" in reasons[0][1]
     told = next(t for t, why in reasons if "ms later than its times" in why and "withheld" not in why)
     assert told < REST_S + 3.0 + 2.0
 

@@ -156,7 +156,7 @@ def test_a_flight_that_is_ended_early_says_so(vehicle, controller, tmp_path) -> 
         run(flight, 2.0)
     read = read_recording(path)
     assert read.attrs["outcome"] == "unfinished"
-    assert read.attrs["reason"] == "in state 'take-off' when it was ended"
+    assert read.attrs["reason"] == "ended in state 'take-off'"
     with pytest.raises(KeyboardInterrupt):
         _interrupted(Flight(vehicle, HOP, controller=controller, path=path))
     assert read_recording(path).attrs["outcome"] == "interrupted"

@@ -114,7 +114,7 @@ def test_an_identified_covariance_is_drawn_from(tmp_path: Path, vehicle: Vehicle
     (found,) = parse_variations([str(file)], vehicle)
     assert found.keys == (keys[0], keys[1], keys[3])
     assert "body.mass at a bound" in found.note
-    assert "body.inertia_xx not seen" in found.note
+    assert "body.inertia_xx not determined" in found.note
     rng = np.random.default_rng(0)
     drawn = np.array([list(found.parameter_values(found.draw_variables(rng)).values()) for _ in range(20_000)])
     covariance = np.cov(drawn[:, :2].T)
@@ -133,16 +133,16 @@ def test_an_identified_covariance_is_drawn_from(tmp_path: Path, vehicle: Vehicle
         (["rotors=+-2"], "vary them in %"),
         (["m=100:90g"], "contains nothing"),
         (["m=300:50%"], "contains nothing"),
-        (["m=-50:300%"], "turns its sign; give shares of 0 % or more"),
+        (["m=-50:300%"], "changes its sign; give shares of 0 % or more"),
         (["m=50:high%"], "'50:high%' is not a variation"),
         (["motor.friction_torque=50:300%"], "a share of 0 is 0"),
         (["standart"], "did you mean 'standard'"),
-        (["m=100%"], "reaches zero"),
+        (["m=100%"], "includes zero"),
         (["m=0%"], "above 0"),
         (["motor.friction_torque=5%"], "a share of 0 is 0"),
         (["body.inertia_zz=std"], "no standard deviation is stated"),
         (["body.mass"], "names no parameter"),
-        (["m=5%", "body.mass=3%"], "drawn by 'm=5%' too"),
+        (["m=5%", "body.mass=3%"], "is varied by 'm=5%'"),
         (["nowhere.json"], "cannot be read"),
     ],
 )
@@ -158,7 +158,7 @@ def test_vehicles_that_cannot_be_are_drawn_again_and_counted(campaign: Campaign,
     assert sum(c.refused_draws for c in cases) > 40
     assert all(c.parameter_values["motor.torque_constant"] <= 1.02 * 0.0045 for c in cases)
     never = replace(campaign, variations=parse_variations(["gear.efficiency=1.1:1.2"], vehicle))
-    with pytest.raises(InputError, match=r"cannot be .*gear.efficiency"):
+    with pytest.raises(InputError, match=r"are impossible .*gear.efficiency"):
         never.draw_case(0)
 
 
@@ -282,12 +282,12 @@ def test_what_the_state_machine_says_is_not_enough(campaign: Campaign) -> None:
 
     assert why(data) == ""
     x = data.truth_position.values[-1]
-    assert "above where it stood" in why(ended(data, "truth_position", np.subtract(x, [0.0, 0.0, 0.05])))
-    assert "off its mark" in why(ended(data, "truth_position", np.add(x, [0.5, 0.0, 0.0])))
-    assert "tilted by 20 degrees" in why(ended(data, "truth_attitude", [np.radians(20.0), 0.0, 0.0]))
-    assert "still moves" in why(ended(data, "truth_velocity", [0.2, 0.0, 0.0]))
-    assert "motors still run" in why(ended(data, "motor_input", [0.1, 0.0]))
-    assert "m from it" in why(data, tolerance_m=1e-6)
+    assert "above the take-off position" in why(ended(data, "truth_position", np.subtract(x, [0.0, 0.0, 0.05])))
+    assert "from the landing position" in why(ended(data, "truth_position", np.add(x, [0.5, 0.0, 0.0])))
+    assert "final tilt 20 degrees" in why(ended(data, "truth_attitude", [np.radians(20.0), 0.0, 0.0]))
+    assert "final speed" in why(ended(data, "truth_velocity", [0.2, 0.0, 0.0]))
+    assert "motors still running" in why(ended(data, "motor_input", [0.1, 0.0]))
+    assert "reported as reached from" in why(data, tolerance_m=1e-6)
     far = HOP.model_copy(update={"waypoint": (HOP.waypoint[0].model_copy(update={"position_m": (3.0, 0.0, -0.4)}),)})
     assert why(data, far) == "waypoint 1 was not reached"
 

@@ -302,7 +302,7 @@ def test_smoothing_lets_motion_through_and_spreads_corrections() -> None:
 
 def test_before_take_off_it_says_what_will_not_work() -> None:
     m = believing(still(), position_fix="missing", ranges="fused")
-    assert "nothing measures the horizontal position" in preflight_warning(m, 1.5)
+    assert "no sensor measures the horizontal position" in preflight_warning(m, 1.5)
     assert preflight_warning(replace(m, ranges=np.array([1.5, 0.8])), 1.5) == ""
     assert preflight_warning(believing(still(), position_fix="fused", ranges="fused"), 1.5) == ""
     assert preflight_warning(still(), 1.5) == ""
@@ -515,7 +515,7 @@ def test_a_vehicle_without_sensors_says_so_and_flies_on_what_is_true(vehicle, co
     told: list[str] = []
     flight = fly_mission(bare, HOP, controller=controller, sensors="fitted", on_event=lambda e: told.append(e.text))
     assert flight.attrs["outcome"] == "succeeded"
-    assert told[0] == "mufly-1.1 has no table [sensors]: it flies on the true state"
+    assert told[0] == "mufly-1.1 has no table [sensors]: the vehicle flies on the true state"
     with pytest.raises(InputError, match="no table"):
         Flight(bare, HOP, controller=controller, sensors="fitted", faults=[parse_fault("sonar.jump")])
     with pytest.raises(InputError, match="flies on the true state"):

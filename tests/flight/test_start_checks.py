@@ -52,7 +52,7 @@ def standing(t: float, *, valid: bool = True, lean_deg: float = 0.0, force_deg: 
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
-        ({"valid": False}, "estimate is not valid; let it stand still"),
+        ({"valid": False}, "estimate is not valid; leave the vehicle at rest"),
         ({"lean_deg": 8.0}, "stands tilted 8.0 degrees; limit 6"),
         ({"force_deg": 8.0}, "stands tilted 8.0 degrees; limit 6"),
     ],
@@ -89,7 +89,7 @@ def test_a_vehicle_that_leans_is_not_armed(vehicle, controller, lean_deg):
         why = align_and_start(flight)
         assert np.abs(flight.status.estimate.attitude[:2]).max() < math.radians(1.0)
         assert f"stands tilted {lean_deg - 0.3:.1f}"[:-2] in why
-        assert "degrees; limit 6; set it on level ground" in why
+        assert "degrees; limit 6; set the vehicle on level ground" in why
         assert not flight.autopilot.armed
 
 
@@ -133,8 +133,8 @@ def test_after_a_drop_arming_asks_for_an_acknowledgement(vehicle, controller):
         autopilot.crash_cause = ""  # a drop that nobody saw
         answer = autopilot.arm()
         assert not answer
-        assert "its last flight was interrupted: emergency stop, motors off 0.9 m above the floor" in answer.reason
-        assert "inspect it, then arm again" in autopilot.list_arming_faults()[0]
+        assert "last flight interrupted: emergency stop, motors off 0.9 m above the floor" in answer.reason
+        assert "inspect the vehicle, then arm again" in autopilot.list_arming_faults()[0]
         assert not autopilot.arm(repeated=True)  # a copy of a message is no second request
         run(0.1)
         assert autopilot.arm()

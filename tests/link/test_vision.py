@@ -100,14 +100,15 @@ def test_what_is_insane_late_or_doubled_is_refused_in_a_line(flown) -> None:
     wide[0, 1] = wide[1, 0] = 1.0
     now_s += 0.004
     for message, why in (
-        (outside.message(now_s, nan), "its numbers are none"),
-        (outside.message(now_s, far), "its place is 5000 m away"),
+        (outside.message(now_s, nan), "its numbers are not finite"),
+        (outside.message(now_s, far), "its position is 5000 m from the origin"),
         (outside.message(now_s, place, pack_covariance(bad)), "negative variance"),
         (outside.message(now_s, place, pack_covariance(wide)), "not positive semidefinite"),
-        (outside.message(now_s, place, pack_covariance(vague)), "its place is known to 0.55 m only, 0.2 m are needed"),
+        (outside.message(now_s, place, pack_covariance(vague)), "its position has a standard deviation of "
+        "0.55 m, more than 0.2 m"),
         (outside.message(now_s - 1.5, place), "s old, more than 1 s"),
         (outside.message(now_s + 1.5, place), "ahead of the vehicle's"),
-        (outside.message(before, place), "doubled, or overtaken"),
+        (outside.message(before, place), "repeated, or older"),
     ):  # fmt: skip
         said = refused(outside, message)
         assert "position by link refused" in said, why

@@ -174,7 +174,7 @@ def describe_sensor_source(vehicle: Vehicle, sensors: str) -> str:
     if sensors == "ideal":
         return "Flies on the true state (--sensors ideal)"
     if vehicle.sensors is None:
-        return f"{vehicle.name} has no table [sensors] and flies on the true state"
+        return f"{vehicle.name} has no table [sensors]: the vehicle flies on the true state"
     names = [name.replace("_", " ") for name in SENSORS if getattr(vehicle.sensors, name) is not None]
     return f"Flies on its sensors: {', '.join(names)}"
 

@@ -14,7 +14,7 @@ from mufly.mission import Mission, check_geometry, check_mission, start_fault
 from mufly.world import World, obstacle_distance, obstacle_distances
 
 BATTERY_MARGIN_V = 0.2
-"""Margin above the landing voltage (V): a cell recovers at rest and loses this again in the first seconds of hover."""
+"""Margin above the landing voltage (V): a cell's voltage recovers at rest and drops again within seconds of hover."""
 
 MAX_ARMING_SPEED_M_S, MAX_ARMING_RATE_RAD_S = 0.1, 0.2
 MAX_ESTIMATE_AGE_S = 0.5
@@ -41,9 +41,9 @@ def find_arming_faults(
         Cause of a crash, or "".
     """
     if crashed:
-        return [f"crashed ({crashed}); reset it first"]
+        return [f"crashed ({crashed}); reset the vehicle first"]
     if m is None:
-        return ["nothing is measured yet; wait a moment"]
+        return ["no estimate yet; wait a moment"]
     why = []
     missing = [n for n in ("position", "velocity", "attitude", "rates") if not np.isfinite(getattr(m, n)).all()]
     if missing:
@@ -52,29 +52,31 @@ def find_arming_faults(
         why.append(f"measurements are {stale_s:.1f} s old; check the link to the sensors")
     volts = m.battery_voltage
     if not volts > 0.0 or not math.isfinite(volts):
-        why.append("battery voltage not measured; check its monitor")
+        why.append("battery voltage not measured; check the battery monitor")
     elif volts < low_V + BATTERY_MARGIN_V:
         needed = low_V + BATTERY_MARGIN_V
-        why.append(f"battery low: {volts:.2f} V at rest, and it lands at {low_V:.2f} V; charge it to {needed:.2f} V")
+        why.append(
+            f"battery low: {volts:.2f} V at rest; flights end at {low_V:.2f} V; charge the battery to {needed:.2f} V"
+        )
     if not m.valid and not missing:
         wrong = [describe_check(c) for c in sensor_checks(m) if c.status in ("missing", "faulty", "rejected")]
         because = f" ({'; '.join(wrong)})" if wrong else ""
-        why.append(f"estimate is not valid{because}; let it stand still")
+        why.append(f"estimate is not valid{because}; leave the vehicle at rest")
     if missing:
         return why
     tilted = start_fault(replace(m, valid=True))
     if tilted:
-        why.append(f"{tilted}; set it on level ground, or check the accelerometers")
+        why.append(f"{tilted}; set the vehicle on level ground, or check the accelerometers")
     if np.linalg.norm(m.velocity) > MAX_ARMING_SPEED_M_S or np.abs(m.rates).max() > MAX_ARMING_RATE_RAD_S:
-        why.append("it is being moved; set it down and let it rest")
+        why.append("the vehicle is moving; set it down and leave it at rest")
     near = check_place(world, (float(m.position[0]), float(m.position[1]), float(m.position[2])), radius_m)
     if near:
-        why.append(f"it stands {near}")
+        why.append(f"the vehicle stands {near}")
     return why
 
 
 def check_place(world: World, position: tuple[float, float, float], keep_m: float) -> str:
-    """Return the refusal of a position nearer than ``keep_m`` (m) to a known obstacle; "" for a free position."""
+    """Return why a position is refused: closer than ``keep_m`` (m) to a known obstacle; "" for a free position."""
     if world.is_empty:
         return ""
     away, name = obstacle_distance(world, position)
@@ -85,7 +87,7 @@ def check_place(world: World, position: tuple[float, float, float], keep_m: floa
 
 
 def check_climb_column(world: World, position: tuple[float, float, float], up_to_m: float, keep_m: float) -> str:
-    """Return the refusal of a climb to the height ``up_to_m`` (m); "" for a free one.
+    """Return why a vertical climb to the height ``up_to_m`` (m) is refused; "" if the climb is free.
 
     A climb is free if it passes no known obstacle within ``keep_m`` (m).
     """
@@ -99,7 +101,8 @@ def check_climb_column(world: World, position: tuple[float, float, float], up_to
     if away[k] >= keep_m:
         return ""
     near, name = max(float(away[k]), 0.0), world.names[which[k]]
-    return f"at {-column[k, 2]:.2f} m it would be {near:.2f} m from the {name}; keep {keep_m:.2f} m"
+    return f"at a height of {-column[k, 2]:.2f} m the vehicle would be {near:.2f} m from the {name}; keep "
+    f"{keep_m:.2f} m"
 
 
 def check_mission_start(
@@ -111,7 +114,7 @@ def check_mission_start(
     capacity_Ah: float,
     charge: float,
 ) -> str:
-    """Return the reason against starting a mission here; "" if it may start or has no waypoints.
+    """Return why a mission must not start here; "" if the mission may start or has no waypoints.
 
     Parameters
     ----------

@@ -1,15 +1,15 @@
 """Autopilot of a vehicle: requests of a pilot, a program or a link, with arming, timeouts, geofence and events.
 
-The autopilot steps the flight software and converts requests to its commands. A request is answered at once and takes
-effect in the next step of the mission's state machine (:mod:`mufly.mission.state_machine`), within 20 ms.
-:mod:`mufly.mission.mission_state` defines the requests that each state permits. The clock is that of the estimates.
-This module depends neither on MAVLink nor on the simulator.
+The autopilot steps the flight software and converts requests to commands of the flight software. A request is answered
+at once and takes effect in the next step of the mission's state machine (:mod:`mufly.mission.state_machine`), within
+20 ms. :mod:`mufly.mission.mission_state` defines the requests that each state permits. The autopilot takes its time
+from the estimates. This module depends neither on MAVLink nor on the simulator.
 
-The geofence is checked here, not in the flight software's C code, because like arming it belongs to the commands, and
-its actions are requests. A breach triggers the fence's action once; targets outside the fence are refused.
+The geofence is checked here, not in the flight software's C code: like arming, the fence acts by requests. A breach
+triggers the fence's action once; targets outside the fence are refused.
 
-Motors run only while the vehicle is armed. It disarms after landing, and ten seconds after arming without a take-off.
-Sticks time out after a second and set-points after half a second; the vehicle then stops and hovers.
+Motors run only while the vehicle is armed. The vehicle disarms after landing, and ten seconds after arming without a
+take-off. Sticks time out after a second and set-points after half a second; the vehicle then stops and hovers.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ FENCE_RETURN_MARGIN_M, FENCE_REPEAT_DEPTH_M = 0.1, 1.0
 """Distance inside the fence that ends a breach, and additional distance outside that repeats the action (m)."""
 
 STICKS_BLOCKED_S = 2.0
-"""Time after a breach without stick control (s), in which the vehicle comes to rest."""
+"""Time after a breach during which sticks are refused (s); the vehicle comes to rest in it."""
 
 _FALL_HEIGHT_M = 0.1  # height above the standing position from which stopped motors mean a fall
 _INTERRUPTIONS = (LogMessage.TIPPED_MOTORS_OFF(), LogMessage.MOTORS_OFF_AFTER_DESCENT())
@@ -193,7 +193,7 @@ class Autopilot:
         return self._sent
 
     def _follow_software(self, estimate: Estimate) -> Actuators:
-        """Step a flight software that commands itself, and follow its arming and its log."""
+        """Step a flight software that arms and commands itself (exported C), and copy its arming state and its log."""
         software = self.software
         self._sent = software.step(estimate, NO_COMMAND)
         self._armed = software.is_armed
@@ -205,7 +205,7 @@ class Autopilot:
 
     @property
     def has_pending_request(self) -> bool:
-        """Whether the next period must handle a request, sticks, set-points or a fence."""
+        """Whether the next period has to handle a request, sticks, set-points or a fence."""
         fenced = self.software.requested_mission.fence is not None
         return self._command is not NO_COMMAND or self._sticks is not None or self._offboard or fenced
 
@@ -215,7 +215,7 @@ class Autopilot:
         return self._armed
 
     def has_no_sensor_events(self, checks: Sequence[SensorStatus]) -> bool:
-        """Whether these sensor statuses cause no report, however long they last."""
+        """Whether these sensor statuses never cause a report, however long they last."""
         return self._sensors.has_nothing_to_report(checks)
 
     def report_sensor_checks(self, checks: Sequence[SensorStatus], time_s: float, state: str) -> None:
@@ -252,14 +252,14 @@ class Autopilot:
         if self._sticks is not None:
             if self._now - self._sticks_s > STICKS_TIMEOUT_S:
                 self._sticks = None
-                self.log_event(f"sticks lost: nothing heard of them for {STICKS_TIMEOUT_S:g} s", "warning")
+                self.log_event(f"sticks lost: no message for {STICKS_TIMEOUT_S:g} s", "warning")
             else:
                 climb = self._sticks.climb_rate if self._armed else min(self._sticks.climb_rate, 0.0)
                 c = replace(self._sticks, climb_rate=climb, stop_reason=c.stop_reason)
         if self._offboard:
             if self._now - self._set_point_s > SET_POINT_TIMEOUT_S:
                 self._offboard = False
-                self.log_event(f"set-points lost: none for {SET_POINT_TIMEOUT_S:g} s", "warning")
+                self.log_event(f"set-points lost: no message for {SET_POINT_TIMEOUT_S:g} s", "warning")
             elif self._armed:
                 c = replace(c, program_set_point=self._set_point)
         return c
@@ -285,7 +285,7 @@ class Autopilot:
             self.log_event(f"disarmed: no take-off within {AUTO_DISARM_S:g} s")
 
     def _enforce_fence(self) -> None:
-        """Execute the fence's action at a breach, and again every :data:`FENCE_REPEAT_DEPTH_M` further outside."""
+        """Execute the fence's action at a breach; repeat it each :data:`FENCE_REPEAT_DEPTH_M` (m) farther outside."""
         fence, m = self.software.requested_mission.fence, self._estimate
         if fence is None or m is None or not self.software.flying or not np.isfinite(m.position).all():
             self._breach = ""
@@ -307,11 +307,11 @@ class Autopilot:
         answer = REQUEST_ACCEPTED if landing else act()
         if by_hand and not answer:
             answer = self._send_command(Command(land=True) if fence.action == "land" else Command(pause=True))
-        done = "landing" if landing else words if answer else f"cannot be helped: {answer.reason}"
+        done = "landing" if landing else words if answer else f"action refused: {answer.reason}"
         self.log_event(f"fence breached, {self._breach}: {done}", "error")
 
     def _act_on_source_fault(self) -> None:
-        """Land once a source of positions is refused in flight; a pilot is only informed, and decides."""
+        """Land when the external position source is refused in flight; under stick control only inform the pilot."""
         fault, before = self.source_fault() if self._ran else "", self.refused_source
         self.refused_source = fault or before
         if fault and not before:
@@ -330,7 +330,7 @@ class Autopilot:
     # arming
 
     def list_arming_faults(self) -> list[str]:
-        """Return the reasons against arming, each a sentence with its remedy; empty if arming is allowed."""
+        """Return why the vehicle must not arm, each reason with its remedy; an empty list if arming is allowed."""
         plan = self.software.plan
         m = self._estimate
         why = find_arming_faults(
@@ -340,9 +340,9 @@ class Autopilot:
             fault = self.energy_check.check_start_here(plan.mission, m)
             why += [fault] if fault else []
         if fault := self.source_fault():
-            why.append(f"{SOURCE_REFUSED}{fault}; mend its source")
+            why.append(f"{SOURCE_REFUSED}{fault}; check the program that sends the positions")
         if self._interruption and not self.crash_cause:
-            why.insert(0, f"its last flight was interrupted: {self._interruption}; inspect it, then arm again")
+            why.insert(0, f"last flight interrupted: {self._interruption}; inspect the vehicle, then arm again")
         return why
 
     def arm(self, *, force: bool = False, quiet: bool = False, repeated: bool = False) -> RequestAnswer:
@@ -400,7 +400,7 @@ class Autopilot:
         return answer
 
     def emergency_stop(self) -> RequestAnswer:
-        """Stop the motors at once, also in flight, where the vehicle falls; always accepted."""
+        """Stop the motors at once; always accepted. In flight the vehicle then falls."""
         self._stop_motors("emergency stop, motors off")
         return REQUEST_ACCEPTED
 
@@ -561,7 +561,7 @@ class Autopilot:
     def go_to(self, position_m: Sequence[float], heading_rad: float | None = None) -> RequestAnswer:
         """Fly to a position (N, E, D; m) and hold it, with a heading (rad) if given; the mission waits."""
         if len(position_m) != 3:
-            return deny_request("a place needs three numbers: N, E, D")
+            return deny_request("a position needs three numbers: N, E, D in m")
         place = (float(position_m[0]), float(position_m[1]), float(position_m[2]))
         heading = None if heading_rad is None or math.isnan(heading_rad) else float(heading_rad)
         fault = user_waypoint_fault(place, heading)
@@ -602,7 +602,7 @@ class Autopilot:
         return self._request_command(VehicleRequest.LAND, Command(land=True))
 
     def _send_command(self, command: Command) -> RequestAnswer:
-        """Store a command for the mission logic; refused before a pending stop of the motors, which has priority."""
+        """Store a command for the mission logic; refused while a stop of the motors is pending."""
         if self._is_stopping:
             return reject_temporarily(MOTORS_STOPPING)
         self._offboard = False
@@ -647,7 +647,7 @@ class Autopilot:
             return deny_request("sticks refused: give finite numbers")
         answer = self.status.check_request(VehicleRequest.STICKS)
         if answer and self._breach and self._now - self._breach_s < STICKS_BLOCKED_S:
-            answer = reject_temporarily("it has just left its fence; wait until it holds, then fly it back")
+            answer = reject_temporarily("the vehicle has just left its fence; wait until it hovers, then fly it back")
         if not answer:
             return answer
         most = self._parameters.stick_ranges
@@ -671,7 +671,7 @@ class Autopilot:
         """Load another fence, or none; refused while the vehicle is outside."""
         m = self._estimate
         if m is not None and np.isfinite(m.position).all() and (fault := fence_fault(fence, m.position)):
-            return reject_temporarily(f"fence refused: it is {fault}")
+            return reject_temporarily(f"fence refused: the vehicle is {fault}")
         self.software.change_limits(self.software.requested_mission.with_parts(fence=fence))
         return REQUEST_ACCEPTED
 

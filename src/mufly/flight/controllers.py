@@ -116,7 +116,7 @@ class Controllers:
 
     @property
     def is_settled(self) -> bool:
-        """Whether no change of parameters is in progress."""
+        """Whether all parameters have reached their targets."""
         return self._settled
 
     def _blend_gains(self) -> None:
@@ -141,7 +141,7 @@ class Controllers:
         )
 
     def lift_off(self, estimate: Estimate) -> None:
-        """Start roll-pitch and position control from neutral servos."""
+        """Start roll-pitch and position control at lift-off, from neutral servos."""
         self._roll_pitch = roll_pitch_init(self._design.roll_pitch_gains, _measure_roll_pitch(estimate))
         self._position = position_init(self._design.position_gains)
 
@@ -172,7 +172,7 @@ class Controllers:
         return tilt
 
     def step(self, estimate: Estimate, heave_yaw: _Array, tilt: _Array | None) -> Actuators:
-        """Advance heave-yaw, and roll-pitch unless ``tilt`` is None, by one period.
+        """Advance heave-yaw control by one period, and roll-pitch control unless ``tilt`` is None.
 
         Parameters
         ----------
@@ -239,7 +239,7 @@ def _step_control_law(
 
 
 def copy_record(record: np.void) -> np.void:
-    """Return a writable copy of a record."""
+    """Return a writable copy of a structured NumPy record."""
     own = np.zeros((), dtype=record.dtype)  # np.array(record) would share its memory
     own[...] = record
     return cast(np.void, own[()])

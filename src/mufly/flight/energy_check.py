@@ -15,7 +15,7 @@ from mufly.mission.mission_timing import compute_reach_time
 from mufly.vehicle import Vehicle
 
 FULL_CHARGE = 0.97
-"""Charge, from the voltage at rest, of a full battery: the voltage is known to a few centivolts."""
+"""Charge (0..1) above which the battery counts as full: the voltage at rest is known to a few hundredths of a volt."""
 
 _REST_FILTER_S = 1.0  # time constant of the filtered voltage at rest
 
@@ -63,7 +63,7 @@ class EnergyCheck:
         return 1.0 if charge >= FULL_CHARGE else charge
 
     def check_start(self, mission: Mission, standing: tuple[float, float], heading: float) -> str:
-        """Return the reason against a start of the mission at N, E (m) with a heading (rad); "" if it may start."""
+        """Return why the mission must not start at N, E (m) with a heading (rad); "" if the mission may start."""
         return check_mission_start(
             mission,
             standing,
@@ -83,11 +83,11 @@ class EnergyCheck:
         return self._checked[2]
 
     def check_reach(self, mission: Mission, m: Estimate | None, place: tuple[float, float, float]) -> str:
-        """Return the reason if a full battery does not suffice to fly to a position and land there; "" if it does."""
+        """Return why a position is out of reach of a full battery (flight and landing); "" if it is in reach."""
         if m is None or not np.isfinite(m.position).all():
             return ""
         needed = compute_reach_time(mission, m.position, place)
         lasts = 3600.0 * mission.battery.usable * self._capacity_Ah / self.hover_current_A
         if needed <= lasts:
             return ""
-        return f"out of reach: getting there and down takes {needed:.0f} s, a full battery lasts {lasts:.0f} s"
+        return f"out of reach: flight and landing take {needed:.0f} s, a full battery lasts {lasts:.0f} s"

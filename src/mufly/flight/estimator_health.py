@@ -3,9 +3,10 @@
 An estimator reports its uncertainty (covariance), whether its estimate is valid, and a status of each sensor. Failsafe
 actions follow from uncertainty and validity; the statuses explain them:
 
-================================================ ===================================================================
+================================================= ===================================================================
 horizontal position uncertain by more than 0.25 m the mission waits in a hover; it resumes after 1 s below 0.15 m
-... by more than 0.6 m, or waiting for 10 s       the vehicle lands at its position
+horizontal position uncertain by more than 0.6 m, the vehicle lands at its position
+or waiting for 10 s
 height uncertain by more than 0.3 m for 0.3 s     the vehicle lands
 roll or pitch uncertain by more than 8 degrees,   the vehicle descends with its servos at trim, where the stabiliser
 or two independent attitude aids rejected         bar keeps a level attitude
@@ -13,18 +14,19 @@ for 0.15 s at once
 heading uncertain by more than 30 degrees, or     the vehicle lands; without gyroscopes it uses the angular rates of
 an impossible bias of the gyroscopes,             the rotor model, and from 3 cm above the floor its servos are at
 or no gyroscopes for 0.1 s                        trim and its motors ramp down
-================================================ ===================================================================
+================================================= ===================================================================
 
-Uncertainties are standard deviations; that of the position counts from its value on the floor. Sensor statuses
-decide in two cases only. Without gyroscopes the attitude depends on a model; and if two independent aids contradict
-the attitude, the attitude is wrong. Actions apply in the air. A pilot in manual flight is informed and decides.
+Uncertainties are standard deviations; that of the position is its growth since the vehicle left the floor. Sensor
+statuses cause an action in two cases only: lost gyroscopes, because the attitude then depends on the rotor model; and
+two independent aids that contradict the attitude, because the attitude is then wrong. Actions apply in the air. In
+manual flight the pilot is informed and decides.
 
-The controllers receive smoothed corrections (:class:`CorrectionSmoother`): every measurement corrects the estimate by
-a few millimetres, and heave control answers a step of 1 cm with a fifth of the motors' range.
+The controllers receive smoothed corrections (:class:`CorrectionSmoother`). Every measurement corrects the estimate by
+a few millimetres, and heave control would answer a step of 1 cm with a fifth of the motors' range.
 
-A sensor is reported after about 0.2 s without use, with rejection or with another fault, and again once it has been
-fused for a second. Single rejected readings are not reported: a level rises with the time of a fault, and falls with
-a tenth of the time without one.
+A sensor's fault is reported after about 0.2 s of missing, rejected or faulty readings, and its recovery after a second
+of fusion. Single rejected readings are not reported: a counter rises with the time of a fault, and falls ten times as
+slowly without one.
 """
 
 from __future__ import annotations
@@ -100,7 +102,7 @@ def gyro_unavailable(m: Estimate) -> bool:
 
 
 def describe_check(check: SensorStatus) -> str:
-    """Return a sensor's name, status and reason as text, or the possible causes if no one sensor is accused."""
+    """Return a sensor's name, status and reason as text, or the possible causes if no single sensor is at fault."""
     if check.reason.startswith(NAMED_CAUSES):
         return check.reason
     state = {"missing": "is missing", "rejected": "is rejected", "faulty": "is faulty"}
@@ -122,7 +124,7 @@ def _fault_note(m: Estimate, sources: tuple[str, ...]) -> str:
 
 
 def position_std_growth(m: Estimate, stood: float = 0.0) -> float:
-    """Return the standard deviation (m) that the horizontal position has gained over its variance ``stood`` (m2).
+    """Return the growth (m) of the position's standard deviation over the variance ``stood`` (m2) on the floor.
 
     ``stood`` is the variance on the floor.
     """
@@ -376,7 +378,7 @@ class SensorEventReporter:
 
 
 def preflight_warning(m: Estimate, reach_m: float) -> str:
-    """Return a warning if nothing will measure the horizontal position in flight; "" otherwise.
+    """Return a warning if no sensor will measure the horizontal position in flight; "" otherwise.
 
     Parameters
     ----------
@@ -402,7 +404,7 @@ def preflight_warning(m: Estimate, reach_m: float) -> str:
         )
         seen = "no laser ring" if ring is None else f"no wall within the {reach_m:g} m of the lasers"
         lines.append(
-            f"nothing measures the horizontal position: {why}, {seen}; in flight it is estimated by drag and rotor "
-            "model until it is too uncertain, then the vehicle lands"
+            f"no sensor measures the horizontal position: {why}, {seen}; in flight drag and rotor model "
+            "predict the position until it is too uncertain, then the vehicle lands"
         )
     return "; ".join(lines)

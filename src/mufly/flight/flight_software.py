@@ -6,19 +6,19 @@ logic and the position cascade (50 Hz). The mission logic sets the reference and
 =========== =========================================================================================
 off         motors and servos at rest
 spin_up     motor inputs rise to 0.9 of hover, too little to lift off; servos at trim. A vehicle lighter than its
-            design may lift off all the same, and changes to ``fly`` at once
+            design may lift off nevertheless, and changes to ``fly`` at once
 fly         heave-yaw controller; from 2 cm above the floor, or once the vehicle tips on its legs, also roll-pitch
             and, every n-th step, position
 ramp_down   after touchdown motor inputs fall to zero
 blind       descent without an estimate. With servos at trim the stabiliser bar keeps a level attitude. Motor voltages
-            start from the mean of the last second of flight: they hold a rate of descent while the height is
-            known, and are slightly lower otherwise, until touchdown
+            start from the mean of the last second of flight. Until touchdown they control the rate of descent
+            while the height is known, and are slightly lower otherwise
 =========== =========================================================================================
 
 Between two steps of the mission logic the reference is propagated at the reference velocity. A mission that exceeds
 the limits of the controllers is flown more slowly (:mod:`mufly.mission.mission_checks`). Missing or frozen estimates
-are bridged for half a second (:func:`mufly.estimate.check_estimate`); then the flight software descends blindly.
-:mod:`mufly.flight.estimator_health` handles uncertain estimates. Oscillating actuators
+are bridged for half a second (:func:`mufly.estimate.check_estimate`); then the flight software descends in mode
+``blind``. :mod:`mufly.flight.estimator_health` handles uncertain estimates. Oscillating actuators
 (:mod:`mufly.flight.oscillation_detector`) also end the mission.
 """
 
@@ -74,13 +74,13 @@ from mufly.vehicle import Vehicle
 _Array = NDArray[np.floating[Any]]
 
 MEASUREMENT_TIMEOUT_S = 0.5
-"""Longest time without a new measurement in flight (s)."""
+"""Longest time without a new estimate in flight (s)."""
 
 RAMP_DOWN_SKIPPED_SHARE = 0.8
-"""Fraction of the motors' ramp-down that is skipped after a known touchdown."""
+"""Fraction of the motors' ramp-down that is skipped if the touchdown is certain."""
 
 MAX_MOTOR_STEP, MAX_SERVO_STEP = 0.1, 0.2
-"""Largest change of an input in a period, with a filter's estimate: twice the 0.999 quantile of flights in gusts."""
+"""Largest change of an input in a period on a filter's estimate: twice the 0.999 quantile of flights in gusts."""
 
 _HOVER_VOLTAGE_FILTER_S = 1.0
 _BATTERY_FILTER_S = 0.5  # time constant of the battery voltage during spin-up, with a filter's estimate
@@ -289,14 +289,14 @@ class FlightSoftware:
         return self._given
 
     def _update_map_part(self, m: Estimate) -> None:
-        """Update the obstacle map from some of the beams; all beams have a turn between two steps of the mission."""
+        """Update the obstacle map from a part of the beams; two steps of the mission cover all beams."""
         parts = max(1, self._every - 1)
         part = (self._ticks - 1) % self._every if self._every > 1 else 1
         if part > 0:
             self.mission_state = update_obstacle_map(self.plan, self.mission_state, m, part, parts)
 
     def _limit_actuator_rates(self, m: Estimate, wanted: Actuators) -> Actuators:
-        """Limit the inputs' steps to :data:`MAX_MOTOR_STEP` and :data:`MAX_SERVO_STEP` with a filter's estimate."""
+        """Limit the change of the inputs per period to :data:`MAX_MOTOR_STEP`, :data:`MAX_SERVO_STEP` (filter only)."""
         if m.auxiliary_states is not None:
             before = self._given
             motor, servo = _limit_actuator_step(
@@ -318,7 +318,7 @@ class FlightSoftware:
         return Actuators.idle()
 
     def _is_lost(self, w: EstimateMonitor) -> bool:
-        """Whether the estimate is lost in flight; a blind descent is final."""
+        """Whether the estimate is lost in flight; once in a blind descent, always True."""
         if self._motors == "blind":
             return True
         # With the motors off the vehicle stands still, and a repeated measurement is no fault.
@@ -459,7 +459,7 @@ class FlightSoftware:
 def _limit_actuator_step(
     motor: _Array, servo: _Array, wanted_motor: _Array, wanted_servo: _Array
 ) -> tuple[_Array, _Array]:
-    """Return motor and servo inputs (2,), moved towards the wanted ones by at most the largest step."""
+    """Return motor inputs (2,) and servo inputs (2,), moved towards the commanded ones by at most the largest step."""
     return (
         motor + np.minimum(np.maximum(wanted_motor - motor, -MAX_MOTOR_STEP), MAX_MOTOR_STEP),
         servo + np.minimum(np.maximum(wanted_servo - servo, -MAX_SERVO_STEP), MAX_SERVO_STEP),

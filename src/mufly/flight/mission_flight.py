@@ -146,7 +146,7 @@ def fly_mission(
 
 
 def _time_limit(mission: Mission, expected: MissionEstimate) -> float:
-    """Return the longest duration of a flight (s), after which it has failed."""
+    """Return the time limit of a flight (s); a longer flight counts as failed."""
     limit = 3.0 * expected.duration_s + 60.0 + len(mission.waypoint) * mission.avoidance.give_up_s
     # A mission that ends in a hover lasts until the battery is low.
     return limit + expected.duration_s / expected.fraction if mission.at_end == "hover" else limit
@@ -203,11 +203,11 @@ def align_and_start(flight: Flight) -> str:
             why = autopilot.list_arming_faults()
     answer = autopilot.arm(quiet=True)
     if answer:
-        flight.log_event(f"aligned after {flight.time_s:.1f} s")
+        flight.log_event(f"estimate valid after {flight.time_s:.1f} s")
         answer = autopilot.start_mission()
     if answer:
         return ""
-    flight.refusal_reason = f"it was not ready within {ALIGNMENT_TIMEOUT_S:g} s: {answer.reason}"
+    flight.refusal_reason = f"the estimate was not ready within {ALIGNMENT_TIMEOUT_S:g} s: {answer.reason}"
     flight.log_event(flight.refusal_reason, "error")
     return flight.refusal_reason
 

@@ -6,9 +6,9 @@ most 4 s each, for 2 s or longer, without a steering command. Loops that delay o
 like flight.
 
 A turn is an instant where the input has returned from its extreme by half of its range. The period at a turn is the
-time since the second last turn. Even means a ratio of at most 1.6 to the previous period; gusts are irregular. Every
-turn of a pilot's sticks or a program's set-points restarts the count. (Own definition; flights in 1.5 m/s of wind with
-gusts of 0.6 m/s stay below a tenth of the range.)
+time since the turn before the last. Periods are even if each is at most 1.6 times the previous one; gusts are
+irregular. Every turn of a pilot's sticks or a program's set-points restarts the count. (Own definition; flights in 1.5
+m/s of wind with gusts of 0.6 m/s stay below a tenth of the range.)
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class _TurningPoints:
 
 @dataclass(slots=True)
 class _InputOscillation:
-    """Count of one input's consecutive even periods, with the input's extremes in them."""
+    """Number of consecutive even periods of one input, with the input's extremes in these periods."""
 
     turning_points: _TurningPoints
     start_s: float = 0.0
@@ -90,7 +90,7 @@ class Oscillation:
 
 @cached_njit(error_model="numpy")
 def may_oscillate(inputs: _Array) -> bool:
-    """Whether any of the inputs (n, 4) turns often enough to oscillate, at any period and with any command."""
+    """Whether any of the inputs (n, 4) turns often enough for an oscillation; a fast test without the period."""
     for k in range(4):
         back, rising, extreme, turns = MIN_SWING_SHARE * INPUT_RANGES[k], True, -math.inf, 0
         for value in inputs[:, k]:

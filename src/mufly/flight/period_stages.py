@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Any
 
 CONTINUE, DONE = 0, 1
-"""Codes of a stage: continue; or (first and last stage only) no period is left."""
+"""Return codes of a stage: continue; no period is left (first and last stage only)."""
 FIRST_FREE_CODE = 2
 """First code that an executor may define."""
 

@@ -155,7 +155,7 @@ class Flight:
         if outside and sensors != "fitted":
             raise InputError("outside", "", "ideal sensors use no position fixes", "fly on fitted sensors")
         if outside and eye is not None and eye.stream_address is None:
-            raise InputError("eye", "stream", "its pictures have no receiver", "give an address to stream to")
+            raise InputError("eye", "stream", "pictures have no receiver", "give an address to stream to")
         eye = None if eye is None else with_mission_floor(eye, mission)
         if eye is not None and not outside:
             if sensors != "fitted":
@@ -207,7 +207,7 @@ class Flight:
             estimator.fix_correlation_s = 0.0 if self.camera is None else self.camera.fix_drift_time_s
             weighed = {FIX_DRIFT_ATTRIBUTE: estimator.fix_correlation_s}
         self.missing_sensors_note = (
-            f"{vehicle.name} has no table [sensors]: it flies on the true state"
+            f"{vehicle.name} has no table [sensors]: the vehicle flies on the true state"
             if sensors == "fitted" and not sensed
             else ""
         )
@@ -275,7 +275,7 @@ class Flight:
         return self._estimate, math.nan if sonar is None else float(sonar.value)
 
     def _blinded_sensors(self) -> tuple[str, ...]:
-        """Return the sensors that may be missing at present.
+        """Return the sensors that cannot measure at present, so that the filter reports no fault of them.
 
         The camera sees nothing on the floor: from touchdown until the sonar shows another lift-off. Tracking works down
         to about 3 cm above the floor.
@@ -329,12 +329,12 @@ class Flight:
 
     @property
     def records_truth(self) -> bool:
-        """Whether the recording holds no readings of fitted sensors."""
+        """Whether the recording holds the truth and no readings of fitted sensors."""
         return self._write_sensed is None
 
     @property
     def current_filter_share(self) -> float:
-        """Weight of a new current in the filtered current, every ``look_periods`` periods."""
+        """Weight of a new sample in the low pass of the battery current, every ``look_periods`` periods."""
         return self.look_periods * self.period_s / _CURRENT_FILTER_S
 
     # The stages of a period, in the order of mufly.flight.period_stages; the last one ends every call
@@ -410,7 +410,7 @@ class Flight:
             self.autopilot.emergency_stop()
 
     def inject_fault(self, fault: Fault) -> None:
-        """Inject a sensor fault at its start time, or at once if that is past, and log an event.
+        """Inject a sensor fault at its start time (at once if that time is past), and log an event.
 
         Raises
         ------
@@ -495,7 +495,7 @@ class Flight:
             return "failed", self.plant.crash_cause or self.refusal_reason
         if s.outcome == "failed" and (fault := self.autopilot.refused_source):
             return "failed", f"{SOURCE_REFUSED}{fault}"
-        return (s.outcome, s.reason) if s.outcome else ("unfinished", f"in state '{s.state}' when it was ended")
+        return (s.outcome, s.reason) if s.outcome else ("unfinished", f"ended in state '{s.state}'")
 
     def __enter__(self) -> Flight:
         return self

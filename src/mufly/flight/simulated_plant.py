@@ -126,8 +126,8 @@ class SimulatedPlant:
         longest = min(DEFAULT_STEP_S, longest_step(self.parameters))
         if longest < MIN_STEP_S:
             raise MuflyError(
-                f"{vehicle.name}: its fastest mode needs steps of {longest * 1e6:.2g} us, too short to simulate a "
-                f"flight; it is that of {fastest_mode_key(self.parameters)}"
+                f"{vehicle.name}: the fastest mode ({fastest_mode_key(self.parameters)}) needs steps of "
+                f"{longest * 1e6:.2g} us, too short to simulate a flight"
             )
         self.step_count = math.ceil(1.0 / rate_Hz / longest - 1e-9)
         self.step_s = 1.0 / rate_Hz / self.step_count

@@ -6,7 +6,7 @@ There are three kinds:
 
 - mission (``MIS_``, ``LIM_``, ``AVD_``, ``BAT_``): keys of a mission file (docs/reference/missions.md), with its
   bounds. The maximum of a limit is at most 80 % of the limit of the controllers
-  (:mod:`mufly.mission.mission_checks`), so it depends on the controller design.
+  (:mod:`mufly.mission.mission_checks`), so this maximum depends on the controller design.
 - control law (``CTL_``): limits of the reference filters, and the position gain. A change takes effect with a time
   constant of 0.5 s (:class:`mufly.flight.controllers.Controllers`).
 - sticks (``STK_``): command at full stick deflection.
@@ -169,7 +169,7 @@ class TunableParameters(Mapping[str, TunableParameter]):
             Reason of a refusal; "" if the value is set.
         """
         if name not in PARAMETERS:
-            return f"there is no parameter {name[:40]!r}; the list names them all"
+            return f"there is no parameter {name[:40]!r}; use a name of the parameter list"
         p = self[name]
         least, greatest = p.minimum, p.maximum
         slack = _BOUND_TOLERANCE * max(abs(least), abs(greatest), 1.0)
@@ -215,5 +215,5 @@ _GAIN_RECORDS = {"position": "position_gains", "heave_yaw": "heave_yaw_gains"}
 
 
 def _unit_scale(p: TunableParameter, table: str) -> float:
-    """Return the factor from the stored unit to the parameter's unit. Mission files already store degrees."""
+    """Return the parameter's unit per stored unit: 180 / pi for degrees stored as radians, else 1."""
     return DEGREES_PER_RADIAN if p.unit.startswith("deg") and table in (*_GAIN_RECORDS, "sticks") else 1.0

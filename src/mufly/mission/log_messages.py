@@ -89,7 +89,7 @@ class LogMessage(Enum):
     POSITION_UNCERTAIN = "position uncertain by {:.2f} m"
     POSITION_UNCERTAIN_TOO_LONG = "position uncertain by {:.2f} m{}, for {:g} s"
     ATTITUDE_CONTRADICTED = "attitude contradicted by {}"
-    ESTIMATE_NOT_VALID = "estimate is not valid; let it stand still"
+    ESTIMATE_NOT_VALID = "estimate is not valid; leave the vehicle at rest"
     STANDS_TILTED = "stands tilted {:.1f} degrees; limit {:g}"
 
     def __call__(self, *numbers: object) -> str:

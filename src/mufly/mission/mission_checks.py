@@ -249,7 +249,7 @@ def check_mission(
                 f"{key}.position_m",
                 f"{waypoint.position_m[2]:g} m (D) is out of reach"
                 if vertical
-                else f"is out of reach: getting there and down takes {_format_seconds(leg.reached_s + landing)}",
+                else f"is out of reach: flight and landing take {_format_seconds(leg.reached_s + landing)}",
                 remedy + ("fly lower" if vertical else "fly less far, faster, or wait less before it"),
             )
         if leg.departure_s + landing > lasts:

@@ -2,19 +2,19 @@
 
     truth --> picture --radio--> SLAM process --radio--> position_fix, with the time of the picture
 
-A picture is rendered at the middle of its exposure. The filter's estimate of tilt, height, velocity and rates, from
-one period of the flight software before, is predicted to that time and sent with the picture. The radio loses some
-pictures. A result is known at t + latency + abs(jitter) of simulated time: the flight waits for the SLAM process, so
-that equal seeds give equal flights. Untrusted results are not sent; half a second without a trusted one is reported
-with the reason. Trusted results are sent at most at the rate of the statistical fix, because errors of consecutive
-pictures are correlated and the filter's computing time is limited.
+A picture is rendered at the middle of its exposure. The filter's estimate (tilt, height, velocity, rates) of the
+previous period is predicted to that time and sent with the picture. The radio loses some pictures. A result arrives at
+t + latency + abs(jitter) of simulated time: the flight waits for the SLAM process, so that equal seeds give equal
+flights. Untrusted results are not sent; half a second without a trusted result is reported with the reason. Trusted
+results are sent at most at the rate of the statistical fix, because errors of consecutive pictures are correlated and
+the filter's computing time is limited.
 
 The sensor replaces the statistical ``position_fix``. Its errors are described to the filter in the same way: white
 noise, and a random-walk bias (docs/log/2026-11-24-slam-accuracy.md).
 
-Before the sonar first reads more than on the floor, the fix is the start position with 2 mm of noise. Without fixes
-the filter would lose its height while the legs carry a part of the weight. The map begins with the first picture from
-10 cm above the floor, at the estimated position.
+Until the sonar reads more than on the floor, the fix is the start position with 2 mm of noise. Without these fixes the
+filter would lose the height while the legs carry a part of the weight. The SLAM map begins with the first picture
+from 10 cm above the floor, at the estimated position.
 """
 
 from __future__ import annotations
@@ -64,10 +64,10 @@ from mufly.world import World
 
 _Array = NDArray[np.float64]
 MIN_FIX_INTERVAL_S, SILENCE_TIMEOUT_S, RECOVERY_TIME_S = 0.066, 0.5, 1.0
-"""Least time between two fixes, time without a fix until its report, and time of recovery until its report (s)."""
+"""Least time between two fixes (s); time without fixes, and time with fixes again, until the report (s)."""
 _STATIONARY_NOISE_M = 0.002
 LANDED_HEIGHT_M = 0.2
-"""Estimated height (m) below which the least sonar reading after a flight means a landing, not a sonar's failure."""
+"""Estimated height (m) below which the sonar's least reading after a flight means a landing, not a sonar fault."""
 PATH_SPACING_M, MAX_PATH_POINTS = 0.03, 1500
 _TILT_CORRELATION_S, _HEIGHT_CORRELATION_S = 20.0, 2.0
 """Correlation times of the filter's errors of tilt and height (s)."""
@@ -178,7 +178,7 @@ def replace_fix_by_camera(vehicle: Vehicle, camera: Camera) -> Vehicle:
 
 
 def minimum_sonar_height(vehicle: Vehicle) -> float:
-    """Return the largest sonar reading (m) of a vehicle that may stand on the floor."""
+    """Return the sonar reading (m) up to which the vehicle may still stand on the floor."""
     sonar = vehicle.sensors.sonar if vehicle.sensors is not None else None
     return 0.0 if sonar is None else max_grounded_range(vehicle) + 0.5 * float(sonar.resolution)
 
@@ -292,12 +292,12 @@ class CameraSensor(Sensor):
             )
             why = "no pictures arrive" if late or self.last_result is None else self.last_result.reason
             self._wrong, self._since_s = why, math.nan
-            return f"the camera gives no position: {why}"
+            return f"no position from the camera: {why}"
         if self._wrong and t - self._trusted_s < SILENCE_TIMEOUT_S:
             self._since_s = t if math.isnan(self._since_s) else self._since_s
             if t - self._since_s >= RECOVERY_TIME_S:
                 self._wrong = ""
-                return "the camera gives its position again"
+                return "position from the camera is available again"
         return ""
 
     def _take_picture(self, truth: Truth) -> None:
@@ -438,8 +438,8 @@ class CameraSensor(Sensor):
 
 
 def _reject_uncertain(answer: TrackingResult) -> TrackingResult:
-    """Return a tracking result, marked as untrusted if its standard deviation is too large."""
+    """Return the tracking result, marked as untrusted if the standard deviation is too large."""
     sigma = math.sqrt(max(float(answer.covariance[0, 0]), float(answer.covariance[1, 1])))
     if not answer.trusted or sigma <= _MAX_SENT_SIGMA_M:
         return answer
-    return replace(answer, trusted=False, reason=f"its place is known to {sigma:.2f} m only")
+    return replace(answer, trusted=False, reason=f"its position has a standard deviation of {sigma:.2f} m")

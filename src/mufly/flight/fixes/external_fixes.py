@@ -1,9 +1,9 @@
 """External position fixes, computed by another program and received over a link.
 
 :class:`ExternalFixes` replaces the statistical ``position_fix``; each fix has its own time and covariance. Invalid
-fixes are refused before they reach the filter, with the reason as text: numbers that are not finite, a large
-standard deviation, a time in the future, late, repeated or out-of-order fixes. So are sources that contradict the
-inertial unit (:mod:`mufly.flight.fixes.fix_monitor`); the vehicle then lands on their corrected motion.
+fixes are refused before they reach the filter, with the reason as text: numbers that are not finite, a large standard
+deviation, a time in the future, late, repeated or out-of-order fixes. A source that contradicts the inertial unit
+(:mod:`mufly.flight.fixes.fix_monitor`) is refused, too; the vehicle then lands on the corrected motion of the source.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from mufly.vehicle import Vehicle
 
 _Array = NDArray[np.float64]
 MAX_FIX_DELAY_S, MAX_FIX_LEAD_S = 1.0, 0.05
-"""Largest age of a fix, which the filter predicts by the velocity only, and largest lead over the vehicle (s)."""
+"""Largest age of a fix and largest lead of its time over the vehicle's clock (s)."""
 MAX_FIX_DISTANCE_M = 1000.0
 MIN_SIGMA_M, MIN_SIGMA_RAD = 0.002, math.radians(0.05)
 """Least standard deviations of a fix; smaller ones are increased."""
 MAX_SIGMA_RAD = math.radians(20.0)
 _CORRECTED_COVARIANCE = np.diag([0.1**2] * 3 + [math.radians(1.0) ** 2])
-"""Covariance of the corrected fixes of a refused source: their motion counts, not their place."""
+"""Covariance of the corrected fixes of a refused source: large, so that the filter follows their motion only."""
 
 
 class ExternalFixes(Sensor):
@@ -53,8 +53,8 @@ class ExternalFixes(Sensor):
         sensors = vehicle.sensors
         if sensors is None or sensors.imu is None or sensors.position_fix is None:
             raise MuflyError(
-                f"{vehicle.name} has no inertial unit, or no table sensors.position_fix: a fix from outside would help "
-                "nobody"
+                f"{vehicle.name} has no inertial unit, or no table sensors.position_fix, which external "
+                "fixes require; add them to [sensors]"
             )
         self._stream = stream
         self._monitor = FixMonitor(float(sensors.position_fix.wander))
@@ -115,7 +115,7 @@ class ExternalFixes(Sensor):
         if age > MAX_FIX_DELAY_S:
             return f"it is {age:.2f} s old, more than {MAX_FIX_DELAY_S:g} s"
         if time_s <= self._last_s:
-            return "doubled, or overtaken by a later one"
+            return "repeated, or older than the last fix"
         self._last_s = time_s
         if why := self._monitor.check_fix(time_s, place):
             if (corrected := self._monitor.correct_fix(time_s, place)) is not None:
@@ -131,21 +131,21 @@ class ExternalFixes(Sensor):
 
 def _fix_fault(place: _Array, covariance: _Array | None) -> str:
     if not np.isfinite(place).all():
-        return "its numbers are none (NaN or infinite)"
+        return "its numbers are not finite (NaN or infinite)"
     if np.abs(place[:3]).max() > MAX_FIX_DISTANCE_M:
-        return f"its place is {np.abs(place[:3]).max():.0f} m away"
+        return f"its position is {np.abs(place[:3]).max():.0f} m from the origin"
     *_, heading = place
     if abs(heading) > 2.1 * math.pi:
-        return f"its heading is {heading:.1f} rad"
+        return f"its heading is {heading:.1f} rad, outside +-2 pi"
     if covariance is None:
         return ""
     own = np.diag(covariance)
     if not np.isfinite(covariance).all() or (own < 0.0).any():
-        return "its covariance is none (negative variance, or not finite)"
+        return "its covariance is invalid (negative variance, or not finite)"
     if np.linalg.eigvalsh(covariance)[0] < -1e-6 * max(float(own.max()), 1e-12):
-        return "its covariance is none (not positive semidefinite)"
+        return "its covariance is invalid (not positive semidefinite)"
     if (sigma := math.sqrt(float(own[:2].max()))) > MAX_FIX_SIGMA_M:
-        return f"its place is known to {sigma:.2f} m only, {MAX_FIX_SIGMA_M:g} m are needed"
+        return f"its position has a standard deviation of {sigma:.2f} m, more than {MAX_FIX_SIGMA_M:g} m"
     if (sigma := math.sqrt(float(own[-1]))) > MAX_SIGMA_RAD:
-        return f"its heading is known to {math.degrees(sigma):.0f} degrees only"
+        return f"its heading has a standard deviation of {math.degrees(sigma):.0f} degrees, too large"
     return ""

@@ -1,8 +1,8 @@
-r"""Checks of position fixes from outside against the inertial unit, before they reach the filter.
+r"""Checks of external position fixes against the inertial unit, before they reach the filter.
 
-The inertial unit alone gives the path over some seconds but for a parabola, because errors of its tilt, bias and start
-are constant for so long. With N + i E as complex numbers, A the second integral of the measured acceleration and V its
-first, fixes P at the times t follow over a window of :data:`WINDOW_S`
+The inertial unit alone gives the path over some seconds up to an unknown parabola in time: errors of tilt, bias and
+start are constant over that time. With N + i E as complex numbers, A the second integral of the measured acceleration
+and V its first, fixes P at the times t follow over a window of :data:`WINDOW_S`
 
     P = c0 + c1 t + c2 t^2 + b B + m A + n conj(A) - d V.
 
@@ -17,22 +17,23 @@ For a mirrored source conj(B) replaces it.
 | mirrored, or north and east exchanged | 0 | of size 1 | 0 |
 | late by d | 1 | 0 | d |
 
-Each row is fitted alone, and the best names the fault if a correct source leaves more than :data:`_REPORT_RATIO`
-times the usual drift and the fault at most the share :data:`_EXPLAINED` of it. The controller follows the drift, and
-the drift then looks like a source that lags, so a lag must be :data:`_FOLLOWED_FACTOR` times as large. A scale whose
-effect in one window is below the drift is found by a long fit over :data:`_LONG_MEMORY_S`. A steady drift of a source
-in flight is not found: it is a part of the parabola.
+Each row is fitted alone. The best fit names the fault under two conditions: the residual of a correct source exceeds
+:data:`_REPORT_RATIO` times the usual drift, and that of the fault is at most the share :data:`_EXPLAINED` of it. The
+controller follows the drift of a source, and the drift then looks like a lag, so the residual for a lag must be
+:data:`_FOLLOWED_FACTOR` times as large. An error of scale whose effect in one window is below the drift is found by a
+long fit over :data:`_LONG_MEMORY_S`. A steady drift of a source in flight is not found: it is a part of the parabola.
 
-The heading is checked against the gyroscopes, which follow it slowly. A heading that lags shows the delay d in a turn
-long before the path does: psi(t) = psi_gyro(t - d) is fitted over d. While the motors are off, the source must not
-move; the tilt and the bias of the gyroscopes are measured then.
+The heading is checked against the integrated gyroscopes, whose offset is adapted slowly. In a turn a lagging heading
+shows the delay d long before the path does: psi(t) = psi_gyro(t - d) is fitted over d. While the motors are off, the
+source must not move; the tilt and the bias of the gyroscopes are measured then.
 
-A fault must last :data:`_CONFIRM_COUNT` fixes. From :data:`_WITHHOLD_RATIO` times the drift on fixes are withheld, so
-that the filter does not follow a source that is about to be refused; after a jump they are withheld for
-:data:`_SETTLE_S`. A refused source returns after :data:`RETURN_S` of flight in which it agrees, or of rest if it moved
-at rest. The filter has taken over a wrong velocity by then, which the vehicle would keep until touchdown: the motion of
-a refused source is therefore corrected for the landing (:meth:`FixMonitor.correct_fix`). The specific force contains
-drag and wind, so no model of the rotors enters. Own derivation.
+A fault must last :data:`_CONFIRM_COUNT` fixes. Fixes are withheld from a residual of
+:data:`_WITHHOLD_RATIO` times the drift, so that the filter does not follow a source that is about to be refused, and
+for :data:`_SETTLE_S` after a jump. A refused source is accepted again after :data:`RETURN_S` of flight in which it
+agrees, or of rest if it moved at rest. When a source is refused, the filter's velocity is already wrong and would stay
+so until touchdown. The motion of a refused source is therefore corrected for the landing
+(:meth:`FixMonitor.correct_fix`). The specific force contains drag and wind, so the checks need no rotor model. Own
+derivation.
 """
 
 from __future__ import annotations
@@ -56,34 +57,34 @@ _MIN_SPAN_S, _MIN_COUNT = 1.2, 12
 """Least span (s) and number of fixes for a fit."""
 _WITHHOLD_RATIO, _REPORT_RATIO, _FOLLOWED_FACTOR, _EXPLAINED, _CONFIRM_COUNT = 0.8, 1.2, 1.5, 0.45, 6
 _MIN_SIZE, _BOTH = 0.6, 4.0
-"""Contradictions over the source's usual drift from which fixes are withheld and the fault is reported. Then the factor
-on both for sources that lag or move less than :data:`_MIN_SIZE` times as far, the share of the contradiction that a
-fault leaves, and the number of fixes that confirm a fault."""
+"""Residuals over the source's usual drift from which fixes are withheld and the fault is reported. For sources that lag or
+move less than :data:`_MIN_SIZE` times as far, both are larger by a factor. Largest share of the residual that the
+fault leaves; number of fixes that confirm a fault."""
 _HEADING_RAD, _HEADING_DECAY_S = math.radians(20.0), 30.0
-"""Largest error of heading against the gyroscopes, and time over which their drift is forgotten (s)."""
+"""Largest difference of heading and integrated gyroscopes (rad), and time constant of their slow drift (s)."""
 _MAX_DELAY_S, _MIN_DELAY_S, _HEADING_WINDOW_S, _MIN_LAG_RAD = 0.8, 0.12, 3.0, math.radians(2.5)
 _DELAYS_S = np.arange(0.0, _MAX_DELAY_S, 0.04)
-"""Largest delay that is tried against the heading, least that is reported, window of the fit (s), and the rms by which
-the heading must contradict the gyroscopes (rad)."""
+"""Fit of the heading's delay: largest delay tried, least delay reported, window (s), and least rms difference from the
+gyroscopes (rad)."""
 _APART_RAD = math.radians(3.0)
 """Change of the heading against the gyroscopes within a second from which fixes are withheld (rad)."""
 _LONG_STEP_S, _LONG_MEMORY_S, _LONG_CORRELATION, _LONG_SIGMAS = 2.5, 60.0, 30.0, 3.5
-"""Step between windows of the long fit and its memory (s), fixes whose errors are alike, and deviations of a report."""
+"""Long fit: step between windows and memory (s), number of fixes with correlated errors, deviations until a report."""
 _LONG_SCALE, _LONG_TURN_RAD = 0.2, math.radians(20.0)
-"""Least error of the scale that the long fit reports, and the turn beyond which it is no error of scale (rad)."""
+"""Least error of scale that the long fit reports, and largest turn of the axes (rad) at which the fault is a scale."""
 _REST_WINDOW_S, _REST_SPEED_M_S = 4.0, 0.04
 _JUMP_M, _MAX_SPEED_M_S, _SETTLE_S = 0.3, 2.0, 4.0
-"""Change between two fixes that is a jump of the source: a length, and a speed that no flight has; time for which a
-source is withheld after a jump."""
+"""Change between two fixes that counts as a jump: a length (m), and a speed (m/s) that no flight has; time for which
+fixes are withheld after a jump (s)."""
 _MIN_TURN_EFFECT = 0.005  # rms of B beside a parabola, below which the nose did not turn (s^2)
 _WITHHELD = "it is withheld: "
-_LAGGING = "its heading does not follow the gyroscopes"
+_LAGGING = "its heading does not follow the measured turn rate"
 _ATTITUDE_CORRECTION_S, _REST_AVERAGE_S = 20.0, 1.0
 
 
 @dataclass(frozen=True)
 class PathFit:
-    """Fit of the fixes in a window to the path of the inertial unit, both without their parabolas.
+    """Fit of the fixes in a window to the path of the inertial unit, with a parabola in time removed from both.
 
     Attributes
     ----------
@@ -152,7 +153,7 @@ class FixMonitor:
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything."""
+        """Discard all fixes, fits and faults."""
         self._time_s = math.nan
         self._turn: _Array = np.eye(3)  # body to N-E-D
         self._rest_force, self._rest_rates, self._rest_weight = np.zeros(3), np.zeros(3), 0.0
@@ -228,7 +229,7 @@ class FixMonitor:
         self._speed = self._path = self._bias_speed = self._bias_path = 0j
 
     def _follow_tilt(self, estimate: Estimate, share: float) -> None:
-        """Correct the tilt towards the filter's, and make the matrix orthogonal."""
+        """Correct the tilt slowly towards the filter's, and make the rotation matrix orthogonal."""
         roll, pitch, _ = estimate.attitude
         down = np.array([-math.sin(pitch), math.cos(pitch) * math.sin(roll), math.cos(pitch) * math.cos(roll)])
         third = self._turn[2] + share * (down - self._turn[2])
@@ -270,7 +271,7 @@ class FixMonitor:
         return f"{_WITHHELD}{self._candidate}" if self._count > 2 or fault == _LAGGING else ""
 
     def _refuse(self, time_s: float, place: complex, fault: str) -> None:
-        """Refuse the source, and correct its motion from the filter's present place on."""
+        """Refuse the source; its corrected motion continues from the filter's present position."""
         if self._correction is None:
             now, velocity = self._estimate
             self._measured, self._corrected = place, now - (self._time_s - time_s) * velocity
@@ -278,7 +279,7 @@ class FixMonitor:
         self._correction = self._find_correction() or self._correction
 
     def _find_correction(self) -> FixCorrection | None:
-        """Return the correction of the fault that the path shows; None if it shows none."""
+        """Return the correction of the fault that the path shows; None without a fault that can be corrected."""
         fit = self.path_fit
         match self._classify_path(self._report_m):
             case "turned":
@@ -292,7 +293,7 @@ class FixMonitor:
         return FixCorrection(1.0 / abs(self.long_fit[0]) + 0j) if self._judge_long_fit() else None
 
     def correct_fix(self, time_s: float, place: _Array) -> tuple[float, _Array] | None:
-        """Return time and position of a fix with the fault of its refused source removed; None if that is not known.
+        """Return time and position of a refused source's fix with the fault removed; None if the fault is not known.
 
         The corrected position begins at the filter's estimate at the time of the refusal.
         """
@@ -392,12 +393,12 @@ class FixMonitor:
         return _late_text(delay) if explains else ""
 
     def _is_heading_apart(self, time_s: float) -> bool:
-        """Return whether the heading and that of the gyroscopes have turned apart within a second."""
+        """Return whether the change of the heading within a second differs from that of the gyroscopes."""
         recent = [heading - own for t, heading, own in self._headings if t > time_s - 1.0]
         return abs(recent[-1] - float(np.median(recent))) > _APART_RAD
 
     def _fit_path(self) -> None:
-        """Fit the path over the window by each explanation in turn."""
+        """Fit the path over the window with each row of the module's table in turn."""
         self.path_fit = _NO_FIT
         t, place, path, speed, bias = (np.array(c) for c in zip(*self._fixes, strict=True))
         span = float(t[-1] - t[0])
@@ -436,14 +437,14 @@ class FixMonitor:
         self.long_fit = m, math.sqrt(_LONG_CORRELATION * noise / (2.0 * float(square.real)))
 
     def _judge_long_fit(self) -> str:
-        """Return the fault of a source whose scale is wrong, though by less than its drift in each window."""
+        """Return the fault of a source with a wrong scale whose effect in each window is below the drift."""
         m, sigma = self.long_fit
         off = abs(abs(m) - 1.0)
         is_wrong = off > max(_LONG_SCALE, _LONG_SIGMAS * sigma) and abs(cmath.phase(m)) < _LONG_TURN_RAD
         return _scaled_text(abs(m)) if is_wrong else ""
 
     def _classify_path(self, least_m: float) -> str:
-        """Return the fault that explains the path best, if the source contradicts it by a least rms (m); else ""."""
+        """Return the fault that explains the path best, if the residual exceeds a least rms (m); "" otherwise."""
         fit = self.path_fit
         if fit.healthy_rms_m < least_m:
             return ""
@@ -458,7 +459,7 @@ class FixMonitor:
         return "" if lags and fit.healthy_rms_m < _FOLLOWED_FACTOR * least_m else kind
 
     def _judge_path(self, least_m: float) -> str:
-        """Return the fault of the path, as text, if the source contradicts it by a least rms (m)."""
+        """Return the fault of the path as text, if the residual of a correct source exceeds a least rms (m)."""
         fit, kind = self.path_fit, self._classify_path(least_m)
         if not kind:
             return ""
@@ -480,12 +481,12 @@ def _rms(a: NDArray[np.complexfloating]) -> float:
 
 
 def _scaled_text(scale: float) -> str:
-    return f"it moves {scale:.2f} times as far as the accelerometers"
+    return f"it moves {scale:.2f} times as far as measured by the accelerometers"
 
 
 def _turned_text(turn: complex) -> str:
     degrees = math.degrees(cmath.phase(turn))
-    return f"it moves turned by {degrees:.0f} degrees against the accelerometers: check its axes"
+    return f"its axes are turned by {degrees:.0f} degrees against the accelerometers: check its frame"
 
 
 def _late_text(delay_s: float) -> str:

@@ -59,7 +59,7 @@ def parse_camera_fault(text: str) -> CameraFault:
 
 
 _SPOTS = ((0.33, 0.31, 0.05), (0.62, 0.72, 0.06))
-"""Row, column and radius of dirt, over the picture's sides and its width."""
+"""Dark spots: row and column as fractions of the picture's height and width, radius as a fraction of its width."""
 
 
 def add_dirt(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -107,7 +107,7 @@ class OnboardCamera:
         self.rotor_phase, self.last_time_s, self._due_s = np.zeros(2), math.nan, -math.inf
 
     def make_renderer(self) -> Renderer:
-        """Return a new renderer of the same pictures."""
+        """Return another renderer with the settings of this camera."""
         return Renderer(*self._given, seed=self._seed)
 
     def is_picture_due(self, truth: Truth) -> bool:

@@ -56,10 +56,10 @@ from mufly.version import __version__
 _Array = NDArray[np.float64]
 
 MAX_VEHICLE_DRAWS = 200
-"""Number of consecutive impossible vehicles after which a campaign ends."""
+"""Number of consecutive draws of impossible vehicles after which a campaign ends."""
 
 NEVER_TOLD_PREFIX = "sensors.imu.mount_"
-"""Prefix of the keys that no filter uses, as it assumes an aligned inertial unit."""
+"""Prefix of the keys that no filter uses: the filter assumes an aligned inertial unit."""
 
 NEES_INTERVAL_PERIODS = 10  # periods between two samples of the estimation error
 
@@ -246,12 +246,12 @@ class Campaign:
 
     @property
     def told_keys(self) -> list[str]:
-        """Return the varied keys whose drawn values enter the design of controllers, filter and fault detection."""
+        """Return the varied keys whose drawn values the flight software knows (control, filter, fault detection)."""
         return [key for key in self.varied_keys if self.redesign and not key.startswith(NEVER_TOLD_PREFIX)]
 
     @property
     def untold_keys(self) -> list[str]:
-        """Return the varied keys that differ in truth only."""
+        """Return the varied keys of the simulated truth alone; the flight software keeps the nominal values."""
         return [key for key in self.varied_keys if not self.redesign or key.startswith(NEVER_TOLD_PREFIX)]
 
     def describe_knowledge(self) -> str:
@@ -286,14 +286,14 @@ class Campaign:
         return hash_question(content)
 
     def _describe_method(self) -> list[str]:
-        """Return method and gains of a controller of other settings than the default; nothing for the default."""
+        """Return method and gains of a controller that is not the default; empty for the default."""
         c = self.controller
         if c is None or c.settings == complete_settings(DesignSettings(), self.vehicle):
             return []
         return [c.settings.method, *(g.tobytes().hex() for g in (c.heave_yaw_gains, c.roll_pitch_gains))]
 
     def _describe_camera(self) -> dict[str, list[object]]:
-        """Return what a camera adds to the settings; nothing without one."""
+        """Return the settings of the camera; empty without a camera."""
         eye = self.camera
         if eye is None:
             return {}
@@ -318,7 +318,7 @@ class Campaign:
             else:
                 return case
         raise ArgumentError(
-            "vary", "", f"{MAX_VEHICLE_DRAWS} vehicles in a row cannot be (the last: {why})", "vary less"
+            "vary", "", f"{MAX_VEHICLE_DRAWS} drawn vehicles in a row are impossible (the last: {why})", "vary less"
         ) from why
 
     @property
@@ -385,7 +385,7 @@ class Campaign:
         return {p.key: p.value for p in list_parameters(self.vehicle) if isinstance(p.value, float)}
 
     def wrong_sources(self, case: FlightCase) -> frozenset[str]:
-        """Return the sensors whose true errors are unknown to the filter, by their names in messages."""
+        """Return the sensors whose true errors differ from those that the filter knows, by their names in messages."""
         untold = {key: case.parameter_values[key] for key in self.untold_keys if key in case.parameter_values}
         return wrong_sources(self.faults, untold, self._filed_values)
 
@@ -538,21 +538,21 @@ def _failure_reason(s: FlightSummary, data: xr.Dataset, tolerance_m: float) -> s
         if w.reached_s is None:
             return f"{name} was not reached"
         if (w.distance_at_reach_m or 0.0) > tolerance_m:
-            return f"{name} was reported as reached, {w.distance_at_reach_m:.2f} m from it"
+            return f"{name} was reported as reached from {w.distance_at_reach_m:.2f} m away"
     last = data.isel(time=-1)
     up = float(data.truth_position.values[0, 2] - last.truth_position.values[2])
     if abs(up) > LANDED_HEIGHT_TOLERANCE_M:
-        return f"it ends {up:.2f} m above where it stood"
+        return f"final position {up:.2f} m above the take-off position"
     tilt = final_tilt_deg(data)
     if tilt > LANDED_MAX_TILT_DEG:
-        return f"it ends tilted by {tilt:.0f} degrees"
+        return f"final tilt {tilt:.0f} degrees"
     speed = final_speed_m_s(data)
     if speed > LANDED_MAX_SPEED_M_S:
-        return f"it still moves at the end, with {speed:.2f} m/s"
+        return f"final speed {speed:.2f} m/s"
     if np.any(last.motor_input.values > 0.0):
-        return "its motors still run at the end"
+        return "motors still running at the end"
     if (s.landing_distance_m or 0.0) > tolerance_m:
-        return f"it landed {s.landing_distance_m:.2f} m off its mark"
+        return f"it landed {s.landing_distance_m:.2f} m from the landing position"
     return ""
 
 

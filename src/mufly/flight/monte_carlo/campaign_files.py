@@ -77,7 +77,7 @@ def record_notable_flights(
         path = paths[f.index]
         changed = list_differences(f, before[f.index, f.seed])
         if changed:
-            on_notice(f"flight {f.index} was not the same when flown again ({', '.join(changed)})")
+            on_notice(f"flight {f.index} gave another result when it was repeated ({', '.join(changed)})")
         if path.exists():  # a flight refused before its start has no recording
             with report_write_errors(path):
                 path.rename(path.with_name("flight.mcap"))

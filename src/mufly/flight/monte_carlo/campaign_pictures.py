@@ -1,9 +1,9 @@
 """Pictures of a campaign: distributions of the metrics of its flights, and their dependence on parameters.
 
-Successes are blue, failures vermilion. The dashed line is the limit, the dotted line the 95th percentile on the bad
-side. Influence is Spearman's rank correlation of a parameter with a metric over all flights (Kendall and Gibbons,
-Rank Correlation Methods); it assumes a monotonic relation, not a linear one. The grey band is the 95 % range of the
-correlation of independent values.
+Successes are blue, failures vermilion. The dashed line is the limit, the dotted line the value that 95 % of the flights
+keep (the 95th percentile, or the 5th of a distance). Influence is Spearman's rank correlation of a parameter with a
+metric over all flights (Kendall and Gibbons, Rank Correlation Methods); it assumes a monotonic relation, not a linear
+one. The grey band is the 95 % range of the correlation of independent values.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def draw_outcome(outcome: CampaignOutcome) -> Figure:
 
 
 def _split_by_success(flights: Sequence[FlightResult], m: FlightMetric) -> tuple[np.ndarray, np.ndarray] | None:
-    """Numbers of successes and of failures; None where there is nothing to see."""
+    """Split the values of a metric into successes and failures; None if all values are equal or unknown."""
     parts = [
         m.factor * np.array([v for f in flights if f.success is kind and (v := getattr(f, m.name)) is not None])
         for kind in (True, False)
@@ -118,7 +118,9 @@ def draw_influences(flights: Sequence[FlightResult], campaign: Campaign) -> Figu
             axes.set_xlabel("rank correlation")
             axes.set_title(m.label)
             axes.tick_params(axis="y", labelsize=7.0)
-        figure.suptitle("What it depends on (red: grows with it; grey: what chance gives)", fontsize=10.0)
+        figure.suptitle(
+            "Rank correlation with parameters (red: positive; grey: 95 % range of independent values)", fontsize=10.0
+        )
     return figure
 
 

@@ -86,7 +86,12 @@ def wilson_interval(successes: int, flights: int, z: float = _Z95) -> tuple[floa
         If there are no flights, or more successes than flights.
     """
     if not 0 <= successes <= flights or flights < 1:
-        raise InputError("wilson", "", f"{successes} of {flights}", "give at least one flight, and no more successes")
+        raise InputError(
+            "wilson",
+            "",
+            f"{successes} of {flights}",
+            "give at least one flight, and at most as many successes as flights",
+        )
     p, n = successes / flights, flights
     middle = p + z * z / (2 * n)
     half = z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
@@ -180,7 +185,7 @@ class CampaignOutcome:
             text = f"The state machine reports {self.claimed} successes."
             blocks.append(show_lines(text, style="yellow"))
         if self.refused:
-            text = f"{self.refused} draws gave impossible vehicles and were repeated."
+            text = f"{self.refused} draws of impossible vehicles were repeated."
             blocks.append(show_lines(text))
         rows = [
             (w.label, f"{w.median:.3g}", f"{w.percentile_95:.3g}", f"{w.worst:.3g}", "" if w.unit == "1" else w.unit,
@@ -289,7 +294,7 @@ def results_dataset(flights: Sequence[FlightResult], campaign: Campaign) -> xr.D
             np.array([str(f.seed) for f in flights]),
             {"long_name": "seed of gusts and sensors"},
         ),
-        "refused": make_column("refused", "1", "impossible vehicles drawn before it"),
+        "refused": make_column("refused", "1", "impossible vehicles drawn before this one"),
     }
     for k, axis in enumerate("NED"):
         values = np.array([math.nan if f.wind is None else f.wind[k] for f in flights])

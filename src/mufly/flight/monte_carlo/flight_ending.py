@@ -1,8 +1,8 @@
 """Classification of flights by their true ending.
 
-A vehicle has *landed* if it is upright and at rest with its motors off, after a soft touchdown. The landing has the
-right reason under two conditions. The flight software reports a failure, and it blames no sensor or at least one
-whose errors differ from the vehicle file, by a fault or by a variation unknown to the filter.
+A vehicle has *landed* if it is upright and at rest with its motors off, after a soft touchdown. A safe landing has the
+right reason if the flight software reports a failure that names no sensor, or at least one wrong sensor. The errors
+of a wrong sensor differ from the vehicle file by a fault or by a variation that the filter does not know.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from mufly.sensor_table import READINGS, SENSORS
 from mufly.sensors import FAULT_TARGETS, parse_fault
 
 LANDED_HEIGHT_TOLERANCE_M, LANDED_MAX_SPEED_M_S, LANDED_MAX_TILT_DEG = 0.02, 0.05, 10.0
-"""Largest height error (m), speed (m/s) and tilt (deg) of a landed helicopter."""
+"""Largest height above the floor (m), speed (m/s) and tilt (deg) of a landed helicopter."""
 
 FlightEnding = Literal["succeeded", "landed", "landed, wrong reason", "not started", "tipped over", "hit", "lost"]
 ENDINGS: tuple[FlightEnding, ...] = get_args(FlightEnding)

@@ -129,7 +129,7 @@ def parse_variations(texts: Sequence[str], vehicle: Vehicle) -> tuple[ParameterV
             if not shared:
                 continue
             if len(new.keys) == len(other.keys):
-                raise ArgumentError("vary", text, f"{shared[0]} is drawn by {other.request_text!r} too", "draw it once")
+                raise ArgumentError("vary", text, f"{shared[0]} is varied by {other.request_text!r}", "vary it once")
             if len(new.keys) < len(other.keys):
                 found[k] = other.without_keys(shared)
             else:
@@ -198,7 +198,7 @@ def _parse_assignment(text: str, vehicle: Vehicle) -> ParameterVariation:
                 "vary", text, "no standard deviation is stated in the vehicle file", "give one: normal:3%"
             )
         missing = len(chosen) - len(stated)
-        note = f"{missing} of {len(chosen)} parameters state no standard deviation: not varied" if missing else ""
+        note = f"{missing} of {len(chosen)} parameters are not varied: no standard deviation" if missing else ""
         return replace(_independent_variation(text, stated, [float(p.std or 0.0) for p in stated], "normal"), note=note)
     if match := _RANGE_PATTERN.fullmatch(how):
         return _range_variation(text, how, match, chosen)
@@ -210,7 +210,7 @@ def _parse_assignment(text: str, vehicle: Vehicle) -> ParameterVariation:
         raise ArgumentError("vary", text, f"{number:g} is not a variation", "give a number above 0")
     if unit == "%":
         if number >= 100.0 and match["normal"] is None:
-            raise ArgumentError("vary", text, f"{number:g} % either way reaches zero", "give less than 100 %")
+            raise ArgumentError("vary", text, f"a spread of {number:g} % includes zero", "give less than 100 %")
         chosen = _without_zeros(chosen, text)
         widths = number / 100.0 * np.abs([p.value for p in chosen])
     elif match["normal"] or match["sides"]:
@@ -228,7 +228,7 @@ def _range_variation(text: str, how: str, match: re.Match[str], chosen: Sequence
         chosen = _without_zeros(chosen, text)
         if low < 0.0:
             raise ArgumentError(
-                "vary", text, f"{100 * low:g} % of a value turns its sign", "give shares of 0 % or more"
+                "vary", text, f"{100 * low:g} % of a value changes its sign", "give shares of 0 % or more"
             )
     else:
         low, high = (_to_si_amount(match[k], match["unit"], chosen, text) for k in ("low", "high"))
@@ -241,7 +241,7 @@ def _range_variation(text: str, how: str, match: re.Match[str], chosen: Sequence
 
 
 def _without_zeros(chosen: Sequence[Parameter], text: str) -> list[Parameter]:
-    """Return the parameters that are not 0; a share of 0, as without ground effect or friction, cannot vary."""
+    """Return the parameters that are not 0: a percentage of 0 (no ground effect, no friction) does not vary."""
     kept = [p for p in chosen if p.value != 0.0]
     if not kept:
         raise ArgumentError("vary", text, "a share of 0 is 0", "write +-AMOUNT, or LOW:HIGH, with its unit")
@@ -289,7 +289,7 @@ def _read_variation_file(text: str, vehicle: Vehicle) -> ParameterVariation:
         if correlation.shape != (len(fitted), len(fitted)):
             raise ValueError(f"correlation of {correlation.shape} for {len(fitted)} parameters")
     except OSError as error:
-        raise ArgumentError("vary", text, f"cannot be read ({error.strerror})", "give a file that is there") from None
+        raise ArgumentError("vary", text, f"cannot be read ({error.strerror})", "give an existing file") from None
     except (ValueError, KeyError, TypeError) as error:
         raise ArgumentError(
             "vary",
@@ -306,7 +306,7 @@ def _read_variation_file(text: str, vehicle: Vehicle) -> ParameterVariation:
     std = np.array([0.0 if at_bound else float(s) for _, _, s, at_bound in (fitted[k] for k in use)])
     size, vectors = np.linalg.eigh(np.nan_to_num(correlation[np.ix_(use, use)]))
     factor = std[:, None] * vectors * np.sqrt(np.maximum(size, 0.0))
-    told = [f"{', '.join(held)} at a bound: held at the value found"] if held else []
-    told += [f"{', '.join(left)} not seen by the data: not varied"] if left else []
+    told = [f"{', '.join(held)} at a bound of the fit: kept at the fitted value"] if held else []
+    told += [f"{', '.join(left)} not determined by the data: not varied"] if left else []
     centre = np.array([float(fitted[k][1]) for k in use])
     return ParameterVariation(text, tuple(fitted[k][0] for k in use), "normal", centre, factor, "; ".join(told))

@@ -1,6 +1,6 @@
 """Execution of a campaign on all cores or a cluster, with stored results; search for the worst case by CMA-ES.
 
-Every finished flight becomes a line of ``flights.jsonl`` at once, so that an abort costs only the flights in progress.
+Every finished flight becomes a line of ``flights.jsonl`` at once, so that an abort loses only the flights in progress.
 ``campaign.json`` holds the hash of the campaign's settings: a folder resumes the same campaign and refuses another.
 """
 
@@ -134,7 +134,7 @@ class WorkerPool:
 
 
 def _process_context() -> Any:
-    """Return a process context whose workers share one import of the package, if the system supports it."""
+    """Return a multiprocessing context; its workers share one import of the package if the system supports it."""
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
@@ -158,7 +158,7 @@ def _end_with_parent() -> None:
 
 
 _OTHER_CAMPAIGN = (
-    "holds another campaign's flights (other settings, or another version of mufly)",
+    "holds the flights of another campaign (other settings, or another version of mufly)",
     "give another folder, or delete this one",
 )
 
@@ -180,7 +180,7 @@ def _kept_flights(folder: Path | None, campaign: Campaign, file: str = RESULTS_F
         return AnswerLines(None, read)
     settings = {"version": __version__, **to_plain_data(describe_campaign(campaign))}
     claim_folder(folder, SETTINGS_FILE, campaign.settings_hash, settings, _OTHER_CAMPAIGN)
-    return AnswerLines(folder / file, read, damaged=("is damaged", "delete it; its flights are flown again"))
+    return AnswerLines(folder / file, read, damaged=("is damaged", "delete this file; its flights are repeated"))
 
 
 def describe_campaign(campaign: Campaign) -> dict[str, Any]:
@@ -261,7 +261,7 @@ def case_from_result(flown: FlightResult) -> FlightCase:
 
 
 def flight_severity(flown: FlightResult, tolerance_m: float) -> float:
-    """Return the severity of a flight: its largest ratio of a metric to the limit, or 10 or more after a failure.
+    """Return the severity of a flight: the largest ratio of a metric to its limit; at least 10 after a failure.
 
     The limits are the tolerance for waypoints, overshoot and landing, twice the tolerance for tracking, 0.5 m/s at
     touchdown, 30 degrees of tilt, and one second at an input's limit. An earlier failure is more severe.

@@ -1,7 +1,7 @@
 """Observation and action of learned policies and of the environments of :mod:`mufly.gym`.
 
-An observation has what an estimate knows, so that a policy can fly on a filter. The heading frame has its x axis along
-the vehicle's heading, level, y to the right and z down.
+An observation holds only quantities of an estimate, so that a policy can fly on a filter. The heading frame is level:
+x along the vehicle's heading, y to the right, z down.
 
 ==============  ==============================================================================================
 index           meaning
@@ -23,7 +23,7 @@ An action has four numbers from -1 to 1: collective, turn to the right, forward,
 
     motor upper, lower = trim + 0.3 collective +- 0.15 turn        servo 1 = forward,  servo 2 = right
 
-The C code of an exported policy (``firmware/sources/policy``) does the same operations in the same order.
+The C code of an exported policy (``firmware/sources/policy``) performs the same operations in the same order.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ OBS_ERROR, OBS_VEL, OBS_DOWN, OBS_RATES, OBS_HEADING, OBS_SUPPLY, OBS_ACTION, OB
 )  # fmt: skip
 ACTION_SIZE = 4
 RANGE_COUNT = 8
-"""Directions of the distances that ``Obstacle`` observes."""
+"""Number of the level directions in which the task ``Obstacle`` observes distances."""
 MAX_RANGE_M = 4.0
 COLLECTIVE_SPAN, TURN_SPAN = 0.3, 0.15
 ACTION_NAMES = ("collective", "turn_right", "forward", "right")

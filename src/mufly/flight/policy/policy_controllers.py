@@ -1,8 +1,8 @@
-"""A learned policy flies in place of the control law.
+"""Controllers that fly a learned policy in place of the control law.
 
-The flight software, its mission logic and the filter stay as they are. The policy acts from lift-off to touchdown
-whenever the mission logic gives a reference position. H-infinity control runs the motors on the floor until lift-off,
-and flies while a pilot commands the tilt.
+Flight software, mission logic and filter are unchanged. The policy acts from lift-off to touchdown whenever the mission
+logic gives a reference position. H-infinity control acts on the floor until lift-off, and while a pilot commands the
+tilt.
 
 Every 20 ms the policy observes, as in the task ``hover`` (:mod:`mufly.flight.policy.observation`):
 
@@ -44,7 +44,7 @@ from mufly.portable_math import sine_cosine
 _Array = NDArray[np.floating[Any]]
 
 REF_VELOCITY, REF_HEADING = 3, 6
-"""Places of velocity and heading in a reference, which begins with the position."""
+"""Indices of velocity and heading in a reference, which begins with the position."""
 
 
 @cached_njit(error_model="numpy")

@@ -1,4 +1,4 @@
-"""File of a learned policy: JSON that people can read, and a checksum.
+"""File of a learned policy: readable JSON with a checksum.
 
 ========================  ==========================================================================================
 key                       meaning
@@ -136,11 +136,11 @@ def load_policy(path: str | Path) -> LearnedPolicy:
     try:
         content = json.loads(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
-        raise InputError(where, "", f"cannot be read ({error.strerror})", "give the file of a policy") from None
+        raise InputError(where, "", f"cannot be read ({error.strerror})", "give a policy file") from None
     except ValueError as error:
         raise InputError(where, "", f"is not JSON ({error})", _REMEDY) from None
     if not isinstance(content, dict):
-        raise InputError(where, "", "is not the file of a policy", _REMEDY)
+        raise InputError(where, "", "is not a policy file", _REMEDY)
     checked = _check_content(where, content)
     return LearnedPolicy(
         task=checked.task,
@@ -169,7 +169,8 @@ def _check_content(where: str, content: dict[str, Any]) -> _PolicyFile:
     if got != names or list(got) != list(names):
         wrong = next(b for a, b in zip(names.items(), got.items(), strict=False) if a != b)
         raise InputError(
-            where, "observation", f"has the input {wrong[0]} ({wrong[1]}), which the task {checked.task} has not there",
+            where, "observation", f"has the input {wrong[0]} ({wrong[1]}), another one than the task "
+            f"{checked.task} has there",
             f"give {', '.join(names)}",
         )  # fmt: skip
     if tuple(one.name for one in checked.action) != ACTION_NAMES:
@@ -179,7 +180,10 @@ def _check_content(where: str, content: dict[str, Any]) -> _PolicyFile:
         shape = {len(row) for row in layer.weights}
         if layer.inputs != before or shape != {before} or {len(layer.weights), len(layer.bias)} != {layer.outputs}:
             raise InputError(
-                where, f"layers[{k + 1}]", f"its shapes do not fit {before} inputs and {layer.outputs} outputs", _REMEDY
+                where,
+                f"layers[{k + 1}]",
+                f"weights or bias do not fit {before} inputs and {layer.outputs} outputs",
+                _REMEDY,
             )
         before = layer.outputs
     if before != len(ACTION_NAMES):
@@ -187,7 +191,7 @@ def _check_content(where: str, content: dict[str, Any]) -> _PolicyFile:
     if not all(math.isfinite(x) and -1.0 <= x <= 1.0 for x in checked.trim):
         raise InputError(where, "trim", f"{checked.trim}", "give numbers from -1 to 1")
     if checked.sha256 != _checksum(content):
-        raise InputError(where, "sha256", "does not fit the content: the file is damaged or edited", _REMEDY)
+        raise InputError(where, "sha256", "is not the checksum of the content: the file is damaged or edited", _REMEDY)
     return checked
 
 

@@ -121,7 +121,7 @@ def draw_estimate(dataset: xr.Dataset) -> Figure:
         error = estimate - truth
         right.plot(time, error, color=VERMILION, lw=1.0, zorder=3)
         what, _, unit = heading.partition(" (")
-        right.set_title(f"{what}: estimated less true ({unit}", pad=4)
+        right.set_title(f"{what}: estimated minus true ({unit}", pad=4)
         wide = _BAND_SIGMAS * sigma[good]
         _set_axis_limits(left, np.concatenate([truth, estimate]))
         _set_axis_limits(right, np.concatenate([error[good], -error[good], wide, -wide]))
@@ -254,8 +254,7 @@ def draw_checks(dataset: xr.Dataset) -> Figure:
     figure.text(0.02, 1 - 0.12 / height, flight_title(dataset), fontsize=10, va="top")
     figure.text(
         0.02, 1 - 0.36 / height,
-        "dots: innovation in standard deviations, of the axis that is furthest off (6 and more at the edge); "
-        "bar: what was made of the sensor",
+        "dots: innovation in standard deviations, largest axis (6 and more at the edge); bar: fusion status",
         fontsize=8.5, va="top", color=GREY,
     )  # fmt: skip
     return figure

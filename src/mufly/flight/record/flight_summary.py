@@ -23,7 +23,7 @@ Definitions (x is the true position, w a waypoint, both N-E-D):
   including the vehicle's motion, exceeds the range of the model for more than a twentieth of the time (gusts exceed
   twice their standard deviation for that long).
 - *Real-time factor*: simulated seconds per second of wall-clock time, over the whole recording; *least*: over the worst
-  5 s. *Slips*: number of times that a real-time flight skipped time because the machine was overloaded
+  5 s. *Slips*: number of times that a real-time flight was delayed because the machine was overloaded
   (`mufly.link.real_time.real_time_loop`).
 """
 
@@ -59,7 +59,7 @@ _StateRun = tuple[str, int, int]
 
 @result
 class WaypointResult:
-    """Result of one waypoint; values that do not apply, or of a waypoint not reached, are None.
+    """Result of one waypoint; values are None if they do not apply or the waypoint was not reached.
 
     Attributes
     ----------
@@ -240,8 +240,9 @@ def _describe_model_excess(dataset: xr.Dataset, airborne: NDArray[np.bool_]) -> 
     if not share > 0.05:
         return ""
     return (
-        f"the model was not valid for {100 * share:.0f} % of the time in the air: its rotors met "
-        f"{across.max():.1f} m/s across and {along.max():.1f} m/s along the mast, and hold up to {limits[1]:.1f} and "
+        f"the flight model was not valid for {100 * share:.0f} % of the time in the air: its rotors met "
+        f"{across.max():.1f} m/s across and {along.max():.1f} m/s along the mast, and hold up to "
+        f"{limits[1]:.1f} and "
         f"{limits[0]:.1f} m/s{level and '; ' + level}"
     )
 

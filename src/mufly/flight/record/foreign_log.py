@@ -1,4 +1,4 @@
-"""Estimation from a log of any vehicle: read inertial unit, aids and truth, and write a recording with the estimate."""
+"""Estimation from a log of any vehicle: read inertial unit, aids (position, heading) and truth; write the estimate."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _ROLL_PITCH = slice(-3, -1)
 
 @dataclass(frozen=True)
 class AidRequest:
-    """The user's choice of aids; None: automatic.
+    """The user's choice of aids, the fixes of position and heading that the filter fuses; None: automatic.
 
     Attributes
     ----------
@@ -166,7 +166,7 @@ def read_foreign_log(
                 if correlation < -0.5:
                     raise InputError(
                         where, f"measured_rates.{turn}", f"runs against {source}_attitude.{angle} (correlation "
-                        f"{correlation:.2f})", "one of them needs the other sign: axes are forward, right, down",
+                        f"{correlation:.2f})", "change the sign of one of them: axes are forward, right, down",
                     )  # fmt: skip
             break
     truth = {}
@@ -179,8 +179,8 @@ def read_foreign_log(
         f"inertial unit at {rate:g} Hz" + (f" of {native:.0f}" if native > 1.02 * rate else "")
         + (f", {holes} rows missing" if holes else ""),
         f"{words}",
-        f"stands for the first {log.rest_rows.stop * log.step_s:.1f} s, by {tells}" if log.rest_rows.stop else
-        f"flies from the beginning, by {tells}: level and biases are to be found in flight",
+        f"at rest for the first {log.rest_rows.stop * log.step_s:.1f} s, by {tells}" if log.rest_rows.stop else
+        f"flies from the beginning, by {tells}: attitude and biases are estimated in flight",
     ]  # fmt: skip
     return ForeignLog(log, aids, truth, _estimate_mounting(log, truth), out)
 
@@ -209,13 +209,15 @@ def _find_aids(by: dict[str, Channel], asked: AidRequest, where: str, log: Inert
         have = ", ".join(known) or "none"
         raise InputError(
             where, "--aid" if asked.position else "",
-            f"has no position {asked.position or 'that was measured'} to aid with",
-            f"name one by --aid position=SIGNAL or position=x,y,z (positions in the log: {have}); with truth_position "
+            f"has no {'signal ' + asked.position if asked.position else 'measured position'} for the filter "
+            "to fuse",
+            f"name one by --aid position=SIGNAL or position=x,y,z (positions in the log: {have}); with "
+            "truth_position "
             "noise of --aid-std is added",
         )  # fmt: skip
     made = str(name).startswith("truth_")
     if made and asked.std_m is None:
-        raise InputError("--aid-std", "", "is wanted where an aid is made from the truth", "give metres, as 0.02")
+        raise InputError("--aid-std", "", "is needed when the fixes are made from the truth", "give metres, as 0.02")
     time = group[0].time
     x = np.column_stack([np.interp(time, c.time, c.values) for c in group])
     yaw_name = asked.heading if asked.heading in by or f"{asked.heading}.yaw" in by else None
@@ -247,10 +249,12 @@ def _find_aids(by: dict[str, Channel], asked: AidRequest, where: str, log: Inert
             heading = heading + turn * rng.standard_normal(len(heading))
     aids = PositionAids(taken, taken + asked.delay_s, place, heading, std, turn)
     words = (
-        f"aids from {name}: {1 / np.median(np.diff(taken)):.3g} Hz, {1e3 * asked.delay_s:.0f} ms late, one sigma "
-        f"{100 * std:.2g} cm" + (", that much noise added" if made else ("" if asked.std_m else " by their scatter"))
-        + (f"; heading from {yaw_name}, {math.degrees(turn):.2g} degrees" if yaw is not None else "; no heading: it is "
-        "found by accelerating, or not at all")
+        f"position fixes from {name}: {1 / np.median(np.diff(taken)):.3g} Hz, {1e3 * asked.delay_s:.0f} ms "
+        "late, one sigma "
+        f"{100 * std:.2g} cm" + (", that much noise added" if made else ("" if asked.std_m else " by their "
+        "scatter"))
+        + (f"; heading from {yaw_name}, {math.degrees(turn):.2g} degrees" if yaw is not None else "; no "
+        "heading fixes: the heading is estimated from accelerations, if there are any")
     )  # fmt: skip
     return aids, words
 

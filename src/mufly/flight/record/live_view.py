@@ -1,8 +1,8 @@
-"""Live views: the rows of a recording, handed to other programs while the flight goes on.
+"""Live views: rows of a recording, sent to other programs during the flight.
 
-The flight appends a copy of a row to a queue of limited length and never waits. A thread of the view takes the rows
-out and publishes them. When a viewer is slow the oldest rows are dropped. When it fails the view ends with an event,
-and the flight continues. Requests of a viewer wait until the loop of the flight calls
+The flight appends a copy of a row to a queue of limited length and never waits. A thread of the view removes the rows
+and publishes them. If a viewer is slow, the oldest rows are dropped. If a viewer fails, the view ends with an event and
+the flight continues. Requests of a viewer wait until the loop of the flight calls
 :meth:`LiveView.serve_requests`.
 """
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 _Rows = NDArray[np.float64]
 QUEUED_ROWS = 1000
-"""Rows that wait for a viewer at most."""
+"""Largest number of rows that wait for a viewer."""
 PUBLISH_PERIOD_S = 0.04
 """Time between two batches of a view (s)."""
 ANSWER_TIMEOUT_S = 1.0
@@ -99,7 +99,7 @@ class LiveView:
         """Carry out the viewers' requests; called by the loop of the flight between two periods."""
         if self._failure:
             failure, self._failure = self._failure, ""
-            self._flight.log_event(f"{self._name} has ended: {failure}", "warning")
+            self._flight.log_event(f"live view {self._name} has ended: {failure}", "warning")
         while self._requests:
             act, answer, done = self._requests.popleft()
             answer.append(act(self._flight))

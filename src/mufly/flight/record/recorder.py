@@ -398,10 +398,10 @@ class RowViewer(Protocol):
     """Receiver of rows and events as they are recorded, such as :class:`mufly.flight.record.live_view.LiveView`."""
 
     def show_row(self, row: NDArray[np.float64], state: str) -> None:
-        """Take the row of one instant; it has to be copied."""
+        """Receive the row of one instant; the receiver has to copy it."""
 
     def show_event(self, event: FlightEvent) -> None:
-        """Take an event."""
+        """Receive an event."""
 
 
 class FlightRecorder:
@@ -564,7 +564,7 @@ class FlightRecorder:
             If the rows were not kept in memory.
         """
         if not self._keep:
-            raise MuflyError(f"the rows were not kept in memory; read {self._path or 'a recording on disk'}")
+            raise MuflyError(f"rows are not kept in memory; read {self._path or 'a recording on disk'}")
         rows = np.concatenate([*self._all_rows, self._block[: self._n]])
         attributes = {**self._attributes, **(self._outcome if self._closed else {}), "complete": self._closed}
         return rows_to_dataset(
@@ -595,8 +595,7 @@ class FlightRecorder:
             first = int(wrong.argmax())
             self._n, self._states = first, self._states[:first]  # the valid rows are still written
             raise MuflyError(
-                f"rows of a recording must follow each other in time: {times[first + 1]:g} s came after "
-                f"{times[first]:g} s"
+                f"the times of a recording's rows must increase: {times[first + 1]:g} s follows {times[first]:g} s"
             )
         states, events = self._states, self._events
         if self._stream is not None and (len(rows) or events):

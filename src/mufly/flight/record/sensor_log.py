@@ -1,4 +1,4 @@
-"""Log of a vehicle's sensor readings on a simulated flight, with the truth.
+"""Log of a vehicle's sensor readings and the truth on a simulated flight.
 
 The flight uses ideal sensors and logs the fitted ones in parallel. Readings therefore do not affect the flight, so that
 seeds, faults and sensors can be compared on the same flight.
@@ -235,8 +235,8 @@ def draw_sensors(logs: Mapping[str, ReadingLog]) -> Figure:
         if any(log.component_labels()):
             ax.legend(loc="upper right", ncols=4, fontsize="x-small")
         ax.grid(alpha=0.3)
-    axes[-1].set_xlabel("time of the measurement (s)")
-    figure.suptitle("Readings (dots) and what is true (lines); grey: not valid")
+    axes[-1].set_xlabel("measurement time (s)")
+    figure.suptitle("Readings (dots) and truth (lines); grey: not valid")
     return figure
 
 

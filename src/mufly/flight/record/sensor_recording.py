@@ -27,8 +27,8 @@ from mufly.sensors import Reading, Readings, Truth
 
 _Array = NDArray[np.float64]
 FIX_DRIFT_ATTRIBUTE = "fix_wander_s"
-"""Attribute of a recording whose filter used the covariance of the fixes: correlation time of their errors (s),
-:attr:`mufly.estimate.KalmanEstimator.fix_correlation_s`."""
+"""Attribute of a recording: correlation time (s) of the fixes' errors, if the filter used the covariance of the fixes
+(:attr:`mufly.estimate.KalmanEstimator.fix_correlation_s`)."""
 _STATUS_CODES = {status: float(k) for k, status in enumerate(FUSION_STATUSES)}
 _READINGS_WITHOUT_TIME = tuple(name for name, row in READINGS.items() if not row.is_timed)
 _VARIANCE_SIGNALS = {name: f"measured_{name}_variance" for name, row in READINGS.items() if row.variance is not None}

@@ -973,8 +973,8 @@ static bool send_arming_fault(link_t *k, const link_vehicle_t *v)
     static const char *const words[9] = {
         "position, velocity, attitude, rates not measured", "measurements are old; check the sensors",
         "battery voltage not measured; check its monitor", "battery low; charge it",
-        "estimate is not valid; let it stand still", "it stands tilted; set it on level ground",
-        "it is being moved; set it down, let it rest", "last flight interrupted; inspect it, arm again",
+        "estimate not valid; leave the vehicle at rest", "vehicle tilted; set it on level ground",
+        "vehicle moves; set it down and wait", "last flight interrupted; inspect it, arm again",
         "the climb stick is up; lower it first",
     };
 
