@@ -70,7 +70,7 @@ def test_hover_at_the_edge_is_said() -> None:
         (("walkera-5g6", "--rpm", "fast"), "--rpm: 'fast' is not a number"),
         (("walkera-5g6", "--rpm", "0:4000"), "--rpm: 0 rpm is out of range"),
         (("walkera-5g6", "--ratio", "1.6:0.6"), "let it rise"),
-        (("walkera-5g6", "--climb", "1:2"), "leaves out 0"),
+        (("walkera-5g6", "--climb", "1:2"), "does not include 0"),
         (("walkera-5g6", "--method", "guess"), "use one of: bemt, wake"),
         (("walkera-5g6", "--method", "wake", "--wake", "frozen"), "'frozen' is unknown"),
         (("walkera-5g6", "--pitch", "1,2,3"), "neither one value nor two"),

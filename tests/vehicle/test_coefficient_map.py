@@ -99,7 +99,7 @@ def test_what_is_no_map_is_refused(vehicle, tmp_path) -> None:
     for name, words in (
         ("none.toml", "no such coefficient map"),
         ("mine.toml", "not a coefficient map"),
-        (5, "not a name"),
+        (5, "not a file name"),
     ):
         with pytest.raises(InputError, match=words):
             load_vehicle(written(vehicle, tmp_path, coefficient_map=name))

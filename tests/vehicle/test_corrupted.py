@@ -99,7 +99,7 @@ def test_what_is_accepted_can_be_asked_to_hover() -> None:
 @pytest.mark.parametrize(
     ("place", "odd", "key", "words"),
     [
-        (("body", "mass", "unit"), ["g"], "body.mass", "does not fit"),
+        (("body", "mass", "unit"), ["g"], "body.mass", "not a unit"),
         (("contact", "legs", "value"), [], "contact.legs", "3 to 16"),
         (("contact", "legs", "value"), [[0.1, 0, -0.1]] * 3, "contact.legs", "below the centre of gravity"),
         (("range_ring", "min_range", "value"), 2.0, "range_ring.min_range", "not below max_range"),

@@ -18,7 +18,7 @@ IMPOSSIBLE = [
     ("sensors.imu.place", [[0.0, 0.0, -0.3]], "0.3 m from the centre of gravity"),
     ("sensors.sonar.place", [[0.0, 3.0, 0.05]], "3 m from the centre of gravity"),
     ("sensors.sonar.place", [[0.0, 0.0, 0.07]], "is not above the tips of the legs"),
-    ("sensors.sonar.resolution", 4.0, "leaves no two steps"),
+    ("sensors.sonar.resolution", 4.0, "leaves less than two steps"),
     ("rotors.upper.hub_z", -0.04, "the upper hub, z = -0.04 m, is not above the lower, z = -0.051 m"),
     ("rotors.lower.hub_z", -0.091, "the upper hub, z = -0.091 m, is not above"),
     ("rotors.lower.torque_coefficient", 8e-4, "a figure of merit above 1"),

@@ -63,7 +63,7 @@ FAULTS = [
     ('inertia_xx = { value = 1e-4, unit = "kg m2", source = "CAD" }', "mass =", "body.mass", "mass"),
     ('mas = { value = 0.1, unit = "kg", source = "measured" }', "mass =", "body.mas", "did you mean 'mass'"),
     ('mass = { value = 0.1, source = "measured" }', "mass =", "body.mass", "unit is missing"),
-    ("mass = 0.095", "mass =", "body.mass", "no unit"),
+    ("mass = 0.095", "mass =", "body.mass", "neither unit"),
     ('mass = { value = -1, unit = "kg", source = "measured" }', "mass =", "body.mass", "at least 0.001"),
     ('mass = { value = nan, unit = "kg", source = "measured" }', "mass =", "body.mass", "out of range"),
     ('mass = { value = 95, unit = "stone", source = "measured" }', "mass =", "body.mass", "use one of: kg, g"),

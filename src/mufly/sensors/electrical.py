@@ -7,7 +7,7 @@ noise and divides by the constant of the vehicle file, which has a relative erro
 
 The battery monitor quantises the terminal voltage and measures the current with a scale error.
 
-The dissertation proposes such a speed control in Sec. 6.1.9.
+Sec. 6.1.9 of the dissertation proposes rotor speed control by back-EMF.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ FAULT_KINDS: Mapping[str, str] = {
     "drift": "adds an offset that grows by the amount each second",
     "clip": "limits readings to plus or minus the amount (accelerometer: before its low-pass filter)",
     "stuck": "replaces each reading by the amount",
-    "outliers": "adds a random error of up to the amount to one reading in four",
+    "outliers": "adds a random error of at most the amount to one reading in four",
     "late": "delays each reading by the amount (s)",
     "doubled": "sends each reading twice, the second time as a new reading",
     "insane": "replaces readings by NaN or values far out of range",
@@ -40,7 +40,7 @@ FAULT_KINDS: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class FaultTarget:
-    """Target of a fault: sensor of the suite, name of its reading, and the default amount of each kind."""
+    """Target of a fault: sensor of the vehicle, name of its reading, and the default amount of each kind of fault."""
 
     sensor: str
     reading: str
@@ -48,7 +48,7 @@ class FaultTarget:
 
     @property
     def reading_unit(self) -> str:
-        """Unit of the amounts, except those of ``late`` (s)."""
+        """Unit of the fault's amount, except for the kind ``late`` (s)."""
         return READINGS[self.reading].unit
 
 
@@ -64,7 +64,7 @@ FAULT_TARGETS: Mapping[str, FaultTarget] = {
     for row in rows
     if row.fault
 }
-"""Fault targets by the name that a fault's text uses, such as ``sonar``."""
+"""Fault targets by their names in the text of a fault, such as ``sonar``."""
 
 _MAX_START_S = 86400.0  # latest start of a fault: a day, longer than any battery lasts
 _MAX_AMOUNT_FACTOR = 1000.0  # relative to the default amount of a kind, or of a jump
@@ -107,7 +107,7 @@ class Fault:
         if not abs(self.amount) <= most:
             unit = "s" if self.kind == "late" else FAULT_TARGETS[self.name].reading_unit
             raise ArgumentError(
-                "fault", str(self), f"{self.amount:g} {unit} is more than a reading is ever wrong by",
+                "fault", str(self), f"{self.amount:g} {unit} is larger than any error of a reading",
                 f"give up to {most:g} {unit}",
             )  # fmt: skip
 
@@ -149,7 +149,7 @@ def parse_fault(text: str) -> Fault:
 
 
 class FaultySensor(Sensor):
-    """A sensor with ``faults``, which may change in flight; readings without a fault pass unchanged.
+    """Wrapper of a sensor that applies ``faults``, which may change in flight; readings without a fault are unchanged.
 
     ``is_altered`` says whether a fault was active at the last reading. A compiled loop that samples the sensor itself
     clears it.

@@ -4,22 +4,22 @@ An accelerometer measures specific force, all forces but gravity (body axes, at 
 
     f = R^T (dv/dt - g e_D) + dw/dt x r + w x (w x r)
 
-Its mean over a period of the flight software needs no force model: dv/dt is the change of velocity over the period,
-so it includes ground contact, gusts and collisions. Vibration of the board is added: along a direction e_k, rotor k
-adds
+The mean of f over a period of the flight software needs no force model: dv/dt is the change of velocity over the
+period, which includes ground contact, gusts and collisions. Vibration of the board is added. Rotor k adds, along a
+direction e_k,
 
     A_1 cos(th + p_1) + A_2 cos(2 th + p_2),      th its azimuth (imbalance; two blades),
 
 and blades that pass each other add A_p cos(2 (th_up + th_dw) + p_p). Forces grow with the square of the speed and pass
 the board's resonance, |H(w)| with H = 1 / (1 - (w / w_r)^2 + 2 j zeta w / w_r). The file gives A at the hover speed.
 
-The element is mounted at angles to the body axes (roll, pitch, yaw; 0 unless the file gives them): it senses R_m^T f
-and R_m^T w. It is sampled every ``sample_period`` (8 kHz). Its errors are scale and misalignment, bias, and white
-noise of density N (standard deviation N sqrt(f_s / 2)). The bias is the sum of a turn-on bias, a first-order Gauss-
-Markov drift (d b = -b dt / tau + sigma sqrt(2 dt / tau) n) and a share from the warming of the board. Gyroscopes also
-sense acceleration. The sample *clips* first; then a second-order Butterworth filter removes aliasing frequencies, and
-its output is read. Clipping turns an asymmetric vibration (2/rev in phase with 1/rev) into a false mean acceleration:
-the false tilt of Sec. 2.1.2.
+The element is mounted at angles to the body axes (roll, pitch, yaw; 0 unless the vehicle file gives them) and senses
+R_m^T f and R_m^T w. It is sampled every ``sample_period`` (8 kHz). Its errors are scale and misalignment, bias, and
+white noise of density N (standard deviation N sqrt(f_s / 2)). The bias is the sum of a turn-on bias, a first-order
+Gauss- Markov drift (d b = -b dt / tau + sigma sqrt(2 dt / tau) n) and a share from the warming of the board. Gyroscopes
+also sense acceleration. The sample *clips* first; then a second-order Butterworth filter removes aliasing frequencies,
+and its output is read. Clipping turns an asymmetric vibration (2/rev in phase with 1/rev) into a false mean
+acceleration: the false tilt of Sec. 2.1.2.
 
 Sources: IEEE Std 952 and 1293 for the error terms; Groves, Principles of GNSS, Inertial and Multisensor Integrated
 Navigation Systems, 2nd ed., ch. 4; own derivation for the vibration. Thesis: Fig. 2.6.
@@ -132,7 +132,7 @@ class Imu(Sensor):
 
     @property
     def current_bias(self) -> _Array:
-        """Bias of accelerometers (m/s^2) and gyroscopes (rad/s) without warming, which an estimator estimates (6,)."""
+        """True bias (6,) of accelerometers (m/s^2) and gyroscopes (rad/s) without the share of warming."""
         return self.turn_on_bias + self._bias_drift
 
     def clip_at(self, limit_m_s2: float | None) -> None:
@@ -180,7 +180,7 @@ class Imu(Sensor):
         return self.source, self._normals, self._clock, self._last_state, self._output, unit
 
     def true_readings(self, truth: Truth) -> Mapping[str, Any]:
-        """Return the true readings of the last period read."""
+        """Return the error-free readings of the last period."""
         return {"acceleration": self._current_force.copy(), "rates": truth.rates}
 
     def warming_K(self, time_s: float) -> float:
@@ -203,7 +203,7 @@ class Imu(Sensor):
 
 
 def board_resonance(vibration: VibrationParameters, speed_rad_s: float) -> float:
-    """Return the amplification of a vibration of this frequency (rad/s) by the board: |H|."""
+    """Return the amplification |H| of a vibration by the board's resonance, at a frequency (rad/s)."""
     return float(_resonance_gain(speed_rad_s, float(vibration.resonance), float(vibration.damping)))
 
 
@@ -216,7 +216,7 @@ def butterworth_coefficients(cutoff_rad_s: float, step_s: float) -> _Array:
 
 
 def mounting_matrix(imu: ImuTable) -> _Array | None:
-    """Return the matrix (3, 3) from body axes to the axes of the element, without errors; None if they agree."""
+    """Return the rotation matrix (3, 3) from body axes to the element's axes; None if the element is aligned."""
     angles = [float(q) for q in (imu.mount_roll, imu.mount_pitch, imu.mount_yaw)]
     if not any(angles):
         return None

@@ -5,7 +5,7 @@
 B has the strength and inclination of the vehicle file and points to the north of the room. d is a smooth random field
 in space: a Gaussian process of a given length, approximated by random Fourier features, d_i = sigma sqrt(2 / K) sum_k
 cos(w_k x + p_k), w_k normal with deviation 1 / L (Rahimi and Recht, NIPS 2007). h is the hard iron after calibration,
-k I the field of the supply current in its wires. A hover current of 2 A at 5 uT/A turns the heading by tens of
+k I the field of the supply current. A hover current of 2 A at 5 uT/A turns the heading by tens of
 degrees, so a magnetometer near motors needs calibration of this term."""
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ class MagnetometerSensor(PeriodicSensor):
         super().__init__(float(m.period), rng, (np.array(numbers), self._waves, self._wave_phases))
 
     def field_distortion(self, position: _Array) -> _Array:
-        """Return the field that the surroundings add at a position (T, N-E-D), shape (3,)."""
+        """Return the field that steel in walls and floor adds at a position (T, N-E-D), shape (3,)."""
         field = np.zeros(3)
         _add_distortion(np.asarray(position, dtype=np.float64), self._waves, self._wave_phases, self._strength, field)
         return field
@@ -111,5 +111,5 @@ class MagnetometerSensor(PeriodicSensor):
 
 
 def earth_field(strength_T: float, inclination: float) -> _Array:
-    """Return the field (T, N-E-D) of a strength and an inclination below the horizon (rad)."""
+    """Return the earth's field (3,) (T, N-E-D) from its strength (T) and inclination below the horizon (rad)."""
     return strength_T * np.array([math.cos(inclination), 0.0, math.sin(inclination)])

@@ -1,7 +1,8 @@
 """Sensors that measure periodically and publish after a delay, and Gauss-Markov errors.
 
-The state of such a sensor stands in arrays, and its behaviour in compiled functions. So a compiled loop over many
-periods (:mod:`mufly.sensors.sampling`) can sample it like :meth:`PeriodicSensor.read`, with the same random numbers.
+The state of a periodic sensor is held in arrays, and its behaviour is a compiled function. A compiled loop over many
+periods (:mod:`mufly.sensors.sampling`) therefore samples the sensor as :meth:`PeriodicSensor.read` does, with the same
+random numbers.
 """
 
 from __future__ import annotations
@@ -26,14 +27,14 @@ PENDING, PUBLISHED_COUNT = range(2)
 # Columns of a row: time of publishing, time of measurement (s), validity; the values follow
 PUBLISH_TIME, MEASURED_TIME, IS_VALID, FIRST_VALUE = range(4)
 NO_MEASUREMENT = -1.0
-"""Return value of a sample function without a measurement, in place of the delay (s)."""
+"""Returned by a sample function in place of the delay (s) if there is no measurement."""
 _TIME_TOLERANCE_S = 1e-9
 _SPARE_ROWS = 8  # for pending measurements beyond the expected number
 
 
 @cached_njit(error_model="numpy")
 def advance_if_due(t: float, clock: _Array) -> bool:
-    """Return whether the sensor measures at a time (s), and set its clock to the next measurement.
+    """Return whether the sensor measures at a time (s); if so, schedule the next measurement.
 
     Measurements keep their own clock, however long the periods of the flight software are.
     """
@@ -46,7 +47,7 @@ def advance_if_due(t: float, clock: _Array) -> bool:
 
 @cached_njit(error_model="numpy")
 def publish_if_due(t: float, wait: float, clock: _Array, counts: NDArray[np.int64], rows: _Array) -> bool:
-    """Return whether a sample is published at a time (s); it then stands in the first of ``rows``.
+    """Return whether a sample is published at a time (s); if so, the sample is in the first of ``rows``.
 
     A measurement with the delay ``wait`` (s) is appended to the pending rows. Of several samples due at once, the last
     counts.
@@ -77,7 +78,7 @@ def publish_if_due(t: float, wait: float, clock: _Array, counts: NDArray[np.int6
 
 
 class PeriodicSensor(Sensor):
-    """A sensor that measures periodically.
+    """Base class of a sensor that measures periodically.
 
     Parameters
     ----------
@@ -180,7 +181,7 @@ def gauss_markov_step(t: float, sigma: _Array, time_s: float, memory: _Array, so
 
 
 def gauss_markov_reset(rng: np.random.Generator, sigma: _Array, memory: _Array) -> None:
-    """Draw new errors; the next step sets their time."""
+    """Draw new errors; the next step sets the time to which they refer."""
     memory[0], memory[1:] = math.nan, sigma * rng.standard_normal(sigma.size)
 
 

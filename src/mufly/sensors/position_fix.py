@@ -1,10 +1,10 @@
-"""Delayed position and heading fixes with correlated errors, as visual SLAM gives.
+"""Delayed position and heading fixes with correlated errors, like those of visual SLAM.
 
     fix(t) = x(t) + drift(t) + n,     known at t + latency + |jitter|
 
 The drift (first-order Gauss-Markov, one for each axis and the heading) models a camera that tracks the same features:
 successive fixes agree with each other and share an error. A filter that assumes independent fixes is overconfident,
-and its innovations do not show it. Jitter lets fixes overtake each other; a share of them is lost.
+and its innovations do not show this. Jitter changes the order of arrival; a share of the fixes is lost.
 
 Source: Sec. 2.1.2 of the dissertation (down-looking camera, V-SLAM on the ground station, position sent back by radio).
 """

@@ -6,7 +6,8 @@ The sensor's own filter delays the reading:
 
     p = p_0 + rho g D + k T / A + drift,     tau dy/dt = p - y,     reading = y + n
 
-D counts down. A share of 0.05 in hover of 4 mN/cm2 already is two centimetres: a barometer alone cannot hold hover.
+D is the down coordinate. A share k of 0.05 of a disc loading of 4 mN/cm2 already gives an error of two centimetres: a
+barometer alone cannot hold hover.
 Own derivation; the sensor is that of Sec. 2.1.2 of the dissertation.
 """
 

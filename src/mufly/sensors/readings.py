@@ -1,11 +1,11 @@
-"""Readings as a processor gets them, and ideal sensors, which sample the truth.
+"""Readings as the onboard processor receives them, and ideal sensors, which sample the truth.
 
-A sensor turns the :class:`Truth` of a simulation into :class:`Reading` objects, by the names of the table of quantities
-("position", "ranges", "battery_voltage", ...) or by its own. All readings of one instant form the :class:`Readings`
-that an estimator gets (:mod:`mufly.estimate`). Real sensors with noise, delay and clipping can replace ideal ones one
-by one: a later sensor of the same reading overrides an earlier one.
+A sensor converts the :class:`Truth` of a simulation to :class:`Reading` objects. Their names are those of the table of
+quantities ("position", "ranges", "battery_voltage", ...) or the sensor's own. All readings of one instant form the
+:class:`Readings`, the input of an estimator (:mod:`mufly.estimate`). Sensor models with noise, delay and clipping can
+replace ideal ones one by one: of two sensors with the same reading the later one counts.
 
-The ring of beams (Fig. 6.18) turns and tilts with the fuselage: beam ``i`` of ``n`` points along
+The beams of the range ring (Fig. 6.18) turn and tilt with the fuselage: beam ``i`` of ``n`` points along
 ``alpha_i = alpha_0 + 2 pi i / n`` from x towards y, in the x-y plane of the body.
 """
 
@@ -124,7 +124,7 @@ class Sensor:
 
     @property
     def latest_readings(self) -> Mapping[str, Reading] | None:
-        """The last readings by name, of a sensor that a compiled loop can sample; None of any other sensor."""
+        """Last readings by name; None for a sensor that the compiled loop cannot sample."""
         return None
 
     def true_readings(self, truth: Truth) -> Mapping[str, Any]:
@@ -149,7 +149,7 @@ class SensorSet:
         return Readings(truth.time_s, latest)
 
     def gather_latest(self, time_s: float) -> Readings:
-        """Return the last readings of sensors that a compiled loop has sampled up to a time (s)."""
+        """Return the last readings after the compiled loop has sampled the sensors up to a time (s)."""
         latest: dict[str, Reading] = {}
         for sensor in self.sensors:
             latest |= sensor.latest_readings or {}
@@ -242,7 +242,7 @@ def beam_directions(vehicle: Vehicle) -> NDArray[np.float64]:
 
 
 def unwrap_near(angle: float, near: float) -> float:
-    """Return ``angle`` plus the multiple of 2 pi that brings it nearest to ``near`` (rad)."""
+    """Return ``angle`` (rad) plus the multiple of 2 pi for which the sum is nearest to ``near`` (rad)."""
     return angle + 2 * math.pi * round((near - angle) / (2 * math.pi))
 
 
@@ -282,7 +282,7 @@ def measure_ranges(
     limits: _Array,
     out: _Array,
 ) -> None:
-    """Measure distances (m) along beams of the body (n, 3) into ``out`` (n,), clipped to ``least`` and ``most``."""
+    """Write the distances (m) along beams (n, 3; body axes) to ``out`` (n,), limited to ``least`` and ``most``."""
     turn = body_to_ned_matrix(x[ATTITUDE])
     for k in range(directions.shape[0]):
         a, b, c = directions[k, 0], directions[k, 1], directions[k, 2]

@@ -1,4 +1,4 @@
-"""Omnidirectional camera that sees the spots of the laser ring pixel by pixel, and the decoder of its picture.
+"""Omnidirectional camera that images the spots of the laser ring, and the decoder of its picture.
 
 The lasers shine in the x-y plane of the body; the camera sits a baseline b below it. A spot at the distance l appears
 under the elevation (Fig. 2.7; triangulation)
@@ -44,7 +44,7 @@ ELEVATION_MARGIN = 1.25  # rows reach up to this multiple of the elevation of th
 
 @cached_njit(error_model="numpy")
 def _sort_columns(a: _Array, lanes: int) -> None:
-    """Sort the columns of ``a`` (rows * lanes,), stored row by row, each lane by itself.
+    """Sort each column of an array (rows, lanes), stored row by row in ``a`` (rows * lanes,).
 
     The exchanges do not depend on the data (Batcher's, as in Knuth, The Art of Computer Programming 3, 5.2.2 M), so all
     lanes make each exchange together in vector registers. Sorting column by column, with unpredictable branches, takes
@@ -83,7 +83,7 @@ def _decode_ranges(
     numbers: _Array,
     told: _Array,
 ) -> None:
-    """Add the spots to a picture of noise and decode them.
+    """Add the spots to a picture of noise, and decode the ranges.
 
     Parameters
     ----------

@@ -1,17 +1,17 @@
 """Random numbers of sensors, drawn in blocks by compiled code.
 
-A second of flight takes 140 000 normal numbers, most of them noise of pixels and of the inertial unit. NumPy's
-generators make them one by one. Here a processor's vector registers make four or eight together. Only sums, products,
-divisions, roots and shifts are used, so that every processor draws the same numbers to the last bit.
+A second of simulated flight needs 140 000 normal numbers, mostly noise of pixels and of the inertial unit. NumPy's
+generators draw these one by one; vector registers draw four or eight at once. Only sums, products, divisions, roots and
+shifts are used, so that every processor draws the same numbers to the last bit.
 
-The k-th 64-bit number of a source is splitmix64's: a counter with a random start that grows by an odd constant, mixed
-(Steele, Lea, Flood, Fast splittable pseudorandom number generators, OOPSLA 2014; constants of Stafford's mix 13). Its
-upper 52 bits become a number between 0 and 1. Two of those, u and v, give two normal numbers
+The k-th 64-bit number of a source is that of splitmix64: a counter, with a random start and an odd increment, whose
+bits are mixed (Steele, Lea, Flood, Fast splittable pseudorandom number generators, OOPSLA 2014; constants of Stafford's
+mix 13). The upper 52 bits give a number between 0 and 1. Two such numbers, u and v, give two normal numbers
 
     sqrt(-2 ln u) cos(2 pi v),     sqrt(-2 ln u) sin(2 pi v)
 
-(Box and Muller, Ann. Math. Stat. 29, 1958). The logarithm uses atanh's series, sine and cosine of an eighth of a turn
-Taylor's, both to 1e-13. The largest magnitude is 8.5 standard deviations.
+(Box and Muller, Ann. Math. Stat. 29, 1958). The logarithm is computed by the series of atanh, sine and cosine within an
+eighth of a turn by their Taylor series, all to 1e-13. The largest magnitude is 8.5 standard deviations.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _Array = NDArray[np.float64]
 
 
 def make_source(rng: np.random.Generator) -> NDArray[np.uint64]:
-    """Return a source (1,) for compiled functions, seeded by ``rng``; each call gives another source."""
+    """Return the state (1,) of a new random source for compiled functions, seeded by ``rng``."""
     return rng.integers(2**64, size=1, dtype=np.uint64)
 
 
@@ -78,7 +78,7 @@ def _uniform_1_to_2(counter: np.uint64) -> float:
 
 @cached_njit(error_model="numpy")
 def _normal_pair(a: float, b: float) -> tuple[float, float]:
-    """Return two normal numbers from two uniform ones between 1 and 2."""
+    """Return two standard normal numbers from two uniform numbers between 1 and 2."""
     bits = _float_to_bits(2.0 - a)  # above 0, up to 1
     power = _bits_to_float(_TWO_POW_52_BITS | (bits >> _52)) - 4503599627371519.0  # 2^52 + 1023
     m = _bits_to_float((bits & _FRACTION_MASK) | _EXPONENT_OF_ONE)

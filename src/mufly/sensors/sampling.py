@@ -54,7 +54,7 @@ def sampling_table(
 
 @cached_njit(error_model="numpy")
 def _publish_to(t: float, wait: float, clock: _Array, counts: NDArray[np.int64], rows: _Array, told: _Array) -> bool:
-    """Return whether a sample is published; it is then also copied into ``told``."""
+    """Return whether a sample is published; if so, copy the sample to ``told``, the filter's inputs."""
     if not publish_if_due(t, wait, clock, counts, rows):
         return False
     for j in range(rows.shape[1]):
@@ -77,7 +77,7 @@ def _sample_none(
 
 
 def _append_sensor(sample_others: Any, k: int, sample: Any) -> Any:
-    """Return a function that samples the previous sensors and then sensor ``k``.
+    """Return a compiled function that samples the previous sensors and then sensor ``k``.
 
     Each sensor has arrays of other types and a function of its own, so one compiled loop over the sensors is
     impossible.

@@ -55,7 +55,7 @@ class FittedSensors(SensorSet):
         return tuple(f for sensor in self._fitted.values() for f in sensor.faults)
 
     def inject_fault(self, fault: Fault, now_s: float = 0.0) -> Fault:
-        """Add a fault and return it as scheduled; a fault whose start has passed starts at ``now_s`` (s).
+        """Schedule a fault and return it with its start time; a start in the past becomes ``now_s`` (s).
 
         Raises
         ------
@@ -146,7 +146,7 @@ def fitted_sensors(
 
 
 def draw_leaning_vehicle(vehicle: Vehicle, *, seed: int = 0) -> Vehicle:
-    """Return a vehicle with legs of random lengths, so that it does not stand exactly level.
+    """Return the vehicle with legs of random lengths, so that it stands at a small random tilt.
 
     The calibration takes the standing attitude for level, but legs differ in length and floors slope. Roll and pitch
     are drawn with the deviation ``sensors.imu.level``. The plane of the tips of the legs is turned about the centre of

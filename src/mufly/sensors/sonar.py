@@ -1,11 +1,11 @@
 """Ultrasonic range finder below the fuselage (SRF10): distance to the nearest surface in its cone.
 
-A pulse spreads in a cone and the first echo counts, whichever surface reflects it. It may be the floor below, also
-when the vehicle tilts by less than the half angle (the shortest way is the perpendicular), or the edge of a box that
-enters the cone from the side. So the reading jumps early at the edge of an object. The pulse takes 2 l / c.
+A pulse spreads in a cone, and the first echo from any surface counts. This surface may be the floor below, also when
+the vehicle tilts by less than the half angle (the shortest path is the perpendicular). It may be the edge of a box that
+enters the cone from the side: the reading then jumps before the vehicle is above the box. The pulse takes 2 l / c.
 
-    reading = quantised(l + n),     nothing beyond l_max, nothing for a pulse without an echo;
-    a share of echoes arrives by a second surface: their path is longer, at most doubled.
+    reading = quantised(l + n),     no reading beyond l_max or without an echo;
+    a share of the echoes is reflected by a second surface: their path is longer, at most doubled.
 
 Rays sample the cone: one along z and rings of them at a third, two thirds and all of its half angle. The perpendicular
 to the floor is added, since the rays miss its distance by at most l (1 - cos).
@@ -126,7 +126,7 @@ def standing_sonar_range(vehicle: Vehicle) -> float:
 
 
 def max_grounded_range(vehicle: Vehicle) -> float:
-    """Return the range (m), before rounding, up to which a reading of the sonar may come from a standing vehicle.
+    """Return the sonar range (m), before rounding, up to which the vehicle may still stand on the floor.
 
     A sonar low on the fuselage reads its least range on the floor. A higher one reads the floor's distance, with noise.
     """
@@ -137,7 +137,7 @@ def max_grounded_range(vehicle: Vehicle) -> float:
 
 
 def cone_rays(half_angle: float) -> _Array:
-    """Return unit vectors (n, 3) that sample a cone of this half angle around z (rad)."""
+    """Return unit vectors (n, 3) that sample a cone around z, from its half angle (rad)."""
     rays = [[0.0, 0.0, 1.0]]
     for share, count in _CONE_RINGS:
         off = share * half_angle

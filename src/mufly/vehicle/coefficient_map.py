@@ -5,7 +5,7 @@ Incompressible inviscid flow depends on the last two only; the mean speed adds t
 needs two or three values. Coefficients are defined as in vehicle files, ``c_T = T / (rho pi R^4 Omega^2)`` and ``c_Q =
 Q / (rho pi R^5 Omega^2)``, each with its own rotor's speed.
 
-A map is a TOML file with its origin and a ``table`` with one line for each point, which can be pasted into a
+A map file is TOML: the origin of the map, and a ``table`` with one line for each point, which can be pasted into a
 spreadsheet. A vehicle file names the map (``rotors.coefficient_map``). A loaded vehicle contains the whole map, so
 recordings and copied vehicle files need no other file.
 """
@@ -79,8 +79,8 @@ class CoefficientMap(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     name: str = Field(min_length=1, description="short name")
-    description: str = Field(default="", description="one line: what was computed, how")
-    method: Literal["bemt", "wake", "other"] = Field(description="how the coefficients were found")
+    description: str = Field(default="", description="one line: origin and method of the coefficients")
+    method: Literal["bemt", "wake", "other"] = Field(description="method of the computation")
     upper: str = Field(min_length=1, description="upper rotor")
     lower: str = Field(min_length=1, description="lower rotor")
     radius_m: float = Field(gt=0, description="radius of both rotors (m)")
@@ -90,7 +90,7 @@ class CoefficientMap(BaseModel):
     density_kg_m3: float = Field(gt=0, description="density of the air, for the Reynolds number")
     viscosity_Pa_s: float = Field(gt=0, description="viscosity of the air, for the Reynolds number")
     settings: str = Field(default="", description="how the method was set")
-    table: str = Field(description=f"one line a point: {' '.join(TABLE_COLUMNS)}")
+    table: str = Field(description=f"one line for each point: {' '.join(TABLE_COLUMNS)}")
 
     def parse_tables(self) -> MapTables:
         """Return axes and coefficients as read-only arrays."""
@@ -147,7 +147,7 @@ def _parse_table(text: str) -> MapTables:
         ):
             raise _table_error(f"{name} is not evenly spaced", "give equal steps")
     if not axes[2][0] <= 0.0 <= axes[2][-1]:
-        raise _table_error("climb_ratio leaves out 0, hover", "give a range that holds it")
+        raise _table_error("climb_ratio does not include 0 (hover)", "give a range that holds it")
     ordered = rows[np.lexsort(rows[:, 2::-1].T)]
     grids = [np.ascontiguousarray(ordered[:, k].reshape(shape)) for k in range(3, 8)]
     if float(np.max(np.abs(grids[0]))) > 1.0 or float(np.max(np.abs(grids[2]))) > 1.0:
@@ -160,7 +160,7 @@ def _parse_table(text: str) -> MapTables:
 
 
 def format_table(tables: MapTables) -> str:
-    """Return the ``table`` of a map."""
+    """Return the text of a map's ``table``."""
     grid = np.meshgrid(*tables[:_AXIS_COUNT], indexing="ij")
     columns = [np.ravel(a) for a in (*grid, *tables[_AXIS_COUNT:])]
     lines = [" ".join(f"{v:.7g}" for v in row[:-1]) + f" {int(row[-1])}" for row in zip(*columns, strict=True)]

@@ -1,4 +1,4 @@
-"""Flight maps: loads that edgewise flow and rates add to a coaxial pair, and their files.
+"""Flight maps: additional loads of a coaxial pair in edgewise flow and at angular rates, and their files.
 
 The axes are the ratio of lower to upper speed, the climb velocity over the mean tip speed, and the advance ratio
 ``mu = V / (s R)``, with s the mean of both speeds and V the airspeed in the disc plane. Advance ratios have even steps
@@ -6,7 +6,7 @@ of
 
     e = mu^2 / (mu^2 + k^2)
 
-with the knee k, about the inflow ratio of hover. Loads over ``mu`` are even functions of it and therefore smooth in e.
+with the knee k, about the inflow ratio of hover. Loads are even functions of ``mu`` and therefore smooth in e.
 The columns of a rotor, in axes along the edgewise velocity of the hub (x) and to its right (y), z down:
 
 ==================  ================================================================================================
@@ -85,7 +85,7 @@ class FlightMap(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     name: str = Field(min_length=1, description="short name")
-    description: str = Field(default="", description="one line: what was computed, how")
+    description: str = Field(default="", description="one line: origin and method of the loads")
     vehicle: str = Field(min_length=1, description="vehicle whose hover gives speeds and pitch")
     mass_kg: float = Field(gt=0, description="mass of that vehicle")
     upper: str = Field(min_length=1, description="blades of the upper rotor")
@@ -148,7 +148,7 @@ def _parse_flight_table(text: str, knee: float) -> FlightMapTables:
             f"{shape[1]} climbs and {shape[2]} advance ratios", f"give {MAP_CLIMBS} and {MAP_EDGES} at most"
         )
     if not axes[1][0] <= 0.0 <= axes[1][-1]:
-        raise _table_error("climb_ratio leaves out 0, hover", "give a range that holds it")
+        raise _table_error("climb_ratio does not include 0 (hover)", "give a range that holds it")
     if axes[0][0] <= 0.0 or axes[2][0] != 0.0:
         raise _table_error("ratio is not above 0, or advance_ratio does not begin at 0", "correct the table")
     ordered = rows[np.lexsort(rows[:, 2::-1].T)]
@@ -161,7 +161,7 @@ def _parse_flight_table(text: str, knee: float) -> FlightMapTables:
 
 
 def format_flight_table(tables: FlightMapTables, knee: float) -> str:
-    """Return the ``table`` of a map."""
+    """Return the text of a flight map's ``table``."""
     advance = knee * np.sqrt(tables.edgewise / (1.0 - tables.edgewise))
     grid = np.meshgrid(tables.ratio, tables.climb_ratio, advance, indexing="ij")
     rows = np.column_stack([*(a.ravel() for a in grid), tables.loads.reshape(-1, tables.loads.shape[-1])])
@@ -197,7 +197,7 @@ def load_flight_map(name_or_path: str | Path, folder: Path | None = None) -> Fli
     """
     tables, where = read_toml(name_or_path, _BUILTIN_FOLDER, "flight map", folder)
     if "table" not in tables or "knee" not in tables:
-        raise InputError(where, "table", "is missing, so this is not a flight map", "make one: mufly coax flight-map")
+        raise InputError(where, "table", "is missing: the file is not a flight map", "make one: mufly coax flight-map")
     return validate_model(FlightMap, tables, where)
 
 
@@ -217,7 +217,7 @@ def load_named_maps(tables: dict[str, Any], folder: Path | None, where: str) -> 
             continue
         if not isinstance(name, str | Path):
             raise InputError(
-                where, f"rotors.{key}", f"{name!r} is not a name of a file", f'write {key} = "pair.toml"'
+                where, f"rotors.{key}", f"{name!r} is not a file name", f'write {key} = "pair.toml"'
             )  # fmt: skip
         found[key] = load(name, folder).model_dump()
     return {**tables, "rotors": {**rotors, **found}} if found else tables

@@ -1,4 +1,4 @@
-"""Warnings about a vehicle's parameters that are possible but unusual: wrong units, exchanged values, typing errors.
+"""Warnings about possible but unusual parameters of a vehicle: wrong units, exchanged values, typing errors.
 
 Impossible values are refused when the file is read (:mod:`mufly.vehicle.vehicle_schema`). The limits here come from
 dimensional analysis or from the physics of small coaxial helicopters; each rule states its limit.

@@ -2,8 +2,8 @@
 
     mass = { value = 95, unit = "g", source = "measured", note = "on a scale" }
 
-Values are converted to SI when the file is read; the unit is mandatory. The content of a file is declared once, as
-groups of :func:`declare_parameter` s with unit, symbol, meaning and permitted values.
+Values are converted to SI when the file is read; the unit is mandatory. The content of a file is declared once:
+groups of parameters (:func:`declare_parameter`), each with unit, symbol, meaning and permitted values.
 """
 
 from __future__ import annotations
@@ -239,12 +239,12 @@ class ParameterGroup(_FrozenModel):
         si = str(declared["unit"])
         example = f'{{ value = ..., unit = "{si}", source = "measured" }}'
         if not isinstance(raw, dict):
-            raise model_error(f"{raw!r} has no unit and no source", f"write {info.field_name} = {example}")
+            raise model_error(f"{raw!r} states neither unit nor source", f"write {info.field_name} = {example}")
         if "unit" not in raw:
             raise model_error("the unit is missing", f"write {info.field_name} = {example}")
         if not isinstance(raw["unit"], str) or raw["unit"] not in compatible_units(si):
             accepted = ", ".join(compatible_units(si))
-            raise model_error(f"unit {raw['unit']!r} does not fit here", f"use one of: {accepted}")
+            raise model_error(f"unit {raw['unit']!r} is not a unit of this parameter", f"use one of: {accepted}")
         if "value" not in raw:
             raise model_error("the value is missing", f"write {info.field_name} = {example}")
         value = _scale_value(raw["value"], compatible_units(si)[raw["unit"]])

@@ -20,13 +20,13 @@ class VibrationParameters(ParameterGroup):
     """Vibration of the board due to the rotors: amplitude in the direction of vibration at the hover speed."""
 
     once: Quantity = declare_parameter(
-        "m/s^2", "a1", "once a revolution of each rotor, from imbalance", at_least=0, at_most=2000
+        "m/s^2", "a1", "amplitude once per revolution of each rotor, from imbalance", at_least=0, at_most=2000
     )
     twice: Quantity = declare_parameter(
-        "m/s^2", "a2", "twice a revolution of each rotor, from its two blades", at_least=0, at_most=2000
+        "m/s^2", "a2", "amplitude twice per revolution of each rotor, from its two blades", at_least=0, at_most=2000
     )
     passing: Quantity = declare_parameter(
-        "m/s^2", "ap", "when blades of both rotors pass each other", at_least=0, at_most=2000
+        "m/s^2", "ap", "amplitude at the passing frequency of the blades of both rotors", at_least=0, at_most=2000
     )
     resonance: Quantity = declare_parameter(
         "rad/s", "w_r", "resonance of the board on its mounting", at_least=1, at_most=1e6
@@ -45,7 +45,7 @@ def _declare_mount_angle(symbol: str, axis: str) -> Any:
     return declare_parameter(
         "rad",
         symbol,
-        f"turn of the element about the body's {axis} axis, which the filter takes for 0",
+        f"mounting angle of the element about the body's {axis} axis; the filter assumes 0",
         at_least=-MAX_MOUNT_ANGLE_RAD,
         at_most=MAX_MOUNT_ANGLE_RAD,
         absent=0.0,
@@ -54,13 +54,13 @@ def _declare_mount_angle(symbol: str, axis: str) -> Any:
 
 class ImuParameters(ParameterGroup):
     sample_period: Quantity = declare_parameter(
-        "s", "T_imu", "between samples at the element", at_least=1e-5, at_most=0.01
+        "s", "T_imu", "time between samples of the element", at_least=1e-5, at_most=0.01
     )
     bandwidth: Quantity = declare_parameter(
-        "rad/s", "w_aa", "of the filter before decimation", at_least=1, at_most=100000
+        "rad/s", "w_aa", "bandwidth of the low-pass filter before decimation", at_least=1, at_most=100000
     )
     accelerometer_range: Quantity = declare_parameter(
-        "m/s^2", "a_max", "where an axis clips", above=GRAVITY, at_most=100000
+        "m/s^2", "a_max", "largest measured acceleration of an axis", above=GRAVITY, at_most=100000
     )
     accelerometer_noise: Quantity = declare_parameter(
         "m/s^2/sqrt(Hz)", "n_a", "density of white noise", at_least=0, at_most=10
@@ -69,24 +69,26 @@ class ImuParameters(ParameterGroup):
         "m/s^2", "b_a", "bias at switching on, one sigma", at_least=0, at_most=50
     )
     accelerometer_drift: Quantity = declare_parameter(
-        "m/s^2", "d_a", "wandering of the bias, one sigma", at_least=0, at_most=50
+        "m/s^2", "d_a", "drift of the bias, one sigma", at_least=0, at_most=50
     )
-    gyro_range: Quantity = declare_parameter("rad/s", "w_max", "where an axis clips", at_least=0.1, at_most=10000)
+    gyro_range: Quantity = declare_parameter(
+        "rad/s", "w_max", "largest measured rate of an axis", at_least=0.1, at_most=10000
+    )
     gyro_noise: Quantity = declare_parameter("rad/s/sqrt(Hz)", "n_g", "density of white noise", at_least=0, at_most=1)
     gyro_bias: Quantity = declare_parameter("rad/s", "b_g", "bias at switching on, one sigma", at_least=0, at_most=10)
-    gyro_drift: Quantity = declare_parameter("rad/s", "d_g", "wandering of the bias, one sigma", at_least=0, at_most=10)
+    gyro_drift: Quantity = declare_parameter("rad/s", "d_g", "drift of the bias, one sigma", at_least=0, at_most=10)
     gyro_g_sensitivity: Quantity = declare_parameter(
         "rad/s/(m/s^2)",
         "s_g",
-        "rate that an acceleration along the axis feigns, one sigma",
+        "rate error per acceleration along the axis, one sigma",
         at_least=0,
         at_most=1,
     )
     drift_time: Quantity = declare_parameter(
-        "s", "tau_b", "correlation time of both wanderings", at_least=0.01, at_most=1e7
+        "s", "tau_b", "correlation time of both bias drifts", at_least=0.01, at_most=1e7
     )
     scale_error: Quantity = declare_parameter(
-        "1", "e_s", "error of each axis's scale, one sigma", at_least=0, at_most=0.2
+        "1", "e_s", "scale error of each axis, one sigma", at_least=0, at_most=0.2
     )
     misalignment: Quantity = declare_parameter("rad", "e_m", "of each axis, one sigma", at_least=0, at_most=0.2)
     accelerometer_temperature: Quantity = declare_parameter(
@@ -96,11 +98,11 @@ class ImuParameters(ParameterGroup):
         "rad/s/K", "k_g", "bias per warming, one sigma", at_least=0, at_most=1
     )
     warming: Quantity = declare_parameter(
-        "K", "dT", "of the board, from switching on to its end", at_least=0, at_most=200
+        "K", "dT", "final temperature rise of the board after switching on", at_least=0, at_most=200
     )
     warming_time: Quantity = declare_parameter("s", "tau_T", "time constant of the warming", at_least=0.01, at_most=1e6)
     place: BodyPoints = declare_parameter(
-        "m", "r_imu", "one point: where the element sits, in body axes", at_least=-10, at_most=10
+        "m", "r_imu", "one point: position of the element, body axes", at_least=-10, at_most=10
     )
     level: Quantity = declare_parameter(
         "rad",
@@ -131,10 +133,10 @@ class SonarParameters(ParameterGroup):
     noise: Quantity = declare_parameter("m", "n_us", "one sigma before that", at_least=0, at_most=10)
     dropout: Quantity = declare_parameter("1", "p_us", "share of pulses without an echo", at_least=0, at_most=1)
     multipath: Quantity = declare_parameter(
-        "1", "p_mp", "share of echoes that came by a second surface", at_least=0, at_most=1
+        "1", "p_mp", "share of echoes reflected by a second surface", at_least=0, at_most=1
     )
     place: BodyPoints = declare_parameter(
-        "m", "r_us", "one point: where it sits, in body axes; it looks along z", at_least=-10, at_most=10
+        "m", "r_us", "one point: position of the sonar, body axes; it points along z", at_least=-10, at_most=10
     )
 
 
@@ -145,7 +147,7 @@ class RingCameraParameters(ParameterGroup):
     radial_pixels: int = Field(ge=8, le=4096, strict=True, description="pixels along a radius of the picture")
     angular_pixels: int = Field(ge=8, le=4096, strict=True, description="pixels around the picture")
     baseline: Quantity = declare_parameter(
-        "m", "b_cam", "of the camera below the plane of the beams", at_least=0.001, at_most=10
+        "m", "b_cam", "distance of the camera below the plane of the beams", at_least=0.001, at_most=10
     )
     min_range: Quantity = declare_parameter(
         "m", "l_cam_min", "shortest distance that is decoded", at_least=0.001, at_most=1000
@@ -159,28 +161,28 @@ class RingCameraParameters(ParameterGroup):
     calibration: Quantity = declare_parameter(
         "1",
         "e_cam",
-        "error of where each beam's spots are reckoned, in pixels along the radius, one sigma",
+        "calibration error of each beam's spot, in pixels along the radius, one sigma",
         at_least=0,
         at_most=100,
     )
     brightness: Quantity = declare_parameter(
-        "1", "I_1", "of a spot at 1 m, over the noise of a pixel", at_least=0.001, at_most=1e6
+        "1", "I_1", "brightness of a spot at 1 m, over the noise of a pixel", at_least=0.001, at_most=1e6
     )
     ambient: Quantity = declare_parameter(
-        "1", "I_a", "mean of the ambient light, over the same", at_least=0, at_most=1e6
+        "1", "I_a", "mean of the ambient light, over the noise of a pixel", at_least=0, at_most=1e6
     )
-    missed: Quantity = declare_parameter("1", "p_cam", "share of spots that a surface swallows", at_least=0, at_most=1)
+    missed: Quantity = declare_parameter(
+        "1", "p_cam", "share of spots lost on absorbing surfaces", at_least=0, at_most=1
+    )
 
 
 class PressureSensorParameters(ParameterGroup):
     period: Quantity = declare_parameter("s", "T_p", "between readings", at_least=0.0001, at_most=100)
     noise: Quantity = declare_parameter("Pa", "n_p", "one sigma", at_least=0, at_most=10000)
-    drift: Quantity = declare_parameter(
-        "Pa", "d_p", "wandering with weather and doors, one sigma", at_least=0, at_most=10000
-    )
+    drift: Quantity = declare_parameter("Pa", "d_p", "drift by weather and doors, one sigma", at_least=0, at_most=10000)
     drift_time: Quantity = declare_parameter("s", "tau_p", "its correlation time", at_least=0.01, at_most=1e7)
     downwash: Quantity = declare_parameter(
-        "1", "k_p", "share of the disc loading that the port feels", at_least=-10, at_most=10
+        "1", "k_p", "share of the disc loading that adds to the pressure at the port", at_least=-10, at_most=10
     )
     delay: Quantity = declare_parameter("s", "T_dp", "of its filter", at_least=0, at_most=10)
 
@@ -190,17 +192,17 @@ class MagnetometerParameters(ParameterGroup):
     noise: Quantity = declare_parameter("T", "n_m", "one sigma an axis", at_least=0, at_most=0.01)
     field: Quantity = declare_parameter("T", "B", "strength of the field in the room", at_least=1e-7, at_most=0.01)
     inclination: Quantity = declare_parameter(
-        "rad", "I_B", "of the field below the horizon", at_least=-1.58, at_most=1.58
+        "rad", "I_B", "inclination of the field below the horizon", at_least=-1.58, at_most=1.58
     )
     distortion: Quantity = declare_parameter(
-        "T", "d_m", "of the field by steel in walls and floor, one sigma", at_least=0, at_most=0.01
+        "T", "d_m", "distortion of the field by steel in walls and floor, one sigma", at_least=0, at_most=0.01
     )
     distortion_length: Quantity = declare_parameter("m", "L_m", "over which it changes", at_least=0.01, at_most=10000)
     hard_iron: Quantity = declare_parameter(
-        "T", "h_m", "left over by calibration, one sigma an axis", at_least=0, at_most=0.01
+        "T", "h_m", "hard iron that remains after calibration, one sigma per axis", at_least=0, at_most=0.01
     )
     motor_field: Quantity = declare_parameter(
-        "T/A", "k_m", "per supply current, one sigma an axis", at_least=0, at_most=0.001
+        "T/A", "k_m", "field per supply current, one sigma per axis", at_least=0, at_most=0.001
     )
 
 
@@ -208,9 +210,9 @@ class RotorSpeedSensorParameters(ParameterGroup):
     """Rotor speed from the back-EMF of the motors."""
 
     period: Quantity = declare_parameter("s", "T_n", "between readings", at_least=0.0001, at_most=10)
-    noise: Quantity = declare_parameter("V", "n_n", "of the voltage, one sigma", at_least=0, at_most=100)
+    noise: Quantity = declare_parameter("V", "n_n", "noise of the voltage, one sigma", at_least=0, at_most=100)
     constant_error: Quantity = declare_parameter(
-        "1", "e_kE", "of the back-EMF constant, one sigma", at_least=0, at_most=0.5
+        "1", "e_kE", "relative error of the back-EMF constant, one sigma", at_least=0, at_most=0.5
     )
 
 
@@ -220,7 +222,7 @@ class BatteryMonitorParameters(ParameterGroup):
     voltage_noise: Quantity = declare_parameter("V", "n_U", "one sigma", at_least=0, at_most=10)
     current_noise: Quantity = declare_parameter("A", "n_I", "one sigma", at_least=0, at_most=100)
     current_scale: Quantity = declare_parameter(
-        "1", "e_I", "error of the current's scale, one sigma", at_least=0, at_most=1
+        "1", "e_I", "scale error of the current, one sigma", at_least=0, at_most=1
     )
 
 
@@ -228,10 +230,10 @@ class PositionFixParameters(ParameterGroup):
     """Position and heading fixes from visual SLAM or another low-rate source."""
 
     period: Quantity = declare_parameter("s", "T_x", "between fixes", at_least=0.001, at_most=100)
-    latency: Quantity = declare_parameter("s", "L_x", "from the picture to the fix", at_least=0, at_most=10)
-    jitter: Quantity = declare_parameter("s", "j_x", "of the latency, one sigma", at_least=0, at_most=10)
+    latency: Quantity = declare_parameter("s", "L_x", "time from the picture to the fix", at_least=0, at_most=10)
+    jitter: Quantity = declare_parameter("s", "j_x", "jitter of the latency, one sigma", at_least=0, at_most=10)
     noise: Quantity = declare_parameter("m", "n_x", "white, one sigma an axis", at_least=0, at_most=100)
-    wander: Quantity = declare_parameter("m", "d_x", "correlated error, one sigma an axis", at_least=0, at_most=100)
+    wander: Quantity = declare_parameter("m", "d_x", "correlated error, one sigma per axis", at_least=0, at_most=100)
     wander_time: Quantity = declare_parameter("s", "tau_x", "its correlation time", at_least=0.01, at_most=1e6)
     heading_noise: Quantity = declare_parameter("rad", "n_psi", "white, one sigma", at_least=0, at_most=3.2)
     heading_wander: Quantity = declare_parameter("rad", "d_psi", "correlated, one sigma", at_least=0, at_most=3.2)
@@ -266,7 +268,7 @@ class SensorSuite(ParameterGroup):
         step, span = float(self.sonar.resolution), float(self.sonar.max_range) - float(self.sonar.min_range)
         if step > 0.5 * span:
             raise model_error(
-                f"{step:g} m leaves no two steps between min_range and max_range",
+                f"{step:g} m leaves less than two steps between min_range and max_range",
                 "give a smaller step",
                 "sensors.sonar.resolution",
             )

@@ -57,8 +57,8 @@ _MIN_SPAN_S, _MIN_COUNT = 1.2, 12
 """Least span (s) and number of fixes for a fit."""
 _WITHHOLD_RATIO, _REPORT_RATIO, _FOLLOWED_FACTOR, _EXPLAINED, _CONFIRM_COUNT = 0.8, 1.2, 1.5, 0.45, 6
 _MIN_SIZE, _BOTH = 0.6, 4.0
-"""Residuals over the source's usual drift from which fixes are withheld and the fault is reported. For sources that lag or
-move less than :data:`_MIN_SIZE` times as far, both are larger by a factor. Largest share of the residual that the
+"""Residuals over the usual drift from which fixes are withheld and the fault is reported. For sources that lag or move
+less than :data:`_MIN_SIZE` times as far, both are larger by a factor. Largest share of the residual that the
 fault leaves; number of fixes that confirm a fault."""
 _HEADING_RAD, _HEADING_DECAY_S = math.radians(20.0), 30.0
 """Largest difference of heading and integrated gyroscopes (rad), and time constant of their slow drift (s)."""
