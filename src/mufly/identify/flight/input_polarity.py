@@ -10,14 +10,12 @@ the recorded inputs, predicts the acceleration by each input (eqs 4.5 to 4.16; :
     q'       =  z_dw T_dw sin(theta_max l_dw servo_1) / Iyy                    positive servo_1: nose down
     north'', east'' = -(T_up + T_dw) / m times the mast's direction            acceleration towards the tilt
 
-Changes of the smoothed rates over 0.2 s (of the climb over 0.5 s) are regressed on these predictions at the best lag.
-The stabiliser bar, whose tilt follows from the measured attitude, is a further regressor. The gain should be 1; before
-identification it is of the order of 1. Its standard deviation accounts for coloured residuals
-(:func:`mufly.identify.fit_result.coloured_covariance`). A sign is accepted under two conditions. The input explains
-half of the measured change; and the other sign, at any lag, explains less than half as much or leaves a residual four
-times as large. The second condition is needed because an oscillation equals its own negative half a period later.
-An axis without motion gets no sign. Gust rejection by a feedback loop reduces the gains, because an input that cancels
-a disturbance leaves no response. It does not change their sign, because a stable loop opposes the disturbance.
+Measured rates and positions are regressed on these predictions at the best lag. A noise model keeps the gain unbiased
+under feedback (:mod:`mufly.identify.flight.causal_gain`). In a plain regression an input that rejects a disturbance in
+part has the wrong sign. The stabiliser bar, whose tilt follows from the measured attitude, is a further
+regressor. The gain should be 1; before identification it is of the order of 1. A sign is accepted if the gain is
+significant and its evidence against the other sign, at any lag, suffices: an oscillation equals its own negative half
+a period later. An axis without motion, or whose input feedback explains, gets no sign.
 
 Axis conventions: with body axes forward, left, up (FLU; ROS REP 103) q, r, pitch and yaw have inverted signs. The
 kinematics cannot detect this; the responses to servo_1 and motor torque can. A world frame with z up inverts the
@@ -29,6 +27,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from dataclasses import replace as dataclasses_replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,15 +42,14 @@ from mufly.dynamics.model_state import (
     SERVOS,
     STATE_SIZE,
 )
-from mufly.identify.fit_result import coloured_covariance
 from mufly.identify.flight.batch_simulation import simulate_batch, steady_rotor_speeds
+from mufly.identify.flight.causal_gain import CausalGain, estimate_causal_gain
 from mufly.identify.flight.free_parameters import parameters_at_theta
 from mufly.identify.flight.output_error_problem import PreparedRecord, make_problem
 from mufly.identify.flight_record import (
     FLIGHT_OUTPUTS,
     MO_EULER,
     MO_RATES,
-    MO_VEL,
     FlightRecord,
     estimate_difference_noise,
 )
@@ -59,7 +57,6 @@ from mufly.identify.record_consistency import (
     SignalFault,
     check_record,
     find_signal_faults,
-    moving_average,
     refuse_fatal_faults,
 )
 from mufly.rotations import body_to_ned_matrices
@@ -69,18 +66,10 @@ from mufly.vehicle import Vehicle
 Array = NDArray[np.float64]
 
 _ROTOR_SETTLING_S = 1.0  # settling time of the rotors after a guessed initial speed
-_AVERAGING_SPAN_S, _HEAVE_AVERAGING_SPAN_S, _MAX_LAG_S, _LAG_STEP_S = (
-    0.2,
-    0.5,
-    0.16,
-    0.02,
-)  # averaging spans of changes; largest lag of the inputs and its step
-_MIN_SIGNIFICANCE, _MIN_EXPLAINED_SHARE, _MIN_GAIN = (
-    5.0,
-    0.5,
-    0.25,
-)  # least gain over its standard deviation, least explained share of the power, least absolute gain
-_MIN_RIVAL_RESIDUAL_RATIO = 4.0  # least ratio of the residuals with the other and with the accepted sign
+_MAX_LAG_S = 0.16  # largest lag of the motion behind the inputs
+_MIN_SIGNIFICANCE = 5.0  # least gain over its standard deviation
+_MIN_GAIN = 0.25  # least absolute gain
+_MIN_EVIDENCE = 10.0  # least logarithm of the likelihood ratio against the other sign
 _MAX_METRE_GAIN = 10.0  # largest heave gain of a height in metres; a smaller unit gives a larger gain
 _MAX_HEIGHT_NOISE_M = 0.2  # m; noise or resolution that no height sensor exceeds
 _THRUST_TO_WEIGHT_RANGE = (0.2, 5.0)  # accepted mean thrust over weight before identification
@@ -121,70 +110,43 @@ def estimate_input_gains(vehicle: Vehicle, r: FlightRecord) -> tuple[dict[str, I
     )
     f, dt, has = problem.prepared_records[0], r.sample_s, set(r.outputs)
     p, thrust, torque = _simulate_rotors(f, dt)
-    span, m = max(1, round(_AVERAGING_SPAN_S / dt)), f.smoothed_motion
-
-    def averaged_derivative(y: Array, over: int = span) -> Array:
-        return moving_average(np.diff(y) / dt, over)
-
-    def averaged_columns(*made: Array, over: int = span) -> Array:
-        return moving_average(np.column_stack([0.5 * (y[1:] + y[:-1]) for y in made]), over)
+    m = f.smoothed_motion
 
     found: dict[str, InputGain] = {}
     turn = body_to_ned_matrices(m[:, MO_EULER:MO_RATES])
+    lagged = {"skip_s": _ROTOR_SETTLING_S, "longest_lag_s": _MAX_LAG_S}
+
+    def gain(rate: str, angle: str, *made: Array, sign: float = 1.0, **options: Any) -> InputGain:
+        is_rate = rate in has
+        seen = sign * r.measured[:, r.outputs.index(rate if is_rate else angle)]
+        return _judge_gain(
+            estimate_causal_gain(seen, np.column_stack(made), dt, is_rate=is_rate, **options), len(made) > 1
+        )
+
     load = (thrust.sum(axis=1) - p["downwash"]) / p["mass"]
     if has & {"height", "climb"}:
-        slow = max(1, round(_HEAVE_AVERAGING_SPAN_S / dt))  # heights are noisier than gyros
-        found["heave"] = _regress_gain(
-            averaged_derivative(-m[:, MO_VEL + 2], slow),
-            averaged_columns(load * turn[:, 2, 2], over=slow),
-            dt,
-        )
+        found["heave"] = gain("climb", "height", load * turn[:, 2, 2], **lagged)
     if has & {"yaw", "r"}:
-        found["yaw"] = _regress_gain(
-            averaged_derivative(m[:, MO_RATES + 2]),
-            averaged_columns((torque[:, 0] - torque[:, 1]) / p["Izz"]),
-            dt,
-        )
+        found["yaw"] = gain("r", "yaw", (torque[:, 0] - torque[:, 1]) / p["Izz"], **lagged)
         if found["yaw"].sign == 0:  # unequal rotors: exchanged motors differ from an inverted sign
             _, _, other = _simulate_rotors(dataclasses_replace(f, inputs=f.inputs[:, MOTORS_SWAPPED]), dt)
-            if (
-                _regress_gain(
-                    averaged_derivative(m[:, MO_RATES + 2]),
-                    averaged_columns((other[:, 0] - other[:, 1]) / p["Izz"]),
-                    dt,
-                ).sign
-                == 1
-            ):
+            if gain("r", "yaw", (other[:, 0] - other[:, 1]) / p["Izz"], **lagged).sign == 1:
                 found["yaw"] = dataclasses_replace(found["yaw"], sign=-1)
     tilt = swash_plate_target.py_func(*np.clip(f.inputs[:, SERVOS], -1.0, 1.0).T, p["swash_gain"], p["swash_phase"])
     arm = -p["z_dw"] * thrust[:, 1, None] * np.sin(np.column_stack((-tilt[1], tilt[0])))
     bar = np.einsum("nji,nj->ni", turn, _bar_normal(f.mast_direction, -np.expm1(-dt * p["bar_rate"])))
     lean = -p["z_up"] * p["bar_gain"] * thrust[:, :1] * bar[:, :2]
     if has & {"roll", "p"}:
-        made = averaged_columns(arm[:, 1], arm[:, 0]) / p["Ixx"]
-        found["roll"] = _regress_gain(
-            averaged_derivative(m[:, MO_RATES]), made, dt, beside=averaged_columns(lean[:, 1]), crossed=True
-        )
+        made = arm / p["Ixx"]
+        found["roll"] = gain("p", "roll", made[:, 1], made[:, 0], beside=lean[:, 1:], **lagged)
     if has & {"pitch", "q"}:
-        made = averaged_columns(-arm[:, 0], -arm[:, 1]) / p["Iyy"]
-        found["pitch"] = _regress_gain(
-            averaged_derivative(m[:, MO_RATES + 1]),
-            made,
-            dt,
-            beside=averaged_columns(lean[:, 0]),
-            crossed=True,
-        )
+        made = -arm / p["Iyy"]
+        found["pitch"] = gain("q", "pitch", made[:, 0], made[:, 1], beside=lean[:, :1], **lagged)
     if {"roll", "pitch", "yaw"} <= has:
         pull = -turn[:, :2, 2] * GRAVITY
-        for k, (axis, needs) in enumerate((("north", {"north", "v_north"}), ("east", {"east", "v_east"}))):
-            if has & needs:
-                found[axis] = _regress_gain(
-                    averaged_derivative(m[:, MO_VEL + k]),
-                    averaged_columns(pull[:, k], pull[:, 1 - k]),
-                    dt,
-                    crossed=True,
-                    lag_s=0.0,
-                )
+        for k, axis in enumerate(("north", "east")):
+            if has & {axis, f"v_{axis}"}:
+                found[axis] = gain(f"v_{axis}", axis, pull[:, k], pull[:, 1 - k], skip_s=_ROTOR_SETTLING_S)
     settled = min(round(_ROTOR_SETTLING_S / dt), len(m) // 2)
     return found, float(thrust[settled:].sum(axis=1).mean() / (p["mass"] * GRAVITY))
 
@@ -222,57 +184,17 @@ def _bar_normal(mast: Array, follow: float) -> Array:
     return bar
 
 
-def _regress_gain(
-    seen: Array, made: Array, dt: float, *, beside: Array | None = None, crossed: bool = False,
-    lag_s: float = _MAX_LAG_S,
-) -> InputGain:  # fmt: skip
-    """Regress a measured acceleration (n,) on its predictions from the inputs (n, k), own input first, at the best lag.
-
-    The regressors ``beside`` (n, j), without a lag, are projected out of both sides first (Frisch, Waugh and Lovell),
-    so that the explained share belongs to the inputs.
-    """
-    skip = max(round(_ROTOR_SETTLING_S / dt), round(lag_s / dt))
-    n, step = len(seen), max(1, round(_LAG_STEP_S / dt))
-    if n < skip + 50 or not np.isfinite(made).all():
+def _judge_gain(found: CausalGain | None, is_crossed: bool) -> InputGain:
+    """Accept a sign that the record determines: significant, of size, and far likelier than the other."""
+    if found is None:
         return InputGain(0.0, np.inf)
-    known = np.ones((n - skip, 1)) if beside is None else np.column_stack([np.ones(n - skip), beside[skip:]])
-    basis = np.linalg.qr(known)[0]
-
-    def remove_known(z: Array) -> Array:
-        return z - basis @ (basis.T @ z)
-
-    def dominant_column(g: Array, x: Array) -> int:
-        return int(np.argmax(np.abs(g) * x.std(axis=0)))
-
-    y = remove_known(seen[skip:])
-    best: tuple[float, Array, Array] | None = None
-    most = {1: 0.0, -1: 0.0}  # share explained with either sign of the dominant gain
-    for lag in range(0, round(lag_s / dt) + 1, step):
-        x = remove_known(made[skip - lag : n - lag])
-        g = np.asarray(np.linalg.lstsq(x, y, rcond=None)[0], dtype=np.float64)
-        share = 1.0 - float(np.sum((y - x @ g) ** 2)) / max(float(y @ y), 1e-300)
-        side = 1 if g[dominant_column(g, x)] > 0.0 else -1
-        most[side] = max(most[side], share)
-        if best is None or share > best[0]:
-            best = share, g, x
-    assert best is not None
-    share, g, x = best
-    e = y - x @ g
-    size = max(float(e.std()), 1e-300)
-    covariance = coloured_covariance([(x / size)[:, None, :]], [(e / size)[:, None]])[0]
-    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    lead = dominant_column(g, x)
-    side = 1 if g[lead] > 0.0 else -1
-    # The other sign must be clearly worse at every lag.
-    rival = most[-side]
-    sure = share > _MIN_EXPLAINED_SHARE and abs(g[lead]) > max(_MIN_GAIN, _MIN_SIGNIFICANCE * std[lead])
-    sure = sure and (rival < 0.5 * share or 1.0 - rival > _MIN_RIVAL_RESIDUAL_RATIO * (1.0 - share))
+    g, std, lead = found.value, found.std, found.lead
+    sure = abs(g[lead]) > max(_MIN_GAIN, _MIN_SIGNIFICANCE * std[lead]) and found.evidence > _MIN_EVIDENCE
     # The other servo counts only if the own servo has little effect in comparison.
     sure = bool(sure and (lead == 0 or abs(g[0]) < 0.4 * abs(g[1])))
-    return InputGain(
-        float(g[0]), float(std[0]), float(g[1]) if crossed else 0.0, float(std[1]) if crossed else 0.0,
-        side if sure else 0, sure and lead == 1,
-    )  # fmt: skip
+    side = (1 if g[lead] > 0.0 else -1) if sure else 0
+    cross = (float(g[1]), float(std[1])) if is_crossed else (0.0, 0.0)
+    return InputGain(float(g[0]), float(std[0]), *cross, side, sure and lead == 1)
 
 
 def check_flight_records(records: Sequence[FlightRecord], vehicle: Vehicle, *, as_is: bool = False) -> tuple[str, ...]:
