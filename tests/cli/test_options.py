@@ -151,9 +151,9 @@ TEXTS = {
     "--input", "--inputs", "--keep", "--kind", "--known", "--layout", "--limit", "--link", "--log", "--logs",
     "--loop", "--map", "--material", "--measured", "--mesh", "--method", "--methods", "--mission", "--model",
     "--motion", "--name", "--noise", "--only", "--open", "--origin", "--others", "--out", "--output", "--outputs",
-    "--over", "--part", "--plot", "--policy", "--position", "--prefix", "--reference", "--report", "--rig",
-    "--rotor", "--save-map", "--section", "--sensors", "--set", "--signal", "--simulator", "--start", "--stream",
-    "--telemetry", "--template", "--times", "--tip", "--token", "--tuned", "--unit", "--vary", "--vehicle",
+    "--over", "--part", "--plot", "--policy", "--position", "--prefix", "--receiver", "--reference", "--report",
+    "--rig", "--rotor", "--save-map", "--section", "--sensors", "--set", "--signal", "--simulator", "--start",
+    "--stream", "--telemetry", "--template", "--times", "--tip", "--token", "--tuned", "--unit", "--vary", "--vehicle",
     "--wake", "--wake-set", "--with", "--without", "--write",
 }  # fmt: skip
 

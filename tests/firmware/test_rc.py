@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import socket
 
 import numpy as np
 import pytest
@@ -10,8 +11,10 @@ from board_station import Station
 from pymavlink.dialects.v20 import common as mavlink
 
 from mufly.control import design_flight_controller
+from mufly.firmware import missing_tools
 from mufly.firmware.emulated import HostBoard
 from mufly.firmware.emulated.board_flight import BoardEstimator, make_board_software
+from mufly.firmware.emulated.board_link import run_linked_board
 from mufly.firmware.emulated.image_build import build_host_board
 from mufly.flight import Flight
 from mufly.flight.tunable_parameters import StickRanges
@@ -311,3 +314,51 @@ def test_a_pilot_flies_and_a_lost_receiver_makes_it_hover_and_land(vehicle, libr
         assert not record.supervisor.armed
     assert min(heights[:600]) > 0.4
     assert heights[-1] < 0.12
+
+
+@pytest.mark.skipif(bool(missing_tools()), reason=missing_tools() or "-")
+@pytest.mark.parametrize(("name", "encode"), [("crsf", lambda c: _crsf(_pack(c))), ("sbus", _sbus)])
+def test_a_pilot_at_the_uart_of_the_emulated_board(vehicle, name, encode) -> None:
+    """Switches arm and kill; a cut wire counts as a lost receiver; no byte of memory differs from this machine's."""
+    with socket.socket() as a, socket.socket() as b:
+        for one in (a, b):
+            one.bind(("127.0.0.1", 0))
+        port, receiver_port = a.getsockname()[1], b.getsockname()[1]
+    channels, seen, wire = [MIDDLE] * 16, [], []
+    channels[2], channels[4:7] = LOW, [LOW, LOW, LOW]
+
+    def stop(flight) -> bool:
+        board = flight.autopilot.software.board.record
+        rc, k = board.rc, len(seen)
+        seen.append((rc.is_alive, board.supervisor.armed, rc.decoder.frame_count, board.supervisor.now_s))
+        alive = [one[0] for one in seen]
+        if not wire:
+            wire.append(socket.create_connection(("127.0.0.1", receiver_port)))
+        if seen[-1][1] and channels[4] == HIGH:
+            channels[6] = HIGH  # armed: kill
+        elif flight.time_s > 3.0 and channels[6] == LOW:
+            channels[4] = HIGH if k // 60 % 2 else LOW
+        killed = any(one[1] for one in seen) and not seen[-1][1]
+        if killed and wire[0].fileno() >= 0:
+            wire[0].close()
+        elif not killed and k % 4 == 0:
+            wire[0].sendall(encode(channels))
+        return (killed and any(alive) and not alive[-1]) or flight.time_s > 12.0
+
+    flown = run_linked_board(
+        vehicle,
+        load_mission("demonstration"),
+        port=port,
+        receiver=name,
+        receiver_port=receiver_port,
+        pace=4.0,
+        stop=stop,
+    )
+    assert flown.different == 0, flown.first_difference
+    armed = [one[1] for one in seen]
+    assert any(armed), "the arm switch did not arm"
+    last_armed = len(armed) - 1 - armed[::-1].index(True)
+    assert not seen[-1][0], "the cut wire was not noticed"
+    assert seen[last_armed][0], "lost before the kill switch"
+    assert seen[-1][2] > 100
+    assert 0.5 < seen[-1][3] - seen[last_armed][3] < 1.2

@@ -98,6 +98,10 @@ def run_link(
     uart: Annotated[
         int, define_option("--uart PORT", "TCP port of the UART of --qemu, on this machine.", min=1, max=65535)
     ] = 5760,
+    receiver: Annotated[
+        Literal["crsf", "sbus"] | None,
+        define_option("--receiver", "With --qemu: a pilot's receiver, whose UART is the TCP port after --uart."),
+    ] = None,
     simulator: Annotated[
         Literal["px4", "ardupilot", "betaflight"] | None,
         define_option(
@@ -136,8 +140,10 @@ def run_link(
             if one:
                 raise InputError(name, "", "the emulated board has a link of its own", "leave it out, use --uart")
         steady = resolve_wind(wind, gust, seed)
-        _run_emulated_board(mission or "demonstration", vehicle, steady, gust, seed, fault, out, uart)
+        _run_emulated_board(mission or "demonstration", vehicle, steady, gust, seed, fault, out, uart, receiver or "")
         return
+    if receiver is not None:
+        raise InputError("--receiver", receiver, "connects to the board of --qemu", "add --qemu")
     endpoints = parse_endpoints(ends or _DEFAULT_LINK_ENDPOINTS, "vehicle", each="endpoint")
     if not 1 <= system <= 255:
         raise InputError("--system", "", f"{system} is not a MAVLink system", "give 1 to 255")
@@ -222,7 +228,7 @@ def run_link(
 
 def _run_emulated_board(
     mission: str, vehicle: str, wind: list[float] | None, gust: float | None, seed: int, fault: list[str] | None,
-    out: Path | None, uart: int,
+    out: Path | None, uart: int, receiver: str,
 ) -> None:  # fmt: skip
     """Fly the image of a board in QEMU until Ctrl-C; stations connect to its UART."""
     if out is not None:
@@ -238,11 +244,13 @@ def _run_emulated_board(
     with over, LiveDisplay(terminal) as display:
         display.set_live_line("building the board's image")
         flown = run_linked_board(
-            helicopter, plan, port=uart, wind=wind, gust=gust, seed=seed, faults=faults,
-            path=None if out is None else out / "flight.mcap", on_event=display.show_event,
+            helicopter, plan, port=uart, receiver=receiver, receiver_port=uart + 1, wind=wind, gust=gust, seed=seed,
+            faults=faults, path=None if out is None else out / "flight.mcap", on_event=display.show_event,
             stop=lambda flight: over.stop_requested.is_set(),
             on_open=lambda: terminal.print(
-                f"The UART of the emulated board is tcp:127.0.0.1:{uart}. Ctrl-C ends it.", highlight=False
+                f"The UART of the emulated board is tcp:127.0.0.1:{uart}"
+                f"{f', that of its receiver tcp:127.0.0.1:{uart + 1}' if receiver else ''}. Ctrl-C ends it.",
+                highlight=False,
             ),
         )  # fmt: skip
     slower = " (slower than real time)" if flown.realtime_factor < SLOWEST_REAL_TIME else ""

@@ -32,6 +32,8 @@ def run_linked_board(
     path: Path | None = None,
     pace: float = 1.0,
     counts_instructions: bool = False,
+    receiver: str = "",
+    receiver_port: int = 0,
     stop: Callable[[Flight], bool] = lambda flight: False,
     on_event: Callable[[FlightEvent], None] | None = None,
     on_open: Callable[[], None] = lambda: None,
@@ -48,6 +50,8 @@ def run_linked_board(
         Flight time over wall-clock time; 0: as fast as possible.
     counts_instructions : bool
         Count the instructions of each period; slower.
+    receiver, receiver_port
+        Kind of a pilot's receiver, ``crsf`` or ``sbus``, and the port at which its UART listens; "" without one.
     stop : callable
         Called with the flight after every period; True ends it.
     on_event, on_open : callable
@@ -59,9 +63,16 @@ def run_linked_board(
         If a tool is missing, or the emulation ends by itself.
     """
     controller = design_flight_controller(vehicle)
-    uart = f"tcp:{host}:{port},server=on,wait=off,nodelay=on"
+    uart, receiver_uart = (f"tcp:{host}:{p},server=on,wait=off,nodelay=on" for p in (port, receiver_port))
     twin = HostBoard(*build_host_board(vehicle, controller, mission))
-    board = EmulatedBoard(build_image(vehicle, controller, mission), twin, uart, counts_instructions)
+    board = EmulatedBoard(
+        build_image(vehicle, controller, mission),
+        twin,
+        uart,
+        counts_instructions,
+        receiver,
+        receiver_uart if receiver else "none",
+    )
     try:
         with Flight(
             vehicle, mission, controller=controller, wind=wind, gust=gust, seed=seed, faults=faults, path=path,

@@ -24,6 +24,7 @@ FLASH_WORDS = 4096
 """Words of 32 bits in each of the two sectors for settings: ``FLASH_WORDS`` of ``qemu.c``."""
 LOG_BLOCKS = 30720
 """Blocks of 512 bytes for the log: ``LOG_BLOCKS`` of ``qemu.c``."""
+_RECEIVER_OFFSET = 2**19  # of the word that holds the kind of the receiver
 _LOG_OFFSET = 2**20  # in the memory that holds the sectors
 _FLASH_MEMORY_BYTES = 16 * 2**20  # of the emulated memory that holds sectors and log
 
@@ -137,6 +138,8 @@ class EmulatedBoard:
         The code of this machine, in single precision.
     uart : str
         Device of QEMU for the UART of the link, as ``tcp:127.0.0.1:5760,server=on,wait=off,nodelay=on``.
+    receiver, receiver_uart : str
+        Kind of a pilot's receiver, ``crsf`` or ``sbus``, and device of QEMU for its UART; "" for a board without one.
     counts_instructions : bool
         Let an instruction take 1 ns, so that the board's timer measures instructions; slower.
 
@@ -154,9 +157,18 @@ class EmulatedBoard:
         Memory of the emulated board in the place of the log's block device, kept over restarts.
     """
 
-    def __init__(self, image: Path, twin: HostBoard, uart: str = "none", counts_instructions: bool = False) -> None:
+    def __init__(
+        self,
+        image: Path,
+        twin: HostBoard,
+        uart: str = "none",
+        counts_instructions: bool = False,
+        receiver: str = "",
+        receiver_uart: str = "none",
+    ) -> None:
         self.ffi, self.lib, self._image, self._twin = twin.ffi, twin.lib, image, twin
-        self._uart = uart
+        self._uart, self._receiver_uart = uart, receiver_uart
+        self._receiver = {"": twin.lib.RC_NONE, "crsf": twin.lib.RC_CRSF, "sbus": twin.lib.RC_SBUS}[receiver]
         self._instructions_per_tick = 40 if counts_instructions else 0
         self._ticks = np.zeros(1, np.uint32)
         self.worst_instructions = 0
@@ -170,6 +182,7 @@ class EmulatedBoard:
         self._flash_file.truncate(_FLASH_MEMORY_BYTES)
         self.flash = np.memmap(self._flash_file.name, np.uint32, "r+", shape=twin.flash.shape)
         self.flash[:] = twin.flash
+        np.memmap(self._flash_file.name, np.int32, "r+", _RECEIVER_OFFSET, 1)[:] = self._receiver
         self.log_blocks: NDArray[np.uint32] = np.memmap(
             self._flash_file.name, np.uint32, "r+", _LOG_OFFSET, twin.log_blocks.shape
         )
@@ -179,6 +192,7 @@ class EmulatedBoard:
         """Return to the state after power-up: the emulation starts with the next period."""
         self.close()
         self._twin.restart()
+        self.lib.rc_start(self.ffi.addressof(self._twin.record, "rc"), self._receiver)
         self.memory[:] = self._twin.memory
 
     def _start_emulation(self) -> subprocess.Popen[bytes]:
@@ -188,7 +202,8 @@ class EmulatedBoard:
                 "-object", f"memory-backend-file,id=flash,size={_FLASH_MEMORY_BYTES},"
                 f"mem-path={self._flash_file.name},share=on",
                 "-display", "none", "-monitor", "none",
-                "-serial", self._uart, "-semihosting-config", "enable=on,target=native", "-kernel", str(self._image),
+                "-serial", self._uart, "-serial", self._receiver_uart,
+                "-semihosting-config", "enable=on,target=native", "-kernel", str(self._image),
                 *(("-icount", "shift=0") if self._instructions_per_tick else ()),
             ],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, bufsize=0,
@@ -214,17 +229,17 @@ class EmulatedBoard:
         self._exchange(request, self._twin.compute_control, self._conclude_period)
 
     def _conclude_period(self) -> None:
-        """Take the time of the period; give the twin the bytes that the emulated UART has received and sent."""
+        """Take the time of the period; give the twin the bytes that the emulated UARTs have received and sent."""
         assert self._process is not None
         self._receive(self._process, self._ticks.view(np.uint8))
         spent = int(self._ticks[0]) * self._instructions_per_tick
         self.worst_instructions = max(self.worst_instructions, spent)
-        link, twin = self.record.link, self._twin.record.link
-        self.ffi.memmove(twin.input, link.input, len(link.input))
-        twin.input_count = link.input_count
+        for ours, theirs in ((self.record.link, self._twin.record.link), (self.record.rc, self._twin.record.rc)):
+            self.ffi.memmove(theirs.input, ours.input, len(ours.input))
+            theirs.input_count = ours.input_count
         self.lib.flash_model_attach(self._twin.flash_model)
         self.lib.board_link(self._twin.record)
-        self.lib.link_sent(self.ffi.addressof(self._twin.record, "link"), link.sent_count)
+        self.lib.link_sent(self.ffi.addressof(self._twin.record, "link"), self.record.link.sent_count)
 
     def _exchange(self, record: Any, compute: Any, conclude: Callable[[], None] = lambda: None) -> None:
         process = self._process or self._start_emulation()

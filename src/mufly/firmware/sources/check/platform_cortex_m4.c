@@ -13,6 +13,7 @@ int main(void);
 void reset(void);
 void trap_fault(void);
 void interrupt_0(void) __attribute__((weak, alias("trap_fault"))); /* of the board, if it has one */
+void interrupt_2(void) __attribute__((weak, alias("trap_fault")));
 void *memcpy(void *to, const void *from, uint32_t count);
 void *memset(void *to, int32_t value, uint32_t count);
 
@@ -72,13 +73,13 @@ void trap_fault(void)
 
 typedef struct {
     const uint32_t *stack;
-    void (*called[16])(void);
+    void (*called[18])(void);
 } vectors_t;
 
 __attribute__((section(".vectors"), used)) static const vectors_t vectors = {
     &stack_top,
     {reset, trap_fault, trap_fault, trap_fault, trap_fault, trap_fault, trap_fault, trap_fault, trap_fault, trap_fault,
-     trap_fault, trap_fault, trap_fault, trap_fault, trap_fault, interrupt_0},
+     trap_fault, trap_fault, trap_fault, trap_fault, trap_fault, interrupt_0, trap_fault, interrupt_2},
 };
 
 void platform_start(void)

@@ -1,5 +1,6 @@
 /* hal.h for QEMU's mps2-an386 (Cortex-M4F). The simulation of mufly takes the place of sensors and actuators: it writes
- * readings and commands to this program's input, and reads the whole memory of the board from its output, twice a period. MAVLink goes through UART 0.
+ * readings and commands to this program's input, and reads the whole memory of the board from its output, twice a period.
+ * MAVLink goes through UART 0, the bytes of a pilot's receiver come through UART 1.
  *
  * The exchange goes through semihosting, on the standard input and output of QEMU: one call moves a whole record, while a
  * UART of the emulated board takes one byte per turn of QEMU's main loop. The program ends when its input ends. */
@@ -12,17 +13,13 @@
 #define MODE_READ 1U  /* "rb" */
 #define MODE_WRITE 5U /* "wb" */
 
-/* UART 0 (CMSDK APB UART); its interrupt of reception has number 0. */
-#define UART_DATA (*(volatile uint32_t *)0x40004000U)
-#define UART_STATE (*(volatile uint32_t *)0x40004004U)
-#define UART_CTRL (*(volatile uint32_t *)0x40004008U)
-#define UART_INTERRUPT (*(volatile uint32_t *)0x4000400CU)
-#define UART_BAUD_DIVIDER (*(volatile uint32_t *)0x40004010U)
+/* UARTs 0 and 1 (CMSDK APB UART); their interrupts of reception have the numbers 0 and 2. */
 #define UART_FULL 1U
 #define UART_RECEIVED 2U
 #define UART_ENABLED 3U
 #define UART_RX_INTERRUPT 8U
 #define UART_RX_PENDING 2U
+#define UART_RX_INTERRUPTS 5U /* bits of NVIC_ENABLE */
 #define NVIC_ENABLE (*(volatile uint32_t *)0xE000E100U)
 #define NVIC_DISABLE (*(volatile uint32_t *)0xE000E180U)
 #define RECEIVED_SIZE 512U
@@ -30,6 +27,9 @@
 /* Two sectors of flash, which this machine has as memory that outlasts the program; where that is new, no bit need be set. */
 #define FLASH ((volatile uint32_t *)0x21000000U)
 #define FLASH_WORDS 4096
+
+/* Kind of the receiver, in the same memory: RC_... of rc_frames.h. */
+#define RECEIVER_KIND (*(volatile int32_t *)0x21080000U)
 
 /* Block device of the log, in the same memory. */
 #define LOG_MEMORY ((volatile uint32_t *)0x21100000U)
@@ -44,10 +44,20 @@
 
 int main(void);
 void interrupt_0(void);
+void interrupt_2(void);
 
-static uint8_t received[RECEIVED_SIZE];
-static volatile uint32_t received_head;
-static volatile uint32_t received_tail;
+typedef struct {
+    volatile uint32_t data, state, ctrl, interrupt, baud_divider;
+} uart_registers_t;
+
+typedef struct {
+    uart_registers_t *uart;
+    volatile uint32_t head, tail;
+    uint8_t bytes[RECEIVED_SIZE];
+} receiver_t;
+
+static receiver_t link = {(uart_registers_t *)0x40004000U, 0U, 0U, {0U}};
+static receiver_t pilot = {(uart_registers_t *)0x40005000U, 0U, 0U, {0U}};
 static board_t board;
 static fault_record_t kept; /* the emulation has no reset */
 static board_period_t period;
@@ -142,37 +152,58 @@ void hal_write_actuators(const actuators_t *out)
 }
 
 /* The pending bit is cleared first: a byte that comes meanwhile sets it again. Without room the UART keeps its byte, and the
- * sender waits, until hal_read_bytes has made room. */
+ * sender waits, until take_bytes has made room. */
+static void keep_bytes(receiver_t *r)
+{
+    r->uart->interrupt = UART_RX_PENDING;
+    while (((r->uart->state & UART_RECEIVED) != 0U) && ((r->head - r->tail) < RECEIVED_SIZE)) {
+        r->bytes[r->head % RECEIVED_SIZE] = (uint8_t)(r->uart->data & 0xFFU);
+        r->head++;
+    }
+}
+
 void interrupt_0(void)
 {
-    UART_INTERRUPT = UART_RX_PENDING;
-    while (((UART_STATE & UART_RECEIVED) != 0U) && ((received_head - received_tail) < RECEIVED_SIZE)) {
-        received[received_head % RECEIVED_SIZE] = (uint8_t)(UART_DATA & 0xFFU);
-        received_head++;
+    keep_bytes(&link);
+}
+
+void interrupt_2(void)
+{
+    keep_bytes(&pilot);
+}
+
+static int32_t take_bytes(receiver_t *r, uint8_t *to, int32_t most)
+{
+    int32_t count = 0;
+
+    NVIC_DISABLE = UART_RX_INTERRUPTS;
+    keep_bytes(r);
+    while ((count < most) && (r->tail != r->head)) {
+        to[count] = r->bytes[r->tail % RECEIVED_SIZE];
+        r->tail++;
+        count++;
     }
+    NVIC_ENABLE = UART_RX_INTERRUPTS;
+    return count;
+}
+
+static void start_uart(const receiver_t *r)
+{
+    r->uart->baud_divider = 16U;
+    r->uart->ctrl = UART_ENABLED | UART_RX_INTERRUPT;
 }
 
 int32_t hal_read_bytes(uint8_t *to, int32_t most)
 {
-    int32_t count = 0;
-
-    NVIC_DISABLE = 1U;
-    interrupt_0();
-    while ((count < most) && (received_tail != received_head)) {
-        to[count] = received[received_tail % RECEIVED_SIZE];
-        received_tail++;
-        count++;
-    }
-    NVIC_ENABLE = 1U;
-    return count;
+    return take_bytes(&link, to, most);
 }
 
 int32_t hal_write_bytes(const uint8_t *from, int32_t count)
 {
     int32_t sent = 0;
 
-    while ((sent < count) && ((UART_STATE & UART_FULL) == 0U)) {
-        UART_DATA = from[sent];
+    while ((sent < count) && ((link.uart->state & UART_FULL) == 0U)) {
+        link.uart->data = from[sent];
         sent++;
     }
     return sent;
@@ -180,14 +211,12 @@ int32_t hal_write_bytes(const uint8_t *from, int32_t count)
 
 int32_t hal_rc_kind(void)
 {
-    return RC_NONE;
+    return RECEIVER_KIND;
 }
 
 int32_t hal_read_rc(uint8_t *to, int32_t most)
 {
-    (void)to;
-    (void)most;
-    return 0;
+    return take_bytes(&pilot, to, most);
 }
 
 int32_t hal_flash_words(void)
@@ -266,9 +295,9 @@ int main(void)
     transmit(&sizes, sizeof(sizes));
     TICKS_RELOAD = TICKS_MASK;
     TICKS_CTRL = TICKS_ENABLED;
-    UART_BAUD_DIVIDER = 16U;
-    UART_CTRL = UART_ENABLED | UART_RX_INTERRUPT;
-    NVIC_ENABLE = 1U;
+    start_uart(&link);
+    start_uart(&pilot);
+    NVIC_ENABLE = UART_RX_INTERRUPTS;
     board_start(&board, fitted, fault_record_begin(&kept, RESET_BY_POWER));
     board_run(&board, &kept);
     return 0;
