@@ -142,3 +142,43 @@ refer_to: Any = intrinsic(_refer_to)
 
 The reference ends with the function that makes it. See :data:`borrow_arrays` for the lifetime of the arrays.
 """
+
+
+def _store_tuple(context: Any, what: Any, address: Any) -> Any:
+    def generate_store(ctx: Any, builder: Any, signature: Any, given: Any) -> Any:
+        value = _drop_reference_count(ctx, builder, what, given[0])
+        builder.store(value, builder.inttoptr(given[1], value.type.as_pointer()))
+        return ctx.get_dummy_value()
+
+    return types.void(what, address), generate_store
+
+
+store_tuple: Any = intrinsic(_store_tuple)
+"""``store_tuple(tuple, address)``: write a tuple of arrays, records and tuples to a memory address (int64).
+
+:data:`tuple_size` tells the room it takes. Only addresses of the arrays are stored: the caller keeps the arrays.
+"""
+
+
+def _tuple_size(context: Any, what: Any) -> Any:
+    def generate_size(ctx: Any, builder: Any, signature: Any, given: Any) -> Any:
+        return ctx.get_constant(types.int64, ctx.get_abi_sizeof(ctx.get_value_type(what)))
+
+    return types.int64(what), generate_size
+
+
+tuple_size: Any = intrinsic(_tuple_size)
+"""``tuple_size(tuple)``: bytes that :data:`store_tuple` writes."""
+
+
+def _refer_at(context: Any, address: Any, like: Any) -> Any:
+    kind = TupleReference(like)
+
+    def generate_address(ctx: Any, builder: Any, signature: Any, given: Any) -> Any:
+        return builder.inttoptr(given[0], ctx.get_value_type(kind))
+
+    return kind(address, like), generate_address
+
+
+refer_at: Any = intrinsic(_refer_at)
+"""``refer_at(address, like)``: a :class:`TupleReference` to a tuple of the type of ``like`` that was stored there."""

@@ -9,6 +9,9 @@ and heading have the correlated and the white error of the position fix. The vel
 period of the fixes. Roll and pitch have the error of the level. The rates have the white noise of the gyroscopes over a
 step. There is no filter. A Gauss-Markov process of variance 1 and time constant tau is sampled exactly, ``e[k+1] =
 d e[k] + sqrt(1 - d^2) n``, ``d = exp(-T / tau)``.
+
+With ``sensors="fitted"`` an observation is the estimate of a filter on simulated sensors
+(:mod:`mufly.gym.filter_units`); an episode starts in the hover of a flight.
 """
 
 from __future__ import annotations
@@ -43,9 +46,18 @@ from mufly.flight.policy.observation import (
     map_action,
 )
 from mufly.gym.fleet import LEAST_CHARGE
-from mufly.gym.tasks import COLUMN_COUNT, COLUMN_SIZE, OBSTACLE, WAYPOINT, draw_waypoint, judge_step, place_task
+from mufly.gym.tasks import (
+    COLUMN_COUNT,
+    COLUMN_SIZE,
+    OBSTACLE,
+    WAYPOINT,
+    draw_waypoint,
+    judge_step,
+    place_task,
+    shift_task,
+)
 from mufly.numba_cache import cached_njit
-from mufly.portable_math import sine_cosine
+from mufly.portable_math import portable_atan2, sine_cosine
 from mufly.sensors.rng import draw_normals, draw_uniforms
 from mufly.world.obstacles import first_hit, nearest_obstacles
 
@@ -132,6 +144,8 @@ class EpisodeSettings(NamedTuple):
         Bounds of an observation.
     has_errors : bool
         Whether an observation has errors.
+    in_hover : bool
+        Whether episodes start in the hover of a flight, and not turned and moving.
     decay, sigma : (6,) array
         Decay in a step and standard deviation of the correlated errors.
     white : (4,) array
@@ -148,6 +162,7 @@ class EpisodeSettings(NamedTuple):
     low: _Array
     high: _Array
     has_errors: bool
+    in_hover: bool
     decay: _Array
     sigma: _Array
     white: _Array
@@ -179,13 +194,15 @@ def copy_numbers(source: _Array, target: _Array) -> None:
 
 @cached_njit(error_model="numpy", nogil=True)
 def start_episodes(
-    e: EpisodeArrays, s: EpisodeSettings, which: NDArray[np.bool_], states: _Array, inputs: _Array, winds: _Array
-) -> None:
+    e: EpisodeArrays, s: EpisodeSettings, which: NDArray[np.bool_], states: _Array, inputs: _Array, series: _Ints,
+    winds: _Array,
+) -> None:  # fmt: skip
     """Start a new episode in the environments of ``which`` (n,).
 
-    ``states`` (k, 21) and ``inputs`` (k, 4) are those of the fleet in hover, ``winds`` is (w, samples, 3).
+    ``states`` (k, 21), ``inputs`` (k, 4) and ``series`` (k,) are those of the fleet in hover, ``winds`` is
+    (w, samples, 3).
     """
-    r = np.empty(_UNIFORMS)
+    r, start = np.empty(_UNIFORMS), np.empty(3)
     for k in range(which.size):
         if not which[k]:
             continue
@@ -193,18 +210,27 @@ def start_episodes(
         e.vehicle[k], e.series[k] = int(r[0] * states.shape[0]), int(r[1] * winds.shape[0])
         e.sample[k], e.delay[k] = int(r[2] * winds.shape[1]), int(r[3] * (s.delay + 1))
         x = e.state[k]
+        if series[e.vehicle[k]] >= 0:
+            e.series[k] = series[e.vehicle[k]]
         copy_numbers(states[e.vehicle[k]], x)
-        place_task(s.kind, r[14:], x, e.target[k], e.after[k], e.columns[k])
+        place_task(s.kind, r[14:], start, e.target[k], e.after[k], e.columns[k])
         # Start heading, and target heading within a quarter turn of it; no heading to hold on the way to a target.
         yaw = math.pi * (2.0 * r[4] - 1.0)
+        if s.in_hover:
+            shift_task(s.kind, start, x[POSITION], e.target[k])
+            c, sn = heading_direction(x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3])
+            yaw = portable_atan2(sn, c)
+        else:
+            copy_numbers(start, x[POSITION])
         wanted = yaw + 0.5 * math.pi * (2.0 * r[5] - 1.0)
         e.heading[k, 1], e.heading[k, 0] = sine_cosine(wanted)
-        roll, pitch = _START_TILT_RAD * (2.0 * r[6] - 1.0), _START_TILT_RAD * (2.0 * r[7] - 1.0)
-        _set_attitude(x, roll, pitch, yaw)
-        for i in range(3):
-            x[RS_VEL + i] = _START_SPEED_M_S * (2.0 * r[8 + i] - 1.0)
-            x[RS_RATES + i] = _START_RATE_rad_s * (2.0 * r[11 + i] - 1.0)
-        x[RS_CHARGE] = LEAST_CHARGE + (1.0 - LEAST_CHARGE) * r[39]
+        if not s.in_hover:
+            roll, pitch = _START_TILT_RAD * (2.0 * r[6] - 1.0), _START_TILT_RAD * (2.0 * r[7] - 1.0)
+            _set_attitude(x, roll, pitch, yaw)
+            for i in range(3):
+                x[RS_VEL + i] = _START_SPEED_M_S * (2.0 * r[8 + i] - 1.0)
+                x[RS_RATES + i] = _START_RATE_rad_s * (2.0 * r[11 + i] - 1.0)
+            x[RS_CHARGE] = LEAST_CHARGE + (1.0 - LEAST_CHARGE) * r[39]
         copy_numbers(inputs[e.vehicle[k]], e.inputs[k])
         copy_numbers(winds[e.series[k], e.sample[k]], e.wind[k])
         for i in range(ACTION_SIZE):
@@ -316,15 +342,20 @@ def judge_episodes(
 
 @cached_njit(error_model="numpy", nogil=True)
 def observe_episodes(
-    e: EpisodeArrays, s: EpisodeSettings, which: NDArray[np.bool_], fleet: NDArray[np.void], out: NDArray[np.float32]
-) -> None:
-    """Write the observations (n, m) of the environments of ``which``; draw their estimates' errors."""
+    e: EpisodeArrays, s: EpisodeSettings, which: NDArray[np.bool_], fleet: NDArray[np.void], estimate: _Array,
+    volts: _Array, out: NDArray[np.float32],
+) -> None:  # fmt: skip
+    """Write the observations (n, m) of the environments of ``which``; draw their estimates' errors.
+
+    ``estimate`` (n, 21) are the observed states: the true ones or those of a filter; ``volts`` (n,) the measured
+    voltages (V), NaN for the true one.
+    """
     row, boxes = np.empty(s.low.size), np.empty((0, 8))
     error, velocity, rates, white = np.empty(3), np.empty(3), np.empty(3), np.empty(DRAW_DRIFT + ERROR_SIZE)
     for k in range(which.size):
         if not which[k]:
             continue
-        x = e.state[k]
+        x = estimate[k]
         p = fleet[e.vehicle[k]]
         for i in range(3):
             error[i] = e.target[k, i] - x[RS_POS + i]
@@ -351,7 +382,9 @@ def observe_episodes(
             down_y += s.sigma[ERR_LEVEL] * drift[ERR_LEVEL]
             for i in range(ERROR_SIZE):
                 drift[i] = s.decay[i] * drift[i] + math.sqrt(1.0 - s.decay[i] * s.decay[i]) * white[DRAW_DRIFT + i]
-        voltage = battery_state(x, e.inputs[k, U_MOTOR_UPPER], e.inputs[k, U_MOTOR_LOWER], p)[0]
+        voltage = volts[k]
+        if voltage != voltage:
+            voltage = battery_state(e.state[k], e.inputs[k, U_MOTOR_UPPER], e.inputs[k, U_MOTOR_LOWER], p)[0]
         fill_observation(
             row, error, velocity, (down_x, down_y, down_z), rates, (c, sn), (e.heading[k, 0], e.heading[k, 1]),
             voltage / s.nominal_V, e.action[k], -e.target[k, 2] + error[2],
@@ -364,7 +397,7 @@ def observe_episodes(
             for i in range(RANGE_COUNT):
                 sa, ca = sine_cosine(i * 2.0 * math.pi / RANGE_COUNT)
                 row[OBS_EXTRA + i] = first_hit(
-                    x[POSITION], c * ca - sn * sa, sn * ca + c * sa, 0.0, MAX_RANGE_M, boxes, e.columns[k], s.limits
+                    e.state[k, :3], c * ca - sn * sa, sn * ca + c * sa, 0.0, MAX_RANGE_M, boxes, e.columns[k], s.limits
                 )
         for i in range(row.size):
             v = row[i]

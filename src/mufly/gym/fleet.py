@@ -58,6 +58,10 @@ class Fleet:
         Inputs of the nominal vehicle in hover.
     nominal_voltage_V : float
         Battery voltage of the nominal vehicle.
+    vehicles : tuple of Vehicle
+        The vehicles.
+    series : (k,) array
+        Index of the wind that episodes of a vehicle have; -1: any.
     """
 
     parameters: NDArray[np.void]
@@ -65,6 +69,8 @@ class Fleet:
     inputs: _Array
     trim: _Array
     nominal_voltage_V: float
+    vehicles: tuple[Vehicle, ...]
+    series: NDArray[np.int64]
 
 
 def draw_fleet(vehicle: Vehicle, vary: Sequence[str], count: int, seed: int) -> Fleet:
@@ -88,6 +94,7 @@ def draw_fleet(vehicle: Vehicle, vary: Sequence[str], count: int, seed: int) -> 
     variations, rng = parse_variations(vary, vehicle), np.random.default_rng(seed)
     nominal = find_trim(vehicle, charge=TRIM_CHARGE)
     made: list[tuple[np.void, _Array, _Array]] = []
+    vehicles: list[Vehicle] = []
     refused = ""
     for _ in range(_MOST_ATTEMPTS * count if variations else 1):
         try:
@@ -103,6 +110,7 @@ def draw_fleet(vehicle: Vehicle, vary: Sequence[str], count: int, seed: int) -> 
             refused = f"hover at half charge takes a motor input of {weak.motor_input.max():.2f}"
             continue
         made.append((model_parameters(drawn), hover.state, hover.input))
+        vehicles.append(drawn)
         if len(made) == count or not variations:
             break
     else:
@@ -112,7 +120,9 @@ def draw_fleet(vehicle: Vehicle, vary: Sequence[str], count: int, seed: int) -> 
     for k, (record, state, trim) in enumerate(made):
         parameters[k], states[k], inputs[k] = record, state, trim
     voltage = float(vehicle.battery.nominal_voltage)
-    return Fleet(parameters, states, inputs, np.asarray(nominal.input, dtype=np.float64), voltage)
+    anyone = np.full(len(made), -1, dtype=np.int64)
+    trim = np.asarray(nominal.input, dtype=np.float64)
+    return Fleet(parameters, states, inputs, trim, voltage, tuple(vehicles), anyone)
 
 
 def common_step(fleet: Fleet, period_s: float) -> tuple[float, int]:

@@ -46,6 +46,7 @@ REACHED_M = 0.2
 MOST_DISTANCE_M, MOST_DISTANCE_OBSTACLE_M = 3.0, 6.0
 LEAST_UPRIGHT = 0.5  # cosine of the tilt
 HEIGHT_M = 1.0
+OBSTACLE_START_NORTH_M = -2.0
 HOVER_HEIGHTS_M = (0.2, 2.0)
 START_SPREAD_M = 0.5
 SOFT_SPEED_M_S, SOFT_UPRIGHT = 0.5, 0.94  # touchdown: greatest speed, least cosine of the tilt
@@ -69,7 +70,7 @@ def place_task(kind: int, r: _Array, start: _Array, target: _Array, after: _Arra
         draw_waypoint(r[3:6], target)
         draw_waypoint(r[6:9], after)
     elif kind == OBSTACLE:
-        start[0], target[0] = -2.0 + 0.4 * (r[0] - 0.5), 2.0
+        start[0], target[0] = OBSTACLE_START_NORTH_M + 0.4 * (r[0] - 0.5), 2.0
         target[1] = 2.0 * (r[3] - 0.5)
         for k in range(COLUMN_COUNT):
             columns[k, COLUMN_NORTH] = -1.3 + 2.6 * (k + r[4 + k]) / COLUMN_COUNT
@@ -79,6 +80,20 @@ def place_task(kind: int, r: _Array, start: _Array, target: _Array, after: _Arra
     elif kind == LAND:
         start[2] = -0.8 - 0.7 * r[2]
         target[2] = 0.0
+
+
+@cached_njit(error_model="numpy")
+def shift_task(kind: int, start: _Array, place: _Array, target: _Array) -> None:
+    """Move the target (3,) of a task that was placed for ``start`` (3,) to a vehicle that hovers at ``place`` (3,).
+
+    Hover and Land keep the drawn distance between start and target; the heights of their targets stay in range. The
+    targets of Waypoint and Obstacle stay.
+    """
+    if kind in (HOVER, LAND):
+        target[0] += place[0] - start[0]
+        target[1] += place[1] - start[1]
+    if kind == HOVER:
+        target[2] = min(max(target[2] + place[2] - start[2], -HOVER_HEIGHTS_M[1]), -HOVER_HEIGHTS_M[0])
 
 
 @cached_njit(error_model="numpy")

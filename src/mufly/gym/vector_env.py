@@ -71,8 +71,11 @@ class MuflyVectorEnv(gymnasium.vector.VectorEnv):
         Greatest steady wind and standard deviation of gusts.
     delay_s : float
         Greatest delay of an action, at most a period.
-    sensors : {"ideal", "noisy"}
-        Observe the true state, or a state with the errors of an estimate; see :mod:`mufly.gym.episodes`.
+    sensors : {"ideal", "noisy", "fitted"}
+        Observe the true state; a state with the errors of an estimate (:mod:`mufly.gym.episodes`); or the estimate of
+        the filter on the simulated sensors of the vehicle file (:mod:`mufly.gym.filter_units`), which needs a C
+        compiler. On fitted sensors, inputs act a period of the flight software after the observation, and the drawn
+        delay comes in such periods.
     period_s : float
         Time of a step.
     duration_s : float, optional
@@ -105,7 +108,7 @@ class MuflyVectorEnv(gymnasium.vector.VectorEnv):
         wind_m_s: float = 0.0,
         gust_m_s: float = 0.0,
         delay_s: float = 0.0,
-        sensors: Literal["ideal", "noisy"] = "ideal",
+        sensors: Literal["ideal", "noisy", "fitted"] = "ideal",
         period_s: float = 0.02,
         duration_s: float | None = None,
         threads: int = 1,
@@ -122,6 +125,15 @@ class MuflyVectorEnv(gymnasium.vector.VectorEnv):
         self.vehicle, self.task, self.period_s = nominal, task, period_s
         self.fleet = draw_fleet(nominal, vary, fleet_size, fleet_seed)
         self._winds = draw_winds(wind_m_s, gust_m_s, period_s, fleet_size, fleet_seed)
+        self._units = None
+        if sensors == "fitted":
+            from mufly.gym.filter_units import FilterUnits, prepare_starts  # the filter takes a second to load
+
+            starts, room = prepare_starts(
+                nominal, self.fleet, TASKS.index(task), self._winds, period_s, fleet_size, fleet_seed
+            )
+            self.fleet = starts.fleet
+            self._units = FilterUnits(starts, room, num_envs, round(period_s / starts.period_s), threads)
         self._group, self._threads = group_vehicles(self.fleet.parameters), threads
         self._step_s, self._step_count = common_step(self.fleet, period_s)
         kind = TASKS.index(task)
@@ -130,10 +142,11 @@ class MuflyVectorEnv(gymnasium.vector.VectorEnv):
         errors = (
             _estimate_errors(nominal, period_s) if sensors == "noisy" else (np.zeros(ERROR_SIZE),) * 2 + (np.zeros(4),)
         )
+        delay_unit_s = self._step_s if self._units is None else starts.period_s
         self._settings = EpisodeSettings(
-            kind, max(1, round(length / period_s)), round(delay_s / self._step_s), self.fleet.trim,
+            kind, max(1, round(length / period_s)), round(delay_s / delay_unit_s), self.fleet.trim,
             self.fleet.nominal_voltage_V, float(nominal.rotors.radius), OBSTACLE_WORLD.packed_tables[2], low, high,
-            sensors == "noisy", *errors,
+            sensors == "noisy", sensors == "fitted", *errors,
         )  # fmt: skip
         self.single_observation_space = gymnasium.spaces.Box(low.astype(np.float32), high.astype(np.float32))
         self.single_action_space = gymnasium.spaces.Box(-1.0, 1.0, (ACTION_SIZE,), np.float32)
@@ -141,6 +154,7 @@ class MuflyVectorEnv(gymnasium.vector.VectorEnv):
         self.observation_space = batch(self.single_observation_space, num_envs)
         self.action_space = batch(self.single_action_space, num_envs)
         self.episodes: EpisodeArrays = make_episodes(num_envs)
+        self._no_volts = np.full(num_envs, math.nan)
         self._all = np.ones(num_envs, dtype=np.bool_)
         self._ended = np.zeros(num_envs, dtype=np.bool_)
         self._is_seeded = False
@@ -174,12 +188,10 @@ class MuflyVectorEnv(gymnasium.vector.VectorEnv):
                 if seeds[k] is not None or not self._is_seeded:
                     self.episodes.source[k] = make_source(seeding.np_random(seeds[k])[0])[0]
             self._is_seeded = True
-        start_episodes(
-            self.episodes, self._settings, which, self.fleet.states, self.fleet.inputs, self._winds
-        )  # fmt: skip
+        self._start(which)
         self._ended[which] = False
         observations = np.zeros((self.num_envs, self._settings.low.size), dtype=np.float32)
-        observe_episodes(self.episodes, self._settings, self._all, self.fleet.parameters, observations)
+        self._observe(self._all, observations)
         return observations, {}
 
     def step(self, actions: Any) -> tuple[Observation, _Array, _Flags, _Flags, dict[str, Any]]:
@@ -215,20 +227,39 @@ class MuflyVectorEnv(gymnasium.vector.VectorEnv):
                 raise ArgumentError("step", "", "an episode has ended", "reset it with options={'reset_mask': ...}")
             which = ~self._ended
         command_episodes(e, s, given, which, self._winds)
-        move_episodes(e, fleet.parameters, self._group, self._step_s, self._step_count, self._threads)
+        if self._units is None:
+            move_episodes(e, fleet.parameters, self._group, self._step_s, self._step_count, self._threads)
+        else:
+            self._units.move_units(e)
         judge_episodes(e, s, which, fleet.parameters, rewards, terminated, truncated, success)
         if next_step and self._ended.any():
-            start_episodes(e, s, self._ended, fleet.states, fleet.inputs, self._winds)
-        observe_episodes(e, s, self._all, fleet.parameters, observations)
+            self._start(self._ended)
+        self._observe(self._all, observations)
         info: dict[str, Any] = {"success": success}
         ended = terminated | truncated
         if self.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
             info["final_obs"], info["_final_obs"] = observations.copy(), ended
-            start_episodes(e, s, ended, fleet.states, fleet.inputs, self._winds)
-            observe_episodes(e, s, ended, fleet.parameters, observations)
+            self._start(ended)
+            self._observe(ended, observations)
             ended = np.zeros(n, dtype=np.bool_)
         self._ended = ended
         return observations, rewards, terminated, truncated, info
+
+    def _start(self, which: _Flags) -> None:
+        fleet = self.fleet
+        start_episodes(
+            self.episodes, self._settings, which, fleet.states, fleet.inputs, fleet.series, self._winds
+        )  # fmt: skip
+        if self._units is not None:
+            self._units.start_units(self.episodes, which)
+
+    def _observe(self, which: _Flags, observations: Observation) -> None:
+        seen, volts = (self.episodes.state, self._no_volts) if self._units is None else (
+            self._units.estimate, self._units.volts
+        )  # fmt: skip
+        observe_episodes(
+            self.episodes, self._settings, which, self.fleet.parameters, seen, volts, observations
+        )  # fmt: skip
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """Return a picture (height, width, 3) of each environment; None without a render mode."""
@@ -288,7 +319,7 @@ def _check_options(
     check("task", task, task in TASKS, f"give one of {', '.join(TASKS)}")
     check("threads", threads, 1 <= threads <= 256, "give 1 to 256")
     check("fleet_size", fleet_size, fleet_size >= 1, "give 1 or more")
-    check("sensors", sensors, sensors in ("ideal", "noisy"), "give 'ideal' or 'noisy'")
+    check("sensors", sensors, sensors in ("ideal", "noisy", "fitted"), "give 'ideal', 'noisy' or 'fitted'")
     check("period_s", period_s, 1e-3 <= period_s <= 0.1, "give 0.001 to 0.1 s")
     check("delay_s", delay_s, 0.0 <= delay_s <= period_s, f"give 0 to {period_s:g} s, a period")
     for name, value in (("wind_m_s", wind_m_s), ("gust_m_s", gust_m_s)):

@@ -24,6 +24,7 @@ a camera or a link gives objects, which a compiled sensor does not. Recording: r
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -150,7 +151,7 @@ class CompiledFlight:
         self._status_rows = np.zeros((2 + MAX_PERIODS_PER_CALL // COVARIANCE_INTERVAL_TICKS + 1, STATUS_ROW_SIZE))
         self._listener_rows = np.zeros((MAX_PERIODS_PER_CALL + 1, LISTENER_ROW_SIZE + beams))
         if self._filter is not None:
-            self._filter_arrays: FilterArrays = _make_filter_arrays(self._filter, self._board.reason_text_numbers())
+            self._filter_arrays: FilterArrays = make_filter_arrays(self._filter, self._board.reason_text_numbers())
             self._sampling_table: tuple[Any, ...] = sampling_table(
                 {k: one.sensor for k, one in self._sensors_by_index.items()}
             )
@@ -471,16 +472,24 @@ def _make_software_arrays(software: Any) -> SoftwareArrays:
     )  # fmt: skip
 
 
-def _make_filter_arrays(filtered: KalmanEstimator, texts: NDArray[np.int64]) -> FilterArrays:
-    """Return the arrays of a filter in C, with the numbers of the reasons' texts."""
-    m, row, memory = filtered.memory, filtered.input_row, filtered.memory_array
+def make_filter_arrays(
+    filtered: KalmanEstimator, texts: NDArray[np.int64], own: Sequence[NDArray[Any]] | None = None
+) -> FilterArrays:
+    """Return the arrays of a filter in C, with the numbers of the reasons' texts.
+
+    ``own`` replaces what a filter keeps between periods, so that many units share one filter's settings: its memory
+    (1,), the three arrays of its input row, the reading times, and the scans of the ring.
+    """
+    mine: Sequence[Any] = (filtered.memory_array, *filtered.input_row, filtered.reading_times, filtered.ring_scans)
+    memory, values, is_new, age, times, scans = mine if own is None else own
+    m = memory[0]
     step, *held = filtered.backend.call_addresses
     is_fitted = np.zeros(SENSOR_COUNT, np.uint8)
     is_fitted[list(filtered.reading_indices.values())] = 1
     # The last two are numbers, not arrays: a field of an array of one is a view.
     status = (*(m[name] for name in PUBLISHED_FIELDS[:-2]), *(memory[name] for name in PUBLISHED_FIELDS[-2:]))
     return FilterArrays(
-        m["x_output"], m["rates_output"], m["angles_output"], *row, is_fitted, filtered.reading_times,
-        filtered.ring_scans, filtered.max_range_m, filtered.beam_indices.astype(np.int64), status, texts,
-        (step, memory.ctypes.data, *held, *(a.ctypes.data for a in row)),
+        m["x_output"], m["rates_output"], m["angles_output"], values, is_new, age, is_fitted, times, scans,
+        filtered.max_range_m, filtered.beam_indices.astype(np.int64), status, texts,
+        (step, memory.ctypes.data, *held, *(a.ctypes.data for a in (values, is_new, age))),
     )  # fmt: skip

@@ -318,7 +318,7 @@ def _begin_fitted_period(p: FittedPeriods) -> int:
 
 
 @cached_njit(error_model="numpy")
-def _advance_plant(p: Periods) -> int:
+def advance_plant(p: Periods) -> int:
     c, q = p.clock, p.plant
     acting = q.acting
     advance_period(q.state, acting[1], q.wind[c.wind_samples], q.parameters, c.step_s, c.plant_steps, q.supply)
@@ -389,7 +389,7 @@ def _fill_readings(t: float, has_come: NDArray[np.uint8], rows: _Array, f: Filte
 
 
 @cached_njit(error_model="numpy")
-def _sample_sensors(p: FittedPeriods) -> int:
+def sample_sensors(p: FittedPeriods) -> int:
     c, q, f, s = p.clock, p.plant, p.filter, p.sensors
     t = c.tick / c.rate_Hz
     true_attitude(q.state, q.attitude)
@@ -551,13 +551,13 @@ def _end_period(p: Periods) -> int:
 
 def _compile_stepper(begin: Any, measure: Any, estimate: Any) -> Any:
     stepper = make_stepper(
-        begin, _advance_plant, _check_contact, measure, estimate, _step_software, _write_row, _end_period
+        begin, advance_plant, _check_contact, measure, estimate, _step_software, _write_row, _end_period
     )
     return cached_njit(stepper, inline="always", error_model="numpy")
 
 
 _step_ideal = _compile_stepper(_begin_ideal_period, _measure_truth, _publish_truth)
-_step_fitted = _compile_stepper(_begin_fitted_period, _sample_sensors, _step_filter)
+_step_fitted = _compile_stepper(_begin_fitted_period, sample_sensors, _step_filter)
 
 
 @cached_njit(error_model="numpy")
