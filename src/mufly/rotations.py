@@ -2,7 +2,7 @@
 
 An attitude is roll, pitch and yaw (rad) in the aviation order: yaw, then pitch, then roll. A quaternion is (w, x, y, z)
 and rotates body axes to north, east, down. (Diebel 2006, "Representing Attitude", eq. 290.) Compiled code has separate
-functions: :func:`mufly.dynamics.body_to_ned_matrix`, and :mod:`mufly.estimate.strapdown` for the filter.
+functions: :func:`mufly.dynamics.body_to_ned_matrix`, and :mod:`mufly.estimate.filter.strapdown` for the filter.
 """
 
 from __future__ import annotations

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from mufly.estimate.filter_records import PHASE_FLYING, PHASE_RUNNING
-from mufly.estimate.strapdown import error_transition, predict_state, rotate_attitude
-from mufly.estimate.ud_filter import (
+from mufly.estimate.filter.filter_records import PHASE_FLYING, PHASE_RUNNING
+from mufly.estimate.filter.strapdown import error_transition, predict_state, rotate_attitude
+from mufly.estimate.filter.ud_filter import (
     MOTION_STATE_COUNT,
     gauss_markov_update,
     inflate_variance,

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mufly.estimate import fix_fusion, fusion, sensor_checks
-from mufly.estimate.filter_records import (
+from mufly.estimate.filter import fix_fusion, fusion, sensor_checks
+from mufly.estimate.filter.filter_records import (
     AID_COUNT,
     AID_PLACE,
     PHASE_FLYING,
@@ -23,7 +23,7 @@ from mufly.estimate.filter_records import (
     SX_POS,
     filter_settings,
 )
-from mufly.estimate.sensor_checks import STATUS_FAULTY, STATUS_REJECTED
+from mufly.estimate.filter.sensor_checks import STATUS_FAULTY, STATUS_REJECTED
 from mufly.vehicle import load_vehicle
 from mufly.world import World
 

@@ -14,9 +14,8 @@ from mufly.control import design_flight_controller
 from mufly.dynamics.model_state import RS_SPEED_UPPER
 from mufly.errors import MuflyError
 from mufly.estimate import KalmanEstimator, filter_backend
-from mufly.estimate.c_records import PYTHON_ONLY_FIELDS
-from mufly.estimate.filter_backend import BackendName
-from mufly.estimate.filter_records import (
+from mufly.estimate.filter.c_records import PYTHON_ONLY_FIELDS
+from mufly.estimate.filter.filter_records import (
     EX_TERRAIN,
     PHASE_COASTING,
     PHASE_FLYING,
@@ -29,7 +28,8 @@ from mufly.estimate.filter_records import (
     SX_FIX_BIAS,
     SX_TERRAIN,
 )
-from mufly.estimate.ud_filter import inflate_variance, state_variance
+from mufly.estimate.filter.ud_filter import inflate_variance, state_variance
+from mufly.estimate.filter_backend import BackendName
 from mufly.flight import Flight
 from mufly.mission import parse_mission
 from mufly.sensors import Readings, fitted_sensors, parse_fault

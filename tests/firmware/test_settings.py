@@ -11,7 +11,7 @@ from board_station import mission_item as _item
 from pymavlink.dialects.v20 import common as mavlink
 
 from mufly.control import design_flight_controller
-from mufly.estimate.filter_records import R_ACCELERATION, R_RATES, R_RING, R_SONAR, READING_STARTS
+from mufly.estimate.filter.filter_records import R_ACCELERATION, R_RATES, R_RING, R_SONAR, READING_STARTS
 from mufly.firmware import missing_tools
 from mufly.firmware.emulated import HostBoard, make_board
 from mufly.firmware.emulated.image_build import build_host_board

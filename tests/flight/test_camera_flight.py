@@ -15,7 +15,7 @@ from mufly.camera import Camera, decode_picture, load_camera, parse_camera, read
 from mufly.dynamics import initial_state
 from mufly.errors import MuflyError
 from mufly.estimate import Estimate, KalmanEstimator
-from mufly.estimate.filter_records import EX_FIX_BIAS
+from mufly.estimate.filter.filter_records import EX_FIX_BIAS
 from mufly.flight import Flight, FlightEvent, fly_mission, read_recording, replay_estimator
 from mufly.flight.fixes.camera_sensor import CameraConfig, CameraSensor, make_camera, replace_fix_by_camera
 from mufly.flight.fixes.external_fixes import ExternalFixes

@@ -14,7 +14,7 @@ from mufly.dynamics import (
     standing_height,
 )
 from mufly.estimate import fitted_estimator
-from mufly.estimate.filter_records import EX_ACCEL_BIAS, filter_settings
+from mufly.estimate.filter.filter_records import EX_ACCEL_BIAS, filter_settings
 from mufly.flight import Flight
 from mufly.sensors import Truth, draw_leaning_vehicle, fitted_sensors
 from mufly.units import GRAVITY

@@ -23,7 +23,7 @@ def report() -> dict[str, object]:
 
     from mufly.dynamics import initial_state
     from mufly.estimate import Estimate
-    from mufly.estimate.filter_records import ERROR_STATES
+    from mufly.estimate.filter.filter_records import ERROR_STATES
     from mufly.estimate.sensor_status import AuxiliaryStates, SensorStatus, describe_reason
     from mufly.flight.record.recorder import FlightRecorder
     from mufly.flight.record.sensor_recording import iterate_readings, make_sensed_row_writer

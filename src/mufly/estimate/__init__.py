@@ -9,7 +9,7 @@ from mufly.estimate.estimator import (
     check_estimate,
     measured_tilt,
 )
-from mufly.estimate.filter_records import ERROR_STATES
+from mufly.estimate.filter.filter_records import ERROR_STATES
 from mufly.estimate.inertial_log import (
     AidInnovations,
     InertialLog,

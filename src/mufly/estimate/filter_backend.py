@@ -27,7 +27,7 @@ from mufly import portable_math
 from mufly.drive import drive_train
 from mufly.dynamics import equations_of_motion, model_parameters
 from mufly.errors import MuflyError
-from mufly.estimate import (
+from mufly.estimate.filter import (
     ekf_step,
     filter_horizon,
     filter_inputs,
@@ -39,7 +39,7 @@ from mufly.estimate import (
     strapdown,
     ud_filter,
 )
-from mufly.estimate.c_records import model_record, render_records_header
+from mufly.estimate.filter.c_records import model_record, render_records_header
 from mufly.rotor import coax_maps
 from mufly.toolchain import COMPILER_FLAGS, build_cached_library
 from mufly.vehicle import Vehicle
@@ -110,9 +110,10 @@ def make_backend(
     Parameters
     ----------
     settings, parameters : records
-        Settings of the filter (:func:`mufly.estimate.filter_records.filter_settings`); parameters of the flight model.
+        Settings of the filter (:func:`mufly.estimate.filter.filter_records.filter_settings`); parameters of the flight
+        model.
     z, new, age : arrays
-        Input arrays, which the caller fills in every period (:func:`mufly.estimate.ekf_step.estimator_step`).
+        Input arrays, which the caller fills in every period (:func:`mufly.estimate.filter.ekf_step.estimator_step`).
     code : "", "c" or "numba"
         Implementation; ``""``: from the environment, or else C if available.
 

@@ -30,7 +30,7 @@ from scipy.optimize import minimize
 
 from mufly.errors import InputError
 from mufly.estimate.estimator import Estimate
-from mufly.estimate.filter_records import (
+from mufly.estimate.filter.filter_records import (
     EX_ACCEL_BIAS,
     EX_ATT,
     EX_FIX_HEADING,

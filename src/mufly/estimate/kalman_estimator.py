@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from mufly.dynamics import model_parameters
 from mufly.estimate.estimator import Estimate, Estimator
-from mufly.estimate.filter_backend import BackendName, make_backend
-from mufly.estimate.filter_records import (
+from mufly.estimate.filter.filter_records import (
     EX_ACCEL_BIAS,
     EX_FIX_BIAS,
     EX_FIX_HEADING,
@@ -40,8 +39,9 @@ from mufly.estimate.filter_records import (
     fused_beam_indices,
     memory_type,
 )
-from mufly.estimate.output_predictor import COVARIANCE_INTERVAL_TICKS
-from mufly.estimate.sensor_checks import ACTUATOR_START, CLIPPING_START, VALUE_COUNT
+from mufly.estimate.filter.output_predictor import COVARIANCE_INTERVAL_TICKS
+from mufly.estimate.filter.sensor_checks import ACTUATOR_START, CLIPPING_START, VALUE_COUNT
+from mufly.estimate.filter_backend import BackendName, make_backend
 from mufly.estimate.sensor_status import AuxiliaryStates, LazySensorStatuses, SensorStatus
 from mufly.numba_cache import cached_njit
 from mufly.quantities import CHECKED_READINGS
@@ -58,7 +58,7 @@ PUBLISHED_FIELDS = (
     "covariance_output", "sigma_output", "status", "reason", "fault_number", "innovation", "innovation_sigma",
     "last_fused_tick", "last_new_tick", "fault_component", "tick",
 )  # fmt: skip
-"""Memory fields published every :data:`mufly.estimate.output_predictor.COVARIANCE_INTERVAL_TICKS` periods."""
+"""Memory fields published every :data:`mufly.estimate.filter.output_predictor.COVARIANCE_INTERVAL_TICKS` periods."""
 
 
 def fitted_estimator(vehicle: Vehicle, world: World, rate_Hz: float) -> Estimator:
@@ -101,7 +101,7 @@ def filter_ring_scan(scan: _Array, max_range_m: float, scans: _Array, ranges: _A
 
 
 class KalmanEstimator(Estimator):
-    """The error-state Kalman filter of :mod:`mufly.estimate.ekf_step`.
+    """The error-state Kalman filter of :mod:`mufly.estimate.filter.ekf_step`.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ class KalmanEstimator(Estimator):
         self.set_settings(self._settings)
 
     def set_settings(self, settings: Any) -> None:
-        """Replace the settings (:func:`mufly.estimate.filter_records.filter_settings`) and reset."""
+        """Replace the settings (:func:`mufly.estimate.filter.filter_records.filter_settings`) and reset."""
         self._settings = settings
         self._vehicle_noise = {
             name: np.array(settings[name]) for name in ("fix_variance", "heading_variance", "initial_sigma")

@@ -18,7 +18,7 @@ from scipy import stats
 
 from mufly.errors import InputError
 from mufly.estimate.estimator import Estimate
-from mufly.estimate.filter_records import EX_ATT, EX_GYRO_BIAS, EX_POS, EX_VEL
+from mufly.estimate.filter.filter_records import EX_ATT, EX_GYRO_BIAS, EX_POS, EX_VEL
 from mufly.results import result
 from mufly.sensors import Truth
 

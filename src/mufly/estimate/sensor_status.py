@@ -10,7 +10,7 @@ from typing import Any, Literal, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.estimate import sensor_checks as g
+from mufly.estimate.filter import sensor_checks as g
 from mufly.quantities import CHECKED_READINGS
 from mufly.sensor_table import CHECKED
 
@@ -70,7 +70,7 @@ class AuxiliaryStates:
         Ratio of the true thrust to the model's (1).
     sigma : (n,) array
         Standard deviations of the whole error state, in the order of
-        :data:`mufly.estimate.filter_records.ERROR_STATES`.
+        :data:`mufly.estimate.filter.filter_records.ERROR_STATES`.
     checks : sequence of SensorStatus
         Status of each sensor of the vehicle.
     specific_force : (3,) array

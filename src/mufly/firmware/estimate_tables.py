@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from mufly.dynamics import model_parameters
-from mufly.estimate.c_records import FIELD_UNITS, model_record, render_records_header
-from mufly.estimate.filter_records import (
+from mufly.estimate.filter.c_records import FIELD_UNITS, model_record, render_records_header
+from mufly.estimate.filter.filter_records import (
     INPUT_BLOCK_COUNT,
     MAX_LAG_BLOCKS,
     QUEUE_SIZE,

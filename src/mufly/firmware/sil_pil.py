@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from mufly.control import FlightController, design_flight_controller
 from mufly.errors import MuflyError
 from mufly.estimate import Estimate, Estimator, KalmanEstimator
-from mufly.estimate.c_records import PYTHON_ONLY_FIELDS
+from mufly.estimate.filter.c_records import PYTHON_ONLY_FIELDS
 from mufly.firmware.compiled_software import ComparedSoftware, make_compared_software
 from mufly.firmware.fixed_point_law import export_fixed_point
 from mufly.firmware.host_build import Firmware, FirmwareControllers

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from mufly.control import FlightController
 from mufly.estimate import Estimate, SensorStatus
-from mufly.estimate.filter_records import EX_ATT, EX_GYRO_BIAS, EX_POS, EX_VEL
+from mufly.estimate.filter.filter_records import EX_ATT, EX_GYRO_BIAS, EX_POS, EX_VEL
 from mufly.estimate.sensor_status import REASON_COUNT, SUSPICIOUS_REASONS, describe_reason
 from mufly.firmware.host_build import Firmware, FirmwareControllers
 from mufly.firmware.plan_tables import HOST_MAX_WAYPOINTS, plan_numbers, setup_numbers
@@ -176,7 +176,7 @@ class SoftwareInstance:
         ]
 
     def reason_text_numbers(self) -> NDArray[np.int64]:
-        """Return the number of each reason's text, by the reasons of :mod:`mufly.estimate.sensor_checks`.
+        """Return the number of each reason's text, by the reasons of :mod:`mufly.estimate.filter.sensor_checks`.
 
         The number is -1 if the text contains a value, or if the reason must be reported.
         """

@@ -40,7 +40,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.estimate import Estimate, SensorStatus
-from mufly.estimate.filter_records import EX_ATT, EX_POS
+from mufly.estimate.filter.filter_records import EX_ATT, EX_POS
 from mufly.estimate.sensor_status import NAMED_CAUSES
 from mufly.numba_cache import cached_njit
 from mufly.portable_math import sine_cosine

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 from mufly.dynamics import body_to_ned_matrix
 from mufly.estimate import ERROR_STATES, AuxiliaryStates, SensorStatus
-from mufly.estimate.filter_records import EX_ATT, EX_POS, EX_VEL
-from mufly.estimate.scalar_fusion import INNOVATION_GATE
+from mufly.estimate.filter.filter_records import EX_ATT, EX_POS, EX_VEL
+from mufly.estimate.filter.scalar_fusion import INNOVATION_GATE
 from mufly.flight import FlightState
 from mufly.link.codec import MavMessage, mavlink, to_float32
 from mufly.quantities import CHECKED_READINGS, FUSION_STATUSES

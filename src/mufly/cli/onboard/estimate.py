@@ -260,7 +260,7 @@ def _add_bias_std(data: xr.Dataset, told: Sequence[Estimate]) -> xr.Dataset:
     """Return the data with standard deviations of the biases, which recordings do not hold."""
     import numpy as np
 
-    from mufly.estimate.filter_records import EX_ACCEL_BIAS, EX_GYRO_BIAS
+    from mufly.estimate.filter.filter_records import EX_ACCEL_BIAS, EX_GYRO_BIAS
 
     out = {}
     for name, first in (("gyro_bias", EX_GYRO_BIAS), ("accelerometer_bias", EX_ACCEL_BIAS)):

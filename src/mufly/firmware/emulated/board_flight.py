@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from mufly.control import FlightController, design_flight_controller
 from mufly.errors import InputError
 from mufly.estimate import Estimate, KalmanEstimator
+from mufly.estimate.filter.filter_records import R_RING, memory_type
 from mufly.estimate.filter_backend import FilterBackend
-from mufly.estimate.filter_records import R_RING, memory_type
 from mufly.estimate.sensor_status import describe_reason
 from mufly.firmware.compiled_software import FirmwareSoftware
 from mufly.firmware.emulated.boards import Board, EmulatedBoard, HostBoard

@@ -33,9 +33,9 @@ from numpy.typing import NDArray
 
 from mufly.dynamics.model_state import MOTORS, POSITION, RATES, RS_ATT, SERVOS, VELOCITY
 from mufly.estimate import Estimate, IdealEstimator
-from mufly.estimate.filter_records import EX_GYRO_BIAS, R_RING, SENSOR_COUNT, SX_ATT
+from mufly.estimate.filter.filter_records import EX_GYRO_BIAS, R_RING, SENSOR_COUNT, SX_ATT
+from mufly.estimate.filter.output_predictor import COVARIANCE_INTERVAL_TICKS
 from mufly.estimate.kalman_estimator import PUBLISHED_FIELDS, KalmanEstimator
-from mufly.estimate.output_predictor import COVARIANCE_INTERVAL_TICKS
 from mufly.firmware.quick.compiled_loop import (
     CALL_LISTENER,
     CONTACT,

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.dynamics.model_state import RS_POS, RS_RATES, RS_VEL, STATE_SIZE
-from mufly.estimate import sensor_checks as g
-from mufly.estimate.filter_records import (
+from mufly.estimate.filter import sensor_checks as g
+from mufly.estimate.filter.filter_records import (
     ERROR_STATE_COUNT,
     EX_ATT,
     EX_GYRO_BIAS,
@@ -31,9 +31,9 @@ from mufly.estimate.filter_records import (
     SX_POS,
     SX_VEL,
 )
+from mufly.estimate.filter.output_predictor import COVARIANCE_INTERVAL_TICKS
+from mufly.estimate.filter.sensor_checks import ACTUATOR_START, CLIPPING_START
 from mufly.estimate.kalman_estimator import filter_ring_scan
-from mufly.estimate.output_predictor import COVARIANCE_INTERVAL_TICKS
-from mufly.estimate.sensor_checks import ACTUATOR_START, CLIPPING_START
 from mufly.flight.period_stages import CONTINUE, DONE, FIRST_FREE_CODE, make_stepper
 from mufly.flight.simulated_plant import advance_period, find_collision, true_attitude
 from mufly.numba_cache import cached_njit

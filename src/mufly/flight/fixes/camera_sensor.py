@@ -40,7 +40,7 @@ from mufly.camera import (
 from mufly.dynamics import standing_height
 from mufly.errors import MuflyError
 from mufly.estimate import Estimate
-from mufly.estimate.filter_records import EX_FIX_BIAS, EX_FIX_HEADING, EX_GYRO_BIAS
+from mufly.estimate.filter.filter_records import EX_FIX_BIAS, EX_FIX_HEADING, EX_GYRO_BIAS
 from mufly.flight.fixes.onboard_camera import SHOWN_JPEG_QUALITY, CameraFault, OnboardCamera, PictureStream
 from mufly.mission import Mission
 from mufly.sensors import Reading, Sensor, Truth

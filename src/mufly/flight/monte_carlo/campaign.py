@@ -30,7 +30,7 @@ from mufly.control import DesignSettings, FlightController, design_flight_contro
 from mufly.control.weighting_schemes import complete_settings
 from mufly.errors import ArgumentError, InputError, MuflyError
 from mufly.estimate import Estimate
-from mufly.estimate.filter_records import EX_ATT, EX_GYRO_BIAS
+from mufly.estimate.filter.filter_records import EX_ATT, EX_GYRO_BIAS
 from mufly.estimate.nees import normalised_errors
 from mufly.flight.fixes.camera_sensor import CameraConfig
 from mufly.flight.flight_software import ControlImplementation

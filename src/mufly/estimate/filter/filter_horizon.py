@@ -8,9 +8,9 @@ The horizon moves from the end of one block of averaged inputs to the end of the
 nearest end of a block (10 ms away at most).
 
 Work is bounded: a period has time for ``work_limit`` scalar measurements (:func:`run_next_task`). With more work the
-horizon falls behind; from :data:`mufly.estimate.filter_records.MAX_LAG_BLOCKS` blocks on, measurements that are due are
-dropped. Each period predicts one bias, in turn. The bias of the fix is predicted when a fix is fused, over the time
-since the last one."""
+horizon falls behind; from :data:`mufly.estimate.filter.filter_records.MAX_LAG_BLOCKS` blocks on, measurements that are
+due are dropped. Each period predicts one bias, in turn. The bias of the fix is predicted when a fix is fused, over the
+time since the last one."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.estimate.filter_records import (
+from mufly.estimate.filter.filter_records import (
     BIAS_CYCLE_TICKS,
     EX_ATT,
     EX_FIX_BIAS,
@@ -52,7 +52,7 @@ from mufly.estimate.filter_records import (
     FilterMemory,
     FilterSettings,
 )
-from mufly.estimate.fusion import (
+from mufly.estimate.filter.fusion import (
     fuse_accel_residual,
     fuse_ground_contact,
     fuse_measurement,
@@ -60,10 +60,10 @@ from mufly.estimate.fusion import (
     measurement_cost,
     reset_terrain,
 )
-from mufly.estimate.output_predictor import FORCE_MEAN_TICKS, velocity_noise_density
-from mufly.estimate.sensor_checks import DIVERGED_BIAS_WALK, LATER_BIAS_WALK, STATUS_MISSING
-from mufly.estimate.strapdown import error_transition, predict_state
-from mufly.estimate.ud_filter import gauss_markov_update, inflate_variance, state_variance, ud_time_update
+from mufly.estimate.filter.output_predictor import FORCE_MEAN_TICKS, velocity_noise_density
+from mufly.estimate.filter.sensor_checks import DIVERGED_BIAS_WALK, LATER_BIAS_WALK, STATUS_MISSING
+from mufly.estimate.filter.strapdown import error_transition, predict_state
+from mufly.estimate.filter.ud_filter import gauss_markov_update, inflate_variance, state_variance, ud_time_update
 from mufly.numba_cache import cached_njit
 from mufly.portable_math import floor_int
 

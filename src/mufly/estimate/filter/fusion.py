@@ -1,8 +1,8 @@
 """Fusion of each measurement: its model, its gate and its reset.
 
 A scalar measurement z = h(x) + n has an innovation of variance S = H P H^T + r. It is fused if the innovation lies
-within :data:`mufly.estimate.scalar_fusion.INNOVATION_GATE` standard deviations; a measurement of several numbers if all
-of them do.
+within :data:`mufly.estimate.filter.scalar_fusion.INNOVATION_GATE` standard deviations; a measurement of several numbers
+if all of them do.
 
 | measurement | h(x) | reset after rejections that agree with each other |
 |---|---|---|
@@ -22,7 +22,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.estimate.filter_records import (
+from mufly.estimate.filter.filter_records import (
     AID_MAGNETIC,
     AID_PRESSURE,
     AID_SONAR,
@@ -57,8 +57,8 @@ from mufly.estimate.filter_records import (
     FilterMemory,
     FilterSettings,
 )
-from mufly.estimate.fix_fusion import fuse_position_fix, predict_fix_bias
-from mufly.estimate.scalar_fusion import (
+from mufly.estimate.filter.fix_fusion import fuse_position_fix, predict_fix_bias
+from mufly.estimate.filter.scalar_fusion import (
     INNOVATION_GATE,
     RESET_TIMEOUT_S,
     apply_correction,
@@ -71,7 +71,7 @@ from mufly.estimate.scalar_fusion import (
     reject_measurement,
     reset_timeout_expired,
 )
-from mufly.estimate.sensor_checks import (
+from mufly.estimate.filter.sensor_checks import (
     REASON_INNOVATION,
     REASON_NO_WALL,
     REASON_OUT_OF_RANGE,
@@ -88,8 +88,8 @@ from mufly.estimate.sensor_checks import (
     mark_fused,
     set_fault,
 )
-from mufly.estimate.strapdown import rotation_matrix
-from mufly.estimate.ud_filter import inflate_variance, innovation_variance, state_variance
+from mufly.estimate.filter.strapdown import rotation_matrix
+from mufly.estimate.filter.ud_filter import inflate_variance, innovation_variance, state_variance
 from mufly.numba_cache import cached_njit
 from mufly.portable_math import portable_atan2, wrap_angle
 from mufly.units import GRAVITY

@@ -1,6 +1,7 @@
 """Compute the filter's output: the state at the horizon propagated to the present, its covariance, a smooth position.
 
-The propagation is spread over several periods (PX4's output predictor); :mod:`mufly.estimate.ekf_step` explains it."""
+The propagation is spread over several periods (PX4's output predictor); :mod:`mufly.estimate.filter.ekf_step` explains
+it."""
 
 from __future__ import annotations
 
@@ -9,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.estimate.filter_records import (
+from mufly.estimate.filter.filter_records import (
     ERROR_STATE_COUNT,
     EX_ATT,
     EX_VEL,
@@ -30,8 +31,8 @@ from mufly.estimate.filter_records import (
     FilterMemory,
     FilterSettings,
 )
-from mufly.estimate.strapdown import error_transition, predict_state, rotate_attitude
-from mufly.estimate.ud_filter import propagate_column, state_variance
+from mufly.estimate.filter.strapdown import error_transition, predict_state, rotate_attitude
+from mufly.estimate.filter.ud_filter import propagate_column, state_variance
 from mufly.numba_cache import cached_njit
 from mufly.portable_math import floor_int, portable_atan2, sine_cosine
 from mufly.units import GRAVITY

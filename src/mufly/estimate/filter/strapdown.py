@@ -45,7 +45,7 @@ from mufly.dynamics.model_state import (
     U_SERVO_2,
     ModelParameters,
 )
-from mufly.estimate.filter_records import (
+from mufly.estimate.filter.filter_records import (
     IN_ACCEL,
     IN_PHASE,
     IN_RATES,
@@ -171,7 +171,7 @@ def error_transition(e: _Array, span: float, r: _Array, push: _Array, out: _Arra
     out : (33,) array
         Sensitivities over the step, by rows: of the attitude to the gyroscopes' bias (9); of the velocity to the
         accelerometers' bias (9), to the velocity through the air (9), to the thrust's scale (3) and to turns (3).
-        Input of :func:`mufly.estimate.ud_filter.propagate_column`.
+        Input of :func:`mufly.estimate.filter.ud_filter.propagate_column`.
     """
     for i in range(3):
         k_ = 0.0

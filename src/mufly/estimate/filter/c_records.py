@@ -14,7 +14,7 @@ import numpy as np
 
 from mufly.dynamics import equations_of_motion, model_state
 from mufly.dynamics.model_state import MAP_TABLE_FIELDS, PARAMETER_DTYPE, STATE_SIZE, ModelParameters
-from mufly.estimate import (
+from mufly.estimate.filter import (
     ekf_step,
     filter_horizon,
     filter_inputs,

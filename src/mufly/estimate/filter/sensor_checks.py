@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.dynamics.model_state import RS_SPEED_UPPER
-from mufly.estimate.filter_records import (
+from mufly.estimate.filter.filter_records import (
     EX_ATT,
     EX_GYRO_BIAS,
     EX_POS,
@@ -45,7 +45,7 @@ from mufly.estimate.filter_records import (
     FilterMemory,
     FilterSettings,
 )
-from mufly.estimate.ud_filter import inflate_variance
+from mufly.estimate.filter.ud_filter import inflate_variance
 from mufly.numba_cache import cached_njit
 
 _Array = NDArray[np.float64]

@@ -1,8 +1,8 @@
 """Inputs of the filter from the readings of a period: rates and accelerations, the rotors' force, and their noise.
 
-Inputs are averaged over blocks of :data:`mufly.estimate.filter_records.INPUT_BLOCK_S`. The flight phase decides which
-force model holds: legs on the floor, or rotors alone. The difference of accelerometers and force model gives the noise
-of the accelerometers. At rest, the specific force shows the tilt of the inertial unit."""
+Inputs are averaged over blocks of :data:`mufly.estimate.filter.filter_records.INPUT_BLOCK_S`. The flight phase decides
+which force model holds: legs on the floor, or rotors alone. The difference of accelerometers and force model gives the
+noise of the accelerometers. At rest, the specific force shows the tilt of the inertial unit."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.dynamics.model_state import RS_CHARGE, RS_RATES, RS_SPEED_LOWER, RS_SPEED_UPPER, ModelParameters
-from mufly.estimate.filter_horizon import STAGE_DONE, clear_block_forces
-from mufly.estimate.filter_records import (
+from mufly.estimate.filter.filter_horizon import STAGE_DONE, clear_block_forces
+from mufly.estimate.filter.filter_records import (
     EX_ACCEL_BIAS,
     EX_ATT,
     EX_POS,
@@ -51,9 +51,9 @@ from mufly.estimate.filter_records import (
     FilterMemory,
     FilterSettings,
 )
-from mufly.estimate.fusion import MIN_TERRAIN_HEIGHT, height_above_ground
-from mufly.estimate.output_predictor import FORCE_MEAN_TICKS
-from mufly.estimate.sensor_checks import (
+from mufly.estimate.filter.fusion import MIN_TERRAIN_HEIGHT, height_above_ground
+from mufly.estimate.filter.output_predictor import FORCE_MEAN_TICKS
+from mufly.estimate.filter.sensor_checks import (
     ACTUATOR_START,
     FORCE_MODEL_WRONG,
     REASON_LEVELLED,
@@ -65,8 +65,8 @@ from mufly.estimate.sensor_checks import (
     rotor_speed_consistent,
     set_fault,
 )
-from mufly.estimate.strapdown import predict_rotor_force, predict_terminal_voltage, rotation_matrix
-from mufly.estimate.ud_filter import inflate_variance
+from mufly.estimate.filter.strapdown import predict_rotor_force, predict_terminal_voltage, rotation_matrix
+from mufly.estimate.filter.ud_filter import inflate_variance
 from mufly.numba_cache import cached_njit
 from mufly.units import GRAVITY
 

@@ -109,7 +109,7 @@ QUEUE_SIZE = 64  # measurements that wait for the horizon
 MAX_WORK_LIMIT = 4  # scalar measurements, or what costs as much, for which there is time in a period of 5 ms
 TR_GYRO, TR_ACCEL, TR_AIR, TR_THRUST, TR_TURN = 0, 9, 18, 27, 30
 TRANSITION_SIZE = 33
-"""Numbers of :func:`mufly.estimate.strapdown.error_transition`, and where its parts start."""
+"""Numbers of :func:`mufly.estimate.filter.strapdown.error_transition`, and where its parts start."""
 AID_PLACE, AID_HEADING, AID_SONAR, AID_PRESSURE, AID_MAGNETIC = range(5)
 AID_COUNT = 5
 """Aids whose noise is estimated in flight; of the first two, parts of the position fix, the random walk too."""

@@ -27,7 +27,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.estimate.filter_records import (
+from mufly.estimate.filter.filter_records import (
     EX_ACCEL_BIAS,
     EX_ATT,
     EX_GYRO_BIAS,
@@ -179,7 +179,7 @@ def ud_time_update(ut: _Array, d: _Array, span: float, transition: _Array, q: _A
     span : float
         Duration of the step (s).
     transition : (33,) array
-        Output of :func:`mufly.estimate.strapdown.error_transition`.
+        Output of :func:`mufly.estimate.filter.strapdown.error_transition`.
     q : (9,) array
         Noise variance of each state of motion; velocity noise also changes the position, by half the span.
     w, v : (3, 6), (n,) arrays

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.estimate.filter_records import (
+from mufly.estimate.filter.filter_records import (
     AID_HEADING,
     AID_PLACE,
     EX_ATT,
@@ -32,7 +32,7 @@ from mufly.estimate.filter_records import (
     FilterMemory,
     FilterSettings,
 )
-from mufly.estimate.scalar_fusion import (
+from mufly.estimate.filter.scalar_fusion import (
     INNOVATION_GATE,
     MAX_NOISE_SCALE,
     MAX_RATIO_PRODUCT,
@@ -48,7 +48,7 @@ from mufly.estimate.scalar_fusion import (
     reset_timeout_expired,
     scale_variance,
 )
-from mufly.estimate.sensor_checks import (
+from mufly.estimate.filter.sensor_checks import (
     REASON_FUSED_THOUGH_OFFSET,
     REASON_HEIGHT_CONFLICT,
     REASON_INNOVATION,
@@ -62,7 +62,7 @@ from mufly.estimate.sensor_checks import (
     reset_on_divergence,
     set_fault,
 )
-from mufly.estimate.ud_filter import gauss_markov_update, inflate_variance
+from mufly.estimate.filter.ud_filter import gauss_markov_update, inflate_variance
 from mufly.numba_cache import cached_njit
 from mufly.portable_math import portable_atan2, wrap_angle
 

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.estimate.filter_records import (
+from mufly.estimate.filter.filter_records import (
     ERROR_STATE_COUNT,
     EX_ATT,
     EX_POS,
@@ -22,9 +22,9 @@ from mufly.estimate.filter_records import (
     FilterMemory,
     FilterSettings,
 )
-from mufly.estimate.sensor_checks import mark_rejected
-from mufly.estimate.strapdown import rotate_attitude
-from mufly.estimate.ud_filter import innovation_variance, ud_measurement_update
+from mufly.estimate.filter.sensor_checks import mark_rejected
+from mufly.estimate.filter.strapdown import rotate_attitude
+from mufly.estimate.filter.ud_filter import innovation_variance, ud_measurement_update
 from mufly.numba_cache import cached_njit
 
 _Array = NDArray[np.float64]

@@ -14,9 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.dynamics.model_state import RS_ATT, RS_BAR, RS_CHARGE, RS_POS, ModelParameters
-from mufly.estimate.filter_horizon import COST_COVARIANCE, STAGE_DONE, predict_bias, queue_measurement, run_next_task
-from mufly.estimate.filter_inputs import estimate_accel_noise, level_inertial_unit, sample_inputs
-from mufly.estimate.filter_records import (
+from mufly.estimate.filter.filter_horizon import (
+    COST_COVARIANCE,
+    STAGE_DONE,
+    predict_bias,
+    queue_measurement,
+    run_next_task,
+)
+from mufly.estimate.filter.filter_inputs import estimate_accel_noise, level_inertial_unit, sample_inputs
+from mufly.estimate.filter.filter_records import (
     AID_COUNT,
     ERROR_STATE_COUNT,
     EX_THRUST_SCALE,
@@ -38,9 +44,14 @@ from mufly.estimate.filter_records import (
     FilterMemory,
     FilterSettings,
 )
-from mufly.estimate.fusion import LEG_CLEARANCE_HEIGHT, LIFTOFF_THRUST_SIGMA, fuse_liftoff_thrust, height_above_ground
-from mufly.estimate.output_predictor import COVARIANCE_INTERVAL_TICKS, predict_output
-from mufly.estimate.sensor_checks import (
+from mufly.estimate.filter.fusion import (
+    LEG_CLEARANCE_HEIGHT,
+    LIFTOFF_THRUST_SIGMA,
+    fuse_liftoff_thrust,
+    height_above_ground,
+)
+from mufly.estimate.filter.output_predictor import COVARIANCE_INTERVAL_TICKS, predict_output
+from mufly.estimate.filter.sensor_checks import (
     REASON_LATE,
     STATUS_FAULTY,
     STATUS_MISSING,
