@@ -195,7 +195,7 @@ def test_new_writes_files_that_load_and_marks_guesses(tmp_path: Path) -> None:
     said = " ".join(runner.invoke(whole, given).stdout.split())
     assert "hovers beyond usual limits" in said
     assert "vehicle.toml: rotors.radius: the disc loading is 625 N/m2" in said
-    with pytest.raises(InputError, match="--capacity: too weak to hover"):
+    with pytest.raises(InputError, match="--capacity: does not hover"):
         runner.invoke(whole, ["new", "x", "--mass", "100", "--radius", "90", "--capacity", "5"], catch_exceptions=False)
     with pytest.raises(InputError, match="--radius: is missing"):
         runner.invoke(whole, ["new", "other", "--mass", "120"], catch_exceptions=False)

@@ -205,7 +205,7 @@ def test_bounds_hold_everywhere(mapped) -> None:
 
 
 def test_a_map_without_lift_at_hover_cannot_be_scaled(vehicle) -> None:
-    with pytest.raises(InputError, match="no lift"):
+    with pytest.raises(InputError, match="zero thrust"):
         model_parameters(with_map(vehicle, made_map(lambda *_: (-0.01, 0.001, 0.01, 0.001)), "constants"))
 
 

@@ -56,7 +56,7 @@ def test_the_layout_survives_as_text():
 
 def test_a_torn_topic_is_refused():
     first, *rest = quantities_recorded_in("flight")
-    with pytest.raises(ValueError, match="stand together"):
+    with pytest.raises(ValueError, match="be neighbours"):
         RecordingLayout((*rest, first), 8)
 
 
@@ -161,7 +161,7 @@ def test_a_wrong_byte_anywhere_never_gives_wrong_numbers(tmp_path, recorded, sho
     [
         (b"", "is empty"),
         (b"time,north\n0,1\n", "is not an MCAP file"),
-        (b"\x89MCAP0\r\n", "no recording of mufly"),
+        (b"\x89MCAP0\r\n", "not a recording of mufly"),
     ],
 )
 def test_what_is_no_recording_is_refused_in_one_line(tmp_path, content, message):
@@ -184,7 +184,7 @@ def test_another_programs_mcap_is_refused(tmp_path):
         file = McapWriter(stream, "other")
         file.write_chunk([(file.add_channel("/x", "x", b"{}"), 0, b"{}")])
         file.finish_file()
-    with pytest.raises(InputError, match="no recording of mufly"):
+    with pytest.raises(InputError, match="not a recording of mufly"):
         read_recording(path)
 
 

@@ -271,7 +271,7 @@ def test_a_named_unit_that_leads_to_no_year_is_believed_and_said(tmp_path):
     raw = clocked(tmp_path, 1_683_356_889_000 + 20 * np.arange(99), head="timestamp (s)")
     assert raw["table"].time == pytest.approx(20.0 * np.arange(99))
     assert raw.start_time == ""
-    assert "of no year that a log is of; in ms they would be of 2023" in raw.notes[0]
+    assert "not in the years of possible logs; in ms they would be of 2023" in raw.notes[0]
 
 
 @pytest.mark.parametrize(

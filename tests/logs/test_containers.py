@@ -71,12 +71,12 @@ def test_a_netcdf_time_of_another_name_is_found_and_of_an_unknown_unit_refused(t
 
 def test_a_unit_that_is_not_known_or_contradicts_the_name_is_said(tmp_path):
     path = netcdf(tmp_path / "a.nc", SECONDS, {"units": "s"}, roll="smoot")
-    with pytest.warns(LogWarning, match=r"units that are not known, values as they stand: smoot \(roll\)"):
+    with pytest.warns(LogWarning, match=r"unknown units, values unchanged: smoot \(roll\)"):
         read_log(path)
     data = {"roll_rad": ("time", ROLL, {"units": "degrees"}), "x": ("time", ROLL, {"units": "g"})}
     xr.Dataset(data, {"time": ("time", SECONDS, {"units": "s"})}).to_netcdf(tmp_path / "b.nc", engine="scipy")
     notes = " ".join(read_raw(tmp_path / "b.nc").notes)
-    assert "roll_rad: its metadata say degrees, its name rad: the metadata count" in notes
+    assert "roll_rad: the metadata state degrees, the name rad: the metadata are used" in notes
     assert "x: its unit 'g' fits two quantities or none" in notes
     assert np.nanmax(quietly(tmp_path / "b.nc").roll_rad) == pytest.approx(np.radians(ROLL.max()))
 

@@ -143,7 +143,7 @@ def test_a_reference_that_tells_nothing_is_in_the_unit_of_its_measurement(table)
     words = " ".join(str(w.message) for w in said)
     assert "reference_attitude names no unit and is taken to be in deg (as in measured_attitude)" in words
     assert data.reference_attitude.values[-1, 0] == pytest.approx(np.radians(0.02 * 199))
-    with pytest.warns(LogWarning, match="taken to be in rad .nothing in the data contradicts it"):
+    with pytest.warns(LogWarning, match="taken to be in rad .not contradicted by the data"):
         read_log(table("t_s,reference_attitude_roll\n" + "\n".join(f"{k},0.01" for k in range(50))))
 
 
@@ -427,8 +427,9 @@ def test_letters_in_a_row_of_columns_are_no_units_and_it_is_said(table):
     raw = read_raw(table(f"{head}\n{rows}"))
     assert raw["table"].units == {"motor": "A", "motor (9)": "V"}
     assert raw.notes == (
-        "phase_A, phase_C, i_V, i_W, gain_K: read without a unit, since the end of the name does not fit its quantity; "
-        "if one is meant, name it in a column map",
+        "phase_A, phase_C, i_V, i_W, gain_K: read without a unit, because the unit at the end of the name "
+        "does not suit the quantity; "
+        "give the unit in a column map",
     )
 
 

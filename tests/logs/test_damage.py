@@ -141,7 +141,7 @@ def test_a_damaged_chunk_costs_its_own_messages_alone(tmp_path, compression):
     assert np.ptp(gone) == len(gone) - 1
     (said,) = raw.describe_damage()
     assert f"{len(gone)} messages from {gone[0] / 100:.2f} to {gone[-1] / 100:.2f} s are missing" in said
-    assert f"{len(seq)} of 600 messages are here" in said
+    assert f"{len(seq)} of 600 messages are in the file" in said
     content[at + 1 : at + 9] = b"\xff" * 8  # its length leads nowhere: the index knows the next
     assert np.array_equal(imu(tmp_path / "a.mcap", content)[1], seq)
     content = content[: chunks[8][0]]  # no index any more: the next chunk is found by its looks
@@ -157,8 +157,8 @@ def test_records_outside_chunks_are_found_again(tmp_path):
     content[places[200] + 40] = 0xFF  # its text is no JSON any more
     raw, seq = imu(tmp_path / "a.mcap", content)
     assert np.setdiff1d(np.arange(600), seq).tolist() == [100, 200]
-    assert "599 of 600 messages are here" in raw.damage_text
-    assert raw.notes == ("/imu: 1 of 599 messages are no JSON, left out",)
+    assert "599 of 600 messages are in the file" in raw.damage_text
+    assert raw.notes == ("/imu: 1 of 599 messages are not JSON and are left out",)
 
 
 def test_an_index_that_is_damaged_costs_nothing(tmp_path):
@@ -169,7 +169,7 @@ def test_an_index_that_is_damaged_costs_nothing(tmp_path):
         content[summary[2][0] + offset] ^= 0xFF
         raw, seq = imu(tmp_path / "a.mcap", content)
         assert len(seq) == 600
-        assert raw.damage_text == "the index at its end is damaged"
+        assert raw.damage_text == "the index at the end is damaged"
     content = whole.copy()
     at = next(at for at, opcode, _ in records_of(whole) if opcode == Opcode.DATA_END)
     content[at] = 0  # the record between data and index
@@ -191,7 +191,7 @@ def test_a_cut_chunk_keeps_the_messages_before_the_cut(tmp_path, compression):
     assert "it has no end mark" in raw.damage_text
     if compression is CompressionType.NONE:
         assert len(seq) > before + 20
-        assert f"with {len(seq) - before} whole messages" in raw.damage_text
+        assert f"with {len(seq) - before} complete messages" in raw.damage_text
 
 
 def test_what_stands_behind_the_end_mark_is_told(tmp_path):
@@ -199,7 +199,7 @@ def test_what_stands_behind_the_end_mark_is_told(tmp_path):
     for behind in (bytes(5000), b"garbage"):
         raw, seq = imu(tmp_path / "a.mcap", content + behind)
         assert len(seq) == 600
-        assert raw.damage_text == f"{len(behind)} bytes behind its end mark are none of it"
+        assert raw.damage_text == f"{len(behind)} bytes after the end mark do not belong to the file"
     raw, seq = imu(tmp_path / "a.mcap", content[:30_000] + bytes(len(content) - 30_000))
     assert not raw.is_complete
     assert 200 < len(seq) < 400
@@ -308,7 +308,7 @@ def test_a_ulog_cut_anywhere_says_so(tmp_path):
     assert len(q) == 299
     size = len(messages[-1])
     words = f"it ends inside a message at byte {len(whole) - size}, {size - 5} of {size} bytes of it are there"
-    assert raw.describe_damage() == [f"the file is damaged or cut off: {words}; what is whole is here"]
+    assert raw.describe_damage() == [f"the file is damaged or truncated: {words}; all complete data are read"]
     assert read_att(path, whole[: -size + 2])[0].damage_text.startswith("it ends inside a message's head")
     raw, q = read_att(path, whole + bytes(4000))  # the last message ends in a zero: it may be cut, too
     assert raw.damage_text == f"{4000 + size} bytes from byte {len(whole) - size} on are zero"
@@ -317,7 +317,7 @@ def test_a_ulog_cut_anywhere_says_so(tmp_path):
     assert raw.damage_text == f"4000 bytes from byte {len(whole) + 17} on are zero"
     assert not read_att(path, whole + b"garbage")[0].is_complete
     for end, why in (
-        (10, "cut in its header, 10 of 16 bytes"),
+        (10, "truncated in its header .10 of 16 bytes"),
         (100, "without data .it ends inside a message at byte"),
     ):
         path.write_bytes(whole[:end])
@@ -335,7 +335,7 @@ def test_data_appended_to_a_ulog_are_found_behind_what_the_crash_cut(tmp_path):
     content = head[:16] + flags + head[16 + len(flags) :] + b"".join(messages)
     raw, q = read_att(tmp_path / "a.ulg", content[:cut] + more)
     assert q[-3:].tolist() == [98, 200, 201]
-    assert raw.damage_text == f"logging stopped inside a message at byte {cut}, behind which data were appended"
+    assert raw.damage_text == f"logging stopped inside a message at byte {cut}; data were appended after it"
     flags = ulog_message("B", bytes(8) + b"\x02" + bytes(31))
     (tmp_path / "a.ulg").write_bytes(content[:16] + flags + content[16 + len(flags) :])
     with pytest.raises(InputError, match="incompatible flags"):
@@ -353,17 +353,17 @@ def test_damage_to_a_ulog_costs_what_it_touches(tmp_path):
             content[place] ^= int(rng.integers(1, 256))
         raw, q = read_att(tmp_path / "a.ulg", content)
         assert len(q) + len(raw["bat"].time) + len(raw.dropouts) + len(raw.messages) >= 366 - 5, trial
-        assert raw.damage_text or "of types that are not known here" in raw.notes[0], trial
+        assert raw.damage_text or "of unknown types" in raw.notes[0], trial
     content = bytearray(head + b"".join(messages))
     content[starts[40] : starts[240]] = rng.bytes(int(starts[240] - starts[40]))
     raw, q = read_att(tmp_path / "a.ulg", content)
     assert len(q) > 110
-    assert f"{starts[240] - starts[40]} bytes at byte {starts[40]} are no whole message" in raw.damage_text
+    assert f"{starts[240] - starts[40]} bytes at byte {starts[40]} are not a complete message" in raw.damage_text
     broken = bytearray(head)  # a format is damaged: its topic is lost, the other stays
     broken[head.index(b"bat:")] = 0xFF
     raw, q = read_att(tmp_path / "a.ulg", bytes(broken) + b"".join(messages))
     assert len(q) == 300
-    assert "60 messages are of topics that nothing describes any more" in raw.damage_text
+    assert "60 messages belong to topics without a description" in raw.damage_text
 
 
 def test_our_own_ulog_tells_how_many_rows_are_missing(tmp_path, make_signals):
@@ -377,8 +377,8 @@ def test_our_own_ulog_tells_how_many_rows_are_missing(tmp_path, make_signals):
     path.write_bytes(content[: row - 2 + 20 * size])  # between two messages
     raw = read_raw(path)
     assert not raw.is_complete
-    assert raw.damage_text == "20 of 80 rows are here"
-    with pytest.warns(LogWarning, match="20 of 80 rows are here"):
+    assert raw.damage_text == "20 of 80 rows are in the file"
+    with pytest.warns(LogWarning, match="20 of 80 rows are in the file"):
         assert read_log(path).sizes["time"] == 20
 
 
@@ -460,7 +460,7 @@ def test_a_table_that_is_cut_keeps_its_whole_rows(tmp_path):
     n, damage = read(text[:20_010] + bytes(9000))
     assert 900 < n < 2000
     assert damage == "the last 9000 bytes are zero"
-    with pytest.warns(LogWarning, match="cut off: the last 9000 bytes are zero; what is whole is here"):
+    with pytest.warns(LogWarning, match="truncated: the last 9000 bytes are zero; all complete data are read"):
         assert read_log(path).attrs["complete"] is False
     flipped = bytearray(packed)
     flipped[-6] ^= 1  # of the checksum
@@ -468,5 +468,5 @@ def test_a_table_that_is_cut_keeps_its_whole_rows(tmp_path):
     with pytest.raises(InputError, match="is a damaged gzip file"):
         read_raw(path)
     path.write_bytes(bytes(3000))
-    with pytest.raises(InputError, match="holds zeros alone: nothing of it was written to the disk"):
+    with pytest.raises(InputError, match="contains only zeros: its content was not written to the disk"):
         read_raw(path)

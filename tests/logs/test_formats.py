@@ -430,7 +430,7 @@ def read_raw_complete(path, content):
             "damaged log of the micro-SD deck",
         ),
         (b"\xbc\x02\x00\x01\x00\x00\x00a\x00\x01\x00x(f)\x00", "without data"),
-        (b"\xbc\x07\x00\x01\x00\x00\x00a\x00\x01\x00x(f)\x00", "not a log that is known"),
+        (b"\xbc\x07\x00\x01\x00\x00\x00a\x00\x01\x00x(f)\x00", "not a log in a known format"),
         (b"\x03tick(I),x(f),x(f)," + bytes(60), "occurs twice"),
     ],
 )

@@ -179,11 +179,11 @@ def test_an_external_estimator_has_a_velocity_and_no_local_position(write):
     assert data.measured_velocity.sel(axis="N").values == pytest.approx(np.full(200, 3.0))
     assert np.isnan(data.measured_position).all()
     missing = read_raw(write([row for row in rows if row[0] != "EAHR"]))
-    assert "the external AHRS was active, but the log has no position of it; that of EKF3" in missing.notes[0]
+    assert "the external AHRS was active, but the log has no position of it; the position of EKF3" in missing.notes[0]
     (note,) = read_raw(write([("PARM", (1_000_000, "AHRS_EKF_TYPE", 0)), *lanes("XKF", (0.0,))])).notes
-    assert note == "no active estimator left a position; position and velocity are those of XKF1"
+    assert note == "the log has no position of the active estimator; position and velocity are those of XKF1"
     raw = read_raw(write(lanes(offsets=(0.0,), primary=lambda t: int(t >= 5.0))))
-    assert raw.notes[0] == "core 1 of EKF3 was active, and the log does not hold it"
+    assert raw.notes[0] == "core 1 of EKF3 was active but is not in the log"
     assert raw["EKF:active"].time[-1] < 5.0
 
 

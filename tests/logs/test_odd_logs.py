@@ -240,7 +240,7 @@ def test_a_header_in_the_middle_is_the_instant_0_and_one_far_away_is_not(write):
 def test_a_log_that_begins_before_0_is_shifted_for_formats_that_know_no_sign(write, tmp_path):
     path = write(ulog(px4(50_000_000), header=54_000_000))
     data = quietly(path)
-    with pytest.raises(InputError, match=r"begins at -4 s, and ULog knows no time before 0; give start_s=0"):
+    with pytest.raises(InputError, match=r"begins at -4 s, and ULog has no time before 0; give start_s=0"):
         write_log(data, tmp_path / "out.ulg")
     moved = quietly(path, start_s=0)
     assert moved.time.values == pytest.approx(data.time.values + 4.0)
@@ -262,7 +262,7 @@ def test_a_wild_stamp_is_left_out_and_its_neighbours_stay(write):
     time = TIME.copy()
     time[100], time[250] = 1083.7, -40.0
     rows = "\n".join(f"{t:.6f},{k}" for k, t in enumerate(time))
-    with pytest.warns(LogWarning, match="2 time stamps are far from their neighbours"):
+    with pytest.warns(LogWarning, match="2 time stamps far from their neighbours"):
         data = read_log(write(f"t_s,U_V\n{rows}\n".encode(), "a.csv"))
     assert data.U.values.tolist() == [k for k in range(400) if k not in (100, 250)]
     time = TIME + 1.7e9
@@ -419,7 +419,7 @@ def test_packets_that_arrived_on_another_day_are_left_out(write, mavlink):
     stamps[20] = 4e7
     out = b"".join(entry(link, link.attitude_encode(0, 0.01 * k, 0, 0, 0, 0, 0), t) for k, t in enumerate(stamps))
     raw = read_raw(write(out))
-    assert "1 packets whose time of arrival is of another day" in raw.notes[0]
+    assert "1 packets whose time of arrival is on another day" in raw.notes[0]
     assert raw.time_span == (0.0, pytest.approx(4.9))
 
 
@@ -429,7 +429,7 @@ def test_shares_of_output_are_no_pulses_and_four_motors_have_a_place(write):
     fields = {f"output[{k}]": part[:, k] if k < 4 else 0 * TIME for k in range(8)}
     volts = {"voltage_v": 12.0 + 0 * TIME, "current_a": 3.0 + 0 * TIME}
     path = write(ulog({"actuator_outputs": (us, fields), "battery_status": (us, volts)}))
-    with pytest.warns(LogWarning, match="holds shares of the full output, no pulse lengths"):
+    with pytest.warns(LogWarning, match="holds fractions of the full output instead of pulse lengths"):
         data = read_log(path)
     assert "actuator_output" not in data
     assert data.actuator_command.dims == ("time", "actuator")

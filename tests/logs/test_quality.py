@@ -112,7 +112,7 @@ def test_the_words_of_a_channel():
     clipped = check_channel(TIME, np.clip(NOISE, -0.5, 9.0).repeat(6), "tilt", "rad").describe_faults()
     assert clipped == ["tilt: 29 % of the values sit at its minimum, -0.5 rad"]
     assert check_channel(TIME, np.full(2000, 2.0), "u").constant
-    assert check_channel(TIME, np.full(2000, np.nan), "u").describe_faults() == ["u: no value at all"]
+    assert check_channel(TIME, np.full(2000, np.nan), "u").describe_faults() == ["u: no values"]
 
 
 ANGLE = 0.3 * np.sin(2 * TIME) + 0.1 * np.sin(9 * TIME)

@@ -127,7 +127,7 @@ def test_a_ulog_file_cut_off_anywhere_is_read_up_to_the_cut_or_refused_in_words(
 def test_a_file_that_is_there_stays_until_the_new_one_is_whole(tmp_path, data):
     path = write_log(data, tmp_path / "log.ulg")
     before = path.read_bytes()
-    with pytest.raises(InputError, match="ULog knows no time before 0"):
+    with pytest.raises(InputError, match="ULog has no time before 0"):
         write_log(data.assign_coords(time=data.time - 1.0), path)
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["log.ulg"]
@@ -150,14 +150,14 @@ def test_without_pyarrow_parquet_says_what_to_install(tmp_path, data, monkeypatc
     ("content", "words"),
     [
         (b"", "is empty"),
-        (b"\x00" * 500, "holds zeros alone"),
+        (b"\x00" * 500, "contains only zeros"),
         (b"\x89HDF\r\n\x1a\n" + b"\x00" * 100, "HDF5"),
         (b"MATLAB 5.0 MAT-file" + b"\x00" * 100, "MATLAB"),
         (b"version https://git-lfs.github.com/spec/v1\noid sha256:1\nsize 1\n", "Git LFS"),
         (b"ULog\x01\x12\x35\x01" + b"\x00" * 8, "without data"),
         (b"PAR1" + b"\x00" * 40, "damaged Parquet"),
         (b"CDF\x01" + b"\x07" * 40, "damaged NetCDF"),
-        (b"Dear reader, this is a letter.", "not a log that is known"),
+        (b"Dear reader, this is a letter.", "not a log in a known format"),
         (b"\xa3\x95\x80" + b"\x01" * 100, "DataFlash"),
     ],
 )

@@ -125,7 +125,9 @@ class DatasheetMotor(ParameterGroup):
 
     speed_constant: Quantity = Field(description="Kv, free speed per volt", json_schema_extra={"symbol": "Kv"})
     resistance: Quantity = declare_parameter("ohm", "R", "resistance between two leads", at_least=1e-4, at_most=1e4)
-    no_load_current: Quantity = declare_parameter("A", "I0", "current of the free motor", at_least=0, at_most=1e3)
+    no_load_current: Quantity = declare_parameter(
+        "A", "I0", "current of the motor without load", at_least=0, at_most=1e3
+    )
     no_load_voltage: Quantity = declare_parameter(
         "V", "U0", "voltage at which I0 was measured", at_least=1e-3, at_most=1e3
     )
@@ -177,7 +179,7 @@ class Controller(ParameterGroup):
     efficiency: Quantity = declare_parameter(
         "1",
         "eta_c",
-        "power to the motor over power from the battery, without what Ron takes",
+        "power to the motor over power from the battery, without the loss in Ron",
         at_least=0.01,
         at_most=1,
     )
@@ -190,15 +192,16 @@ class DriveTrain(ParameterGroup):
     description: str = Field(default="", description="one line about the drive train")
     rotors: int = Field(default=1, ge=1, le=64, strict=True, description="rotors that the battery feeds")
     motor: Motor | None = Field(default=None, description="constants of the motor")
-    datasheet: DatasheetMotor | None = Field(default=None, description="the motor as its data sheet describes it")
-    controller: Controller | None = Field(default=None, description="speed controller; without it an ideal one")
+    datasheet: DatasheetMotor | None = Field(default=None, description="data sheet of the motor")
+    controller: Controller | None = Field(default=None, description="speed controller; default: ideal")
     gear: Gear
     battery: Battery
 
     @model_validator(mode="after")
     def _check_single_motor(self) -> DriveTrain:
         if (self.motor is None) == (self.datasheet is None):
-            given = "neither [motor] nor [datasheet]" if self.motor is None else "both [motor] and [datasheet]"
+            given = "neither [motor] nor [datasheet] is given" if self.motor is None else "both [motor] and "
+            "[datasheet] are given"
             raise model_error(f"{given} is given", "give one of the two", "motor")
         return self
 

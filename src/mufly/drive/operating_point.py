@@ -246,7 +246,8 @@ def find_operating_point(
     low, full = battery_voltage_range(drive.battery)
     if supply_V is not None and not SUPPLY_VOLTAGE_SHARES[0] * low <= supply_V <= SUPPLY_VOLTAGE_SHARES[1] * full:
         raise ArgumentError(
-            "supply_V", "", f"{supply_V:g} V does not suit {drive.name}, whose battery has {low:g} to {full:g} V",
+            "supply_V", "", f"{supply_V:g} V is out of range for {drive.name}, whose battery has {low:g} to "
+            f"{full:g} V",
             f"give {SUPPLY_VOLTAGE_SHARES[0] * low:g} to {SUPPLY_VOLTAGE_SHARES[1] * full:g} V",
         )  # fmt: skip
     c = replace(own, gear_ratio=ratio.ravel().copy())
@@ -328,7 +329,9 @@ def _point_at_voltage(supply: _PowerSupply, c: MotorConstants, load: RotorLoad, 
 
 def _evaluate_load(drive: DriveTrain, load: RotorLoad, speed: Array, found: NDArray[np.bool_]) -> tuple[Array, Array]:
     if not np.all(found):
-        raise MuflyError(f"drive {drive.name!r} finds no steady speed with this rotor; is its torque negative?")
+        raise MuflyError(
+            f"drive {drive.name!r} has no steady speed with this rotor; check the sign of the rotor's torque"
+        )
     return load(speed, np.arange(speed.size))
 
 

@@ -1,15 +1,15 @@
-"""The equations of motion for types without branches: lanes of vehicles, and symbols.
+"""Rewriting of the equations of motion for types that cannot branch: lanes of vehicles, and symbols.
 
 The source of a function is rewritten so that a decision on data becomes a selection between two results::
 
-    if depth <= 0.0:                    test = depth > 0.0 (each number of its own)
+    if depth <= 0.0:                    test = depth > 0.0 (one truth value per vehicle)
         continue                        if any_of(test):
     ...                                     ...
     force += step                           force = select(test, force + step, force)
 
 A type supplies the functions ``select(test, a, b)``, ``any_of(test)``, ``both_of(a, b)``, ``negate(test)``,
 ``sine_of``, ``cosine_of``, ``whole_number`` and, for decisions on parameters, ``uniform(test)``, which is the same for
-all vehicles. The functions that a function calls are rewritten with it. Nothing else of the source changes: order and
+all vehicles. All functions that a function calls are rewritten, too. Nothing else in the source changes: order and
 number of the operations are those of a single vehicle.
 
 The rewritten forms are those that the equations need: ``if`` without ``else``; ``if test: continue`` in a loop; ``if
@@ -37,7 +37,7 @@ def select_branches(
     absent: Collection[str] = (),
     file: str | None = None,
 ) -> Any:
-    """Return a function, and all that it calls, with selections for decisions.
+    """Return a function in which decisions on data are selections, also in all functions that it calls.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ class _Selection:
         return f"{kind}_{self._count}"
 
     def _selected(self, test: ast.expr, body: list[ast.stmt], defined: set[str]) -> list[ast.stmt]:
-        """Return ``body`` for the numbers of ``test``, merged with the values of before."""
+        """Return the statements of ``body``, each result selected by ``test`` from the new and the previous value."""
         stores = [n for s in body for n in ast.walk(s) if isinstance(n, ast.Subscript) and isinstance(n.ctx, ast.Store)]
         if stores or any(isinstance(s, ast.Expr) for s in body):  # writes to arrays: the same for all vehicles
             return [ast.If(_call("uniform", test), self.block(body, defined), [])]
@@ -195,7 +195,7 @@ class _Selection:
     def _guard(self, guard: ast.If, value: ast.expr, rest: list[ast.stmt], defined: set[str]) -> list[ast.stmt]:
         """Return the statements after ``if test: return value``, with a selection in the last ``return``."""
         if len(guard.body) > 1 or not isinstance(rest[-1], ast.Return) or rest[-1].value is None:
-            raise NotImplementedError("a guard with statements, or without a last return")
+            raise NotImplementedError("`if test: return value` with further statements, or without a last return")
         test_name, value_name = self._fresh("test"), self._fresh("value")
         out: list[ast.stmt] = [
             _store(test_name, _Expressions().visit(guard.test)), _store(value_name, _Expressions().visit(value)),

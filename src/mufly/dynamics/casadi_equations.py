@@ -1,10 +1,11 @@
 """The flight model as a CasADi function, from the source of the equations of motion.
 
 Each function of the model runs once on symbols, with decisions on data as selections
-(:mod:`mufly.dynamics.branch_selection`). There is no second derivation: an edited equation is in the CasADi function.
+(:mod:`mufly.dynamics.branch_selection`). There is no second derivation: an edit of an equation also changes the CasADi
+function.
 
-Tables with a symbolic index become selections between neighbouring entries (``SX``, without a map) or look-ups
-(``MX``, with a coefficient map or flight map).
+Tables with a symbolic index become selections between neighbouring entries (``SX``, for vehicles without a map) or
+look-ups (``MX``, for vehicles with a coefficient map or flight map).
 """
 
 from __future__ import annotations
@@ -216,7 +217,7 @@ class _Table:
         return _Symbol(self._halved(index.value, 0, len(self._numbers)))
 
     def _halved(self, index: Any, first: int, end: int) -> Any:
-        """Return the entry at a symbolic index by halving."""
+        """Return the entry of a table at a symbolic index, by bisection."""
         import casadi
 
         if end - first == 1:

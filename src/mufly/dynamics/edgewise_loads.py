@@ -1,7 +1,7 @@
 """Loads of a flight map in the equations of motion, and the phase of the swash plate.
 
 :func:`mufly.dynamics.equations_of_motion.state_derivative` adds them to the derivative of
-:func:`~mufly.dynamics.equations_of_motion.state_derivative_tilted`, the function that the estimator carries, which has
+:func:`~mufly.dynamics.equations_of_motion.state_derivative_tilted`, which the estimator uses and which contains
 neither. State and inputs are unchanged.
 
 Map. With w the velocity of a hub through the air, (w_x, w_y) its part across the mast, K = rho pi R^3 and Omega the
@@ -13,10 +13,10 @@ speed of the rotor, a rotor adds, in body axes (columns: :mod:`mufly.vehicle.fli
 
 and the torque ``torque_excess Q``, with z x (a, b) = (-b, a). The linear drag ``rotors.inplane_drag`` is replaced.
 Thrust T, torque Q and disc normal n are those of the flight model: in axial flow and in hover, thrust and torque are
-unchanged. The edgewise velocity and the climb that enter the table are those of the mean of both hubs.
+unchanged. The table is entered with the mean edgewise velocity and the mean climb of both hubs.
 
-The map is computed at zero cyclic pitch. A cyclic input gives the identified tilt of the flight model alone: linkage,
-time constant and flap frequency are one measurement, so that no hub moment of a cyclic input is added.
+The map is computed at zero cyclic pitch. A cyclic input causes only the identified tilt of the flight model: linkage,
+time constant and flap frequency were identified together, so no hub moment of a cyclic input is added.
 
 Phase. The tilt of the lower tip-path plane follows the input turned by ``swash_plate.phase`` along the rotation of the
 lower rotor (clockwise from above):
@@ -53,7 +53,7 @@ _Array = NDArray[np.float64]
 _MIN_ROTOR_SPEED = 1e-3  # rad/s
 _EDGE_SLACK = 1e-6  # steps
 _THRUST, _TORQUE, _DRAG, _SIDE, _ROLL_MOMENT, _PITCH_MOMENT, _LOWER_THRUST, _LOWER_TORQUE, _LOWER_DRAG = range(9)
-"""Loads of the flow, those of the upper rotor first: places of :data:`mufly.vehicle.flight_map.LOAD_COLUMNS`."""
+"""Indices of the flow's loads in :data:`mufly.vehicle.flight_map.LOAD_COLUMNS`, upper rotor first."""
 _LOWER_RATES = 4  # first load of rates of the lower rotor
 
 
@@ -226,7 +226,7 @@ def edgewise_factors(
 
 
 def inside_flight_map(x: _Array, wind: _Array, p: np.void) -> bool:
-    """Return True if a state lies within the edges of the vehicle's flight map; beyond, values at the edge hold."""
+    """Return True if a state lies within the vehicle's flight map; beyond its edges the values at the edge hold."""
     ratio, climb, edge = find_map_point(x, wind, p)
     last = p["flight_size"] - 1
     return bool(

@@ -1,8 +1,9 @@
 """Limits of a hover that the flight model does not contain: tip Mach number, disc loading, power of motors and battery.
 
-The model holds its coefficients at every tip speed and lets motors and batteries of any mass give any power. A vehicle
-may therefore hover by its numbers and not in reality. The limits are own estimates for vehicles up to 100 kg, from
-data sheets of small motors and lithium-polymer cells (2025) and from full-size helicopters; each states its value.
+The flight model uses the same coefficients at every tip speed, and motors and batteries of any mass deliver any power.
+A vehicle may therefore hover in the model and not in reality. The limits are own estimates for vehicles up to 100 kg,
+from data sheets of small motors and lithium-polymer cells (2025) and from full-size helicopters; each constant states
+its value.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from mufly.units import GRAVITY, RPM
 from mufly.vehicle import UnusualParameter, Vehicle
 
 SPEED_OF_SOUND_M_S = 343.2
-"""Dry air of 20 degC (m/s)."""
+"""Speed of sound in dry air of 20 degC (m/s)."""
 MAX_TIP_MACH = 1.0
 """Tip Mach number from which no hover is credible."""
 _USUAL_TIP_MACH = 0.6  # wave drag of thick blades begins; coefficients depend on the Mach number above
@@ -80,7 +81,7 @@ def judge_hover(vehicle: Vehicle, hover: HoverPerformance) -> list[UnusualParame
         out.append(
             UnusualParameter(
                 "battery.capacity",
-                f"it hovers for {hover.endurance_s:.0f} s from a full battery",
+                f"hover lasts {hover.endurance_s:.0f} s from a full battery",
                 "give more capacity or less mass",
             )
         )

@@ -1,9 +1,9 @@
-"""Batches of vehicles in lanes of eight.
+"""Integration of batches of vehicles, eight at a time in vector lanes.
 
 The equations of motion are compiled on lanes (:mod:`mufly.dynamics.numba_lanes`) from the source of a single vehicle,
-with selections for decisions (:mod:`mufly.dynamics.branch_selection`). Each vehicle moves as it does alone, to the last
-bit, in any block with any neighbours. A single vehicle of :func:`mufly.dynamics.integrate_state` takes sine and cosine
-of the swash plate's tilt from the C library, so that its last bits differ.
+with selections for decisions (:mod:`mufly.dynamics.branch_selection`). The motion of a vehicle
+is equal to the last bit in any block with any neighbours. :func:`mufly.dynamics.integrate_state`, for a single vehicle,
+takes sine and cosine of the swash plate's tilt from the C library, so that its last bits differ.
 
 The vehicles of a block share the decisions on parameters: whether they have maps, ground effect or a phase of the swash
 plate, and the sizes of their tables. Vehicles are grouped by these (:func:`group_vehicles`).
@@ -35,7 +35,7 @@ _MAP_PARAMETERS = ("map_nodes", "flight_nodes")
 
 
 def group_vehicles(p: NDArray[np.void]) -> _Ints:
-    """Return a number for each record (k,) of :class:`ModelParameters`; equal ones may share a block."""
+    """Return the group (k,) of each record of :class:`ModelParameters`; vehicles of one group may share a block."""
     traits = np.column_stack([
         p["map_nodes"], p["map_size"], p["flight_nodes"], p["flight_size"], p["contact_count"],
         p["ground_effect"] > 0.0, p["swash_phase"] != 0.0,
@@ -44,7 +44,7 @@ def group_vehicles(p: NDArray[np.void]) -> _Ints:
 
 
 def lay_out_blocks(group: _Ints) -> _Ints:
-    """Return the vehicles of each block (b, 8) by their index; a block that is not full repeats its last vehicle."""
+    """Return the indices (b, 8) of the vehicles in each block; an incomplete block repeats its last vehicle."""
     order = np.argsort(group, kind="stable")
     ends = np.flatnonzero(np.diff(group[order])) + 1
     blocks = []

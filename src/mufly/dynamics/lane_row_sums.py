@@ -1,7 +1,7 @@
 """Weighted sums of rows of a table (:mod:`mufly.rotor.forward.row_sums`) for eight vehicles in lanes.
 
-Each vehicle reads rows of its own table. A row is summed in vector registers, vehicle by vehicle, and the sums are then
-put into lanes. That takes a quarter of the loads of a gather of each number.
+Each vehicle reads rows of its own table. Rows are summed in vector registers, vehicle by vehicle, and the sums are then
+distributed to the lanes. This needs a quarter of the memory loads of a gather of each number.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -25,7 +25,7 @@ _INDICES = ir.VectorType(ir.IntType(32), LANES)
 
 
 def _lane_form(table: Any, places: tuple[Any, ...], weights: int, columns: int, emit: Callable[..., list[Any]]) -> Any:
-    """Return type and code of a sum: places are lanes or, the same for all vehicles, integers; weights are lanes."""
+    """Return Numba type and code of a sum; indices are lanes, or integers common to all vehicles; weights are lanes."""
     kinds = [_types.int64 if isinstance(k, types.Integer) else VECTOR for k in places] + [VECTOR] * weights
     made = _types.UniTuple(VECTOR, columns)(table, *kinds)
 
@@ -43,7 +43,7 @@ def _lane_form(table: Any, places: tuple[Any, ...], weights: int, columns: int, 
 
 
 def _whole_places(builder: Any, place: Any) -> Any:
-    """Return places as integers; one that is not a number, of a vehicle that has left the model, becomes 0."""
+    """Return table indices as integers; NaN (a vehicle whose state has diverged) becomes 0."""
     if place.type == _WORD:
         return place
     none = ir.Constant(_VECTOR, [0.0] * LANES)
@@ -64,4 +64,4 @@ def sum_rate_lanes(context, table, first, ea, eb, ec):
 
 
 LANE_ROW_SUMS: dict[str, Any] = {"sum_flow_rows": sum_flow_lanes, "sum_rate_rows": sum_rate_lanes}
-"""Names of the sources, and their forms for lanes."""
+"""Functions for single vehicles by name, and their counterparts for lanes."""

@@ -6,12 +6,12 @@ both servo inputs and both rotor speeds; equations are the balances of force and
 
     0 = F_rotors + F_fuselage + A^T m g,    0 = M_hub + r_hub x F_rotors,    0 = Q_up - Q_dw
 
-The swash plate is known as a product only: linkage and tilt give the moment l_dw theta_max T_dw z_dw at full input in
-hover (identified). Cyclic pitch of the lower blades is therefore scaled such that full input gives that moment, and
-the plate is turned such that a servo moves one axis in hover. The stabiliser bar of the upper rotor is square to the
+Of the swash plate only a product is identified: linkage and tilt give the moment l_dw theta_max T_dw z_dw at full input
+in hover. The cyclic pitch of the lower blades is therefore scaled such that full input gives that moment, and the plate
+is turned such that in hover each servo acts on one axis. The stabiliser bar of the upper rotor is square to the
 mast in steady flight.
 
-The flap frequency decides the result, so two trims are computed, one for each end of its band
+The result depends strongly on the flap frequency, so two trims are computed, one for each end of its band
 (:func:`mufly.rotor.forward.blade_flap_band`).
 """
 
@@ -89,7 +89,7 @@ class LevelTrim:
 
     @property
     def servo(self) -> float:
-        """Larger servo input, 1 is full."""
+        """Larger of both servo inputs (1: full input)."""
         return max(abs(self.servo_pitch), abs(self.servo_roll))
 
 
@@ -131,7 +131,7 @@ class LevelFlight:
     endurance_speed_m_s: tuple[float, float]
 
     def shown_blocks(self) -> tuple[ShownBlock, ...]:
-        """Return the trims and the speeds that follow from them, as text."""
+        """Return the trims, and the limits of airspeed that follow, as text."""
         rows = [t for line in self.trims for t in line]
         low, high = self.greatest_speed_m_s
         fastest = max((t.airspeed_m_s for t in rows), default=0.0)
@@ -227,8 +227,9 @@ class LevelFlightModel:
             found = None
         if found is None or not np.max(np.abs(found.fun)) < 1e-4:
             raise MuflyError(
-                f"{self.vehicle.name}: the blades {self.blading.rotors[0].name} do not give the hover thrusts "
-                f"{thrust[0]:.3g} and {thrust[1]:.3g} N at {self.speeds[0]:.0f} and {self.speeds[1]:.0f} rad/s; give "
+                f"{self.vehicle.name}: the blades {self.blading.rotors[0].name} do not reach the hover thrusts "
+                f"{thrust[0]:.3g} and {thrust[1]:.3g} N at {self.speeds[0]:.0f} and {self.speeds[1]:.0f} "
+                "rad/s; give "
                 "other blades by --rotor"
             )
         return float(found.x[0]), float(found.x[1])

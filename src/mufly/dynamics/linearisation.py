@@ -1,4 +1,4 @@
-"""Trim, hover performance and linear models. Trim is the set of inputs, rotor speeds and attitude without acceleration.
+"""Trim (inputs, rotor speeds and attitude of steady flight), hover performance and linear models.
 
 Unknowns: both rotor speeds, both motor inputs, both tilts of the lower rotor (through the servos), roll and pitch.
 Equations: the six accelerations and the two rotor accelerations of
@@ -114,7 +114,7 @@ class Trim:
             f"  rotor speed {rpm[0]:.0f} upper, {rpm[1]:.0f} lower rpm; "
             f"thrust {self.thrust_N[0]:.3f}, {self.thrust_N[1]:.3f} N\n"
             f"  battery {self.voltage_V:.2f} V, {self.current_A:.2f} A, {self.power_W:.1f} W"
-            + ("" if self.inside_map else "\n  beyond the vehicle's map, whose edge is used")
+            + ("" if self.inside_map else "\n  beyond the vehicle's flight map: values at its edge are used")
         )
 
     @property
@@ -215,12 +215,14 @@ def find_trim(
     if not worst < 1e-9 or np.any(u[MOTORS] >= 1.0) or np.any(np.abs(u[SERVOS]) > 1.0):
         if not (velocity_.any() or wind_.any()):  # without velocity or wind the vehicle itself is the cause
             raise MuflyError(
-                f"{vehicle.name}: no hover is found within the inputs' range (motors {motor_up:.2f}, {motor_dw:.2f}, "
-                f"servos {servo_1:.2f}, {servo_2:.2f}; {worst:.1g} of an acceleration is left); its fastest part is "
-                f"{fastest_mode_key(p)}: check that and the rotors' coefficients and inertias"
+                f"{vehicle.name}: no hover was found within the inputs' range (motors {motor_up:.2f}, "
+                f"{motor_dw:.2f}, "
+                f"servos {servo_1:.2f}, {servo_2:.2f}; residual {worst:.1g} of an acceleration); check "
+                f"{fastest_mode_key(p)}, which has the fastest mode, and the rotors' coefficients and inertias"
             )
         raise MuflyError(
-            f"{vehicle.name}: no steady flight at velocity {velocity_.tolist()} m/s in wind {wind_.tolist()} m/s "
+            f"{vehicle.name}: no steady flight at velocity {velocity_.tolist()} m/s in wind "
+            f"{wind_.tolist()} m/s "
             f"within the inputs' range (motors {motor_up:.2f}, {motor_dw:.2f}); ask for a lower speed or less wind"
         )
     x[RS_POS + 2] = 0.0

@@ -1,6 +1,6 @@
 """State and input vectors of the flight model, and the record of its parameters.
 
-The state is a flat array with the indices ``RS_...``; vectors in it have a slice, too:
+The state is a flat array (21,) with the indices ``RS_...``; vectors in it also have a slice:
 
 ==================  ================  =======================================================================
 first index         slice             meaning
@@ -157,7 +157,7 @@ class ModelParameters:
     inplane: float = _real("drag in a disc's plane over speed and edgewise velocity", unit="N s2/m")
     ground_effect: float = _real("0: none, 1: Cheeseman and Bennett's", source="rotors.ground_effect")
     ground_radius: float = _real("rotor radius", unit="m", source="rotors.radius")
-    ground_disc: float = _real("thrust over the square of the induced velocity", unit="kg/m")
+    ground_disc: float = _real("2 rho pi R^2: thrust over the square of the induced velocity", unit="kg/m")
     z_up: float = _real("hub of the upper rotor, body axes", unit="m", source="rotors.upper.hub_z")
     z_dw: float = _real("hub of the lower rotor, body axes", unit="m", source="rotors.lower.hub_z")
     J_up: float = _real("inertia that the motor sees", unit="kg m2", source="rotors.upper.drive_inertia")
@@ -186,9 +186,9 @@ class ModelParameters:
     leg_stiffness: float = _real("stiffness of a leg", unit="N/m", source="contact.stiffness")
     leg_damping: float = _real("damping of a leg", unit="N s/m", source="contact.damping")
     leg_friction: float = _real("coefficient of friction", source="contact.friction")
-    slip_speed: float = _real("where friction becomes Coulomb's", unit="m/s", source="contact.slip_speed")
+    slip_speed: float = _real("sliding speed from which friction is Coulomb's", unit="m/s", source="contact.slip_speed")
     friction_bound: _Array = _real("bound of each point's friction", _MAX_CONTACT_POINTS, unit="N s/m")
-    contact_reach: float = _real("farthest contact point from the centre of gravity", unit="m")
+    contact_reach: float = _real("distance of the farthest contact point from the centre of gravity", unit="m")
     contact_count: int = _int("contact points")
     contact_points: _Array = _real("legs, then the upper rotor's rim, body axes", _MAX_CONTACT_POINTS, 3, unit="m")
     map_nodes: int = _int("nodes of a table of the coefficient map; 0: no map")
@@ -344,7 +344,8 @@ def _map_fields(vehicle: Vehicle, constants: dict[str, float]) -> dict[str, Any]
         there, _ = interpolate_map(m, 0.5 * (up + dw), dw / up, 0.0)
         if not np.all(there > 0.0):
             raise InputError(
-                vehicle.name, "rotors.map_level", f"map {m.name!r} has no lift or no drag at hover to be scaled",
+                vehicle.name, "rotors.map_level", f"map {m.name!r} has zero thrust or torque at hover and "
+                "cannot be scaled",
                 "use 'computed', or another map",
             )  # fmt: skip
         level = np.array([constants[f] for f in ("thrust_up", "torque_up", "thrust_dw", "torque_dw")]) / unit / there

@@ -1,4 +1,4 @@
-"""A Numba type of eight numbers, one of each of eight vehicles.
+"""Numba type of eight numbers (lanes), one for each of eight vehicles.
 
 Compiled source that works on numbers also works on lanes: each operation acts on eight numbers in vector registers and
 rounds as it does on one. A comparison gives a mask. A decision on a mask is a selection

@@ -143,7 +143,7 @@ def similar_vehicle(
 
 
 class _TooWeakError(Exception):
-    """The vehicle cannot hover on a half-full battery; ``what`` says why."""
+    """Error of a vehicle that cannot hover on a half-full battery; ``what`` is the reason."""
 
     def __init__(self, vehicle: Vehicle, what: str) -> None:
         super().__init__(what)
@@ -229,7 +229,7 @@ def _build_similar(
     tables = k.model_dump(exclude_none=True)
     tables |= {
         "name": name,
-        "description": f"guessed from {k.name} by similarity; what was not given is marked",
+        "description": f"guessed from {k.name} by similarity; values that were not given are marked as guesses",
     }
     _scale_entries(tables, k.name, {
         "body.inertia_xx": (mu * la**2, "mass times size squared"),
@@ -255,7 +255,7 @@ def _build_similar(
         "battery.electronics_current": (1.0 / volts, "same power"),
         "battery.capacity": (charge, "holds a hover as long"),
         "contact.legs": (la, "size"),
-        "contact.stiffness": (mu / la, "pressed in as far as size"),
+        "contact.stiffness": (mu / la, "static deflection in proportion to size"),
         "contact.damping": (mu / math.sqrt(la), "half of critical in heave"),
         "contact.friction": (1.0, "same feet"),
         "contact.slip_speed": (1.0, "same feet"),
@@ -293,7 +293,7 @@ def _build_similar(
         raise ArgumentError(
             "radius_m", "", f"{mass_kg * 1e3:.4g} g on rotors of {radius_m * 1e3:.4g} mm is outside the range of "
             f"similarity: {error.key}: {error.problem}",
-            "give a mass and a radius that fit each other",
+            "give a mass and a radius of a similar vehicle",
         ) from None  # fmt: skip
     if gear_ratio is None and speed_constant_rad_Vs is not None:
         vehicle = _choose_gear(vehicle, tables)
@@ -392,7 +392,8 @@ def _choose_gear(vehicle: Vehicle, tables: dict[str, Any]) -> Vehicle:
     ratio = float(best_gear_ratio(constants, max(upper, lower), torque, available))
     if not math.isfinite(ratio):
         raise _TooWeakError(vehicle, "no gear lets it hover")
-    note = "guess: the least power in hover" if ratio > 1.0 else "guess: direct drive; gearing up is no use"
+    note = "guess: the least power in hover" if ratio > 1.0 else "guess: direct drive; no ratio above 1 "
+    "needs less power"
     ratio = _scale_value(max(ratio, 1.0), 1.0)
     tables["gear"]["ratio"] |= {"value": ratio, "source": "estimated", "note": note}
     _adapt_drive_to_gear(tables, float(vehicle.gear.ratio), ratio)
@@ -403,4 +404,4 @@ def _check_trim(vehicle: Vehicle) -> None:
     try:
         find_trim(vehicle, charge=0.5)
     except MuflyError:
-        raise _TooWeakError(vehicle, "too weak to hover on a half-full battery") from None
+        raise _TooWeakError(vehicle, "does not hover on a half-full battery") from None

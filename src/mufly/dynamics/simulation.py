@@ -4,7 +4,8 @@ Batches of vehicles: :mod:`mufly.dynamics.lane_equations`. After every step the 
 are normalised; at the default step the fourth-order method changes their length by about 1e-12 only.
 
 The default step of 1 ms keeps the fastest mode (swash plate, -1000 rad/s) stable with a margin of 2.8, and everything
-slower accurate. Numba's ``error_model="numpy"`` (a division by zero gives infinity) saves a sixth of the time.
+slower accurate. With Numba's ``error_model="numpy"`` a division by zero gives infinity, which saves a sixth of the
+computing time.
 
 Wind has a steady part and Dryden turbulence. Dryden's spectra (MIL-F-8785C) come from white noise through
 
@@ -323,7 +324,7 @@ def dryden_filter(time_constant_s: float, step_s: float) -> tuple[NDArray[np.flo
 
 _MASS_TOLERANCE = 0.02  # of a vehicle that takes the level speed of a built-in flight map
 MAX_INFLOW_CHANGE = 0.1
-"""Relative change of the hover inflow up to which constant coefficients describe a rotor."""
+"""Relative change of the hover inflow up to which constant coefficients are valid."""
 
 
 def model_air_limits(vehicle: Vehicle) -> tuple[float, float, float]:
@@ -389,7 +390,7 @@ def describe_level_speed(vehicle: Vehicle) -> str:
 
 
 def describe_model_excess(vehicle: Vehicle, wind: ArrayLike, gust: float) -> str:
-    """Return one line about a wind outside the model's range; an empty text inside.
+    """Return one line about a wind outside the model's range; "" for a wind inside.
 
     Parameters
     ----------
@@ -408,10 +409,12 @@ def describe_model_excess(vehicle: Vehicle, wind: ArrayLike, gust: float) -> str
     if -down + 2.0 * gust >= VORTEX_RING_RANGE[0] * induced:
         state = "vortex ring" if -down <= VORTEX_RING_RANGE[1] * induced else "windmill"
         rises = f"in air that rises at {-down + 2.0 * gust:.1f} m/s"
-        ring = f"; {rises} rotors are in {state} state, of which it knows nothing"
+        ring = f"; {rises} rotors are in {state} state, which the model does not contain"
     limit = describe_level_speed(vehicle)
     return (
-        f"the model is not valid in this air, {level:.1f} m/s across and {rising:.1f} m/s along the mast with gusts: "
+        f"the flight model is not valid in this wind, {level:.1f} m/s across and {rising:.1f} m/s along the "
+        "mast "
+        "with gusts: "
         f"its rotors hold up to {across:.1f} and {along:.1f} m/s{ring}{limit and '; ' + limit}"
     )
 
@@ -489,6 +492,6 @@ class DrydenWind:
         return self.steady + a * self._axes[:, 0] + b * self._axes[:, 1] + c * self._axes[:, 2]
 
     def _filter_samples(self, start: NDArray[np.float64], driven: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the n + 1 values of ``y[k+1] = decay y[k] + driven[k]`` from ``y[0] = start``, by columns."""
+        """Return the n + 1 rows of ``y[k+1] = decay y[k] + driven[k]`` from ``y[0] = start``, for each column."""
         rest, _ = lfilter([1.0], [1.0, -self._decay], driven, axis=0, zi=self._decay * start[None])
         return np.vstack([start, rest])

@@ -148,7 +148,7 @@ def make_flight_map(
         name=name or vehicle.name,
         description=f"{rotor.name} twice on {vehicle.name}, {1e3 * spacing:g} mm apart, flap frequency "
         f"{flaps[0].frequency_ratio:.3g} and {flaps[1].frequency_ratio:.3g}/rev ({basis})"
-        + (f"; {missing} points without a solution take that of less sink or climb" if missing else ""),
+        + (f"; {missing} points without a solution take the solution of less sink or climb" if missing else ""),
         vehicle=vehicle.name, mass_kg=float(vehicle.body.mass), upper=rotor.name, lower=rotor.name,
         blades=hash_bladings(blading), radius_m=radius, spacing_m=spacing,
         thrust_coefficients=(
@@ -184,7 +184,7 @@ def check_map_blades(flight_map: FlightMap, rotor: Rotor, *, n_crit: float = 0.1
     """
     if hash_bladings(prepare_blading(rotor, n_crit=n_crit)) != flight_map.blades:
         raise InputError(
-            flight_map.name, "blades", f"is the hash of other blades than {rotor.name}",
+            flight_map.name, "blades", f"is not the hash of the blades {rotor.name}",
             "make the map again: mufly coax flight-map",
         )  # fmt: skip
 

@@ -2,7 +2,7 @@
 
 A step of an environment is one period, by default 20 ms, in which the wind is constant. The action acts after a delay
 of a part of the period, drawn for each episode; until then the preceding action acts. Every environment has its own
-source of random numbers (:mod:`mufly.sensors.rng`), so that it moves as it does alone.
+source of random numbers (:mod:`mufly.sensors.rng`) and is therefore independent of the number of environments.
 
 With ``sensors="noisy"`` an observation has the errors of an estimate, from the sensors of the vehicle file. Position
 and heading have the correlated and the white error of the position fix. The velocity has the white error over the
@@ -67,11 +67,11 @@ _Ints = NDArray[np.int64]
 _UNIFORMS = 40  # drawn at the start of an episode
 _START_TILT_RAD, _START_SPEED_M_S, _START_RATE_rad_s = 0.15, 0.3, 0.3
 ERR_POSITION, ERR_HEADING, ERR_LEVEL, ERROR_SIZE = 0, 3, 4, 6
-"""Places of the correlated errors of an estimate."""
+"""Indices of the correlated errors of an estimate."""
 WHITE_POSITION, WHITE_VELOCITY, WHITE_HEADING, WHITE_RATES = 0, 1, 2, 3
-"""Places of the white deviations of an estimate."""
+"""Indices of the standard deviations of an estimate's white errors."""
 DRAW_POSITION, DRAW_VELOCITY, DRAW_RATES, DRAW_HEADING, DRAW_DRIFT = 0, 3, 6, 9, 10
-"""First places of the normal numbers that a step draws for its white and its correlated errors."""
+"""First indices, in the normal numbers of a step, of those for white and for correlated errors."""
 
 
 class EpisodeArrays(NamedTuple):
@@ -271,7 +271,7 @@ def _speed(x: _Array) -> float:
 def command_episodes(
     e: EpisodeArrays, s: EpisodeSettings, actions: NDArray[np.float32], which: NDArray[np.bool_], winds: _Array
 ) -> None:
-    """Take the actions (n, 4) of the environments of ``which``, and the next sample of their wind."""
+    """Set the actions (n, 4) of the environments in ``which``, and advance their wind by one sample."""
     for k in range(which.size):
         if not which[k]:
             continue
@@ -306,7 +306,7 @@ def judge_episodes(
     e: EpisodeArrays, s: EpisodeSettings, which: NDArray[np.bool_], fleet: NDArray[np.void], reward: _Array,
     terminated: NDArray[np.bool_], truncated: NDArray[np.bool_], success: NDArray[np.bool_],
 ) -> None:  # fmt: skip
-    """Write reward and end of the step of the environments of ``which``; take the next target at a waypoint."""
+    """Write reward and end of the step of the environments in ``which``; set the next target after a waypoint."""
     boxes, r = np.empty((0, 8)), np.empty(3)
     for k in range(which.size):
         if not which[k]:

@@ -1,6 +1,6 @@
-"""Vehicles and winds from which the episodes of an environment draw.
+"""Random vehicles and winds, from which the episodes of an environment draw.
 
-Both are drawn once, from a seed of their own (``fleet_seed``), with the variations of a campaign
+Vehicles and winds are drawn once, with the seed ``fleet_seed``, with the variations of a campaign
 (:mod:`mufly.flight.monte_carlo.variation`) and the Dryden turbulence of flights. Each episode takes a vehicle, and a
 wind at a random instant, by its own random numbers. Episodes are therefore independent of the other environments of a
 vector.
@@ -126,7 +126,7 @@ def draw_fleet(vehicle: Vehicle, vary: Sequence[str], count: int, seed: int) -> 
 
 
 def common_step(fleet: Fleet, period_s: float) -> tuple[float, int]:
-    """Return the longest integration step (s) that divides a period and is stable for every vehicle, and their number.
+    """Return the longest step (s) that divides a period and is stable for all vehicles, and the steps per period.
 
     Raises
     ------
@@ -137,8 +137,8 @@ def common_step(fleet: Fleet, period_s: float) -> tuple[float, int]:
     longest = min(DEFAULT_STEP_S, *steps)
     if longest < DEFAULT_STEP_S / 50.0:
         slowest = fleet.parameters[int(np.argmin(steps))]
-        raise MuflyError(f"a vehicle needs steps of {longest * 1e6:.2g} us; its fastest mode is that of "
-                         f"{fastest_mode_key(slowest)}")  # fmt: skip
+        raise MuflyError(f"a vehicle needs steps of {longest * 1e6:.2g} us because of its fastest mode, "
+        f"{fastest_mode_key(slowest)}")  # fmt: skip
     count = int(np.ceil(period_s / longest - 1e-9))
     return period_s / count, count
 

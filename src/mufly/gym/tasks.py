@@ -2,10 +2,11 @@
 
 ==========  ==============================================================================================
 Hover       hold a point 0.2 to 2 m above the floor and a heading, from up to 0.5 m beside it. A step earns at most 1
-Waypoint    fly to points within 1.5 m, one after the other; 5 for a point within 0.2 m of it, 2 for a metre on the way
-Obstacle    fly 4 m north around six columns between walls 4 m apart; 10 at the target, 2 for a metre on the way
-Land        descend to a point on the floor; 10 for a soft touchdown, less 5 for a metre beside it, 2 for a metre on
-            the way
+Waypoint    fly to points within 1.5 m, one after the other; reward 5 at 0.2 m from a point, 2 for each metre of
+approach Obstacle    fly 4 m north around six columns between walls 4 m apart; reward 10 at the target, 2 for each metre
+of approach Land        descend to a point on the floor; reward 10 for a soft touchdown, minus 5 for each metre beside
+the point,
+            2 for each metre of approach
 ==========  ==============================================================================================
 
 With e the distance (m), v the speed (m/s), psi the heading error, w the body rates (rad/s) and a the action, a step of
@@ -13,7 +14,8 @@ Hover earns
 
     0.3 / (1 + 4 e^2) + 0.3 / (1 + 100 e^2) + 0.2 (1 + cos psi) / 2 + 0.2 / (1 + w^2 + 10 v^2) - 0.1 (a - a_before)^2
 
-The other tasks cost 0.02 (a - a_before)^2 + 0.01 (1 - cos psi) a step. A fall costs 5, in Hover the rewards to come.
+The other tasks cost 0.02 (a - a_before)^2 + 0.01 (1 - cos psi) a step. A fall costs 5; in Hover it costs the remaining
+rewards.
 
 An episode of Obstacle or Land terminates with success. Each episode terminates with a fall: a leg or rotor on the floor
 (Land: a hard touchdown), a rotor at a column or wall, or more than 60 degrees of tilt. More than 3 m from the target
@@ -38,7 +40,7 @@ DURATIONS_S = (10.0, 20.0, 20.0, 10.0)
 
 COLUMN_COUNT = 6
 COLUMN_NORTH, COLUMN_EAST, COLUMN_RADIUS, COLUMN_TOP, COLUMN_FOOT, COLUMN_SIZE = 0, 1, 2, 3, 4, 5
-"""Places of a column: its axis, radius, upper and lower end (m; down is positive)."""
+"""Indices of a column: axis, radius, upper and lower end (m; down is positive)."""
 OBSTACLE_WORLD = World(room=Room((-3.0, 3.0), (-2.0, 2.0), 2.5))
 """Walls and ceiling of ``Obstacle``; its columns differ from episode to episode."""
 
@@ -55,7 +57,7 @@ _FALL = -5.0
 
 @cached_njit(error_model="numpy")
 def place_task(kind: int, r: _Array, start: _Array, target: _Array, after: _Array, columns: _Array) -> None:
-    """Write start, target and the target after it (three numbers each; N-E-D), and the columns (6, 5).
+    """Write start, target and next target (three numbers each; N-E-D, m), and the columns (6, 5).
 
     ``r`` are uniform numbers; ``columns`` has the layout of a packed :class:`mufly.world.World`.
     """

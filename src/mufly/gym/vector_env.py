@@ -1,4 +1,4 @@
-"""Vector of environments in compiled code, and a single environment.
+"""Gymnasium environments: a vector of environments in compiled code, and a single environment.
 
 Both take the same options::
 
@@ -333,7 +333,7 @@ def _estimate_errors(vehicle: Vehicle, period_s: float) -> tuple[_Array, _Array,
     fix, imu = (None, None) if fitted is None else (fitted.position_fix, fitted.imu)
     if fix is None or imu is None:
         raise ArgumentError(
-            "sensors", "", f"{vehicle.name} has no sensors.position_fix and sensors.imu", "use 'ideal' sensors"
+            "sensors", "", f"{vehicle.name} has no tables sensors.position_fix and sensors.imu", "use 'ideal' sensors"
         )
     decay, sigma = np.ones(ERROR_SIZE), np.zeros(ERROR_SIZE)
     decay[ERR_POSITION:ERR_LEVEL] = math.exp(-period_s / float(fix.wander_time))

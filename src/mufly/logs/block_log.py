@@ -1,9 +1,9 @@
-"""Read the log of a board from the image of its block device (SD card or flash): sessions of ULog.
+"""Reader of a board's log from the image of its block device (SD card or flash): sessions in ULog format.
 
 The board appends blocks of 512 bytes in a ring (``onboard/log/block_log.h`` of the flight software). A block holds,
 as little-endian words: magic, session, index in the session, sequence, count of payload bytes and offset of the first
 message that begins in it, payload, CRC-32 of all before. Each start of the board begins a session with index 0. A block
-with a wrong checksum counts as missing; reading goes on at the next message.
+with a wrong checksum counts as missing; reading continues at the next message.
 """
 
 from __future__ import annotations
@@ -109,5 +109,7 @@ def read_block_log(path: str | Path) -> RawLog:
     """
     sessions = [s for s in split_sessions(Path(path).read_bytes()) if s.has_begin]
     if not sessions:
-        raise InputError(str(path), "", "holds no session with its begin", "give the whole device: all its blocks")
+        raise InputError(
+            str(path), "", "contains no complete beginning of a session", "give the image of the whole device"
+        )
     return parse_ulog(sessions[-1].ulog, str(path))

@@ -9,7 +9,7 @@ Three tests distinguish degrees from radians. Roll and pitch stay within +-180 d
 No small helicopter turns faster than 35 rad/s (2000 deg/s, the range of its gyroscopes), so a larger rate is in deg/s.
 The derivative of an angle is its rate (for small angles, d(phi)/dt = p). The slope of the derivative over the rate,
 both low-passed, is near 1 for equal units, near 57.3 for an angle in degrees and a rate in rad/s, and near 1/57.3 in
-the opposite case. Any other slope shows that the two do not belong together.
+the opposite case. Any other slope shows that angle and rate do not belong together.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class ChannelReport:
         unit = "" if self.units in ("", "1") else f" {self.units}"
         out = []
         if self.missing == 1:
-            return [f"{self.name}: no value at all"]
+            return [f"{self.name}: no values"]
         if self.missing > 0:
             out.append(f"{self.name}: {100 * self.missing:.2g} % of the values are missing")
         if self.constant:
@@ -405,7 +405,7 @@ def guess_angle_units(
     by_rate: AngleUnit = "deg" if fast > (_MAX_NAMED_RATE_RAD_S if named else _MAX_RATE_RAD_S) else ""
     reasons = []
     if by_angle:
-        reasons.append(f"values up to {peak:.3g} are no radians")
+        reasons.append(f"values up to {peak:.3g} are too large for radians")
     if by_rate:
         reasons.append(f"rates up to {fast:.3g} are too fast for rad/s")
     if angle is not None and rate is not None:
@@ -430,7 +430,7 @@ def guess_angle_units(
             return UnitGuess(by_angle, by_rate, "; ".join([*reasons, said]), far)
     if not reasons and bounded and np.isfinite(peak) and 1.0 < peak <= np.pi:
         # In degrees the vehicle would never tilt by four degrees.
-        return UnitGuess("", by_rate, f"values up to {peak:.3g} could be either")
+        return UnitGuess("", by_rate, f"values up to {peak:.3g} may be degrees or radians")
     return UnitGuess(by_angle, by_rate, "; ".join(reasons))
 
 

@@ -1,5 +1,4 @@
-"""Column maps from topics and columns of a log to signals: unit conversion, and notes on guesses.
-
+"""Column maps: assignment of a log's topics and columns to signals, with unit conversion and notes on guesses.
 A column map assigns columns of a foreign log to signals of this package, with unit and sign.
 
 A map is a TOML file (or a dictionary of the same shape); the built-in maps for PX4 and ArduPilot are such files, too.
@@ -73,8 +72,8 @@ class TimeEntry(_MapTable):
 class SignalEntry(_MapTable):
     """``[[signal]]``: one signal and its source columns."""
 
-    name: str = Field(description="our name, of a whole signal or with .label of one component")
-    columns: tuple[str, ...] = Field(min_length=1, description="columns or fields, one a component")
+    name: str = Field(description="mufly's name of a whole signal, or with .label of one component")
+    columns: tuple[str, ...] = Field(min_length=1, description="columns or fields, one for each component")
     topic: str | None = Field(None, description="topic or message, for logs that have them")
     unit: str | None = Field(None, description="unit of the columns")
     sign: float | tuple[float, ...] = Field(1.0, description="1 or -1, for all components or for each")
@@ -82,7 +81,7 @@ class SignalEntry(_MapTable):
     offset: float = Field(0.0, description="added after sign and factor, in the unit of the column")
     quaternion: bool = Field(False, description="four columns w, x, y, z become roll, pitch, yaw")
     hold: bool = Field(False, description="hold the last value between samples instead of interpolating")
-    absent: tuple[str, ...] = Field((), description="columns that have to be empty, else the entry is skipped")
+    absent: tuple[str, ...] = Field((), description="columns that must be empty; otherwise the entry is skipped")
     long_name: str = Field("", description="what the signal means")
 
     @model_validator(mode="after")
@@ -202,7 +201,7 @@ def _convert_to_si(c: Channel) -> Channel:
 
 
 def _attitude_role(c: Channel) -> tuple[str, str, int] | None:
-    """("measured", "angle", 0) for the roll angle of measured_attitude or a column called roll or phi; else None."""
+    """Return prefix, kind and axis of a channel: ("measured", "angle", 0) for roll, None if not attitude or rates."""
     prefix, _, kind = c.signal_name.partition("_")
     if kind == "attitude" and c.component_label in _ANGLE_LABELS:
         return prefix, "angle", _ANGLE_LABELS.index(c.component_label)
@@ -242,7 +241,7 @@ def _settle_angle_units(channels: list[Channel]) -> tuple[list[Channel], list[st
                 chosen = {"deg": deg, "rad": si}.get(unit) or like or si
                 why = guess.reason if unit else f"as in measured_{named}"
                 if not unit and not like:
-                    why = "nothing in the data contradicts it"
+                    why = "not contradicted by the data"
                 words.append(f"{what} names no unit and is taken to be in {chosen} ({why})")
                 settled |= {c.name: chosen for c in unnamed}
             # Angle and rate that agree in degrees do not contradict stated units.
@@ -390,7 +389,7 @@ def _describe_unknown_units(channels: list[Channel]) -> list[str]:
     if not found:
         return []
     named = ", ".join(f"{unit} ({name})" for unit, name in list(found.items())[:8])
-    return [f"units that are not known, values as they stand: {named}{', ...' if len(found) > 8 else ''}"]
+    return [f"unknown units, values unchanged: {named}{', ...' if len(found) > 8 else ''}"]
 
 
 def _rename_normalised_outputs(channels: list[Channel]) -> tuple[list[Channel], list[str]]:
@@ -408,7 +407,9 @@ def _rename_normalised_outputs(channels: list[Channel]) -> tuple[list[Channel], 
                 continue
             c = c._replace(name=name, units="1")
         out.append(c)
-    return out, [f"{outputs[0].source} holds shares of the full output, no pulse lengths: it is actuator_command"]
+    return out, [
+        f"{outputs[0].source} holds fractions of the full output instead of pulse lengths: mapped to actuator_command"
+    ]
 
 
 def find_raw_field(raw: RawLog, name: str) -> tuple[RawTable, str]:

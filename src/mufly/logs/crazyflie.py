@@ -87,7 +87,12 @@ def read_crazyflie(path: str | Path) -> RawLog:
         problem = f"is a damaged log of the micro-SD deck ({error})"
         raise InputError(where, "", problem, "give another copy of the file") from error
     if not tables:
-        raise InputError(where, "", "is a log of the micro-SD deck without data", "set usd.logging to 1 while it flies")
+        raise InputError(
+            where,
+            "",
+            "is a log of the micro-SD deck without data",
+            "set the Crazyflie's parameter usd.logging to 1 in flight",
+        )
     zero = min(float(t.time.min()) for t in tables)
     shifted = {t.name: RawTable(t.name, t.time - zero, t.fields, t.units) for t in tables}
     damage = describe_skipped(data, skipped, "event")

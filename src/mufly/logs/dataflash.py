@@ -1,8 +1,8 @@
 """Reader of ArduPilot's DataFlash logs: the binary form ``.bin`` and the text form ``.log``.
 
-FMT messages describe the messages of every other kind (ardupilot.org, "Understanding and Reading Logs"); the text form
-has the same content, one message a line. Times (TimeUS, microseconds since the start of the board, or TimeMS) are
-converted to seconds since the earliest message.
+FMT messages describe the layout of all other kinds of messages (ardupilot.org, "Understanding and Reading Logs"); the
+text form has the same content, one message on each line. Times (TimeUS, microseconds since the start of the board, or
+TimeMS) are converted to seconds since the earliest message.
 
 In the binary form every message is ``0xA3 0x95 kind body``. The FMT message of a kind describes its bodies with one
 letter a field, little-endian and packed. FMTU gives each field a letter for its unit and one for its multiplier, which
@@ -400,8 +400,8 @@ def _active_estimate(
         return None, []
     kinds = _estimator_steps(tables, parameters) or (np.array([-np.inf]), np.array([default]))
     notes = [
-        f"{_ESTIMATOR_MESSAGES[k][0]} was active, but the log has no position of it; that of "
-        f"{_ESTIMATOR_MESSAGES[default][0]} is taken"
+        f"{_ESTIMATOR_MESSAGES[k][0]} was active, but the log has no position of it; the position of "
+        f"{_ESTIMATOR_MESSAGES[default][0]} is used"
         for k in np.unique(kinds[1]).tolist()
         if k and not cores[k]
     ]
@@ -412,7 +412,7 @@ def _active_estimate(
         lanes = _lane_steps(primary, tables, topics)
         unlogged = sorted(set(lanes[1].tolist()) - set(cores[kind]))
         if unlogged:
-            notes.append(f"core {', '.join(map(str, unlogged))} of {name} was active, and the log does not hold it")
+            notes.append(f"core {', '.join(map(str, unlogged))} of {name} was active but is not in the log")
         for core, topic in cores[kind].items():
             time = tables[topic].time
             mine = (_sample_and_hold(kinds, time) == kind) & (_sample_and_hold(lanes, time) == core)
@@ -421,7 +421,7 @@ def _active_estimate(
     if not parts:
         return None, [
             *notes,
-            f"no active estimator left a position; position and velocity are those of {first}",
+            f"the log has no position of the active estimator; position and velocity are those of {first}",
         ]
     if len(parts) == 1 and parts[0][0] == first and parts[0][1].all():
         return None, notes
@@ -438,7 +438,7 @@ def _active_estimate(
 
 
 def _core_topics(message: str, tables: Mapping[str, RawTable], topics: _InstanceTopics) -> dict[int, str]:
-    """Return the topic of each core of an estimator."""
+    """Return the topic of each core (instance) of an estimator."""
     if not message:
         return {}
     if message in topics:

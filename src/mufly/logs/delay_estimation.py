@@ -14,8 +14,8 @@ that is filtered instead, tau is the delay that fits best.
 A record does not determine the delay in three cases:
 
 * The delay explains less than a quarter of the response's power (a correlation below 0.5).
-* Another lag, outside the half-width of the peak, fits as well within the jackknife's interval (an oscillation, one
-  period later).
+* Another lag, outside the half-width of the peak, fits equally well within the jackknife's interval (in an
+  oscillation, the lag one period later).
 * The best lag is the longest that was tried.
 """
 
@@ -148,7 +148,9 @@ def estimate_delay(
     first, last = np.flatnonzero(both)[[0, -1]]
     x, y = _remove_trend(reference[first : last + 1]), _remove_trend(response[first : last + 1])
     if not (x.std() > 0 and y.std() > 0):
-        raise InputError("delay", "", "a constant signal has no delay", "choose a stretch where both move")
+        raise InputError(
+            "delay", "", "a constant signal has no delay", "choose a part of the log where both signals change"
+        )
     n = len(x)
     most = max(2, min(round(longest_s / step), n // 4))
     reach = min(most + _SINC_HALF_WIDTH, n // 3)

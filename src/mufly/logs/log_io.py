@@ -1,6 +1,7 @@
 """Reading of logs of all formats, as raw topics or as signals on one clock, and writing of datasets to files.
 
-A log's content decides its format when it is read, never its name. The ending decides the format when it is written.
+When a log is read, its format follows from its content, never from its name. When a log is written, the file name's
+ending selects the format.
 """
 
 from __future__ import annotations
@@ -76,7 +77,7 @@ _MAGIC_BY_FORMAT: dict[str, bytes | tuple[bytes, ...]] = {
 _HEAD_SIZE = 65536
 SQLITE_MAGIC = b"SQLite format 3\0"
 MCAP_PROFILE, ROS_PROFILE = slice(17, 25), b"\4\0\0\0ros2"
-"""Place of the profile in the header of an MCAP file (mcap.dev/spec), and that of ROS 2."""
+"""Offset of the profile in the header of an MCAP file (mcap.dev/spec), and the profile of ROS 2."""
 
 
 def detect_log_format(path: str | Path) -> str:
@@ -97,10 +98,10 @@ def detect_log_format(path: str | Path) -> str:
     except OSError as error:
         raise InputError(where, "", f"cannot be read ({error.strerror})", "give the path of a log") from error
     if not head.strip(b"\0"):
-        problem = "is empty" if not head else "holds zeros alone: nothing of it was written to the disk"
+        problem = "is empty" if not head else "contains only zeros: its content was not written to the disk"
         raise InputError(where, "", problem, "give a log" if not head else "give another copy of the log")
     if packed and not looks_like_table(head):
-        raise InputError(where, "", "is packed (gzip), and no table of text", "unpack it: gunzip FILE")
+        raise InputError(where, "", "is compressed (gzip) but not a text table", "unpack it: gunzip FILE")
     if head.startswith(SQLITE_MAGIC) or (head.startswith(MCAP_MAGIC) and head[MCAP_PROFILE] == ROS_PROFILE):
         return "rosbag2"
     for kind, magic in _MAGIC_BY_FORMAT.items():
@@ -115,7 +116,7 @@ def detect_log_format(path: str | Path) -> str:
     if looks_like_tlog(head):
         return "MAVLink tlog"
     if head.startswith(b"version https://git-lfs"):
-        raise InputError(where, "", "is only a pointer of Git LFS to the file", "fetch it: git lfs pull")
+        raise InputError(where, "", "is a Git LFS pointer, not the file itself", "fetch it: git lfs pull")
     if looks_like_table(head):
         return "CSV"
     if head.startswith(b"\x89HDF") or head.startswith(b"MATLAB"):
@@ -123,12 +124,13 @@ def detect_log_format(path: str | Path) -> str:
         remedy = "export it as CSV or NetCDF 3"
         if name == "MATLAB":
             remedy += "; `mufly identify linear` reads it directly"
-        raise InputError(where, "", f"is a {name} file, which is not read here", remedy)
+        raise InputError(where, "", f"is a {name} file, which mufly cannot read", remedy)
     if looks_like_table(head.rstrip(b"\0")):
         return "CSV"
     raise InputError(
-        where, "", "is not a log that is known here",
-        "give MCAP, ULog, DataFlash (.bin, .log), MAVLink tlog, Crazyflie micro-SD, rosbag2, CSV, Parquet, Feather or "
+        where, "", "is not a log in a known format",
+        "give MCAP, ULog, DataFlash (.bin, .log), MAVLink tlog, Crazyflie micro-SD, rosbag2, CSV, Parquet, "
+        "Feather or "
         "NetCDF",
     )  # fmt: skip
 
@@ -287,7 +289,7 @@ def read_log(
     >>> data = read_log("bench.csv", columns={"battery_voltage": "U[mV]", "time": "t[ms]"})  # doctest: +SKIP
     """
     if rate_hz is not None and not 0 < rate_hz < 1e6:
-        raise ArgumentError("rate_hz", "", f"{rate_hz:g} Hz is not sensible", "give a rate above 0")
+        raise ArgumentError("rate_hz", "", f"{rate_hz:g} Hz is out of range", "give a rate above 0")
     if from_s is not None and to_s is not None and not from_s < to_s:
         raise ArgumentError("from_s", f"{from_s:g}", f"is not before {to_s:g}", "give the earlier time first")
     given = None if columns is None else load_column_map(columns)
@@ -316,7 +318,7 @@ def read_log(
             found_channels = select_channels(found_channels, signals, raw.path, "; or write topic/field")
         if not found_channels:
             remedy = f"name some (topic/field), or give a column map; topics are: {', '.join(list(raw)[:10])}"
-            raise InputError(str(path), "", "contains no signal with a name of ours", remedy)
+            raise InputError(str(path), "", "contains no signal with one of mufly's names", remedy)
         data = resample_channels(found_channels, rate_hz, notes)
         data.attrs |= {"start_time": raw.start_time, "complete": raw.is_complete}
         notes += raw.describe_damage()
@@ -491,7 +493,7 @@ def cut_time_range(data: xr.Dataset, from_s: float | None, to_s: float | None, w
     kept = (time >= (-np.inf if from_s is None else from_s)) & (time <= (np.inf if to_s is None else to_s))
     if not kept.any():
         span = f"the log lasts from {time[0]:.3f} to {time[-1]:.3f} s"
-        raise ArgumentError("from_s", "", f"nothing of {where} is in that time span", span)
+        raise ArgumentError("from_s", "", f"{where} has no samples in that time span", span)
     return data.isel(time=kept)
 
 
@@ -532,8 +534,8 @@ def write_log(dataset: xr.Dataset, path: str | Path) -> Path:
         return target
     writer = LOG_WRITERS.get(target.suffix.lower())
     if writer is None:
-        problem = f"the ending {target.suffix!r} says nothing"
+        problem = f"the ending {target.suffix!r} is not that of a log format"
         raise InputError(str(path), "", problem, f"use one of: {', '.join((*LOG_WRITERS, BAG_ENDING))}")
-    with replace_file(target, "choose another place or make room") as part:
+    with replace_file(target, "choose another folder or free disk space") as part:
         writer(dataset, part)
     return target

@@ -65,7 +65,7 @@ class LogReport:
         if self.raw.dropouts:
             lost = sum(d for _, d in self.raw.dropouts)
             times = "once" if len(self.raw.dropouts) == 1 else f"{len(self.raw.dropouts)} times"
-            out.append(f"the logger reports lost data {times}, {lost:.3g} s in all")
+            out.append(f"the logger reports data loss {times}, {lost:.3g} s in all")
         one = len(self.clocks) == 1
         holes = {k: c for k, c in self.clocks.items() if len(c.gaps)}
         many = len(holes) > _MAX_LISTED_TOPICS

@@ -84,13 +84,13 @@ def recording_from_contents(contents: McapContents, where: str) -> xr.Dataset:
     """Return the dataset in the contents of a recording; errors as :func:`read_recording`."""
     if not is_recording(contents):
         remedy = "give a file written by mufly (its metadata say so)"
-        raise InputError(where, "", "is an MCAP file, but no recording of mufly", remedy)
+        raise InputError(where, "", "is an MCAP file but not a recording of mufly", remedy)
     try:
         layout = RecordingLayout.from_json(remove_checksum(contents.metadata[LAYOUT_METADATA])["layout"])
         attributes = _parse_attributes(contents.metadata[FLIGHT_METADATA])
     except (KeyError, TypeError, ValueError) as error:
         problem = f"the description at its beginning is damaged ({error})"
-        raise InputError(where, "", problem, "no remedy but another copy of the file") from error
+        raise InputError(where, "", problem, "use another copy of the file") from error
     attributes["complete"] = contents.is_complete
     try:
         attributes |= _parse_attributes(contents.metadata.get(OUTCOME_METADATA, add_checksum({})))
@@ -217,7 +217,7 @@ def read_recording_summary(path: str | Path) -> dict[str, Any]:
             first, last, count = min(times, default=0), max(times, default=0), len(times)
             metadata, facts["complete"] = contents.metadata, contents.is_complete
     if not count:
-        raise InputError(str(path), "", "contains no messages", "it ended before its first second was on disk")
+        raise InputError(str(path), "", "contains no messages", "it ended before its first second was written to disk")
     for name in (FLIGHT_METADATA, OUTCOME_METADATA):
         with suppress(KeyError, TypeError, ValueError):
             facts |= _parse_attributes(metadata[name])
@@ -437,7 +437,7 @@ def write_mcap(dataset: xr.Dataset, path: Path) -> None:
     layout = layout_from_dataset(dataset)
     time = dataset["time"].values.astype(np.float64)
     if not layout.quantities or not len(time):
-        raise InputError(str(path), "", "there is nothing to write", "choose signals that are numbers over time")
+        raise InputError(str(path), "", "there are no signals to write", "choose signals that are numbers over time")
     if not (np.diff(time) > 0).all():
         raise InputError(str(path), "time", "does not increase", "resample it: give a rate")
     rows = np.empty((len(time), layout.column_count))
@@ -522,7 +522,9 @@ def parse_json_topics(contents: McapContents, where: str) -> RawLog:
             unread.append(topic)
             continue
         if len(rows) < len(written):
-            notes.append(f"{topic}: {len(written) - len(rows)} of {len(written)} messages are no JSON, left out")
+            notes.append(
+                f"{topic}: {len(written) - len(rows)} of {len(written)} messages are not JSON and are left out"
+            )
         time = (np.array([written[k][0] for k in kept], dtype=np.int64) - zero) / 1e9
         time[foreign[topic][kept]] = np.nan
         names = dict.fromkeys(name for row in rows for name in row)

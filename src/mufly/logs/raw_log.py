@@ -1,9 +1,9 @@
 """Raw log: topics on their own clocks, checks of the clocks, and resampling to one clock.
 
-Faults of clocks: a logger repeats a stamp, swaps two messages, or loses some; these are repaired and reported. A board
-that restarts counts from zero again: such a file holds two logs, which sorting cannot separate, and is refused. A stamp
-of another epoch is treated as missing: one that was never set (0), is damaged, or counts by GPS or since 1970 in a log
-that counts since the start of the board.
+Faults of clocks: a logger repeats a stamp, swaps two messages, or loses some; these are repaired and reported. After a
+restart a board counts from zero again: such a file holds two logs, which sorting cannot separate, and is refused. A
+stamp of another epoch is treated as missing: a stamp that was never set (0), is damaged, or counts by GPS or since 1970
+in a log whose clock counts since the start of the board.
 
 Resampling to a common clock: a signal is interpolated linearly; a held signal (an input, a reference) keeps its last
 value. A signal with a higher rate than the new clock is first low-pass filtered without phase shift, so that noise
@@ -110,7 +110,7 @@ class RawLog(Mapping[str, RawTable]):
     def describe_damage(self) -> list[str]:
         """Return a sentence that describes the damage of the file; none for a complete file."""
         what = f": {self.damage_text}" if self.damage_text else ""
-        return [] if self.is_complete else [f"the file is damaged or cut off{what}; what is whole is here"]
+        return [] if self.is_complete else [f"the file is damaged or truncated{what}; all complete data are read"]
 
     @property
     def time_span(self) -> tuple[float, float]:
@@ -133,10 +133,13 @@ def describe_skipped(data: bytes, skipped: Sequence[tuple[int, int]], what: str)
             if len(inside) == 1
             else f"in {len(inside)} places, the first at byte {inside[0][0]}"
         )
-        said.append(f"{size} bytes {where} are no whole {what}")
+        said.append(f"{size} bytes {where} are not a complete {what}")
     for a, b in skipped[len(inside) :]:
         zero = not any(data[a:b])
-        said.append(f"the last {b - a} bytes are {'zero' if zero else f'no whole {what}: it is cut or damaged there'}")
+        said.append(
+            f"the last {b - a} bytes are "
+            f"{'zero' if zero else f'not a complete {what}: the file is truncated or damaged there'}"
+        )
     return "; ".join(said)
 
 
@@ -408,8 +411,8 @@ def select_usable_samples(time: _Array, where: str, key: str) -> tuple[NDArray[n
     name = f"{key}: " if key else ""
     wild = _find_wild_stamps(time)
     if wild.any():
-        one = f"a time stamp is far from its neighbours and its sample ({int(wild.argmax())})"
-        many = f"{int(wild.sum())} time stamps are far from their neighbours and their samples"
+        one = f"a time stamp far from its neighbours, with its sample ({int(wild.argmax())})"
+        many = f"{int(wild.sum())} time stamps far from their neighbours, with their samples"
         words.append(f"{name}{one if wild.sum() == 1 else many} left out")
         time = np.where(wild, np.nan, time)
     report = check_clock(time)

@@ -72,7 +72,8 @@ def repair_arrival_times(arrival: _Array, kept: NDArray[np.int64]) -> tuple[_Arr
         index = np.arange(len(t))
         t = np.where(wild, np.interp(index, index[~wild], t[~wild]), t)
         words.append(
-            f"{int(wild.sum())} packets have a time of arrival far from their neighbours', and stand between them"
+            f"{int(wild.sum())} packets have a time of arrival far from their neighbours; interpolated "
+            "between the neighbours"
         )
     back = np.minimum(np.diff(t, prepend=t[0]), 0.0)
     back[back > -_MIN_CLOCK_RESET_S] = 0.0
@@ -263,7 +264,7 @@ def remove_arrival_leaps(
             between = arrival[run.file_positions[k - 1] : run.file_positions[k] + 1]
             at = int(run.file_positions[k - 1] + 1 + np.diff(between).argmax())
             words.append(
-                f"the time of arrival leaps by {by:.6g} s at {arrival[at - 1]:.0f} s, the vehicle's clock does not"
+                f"the time of arrival jumps by {by:.6g} s at {arrival[at - 1]:.0f} s, the vehicle's clock does not"
             )
             arrival[at:] -= by
             since[k:] -= by
@@ -324,9 +325,11 @@ def estimate_sending_times(
         for started, what in ((True, "started anew"), (False, "had its clock set back")):
             when = ", ".join(f"{run.arrival_s[k]:.0f}" for k, new, _ in borders if new is started)
             if when and not since_1970:
-                words.append(f"{who} {what} at {when} s of the log; its clock was tied to the log's each time")
+                words.append(
+                    f"{who} {what} at {when} s of the log; its clock was synchronised with the log's each time"
+                )
     if not any(key[:2] == vehicle for key in out):
-        words.append("no message holds the vehicle's own clock; times are those of arrival, with the link's jitter")
+        words.append("no message contains the vehicle's clock; times are those of arrival, with the link's jitter")
     return out, words
 
 

@@ -155,7 +155,7 @@ def read_tlog(path: str | Path, progress: Callable[[int, int], None] | None = No
     lost = sum(int(f.sum()) for f in foreign.values())
     if lost:
         _drop_packets(rows, {key: ~foreign[str(key)] for key in rows})
-        notes.append(f"{lost} packets whose time of arrival is of another day are left out")
+        notes.append(f"{lost} packets whose time of arrival is on another day are left out")
     vehicle, said = _choose_vehicle(rows)
     notes += said
     kept = np.sort(np.concatenate([places for places, _ in rows.values()]))
@@ -193,7 +193,7 @@ def read_tlog(path: str | Path, progress: Callable[[int, int], None] | None = No
             time, fields = _select_rows(np.flatnonzero(~repeated), time, fields)
         tables[label] = RawTable(label, time, fields, units)
     if late:
-        notes.append(f"{late} packets came late, as their clock or number says, and stand where they were sent")
+        notes.append(f"{late} packets arrived late by their clock or number, and are sorted by their time of sending")
     if twice:
         notes.append(f"{twice} packets came twice and are left out")
     texts = [
@@ -216,7 +216,7 @@ def read_tlog(path: str | Path, progress: Callable[[int, int], None] | None = No
 
 
 _MessageRows = dict[MessageKey, tuple[NDArray[np.int64], list[Any]]]
-"""Places in the order of the file (0, 1, ...) and messages, by sender and kind."""
+"""Indices in the order of the file (0, 1, ...) and messages, by sender and kind."""
 _MESSAGES_WITHOUT_TABLE = ("STATUSTEXT", "PARAM_VALUE")
 
 
@@ -299,7 +299,8 @@ def _choose_vehicle(rows: _MessageRows) -> tuple[tuple[int, int], list[str]]:
         if not others:
             return best, []
         named = ", ".join(f"{vehicle_type_name(real[w][1]) or 'vehicle'} {w[0]}.{w[1]}" for w in others)
-        words = f"several vehicles speak; the signals are those of {best[0]}.{best[1]}, topics of others end in @"
+        words = f"the log holds several vehicles; the signals are those of {best[0]}.{best[1]}, topics of "
+        "the others end in @"
         return best, [f"{words} ({named})"]
     silent = [w for w in counts if w not in beats]
     trackers = [w for w, beat in beats.items() if beat[0] == 1]
@@ -307,7 +308,7 @@ def _choose_vehicle(rows: _MessageRows) -> tuple[tuple[int, int], list[str]]:
         return max(silent, key=lambda w: (w[1] == AUTOPILOT_COMPONENT, counts[w])), []
     best = max(trackers or list(counts), key=lambda w: counts[w])
     what = vehicle_type_name(beats[best][1]) or "equipment"
-    return best, [f"no vehicle speaks here; the signals are those of the {what} {best[0]}.{best[1]}"]
+    return best, [f"the log holds no vehicle; the signals are those of the {what} {best[0]}.{best[1]}"]
 
 
 def _describe_vehicle(dialect: Any, vehicle: tuple[int, int], rows: _MessageRows) -> str:

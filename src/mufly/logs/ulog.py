@@ -1,8 +1,8 @@
 """Reader and writer of ULog, the log format of PX4 (docs.px4.io, "ULog File Format", version 1).
 
 Times are microseconds since the start of the board; they are converted to seconds since the time stamp in the file's
-header. Messages published before the start of the logger have negative times. A stamp of 0 in a file with another stamp
-in its header was never set. Topics have no units.
+header. Messages published before the start of the logger have negative times. A stamp of 0 was never set, unless
+the header's stamp is 0, too. Topics have no units.
 
 A file is the header (magic, version, time stamp); definitions (flags B, format F, information I and M, parameters P);
 then data (subscription A, data D, logged text L, drop-outs O, synchronisation S), each message ``size (u16), type (u8),
@@ -118,7 +118,8 @@ def read_ulog(path: str | Path) -> RawLog:
 def parse_ulog(data: bytes, where: str) -> RawLog:
     """Parse the bytes of a ULog file, as :func:`read_ulog`; ``where`` names them in messages."""
     if len(data) < HEADER_SIZE:
-        raise InputError(where, "", f"is a ULog file cut in its header, {len(data)} of {HEADER_SIZE} bytes are there",
+        raise InputError(where, "", f"is a ULog file truncated in its header ({len(data)} of {HEADER_SIZE} "
+        "bytes)",
                          "give another copy of the file")  # fmt: skip
     header = struct.unpack_from("<Q", data, 8)[0]
     scan = _scan_messages(data, header, where)
@@ -133,7 +134,7 @@ def parse_ulog(data: bytes, where: str) -> RawLog:
     times, notes = _seconds_since_start(header, stamps)
     if scan.unknown_type_counts:
         count, types = sum(scan.unknown_type_counts.values()), ", ".join(map(repr, scan.unknown_type_counts))
-        notes.append(f"{count} messages of types that are not known here ({types}) are left out")
+        notes.append(f"{count} messages of unknown types ({types}) are left out")
     tables = {}
     for name, rows in log_rows.items():
         values = {str(k): _decode_text_column(rows[k]) for k in rows.dtype.names or () if k != "timestamp"}
@@ -214,14 +215,14 @@ def _scan_messages(data: bytes, header: int, where: str) -> _ScanResult:
             _note_damage(scan, data, at, end + 1, limit, limit)
         at = max(at, limit)
     if scan.undescribed_count:
-        scan.damage.append(f"{scan.undescribed_count} messages are of topics that nothing describes any more")
+        scan.damage.append(f"{scan.undescribed_count} messages belong to topics without a description")
     if len(scan.damaged_places) > 1:
         size = sum(s for _, s in scan.damaged_places)
-        scan.damage.insert(0, f"{size} bytes in {len(scan.damaged_places)} places are no whole messages, "
-                              f"the first at byte {scan.damaged_places[0][0]}")  # fmt: skip
+        scan.damage.insert(0, f"{size} bytes in {len(scan.damaged_places)} places are not complete "
+        f"messages, the first at byte {scan.damaged_places[0][0]}")  # fmt: skip
     elif scan.damaged_places:
         place, size = scan.damaged_places[0]
-        scan.damage.insert(0, f"{size} bytes at byte {place} are no whole message")
+        scan.damage.insert(0, f"{size} bytes at byte {place} are not a complete message")
     return scan
 
 
@@ -235,7 +236,7 @@ def _note_damage(scan: _ScanResult, data: bytes, at: int, stop: int, after: int,
     elif after < limit or stop <= limit:
         scan.damaged_places.append((at, after - at))
     elif limit < len(data):
-        scan.damage.append(f"logging stopped inside a message at byte {limit}, behind which data were appended")
+        scan.damage.append(f"logging stopped inside a message at byte {limit}; data were appended after it")
     elif at + 3 > limit:
         scan.damage.append(f"it ends inside a message's head, at byte {at}")
     else:
@@ -246,7 +247,7 @@ def _check_flags(scan: _ScanResult, where: str, end: int) -> list[int]:
     """Return the ends of the file's parts: the log, and data appended to it."""
     flags, offsets = scan.info.pop(_FLAG_BITS_NAME)
     if flags[0] & ~_APPENDED_DATA_FLAG or any(flags[1:]):
-        raise InputError(where, "flag bits", f"has incompatible flags ({flags.hex()}) that are not known here",
+        raise InputError(where, "flag bits", f"has unknown incompatible flags ({flags.hex()})",
                          "convert it with PX4's own tools: ulog2csv")  # fmt: skip
     return [*sorted(o for o in offsets if flags[0] & _APPENDED_DATA_FLAG and HEADER_SIZE < o < end), end]
 
@@ -410,7 +411,7 @@ def _describe_missing_rows(info: Mapping[str, Any], tables: Mapping[str, RawTabl
     except (KeyError, ValueError, TypeError):
         return []
     there = len(tables[TABLE_TOPIC].time) if TABLE_TOPIC in tables else 0
-    return [f"{there} of {rows} rows are here"] if there < rows else []
+    return [f"{there} of {rows} rows are in the file"] if there < rows else []
 
 
 # Items with a time other than topics.
@@ -502,7 +503,7 @@ def write_ulog(dataset: xr.Dataset, path: Path) -> None:
     time = dataset["time"].values.astype(np.float64)
     if len(time) and time[0] < 0:
         raise ArgumentError(
-            "start_s", "", f"the log begins at {time[0]:.6g} s, and ULog knows no time before 0",
+            "start_s", "", f"the log begins at {time[0]:.6g} s, and ULog has no time before 0",
             "give start_s=0 to let its clock begin there, or write .mcap or .nc",
         )  # fmt: skip
     texts: dict[str, list[str]] = {}

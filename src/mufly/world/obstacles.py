@@ -121,7 +121,7 @@ class Room:
         for key, (low, high) in (("north", self.north), ("east", self.east)):
             _require_finite("room", key, low, high)
             if low >= high:
-                raise InputError("room", key, f"[{low:g}, {high:g}] encloses nothing", "give [least, greatest]")
+                raise InputError("room", key, f"[{low:g}, {high:g}] is an empty interval", "give [least, greatest]")
         if not self.height > 0.0:
             raise InputError("room", "height", f"{self.height} is not positive", "give a height above zero")
 
@@ -204,18 +204,18 @@ def make_wall(
     north, east = end[0] - start[0], end[1] - start[1]
     length = math.hypot(north, east)
     if not length > 0.0:
-        raise InputError(name, "end", f"{end} is where the wall starts", "give two different ends")
+        raise InputError(name, "end", f"{end} is also the start of the wall", "give two different ends")
     centre = (0.5 * (start[0] + end[0]), 0.5 * (start[1] + end[1]), -0.5 * height)
     return Box(centre, (length, thickness, height), math.atan2(east, north), name)
 
 
 _Array = NDArray[np.float64]
 BOX_CENTRE, BOX_HALF, BOX_COS, BOX_SIN = 0, 3, 6, 7
-"""Places in the row of a packed box: N, E, D of its centre, its half edges, cosine and sine of its heading."""
+"""Indices in the row of a packed box: N, E, D of the centre, half edges, cosine and sine of the heading."""
 CYLINDER_RADIUS, CYLINDER_TOP, CYLINDER_BOTTOM = 2, 3, 4
-"""Places in the row of a packed cylinder, behind N and E of its axis."""
+"""Indices in the row of a packed cylinder, after N and E of the axis."""
 ROOM_CEILING, ROOM_FLOOR = 4, 5
-"""Places among the limits of a packed room, behind those of N and E."""
+"""Indices among the limits of a packed room, after those of N and E."""
 
 
 @cached_njit

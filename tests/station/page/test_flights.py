@@ -66,7 +66,7 @@ def test_a_recording_without_its_end_is_cut_off_or_goes_on(folder: Path) -> None
 def test_what_cannot_be_read_says_why_and_what_is_of_others_says_what_it_can(folder: Path) -> None:
     for name, words in (
         ("stump.mcap", "contains no messages"),
-        ("noise.bin", "not a log that is known"),
+        ("noise.bin", "not a log in a known format"),
         ("empty.ulg", "is empty"),
     ):
         found = read_flight_facts(folder / name)

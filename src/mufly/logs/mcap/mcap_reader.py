@@ -106,7 +106,7 @@ class McapContents:
             said.append(f"{sum(p.size for p in more)} bytes in {len(more)} more places, too")
         count = sum(len(m) for m in self.messages_by_topic.values())
         if self.expected_messages > count:
-            said.append(f"{count} of {self.expected_messages} messages are here")
+            said.append(f"{count} of {self.expected_messages} messages are in the file")
         return "; ".join(said + self.remarks)
 
 
@@ -338,7 +338,7 @@ class _McapScanner:
         kept = sum(len(m) for m in self._contents.messages_by_topic.values()) - before if before >= 0 else 0
         what = f"at byte {at} the file ends inside a chunk, {end - at} of {stop - at} bytes of it are there"
         if kept:  # times of the missing messages are unknown
-            what, first_ns, last_ns = f"{what}, with {kept} whole messages", 0, 0
+            what, first_ns, last_ns = f"{what}, with {kept} complete messages", 0, 0
         self._contents.lost_parts.append(LostPart(what, at, end - at, 0, first_ns, last_ns))
         return end
 
@@ -398,17 +398,17 @@ class _McapScanner:
         """Return a description of faults other than lost parts."""
         summary, data = self._summary, self._data
         nameless = [t for t in self._contents.messages_by_topic if t.startswith("channel ")]
-        said = [f"the names of some topics are lost, which are here as {', '.join(nameless)}"] if nameless else []
+        said = [f"the names of some topics are lost; these topics are called {', '.join(nameless)}"] if nameless else []
         if self._crc_wrong and not self._contents.lost_parts:
-            said.append("something outside its chunks is damaged (wrong checksum of the data)")
+            said.append("data outside the chunks are damaged (wrong checksum)")
         if UNFINISHED_METADATA in self._contents.metadata:
-            return [*said, "its writer was stopped before it had finished, or still writes"]
+            return [*said, "the writer was stopped before the end, or is still writing"]
         if summary is None or not finished:
             return [*said, "it has no end mark"]
         if not summary.is_valid:
-            return [*said, "the index at its end is damaged"]
+            return [*said, "the index at the end is damaged"]
         behind = len(data) - summary.end_offset
-        return [*said, f"{behind} bytes behind its end mark are none of it"] if behind else said
+        return [*said, f"{behind} bytes after the end mark do not belong to the file"] if behind else said
 
 
 def _parse_chunk_head(data: bytes, start: int) -> tuple[str, int, int, int, int]:

@@ -70,7 +70,7 @@ class RecordingLayout:
 
     def __post_init__(self) -> None:
         if list(self.quantities_by_topic) != [topic for topic, _ in groupby(q.topic for q in self.quantities)]:
-            raise ValueError("the quantities of a topic must stand together")
+            raise ValueError("the quantities of a topic must be neighbours")
 
     def component_labels(self, quantity: Quantity) -> tuple[str, ...] | tuple[int, ...]:
         """Return the labels along the quantity's dimension; empty for a scalar."""

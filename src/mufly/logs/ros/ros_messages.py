@@ -125,7 +125,7 @@ def _header(frame: str) -> Columns:
 
 
 def _get(blocks: Blocks, name: str, like: _Array) -> _Array:
-    """Return a signal, or NaN like another one where the recording does not hold it."""
+    """Return a signal; NaN in the shape of ``like`` if the recording does not contain the signal."""
     return blocks[name] if name in blocks else np.full(like.shape, math.nan)
 
 
@@ -229,7 +229,7 @@ def _make_scan(signal: str) -> Callable[[Blocks, RangeLimits], Columns]:
 
 
 def _reverse_beams(count: int) -> NDArray[np.int64]:
-    """Return the beams (counted to the right) in the order of a scan (to the left); its own inverse."""
+    """Reverse beams, counted to the right, to the order of a LaserScan, counted to the left; its own inverse."""
     return -np.arange(count) % count
 
 
@@ -343,8 +343,8 @@ ROS_TOPICS: tuple[RosTopic, ...] = (
              live_rate_Hz=10.0, prefix="reference"),
     RosTopic("/actuators", "std_msgs/msg/Float64MultiArray", "motor_input", _encode_actuators, live_rate_Hz=10.0),
 )  # fmt: skip
-"""Topics of a flight; the second row of a topic counts where the signal of the first is missing. Of the rotor speeds
-and the actuators the order is upper, lower, servo 1, servo 2."""
+"""Topics of a flight; a topic's second row is used if the signal of the first is missing. Rotor speeds and actuators
+are in the order upper, lower, servo 1, servo 2."""
 STATE_TOPIC, STATE_TYPE = "/mission_state", "std_msgs/msg/String"
 EVENT_TOPIC, EVENT_TYPE = "/rosout", "rcl_interfaces/msg/Log"
 IMAGE_TOPIC, IMAGE_TYPE = "/camera/image/compressed", "sensor_msgs/msg/CompressedImage"
@@ -387,7 +387,7 @@ def pick_message(columns: Any, k: int) -> Any:
 
 
 def stamp_message(message: dict[str, Any], time_ns: int) -> None:
-    """Set the stamps of a message, and of those in it."""
+    """Set the time stamps of a message and of the messages inside it."""
     if "header" in message:
         message["header"]["stamp"] = {"sec": time_ns // NANOSECONDS, "nanosec": time_ns % NANOSECONDS}
     for inner in message.get("transforms", ()):
@@ -418,7 +418,7 @@ def _decode_attitude(fields: Fields, stem: str) -> _Array | None:
 
 
 def _decode_covariance(fields: Fields, stem: str, first: int) -> _Array | None:
-    """Return a block (n, 3, 3) of a covariance (6, 6), from row ``first``; None where nothing is known."""
+    """Return a block (n, 3, 3) of covariances (6, 6) from row ``first``; None if all are unknown."""
     names = [f"{stem}[{6 * (first + i) + first + j}]" for i in range(3) for j in range(3)]
     if not all(n in fields for n in names):
         return None

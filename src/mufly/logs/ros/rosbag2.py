@@ -151,7 +151,7 @@ def write_rosbag2(
     store = bags.typesys.get_typestore(bags.typesys.Stores.ROS2_JAZZY)
     maker, connections = _MessageMaker(store), dict[str, Any]()
     part = path.with_name(f".{path.name}.part")  # the file in a bag has the name of the folder that it was written to
-    with report_write_errors(path, "choose another place or make room"):
+    with report_write_errors(path, "choose another folder or free disk space"):
         shutil.rmtree(part, ignore_errors=True)
         part.mkdir(parents=True)
         writer = bags.rosbag2.Writer(
@@ -266,7 +266,7 @@ def read_rosbag2(path: str | Path) -> RawLog:
         raise InputError(where, "", problem, "give the folder with metadata.yaml, or another copy") from error
     if not found:
         what = f"types unknown: {', '.join(sorted(set(unread.values())))}" if unread else "no messages"
-        raise InputError(where, "", f"contains nothing that can be read ({what})", "record topics of standard types")
+        raise InputError(where, "", f"contains no readable topic ({what})", "record topics of standard types")
     zero = int(attributes.get("start_time_ns", 0)) if attributes else min(min(t) for t in times.values())
     ours, tables = attributes is not None, {}
     for topic, messages in found.items():

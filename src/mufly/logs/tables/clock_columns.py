@@ -2,8 +2,8 @@
 
 A unit in a header or in a container's metadata is used as stated. Without one, the magnitude of the numbers shows an
 epoch (1.7e12 are milliseconds since 1970, at any rate of the rows); otherwise the unit follows from the step. A counter
-that falls by its whole range (2^16, 2^24 or 2^32 ticks, a day, a GPS week) has wrapped and is unwrapped. A counter that
-falls by another amount was restarted, which cannot be repaired (:func:`mufly.logs.raw_log.select_usable_samples`).
+that drops by its whole range (2^16, 2^24 or 2^32 ticks, a day, a GPS week) has wrapped and is unwrapped. A counter that
+drops by another amount was restarted, which cannot be repaired (:func:`mufly.logs.raw_log.select_usable_samples`).
 """
 
 from __future__ import annotations
@@ -176,7 +176,7 @@ def _parse_epoch(where: str, name: str, unit: str, text: str) -> float:
         stamp = pd.Timestamp(text)
         stamp = stamp.tz_localize("UTC") if stamp.tzinfo is None else stamp.tz_convert("UTC")
     except (ValueError, TypeError) as error:
-        problem = f"counts in {unit!r}, and {text!r} is not a date"
+        problem = f"counts in {unit!r}, but {text!r} is not a date"
         raise InputError(where, name, problem, "write a date of the usual calendar, as 2024-08-09 10:00") from error
     return float(stamp.timestamp())
 
@@ -252,7 +252,7 @@ def _parse_dates(where: str, values: NDArray[Any]) -> tuple[NDArray[np.datetime6
     best = min(whole, key=lambda r: r.max() - r.min())
     if len(whole) > 1 and all(r is not b for r in whole for b in readings):
         shown = best[0].strftime("%d %B %Y")
-        words.append(f"{filled[0]} may be month and day or day and month: taken as {shown}")
+        words.append(f"{filled[0]} may be month-day or day-month: read as {shown}")
     days = np.full(len(known), np.datetime64("NaT"), dtype="datetime64[ns]")
     days[known != ""] = best.to_numpy(dtype="datetime64[ns]")
     return days[place.reshape(-1)], words
@@ -333,7 +333,8 @@ def _clock_from_numbers(
             else ""
         )
         said.append(
-            f"column {name}: {earliest:.6g} s since 1970 are of no year that a log is of{hint}; counted from the first"
+            f"column {name}: {earliest:.6g} s since 1970 are not in the years of possible logs{hint}; time "
+            "counts from the first"
         )
         return counts_to_seconds(values - first), "", said
     return time + base * factor, "", said

@@ -90,14 +90,14 @@ def name_columns(
             and normalise_unit(settled)
             and unit_conversion(ending) != unit_conversion(settled)
         ):
-            notes.append(f"{whole}: its metadata say {unit}, its name {ending}: the metadata count")
+            notes.append(f"{whole}: the metadata state {unit}, the name {ending}: the metadata are used")
         fields[whole] = values
         units |= {whole: settled or unit} if settled is not None else {}
     doubtful = [d for d, unit in zip(names, given, strict=True) if d in doubtful and not unit]
     if doubtful:
         notes.append(
-            f"{', '.join(doubtful)}: read without a unit, since the end of the name does not fit its quantity; "
-            "if one is meant, name it in a column map"
+            f"{', '.join(doubtful)}: read without a unit, because the unit at the end of the name does not "
+            "suit the quantity; give the unit in a column map"
         )
     return fields, units, notes
 
