@@ -425,14 +425,14 @@ def test_every_binary_format_says_which_bytes_are_missing(samples):
         cut = len(whole) - 100
         n, damage, complete = read(whole[:cut])
         assert total - 7 < n < total
-        assert re.search(rf"the last \d+ bytes are (zero|no whole {what})", damage)
+        assert re.search(rf"the last \d+ bytes are (zero|not a complete {what})", damage)
         assert not complete
         there, damage, complete = read(whole[:cut] + bytes(100))
         assert there == n
         assert not complete
         n, damage, complete = read(whole[:cut] + b"\x11" * 500 + whole[cut:])
         assert total - 2 <= n <= total
-        assert re.search(rf"\d+ bytes at byte \d+ are no whole {what}", damage)
+        assert re.search(rf"\d+ bytes at byte \d+ are not a complete {what}", damage)
         assert not complete
 
 
