@@ -5,10 +5,10 @@
 #include "fault_record.h"
 #include "flight_log.h"
 #include "hal.h"
-#include "link.h"
 #include "rc.h"
 #include "settings.h"
 #include "supervisor.h"
+#include "vehicle_link.h"
 
 typedef struct {
     estimator_t estimator;

@@ -1,7 +1,7 @@
 /* The vehicle's end of a MAVLink: telemetry, commands with their answers, parameters, missions. One station commands. Bytes
  * come in and go out through buffers of fixed size; nothing waits. */
-#ifndef MUFLY_LINK_H
-#define MUFLY_LINK_H
+#ifndef MUFLY_VEHICLE_LINK_H
+#define MUFLY_VEHICLE_LINK_H
 
 #include "ekf_step.h"
 #include "mavlink.h"
