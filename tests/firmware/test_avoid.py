@@ -16,7 +16,8 @@ from mufly.errors import InputError
 from mufly.firmware import Firmware
 from mufly.firmware.compiled_software import diff_fields
 from mufly.firmware.software_instance import read_path_check
-from mufly.mission import avoidance, detour, load_mission, parse_mission, phases, state_machine
+from mufly.mission import avoidance, detour, load_mission, parse_mission
+from mufly.mission.machine import phases, state_machine
 from mufly.portable_math import exp_decay
 from mufly.vehicle import load_vehicle
 

@@ -36,7 +36,7 @@ from mufly.mission import (
     parse_mission,
     plan_straight,
 )
-from mufly.mission.offboard import follow_set_point
+from mufly.mission.machine.offboard import follow_set_point
 from mufly.mission.trajectory import TrajectoryLimits, TrajectoryPoint, plan_pending_curve, plan_stop
 from mufly.quantities import CHECKED_READINGS
 from mufly.vehicle import load_vehicle

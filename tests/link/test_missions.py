@@ -15,7 +15,7 @@ from mufly.link import (
 )
 from mufly.link.codec import mavlink
 from mufly.mission import Mission, list_builtin_missions, load_mission
-from mufly.mission.mission_items import FRAME_LOCAL_ENU, FRAME_LOCAL_NED, MissionCommand
+from mufly.mission.files.mission_items import FRAME_LOCAL_ENU, FRAME_LOCAL_NED, MissionCommand
 
 BASE = Mission(name="base")
 ZURICH = GlobalOrigin(47.3769, 8.5417, 408.0)

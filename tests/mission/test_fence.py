@@ -17,8 +17,8 @@ from mufly.mission import (
     fence_to_items,
     parse_mission,
 )
-from mufly.mission.geofence import fence_margins, fence_path_fault
-from mufly.mission.mission_items import GlobalOrigin, MissionItem, MissionRefusedError, MissionResult
+from mufly.mission.files.geofence import fence_margins, fence_path_fault
+from mufly.mission.files.mission_items import GlobalOrigin, MissionItem, MissionRefusedError, MissionResult
 
 SQUARE = [[-3, -3], [3, -3], [3, 3], [-3, 3]]
 L_SHAPE = ((0.0, 0.0), (4.0, 0.0), (4.0, 1.0), (1.0, 1.0), (1.0, 4.0), (0.0, 4.0))

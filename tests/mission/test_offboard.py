@@ -15,7 +15,7 @@ from mufly.mission import (
     needs_lift_off,
     set_point_fault,
 )
-from mufly.mission.offboard import follow_set_point
+from mufly.mission.machine.offboard import follow_set_point
 from mufly.mission.trajectory import TrajectoryPoint
 
 LIMITS = TrajectoryLimits(0.6, 0.5, 0.4, 0.4, 0.3, 1.0, 1.6)

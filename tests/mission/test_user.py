@@ -17,8 +17,8 @@ from mufly.mission import (
     parse_mission,
     step_mission,
 )
-from mufly.mission.mission_state import LOG_CAPACITY
-from mufly.mission.mission_timing import plan_return_leg
+from mufly.mission.files.mission_timing import plan_return_leg
+from mufly.mission.machine.mission_state import LOG_CAPACITY
 
 SQUARE = load_mission("demonstration")
 HOP = parse_mission({"take_off": {"wait_s": 0.5}, "waypoint": [{"position_m": [1.0, 0.0, -1.0], "wait_s": 0.5}]})

@@ -15,7 +15,7 @@ from mufly.link import mavlink
 from mufly.link import mission_to_items as items_of_mission
 from mufly.link.mission_transfer import MissionItem
 from mufly.mission import compute_timing, load_mission, parse_mission
-from mufly.mission.mission_items import GlobalOrigin
+from mufly.mission.files.mission_items import GlobalOrigin
 from mufly.station import SignalHistory, VehicleSnapshot
 from mufly.station.mission_endurance import estimate_mission_duration
 from mufly.station.mission_rows import rows_from_items

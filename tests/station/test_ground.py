@@ -10,7 +10,7 @@ from mock_vehicle import MockVehicle, World, as_float
 
 from mufly.link import Endpoint, FrameEncoder, GlobalOrigin, MissionItem, mavlink, parse_endpoint
 from mufly.mission import parse_mission
-from mufly.mission.mission_items import mission_to_items
+from mufly.mission.files.mission_items import mission_to_items
 from mufly.station import GroundLink, RequestOutcome
 from mufly.station.ground_station import choose_telemetry_rate
 from mufly.station.mission_rows import MISSION_SPEED_TEXT, is_same_mission, rows_from_items

@@ -12,7 +12,7 @@ from mufly.flight.tunable_parameters import PARAMETERS
 from mufly.link import VehicleLink
 from mufly.logs import read_log
 from mufly.mission import Mission, parse_mission
-from mufly.mission.mission_items import MissionItem
+from mufly.mission.files.mission_items import MissionItem
 from mufly.station import GroundLink, StationRecorder
 from mufly.vehicle import load_vehicle
 

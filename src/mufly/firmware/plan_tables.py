@@ -13,9 +13,9 @@ from mufly.flight.tunable_parameters import StickRanges
 from mufly.logs.tables import TABLE_TOPIC
 from mufly.logs.ulog import DATASET_INFO_KEY, TEXTS_INFO_KEY, encode_table_head
 from mufly.mission import Mission, MissionPlan, prepare_plan, reduce_limits
-from mufly.mission.log_messages import LogMessage
-from mufly.mission.mission_state import State
-from mufly.mission.phases import nose_offset
+from mufly.mission.machine.log_messages import LogMessage
+from mufly.mission.machine.mission_state import State
+from mufly.mission.machine.phases import nose_offset
 from mufly.mission.trajectory import TrajectoryLimits
 from mufly.quantities import find_quantity
 from mufly.vehicle import Vehicle

@@ -2,8 +2,8 @@
 
 Inputs (estimate, command, mission) are copied into the records of the C headers. Outputs (mission state, log,
 reference, actuators) are converted to the objects of the simulation. A log entry on board is a template with numbers
-(:mod:`mufly.mission.log_messages`); this module formats the same text as Python. Input texts, such as the reason of a
-stop or of a sensor fault, are represented on board by a number.
+(:mod:`mufly.mission.machine.log_messages`); this module formats the same text as Python. Input texts, such as the
+reason of a stop or of a sensor fault, are represented on board by a number.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from mufly.mission import (
 )
 from mufly.mission.avoidance import MAP_CAPACITY, ObstacleMap, PathCheck
 from mufly.mission.detour import Detour
-from mufly.mission.mission_state import LOG_CAPACITY
+from mufly.mission.machine.mission_state import LOG_CAPACITY
 from mufly.mission.trajectory import (
     BrakingMotion,
     MotionProfile,

@@ -1,9 +1,9 @@
 """Autopilot of a vehicle: requests of a pilot, a program or a link, with arming, timeouts, geofence and events.
 
 The autopilot steps the flight software and converts requests to commands of the flight software. A request is answered
-at once and takes effect in the next step of the mission's state machine (:mod:`mufly.mission.state_machine`), within
-20 ms. :mod:`mufly.mission.mission_state` defines the requests that each state permits. The autopilot takes its time
-from the estimates. This module depends neither on MAVLink nor on the simulator.
+at once and takes effect in the next step of the mission's state machine (:mod:`mufly.mission.machine.state_machine`),
+within 20 ms. :mod:`mufly.mission.machine.mission_state` defines the requests that each state permits. The autopilot
+takes its time from the estimates. This module depends neither on MAVLink nor on the simulator.
 
 The geofence is checked here, not in the flight software's C code: like arming, the fence acts by requests. A breach
 triggers the fence's action once; targets outside the fence are refused.
@@ -55,7 +55,7 @@ from mufly.mission import (
     start_fault,
     user_waypoint_fault,
 )
-from mufly.mission.geofence import FENCE_MARGIN_M
+from mufly.mission.files.geofence import FENCE_MARGIN_M
 from mufly.vehicle import Vehicle
 
 AUTO_DISARM_S = 10.0

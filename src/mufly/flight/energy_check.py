@@ -11,7 +11,7 @@ from mufly.dynamics import hover_current_A
 from mufly.estimate import Estimate
 from mufly.flight.arming import check_mission_start
 from mufly.mission import Mission
-from mufly.mission.mission_timing import compute_reach_time
+from mufly.mission.files.mission_timing import compute_reach_time
 from mufly.vehicle import Vehicle
 
 FULL_CHARGE = 0.97

@@ -16,9 +16,9 @@ blind       descent without an estimate. With servos at trim the stabiliser bar 
 =========== =========================================================================================
 
 Between two steps of the mission logic the reference is propagated at the reference velocity. A mission that exceeds
-the limits of the controllers is flown more slowly (:mod:`mufly.mission.mission_checks`). Missing or frozen estimates
-are bridged for half a second (:func:`mufly.estimate.check_estimate`); then the flight software descends in mode
-``blind``. :mod:`mufly.flight.estimator_health` handles uncertain estimates. Oscillating actuators
+the limits of the controllers is flown more slowly (:mod:`mufly.mission.files.mission_checks`). Missing or frozen
+estimates are bridged for half a second (:func:`mufly.estimate.check_estimate`); then the flight software descends in
+mode ``blind``. :mod:`mufly.flight.estimator_health` handles uncertain estimates. Oscillating actuators
 (:mod:`mufly.flight.oscillation_detector`) also end the mission.
 """
 

@@ -130,5 +130,5 @@ class FlightState:
         return math.nan if self.home_position is None else self.home_position[2] - float(self.estimate.position[2])
 
     def check_request(self, ask: VehicleRequest) -> RequestAnswer:
-        """Return whether this state permits a request (:mod:`mufly.mission.mission_state`)."""
+        """Return whether this state permits a request (:mod:`mufly.mission.machine.mission_state`)."""
         return check_request(ask, self, height_m=self.height_m, armed=self.armed, flying=self.flying)

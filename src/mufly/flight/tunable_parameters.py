@@ -6,7 +6,7 @@ There are three kinds:
 
 - mission (``MIS_``, ``LIM_``, ``AVD_``, ``BAT_``): keys of a mission file (docs/reference/missions.md), with its
   bounds. The maximum of a limit is at most 80 % of the limit of the controllers
-  (:mod:`mufly.mission.mission_checks`), so this maximum depends on the controller design.
+  (:mod:`mufly.mission.files.mission_checks`), so this maximum depends on the controller design.
 - control law (``CTL_``): limits of the reference filters, and the position gain. A change takes effect with a time
   constant of 0.5 s (:class:`mufly.flight.controllers.Controllers`).
 - sticks (``STK_``): command at full stick deflection.

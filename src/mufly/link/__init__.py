@@ -47,7 +47,7 @@ from mufly.link.telemetry_streams import (
 )
 from mufly.link.vehicle_link import VehicleLink
 from mufly.logs.tlog import TlogWriter
-from mufly.mission.mission_items import (
+from mufly.mission.files.mission_items import (
     MissionRefusedError,
     MissionWithItems,
     mission_from_items,

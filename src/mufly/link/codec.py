@@ -29,12 +29,12 @@ from typing import Any, Literal, NamedTuple
 from mufly.errors import ArgumentError, InputError
 from mufly.logs.tlog import packet_length
 from mufly.mission import State
-from mufly.mission.mission_items import COORDINATE_NOT_GIVEN as COORDINATE_NOT_GIVEN
-from mufly.mission.mission_items import FRAMES_ABOVE_ORIGIN as FRAMES_ABOVE_ORIGIN
-from mufly.mission.mission_items import FRAMES_ABOVE_SEA as FRAMES_ABOVE_SEA
-from mufly.mission.mission_items import FRAMES_ABOVE_TERRAIN as FRAMES_ABOVE_TERRAIN
-from mufly.mission.mission_items import GlobalOrigin as GlobalOrigin
-from mufly.mission.mission_items import scale_coordinate as scale_coordinate
+from mufly.mission.files.mission_items import COORDINATE_NOT_GIVEN as COORDINATE_NOT_GIVEN
+from mufly.mission.files.mission_items import FRAMES_ABOVE_ORIGIN as FRAMES_ABOVE_ORIGIN
+from mufly.mission.files.mission_items import FRAMES_ABOVE_SEA as FRAMES_ABOVE_SEA
+from mufly.mission.files.mission_items import FRAMES_ABOVE_TERRAIN as FRAMES_ABOVE_TERRAIN
+from mufly.mission.files.mission_items import GlobalOrigin as GlobalOrigin
+from mufly.mission.files.mission_items import scale_coordinate as scale_coordinate
 from mufly.quantity_grammar import read_quantity
 
 os.environ["MAVLINK20"] = "1"

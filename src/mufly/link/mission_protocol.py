@@ -1,4 +1,4 @@
-"""The vehicle's side of the mission protocol; :mod:`mufly.mission.mission_items` defines the items."""
+"""The vehicle's side of the mission protocol; :mod:`mufly.mission.files.mission_items` defines the items."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from mufly.mission import (
     fence_from_items,
     fence_to_items,
 )
-from mufly.mission.mission_items import (
+from mufly.mission.files.mission_items import (
     GlobalOrigin,
     MissionItem,
     MissionRefusedError,

@@ -31,8 +31,8 @@ from dataclasses import astuple, dataclass, fields, replace
 from typing import Any
 
 from mufly.link.codec import MavMessage, mavlink, scale_to_integer
-from mufly.mission.mission_items import MissionItem as MissionItem
-from mufly.mission.mission_items import MissionResult as MissionResult
+from mufly.mission.files.mission_items import MissionItem as MissionItem
+from mufly.mission.files.mission_items import MissionResult as MissionResult
 
 RETRY_BOUNDS_S = (0.25, 1.5)
 """Least and greatest time until a request is repeated (s); MAVLink recommends 0.25 s for items and 1.5 s otherwise."""

@@ -1,6 +1,6 @@
 """Missions: files, trajectories, obstacle avoidance and the mission state machine."""
 
-from mufly.mission.geofence import (
+from mufly.mission.files.geofence import (
     fence_depth,
     fence_fault,
     fence_from_items,
@@ -8,18 +8,8 @@ from mufly.mission.geofence import (
     fence_path_fault,
     fence_to_items,
 )
-from mufly.mission.ground_files import FILE_ENDINGS, GROUND_FILE_DESCRIPTION, is_ground_file
-from mufly.mission.ground_phases import (
-    HARD_TOUCHDOWN_M_S,
-    enter_blind_descent,
-    fail_and_land,
-    finish_blind_descent,
-    has_lifted_off,
-    is_tipping,
-    start_fault,
-)
-from mufly.mission.log_messages import LogMessage
-from mufly.mission.mission_checks import (
+from mufly.mission.files.ground_files import FILE_ENDINGS, GROUND_FILE_DESCRIPTION, is_ground_file
+from mufly.mission.files.mission_checks import (
     USABLE_LIMIT_SHARE,
     MissionEstimate,
     check_geometry,
@@ -32,7 +22,7 @@ from mufly.mission.mission_checks import (
     read_mission_tables,
     reduce_limits,
 )
-from mufly.mission.mission_schema import (
+from mufly.mission.files.mission_schema import (
     MAX_GUST_M_S,
     MAX_WIND_M_S,
     MIN_WAYPOINT_HEIGHT_M,
@@ -42,7 +32,25 @@ from mufly.mission.mission_schema import (
     Waypoint,
     limits_to_file_units,
 )
-from mufly.mission.mission_state import (
+from mufly.mission.files.mission_timing import (
+    RAMP_DOWN_TIME_S,
+    MissionTiming,
+    PlannedLeg,
+    compute_landing_time,
+    compute_timing,
+    plan_legs,
+)
+from mufly.mission.machine.ground_phases import (
+    HARD_TOUCHDOWN_M_S,
+    enter_blind_descent,
+    fail_and_land,
+    finish_blind_descent,
+    has_lifted_off,
+    is_tipping,
+    start_fault,
+)
+from mufly.mission.machine.log_messages import LogMessage
+from mufly.mission.machine.mission_state import (
     NO_COMMAND,
     Command,
     MissionPlan,
@@ -53,15 +61,8 @@ from mufly.mission.mission_state import (
     log_event,
     prepare_plan,
 )
-from mufly.mission.mission_timing import (
-    RAMP_DOWN_TIME_S,
-    MissionTiming,
-    PlannedLeg,
-    compute_landing_time,
-    compute_timing,
-    plan_legs,
-)
-from mufly.mission.offboard import MAX_HEIGHT_M, SetPoint, needs_lift_off, set_point_fault
+from mufly.mission.machine.offboard import MAX_HEIGHT_M, SetPoint, needs_lift_off, set_point_fault
+from mufly.mission.machine.state_machine import step_mission, update_obstacle_map
 from mufly.mission.request_checks import (
     GO_AROUND_HEIGHT_M,
     MOTORS_STOPPING,
@@ -73,7 +74,6 @@ from mufly.mission.request_checks import (
     deny_request,
     reject_temporarily,
 )
-from mufly.mission.state_machine import step_mission, update_obstacle_map
 from mufly.mission.trajectory import (
     CubicSpline,
     Trajectory,

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 from mufly.estimate import Estimate
 from mufly.mission.detour import DETOUR_ACCELERATION_M_S2
-from mufly.mission.ground_phases import has_spun_up, measured_position, refuse_start, reset_mission, start_fault
-from mufly.mission.log_messages import LogMessage
-from mufly.mission.mission_reference import current_reference, predict_reference
-from mufly.mission.mission_state import (
+from mufly.mission.machine.ground_phases import has_spun_up, measured_position, refuse_start, reset_mission, start_fault
+from mufly.mission.machine.log_messages import LogMessage
+from mufly.mission.machine.mission_reference import current_reference, predict_reference
+from mufly.mission.machine.mission_state import (
     Command,
     MissionPlan,
     MissionState,
@@ -19,8 +19,8 @@ from mufly.mission.mission_state import (
     enter_state,
     fail_mission,
 )
-from mufly.mission.offboard import SetPoint, limit_manual_climb, needs_lift_off, set_point_fault
-from mufly.mission.phases import track_set_point
+from mufly.mission.machine.offboard import SetPoint, limit_manual_climb, needs_lift_off, set_point_fault
+from mufly.mission.machine.phases import track_set_point
 from mufly.mission.trajectory import plan_stop
 from mufly.mission.user_requests import pause_mission
 from mufly.portable_math import vector_length

@@ -9,7 +9,7 @@ from enum import StrEnum
 from typing import Protocol
 
 from mufly.estimate import Estimate
-from mufly.mission.mission_state import MissionState, State
+from mufly.mission.machine.mission_state import MissionState, State
 
 REQUEST_TABLE = """
 asked     init      take-off  hover     waypoint  obstacle  landing   rc        offboard

@@ -7,11 +7,11 @@ from dataclasses import replace
 from typing import Any
 
 from mufly.mission.detour import DETOUR_ACCELERATION_M_S2
-from mufly.mission.ground_phases import start_landing
-from mufly.mission.log_messages import LogMessage
-from mufly.mission.mission_reference import current_reference
-from mufly.mission.mission_schema import MIN_WAYPOINT_HEIGHT_M
-from mufly.mission.mission_state import (
+from mufly.mission.files.mission_schema import MIN_WAYPOINT_HEIGHT_M
+from mufly.mission.machine.ground_phases import start_landing
+from mufly.mission.machine.log_messages import LogMessage
+from mufly.mission.machine.mission_reference import current_reference
+from mufly.mission.machine.mission_state import (
     MissionPlan,
     MissionState,
     State,
@@ -20,8 +20,8 @@ from mufly.mission.mission_state import (
     fail_mission,
     log_event,
 )
-from mufly.mission.offboard import MAX_HEIGHT_M
-from mufly.mission.phases import change_leg_goal, plan_braking, start_leg, start_leg_home
+from mufly.mission.machine.offboard import MAX_HEIGHT_M
+from mufly.mission.machine.phases import change_leg_goal, plan_braking, start_leg, start_leg_home
 from mufly.mission.trajectory import Trajectory, Triple, plan_straight, smooth_stop_distance, wrap_turn
 from mufly.portable_math import vector_length
 

@@ -15,7 +15,7 @@ from functools import lru_cache
 from mufly.flight import TunableParameter
 from mufly.mission import Mission, MissionTiming, Waypoint, compute_timing
 from mufly.mission import TrajectoryLimits as TrajectoryLimits
-from mufly.mission.mission_items import (
+from mufly.mission.files.mission_items import (
     GlobalOrigin,
     MissionCommand,
     MissionItem,
@@ -23,7 +23,7 @@ from mufly.mission.mission_items import (
     is_global,
     mission_from_items,
 )
-from mufly.mission.mission_schema import Limits, TakeOff
+from mufly.mission.files.mission_schema import Limits, TakeOff
 from mufly.station.mission_rows import DELAY_COMMANDS, rows_from_items
 from mufly.station.signal_history import VehicleSnapshot
 from mufly.units import GRAVITY

@@ -1,7 +1,7 @@
 """Conversion of mission items to the rows of the page's mission table.
 
 Items in the frames LOCAL_NED and LOCAL_ENU have metres; items in a global frame are shown in metres from the vehicle's
-origin. Rows are not converted back: a station uploads a mission file, which :mod:`mufly.mission.mission_items`
+origin. Rows are not converted back: a station uploads a mission file, which :mod:`mufly.mission.files.mission_items`
 converts to items.
 """
 
@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from mufly.mission.mission_items import (
+from mufly.mission.files.mission_items import (
     COORDINATE_NOT_GIVEN,
     FRAME_LOCAL_ENU,
     FRAME_LOCAL_NED,
@@ -21,7 +21,7 @@ from mufly.mission.mission_items import (
     is_global_frame,
     read_place,
 )
-from mufly.mission.mission_items import MissionCommand as Cmd
+from mufly.mission.files.mission_items import MissionCommand as Cmd
 from mufly.station.signal_history import MissionRow
 
 MISSION_SPEED_TEXT = "default"

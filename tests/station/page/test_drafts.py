@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from mufly.errors import InputError
 from mufly.mission import Mission, dump_mission, load_mission, parse_mission
-from mufly.mission.mission_items import mission_to_items
+from mufly.mission.files.mission_items import mission_to_items
 from mufly.station.page.mission_draft import (
     NEW_MISSION_NAME,
     MissionDraft,

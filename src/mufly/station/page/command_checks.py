@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from mufly.mission import Fence, Mission, fence_fault, fence_outlines, fence_path_fault
-from mufly.mission.geofence import FENCE_MARGIN_M
-from mufly.mission.mission_timing import compute_reach_time
+from mufly.mission.files.geofence import FENCE_MARGIN_M
+from mufly.mission.files.mission_timing import compute_reach_time
 from mufly.station.mission_endurance import mission_with_limits
 from mufly.station.preflight_checks import BATTERY_RESERVE, MIN_BATTERY_CHARGE, OWN_CHECKS_NAME
 from mufly.station.remote.remote_vehicle import RemoteVehicle

@@ -2,8 +2,8 @@
 
 A :class:`MissionDraft` is frozen: every edit returns a new draft, which holds the earlier missions for undo.
 An edit that the mission's schema refuses (a wait of -1 s) changes nothing. An edit that violates the geometry (a
-waypoint in a crate) is kept and reported, since editing passes through such states. :mod:`mufly.mission.mission_checks`
-checks drafts as files.
+waypoint in a crate) is kept and reported, since editing passes through such states.
+:mod:`mufly.mission.files.mission_checks` checks drafts as files.
 
 Rows are numbered as a table shows them: 0 is the take-off, 1 to n the waypoints, n + 1 the end.
 """
@@ -31,8 +31,8 @@ from mufly.mission import (
     read_mission_tables,
     reduce_limits,
 )
-from mufly.mission.mission_checks import MissionEstimate
-from mufly.mission.mission_items import MissionRefusedError, mission_from_items
+from mufly.mission.files.mission_checks import MissionEstimate
+from mufly.mission.files.mission_items import MissionRefusedError, mission_from_items
 
 NEW_MISSION_NAME = "new-mission"
 """Name of a new mission, so that its file replaces no other."""

@@ -1,7 +1,7 @@
 """Mission, geofence and parameters of a vehicle: upload, download and clearing.
 
 Items become rows of a table in :mod:`mufly.station.mission_rows`, a mission file becomes items in
-:mod:`mufly.mission.mission_items`.
+:mod:`mufly.mission.files.mission_items`.
 
 Transfers run one after another on the state machines of :mod:`mufly.link.mission_transfer`. The vehicle's items are
 those of the last successful transfer. When the vehicle reports another item count (another station sent a mission),

@@ -21,7 +21,7 @@ from mufly.link.command_protocol import Command
 from mufly.link.mission_transfer import TYPE_FENCE
 from mufly.link.ports import MAX_STALL_S
 from mufly.mission import Fence, Mission, fence_from_items, fence_to_items, load_mission
-from mufly.mission.mission_items import MissionRefusedError, mission_to_items
+from mufly.mission.files.mission_items import MissionRefusedError, mission_to_items
 from mufly.station.mission_rows import rows_from_items
 from mufly.station.preflight_checks import StationContext, run_preflight_checks
 from mufly.station.remote import autopilots

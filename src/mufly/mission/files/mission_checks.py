@@ -20,17 +20,17 @@ from numpy.typing import NDArray
 from mufly.dynamics import hover_current_A
 from mufly.errors import InputError
 from mufly.input_files import builtin_file_names, format_toml_value, read_toml, validate_model
-from mufly.mission.geofence import check_fence
-from mufly.mission.ground_files import is_ground_file, read_ground_file
-from mufly.mission.mission_schema import MIN_WAYPOINT_HEIGHT_M, Mission, limits_to_file_units
-from mufly.mission.mission_state import prepare_plan
-from mufly.mission.mission_timing import (
+from mufly.mission.files.geofence import check_fence
+from mufly.mission.files.ground_files import is_ground_file, read_ground_file
+from mufly.mission.files.mission_schema import MIN_WAYPOINT_HEIGHT_M, Mission, limits_to_file_units
+from mufly.mission.files.mission_timing import (
     compute_landing_time,
     compute_take_off_time,
     compute_timing,
     plan_legs,
     plan_return_leg,
 )
+from mufly.mission.machine.mission_state import prepare_plan
 from mufly.mission.trajectory import Trajectory, TrajectoryLimits
 from mufly.results import result
 from mufly.vehicle import Vehicle

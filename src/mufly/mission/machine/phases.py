@@ -1,7 +1,7 @@
 """Behaviour of each mission state in the air, and the transitions into it (Fig. 6.15).
 
 Every function takes a state and returns the next one; there is no other memory. The user's signals are handled in
-:mod:`mufly.mission.state_machine`, start and landing in :mod:`mufly.mission.ground_phases`.
+:mod:`mufly.mission.machine.state_machine`, start and landing in :mod:`mufly.mission.machine.ground_phases`.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ import numpy as np
 from mufly.estimate import Estimate
 from mufly.mission.avoidance import is_path_blocked, limit_approach_velocity
 from mufly.mission.detour import DETOUR_ACCELERATION_M_S2, begin_detour, follow_contour
-from mufly.mission.ground_phases import has_spun_up, measured_position, reset_mission, start_landing
-from mufly.mission.log_messages import LogMessage
-from mufly.mission.mission_reference import current_reference, has_departed, predict_reference
-from mufly.mission.mission_schema import MIN_WAYPOINT_HEIGHT_M, plan_leg_trajectory
-from mufly.mission.mission_state import (
+from mufly.mission.files.mission_schema import MIN_WAYPOINT_HEIGHT_M, plan_leg_trajectory
+from mufly.mission.machine.ground_phases import has_spun_up, measured_position, reset_mission, start_landing
+from mufly.mission.machine.log_messages import LogMessage
+from mufly.mission.machine.mission_reference import current_reference, has_departed, predict_reference
+from mufly.mission.machine.mission_state import (
     MissionPlan,
     MissionState,
     State,
@@ -29,7 +29,7 @@ from mufly.mission.mission_state import (
     fail_mission,
     log_event,
 )
-from mufly.mission.offboard import SetPoint, follow_set_point
+from mufly.mission.machine.offboard import SetPoint, follow_set_point
 from mufly.mission.trajectory import (
     BrakingMotion,
     Trajectory,
@@ -218,8 +218,8 @@ def change_leg_goal(
 ) -> MissionState:
     """Redirect the user's present leg to another goal without a stop, from the present motion of the reference.
 
-    The reference follows the goal as that of a program (:mod:`mufly.mission.offboard`), height and way together.
-    Without a ``heading`` the nose turns along the way to the goal, unless that is short.
+    The reference follows the goal as that of a program (:mod:`mufly.mission.machine.offboard`), height and way
+    together. Without a ``heading`` the nose turns along the way to the goal, unless that is short.
     """
     known = s.set_point_reference
     now = predict_reference(s) if known is None else known

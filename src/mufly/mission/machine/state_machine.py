@@ -21,11 +21,11 @@ last one. Signals of the user override it, if the state permits them (:mod:`mufl
 of state is logged with its reason in `MissionState.events`.
 
 One step takes measurements and commands and returns the next state and the `Reference` for the controllers. It runs at
-about 50 Hz. Trajectories are planned at transitions; other steps only evaluate one. `mufly.mission.phases` and
-`mufly.mission.ground_phases` hold the behaviour of each state, `mufly.mission.user_requests` the effects of the user's
-signals, `mufly.mission.external_control` control by a pilot (the thesis's state RC) or a program (offboard). Every
-function takes a state and returns the next one. A moving reference comes to rest before any other motion, so that no
-transition makes it jump.
+about 50 Hz. Trajectories are planned at transitions; other steps only evaluate one. `mufly.mission.machine.phases` and
+`mufly.mission.machine.ground_phases` hold the behaviour of each state, `mufly.mission.user_requests` the effects of the
+user's signals, `mufly.mission.external_control` control by a pilot (the thesis's state RC) or a program (offboard).
+Every function takes a state and returns the next one. A moving reference comes to rest before any other motion, so that
+no transition makes it jump.
 """
 
 from __future__ import annotations
@@ -34,7 +34,6 @@ import math
 from dataclasses import replace
 
 from mufly.estimate import Estimate
-from mufly.mission import ground_phases, phases
 from mufly.mission.avoidance import LOOK_AHEAD_M, begin_path_check, check_map_part, insert_beam_hits
 from mufly.mission.external_control import (
     enter_manual,
@@ -44,11 +43,20 @@ from mufly.mission.external_control import (
     step_manual,
     step_offboard,
 )
-from mufly.mission.ground_phases import refuse_start, start_fault, start_landing
-from mufly.mission.log_messages import LogMessage
-from mufly.mission.mission_reference import is_scanning, make_reference, scan_yaw
-from mufly.mission.mission_state import Command, MissionPlan, MissionState, Reference, State, fail_mission, log_event
-from mufly.mission.mission_timing import LOOK_AROUND_TIME_S
+from mufly.mission.files.mission_timing import LOOK_AROUND_TIME_S
+from mufly.mission.machine import ground_phases, phases
+from mufly.mission.machine.ground_phases import refuse_start, start_fault, start_landing
+from mufly.mission.machine.log_messages import LogMessage
+from mufly.mission.machine.mission_reference import is_scanning, make_reference, scan_yaw
+from mufly.mission.machine.mission_state import (
+    Command,
+    MissionPlan,
+    MissionState,
+    Reference,
+    State,
+    fail_mission,
+    log_event,
+)
 from mufly.mission.request_checks import VehicleRequest, is_granted
 from mufly.mission.trajectory import Trajectory
 from mufly.mission.user_requests import (

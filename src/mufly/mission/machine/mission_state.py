@@ -15,9 +15,9 @@ from mufly.estimate import Estimate
 from mufly.logs.mcap import FlightEvent
 from mufly.mission.avoidance import EMPTY_PATH_CHECK, BeamRing, ObstacleMap, PathCheck, make_beam_ring
 from mufly.mission.detour import Detour
-from mufly.mission.log_messages import LogMessage
-from mufly.mission.mission_schema import Mission
-from mufly.mission.offboard import SetPoint
+from mufly.mission.files.mission_schema import Mission
+from mufly.mission.machine.log_messages import LogMessage
+from mufly.mission.machine.offboard import SetPoint
 from mufly.mission.trajectory import BrakingMotion, Trajectory, TrajectoryLimits, TrajectoryPoint, Triple
 from mufly.vehicle import Vehicle
 

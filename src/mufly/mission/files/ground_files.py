@@ -18,14 +18,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from mufly.errors import InputError
-from mufly.mission.geofence import (
+from mufly.mission.files.geofence import (
     EXCLUSION_CIRCLE,
     EXCLUSION_VERTEX,
     INCLUSION_CIRCLE,
     INCLUSION_VERTEX,
     fence_from_items,
 )
-from mufly.mission.mission_items import (
+from mufly.mission.files.mission_items import (
     COORDINATE_NOT_GIVEN,
     FRAMES_ABOVE_SEA,
     LOCAL_FRAMES,
@@ -36,7 +36,7 @@ from mufly.mission.mission_items import (
     is_global,
     mission_from_items,
 )
-from mufly.mission.mission_schema import Mission
+from mufly.mission.files.mission_schema import Mission
 
 FILE_ENDINGS = (".toml", ".plan", ".waypoints", ".txt")
 """Endings of readable mission files."""

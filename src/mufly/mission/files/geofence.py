@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import ValidationError
 
 from mufly.errors import InputError
-from mufly.mission.mission_items import (
+from mufly.mission.files.mission_items import (
     GlobalOrigin,
     MissionCommand,
     MissionItem,
@@ -30,8 +30,8 @@ from mufly.mission.mission_items import (
     make_place_item,
     read_level_place,
 )
-from mufly.mission.mission_schema import Fence, Mission
-from mufly.mission.mission_timing import plan_legs, plan_return_leg
+from mufly.mission.files.mission_schema import Fence, Mission
+from mufly.mission.files.mission_timing import plan_legs, plan_return_leg
 
 INCLUSION_VERTEX = MissionCommand.NAV_FENCE_POLYGON_VERTEX_INCLUSION
 EXCLUSION_VERTEX = MissionCommand.NAV_FENCE_POLYGON_VERTEX_EXCLUSION

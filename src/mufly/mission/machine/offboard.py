@@ -28,7 +28,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from mufly.mission.mission_schema import MIN_WAYPOINT_HEIGHT_M
+from mufly.mission.files.mission_schema import MIN_WAYPOINT_HEIGHT_M
 from mufly.mission.trajectory import TrajectoryLimits, TrajectoryPoint, Triple, wrap_turn
 from mufly.portable_math import exp_decay, sine_cosine, vector_length
 from mufly.units import GRAVITY

@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from mufly.estimate import Estimate
-from mufly.mission.mission_state import Command, MissionPlan, MissionState, Reference, State
-from mufly.mission.offboard import limit_manual_tilt
+from mufly.mission.machine.mission_state import Command, MissionPlan, MissionState, Reference, State
+from mufly.mission.machine.offboard import limit_manual_tilt
 from mufly.mission.trajectory import Trajectory, TrajectoryPoint
 from mufly.portable_math import sine_cosine
 

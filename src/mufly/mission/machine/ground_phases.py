@@ -11,12 +11,12 @@ from typing import Any
 
 from mufly.estimate import Estimate, measured_tilt
 from mufly.mission.detour import DETOUR_ACCELERATION_M_S2
-from mufly.mission.log_messages import LogMessage
-from mufly.mission.mission_reference import current_reference, predict_reference
-from mufly.mission.mission_schema import SPIN_UP_S
-from mufly.mission.mission_state import MissionPlan, MissionState, State, enter_state, fail_mission, log_event
-from mufly.mission.mission_timing import DESCENT_LAG_S, RAMP_DOWN_TIME_S, compute_landing_rate
-from mufly.mission.offboard import DRIFT_DESCENT_M_S
+from mufly.mission.files.mission_schema import SPIN_UP_S
+from mufly.mission.files.mission_timing import DESCENT_LAG_S, RAMP_DOWN_TIME_S, compute_landing_rate
+from mufly.mission.machine.log_messages import LogMessage
+from mufly.mission.machine.mission_reference import current_reference, predict_reference
+from mufly.mission.machine.mission_state import MissionPlan, MissionState, State, enter_state, fail_mission, log_event
+from mufly.mission.machine.offboard import DRIFT_DESCENT_M_S
 from mufly.mission.trajectory import Triple, plan_stop
 
 _STILL_DURATION_S = 0.3

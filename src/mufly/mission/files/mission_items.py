@@ -31,7 +31,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from mufly.mission.mission_schema import MIN_WAYPOINT_HEIGHT_M, Mission, TakeOff, Waypoint
+from mufly.mission.files.mission_schema import MIN_WAYPOINT_HEIGHT_M, Mission, TakeOff, Waypoint
 
 COORDINATE_NOT_GIVEN = 2**31 - 1
 """Value of an x or y that is not given."""

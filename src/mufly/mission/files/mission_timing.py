@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mufly.mission.avoidance import BLOCKED_MARGIN_M, LOOK_AHEAD_M
 from mufly.mission.detour import FOLLOW_MARGIN_M, LEAVE_MARGIN_M
-from mufly.mission.mission_schema import (
+from mufly.mission.files.mission_schema import (
     SLOW_LANDING_HEIGHT_M,
     SPIN_UP_S,
     Mission,
@@ -164,7 +164,7 @@ def compute_landing_rate(above: float, descent: float, touchdown: float, acceler
 def compute_landing_time(height: float, mission: Mission) -> float:
     """Return the time from the land signal, at rest at a ``height`` (m), until the rotors are at rest (s).
 
-    The landing law is that of :func:`mufly.mission.ground_phases.step_landing`.
+    The landing law is that of :func:`mufly.mission.machine.ground_phases.step_landing`.
     """
     q = mission.limits
     return _integrate_landing(float(height), q.climb_acceleration_m_s2, q.descent_m_s, q.touchdown_m_s)

@@ -1,0 +1,1 @@
+"""Mission files: schema, items, fences, ground files, checks and timing."""

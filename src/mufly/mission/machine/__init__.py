@@ -1,0 +1,1 @@
+"""The mission state machine: states, phases, reference, requests and offboard set-points."""
