@@ -26,8 +26,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mufly.control.hinf import PartitionedPlant
 from mufly.control.linear_systems import state_space
+from mufly.control.synthesis.hinf import PartitionedPlant
 from mufly.control.tuning.fixed_order import Aim, controller_gain, tune_controller
 from mufly.control.tuning.nonsmooth_bfgs import minimise_nonsmooth
 

@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from mufly import control, flight
-from mufly.control.plots import draw_loop
+from mufly.control.analysis.plots import draw_loop
 from mufly.firmware import GenericFirmwareSoftware
 from mufly.flight.monte_carlo import Campaign, WorkerPool, parse_variations, run_campaign, summarise_outcome
 from mufly.mission import load_mission

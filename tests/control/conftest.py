@@ -12,7 +12,7 @@ import mufly
 from mufly.control import DesignSettings, FlightController, design_flight_controller
 from mufly.control.designs import ControllerDesign, design_roll_pitch
 from mufly.control.robust.parameter_spreads import spread_derivatives
-from mufly.control.synthesis_methods import RobustAims
+from mufly.control.synthesis.synthesis_methods import RobustAims
 from mufly.dynamics import linearise_vehicle
 from mufly.vehicle import Vehicle
 

@@ -14,15 +14,9 @@ from scipy import linalg
 from typer.testing import CliRunner
 
 from mufly.cli.control import app
-from mufly.control import (
-    DesignSettings,
-    FlightController,
-    comparison,
-    design_flight_controller,
-    design_store,
-    designs,
-)
-from mufly.control.comparison import (
+from mufly.control import DesignSettings, FlightController, design_flight_controller, design_store, designs
+from mufly.control.analysis import comparison
+from mufly.control.analysis.comparison import (
     ControllerComparison,
     FlightFigures,
     MethodFigures,
@@ -31,10 +25,10 @@ from mufly.control.comparison import (
     recall_bounds,
     sensor_noise,
 )
-from mufly.control.gust_response import GUST_LENGTH_m, GUST_m_s, gust_response
+from mufly.control.analysis.gust_response import GUST_LENGTH_m, GUST_m_s, gust_response
 from mufly.control.implementation import LATERAL_STATES
 from mufly.control.linear_systems import frequency_response
-from mufly.control.synthesis_methods import (
+from mufly.control.synthesis.synthesis_methods import (
     SynthesisedController,
     SynthesisMethod,
     SynthesisProblem,

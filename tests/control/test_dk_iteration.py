@@ -31,8 +31,8 @@ from mufly.control.robust.dk_iteration import (
     sweep_complex_mu,
 )
 from mufly.control.robust.uncertain_plant import add_uncertainty
+from mufly.control.synthesis.weighting_schemes import scale_plant
 from mufly.control.tuning.fixed_order import add_delay
-from mufly.control.weighting_schemes import scale_plant
 from mufly.errors import ArgumentError
 
 CHANNELS = [Channel(1, 1), Channel(1, 1), Channel(2, 2)]

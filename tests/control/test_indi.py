@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from mufly.control import DesignSettings, FlightController, design_flight_controller, disk_margin, sample_plant
-from mufly.control.indi import IndiGains, design_indi
 from mufly.control.linear_systems import analyse_loop, feedback_part, frequency_response, state_space
-from mufly.control.weighting_schemes import scale_plant
+from mufly.control.synthesis.indi import IndiGains, design_indi
+from mufly.control.synthesis.weighting_schemes import scale_plant
 from mufly.errors import MuflyError
 from mufly.vehicle import Vehicle, replace_parameters
 

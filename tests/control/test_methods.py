@@ -27,11 +27,11 @@ from mufly.control import (
     one_degree_plant,
     sample_plant,
 )
+from mufly.control.analysis.loop_margins import scalar_block_mu
 from mufly.control.designs import design_roll_pitch
 from mufly.control.linear_systems import feedback_part, frequency_response, loop_sensitivities, state_space
-from mufly.control.loop_margins import scalar_block_mu
-from mufly.control.lqg import augment_integrators, kalman_gain, limit_recovery, lqr_gain
-from mufly.control.weighting_schemes import scale_plant, unscale_controller
+from mufly.control.synthesis.lqg import augment_integrators, kalman_gain, limit_recovery, lqr_gain
+from mufly.control.synthesis.weighting_schemes import scale_plant, unscale_controller
 from mufly.dynamics import linearise_vehicle
 from mufly.errors import ArgumentError, MuflyError
 from mufly.vehicle import Vehicle, replace_parameters

@@ -3,7 +3,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from mufly.control import FlightController
-from mufly.control.plots import draw_designs, draw_loop, draw_plant
+from mufly.control.analysis.plots import draw_designs, draw_loop, draw_plant
 
 
 def test_every_design_gets_its_pictures(controller: FlightController, tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mufly.control import FlightController, hinfsyn, reduce_controller
-from mufly.control.weighting_schemes import scale_plant
+from mufly.control.synthesis.weighting_schemes import scale_plant
 from mufly.errors import MuflyError
 
 

@@ -19,7 +19,7 @@ from mufly.control import (
     two_degree_plant,
 )
 from mufly.control.linear_systems import state_space
-from mufly.control.weighting_schemes import (
+from mufly.control.synthesis.weighting_schemes import (
     ROLL_PITCH_WEIGHTS,
     VELOCITY_WEIGHTS,
     scale_plant,

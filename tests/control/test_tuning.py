@@ -26,11 +26,11 @@ from mufly.control import (
 )
 from mufly.control.designs import design_roll_pitch
 from mufly.control.robust import analyse_parameter_robustness
+from mufly.control.synthesis.weighting_schemes import one_degree_plant, scale_plant
 from mufly.control.tuning import flight_aims, reduced_starts, tune_controller
 from mufly.control.tuning.fixed_order import add_delay, aim_norms, controller_gain
 from mufly.control.tuning.loop_tuning import TuningGoals, find_starts, pose_loop_problem, settings_with
 from mufly.control.tuning.tuned_loop import load_tuned_settings, tune_loop
-from mufly.control.weighting_schemes import one_degree_plant, scale_plant
 from mufly.dynamics import linearise_vehicle
 from mufly.errors import ArgumentError, InputError, MuflyError
 from mufly.vehicle import Vehicle

@@ -11,8 +11,8 @@ import pytest
 from typer.testing import CliRunner
 
 from mufly.cli.control import app
-from mufly.control.rotor_speed_feedback import compare_rotor_speeds, rotor_speed_noise
-from mufly.control.speed_schedule import ScheduleComparison, compare_schedules
+from mufly.control.analysis.rotor_speed_feedback import compare_rotor_speeds, rotor_speed_noise
+from mufly.control.analysis.speed_schedule import ScheduleComparison, compare_schedules
 from mufly.errors import InputError
 from mufly.vehicle import Vehicle, replace_parameters
 

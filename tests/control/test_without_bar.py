@@ -12,9 +12,9 @@ from typer.testing import CliRunner
 
 from mufly.cli.control import app
 from mufly.control import DesignSettings, disk_margin, sample_plant
+from mufly.control.analysis.servo_map import SAFE_DISK_MARGIN, map_servos, scale_bandwidth
 from mufly.control.designs import design_roll_pitch
-from mufly.control.servo_map import SAFE_DISK_MARGIN, map_servos, scale_bandwidth
-from mufly.control.weighting_schemes import ROLL_PITCH_WEIGHTS, complete_settings
+from mufly.control.synthesis.weighting_schemes import ROLL_PITCH_WEIGHTS, complete_settings
 from mufly.dynamics import initial_state, linearise_vehicle, model_parameters
 from mufly.dynamics.equations_of_motion import state_derivative
 from mufly.dynamics.linearisation import LINEAR_INPUTS, extract_submodel

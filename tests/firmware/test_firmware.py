@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from mufly.cli import app
 from mufly.control import DesignSettings, design_flight_controller
-from mufly.control.synthesis_methods import GivenController, RobustAims
+from mufly.control.synthesis.synthesis_methods import GivenController, RobustAims
 from mufly.errors import InputError, MuflyError
 from mufly.estimate import Estimate
 from mufly.firmware import (

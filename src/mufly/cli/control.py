@@ -15,7 +15,7 @@ from mufly.errors import InputError, report_write_errors
 
 if TYPE_CHECKING:
     from mufly.control import DesignSettings, FlightController
-    from mufly.control.synthesis_methods import SynthesisMethod
+    from mufly.control.synthesis.synthesis_methods import SynthesisMethod
 
 MethodOption = Annotated[
     Literal["hinf", "h2", "lqg", "ltr", "mu", "fixed", "indi"],
@@ -156,7 +156,7 @@ from an example: parameters with a pole on the axis. worst.toml is that vehicle,
     import numpy as np
 
     from mufly.control import design_flight_controller
-    from mufly.control.plots import draw_mu_bounds
+    from mufly.control.analysis.plots import draw_mu_bounds
     from mufly.control.robust import analyse_parameter_robustness
     from mufly.flight.monte_carlo import parse_variations
     from mufly.vehicle import format_vehicle_toml, load_vehicle, replace_parameters
@@ -213,8 +213,8 @@ speed of the swash plate there (three deviations), which the servos must reach.
 
       mufly control servo-map my-helicopter/vehicle.toml --lag 30 --rate 100 --rate 200 --frame 20
     """
-    from mufly.control.plots import draw_servo_map
-    from mufly.control.servo_map import FRAMES_s, LAGS_s, RATES_Hz, map_servos
+    from mufly.control.analysis.plots import draw_servo_map
+    from mufly.control.analysis.servo_map import FRAMES_s, LAGS_s, RATES_Hz, map_servos
     from mufly.logs.tables.columnar_files import write_netcdf
     from mufly.vehicle import load_vehicle, replace_parameters
 
@@ -258,7 +258,7 @@ def rotor_speeds(
 
     Example: mufly control rotor-speeds
     """
-    from mufly.control.rotor_speed_feedback import compare_rotor_speeds
+    from mufly.control.analysis.rotor_speed_feedback import compare_rotor_speeds
     from mufly.vehicle import load_vehicle
 
     print_answer(as_json, compare_rotor_speeds(load_vehicle(vehicle), rate_Hz=rate))
@@ -286,7 +286,7 @@ def schedule(
 
     Example: mufly control schedule --flight-map pair.toml --speed 0 --speed 1 --speed 2
     """
-    from mufly.control.speed_schedule import SCHEDULED_METHODS, SPEEDS_m_s, compare_schedules
+    from mufly.control.analysis.speed_schedule import SCHEDULED_METHODS, SPEEDS_m_s, compare_schedules
     from mufly.vehicle import load_vehicle, replace_parameters
 
     loaded = load_vehicle(vehicle)
@@ -391,8 +391,8 @@ tuning that has had fewer.
 
       mufly control tune --order 8 --start ltr --start tuned/roll-pitch.json --out further
     """
-    from mufly.control.plots import draw_tuned_loop
-    from mufly.control.synthesis_methods import METHODS
+    from mufly.control.analysis.plots import draw_tuned_loop
+    from mufly.control.synthesis.synthesis_methods import METHODS
     from mufly.control.tuning.loop_tuning import DEFAULT_GOALS, DEFAULT_ORDERS, TuningGoals
     from mufly.control.tuning.tuned_loop import DEFAULT_STARTS, tune_loop
     from mufly.vehicle import load_vehicle
@@ -469,9 +469,9 @@ are installed. The verdict names the criterion that decides it. Designs, bounds 
     from dataclasses import replace
 
     from mufly.control import DesignSettings
-    from mufly.control.comparison import FlightFigures, compare_methods, comparison_dataset, judge_comparison
-    from mufly.control.plots import draw_comparison
-    from mufly.control.synthesis_methods import METHODS
+    from mufly.control.analysis.comparison import FlightFigures, compare_methods, comparison_dataset, judge_comparison
+    from mufly.control.analysis.plots import draw_comparison
+    from mufly.control.synthesis.synthesis_methods import METHODS
     from mufly.firmware.sil_pil import law_instructions, missing_tools
     from mufly.logs.tables.columnar_files import write_netcdf
     from mufly.results import to_plain_data
@@ -532,7 +532,7 @@ are installed. The verdict names the criterion that decides it. Designs, bounds 
 
 
 def _write_designs(controller: FlightController, folder: Path) -> list[Path]:
-    from mufly.control.plots import draw_designs
+    from mufly.control.analysis.plots import draw_designs
 
     with report_write_errors("--out", "give a folder that can be written", str(folder)):
         target = folder / "design.json"

@@ -1,13 +1,12 @@
 """Controllers: design by several methods, analysis, order reduction, discretisation and the control law on board."""
 
+from mufly.control.analysis.loop_margins import DiskMargin, disk_margin, input_noise
 from mufly.control.designs import (
     DEFAULT_RATE_HZ,
     ControllerDesign,
     FlightController,
     design_flight_controller,
 )
-from mufly.control.h2 import H2Result, h2_norm, h2syn
-from mufly.control.hinf import HinfResult, close_loop, hinfsyn
 from mufly.control.implementation import (
     DiscreteController,
     ReducedCandidate,
@@ -36,9 +35,10 @@ from mufly.control.linear_systems import (
     saturated_gain_limit,
     singular_values,
 )
-from mufly.control.loop_margins import DiskMargin, disk_margin, input_noise
-from mufly.control.lqg import LqgResult, LqgWeights, design_lqg
-from mufly.control.weighting_schemes import (
+from mufly.control.synthesis.h2 import H2Result, h2_norm, h2syn
+from mufly.control.synthesis.hinf import HinfResult, close_loop, hinfsyn
+from mufly.control.synthesis.lqg import LqgResult, LqgWeights, design_lqg
+from mufly.control.synthesis.weighting_schemes import (
     DesignSettings,
     OneDegreeWeights,
     SignalScaling,

@@ -15,7 +15,7 @@ import numpy as np
 
 from mufly.answer_store import cache_folder, hash_question, read_answer, write_answer
 from mufly.control.linear_systems import state_space
-from mufly.control.synthesis_methods import SynthesisedController, SynthesisMethod, SynthesisProblem
+from mufly.control.synthesis.synthesis_methods import SynthesisedController, SynthesisMethod, SynthesisProblem
 from mufly.numba_cache import imported_sources
 
 STORED_METHODS: tuple[SynthesisMethod, ...] = ("mu", "fixed")
@@ -26,7 +26,7 @@ _NUMBERS = ("gamma", "gamma_optimal", "norm")
 @cache
 def _source_digest() -> str:
     libraries = [f"{name} {version(name)}" for name in ("numpy", "scipy")]
-    sources = imported_sources(Path(__file__).with_name("synthesis_methods.py"))
+    sources = imported_sources(Path(__file__).parent / "synthesis" / "synthesis_methods.py")
     return hash_question(libraries, *(path.read_bytes() for path in sources))
 
 

@@ -22,7 +22,6 @@ from mufly.control.implementation import (
     discretise_controller,
     reduce_controller,
 )
-from mufly.control.indi import IndiGains
 from mufly.control.law import (
     HEAVE_YAW_GAINS,
     HEAVE_YAW_ORDER,
@@ -43,9 +42,10 @@ from mufly.control.linear_systems import (
     singular_values,
     state_space,
 )
-from mufly.control.lqg import LqgWeights
 from mufly.control.robust.parameter_spreads import default_spreads, spread_derivatives
-from mufly.control.synthesis_methods import (
+from mufly.control.synthesis.indi import IndiGains
+from mufly.control.synthesis.lqg import LqgWeights
+from mufly.control.synthesis.synthesis_methods import (
     METHOD_NAMES,
     METHODS,
     FixedOrderAims,
@@ -55,7 +55,7 @@ from mufly.control.synthesis_methods import (
     SynthesisProblem,
     synthesise_controller,
 )
-from mufly.control.weighting_schemes import (
+from mufly.control.synthesis.weighting_schemes import (
     ROLL_PITCH_WEIGHTS,
     DesignSettings,
     SignalScaling,
@@ -119,7 +119,7 @@ ROLL_PITCH = PublishedFigures(crossover=36.0, complementary_peak_dB=1.9, resonan
 VELOCITY = PublishedFigures()
 
 
-@result(picture="mufly.control.plots:draw_loop")
+@result(picture="mufly.control.analysis.plots:draw_loop")
 class ControllerDesign:
     """One controller, from synthesis to difference equations.
 
@@ -243,7 +243,7 @@ class ControllerDesign:
         return [show_table(heads, rows, title=title)]
 
 
-@result(picture="mufly.control.plots:draw_sensitivities")
+@result(picture="mufly.control.analysis.plots:draw_sensitivities")
 class FlightController:
     """All designs of a vehicle and the gains of the law on board.
 

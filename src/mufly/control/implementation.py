@@ -32,7 +32,6 @@ import control
 import numpy as np
 from scipy import linalg
 
-from mufly.control.hinf import close_loop
 from mufly.control.linear_systems import (
     Array,
     LoopAnalysis,
@@ -48,6 +47,7 @@ from mufly.control.linear_systems import (
     sample_plant,
     state_space,
 )
+from mufly.control.synthesis.hinf import close_loop
 from mufly.dynamics import extract_submodel
 from mufly.errors import MuflyError
 from mufly.results import result

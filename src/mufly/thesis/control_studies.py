@@ -17,7 +17,7 @@ from mufly.control import (
     frequency_response,
     singular_values,
 )
-from mufly.control.plots import draw_loop, draw_plant
+from mufly.control.analysis.plots import draw_loop, draw_plant
 from mufly.errors import MuflyError
 from mufly.flight import ControllerReference, Flight, simulate_response
 from mufly.flight.mission_flight import align_and_start

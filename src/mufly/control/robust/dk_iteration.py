@@ -22,9 +22,9 @@ import control
 import numpy as np
 from scipy import linalg, optimize
 
-from mufly.control.hinf import HinfResult, close_loop, hinfsyn
 from mufly.control.linear_systems import Array, ComplexArray, frequency_response, replace_matrices
 from mufly.control.robust.structured_singular_value import Block, mu_upper_bound
+from mufly.control.synthesis.hinf import HinfResult, close_loop, hinfsyn
 from mufly.errors import ArgumentError, MuflyError
 from mufly.results import result
 

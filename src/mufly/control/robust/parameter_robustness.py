@@ -74,7 +74,7 @@ class LoopRobustness:
     seconds: float
 
 
-@result(picture="mufly.control.plots:draw_mu_bounds")
+@result(picture="mufly.control.analysis.plots:draw_mu_bounds")
 class ParameterRobustness:
     """Bounds of mu of heave-yaw and roll-pitch over a vehicle's parameters.
 

@@ -27,10 +27,10 @@ import control
 import numpy as np
 from scipy import linalg, signal
 
-from mufly.control.hinf import PartitionedPlant, partition_plant
+from mufly.control.analysis.loop_margins import scalar_block_mu
 from mufly.control.implementation import balanced_realisations, remove_states, split_modes
 from mufly.control.linear_systems import Array, replace_matrices, state_space
-from mufly.control.loop_margins import scalar_block_mu
+from mufly.control.synthesis.hinf import PartitionedPlant, partition_plant
 from mufly.control.tuning.nonsmooth_bfgs import minimise_nonsmooth
 from mufly.errors import MuflyError
 from mufly.results import result

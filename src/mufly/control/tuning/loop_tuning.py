@@ -20,11 +20,12 @@ from mufly.control.designs import (
     weight_heave_yaw,
     weight_roll_pitch,
 )
-from mufly.control.hinf import hinfsyn
 from mufly.control.linear_systems import Array, replace_matrices
 from mufly.control.robust.parameter_robustness import UncertainLoop
 from mufly.control.robust.parameter_spreads import spread_derivatives
-from mufly.control.synthesis_methods import GivenController, SynthesisProblem, synthesise_controller
+from mufly.control.synthesis.hinf import hinfsyn
+from mufly.control.synthesis.synthesis_methods import GivenController, SynthesisProblem, synthesise_controller
+from mufly.control.synthesis.weighting_schemes import DesignSettings, scale_plant
 from mufly.control.tuning.fixed_order import (
     TuningAim,
     add_delay,
@@ -35,7 +36,6 @@ from mufly.control.tuning.fixed_order import (
     tune_controller,
 )
 from mufly.control.tuning.parameter_aim import ParameterAim
-from mufly.control.weighting_schemes import DesignSettings, scale_plant
 from mufly.errors import MuflyError
 from mufly.vehicle import Vehicle
 

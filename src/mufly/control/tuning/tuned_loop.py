@@ -11,11 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from mufly.control.comparison import LoopFigures, loop_figures, sensor_noise
+from mufly.control.analysis.comparison import LoopFigures, loop_figures, sensor_noise
 from mufly.control.designs import ControllerDesign, FlightController, design_flight_controller
 from mufly.control.robust.parameter_robustness import analyse_parameter_robustness
 from mufly.control.robust.parameter_spreads import default_spreads
-from mufly.control.synthesis_methods import GivenController
+from mufly.control.synthesis.synthesis_methods import GivenController
+from mufly.control.synthesis.weighting_schemes import DesignSettings, scale_plant
 from mufly.control.tuning.fixed_order import aim_norms
 from mufly.control.tuning.loop_tuning import (
     HIGHEST_ORDERS,
@@ -29,7 +30,6 @@ from mufly.control.tuning.loop_tuning import (
     raise_order,
     settings_with,
 )
-from mufly.control.weighting_schemes import DesignSettings, scale_plant
 from mufly.errors import ArgumentError, InputError
 from mufly.results import ShownBlock, result, show_lines, show_table
 from mufly.vehicle import Vehicle
@@ -40,7 +40,7 @@ _KEYS = {"heave-yaw": "heave_yaw_given", "roll-pitch": "roll_pitch_given"}
 _UNITS = {"weighted": "", "sensitivity": "dB", "complementary": "dB", "disk": "", "activity": "%", "mu": ""}
 
 
-@result(picture="mufly.control.plots:draw_tuned_loop")
+@result(picture="mufly.control.analysis.plots:draw_tuned_loop")
 class TunedLoop:
     """A tuned loop: its aims, and its figures as it flies.
 

@@ -27,7 +27,7 @@ from threadpoolctl import ThreadpoolController
 
 from mufly.answer_store import hash_question
 from mufly.control import DesignSettings, FlightController, design_flight_controller
-from mufly.control.weighting_schemes import complete_settings
+from mufly.control.synthesis.weighting_schemes import complete_settings
 from mufly.errors import ArgumentError, InputError, MuflyError
 from mufly.estimate import Estimate
 from mufly.estimate.filter.filter_records import EX_ATT, EX_GYRO_BIAS

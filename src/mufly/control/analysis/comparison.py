@@ -21,14 +21,14 @@ import numpy as np
 import xarray as xr
 
 from mufly.answer_store import hash_question, read_answer, write_answer
+from mufly.control.analysis.gust_response import gust_response
+from mufly.control.analysis.loop_margins import DiskMargin, disk_margin, input_noise
 from mufly.control.designs import ControllerDesign, FlightController, design_flight_controller
-from mufly.control.gust_response import gust_response
 from mufly.control.linear_systems import Array, LoopAnalysis, sample_plant
-from mufly.control.loop_margins import DiskMargin, disk_margin, input_noise
 from mufly.control.robust import parameter_robustness
 from mufly.control.robust.parameter_robustness import analyse_parameter_robustness
-from mufly.control.synthesis_methods import METHOD_NAMES, SynthesisMethod
-from mufly.control.weighting_schemes import DesignSettings
+from mufly.control.synthesis.synthesis_methods import METHOD_NAMES, SynthesisMethod
+from mufly.control.synthesis.weighting_schemes import DesignSettings
 from mufly.dynamics import linearise_vehicle
 from mufly.numba_cache import imported_sources
 from mufly.results import ShownBlock, result, show_lines, show_table
@@ -132,7 +132,7 @@ class MethodFigures:
         return ""
 
 
-@result(picture="mufly.control.plots:draw_comparison")
+@result(picture="mufly.control.analysis.plots:draw_comparison")
 class ControllerComparison:
     """Methods on one vehicle.
 

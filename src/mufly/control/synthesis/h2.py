@@ -1,8 +1,8 @@
 """H2 synthesis: the controller with the smallest H2 norm from ``w`` to ``z``, and the H2 norm by both Gramians.
 
 The H2 norm is the root mean square of ``z`` for white noise of unit intensity in ``w``. With the generalised plant of
-:mod:`mufly.control.hinf` and ``D11 = 0`` two Riccati equations give the optimum (Doyle, Glover, Khargonekar and
-Francis, IEEE Trans. Autom. Control 34, 1989):
+:mod:`mufly.control.synthesis.hinf` and ``D11 = 0`` two Riccati equations give the optimum (Doyle, Glover, Khargonekar
+and Francis, IEEE Trans. Autom. Control 34, 1989):
 
     X: state feedback, weights C1'C1, D12'D12, C1'D12,     F = -(D12'D12)^-1 (B2'X + D12'C1),
 
@@ -18,8 +18,8 @@ import control
 import numpy as np
 from scipy import linalg
 
-from mufly.control.hinf import balance_states, close_loop, partition_plant
 from mufly.control.linear_systems import Array, ComplexArray, state_space
+from mufly.control.synthesis.hinf import balance_states, close_loop, partition_plant
 from mufly.errors import MuflyError
 from mufly.results import result
 

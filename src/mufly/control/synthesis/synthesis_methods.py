@@ -13,13 +13,13 @@ from typing import Literal, NamedTuple, get_args
 import control
 import numpy as np
 
-from mufly.control.h2 import h2syn
-from mufly.control.hinf import close_loop, hinfsyn
-from mufly.control.indi import IndiGains, design_indi
 from mufly.control.linear_systems import Array, hinf_norm, state_space
-from mufly.control.lqg import LqgWeights, design_lqg, limit_recovery
 from mufly.control.robust.dk_iteration import iterate_dk
 from mufly.control.robust.uncertain_plant import add_uncertainty
+from mufly.control.synthesis.h2 import h2syn
+from mufly.control.synthesis.hinf import close_loop, hinfsyn
+from mufly.control.synthesis.indi import IndiGains, design_indi
+from mufly.control.synthesis.lqg import LqgWeights, design_lqg, limit_recovery
 from mufly.control.tuning.fixed_order import add_delay, aim_norms, flight_aims, reduced_starts, tune_controller
 from mufly.errors import MuflyError
 

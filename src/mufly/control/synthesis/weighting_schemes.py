@@ -33,10 +33,10 @@ import control
 import numpy as np
 from scipy import signal
 
-from mufly.control.indi import IndiGains
 from mufly.control.linear_systems import Array, connect_blocks, replace_matrices, state_space
-from mufly.control.lqg import LqgWeights
-from mufly.control.synthesis_methods import FixedOrderAims, GivenController, RobustAims, SynthesisMethod
+from mufly.control.synthesis.indi import IndiGains
+from mufly.control.synthesis.lqg import LqgWeights
+from mufly.control.synthesis.synthesis_methods import FixedOrderAims, GivenController, RobustAims, SynthesisMethod
 from mufly.errors import MuflyError
 from mufly.vehicle import Vehicle
 

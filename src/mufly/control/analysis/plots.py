@@ -15,11 +15,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from mufly.control.comparison import ControllerComparison, LoopFigures
+from mufly.control.analysis.comparison import ControllerComparison, LoopFigures
+from mufly.control.analysis.servo_map import SAFE_DISK_MARGIN, ServoMap
 from mufly.control.designs import ControllerDesign, FlightController
 from mufly.control.linear_systems import Array, LoopCurves, loop_curves, sample_plant, singular_values
 from mufly.control.robust.parameter_robustness import ParameterRobustness
-from mufly.control.servo_map import SAFE_DISK_MARGIN, ServoMap
 
 if TYPE_CHECKING:
     from mufly.control.tuning.tuned_loop import TunedLoop

@@ -21,12 +21,12 @@ import control
 import numpy as np
 from scipy import linalg
 
-from mufly.control.comparison import sensor_noise
+from mufly.control.analysis.comparison import sensor_noise
+from mufly.control.analysis.loop_margins import disk_margin
 from mufly.control.implementation import discretise_controller
 from mufly.control.linear_systems import Array, analyse_loop, feedback_part, sample_plant
-from mufly.control.loop_margins import disk_margin
-from mufly.control.lqg import LqgWeights, design_lqg, limit_recovery
-from mufly.control.weighting_schemes import (
+from mufly.control.synthesis.lqg import LqgWeights, design_lqg, limit_recovery
+from mufly.control.synthesis.weighting_schemes import (
     HEAVE_YAW_LQG,
     SignalScaling,
     heave_yaw_scaling,

@@ -14,11 +14,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from mufly.control.analysis.loop_margins import disk_margin
 from mufly.control.designs import DEFAULT_RATE_HZ, design_roll_pitch
 from mufly.control.linear_systems import Array, analyse_loop, sample_plant
-from mufly.control.loop_margins import disk_margin
-from mufly.control.synthesis_methods import METHOD_NAMES, SynthesisMethod
-from mufly.control.weighting_schemes import DesignSettings, complete_settings
+from mufly.control.synthesis.synthesis_methods import METHOD_NAMES, SynthesisMethod
+from mufly.control.synthesis.weighting_schemes import DesignSettings, complete_settings
 from mufly.dynamics import find_trim, linearise_vehicle
 from mufly.results import ShownBlock, result, show_lines, show_table
 from mufly.vehicle import Vehicle

@@ -24,12 +24,12 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from mufly.control.comparison import sensor_noise
+from mufly.control.analysis.comparison import sensor_noise
+from mufly.control.analysis.gust_response import GUST_m_s, lateral_gust_response
+from mufly.control.analysis.loop_margins import disk_margin
 from mufly.control.designs import POSITION_DIVIDER, design_roll_pitch, design_velocity
-from mufly.control.gust_response import GUST_m_s, lateral_gust_response
 from mufly.control.linear_systems import analyse_loop, sample_plant
-from mufly.control.loop_margins import disk_margin
-from mufly.control.weighting_schemes import DesignSettings, TransferFunction, complete_settings
+from mufly.control.synthesis.weighting_schemes import DesignSettings, TransferFunction, complete_settings
 from mufly.dynamics import linearise_vehicle
 from mufly.errors import MuflyError
 from mufly.results import ShownBlock, result, show_lines, show_table
@@ -50,7 +50,7 @@ _FIGURES = {
 }  # fmt: skip
 
 
-@result(picture="mufly.control.plots:draw_servo_map")
+@result(picture="mufly.control.analysis.plots:draw_servo_map")
 class ServoMap:
     """Figures of roll-pitch over servo frame, control rate and servo lag.
 
