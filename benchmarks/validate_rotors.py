@@ -73,7 +73,7 @@ from mufly.rotor import (
     replace_rotor,
     solve_system,
 )
-from mufly.rotor.uncertainty import INTERVAL_SCALES, fit_interval_scale
+from mufly.rotor.measured.uncertainty import INTERVAL_SCALES, fit_interval_scale
 from mufly.rotor.wake import WakeSettings, momentum_thrust
 from mufly.study.benchmark import (
     PredictionCode,

@@ -18,9 +18,9 @@ from mufly.cli.onboard import link, slam
 from mufly.identify.flight.output_error_problem import DynamicsPart
 from mufly.identify.flight.staged_search import FitMethod
 from mufly.link.real_time.real_time_loop import SensorMode
+from mufly.rotor.measured.uncertainty import SECTION_KNOWLEDGE_LEVELS
 from mufly.rotor.rotor_system import SolverMethod
 from mufly.rotor.sections.polar_engines import PolarEngine
-from mufly.rotor.uncertainty import SECTION_KNOWLEDGE_LEVELS
 from mufly.slam import DATASET_LAYOUTS
 from mufly.station.recording_comparison import ALIGNMENTS
 from mufly.study import BEMT_MODELS

@@ -32,7 +32,7 @@ from mufly.rotor import (
     solve_system,
 )
 from mufly.rotor.bemt import induced_velocity_ratio
-from mufly.rotor.blade_solid import blade_contours
+from mufly.rotor.blades.blade_solid import blade_contours
 from mufly.rotor.sections.polar_table import ALPHA_GRID
 
 NO_LOSS = Corrections(tip_loss="none", hub_loss=False, swirl=False, lifting_surface=False, rotation="none")

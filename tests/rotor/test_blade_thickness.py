@@ -16,8 +16,8 @@ from mufly.rotor import (
     replace_rotor,
     solve_rotor_batch,
 )
-from mufly.rotor.blade_families import section_probabilities
-from mufly.rotor.blade_solid import blade_contours, loft_solid
+from mufly.rotor.blades.blade_families import section_probabilities
+from mufly.rotor.blades.blade_solid import blade_contours, loft_solid
 from mufly.rotor.sections import neuralfoil_network, polar_engines
 from mufly.rotor.structure.blade_structure import BladeStructure
 from mufly.rotor.structure.coupled_rounds import deform_rotor

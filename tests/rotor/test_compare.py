@@ -27,7 +27,7 @@ from mufly.rotor import (
     solve_rotor,
     solve_rotor_batch,
 )
-from mufly.rotor.uncertainty import INTERVAL_SCALES, interval_quantile
+from mufly.rotor.measured.uncertainty import INTERVAL_SCALES, interval_quantile
 from mufly.study.benchmark import load_cases, parse_code, score_codes, tabulate_by_group
 
 ROOT = Path(__file__).resolve().parents[2]

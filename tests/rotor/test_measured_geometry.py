@@ -23,7 +23,7 @@ from mufly.rotor import (
     replace_rotor,
     solve_rotor_batch,
 )
-from mufly.rotor.measured_geometry import GeometryReadings, measure_geometry
+from mufly.rotor.blades.measured_geometry import GeometryReadings, measure_geometry
 
 DEG = math.radians(1.0)
 X = np.array([0.25, 0.4, 0.55, 0.7, 0.85, 0.95])

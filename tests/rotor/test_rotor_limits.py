@@ -18,7 +18,7 @@ from mufly.rotor import (
     solve_rotor_batch,
     solve_system,
 )
-from mufly.rotor.blade_solid import blade_contours, loft_solid, write_stl
+from mufly.rotor.blades.blade_solid import blade_contours, loft_solid, write_stl
 from mufly.rotor.forward import ForwardCondition, solve_forward
 from mufly.study.benchmark import load_cases
 

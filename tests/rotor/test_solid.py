@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from mufly.cli import app
 from mufly.errors import InputError
 from mufly.rotor import load_rotor, make_rotor
-from mufly.rotor.blade_solid import (
+from mufly.rotor.blades.blade_solid import (
     blade_contours,
     join_solids,
     loft_solid,

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 from mufly.errors import InputError
 from mufly.rotor import format_rotor_toml, load_rotor
-from mufly.rotor.uncertainty import fit_interval_scale, interval_quantile
+from mufly.rotor.measured.uncertainty import fit_interval_scale, interval_quantile
 from mufly.study.benchmark import (
     describe_case,
     load_cases,

@@ -220,7 +220,7 @@ def import_blade(
             problem, remedy = "is of STL files", f"leave it out: {blade.name} has units of its own"
         raise InputError("--unit", "", problem, remedy)
     if blade.suffix.lower() in (".stl", ".step", ".stp"):
-        from mufly.rotor.blade_solid import rotor_from_body
+        from mufly.rotor.blades.blade_solid import rotor_from_body
 
         if out is None:
             raise InputError("--out", "", "is missing", "give one: a body's sections are written beside it")

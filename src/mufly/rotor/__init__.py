@@ -1,14 +1,8 @@
 """Aerodynamics of rotors: airfoils, polars, blade geometry, blade element momentum theory, wakes, the coaxial pair."""
 
 from mufly.rotor.bemt import BatchResult, solve_rotor, solve_rotor_batch, warn_reynolds_range
-from mufly.rotor.bench_comparison import (
-    MeasurementComparison,
-    RotorMeasurements,
-    calibrate_blading,
-    compare_measurements,
-)
-from mufly.rotor.blade_families import BLADE_FAMILIES
-from mufly.rotor.blade_files import read_blade
+from mufly.rotor.blades.blade_families import BLADE_FAMILIES
+from mufly.rotor.blades.blade_files import read_blade
 from mufly.rotor.blading import TEXTBOOK_CORRECTIONS, Blading, Corrections, prepare_blading
 from mufly.rotor.coax_maps import compute_coax_map, map_climb_ratios
 from mufly.rotor.effective_pitch import PitchPrior, effective_pitch_prior
@@ -23,7 +17,14 @@ from mufly.rotor.geometry import (
     replace_rotor,
     rotor_from_tables,
 )
-from mufly.rotor.rotor_fit import RotorFit, append_tunnel_points, fit_rotor
+from mufly.rotor.measured.bench_comparison import (
+    MeasurementComparison,
+    RotorMeasurements,
+    calibrate_blading,
+    compare_measurements,
+)
+from mufly.rotor.measured.rotor_fit import RotorFit, append_tunnel_points, fit_rotor
+from mufly.rotor.measured.uncertainty import InputUncertainty, PredictionInterval, predict_interval
 from mufly.rotor.rotor_pictures import (
     blade_picture,
     field_picture,
@@ -62,7 +63,6 @@ from mufly.rotor.structure.blade_structure import BladeStructure
 from mufly.rotor.structure.elastic_rotor import ElasticRotorResult, solve_elastic_rotor
 from mufly.rotor.structure.flap_modes import CampbellDiagram, FlapMode, compute_campbell, compute_flap_mode
 from mufly.rotor.structure.materials import MATERIALS, Material
-from mufly.rotor.uncertainty import InputUncertainty, PredictionInterval, predict_interval
 
 __all__ = [
     "BLADE_FAMILIES",

@@ -402,7 +402,7 @@ def compute_rotor_polars(
 def apply_section_fit(table: PolarTable, change: Sequence[float], reynolds: float) -> PolarTable:
     """Return a polar with its coefficients changed by a :class:`mufly.rotor.geometry.SectionFit`.
 
-    Equations: :mod:`mufly.rotor.rotor_fit`.
+    Equations: :mod:`mufly.rotor.measured.rotor_fit`.
     """
     _, lift, drag, lift_exponent, drag_exponent = change
     ratio = np.log(np.clip(table.reynolds / reynolds, *_FIT_REYNOLDS_RATIOS))[:, None]

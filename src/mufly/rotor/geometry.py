@@ -202,8 +202,8 @@ class SectionCandidate(ParameterGroup):
 class SectionFit(ParameterGroup):
     """Sections of a rotor fitted to a bench run (:func:`mufly.rotor.fit_rotor`), the likeliest first.
 
-    Twist and polar coefficients change by the equations of :mod:`mufly.rotor.rotor_fit`; Re over ``reynolds`` is
-    limited to 0.2 to 5. A section may occur several times, with different widths of its priors.
+    Twist and polar coefficients change by the equations of :mod:`mufly.rotor.measured.rotor_fit`; Re over ``reynolds``
+    is limited to 0.2 to 5. A section may occur several times, with different widths of its priors.
     """
 
     bench: str = Field(description="where the measurements are from")

@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 
 from mufly.errors import InputError, MuflyError
 from mufly.rotor.coax_maps import interpolate_map
+from mufly.rotor.measured.uncertainty import predict_interval
 from mufly.rotor.sections.airfoil import load_airfoil
-from mufly.rotor.uncertainty import predict_interval
 from mufly.units import RPM
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from mufly.rotor.bench_comparison import MeasurementComparison
     from mufly.rotor.geometry import Rotor
-    from mufly.rotor.rotor_fit import RotorFit
+    from mufly.rotor.measured.bench_comparison import MeasurementComparison
+    from mufly.rotor.measured.rotor_fit import RotorFit
     from mufly.rotor.rotor_system import RotorResult, SystemSolution
     from mufly.rotor.sections.airfoil import Airfoil
     from mufly.rotor.sections.polar_table import PolarTable

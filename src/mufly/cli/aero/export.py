@@ -45,8 +45,8 @@ def export(
     import numpy as np
 
     from mufly.errors import InputError, MuflyError
-    from mufly.rotor import blade_solid as bodies
     from mufly.rotor import load_rotor
+    from mufly.rotor.blades import blade_solid as bodies
 
     r, kind = load_rotor(rotor), out.suffix.lower()
     if kind not in _FILE_ENDINGS:

@@ -71,8 +71,8 @@ def measure(
     --diameter 5in --tip-height 2.1mm --stated-pitch 3in --out mine.toml
     """
     from mufly.rotor import effective_pitch_prior, format_rotor_toml
-    from mufly.rotor.blade_files import read_station_readings
-    from mufly.rotor.measured_geometry import GeometryReadings, format_reading_table, measure_geometry
+    from mufly.rotor.blades.blade_files import read_station_readings
+    from mufly.rotor.blades.measured_geometry import GeometryReadings, format_reading_table, measure_geometry
 
     if diameter is None:
         raise InputError("--diameter", "", "is missing", "give it, as 5in: twice the radius of the tips")
@@ -132,7 +132,7 @@ def _ask_readings(radius_m: float, tip_height_m: float | None) -> tuple[Any, Any
     import numpy as np
 
     from mufly.quantity_grammar import read_quantity
-    from mufly.rotor.measured_geometry import MEASUREMENT_STEPS, STATION_RATIOS
+    from mufly.rotor.blades.measured_geometry import MEASUREMENT_STEPS, STATION_RATIOS
     from mufly.rotor.sections.airfoil import MAX_THICKNESS_RATIO
 
     if not sys.stdin.isatty():

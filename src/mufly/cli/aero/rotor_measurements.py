@@ -161,7 +161,7 @@ def fit(
 
     from mufly.errors import InputError
     from mufly.rotor import append_tunnel_points, fit_picture, fit_rotor, format_rotor_toml, load_rotor
-    from mufly.rotor.rotor_fit import FIT_PARAMETERS
+    from mufly.rotor.measured.rotor_fit import FIT_PARAMETERS
 
     if out is not None and out.suffix != ".toml":
         raise InputError("--out", str(out), "does not end in .toml", "give a name that ends in .toml")

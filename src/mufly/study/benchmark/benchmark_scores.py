@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from mufly.answer_store import hash_question, read_answer, write_answer
 from mufly.errors import MuflyError
 from mufly.rotor import fit_rotor, predict_interval
-from mufly.rotor.uncertainty import fit_interval_scale, interval_quantile
+from mufly.rotor.measured.uncertainty import fit_interval_scale, interval_quantile
 from mufly.study.benchmark.prediction_codes import PredictionCode, RotorPrediction, describe_case
 from mufly.study.benchmark.rotor_cases import RotorCase
 from mufly.version import __version__
@@ -198,8 +198,8 @@ def score_cross_validated(cases: Sequence[RotorCase], progress: ProgressCallback
     """Score nominal 90 % intervals (:func:`mufly.rotor.predict_interval`) by cross-validation over families.
 
     For each family the scales of the intervals are fitted to the other families
-    (:func:`mufly.rotor.uncertainty.fit_interval_scale`). If the section is guessed, the prediction is the mean over its
-    candidates. Rotors of known and of guessed sections are scored apart.
+    (:func:`mufly.rotor.measured.uncertainty.fit_interval_scale`). If the section is guessed, the prediction is the mean
+    over its candidates. Rotors of known and of guessed sections are scored apart.
     """
     bands = []
     for done, case in enumerate(cases):

@@ -11,9 +11,9 @@ Causes are varied one at a time about the nominal rotor, each by one standard de
 * ``method``: 5 % of thrust, 8 % of torque, the order of the difference to a vortex lattice with a contracting wake
   (docs/log/2026-11-28-bemt-accuracy.md).
 
-If the section is guessed, the prediction is the mean over the candidate sections (:mod:`mufly.rotor.blade_families`),
-weighted with their probabilities, and their variance adds to the causes. Camber and thickness then vary only within one
-step of the grid of candidates.
+If the section is guessed, the prediction is the mean over the candidate sections
+(:mod:`mufly.rotor.blades.blade_families`), weighted with their probabilities, and their variance adds to the causes.
+Camber and thickness then vary only within one step of the grid of candidates.
 
 The causes are treated as independent: variances add to s^2. Their standard deviations are not fitted. Errors of rotors
 have heavy tails (a wrong geometry, an unlisted cause), so error / (k s) is taken to follow Student's distribution with
@@ -41,7 +41,7 @@ from scipy.special import ndtri, stdtrit
 from mufly.errors import ArgumentError, InputError
 from mufly.results import result
 from mufly.rotor.bemt import solve_rotor_batch
-from mufly.rotor.blade_families import (
+from mufly.rotor.blades.blade_families import (
     DRAG_PER_THICKNESS,
     GRID_STEP_STD,
     ZERO_LIFT_PER_CAMBER,
@@ -162,7 +162,7 @@ def predict_interval(
     section : 'known', 'guessed' or 'measured'
         Status of the rotor file's airfoils; for a fitted rotor always 'measured'.
     family : str
-        Family of a guessed section, if known: one of :data:`mufly.rotor.blade_families.BLADE_FAMILIES`.
+        Family of a guessed section, if known: one of :data:`mufly.rotor.blades.blade_families.BLADE_FAMILIES`.
     doubt : InputUncertainty, optional
         Standard deviations of the causes; default: those of a known or guessed section.
     level : float

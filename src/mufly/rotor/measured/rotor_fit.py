@@ -30,8 +30,8 @@ covariance H^-1, times chi^2 of the points over their degrees of freedom if that
 The priors are not fitted to measurements. Pitch: :mod:`mufly.rotor.effective_pitch`. Camber, which moves the zero-lift
 angle by 2 rad per chord (thin airfoil, parabola): 0.3 % of the chord for a known section, 0.6 % between candidates.
 Lift: 4 % (polar engines, docs/log/2026-11-28-polars.md) and 5 % (method). Drag: 8 % and 8 %. Exponents: 0.05 and 0.2.
-Priors of guessed sections: :mod:`mufly.rotor.blade_families`. Hub cut-out and transition have the same effects as lift,
-drag and their exponents, and are not fitted.
+Priors of guessed sections: :mod:`mufly.rotor.blades.blade_families`. Hub cut-out and transition have the same effects
+as lift, drag and their exponents, and are not fitted.
 """
 
 from __future__ import annotations
@@ -48,11 +48,11 @@ from scipy.optimize import least_squares
 from mufly.errors import InputError, MuflyError
 from mufly.results import result
 from mufly.rotor.bemt import solve_rotor_batch
-from mufly.rotor.bench_comparison import RotorMeasurements
-from mufly.rotor.blade_families import GRID_STEP_STD, ZERO_LIFT_PER_CAMBER, section_probabilities
+from mufly.rotor.blades.blade_families import GRID_STEP_STD, ZERO_LIFT_PER_CAMBER, section_probabilities
 from mufly.rotor.blading import Blading, Corrections, apply_section_fit, compute_rotor_polars, prepare_blading
 from mufly.rotor.effective_pitch import effective_pitch_prior
 from mufly.rotor.geometry import Rotor, SectionCandidate, SectionFit, replace_rotor
+from mufly.rotor.measured.bench_comparison import RotorMeasurements
 from mufly.rotor.rotor_system import Air
 from mufly.rotor.sections.polar_engines import PolarEngine
 from mufly.rotor.sections.polar_table import PolarTable, stack_polars
@@ -165,7 +165,7 @@ def fit_rotor(
     section : 'guessed' or 'known'
         Whether the airfoils of the rotor file are a guess among other candidates, or known.
     family : str
-        Family of a guessed section, if known: one of :data:`mufly.rotor.blade_families.BLADE_FAMILIES`.
+        Family of a guessed section, if known: one of :data:`mufly.rotor.blades.blade_families.BLADE_FAMILIES`.
     air, n_crit, engine, corrections
         As for :func:`mufly.rotor.prepare_blading` and :func:`mufly.rotor.solve_rotor`.
     progress : callable, optional

@@ -1,0 +1,1 @@
+"""Blades: families, files, solids, and the geometry measured on real ones."""

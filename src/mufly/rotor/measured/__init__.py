@@ -1,0 +1,1 @@
+"""Rotors beside measurements: comparison, fits, and the uncertainty of predictions."""
