@@ -21,10 +21,10 @@ import numpy as np
 
 from mufly.bridges.autopilot_gains import AutopilotGains
 from mufly.bridges.autopilot_plant import AutopilotPlant, warm_up_plant
-from mufly.bridges.betaflight_cli import run_betaflight
-from mufly.bridges.betaflight_link import BETAFLIGHT_RATE_HZ, BetaflightSimulator
-from mufly.bridges.betaflight_pilot import BetaflightPilot, PilotPlan
-from mufly.bridges.betaflight_settings import design_betaflight_gains, format_cli_file
+from mufly.bridges.betaflight.betaflight_cli import run_betaflight
+from mufly.bridges.betaflight.betaflight_link import BETAFLIGHT_RATE_HZ, BetaflightSimulator
+from mufly.bridges.betaflight.betaflight_pilot import BetaflightPilot, PilotPlan
+from mufly.bridges.betaflight.betaflight_settings import design_betaflight_gains, format_cli_file
 from mufly.mission import Mission
 from mufly.vehicle import Vehicle, load_vehicle
 

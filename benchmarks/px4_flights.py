@@ -25,8 +25,8 @@ from typing import Any
 import numpy as np
 
 from mufly.bridges.autopilot_plant import AutopilotPlant
-from mufly.bridges.px4_airframe import AIRFRAME_NUMBER
-from mufly.bridges.px4_link import PX4_ENDPOINT, PX4_RATE_HZ, Px4Simulator
+from mufly.bridges.px4.px4_airframe import AIRFRAME_NUMBER
+from mufly.bridges.px4.px4_link import PX4_ENDPOINT, PX4_RATE_HZ, Px4Simulator
 from mufly.link.codec import FrameDecoder, FrameEncoder, mavlink
 from mufly.mission import Mission
 from mufly.vehicle import load_vehicle

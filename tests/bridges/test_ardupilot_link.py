@@ -9,7 +9,7 @@ import time
 import numpy as np
 import pytest
 
-from mufly.bridges.ardupilot_link import ARDUPILOT_RATE_HZ, ArduPilotSimulator, read_servo_packet
+from mufly.bridges.ardupilot.ardupilot_link import ARDUPILOT_RATE_HZ, ArduPilotSimulator, read_servo_packet
 from mufly.bridges.autopilot_plant import AutopilotPlant
 from mufly.link import parse_endpoint
 from mufly.mission import Mission
@@ -128,7 +128,7 @@ def test_wrong_rate_frame_program_and_lost_packets_are_named(session):
 
 
 def test_silence_is_named(session, monkeypatch):
-    from mufly.bridges import ardupilot_link
+    from mufly.bridges.ardupilot import ardupilot_link
 
     monkeypatch.setattr(ardupilot_link, "SILENCE_S", 0.2)
     simulator, events = session

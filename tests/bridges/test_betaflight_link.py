@@ -11,13 +11,18 @@ import numpy as np
 import pytest
 from betaflight_peer import GAINS, IDLE, REST, Peer, SerialPort
 
-from mufly.bridges import betaflight_link
 from mufly.bridges.autopilot_plant import AutopilotPlant, warm_up_plant
-from mufly.bridges.betaflight_cli import find_betaflight, load_cli_file, run_betaflight
-from mufly.bridges.betaflight_link import BETAFLIGHT_ENDPOINT, BETAFLIGHT_RATE_HZ, BetaflightPorts, BetaflightSimulator
-from mufly.bridges.betaflight_messages import read_arming_obstacles, read_outputs
-from mufly.bridges.betaflight_pilot import BetaflightPilot, PilotPlan, find_square_point
-from mufly.bridges.betaflight_settings import convert_rate_gains, format_cli_file
+from mufly.bridges.betaflight import betaflight_link
+from mufly.bridges.betaflight.betaflight_cli import find_betaflight, load_cli_file, run_betaflight
+from mufly.bridges.betaflight.betaflight_link import (
+    BETAFLIGHT_ENDPOINT,
+    BETAFLIGHT_RATE_HZ,
+    BetaflightPorts,
+    BetaflightSimulator,
+)
+from mufly.bridges.betaflight.betaflight_messages import read_arming_obstacles, read_outputs
+from mufly.bridges.betaflight.betaflight_pilot import BetaflightPilot, PilotPlan, find_square_point
+from mufly.bridges.betaflight.betaflight_settings import convert_rate_gains, format_cli_file
 from mufly.errors import InputError, MuflyError
 from mufly.link import parse_endpoint
 from mufly.link.ports import Endpoint

@@ -10,9 +10,9 @@ from px4_peer import CascadeLaw, ScriptedPx4, idle
 
 from mufly.bridges.autopilot_gains import MAX_SENSITIVITY, design_autopilot_gains
 from mufly.bridges.autopilot_plant import AutopilotPlant
-from mufly.bridges.px4_airframe import airframe_file_name, format_airframe_file, list_px4_parameters
-from mufly.bridges.px4_link import DEFAULT_ORIGIN, PX4_RATE_HZ, Px4Simulator
-from mufly.bridges.px4_messages import SensorMessages
+from mufly.bridges.px4.px4_airframe import airframe_file_name, format_airframe_file, list_px4_parameters
+from mufly.bridges.px4.px4_link import DEFAULT_ORIGIN, PX4_RATE_HZ, Px4Simulator
+from mufly.bridges.px4.px4_messages import SensorMessages
 from mufly.errors import InputError
 from mufly.link import parse_endpoint
 from mufly.mission import Mission
@@ -127,7 +127,7 @@ def test_a_px4_that_dies_and_calls_again_starts_anew():
 
 
 def test_a_silent_px4_stops_the_time(monkeypatch):
-    from mufly.bridges import px4_link
+    from mufly.bridges.px4 import px4_link
 
     monkeypatch.setattr(px4_link, "SILENCE_S", 0.2)
     monkeypatch.setattr(px4_link, "SKIP_S", 0.1)
@@ -160,7 +160,7 @@ def test_a_silent_px4_stops_the_time(monkeypatch):
     ],
 )
 def test_other_rates_are_named(monkeypatch, settings, word):
-    from mufly.bridges import px4_link
+    from mufly.bridges.px4 import px4_link
 
     monkeypatch.setattr(px4_link, "SKIP_S", 0.02)
     monkeypatch.setattr(px4_link, "_CHECK_PERIODS", 50)
@@ -180,7 +180,7 @@ def test_other_rates_are_named(monkeypatch, settings, word):
     ],
 )
 def test_another_airframe_is_named(monkeypatch, outputs, word):
-    from mufly.bridges import px4_link
+    from mufly.bridges.px4 import px4_link
 
     monkeypatch.setattr(px4_link, "_CHECK_PERIODS", 50)
     with plant() as vehicle, Session(vehicle) as session:

@@ -7,7 +7,7 @@ import pytest
 
 from mufly.bench.rig.simulated_rig import SIMULATED_FAULTS
 from mufly.bench.series.series_plan import SIDES_BY_AXIS
-from mufly.bridges.px4_messages import PositionSource
+from mufly.bridges.px4.px4_messages import PositionSource
 from mufly.camera.live_pictures import PictureClock
 from mufly.cfd.openfoam_case import TURBULENCE_MODELS
 from mufly.cfd.sector_mesh import MESH_LEVELS

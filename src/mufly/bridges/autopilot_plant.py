@@ -8,7 +8,7 @@ One period at time ``t_k``::
 
 As in :mod:`mufly.flight.simulated_flight`, the inputs u_k act from t_(k+1): one period is the computing time of the
 onboard processor. The autopilot never receives the truth; PX4 records it beside its estimate
-(:mod:`mufly.bridges.px4_messages`).
+(:mod:`mufly.bridges.px4.px4_messages`).
 """
 
 from __future__ import annotations

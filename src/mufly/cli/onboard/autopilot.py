@@ -70,7 +70,7 @@ file, with a limited sensitivity at the actuators and at the commanded accelerat
     command += f" --position {position}" if autopilot == "px4" else ""
     files: list[Path] = []
     if autopilot == "betaflight":
-        from mufly.bridges.betaflight_settings import (
+        from mufly.bridges.betaflight.betaflight_settings import (
             design_betaflight_gains,
             format_cli_file,
             list_betaflight_settings,
@@ -80,13 +80,13 @@ file, with a limited sensitivity at the actuators and at the commanded accelerat
         name, text = f"{loaded.name}-betaflight.txt", format_cli_file(loaded, designed, command)
         parameters = [line._asdict() for line in list_betaflight_settings(designed)]
     elif autopilot == "px4":
-        from mufly.bridges.px4_airframe import airframe_file_name, format_airframe_file, list_px4_parameters
+        from mufly.bridges.px4.px4_airframe import airframe_file_name, format_airframe_file, list_px4_parameters
 
         designed = design_autopilot_gains(loaded)
         name, text = airframe_file_name(loaded), format_airframe_file(loaded, designed, position, command)
         parameters = [p._asdict() for p in list_px4_parameters(loaded, designed, position)]
     else:
-        from mufly.bridges.ardupilot_parameters import format_parameter_file, list_ardupilot_parameters
+        from mufly.bridges.ardupilot.ardupilot_parameters import format_parameter_file, list_ardupilot_parameters
 
         designed = design_autopilot_gains(loaded)
         name, text = f"{loaded.name}.parm", format_parameter_file(loaded, designed, command)
@@ -126,7 +126,7 @@ def load(
 
       mufly autopilot load parameters/mufly-1.1-betaflight.txt
     """
-    from mufly.bridges.betaflight_cli import load_cli_file
+    from mufly.bridges.betaflight.betaflight_cli import load_cli_file
     from mufly.link.ports import parse_endpoint
 
     endpoint = parse_endpoint(connect, "vehicle", "--connect")
@@ -162,9 +162,9 @@ def run_simulator(
         raise InputError("--sensors", sensors, f"{autopilot} flies on sensors", "leave it out")
     if ends is not None and len(ends) > 1:
         raise InputError("--link", "", "a simulator has one endpoint", "give it once")
-    from mufly.bridges.ardupilot_link import ARDUPILOT_ENDPOINT
-    from mufly.bridges.betaflight_link import BETAFLIGHT_ENDPOINT
-    from mufly.bridges.px4_link import PX4_ENDPOINT
+    from mufly.bridges.ardupilot.ardupilot_link import ARDUPILOT_ENDPOINT
+    from mufly.bridges.betaflight.betaflight_link import BETAFLIGHT_ENDPOINT
+    from mufly.bridges.px4.px4_link import PX4_ENDPOINT
     from mufly.bridges.simulator_pace import check_speed
     from mufly.link.codec import parse_origin
     from mufly.link.ports import parse_endpoint
@@ -195,16 +195,16 @@ def run_simulator(
     print_lines(describe_sensor_source(helicopter, "fitted"))
     with LiveDisplay(terminal) as display:
         display.set_live_line("compiling the model")
-        from mufly.bridges.ardupilot_link import ARDUPILOT_RATE_HZ, ArduPilotSimulator
+        from mufly.bridges.ardupilot.ardupilot_link import ARDUPILOT_RATE_HZ, ArduPilotSimulator
         from mufly.bridges.autopilot_plant import AutopilotPlant, warm_up_plant
-        from mufly.bridges.betaflight_link import BETAFLIGHT_RATE_HZ, BetaflightSimulator
-        from mufly.bridges.px4_link import DEFAULT_ORIGIN, PX4_RATE_HZ, Px4Simulator
+        from mufly.bridges.betaflight.betaflight_link import BETAFLIGHT_RATE_HZ, BetaflightSimulator
+        from mufly.bridges.px4.px4_link import DEFAULT_ORIGIN, PX4_RATE_HZ, Px4Simulator
 
         rate_Hz = {"px4": PX4_RATE_HZ, "ardupilot": ARDUPILOT_RATE_HZ, "betaflight": BETAFLIGHT_RATE_HZ}[autopilot]
         warm_up_plant(helicopter, rate_Hz)
         if autopilot == "betaflight":
-            from mufly.bridges.betaflight_pilot import BetaflightPilot
-            from mufly.bridges.betaflight_settings import design_betaflight_gains
+            from mufly.bridges.betaflight.betaflight_pilot import BetaflightPilot
+            from mufly.bridges.betaflight.betaflight_settings import design_betaflight_gains
 
             display.set_live_line("designing the pilot's gains")
             pilot = BetaflightPilot(design_betaflight_gains(helicopter))

@@ -8,7 +8,7 @@ roll. With the error of a rate in deg/s, and u the input of an actuator::
 
 So its integers are the gains of :mod:`mufly.bridges.autopilot_gains`, divided by these scales. Its angle mode is the
 cascade of that module, and a low pass of :data:`ATTITUDE_CUTOFF_HZ` besides, which the design contains as a delay.
-Betaflight holds no position here: :mod:`mufly.bridges.betaflight_pilot` does.
+Betaflight holds no position here: :mod:`mufly.bridges.betaflight.betaflight_pilot` does.
 
 Meaning and units: https://betaflight.com/docs/wiki and the source of Betaflight 4.6, of which no code is copied.
 """
@@ -38,7 +38,7 @@ LOW_THROTTLE_US = 1050.0
 ATTITUDE_CUTOFF_HZ = 50.0
 """Cut-off of Betaflight's low pass of third order in the angle mode."""
 PILOT_RATE_HZ = 100.0
-"""Rate of the commands of :mod:`mufly.bridges.betaflight_pilot`."""
+"""Rate of the commands of :mod:`mufly.bridges.betaflight.betaflight_pilot`."""
 INTEGRAL_LIMIT = 0.15
 """Largest integral of a rate, as an input of an actuator: trim; it limits the wind-up on the floor."""
 _THIRD_ORDER_FACTOR = 1.0 / math.sqrt(2.0 ** (1.0 / 3.0) - 1.0)  # cut-off of one of three equal stages

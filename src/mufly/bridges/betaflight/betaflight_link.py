@@ -37,7 +37,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mufly.bridges.autopilot_plant import AutopilotPlant
-from mufly.bridges.betaflight_messages import (
+from mufly.bridges.betaflight.betaflight_messages import (
     GAZEBO_BYTES,
     LEAST_US,
     BetaflightOutputs,
@@ -47,8 +47,8 @@ from mufly.bridges.betaflight_messages import (
     read_arming_obstacles,
     read_outputs,
 )
-from mufly.bridges.betaflight_pilot import REST_PULSES_US, BetaflightPilot
-from mufly.bridges.betaflight_settings import MOTOR_IDLE, PILOT_RATE_HZ
+from mufly.bridges.betaflight.betaflight_pilot import REST_PULSES_US, BetaflightPilot
+from mufly.bridges.betaflight.betaflight_settings import MOTOR_IDLE, PILOT_RATE_HZ
 from mufly.bridges.simulator_pace import SimulatorPace, SimulatorReport
 from mufly.errors import InputError
 from mufly.link.ports import Endpoint, Peer, Port, UdpPort, open_port

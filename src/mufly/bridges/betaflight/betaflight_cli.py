@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
-from mufly.bridges.betaflight_messages import encode_status_request, read_arming_obstacles
+from mufly.bridges.betaflight.betaflight_messages import encode_status_request, read_arming_obstacles
 from mufly.errors import MuflyError
 from mufly.link.ports import Endpoint
 

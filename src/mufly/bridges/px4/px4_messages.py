@@ -39,7 +39,7 @@ PositionSource = Literal["vision", "gps"]
 
 LOWER_OUTPUT, UPPER_OUTPUT, SERVO_1_OUTPUT, SERVO_2_OUTPUT = range(4)
 """Outputs of PX4's coaxial helicopter: motor that yaws left, motor that yaws right, servo 1, servo 2
-(:mod:`mufly.bridges.px4_airframe`)."""
+(:mod:`mufly.bridges.px4.px4_airframe`)."""
 OUTPUT_COUNT = 4
 LOCKSTEP_FLAG = 1
 """Flag of HIL_ACTUATOR_CONTROLS: PX4's clock follows HIL_SENSOR."""

@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 
 from mufly.bridges.autopilot_plant import AutopilotPlant
-from mufly.bridges.px4_messages import (
+from mufly.bridges.px4.px4_messages import (
     OUTPUT_COUNT,
     ActuatorCommand,
     PositionSource,

@@ -21,7 +21,7 @@ from mufly.bridges.autopilot_gains import (
     VELOCITY_RATE_CUTOFF_HZ,
     AutopilotGains,
 )
-from mufly.bridges.px4_messages import PositionSource
+from mufly.bridges.px4.px4_messages import PositionSource
 from mufly.dynamics import hover_performance
 from mufly.vehicle import Vehicle
 

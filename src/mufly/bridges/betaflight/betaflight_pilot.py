@@ -10,7 +10,7 @@ capture; faults of the vehicle's position fix have no effect here)::
 V is the measured voltage of the battery, low-passed, so that a full battery lifts no more than a half-full one.
 The design assumes a lag of x and v of :data:`~mufly.bridges.autopilot_gains.ESTIMATE_LAG_S`; here it is one period.
 Channels: roll, pitch, throttle, yaw, switch of ARM, switch of ANGLE, as the CLI file of
-:mod:`mufly.bridges.betaflight_settings` reads them.
+:mod:`mufly.bridges.betaflight.betaflight_settings` reads them.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.bridges.autopilot_gains import VELOCITY_RATE_CUTOFF_HZ, AutopilotGains, CascadeGains
-from mufly.bridges.betaflight_messages import CENTRE_US, HALF_US, LEAST_US, MOST_US
-from mufly.bridges.betaflight_settings import (
+from mufly.bridges.betaflight.betaflight_messages import CENTRE_US, HALF_US, LEAST_US, MOST_US
+from mufly.bridges.betaflight.betaflight_settings import (
     ANGLE_LIMIT_DEG,
     LOW_THROTTLE_US,
     MOTOR_IDLE,
@@ -114,7 +114,7 @@ class BetaflightPilot:
     Parameters
     ----------
     gains : AutopilotGains
-        From :func:`mufly.bridges.betaflight_settings.design_betaflight_gains`.
+        From :func:`mufly.bridges.betaflight.betaflight_settings.design_betaflight_gains`.
     plan : PilotPlan
 
     Attributes

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from mufly.bridges.ardupilot_link import ARDUPILOT_RATE_HZ
+from mufly.bridges.ardupilot.ardupilot_link import ARDUPILOT_RATE_HZ
 from mufly.bridges.autopilot_gains import GYRO_CUTOFF_HZ, GYRO_RATE_CUTOFF_HZ, AutopilotGains
 from mufly.vehicle import Vehicle
 

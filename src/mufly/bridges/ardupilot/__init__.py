@@ -1,0 +1,1 @@
+"""ArduPilot flies the model: its simulator link and its parameters."""

@@ -1,0 +1,1 @@
+"""Betaflight flies the model: its simulator link, command line, messages, pilot and settings."""
