@@ -7,7 +7,7 @@ import subprocess
 
 import pytest
 
-from mufly.firmware.source_export import BOARD_INCLUDE_FLAGS, copy_sources
+from mufly.firmware.export.source_export import BOARD_INCLUDE_FLAGS, copy_sources
 
 HARNESS = r"""
 #include <stdio.h>

@@ -20,7 +20,7 @@ from mufly.control import design_flight_controller
 from mufly.firmware import export_firmware, missing_tools
 from mufly.firmware.emulated.board_link import run_linked_board
 from mufly.firmware.emulated.image_build import build_host_board
-from mufly.firmware.source_export import BOARD_INCLUDE_FLAGS
+from mufly.firmware.export.source_export import BOARD_INCLUDE_FLAGS
 from mufly.flight.tunable_parameters import PARAMETERS
 from mufly.link.parameter_protocol import LINK_PARAMETERS
 from mufly.link.telemetry_streams import MESSAGE_STREAMS

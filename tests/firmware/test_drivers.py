@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from mufly.estimate.filter.filter_records import R_ACCELERATION, R_BATTERY, R_PRESSURE, R_RATES, R_SONAR, READING_STARTS
-from mufly.firmware.source_export import BOARD_INCLUDE_FLAGS, copy_sources
+from mufly.firmware.export.source_export import BOARD_INCLUDE_FLAGS, copy_sources
 from mufly.sensors.pressure import STANDARD_PRESSURE_PA
 
 COMPILERS = [c for c in ("cc", "gcc", "clang") if shutil.which(c)]

@@ -13,14 +13,14 @@ from mufly.control import design_flight_controller
 from mufly.control.implementation import DiscreteController
 from mufly.errors import MuflyError
 from mufly.estimate import Estimate
-from mufly.firmware.fixed_point_design import measure_cascade_loss, quantise_controller, quantise_law
-from mufly.firmware.fixed_point_flights import fly_fixed_point
-from mufly.firmware.fixed_point_law import (
+from mufly.firmware.fixed_point.fixed_point_design import measure_cascade_loss, quantise_controller, quantise_law
+from mufly.firmware.fixed_point.fixed_point_flights import fly_fixed_point
+from mufly.firmware.fixed_point.fixed_point_law import (
     FixedPointControllers,
     FixedPointFirmwareControllers,
     sine_cosine_fixed,
 )
-from mufly.firmware.sil_pil import missing_tools, run_pil
+from mufly.firmware.proof.sil_pil import missing_tools, run_pil
 from mufly.flight.controllers import Controllers, copy_record
 from mufly.vehicle import load_vehicle
 
@@ -62,7 +62,7 @@ def _worst(controller, c):
 
 def test_the_bound_is_reached_nearly_and_never_passed(made) -> None:
     """The worst inputs, made from the impulse responses, fill the bound of a state to most of it."""
-    from mufly.firmware.fixed_point_design import ACTUATION_LIMITS, ERROR_LIMITS
+    from mufly.firmware.fixed_point.fixed_point_design import ACTUATION_LIMITS, ERROR_LIMITS
 
     _, controller, law = made
     c = law.roll_pitch

@@ -23,8 +23,8 @@ from mufly.estimate import ZERO_COVARIANCE, Estimate, SensorStatus
 from mufly.estimate.sensor_status import AuxiliaryStates
 from mufly.firmware import Firmware, export_firmware, find_compiler
 from mufly.firmware.compiled_software import diff_fields
+from mufly.firmware.export.source_export import BOARD_INCLUDE_FLAGS
 from mufly.firmware.software_instance import SoftwareInstance, read_course, read_point
-from mufly.firmware.source_export import BOARD_INCLUDE_FLAGS
 from mufly.flight.flight_software import FlightSoftware
 from mufly.flight.oscillation_detector import INPUT_NAMES, OscillationDetector
 from mufly.mission import (

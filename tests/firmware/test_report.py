@@ -19,8 +19,8 @@ from mufly.firmware import (
     run_fuzzer,
     write_report,
 )
-from mufly.firmware.evidence_report import ADVISORY_RULES, judge_findings, parse_deviations, read_branches
-from mufly.firmware.proof_flights import draw_conditions, resume_flights
+from mufly.firmware.proof.evidence_report import ADVISORY_RULES, judge_findings, parse_deviations, read_branches
+from mufly.firmware.proof.proof_flights import draw_conditions, resume_flights
 from mufly.sensors.faults import parse_fault
 from mufly.vehicle import load_vehicle
 

@@ -15,7 +15,7 @@ from mufly.estimate.filter.filter_records import R_ACCELERATION, R_RATES, R_RING
 from mufly.firmware import missing_tools
 from mufly.firmware.emulated import HostBoard, make_board
 from mufly.firmware.emulated.image_build import build_host_board
-from mufly.firmware.evidence_report import BOARD_TARGETS, measure_board_image
+from mufly.firmware.proof.evidence_report import BOARD_TARGETS, measure_board_image
 from mufly.mission import load_mission
 from mufly.vehicle import load_vehicle
 

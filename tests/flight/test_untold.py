@@ -10,7 +10,7 @@ import xarray as xr
 
 from mufly.errors import InputError
 from mufly.firmware import GenericFirmwareSoftware
-from mufly.firmware.plan_tables import plan_numbers
+from mufly.firmware.export.plan_tables import plan_numbers
 from mufly.flight import fly_mission
 from mufly.flight.monte_carlo import (
     ENDINGS,

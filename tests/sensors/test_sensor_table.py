@@ -29,7 +29,7 @@ OF_EVERY_SENSOR = {
     "estimate/filter/filter_records.py": "its noise in the filter's settings",
     "estimate/filter/fusion.py": "its measurement model",
 }
-_PROOF = {"firmware/proof_flights.py": "its faults in the flights by which C is proved equal"}
+_PROOF = {"firmware/proof/proof_flights.py": "its faults in the flights by which C is proved equal"}
 OF_ONE_SENSOR = {
     "magnetometer": {
         "sensors/magnetometer.py": "its model",

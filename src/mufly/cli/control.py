@@ -472,7 +472,7 @@ are installed. The verdict names the criterion that decides it. Designs, bounds 
     from mufly.control.analysis.comparison import FlightFigures, compare_methods, comparison_dataset, judge_comparison
     from mufly.control.analysis.plots import draw_comparison
     from mufly.control.synthesis.synthesis_methods import METHODS
-    from mufly.firmware.sil_pil import law_instructions, missing_tools
+    from mufly.firmware.proof.sil_pil import law_instructions, missing_tools
     from mufly.logs.tables.columnar_files import write_netcdf
     from mufly.results import to_plain_data
     from mufly.vehicle import load_vehicle

@@ -117,7 +117,7 @@ def _waypoint_rows(m: Mission) -> list[dict[str, Any]]:
 def check(mission: _MissionArgument, vehicle: VehicleOption = "mufly-1.1", as_json: JsonOption = False) -> None:
     """Check a mission file, and whether the vehicle's battery suffices. If not: the reason, and exit status 1."""
     from mufly.control import design_flight_controller
-    from mufly.firmware.plan_tables import MAX_WAYPOINTS
+    from mufly.firmware.export.plan_tables import MAX_WAYPOINTS
     from mufly.flight import controller_limits
     from mufly.mission import GROUND_FILE_DESCRIPTION, check_preflight, load_mission
     from mufly.vehicle import load_vehicle

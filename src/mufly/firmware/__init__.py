@@ -1,25 +1,25 @@
 """Export the flight software as C99 with a vehicle's numbers, and build, fly and verify it on this machine."""
 
 from mufly.firmware.compiled_software import FirmwareSoftware, GenericFirmwareSoftware
-from mufly.firmware.evidence_report import write_report
-from mufly.firmware.fixed_point_design import (
+from mufly.firmware.export.policy_export import export_policy
+from mufly.firmware.export.source_export import export_firmware, render_gains_source
+from mufly.firmware.fixed_point.fixed_point_design import (
     FixedPointLaw,
     OverflowProof,
     QuantisationLoss,
     measure_cascade_loss,
     quantise_law,
 )
-from mufly.firmware.fixed_point_flights import FixedPointFlight, fly_fixed_point
-from mufly.firmware.fixed_point_law import (
+from mufly.firmware.fixed_point.fixed_point_flights import FixedPointFlight, fly_fixed_point
+from mufly.firmware.fixed_point.fixed_point_law import (
     FixedPointControllers,
     FixedPointFirmwareControllers,
     export_fixed_point,
 )
-from mufly.firmware.fuzzing import FuzzResult, fuzz_firmware, missing_fuzzer_tools, run_fuzzer
 from mufly.firmware.host_build import Firmware, FirmwareControllers, build_library
-from mufly.firmware.policy_export import export_policy
-from mufly.firmware.sil_pil import PilResult, SilResult, find_deepest_stack, missing_tools, run_pil, run_sil
-from mufly.firmware.source_export import export_firmware, render_gains_source
+from mufly.firmware.proof.evidence_report import write_report
+from mufly.firmware.proof.fuzzing import FuzzResult, fuzz_firmware, missing_fuzzer_tools, run_fuzzer
+from mufly.firmware.proof.sil_pil import PilResult, SilResult, find_deepest_stack, missing_tools, run_pil, run_sil
 from mufly.toolchain import find_compiler
 
 __all__ = [

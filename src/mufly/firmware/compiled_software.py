@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from mufly.control import FlightController
 from mufly.errors import InputError, MuflyError
 from mufly.estimate import Estimate
+from mufly.firmware.export.plan_tables import HOST_MAX_WAYPOINTS, make_plan, plan_numbers
 from mufly.firmware.host_build import Firmware, FirmwareControllers
-from mufly.firmware.plan_tables import HOST_MAX_WAYPOINTS, make_plan, plan_numbers
 from mufly.firmware.software_instance import MISSION_STATES, MOTOR_MODES, SoftwareInstance
 from mufly.flight.controllers import Actuators
 from mufly.flight.flight_software import FlightSoftware

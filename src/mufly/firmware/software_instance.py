@@ -18,8 +18,8 @@ from mufly.control import FlightController
 from mufly.estimate import Estimate, SensorStatus
 from mufly.estimate.filter.filter_records import EX_ATT, EX_GYRO_BIAS, EX_POS, EX_VEL
 from mufly.estimate.sensor_status import REASON_COUNT, SUSPICIOUS_REASONS, describe_reason
+from mufly.firmware.export.plan_tables import HOST_MAX_WAYPOINTS, plan_numbers, setup_numbers
 from mufly.firmware.host_build import Firmware, FirmwareControllers
-from mufly.firmware.plan_tables import HOST_MAX_WAYPOINTS, plan_numbers, setup_numbers
 from mufly.flight.controllers import Actuators
 from mufly.flight.estimator_health import describe_check, describe_sensor
 from mufly.flight.oscillation_detector import INPUT_NAMES, Oscillation

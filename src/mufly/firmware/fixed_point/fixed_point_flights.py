@@ -11,9 +11,9 @@ import xarray as xr
 
 from mufly.control import FlightController, design_flight_controller
 from mufly.firmware.compiled_software import GenericFirmwareSoftware
-from mufly.firmware.fixed_point_design import FixedPointLaw, quantise_law
-from mufly.firmware.fixed_point_law import FixedPointFirmwareControllers
-from mufly.firmware.proof_flights import draw_conditions, resume_flights
+from mufly.firmware.fixed_point.fixed_point_design import FixedPointLaw, quantise_law
+from mufly.firmware.fixed_point.fixed_point_law import FixedPointFirmwareControllers
+from mufly.firmware.proof.proof_flights import draw_conditions, resume_flights
 from mufly.flight import fly_mission
 from mufly.mission import load_mission
 from mufly.results import result

@@ -1,7 +1,8 @@
 """Compute the fixed-point control law in Python, the reference of ``fixed/fixed_law.c``, and in C; equal bit for bit.
 
-Python integers are unbounded; numbers beyond C's 32 or 64 bits are detected. :mod:`mufly.firmware.fixed_point_design`
-defines coefficients, rows and bounds; :mod:`mufly.control.law` defines the law.
+Python integers are unbounded; numbers beyond C's 32 or 64 bits are detected.
+:mod:`mufly.firmware.fixed_point.fixed_point_design` defines coefficients, rows and bounds; :mod:`mufly.control.law`
+defines the law.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from numpy.typing import NDArray
 from mufly.control import FlightController
 from mufly.errors import InputError
 from mufly.estimate import Estimate
-from mufly.firmware.fixed_point_design import (
+from mufly.firmware.export.source_export import copy_fixed_point, escape_comment
+from mufly.firmware.fixed_point.fixed_point_design import (
     ERROR_LIMITS,
     FRACTION_BITS,
     CoefficientRows,
@@ -28,7 +30,6 @@ from mufly.firmware.fixed_point_design import (
     quantise_law,
 )
 from mufly.firmware.host_build import build_library, cffi_declarations
-from mufly.firmware.source_export import copy_fixed_point, escape_comment
 from mufly.flight.controllers import Actuators, Controllers
 from mufly.toolchain import find_compiler
 from mufly.version import __version__

@@ -1,7 +1,7 @@
 """Measure the branch coverage of the exported C code.
 
-The code is built with gcov counters, which the process writes when it ends. :mod:`mufly.firmware.evidence_report`
-therefore runs ``python -m mufly.firmware.branch_coverage TREE VEHICLE``.
+The code is built with gcov counters, which the process writes when it ends. :mod:`mufly.firmware.proof.evidence_report`
+therefore runs ``python -m mufly.firmware.proof.branch_coverage TREE VEHICLE``.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ import numpy as np
 
 from mufly.control import FlightController, design_flight_controller
 from mufly.estimate import filter_backend
-from mufly.firmware import fixed_point_law
 from mufly.firmware.compiled_software import FirmwareSoftware
-from mufly.firmware.fixed_point_design import quantise_law
+from mufly.firmware.fixed_point import fixed_point_law
+from mufly.firmware.fixed_point.fixed_point_design import quantise_law
 from mufly.firmware.host_build import Firmware, cffi_declarations
-from mufly.firmware.proof_flights import add_random_obstacle, draw_conditions
-from mufly.firmware.sil_pil import run_compiler
+from mufly.firmware.proof.proof_flights import add_random_obstacle, draw_conditions
+from mufly.firmware.proof.sil_pil import run_compiler
 from mufly.flight import fly_mission
 from mufly.mission import Mission, load_mission, parse_mission
 from mufly.sensors.faults import parse_fault
@@ -138,7 +138,7 @@ def run_coverage_workload(folder: Path, vehicle: Vehicle) -> None:
 
 def _run_comparison_tests(counted: Firmware) -> None:
     """Run the tests that compare Python and C on the instrumented code, if the tests are available."""
-    tests = Path(__file__).resolve().parents[3] / "tests" / "firmware"
+    tests = Path(__file__).resolve().parents[4] / "tests" / "firmware"
     try:
         import pytest
     except ImportError:

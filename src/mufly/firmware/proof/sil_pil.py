@@ -28,10 +28,10 @@ from mufly.errors import MuflyError
 from mufly.estimate import Estimate, Estimator, KalmanEstimator
 from mufly.estimate.filter.c_records import PYTHON_ONLY_FIELDS
 from mufly.firmware.compiled_software import ComparedSoftware, make_compared_software
-from mufly.firmware.fixed_point_law import export_fixed_point
+from mufly.firmware.export.source_export import export_firmware
+from mufly.firmware.fixed_point.fixed_point_law import export_fixed_point
 from mufly.firmware.host_build import Firmware, FirmwareControllers
-from mufly.firmware.proof_flights import add_random_obstacle, draw_conditions, resume_flights
-from mufly.firmware.source_export import export_firmware
+from mufly.firmware.proof.proof_flights import add_random_obstacle, draw_conditions, resume_flights
 from mufly.flight import fly_mission
 from mufly.flight.controllers import Actuators, Controllers
 from mufly.mission import load_mission, parse_mission
@@ -299,7 +299,7 @@ def run_sil(
     faults : sequence of Fault
         Sensor faults.
     drawn : bool
-        Whether to draw wind, gusts, faults and an obstacle by the seed (:mod:`mufly.firmware.proof_flights`).
+        Whether to draw wind, gusts, faults and an obstacle by the seed (:mod:`mufly.firmware.proof.proof_flights`).
     keep : path, optional
         File of results; stored flights are not repeated.
     on_flight : callable, optional

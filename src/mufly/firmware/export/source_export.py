@@ -17,8 +17,8 @@ import numpy as np
 from mufly.control import FlightController
 from mufly.control.law import GAIN_UNITS
 from mufly.errors import InputError
-from mufly.firmware.estimate_tables import render_estimator_files
-from mufly.firmware.plan_tables import (
+from mufly.firmware.export.estimate_tables import render_estimator_files
+from mufly.firmware.export.plan_tables import (
     make_plan,
     render_log_source,
     render_plan_source,

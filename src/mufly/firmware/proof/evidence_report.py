@@ -21,12 +21,13 @@ from typing import Any
 
 from mufly.control import design_flight_controller
 from mufly.errors import MuflyError
-from mufly.firmware.estimate_tables import render_estimator_files
-from mufly.firmware.fixed_point_design import measure_cascade_loss, quantise_law
-from mufly.firmware.fixed_point_flights import fly_fixed_point
-from mufly.firmware.fixed_point_law import export_fixed_point
-from mufly.firmware.fuzzing import fuzz_firmware, missing_fuzzer_tools, run_fuzzer
-from mufly.firmware.sil_pil import (
+from mufly.firmware.export.estimate_tables import render_estimator_files
+from mufly.firmware.export.source_export import export_firmware
+from mufly.firmware.fixed_point.fixed_point_design import measure_cascade_loss, quantise_law
+from mufly.firmware.fixed_point.fixed_point_flights import fly_fixed_point
+from mufly.firmware.fixed_point.fixed_point_law import export_fixed_point
+from mufly.firmware.proof.fuzzing import fuzz_firmware, missing_fuzzer_tools, run_fuzzer
+from mufly.firmware.proof.sil_pil import (
     CORTEX_M4_FLAGS,
     SINGLE_PRECISION_BUILD,
     compile_objects,
@@ -36,7 +37,6 @@ from mufly.firmware.sil_pil import (
     run_pil,
     run_sil,
 )
-from mufly.firmware.source_export import export_firmware
 from mufly.mission import load_mission
 from mufly.results import to_plain_data
 from mufly.toolchain import COMPILER_FLAGS
@@ -380,7 +380,7 @@ def _report_coverage(vehicle: Vehicle, out: Path) -> EvidenceSection:
         for name, text in render_estimator_files(None, None, 0.0).items():
             (folder / name).write_text(text, encoding="utf-8")
         # In a separate process: gcov counts are written when it ends.
-        command = [sys.executable, "-m", "mufly.firmware.branch_coverage", str(folder), vehicle.name]
+        command = [sys.executable, "-m", "mufly.firmware.proof.branch_coverage", str(folder), vehicle.name]
         done = subprocess.run(command, capture_output=True, text=True)
         if done.returncode:
             raise MuflyError(f"not measured: {done.stderr.strip().splitlines()[-1:] or done.returncode}")

@@ -12,7 +12,7 @@ from importlib import resources
 from pathlib import Path
 
 from mufly.errors import InputError
-from mufly.firmware.source_export import SOURCE_FOLDER, escape_comment, to_hexadecimal
+from mufly.firmware.export.source_export import SOURCE_FOLDER, escape_comment, to_hexadecimal
 from mufly.flight.policy import LearnedPolicy
 from mufly.version import __version__
 

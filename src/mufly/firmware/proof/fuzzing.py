@@ -16,9 +16,9 @@ from pathlib import Path
 
 from mufly.control import design_flight_controller
 from mufly.errors import MuflyError
-from mufly.firmware.fixed_point_law import export_fixed_point
-from mufly.firmware.sil_pil import run_compiler
-from mufly.firmware.source_export import BOARD_INCLUDE_FLAGS, export_firmware
+from mufly.firmware.export.source_export import BOARD_INCLUDE_FLAGS, export_firmware
+from mufly.firmware.fixed_point.fixed_point_law import export_fixed_point
+from mufly.firmware.proof.sil_pil import run_compiler
 from mufly.mission import load_mission
 from mufly.results import result
 from mufly.vehicle import Vehicle

@@ -1,0 +1,1 @@
+"""Export of flight software as C: sources, and the tables that a vehicle and a mission give."""

@@ -1,0 +1,1 @@
+"""The fixed-point law: its design, its compiled form and its flights."""
