@@ -31,8 +31,8 @@ from mufly.dynamics import PARAMETER_DTYPE, STATE_SIZE
 from mufly.dynamics.model_state import RS_ATT, RS_CHARGE, RS_POS, RS_RATES, RS_VEL
 from mufly.errors import ArgumentError, MuflyError
 from mufly.estimate import KalmanEstimator
+from mufly.estimate.filter.filter_records import R_BATTERY, READING_STARTS, SX_ATT, SX_POS, SX_VEL
 from mufly.estimate.filter_backend import explain_numba_choice
-from mufly.estimate.filter_records import R_BATTERY, READING_STARTS, SX_ATT, SX_POS, SX_VEL
 from mufly.firmware import GenericFirmwareSoftware
 from mufly.firmware.quick.compiled_flight import make_filter_arrays
 from mufly.firmware.quick.compiled_loop import (
