@@ -32,7 +32,7 @@ def table_lines(head: list[str], rows: list[list[str]]) -> str:
 def accuracy_table(rows: list[dict[str, Any]]) -> str:
     """Return the table of some rows for the page: one line a figure, below the name of its subsystem.
 
-    A command that repeats the line above is printed as a ditto mark.
+    A command that repeats the line above is printed as a ditto mark. The page states that ``python`` runs scripts.
     """
     cells: list[list[str]] = []
     subsystem = command = ""
@@ -40,9 +40,9 @@ def accuracy_table(rows: list[dict[str, Any]]) -> str:
         if row["subsystem"] != subsystem:
             subsystem, command = row["subsystem"], ""
             cells.append([f"**{subsystem}**", "", "", "", ""])
-        told = "″" if row["command"] == command else f"`{row['command']}`"
+        told = "″" if row["command"] == command else f"`{row['command'].removeprefix('python ')}`"
         command = row["command"]
-        cells.append([row["quantity"], row["data"], value_text(row), target_text(row), told])
+        cells.append([row["quantity"], row["data"], value_text(row), row["target"], told])
     return table_lines(["quantity", "data", "measured", "target", "command"], cells)
 
 

@@ -1,8 +1,8 @@
 # %% [markdown]
 # # 1. A first flight and its numbers
 #
-# Ten minutes. You fly a simulated helicopter of 95 g, read its recording, and see the effect of wind and of real
-# sensors. Every cell is Python that you can paste. The same flight from a terminal is `mufly fly --headless`.
+# This lesson takes ten minutes. You fly a simulated helicopter of 95 g, read its recording, and see the effect of wind
+# and of sensor errors. Every cell is Python that you can paste. `mufly fly --headless` flies the mission in a terminal.
 
 # %%
 from pathlib import Path
@@ -21,7 +21,7 @@ folder.mkdir(exist_ok=True)
 # ## Hover
 #
 # Two rotors on one axis turn in opposite directions. In hover their thrusts carry the weight and the drag of the
-# downwash on the fuselage, and their torques cancel. `find_trim` solves for the motor inputs.
+# downwash on the fuselage, and their torques cancel. `find_trim` computes the motor inputs (0 to 1) of this state.
 
 # %%
 hover = dynamics.find_trim(vehicle)
@@ -30,13 +30,14 @@ print(f"motor inputs {hover.input[0]:.3f} (upper), {hover.input[1]:.3f} (lower)"
 print(f"rotor speeds {upper:.0f} and {lower:.0f} rpm")
 
 # %% [markdown]
-# The lower rotor works in the downwash of the upper rotor, and the upper rotor drives a stabiliser bar. Therefore the
-# two speeds differ.
+# The two speeds differ because the lower rotor works in the downwash of the upper rotor, and the upper rotor also
+# drives a stabiliser bar.
 #
 # ## Controller and mission
 #
-# `design_flight_controller` makes H-infinity controllers from the linearised model. `fly_mission` flies a mission on
-# the nonlinear model. The demonstration mission is the dissertation's: take off, four waypoints, land.
+# `design_flight_controller` designs H-infinity controllers for the linearised model. `fly_mission` simulates a mission
+# with the nonlinear model. The mission `demonstration` is that of the dissertation: take off, fly to four waypoints,
+# land.
 
 # %%
 controller = control.design_flight_controller(vehicle)
@@ -44,8 +45,8 @@ recording = flight.fly_mission(vehicle, "demonstration", controller=controller)
 print(recording.attrs["outcome"], f"after {float(recording.time[-1]):.0f} s")
 
 # %% [markdown]
-# `fly_mission` returns a labelled table (an xarray data set): truth, measurement, reference and actuators on one
-# clock. The axes are north, east and **down**: a height of 2 m is D = -2.
+# `fly_mission` returns an xarray data set with the true state, measurements, references and actuator inputs over time.
+# The axes are north, east and **down** (N, E, D): a height of 2 m is D = -2.
 
 # %%
 position, asked = recording.truth_position, recording.reference_position
@@ -64,7 +65,7 @@ figure.savefig(folder / "way.png")
 # %% [markdown]
 # ## The numbers of a flight
 #
-# The summary judges the flight by the true state, not by the estimated one.
+# The summary uses the true state of the simulation, not the estimate of the flight software.
 
 # %%
 summary = flight.summarise_flight(recording)
@@ -74,8 +75,8 @@ for name, value in flight.summary_rows(summary):
 # %% [markdown]
 # ## Wind
 #
-# The wind is 1.8 m/s from a constant direction with gusts of 0.3 m/s (standard deviation). The same `seed` gives the
-# same gusts. Wind pushes sideways, so the plot shows the distance from the reference in the horizontal plane.
+# The wind blows north at 1.8 m/s, with gusts of 0.3 m/s (standard deviation). The same `seed` gives the same gusts.
+# Wind pushes the helicopter sideways, so the plot shows the horizontal distance from the reference position.
 
 # %%
 windy = flight.fly_mission(vehicle, "demonstration", controller=controller, wind=(1.8, 0.0, 0.0), gust=0.3, seed=1)
@@ -98,16 +99,16 @@ figure.tight_layout()
 figure.savefig(folder / "wind.png")
 
 # %% [markdown]
-# Wind makes the greatest distance five times as large: 5.1 cm instead of 1.0 cm. It occurs at take-off, where the
-# controller has not yet compensated the wind. The greatest position error of the summary, 15 cm, hides this effect:
-# it is the lag in height at take-off, which is the same with and without wind.
+# With wind the greatest horizontal distance is 5.1 cm instead of 1.0 cm. It occurs at take-off, before the controller
+# has compensated the wind. The summary's greatest position error, 15 cm, does not show this effect: it is the lag in
+# height at take-off, which is the same with and without wind.
 
 # %% [markdown]
-# ## Real sensors
+# ## Sensors with errors
 #
-# The controllers used the true state in these flights. With `sensors="fitted"` they use estimates from the vehicle's
-# own sensors: accelerometers shaken by the rotors, a sonar, and position fixes that arrive late. `mufly fly` uses
-# fitted sensors by default.
+# In these flights the controllers received the true state. With `sensors="fitted"` they receive the estimate of a
+# Kalman filter, which reads the simulated sensors of the vehicle file: vibrating accelerometers, a sonar, and external
+# position measurements that arrive 0.2 s late. `mufly fly` uses these sensors by default.
 
 # %%
 felt = flight.fly_mission(
@@ -124,8 +125,8 @@ figure.savefig(folder / "estimate.png")
 print(felt.attrs["outcome"])
 
 # %% [markdown]
-# Run as a script (`python 1_first_flight.py`), the lesson shows its pictures in windows. They are also files in
-# `lesson-1`.
+# If you run the lesson as a script (`python 1_first_flight.py`), windows show its pictures. The folder `lesson-1`
+# also contains them.
 
 # %%
 print("pictures:", *sorted(str(p) for p in folder.glob("*.png")))
@@ -134,8 +135,8 @@ plt.show()
 # %% [markdown]
 # ## Try
 #
-# * Fly with `wind=(4.0, 0.0, 0.0)`. Which line of the summary reports air speeds beyond the model?
+# * Fly with `wind=(4.0, 0.0, 0.0)`. Which line of the summary reports air speeds beyond the model's range?
 # * Fly `flight.fly_mission(vehicle, "box-on-leg", ...)`: eight range beams detect a crate on the path.
 # * Watch a flight: `mufly fly` opens the ground station.
 #
-# The errors of the model and their sources: [Accuracy](../accuracy.md).
+# [Accuracy](../accuracy.md) lists the measured errors of the model.

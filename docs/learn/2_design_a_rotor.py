@@ -1,9 +1,9 @@
 # %% [markdown]
 # # 2. Design a rotor for your motor
 #
-# Fifteen minutes. A blade is judged together with the motor, gear and battery that drive it. You compute one blade,
-# find its speed on a motor, sweep shapes, and run an optimisation. The commands in a terminal are `mufly rotor
-# --help` and `mufly drive --help`.
+# This lesson takes fifteen minutes. The best blade depends on the motor, gear and battery that drive it. You compute
+# one blade, find its speed on a motor, compare shapes, and run an optimisation. `mufly rotor --help` and `mufly drive
+# --help` list the same functions as commands.
 
 # %%
 from pathlib import Path
@@ -32,21 +32,21 @@ folder.mkdir(exist_ok=True)
 # %% [markdown]
 # ## One blade at one speed
 #
-# Blade element momentum theory divides the blade into rings. In each ring the lift of the section agrees with the
-# momentum of the air. Small sections differ from those of textbooks: at a Reynolds number of 30 000 drag is several
-# times larger, and the laminar boundary layer separates early. NeuralFoil gives the polars at the Reynolds number of
-# each ring.
+# Blade element momentum theory divides the rotor disc into rings. In each ring the lift of the blade sections equals
+# the change of the air's momentum. At a Reynolds number of 30 000 the drag of a section is several times larger than in
+# textbooks, and the laminar boundary layer separates early. The neural network NeuralFoil gives lift and drag of the
+# section at the Reynolds number of each ring.
 
 # %%
 point = solve_rotor(rotor, pitch_rad=np.radians(14.0), speed_rad_s=6000 * np.pi / 30)
 print(f"thrust {1e3 * point.thrust_N:.0f} mN, torque {1e3 * point.torque_Nm:.2f} mN m, power {point.power_W:.2f} W")
-print(f"figure of merit {point.figure_of_merit:.2f}: an ideal rotor of this size would need that share of the power")
+print(f"figure of merit {point.figure_of_merit:.2f}: ideal power for this thrust and radius over the power needed")
 
 # %% [markdown]
 # ## Motor and blade
 #
-# The motor's torque falls with its speed; the blade's torque grows with the square of the speed. The operating point
-# is where both are equal.
+# The motor's torque falls with its speed; the rotor's torque grows with the square of the speed. At the operating point
+# both are equal.
 
 # %%
 duty = np.linspace(0.4, 1.0, 13)
@@ -64,12 +64,13 @@ figure.tight_layout()
 figure.savefig(folder / "drive.png")
 
 # %% [markdown]
-# Each rotor needs half of the weight as thrust. The right plot shows which pitch gives that thrust with the least
-# power. The left plot shows the thrust that remains for climb and wind.
+# Each rotor carries about half of the weight, 0.47 N. The right plot shows which pitch gives that thrust with the least
+# power. The left plot shows how much more thrust full input gives, for climb and wind.
 #
 # ## Sweep
 #
-# The sweep varies chord and pitch at a thrust of 0.4 N. The gear is chosen for each case.
+# The sweep varies chord and pitch at a thrust of 0.4 N. For each case the gear ratio is adapted, so that full voltage
+# gives exactly this thrust.
 
 # %%
 setup = StudySetup(rotor, drive, {"thrust": 0.4, "gear": "adapted"})
@@ -79,8 +80,8 @@ picture.savefig(folder / "sweep.png")
 picture
 
 # %% [markdown]
-# Each chord has its own best pitch. The wider blade is more efficient, and its best pitch is higher. This is Fig.
-# 3.28 of the dissertation.
+# Each chord has its own best pitch. Wider blades are more efficient, and their best pitch is higher. The plot repeats
+# Fig. 3.28 of the dissertation.
 #
 # ## Optimise
 #
@@ -103,9 +104,9 @@ picture.savefig(folder / "blade.png")
 picture
 
 # %% [markdown]
-# An optimum lies where the model is most optimistic, so its gain is uncertain. [Accuracy](../accuracy.md) gives the
-# errors of the theory for rotors of unknown section. Measure a blade before you order more: the next lesson shows
-# how. Run as a script, the lesson opens its first picture in a window; all three are files in `lesson-2`.
+# An optimiser also exploits errors of the model, so the true gain is smaller than the predicted one.
+# [Accuracy](../accuracy.md) lists the errors of the theory. Measure a blade before you order more: the next lesson
+# shows how. The folder `lesson-2` contains the pictures.
 
 # %%
 print("pictures:", *sorted(str(p) for p in folder.glob("*.png")))
@@ -114,7 +115,7 @@ plt.show()
 # %% [markdown]
 # ## Try
 #
-# * Use another motor: `mufly drive show mufly --toml > mine.toml`, change back-EMF constant and resistance, and load
-#   it with `load_drive("mine.toml")`.
-# * Repeat the sweep with `StudySetup(..., corrections=PLAIN)` from `mufly.rotor`: textbook theory without
-#   corrections.
+# * Use another motor: `mufly vehicle show mufly-1.1 --toml > mine.toml`, change back-EMF constant and resistance, and
+#   load the file with `load_drive("mine.toml")`.
+# * Repeat the sweep by textbook theory, without the corrections for short blades: `StudySetup(...,
+#   corrections=TEXTBOOK_CORRECTIONS)`, a constant of `mufly.rotor`.

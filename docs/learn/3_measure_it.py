@@ -1,9 +1,10 @@
 # %% [markdown]
 # # 3. Measure a rotor
 #
-# Fifteen minutes. A test bench has errors of its own: load cells drift as they warm up, the pitch differs at each
-# mounting, and motors heat up. You plan a series, run it on a simulated bench, and compare the result with the truth
-# of the simulation. A real bench runs the same plan with `--rig rig.toml`; `mufly bench --help` lists the commands.
+# This lesson takes fifteen minutes. A test bench has errors of its own: load cells drift as they warm up, the pitch
+# differs each time that blades are mounted, and motors heat up. You plan a measurement series, run it on a simulated
+# bench, and compare the result with the true loads of the simulation. On a real bench `mufly bench run plan.toml --rig
+# bench.toml` runs the plan.
 
 # %%
 import tempfile
@@ -23,8 +24,8 @@ print("the series and its pictures go to", folder)
 # %% [markdown]
 # ## Plan
 #
-# Every pitch is mounted twice in random order, so that a drift is not taken for an effect of the pitch. A reference
-# blade is mounted between them. A change of its thrust is a change of the bench.
+# Every pitch is mounted twice in random order, so that a drift of the bench does not look like an effect of the pitch.
+# A reference rotor is mounted in between. If its thrust changes, the bench has changed.
 
 # %%
 plan = make_plan(
@@ -41,7 +42,7 @@ bench = SimulatedRig(seed=5)
 
 
 def truth(step):
-    """What only a simulation knows: the loads at the speeds that ran, had the blades stood exactly at their pitch."""
+    """Return the true loads at the actual speeds and exactly the planned pitch, which only a simulation knows."""
     speeds = {axis: bench.speed[axis] for axis in plan.mounting[step.mounting_index].turning_sides}
     return bench.true_loads(speeds, as_mounted=False)
 
@@ -51,8 +52,8 @@ record = run_series(plan, bench, SeriesRecord(folder), truth=truth)
 # %% [markdown]
 # ## Analysis
 #
-# The analysis removes the drift of the cells, averages, and gives an interval for each setting. It lists the
-# measurements that it does not trust.
+# The analysis removes the drift of the load cells, averages, and computes a 95 % interval for each setting (rotor,
+# pitch, speed). Lines with `!` name measurements that look wrong.
 
 # %%
 series = analyse_series(record)
@@ -69,18 +70,18 @@ picture
 # %% [markdown]
 # ## Comparison with the truth
 #
-# A simulated bench knows the true loads. About 95 of 100 intervals of 95 % should contain them.
+# The simulation knows the true loads. About 95 of 100 intervals of 95 % should contain them.
 
 # %%
 held = [abs(s.thrust.value - s.truth["thrust"]) <= s.thrust.expanded for s in series.settings if s.truth]
-print(f"{sum(held)} of {len(held)} intervals of thrust hold the truth")
+print(f"{sum(held)} of {len(held)} intervals of thrust contain the true thrust")
 
 # %% [markdown]
 # ## Use for a prediction
 #
-# A rotor file names the section of the blade, but a printed blade may have another one. Assume the file is wrong: it
-# names NACA 2412, and the printed and measured blade is NACA 0012. Half of the points are fitted. The other half
-# shows whether the fit improves the prediction. (`rest.air` is the air of the measurement, from the results file.)
+# A rotor file names the airfoil of the blade, but a printed blade may have another shape. Assume that the file wrongly
+# names NACA 2412, while the measured blade is NACA 0012. Half of the measured points are fitted. The other half shows
+# whether the fit improves the prediction.
 
 # %%
 files = write_series_results(series, folder / "results")
@@ -97,16 +98,18 @@ for name, one in (("before", rotor), ("after", found.rotor)):
 for candidate in found.fit.candidates:
     if candidate.probability > 0.02:
         turned = np.degrees(candidate.change[0])
-        print(f"  {candidate.airfoils[0]} turned by {turned:+.1f} deg: {100 * candidate.probability:.0f} %")
+        print(
+            f"  {candidate.airfoils[0]}, pitch offset {turned:+.1f} deg, probability {100 * candidate.probability:.0f}%"
+        )
 picture = found.plot()
 picture.savefig(folder / "fit.png")
 picture
 
 # %% [markdown]
-# After the fit the prediction agrees with the measurement, also at the points that the fit did not use. The sections
-# remain ambiguous: a cambered blade mounted two degrees lower gives the same lift as a symmetric one, and thrust and
-# torque do not distinguish them. The fit keeps both with their probabilities. A measured pitch or section removes the
-# ambiguity.
+# After the fit the prediction agrees with the measurement, also at the points that the fit did not use. The airfoil
+# remains ambiguous: a cambered blade mounted two degrees lower gives the same lift as a symmetric blade, and thrust and
+# torque do not distinguish them. The fit therefore keeps several airfoils with their probabilities. A measured pitch or
+# airfoil removes the ambiguity.
 
 # %%
 print("pictures:", *sorted(str(p) for p in folder.glob("*.png")))
@@ -115,7 +118,7 @@ plt.show()
 # %% [markdown]
 # ## Try
 #
-# * Add faults to the bench: `SimulatedRig(seed=5, faults=SimulatedFaults(...))` from `mufly.bench.rig.simulated_rig`,
-#   with a reference blade that was moved, or a cell that saturates. Does the analysis report them?
-# * Compare the series with blade element theory: `compare_with_theory(series)`.
-# * Corrections and intervals: [test benches](../reference/bench.md).
+# * Add faults to the bench: `SimulatedRig(seed=5, faults=SimulatedFaults(...))` from `mufly.bench.rig.simulated_rig`
+#   simulates a reference blade whose pitch was changed, or a load cell that saturates. Does the analysis report them?
+# * Compare the series with blade element theory: `compare_with_theory(series)` from `mufly.bench`.
+# * [Uncertainty of bench measurements](../explanation/bench.md) explains corrections and intervals.

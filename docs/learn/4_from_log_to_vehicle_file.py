@@ -1,9 +1,10 @@
 # %% [markdown]
 # # 4. From a flight log to a vehicle file
 #
-# Fifteen minutes. Benches measure motors and rotors. Inertias, linkages and the interference of the rotors in flight
-# come from flight records. Here the helicopter is a simulation with known parameters, so you can check each estimate
-# **and its interval**. With your own logs: `mufly identify flight LOG... --vehicle mufly-1.1 --free ...`.
+# This lesson takes fifteen minutes. A test bench measures motors and rotors. Inertias, the linkages of swash plate and
+# stabiliser bar, and the interference of the rotors are identified from flight records. Here the records are simulated
+# with known parameters, so you can check each estimate **and its interval**. For your own logs the command is `mufly
+# identify flight LOG... --vehicle mufly-1.1 --free ...`.
 
 # %%
 from pathlib import Path
@@ -19,13 +20,13 @@ folder = Path("lesson-4")  # for pictures and the vehicle file
 folder.mkdir(exist_ok=True)
 truth = load_vehicle("mufly-1.1")
 flights, held_out = fly_demo_flights(truth, seed=3, seconds=8.0)
-print([record.name for record in flights], "and, never to be fitted,", held_out[0].name)
+print("records to fit:", [record.name for record in flights], "record to test the fit:", held_out[0].name)
 
 # %% [markdown]
 # ## The records
 #
-# A record identifies a parameter only if that parameter changes the measured motion. The yaw flight excites one motor
-# with a chirp; the roll flight excites the roll reference.
+# A record identifies a parameter only if that parameter changes the measured motion. In the yaw flight the input of one
+# motor is a chirp (a sine of rising frequency); in the roll flight the roll reference varies.
 
 # %%
 roll = next(r for r in flights if r.name.endswith("roll"))
@@ -42,8 +43,8 @@ figure.savefig(folder / "record.png")
 # %% [markdown]
 # ## Fit
 #
-# Five parameters start with an error of 50 %: two torque coefficients, two linkages, and the inertia about the
-# vertical axis.
+# Five parameters start with an error of 50 %: the torque coefficients of both rotors (`cQ_up`, `cQ_dw`), the linkages
+# of stabiliser bar and swash plate (`l_up`, `l_dw`), and the yaw inertia (`Izz`).
 
 # %%
 symbols = ("cQ_up", "cQ_dw", "Izz", "l_up", "l_dw")
@@ -62,12 +63,12 @@ for e in fit.estimates:
     print(f"{e.symbol:8s}{true:12.4g}{e.start:12.4g}{e.value:12.4g}   {e.low:.4g} to {e.high:.4g}{miss}")
 
 # %% [markdown]
-# An interval of 95 % misses the truth once in twenty cases. If it misses more often, the model or the records are
-# wrong, and the report lists what is unusual.
+# An interval of 95 % misses the true value once in twenty cases. More frequent misses mean that the model or the
+# records are wrong; with real data, where the truth is unknown, the report lists unusual residuals instead.
 #
 # ## Prediction
 #
-# A flight that the fit has not used tests the result.
+# The test uses a flight that the fit has not seen. The fitted model predicts its motion from the inputs alone.
 
 # %%
 unseen = fit.records[-1]
@@ -83,8 +84,8 @@ figure.savefig(folder / "unseen.png")
 # %% [markdown]
 # ## The vehicle file
 #
-# The estimates replace the start values, with interval and source `identified`. Fly the new file: `mufly fly
-# --vehicle lesson-4/identified.toml`.
+# In the vehicle file the estimates replace the start values, with their standard deviations and the source
+# `identified`. `mufly fly --vehicle lesson-4/identified.toml` flies it.
 
 # %%
 found = apply_estimates(start, fit.estimates, "lesson 4")
@@ -96,5 +97,5 @@ plt.show()
 # ## Try
 #
 # * Fly the records in wind: `fly_demo_flights(truth, wind=0.5, gust=0.3)`. Which intervals grow?
-# * Free `Jrot_up` and `Jrot_dw` as well. `mufly identify plan` computes beforehand which flight identifies them.
-# * Method and assumptions: [identification](../explanation/identification.md).
+# * Fit the rotor inertias `Jrot_up` and `Jrot_dw` as well. `mufly identify plan` computes which flight identifies them.
+# * [Identification](../explanation/identification.md) explains the method and its assumptions.

@@ -1,8 +1,8 @@
 # %% [markdown]
 # # 5. Design a controller and find its limits
 #
-# Fifteen minutes. You look at the loops of a design. Then you add errors that the design does not contain: a slower
-# sample rate and a vehicle with other parameters.
+# This lesson takes fifteen minutes. You design the controllers of a vehicle and look at their margins. Then you test
+# two limits: lower sample rates, and vehicles whose parameters differ from those of the design.
 
 # %%
 from pathlib import Path
@@ -24,14 +24,15 @@ folder.mkdir(exist_ok=True)
 print(controller)
 
 # %% [markdown]
-# Two numbers characterise each loop. The **sensitivity peak** is the greatest amplification of a disturbance; 6 dB (a
-# factor of two) is a common upper limit. The **delay margin** is the additional delay at which the loop becomes
+# Two numbers characterise each control loop. The **sensitivity peak** is the greatest amplification of a disturbance;
+# 6 dB (a factor of two) is a common upper limit. The **delay margin** is the additional delay at which the loop becomes
 # unstable.
 
 # %% [markdown]
 # ## Sample rate
 #
-# The same weights are used at lower sample rates. The legend shows the sensitivity peak and the outcome of a flight.
+# The controllers are designed with the same weights for four sample rates, and each design flies the same mission in
+# the same gusts. The legend shows the sensitivity peak S of the roll-pitch loop and the outcome of the flight.
 
 # %%
 rates = (400.0, 200.0, 100.0, 70.0)
@@ -53,7 +54,8 @@ figure.tight_layout()
 figure.savefig(folder / "rates.png")
 
 # %% [markdown]
-# The plot shows the open-loop gain and the amplification of disturbances and noise of the roll-pitch loop.
+# The next plot shows, for the roll-pitch loop at 200 Hz, the open-loop gain and the amplification of disturbances and
+# noise over frequency.
 
 # %%
 picture = draw_loop(controller.roll_pitch)
@@ -63,8 +65,8 @@ picture
 # %% [markdown]
 # ## A vehicle with other parameters
 #
-# Every parameter differs by up to 10 %, independently, and wind blows. The controller is designed for the nominal
-# vehicle. Forty flights give a success rate with Wilson's interval.
+# In each of forty flights every parameter of the vehicle differs by up to 10 % from the file, independently, and wind
+# blows. The controllers stay designed for the file's vehicle. The success rate has Wilson's 95 % interval.
 
 # %%
 mission = load_mission("demonstration")
@@ -81,6 +83,7 @@ plt.show()
 # %% [markdown]
 # ## Try
 #
-# * Use `parameters=30%`. Which failures appear first? `mufly monte-carlo` flies failures again with a full recording.
-# * Search the worst case with `mufly monte-carlo --search 300` instead of random draws.
-# * Theory: [control](../explanation/control.md). Criteria of campaigns: [Monte Carlo](../reference/monte-carlo.md).
+# * Use `parameters=30%`. Which failures appear first? `mufly monte-carlo` repeats failed flights with a full recording.
+# * Search for the worst case instead of random draws: `mufly monte-carlo --search 300`.
+# * [Control](../explanation/control.md) explains the theory, [Monte Carlo](../reference/monte-carlo.md) the criteria of
+#   success.

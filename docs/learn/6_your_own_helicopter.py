@@ -1,9 +1,9 @@
 # %% [markdown]
 # # 6. A helicopter of your own
 #
-# Twenty minutes. You know a mass, a radius and perhaps a motor. Similarity rules guess the other parameters from a
-# known vehicle and mark them. You replace the guesses by measurements one by one. From a terminal: `mufly new
-# my-helicopter`.
+# This lesson takes twenty minutes. You know the mass of a helicopter, its rotor radius and perhaps its motor.
+# Similarity rules scale all other parameters from a known vehicle and mark them as guesses. You then replace guesses by
+# measurements, one by one. The command for this is `mufly new my-helicopter`.
 
 # %%
 from pathlib import Path
@@ -34,8 +34,8 @@ print(recording.attrs["outcome"], recording.attrs["reason"])
 # %% [markdown]
 # ## The guess that matters most
 #
-# A change of 10 % in one parameter, with the same controller, shows its effect on the flight. Measure the parameters
-# with the largest effect first.
+# One parameter of the vehicle at a time is increased by 10 %, while the controller stays the same. The printed distance
+# is the greatest deviation from the reference. Measure the parameters with the largest effect first.
 
 # %%
 reference = flight.summarise_flight(recording)
@@ -58,9 +58,10 @@ for key, (worst_cm, outcome) in effect.items():
 # %% [markdown]
 # ## The vehicle file
 #
-# The file states the source of every number. After you weigh the helicopter, change the line of the mass: value,
-# `source = "measured"`, and the scale's `std`. Intervals of later fits take the `std` into account. `mufly vehicle
-# check lesson-6/vehicle.toml` checks every value; `mufly fly --vehicle lesson-6/vehicle.toml` flies the file.
+# The file states the source of every number. When you have weighed the helicopter, change the line of the mass: enter
+# the value, `source = "measured"`, and the standard deviation of the scale as `std`. Later fits use it for their
+# intervals. `mufly vehicle check lesson-6/vehicle.toml` checks every value, `mufly fly --vehicle lesson-6/vehicle.toml`
+# flies the vehicle.
 
 # %%
 folder = Path("lesson-6")
@@ -70,7 +71,7 @@ print("written:", (folder / "vehicle.toml").resolve())
 print("\n".join(format_vehicle_toml(mine).splitlines()[:14]))
 
 # %% [markdown]
-# ## Flight on its own sensors
+# ## Flight with simulated sensor errors
 
 # %%
 felt = flight.fly_mission(
@@ -89,7 +90,7 @@ plt.show()
 # %% [markdown]
 # ## Try
 #
-# * Give `similar_vehicle` your motor: `speed_constant_rad_Vs`, `resistance_ohm`. A motor that cannot lift the vehicle
-#   is refused with a suggestion.
-# * Fly it on the page: `mufly new my-helicopter --mass 120 --radius 80`, then the command that it prints.
-# * Export its flight software: `mufly firmware export --help`.
+# * Give `similar_vehicle` your motor: `speed_constant_rad_Vs`, `resistance_ohm`. It refuses a motor that cannot lift
+#   the vehicle and suggests another.
+# * Fly in the ground station: `mufly new my-helicopter --mass 120 --radius 80`, then the command that it prints.
+# * Export the flight software of the vehicle as C: `mufly firmware export --help`.

@@ -1,8 +1,8 @@
 # %% [markdown]
 # # 7. Change a gain and fly
 #
-# Five minutes. The position loop has one gain: the velocity that it requests per metre of position error. You change
-# it, read the margins of the loop, and fly in the same wind.
+# This lesson takes five minutes. The position controller has one gain: the velocity that it commands per metre of
+# position error, in 1/s. You fly with three gains in the same wind and compare errors and stability margins.
 
 # %%
 from dataclasses import replace
@@ -21,7 +21,7 @@ print(f"position gain by default: {settings.position_gain} 1/s")
 # %% [markdown]
 # ## Fly with three gains
 #
-# `seed` gives every flight the same gusts, so the gain is the only difference.
+# The same `seed` gives every flight the same gusts, so the flights differ only in the gain.
 
 # %%
 figure, axes = plt.subplots(figsize=(9, 3))
@@ -41,13 +41,13 @@ figure.tight_layout()
 figure.savefig(folder / "gains.png")
 
 # %% [markdown]
-# A higher gain halves the error and costs phase margin: 0.3 1/s leaves 66 degrees, 1.6 1/s leaves 42 degrees. The
-# default, 1.0 1/s, lies between.
+# From 0.3 to 1.6 1/s the error halves, and the phase margin falls from 66 to 42 degrees. The default, 1.0 1/s, lies
+# between.
 #
-# ## The same on the page and in a mission
+# ## Change the gain in flight
 #
-# On the page of `mufly fly`, the tab *Parameters* changes `CTL_POS_GAIN` in flight. Over MAVLink the parameter has
-# the same name. [Tune a gain](../how-to/tune-a-gain.md) shows these ways.
+# The ground station's tab *Parameters* changes the gain in flight, as does any MAVLink program: the parameter is
+# `CTL_POS_GAIN`. [Change a position gain](../how-to/tune-a-gain.md) describes the steps.
 
 # %%
 print("pictures:", *sorted(str(p) for p in folder.glob("*.png")))
