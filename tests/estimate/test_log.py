@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 from mufly.cli.onboard.estimate import app
 from mufly.errors import InputError
 from mufly.estimate import (
+    AidInnovations,
     InertialLog,
     InertialNoise,
     PositionAids,
@@ -22,6 +23,7 @@ from mufly.estimate import (
     detect_flight,
     estimate_flight_noise,
     estimate_rest_noise,
+    inertial_log,
     measure_row_consistency,
     run_log,
 )
@@ -175,3 +177,28 @@ def test_a_log_of_others_through_the_command(
         bad = CliRunner().invoke(app, [*words_, *(x for x in more if x != "wy turned"), *noise])
         assert isinstance(bad.exception, InputError), more
         assert words in str(bad.exception)
+
+
+def test_the_search_for_noise_stays_within_its_bounds(
+    made: tuple[InertialLog, PositionAids, np.ndarray], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """More noise always seems likelier, as with readings cut off on a fast circle; or no run is valid."""
+    log, aids, _ = made
+    tried = []
+
+    def run_without_filter(log: InertialLog, aids: PositionAids, noise: InertialNoise, **_: object) -> InertialNoise:
+        tried.append(noise)
+        return noise
+
+    monkeypatch.setattr(inertial_log, "run_log", run_without_filter)
+    for likelihood in (lambda n: np.log(n.gyro * n.accelerometer) * 100.0, lambda n: -np.inf):
+        monkeypatch.setattr(
+            inertial_log, "aid_innovations",
+            lambda log, aids, noise, likelihood=likelihood, **_: AidInnovations(1, 1.0, 0.1, float(likelihood(noise))),
+        )  # fmt: skip
+        found = estimate_flight_noise(log, aids, InertialNoise(gyro=1e-3, accelerometer=1e-2))
+        if np.isfinite(likelihood(found)):
+            assert found.gyro == pytest.approx(inertial_log.MAX_GYRO_DENSITY)
+            assert found.accelerometer == pytest.approx(inertial_log.MAX_ACCEL_DENSITY)
+    assert max(n.gyro for n in tried) <= inertial_log.MAX_GYRO_DENSITY * (1 + 1e-9)
+    assert max(n.accelerometer for n in tried) <= inertial_log.MAX_ACCEL_DENSITY * (1 + 1e-9)

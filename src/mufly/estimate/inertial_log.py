@@ -14,7 +14,8 @@ Initial state and noise are estimated from the log itself:
 
   is maximised over the noise densities (Bar-Shalom, Li and Kirubarajan, ch. 5.5; with errors shared by aids, this is
   a composite likelihood with the same maximum). The unknowns are two densities, of gyroscopes and accelerometers, not
-  below those at rest. The search uses at most a minute of flight and no truth.
+  below those at rest and not above :data:`MAX_GYRO_DENSITY` and :data:`MAX_ACCEL_DENSITY`. The search uses at most a
+  minute of flight and no truth.
 """
 
 from __future__ import annotations
@@ -66,6 +67,9 @@ _REST_LIMITS = 0.3, 0.05
 """Standard deviations of specific force (m/s^2) and rates (rad/s) over half a second below which it counts as rest."""
 _MIN_GYRO_DENSITY, _MIN_ACCEL_DENSITY = 2e-4, 2e-3
 """Least densities (rad/s/sqrt(Hz), m/s^2/sqrt(Hz)): those of a good MEMS unit."""
+MAX_GYRO_DENSITY, MAX_ACCEL_DENSITY = 0.3, 3.0
+"""Largest densities: ten and fifty times those of any quadrotor log tried; beyond, the aids contradict the unit."""
+_WORST_COST = 1e6  # of a run without a valid estimate
 ACCEL_BIAS_SIGMA = 0.3
 """One sigma (m/s^2): 30 mg, the bias of small MEMS units over temperature."""
 _GYRO_BIAS_SIGMAS = 0.03, 0.01
@@ -414,12 +418,17 @@ def estimate_flight_noise(
     least: InertialNoise,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> InertialNoise:
-    """Return the densities of greatest likelihood of the aids in the first minute of flight, at least ``least``."""
+    """Return the densities of greatest likelihood of the aids in the first minute of flight, at least ``least``.
+
+    A density at its upper bound means that no noise reconciles aids and inertial unit: readings cut off at the unit's
+    range, wrong axes, or aids later than stated.
+    """
     if not log.is_flying.any():
         return least
     begin, end = float(log.time_s[np.argmax(log.is_flying)]), float(log.time_s[-1])
     half = min(end, begin + 60.0)
-    lowest = np.log([least.gyro, least.accelerometer])
+    lowest, highest = np.log([least.gyro, least.accelerometer]), np.log([MAX_GYRO_DENSITY, MAX_ACCEL_DENSITY])
+    lowest = np.minimum(lowest, highest)
     tried = 0
 
     def noise_cost(x: _Array) -> float:
@@ -427,15 +436,17 @@ def estimate_flight_noise(
         tried += 1
         if on_progress is not None:
             on_progress(min(tried, 29), 30)
-        gyro, felt = np.exp(np.maximum(x, lowest))
+        inside = np.clip(x, lowest, highest)
+        gyro, felt = np.exp(inside)
         told = run_log(log, aids, InertialNoise(gyro=float(gyro), accelerometer=float(felt)), until_s=half)
         found = aid_innovations(log, aids, told, from_s=begin + 1.0, to_s=half)
-        return -found.likelihood + float(np.square(np.minimum(x - lowest, 0.0)).sum())
+        return min(-found.likelihood, _WORST_COST) + float(np.square(x - inside).sum())
 
-    start: Any = np.maximum(np.log([10 * least.gyro, 5 * least.accelerometer]), lowest)
+    start: Any = np.clip(np.log([10 * least.gyro, 5 * least.accelerometer]), lowest, highest)
     corners = start + np.array([[0.0, 0.0], [1.2, 0.0], [0.0, 1.2]])
     options: Any = {"initial_simplex": corners, "xatol": 0.1, "fatol": 0.01, "maxfev": 30}
-    best = np.exp(np.maximum(minimize(noise_cost, start, method="Nelder-Mead", options=options).x, lowest))
+    found: Any = minimize(noise_cost, start, method="Nelder-Mead", options=options).x
+    best = np.exp(np.clip(found, lowest, highest))
     if on_progress is not None:
         on_progress(30, 30)
     return InertialNoise(gyro=float(best[0]), accelerometer=float(best[1]))

@@ -127,6 +127,7 @@ def run(
 
     mufly estimate run circle.csv.gz --map nanobench --aid position=truth_position --aid-std 0.02 --aid-rate 15
     """
+    from mufly.estimate.inertial_log import MAX_ACCEL_DENSITY, MAX_GYRO_DENSITY
     from mufly.flight import is_sensed, read_recording
     from mufly.flight.record.foreign_log import AidRequest, parse_aid, read_foreign_log
     from mufly.logs import detect_log_format
@@ -140,6 +141,10 @@ def run(
     for name, value in of_aids.items():
         if isinstance(value, float) and not (0.0 < value < math.inf):
             raise InputError(name, f"{value:g}", "is not above zero", "give a positive number")
+    for name, limit in (("--gyro-noise", MAX_GYRO_DENSITY), ("--accelerometer-noise", MAX_ACCEL_DENSITY)):
+        value = of_aids[name]
+        if isinstance(value, float) and value > limit:
+            raise InputError(name, f"{value:g}", f"is above {limit:g}", "give the density of the unit's data sheet")
     said = [name for name, value in of_aids.items() if value is not None]
     data = read_recording(log) if not said and detect_log_format(log) == "MCAP" else None
     if data is not None and is_sensed(data):
@@ -275,6 +280,8 @@ def _add_bias_std(data: xr.Dataset, told: Sequence[Estimate]) -> xr.Dataset:
 
 
 def _print_noise(rest: InertialNoise, noise: InertialNoise, given: tuple[float | None, float | None]) -> None:
+    from mufly.estimate.inertial_log import MAX_ACCEL_DENSITY, MAX_GYRO_DENSITY
+
     rows = [
         (name, f"{a:.2g}", f"{b:.2g}", "given" if told else "from the innovations of the fixes", unit)
         for name, a, b, told, unit in (
@@ -283,6 +290,20 @@ def _print_noise(rest: InertialNoise, noise: InertialNoise, given: tuple[float |
         )
     ]
     print_table(("noise", "at rest", "in flight", "", "unit"), rows, text=(0, 3, 4))
+    found = [
+        name
+        for name, density, limit, told in (
+            ("gyroscopes", noise.gyro, MAX_GYRO_DENSITY, given[0]),
+            ("accelerometers", noise.accelerometer, MAX_ACCEL_DENSITY, given[1]),
+        )
+        if not told and density > 0.9 * limit
+    ]
+    if found:
+        print_lines(
+            f"No noise of the {' and '.join(found)} reconciles the fixes with the inertial unit: check whether its "
+            "readings are cut off at its range, its axes, and --aid-delay.",
+            style="yellow",
+        )
 
 
 def _print_aid_innovations(fore: AidInnovations) -> None:
