@@ -92,10 +92,10 @@ def test_a_broken_stream_is_opened_again_and_said_once(server: StreamServer) -> 
         assert list(some) == []
         assert time.monotonic() - began < 2.5
     said = [line.partition("stream: ")[2] for line in lines]
-    assert sum("is back after" in line for line in said) == 1, said
+    assert sum("reconnected after" in line for line in said) == 1, said
     assert sum("damaged" in line for line in said) == 1
     assert sum("is not after" in line for line in said) == 1
-    assert said[-1].startswith("nothing for 1 s")
+    assert said[-1].startswith("ended after 1 s")
     assert live.counts.damaged_count == 2
     assert live.counts.reconnect_count == live.counts.out_of_order_count == 1
     assert len(live.counts.describe_losses()) == 3
@@ -109,7 +109,7 @@ def test_what_cannot_be_opened_is_one_line(server: StreamServer) -> None:
     ):
         with pytest.raises(InputError, match=why):
             LivePictures(place, CAMERA)
-    with pytest.raises(InputError, match="/dev/video77: there is no such device; list them"):
+    with pytest.raises(InputError, match="/dev/video77: there is no such device; list the cameras"):
         LivePictures("77", CAMERA, opencv=lambda: None)
     with pytest.raises(InputError, match="a camera device sends no time stamps"):
         LivePictures("0", CAMERA, clock="sender", opencv=lambda: None)
@@ -163,7 +163,7 @@ def test_a_device_by_opencv(tmp_path: Path) -> None:
         watched(CAMERA)
     assert cv2.state.opened == 2  # it was pulled, and put back
     assert cv2.state.set[3] == 320
-    assert "is back after" in lines[0]
+    assert "reconnected after" in lines[0]
     cv2 = stub([colour, colour, RuntimeError("gone")])
     with (
         LivePictures(str(tmp_path / "video0"), CAMERA, opencv=lambda: cv2) as live,

@@ -23,7 +23,7 @@ from mufly.logs import read_log
         (["--link", "bogus"], "not a MAVLink endpoint"),
         (["--link", "udpin:14998", "--link", "udpin:127.0.0.1:14998"], "given twice"),
         (["--system", "0"], "--system"),
-        (["--origin", "north pole"], "not a place on the globe"),
+        (["--origin", "north pole"], "not a global position"),
         (["--wind", "strong"], "--wind: 'strong' is not a number"),
         (["no-such-mission"], "no such mission"),
         (["--vehicle", "no-such-vehicle"], "no such vehicle"),

@@ -115,7 +115,7 @@ def test_a_covered_lens_is_told_within_a_second_and_borne(
 ) -> None:
     ds, events = flown
     said = [(e.time_s, e.text) for e in events if "camera" in e.text]
-    assert said[0][1].startswith("no position from the camera: too little of the floor")
+    assert said[0][1].startswith("no position from the camera: too few points of the floor")
     assert 8.5 < said[0][0] < 9.5
     assert said[1][1] == "position from the camera is available again"
     # When it finds itself again hangs on the last bit of OpenCV's sums; that it does, in the air, does not.
@@ -150,7 +150,7 @@ def test_what_is_seen_is_shown(flown: tuple[xr.Dataset, list[FlightEvent]]) -> N
     assert all(s.is_standing for s in on_floor)
     assert looked[-1].is_standing  # it has landed, and nothing is wrong with that
     covered = [s for s in looked if s.result is not None and 8.9 < s.result.time_s < 9.5]
-    assert covered[-1].warning.startswith("too little of the floor")
+    assert covered[-1].warning.startswith("too few points of the floor")
     assert not covered[-1].is_standing
     assert np.mean(decode_picture(covered[-1].jpeg)) < 20
 

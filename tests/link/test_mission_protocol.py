@@ -143,8 +143,8 @@ def test_an_upload_of_a_peer_that_has_gone_makes_room_for_the_next():
     ("count", "kind", "result", "why"),
     [
         (MAX_ITEMS + 1, 0, 4, "more than 500 items"),
-        (1, 2, 3, "rally points are not"),
-        (1, 9, 3, "rally points are not"),
+        (1, 2, 3, "no rally points"),
+        (1, 9, 3, "no rally points"),
     ],
 )
 def test_a_mission_that_is_refused_before_its_items_come_is_refused_with_words(count, kind, result, why):

@@ -72,7 +72,7 @@ def test_tcp_serves_several_and_notices_who_hangs_up():
         callers[0].close()
         gather(server, lambda _: len(server.peers) == 2)
         assert len(server.peers) == 2
-        assert any("hung up" in n for n in server.take_notices())
+        assert any("disconnected" in n for n in server.take_notices())
         for caller in callers[1:]:
             caller.close()
 

@@ -75,7 +75,7 @@ def test_it_flies_where_it_is_told_to_be(flown) -> None:
     flight = rig.flight
     assert -flight.truth.position[2] == pytest.approx(0.8, abs=0.1), station.text
     assert np.hypot(*flight.truth.position[:2]) < 0.15
-    assert "position is received over the link, from" in station.text
+    assert "positions are received over the link from" in station.text
     fix = flight.readings["position_fix"]
     # By another clock the fastest message counts as if it had taken no time.
     assert fix.time_s == pytest.approx(flight.time_s, abs=outside.every_s + 0.02)
@@ -151,6 +151,8 @@ def test_unknown_covariances_and_vehicles_that_want_none() -> None:
     assert unpack_covariance(pack_covariance(a @ a.T)) == pytest.approx(a @ a.T, rel=1e-6)
     outside = Outside(Rig())
     outside.go(0.3)
-    assert "it does not fly on positions from outside; start it with --position link" in outside.station.words
+    assert (
+        "the vehicle does not use external positions; start the vehicle with --position link" in outside.station.words
+    )
     with pytest.raises(InputError, match="ideal sensors use no position fixes"):
         Flight("mufly-1.1", "demonstration", outside=True)

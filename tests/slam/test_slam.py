@@ -229,7 +229,7 @@ def test_what_it_cannot_see_it_does_not_answer() -> None:
             f = type(f)(f.time_s, noise, f.vehicle_estimate)
         last = slam.process_frame(f)
         assert last.trusted == (k < 20)
-    assert "too little of the floor" in last.reason
+    assert "too few points of the floor" in last.reason
     with pytest.raises(InputError, match="is 100 by 80 pixels, the camera file states 320 by 240"):
         slam.process_frame(type(f)(99.0, np.zeros((80, 100), np.uint8), f.vehicle_estimate))
     assert not slam.process_frame(made[0][0]).trusted  # older than the last

@@ -206,7 +206,7 @@ def test_a_video_with_times_and_a_recording_beside_it(layouts: dict[str, Path], 
     ), log)  # fmt: skip
     one = list(open_pictures(film, CAMERA, told=read_telemetry(log, 0.0)).read_frames())[2].vehicle_estimate
     assert (one.roll, one.height_m) == pytest.approx((0.018, 1.0), abs=1e-6)
-    with pytest.raises(InputError, match="give --offset: the recording's clock less the pictures'"):
+    with pytest.raises(InputError, match="give --offset: clock of the recording minus clock of the pictures"):
         open_pictures(film, CAMERA, told=read_telemetry(log, -50.0))
     for text, why in (
         ("1\n2\n3\n", "has 3 times, the video has 5 pictures"),
@@ -336,11 +336,11 @@ def test_rows_without_numbers_are_left_out_told_and_counted(trajectory):
     assert found["rms_m"] < 1e-6
     assert found["pictures"] == 100
     assert said == [
-        "est.txt: 2 rows of NaN or infinity, left out (the first in line 22)",
+        "est.txt: 2 rows with NaN or infinity, left out (the first in line 22)",
         "est.txt: 1 row with a quaternion of zeros, left out (line 42)",
     ]
     found, said = trajectory([*rows[50:], "1403636589.9 1.0"])
-    assert said == ["est.txt: the last row (line 51) is cut, and left out"]
+    assert said == ["est.txt: the last row (line 51) is truncated and left out"]
     with pytest.raises(InputError, match=r"est\.txt: line 3: '1403636579\.3\d* 0\.9' is not 8 numbers"):
         trajectory([*rows[1:3], "1403636579.3 0.9", *rows[4:]])
 
@@ -349,7 +349,7 @@ def test_quaternions_are_brought_to_unit_length(trajectory):
     found, said = trajectory(tum_rows(*poses(), scale=2.0))
     assert found["heading_rms_rad"] < 1e-6
     assert found["rpe_m"] < 1e-6
-    assert "100 rows whose quaternion is not of unit length (2), brought to it" in said[0]
+    assert "100 rows whose quaternion is not of unit length (2), normalised" in said[0]
     assert trajectory(tum_rows(*poses(), scale=1.0004))[1] == []
 
 
@@ -361,8 +361,8 @@ def test_rows_out_of_order_and_repeated_are_sorted(trajectory):
     assert found["way_m"] == pytest.approx(straight["way_m"])
     assert found["lost"] == 0
     assert said == [
-        "est.txt: 1 row earlier than the one before, sorted by time (line 51)",
-        "est.txt: 1 row with the time of another, of which the last is kept (line 50)",
+        "est.txt: 1 row earlier than the previous row, sorted by time (line 51)",
+        "est.txt: 1 row with the time of another row; the last of them is kept (line 50)",
     ]
 
 
@@ -373,7 +373,7 @@ def test_stamps_tell_their_unit_by_their_size(trajectory, factor, unit):
     rows = [" ".join([f"{round(factor * s)}", *row.split()[1:]]) for s, row in zip(t, rows, strict=True)]
     found, said = trajectory(rows)
     assert found["rms_m"] < 1e-5
-    assert said == [f"est.txt: its stamps are taken to be in {unit}"]
+    assert said == [f"est.txt: its time stamps are read as {unit}"]
 
 
 def test_stamps_that_do_not_meet_the_truth_get_the_right_hint(trajectory):
@@ -420,14 +420,16 @@ def test_quaternions_with_w_first_and_no_names_are_told(trajectory):
     ns = [",".join([f"{round(1e9 * s)}", *row[1:], ""]) for s, row in zip(t, wxyz, strict=True)]
     found, said = trajectory(ns)  # VINS writes so
     assert found["heading_rms_rad"] == pytest.approx(trajectory(tum_rows(t, x, 0.3 * heading))[0]["heading_rms_rad"])
-    assert "est.txt: its quaternions are taken to have w first, or it would fly upside down" in said
+    assert "est.txt: its quaternions are read with w first; otherwise the vehicle would be upside down" in said
     said = trajectory([" ".join(row) for row in wxyz])[1]
-    assert said == ["est.txt: it flies upside down; if w is first, name the columns: # t x y z qw qx qy qz"]
+    assert said == [
+        "est.txt: the vehicle is upside down; if w is the first number of its quaternions, name the columns: # t x y z qw qx qy qz"
+    ]
 
 
 def test_stamps_with_too_few_digits_are_no_clock(trajectory):
     t, x, heading = poses()
-    with pytest.raises(InputError, match="the trajectory has 1 usable rows with a time of their own"):
+    with pytest.raises(InputError, match="the trajectory has 1 usable rows with different times"):
         trajectory(tum_rows(0 * t + t[0], x, heading))
 
 
@@ -521,7 +523,7 @@ def test_still_pictures_of_a_survey_are_refused(tmp_path: Path) -> None:
     (tmp_path / "camera.toml").write_text(format_camera_toml(CAMERA))
     said = CliRunner().invoke(app, ["slam", "run", str(tmp_path), "--height", "40"])
     assert said.exit_code == 1
-    assert "its pictures are 2.1 s apart" in str(said.exception)
+    assert "the pictures are 2.1 s apart" in str(said.exception)
     assert "photogrammetry" in str(said.exception)
 
 

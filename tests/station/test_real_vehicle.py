@@ -216,7 +216,7 @@ def test_a_second_station_watches_and_takes_over_after_release(helicopter):
     assert second.snapshot.commander == "station 251 (component 190)"
     outcome, answer = scene.answer(second.land())
     assert outcome == "refused"
-    assert "commanded by" in answer
+    assert "has operator control" in answer
     assert scene.answer(second.take_command())[0] == "refused"
     assert scene.answer(first.release_command())[0] == "accepted"
     assert scene.answer(second.take_command())[0] == "accepted"

@@ -84,13 +84,13 @@ def _find_colmap_line(text: str) -> list[str] | None:
 def _parse_colmap_line(line: list[str], where: str) -> tuple[tuple[int, int], list[float], list[float]]:
     _, model, width, height, *numbers = line
     if model not in _COLMAP_PARAMETER_ORDER:
-        raise InputError(where, model, "is a model of COLMAP's that is not read here", _UNSUPPORTED_LENS_REMEDY)
+        raise InputError(where, model, "is a COLMAP model that mufly cannot read", _UNSUPPORTED_LENS_REMEDY)
     try:
         places, values = _COLMAP_PARAMETER_ORDER[model], [float(c) for c in numbers]
         f_x, f_y, c_x, c_y, *coefficients = (values[k] for k in places)
         size = int(width), int(height)
     except (ValueError, IndexError):
-        raise InputError(where, model, "has too few numbers, or some that are none", "export it anew") from None
+        raise InputError(where, model, "has too few numbers, or invalid ones", "export it anew") from None
     # COLMAP puts the centre of the first pixel at (0.5, 0.5).
     return size, [f_x, f_y, c_x - 0.5, c_y - 0.5], coefficients
 
@@ -188,7 +188,7 @@ def _parse_calibration(
             raise InputError(
                 where,
                 "",
-                f"is {whose} with the model {kind!r}, which is not read here",
+                f"is {whose} with the model {kind!r}, which mufly cannot read",
                 _UNSUPPORTED_LENS_REMEDY,
             )
     matrix = _find_numbers(v, ("camera_matrix", "intrinsic_matrix", "k", "m1"))
@@ -201,12 +201,12 @@ def _parse_calibration(
         _parse_float(v.get(f"image_{side}", v.get(side))) for side in ("width", "height")
     ]
     if len(focus) != 4 or not all(map(math.isfinite, [*focus, width, height])):
-        raise InputError(where, "", "is not a calibration that is known here, or has no size or focal lengths",
+        raise InputError(where, "", "is not a calibration in a known format, or has no size or focal lengths",
                          "give a camera file (TOML), or the YAML of Kalibr, ROS, OpenCV or EuRoC")  # fmt: skip
     names = ("distortion_coeffs", "distortion_coefficients", "distortion_coefficents", "dist_coeffs", "d")
     distortion = _find_numbers(v, names) or [_parse_float(v.get(name, 0)) for name in _DISTORTION_NAMES]
     if any(distortion[len(_DISTORTION_NAMES) :]) or not all(map(math.isfinite, distortion)):
-        problem = f"is {whose} with {len(distortion)} coefficients of distortion, of which five are known here"
+        problem = f"is {whose} with {len(distortion)} coefficients of distortion; mufly's model has five"
         raise InputError(where, "", problem, _UNSUPPORTED_LENS_REMEDY)
     rate = _parse_float(v.get("rate_hz", v.get("fps", 0)))
     return whose, (round(width), round(height)), focus, distortion[:5], rate if math.isfinite(rate) else 0.0

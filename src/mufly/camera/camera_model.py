@@ -52,7 +52,7 @@ class Lens(ParameterGroup):
     focal_x: Quantity = declare_parameter("1", "f_x", "focal length, in pixels", above=1, at_most=1e5)
     focal_y: Quantity = declare_parameter("1", "f_y", "focal length along a column, in pixels", above=1, at_most=1e5)
     centre_x: Quantity = declare_parameter(
-        "1", "c_x", "principal point, in pixels from the middle of the first", at_least=-1e4, at_most=1e5
+        "1", "c_x", "principal point, in pixels from the middle of the first pixel", at_least=-1e4, at_most=1e5
     )
     centre_y: Quantity = declare_parameter("1", "c_y", "the same, along a column", at_least=-1e4, at_most=1e5)
     k1: Quantity = declare_parameter("1", "k1", "radial distortion", at_least=-2, at_most=2, absent=0.0)
@@ -69,16 +69,16 @@ class Mount(ParameterGroup):
     turn: Quantity = declare_parameter(
         "rad",
         "psi_cam",
-        "of the picture's top from the nose, towards body y",
+        "turn of the picture's top from the nose, towards body y",
         at_least=-3.2,
         at_most=3.2,
         absent=0.0,
     )
     pitch: Quantity = declare_parameter(
-        "rad", "theta_cam", "of the mount about body y, nose up", at_least=-0.8, at_most=0.8, absent=0.0
+        "rad", "theta_cam", "turn of the mount about body y, nose up", at_least=-0.8, at_most=0.8, absent=0.0
     )
     roll: Quantity = declare_parameter(
-        "rad", "phi_cam", "of the mount about body x, right side down", at_least=-0.8, at_most=0.8, absent=0.0
+        "rad", "phi_cam", "turn of the mount about body x, right side down", at_least=-0.8, at_most=0.8, absent=0.0
     )
 
     @model_validator(mode="after")
@@ -91,10 +91,10 @@ class Mount(ParameterGroup):
 class Shutter(ParameterGroup):
     exposure: Quantity = declare_parameter("s", "T_exp", "of each row", at_least=0, at_most=1)
     readout: Quantity = declare_parameter(
-        "s", "T_roll", "from the first row to the last; 0: a global shutter", at_least=0, at_most=1
+        "s", "T_roll", "readout time from the first row to the last; 0: global shutter", at_least=0, at_most=1
     )
     delay: Quantity = declare_parameter(
-        "s", "T_stamp", "of a data set's time stamps behind the exposure", at_least=-1, at_most=1, absent=0.0
+        "s", "T_stamp", "delay of a data set's time stamps behind the exposure", at_least=-1, at_most=1, absent=0.0
     )
 
 
@@ -105,28 +105,28 @@ class ImageQuality(ParameterGroup):
         "1", "s_b", "radius of the lens's spot, in pixels, one sigma", at_least=0, at_most=20
     )
     noise: Quantity = declare_parameter(
-        "1", "n_g", "of a pixel, in grey levels of 255, one sigma", at_least=0, at_most=100
+        "1", "n_g", "noise of a pixel, in grey levels of 255, one sigma", at_least=0, at_most=100
     )
     shaking: Quantity = declare_parameter(
         "1",
         "a_s",
-        "what the rotors at hover shake the picture by, amplitude in pixels",
+        "amplitude of the picture's vibration at the hover speed of the rotors, in pixels",
         at_least=0,
         at_most=100,
     )
-    vignette: Quantity = declare_parameter("1", "e_v", "share of light that corners lack", at_least=0, at_most=1)
-    jpeg: int = Field(ge=0, le=100, strict=True, description="quality of the JPEG; 0: none is made")
+    vignette: Quantity = declare_parameter("1", "e_v", "share of light missing in the corners", at_least=0, at_most=1)
+    jpeg: int = Field(ge=0, le=100, strict=True, description="quality of the JPEG; 0: no compression")
     strips_lost: Quantity = declare_parameter(
-        "1", "p_s", "share of strips of 16 rows that do not arrive", at_least=0, at_most=1, absent=0.0
+        "1", "p_s", "share of strips of 16 rows lost on the radio link", at_least=0, at_most=1, absent=0.0
     )
 
 
 class RadioLink(ParameterGroup):
-    """Radio link for the picture and the answer, there and back."""
+    """Radio link for the picture (down) and the result (up)."""
 
-    latency: Quantity = declare_parameter("s", "L_r", "there and back, work left out", at_least=0, at_most=10)
+    latency: Quantity = declare_parameter("s", "L_r", "both ways, without processing time", at_least=0, at_most=10)
     jitter: Quantity = declare_parameter("s", "j_r", "of it, one sigma", at_least=0, at_most=10)
-    loss: Quantity = declare_parameter("1", "p_r", "share of pictures that do not arrive", at_least=0, at_most=1)
+    loss: Quantity = declare_parameter("1", "p_r", "share of pictures lost on the radio link", at_least=0, at_most=1)
 
 
 class Camera(ParameterGroup):
@@ -154,7 +154,7 @@ class Camera(ParameterGroup):
         back = project_points(self, unproject_pixels(self, corners))
         if not np.abs(back - corners).max() < 0.01:
             raise model_error(
-                "folds the picture over before its corners",
+                "makes the projection ambiguous inside the picture",
                 "give the coefficients of a calibration",
                 "lens.k1",
             )
@@ -188,8 +188,8 @@ def load_camera(name_or_path: str | Path) -> Camera:
             rest, _ = read_toml(_FALLBACK_CAMERA, _BUILTIN_FOLDER, "camera")
             tables, whose = convert_calibration(text, str(path), rest)
             note = (
-                f"is {whose}: lens and size are read, all else (mount, shutter, radio, ...) is as "
-                f"{_FALLBACK_CAMERA} has it"
+                f"is {whose}: lens and size are read; mount, shutter, radio and all else are those of "
+                f"{_FALLBACK_CAMERA}"
             )
             warnings.warn(f"{path.name}: {note}; camera_toml writes a file to change", LogWarning, stacklevel=2)
             return validate_model(Camera, tables, str(path))

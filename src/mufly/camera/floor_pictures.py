@@ -125,7 +125,7 @@ def find_floor(text: str, width_m: float | None = None) -> FloorSource:
     """
     if text in FLOOR_KINDS:
         if width_m is not None:
-            raise ArgumentError("floor_width", f"{width_m:g} m", f"the floor {text} has its own size", "leave it out")
+            raise ArgumentError("floor_width", f"{width_m:g} m", f"the floor {text} has a fixed size", "leave it out")
         return FloorSource(text)
     known = PACKAGE_FLOORS.get(text)
     path = Path(text)

@@ -1,7 +1,7 @@
 """Floor textures for the camera: periodic pictures, from rich to featureless.
 
-A floor is a periodic grey picture with a pixel size. It is stored as a pyramid (each pixel the mean of four), so that a
-high camera does not alias detail that it cannot resolve. Below half a metre a finer picture is added. Lighting is
+A floor is a periodic grey picture with a pixel size. It is stored as a pyramid (each pixel the mean of four), so that
+detail too fine for a high camera is not aliased. For a camera below half a metre, a finer picture is added. Lighting is
 uneven: a fixed map of shadows multiplies the floor.
 
 | kind | content |
@@ -90,7 +90,7 @@ def make_floor(kind: str = "rich", seed: int = 0, *, size: int = 4096, shadows: 
             "floor", kind, "is not a kind of floor", f"use one of: {', '.join(FLOOR_KINDS)}, or a picture"
         )
     if size < 128 or size & (size - 1):
-        raise ArgumentError("size", str(size), "is not power of two from 128", "give 1024, 2048 or 4096")
+        raise ArgumentError("size", str(size), "is not a power of two from 128", "give 1024, 2048 or 4096")
     rng = np.random.default_rng([seed, FLOOR_KINDS.index(kind)])
     n = TILE_PIXELS if kind == "tiles" else size
     picture = _MEAN_GREY + _CONTRAST_BY_KIND[kind] * _make_pink_noise(rng, n)

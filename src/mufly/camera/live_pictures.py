@@ -118,7 +118,10 @@ class _CameraDevice:
         video = cv2.VideoCapture(self.name, cv2.CAP_V4L2)
         if not video.isOpened():
             video.release()
-            raise OSError("cannot be opened; does another program use it, may you read it (group video)?")
+            raise OSError(
+                "cannot be opened; end other programs that use the camera, and check the "
+                "permission to read it (group video)"
+            )
         for name, value in (
             (cv2.CAP_PROP_FRAME_WIDTH, camera.sensor.width), (cv2.CAP_PROP_FRAME_HEIGHT, camera.sensor.height),
             (cv2.CAP_PROP_FPS, round(1.0 / float(camera.sensor.period))), (cv2.CAP_PROP_BUFFERSIZE, 1),
@@ -141,7 +144,7 @@ class _CameraDevice:
 
 @dataclass
 class PictureCounts:
-    """Counts of a source: pictures received, skipped, damaged or of wrong size, decreasing stamps, reconnections."""
+    """Counts of a source: pictures received, skipped, damaged, of wrong size or out of order; reconnections."""
 
     received_count: int = 0
     skipped_count: int = 0
@@ -152,10 +155,10 @@ class PictureCounts:
     def describe_losses(self) -> list[str]:
         """Return one line for each kind of loss that occurred."""
         told = (
-            (self.skipped_count, "pictures were left out: they came faster than they were looked at"),
+            (self.skipped_count, "pictures were skipped: processing was slower than the camera"),
             (self.damaged_count, "pictures were damaged, or of another size"),
-            (self.out_of_order_count, "pictures had times that were not after the one before"),
-            (self.reconnect_count, "times the stream broke and came back"),
+            (self.out_of_order_count, "pictures had times not later than the previous picture"),
+            (self.reconnect_count, "times the stream was interrupted and reconnected"),
         )
         return [f"{n} {text}" for n, text in told if n]
 
@@ -199,7 +202,7 @@ class LivePictures:
             raise InputError("--delay", "", f"{delay_s:g} s is out of range", "give 0 to 5")
         device = not place.startswith("http")
         if device and clock == "sender":
-            raise InputError("--clock", "", "a camera device sends no time stamps", "leave it out, and give --delay")
+            raise InputError("--clock", "", "a camera device sends no time stamps", "omit it, and give --delay")
         self._camera, self._delay_s, self._clock = camera, delay_s, clock
         self._give_up_s, self._say = give_up_s, say
         assert not device or opencv is not None
@@ -216,7 +219,7 @@ class LivePictures:
         try:
             self._source.open()
         except OSError as error:
-            remedy = "look at its address and cable" if not device else "list them: ls /dev/video*"
+            remedy = "check address and cable" if not device else "list the cameras: ls /dev/video*"
             raise InputError(self.name, "", str(error), remedy) from None
         self._thread = threading.Thread(target=self._read_loop, name="pictures", daemon=True)
         self._thread.start()
@@ -287,7 +290,7 @@ class LivePictures:
 
     def _count_damaged(self, why: str, last_s: float) -> float:
         if not self.counts.damaged_count:
-            self._say(f"{self.name}: a picture is left out, {why}")
+            self._say(f"{self.name}: a picture is skipped, {why}")
         self.counts.damaged_count += 1
         return last_s
 
@@ -305,13 +308,13 @@ class LivePictures:
         self.counts.received_count += 1
         if self._clock == "sender":
             if stamp is None:
-                raise InputError(self.name, "", "does not stamp its pictures (X-Timestamp)", "leave out --clock sender")
+                raise InputError(self.name, "", "sends no time stamps (X-Timestamp)", "leave out --clock sender")
             when_s = stamp - self._delay_s
         else:
             when_s = came_s + self._offset_s - self._delay_s
         if when_s <= last_s:
             if not self.counts.out_of_order_count:
-                self._say(f"{self.name}: a picture is left out, its time {when_s:.3f} s is not after {last_s:.3f} s")
+                self._say(f"{self.name}: a picture is skipped, its time {when_s:.3f} s is not after {last_s:.3f} s")
             self.counts.out_of_order_count += 1
             return last_s
         with self._change:
@@ -340,12 +343,12 @@ class LivePictures:
                     self._change.wait(max(0.0, min(wait_s, left)))
                 wait_s = min(2.0 * wait_s, _REOPEN_DELAYS_S[1])
         if not self._ended:
-            self._say(f"{self.name}: nothing for {self._give_up_s:g} s ({self._broken}), so it has ended")
+            self._say(f"{self.name}: ended after {self._give_up_s:g} s without a picture ({self._broken})")
         return False
 
     def _mark_received(self, now_s: float) -> None:
         """Note the arrival of a picture, and report a reconnection."""
         if self._broken:
             self.counts.reconnect_count += 1
-            self._say(f"{self.name}: was broken ({self._broken}), is back after {now_s - self._seen_s:.1f} s")
+            self._say(f"{self.name}: was interrupted ({self._broken}), reconnected after {now_s - self._seen_s:.1f} s")
         self._broken, self._told, self._seen_s = "", False, now_s

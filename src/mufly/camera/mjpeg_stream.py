@@ -38,7 +38,7 @@ _VIEWER_HTML = (
 
 
 def parse_address(text: str, where: str = "--stream") -> tuple[str, int]:
-    """Return host and port of ``"8090"``, ``":8090"`` or ``"HOST:8090"``; without a host, this machine only.
+    """Return host and port of ``"8090"``, ``":8090"`` or ``"HOST:8090"``; the default host is this machine only.
 
     Raises
     ------

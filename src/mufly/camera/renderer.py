@@ -2,7 +2,7 @@
 
 Row r of the picture is exposed around t_r = t + (r / (h - 1) - 1/2) T_roll for T_exp; its pixels are means over
 instants in that time. The camera moves uniformly about its state at the middle of the picture (velocity v, rates w:
-R(t + s) = R(t) exp([w s])), and the rotors make it vibrate. A pixel's ray d = R (x, y, 1) meets the floor D = 0 at
+R(t + s) = R(t) exp([w s])), and vibrates with the rotors. A pixel's ray d = R (x, y, 1) meets the floor D = 0 at
 c + d (-c_D / d_D), boxes by the slab method, and takes the grey level of that point. Then
 
     I = jpeg(quantised(gain light vignette (blur * (shade grey)) + n))
@@ -12,10 +12,11 @@ pixels along its axis j. The amplitude a_i grows with the square of the speed; t
 Both rotors have equal shares, so that the rms of their sum is the amplitude of the file. The seed draws the directions
 beta, for which there is no measurement.
 
-**Low light.** The values of the file hold for the light 1. With less, the control lengthens the exposure up to
-:data:`_MAX_EXPOSURE_SHARE` of the period and then raises the gain, together by the factor 4 at most; beyond it pictures
-become dark. A longer exposure smears moving pictures. Noise at the gain g and the mean grey level y follows the data
-sheets of image sensors (EMVA 1288): read noise grows with g, and the variance of shot noise with g y,
+**Low light.** The values of the file are valid at the light level 1. At lower levels the exposure control lengthens the
+exposure up to :data:`_MAX_EXPOSURE_SHARE` of the period and then raises the gain, together by at most the factor 4;
+below that level pictures become dark. A longer exposure smears moving pictures. Noise at the gain g and the mean grey
+level y follows the data sheets of image sensors (EMVA 1288): read noise grows with g, and the variance of shot noise
+with g y,
 
     n(g, y)^2 = n^2 (s g^2 + (1 - s) g y / y_target),        s = :data:`_READ_NOISE_SHARE`.
 
@@ -51,7 +52,7 @@ _DETAIL_MAX_HEIGHT_M = 0.6
 _TARGET_GREY = 112.0  # mean grey level that the exposure control aims at
 _EXPOSURE_TIME_CONSTANT_S = 0.4
 _MAX_AMPLIFICATION, _MAX_EXPOSURE_SHARE, _READ_NOISE_SHARE = 4.0, 0.15, 0.5
-"""Largest factor of exposure and gain together, largest exposure over the period, and share of read noise in the
+"""Largest product of the factors of exposure and gain, largest exposure over the period, and share of read noise in the
 variance of the file's noise."""
 
 
@@ -217,7 +218,7 @@ class Renderer:
         self._share_amplification(mean / light if light > 0.0 else 0.0, light)
 
     def _share_amplification(self, bright_mean: float, light: float) -> None:
-        """Divide the amplification that low light needs into exposure and gain; ``bright_mean`` is that of light 1."""
+        """Divide the amplification into exposure and gain; ``bright_mean`` is the mean grey level at light 1."""
         usual = min(_MAX_AMPLIFICATION, max(1.0 / _MAX_AMPLIFICATION, _TARGET_GREY / max(bright_mean, 1e-3)))
         more = max(1.0, self._gain / usual) if light < 1.0 else 1.0
         exposure = float(self.camera.shutter.exposure)
@@ -226,7 +227,7 @@ class Renderer:
         self._sensor_gain = more / self._exposure_factor
 
     def _noise_factor(self, light: float) -> float:
-        """Return the noise over that of the file."""
+        """Return the ratio of the noise to that in the camera file."""
         if light >= 1.0:
             return 1.0
         level = float(self._out[::8, ::8].mean()) * light * self._gain / _TARGET_GREY
@@ -234,7 +235,7 @@ class Renderer:
         return math.sqrt(_READ_NOISE_SHARE * gain * gain + (1.0 - _READ_NOISE_SHARE) * gain * level)
 
     def _lose_strips(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Replace lost strips by those of the previous picture, as a decoder does."""
+        """Replace lost strips by those of the previous picture, like a video decoder."""
         lost = float(self.camera.quality.strips_lost)
         if lost > 0.0:
             for first in range(0, len(picture), STRIP_ROWS):

@@ -1,4 +1,4 @@
-"""The peers of a vehicle: each with its own packet numbering, message rates and time of last contact.
+"""Peers of a vehicle on its link: packet numbering, message rates and time of last contact of each.
 
 A peer is a byte channel with one or more stations behind it, each a system and component. Every peer sets its own
 message rates: by default those of :data:`mufly.link.telemetry_streams.MESSAGE_STREAMS`, else those requested by
@@ -23,7 +23,7 @@ MAX_STREAM_HZ = 200.0
 MAX_CLIENTS = 32
 """Largest number of peers served; the peer that was silent for longest makes room for a new one."""
 CLIENT_TIMEOUT_S = 15.0
-"""Silence after which a peer that called is sent nothing more (s)."""
+"""Silence (s) after which a calling peer is no longer served."""
 _REFUSAL_PERIOD_S = 2.0
 
 _STREAMS_BY_MESSAGE_ID = {
@@ -223,7 +223,7 @@ COMMANDER_TIMEOUT_S = 5.0
 _CONTROL_GRANTED, _CONTROL_WRONG_KEY, _CONTROL_HELD_BY_OTHER = 0, 2, 3
 
 FailsafeStage = Literal["", "hover", "land"]
-"""The stage of the failsafe: none, or the action ordered."""
+"""Stage of the link failsafe: none, or the requested action."""
 
 
 class CommandAuthority:
@@ -263,7 +263,9 @@ class CommandAuthority:
     def may_command(self, now_s: float, station: MessageSource) -> bool:
         """Return whether a station may command; the first that asks becomes commander, others get the reason."""
         if self.commander not in (None, station) and self.commander_silence_s(now_s) < COMMANDER_TIMEOUT_S:
-            self._clients.send_refusal(now_s, station, f"denied: commanded by {self.commander}; ask it to hand over")
+            self._clients.send_refusal(
+                now_s, station, f"denied: {self.commander} has operator control; release it there first"
+            )
             return False
         self._heard_s = now_s
         if station != self.commander:
@@ -284,7 +286,7 @@ class CommandAuthority:
         elif station == self.commander:
             answer = _CONTROL_GRANTED
             self._set_commander(None)
-            self._autopilot.log_event(f"{station} has handed over command")
+            self._autopilot.log_event(f"{station} has released operator control")
         else:
             answer = _CONTROL_HELD_BY_OTHER
         self._clients.send_message(
@@ -300,7 +302,7 @@ class CommandAuthority:
             self._stage, silent_s=silent, flying=status.flying, ending=ending, loss_s=loss_s, land_s=land_s
         )
         if order == "back":
-            self._autopilot.log_event("the commander is heard again")
+            self._autopilot.log_event("commanding station connected again")
         elif order:
             self._manual.release_sticks()
             then = f"stop and hover, land in {land_s:g} s" if order == "hover" else "land"
@@ -322,7 +324,7 @@ class CommandAuthority:
 def judge_link_loss(
     stage: FailsafeStage, *, silent_s: float, flying: bool, ending: bool, loss_s: float, land_s: float
 ) -> tuple[FailsafeStage, Literal["", "hover", "land", "back"]]:
-    """Return the next stage of the link failsafe, and its order.
+    """Return the next stage of the link failsafe, and its action.
 
     Parameters
     ----------

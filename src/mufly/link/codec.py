@@ -1,6 +1,6 @@
 """MAVLink codec: the dialect, frames, and lines of text.
 
-Both ends of the link speak ``common``, in the second version of the wire format. pymavlink decides by an environment
+Both ends of the link speak ``common``, in version 2 of the wire format. pymavlink decides by an environment
 variable, when it is first imported, which wire format it packs; so it is imported here and nowhere else in this room.
 Source of every message, field and enumeration: https://mavlink.io/en/messages/common.html
 
@@ -85,7 +85,7 @@ def clip_to_integer(value: float, least: int, greatest: int, unknown: int = 0) -
 
 
 def scale_to_integer(value: float, factor: float) -> int:
-    """Return ``value`` times ``factor`` as x or y of an integer message; "not given" if it does not fit."""
+    """Return ``value`` times ``factor`` as x or y of an integer message; :data:`NOT_GIVEN` if out of range."""
     number = value * factor
     return round(number) if math.isfinite(number) and abs(number) <= COORDINATE_NOT_GIVEN else COORDINATE_NOT_GIVEN
 
@@ -308,7 +308,7 @@ def _message_id(frame: bytes) -> int:
 
 
 def _is_unknown_message(frame: bytes, buffer: bytearray, end: int) -> bool:
-    """Return whether a frame holds a message unknown to this dialect, as far as it shows without its checksum."""
+    """Return whether a frame seems to hold a message unknown to this dialect, whose checksum cannot be verified."""
     if _message_id(frame) in mavlink.mavlink_map or (frame[0] == _MARKER_V2 and frame[2] & ~_FLAG_SIGNED):
         return False
     return end == len(buffer) or buffer[end] in (_MARKER_V1, _MARKER_V2)
@@ -422,7 +422,7 @@ def parse_origin(text: str) -> GlobalOrigin:
     parts = text.split(",")
     example = "give LAT,LON,ALT in degrees and metres, as in 47.3769,8.5417,408"
     if len(parts) != 3:
-        raise ArgumentError("origin", "", f"{text!r} is not a place on the globe", example)
+        raise ArgumentError("origin", "", f"{text!r} is not a global position", example)
     try:
         lat, lon, alt = (read_quantity("", p, u) for p, u in zip(parts, ("deg", "deg", "m"), strict=True))
     except InputError as error:

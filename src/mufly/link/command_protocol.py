@@ -328,7 +328,7 @@ class CommandProtocol:
     def _take_off(self, now_s: float, command: Command) -> RequestAnswer:
         z, origin = command.params[-1], self._origin
         if command.frame not in (None, 0, 1, 3, 4, 5, 6):
-            return deny_request(f"a height in frame {command.frame} is not known here; use LOCAL_NED (1)")
+            return deny_request(f"frame {command.frame} is not supported for heights; use LOCAL_NED (1)")
         if math.isnan(z) or z == 0.0:
             return self._autopilot.take_off()
         if origin is not None and (
@@ -351,10 +351,10 @@ class CommandProtocol:
             return self._set_mode(now_s, MODE_LOITER) if math.isnan(heading) else self._autopilot.turn_to(heading)
         if frame in LOCAL_FRAMES:
             if frame != 1:
-                return deny_request(f"frame {frame} is not known here; use LOCAL_NED (1)")
+                return deny_request(f"frame {frame} is not supported; use LOCAL_NED (1)")
         elif origin is None:
             return deny_request(
-                "a place on the globe needs a global origin; use LOCAL_NED (1), or give the vehicle one"
+                "a global position needs a global origin; use LOCAL_NED (1), or set the vehicle's origin"
             )
         elif frame in (None, *FRAMES_ABOVE_SEA, *FRAMES_ABOVE_ORIGIN):
             n, e, d = origin.to_local(n, e, d, frame or 0)
@@ -408,7 +408,7 @@ class CommandProtocol:
     def _do_set_mode(self, now_s: float, command: Command) -> RequestAnswer:
         base, main, sub = command.params[:3]
         if not (math.isfinite(base) and int(base) & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED):
-            return deny_request("only custom modes are known here (base mode 1)")
+            return deny_request("only custom modes are supported (base mode 1)")
         if all(0.0 <= v < 256.0 for v in (main, sub)):
             return self._set_mode(now_s, Px4Mode(int(main), int(sub)))
         # pymavlink's set_mode packs all of a custom mode into one number.
@@ -424,7 +424,7 @@ class CommandProtocol:
             if wanted == "mission" and not autopilot.software.requested_mission.waypoint:
                 return deny_request("no mission loaded; upload one first")
             self._choice = (now_s, wanted)
-            return RequestAnswer(True, f"{wanted} once it is armed")
+            return RequestAnswer(True, f"{wanted} after arming")
         if wanted == "hover" and (status.state == "init" or (status.state == "hover" and not status.mission_running)):
             return REQUEST_ACCEPTED  # programs request it before take-off; on the floor it holds anyway
         actions: dict[str, Callable[[], RequestAnswer]] = {
@@ -450,7 +450,7 @@ class CommandProtocol:
         try:
             amount, lasts_s = (x if math.isfinite(x) and x != 0.0 else math.nan for x in (amount, duration_s))
             if lasts_s < 0.0:
-                return deny_request(f"a fault cannot last {lasts_s:g} s")
+                return deny_request(f"duration {lasts_s:g} s of a fault is out of range")
             stop_s = math.inf if math.isnan(lasts_s) else lasts_s
             self._flight.inject_fault(Fault(name, fault, stop_s=stop_s, amount=amount))
         except InputError as error:
@@ -503,7 +503,7 @@ COMMAND_HANDLERS: dict[int, Callable[[CommandProtocol, float, Command], RequestA
     ),
     mavlink.MAV_CMD_MISSION_START: CommandProtocol._start_mission,
     mavlink.MAV_CMD_DO_SET_HOME: lambda self, now_s, command: deny_request(
-        "home is where it took off; it cannot be moved"
+        "home is the take-off position and cannot be changed"
     ),
     mavlink.MAV_CMD_INJECT_FAILURE: CommandProtocol._inject_failure,
     mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: CommandProtocol._reboot_autopilot,

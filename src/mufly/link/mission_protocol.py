@@ -46,9 +46,9 @@ from mufly.mission.files.mission_items import (
 _MAX_DOWNLOADS = 16
 _CLEAR_TIMEOUT_S = 3.0
 _REFUSAL_TEXTS: dict[int, str] = {
-    MissionResult.NO_SPACE: f"mission refused: it has more than {MAX_ITEMS} items",
-    MissionResult.DENIED: "mission refused: another station is sending one; wait until it is done",
-    MissionResult.UNSUPPORTED: "refused: missions and fences are known here, rally points are not",
+    MissionResult.NO_SPACE: f"mission refused: more than {MAX_ITEMS} items",
+    MissionResult.DENIED: "mission refused: another station is uploading a mission; wait until it is done",
+    MissionResult.UNSUPPORTED: "refused: only missions and fences are supported, no rally points",
 }
 """Reasons of refusals that do not depend on the items."""
 _STATE_NO_MISSION, _STATE_NOT_STARTED, _STATE_ACTIVE, _STATE_PAUSED, _STATE_COMPLETE = 1, 2, 3, 4, 5

@@ -33,16 +33,16 @@ LINK_PARAMETERS: dict[str, TunableParameter] = {
             "s",
             1.0,
             300.0,
-            "commander not heard for so long in flight: stop and hover",
+            "time without a message from the commanding station in flight until stop and hover",
         ),
-        TunableParameter("COM_DL_LAND_T", 20.0, "s", 0.0, 3600.0, "and for so much longer: land"),
+        TunableParameter("COM_DL_LAND_T", 20.0, "s", 0.0, 3600.0, "additional time until landing"),
         TunableParameter(
             "EKF2_EV_DELAY",
             0.0,
             "ms",
             0.0,
             900.0,
-            "positions by link with another clock are so much older than the fastest of them came",
+            "delay of positions by link stamped by another clock, beyond that of the fastest message",
         ),
     )
 }
@@ -145,7 +145,7 @@ class ParameterProtocol:
             return "" if answer else answer.reason
         p = self._own[name]
         if not p.minimum <= value <= p.maximum:
-            return f"{name} has to be {p.minimum:g} to {p.maximum:g} {p.unit}"
+            return f"{name} must be {p.minimum:g} to {p.maximum:g} {p.unit}"
         self._own[name] = replace(p, value=value)
         return ""
 

@@ -36,7 +36,7 @@ RECONNECT_PERIOD_S = 1.0
 _MAX_DISCARD_READS = 100
 _TCP_USER_TIMEOUT_MS = 2000
 """Time without acknowledgement after which a TCP connection is dropped, with its queued data (ms)."""
-_STALE_INPUT_TEXT = "hung up: bytes waited in it while nobody was there to hear them"
+_STALE_INPUT_TEXT = "closed: unread bytes had accumulated"
 _MAX_QUEUE_BYTES = 65_536  # largest size of the output queue
 _SERIAL_BLOCK_BYTES = 4096
 _CONNECTION_LOST_TEXT = "the connection was lost; trying again"
@@ -51,7 +51,7 @@ _DEVICE_ERROR_TEXTS = {
     errno.EAGAIN: "another program uses it; end that one",
     errno.ENOTTY: "it is no serial device",
     errno.EISDIR: "it is no serial device",
-    errno.EINVAL: "it is no serial device, or does not support this baud rate",
+    errno.EINVAL: "not a serial device, or the baud rate is not supported",
 }
 _TRANSIENT_ERRORS = {errno.EAGAIN, errno.EWOULDBLOCK, errno.EINTR, errno.ENOBUFS, errno.ECONNREFUSED}
 
@@ -95,7 +95,7 @@ def open_port(endpoint: Endpoint, where: str = "endpoint") -> Port:
 
 
 MAX_STALL_S = 1.0
-"""Greatest delay with which a request to a vehicle is executed (s); its sender has moved on by then."""
+"""Greatest delay with which a request to a vehicle is executed (s); older requests are dropped."""
 _BOOT_CLOCK_ID = getattr(time, "CLOCK_BOOTTIME", None)
 
 
@@ -160,7 +160,7 @@ class Endpoint:
     def explanation(self) -> str:
         """Return a description: "sends to 127.0.0.1 port 14550 (UDP)"."""
         if self.kind == "serial":
-            return f"speaks over {self.host} at {self.port} baud"
+            return f"uses {self.host} at {self.port} baud"
         place = f"{self.host} port {self.port}"
         return {
             "udpin": f"listens at {place} (UDP)",
@@ -214,7 +214,7 @@ def parse_endpoint(
     if found is None:
         brackets = "put an IPv6 address in brackets, as in udp:[::1]:14550"
         raise make_error(
-            " has no recognisable host and port",
+            " states no valid host and port",
             brackets if rest.count(":") > 1 else _ENDPOINT_EXAMPLES,
         )
     number = found["port"]
@@ -505,13 +505,13 @@ class TcpServer(Port):
             self._selector.register(connection, selectors.EVENT_READ)
             peer = Peer(str(self.endpoint), _format_address(address))
             self._lines[peer] = (connection, ByteStream(connection.recv, connection.send))
-            self._notices.append(f"{self.endpoint}: {peer.address} has called")
+            self._notices.append(f"{self.endpoint}: {peer.address} has connected")
 
     def _drop_peer(self, peer: Peer) -> None:
         connection, _ = self._lines.pop(peer)
         self._selector.unregister(connection)
         connection.close()
-        self._notices.append(f"{self.endpoint}: {peer.address} has hung up")
+        self._notices.append(f"{self.endpoint}: {peer.address} has disconnected")
 
 
 class ReconnectingPort(Port):

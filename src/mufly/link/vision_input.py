@@ -85,7 +85,9 @@ class VisionInput:
     def handle(self, now_s: float, flight_s: float, sender: MessageSource, m: MavMessage) -> None:
         """Process a message received at ``flight_s`` by the vehicle's clock."""
         if self._give is None:
-            self._report_refusal(now_s, "it does not fly on positions from outside", "start it with --position link")
+            self._report_refusal(
+                now_s, "the vehicle does not use external positions", "start the vehicle with --position link"
+            )
             return
         if self._sender not in (None, sender) and now_s - self._heard_s < SENDER_TIMEOUT_S:
             self._report_refusal(now_s, f"{sender} sends, too", f"{self._sender} is heard")
@@ -93,7 +95,7 @@ class VisionInput:
         if sender != self._sender:
             self._sender, self._counter = sender, -1
             self._offsets.clear()
-            self._note(f"position is received over the link, from {sender}", "info")
+            self._note(f"positions are received over the link from {sender}", "info")
         self._heard_s = now_s
         place = np.array([m.x, m.y, m.z, m.yaw], dtype=np.float64)
         time_s = self._vehicle_time_s(flight_s, int(m.usec))
@@ -103,7 +105,7 @@ class VisionInput:
             return
         counter = int(getattr(m, "reset_counter", 0))
         if self._counter not in (-1, counter):
-            self._note("the sender of positions reports a jump of its map", "warning")
+            self._note("the sender of the positions reports a jump of its map", "warning")
         self._counter = counter
 
     def _vehicle_time_s(self, flight_s: float, usec: int) -> float:

@@ -98,7 +98,7 @@ class CameraFrame:
 _MAX_UNKNOWN_ACCEL_M_S2 = 1.0
 """Largest unpredicted acceleration between pictures (m/s^2)."""
 _UNKNOWN_VELOCITY_SIGMA_M_S = 0.02
-"""Standard deviation of a velocity derived from SLAM results, without one from the vehicle (m/s)."""
+"""Standard deviation of a velocity derived from SLAM results, for a vehicle that sends none (m/s)."""
 _MAX_FREE_SIGMA_M = 5.0
 """Largest standard deviation of a place along a direction without texture (m)."""
 _HEADING_DRIFT_RAD_S = 0.01  # of integrated rates
@@ -199,13 +199,13 @@ class MotionPrior:
         return MotionPrior(latest, textured, self.velocity_m_s)
 
     def restart_at(self, frame: CameraFrame) -> MotionPrior:
-        """Return the motion from a result at this picture on, with texture in all directions."""
+        """Return the motion restarted at this picture, with texture in all directions."""
         here = Odometry(frame.time_s, frame.vehicle_estimate)
         return MotionPrior(here, here, self.velocity_m_s)
 
     @property
     def is_striped(self) -> bool:
-        """Whether the last results show no texture along one direction."""
+        """Whether the last results show texture along one direction only."""
         known, latest = self.textured, self.latest
         return known is None or latest is None or known.elapsed_s > latest.elapsed_s + _CAUTION_AFTER_S
 

@@ -1,17 +1,17 @@
 r"""Camera pose from points of the floor: a two-point RANSAC with known tilt, then least squares over all points.
 
 **Two points and the tilt** (structure of Steder et al. 2008). A ray d through a pixel, rotated by roll and pitch
-alone, has the slope m = (d_x + i d_y) / d_z as a complex number. A camera at C (complex, N + i E), h above the
-floor, with heading psi sees the floor's point X there:
+alone, has the slope m = (d_x + i d_y) / d_z as a complex number. A camera at C (complex, N + i E), at the height h
+above the floor and with the heading psi, sees the floor point X along this ray if
 
     X = C + h e^(i psi) m,      so two points give    h e^(i psi) = (X_1 - X_2) / (m_1 - m_2)
 
 and C = X_1 - h e^(i psi) m_1. Pairs are drawn at random; the pair with the most inliers wins. Pairs whose h disagrees
 with the sonar are rejected.
 
-**All points.** The unknowns are C (N, E), h, psi, two small errors u of the tilt, and those of the keyframe. Errors of
-the tilt are about the axes of the heading (x along the nose, y to the right). For each rotor four amplitudes a, b of
-its vibration, in its phase W_k, are added. For a row exposed s after the picture's middle, with R(s) = exp([u]) R
+**All points.** The unknowns are C (N, E), h, psi, two small errors u of the tilt, and those of the keyframe. Tilt
+errors are rotations about the axes of the heading (x along the nose, y to the right). For each rotor four amplitudes a,
+b of its vibration, in its phase W_k, are added. For a row exposed s after the picture's middle, with R(s) = exp([u]) R
 exp([w s]) and velocity v,
 
     c = A^T exp([w s])^T R^T (X - C - v s),    (x, y) = (c_x, c_y) / c_z
@@ -24,14 +24,14 @@ them. Priors are both tilts by filter and map, h by the sonar, and amplitudes by
 
     dn = u_y - n e u_x + n^2 u_y,    de = -u_x - e^2 u_x + n e u_y
 
-The shift u_y, -u_x looks like a motion by h times it; the other terms bend the floor. A keyframe and a picture with
-the same tilt error u see the floor bent alike. If the camera has moved by d (over h, in slopes) between them, the two
-differ by dm(n + d) - dm(n): for d along n by n' = -d (e u_x - 2 n u_y), e' = d e u_y. So a roll error rotates the
-picture by u_x d / 2, which looks like a heading change, and shears it by as much, which is unique to tilt. If the shear
-is hidden by noise or vibration, a constant tilt error makes the heading drift with distance over height. Only the
-prior of the tilt bounds this drift. Therefore nothing is decided here: :class:`PoseEstimate` keeps the information (8,
-8) of the pixels alone on place, heading, height and both tilts, and the map combines it with the tilt prior
-(:mod:`mufly.slam.pose_graph`). Own derivation.
+The shift u_y, -u_x looks like a motion by h times it; the other terms bend the floor. A keyframe and a picture with the
+same tilt error u distort the floor in the same way. If the camera has moved by d (over h, in slopes) between them, the
+difference is dm(n + d) - dm(n): for d along n by n' = -d (e u_x - 2 n u_y), e' = d e u_y. A roll error rotates the
+picture by u_x d / 2, which looks like a heading change, and shears it by the same amount, which only a tilt error does.
+If noise or vibration hides the shear, a constant tilt error makes the heading drift with distance over height. Only the
+prior of the tilt bounds this drift. :class:`PoseEstimate` therefore holds the information (8, 8) of the pixels alone on
+position, heading, height and both tilts; the map combines it with the tilt prior (:mod:`mufly.slam.pose_graph`). Own
+derivation.
 """
 
 from __future__ import annotations
@@ -163,7 +163,7 @@ class PoseEstimate:
 
 
 def attitude_matrix(view: ViewPrior, tilt: _Array | None = None, heading: float = 0.0) -> _Array:
-    """Return the rotation from body axes to N-E-D: heading, pitch, roll, and tilt errors (default: the expected)."""
+    """Return the rotation from body axes to N-E-D for heading, pitch, roll and tilt errors (default: prior mean)."""
     return _compute_attitude(view.roll_rad, view.pitch_rad, heading, *(view.tilt_error_rad if tilt is None else tilt))
 
 

@@ -1,9 +1,9 @@
 """Image processing by OpenCV, an optional dependency: undistortion, smoothing, corners, tracks, matches.
 
 Tracks (Lucas and Kanade 1981, pyramids by Bouguet 2000) go from a keyframe's picture, warped to the predicted view, to
-the present picture. So templates do not age, and only a shift remains to be found. Two numbers describe the quality
-of a track. The correlation rho of the two patches (zero mean, normalised) is the share of the signal that is floor:
-noise alone has 0.1 to 0.3, however well it is "tracked". The covariance of the shift is
+the present picture. The template is therefore always the original keyframe, and only a shift has to be found. Two
+numbers describe the quality of a track. The correlation rho of the two patches (zero mean, normalised) is the share of
+the signal that comes from the floor; tracked noise alone has 0.1 to 0.3. The covariance of the shift is
 
     C = s^2 G^-1,    G = rho sum (grad I)(grad I)^T,    s^2 the mean square of the patches' difference,
 
@@ -47,7 +47,7 @@ def load_opencv() -> Any:
         import cv2
     except ImportError:
         raise MuflyError(
-            "OpenCV is not installed, without which no picture is looked at; pip install 'mufly[vision]'"
+            "OpenCV, which image processing needs, is not installed; run: pip install 'mufly[vision]'"
         ) from None
     cv2.setNumThreads(1)  # the core is shared with a flight
     return cv2
@@ -246,7 +246,7 @@ def correlate_patches(
     correlation: _Array,
     sigma: _Array,
 ) -> None:
-    """Compute the correlation of patches around points of a template and a picture, and the sigma of their shift."""
+    """Return the correlation of patches around points of a template and a picture, and the sigma of the shift."""
     high, wide = picture.shape
     n = 2 * _PATCH_HALF_SIZE_PX + 1
     a, b = np.empty((n, n)), np.empty((n, n))

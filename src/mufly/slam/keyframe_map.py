@@ -141,7 +141,7 @@ class FloorMap:
         self.optimise_graph()
 
     def try_add_edge(self, edge: GraphEdge, most: float = math.inf) -> bool:
-        """Add an edge and return True, or restore the map and return False if chi-squared exceeds ``most``."""
+        """Add an edge and return True; if chi-squared then exceeds ``most``, restore the map and return False."""
         before = self.nodes.copy()
         self.edges.append(edge)
         self.optimise_graph()
@@ -288,7 +288,7 @@ class FloorMap:
 
 
 def compose_pose(a: _Array, b: _Array) -> _Array:
-    """Return the node at ``b`` (four numbers of :func:`mufly.slam.pose_graph.relative_pose`) relative to node ``a``."""
+    """Return node ``b`` from node ``a`` and the relative pose (:func:`mufly.slam.pose_graph.relative_pose`)."""
     c, s, h = math.cos(a[HEADING]), math.sin(a[HEADING]), math.exp(a[LN_HEIGHT])
     return np.array([a[0] + h * (c * b[0] - s * b[1]), a[1] + h * (s * b[0] + c * b[1]), *(a[PLACE] + b)[HEADING:]])
 
@@ -296,7 +296,7 @@ def compose_pose(a: _Array, b: _Array) -> _Array:
 def remove_pose_fit(
     off: NDArray[np.complex128], own: NDArray[np.complex128], seen: NDArray[np.complex128], weight: _Array
 ) -> NDArray[np.complex128]:
-    """Return the residuals (n,) of points without the part that a pose (place, heading, height, tilts) explains.
+    """Return the residuals of points after removal of the part that a change of the pose explains.
 
     Parameters
     ----------

@@ -55,7 +55,7 @@ _BOTH_TILTS = np.ix_([6, 7, 4, 5], [6, 7, 4, 5])  # tilt errors of the picture, 
 
 @dataclass(frozen=True)
 class FrameContext:
-    """A picture with what is known of it before it is matched.
+    """A picture with its prior knowledge, before it is matched.
 
     Attributes
     ----------
@@ -362,21 +362,21 @@ def rejection_reason(floor_map: FloorMap, match: KeyframeMatch | None, context: 
     the places within reach that look the same (:func:`mufly.slam.place_recognition.is_unambiguous`).
     """
     if match is None:
-        return _STRIPES_REASON if context.motion.is_striped else "too little of the floor is recognised"
+        return _STRIPES_REASON if context.motion.is_striped else "too few points of the floor are recognised"
     pose, height = match.pose, context.view.height_m
     if len(match.inlier_indices) < max(MIN_INLIERS, 0.4 * match.tracked_count):
         return f"only {len(match.inlier_indices)} of {match.tracked_count} points agree"
     if pose.residual_scale > (_MAX_STRIPE_RESIDUAL if len(match.unknown) else 4.0):
-        return "points scatter more than they may"
+        return "the points scatter too much"
     # Along directions without texture there is nothing to check.
     known = match.known_projection
     sigma = math.sqrt((known @ pose.covariance[:2, :2] @ known).diagonal().max())
     if sigma > 0.1 + 0.03 * height:
-        return "the place is not known well enough"
+        return "the position is too uncertain"
     way = known @ (pose.state[:2] - node[:2])
     off = math.hypot(*way)
     if off > 4.0 * (context.position_sigma_m + sigma) + 0.08 * height:
-        return f"{off:.2f} m off from where it should be"
+        return f"{off:.2f} m from the predicted position"
     latest = context.motion.latest
     if latest is None or not latest.has_all_velocities or latest.last_info.place is None:
         return ""  # there is no ambiguity test for a map that cannot be restarted
@@ -385,5 +385,6 @@ def rejection_reason(floor_map: FloorMap, match: KeyframeMatch | None, context: 
     unsure = math.hypot(context.position_sigma_m, math.sqrt(2.0) * sigma, _TILT_DRIFT_PER_HEIGHT * height)
     if not is_unambiguous(way, alike, unsure):
         nearest = np.hypot(*alike.T).min()
-        return f"the floor repeats every {nearest:.2f} m, and {off:.2f} m off it may be another place"
+        return f"the floor repeats every {nearest:.2f} m, and {off:.2f} m from the prediction it may be "
+        "another place"
     return ""

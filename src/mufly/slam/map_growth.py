@@ -1,8 +1,8 @@
 """Growth of the floor's map: new keyframes, their edges, refined points, and loop closures.
 
-Residuals of inliers correct a keyframe's points, which averages vibration and noise out of the map. A loop closes under
-three conditions: enough inliers, a result within the covariance of the map, and no other place within reach that looks
-the same. On a floor of tiles the covariance alone decides; if it is too large, no loop closes.
+Residuals of inliers correct a keyframe's points, which averages vibration and noise out of the map. A loop is closed
+under three conditions: enough inliers, a result within the covariance of the map, and no other place within that
+covariance that looks the same. On a floor of tiles no loop is closed if the covariance is too large.
 """
 
 from __future__ import annotations
@@ -48,10 +48,10 @@ VARIANCE_INFLATION = 3.0
 
 A compromise over twelve floors (docs/log/2026-11-24-slam-accuracy.md): edges with true tilts need 3.9, results less."""
 NEWEST_TRANSITION = (np.ones(3), np.full(3, 1e-10))
-"""Factors and noise variances of the errors of a picture that is the newest keyframe itself."""
+"""Correlation factors and noise variances between errors of a picture and the newest keyframe if both are the same."""
 _WHITE_LEVEL, _MAX_WHITE_SHARE = 248, 0.02
-"""Grey level, and largest share of brighter pixels in a keyframe: a camera that was covered overexposes for half a
-second, and white areas have no corners."""
+"""Overexposure: grey level, and largest share of brighter pixels in a keyframe. A camera that was covered overexposes
+for half a second; white areas have no corners."""
 
 
 def make_node(context: FrameContext, pose: PoseEstimate) -> _Array:
@@ -87,7 +87,7 @@ def create_keyframe(context: FrameContext, pose: PoseEstimate, sigma_px: float) 
 
 
 def insert_keyframe(floor_map: FloorMap, context: FrameContext, match: KeyframeMatch) -> int | None:
-    """Make a keyframe of a matched picture; return its number, or None where it cannot be one.
+    """Make a keyframe of a matched picture; return its number, or None if the picture is unsuitable.
 
     It has an edge to the matched keyframe, and to the connected one with the largest overlap.
     """
@@ -172,7 +172,7 @@ def refine_keyframe(floor_map: FloorMap, context: FrameContext, match: KeyframeM
 
 
 class LoopSearch:
-    """Search for keyframes to which a loop can close; it remembers where closures failed."""
+    """Search for keyframes to which a loop can be closed; failed candidates are remembered."""
 
     def __init__(self) -> None:
         # For each keyframe, the number of failed closures and the overlap at the last one

@@ -17,11 +17,11 @@ deviation s and time T, and white noise w from vibration of the whole picture. B
 
 and likewise b, with a deviation and time of its own.
 
-A tilt error common to all keyframes rotates the map in proportion to distance over height, up to once the error (the
-part seen as shear is estimated, :mod:`mufly.slam.camera_pose`). With n edges, independent errors of s d / h would grow
-with the square root of n; common errors grow with n. Common height errors scale the map. The graph propagates both from
-edge to edge by the correlation above. So the covariances of headings and places include them, and the shear of any
-edge, or a loop closure, corrects all keyframes.
+A tilt error common to all keyframes rotates the map in proportion to distance over height, at most by the error itself
+(the part seen as shear is estimated, :mod:`mufly.slam.camera_pose`). With n edges, independent errors of s d / h would
+grow with the square root of n; common errors grow with n. Common height errors scale the map. The graph propagates both
+errors from edge to edge by the correlation above. The covariances of headings and positions therefore include them, and
+the shear of any edge, or a loop closure, corrects all keyframes.
 
 The unknowns are all C, psi, ln h, u and b except the first place and heading. Gauss-Newton solves them. Loop closures
 have Cauchy weights 1 / (1 + chi^2 / 16), since one wrong closure must not bend the map; edges between a keyframe and

@@ -1,8 +1,8 @@
 """SLAM in a separate process: pictures are sent there, and results are fetched on request.
 
-The sender continues while a picture is processed, and waits only for a result that is not ready. So a simulation
-decides by its own clock when a result is known, and does not depend on the machine's speed. Each result comes with a
-drawing of the map; :class:`TrackedPicture` is the data that a ground station shows.
+The sender continues while a picture is processed, and waits only when it requests a result that is not ready. A
+simulation therefore receives each result at the same simulated time, at any speed of the machine. Each result comes
+with a drawing of the map; :class:`TrackedPicture` is the data that a ground station shows.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ def locate_features(camera: Camera, answer: TrackingResult) -> NDArray[np.float3
 
 
 class SlamProcess:
-    """SLAM in another process; the constructor returns when that process is ready, after a few seconds of compilation.
+    """SLAM in a separate process; the constructor returns once it is ready, after some seconds of compilation.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ class SlamProcess:
             pickle.dump(message, self._process.stdin, pickle.HIGHEST_PROTOCOL)
             self._process.stdin.flush()
         except (OSError, ValueError) as error:
-            raise MuflyError(f"the process that looks at pictures has ended ({error})") from error
+            raise MuflyError(f"the SLAM process has ended ({error})") from error
 
     def send_frame(self, frame: CameraFrame) -> None:
         """Send a picture for processing.
@@ -187,7 +187,7 @@ class SlamProcess:
         try:
             return pickle.load(self._process.stdout)
         except (EOFError, OSError, ValueError, pickle.UnpicklingError) as error:
-            raise MuflyError(f"the process that looks at pictures has ended ({error})") from error
+            raise MuflyError(f"the SLAM process has ended ({error})") from error
 
     def close(self) -> None:
         """Stop the process."""

@@ -5,8 +5,8 @@ keyframe with the largest overlap (:mod:`mufly.slam.keyframe_matching`). When th
 a new keyframe, and at intervals a loop is searched (:mod:`mufly.slam.map_growth`).
 
 Results that are not trusted are not published; :class:`TrackingResult` gives the reason. After a loss the system
-searches around the predicted pose first, later in the whole map by ORB (Rublee et al. 2011). It accepts the latter
-when three results agree.
+searches around the predicted pose first, later in the whole map by ORB (Rublee et al. 2011). A result of ORB is
+accepted when three results agree.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _Array = NDArray[np.float64]
 MIN_HEIGHT_M = 0.1  # least camera height for the start of a map
 TOO_NEAR_REASON = "too near to the floor"
 """Reason of a missing result below that height."""
-DIRT_MESSAGE = "dirt on the lens: a part of the picture does not move with the floor and is not used"
+DIRT_MESSAGE = "dirt on the lens: pixels that do not move with the floor are not used"
 FEW_INLIERS = 30  # below this number of inliers a new keyframe may help
 NEW_KEYFRAME_OVERLAP = 0.55  # least overlap of a keyframe and the picture
 LOOP_CHECK_INTERVAL = 8
@@ -178,11 +178,11 @@ class SlamSystem:
         check_picture_size(self.camera, frame.picture.shape, f"picture at {frame.time_s:g} s")
         verdict = self.monitor.check_stamp(frame.time_s, self._last_time_s)
         if frame.time_s <= self._last_time_s:
-            return self._refuse(frame, verdict, "older than the picture before")
+            return self._refuse(frame, verdict, "not later than the previous picture")
         self._last_time_s = frame.time_s
         self._frame_count += 1
         if self.monitor.is_copy(frame.picture):
-            return self._refuse(frame, self.monitor.frozen_verdict, "a copy of the picture before")
+            return self._refuse(frame, self.monitor.frozen_verdict, "a copy of the previous picture")
         picture = self.undistorted_picture = self._undistorter.undistort_picture(frame.picture)
         verdict = self.monitor.check_motion(frame, picture)
         if verdict.fault:
@@ -228,7 +228,7 @@ class SlamSystem:
         return self._accept_match(context, match)
 
     def _refuse(self, frame: CameraFrame, verdict: CameraVerdict, why: str) -> TrackingResult:
-        """Return a result that is not trusted, and keep the verdict on the camera."""
+        """Return an untrusted result with its reason, including a fault of the camera."""
         self._note_verdict(frame.time_s, verdict)
         return TrackingResult(frame.time_s, False, verdict.message or why, keyframe=-1)
 
@@ -444,7 +444,7 @@ class SlamSystem:
         pose = self._pose_from_vehicle(context.view, *self.floor_map.start_pose)
         keyframe = create_keyframe(context, pose, math.hypot(0.5, self._shake_rms_px))
         if keyframe is None:
-            return TrackingResult(frame.time_s, False, "no corners on the floor to begin a map with, or too bright")
+            return TrackingResult(frame.time_s, False, "cannot begin a map: no corners on the floor, or too bright")
         self._reference_index = self.floor_map.add_keyframe(keyframe, make_node(context, pose), [])
         self._last_node = self.floor_map.nodes[self._reference_index, PLACE].copy()
         self._motion = self._motion.restart_at(frame)

@@ -1,4 +1,4 @@
-"""Trajectory of SLAM results: collected, written as TUM's text, as a table for recordings, and drawn."""
+"""Trajectory of SLAM results: collection, file in TUM's text format, table for recordings, and picture."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Comparison of a trajectory with the truth, both read from files by the same rules: errors, drift, consistency.
+"""Comparison of a trajectory with the truth (errors, drift, consistency); both are read from files.
 
 A row is ``t x y z qx qy qz qw`` (TUM), separated by blanks, commas, semicolons or tabs. A header line above the rows,
 in a comment or not, may put ``qw`` first and the time in ns (EuRoC). Stamps are s, ms, us or ns since 1970 by their
@@ -113,12 +113,15 @@ def read_poses(file: Path) -> PoseTable:
     if not named and _is_upside_down(rows[:, _QUATERNION]):
         if separator == "," and np.median(rows[:, 0]) > _TIMESTAMP_UNITS[0][0]:  # EuRoC's format without a header
             rows[:, _QUATERNION] = np.roll(rows[:, _QUATERNION], -1, axis=1)
-            said.append("its quaternions are taken to have w first, or it would fly upside down")
+            said.append("its quaternions are read with w first; otherwise the vehicle would be upside down")
         else:
-            said.append("it flies upside down; if w is first, name the columns: # t x y z qw qx qy qz")
+            said.append(
+                "the vehicle is upside down; if w is the first number of its quaternions, name the "
+                "columns: # t x y z qw qx qy qz"
+            )
     _, columns, heading_of = _AXIS_CONVENTIONS[_detect_axes(comments, file)]
     stamps, tick = _stamps_to_seconds(rows[:, 0], ns)
-    said += [f"its stamps are taken to be in {tick}"] if tick != "s" and not ns else []
+    said += [f"its time stamps are read as {tick}"] if tick != "s" and not ns else []
     position = np.stack([math.copysign(1, k) * rows[:, abs(k)] for k in columns], axis=1)
     heading = np.angle(np.exp(1j * heading_of(euler_from_quaternion(rows[:, _QUATERNION])[:, 2])))
     kept, repeated = _sort_by_time(stamps, [numbers[k] for k in keep], said)
@@ -168,7 +171,7 @@ def _parse_pose_rows(
             rows[k] = [float(c) for c in row[:8]]
         except ValueError:
             if k and k == len(cells) - 1 and len(row) < 8:
-                said.append(f"the last row (line {number}) is cut, and left out")
+                said.append(f"the last row (line {number}) is truncated and left out")
                 cells, rows = cells[:-1], rows[:-1]
                 break
             raise InputError(where, f"line {number}", f"{' '.join(row)[:60]!r} is not 8 numbers",
@@ -216,13 +219,13 @@ def _drop_invalid_rows(rows: _Array, numbers: list[int], said: list[str]) -> tup
     finite = np.isfinite(rows).all(axis=1)
     length = np.linalg.norm(rows[:, _QUATERNION], axis=1)
     turned = length > _MIN_QUATERNION_NORM
-    _note_lines(said, "of NaN or infinity, left out", np.flatnonzero(~finite), numbers)
+    _note_lines(said, "with NaN or infinity, left out", np.flatnonzero(~finite), numbers)
     _note_lines(said, "with a quaternion of zeros, left out", np.flatnonzero(finite & ~turned), numbers)
     keep = np.flatnonzero(finite & turned)
     odd = keep[np.abs(length[keep] - 1) > _QUATERNION_NORM_TOLERANCE]
     if len(odd):
         worst = length[odd[np.argmax(np.abs(np.log(length[odd])))]]
-        _note_lines(said, f"whose quaternion is not of unit length ({worst:.3g}), brought to it", odd, numbers)
+        _note_lines(said, f"whose quaternion is not of unit length ({worst:.3g}), normalised", odd, numbers)
     out = rows[keep]
     out[:, _QUATERNION] /= length[keep, None]
     return out, keep.tolist()
@@ -254,11 +257,11 @@ def _stamps_to_seconds(stamps: _Array, ns: bool) -> tuple[_Array, str]:
 def _sort_by_time(stamps: _Array, numbers: list[int], said: list[str]) -> tuple[NDArray[np.intp], int]:
     """Return the order by time, with the last row of each time, and the number of duplicates."""
     late = np.flatnonzero(np.diff(stamps) < 0) + 1
-    _note_lines(said, "earlier than the one before, sorted by time", late, numbers)
+    _note_lines(said, "earlier than the previous row, sorted by time", late, numbers)
     order = np.argsort(stamps, kind="stable")
     last = np.append(np.diff(stamps[order]) > 0, True)[: len(order)]
     repeated = order[~last]
-    _note_lines(said, "with the time of another, of which the last is kept", np.sort(repeated), numbers)
+    _note_lines(said, "with the time of another row; the last of them is kept", np.sort(repeated), numbers)
     return order[last], len(repeated)
 
 
@@ -266,14 +269,14 @@ def _sort_by_time(stamps: _Array, numbers: list[int], said: list[str]) -> tuple[
 class TrajectoryEvaluation:
     """Evaluation of one trajectory; lengths in m, angles in rad."""
 
-    pictures: int = field(metadata={"unit": "1", "meaning": "pictures, of which so many were answered"})
+    pictures: int = field(metadata={"unit": "1", "meaning": "pictures with a result"})
     lost: float = field(metadata={"unit": "1", "meaning": "share without an answer"})
-    rms_m: float = field(metadata={"unit": "m", "meaning": "horizontal error as it stands, root mean square"})
+    rms_m: float = field(metadata={"unit": "m", "meaning": "horizontal error without alignment, root mean square"})
     worst_m: float = field(metadata={"unit": "m", "meaning": "greatest horizontal error"})
     height_rms_m: float = field(metadata={"unit": "m", "meaning": "error of the height, root mean square"})
     heading_rms_rad: float = field(metadata={"unit": "rad", "meaning": "error of the heading, root mean square"})
     ate_m: float = field(metadata={"unit": "m", "meaning": "position error after the best shift and turn, rms"})
-    rpe_m: float = field(metadata={"unit": "m", "meaning": "error of the way made in a second, rms"})
+    rpe_m: float = field(metadata={"unit": "m", "meaning": "error of the displacement in a second, rms"})
     way_m: float = field(metadata={"unit": "m", "meaning": "way flown"})
     end_m: float = field(metadata={"unit": "m", "meaning": "horizontal error at the end"})
     nees: float = field(metadata={"unit": "1", "meaning": "NEES over its four numbers"})
@@ -324,7 +327,7 @@ def evaluate_trajectory(
         raise InputError(*_explain_no_overlap(time, true_time))
     inside &= ~_is_in_gap(time, true_time)
     if inside.sum() < _MIN_ROWS:
-        raise InputError("truth", "", "has gaps wherever there are answers", "give a truth without gaps there")
+        raise InputError("truth", "", "has gaps at the times of all results", "give a truth without gaps there")
     t, x, psi = time[inside], position[inside], heading[inside]
     true = np.stack([np.interp(t, true_time, c) for c in true_position.T], axis=1)
     turn = np.interp(t, true_time, np.unwrap(true_heading))
@@ -359,7 +362,7 @@ def _explain_no_overlap(time: _Array, true_time: _Array) -> tuple[str, str, str,
     """Return the problem of two clocks that do not overlap, and the remedy."""
     for who, stamps in (("trajectory", time), ("truth", true_time)):
         if len(stamps) < _MIN_ROWS:
-            problem = f"the {who} has {len(stamps)} usable rows with a time of their own"
+            problem = f"the {who} has {len(stamps)} usable rows with different times"
             return "trajectory", "time", problem, f"give {_MIN_ROWS} or more, stamps with enough digits"
     spans = f"{time[0]:.3f} to {time[-1]:.3f} s, the truth's from {true_time[0]:.3f} to {true_time[-1]:.3f} s"
     ratio = (time[-1] - time[0]) / max(true_time[-1] - true_time[0], 1e-9)

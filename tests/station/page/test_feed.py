@@ -379,7 +379,7 @@ def test_the_camera_is_shown_to_who_looks_at_it(vehicle: Vehicle, session: Stati
     assert got["floor_map"]["ties"][2] == [0, 2, 1]
     assert len(got["floor_map"]["path"]) == 4
     lost = replace(answer, trusted=False, position=np.full(3, math.nan))
-    now = replace(now, result=lost, warning="too little of the floor is recognised")
+    now = replace(now, result=lost, warning="too few points of the floor are recognised")
     told = frame(feed, 3.0)["camera"]
     assert told["position"] == [None, None, None]
     assert told["said"].startswith("too little")

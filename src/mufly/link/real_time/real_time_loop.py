@@ -197,7 +197,7 @@ class _PortGroup:
                 port.discard_input()
             link.resume_after_stall(now_s)
             link.flight.log_event(
-                f"simulation stalled for {stood_s:.1f} s; requests of that time are dropped", "warning"
+                f"simulation stalled for {stood_s:.1f} s; requests received in that time are dropped", "warning"
             )
             came = []
         for peer, data in came:
@@ -257,7 +257,7 @@ def run_real_time(
     views: Sequence[FlightView] = (),
     clock: Callable[[], float] = read_boot_clock,
 ) -> RealTimePacer:
-    """Fly in real time behind a MAVLink link, until told to stop.
+    """Fly in real time behind a MAVLink link, until a stop is requested.
 
     Parameters
     ----------

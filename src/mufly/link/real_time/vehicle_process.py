@@ -112,8 +112,8 @@ class VehicleProcess:
             return True
         if time.monotonic() - self._staged_s > START_TIMEOUT_S:
             raise MuflyError(
-                f"the vehicle did not start: {self.stage} took more than {START_TIMEOUT_S:g} s; "
-                "is the machine very busy?"
+                f"the vehicle did not start: {self.stage} took more than {START_TIMEOUT_S:g} s; reduce the "
+                "load of the machine"
             )
         return False
 
@@ -185,7 +185,8 @@ class VehicleProcess:
         if not ended and not self.error:
             when = "while it flew" if self._ready.is_set() else "before it was ready"
             during = "" if self._ready.is_set() else f" ({self.stage})"
-            self.error = f"the vehicle's process ended {when}{during}, without a word (killed, or out of memory?)"
+            self.error = f"the vehicle's process ended {when}{during} without a message (killed, or out of "
+            "memory)"
         self._ready.set()
 
 

@@ -1,4 +1,4 @@
-r"""Calibration of a camera on its vehicle from a motion by hand over a flat, level floor (batch least squares).
+r"""Calibration of a camera on its vehicle, moved by hand over a flat, level floor (batch least squares).
 
 The recording holds pictures, gyroscopes, accelerometers and, if possible, the height (sonar). Unknown are the focal
 length, principal point, first radial coefficient, rotation of the mount, place of the camera, delay of the stamps,
@@ -18,12 +18,13 @@ plus row offset. Residuals, divided by their deviations, are
 - height of the camera against the sonar; rotation errors against the noise of the gyroscopes;
 - priors of principal point, radial coefficient, lever arm, sensor scales and biases (:data:`_PRIOR_SIGMA`).
 
-Since attitude, gravity and rates fix rotations in absolute terms, the focal length needs no board: it shows as pixels a
-radian, and by the perspective of the picture apart from the scale of the gyroscopes. Mount and tilt separate because
-the floor is level and gravity is measured. Gauss-Newton solves the sparse normal equations; standard deviations are
-those of their inverse, times :data:`_INFLATION`, since errors of neighbouring tracks and segments are correlated. The
-pictures are then tracked again with patches warped by this fit, and fitted again: tracking by shift alone errs by some
-hundredths of a pixel where the motion varies within a patch, which moves the principal point by pixels.
+Attitude, gravity and rates determine rotations in absolute terms, so the focal length needs no chessboard. It is the
+ratio of pixels to radians; the perspective of the picture separates it from the scale of the gyroscopes. Mount and tilt
+can be separated because the floor is level and gravity is measured. Gauss-Newton solves the sparse normal equations;
+standard deviations are those of their inverse, times :data:`_INFLATION`, since errors of neighbouring tracks and
+segments are correlated. The pictures are then tracked again with patches warped by this fit, and fitted again. Tracking
+by shift alone has errors of some hundredths of a pixel where the motion varies within a patch, which would shift the
+principal point by pixels.
 
 Own derivation, after Furgale, Rehder and Siegwart, *Unified Temporal and Spatial Calibration for Multi-Sensor Systems*,
 2013 (Kalibr); noise from differences as in von Neumann, 1941.
@@ -68,7 +69,7 @@ _Array = NDArray[np.float64]
 SEGMENT_PICTURES = 3
 """Pictures from the first to the last of a segment."""
 _INFLATION = 2.0
-"""Factor on all standard deviations, chosen on recordings other than those that judge it."""
+"""Factor on all standard deviations, determined on other recordings than those used for validation."""
 _CONFIDENCE_95 = 1.96
 _MIN_SEGMENTS = 20
 _MAX_FOCAL_SIGMA, _MAX_MOUNT_SIGMA_RAD = 0.03, math.radians(1.5)
@@ -93,7 +94,7 @@ _STEPS = np.array(
 _SEGMENT_STEPS = np.array([*[1e-3] * 3, 1e-4, *[1e-4] * 3])
 _SONAR_SIGMA_M, _VELOCITY_STEP_M_S, _FLOOR_STEP_M = 0.025, 0.02, 0.004
 _GUESS_SHARE = 0.2
-"""Standard deviation of a given mean height, as its share."""
+"""Standard deviation of a given mean height, as a share of it."""
 _MIN_PIXEL_SIGMA, _HUBER = 0.05, 1.5
 _TRANSLATION_SHARE = 0.3
 
@@ -471,7 +472,7 @@ class _Problem:
             raise InputError(
                 "pictures", "", f"the motion leaves the focal length to {100 * sigma[FOCAL][0]:.1f} % and the mount to "
                 f"{math.degrees(sigma[MOUNT].max()):.1f} degrees (one sigma)",
-                "turn it by 20 degrees about all three axes, again and again, for 60 s",
+                "turn the vehicle by 20 degrees about all three axes, repeatedly, for 60 s",
             )  # fmt: skip
         lens, mount = self.lens_of(common), self.mount_of(common)
         angles, slopes = _mount_angles(mount), np.empty((3, 3))
@@ -546,7 +547,7 @@ def _mount_angles(mount: _Array) -> _Array:
 
 
 def _guess_rotation(tracks: PointTracks, camera: Camera, imu: InertialData) -> tuple[float, float, float]:
-    """Return delay (s), scale of the focal length and turn (rad) by which gyroscopes explain the mean motion best.
+    """Return delay (s), scale of the focal length and turn (rad) at which gyroscopes explain the mean motion best.
 
     The motion y of the middle of the picture is regressed on that of the rotation alone, y = m p + n conj(p); the
     delay is that of the best fit.
@@ -573,11 +574,13 @@ def _guess_rotation(tracks: PointTracks, camera: Camera, imu: InertialData) -> t
     share, delay, m, n = best
     if share < _TRANSLATION_SHARE:
         raise InputError(
-            "pictures", "", "their motion does not follow the gyroscopes",
+            "pictures", "", "the motion of the pictures does not follow the gyroscopes",
             "turn the vehicle rather than shift it, and check that both clocks are the same",
         )  # fmt: skip
     if abs(n) > abs(m):
-        raise InputError("pictures", "", "they move mirrored against the gyroscopes", "check the camera's driver")
+        raise InputError(
+            "pictures", "", "the pictures move mirrored against the gyroscopes", "check the camera's driver"
+        )
     return delay, float(np.clip(abs(m), 0.6, 1.6)), float(np.angle(m))
 
 

@@ -1,4 +1,4 @@
-"""Attitude, velocity and way by integration of inertial data, and quaternions of many instants at once.
+"""Attitude, velocity and displacement by integration of inertial data, and operations on arrays of quaternions.
 
 Rates w give the attitude q' = q w / 2 with a constant rate in each step; specific force f gives C' = R(q) f + g from
 rest at the first instant. Products of all steps up to each are formed by a prefix scan (Hillis and Steele, 1986), so
@@ -36,7 +36,7 @@ class InertialData:
 
 @dataclass(frozen=True)
 class IntegratedMotion:
-    """Attitude, velocity and way over the times of the samples.
+    """Attitude, velocity and displacement at the times of the samples.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ class IntegratedMotion:
 def integrate_inertial(
     imu: InertialData, start: _Array, *, gyro_bias: _Array, gyro_scale: _Array, accel_bias: _Array
 ) -> IntegratedMotion:
-    """Integrate attitude, velocity and way.
+    """Integrate attitude, velocity and displacement.
 
     Parameters
     ----------

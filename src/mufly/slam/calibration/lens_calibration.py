@@ -69,7 +69,10 @@ def calibrate_lens(
     cv2 = load_opencv()
     if not (3 <= columns <= 50 and 3 <= rows <= 50 and columns != rows):
         raise ArgumentError(
-            "board", f"{columns}x{rows}", "is not a board size", "give its inner corners, not alike: 9x6"
+            "board",
+            f"{columns}x{rows}",
+            "is not a board size",
+            "give the numbers of inner corners, which must differ: 9x6",
         )
     if not 1e-3 <= square_m <= 1.0:
         raise ArgumentError("square", f"{square_m:g} m", "is out of range", "give 0.001 to 1 m")
@@ -88,7 +91,7 @@ def calibrate_lens(
     if len(found) < MIN_BOARD_PICTURES:
         raise InputError(
             "pictures", "", f"the board of {columns} by {rows} inner corners is in {len(found)} of {len(pictures)}",
-            f"give {MIN_BOARD_PICTURES} or more that show all of it, or its right size",
+            f"give {MIN_BOARD_PICTURES} or more that show all of it, or the right --board",
         )  # fmt: skip
     size = (camera.sensor.width, camera.sensor.height)
     residual, m, k, _, _, deviations, *_ = cv2.calibrateCameraExtended([board] * len(found), found, size, None, None)
@@ -96,8 +99,8 @@ def calibrate_lens(
     sigma = np.ravel(deviations)[:9]
     if not all(math.isfinite(v) for v in values) or sigma[0] > 0.1 * values[0]:
         raise InputError(
-            "pictures", "", "they do not determine the lens: all show the board from the same side",
-            "tilt it by 20 to 40 degrees, both ways, and fill the picture",
+            "pictures", "", "the pictures do not determine the lens: all show the board from the same direction",
+            "tilt the board by 20 to 40 degrees about both axes, and fill the picture",
         )  # fmt: skip
     note = f"chessboard, {len(found)} pictures, residual {residual:.2f} pixels"
     lens = {

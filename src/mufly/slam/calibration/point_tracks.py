@@ -21,7 +21,7 @@ _MAX_POINTS, _MIN_POINTS = 70, 12
 _WINDOW_PX, _LEVELS, _MAX_RETURN_PX = 17, 3, 0.7
 _SMOOTHING_PX, _LIGHT_PX = 1.2, 12.0
 _MAP_STEP_PX, _MAX_SHIFT_PX = 8, 3.0
-"""Grid of the predicted map (pixels), and largest shift beside it."""
+"""Grid of the predicted map (pixels), and largest shift from the prediction (pixels)."""
 _GREY_MEAN, _GREY_GAIN = 128.0, 256.0
 
 
@@ -148,7 +148,7 @@ def retrack_segments(
 
 
 def _flatten_light(raw: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return a smoothed picture divided by its local mean: vignette stays at its pixels and would hold points back."""
+    """Return a smoothed picture divided by its local mean, so that vignetting does not bias the tracks."""
     cv2 = load_opencv()
     picture = cv2.GaussianBlur(raw, (0, 0), _SMOOTHING_PX).astype(np.float32)
     mean = cv2.GaussianBlur(picture, (0, 0), _LIGHT_PX)

@@ -81,7 +81,7 @@ class FrameSource:
             raise InputError(
                 self.name,
                 "",
-                f"its pictures are {self.interval_s:.2g} s apart, more than {MAX_PICTURE_INTERVAL_S:g} s",
+                f"the pictures are {self.interval_s:.2g} s apart, more than {MAX_PICTURE_INTERVAL_S:g} s",
                 "give a video or a faster sequence; still pictures need photogrammetry (COLMAP)",
             )  # fmt: skip
 
@@ -210,7 +210,7 @@ def read_picture(file: Path, camera: Camera) -> NDArray[np.uint8]:
         data = file.read_bytes()
     except OSError as error:
         raise InputError(
-            str(file), "", f"cannot be read ({error.strerror})", "give the folder as it was written"
+            str(file), "", f"cannot be read ({error.strerror})", "give an unchanged copy of the folder"
         ) from error
     return _decode_picture(data, camera, str(file))
 
@@ -267,7 +267,7 @@ def _check_rising_times(times: _Array, names: list[str], where: str) -> None:
         k = int(back[0]) + 1
         raise InputError(
             where, names[k], f"its time, {times[k]:.6f} s, is not after {times[k - 1]:.6f} s of the picture before",
-            "sort them, or give the right clock",
+            "sort the pictures, or correct their times",
         )  # fmt: skip
 
 
@@ -408,7 +408,7 @@ def read_telemetry(file: Path, offset_s: float = 0.0) -> Callable[[_Array], list
         if t[0] < a[0, 0] - _MAX_CLOCK_MARGIN_S or t[-1] > a[-1, 0] + _MAX_CLOCK_MARGIN_S:
             raise InputError(
                 str(file), "", f"is of {a[0, 0]:.3f} to {a[-1, 0]:.3f} s, pictures of {t[0]:.3f} to {t[-1]:.3f} s",
-                "give --offset: the recording's clock less the pictures'",
+                "give --offset: clock of the recording minus clock of the pictures",
             )  # fmt: skip
         b = np.stack([np.interp(t, a[:, 0], c) for c in a.T], axis=1)
         infos = [_make_frame_info(r) for r in b]

@@ -29,12 +29,13 @@ each axis against y = p finds them first (Wald, *Sequential Analysis*, 1947). Ow
 **Tilt.** Tracking estimates the errors of the reported tilt from the shear of the floor
 (:mod:`mufly.slam.camera_pose`). An error that stays beyond the filter's deviation shows a tilted mount.
 
-**Copies.** Noise makes any two pictures differ, so equal pictures are copies.
+**Copies.** Noise makes any two new pictures differ, so identical pictures are copies.
 
-**Dirt** stays at its pixels. The mean of the last n pictures of different floor keeps it, while floor of deviation s
-averages to s / sqrt(n). A pixel is dirty if the mean, less its surroundings, exceeds :data:`_DIRT_SIGMAS` of that, and
-its own deviation is below :data:`_DIRT_STILLNESS` s, since dirt hides the floor. More than
-:data:`_MAX_DIRT_SHARE` of a picture is no dirt but a floor that looks alike along the path, such as stripes.
+**Dirt** stays at its pixels. In the mean of n pictures of different floor the dirt remains, while the floor, with grey
+levels of deviation s, averages out to s / sqrt(n). A pixel is dirty under two conditions: its mean differs from the
+surroundings by more than :data:`_DIRT_SIGMAS` s / sqrt(n), and its own deviation is below :data:`_DIRT_STILLNESS` s,
+since dirt hides the floor. More than :data:`_MAX_DIRT_SHARE` of a picture is not dirt but a floor that repeats along
+the path, such as stripes.
 """
 
 from __future__ import annotations
@@ -62,8 +63,8 @@ _MIN_TURN_RAD, _MIN_SCALE, _MIN_DELAY_S = math.radians(7.0), 0.1, 0.03
 _LEAST_SCALE = 0.5  # below which no focal length is wrong, but the estimate passes from 1 to that of a flip
 _FROZEN_COUNT, _STOPPED_COUNT = 4, 4
 _CONFIRM_COUNT, _GROSS_CONFIRM_COUNT, _HOLD_S = 10, 6, 10.0
-"""Pictures in a row that confirm a fault, those that confirm a gross one, and time for which a fault holds after it was
-last seen (s)."""
+"""Consecutive pictures that confirm a fault, and a gross fault; time for which a fault is reported after it was last
+seen (s)."""
 _BACKGROUND_PX = 25  # side of the mean that is subtracted, at half the resolution
 _MIN_HEIGHT_M = 0.2  # below which the height is known too poorly
 _TILT_AVERAGE_S, _TILT_SIGMAS, _MIN_TILT_RAD = 1.5, 2.5, math.radians(1.2)
@@ -78,10 +79,9 @@ _FLIP_SIGMA_PX_S, _MAX_FLIP_STEP, _FLIP_LIMIT = 15.0, 3.0, 15.0
 """Usual residual of the motion along an axis (pixels/s), and the largest step and the limit of the logarithm of the
 likelihood ratio between a flipped and a correct axis."""
 _FLIP_MEMORY_S, _FLIP_SHARE = 0.5, 0.25
-"""Memory of the residuals (s), and their largest share of the motion for a flip: other faults leave more."""
+"""Memory of the residuals (s), and largest share of the motion that a flip leaves; other faults leave more."""
 _STEADY_SHARE, _STEADY_LEAST = 0.3, 0.05
-"""Change of an estimate over the confirming pictures, as a share of its deviation and at the least, below which it is
-steady."""
+"""Largest change of a steady estimate over the confirming pictures: share of its deviation, and absolute."""
 _MIRRORED = "the picture moves mirrored against the gyroscopes: check the camera's driver"
 _MIN_POINTS, _WINDOW_PX, _MIN_CORRELATION, _STRONG_CORRELATION = 24, 21, 0.5, 0.85
 _UPSIDE_DOWN = "the camera is upside down against the gyroscopes: check mount.turn"
@@ -187,7 +187,7 @@ class CameraMonitor:
         return self._verdict if time_s < self._held_until_s else _HEALTHY
 
     def check_tilt(self, time_s: float, tilt_error_rad: _Array, sigma_rad: float) -> None:
-        """Note the tilt error (2,) that tracking finds, and its deviation by the filter (rad)."""
+        """Update by the tilt error (2,) that tracking estimates, with the filter's standard deviation (rad)."""
         dt = time_s - self._tilt_time_s if self._tilt_time_s < time_s else 0.0
         self._tilt_time_s = time_s
         keep = math.exp(-dt / _TILT_AVERAGE_S)
@@ -257,7 +257,7 @@ class CameraMonitor:
 
     @property
     def _is_steady(self) -> bool:
-        """Whether m and n are steady: after a change of the camera they pass values that no fault has."""
+        """Whether m and n are steady; after a change of the camera they pass through meaningless values."""
         first, last = self._latest[0], self._latest[-1]
         off = float(np.abs(last - [1.0, 0.0]).max())
         return float(np.abs(last - first).max()) < max(_STEADY_LEAST, _STEADY_SHARE * off)

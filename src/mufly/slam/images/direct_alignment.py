@@ -1,13 +1,14 @@
 r"""Direct alignment: the pose of the camera from patches of a whole picture, for floors whose points cannot be tracked.
 
-A point of a weak floor (concrete, felt) is below the noise of its own patch, and one of a striped floor slides along
-the stripe. All patches together still determine the pose. Every patch gives a linear measurement of its shift,
+On a weak floor (concrete, felt) the texture of a single patch is below the noise, and on a striped floor a point can
+slide along the stripe. All patches together still determine the pose. Every patch gives a linear measurement of its
+shift,
 :mod:`mufly.slam.images.patch_information`, at the pixel where the present pose expects it; the pose follows by
 :func:`mufly.slam.camera_pose.solve_pose`, and both are repeated from a quarter of the resolution to the full one.
 That is Gauss-Newton on the grey levels of all patches (sparse image alignment: Forster, Pizzoli and Scaramuzza, *SVO*,
 2014), with weights for outliers and without the gradients of the noise.
 
-Along a direction without texture the prediction stays, with its own variance. If no direction has texture, there is
+Along a direction without texture the prediction is kept, with its variance. If no direction has texture, there is
 no result.
 """
 
@@ -25,7 +26,7 @@ from mufly.slam.images.patch_information import PatchInformation, measure_patche
 
 _Array = NDArray[np.float64]
 _LEVELS = ((2, 5), (1, 7), (0, 10), (0, 10))
-"""Halvings of the picture and half the side of a patch, for each iteration."""
+"""Number of halvings of the picture, and half the side of a patch (pixels), for each iteration."""
 
 
 class FloorPoints(NamedTuple):
@@ -77,7 +78,7 @@ class AlignedPicture(NamedTuple):
 
 
 def add_point_errors(information: _Array, sigma_px: _Array) -> _Array:
-    """Return the information (n, 2, 2) of pixels whose points have independent errors ``sigma_px`` (n,) as well."""
+    """Return the information (n, 2, 2) of pixels reduced by independent errors ``sigma_px`` (n,) of their points."""
     spread = np.eye(2) + (sigma_px**2)[:, None, None] * information
     out = np.linalg.solve(spread, information)
     return np.asarray(0.5 * (out + np.swapaxes(out, 1, 2)))
@@ -161,7 +162,7 @@ def align_picture(
 
 
 def _prediction(unknown: _Array, sigma: tuple[float, float]) -> _Array | None:
-    """Return the information (4, 4) of the prediction; the heading counts since vibration bends stripes as it does."""
+    """Return the information (4, 4) of the prediction, with the heading: vibration bends stripes like a turn."""
     if not len(unknown):
         return None
     out = np.zeros((PX_TILT, PX_TILT))

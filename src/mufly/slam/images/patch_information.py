@@ -1,4 +1,4 @@
-r"""Information of patches of two pictures on their shift, without the share of the noise.
+r"""Information of image patches about the shift between two pictures, without the bias by noise.
 
 A patch of the warped keyframe, T, and one of the picture, I, are samples of the same floor with independent noise.
 Least squares for the shift d (Lucas and Kanade 1981, with the mean of both gradients: Malis 2004) is
@@ -21,7 +21,8 @@ products of noise gradients are correlated, is the integral of the squared autoc
 Vibration bends stripes in a rolling shutter: by a random slope e of the rows (rms), different in both pictures. So
 stripes across v with the sum S' add e^2 S' / 2 to S. A direction has information if S exceeds :data:`MIN_SIGNIFICANCE`
 F + 2 e^2 S'.
-Along the others every tensor loses its negative part, and all are scaled so that their sum stays S. Own derivation.
+Along all other directions the negative part of every tensor is removed, and all tensors are scaled so that their sum
+remains S. Own derivation.
 """
 
 from __future__ import annotations
