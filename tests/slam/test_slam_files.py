@@ -423,7 +423,8 @@ def test_quaternions_with_w_first_and_no_names_are_told(trajectory):
     assert "est.txt: its quaternions are read with w first; otherwise the vehicle would be upside down" in said
     said = trajectory([" ".join(row) for row in wxyz])[1]
     assert said == [
-        "est.txt: the vehicle is upside down; if w is the first number of its quaternions, name the columns: # t x y z qw qx qy qz"
+        "est.txt: the vehicle is upside down; if w is the first number of its "
+        "quaternions, name the columns: # t x y z qw qx qy qz"
     ]
 
 

@@ -277,7 +277,7 @@ class CommandProtocol:
         if action is None:
             entry = mavlink.enums["MAV_CMD"].get(command.command_id)
             name = f"command {command.command_id}" if entry is None else entry.name.removeprefix("MAV_CMD_")
-            self._send_ack(station, command.command_id, _RESULT_UNSUPPORTED, f"{name} is not known here")
+            self._send_ack(station, command.command_id, _RESULT_UNSUPPORTED, f"{name} is not supported")
             return
         answer = action(self, now_s, command)
         known = self._last.setdefault(station, OrderedDict())
@@ -359,7 +359,7 @@ class CommandProtocol:
         elif frame in (None, *FRAMES_ABOVE_SEA, *FRAMES_ABOVE_ORIGIN):
             n, e, d = origin.to_local(n, e, d, frame or 0)
         else:
-            return deny_request(f"frame {frame} is not known here")
+            return deny_request(f"frame {frame} is not supported")
         here = self._autopilot.status.goal
         if here is not None:  # values not given keep the present ones
             n, e, d = (old if math.isnan(new) else new for old, new in zip(here, (n, e, d), strict=True))
@@ -382,7 +382,7 @@ class CommandProtocol:
     def _start_mission(self, now_s: float, command: Command) -> RequestAnswer:
         first, last = command.params[:2]
         if 0.0 < last < len(self._missions.plan.items) - 1:
-            return deny_request(f"a mission that ends with item {last:g} is not known here; give 0: all of it")
+            return deny_request(f"a mission that ends with item {last:g} is not supported; give 0 for all items")
         return self._missions.start_mission(first)
 
     def _condition_yaw(self, now_s: float, command: Command) -> RequestAnswer:
@@ -413,7 +413,7 @@ class CommandProtocol:
             return self._set_mode(now_s, Px4Mode(int(main), int(sub)))
         # pymavlink's set_mode packs all of a custom mode into one number.
         if not 0.0 <= main < 2**32:
-            return deny_request(f"mode {main:g}, {sub:g} is not known here")
+            return deny_request(f"mode {main:g}, {sub:g} is not supported")
         return self._set_mode(now_s, unpack_custom_mode(int(main)))
 
     def _set_mode(self, now_s: float, mode: Px4Mode) -> RequestAnswer:
@@ -437,7 +437,7 @@ class CommandProtocol:
             "offboard": lambda: autopilot.set_offboard(True),
         }
         action = actions.get(wanted)
-        return deny_request(f"mode {mode.main_mode}, {mode.sub_mode} is not known here") if action is None else action()
+        return deny_request(f"mode {mode.main_mode}, {mode.sub_mode} is not supported") if action is None else action()
 
     def _inject_failure(self, now_s: float, command: Command) -> RequestAnswer:
         unit, kind, _, _, amount, duration_s, _ = command.params
