@@ -596,7 +596,7 @@ def test_templates_of_boards_compile_and_four_motors_turn_as_two_do(tmp_path, ve
     onboard = [f"../{p.relative_to(tmp_path)}" for p in sorted(tmp_path.glob("onboard/*/*.c"))]
     for name in ("board.c", "board_loop.c", "stm32/stm32.c", "crazyflie/four_motors.c", *onboard):
         done = subprocess.run(
-            [find_compiler(), "-std=c99", *strict, "-c", f"boards/{name}", "-o", "out.o"],
+            [find_compiler(), "-std=c99", "-DREGISTER_MODEL", *strict, "-c", f"boards/{name}", "-o", "out.o"],
             cwd=tmp_path, capture_output=True, text=True,
         )  # fmt: skip
         assert done.returncode == 0, done.stderr

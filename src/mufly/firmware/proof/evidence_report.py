@@ -168,7 +168,7 @@ def measure_board_image(vehicle: Vehicle) -> dict[str, int]:
         folder = Path(temporary) / "fw"
         mission = load_mission("demonstration")
         export_firmware(design_flight_controller(vehicle), folder, vehicle, mission.world, mission)
-        for pattern in ("onboard/*/*.[ch]", "boards/*.[ch]", "boards/stm32/stm32.c"):
+        for pattern in ("onboard/*/*.[ch]", "boards/*.[ch]", "boards/stm32/*.[ch]"):
             for source in folder.glob(pattern):
                 text = source.read_text(encoding="utf-8").replace('"../board.h"', '"board.h"')
                 (folder / source.name).write_text(text, encoding="utf-8")

@@ -1,58 +1,77 @@
-/* An STM32F4, without any vendor's code: the drivers of onboard/drivers on the buses and timers of your board. Every TODO is a
- * register or a buffer of it.
- *
- * SPI and I2C transfers go by DMA; the motors' timer takes DShot frames by DMA; servos are a timer's pulses; MAVLink comes and goes by
- * a UART with DMA; the independent watchdog resets the processor when the loop stops. */
+/* hal.h for a flight controller with an STM32F405, without any vendor's code: the drivers of onboard/drivers on its buses and
+ * timers. What is left to the board is marked TODO; what nobody connects answers as absent. */
 #include "../board.h"
 #include "actuator_outputs.h"
+#include "pins.h"
 #include "sensor_suite.h"
+#include "stm32f405.h"
 
-#define BAROMETER_ON_SPI true
-#define DSHOT_BIT_TICKS 280U  /* DShot300 of a timer at 84 MHz */
+#include <stddef.h>
+
+#define LINK_BAUD 115200U
+#define SBUS_BAUD 100000U
+#define CRSF_BAUD 420000U
+#define RECEIVER_KIND RC_CRSF
 #define ADC_REFERENCE_V REAL(3.3)
 #define BATTERY_DIVIDER REAL(11.0)
 
 int main(void);
-
-/* Set by interrupts. */
-static volatile uint32_t periods;     /* of the loop's timer */
-static volatile uint32_t microseconds; /* of a free-running 32-bit timer; TODO: TIM2->CNT */
-
-static sensor_suite_t sensors;
-static uint32_t dshot[2][DSHOT_BITS]; /* compare values of both motors, for the DMA of their timer */
-static uint32_t servo_us[2];          /* TODO: TIMx->CCRy of a timer that counts microseconds, 20 ms a frame */
-
-/* TODO: the timer's interrupt at mufly_rate_Hz calls this. */
 void stm32_period(void);
+void stm32_link_interrupt(void);
+void stm32_receiver_interrupt(void);
+void stm32_fault(uint32_t address);
+void *memcpy(void *to, const void *from, size_t count);
+void *memset(void *to, int value, size_t count);
+
+static volatile uint32_t periods; /* of the loop's timer */
+static serial_port_t link_port;
+static serial_port_t receiver_port;
+static sensor_suite_t sensors;
+static uint32_t dshot[2][DSHOT_BITS];
+/* The linker script puts this section where the start-up code does not clear it. */
+static fault_record_t kept __attribute__((section(".noinit")));
+
 void stm32_period(void)
 {
+    timer_end_interrupt();
     periods++;
 }
 
+void stm32_link_interrupt(void)
+{
+    serial_interrupt(&link_port);
+}
+
+void stm32_receiver_interrupt(void)
+{
+    serial_interrupt(&receiver_port);
+}
+
+/* Sonar and other devices on I2C: TODO; their drivers report that the bus refuses. */
 bool bus_begin(int32_t device, const uint8_t out[], int32_t out_count, uint8_t in[], int32_t in_count)
 {
-    (void)device; /* TODO: chip select of the device and DMA on its SPI, or its address and DMA on I2C */
-    (void)out;
-    (void)out_count;
-    (void)in;
-    (void)in_count;
-    return false;
+    bool begun = false;
+
+    if (device == (int32_t)DEVICE_IMU) {
+        begun = spi_begin(IMU_SELECT_PORT, IMU_SELECT_PIN, out, out_count, in, in_count);
+    } else if (device == (int32_t)DEVICE_BAROMETER) {
+        begun = spi_begin(BAROMETER_SELECT_PORT, BAROMETER_SELECT_PIN, out, out_count, in, in_count);
+    } else {
+        /* no such bus */
+    }
+    return begun;
 }
 
 int32_t bus_poll(int32_t device)
 {
-    (void)device; /* TODO: BUS_BUSY until the DMA is over; BUS_ERROR by OVR and MODF, or AF, BERR and ARLO */
-    return (int32_t)BUS_ERROR;
+    return (device != (int32_t)DEVICE_SONAR) ? spi_poll() : (int32_t)BUS_ERROR;
 }
 
 void bus_abort(int32_t device)
 {
-    (void)device; /* TODO: SPI: DMA off, deselect; I2C: SWRST, nine clocks on SCL as a pin, stop */
-}
-
-static uint32_t read_battery_count(void)
-{
-    return 0xFFFFU; /* TODO: ADC1->DR; what is above 12 bits counts as no reading */
+    if (device != (int32_t)DEVICE_SONAR) {
+        spi_abort();
+    }
 }
 
 int32_t hal_wait_period(void)
@@ -60,9 +79,13 @@ int32_t hal_wait_period(void)
     static uint32_t last;
     uint32_t missed;
 
+    interrupts_hold(true); /* an interrupt between the comparison and the sleep wakes the processor all the same */
     while (periods == last) {
-        /* TODO: __WFI() */
+        sleep_until_interrupt();
+        interrupts_hold(false);
+        interrupts_hold(true);
     }
+    interrupts_hold(false);
     missed = (periods - last) - 1U;
     last = periods;
     return (int32_t)missed;
@@ -72,7 +95,7 @@ real_t hal_time_s(void)
 {
     static uint32_t before;
     static real_t seconds;
-    const uint32_t now = microseconds;
+    const uint32_t now = timer_us();
 
     seconds += (real_t)(now - before) * REAL(1e-6);
     before = now;
@@ -81,9 +104,7 @@ real_t hal_time_s(void)
 
 void hal_read_sensors(hal_readings_t *readings)
 {
-    const real_t voltage = battery_voltage(read_battery_count(), ADC_REFERENCE_V, BATTERY_DIVIDER);
-
-    sensor_suite_read(&sensors, microseconds, voltage, readings);
+    sensor_suite_read(&sensors, timer_us(), battery_voltage(adc_read(), ADC_REFERENCE_V, BATTERY_DIVIDER), readings);
     /* TODO: ring, compass, rotor speeds, position fix, where fitted. */
 }
 
@@ -91,9 +112,9 @@ void hal_write_actuators(const actuators_t *out)
 {
     for (int32_t i = 0; i < 2; i++) {
         dshot_compare_values(dshot_frame(out->motor_input[i]), DSHOT_BIT_TICKS, dshot[i]);
-        servo_us[i] = servo_pulse_us(out->servo_input[i]);
     }
-    /* TODO: start the DMA of both motors */
+    motors_send(dshot[0], dshot[1], DSHOT_BITS);
+    servos_set(servo_pulse_us(out->servo_input[0]), servo_pulse_us(out->servo_input[1]));
 }
 
 bool hal_read_command(hal_command_t *command)
@@ -104,112 +125,135 @@ bool hal_read_command(hal_command_t *command)
 
 int32_t hal_read_bytes(uint8_t *to, int32_t most)
 {
-    (void)to; /* TODO: from the ring that the UART's DMA fills */
-    (void)most;
-    return 0;
+    return serial_read(&link_port, to, most);
 }
 
 int32_t hal_write_bytes(const uint8_t *from, int32_t count)
 {
-    (void)from; /* TODO: into the ring that the UART's DMA empties; what fits counts */
-    return count;
+    return serial_write(&link_port, from, count);
 }
 
 int32_t hal_rc_kind(void)
 {
-    return RC_NONE; /* TODO: RC_CRSF or RC_SBUS */
+    return RECEIVER_KIND;
 }
 
 int32_t hal_read_rc(uint8_t *to, int32_t most)
 {
-    (void)to; /* TODO: from the ring that the receiver's DMA fills */
-    (void)most;
-    return 0;
+    return serial_read(&receiver_port, to, most);
 }
 
 int32_t hal_flash_words(void)
 {
-    return 0; /* TODO: 4096, with sectors 2 and 3 (16 kB each) left out of the linker script */
+    return FLASH_SECTOR_WORDS;
 }
 
 uint32_t hal_flash_read(int32_t sector, int32_t word)
 {
-    (void)sector; /* TODO: *(volatile uint32_t *)(0x08008000 + (sector * 0x4000) + (4 * word)) */
-    (void)word;
-    return 0xFFFFFFFFU;
+    return internal_flash_read(sector, word);
 }
 
 bool hal_flash_program(int32_t sector, int32_t word, uint32_t value)
 {
-    (void)sector; /* TODO: FLASH->KEYR, FLASH->CR with PG and PSIZE of 32 bits, the word, FLASH->SR until not BSY, its errors */
-    (void)word;
-    (void)value;
-    return false;
+    return internal_flash_program(sector, word, value);
 }
 
 bool hal_flash_erase(int32_t sector)
 {
-    (void)sector; /* TODO: FLASH->CR with SER, SNB and STRT, from a function in RAM that resets the watchdog until not BSY */
-    return false;
+    return internal_flash_erase(sector);
 }
 
+/* TODO: blocks of 512 bytes of an SD card, or of a flash that erases a sector at its first block. */
 int32_t hal_block_count(void)
 {
-    return 0; /* TODO: blocks of 512 bytes of an SD card, or of a flash that erases a sector at its first block */
+    return 0;
 }
 
 bool hal_block_read(int32_t block, uint32_t to[BLOCK_WORDS])
 {
-    (void)block; /* TODO: begin by DMA */
+    (void)block;
     (void)to;
     return false;
 }
 
 bool hal_block_write(int32_t block, const uint32_t from[BLOCK_WORDS])
 {
-    (void)block; /* TODO: begin by DMA */
+    (void)block;
     (void)from;
     return false;
 }
 
 bool hal_block_flush(void)
 {
-    return false; /* TODO: true where the device holds nothing back */
+    return false;
 }
 
 int32_t hal_block_poll(void)
 {
-    return (int32_t)BLOCK_ERROR; /* TODO: BLOCK_BUSY, BLOCK_DONE */
+    return (int32_t)BLOCK_ERROR;
 }
 
 void hal_feed_watchdog(void)
 {
-    /* TODO: IWDG->KR = 0xAAAA, with a reload that leaves 50 ms */
+    watchdog_feed();
 }
 
-/* TODO: the linker script puts this section where the start-up code does not clear it. */
-static fault_record_t kept __attribute__((section(".noinit")));
-
-/* TODO: the handlers of HardFault, BusFault, MemManage and UsageFault call this with the stacked program counter. */
-void stm32_fault(uint32_t address);
+/* The motors' timers stop with the reset. */
 void stm32_fault(uint32_t address)
 {
-    fault_record_fault(&kept, address, 0U); /* TODO: SCB->CFSR */
+    fault_record_fault(&kept, address, register_get(SCB_CFSR));
+    reset_processor();
     for (;;) {
-        /* TODO: NVIC_SystemReset(); the motors' timers stop with the reset */
     }
+}
+
+/* What the compiler calls for records; volatile keeps it from calling itself. */
+void *memcpy(void *to, const void *from, size_t count)
+{
+    size_t i = 0U;
+
+    if (((((uintptr_t)to) | ((uintptr_t)from)) & 3U) == 0U) {
+        while ((i + 4U) <= count) {
+            *(volatile uint32_t *)((uint8_t *)to + i) = *(const uint32_t *)((const uint8_t *)from + i);
+            i += 4U;
+        }
+    }
+    while (i < count) {
+        ((volatile uint8_t *)to)[i] = ((const uint8_t *)from)[i];
+        i++;
+    }
+    return to;
+}
+
+void *memset(void *to, int value, size_t count)
+{
+    for (size_t i = 0U; i < count; i++) {
+        ((volatile uint8_t *)to)[i] = (uint8_t)value;
+    }
+    return to;
 }
 
 int main(void)
 {
     static board_t board;
-    const uint32_t cause = RESET_BY_POWER; /* TODO: from RCC->CSR: BORRSTF, IWDGRSTF, SFTRSTF, PINRSTF; then clear it */
+    const uint32_t clock_Hz = clock_start();
+    const bool full_speed = clock_Hz == FULL_SPEED_HZ;
+    const bool crsf = RECEIVER_KIND == RC_CRSF;
+    uint32_t fitted = 0U; /* none at half speed: then no estimate is ever valid, and no motor starts */
 
-    /* TODO: clocks, floating unit, timers, DMA, UART, watchdog. */
-    sensor_suite_start(&sensors, BAROMETER_ON_SPI, microseconds);
-    board_start(&board,
-                (1UL << R_ACCELERATION) | (1UL << R_RATES) | (1UL << R_SONAR) | (1UL << R_PRESSURE) | (1UL << R_BATTERY),
-                fault_record_begin(&kept, cause));
+    pins_start();
+    outputs_start(clock_Hz);
+    adc_start();
+    spi_start();
+    serial_start(&link_port, USART1, full_speed ? (clock_Hz / 2U) : clock_Hz, LINK_BAUD, false);
+    serial_start(&receiver_port, USART2, full_speed ? (clock_Hz / 4U) : clock_Hz, crsf ? CRSF_BAUD : SBUS_BAUD, !crsf);
+    timers_start(clock_Hz, (uint32_t)mufly_rate_Hz);
+    sensor_suite_start(&sensors, true, timer_us());
+    if (full_speed) {
+        fitted = (1UL << R_ACCELERATION) | (1UL << R_RATES) | (1UL << R_SONAR) | (1UL << R_PRESSURE) | (1UL << R_BATTERY);
+    }
+    board_start(&board, fitted, fault_record_begin(&kept, reset_cause()));
+    watchdog_start();
     board_run(&board, &kept);
     return 0;
 }
