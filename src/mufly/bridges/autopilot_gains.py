@@ -278,12 +278,11 @@ def _controller_response(axis: _Axis, k: CascadeGains, w: _Array) -> tuple[_Comp
     speed = k.velocity + k.velocity_integral / s
     speed_rate = k.velocity_rate * s / (1.0 + s / (2.0 * math.pi * VELOCITY_RATE_CUTOFF_HZ))
     inner = axis.thrust_per_acceleration * (1.0 if axis.name == "vertical" else k.angle * rate)
-    out = np.empty((len(w), 4), dtype=np.complex128)
     late = np.exp(-s * ESTIMATE_LAG_S)
     reference = k.angle * rate if axis.name == "yaw" else inner * speed * k.position
-    out[:, 0] = inner * speed * k.position * late
-    out[:, 1] = inner * (speed + speed_rate) * late
-    out[:, 2], out[:, 3] = k.angle * rate * np.exp(-s * axis.angle_delay_s), (rate + rate_rate) * gyro
+    from_position, from_velocity = inner * speed * k.position * late, inner * (speed + speed_rate) * late
+    from_angle, from_rate = k.angle * rate * np.exp(-s * axis.angle_delay_s), (rate + rate_rate) * gyro
+    out = np.stack((from_position, from_velocity, from_angle, from_rate), axis=1)
     return out * delay[:, None], reference * delay
 
 

@@ -498,11 +498,15 @@ def read_patch_field(file: Path, patch: str, faces: int) -> Array:
     return _parse_values(data, at + len(b"value"), faces, file)
 
 
+_HEAD_BYTES = 200
+"""Bytes that hold a field's head, and the whole of a uniform one."""
+
+
 def _parse_values(data: bytes, at: int, count: int, file: Path) -> Array:
-    head = data[at : at + 200]
+    head = data[at : at + _HEAD_BYTES]
     words = head.split()
     if words[:1] == [b"uniform"]:
-        text = head[head.index(b"uniform") + 7 : head.index(b";")].replace(b"(", b" ").replace(b")", b" ")
+        text = head.partition(b"uniform")[2].partition(b";")[0].replace(b"(", b" ").replace(b")", b" ")
         numbers = np.array([float(x) for x in text.split()])
         return np.full(count, numbers[0]) if numbers.size == 1 else np.tile(numbers, (count, 1))
     size = 3 if b"vector" in head else 1

@@ -397,7 +397,8 @@ def _adapt_row_counts(
         if length == usual:
             return count
         lines = geometric_spacing(count, min(first / usual, 1.0 / count))
-        ratio = float((lines[-1] - lines[-2]) / (lines[-2] - lines[-3])) if count > 2 else 1.5
+        widths = np.diff(lines)
+        ratio = float(widths[-1] / widths[-2]) if count > 2 else 1.5
         if ratio < 1.01:
             return max(2, round(length / first))
         return max(2, round(math.log1p(length * (ratio - 1.0) / first) / math.log(ratio)))

@@ -348,11 +348,15 @@ def _read_tail(log: Path, size: int = 6000) -> str:
     return data.decode("utf-8", errors="replace")
 
 
+_ERROR_LINES = 3
+"""Lines of a fatal error that state it."""
+
+
 def _find_first_error(log: Path) -> str:
     lines = _read_tail(log).splitlines()
     for i, line in enumerate(lines):
         if "FOAM FATAL" in line:
-            return " ".join(" ".join(lines[i : i + 3]).split())
+            return " ".join(" ".join(lines[i : i + _ERROR_LINES]).split())
     return next((line.strip() for line in reversed(lines) if line.strip()), "it said nothing")
 
 

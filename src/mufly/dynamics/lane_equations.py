@@ -64,8 +64,8 @@ _normalise, _derivative = _compile_lanes(normalise_state), _compile_lanes(state_
 
 @cached_njit(error_model="numpy", nogil=True)
 def _integrate_mapped(
-    x: _Array, before: _Array, now: _Array, delay: _Ints, wind: _Array, p: Any, address: int, vehicle: _Ints,
-    blocks: _Ints, dt: float, steps: int,
+    x: _Array, before: _Array, now: _Array, delay: _Ints, wind: _Array, p: NDArray[np.void], address: int,
+    vehicle: _Ints, blocks: _Ints, dt: float, steps: int,
 ) -> None:  # fmt: skip
     """Integrate the vehicles of blocks (b, 8) in place; ``address`` is that of ``p``. See :func:`integrate_lanes`."""
     state, stage, inputs, air = make_rows(STATE_SIZE), make_rows(STATE_SIZE), make_rows(INPUT_SIZE), make_rows(3)

@@ -71,8 +71,8 @@ def write_start_state(start: _Array, x: _Array) -> None:
     q = quaternion_from_euler(start[SV_ATTITUDE], start[SV_ATTITUDE + 1], start[SV_ATTITUDE + 2])
     x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3] = q[0], q[1], q[2], q[3]
     x[RS_SWASH_ROLL], x[RS_SWASH_PITCH] = start[SV_SWASH_ROLL], start[SV_SWASH_PITCH]
-    bar = quaternion_from_euler(start[SV_BAR_ROLL], start[SV_BAR_PITCH], start[SV_ATTITUDE + 2])
-    _, _, n, _, _, e, _, _, d = rotation_entries(bar[0], bar[1], bar[2], bar[3])
+    w, i, j, k = quaternion_from_euler(start[SV_BAR_ROLL], start[SV_BAR_PITCH], start[SV_ATTITUDE + 2])
+    _, _, n, _, _, e, _, _, d = rotation_entries(w, i, j, k)
     x[RS_BAR], x[RS_BAR + 1], x[RS_BAR + 2] = -n, -e, -d
     x[RS_SPEED_UPPER], x[RS_SPEED_LOWER], x[RS_CHARGE] = start[SV_SPEED_UPPER], start[SV_SPEED_LOWER], start[SV_CHARGE]
 

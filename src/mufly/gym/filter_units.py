@@ -443,12 +443,13 @@ def prepare_starts(
         flights += 1
     assert room is not None
     assert like is not None
+    records, states, acting, wind_indices = zip(*parts, strict=True)
     parameters = np.zeros(len(parts), PARAMETER_DTYPE)
-    for k, part in enumerate(parts):
-        parameters[k] = part[0]
+    for k, record in enumerate(records):
+        parameters[k] = record
     of_units = Fleet(
-        parameters, np.array([p[1] for p in parts]), np.array([p[2] for p in parts]), fleet.trim,
-        fleet.nominal_voltage_V, fleet.vehicles, np.array([p[3] for p in parts], dtype=np.int64),
+        parameters, np.array(states), np.array(acting), fleet.trim,
+        fleet.nominal_voltage_V, fleet.vehicles, np.array(wind_indices, dtype=np.int64),
     )  # fmt: skip
     return UnitStarts(np.array(rows), like, of_units, 1.0 / controller.rate_Hz, (kept,)), room
 

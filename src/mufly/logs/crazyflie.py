@@ -36,6 +36,7 @@ FIXED_RATE_TOPIC = "fixedFrequency"
 
 _EVENT_FORMAT_BYTE = 0xBC
 _TICK_COLUMN = b"tick(I),"
+_CRC_SIZE = 4
 _NUMPY_TYPES = {
     "B": "u1", "b": "i1", "H": "<u2", "h": "<i2", "I": "<u4", "i": "<i4", "Q": "<u8", "q": "<i8", "e": "<f2",
     "f": "<f4", "d": "<f8",
@@ -103,8 +104,8 @@ def read_crazyflie(path: str | Path) -> RawLog:
 def _read_event_format(data: bytes) -> tuple[list[RawTable], list[tuple[int, int]], bool]:
     version, count = struct.unpack_from("<HH", data, 1)
     clock, tick = _CLOCK_BY_VERSION[version]
-    whole = len(data) > 9 and crc32(data[:-4]) == struct.unpack("<I", data[-4:])[0]
-    end = len(data) - 4 if whole else len(data)
+    whole = len(data) > 9 and crc32(data[:-_CRC_SIZE]) == struct.unpack("<I", data[-_CRC_SIZE:])[0]
+    end = len(data) - _CRC_SIZE if whole else len(data)
     at = 5
     kinds: dict[int, _EventKind] = {}
     for _ in range(count):
@@ -167,19 +168,19 @@ def _read_row_format(data: bytes) -> tuple[list[RawTable], list[tuple[int, int]]
         end = data.index(b",", at)
         fields.append(_parse_variable(data[at:end].decode()))
         at = end + 1
-    skipped = [] if _crc_matches(data[: at + 4]) else [(0, at + 4)]
-    at += 4
+    skipped = [] if _crc_matches(data[: at + _CRC_SIZE]) else [(0, at + _CRC_SIZE)]
+    at += _CRC_SIZE
     kind = _EventKind(FIXED_RATE_TOPIC, _row_dtype(fields), [])
     size = kind.row_dtype.itemsize
     while at < len(data):
         start = at
-        while at < len(data) and not _crc_matches(data[at : at + 1 + data[at] * size + 4]):
+        while at < len(data) and not _crc_matches(data[at : at + 1 + data[at] * size + _CRC_SIZE]):
             at += 1  # the next block is found by its checksum
         if at > start:
             skipped.append((start, at))
         if at < len(data):
             kind.row_offsets.extend(range(at + 1, at + 1 + data[at] * size, size))
-            at += 1 + data[at] * size + 4
+            at += 1 + data[at] * size + _CRC_SIZE
     return [_make_table(data, kind, 1e3)] if kind.row_offsets else [], skipped, True
 
 

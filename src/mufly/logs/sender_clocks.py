@@ -42,6 +42,7 @@ _DUPLICATE_WINDOW_S, _DUPLICATE_WINDOW_PACKETS = 1.0, 100
 _REORDER_STEP_S = 1e-6  # distance of a late packet before its successor
 # Share of packets out of order above which numbers are not used; silence in median steps.
 _MAX_UNORDERED_SHARE, _MIN_PAUSE_STEPS = 0.05, 20.0
+_RETURN_WINDOW = 64  # packets within which a late one is followed by its successors
 
 
 def repair_arrival_times(arrival: _Array, kept: NDArray[np.int64]) -> tuple[_Array, NDArray[np.int64], list[str]]:
@@ -101,7 +102,7 @@ def _unwrap_sequence_numbers(numbers: NDArray[np.int64], arrival: _Array) -> NDA
     pause = _MIN_PAUSE_STEPS * float(np.median(np.diff(arrival))) if len(arrival) > 1 else 0.0
     for k in behind.tolist():
         # A late packet precedes packets already received; after an outage or a restart the count continues.
-        returns = np.cumsum(step[k : k + 64]).max() > 0
+        returns = np.cumsum(step[k : k + _RETURN_WINDOW]).max() > 0
         if step[k] == 0 or not returns or arrival[k + 1] - arrival[k] > pause:
             step[k] += 256
     return np.concatenate(([0], np.cumsum(step)))

@@ -221,7 +221,7 @@ def study_imu_clipping(progress: ProgressCallback | None = None) -> StudyFinding
                 felt = imu.read(truth)["acceleration"].value
                 low = felt if low is None else low + (felt - low) / 200
                 shown.append(math.degrees(math.atan2(math.hypot(low[0], low[1]), -low[2])))
-            tilt[k, seed] = np.median(shown[400:])
+            tilt[k, seed] = np.median(shown[len(shown) // 2 :])
         if progress is not None:
             progress(k + 1, len(_VIBRATION_LEVELS))
     middle = np.median(tilt, axis=1)

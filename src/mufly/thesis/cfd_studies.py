@@ -43,11 +43,12 @@ MESH_LEVEL = "coarse"
 
 # docs/log/2026-11-28-cfd-table-3-2.md: 12 degrees, 5 000 rpm, coarse mesh: thrust (mN) of the radii from,
 # to (mm) by CFD and by blade elements.
+_TIP_MM = (55, 60)
 SPAN_LOADS_MN: dict[tuple[int, int], tuple[float, float]] = {
     (9, 30): (14.9, 18.2),
     (30, 50): (66.9, 81.8),
     (50, 55): (28.0, 30.1),
-    (55, 60): (36.4, 22.3),
+    _TIP_MM: (36.4, 22.3),
 }
 
 
@@ -176,8 +177,8 @@ def study_surface_pressure(progress: ProgressCallback | None = None, case: Path 
         drawn.suptitle(f"Fig. 3.23: pressure on the blade ({where})")
         return StudyFindings(verdicts, drawn, note=f"verdict of the run: {found.verdict}")
     outer, inner = (
-        SPAN_LOADS_MN[55, 60],
-        [sum(v[k] for (a, b), v in SPAN_LOADS_MN.items() if b <= 55) for k in (0, 1)],
+        SPAN_LOADS_MN[_TIP_MM],
+        [sum(v[k] for (a, b), v in SPAN_LOADS_MN.items() if b <= _TIP_MM[0]) for k in (0, 1)],
     )
     verdicts = [
         judge(

@@ -113,7 +113,8 @@ def _judge_blade_count(model: str, pitch: Array, v: Array) -> list[Verdict]:
     until = float(pitch[ahead][-1]) if ahead.all() else float(pitch[np.argmin(ahead)] - (pitch[1] - pitch[0]))
     high = pitch > 16.0
     more = 100 * float(np.mean(np.maximum(v[1], v[2])[high] / v[0][high]) - 1)
-    worst = bool(np.all(v[3] <= v[:3].min(axis=0) + 1e-12))
+    *fewer, most = v
+    worst = bool(np.all(most <= np.min(fewer, axis=0) + 1e-12))
     return [
         judge(
             "blades-two",
@@ -351,7 +352,7 @@ def compute_airfoil_ranking(model: str, progress: ProgressCallback | None = None
         return "; ".join(parts)
 
     names = list(TABLE_3_3_VALUES)
-    top, bottom = names[:4], names[4:]
+    top, bottom = names[:4], names[-4:]
     worst_power, best_power = ranking_row("NACA6415")[2], ranking_row(names[0])[2]
     return ranking, [
         judge("airfoils-top", model, describe_rankings(top), holds=all(ranking_row(k)[0] <= n // 10 for k in top)),

@@ -265,15 +265,15 @@ def _add_bias_std(data: xr.Dataset, told: Sequence[Estimate]) -> xr.Dataset:
     """Return the data with standard deviations of the biases, which recordings do not hold."""
     import numpy as np
 
-    from mufly.estimate.filter.filter_records import EX_ACCEL_BIAS, EX_GYRO_BIAS
+    from mufly.estimate.filter.filter_records import EX_ACCEL_BIAS, EX_GYRO_BIAS, EX_TERRAIN
 
     out = {}
-    for name, first in (("gyro_bias", EX_GYRO_BIAS), ("accelerometer_bias", EX_ACCEL_BIAS)):
+    for name, axes in (
+        ("gyro_bias", slice(EX_GYRO_BIAS, EX_ACCEL_BIAS)),
+        ("accelerometer_bias", slice(EX_ACCEL_BIAS, EX_TERRAIN)),
+    ):
         block = np.array(
-            [
-                np.full(3, math.nan) if e.auxiliary_states is None else e.auxiliary_states.sigma[first : first + 3]
-                for e in told
-            ]
+            [np.full(3, math.nan) if e.auxiliary_states is None else e.auxiliary_states.sigma[axes] for e in told]
         )
         out[f"estimated_{name}_sigma"] = data[f"estimated_{name}"].copy(data=block)
     return data.assign(out)

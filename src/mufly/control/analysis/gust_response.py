@@ -95,7 +95,8 @@ def lateral_gust_response(
     ends = np.cumsum([0, n, m, c, k, 4])
     x, _, q, v, g = (slice(int(i), int(j)) for i, j in pairwise(ends))
     newest = slice(n + m - 2, n + m)
-    A, shocks = np.zeros((ends[-1], ends[-1])), np.zeros((ends[-1], 8))
+    gust_inputs, noise_inputs = 4, 4
+    A, shocks = np.zeros((ends[-1], ends[-1])), np.zeros((ends[-1], gust_inputs + noise_inputs))
     error = np.zeros((4, ends[-1]))
     error[:, x], error[:, v] = measured + tilt @ V.D @ mix, tilt @ V.C
     A[x, x], A[x, n : n + 2] = held.A, held.B[:, :2]  # the oldest input of the queue acts
@@ -105,9 +106,9 @@ def lateral_gust_response(
     A[newest, q] += K.C
     A[q, q] += K.A
     A[v, v], A[v, x] = V.A, V.B @ mix
-    A[g, g], shocks[g, :4] = np.kron(np.eye(2), F), np.kron(np.eye(2), scale)
+    A[g, g], shocks[g, :gust_inputs] = np.kron(np.eye(2), F), np.kron(np.eye(2), scale)
     if noise is not None:
-        shocks[newest, 4:], shocks[q, 4:] = K.D * noise, K.B * noise
+        shocks[newest, gust_inputs:], shocks[q, gust_inputs:] = K.D * noise, K.B * noise
     if np.abs(np.linalg.eigvals(A)).max() >= 1.0:
         return GustResponse(float("inf"), float("inf"))
     X = linalg.solve_discrete_lyapunov(A, shocks @ shocks.T)

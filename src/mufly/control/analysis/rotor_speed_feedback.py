@@ -46,6 +46,7 @@ DEFAULT_SPEED_NOISE_V = 0.01
 """Noise of a back-EMF reading (V) on a vehicle without that sensor."""
 _STATES = ["z", "w", "psi", "r", "Omega_dw", "Omega_up"]
 _SPEEDS = ["Omega_dw", "Omega_up"]
+_HEAVE_YAW_OUTPUTS = ["z", "psi", "r"]
 
 
 @result
@@ -145,15 +146,15 @@ def compare_rotor_speeds(
     """
     full = linearise_vehicle(vehicle).full
     speed_noise, period = rotor_speed_noise(vehicle), 1.0 / rate_Hz
-    base = heave_yaw_scaling(extract_submodel(full, _STATES, LINEAR_INPUTS[:2], ["z", "psi", "r"]))
+    base = heave_yaw_scaling(extract_submodel(full, _STATES, LINEAR_INPUTS[:2], _HEAVE_YAW_OUTPUTS))
     rows = []
     for measured in (False, True):
-        outputs = ["z", "psi", "r", *(_SPEEDS if measured else [])]
+        outputs = [*_HEAVE_YAW_OUTPUTS, *(_SPEEDS if measured else [])]
         plant = extract_submodel(full, _STATES, LINEAR_INPUTS[:2], outputs, name="heave_yaw")
         noise = sensor_noise(vehicle, outputs)
-        noise[3:] = speed_noise
-        scaling = SignalScaling((*base.outputs, *[100.0] * (len(outputs) - 3)), base.inputs)
-        told = (*HEAVE_YAW_LQG.noise, *(speed_noise / 100.0 for _ in outputs[3:]))
+        noise[len(_HEAVE_YAW_OUTPUTS) :] = speed_noise
+        scaling = SignalScaling((*base.outputs, *[100.0] * (len(outputs) - len(_HEAVE_YAW_OUTPUTS))), base.inputs)
+        told = (*HEAVE_YAW_LQG.noise, *(speed_noise / 100.0 for _ in outputs[len(_HEAVE_YAW_OUTPUTS) :]))
         for weight in control_weights:
             weights = replace(HEAVE_YAW_LQG, control=weight, noise=told)
             row = _heave_yaw_row(plant, scaling, weights, noise, period, measured)

@@ -95,6 +95,9 @@ READING_OFFSETS = tuple(row.filter_offset for row in CHECKED)
 QUEUED_READINGS = tuple(k for k, row in enumerate(CHECKED) if row.is_queued)
 QUEUED_COUNT = len(QUEUED_READINGS)
 """Readings that wait for the horizon, where they are fused."""
+FIX_NORTH, FIX_EAST, FIX_DOWN, FIX_HEADING = range(4)
+FIX_COMPONENT_COUNT = 4
+"""Components of a position fix (m, rad)."""
 R_ACCELERATION, R_RATES, R_SONAR, R_RING, R_PRESSURE, R_MAGNET, R_ROTOR, R_FIX, R_BATTERY = range(9)
 """Places of the readings in these tables, as :data:`mufly.sensor_table.SENSORS` gives them."""
 PHASE_STANDING, PHASE_COASTING, PHASE_RUNNING, PHASE_LIGHT, PHASE_FLYING = range(5)
@@ -450,12 +453,12 @@ def filter_settings(
         sigma[EX_ACCEL_BIAS:EX_TERRAIN] = math.hypot(float(imu.accelerometer_bias), off)
         sigma[EX_GYRO_BIAS:EX_ACCEL_BIAS] = math.hypot(float(imu.gyro_bias), float(imu.gyro_g_sensitivity) * GRAVITY)
         time = float(imu.drift_time)
-        for at, drift, warm in (
-            (EX_ACCEL_BIAS, imu.accelerometer_drift, imu.accelerometer_temperature),
-            (EX_GYRO_BIAS, imu.gyro_drift, imu.gyro_temperature),
+        for axes, drift, warm in (
+            (slice(EX_ACCEL_BIAS, EX_TERRAIN), imu.accelerometer_drift, imu.accelerometer_temperature),
+            (slice(EX_GYRO_BIAS, EX_ACCEL_BIAS), imu.gyro_drift, imu.gyro_temperature),
         ):
             # Wandering, and warming taken as a random walk that reaches as far in the warming's time
-            walk[at : at + 3] = math.hypot(
+            walk[axes] = math.hypot(
                 float(drift) * math.sqrt(2.0 / time),
                 0.6 * float(warm) * heat / math.sqrt(float(imu.warming_time)),
             )

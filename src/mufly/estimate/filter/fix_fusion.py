@@ -20,6 +20,11 @@ from mufly.estimate.filter.filter_records import (
     EX_GYRO_BIAS,
     EX_POS,
     EX_VEL,
+    FIX_COMPONENT_COUNT,
+    FIX_DOWN,
+    FIX_EAST,
+    FIX_HEADING,
+    FIX_NORTH,
     PHASE_LIGHT,
     R_FIX,
     R_RATES,
@@ -89,7 +94,7 @@ WIDENED_SIGMAS = 3.0
 @cached_njit(error_model="numpy")
 def _fix_h_row(m: FilterMemory, i: int) -> None:
     """Write the row H of component ``i`` of the fix."""
-    if i < 3:
+    if i < FIX_HEADING:
         h_row_begin(m, EX_POS + i, 1.0)
         h_row_add(m, EX_FIX_BIAS + i, 1.0)
     else:
@@ -101,27 +106,31 @@ def _fix_h_row(m: FilterMemory, i: int) -> None:
 def _fix_innovation(m: FilterMemory, z: _Array, i: int, ahead: float) -> float:
     """Return the innovation of component ``i`` of the fix."""
     x = m.x
-    if i < 3:
+    if i < FIX_HEADING:
         return z[i] - x[i] - ahead * x[SX_VEL + i] - x[SX_FIX_BIAS + i]
     yaw = portable_atan2(
         2 * (x[SX_ATT] * x[SX_ATT + 3] + x[SX_ATT + 1] * x[SX_ATT + 2]),
         1 - 2 * (x[SX_ATT + 2] * x[SX_ATT + 2] + x[SX_ATT + 3] * x[SX_ATT + 3]),
     )
-    off = z[3] - yaw - ahead * m.yaw_rate - x[SX_FIX_HEADING]
+    off = z[FIX_HEADING] - yaw - ahead * m.yaw_rate - x[SX_FIX_HEADING]
     return wrap_angle(off)
 
 
 @cached_njit(error_model="numpy")
 def _fix_variance(m: FilterMemory, s: FilterSettings, i: int) -> float:
     """Return the estimated variance of component ``i`` of the fix."""
-    return s.fix_variance * m.noise_scale[AID_PLACE] if i < 3 else s.heading_variance * m.noise_scale[AID_HEADING]
+    return (
+        s.fix_variance * m.noise_scale[AID_PLACE]
+        if i < FIX_HEADING
+        else s.heading_variance * m.noise_scale[AID_HEADING]
+    )
 
 
 @cached_njit(error_model="numpy")
 def _fix_bias_variance(m: FilterMemory, s: FilterSettings, i: int) -> float:
     """Return the estimated variance of the bias of component ``i`` of the fix."""
     sigma = s.initial_sigma[EX_FIX_BIAS + i]
-    return sigma * sigma * m.bias_walk_scale[AID_PLACE if i < 3 else AID_HEADING]
+    return sigma * sigma * m.bias_walk_scale[AID_PLACE if i < FIX_HEADING else AID_HEADING]
 
 
 @cached_njit(error_model="numpy")
@@ -132,8 +141,8 @@ def _estimate_fix_noise(m: FilterMemory, i: int) -> None:
     successive ratios is 0 where their proportion is right: it is negative where the noise is larger than assumed, and
     positive where the random walk is (correlation of innovations, Mehra 1970). Both variances follow by stochastic
     approximation. Ratios with a lasting mean say that the filter errs: they do not change the variances."""
-    aid = AID_PLACE if i < 3 else AID_HEADING
-    gain = NOISE_GAIN_PLACE if i < 3 else NOISE_GAIN_HEADING
+    aid = AID_PLACE if i < FIX_HEADING else AID_HEADING
+    gain = NOISE_GAIN_PLACE if i < FIX_HEADING else NOISE_GAIN_HEADING
     ratio = m.fix_ratio[i]
     excess = min(ratio * ratio, MAX_SQUARED_RATIO) - 1.0
     pair = max(min(ratio * m.fix_ratio_prev[i], MAX_RATIO_PRODUCT), -MAX_RATIO_PRODUCT)
@@ -147,7 +156,9 @@ def _estimate_fix_noise(m: FilterMemory, i: int) -> None:
 @cached_njit(error_model="numpy")
 def _largest_mean_ratio(m: FilterMemory) -> float:
     """Return the largest mean of the innovation ratios of N, E and heading."""
-    return max(max(abs(m.fix_ratio_mean[0]), abs(m.fix_ratio_mean[1])), abs(m.fix_ratio_mean[3]))
+    return max(
+        max(abs(m.fix_ratio_mean[FIX_NORTH]), abs(m.fix_ratio_mean[FIX_EAST])), abs(m.fix_ratio_mean[FIX_HEADING])
+    )
 
 
 @cached_njit(error_model="numpy")
@@ -170,7 +181,7 @@ def _widen_fix_bias(m: FilterMemory, s: FilterSettings, i: int, nu: float, ratio
     sigma = s.initial_sigma[EX_FIX_BIAS + i]
     spread = nu / WIDENED_SIGMAS
     scale = spread * spread / (sigma * sigma)
-    aid = AID_PLACE if i < 3 else AID_HEADING
+    aid = AID_PLACE if i < FIX_HEADING else AID_HEADING
     if not scale < MAX_NOISE_SCALE:
         return ratio
     m.bias_walk_scale[aid] = max(m.bias_walk_scale[aid], scale)
@@ -208,8 +219,8 @@ def _fix_height_consistent(m: FilterMemory, s: FilterSettings, nu: float, ratio:
 @cached_njit(error_model="numpy")
 def _is_height_alone_off(m: FilterMemory) -> bool:
     """Return whether the height is the one component of the fix that lies outside the gate."""
-    off = max(max(abs(m.fix_ratio[0]), abs(m.fix_ratio[1])), abs(m.fix_ratio[3]))
-    return m.fix_component == 2 and off < INNOVATION_GATE
+    off = max(max(abs(m.fix_ratio[FIX_NORTH]), abs(m.fix_ratio[FIX_EAST])), abs(m.fix_ratio[FIX_HEADING]))
+    return m.fix_component == FIX_DOWN and off < INNOVATION_GATE
 
 
 @cached_njit(error_model="numpy")
@@ -224,19 +235,19 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
     """Fuse position and heading of a fix; no height while it disagrees with the sonar."""
     k, worst, at = R_FIX, 0.0, 0.0
     down = True
-    for i in range(4):
+    for i in range(FIX_COMPONENT_COUNT):
         _fix_h_row(m, i)
         nu = _fix_innovation(m, z, i, ahead)
         ratio = innovation_ratio(m, nu, _fix_variance(m, s, i))
         if abs(ratio) > INNOVATION_GATE and m.is_heading_aligned != 0 and m.flight_phase < PHASE_LIGHT:
             ratio = _widen_fix_bias(m, s, i, nu, ratio)
-        if i == 2:
+        if i == FIX_DOWN:
             down = _fix_height_consistent(m, s, nu, ratio)
             if not down:
                 continue
         elif m.is_heading_aligned == 0 and abs(ratio) > INNOVATION_GATE:
             # The place of the start is unknown: the first fix gives it.
-            inflate_variance(m.u_transposed, m.d, EX_POS + i if i < 3 else EX_ATT + 2, nu * nu, m.f)
+            inflate_variance(m.u_transposed, m.d, EX_POS + i if i < FIX_HEADING else EX_ATT + 2, nu * nu, m.f)
             ratio = innovation_ratio(m, nu, _fix_variance(m, s, i))
         m.fix_ratio[i] = ratio
         if abs(ratio) > abs(worst):
@@ -266,27 +277,27 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
         held = m.status[R_SONAR] == STATUS_FUSED, m.status[R_RING] == STATUS_FUSED
         for i in range(3):
             nu = _fix_innovation(m, z, i, ahead)
-            if held[0] if i == 2 else held[1]:
+            if held[0] if i == FIX_DOWN else held[1]:
                 inflate_variance(m.u_transposed, m.d, EX_FIX_BIAS + i, nu * nu, m.f)
             else:
                 inflate_variance(m.u_transposed, m.d, EX_POS + i, nu * nu, m.f)
                 inflate_variance(m.u_transposed, m.d, EX_VEL + i, 0.01 + 0.1 * nu * nu, m.f)
-        nu = _fix_innovation(m, z, 3, ahead)
+        nu = _fix_innovation(m, z, FIX_HEADING, ahead)
         inflate_variance(m.u_transposed, m.d, EX_ATT + 2, nu * nu, m.f)
         nu = at
         set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu)
         _clear_attitude_evidence(m)
     # Large ratios of one sign show an unmodelled error of the filter, for example drifting gyroscopes.
     m.fix_ratio_lp += 0.15 * (worst * worst - m.fix_ratio_lp)
-    for i in range(4):
-        if i != 2 or down:
+    for i in range(FIX_COMPONENT_COUNT):
+        if i != FIX_DOWN or down:
             _estimate_fix_noise(m, i)
-    out = max(_fix_bias_ratio(m, s, 0), _fix_bias_ratio(m, s, 1), _fix_bias_ratio(m, s, 3))
+    out = max(_fix_bias_ratio(m, s, FIX_NORTH), _fix_bias_ratio(m, s, FIX_EAST), _fix_bias_ratio(m, s, FIX_HEADING))
     if led or (lasting and m.fix_ratio_lp > FIX_MEAN_SQUARE_GATE) or (out > 1.0 and settled):
         reset_on_divergence(m, s)
         set_fault(m, s, k, STATUS_FUSED, REASON_FUSED_THOUGH_OFFSET, at)
-    for i in range(4):
-        if i == 2 and not down:
+    for i in range(FIX_COMPONENT_COUNT):
+        if i == FIX_DOWN and not down:
             continue
         _fix_h_row(m, i)
         fuse_scalar(m, _fix_innovation(m, z, i, ahead), _fix_variance(m, s, i))

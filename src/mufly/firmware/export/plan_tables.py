@@ -23,6 +23,7 @@ from mufly.version import __version__
 
 MAX_WAYPOINTS = 32
 """Waypoints that the exported code has room for: ``MISSION_WAYPOINTS`` of ``mission_state.h``."""
+_BYTES_PER_LINE = 24
 HOST_MAX_WAYPOINTS = 1000
 """Waypoints that the code built on this machine has room for."""
 MAX_BEAMS = 64
@@ -163,7 +164,7 @@ def render_log_source() -> str:
             DATASET_INFO_KEY: json.dumps({"variables": variables, "events": {}, "attributes": {"source": "board"}}),
         },
     )
-    rows = [f"    {', '.join(map(str, head[k : k + 24]))}," for k in range(0, len(head), 24)]
+    rows = [f"    {', '.join(map(str, head[k : k + _BYTES_PER_LINE]))}," for k in range(0, len(head), _BYTES_PER_LINE)]
     lines = [
         f"/* Begin of a log, made by mufly {__version__}; do not edit. */", '#include "flight_log.h"', "",
         f"const int32_t mufly_log_head_size = {len(head)};", f"const uint8_t mufly_log_head[{len(head)}] = {{",

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -138,7 +139,7 @@ def run_coverage_workload(folder: Path, vehicle: Vehicle) -> None:
 
 def _run_comparison_tests(counted: Firmware) -> None:
     """Run the tests that compare Python and C on the instrumented code, if the tests are available."""
-    tests = Path(__file__).resolve().parents[4] / "tests" / "firmware"
+    tests = Path(str(resources.files("mufly"))).parents[1] / "tests" / "firmware"
     try:
         import pytest
     except ImportError:

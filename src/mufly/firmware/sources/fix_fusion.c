@@ -7,7 +7,7 @@
 /* Write the row H of component i of the fix. */
 static void fix_h_row(estimator_t *m, int32_t i)
 {
-    if (i < 3) {
+    if (i < FIX_HEADING) {
         h_row_begin(m, EX_POS + i, REAL(1.0));
         h_row_add(m, EX_FIX_BIAS + i, REAL(1.0));
     } else {
@@ -22,13 +22,13 @@ static real_t fix_innovation(const estimator_t *m, const real_t z[4], int32_t i,
     const real_t *x = m->x;
     real_t off;
 
-    if (i < 3) {
+    if (i < FIX_HEADING) {
         off = ((z[i] - x[i]) - (ahead * x[SX_VEL + i])) - x[SX_FIX_BIAS + i];
     } else {
         const real_t yaw = real_atan2(REAL(2.0) * ((x[SX_ATT] * x[SX_ATT + 3]) + (x[SX_ATT + 1] * x[SX_ATT + 2])),
                                        REAL(1.0) - (REAL(2.0) * ((x[SX_ATT + 2] * x[SX_ATT + 2]) + (x[SX_ATT + 3] * x[SX_ATT + 3]))));
 
-        off = real_wrap_angle(((z[3] - yaw) - (ahead * m->yaw_rate)) - x[SX_FIX_HEADING]);
+        off = real_wrap_angle(((z[FIX_HEADING] - yaw) - (ahead * m->yaw_rate)) - x[SX_FIX_HEADING]);
     }
     return off;
 }
@@ -36,7 +36,7 @@ static real_t fix_innovation(const estimator_t *m, const real_t z[4], int32_t i,
 /* Return the estimated variance of component i of the fix. */
 static real_t fix_variance(const estimator_t *m, const estimator_settings_t *s, int32_t i)
 {
-    return (i < 3) ? (s->fix_variance * m->noise_scale[AID_PLACE]) : (s->heading_variance * m->noise_scale[AID_HEADING]);
+    return (i < FIX_HEADING) ? (s->fix_variance * m->noise_scale[AID_PLACE]) : (s->heading_variance * m->noise_scale[AID_HEADING]);
 }
 
 /* Return the estimated variance of the bias of component i of the fix. */
@@ -44,14 +44,14 @@ static real_t fix_bias_variance(const estimator_t *m, const estimator_settings_t
 {
     const real_t sigma = s->initial_sigma[EX_FIX_BIAS + i];
 
-    return (sigma * sigma) * m->bias_walk_scale[(i < 3) ? AID_PLACE : AID_HEADING];
+    return (sigma * sigma) * m->bias_walk_scale[(i < FIX_HEADING) ? AID_PLACE : AID_HEADING];
 }
 
 /* Estimate noise and random walk of component i of the fix from its innovation ratio. */
 static void estimate_fix_noise(estimator_t *m, int32_t i)
 {
-    const int32_t aid = (i < 3) ? AID_PLACE : AID_HEADING;
-    const real_t gain = (i < 3) ? NOISE_GAIN_PLACE : NOISE_GAIN_HEADING;
+    const int32_t aid = (i < FIX_HEADING) ? AID_PLACE : AID_HEADING;
+    const real_t gain = (i < FIX_HEADING) ? NOISE_GAIN_PLACE : NOISE_GAIN_HEADING;
     const real_t ratio = m->fix_ratio[i];
     const real_t excess = real_min(ratio * ratio, MAX_SQUARED_RATIO) - REAL(1.0);
     const real_t pair = real_max(real_min(ratio * m->fix_ratio_prev[i], MAX_RATIO_PRODUCT), -MAX_RATIO_PRODUCT);
@@ -67,7 +67,7 @@ static void estimate_fix_noise(estimator_t *m, int32_t i)
 /* Return the largest mean of the innovation ratios of N, E and heading. */
 static real_t largest_mean_ratio(const estimator_t *m)
 {
-    return real_max(real_max(real_abs(m->fix_ratio_mean[0]), real_abs(m->fix_ratio_mean[1])), real_abs(m->fix_ratio_mean[3]));
+    return real_max(real_max(real_abs(m->fix_ratio_mean[FIX_NORTH]), real_abs(m->fix_ratio_mean[FIX_EAST])), real_abs(m->fix_ratio_mean[FIX_HEADING]));
 }
 
 /* Return the estimated bias of component i of the fix over the largest that its model allows. */
@@ -82,7 +82,7 @@ static real_t widen_fix_bias(estimator_t *m, const estimator_settings_t *s, int3
     const real_t sigma = s->initial_sigma[EX_FIX_BIAS + i];
     const real_t spread = nu / WIDENED_SIGMAS;
     const real_t scale = (spread * spread) / (sigma * sigma);
-    const int32_t aid = (i < 3) ? AID_PLACE : AID_HEADING;
+    const int32_t aid = (i < FIX_HEADING) ? AID_PLACE : AID_HEADING;
 
     if (!(scale < MAX_NOISE_SCALE)) {
         return ratio;
@@ -130,23 +130,23 @@ static void reset_to_fix(estimator_t *m, const real_t z[4], real_t ahead)
 
     for (int32_t i = 0; i < 3; i++) {
         nu = fix_innovation(m, z, i, ahead);
-        if ((i == 2) ? height_held : place_held) {
+        if ((i == FIX_DOWN) ? height_held : place_held) {
             inflate_variance(m, EX_FIX_BIAS + i, nu * nu);
         } else {
             inflate_variance(m, EX_POS + i, nu * nu);
             inflate_variance(m, EX_VEL + i, REAL(0.01) + ((REAL(0.1) * nu) * nu));
         }
     }
-    nu = fix_innovation(m, z, 3, ahead);
+    nu = fix_innovation(m, z, FIX_HEADING, ahead);
     inflate_variance(m, EX_ATT + 2, nu * nu);
 }
 
 /* Return whether the height is the one component of the fix that lies outside the gate. */
 static bool is_height_alone_off(const estimator_t *m)
 {
-    const real_t off = real_max(real_max(real_abs(m->fix_ratio[0]), real_abs(m->fix_ratio[1])), real_abs(m->fix_ratio[3]));
+    const real_t off = real_max(real_max(real_abs(m->fix_ratio[FIX_NORTH]), real_abs(m->fix_ratio[FIX_EAST])), real_abs(m->fix_ratio[FIX_HEADING]));
 
-    return (m->fix_component == 2) && (off < INNOVATION_GATE);
+    return (m->fix_component == FIX_DOWN) && (off < INNOVATION_GATE);
 }
 
 /* Mark a fix that is rejected for its height alone as faulty: a height does not contradict the attitude. */
@@ -168,7 +168,7 @@ void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, const real
     bool lasting;
     bool led;
 
-    for (int32_t i = 0; i < 4; i++) {
+    for (int32_t i = 0; i < FIX_COMPONENT_COUNT; i++) {
         real_t nu;
         real_t ratio;
 
@@ -178,16 +178,16 @@ void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, const real
         if ((real_abs(ratio) > INNOVATION_GATE) && (m->is_heading_aligned != 0) && (m->flight_phase < PHASE_LIGHT)) {
             ratio = widen_fix_bias(m, s, i, nu, ratio);
         }
-        if (i == 2) {
+        if (i == FIX_DOWN) {
             down = fix_height_consistent(m, s, nu, ratio);
         } else if ((m->is_heading_aligned == 0) && (real_abs(ratio) > INNOVATION_GATE)) {
             /* The place of the start is unknown: the first fix gives it. */
-            inflate_variance(m, (i < 3) ? (EX_POS + i) : (EX_ATT + 2), nu * nu);
+            inflate_variance(m, (i < FIX_HEADING) ? (EX_POS + i) : (EX_ATT + 2), nu * nu);
             ratio = innovation_ratio(m, nu, fix_variance(m, s, i));
         } else {
             /* within the gate, or judged below */
         }
-        if ((i != 2) || down) {
+        if ((i != FIX_DOWN) || down) {
             m->fix_ratio[i] = ratio;
             if (real_abs(ratio) > real_abs(worst)) {
                 worst = ratio;
@@ -217,18 +217,18 @@ void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, const real
     }
     /* Large ratios of one sign show an unmodelled error of the filter. */
     m->fix_ratio_lp += REAL(0.15) * ((worst * worst) - m->fix_ratio_lp);
-    for (int32_t i = 0; i < 4; i++) {
-        if ((i != 2) || down) {
+    for (int32_t i = 0; i < FIX_COMPONENT_COUNT; i++) {
+        if ((i != FIX_DOWN) || down) {
             estimate_fix_noise(m, i);
         }
     }
-    out = real_max(real_max(fix_bias_ratio(m, s, 0), fix_bias_ratio(m, s, 1)), fix_bias_ratio(m, s, 3));
+    out = real_max(real_max(fix_bias_ratio(m, s, FIX_NORTH), fix_bias_ratio(m, s, FIX_EAST)), fix_bias_ratio(m, s, FIX_HEADING));
     if (led || (lasting && (m->fix_ratio_lp > FIX_MEAN_SQUARE_GATE)) || ((out > REAL(1.0)) && settled)) {
         reset_on_divergence(m, s);
         set_fault(m, s, k, STATUS_FUSED, REASON_FUSED_THOUGH_OFFSET, at);
     }
-    for (int32_t i = 0; i < 4; i++) {
-        if ((i != 2) || down) {
+    for (int32_t i = 0; i < FIX_COMPONENT_COUNT; i++) {
+        if ((i != FIX_DOWN) || down) {
             fix_h_row(m, i);
             fuse_scalar(m, fix_innovation(m, z, i, ahead), fix_variance(m, s, i));
         }

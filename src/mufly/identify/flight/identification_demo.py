@@ -46,6 +46,7 @@ from mufly.vehicle import Vehicle, list_parameters, load_vehicle, replace_parame
 _Array = NDArray[np.float64]
 
 SAMPLE_S = 0.01
+_SETTLING_SAMPLES = 500
 RADIO_DELAY_S = 0.025
 # Standard deviations: ultrasonic height (m), attitude and yaw of the IMU (rad), gyros (rad/s), voltage (V).
 SENSOR_NOISE_STD = {
@@ -79,7 +80,7 @@ def _make_excitations(n: int, rng: np.random.Generator) -> dict[str, DemoExcitat
 
     def pilot_noise(size: float) -> _Array:
         """Return a slow random variation of a set-point."""
-        noise = lfilter(pilot_b, pilot_a, rng.standard_normal(n + 500))[500:]
+        noise = lfilter(pilot_b, pilot_a, rng.standard_normal(n + _SETTLING_SAMPLES))[_SETTLING_SAMPLES:]
         return size * noise / np.std(noise) * np.clip((t - 0.5) / 1.0, 0.0, 1.0)
 
     late = np.clip(t - 0.5, 0.0, None)

@@ -42,6 +42,7 @@ _CHUNK_HEAD_PATTERN = re.compile(
 _RECORD_HEAD_PATTERN = re.compile(rb"[\x09\x0c\x0f].{4}\x00{4}", re.DOTALL)
 _MESSAGE_HEAD_PATTERN = re.compile(rb"[\x03\x04\x05\x09\x0c\x0f].{4}\x00{4}", re.DOTALL)
 _MAX_DESCRIBED_PARTS = 3
+_CRC_SIZE = 4
 
 
 class LostPart(NamedTuple):
@@ -163,7 +164,7 @@ def _read_summary(data: bytes) -> _IndexSummary | None:
     end = mark + len(MAGIC)
     if not start:
         return _IndexSummary(end_offset=end)
-    if not len(MAGIC) <= start <= at or (crc and zlib.crc32(memoryview(data)[start : mark - 4]) != crc):
+    if not len(MAGIC) <= start <= at or (crc and zlib.crc32(memoryview(data)[start : mark - _CRC_SIZE]) != crc):
         return _IndexSummary(is_valid=False, end_offset=end)
     channels, places, expected = [], [start], 0
     try:
@@ -304,8 +305,8 @@ class _McapScanner:
             contents.metadata[metadata.name] = metadata.metadata
         elif opcode == Opcode.ATTACHMENT:
             attachment = records.Attachment.read(_to_stream(content))
-            crc = struct.unpack_from("<I", content, len(content) - 4)[0]
-            if crc and zlib.crc32(content[:-4]) != crc:
+            crc = struct.unpack_from("<I", content, len(content) - _CRC_SIZE)[0]
+            if crc and zlib.crc32(content[:-_CRC_SIZE]) != crc:
                 raise ValueError("wrong checksum")
             contents.attachments[attachment.name] = attachment.data
 

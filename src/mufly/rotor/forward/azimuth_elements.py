@@ -108,12 +108,13 @@ def _section_force(table: Array, onset: float, row: float) -> tuple[float, float
     j = min(int(v), max(last - 1, 0))
     s = v - j
     k = min(j + 1, last)
-    l0, l1, l2, l3 = table[j, i, 0], table[j, i + 1, 0], table[j, i + 2, 0], table[j, i + 3, 0]
-    m0, m1, m2, m3 = table[k, i, 0], table[k, i + 1, 0], table[k, i + 2, 0], table[k, i + 3, 0]
+    before, left, right, after = i, i + 1, i + 2, i + 3
+    l0, l1, l2, l3 = table[j, before, 0], table[j, left, 0], table[j, right, 0], table[j, after, 0]
+    m0, m1, m2, m3 = table[k, before, 0], table[k, left, 0], table[k, right, 0], table[k, after, 0]
     cl, cl2 = w0 * l0 + w1 * l1 + w2 * l2 + w3 * l3, w0 * m0 + w1 * m1 + w2 * m2 + w3 * m3
     dl, dl2 = d0 * l0 + d1 * l1 + d2 * l2 + d3 * l3, d0 * m0 + d1 * m1 + d2 * m2 + d3 * m3
-    l0, l1, l2, l3 = table[j, i, 1], table[j, i + 1, 1], table[j, i + 2, 1], table[j, i + 3, 1]
-    m0, m1, m2, m3 = table[k, i, 1], table[k, i + 1, 1], table[k, i + 2, 1], table[k, i + 3, 1]
+    l0, l1, l2, l3 = table[j, before, 1], table[j, left, 1], table[j, right, 1], table[j, after, 1]
+    m0, m1, m2, m3 = table[k, before, 1], table[k, left, 1], table[k, right, 1], table[k, after, 1]
     cd, cd2 = w0 * l0 + w1 * l1 + w2 * l2 + w3 * l3, w0 * m0 + w1 * m1 + w2 * m2 + w3 * m3
     dd, dd2 = d0 * l0 + d1 * l1 + d2 * l2 + d3 * l3, d0 * m0 + d1 * m1 + d2 * m2 + d3 * m3
     inside = 1.0 if 0.0 <= row <= last else 0.0

@@ -209,7 +209,7 @@ def spline_matrix(n: int) -> Array:
     matrix = np.zeros((n, n))
     for k in range(n):
         first, *weights = spline_weights(float(k), n)
-        matrix[k, first : first + 3] = weights
+        matrix[k, first : first + len(weights)] = weights
     return matrix
 
 

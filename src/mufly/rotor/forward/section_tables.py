@@ -97,6 +97,7 @@ def station_tables(blading: Blading, which: int, air: Air) -> Array:
             for j in range(rows):
                 alpha[j] = _angles_of_attack(onset, section.polar_zero_lift_rad, angles[j], reached[j])
         _fill_coefficients(alpha, log_re, mach, section, polars, out[i, :, 1:-1])
-    out[:, :, 0], out[:, :, -1] = out[:, :, -3], out[:, :, 2]
+    circle = out[:, :, 1:-1]  # its last angle is its first
+    out[:, :, 0], out[:, :, -1] = circle[:, :, -2], circle[:, :, 1]
     out.setflags(write=False)
     return out

@@ -316,7 +316,7 @@ def naca_contour(digits: str, per_side: int = _POINTS_PER_SIDE) -> Array:
     else:
         families = {"0": _NORMAL_CAMBER_LINES, "1": _REFLEX_CAMBER_LINES}
         if int(digits[0]) == 0 or digits[2] not in families:
-            normal = f"naca{digits[:2]}0{digits[3:]}"
+            normal = f"naca{digits[:2]}0{digits[-2:]}"
             remedy = f"let the first digit be 1 to 9, the third 0 (normal) or 1 (reflexed), as {normal}"
             raise InputError(where, "", f"mean line {digits[:3]} is unknown", remedy)
         if int(digits[1]) not in families[digits[2]]:

@@ -154,12 +154,13 @@ def stack_coefficients(stack: PolarStack, k: int, alpha: float, log_reynolds: fl
     v = min(max((log_reynolds - stack.log_reynolds_min) * stack.per_log_reynolds, 0.0), float(last))
     j = min(int(v), max(last - 1, 0))
     s = v - j
+    before, left, right, after = i, i + 1, i + 2, i + 3
     a = grid[k, j]
     b = grid[k, min(j + 1, last)]
-    cl_a = w0 * a[i, 0] + w1 * a[i + 1, 0] + w2 * a[i + 2, 0] + w3 * a[i + 3, 0]
-    cl_b = w0 * b[i, 0] + w1 * b[i + 1, 0] + w2 * b[i + 2, 0] + w3 * b[i + 3, 0]
-    cd_a = w0 * a[i, 1] + w1 * a[i + 1, 1] + w2 * a[i + 2, 1] + w3 * a[i + 3, 1]
-    cd_b = w0 * b[i, 1] + w1 * b[i + 1, 1] + w2 * b[i + 2, 1] + w3 * b[i + 3, 1]
+    cl_a = w0 * a[before, 0] + w1 * a[left, 0] + w2 * a[right, 0] + w3 * a[after, 0]
+    cl_b = w0 * b[before, 0] + w1 * b[left, 0] + w2 * b[right, 0] + w3 * b[after, 0]
+    cd_a = w0 * a[before, 1] + w1 * a[left, 1] + w2 * a[right, 1] + w3 * a[after, 1]
+    cd_b = w0 * b[before, 1] + w1 * b[left, 1] + w2 * b[right, 1] + w3 * b[after, 1]
     return cl_a + s * (cl_b - cl_a), cd_a + s * (cd_b - cd_a)
 
 

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from mufly.rotor.structure.flap_modes import CampbellDiagram
 
 _HARMONICS = 8
+_SHOWN_MODES = ("flap 1", "flap 2", "torsion 1")
+"""Modes that set the height of the picture."""
 
 
 def campbell_picture(found: CampbellDiagram) -> Figure:
@@ -25,7 +27,8 @@ def campbell_picture(found: CampbellDiagram) -> Figure:
     figure = Figure(figsize=(8.0, 5.0), layout="constrained")
     axes = figure.subplots()
     rpm = found.speed_rad_s / RPM
-    top = 1.15 * float(np.nanmax(found.frequency_rad_s[:, [0, 1, 3]])) / (2.0 * math.pi)
+    shown = [found.modes.index(name) for name in _SHOWN_MODES]
+    top = 1.15 * float(np.nanmax(found.frequency_rad_s[:, shown])) / (2.0 * math.pi)
     for k in range(1, _HARMONICS + 1):
         axes.plot(rpm, k * rpm / 60.0, color="0.8", linewidth=0.8, zorder=0)
         x = min(float(rpm[-1]), 60.0 * top / k)
