@@ -13,11 +13,12 @@ import pytest
 from mufly.camera import Camera, VehicleMotion, load_camera, make_floor
 from mufly.flight.fixes.onboard_camera import add_dirt
 from mufly.slam import CameraFrame, SlamSystem, make_square_path, render_frames
+from mufly.slam.datasets.synthetic_datasets import make_hand_path
 from mufly.slam.image_tools import Undistorter
 from mufly.slam.images.camera_monitor import CameraMonitor, DirtMask, FlipTest, judge_motion
 from mufly.vehicle.quantity import Quantity
 
-pytest.importorskip("cv2")
+cv2 = pytest.importorskip("cv2")
 SEED, SECONDS = 6, 4.5
 Flown = list[tuple[CameraFrame, VehicleMotion]]
 
@@ -91,6 +92,31 @@ def test_no_alarm_over_floors_with_little_texture(make_weak_floor: Callable) -> 
     for kind in ("felt", "stripes"):
         made = render_frames(camera, make_weak_floor(kind, 5), path, duration_s=3.0, seed=5)
         assert _first_fault(camera, [f for f, _ in made])[0] == ""
+
+
+def test_a_motion_by_hand_is_judged_by_its_rotation_alone() -> None:
+    camera, seconds = load_camera("mufly-2.0"), 4.5
+    path = make_hand_path(duration_s=seconds, seed=1)
+    made = render_frames(camera, make_floor("rich", 1, size=2048), path, duration_s=seconds, seed=1)
+    frames = [f for f, _ in made]
+    assert _first_fault(camera, frames)[0] == ""
+    mirrored = [replace(f, picture=np.ascontiguousarray(f.picture[:, ::-1])) for f in frames]
+    assert _first_fault(camera, mirrored)[0] == "mirrored"
+
+
+def test_a_picture_turned_against_the_gyroscopes_is_refused(flown: Flown) -> None:
+    camera = load_camera("mufly-2.0")
+    frames = [f for f, _ in flown[:8]]
+    high, wide = frames[7].picture.shape
+    for degrees, trusted in ((0.0, True), (4.0, False)):
+        slam = SlamSystem(camera, start=[*flown[0][1].position[:2].tolist(), 0.0])
+        for f in frames[:7]:
+            assert slam.process_frame(f).trusted
+        turn = cv2.getRotationMatrix2D((wide / 2, high / 2), degrees, 1.0)
+        turned = cv2.warpAffine(frames[7].picture, turn, (wide, high), borderMode=cv2.BORDER_REFLECT)
+        result = slam.process_frame(replace(frames[7], picture=turned))
+        assert result.trusted == trusted
+        assert trusted or "degrees against the gyroscopes" in result.reason
 
 
 def test_a_verdict_needs_its_standard_deviations() -> None:

@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 
 from mufly.camera import body_from_camera_rotation, load_camera, make_floor
+from mufly.dynamics import GRAVITY
 from mufly.errors import InputError
 from mufly.slam import SlamSystem, evaluate_trajectory, make_square_path, render_frames, run_slam
-from mufly.slam.camera_frame import FrameInfo, Odometry
+from mufly.slam.camera_frame import CameraFrame, FrameInfo, MotionPrior, Odometry
 from mufly.slam.camera_pose import (
+    PoseEstimate,
     ViewPrior,
     attitude_matrix,
     d_rays_d_tilt,
@@ -23,6 +25,7 @@ from mufly.slam.camera_pose import (
 )
 from mufly.slam.image_tools import find_repeat_shifts
 from mufly.slam.keyframe_map import remove_pose_fit
+from mufly.slam.keyframe_matching import VARIANCE_INFLATION, KeyframeMatch
 from mufly.slam.place_recognition import is_unambiguous
 from mufly.slam.pose_graph import (
     GraphEdge,
@@ -251,6 +254,28 @@ def test_the_way_since_an_answer_is_added_up_from_told_velocities() -> None:
     assert moved[:2] == pytest.approx(v[:2] * 0.2)
     assert sigma_m == pytest.approx(0.02 * 0.2 + 0.5 * 0.04)
     assert not silent.advance_to(0.23, told).has_all_velocities  # a velocity that comes late says nothing of before
+
+
+def test_a_tilted_helicopter_accelerates_and_a_carried_one_may_not() -> None:
+    level = FrameInfo(0.0, 0.0, 1.0, rotor_speed=np.full(2, 400.0))
+    for rotors, gained in ((400.0, GRAVITY * 0.1 * math.tan(0.1)), (0.0, 0.0)):
+        motion = MotionPrior().restart_at(CameraFrame(0.0, np.zeros((2, 2), np.uint8), replace(level, pitch=-0.1)))
+        told = replace(level, pitch=-0.1, rotor_speed=np.full(2, rotors))
+        motion = motion.advance_to(CameraFrame(0.1, np.zeros((2, 2), np.uint8), told), heading_rad=0.5 * math.pi)
+        assert motion.velocity_m_s == pytest.approx([0.0, gained], abs=1e-12)  # nose down, nose to the east
+
+
+def test_more_points_never_beat_the_error_that_all_share() -> None:
+    pose = PoseEstimate(
+        np.zeros(8), np.zeros(8), np.eye(8), np.eye(8), np.zeros(8), 1.0, np.zeros(1), np.zeros((1, 2))
+    )  # fmt: skip
+    match = replace(KeyframeMatch.from_pose(pose), inlier_indices=np.zeros(1, np.intp), common_variance_m2=1e-6)
+    for scale in (1e2, 1e5, 1e8):
+        rich = replace(match, pose=replace(pose, pixel_information=scale * np.eye(8)))
+        variance = rich.place_variance * rich.variance_inflation
+        assert variance == pytest.approx(VARIANCE_INFLATION / scale + 1e-6)
+    striped = replace(match, unknown=np.array([[1.0, 0.0]]))
+    assert striped.variance_inflation == VARIANCE_INFLATION
 
 
 def test_what_repeats_is_told_apart_only_by_a_way_that_is_known() -> None:

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.dynamics import GRAVITY
+
 _Array = NDArray[np.float64]
 
 
@@ -101,7 +103,11 @@ _UNKNOWN_VELOCITY_SIGMA_M_S = 0.02
 """Standard deviation of a velocity derived from SLAM results, for a vehicle that sends none (m/s)."""
 _MAX_FREE_SIGMA_M = 5.0
 """Largest standard deviation of a place along a direction without texture (m)."""
-_HEADING_DRIFT_RAD_S = 0.01  # of integrated rates
+HEADING_DRIFT_RAD_S = 0.01
+"""Drift of the heading by integrated rates (rad/s)."""
+LOST_AFTER_S = 0.7
+"""Time without a result after which the vehicle's own estimate may predict the pose (s)."""
+_MAX_ACCELERATED_S = 0.2  # time without a picture for which the tilt gives the change of velocity
 _CAUTION_AFTER_S = 0.1  # of results without texture along one direction
 
 
@@ -190,13 +196,22 @@ class MotionPrior:
     textured: Odometry | None = None
     velocity_m_s: _Array = field(default_factory=lambda: np.zeros(2))
 
-    def advance_to(self, frame: CameraFrame) -> MotionPrior:
-        """Return the motion propagated to the next picture."""
-        told = frame.vehicle_estimate
+    def advance_to(self, frame: CameraFrame, heading_rad: float) -> MotionPrior:
+        """Return the motion propagated to the next picture.
+
+        A helicopter whose rotors turn accelerates as it tilts, v' = g (-tan pitch, tan roll) in the axes of its
+        heading ``heading_rad`` (rad). Otherwise the velocity by the last results stays.
+        """
+        told, before, velocity = frame.vehicle_estimate, self.latest, self.velocity_m_s
+        if before is not None and told.rotor_speed.any():
+            pitch, roll = 0.5 * (before.last_info.pitch + told.pitch), 0.5 * (before.last_info.roll + told.roll)
+            c, s = math.cos(heading_rad), math.sin(heading_rad)
+            push = np.array([[c, -s], [s, c]]) @ np.array([-math.tan(pitch), math.tan(roll)])
+            velocity = velocity + GRAVITY * min(frame.time_s - before.time_s, _MAX_ACCELERATED_S) * push
         latest, textured = (
             None if q is None else q.advance_to(frame.time_s, told) for q in (self.latest, self.textured)
         )
-        return MotionPrior(latest, textured, self.velocity_m_s)
+        return MotionPrior(latest, textured, velocity)
 
     def restart_at(self, frame: CameraFrame) -> MotionPrior:
         """Return the motion restarted at this picture, with texture in all directions."""
@@ -215,4 +230,4 @@ class MotionPrior:
         if self.textured is None:
             return _MAX_FREE_SIGMA_M, 0.1
         sigma_m = 0.005 + self.textured.predict_displacement(self.velocity_m_s)[1]
-        return min(_MAX_FREE_SIGMA_M, sigma_m), 0.003 + _HEADING_DRIFT_RAD_S * self.textured.elapsed_s
+        return min(_MAX_FREE_SIGMA_M, sigma_m), 0.003 + HEADING_DRIFT_RAD_S * self.textured.elapsed_s

@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.slam.camera_frame import CameraFrame, MotionPrior
+from mufly.slam.camera_frame import HEADING_DRIFT_RAD_S, LOST_AFTER_S, CameraFrame, MotionPrior
 from mufly.slam.camera_pose import (
+    PX_HEADING,
     PX_TILT,
     PoseEstimate,
     ViewPrior,
@@ -44,10 +45,18 @@ MIN_CORRELATION = 0.5
 _STRAY_PX = 5.0  # maximum unexplained error of a point (pixels)
 _TILT_DRIFT_PER_HEIGHT = 0.005
 """Change of position between pictures by tilt errors, over the height (docs/log/2026-11-24-slam-accuracy.md)."""
+_MAX_TURN_RAD = 0.015  # change of the heading between pictures by tilt errors (rad)
 _MIN_TRACK_SIGMA_PX = 0.08  # least standard deviation of a tracked point
 _MAX_STRIPE_RESIDUAL = 1.7  # of a floor with texture along one direction, where the next stripe looks the same
 _USUAL_ROTOR_SPEED_RAD_S = 400.0  # where it is not reported
 _STRIPES_REASON = "the floor shows texture along one direction only"
+VARIANCE_INFLATION = 3.0
+"""Ratio of the joint variance of all points to that of independent points, for correlated errors of neighbours.
+
+A compromise over twelve floors (docs/log/2026-11-24-slam-accuracy.md): edges with true tilts need 3.9, results less."""
+_COMMON_SHAKE_SHARE, _COMMON_SIGMA_PX = 0.1, 0.05
+"""Deviation of a place that no number of points reduces: share of the vibration's rms that remains unmodelled, and part
+without vibration (pixels)."""
 _MIN_TRACKED_SHARE = 0.75  # of the points in view, below which all patches are aligned together
 _NO_DIRECTION = np.zeros((0, 2))
 _BOTH_TILTS = np.ix_([6, 7, 4, 5], [6, 7, 4, 5])  # tilt errors of the picture, then of the keyframe
@@ -138,6 +147,8 @@ class KeyframeMatch:
         Cramer-Rao bound of the shift of all patches in two directions (pixels).
     significance : float
         Significance of the texture along the least known direction, 1 at the least.
+    common_variance_m2 : float
+        Variance of the place by errors that all points of the picture share (m^2).
     """
 
     keyframe: int
@@ -150,6 +161,7 @@ class KeyframeMatch:
     unknown: _Array
     bound_px: _Array
     significance: float
+    common_variance_m2: float = 0.0
 
     @classmethod
     def from_pose(cls, pose: PoseEstimate) -> KeyframeMatch:
@@ -169,6 +181,22 @@ class KeyframeMatch:
         """N, E (m), heading (rad), ln h of the camera."""
         p = self.pose
         return np.array([*p.state[:2], p.heading_rad, math.log(p.height_m)])
+
+    @property
+    def place_variance(self) -> float:
+        """Mean variance of N and E by the pixels for known tilts (m^2); infinite without texture in a direction."""
+        if len(self.unknown) or not len(self.inlier_indices):
+            return math.inf
+        return 0.5 * float(np.trace(np.linalg.inv(self.pose.pixel_information[:PX_TILT, :PX_TILT])[:2, :2]))
+
+    @property
+    def variance_inflation(self) -> float:
+        """Ratio of the variance of the pose to that of independent points.
+
+        Neighbouring points have correlated errors (:data:`VARIANCE_INFLATION`). Vibration that is not modelled shifts
+        all points of a picture alike, so the variance does not fall below ``common_variance_m2``.
+        """
+        return VARIANCE_INFLATION + self.common_variance_m2 / self.place_variance
 
     @property
     def known_projection(self) -> _Array:
@@ -232,9 +260,10 @@ def match_keyframe(
         match = _match_points(floor_map, k, context, node, flat, points, use, good, seen, sigma)
     if match is not None and len(match.inlier_indices) >= _MIN_TRACKED_SHARE * len(use):
         return match
-    # Few points of a weak floor are tracked, while all its patches together are known well.
+    # Few points of a weak floor are tracked, while all its patches together are known well. Where many points are
+    # tracked, all patches may disagree instead: neighbouring bricks look alike.
     direct = _match_directly(k, context, node, flat, points, use)
-    if direct is not None and (match is None or not len(direct.unknown)):
+    if direct is not None and (match is None or direct.place_variance < match.place_variance):
         return direct
     if match is None and not coarse and len(keyframe.pixels) >= MIN_INLIERS:
         return match_keyframe(floor_map, k, context, node, coarse=True)
@@ -290,7 +319,7 @@ def _match_points(
     keyframe.missed[use[keep]] = np.maximum(keyframe.missed[use[keep]] - 2, -4)
     return KeyframeMatch(
         k, pose, use[keep], seen[keep], seconds[keep], information, len(use), _NO_DIRECTION,
-        patches.bound_px, float(patches.significance.min()),
+        patches.bound_px, float(patches.significance.min()), _common_variance(context),
     )  # fmt: skip
 
 
@@ -321,7 +350,25 @@ def _match_directly(
     return KeyframeMatch(
         k, found.pose, use[keep], found.pixels[keep], points.exposure_offsets_s[keep], found.information[keep],
         len(use), found.unknown, found.patches.bound_px, float(found.patches.significance.min()),
+        _common_variance(context),
     )  # fmt: skip
+
+
+def _common_variance(context: FrameContext) -> float:
+    """Return the variance of a place by errors that all points of a picture share (m^2)."""
+    common_px = math.hypot(_COMMON_SHAKE_SHARE * context.shake_rms_px, _COMMON_SIGMA_PX)
+    return (common_px * context.view.height_m / context.view.focal_px) ** 2
+
+
+def _unexplained_turn(match: KeyframeMatch, context: FrameContext, node: _Array) -> float:
+    """Return the heading's deviation from its prediction (rad), or 0 if rates, tilts and pixels explain it."""
+    latest = context.motion.latest
+    if latest is None or latest.elapsed_s > LOST_AFTER_S:
+        return 0.0
+    off = match.pose.heading_rad - float(node[HEADING])
+    off = abs((off + math.pi) % (2.0 * math.pi) - math.pi)
+    sigma = math.sqrt(float(match.pose.covariance[PX_HEADING, PX_HEADING]))
+    return off if off > _MAX_TURN_RAD + 4.0 * (sigma + HEADING_DRIFT_RAD_S * latest.elapsed_s) else 0.0
 
 
 def _floor_homography(floor_map: FloorMap, k: int, context: FrameContext, node: _Array) -> _Array:
@@ -377,6 +424,8 @@ def rejection_reason(floor_map: FloorMap, match: KeyframeMatch | None, context: 
     off = math.hypot(*way)
     if off > 4.0 * (context.position_sigma_m + sigma) + 0.08 * height:
         return f"{off:.2f} m from the predicted position"
+    if (turned := _unexplained_turn(match, context, node)) > 0.0:
+        return f"turned by {math.degrees(turned):.1f} degrees against the gyroscopes"
     latest = context.motion.latest
     if latest is None or not latest.has_all_velocities or latest.last_info.place is None:
         return ""  # there is no ambiguity test for a map that cannot be restarted

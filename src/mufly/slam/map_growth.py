@@ -43,10 +43,6 @@ _Array = NDArray[np.float64]
 LOOP_MIN_OVERLAP = 0.4
 LOOP_MAX_CHI2 = 28.0  # of eight numbers: rejects one true closure in 2000
 _LOOP_SEARCH_SIGMAS = 2.5  # standard deviations within which keyframes are searched
-VARIANCE_INFLATION = 3.0
-"""Ratio of the joint variance of all points to that of independent points, for correlated errors of neighbours.
-
-A compromise over twelve floors (docs/log/2026-11-24-slam-accuracy.md): edges with true tilts need 3.9, results less."""
 NEWEST_TRANSITION = (np.ones(3), np.full(3, 1e-10))
 """Correlation factors and noise variances between errors of a picture and the newest keyframe if both are the same."""
 _WHITE_LEVEL, _MAX_WHITE_SHARE = 248, 0.02
@@ -123,7 +119,7 @@ def make_edge(floor_map: FloorMap, match: KeyframeMatch, second: int, closes: bo
     change[:4, :4] = np.linalg.inv(by_b)[[0, 1, LN_HEIGHT, HEADING]]
     change[PX_HEIGHT] *= pose.height_m
     change[PX_TILT:PX_KEYFRAME_TILT, EDGE_TILT_B] = change[PX_KEYFRAME_TILT:, EDGE_TILT_A] = np.eye(2)
-    information, gradient = pose_information(pose)
+    information, gradient = pose_information(match)
     return GraphEdge(
         match.keyframe,
         second,
@@ -134,11 +130,12 @@ def make_edge(floor_map: FloorMap, match: KeyframeMatch, second: int, closes: bo
     )
 
 
-def pose_information(pose: PoseEstimate) -> tuple[_Array, _Array]:
+def pose_information(match: KeyframeMatch) -> tuple[_Array, _Array]:
     """Return the information (8, 8) of a match on its pose, reduced for correlated points, and the gradient (8,)."""
+    pose, inflation = match.pose, match.variance_inflation
     return (
-        pose.pixel_information / VARIANCE_INFLATION + pose.prior_information,
-        pose.pixel_gradient / VARIANCE_INFLATION + pose.prior_gradient,
+        pose.pixel_information / inflation + pose.prior_information,
+        pose.pixel_gradient / inflation + pose.prior_gradient,
     )
 
 

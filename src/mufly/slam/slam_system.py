@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.camera import Camera, body_from_camera_rotation, check_picture_size
-from mufly.slam.camera_frame import CameraFrame, MotionPrior, Odometry
+from mufly.slam.camera_frame import LOST_AFTER_S, CameraFrame, MotionPrior, Odometry
 from mufly.slam.camera_pose import POSE_SIZE, SHAKE_SIZE, PoseEstimate, ViewPrior, attitude_matrix
 from mufly.slam.image_tools import Undistorter
 from mufly.slam.images.camera_monitor import CameraMonitor, CameraVerdict
@@ -46,7 +46,7 @@ DIRT_MESSAGE = "dirt on the lens: pixels that do not move with the floor are not
 FEW_INLIERS = 30  # below this number of inliers a new keyframe may help
 NEW_KEYFRAME_OVERLAP = 0.55  # least overlap of a keyframe and the picture
 LOOP_CHECK_INTERVAL = 8
-_LOST_AFTER_S, _RELOCALIZE_INTERVAL = 0.7, 4
+_RELOCALIZE_INTERVAL = 4
 _WEAK_SIGNIFICANCE = 1.7  # of the texture, below which a new keyframe follows earlier
 MAX_KNOWN_SIGMA = (0.5, 0.5, 0.5, 0.5)
 """Standard deviations of N, E, D (m) and heading (rad) from which an axis counts as unknown."""
@@ -187,13 +187,13 @@ class SlamSystem:
         verdict = self.monitor.check_motion(frame, picture)
         if verdict.fault:
             return self._refuse(frame, verdict, "")
+        self._motion = self._motion.advance_to(frame, float(self._last_node[HEADING]))
         context = self._make_context(frame, picture)
         if not self.floor_map.keyframes:
             return self._start_map(context)
         if self._motion.latest is None:
             return self._relocalize(context, "not found in the map yet")
-        self._motion = self._motion.advance_to(frame)
-        return self._track(replace(context, motion=self._motion))
+        return self._track(context)
 
     def _track(self, context: FrameContext) -> TrackingResult:
         """Match the picture to the keyframes at its predicted pose, and return the result."""
@@ -204,7 +204,7 @@ class SlamSystem:
         context = replace(context, position_sigma_m=sigma_m)
         coarse = sigma_m / context.view.height_m * context.view.focal_px > 12.0
         match = None
-        for k in self._select_reference_keyframes(context, node, elapsed > _LOST_AFTER_S):
+        for k in self._select_reference_keyframes(context, node, elapsed > LOST_AFTER_S):
             match = match_keyframe(self.floor_map, k, context, node, coarse=coarse)
             if match is not None:
                 break
@@ -220,7 +220,7 @@ class SlamSystem:
                 return self._start_map(context)
             if self._should_bridge(context, elapsed):
                 return self._bridge_gap(context, why)
-            if elapsed > _LOST_AFTER_S or self._trial_frame_count > 0:
+            if elapsed > LOST_AFTER_S or self._trial_frame_count > 0:
                 return self._relocalize(context, why)
             return TrackingResult(frame.time_s, False, why, keyframe=self._reference_index)
         if self._trial_frame_count > 0 and (answer := self._confirm_trial(context, match)) is not None:
@@ -298,7 +298,7 @@ class SlamSystem:
         estimate = context.frame.vehicle_estimate
         moved, sigma_m = way.predict_displacement(context.motion.velocity_m_s)
         believed = 0.05 + 2.0 * estimate.place_sigma[0]
-        if way.elapsed_s > _LOST_AFTER_S and estimate.place is not None and believed < sigma_m:
+        if way.elapsed_s > LOST_AFTER_S and estimate.place is not None and believed < sigma_m:
             return make_node(context, self._pose_from_vehicle(context.view, *estimate.place))[PLACE], believed
         return np.append(self._last_node[:LN_HEIGHT] + moved, math.log(context.view.height_m)), sigma_m
 
@@ -411,7 +411,7 @@ class SlamSystem:
             tilts = np.concatenate([pose.tilt_error_rad - view.tilt_error_rad, pose.keyframe_tilt_error_rad])
             belief = self.floor_map.predict_covariance(here, *context.error_transition)
             height = math.log(view.height_m) - context.predicted_errors[2]
-            node, known = fuse_pose(at[PLACE], belief, match.graph_node, tilts, *pose_information(pose), height)
+            node, known = fuse_pose(at[PLACE], belief, match.graph_node, tilts, *pose_information(match), height)
         for u in match.unknown:  # at least the variance of the prediction since the direction was seen
             along = np.concatenate([u, np.zeros(2)])
             free = context.motion.free_sigma[0] ** 2 - along @ known @ along

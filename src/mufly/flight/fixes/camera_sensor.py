@@ -88,6 +88,9 @@ class CameraConfig:
     Attributes
     ----------
     camera : Camera
+        As SLAM knows it.
+    true_camera : Camera, optional
+        Camera that takes the pictures, of the same size, if ``camera`` is wrong. Default: ``camera``.
     floor_texture : str, optional
         Floor for :func:`mufly.camera.find_floor`: a kind, a package's picture or a picture file. Default: the floor of
         the mission, or :data:`DEFAULT_FLOOR`.
@@ -109,6 +112,7 @@ class CameraConfig:
     camera_faults: tuple[CameraFault, ...] = ()
     on_tracking_result: Callable[[TrackingResult], None] | None = None
     stream_address: tuple[str, int] | None = None
+    true_camera: Camera | None = None
 
     @property
     def floor_name(self) -> str:
@@ -127,7 +131,7 @@ def with_mission_floor(eye: CameraConfig, mission: Mission) -> CameraConfig:
 def make_camera(eye: CameraConfig, vehicle: Vehicle, world: World, seed: int) -> OnboardCamera:
     """Return the camera of a flight."""
     return OnboardCamera(
-        eye.camera,
+        eye.true_camera or eye.camera,
         find_floor(eye.floor_name, eye.floor_width_m).make_floor(seed, eye.shadow_share),
         vehicle,
         world,

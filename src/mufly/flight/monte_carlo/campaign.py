@@ -297,7 +297,8 @@ class Campaign:
         eye = self.camera
         if eye is None:
             return {}
-        return {"camera": [eye.camera.model_dump_json(), eye.floor_texture, eye.floor_width_m, eye.shadow_share]}
+        true = [] if eye.true_camera is None else [eye.true_camera.model_dump_json()]
+        return {"camera": [eye.camera.model_dump_json(), eye.floor_texture, eye.floor_width_m, eye.shadow_share, *true]}
 
     def draw_case(self, index: int) -> FlightCase:
         """Return the drawn settings of flight ``index``.

@@ -19,8 +19,10 @@ heading, so attitude alone gives v up to a constant. Slow parts are removed from
 | mirrored | 0 | of size 1 | 0 |
 | pictures late by t | 1 | 0 | -t |
 
+A vehicle with still rotors is carried by hand: p is then the rotation alone, and the residuals contain the way.
 Recursive least squares with exponential forgetting (:data:`_MEMORY_S`) gives m, n, k and their covariance from the
-residuals (Ljung, *System Identification*, 1999, Sec. 11.2). A fault is reported if a steady estimate deviates by
+residuals (Ljung, *System Identification*, 1999, Sec. 11.2), times (1 + r) / (1 - r) for residuals with the correlation
+r from picture to picture. A fault is reported if a steady estimate deviates by
 :data:`_MIN_SIGMAS` standard deviations and by a least amount. A second estimate forgets within
 :data:`_QUICK_MEMORY_S`, so that an opposite motion is also found soon after a time without fault. Pictures that are
 flipped along x or y or both have y = -conj(p), conj(p) or -p. These have no unknown number, so a sequential test of
@@ -75,9 +77,12 @@ _DIRT_SIGMAS, _DIRT_STILLNESS, _MIN_DIRT_GREY, _MAX_DIRT_SHARE, _DIRT_MARGIN_PX 
 _MIN_CONTRAST = 2.0
 """Standard deviation of grey levels below which equal pictures are dark, not frozen."""
 _GROSS_SIGMAS = 3.0
+_MAX_CORRELATION = 0.95  # of neighbouring residuals
 _FLIP_SIGMA_PX_S, _MAX_FLIP_STEP, _FLIP_LIMIT = 15.0, 3.0, 15.0
 """Usual residual of the motion along an axis (pixels/s), and the largest step and the limit of the logarithm of the
 likelihood ratio between a flipped and a correct axis."""
+_CARRIED_SIGMA_PX_S = 60.0
+"""The same by hand, where the place moves by an unknown velocity."""
 _FLIP_MEMORY_S, _FLIP_SHARE = 0.5, 0.25
 """Memory of the residuals (s), and largest share of the motion that a flip leaves; other faults leave more."""
 _STEADY_SHARE, _STEADY_LEAST = 0.3, 0.05
@@ -233,7 +238,8 @@ class CameraMonitor:
             row = np.array([p, p.conjugate(), (p2 - p0) / (2.0 * dt)])
             for fit in (self._fit, self._quick_fit):
                 fit.add_picture(dt, row, y)
-            self._flips.add_picture(dt, p, y)
+            driven = bool(frame.vehicle_estimate.rotor_speed.any())
+            self._flips.add_picture(dt, p, y, _FLIP_SIGMA_PX_S if driven else _CARRIED_SIGMA_PX_S)
             self._latest.append(self.estimate[:2].copy())
             self._confirm(frame.time_s)
 
@@ -263,7 +269,13 @@ class CameraMonitor:
         return float(np.abs(last - first).max()) < max(_STEADY_LEAST, _STEADY_SHARE * off)
 
     def _advance_velocity(self, before: FrameInfo, now: FrameInfo, dt: float) -> None:
-        """Integrate the velocity forward and to the right from the tilt; it decays, so that errors do not add up."""
+        """Integrate the velocity forward and to the right from the tilt; it decays, so that errors do not add up.
+
+        With still rotors a hand carries the vehicle, whose velocity is unknown.
+        """
+        if not now.rotor_speed.any():
+            self._last_level_velocity = np.zeros(2)
+            return
         pitch, roll = 0.5 * (before.pitch + now.pitch), 0.5 * (before.roll + now.roll)
         push = GRAVITY * np.array([-math.tan(pitch), math.tan(roll)])
         push = push + now.heading_rate_rad_s * np.array([self._last_level_velocity[1], -self._last_level_velocity[0]])
@@ -287,11 +299,14 @@ class FlipTest:
         self._squares = np.zeros((2, 2))  # of the residuals, by flips along x and y
         self._motion_square = 0.0
 
-    def add_picture(self, dt: float, predicted: complex, measured: complex) -> None:
-        """Add the predicted and the measured motion of a picture, ``dt`` (s) after the one before."""
+    def add_picture(self, dt: float, predicted: complex, measured: complex, sigma: float = _FLIP_SIGMA_PX_S) -> None:
+        """Add the predicted and the measured motion of a picture, ``dt`` (s) after the one before.
+
+        ``sigma`` is the usual residual along an axis (pixels/s).
+        """
         p, y = np.array([predicted.real, predicted.imag]), np.array([measured.real, measured.imag])
         # (y + p)^2 - (y - p)^2 = 4 p y; halved again, since the errors of successive pictures are alike
-        step = np.clip(-p * y / _FLIP_SIGMA_PX_S**2, -_MAX_FLIP_STEP, _MAX_FLIP_STEP)
+        step = np.clip(-p * y / sigma**2, -_MAX_FLIP_STEP, _MAX_FLIP_STEP)
         self._ratio = np.clip(self._ratio + step, -_FLIP_LIMIT, 1.2 * _FLIP_LIMIT)
         keep = math.exp(-dt / _FLIP_MEMORY_S)
         (x0, y0), (x1, y1) = (y - p) ** 2, (y + p) ** 2
@@ -332,7 +347,8 @@ class MotionFit:
     def restart(self) -> None:
         """Forget the pictures, but keep the estimate."""
         self._normal, self._right = np.zeros((3, 3), complex), np.zeros(3, complex)
-        self._square = self.weight = 0.0
+        self._square = self._lagged = self.weight = 0.0
+        self._last_off = 0j
 
     def add_picture(self, dt: float, row: NDArray[np.complex128], y: complex) -> None:
         """Update by the motion ``y`` of a picture and its regressors (3,), ``dt`` (s) after the one before."""
@@ -343,11 +359,15 @@ class MotionFit:
         self._normal = keep * self._normal + w * np.outer(row.conj(), row)
         self._right = keep * self._right + w * row.conj() * y
         self._square, self.weight = keep * self._square + w * abs(off) ** 2, keep * self.weight + w
+        self._lagged = keep * self._lagged + w * (off * self._last_off.conjugate()).real
+        self._last_off = off
         if self.weight < _MIN_GROSS_FRAMES:
             return
         inverse = np.linalg.inv(self._normal + 1e-6 * np.eye(3))
         self.estimate = inverse @ self._right
-        self.sigma = np.sqrt(np.abs(np.diag(inverse)) * self._square / max(self.weight - 3.0, 1.0) / 2.0)
+        rho = min(max(self._lagged / max(self._square, 1e-9), 0.0), _MAX_CORRELATION)
+        alike = (1.0 + rho) / (1.0 - rho)
+        self.sigma = np.sqrt(np.abs(np.diag(inverse)) * alike * self._square / max(self.weight - 3.0, 1.0) / 2.0)
 
 
 def judge_gross_motion(estimate: NDArray[np.complex128], sigma: _Array) -> CameraVerdict:
