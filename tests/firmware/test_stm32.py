@@ -43,11 +43,11 @@ def library(tmp_path_factory):
     tree = tmp_path_factory.mktemp("stm32")
     copy_sources(tree)
     flags = [*STRICT, "-DREGISTER_MODEL", "-DMUFLY_FLOAT", *BOARD_INCLUDE_FLAGS, "-Icheck", "-Iboards/stm32"]
-    sources = [*(f"boards/stm32/{name}.c" for name in DRIVERS), "check/register_model.c"]
+    sources = [*(f"boards/stm32/{name}.c" for name in DRIVERS), "check/register_access.c"]
     build = [COMPILERS[0], *flags, "-shared", "-fPIC", *sources, "-o", "stm32.so"]
     done = subprocess.run(build, cwd=tree, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    headers = '#include "stm32f405.h"\n#include "register_model.h"\n'
+    headers = '#include "stm32f405.h"\n#include "register_access.h"\n'
     said = subprocess.run(
         [COMPILERS[0], "-E", "-P", *flags, "-x", "c", "-"], cwd=tree, input=headers, capture_output=True, text=True
     ).stdout

@@ -1,4 +1,4 @@
-#include "register_model.h"
+#include "register_access.h"
 
 #include "registers.h"
 

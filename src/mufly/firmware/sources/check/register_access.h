@@ -1,6 +1,6 @@
 /* Access to registers for drivers of boards/stm32 on this machine: each read and write calls a function of the test. */
-#ifndef MUFLY_REGISTER_MODEL_H
-#define MUFLY_REGISTER_MODEL_H
+#ifndef MUFLY_REGISTER_ACCESS_H
+#define MUFLY_REGISTER_ACCESS_H
 
 #include <stdbool.h>
 #include <stdint.h>
