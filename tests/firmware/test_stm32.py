@@ -270,7 +270,7 @@ def test_the_serial_port_loses_no_byte_and_counts_the_bad_ones(library) -> None:
     chip.received = [7] * 600
     for _ in range(600):
         lib.serial_interrupt(port)
-    assert port.errors == 4 + 600 - 512
+    assert port.errors == 4 + 600 - 256
     lib.serial_start(port, USART1, 84_000_000, 100_000, True)  # SBUS: 8E2
     assert chip.values[USART1 + 0x0C] & 0x1400 == 0x1400
     assert chip.values[USART1 + 0x10] == 2 << 12

@@ -5,7 +5,7 @@
 #include "registers.h"
 
 #define FULL_SPEED_HZ 168000000U
-#define SERIAL_RING 512U
+#define SERIAL_RING 256U
 
 /* Start crystal and PLL; return the processor's clock (Hz): FULL_SPEED_HZ, or that of the internal oscillator, 16 MHz, where crystal
  * or PLL do not start: then the board must not fly. */
