@@ -166,7 +166,7 @@ def test_large_angles_and_fast_yaw_raise_no_alarm(steep):
     without_yaw = steep.select_outputs(["roll", "pitch", "p", "q", "r"])
     assert [w for w in check_record(without_yaw) if "constant" not in w] == []
     (said, *_) = check_record(steep.select_outputs(["roll", "p"]))
-    assert "tilts too far for that: not checked" in said
+    assert "the tilt is too large for the check" in said
 
 
 @pytest.mark.parametrize(

@@ -98,7 +98,7 @@ def test_three_in_one_direction_are_named_with_their_shares():
     j = 100 * rng.standard_normal((50, 3))
     v = np.array([1.0, 0.5, -0.5]) / np.sqrt(1.5)
     said = unseen(("a", "b", "c"), j - np.outer(j @ v, v), np.eye(3))
-    assert "seen only in combination" in said[0]
+    assert "determined only in combination" in said[0]
 
 
 def test_a_close_pair_is_named_with_its_correlation():

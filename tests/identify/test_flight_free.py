@@ -96,7 +96,7 @@ def test_provenance_sets_the_prior(vehicle):
         (["qqqqqqqq"], "use symbols of `mufly vehicle show`"),
         (["legs"], "is not a parameter"),
         (["Izz", "Izz"], "is named twice"),
-        (["bias_yaw"], "bias of nothing"),
+        (["bias_yaw"], "not the bias of a measured output"),
         ([], "no parameter is free"),
     ],
 )

@@ -32,7 +32,7 @@ def scaled(name, factor):
 
 def test_a_good_record_passes_and_constant_inputs_are_said():
     said = check_record(record())
-    assert said == ("flight: motor_lower is constant; nothing is learnt of what it drives",)
+    assert said == ("flight: motor_lower is constant, so the record holds no information about its effects",)
 
 
 def test_degrees_labelled_radians_are_guessed_from_the_rate():

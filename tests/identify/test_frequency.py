@@ -269,7 +269,7 @@ def test_bandwidth_of_a_pure_delay_is_the_delay_and_what_is_not_there_is_said():
     short = measure_bandwidth(f[f < 0.5], (1.0 / (s + 1.0))[f < 0.5])
     assert np.isnan(short.bandwidth_rad_s)
     assert any("does not reach -180" in n for n in short.notes)
-    with pytest.raises(InputError, match="turn the sign"):
+    with pytest.raises(InputError, match="invert the sign"):
         measure_bandwidth(f, -1.0 / s)
 
 

@@ -275,7 +275,7 @@ def test_one_bad_candidate_is_reported_and_passed_over(log, monkeypatch):
     record, inputs = read_columns(log), {"lat": "lat", "lon": "lon"}
     r = identify_linear_model(record, inputs, candidates=("hybrid-coupled", "first-order"), **kinds)
     assert [c.name for c in r.candidates] == ["first-order"]
-    assert any("hybrid-coupled was left out" in n and "cannot be simulated" in n for n in r.notes)
+    assert any("hybrid-coupled was not compared" in n and "cannot be simulated" in n for n in r.notes)
     with pytest.raises(InputError, match="cannot be simulated"):
         identify_linear_model(record, inputs, candidates=("hybrid",), **kinds)
 

@@ -182,7 +182,7 @@ def test_directions_in_words():
     [
         ({"channel": "sideways"}, "'sideways' is unknown"),
         ({"symbols": ["Izzz"]}, "did you mean 'Izz'"),
-        ({"limits": FlightLimits(motor=0.35)}, "limit on motor input: is passed by the least signal"),
+        ({"limits": FlightLimits(motor=0.35)}, "limit on motor input: is exceeded by the smallest signal"),
         ({"noise": {"roll": 0.01}}, "no output of yaw is measured"),
         ({"amplitude": 2.0}, "amplitude"),
     ],

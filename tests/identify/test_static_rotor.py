@@ -98,7 +98,7 @@ def test_an_offset_is_named_as_the_rival():
     columns["thrust"] = columns["thrust"] + 0.03
     words = fit(columns).fits[0].trends[0].describe_trend()
     assert "an offset of the load cell of 0.0299" in words
-    assert "read its zero at rest" in words
+    assert "read the zero of the load cell at rest" in words
 
 
 def with_zeros(columns, drift, rng=None, noise=0.0):
@@ -413,11 +413,11 @@ def test_coefficients_that_no_rotor_has_are_remarked_and_not_written(tmp_path):
     thrust, torque = loads_of(WIDE)
     heads = "speed_rad_s,thrust_N,torque_Nm"
     down = found(written(tmp_path, rows(heads, WIDE, np.where(WIDE > 420, -3 * thrust, 0.1), torque)))
-    assert any("cT = " in u and "below zero, which no rotor has" in u for u in down.unseen)
+    assert any("cT = " in u and "negative, which is not physical" in u for u in down.unseen)
     assert assign_rotor_side(down, "upper", None).estimates[0].symbol == "cT_up"
     light = found(written(tmp_path, rows(heads, WIDE, thrust, torque / 10)))
     assert any("figure of merit of 4.59, above 1" in u for u in light.unseen)
-    assert not any("no rotor has" in u for u in found(table(single())).unseen)
+    assert not any("not physical" in u for u in found(table(single())).unseen)
 
 
 def test_lines_in_axial_flight_are_left_out(tmp_path):

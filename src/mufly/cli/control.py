@@ -190,12 +190,12 @@ from an example: parameters with a pole on the axis. worst.toml is that vehicle,
 @app.command("servo-map")
 def servo_map(
     vehicle: VehicleArgument = "mufly-1.1",
-    no_bar: Annotated[bool, define_option("--no-bar", "Take the stabiliser bar off.")] = False,
-    lag: Annotated[list[float] | None, define_option("--lag", "Servo lag; repeat it.", unit="ms")] = None,
-    rate: Annotated[list[float] | None, define_option("--rate", "Control rate; repeat it.", unit="Hz")] = None,
+    no_bar: Annotated[bool, define_option("--no-bar", "Remove the stabiliser bar.")] = False,
+    lag: Annotated[list[float] | None, define_option("--lag", "Servo lag. Repeat it for more.", unit="ms")] = None,
+    rate: Annotated[list[float] | None, define_option("--rate", "Control rate. Repeat it for more.", unit="Hz")] = None,
     frame: Annotated[
         list[float] | None,
-        define_option("--frame", "Servo frame: 20 for analogue servos, 0 for none; repeat it.", unit="ms"),
+        define_option("--frame", "Servo frame: 20 for analogue servos, 0 for none. Repeat it for more.", unit="ms"),
     ] = None,
     out: Annotated[Path | None, define_option("DIR", "Folder for servo-map.json, .nc and .png.")] = None,
     as_json: JsonOption = False,
@@ -272,11 +272,13 @@ def schedule(
     ] = None,
     speed: Annotated[
         list[float] | None,
-        define_option("--speed", "Forward speed of designs and flight; repeat it. Default: 0, 1, 2.", unit="m/s"),
+        define_option(
+            "--speed", "Forward speed of designs and flight. Repeat it for more. Default: 0, 1, 2.", unit="m/s"
+        ),
     ] = None,
     methods: Annotated[
         list[str] | None,
-        define_option("--methods WHICH", "Method: hinf, h2, lqg, ltr or indi; repeat it. Default: all."),
+        define_option("--methods WHICH", "Method: hinf, h2, lqg, ltr or indi. Repeat it for more. Default: all."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -328,19 +330,29 @@ def tune(
     ] = None,
     gamma: Annotated[
         float | None,
-        define_option("--gamma LEVEL", "Norm of the weighted loop. Default: 0.66; heave-yaw 1.05.", min=0.01),
+        define_option(
+            "--gamma LEVEL", "Aim for the norm of the weighted loop. Default: 0.66; heave-yaw 1.05.", min=0.01
+        ),
     ] = None,
     sensitivity: Annotated[
-        float | None, define_option("--sensitivity DB", "Peak of S_u in dB. Default: 2.5; heave-yaw 3.2.", min=0.01)
+        float | None,
+        define_option(
+            "--sensitivity DB", "Aim for the peak of the sensitivity S_u in dB. Default: 2.5; heave-yaw 3.2.", min=0.01
+        ),
     ] = None,
     complementary: Annotated[
-        float | None, define_option("--complementary DB", "Peak of T_u in dB. Default: 2.4; heave-yaw 3.1.", min=0.01)
+        float | None,
+        define_option(
+            "--complementary DB",
+            "Aim for the peak of the complementary sensitivity T_u in dB. Default: 2.4; heave-yaw 3.1.",
+            min=0.01,
+        ),
     ] = None,
     disk: Annotated[
         float | None,
         define_option(
             "--disk RADIUS",
-            "Disk margin, each input disturbed by itself. Default: 0.97; heave-yaw none.",
+            "Aim for the disk margin, with one input disturbed at a time. Default: 0.97; heave-yaw none.",
             min=0.01,
             max=1.99,
         ),
@@ -349,25 +361,29 @@ def tune(
         float | None,
         define_option(
             "--activity RATIO",
-            "Input noise by the sensors, relative to H-infinity. Default: 1; heave-yaw 1.2.",
+            "Aim for the input's noise by the sensors, relative to H-infinity. Default: 1; heave-yaw 1.2.",
             min=0.01,
         ),
     ] = None,
     mu: Annotated[
         float | None,
-        define_option("--mu LEVEL", "mu over the vehicle's parameters. Default: 0.6; heave-yaw none.", min=0.01),
+        define_option(
+            "--mu LEVEL", "Aim for mu over the vehicle's parameters. Default: 0.6; heave-yaw none.", min=0.01
+        ),
     ] = None,
-    only: Annotated[bool, define_option("--only", "No aims but those given; otherwise the defaults join.")] = False,
+    only: Annotated[
+        bool, define_option("--only", "Use only the given aims; without this option the default aims are added.")
+    ] = False,
     starts: Annotated[
         list[str] | None,
         define_option(
             "--start WHICH",
-            "Start: a method (hinf, h2, lqg, ltr), delay (hinf with the delay in its plant), or the file of a tuned "
-            "loop; repeat it. Default: hinf, delay and ltr.",
+            "Start: a method (hinf, h2, lqg, ltr), delay (hinf with the delay in its plant), or the file of "
+            "a tuned loop. Repeat it for more. Default: hinf, delay and ltr.",
         ),
     ] = None,
     rounds: Annotated[int, define_option("--rounds N", "Rounds for each of the two best starts.", min=1)] = 4,
-    steps: Annotated[int, define_option("--steps N", "Steps of a descent; a round has three.", min=1)] = 60,
+    steps: Annotated[int, define_option("--steps N", "Steps of each descent; a round has three descents.", min=1)] = 60,
     rate: Annotated[float | None, define_option("--rate", "Rate of the control law. Default: 200.", unit="Hz")] = None,
     out: Annotated[
         Path, define_option("DIR", "Folder for LOOP.json and LOOP.png; a tuning is continued there.")
@@ -428,7 +444,7 @@ def compare(
         list[str] | None,
         define_option(
             "--methods WHICH",
-            "A method to compare; repeat it. Default: all, as for --method of `mufly control design`.",
+            "Method to compare. Repeat it for more. Default: all, as for --method of `mufly control design`.",
         ),
     ] = None,
     order: Annotated[int, define_option("--order N", "Order of roll-pitch by the method fixed.", min=2, max=8)] = 4,

@@ -47,7 +47,8 @@ _DriveFileArgument = Annotated[
 _RotorOption = Annotated[
     str,
     define_option(
-        "--rotor NAME|FILE", "Rotor: a rotor, or 'upper' or 'lower' of --vehicle with its constant coefficients."
+        "--rotor NAME|FILE",
+        "Rotor: a name or file, or 'upper' or 'lower': that rotor of --vehicle, by its constant coefficients.",
     ),
 ]
 _VehicleOption = Annotated[str, define_option("--vehicle NAME|FILE", "Vehicle that 'upper' and 'lower' refer to.")]
@@ -173,7 +174,7 @@ def show(
     ]
     print_result_table(rows, [*_POINT_COLUMNS, "endurance*"], title=name)
     print_lines(
-        "* from a full battery, all rotors at this thrust, with electronics; -: the battery cannot supply it",
+        "* from a full battery, all rotors at this thrust, with electronics; -: beyond the battery's power",
         style="dim",
     )
 

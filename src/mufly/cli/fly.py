@@ -191,8 +191,8 @@ def _make_camera(
     if position == "link" and sensors == "ideal":
         raise InputError("--position", "", "the true state needs no position fixes", "leave out --sensors ideal")
     # Behind a link an external program processes the pictures, if they are sent.
-    lacking = {"fix": "there is no camera without --position camera", "camera": ""}.get(
-        position, "" if stream else "its pictures are sent only with --stream"
+    lacking = {"fix": "needs --position camera", "camera": ""}.get(
+        position, "" if stream else "pictures are sent only with --stream"
     )
     given = {
         "--camera": camera, "--floor": floor, "--floor-width": floor_width, "--camera-fault": faults,
@@ -272,7 +272,7 @@ def fly_mission(
             "--position camera or link.",
         ),
     ] = "",
-    realtime: Annotated[bool, define_option("--realtime", "Keep pace with the clock.")] = False,
+    realtime: Annotated[bool, define_option("--realtime", "Fly in real time.")] = False,
     as_json: JsonOption = False,
     headless: Annotated[
         bool, define_option("--headless", "Fly in the terminal, without a page and as fast as the machine can.")

@@ -119,7 +119,7 @@ def convert_log(
         f"{step}"
     )
     if text:
-        print_lines(f"A recording holds no text signals; left out: {', '.join(text)}", style="dim")
+        print_lines(f"A recording cannot hold text signals; omitted: {', '.join(text)}", style="dim")
     if kind == ".csv" and len(over_time) < len(data.data_vars):
         print_lines("A CSV file holds no events; .mcap, .nc, .parquet and .ulg do.", style="dim")
 
@@ -203,7 +203,7 @@ def plot(
     ] = "take-off",
     offset_s: Annotated[
         float,
-        define_option("--offset", "Extra time by which the second log is moved later, with --with.", unit="s"),
+        define_option("--offset", "Additional delay of the second log, with --with.", unit="s"),
     ] = 0.0,
     map_file: MapOption = None,
     column: ColumnOption = None,

@@ -119,7 +119,8 @@ def run_monte_carlo(
         bool,
         define_option(
             "--untold/--redesign",
-            "Controllers, filter and fault detection know none of --vary, or are designed with it for each flight.",
+            "Design controllers, filter and fault detection for the nominal vehicle, or for the varied "
+            "vehicle of each flight.",
         ),
     ] = True,
     tuned: TunedOption = None,
@@ -206,7 +207,7 @@ def run_monte_carlo(
             "--search",
             "",
             "only the noise varies",
-            "vary something with --vary or --wind, or leave it out",
+            "vary something with --vary or --wind, or omit the option",
         )
     if not as_json:
         _print_campaign(campaign)
@@ -249,7 +250,7 @@ def _make_camera(
         return make_flight_camera(camera, floor, floor_width, mission, mission_file)
     for name, given in (("--camera", camera), ("--floor", floor), ("--floor-width", floor_width)):
         if given:
-            raise InputError(name, "", "there is no camera without --position camera", "add that option")
+            raise InputError(name, "", "needs --position camera", "add that option")
     return None
 
 

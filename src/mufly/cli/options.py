@@ -259,15 +259,13 @@ NUMBER_FORMS: dict[str, tuple[Callable[[str, str, str], Any], str]] = {
 """Forms of an option's numbers: the reading function, and the placeholder in the help."""
 
 
-THRUST_RANGE = OptionRange(1e-3, 1e3, "N", "a tenth of a gram is nothing to fly with, and 100 kg no micro helicopter")
-DUTY_RANGE = OptionRange(
-    0.01, 1.0, "", "it is a share of the supply voltage, of which friction takes the first hundredth"
-)
-CHARGE_RANGE = OptionRange(0.0, 1.0, "", "it is a share of the battery's capacity")
-GEAR_RATIO_RANGE = OptionRange(0.02, 500.0, "", "no gear train of a few stages is beyond")
-PITCH_RANGE = OptionRange(-90.0, 90.0, "deg", "a blade that is turned further flies backwards")
-SPEED_RANGE = OptionRange(0.1, 1e6, "rpm", "no rotor turns so")
-SPACING_RANGE = OptionRange(1e-4, 5.0, "m", "no pair is built so; 20 mm are written 20mm")
+THRUST_RANGE = OptionRange(1e-3, 1e3, "N", "no micro helicopter has such a thrust")
+DUTY_RANGE = OptionRange(0.01, 1.0, "", "a share of the supply voltage; below a hundredth, friction holds the motor")
+CHARGE_RANGE = OptionRange(0.0, 1.0, "", "a share of the battery's capacity")
+GEAR_RATIO_RANGE = OptionRange(0.02, 500.0, "", "no gear train of a few stages has such a ratio")
+PITCH_RANGE = OptionRange(-90.0, 90.0, "deg", "beyond, the blade moves trailing edge first")
+SPEED_RANGE = OptionRange(0.1, 1e6, "rpm", "no rotor has such a speed")
+SPACING_RANGE = OptionRange(1e-4, 5.0, "m", "no coaxial pair has such a distance; write 20 mm as 20mm")
 
 
 def define_option(
@@ -315,7 +313,9 @@ VehicleOption = Annotated[
 ]
 TunedOption = Annotated[
     list[str] | None,
-    define_option("--tuned FILE", "Controller of a loop by `mufly control tune`; one file a loop."),
+    define_option(
+        "--tuned FILE", "Controller file of a loop, written by `mufly control tune`. Repeat it for the other loop."
+    ),
 ]
 MissionArgument = Annotated[
     str, define_argument("MISSION", "Built-in mission (`mufly mission list`), or mission file.")
@@ -328,8 +328,8 @@ ClusterOption = Annotated[
     str | None,
     define_option("--cluster ADDRESS", "Scheduler of a dask cluster, as tcp://host:8786. Default: this machine."),
 ]
-CLIMB_RANGE = OptionRange(-300.0, 300.0, "m/s", "no rotor of these methods flies near the speed of sound")
-DENSITY_RANGE = OptionRange(1e-3, 20.0, "kg/m3", "no air is so; 1200 g/m3 are 1.2")
+CLIMB_RANGE = OptionRange(-300.0, 300.0, "m/s", "the methods are not valid near the speed of sound")
+DENSITY_RANGE = OptionRange(1e-3, 20.0, "kg/m3", "air has no such density; 1200 g/m3 are 1.2")
 ClimbOption = Annotated[
     float, define_option("--climb", "Axial speed, positive in climb.", unit="m/s", within=CLIMB_RANGE)
 ]
@@ -361,7 +361,7 @@ AirspeedsOption = Annotated[
     str,
     define_option(
         "--speed", "Airspeeds, as 0:10:1 or 4.", unit="m/s", form="values",
-        within=OptionRange(0.0, 100.0, "m/s", "no small rotor flies so fast"),
+        within=OptionRange(0.0, 100.0, "m/s", "no small helicopter has such an airspeed"),
     ),
 ]  # fmt: skip
 DiscTiltOption = Annotated[
@@ -501,7 +501,7 @@ class WakeOptions(PolarOptions):
         if self.wake not in ("free", "prescribed"):
             raise InputError("--wake", "", f"{self.wake!r} is unknown", "use free or prescribed")
         if self.method != "wake" and self.wake != "free":
-            raise InputError("--wake", "", "there is no wake in blade element theory", "add --method wake")
+            raise InputError("--wake", "", "blade element theory has no wake", "add --method wake")
         known = [f.name for f in fields(WakeSettings) if f.name not in ("model", "inviscid")]
         given: dict[str, Any] = {**defaults}
         for text in self.wake_set or []:

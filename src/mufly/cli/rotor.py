@@ -57,8 +57,8 @@ MaterialOption = Annotated[
     define_option("--material NAME", "Material of elastic blades, as abs, in place of the file's."),
 ]
 
-_DIAMETER_RANGE = OptionRange(1e-3, 10.0, "m", "no small rotor is so wide; 127 mm are written 127mm")
-_EDGE_THICKNESS_RANGE = OptionRange(0.0, 0.1, "m", "no trailing edge is so thick; 0.3 mm are written 0.3mm")
+_DIAMETER_RANGE = OptionRange(1e-3, 10.0, "m", "no small rotor has such a diameter; write 127 mm as 127mm")
+_EDGE_THICKNESS_RANGE = OptionRange(0.0, 0.1, "m", "no trailing edge has such a thickness; write 0.3 mm as 0.3mm")
 
 
 @dataclass(frozen=True)
@@ -217,13 +217,15 @@ def import_blade(
     if unit is not None and (unit not in compatible_units("m") or blade.suffix.lower() != ".stl"):
         problem, remedy = f"{unit!r} is not a length", f"use one of: {', '.join(compatible_units('m'))}"
         if blade.suffix.lower() != ".stl":
-            problem, remedy = "is of STL files", f"leave it out: {blade.name} has units of its own"
+            problem, remedy = "is of STL files", f"omit it: {blade.name} states its units"
         raise InputError("--unit", "", problem, remedy)
     if blade.suffix.lower() in (".stl", ".step", ".stp"):
         from mufly.rotor.blades.blade_solid import rotor_from_body
 
         if out is None:
-            raise InputError("--out", "", "is missing", "give one: a body's sections are written beside it")
+            raise InputError(
+                "--out", "", "is missing", "give --out: the sections of a solid are written beside this file"
+            )
         r, notes = rotor_from_body(
             blade, folder=out.parent, blades=blades, name=name or out.stem,
             unit_m=None if unit is None else compatible_units("m")[unit],

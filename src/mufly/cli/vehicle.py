@@ -152,7 +152,8 @@ def check(vehicle: VehicleArgument, as_json: JsonOption = False) -> None:
         least, stands = float(v.sensors.sonar.min_range), standing_sonar_range(v)
         if stands > least:
             print_lines(
-                f"The sonar is {stands:.3g} m above the floor on the ground, more than its least range, {least:g} m: "
+                f"The sonar is {stands:.3g} m above the floor on the ground, more than its least range, "
+                f"{least:g} m: "
                 "it measures the height from lift-off on.",
                 style="dim",
             )
@@ -283,13 +284,13 @@ its rule; replace them by measured values.
 
 Example: mufly new my-helicopter --mass 120 --radius 90 --kv 1800 --resistance 0.3 --cells 2"""
 
-_MASS_RANGE = OptionRange(1.0, 1e4, "g", "similarity does not reach from 95 g to there")
-_RADIUS_RANGE = OptionRange(10.0, 1000.0, "mm", "similarity does not reach from 87.5 mm to there")
-_SPEED_CONSTANT_RANGE = OptionRange(10.0, 1e5, "rpm/V", "no motor is wound so")
-_RESISTANCE_RANGE = OptionRange(1e-3, 1e3, "ohm", "no motor is wound so")
-_CURRENT_RANGE = OptionRange(1e-3, 100.0, "A", "no motor of this size draws it")
+_MASS_RANGE = OptionRange(1.0, 1e4, "g", "outside the range of similarity with the known vehicle (95 g)")
+_RADIUS_RANGE = OptionRange(10.0, 1000.0, "mm", "outside the range of similarity with the known vehicle (87.5 mm)")
+_SPEED_CONSTANT_RANGE = OptionRange(10.0, 1e5, "rpm/V", "no small motor has such a value")
+_RESISTANCE_RANGE = OptionRange(1e-3, 1e3, "ohm", "no small motor has such a value")
+_CURRENT_RANGE = OptionRange(1e-3, 100.0, "A", "no motor of this size has such a current")
 _CELL_COUNT_RANGE = OptionRange(1, 24, "", "packs have 1 to 24 cells in series")
-_CAPACITY_RANGE = OptionRange(1.0, 1e5, "mA h", "no such battery flies")
+_CAPACITY_RANGE = OptionRange(1.0, 1e5, "mA h", "no battery of such a vehicle has this capacity")
 
 
 def create_vehicle_project(
@@ -349,7 +350,10 @@ def create_vehicle_project(
     ] = None,
     no_bar: Annotated[
         bool,
-        define_option("--no-bar", "No stabiliser bar: unstable without control, and steered by the servos alone."),
+        define_option(
+            "--no-bar",
+            "Omit the stabiliser bar: the vehicle is unstable without control, and the servos alone steer it.",
+        ),
     ] = False,
     out: Annotated[Path | None, define_option("--out DIR", "Folder for the files. Default: NAME.")] = None,
 ) -> None:
@@ -439,7 +443,7 @@ def _ask_if_missing(
         return value
     if not sys.stdin.isatty():
         if needed:
-            raise InputError(name, "", "is missing", "give it: mufly new --help has an example")
+            raise InputError(name, "", "is missing", "`mufly new --help` has an example")
         return None
     while True:
         text = str(

@@ -548,7 +548,7 @@ def _draw_accuracy(ax: Axes, plan: ExcitationPlan) -> None:
     ax.yaxis.set_minor_formatter(lambda x, _: f"{x:g}" if f"{x:e}"[0] in "25" else "")
     ax.set_xticks(at, symbols, rotation=30 if len(symbols) > 6 else 0)
     ax.set(
-        xlabel="Parameter (above the dotted line: hardly seen)",
+        xlabel="Parameter (above the dotted line: hardly determined)",
         ylabel="Expected standard deviation (% of value)",
     )
     ax.legend(fontsize="x-small", title="kind, amplitude", title_fontsize="x-small")

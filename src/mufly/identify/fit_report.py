@@ -177,7 +177,7 @@ _BODY = """
 {{ figure(album("correlation", pictures.correlation_picture, fit), "Correlation of estimates") }}
 {% endif %}
 {% if fit.held %}
-<h2>In doubt for what was held</h2>
+<h2>Uncertain because of held parameters</h2>
 {{ listed(fit.held) }}
 {% endif %}
 <h2>Parameters that the data cannot separate</h2>
@@ -444,7 +444,7 @@ def write_linear_report(
         text = (
             "Each structure was fitted with one block of the fitted part left out in turn, and simulated through it. "
             "Left out: mean square error there over the variance of the output (1: as good as the mean). AIC and BIC "
-            "count independent residuals, from their autocorrelation. The held-out part had no say.",
+            "count independent residuals, from their autocorrelation. The held-out part was not used.",
         )
         sections.append(ReportSection("Structures tried", text, heads, rows))
     heads, rows = quality_table(r)
@@ -463,7 +463,8 @@ def write_linear_report(
         heads, rows = prediction_table(r)
         text = (
             f"Fit on the held-out part below {r.slow_hz:g} Hz, when a steady Kalman filter (its noise fitted to the "
-            "fitted part) uses measurements up to the given time before; and what the last value would reach.",
+            "fitted part) uses measurements up to the given time before; and the fit of a prediction that "
+            "keeps the last value.",
         )
         sections.append(ReportSection("Prediction a time ahead", text, heads, rows))
     sections.append(_cross_check_section(r))
@@ -481,7 +482,7 @@ def _cross_check_section(r: LinearResult) -> ReportSection:
             shown = ", ".join(f"{o} {p:.1f} %" for o, p in percents)
             text.append(f"Its pure simulation on the held-out part, below {r.slow_hz:g} Hz: {shown}.")
     if r.spectral is None:
-        text.append("Too little is coherent with the inputs for a fit to frequency responses.")
+        text.append("Too few frequencies are coherent with the inputs for a fit to frequency responses.")
         return ReportSection("Cross-check by other methods", tuple(text), heads, rows)
     text.append("J is Tischler and Remple's misfit of the output-error model; below 100 is good.")
     return ReportSection(

@@ -453,7 +453,7 @@ def _describe_direction(names: Sequence[str], share: Array, std: float) -> str:
     doubt = "no bound" if std > _UNINFORMATIVE_STD else f"standard deviation {100 * std:.0f} %"
     if len(names) == 1:
         return (
-            f"{names[0]} is not seen at all"
+            f"{names[0]} is not determined by the data"
             if std > _UNINFORMATIVE_STD
             else f"{names[0]} is hardly seen: {doubt} of its value"
         )
@@ -461,8 +461,8 @@ def _describe_direction(names: Sequence[str], share: Array, std: float) -> str:
         kind = "ratio" if share[1] > 0 else "product"
         return f"only the {kind} of {names[0]} and {names[1]} is seen ({doubt} along it)"
     moves = " with ".join(f"{n} {10 * s:+.0f} %" for n, s in zip(names, share, strict=True))
-    what = f"{moves} changes nothing that the data show ({doubt} along it)"
-    return f"{', '.join(names)} are seen only in combination: {what}"
+    what = f"{moves} has no effect on the measured outputs ({doubt} in this direction)"
+    return f"{', '.join(names)} are determined only in combination: {what}"
 
 
 def choose_error_shape(

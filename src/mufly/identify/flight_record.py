@@ -194,7 +194,7 @@ def _check_clock(r: FlightRecord) -> None:
         k = int(np.argmax(step))
         raise InputError(
             r.name, "time", f"has a gap of {step[k]:.3g} s at {r.time_s[k]:g} s",
-            "cut the log there and give the parts one by one",
+            "cut the log there and give the parts separately",
         )  # fmt: skip
     if usual > 0.1:
         raise InputError(r.name, "time", f"is sampled every {usual:.3g} s", "give 10 samples a second or more")

@@ -323,7 +323,7 @@ def extract_motor_data(table: BenchTable) -> tuple[MotorData, list[str]]:
         raise InputError(table.source, header, "is not the motor's current", "add the column duty")
     turning = (np.abs(table["speed"]) > 0) | (np.abs(current) > 0)
     if not turning.all():
-        notes.append(f"{int(np.sum(~turning))} lines without speed and current are left out")
+        notes.append(f"{int(np.sum(~turning))} lines without speed and current were omitted")
     run = table["run"].astype(np.int64) if "run" in table else np.zeros(len(table), dtype=np.int64)
     u, i, w, q = (v[turning] for v in (voltage, current, table["speed"], table["torque"]))
     data = MotorData(u, i, w, q, run[turning])
@@ -353,8 +353,8 @@ def _check_physical(
         )
         if "duty" not in table and float(np.ptp(supply)) < 0.2 * float(np.max(np.abs(supply))) and spread_ > 0.3:
             remedy = (
-                f"{table.headers['voltage']} hardly changes while the speed does, so it is the supply's: add a column "
-                "duty, or the ESC's signal in us"
+                f"{table.headers['voltage']} hardly changes while the speed changes, so it is the supply "
+                "voltage: add a column duty, or the ESC's signal in us"
             )
         value = f"{effective[k]:.4g} +- {quantile * std[k]:.2g} {unit}"
         raise InputError(
@@ -534,7 +534,7 @@ def _expected_errors(data: MotorData, noise: dict[str, ChannelNoise] | None) -> 
         return std, float(size - 2 * np.sum(np.log(w[:, 0, 0] * w[:, 1, 1])))
 
     std, words = choose_error_shape(_ERROR_SHAPES, likelihood_of_shape)
-    shape = f"errors in all four channels taken in proportion to {words} (the likeliest shape)"
+    shape = f"errors in all four channels assumed in proportion to {words} (the most likely shape)"
     return std, f"{shape}; size from the residuals"
 
 
@@ -584,8 +584,8 @@ def _find_unmodelled_terms(
             if row == 1 and more[-1] > 0:
                 return words, True
             words.append(
-                f"the readings ask for {name} of {abs(more[-1]) * factor:.3g} +- {2 * std * factor:.2g} {unit} that "
-                "the equations do not have; the intervals do not cover such a fault of the model"
+                f"the readings suggest {name} of {abs(more[-1]) * factor:.3g} +- {2 * std * factor:.2g} "
+                f"{unit} that the equations do not contain; the intervals do not include such a model error"
             )
     return words, False
 

@@ -184,7 +184,7 @@ def check_signals(
             found.append(
                 SignalFault(
                     name, f"has the opposite sign of the change of {source[k]}",
-                    "turn the sign of one in the column map",
+                    "invert the sign of one in the column map",
                 )
             )  # fmt: skip
             continue
@@ -291,11 +291,11 @@ def check_record(r: FlightRecord, *, as_is: bool = False) -> tuple[str, ...]:
     still = [n for k, n in enumerate(FLIGHT_INPUTS) if np.ptp(r.inputs[:, k]) < 1e-6]
     if len(still) == 4:
         raise InputError(r.name, "inputs", "none of them moves", "fly an excitation: `mufly identify plan`")
-    warnings += [f"{r.name}: {n} is constant; nothing is learnt of what it drives" for n in still]
+    warnings += [f"{r.name}: {n} is constant, so the record holds no information about its effects" for n in still]
     for k, name in enumerate(r.outputs):
         y = r.measured[np.isfinite(r.measured[:, k]), k]
         if name != "voltage" and np.ptp(y) < 1e-9:
-            warnings.append(f"{r.name}: {name} never changes; is that sensor connected?")
+            warnings.append(f"{r.name}: {name} never changes; check that the sensor is connected")
     return tuple(warnings)
 
 
@@ -331,7 +331,7 @@ def _check_angles(r: FlightRecord) -> list[SignalFault]:
     elif not {"roll", "pitch", "yaw"} <= set(known):
         tilt = float(np.max(np.abs(attitude[:, :2])))
     if tilt > _MAX_TILT_WITHOUT_YAW_rad:
-        what = "is judged without all three angles and rates, and tilts too far for that: not checked"
+        what = "is not checked: without all three angles and rates the tilt is too large for the check"
         return [SignalFault(pairs[0][0], what, "", is_fatal=False)]
     order = {"roll": 0, "pitch": 1, "yaw": 2}
     made = moving_average(rates_from_attitude(attitude, dt), samples)[:, [order[a] for a, _ in pairs]]

@@ -406,8 +406,8 @@ def _describe_colour(output: str, e: Array, dt: float, max_lag_s: float) -> list
     return [
         (
             0.5 * share,
-            f"{100 * share:.0f} % of the residual's power of {output} varies slower than {width * dt:.2g} s and is "
-            f"remembered for {time:.2g} s: a disturbance (wind, gusts) or a slow state is missing",
+            f"{100 * share:.0f} % of the residual's power of {output} varies slower than {width * dt:.2g} s "
+            f"and is correlated over {time:.2g} s: a disturbance (wind, gusts) or a slow state is missing",
         )
     ]
 
@@ -479,7 +479,7 @@ def _describe_error_size(record: RecordPrediction) -> list[tuple[float, str]]:
         if q.fit_percent < 0.0:
             text = (
                 f"{name} is predicted worse than by its mean (fit {q.fit_percent:.0f} %, rms {q.rms:.3g} {unit}): "
-                "what drives it is not among the inputs, or drifts"
+                "its cause is not among the inputs, or it drifts"
             )
             found.append((1.0, text))
     return found

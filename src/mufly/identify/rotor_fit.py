@@ -142,9 +142,9 @@ class CoefficientTrend:
         unit = "N" if self.channel.startswith("thrust") else "N m"
         offset = f"an offset of the load cell of {self.offset:.3g} +- {2 * self.offset_std:.2g} {unit}"
         if self.aicc_against_offset < -_AICC_TOLERANCE:
-            text += f"; but {offset} would explain more: read its zero at rest"
+            text += f"; but {offset} explains more: read the zero of the load cell at rest"
         elif self.aicc_against_offset < _AICC_TOLERANCE:
-            text += f"; {offset} would explain it as well: read its zero at rest"
+            text += f"; {offset} explains it equally well: read the zero of the load cell at rest"
         else:
             text += "; a Reynolds trend explains more than an offset of the load cell"
         return text + (", and a drift during the measurement would look the same" if self.speed_is_ordered else "")
@@ -447,8 +447,8 @@ def _resolve_load_units(loads: BenchLoads, radius: float, density: float) -> tup
 def _describe_unphysical(estimates: Sequence[ParameterEstimate]) -> list[str]:
     """Describe unphysical coefficients: negative values, or a figure of merit above one."""
     words = [
-        f"{e.symbol} = {e.value:.3g} is below zero, which no rotor has, and is not written: check the zero of the load "
-        "cells, the sign and the unit"
+        f"{e.symbol} = {e.value:.3g} is negative, which is not physical, and is not written: check the zero "
+        "of the load cells, the sign and the unit"
         for e in estimates
         if not e.value > 0.0
     ]
@@ -493,7 +493,7 @@ def _fit_channel(
     if np.median(load) < 0:
         load = -load
         why = "that of the sense of rotation" if quantity == "torque" else "taken for that of the load cell"
-        notes.append(f"{channel} is negative and was turned round: its sign is {why}")
+        notes.append(f"{channel} is negative and was inverted: its sign is {why}")
     run = table["run"].astype(np.int64)[measured] if "run" in table else None
     expected, words = _expected_errors(unit, load)
     notes.append(f"{channel}: scatter taken in proportion to {words}")
@@ -501,7 +501,7 @@ def _fit_channel(
     a, b = unit / expected[:, None], load / expected
     size = np.linalg.norm(a, axis=0)
     if one:
-        notes.append(f"{channel}: one static line, so its scatter is not seen")
+        notes.append(f"{channel}: one static line, so its scatter is unknown")
     if one or np.linalg.cond(a / size) > 1e4:
         # A constant speed ratio determines only one sum of the two coefficients. The minimum-norm solution is returned
         # with infinite variance, or with NaN for a single line.
@@ -515,7 +515,7 @@ def _fit_channel(
     scatter = found.covariance
     speeds_seen = np.unique(_number_settings(speed, None)).size
     if p == 1 and speeds_seen == 1:
-        notes.append(f"{channel}: one speed only, so whether the coefficient changes with speed is not seen")
+        notes.append(f"{channel}: one speed only, so the dependence of the coefficient on speed is unknown")
     elif p == 1 and load.size >= 5:
         trend = fit_coefficient_trend(channel, symbols[0], speed[:, 0], unit[:, 0], load, expected, run)
         trends = (trend,)
@@ -570,6 +570,7 @@ def _describe_unseen(fit: CoefficientFit) -> tuple[str, ...]:
         return ()
     if not np.all(np.isfinite(fit.covariance)):
         return (
-            f"{' and '.join(fit.symbols)}: both rotors turn at one ratio of speeds, so only a weighted sum is seen",
+            f"{' and '.join(fit.symbols)}: both rotors turn at one ratio of speeds, so only a weighted sum "
+            "is determined",
         )
     return describe_unseen_combinations(fit.symbols, divide_by_values(fit.covariance, fit.value))

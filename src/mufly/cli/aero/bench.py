@@ -43,7 +43,7 @@ AcceptOption = Annotated[
     list[str] | None,
     define_option(
         "--accept KIND",
-        "Kind of issue that does not refuse the series: 'reference', 'saturated', ... Repeat it for more.",
+        "Kind of issue to accept, as 'reference' or 'saturated'; other issues refuse the series. Repeat it for more.",
     ),
 ]
 KnownOption = Annotated[
@@ -307,7 +307,7 @@ def analyse(
             str(series),
             "",
             f"fails its checks ({kinds})",
-            "measure again, or --accept the kinds that you can explain",
+            "measure again, or accept explained kinds of issues by --accept",
         )
 
 

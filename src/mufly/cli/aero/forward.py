@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from mufly.rotor import Rotor
 
 _DEFAULT_PITCH_RAD, _DEFAULT_TIP_SPEED_M_S = math.radians(12.0), 35.0
-_CYCLIC_RANGE = OptionRange(0.01, 20.0, "deg", "it is the amplitude of a small input")
+_CYCLIC_RANGE = OptionRange(0.01, 20.0, "deg", "the response is linear for small amplitudes only")
 
 
 @app.command("forward")

@@ -14,9 +14,9 @@ from mufly.cli.output import make_console, print_answer, print_files, print_tabl
 from mufly.cli.rotor import app as rotor_commands
 from mufly.errors import InputError
 
-_DIAMETER_RANGE = OptionRange(1e-2, 10.0, "m", "no small rotor is so wide; 127 mm are written 127mm")
-_PITCH_RANGE = OptionRange(1e-3, 10.0, "m", "no propeller advances so far; 3 inches are written 3in")
-_HEIGHT_RANGE = OptionRange(-0.5, 0.5, "m", "no blade is so wide; 2.1 mm are written 2.1mm")
+_DIAMETER_RANGE = OptionRange(1e-2, 10.0, "m", "no small rotor has such a diameter; write 127 mm as 127mm")
+_PITCH_RANGE = OptionRange(1e-3, 10.0, "m", "no propeller has such a pitch; write 3 inches as 3in")
+_HEIGHT_RANGE = OptionRange(-0.5, 0.5, "m", "no small blade has such a height; write 2.1 mm as 2.1mm")
 
 
 @rotor_commands.command()
@@ -25,8 +25,8 @@ def measure(
         Path | None,
         define_argument(
             "[CSV]",
-            "Readings: r_mm, chord_mm, angle_deg, optional thickness_mm; several rows of one radius are averaged. "
-            "Default: asked for.",
+            "Readings: r_mm, chord_mm, angle_deg, optional thickness_mm; several rows of one radius are "
+            "averaged. Default: prompt for readings.",
         ),
     ] = None,
     diameter: Annotated[
@@ -38,7 +38,7 @@ def measure(
         float | None,
         define_option(
             "--tip-height",
-            "Height of leading less trailing edge at the last station, as 2.1mm, by caliper.",
+            "Height of the leading edge above the trailing edge at the last station, as 2.1mm, by caliper.",
             unit="m",
             within=_HEIGHT_RANGE,
         ),
@@ -46,7 +46,10 @@ def measure(
     stated_pitch: Annotated[
         float | None,
         define_option(
-            "--stated-pitch", "Pitch that the maker states, as 3in: advance in a turn.", unit="m", within=_PITCH_RANGE
+            "--stated-pitch",
+            "Nominal pitch of the propeller, as 3in.",
+            unit="m",
+            within=_PITCH_RANGE,
         ),
     ] = None,
     airfoil: Annotated[str, define_option("NAME", "Airfoil of the blade.")] = "naca4412",

@@ -45,7 +45,7 @@ BenchPitchOption = Annotated[
     float | None,
     define_option(
         "--pitch",
-        "Pitch setting on the bench, where the file has no column of it: 12, 12deg or 0.2rad.",
+        "Pitch setting on the bench, if the file has no column for it: 12, 12deg or 0.2rad.",
         unit="deg",
         within=PITCH_RANGE,
     ),
@@ -54,7 +54,7 @@ BenchSpeedOption = Annotated[
     float | None,
     define_option(
         "--rpm",
-        "Rotor speed on the bench, where the file has no column of it, as in UIUC's tunnel runs.",
+        "Rotor speed on the bench, if the file has no column for it, as in UIUC's tunnel runs.",
         unit="rpm",
         within=SPEED_RANGE,
     ),

@@ -22,8 +22,8 @@ from mufly.units import RPM
 if TYPE_CHECKING:
     pass
 
-_PLATE_RANGE = OptionRange(1e-5, 0.05, "m", "no blade of a small rotor is so thick; 0.8 mm are written 0.8mm")
-_BEAM_SPEED_RANGE = OptionRange(0.0, 1e6, "rpm", "no rotor turns so")
+_PLATE_RANGE = OptionRange(1e-5, 0.05, "m", "no blade of a small rotor has such a thickness; write 0.8 mm as 0.8mm")
+_BEAM_SPEED_RANGE = OptionRange(0.0, 1e6, "rpm", "no rotor has such a speed")
 
 PlateOption = Annotated[
     float | None,

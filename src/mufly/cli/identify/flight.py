@@ -62,7 +62,7 @@ def flight(
     vehicle: Annotated[
         str,
         define_option(
-            "NAME|FILE", "Vehicle with the start values; the sources of its values set the width of their priors."
+            "NAME|FILE", "Vehicle with the start values; the source of each value sets the width of its prior."
         ),
     ] = "mufly-1.1",
     out: Annotated[

@@ -21,11 +21,11 @@ def export_vehicle(
     vehicle: VehicleArgument,
     out: Annotated[Path, define_option("--out FILE", "File to write: name.fmu.")],
     sources_only: Annotated[
-        bool, define_option("--sources-only", "Leave out the library for this machine; importers compile the sources.")
+        bool, define_option("--sources-only", "Omit the library for this machine; importers compile the sources.")
     ] = False,
     check: Annotated[
         bool,
-        define_option("--check", "Fly the library of the unit beside the Python model, and compare every bit."),
+        define_option("--check", "Compare the compiled library with the Python model on a flight, bit for bit."),
     ] = False,
     as_json: JsonOption = False,
 ) -> None:

@@ -91,7 +91,8 @@ def run_link(
         bool,
         define_option(
             "--qemu",
-            "Fly the image of a board on a Cortex-M4 emulated by QEMU, which the MAVLink of its own UART commands "
+            "Fly the image of a board on a Cortex-M4 emulated by QEMU, commanded by MAVLink on the board's "
+            "UART "
             "(docs/reference/firmware.md).",
         ),
     ] = False,
@@ -100,7 +101,10 @@ def run_link(
     ] = 5760,
     receiver: Annotated[
         Literal["crsf", "sbus"] | None,
-        define_option("--receiver", "With --qemu: a pilot's receiver, whose UART is the TCP port after --uart."),
+        define_option(
+            "--receiver",
+            "Connect a pilot's receiver of this protocol, with --qemu; its UART is the TCP port after --uart.",
+        ),
     ] = None,
     simulator: Annotated[
         Literal["px4", "ardupilot", "betaflight"] | None,

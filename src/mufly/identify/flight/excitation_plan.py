@@ -215,7 +215,7 @@ def design_pilot_support(vehicle: Vehicle, *, sample_s: float = 0.01, delay_s: f
     try:
         P = solve_discrete_are(a, b, np.diag(weight), np.diag(1.0 / _INPUT_TOLERANCES**2))
     except (LinAlgError, ValueError) as error:
-        raise MuflyError(f"{vehicle.name}: no feedback holds its hover; excitation cannot be planned for it") from error
+        raise MuflyError(f"{vehicle.name}: no feedback stabilises the hover; excitation cannot be planned") from error
     gain = np.linalg.solve(np.diag(1.0 / _INPUT_TOLERANCES**2) + b.T @ P @ b, b.T @ P @ a)
     collective, differential = (v / np.max(np.abs(v)) for v in (-inverse[:, 0], inverse[:, 1]))
     return PilotSupport(hover, gain, collective, differential, sample_s, delay_s)
@@ -607,8 +607,10 @@ def _max_safe_amplitude(
         binding = names[int(np.argmax(shares[first]))]
         if first == 0:
             if step == 1:
-                least = f"is passed by the least signal ({100 * ladder[0]:.2g} % of range)"
-                raise InputError(vehicle.name, f"limit on {binding}", least, "widen it, or lighten the vehicle")
+                least = f"is exceeded by the smallest signal ({100 * ladder[0]:.2g} % of range)"
+                raise InputError(
+                    vehicle.name, f"limit on {binding}", least, "raise the limit, or reduce the vehicle's mass"
+                )
             break
         low, low_share, high = float(ladder[first - 1]), float(shares[first - 1].max()), float(ladder[first])
         ladder = np.linspace(low, high, _AMPLITUDE_TRIALS)[1:-1]

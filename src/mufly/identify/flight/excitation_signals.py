@@ -184,5 +184,5 @@ def _make_step_sequence(t: Array, sample_s: float, low: float, high: float, kind
         raise ArgumentError(
             "duration_s", "", f"one {kind} takes {unit.size * sample_s:.3g} s", "give a longer duration"
         )
-    times = "once" if count == 1 else f"{count} times, every other one with turned sign"
+    times = "once" if count == 1 else f"{count} times, every second one inverted"
     return value, f"steps of {width * sample_s:.2g} s, {times}"

@@ -184,7 +184,7 @@ def _make_fit_result(
     above = residual_over_noise(problem)
     there = gain < 10 * MIN_COST_DECREASE
     if not there:
-        notes.insert(0, f"not at a minimum: a linear step promises {gain:.2g} of cost {point.cost:.6g}")
+        notes.insert(0, f"not at a minimum: a linear step predicts a decrease by {gain:.2g} of cost {point.cost:.6g}")
     elif max(above.values()) > MAX_RESIDUAL_OVER_NOISE:
         there = False
         notes.insert(0, "the minimum that was found is not that of a flight with this noise")
@@ -258,10 +258,11 @@ def _predict_held_out_record(
     ratios, doubt = predicted.rms_over_noise(), ""
     worst = int(np.argmax(ratios))
     if not found.converged[0]:
-        doubt = f"{record.name}: its start values were not found, so its prediction is meaningless"
+        doubt = f"{record.name}: the initial state was not found, so the prediction is meaningless"
     elif ratios[worst] > MAX_RESIDUAL_OVER_NOISE:
         doubt = (
-            f"{record.name}: {predicted.output_names[worst]} is predicted with an error of {ratios[worst]:.0f} times "
+            f"{record.name}: {predicted.output_names[worst]} is predicted with an error of "
+            f"{ratios[worst]:.0f} times "
             "the sensor's noise, at the best start that was found; wind or the model"
         )
     return replace(predicted, converged=found.converged[0], doubt=doubt)

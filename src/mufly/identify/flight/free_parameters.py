@@ -150,7 +150,7 @@ def choose_free_parameters(
             name = symbol.removeprefix("bias_")
             if name not in outputs:
                 remedy = f"use a measured output: {', '.join(f'bias_{o}' for o in outputs)}"
-                raise ArgumentError("symbols", symbol, "is the bias of nothing that is measured", remedy)
+                raise ArgumentError("symbols", symbol, "is not the bias of a measured output", remedy)
             scale = 0.1 * _BIAS_BOUNDS[OUTPUT_UNITS[name]]
             chosen.append(FreeParameter(symbol, "", OUTPUT_UNITS[name], 0.0, scale, -10.0, 10.0, 1.0, "estimated"))
             continue
@@ -166,7 +166,7 @@ def choose_free_parameters(
             chosen.append(FreeParameter(symbol, row.key, row.unit, row.value, _ANGLE_SCALE, low, high, std, row.source))
             continue
         if row.value == 0.0:
-            raise InputError(vehicle.name, row.key, "starts at 0", "give a start of the right size")
+            raise InputError(vehicle.name, row.key, "starts at 0", "give a start value of the right order of magnitude")
         std, factor, _ = PROVENANCE_DOUBT[row.source]
         low, high = -math.log(factor), math.log(factor)
         for limit in bounds:

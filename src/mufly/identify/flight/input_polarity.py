@@ -254,7 +254,7 @@ def _check_voltage_unit(r: FlightRecord, vehicle: Vehicle) -> list[SignalFault]:
             what = f"reads {volts:.4g} where the vehicle's battery has {nominal:g} V: it seems to be in {words}"
             return [SignalFault("voltage", what, f"scale it by {1.0 / size:g} in the column map")]
     what = f"reads {volts:.3g} V where the vehicle's battery has {nominal:g} V: another battery, or no voltage"
-    return [SignalFault("voltage", what, "correct it, leave it out, or give the vehicle its battery")]
+    return [SignalFault("voltage", what, "correct or omit the signal, or set the battery in the vehicle file")]
 
 
 def judge_gains(r: FlightRecord, found: dict[str, InputGain], load: float) -> list[SignalFault]:
@@ -293,8 +293,8 @@ def judge_gains(r: FlightRecord, found: dict[str, InputGain], load: float) -> li
         out.append(
             SignalFault(
                 "pitch, q, yaw, r",
-                "answer servo_1 and the motors the wrong way round: the record's axes seem to be forward, left, up",
-                "turn the signs of these four in the column map (or of servo_1, and exchange the motors)",
+                "respond to servo_1 and the motors with the wrong sign: the record's axes seem to be forward, left, up",
+                "invert the signs of these four in the column map (or that of servo_1, and exchange the motors)",
             )
         )
         return out
@@ -308,7 +308,7 @@ def judge_gains(r: FlightRecord, found: dict[str, InputGain], load: float) -> li
         goes = {"servo_2": "to the right", "servo_1": "nose down"}[servo]
         out.append(
             SignalFault(
-                which, f"turned round{other}: positive {servo} should pull {goes} ({_describe_gains(found)})",
+                which, f"inverted{other}: positive {servo} should accelerate {goes} ({_describe_gains(found)})",
                 "turn its sign in the column map",
             )
         )  # fmt: skip
@@ -316,7 +316,8 @@ def judge_gains(r: FlightRecord, found: dict[str, InputGain], load: float) -> li
         out.append(
             SignalFault(
                 "motor_upper, motor_lower",
-                f"exchanged (or yaw and r count anticlockwise): more of the upper should turn the nose right "
+                "exchanged (or yaw and r count anticlockwise): a higher upper input should turn the nose "
+                "right "
                 f"({_describe_gains(found)})",
                 "exchange them in the column map",
             )
@@ -325,7 +326,7 @@ def judge_gains(r: FlightRecord, found: dict[str, InputGain], load: float) -> li
         if sign.get(axis) == -1:
             out.append(
                 SignalFault(
-                    axis, f"accelerates against the tilt ({_describe_gains(found)}): its sign is turned round",
+                    axis, f"accelerates against the tilt ({_describe_gains(found)}): its sign is inverted",
                     "turn its sign in the column map",
                 )
             )  # fmt: skip
@@ -347,7 +348,7 @@ def _check_height(r: FlightRecord, heave: InputGain | None) -> list[SignalFault]
         return [
             SignalFault(
                 "height", f"falls where thrust rises (gain {heave.value:.2g} +- {heave.std:.1g} of the model's): "
-                "the vertical axis points up in this log, or the motors' inputs are turned round",
+                "the vertical axis points up in this log, or the motors' inputs are inverted",
                 "turn its sign in the column map: position is north, east, down",
             )
         ]  # fmt: skip

@@ -90,8 +90,9 @@ def measure_bandwidth(frequency_hz: Array, response: ComplexArray, error: Array 
     )  # initial phase of an attitude response: between 0 and -180 deg
     if phase[0] > 45.0:
         raise InputError(
-            "bandwidth", "", f"the phase begins at {phase[0]:+.0f} deg, where an attitude's begins between 0 and -180",
-            "turn the sign of input or output",
+            "bandwidth", "", f"the phase begins at {phase[0]:+.0f} deg, but that of an attitude begins "
+            "between 0 and -180",
+            "invert the sign of input or output",
         )  # fmt: skip
     gain = 20.0 * np.log10(np.abs(h))
     notes: list[str] = []
@@ -124,7 +125,7 @@ def measure_bandwidth(frequency_hz: Array, response: ComplexArray, error: Array 
             delay = -np.radians(far + 180.0) / (2.0 * at_180)
             std_delay = np.radians(float(np.interp(2.0 * at_180, w, sigma_phase))) / (2.0 * at_180)
         else:
-            way = "only by a line through what there is" if w[-1] >= 1.3 * at_180 else "not to be had"
+            way = "from a line through the available points" if w[-1] >= 1.3 * at_180 else "not to be had"
             notes.append(
                 f"the band ends below {at_180 / np.pi:.3g} Hz, twice the frequency of -180 deg: phase delay {way}"
             )

@@ -257,7 +257,7 @@ def identify_equation_model(
     for name, moves in zip(names, moving, strict=True):
         if not moves:
             notes.append(
-                f"{name} never moved in the fitted records and was left out: the data hold no information about it"
+                f"{name} never moved in the fitted records and was omitted: the data hold no information about it"
             )
     if not moving.any():
         raise ArgumentError("inputs", ",".join(names), "never move in the fitted part", "use another part or record")
@@ -297,7 +297,8 @@ def identify_equation_model(
         remedy = f"; compare --without {','.join(own)}" if own else ""
         notes.append(
             f"the equations together are unstable (pole at {fastest:+.2g} 1/s) and cannot be simulated for long: "
-            f"either the vehicle is, or a loop that answers disturbances has turned the sign of a damping{remedy}"
+            "either the vehicle is unstable, or a feedback that rejects disturbances has inverted the sign "
+            f"of a damping{remedy}"
         )
         model = replace(model, notes=tuple(notes))
     scores, simulated = [], []
@@ -482,7 +483,9 @@ def score_table(model: EquationModel) -> ReportTable:
 
 SCORES_EXPLANATION = (
     "Fits: 100 is exact, 0 the mean. Slope: of the derivative, by the equation itself. One step: a sample ahead of the "
-    "measured state, beside what keeping the last value reaches; so for 0.2 s. In band: simulated from inputs alone "
-    "over the record, with its own trim; all these without what lies below the equations' band. Whole: simulated with "
-    "the fitted records' trim, nothing taken off."
+    "measured state, beside what keeping the last value reaches; likewise for 0.2 s. In band: simulated "
+    "from inputs alone "
+    "over the record, with its own trim; all these without what lies below the equations' band. Whole: "
+    "simulated with "
+    "the fitted records' trim, without filter."
 )

@@ -226,7 +226,7 @@ def _reconstruct_path(record: EvenLogTable, imu: Mapping[str, str], outputs: Map
     if np.abs(z[:, outs.index("theta")]).max() > _MAX_PITCH_rad:
         peak = float(np.abs(z[:, outs.index("theta")]).max())
         raise InputError(
-            record.name, "theta", f"reaches {peak:.3g} rad, where Euler's angles end at 1.57",
+            record.name, "theta", f"reaches {peak:.3g} rad; a pitch angle is at most 1.57",
             "convert it to radians, or cut the record",
         )  # fmt: skip
     problems, notes = check_sensor_axes(raw, z, outs, dt)
@@ -234,11 +234,11 @@ def _reconstruct_path(record: EvenLogTable, imu: Mapping[str, str], outputs: Map
     standing = {o: record.full_column_name(o, "measured") for o, text in outputs.items() if text == o}
     for source, word in (
         ("truth", "the simulation's truth"),
-        ("estimated", "the estimate on board, made of this IMU"),
+        ("estimated", "the onboard estimate, computed from this IMU"),
     ):
         used = [o for o, column in standing.items() if column.startswith(f"{source}_")]
         if used:
-            notes.append(f"{', '.join(used)}: nothing measured them; {word} stands in")
+            notes.append(f"{', '.join(used)}: not measured; replaced by {word}")
     if problems:
         raise InputError(record.name, problems[0][0], problems[0][1], problems[0][2])
     at = [FLIGHT_PATH_STATES.index(o) for o in outs]
@@ -278,7 +278,8 @@ def _reconstruct_path(record: EvenLogTable, imu: Mapping[str, str], outputs: Map
     if np.any(std > 0.8 * _PRIOR_STD):
         names = ", ".join(n for n, s, p in zip(IMU_ERROR_SYMBOLS, std, _PRIOR_STD, strict=True) if s > 0.8 * p)
         notes.append(
-            f"{names}: the flight hardly determines them, the values are the prior's; turn more about these axes"
+            f"{names}: the flight hardly determines these parameters, the values are those of the prior; "
+            "turn more about these axes"
         )
     estimates = tuple(
         ParameterEstimate.from_std(n, "", unit, 0.0, float(v), float(s), quantile=1.96)
@@ -430,7 +431,7 @@ def check_sensor_axes(
             (
                 "az",
                 f"reads {seen[:, -1].mean():+.3g} m/s^2 on average, where z down reads -9.8",
-                "turn its sign: az=-COLUMN",
+                "invert its sign: az=-COLUMN",
             )
         )
     elif not 0.7 * GRAVITY < mean < 1.5 * GRAVITY:
@@ -463,7 +464,9 @@ def _compare_axes(
                 what = f"follows {sign}{names[other]} of {source} (correlation {correlation[k, other]:+.2f})"
                 problems.append((name, f"{what}, not its own ({own:+.2f})", "give the column of the right axis"))
             else:
-                notes.append(f"{name} and {source} agree little (correlation {own:+.2f}): little moves, or a delay")
+                notes.append(
+                    f"{name} and {source} hardly agree (correlation {own:+.2f}): too little motion, or a delay"
+                )
         elif degrees and 30.0 < ratio < 110.0:
             problems.append(
                 (

@@ -246,7 +246,7 @@ def fit_linear_model(
     spread = problem.output_std
     if (spread == 0.0).any() or problem.is_used.sum() < 3 * len(structure.parameters):
         name = structure.outputs[int(np.argmin(spread))]
-        raise InputError("record", name, "is constant or too short", "give a record in which it moves")
+        raise InputError("record", name, "is constant or too short", "give a record with motion of this signal")
     problem.output_weight = 1.0 / spread**2
     generator = np.random.default_rng(seed)
     at = problem.coordinates
@@ -319,7 +319,7 @@ def fit_linear_model(
         message=(
             f"{'search settled' if solution.status > 0 else 'search ran out of steps'}; {near} of {len(costs)} starts "
             "reached the best cost within 2 %"
-            + (f"; at a bound, so that the others' intervals hold only if it is true: {held}" if held else "")
+            + (f"; at a bound, which makes the other intervals conditional: {held}" if held else "")
         ),
         hold=hold,
     )

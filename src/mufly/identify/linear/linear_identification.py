@@ -240,7 +240,7 @@ def identify_linear_model(
                     )
                 except (InputError, FloatingPointError, np.linalg.LinAlgError) as error:
                     failed.append(error)
-                    notes.append(f"structure {structure.name} was left out of the choice: {error}")
+                    notes.append(f"structure {structure.name} was not compared: {error}")
                 else:
                     tried.append((score, structure, trial))
             report_progress(1)
@@ -325,7 +325,7 @@ def _filter_and_decimate(
         u, y = low_pass(u, dt, min(lowpass_hz, 0.45 / dt)), low_pass(y, dt, min(lowpass_hz, 0.45 / dt))
     step = 1 if rate_hz is None else max(1, round(1.0 / (rate_hz * dt)))
     if step > 1 and (lowpass_hz is None or lowpass_hz > 0.45 / (dt * step)):
-        problem = f"{1.0 / (dt * step):g} Hz would fold what lies above it"
+        problem = f"{1.0 / (dt * step):g} Hz would alias higher frequencies"
         raise ArgumentError("rate_hz", "", problem, "give lowpass_hz=HZ below 0.45 of it")
     return u[::step], y[::step], dt * step
 
@@ -340,7 +340,7 @@ def _describe_outputs_still_when_held_out(
         if held < 0.05 * fitted:
             said.append(
                 f"{name} hardly moves in the held-out part ({held:.2g} against {fitted:.2g} rms): its fit "
-                "there means nothing; choose what is fitted so that it moves in both parts"
+                "there is meaningless; choose the split so that it moves in both parts"
             )
     return said
 

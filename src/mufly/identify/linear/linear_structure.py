@@ -420,7 +420,7 @@ def _check_signals(inputs: tuple[str, ...], outputs: tuple[str, ...], angular: s
             if name not in known:
                 raise ArgumentError(
                     f"{what}s", name, f"is no {what} of the helicopter model",
-                    f"use {', '.join(known)}; write {example}=COLUMN to say which column it is",
+                    f"use {', '.join(known)}; write {example}=COLUMN to select its column",
                 )  # fmt: skip
     if angular not in ANGULAR_MODELS:
         raise ArgumentError("model", "", f"{angular!r} is unknown", f"use one of: {', '.join(ANGULAR_MODELS)}")
