@@ -233,7 +233,7 @@ def test_every_quantity_takes_units_and_refuses_what_is_none_in_our_words() -> N
         (("rotor", "hover", "--rpm", "5000", "--pitch", "12", "--engine", "xfol"), "did you mean 'xfoil'"),
         (("fly", "--fault", "sonr.jump"), "--fault: sonr: is not a sensor; did you mean 'sonar'?"),
         (("fly", "--fault", "sonar.jump=3kg"), "'3kg' is in kg, which cannot become m"),
-        (("coax", "hover", "--spacing", "20"), "--spacing: 20 m is out of range: no pair is built so"),
+        (("coax", "hover", "--spacing", "20"), "--spacing: 20 m is out of range: no coaxial pair has such a distance"),
         (
             ("identify", "plan", "mufly-1.1", "--free", "cT_dw", "--limit", "heigth_m=1"),
             "did you mean 'height_m'",

@@ -71,10 +71,10 @@ def test_a_record_of_another_size_of_vehicle_passes(flights):
 
 
 SPOILT = [
-    ("pitch", lambda r: driven(r, (0, 1, 2, 3), (1, 1, -1, 1)), "servo_1: turned round .or pitch and q are"),
-    ("roll", lambda r: driven(r, (0, 1, 2, 3), (1, 1, 1, -1)), "servo_2: turned round .or roll and p are"),
+    ("pitch", lambda r: driven(r, (0, 1, 2, 3), (1, 1, -1, 1)), "servo_1: inverted .or pitch and q are"),
+    ("roll", lambda r: driven(r, (0, 1, 2, 3), (1, 1, 1, -1)), "servo_2: inverted .or roll and p are"),
     ("roll", lambda r: driven(r, (0, 1, 3, 2)), "servo_1, servo_2: act on each other's axis .*are exchanged, or"),
-    ("pitch", lambda r: driven(r, (0, 1, 3, 2), (1, 1, -1, -1)), "servo_1, servo_2: .*exchanged and turned round"),
+    ("pitch", lambda r: driven(r, (0, 1, 3, 2), (1, 1, -1, -1)), "servo_1, servo_2: .*exchanged and inverted"),
     ("yaw", lambda r: driven(r, (1, 0, 2, 3)), "motor_upper, motor_lower: exchanged"),
     ("pitch", forward_left_up, "pitch, q, yaw, r: .*forward, left, up"),
     ("mixed", lambda r: forward_left_up(r, -1.0), "height: falls where thrust rises"),

@@ -165,7 +165,7 @@ def test_a_slow_disturbance_is_told_with_its_share_and_its_time_and_a_short_one_
     slow, short = (lfilter([1.0], [1.0, -a], shaped) for a in (0.98, 0.8))
     words = describe_residuals(record(white + slow / slow.std(), 0.0 * white, steps(20_000, 1)))
     (said,) = (w for w in words if "varies slower" in w)
-    share, time = re.match(r"(\d+) % .* remembered for (\S+) s: a disturbance", said).groups()
+    share, time = re.match(r"(\d+) % .* correlated over (\S+) s: a disturbance", said).groups()
     assert float(share) == pytest.approx(50.0, abs=5.0)
     assert float(time) == pytest.approx(0.99, abs=0.2)  # -0.02 s / ln 0.98
     for e in (white, short):
@@ -278,7 +278,9 @@ def test_directions_that_nothing_shows_are_told_with_the_shares_by_which_paramet
     assert covariance_from_information(np.diag([4.0, 0.0, 16.0])) == pytest.approx(np.diag([0.25, np.inf, 0.0625]))
     along = np.array([1.0, 0.5, -0.5])
     (words,) = describe_unseen_combinations(("a", "b"), 4.0 * np.outer(along, along)[:2, :2] + 1e-6 * np.eye(2))
-    assert "a +10 % with b +5 % changes nothing" in words  # neither their ratio nor their product is seen
+    assert (
+        "a +10 % with b +5 % has no effect on the measured outputs" in words
+    )  # neither their ratio nor their product is seen
     (words,) = describe_unseen_combinations(("a", "b", "c"), 4.0 * np.outer(along, along) + 1e-6 * np.eye(3))
     assert all(part in words for part in ("a +10 %", "b +5 %", "c -5 %"))
 

@@ -178,7 +178,7 @@ def test_total_thrust_of_a_pair():
     assert [e.symbol for e in result.estimates] == ["cT_up", "cT_dw"]
     blind = fit(pair(1.18))
     assert all(math.isinf(e.std) for e in blind.estimates)
-    assert "only a weighted sum is seen" in blind.unseen[0]
+    assert "only a weighted sum is determined" in blind.unseen[0]
 
 
 def test_pitch_settings_are_kept_apart():
@@ -291,7 +291,7 @@ def test_a_load_cell_the_other_way_round_is_said():
     columns = single()
     result = fit({**columns, "thrust": -columns["thrust"]})
     assert result.find_estimate("cT").value == pytest.approx(C_T)
-    assert any("thrust is negative and was turned round" in note for note in result.notes)
+    assert any("thrust is negative and was inverted" in note for note in result.notes)
 
 
 # -- files of others -------------------------------------------------------------------------------------------------

@@ -309,7 +309,7 @@ def judge_gains(r: FlightRecord, found: dict[str, InputGain], load: float) -> li
         out.append(
             SignalFault(
                 which, f"inverted{other}: positive {servo} should accelerate {goes} ({_describe_gains(found)})",
-                "turn its sign in the column map",
+                "invert its sign in the column map",
             )
         )  # fmt: skip
     if sign.get("yaw") == -1:
@@ -327,7 +327,7 @@ def judge_gains(r: FlightRecord, found: dict[str, InputGain], load: float) -> li
             out.append(
                 SignalFault(
                     axis, f"accelerates against the tilt ({_describe_gains(found)}): its sign is inverted",
-                    "turn its sign in the column map",
+                    "invert its sign in the column map",
                 )
             )  # fmt: skip
     return out
@@ -349,7 +349,7 @@ def _check_height(r: FlightRecord, heave: InputGain | None) -> list[SignalFault]
             SignalFault(
                 "height", f"falls where thrust rises (gain {heave.value:.2g} +- {heave.std:.1g} of the model's): "
                 "the vertical axis points up in this log, or the motors' inputs are inverted",
-                "turn its sign in the column map: position is north, east, down",
+                "invert its sign in the column map: position is north, east, down",
             )
         ]  # fmt: skip
     low, high = heave.value - 3.0 * heave.std, heave.value + 3.0 * heave.std
