@@ -20,6 +20,8 @@ from mufly.control.analysis.comparison import (
     ControllerComparison,
     FlightFigures,
     MethodFigures,
+    compare_methods,
+    comparison_dataset,
     judge_comparison,
     loop_figures,
     recall_bounds,
@@ -29,6 +31,7 @@ from mufly.control.analysis.gust_response import GUST_LENGTH_m, GUST_m_s, gust_r
 from mufly.control.implementation import LATERAL_STATES
 from mufly.control.linear_systems import frequency_response
 from mufly.control.synthesis.synthesis_methods import (
+    GivenController,
     SynthesisedController,
     SynthesisMethod,
     SynthesisProblem,
@@ -160,11 +163,23 @@ def test_command_compares_and_writes(
         assert 2500 < method["instructions"] < 4500
     # Bounds of mu come from the folder; those at other frequencies are not there.
     monkeypatch.setattr(comparison, "analyse_parameter_robustness", lambda *_, **__: pytest.fail("computed again"))
-    assert recall_bounds(vehicle, ltr, 5, tmp_path)[1][0] == method["roll_pitch"]["mu_upper"]
+    assert recall_bounds(vehicle, ltr, 5, tmp_path / "mu-ltr.json")[1][0] == method["roll_pitch"]["mu_upper"]
     with pytest.raises(pytest.fail.Exception, match="computed again"):
-        recall_bounds(vehicle, ltr, 6, tmp_path)
+        recall_bounds(vehicle, ltr, 6, tmp_path / "mu-ltr.json")
     with pytest.raises(InputError, match="--methods"):
         CliRunner().invoke(app, ["compare", "--methods", "pid"], catch_exceptions=False)
+
+
+def test_a_tuned_loop_is_a_row_of_its_own(vehicle: Vehicle, ltr: FlightController, tmp_path: Path) -> None:
+    K = ltr.roll_pitch.reduced
+    tuned = replace(DesignSettings(), roll_pitch_given=GivenController.from_matrices(K.A, K.B, K.C, K.D))
+    found, controllers = compare_methods(vehicle, [], tuned=[tuned], points=5, folder=tmp_path)
+    (row,) = found.methods
+    assert row.label == f"tuned {K.nstates}"
+    assert list(controllers) == [found.recommended] == ["tuned"]
+    assert (tmp_path / "mu-tuned.json").exists()
+    assert row.roll_pitch.disk.margin == pytest.approx(loop_figures(vehicle, ltr.roll_pitch, (0, 0)).disk.margin)
+    assert comparison_dataset(found).controller == ["tuned"]
 
 
 def test_a_slow_synthesis_is_computed_once(

@@ -448,6 +448,10 @@ def compare(
         ),
     ] = None,
     order: Annotated[int, define_option("--order N", "Order of roll-pitch by the method fixed.", min=2, max=8)] = 4,
+    tuned: Annotated[
+        list[str] | None,
+        define_option("--tuned LOOP", "A further row: file of a loop by `mufly control tune`; repeat it."),
+    ] = None,
     points: Annotated[int, define_option("--frequencies N", "Number of frequencies of mu.", min=5)] = 30,
     flights: Annotated[
         int, define_option("--flights -n N", "Flights of each method on simulated sensors; 0: none.", min=0)
@@ -481,6 +485,8 @@ are installed. The verdict names the criterion that decides it. Designs, bounds 
       mufly control compare
 
       mufly control compare --methods hinf --methods ltr --flights 200 --wind 0.5 --gust 0.3
+
+      mufly control compare --methods ltr --tuned tuned/roll-pitch.json
     """
     from dataclasses import replace
 
@@ -488,6 +494,7 @@ are installed. The verdict names the criterion that decides it. Designs, bounds 
     from mufly.control.analysis.comparison import FlightFigures, compare_methods, comparison_dataset, judge_comparison
     from mufly.control.analysis.plots import draw_comparison
     from mufly.control.synthesis.synthesis_methods import METHODS
+    from mufly.control.tuning.tuned_loop import load_tuned_settings
     from mufly.firmware.proof.sil_pil import law_instructions, missing_tools
     from mufly.logs.tables.columnar_files import write_netcdf
     from mufly.results import to_plain_data
@@ -501,13 +508,14 @@ are installed. The verdict names the criterion that decides it. Designs, bounds 
     settings = DesignSettings()
     settings = replace(settings, roll_pitch_aims=replace(settings.roll_pitch_aims, order=order))
     chosen = [method for method in METHODS if method in wanted]
+    given = [load_tuned_settings([one], DesignSettings()) for one in tuned or ()]
     with progress_bar("Designing", not as_json) as progress:
         found, controllers = compare_methods(
-            loaded, chosen, settings=settings, points=points, folder=out, progress=progress
+            loaded, chosen, settings=settings, tuned=given, points=points, folder=out, progress=progress
         )
-    counts: list[float | None] = [None] * len(chosen)
+    counts: list[float | None] = [None] * len(controllers)
     if not missing_tools():
-        counts = [*law_instructions(loaded, [controllers[method] for method in chosen])]
+        counts = [*law_instructions(loaded, list(controllers.values()))]
     found = replace(
         found, methods=tuple(replace(m, instructions=n) for m, n in zip(found.methods, counts, strict=True))
     )

@@ -41,6 +41,8 @@ HEIGHT_NOISE_M = 0.003
 DEFAULT_GYRO_NOISE_RAD_S = float(np.radians(0.3))
 """Deviation of a gyro's sample on a vehicle without a modelled IMU."""
 LARGEST_PEAK_DB = 6.0
+TUNED = "tuned"
+"""Name of the first tuned loop of a comparison."""
 _SAME_DISK_MARGIN = 0.05
 _SAME_GUST_TILT = 1.2
 
@@ -98,10 +100,11 @@ class FlightFigures:
 class MethodFigures:
     """One method: its two loops, its cascade's peak, its tilt in gusts, instructions and flights (None if not known).
 
-    ``instructions`` are those of the whole law in a period on a Cortex-M4, mean over a self-test.
+    ``method`` is a method of synthesis, or the name of a tuned loop (:data:`TUNED`). ``instructions`` are those of the
+    whole law in a period on a Cortex-M4, mean over a self-test.
     """
 
-    method: SynthesisMethod
+    method: str
     heave_yaw: LoopFigures
     roll_pitch: LoopFigures
     cascade_peak_dB: float
@@ -112,8 +115,8 @@ class MethodFigures:
     @property
     def label(self) -> str:
         """Name of the method, with the order of a tuned controller."""
-        name = METHOD_NAMES[self.method]
-        return f"{name} {self.roll_pitch.order}" if self.method == "fixed" else name
+        name = next((text for key, text in METHOD_NAMES.items() if key == self.method), self.method)
+        return f"{name} {self.roll_pitch.order}" if name == self.method or self.method == "fixed" else name
 
     @property
     def weaker_disk_margin(self) -> float:
@@ -150,7 +153,7 @@ class ControllerComparison:
     vehicle_name: str
     rate_Hz: float
     methods: tuple[MethodFigures, ...]
-    recommended: SynthesisMethod
+    recommended: str
     verdict: str
 
     def shown_blocks(self) -> list[ShownBlock]:
@@ -223,10 +226,11 @@ def compare_methods(
     methods: Sequence[SynthesisMethod],
     *,
     settings: DesignSettings | None = None,
+    tuned: Sequence[DesignSettings] = (),
     points: int = 30,
     folder: Path | None = None,
     progress: Callable[[int, int], None] | None = None,
-) -> tuple[ControllerComparison, dict[SynthesisMethod, FlightController]]:
+) -> tuple[ControllerComparison, dict[str, FlightController]]:
     """Design controllers by several methods and compare them, without flights.
 
     Parameters
@@ -236,6 +240,8 @@ def compare_methods(
         Methods of synthesis.
     settings : DesignSettings, optional
         Settings but for the method.
+    tuned : sequence of DesignSettings
+        Settings with tuned loops (``mufly control tune``), further rows of the comparison.
     points : int
         Frequencies of the bounds of mu.
     folder : Path, optional
@@ -247,7 +253,7 @@ def compare_methods(
     -------
     comparison : ControllerComparison
     controllers : dict
-        Controllers by method, to fly them.
+        Controllers by method or name of tuned loop, to fly them.
 
     Raises
     ------
@@ -255,13 +261,16 @@ def compare_methods(
         If a design fails.
     """
     base = DesignSettings() if settings is None else settings
-    rows, controllers = [], {}
-    for k, method in enumerate(methods):
+    wanted: dict[str, DesignSettings] = {method: replace(base, method=method) for method in methods}
+    wanted |= {f"{TUNED}-{k}" if k > 1 else TUNED: given for k, given in enumerate(tuned, 1)}
+    rows: list[MethodFigures] = []
+    controllers: dict[str, FlightController] = {}
+    for k, (method, chosen) in enumerate(wanted.items()):
         if progress is not None:
-            progress(k, len(methods))
-        c = design_flight_controller(vehicle, settings=replace(base, method=method))
+            progress(k, len(wanted))
+        c = design_flight_controller(vehicle, settings=chosen)
         linear = linearise_vehicle(vehicle, voltage=c.voltage_V)
-        bounds = recall_bounds(vehicle, c, points, folder)
+        bounds = recall_bounds(vehicle, c, points, None if folder is None else folder / f"mu-{method}.json")
         rows.append(
             MethodFigures(
                 method,
@@ -273,19 +282,18 @@ def compare_methods(
         )
         controllers[method] = c
         if progress is not None:
-            progress(k + 1, len(methods))
+            progress(k + 1, len(wanted))
     rate = next(iter(controllers.values())).rate_Hz
     return judge_comparison(vehicle.name, rate, rows), controllers
 
 
 def recall_bounds(
-    vehicle: Vehicle, c: FlightController, points: int, folder: Path | None
+    vehicle: Vehicle, c: FlightController, points: int, path: Path | None
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return upper and lower bound of mu of heave-yaw and of roll-pitch, from the folder if it holds them."""
+    """Return upper and lower bound of mu of heave-yaw and of roll-pitch, from the file if it holds them."""
     sources = [path.read_bytes() for path in imported_sources(Path(parameter_robustness.__file__))]
     gains = [np.ascontiguousarray(g).tobytes() for g in (c.heave_yaw_gains, c.roll_pitch_gains)]
     question = hash_question(vehicle.model_dump_json(), c.rate_Hz, c.voltage_V, points, *gains, *sources)
-    path = None if folder is None else folder / f"mu-{c.settings.method}.json"
     kept = None if path is None else read_answer(path, question)
     if kept is None:
         robust = analyse_parameter_robustness(vehicle, c, points=points)
@@ -330,7 +338,7 @@ def comparison_dataset(comparison: ControllerComparison) -> xr.Dataset:
         variables["flights"] = "controller", [0.0 if f is None else float(f.flights) for f in flown]
         variables["successes"] = "controller", [0.0 if f is None else float(f.successes) for f in flown]
         variables["overshoot_p95_m"] = (
-            "method",
+            "controller",
             [np.nan if f is None or f.overshoot_p95_m is None else f.overshoot_p95_m for f in flown],
         )
     return xr.Dataset(
