@@ -53,7 +53,7 @@ def main() -> None:
             wind=0.5,
             gust=0.3,
             sensors=sensors,
-            quickly=GenericFirmwareSoftware,
+            fast_controllers=GenericFirmwareSoftware,
         )
         began = time.perf_counter()
         with WorkerPool(asked.jobs) as crew:

@@ -46,7 +46,7 @@ NO_CASE = FlightCase(0, 7, {}, (0.0, 0.0, 0.0))
 @pytest.fixture(scope="module")
 def campaign() -> Campaign:
     return Campaign.create_checked(
-        VEHICLE, HOP, variations=(STANDARD,), wind=0.2, gust=0.1, seed=4, quickly=GenericFirmwareSoftware
+        VEHICLE, HOP, variations=(STANDARD,), wind=0.2, gust=0.1, seed=4, fast_controllers=GenericFirmwareSoftware
     )
 
 
@@ -214,7 +214,7 @@ def test_a_turn_shows_the_axis_error_of_the_inertial_unit(roll: float, pitch: fl
         }
     )
     turning = Campaign.create_checked(
-        VEHICLE, half_turn, variations=(STANDARD,), wind=0.2, gust=0.1, seed=5, quickly=GenericFirmwareSoftware
+        VEHICLE, half_turn, variations=(STANDARD,), wind=0.2, gust=0.1, seed=5, fast_controllers=GenericFirmwareSoftware
     )
     mount = {"sensors.imu.mount_roll": roll, "sensors.imu.mount_pitch": pitch}
     flown = fly_mission(**turning.flight_options(replace(NO_CASE, parameter_values=mount)))

@@ -199,7 +199,7 @@ def design_autopilot_gains(vehicle: Vehicle, *, angle_delay_s: float = 0.0) -> A
     shared = _design_position([axes["roll"], axes["pitch"]], [gains["roll"], gains["pitch"]])
     vertical = _design_position([axes["vertical"]], [CascadeGains()])
     for name in ("roll", "pitch"):
-        gains[name] = _with_position(gains[name], shared)
+        gains[name] = _with_position_gains(gains[name], shared)
     gains["vertical"] = vertical
     return AutopilotGains(
         vehicle.name, hover, trim.voltage_V, 0.5 * (upper - lower), gains["roll"], gains["pitch"], gains["yaw"],
@@ -207,7 +207,7 @@ def design_autopilot_gains(vehicle: Vehicle, *, angle_delay_s: float = 0.0) -> A
     )  # fmt: skip
 
 
-def _with_position(inner: CascadeGains, outer: CascadeGains) -> CascadeGains:
+def _with_position_gains(inner: CascadeGains, outer: CascadeGains) -> CascadeGains:
     names = ("position", "velocity", "velocity_integral", "velocity_rate")
     return replace(inner, **{name: getattr(outer, name) for name in names})
 

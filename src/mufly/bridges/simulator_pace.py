@@ -97,7 +97,7 @@ class SimulatorPace:
     def record_period(self) -> str:
         """Count a period; return a warning when the wanted speed is not reached, or is reached again; else ""."""
         self._pacer.record_tick(self._clock())
-        return self._pacer.take_notice(self._clock()) if self.speed == 1.0 else ""
+        return self._pacer.take_pace_warning(self._clock()) if self.speed == 1.0 else ""
 
     def take_report(self, state: str, step_count: int, unanswered_count: int) -> SimulatorReport | None:
         """Return the state of the simulation every :data:`REPORT_PERIOD_S`; None between."""

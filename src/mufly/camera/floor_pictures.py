@@ -138,7 +138,7 @@ def find_floor(text: str, width_m: float | None = None) -> FloorSource:
             )  # fmt: skip
         path = file
     elif path.is_file():
-        width = _read_table_width(path)
+        width = _read_floor_width(path)
     else:
         names = [*FLOOR_KINDS, *PACKAGE_FLOORS]
         problem = "no such picture" if path.suffix else "is no floor"
@@ -149,7 +149,7 @@ def find_floor(text: str, width_m: float | None = None) -> FloorSource:
     return source
 
 
-def _read_table_width(picture: Path) -> float:
+def _read_floor_width(picture: Path) -> float:
     """Return the width of a picture (m) in the table beside it, or the default."""
     table = picture.with_name(FLOOR_TABLE_NAME)
     if not table.is_file():

@@ -40,7 +40,7 @@ from mufly.world import Box, World
 from mufly.world.obstacles import BOX_CENTRE, BOX_COS, BOX_HALF, BOX_SIN
 
 _Array = NDArray[np.float64]
-_P_VELOCITY, _P_RATES, _P_ROTOR_SPEED, _P_ROTOR_PHASE = 3, 6, 9, 11
+_MOTION_VELOCITY, _MOTION_RATES, _MOTION_ROTOR_SPEED, _MOTION_ROTOR_PHASE = 3, 6, 9, 11
 """Indices in the motion array of a picture, after the position."""
 _SHAKE_Y, _LAST_COLUMN = 2, 3
 """Columns of amplitude and phase along y in a rotor's vibration; column of the last pixel column of a box."""
@@ -402,18 +402,18 @@ def _render_irradiance(
             out[r, c] = 0.0
         for q in range(samples):
             s = middle + ((q + 0.5) * share - 0.5) * exposure
-            _apply_rotation_vector(attitude, place[_P_RATES:_P_ROTOR_SPEED], s, body)
+            _apply_rotation_vector(attitude, place[_MOTION_RATES:_MOTION_ROTOR_SPEED], s, body)
             for i in range(3):
                 for j in range(3):
                     m[i, j] = body[i, 0] * axes[0, j] + body[i, 1] * axes[1, j] + body[i, 2] * axes[2, j]
             for i in range(3):
-                at[i] = place[i] + place[_P_VELOCITY + i] * s
+                at[i] = place[i] + place[_MOTION_VELOCITY + i] * s
                 for j in range(3):
                     at[i] += body[i, j] * mount[j]
             at_n, at_e, at_d = at[0], at[1], at[2]
             shift_x = shift_y = 0.0
             for k in range(2):
-                phase = place[_P_ROTOR_PHASE + k] + place[_P_ROTOR_SPEED + k] * s
+                phase = place[_MOTION_ROTOR_PHASE + k] + place[_MOTION_ROTOR_SPEED + k] * s
                 shift_x += shake[k, 0] * math.cos(phase + shake[k, 1])
                 shift_y += shake[k, _SHAKE_Y] * math.cos(phase + shake[k, _SHAKE_Y + 1])
             for i in range(3):  # small rotation: (x, y, 1) becomes (x - s_x, y - s_y, 1 + s_x x + s_y y)

@@ -93,7 +93,7 @@ def make_pair_setup(
     """Return the pair that the options describe; InputError if an option is wrong."""
     from mufly.rotor import load_rotor
 
-    return theory.make_setup(
+    return theory.make_study_setup(
         upper, fixed, lower_rotor=load_rotor(upper if lower is None else lower), balance_by=balance
     )
 

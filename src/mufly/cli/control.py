@@ -530,7 +530,7 @@ are installed. The verdict names the criterion that decides it. Designs, bounds 
             for row in found.methods:
                 campaign = Campaign.create_checked(
                     loaded, load_mission(mission), variations=parse_variations(vary or [], loaded),
-                    wind=parse_wind(wind), gust=gust, seed=seed, quickly=GenericFirmwareSoftware,
+                    wind=parse_wind(wind), gust=gust, seed=seed, fast_controllers=GenericFirmwareSoftware,
                     vehicle_name=vehicle, mission_name=mission, controller=controllers[row.method],
                 )  # fmt: skip
                 with progress_bar(f"Flying {row.label}", not as_json) as progress:

@@ -110,7 +110,7 @@ def optimise(
     if not any(text.strip().startswith("thrust") for text in given):
         given = [*given, "thrust=0.4N"]
     fixed = parse_set_options(given, ROTOR_PARAMETERS, "give one")
-    setup = polars.make_setup(rotor, fixed, drive=load_drive_option(drive), with_outside_share=False)
+    setup = polars.make_study_setup(rotor, fixed, drive=load_drive_option(drive), with_outside_share=False)
     names = [name.strip() for name in free.split(",") if name.strip()]
     candidates = choose_airfoils(airfoils or ["thesis"]) if "airfoil" in names else []
     limits = [parse_limit(text) for text in limit or []]

@@ -459,7 +459,7 @@ class PolarOptions:
             stations=stations or STATION_COUNT,
         )  # fmt: skip
 
-    def make_setup(self, rotor: str, fixed: Mapping[str, ParameterValue], **more: Any) -> StudySetup:
+    def make_study_setup(self, rotor: str, fixed: Mapping[str, ParameterValue], **more: Any) -> StudySetup:
         """Return the setup that the cases of a study of a rotor, or of a pair (``lower``), share."""
         from mufly.rotor import load_rotor
         from mufly.study import StudySetup
@@ -520,10 +520,12 @@ class WakeOptions(PolarOptions):
             raise InputError("--wake-set", "stations", f"is {stations}", "give 4 to 200")
         return WakeSettings(model=self.wake, **given), stations  # type: ignore[arg-type]
 
-    def make_setup(self, rotor: str, fixed: Mapping[str, ParameterValue], **more: Any) -> StudySetup:
+    def make_study_setup(self, rotor: str, fixed: Mapping[str, ParameterValue], **more: Any) -> StudySetup:
         """Return the setup that the cases of a study of a rotor, or of a pair (``lower``), share."""
         wake, stations = self.wake_settings()
-        return super().make_setup(rotor, fixed, method=self.method, wake_settings=wake, station_count=stations, **more)
+        return super().make_study_setup(
+            rotor, fixed, method=self.method, wake_settings=wake, station_count=stations, **more
+        )
 
 
 @dataclass(frozen=True)

@@ -187,7 +187,7 @@ def sweep(
     from mufly.study import ROTOR_PARAMETERS, parse_settings
     from mufly.study import sweep_parameters as run
 
-    setup = theory.make_setup(
+    setup = theory.make_study_setup(
         rotor,
         parse_set_options(set_, ROTOR_PARAMETERS, "vary it with --vary"),
         drive=load_drive_option(drive),
@@ -272,7 +272,7 @@ def rank(
 
     standard = ["thrust=0.4N", "gear=adapted"] if drive not in (None, "none") else ["thrust=0.4N"]
     given = parse_set_options(set_ or standard, ROTOR_PARAMETERS, "give one value of something else")
-    setup = polars.make_setup(rotor, given, drive=load_drive_option(drive), with_outside_share=False)
+    setup = polars.make_study_setup(rotor, given, drive=load_drive_option(drive), with_outside_share=False)
     if "pitch" in given or "airfoil" in given:
         raise InputError("--set", "", "holds what a ranking varies", "give one value of something else")
     pitches = [math.radians(p) for p in read_values("--pitch", pitch, "deg")]

@@ -280,7 +280,7 @@ Array = NDArray[np.float64]
 
 UNSEEN_RELATIVE_STD = 0.5  # relative standard deviation above which a direction counts as undetermined
 _UNINFORMATIVE_STD = 100.0  # relative standard deviation above which no number is printed
-_MIN_DIRECTION_SHARE = 0.15  # share of a direction's largest component below which a parameter is not named
+_MIN_COMPONENT_SHARE = 0.15  # share of a direction's largest component below which a parameter is not named
 _MIN_PAIR_CORRELATION = 0.98  # correlation above which a pair of parameters is hardly separable ...
 _MIN_PAIR_STD = 0.005  # ... if the relative standard deviation of each exceeds this value
 _MAX_CORRELATION_LAG, _WHITE_LAGS_TO_STOP = 300, 10  # samples
@@ -428,7 +428,7 @@ def describe_unseen_combinations(
     for k in np.argsort(-size):
         if size[k] > UNSEEN_RELATIVE_STD**2:
             share = vectors[:, k] / vectors[np.argmax(np.abs(vectors[:, k])), k]
-            parts = [j for j in np.argsort(-np.abs(share)) if abs(share[j]) >= _MIN_DIRECTION_SHARE]
+            parts = [j for j in np.argsort(-np.abs(share)) if abs(share[j]) >= _MIN_COMPONENT_SHARE]
             covered.append({names[j] for j in parts})
             said.append(_describe_direction([names[j] for j in parts], share[parts], float(np.sqrt(size[k]))))
     whole = inner if within is None else within[np.ix_(found, found)]

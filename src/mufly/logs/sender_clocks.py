@@ -190,7 +190,7 @@ class _ClockRestart(NamedTuple):
 
     first_sample: int
     sender_restarted: bool
-    min_difference_s: float
+    min_clock_offset_s: float
 
 
 def _find_clock_restarts(run: _ClockSamples) -> list[_ClockRestart]:
@@ -219,7 +219,7 @@ def _find_clock_restarts(run: _ClockSamples) -> list[_ClockRestart]:
 def _min_differences(since: _Array, borders: Sequence[_ClockRestart]) -> _Array:
     """Return the least difference of arrival and clock in each run (s), without packets of the run before."""
     parts = np.split(since, [b.first_sample for b in borders])
-    least = [-np.inf, *(b.min_difference_s for b in borders)]
+    least = [-np.inf, *(b.min_clock_offset_s for b in borders)]
     return np.array([part[part >= bound].min() for part, bound in zip(parts, least, strict=True)])
 
 

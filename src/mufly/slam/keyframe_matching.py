@@ -177,7 +177,7 @@ class KeyframeMatch:
         return float(bounds.max(initial=0.0)) * view.height_m / view.focal_px or math.nan
 
     @property
-    def graph_node(self) -> _Array:
+    def pose_graph_node(self) -> _Array:
         """N, E (m), heading (rad), ln h of the camera."""
         p = self.pose
         return np.array([*p.state[:2], p.heading_rad, math.log(p.height_m)])

@@ -91,7 +91,7 @@ def insert_keyframe(floor_map: FloorMap, context: FrameContext, match: KeyframeM
     if keyframe is None:
         return None
     # Edges to other keyframes that see it constrain it better
-    node = match.graph_node
+    node = match.pose_graph_node
     others = sorted(
         floor_map.connected_keyframes(match.keyframe),
         key=lambda k: -context.view_overlap(floor_map.nodes[k], node),
@@ -113,7 +113,7 @@ def make_edge(floor_map: FloorMap, match: KeyframeMatch, second: int, closes: bo
     """Return the edge between the matched keyframe and a picture that is node ``second``."""
     at, pose = floor_map.nodes[match.keyframe], match.pose
     tilt = at[TILT] + pose.keyframe_tilt_error_rad
-    _, by_b = relative_pose_jacobians(at, match.graph_node)
+    _, by_b = relative_pose_jacobians(at, match.pose_graph_node)
     # Jacobian of N, E, height, heading, tilt of the picture, tilt of the keyframe by the edge's eight numbers
     change = np.zeros((POSE_SIZE, EDGE_SIZE))
     change[:4, :4] = np.linalg.inv(by_b)[[0, 1, LN_HEIGHT, HEADING]]
@@ -123,7 +123,7 @@ def make_edge(floor_map: FloorMap, match: KeyframeMatch, second: int, closes: bo
     return GraphEdge(
         match.keyframe,
         second,
-        np.concatenate([relative_pose(at, match.graph_node), tilt, pose.tilt_error_rad]),
+        np.concatenate([relative_pose(at, match.pose_graph_node), tilt, pose.tilt_error_rad]),
         change.T @ information @ change,
         change.T @ gradient,
         closes,

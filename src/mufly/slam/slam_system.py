@@ -336,7 +336,7 @@ class SlamSystem:
         """Update motion and map by a trusted match, and return its result."""
         frame, before = context.frame, self._motion
         assert before.latest is not None
-        elapsed, node = before.latest.elapsed_s, match.graph_node
+        elapsed, node = before.latest.elapsed_s, match.pose_graph_node
         velocity = np.zeros(2)
         if 0.0 < elapsed < 0.5:
             gain = min(1.0, 3.0 * elapsed)
@@ -411,7 +411,7 @@ class SlamSystem:
             tilts = np.concatenate([pose.tilt_error_rad - view.tilt_error_rad, pose.keyframe_tilt_error_rad])
             belief = self.floor_map.predict_covariance(here, *context.error_transition)
             height = math.log(view.height_m) - context.predicted_errors[2]
-            node, known = fuse_pose(at[PLACE], belief, match.graph_node, tilts, *pose_information(match), height)
+            node, known = fuse_pose(at[PLACE], belief, match.pose_graph_node, tilts, *pose_information(match), height)
         for u in match.unknown:  # at least the variance of the prediction since the direction was seen
             along = np.concatenate([u, np.zeros(2)])
             free = context.motion.free_sigma[0] ** 2 - along @ known @ along
@@ -482,7 +482,7 @@ class SlamSystem:
             return self._accept_match(context, found)
         self._trial_frame_count += 1
         if self._trial_frame_count <= (_MIN_CONFIRMATIONS if self._is_map_young else _TRIAL_FRAMES):
-            self._last_node, self._motion = match.graph_node, self._motion.restart_at(context.frame)
+            self._last_node, self._motion = match.pose_graph_node, self._motion.restart_at(context.frame)
             self._learn_vibration(context.view, match.pose)
             refine_keyframe(self.floor_map, context, match)
             return TrackingResult(context.frame.time_s, False, "new map begun, not yet confirmed")
@@ -550,7 +550,7 @@ class SlamSystem:
             or match.pose.residual_scale > 3.0
         ):
             return None
-        here = match.graph_node
+        here = match.pose_graph_node
         if found and math.hypot(*(here[:2] - found[-1][1][:2])) > 0.1 + 1.0 * (time_s - found[-1][0]):
             found = []
         self._found_poses = [*found, (time_s, here)]

@@ -85,7 +85,7 @@ def _solve_pair(
     return found, ""
 
 
-def solve_equal_pair() -> SystemSolution:
+def solve_equal_speed_pair() -> SystemSolution:
     """Return the pair at 14 degrees, both rotors at 6 000 rpm, 20 mm apart, by the wake method.
 
     Raises

@@ -36,7 +36,7 @@ from mufly.rotor.wake.induced_flow import momentum_thrust
 from mufly.study import BEMT_MODELS
 from mufly.thesis.blade_element_studies import load_bench_points
 from mufly.thesis.claims import TABLE_3_2_VALUES, ProgressCallback, Study, StudyFindings, judge, new_figure
-from mufly.thesis.coaxial_studies import solve_equal_pair
+from mufly.thesis.coaxial_studies import solve_equal_speed_pair
 from mufly.units import RPM
 
 Array = NDArray[np.float64]
@@ -78,7 +78,7 @@ def study_wake_pair(progress: ProgressCallback | None = None) -> StudyFindings:
 
     Thesis: Fig. 3.6.
     """
-    found = solve_equal_pair()
+    found = solve_equal_speed_pair()
     r, z = tip_vortex_path(found)
     k = int(np.argmax(z <= -SPACING_M))
     inside = float(r[k])
@@ -166,7 +166,7 @@ def study_wake_shapes(progress: ProgressCallback | None = None) -> StudyFindings
 
     Thesis: Fig. 3.18.
     """
-    free, fixed, pair = solve_single_rotor("free"), solve_single_rotor("prescribed"), solve_equal_pair()
+    free, fixed, pair = solve_single_rotor("free"), solve_single_rotor("prescribed"), solve_equal_speed_pair()
     radii = {name: tip_vortex_path(one) for name, one in (("free", free), ("prescribed", fixed))}
     depth = 0.06  # one radius below
     at = {name: float(np.interp(depth, -z[np.argsort(-z)], r[np.argsort(-z)])) for name, (r, z) in radii.items()}

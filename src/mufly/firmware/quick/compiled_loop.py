@@ -222,7 +222,7 @@ _IMU_OUTPUT = 4  # place in the arguments of sample_imu after the time
 ROW_TIME, ROW_STATE, ROW_ATT, ROW_WIND, ROW_SUPPLY, ROW_MOTORS, ROW_SERVOS = 0, 1, 22, 25, 28, 30, 32
 ROW_REF_POS, ROW_REF_VEL, ROW_REF_ATT, ROW_MISSION, LOG_ROW_SIZE = 34, 37, 40, 43, 44
 # Offsets in the C record of motion (controllers.h)
-_M_POS, _M_VEL, _M_ATT, _M_RATES, _M_VOLTAGE = 0, 3, 6, 9, 12
+_MOTION_POS, _MOTION_VEL, _MOTION_ATT, _MOTION_RATES, _MOTION_VOLTAGE = 0, 3, 6, 9, 12
 _ACCEL_START, _RATES_START, _VOLTAGE_START = (
     READING_STARTS[R_ACCELERATION],
     READING_STARTS[R_RATES],
@@ -419,9 +419,9 @@ def _publish_truth(p: IdealPeriods) -> int:
     c, q, b, at = p.clock, p.plant, p.software.estimate_reals, p.software.offsets
     b[at.time] = c.tick / c.rate_Hz
     for k in range(3):
-        b[at.motion + _M_POS + k], b[at.motion + _M_VEL + k] = q.state[RS_POS + k], q.state[RS_VEL + k]
-        b[at.motion + _M_ATT + k], b[at.motion + _M_RATES + k] = q.attitude[k], q.state[RS_RATES + k]
-    b[at.motion + _M_VOLTAGE] = q.supply[0]
+        b[at.motion + _MOTION_POS + k], b[at.motion + _MOTION_VEL + k] = q.state[RS_POS + k], q.state[RS_VEL + k]
+        b[at.motion + _MOTION_ATT + k], b[at.motion + _MOTION_RATES + k] = q.attitude[k], q.state[RS_RATES + k]
+    b[at.motion + _MOTION_VOLTAGE] = q.supply[0]
     return CONTINUE
 
 
@@ -431,11 +431,11 @@ def _step_filter(p: FittedPeriods) -> int:
     b[at.time] = c.tick / c.rate_Hz
     valid = call_c_function(f.addresses[0], f.addresses[1:]) & 1
     for k in range(3):
-        b[at.motion + _M_POS + k], b[at.motion + _M_VEL + k] = f.state[SX_POS + k], f.state[SX_VEL + k]
-        b[at.motion + _M_ATT + k], b[at.motion + _M_RATES + k] = f.angles[k], f.rates[k]
+        b[at.motion + _MOTION_POS + k], b[at.motion + _MOTION_VEL + k] = f.state[SX_POS + k], f.state[SX_VEL + k]
+        b[at.motion + _MOTION_ATT + k], b[at.motion + _MOTION_RATES + k] = f.angles[k], f.rates[k]
         b[at.specific_force + k] = f.values[_ACCEL_START + k]
     volts = f.values[_VOLTAGE_START]
-    b[at.motion + _M_VOLTAGE] = volts if volts != 0.0 else math.nan
+    b[at.motion + _MOTION_VOLTAGE] = volts if volts != 0.0 else math.nan
     p.software.estimate_bytes[at.valid] = valid
     c.is_valid = valid
     c.filter_periods += 1

@@ -195,7 +195,7 @@ class Campaign:
         for ``vehicle``, so that only the truth varies.
     controllers : callable, optional
         See :class:`mufly.flight.Flight`.
-    quickly : callable, optional
+    fast_controllers : callable, optional
         Faster flight software used if ``controllers`` is None, with identical flights
         (:class:`mufly.firmware.GenericFirmwareSoftware`); not part of the settings hash.
     computed_by : tuple of str
@@ -216,7 +216,7 @@ class Campaign:
     tolerance_m: float = 0.3
     redesign: bool = False
     controllers: ControlImplementation | None = None
-    quickly: ControlImplementation | None = None
+    fast_controllers: ControlImplementation | None = None
     computed_by: tuple[str, ...] = ()
     vehicle_name: str = "mufly-1.1"
     mission_name: str = "demonstration"
@@ -378,7 +378,7 @@ class Campaign:
             "sensors": self.sensors,
             "faults": [parse_fault(text) for text in self.faults],
             "eye": self.camera,
-            "controllers": self.controllers or self.quickly,
+            "controllers": self.controllers or self.fast_controllers,
         }
 
     @cached_property

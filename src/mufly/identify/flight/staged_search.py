@@ -97,15 +97,15 @@ def plan_stages(records: Sequence[FlightRecord], method: FitMethod, window_s: fl
 
 
 @dataclass
-class _StageEnd:
+class _StageResult:
     """Result of a stage: negative log-likelihood, mean square of the whitened residuals, parameters."""
 
-    unlikely: float
+    negative_log_likelihood: float
     scale: float
     theta: list[float]
 
     @classmethod
-    def from_point(cls, problem: OutputErrorProblem, point: FitPoint) -> _StageEnd:
+    def from_point(cls, problem: OutputErrorProblem, point: FitPoint) -> _StageResult:
         count = sum(int(np.isfinite(r.measured).sum()) for r in problem.records)
         noise = sum(
             float(np.isfinite(f.record.measured).sum(axis=0) @ np.log(f.noise_std)) for f in problem.prepared_records
@@ -120,16 +120,16 @@ class _SearchState:
     stage: int = 0
     round: int = 0
     iteration: int = 0
-    inside: bool = False  # within a stage, not at its beginning
-    first: list[float] | None = None  # theta after the first stage, until the exchanged vehicle is excluded
-    alone: bool = False  # the exchanged vehicle is excluded or was never a candidate
-    ends: list[_StageEnd] = field(default_factory=list)  # results of the finished stages
+    is_within_stage: bool = False  # within a stage, not at its beginning
+    first_stage_theta: list[float] | None = None  # theta after the first stage, until the exchanged vehicle is excluded
+    is_exchange_excluded: bool = False  # the exchanged vehicle is excluded or was never a candidate
+    stage_results: list[_StageResult] = field(default_factory=list)  # results of the finished stages
     history: list[dict[str, Any]] = field(default_factory=list)
     point: FitPoint | None = None
     noise: list[_Array] | None = None
-    charge: list[float] | None = None
-    begin: list[_Array] | None = None
-    course: EvolutionHistory | None = None
+    initial_charges: list[float] | None = None
+    initial_offsets: list[_Array] | None = None
+    evolution: EvolutionHistory | None = None
 
 
 class StagedSearch:
@@ -154,13 +154,13 @@ class StagedSearch:
         if kept is not None:
             self.state = _SearchState(**{f.name: kept[f.name] for f in fields(_SearchState)})
             self.state.point = _point_from_json(kept["point"])
-            self.state.ends = [_StageEnd(**e) for e in kept["ends"]]
+            self.state.stage_results = [_StageResult(**e) for e in kept["stage_results"]]
             if kept["noise"] is not None:
                 self.state.noise = [np.array(n) for n in kept["noise"]]
-            if kept["begin"] is not None:
-                self.state.begin = [np.array(b) for b in kept["begin"]]
-            if (c := kept["course"]) is not None:
-                self.state.course = EvolutionHistory(
+            if kept["initial_offsets"] is not None:
+                self.state.initial_offsets = [np.array(b) for b in kept["initial_offsets"]]
+            if (c := kept["evolution"]) is not None:
+                self.state.evolution = EvolutionHistory(
                     c["told"], _point_from_json(c["reference"]), _point_from_json(c["origin"])
                 )
 
@@ -170,12 +170,12 @@ class StagedSearch:
         Return the point, the last problem, whether the search converged, and descriptions of remaining ambiguities.
         """
         doubt = ""
-        if len(self._stages) > 1 and self._method == "lm" and not self.state.alone:
-            if self.state.first is None:
-                self.state.first = self.run_stages(1)[0].theta.tolist()
-            other = self._with_rotors_exchanged(np.array(self.state.first))
+        if len(self._stages) > 1 and self._method == "lm" and not self.state.is_exchange_excluded:
+            if self.state.first_stage_theta is None:
+                self.state.first_stage_theta = self.run_stages(1)[0].theta.tolist()
+            other = self._with_rotors_exchanged(np.array(self.state.first_stage_theta))
             for k in range(len(self._stages)):
-                if other is None or self.state.alone:
+                if other is None or self.state.is_exchange_excluded:
                     break
                 self.run_stages(k + 1)
                 other.run_stages(k + 1)
@@ -205,8 +205,8 @@ class StagedSearch:
 
     def _keep_better_run(self, other: StagedSearch, k: int) -> str:
         """Keep the better of two searches after stage ``k``; return the ambiguity that remains after the last stage."""
-        mine, its = self.state.ends[k], other.state.ends[k]
-        rise = its.unlikely - mine.unlikely
+        mine, its = self.state.stage_results[k], other.state.stage_results[k]
+        rise = its.negative_log_likelihood - mine.negative_log_likelihood
         there, last = np.array(its.theta) - np.array(mine.theta), k + 1 == len(self._stages)
         same = float(np.max(np.abs(there))) < _SAME_MINIMUM_TOLERANCE
         apart = k > 0 and abs(rise) > _DECISIVE_LIKELIHOOD_DIFFERENCE * max(1.0, mine.scale, its.scale)
@@ -215,7 +215,7 @@ class StagedSearch:
         flown = sum(r.state.point.simulations for r in (self, other) if r.state.point is not None)
         if rise < 0.0:
             self.state, self._last_result = other.state, other._last_result
-        self.state.alone = True
+        self.state.is_exchange_excluded = True
         if self.state.point is not None:
             self.state.point = replace(self.state.point, simulations=flown)
             self._last_result = (self.state.point, *self._last_result[1:])
@@ -236,20 +236,20 @@ class StagedSearch:
         """Run the remaining stages, up to ``stages`` in total."""
         for k in range(self.state.stage, len(self._stages) if stages is None else stages):
             self._last_result = self._run_stage(k)
-            self.state.stage, self.state.round, self.state.inside = k + 1, 0, False
+            self.state.stage, self.state.round, self.state.is_within_stage = k + 1, 0, False
         return self._last_result
 
     def _run_stage(self, k: int) -> tuple[FitPoint, OutputErrorProblem, bool]:
         """Run stage ``k``, resumed from its last iteration if it was interrupted."""
         state, stage, final = self.state, self._stages[k], self._final_problem
-        last, left = k == len(self._stages) - 1, state.inside
+        last, left = k == len(self._stages) - 1, state.is_within_stage
         theta = self._solve_hover() if state.point is None else state.point.theta
         flown = 0 if state.point is None else state.point.simulations
-        if state.charge is not None:
-            final = final.with_charges(state.charge)
+        if state.initial_charges is not None:
+            final = final.with_charges(state.initial_charges)
         if not left and any("voltage" in r.outputs for r in final.records):
             final = final.with_windows(CHARGING_WINDOW_S).with_matched_charge(theta).with_windows(None)
-            state.charge = [f.initial_charge for f in final.prepared_records]
+            state.initial_charges = [f.initial_charge for f in final.prepared_records]
         problem = final.with_windows(stage.window_s, hover=stage.with_hover_residual)
         if not last:
             problem = problem.with_noise(_noise_with_voltage_slack(problem))
@@ -260,10 +260,10 @@ class StagedSearch:
             if last and state.noise is not None:
                 problem = problem.with_noise(state.noise)
             if stage.window_s is not None and k > 0:
-                if not left or state.begin is None:
-                    state.begin = find_initial_offsets(problem, theta)
-                problem = problem.with_initial_offset(state.begin)
-            if state.inside and state.point is not None:
+                if not left or state.initial_offsets is None:
+                    state.initial_offsets = find_initial_offsets(problem, theta)
+                problem = problem.with_initial_offset(state.initial_offsets)
+            if state.is_within_stage and state.point is not None:
                 point = state.point
             else:
                 states = problem.zero_initial_states()
@@ -271,15 +271,15 @@ class StagedSearch:
                     found = find_initial_states(problem, theta)
                     states, flown = found.initial_states, flown + found.simulation_count
                 point = FitPoint(theta, states, np.inf, 1e-2, flown)
-            state.round, state.inside, left = r, True, False
+            state.round, state.is_within_stage, left = r, True, False
             point, converged = self._minimise_stage(problem, point, stage, k)
             if last and stage.window_s is None and max(residual_over_noise(problem).values()) > MAX_NOISE_RATIO:
                 point, converged = self._resolve_from_new_starts(problem, point, stage, k, converged)
-            state.course, state.iteration, state.point = None, 0, point
+            state.evolution, state.iteration, state.point = None, 0, point
             theta, flown = point.theta, point.simulations
             if last and r + 1 < rounds:
                 state.noise = _noise_from_residuals(problem, point)
-        state.ends.append(_StageEnd.from_point(problem, point))
+        state.stage_results.append(_StageResult.from_point(problem, point))
         return point, problem, converged
 
     def _resolve_from_new_starts(
@@ -312,7 +312,7 @@ class StagedSearch:
     ) -> tuple[FitPoint, bool]:
         def record_iteration(now: FitPoint, course: EvolutionHistory | None = None) -> None:
             state = self.state
-            state.iteration, state.point, state.course = state.iteration + 1, now, course
+            state.iteration, state.point, state.evolution = state.iteration + 1, now, course
             values = theta_to_values(problem.free_parameters, now.theta).tolist()
             named = dict(zip([f.symbol for f in problem.free_parameters], values, strict=True))
             row = {"iteration": len(state.history) + 1, "cost": now.cost, "stage": stage.name, **named}
@@ -334,7 +334,7 @@ class StagedSearch:
             point,
             seed=self._seed + k,
             generations=stage.max_iterations,
-            course=self.state.course,
+            course=self.state.evolution,
             restarts=self._restarts,
             tolerance=1.0 if stage.window_s is not None else 0.01,
             on_generation=record_iteration,

@@ -80,7 +80,7 @@ class FrequencyResponse:
         Partial coherence.
     error : (f, outputs, inputs) array
         Random error (one standard deviation) of the magnitude, relative; it equals the error of the phase (rad).
-    freedom : (f, outputs, inputs) array
+    degrees_of_freedom : (f, outputs, inputs) array
         Degrees of freedom of ``error``.
     averages : float
         Equivalent number of independent segments.
@@ -94,7 +94,7 @@ class FrequencyResponse:
     coherence: Array
     partial: Array
     error: Array
-    freedom: Array
+    degrees_of_freedom: Array
     averages: float
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
@@ -114,7 +114,7 @@ class FrequencyResponse:
     @property
     def relative_interval(self) -> Array:
         """Return half the relative 95 % interval of the magnitude; its arcsine is that of the phase (rad)."""
-        return np.asarray(stdtrit(self.freedom, 0.975) * self.error)
+        return np.asarray(stdtrit(self.degrees_of_freedom, 0.975) * self.error)
 
 
 def estimate_frequency_response(
@@ -242,16 +242,18 @@ def response_from_spectra(
     # |H_j|^2 S_jj.r is the explained power that input j alone adds.
     alone = np.abs(np.nan_to_num(response)) ** 2 * own[:, None, :]
     partial = alone / np.maximum(alone + left[:, :, None], 1e-300)
-    error, freedom = response_random_error(partial, averages, k)
-    return FrequencyResponse(frequency, response, coherence, partial, error, freedom, averages, inputs, outputs)
+    error, degrees_of_freedom = response_random_error(partial, averages, k)
+    return FrequencyResponse(
+        frequency, response, coherence, partial, error, degrees_of_freedom, averages, inputs, outputs
+    )
 
 
 def response_random_error(coherence: Array, averages: float | Array, inputs: int) -> tuple[Array, Array]:
     """Return the relative standard deviation of magnitude and phase (rad), and its degrees of freedom."""
     square = np.clip(coherence, 1e-12, 1.0)
     # As many inputs as segments explain any output: half a degree of freedom then gives a very wide interval.
-    freedom = np.full_like(square, 1.0) * np.maximum(2.0 * (averages - inputs), 0.5)
-    return np.sqrt((1.0 - square) / (square * freedom)), freedom
+    degrees_of_freedom = np.full_like(square, 1.0) * np.maximum(2.0 * (averages - inputs), 0.5)
+    return np.sqrt((1.0 - square) / (square * degrees_of_freedom)), degrees_of_freedom
 
 
 def state_space_response(
@@ -340,8 +342,8 @@ def structure_response(structure: LinearStructure, values: Array, frequency_hz: 
 
 def _chance_coherence(averages: float, inputs: int, frequencies: float) -> float:
     """Return the partial coherence that independent signals exceed at any of the frequencies in 5 % of cases."""
-    freedom = max(averages - inputs, 1.0)
-    return float(1.0 - (0.05 / max(frequencies, 1.0)) ** (1.0 / freedom))
+    degrees_of_freedom = max(averages - inputs, 1.0)
+    return float(1.0 - (0.05 / max(frequencies, 1.0)) ** (1.0 / degrees_of_freedom))
 
 
 def fit_frequency_response(

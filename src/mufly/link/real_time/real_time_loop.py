@@ -150,7 +150,7 @@ class RealTimePacer:
         spent_s = self._last_s - self._began_s
         return self._ticks * self.period_s / (spent_s + self.period_s) if self._ticks else math.nan
 
-    def take_notice(self, now_s: float) -> str:
+    def take_pace_warning(self, now_s: float) -> str:
         """Return a message when the loop falls behind real time, or is back in it for a whole window; else ""."""
         if self.real_time_factor < SLOW_REAL_TIME_FACTOR:
             self._whole_s = now_s
@@ -326,7 +326,7 @@ def run_real_time(
                 rest = pace.sleep_time_s(now_s)
             pace.record_tick(now_s)
             link.real_time_factor, link.slip_count = pace.real_time_factor, pace.slip_count
-            if news := pace.take_notice(now_s):
+            if news := pace.take_pace_warning(now_s):
                 flight.log_event(news, "warning" if pace.real_time_factor < SLOW_REAL_TIME_FACTOR else "info")
             wire.receive(link, now_s)
             for one in shown:

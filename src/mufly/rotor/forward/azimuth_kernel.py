@@ -38,28 +38,37 @@ from mufly.rotor.forward.inflow import momentum_induced_velocity, pitt_peters_in
 Array = NDArray[np.float64]
 
 STATE_COUNT = 8
-X_CONING, X_FLAP_COS, X_FLAP_SIN, X_FLAP_COS_2, X_FLAP_SIN_2, X_INFLOW, X_INFLOW_COS, X_INFLOW_SIN = range(STATE_COUNT)
+(
+    UNKNOWN_CONING,
+    UNKNOWN_FLAP_COS,
+    UNKNOWN_FLAP_SIN,
+    UNKNOWN_FLAP_COS_2,
+    UNKNOWN_FLAP_SIN_2,
+    UNKNOWN_INFLOW,
+    UNKNOWN_INFLOW_COS,
+    UNKNOWN_INFLOW_SIN,
+) = range(STATE_COUNT)
 """Unknowns q0, q1c, q1s, q2c, q2s (rad), l0, lc, ls (over Omega R), and their residuals."""
-S_U, S_INFLOW_COS, S_INFLOW_SIN = 0, 6, 7
+SLOPE_U, SLOPE_INFLOW_COS, SLOPE_INFLOW_SIN = 0, 6, 7
 """Places of u, lc and ls among the variables of the slopes of a station; the flap coefficients lie between."""
-H_MEAN, H_COS, H_SIN, H_COS_2, H_SIN_2, H_LIFT = range(6)
+HARMONIC_MEAN, HARMONIC_COS, HARMONIC_SIN, HARMONIC_COS_2, HARMONIC_SIN_2, HARMONIC_LIFT = range(6)
 """Mean and harmonics of the force of a station, and its mean lift in the axial direction."""
-L_THRUST, L_MOMENT, L_MOMENT_COS, L_MOMENT_SIN, L_MOMENT_COS_2, L_MOMENT_SIN_2 = range(6)
+BLADE_THRUST, BLADE_MOMENT, BLADE_MOMENT_COS, BLADE_MOMENT_SIN, BLADE_MOMENT_COS_2, BLADE_MOMENT_SIN_2 = range(6)
 """Thrust, mean and harmonics of the flap moment of a blade."""
-P_LOSS, P_SLOPE = 0, 1
+PRANDTL_LOSS, PRANDTL_SLOPE = 0, 1
 """Prandtl's factor of an annulus, and its slope over u."""
-A_SWIRL, A_LOSS, A_DRAG = range(3)
+ANNULUS_SWIRL, ANNULUS_LOSS, ANNULUS_DRAG = range(3)
 """Columns of an annulus of a solution."""
 (
-    T_THRUST, T_TORQUE, T_H_FORCE, T_Y_FORCE, T_MOMENT_COS, T_MOMENT_SIN, T_INDUCED, T_PROFILE, T_AXIAL,
-    T_THRUST_COS_2, T_THRUST_SIN_2,
+    ROTOR_THRUST, ROTOR_TORQUE, ROTOR_H_FORCE, ROTOR_Y_FORCE, ROTOR_MOMENT_COS, ROTOR_MOMENT_SIN,
+    ROTOR_INDUCED, ROTOR_PROFILE, ROTOR_AXIAL, ROTOR_THRUST_COS_2, ROTOR_THRUST_SIN_2,
 ) = range(11)  # fmt: skip
 """Loads of a solution."""
 TOTAL_COUNT = 11
 MAX_NEWTON_STEPS = 80
 TOLERANCE = 1e-10
 INFLOW_CODES = {"annular": 0, "pitt-peters": 1, "uniform": 2, "prescribed": 3}
-F_INFLOW, F_ALPHA, F_LIFT, F_DRAG, F_REYNOLDS, F_THRUST = range(6)
+FIELD_INFLOW, FIELD_ALPHA, FIELD_LIFT, FIELD_DRAG, FIELD_REYNOLDS, FIELD_THRUST = range(6)
 FIELD_COLUMNS = ("inflow_m_s", "alpha_rad", "lift_coefficient", "drag_coefficient", "reynolds", "thrust_per_length_N_m")
 _NEAR = 0.02
 """Residual below which Newton steps see how swirl and tip loss change with the inflow. Farther away, and in descent,
@@ -130,14 +139,14 @@ def _sum_stations(
             stream += point.stream_m_s[n, i] / count
             around += point.swirl_m_s[n, i] / count
         swirl, loss, lift_share = annulus_losses(blade, point, i, inflow[i], stream, around, share)
-        losses[i, P_LOSS] = loss
+        losses[i, PRANDTL_LOSS] = loss
         if near:
             nudge = 1e-6 * tip
             swirl_u, loss_u, share_u = annulus_losses(blade, point, i, inflow[i] + nudge, stream, around, share)
             swirl_u, loss_u = (swirl_u - swirl) / nudge, (loss_u - loss) / nudge
             share_u = (share_u - lift_share) / (nudge * lift_share)
         if fresh:
-            losses[i, P_SLOPE] = loss_u
+            losses[i, PRANDTL_SLOPE] = loss_u
         half = 0.5 * point.density_kg_m3 * chord
         row_zero = row_scale * (math.log(chord / point.kinematic_viscosity_m2_s) - blade.log_reynolds_min)
         for h in range(6):
@@ -147,16 +156,29 @@ def _sum_stations(
         for k in range(8):
             lift_by_edgewise[k] = lift_by_rotation[k] = 0.0
         for n in range(count):
-            c, s, c2, s2 = trig[n, H_COS], trig[n, H_SIN], trig[n, H_COS_2], trig[n, H_SIN_2]
+            c, s, c2, s2 = (
+                trig[n, HARMONIC_COS],
+                trig[n, HARMONIC_SIN],
+                trig[n, HARMONIC_COS_2],
+                trig[n, HARMONIC_SIN_2],
+            )
             along = edgewise * c
-            flap = x[X_CONING] + x[X_FLAP_COS] * c + x[X_FLAP_SIN] * s + x[X_FLAP_COS_2] * c2 + x[X_FLAP_SIN_2] * s2
+            flap = (
+                x[UNKNOWN_CONING]
+                + x[UNKNOWN_FLAP_COS] * c
+                + x[UNKNOWN_FLAP_SIN] * s
+                + x[UNKNOWN_FLAP_COS_2] * c2
+                + x[UNKNOWN_FLAP_SIN_2] * s2
+            )
             flapping = speed * (
-                x[X_FLAP_SIN] * c - x[X_FLAP_COS] * s + 2.0 * (x[X_FLAP_SIN_2] * c2 - x[X_FLAP_COS_2] * s2)
+                x[UNKNOWN_FLAP_SIN] * c
+                - x[UNKNOWN_FLAP_COS] * s
+                + 2.0 * (x[UNKNOWN_FLAP_SIN_2] * c2 - x[UNKNOWN_FLAP_COS_2] * s2)
             )
             across = speed * r + edgewise * s - swirl + point.swirl_m_s[n, i]
             down = (
                 point.axial_m_s + point.stream_m_s[n, i] + inflow[i]
-                + speed * r * (x[X_INFLOW_COS] * c + x[X_INFLOW_SIN] * s)
+                + speed * r * (x[UNKNOWN_INFLOW_COS] * c + x[UNKNOWN_INFLOW_SIN] * s)
                 + r * (flapping - point.roll_rate_rad_s * s - point.pitch_rate_rad_s * c) + along * flap
             )  # fmt: skip
             theta = blade.twist_rad[i] + point.collective_rad + point.cyclic_cos_rad * c + point.cyclic_sin_rad * s
@@ -165,13 +187,13 @@ def _sum_stations(
             )
             for h in range(5):
                 sums[i, h] += (1.0 if h == 0 else 2.0) * trig[n, h] / count * force
-            sums[i, H_LIFT] += lift / count
+            sums[i, HARMONIC_LIFT] += lift / count
             if not fresh:
                 continue
             more, lift_more = share_u * lift - swirl_u * force_t, share_u * lift - swirl_u * lift_t
             for h in range(5):
                 by_annulus[h] += (1.0 if h == 0 else 2.0) * trig[n, h] / count * more
-            by_annulus[H_LIFT] += lift_more / count
+            by_annulus[HARMONIC_LIFT] += lift_more / count
             for k in range(40):
                 by_edgewise[k] += slope * ways[n, 0, k]
                 by_rotation[k] += slope * ways[n, 1, k]
@@ -183,9 +205,9 @@ def _sum_stations(
                 turning = 1.0 if k == 0 else speed * r
                 for h in range(5):
                     slopes[i, h, k] = edgewise * by_edgewise[8 * h + k] + turning * by_rotation[8 * h + k]
-                slopes[i, H_LIFT, k] = edgewise * lift_by_edgewise[k] + turning * lift_by_rotation[k]
+                slopes[i, HARMONIC_LIFT, k] = edgewise * lift_by_edgewise[k] + turning * lift_by_rotation[k]
             for h in range(6):
-                slopes[i, h, S_U] += by_annulus[h]
+                slopes[i, h, SLOPE_U] += by_annulus[h]
 
 
 @cached_njit(error_model="numpy")
@@ -199,17 +221,23 @@ def _global_residual(blade: AzimuthBlade, point: AzimuthPoint, x: Array, loads: 
     else:
         scale = blade.flap_inertia_kg_m2 * speed * speed
         square = blade.flap_ratio * blade.flap_ratio
-        out[X_CONING] = square * x[X_CONING] - loads[L_MOMENT] / scale
-        out[X_FLAP_COS] = (
-            (square - 1.0) * x[X_FLAP_COS] - loads[L_MOMENT_COS] / scale - 2.0 * point.roll_rate_rad_s / speed
+        out[UNKNOWN_CONING] = square * x[UNKNOWN_CONING] - loads[BLADE_MOMENT] / scale
+        out[UNKNOWN_FLAP_COS] = (
+            (square - 1.0) * x[UNKNOWN_FLAP_COS] - loads[BLADE_MOMENT_COS] / scale - 2.0 * point.roll_rate_rad_s / speed
         )
-        out[X_FLAP_SIN] = (
-            (square - 1.0) * x[X_FLAP_SIN] - loads[L_MOMENT_SIN] / scale + 2.0 * point.pitch_rate_rad_s / speed
+        out[UNKNOWN_FLAP_SIN] = (
+            (square - 1.0) * x[UNKNOWN_FLAP_SIN]
+            - loads[BLADE_MOMENT_SIN] / scale
+            + 2.0 * point.pitch_rate_rad_s / speed
         )
-        out[X_FLAP_COS_2] = (square - 4.0) * x[X_FLAP_COS_2] - loads[L_MOMENT_COS_2] / scale
-        out[X_FLAP_SIN_2] = (square - 4.0) * x[X_FLAP_SIN_2] - loads[L_MOMENT_SIN_2] / scale
+        out[UNKNOWN_FLAP_COS_2] = (square - 4.0) * x[UNKNOWN_FLAP_COS_2] - loads[BLADE_MOMENT_COS_2] / scale
+        out[UNKNOWN_FLAP_SIN_2] = (square - 4.0) * x[UNKNOWN_FLAP_SIN_2] - loads[BLADE_MOMENT_SIN_2] / scale
     if point.inflow_code == 3:
-        out[X_INFLOW], out[X_INFLOW_COS], out[X_INFLOW_SIN] = x[X_INFLOW], x[X_INFLOW_COS], x[X_INFLOW_SIN]
+        out[UNKNOWN_INFLOW], out[UNKNOWN_INFLOW_COS], out[UNKNOWN_INFLOW_SIN] = (
+            x[UNKNOWN_INFLOW],
+            x[UNKNOWN_INFLOW_COS],
+            x[UNKNOWN_INFLOW_SIN],
+        )
         return 0.0
     disc = point.density_kg_m3 * math.pi * radius * radius * (speed * radius) ** 2
     stream = 0.0
@@ -218,17 +246,17 @@ def _global_residual(blade: AzimuthBlade, point: AzimuthPoint, x: Array, loads: 
             stream += point.stream_m_s[n, i] * blade.r_m[i] * blade.dr_m[i]
     stream *= 2.0 / (radius * radius * point.stream_m_s.shape[0])
     tip = speed * radius
-    c_c = 0.5 * blade.blade_count * loads[L_MOMENT_COS] / (disc * radius)
-    c_s = 0.5 * blade.blade_count * loads[L_MOMENT_SIN] / (disc * radius)
+    c_c = 0.5 * blade.blade_count * loads[BLADE_MOMENT_COS] / (disc * radius)
+    c_s = 0.5 * blade.blade_count * loads[BLADE_MOMENT_SIN] / (disc * radius)
     l0, lc, ls, cosine = pitt_peters_inflow(
-        blade.blade_count * loads[L_THRUST] / disc, c_c if point.inflow_code < 2 else 0.0, c_s, x[X_INFLOW],
+        blade.blade_count * loads[BLADE_THRUST] / disc, c_c if point.inflow_code < 2 else 0.0, c_s, x[UNKNOWN_INFLOW],
         (point.axial_m_s + stream) / tip, point.edgewise_m_s / tip,
     )  # fmt: skip
-    out[X_INFLOW] = x[X_INFLOW] - l0
+    out[UNKNOWN_INFLOW] = x[UNKNOWN_INFLOW] - l0
     if point.inflow_code == 2:
-        out[X_INFLOW_COS], out[X_INFLOW_SIN] = x[X_INFLOW_COS], x[X_INFLOW_SIN]
+        out[UNKNOWN_INFLOW_COS], out[UNKNOWN_INFLOW_SIN] = x[UNKNOWN_INFLOW_COS], x[UNKNOWN_INFLOW_SIN]
     else:
-        out[X_INFLOW_COS], out[X_INFLOW_SIN] = x[X_INFLOW_COS] - lc, x[X_INFLOW_SIN] - ls
+        out[UNKNOWN_INFLOW_COS], out[UNKNOWN_INFLOW_SIN] = x[UNKNOWN_INFLOW_COS] - lc, x[UNKNOWN_INFLOW_SIN] - ls
     return cosine if point.inflow_code == 0 else 0.0
 
 
@@ -237,7 +265,7 @@ def _collect_loads(blade: AzimuthBlade, sums: Array, loads: Array) -> None:
     for h in range(6):
         loads[h] = 0.0
     for i in range(blade.r_m.size):
-        loads[L_THRUST] += sums[i, H_MEAN] * blade.dr_m[i]
+        loads[BLADE_THRUST] += sums[i, HARMONIC_MEAN] * blade.dr_m[i]
         for h in range(5):
             loads[h + 1] += sums[i, h] * blade.r_m[i] * blade.dr_m[i]
 
@@ -279,9 +307,9 @@ def _station_residuals(
             stream = 0.0
             for n in range(count):
                 stream += point.stream_m_s[n, i] / count
-            factor = blade.blade_count / (4.0 * math.pi * blade.r_m[i] * point.density_kg_m3 * losses[i, P_LOSS])
-            hover, axial = factor * sums[i, H_LIFT], point.axial_m_s + stream
-            annulus = (inflow[i] - (1.0 - share) * x[X_INFLOW] * tip) / share
+            factor = blade.blade_count / (4.0 * math.pi * blade.r_m[i] * point.density_kg_m3 * losses[i, PRANDTL_LOSS])
+            hover, axial = factor * sums[i, HARMONIC_LIFT], point.axial_m_s + stream
+            annulus = (inflow[i] - (1.0 - share) * x[UNKNOWN_INFLOW] * tip) / share
             if share > 0.5 and annulus > 0.0 and axial >= 0.0:
                 # The balance as u sqrt(V^2 + (V_z + u)^2) = u_h^2: smooth where the load vanishes, as at the tip.
                 flow = math.sqrt(point.edgewise_m_s * point.edgewise_m_s + (axial + annulus) * (axial + annulus))
@@ -296,19 +324,22 @@ def _station_residuals(
                         own = value
                     else:
                         slope = share * factor * (value - own) / nudge
-                miss[i] = inflow[i] - share * own - (1.0 - share) * x[X_INFLOW] * tip
+                miss[i] = inflow[i] - share * own - (1.0 - share) * x[UNKNOWN_INFLOW] * tip
         else:
-            miss[i] = inflow[i] - x[X_INFLOW] * tip
+            miss[i] = inflow[i] - x[UNKNOWN_INFLOW] * tip
         largest = max(largest, abs(miss[i]) / tip)
-        by_inflow = slopes[i, H_LIFT, S_U] - sums[i, H_LIFT] * losses[i, P_SLOPE] / losses[i, P_LOSS]
+        by_inflow = (
+            slopes[i, HARMONIC_LIFT, SLOPE_U]
+            - sums[i, HARMONIC_LIFT] * losses[i, PRANDTL_SLOPE] / losses[i, PRANDTL_LOSS]
+        )
         own_slope = 1.0 - slope * by_inflow  # negative where a descent has several solutions
         local[i, 0] = own_slope if abs(own_slope) > 0.2 else math.copysign(0.2, own_slope)
         for k in range(5):
-            local[i, k + 1] = -slope * slopes[i, H_LIFT, k + 1]
-        local[i, 1 + X_INFLOW] = -(1.0 - share) * tip
-        local[i, 1 + X_INFLOW_COS], local[i, 1 + X_INFLOW_SIN] = (
-            -slope * slopes[i, H_LIFT, S_INFLOW_COS],
-            -slope * slopes[i, H_LIFT, S_INFLOW_SIN],
+            local[i, k + 1] = -slope * slopes[i, HARMONIC_LIFT, k + 1]
+        local[i, 1 + UNKNOWN_INFLOW] = -(1.0 - share) * tip
+        local[i, 1 + UNKNOWN_INFLOW_COS], local[i, 1 + UNKNOWN_INFLOW_SIN] = (
+            -slope * slopes[i, HARMONIC_LIFT, SLOPE_INFLOW_COS],
+            -slope * slopes[i, HARMONIC_LIFT, SLOPE_INFLOW_SIN],
         )
     return largest
 
@@ -363,7 +394,7 @@ def _newton_step(
             side[m] += through * miss[i]
             for k in range(STATE_COUNT):
                 matrix[m, k] -= through * local[i, k + 1]
-                if k != X_INFLOW:
+                if k != UNKNOWN_INFLOW:
                     matrix[m, k] += direct[k + 1 if k < 5 else k]
     _eliminate(matrix, side)
     return side
@@ -467,20 +498,33 @@ def integrate_loads(
             stream += point.stream_m_s[n, i] / count
             around += point.swirl_m_s[n, i] / count
         swirl, loss, lift_share = annulus_losses(blade, point, i, inflow[i], stream, around, share)
-        annuli[i, A_SWIRL], annuli[i, A_LOSS], annuli[i, A_DRAG] = swirl, loss, 0.0
+        annuli[i, ANNULUS_SWIRL], annuli[i, ANNULUS_LOSS], annuli[i, ANNULUS_DRAG] = swirl, loss, 0.0
         half = 0.5 * point.density_kg_m3 * chord
         row_zero = row_scale * (math.log(chord / point.kinematic_viscosity_m2_s) - blade.log_reynolds_min)
         weight = blade.blade_count * dr / count
         for n in range(count):
-            c, s, c2, s2 = trig[n, H_COS], trig[n, H_SIN], trig[n, H_COS_2], trig[n, H_SIN_2]
+            c, s, c2, s2 = (
+                trig[n, HARMONIC_COS],
+                trig[n, HARMONIC_SIN],
+                trig[n, HARMONIC_COS_2],
+                trig[n, HARMONIC_SIN_2],
+            )
             along = edgewise * c
-            flap = x[X_CONING] + x[X_FLAP_COS] * c + x[X_FLAP_SIN] * s + x[X_FLAP_COS_2] * c2 + x[X_FLAP_SIN_2] * s2
+            flap = (
+                x[UNKNOWN_CONING]
+                + x[UNKNOWN_FLAP_COS] * c
+                + x[UNKNOWN_FLAP_SIN] * s
+                + x[UNKNOWN_FLAP_COS_2] * c2
+                + x[UNKNOWN_FLAP_SIN_2] * s2
+            )
             flapping = speed * (
-                x[X_FLAP_SIN] * c - x[X_FLAP_COS] * s + 2.0 * (x[X_FLAP_SIN_2] * c2 - x[X_FLAP_COS_2] * s2)
+                x[UNKNOWN_FLAP_SIN] * c
+                - x[UNKNOWN_FLAP_COS] * s
+                + 2.0 * (x[UNKNOWN_FLAP_SIN_2] * c2 - x[UNKNOWN_FLAP_COS_2] * s2)
             )
             around_here = point.swirl_m_s[n, i] - swirl
             across = speed * r + edgewise * s + around_here
-            made = inflow[i] + speed * r * (x[X_INFLOW_COS] * c + x[X_INFLOW_SIN] * s) + induced[n, i]
+            made = inflow[i] + speed * r * (x[UNKNOWN_INFLOW_COS] * c + x[UNKNOWN_INFLOW_SIN] * s) + induced[n, i]
             met = made + point.stream_m_s[n, i]
             down = (
                 point.axial_m_s + met + along * flap
@@ -492,22 +536,22 @@ def integrate_loads(
             )
             outward = radial * along - force * flap
             wind = math.sqrt(across * across + down * down)
-            fields[n, i, F_INFLOW] = made
+            fields[n, i, FIELD_INFLOW] = made
             onset = theta - math.atan2(down, across)
-            fields[n, i, F_ALPHA] = (onset + math.pi) % (2.0 * math.pi) - math.pi
-            fields[n, i, F_LIFT] = (force * across + turn * down) / (half * wind**3 + 1e-300)
-            fields[n, i, F_DRAG] = cd
-            fields[n, i, F_REYNOLDS] = wind * chord / point.kinematic_viscosity_m2_s
-            fields[n, i, F_THRUST] = force
-            totals[T_THRUST] += weight * force
-            totals[T_TORQUE] += weight * turn * r
-            totals[T_H_FORCE] += weight * (turn * s + outward * c)
-            totals[T_Y_FORCE] += weight * (outward * s - turn * c)
-            totals[T_MOMENT_COS] += weight * force * r * c
-            totals[T_MOMENT_SIN] += weight * force * r * s
-            totals[T_INDUCED] += weight * (force * met - turn * around_here)
-            totals[T_PROFILE] += weight * (radial * wind * wind + radial * along * along)
-            totals[T_AXIAL] += weight * force * point.axial_m_s
-            totals[T_THRUST_COS_2] += 2.0 * dr / count * force * c2
-            totals[T_THRUST_SIN_2] += 2.0 * dr / count * force * s2
-            annuli[i, A_DRAG] += blade.blade_count / count * radial * across
+            fields[n, i, FIELD_ALPHA] = (onset + math.pi) % (2.0 * math.pi) - math.pi
+            fields[n, i, FIELD_LIFT] = (force * across + turn * down) / (half * wind**3 + 1e-300)
+            fields[n, i, FIELD_DRAG] = cd
+            fields[n, i, FIELD_REYNOLDS] = wind * chord / point.kinematic_viscosity_m2_s
+            fields[n, i, FIELD_THRUST] = force
+            totals[ROTOR_THRUST] += weight * force
+            totals[ROTOR_TORQUE] += weight * turn * r
+            totals[ROTOR_H_FORCE] += weight * (turn * s + outward * c)
+            totals[ROTOR_Y_FORCE] += weight * (outward * s - turn * c)
+            totals[ROTOR_MOMENT_COS] += weight * force * r * c
+            totals[ROTOR_MOMENT_SIN] += weight * force * r * s
+            totals[ROTOR_INDUCED] += weight * (force * met - turn * around_here)
+            totals[ROTOR_PROFILE] += weight * (radial * wind * wind + radial * along * along)
+            totals[ROTOR_AXIAL] += weight * force * point.axial_m_s
+            totals[ROTOR_THRUST_COS_2] += 2.0 * dr / count * force * c2
+            totals[ROTOR_THRUST_SIN_2] += 2.0 * dr / count * force * s2
+            annuli[i, ANNULUS_DRAG] += blade.blade_count / count * radial * across

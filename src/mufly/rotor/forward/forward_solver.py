@@ -23,20 +23,20 @@ from mufly.rotor.bemt import solve_rotor
 from mufly.rotor.blading import Blading, ensure_blading
 from mufly.rotor.forward.azimuth_elements import AzimuthBlade, AzimuthPoint
 from mufly.rotor.forward.azimuth_kernel import (
-    F_THRUST,
     FIELD_COLUMNS,
+    FIELD_THRUST,
     INFLOW_CODES,
     STATE_COUNT,
     TOLERANCE,
     TOTAL_COUNT,
-    X_CONING,
-    X_FLAP_COS,
-    X_FLAP_COS_2,
-    X_FLAP_SIN,
-    X_FLAP_SIN_2,
-    X_INFLOW,
-    X_INFLOW_COS,
-    X_INFLOW_SIN,
+    UNKNOWN_CONING,
+    UNKNOWN_FLAP_COS,
+    UNKNOWN_FLAP_COS_2,
+    UNKNOWN_FLAP_SIN,
+    UNKNOWN_FLAP_SIN_2,
+    UNKNOWN_INFLOW,
+    UNKNOWN_INFLOW_COS,
+    UNKNOWN_INFLOW_SIN,
     integrate_loads,
     solve_azimuth,
     velocity_ways,
@@ -261,12 +261,12 @@ def _find_solution(
         )  # fmt: skip
         down = c.climb_m_s + 2.0 * float(np.sum(mean * blade.r_m * blade.dr_m)) / blade.radius_m**2
         x = np.zeros(STATE_COUNT)
-        x[X_INFLOW] = momentum_induced_velocity(0.5 * found.c_T * tip**2, down, 0.0) / tip
+        x[UNKNOWN_INFLOW] = momentum_induced_velocity(0.5 * found.c_T * tip**2, down, 0.0) / tip
         return found.inflow_m_s.copy(), x
 
     def first_guess() -> tuple[Array, Array]:
         x = np.zeros(STATE_COUNT)
-        x[X_INFLOW] = 0.05
+        x[UNKNOWN_INFLOW] = 0.05
         return np.full(blade.r_m.size, 0.05 * tip), x
 
     guesses = []
@@ -321,7 +321,7 @@ def _make_result(
         notes.append(f"advance ratio above {MAX_ADVANCE_RATIO:g}: reversed flow, no unsteady aerodynamics")
     if mu < _VORTEX_RING_MU and VORTEX_RING_RANGE[0] * hover < -axial < VORTEX_RING_RANGE[1] * hover:
         notes.append("vortex ring or turbulent wake state: no steady wake; a curve through measured means")
-    thrusting = np.abs(fields[..., F_THRUST]) * blade.dr_m
+    thrusting = np.abs(fields[..., FIELD_THRUST]) * blade.dr_m
     stalled = float(thrusting[np.abs(fields[..., 1]) > _STALL_RAD].sum() / max(thrusting.sum(), 1e-300))
     if stalled > 0.2:
         notes.append("sections beyond 20 degrees carry more than a fifth of the thrust: no dynamic stall")
@@ -341,14 +341,14 @@ def _make_result(
         y_force_N=float(right),
         roll_moment_Nm=float(roll_w * cosine - pitch_w * sine),
         pitch_moment_Nm=float(roll_w * sine + pitch_w * cosine),
-        coning_rad=float(x[X_CONING]),
-        flap_cos_rad=float(x[X_FLAP_COS] * turn_cos + x[X_FLAP_SIN] * turn_sin),
-        flap_sin_rad=float(x[X_FLAP_SIN] * turn_cos - x[X_FLAP_COS] * turn_sin),
-        flap_2_rad=math.hypot(x[X_FLAP_COS_2], x[X_FLAP_SIN_2]),
+        coning_rad=float(x[UNKNOWN_CONING]),
+        flap_cos_rad=float(x[UNKNOWN_FLAP_COS] * turn_cos + x[UNKNOWN_FLAP_SIN] * turn_sin),
+        flap_sin_rad=float(x[UNKNOWN_FLAP_SIN] * turn_cos - x[UNKNOWN_FLAP_COS] * turn_sin),
+        flap_2_rad=math.hypot(x[UNKNOWN_FLAP_COS_2], x[UNKNOWN_FLAP_SIN_2]),
         thrust_2_N=math.hypot(t2c, t2s),
-        inflow_mean=float(x[X_INFLOW]),
-        inflow_cos=float(x[X_INFLOW_COS]),
-        inflow_sin=float(x[X_INFLOW_SIN]),
+        inflow_mean=float(x[UNKNOWN_INFLOW]),
+        inflow_cos=float(x[UNKNOWN_INFLOW_COS]),
+        inflow_sin=float(x[UNKNOWN_INFLOW_SIN]),
         induced_power_W=float(induced),
         profile_power_W=float(profile),
         c_T=float(thrust / force_scale),

@@ -89,7 +89,7 @@ def sum_rate_rows(
     return t0, t1, t2, t3, t4, t5, t6, t7
 
 
-def sum_rows(builder: Any, table: Any, rows: Iterable[tuple[Any, Any]], columns: int) -> list[Any]:
+def emit_row_sum(builder: Any, table: Any, rows: Iterable[tuple[Any, Any]], columns: int) -> list[Any]:
     """Write the weighted sum of rows in the language of LLVM; return its numbers.
 
     Parameters
@@ -125,13 +125,13 @@ def emit_flow_sum(builder: Any, table: Any, first: Any, later: Any, stride: Any,
         row = builder.add(start, builder.mul(stride, ir.Constant(_WORD, k)))
         for i, w in enumerate(along):
             rows.append((builder.add(row, ir.Constant(_WORD, FLOW_COLUMNS * i)), builder.fmul(v, w)))
-    return sum_rows(builder, table, rows, FLOW_COLUMNS)
+    return emit_row_sum(builder, table, rows, FLOW_COLUMNS)
 
 
 def emit_rate_sum(builder: Any, table: Any, first: Any, *weights: Any) -> list[Any]:
     """Write :func:`sum_rate_rows`; arguments and results are llvmlite values."""
     rows = [(builder.add(first, ir.Constant(_WORD, RATE_COLUMNS * i)), w) for i, w in enumerate(weights)]
-    return sum_rows(builder, table, rows, RATE_COLUMNS)
+    return emit_row_sum(builder, table, rows, RATE_COLUMNS)
 
 
 def _make_intrinsic(columns: int, arguments: str, emit: Any) -> Any:

@@ -24,7 +24,7 @@ from mufly.errors import InputError, MuflyError
 from mufly.results import ResultColumn, ShownBlock, result, show_lines, tabulate_results
 from mufly.rotor.bemt import drag_angular_momentum
 from mufly.rotor.blading import Blading, ensure_blading
-from mufly.rotor.forward.azimuth_kernel import X_INFLOW_COS, X_INFLOW_SIN
+from mufly.rotor.forward.azimuth_kernel import UNKNOWN_INFLOW_COS, UNKNOWN_INFLOW_SIN
 from mufly.rotor.forward.forward_results import BladeFlap, ForwardCondition, ForwardResult
 from mufly.rotor.forward.forward_solver import AZIMUTH_COUNT, InflowModel, azimuth_grid, solve_forward
 from mufly.rotor.geometry import Rotor
@@ -165,7 +165,7 @@ def _shifted_stream(
     read = axial_influence(own_r, radius_m, 1.0 / math.sqrt(k), r.ravel(), width)
     mean = (read @ state.inflow_m_s).reshape(r.shape)
     # First harmonics of the upper inflow about the displaced axis; the rotors turn against each other.
-    lc, ls = state.unknowns[[X_INFLOW_COS, X_INFLOW_SIN]]
+    lc, ls = state.unknowns[[UNKNOWN_INFLOW_COS, UNKNOWN_INFLOW_SIN]]
     gradient = (read @ (upper.speed_rad_s * own_r)).reshape(r.shape)
     safe = np.maximum(r, 1e-9 * radius_m)
     axial = k * (mean + gradient * (lc * along - ls * across) / safe)

@@ -39,7 +39,7 @@ GAUSS_POINTS: Array = 0.5 * (_NODES + 1.0)
 """Places of the Gauss points in an element, 0 to 1."""
 _GAUSS_WEIGHTS: Array = 0.5 * _WEIGHTS
 # Degrees of freedom of an element: v, v', w, w', phi of the inner node, phi of the middle, the same five outside.
-_V, _W, _P, _SIZE = (0, 1, 6, 7), (2, 3, 8, 9), (4, 5, 10), 11
+_V_FREEDOMS, _W_FREEDOMS, _TWIST_FREEDOMS, _SIZE = (0, 1, 6, 7), (2, 3, 8, 9), (4, 5, 10), 11
 # Those of the root's node.
 _ROOT_LAG, _ROOT_RISE, _ROOT_FLAP, _ROOT_PITCH, _ROOT_SIZE = 1, 2, 3, 4, 5
 
@@ -160,7 +160,7 @@ class BladeBeam:
         return np.asarray(6 * np.arange(self.length_m.size)[:, None] + np.arange(_SIZE), dtype=np.int64)
 
     @cached_property
-    def shapes(self) -> dict[str, Array]:
+    def shape_functions(self) -> dict[str, Array]:
         """Shape functions at the Gauss points, (elements, 4, 11): v, w, p, their slopes v1, w1, p1, bending v2, w2."""
         q, L = GAUSS_POINTS, self.length_m[:, None]
         one = np.ones_like(L)
@@ -174,8 +174,9 @@ class BladeBeam:
         turn = np.stack(((4 * q - 3) / L, (4 - 8 * q) / L, (4 * q - 1) / L))
         out = {}
         for name, values, where in (
-            ("v", hermite, _V), ("w", hermite, _W), ("v1", slope, _V), ("w1", slope, _W), ("v2", bend, _V),
-            ("w2", bend, _W), ("p", quad, _P), ("p1", turn, _P),
+            ("v", hermite, _V_FREEDOMS), ("w", hermite, _W_FREEDOMS), ("p", quad, _TWIST_FREEDOMS),
+            ("v1", slope, _V_FREEDOMS), ("w1", slope, _W_FREEDOMS), ("p1", turn, _TWIST_FREEDOMS),
+            ("v2", bend, _V_FREEDOMS), ("w2", bend, _W_FREEDOMS),
         ):  # fmt: skip
             full = np.zeros((*self.points_m.shape, _SIZE))
             full[..., where] = np.moveaxis(values, 0, -1)
@@ -220,8 +221,8 @@ class BladeBeam:
         return out
 
     def evaluate(self, name: str, x: Array) -> Array:
-        """Return a deflection or slope (a key of :attr:`shapes`) at the Gauss points, (elements, 4)."""
-        return np.asarray(np.einsum("egi,ei->eg", self.shapes[name], x[self._index]))
+        """Return a deflection or slope (a key of :attr:`shape_functions`) at the Gauss points, (elements, 4)."""
+        return np.asarray(np.einsum("egi,ei->eg", self.shape_functions[name], x[self._index]))
 
 
 def stiffness_matrices(beam: BladeBeam, pitch_rad: float, twist_rad: Array | None = None) -> tuple[Array, Array]:
@@ -235,7 +236,7 @@ def stiffness_matrices(beam: BladeBeam, pitch_rad: float, twist_rad: Array | Non
     twist_rad : (elements, 4) array, optional
         Elastic twist about which the centrifugal part is linear; default zero.
     """
-    s = beam.shapes
+    s = beam.shape_functions
     theta = beam.twist_rad + pitch_rad
     turned = theta if twist_rad is None else theta + twist_rad
     sine, cosine = np.sin(theta), np.cos(theta)
@@ -273,7 +274,7 @@ def stiffness_matrices(beam: BladeBeam, pitch_rad: float, twist_rad: Array | Non
 
 def mass_matrix(beam: BladeBeam, pitch_rad: float) -> Array:
     """Return the mass matrix, (size, size)."""
-    s, theta = beam.shapes, beam.twist_rad + pitch_rad
+    s, theta = beam.shape_functions, beam.twist_rad + pitch_rad
     m, e = beam.mass_kg_m, beam.centroid_behind_m
     turn = beam.flap_inertia + beam.lag_inertia + m * e**2
     return beam.assemble(
@@ -291,7 +292,7 @@ def centrifugal_load(beam: BladeBeam, pitch_rad: float, twist_rad: Array | None 
     Propeller moment, untwisting by tension, and tension on the line of the centroids; with ``twist_rad`` (elements, 4)
     those of the blade twisted by it, less the linear part that :func:`stiffness_matrices` holds.
     """
-    s, theta = beam.shapes, beam.twist_rad + pitch_rad
+    s, theta = beam.shape_functions, beam.twist_rad + pitch_rad
     phi = np.zeros_like(theta) if twist_rad is None else twist_rad
     turned = theta + phi
     T, e, m = beam.tension_kg_m, beam.centroid_behind_m, beam.mass_kg_m

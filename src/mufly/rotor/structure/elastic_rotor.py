@@ -75,7 +75,7 @@ class SpanLoads:
 
     def load_vector(self, beam: BladeBeam) -> Array:
         """Return the load vector of the beam, (size,)."""
-        s = beam.shapes
+        s = beam.shape_functions
         return beam.assemble_load((self.axial_N_m, s["w"]), (self.inplane_N_m, s["v"]), (self.moment_N, s["p"]))
 
 
@@ -157,7 +157,7 @@ class BladeEquilibrium:
 
 def load_derivative(beam: BladeBeam, below: SpanLoads, above: SpanLoads, step_rad: float) -> Array:
     """Return the derivative of the air loads with respect to the displacement, (size, size), from two solutions."""
-    s = beam.shapes
+    s = beam.shape_functions
     out = np.zeros((beam.size, beam.size))
     for name, change in (
         ("w", above.axial_N_m - below.axial_N_m),

@@ -60,8 +60,19 @@ def segment_velocity(px, py, pz, x0, y0, z0, x1, y1, z1, core):  # type: ignore[
 
 
 _segment_velocity = njit(inline="always", fastmath=True, error_model="numpy")(segment_velocity)
-S_COUNT = 10
-S_X, S_Y, S_Z, S_DX, S_DY, S_DZ, S_LENGTH_2, S_CORE, S_THICK, S_STRENGTH = range(S_COUNT)
+SEGMENT_COUNT = 10
+(
+    SEGMENT_X,
+    SEGMENT_Y,
+    SEGMENT_Z,
+    SEGMENT_DX,
+    SEGMENT_DY,
+    SEGMENT_DZ,
+    SEGMENT_LENGTH_2,
+    SEGMENT_CORE,
+    SEGMENT_THICK,
+    SEGMENT_STRENGTH,
+) = range(SEGMENT_COUNT)
 """Rows of a segment in single precision: start, vector to the end, its squared length, squared core radius, the product
 of both, circulation."""
 _ONE, _HALF, _GUARD_SINGLE = np.float32(1.0), np.float32(0.5), 1e-30
@@ -77,18 +88,22 @@ def _grouped_kernel_single(points: Any, rows: Any, out: Array) -> None:
         for j in range(rows.shape[1]):
             sx, sy, sz = zero, zero, zero
             for k in range(rows.shape[2]):
-                ax, ay, az = px - rows[S_X, j, k], py - rows[S_Y, j, k], pz - rows[S_Z, j, k]
-                lx, ly, lz = rows[S_DX, j, k], rows[S_DY, j, k], rows[S_DZ, j, k]
-                core, thick = rows[S_CORE, j, k], rows[S_THICK, j, k]
+                ax, ay, az = px - rows[SEGMENT_X, j, k], py - rows[SEGMENT_Y, j, k], pz - rows[SEGMENT_Z, j, k]
+                lx, ly, lz = rows[SEGMENT_DX, j, k], rows[SEGMENT_DY, j, k], rows[SEGMENT_DZ, j, k]
+                core, thick = rows[SEGMENT_CORE, j, k], rows[SEGMENT_THICK, j, k]
                 cx, cy, cz = az * ly - ay * lz, ax * lz - az * lx, ay * lx - ax * ly
                 along_a = lx * ax + ly * ay + lz * az
-                along_b = along_a - rows[S_LENGTH_2, j, k]
+                along_b = along_a - rows[SEGMENT_LENGTH_2, j, k]
                 bx, by, bz = ax - lx, ay - ly, az - lz
                 ra = _ONE / np.sqrt(ax * ax + ay * ay + az * az + core)
                 rb = _ONE / np.sqrt(bx * bx + by * by + bz * bz + core)
                 e = _ONE / (cx * cx + cy * cy + cz * cz + thick)
                 g, h = _ONE + thick * e, _HALF * core
-                f = rows[S_STRENGTH, j, k] * e * (along_a * ra * (g + h * ra * ra) - along_b * rb * (g + h * rb * rb))
+                f = (
+                    rows[SEGMENT_STRENGTH, j, k]
+                    * e
+                    * (along_a * ra * (g + h * ra * ra) - along_b * rb * (g + h * rb * rb))
+                )
                 sx += f * cx
                 sy += f * cy
                 sz += f * cz
@@ -166,15 +181,15 @@ def convert_to_single(segments: tuple[Array, Array, Array, Array], groups: int =
     """Return the segments of :func:`make_segments` in single precision, in groups of equal size."""
     start, end, strength, core = segments
     length = max(float(np.abs(start).max(initial=0.0)), 1e-30)
-    rows = np.empty((S_COUNT, strength.size), dtype=np.float32)
-    rows[:S_DX] = start / length
+    rows = np.empty((SEGMENT_COUNT, strength.size), dtype=np.float32)
+    rows[:SEGMENT_DX] = start / length
     # Between rounded ends: a point at the end of a segment stays on its line.
-    rows[S_DX:S_LENGTH_2] = (end / length).astype(np.float32) - rows[:S_DX]
-    rows[S_LENGTH_2] = np.sum(rows[S_DX:S_LENGTH_2].astype(np.float64) ** 2, axis=0)
-    rows[S_CORE] = core / length**2
-    rows[S_THICK] = rows[S_LENGTH_2] * rows[S_CORE] + _GUARD_SINGLE
-    rows[S_STRENGTH] = strength / length
-    return SingleSegments(length, rows.reshape(S_COUNT, groups, -1))
+    rows[SEGMENT_DX:SEGMENT_LENGTH_2] = (end / length).astype(np.float32) - rows[:SEGMENT_DX]
+    rows[SEGMENT_LENGTH_2] = np.sum(rows[SEGMENT_DX:SEGMENT_LENGTH_2].astype(np.float64) ** 2, axis=0)
+    rows[SEGMENT_CORE] = core / length**2
+    rows[SEGMENT_THICK] = rows[SEGMENT_LENGTH_2] * rows[SEGMENT_CORE] + _GUARD_SINGLE
+    rows[SEGMENT_STRENGTH] = strength / length
+    return SingleSegments(length, rows.reshape(SEGMENT_COUNT, groups, -1))
 
 
 def induce_velocity(points: Array, segments: tuple[Array, Array, Array, Array] | SingleSegments) -> Array:

@@ -79,9 +79,9 @@ _DELAY_GRID_S = np.arange(-0.15, 0.301, 0.01)
 FOCAL, CENTRE, RADIAL, MOUNT, DELAY = slice(0, 1), slice(1, 3), slice(3, 4), slice(4, 7), slice(7, 8)
 GYRO_BIAS, GYRO_SCALE, ACCEL_BIAS, LEVER = (slice(a, a + 3) for a in (8, 11, 14, 17))
 TILT = slice(20, 22)
-COMMON_SIZE, SEGMENT_SIZE = 22, 7
+SHARED_SIZE, SEGMENT_SIZE = 22, 7
 """Unknowns of the whole recording (tilt has two), and of a segment: velocity, logarithm of the height, rotation."""
-_V, _H, _E = slice(0, 3), 3, slice(4, 7)
+_VELOCITY, _LOG_HEIGHT, _TURN_ERROR = slice(0, 3), 3, slice(4, 7)
 _VELOCITY_STEP, _FLOOR_STEP, _HEIGHT_ERROR, _ROTATION_ERROR = slice(0, 3), 3, 4, slice(5, 8)  # columns of residuals
 _PRIOR_SIGMA = np.array(
     [0.5, 8.0, 8.0, 0.03, 3.0, 3.0, 3.0, 0.3, *[0.2] * 3, *[0.03] * 3, *[0.3] * 3, *[0.1] * 3, 0.5, 0.5]
@@ -208,33 +208,33 @@ def fit_camera(
             "record 60 s over a floor with texture, 0.3 to 1.5 m above it",
         )  # fmt: skip
     problem = _Problem.prepare(tracks, camera, imu, height_m, height_sigma_m)
-    common, own, covariance, sigma_px = _minimise(problem, problem.common, problem.own)
+    shared, segment_states, covariance, sigma_px = _minimise(problem, problem.shared, problem.segment_states)
     if frames is not None:
-        att = problem.integrate(common)
+        att = problem.integrate(shared)
         again = retrack_segments(
-            frames(), tracks.times_s, lambda k, px: problem.predict_first_pixels(common, own, att, k, px)
+            frames(), tracks.times_s, lambda k, px: problem.predict_first_pixels(shared, segment_states, att, k, px)
         )
         problem = replace(problem, tracks=again)
-        common, own, covariance, sigma_px = _minimise(problem, common, own)
-    return problem.describe(common, _INFLATION**2 * covariance, sigma_px)
+        shared, segment_states, covariance, sigma_px = _minimise(problem, shared, segment_states)
+    return problem.describe(shared, _INFLATION**2 * covariance, sigma_px)
 
 
-def _minimise(problem: _Problem, common: _Array, own: _Array) -> tuple[_Array, _Array, _Array, float]:
-    """Return the unknowns at the minimum, the covariance of the common ones, and the deviation of pixels."""
-    covariance, sigma_px = np.zeros((COMMON_SIZE, COMMON_SIZE)), 0.0
+def _minimise(problem: _Problem, shared: _Array, segment_states: _Array) -> tuple[_Array, _Array, _Array, float]:
+    """Return the unknowns at the minimum, the covariance of the shared ones, and the deviation of pixels."""
+    covariance, sigma_px = np.zeros((SHARED_SIZE, SHARED_SIZE)), 0.0
     for _ in range(_MAX_ITERATIONS):
-        sigma_px = problem.pixel_sigma(common, own)
-        jacobian, residual = problem.linearise(common, own, sigma_px)
+        sigma_px = problem.pixel_sigma(shared, segment_states)
+        jacobian, residual = problem.linearise(shared, segment_states, sigma_px)
         factor = splu((jacobian.T @ jacobian).tocsc())
         step = -factor.solve(jacobian.T @ residual)
-        common = common + step[:COMMON_SIZE]
-        own = own + step[COMMON_SIZE:].reshape(-1, SEGMENT_SIZE)
-        unit = np.zeros((len(step), COMMON_SIZE))
-        unit[:COMMON_SIZE] = np.eye(COMMON_SIZE)
-        covariance = factor.solve(unit)[:COMMON_SIZE]
-        if np.abs(step[:COMMON_SIZE] / np.sqrt(np.diag(covariance))).max() < _TOLERANCE:
+        shared = shared + step[:SHARED_SIZE]
+        segment_states = segment_states + step[SHARED_SIZE:].reshape(-1, SEGMENT_SIZE)
+        unit = np.zeros((len(step), SHARED_SIZE))
+        unit[:SHARED_SIZE] = np.eye(SHARED_SIZE)
+        covariance = factor.solve(unit)[:SHARED_SIZE]
+        if np.abs(step[:SHARED_SIZE] / np.sqrt(np.diag(covariance))).max() < _TOLERANCE:
             break
-    return common, own, covariance, sigma_px
+    return shared, segment_states, covariance, sigma_px
 
 
 def _select_segments(tracks: PointTracks, keep: NDArray[np.bool_]) -> PointTracks:
@@ -254,8 +254,8 @@ class _Problem:
     height_sigma_m: float
     mount: _Array
     start: _Array
-    common: _Array
-    own: _Array
+    shared: _Array
+    segment_states: _Array
     gyro_noise: float
     accel_noise: float
     linked: NDArray[np.bool_]
@@ -275,37 +275,37 @@ class _Problem:
         mount = rotation_matrices(quaternion_exponential(np.array([[0.0, 0.0, turn]])))[0] @ body_from_camera_rotation(
             camera
         )
-        common = np.zeros(COMMON_SIZE)
-        common[FOCAL], common[DELAY] = math.log(focal), delay
-        common[LEVER] = camera.mount.place.to_array()[0]
+        shared = np.zeros(SHARED_SIZE)
+        shared[FOCAL], shared[DELAY] = math.log(focal), delay
+        shared[LEVER] = camera.mount.place.to_array()[0]
         heights = height_m(tracks.times_s[:, 0] - delay)
-        own = np.zeros((len(tracks.times_s), SEGMENT_SIZE))
-        own[:, _H] = np.log(np.maximum(0.05, heights - common[LEVER][2]))
+        segment_states = np.zeros((len(tracks.times_s), SEGMENT_SIZE))
+        segment_states[:, _LOG_HEIGHT] = np.log(np.maximum(0.05, heights - shared[LEVER][2]))
         gap = tracks.times_s[1:, 0] - tracks.times_s[:-1, 1]
         return cls(
-            tracks, camera, imu, heights, height_sigma_m, mount, start, common, own,
+            tracks, camera, imu, heights, height_sigma_m, mount, start, shared, segment_states,
             estimate_white_noise(imu.rates_rad_s), estimate_white_noise(imu.force_m_s2), np.abs(gap) < 1e-6,
         )  # fmt: skip
 
     @property
     def prior_mean(self) -> _Array:
-        """Means of the priors of the common unknowns."""
-        mean = np.zeros(COMMON_SIZE)
+        """Means of the priors of the shared unknowns."""
+        mean = np.zeros(SHARED_SIZE)
         mean[LEVER] = self.camera.mount.place.to_array()[0]
-        mean[DELAY] = self.common[DELAY]
+        mean[DELAY] = self.shared[DELAY]
         return mean
 
-    def integrate(self, common: _Array) -> IntegratedMotion:
+    def integrate(self, shared: _Array) -> IntegratedMotion:
         """Return the motion by the inertial data."""
-        tilt = quaternion_exponential(np.array([[*common[TILT], 0.0]]))
+        tilt = quaternion_exponential(np.array([[*shared[TILT], 0.0]]))
         return integrate_inertial(
-            self.imu, multiply_quaternions(tilt, self.start[None])[0], gyro_bias=common[GYRO_BIAS],
-            gyro_scale=common[GYRO_SCALE], accel_bias=common[ACCEL_BIAS],
+            self.imu, multiply_quaternions(tilt, self.start[None])[0], gyro_bias=shared[GYRO_BIAS],
+            gyro_scale=shared[GYRO_SCALE], accel_bias=shared[ACCEL_BIAS],
         )  # fmt: skip
 
-    def lens_of(self, common: _Array) -> Camera:
+    def lens_of(self, shared: _Array) -> Camera:
         """Return the camera with the estimated lens."""
-        lens, scale = self.camera.lens, math.exp(common[FOCAL][0])
+        lens, scale = self.camera.lens, math.exp(shared[FOCAL][0])
 
         def changed(q: Quantity, value: float) -> Quantity:
             return q.model_copy(update={"value": float(value)})
@@ -313,44 +313,44 @@ class _Problem:
         return self.camera.model_copy(update={"lens": lens.model_copy(update={
             "focal_x": changed(lens.focal_x, float(lens.focal_x) * scale),
             "focal_y": changed(lens.focal_y, float(lens.focal_y) * scale),
-            "centre_x": changed(lens.centre_x, float(lens.centre_x) + common[CENTRE][0]),
-            "centre_y": changed(lens.centre_y, float(lens.centre_y) + common[CENTRE][1]),
-            "k1": changed(lens.k1, float(lens.k1) + common[RADIAL][0]),
+            "centre_x": changed(lens.centre_x, float(lens.centre_x) + shared[CENTRE][0]),
+            "centre_y": changed(lens.centre_y, float(lens.centre_y) + shared[CENTRE][1]),
+            "k1": changed(lens.k1, float(lens.k1) + shared[RADIAL][0]),
         })})  # fmt: skip
 
-    def mount_of(self, common: _Array) -> _Array:
+    def mount_of(self, shared: _Array) -> _Array:
         """Return the rotation matrix (3, 3) from camera to body axes."""
-        return np.asarray(self.mount @ _rotate(common[MOUNT]))
+        return np.asarray(self.mount @ _rotate(shared[MOUNT]))
 
     def _row_offsets(self, pixels: _Array) -> _Array:
         rows = self.camera.sensor.height
         return np.asarray((pixels[:, 1] / (rows - 1.0) - 0.5) * float(self.camera.shutter.readout))
 
-    def point_residuals(self, common: _Array, own: _Array, att: IntegratedMotion) -> _Array:
+    def point_residuals(self, shared: _Array, segment_states: _Array, att: IntegratedMotion) -> _Array:
         """Return the pixel residuals (n, 2) of the tracks."""
         tr = self.tracks
-        return self._transfer(common, own, att, tr.segment, tr.first_px, tr.last_px, True) - tr.last_px
+        return self._transfer(shared, segment_states, att, tr.segment, tr.first_px, tr.last_px, True) - tr.last_px
 
     def predict_first_pixels(
-        self, common: _Array, own: _Array, att: IntegratedMotion, segment: int, last_px: _Array
+        self, shared: _Array, segment_states: _Array, att: IntegratedMotion, segment: int, last_px: _Array
     ) -> _Array:
         """Return the pixels (n, 2) of the first picture that show the floor points at pixels of the last one."""
         k, first_px = np.full(len(last_px), segment), last_px
         for _ in range(_ROW_ITERATIONS):
-            first_px = self._transfer(common, own, att, k, last_px, first_px, False)
+            first_px = self._transfer(shared, segment_states, att, k, last_px, first_px, False)
         return first_px
 
     def _transfer(
-        self, common: _Array, own: _Array, att: IntegratedMotion, k: NDArray[np.int64], pixels: _Array, rows_of: _Array,
-        is_forward: bool,
+        self, shared: _Array, segment_states: _Array, att: IntegratedMotion, k: NDArray[np.int64], pixels: _Array,
+        rows_of: _Array, is_forward: bool,
     ) -> _Array:  # fmt: skip
         """Return where the floor points at pixels (n, 2) of one picture of segments ``k`` are in the other one.
 
         The rows of ``rows_of`` (n, 2) give the times in the other picture; ``is_forward``: from the first to the last.
         """
-        lens, mount, lever = self.lens_of(common), self.mount_of(common), common[LEVER]
-        begin, end = (self.tracks.times_s - common[DELAY]).T
-        v, e = own[:, _V], own[k, _E]
+        lens, mount, lever = self.lens_of(shared), self.mount_of(shared), shared[LEVER]
+        begin, end = (self.tracks.times_s - shared[DELAY]).T
+        v, e = segment_states[:, _VELOCITY], segment_states[k, _TURN_ERROR]
         speed0, way0 = att.speed_at(begin), att.way_at(begin)
 
         def place_at(t: _Array, turn: _Array) -> _Array:
@@ -361,7 +361,7 @@ class _Problem:
         here, there = (begin, end) if is_forward else (end, begin)
         ta, tb = here[k] + self._row_offsets(pixels), there[k] + self._row_offsets(rows_of)
         turn_a, turn_b = att.rotation_at(ta), att.rotation_at(tb)
-        floor_d = (att.rotation_at(begin) @ lever)[k, 2] + np.exp(own[k, _H])
+        floor_d = (att.rotation_at(begin) @ lever)[k, 2] + np.exp(segment_states[k, _LOG_HEIGHT])
         ray = np.concatenate([unproject_pixels(lens, pixels), np.ones((len(k), 1))], axis=1) @ mount.T
         if not is_forward:
             ray = ray + np.cross(e, ray)
@@ -375,11 +375,11 @@ class _Problem:
         seen[:, 2] = np.maximum(seen[:, 2], 0.02)
         return project_points(lens, seen)
 
-    def chain_residuals(self, common: _Array, own: _Array, att: IntegratedMotion) -> _Array:
+    def chain_residuals(self, shared: _Array, segment_states: _Array, att: IntegratedMotion) -> _Array:
         """Return the residuals (m, 8) of segments: velocity and floor against the next, height, rotation."""
-        begin, end = (self.tracks.times_s - common[DELAY]).T
-        v, height = own[:, _V], np.exp(own[:, _H])
-        lever_d = np.einsum("nij,j->ni", att.rotation_at(begin), common[LEVER])[:, 2]
+        begin, end = (self.tracks.times_s - shared[DELAY]).T
+        v, height = segment_states[:, _VELOCITY], np.exp(segment_states[:, _LOG_HEIGHT])
+        lever_d = np.einsum("nij,j->ni", att.rotation_at(begin), shared[LEVER])[:, 2]
         speed, way = att.speed_at(begin), att.way_at(begin)
         dt = (end - begin)[:, None]
         out = np.zeros((len(begin), 8))
@@ -389,7 +389,7 @@ class _Problem:
         out[:-1, _VELOCITY_STEP] = step * self.linked[:, None]
         out[:-1, _FLOOR_STEP] = floor / _FLOOR_STEP_M * self.linked
         out[:, _HEIGHT_ERROR] = (height + lever_d - self.heights_m) / self.height_sigma_m
-        out[:, _ROTATION_ERROR] = own[:, _E] / self._rotation_sigma
+        out[:, _ROTATION_ERROR] = segment_states[:, _TURN_ERROR] / self._rotation_sigma
         return out
 
     @property
@@ -408,55 +408,58 @@ class _Problem:
     def _rotation_sigma(self) -> float:
         return max(1e-5, self.gyro_noise * math.sqrt(self._interval_s * self._segment_s))
 
-    def pixel_sigma(self, common: _Array, own: _Array) -> float:
+    def pixel_sigma(self, shared: _Array, segment_states: _Array) -> float:
         """Return the deviation of pixel residuals along an axis (pixels), from their median."""
-        r = self.point_residuals(common, own, self.integrate(common))
+        r = self.point_residuals(shared, segment_states, self.integrate(shared))
         return max(_MIN_PIXEL_SIGMA, 1.4826 * float(np.median(np.abs(r))))
 
-    def linearise(self, common: _Array, own: _Array, sigma_px: float) -> tuple[Any, _Array]:
+    def linearise(self, shared: _Array, segment_states: _Array, sigma_px: float) -> tuple[Any, _Array]:
         """Return the sparse Jacobian matrix and the weighted residuals."""
-        att = self.integrate(common)
-        points, chain = self.point_residuals(common, own, att), self.chain_residuals(common, own, att)
+        att = self.integrate(shared)
+        points, chain = (
+            self.point_residuals(shared, segment_states, att),
+            self.chain_residuals(shared, segment_states, att),
+        )
         size = np.hypot(*points.T) / sigma_px
         weight = np.sqrt(np.minimum(1.0, _HUBER / np.maximum(size, 1e-9)))[:, None] / sigma_px
         n, m = points.size, chain.size
-        dense = np.empty((n + m, COMMON_SIZE))
-        for j in range(COMMON_SIZE):
-            moved = common.copy()
+        dense = np.empty((n + m, SHARED_SIZE))
+        for j in range(SHARED_SIZE):
+            moved = shared.copy()
             moved[j] += _STEPS[j]
             integral = GYRO_BIAS.start <= j < LEVER.start or j >= TILT.start
             other = self.integrate(moved) if integral else att
-            dense[:n, j] = (weight * (self.point_residuals(moved, own, other) - points)).ravel() / _STEPS[j]
-            dense[n:, j] = (self.chain_residuals(moved, own, other) - chain).ravel() / _STEPS[j]
+            dense[:n, j] = (weight * (self.point_residuals(moved, segment_states, other) - points)).ravel() / _STEPS[j]
+            dense[n:, j] = (self.chain_residuals(moved, segment_states, other) - chain).ravel() / _STEPS[j]
         rows, columns, values = [], [], []
         of_point = np.repeat(self.tracks.segment, 2)
-        of_chain = np.repeat(np.arange(len(own)), chain.shape[1])
+        of_chain = np.repeat(np.arange(len(segment_states)), chain.shape[1])
         for j in range(SEGMENT_SIZE):
-            moved = own.copy()
+            moved = segment_states.copy()
             moved[:, j] += _SEGMENT_STEPS[j]
-            change = (weight * (self.point_residuals(common, moved, att) - points)).ravel() / _SEGMENT_STEPS[j]
+            change = (weight * (self.point_residuals(shared, moved, att) - points)).ravel() / _SEGMENT_STEPS[j]
             rows.append(np.arange(n))
-            columns.append(COMMON_SIZE + SEGMENT_SIZE * of_point + j)
+            columns.append(SHARED_SIZE + SEGMENT_SIZE * of_point + j)
             values.append(change)
             for parity in (0, 1):  # a row depends on its segment and the next
-                mask = np.arange(len(own)) % 2 == parity
-                moved = own.copy()
+                mask = np.arange(len(segment_states)) % 2 == parity
+                moved = segment_states.copy()
                 moved[mask, j] += _SEGMENT_STEPS[j]
-                change = (self.chain_residuals(common, moved, att) - chain).ravel() / _SEGMENT_STEPS[j]
+                change = (self.chain_residuals(shared, moved, att) - chain).ravel() / _SEGMENT_STEPS[j]
                 whose = np.where(mask[of_chain], of_chain, of_chain + 1)
-                used = (whose < len(own)) & (change != 0.0)
+                used = (whose < len(segment_states)) & (change != 0.0)
                 rows.append(n + np.flatnonzero(used))
-                columns.append(COMMON_SIZE + SEGMENT_SIZE * whose[used] + j)
+                columns.append(SHARED_SIZE + SEGMENT_SIZE * whose[used] + j)
                 values.append(change[used])
-        width = COMMON_SIZE + own.size
+        width = SHARED_SIZE + segment_states.size
         sparse = sp.coo_matrix(
             (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=(n + m, width)
         )
-        wide = sp.hstack([sp.csr_matrix(dense), sp.csr_matrix((n + m, own.size))])
+        wide = sp.hstack([sp.csr_matrix(dense), sp.csr_matrix((n + m, segment_states.size))])
         prior_sigma = self._prior_sigma
-        prior: Any = sp.hstack([sp.diags(1.0 / prior_sigma), sp.csr_matrix((COMMON_SIZE, own.size))])
+        prior: Any = sp.hstack([sp.diags(1.0 / prior_sigma), sp.csr_matrix((SHARED_SIZE, segment_states.size))])
         jacobian: Any = sp.vstack([sparse + wide, prior], format="csr")
-        off = (common - self.prior_mean) / prior_sigma
+        off = (shared - self.prior_mean) / prior_sigma
         return jacobian, np.concatenate([(weight * points).ravel(), chain.ravel(), off])
 
     @property
@@ -465,7 +468,7 @@ class _Problem:
         out[CENTRE] *= self.camera.sensor.width / 320.0
         return out
 
-    def describe(self, common: _Array, covariance: _Array, sigma_px: float) -> HandCalibration:
+    def describe(self, shared: _Array, covariance: _Array, sigma_px: float) -> HandCalibration:
         """Return the result; raise InputError if the motion does not determine the camera."""
         sigma = np.sqrt(np.diag(covariance))
         if sigma[FOCAL][0] > _MAX_FOCAL_SIGMA or sigma[MOUNT].max() > _MAX_MOUNT_SIGMA_RAD:
@@ -474,10 +477,10 @@ class _Problem:
                 f"{math.degrees(sigma[MOUNT].max()):.1f} degrees (one sigma)",
                 "turn the vehicle by 20 degrees about all three axes, repeatedly, for 60 s",
             )  # fmt: skip
-        lens, mount = self.lens_of(common), self.mount_of(common)
+        lens, mount = self.lens_of(shared), self.mount_of(shared)
         angles, slopes = _mount_angles(mount), np.empty((3, 3))
         for j in range(3):
-            turned = common.copy()
+            turned = shared.copy()
             turned[MOUNT.start + j] += 1e-5
             slopes[:, j] = (_mount_angles(self.mount_of(turned)) - angles) / 1e-5
         angle_sigma = np.sqrt(np.diag(slopes @ covariance[MOUNT, MOUNT] @ slopes.T))
@@ -492,13 +495,13 @@ class _Problem:
                 f"mount_{name}_deg": (math.degrees(a), math.degrees(s))
                 for name, a, s in zip(("roll", "pitch", "turn"), angles, angle_sigma, strict=True)
             },
-            "delay_ms": (1e3 * common[DELAY][0], 1e3 * sigma[DELAY][0]),
-            **{f"lever_{a}_mm": (1e3 * common[LEVER][k], 1e3 * sigma[LEVER][k]) for k, a in enumerate("xyz")},
+            "delay_ms": (1e3 * shared[DELAY][0], 1e3 * sigma[DELAY][0]),
+            **{f"lever_{a}_mm": (1e3 * shared[LEVER][k], 1e3 * sigma[LEVER][k]) for k, a in enumerate("xyz")},
             **{
-                f"gyro_bias_{a}_deg_s": (math.degrees(common[GYRO_BIAS][k]), math.degrees(sigma[GYRO_BIAS][k]))
+                f"gyro_bias_{a}_deg_s": (math.degrees(shared[GYRO_BIAS][k]), math.degrees(sigma[GYRO_BIAS][k]))
                 for k, a in enumerate("xyz")
             },
-            **{f"gyro_scale_{a}": (1.0 + common[GYRO_SCALE][k], sigma[GYRO_SCALE][k]) for k, a in enumerate("xyz")},
+            **{f"gyro_scale_{a}": (1.0 + shared[GYRO_SCALE][k], sigma[GYRO_SCALE][k]) for k, a in enumerate("xyz")},
         }
         return HandCalibration(
             {n: float(v) for n, (v, _) in values.items()}, {n: float(s) for n, (_, s) in values.items()},

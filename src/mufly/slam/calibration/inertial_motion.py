@@ -45,7 +45,7 @@ class IntegratedMotion:
         From body axes to N-E-D.
     rates : (n, 3) array
         Constant from each time to the next (rad/s).
-    speed, way : (n, 3) arrays
+    speed, displacement : (n, 3) arrays
         N, E, D, from rest at the origin (m/s, m).
     """
 
@@ -53,7 +53,7 @@ class IntegratedMotion:
     quaternion: _Array
     rates: _Array
     speed: _Array
-    way: _Array
+    displacement: _Array
 
     def rotation_at(self, t: _Array) -> _Array:
         """Return rotation matrices (n, 3, 3) from body axes to N-E-D."""
@@ -69,7 +69,7 @@ class IntegratedMotion:
     def way_at(self, t: _Array) -> _Array:
         k, dt = self._locate(t)
         share = (dt / self._step(k))[:, None]
-        return self.way[k] + dt[:, None] * (self.speed[k] + 0.5 * share * (self.speed[k + 1] - self.speed[k]))
+        return self.displacement[k] + dt[:, None] * (self.speed[k] + 0.5 * share * (self.speed[k + 1] - self.speed[k]))
 
     def _step(self, k: NDArray[np.int64]) -> _Array:
         return np.asarray(self.time_s[k + 1] - self.time_s[k])
@@ -107,8 +107,8 @@ def integrate_inertial(
     accel = np.einsum("nij,nj->ni", rotation_matrices(q), imu.force_m_s2 - accel_bias)
     accel[:, 2] += GRAVITY
     speed = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (accel[1:] + accel[:-1]) * dt, axis=0)])
-    way = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (speed[1:] + speed[:-1]) * dt, axis=0)])
-    return IntegratedMotion(t, q, np.concatenate([mean, mean[-1:]]), speed, way)
+    displacement = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (speed[1:] + speed[:-1]) * dt, axis=0)])
+    return IntegratedMotion(t, q, np.concatenate([mean, mean[-1:]]), speed, displacement)
 
 
 def estimate_white_noise(values: _Array) -> float:

@@ -42,9 +42,20 @@ MIN_SIGNIFICANCE = 4.0
 _BENT_SHARE = 2.0
 """Factor on e^2 S', above."""
 _BACKGROUND_PX = 31  # side of the mean that is subtracted: vignette and shadows move with the camera
-XX, XY, YY, SHIFT_X, SHIFT_Y, TEMPLATE_XX, TEMPLATE_XY, TEMPLATE_YY, PICTURE_XX, PICTURE_XY, PICTURE_YY, VARIANCE = (
-    range(12)
-)
+(
+    GRADIENT_XX,
+    GRADIENT_XY,
+    GRADIENT_YY,
+    SHIFT_X,
+    SHIFT_Y,
+    TEMPLATE_GRADIENT_XX,
+    TEMPLATE_GRADIENT_XY,
+    TEMPLATE_GRADIENT_YY,
+    PICTURE_GRADIENT_XX,
+    PICTURE_GRADIENT_XY,
+    PICTURE_GRADIENT_YY,
+    VARIANCE,
+) = range(12)
 """Columns of a patch's sums: G, b, both pictures' own tensors, and mean square difference."""
 PATCH_SUMS = 12
 
@@ -141,7 +152,8 @@ def weigh_patches(
     # Over the floor, where a direction without texture is the same for all patches
     across = np.swapaxes(axes, 1, 2)
     own, template, picture = (
-        across @ (_tensors(sums, at) / v[:, None, None]) @ axes for at in (XX, TEMPLATE_XX, PICTURE_XX)
+        across @ (_tensors(sums, at) / v[:, None, None]) @ axes
+        for at in (GRADIENT_XX, TEMPLATE_GRADIENT_XX, PICTURE_GRADIENT_XX)
     )
     pull = np.einsum("nji,nj->ni", axes, sums[:, [SHIFT_X, SHIFT_Y]] / v[:, None])
     total = own.sum(axis=0)
@@ -232,17 +244,17 @@ def _sum_patches(
                 ax, ay = 0.5 * (a[r, c + 1] - a[r, c - 1]), 0.5 * (a[r + 1, c] - a[r - 1, c])
                 bx, by = 0.5 * (b[r, c + 1] - b[r, c - 1]), 0.5 * (b[r + 1, c] - b[r - 1, c])
                 off = a[r, c] - b[r, c]
-                s[XX] += ax * bx
-                s[XY] += 0.5 * (ax * by + ay * bx)
-                s[YY] += ay * by
+                s[GRADIENT_XX] += ax * bx
+                s[GRADIENT_XY] += 0.5 * (ax * by + ay * bx)
+                s[GRADIENT_YY] += ay * by
                 s[SHIFT_X] += 0.5 * (ax + bx) * off
                 s[SHIFT_Y] += 0.5 * (ay + by) * off
-                s[TEMPLATE_XX] += ax * ax
-                s[TEMPLATE_XY] += ax * ay
-                s[TEMPLATE_YY] += ay * ay
-                s[PICTURE_XX] += bx * bx
-                s[PICTURE_XY] += bx * by
-                s[PICTURE_YY] += by * by
+                s[TEMPLATE_GRADIENT_XX] += ax * ax
+                s[TEMPLATE_GRADIENT_XY] += ax * ay
+                s[TEMPLATE_GRADIENT_YY] += ay * ay
+                s[PICTURE_GRADIENT_XX] += bx * bx
+                s[PICTURE_GRADIENT_XY] += bx * by
+                s[PICTURE_GRADIENT_YY] += by * by
                 s[VARIANCE] += off * off
                 sum_ax += ax
                 sum_ay += ay
@@ -251,16 +263,16 @@ def _sum_patches(
                 total += off
         # The difference of the mean grey levels is unknown, so a constant gradient shows no shift.
         one = 1.0 / ((n - 2) * (n - 2))
-        s[XX] -= one * sum_ax * sum_bx
-        s[XY] -= 0.5 * one * (sum_ax * sum_by + sum_ay * sum_bx)
-        s[YY] -= one * sum_ay * sum_by
+        s[GRADIENT_XX] -= one * sum_ax * sum_bx
+        s[GRADIENT_XY] -= 0.5 * one * (sum_ax * sum_by + sum_ay * sum_bx)
+        s[GRADIENT_YY] -= one * sum_ay * sum_by
         s[SHIFT_X] -= 0.5 * one * (sum_ax + sum_bx) * total
         s[SHIFT_Y] -= 0.5 * one * (sum_ay + sum_by) * total
-        s[TEMPLATE_XX] -= one * sum_ax * sum_ax
-        s[TEMPLATE_XY] -= one * sum_ax * sum_ay
-        s[TEMPLATE_YY] -= one * sum_ay * sum_ay
-        s[PICTURE_XX] -= one * sum_bx * sum_bx
-        s[PICTURE_XY] -= one * sum_bx * sum_by
-        s[PICTURE_YY] -= one * sum_by * sum_by
+        s[TEMPLATE_GRADIENT_XX] -= one * sum_ax * sum_ax
+        s[TEMPLATE_GRADIENT_XY] -= one * sum_ax * sum_ay
+        s[TEMPLATE_GRADIENT_YY] -= one * sum_ay * sum_ay
+        s[PICTURE_GRADIENT_XX] -= one * sum_bx * sum_bx
+        s[PICTURE_GRADIENT_XY] -= one * sum_bx * sum_by
+        s[PICTURE_GRADIENT_YY] -= one * sum_by * sum_by
         s[VARIANCE] = one * (s[VARIANCE] - one * total * total)
         sums[i] = s
