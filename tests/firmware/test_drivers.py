@@ -31,7 +31,11 @@ def library(tmp_path_factory):
     tree = tmp_path_factory.mktemp("drivers")
     copy_sources(tree)
     flags = [*BOARD_INCLUDE_FLAGS, "-Icheck", "-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror"]
-    sources = [*(f"onboard/drivers/{p.name}" for p in (tree / "onboard/drivers").glob("*.c")), "check/bus_model.c"]
+    sources = [
+        *(f"onboard/drivers/{p.name}" for p in (tree / "onboard/drivers").glob("*.c")),
+        "check/bus_model.c",
+        "check/sd_bus_model.c",
+    ]
     build = [COMPILERS[0], *flags, "-O1", "-shared", "-fPIC", *sources, "-o", "drivers.so"]
     done = subprocess.run(build, cwd=tree, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

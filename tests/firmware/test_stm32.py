@@ -27,6 +27,9 @@ from mufly.vehicle import load_vehicle
 
 COMPILERS = [c for c in ("cc", "gcc", "clang") if shutil.which(c)]
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-pedantic", "-Werror")
+CARD_BUS = (
+    "bool sd_bus_begin(bool, const uint8_t *, uint8_t *, int32_t);int32_t sd_bus_poll(void);void sd_bus_speed(bool);\n"
+)
 DRIVERS = ("core", "serial", "internal_flash", "spi", "outputs")
 CORTEX_M4 = (
     "-Os", "-ffp-contract=off", "-fno-math-errno", "-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard",
@@ -47,7 +50,7 @@ def library(tmp_path_factory):
     build = [COMPILERS[0], *flags, "-shared", "-fPIC", *sources, "-o", "stm32.so"]
     done = subprocess.run(build, cwd=tree, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    headers = '#include "stm32f405.h"\n#include "register_access.h"\n'
+    headers = '#include "stm32f405.h"\n#include "register_access.h"\n' + CARD_BUS
     said = subprocess.run(
         [COMPILERS[0], "-E", "-P", *flags, "-x", "c", "-"], cwd=tree, input=headers, capture_output=True, text=True
     ).stdout
@@ -58,6 +61,7 @@ def library(tmp_path_factory):
 
 
 RCC, FLASH, USART1, SPI1, ADC1, DMA2 = 0x40023800, 0x40023C00, 0x40011000, 0x40013000, 0x40012000, 0x40026400
+SPI3, DMA1 = 0x40003C00, 0x40026000
 TIM2, TIM3, TIM5, TIM8, IWDG = 0x40000000, 0x40000400, 0x40000C00, 0x40010400, 0x40003000
 MEMORY, SECTOR_2 = 0x20000000, 0x08008000
 
@@ -139,9 +143,11 @@ class Chip:
             self.values[DMA2] = self.values.get(DMA2, 0) & ~value
         elif address == RCC + 0x74 and value & 1 << 24:
             value = 0
+        elif address == DMA1 + 8:
+            self.values[DMA1] = self.values.get(DMA1, 0) & ~value
         self.values[address] = value
-        if address == SPI1 + 4 and value == 3 and "dma" not in self.faults:
-            self.transfer()
+        if address in (SPI1 + 4, SPI3 + 4) and value == 3 and "dma" not in self.faults:
+            self.transfer(address - 4, *((DMA2, 3) if address < SPI1 + 8 and address > SPI3 + 8 else (DMA1, 0)))
 
     def program(self, address, value) -> None:
         control = self.values[FLASH + 0x10]
@@ -163,23 +169,24 @@ class Chip:
     def memory(self, address):
         return self.ffi.cast("uint8_t *", self.model.memory[address - MEMORY])
 
-    def transfer(self) -> None:
+    def transfer(self, spi, dma, channel) -> None:
         """Let both streams of the DMA move their bytes through the SPI, as they are set up."""
-        rx, tx = DMA2 + 0x10, DMA2 + 0x10 + 0x18 * 5
+        rx, tx = dma + 0x10, dma + 0x10 + 0x18 * 5
         for stream, direction in ((rx, 0), (tx, 1)):
             control = self.values[stream]
-            assert (control & 1, control >> 6 & 3, control >> 25 & 7, control >> 10 & 1) == (1, direction, 3, 1)
-            assert self.values[stream + 8] == SPI1 + 0x0C
+            assert (control & 1, control >> 6 & 3, control >> 25 & 7) == (1, direction, channel)
+            assert self.values[stream + 8] == spi + 0x0C
         count = self.values[tx + 4]
         assert self.values[rx + 4] == count
-        assert self.values[SPI1] & 0x344 == 0x344, "SPI is off"
+        assert self.values[spi] & 0x344 == 0x344, "SPI is off"
         if "overrun" in self.faults:
-            self.values[SPI1 + 8] = 1 << 6
+            self.values[spi + 8] = 1 << 6
             return
-        self.heard = [self.memory(self.values[tx + 0x0C])[k] for k in range(count)]
+        step_in, step_out = (self.values[stream] >> 10 & 1 for stream in (rx, tx))
+        self.heard = [self.memory(self.values[tx + 0x0C])[step_out * k] for k in range(count)]
         for k in range(count):
-            self.memory(self.values[rx + 0x0C])[k] = (self.device + [0] * count)[k]
-        self.values[DMA2] = 0x20
+            self.memory(self.values[rx + 0x0C])[step_in * k] = (self.device + [0] * count)[k]
+        self.values[dma] = 0x20
 
     def pin(self, port, number) -> int:
         for address, value in reversed(self.writes):
@@ -342,6 +349,31 @@ def test_spi_moves_bytes_by_dma_and_ends_after_faults(library) -> None:
     assert lib.spi_poll() == error
     assert lib.spi_begin(port, 2, bytes([1]), 1, into, 1)
     assert lib.spi_poll() == done
+
+
+@needs_cc
+def test_the_bus_of_the_card_sends_ones_and_drops_bytes(library) -> None:
+    chip = Chip(library)
+    ffi, lib = chip.ffi, chip.lib
+    lib.card_bus_start()
+    assert chip.values[SPI3] >> 3 & 7 == 6  # 42 MHz / 128 for the start
+    lib.sd_bus_speed(True)
+    assert chip.values[SPI3] & 0x37B == 0x340  # mode 0, 42 MHz / 2
+    into = ffi.new("uint8_t[4]")
+    chip.device = [9, 8, 7, 6]
+    assert lib.sd_bus_begin(True, ffi.NULL, into, 4)
+    assert chip.pin(0x40020800, 1) == 0
+    assert not lib.sd_bus_begin(True, ffi.NULL, into, 4)
+    assert lib.sd_bus_poll() == 0
+    assert (chip.heard, bytes(into)) == ([0xFF] * 4, bytes([9, 8, 7, 6]))
+    assert chip.pin(0x40020800, 1) == 0  # selected until told otherwise
+    assert lib.sd_bus_begin(False, bytes([1, 2, 3]), ffi.NULL, 3)
+    assert lib.sd_bus_poll() == 0
+    assert chip.heard == [1, 2, 3]
+    assert chip.pin(0x40020800, 1) == 1
+    chip.faults = {"overrun"}
+    assert lib.sd_bus_begin(True, ffi.NULL, into, 4)
+    assert lib.sd_bus_poll() == 2
 
 
 @needs_cc

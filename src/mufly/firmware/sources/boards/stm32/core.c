@@ -37,8 +37,8 @@ uint32_t clock_start(void)
     if (!runs) {
         register_change(RCC_CFGR, 0xFCF3U, 0U);
     }
-    register_change(RCC_AHB1ENR, 0U, AHB1_GPIO_ABC | AHB1_DMA2);
-    register_change(RCC_APB1ENR, 0U, APB1_TIM2 | APB1_TIM3 | APB1_TIM5 | APB1_USART2);
+    register_change(RCC_AHB1ENR, 0U, AHB1_GPIO_ABC | AHB1_DMA_BOTH);
+    register_change(RCC_APB1ENR, 0U, APB1_TIM2 | APB1_TIM3 | APB1_TIM5 | APB1_SPI3 | APB1_USART2);
     register_change(RCC_APB2ENR, 0U, APB2_TIM8 | APB2_USART1 | APB2_ADC1 | APB2_SPI1);
     return runs ? FULL_SPEED_HZ : INTERNAL_HZ;
 }
@@ -128,6 +128,7 @@ void pins_start(void)
 
     pin_set(IMU_SELECT_PORT, IMU_SELECT_PIN, true);
     pin_set(BAROMETER_SELECT_PORT, BAROMETER_SELECT_PIN, true);
+    pin_set(CARD_SELECT_PORT, CARD_SELECT_PIN, true);
     for (uint32_t i = 0U; i < (sizeof(pins) / sizeof(pins[0])); i++) {
         const pin_t *p = &pins[i];
         const uint32_t function = p->port + GPIO_AFRL + (4U * (p->pin / 8U));

@@ -40,9 +40,9 @@ void outputs_start(uint32_t clock_Hz)
 
 void motors_send(uint32_t first[], uint32_t second[], uint32_t count)
 {
-    register_set(DMA_LIFCR, DMA_S2_ALL | DMA_S3_ALL);
-    start_motor(DMA_STREAM(2U), TIM_CCR1, first, count);
-    start_motor(DMA_STREAM(3U), TIM_CCR2, second, count);
+    register_set(DMA2 + DMA_LIFCR, DMA_S2_ALL | DMA_S3_ALL);
+    start_motor(DMA2 + DMA_STREAM(2U), TIM_CCR1, first, count);
+    start_motor(DMA2 + DMA_STREAM(3U), TIM_CCR2, second, count);
 }
 
 void servos_set(uint32_t first_us, uint32_t second_us)

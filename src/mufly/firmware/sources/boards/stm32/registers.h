@@ -72,10 +72,11 @@ static inline void register_change(uint32_t address, uint32_t clear, uint32_t se
 #define CFGR_PPRE1_4 (5UL << 10U)
 #define CFGR_PPRE2_2 (4UL << 13U)
 #define AHB1_GPIO_ABC 7U
-#define AHB1_DMA2 (1UL << 22U)
+#define AHB1_DMA_BOTH (3UL << 21U)
 #define APB1_TIM2 1U
 #define APB1_TIM3 2U
 #define APB1_TIM5 8U
+#define APB1_SPI3 (1UL << 15U)
 #define APB1_USART2 (1UL << 17U)
 #define APB2_TIM8 2U
 #define APB2_USART1 (1UL << 4U)
@@ -167,12 +168,13 @@ static inline void register_change(uint32_t address, uint32_t clear, uint32_t se
 #define TIM_PWM_BOTH 0x6868U    /* PWM mode 1 with preload, of two channels */
 #define TIM_MOE (1UL << 15U)
 
-/* DMA 2 */
+/* DMA: offsets from its base */
+#define DMA1 0x40026000U
 #define DMA2 0x40026400U
-#define DMA_STREAM(n) (DMA2 + 0x10U + (0x18U * (n)))
-#define DMA_LISR (DMA2 + 0x00U)
-#define DMA_LIFCR (DMA2 + 0x08U)
-#define DMA_HIFCR (DMA2 + 0x0CU)
+#define DMA_STREAM(n) (0x10U + (0x18U * (n)))
+#define DMA_LISR 0x00U
+#define DMA_LIFCR 0x08U
+#define DMA_HIFCR 0x0CU
 #define DMA_CR 0x00U
 #define DMA_NDTR 0x04U
 #define DMA_PAR 0x08U
@@ -189,15 +191,19 @@ static inline void register_change(uint32_t address, uint32_t clear, uint32_t se
 #define DMA_S3_ALL (0x3DUL << 22U)
 #define DMA_S5_ALL (0x3DUL << 6U) /* in HIFCR */
 
-/* SPI 1 */
+/* SPI */
 #define SPI1 0x40013000U
+#define SPI3 0x40003C00U
 #define SPI_CR1 0x00U
 #define SPI_CR2 0x04U
 #define SPI_SR 0x08U
 #define SPI_DR 0x0CU
+#define SPI_MODE_0 0U
 #define SPI_MODE_3 3U       /* CPHA, CPOL */
 #define SPI_MSTR 4U
-#define SPI_BR_16 (3UL << 3U) /* 84 MHz / 16 */
+#define SPI_BR_2 0U
+#define SPI_BR_16 (3UL << 3U)
+#define SPI_BR_128 (6UL << 3U)
 #define SPI_SPE (1UL << 6U)
 #define SPI_SSI_SSM (3UL << 8U)
 #define SPI_DMA_BOTH 3U     /* RXDMAEN, TXDMAEN */

@@ -3,6 +3,7 @@
 #include "../board.h"
 #include "actuator_outputs.h"
 #include "pins.h"
+#include "sd_card.h"
 #include "sensor_suite.h"
 #include "stm32f405.h"
 
@@ -14,6 +15,8 @@
 #define RECEIVER_KIND RC_CRSF
 #define ADC_REFERENCE_V REAL(3.3)
 #define BATTERY_DIVIDER REAL(11.0)
+#define CALLS_OF_CARD 8
+#define CARD_START_US 1500000U
 
 int main(void);
 void stm32_period(void);
@@ -27,6 +30,7 @@ static volatile uint32_t periods; /* of the loop's timer */
 static serial_port_t link_port;
 static serial_port_t receiver_port;
 static sensor_suite_t sensors;
+static sd_card_t card;
 static uint32_t dshot[2][DSHOT_BITS];
 /* The linker script puts this section where the start-up code does not clear it. */
 static fault_record_t kept __attribute__((section(".noinit")));
@@ -163,34 +167,48 @@ bool hal_flash_erase(int32_t sector)
     return internal_flash_erase(sector);
 }
 
-/* TODO: blocks of 512 bytes of an SD card, or of a flash that erases a sector at its first block. */
+/* SD card. A call of hal_block_poll goes on as long as transfers end at once. */
 int32_t hal_block_count(void)
 {
-    return 0;
+    return card.is_ready ? card.blocks : 0;
 }
 
 bool hal_block_read(int32_t block, uint32_t to[BLOCK_WORDS])
 {
-    (void)block;
-    (void)to;
-    return false;
+    return sd_card_begin(&card, block, to, false);
 }
 
 bool hal_block_write(int32_t block, const uint32_t from[BLOCK_WORDS])
 {
-    (void)block;
-    (void)from;
-    return false;
+    return sd_card_begin(&card, block, (uint32_t *)(uintptr_t)from, true); /* which a write only reads */
 }
 
+/* A card that is no more busy holds nothing back. */
 bool hal_block_flush(void)
 {
-    return false;
+    const bool rests = card.result != (int32_t)BLOCK_BUSY;
+
+    card.result = rests ? (int32_t)BLOCK_DONE : card.result;
+    return rests;
 }
 
 int32_t hal_block_poll(void)
 {
-    return (int32_t)BLOCK_ERROR;
+    for (int32_t n = 0; (n < CALLS_OF_CARD) && (card.result == (int32_t)BLOCK_BUSY); n++) {
+        sd_card_step(&card, timer_us());
+    }
+    return card.result;
+}
+
+static void start_card(void)
+{
+    const uint32_t begun_us = timer_us();
+
+    card_bus_start();
+    sd_card_start(&card, begun_us);
+    while (!card.is_ready && (card.fault == (int32_t)SD_GOOD) && ((timer_us() - begun_us) < CARD_START_US)) {
+        sd_card_step(&card, timer_us());
+    }
 }
 
 void hal_feed_watchdog(void)
@@ -249,6 +267,7 @@ int main(void)
     serial_start(&receiver_port, USART2, full_speed ? (clock_Hz / 4U) : clock_Hz, crsf ? CRSF_BAUD : SBUS_BAUD, !crsf);
     timers_start(clock_Hz, (uint32_t)mufly_rate_Hz);
     sensor_suite_start(&sensors, true, timer_us());
+    start_card();
     if (full_speed) {
         fitted = (1UL << R_ACCELERATION) | (1UL << R_RATES) | (1UL << R_SONAR) | (1UL << R_PRESSURE) | (1UL << R_BATTERY);
     }

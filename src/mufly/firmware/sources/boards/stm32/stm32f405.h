@@ -52,12 +52,30 @@ uint32_t internal_flash_read(int32_t sector, int32_t word);
 bool internal_flash_program(int32_t sector, int32_t word, uint32_t value);
 bool internal_flash_erase(int32_t sector);
 
-/* SPI 1 by DMA: one transfer at a time, at most SPI_BYTES long. */
+/* SPI by DMA, one transfer at a time. Both ports use streams 0 and 5 of their DMA. */
+typedef struct {
+    uint32_t base, dma, channel;
+    uint32_t select_port, select_pin; /* of the present device */
+    bool is_running;
+} spi_port_t;
+
+void spi_port_start(spi_port_t *s, uint32_t base, uint32_t mode, uint32_t divider);
+void spi_port_speed(spi_port_t *s, uint32_t mode, uint32_t divider);
+
+/* Exchange bytes; out: NULL sends 0xFF; in: NULL drops what comes. false: a transfer is under way. */
+bool spi_port_begin(spi_port_t *s, const uint8_t out[], uint8_t in[], int32_t count);
+int32_t spi_port_poll(spi_port_t *s); /* BUS_... of register_device.h */
+void spi_port_abort(spi_port_t *s);
+
+/* Sensors on SPI 1: bytes out, then bytes in, in one selection of the device; at most SPI_BYTES in all. */
 #define SPI_BYTES 40
 void spi_start(void);
 bool spi_begin(uint32_t port, uint32_t pin, const uint8_t out[], int32_t out_count, uint8_t in[], int32_t in_count);
-int32_t spi_poll(void); /* BUS_... of register_device.h */
+int32_t spi_poll(void);
 void spi_abort(void);
+
+/* SD card on SPI 3: functions of sd_card.h. */
+void card_bus_start(void);
 
 /* Motors by DShot300 on timer 8, servos on timer 3: pulses in microseconds every 20 ms. */
 #define DSHOT_BIT_TICKS 560U /* at 168 MHz */
