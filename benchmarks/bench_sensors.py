@@ -17,7 +17,7 @@ import time
 import numpy as np
 
 from mufly.dynamics import find_trim, integrate_state, model_parameters
-from mufly.sensor_table import SENSORS
+from mufly.quantities.sensor_table import SENSORS
 from mufly.sensors import Truth, fitted_sensors
 from mufly.vehicle import load_vehicle
 from mufly.world import World

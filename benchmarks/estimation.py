@@ -35,8 +35,8 @@ from mufly.flight.monte_carlo import parse_variations
 from mufly.flight.record.foreign_log import AidRequest, read_foreign_log, truth_rows
 from mufly.logs import load_column_map
 from mufly.mission import Mission, parse_mission
+from mufly.quantities.units import STANDARD_GRAVITY_M_S2
 from mufly.sensors import Truth, draw_leaning_vehicle, fitted_sensors, parse_fault
-from mufly.units import STANDARD_GRAVITY_M_S2
 from mufly.vehicle import Vehicle, load_vehicle, replace_parameters
 
 STANDS_S = 2.0

@@ -48,7 +48,7 @@ from mufly.firmware import GenericFirmwareSoftware
 from mufly.flight import Flight, fly_mission, read_events, summarise_flight
 from mufly.flight.monte_carlo import Campaign, parse_variations
 from mufly.mission import Mission, load_mission, parse_mission
-from mufly.sensor_table import READINGS
+from mufly.quantities.sensor_table import READINGS
 from mufly.sensors import FAULT_KINDS, FAULT_TARGETS, Truth, parse_fault
 from mufly.vehicle import Vehicle, list_parameters, load_vehicle, replace_parameters
 

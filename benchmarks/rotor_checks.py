@@ -11,6 +11,7 @@ from scipy.optimize import root
 
 from mufly.dynamics import find_trim
 from mufly.errors import MuflyError
+from mufly.quantities.units import RPM
 from mufly.rotor import (
     Air,
     OperatingCondition,
@@ -27,7 +28,6 @@ from mufly.rotor import (
 from mufly.rotor.sections.neuralfoil_network import compute_neuralfoil_polars
 from mufly.rotor.sections.polar_engines import compute_xfoil_polars
 from mufly.study.benchmark.rotor_cases import load_caradonna_tung, load_uiuc_propellers, make_t_motor_rotor
-from mufly.units import RPM
 from mufly.vehicle import load_vehicle
 
 

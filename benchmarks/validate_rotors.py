@@ -56,8 +56,10 @@ from rotor_checks import (
 )
 from rotor_tables import LIFT, percent, show_table, sizes
 
-from mufly.answer_store import hash_question, read_answer, write_answer
 from mufly.errors import MuflyError
+from mufly.files.answer_store import hash_question, read_answer, write_answer
+from mufly.files.text_table import read_text_table
+from mufly.quantities.units import RPM
 from mufly.rotor import (
     TEXTBOOK_CORRECTIONS,
     Air,
@@ -94,8 +96,6 @@ from mufly.study.benchmark.rotor_cases import (
     load_table_3_2,
     load_uiuc_propellers,
 )
-from mufly.text_table import read_text_table
-from mufly.units import RPM
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "aero"
 PITCH = float(np.radians(14))

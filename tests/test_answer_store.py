@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mufly.answer_store import (
+from mufly.errors import InputError
+from mufly.files.answer_store import (
     AnswerLines,
     cache_folder,
     claim_folder,
@@ -16,7 +17,6 @@ from mufly.answer_store import (
     replace_file,
     write_answer,
 )
-from mufly.errors import InputError
 
 OTHER = ("answers another question", "give another place")
 DAMAGED = ("is damaged", "delete it")

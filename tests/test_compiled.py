@@ -13,13 +13,13 @@ from numba.core.caching import CompileResultCacheImpl
 from numba.core.errors import NumbaWarning
 
 import mufly
-from mufly import numba_cache
-from mufly.numba_cache import imported_sources, record_as_array
+from mufly.compiled import numba_cache
+from mufly.compiled.numba_cache import imported_sources, record_as_array
 
 PACKAGE = Path(mufly.__file__).parent
 
-GAIN = "from mufly.numba_cache import cached_njit\nK = {k}\n\n\n@cached_njit\ndef gain(x):\n    return K * x\n"
-LOOP = """from mufly.numba_cache import cached_njit
+GAIN = "from mufly.compiled.numba_cache import cached_njit\nK = {k}\n\n\n@cached_njit\ndef gain(x):\n    return K * x\n"
+LOOP = """from mufly.compiled.numba_cache import cached_njit
 from mufly.gains import gain
 
 
@@ -46,8 +46,8 @@ def run(folder: Path) -> tuple[float, int]:
 def copied(folder: Path) -> Path:
     """A package with nothing but the decorator."""
     package = folder / "mufly"
-    package.mkdir()
-    shutil.copy(PACKAGE / "numba_cache.py", package)
+    (package / "compiled").mkdir(parents=True)
+    shutil.copy(PACKAGE / "compiled" / "numba_cache.py", package / "compiled")
     (package / "__init__.py").write_text("")
     return package
 
@@ -78,7 +78,13 @@ if __name__ == "__main__":
 
     print(gain(Kept(a=2.0, b=5.0)), sum(gain.stats.cache_hits.values()))
 """
-OF_RECORD = "from mufly.numba_cache import cached_njit\n\n\n@cached_njit\ndef gain(pair):\n    return pair.a - pair.b\n"
+OF_RECORD = """from mufly.compiled.numba_cache import cached_njit
+
+
+@cached_njit
+def gain(pair):
+    return pair.a - pair.b
+"""
 
 
 def test_the_fields_of_a_record_that_a_caller_defines_are_seen(tmp_path):

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mufly.errors import InputError, suggest_name
-from mufly.quantity_grammar import (
+from mufly.quantities.quantity_grammar import (
     read_column_lines,
     read_integer,
     read_interval,

@@ -76,14 +76,15 @@ def test_no_name_that_a_room_exports_is_that_of_a_module(room):
 
 
 def test_gravity_is_written_once():
-    """Both accelerations, that of flights and that in the definition of units, stand in ``mufly.units`` alone."""
+    """Both accelerations, that of flights and that in the definition of units, stand in ``mufly.quantities.units``
+    alone."""
     found = [
         path.relative_to(_PACKAGE)
         for path in sorted(_PACKAGE.rglob("*.py"))
         for node in ast.walk(ast.parse(path.read_text()))
         if isinstance(node, ast.Constant) and f"{node.value!r}".replace(".", "").startswith(("981", "980665"))
     ]
-    assert set(map(str, found)) == {"units.py"}
+    assert set(map(str, found)) == {"quantities/units.py"}
 
 
 def test_hover_is_solved_once():

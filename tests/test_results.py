@@ -120,8 +120,12 @@ _NO_RESULTS = {
 }
 
 
+_NO_ROOMS = ("cli", "compiled", "files", "quantities", "results")
+"""Folders whose functions answer no question of a design: commands, and what all rooms stand on."""
+
+
 def _rooms() -> list[str]:
-    found = [m.name for m in pkgutil.iter_modules(mufly.__path__) if m.ispkg and m.name != "cli"]
+    found = [m.name for m in pkgutil.iter_modules(mufly.__path__) if m.ispkg and m.name not in _NO_ROOMS]
     return [*found, "flight.monte_carlo", "rotor.wake"]
 
 

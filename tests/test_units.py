@@ -6,7 +6,7 @@ import pytest
 
 from mufly.bench import parse_header
 from mufly.errors import InputError
-from mufly.quantities import (
+from mufly.quantities.quantity_table import (
     DIMENSION_LABELS,
     QUANTITIES,
     find_quantity,
@@ -15,14 +15,14 @@ from mufly.quantities import (
     quantities_recorded_in,
     split_signal_name,
 )
-from mufly.study import parse_quantity
-from mufly.units import (
+from mufly.quantities.units import (
     STANDARD_GRAVITY_M_S2,
     compatible_units,
     conversion_factor,
     normalise_unit,
     unit_conversion,
 )
+from mufly.study import parse_quantity
 from mufly.vehicle import load_vehicle
 
 

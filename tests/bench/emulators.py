@@ -17,7 +17,7 @@ import numpy as np
 
 from mufly.bench.rig.epos_controller import EPOS_PROTOCOLS, FrameParser, build_frame
 from mufly.bench.rig.serial_line import compute_crc16, with_checksum
-from mufly.units import RPM
+from mufly.quantities.units import RPM
 
 WATCHDOG_s = 0.5
 

@@ -31,7 +31,7 @@ from mufly.bench.series.series_plan import BladeMounting, StepTimes, make_plan
 from mufly.bench.series.series_record import SeriesRecord, read_lines
 from mufly.bench.series.series_runner import run_series
 from mufly.errors import InputError
-from mufly.units import RPM
+from mufly.quantities.units import RPM
 
 NACA = "naca0012-r60-c20"
 COUNTS = 1e6

@@ -15,8 +15,8 @@ from mufly.bench.series.series_plan import BenchLimits, SeriesPlan, StepTimes, m
 from mufly.bench.series.series_record import SeriesRecord, read_lines, read_record
 from mufly.bench.series.series_runner import LimitError, Stopped, run_series
 from mufly.errors import InputError
-from mufly.input_files import validate_model
-from mufly.units import RPM
+from mufly.files.input_files import validate_model
+from mufly.quantities.units import RPM
 
 NACA = "naca0012-r60-c20"
 TIMES = StepTimes(warm_up_s=120.0, average_s=3.0, longest_s=6.0, tare_s=3.0)

@@ -41,8 +41,8 @@ from mufly.cli.aero import cfd_case_report
 from mufly.cli.options import TheoryOptions
 from mufly.cli.rotor import hover
 from mufly.errors import InputError, MuflyError
+from mufly.quantities.units import RPM
 from mufly.rotor import load_rotor
-from mufly.units import RPM
 
 POINT = OperatingPoint(
     "naca0012-r60-c20", 2, 0.06, math.radians(12), 5000 * RPM, 0.0, "laminar", "tiny", 1.2, 1.81e-5, 2.3

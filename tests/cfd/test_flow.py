@@ -26,8 +26,8 @@ from mufly.cfd import (
     velocity_gradient,
 )
 from mufly.cfd.cfd_solution import FlowField
+from mufly.quantities.units import RPM
 from mufly.rotor import load_rotor
-from mufly.units import RPM
 
 POINT = OperatingPoint(
     "naca0012-r60-c20", 2, 0.06, math.radians(12), 5000 * RPM, 0.0, "laminar", "tiny", 1.2, 1.81e-5, 2.3

@@ -13,7 +13,7 @@ from mufly.cli import app as mufly
 from mufly.cli.options import CommandGroup, NumberNotation
 from mufly.cli.station import parse_wind, resolve_wind
 from mufly.errors import ArgumentError, InputError
-from mufly.units import compatible_units, unit_conversion
+from mufly.quantities.units import compatible_units, unit_conversion
 
 app = CommandGroup()
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import mufly
+from mufly.compiled.portable_math import sine_cosine
 from mufly.dynamics import PARAMETER_DTYPE, integrate_batch, model_parameters, state_derivative
 from mufly.dynamics.branch_selection import select_branches
 from mufly.dynamics.lane_equations import group_vehicles, integrate_lanes, lay_out_blocks
 from mufly.dynamics.simulation import normalise_state
-from mufly.portable_math import sine_cosine
 from mufly.vehicle import builtin_coefficient_maps, builtin_flight_maps, replace_parameters
 
 PLAIN_NAMES = {

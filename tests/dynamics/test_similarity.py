@@ -12,7 +12,7 @@ from mufly.dynamics import (
     similar_vehicle,
 )
 from mufly.errors import ArgumentError, InputError
-from mufly.units import RPM
+from mufly.quantities.units import RPM
 from mufly.vehicle import Vehicle, list_parameters, load_vehicle, replace_parameters
 
 

@@ -27,7 +27,7 @@ from mufly.estimate import (
     measure_row_consistency,
     run_log,
 )
-from mufly.units import GRAVITY
+from mufly.quantities.units import GRAVITY
 
 STEP, REST_S, END_S = 0.02, 2.0, 14.0
 GYRO, FELT, FIX = 0.01, 0.05, 0.02  # densities of noise in flight; sigma of the aids (m)

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mufly.compiled.portable_math import exp_decay
 from mufly.control import design_flight_controller
 from mufly.errors import InputError
 from mufly.firmware import Firmware
@@ -18,7 +19,6 @@ from mufly.firmware.compiled_software import diff_fields
 from mufly.firmware.software_instance import read_path_check
 from mufly.mission import avoidance, detour, load_mission, parse_mission
 from mufly.mission.machine import phases, state_machine
-from mufly.portable_math import exp_decay
 from mufly.vehicle import load_vehicle
 
 pytestmark = pytest.mark.skipif(

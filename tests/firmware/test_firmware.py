@@ -14,6 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 from mufly.cli import app
+from mufly.compiled.portable_math import sine_cosine
 from mufly.control import DesignSettings, design_flight_controller
 from mufly.control.synthesis.synthesis_methods import GivenController, RobustAims
 from mufly.errors import InputError, MuflyError
@@ -30,7 +31,6 @@ from mufly.firmware import (
     run_sil,
 )
 from mufly.flight.controllers import Controllers
-from mufly.portable_math import sine_cosine
 from mufly.vehicle import load_vehicle
 
 COMPILERS = [path for name in ("cc", "clang") if (path := shutil.which(name))]  # what is built by cc is built once

@@ -17,7 +17,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from mufly import portable_math
+from mufly.compiled import portable_math
 from mufly.control import design_flight_controller
 from mufly.estimate import ZERO_COVARIANCE, Estimate, SensorStatus
 from mufly.estimate.sensor_status import AuxiliaryStates
@@ -38,7 +38,7 @@ from mufly.mission import (
 )
 from mufly.mission.machine.offboard import follow_set_point
 from mufly.mission.trajectory import TrajectoryLimits, TrajectoryPoint, plan_pending_curve, plan_stop
-from mufly.quantities import CHECKED_READINGS
+from mufly.quantities.quantity_table import CHECKED_READINGS
 from mufly.vehicle import load_vehicle
 
 needs_cc = pytest.mark.skipif(

@@ -12,6 +12,7 @@ import cffi
 import numpy as np
 import pytest
 
+from mufly.compiled.toolchain import COMPILER_FLAGS, compile_library
 from mufly.control import design_flight_controller
 from mufly.errors import InputError
 from mufly.estimate import Estimate
@@ -26,7 +27,6 @@ from mufly.flight.policy import (
 from mufly.flight.policy.observation import OBS_HEIGHT, map_action, observation_limits, observation_names
 from mufly.flight.policy.policy_controllers import find_equal_action, step_policy
 from mufly.flight.policy.policy_network import evaluate_policy
-from mufly.toolchain import COMPILER_FLAGS, compile_library
 from mufly.vehicle import load_vehicle
 
 needs_cc = pytest.mark.skipif(not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="there is no C compiler")

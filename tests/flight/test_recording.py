@@ -20,7 +20,7 @@ from mufly.logs import (
     rows_to_dataset,
     to_csv,
 )
-from mufly.quantities import quantities_recorded_in
+from mufly.quantities.quantity_table import quantities_recorded_in
 
 
 @pytest.fixture(scope="module")

@@ -26,8 +26,8 @@ from mufly.flight.estimator_health import (
 )
 from mufly.identify.flight_record import make_record
 from mufly.mission import dump_mission, parse_mission
-from mufly.quantities import CHECKED_READINGS, FUSION_STATUSES
-from mufly.sensor_table import READINGS
+from mufly.quantities.quantity_table import CHECKED_READINGS, FUSION_STATUSES
+from mufly.quantities.sensor_table import READINGS
 from mufly.sensors import (
     Reading,
     Readings,

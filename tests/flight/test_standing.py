@@ -16,8 +16,8 @@ from mufly.dynamics import (
 from mufly.estimate import fitted_estimator
 from mufly.estimate.filter.filter_records import EX_ACCEL_BIAS, filter_settings
 from mufly.flight import Flight
+from mufly.quantities.units import GRAVITY
 from mufly.sensors import Truth, draw_leaning_vehicle, fitted_sensors
-from mufly.units import GRAVITY
 from mufly.vehicle import load_vehicle, replace_parameters
 from mufly.world import World
 

@@ -28,7 +28,7 @@ from mufly.flight.monte_carlo import (
 from mufly.flight.monte_carlo.flight_ending import wrong_sources
 from mufly.flight.simulated_flight import Flight
 from mufly.mission import parse_mission
-from mufly.sensor_table import READINGS
+from mufly.quantities.sensor_table import READINGS
 from mufly.sensors import FittedSensors
 from mufly.vehicle import Vehicle, list_parameters, load_vehicle, replace_parameters
 

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mufly.compiled.toolchain import compile_library, find_compiler
 from mufly.dynamics import PARAMETER_DTYPE
 from mufly.errors import MuflyError
 from mufly.fmi.c_translation import REAL, WHOLE, CTranslation, TableType
 from mufly.fmi.unit_sources import render_flight_model
-from mufly.toolchain import compile_library, find_compiler
 
 _WEIGHT = 0.3
 _ROWS = 3

@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 
 import mufly
 from mufly.cli import app
+from mufly.compiled.toolchain import find_compiler
 from mufly.dynamics import (
     battery_state,
     body_to_ned_matrix,
@@ -26,7 +27,6 @@ from mufly.errors import InputError, MuflyError
 from mufly.fmi import UnitInstance, UnitLibrary, compare_unit, export_fmu
 from mufly.fmi.fmu_export import SOURCE_FOLDER
 from mufly.fmi.model_description import unit_exponents
-from mufly.toolchain import find_compiler
 from mufly.vehicle import Vehicle, builtin_coefficient_maps, builtin_flight_maps, replace_parameters
 
 try:

@@ -17,8 +17,8 @@ from mufly.identify.linear.flight_path_reconstruction import (
     flight_path_derivative,
     reconstruct_flight_path,
 )
+from mufly.quantities.units import GRAVITY
 from mufly.rotations import body_to_ned_matrices
-from mufly.units import GRAVITY
 
 NAMES = {n: n for n in IMU_CHANNELS}, {n: n for n in FLIGHT_PATH_STATES}
 NOISE = np.r_[[0.02] * 3, [0.2] * 3], np.r_[[0.005] * 3, [0.03] * 3, [0.005] * 3]

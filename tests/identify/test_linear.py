@@ -34,7 +34,7 @@ from mufly.identify.linear.model_checks import (
     identify_subspace,
     predict_ahead,
 )
-from mufly.units import GRAVITY
+from mufly.quantities.units import GRAVITY
 
 DT = 0.04
 TREX = Path(__file__).resolve().parents[2] / "../shared/data/flight/trex550/Data_graphready.mat"

@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mufly.errors import InputError
+from mufly.files.text_table import read_text_table
 from mufly.identify.flight_record import read_columns
 from mufly.logs import LogWarning, builtin_column_maps, load_column_map, read_log, read_raw
-from mufly.text_table import read_text_table
-from mufly.units import normalise_unit, split_header, unit_conversion
+from mufly.quantities.units import normalise_unit, split_header, unit_conversion
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pydantic import BaseModel
 
 from mufly.errors import InputError
-from mufly.input_files import nested_model
+from mufly.files.input_files import nested_model
 from mufly.mission import Mission, dump_mission, list_builtin_missions, load_mission, parse_mission
 
 GOOD = {"waypoint": [{"position_m": [1.0, 0.0, -1.0], "wait_s": 1.0}, {"position_m": [1.0, 2.0, -1.5]}]}

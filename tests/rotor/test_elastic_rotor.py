@@ -9,11 +9,11 @@ from typer.testing import CliRunner
 
 from mufly.cli import app
 from mufly.errors import MuflyError
+from mufly.quantities.units import RPM
 from mufly.rotor import BladeStructure, compute_polars, load_rotor, prepare_blading, solve_elastic_rotor, solve_rotor
 from mufly.rotor.structure.blade_beam import stiffness_matrices, uniform_beam
 from mufly.rotor.structure.elastic_rotor import SpanLoads, divergence_speed, load_derivative, solve_equilibrium
 from mufly.rotor.structure.flap_modes import make_blade_beam
-from mufly.units import RPM
 
 PITCH = math.radians(13.0)
 LENGTH, GJ, CHORD, SLOPE = 0.07, 6e-4, 0.018, 5.7

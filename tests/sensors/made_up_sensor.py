@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 
-from mufly import sensor_table
+from mufly.quantities import sensor_table
 
 ROW = sensor_table.ReadingRow(
     name="airspeed", unit="m/s", dim="body", meaning="made-up speed of the air",
@@ -33,7 +33,7 @@ def report() -> dict[str, object]:
     from mufly.link.estimate_messages import CHECKS_ARRAY_NAME, TEST_RATIOS, pack_sensor_checks
     from mufly.link.telemetry_streams import _SENSOR_BITS
     from mufly.logs.mcap import flight_layout
-    from mufly.quantities import CHECKED_READINGS, FUSION_STATUSES
+    from mufly.quantities.quantity_table import CHECKED_READINGS, FUSION_STATUSES
     from mufly.sensors import Reading, Readings, Truth, parse_fault
     from mufly.station import SignalHistory
     from mufly.station.page.frame_feed import list_sensor_states

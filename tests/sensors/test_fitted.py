@@ -8,9 +8,9 @@ from scipy import stats
 
 from mufly.dynamics import body_to_ned_matrix
 from mufly.errors import InputError
+from mufly.quantities.units import GRAVITY
 from mufly.sensors import GaussMarkov, fitted_sensors, ring_camera
 from mufly.sensors import rng as random_numbers
-from mufly.units import GRAVITY
 from mufly.vehicle import replace_parameters
 from mufly.world import Box, Room, World
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from mufly.dynamics import body_to_ned_matrix
+from mufly.quantities.units import GRAVITY
 from mufly.sensors import fitted_sensors
 from mufly.sensors.imu import board_resonance, butterworth_coefficients
-from mufly.units import GRAVITY
 from mufly.vehicle import replace_parameters
 from mufly.world import World
 

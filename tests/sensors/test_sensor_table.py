@@ -20,10 +20,13 @@ NAMES = {
     "position_fix": "position_fix R_FIX PositionFixSensor PositionFixParameters",
 }
 """Table, reading, index in the filter, model and parameters of each."""
-ROOMS = ("cli", "estimate", "firmware", "flight", "link", "sensors", "station", "vehicle")
+ROOMS = (
+    "cli", "compiled", "estimate", "files", "firmware", "flight", "link", "quantities", "results", "sensors", "station",
+    "vehicle",
+)  # fmt: skip
 """Where a name is that of a sensor: elsewhere a pressure is that of the air on a bench, a sonar a data set's file."""
 OF_EVERY_SENSOR = {
-    "sensor_table.py": "its row",
+    "quantities/sensor_table.py": "its row",
     "sensors/sensor_suite.py": "its class",
     "vehicle/sensor_schema.py": "its parameters",
     "estimate/filter/filter_records.py": "its noise in the filter's settings",

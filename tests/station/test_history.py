@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mufly.quantities import parse_column_name
+from mufly.quantities.quantity_table import parse_column_name
 from mufly.station import SignalHistory
 from mufly.station.signal_history import PresentSignals
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mufly.link import MISSION_STATES, mavlink
-from mufly.quantities import mavlink_columns
+from mufly.quantities.quantity_table import mavlink_columns
 from mufly.station import SignalHistory
 from mufly.station.remote.remote_commands import StatusTextLog
 from mufly.station.remote.vehicle_telemetry import TABLE_MESSAGES, VehicleClock, VehicleTelemetry

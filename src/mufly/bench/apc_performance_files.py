@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.text_table import decode_text
-from mufly.units import RPM, normalise_unit, unit_conversion
+from mufly.files.text_table import decode_text
+from mufly.quantities.units import RPM, normalise_unit, unit_conversion
 
 Array = NDArray[np.float64]
 

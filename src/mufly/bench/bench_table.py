@@ -26,10 +26,10 @@ from numpy.typing import NDArray
 
 from mufly.bench.apc_performance_files import read_apc_performance
 from mufly.errors import ArgumentError, InputError
-from mufly.quantity_grammar import ColumnLine, read_column_lines
+from mufly.files.text_table import TextTable, read_text_table
+from mufly.quantities.quantity_grammar import ColumnLine, read_column_lines
+from mufly.quantities.units import compatible_units, conversion_factor, normalise_unit, unit_conversion
 from mufly.results import result
-from mufly.text_table import TextTable, read_text_table
-from mufly.units import compatible_units, conversion_factor, normalise_unit, unit_conversion
 
 Array = NDArray[np.float64]
 _UNIT_ASSUMED = "no unit is written, taken as"

@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.bench.bench_table import BenchTable, base_quantity_of
-from mufly.units import RPM, conversion_factor
+from mufly.quantities.units import RPM, conversion_factor
 
 Array = NDArray[np.float64]
 LineMask = NDArray[np.bool_]

@@ -36,8 +36,8 @@ from scipy.optimize import minimize
 
 from mufly.dynamics import Linearisation, find_trim, linearise_vehicle
 from mufly.errors import MuflyError
+from mufly.quantities.units import GRAVITY
 from mufly.results import result
-from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle
 
 _Array = NDArray[np.float64]

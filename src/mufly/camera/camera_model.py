@@ -28,10 +28,10 @@ from pydantic import Field, model_validator
 
 from mufly.camera.calibration_files import convert_calibration
 from mufly.errors import InputError
-from mufly.input_files import builtin_file_names, model_error, read_toml, validate_model
+from mufly.files.input_files import builtin_file_names, model_error, read_toml, validate_model
+from mufly.files.text_table import decode_text
 from mufly.logs import LogWarning
 from mufly.rotations import body_to_ned_matrices
-from mufly.text_table import decode_text
 from mufly.vehicle.quantity import BodyPoints, ParameterGroup, Quantity, declare_parameter
 
 _Array = NDArray[np.float64]

@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 
 from mufly.camera.camera_model import Camera, body_from_camera_rotation, unproject_pixels
 from mufly.camera.floor_texture import DETAIL_PIXEL_M, DETAIL_PIXELS, SHADOW_PIXEL_M, SHADOW_PIXELS, Floor
-from mufly.numba_cache import cached_njit
+from mufly.compiled.numba_cache import cached_njit
 from mufly.world import Box, World
 from mufly.world.obstacles import BOX_CENTRE, BOX_COS, BOX_HALF, BOX_SIN
 

@@ -38,6 +38,7 @@ from mufly.cfd.solver_process import (
     run_case,
 )
 from mufly.errors import InputError, MuflyError
+from mufly.quantities.units import RPM
 from mufly.results import result
 from mufly.rotor import (
     Air,
@@ -52,7 +53,6 @@ from mufly.rotor import (
 )
 from mufly.rotor.structure.coupled_rounds import CoupledRounds, StripLoads, solve_coupled_rounds
 from mufly.rotor.structure.flap_modes import make_blade_beam
-from mufly.units import RPM
 
 Array = NDArray[np.float64]
 SCALED_START_ITERATIONS = 400

@@ -15,11 +15,11 @@ from mufly.cfd.openfoam_case import OperatingPoint, read_point
 from mufly.cfd.rotor_pair import ActuatorDisc
 from mufly.cfd.solver_process import ConvergenceVerdict, judge_case
 from mufly.errors import InputError, MuflyError
+from mufly.files.text_table import read_text_table
+from mufly.quantities.units import RPM
 from mufly.results import result
 from mufly.rotor import OperatingCondition, Rotor, RotorSystem, SolverMethod, prepare_blading, solve_system
 from mufly.rotor.coax_maps import interpolate_map
-from mufly.text_table import read_text_table
-from mufly.units import RPM
 from mufly.vehicle import CoefficientMap
 
 Array = NDArray[np.float64]

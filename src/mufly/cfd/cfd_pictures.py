@@ -13,7 +13,7 @@ from mufly.cfd.cfd_comparison import ClimbComparison
 from mufly.cfd.cfd_solution import CfdSolution, FlowField, FlowProbe, WakeProfile
 from mufly.cfd.openfoam_case import OperatingPoint
 from mufly.cfd.polymesh import PolyMesh
-from mufly.units import RPM
+from mufly.quantities.units import RPM
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

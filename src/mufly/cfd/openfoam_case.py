@@ -38,9 +38,9 @@ from mufly.cfd.initial_flow import momentum_slipstream
 from mufly.cfd.polymesh import LOWER_BLADE_PATCH, PolyMesh, foam_header, write_poly_mesh
 from mufly.cfd.sector_mesh import MeshDomain
 from mufly.errors import InputError, report_write_errors
+from mufly.quantities.units import RPM
 from mufly.rotor import Air, compute_tip_mach
 from mufly.rotor.rotor_system import MAX_TIP_MACH, check_pitch
-from mufly.units import RPM
 
 Array = NDArray[np.float64]
 

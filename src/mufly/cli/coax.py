@@ -42,9 +42,9 @@ from mufly.cli.output import (
     save_figure,
 )
 from mufly.errors import InputError, MuflyError
-from mufly.quantity_grammar import read_range, read_rotor_pair
+from mufly.quantities.quantity_grammar import read_range, read_rotor_pair
+from mufly.quantities.units import RPM
 from mufly.results import ResultColumn, select_fields
-from mufly.units import RPM
 
 if TYPE_CHECKING:
     from mufly.rotor import RotorResult, SystemSolution
@@ -249,7 +249,7 @@ def forward(
     docs/explanation/forward-flight.md.
     Example: mufly coax forward walkera-5g6 --speed 0:6:1 --rpm 3600,4240 --pitch 13,14 --out pair
     """
-    from mufly.quantity_grammar import read_values
+    from mufly.quantities.quantity_grammar import read_values
     from mufly.rotor import Air, load_rotor
     from mufly.rotor.forward import ForwardCondition, blade_flap, blade_flap_band, sweep_forward_pair
     from mufly.rotor.forward.forward_pictures import disc_picture, pair_sweep_picture
@@ -433,7 +433,7 @@ def compute_coax_map(
     elements take seconds, wakes minutes; these have turns=3 and tolerance=3e-3 unless --wake-set differs. Example:
     mufly coax map walkera-5g6 --spacing 40mm --pitch 14 --rpm 2500:6000 --climb -1:3 --out pair.toml
     """
-    from mufly.answer_store import replace_file
+    from mufly.files.answer_store import replace_file
     from mufly.rotor import Air, load_rotor, map_climb_ratios, map_picture
     from mufly.rotor.coax_maps import compute_coax_map as compute
     from mufly.vehicle import format_map_toml

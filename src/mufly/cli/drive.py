@@ -26,7 +26,7 @@ from mufly.cli.output import (
     print_result_table,
     save_figure,
 )
-from mufly.quantity_grammar import read_values
+from mufly.quantities.quantity_grammar import read_values
 from mufly.results import ResultColumn, select_fields
 
 if TYPE_CHECKING:

@@ -40,8 +40,8 @@ from mufly.cli.output import (
 from mufly.cli.rotor import app as rotor_commands
 from mufly.cli.study import format_parameter, parse_set_options
 from mufly.errors import InputError, suggest_name
+from mufly.quantities.units import RPM
 from mufly.results import select_fields
-from mufly.units import RPM
 
 if TYPE_CHECKING:
     from mufly.rotor import Rotor, SystemSolution

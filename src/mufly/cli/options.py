@@ -25,7 +25,7 @@ from mufly.cli.output import (
     write_text_file,
 )
 from mufly.errors import ArgumentError, InputError, suggest_name
-from mufly.quantity_grammar import (
+from mufly.quantities.quantity_grammar import (
     read_integer,
     read_interval,
     read_quantity,
@@ -35,7 +35,7 @@ from mufly.quantity_grammar import (
     read_values,
     read_vector,
 )
-from mufly.units import split_unit_suffix
+from mufly.quantities.units import split_unit_suffix
 
 if TYPE_CHECKING:
     from mufly.drive import DriveTrain
@@ -199,7 +199,7 @@ class OptionChoices:
 
 @dataclass(frozen=True)
 class NumberNotation:
-    """Notation of an option's numbers (:mod:`mufly.quantity_grammar`).
+    """Notation of an option's numbers (:mod:`mufly.quantities.quantity_grammar`).
 
     Attributes
     ----------

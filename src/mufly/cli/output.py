@@ -1,7 +1,7 @@
 """Output of commands: tables, JSON, CSV, pictures, and progress.
 
-Results define meaning and unit of their fields (:mod:`mufly.results`). Here they become JSON, or a table for reading,
-with :class:`ResultColumn` for readable units.
+Results define meaning and unit of their fields (:mod:`mufly.results`). Here they become JSON, or a table
+for reading, with :class:`ResultColumn` for readable units.
 """
 
 from __future__ import annotations

@@ -37,8 +37,8 @@ from mufly.cli.output import (
     save_figure,
     write_text_file,
 )
+from mufly.quantities.units import RPM, compatible_units
 from mufly.results import ResultColumn, select_fields, to_records
-from mufly.units import RPM, compatible_units
 
 if TYPE_CHECKING:
     pass

@@ -22,7 +22,7 @@ import typer
 from mufly.cli.options import define_option
 from mufly.cli.output import LiveDisplay, check_place, make_console, progress_bar
 from mufly.errors import InputError
-from mufly.quantity_grammar import read_vector
+from mufly.quantities.quantity_grammar import read_vector
 
 if TYPE_CHECKING:
     from types import FrameType
@@ -169,7 +169,7 @@ def check_sensor_options(vehicle: Vehicle, sensors: str, faults: Sequence[str] |
 
 def describe_sensor_source(vehicle: Vehicle, sensors: str) -> str:
     """Return a description of the source of the vehicle's state."""
-    from mufly.sensor_table import SENSORS
+    from mufly.quantities.sensor_table import SENSORS
 
     if sensors == "ideal":
         return "Flies on the true state (--sensors ideal)"

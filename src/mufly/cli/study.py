@@ -41,9 +41,9 @@ from mufly.cli.output import (
 )
 from mufly.cli.rotor import app as rotor_commands
 from mufly.errors import InputError, suggest_name
-from mufly.quantity_grammar import read_values
+from mufly.quantities.quantity_grammar import read_values
+from mufly.quantities.units import RPM
 from mufly.results import ResultColumn, to_records
-from mufly.units import RPM
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -33,9 +33,9 @@ from mufly.cli.output import (
     write_text_file,
 )
 from mufly.errors import InputError
-from mufly.quantity_grammar import read_quantity
+from mufly.quantities.quantity_grammar import read_quantity
+from mufly.quantities.units import RPM, unit_conversion
 from mufly.results import ResultColumn, select_fields, tabulate_fields
-from mufly.units import RPM, unit_conversion
 
 if TYPE_CHECKING:
     from mufly.dynamics import HoverPerformance
@@ -187,7 +187,7 @@ def show_speed(
     Example: mufly vehicle speed mufly-1.1 --speed 0:4:0.5 --out speed
     """
     from mufly.dynamics.level_flight import level_flight, level_flight_picture
-    from mufly.quantity_grammar import read_values
+    from mufly.quantities.quantity_grammar import read_values
     from mufly.rotor import load_rotor
     from mufly.vehicle import load_vehicle
 

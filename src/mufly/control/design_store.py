@@ -13,10 +13,10 @@ from pathlib import Path
 import control
 import numpy as np
 
-from mufly.answer_store import cache_folder, hash_question, read_answer, write_answer
+from mufly.compiled.numba_cache import imported_sources
 from mufly.control.linear_systems import state_space
 from mufly.control.synthesis.synthesis_methods import SynthesisedController, SynthesisMethod, SynthesisProblem
-from mufly.numba_cache import imported_sources
+from mufly.files.answer_store import cache_folder, hash_question, read_answer, write_answer
 
 STORED_METHODS: tuple[SynthesisMethod, ...] = ("mu", "fixed")
 """Methods that take seconds to minutes."""

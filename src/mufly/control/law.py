@@ -46,11 +46,11 @@ from typing import Any, cast
 
 import numpy as np
 
+from mufly.compiled.numba_cache import cached_njit
+from mufly.compiled.portable_math import sine_cosine
 from mufly.control.implementation import DiscreteController
 from mufly.control.linear_systems import Array
 from mufly.errors import MuflyError
-from mufly.numba_cache import cached_njit
-from mufly.portable_math import sine_cosine
 
 
 @cached_njit

@@ -33,11 +33,11 @@ import tomli_w
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
+from mufly.compiled.numba_cache import cached_njit
 from mufly.errors import InputError, MuflyError
-from mufly.input_files import builtin_file_names, model_error, read_toml, validate_model
-from mufly.numba_cache import cached_njit
+from mufly.files.input_files import builtin_file_names, model_error, read_toml, validate_model
+from mufly.quantities.units import RPM
 from mufly.results import result
-from mufly.units import RPM
 from mufly.vehicle import Vehicle, load_vehicle
 from mufly.vehicle.quantity import ParameterGroup, Quantity, declare_parameter
 from mufly.vehicle.vehicle_schema import MAX_TORQUE_TO_EMF_RATIO, Battery, Gear, Motor

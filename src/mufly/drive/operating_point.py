@@ -41,11 +41,11 @@ from mufly.drive.drive_train import (
     terminal_voltage,
 )
 from mufly.errors import ArgumentError, InputError, MuflyError
+from mufly.quantities.units import RPM
 from mufly.results import result
 from mufly.root_finding import find_rising_root
 from mufly.rotor import Air, Blading, solve_rotor_batch
 from mufly.rotor.rotor_system import check_pitch
-from mufly.units import RPM
 from mufly.vehicle import battery_voltage_range
 
 Array = NDArray[np.float64]

@@ -49,8 +49,8 @@ from mufly.dynamics.simulation import (
     simulate_open_loop,
     state_dataset,
 )
+from mufly.quantities.units import GRAVITY
 from mufly.rotations import euler_from_quaternion, quaternion_from_euler
-from mufly.units import GRAVITY
 
 if TYPE_CHECKING:
     from mufly.dynamics.lane_equations import integrate_batch

@@ -32,6 +32,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled.numba_cache import cached_njit
 from mufly.dynamics.model_state import (
     RS_ATT,
     RS_BAR,
@@ -45,7 +46,6 @@ from mufly.dynamics.model_state import (
     U_SERVO_2,
     ModelParameters,
 )
-from mufly.numba_cache import cached_njit
 from mufly.rotor.forward.edgewise_map import interpolate_flow_loads, interpolate_rate_loads
 
 _Array = NDArray[np.float64]

@@ -74,6 +74,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled.numba_cache import cached_njit
 from mufly.drive.drive_train import armature_current, interpolate_table, rotor_acceleration, terminal_voltage
 from mufly.dynamics.edgewise_loads import add_flight_map, add_swash_phase
 from mufly.dynamics.model_state import (
@@ -97,10 +98,9 @@ from mufly.dynamics.model_state import (
     initial_state,
     rotation_entries,
 )
-from mufly.numba_cache import cached_njit
+from mufly.quantities.units import GRAVITY
 from mufly.rotor.coax_maps import interpolate_map
 from mufly.rotor.coax_maps import interpolate_tables as maps_interpolate
-from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle
 
 _Array = NDArray[np.float64]
@@ -190,7 +190,7 @@ def state_derivative_tilted(
 ) -> None:
     """Compute :func:`state_derivative` with given sine and cosine of the swash plate's tilt about x and y.
 
-    On-board code uses those of :mod:`mufly.portable_math`. Without ``floor`` ground contact is left out.
+    On-board code uses those of :mod:`mufly.compiled.portable_math`. Without ``floor`` ground contact is left out.
     """
     # Called first, because a later call would spill the registers. The speeds are read twice: a local variable from
     # here on costs 3 % of a step.

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 
 from mufly.dynamics.linearisation import HoverPerformance
-from mufly.units import GRAVITY, RPM
+from mufly.quantities.units import GRAVITY, RPM
 from mufly.vehicle import UnusualParameter, Vehicle
 
 SPEED_OF_SOUND_M_S = 343.2

@@ -20,13 +20,13 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled.numba_cache import cached_njit
 from mufly.dynamics.branch_selection import select_branches
 from mufly.dynamics.equations_of_motion import state_derivative
 from mufly.dynamics.lane_row_sums import LANE_ROW_SUMS
 from mufly.dynamics.model_state import INPUT_SIZE, STATE_SIZE
 from mufly.dynamics.numba_lanes import LANE_NAMES, LANES, make_record, make_rows, put_number, put_record, take_number
 from mufly.dynamics.simulation import normalise_state
-from mufly.numba_cache import cached_njit
 
 _Array = NDArray[np.float64]
 _Ints = NDArray[np.int64]

@@ -29,10 +29,10 @@ from scipy.optimize import root
 from mufly.drive.drive_train import battery_voltage, drive_of_vehicle, open_circuit_voltage
 from mufly.dynamics.linearisation import find_trim
 from mufly.errors import InputError, MuflyError
+from mufly.quantities.units import GRAVITY
 from mufly.results import ResultColumn, ShownBlock, result, show_lines, tabulate_results
 from mufly.rotor import Air, Blading, Rotor, prepare_blading
 from mufly.rotor.forward import BladeFlap, ForwardCondition, ForwardPair, blade_flap_band, solve_forward_pair
-from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle
 
 if TYPE_CHECKING:

@@ -58,10 +58,10 @@ from mufly.dynamics.model_state import (
 )
 from mufly.dynamics.simulation import fastest_mode_key
 from mufly.errors import InputError, MuflyError
-from mufly.result_figure import enable_notebook_display
+from mufly.quantities.units import GRAVITY, RPM
 from mufly.results import result
+from mufly.results.result_figure import enable_notebook_display
 from mufly.rotations import euler_from_quaternion, quaternion_from_euler
-from mufly.units import GRAVITY, RPM
 from mufly.vehicle import Vehicle
 
 if TYPE_CHECKING:

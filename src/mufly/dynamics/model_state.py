@@ -29,15 +29,15 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mufly.compiled.numba_cache import cached_njit
+from mufly.compiled.record_fields import int_field as _int
+from mufly.compiled.record_fields import real_field as _real
+from mufly.compiled.record_fields import record_fields, record_type
 from mufly.errors import InputError
-from mufly.numba_cache import cached_njit
-from mufly.record_fields import int_field as _int
-from mufly.record_fields import real_field as _real
-from mufly.record_fields import record_fields, record_type
+from mufly.quantities.units import GRAVITY
 from mufly.rotations import quaternion_from_euler
 from mufly.rotor.coax_maps import interpolate_map, pack_map_tables
 from mufly.rotor.forward.edgewise_map import fit_flight_splines
-from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle
 from mufly.vehicle.coefficient_map import MAP_NODES
 from mufly.vehicle.flight_map import MAP_CLIMBS, MAP_EDGES

@@ -13,7 +13,7 @@ LaneRecord     a NumPy record of each vehicle; its integers are those of the fir
 ============== =====================================================================================
 
 Whole numbers from :func:`int` of lanes are lanes, too, exact up to 2^53. Sine and cosine are those of
-:mod:`mufly.portable_math`, by the same operations.
+:mod:`mufly.compiled.portable_math`, by the same operations.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from numba import extending, types
 from numba.core import cgutils
 from numba.core.typing import templates
 
-from mufly.numba_cache import cached_njit
-from mufly.portable_math import HALF_PI_PARTS, MAX_ANGLE_RAD, TWO_OVER_PI
+from mufly.compiled.numba_cache import cached_njit
+from mufly.compiled.portable_math import HALF_PI_PARTS, MAX_ANGLE_RAD, TWO_OVER_PI
 
 # Numba declares types for a part of its functions only.
 _numba_types: Any = types
@@ -518,7 +518,7 @@ def put_record(context: Any, record: Any, lane: Any, address: Any) -> Any:
 
 
 # ----------------------------------------------------------------------------
-# Sine and cosine: the operations of mufly.portable_math.sine_cosine, with selections.
+# Sine and cosine: the operations of mufly.compiled.portable_math.sine_cosine, with selections.
 
 _HALF_PI_1, _HALF_PI_2, _HALF_PI_3 = HALF_PI_PARTS
 

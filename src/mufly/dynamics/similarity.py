@@ -36,8 +36,8 @@ from mufly.dynamics.hover_limits import MAX_TIP_MACH, tip_mach_number
 from mufly.dynamics.linearisation import find_trim, hover_performance
 from mufly.dynamics.model_state import hover_speeds, model_parameters
 from mufly.errors import ArgumentError, InputError, MuflyError
-from mufly.input_files import validate_model
-from mufly.units import RPM
+from mufly.files.input_files import validate_model
+from mufly.quantities.units import RPM
 from mufly.vehicle import Vehicle, battery_voltage_range, replace_parameters
 
 MAX_HOVER_VOLTAGE_SHARE = 0.8

@@ -37,6 +37,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.signal import lfilter
 from scipy.special import gammainc
 
+from mufly.compiled.numba_cache import cached_njit
+from mufly.compiled.numba_intrinsics import borrow_arrays
 from mufly.drive.drive_train import FULL_FRICTION_SPEED_rad_s
 from mufly.dynamics.edgewise_loads import flight_map_rates
 from mufly.dynamics.equations_of_motion import battery_state, coefficient_bounds, state_derivative
@@ -59,12 +61,10 @@ from mufly.dynamics.model_state import (
     model_parameters,
 )
 from mufly.errors import InputError
-from mufly.numba_cache import cached_njit
-from mufly.numba_intrinsics import borrow_arrays
-from mufly.quantities import make_dataset
+from mufly.quantities.quantity_table import make_dataset
+from mufly.quantities.units import GRAVITY
 from mufly.rotations import euler_from_quaternion
 from mufly.rotor.rotor_system import VORTEX_RING_RANGE
-from mufly.units import GRAVITY
 from mufly.vehicle import FlightMap, Vehicle, builtin_flight_maps, load_flight_map
 from mufly.vehicle.vehicle_schema import describe_other_rotors
 

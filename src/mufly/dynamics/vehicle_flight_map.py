@@ -18,11 +18,11 @@ import numpy as np
 from mufly.dynamics.level_flight import LevelFlightModel, check_blade_radius
 from mufly.dynamics.linearisation import find_trim
 from mufly.errors import InputError, MuflyError
+from mufly.quantities.units import GRAVITY
 from mufly.rotor import Rotor, prepare_blading
 from mufly.rotor.coax_maps import hash_bladings
 from mufly.rotor.forward import BladeFlap, blade_flap, blade_flap_band
 from mufly.rotor.forward.edgewise_map import MAP_ADVANCE_RATIO, compute_flight_loads, edgewise_axis
-from mufly.units import GRAVITY
 from mufly.vehicle import FlightMap, FlightMapTables, Vehicle, replace_parameters
 from mufly.vehicle.flight_map import format_flight_table
 

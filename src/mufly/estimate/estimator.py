@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled.portable_math import portable_atan2, sine_cosine, vector_length
 from mufly.estimate.sensor_status import AuxiliaryStates
-from mufly.portable_math import portable_atan2, sine_cosine, vector_length
 from mufly.sensors import Reading, Readings
 
 _Array = NDArray[np.float64]

@@ -23,7 +23,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from mufly import portable_math
+from mufly.compiled import portable_math
+from mufly.compiled.toolchain import COMPILER_FLAGS, build_cached_library
 from mufly.drive import drive_train
 from mufly.dynamics import equations_of_motion, model_parameters
 from mufly.errors import MuflyError
@@ -41,7 +42,6 @@ from mufly.estimate.filter import (
 )
 from mufly.estimate.filter.c_records import model_record, render_records_header
 from mufly.rotor import coax_maps
-from mufly.toolchain import COMPILER_FLAGS, build_cached_library
 from mufly.vehicle import Vehicle
 
 VERIFIED_STAMP = "b38d5af071dcc6ac"

@@ -52,10 +52,10 @@ from mufly.estimate.filter.filter_records import (
 )
 from mufly.estimate.kalman_estimator import KalmanEstimator
 from mufly.estimate.nees import normalised_errors
+from mufly.quantities.units import GRAVITY
 from mufly.results import result
 from mufly.rotations import quaternion_from_euler
 from mufly.sensors import Reading, Readings
-from mufly.units import GRAVITY
 from mufly.vehicle import load_vehicle, replace_parameters
 from mufly.world import World
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled.numba_cache import cached_njit
 from mufly.dynamics import model_parameters
 from mufly.estimate.estimator import Estimate, Estimator
 from mufly.estimate.filter.filter_records import (
@@ -43,8 +44,7 @@ from mufly.estimate.filter.output_predictor import COVARIANCE_INTERVAL_TICKS
 from mufly.estimate.filter.sensor_checks import ACTUATOR_START, CLIPPING_START, VALUE_COUNT
 from mufly.estimate.filter_backend import BackendName, make_backend
 from mufly.estimate.sensor_status import AuxiliaryStates, LazySensorStatuses, SensorStatus
-from mufly.numba_cache import cached_njit
-from mufly.quantities import CHECKED_READINGS
+from mufly.quantities.quantity_table import CHECKED_READINGS
 from mufly.sensors import Reading, Readings
 from mufly.vehicle import Vehicle
 from mufly.world import World
@@ -329,7 +329,8 @@ class KalmanEstimator(Estimator):
 
     @property
     def reading_indices(self) -> Mapping[str, int]:
-        """Return the used readings by name, with their indices in :data:`mufly.quantities.CHECKED_READINGS`."""
+        """Return the used readings by name, with their indices in
+        :data:`mufly.quantities.quantity_table.CHECKED_READINGS`."""
         return self._reading_indices
 
     @property

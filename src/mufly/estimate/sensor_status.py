@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.estimate.filter import sensor_checks as g
-from mufly.quantities import CHECKED_READINGS
-from mufly.sensor_table import CHECKED
+from mufly.quantities.quantity_table import CHECKED_READINGS
+from mufly.quantities.sensor_table import CHECKED
 
 _Array = NDArray[np.float64]
 
@@ -26,7 +26,7 @@ class SensorStatus:
     Attributes
     ----------
     name : str
-        Name of the reading (:data:`mufly.sensor_table.READINGS`).
+        Name of the reading (:data:`mufly.quantities.sensor_table.READINGS`).
     status : str
         ``"fused"``: in use. ``"rejected"``: inconsistent with the estimate. ``"missing"``: readings have stopped.
         ``"faulty"``: readings are invalid in themselves. ``"waiting"``: not needed, or no reading yet.
@@ -138,7 +138,7 @@ class LazySensorStatuses(Sequence[SensorStatus]):
     m, s : records
         Memory and settings of the filter, which must not change afterwards.
     fitted : sequence of int
-        Indices of the fitted sensors in :data:`mufly.quantities.CHECKED_READINGS`.
+        Indices of the fitted sensors in :data:`mufly.quantities.quantity_table.CHECKED_READINGS`.
     """
 
     def __init__(self, m: Mapping[str, Any] | np.void, s: np.void, fitted: Sequence[int]) -> None:
@@ -204,8 +204,8 @@ _INNOVATION_REASONS = (g.REASON_INNOVATION, g.REASON_RESET, g.REASON_FUSED_THOUG
 def describe_reason(why: int, number: float, sensor: int, component: int = 0) -> str:
     """Return the text of the reason of a status.
 
-    ``sensor`` is an index into :data:`mufly.quantities.CHECKED_READINGS`. ``component`` is the component of a position
-    fix to which ``number`` belongs: N, E, D (m) or the heading (rad).
+    ``sensor`` is an index into :data:`mufly.quantities.quantity_table.CHECKED_READINGS`. ``component`` is the component
+    of a position fix to which ``number`` belongs: N, E, D (m) or the heading (rad).
     """
     in_unit = CHECKED[sensor].unit_components
     if in_unit is not None and component >= in_unit and why in _INNOVATION_REASONS:

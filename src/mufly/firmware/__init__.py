@@ -1,5 +1,6 @@
 """Export the flight software as C99 with a vehicle's numbers, and build, fly and verify it on this machine."""
 
+from mufly.compiled.toolchain import find_compiler
 from mufly.firmware.compiled_software import FirmwareSoftware, GenericFirmwareSoftware
 from mufly.firmware.export.policy_export import export_policy
 from mufly.firmware.export.source_export import export_firmware, render_gains_source
@@ -20,7 +21,6 @@ from mufly.firmware.host_build import Firmware, FirmwareControllers, build_libra
 from mufly.firmware.proof.evidence_report import write_report
 from mufly.firmware.proof.fuzzing import FuzzResult, fuzz_firmware, missing_fuzzer_tools, run_fuzzer
 from mufly.firmware.proof.sil_pil import PilResult, SilResult, find_deepest_stack, missing_tools, run_pil, run_sil
-from mufly.toolchain import find_compiler
 
 __all__ = [
     "Firmware",

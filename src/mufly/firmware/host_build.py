@@ -12,13 +12,13 @@ import cffi
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.answer_store import replace_file
+from mufly.compiled.toolchain import COMPILER_FLAGS, build_cached_library, compile_library, find_compiler
 from mufly.control import FlightController
 from mufly.estimate import Estimate
+from mufly.files.answer_store import replace_file
 from mufly.firmware.export.plan_tables import HOST_MAX_WAYPOINTS, MAX_WAYPOINTS
 from mufly.firmware.export.source_export import copy_sources, render_gains_source, write_tree
 from mufly.flight.controllers import Actuators, Controllers
-from mufly.toolchain import COMPILER_FLAGS, build_cached_library, compile_library, find_compiler
 
 _Array = NDArray[np.floating[Any]]
 

@@ -44,7 +44,7 @@ from mufly.mission.trajectory import (
     Trajectory,
     TrajectoryPoint,
 )
-from mufly.quantities import CHECKED_READINGS
+from mufly.quantities.quantity_table import CHECKED_READINGS
 
 if TYPE_CHECKING:
     from cffi import FFI

@@ -9,6 +9,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled.numba_cache import cached_njit, record_as_array
 from mufly.control import (
     FlightController,
     heave_yaw_init,
@@ -21,7 +22,6 @@ from mufly.control import (
 )
 from mufly.estimate import Estimate
 from mufly.mission import TrajectoryLimits
-from mufly.numba_cache import cached_njit, record_as_array
 
 _Array = NDArray[np.floating[Any]]
 

@@ -39,12 +39,12 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled.numba_cache import cached_njit
+from mufly.compiled.portable_math import sine_cosine
 from mufly.estimate import Estimate, SensorStatus
 from mufly.estimate.filter.filter_records import EX_ATT, EX_POS
 from mufly.estimate.sensor_status import NAMED_CAUSES
-from mufly.numba_cache import cached_njit
-from mufly.portable_math import sine_cosine
-from mufly.sensor_table import CHECKED
+from mufly.quantities.sensor_table import CHECKED
 
 _Array = NDArray[np.float64]
 

@@ -32,6 +32,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled.numba_cache import cached_njit
 from mufly.control import FlightController
 from mufly.estimate import Estimate, EstimateMonitor, check_estimate
 from mufly.flight.controllers import Actuators, Controllers, controller_limits
@@ -67,8 +68,7 @@ from mufly.mission import (
     stop_motors,
     update_obstacle_map,
 )
-from mufly.numba_cache import cached_njit
-from mufly.units import GRAVITY
+from mufly.quantities.units import GRAVITY
 from mufly.vehicle import Vehicle
 
 _Array = NDArray[np.floating[Any]]

@@ -20,8 +20,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled.numba_cache import cached_njit
 from mufly.mission import State
-from mufly.numba_cache import cached_njit
 
 _Array = NDArray[np.float64]
 

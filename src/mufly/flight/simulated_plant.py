@@ -11,6 +11,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from mufly.compiled.numba_cache import cached_njit, record_as_array
+from mufly.compiled.portable_math import portable_atan2
 from mufly.control import FlightController, design_flight_controller
 from mufly.dynamics import (
     DEFAULT_STEP_S,
@@ -38,8 +40,6 @@ from mufly.errors import InputError, MuflyError
 from mufly.estimate import IdealEstimator
 from mufly.flight.controllers import Actuators, Controllers
 from mufly.flight.record.recorder import FlightRecorder
-from mufly.numba_cache import cached_njit, record_as_array
-from mufly.portable_math import portable_atan2
 from mufly.sensors import Readings, Truth, ideal_sensors
 from mufly.vehicle import Vehicle
 from mufly.world import World, nearest_obstacles, obstacle_distance
@@ -62,7 +62,7 @@ def advance_period(x: _Array, u: _Array, wind: _Array, parameters: Any, dt: floa
 def true_attitude(x: _Array, attitude: _Array) -> None:
     """Write roll, pitch, yaw (rad) of a state into ``attitude`` (3,); yaw continues from its value there.
 
-    :mod:`mufly.portable_math` gives equal results on every processor.
+    :mod:`mufly.compiled.portable_math` gives equal results on every processor.
     """
     w, i, j, k = x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
     sine = min(max(2.0 * (w * j - k * i), -1.0), 1.0)

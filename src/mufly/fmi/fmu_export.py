@@ -13,8 +13,9 @@ import tempfile
 import zipfile
 from pathlib import Path
 
-from mufly.answer_store import replace_file
+from mufly.compiled.toolchain import compile_library, find_compiler
 from mufly.errors import MuflyError, report_write_errors
+from mufly.files.answer_store import replace_file
 from mufly.fmi.model_description import (
     model_identifier,
     render_build_description,
@@ -24,7 +25,6 @@ from mufly.fmi.model_description import (
 from mufly.fmi.unit_sources import SOURCE_FOLDER, UNIT_SOURCE, render_flight_model, render_vehicle_data
 from mufly.fmi.unit_variables import list_unit_variables
 from mufly.results import result
-from mufly.toolchain import compile_library, find_compiler
 from mufly.vehicle import Vehicle, format_vehicle_toml
 
 _FMI_HEADERS = ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h")

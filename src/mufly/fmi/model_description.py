@@ -9,11 +9,11 @@ import html
 import re
 from xml.etree import ElementTree
 
+from mufly.compiled.toolchain import COMPILER_FLAGS
 from mufly.errors import MuflyError
 from mufly.fmi.unit_sources import UNIT_SOURCE
 from mufly.fmi.unit_variables import UnitInterface, UnitVariable
-from mufly.toolchain import COMPILER_FLAGS
-from mufly.units import unit_conversion
+from mufly.quantities.units import unit_conversion
 from mufly.vehicle import Vehicle
 from mufly.version import __version__
 

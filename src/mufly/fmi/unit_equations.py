@@ -36,8 +36,8 @@ from mufly.dynamics.model_state import (
     ModelParameters,
     rotation_entries,
 )
+from mufly.quantities.units import GRAVITY
 from mufly.rotations import quaternion_from_euler
-from mufly.units import GRAVITY
 
 _Array = NDArray[np.float64]
 

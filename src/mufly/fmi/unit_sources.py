@@ -15,13 +15,13 @@ from importlib import resources
 
 import numpy as np
 
-from mufly.answer_store import hash_question
+from mufly.compiled.record_fields import record_fields
 from mufly.dynamics import INPUT_SIZE, PARAMETER_DTYPE, STATE_SIZE, ModelParameters, model_parameters
 from mufly.dynamics.simulation import integrate_state
+from mufly.files.answer_store import hash_question
 from mufly.fmi.c_translation import REAL, WHOLE, CTranslation, TableType
 from mufly.fmi.unit_equations import OUTPUT_COUNT, START_COUNT, write_outputs, write_start_state
 from mufly.fmi.unit_variables import UnitInterface
-from mufly.record_fields import record_fields
 from mufly.vehicle import Vehicle
 
 SOURCE_FOLDER = resources.files("mufly.fmi") / "sources"

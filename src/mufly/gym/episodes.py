@@ -22,6 +22,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled.numba_cache import cached_njit
+from mufly.compiled.portable_math import portable_atan2, sine_cosine
 from mufly.dynamics.equations_of_motion import battery_state, lowest_point
 from mufly.dynamics.lane_equations import integrate_lanes, lay_out_blocks
 from mufly.dynamics.model_state import (
@@ -56,8 +58,6 @@ from mufly.gym.tasks import (
     place_task,
     shift_task,
 )
-from mufly.numba_cache import cached_njit
-from mufly.portable_math import portable_atan2, sine_cosine
 from mufly.sensors.rng import draw_normals, draw_uniforms
 from mufly.world.obstacles import first_hit, nearest_obstacles
 

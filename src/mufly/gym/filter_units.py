@@ -9,9 +9,9 @@ Units have no ring of range beams (:func:`without_ring`): it costs as much as al
 only with walls known in advance, which no task has. The distances that ``Obstacle`` observes are exact.
 
 All arrays of a unit stand in one row of bytes, so that a start copies one row. Compiled code finds a unit by the
-address of its arrays (:func:`mufly.numba_intrinsics.store_tuple`): one call steps all units, period by period of the
-flight software, with the compiled functions of a flight (:mod:`mufly.firmware.quick.compiled_loop`) and the filter in
-C.
+address of its arrays (:func:`mufly.compiled.numba_intrinsics.store_tuple`): one call steps all units, period by period
+of the flight software, with the compiled functions of a flight (:mod:`mufly.firmware.quick.compiled_loop`) and the
+filter in C.
 """
 
 from __future__ import annotations
@@ -26,6 +26,8 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled.numba_cache import cached_njit
+from mufly.compiled.numba_intrinsics import call_c_function, refer_at, store_tuple, tuple_size
 from mufly.control import FlightController, design_flight_controller
 from mufly.dynamics import PARAMETER_DTYPE, STATE_SIZE
 from mufly.dynamics.model_state import RS_ATT, RS_CHARGE, RS_POS, RS_RATES, RS_VEL
@@ -52,8 +54,6 @@ from mufly.flight.simulated_flight import Flight
 from mufly.gym.fleet import LEAST_CHARGE, Fleet
 from mufly.gym.tasks import HEIGHT_M, OBSTACLE, OBSTACLE_START_NORTH_M
 from mufly.mission import Mission, State
-from mufly.numba_cache import cached_njit
-from mufly.numba_intrinsics import call_c_function, refer_at, store_tuple, tuple_size
 from mufly.sensors import FittedSensors, Imu
 from mufly.sensors.faults import FaultySensor
 from mufly.sensors.rng import draw_uniforms

@@ -27,7 +27,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.numba_cache import cached_njit
+from mufly.compiled.numba_cache import cached_njit
 from mufly.world import World
 from mufly.world.obstacles import Room
 

@@ -24,7 +24,7 @@ from mufly.identify.linear.frequency_response import FrequencyResponse, estimate
 from mufly.identify.motor_fit import MotorFit
 from mufly.identify.residual_analysis import assess_record, input_cross_correlation, residual_autocorrelation
 from mufly.identify.rotor_fit import CoefficientFit, RotorFit
-from mufly.units import RPM
+from mufly.quantities.units import RPM
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

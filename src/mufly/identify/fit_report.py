@@ -36,7 +36,7 @@ from mufly.identify.residual_analysis import (
     ljung_box_test,
     residual_determinant,
 )
-from mufly.report_page import render_page
+from mufly.results.report_page import render_page
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
 from mufly.errors import ArgumentError
-from mufly.input_files import validate_model
+from mufly.files.input_files import validate_model
 from mufly.results import result
 from mufly.vehicle import Vehicle
 

@@ -29,10 +29,10 @@ from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
 from mufly.errors import ArgumentError, InputError
-from mufly.quantities import QUANTITIES, find_quantity, make_dataset
-from mufly.quantity_grammar import ColumnLine, read_column_lines
+from mufly.quantities.quantity_grammar import ColumnLine, read_column_lines
+from mufly.quantities.quantity_table import QUANTITIES, find_quantity, make_dataset
+from mufly.quantities.units import unit_conversion
 from mufly.results import result
-from mufly.units import unit_conversion
 
 Array = NDArray[np.float64]
 
@@ -471,8 +471,8 @@ def read_columns(
     ----------
     path : str or Path
     columns : sequence of str, or dict
-        Column map, ``"lat=inr0"``, ``"time=1(ms)"`` (:func:`mufly.quantity_grammar.read_column_lines`). Columns are
-        numbered from 1 in a table without header, from 0 in an array of a MATLAB file (``inr0``).
+        Column map, ``"lat=inr0"``, ``"time=1(ms)"`` (:func:`mufly.quantities.quantity_grammar.read_column_lines`).
+        Columns are numbered from 1 in a table without header, from 0 in an array of a MATLAB file (``inr0``).
     rate_hz : float, optional
         Sample rate of the table; by default the rate of the log.
 

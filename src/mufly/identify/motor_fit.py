@@ -47,8 +47,8 @@ from mufly.identify.fit_result import (
     describe_unseen_combinations,
     divide_by_values,
 )
+from mufly.quantities.units import RPM
 from mufly.results import result
-from mufly.units import RPM
 from mufly.vehicle import Vehicle
 
 Array = NDArray[np.float64]

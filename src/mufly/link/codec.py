@@ -35,7 +35,7 @@ from mufly.mission.files.mission_items import FRAMES_ABOVE_SEA as FRAMES_ABOVE_S
 from mufly.mission.files.mission_items import FRAMES_ABOVE_TERRAIN as FRAMES_ABOVE_TERRAIN
 from mufly.mission.files.mission_items import GlobalOrigin as GlobalOrigin
 from mufly.mission.files.mission_items import scale_coordinate as scale_coordinate
-from mufly.quantity_grammar import read_quantity
+from mufly.quantities.quantity_grammar import read_quantity
 
 os.environ["MAVLINK20"] = "1"
 with contextlib.redirect_stdout(io.StringIO()):

@@ -65,7 +65,7 @@ from mufly.mission import (
     deny_request,
     reject_temporarily,
 )
-from mufly.sensor_table import READINGS
+from mufly.quantities.sensor_table import READINGS
 from mufly.sensors import Fault
 
 FORCE_DISARM_MAGIC = 21196.0

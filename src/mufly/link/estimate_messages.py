@@ -7,9 +7,9 @@ velocity in body axes is ``P_b = R^T P R``; the effect of the attitude's own err
 
 A test ratio of ESTIMATOR_STATUS is the squared innovation over the squared gate: above 1 a measurement is rejected.
 MAVLink has no message for each sensor's health. The array "checks" holds three numbers for each of
-:data:`mufly.quantities.CHECKED_READINGS`: the index of its status in :data:`mufly.quantities.FUSION_STATUSES`, its
-innovation in standard deviations, and the age of the last fused measurement (s). Wind N, E (m/s) and its standard
-deviations follow. Reasons are sent as STATUSTEXT.
+:data:`mufly.quantities.quantity_table.CHECKED_READINGS`: the index of its status in
+:data:`mufly.quantities.quantity_table.FUSION_STATUSES`, its innovation in standard deviations, and the age of the last
+fused measurement (s). Wind N, E (m/s) and its standard deviations follow. Reasons are sent as STATUSTEXT.
 
 Source: https://mavlink.io/en/messages/common.html#ODOMETRY, #ESTIMATOR_STATUS.
 """
@@ -27,9 +27,9 @@ from mufly.estimate.filter.filter_records import EX_ATT, EX_POS, EX_VEL
 from mufly.estimate.filter.scalar_fusion import INNOVATION_GATE
 from mufly.flight import FlightState
 from mufly.link.codec import MavMessage, mavlink, to_float32
-from mufly.quantities import CHECKED_READINGS, FUSION_STATUSES
+from mufly.quantities.quantity_table import CHECKED_READINGS, FUSION_STATUSES
+from mufly.quantities.sensor_table import READINGS
 from mufly.rotations import quaternion_from_euler
-from mufly.sensor_table import READINGS
 
 _Array = NDArray[np.float64]
 CHECKS_ARRAY_NAME = b"checks"

@@ -42,8 +42,8 @@ from mufly.link.estimate_messages import (
 )
 from mufly.link.vision_input import pack_covariance
 from mufly.mission import State
+from mufly.quantities.sensor_table import READINGS
 from mufly.rotations import quaternion_from_euler
-from mufly.sensor_table import READINGS
 from mufly.vehicle import Vehicle
 from mufly.version import __version__
 

@@ -25,7 +25,7 @@ from scipy.ndimage import median_filter, percentile_filter
 
 from mufly.logs.mcap import component_channels
 from mufly.logs.raw_log import Channel
-from mufly.quantities import is_command_signal, physical_limits
+from mufly.quantities.quantity_table import is_command_signal, physical_limits
 from mufly.results import result
 
 _Array = NDArray[np.float64]
@@ -158,7 +158,8 @@ _MAX_REMOVED_SHARE = 0.05
 def apply_physical_limits(
     channels: Sequence[Channel], assumed: Callable[[Channel], bool]
 ) -> tuple[list[Channel], list[str]]:
-    """Check signals against the physical limits of their quantities (:data:`mufly.quantities.PHYSICAL_LIMITS`).
+    """Check signals against the physical limits of their quantities
+    (:data:`mufly.quantities.quantity_table.PHYSICAL_LIMITS`).
 
     Parameters
     ----------

@@ -40,7 +40,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from mufly.errors import InputError
-from mufly.input_files import builtin_file_names, read_toml, validate_model
+from mufly.files.input_files import builtin_file_names, read_toml, validate_model
 from mufly.logs.channel_checks import UnitGuess, apply_physical_limits, guess_angle_units
 from mufly.logs.raw_log import (
     Channel,
@@ -49,10 +49,10 @@ from mufly.logs.raw_log import (
     select_usable_samples,
     unwrap_angle,
 )
-from mufly.quantities import find_quantity, parse_column_name, split_signal_name
-from mufly.quantity_grammar import read_column_lines
+from mufly.quantities.quantity_grammar import read_column_lines
+from mufly.quantities.quantity_table import find_quantity, parse_column_name, split_signal_name
+from mufly.quantities.units import normalise_unit, split_header, unit_conversion
 from mufly.rotations import euler_from_measured_quaternion
-from mufly.units import normalise_unit, split_header, unit_conversion
 
 _BUILTIN_MAPS_FOLDER = files("mufly.logs") / "maps"
 
@@ -138,8 +138,8 @@ def load_column_map(columns: str | Path | Mapping[str, Any] | Sequence[str] | Co
     columns : path, name, mapping, sequence of str or ColumnMap
         A TOML file; the name of a built-in map; a mapping, either of the shape of such a file or just
         ``{"measured_rates.p": "gyro_x(deg/s)"}``; or texts as on the command line,
-        ``"measured_rates.p=-gyro_x(deg/s)"`` (:func:`mufly.quantity_grammar.read_column_lines`); ``time`` stands for
-        the clock.
+        ``"measured_rates.p=-gyro_x(deg/s)"`` (:func:`mufly.quantities.quantity_grammar.read_column_lines`); ``time``
+        stands for the clock.
 
     Raises
     ------

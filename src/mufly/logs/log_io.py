@@ -19,8 +19,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from mufly.answer_store import replace_file
 from mufly.errors import ArgumentError, InputError
+from mufly.files.answer_store import replace_file
+from mufly.files.text_table import GZIP_MAGIC, looks_like_table, read_unpacked
 from mufly.logs.block_log import BLOCK_LOG_FORMAT, looks_like_block_log, read_block_log
 from mufly.logs.column_map import ColumnMap, TimeEntry, load_column_map, map_signals
 from mufly.logs.crazyflie import looks_like_crazyflie, read_crazyflie
@@ -61,8 +62,7 @@ from mufly.logs.tables import (
 from mufly.logs.tlog import looks_like_tlog, read_tlog
 from mufly.logs.ulog import MAGIC as ULOG_MAGIC
 from mufly.logs.ulog import read_ulog, write_ulog
-from mufly.quantities import is_command_signal
-from mufly.text_table import GZIP_MAGIC, looks_like_table, read_unpacked
+from mufly.quantities.quantity_table import is_command_signal
 
 _MAGIC_BY_FORMAT: dict[str, bytes | tuple[bytes, ...]] = {
     "MCAP": MCAP_MAGIC,

@@ -19,9 +19,9 @@ from mufly.logs.delay_estimation import DelayReport, check_delays
 from mufly.logs.log_io import join_channels, map_channels, open_log
 from mufly.logs.mcap import flight_layout
 from mufly.logs.raw_log import MIN_GAP_STEPS, Channel, ClockReport, RawLog, check_clock, resample_signal
-from mufly.quantities import SIGNAL_SOURCES, is_command_signal
+from mufly.quantities.quantity_table import SIGNAL_SOURCES, is_command_signal
+from mufly.quantities.units import conversion_factor
 from mufly.results import ShownBlock, result, show_lines, show_table
-from mufly.units import conversion_factor
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -41,7 +41,7 @@ from mufly.logs.mcap import (
     to_json_value,
 )
 from mufly.logs.raw_log import LogWarning, RawLog, RawTable, find_foreign_stamps, format_wall_time
-from mufly.quantities import DIMENSION_LABELS, SIGNAL_SOURCES, Quantity, quantities_recorded_in
+from mufly.quantities.quantity_table import DIMENSION_LABELS, SIGNAL_SOURCES, Quantity, quantities_recorded_in
 
 RECORDING_FORMAT = 1
 CLOCK_TOPIC = "/mission"

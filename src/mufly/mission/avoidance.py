@@ -36,8 +36,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.numba_cache import cached_njit
-from mufly.portable_math import sine_cosine
+from mufly.compiled.numba_cache import cached_njit
+from mufly.compiled.portable_math import sine_cosine
 
 _Array = NDArray[np.float64]
 

@@ -30,6 +30,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from mufly.compiled.portable_math import exp_decay, sine_cosine
 from mufly.mission.avoidance import (
     BLOCKED_MARGIN_M,
     LOOK_AHEAD_M,
@@ -38,7 +39,6 @@ from mufly.mission.avoidance import (
     limit_approach_velocity,
     repulsive_force,
 )
-from mufly.portable_math import exp_decay, sine_cosine
 
 DETOUR_ACCELERATION_M_S2 = 1.0
 """Largest acceleration of a detour (m/s2): a tilt of 6 degrees."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from mufly.compiled.portable_math import vector_length
 from mufly.estimate import Estimate
 from mufly.mission.detour import DETOUR_ACCELERATION_M_S2
 from mufly.mission.machine.ground_phases import has_spun_up, measured_position, refuse_start, reset_mission, start_fault
@@ -23,7 +24,6 @@ from mufly.mission.machine.offboard import SetPoint, limit_manual_climb, needs_l
 from mufly.mission.machine.phases import track_set_point
 from mufly.mission.trajectory import plan_stop
 from mufly.mission.user_requests import pause_mission
-from mufly.portable_math import vector_length
 
 # Manual control (RC)
 

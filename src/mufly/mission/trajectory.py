@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mufly.portable_math import portable_atan2, vector_length, wrap_angle
+from mufly.compiled.portable_math import portable_atan2, vector_length, wrap_angle
 
 Triple = tuple[float, float, float]
 _PEAK_SPEED_RATIO = 15.0 / 8.0

@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 from typing import Any
 
+from mufly.compiled.portable_math import vector_length
 from mufly.mission.detour import DETOUR_ACCELERATION_M_S2
 from mufly.mission.files.mission_schema import MIN_WAYPOINT_HEIGHT_M
 from mufly.mission.machine.ground_phases import start_landing
@@ -23,7 +24,6 @@ from mufly.mission.machine.mission_state import (
 from mufly.mission.machine.offboard import MAX_HEIGHT_M
 from mufly.mission.machine.phases import change_leg_goal, plan_braking, start_leg, start_leg_home
 from mufly.mission.trajectory import Trajectory, Triple, plan_straight, smooth_stop_distance, wrap_turn
-from mufly.portable_math import vector_length
 
 _SAME_PLACE_M, _SAME_HEADING = 0.01, math.radians(0.5)
 """Difference up to which a target is the present one (m, rad): the rounding of a link's coordinates."""

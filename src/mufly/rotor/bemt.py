@@ -43,8 +43,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mufly.compiled.numba_cache import cached_njit
 from mufly.errors import InputError
-from mufly.numba_cache import cached_njit
 from mufly.results import result
 from mufly.rotor.blading import Blading, ensure_blading
 from mufly.rotor.geometry import Rotor

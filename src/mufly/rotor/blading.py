@@ -58,8 +58,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled.numba_cache import cached_njit
 from mufly.errors import InputError
-from mufly.numba_cache import cached_njit
 from mufly.rotor.effective_pitch import effective_pitch_prior
 from mufly.rotor.geometry import Rotor
 from mufly.rotor.sections import polar_engines

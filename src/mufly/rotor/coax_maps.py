@@ -31,9 +31,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mufly.answer_store import AnswerLines, hash_question
+from mufly.compiled.numba_cache import cached_njit
 from mufly.errors import InputError, MuflyError
-from mufly.numba_cache import cached_njit
+from mufly.files.answer_store import AnswerLines, hash_question
 from mufly.rotor.blading import Blading
 from mufly.rotor.rotor_solver import solve_from_neighbour, solve_system
 from mufly.rotor.rotor_system import (

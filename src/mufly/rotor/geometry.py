@@ -32,7 +32,7 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from mufly.errors import InputError
-from mufly.input_files import builtin_file_names, read_toml, validate_model
+from mufly.files.input_files import builtin_file_names, read_toml, validate_model
 from mufly.rotor.sections.airfoil import MAX_THICKNESS_RATIO, load_airfoil, name_thickened_airfoil
 from mufly.rotor.sections.polar_file import is_polar_file
 from mufly.rotor.structure.blade_structure import BladeStructure

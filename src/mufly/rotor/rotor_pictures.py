@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError, MuflyError
+from mufly.quantities.units import RPM
 from mufly.rotor.coax_maps import interpolate_map
 from mufly.rotor.measured.uncertainty import predict_interval
 from mufly.rotor.sections.airfoil import load_airfoil
-from mufly.units import RPM
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -36,6 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError, MuflyError
+from mufly.quantities.units import RPM
 from mufly.root_finding import find_rising_root
 from mufly.rotor.bemt import (
     compute_slipstream,
@@ -63,7 +64,6 @@ from mufly.rotor.rotor_system import (
 )
 from mufly.rotor.vortex_tube import axial_influence, rotor_swirl_influence, solve_tubes, tube_axis_speed
 from mufly.rotor.wake.wake_solver import solve_wake
-from mufly.units import RPM
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mufly.errors import InputError
+from mufly.quantities.units import RPM
 from mufly.results import result
 from mufly.rotor.blading import Blading, ensure_blading
 from mufly.rotor.geometry import Rotor, blade_thickness_m
-from mufly.units import RPM
 
 Array = NDArray[np.float64]
 SolverMethod = Literal["bemt", "tubes", "wake"]

@@ -48,8 +48,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled.numba_cache import cached_njit
 from mufly.errors import InputError, MuflyError
-from mufly.numba_cache import cached_njit
 from mufly.rotor.bemt import compute_slipstream, solve_placed_rotor
 from mufly.rotor.rotor_system import Air, PlacedRotor, SystemSolution, WakeSettings
 

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from mufly.errors import ArgumentError, InputError, suggest_name
-from mufly.quantity_grammar import read_quantity, read_time_span
-from mufly.sensor_table import READINGS, SENSORS
+from mufly.quantities.quantity_grammar import read_quantity, read_time_span
+from mufly.quantities.sensor_table import READINGS, SENSORS
 from mufly.sensors.imu import Imu
 from mufly.sensors.readings import Reading, Sensor, Truth
 

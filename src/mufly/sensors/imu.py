@@ -34,6 +34,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled.numba_cache import cached_njit
+from mufly.compiled.numba_intrinsics import borrow_arrays
 from mufly.dynamics import body_to_ned_matrix, find_trim
 from mufly.dynamics.model_state import (
     ATTITUDE,
@@ -44,12 +46,10 @@ from mufly.dynamics.model_state import (
     RS_VEL,
     STATE_SIZE,
 )
-from mufly.numba_cache import cached_njit
-from mufly.numba_intrinsics import borrow_arrays
+from mufly.quantities.units import GRAVITY
 from mufly.rotations import quaternion_from_euler
 from mufly.sensors.readings import Reading, Sensor, Truth
 from mufly.sensors.rng import draw_normals, make_source
-from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle
 from mufly.vehicle.sensor_schema import ImuParameters as ImuTable
 from mufly.vehicle.sensor_schema import VibrationParameters

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.numba_cache import cached_njit
+from mufly.compiled.numba_cache import cached_njit
 from mufly.sensors.readings import Reading, Sensor, Truth
 from mufly.sensors.rng import draw_normals, make_source
 

@@ -18,9 +18,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled.numba_cache import cached_njit
 from mufly.dynamics.model_state import RS_POS, RS_SPEED_LOWER, RS_SPEED_UPPER
-from mufly.numba_cache import cached_njit
-from mufly.sensor_table import READINGS
+from mufly.quantities.sensor_table import READINGS
+from mufly.quantities.units import GRAVITY
 from mufly.sensors.periodic import (
     FIRST_VALUE,
     IS_VALID,
@@ -30,7 +31,6 @@ from mufly.sensors.periodic import (
 )
 from mufly.sensors.readings import Truth
 from mufly.sensors.rng import draw_normals
-from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle
 from mufly.vehicle.sensor_schema import PressureSensorParameters
 from mufly.world import World

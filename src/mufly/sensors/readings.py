@@ -19,9 +19,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled.numba_cache import cached_njit
 from mufly.dynamics import body_to_ned_matrix
 from mufly.dynamics.model_state import ATTITUDE, POSITION, RATES, ROTOR_SPEEDS, RS_CHARGE, VELOCITY
-from mufly.numba_cache import cached_njit
 from mufly.vehicle import Vehicle
 from mufly.world import World, first_hit
 

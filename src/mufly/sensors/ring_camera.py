@@ -26,8 +26,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.numba_cache import cached_njit
-from mufly.numba_intrinsics import borrow_arrays
+from mufly.compiled.numba_cache import cached_njit
+from mufly.compiled.numba_intrinsics import borrow_arrays
 from mufly.sensors.periodic import FIRST_VALUE, IS_VALID, PeriodicSensor
 from mufly.sensors.readings import Truth, beam_angles, beam_directions, measure_ranges
 from mufly.sensors.rng import draw_normals, draw_uniforms

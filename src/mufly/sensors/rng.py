@@ -28,8 +28,8 @@ from numba.extending import intrinsic
 from numba.np.numpy_support import carray
 from numpy.typing import NDArray
 
-from mufly.numba_cache import cached_njit
-from mufly.numba_intrinsics import borrow_arrays
+from mufly.compiled.numba_cache import cached_njit
+from mufly.compiled.numba_intrinsics import borrow_arrays
 
 _Array = NDArray[np.float64]
 

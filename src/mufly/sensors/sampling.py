@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.numba_cache import cached_njit
-from mufly.numba_intrinsics import borrow_arrays, refer_to
-from mufly.sensor_table import SENSORS
+from mufly.compiled.numba_cache import cached_njit
+from mufly.compiled.numba_intrinsics import borrow_arrays, refer_to
+from mufly.quantities.sensor_table import SENSORS
 from mufly.sensors.periodic import (
     NEXT_SAMPLE,
     NO_MEASUREMENT,

@@ -11,8 +11,8 @@ import numpy as np
 
 from mufly.dynamics import body_to_ned_matrix
 from mufly.errors import InputError
+from mufly.quantities.sensor_table import SENSORS
 from mufly.rotations import quaternion_from_euler
-from mufly.sensor_table import SENSORS
 from mufly.sensors.electrical import BackEmfSensor, BatterySensor
 from mufly.sensors.faults import Fault, FaultySensor
 from mufly.sensors.imu import Imu
@@ -30,7 +30,7 @@ SENSOR_CLASSES: dict[str, type[Any]] = {
     "magnetometer": MagnetometerSensor, "rotor_speed": BackEmfSensor, "battery": BatterySensor,
     "position_fix": PositionFixSensor,
 }  # fmt: skip
-"""Class of each sensor of :data:`mufly.sensor_table.SENSORS`."""
+"""Class of each sensor of :data:`mufly.quantities.sensor_table.SENSORS`."""
 _LEGS_STREAM = 16  # of the random numbers, used by no sensor
 
 

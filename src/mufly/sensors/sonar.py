@@ -20,9 +20,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled.numba_cache import cached_njit
 from mufly.dynamics import body_to_ned_matrix, standing_attitude, standing_height
 from mufly.dynamics.model_state import ATTITUDE
-from mufly.numba_cache import cached_njit
 from mufly.sensors.periodic import FIRST_VALUE, IS_VALID, PeriodicSensor
 from mufly.sensors.readings import Truth
 from mufly.sensors.rng import draw_normals, draw_uniforms

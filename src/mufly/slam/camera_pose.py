@@ -43,7 +43,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.numba_cache import cached_njit
+from mufly.compiled.numba_cache import cached_njit
 
 _Array = NDArray[np.float64]
 PX_HEIGHT, PX_HEADING, PX_TILT, PX_KEYFRAME_TILT, POSE_SIZE = 2, 3, 4, 6, 8

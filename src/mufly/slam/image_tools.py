@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.camera import Camera, camera_matrix, distortion_coefficients
+from mufly.compiled.numba_cache import cached_njit
 from mufly.errors import MuflyError
-from mufly.numba_cache import cached_njit
 
 _Array = NDArray[np.float64]
 _Picture = NDArray[np.uint8]

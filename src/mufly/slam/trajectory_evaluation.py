@@ -26,10 +26,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
+from mufly.files.text_table import decode_text, detect_layout
 from mufly.logs import LogWarning
 from mufly.results import ShownBlock, result, show_table
 from mufly.rotations import euler_from_quaternion
-from mufly.text_table import decode_text, detect_layout
 
 _Array = NDArray[np.float64]
 _QUATERNION = slice(4, 8)

@@ -24,9 +24,9 @@ from mufly.mission.files.mission_items import (
     mission_from_items,
 )
 from mufly.mission.files.mission_schema import Limits, TakeOff
+from mufly.quantities.units import GRAVITY
 from mufly.station.mission_rows import DELAY_COMMANDS, rows_from_items
 from mufly.station.signal_history import VehicleSnapshot
-from mufly.units import GRAVITY
 
 _LimitSources = tuple[tuple[str, float], ...]
 LIMIT_PARAMETERS: dict[str, _LimitSources] = {

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import ArgumentError
-from mufly.quantities import find_quantity
+from mufly.quantities.quantity_table import find_quantity
+from mufly.quantities.units import conversion_factor
 from mufly.results import ShownTable, show_table
 from mufly.station.replay import MOTION_SOURCES, FlightRecording
-from mufly.units import conversion_factor
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

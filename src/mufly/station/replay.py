@@ -25,7 +25,7 @@ from mufly.flight.tunable_parameters import TunableParameter
 from mufly.logs import detect_log_format, read_attachments, read_events, read_log
 from mufly.logs.mcap import component_channels
 from mufly.mission import Mission, parse_mission
-from mufly.quantities import find_quantity
+from mufly.quantities.quantity_table import find_quantity
 from mufly.station.signal_history import (
     MissionRow,
     PreflightCheck,
@@ -52,7 +52,7 @@ class FlightRecording:
     times_s : (n,) array
         s, increasing.
     columns : dict of str to (n,) array
-        Flat names as in :mod:`mufly.quantities` (``measured_attitude_roll``), SI units.
+        Flat names as in :mod:`mufly.quantities.quantity_table` (``measured_attitude_roll``), SI units.
     units : dict of str to str
     mission_states : (n,) array of str
         State of the mission machine, or "".

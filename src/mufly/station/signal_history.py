@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from mufly.estimate import Estimate
 from mufly.flight import Actuators, FlightState
 from mufly.logs.mcap import RecordingLayout
-from mufly.quantities import quantities_recorded_in
+from mufly.quantities.quantity_table import quantities_recorded_in
 
 _Array = NDArray[np.float64]
 
@@ -90,7 +90,7 @@ class VehicleSnapshot(FlightState):
         Parameters
         ----------
         signal : callable
-            Returns the value of a variable of :mod:`mufly.quantities`; NaN if unknown.
+            Returns the value of a variable of :mod:`mufly.quantities.quantity_table`; NaN if unknown.
         sources : sequence of str
             Sources of the motion by priority: "estimated", "measured", "truth".
         time_s : float
@@ -222,9 +222,9 @@ class OperatorRequest:
 # ----------------------------------------------------------------------------
 # The station's signals of a vehicle: the last ten minutes of every signal, and the present values.
 #
-# Signals are the quantities (:mod:`mufly.quantities`) of a flight's recording and those that a vehicle sends over a
-# link: its estimates (``estimated_``), measured rotor speeds, the pilot's sticks and the link quality. As plain columns
-# they are named ``variable_label`` (``estimated_position_N``).
+# Signals are the quantities (:mod:`mufly.quantities.quantity_table`) of a flight's recording and those that a vehicle
+# sends over a link: its estimates (``estimated_``), measured rotor speeds, the pilot's sticks and the link quality. As
+# plain columns they are named ``variable_label`` (``estimated_position_N``).
 
 
 MAX_BEAMS = 8

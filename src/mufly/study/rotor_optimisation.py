@@ -29,8 +29,8 @@ from scipy.optimize import differential_evolution, minimize
 
 from mufly.drive import hover_endurance
 from mufly.errors import InputError, MuflyError, suggest_name
-from mufly.result_figure import enable_notebook_display
 from mufly.results import result
+from mufly.results.result_figure import enable_notebook_display
 from mufly.rotor import (
     MAX_TIP_SPEED_M_S,
     OperatingCondition,

@@ -1,6 +1,7 @@
 """Parameters of studies and their notation: ``chord=10:30:5mm``, ``airfoil=goe394,naca4412``.
 
-Numbers are written as in :mod:`mufly.quantity_grammar`, with their unit. Angles are relative to the plane of the rotor.
+Numbers are written as in :mod:`mufly.quantities.quantity_grammar`, with their unit. Angles are relative to the plane of
+the rotor.
 """
 
 from __future__ import annotations
@@ -13,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mufly.errors import InputError, suggest_name
-from mufly.quantity_grammar import offered_units, read_quantity, read_values
-from mufly.units import conversion_factor, split_unit_suffix
+from mufly.quantities.quantity_grammar import offered_units, read_quantity, read_values
+from mufly.quantities.units import conversion_factor, split_unit_suffix
 
 ParameterValue = float | str
 

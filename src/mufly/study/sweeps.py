@@ -24,8 +24,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from mufly.answer_store import claim_folder, hash_question, read_answer, write_answer
 from mufly.errors import InputError, MuflyError, report_write_errors
+from mufly.files.answer_store import claim_folder, hash_question, read_answer, write_answer
 from mufly.rotor import RotorResult, database_airfoils, load_airfoil
 from mufly.study.case_evaluation import StudyCase, StudyResults, evaluate_cases
 from mufly.study.study_parameters import PAIR_PARAMETERS, ROTOR_PARAMETERS, ParameterValue, find_parameter

@@ -8,9 +8,9 @@ import numpy as np
 import xarray as xr
 
 from mufly.dynamics import find_trim, initial_state, simulate_open_loop
+from mufly.quantities.units import STANDARD_GRAVITY_M_S2
 from mufly.sensors import Truth, beam_angles, fitted_sensors
 from mufly.thesis.claims import ProgressCallback, Study, StudyFindings, judge, new_figure
-from mufly.units import STANDARD_GRAVITY_M_S2
 from mufly.vehicle import Vehicle, load_vehicle, replace_parameters
 from mufly.world import World, make_wall
 

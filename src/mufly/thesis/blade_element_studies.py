@@ -12,6 +12,7 @@ import numpy as np
 import xarray as xr
 
 from mufly.drive import DriveTrain, load_drive
+from mufly.quantities.units import RPM
 from mufly.rotor import (
     OperatingCondition,
     RotorMeasurements,
@@ -36,7 +37,6 @@ from mufly.thesis.single_rotor_studies import (
     judge_blade_forms,
     standard_setup,
 )
-from mufly.units import RPM
 from mufly.vehicle import load_coefficient_map, load_vehicle
 
 REYNOLDS_NUMBERS = np.geomspace(1e4, 3e5, 16)

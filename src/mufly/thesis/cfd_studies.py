@@ -27,6 +27,7 @@ from mufly.cfd.cfd_solution import read_field
 from mufly.cfd.polymesh import measure_mesh_quality
 from mufly.cfd.solver_process import list_complete_states
 from mufly.errors import InputError
+from mufly.quantities.units import RPM
 from mufly.rotor import field_picture, load_rotor
 from mufly.study import sweep_parameters
 from mufly.thesis.claims import ProgressCallback, Study, StudyFindings, Verdict, judge, new_figure
@@ -37,7 +38,6 @@ from mufly.thesis.single_rotor_studies import (
     standard_setup,
 )
 from mufly.thesis.wake_studies import solve_single_rotor, tip_vortex_path
-from mufly.units import RPM
 
 MESH_LEVEL = "coarse"
 

@@ -20,6 +20,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from mufly.errors import MuflyError
+from mufly.quantities.units import RPM
 from mufly.rotor import (
     Air,
     Blading,
@@ -34,7 +35,6 @@ from mufly.rotor import (
 from mufly.rotor.wake import WakeSettings
 from mufly.study.sweeps import ProgressCallback
 from mufly.thesis.claims import TABLE_3_4_VALUES, Verdict, judge
-from mufly.units import RPM
 
 COAXIAL_MODELS = ("wake", "full")
 _METHOD_BY_MODEL: dict[str, SolverMethod] = {"wake": "wake", "full": "bemt"}

@@ -9,7 +9,7 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
-from mufly.report_page import render_page
+from mufly.results.report_page import render_page
 from mufly.thesis.figure_catalogue import OUTLOOK_SENTENCES, THESIS_ITEMS, ThesisItem
 from mufly.thesis.study_runner import StudyAnswer
 

@@ -20,8 +20,8 @@ from mufly.identify import IdentificationDemo, MotorFit, fit_motor, run_identifi
 from mufly.identify.fit_pictures import motor_picture, prediction_picture
 from mufly.identify.flight.identification_demo import SENSOR_NOISE_STD
 from mufly.identify.residual_analysis import assess_record
+from mufly.quantities.units import RPM
 from mufly.thesis.claims import CLAIMS, TABLE_5_3_VALUES, ProgressCallback, Study, StudyFindings, judge, new_figure
-from mufly.units import RPM
 from mufly.vehicle import list_parameters, load_vehicle
 
 if TYPE_CHECKING:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import xarray as xr
 
+from mufly.quantities.units import RPM
 from mufly.rotor import load_airfoil
 from mufly.thesis.claims import TABLE_3_4_VALUES
-from mufly.units import RPM
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

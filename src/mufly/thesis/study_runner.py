@@ -1,8 +1,8 @@
 """Named studies: tables and figures of the dissertation, repeated, with a verdict on each of their claims.
 
 Results are cached in a folder, the user's cache or a given one, under a digest of the sources of the study
-(:func:`mufly.numba_cache.imported_sources`). A study is computed again only if its sources change, so an interrupted
-run of all studies resumes.
+(:func:`mufly.compiled.numba_cache.imported_sources`). A study is computed again only if its sources change, so an
+interrupted run of all studies resumes.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from mufly.answer_store import cache_folder, hash_question, read_answer, write_answer
+from mufly.compiled.numba_cache import imported_sources
 from mufly.errors import InputError, report_write_errors
-from mufly.numba_cache import imported_sources
-from mufly.result_figure import enable_notebook_display
+from mufly.files.answer_store import cache_folder, hash_question, read_answer, write_answer
 from mufly.results import result
+from mufly.results.result_figure import enable_notebook_display
 from mufly.study import TABLE_3_3_AIRFOILS, write_results
 from mufly.thesis import (
     airframe_studies,

@@ -15,6 +15,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from mufly.quantities.units import RPM
 from mufly.rotor import (
     Blading,
     OperatingCondition,
@@ -37,7 +38,6 @@ from mufly.study import BEMT_MODELS
 from mufly.thesis.blade_element_studies import load_bench_points
 from mufly.thesis.claims import TABLE_3_2_VALUES, ProgressCallback, Study, StudyFindings, judge, new_figure
 from mufly.thesis.coaxial_studies import solve_equal_speed_pair
-from mufly.units import RPM
 
 Array = NDArray[np.float64]
 SPACING_M = 0.02

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from mufly.errors import InputError
-from mufly.input_files import builtin_file_names, model_error, read_toml, validate_model
+from mufly.files.input_files import builtin_file_names, model_error, read_toml, validate_model
 
 MAP_NODES = 512  # size of the tables in the flight model's record, e.g. 3 mean speeds x 13 ratios x 13 climbs
 _AXIS_COUNT = 3  # first arrays of the tables

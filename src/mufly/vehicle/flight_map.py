@@ -42,7 +42,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from mufly.errors import InputError
-from mufly.input_files import builtin_file_names, model_error, read_toml, validate_model
+from mufly.files.input_files import builtin_file_names, model_error, read_toml, validate_model
 from mufly.vehicle.coefficient_map import load_coefficient_map, parse_table_rows
 
 Array = NDArray[np.float64]

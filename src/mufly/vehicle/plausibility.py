@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mufly.units import GRAVITY
+from mufly.quantities.units import GRAVITY
 from mufly.vehicle.vehicle_schema import Vehicle, vehicle_reach_m
 
 _MAX_DRAG_AREA_TO_DISC_AREA = 1.0  # a blunt body as large as the rotor disc has 1.0

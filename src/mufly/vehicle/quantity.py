@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
-from mufly.input_files import TOO_MANY_DIGITS, model_error
-from mufly.units import compatible_units
+from mufly.files.input_files import TOO_MANY_DIGITS, model_error
+from mufly.quantities.units import compatible_units
 
 ValueSource = Literal["measured", "CAD", "datasheet", "estimated", "identified", "specified"]
 

@@ -11,8 +11,8 @@ from typing import Any
 
 from pydantic import Field, model_validator
 
-from mufly.input_files import model_error
-from mufly.units import GRAVITY
+from mufly.files.input_files import model_error
+from mufly.quantities.units import GRAVITY
 from mufly.vehicle.quantity import BodyPoints, ParameterGroup, Quantity, declare_parameter
 
 

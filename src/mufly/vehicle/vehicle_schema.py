@@ -18,8 +18,8 @@ import tomli_w
 from pydantic import BaseModel, Field, model_validator
 
 from mufly.errors import InputError
-from mufly.input_files import builtin_file_names, model_error, read_toml, validate_model
-from mufly.units import GRAVITY
+from mufly.files.input_files import builtin_file_names, model_error, read_toml, validate_model
+from mufly.quantities.units import GRAVITY
 from mufly.vehicle.coefficient_map import CoefficientMap
 from mufly.vehicle.flight_map import FlightMap, load_named_maps
 from mufly.vehicle.quantity import BodyPoints, ParameterGroup, Quantity, TabulatedCurve, declare_parameter

@@ -24,8 +24,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mufly.compiled.numba_cache import cached_njit
 from mufly.errors import InputError
-from mufly.numba_cache import cached_njit
 
 _ROOM_FACES = ("south wall", "north wall", "west wall", "east wall", "ceiling")
 

@@ -28,7 +28,7 @@ from dataclasses import dataclass
 
 from mufly.bench.rig.bench_devices import DeviceError, Samples
 from mufly.bench.rig.serial_line import REPLY_TIMEOUT_s, SerialLine
-from mufly.units import RPM
+from mufly.quantities.units import RPM
 
 DLE, STX = 0x90, 0x02
 REQUEST_TRIES = 3

@@ -24,7 +24,7 @@ from collections.abc import Sequence
 
 from mufly.bench.rig.bench_devices import DeviceError, Samples
 from mufly.bench.rig.serial_line import ChecksummedLine, REPLY_TIMEOUT_s
-from mufly.units import RPM
+from mufly.quantities.units import RPM
 
 COMMAND_TRIES = 4
 KEEP_ALIVE_s = 0.15

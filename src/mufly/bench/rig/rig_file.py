@@ -31,7 +31,7 @@ from mufly.bench.rig.serial_load_cells import ADC_RANGE, SerialLoadCells
 from mufly.bench.rig.thrust_stand import ThrustStand
 from mufly.bench.series.series_plan import RotorSide
 from mufly.errors import InputError
-from mufly.input_files import model_error, read_toml, validate_model
+from mufly.files.input_files import model_error, read_toml, validate_model
 from mufly.vehicle.quantity import ParameterGroup
 
 

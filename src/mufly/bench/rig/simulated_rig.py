@@ -35,6 +35,7 @@ from mufly.bench.bench_table import BenchTable
 from mufly.bench.rig.bench_devices import BenchFacts, DeviceError, SampleCallback, calibration_to_dict
 from mufly.bench.series.moist_air import moist_air_density
 from mufly.bench.series.series_plan import BladeMounting, PlanStep, SeriesPlan
+from mufly.quantities.units import RPM
 from mufly.rotor import (
     Air,
     Blading,
@@ -45,7 +46,6 @@ from mufly.rotor import (
     solve_rotor_batch,
     solve_system,
 )
-from mufly.units import RPM
 
 Array = NDArray[np.float64]
 

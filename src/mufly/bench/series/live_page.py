@@ -10,10 +10,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from mufly.answer_store import replace_file
 from mufly.bench.series.series_plan import SeriesPlan
 from mufly.errors import InputError
-from mufly.report_page import render_page
+from mufly.files.answer_store import replace_file
+from mufly.results.report_page import render_page
 
 PAGE_FILE_NAME = "live.html"
 _LINE_COLOURS = ("#1b6ca8", "#c4532d", "#3a7d44", "#7b4f9d", "#a8871b", "#2d9ca0", "#b03a6b", "#5b6770")

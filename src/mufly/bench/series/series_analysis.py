@@ -38,7 +38,7 @@ from mufly.bench.series.series_readings import (
 from mufly.bench.series.series_record import SeriesRecord, read_record
 from mufly.bench.series.torque_split import TorqueSplit, split_torque
 from mufly.errors import InputError
-from mufly.input_files import validate_model
+from mufly.files.input_files import validate_model
 from mufly.results import result
 from mufly.rotor import RotorMeasurements
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from mufly.bench.series.series_analysis import LoadInterval, SeriesResult, SettingResult
 from mufly.errors import InputError, report_write_errors
+from mufly.quantities.units import RPM
 from mufly.results import result, to_plain_data
 from mufly.rotor import (
     Air,
@@ -29,7 +30,6 @@ from mufly.rotor import (
     prepare_blading,
     solve_system,
 )
-from mufly.units import RPM
 
 Array = NDArray[np.float64]
 

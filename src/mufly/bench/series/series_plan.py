@@ -21,8 +21,8 @@ import tomli_w
 from pydantic import Field, model_validator
 
 from mufly.errors import ArgumentError, InputError
-from mufly.input_files import model_error, read_toml, validate_model
-from mufly.units import RPM
+from mufly.files.input_files import model_error, read_toml, validate_model
+from mufly.quantities.units import RPM
 from mufly.vehicle.quantity import ParameterGroup
 
 RotorAxis = Literal["upper", "lower", "pair"]

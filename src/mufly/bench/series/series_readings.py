@@ -29,7 +29,7 @@ from mufly.bench.series.random_walk_drift import RandomWalkDrift, fit_random_wal
 from mufly.bench.series.series_plan import BladeMounting, SeriesPlan
 from mufly.bench.series.series_record import SeriesRecord, mean_from_line
 from mufly.errors import InputError
-from mufly.units import RPM
+from mufly.quantities.units import RPM
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -28,7 +28,7 @@ from mufly.bench.series.block_means import BlockMean, compute_block_mean, has_se
 from mufly.bench.series.series_plan import BenchLimits, BladeMounting, PlanStep, SeriesPlan
 from mufly.bench.series.series_record import SeriesRecord
 from mufly.errors import InputError, MuflyError
-from mufly.units import RPM
+from mufly.quantities.units import RPM
 
 Array = NDArray[np.float64]
 

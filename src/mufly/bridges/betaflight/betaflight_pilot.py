@@ -31,8 +31,8 @@ from mufly.bridges.betaflight.betaflight_settings import (
     PILOT_RATE_HZ,
     YAW_RATE_LIMIT_DEG_S,
 )
+from mufly.quantities.units import GRAVITY
 from mufly.sensors import Readings, Truth
-from mufly.units import GRAVITY
 
 _Array = NDArray[np.float64]
 

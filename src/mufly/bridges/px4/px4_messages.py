@@ -30,8 +30,8 @@ from numpy.typing import NDArray
 from mufly.dynamics import body_to_ned_matrix
 from mufly.dynamics.model_state import ATTITUDE
 from mufly.link.codec import GlobalOrigin, MavMessage, clip_to_integer, mavlink
+from mufly.quantities.units import GRAVITY
 from mufly.sensors import Reading, Readings, Truth
-from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle
 
 PositionSource = Literal["vision", "gps"]

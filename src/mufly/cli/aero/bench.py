@@ -23,7 +23,7 @@ from mufly.cli.options import (
 )
 from mufly.cli.output import check_place, make_console, print_answer, print_lines, write_text_file
 from mufly.errors import InputError
-from mufly.quantity_grammar import read_values
+from mufly.quantities.quantity_grammar import read_values
 
 if TYPE_CHECKING:
     from mufly.bench.rig.bench_devices import BenchRig

@@ -38,9 +38,9 @@ from mufly.cli.output import (
     write_records,
 )
 from mufly.errors import InputError, report_write_errors
-from mufly.quantity_grammar import read_values
+from mufly.quantities.quantity_grammar import read_values
+from mufly.quantities.units import RPM
 from mufly.results import ResultColumn, select_fields, tabulate_fields
-from mufly.units import RPM
 
 if TYPE_CHECKING:
     from mufly.cfd import SolverProgress

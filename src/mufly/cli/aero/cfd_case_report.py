@@ -203,7 +203,7 @@ def _print_pair_ratios(pairs: list[tuple[str, Any, Any]]) -> None:
 def _print_solution(found: CfdSolution, others: list[SpanLoads], p: OperatingPoint, what: str) -> None:
     import numpy as np
 
-    from mufly.units import RPM
+    from mufly.quantities.units import RPM
 
     v = found.verdict
     c = make_console()

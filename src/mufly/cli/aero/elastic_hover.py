@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from mufly.cli.options import PolarOptions
 from mufly.cli.output import print_answer, save_figure
 from mufly.errors import InputError
-from mufly.units import RPM
+from mufly.quantities.units import RPM
 
 if TYPE_CHECKING:
     from mufly.rotor import Rotor

@@ -45,8 +45,8 @@ def compute_flight_map(
     each end of the band. Method: docs/explanation/forward-flight.md.
     Example: mufly coax flight-map mufly-1.1 --flap-frequency-ratio 1 --out pair.toml
     """
-    from mufly.answer_store import replace_file
     from mufly.dynamics.vehicle_flight_map import make_flight_map
+    from mufly.files.answer_store import replace_file
     from mufly.rotor import load_rotor
     from mufly.rotor.forward.edgewise_map import evaluate_flight_map
     from mufly.rotor.forward.forward_pictures import flight_map_picture

@@ -23,7 +23,7 @@ from mufly.cli.options import (
 from mufly.cli.output import print_answer, save_figure
 from mufly.cli.rotor import app
 from mufly.errors import InputError
-from mufly.units import RPM
+from mufly.quantities.units import RPM
 
 if TYPE_CHECKING:
     from mufly.rotor import Rotor
@@ -71,7 +71,7 @@ def show_forward(
     Examples: mufly rotor forward walkera-5g6 --pitch 13 --rpm 3600 --speed 0:8:2; mufly rotor forward --thrust 0.46
     --rpm 3600 --flap-frequency-ratio 1,1.1,1.6 --out forward
     """
-    from mufly.quantity_grammar import read_values
+    from mufly.quantities.quantity_grammar import read_values
     from mufly.rotor import Air, load_rotor, solve_for_thrust
     from mufly.rotor.forward import ForwardCondition, blade_flap, blade_flap_band, sweep_forward
     from mufly.rotor.forward.forward_pictures import disc_picture, sweep_picture

@@ -134,7 +134,7 @@ def _ask_readings(radius_m: float, tip_height_m: float | None) -> tuple[Any, Any
     """Ask for chord, angle and thickness at the recommended stations, and for the tip height unless it is given."""
     import numpy as np
 
-    from mufly.quantity_grammar import read_quantity
+    from mufly.quantities.quantity_grammar import read_quantity
     from mufly.rotor.blades.measured_geometry import MEASUREMENT_STEPS, STATION_RATIOS
     from mufly.rotor.sections.airfoil import MAX_THICKNESS_RATIO
 

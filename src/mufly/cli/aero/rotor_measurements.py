@@ -34,8 +34,8 @@ from mufly.cli.output import (
 )
 from mufly.cli.rotor import FamilyOption
 from mufly.cli.rotor import app as rotor_commands
+from mufly.quantities.units import RPM
 from mufly.results import select_fields, to_records
-from mufly.units import RPM
 
 if TYPE_CHECKING:
     from mufly.rotor import Rotor, RotorMeasurements

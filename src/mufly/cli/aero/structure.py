@@ -17,7 +17,7 @@ from mufly.cli.options import (
 )
 from mufly.cli.output import print_answer, print_table, save_figure, write_csv
 from mufly.cli.rotor import MaterialOption, app
-from mufly.units import RPM
+from mufly.quantities.units import RPM
 
 if TYPE_CHECKING:
     pass
@@ -60,7 +60,7 @@ def show_beam(
     (campbell.png) and written as CSV.
     Examples: mufly rotor beam walkera-5g6 --rpm 0:9000:500; mufly rotor beam naca0012-r60-c20 --material spruce
     """
-    from mufly.quantity_grammar import read_range
+    from mufly.quantities.quantity_grammar import read_range
     from mufly.results import to_plain_data
     from mufly.rotor import Air, load_rotor
     from mufly.rotor.structure.flap_modes import compute_campbell

@@ -36,9 +36,9 @@ from mufly.cli.output import (
     write_csv,
 )
 from mufly.errors import InputError, suggest_name
-from mufly.quantity_grammar import read_interval, read_quantity
+from mufly.quantities.quantity_grammar import read_interval, read_quantity
+from mufly.quantities.units import RPM, split_unit_suffix
 from mufly.results import select_fields, to_plain_data
-from mufly.units import RPM, split_unit_suffix
 
 if TYPE_CHECKING:
     from mufly.identify.flight.excitation_plan import ExcitationCandidate, ExcitationPlan, FlightLimits

@@ -33,7 +33,7 @@ from mufly.cli.output import (
     progress_bar,
 )
 from mufly.errors import InputError
-from mufly.quantity_grammar import read_quantity
+from mufly.quantities.quantity_grammar import read_quantity
 
 if TYPE_CHECKING:
     from mufly.identify import FitProgress, FitResult, FlightRecord, IdentificationDemo

@@ -30,7 +30,7 @@ from mufly.cli.output import (
     write_records,
 )
 from mufly.errors import InputError
-from mufly.quantity_grammar import read_interval, read_values
+from mufly.quantities.quantity_grammar import read_interval, read_values
 from mufly.results import to_plain_data, to_records
 
 if TYPE_CHECKING:

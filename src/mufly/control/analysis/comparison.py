@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from mufly.answer_store import hash_question, read_answer, write_answer
+from mufly.compiled.numba_cache import imported_sources
 from mufly.control.analysis.gust_response import gust_response
 from mufly.control.analysis.loop_margins import DiskMargin, disk_margin, input_noise
 from mufly.control.designs import ControllerDesign, FlightController, design_flight_controller
@@ -30,7 +30,7 @@ from mufly.control.robust.parameter_robustness import analyse_parameter_robustne
 from mufly.control.synthesis.synthesis_methods import METHOD_NAMES, SynthesisMethod
 from mufly.control.synthesis.weighting_schemes import DesignSettings
 from mufly.dynamics import linearise_vehicle
-from mufly.numba_cache import imported_sources
+from mufly.files.answer_store import hash_question, read_answer, write_answer
 from mufly.results import ShownBlock, result, show_lines, show_table
 from mufly.vehicle import Vehicle
 

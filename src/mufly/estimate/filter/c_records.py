@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from mufly.compiled.record_fields import Field, record_fields
 from mufly.dynamics import equations_of_motion, model_state
 from mufly.dynamics.model_state import MAP_TABLE_FIELDS, PARAMETER_DTYPE, STATE_SIZE, ModelParameters
 from mufly.estimate.filter import (
@@ -27,8 +28,7 @@ from mufly.estimate.filter import (
     strapdown,
     ud_filter,
 )
-from mufly.record_fields import Field, record_fields
-from mufly.units import GRAVITY
+from mufly.quantities.units import GRAVITY
 
 PYTHON_ONLY_FIELDS = (
     "rotation_work", "accel_work", "transition_work", "q_work", "w_work", "derivative_work", "no_wind",

@@ -13,6 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled.numba_cache import cached_njit
 from mufly.dynamics.model_state import RS_ATT, RS_BAR, RS_CHARGE, RS_POS, ModelParameters
 from mufly.estimate.filter.filter_horizon import (
     COST_COVARIANCE,
@@ -59,7 +60,6 @@ from mufly.estimate.filter.sensor_checks import (
     replace_gyro_spikes,
     set_fault,
 )
-from mufly.numba_cache import cached_njit
 
 _Array = NDArray[np.float64]
 
@@ -102,8 +102,8 @@ def estimator_step(
     m, s, p : records
         Memory, settings, parameters of the flight model.
     z : (n,) array
-        Readings, in the order of :data:`mufly.quantities.CHECKED_READINGS`, then what acted (4) and the share
-        of clipped samples (3).
+        Readings, in the order of :data:`mufly.quantities.quantity_table.CHECKED_READINGS`, then what acted (4) and the
+        share of clipped samples (3).
     new : (9,) array of int
         0: nothing new; 1: a new reading; 2: a reading marked invalid by its sensor.
     age : (9,) array

@@ -19,6 +19,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled.numba_cache import cached_njit
+from mufly.compiled.portable_math import floor_int
 from mufly.estimate.filter.filter_records import (
     BIAS_CYCLE_TICKS,
     EX_ATT,
@@ -64,8 +66,6 @@ from mufly.estimate.filter.output_predictor import FORCE_MEAN_TICKS, velocity_no
 from mufly.estimate.filter.sensor_checks import DIVERGED_BIAS_WALK, LATER_BIAS_WALK, STATUS_MISSING
 from mufly.estimate.filter.strapdown import error_transition, predict_state
 from mufly.estimate.filter.ud_filter import gauss_markov_update, inflate_variance, state_variance, ud_time_update
-from mufly.numba_cache import cached_njit
-from mufly.portable_math import floor_int
 
 _Array = NDArray[np.float64]
 

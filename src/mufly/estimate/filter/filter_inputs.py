@@ -11,6 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled.numba_cache import cached_njit
 from mufly.dynamics.model_state import RS_CHARGE, RS_RATES, RS_SPEED_LOWER, RS_SPEED_UPPER, ModelParameters
 from mufly.estimate.filter.filter_horizon import STAGE_DONE, clear_block_forces
 from mufly.estimate.filter.filter_records import (
@@ -67,8 +68,7 @@ from mufly.estimate.filter.sensor_checks import (
 )
 from mufly.estimate.filter.strapdown import predict_rotor_force, predict_terminal_voltage, rotation_matrix
 from mufly.estimate.filter.ud_filter import inflate_variance
-from mufly.numba_cache import cached_njit
-from mufly.units import GRAVITY
+from mufly.quantities.units import GRAVITY
 
 _Array = NDArray[np.float64]
 

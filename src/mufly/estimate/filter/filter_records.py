@@ -29,13 +29,13 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled.record_fields import int_field as _int
+from mufly.compiled.record_fields import real_field as _real
+from mufly.compiled.record_fields import record_type
 from mufly.dynamics import GRAVITY, model_parameters, standing_height
 from mufly.dynamics.model_state import hover_speeds
-from mufly.quantities import CHECKED_READINGS, DIMENSION_LABELS
-from mufly.record_fields import int_field as _int
-from mufly.record_fields import real_field as _real
-from mufly.record_fields import record_type
-from mufly.sensor_table import CHECKED
+from mufly.quantities.quantity_table import CHECKED_READINGS, DIMENSION_LABELS
+from mufly.quantities.sensor_table import CHECKED
 from mufly.sensors import beam_directions
 from mufly.sensors.magnetometer import earth_field
 from mufly.sensors.ring_camera import ELEVATION_MARGIN
@@ -99,7 +99,7 @@ FIX_NORTH, FIX_EAST, FIX_DOWN, FIX_HEADING = range(4)
 FIX_COMPONENT_COUNT = 4
 """Components of a position fix (m, rad)."""
 R_ACCELERATION, R_RATES, R_SONAR, R_RING, R_PRESSURE, R_MAGNET, R_ROTOR, R_FIX, R_BATTERY = range(9)
-"""Places of the readings in these tables, as :data:`mufly.sensor_table.SENSORS` gives them."""
+"""Places of the readings in these tables, as :data:`mufly.quantities.sensor_table.SENSORS` gives them."""
 PHASE_STANDING, PHASE_COASTING, PHASE_RUNNING, PHASE_LIGHT, PHASE_FLYING = range(5)
 """On the floor with motors off, with motors on, perhaps just off it, in the air."""
 INPUT_BLOCK_S = 0.02

@@ -11,6 +11,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled.numba_cache import cached_njit
+from mufly.compiled.portable_math import portable_atan2, wrap_angle
 from mufly.estimate.filter.filter_records import (
     AID_HEADING,
     AID_PLACE,
@@ -68,8 +70,6 @@ from mufly.estimate.filter.sensor_checks import (
     set_fault,
 )
 from mufly.estimate.filter.ud_filter import gauss_markov_update, inflate_variance
-from mufly.numba_cache import cached_njit
-from mufly.portable_math import portable_atan2, wrap_angle
 
 _Array = NDArray[np.float64]
 

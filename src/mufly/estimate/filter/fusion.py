@@ -22,6 +22,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled.numba_cache import cached_njit
+from mufly.compiled.portable_math import portable_atan2, wrap_angle
 from mufly.estimate.filter.filter_records import (
     AID_MAGNETIC,
     AID_PRESSURE,
@@ -90,9 +92,7 @@ from mufly.estimate.filter.sensor_checks import (
 )
 from mufly.estimate.filter.strapdown import rotation_matrix
 from mufly.estimate.filter.ud_filter import inflate_variance, innovation_variance, state_variance
-from mufly.numba_cache import cached_njit
-from mufly.portable_math import portable_atan2, wrap_angle
-from mufly.units import GRAVITY
+from mufly.quantities.units import GRAVITY
 
 _Array = NDArray[np.float64]
 

@@ -10,6 +10,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled.numba_cache import cached_njit
+from mufly.compiled.portable_math import floor_int, portable_atan2, sine_cosine
 from mufly.estimate.filter.filter_records import (
     ERROR_STATE_COUNT,
     EX_ATT,
@@ -33,9 +35,7 @@ from mufly.estimate.filter.filter_records import (
 )
 from mufly.estimate.filter.strapdown import error_transition, predict_state, rotate_attitude
 from mufly.estimate.filter.ud_filter import propagate_column, state_variance
-from mufly.numba_cache import cached_njit
-from mufly.portable_math import floor_int, portable_atan2, sine_cosine
-from mufly.units import GRAVITY
+from mufly.quantities.units import GRAVITY
 
 _Array = NDArray[np.float64]
 

@@ -11,6 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled.numba_cache import cached_njit
 from mufly.estimate.filter.filter_records import (
     ERROR_STATE_COUNT,
     EX_ATT,
@@ -25,7 +26,6 @@ from mufly.estimate.filter.filter_records import (
 from mufly.estimate.filter.sensor_checks import mark_rejected
 from mufly.estimate.filter.strapdown import rotate_attitude
 from mufly.estimate.filter.ud_filter import innovation_variance, ud_measurement_update
-from mufly.numba_cache import cached_njit
 
 _Array = NDArray[np.float64]
 

@@ -23,6 +23,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled.numba_cache import cached_njit
 from mufly.dynamics.model_state import RS_SPEED_UPPER
 from mufly.estimate.filter.filter_records import (
     EX_ATT,
@@ -46,7 +47,6 @@ from mufly.estimate.filter.filter_records import (
     FilterSettings,
 )
 from mufly.estimate.filter.ud_filter import inflate_variance
-from mufly.numba_cache import cached_njit
 
 _Array = NDArray[np.float64]
 

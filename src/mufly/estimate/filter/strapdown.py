@@ -28,6 +28,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled.numba_cache import cached_njit
+from mufly.compiled.portable_math import sine_cosine
 from mufly.dynamics import battery_state
 from mufly.dynamics.equations_of_motion import _clip_value, state_derivative_tilted
 from mufly.dynamics.model_state import (
@@ -72,9 +74,7 @@ from mufly.estimate.filter.filter_records import (
     FilterMemory,
     FilterSettings,
 )
-from mufly.numba_cache import cached_njit
-from mufly.portable_math import sine_cosine
-from mufly.units import GRAVITY
+from mufly.quantities.units import GRAVITY
 
 _Array = NDArray[np.float64]
 

@@ -27,6 +27,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled.numba_cache import cached_njit
 from mufly.estimate.filter.filter_records import (
     EX_ACCEL_BIAS,
     EX_ATT,
@@ -41,7 +42,6 @@ from mufly.estimate.filter.filter_records import (
     TR_THRUST,
     TR_TURN,
 )
-from mufly.numba_cache import cached_njit
 
 _Array = NDArray[np.float64]
 

@@ -15,15 +15,15 @@ from typing import Any
 
 import cffi
 
-from mufly.answer_store import hash_question, replace_file
+from mufly.compiled.numba_cache import cache_folder
+from mufly.compiled.toolchain import COMPILER_FLAGS, build_cached_library
 from mufly.control import FlightController
 from mufly.errors import MuflyError
+from mufly.files.answer_store import hash_question, replace_file
 from mufly.firmware.export.source_export import BOARD_INCLUDE_FLAGS, export_firmware
 from mufly.firmware.host_build import cffi_declarations
 from mufly.firmware.proof.sil_pil import CORTEX_M4_FLAGS, SINGLE_PRECISION_BUILD, SPEED_OPTIMISED_SOURCES, missing_tools
 from mufly.mission import Mission
-from mufly.numba_cache import cache_folder
-from mufly.toolchain import COMPILER_FLAGS, build_cached_library
 from mufly.vehicle import Vehicle
 
 _HOST_BOARD_FILES = (

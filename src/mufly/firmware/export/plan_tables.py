@@ -17,7 +17,7 @@ from mufly.mission.machine.log_messages import LogMessage
 from mufly.mission.machine.mission_state import State
 from mufly.mission.machine.phases import nose_offset
 from mufly.mission.trajectory import TrajectoryLimits
-from mufly.quantities import find_quantity
+from mufly.quantities.quantity_table import find_quantity
 from mufly.vehicle import Vehicle
 from mufly.version import __version__
 

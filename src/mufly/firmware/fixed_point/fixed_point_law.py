@@ -18,6 +18,7 @@ import cffi
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled.toolchain import find_compiler
 from mufly.control import FlightController
 from mufly.errors import InputError
 from mufly.estimate import Estimate
@@ -31,7 +32,6 @@ from mufly.firmware.fixed_point.fixed_point_design import (
 )
 from mufly.firmware.host_build import build_library, cffi_declarations
 from mufly.flight.controllers import Actuators, Controllers
-from mufly.toolchain import find_compiler
 from mufly.version import __version__
 
 _Array = NDArray[np.floating[Any]]

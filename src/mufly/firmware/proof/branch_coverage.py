@@ -15,6 +15,7 @@ from typing import Any
 import cffi
 import numpy as np
 
+from mufly.compiled.toolchain import COMPILER_FLAGS
 from mufly.control import FlightController, design_flight_controller
 from mufly.estimate import filter_backend
 from mufly.firmware.compiled_software import FirmwareSoftware
@@ -26,7 +27,6 @@ from mufly.firmware.proof.sil_pil import run_compiler
 from mufly.flight import fly_mission
 from mufly.mission import Mission, load_mission, parse_mission
 from mufly.sensors.faults import parse_fault
-from mufly.toolchain import COMPILER_FLAGS
 from mufly.vehicle import Vehicle, load_vehicle
 
 FUZZ_PARTS, FUZZ_INPUT_COUNT = 5, 3000

@@ -19,6 +19,7 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
+from mufly.compiled.toolchain import COMPILER_FLAGS
 from mufly.control import design_flight_controller
 from mufly.errors import MuflyError
 from mufly.firmware.export.estimate_tables import render_estimator_files
@@ -39,7 +40,6 @@ from mufly.firmware.proof.sil_pil import (
 )
 from mufly.mission import load_mission
 from mufly.results import to_plain_data
-from mufly.toolchain import COMPILER_FLAGS
 from mufly.vehicle import Vehicle
 from mufly.version import __version__
 

@@ -10,8 +10,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from mufly.answer_store import AnswerLines
 from mufly.errors import InputError
+from mufly.files.answer_store import AnswerLines
 from mufly.mission import Mission, check_geometry
 from mufly.results import to_plain_data
 

@@ -23,6 +23,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled.toolchain import COMPILER_FLAGS, find_compiler
 from mufly.control import FlightController, design_flight_controller
 from mufly.errors import MuflyError
 from mufly.estimate import Estimate, Estimator, KalmanEstimator
@@ -38,7 +39,6 @@ from mufly.mission import load_mission, parse_mission
 from mufly.results import result
 from mufly.sensors import Readings
 from mufly.sensors.faults import Fault, parse_fault
-from mufly.toolchain import COMPILER_FLAGS, find_compiler
 from mufly.vehicle import Vehicle
 from mufly.world import Room, World
 

@@ -13,6 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled.numba_cache import cached_njit
+from mufly.compiled.numba_intrinsics import call_c_function, refer_to
+from mufly.compiled.record_fields import int_field, real_field, record_type
 from mufly.dynamics.model_state import RS_POS, RS_RATES, RS_VEL, STATE_SIZE
 from mufly.estimate.filter import sensor_checks as g
 from mufly.estimate.filter.filter_records import (
@@ -36,9 +39,6 @@ from mufly.estimate.filter.sensor_checks import ACTUATOR_START, CLIPPING_START
 from mufly.estimate.kalman_estimator import filter_ring_scan
 from mufly.flight.period_stages import CONTINUE, DONE, FIRST_FREE_CODE, make_stepper
 from mufly.flight.simulated_plant import advance_period, find_collision, true_attitude
-from mufly.numba_cache import cached_njit
-from mufly.numba_intrinsics import call_c_function, refer_to
-from mufly.record_fields import int_field, real_field, record_type
 from mufly.sensors.imu import GYRO, sample_imu
 from mufly.sensors.periodic import FIRST_VALUE, IS_VALID, MEASURED_TIME
 from mufly.sensors.readings import measure_ranges

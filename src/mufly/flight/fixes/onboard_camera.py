@@ -13,7 +13,7 @@ from mufly.camera import Camera, Floor, Renderer, StreamServer, VehicleMotion, e
 from mufly.dynamics import body_to_ned_matrix, model_parameters
 from mufly.dynamics.model_state import ATTITUDE, hover_speeds
 from mufly.errors import ArgumentError, InputError, suggest_name
-from mufly.quantity_grammar import read_time_span
+from mufly.quantities.quantity_grammar import read_time_span
 from mufly.sensors import Truth
 from mufly.vehicle import Vehicle
 from mufly.world import World

@@ -25,13 +25,13 @@ import xarray as xr
 from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
-from mufly.answer_store import hash_question
 from mufly.control import DesignSettings, FlightController, design_flight_controller
 from mufly.control.synthesis.weighting_schemes import complete_settings
 from mufly.errors import ArgumentError, InputError, MuflyError
 from mufly.estimate import Estimate
 from mufly.estimate.filter.filter_records import EX_ATT, EX_GYRO_BIAS
 from mufly.estimate.nees import normalised_errors
+from mufly.files.answer_store import hash_question
 from mufly.flight.fixes.camera_sensor import CameraConfig
 from mufly.flight.flight_software import ControlImplementation
 from mufly.flight.mission_flight import fly_mission

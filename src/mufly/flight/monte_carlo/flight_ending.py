@@ -17,7 +17,7 @@ import xarray as xr
 from mufly.flight.record.flight_summary import FlightSummary
 from mufly.flight.simulated_plant import COLLISION_TEXT, TIP_OVER_TEXT
 from mufly.mission import HARD_TOUCHDOWN_M_S
-from mufly.sensor_table import READINGS, SENSORS
+from mufly.quantities.sensor_table import READINGS, SENSORS
 from mufly.sensors import FAULT_TARGETS, parse_fault
 
 LANDED_HEIGHT_TOLERANCE_M, LANDED_MAX_SPEED_M_S, LANDED_MAX_TILT_DEG = 0.02, 0.05, 10.0

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import ArgumentError, InputError, suggest_name
-from mufly.quantity_grammar import read_quantity
+from mufly.quantities.quantity_grammar import read_quantity
 from mufly.vehicle import Parameter, Vehicle, list_parameters, load_vehicle
 
 _Array = NDArray[np.float64]

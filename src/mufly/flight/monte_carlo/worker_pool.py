@@ -30,8 +30,8 @@ import cma
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from mufly.answer_store import AnswerLines, claim_folder
 from mufly.errors import ArgumentError, MuflyError
+from mufly.files.answer_store import AnswerLines, claim_folder
 from mufly.flight.monte_carlo.campaign import Campaign, FlightCase, FlightResult, fly_case
 from mufly.results import to_plain_data
 from mufly.study.sweeps import open_executor

@@ -33,8 +33,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled.numba_cache import cached_njit
 from mufly.dynamics.model_state import U_MOTOR_LOWER, U_MOTOR_UPPER, U_SERVO_1, U_SERVO_2
-from mufly.numba_cache import cached_njit
 
 _Array = NDArray[np.float64]
 

@@ -23,11 +23,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.answer_store import hash_question
+from mufly.compiled.numba_cache import cached_njit
+from mufly.compiled.portable_math import sine_cosine
 from mufly.control import FlightController
 from mufly.dynamics.model_state import SERVOS
 from mufly.errors import InputError
 from mufly.estimate import Estimate
+from mufly.files.answer_store import hash_question
 from mufly.flight.controllers import Actuators, Controllers
 from mufly.flight.policy.observation import (
     ACTION_SIZE,
@@ -38,8 +40,6 @@ from mufly.flight.policy.observation import (
     map_action,
 )
 from mufly.flight.policy.policy_network import LearnedPolicy, PackedPolicy, evaluate_policy
-from mufly.numba_cache import cached_njit
-from mufly.portable_math import sine_cosine
 
 _Array = NDArray[np.floating[Any]]
 

@@ -33,9 +33,9 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from mufly.errors import InputError, report_write_errors
+from mufly.files.input_files import validate_model
 from mufly.flight.policy.observation import ACTION_NAMES, observation_names
 from mufly.flight.policy.policy_network import LearnedPolicy, PolicyLayer
-from mufly.input_files import validate_model
 
 FORMAT, VERSION = "mufly-policy", 1
 MAX_LAYERS, MAX_WIDTH = 8, 256

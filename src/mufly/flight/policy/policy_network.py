@@ -3,8 +3,8 @@
     y = clip((x - mean) / scale, -limit, limit),   y <- act(W y + b) for each layer,   action = clip(y, -1, 1)
 
 Sums begin with the bias and run over the inputs in order, without fused multiply-add. With ``e = exp(-2 |x|)`` from
-:func:`mufly.portable_math.exp_decay`, ``tanh x`` is ``(1 - e) / (1 + e)`` with the sign of x; its error is below 3e-16.
-All numbers are in double precision.
+:func:`mufly.compiled.portable_math.exp_decay`, ``tanh x`` is ``(1 - e) / (1 + e)`` with the sign of x; its error is
+below 3e-16. All numbers are in double precision.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mufly.compiled.numba_cache import cached_njit
+from mufly.compiled.portable_math import exp_decay
 from mufly.flight.policy.observation import ACTION_SIZE, observation_limits
-from mufly.numba_cache import cached_njit
-from mufly.portable_math import exp_decay
 
 _Array = NDArray[np.float64]
 

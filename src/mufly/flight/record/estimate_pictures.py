@@ -35,7 +35,7 @@ from mufly.flight.record.flight_pictures import (
     state_tint,
 )
 from mufly.flight.record.flight_summary import state_runs
-from mufly.quantities import CHECKED_READINGS, FUSION_STATUSES
+from mufly.quantities.quantity_table import CHECKED_READINGS, FUSION_STATUSES
 
 _Array = NDArray[np.float64]
 _BAND_SIGMAS = 3.0

@@ -20,10 +20,10 @@ from mufly.control import design_flight_controller
 from mufly.flight.mission_flight import FlightProgress, fly_mission
 from mufly.flight.simulated_flight import RANGE_RING_RATE_HZ
 from mufly.mission import Mission
-from mufly.quantities import DIMENSION_LABELS
-from mufly.result_figure import enable_notebook_display
+from mufly.quantities.quantity_table import DIMENSION_LABELS
+from mufly.quantities.sensor_table import READINGS
 from mufly.results import result
-from mufly.sensor_table import READINGS
+from mufly.results.result_figure import enable_notebook_display
 from mufly.sensors import (
     Fault,
     Reading,

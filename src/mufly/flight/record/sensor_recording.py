@@ -21,8 +21,8 @@ from mufly.estimate import Estimate, Estimator, KalmanEstimator
 from mufly.flight.controllers import Actuators
 from mufly.flight.record.recorder import FlightRecorder
 from mufly.flight.simulated_plant import make_blank_row, make_common_writer
-from mufly.quantities import CHECKED_READINGS, FUSION_STATUSES
-from mufly.sensor_table import READINGS
+from mufly.quantities.quantity_table import CHECKED_READINGS, FUSION_STATUSES
+from mufly.quantities.sensor_table import READINGS
 from mufly.sensors import Reading, Readings, Truth
 
 _Array = NDArray[np.float64]

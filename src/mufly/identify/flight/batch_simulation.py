@@ -38,6 +38,7 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
+from mufly.compiled.numba_cache import cached_njit
 from mufly.dynamics.edgewise_loads import swash_plate_target
 from mufly.dynamics.equations_of_motion import battery_state, state_derivative
 from mufly.dynamics.model_state import (
@@ -77,7 +78,6 @@ from mufly.identify.flight_record import (
     OUT_V_NORTH,
     OUT_YAW,
 )
-from mufly.numba_cache import cached_njit
 from mufly.study.sweeps import open_executor
 
 _CLUSTER_EXECUTOR: ContextVar[Executor | None] = ContextVar("cluster", default=None)

@@ -43,6 +43,7 @@ from numba import prange
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, expm, solve_discrete_are
 
+from mufly.compiled.numba_cache import cached_njit
 from mufly.dynamics import (
     PARAMETER_DTYPE,
     Trim,
@@ -96,7 +97,6 @@ from mufly.identify.flight.excitation_signals import (
 from mufly.identify.flight.free_parameters import FreeParameter, choose_free_parameters
 from mufly.identify.flight.output_error_problem import PART_OUTPUTS, DynamicsPart, make_problem
 from mufly.identify.flight_record import FlightRecord
-from mufly.numba_cache import cached_njit
 from mufly.results import result, select_fields
 from mufly.rotations import euler_from_quaternion
 from mufly.vehicle import Vehicle

@@ -59,8 +59,8 @@ from mufly.identify.record_consistency import (
     find_signal_faults,
     refuse_fatal_faults,
 )
+from mufly.quantities.units import GRAVITY
 from mufly.rotations import body_to_ned_matrices
-from mufly.units import GRAVITY
 from mufly.vehicle import Vehicle
 
 Array = NDArray[np.float64]

@@ -66,7 +66,7 @@ from mufly.identify.flight_record import (
     smooth_motion,
     smooth_signal,
 )
-from mufly.units import GRAVITY
+from mufly.quantities.units import GRAVITY
 from mufly.vehicle import Vehicle
 
 _Array = NDArray[np.float64]

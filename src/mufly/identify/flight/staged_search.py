@@ -35,8 +35,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from mufly.answer_store import hash_question, read_answer, write_answer
 from mufly.errors import InputError
+from mufly.files.answer_store import hash_question, read_answer, write_answer
 from mufly.identify.flight.estimate_notes import MAX_NOISE_RATIO, residual_over_noise
 from mufly.identify.flight.free_parameters import theta_to_values
 from mufly.identify.flight.initial_states import MIN_COST_DECREASE, find_initial_offsets, find_initial_states

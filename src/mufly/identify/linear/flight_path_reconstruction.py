@@ -47,9 +47,9 @@ from mufly.identify.fit_result import (
     divide_by_values,
 )
 from mufly.identify.flight_record import EvenLogTable, low_pass, smooth_signal
+from mufly.quantities.units import GRAVITY
 from mufly.results import result
 from mufly.rotations import body_to_ned_matrices
-from mufly.units import GRAVITY
 
 Array = NDArray[np.float64]
 

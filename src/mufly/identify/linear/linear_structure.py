@@ -40,9 +40,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from mufly.compiled.numba_cache import cached_njit
 from mufly.errors import ArgumentError
-from mufly.numba_cache import cached_njit
-from mufly.units import GRAVITY
+from mufly.quantities.units import GRAVITY
 
 Array = NDArray[np.float64]
 

@@ -33,12 +33,12 @@ from scipy.linalg import solve_discrete_are
 from scipy.optimize import minimize
 from scipy.signal import periodogram
 
+from mufly.compiled.numba_cache import cached_njit
 from mufly.errors import InputError
 from mufly.identify.flight_record import low_pass
 from mufly.identify.linear.linear_fit import LinearFit, fit_linear_model, simulate_linear_fit
 from mufly.identify.linear.linear_structure import LinearStructure, discretise_first_order_hold
 from mufly.identify.residual_analysis import estimate_high_frequency_noise
-from mufly.numba_cache import cached_njit
 from mufly.results import result
 
 Array = NDArray[np.float64]

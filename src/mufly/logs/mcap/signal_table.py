@@ -1,9 +1,9 @@
 """Signal table: layout of rows on one clock, and conversion between datasets and plain columns.
 
 A flight is a row of float64 values every sampling instant: column 0 is the time (s), the others are the quantities
-of :mod:`mufly.quantities` in their order. The writer, the schemas inside the file, the reader, the CSV header and
-``docs/reference/recordings.md`` follow a :class:`RecordingLayout`; a file carries its own copy, so that it stays
-readable when the table grows.
+of :mod:`mufly.quantities.quantity_table` in their order. The writer, the schemas inside the file, the reader, the CSV
+header and ``docs/reference/recordings.md`` follow a :class:`RecordingLayout`; a file carries its own copy, so that it
+stays readable when the table grows.
 
 As a plain column a component is called ``variable_label`` (``measured_attitude_roll``). Information outside the columns
 (the dataset's attributes, events, labels of a user's own dimensions) is stored as one JSON text where the format
@@ -27,7 +27,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from mufly.logs.raw_log import Channel
-from mufly.quantities import DIMENSION_LABELS, Quantity, find_quantity, quantities_recorded_in
+from mufly.quantities.quantity_table import DIMENSION_LABELS, Quantity, find_quantity, quantities_recorded_in
 
 _LAYOUT_FIELDS = (
     "name",
@@ -61,7 +61,8 @@ class RecordingLayout:
     beam_count : int
         Number of range beams.
     other_labels : tuple of (dim, labels)
-        Labels of dimensions that :mod:`mufly.quantities` does not have, in recordings made from foreign logs.
+        Labels of dimensions that :mod:`mufly.quantities.quantity_table` does not have, in recordings made from foreign
+        logs.
     """
 
     quantities: tuple[Quantity, ...]

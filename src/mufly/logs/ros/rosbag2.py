@@ -42,7 +42,7 @@ from mufly.logs.ros.ros_messages import (
     stamp_message,
     stamp_times_ns,
 )
-from mufly.quantities import find_quantity
+from mufly.quantities.quantity_table import find_quantity
 
 BAG_ENDING = ".rosbag2"
 """Ending of a bag's folder in mufly's commands; ROS accepts any name."""

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from mufly.errors import InputError
 from mufly.logs.column_map import TimeEntry
 from mufly.logs.raw_log import MIN_GAP_STEPS, find_foreign_stamps
-from mufly.units import normalise_unit, split_header, unit_conversion
+from mufly.quantities.units import normalise_unit, split_header, unit_conversion
 
 _Array = NDArray[np.float64]
 _UNIT_BY_NAME = {

@@ -1,7 +1,7 @@
 """Reader of text tables as logs: units from header, unit line and preamble, and the clock.
 
 Cells that are no number become missing values, and are counted. A row with fewer cells than the header is omitted and
-reported, because the missing cell is unknown (:mod:`mufly.text_table`).
+reported, because the missing cell is unknown (:mod:`mufly.files.text_table`).
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.files.text_table import read_text_table
 from mufly.logs.column_map import TimeEntry
 from mufly.logs.raw_log import RawLog, RawTable
 from mufly.logs.tables.clock_columns import extract_clock, is_time_unit
-from mufly.text_table import read_text_table
-from mufly.units import normalise_unit, parse_column_unit, split_headers, unit_conversion
+from mufly.quantities.units import normalise_unit, parse_column_unit, split_headers, unit_conversion
 
 TABLE_TOPIC = "table"
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from mufly.dynamics import hover_current_A
 from mufly.errors import InputError
-from mufly.input_files import builtin_file_names, format_toml_value, read_toml, validate_model
+from mufly.files.input_files import builtin_file_names, format_toml_value, read_toml, validate_model
 from mufly.mission.files.geofence import check_fence
 from mufly.mission.files.ground_files import is_ground_file, read_ground_file
 from mufly.mission.files.mission_schema import MIN_WAYPOINT_HEIGHT_M, Mission, limits_to_file_units

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, Strict, model_validator
 
-from mufly.input_files import model_error
+from mufly.files.input_files import model_error
 from mufly.mission.trajectory import Trajectory, plan_pending_curve, plan_straight
 from mufly.mission.trajectory import TrajectoryLimits as TrajectoryLimits
 from mufly.world import Box, Cylinder, Room, World, make_wall

@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
+from mufly.compiled.portable_math import sine_cosine
 from mufly.estimate import Estimate
 from mufly.mission.machine.mission_state import Command, MissionPlan, MissionState, Reference, State
 from mufly.mission.machine.offboard import limit_manual_tilt
 from mufly.mission.trajectory import Trajectory, TrajectoryPoint
-from mufly.portable_math import sine_cosine
 
 NOSE_SWING_PERIOD_S = 4.0
 """Period of the nose swing while scanning (s); half of it covers every direction."""

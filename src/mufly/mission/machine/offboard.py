@@ -28,10 +28,10 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from mufly.compiled.portable_math import exp_decay, sine_cosine, vector_length
 from mufly.mission.files.mission_schema import MIN_WAYPOINT_HEIGHT_M
 from mufly.mission.trajectory import TrajectoryLimits, TrajectoryPoint, Triple, wrap_turn
-from mufly.portable_math import exp_decay, sine_cosine, vector_length
-from mufly.units import GRAVITY
+from mufly.quantities.units import GRAVITY
 
 MAX_HEIGHT_M = 50.0
 """Greatest height of a reference above the floor (m)."""

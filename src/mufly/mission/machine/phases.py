@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from mufly.compiled.portable_math import vector_length
 from mufly.estimate import Estimate
 from mufly.mission.avoidance import is_path_blocked, limit_approach_velocity
 from mufly.mission.detour import DETOUR_ACCELERATION_M_S2, begin_detour, follow_contour
@@ -39,7 +40,6 @@ from mufly.mission.trajectory import (
     plan_straight,
     wrap_turn,
 )
-from mufly.portable_math import vector_length
 
 _SETTLE_BEFORE_LANDING_S = 2.0
 _SETTLED_M, _SETTLED_M_S, _SETTLED_RAD = 0.002, 0.01, 0.01

@@ -1,8 +1,8 @@
 """Reader of blade tables: radius, chord and angle as text, UIUC's geometry files and APC's files.
 
-A table is any text that :func:`mufly.text_table.read_text_table` reads. Columns are recognised by name; the unit stands
-in the header. A length without unit is an error. Angles without unit are in degrees; if all of them could be radians, a
-missing unit is an error. Stations run from hub to tip or from tip to hub.
+A table is any text that :func:`mufly.files.text_table.read_text_table` reads. Columns are recognised by name; the unit
+stands in the header. A length without unit is an error. Angles without unit are in degrees; if all of them could be
+radians, a missing unit is an error. Stations run from hub to tip or from tip to hub.
 
 =========  ===================================================================================================
 radius     ``r/R``, ``r_over_R``, ``x``; or a length: ``r_mm``, ``radius (in)``, ``station``
@@ -32,10 +32,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import ArgumentError, InputError
+from mufly.files.text_table import read_text_table
+from mufly.quantities.units import compatible_units, normalise_unit, split_header, split_unit_suffix, unit_conversion
 from mufly.rotor.geometry import Rotor, rotor_from_tables
 from mufly.rotor.sections.airfoil import MAX_THICKNESS_RATIO, load_airfoil
-from mufly.text_table import read_text_table
-from mufly.units import compatible_units, normalise_unit, split_header, split_unit_suffix, unit_conversion
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.numba_cache import cached_njit
+from mufly.compiled.numba_cache import cached_njit
 
 Array = NDArray[np.float64]
 

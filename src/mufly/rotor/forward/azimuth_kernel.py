@@ -31,7 +31,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.numba_cache import cached_njit
+from mufly.compiled.numba_cache import cached_njit
 from mufly.rotor.forward.azimuth_elements import AzimuthBlade, AzimuthPoint, annulus_losses, element_forces
 from mufly.rotor.forward.inflow import momentum_induced_velocity, pitt_peters_inflow
 

@@ -22,8 +22,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled.numba_cache import cached_njit
 from mufly.errors import InputError, MuflyError
-from mufly.numba_cache import cached_njit
 from mufly.rotor.blading import Blading
 from mufly.rotor.forward.forward_results import BladeFlap, ForwardCondition, ForwardResult
 from mufly.rotor.forward.row_sums import sum_flow_rows, sum_rate_rows

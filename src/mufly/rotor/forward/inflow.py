@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import math
 
-from mufly.numba_cache import cached_njit
+from mufly.compiled.numba_cache import cached_njit
 from mufly.rotor.bemt import induced_velocity_ratio
 
 _PITT_PETERS_COUPLING = 15.0 * math.pi / 64.0

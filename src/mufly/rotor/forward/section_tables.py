@@ -14,8 +14,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled.numba_cache import cached_njit
 from mufly.errors import InputError
-from mufly.numba_cache import cached_njit
 from mufly.rotor.blading import Blading
 from mufly.rotor.rotor_system import Air
 from mufly.rotor.sections.polar_table import ALPHA_GRID

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from mufly.errors import MuflyError
+from mufly.quantities.units import RPM
 from mufly.results import result
 from mufly.rotor.bemt import solve_rotor_batch, warn_reynolds_range
 from mufly.rotor.blading import Blading, ensure_blading
@@ -27,7 +28,6 @@ from mufly.rotor.rotor_system import (
     SystemSolution,
     WakeSettings,
 )
-from mufly.units import RPM
 
 Array = NDArray[np.float64]
 

@@ -36,8 +36,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.answer_store import hash_question
 from mufly.errors import InputError, suggest_name
+from mufly.files.answer_store import hash_question
 from mufly.results import result
 from mufly.rotor.sections.contour_file import read_contour, read_custom_contour
 

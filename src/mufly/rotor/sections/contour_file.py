@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.text_table import decode_text
+from mufly.files.text_table import decode_text
 
 Array = NDArray[np.float64]
 

@@ -25,14 +25,14 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mufly.answer_store import hash_question
+from mufly.compiled.toolchain import build_cached_library, find_compiler
 from mufly.errors import InputError, MuflyError
+from mufly.files.answer_store import hash_question
 from mufly.rotor.sections import neuralfoil_network
 from mufly.rotor.sections.airfoil import Airfoil, load_airfoil
 from mufly.rotor.sections.polar_file import is_polar_file, read_polar_file
 from mufly.rotor.sections.polar_table import DEFAULT_ASPECT_RATIO, PolarTable, extend_full_circle
 from mufly.rotor.sections.section_data import SectionData, cache_get, cache_put
-from mufly.toolchain import build_cached_library, find_compiler
 
 PolarEngine = Literal["neuralfoil", "xfoil", "table"]
 

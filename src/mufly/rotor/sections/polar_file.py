@@ -1,7 +1,7 @@
 """Reader of polar files: users' tables, XFOIL's and XFLR5's polars, Airfoil Tools' CSV, AeroDyn's airfoil tables.
 
-A table has the columns of :data:`_COLUMN_ALIASES`, in any order and notation that :mod:`mufly.text_table` reads; ``#``
-begins a comment. XFOIL and XFLR5 write a preface with ``Re = 0.100 e 6``, Airfoil Tools one with
+A table has the columns of :data:`_COLUMN_ALIASES`, in any order and notation that :mod:`mufly.files.text_table` reads;
+``#`` begins a comment. XFOIL and XFLR5 write a preface with ``Re = 0.100 e 6``, Airfoil Tools one with
 ``Reynolds number,50000``, AeroDyn lines such as ``0.75 Re ! Reynolds number in millions``: they hold for the rows
 below. AeroDyn's files up to version 13 have no header: their rows are angle (degrees), lift, drag and moment, up to
 ``EOT``. A file without any Reynolds number holds for all.
@@ -25,9 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
+from mufly.files.text_table import decode_text, detect_layout, normalise_number, split_cells
+from mufly.quantities.units import normalise_unit
 from mufly.rotor.sections.section_data import SectionData
-from mufly.text_table import decode_text, detect_layout, normalise_number, split_cells
-from mufly.units import normalise_unit
 
 Array = NDArray[np.float64]
 

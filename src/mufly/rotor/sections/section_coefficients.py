@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.numba_cache import cached_njit
+from mufly.compiled.numba_cache import cached_njit
 from mufly.rotor.sections.polar_table import PolarStack, stack_coefficients
 
 Array = NDArray[np.float64]

@@ -1,8 +1,8 @@
 """Section coefficients of an engine or a measurement before their extension to the full circle, and their cache.
 
 The cache key covers the contour, the engine with its version and settings, and the Reynolds numbers. Entries are
-therefore never out of date, and deleting the folder (:func:`mufly.answer_store.cache_folder`) is safe. If the folder
-cannot be written or an entry cannot be read, the engine computes again without a message.
+therefore never out of date, and deleting the folder (:func:`mufly.files.answer_store.cache_folder`) is safe. If the
+folder cannot be written or an entry cannot be read, the engine computes again without a message.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.answer_store import cache_folder, read_answer, write_answer
 from mufly.errors import InputError
+from mufly.files.answer_store import cache_folder, read_answer, write_answer
 
 Array = NDArray[np.float64]
 

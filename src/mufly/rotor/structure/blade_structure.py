@@ -12,7 +12,7 @@ from typing import Any, Literal
 from pydantic import Field, model_validator
 
 from mufly.errors import InputError
-from mufly.input_files import model_error
+from mufly.files.input_files import model_error
 from mufly.rotor.structure.materials import find_material
 from mufly.vehicle.quantity import ParameterGroup, Quantity
 

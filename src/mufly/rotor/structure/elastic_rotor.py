@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from mufly.errors import InputError, MuflyError
+from mufly.quantities.units import RPM
 from mufly.results import ShownBlock, ShownLines, ShownTable, result
 from mufly.rotor.bemt import solve_rotor
 from mufly.rotor.blading import Blading, Corrections, compute_rotor_polars, prepare_blading
@@ -45,7 +46,6 @@ from mufly.rotor.structure.blade_beam import (
 )
 from mufly.rotor.structure.blade_structure import BladeStructure
 from mufly.rotor.structure.flap_modes import blade_structure, vary_structure
-from mufly.units import RPM
 
 Array = NDArray[np.float64]
 

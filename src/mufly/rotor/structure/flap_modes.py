@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
+from mufly.quantities.units import RPM
 from mufly.results import ShownBlock, ShownLines, ShownTable, result
 from mufly.rotor.geometry import Rotor
 from mufly.rotor.rotor_system import Air
@@ -30,7 +31,6 @@ from mufly.rotor.structure.blade_beam import FLAP_AT_NODES, GAUSS_POINTS, BeamMo
 from mufly.rotor.structure.blade_structure import BladeStructure, structure_deviations
 from mufly.rotor.structure.cross_section import contour_lines, section_constants
 from mufly.rotor.structure.materials import find_material
-from mufly.units import RPM
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mufly.units import RPM
+from mufly.quantities.units import RPM
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

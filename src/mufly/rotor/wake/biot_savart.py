@@ -28,7 +28,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from mufly.numba_cache import cached_njit
+from mufly.compiled.numba_cache import cached_njit
 
 Array = NDArray[np.float64]
 

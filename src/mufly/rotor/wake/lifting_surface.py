@@ -65,8 +65,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mufly.compiled.numba_cache import cached_njit
 from mufly.errors import InputError
-from mufly.numba_cache import cached_njit
 from mufly.rotor.blading import Blading, compute_panel_edges
 from mufly.rotor.rotor_system import Air, LiftingSurface
 from mufly.rotor.sections.section_coefficients import SectionParameters, section_coefficients

@@ -35,11 +35,11 @@ from mufly.camera import (
     read_pictures,
 )
 from mufly.errors import InputError
+from mufly.files.text_table import read_text_table
 from mufly.logs import read_log, read_recording
 from mufly.slam.camera_frame import CameraFrame, FrameInfo
 from mufly.slam.image_tools import load_opencv
 from mufly.slam.trajectory_evaluation import read_truth
-from mufly.text_table import read_text_table
 
 _Array = NDArray[np.float64]
 DatasetLayout = Literal["mufly", "euroc", "tum", "plain"]

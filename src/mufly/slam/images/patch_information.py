@@ -33,7 +33,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.numba_cache import cached_njit
+from mufly.compiled.numba_cache import cached_njit
 from mufly.slam.image_tools import load_opencv
 
 _Array = NDArray[np.float64]

@@ -22,12 +22,12 @@ from numpy.typing import NDArray
 from scipy.signal import detrend, welch
 
 from mufly.flight.estimator_health import describe_sensor
-from mufly.quantities import CHECKED_READINGS, FUSION_STATUSES, parse_column_name
+from mufly.quantities.quantity_table import CHECKED_READINGS, FUSION_STATUSES, parse_column_name
+from mufly.quantities.units import conversion_factor
 from mufly.slam import TrackedPicture
 from mufly.station.page.page_session import PanelSource, WindowView, scene_shape
 from mufly.station.replay import ReplayHistory
 from mufly.station.signal_history import SignalHistory, StatusMessage, VehicleSnapshot
-from mufly.units import conversion_factor
 
 MAX_FRAMES_IN_FLIGHT = 2
 MAX_POINTS = 6000

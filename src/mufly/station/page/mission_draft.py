@@ -18,7 +18,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from mufly.errors import InputError
-from mufly.input_files import validate_model
+from mufly.files.input_files import validate_model
 from mufly.link.codec import GlobalOrigin
 from mufly.link.mission_transfer import MissionItem
 from mufly.mission import (

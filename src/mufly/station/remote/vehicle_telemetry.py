@@ -3,8 +3,8 @@
 Every message sets the signals that it contains. A row is finished when a message has a later time stamp, so that one
 row holds the vehicle's measurements of one instant. The present values are a
 :class:`mufly.station.signal_history.PresentSignals`. Fields that equal a quantity up to its unit are mapped by the
-table of quantities (:func:`mufly.quantities.mavlink_columns`). Messages with variable meaning (masks, quaternions,
-rings of beams) have readers here. Source of fields and units: https://mavlink.io/en/messages/common.html.
+table of quantities (:func:`mufly.quantities.quantity_table.mavlink_columns`). Messages with variable meaning (masks,
+quaternions, rings of beams) have readers here. Source of fields and units: https://mavlink.io/en/messages/common.html.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from mufly.dynamics import body_to_ned_matrix
 from mufly.link.codec import GlobalOrigin, MavMessage
 from mufly.link.estimate_messages import CHECKS_ARRAY_NAME, TEST_RATIOS
 from mufly.link.telemetry_streams import MISSION_STATES, REAL_TIME_FACTOR_NAME, SLIPS_NAME
-from mufly.quantities import CHECKED_READINGS, mavlink_columns, quantities_recorded_in
+from mufly.quantities.quantity_table import CHECKED_READINGS, mavlink_columns, quantities_recorded_in
 from mufly.rotations import euler_from_quaternion
 from mufly.station.signal_history import SLOW_SIGNAL_TIMEOUT_S, PresentSignals, SignalHistory, unknown_values
 from mufly.vehicle_types import flight_mode_name

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.answer_store import hash_question, read_answer, write_answer
 from mufly.errors import MuflyError
+from mufly.files.answer_store import hash_question, read_answer, write_answer
 from mufly.rotor import fit_rotor, predict_interval
 from mufly.rotor.measured.uncertainty import fit_interval_scale, interval_quantile
 from mufly.study.benchmark.prediction_codes import PredictionCode, RotorPrediction, describe_case

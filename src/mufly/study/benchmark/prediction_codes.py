@@ -30,10 +30,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError, MuflyError
+from mufly.files.text_table import read_text_table
+from mufly.quantities.units import RPM
 from mufly.rotor import SolverMethod, compare_measurements, load_airfoil, prepare_blading
 from mufly.study.benchmark.rotor_cases import RotorCase
-from mufly.text_table import read_text_table
-from mufly.units import RPM
 
 Array = NDArray[np.float64]
 

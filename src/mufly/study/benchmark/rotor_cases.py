@@ -32,10 +32,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from mufly.bench import read_measurements
 from mufly.errors import InputError, MuflyError
+from mufly.files.text_table import read_text_table
+from mufly.quantities.units import RPM
 from mufly.rotor import Air, Rotor, RotorMeasurements, load_rotor, read_blade, replace_rotor
 from mufly.rotor.blades.blade_solid import rotor_from_body
-from mufly.text_table import read_text_table
-from mufly.units import RPM
 
 Array = NDArray[np.float64]
 

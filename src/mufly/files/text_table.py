@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.units import normalise_unit
+from mufly.quantities.units import normalise_unit
 
 GZIP_MAGIC = b"\x1f\x8b"
 _COMMENT_MARKS = ("#", "%", "//")

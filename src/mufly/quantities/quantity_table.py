@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.errors import InputError
-from mufly.sensor_table import CHECKED, READINGS, ReadingRow
-from mufly.units import unit_conversion
+from mufly.quantities.sensor_table import CHECKED, READINGS, ReadingRow
+from mufly.quantities.units import unit_conversion
 
 if TYPE_CHECKING:
     import xarray as xr

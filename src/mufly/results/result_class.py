@@ -4,7 +4,7 @@ A class marked with :func:`result` is a frozen dataclass with described fields. 
 (``thrust_N``, ``speed_rad_s``) or of the docstring. The meaning comes from the docstring's Attributes section, which is
 parsed on first use. This module writes results as text (``print(result)``), in notebooks, as JSON
 (:func:`to_plain_data`) or as a report's table (:func:`result_rows`). ``plot_result()`` draws the picture named by the
-class, or its numbers by :mod:`mufly.result_figure`.
+class, or its numbers by :mod:`mufly.results.result_figure`.
 
 A class with a method ``shown_blocks()`` returns its own text as blocks, lines and tables (:class:`ShownLines`,
 :class:`ShownTable`). ``print(result)`` shows them as plain text, the command line in colour at the terminal's width.
@@ -26,8 +26,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, dataclass_transform,
 
 import numpy as np
 
-from mufly.result_figure import PlotSeries, draw_series, enable_notebook_display, make_series
-from mufly.units import normalise_unit, split_unit_suffix, unit_conversion
+from mufly.quantities.units import normalise_unit, split_unit_suffix, unit_conversion
+from mufly.results.result_figure import PlotSeries, draw_series, enable_notebook_display, make_series
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -1,7 +1,7 @@
 """C toolchain: compiler of this machine, and shared libraries that are built once and cached on disk.
 
-A library is stored beside Numba's compiled code (:mod:`mufly.numba_cache`) under a hash of its sources, flags and
-compiler; a change leads to another file. It is written under a temporary name first, so that several processes can
+A library is stored beside Numba's compiled code (:mod:`mufly.compiled.numba_cache`) under a hash of its sources, flags
+and compiler; a change leads to another file. It is written under a temporary name first, so that several processes can
 build it at the same time.
 """
 
@@ -14,9 +14,9 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from mufly.answer_store import hash_question
+from mufly.compiled.numba_cache import cache_folder
 from mufly.errors import MuflyError
-from mufly.numba_cache import cache_folder
+from mufly.files.answer_store import hash_question
 
 COMPILER_FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-math-errno")
 """Flags for results equal to the simulation; any -O level is valid, -ffast-math and contraction are not."""

@@ -3,7 +3,7 @@
 A quantity is a number and a unit of its dimension: ``6000rpm``, ``100 Hz``, ``1.2kg/m3``. If an option has a unit for
 bare numbers, ``6000`` has that unit. A list has commas (``5000,6000rpm``), a range is ``FIRST:LAST:STEP``
 (``10:30:5mm``), and a unit at the end also applies to the bare numbers before it. A standard deviation follows ``+-``
-(``0.06+-0.0002``). Units are those of :mod:`mufly.units`.
+(``0.06+-0.0002``). Units are those of :mod:`mufly.quantities.units`.
 
 A line of a column map is ``NAME=COLUMN(unit)``: a signal name, and the column of a file with its values
 (:func:`read_column_lines`).
@@ -17,7 +17,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from mufly.errors import ArgumentError, InputError
-from mufly.units import compatible_units, normalise_unit, unit_conversion
+from mufly.quantities.units import compatible_units, normalise_unit, unit_conversion
 
 NUMBER_PATTERN = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 MAX_VALUES = 100_000

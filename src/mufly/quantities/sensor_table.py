@@ -1,6 +1,6 @@
 """Table of sensors, the source of all other lists of sensors and readings.
 
-Recordings (:mod:`mufly.quantities`), faults (:mod:`mufly.sensors.faults`), the records of the filter
+Recordings (:mod:`mufly.quantities.quantity_table`), faults (:mod:`mufly.sensors.faults`), the records of the filter
 (:mod:`mufly.estimate.filter.filter_records`), messages, MAVLink and the ground station's page read it. A sensor also
 has its model in a file of :mod:`mufly.sensors`, its class in :data:`mufly.sensors.sensor_suite.SENSOR_CLASSES`, its
 parameters in :mod:`mufly.vehicle.sensor_schema`, and, if it is fused, its noise in ``filter_records`` and its
@@ -19,7 +19,7 @@ class ReadingRow:
     Attributes
     ----------
     name, unit, dim, meaning : str
-        As in :class:`mufly.quantities.Quantity`; its name in a recording is ``measured_NAME``.
+        As in :class:`mufly.quantities.quantity_table.Quantity`; its name in a recording is ``measured_NAME``.
     is_timed : bool
         True if it is recorded with its time and validity; else it shares those of the first reading of its sensor.
     variance : (str, str) or None

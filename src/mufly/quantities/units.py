@@ -12,7 +12,7 @@ from functools import cache
 from math import pi
 
 from mufly.errors import InputError
-from mufly.sensor_table import READINGS
+from mufly.quantities.sensor_table import READINGS
 
 STANDARD_GRAVITY_M_S2 = 9.80665
 """Standard acceleration of free fall (m/s^2; 3rd CGPM, 1901), the definition of the kilogram-force."""

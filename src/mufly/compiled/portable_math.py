@@ -29,7 +29,7 @@ import math
 
 from numba.extending import register_jitable
 
-from mufly.numba_cache import cached_njit
+from mufly.compiled.numba_cache import cached_njit
 
 # The C sources contain the same numbers; tests compare both.
 TWO_OVER_PI = float.fromhex("0x1.45f306dc9c883p-1")

@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # read when Numba loads its threads
 
 UNUSED_CACHE_DAYS = 30.0
-_PACKAGE_FOLDER = Path(__file__).resolve().parent
+_PACKAGE_FOLDER = Path(__file__).resolve().parents[1]
 _IMPORT_PATTERN = re.compile(r"^[ \t]*from (mufly[\w.]*) import (\([^)]*\)|[^\n]*)|^[ \t]*import (mufly[\w.]*)", re.M)
 _NAMED_TUPLE_PATTERN = re.compile(r"^class \w+\((?:typing\.)?NamedTuple\):\n(?:[ \t]+[^\n]*\n|[ \t]*\n)*", re.M)
 _IMPORT_LIST_ITEM_PATTERN = re.compile(r"(\w+)(?:\s+as\s+\w+)?\s*(?:,|$)", re.M)

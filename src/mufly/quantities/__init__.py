@@ -1,0 +1,1 @@
+"""Quantities: units, their grammar, the table of recorded signals and the table of sensors."""
