@@ -368,7 +368,7 @@ def test_signals_and_a_kill_leave_no_motor_turning(tmp_path):
         (('axes = ["upper"]', ""), "names no axis"),
         (('cells = "cells.csv"', ""), "there are raw readings"),
         (("pace = 5.0", "paces = 5"), "did you mean 'pace'"),
-        (('port = "/dev/b"', 'port = "/dev/b"\nchannels = ["thrust_raw"]'), "which no device reads"),
+        (('port = "/dev/b"', 'port = "/dev/b"\nchannels = ["thrust_raw"]'), "which no device measures"),
     ],
 )
 def test_a_bench_file_says_what_is_wrong_with_it(tmp_path, change, message):

@@ -153,7 +153,7 @@ def test_a_series_that_cannot_be_trusted_is_refused(fault, kind):
     made = plan(repetitions=1, limits=BenchLimits(current_A=9, thrust_N=50, torque_Nm=1))
     record = measured(made, SimulatedRig(1, faults=fault))
     if kind in ("speed", "nonsense"):
-        with pytest.raises(InputError, match="contains no point that can be used"):
+        with pytest.raises(InputError, match="contains no usable point"):
             analyse_series(record)
         return
     assert kind in {d.kind for d in analyse_series(record).fatal_issues}

@@ -352,7 +352,7 @@ def test_a_makers_performance_file(tmp_path, new, code):
     assert_allclose(table["torque"] * table["speed"], cp * 1.225 * n**3 * D**5, rtol=2e-3)
     assert_allclose(table["airspeed"], np.tile([0, 0.2, 0.4], 2) * n * D, rtol=1e-4)
     assert_allclose([table.diameter_m, table["density"][0]], [D, 1.225])
-    assert any("computed performance, no measurement" in note for note in table.notes)
+    assert any("computed performance, not a measurement" in note for note in table.notes)
     assert any("1 lines without numbers" in note for note in table.notes)
 
 

@@ -46,7 +46,7 @@ def series(tmp_path_factory):
 def test_results_go_through_the_fits(series):
     said = output("bench", "analyse", str(series / "s"))
     assert "95 % intervals" in said
-    assert "of 6 intervals hold the truth" in said
+    assert "of 6 intervals contain the truth" in said
     results = series / "s" / "results"
     found = json.loads((results / "summary.json").read_text(encoding="utf-8"))
     density = f"{found['settings'][0]['density_kg_m3']:.4f}"

@@ -88,7 +88,7 @@ def test_nothing_happens_unarmed(pilot: Pilot) -> None:
         assert answer.is_temporary
     for answer in (a.go_to((1.0, 0.0, -1.0)), a.land(), a.pause(), a.return_home(), a.turn_to(1.0)):
         assert not answer
-        assert answer.reason == "it does not fly; take off first"
+        assert answer.reason == "the vehicle does not fly; take off first"
     pilot.run(1.0)
     assert np.all(np.array(pilot.sent) == 0.0)
     assert a.status.home_position is None
@@ -238,7 +238,7 @@ def test_disarming_and_stopping(pilot: Pilot) -> None:
     assert a.status.outcome == "failed"
     pilot.take_off()
     answer = a.disarm()
-    assert answer.reason == "it flies; land first, or stop it by force"
+    assert answer.reason == "the vehicle flies; land first, or disarm with force"
     assert a.disarm(force=True)
     n = len(pilot.sent)
     pilot.run(0.1)
@@ -417,7 +417,7 @@ def test_sticks_fly_and_are_missed(pilot: Pilot) -> None:
     assert a.arm()
     pilot.run(8.0, each=lambda: a.set_sticks(0.0, 0.0, 0.0, 0.3))
     assert -pilot.position[2] > 0.5
-    assert "let go of the sticks" in a.land().reason
+    assert "release the sticks" in a.land().reason
     pilot.run(STICKS_TIMEOUT_S + 0.1)
     assert a.status.state == "hover"
     assert "sticks lost: no message for 1 s" in pilot.texts
@@ -454,7 +454,7 @@ def test_a_mission_is_taken_whole_or_not_at_all(pilot: Pilot) -> None:
     pilot.take_off(0.5)
     assert a.load_mission(HOP), "in a hover without mission"
     assert a.start_mission(1)
-    assert "ask again" in a.load_mission(other).reason, "it might not have that waypoint"
+    assert "repeat the request" in a.load_mission(other).reason, "it might not have that waypoint"
     pilot.run(40.0, until=lambda: not a.status.armed)
     assert a.status.reached_count == 1
     assert "hop: 2 waypoints loaded" in pilot.texts
@@ -476,7 +476,7 @@ def test_a_take_off_breaks_off_for_land_and_waits_for_go_to(pilot: Pilot) -> Non
     a.arm()
     a.take_off(0.6)
     pilot.run(1.0)
-    assert "off the floor" in a.go_to((0.3, 0.0, -0.6)).reason
+    assert "wait for a height" in a.go_to((0.3, 0.0, -0.6)).reason
     assert a.land()
     pilot.run(0.1)
     assert (a.status.state, a.status.motors) == ("init", "ramp_down")

@@ -120,7 +120,7 @@ def test_offboard_during_a_take_off_is_refused_rather_than_forgotten(flight: Fli
         answer = a.set_offboard(True)
         assert not answer
         assert answer.is_temporary
-        assert "0.2 m off the floor" in answer.reason
+        assert "height of 0.2 m" in answer.reason
     assert run(flight, 6.0, until=lambda: flight.status.truth.position[2] < -0.35)
     assert a.send_set_point(UP)
     assert a.set_offboard(True)
@@ -158,7 +158,7 @@ def test_a_failed_flight_takes_no_mission_instead_of_landing(flight: Flight) -> 
     )
     answer = a.load_mission(Mission(name="other"))
     assert not answer
-    assert "it lands: no way around" in answer.reason
+    assert "the vehicle lands: no way around" in answer.reason
     assert run(flight, 15.0, until=lambda: not a.status.armed)
 
 

@@ -49,9 +49,9 @@ def go(*positions, **more):
         (
             go((4, 0, -1.7), box=[CRATE]),
             "waypoint[1].position_m",
-            "at a height of 1.70 m, passes the crate (from 0.00 m to 1.50 m high) where the level beams do not see",
+            "at a height of 1.70 m, passes the crate (from 0.00 m to 1.50 m high) where the level beams may miss",
         ),
-        (go((4, 0, -1.4), box=[CRATE]), "waypoint[1].position_m", "where the level beams do not see it well"),
+        (go((4, 0, -1.4), box=[CRATE]), "waypoint[1].position_m", "where the level beams may miss it"),
         (go((4, 0, -1.5), box=[SHELF]), "waypoint[1].position_m", "passes the shelf (from 1.70 m to 1.80 m"),
         (go((4, 0, -2.0), box=[SHELF]), "waypoint[1].position_m", "passes the shelf (from 1.70 m to 1.80 m"),
         (
@@ -85,7 +85,7 @@ def test_an_obstacle_on_a_leg_is_allowed_where_the_beams_see_it():
 
 def test_a_spline_that_swings_to_the_floor_is_refused():
     tables = go((2, 0, -0.21), (4, 0, -3), path={"kind": "spline"})
-    with pytest.raises(InputError, match="swings down to a height of"):
+    with pytest.raises(InputError, match="descends to a height of"):
         parse_mission(tables)
     parse_mission(go((2, 0, -0.21), (4, 0, -3)))
     parse_mission(go((2, 0, -1), (4, 0, -3), path={"kind": "spline"}))
@@ -177,7 +177,7 @@ def test_the_battery_has_to_last():
         check_mission(parse_mission(go((0, 0, -50), take_off={"height_m": 50.0})), **weak)
     with pytest.raises(InputError, match=r"waypoint\[2\].position_m: -90 m \(D\) is out of reach.*fly lower"):
         check_mission(parse_mission(go((1, 0, -1), (1, 0, -90))), **weak)
-    with pytest.raises(InputError, match=r"waypoint\[1\].position_m: is out of reach.*fly less far"):
+    with pytest.raises(InputError, match=r"waypoint\[1\].position_m: is out of reach.*shorten the path"):
         check_mission(parse_mission(go((200, 0, -1))), **weak)
     with pytest.raises(InputError, match=r"waypoint\[1\].wait_s: 600 is too long"):
         check_mission(parse_mission({"waypoint": [{"position_m": [1, 0, -1], "wait_s": 600}]}), **weak)
@@ -215,7 +215,7 @@ def test_a_way_home_over_a_box_that_the_beams_miss_is_refused():
     table = {"centre_m": [1.5, 1.5, -0.5], "size_m": [0.8, 0.8, 1.0], "name": "table"}
     corners = ((3, 0, -1.2), (3, 3, -1.2))
     parse_mission(go(*corners, box=[table]))
-    with pytest.raises(InputError, match=r"at_end: the way to it, at a height of 1\.20 m, passes the table"):
+    with pytest.raises(InputError, match=r"at_end: the path to it, at a height of 1\.20 m, passes the table"):
         parse_mission(go(*corners, box=[table], at_end="return"))
 
 

@@ -108,13 +108,13 @@ def vertex(first, n=0, e=0, command=5001, frame=1):
     [
         ([vertex(3), vertex(3, 1)], MissionResult.INVALID_SEQUENCE, "1 vertices of its polygon are missing"),
         ([vertex(2), vertex(2, 1)], MissionResult.INVALID_PARAM1, "give 3 or more"),
-        ([vertex(3), vertex(4, 1), vertex(3, 1, 1)], MissionResult.INVALID_PARAM1, "count differently"),
+        ([vertex(3), vertex(4, 1), vertex(3, 1, 1)], MissionResult.INVALID_PARAM1, "state different counts"),
         ([vertex(3), vertex(3, 1), vertex(2.0, 1, 1, 5003)], MissionResult.INVALID_SEQUENCE, "missing"),
         ([vertex(0.0, command=5003)], MissionResult.INVALID_PARAM1, "a radius of 0 m"),
         ([vertex(math.nan, command=5004)], MissionResult.INVALID_PARAM1, "radius"),
-        ([vertex(5.0, command=5003), vertex(6.0, command=5003)], MissionResult.UNSUPPORTED, "one polygon"),
-        ([vertex(5.0, command=5003, frame=0)], MissionResult.INVALID_PARAM5_X, "an origin"),
-        ([vertex(5.0, command=16)], MissionResult.UNSUPPORTED, "no fence"),
+        ([vertex(5.0, command=5003), vertex(6.0, command=5003)], MissionResult.UNSUPPORTED, "one inclusion polygon"),
+        ([vertex(5.0, command=5003, frame=0)], MissionResult.INVALID_PARAM5_X, "origin"),
+        ([vertex(5.0, command=16)], MissionResult.UNSUPPORTED, "not a fence item"),
     ],
 )
 def test_items_that_are_no_fence_are_refused_with_the_field(items, result, words):
@@ -180,7 +180,7 @@ def test_sticks_that_stay_out_are_stopped_and_may_fly_back():
             return False
 
         assert fly(-0.06, lambda: pilot.status.fence_breach_count == 1)
-        assert "wait until it holds" in pilot.set_sticks(0.0, -0.06, 0.0, 0.0).reason
+        assert "wait until it hovers" in pilot.set_sticks(0.0, -0.06, 0.0, 0.0).reason
         for _ in range(8):  # the mission's logic runs in every fourth
             f.step_period()
         assert pilot.status.state == "hover"

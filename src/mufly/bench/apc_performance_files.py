@@ -86,12 +86,17 @@ def read_apc_performance(path: str | Path) -> ApcPerformance | None:
                 lost += 1
     wanted = ("speed", "advance_ratio", "thrust_coefficient", "power_coefficient")
     if not rows or any(name not in rows[0][1] for name in wanted):
-        raise InputError(where, "", "has no lines of V, J, Ct and Cp below a PROP RPM", "give the maker's file whole")
+        raise InputError(
+            where,
+            "",
+            "has no lines of V, J, Ct and Cp below a PROP RPM",
+            "give an unchanged copy of the manufacturer's file",
+        )
     columns = {name: np.array([row[name] for _, row in rows]) for name in rows[0][1]}
     diameter = _INCH * float(size[1]) if size else math.nan
-    notes = [f"{where} is the maker's computed performance, no measurement"]
+    notes = [f"{where} is the manufacturer's computed performance, not a measurement"]
     if lost:
-        notes.append(f"{lost} lines without numbers are left out")
+        notes.append(f"{lost} lines without numbers are omitted")
     if "power" in columns:
         columns["torque"] = columns.pop("power") / columns["speed"]
     if "thrust" in columns and math.isfinite(diameter):

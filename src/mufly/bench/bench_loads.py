@@ -171,11 +171,11 @@ def calibrate_cells(table: BenchTable) -> CellCalibration:
     a = np.column_stack([np.ones(len(table)), loads])
     n, p = a.shape
     if n < p + 2:
-        raise table.column_error("", f"{n} lines are too few for {p} numbers a sensor", f"give {p + 2} or more")
+        raise table.column_error("", f"{n} lines are too few for {p} numbers of each sensor", f"give {p + 2} or more")
     size = np.abs(loads).max(axis=0)
     if np.linalg.matrix_rank(a / np.r_[1.0, size], tol=1e-6) < p:
         problem = "vary together, so cross-talk and gain cannot be separated"
-        raise table.column_error(" and ".join(channels), problem, "load each cell also without the other")
+        raise table.column_error(" and ".join(channels), problem, "also load each cell alone")
     order = np.argsort(table["time"], kind="stable") if "time" in table else np.arange(n)
     a, run = a[order], (table["run"].astype(np.int64)[order] if "run" in table else None)
     group = np.unique(loads[order], axis=0, return_inverse=True)[1].ravel().astype(np.int64)

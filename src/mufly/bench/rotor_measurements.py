@@ -73,7 +73,7 @@ def read_measurements(
     table = read_bench_file(path, columns=columns)
     radius = 0.5 * diameter_m if diameter_m else None
     if "speed" in table and speed_rad_s is not None:
-        raise table.column_error("speed", "is a column of the file", "leave out the speed given beside it")
+        raise table.column_error("speed", "is a column of the file", "omit the speed given in addition")
     if "speed" not in table and speed_rad_s:
         table = table.with_columns(speed=np.full(len(table), speed_rad_s))
     each, density = np.ones(len(table)), density_kg_m3 or math.nan
@@ -103,9 +103,9 @@ def read_measurements(
     table = _fix_signs(table)
     if not {"airspeed", "advance_ratio"} & set(table.columns):
         # In a tunnel the thrust may vanish or become negative (windmilling).
-        _require_column(table, "thrust", table["thrust"] != 0.0, "not be 0; leave the line out")
+        _require_column(table, "thrust", table["thrust"] != 0.0, "not be 0; delete the line")
         if "torque" in table:  # an empty cell is a point without torque
-            must = "be above 0: what the motor has to overcome, whichever way the rotor turns"
+            must = "be above 0 for either sense of rotation: it loads the motor"
             _require_column(table, "torque", ~(table["torque"] <= 0.0), must)
     speed = table["speed"]
     thinner = {n: 1.0 if n in made or not math.isfinite(density) else density / each for n in ("thrust", "torque")}
@@ -131,9 +131,9 @@ def _check_pitch_and_speed(table: BenchTable, pitch_rad: float | None) -> None:
     if "pitch" in table:
         table.require_columns(("pitch",))
         if pitch_rad is not None:
-            raise table.column_error("pitch", "is a column of the file", "leave out the pitch given beside it")
+            raise table.column_error("pitch", "is a column of the file", "omit the pitch given in addition")
         within = np.abs(table["pitch"]) <= _PITCH_LIMIT_RAD
-        _require_column(table, "pitch", within, "lie within 90 degrees; is its unit right?")
+        _require_column(table, "pitch", within, "lie within 90 degrees; check its unit")
     _require_column(table, "speed", table["speed"] > 0.0, "be above 0")
     table.require_columns([n for n in ("airspeed", "advance_ratio") if n in table])
 

@@ -108,7 +108,7 @@ def _check_convention(table: BenchTable, name: str) -> None:
     if name == "thrust_coefficient" and not select_axial_lines(table, None).any() and typical < _MIN_PROPELLER_CT:
         raise table.column_error(
             name, f"is near {typical:.3g}: T / (rho n^2 D^4) of a propeller or T / (rho A (Omega R)^2) of a rotor?",
-            f"say which: columns=propeller_CT={table.headers[name]} or columns=rotor_CT={table.headers[name]}",
+            f"choose one: columns=propeller_CT={table.headers[name]} or columns=rotor_CT={table.headers[name]}",
         )  # fmt: skip
 
 
@@ -216,7 +216,7 @@ def guess_load_units(
             what = " or ".join(u for u, _, _ in fits) if fits else "no unit"
             stem = table.headers[channel].strip()
             raise table.column_error(
-                channel, f"has no unit, and its size would do for {what}",
+                channel, f"has no unit, and its size suits {what}",
                 f"name it {channel}_{'N' if quantity == 'thrust' else 'Nm'} (or its unit), or map it with "
                 f"columns={channel}={stem}({'gf' if quantity == 'thrust' else 'mNm'})",
             )  # fmt: skip

@@ -682,7 +682,7 @@ class Autopilot:
         if not answer:
             return answer
         if self._command is not NO_COMMAND:
-            return reject_temporarily("another request is being carried out; ask again")
+            return reject_temporarily("another request is being carried out; repeat the request")
         m = self._estimate
         known = m is not None and bool(np.isfinite(m.position).all())
         n, e = (float(m.position[0]), float(m.position[1])) if m is not None and known else mission.start_m

@@ -113,10 +113,10 @@ class _RequestFacts:
     flying: bool
 
 
-MOTORS_STOPPING = "its motors are being stopped; ask again"
+MOTORS_STOPPING = "the motors are being stopped; repeat the request"
 """Reason for refusals between a stop and the step that executes it."""
 
-_MEASUREMENTS_LOST = reject_temporarily("measurements are lost; it comes down by itself", "comes down")
+_MEASUREMENTS_LOST = reject_temporarily("measurements are lost; the vehicle descends by itself", "comes down")
 
 
 def _allow_always(f: _RequestFacts) -> RequestAnswer:
@@ -130,12 +130,14 @@ def _allow_at_rest(f: _RequestFacts) -> RequestAnswer:
 
 def _allow_grounded(f: _RequestFacts) -> RequestAnswer:
     return (
-        reject_temporarily("it flies; land first, or stop it by force", "in flight") if f.flying else REQUEST_ACCEPTED
+        reject_temporarily("the vehicle flies; land first, or disarm with force", "in flight")
+        if f.flying
+        else REQUEST_ACCEPTED
     )
 
 
 def _deny_in_air(f: _RequestFacts) -> RequestAnswer:
-    return reject_temporarily(f"it is in state {str(f.context.state)!r} already", "in the air")
+    return reject_temporarily(f"the vehicle is already in state {str(f.context.state)!r}", "in the air")
 
 
 def _allow_armed(f: _RequestFacts) -> RequestAnswer:
@@ -145,7 +147,7 @@ def _allow_armed(f: _RequestFacts) -> RequestAnswer:
 
 
 def _deny_on_floor(f: _RequestFacts) -> RequestAnswer:
-    return reject_temporarily("it does not fly; take off first", "on the floor")
+    return reject_temporarily("the vehicle does not fly; take off first", "on the floor")
 
 
 def _allow_unless_blind(f: _RequestFacts) -> RequestAnswer:
@@ -153,20 +155,20 @@ def _allow_unless_blind(f: _RequestFacts) -> RequestAnswer:
 
 
 def _deny_manual(f: _RequestFacts) -> RequestAnswer:
-    return _allow_unless_blind(f) and reject_temporarily("the pilot flies; let go of the sticks first", "flown by hand")
+    return _allow_unless_blind(f) and reject_temporarily("the pilot flies; release the sticks first", "flown by hand")
 
 
 def _allow_unless_failed(f: _RequestFacts) -> RequestAnswer:
     """Accept if the vehicle knows its position and the mission has not failed."""
     failed = f.context.outcome == "failed"
     return _allow_unless_blind(f) and (
-        reject_temporarily(f"it lands: {f.context.reason}", "landing") if failed else REQUEST_ACCEPTED
+        reject_temporarily(f"the vehicle lands: {f.context.reason}", "landing") if failed else REQUEST_ACCEPTED
     )
 
 
 def _deny_landing(f: _RequestFacts) -> RequestAnswer:
     return _allow_unless_failed(f) and reject_temporarily(
-        f"it lands; pause first (above {GO_AROUND_HEIGHT_M:g} m)", "landing"
+        f"the vehicle lands; pause first (above {GO_AROUND_HEIGHT_M:g} m)", "landing"
     )
 
 
@@ -176,7 +178,7 @@ def _allow_go_around(f: _RequestFacts) -> RequestAnswer:
         return _deny_landing(f)
     low = f.height_m <= GO_AROUND_HEIGHT_M
     return (
-        reject_temporarily(f"landing, and below {GO_AROUND_HEIGHT_M:g} m already", "landing")
+        reject_temporarily(f"landing below {GO_AROUND_HEIGHT_M:g} m, too low to abort", "landing")
         if low
         else REQUEST_ACCEPTED
     )
@@ -186,14 +188,14 @@ def _allow_lifted(f: _RequestFacts) -> RequestAnswer:
     """Accept if the vehicle is safely off the floor."""
     if f.motors == "spin_up" or f.height_m < OFF_FLOOR_HEIGHT_M:
         return _allow_unless_failed(f) and reject_temporarily(
-            f"taking off; wait until it is {OFF_FLOOR_HEIGHT_M:g} m off the floor", "taking off"
+            f"taking off; wait for a height of {OFF_FLOOR_HEIGHT_M:g} m", "taking off"
         )
     return _allow_unless_failed(f)
 
 
 def _deny_busy(f: _RequestFacts) -> RequestAnswer:
     return reject_temporarily(
-        f"in state {str(f.context.state)!r} no mission is taken; pause or land first", "in flight"
+        f"in state {str(f.context.state)!r} no mission can be loaded; pause or land first", "in flight"
     )
 
 

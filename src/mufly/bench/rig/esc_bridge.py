@@ -95,7 +95,7 @@ class EscBridge:
                 self._process_lines(left)
                 if any(a[: len(answer)] == answer for a in self._replies):
                     return
-        raise DeviceError(f"{self.name}: does not take {body!r}")
+        raise DeviceError(f"{self.name}: does not accept {body!r}")
 
     def open(self) -> None:
         self._line.open()

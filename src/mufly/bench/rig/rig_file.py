@@ -42,18 +42,18 @@ class DeviceTable(ParameterGroup):
         description="'epos', 'esc', 'stand', 'cells' or 'nidaq'"
     )
     port: str = Field(default="", description="serial port")
-    baud: int = Field(default=115_200, ge=300, description="of the port")
-    axes: tuple[RotorSide, ...] = Field(default=(), description="what it turns: 'upper', 'lower'")
-    channels: tuple[str, ...] = Field(default=(), description="of cells, in the device's order")
+    baud: int = Field(default=115_200, ge=300, description="baud rate of the port")
+    axes: tuple[RotorSide, ...] = Field(default=(), description="axis that the device drives: 'upper' or 'lower'")
+    channels: tuple[str, ...] = Field(default=(), description="names of the load cells, in the device's order")
     node: int = Field(default=1, ge=1, le=127, description="EPOS: node")
     generation: Literal[2, 4] = Field(default=4, description="EPOS: 2 or 4")
-    direction: Literal[-1, 1] = Field(default=1, description="EPOS: sense of rotation that lifts")
+    direction: Literal[-1, 1] = Field(default=1, description="EPOS: sense of rotation with upward thrust")
     gear: float = Field(default=1.0, gt=0, description="EPOS: motor speed over rotor speed")
     inputs: dict[str, str] = Field(default_factory=dict, description="nidaq: channel to input, as 'Dev1/ai0'")
-    scale: dict[str, float] = Field(default_factory=dict, description="nidaq: units of a channel for a volt")
-    rate_Hz: float = Field(default=100.0, gt=0, description="nidaq: readings a second")
-    average: int = Field(default=20, ge=1, description="nidaq: samples averaged to a reading")
-    range_V: float = Field(default=10.0, gt=0, description="nidaq: of the inputs, to either side")
+    scale: dict[str, float] = Field(default_factory=dict, description="nidaq: units of each channel per volt")
+    rate_Hz: float = Field(default=100.0, gt=0, description="nidaq: readings per second")
+    average: int = Field(default=20, ge=1, description="nidaq: samples averaged to one reading")
+    range_V: float = Field(default=10.0, gt=0, description="nidaq: range of the inputs, plus and minus")
 
     @model_validator(mode="after")
     def _check_completeness(self) -> DeviceTable:
@@ -94,19 +94,25 @@ class DeviceTable(ParameterGroup):
 class RigTable(ParameterGroup):
     """Contents of a bench file."""
 
-    name: str = Field(min_length=1, description="of the bench")
-    cells: str = Field(default="", description="calibration file of the cells; none where readings are loads already")
+    name: str = Field(min_length=1, description="name of the bench")
+    cells: str = Field(default="", description="calibration file of the cells; none if readings are loads")
     device: tuple[DeviceTable, ...] = Field(min_length=1, description="devices")
-    upper_torque_sign: Literal[-1, 1] = Field(default=1, description="of the upper rotor's drag on the torque cell")
-    lower_torque_sign: Literal[-1, 1] = Field(default=-1, description="of the lower rotor's")
+    upper_torque_sign: Literal[-1, 1] = Field(
+        default=1, description="sign of the upper rotor's torque on the torque cell"
+    )
+    lower_torque_sign: Literal[-1, 1] = Field(
+        default=-1, description="sign of the lower rotor's torque on the torque cell"
+    )
     pressure_std_Pa: float = Field(default=100.0, ge=0, description="standard uncertainty")
     temperature_std_K: float = Field(default=0.3, ge=0, description="standard uncertainty")
     humidity_std: float = Field(default=0.03, ge=0, le=1, description="standard uncertainty")
-    nonlinearity: dict[str, float] = Field(default_factory=dict, description="of a load, as a share of full scale")
-    full_scale: dict[str, float] = Field(default_factory=dict, description="of a load, N or N m")
-    poll_Hz: float = Field(default=20.0, gt=0, le=1000, description="how often devices are asked")
-    manual: bool = Field(default=True, description="whether somebody changes the blades")
-    pace: float = Field(default=1.0, gt=0, le=100, description="of an emulated bench: its seconds in one of ours")
+    nonlinearity: dict[str, float] = Field(
+        default_factory=dict, description="nonlinearity of each load, as a share of full scale"
+    )
+    full_scale: dict[str, float] = Field(default_factory=dict, description="full scale of each load, N or N m")
+    poll_Hz: float = Field(default=20.0, gt=0, le=1000, description="rate at which the devices are read")
+    manual: bool = Field(default=True, description="true if a person changes the blades")
+    pace: float = Field(default=1.0, gt=0, le=100, description="seconds of an emulated bench per second of real time")
 
     @model_validator(mode="after")
     def _check_axes(self) -> RigTable:
@@ -128,9 +134,7 @@ def load_rig(path: str | Path) -> DeviceRig:
     """
     file = Path(path)
     if not file.is_file():
-        raise InputError(
-            str(path), "", "no such bench", "write 'sim', or the name of a bench's file (docs/reference/bench.md)"
-        )
+        raise InputError(str(path), "", "no such bench", "give 'sim' or a bench file (docs/reference/bench.md)")
     tables, where = read_toml(file, file.parent, "bench")
     table = validate_model(RigTable, tables, where)
     calibration = {}
@@ -140,9 +144,11 @@ def load_rig(path: str | Path) -> DeviceRig:
         raw = {f"{c}_raw" for c in calibration["channels"]}
         if ranges and not raw <= set(ranges):
             missing = ", ".join(sorted(raw - set(ranges)))
-            raise InputError(where, "cells", f"calibrates {missing}, which no device reads", "name it in its channels")
+            raise InputError(
+                where, "cells", f"calibrates {missing}, which no device measures", "name it in its channels"
+            )
     elif any(n.endswith("_raw") for n in ranges):
-        raise InputError(where, "cells", "is missing, but there are raw readings", "name the calibration's file")
+        raise InputError(where, "cells", "is missing, but there are raw readings", "give the calibration file")
     facts = BenchFacts(
         table.name, calibration, ranges, table.nonlinearity, table.full_scale, table.pressure_std_Pa,
         table.temperature_std_K, table.humidity_std,

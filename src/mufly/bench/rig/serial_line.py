@@ -50,7 +50,9 @@ class SerialLine:
             self._line.reset_input_buffer()
         except (OSError, ValueError) as error:
             self._line = None
-            raise DeviceError(f"{self.name}: cannot be opened ({error}); is it plugged in, and yours?") from error
+            raise DeviceError(
+                f"{self.name}: cannot be opened ({error}); check the plug and the permission to use the port"
+            ) from error
 
     def write(self, data: bytes) -> None:
         """Send bytes."""
@@ -59,7 +61,7 @@ class SerialLine:
         try:
             self._line.write(data)
         except OSError as error:  # includes pyserial's own exceptions and timeouts
-            raise DeviceError(f"{self.name}: takes no bytes ({error})") from error
+            raise DeviceError(f"{self.name}: accepts no data ({error})") from error
 
     def read(self, wait_s: float = 0.0) -> bytes:
         """Return the received bytes; wait up to ``wait_s`` for the first byte."""
@@ -73,7 +75,7 @@ class SerialLine:
                 return bytes(first + self._line.read(self._line.in_waiting)) if first else b""
             return bytes(self._line.read(waiting)) if waiting else b""
         except OSError as error:
-            raise DeviceError(f"{self.name}: is gone ({error})") from error
+            raise DeviceError(f"{self.name}: is disconnected ({error})") from error
 
     def close(self) -> None:
         """Close."""

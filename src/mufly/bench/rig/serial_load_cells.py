@@ -55,7 +55,7 @@ class SerialLoadCells:
         for _ in range(40):
             if self._line.read_lines(0.1):
                 return
-        raise DeviceError(f"{self.name}: sends nothing; check its sketch and the baud rate")
+        raise DeviceError(f"{self.name}: sends no data; check the sketch and the baud rate")
 
     def set_speed(self, axis: str, speed_rad_s: float) -> None:
         raise DeviceError(f"{self.name}: turns nothing")

@@ -71,7 +71,7 @@ class ThrustStand:
             if self._columns:
                 self._last_row_s = time.monotonic()
                 return
-        raise DeviceError(f"{self.name}: gives no row of headers; are port and baud rate right?")
+        raise DeviceError(f"{self.name}: sends no header row; check port and baud rate")
 
     def _read_rows(self, wait_s: float = 0.0) -> list[list[float]]:
         data = self._partial_row + self._line.read(wait_s)

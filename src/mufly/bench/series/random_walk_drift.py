@@ -136,7 +136,7 @@ def fit_random_walk(
     """
     x = np.ones((time.size, 1)) if design is None else design
     if time.size < x.shape[1] or not (np.all(np.isfinite(reading)) and np.all(np.isfinite(std))):
-        raise ValueError("too few readings, or readings that are no numbers")
+        raise ValueError("too few readings, or readings that are not numbers")
     at = float(time.min()) if start is None else start
     floor = 1e-9 * max(float(np.abs(reading).max()), 1e-12)
     u = np.maximum(std, floor)

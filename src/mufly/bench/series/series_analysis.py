@@ -181,9 +181,7 @@ def analyse_series(
     good = everything.at_speed & everything.settled & ~everything.saturated & (everything.spike_share < 0.02)
     points = everything.select_readings(good)
     if not len(points):
-        raise InputError(
-            "record", "", "contains no point that can be used", doubts[0].text if doubts else "measure again"
-        )
+        raise InputError("record", "", "contains no usable point", doubts[0].text if doubts else "measure again")
     zeros = zeros.select_readings(~zeros.saturated & (zeros.spike_share < 0.02))
     density, relative, words = compute_air_density(points, facts)
     speed = axis_speeds(points, plan)
@@ -193,9 +191,7 @@ def analyse_series(
         doubts += check_reference(name, channel, plan)
         doubts += find_outliers(name, channel, points, plan, density, speed)
         if name == "thrust" and np.mean(channel.value < 0) > 0.5:
-            doubts.append(
-                SeriesIssue("polarity", "thrust is below zero: the force cell's sign is the wrong way round", True)
-            )
+            doubts.append(SeriesIssue("polarity", "thrust is below zero: invert the sign of the force cell", True))
     torque = loads.get("torque")
     alone = _reference_torque(points, plan, density, speed, known)
     told = split_torque(points, plan, facts, speed, torque, alone, known_relative_std, start)
@@ -251,12 +247,13 @@ def _describe_drifts(loads: dict[str, LoadChannel], points: SeriesReadings) -> l
             f"{span / 60:.0f} min; followed to {math.sqrt(float(np.mean(np.diag(cov)))):.2g}"
         )
         if c.gain_drift is None:
-            out.append(f"{name}: the reference was not mounted twice, so that a drift of the gain is not seen")
+            out.append(f"{name}: the reference was not mounted twice, so a drift of the gain is unknown")
         else:
             gain, gcov = c.gain_drift.predict_drift(points.time_s)
             out.append(
                 f"{name}: gain drifts by {100 * (gain[-1]):+.2f} % to the end, corrected to "
-                f"{100 * math.sqrt(float(np.mean(np.diag(gcov)))):.2f} % by {len(c.reference_visits)} visits of "
+                f"{100 * math.sqrt(float(np.mean(np.diag(gcov)))):.2f} % by {len(c.reference_visits)} "
+                "visits of "
                 f"the reference"
             )
     return out
@@ -322,7 +319,7 @@ def find_outliers(
                 SeriesIssue(
                     "outlier",
                     f"{name} of {m.describe_mounting()} at {points.nominal_rpm[at[i]]:g} rpm is {100 * off[i]:+.1f} +- "
-                    f"{200 * std[i]:.1f} % off the line of its other speeds: measure it again",
+                    f"{200 * std[i]:.1f} % from the line through its other speeds: measure it again",
                     False,
                 )
             )
@@ -361,7 +358,7 @@ def _check_torque_split(split: TorqueSplit) -> list[SeriesIssue]:
         return [
             SeriesIssue(
                 "split",
-                f"currents and torque cell disagree about the pair by {np.median(np.abs(off)):.1f} standard "
+                f"currents and torque cell differ for the pair by {np.median(np.abs(off)):.1f} standard "
                 "uncertainties in the median: a motor has changed since it was calibrated",
                 True,
             )

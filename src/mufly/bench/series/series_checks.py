@@ -65,14 +65,15 @@ def find_series_issues(
     slow = points.select_readings(~points.at_speed | ~points.settled)
     if len(slow):
         text = f"{len(slow)} of {n} points did not reach their speed or did not settle ({describe_points(slow)})"
-        out.append(SeriesIssue("speed", f"{text}: they are left out", len(slow) > MAX_BAD_POINT_SHARE * n))
+        out.append(SeriesIssue("speed", f"{text}: these points are omitted", len(slow) > MAX_BAD_POINT_SHARE * n))
     wild = points.select_readings(points.spike_share >= 0.02)
     if len(wild):
-        text = f"more than 2 % of a cell's samples were nonsense at {len(wild)} of {n} points ({describe_points(wild)})"
+        text = f"more than 2 % of a cell's samples were invalid at {len(wild)} of {n} points "
+        f"({describe_points(wild)})"
         out.append(
             SeriesIssue(
                 "nonsense",
-                f"{text}: look at the wiring; they are left out",
+                f"{text}: check the wiring; these points are omitted",
                 len(wild) > MAX_BAD_POINT_SHARE * n,
             )
         )
@@ -91,9 +92,7 @@ def find_series_issues(
         if x["what"] not in ("mounted", "resumed"):
             out.append(SeriesIssue("interrupted", f"{x['what']}: {x.get('why', '')}", False))
     if record.broken_lines:
-        out.append(
-            SeriesIssue("broken", f"{record.broken_lines} lines of the record are damaged and passed over", False)
-        )
+        out.append(SeriesIssue("broken", f"{record.broken_lines} lines of the record are damaged and skipped", False))
     return sorted(out, key=lambda d: not d.is_fatal)
 
 
@@ -111,7 +110,7 @@ def _check_zero_jumps(points: SeriesReadings, zeros: SeriesReadings) -> list[Ser
                 SeriesIssue(
                     "zero",
                     f"the zero of {name} jumped by {100 * step[k] / largest:.0f} % of the largest load at "
-                    f"{(zeros.time_s[k] - zeros.time_s[0]) / 60:.0f} min: something touched the bench",
+                    f"{(zeros.time_s[k] - zeros.time_s[0]) / 60:.0f} min: the bench was touched or moved",
                     True,
                 )
             )

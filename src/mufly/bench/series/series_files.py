@@ -252,5 +252,7 @@ def compare_with_theory(
                     )
                 )
     if not out:
-        raise InputError(series.name, "", "holds visits of the reference rotor only", "measure another rotor, too")
+        raise InputError(
+            series.name, "", "contains only mountings of the reference rotor", "measure another rotor, too"
+        )
     return out

@@ -38,23 +38,23 @@ SIDES_BY_AXIS: dict[str, tuple[RotorSide, ...]] = {
 class BenchLimits(ParameterGroup):
     """Limits beyond which the bench stops at once."""
 
-    speed_rpm: float = Field(default=9000.0, gt=0, description="of either rotor")
-    current_A: float = Field(default=3.0, gt=0, description="of either motor")
-    thrust_N: float = Field(default=5.0, gt=0, description="on the force cell, either way")
-    torque_Nm: float = Field(default=0.05, gt=0, description="on the torque cell, either way")
-    vibration_m_s2: float = Field(default=60.0, gt=0, description="root mean square, where it is measured")
-    motor_temperature_degC: float = Field(default=90.0, gt=0, description="where it is measured")
+    speed_rpm: float = Field(default=9000.0, gt=0, description="largest speed of either rotor")
+    current_A: float = Field(default=3.0, gt=0, description="largest current of either motor")
+    thrust_N: float = Field(default=5.0, gt=0, description="limit of the force cell, plus and minus")
+    torque_Nm: float = Field(default=0.05, gt=0, description="limit of the torque cell, plus and minus")
+    vibration_m_s2: float = Field(default=60.0, gt=0, description="limit of the vibration (rms), if measured")
+    motor_temperature_degC: float = Field(default=90.0, gt=0, description="largest temperature of a motor, if measured")
 
 
 class StepTimes(ParameterGroup):
     """Durations of the steps (s)."""
 
-    warm_up_s: float = Field(default=600.0, ge=0, description="reference rotor at its middle speed, at first")
-    settle_s: float = Field(default=30.0, gt=0, description="at most, until speed and loads stand")
-    window_s: float = Field(default=1.0, gt=0, description="two such windows have to agree")
-    average_s: float = Field(default=4.0, gt=0, description="of a point, at least")
-    longest_s: float = Field(default=16.0, gt=0, description="of a point, at most")
-    tare_s: float = Field(default=4.0, gt=0, description="of a zero")
+    warm_up_s: float = Field(default=600.0, ge=0, description="warm-up time of the reference rotor at its middle speed")
+    settle_s: float = Field(default=30.0, gt=0, description="longest time until speed and loads are steady")
+    window_s: float = Field(default=1.0, gt=0, description="length of a window; two successive windows have to agree")
+    average_s: float = Field(default=4.0, gt=0, description="averaging time of a point, at least")
+    longest_s: float = Field(default=16.0, gt=0, description="averaging time of a point, at most")
+    tare_s: float = Field(default=4.0, gt=0, description="averaging time of a zero reading")
 
 
 class BladeMounting(ParameterGroup):
@@ -66,9 +66,11 @@ class BladeMounting(ParameterGroup):
     pitch_deg: float = Field(ge=-45, le=45, description="setting of the blades")
     lower_rotor: str = Field(default="", description="of a pair")
     lower_pitch_deg: float = Field(default=0.0, ge=-45, le=45, description="of a pair")
-    repetition: int = Field(default=1, ge=1, description="which mounting of this setting")
+    repetition: int = Field(default=1, ge=1, description="number of this mounting of the same setting")
     speeds_rpm: tuple[float, ...] = Field(min_length=1, description="in the order of measurement")
-    speed_ratio: float = Field(default=1.0, gt=0.2, lt=5.0, description="of a pair: lower over upper speed")
+    speed_ratio: float = Field(
+        default=1.0, gt=0.2, lt=5.0, description="pair: speed of the lower rotor over that of the upper"
+    )
 
     @model_validator(mode="after")
     def _check_completeness(self) -> BladeMounting:
@@ -79,9 +81,7 @@ class BladeMounting(ParameterGroup):
                 "the reference rotor is measured on a single axis", "give axis 'upper' or 'lower'", "axis"
             )
         if min(self.speeds_rpm) <= 0:
-            raise model_error(
-                "a speed is not above 0", "leave it out: zero readings are taken automatically", "speeds_rpm"
-            )
+            raise model_error("a speed is not above 0", "omit it: zero readings are taken automatically", "speeds_rpm")
         return self
 
     @property
@@ -98,16 +98,16 @@ class BladeMounting(ParameterGroup):
         """Return a description of the blades to mount."""
         if self.axis == "pair":
             return f"{self.rotor} at {self.pitch_deg:g} deg above {self.lower_rotor} at {self.lower_pitch_deg:g} deg"
-        return f"{self.rotor} at {self.pitch_deg:g} deg on the {self.axis} axis, nothing on the other"
+        return f"{self.rotor} at {self.pitch_deg:g} deg on the {self.axis} axis, no rotor on the other"
 
 
 class SeriesPlan(ParameterGroup):
     """Plan of a series: mountings in order, durations and limits."""
 
     name: str = Field(min_length=1, description="of the series")
-    seed: int = Field(default=0, description="from which the order was drawn")
-    tare_every: int = Field(default=4, ge=1, description="points after which the zero is read again")
-    spacing_m: float = Field(default=0.04, gt=0, description="between the discs of a pair")
+    seed: int = Field(default=0, description="seed of the random order")
+    tare_every: int = Field(default=4, ge=1, description="number of points between two zero readings")
+    spacing_m: float = Field(default=0.04, gt=0, description="distance between the discs of a pair")
     limits: BenchLimits = Field(default_factory=BenchLimits)
     times: StepTimes = Field(default_factory=StepTimes)
     mounting: tuple[BladeMounting, ...] = Field(min_length=1, description="in the order of measurement")

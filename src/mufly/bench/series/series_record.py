@@ -99,7 +99,7 @@ def read_lines(path: Path) -> tuple[list[dict[str, Any]], int]:
         lines.append(json.loads(body))
     if lines and lines[0].get("kind") != "head":
         raise InputError(
-            str(path), "", "does not begin with the record's header", "take the file out and measure again"
+            str(path), "", "does not begin with the record's header", "move the file away and measure again"
         )
     return lines, broken
 
@@ -114,7 +114,7 @@ def read_record(folder: str | Path) -> SeriesRecord:
     """
     path = Path(folder) / RECORD_FILE_NAME
     if not path.is_file():
-        raise InputError(str(folder), "", f"contains no {RECORD_FILE_NAME}", "name the folder of `mufly bench run`")
+        raise InputError(str(folder), "", f"contains no {RECORD_FILE_NAME}", "give the folder of `mufly bench run`")
     record = SeriesRecord()
     record.lines, record.broken_lines = read_lines(path)
     if not record.lines:

@@ -223,10 +223,10 @@ def run_series(
 def _check_plan(plan: SeriesPlan, rig: BenchRig, record: SeriesRecord) -> None:
     missing = {a for m in plan.mounting for a in m.turning_sides} - set(rig.axes)
     if missing:
-        raise InputError("plan", "mounting", f"needs the axis {', '.join(sorted(missing))}", "this bench has "
-                         f"{', '.join(rig.axes) or 'none'}; plan for that")  # fmt: skip
+        raise InputError("plan", "mounting", f"needs the axis {', '.join(sorted(missing))}", "this bench "
+        "has {', '.join(rig.axes) or 'none'}; change the plan")  # fmt: skip
     if record.lines and record.header_line.get("digest") != plan.digest():
-        raise InputError("plan", "", "is not the one of this record", "give another folder, or the plan of this one")
+        raise InputError("plan", "", "is not the plan of this record", "give another folder, or the plan of this one")
     if not record.lines:
         return
     then, now = (json.loads(json.dumps(f)) for f in (record.header_line["facts"], rig.facts.to_dict()))
@@ -315,7 +315,7 @@ class _SeriesRunner:
         """Wait until all rotors are at rest, before a change of blades."""
         until = self.rig.now() + self.plan.times.settle_s
         while self.rig.now() < until:
-            self._report_progress(number, "waiting for the rotors to stand still")
+            self._report_progress(number, "waiting for the rotors to stop")
             block = self._collect_samples(0.5)
             if all(len(v) and abs(float(v[-1])) < _REST_SPEED_rad_s for k, v in block.items() if k.startswith("speed")):
                 return

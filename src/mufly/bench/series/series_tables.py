@@ -68,7 +68,8 @@ def series_blocks(found: SeriesResult) -> list[ShownBlock]:
     ]
     if all(s.mountings < 2 for s in found.settings):
         text = (
-            "no setting was mounted twice: intervals hold for the blades as mounted, without the error of their pitch"
+            "no setting was mounted twice: intervals are valid for the blades as mounted, without the error "
+            "of their pitch"
         )
         blocks.append(show_lines(text))
     inside = [
@@ -78,7 +79,7 @@ def series_blocks(found: SeriesResult) -> list[ShownBlock]:
         if (load := getattr(s, name)) is not None and f"nominal_{name}" in s.truth
     ]
     if inside:
-        blocks.append(show_lines(f"simulated bench: {sum(inside)} of {len(inside)} intervals hold the truth"))
+        blocks.append(show_lines(f"simulated bench: {sum(inside)} of {len(inside)} intervals contain the truth"))
     for d in found.doubts:
         mark, style = ("REFUSED", "red") if d.is_fatal else ("note", "yellow")
         blocks.append(show_lines(d.text, mark=mark, style=style))

@@ -100,7 +100,8 @@ def split_torque(
         if train.size < _MIN_TRAINING_POINTS or np.ptp(speed[side][train]) < 0.2 * speed[side][train].max():
             return (
                 f"the torques of a pair cannot be separated: the {side} motor's current was calibrated at "
-                f"{train.size} points; mount the reference alone on that axis, at five speeds over the whole range"
+                f"{train.size} points; mount the reference alone on that axis, at five speeds over the "
+                "whole range"
             )
         design = np.column_stack([current, -np.ones(n), -speed[side]])
         k = float(np.linalg.lstsq(design[train], q[train], rcond=None)[0][0])

@@ -161,7 +161,7 @@ def check_fence(mission: Mission, where: str) -> None:
 def _refuse_outside(fence: Fence, places: Sequence[Sequence[float]], where: str, key: str) -> None:
     fault = fence_fault(fence, places, FENCE_MARGIN_M)
     if fault:
-        raise InputError(where, key, f"leads {fault}", "keep it inside, or widen [fence]")
+        raise InputError(where, key, f"leads {fault}", "move it inside, or enlarge [fence]")
 
 
 def fence_outlines(fence: Fence) -> list[tuple[bool, list[tuple[float, float]]]]:
@@ -240,7 +240,9 @@ def fence_from_items(items: Sequence[MissionItem], base: Fence | None, origin: G
                 left = _vertex_count(item)
                 zones[item.command].append([])
             elif item.params[0] != items[item.seq - 1].params[0]:
-                raise _make_refusal(item, MissionResult.INVALID_PARAM1, "vertices of one polygon count differently")
+                raise _make_refusal(
+                    item, MissionResult.INVALID_PARAM1, "vertices of one polygon state different counts"
+                )
             zones[item.command][-1].append(_read_level_place(item, origin))
             left -= 1
         elif item.command in circles:
@@ -251,7 +253,7 @@ def fence_from_items(items: Sequence[MissionItem], base: Fence | None, origin: G
                 )
             circles[item.command].append((*_read_level_place(item, origin), float(f"{radius:.7g}")))
         elif item.command != MissionCommand.NAV_FENCE_RETURN_POINT:
-            raise _make_refusal(item, MissionResult.UNSUPPORTED, f"command {item.command} is no fence")
+            raise _make_refusal(item, MissionResult.UNSUPPORTED, f"command {item.command} is not a fence item")
     if left:
         raise _make_refusal(items[-1], MissionResult.INVALID_SEQUENCE, f"{left} vertices of its polygon are missing")
     for command, many in (
@@ -260,7 +262,9 @@ def fence_from_items(items: Sequence[MissionItem], base: Fence | None, origin: G
     ):
         if len(many) > 1:
             last = next(i for i in reversed(items) if i.command == command)
-            raise _make_refusal(last, MissionResult.UNSUPPORTED, "one polygon and one circle to stay in are known here")
+            raise _make_refusal(
+                last, MissionResult.UNSUPPORTED, "only one inclusion polygon and one inclusion circle are supported"
+            )
     parts: dict[str, Any] = {} if base is None else {"ceiling_m": base.ceiling_m, "action": base.action}
     if not items and parts.get("ceiling_m") is None:
         return None
@@ -293,5 +297,5 @@ def _vertex_count(item: MissionItem) -> int:
 def _read_level_place(item: MissionItem, origin: GlobalOrigin | None) -> tuple[float, float]:
     n, e = read_level_place(item, origin)
     if not (math.isfinite(n) and math.isfinite(e)):
-        raise _make_refusal(item, MissionResult.INVALID_PARAM5_X, "it needs LOCAL_NED (1), or the vehicle an origin")
+        raise _make_refusal(item, MissionResult.INVALID_PARAM5_X, "use LOCAL_NED (1), or set the vehicle's origin")
     return round(n, 4), round(e, 4)

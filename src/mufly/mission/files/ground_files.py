@@ -149,7 +149,7 @@ def _parse_waypoint_file(text: str, where: str) -> GroundFile:
             continue
         key = f"line {k}"
         if len(parts) != 12:
-            problem = f"has {len(parts)} columns where a waypoint has 12"
+            problem = f"has {len(parts)} columns; a waypoint has 12"
             raise InputError(where, key, problem, "save the file again in the ground station")
         try:
             _, _, frame, command, *rest, _ = parts
@@ -184,7 +184,7 @@ def _make_item(seq: int, frame: int, command: int, numbers: Sequence[float], whe
     scale = 1e4 if frame in LOCAL_FRAMES else 1e7
     p1, p2, p3, p4, *level, z = numbers
     if any(math.isinf(v) for v in numbers) or any(abs(v) * scale >= COORDINATE_NOT_GIVEN for v in level):
-        raise InputError(where, key, "has a number that is not a place", _REMEDY)
+        raise InputError(where, key, "has an invalid coordinate", _REMEDY)
     x, y = (COORDINATE_NOT_GIVEN if math.isnan(v) else round(v * scale) for v in level)
     return MissionItem(seq, frame, command, params=(p1, p2, p3, p4), x=x, y=y, z=z)
 
@@ -199,7 +199,7 @@ def _parse_plan(text: str, where: str) -> GroundFile:
         raise InputError(where, "", f"is not valid JSON ({error})", "save the plan again") from None
     kind = content.get("fileType") if isinstance(content, dict) else None
     if kind != "Plan":
-        problem = "is JSON, but no plan" if kind is None else f"is of the type {str(kind)[:30]!r}, no plan"
+        problem = "is JSON, but no plan" if kind is None else f"is of the type {str(kind)[:30]!r}, not a plan"
         raise InputError(where, "fileType", problem, "give a QGroundControl plan (.plan), or a mission file in TOML")
     mission = _require_table(content.get("mission"), where, "mission")
     items: list[MissionItem] = []
@@ -261,7 +261,7 @@ def _parse_plan_item(seq: int, entry: Mapping[str, Any], where: str, key: str) -
     try:
         numbers = [_NAN if v is None else float(v) for v in params]
     except (TypeError, ValueError):
-        raise InputError(where, key, "has params that are no numbers", "save the plan again") from None
+        raise InputError(where, key, "has params that are not numbers", "save the plan again") from None
     assert isinstance(frame, int)
     assert isinstance(command, int)
     return _make_item(seq, frame, command, numbers, where, key)

@@ -97,7 +97,7 @@ def check_geometry(mission: Mission, where: str) -> None:
             raise InputError(
                 where,
                 key,
-                f"the spline to it swings down to a height of {-track[:, 2].max():.2f} m",
+                f"the spline to it descends to a height of {-track[:, 2].max():.2f} m",
                 f'keep it above {MIN_WAYPOINT_HEIGHT_M:g} m, or use path.kind = "straight"',
             )
         _check_over_and_under(mission, where, key, track)
@@ -159,8 +159,9 @@ def _check_over_and_under(mission: Mission, where: str, key: str, track: NDArray
             raise InputError(
                 where,
                 key,
-                f"the way to it, at a height of {height:.2f} m, passes the {name} (from {round(-foot, 2) + 0.0:.2f} m "
-                f"to {-top:.2f} m high) where the level beams do not see it well",
+                f"the path to it, at a height of {height:.2f} m, passes the {name} (from "
+                f"{round(-foot, 2) + 0.0:.2f} m "
+                f"to {-top:.2f} m high) where the level beams may miss it",
                 f"pass its top or foot by {clear:g} m or more, or well within its height",
             )
 
@@ -235,7 +236,7 @@ def check_mission(
         raise InputError(
             where,
             "take_off.height_m",
-            f"{height:g} m is out of reach: up and down takes {_format_seconds(least)}",
+            f"{height:g} m is out of reach: climb and landing take {_format_seconds(least)}",
             remedy + "take off lower",
         )
     for leg, waypoint in zip(timing.legs, mission.waypoint, strict=True):
@@ -250,20 +251,20 @@ def check_mission(
                 f"{waypoint.position_m[2]:g} m (D) is out of reach"
                 if vertical
                 else f"is out of reach: flight and landing take {_format_seconds(leg.reached_s + landing)}",
-                remedy + ("fly lower" if vertical else "fly less far, faster, or wait less before it"),
+                remedy + ("fly lower" if vertical else "shorten the path, fly faster, or wait less before it"),
             )
         if leg.departure_s + landing > lasts:
             raise InputError(
                 where,
                 f"{key}.wait_s",
-                f"{waypoint.wait_s:g} is too long: the mission up to here and down takes "
+                f"{waypoint.wait_s:g} is too long: the mission so far and the landing take "
                 f"{_format_seconds(leg.departure_s + landing)}",
                 remedy + "wait less",
             )
     time = timing.landed_s
     if time > lasts:
-        problem = f'"return" is out of reach: the mission and the way home take {_format_seconds(time)}'
-        raise InputError(where, "at_end", problem, remedy + 'end with "land", or fly less far')
+        problem = f'"return" is out of reach: the mission and the return take {_format_seconds(time)}'
+        raise InputError(where, "at_end", problem, remedy + 'end with "land", or shorten the mission')
     charge = time * hover_current_A / 3600.0
     return MissionEstimate(time, timing.path_length_m, charge, charge / capacity_Ah)
 

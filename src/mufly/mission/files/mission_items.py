@@ -36,7 +36,7 @@ from mufly.mission.files.mission_schema import MIN_WAYPOINT_HEIGHT_M, Mission, T
 COORDINATE_NOT_GIVEN = 2**31 - 1
 """Value of an x or y that is not given."""
 FRAMES_ABOVE_SEA, FRAMES_ABOVE_ORIGIN, FRAMES_ABOVE_TERRAIN = (0, 5), (3, 6), (10, 11)
-"""Values of MAV_FRAME on the globe, with altitude above the sea, above the origin, and above the terrain."""
+"""Global values of MAV_FRAME, with altitude above the sea, above the origin, and above the terrain."""
 LOCAL_FRAMES = (1, 4, 7, 8, 9, 12, 20, 21)
 """Values of MAV_FRAME in metres."""
 _EARTH_RADIUS_M = 6_378_137.0
@@ -248,7 +248,7 @@ def mission_from_items(items: Sequence[MissionItem], base: Mission, origin: Glob
         elif item.command == MissionCommand.CONDITION_YAW:
             *_, is_relative = item.params
             if is_relative == 1.0:
-                raise _make_refusal(item, MissionResult.INVALID_PARAM4, "a relative turn is not known in a mission")
+                raise _make_refusal(item, MissionResult.INVALID_PARAM4, "a relative turn is not supported in a mission")
             if is_relative != 0.0 and not math.isnan(is_relative):
                 why = f"parameter 4 is {is_relative:g}; give 0, an absolute heading"
                 raise _make_refusal(item, MissionResult.INVALID_PARAM4, why)
@@ -267,7 +267,7 @@ def mission_from_items(items: Sequence[MissionItem], base: Mission, origin: Glob
         last = next(i for i in reversed(items) if i.command == MissionCommand.CONDITION_YAW)
         raise _make_refusal(last, MissionResult.INVALID_SEQUENCE, "no waypoint follows that could have this heading")
     if items and not waypoints:
-        raise MissionRefusedError(MissionResult.INVALID, "there is no waypoint in it")
+        raise MissionRefusedError(MissionResult.INVALID, "the mission has no waypoint")
     parts: dict[str, Any] = {name: getattr(base, name) for name in Mission.model_fields}
     parts |= {"take_off": take_off, "waypoint": tuple(waypoints), "at_end": end}
     return MissionWithItems(Mission(**parts), tuple(items), tuple(came_from))
@@ -393,7 +393,7 @@ def _read_wait(item: MissionItem) -> float:
     if math.isnan(wait):
         return 0.0
     if item.command == MissionCommand.NAV_DELAY and wait == -1.0:
-        why = "a delay until a time of day is not known; give seconds in parameter 1"
+        why = "a delay until a time of day is not supported; give seconds in parameter 1"
         raise _make_refusal(item, MissionResult.INVALID_PARAM1, why)
     if not 0.0 <= wait <= 3600.0:
         raise _make_refusal(item, MissionResult.INVALID_PARAM1, f"a wait of {wait:g} s is outside of 0 to 3600 s")
@@ -433,17 +433,18 @@ def _read_flight_height(item: MissionItem, origin: GlobalOrigin | None) -> float
     """Return D of an item (m), which must be above the floor."""
     down = _find_down(item, origin)
     if down is None:
-        why = f"frame {item.frame} is not known; use LOCAL_NED (1)"
+        why = f"frame {item.frame} is not supported; use LOCAL_NED (1)"
         if item.frame in FRAMES_ABOVE_TERRAIN:
-            why = f"frame {item.frame} counts heights from the terrain, which nobody here measures; use LOCAL_NED (1)"
+            why = f"frame {item.frame} has heights above the terrain, which are not supported; use "
+            "LOCAL_NED (1)"
         if item.frame in (*FRAMES_ABOVE_SEA, *FRAMES_ABOVE_ORIGIN):
-            why = f"frame {item.frame} needs a global origin; use LOCAL_NED (1), or give the vehicle one"
+            why = f"frame {item.frame} needs a global origin; use LOCAL_NED (1), or set the vehicle's origin"
         raise _make_refusal(item, MissionResult.UNSUPPORTED_FRAME, why)
     if not math.isfinite(down) or down > -MIN_WAYPOINT_HEIGHT_M:
         raise _make_refusal(
             item,
             MissionResult.INVALID_PARAM7,
-            f"height {-down:g} m; it has to be at least {MIN_WAYPOINT_HEIGHT_M:g} m",
+            f"height {-down:g} m is too low; give at least {MIN_WAYPOINT_HEIGHT_M:g} m",
         )
     return float(f"{down:.7g}")
 

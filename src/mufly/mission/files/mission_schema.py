@@ -60,12 +60,12 @@ class Waypoint(_MissionTable):
     wait_s: float = _strict_field(0.0, "wait once it is reached", ge=0.0, le=3600.0)
     heading_deg: float | None = _strict_field(
         None,
-        "heading on the way and there, from north to east; without it the nose points along the way",
+        "heading on the leg and at the waypoint, from north to east; default: along the leg",
         ge=-360.0,
         le=360.0,
     )
     speed_m_s: float | None = _strict_field(
-        None, "horizontal speed on the way there; without it that of the limits", ge=0.01, le=3.0
+        None, "horizontal speed on the leg; default: that of [limits]", ge=0.01, le=3.0
     )
 
 
@@ -80,8 +80,8 @@ class Limits(_MissionTable):
     climb_acceleration_m_s2: float = _strict_field(0.4, "acceleration of climb and descent", ge=0.01, le=2.0)
     yaw_rate_deg_s: float = _strict_field(60.0, "rate of turn", ge=1.0, le=360.0)
     yaw_acceleration_deg_s2: float = _strict_field(90.0, "acceleration of a turn", ge=1.0, le=1000.0)
-    reach_m: float = _strict_field(0.05, "a waypoint counts as reached from this near", ge=0.01, le=1.0)
-    reach_m_s: float = _strict_field(0.1, "and when flying slower than this", ge=0.01, le=1.0)
+    reach_m: float = _strict_field(0.05, "acceptance radius of a waypoint", ge=0.01, le=1.0)
+    reach_m_s: float = _strict_field(0.1, "speed below which a waypoint counts as reached", ge=0.01, le=1.0)
 
 
 class Path(_MissionTable):
@@ -97,18 +97,18 @@ class Path(_MissionTable):
 class Avoidance(_MissionTable):
     """Settings for the avoidance of obstacles that the range beams detect."""
 
-    enabled: bool = _strict_field(True, "whether to look for obstacles at all")
+    enabled: bool = _strict_field(True, "true: detect and avoid obstacles")
     clearance_m: float = _strict_field(
         0.39,
         "distance to keep between the helicopter's centre and any surface (rotor radius and 0.3 m)",
         ge=0.15,
         le=1.0,
     )
-    speed_m_s: float = _strict_field(0.3, "speed around an obstacle, and on the way when scanning", gt=0.05, le=1.0)
+    speed_m_s: float = _strict_field(0.3, "speed around an obstacle, and on a leg with scanning", gt=0.05, le=1.0)
     scan: bool | None = _strict_field(
         None,
-        "fly with one beam ahead and swing the nose, so that nothing hides between two beams; without "
-        "it: true when the file names a box, a cylinder or a wall",
+        "fly with one beam ahead and swing the nose, so that no obstacle stays between two beams; default: "
+        "true if the file names a box, a cylinder or a wall",
     )
     give_up_s: float = _strict_field(90.0, "time to try to get around obstacles on one leg", ge=5.0, le=3600.0)
 
@@ -117,16 +117,16 @@ class Battery(_MissionTable):
     """Use of the battery's charge."""
 
     low_V: float | None = _strict_field(
-        None, "land below this voltage; without it the vehicle's own limit", gt=0.0, le=1000.0
+        None, "land below this voltage; default: the vehicle's limit", gt=0.0, le=1000.0
     )
-    usable: float = _strict_field(0.8, "fraction of the charge that a mission may plan with", ge=0.01, le=1.0)
+    usable: float = _strict_field(0.8, "fraction of the charge that a mission may use", ge=0.01, le=1.0)
 
 
 class Wind(_MissionTable):
     """Wind of the simulation, unknown to the helicopter."""
 
     steady_m_s: tuple[WindSpeed, WindSpeed, WindSpeed] = Field(
-        default=(0.0, 0.0, 0.0), description="where the wind blows to, N, E, D"
+        default=(0.0, 0.0, 0.0), description="velocity of the air, N, E, D"
     )
     gust_m_s: float = _strict_field(0.0, "intensity of the gusts (rms)", ge=0.0, le=MAX_GUST_M_S)
 
@@ -134,21 +134,19 @@ class Wind(_MissionTable):
 class Fence(_MissionTable):
     """Bounds for the vehicle's position, and its action outside them."""
 
-    polygon_m: tuple[Pair, ...] = Field(default=(), description="corners N, E of the area to stay in, three or more")
-    centre_m: Pair | None = Field(default=None, description="N, E of the middle of a circle to stay in")
+    polygon_m: tuple[Pair, ...] = Field(default=(), description="corners N, E of the inclusion area, three or more")
+    centre_m: Pair | None = Field(default=None, description="N, E of the centre of an inclusion circle")
     radius_m: float | None = _strict_field(None, "radius of that circle", ge=0.1, le=MAX_EXTENT_M)
     ceiling_m: float | None = _strict_field(
         None, "greatest height above the floor", ge=MIN_WAYPOINT_HEIGHT_M, le=MAX_EXTENT_M
     )
     keep_out_m: tuple[tuple[Pair, ...], ...] = Field(
-        default=(), description="areas to stay out of, each with its corners N, E"
+        default=(), description="exclusion areas, each with its corners N, E"
     )
-    keep_out_circles_m: tuple[Triple, ...] = Field(
-        default=(), description="circles to stay out of: N, E and radius of each"
-    )
+    keep_out_circles_m: tuple[Triple, ...] = Field(default=(), description="exclusion circles: N, E and radius of each")
     action: Literal["hold", "return", "land"] = Field(
         default="hold",
-        description='once it is outside: "hold" there, "return" to above its start and land, or "land"',
+        description='action outside the fence: "hold" position, "return" to above the start and land, or "land"',
     )
 
     @model_validator(mode="after")
@@ -196,7 +194,7 @@ class BoxTable(_MissionTable):
     name: str = Field(default="box", description="what messages call it")
     centre_m: Triple = Field(description="N, E, D of its centre")
     size_m: tuple[PositiveNumber, PositiveNumber, PositiveNumber] = Field(description="edge lengths, x, y, z")
-    yaw_deg: float = _strict_field(0.0, "turn of its x edge from north to east", ge=-360.0, le=360.0)
+    yaw_deg: float = _strict_field(0.0, "heading of the x edge, from north to east", ge=-360.0, le=360.0)
 
 
 class CylinderTable(_MissionTable):
@@ -206,7 +204,7 @@ class CylinderTable(_MissionTable):
     centre_m: Pair = Field(description="N, E of its axis")
     radius_m: float = _strict_field(..., "radius", ge=1e-3, le=MAX_EXTENT_M)
     height_m: float = _strict_field(..., "from its foot to its top", ge=1e-3, le=MAX_EXTENT_M)
-    foot_m: float = _strict_field(0.0, "height of its foot above the floor", ge=0.0, le=MAX_EXTENT_M)
+    foot_m: float = _strict_field(0.0, "height of the foot above the floor", ge=0.0, le=MAX_EXTENT_M)
 
 
 class WallTable(_MissionTable):
@@ -224,9 +222,7 @@ class RoomTable(_MissionTable):
 
     north_m: Pair = Field(description="least and greatest N inside")
     east_m: Pair = Field(description="least and greatest E inside")
-    height_m: float | None = _strict_field(
-        None, "height of the ceiling; without it there is none", ge=0.1, le=MAX_EXTENT_M
-    )
+    height_m: float | None = _strict_field(None, "height of the ceiling; default: no ceiling", ge=0.1, le=MAX_EXTENT_M)
 
 
 class FloorTable(_MissionTable):
@@ -234,7 +230,7 @@ class FloorTable(_MissionTable):
 
     texture: str = Field(description="floor, as for `mufly fly --floor`: a kind, a package's picture or a picture file")
     width_m: float | None = _strict_field(
-        None, "width of the picture from west to east; without it that of `mufly fly --floor`", ge=0.01, le=MAX_EXTENT_M
+        None, "width of the picture from west to east; default: that of `mufly fly --floor`", ge=0.01, le=MAX_EXTENT_M
     )
 
 
@@ -244,14 +240,14 @@ class Mission(_MissionTable):
     The keys carry the units of the file. `world`, `trajectory_limits` and `scans_with_nose` are derived from them.
     """
 
-    name: str = Field(default="", description="what the mission is called; without it the name of the file")
+    name: str = Field(default="", description="name of the mission; default: name of the file")
     description: str = Field(default="", description="one line about it")
-    start_m: Pair = Field(default=(0.0, 0.0), description="N, E of where the helicopter stands at first")
-    start_heading_deg: float = _strict_field(0.0, "its heading there, from north to east", ge=-360.0, le=360.0)
+    start_m: Pair = Field(default=(0.0, 0.0), description="start position N, E")
+    start_heading_deg: float = _strict_field(0.0, "initial heading, from north to east", ge=-360.0, le=360.0)
     at_end: Literal["land", "hover", "return"] = Field(
         default="land",
-        description='after the last wait: "land" there, "hover" there until a request or a low battery, '
-        'or "return" above the start and land',
+        description='action after the last wait: "land", "hover" until a request or a low battery, '
+        'or "return" to above the start and land',
     )
     take_off: TakeOff = TakeOff()
     waypoint: tuple[Waypoint, ...] = ()

@@ -75,7 +75,7 @@ def set_point_fault(s: SetPoint) -> str:
         math.nan if s.yaw_rate_rad_s is None else float(s.yaw_rate_rad_s),
     )
     if all(math.isnan(v) for v in (*position, *velocity, *turn)):
-        return "it says nothing; give a position, a velocity, a heading or a rate of turn"
+        return "the set-point is empty; give a position, a velocity, a heading or a rate of turn"
     for name, values, most in (
         ("position", position, _MAX_POSITION_M),
         ("velocity", velocity, _MAX_SPEED_M_S),
