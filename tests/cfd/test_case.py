@@ -387,7 +387,7 @@ def test_a_run_goes_on_after_it_was_killed_and_our_loads_are_the_solvers(tmp_pat
         mesh_16.neighbour, flux[:inside], mesh_16.cell_count
     )
     assert np.abs(left).max() < 1e-3 * np.abs(flux).max()
-    with pytest.raises(InputError, match="mesh of other cells"):
+    with pytest.raises(InputError, match="mesh with other cells"):
         save_case(tmp_path / "other", rotor, **given, tip="plate-up", neighbour=tmp_path)
     with pytest.raises(InputError, match="differs in speed, pitch setting or tip only"):
         save_case(tmp_path / "other", rotor, **given, model="sst", neighbour=tmp_path)

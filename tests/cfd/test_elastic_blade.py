@@ -94,5 +94,5 @@ def test_cases_of_the_rounds_start_from_the_one_before(rotor, tmp_path):
 
 
 def test_loads_that_have_not_settled_bend_no_blade(rotor, tmp_path):
-    with pytest.raises(MuflyError, match=r"round-1: the loads have not settled.*swings"):
+    with pytest.raises(MuflyError, match=r"round-1: the loads are not steady.*swings"):
         solve_elastic_blade(tmp_path, rotor, run=StandIn(settled=False), **POINT)

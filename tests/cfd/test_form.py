@@ -132,7 +132,7 @@ def test_three_blades_share_a_hub_and_the_file_s_square_tip_is_the_same_as_none(
     ("made", "message"),
     [
         (lambda: make_blade_geometry("pointed"), "is not a tip"),
-        (lambda: BladeTip(length=1.0, taper=0.0), "a point cannot be meshed"),
+        (lambda: BladeTip(length=1.0, taper=0.0), "a pointed tip cannot be meshed"),
         (lambda: BladeTip(length=0.1, aft=2.0), "slope more than 65"),
         (lambda: BladeTip(cant_rad=1.5, height=1.0), "a plate stands at 90"),
         (lambda: BladeTip(cant_rad=1.0, height=0.1), "what the turn takes"),
@@ -142,7 +142,7 @@ def test_three_blades_share_a_hub_and_the_file_s_square_tip_is_the_same_as_none(
         (lambda: BladeGeometry(BLADE_TIPS["plate-up"], gurney_height=0.02), "meets the Gurney flap"),
         (lambda: shape(make_blade_geometry(hub_m=0.02)), "blades begin at 9 mm"),
         (lambda: shape(BladeGeometry(hub=HubCylinder(0.004, 0.05))), "at most 12 mm"),
-        (lambda: shape(BladeGeometry(BladeTip(length=4.0, taper=0.5))), "longer than the blade"),
+        (lambda: shape(BladeGeometry(BladeTip(length=4.0, taper=0.5))), "too long for the blade"),
         (lambda: shape(BladeGeometry(BladeTip(cant_rad=1.2, height=2.0, bend=3.0))), "too much|longer"),
     ],
 )  # fmt: skip

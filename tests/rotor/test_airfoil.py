@@ -80,7 +80,7 @@ def test_design_lift_scales_with_the_first_digit():
     [
         ("naca25516", "mean line 255 is unknown"),
         ("naca4400", "thickness of 0%"),
-        ("naca0412", "camber without a place"),
+        ("naca0412", "camber without position"),
         ("naca26012", "second digit be one of 1, 2, 3, 4, 5"),
         ("naca21112", "second digit be one of 2, 3, 4, 5"),
         ("goe39", "did you mean"),

@@ -213,7 +213,7 @@ def test_what_cannot_be_mapped_is_refused(blading, axes, change, words) -> None:
 
 def test_rotors_of_two_radii_are_refused(blading, axes) -> None:
     other = prepare_blading(load_rotor("naca0012-r60-c20"))
-    with pytest.raises(InputError, match="one radius"):
+    with pytest.raises(InputError, match="the same radius"):
         compute_coax_map(blading, other, **PAIR, **axes)
 
 

@@ -108,7 +108,7 @@ GOOD = {"name": "r", "radius_m": 0.06, "chord_m": 0.02}
         ({"r_over_R": (1.0, 0.2)}, "blade.r_over_R", "hub to tip"),
         ({"r_over_R": (0.2, 0.2, 1.0)}, "blade.r_over_R", "is not beyond station 1"),
         ({"r_over_R": (0.1, 0.9)}, "blade.r_over_R", "the tip, 1"),
-        ({"r_over_R": (1.0,)}, "blade.r_over_R", "two stations at least"),
+        ({"r_over_R": (1.0,)}, "blade.r_over_R", "at least two stations"),
         ({"radius_m": 0.0}, "radius", "above 0"),
         ({"radius_m": 0.00006}, "blade.chord", "more than the radius"),
         ({"hub_cutout": 1.0}, "hub_cutout", "below 1"),
@@ -130,7 +130,7 @@ def test_faults_are_named(change, key, words):
     [
         ("blads = 2", "blads: unknown key; did you mean 'blades'?"),
         ("blades = 2", "radius: is missing"),
-        ("blades = 2\nradius = 60", "60 has no unit and no source"),
+        ("blades = 2\nradius = 60", "60 states neither unit nor source"),
         ("blades = 2\nradius = { value = 60, unit = 'kg', source = 'measured' }", "use one of: m, cm, mm"),
         ("radius = ", "ends inside a value; close its brackets or quotes"),
     ],

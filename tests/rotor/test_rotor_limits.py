@@ -108,7 +108,7 @@ def test_files_of_uiuc_with_titles_and_without_sizes(tmp_path):
     assert [c.name for c in cases] == ["maker_5x4", "maker_6x3"]
     assert cases[0].tunnel_runs[0].thrust_N.size == 2
     said = "\n".join(left_out)
-    assert "maker_plain_geom.txt: its name holds no size" in said
+    assert "maker_plain_geom.txt: the file name states no size" in said
     assert "maker_6x3_run_4001.txt" in said
     assert "oops" in said
     assert "maker_9x5_geom.txt: there is no NAME_static_RUN.txt" in said

@@ -98,7 +98,7 @@ def test_a_scan_of_a_whole_rotor_is_turned_and_its_hub_left_out(rotor, tmp_path)
         assert_allclose(found.twist_rad(x), plain.twist_rad(x), atol=np.radians(0.3))
         assert any("turned by" in note for note in notes) == (angle != 0.0)
     tilted = type(blade)(blade.points_m[:, [0, 2, 1]] * [1.0, -1.0, 1.0], blade.triangles)
-    with pytest.raises(InputError, match="chord stands along z"):
+    with pytest.raises(InputError, match="chord along z"):
         rotor_from_body(_saved(tmp_path / "p.stl", tilted), folder=tmp_path)
 
 

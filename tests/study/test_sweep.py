@@ -84,7 +84,7 @@ def test_bad_cases_are_marked_and_the_rest_goes_on(setup: StudySetup, thin_plate
     one = data.sel(airfoil=thin_plate)
     assert str(one.fault[0, 0].item()) == ""
     assert np.isfinite(one.thrust_per_power_N_W[0, 0])
-    assert "the motor has not the" in str(one.fault[1, 0].item())
+    assert "the motor cannot deliver the" in str(one.fault[1, 0].item())
     assert "out of reach" in str(one.fault[2, 0].item())
     assert "out of reach" in str(one.fault[0, 1].item())  # negative pitch pushes down
     assert all("no such airfoil" in str(x) for x in data.fault.values[1].ravel())

@@ -67,12 +67,16 @@ class CovarianceEstimate:
     def describe_pattern(self) -> str:
         """Describe the error pattern of the residuals."""
         if self.pattern == "drift":
-            return f"neighbouring readings have correlated errors (correlation {self.rho:.2f}); intervals "
-            "are widened for it"
+            return (
+                f"neighbouring readings have correlated errors (correlation {self.rho:.2f}); intervals "
+                "are widened for it"
+            )
         if self.pattern == "repeats":
-            return f"readings of one setting have correlated errors (correlation {self.rho:.2f}); intervals "
-            "are widened "
-            "for it"
+            return (
+                f"readings of one setting have correlated errors (correlation {self.rho:.2f}); intervals "
+                "are widened "
+                "for it"
+            )
         return "residuals scatter without pattern"
 
 

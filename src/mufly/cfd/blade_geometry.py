@@ -78,7 +78,7 @@ class BladeTip:
         if not 0.0 <= self.length <= 10.0:
             refuse("length", "give 0 to 10 chords")
         if not 0.15 <= self.taper <= 2.0:
-            refuse("taper", "give 0.15 to 2: a point cannot be meshed")
+            refuse("taper", "give 0.15 to 2: a pointed tip cannot be meshed")
         if not abs(self.cant_rad) <= _MAX_CANT_RAD:
             refuse("cant_rad", f"give at most {_MAX_CANT_RAD:.3g} (70 degrees); a plate stands at 90")
         if self.cant_rad:
@@ -212,7 +212,7 @@ def blade_line_length(tip: BladeTip, root_m: float, radius_m: float, chord_m: fl
     if tip.round:
         return radius_m - root_m - tip.length * chord_m * (1.0 - math.sin(MAX_TIP_SLOPE_RAD))
     if out > 0.6 * (radius_m - root_m) or tip.length * chord_m > 0.9 * (radius_m - root_m):
-        raise InputError("tip", "", "is longer than the blade has room for", "give a shorter one, or a longer blade")
+        raise InputError("tip", "", "is too long for the blade", "give a shorter one, or a longer blade")
     return radius_m - root_m - out + turn + straight
 
 

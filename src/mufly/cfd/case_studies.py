@@ -138,7 +138,7 @@ def save_case(
             raise InputError(
                 "pair",
                 "gap",
-                "goes with neither a hub, a tip or a flap nor a neighbour's solution",
+                "cannot be combined with a hub, a tip, a flap or the solution of another case",
                 "leave them out",
             )
         meshed = make_pair_mesh(rotor, pitch_rad, lower, gap_m, level=level, domain=domain)
@@ -149,7 +149,7 @@ def save_case(
     if not found.good:
         raise InputError(
             rotor.name, "",
-            f"its mesh is not good: non-orthogonality {found.non_orthogonality_deg:.0f} deg, skewness "
+            f"the mesh is poor: non-orthogonality {found.non_orthogonality_deg:.0f} deg, skewness "
             f"{found.skewness:.2g}, smallest cell {found.smallest_volume_m3:.2g} m3",
             "change pitch, twist or cut-out a little, or the level of the mesh",
         )  # fmt: skip
@@ -160,7 +160,7 @@ def save_case(
             raise InputError(
                 "--out",
                 str(folder),
-                "holds the solution of another point",
+                "contains the solution of another point",
                 "give another folder, or delete it",
             )
         return found
@@ -259,7 +259,9 @@ def solve_elastic_blade(
         if note.is_file():
             before = np.array(json.loads(note.read_text(encoding="utf-8"))["twist_rad"])
             if before.shape != twist_rad.shape or np.max(np.abs(before - twist_rad)) > _SAME_TWIST_RAD:
-                raise InputError(str(place), "", "holds a blade of another twist", "give another folder, or delete it")
+                raise InputError(
+                    str(place), "", "contains a blade of another twist", "give another folder, or delete it"
+                )
         place.mkdir(parents=True, exist_ok=True)
         note.write_text(json.dumps({"twist_rad": twist_rad.tolist()}), encoding="utf-8")
         start = None if turn == 1 else folder / f"round-{turn - 1}"
@@ -267,7 +269,7 @@ def solve_elastic_blade(
             place, deformed, cores=cores, progress=progress, **{**given, "neighbour": start}
         )
         if not one.verdict.settled:
-            raise MuflyError(f"{place}: the loads have not settled, so they bend no blade; {one.verdict.what}")
+            raise MuflyError(f"{place}: the loads are not steady, so no elastic twist is computed; {one.verdict.what}")
         found.append(one)
         n = rotor.blades
         return StripLoads(one.r_m, one.thrust_N_m / n, -one.torque_Nm_m / (one.r_m * n), one.moment_Nm_m)

@@ -232,7 +232,7 @@ def friction_picture(mesh: PolyMesh, solution: CfdSolution) -> Figure:
         ax.set_aspect("equal")
         ax.set(title=title, ylabel="aft (mm)")
         figure.colorbar(lines.lines, ax=ax, label="stress (Pa)")
-    axes[1].set_xlabel("radius (mm); red: the air rubs towards the nose")
+    axes[1].set_xlabel("radius (mm); red: wall shear stress towards the nose")
     return figure
 
 

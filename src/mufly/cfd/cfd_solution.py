@@ -434,7 +434,7 @@ def scale_state(folder: Path, mesh: PolyMesh, ratio: float) -> dict[str, Array]:
         raise InputError(
             str(folder),
             "",
-            "has a mesh of other cells",
+            "has a mesh with other cells",
             "start from a case of the same level and kind of tip",
         )
     place, out = folder / str(at[-1]), {}

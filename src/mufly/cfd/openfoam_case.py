@@ -132,7 +132,7 @@ class OperatingPoint:
             if (mach := compute_tip_mach(self.radius_m, speed)) >= MAX_TIP_MACH:
                 raise InputError(
                     "cfd", "speed", f"{speed / RPM:.6g} rpm moves the tips at Mach {mach:.2g}",
-                    f"stay below {MAX_TIP_MACH:g}: the air is taken for incompressible",
+                    f"stay below {MAX_TIP_MACH:g}: the air is assumed incompressible",
                 )  # fmt: skip
 
     @property

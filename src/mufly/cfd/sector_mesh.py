@@ -360,7 +360,8 @@ def _pair_block_height(rotor: Rotor, pitch_rad: float, half_gap: float) -> float
     tall = _PAIR_BLOCK_HEIGHT_RATIO * half_gap
     if reach > 0.8 * tall:
         raise InputError(
-            "pair", "gap", f"of {2e3 * half_gap:.3g} mm lets the blades come too near to the plane between the rotors",
+            "pair", "gap", f"of {2e3 * half_gap:.3g} mm brings the blades too close to the plane between "
+            "the rotors",
             f"give at least {2e3 * reach / (0.8 * _PAIR_BLOCK_HEIGHT_RATIO):.3g} mm",
         )  # fmt: skip
     return tall

@@ -127,7 +127,7 @@ def find_solver(name: str = "simpleFoam") -> str:
     found = shutil.which(name)
     if found is None:
         raise MuflyError(
-            f"{name} is not to be found: install OpenFOAM (Debian, Ubuntu: apt-get install --no-install-recommends "
+            f"{name} was not found: install OpenFOAM (Debian, Ubuntu: apt-get install --no-install-recommends "
             "openfoam; elsewhere: openfoam.com) or use --save-only and run the case where it is"
         )
     return found
@@ -242,7 +242,7 @@ def _lock_case(log: IO[str], folder: Path) -> None:
     try:
         flock(log, LOCK_EX | LOCK_NB)
     except BlockingIOError as error:
-        raise MuflyError(f"{folder}: another run is at this case: wait for it, or give another --out") from error
+        raise MuflyError(f"{folder}: another run uses this case: wait for its end, or give another --out") from error
 
 
 def _reconstruct_state(folder: Path, done: int) -> None:

@@ -200,8 +200,11 @@ class DriveTrain(ParameterGroup):
     @model_validator(mode="after")
     def _check_single_motor(self) -> DriveTrain:
         if (self.motor is None) == (self.datasheet is None):
-            given = "neither [motor] nor [datasheet] is given" if self.motor is None else "both [motor] and "
-            "[datasheet] are given"
+            given = (
+                "neither [motor] nor [datasheet] is given"
+                if self.motor is None
+                else "both [motor] and [datasheet] are given"
+            )
             raise model_error(f"{given} is given", "give one of the two", "motor")
         return self
 

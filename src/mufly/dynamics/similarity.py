@@ -392,8 +392,9 @@ def _choose_gear(vehicle: Vehicle, tables: dict[str, Any]) -> Vehicle:
     ratio = float(best_gear_ratio(constants, max(upper, lower), torque, available))
     if not math.isfinite(ratio):
         raise _TooWeakError(vehicle, "no gear lets it hover")
-    note = "guess: the least power in hover" if ratio > 1.0 else "guess: direct drive; no ratio above 1 "
-    "needs less power"
+    note = (
+        "guess: the least power in hover" if ratio > 1.0 else "guess: direct drive; no ratio above 1 needs less power"
+    )
     ratio = _scale_value(max(ratio, 1.0), 1.0)
     tables["gear"]["ratio"] |= {"value": ratio, "source": "estimated", "note": note}
     _adapt_drive_to_gear(tables, float(vehicle.gear.ratio), ratio)

@@ -101,8 +101,9 @@ def check_climb_column(world: World, position: tuple[float, float, float], up_to
     if away[k] >= keep_m:
         return ""
     near, name = max(float(away[k]), 0.0), world.names[which[k]]
-    return f"at a height of {-column[k, 2]:.2f} m the vehicle would be {near:.2f} m from the {name}; keep "
-    f"{keep_m:.2f} m"
+    return (
+        f"at a height of {-column[k, 2]:.2f} m the vehicle would be {near:.2f} m from the {name}; keep {keep_m:.2f} m"
+    )
 
 
 def check_mission_start(

@@ -299,8 +299,10 @@ def _choose_vehicle(rows: _MessageRows) -> tuple[tuple[int, int], list[str]]:
         if not others:
             return best, []
         named = ", ".join(f"{vehicle_type_name(real[w][1]) or 'vehicle'} {w[0]}.{w[1]}" for w in others)
-        words = f"the log holds several vehicles; the signals are those of {best[0]}.{best[1]}, topics of "
-        "the others end in @"
+        words = (
+            f"the log holds several vehicles; the signals are those of {best[0]}.{best[1]}, topics of "
+            "the others end in @"
+        )
         return best, [f"{words} ({named})"]
     silent = [w for w in counts if w not in beats]
     trackers = [w for w, beat in beats.items() if beat[0] == 1]

@@ -321,8 +321,9 @@ def prepare_blading(
                 )
             if abs(at_hand[name].n_crit - made) > 1e-9:
                 raise InputError(
-                    f"rotor {rotor.name}", "fit", f"was made with polars at n_crit {made:g}, these are at "
-                    f"{at_hand[name].n_crit:g}", "use the same, or take [fit] out of the file",
+                    f"rotor {rotor.name}", "fit", f"was fitted with polars at n_crit {made:g}, but the "
+                    f"given polars are at {at_hand[name].n_crit:g}", "use the same n_crit, or delete [fit] "
+                    "from the file",
                 )  # fmt: skip
             if key not in found:
                 found[key] = at_hand[name] if fit is None else apply_section_fit(at_hand[name], *fit)
@@ -394,7 +395,7 @@ def compute_rotor_polars(
         if fixed is not None:
             raise InputError(
                 f"rotor {rotor.name}", f"blade.{key}", f"cannot move the transition of {fixed}, which is a table",
-                "take it out, or give an airfoil with a contour",
+                "delete it, or give an airfoil with a contour",
             )  # fmt: skip
     return polar_engines.compute_polars(names, n_crit=transition.n_crit, engine=engine, xtr=transition.xtr)
 

@@ -129,7 +129,7 @@ def compute_coax_map(
     if abs(lower.rotors[0].radius_m / radius - 1.0) > 1e-6:
         raise InputError(
             "coax map", lower.rotors[0].name, f"has R {1e3 * lower.rotors[0].radius_m:g} mm, the upper rotor "
-            f"{1e3 * radius:g} mm", "a vehicle's rotors have one radius: give two of the same",
+            f"{1e3 * radius:g} mm", "the rotors of a vehicle have the same radius: give two such rotors",
         )  # fmt: skip
     gas = air or Air()
     axes = tuple(np.asarray(a, dtype=np.float64) for a in (mean_speed_rad_s, ratio, climb_ratio))
@@ -188,7 +188,7 @@ def compute_coax_map(
         raise MuflyError(
             f"coax map: only {np.count_nonzero(solved)} of {solved.size} points are solved"
             + (f" (last: {reason})" if reason else "; the wakes do not converge")
-            + "; ask for less descent, or for method 'bemt'"
+            + "; reduce the descent, or use method 'bemt'"
         )
     values = _fill_unsolved(values, solved)
     upper_T, upper_Q, lower_T, lower_Q = np.moveaxis(values, -1, 0)
@@ -212,7 +212,7 @@ def _describe_vortex_ring(tables: MapTables) -> str:
     thrust = np.maximum(tables.cT_upper * up**2 + tables.cT_lower * (ratio * up) ** 2, 0.0)
     sink = -tables.climb_ratio / np.sqrt(np.maximum(0.5 * thrust, 1e-12))
     count = np.count_nonzero((sink > VORTEX_RING_RANGE[0]) & (sink < VORTEX_RING_RANGE[1]))
-    return f"; {count} sink into their own wake, means of swinging loads" if count else ""
+    return f"; {count} descend into their own wake; means of oscillating loads" if count else ""
 
 
 def _describe_wake_settings(how: WakeSettings) -> str:
@@ -233,10 +233,10 @@ def _check_axes(axes: Sequence[Array]) -> None:
         if axis.size > 2 and np.ptp(np.diff(axis)) > 1e-6 * np.ptp(axis):
             raise InputError("coax map", key, "is not evenly spaced", "give equal steps")
     if not axes[2][0] <= 0.0 <= axes[2][-1]:
-        raise InputError("coax map", "climb", "leaves out 0, hover", "give a range that holds it")
+        raise InputError("coax map", "climb", "does not include 0 (hover)", "give a range that holds it")
     nodes = math.prod(a.size for a in axes)
     if nodes > MAP_NODES:
-        raise InputError("coax map", "", f"{nodes} points", f"take fewer ({MAP_NODES} at most)")
+        raise InputError("coax map", "", f"{nodes} points", f"give fewer points ({MAP_NODES} at most)")
 
 
 def _fill_unsolved(values: Array, solved: NDArray[np.bool_]) -> Array:

@@ -107,7 +107,7 @@ class Blade(ParameterGroup):
     """Chord, twist and airfoil from hub to tip."""
 
     r_over_R: StationColumn = declare_parameter(
-        "1", "x", "radius of each station over R, rising to 1", at_least=0, at_most=1
+        "1", "x", "radius of each station over R, increasing to 1", at_least=0, at_most=1
     )
     chord: StationColumn = declare_parameter("m", "c", "chord at each station", above=0)
     twist: StationColumn = declare_parameter(
@@ -126,7 +126,7 @@ class Blade(ParameterGroup):
             "below": None,
             "at_most": MAX_THICKNESS_RATIO,
         },
-        description="thickness over chord at each station, about the mean line; default: as the airfoils have it",
+        description="thickness over chord at each station, about the mean line; default: that of the airfoils",
     )
     trip_upper: Quantity | None = _declare_trip("upper")
     trip_lower: Quantity | None = _declare_trip("lower")
@@ -142,7 +142,7 @@ class Blade(ParameterGroup):
         json_schema_extra={
             "unit": "rad", "symbol": "s_p", "above": 0.0, "at_least": None, "below": 0.5, "at_most": None
         },
-        description="standard deviation of the angles as a whole, in place of the one by `geometry`",
+        description="standard deviation of a common error of all angles; default: set by `geometry`",
     )  # fmt: skip
     structure: BladeStructure | None = Field(default=None, description="material, thickness and root of the blade")
 
@@ -150,7 +150,7 @@ class Blade(ParameterGroup):
     def _check_stations(self) -> Blade:
         x, n = self.r_over_R.value, len(self.r_over_R.value)
         if n < 2:
-            raise _make_validation_error("blade.r_over_R", f"{n} station(s)", "give two stations at least, hub and tip")
+            raise _make_validation_error("blade.r_over_R", f"{n} station(s)", "give at least two stations, hub and tip")
         for i, (a, b) in enumerate(pairwise(x)):
             if not b > a:
                 raise _make_validation_error(
@@ -158,9 +158,7 @@ class Blade(ParameterGroup):
                     "list stations from hub to tip",
                 )  # fmt: skip
         if abs(x[-1] - 1.0) > 1e-9:
-            raise _make_validation_error(
-                "blade.r_over_R", f"the last station is {x[-1]:g}", "let the last station be the tip, 1"
-            )
+            raise _make_validation_error("blade.r_over_R", f"the last station is {x[-1]:g}", "end at the tip, 1")
         for key in ("chord", "twist", "thickness"):
             m = n if getattr(self, key) is None else len(getattr(self, key).value)
             if m != n:
@@ -173,7 +171,7 @@ class Blade(ParameterGroup):
         if polar:
             raise _make_validation_error(
                 "blade.thickness", f"does not change {polar}, a table of coefficients",
-                "take it out, or name airfoils with a contour",
+                "delete it, or give airfoils with a contour",
             )  # fmt: skip
         return self
 
@@ -206,16 +204,16 @@ class SectionFit(ParameterGroup):
     is limited to 0.2 to 5. A section may occur several times, with different widths of its priors.
     """
 
-    bench: str = Field(description="where the measurements are from")
+    bench: str = Field(description="source of the measurements")
     points: int = Field(ge=1)
-    n_crit: float = Field(description="of the polars that were fitted", ge=0.0)
-    reynolds: float = Field(description="at which the factors hold", gt=0.0)
-    pitch_rad: tuple[float, float] = Field(description="range of pitch that was measured (rad)")
-    speed_rad_s: tuple[float, float] = Field(description="range of speed that was measured (rad/s)")
+    n_crit: float = Field(description="n_crit of the fitted polars", ge=0.0)
+    reynolds: float = Field(description="Reynolds number for which the factors are valid", gt=0.0)
+    pitch_rad: tuple[float, float] = Field(description="measured range of pitch (rad)")
+    speed_rad_s: tuple[float, float] = Field(description="measured range of speed (rad/s)")
     climb_ratio: tuple[float, float] = Field(
         default=(0.0, 0.0), description="range of the airspeed along the shaft over that of the tips"
     )
-    scatter: tuple[float, float] = Field(description="what the fit misses of thrust and torque, relative")
+    scatter: tuple[float, float] = Field(description="relative residual of thrust and torque after the fit")
     candidates: tuple[SectionCandidate, ...] = Field(min_length=1)
 
     def list_sections(self) -> list[tuple[str, float]]:
@@ -238,14 +236,14 @@ class Rotor(ParameterGroup):
         "1", "x0", "radius over R at which the blade begins", at_least=0, below=1
     )  # fmt: skip
     trailing_edge: Quantity = declare_parameter(
-        "m", "h", "thickness of the trailing edge; 0: as its airfoils have it", at_least=0, absent=0.0
+        "m", "h", "thickness of the trailing edge; 0: that of the airfoils", at_least=0, absent=0.0
     )
     nominal_pitch: Quantity | None = Field(
         default=None,
         json_schema_extra={
             "unit": "m", "symbol": "H", "above": 0.0, "at_least": None, "below": None, "at_most": None
         },
-        description="pitch that the maker states, advance in a turn; a second estimate of the blade's angle",
+        description="nominal pitch of the propeller (advance per turn); a second estimate of the blade angles",
     )  # fmt: skip
     blade: Blade
     fit: SectionFit | None = Field(default=None, description="corrections of the sections from a bench fit")

@@ -316,8 +316,8 @@ def _solve_bemt(
         last_step, last_image, x = step, image, following
     else:
         raise MuflyError(
-            f"coaxial: the two rotors do not settle at {climb_m_s:g} m/s climb; "
-            f"the inflow still changes by {np.max(np.abs(step)) / size:.1e} of itself a turn"
+            f"coaxial: the two rotors do not converge at {climb_m_s:g} m/s climb; "
+            f"the inflow still changes by {np.max(np.abs(step)) / size:.1e} of its value per iteration"
         )
     found = tuple(solve_placed_rotor(p, climb_m_s, air, (*m, m[0])) for p, m in zip(rotors, met, strict=True))
     return SystemSolution(
@@ -385,7 +385,8 @@ def solve_for_thrust(
             raise InputError(
                 "rotor", "thrust",
                 f"{thrust_N:g} N is out of reach: at {'least' if below else 'most'} {least if below else most:.4g} N",
-                f"ask for {'more' if below else 'less'}, or widen the {key} limits ({low:g} to {high:g} {unit})",
+                f"give {'more' if below else 'less'} thrust, or widen the {key} limits ({low:g} to {high:g} "
+                f"{unit})",
             )  # fmt: skip
         i = int(cross[0])
         if grid[i + 1] - grid[i] <= 1e-12 * max(abs(grid[i]), 1e-3):
@@ -430,7 +431,8 @@ def _solve_for_thrust(
             break
         wanted = thrust * b.thrust_N / reached
     raise MuflyError(
-        f"rotor: {thrust:g} N is not found in {_MAX_THRUST_ITERATIONS} tries; the last wake gives {reached:.4g} N"
+        f"rotor: {thrust:g} N was not reached in {_MAX_THRUST_ITERATIONS} iterations; the last wake gives "
+        f"{reached:.4g} N"
     )
 
 

@@ -110,8 +110,8 @@ def warn_vortex_ring(climb_m_s: float, thrust_N: float, area_m2: float, air: Air
     if VORTEX_RING_RANGE[0] * induced < -climb_m_s < VORTEX_RING_RANGE[1] * induced:
         warnings.warn(
             f"sinking at {VORTEX_RING_RANGE[0]:g} to {VORTEX_RING_RANGE[1]:g} times the velocity induced in "
-            f"hover a rotor is in "
-            "its own wake (vortex ring, turbulent wake state): no steady wake is there; blade elements follow a curve "
+            "hover a rotor is in its own wake (vortex ring, turbulent wake state): there is no steady "
+            "wake; blade elements follow a curve "
             "through measured means (Leishman 2006, eq. 2.99), about which real loads swing",
             VortexRingWarning,
             stacklevel=3,
@@ -126,8 +126,8 @@ def warn_tip_mach(mach: float) -> None:
     """Issue a :class:`RotorWarning` if a tip Mach number exceeds :data:`MAX_TIP_MACH`."""
     if mach > MAX_TIP_MACH:
         warnings.warn(
-            f"the tips move at Mach {mach:.2f}; beyond {MAX_TIP_MACH:g} shocks stall the sections, and thrust and "
-            f"torque are a guess{_RPM_HINT if mach >= 1.0 else ''}",
+            f"the tips move at Mach {mach:.2f}; beyond {MAX_TIP_MACH:g} shocks stall the sections, and "
+            f"thrust and torque are unreliable{_RPM_HINT if mach >= 1.0 else ''}",
             RotorWarning, stacklevel=3,
         )  # fmt: skip
 
@@ -608,7 +608,7 @@ def check_rotors(rotors: Sequence[PlacedRotor], climb: float) -> None:
         if a.rotation_sign == b.rotation_sign:
             raise InputError(
                 "wake", "hand", "both rotors turn the same way",
-                "let them turn against each other; a co-rotating pair has a wake that is not steady in any mean",
+                "give opposite senses of rotation; the wake of a co-rotating pair has no steady mean",
             )  # fmt: skip
         gap = abs(a.height_m - b.height_m)
         if not gap > 0.0:
@@ -616,7 +616,7 @@ def check_rotors(rotors: Sequence[PlacedRotor], climb: float) -> None:
         reach = sum(_blade_vertical_reach(p) for p in rotors)
         if gap <= reach:
             raise InputError(
-                "wake", "spacing", f"{1e3 * gap:.3g} mm lets the blades overlap",
+                "wake", "spacing", f"{1e3 * gap:.3g} mm makes the blades overlap",
                 f"give more than {1e3 * reach:.3g} mm, what the pitched blades take up",
             )  # fmt: skip
 

@@ -325,9 +325,12 @@ def solve_tubes(
             x = x - (ways + _ANDERSON_MIXING * bends) @ np.linalg.lstsq(bends, miss, rcond=1e-8)[0]
     spread = float(np.max(np.ptp(loads, axis=0) / np.sum(np.abs(loads[-1]), axis=0)))
     if spread <= _LOAD_TOLERANCE:
-        return collect_solution(turn, f"settled in {turn} turns but for single stations; loads within {spread:.1e}")
+        return collect_solution(
+            turn, f"converged in {turn} iterations except for single stations; loads within {spread:.1e}"
+        )
     raise MuflyError(
-        f"coaxial: the two wakes do not settle at {climb_m_s:g} m/s climb; "
-        f"the stream still changes by {far_off:.1e} of itself a turn; tubes need rotors that push air down: "
+        f"coaxial: the two wakes do not converge at {climb_m_s:g} m/s climb; "
+        f"the stream still changes by {far_off:.1e} of its value per iteration; tubes need rotors that push "
+        "air down: "
         "raise the pitch or climb faster, or use the method bemt or wake"
     )

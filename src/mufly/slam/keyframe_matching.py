@@ -434,6 +434,5 @@ def rejection_reason(floor_map: FloorMap, match: KeyframeMatch | None, context: 
     unsure = math.hypot(context.position_sigma_m, math.sqrt(2.0) * sigma, _TILT_DRIFT_PER_HEIGHT * height)
     if not is_unambiguous(way, alike, unsure):
         nearest = np.hypot(*alike.T).min()
-        return f"the floor repeats every {nearest:.2f} m, and {off:.2f} m from the prediction it may be "
-        "another place"
+        return f"the floor repeats every {nearest:.2f} m, and {off:.2f} m from the prediction it may be another place"
     return ""

@@ -253,7 +253,7 @@ def _evaluate_group(
             f"thrust out of reach of this rotor at any tip speed up to {MAX_TIP_SPEED_M_S:g} m/s",
         )
     else:
-        speed, why = find_speed(load), "rotor and motor settle at no speed"
+        speed, why = find_speed(load), "rotor and motor have no common steady speed"
     good = np.isfinite(speed) & (speed > 0)
     answers = {name: np.full(index.size, np.nan) for name in _ROTOR_OUTPUTS}
     reasons = np.where(good, "", why).astype(object)
@@ -344,7 +344,9 @@ def _add_drive_results(
     }
     for k in np.flatnonzero(reasons == ""):
         if not np.isfinite(ratio[k]):
-            reasons[k] = f"the motor has not the {answers['power_W'][k]:.3g} W that the rotor needs, at any gear ratio"
+            reasons[k] = (
+                f"the motor cannot deliver the {answers['power_W'][k]:.3g} W that the rotor needs, at any gear ratio"
+            )
         elif point.duty[k] > 1.0 + 1e-9:
             reasons[k] = f"the motor needs {point.motor_voltage_V[k]:.3g} V, the supply gives {voltage[k]:.3g} V"
 
@@ -413,7 +415,7 @@ def _solve_by_wake(
         r = now.rotors[0]
         by_thrust, by_torque = float(r.thrust_N / thrust[0]), float(r.torque_Nm / torque[0])
         if not (0.1 < by_thrust < 10.0 and 0.1 < by_torque < 10.0):
-            raise MuflyError("wake and blade element theory are too far apart to look for a speed")
+            raise MuflyError("wake and blade element theory differ too much to search for a speed")
 
         def scaled_load_of(
             speed: Array, index: NDArray[np.int64], f: tuple[float, float] = (by_thrust, by_torque)
@@ -423,11 +425,11 @@ def _solve_by_wake(
 
         following = float(find(scaled_load_of)[k])
         if not np.isfinite(following):
-            raise MuflyError("the wake method finds no speed for it")
+            raise MuflyError("the wake method finds no speed for this thrust")
         if abs(following / omega - 1.0) <= max(_SPEED_TOLERANCE, 0.5 * setup.wake_settings.tolerance):
             return now
         omega = following
-    raise MuflyError(f"the speed does not stand still in {_MAX_WAKE_SOLUTIONS} wakes")
+    raise MuflyError(f"the speed does not converge within {_MAX_WAKE_SOLUTIONS} wake solutions")
 
 
 def build_system(setup: StudySetup, case: StudyCase | None = None) -> RotorSystem:

@@ -270,7 +270,7 @@ class OptimisationProblem:
         airfoils: list[str],
     ) -> None:
         if setup.drive is None or "thrust" not in setup.fixed_parameters:
-            raise InputError("optimise", "", "drive or thrust is missing", "give a drive and thrust=0.4N or the like")
+            raise InputError("optimise", "", "drive or thrust is missing", "give a drive and a thrust, as thrust=0.4N")
         if goal not in ("thrust-per-power", "endurance"):
             raise InputError("optimise", str(goal), "is unknown", "use thrust-per-power or endurance")
         for name in free:
@@ -289,7 +289,7 @@ class OptimisationProblem:
 
     def _rank_candidates(self, airfoils: list[str]) -> list[str]:
         if not airfoils:
-            raise InputError("optimise", "airfoil", "is free without candidates", "name airfoils to choose from")
+            raise InputError("optimise", "airfoil", "is free without candidates", "give candidate airfoils")
         start = replace(
             self.setup,
             fixed_parameters={k: v for k, v in self.setup.fixed_parameters.items() if k != "pitch"}
@@ -308,7 +308,7 @@ class OptimisationProblem:
         )
         order = [n for n in order if not _thickness_ratio(n) * widest * 1e3 < least]
         if not order:
-            raise MuflyError("no airfoil of those named works on this rotor within the limits")
+            raise MuflyError("none of the named airfoils satisfies the limits on this rotor")
         return order[:_MAX_AIRFOIL_CANDIDATES]
 
     def _gear_setting(self) -> dict[str, float | str]:
@@ -320,7 +320,7 @@ class OptimisationProblem:
         if "pitch" not in self.setup.fixed_parameters:
             names.append("pitch")
         if not names:
-            raise InputError("optimise", "", "leaves nothing to search", "free something, or the pitch")
+            raise InputError("optimise", "", "leaves nothing to search", "free a parameter, or the pitch")
         low, high = [], []
         for name in names:
             bounds = (0.0, len(self.candidates) - 1.0) if name == "airfoil" else search_bounds(name, self.limits)

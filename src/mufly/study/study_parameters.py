@@ -55,7 +55,7 @@ class StudyParameter:
 
 GEOMETRY_PARAMETERS: dict[str, StudyParameter] = {
     "blades": StudyParameter("1", "", "number of blades", is_integer=True, is_positive=True),
-    "radius": StudyParameter("m", "mm", "radius; chords stay as they are", is_positive=True),
+    "radius": StudyParameter("m", "mm", "radius; chords are unchanged", is_positive=True),
     "chord": StudyParameter("m", "mm", "mean chord; all chords are scaled to it", is_positive=True),
     "taper": StudyParameter("1", "", "tip over hub chord, straight between, blade area unchanged", is_positive=True),
     "twist": StudyParameter("rad", "deg", "twist from hub to tip, straight, zero at the tip"),
@@ -63,9 +63,9 @@ GEOMETRY_PARAMETERS: dict[str, StudyParameter] = {
     "airfoil": StudyParameter("text", "", "airfoil of the whole blade: NACA number, database name or file"),
     "thickness": StudyParameter("1", "%", "thickness over chord of a four-digit NACA section"),
     "camber": StudyParameter("1", "%", "camber over chord of a four-digit NACA section"),
-    "camber_position": StudyParameter("1", "%", "place of the camber, x/c, of a four-digit NACA section"),
-    "trip_upper": StudyParameter("1", "", "place x/c of a turbulator on the upper side; 1: none"),
-    "trip_lower": StudyParameter("1", "", "place x/c of a turbulator on the lower side; 1: none"),
+    "camber_position": StudyParameter("1", "%", "position of the camber, x/c, of a four-digit NACA section"),
+    "trip_upper": StudyParameter("1", "", "position x/c of a turbulator on the upper side; 1: none"),
+    "trip_lower": StudyParameter("1", "", "position x/c of a turbulator on the lower side; 1: none"),
 }
 OPERATION_PARAMETERS: dict[str, StudyParameter] = {
     "pitch": StudyParameter("rad", "deg", "pitch setting, added to the twist"),
@@ -196,7 +196,7 @@ def parse_settings(
     for text in texts:
         name, values = parse_values(text, table)
         if name in settings:
-            raise InputError(text, "", f"{name} is given twice", "give all its values at once")
+            raise InputError(text, "", f"{name} is given twice", "give all its values in one --vary")
         settings[name] = values
     return settings
 

@@ -68,7 +68,7 @@ SINGLE_OF_PAIR_OUTPUTS: dict[str, tuple[str, str]] = {
 PAIR_OUTPUTS: dict[str, tuple[str, str]] = {
     "thrust_N": ("N", "thrust of the pair"),
     "power_W": ("W", "mechanical power of the pair"),
-    "yaw_torque_Nm": ("N m", "torque of the lower less that of the upper rotor"),
+    "yaw_torque_Nm": ("N m", "torque of the lower minus that of the upper rotor"),
     "figure_of_merit": ("1", "figure of merit of the pair, one disc"),
     "thrust_ratio": ("1", "lower over upper thrust"),
     "torque_ratio": ("1", "lower over upper torque"),
@@ -207,7 +207,7 @@ def _check_pair(setup: StudySetup, every: set[str]) -> tuple[str, str, str] | No
     if "pitch" in every and len(each) == 2:
         return "pitch", "is given beside both pitches", "leave it out"
     if by_pitch and "lower_pitch" in every:
-        return "lower_pitch", "is given and sought", "leave it out, or balance by lower-speed"
+        return "lower_pitch", "is given and sought", "omit it, or balance by lower-speed"
     if ("thrust" in every) == ("upper_speed" in every):
         return "", "needs one of thrust and upper_speed", "give thrust=0.9N or upper_speed=6000rpm"
     below = [n for n in ("lower_speed", "speed_ratio") if n in every]

@@ -68,8 +68,7 @@ def find_series_issues(
         out.append(SeriesIssue("speed", f"{text}: these points are omitted", len(slow) > MAX_BAD_POINT_SHARE * n))
     wild = points.select_readings(points.spike_share >= 0.02)
     if len(wild):
-        text = f"more than 2 % of a cell's samples were invalid at {len(wild)} of {n} points "
-        f"({describe_points(wild)})"
+        text = f"more than 2 % of a cell's samples were invalid at {len(wild)} of {n} points ({describe_points(wild)})"
         out.append(
             SeriesIssue(
                 "nonsense",

@@ -185,8 +185,7 @@ class VehicleProcess:
         if not ended and not self.error:
             when = "while it flew" if self._ready.is_set() else "before it was ready"
             during = "" if self._ready.is_set() else f" ({self.stage})"
-            self.error = f"the vehicle's process ended {when}{during} without a message (killed, or out of "
-            "memory)"
+            self.error = f"the vehicle's process ended {when}{during} without a message (killed, or out of memory)"
         self._ready.set()
 
 

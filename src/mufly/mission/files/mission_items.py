@@ -435,8 +435,7 @@ def _read_flight_height(item: MissionItem, origin: GlobalOrigin | None) -> float
     if down is None:
         why = f"frame {item.frame} is not supported; use LOCAL_NED (1)"
         if item.frame in FRAMES_ABOVE_TERRAIN:
-            why = f"frame {item.frame} has heights above the terrain, which are not supported; use "
-            "LOCAL_NED (1)"
+            why = f"frame {item.frame} has heights above the terrain, which are not supported; use LOCAL_NED (1)"
         if item.frame in (*FRAMES_ABOVE_SEA, *FRAMES_ABOVE_ORIGIN):
             why = f"frame {item.frame} needs a global origin; use LOCAL_NED (1), or set the vehicle's origin"
         raise _make_refusal(item, MissionResult.UNSUPPORTED_FRAME, why)

@@ -45,11 +45,13 @@ BLADE_FAMILIES: dict[str, BladeFamily] = {
     "apc": BladeFamily(
         0.20, (4.0, 1.0), (11.0, 2.0), "APC's sport and electric blades: NACA 4412 and Clark Y, as APC says"
     ),
-    "slow-flyer": BladeFamily(0.15, (5.0, 1.5), (5.0, 2.0), "wide, thin blades at low speed: E63 and its like"),
+    "slow-flyer": BladeFamily(0.15, (5.0, 1.5), (5.0, 2.0), "wide, thin blades at low speed: E63 and similar sections"),
     "gws": BladeFamily(0.15, (4.0, 2.0), (6.0, 2.5), "GWS's moulded blades: a cambered plate, flat below"),
-    "hobby": BladeFamily(0.25, (4.5, 2.5), (5.0, 2.5), "other moulded blades and thin shells of toys"),
-    "printed": BladeFamily(0.10, (3.5, 2.0), (8.0, 3.0), "printed ones: a section by name, layers on it"),
-    "machined": BladeFamily(0.15, (3.0, 2.0), (9.0, 3.0), "machined or laid up in moulds: a section by name"),
+    "hobby": BladeFamily(0.25, (4.5, 2.5), (5.0, 2.5), "other moulded blades, and thin shells of toys"),
+    "printed": BladeFamily(
+        0.10, (3.5, 2.0), (8.0, 3.0), "printed blades: a named section with the steps of print layers"
+    ),
+    "machined": BladeFamily(0.15, (3.0, 2.0), (9.0, 3.0), "machined blades, or laminates from moulds: a named section"),
 }
 
 

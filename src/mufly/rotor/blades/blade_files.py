@@ -104,7 +104,7 @@ def read_blade(
     if r.size > 1 and np.all(np.diff(r) < 0.0):
         r, chord, twist, foils = r[::-1], chord[::-1], twist[::-1], foils[::-1]
         thick = None if thick is None else thick[::-1]
-        notes.append("the stations run from tip to hub and were turned round")
+        notes.append("the stations run from tip to hub and were reversed")
     if airfoil is not None:
         foils = [airfoil]
         notes = [n for n in notes if not n.startswith(_DEFAULT_AIRFOIL_NOTE)]
@@ -112,7 +112,7 @@ def read_blade(
         load_airfoil(foil)
     keep = (r <= radius * (1 + 1e-6)) & (chord > _MIN_CHORD_RATIO * radius)
     if not keep.all():
-        notes.append(f"{int((~keep).sum())} station(s) beyond the tip or without chord left out")
+        notes.append(f"{int((~keep).sum())} station(s) beyond the tip or without chord omitted")
     if keep.sum() < 2:
         raise InputError(where, "", "has fewer than two stations within the radius", "check radius and units")
     r, chord, twist = r[keep], chord[keep], twist[keep]
@@ -128,7 +128,7 @@ def read_blade(
     blades = blades or count
     if blades is None:
         blades = 2
-        notes.append("two blades, since the file does not say")
+        notes.append("two blades assumed, since the file does not state the number")
     source = {"source": "datasheet", "note": f"from {where}"}
     rotor = rotor_from_tables(
         {
@@ -331,6 +331,6 @@ def _resolve_airfoil(name: str, notes: list[str]) -> str:
     try:
         load_airfoil(low)
     except InputError:
-        notes.append(f"{name} is not published: {_DEFAULT_AIRFOIL} in its place")
+        notes.append(f"{name} is not published: replaced by {_DEFAULT_AIRFOIL}")
         return _DEFAULT_AIRFOIL
     return low

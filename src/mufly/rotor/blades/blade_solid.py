@@ -133,7 +133,7 @@ def blade_contours(
     shapes = []
     for name in cut.airfoil_names:
         if is_polar_file(name):
-            raise InputError(name, "", "is a table of coefficients, no contour", "name an airfoil or a .dat file")
+            raise InputError(name, "", "is a table of coefficients without a contour", "name an airfoil or a .dat file")
         shapes.append(_resample_contour(load_airfoil(name).coordinates, per_side))
     table = np.array(shapes)
     contour = (1.0 - cut.second_weight)[:, None, None] * table[cut.first_airfoil] + cut.second_weight[
@@ -334,7 +334,7 @@ def read_stl(path: str | Path, unit_m: float = 1e-3) -> Array:
             table = np.frombuffer(data, dtype=[("v", "<f4", (4, 3)), ("a", "<u2")], offset=84)
             corners = table["v"][:, 1:].astype(np.float64)
             if not np.isfinite(corners).all():
-                raise InputError(where, "", "has corners that are no numbers", remedy)
+                raise InputError(where, "", "has vertices that are not numbers", remedy)
             return unit_m * corners
     try:
         words = [line.split() for line in data.decode("utf-8").splitlines()]
@@ -466,7 +466,7 @@ def rotor_from_body(
     ]
     if outer.size and np.ptp(outer[:, :, 2]) > np.ptp(outer[:, :, 1]):
         raise InputError(
-            where, "", "has a blade whose chord stands along z, where the shaft belongs",
+            where, "", "has a blade with its chord along z, the direction of the shaft",
             "turn the body: blade along x, shaft along z, thrust towards +z",
         )  # fmt: skip
     share = np.linspace(0.05, 1.0, 200)[:-1]
@@ -475,7 +475,7 @@ def rotor_from_body(
     good = [s for s in found.values() if s.chord_m < 0.6 * radius and float(np.ptp(s.contour[:, 1])) < 0.5]
     good = _leave_hub_out(good, float(share[1] - share[0]) * radius)
     if len(good) < 4:
-        raise InputError(where, "", "cuts into no closed sections along x", "give one closed blade along x")
+        raise InputError(where, "", "has no closed sections along x", "give one closed blade along x")
     if unit_m is None and not step and not _MIN_RADIUS_M <= radius <= _MAX_RADIUS_M:
         written = _MM_PER_M * radius
         likely = [
@@ -497,11 +497,11 @@ def rotor_from_body(
         files.append(str(file))
     x = np.array([s.r_m / radius for s in cut])
     x[-1] = 1.0
-    notes = [f"{len(cut)} sections from {x[0]:.2f} R on, sweep and rake are left out"]
+    notes = [f"{len(cut)} sections from {x[0]:.2f} R on, sweep and rake are ignored"]
     if turned:
         notes.append(f"the body was turned by {math.degrees(turned):.0f} degrees about the shaft: a blade lies along x")
     if blades is None:
-        notes.append("two blades; say --blades if it has others")
+        notes.append("two blades assumed; give --blades for another number")
     rotor = make_rotor(
         name=called, radius_m=radius, chord_m=[s.chord_m for s in cut], twist_rad=[s.twist_rad for s in cut],
         airfoils=files, r_over_R=x, blades=blades or 2, hub_cutout=float(x[0]), source="CAD",

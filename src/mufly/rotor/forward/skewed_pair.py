@@ -257,7 +257,8 @@ def solve_forward_pair(
             narrow = radii[0] / math.sqrt(tube_axis_speed(spacing_m, radii[0]))
             return ForwardPair(one, two, spacing_m, shift, _disc_overlap(shift, narrow, radii[1]), turn)
     raise MuflyError(
-        f"coax forward: the two rotors do not settle at {first.edgewise_m_s:g} m/s edgewise and {first.climb_m_s:g} "
+        f"coax forward: the two rotors do not converge at {first.edgewise_m_s:g} m/s edgewise and "
+        f"{first.climb_m_s:g} "
         f"m/s climb; the inflow still changes by {step / scale:.1e} of itself a turn"
     )
 

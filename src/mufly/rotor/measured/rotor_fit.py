@@ -362,7 +362,7 @@ def _select_training_points(bench: _BenchPoints) -> tuple[NDArray[np.intp], str]
     order = np.lexsort((bench.climb_m_s, bench.speed_rad_s))
     if n < 4:
         return order[n // 2 : n // 2 + 1], "fitted to one point, checked on the others"
-    return np.sort(order[::2]), "fitted to every other point, checked on those between"
+    return np.sort(order[::2]), "fitted to every second point, checked on the points between"
 
 
 def _apply_change(blading: Blading, tables: Mapping[str, PolarTable], change: Array, reynolds: float) -> Blading:
@@ -485,5 +485,5 @@ def _describe_undecided(
         shares[name] = shares.get(name, 0.0) + weight
     if max(shares.values()) < 0.5:
         several = ", ".join(sorted(shares, key=lambda name: -shares[name])[:4])
-        words.append(f"sections that would do as well: {several}")
+        words.append(f"sections that fit equally well: {several}")
     return tuple(words)

@@ -177,7 +177,7 @@ def predict_interval(
     """
     if level not in INTERVAL_LEVELS:
         known = ", ".join(map(str, INTERVAL_LEVELS))
-        raise ArgumentError("band", f"{level:g}", "is not a probability of a known interval", f"choose one of {known}")
+        raise ArgumentError("band", f"{level:g}", "is not an available probability", f"choose one of {known}")
     if section not in SECTION_KNOWLEDGE_LEVELS:
         raise InputError(
             "uncertainty",

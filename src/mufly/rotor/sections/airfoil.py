@@ -311,7 +311,7 @@ def naca_contour(digits: str, per_side: int = _POINTS_PER_SIDE) -> Array:
     if len(digits) == 4:
         m, p = int(digits[0]) / 100, int(digits[1]) / 10
         if (m == 0) != (p == 0):
-            raise InputError(where, "", "has camber without a place, or a place without camber", "as in naca4412")
+            raise InputError(where, "", "has camber without position, or position without camber", "as in naca4412")
         y_c, slope = _four_digit_camber_line(x, m, p)
     else:
         families = {"0": _NORMAL_CAMBER_LINES, "1": _REFLEX_CAMBER_LINES}

@@ -160,7 +160,7 @@ def _check_arguments(
     if not 0.0 <= n_crit <= 18.0:
         raise InputError("polar", "n_crit", f"{n_crit:g} is out of range", "give 0 (noisy) to 18 (glider)")
     if len(xtr) != 2 or not all(0.0 <= x <= 1.0 for x in xtr):
-        raise InputError("polar", "xtr", f"{xtr} is out of range", "give two places x/c between 0 and 1")
+        raise InputError("polar", "xtr", f"{xtr} is out of range", "give two positions x/c between 0 and 1")
     re = DEFAULT_REYNOLDS if reynolds is None else np.atleast_1d(np.asarray(reynolds, dtype=np.float64))
     steps = np.diff(np.log(re)) if np.all(re > 0) else np.array([-1.0])
     if re.ndim != 1 or not np.all(np.isfinite(re)) or np.any(steps <= 0):
@@ -218,7 +218,7 @@ def _build_fpe_stub() -> str:
         find_compiler()
     except MuflyError as error:
         raise MuflyError(
-            f"{trapped}, and there is no C compiler to silence it with; install gcc, or use engine 'neuralfoil'"
+            f"{trapped}, and without a C compiler this cannot be disabled; install gcc, or use engine 'neuralfoil'"
         ) from error
     try:
         return str(build_cached_library("xfoil-quiet", {"quiet.c": _FPE_STUB_SOURCE}))
@@ -383,7 +383,7 @@ def compute_xfoil_polars(
         if not k.any():
             raise MuflyError(
                 f"xfoil does not converge on {airfoil.name} at Re {r:.0f} and n_crit {n_crit:g}; "
-                "leave that Reynolds number out, or use engine 'neuralfoil'"
+                "omit that Reynolds number, or use engine 'neuralfoil'"
             )
     coefficients = np.nan_to_num(np.stack(values))
     mask = np.stack(known)

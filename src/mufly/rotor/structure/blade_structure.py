@@ -33,7 +33,7 @@ class BladeStructure(ParameterGroup):
     """Material, thickness and root of a blade. Values that are left out are not known."""
 
     material: str = Field(description="material of the whole blade, as `abs`; `mufly rotor beam --materials` lists")
-    contour: str = Field(default="", description="airfoil whose contour the blade has; default: its airfoils")
+    contour: str = Field(default="", description="airfoil of the structure's contour; default: the blade's airfoils")
     thickness: Quantity | None = _optional(
         "m", "t", "thickness of a plate on the camber line; default: the contour's", above=0, at_most=0.05
     )
@@ -69,7 +69,7 @@ class BladeStructure(ParameterGroup):
         for key in ("hinge_radius", "flap_spring"):
             if getattr(self, key) is not None and self.root != "hinged":
                 raise model_error(
-                    f"is given, but the root is {self.root}", 'set root = "hinged" or leave it out',
+                    f"is given, but the root is {self.root}", 'set root = "hinged" or omit it',
                     f"blade.structure.{key}",
                 )  # fmt: skip
         return self

@@ -178,5 +178,5 @@ def solve_coupled_rounds(
             return CoupledRounds(np.array(tips), x[TWIST_AT_NODES].copy(), beam.edges_m, x[FLAP_AT_NODES].copy())
     raise MuflyError(
         f"rotor {rotor.name}: the tip's twist still changes by {math.degrees(abs(tips[-1] - tips[-2])):.2f} degrees "
-        f"after {_MAX_ROUNDS} rounds; turn slower, or give a stiffer blade"
+        f"after {_MAX_ROUNDS} rounds; reduce the speed, or give a stiffer blade"
     )

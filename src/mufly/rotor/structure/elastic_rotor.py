@@ -392,7 +392,7 @@ def solve_elastic_rotor(
     s = structure or blade_structure(rotor)
     if rotor.fit is not None:
         raise InputError(
-            f"rotor {rotor.name}", "fit", "holds the twist of the loaded blade", "take [fit] out of the file"
+            f"rotor {rotor.name}", "fit", "holds the twist of the loaded blade", "delete [fit] from the file"
         )
     polars = compute_rotor_polars(rotor, n_crit=n_crit, engine=engine)
     blading = prepare_blading(rotor, polars, corrections=corrections)

@@ -300,7 +300,7 @@ def _solve_with_core_limit(
             if converged:
                 wander = 100.0 * _load_spread(history, 2 * _MEAN_WINDOW)
                 message = (
-                    f"converged in the mean after {turn + 1} iterations, loads wander by {wander:.2f} %, "
+                    f"converged in the mean after {turn + 1} iterations, loads vary by {wander:.2f} %, "
                     f"core limit {limit:g} R"
                 )
                 break
@@ -357,7 +357,7 @@ def _is_steady_in_mean(history: list[list[float]], tolerance: float) -> bool:
 def _divergence_message(history: list[list[float]], how: WakeSettings) -> str:
     now = np.array(history[-1])
     if not np.all(np.isfinite(now)) or now[0] > 1e3:
-        return f"diverged in iteration {len(history)}: the history is kept"
+        return f"diverged in iteration {len(history)}; the history is kept"
     return ""
 
 

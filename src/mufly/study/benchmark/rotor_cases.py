@@ -175,9 +175,9 @@ def load_cases(folder: Path, only: str = "") -> tuple[list[RotorCase], list[str]
     chosen = [replace(c, tunnel_runs=tuple(load_tunnel_runs(folder, c, missing))) for c in chosen]
     if not chosen:
         if not cases:
-            raise InputError("--data", str(folder), "contains no measurements that are known here", _FETCH_REMEDY)
+            raise InputError("--data", str(folder), "contains no measurements in a known format", _FETCH_REMEDY)
         names = ", ".join(sorted({c.group for c in cases}))
-        raise InputError("--only", only, "is in the name of no rotor and of no group", f"choose of {names}")
+        raise InputError("--only", only, "is not in the name of a rotor or group", f"choose of {names}")
     return chosen, missing
 
 
@@ -304,7 +304,9 @@ def load_uiuc_files(folder: Path, left_out: list[str]) -> Iterator[RotorCase]:
         blades = int(several[1]) if several else 2
         used |= {geometry, *runs} if runs else set()
         if runs and size is None:
-            left_out.append(f"{geometry.name}: its name holds no size; name it as MAKER_9x5_geom.txt, in inches or mm")
+            left_out.append(
+                f"{geometry.name}: the file name states no size; name the file as MAKER_9x5_geom.txt, in inches or mm"
+            )
         if not runs or size is None:
             continue
         diameter = float(size[1]) * (_INCH if float(size[1]) < 30.0 else 1e-3)
