@@ -72,6 +72,7 @@ class Device:
             if self.model.is_off:
                 return k
             self.step(k, **options)
+        assert self.model.outside == 0  # no place is asked for that the device has not
         return periods
 
     def latest(self):

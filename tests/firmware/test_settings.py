@@ -235,6 +235,10 @@ def test_a_worn_flash_is_reported_and_missions_that_are_not_stored_are_refused(l
     s.texts(50)
     assert s.board.flash_model.operations == operations  # not tried again in every period
     assert s.command(STORAGE, 1) == mavlink.MAV_RESULT_FAILED
+    # A load drops what is not stored.
+    assert s.set("CAL_SONAR_OFF", 0.1) == pytest.approx(0.1)
+    assert s.command(STORAGE, 0) == mavlink.MAV_RESULT_ACCEPTED
+    assert (s.get("STK_TILT"), s.get("CAL_SONAR_OFF")) == (8.0, 0.0)
     s.restart()
     assert (s.mission(), round(s.get("STK_TILT"), 4)) == (before, 8.0)
 

@@ -241,6 +241,31 @@ def test_causes_of_a_reset_watchdog_and_timers(library) -> None:
 
 
 @needs_cc
+def test_pins_have_their_functions_and_no_device_is_selected(library) -> None:
+    chip = Chip(library)
+    chip.lib.pins_start()
+    a, b, c = 0x40020000, 0x40020400, 0x40020800
+    functions = {
+        (a, 9): 7, (a, 10): 7, (a, 3): 7, (a, 5): 5, (a, 6): 5, (a, 7): 5, (b, 0): 2, (b, 1): 2, (c, 6): 3, (c, 7): 3,
+        (c, 10): 6, (c, 11): 6, (c, 12): 6,
+    }  # fmt: skip
+    for (port, pin), function in functions.items():
+        assert chip.values[port + 0x20 + 4 * (pin // 8)] >> 4 * (pin % 8) & 15 == function, (port, pin)
+        assert chip.values[port] >> 2 * pin & 3 == 2
+        assert chip.values[port + 8] >> 2 * pin & 3 == 2
+    assert chip.values[c] >> 10 & 3 == 3  # battery
+    for port, pin in ((c, 2), (b, 3), (c, 1)):
+        assert chip.values[port] >> 2 * pin & 3 == 1
+        assert chip.pin(port, pin) == 1
+        mode = next(k for k, (address, _) in enumerate(chip.writes) if address == port)
+        high = next(k for k, one in enumerate(chip.writes) if one == (port + 0x18, 1 << pin))
+        assert high < mode  # before it becomes an output
+    assert set(chip.values) <= {FLASH + 0x10, RCC + 0x74, FLASH + 0x0C} | {
+        port + offset for port in (a, b, c) for offset in (0, 8, 0x18, 0x20, 0x24)
+    }
+
+
+@needs_cc
 def test_the_serial_port_loses_no_byte_and_counts_the_bad_ones(library) -> None:
     chip = Chip(library)
     ffi, lib = chip.ffi, chip.lib

@@ -50,9 +50,14 @@ static bool lasts(block_model_t *m)
     return !cut;
 }
 
-static bool accepts(const block_model_t *m, int32_t block)
+static bool accepts(block_model_t *m, int32_t block)
 {
-    return (m != NULL) && !m->is_off && !m->refuses && (block >= 0) && (block < m->blocks);
+    const bool is_inside = (m != NULL) && (block >= 0) && (block < m->blocks);
+
+    if (!is_inside && (m != NULL)) {
+        m->outside++;
+    }
+    return is_inside && !m->is_off && !m->refuses;
 }
 
 bool hal_block_read(int32_t block, uint32_t to[BLOCK_WORDS])

@@ -19,6 +19,7 @@ typedef struct {
     int32_t polls_left, answer;
     uint32_t operations;   /* writes and flushes since the start */
     int32_t cut_after;     /* the power is cut in the operation after so many; negative: never */
+    uint32_t outside;      /* operations asked for on a block that the device has not */
     bool is_off, refuses, is_silent;
     uint32_t noise;        /* state of the random generator; not 0 */
 } block_model_t;
