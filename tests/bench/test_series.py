@@ -213,7 +213,7 @@ def test_a_kill_at_any_moment_loses_at_most_the_point_that_was_measured(tmp_path
     assert len(done) == len(set(done))
     assert before <= set(done) | {(0, 0)}
     other = read_record(tmp_path)
-    with pytest.raises(InputError, match="not the one of this record"):
+    with pytest.raises(InputError, match="not the plan of this record"):
         run_series(plan(seed=9), SimulatedRig(3), other)
     with pytest.raises(InputError, match="calibration: differs from the bench on which this series began"):
         run_series(made, SimulatedRig(4, time_s=3600.0), other)

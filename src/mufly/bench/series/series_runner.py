@@ -224,7 +224,7 @@ def _check_plan(plan: SeriesPlan, rig: BenchRig, record: SeriesRecord) -> None:
     missing = {a for m in plan.mounting for a in m.turning_sides} - set(rig.axes)
     if missing:
         raise InputError("plan", "mounting", f"needs the axis {', '.join(sorted(missing))}", "this bench "
-        "has {', '.join(rig.axes) or 'none'}; change the plan")  # fmt: skip
+        f"has {', '.join(rig.axes) or 'none'}; change the plan")  # fmt: skip
     if record.lines and record.header_line.get("digest") != plan.digest():
         raise InputError("plan", "", "is not the plan of this record", "give another folder, or the plan of this one")
     if not record.lines:
