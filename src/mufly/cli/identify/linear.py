@@ -494,7 +494,8 @@ def _write_bandwidth(data: FrequencyResponse, found: Bandwidth, out: Path) -> li
     first = slice(0, 1)
     one = replace(
         data, inputs=data.inputs[:1], response=data.response[:, :, first], partial=data.partial[:, :, first],
-        error=data.error[:, :, first], freedom=data.freedom[:, :, first],
+        error=data.error[:, :, first],
+        degrees_of_freedom=data.degrees_of_freedom[:, :, first],
         outputs=(data.outputs[0].replace("/", "-over-"),),
     )  # fmt: skip
     with fit_pictures.report_style():
