@@ -329,7 +329,7 @@ def test_a_full_disk_or_a_second_run_is_said_in_one_line(tmp_path: Path, monkeyp
     log = case / "log.simpleFoam"
     with log.open("a", encoding="utf-8") as held:
         fcntl.flock(held, fcntl.LOCK_EX)
-        with pytest.raises(MuflyError, match="another run is at this case"):
+        with pytest.raises(MuflyError, match="another run uses this case"):
             run_case(case)
     log.unlink()
     log.symlink_to("/dev/full")

@@ -231,7 +231,7 @@ def test_every_command_has_help(monkeypatch, capsys) -> None:
 
 def test_what_a_camera_needs_is_said_before_the_flight(monkeypatch, capsys, tmp_path, hop) -> None:
     for words, said in (
-        (("--camera", "webcam"), "without --position camera"),
+        (("--camera", "webcam"), "needs --position camera"),
         (("--position", "camera", *IDEAL), "the true state needs no camera"),
         (("--position", "camera", "--floor", "rihc"), "did you mean 'rich'"),
         (("--position", "camera", "--camera-fault", "blind@3s"), "use one of: covered, dark, unplugged"),

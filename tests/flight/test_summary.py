@@ -263,7 +263,7 @@ def test_air_beyond_the_model_counts_the_vehicles_own_motion_and_tilt():
         return summarise_flight(dataset).outside_model
 
     assert said(wind=(-2.4, 0, 0)).startswith(
-        "the model was not valid for 26 % of the time in the air: its rotors met 2.9"
+        "the flight model was not valid for 26 % of the time in the air: its rotors met 2.9"
     )
     assert said(wind=(2.4, 0, 0)) == "" == said()
     assert "0.5 m/s across and 1.3 m/s along the mast, and hold up to 2.6 and 0.8" in said(wind=(0, 0, 0.8))

@@ -237,7 +237,7 @@ def test_the_signal_of_an_esc_is_the_duty_and_its_current_the_supply_s(tmp_path)
     assert fit.find_estimate("Rohm").value == pytest.approx(0.1, rel=1e-6)
     assert fit.find_estimate("kE").value == pytest.approx(0.002, rel=1e-6)
     assert any("a pulse, 1000 us taken as duty 0 and 2000 us as 1" in n for n in fit.notes)
-    assert any("Current (A): beside ESC signal (µs) taken as the supply's" in n for n in fit.notes)
+    assert any("Current (A): read as the supply current, because the file has ESC signal (µs)" in n for n in fit.notes)
 
 
 @pytest.mark.parametrize("at_rest", ["1000", "0.5e3"])

@@ -372,14 +372,14 @@ def test_a_thrust_without_unit_is_decided_by_the_lift_and_said(tmp_path, unit):
 def test_loads_without_units_lean_on_the_figure_of_merit_or_are_asked_for(tmp_path):
     """c_T of 0.003 in newtons would be 0.029 in kilograms: only the torque tells."""
     thrust, torque = 0.003 / C_T * loads_of(WIDE)[0], 0.1 * loads_of(WIDE)[1]
-    with pytest.raises(InputError, match="thrust: has no unit, and its size would do for N or kgf"):
+    with pytest.raises(InputError, match="thrust: has no unit, and its size suits N or kgf"):
         found(written(tmp_path, rows("speed_rad_s,thrust", WIDE, thrust)))
     result = found(written(tmp_path, rows("speed_rad_s,thrust,torque_Nm", WIDE, thrust, torque)))
     assert any("taken as N (c_T near 0.003, figure of merit 0.46)" in n for n in result.notes)
     milli = found(written(tmp_path, rows("speed_rad_s,T(N),torque", WIDE, loads_of(WIDE)[0], 1e3 * loads_of(WIDE)[1])))
     assert milli.find_estimate("cQ").value == pytest.approx(C_Q)
     assert any("torque: no unit is written, taken as mN m" in n for n in milli.notes)
-    with pytest.raises(InputError, match="thrust: has no unit, and its size would do for no unit"):
+    with pytest.raises(InputError, match="thrust: has no unit, and its size suits no unit"):
         found(written(tmp_path, rows("speed_rad_s,thrust", WIDE, 1e6 * thrust)))
 
 

@@ -376,7 +376,10 @@ def _convert_duty(table: BenchTable, reading: _ColumnReading | None) -> BenchTab
     if esc and "current" in table and "supply_current" not in table and "motor" not in table.headers["current"].lower():
         columns = {("supply_current" if k == "current" else k): c for k, c in table.columns.items()}
         headers = {("supply_current" if k == "current" else k): h for k, h in table.headers.items()}
-        note = f"{table.headers['current']}: beside {header} taken as the supply's; the motor's is motor_current_A"
+        note = (
+            f"{table.headers['current']}: read as the supply current, because the file has {header}; "
+            "name the motor current motor_current_A"
+        )
         table = replace(table, columns=columns, headers=headers, notes=(*table.notes, note))
     return table
 

@@ -1,4 +1,4 @@
-"""The running flight in Foxglove: its websocket, with the topics and schemas of a recording.
+"""Websocket server that shows a running flight in Foxglove, with the topics and schemas of a recording.
 
 The encoder is that of the recording (:class:`mufly.flight.record.recorder.RecordingEncoder`), so a layout of panels
 serves the live flight and its file. The server of ``foxglove-sdk`` (MIT) sends from threads of its own and drops the

@@ -430,7 +430,7 @@ PHYSICAL_LIMITS: Mapping[str, PhysicalLimits] = {
     "velocity": PhysicalLimits(-340.0, 340.0, "rotorcraft stay below the speed of sound, 340 m/s"),
     "position": PhysicalLimits(-1e6, 1e6, "north-east-down axes are of a flat earth, no further than 1000 km"),
     "rotor_speed": PhysicalLimits(-34_000.0, 34_000.0, "at 34000 rad/s a tip 10 mm out has the speed of sound"),
-    "range": PhysicalLimits(0.0, 1000.0, "range finders of small aircraft end below 1 km"),
+    "range": PhysicalLimits(0.0, 1000.0, "range finders of small aircraft measure less than 1 km"),
     "battery_voltage": PhysicalLimits(
         0.0, 120.0, "28 lithium cells in series, more than any such aircraft has, give 120 V"
     ),

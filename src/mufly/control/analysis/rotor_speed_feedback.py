@@ -110,7 +110,7 @@ class RotorSpeedComparison:
         )
 
     def shown_blocks(self) -> list[ShownBlock]:
-        """Return the table and the verdict."""
+        """Return the table of the compared loops and the verdict, as text."""
         heads = ("rotor speeds", "weight", "crossover", "S_u", "disk", "height", "heading", "inputs")
         rows: list[tuple[str, ...]] = [("", "", "rad/s", "dB", "", "cm", "deg", "%")]
         for r in self.rows:

@@ -159,7 +159,7 @@ class FilterMemory:
     queue_ahead: _Array = _real("time of each after its period", "QUEUE_SIZE", unit="s")
     # Noise of the accelerometers about the model
     accel_noise_sum: _Array = _real("sum of residuals since the last mean", 3, unit="m/s2")
-    gyro_rates_prev: _Array = _real("rates of the period before, body axes", 3, unit="rad/s")
+    gyro_rates_prev: _Array = _real("rates of the previous period, body axes", 3, unit="rad/s")
     accel_noise_count: int = _int("residuals in accel_noise_sum")
     accel_noise: _Array = _real("density of the noise by means over short blocks", 3, unit="m2/s3")
     accel_noise_slow: _Array = _real("density of the noise at low frequencies", 3, unit="m2/s3")

@@ -1,4 +1,4 @@
-"""Section coefficients of an engine or a measurement before their extension to the full circle, and their cache.
+"""Coefficients of an airfoil, computed or measured, before their extension to all angles of attack; their cache.
 
 The cache key covers the contour, the engine with its version and settings, and the Reynolds numbers. Entries are
 therefore never out of date, and deleting the folder (:func:`mufly.files.answer_store.cache_folder`) is safe. If the

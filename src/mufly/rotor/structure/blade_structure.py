@@ -85,7 +85,7 @@ def relative_std(quantity: Quantity | None, unknown: float = 0.0) -> float:
 
 
 def structure_deviations(structure: BladeStructure) -> dict[str, float]:
-    """Return the standard deviations of a structure's causes of uncertainty.
+    """Return the standard deviations of the uncertain quantities of a blade's structure.
 
     Returns
     -------
