@@ -16,6 +16,7 @@ from mufly.flight import Flight
 from mufly.flight.flight_software import FlightSoftware
 from mufly.flight.mission_flight import align_and_start
 from mufly.mission import Command, Mission, SetPoint, parse_mission
+from mufly.sensors import parse_fault
 from mufly.vehicle import Vehicle, load_vehicle
 
 HOP = parse_mission({"name": "hop", "waypoint": [{"position_m": [0.4, 0.0, -0.6]}]})
@@ -91,6 +92,21 @@ def test_a_vehicle_that_leans_is_not_armed(vehicle, controller, lean_deg):
         assert f"stands tilted {lean_deg - 0.3:.1f}"[:-2] in why
         assert "degrees; limit 6; set the vehicle on level ground" in why
         assert not flight.autopilot.armed
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [("", ""), ("sonar.bias=0.15@0s", "m above the floor, where the standing vehicle is 0.07 m above it")],
+)
+def test_the_sonar_on_the_floor_is_judged_by_its_place(vehicle, controller, fault, words):
+    """A sonar that reads 0.17 m on the floor lifts the estimate, and the flight would begin 0.2 m too low."""
+    options = {"controller": controller, "sensors": "fitted", "seed": 13, "keep": False}
+    with Flight(vehicle, HOP, faults=[parse_fault(fault)] if fault else [], **options) as flight:
+        while flight.time_s < 3.0:
+            flight.step_period()
+        answer = flight.autopilot.arm()
+        assert bool(answer) is not bool(fault), answer.reason
+        assert words in answer.reason
 
 
 @pytest.mark.parametrize("charge", [1.0, 0.93, 0.5, 0.12])

@@ -18,10 +18,19 @@ BATTERY_MARGIN_V = 0.2
 
 MAX_ARMING_SPEED_M_S, MAX_ARMING_RATE_RAD_S = 0.1, 0.2
 MAX_ESTIMATE_AGE_S = 0.5
+MAX_STANDING_ERROR_M = 0.05
+"""Largest error of the estimated height above the floor on the floor (m); the scatter there is below 0.01 m."""
 
 
 def find_arming_faults(
-    m: Estimate | None, stale_s: float, low_V: float, world: World, radius_m: float, crashed: str
+    m: Estimate | None,
+    stale_s: float,
+    low_V: float,
+    world: World,
+    radius_m: float,
+    crashed: str,
+    *,
+    standing_m: float | None = None,
 ) -> list[str]:
     """Return the reasons against arming the vehicle; empty if arming is allowed.
 
@@ -39,6 +48,8 @@ def find_arming_faults(
         Rotor radius (m).
     crashed : str
         Cause of a crash, or "".
+    standing_m : float, optional
+        Height of the centre of gravity of the standing vehicle above the floor (m); unchecked by default.
     """
     if crashed:
         return [f"crashed ({crashed}); reset the vehicle first"]
@@ -67,6 +78,13 @@ def find_arming_faults(
     tilted = start_fault(replace(m, valid=True))
     if tilted:
         why.append(f"{tilted}; set the vehicle on level ground, or check the accelerometers")
+    if m.auxiliary_states is not None and standing_m is not None:
+        height = -float(m.position[2]) - m.auxiliary_states.floor_height
+        if abs(height - standing_m) > MAX_STANDING_ERROR_M:
+            why.append(
+                f"the estimate is {height:.2f} m above the floor, where the standing vehicle is {standing_m:.2f} m "
+                "above it; check the sonar and its place, or set the vehicle on the floor"
+            )
     if np.linalg.norm(m.velocity) > MAX_ARMING_SPEED_M_S or np.abs(m.rates).max() > MAX_ARMING_RATE_RAD_S:
         why.append("the vehicle is moving; set it down and leave it at rest")
     near = check_place(world, (float(m.position[0]), float(m.position[1]), float(m.position[2])), radius_m)

@@ -22,6 +22,7 @@ from dataclasses import replace
 import numpy as np
 
 from mufly.control import FlightController
+from mufly.dynamics import standing_height
 from mufly.errors import InputError
 from mufly.estimate import Estimate, SensorStatus
 from mufly.flight.arming import check_climb_column, check_place, find_arming_faults
@@ -113,6 +114,7 @@ class Autopilot:
         self.source_fault: Callable[[], str] = lambda: ""
         self.energy_check = EnergyCheck(vehicle)
         self._radius_m = float(vehicle.rotors.radius)
+        self._standing_m = standing_height(vehicle)
         self._period_s = 1.0 / controller.rate_Hz
         self._parameters = TunableParameters(vehicle, controller, self.software)
         self._outbox: deque[FlightEvent] = deque(maxlen=EVENT_CAPACITY)
@@ -334,8 +336,9 @@ class Autopilot:
         plan = self.software.plan
         m = self._estimate
         why = find_arming_faults(
-            m, self._stale_s, plan.low_battery_V, plan.mission.world, self._radius_m, self.crash_cause
-        )
+            m, self._stale_s, plan.low_battery_V, plan.mission.world, self._radius_m, self.crash_cause,
+            standing_m=self._standing_m,
+        )  # fmt: skip
         if m is not None and not self.crash_cause and np.isfinite(m.position).all():
             fault = self.energy_check.check_start_here(plan.mission, m)
             why += [fault] if fault else []
