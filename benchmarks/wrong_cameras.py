@@ -78,7 +78,7 @@ def fly_once(case: str, floor: str, seed: int) -> dict[str, Any]:
         "case": case, "floor": floor, "seed": seed, "outcome": out["outcome"], "reason": out["reason"],
         "told_s": min((t for t, _ in of_camera if t >= 0.0), default=None),
         "says": next((text for t, text in of_camera if t >= 0.0), ""),
-        "blamed": sorted({accused(text) for _, text in out["warnings"]} - {""}),
+        "blamed": sorted({accused(text) for _, text in out["warnings"]} - {"", "position fix"}),  # it is the camera
         "landed": bool(down and not tipped), "tipped": bool(tipped), "early": early,
         "strayed_m": float(np.nanmax(np.hypot(*off.T))), "warnings": out["warnings"],
     }  # fmt: skip

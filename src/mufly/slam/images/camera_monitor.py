@@ -21,8 +21,8 @@ heading, so attitude alone gives v up to a constant. Slow parts are removed from
 
 A vehicle with still rotors is carried by hand: p is then the rotation alone, and the residuals contain the way.
 Recursive least squares with exponential forgetting (:data:`_MEMORY_S`) gives m, n, k and their covariance from the
-residuals (Ljung, *System Identification*, 1999, Sec. 11.2), times (1 + r) / (1 - r) for residuals with the correlation
-r from picture to picture. A fault is reported if a steady estimate deviates by
+residuals (Ljung, *System Identification*, 1999, Sec. 11.2), times (1 + r) / (1 - r) by hand, for residuals with the
+correlation r from picture to picture. A fault is reported if a steady estimate deviates by
 :data:`_MIN_SIGMAS` standard deviations and by a least amount. A second estimate forgets within
 :data:`_QUICK_MEMORY_S`, so that an opposite motion is also found soon after a time without fault. Pictures that are
 flipped along x or y or both have y = -conj(p), conj(p) or -p. These have no unknown number, so a sequential test of
@@ -236,9 +236,9 @@ class CameraMonitor:
         if len(self._past) == 3:
             (_, p0), (y, p), (_, p2) = self._past
             row = np.array([p, p.conjugate(), (p2 - p0) / (2.0 * dt)])
-            for fit in (self._fit, self._quick_fit):
-                fit.add_picture(dt, row, y)
             driven = bool(frame.vehicle_estimate.rotor_speed.any())
+            for fit in (self._fit, self._quick_fit):
+                fit.add_picture(dt, row, y, is_correlated=not driven)
             self._flips.add_picture(dt, p, y, _FLIP_SIGMA_PX_S if driven else _CARRIED_SIGMA_PX_S)
             self._latest.append(self.estimate[:2].copy())
             self._confirm(frame.time_s)
@@ -350,8 +350,11 @@ class MotionFit:
         self._square = self._lagged = self.weight = 0.0
         self._last_off = 0j
 
-    def add_picture(self, dt: float, row: NDArray[np.complex128], y: complex) -> None:
-        """Update by the motion ``y`` of a picture and its regressors (3,), ``dt`` (s) after the one before."""
+    def add_picture(self, dt: float, row: NDArray[np.complex128], y: complex, *, is_correlated: bool = False) -> None:
+        """Update by the motion ``y`` of a picture and its regressors (3,), ``dt`` (s) after the one before.
+
+        ``is_correlated`` states whether the deviations allow for correlated residuals.
+        """
         keep = math.exp(-dt / self._memory_s)
         off = y - row @ self.estimate
         limit = 4.0 * math.sqrt(max(self._square / max(self.weight, 1.0), 1.0))
@@ -366,7 +369,7 @@ class MotionFit:
         inverse = np.linalg.inv(self._normal + 1e-6 * np.eye(3))
         self.estimate = inverse @ self._right
         rho = min(max(self._lagged / max(self._square, 1e-9), 0.0), _MAX_CORRELATION)
-        alike = (1.0 + rho) / (1.0 - rho)
+        alike = (1.0 + rho) / (1.0 - rho) if is_correlated else 1.0
         self.sigma = np.sqrt(np.abs(np.diag(inverse)) * alike * self._square / max(self.weight - 3.0, 1.0) / 2.0)
 
 
