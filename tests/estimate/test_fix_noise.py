@@ -1,4 +1,4 @@
-"""The estimated variances of the position fix, against a scalar Kalman filter whose truth has other ones."""
+"""The position fix: its estimated variances against a scalar Kalman filter, and the row of a late fix."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mufly.estimate.filter import fix_fusion
-from mufly.estimate.filter.filter_records import AID_COUNT, AID_PLACE
+from mufly.estimate.filter import fix_fusion, scalar_fusion
+from mufly.estimate.filter.filter_records import AID_COUNT, AID_PLACE, EX_ATT, MAX_H_TERMS, STATE_COUNT, SX_ATT
 
 NOISE_M, WANDER_M, TIME_S, PERIOD_S = 0.005, 0.03, 2.0, 0.0667
 estimate = fix_fusion._estimate_fix_noise.py_func
@@ -48,3 +48,28 @@ def test_a_lasting_error_of_one_sign_is_no_noise() -> None:
         m.fix_ratio[0] = 3.0
         estimate(m, 0)
     assert m.noise_scale[AID_PLACE] == m.bias_walk_scale[AID_PLACE] == 1.0
+
+
+@pytest.mark.parametrize("ahead_s", [0.0, -0.15, -0.25])
+def test_the_row_of_a_late_fix_is_the_slope_of_its_prediction(monkeypatch: pytest.MonkeyPatch, ahead_s: float) -> None:
+    """A fix taken before the horizon measures the place of then: position and velocity of the horizon count."""
+    for name in ("h_row_begin", "h_row_add"):
+        monkeypatch.setattr(fix_fusion, name, getattr(scalar_fusion, name).py_func)
+    m = SimpleNamespace(
+        h=np.zeros(MAX_H_TERMS), h_state=np.zeros(MAX_H_TERMS, int), x=np.zeros(STATE_COUNT), yaw_rate=0.5
+    )
+    m.x[:] = np.random.default_rng(4).normal(0.0, 0.5, STATE_COUNT)
+    m.x[SX_ATT : SX_ATT + 4] = 1.0, 0.0, 0.0, 0.0
+    innovation = fix_fusion._fix_innovation.py_func
+    linear = [k for k in range(STATE_COUNT) if not SX_ATT <= k < SX_ATT + 4]
+    for i in range(2):
+        fix_fusion._fix_h_row.py_func(m, i, ahead_s)
+        row = np.zeros(STATE_COUNT)
+        for state, h in zip(m.h_state[: m.h_terms], m.h[: m.h_terms], strict=True):
+            assert not EX_ATT <= state < EX_ATT + 3
+            row[state + (state >= EX_ATT)] = h
+        before = innovation(m, np.zeros(4), i, ahead_s)
+        for k in linear:
+            m.x[k] += 1.0
+            assert before - innovation(m, np.zeros(4), i, ahead_s) == pytest.approx(row[k], abs=1e-12)
+            m.x[k] -= 1.0

@@ -340,7 +340,7 @@ class FilterSettings:
     pressure_slope: float = _real("pressure over the height down", unit="Pa/m")
     pressure_thrust: _Array = _real("pressure over the square of the rotor speed: upper, lower", 2)
     mag_heading_variance: float = _real("variance of the magnetic heading", unit="rad2")
-    mag_field_variance: float = _real("variance of the field along an axis in hover", unit="T2")
+    mag_field_variance: float = _real("variance of the field along an axis, with the current of heave control", unit="T2")
     earth_field: _Array = _real("field of the earth N, E, D", 3, unit="T")
     rotor_speed_gain: float = _real("gain of the rotor speed's filter")
     motor_error_gain: float = _real("gain of the motors' error", unit="1/s")
@@ -527,7 +527,8 @@ def filter_settings(
         s["mag_heading_variance"] = (math.hypot(float(compass.noise), swing) / field) ** 2
         current = float(vehicle.battery.electronics_current) + HOVER_CURRENT_A
         wrong = math.hypot(float(compass.distortion), float(compass.hard_iron), float(compass.motor_field) * current)
-        s["mag_field_variance"] = wrong**2 + float(compass.noise) ** 2 + (EARTH_FIELD_ERROR * float(compass.field)) ** 2
+        off = math.hypot(wrong, swing, float(compass.noise), EARTH_FIELD_ERROR * float(compass.field))
+        s["mag_field_variance"] = off**2
         sigma[EX_MAG_BIAS], tau[EX_MAG_BIAS] = min(wrong / field, 2.0), float(compass.distortion_length) / 0.3
         bound[R_MAGNET] = 1e-3
     if (rotor := sensing.rotor_speed) is not None:

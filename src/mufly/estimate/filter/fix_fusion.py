@@ -92,11 +92,16 @@ WIDENED_SIGMAS = 3.0
 
 
 @cached_njit(error_model="numpy")
-def _fix_h_row(m: FilterMemory, i: int) -> None:
-    """Write the row H of component ``i`` of the fix."""
+def _fix_h_row(m: FilterMemory, i: int, ahead: float) -> None:
+    """Write the row H of component ``i`` of a fix taken ``ahead`` (s) after the horizon, before it if negative.
+
+    Without the term of the velocity a late fix corrects the present error with a past one. A filter whose attitude is
+    uncertain, as in a turn, then oscillates. The sonar knows the vertical velocity, so the height needs no term."""
     if i < FIX_HEADING:
         h_row_begin(m, EX_POS + i, 1.0)
         h_row_add(m, EX_FIX_BIAS + i, 1.0)
+        if i < FIX_DOWN:
+            h_row_add(m, EX_VEL + i, ahead)
     else:
         h_row_begin(m, EX_ATT + 2, 1.0)
         h_row_add(m, EX_FIX_HEADING, 1.0)
@@ -236,7 +241,7 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
     k, worst, at = R_FIX, 0.0, 0.0
     down = True
     for i in range(FIX_COMPONENT_COUNT):
-        _fix_h_row(m, i)
+        _fix_h_row(m, i, ahead)
         nu = _fix_innovation(m, z, i, ahead)
         ratio = innovation_ratio(m, nu, _fix_variance(m, s, i))
         if abs(ratio) > INNOVATION_GATE and m.is_heading_aligned != 0 and m.flight_phase < PHASE_LIGHT:
@@ -299,7 +304,7 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
     for i in range(FIX_COMPONENT_COUNT):
         if i == FIX_DOWN and not down:
             continue
-        _fix_h_row(m, i)
+        _fix_h_row(m, i, ahead)
         fuse_scalar(m, _fix_innovation(m, z, i, ahead), _fix_variance(m, s, i))
     for i in range(3):
         most = GYRO_BIAS_RANGE_SIGMAS * s.initial_sigma[EX_GYRO_BIAS + i] + 2.0 * m.sigma_output[EX_GYRO_BIAS + i]

@@ -101,7 +101,7 @@ SONAR_MEAN_GATE = PRESSURE_MEAN_GATE = 2.2
 FIELD_GATE = 5.0
 """Deviations of the magnetic field from the earth's, across and along the vertical, above which a field is no heading.
 A healthy sensor exceeds them at one place in 270 000 (chi-square of two)."""
-MAX_STUCK_CHANCE = 1e-11
+MAX_STUCK_CHANCE = 1e-14
 """Probability that a healthy sonar repeats a reading for so long."""
 LEG_CLEARANCE_HEIGHT = 0.15
 """Height (m) above which no leg touches the floor; angular accelerations are then in the flight model."""

@@ -64,8 +64,8 @@ def _smooth_output(m: FilterMemory, s: FilterSettings) -> None:
     x = m.x_output
     for k in range(3):
         jump = x[k] - (m.position_prev[k] + s.dt * x[SX_VEL + k])
-        if m.is_initialised > 0:
-            m.position_slip[k] -= jump * min(max(abs(jump) / OUTPUT_JUMP_M - 1.0, 0.0), 1.0)
+        if m.is_initialised > 0 and abs(jump) > OUTPUT_JUMP_M:
+            m.position_slip[k] -= jump * min(abs(jump) / OUTPUT_JUMP_M - 1.0, 1.0)
         m.position_prev[k] = x[k]
         m.position_slip[k] -= s.dt / OUTPUT_JUMP_DECAY_S * m.position_slip[k]
         x[k] += m.position_slip[k]

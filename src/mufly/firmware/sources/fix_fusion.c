@@ -4,12 +4,15 @@
 #include "sensor_checks.h"
 #include "ud_filter.h"
 
-/* Write the row H of component i of the fix. */
-static void fix_h_row(estimator_t *m, int32_t i)
+/* Write the row H of component i of a fix taken ahead (s) after the horizon. */
+static void fix_h_row(estimator_t *m, int32_t i, real_t ahead)
 {
     if (i < FIX_HEADING) {
         h_row_begin(m, EX_POS + i, REAL(1.0));
         h_row_add(m, EX_FIX_BIAS + i, REAL(1.0));
+        if (i < FIX_DOWN) {
+            h_row_add(m, EX_VEL + i, ahead);
+        }
     } else {
         h_row_begin(m, EX_ATT + 2, REAL(1.0));
         h_row_add(m, EX_FIX_HEADING, REAL(1.0));
@@ -172,7 +175,7 @@ void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, const real
         real_t nu;
         real_t ratio;
 
-        fix_h_row(m, i);
+        fix_h_row(m, i, ahead);
         nu = fix_innovation(m, z, i, ahead);
         ratio = innovation_ratio(m, nu, fix_variance(m, s, i));
         if ((real_abs(ratio) > INNOVATION_GATE) && (m->is_heading_aligned != 0) && (m->flight_phase < PHASE_LIGHT)) {
@@ -229,7 +232,7 @@ void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, const real
     }
     for (int32_t i = 0; i < FIX_COMPONENT_COUNT; i++) {
         if ((i != FIX_DOWN) || down) {
-            fix_h_row(m, i);
+            fix_h_row(m, i, ahead);
             fuse_scalar(m, fix_innovation(m, z, i, ahead), fix_variance(m, s, i));
         }
     }

@@ -26,8 +26,8 @@ static void smooth_output(estimator_t *m, const estimator_settings_t *s)
     for (int32_t k = 0; k < 3; k++) {
         const real_t jump = x[k] - (m->position_prev[k] + (s->dt * x[SX_VEL + k]));
 
-        if (m->is_initialised > 0) {
-            m->position_slip[k] -= jump * real_min(real_max((real_abs(jump) / OUTPUT_JUMP_M) - REAL(1.0), REAL(0.0)), REAL(1.0));
+        if ((m->is_initialised > 0) && (real_abs(jump) > OUTPUT_JUMP_M)) {
+            m->position_slip[k] -= jump * real_min((real_abs(jump) / OUTPUT_JUMP_M) - REAL(1.0), REAL(1.0));
         }
         m->position_prev[k] = x[k];
         m->position_slip[k] -= (s->dt / OUTPUT_JUMP_DECAY_S) * m->position_slip[k];
