@@ -88,8 +88,8 @@ def spiking_memory() -> SimpleNamespace:
     }  # fmt: skip
     return SimpleNamespace(
         **three, tick=1, rotor_force=np.zeros((ROTOR_FORCE_HISTORY, RF_ANG_ACCEL + 3)), rate_residual_lp=0.01,
-        divergence_ticks=0, spike_repeats=0, spike_count=0, flight_phase=PHASE_FLYING, u_transposed=None, d=None,
-        f=None, reject_score=np.zeros(SENSOR_COUNT),
+        divergence_ticks=0, spike_repeats=0, spike_count=0, flight_phase=PHASE_FLYING, u_transposed=None,
+        ud_diagonal=None, u_transposed_h=None, reject_score=np.zeros(SENSOR_COUNT),
     )  # fmt: skip
 
 

@@ -56,7 +56,7 @@ def test_the_row_of_a_late_fix_is_the_slope_of_its_prediction(monkeypatch: pytes
     for name in ("h_row_begin", "h_row_add"):
         monkeypatch.setattr(fix_fusion, name, getattr(scalar_fusion, name).py_func)
     m = SimpleNamespace(
-        h=np.zeros(MAX_H_TERMS), h_state=np.zeros(MAX_H_TERMS, int), x=np.zeros(STATE_COUNT), yaw_rate=0.5
+        h_value=np.zeros(MAX_H_TERMS), h_state=np.zeros(MAX_H_TERMS, int), x=np.zeros(STATE_COUNT), yaw_rate=0.5
     )
     m.x[:] = np.random.default_rng(4).normal(0.0, 0.5, STATE_COUNT)
     m.x[SX_ATT : SX_ATT + 4] = 1.0, 0.0, 0.0, 0.0
@@ -65,7 +65,7 @@ def test_the_row_of_a_late_fix_is_the_slope_of_its_prediction(monkeypatch: pytes
     for i in range(2):
         fix_fusion._fix_h_row.py_func(m, i, ahead_s)
         row = np.zeros(STATE_COUNT)
-        for state, h in zip(m.h_state[: m.h_terms], m.h[: m.h_terms], strict=True):
+        for state, h in zip(m.h_state[: m.h_terms], m.h_value[: m.h_terms], strict=True):
             assert not EX_ATT <= state < EX_ATT + 3
             row[state + (state >= EX_ATT)] = h
         before = innovation(m, np.zeros(4), i, ahead_s)

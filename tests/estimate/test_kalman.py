@@ -231,7 +231,7 @@ def test_what_comes_late_but_before_the_horizon_counts_as_if_it_had_come_at_once
         now.update(a, flown[1][k])
         later.update(b, flown[1][k])
     assert now.memory["late_count"].sum() == later.memory["late_count"].sum() == 0
-    for name in ("x", "d", "u_transposed"):
+    for name in ("x", "ud_diagonal", "u_transposed"):
         assert np.allclose(now.memory[name], later.memory[name], rtol=1e-9, atol=1e-12), name
 
 
@@ -385,7 +385,7 @@ def test_nothing_that_sensors_say_makes_a_nan_or_a_jump(vehicle: Vehicle, flown,
         told = e.update(r, flown[1][k])
         now = np.concatenate([told.position, told.velocity, told.attitude, told.rates, told.covariance.ravel()])
         assert np.all(np.isfinite(now))
-        assert np.all(e.memory["d"] > 0.0)
+        assert np.all(e.memory["ud_diagonal"] > 0.0)
         if before is not None and k > 600:
             assert np.abs(told.position - before).max() < 0.08
         before = told.position

@@ -193,9 +193,9 @@ def test_a_floor_that_may_be_the_room_s_is_taken_for_it_in_both(vehicle, felt, f
             if k == 1600:
                 assert m["terrain_edge_weight"] == 0.0
                 m["x"][SX_TERRAIN] = floor_m
-                less = sigma_m**2 - state_variance(m["u_transposed"], m["d"], EX_TERRAIN)
-                inflate_variance(m["u_transposed"], m["d"], EX_TERRAIN, less, m["f"])
-                assert state_variance(m["u_transposed"], m["d"], EX_TERRAIN) == pytest.approx(sigma_m**2)
+                less = sigma_m**2 - state_variance(m["u_transposed"], m["ud_diagonal"], EX_TERRAIN)
+                inflate_variance(m["u_transposed"], m["ud_diagonal"], EX_TERRAIN, less, m["u_transposed_h"])
+                assert state_variance(m["u_transposed"], m["ud_diagonal"], EX_TERRAIN) == pytest.approx(sigma_m**2)
             e.update(r, a)
     assert same(c._memory_array, python._memory_array)
     assert (abs(c.memory["x"][SX_TERRAIN]) < 0.2 * floor_m) == settles

@@ -44,7 +44,7 @@ from mufly.estimate.filter.c_records import model_record, render_records_header
 from mufly.rotor import coax_maps
 from mufly.vehicle import Vehicle
 
-VERIFIED_STAMP = "9cc47978e8db1000"
+VERIFIED_STAMP = "241aa56fb5928140"
 """Stamp (:func:`source_stamp`) of the Python sources that the C code is verified to equal."""
 
 FILTER_SOURCES = (

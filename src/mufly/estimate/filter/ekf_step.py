@@ -76,7 +76,7 @@ def estimator_reset(m: FilterMemory, s: FilterSettings) -> None:
     for i in range(STATE_COUNT):
         m.x[i] = m.x_repropagating[i] = m.x_now[i] = s.initial_state[i]
     for i in range(ERROR_STATE_COUNT):
-        m.d[i] = s.initial_sigma[i] * s.initial_sigma[i] + 1e-12
+        m.ud_diagonal[i] = s.initial_sigma[i] * s.initial_sigma[i] + 1e-12
         for j in range(ERROR_STATE_COUNT):
             m.u_transposed[i, j] = 1.0 if i == j else 0.0
     for i in range(QUEUE_SIZE):

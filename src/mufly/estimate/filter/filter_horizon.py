@@ -114,7 +114,7 @@ def _pass_terrain_edge(m: FilterMemory, s: FilterSettings, span: float) -> None:
     speed = math.sqrt(m.x[SX_VEL] * m.x[SX_VEL] + m.x[SX_VEL + 1] * m.x[SX_VEL + 1])
     arc = s.sonar_arc * away
     passed = span * max(speed / max(s.sonar_cone_slope * away, 0.05), 1.0 / TERRAIN_EDGE_S)
-    inflate_variance(m.u_transposed, m.d, EX_TERRAIN, arc * arc * passed, m.f)
+    inflate_variance(m.u_transposed, m.ud_diagonal, EX_TERRAIN, arc * arc * passed, m.u_transposed_h)
     m.terrain_edge_weight = max(m.terrain_edge_weight - passed, 0.0)
     if not m.terrain_edge_weight > 0.0:
         m.terrain_steps = 0
@@ -142,7 +142,7 @@ def _advance_horizon(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array) -
         m.q_work[EX_VEL + k] = velocity_noise_density(r, k, e) * span
         m.q_work[EX_ATT + k] = spread * span
     error_transition(e, span, r, a, m.transition_work)
-    ud_time_update(m.u_transposed, m.d, span, m.transition_work, m.q_work, m.w_work, m.f)
+    ud_time_update(m.u_transposed, m.ud_diagonal, span, m.transition_work, m.q_work, m.w_work, m.u_transposed_h)
     if m.terrain_edge_weight > 0.0:
         _pass_terrain_edge(m, s, span)
     m.block_mean_ticks += s.block_ticks
@@ -175,13 +175,13 @@ def predict_bias(m: FilterMemory, s: FilterSettings) -> None:
             q += m.leak_origin_variance[i] if turning == 0.0 else 0.0
         else:
             m.leak_origin[i] = m.x[k + 1]
-            m.leak_origin_variance[i] = state_variance(m.u_transposed, m.d, k)
+            m.leak_origin_variance[i] = state_variance(m.u_transposed, m.ud_diagonal, k)
             q += (s.gyro_axis_variance[i] + m.mount_variance[i]) * (turning * turning)
         origin = m.leak_origin[i]
         m.leaked_yaw_rate[i] = turning
     m.x[k + 1] = origin + (m.x[k + 1] - origin) * keep
     if q > 0.0:
-        gauss_markov_update(m.u_transposed, m.d, k, keep, q, m.f)
+        gauss_markov_update(m.u_transposed, m.ud_diagonal, k, keep, q, m.u_transposed_h)
 
 
 @cached_njit(error_model="numpy")
@@ -244,7 +244,7 @@ def run_next_task(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array, left
     if m.task_stage == STAGE_TERRAIN:
         m.task_stage = STAGE_FORCE_MEANS
         if not m.terrain_edge_weight > 0.0 and abs(m.x[SX_TERRAIN]) < MAX_FLOOR_HEIGHT:
-            sure = state_variance(m.u_transposed, m.d, EX_TERRAIN)
+            sure = state_variance(m.u_transposed, m.ud_diagonal, EX_TERRAIN)
             if sure > FLOOR_SETTLED_SIGMA * FLOOR_SETTLED_SIGMA and m.x[SX_TERRAIN] * m.x[SX_TERRAIN] < 9.0 * sure:
                 reset_terrain(m)
                 return 1

@@ -355,8 +355,8 @@ def _restart_level(m: FilterMemory, s: FilterSettings) -> None:
     for k in range(3):
         tilt, bias = s.initial_sigma[EX_ATT + k], s.initial_sigma[EX_ACCEL_BIAS + k]
         if k < 2:
-            inflate_variance(m.u_transposed, m.d, EX_ATT + k, tilt * tilt, m.f)
-        inflate_variance(m.u_transposed, m.d, EX_ACCEL_BIAS + k, bias * bias, m.f)
+            inflate_variance(m.u_transposed, m.ud_diagonal, EX_ATT + k, tilt * tilt, m.u_transposed_h)
+        inflate_variance(m.u_transposed, m.ud_diagonal, EX_ACCEL_BIAS + k, bias * bias, m.u_transposed_h)
 
 
 @cached_njit(error_model="numpy")

@@ -126,7 +126,7 @@ class FilterMemory:
     # The filter at the horizon
     x: _Array = _real("nominal state at the horizon, indices SX", STATE_COUNT)
     u_transposed: _Array = _real("U of P = U D U^T by columns, ut[j, i] = U_ij", ERROR_STATE_COUNT, ERROR_STATE_COUNT)
-    d: _Array = _real("diagonal of D", ERROR_STATE_COUNT)
+    ud_diagonal: _Array = _real("diagonal of D", ERROR_STATE_COUNT)
     horizon_tick: int = _int("period of the state x")
     fix_bias_tick: int = _int("period up to which the bias of the fix is predicted")
     task_stage: int = _int("next stage of the work at the horizon")
@@ -268,8 +268,8 @@ class FilterMemory:
     axis_work: _Array = _real("work", 3)
     h_terms: int = _int("terms of the row of H")
     h_state: _Ints = _int("error state of each term", MAX_H_TERMS)
-    h: _Array = _real("value of each term", MAX_H_TERMS)
-    f: _Array = _real("U^T h", ERROR_STATE_COUNT)
+    h_value: _Array = _real("value of each term", MAX_H_TERMS)
+    u_transposed_h: _Array = _real("U^T h", ERROR_STATE_COUNT)
     gain: _Array = _real("Kalman gain", ERROR_STATE_COUNT)
     # Work of Python alone: in C it is on the stack
     rotation_work: _Array = _real("rotation matrix", 9)
@@ -340,7 +340,9 @@ class FilterSettings:
     pressure_slope: float = _real("pressure over the height down", unit="Pa/m")
     pressure_thrust: _Array = _real("pressure over the square of the rotor speed: upper, lower", 2)
     mag_heading_variance: float = _real("variance of the magnetic heading", unit="rad2")
-    mag_field_variance: float = _real("variance of the field along an axis, with the current of heave control", unit="T2")
+    mag_field_variance: float = _real(
+        "variance of the field along an axis, with the current of heave control", unit="T2"
+    )
     earth_field: _Array = _real("field of the earth N, E, D", 3, unit="T")
     rotor_speed_gain: float = _real("gain of the rotor speed's filter")
     motor_error_gain: float = _real("gain of the motors' error", unit="1/s")

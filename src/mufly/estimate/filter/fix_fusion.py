@@ -190,7 +190,7 @@ def _widen_fix_bias(m: FilterMemory, s: FilterSettings, i: int, nu: float, ratio
     if not scale < MAX_NOISE_SCALE:
         return ratio
     m.bias_walk_scale[aid] = max(m.bias_walk_scale[aid], scale)
-    inflate_variance(m.u_transposed, m.d, EX_FIX_BIAS + i, spread * spread, m.f)
+    inflate_variance(m.u_transposed, m.ud_diagonal, EX_FIX_BIAS + i, spread * spread, m.u_transposed_h)
     return innovation_ratio(m, nu, _fix_variance(m, s, i))
 
 
@@ -252,7 +252,9 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
                 continue
         elif m.is_heading_aligned == 0 and abs(ratio) > INNOVATION_GATE:
             # The place of the start is unknown: the first fix gives it.
-            inflate_variance(m.u_transposed, m.d, EX_POS + i if i < FIX_HEADING else EX_ATT + 2, nu * nu, m.f)
+            inflate_variance(
+                m.u_transposed, m.ud_diagonal, EX_POS + i if i < FIX_HEADING else EX_ATT + 2, nu * nu, m.u_transposed_h
+            )
             ratio = innovation_ratio(m, nu, _fix_variance(m, s, i))
         m.fix_ratio[i] = ratio
         if abs(ratio) > abs(worst):
@@ -283,12 +285,12 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
         for i in range(3):
             nu = _fix_innovation(m, z, i, ahead)
             if held[0] if i == FIX_DOWN else held[1]:
-                inflate_variance(m.u_transposed, m.d, EX_FIX_BIAS + i, nu * nu, m.f)
+                inflate_variance(m.u_transposed, m.ud_diagonal, EX_FIX_BIAS + i, nu * nu, m.u_transposed_h)
             else:
-                inflate_variance(m.u_transposed, m.d, EX_POS + i, nu * nu, m.f)
-                inflate_variance(m.u_transposed, m.d, EX_VEL + i, 0.01 + 0.1 * nu * nu, m.f)
+                inflate_variance(m.u_transposed, m.ud_diagonal, EX_POS + i, nu * nu, m.u_transposed_h)
+                inflate_variance(m.u_transposed, m.ud_diagonal, EX_VEL + i, 0.01 + 0.1 * nu * nu, m.u_transposed_h)
         nu = _fix_innovation(m, z, FIX_HEADING, ahead)
-        inflate_variance(m.u_transposed, m.d, EX_ATT + 2, nu * nu, m.f)
+        inflate_variance(m.u_transposed, m.ud_diagonal, EX_ATT + 2, nu * nu, m.u_transposed_h)
         nu = at
         set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu)
         _clear_attitude_evidence(m)
@@ -330,5 +332,5 @@ def predict_fix_bias(m: FilterMemory, s: FilterSettings) -> None:
         m.x[k + 1] *= keep
         q = _fix_bias_variance(m, s, k - EX_FIX_BIAS) * (1.0 - keep * keep)
         if q > 0.0:
-            gauss_markov_update(m.u_transposed, m.d, k, keep, q, m.f)
+            gauss_markov_update(m.u_transposed, m.ud_diagonal, k, keep, q, m.u_transposed_h)
     m.fix_bias_tick = m.horizon_tick

@@ -147,14 +147,20 @@ def _reset_height(m: FilterMemory, s: FilterSettings, nu: float) -> None:
     The foot of a wall in the sonar's cone gives a wrong height once. A second reset within
     :data:`HEIGHT_RESET_WINDOW_S` says that a force is wrong: then the vertical speed, the accelerometer's bias and the
     thrust's scale are freed too."""
-    inflate_variance(m.u_transposed, m.d, EX_POS + 2, nu * nu, m.f)
+    inflate_variance(m.u_transposed, m.ud_diagonal, EX_POS + 2, nu * nu, m.u_transposed_h)
     before = m.height_reset_tick
     m.height_reset_tick = m.horizon_tick
     if not (before > 0 and (m.horizon_tick - before) * s.dt < HEIGHT_RESET_WINDOW_S):
         return
-    inflate_variance(m.u_transposed, m.d, EX_VEL + 2, HEIGHT_RESET_SPEED * HEIGHT_RESET_SPEED, m.f)
-    inflate_variance(m.u_transposed, m.d, EX_ACCEL_BIAS + 2, HEIGHT_RESET_ACCEL * HEIGHT_RESET_ACCEL, m.f)
-    inflate_variance(m.u_transposed, m.d, EX_THRUST_SCALE, HEIGHT_RESET_THRUST * HEIGHT_RESET_THRUST, m.f)
+    inflate_variance(
+        m.u_transposed, m.ud_diagonal, EX_VEL + 2, HEIGHT_RESET_SPEED * HEIGHT_RESET_SPEED, m.u_transposed_h
+    )
+    inflate_variance(
+        m.u_transposed, m.ud_diagonal, EX_ACCEL_BIAS + 2, HEIGHT_RESET_ACCEL * HEIGHT_RESET_ACCEL, m.u_transposed_h
+    )
+    inflate_variance(
+        m.u_transposed, m.ud_diagonal, EX_THRUST_SCALE, HEIGHT_RESET_THRUST * HEIGHT_RESET_THRUST, m.u_transposed_h
+    )
 
 
 @cached_njit(error_model="numpy")
@@ -222,32 +228,34 @@ def fuse_sonar_range(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
         # Over an object it is the surface that jumps.
         m.terrain_steps += 1
         m.terrain_edge_weight = 1.0
-        inflate_variance(m.u_transposed, m.d, EX_TERRAIN, nu * nu, m.f)
+        inflate_variance(m.u_transposed, m.ud_diagonal, EX_TERRAIN, nu * nu, m.u_transposed_h)
         _sonar_h_row(m, s, r)
     elif abs(ratio) > INNOVATION_GATE:
         reject_measurement(m, s, k, nu, z, 1, 0.02 + 1.5 * s.sensor_period[k], REASON_INNOVATION)
         step = m.agree_count[k] >= 2 and floor > MIN_TERRAIN_HEIGHT
         if step and m.terrain_steps >= MAX_TERRAIN_STEPS:
             # Step after step: it is not the floor that goes, it is the height.
-            inflate_variance(m.u_transposed, m.d, EX_POS + 2, nu * nu, m.f)
-            inflate_variance(m.u_transposed, m.d, EX_VEL + 2, 0.1, m.f)
-            inflate_variance(m.u_transposed, m.d, EX_THRUST_SCALE, 0.01, m.f)
+            inflate_variance(m.u_transposed, m.ud_diagonal, EX_POS + 2, nu * nu, m.u_transposed_h)
+            inflate_variance(m.u_transposed, m.ud_diagonal, EX_VEL + 2, 0.1, m.u_transposed_h)
+            inflate_variance(m.u_transposed, m.ud_diagonal, EX_THRUST_SCALE, 0.01, m.u_transposed_h)
             set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu)
         elif step and nu > 0.0:
             # Lower than the floor nothing lies; over an edge it was the surface that jumped.
             _reset_height(m, s, nu)
             set_fault(m, s, k, STATUS_FUSED, REASON_TERRAIN_SLOPE, nu)
         elif step:
-            inflate_variance(m.u_transposed, m.d, EX_TERRAIN, nu * nu, m.f)
+            inflate_variance(m.u_transposed, m.ud_diagonal, EX_TERRAIN, nu * nu, m.u_transposed_h)
             m.reject_score[k] = 0.0
             set_fault(m, s, k, STATUS_FUSED, REASON_TERRAIN_STEP, floor)
             m.terrain_edge_weight = 1.0
         elif reset_timeout_expired(m, s, k):
             if (m.tick - m.last_fused_tick[R_FIX]) * s.dt < RESET_TIMEOUT_S and m.last_fused_tick[R_FIX] > 0:
-                inflate_variance(m.u_transposed, m.d, EX_TERRAIN, nu * nu, m.f)  # the fix holds the height
+                inflate_variance(
+                    m.u_transposed, m.ud_diagonal, EX_TERRAIN, nu * nu, m.u_transposed_h
+                )  # the fix holds the height
             else:
-                inflate_variance(m.u_transposed, m.d, EX_POS + 2, nu * nu, m.f)
-                inflate_variance(m.u_transposed, m.d, EX_VEL + 2, 0.1 + nu * nu, m.f)
+                inflate_variance(m.u_transposed, m.ud_diagonal, EX_POS + 2, nu * nu, m.u_transposed_h)
+                inflate_variance(m.u_transposed, m.ud_diagonal, EX_VEL + 2, 0.1 + nu * nu, m.u_transposed_h)
             set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu)
         else:
             if m.agree_count[k] >= 2:
@@ -306,7 +314,7 @@ def fuse_wall_ranges(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
     if m.next_beam == 0:
         m.beams_seen = m.beams_fused = 0
         for i in range(2):
-            told = m.wall_info_limit[i] * state_variance(m.u_transposed, m.d, EX_POS + i)
+            told = m.wall_info_limit[i] * state_variance(m.u_transposed, m.ud_diagonal, EX_POS + i)
             m.wall_info_share[i] = 1.0 - 1.0 / told if told > 1.0 else 0.0
             m.wall_info_limit[i] = 0.0
     last = min(m.next_beam + most, s.beam_count)
@@ -359,7 +367,7 @@ def fuse_wall_ranges(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
 @cached_njit(error_model="numpy")
 def _reset_aid_bias(m: FilterMemory, s: FilterSettings, k: int, bias: int, nu: float) -> None:
     """Free the bias of an aid after consistent innovations ``nu``."""
-    inflate_variance(m.u_transposed, m.d, bias, nu * nu, m.f)
+    inflate_variance(m.u_transposed, m.ud_diagonal, bias, nu * nu, m.u_transposed_h)
     set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu)
 
 
@@ -467,7 +475,7 @@ def fuse_accel_residual(m: FilterMemory, s: FilterSettings, r: _Array, count: in
     h_row_add(m, EX_WIND + 1, -slope * r[3 + i])
     nu = m.accel_mean[i] - m.model_accel_mean[i] - m.x[SX_ACCEL_BIAS + i]
     r_ = m.residual_density[i] / (count * s.dt)
-    known = innovation_variance(m.u_transposed, m.d, m.h_state, m.h, m.h_terms, m.f)
+    known = innovation_variance(m.u_transposed, m.ud_diagonal, m.h_state, m.h_value, m.h_terms, m.u_transposed_h)
     ratio = nu / math.sqrt(known + r_)
     check_accel_model(m, s, r, height_above_ground(m.x_output, s), nu, r_, known, i)
     if abs(ratio) < INNOVATION_GATE and m.is_accel_distrusted == 0:

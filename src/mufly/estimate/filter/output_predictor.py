@@ -95,7 +95,7 @@ def _propagate_covariance(m: FilterMemory, s: FilterSettings, r: _Array) -> None
     for k in range(ERROR_STATE_COUNT):
         propagate_column(m.u_transposed[k], span, m.transition_work, m.gain)
         for i in range(9):
-            c = m.d[k] * m.gain[i]
+            c = m.ud_diagonal[k] * m.gain[i]
             for j in range(i, 9):
                 m.covariance_output[i, j] += c * m.gain[j]
     for k in range(3):
@@ -117,7 +117,7 @@ def _output_covariance(m: FilterMemory) -> None:
         for j in range(i):
             m.covariance_output[i, j] = m.covariance_output[j, i]
     for i in range(9, ERROR_STATE_COUNT):
-        m.sigma_output[i] = math.sqrt(state_variance(m.u_transposed, m.d, i))
+        m.sigma_output[i] = math.sqrt(state_variance(m.u_transposed, m.ud_diagonal, i))
     for i in range(9):
         if i < 3:
             # If the heights of fix and sonar differ, the fix may have the same error in any direction

@@ -1,7 +1,8 @@
 """Fusion of one scalar measurement: its row H, its gate, its rejection, and the estimate of its noise.
 
-A scalar measurement z = h(x) + n has an innovation of variance S = H P H^T + r. The row H holds few states; ``m.h``
-keeps their numbers and slopes. A correction applies to the state at the horizon and to those propagated from it.
+A scalar measurement z = h(x) + n has an innovation of variance S = H P H^T + r. The row H holds few states;
+``m.h_state`` and ``m.h_value`` keep them. A correction applies to the state at the horizon and to those propagated
+from it.
 """
 
 from __future__ import annotations
@@ -46,14 +47,14 @@ def h_row_begin(m: FilterMemory, i: int, h: float) -> None:
     """Begin the row H of a measurement with ``h`` times error state ``i``."""
     m.h_terms = 1
     m.h_state[0] = i
-    m.h[0] = h
+    m.h_value[0] = h
 
 
 @cached_njit(error_model="numpy")
 def h_row_add(m: FilterMemory, i: int, h: float) -> None:
     """Add ``h`` times error state ``i`` to the row H."""
     m.h_state[m.h_terms] = i
-    m.h[m.h_terms] = h
+    m.h_value[m.h_terms] = h
     m.h_terms += 1
 
 
@@ -77,8 +78,8 @@ def _shift_state(x: _Array, by: _Array, span: float, push: _Array) -> None:
 
 @cached_njit(error_model="numpy")
 def apply_correction(m: FilterMemory, innovation: float, r: float) -> None:
-    """Fuse a scalar measurement whose ``m.f`` is known; correct the horizon's state and those propagated from it."""
-    ud_measurement_update(m.u_transposed, m.d, m.f, r, m.gain)
+    """Fuse a scalar with a known ``m.u_transposed_h``; correct the horizon's state and those propagated from it."""
+    ud_measurement_update(m.u_transposed, m.ud_diagonal, m.u_transposed_h, r, m.gain)
     for i in range(ERROR_STATE_COUNT):
         m.gain[i] *= innovation
     _shift_state(m.x, m.gain, 0.0, m.repropagating_velocity_gain)
@@ -88,15 +89,17 @@ def apply_correction(m: FilterMemory, innovation: float, r: float) -> None:
 
 @cached_njit(error_model="numpy")
 def fuse_scalar(m: FilterMemory, innovation: float, r: float) -> None:
-    """Fuse a scalar measurement of variance ``r`` without a gate; its row is in ``m.h``."""
-    innovation_variance(m.u_transposed, m.d, m.h_state, m.h, m.h_terms, m.f)
+    """Fuse a scalar measurement of variance ``r`` without a gate; its row is in ``m.h_value``."""
+    innovation_variance(m.u_transposed, m.ud_diagonal, m.h_state, m.h_value, m.h_terms, m.u_transposed_h)
     apply_correction(m, innovation, r)
 
 
 @cached_njit(error_model="numpy")
 def innovation_ratio(m: FilterMemory, innovation: float, r: float) -> float:
     """Return the innovation over its standard deviation."""
-    return innovation / math.sqrt(innovation_variance(m.u_transposed, m.d, m.h_state, m.h, m.h_terms, m.f) + r)
+    return innovation / math.sqrt(
+        innovation_variance(m.u_transposed, m.ud_diagonal, m.h_state, m.h_value, m.h_terms, m.u_transposed_h) + r
+    )
 
 
 @cached_njit(error_model="numpy")

@@ -255,10 +255,16 @@ def reset_on_divergence(m: FilterMemory, s: FilterSettings) -> None:
     """Inflate the variances of gyroscope bias, attitude and velocity after persistent innovations of the fix."""
     if m.divergence_ticks <= 1:
         for k in range(3):
-            inflate_variance(m.u_transposed, m.d, EX_GYRO_BIAS + k, DIVERGED_BIAS * DIVERGED_BIAS, m.f)
-            inflate_variance(m.u_transposed, m.d, EX_ATT + k, DIVERGED_ATTITUDE * DIVERGED_ATTITUDE, m.f)
+            inflate_variance(
+                m.u_transposed, m.ud_diagonal, EX_GYRO_BIAS + k, DIVERGED_BIAS * DIVERGED_BIAS, m.u_transposed_h
+            )
+            inflate_variance(
+                m.u_transposed, m.ud_diagonal, EX_ATT + k, DIVERGED_ATTITUDE * DIVERGED_ATTITUDE, m.u_transposed_h
+            )
         for k in range(2):
-            inflate_variance(m.u_transposed, m.d, EX_VEL + k, DIVERGED_SPEED * DIVERGED_SPEED, m.f)
+            inflate_variance(
+                m.u_transposed, m.ud_diagonal, EX_VEL + k, DIVERGED_SPEED * DIVERGED_SPEED, m.u_transposed_h
+            )
     m.divergence_ticks = int(DIVERGED_WALK_S / s.dt)
 
 
@@ -312,7 +318,7 @@ def replace_gyro_spikes(m: FilterMemory, s: FilterSettings, flying: bool) -> Non
         for k in range(3):
             off = m.gyro_rates[k] - m.axis_work[k]
             m.gyro_offset[k] += off
-            inflate_variance(m.u_transposed, m.d, EX_GYRO_BIAS + k, 0.1 * off * (0.1 * off), m.f)
+            inflate_variance(m.u_transposed, m.ud_diagonal, EX_GYRO_BIAS + k, 0.1 * off * (0.1 * off), m.u_transposed_h)
         m.spike_repeats = m.spike_count = 0
         set_fault(m, s, R_RATES, STATUS_FUSED, REASON_JUMP, worst)
     elif m.spike_count > 8:

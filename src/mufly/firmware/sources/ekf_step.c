@@ -19,7 +19,7 @@ void estimator_reset(estimator_t *m, const estimator_settings_t *s)
         m->x_now[i] = s->initial_state[i];
     }
     for (int32_t i = 0; i < ERROR_STATE_COUNT; i++) {
-        m->d[i] = (s->initial_sigma[i] * s->initial_sigma[i]) + REAL(1e-12);
+        m->ud_diagonal[i] = (s->initial_sigma[i] * s->initial_sigma[i]) + REAL(1e-12);
         m->u_transposed[i][i] = REAL(1.0);
     }
     for (int32_t i = 0; i < QUEUE_SIZE; i++) {

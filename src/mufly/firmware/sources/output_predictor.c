@@ -82,7 +82,7 @@ static void propagate_covariance(estimator_t *m, const estimator_settings_t *s, 
     for (int32_t k = 0; k < ERROR_STATE_COUNT; k++) {
         propagate_column(m->u_transposed[k], span, transition, m->gain);
         for (int32_t i = 0; i < MOTION_STATE_COUNT; i++) {
-            const real_t c = m->d[k] * m->gain[i];
+            const real_t c = m->ud_diagonal[k] * m->gain[i];
 
             for (int32_t j = i; j < MOTION_STATE_COUNT; j++) {
                 m->covariance_output[i][j] += c * m->gain[j];

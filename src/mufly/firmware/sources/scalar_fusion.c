@@ -8,13 +8,13 @@ void h_row_begin(estimator_t *m, int32_t state, real_t h)
 {
     m->h_terms = 1;
     m->h_state[0] = state;
-    m->h[0] = h;
+    m->h_value[0] = h;
 }
 
 void h_row_add(estimator_t *m, int32_t state, real_t h)
 {
     m->h_state[m->h_terms] = state;
-    m->h[m->h_terms] = h;
+    m->h_value[m->h_terms] = h;
     m->h_terms += 1;
 }
 

@@ -10,10 +10,10 @@ void h_row_begin(estimator_t *m, int32_t state, real_t h);
 /* Add h times error state i to the row H. */
 void h_row_add(estimator_t *m, int32_t state, real_t h);
 
-/* Fuse a scalar measurement whose m->f is known; correct the horizon's state and those propagated from it. */
+/* Fuse a scalar measurement whose m->u_transposed_h is known; correct the horizon's state and those propagated from it. */
 void apply_correction(estimator_t *m, real_t innovation, real_t variance);
 
-/* Fuse a scalar measurement of variance r without a gate; its row is in m->h. */
+/* Fuse a scalar measurement of variance r without a gate; its row is in m->h_value. */
 void fuse_scalar(estimator_t *m, real_t innovation, real_t variance);
 
 /* Return the innovation over its standard deviation. */

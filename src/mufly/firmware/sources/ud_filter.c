@@ -20,7 +20,7 @@ real_t innovation_variance(estimator_t *m)
         real_t s4 = REAL(0.0);
 
         for (int32_t t = 0; t < m->h_terms; t++) {
-            const real_t h = m->h[t];
+            const real_t h = m->h_value[t];
             const int32_t i = m->h_state[t];
 
             s0 += h * u[0][i];
@@ -29,14 +29,14 @@ real_t innovation_variance(estimator_t *m)
             s3 += h * u[3][i];
             s4 += h * u[4][i];
         }
-        m->f[j] = s0;
-        m->f[j + 1] = s1;
-        m->f[j + 2] = s2;
-        m->f[j + 3] = s3;
-        m->f[j + 4] = s4;
+        m->u_transposed_h[j] = s0;
+        m->u_transposed_h[j + 1] = s1;
+        m->u_transposed_h[j + 2] = s2;
+        m->u_transposed_h[j + 3] = s3;
+        m->u_transposed_h[j + 4] = s4;
     }
     for (int32_t j = 0; j < ERROR_STATE_COUNT; j++) {
-        spread += (m->d[j] * m->f[j]) * m->f[j];
+        spread += (m->ud_diagonal[j] * m->u_transposed_h[j]) * m->u_transposed_h[j];
     }
     return spread;
 }
@@ -96,10 +96,10 @@ void ud_measurement_update(estimator_t *m, real_t variance)
     for (int32_t j = 0; j < ERROR_STATE_COUNT; j++) {
         const real_t before = a;
 
-        v[j] = m->d[j] * m->f[j];
-        a = before + (m->f[j] * v[j]);
-        m->d[j] *= before / a;
-        step[j] = -m->f[j] / before;
+        v[j] = m->ud_diagonal[j] * m->u_transposed_h[j];
+        a = before + (m->u_transposed_h[j] * v[j]);
+        m->ud_diagonal[j] *= before / a;
+        step[j] = -m->u_transposed_h[j] / before;
     }
     update_columns(m, step, v);
     for (int32_t j = 0; j < ERROR_STATE_COUNT; j++) {
@@ -110,17 +110,17 @@ void ud_measurement_update(estimator_t *m, real_t variance)
 /* Add to the variance of column k; return the share of the rest of v that its entries take. */
 static real_t update_diagonal(estimator_t *m, int32_t k, real_t *c)
 {
-    const real_t v = m->f[k];
-    const real_t old = m->d[k];
+    const real_t v = m->u_transposed_h[k];
+    const real_t old = m->ud_diagonal[k];
     const real_t fresh = old + ((*c * v) * v);
     real_t share = REAL(0.0);
 
     if (!(fresh <= MIN_DIAGONAL)) {
         share = (*c * v) / fresh;
         *c *= old / fresh;
-        m->d[k] = fresh;
+        m->ud_diagonal[k] = fresh;
     } else {
-        m->f[k] = REAL(0.0); /* no variance, no contribution */
+        m->u_transposed_h[k] = REAL(0.0); /* no variance, no contribution */
     }
     return share;
 }
@@ -138,7 +138,7 @@ static inline real_t update_entry(real_t *of_u, real_t v, real_t by, real_t shar
 /* Add c v v^T to P, v zero behind last (Agee and Turner 1972); v is overwritten. */
 static void rank_one_update(estimator_t *m, int32_t last, real_t much)
 {
-    real_t *v = m->f;
+    real_t *v = m->u_transposed_h;
     real_t c = much;
     int32_t k = last;
 
@@ -251,14 +251,14 @@ static void orthogonalise_velocity(estimator_t *m)
         real_t total = REAL(0.0);
 
         for (int32_t k = 0; k < 3; k++) {
-            total += (m->d[EX_VEL + k] * w[k][j]) * w[k][j];
+            total += (m->ud_diagonal[EX_VEL + k] * w[k][j]) * w[k][j];
         }
         size[j - EX_VEL] = (total > MIN_DIAGONAL) ? total : MIN_DIAGONAL;
         for (int32_t i = 0; i < j; i++) {
             real_t s = REAL(0.0);
 
             for (int32_t k = 0; k < 3; k++) {
-                s += (m->d[EX_VEL + k] * w[k][j]) * w[k][i];
+                s += (m->ud_diagonal[EX_VEL + k] * w[k][j]) * w[k][i];
             }
             s /= size[j - EX_VEL];
             m->u_transposed[j][i] = s;
@@ -272,7 +272,7 @@ static void orthogonalise_velocity(estimator_t *m)
         }
     }
     for (int32_t k = 0; k < 3; k++) {
-        m->d[EX_VEL + k] = size[k];
+        m->ud_diagonal[EX_VEL + k] = size[k];
     }
 }
 
@@ -287,11 +287,11 @@ void ud_time_update(estimator_t *m, real_t span, const real_t transition[TRANSIT
     orthogonalise_velocity(m);
     for (int32_t j = 0; j < MOTION_STATE_COUNT; j++) {
         for (int32_t i = 0; i < j; i++) {
-            m->f[i] = REAL(0.0);
+            m->u_transposed_h[i] = REAL(0.0);
         }
-        m->f[j] = REAL(1.0);
+        m->u_transposed_h[j] = REAL(1.0);
         if ((j >= EX_VEL) && (j < EX_ATT)) {
-            m->f[j - EX_VEL] = REAL(0.5) * span;
+            m->u_transposed_h[j - EX_VEL] = REAL(0.5) * span;
         }
         rank_one_update(m, j, q[j]);
     }
@@ -299,17 +299,17 @@ void ud_time_update(estimator_t *m, real_t span, const real_t transition[TRANSIT
 
 void gauss_markov_update(estimator_t *m, int32_t state, real_t keep, real_t q)
 {
-    const real_t old = m->d[state];
+    const real_t old = m->ud_diagonal[state];
     const real_t fresh = ((keep * keep) * old) + q;
     const real_t by = (keep * old) / fresh;
 
     for (int32_t k = state + 1; k < ERROR_STATE_COUNT; k++) {
         m->u_transposed[k][state] *= keep;
     }
-    m->d[state] = fresh;
+    m->ud_diagonal[state] = fresh;
     for (int32_t i = 0; i < state; i++) {
-        m->f[i] = m->u_transposed[state][i];
-        m->u_transposed[state][i] = by * m->f[i];
+        m->u_transposed_h[i] = m->u_transposed[state][i];
+        m->u_transposed[state][i] = by * m->u_transposed_h[i];
     }
     rank_one_update(m, state - 1, (old * q) / fresh);
 }
@@ -317,18 +317,18 @@ void gauss_markov_update(estimator_t *m, int32_t state, real_t keep, real_t q)
 void inflate_variance(estimator_t *m, int32_t state, real_t variance)
 {
     for (int32_t i = 0; i < state; i++) {
-        m->f[i] = REAL(0.0);
+        m->u_transposed_h[i] = REAL(0.0);
     }
-    m->f[state] = REAL(1.0);
+    m->u_transposed_h[state] = REAL(1.0);
     rank_one_update(m, state, variance);
 }
 
 real_t state_variance(const estimator_t *m, int32_t state)
 {
-    real_t s = m->d[state];
+    real_t s = m->ud_diagonal[state];
 
     for (int32_t k = state + 1; k < ERROR_STATE_COUNT; k++) {
-        s += (m->d[k] * m->u_transposed[k][state]) * m->u_transposed[k][state];
+        s += (m->ud_diagonal[k] * m->u_transposed[k][state]) * m->u_transposed[k][state];
     }
     return s;
 }

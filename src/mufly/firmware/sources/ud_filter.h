@@ -4,7 +4,7 @@
 
 #include "records.h"
 
-/* Write f = U^T h of the row H in m->h, and return h P h^T. */
+/* Write f = U^T h of the row H in m->h_value, and return h P h^T. */
 real_t innovation_variance(estimator_t *m);
 
 /* Update U and D by a measurement of this variance (Bierman), with f of innovation_variance; write m->gain. */
