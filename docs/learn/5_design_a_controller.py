@@ -72,7 +72,7 @@ picture
 mission = load_mission("demonstration")
 campaign = Campaign.create_checked(
     vehicle, mission, variations=parse_variations(["parameters=10%"], vehicle), wind=0.5, gust=0.3, sensors="ideal",
-    quickly=GenericFirmwareSoftware,
+    fast_controllers=GenericFirmwareSoftware,
 )  # fmt: skip
 with WorkerPool(1) as crew:
     outcome = summarise_outcome(run_campaign(campaign, 40, crew=crew), campaign.tolerance_m)
