@@ -89,7 +89,7 @@ def test_cases_of_the_rounds_start_from_the_one_before(rotor, tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == [f"round-{k}" for k in range(1, count + 1)]
     again = StandIn(factor=1.25)
     assert np.array_equal(solve_elastic_blade(tmp_path, rotor, run=again, **POINT)[1].twist_rad, rounds.twist_rad)
-    with pytest.raises(InputError, match=r"round-1: holds a blade of another twist; give another folder"):
+    with pytest.raises(InputError, match=r"round-1: contains a blade of another twist; give another folder"):
         solve_elastic_blade(tmp_path, rotor, run=again, pitch_rad=0.2, speed_rad_s=628.0)
 
 

@@ -75,7 +75,7 @@ def test_hover_at_the_edge_is_said() -> None:
         (("walkera-5g6", "--method", "wake", "--wake", "frozen"), "'frozen' is unknown"),
         (("walkera-5g6", "--pitch", "1,2,3"), "neither one value nor two"),
         (("walkera-5g6", "--out", "pair.nc"), "end in .toml"),
-        (("walkera-5g6", "naca0012-r60-c20"), "one radius"),
+        (("walkera-5g6", "naca0012-r60-c20"), "have the same radius"),
     ],
 )
 def test_what_is_wrong_is_said_in_one_line(arguments, words) -> None:

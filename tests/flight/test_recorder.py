@@ -264,7 +264,7 @@ def test_time_must_go_forward(tmp_path):
                 row[0] = time_s
                 recorder.append_row(row, "hover")
 
-    with pytest.raises(MuflyError, match=r"0\.2 s came after 0\.3 s"):
+    with pytest.raises(MuflyError, match=r"0\.2 s follows 0\.3 s"):
         fly()
 
 

@@ -145,5 +145,5 @@ def test_a_shaking_rotor_does_not_enlarge_scale_factors_and_a_recordings_names_a
     value = np.array([e.value for e in c.estimates])
     assert value[:3] == pytest.approx(truth[:3], abs=2e-3)
     assert value[9:] == pytest.approx(truth[9:], abs=0.1)
-    assert any("replaced by the truth" in n for n in c.notes)
+    assert any("replaced by the simulation's truth" in n for n in c.notes)
     assert not any("pressure" in n for n in c.notes)

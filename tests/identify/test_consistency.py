@@ -74,7 +74,7 @@ SPOILT = [
     ("pitch", lambda r: driven(r, (0, 1, 2, 3), (1, 1, -1, 1)), "servo_1: inverted .or pitch and q are"),
     ("roll", lambda r: driven(r, (0, 1, 2, 3), (1, 1, 1, -1)), "servo_2: inverted .or roll and p are"),
     ("roll", lambda r: driven(r, (0, 1, 3, 2)), "servo_1, servo_2: act on each other's axis .*are exchanged, or"),
-    ("pitch", lambda r: driven(r, (0, 1, 3, 2), (1, 1, -1, -1)), "servo_1, servo_2: .*exchanged and inverted"),
+    ("pitch", lambda r: driven(r, (0, 1, 3, 2), (1, 1, -1, -1)), "servo_1, servo_2: .*exchanged and turned round"),
     ("yaw", lambda r: driven(r, (1, 0, 2, 3)), "motor_upper, motor_lower: exchanged"),
     ("pitch", forward_left_up, "pitch, q, yaw, r: .*forward, left, up"),
     ("mixed", lambda r: forward_left_up(r, -1.0), "height: falls where thrust rises"),

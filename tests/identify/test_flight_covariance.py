@@ -79,7 +79,7 @@ def test_a_parameter_without_effect_is_named():
     j = np.column_stack([np.ones(10), np.zeros(10)]) * 10
     said = unseen(("a", "b"), j, np.diag([1e-3, 1.0]))
     assert len(said) == 1
-    assert said[0].startswith("b is not seen")
+    assert said[0].startswith("b is not determined")
 
 
 @pytest.mark.parametrize(("sign", "words"), [(1.0, "the product"), (-1.0, "the ratio")])
@@ -166,4 +166,4 @@ def test_a_parameter_that_nothing_knows_of_has_no_finite_deviation():
     c, bound, _ = coloured_covariance([s], [draw()])
     assert np.isfinite(np.diag(c)).tolist() == [True, False, True]
     assert bound[1, 1] == np.inf
-    assert describe_unseen_combinations(("a", "b", "c"), c) == ("b is not seen at all",)
+    assert describe_unseen_combinations(("a", "b", "c"), c) == ("b is not determined by the data",)

@@ -163,7 +163,7 @@ def test_what_no_flight_shows_is_named(vehicle):
     )
     assert roll.best_candidate.relative_std[3] == math.inf
     _, unseen = combined_information([roll], [roll.best_candidate])
-    assert any("Whub is not seen at all" in u for u in unseen)
+    assert any("Whub is not determined by the data" in u for u in unseen)
     assert any("Ixx" in u and "l_up" in u and "l_dw" in u for u in unseen)
 
 

@@ -235,8 +235,8 @@ def test_long_steps_are_taken_in_parts():
 @pytest.mark.parametrize(
     ("s", "words"),
     [
-        (SetPoint(), "says nothing"),
-        (SetPoint((NAN, NAN, NAN), (NAN, NAN, NAN), NAN, NAN), "says nothing"),
+        (SetPoint(), "is empty"),
+        (SetPoint((NAN, NAN, NAN), (NAN, NAN, NAN), NAN, NAN), "is empty"),
         (SetPoint(position_m=(math.inf, 0.0, -1.0)), "a position of inf"),
         (SetPoint(velocity_m_s=(0.0, -1e9, 0.0)), "a velocity of -1e+09"),
         (SetPoint(heading_rad=math.inf), "a heading of inf"),

@@ -91,5 +91,5 @@ def test_a_table_of_coefficients_has_no_transition_to_move(tmp_path):
     file = tmp_path / "own.csv"
     file.write_text("alpha_deg,cl,cd\n-10,-0.5,0.05\n0,0.3,0.02\n10,1.1,0.05\n", encoding="utf-8")
     rotor = tripped(airfoils=[str(file)], trip_upper=place(0.5))
-    with pytest.raises(InputError, match=r"blade\.trip_upper: cannot move the transition.*take it out"):
+    with pytest.raises(InputError, match=r"blade\.trip_upper: cannot move the transition.*delete it"):
         prepare_blading(rotor)

@@ -477,8 +477,8 @@ def compare(
     Figures are those of the controllers as they fly: reduced, sampled, with one sample of delay. gamma is the norm of \
 the weighted loop. GM, PM and DM are gain, phase and delay margin. mu is an upper bound over the parameters, \
 noise the largest input by sensor noise, gust the tilt in gusts of 0.5 m/s, n the order, \
-MAC the multiply-adds in a period, instr. the instructions of the law on a Cortex-M4, where its compiler and emulator \
-are installed. The verdict names the criterion that decides it. Designs, bounds of mu and flights resume.
+MAC the multiply-adds in a period. Instructions are those on a Cortex-M4, where its compiler and emulator are \
+installed. The verdict names the criterion that decides it. Designs, bounds of mu and flights resume.
 
     Examples:
 

@@ -420,7 +420,7 @@ def describe_unseen_combinations(
         Covariance with the priors, searched for hardly separable pairs; by default ``covariance``.
     """
     found = np.isfinite(np.diag(covariance))
-    said = [f"{s} is not seen at all" for s, known in zip(symbols, found, strict=True) if not known]
+    said = [f"{s} is not determined by the data" for s, known in zip(symbols, found, strict=True) if not known]
     names = [s for s, known in zip(symbols, found, strict=True) if known]
     inner = covariance[np.ix_(found, found)]
     size, vectors = np.linalg.eigh(0.5 * (inner + inner.T))

@@ -382,7 +382,7 @@ def test_the_camera_is_shown_to_who_looks_at_it(vehicle: Vehicle, session: Stati
     now = replace(now, result=lost, warning="too few points of the floor are recognised")
     told = frame(feed, 3.0)["camera"]
     assert told["position"] == [None, None, None]
-    assert told["said"].startswith("too little")
+    assert told["said"].startswith("too few points")
 
 
 def two_windows() -> tuple[StationSession, list[Any]]:

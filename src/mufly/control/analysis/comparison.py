@@ -158,10 +158,10 @@ class ControllerComparison:
 
     def shown_blocks(self) -> list[ShownBlock]:
         """Return the table of both loops and of flights, and the verdict."""
-        heads = ("", "gamma", "S_u", "T_u", "GM", "PM", "DM", "disk", "mu", "noise", "gust", "n", "MAC", "instr.")
+        heads = ("", "gamma", "S_u", "T_u", "GM", "PM", "DM", "disk", "mu", "noise", "gust", "n", "MAC")
         blocks: list[ShownBlock] = []
         for title, part in (("roll-pitch", "roll_pitch"), ("heave-yaw", "heave_yaw")):
-            rows: list[tuple[str, ...]] = [("", "", "dB", "dB", "dB", "deg", "ms", "", "", "%", "deg", "", "", "")]
+            rows: list[tuple[str, ...]] = [("", "", "dB", "dB", "dB", "deg", "ms", "", "", "%", "deg", "", "")]
             for m in self.methods:
                 loop: LoopFigures = getattr(m, part)
                 s = loop.sampled
@@ -172,10 +172,12 @@ class ControllerComparison:
                         f"{loop.disk.margin:.2f}", f"{loop.mu_upper:.2f}", f"{100 * loop.input_noise:.2f}",
                         f"{np.degrees(m.gust_tilt_rad):.2f}" if part == "roll_pitch" else "-",
                         f"{loop.order}", f"{loop.multiply_adds}",
-                        f"{m.instructions:.0f}" if part == "roll_pitch" and m.instructions is not None else "-",
                     )
                 )  # fmt: skip
             blocks.append(show_table(heads, rows, title=f"{self.vehicle_name}, {title}, {self.rate_Hz:g} Hz"))
+        counted = [f"{m.label} {m.instructions:.0f}" for m in self.methods if m.instructions is not None]
+        if counted:
+            blocks.append(show_lines(f"Instructions of the law in a period on a Cortex-M4: {', '.join(counted)}"))
         flown = [(m, m.flights) for m in self.methods if m.flights is not None]
         if flown:
             rows = [

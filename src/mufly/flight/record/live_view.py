@@ -99,7 +99,7 @@ class LiveView:
         """Carry out the viewers' requests; called by the loop of the flight between two periods."""
         if self._failure:
             failure, self._failure = self._failure, ""
-            self._flight.log_event(f"live view {self._name} has ended: {failure}", "warning")
+            self._flight.log_event(f"{self._name} has ended: {failure}", "warning")
         while self._requests:
             act, answer, done = self._requests.popleft()
             answer.append(act(self._flight))
