@@ -406,13 +406,13 @@ def prepare_starts(
         raise ArgumentError("period_s", "", f"{period_s} s", f"give a multiple of {whole:g} ms, the filter's period")
     rng = np.random.default_rng([seed, 2])
     rows: list[_Bytes] = []
-    parts: list[tuple[Any, _Array, _Array, int]] = []
+    parts: list[tuple[Any, _Array, _Array, int, Vehicle]] = []
     room: UnitRoom | None = None
     like: UnitPeriods | None = None
     kept: Any = None
-    flights, most = 0, _MOST_ATTEMPTS + 2 * count
+    flights, attempts_left = 0, _MOST_ATTEMPTS + 2 * count
     while flights < count:
-        if (most := most - 1) < 0:
+        if (attempts_left := attempts_left - 1) < 0:
             raise MuflyError(f"only {flights} of {count} vehicles reach hover on their sensors; vary less")
         vehicle = without_ring(fleet.vehicles[flights % len(fleet.vehicles)])
         height = HEIGHT_M if kind == OBSTACLE else float(rng.uniform(*HEIGHTS_M))
@@ -437,19 +437,19 @@ def prepare_starts(
             room.write_row(unit, memory, row)
             rows.append(row)
             inputs = np.array(flight.acting_actuators.input_array, dtype=np.float64)
-            parts.append((flight.plant.parameters, flight.plant.state.copy(), inputs, flights % len(winds)))
+            parts.append((flight.plant.parameters, flight.plant.state.copy(), inputs, flights % len(winds), vehicle))
             if k + 1 < STARTS_PER_FLIGHT:
                 _advance_by(flight, START_INTERVAL_S)
         flights += 1
     assert room is not None
     assert like is not None
-    records, states, acting, wind_indices = zip(*parts, strict=True)
+    records, states, acting, wind_indices, vehicles = zip(*parts, strict=True)
     parameters = np.zeros(len(parts), PARAMETER_DTYPE)
     for k, record in enumerate(records):
         parameters[k] = record
     of_units = Fleet(
         parameters, np.array(states), np.array(acting), fleet.trim,
-        fleet.nominal_voltage_V, fleet.vehicles, np.array(wind_indices, dtype=np.int64),
+        fleet.nominal_voltage_V, vehicles, np.array(wind_indices, dtype=np.int64),
     )  # fmt: skip
     return UnitStarts(np.array(rows), like, of_units, 1.0 / controller.rate_Hz, (kept,)), room
 

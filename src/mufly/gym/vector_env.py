@@ -49,7 +49,7 @@ _Array = NDArray[np.float64]
 _Flags = NDArray[np.bool_]
 Observation = NDArray[np.float32]
 
-DEFAULT_FLEET_SIZE, DEFAULT_WIND_COUNT = 32, 32
+DEFAULT_FLEET_SIZE = 32
 
 
 class MuflyVectorEnv(gymnasium.vector.VectorEnv):

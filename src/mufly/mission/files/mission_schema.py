@@ -33,8 +33,8 @@ Pair = tuple[BoundedNumber, BoundedNumber]
 WindSpeed = Annotated[float, Strict(), Field(ge=-MAX_WIND_M_S, le=MAX_WIND_M_S)]
 
 MIN_WAYPOINT_HEIGHT_M = 0.2
-_SHOWN_PLACES = 7  # of a mission in its text: the start and six waypoints
 """Least height of a waypoint above the floor (m), above the legs and the ground effect."""
+_SHOWN_PLACES = 7  # of a mission in its text: the start and six waypoints
 
 
 class _MissionTable(BaseModel):
