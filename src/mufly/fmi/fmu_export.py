@@ -1,14 +1,13 @@
 """Export of a vehicle as an FMI 3.0 co-simulation unit (FMU).
 
 The archive holds ``modelDescription.xml``, ``sources/`` with ``buildDescription.xml``, a library for this machine in
-``binaries/`` if there is a C compiler, ``documentation/`` with licences, and the vehicle file in ``resources/``. Equal
-vehicles give equal archives.
+``binaries/`` if there is a C compiler, ``documentation/`` with the licence, and the vehicle file in ``resources/``.
+Equal vehicles give equal archives.
 """
 
 from __future__ import annotations
 
 import platform
-import re
 import tempfile
 import zipfile
 from pathlib import Path
@@ -27,8 +26,7 @@ from mufly.fmi.unit_variables import list_unit_variables
 from mufly.results import result
 from mufly.vehicle import Vehicle, format_vehicle_toml
 
-_FMI_HEADERS = ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h")
-_COPIED_SOURCES = (UNIT_SOURCE, "unsupported_functions.h", *_FMI_HEADERS)
+_COPIED_SOURCES = (UNIT_SOURCE, "unsupported_functions.h", "fmi3.h")
 _MACHINES = {"x86_64": "x86_64", "amd64": "x86_64", "arm64": "aarch64", "aarch64": "aarch64"}
 _SYSTEMS = {"linux": ("linux", ".so"), "darwin": ("darwin", ".dylib"), "windows": ("windows", ".dll")}
 _ZIP_TIME = (1980, 1, 1, 0, 0, 0)
@@ -103,7 +101,6 @@ def export_fmu(vehicle: Vehicle, out: Path, *, binary: bool = True) -> ExportedU
         "sources/buildDescription.xml": render_build_description(vehicle),
         "documentation/index.html": render_page(vehicle, interface),
         "documentation/licenses/license.txt": (SOURCE_FOLDER / "license.txt").read_text(encoding="utf-8"),
-        "documentation/licenses/fmi-headers.txt": _first_notice(sources[_FMI_HEADERS[0]]),
         "resources/vehicle.toml": format_vehicle_toml(vehicle),
     }
     place, ending = platform_tuple()
@@ -142,10 +139,3 @@ def _compile_unit(sources: dict[str, str], library: str) -> bytes:
             (folder / file).write_text(text, encoding="utf-8")
         compile_library([folder / UNIT_SOURCE], folder / library)
         return (folder / library).read_bytes()
-
-
-def _first_notice(header: str) -> str:
-    """Return the copyright notice of a header of the standard."""
-    found = re.search(r"Copyright.*?(?=\*/)", header, re.S)
-    assert found is not None
-    return found[0]

@@ -20,7 +20,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "fmi3Functions.h"
+#include "fmi3.h"
 
 #include "flight_model.h"
 #include "vehicle_data.h"
@@ -100,14 +100,14 @@ static void reset_unit(unit_instance *unit)
     unit->is_output_valid = false;
 }
 
-const char *fmi3GetVersion(void) { return fmi3Version; }
+FMI3_EXPORT const char *fmi3GetVersion(void) { return fmi3Version; }
 
-fmi3Status fmi3SetDebugLogging(fmi3Instance instance, fmi3Boolean is_on, size_t count, const fmi3String categories[])
+FMI3_EXPORT fmi3Status fmi3SetDebugLogging(fmi3Instance instance, fmi3Boolean is_on, size_t count, const fmi3String categories[])
 {
     return instance == NULL ? fmi3Error : fmi3OK; /* errors are always reported, and there is nothing else to report */
 }
 
-fmi3Instance fmi3InstantiateCoSimulation(
+FMI3_EXPORT fmi3Instance fmi3InstantiateCoSimulation(
     fmi3String name, fmi3String token, fmi3String resource_path, fmi3Boolean is_visible, fmi3Boolean is_logging,
     fmi3Boolean uses_event_mode, fmi3Boolean may_return_early, const fmi3ValueReference intermediate[],
     size_t intermediate_count, fmi3InstanceEnvironment environment, fmi3LogMessageCallback log_message,
@@ -133,7 +133,7 @@ fmi3Instance fmi3InstantiateCoSimulation(
     return unit;
 }
 
-fmi3Instance fmi3InstantiateModelExchange(
+FMI3_EXPORT fmi3Instance fmi3InstantiateModelExchange(
     fmi3String name, fmi3String token, fmi3String resource_path, fmi3Boolean is_visible, fmi3Boolean is_logging,
     fmi3InstanceEnvironment environment, fmi3LogMessageCallback log_message)
 {
@@ -142,7 +142,7 @@ fmi3Instance fmi3InstantiateModelExchange(
     return NULL;
 }
 
-fmi3Instance fmi3InstantiateScheduledExecution(
+FMI3_EXPORT fmi3Instance fmi3InstantiateScheduledExecution(
     fmi3String name, fmi3String token, fmi3String resource_path, fmi3Boolean is_visible, fmi3Boolean is_logging,
     fmi3InstanceEnvironment environment, fmi3LogMessageCallback log_message, fmi3ClockUpdateCallback update,
     fmi3LockPreemptionCallback lock, fmi3UnlockPreemptionCallback unlock)
@@ -152,9 +152,9 @@ fmi3Instance fmi3InstantiateScheduledExecution(
     return NULL;
 }
 
-void fmi3FreeInstance(fmi3Instance instance) { free(instance); }
+FMI3_EXPORT void fmi3FreeInstance(fmi3Instance instance) { free(instance); }
 
-fmi3Status fmi3Reset(fmi3Instance instance)
+FMI3_EXPORT fmi3Status fmi3Reset(fmi3Instance instance)
 {
     if (instance == NULL) {
         return fmi3Error;
@@ -176,7 +176,7 @@ static fmi3Status change_phase(unit_instance *unit, unit_phase from, unit_phase 
     return fmi3OK;
 }
 
-fmi3Status fmi3EnterInitializationMode(
+FMI3_EXPORT fmi3Status fmi3EnterInitializationMode(
     fmi3Instance instance, fmi3Boolean has_tolerance, fmi3Float64 tolerance, fmi3Float64 start_time,
     fmi3Boolean has_stop_time, fmi3Float64 stop_time)
 {
@@ -188,17 +188,17 @@ fmi3Status fmi3EnterInitializationMode(
     return status;
 }
 
-fmi3Status fmi3ExitInitializationMode(fmi3Instance instance)
+FMI3_EXPORT fmi3Status fmi3ExitInitializationMode(fmi3Instance instance)
 {
     return change_phase(instance, INITIALISATION, STEPPING, "fmi3ExitInitializationMode");
 }
 
-fmi3Status fmi3Terminate(fmi3Instance instance)
+FMI3_EXPORT fmi3Status fmi3Terminate(fmi3Instance instance)
 {
     return change_phase(instance, STEPPING, TERMINATED, "fmi3Terminate");
 }
 
-fmi3Status fmi3GetFloat64(
+FMI3_EXPORT fmi3Status fmi3GetFloat64(
     fmi3Instance instance, const fmi3ValueReference references[], size_t count, fmi3Float64 values[], size_t value_count)
 {
     unit_instance *unit = instance;
@@ -230,7 +230,7 @@ fmi3Status fmi3GetFloat64(
     return fmi3OK;
 }
 
-fmi3Status fmi3SetFloat64(
+FMI3_EXPORT fmi3Status fmi3SetFloat64(
     fmi3Instance instance, const fmi3ValueReference references[], size_t count, const fmi3Float64 values[],
     size_t value_count)
 {
@@ -275,7 +275,7 @@ fmi3Status fmi3SetFloat64(
     return fmi3OK;
 }
 
-fmi3Status fmi3DoStep(
+FMI3_EXPORT fmi3Status fmi3DoStep(
     fmi3Instance instance, fmi3Float64 time, fmi3Float64 step_size, fmi3Boolean keeps_no_state, fmi3Boolean *needs_event,
     fmi3Boolean *terminates, fmi3Boolean *returns_early, fmi3Float64 *last_time)
 {
@@ -308,7 +308,7 @@ fmi3Status fmi3DoStep(
     return fmi3OK;
 }
 
-fmi3Status fmi3GetFMUState(fmi3Instance instance, fmi3FMUState *state)
+FMI3_EXPORT fmi3Status fmi3GetFMUState(fmi3Instance instance, fmi3FMUState *state)
 {
     const unit_instance *unit = instance;
     if (unit == NULL || state == NULL) {
@@ -325,7 +325,7 @@ fmi3Status fmi3GetFMUState(fmi3Instance instance, fmi3FMUState *state)
     return fmi3OK;
 }
 
-fmi3Status fmi3SetFMUState(fmi3Instance instance, fmi3FMUState state)
+FMI3_EXPORT fmi3Status fmi3SetFMUState(fmi3Instance instance, fmi3FMUState state)
 {
     unit_instance *unit = instance;
     if (unit == NULL || state == NULL) {
@@ -337,7 +337,7 @@ fmi3Status fmi3SetFMUState(fmi3Instance instance, fmi3FMUState state)
     return fmi3OK;
 }
 
-fmi3Status fmi3FreeFMUState(fmi3Instance instance, fmi3FMUState *state)
+FMI3_EXPORT fmi3Status fmi3FreeFMUState(fmi3Instance instance, fmi3FMUState *state)
 {
     if (state == NULL) {
         return fmi3Error;
@@ -347,13 +347,13 @@ fmi3Status fmi3FreeFMUState(fmi3Instance instance, fmi3FMUState *state)
     return fmi3OK;
 }
 
-fmi3Status fmi3SerializedFMUStateSize(fmi3Instance instance, fmi3FMUState state, size_t *size)
+FMI3_EXPORT fmi3Status fmi3SerializedFMUStateSize(fmi3Instance instance, fmi3FMUState state, size_t *size)
 {
     *size = STATE_MARK_SIZE + sizeof(unit_state);
     return fmi3OK;
 }
 
-fmi3Status fmi3SerializeFMUState(fmi3Instance instance, fmi3FMUState state, fmi3Byte bytes[], size_t size)
+FMI3_EXPORT fmi3Status fmi3SerializeFMUState(fmi3Instance instance, fmi3FMUState state, fmi3Byte bytes[], size_t size)
 {
     if (state == NULL || size != STATE_MARK_SIZE + sizeof(unit_state)) {
         report_error(instance, "fmi3SerializeFMUState: %zu bytes, %zu needed", size, STATE_MARK_SIZE + sizeof(unit_state));
@@ -365,7 +365,7 @@ fmi3Status fmi3SerializeFMUState(fmi3Instance instance, fmi3FMUState state, fmi3
     return fmi3OK;
 }
 
-fmi3Status fmi3DeserializeFMUState(fmi3Instance instance, const fmi3Byte bytes[], size_t size, fmi3FMUState *state)
+FMI3_EXPORT fmi3Status fmi3DeserializeFMUState(fmi3Instance instance, const fmi3Byte bytes[], size_t size, fmi3FMUState *state)
 {
     if (state == NULL || size != STATE_MARK_SIZE + sizeof(unit_state) ||
         memcmp(bytes, INSTANTIATION_TOKEN, sizeof INSTANTIATION_TOKEN) != 0) {

@@ -2,28 +2,28 @@
    exchange and scheduled execution. The model description says so; a call is an error with a message. */
 
 #define NO_VALUES_1(f, A) \
-    fmi3Status f(fmi3Instance instance, const fmi3ValueReference *references, size_t count, A a) { return count == 0 ? fmi3OK : refuse_call(instance, #f); }
+    FMI3_EXPORT fmi3Status f(fmi3Instance instance, const fmi3ValueReference *references, size_t count, A a) { return count == 0 ? fmi3OK : refuse_call(instance, #f); }
 #define NO_VALUES_2(f, A, B) \
-    fmi3Status f(fmi3Instance instance, const fmi3ValueReference *references, size_t count, A a, B b) { return count == 0 ? fmi3OK : refuse_call(instance, #f); }
+    FMI3_EXPORT fmi3Status f(fmi3Instance instance, const fmi3ValueReference *references, size_t count, A a, B b) { return count == 0 ? fmi3OK : refuse_call(instance, #f); }
 #define NO_VALUES_3(f, A, B, C) \
-    fmi3Status f(fmi3Instance instance, const fmi3ValueReference *references, size_t count, A a, B b, C c) { return count == 0 ? fmi3OK : refuse_call(instance, #f); }
+    FMI3_EXPORT fmi3Status f(fmi3Instance instance, const fmi3ValueReference *references, size_t count, A a, B b, C c) { return count == 0 ? fmi3OK : refuse_call(instance, #f); }
 
 #define REFUSE_0(f) \
-    fmi3Status f(fmi3Instance instance) { return refuse_call(instance, #f); }
+    FMI3_EXPORT fmi3Status f(fmi3Instance instance) { return refuse_call(instance, #f); }
 #define REFUSE_1(f, A) \
-    fmi3Status f(fmi3Instance instance, A a) { return refuse_call(instance, #f); }
+    FMI3_EXPORT fmi3Status f(fmi3Instance instance, A a) { return refuse_call(instance, #f); }
 #define REFUSE_2(f, A, B) \
-    fmi3Status f(fmi3Instance instance, A a, B b) { return refuse_call(instance, #f); }
+    FMI3_EXPORT fmi3Status f(fmi3Instance instance, A a, B b) { return refuse_call(instance, #f); }
 #define REFUSE_3(f, A, B, C) \
-    fmi3Status f(fmi3Instance instance, A a, B b, C c) { return refuse_call(instance, #f); }
+    FMI3_EXPORT fmi3Status f(fmi3Instance instance, A a, B b, C c) { return refuse_call(instance, #f); }
 #define REFUSE_4(f, A, B, C, D) \
-    fmi3Status f(fmi3Instance instance, A a, B b, C c, D d) { return refuse_call(instance, #f); }
+    FMI3_EXPORT fmi3Status f(fmi3Instance instance, A a, B b, C c, D d) { return refuse_call(instance, #f); }
 #define REFUSE_5(f, A, B, C, D, E) \
-    fmi3Status f(fmi3Instance instance, A a, B b, C c, D d, E e) { return refuse_call(instance, #f); }
+    FMI3_EXPORT fmi3Status f(fmi3Instance instance, A a, B b, C c, D d, E e) { return refuse_call(instance, #f); }
 #define REFUSE_6(f, A, B, C, D, E, F) \
-    fmi3Status f(fmi3Instance instance, A a, B b, C c, D d, E e, F f) { return refuse_call(instance, #f); }
+    FMI3_EXPORT fmi3Status f(fmi3Instance instance, A a, B b, C c, D d, E e, F f) { return refuse_call(instance, #f); }
 #define REFUSE_8(f, A, B, C, D, E, F, G, H) \
-    fmi3Status f(fmi3Instance instance, A a, B b, C c, D d, E e, F f, G g, H h) { return refuse_call(instance, #f); }
+    FMI3_EXPORT fmi3Status f(fmi3Instance instance, A a, B b, C c, D d, E e, F f, G g, H h) { return refuse_call(instance, #f); }
 
 NO_VALUES_2(fmi3GetFloat32, fmi3Float32 *, size_t)
 NO_VALUES_2(fmi3GetInt8, fmi3Int8 *, size_t)
