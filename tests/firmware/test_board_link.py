@@ -158,6 +158,31 @@ def test_commands_are_answered(library) -> None:
     assert not any(m.get_type() == "COMMAND_ACK" for m in s.heard)
 
 
+def test_a_repeated_command_is_answered_and_not_executed_again(library) -> None:
+    s = Station(library)
+
+    def set_height(value) -> None:
+        s.send(mavlink.MAVLink_param_set_message(1, 1, b"MIS_TAKEOFF_ALT", value, 9))
+        s.wait_for("PARAM_VALUE")
+
+    height, reset = s.board.record.plan.take_off_height, (mavlink.MAV_CMD_PREFLIGHT_STORAGE, 2.0)
+    for pause_s, confirmation, executed in ((0.0, 0, False), (1.0, 0, True), (1.0, 1, False), (10.0, 1, True)):
+        assert s.command(*reset) == mavlink.MAV_RESULT_ACCEPTED
+        for _ in range(round(pause_s * 200)):
+            s.step()
+        set_height(0.95)
+        assert s.command(*reset, confirmation=confirmation) == mavlink.MAV_RESULT_ACCEPTED
+        expected = height if executed else 0.95
+        assert s.board.record.plan.take_off_height == pytest.approx(expected), (pause_s, confirmation)
+        for _ in range(2200):  # longer than the window of a confirmation
+            s.step()
+    # Another parameter, another command, another sender: none is a repetition.
+    assert s.command(*reset) == mavlink.MAV_RESULT_ACCEPTED
+    set_height(0.95)
+    assert s.command(mavlink.MAV_CMD_PREFLIGHT_STORAGE, 4.0) == mavlink.MAV_RESULT_ACCEPTED
+    assert s.board.record.plan.take_off_height == pytest.approx(height)
+
+
 def test_missions_go_both_ways(library) -> None:
     s = Station(library)
     items = [

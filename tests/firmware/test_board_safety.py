@@ -28,6 +28,7 @@ from mufly.vehicle import load_vehicle
 pytestmark = pytest.mark.skipif(
     not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="no C compiler: install gcc or clang"
 )
+NOT_MEASURED, STALE, NO_VOLTAGE, BATTERY_LOW, NOT_VALID, TILTED, MOVED = (1 << k for k in range(7))  # supervisor.h
 AROUND = 24
 """Periods before and after the first valid estimate in which a start is asked for."""
 
@@ -228,6 +229,61 @@ def test_the_supervisor_answers_arms_and_disarms_as_the_autopilot_does(vehicle, 
     assert len(accepted) > 6
     assert len(refused) > 6
     assert silent > 5.0
+
+
+@pytest.fixture(scope="module")
+def supervised(board):
+    """A supervisor that has seen one estimate of a vehicle that may be armed."""
+    ffi, lib = board.ffi, board.lib
+    s, m, setup = ffi.new("supervisor_t *"), ffi.new("estimate_t *"), ffi.addressof(lib, "mufly_setup")
+
+    def begin():
+        ffi.memmove(m, ffi.new("estimate_t *"), ffi.sizeof("estimate_t"))
+        m.valid, m.time_s, m.motion.voltage, m.specific_force[2] = True, 2.0, 8.0, -9.81
+        lib.supervisor_start(s, ffi.addressof(lib, "mufly_supervisor"), lib.INTERRUPTION_NONE)
+        lib.supervisor_observe(s, setup, m)
+        return lib, s, setup, m
+
+    return begin
+
+
+def test_each_reason_against_arming_has_its_bit(supervised) -> None:
+    lib, s, setup, m = supervised()
+    assert lib.supervisor_arming_faults(s, setup, m) == 0
+    for name in ("position", "velocity", "attitude", "rates"):
+        for axis in range(3):
+            for wrong in (np.nan, np.inf):
+                lib, s, setup, m = supervised()
+                getattr(m.motion, name)[axis] = wrong
+                assert lib.supervisor_arming_faults(s, setup, m) == NOT_MEASURED, (name, axis)
+    lib, s, setup, m = supervised()
+    s.begun = False  # no estimate yet
+    assert lib.supervisor_arming_faults(s, setup, m) == NOT_MEASURED
+    cases = {
+        NO_VOLTAGE: [("voltage", np.nan), ("voltage", 0.0)],
+        BATTERY_LOW: [("voltage", setup.plan.low_voltage + 0.19)],
+        MOVED: [("velocity", [0.0, 0.0, 0.11]), ("rates", [0.0, -0.21, 0.0])],
+        TILTED: [("attitude", [0.0, 0.5, 0.0])],
+    }
+    for reason, values in cases.items():
+        for name, value in values:
+            lib, s, setup, m = supervised()
+            setattr(m.motion, name, value)
+            assert lib.supervisor_arming_faults(s, setup, m) == reason, (name, value)
+
+
+def test_an_estimate_whose_clock_stands_still_refuses_arming_until_it_runs(supervised) -> None:
+    lib, s, setup, m = supervised()
+    for _ in range(round(0.5 / setup.period_s) - 1):
+        lib.supervisor_observe(s, setup, m)
+    assert lib.supervisor_arming_faults(s, setup, m) == 0
+    for _ in range(2):
+        lib.supervisor_observe(s, setup, m)
+    assert lib.supervisor_arming_faults(s, setup, m) == STALE
+    assert s.now_s == pytest.approx(2.0 + 0.5 + setup.period_s)  # its own clock runs on
+    m.time_s = 2.6
+    lib.supervisor_observe(s, setup, m)
+    assert lib.supervisor_arming_faults(s, setup, m) == 0
 
 
 # Resets

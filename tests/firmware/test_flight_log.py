@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import shutil
 
 import numpy as np
@@ -254,6 +255,14 @@ def test_a_board_logs_names_units_and_texts_and_pyulog_reads_them(library, tmp_p
     (topic,) = ULog(str(file)).data_list
     assert topic.name == "table"
     assert len(topic.data["timestamp"]) == data.sizes["time"]
+    # A level that no program sets counts as an error.
+    entries = r.software.mission.log
+    entries[r.software.mission.logged_count % len(entries)].level = 3
+    r.software.mission.logged_count += 1
+    for _ in range(600):
+        station.step()
+    (session,) = split_sessions(board.log_blocks[:200].tobytes())
+    assert ULog(io.BytesIO(session.ulog)).logged_messages[-1].log_level == ord("3")
     # Faults of the log reach the station as text, and the board goes on.
     board.block_model.refuses = True
     station.send(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))

@@ -298,6 +298,13 @@ def test_the_serial_port_loses_no_byte_and_counts_the_bad_ones(library) -> None:
         chip.received, chip.line_state = [0x55], state
         lib.serial_interrupt(port)
         assert (port.errors - before, lib.serial_read(port, to, 64)) == (1, kept)
+    # A reader with little room gets no byte more, and the rest next time.
+    chip.received = [1, 2, 3, 4, 5]
+    for _ in range(5):
+        lib.serial_interrupt(port)
+    to[3] = 0xEE
+    assert (lib.serial_read(port, to, 3), bytes(to[0:4])) == (3, b"\x01\x02\x03\xee")
+    assert (lib.serial_read(port, to, 64), bytes(to[0:2])) == (2, b"\x04\x05")
     # A full ring drops and counts.
     chip.received = [7] * 600
     for _ in range(600):
