@@ -24,11 +24,25 @@ RECORDS = {"m", "s", "p"}
 
 @dataclass(frozen=True)
 class Name:
-    """A name where it is defined: what it is, its module and itself."""
+    """A name where it is defined: what it is, its module, with the class of a method or field, and itself."""
 
     kind: str
     module: str
     name: str
+
+
+def defined_things(node: ast.AST, place: str) -> Iterator[Name]:
+    """Yield the functions, classes and annotated fields inside a module, class or function at ``place``."""
+    for part in ast.iter_child_nodes(node):
+        inside = place
+        if isinstance(part, ast.ClassDef):
+            yield Name("class", place, part.name)
+            inside = f"{place}.{part.name}"
+        elif isinstance(part, ast.FunctionDef) and not part.name.startswith("__"):
+            yield Name("method" if isinstance(node, ast.ClassDef) else "function", place, part.name)
+        elif isinstance(part, ast.AnnAssign) and isinstance(node, ast.ClassDef) and isinstance(part.target, ast.Name):
+            yield Name("field", place, part.target.id)
+        yield from defined_things(part, inside)
 
 
 def named_things(source: Path = SOURCE) -> Iterator[Name]:
@@ -36,14 +50,7 @@ def named_things(source: Path = SOURCE) -> Iterator[Name]:
     for path in sorted(source.rglob("*.py")):
         module = ".".join(path.relative_to(source).with_suffix("").parts)
         tree = ast.parse(path.read_text(encoding="utf-8"))
-        for node in ast.walk(tree):
-            if isinstance(node, ast.ClassDef):
-                yield Name("class", module, node.name)
-                for part in node.body:
-                    if isinstance(part, ast.AnnAssign) and isinstance(part.target, ast.Name):
-                        yield Name("field", f"{module}.{node.name}", part.target.id)
-            elif isinstance(node, ast.FunctionDef) and not node.name.startswith("__"):
-                yield Name("function", module, node.name)
+        yield from defined_things(tree, module)
         for part in tree.body:
             if isinstance(part, ast.Assign):
                 for target in part.targets:
@@ -111,7 +118,7 @@ def literal_indices(tree: ast.Module) -> int:
 
 def counted_names(source: Path = SOURCE) -> dict[str, str]:
     """Return counts: one-word functions, literal indices (:func:`literal_indices`), functions with untyped records."""
-    functions = [n.name.strip("_") for n in named_things(source) if n.kind == "function"]
+    functions = [n.name.strip("_") for n in named_things(source) if n.kind in ("function", "method")]
     short = sum("_" not in name for name in functions)
     literal = untyped = 0
     for path in source.rglob("*.py"):

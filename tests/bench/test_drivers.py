@@ -22,7 +22,7 @@ from mufly.bench.rig.bench_devices import BenchFacts, Clock, DeviceError, Device
 from mufly.bench.rig.epos_controller import EposController, FrameParser, build_frame
 from mufly.bench.rig.esc_bridge import EscBridge
 from mufly.bench.rig.ni_daq import NiDaq
-from mufly.bench.rig.rig_file import load_rig
+from mufly.bench.rig.rig_file import DeviceTable, load_rig
 from mufly.bench.rig.serial_line import compute_crc16, with_checksum
 from mufly.bench.rig.serial_load_cells import SerialLoadCells
 from mufly.bench.rig.simulated_rig import SimulatedRig
@@ -31,6 +31,7 @@ from mufly.bench.series.series_plan import BladeMounting, StepTimes, make_plan
 from mufly.bench.series.series_record import SeriesRecord, read_lines
 from mufly.bench.series.series_runner import run_series
 from mufly.errors import InputError
+from mufly.files.input_files import validate_model
 from mufly.quantities.units import RPM
 
 NACA = "naca0012-r60-c20"
@@ -207,6 +208,18 @@ def test_stand_finds_the_pulse_that_gives_the_speed():
         with pytest.raises(DeviceError, match="silent"):
             until(stand.read, lambda got: False)
         stand.close()
+
+
+@pytest.mark.parametrize(
+    ("table", "remedy"),
+    [
+        ({"kind": "nidaq", "port": "COM3", "inputs": {"thrust_raw": "Dev1/ai0"}}, "remove port"),
+        ({"kind": "cells"}, "write port"),
+    ],
+)
+def test_a_port_is_for_every_device_but_a_nidaq(table, remedy):
+    with pytest.raises(InputError, match=remedy):
+        validate_model(DeviceTable, table, "bench.toml")
 
 
 def test_nidaq_averages_and_says_what_is_missing(monkeypatch):

@@ -218,6 +218,9 @@ def test_split_fits_each_half_to_its_own_outputs(truth, flights):
         assert e.value == pytest.approx(true_value(truth, e.symbol), rel=0.06)
     assert {o for r in fit.records for o in r.output_names} >= {"height", "yaw", "roll", "q"}
     assert fit.correlation[0, 1] == 0.0
+    blind = flights["roll"].select_outputs(["height", "yaw"])
+    with pytest.raises(InputError, match="both moves these inputs and contains their outputs"):
+        fit_parts_separately(start, [f for f in free if f.symbol == "Iyy"], [blind])
 
 
 def test_an_identified_vehicle_says_where_its_numbers_come_from(truth, fitted, tmp_path):

@@ -323,7 +323,7 @@ def hover(
         from mufly.cli.aero.elastic_hover import solve_elastic_point
 
         if pitch is None or rpm is None:
-            raise InputError("--elastic", "", "finds neither speed nor pitch", "give --pitch and --rpm")
+            raise InputError("--elastic", "", "cannot solve for speed or pitch", "give --pitch and --rpm")
         if theory.method != "bemt" or band is not None or drive is not None:
             raise InputError("--elastic", "", "is for blade elements alone", "leave --method, --band and --drive out")
         return solve_elastic_point(
@@ -333,7 +333,7 @@ def hover(
         from mufly.cli.aero.cfd import CaseOptions, solve_point
 
         if pitch is None or rpm is None:
-            raise InputError("--method", "cfd", "finds neither speed nor pitch", "give --pitch and --rpm")
+            raise InputError("--method", "cfd", "cannot solve for speed or pitch", "give --pitch and --rpm")
         case = CaseOptions(pitch=pitch, density=density)
         return solve_point(rotor, case, rpm=rpm, climb=climb, out=out or Path("case"), as_json=as_json)
     settings, count = theory.wake_settings()

@@ -228,7 +228,7 @@ def find_operating_point(
     given = [("thrust_N", thrust_N), ("duty", duty), ("motor_voltage_V", motor_voltage_V)]
     asked = [(k, v) for k, v in given if v is not None]
     if len(asked) != 1:
-        raise InputError(place, "", f"{len(asked)} quantities are given", "give thrust, duty or voltage")
+        raise InputError(place, "", f"{len(asked)} quantities are given", "give one: thrust, duty or voltage")
     if supply_V is not None and charge is not None:
         raise InputError(place, "supply", "both a voltage and a charge are given", "give one of the two")
     key, raw = asked[0]

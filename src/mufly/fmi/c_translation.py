@@ -135,7 +135,7 @@ class CTranslation:
         found = self._functions.get(plain)
         if found is not None:
             if found[0] != tuple(kinds):
-                raise NotImplementedError(f"{plain.__name__} for two kinds of arguments")
+                raise NotImplementedError(f"{plain.__name__} is called with two sets of argument types; split it")
             return found[1]
         name = self._unique_name(plain.__name__, plain, plain.__module__)
         made, body = _FunctionTranslation(self, plain, name, kinds).translate()

@@ -56,9 +56,11 @@ class DeviceTable(ParameterGroup):
     range_V: float = Field(default=10.0, gt=0, description="nidaq: range of the inputs, plus and minus")
 
     @model_validator(mode="after")
-    def _check_completeness(self) -> DeviceTable:
-        if (self.kind == "nidaq") == bool(self.port):
-            raise model_error("needs a port, unless it is a nidaq", 'write port = "/dev/ttyUSB0"', "port")
+    def _check_consistency(self) -> DeviceTable:
+        if self.kind == "nidaq" and self.port:
+            raise model_error("does not belong to a nidaq", "remove port; inputs name the device", "port")
+        if self.kind != "nidaq" and not self.port:
+            raise model_error("is missing", 'write port = "/dev/ttyUSB0"', "port")
         if self.kind == "nidaq" and not self.inputs:
             raise model_error("names no inputs", 'write inputs = { thrust_raw = "Dev1/ai0" }', "inputs")
         if self.kind in ("epos", "stand") and len(self.axes) != 1:

@@ -73,7 +73,7 @@ class BladeMounting(ParameterGroup):
     )
 
     @model_validator(mode="after")
-    def _check_completeness(self) -> BladeMounting:
+    def _check_consistency(self) -> BladeMounting:
         if (self.axis == "pair") != bool(self.lower_rotor):
             raise model_error("a pair, and only a pair, has a lower_rotor", "name it, or change axis", "lower_rotor")
         if self.use == "reference" and self.axis == "pair":

@@ -42,18 +42,18 @@ _UNITS = {"weighted": "", "sensitivity": "dB", "complementary": "dB", "disk": ""
 
 @result(picture="mufly.control.analysis.plots:draw_tuned_loop")
 class TunedLoop:
-    """A tuned loop: its aims, and its figures as it flies.
+    """Tuned controller of one loop, with its figures.
 
     Attributes
     ----------
     loop : str
     order : int
     levels, norms : dict
-        Level and norm of every aim, by its name.
+        Required bound and reached norm of each goal, by its name.
     figures : LoopFigures
         Figures of the sampled controller; mu at frequencies other than the tuning's.
     controller : FlightController
-        All designs with this loop.
+        The vehicle's whole controller, with this loop in place of its own.
     """
 
     loop: LoopName

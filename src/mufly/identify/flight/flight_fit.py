@@ -308,7 +308,10 @@ def fit_parts_separately(
 
         used = [r for r in records if excites_part(r)]
         if not used:
-            raise InputError("records", part, "no record moves these inputs", "fly them, or free other parameters")
+            raise InputError(
+                "records", part, "no record both moves these inputs and contains their outputs",
+                "fly a record that does, or free no parameter of this part",
+            )  # fmt: skip
         fit = fit_flight_records(
             vehicle, own, used, part=part, delay_s=delay, held_out=[r for r in held_out if excites_part(r)],  # type: ignore[arg-type]
             checkpoint=None if checkpoint is None else checkpoint.with_name(f"{checkpoint.name}.{part}"), **options,

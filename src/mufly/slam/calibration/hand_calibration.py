@@ -473,8 +473,8 @@ class _Problem:
         sigma = np.sqrt(np.diag(covariance))
         if sigma[FOCAL][0] > _MAX_FOCAL_SIGMA or sigma[MOUNT].max() > _MAX_MOUNT_SIGMA_RAD:
             raise InputError(
-                "pictures", "", f"the motion leaves the focal length to {100 * sigma[FOCAL][0]:.1f} % and the mount to "
-                f"{math.degrees(sigma[MOUNT].max()):.1f} degrees (one sigma)",
+                "pictures", "", f"this motion leaves the focal length uncertain by {100 * sigma[FOCAL][0]:.1f} % and "
+                f"the mount by {math.degrees(sigma[MOUNT].max()):.1f} degrees (one sigma)",
                 "turn the vehicle by 20 degrees about all three axes, repeatedly, for 60 s",
             )  # fmt: skip
         lens, mount = self.lens_of(shared), self.mount_of(shared)

@@ -85,7 +85,7 @@ def add_point_errors(information: _Array, sigma_px: _Array) -> _Array:
 
 
 def floor_axes(view: ViewPrior, state: _Array, shakes: _Array, points: _Array, bend: _Array, seconds: _Array) -> _Array:
-    """Return the shifts (n, 2, 2) of pixels by N and E, in units of the height over the focal length.
+    """Return d pixel / d floor point (n, pixel axis, N/E), in units of focal length (pixels) over height (m).
 
     Arguments are those of :func:`mufly.slam.camera_pose.predict_pixels`.
     """

@@ -5,8 +5,8 @@ import { drawn, el, number, put } from "./draw.js";
 const ROWS = [
   ["Upper", "motor_input", 0, false],
   ["Lower", "motor_input", 1, false],
-  ["Pitch (1)", "servo_input", 0, true],
-  ["Roll (2)", "servo_input", 1, true],
+  ["Pitch, servo 1", "servo_input", 0, true],
+  ["Roll, servo 2", "servo_input", 1, true],
 ];
 const RPM = 30 / Math.PI;
 
