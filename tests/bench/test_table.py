@@ -122,7 +122,7 @@ def test_a_packed_file_with_a_title_and_a_line_of_units_is_read(tmp_path):
 
 
 def test_a_last_line_that_is_cut_is_left_out_and_told(tmp_path):
-    with pytest.warns(match="line 3, the last, is cut short"):
+    with pytest.warns(match="line 3, the last, is incomplete"):
         table = read_bench_file(write(tmp_path, "RPM,T(N),Q(Nm)\n1000,0.1,0.01\n2000,0.2"))
     assert table["thrust"].tolist() == [0.1]
     assert any("line 3" in note for note in table.notes)

@@ -114,7 +114,7 @@ def test_a_px4_that_dies_and_calls_again_starts_anew():
         first = ScriptedPx4(session.port, arm)
         session.wait(lambda: vehicle.is_armed and vehicle.time_s > 0.6)
         first.close()
-        session.wait(lambda: session.told("hung up"))
+        session.wait(lambda: session.told("closed the connection"))
         stood_s = vehicle.time_s
         time.sleep(0.1)
         assert vehicle.time_s == stood_s
@@ -199,7 +199,7 @@ def test_a_program_without_mavlink_is_named():
         socket.create_connection(("127.0.0.1", session.port)) as line,
     ):
         line.sendall(b"GET / HTTP/1.1\r\n" * 100)
-        session.wait(lambda: session.told("does not speak MAVLink"))
+        session.wait(lambda: session.told("sends no MAVLink messages"))
 
 
 def test_messages_have_the_units_of_mavlink_and_each_reading_once():

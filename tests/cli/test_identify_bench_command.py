@@ -69,7 +69,7 @@ def test_motor(motor_file, tmp_path):
     assert float(load_vehicle(new).motor.resistance) == pytest.approx(answer["estimates"][2]["value"])
     free = output("motor", str(motor_file), "--gear-efficiency", "free")
     assert "kM*eta_gear" in free
-    assert "not seen: kM and dR" in free
+    assert "not observable: kM and dR" in free
 
 
 def test_motor_refuses(motor_file):

@@ -122,7 +122,7 @@ def test_the_verdict_names_what_decided_it(row: MethodFigures) -> None:
     fragile = replace(wide, roll_pitch=replace(wide.roll_pitch, mu_upper=1.3))
     found = _judge(row, fragile)
     assert found.recommended == "hinf"
-    assert "H2 is out: roll-pitch has mu up to 1.30" in found.verdict
+    assert "H2 is excluded: roll-pitch has mu up to 1.30" in found.verdict
     flown = [
         replace(quiet, flights=FlightFigures(100, 60, 0.5, 0.69, 0.2)),
         replace(row, flights=FlightFigures(100, 99, 0.95, 1.0, 0.1)),

@@ -270,9 +270,11 @@ class TestFaultsAreNamed:
             np.vstack([np.eye(2), np.zeros((1, 2))]), [[sight, 1]], np.zeros((3, 3)), [[0], [0], [1]], [[0, 0, 1]],
             states=["heat", "speed"],
         )  # fmt: skip
-        with pytest.raises(MuflyError, match=r"mode 0.7 rad/s \(mainly state 'heat'\) can hardly be held") as told:
+        with pytest.raises(
+            MuflyError, match=r"mode 0.7 rad/s \(mainly state 'heat'\) is almost uncontrollable"
+        ) as told:
             hinfsyn(P, 1, 1, gamma_max=1e6)
-        of_u, of_y = re.search(r"by u0 is (\S+), its sight from y0 (\S+) \(", str(told.value)).groups()
+        of_u, of_y = re.search(r"by u0 (\S+), observability from y0 (\S+) \(", str(told.value)).groups()
         assert float(of_u) == pytest.approx(reach, rel=0.8)
         assert float(of_y) == pytest.approx(sight, rel=0.8)
 

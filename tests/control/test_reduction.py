@@ -65,5 +65,7 @@ def test_full_order_reproduces_the_controller(controller: FlightController) -> N
 
 def test_too_small_an_order_says_what_was_nearest(controller: FlightController) -> None:
     G, K, M, plant, rows = problem(controller)
-    with pytest.raises(MuflyError, match=r"no controller of order 3 or less keeps the loop \(full order 19.*nearest"):
+    with pytest.raises(
+        MuflyError, match=r"no controller of order 3 or less is within the tolerance \(full order 19.*nearest"
+    ):
         reduce_controller(G, K, M, plant, rows, order_max=3)

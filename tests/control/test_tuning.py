@@ -119,7 +119,7 @@ def test_tuned_loop_is_continued_flown_and_refused(vehicle: Vehicle, tmp_path: P
     assert flown.roll_pitch.method == "fixed"
     assert flown.heave_yaw.method == "hinf"
     assert np.array_equal(flown.roll_pitch.discrete.A, first.design.discrete.A)
-    with pytest.raises(InputError, match="holds another tuning"):
+    with pytest.raises(InputError, match="contains the results of another tuning"):
         tune_loop(vehicle, "roll-pitch", 3, goals, rounds=1, **more)
     with pytest.raises(InputError, match="a second controller for roll-pitch"):
         load_tuned_settings([path, path])
@@ -127,7 +127,7 @@ def test_tuned_loop_is_continued_flown_and_refused(vehicle: Vehicle, tmp_path: P
         tune_loop(vehicle, "heave-yaw", 11, goals)
     other = tmp_path / "other.json"
     other.write_text("{}")
-    with pytest.raises(InputError, match="is no tuned controller"):
+    with pytest.raises(InputError, match="is not a tuned controller"):
         load_tuned_settings([other])
 
 
@@ -138,7 +138,7 @@ def test_descent_is_never_above_its_start(problem) -> None:
     assert found.objective <= found.start_objective
     assert found.objective == pytest.approx(max(found.norms[a.name] / a.level for a in aims), rel=1e-6)
     assert found.controller.nstates == 2
-    with pytest.raises(MuflyError, match="no start of this order"):
+    with pytest.raises(MuflyError, match="no starting controller has this order"):
         tune_controller(aims, reduced_starts(generalised, [full], 30))
 
 
@@ -167,7 +167,7 @@ def test_order_out_of_range_is_refused(vehicle: Vehicle) -> None:
     [
         (("control", "tune", "--start", "pid"), "--start: pid: is no start; give one of hinf, h2, lqg, ltr, delay"),
         (("control", "tune", "--order", "9"), "give 2 to 8 for roll-pitch"),
-        (("control", "tune", "--only"), "there is no aim"),
+        (("control", "tune", "--only"), "no goal is given"),
         (("control", "design", "--tuned", "absent.json"), "absent.json: No such file"),
     ],
 )

@@ -31,7 +31,7 @@ def test_rotor_speeds_let_heave_be_faster_with_wider_margins(vehicle: Vehicle) -
     for rows in (plain, more):
         assert rows[1].crossover_rad_s > rows[0].crossover_rad_s
         assert rows[1].disk_margin < rows[0].disk_margin
-    assert "rotor speeds change the height's deviation" in str(found)
+    assert "rotor speeds changes the height's deviation" in str(found)
 
 
 def test_noisy_rotor_speeds_bring_less(vehicle: Vehicle) -> None:
@@ -50,7 +50,7 @@ def test_a_schedule_is_judged_by_its_diagonal(vehicle: Vehicle) -> None:
     assert ltr.disk_margin.shape == (2, 2)
     assert (ltr.disk_margin > 0.9).all()
     assert ltr.disk_margin[0, 0] == pytest.approx(1.02, abs=0.01)  # the design in hover
-    assert "one design at the first speed does for all" in found.verdict
+    assert "one design at the first speed is sufficient for all" in found.verdict
     assert "no flight map" in found.verdict
     wide = replace(ltr, disk_margin=np.array([[1.0, 0.5], [0.4, 0.9]]))
     assert wide.gain == pytest.approx(0.4)

@@ -112,12 +112,12 @@ def test_standing_is_told_by_the_unit_alone(made: tuple[InertialLog, PositionAid
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"acceleration": lambda f: f / GRAVITY}, "gravity in g"),
-        ({"acceleration": lambda f: -f}, "points up"),
+        ({"acceleration": lambda f: f / GRAVITY}, "so its unit is g"),
+        ({"acceleration": lambda f: -f}, "has its z axis up"),
         ({"acceleration": lambda f: f[:, [2, 0, 1]]}, "gravity along x"),
-        ({"acceleration": lambda f: f + np.array([0.0, 0.0, GRAVITY])}, "gravity is 9.81"),
+        ({"acceleration": lambda f: f + np.array([0.0, 0.0, GRAVITY])}, "instead of 9.81"),
         ({"rates": lambda w: np.degrees(w) + 50.0}, "deg/s"),
-        ({"rates": lambda w: w + 1.0}, "while it stands"),
+        ({"rates": lambda w: w + 1.0}, "at rest"),
     ],
 )  # fmt: skip
 def test_wrong_units_and_axes_are_refused(
@@ -170,7 +170,7 @@ def test_a_log_of_others_through_the_command(
         ([], "needed when the fixes are made from the truth"),
         (["--aid-std", "0.02", "--aid", "speed=x"], "is not an aid"),
         (["--aid-std", "-1"], "not above zero"),
-        (["--aid-std", "0.02", "--aid-delay", "9"], "as far as the filter"),
+        (["--aid-std", "0.02", "--aid-delay", "9"], "that the filter stores"),
         (["--aid-std", "0.02", "wy turned"], "runs against"),
     ):
         words_ = [x.replace("=wy", "=-wy") if "wy turned" in more else x for x in given]

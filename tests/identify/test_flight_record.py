@@ -82,7 +82,7 @@ def test_a_recording_survives_the_round_trip():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda t: t[::-1], "does not rise"),
+        (lambda t: t[::-1], "does not increase"),
         (lambda t: np.where(t > 3, t + 1.0, t), "has a gap of 1"),
         (lambda t: np.where(t > 3, np.nan, t), "contains NaN"),
     ],

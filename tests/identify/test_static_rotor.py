@@ -426,7 +426,7 @@ def test_lines_in_axial_flight_are_left_out(tmp_path):
     text = rows("speed_rad_s,thrust_N,torque_Nm,V (m/s)", WIDE, thrust * (1 - 0.1 * air), torque, air)
     result = found(written(tmp_path, text))
     assert result.find_estimate("cT").value == pytest.approx(C_T)
-    assert any("5 lines in axial flight are left out: 5 are static" in n for n in result.notes)
+    assert any("5 lines in axial flight are not used; 5 static lines remain" in n for n in result.notes)
     with pytest.raises(InputError, match="has no static line"):
         found(written(tmp_path, rows("speed_rad_s,thrust_N,J", WIDE, thrust, np.full(10, 0.3))))
 

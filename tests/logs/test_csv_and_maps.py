@@ -451,11 +451,11 @@ def test_a_short_row_is_left_out_with_its_line_and_shifts_nothing(table, separat
     raw = read_raw(table(text))
     assert raw["table"].fields["b"].tolist() == [100 + k for k in range(60) if k != 20]
     assert raw["table"].fields["U"] == pytest.approx(7.4)
-    assert raw.notes == ("line 23 has 3 cells, the header 4, and is left out",)
+    assert raw.notes == ("line 23 has 3 cells, the header 4; the line is skipped",)
     lines[40:43], lines[-1] = ["4.0,7"] * 3, "5.9,59"
     notes = read_raw(table("\n".join(["t_s,a,U_V,b", *lines]).replace(",", separator))).notes
     assert notes == (
-        "5 rows have fewer cells than the header's 4 and are left out, the first in line 22, the last in line 61",
+        "5 rows have fewer cells than the header's 4 and are skipped, the first in line 22, the last in line 61",
     )
     with pytest.raises(InputError, match=r"line 22: has 3 cells, the header 4 \(and 4 more rows\); give every row"):
         read_text_table(table("\n".join(["t_s,a,U_V,b", *lines]).replace(",", separator)))
@@ -481,7 +481,7 @@ def test_a_cell_in_quotes_holds_separators_line_breaks_and_quotes(table, cell):
     lines[25] = "25,1"
     raw = read_raw(table("t_s,note,x_m\n" + "\n".join(lines)))
     assert raw["table"].fields["x"].tolist() == [k for k in range(30) if k != 25]
-    assert raw.notes == (f"line {27 + cell.count(chr(10))} has 2 cells, the header 3, and is left out",)
+    assert raw.notes == (f"line {27 + cell.count(chr(10))} has 2 cells, the header 3; the line is skipped",)
     assert read_text_table(table("t_s,note,x_m\n" + "\n".join(lines[:25]))).cells[4] == ["4", "ok", "4"]
 
 

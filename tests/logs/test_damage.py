@@ -158,7 +158,7 @@ def test_records_outside_chunks_are_found_again(tmp_path):
     raw, seq = imu(tmp_path / "a.mcap", content)
     assert np.setdiff1d(np.arange(600), seq).tolist() == [100, 200]
     assert "599 of 600 messages are in the file" in raw.damage_text
-    assert raw.notes == ("/imu: 1 of 599 messages are not JSON and are left out",)
+    assert raw.notes == ("/imu: 1 of 599 messages are not JSON and are skipped",)
 
 
 def test_an_index_that_is_damaged_costs_nothing(tmp_path):

@@ -105,7 +105,7 @@ def test_packets_that_come_late_are_no_start(read, mavlink, version, late_s):
     assert sent_at(raw)
     assert (np.diff(raw["ATTITUDE"].time) > 0).all()
     assert len(raw.notes) == 1
-    assert "packets arrived late" in raw.notes[0]
+    assert "packets arrived out of order" in raw.notes[0]
 
 
 def test_what_has_no_clock_is_put_in_order_by_its_number(read, mavlink):
@@ -178,7 +178,7 @@ def test_what_comes_by_two_links_is_there_once(read, mavlink, same_numbers):
     assert len(raw["ATTITUDE"].time) == 200
     assert sent_at(raw)
     assert not [n for n in raw.notes if "anew" in n]
-    assert any("packets came twice" in n for n in raw.notes)
+    assert any("duplicate packets" in n for n in raw.notes)
 
 
 def test_lost_packets_both_versions_and_signatures_make_no_start(read, mavlink):
@@ -267,7 +267,7 @@ def test_a_clock_of_32_bits_wraps_after_49_days(read, mavlink):
     raw = read(in_order(packets))
     assert sent_at(raw)
     assert len(raw.notes) == 1
-    assert "arrived late" in raw.notes[0]
+    assert "arrived out of order" in raw.notes[0]
 
 
 def test_parameters_belong_to_their_component_and_px4s_whole_numbers_are_whole(read, mavlink):

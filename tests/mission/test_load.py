@@ -329,7 +329,7 @@ def test_a_plans_geofence_is_kept_and_its_rally_points_are_left_out_and_said(tmp
     m = load_mission(path)
     assert m.fence.polygon_m[0] == pytest.approx((-10 * NORTH, -7.67), abs=0.02)
     assert m.fence.keep_out_circles_m[0] == pytest.approx((0.0, 3.84, 1.0), abs=0.02)
-    assert "1 rally points left out" in m.description
+    assert "1 rally points not used" in m.description
     fence["polygons"][0]["polygon"] = corners[:2]
     path.write_text(plan_text(TAKE_OFF, THERE, geoFence=fence))
     with pytest.raises(InputError, match="give 3 or more"):

@@ -201,7 +201,7 @@ def test_wakes_start_from_their_neighbours_and_are_marked_where_they_do_not_sett
         ({"ratio": [0.5, 1.0, 1.2]}, "evenly"),
         ({"ratio": [-0.5, 0.5]}, "above 0"),
         ({"climb_ratio": [0.01, 0.02]}, "does not include 0"),
-        ({"climb_ratio": [0.0, np.nan]}, "does not rise"),
+        ({"climb_ratio": [0.0, np.nan]}, "does not increase"),
         ({"ratio": np.linspace(0.5, 1.5, 99).tolist()}, "512 at most"),
         ({"spacing_m": 0.0}, "above 0"),
     ],

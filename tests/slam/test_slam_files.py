@@ -336,11 +336,11 @@ def test_rows_without_numbers_are_left_out_told_and_counted(trajectory):
     assert found["rms_m"] < 1e-6
     assert found["pictures"] == 100
     assert said == [
-        "est.txt: 2 rows with NaN or infinity, left out (the first in line 22)",
-        "est.txt: 1 row with a quaternion of zeros, left out (line 42)",
+        "est.txt: 2 rows with NaN or infinity, skipped (the first in line 22)",
+        "est.txt: 1 row with a quaternion of zeros, skipped (line 42)",
     ]
     found, said = trajectory([*rows[50:], "1403636589.9 1.0"])
-    assert said == ["est.txt: the last row (line 51) is truncated and left out"]
+    assert said == ["est.txt: the last row (line 51) is truncated and skipped"]
     with pytest.raises(InputError, match=r"est\.txt: line 3: '1403636579\.3\d* 0\.9' is not 8 numbers"):
         trajectory([*rows[1:3], "1403636579.3 0.9", *rows[4:]])
 

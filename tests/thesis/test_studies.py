@@ -71,7 +71,7 @@ def test_unknown_study_is_named_and_a_photograph_is_no_study() -> None:
 def test_answers_are_kept_until_sources_change_and_taken_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MUFLY_CACHE", str(tmp_path / "cache"))
     assert load_cached_answer("fig-2.4").verdict_word == "not run"
-    assert load_cached_answer("fig-2.2").verdict_word == "stands for it"
+    assert load_cached_answer("fig-2.2").verdict_word == "counterpart"
     first = answer_study("fig-2.4")
     assert first.verdict_word == "agrees"
     assert first.picture is not None

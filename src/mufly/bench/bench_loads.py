@@ -354,7 +354,7 @@ def compute_loads(
         if not left:
             raise table.column_error("", "has no static line: all are in axial flight", "give lines at airspeed or J 0")
         table = table.select_lines(~axial).with_columns(
-            f"{int(axial.sum())} lines in axial flight are left out: {left} are static"
+            f"{int(axial.sum())} lines in axial flight are not used; {left} static lines remain"
         )
     speeds = [c for c in table.columns if c.split("_")[0] == "speed"]
     if not speeds:
@@ -389,7 +389,7 @@ def compute_loads(
             raise table.column_error(speeds[0], "is 0 in every line, although there are loads", remedy)
         notes.append(
             f"{int(lost.sum())} lines (first: {table.line[lost].min()}) have speed 0 under load or throttle and are "
-            "left out: their speed reading failed"
+            "not used: their speed reading failed"
         )
     for channel in (*known, *direct):
         column = f"{channel}_raw" if channel in raw else channel

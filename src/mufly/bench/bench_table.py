@@ -239,7 +239,7 @@ def _read_columns(written: TextTable, mapped: Mapping[int, list[tuple[str, float
         raise InputError(where, "", "contains no measurements", "give a header and at least one line")
     notes = list(written.notes)
     if written.cut_line:  # its last number may lack digits
-        cut = f"line {written.cut_line}, the last, is cut short and left out"
+        cut = f"line {written.cut_line}, the last, is incomplete and skipped"
         warnings.warn(f"{where}: {cut}", TruncatedFileWarning, stacklevel=4)
     line = np.array(written.lines, dtype=np.int64)
     found: dict[str, list[_ColumnReading]] = {}

@@ -227,7 +227,7 @@ class AutopilotPlant:
         if self.plant.crash_cause:
             self.recorder.set_outcome("failed", self.plant.crash_cause, mission_flown=self._has_flown)
         else:
-            why = f"{self.autopilot_name} flew it" if self._has_flown else f"{self.autopilot_name} never armed"
+            why = f"{self.autopilot_name} flew the vehicle" if self._has_flown else f"{self.autopilot_name} never armed"
             self.recorder.set_outcome("unfinished", why, mission_flown=self._has_flown)
         self.recorder.close()
 

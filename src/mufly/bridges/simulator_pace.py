@@ -62,7 +62,7 @@ def check_speed(speed: float, where: str = "speed") -> float:
         If it is not between 0 and :data:`MAX_SPEED`.
     """
     if not 0.0 <= speed <= MAX_SPEED:
-        raise InputError(where, "", f"{speed:g} is no speed", f"give 0 (as fast as possible) to {MAX_SPEED:g}")
+        raise InputError(where, "", f"{speed:g} is not a valid speed", f"give 0 (as fast as possible) to {MAX_SPEED:g}")
     return speed
 
 

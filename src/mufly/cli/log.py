@@ -252,7 +252,7 @@ def plot(
             try:
                 figure = draw_channels(members, title=f"{log.name}: {kind.replace('_', ' ')}", spectra=spectrum)
             except InputError as error:
-                typer.secho(f"{kind}: {error.problem}; left out", fg=typer.colors.YELLOW, err=True)
+                typer.secho(f"{kind}: {error.problem}; no plot drawn", fg=typer.colors.YELLOW, err=True)
                 continue
             print_files(_save_figure(figure, out or Path(f"{log.stem}-pictures"), f"{log.stem}-{kind}{suffix}"))
             if progress is not None:

@@ -129,7 +129,7 @@ def print_estimates(
     for e in estimates:
         start = "-" if math.isnan(e.start) else f"{e.start:.4g}"
         if math.isinf(e.std):
-            value, interval, doubt = "not seen", "-", "-"
+            value, interval, doubt = "not observable", "-", "-"
         elif math.isnan(e.std) and not e.at_bound:
             value, interval, doubt = f"{e.value:.5g}", "-", "-"
         elif e.at_bound:

@@ -560,7 +560,7 @@ def _given_orders(given: GivenController | None, highest: int) -> tuple[int, int
     if given is None:
         return None
     if given.order > highest:
-        raise MuflyError(f"the given controller has order {given.order}; the law on board holds {highest}")
+        raise MuflyError(f"the given controller has order {given.order}, the on-board law at most {highest}; reduce it")
     return given.order, given.order
 
 

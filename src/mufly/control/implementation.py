@@ -251,7 +251,7 @@ def reduce_controller(
             return Reduction(K, M, chosen, tolerance, factor, n, full_norm, listed)
     best = min((entry[0] for entry in tried), key=lambda c: max(c.sensitivity_peak_dB, c.complementary_peak_dB))
     raise MuflyError(
-        f"order reduction: no controller of order {order_max} or less keeps the loop (full order {n}: peaks "
+        f"order reduction: no controller of order {order_max} or less is within the tolerance (full order {n}: peaks "
         f"{full_s:.2f} and {full_t:.2f} dB, norm {full_norm:.3g}; nearest: order {best.order} by {best.method!r}, "
         f"peaks {best.sensitivity_peak_dB:.2f} and {best.complementary_peak_dB:.2f} dB, norm {best.norm:.3g}); "
         "allow a larger tolerance or order"
@@ -489,7 +489,7 @@ def discretise_controller(
     n = controller.nstates
     left = np.eye(n) - controller.A * (T / 2)
     if n and np.linalg.cond(left) > 1e12:
-        raise MuflyError(f"discretisation: the controller has a mode at {2 / T:.4g} rad/s; choose another rate")
+        raise MuflyError(f"discretisation: Tustin's rule fails for a mode at {2 / T:.4g} rad/s; choose another rate")
     A = np.linalg.solve(left, np.eye(n) + controller.A * (T / 2))
     B = T * np.linalg.solve(left, controller.B)
     C = np.linalg.solve(left.T, controller.C.T).T

@@ -159,11 +159,11 @@ def explain_numba_choice(vehicle: Vehicle) -> str:
 def _reason_against_c(asked: str, kind: Any) -> str:
     """Return the reason against C that is known before a build."""
     if asked == "numba":
-        return "Numba was asked for"
+        return f"Numba is selected by {_BACKEND_VARIABLE} or by code"
     if kind != np.float64:
         return "single precision"
     if asked != "c" and source_stamp() != VERIFIED_STAMP:
-        return "the Python sources of the filter have changed since its C was proved equal to them"
+        return "the filter's Python sources differ from those that its C code was verified to equal"
     return ""
 
 

@@ -192,7 +192,7 @@ def check_inertial_log(log: InertialLog, where: str) -> None:
         are in degrees.
     """
     if len(log.time_s) < 10 or not log.step_s > 0.0:
-        raise InputError(where, "time", "does not rise", "give a log in the order of its times")
+        raise InputError(where, "time", "does not increase", "sort the log by time")
     held = log.rest_rows if log.rest_rows.stop else slice(None)
     felt = np.nanmedian(log.acceleration[held], axis=0)
     size = float(np.nanmedian(np.linalg.norm(log.acceleration[held], axis=1)))
@@ -200,30 +200,30 @@ def check_inertial_log(log: InertialLog, where: str) -> None:
         raise InputError(where, "measured_acceleration", "contains no numbers", "choose another signal")
     if abs(size - 1.0) < 0.2:
         raise InputError(
-            where, "measured_acceleration", f"has a mean of {size:.3g}, gravity in g", "name its unit: ...(gee)"
+            where, "measured_acceleration", f"has a mean of {size:.3g}, so its unit is g", "give its unit: ...(gee)"
         )  # fmt: skip
     if abs(size / GRAVITY - 1.0) > 0.2:
         raise InputError(
-            where, "measured_acceleration", f"has a mean of {size:.3g} m/s^2 on average where gravity is 9.81",
-            "name its unit, or another signal: it should be specific force, gravity not taken off",
+            where, "measured_acceleration", f"has a mean of {size:.3g} m/s^2 instead of 9.81 m/s^2 (gravity)",
+            "give its unit, or another signal: specific force, from which gravity is not subtracted",
         )  # fmt: skip
     if felt[2] > -0.5 * GRAVITY:
         axis = "xyz"[int(np.argmax(np.abs(felt)))]
         problem = (
-            "points up: at rest z should feel -9.81" if felt[2] > 0.5 * size
+            "has its z axis up: at rest z should read -9.81 m/s^2" if felt[2] > 0.5 * size
             else f"has gravity along {axis} ({np.array2string(felt, precision=2)} m/s^2)"
         )  # fmt: skip
         raise InputError(
             where,
             "measured_acceleration",
             problem,
-            "axes are forward, right, down: change signs or order of columns",
+            "change signs or order of the columns: axes are forward, right, down",
         )
     turning = np.abs(np.nanmean(log.rates[held], axis=0)).max() if log.rest_rows.stop else 0.0
     if np.nanquantile(np.abs(log.rates), 0.999) > 70.0 or turning > 0.5:
         raise InputError(
-            where, "measured_rates", f"turns at {max(turning, float(np.nanmax(np.abs(log.rates)))):.3g} rad/s"
-            + (" while it stands" if turning > 0.5 else ""), "name its unit: ...(deg/s)",
+            where, "measured_rates", f"reaches {max(turning, float(np.nanmax(np.abs(log.rates)))):.3g} rad/s"
+            + (" at rest" if turning > 0.5 else ""), "give its unit: ...(deg/s)",
         )  # fmt: skip
 
 
@@ -311,8 +311,8 @@ def _make_log_estimator(log: InertialLog, aids: PositionAids, noise: InertialNoi
         raise InputError(
             "--aid-delay",
             f"{late:.3g} s",
-            f"is more than {MAX_DELAY_BLOCKS * max(INPUT_BLOCK_S, step):.2g} s, as far as the filter reaches back",
-            "give aids that come sooner, or a lower --rate",
+            f"is more than the {MAX_DELAY_BLOCKS * max(INPUT_BLOCK_S, step):.2g} s of inputs that the filter stores",
+            "give aids with less delay, or a lower --rate",
         )
     v = load_vehicle("mufly-2.0")
     standard = "sensors.imu.", "sensors.position_fix."

@@ -562,10 +562,10 @@ def _with_fitting_rows(table: TextTable, widths: list[int], short_rows: str) -> 
         return replace(table, rows=rows)
     first, last = lines[short[0]], lines[short[-1]]
     what = (
-        f"line {first} has {widths[short[0]]} cells, the header {wanted}, and is left out"
-        + (": the last, cut short" if cut else "")
+        f"line {first} has {widths[short[0]]} cells, the header {wanted}; the line is skipped"
+        + (", because the file ends in it" if cut else "")
         if len(short) == 1
-        else f"{len(short)} rows have fewer cells than the header's {wanted} and are left out, the first in line "
+        else f"{len(short)} rows have fewer cells than the header's {wanted} and are skipped, the first in line "
         f"{first}, the last in line {last}"
     )
     keep = [k for k, w in enumerate(widths) if w == wanted]

@@ -74,7 +74,9 @@ class UnitLibrary:
         self.starts = {v["name"]: float(v["start"]) for v in variables if "start" in v}
         found = list((folder / "binaries" / platform_tuple()[0]).glob("*.*"))
         if len(found) != 1:
-            raise MuflyError(f"{file} has no library for this machine; export it again where there is a C compiler")
+            raise MuflyError(
+                f"{file} contains no library for this platform; export it again on a machine with a C compiler"
+            )
         self.library = ctypes.CDLL(str(found[0]))
         self.library.fmi3InstantiateCoSimulation.restype = ctypes.c_void_p
         self.library.fmi3FreeInstance.restype = None

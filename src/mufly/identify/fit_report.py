@@ -293,7 +293,7 @@ def _determinants(fit: FitResult) -> str:
 def candidate_table(r: LinearResult) -> ReportTable:
     """Return heads and rows of the table of candidate structures, best first."""
     outputs = r.linear.structure.outputs
-    heads = ("structure", "free", "left out", *(f"of {o}" for o in outputs), "AIC", "BIC")
+    heads = ("structure", "free", "cross-validation", *(f"of {o}" for o in outputs), "AIC", "BIC")
     rows = []
     for c in r.candidates:
         scores = (f"{v:.3f}" for v in (c.left_out, *c.by_output))

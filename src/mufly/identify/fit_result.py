@@ -246,7 +246,7 @@ def apply_estimates(vehicle: Vehicle, estimates: Iterable[ParameterEstimate], no
             "estimates",
             "",
             "no estimate has a key in a vehicle file",
-            "see the parameters marked 'not seen'",
+            "see the parameters marked 'not observable'",
         )
     if any(e.key == "body.mass" for e in found):
         tables["mass_budget"] = None  # its sum differs from the estimated mass

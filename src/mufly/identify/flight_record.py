@@ -186,7 +186,7 @@ def _check_clock(r: FlightRecord) -> None:
     if np.any(step <= 0):
         k = int(np.argmax(step <= 0))
         raise InputError(
-            r.name, "time", f"does not rise: {r.time_s[k]:g} s is followed by {r.time_s[k + 1]:g} s",
+            r.name, "time", f"does not increase: {r.time_s[k]:g} s is followed by {r.time_s[k + 1]:g} s",
             "sort the rows or remove the repeated ones",
         )  # fmt: skip
     usual = float(np.median(step))
@@ -577,7 +577,7 @@ def _resample_evenly(name: str, found: dict[str, Array], rate_hz: float | None, 
     steps = np.diff(time)
     if not (steps > 0.0).all():
         at = int(np.flatnonzero(~(steps > 0.0))[0]) + 1
-        raise InputError(name, key, f"does not rise at row {at + 1}", "sort the record, or cut it there")
+        raise InputError(name, key, f"does not increase at row {at + 1}", "sort the record, or cut it there")
     found = {k: v for k, v in found.items() if len(v) == len(time)}
     step = float(np.median(steps)) if rate_hz is None else 1.0 / rate_hz
     gaps = int((steps > 3.0 * np.median(steps)).sum())

@@ -199,11 +199,11 @@ def apply_physical_limits(
             words.append(f"{what} reaches {peak:.4g}{unit}, but {limits.reason}: is its unit right?")
         elif most <= _MAX_REMOVED_SHARE:
             many = "1 value is" if count == 1 else f"{count} values are"
-            words.append(f"{what}: {many} beyond what can be ({peak:.4g}{unit}; {limits.reason}) and left out")
+            words.append(f"{what}: {many} implausible ({peak:.4g}{unit}; {limits.reason}) and replaced by NaN")
             out |= {c.name: c._replace(values=np.where(b, np.nan, c.values)) for c, b in zip(group, bad, strict=True)}
         else:
             words.append(
-                f"{what} reaches {peak:.4g}{unit}, but {limits.reason}: left out; give its unit in a column map"
+                f"{what} reaches {peak:.4g}{unit}, but {limits.reason}: not used; give its unit in a column map"
             )
             out |= dict.fromkeys(c.name for c in group)
     return [c for c in out.values() if c is not None], words

@@ -522,9 +522,7 @@ def parse_json_topics(contents: McapContents, where: str) -> RawLog:
             unread.append(topic)
             continue
         if len(rows) < len(written):
-            notes.append(
-                f"{topic}: {len(written) - len(rows)} of {len(written)} messages are not JSON and are left out"
-            )
+            notes.append(f"{topic}: {len(written) - len(rows)} of {len(written)} messages are not JSON and are skipped")
         time = (np.array([written[k][0] for k in kept], dtype=np.int64) - zero) / 1e9
         time[foreign[topic][kept]] = np.nan
         names = dict.fromkeys(name for row in rows for name in row)
@@ -534,7 +532,7 @@ def parse_json_topics(contents: McapContents, where: str) -> RawLog:
         problem = f"contains no JSON messages (topics: {', '.join(unread) or 'none'})"
         raise InputError(where, "", problem, "convert its messages to JSON first")
     if unread:
-        notes.append(f"topics in another encoding than JSON are left out: {', '.join(unread)}")
+        notes.append(f"topics in another encoding than JSON are skipped: {', '.join(unread)}")
     notes += [w for w in strange if w.partition(": ")[0] in tables]
     return RawLog(
         path=where,

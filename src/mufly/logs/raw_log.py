@@ -386,7 +386,7 @@ def find_foreign_stamps(times: Mapping[str, NDArray[Any]]) -> tuple[dict[str, ND
         if len(strange):
             what = "1 time stamp" if len(strange) == 1 else f"{len(strange)} time stamps"
             clock = "never set" if (strange == 0).all() else f"from another clock, {strange[0]:.6g} s"
-            words.append(f"{name or 'the clock'}: {what} of {len(d)} left out ({clock})")
+            words.append(f"{name or 'the clock'}: {what} of {len(d)} ignored ({clock})")
     return foreign, words
 
 
@@ -411,9 +411,9 @@ def select_usable_samples(time: _Array, where: str, key: str) -> tuple[NDArray[n
     name = f"{key}: " if key else ""
     wild = _find_wild_stamps(time)
     if wild.any():
-        one = f"a time stamp far from its neighbours, with its sample ({int(wild.argmax())})"
-        many = f"{int(wild.sum())} time stamps far from their neighbours, with their samples"
-        words.append(f"{name}{one if wild.sum() == 1 else many} left out")
+        one = f"sample {int(wild.argmax())} has a time stamp far from its neighbours"
+        many = f"{int(wild.sum())} samples have time stamps far from their neighbours"
+        words.append(f"{name}{one if wild.sum() == 1 else many}, skipped")
         time = np.where(wild, np.nan, time)
     report = check_clock(time)
     if report.is_reset:
@@ -426,9 +426,9 @@ def select_usable_samples(time: _Array, where: str, key: str) -> tuple[NDArray[n
     last = np.append(np.diff(time[order]) > 0, True) if len(order) else np.empty(0, dtype=bool)
     unset = report.missing - int(wild.sum())
     if unset:
-        words.append(f"{name}{unset} samples without a time stamp are left out")
+        words.append(f"{name}{unset} samples without a time stamp are skipped")
     if report.backward:
-        words.append(f"{name}{report.backward} samples came in the wrong order and were sorted by time")
+        words.append(f"{name}{report.backward} samples are in the wrong order and were sorted by time")
     if not last.all():
         words.append(f"{name}{int((~last).sum())} samples repeat a time stamp; the last of each is kept")
     return order[last], words

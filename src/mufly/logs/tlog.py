@@ -149,13 +149,13 @@ def read_tlog(path: str | Path, progress: Callable[[int, int], None] | None = No
     rows, offset = _group_by_sender(raw_rows)
     if not rows:
         raise InputError(where, "", "contains no packet that can be decoded", "give a MAVLink 1 or 2 log")
-    notes = [f"{bad} packets were damaged or unknown and are left out"] if bad else []
+    notes = [f"{bad} packets are damaged or unknown and skipped"] if bad else []
     came_us, number = _read_headers(data, offset)
     foreign, _ = find_foreign_stamps({str(key): came_us[places] / 1e6 for key, (places, _) in rows.items()})
     lost = sum(int(f.sum()) for f in foreign.values())
     if lost:
         _drop_packets(rows, {key: ~foreign[str(key)] for key in rows})
-        notes.append(f"{lost} packets whose time of arrival is on another day are left out")
+        notes.append(f"{lost} packets that arrived on another day are skipped")
     vehicle, said = _choose_vehicle(rows)
     notes += said
     kept = np.sort(np.concatenate([places for places, _ in rows.values()]))
@@ -193,9 +193,9 @@ def read_tlog(path: str | Path, progress: Callable[[int, int], None] | None = No
             time, fields = _select_rows(np.flatnonzero(~repeated), time, fields)
         tables[label] = RawTable(label, time, fields, units)
     if late:
-        notes.append(f"{late} packets arrived late by their clock or number, and are sorted by their time of sending")
+        notes.append(f"{late} packets arrived out of order and are sorted by their time of sending")
     if twice:
-        notes.append(f"{twice} packets came twice and are left out")
+        notes.append(f"{twice} duplicate packets are skipped")
     texts = [
         (t, level, text if key[:2] == vehicle else f"{key[0]}.{key[1]}: {text}")
         for key, (places, messages) in rows.items()

@@ -134,7 +134,7 @@ def parse_ulog(data: bytes, where: str) -> RawLog:
     times, notes = _seconds_since_start(header, stamps)
     if scan.unknown_type_counts:
         count, types = sum(scan.unknown_type_counts.values()), ", ".join(map(repr, scan.unknown_type_counts))
-        notes.append(f"{count} messages of unknown types ({types}) are left out")
+        notes.append(f"{count} messages of unknown types ({types}) are skipped")
     tables = {}
     for name, rows in log_rows.items():
         values = {str(k): _decode_text_column(rows[k]) for k in rows.dtype.names or () if k != "timestamp"}

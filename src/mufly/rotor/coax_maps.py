@@ -227,7 +227,7 @@ def _check_axes(axes: Sequence[Array]) -> None:
         if axis.size < least:
             raise InputError("coax map", key, f"has {axis.size} value", f"give {least} or more")
         if not np.all(np.isfinite(axis)) or np.any(np.diff(axis) <= 0):
-            raise InputError("coax map", key, "does not rise", "give finite values, each above the last")
+            raise InputError("coax map", key, "does not increase", "give finite values, each above the last")
         if key != "climb" and axis[0] <= 0:
             raise InputError("coax map", key, f"{axis[0]:g} is out of range", "give numbers above 0")
         if axis.size > 2 and np.ptp(np.diff(axis)) > 1e-6 * np.ptp(axis):

@@ -171,7 +171,7 @@ def _parse_pose_rows(
             rows[k] = [float(c) for c in row[:8]]
         except ValueError:
             if k and k == len(cells) - 1 and len(row) < 8:
-                said.append(f"the last row (line {number}) is truncated and left out")
+                said.append(f"the last row (line {number}) is truncated and skipped")
                 cells, rows = cells[:-1], rows[:-1]
                 break
             raise InputError(where, f"line {number}", f"{' '.join(row)[:60]!r} is not 8 numbers",
@@ -219,8 +219,8 @@ def _drop_invalid_rows(rows: _Array, numbers: list[int], said: list[str]) -> tup
     finite = np.isfinite(rows).all(axis=1)
     length = np.linalg.norm(rows[:, _QUATERNION], axis=1)
     turned = length > _MIN_QUATERNION_NORM
-    _note_lines(said, "with NaN or infinity, left out", np.flatnonzero(~finite), numbers)
-    _note_lines(said, "with a quaternion of zeros, left out", np.flatnonzero(finite & ~turned), numbers)
+    _note_lines(said, "with NaN or infinity, skipped", np.flatnonzero(~finite), numbers)
+    _note_lines(said, "with a quaternion of zeros, skipped", np.flatnonzero(finite & ~turned), numbers)
     keep = np.flatnonzero(finite & turned)
     odd = keep[np.abs(length[keep] - 1) > _QUATERNION_NORM_TOLERANCE]
     if len(odd):

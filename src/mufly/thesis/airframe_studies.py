@@ -80,7 +80,7 @@ def study_mass_budget(progress: ProgressCallback | None = None) -> StudyFindings
         verdicts,
         drawn,
         {"budget": data},
-        "actuators, rotor system, electronics and sensors are estimates: the picture was not at hand",
+        "actuators, rotor system, electronics and sensors are estimates: the figure was not available",
     )
 
 
@@ -134,7 +134,9 @@ def study_stabiliser_bar(progress: ProgressCallback | None = None) -> StudyFindi
     axes = drawn.subplots()
     for name, v in roll.items():
         axes.plot(time, v, label=name)
-    axes.set(xlabel="Time (s)", ylabel="Roll (deg)", title="Fig. 2.5: what the bar does to a roll of 20 degrees")
+    axes.set(
+        xlabel="Time (s)", ylabel="Roll (deg)", title="Fig. 2.5: effect of the stabiliser bar on a roll of 20 degrees"
+    )
     axes.grid(alpha=0.3)
     axes.legend()
     return StudyFindings(
@@ -242,9 +244,9 @@ def study_imu_clipping(progress: ProgressCallback | None = None) -> StudyFinding
     axes.boxplot(tilt.T, tick_labels=[f"{a:g} + {b:g}" for a, b in _VIBRATION_LEVELS])
     axes.axhline(20, color="C3", linestyle=":", label="source: up to 20 degrees")
     axes.set(
-        xlabel="Shaking of each rotor at 1/rev + 2/rev (g)",
-        ylabel="False tilt (deg)",
-        title="Fig. 2.6's inertial unit, shaken beyond 6 g",
+        xlabel="Vibration of each rotor at 1/rev + 2/rev (g)",
+        ylabel="Error of the measured tilt (deg)",
+        title="Fig. 2.6's inertial unit, vibration beyond 6 g",
     )
     axes.legend()
     data = xr.Dataset(

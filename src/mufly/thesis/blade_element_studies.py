@@ -157,7 +157,7 @@ def study_transition(progress: ProgressCallback | None = None) -> StudyFindings:
     axes.set(
         xlabel="$n_{crit}$",
         ylabel="Mean error at Table 3.2's points (%)",
-        title="Table 3.1: what n_crit to take",
+        title="Table 3.1: choice of n_crit",
     )
     axes.set_ylim(bottom=0)
     axes.legend(fontsize="small", loc="center right")

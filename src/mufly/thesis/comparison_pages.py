@@ -13,17 +13,17 @@ from mufly.results.report_page import render_page
 from mufly.thesis.figure_catalogue import OUTLOOK_SENTENCES, THESIS_ITEMS, ThesisItem
 from mufly.thesis.study_runner import StudyAnswer
 
-VERDICT_WORDS = ("agrees", "in part", "DIFFERS", "drawn", "needs CFD", "not run", "stands for it")
+VERDICT_WORDS = ("agrees", "in part", "DIFFERS", "drawn", "needs CFD", "not run", "counterpart")
 """Verdict words in the order in which they are counted."""
 
 _MEANING_BY_WORD = {
-    "agrees": "every claim holds by its rule",
-    "in part": "some do",
-    "DIFFERS": "none does",
-    "drawn": "contours only, nothing to judge",
-    "needs CFD": "a Navier-Stokes solution is needed for its verdict",
-    "not run": "its study has not run yet",
-    "stands for it": "photograph, sketch or block diagram: the line says where mufly has the same",
+    "agrees": "every claim passes its test",
+    "in part": "some claims pass",
+    "DIFFERS": "no claim passes",
+    "drawn": "contours without a claim to test",
+    "needs CFD": "its verdict requires a Navier-Stokes solution",
+    "not run": "its study has not run",
+    "counterpart": "photograph, sketch or block diagram; the line names its counterpart in mufly",
 }
 
 _PLURAL_BY_WORD = {
@@ -33,7 +33,7 @@ _PLURAL_BY_WORD = {
     "drawn": "are contours, drawn",
     "needs CFD": "need CFD",
     "not run": "have not run",
-    "stands for it": "are photographs, sketches or diagrams",
+    "counterpart": "are photographs, sketches or diagrams",
 }
 
 
@@ -66,12 +66,12 @@ def render_markdown_page(answers: Sequence[StudyAnswer] | Sequence[Mapping[str, 
     lines = [
         "# The dissertation, figure by figure",
         "",
-        "Every figure and table of D. Schafroth's dissertation, and what mufly says to it. Made by",
-        "`python docs/make_thesis_page.py` from what `mufly thesis run all` computed. `mufly thesis report --out",
-        "thesis.html` puts the pictures with it, `mufly thesis show fig-6.11` one of them. Only the text of the",
-        "dissertation is at hand: a claim says after its place whether it was read in the *text*, in a printed",
-        "*table*, or from the texts of a figure's *axis*; no curve was digitised, and nothing is tuned to any of it.",
-        "Where ours differs it stays so, with the reason as far as it is known ([thesis-errata.md](thesis-errata.md),",
+        "This page compares every figure and table of D. Schafroth's dissertation with mufly's result.",
+        "`python docs/make_thesis_page.py` writes it from the results of `mufly thesis run all`.",
+        "`mufly thesis report --out thesis.html` adds the pictures; `mufly thesis show fig-6.11` shows one entry.",
+        "Only the text of the dissertation is available. Each claim names its source in parentheses: *text*, printed",
+        "*table*, or labels of a figure's *axis*. No curve was digitised, and no parameter is tuned to the claims.",
+        "Differences remain, with their reason where it is known ([thesis-errata.md](thesis-errata.md),",
         "[studies.md](../explanation/studies.md)).",
         "",
         _summarise_verdicts(rows),
@@ -113,8 +113,8 @@ def render_outlook_page() -> str:
     lines = [
         "# The dissertation's outlook, sentence by sentence",
         "",
-        "Section 7.2 of D. Schafroth's dissertation lists future work. Each sentence stands here in our words with the "
-        "answer of mufly. `mufly thesis outlook` prints the same. Sentences marked *context* ask for nothing.",
+        "Section 7.2 of D. Schafroth's dissertation lists future work. The table paraphrases each sentence and gives "
+        "mufly's answer, as does `mufly thesis outlook`. Sentences marked *context* ask for nothing.",
         "",
         "; ".join(f"{n} {state}" for state, n in count_outlook().items()) + ".",
     ]
@@ -148,9 +148,9 @@ _BODY = """
 <span class="badge {{ badges.get(a.verdict_word) or "" }}">{{ a.verdict_word }}
 {%- if a.agreement_share %} ({{ a.agreement_share }}){% endif %}</span>
 {%- endmacro %}
-<p>D. Schafroth, <i>Aerodynamics, Modeling and Control of an Autonomous Micro Helicopter</i>, ETH No. 18901, 2010; ours
-beside what is printed. A claim says whether it was read in the text, in a printed table or from the texts of a
-figure's axis; no curve was digitised, and nothing is tuned to any of it.</p>
+<p>D. Schafroth, <i>Aerodynamics, Modeling and Control of an Autonomous Micro Helicopter</i>, ETH No. 18901, 2010;
+mufly's results beside the printed ones. Each claim names its source: text, printed table, or labels of a figure's axis.
+No curve was digitised, and no parameter is tuned to the claims.</p>
 <p><b>{{ total }}</b></p>
 <table><tr><th></th><th>what</th><th>verdict</th></tr>
 {% for a in answers %}
@@ -163,7 +163,7 @@ figure's axis; no curve was digitised, and nothing is tuned to any of it.</p>
 {% if loop.changed(chapter(i)) %}<h2>Chapter {{ chapter(i) }}</h2>{% endif %}
 <section id='{{ i.name }}'><h3>{{ i.citation }}: {{ i.title }} {{ word(a) }}</h3>
 {% if i.kind != "result" %}
-<p>A {{ i.kind }}. For it stands: {{ code(i.substitute) }}.</p>
+<p>A {{ i.kind }}. Counterpart in mufly: {{ code(i.substitute) }}.</p>
 {% else %}
 {% if a.picture %}{{ figure(a.picture.read_bytes(), i.title) }}{% endif %}
 {% if a.verdicts %}

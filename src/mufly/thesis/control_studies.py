@@ -285,7 +285,7 @@ def study_pitch_tracking(progress: ProgressCallback | None = None) -> StudyFindi
 
 
 _CLIMB_MISSION = {
-    "description": "up by 0.5 m, and wait",
+    "description": "climb of 0.5 m, then wait",
     "take_off": {"height_m": 1.0, "wait_s": 8.0},
     "waypoint": [{"position_m": [0.0, 0.0, -1.5], "wait_s": 30.0}],
 }
@@ -387,7 +387,7 @@ def study_heave_step_flown(progress: ProgressCallback | None = None) -> StudyFin
     for k, name in enumerate(("upper", "lower")):
         bottom.plot(time, part.motor_input.sel(rotor=name), color=f"C{k}", linewidth=0.8, label=name)
     bottom.set(ylabel="Motor input", xlabel="Time after the climb began (s)", xlim=(-2, 10))
-    _finish_figure(drawn, "Fig. 6.11: up by 0.5 m, flown on sensors")
+    _finish_figure(drawn, "Fig. 6.11: climb of 0.5 m, flown on sensors")
     return StudyFindings(verdicts, drawn, {"run": _select_plotted_signals(part)})
 
 

@@ -114,7 +114,7 @@ def simulate_motor_bench(seed: int = 0, noise: float = 0.01) -> BenchTable:
     y *= 1 + noise * np.random.default_rng(seed).standard_normal(y.shape)
     names = ("voltage", "current", "speed", "torque")
     return BenchTable(
-        "made up with Table 5.3", dict(zip(names, y.T, strict=True)), {k: k for k in names}, np.arange(len(y))
+        "simulated with Table 5.3", dict(zip(names, y.T, strict=True)), {k: k for k in names}, np.arange(len(y))
     )
 
 
@@ -142,7 +142,7 @@ def study_bench_parameters(progress: ProgressCallback | None = None) -> StudyFin
             "table-5.2/eight-parameters-come-from-rotor-and",
             "mufly identify rotor | motor",
             f"{len(BENCH_METHODS)} in the vehicle file, {sum(w == 'identified' for w in words.values())} "
-            f"of them marked identified; of a made-up motor bench {held} of 4 intervals hold the truth",
+            f"of them marked identified; of a simulated motor bench {held} of 4 intervals hold the truth",
             held=held,
             holds=all(w == "identified" for w in words.values()),
         ),
@@ -168,7 +168,7 @@ def study_motor_fit(progress: ProgressCallback | None = None) -> StudyFindings:
     verdicts = [
         judge(
             "fig-5.1/the-constants-come-out-of-steady",
-            "made-up bench, 1 % noise",
+            "simulated bench, 1 % noise",
             f"{held} of 4 intervals hold the truth: {text}",
             held=held,
         ),
@@ -182,7 +182,7 @@ def study_motor_fit(progress: ProgressCallback | None = None) -> StudyFindings:
         ),
     ]
     drawn = motor_picture(
-        fit, title="Fig. 5.1: motor constants by least squares (made-up bench with Table 5.3's motor)"
+        fit, title="Fig. 5.1: motor constants by least squares (simulated bench with Table 5.3's motor)"
     )
     data = xr.Dataset(
         {

@@ -128,7 +128,7 @@ def study_state_machine(progress: ProgressCallback | None = None) -> StudyFindin
         "land signal": _run_state_machine(mission, start_then_command(hovers, Command(land=True))),
         "RC": _run_state_machine(mission, start_then_command(hovers, Command(rc_active=True), hold=True), limit_s=20.0),
         "never lifts off": _run_state_machine(mission, lift=False),
-        "somebody comes near": _run_state_machine(
+        "obstacle approaches": _run_state_machine(
             mission,
             start_then_command(hovers - 0.2, Command(pause=True)),
             limit_s=90.0,

@@ -164,7 +164,7 @@ class StudyAnswer:
     def verdict_word(self) -> str:
         """Verdict in one or two words."""
         if self.item.kind != "result":
-            return "stands for it"
+            return "counterpart"
         if not self.known:
             return "not run"
         if self.lacking:

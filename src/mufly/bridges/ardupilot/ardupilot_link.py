@@ -179,7 +179,7 @@ class ArduPilotSimulator:
         """Simulate until ``stop()``; the port is closed at the end."""
         self.vehicle.log_event(f"waiting for ArduPilot at {self.port.endpoint}")
         self.vehicle.warn_of_unseen_faults(
-            lambda name: name not in _UNSEEN_SENSORS, "ArduPilot makes this sensor itself"
+            lambda name: name not in _UNSEEN_SENSORS, "ArduPilot simulates this sensor itself"
         )
         try:
             while not stop():
@@ -205,7 +205,7 @@ class ArduPilotSimulator:
         packet = read_servo_packet(data)
         if packet is None:
             self.vehicle.warn_once(
-                "packet", f"{peer.address} sends packets that are not ArduPilot's; is it another program?"
+                "packet", f"{peer.address} sends packets that are not ArduPilot's; close that program"
             )
             return
         self._heard_s = self._clock()
@@ -259,7 +259,7 @@ def describe_wrong_channels(packet: ServoPacket) -> str:
     pairs = ((ROLL_CHANNEL, ROLL_MIRROR), (PITCH_CHANNEL, PITCH_MIRROR))
     if any(abs(float(packet.pulse_us[[a, b]].sum()) - 2.0 * _CENTRE_US) > 2.0 * _MIRROR_US for a, b in pairs):
         return (
-            "ArduPilot's outputs 1 to 4 are not mirrored, so its frame is another one; load the file of "
+            "ArduPilot's outputs 1 to 4 are not mirrored, so it uses another frame; load the file of "
             "`mufly autopilot gains ardupilot` (FRAME_CLASS 8)"
         )
     return ""

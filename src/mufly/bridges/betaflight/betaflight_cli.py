@@ -82,7 +82,7 @@ def _converse(line: socket.socket, data: bytes, endpoint: Endpoint) -> bytes:
             part = b""
         if not part:
             raise MuflyError(
-                f"Betaflight's command line at {endpoint} does not answer; end other connections, or start it again"
+                f"Betaflight's command line at {endpoint} does not answer; close its other connections, or restart it"
             )
         answer += part
     return answer
@@ -93,7 +93,7 @@ def _wait_for_end(line: socket.socket, endpoint: Endpoint) -> None:
         while line.recv(65536):
             pass
     except TimeoutError:
-        raise MuflyError(f"Betaflight at {endpoint} has not ended after `save`; is it another firmware?") from None
+        raise MuflyError(f"Betaflight at {endpoint} did not end after `save`; use Betaflight's SITL") from None
     except OSError:  # the program ended with data under way
         pass
 

@@ -271,7 +271,7 @@ class BetaflightSimulator:
                 what = (
                     "the packets of port 9002, which carry no servos; Betaflight's outputs are at 9001"
                     if len(data) == GAZEBO_BYTES
-                    else "packets that are not Betaflight's; is it another program?"
+                    else "packets that are not Betaflight's; close that program"
                 )
                 self.vehicle.warn_once("packet", f"{peer.address} sends {what}")
                 continue
@@ -326,7 +326,7 @@ def describe_wrong_outputs(outputs: BetaflightOutputs) -> str:
     """Return why outputs are not those of the mixer DUALCOPTER; "" if they can be."""
     remedy = "load the file of `mufly autopilot gains betaflight`"
     if outputs.motor_count != 2:
-        return f"Betaflight drives {outputs.motor_count} motors, which is another mixer than DUALCOPTER; {remedy}"
+        return f"Betaflight drives {outputs.motor_count} motors, so its mixer is not DUALCOPTER; {remedy}"
     if np.any(outputs.pulse_us[_SERVO_PULSES] <= 0.0):
         return "Betaflight drives no servos; build it with servos (make TARGET=SITL EXTRA_FLAGS=-DUSE_SERVOS)"
     return ""

@@ -122,7 +122,7 @@ def _list_frame() -> Iterator[BetaflightLine]:
     for servo, what in ((_PITCH_SERVO, "servo 1 pitches the nose down"), (_ROLL_SERVO, "servo 2 rolls to the right")):
         yield BetaflightLine(f"servo {servo} 1000 2000 1500 100 -1", f"{what}; not reversed")
     yield BetaflightLine("set yaw_motors_reversed = OFF", "the upper motor yaws to the right")
-    yield BetaflightLine("feature -AIRMODE", "no control at no throttle, so that it can stand")
+    yield BetaflightLine("feature -AIRMODE", "no control at zero throttle, so that the vehicle can stand")
     yield BetaflightLine("aux 0 0 0 1700 2100 0 0", "ARM on channel 5")
     yield BetaflightLine("aux 1 1 1 1700 2100 0 0", "ANGLE on channel 6")
     yield BetaflightLine("set acc_calibration = 0,0,0,1", "the simulated unit has no offset to calibrate")
@@ -178,7 +178,7 @@ def _list_limits() -> Iterator[BetaflightLine]:
     yield BetaflightLine(f"set pidsum_limit_yaw = {_YAW_SUM_LIMIT}")
     windup = round(100.0 * INTEGRAL_LIMIT / (_SERVO_PER_SUM * _SUM_LIMIT))
     yield BetaflightLine(f"set iterm_windup = {windup}", "trim; limits the wind-up on the floor (%)")
-    yield BetaflightLine("set runaway_takeoff_prevention = OFF", "a vehicle of 100 g on its legs looks like one")
+    yield BetaflightLine("set runaway_takeoff_prevention = OFF", "a vehicle of 100 g on its legs triggers it")
     yield BetaflightLine("set pwr_on_arm_grace = 0", "(s)")
 
 

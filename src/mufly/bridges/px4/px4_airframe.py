@@ -101,7 +101,7 @@ def _gain_parameters(gains: AutopilotGains) -> Iterator[Px4Parameter]:
 
 def _limit_parameters(gains: AutopilotGains) -> Iterator[Px4Parameter]:
     yield Px4Parameter("MPC_THR_HOVER", gains.hover_thrust, "mean motor input in hover on a half-full battery")
-    yield Px4Parameter("MPC_USE_HTE", 0, "the vehicle file knows the hover thrust")
+    yield Px4Parameter("MPC_USE_HTE", 0, "the hover thrust is that of the vehicle file")
     yield Px4Parameter("MPC_THR_MIN", 0.2, "")
     yield Px4Parameter("MPC_THR_MAX", 1, "")
     yield Px4Parameter("MPC_TILTMAX_AIR", 20, "(deg)")

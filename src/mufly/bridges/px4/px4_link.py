@@ -245,21 +245,21 @@ class Px4Simulator:
             counts = self._decoder.packet_counts(peer)
             if not counts.received_count and counts.garbage_bytes > _NOISE_BYTES and not self._noise_told:
                 self._noise_told = True
-                self.vehicle.log_event(f"{peer.address} does not speak MAVLink; is it PX4?", "warning")
+                self.vehicle.log_event(f"{peer.address} sends no MAVLink messages; connect PX4 instead", "warning")
         gone = self._peer is not None and self._peer not in self.port.peers
         if gone:
             self._decoder.forget_peer(self._peer)
             self._peer, self.state = None, "waiting"
-            self.vehicle.log_event("PX4 has hung up; the simulation waits for another call", "warning")
+            self.vehicle.log_event("PX4 has closed the connection; the simulation waits for a new one", "warning")
         if self._peer is None:
             for peer in self.port.peers:
                 self._meet_autopilot(peer)
 
     def _meet_autopilot(self, peer: Peer) -> None:
         if self._peer is not None:
-            self.vehicle.log_event("another PX4 has called and replaces the first one", "warning")
+            self.vehicle.log_event("another PX4 has connected and replaces the first one", "warning")
         self._peer, self.state = peer, "starting"
-        self.vehicle.log_event(f"PX4 has called from {peer.address}")
+        self.vehicle.log_event(f"PX4 has connected from {peer.address}")
         self._forget_autopilot()
         if self.vehicle.has_moved:
             self.vehicle.reset()
@@ -329,9 +329,9 @@ def describe_wrong_outputs(command: ActuatorCommand) -> str:
     if not command.is_armed:
         return ""
     if not np.isfinite(u).all():
-        return f"PX4's outputs are no numbers; {remedy}"
+        return f"PX4's outputs are not finite numbers; {remedy}"
     if np.any(np.abs(u[OUTPUT_COUNT:]) > _SPINNING):
-        return f"PX4 drives more than {OUTPUT_COUNT} outputs, which is another airframe; {remedy}"
+        return f"PX4 drives more than {OUTPUT_COUNT} outputs, so it uses another airframe; {remedy}"
     motors, servos = u[:2], u[2:OUTPUT_COUNT]
     if np.all(servos > _SPINNING) and np.ptp(u[:OUTPUT_COUNT]) < _ALIKE:
         return f"PX4 drives outputs 1 to {OUTPUT_COUNT} alike, as a quadrotor; {remedy}"

@@ -194,7 +194,7 @@ def rotor(
                 {"systematic": {e.symbol: f"{100 * shares.get(e.symbol, 0.0):.0f} %" for e in fit.estimates}},
             )  # fmt: skip
             print_lines(*fit.describe_trends())
-            print_lines(*fit.unseen, mark="not seen")
+            print_lines(*fit.unseen, mark="not observable")
         print_lines(*dict.fromkeys(n for f in fits for n in f.notes), mark="note")
         print_lines(*effects)
         print_lines(*(f"{source}: {line}" for source, p in predictions.items() for line in p.describe_errors()))
@@ -322,7 +322,7 @@ def plan(
                 ["", *symbols], [["all flights", *(_format_percent(s) for s in relative)]],
                 title="Expected standard deviation, together",
             )  # fmt: skip
-        print_lines(*unseen, mark="not seen")
+        print_lines(*unseen, mark="not observable")
         print_lines(
             "These are lower bounds for this model with white sensor noise; unmodelled effects make real fits "
             "worse, often several times.",
@@ -404,7 +404,7 @@ def _parse_band(text: str | None) -> tuple[float, float] | None:
 
 def _format_percent(share: float) -> str:
     if not math.isfinite(share) or share > 10:
-        return "not seen"
+        return "not observable"
     return f"{100 * share:.0f} %" if share >= 0.1 else f"{100 * share:.2g} %"
 
 
@@ -521,6 +521,6 @@ def motor(
             f"residuals: {1e3 * rms[0]:.3g} mV in the voltage's balance, {1e3 * rms[1]:.3g} mN m in the torque's"
         )
         print_lines(*fit.notes, mark="note")
-        print_lines(*fit.unseen, mark="not seen")
+        print_lines(*fit.unseen, mark="not observable")
 
     print_answer(as_json, {"source": table.source, **to_plain_data(fit)}, print_results, files)

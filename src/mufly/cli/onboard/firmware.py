@@ -390,7 +390,7 @@ def split_log(
     def show() -> None:
         print_result_table(rows, ("session", "bytes", "missing_blocks", ResultColumn("whole", head="begin")))
         if len(files) < len(sessions):
-            print_lines("A session without its begin has been overwritten in part; it is left out.")
+            print_lines("A session whose beginning has been overwritten is not extracted.")
 
     print_answer(as_json, {"sessions": rows}, show, files)
 

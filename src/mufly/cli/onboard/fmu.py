@@ -66,7 +66,7 @@ def _print_unit(made: ExportedUnit, compared: UnitComparison | None, sources_onl
     )
     if not made.platform and not sources_only:
         print_lines(
-            "there is no C compiler, so the unit has no library for this machine; install gcc or clang",
+            "there is no C compiler, so the unit contains no library for this platform; install gcc or clang",
             mark="Warning", style="yellow",
         )  # fmt: skip
     if compared is not None and compared.different:

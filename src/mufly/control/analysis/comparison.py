@@ -355,10 +355,10 @@ def comparison_dataset(comparison: ControllerComparison) -> xr.Dataset:
 
 def judge_comparison(vehicle_name: str, rate_Hz: float, rows: Sequence[MethodFigures]) -> ControllerComparison:
     """Return the comparison with its verdict; the criteria are those of the module's docstring."""
-    reasons = [f"{m.label} is out: {m.shortcoming}" for m in rows if m.shortcoming]
+    reasons = [f"{m.label} is excluded: {m.shortcoming}" for m in rows if m.shortcoming]
     left = [m for m in rows if not m.shortcoming]
     if not left:
-        reasons.append("no method meets all requirements, so all stay in")
+        reasons.append("no method meets all requirements, so all are compared")
         left = list(rows)
     decided = "the only one that meets the requirements"
     if len(left) > 1 and all(m.flights is not None for m in left):

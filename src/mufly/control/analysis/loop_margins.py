@@ -47,7 +47,7 @@ def scalar_block_mu(M: ComplexArray) -> Array:
     if M.shape[-1] == 1:
         return np.abs(M[..., 0, 0])
     if M.shape[-1] != 2:
-        raise MuflyError(f"disk margin: a loop of {M.shape[-1]} inputs; give one of one or two")
+        raise MuflyError(f"disk margin: the loop has {M.shape[-1]} inputs; give a loop with one or two")
     a, b, c, d = (M[..., i, j] for i in (0, 1) for j in (0, 1))
     size = np.abs(a) ** 2 + np.abs(d) ** 2 + 2.0 * np.abs(b * c)
     spread = np.maximum(size**2 - 4.0 * np.abs(a * d - b * c) ** 2, 0.0)

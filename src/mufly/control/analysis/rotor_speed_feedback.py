@@ -103,7 +103,7 @@ class RotorSpeedComparison:
             which = "without" if plain is None else "with"
             return f"No loop {which} rotor speeds has a disk margin of {LEAST_DISK_MARGIN:g}."
         return (
-            f"At a disk margin of {LEAST_DISK_MARGIN:g} rotor speeds change the height's deviation from "
+            f"At a disk margin of {LEAST_DISK_MARGIN:g} feedback of rotor speeds changes the height's deviation from "
             f"{100 * plain.height_m:.2f} to {100 * more.height_m:.2f} cm, the crossover of heave from "
             f"{plain.crossover_rad_s:.1f} to {more.crossover_rad_s:.1f} rad/s and the inputs' deviation from "
             f"{100 * plain.input:.1f} to {100 * more.input:.1f} %."

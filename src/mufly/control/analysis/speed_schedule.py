@@ -74,10 +74,10 @@ class ScheduleComparison:
         """Sentence on whether scheduling over speed is worthwhile."""
         most = max(self.schedules, key=lambda s: s.gain)
         said = f"Scheduling over speed gains at most {most.gain:.2f} of disk margin ({METHOD_NAMES[most.method]}): " + (
-            "worthwhile." if most.gain >= WORTHWHILE else "one design at the first speed does for all."
+            "worthwhile." if most.gain >= WORTHWHILE else "one design at the first speed is sufficient for all."
         )
         if not self.has_flight_map:
-            said += " The vehicle has no flight map, so only its drags change with speed."
+            said += " The vehicle has no flight map, so only its drag changes with speed."
         return said
 
     def shown_blocks(self) -> list[ShownBlock]:

@@ -295,8 +295,8 @@ def iterate_dk(
     need = sum(c.outputs for c in channels), sum(c.inputs for c in channels)
     if have != need:
         raise ArgumentError(
-            "channels", "", f"{need[0]} outputs and {need[1]} inputs for a plant of {have[0]} and {have[1]}",
-            "give channels that fill it",
+            "channels", "", f"cover {need[0]} outputs and {need[1]} inputs; the plant has {have[0]} and {have[1]}",
+            "give channels that cover all of them",
         )  # fmt: skip
     none = np.zeros(0)
     filters = [ScalingFilter(float(d), none, none) for d in (scalings or [1.0] * len(channels))]

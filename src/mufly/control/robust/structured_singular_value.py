@@ -63,7 +63,7 @@ class LowerBound(NamedTuple):
 def _block_slices(M: ComplexArray, blocks: Sequence[Block]) -> list[slice]:
     total = sum(b.size for b in blocks)
     if M.shape != (total, total):
-        raise ArgumentError("blocks", "", f"{total} rows for a matrix of shape {M.shape}", "give blocks that fill it")
+        raise ArgumentError("blocks", "", f"cover {total} rows; the matrix has shape {M.shape}", "cover all of it")
     ends = np.cumsum([b.size for b in blocks])
     return [slice(int(e) - b.size, int(e)) for e, b in zip(ends, blocks, strict=True)]
 

@@ -452,7 +452,7 @@ def _explain_infeasible(
     if promised is None:
         said = f"no controller found with gamma below {most / unit:.3g}"
     else:
-        said = f"level {promised / unit:.4g} is feasible in theory, but no closed loop keeps it in these numbers"
+        said = f"level {promised / unit:.4g} is feasible in theory, but rounding prevents a controller"
     ny, nu = p.D22.shape
     modes = zip(
         _mode_controllability(p.A, p.B2, "unstable"),
@@ -461,12 +461,12 @@ def _explain_infeasible(
     )
     (mode, moved, state), (_, seen, _) = min(modes, key=lambda m: m[0][1] * m[1][1], default=((0j, 1.0, 0),) * 2)
     if moved * seen > 1e-2:
-        return f"H-infinity synthesis: {said}; the weights contradict each other or ask more than the plant allows"
+        return f"H-infinity synthesis: {said}; the weights contradict each other or require more than the plant allows"
     return (
-        f"H-infinity synthesis: {said}; mode {_format_mode(mode)} rad/s (mainly state {P.state_labels[state]!r}) can "
-        f"hardly be held: its reach by {', '.join(P.input_labels[-nu:])} is {moved:.1e}, its sight from "
-        f"{', '.join(P.output_labels[-ny:])} {seen:.1e} (1 is full, below 1e-11 none); add a control or a measurement "
-        "for it, or make its weight stable"
+        f"H-infinity synthesis: {said}; mode {_format_mode(mode)} rad/s (mainly state {P.state_labels[state]!r}) is "
+        f"almost uncontrollable or unobservable: controllability by {', '.join(P.input_labels[-nu:])} {moved:.1e}, "
+        f"observability from {', '.join(P.output_labels[-ny:])} {seen:.1e} (1: full; below 1e-11: none); add a control "
+        "or a measurement for it, or make its weight stable"
     )
 
 
@@ -512,8 +512,8 @@ def _check_assumptions(p: PartitionedPlant, P: control.StateSpace) -> None:
     ny, nu = p.D22.shape
     measured, controls, states = P.output_labels[-ny:], P.input_labels[-nu:], P.state_labels
     for A, B, start, end in (
-        (p.A, p.B2, f"not stabilisable by {', '.join(controls)}", "cannot be moved; remove it"),
-        (p.A.T, p.C2.T, f"not detectable from {', '.join(measured)}", "is not seen; measure it"),
+        (p.A, p.B2, f"not stabilisable by {', '.join(controls)}", "is not controllable; remove it"),
+        (p.A.T, p.C2.T, f"not detectable from {', '.join(measured)}", "is not observable; add a measurement"),
     ):
         for mode, reach, state in _mode_controllability(A, B, "unstable"):
             if reach < 1e-11:
@@ -541,5 +541,5 @@ def _check_assumptions(p: PartitionedPlant, P: control.StateSpace) -> None:
             if reach < 1e-11:
                 raise MuflyError(
                     f"H-infinity synthesis: {name} has an invariant zero on the imaginary axis at {abs(zero.imag):.4g} "
-                    f"rad/s (mainly state {states[state]!r}); let a weight act on it or set regularisation"
+                    f"rad/s (mainly state {states[state]!r}); add a weight that acts on it or set regularisation"
                 )

@@ -108,8 +108,8 @@ def lqr_gain(A: Array, B: Array, Q: Array, R: Array) -> Array:
         X = linalg.solve_continuous_are(A, B, Q, R)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise MuflyError(
-            f"LQG: the Riccati equation has no stabilising solution ({error}); check that inputs reach, outputs see "
-            "and weights cover every mode that is not stable"
+            f"LQG: the Riccati equation has no stabilising solution ({error}); check that every unstable mode "
+            "is controllable, observable and weighted"
         ) from None
     gain: Array = np.linalg.solve(R, B.T @ X)
     return gain

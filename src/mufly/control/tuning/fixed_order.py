@@ -297,7 +297,7 @@ def tune_controller(
         If no start stabilises all plants.
     """
     if not starts:
-        raise MuflyError("tuning: there is no start of this order; choose another order")
+        raise MuflyError("tuning: no starting controller has this order; choose another order")
     order = starts[0].nstates
     loops = [aim.loop(order) for aim in aims]
     shape = controller_gain(starts[0]).shape
@@ -320,7 +320,7 @@ def tune_controller(
     ranked = sorted(((objective(controller_gain(K))[0], i) for i, K in enumerate(starts)))
     ranked = [r for r in ranked if np.isfinite(r[0])][:descents]
     if not ranked:
-        raise MuflyError(f"tuning: no start of order {order} stabilises the loop; choose a higher order")
+        raise MuflyError(f"tuning: no starting controller of order {order} stabilises the loop; choose a higher order")
     best, best_K, first, steps = np.inf, controller_gain(starts[0]), ranked[0][0], 0
     for _, i in ranked:
         K, value, done, began = controller_gain(starts[i]), np.inf, 0, time.perf_counter()

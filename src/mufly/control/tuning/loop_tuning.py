@@ -269,7 +269,9 @@ def continue_tuning(
         If no start stabilises the loop.
     """
     if not starts:
-        raise MuflyError(f"{problem.name}: no start of this order stabilises the loop; give a higher order")
+        raise MuflyError(
+            f"{problem.name}: no starting controller of this order stabilises the loop; give a higher order"
+        )
     order = starts[0].nstates
     if state is None or not state.lines:
         quick = [aim for aim in problem.aims if aim is not problem.mu] or problem.aims
@@ -280,7 +282,9 @@ def continue_tuning(
         )
         picked = [starts[i] for value, i in ranked if np.isfinite(value)][:lines]
         if not picked:
-            raise MuflyError(f"{problem.name}: no start of order {order} stabilises the loop; give a higher order")
+            raise MuflyError(
+                f"{problem.name}: no starting controller of order {order} stabilises the loop; give a higher order"
+            )
         state = TuningState(tuple((_rows(controller_gain(K)), (_evaluate(problem, K),)) for K in picked))
     every = list(state.lines)
     total = rounds * len(every)

@@ -167,7 +167,7 @@ def tune_loop(
     if not 2 <= order <= HIGHEST_ORDERS[loop]:
         raise ArgumentError("order", "", f"{order} is out of range", f"give 2 to {HIGHEST_ORDERS[loop]} for {loop}")
     if not any(v is not None for v in asdict(goals).values()):
-        raise ArgumentError("goals", "", "there is no aim", "give one of " + ", ".join(asdict(goals)))
+        raise ArgumentError("goals", "", "no goal is given", "give one of " + ", ".join(asdict(goals)))
     base = design_flight_controller(vehicle, rate_Hz=rate_Hz)
     spreads = default_spreads(vehicle) if spreads is None else dict(spreads)
     d = base.heave_yaw if loop == "heave-yaw" else base.roll_pitch
@@ -184,7 +184,9 @@ def tune_loop(
         given = _read_record(Path(file))[1]
         K = given.to_scaled(problem.generalised, problem.read_scale, problem.input_scale)
         if K.nstates > order:
-            raise InputError(file, "", f"a controller of order {K.nstates}", f"give --order {K.nstates} or more")
+            raise InputError(
+                file, "", f"contains a controller of order {K.nstates}", f"give --order {K.nstates} or more"
+            )
         first.insert(0, raise_order(K, order))
 
     def report(done: int, total: int, reached: TuningState) -> None:
@@ -225,8 +227,8 @@ def _read_state(path: Path | None, question: Mapping[str, Any]) -> TuningState |
     raise InputError(
         str(path),
         "",
-        "holds another tuning",
-        "give another --out, or the same options to continue; delete it to start anew",
+        "contains the results of another tuning",
+        "give another --out, delete the file, or repeat the options of that tuning to continue it",
     )
 
 
@@ -256,7 +258,7 @@ def _read_record(path: Path) -> tuple[dict[str, Any], GivenController]:
             str(path), "", error.strerror or "cannot be read", "give a file of `mufly control tune`"
         ) from None
     except (ValueError, KeyError, TypeError):
-        raise InputError(str(path), "", "is no tuned controller", "give a file of `mufly control tune`") from None
+        raise InputError(str(path), "", "is not a tuned controller", "give a file of `mufly control tune`") from None
 
 
 def load_tuned_settings(paths: Sequence[str | Path], base: DesignSettings | None = None) -> DesignSettings:
@@ -272,7 +274,7 @@ def load_tuned_settings(paths: Sequence[str | Path], base: DesignSettings | None
         question, given = _read_record(Path(path))
         key = _KEYS[question["loop"]]
         if getattr(settings, key) is not None:
-            raise InputError(str(path), "", f"a second controller for {question['loop']}", "give one file a loop")
+            raise InputError(str(path), "", f"is a second controller for {question['loop']}", "give one file per loop")
         changes: dict[str, Any] = {key: given}
         settings = replace(settings, **changes)
     return settings

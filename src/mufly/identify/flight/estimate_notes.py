@@ -89,8 +89,8 @@ def estimate_notes(
     notes += _describe_quiet_channels(problem)
     if bent := _nonparabolic_parameters(linear, rise):
         notes.append(
-            f"the intervals of {', '.join(bent)} do not hold: the cost does not rise to their ends as a parabola; "
-            f"fly what shows them, `mufly identify plan --free {','.join(bent)}`"
+            f"the intervals of {', '.join(bent)} do not hold: the cost is not parabolic up to their ends; "
+            f"fly a manoeuvre that excites them, `mufly identify plan --free {','.join(bent)}`"
         )
     if coloured:
         notes.append("residuals are coloured; the intervals account for it")

@@ -279,7 +279,7 @@ def read_rosbag2(path: str | Path) -> RawLog:
                 fields[column] = one
                 units[column] = known.units if known is not None else "1"
         tables[topic] = RawTable(topic, time, fields, units)
-    notes = tuple(f"{topic}: {kind} is an unknown type, left out" for topic, kind in unread.items())
+    notes = tuple(f"{topic}: {kind} is an unknown type; the topic is skipped" for topic, kind in unread.items())
     for note in notes:
         warnings.warn(f"{Path(path).name}: {note}", LogWarning, stacklevel=3)
     return RawLog(

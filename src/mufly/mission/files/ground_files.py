@@ -127,7 +127,7 @@ def _describe_mission(found: GroundFile, home: GlobalOrigin | None) -> str:
     if any(is_global(item) for item in found.items) and home is not None:
         of = "its planned home" if found.home is not None else "its first waypoint"
         words.append(f"metres from {of}, {home.lat_deg:.7g}, {home.lon_deg:.7g}")
-    words += [f"{part} left out" for part in found.ignored_parts]
+    words += [f"{part} not used" for part in found.ignored_parts]
     return "; ".join(words)
 
 

@@ -333,7 +333,7 @@ def read_inertial_data(file: Path) -> tuple[_Array, _Array, _Array]:
     """
     rows = read_text_table(file).read_matrix(7)
     if len(rows) < 2 or (np.diff(rows[:, 0]) <= 0.0).any():
-        raise InputError(str(file), "time", "does not rise", "write two rows or more, sorted by time")
+        raise InputError(str(file), "time", "does not increase", "write two rows or more, sorted by time")
     t = rows[:, 0] * (1e-9 if rows[0, 0] > 1e12 else 1.0)
     axes = _FLU_TO_FRD if file.name == "data.csv" else np.ones(3)
     rates, force = (part * axes for part in np.split(rows[:, 1:], 2, axis=1))
@@ -511,7 +511,7 @@ def _read_telemetry_infos(file: Path, times: _Array) -> list[FrameInfo]:
         raise InputError(str(file), "", "has another first row", f"write {', '.join(TELEMETRY_COLUMNS)}")
     a = table.read_matrix()
     if not len(a) or (np.diff(a[:, 0]) <= 0).any():
-        raise InputError(str(file), "time_s", "does not rise", "sort it by time")
+        raise InputError(str(file), "time_s", "does not increase", "sort it by time")
     b = np.stack([np.interp(times, a[:, 0], c) for c in a.T], axis=1)
     return [_make_frame_info(r, r[_ROTOR_PHASES].copy() if phased else None) for r in b]
 
