@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fixed_law_reference import FixedPointControllers, sine_cosine_fixed
 
 from mufly.control import design_flight_controller
 from mufly.control.implementation import DiscreteController
@@ -15,11 +16,7 @@ from mufly.errors import MuflyError
 from mufly.estimate import Estimate
 from mufly.firmware.fixed_point.fixed_point_design import measure_cascade_loss, quantise_controller, quantise_law
 from mufly.firmware.fixed_point.fixed_point_flights import fly_fixed_point
-from mufly.firmware.fixed_point.fixed_point_law import (
-    FixedPointControllers,
-    FixedPointFirmwareControllers,
-    sine_cosine_fixed,
-)
+from mufly.firmware.fixed_point.fixed_point_law import FixedPointFirmwareControllers
 from mufly.firmware.proof.sil_pil import missing_tools, run_pil
 from mufly.flight.controllers import Controllers, copy_record
 from mufly.vehicle import load_vehicle

@@ -13,7 +13,6 @@ from mufly.firmware.fixed_point.fixed_point_design import (
 )
 from mufly.firmware.fixed_point.fixed_point_flights import FixedPointFlight, fly_fixed_point
 from mufly.firmware.fixed_point.fixed_point_law import (
-    FixedPointControllers,
     FixedPointFirmwareControllers,
     export_fixed_point,
 )
@@ -26,7 +25,6 @@ __all__ = [
     "Firmware",
     "FirmwareControllers",
     "FirmwareSoftware",
-    "FixedPointControllers",
     "FixedPointFirmwareControllers",
     "FixedPointFlight",
     "FixedPointLaw",
