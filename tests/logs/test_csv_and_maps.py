@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from mufly.errors import InputError
 from mufly.files.text_table import read_text_table
 from mufly.identify.flight_record import read_columns
-from mufly.logs import LogWarning, builtin_column_maps, load_column_map, read_log, read_raw
+from mufly.logs import LogWarning, load_column_map, read_log, read_raw
 from mufly.quantities.units import normalise_unit, split_header, unit_conversion
 
 
@@ -305,7 +305,6 @@ def test_maps_that_do_not_fit_are_refused_in_one_line(table, columns, words):
 
 @pytest.mark.parametrize("name", ["px4", "ardupilot", "mavlink", "crazyflie"])
 def test_the_maps_of_the_package_are_sound(name):
-    assert name in builtin_column_maps()
     assert len(load_column_map(name).signal) >= 10
 
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mufly.mission import TrajectoryLimits, plan_curved, plan_straight
-from mufly.mission.trajectory import plan_stop, wrap_turn
+from mufly.mission import TrajectoryLimits, plan_straight
+from mufly.mission.trajectory import plan_pending_curve, plan_stop, wrap_turn
 
 LIMITS = TrajectoryLimits(0.6, 0.5, 0.4, 0.5, 0.5, 1.0, 2.0)
 place = st.tuples(st.floats(-5, 5), st.floats(-5, 5), st.floats(-3, -0.2))
@@ -25,7 +25,8 @@ def sample(trajectory, count=600):
 @given(place, place, angle, st.none() | angle, st.booleans())
 def test_ends_limits_and_heading(a, b, psi, final, spline):
     if spline:
-        way = plan_curved(a, b, (1.0, 0.2, 0.0), (0.3, -1.0, 0.1), psi, LIMITS, final_heading=final)
+        leaving, arriving = (1.0, 0.2, 0.0), (0.3, -1.0, 0.1)
+        way = plan_pending_curve(a, b, leaving, arriving, psi, LIMITS, final_heading=final).finish_curve()
     else:
         way = plan_straight(a, b, psi, LIMITS, final_heading=final)
     _, x, v, w, heading, rate = sample(way)
@@ -98,9 +99,9 @@ def test_vertical_and_empty_legs():
     assert nothing.evaluate(3.0).position == (1, 2, -1)
     turn = plan_straight((1, 2, -1), (1, 2, -1), 0.7, LIMITS, final_heading=2.0)
     assert turn.evaluate(turn.duration_s).heading == pytest.approx(2.0)
-    bent = plan_curved((1, 2, -1), (4, 2, -1), (1, 1, 0), (1, -1, 0), 0.7, LIMITS)
+    bent = plan_pending_curve((1, 2, -1), (4, 2, -1), (1, 1, 0), (1, -1, 0), 0.7, LIMITS).finish_curve()
     assert max(bent.evaluate(0.1 * k * bent.duration_s).position[1] for k in range(11)) > 2.3
-    same = plan_curved((1, 2, -1), (1, 2, -1), (1, 0, 0), (0, 1, 0), 0.7, LIMITS)
+    same = plan_pending_curve((1, 2, -1), (1, 2, -1), (1, 0, 0), (0, 1, 0), 0.7, LIMITS).finish_curve()
     assert same.spline_curve is None
     assert same.duration_s == 0.0
 

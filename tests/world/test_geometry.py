@@ -14,7 +14,6 @@ from mufly.world import (
     Room,
     World,
     cast_ranges,
-    find_enclosing,
     make_wall,
     obstacle_distance,
     obstacle_distances,
@@ -85,12 +84,13 @@ def test_distance_closed_forms():
     assert obstacle_distance(world, [1.2, 1.4, -0.5])[0] == pytest.approx(0.5)
 
 
-def test_contains():
+def test_inside_the_distance_is_negative():
     world = World((CRATE,), (POST,), ROOM)
-    assert find_enclosing(world, [2.0, 0.0, -0.5]) == "crate"
-    assert find_enclosing(world, [0.0, 0.0, -0.5]) == ""
-    assert find_enclosing(world, [0.0, 0.0, 0.1]) == "floor"
-    assert find_enclosing(world, [6.0, 0.0, -0.5]) == "north wall"
+    for place, name in (([2.0, 0.0, -0.5], "crate"), ([6.0, 0.0, -0.5], "north wall")):
+        least, nearest = obstacle_distance(world, place)
+        assert least < 0.0
+        assert nearest == name
+    assert obstacle_distance(world, [0.0, 0.0, -0.5])[0] > 0.0
 
 
 @given(number, number, st.floats(-3.0, -0.05), angle, st.floats(-1.4, 1.4), angle, number, number)
@@ -148,7 +148,7 @@ def test_wall_is_a_turned_box():
     foot = np.array([1.5, 2.0, -1.0])
     assert obstacle_distance(world, foot + 0.7 * normal) == (pytest.approx(0.6), "partition")
     assert cast_ranges(world, foot + 0.7 * normal, [-normal])[0] == pytest.approx(0.6)
-    assert find_enclosing(world, foot) == "partition"
+    assert obstacle_distance(world, foot) == (pytest.approx(-0.1), "partition")
 
 
 def test_hanging_obstacles_leave_room_below():

@@ -12,8 +12,6 @@ from mufly.link.real_time.real_time_loop import RealTimePacer
 
 MAX_SPEED = 100.0
 REPORT_PERIOD_S = 0.5
-SLOW_FACTOR = 0.95
-"""Share of the wanted speed below which a simulation counts as slow."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -61,7 +61,6 @@ from mufly.world import World
 
 _Array = NDArray[np.float64]
 _MOTORS_ON_INPUT, _MOTORS_OFF_INPUT = np.array([1.0, 1.0, 0.0, 0.0]), np.zeros(4)
-_UNKNOWN_HEADING_SIGMA = 3.2  # rad: unknown heading
 _REST_BLOCK_S, _MIN_REST_S = 0.5, 1.0
 _REST_LIMITS = 0.3, 0.05
 """Standard deviations of specific force (m/s^2) and rates (rad/s) over half a second below which it counts as rest."""

@@ -11,7 +11,7 @@ from mufly.logs.channel_checks import (
     guess_angle_units,
     numeric_channels,
 )
-from mufly.logs.column_map import ColumnMap, builtin_column_maps, load_column_map
+from mufly.logs.column_map import ColumnMap, load_column_map
 from mufly.logs.delay_estimation import (
     DelayEstimate,
     DelayReport,
@@ -73,7 +73,6 @@ __all__ = [
     "RawTable",
     "RecordingLayout",
     "UnitGuess",
-    "builtin_column_maps",
     "check_channel",
     "check_channels",
     "check_clock",

@@ -40,7 +40,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from mufly.errors import InputError
-from mufly.files.input_files import builtin_file_names, read_toml, validate_model
+from mufly.files.input_files import read_toml, validate_model
 from mufly.logs.channel_checks import UnitGuess, apply_physical_limits, guess_angle_units
 from mufly.logs.raw_log import (
     Channel,
@@ -123,11 +123,6 @@ class ColumnMap(_MapTable):
 
 def _entry_error(key: str, problem: str, remedy: str) -> PydanticCustomError:
     return PydanticCustomError("mufly", "{problem}", {"problem": problem, "remedy": remedy, "key": key})
-
-
-def builtin_column_maps() -> list[str]:
-    """Return the names of the built-in maps."""
-    return builtin_file_names(_BUILTIN_MAPS_FOLDER)
 
 
 def load_column_map(columns: str | Path | Mapping[str, Any] | Sequence[str] | ColumnMap) -> ColumnMap:

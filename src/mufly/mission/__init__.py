@@ -79,7 +79,6 @@ from mufly.mission.trajectory import (
     Trajectory,
     TrajectoryLimits,
     make_spline,
-    plan_curved,
     plan_straight,
 )
 from mufly.mission.user_requests import pause_mission, resume_mission, stop_motors, user_waypoint_fault
@@ -147,7 +146,6 @@ __all__ = [
     "needs_lift_off",
     "parse_mission",
     "pause_mission",
-    "plan_curved",
     "plan_legs",
     "plan_straight",
     "prepare_plan",

@@ -155,12 +155,11 @@ class CubicSpline:
         u = np.asarray(t, dtype=np.float64)[..., None]
         return ((a * u + b) * u + c) * u + d, (3.0 * a * u + 2.0 * b) * u + c, 6.0 * a * u + 2.0 * b
 
-    def curvature_vector(self, t: ArrayLike) -> _Array:
-        """Return curvature vectors K (..., 3) in 1/m (eq. 6.13); zero where the tangent vanishes."""
-        _, tangent, second = self.evaluate(t)
-        square = _squared_length(tangent)[..., None]
-        bend = np.cross(np.cross(tangent, second), tangent)
-        return np.divide(bend, square * square, out=np.zeros_like(bend), where=square > 1e-12)
+    @property
+    def axis_cubics(self) -> tuple[_CubicCoefficients, ...]:
+        """Return A, B, C, D for each axis."""
+        n, e, d = self.coefficients.T.tolist()
+        return tuple(n), tuple(e), tuple(d)
 
 
 def make_spline(x0: ArrayLike, xg: ArrayLike, dx0: ArrayLike, dxg: ArrayLike) -> CubicSpline:
@@ -170,11 +169,6 @@ def make_spline(x0: ArrayLike, xg: ArrayLike, dx0: ArrayLike, dxg: ArrayLike) ->
     """
     p, g, dp, dg = (np.asarray(v, dtype=np.float64) for v in (x0, xg, dx0, dxg))
     return CubicSpline(np.stack([2.0 * (p - g) + dp + dg, 3.0 * (g - p) - 2.0 * dp - dg, dp, p]))
-
-
-def _squared_length(x: _Array) -> _Array:
-    """Return the sum of squares over the last axis of three, added from left to right."""
-    return x[..., 0] * x[..., 0] + x[..., 1] * x[..., 1] + x[..., 2] * x[..., 2]
 
 
 class TimedSpline(NamedTuple):
@@ -274,34 +268,6 @@ def _find_extreme_demands(cubics: tuple[_CubicCoefficients, ...]) -> tuple[float
     return least, worst
 
 
-def time_spline(
-    curve: CubicSpline, *, speed: float, climb: float, descent: float, acceleration: float
-) -> TimedSpline | None:
-    """Time-parametrise a spline, from rest to rest, within limits.
-
-    Parameters
-    ----------
-    curve : CubicSpline
-        Curve to fly.
-    speed, climb, descent : float
-        Limits of horizontal speed, climb rate and descent rate (m/s).
-    acceleration : float
-        Limit of the total acceleration (m/s2).
-
-    Returns
-    -------
-    TimedSpline or None
-        None if the curve has a point without tangent (a cusp or no length) or a bend that limits the speed to less
-        than 5 cm/s; a straight line is then better.
-    """
-    return PendingCurve(_axis_cubics(curve), speed, climb, descent, acceleration).time_curve()
-
-
-def _axis_cubics(curve: CubicSpline) -> tuple[_CubicCoefficients, ...]:
-    n, e, d = curve.coefficients.T.tolist()
-    return tuple(n), tuple(e), tuple(d)
-
-
 class PendingCurve(NamedTuple):
     """A curve whose arc length and curvature are not yet computed.
 
@@ -311,34 +277,34 @@ class PendingCurve(NamedTuple):
     coefficients: tuple[_CubicCoefficients, ...]
     """A, B, C, D for each axis."""
     speed: float
+    """Limits of horizontal speed, climb rate and descent rate (m/s)."""
     climb: float
     descent: float
     acceleration: float
+    """Limit of the total acceleration (m/s2)."""
 
     def time_curve(self) -> TimedSpline | None:
-        """Return the timed curve, as :func:`time_spline`."""
-        return _time_curve(*self)
+        """Return the curve timed from rest to rest within its limits.
 
-
-def _time_curve(
-    cubics: tuple[_CubicCoefficients, ...], speed: float, climb: float, descent: float, acceleration: float
-) -> TimedSpline | None:
-    arc = [0.0]
-    for k in range(_ARC_PIECES):
-        arc.append(arc[k] + _arc_length(cubics, k / _ARC_PIECES, 0.5 / _ARC_PIECES))
-    least, (level, rise, sink, bend) = _find_extreme_demands(cubics)
-    if math.sqrt(least) < 0.05 * max(arc[-1], _TINY):
-        return None
-    share = acceleration / math.sqrt(2.0)
-    peak = min(
-        speed / max(math.sqrt(level), _TINY),
-        climb / max(math.sqrt(rise), _TINY),
-        descent / max(math.sqrt(sink), _TINY),
-        math.sqrt(share / max(math.sqrt(bend), _TINY)),
-    )
-    if peak < 0.05:
-        return None
-    return TimedSpline(cubics, tuple(arc), make_profile(arc[-1], peak, share))
+        None if the curve has a point without tangent (a cusp or no length) or a bend that limits the speed to less
+        than 5 cm/s; a straight line is then better.
+        """
+        cubics, arc = self.coefficients, [0.0]
+        for k in range(_ARC_PIECES):
+            arc.append(arc[k] + _arc_length(cubics, k / _ARC_PIECES, 0.5 / _ARC_PIECES))
+        least, (level, rise, sink, bend) = _find_extreme_demands(cubics)
+        if math.sqrt(least) < 0.05 * max(arc[-1], _TINY):
+            return None
+        share = self.acceleration / math.sqrt(2.0)
+        peak = min(
+            self.speed / max(math.sqrt(level), _TINY),
+            self.climb / max(math.sqrt(rise), _TINY),
+            self.descent / max(math.sqrt(sink), _TINY),
+            math.sqrt(share / max(math.sqrt(bend), _TINY)),
+        )
+        if peak < 0.05:
+            return None
+        return TimedSpline(cubics, tuple(arc), make_profile(arc[-1], peak, share))
 
 
 # ----------------------------------------------------------------------------
@@ -525,7 +491,7 @@ def plan_straight(
     return Trajectory(a, b, heading, turn, rise, yaw, line, gate, gate + line.duration_s)
 
 
-def plan_curved(
+def plan_pending_curve(
     start: ArrayLike,
     goal: ArrayLike,
     leaving: ArrayLike,
@@ -550,26 +516,9 @@ def plan_curved(
     Returns
     -------
     Trajectory
-        The straight trajectory if no curve can be flown (no length, a cusp, too tight a bend).
+        Its curve is pending; :meth:`Trajectory.finish_curve` computes it, or makes the trajectory straight if no curve
+        can be flown (no length, a cusp, too tight a bend).
     """
-    way = plan_pending_curve(
-        start, goal, leaving, arriving, heading, limits, final_heading=final_heading, nose_offset=nose_offset
-    )
-    return way.finish_curve()
-
-
-def plan_pending_curve(
-    start: ArrayLike,
-    goal: ArrayLike,
-    leaving: ArrayLike,
-    arriving: ArrayLike,
-    heading: float,
-    limits: TrajectoryLimits,
-    *,
-    final_heading: float | None = None,
-    nose_offset: float = 0.0,
-) -> Trajectory:
-    """Plan a trajectory as `plan_curved` does, but compute its curve later."""
     plain = plan_straight(start, goal, heading, limits, final_heading=final_heading, nose_offset=nose_offset)
     a, b = np.array(plain.start), np.array(plain.goal)
     reach = vector_length(*(b - a).tolist())
@@ -583,7 +532,7 @@ def plan_pending_curve(
     # On a climbing or descending curve the total acceleration keeps the vertical limit.
     level = a[2] == b[2] and all(u[2] == 0.0 for u in ends)
     acceleration = limits.acceleration if level else min(limits.acceleration, limits.climb_acceleration)
-    curve = _axis_cubics(make_spline(a, b, *ends))
+    curve = make_spline(a, b, *ends).axis_cubics
     return replace(plain, pending_curve=PendingCurve(curve, limits.speed, limits.climb, limits.descent, acceleration))
 
 

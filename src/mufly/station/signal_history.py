@@ -289,11 +289,6 @@ class SignalHistory:
         """Return the time of the newest row (s); NaN if empty."""
         return float(self._times[self._next - 1]) if self._count else math.nan
 
-    @property
-    def oldest_s(self) -> float:
-        """Return the time of the oldest row (s); NaN if empty."""
-        return float(self._times[self._next if self._count == self._size else 0]) if self._count else math.nan
-
     def signal_unit(self, name: str) -> str:
         """Return the unit of a signal; ``"1"`` is a pure number.
 

@@ -368,12 +368,3 @@ def obstacle_distance(world: World, point: ArrayLike) -> tuple[float, str]:
     """Return the signed distance (m) of a point (3,) to the nearest obstacle, and the obstacle's name ("" if none)."""
     least, which = obstacle_distances(world, point)
     return float(least[0]), world.names[which[0]] if which[0] >= 0 else ""
-
-
-def find_enclosing(world: World, point: ArrayLike) -> str:
-    """Return the name of the obstacle that contains the point (3,), the wall in front of it, "floor", or "" in free
-    air."""
-    least, name = obstacle_distance(world, point)
-    if least < 0.0:
-        return name
-    return "floor" if world.floor and float(np.asarray(point, dtype=np.float64)[2]) > 0.0 else ""

@@ -34,7 +34,6 @@ Columns = dict[str, Any]
 """Messages of a topic as columns."""
 
 MAP_FRAME, BODY_FRAME = "map", "base_link"
-_TO_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 _TO_FLU = np.array([1.0, -1.0, -1.0])
 _ULTRASOUND, _DISCHARGING, _LITHIUM_POLYMER = 0, 2, 3  # sensor_msgs/Range, sensor_msgs/BatteryState
 _MAX_RING_BEAMS = 64

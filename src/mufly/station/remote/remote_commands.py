@@ -227,11 +227,6 @@ class RemoteCommands:
         self._open = {k: e for k, e in self._open.items() if is_kept(e)}
         self._waiting = deque(filter(is_kept, self._waiting), self._waiting.maxlen)
 
-    @property
-    def has_open_actions(self) -> bool:
-        """Return whether an action is unanswered."""
-        return any(e.command.command_id not in _QUERY_COMMANDS for e in (*self._open.values(), *self._waiting))
-
     def give_up(self, answer: str) -> None:
         """End all open commands: the vehicle is lost or was restarted."""
         for entry in (*self._open.values(), *self._waiting):
