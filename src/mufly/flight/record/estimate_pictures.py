@@ -57,7 +57,7 @@ _ESTIMATE_PANELS: tuple[tuple[str, int, str, float, tuple[str, int] | None], ...
 )
 
 
-def draw_estimate_pictures(dataset: xr.Dataset, folder: str | Path, *, dpi: int = 110) -> list[Path]:
+def draw_estimate_pictures(dataset: xr.Dataset, folder: str | Path) -> list[Path]:
     """Draw the estimates of a flight on sensors into a folder; nothing for a flight without an estimator.
 
     Returns
@@ -71,7 +71,7 @@ def draw_estimate_pictures(dataset: xr.Dataset, folder: str | Path, *, dpi: int 
     with mpl.rc_context(PLOT_STYLE):
         figures = draw_estimate(dataset), draw_checks(dataset), draw_ground_track(dataset)
         for path, figure in zip(paths, figures, strict=True):
-            figure.savefig(path, dpi=dpi, **FAST_PNG_OPTIONS["png"])
+            figure.savefig(path, dpi=110, **FAST_PNG_OPTIONS)
     return paths
 
 

@@ -69,7 +69,7 @@ PLOT_STYLE: Any = {
     "svg.fonttype": "none",
 }
 
-FAST_PNG_OPTIONS: dict[str, Any] = {"png": {"pil_kwargs": {"compress_level": 1}}}
+FAST_PNG_OPTIONS: dict[str, Any] = {"pil_kwargs": {"compress_level": 1}}
 """Fast PNG compression; the files are a fifth larger."""
 
 TRACK_SHADOW_COLOUR, OBSTACLE_COLOUR, OBSTACLE_EDGE_COLOUR = "#b5b5b5", "#c4bcae", "#7d7566"
@@ -84,8 +84,6 @@ def draw_flight(
     *,
     waypoints: Sequence[ArrayLike] = (),
     world: World | None = None,
-    formats: Sequence[str] = ("png",),
-    dpi: int = 130,
 ) -> list[Path]:
     """Draw all pictures of a flight into a folder.
 
@@ -99,15 +97,11 @@ def draw_flight(
         Waypoints N, E, D (m), numbered in this order.
     world : World, optional
         Its boxes and cylinders are drawn.
-    formats : sequence of str
-        ``"png"``, ``"svg"``, ``"pdf"``.
-    dpi : int
-        Resolution of the PNG.
 
     Returns
     -------
     list of Path
-        ``track``, ``history``, ``position`` in each format. The same flight gives the same bytes.
+        ``track.png``, ``history.png``, ``position.png``. The same flight gives the same bytes.
     """
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)
@@ -118,10 +112,8 @@ def draw_flight(
             ("history", draw_history(dataset)),
             ("position", draw_position(dataset)),
         ):
-            for kind in formats:
-                paths.append(target / f"{name}.{kind}")
-                unstamped = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
-                figure.savefig(paths[-1], dpi=dpi, metadata=unstamped, **FAST_PNG_OPTIONS.get(kind, {}))
+            paths.append(target / f"{name}.png")
+            figure.savefig(paths[-1], dpi=130, **FAST_PNG_OPTIONS)
     return paths
 
 

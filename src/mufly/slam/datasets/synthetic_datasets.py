@@ -37,6 +37,7 @@ HEIGHT_SIGMA_M, HEIGHT_CORRELATION_TIME_S = 0.01, 1.0
 PHASE_SIGMA_RAD = 0.05
 """Standard deviation of the rotors' phases from commutation (rad)."""
 _GYRO_BIAS_RAD_S, _GYRO_NOISE_RAD_S = math.radians(0.3), 0.01
+_SWAY_M = 0.03  # amplitude of the swaying of a path around a square
 _ROTOR_SPEEDS_RAD_S = 2 * math.pi * np.array([60.0, 70.0])
 
 
@@ -87,8 +88,6 @@ def make_square_path(
     side_m: float = 3.0,
     height_m: float = 1.0,
     speed_m_s: float = 0.4,
-    sway_m: float = 0.03,
-    turn: bool = False,
     seed: int = 0,
 ) -> VehiclePath:
     """Return a path around a square with round corners, at a constant speed.
@@ -101,10 +100,6 @@ def make_square_path(
     height_m : float
         Mean height above the floor (m); it varies by a tenth.
     speed_m_s : float
-    sway_m : float
-        Amplitude of the swaying (m).
-    turn : bool
-        Whether the nose follows the path.
     seed : int
     """
     if not (duration_s > 0 and side_m >= 0 and height_m > 0.1 and 0 <= speed_m_s <= 5):
@@ -113,16 +108,15 @@ def make_square_path(
     t = np.arange(0.0, duration_s + 0.5, 1.0 / PATH_RATE_HZ)
     way = np.cumsum(speed_m_s * np.clip(t / 1.5, 0.0, 1.0)) / PATH_RATE_HZ
     p = np.zeros((len(t), 3))
-    heading: _Array = np.zeros(len(t))
     if side_m > 0.0:
-        p[:, :2], heading = _trace_square(way, side_m)
-    for axis, most in ((0, sway_m), (1, sway_m), (2, 0.4 * sway_m)):
+        p[:, :2] = _trace_square(way, side_m)
+    for axis, most in ((0, _SWAY_M), (1, _SWAY_M), (2, 0.4 * _SWAY_M)):
         for _ in range(4):
             w = 2 * math.pi * rng.uniform(0.1, 0.8)
             p[:, axis] += most * rng.uniform(0.3, 0.7) * np.sin(w * t + rng.uniform(0, 2 * math.pi))
     p[:, 2] -= height_m * (1.0 + 0.1 * np.sin(2 * math.pi * t / 17.0))
     p[:, :2] -= p[0, :2]
-    yaw = (heading if turn else 0.0) + 0.06 * np.sin(2 * math.pi * t / 9.0 + rng.uniform(0, 6))
+    yaw = 0.06 * np.sin(2 * math.pi * t / 9.0 + rng.uniform(0, 6))
     v = np.asarray(np.gradient(p, t, axis=0))
     a = _smooth_rows(np.gradient(v, t, axis=0), 40)
     c, s = np.cos(yaw), np.sin(yaw)
@@ -188,8 +182,8 @@ def add_imu_errors(rows: _Array, seed: int = 0) -> _Array:
     return out
 
 
-def _trace_square(way: _Array, side: float) -> tuple[_Array, _Array]:
-    """Return points (n, 2) and headings at distances along a square with round corners."""
+def _trace_square(way: _Array, side: float) -> _Array:
+    """Return points (n, 2) at distances along a square with round corners."""
     radius = 0.25 * side
     straight, arc = side - 2 * radius, 0.5 * math.pi * radius
     part = straight + arc
@@ -205,7 +199,7 @@ def _trace_square(way: _Array, side: float) -> tuple[_Array, _Array]:
     side_of = 0.5 * math.pi * k
     n = start[k.astype(int), 0] + np.cos(side_of) * x - np.sin(side_of) * y
     e = start[k.astype(int), 1] + np.sin(side_of) * x + np.cos(side_of) * y
-    return np.stack([n, e], axis=1), side_of + on_arc
+    return np.stack([n, e], axis=1)
 
 
 def _smooth_rows(a: _Array, n: int) -> _Array:
@@ -298,7 +292,6 @@ def render_frames(
     duration_s: float | None = None,
     world: World | None = None,
     seed: int = 0,
-    tilt_sigma: float = TILT_SIGMA_RAD,
     light: Callable[[float], float] = lambda t: 1.0,
     lose: bool = False,
 ) -> Iterator[tuple[CameraFrame, VehicleMotion]]:
@@ -312,7 +305,7 @@ def render_frames(
         Time (s) to the light of the room.
     """
     renderer = Renderer(camera, floor, world, seed=seed)
-    teller = FrameInfoSimulator(camera, seed + 1, tilt_sigma=tilt_sigma)
+    teller = FrameInfoSimulator(camera, seed + 1)
     rng = np.random.default_rng([seed, 2])
     period = float(camera.sensor.period)
     begin = float(path.time_s[0])
