@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -227,8 +229,10 @@ def test_what_the_map_is_unsure_of_wanders_in_the_filter() -> None:
     assert float(settings["fix_variance"]) == of_file
 
 
-def test_answers_come_late_with_the_time_of_their_picture(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Hovering still; what looks at the pictures is a stand-in."""
+def _hover_on_results(
+    monkeypatch: pytest.MonkeyPatch, make_result: Callable[[float], TrackingResult], fault: str = ""
+) -> tuple[list[tuple[float, Reading]], list[tuple[float, str]]]:
+    """Hover for 2 s on the results that a stand-in gives for the pictures; return the fixes, and what is reported."""
     answers = []
 
     class Stub:
@@ -236,7 +240,7 @@ def test_answers_come_late_with_the_time_of_their_picture(monkeypatch: pytest.Mo
 
         def __init__(self, camera: Camera, **more: object) -> None: ...
         def send_frame(self, frame: CameraFrame) -> None:
-            answers.append(TrackingResult(frame.time_s, True, "", np.array([0.2, -0.1, -0.8]), 0.3, 1e-4 * np.eye(4)))
+            answers.append(make_result(frame.time_s))
 
         def receive_result(self) -> TrackingResult:
             return answers.pop(0)
@@ -245,7 +249,7 @@ def test_answers_come_late_with_the_time_of_their_picture(monkeypatch: pytest.Mo
 
     monkeypatch.setattr("mufly.flight.fixes.camera_sensor.SlamProcess", Stub)
     sensor = CameraSensor(
-        CameraConfig(load_camera("webcam"), camera_faults=(parse_camera_fault("unplugged@1s"),)),
+        CameraConfig(load_camera("webcam"), camera_faults=(parse_camera_fault(fault),) if fault else ()),
         load_vehicle("mufly-1.1"),
         World(),
         (0.2, -0.1, 0.3),
@@ -267,6 +271,15 @@ def test_answers_come_late_with_the_time_of_their_picture(monkeypatch: pytest.Mo
             seen.append((now, fix))
         if said := sensor.tracking_message():
             news.append((now, said))
+    return seen, news
+
+
+def _good_result(time_s: float) -> TrackingResult:
+    return TrackingResult(time_s, True, "", np.array([0.2, -0.1, -0.8]), 0.3, 1e-4 * np.eye(4))
+
+
+def test_answers_come_late_with_the_time_of_their_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen, news = _hover_on_results(monkeypatch, _good_result, "unplugged@1s")
     late = [t - f.time_s for t, f in seen]
     assert min(late) >= 0.2 - 1e-9
     assert np.mean(late) < 0.25
@@ -274,6 +287,32 @@ def test_answers_come_late_with_the_time_of_their_picture(monkeypatch: pytest.Mo
     assert max(f.time_s for _, f in seen) < 1.0
     assert [text for _, text in news] == ["no position from the camera: no pictures arrive"]
     assert news[0][0] < 2.0
+
+
+def test_a_fault_found_after_the_fixes_have_stopped_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tracking fails at 0.3 s, the fault is found at 1.2 s; the report of the missing fixes comes in between."""
+
+    def track(time_s: float) -> TrackingResult:
+        if time_s < 0.3:
+            return _good_result(time_s)
+        fault = "the camera is upside down" if time_s > 1.2 else ""
+        return TrackingResult(time_s, False, fault or "the points scatter too much", camera_fault=fault)
+
+    _, news = _hover_on_results(monkeypatch, track)
+    assert [text for _, text in news] == [
+        "no position from the camera: the points scatter too much",
+        "no position from the camera: the camera is upside down",
+    ]
+    (stopped_s, _), (found_s, _) = news
+    assert 0.8 < stopped_s < 1.2
+    assert 1.4 - 1e-9 < found_s < 1.6  # 0.2 s by radio
+
+
+def test_a_fault_that_leaves_a_position_is_reported_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, news = _hover_on_results(
+        monkeypatch, lambda t: replace(_good_result(t), camera_fault="dirt" if 0.3 < t < 0.9 else "")
+    )
+    assert [text for _, text in news] == ["camera: dirt"]
 
 
 def test_who_wants_a_camera_gets_one_line_without_opencv(monkeypatch: pytest.MonkeyPatch) -> None:

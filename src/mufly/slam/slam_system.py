@@ -90,8 +90,9 @@ class TrackingResult:
         Ratio of the residuals to their expected size.
     is_new_keyframe, is_loop_closed : bool
         Whether the picture became a keyframe, whether a loop was closed.
-    camera_note : str
-        Defect of the camera in spite of which the result is trusted.
+    camera_fault : str
+        Defect of the camera that the checks report (:mod:`mufly.slam.images.camera_monitor`); a result that is trusted
+        nevertheless does without the defective pixels.
     """
 
     time_s: float
@@ -108,7 +109,7 @@ class TrackingResult:
     texture_bound_m: float = math.nan
     is_new_keyframe: bool = False
     is_loop_closed: bool = False
-    camera_note: str = ""
+    camera_fault: str = ""
 
     @property
     def known_axes(self) -> NDArray[np.bool_]:
@@ -230,7 +231,7 @@ class SlamSystem:
     def _refuse(self, frame: CameraFrame, verdict: CameraVerdict, why: str) -> TrackingResult:
         """Return an untrusted result with its reason, including a fault of the camera."""
         self._note_verdict(frame.time_s, verdict)
-        return TrackingResult(frame.time_s, False, verdict.message or why, keyframe=-1)
+        return TrackingResult(frame.time_s, False, verdict.message or why, camera_fault=verdict.message)
 
     def _note_verdict(self, time_s: float, verdict: CameraVerdict) -> None:
         if verdict.fault:

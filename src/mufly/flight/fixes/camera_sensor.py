@@ -247,8 +247,8 @@ class CameraSensor(Sensor):
         self.last_result: TrackingResult | None = None
         self.last_picture: NDArray[np.uint8] | None = None
         self._fix: dict[str, Reading] = {}
-        self._wrong, self._trusted_s, self._since_s = "", math.inf, math.nan
-        self._note = ""  # the latest defect that was reported
+        self._wrong, self._trusted_s, self._since_s = "", math.nan, math.nan
+        self._fault = ""  # the latest defect of the camera that was reported
 
     def close(self) -> None:
         """End the SLAM process and the stream."""
@@ -284,25 +284,33 @@ class CameraSensor(Sensor):
         return self._fix
 
     def tracking_message(self) -> str:
-        """Return a new report of missing fixes with the reason, or of their recovery; "" if there is none."""
-        t = self._film.last_time_s
-        note = "" if self.last_result is None else self.last_result.camera_note
-        if note and note != self._note:
-            self._note = note
-            return f"camera: {note}"
-        if not self._wrong and t - self._trusted_s > SILENCE_TIMEOUT_S and not self._stood:
-            late = self.last_result is None or t - self.last_result.time_s > SILENCE_TIMEOUT_S + float(
-                self._eye.camera.radio.latency
-            )
-            why = "no pictures arrive" if late or self.last_result is None else self.last_result.reason
-            self._wrong, self._since_s = why, math.nan
-            return f"no position from the camera: {why}"
-        if self._wrong and t - self._trusted_s < SILENCE_TIMEOUT_S:
+        """Return a new report of a faulty camera, of missing fixes with the reason, or of their recovery, or "".
+
+        A fault is reported when it is found, also after the fixes have stopped for another reason.
+        """
+        t, result = self._film.last_time_s, self.last_result
+        fault = "" if result is None or self._stood else result.camera_fault
+        if result is not None and fault and fault != self._fault:
+            self._fault = fault
+            return f"camera: {fault}" if result.trusted else self._report_loss(fault)
+        if not t - self._trusted_s < SILENCE_TIMEOUT_S:
+            self._since_s = math.nan
+            if self._wrong or self._stood or math.isnan(self._trusted_s):
+                return ""
+            latency = float(self._eye.camera.radio.latency)
+            is_late = result is None or t - result.time_s > SILENCE_TIMEOUT_S + latency
+            return self._report_loss("no pictures arrive" if result is None or is_late else result.reason)
+        if self._wrong:
             self._since_s = t if math.isnan(self._since_s) else self._since_s
             if t - self._since_s >= RECOVERY_TIME_S:
-                self._wrong = ""
+                self._wrong = self._fault = ""
                 return "position from the camera is available again"
         return ""
+
+    def _report_loss(self, why: str) -> str:
+        """Return the report of missing fixes, and begin to wait for their recovery."""
+        self._wrong, self._since_s = why, math.nan
+        return f"no position from the camera: {why}"
 
     def _take_picture(self, truth: Truth) -> None:
         """Take a picture and send it."""
