@@ -30,7 +30,7 @@ from mufly.control import (
 from mufly.control.analysis.loop_margins import scalar_block_mu
 from mufly.control.designs import design_roll_pitch
 from mufly.control.linear_systems import feedback_part, frequency_response, loop_sensitivities, state_space
-from mufly.control.synthesis.lqg import augment_integrators, kalman_gain, limit_recovery, lqr_gain
+from mufly.control.synthesis.lqg import augment_integrators, kalman_gain, largest_recovery, lqr_gain
 from mufly.control.synthesis.weighting_schemes import scale_plant, unscale_controller
 from mufly.dynamics import linearise_vehicle
 from mufly.errors import ArgumentError, MuflyError
@@ -125,7 +125,7 @@ def test_filter_poles_stay_below_the_sampling_rate(controller: FlightController)
             recovery=1e4,
         )
         for rate in (100.0, 200.0, 500.0):
-            q = limit_recovery(G, weights, 2 * np.pi * rate)
+            q = largest_recovery(G, weights, 2 * np.pi * rate)
             L = kalman_gain(G, q, np.array(weights.noise))
             poles = np.abs(np.linalg.eigvals(G.A - L @ G.C))
             assert 0.5 * 2 * np.pi * rate < poles.max() <= max(2 * np.pi * rate, 1000.0 * 1.001)

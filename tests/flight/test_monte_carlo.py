@@ -335,7 +335,7 @@ def test_results_say_which_flight_is_the_worst(tmp_path: Path, campaign: Campaig
     assert told.failed == (6, 7)
     assert told.reasons == (("a rotor hit the wall ... at ... m, ... s", 2),)
     assert told.successes == sum(f.success for f in flights)
-    assert told.claimed == told.successes + 2
+    assert told.reported_successes == told.successes + 2
     tilt = next(w for w in told.worst if w.label.startswith("tilt"))
     assert (tilt.worst, tilt.flight, tilt.unit) == (80.0, 6, "deg")
     assert "flights succeeded" in told.describe_success()

@@ -24,11 +24,11 @@ SYMBOLS = ["cQ_dw", "Jdrive_dw", "Jdrive_up"]
 
 def design_matrix(problem, linear):
     """Columns: parameters, then the start values of every window, each acting on its own window."""
-    n, m, k = linear.state_jacobian.shape
+    n, m, k = linear.initial_state_jacobian.shape
     starts = problem.window_starts[0]
     blocks = np.zeros((n, m, len(starts), k))
     for w, rows in enumerate(np.split(np.arange(n), starts[1:])):
-        blocks[rows, :, w] = linear.state_jacobian[rows]
+        blocks[rows, :, w] = linear.initial_state_jacobian[rows]
     return np.hstack([linear.theta_jacobian.reshape(n * m, -1), blocks.reshape(n * m, -1)])
 
 

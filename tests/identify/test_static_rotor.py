@@ -118,7 +118,7 @@ def test_a_drifting_zero_is_taken_off():
     loads = compute_loads(table(columns))
     (result,) = fit_rotor_coefficients(loads, radius_m=R, density_kg_m3=RHO)
     e = result.find_estimate("cT")
-    assert len(loads.table) == 20
+    assert len(loads.turning_lines) == 20
     assert loads.drifts["thrust"].blocks == 3
     assert abs(e.value - C_T) < 3 * e.std
     assert e.value == pytest.approx(C_T, rel=0.01)

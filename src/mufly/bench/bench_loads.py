@@ -297,7 +297,7 @@ class BenchLoads:
 
     Attributes
     ----------
-    table : BenchTable
+    turning_lines : BenchTable
         Lines with turning rotors.
     values : dict of str to (n,) array
         Loads by channel (N, N m): ``"thrust"``, ``"torque_upper"``, ...
@@ -312,7 +312,7 @@ class BenchLoads:
     notes : tuple of str
     """
 
-    table: BenchTable
+    turning_lines: BenchTable
     values: dict[str, Array]
     by_systematic: dict[str, Array]
     systematic: Array
@@ -517,7 +517,7 @@ def predict_loads(
     InputError
         For a pair without a spacing.
     """
-    table = loads.table
+    table = loads.turning_lines
     air = Air(density_kg_m3=density_kg_m3)
     pitch = table["pitch"] if "pitch" in table else np.full(len(table), 0.0 if pitch_rad is None else pitch_rad)
     values: dict[str, Array] = {}

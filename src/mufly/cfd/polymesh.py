@@ -92,25 +92,25 @@ class PolyMesh:
     @cached_property
     def face_centres(self) -> Array:
         """Centres of the faces (m), (faces, 3)."""
-        return self._face_cell_geometry[0]
+        return self._face_and_cell_geometry[0]
 
     @cached_property
     def face_areas(self) -> Array:
         """Area vectors of the faces (m^2), out of the owner, (faces, 3)."""
-        return self._face_cell_geometry[1]
+        return self._face_and_cell_geometry[1]
 
     @cached_property
     def cell_centres(self) -> Array:
         """Centres of the cells (m), (cells, 3)."""
-        return self._face_cell_geometry[2]
+        return self._face_and_cell_geometry[2]
 
     @cached_property
     def cell_volumes(self) -> Array:
         """Volumes of the cells (m3)."""
-        return self._face_cell_geometry[-1]
+        return self._face_and_cell_geometry[-1]
 
     @cached_property
-    def _face_cell_geometry(self) -> tuple[Array, Array, Array, Array]:
+    def _face_and_cell_geometry(self) -> tuple[Array, Array, Array, Array]:
         p = self.points[self.faces]
         middle = p.mean(axis=1)
         following = np.roll(p, -1, axis=1)

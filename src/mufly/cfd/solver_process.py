@@ -197,7 +197,7 @@ def run_case(
     Thesis: Sec. 3.3.3.
     """
     find_solver()
-    point = _effective_point(folder)
+    point = _point_for_verdict(folder)
     verdict, done = _judge_rotors(folder, point)
     if _is_finished(verdict, done, most):
         return verdict
@@ -403,7 +403,7 @@ def _read_function_rows(folder: Path, what: str, file: str, last: int | None = N
 
 def judge_case(folder: Path, *, patch: str = "blade") -> ConvergenceVerdict:
     """Judge the present state of a case; for a pair of one rotor."""
-    point = _effective_point(folder)
+    point = _point_for_verdict(folder)
     loads = read_history(folder, patch=patch)
     flow = _read_function_rows(folder, "flows", "surfaceFieldValue.dat")
     continuity = _last_continuity(folder / _LOG_FILE)
@@ -411,7 +411,7 @@ def judge_case(folder: Path, *, patch: str = "blade") -> ConvergenceVerdict:
     return judge_loads(loads, outflow, continuity, point)
 
 
-def _effective_point(folder: Path) -> OperatingPoint:
+def _point_for_verdict(folder: Path) -> OperatingPoint:
     """Return the operating point of a case; after a change of the actuator disc a whole window precedes the verdict."""
     point, disc = read_point(folder), read_actuator_disc(folder)
     return point if disc is None else replace(point, least=max(point.least, disc.since + VERDICT_WINDOW))

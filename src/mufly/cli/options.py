@@ -475,7 +475,7 @@ class WakeOptions(PolarOptions):
     """Options of vortex wakes."""
 
     method: Literal["bemt", "tubes", "wake", "cfd"] = "wake"  # no option here, but one in TheoryOptions
-    wake: Annotated[
+    wake_geometry: Annotated[
         str, define_option("--wake NAME", "Wake geometry: 'free', or 'prescribed' (Landgrebe's, for slender blades).")
     ] = "free"
     wake_set: Annotated[
@@ -498,9 +498,9 @@ class WakeOptions(PolarOptions):
         from mufly.rotor.blading import STATION_COUNT
         from mufly.rotor.wake import WakeSettings
 
-        if self.wake not in ("free", "prescribed"):
-            raise InputError("--wake", "", f"{self.wake!r} is unknown", "use free or prescribed")
-        if self.method != "wake" and self.wake != "free":
+        if self.wake_geometry not in ("free", "prescribed"):
+            raise InputError("--wake", "", f"{self.wake_geometry!r} is unknown", "use free or prescribed")
+        if self.method != "wake" and self.wake_geometry != "free":
             raise InputError("--wake", "", "blade element theory has no wake", "add --method wake")
         known = [f.name for f in fields(WakeSettings) if f.name not in ("model", "inviscid")]
         given: dict[str, Any] = {**defaults}
@@ -518,7 +518,7 @@ class WakeOptions(PolarOptions):
         stations = given.pop("stations", STATION_COUNT)
         if not 4 <= stations <= 200:
             raise InputError("--wake-set", "stations", f"is {stations}", "give 4 to 200")
-        return WakeSettings(model=self.wake, **given), stations  # type: ignore[arg-type]
+        return WakeSettings(model=self.wake_geometry, **given), stations  # type: ignore[arg-type]
 
     def make_study_setup(self, rotor: str, fixed: Mapping[str, ParameterValue], **more: Any) -> StudySetup:
         """Return the setup that the cases of a study of a rotor, or of a pair (``lower``), share."""

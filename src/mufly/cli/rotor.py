@@ -311,7 +311,7 @@ def hover(
         load_rotor,
         predict_interval,
         solve_system,
-        stations_picture,
+        spanwise_picture,
     )
     from mufly.study import write_stations
 
@@ -371,7 +371,7 @@ def hover(
             family=family,
         )  # fmt: skip
     if out is not None:
-        files = [save_figure(stations_picture(result), out, "stations"), write_stations(result, out), *files]
+        files = [save_figure(spanwise_picture(result), out, "stations"), write_stations(result, out), *files]
     if as_json:
         content = {
             "rotor": r.name, **select_fields(theory, "model n_crit"), **result.as_record(), "drive": point,

@@ -64,7 +64,7 @@ def casadi_model(vehicle: Vehicle, voltage: float | None = None) -> Any:
     arguments = [[_Symbol(symbols[name][k]) for k in range(size)] for name, size in names.items()]
     derivative: list[Any] = [0.0] * STATE_SIZE
     select_branches(state_derivative, _NAMESPACE)(*arguments, _Parameters(p), derivative)
-    out = casadi.vertcat(*(_value(d) for d in derivative))
+    out = casadi.vertcat(*(_unwrap_symbol(d) for d in derivative))
     return casadi.Function("derivative", list(symbols.values()), [out], list(names), ["derivative"])
 
 
@@ -80,28 +80,28 @@ class _Symbol:
         raise TypeError("a decision on a symbol; see mufly.dynamics.branch_selection")
 
     def __add__(self, other: Any) -> _Symbol:
-        return _Symbol(self.value + _value(other))
+        return _Symbol(self.value + _unwrap_symbol(other))
 
     def __radd__(self, other: Any) -> _Symbol:
-        return _Symbol(_value(other) + self.value)
+        return _Symbol(_unwrap_symbol(other) + self.value)
 
     def __sub__(self, other: Any) -> _Symbol:
-        return _Symbol(self.value - _value(other))
+        return _Symbol(self.value - _unwrap_symbol(other))
 
     def __rsub__(self, other: Any) -> _Symbol:
-        return _Symbol(_value(other) - self.value)
+        return _Symbol(_unwrap_symbol(other) - self.value)
 
     def __mul__(self, other: Any) -> _Symbol:
-        return _Symbol(self.value * _value(other))
+        return _Symbol(self.value * _unwrap_symbol(other))
 
     def __rmul__(self, other: Any) -> _Symbol:
-        return _Symbol(_value(other) * self.value)
+        return _Symbol(_unwrap_symbol(other) * self.value)
 
     def __truediv__(self, other: Any) -> _Symbol:
-        return _Symbol(self.value / _value(other))
+        return _Symbol(self.value / _unwrap_symbol(other))
 
     def __rtruediv__(self, other: Any) -> _Symbol:
-        return _Symbol(_value(other) / self.value)
+        return _Symbol(_unwrap_symbol(other) / self.value)
 
     def __neg__(self) -> _Symbol:
         return _Symbol(-self.value)
@@ -110,24 +110,25 @@ class _Symbol:
         return _apply("fabs", self)
 
     def __lt__(self, other: Any) -> _Symbol:
-        return _Symbol(self.value < _value(other))
+        return _Symbol(self.value < _unwrap_symbol(other))
 
     def __le__(self, other: Any) -> _Symbol:
-        return _Symbol(self.value <= _value(other))
+        return _Symbol(self.value <= _unwrap_symbol(other))
 
     def __gt__(self, other: Any) -> _Symbol:
-        return _Symbol(self.value > _value(other))
+        return _Symbol(self.value > _unwrap_symbol(other))
 
     def __ge__(self, other: Any) -> _Symbol:
-        return _Symbol(self.value >= _value(other))
+        return _Symbol(self.value >= _unwrap_symbol(other))
 
     def __eq__(self, other: object) -> Any:
-        return _Symbol(self.value == _value(other))
+        return _Symbol(self.value == _unwrap_symbol(other))
 
     __hash__ = None  # type: ignore[assignment]
 
 
-def _value(number: Any) -> Any:
+def _unwrap_symbol(number: Any) -> Any:
+    """Return the CasADi expression of a symbol, or the number."""
     return number.value if isinstance(number, _Symbol) else float(number)
 
 
@@ -137,7 +138,7 @@ def _apply(name: str, *numbers: Any) -> Any:
 
     if not any(isinstance(n, _Symbol) for n in numbers):
         return float(getattr(casadi, name)(*numbers))
-    return _Symbol(getattr(casadi, name)(*(_value(n) for n in numbers)))
+    return _Symbol(getattr(casadi, name)(*(_unwrap_symbol(n) for n in numbers)))
 
 
 def _select(test: Any, a: Any, b: Any) -> Any:

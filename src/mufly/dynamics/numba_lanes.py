@@ -162,7 +162,8 @@ def _declare(function: Any, count: int, result: Any) -> None:
     infer_global(function)(Template)
 
 
-def _define(functions: Iterable[Any], count: int, emit: Callable[..., Any], result: Any = VECTOR) -> None:
+def _register_operation(functions: Iterable[Any], count: int, emit: Callable[..., Any], result: Any = VECTOR) -> None:
+    """Make Python functions of ``count`` numbers known for lanes: ``emit`` writes their LLVM code."""
     for function in functions:
         _declare(function, count, result)
 
@@ -180,23 +181,23 @@ def _intrinsic_call(name: str) -> Callable[..., Any]:
     return emit
 
 
-_define([operator.add, operator.iadd], 2, lambda b, x, y: b.fadd(x, y))
-_define([operator.sub, operator.isub], 2, lambda b, x, y: b.fsub(x, y))
-_define([operator.mul, operator.imul], 2, lambda b, x, y: b.fmul(x, y))
-_define([operator.truediv, operator.itruediv], 2, lambda b, x, y: b.fdiv(x, y))
+_register_operation([operator.add, operator.iadd], 2, lambda b, x, y: b.fadd(x, y))
+_register_operation([operator.sub, operator.isub], 2, lambda b, x, y: b.fsub(x, y))
+_register_operation([operator.mul, operator.imul], 2, lambda b, x, y: b.fmul(x, y))
+_register_operation([operator.truediv, operator.itruediv], 2, lambda b, x, y: b.fdiv(x, y))
 for _function, _sign in (
     (operator.lt, "<"), (operator.le, "<="), (operator.gt, ">"), (operator.ge, ">="), (operator.eq, "=="),
 ):  # fmt: skip
-    _define([_function], 2, lambda b, x, y, sign=_sign: b.fcmp_ordered(sign, x, y), MASK)
-_define([operator.ne], 2, lambda b, x, y: b.fcmp_unordered("!=", x, y), MASK)
+    _register_operation([_function], 2, lambda b, x, y, sign=_sign: b.fcmp_ordered(sign, x, y), MASK)
+_register_operation([operator.ne], 2, lambda b, x, y: b.fcmp_unordered("!=", x, y), MASK)
 # As Numba's min and max of two numbers, which keep the first if they are equal.
-_define([min], 2, lambda b, x, y: b.select(b.fcmp_ordered("<", y, x), y, x))
-_define([max], 2, lambda b, x, y: b.select(b.fcmp_ordered(">", y, x), y, x))
-_define([operator.neg], 1, lambda b, x: b.fneg(x))
-_define([abs], 1, _intrinsic_call("fabs"))
-_define([math.sqrt], 1, _intrinsic_call("sqrt"))
-_define([int], 1, _intrinsic_call("trunc"))
-_define([math.floor], 1, _intrinsic_call("floor"))
+_register_operation([min], 2, lambda b, x, y: b.select(b.fcmp_ordered("<", y, x), y, x))
+_register_operation([max], 2, lambda b, x, y: b.select(b.fcmp_ordered(">", y, x), y, x))
+_register_operation([operator.neg], 1, lambda b, x: b.fneg(x))
+_register_operation([abs], 1, _intrinsic_call("fabs"))
+_register_operation([math.sqrt], 1, _intrinsic_call("sqrt"))
+_register_operation([int], 1, _intrinsic_call("trunc"))
+_register_operation([math.floor], 1, _intrinsic_call("floor"))
 
 
 # ----------------------------------------------------------------------------

@@ -48,7 +48,7 @@ def find_level_speed(vehicle: Vehicle) -> float:
     flight_map = vehicle.rotors.flight_map
     edge = 30.0 if flight_map is None else flight_map.edges_m_s[0]
 
-    def is_flyable(speed: float) -> bool:
+    def has_trim(speed: float) -> bool:
         try:
             find_trim(vehicle, velocity=(speed, 0.0, 0.0))
         except MuflyError:
@@ -57,14 +57,14 @@ def find_level_speed(vehicle: Vehicle) -> float:
 
     low = 0.0
     for high in np.arange(_SPEED_STEP_M_S, edge + _SPEED_STEP_M_S, _SPEED_STEP_M_S).tolist():
-        if not is_flyable(high):
+        if not has_trim(high):
             break
         low = high
     else:
         return edge
     while high - low > _SPEED_TOLERANCE_M_S:
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if is_flyable(middle) else (low, middle)
+        low, high = (middle, high) if has_trim(middle) else (low, middle)
     return low
 
 

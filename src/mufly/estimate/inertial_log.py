@@ -157,7 +157,7 @@ class AidInnovations:
         Number of aids.
     nis : float
         Mean of nu^T S^-1 nu over its number of components; 1 if the covariance is consistent.
-    off : float
+    position_rms_m : float
         Root mean square of the position innovation (m).
     likelihood : float
         Mean log-likelihood, without its constant.
@@ -165,7 +165,7 @@ class AidInnovations:
 
     count: int
     nis: float
-    off: float
+    position_rms_m: float
     likelihood: float
 
 
@@ -394,7 +394,7 @@ def aid_innovations(
         and told[max(k - 1, 0)].valid and np.isfinite(aids.position[i]).all()
     ]  # fmt: skip
     if not use:
-        return AidInnovations(count=0, nis=math.nan, off=math.nan, likelihood=-math.inf)
+        return AidInnovations(count=0, nis=math.nan, position_rms_m=math.nan, likelihood=-math.inf)
     # An aid without delay is already fused in the estimate of its row, so the previous row is propagated.
     late = aids.received_s[use] - aids.measured_s[use] > 0.5 * log.step_s
     nu, s = np.empty((len(use), 3)), np.empty((len(use), 3, 3))
@@ -406,7 +406,7 @@ def aid_innovations(
         s[j] = e.covariance[:EX_VEL, :EX_VEL] + aids.std_m**2 * np.eye(3)
     square = normalised_errors(nu, s)
     return AidInnovations(
-        count=len(use), nis=float(square.mean()) / 3, off=float(np.sqrt(np.square(nu).sum(axis=1).mean())),
+        count=len(use), nis=float(square.mean()) / 3, position_rms_m=float(np.sqrt(np.square(nu).sum(axis=1).mean())),
         likelihood=float(-0.5 * (square + np.linalg.slogdet(s)[1]).mean()),
     )  # fmt: skip
 

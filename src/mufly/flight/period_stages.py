@@ -16,7 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-CONTINUE, DONE = 0, 1
+CONTINUE, LOOP_DONE = 0, 1
 """Return codes of a stage: continue; no period is left (first and last stage only)."""
 FIRST_FREE_CODE = 2
 """First code that an executor may define."""
@@ -57,7 +57,7 @@ def make_stepper(
     Parameters
     ----------
     begin_period
-        Returns :data:`DONE` if no period is left.
+        Returns :data:`LOOP_DONE` if no period is left.
     advance_plant
         Integrates the plant over one period under the acting inputs; then the last sent inputs act.
     check_contact
@@ -71,7 +71,7 @@ def make_stepper(
     record
         Appends a row to the recording.
     end_period
-        Processes the events of this period; returns :data:`DONE` in an executor of single periods.
+        Processes the events of this period; returns :data:`LOOP_DONE` in an executor of single periods.
 
     Returns
     -------

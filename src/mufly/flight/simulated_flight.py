@@ -46,7 +46,7 @@ from mufly.flight.fixes.camera_sensor import (
 from mufly.flight.fixes.external_fixes import ExternalFixes
 from mufly.flight.flight_software import ControlImplementation, FlightSoftware
 from mufly.flight.flight_state import FlightState
-from mufly.flight.period_stages import BEGIN_PERIOD, CHECK_CONTACT, CONTINUE, DONE, PeriodClock, make_stepper
+from mufly.flight.period_stages import BEGIN_PERIOD, CHECK_CONTACT, CONTINUE, LOOP_DONE, PeriodClock, make_stepper
 from mufly.flight.record.recorder import open_flight_recorder
 from mufly.flight.record.sensor_recording import FIX_DRIFT_ATTRIBUTE, make_sensed_row_writer
 from mufly.flight.simulated_plant import SimulatedPlant, make_row_writer
@@ -399,7 +399,7 @@ class Flight:
     def _end_period(self) -> int:
         if self.plant.crash_cause:
             self._handle_crash()
-        return DONE
+        return LOOP_DONE
 
     def _handle_crash(self) -> None:
         if not self.autopilot.crash_cause:

@@ -49,7 +49,7 @@ from mufly.firmware.quick.compiled_loop import (
     sample_sensors,
 )
 from mufly.flight.mission_flight import align_and_start
-from mufly.flight.period_stages import CONTINUE, DONE, make_stepper
+from mufly.flight.period_stages import CONTINUE, LOOP_DONE, make_stepper
 from mufly.flight.simulated_flight import Flight
 from mufly.gym.fleet import LEAST_CHARGE, Fleet
 from mufly.gym.tasks import HEIGHT_M, OBSTACLE, OBSTACLE_START_NORTH_M
@@ -120,7 +120,7 @@ class UnitStarts:
 
 @cached_njit(error_model="numpy")
 def _begin_period(p: UnitPeriods) -> int:
-    return DONE if p.clock.tick >= p.clock.stop_tick else CONTINUE
+    return LOOP_DONE if p.clock.tick >= p.clock.stop_tick else CONTINUE
 
 
 @cached_njit(error_model="numpy")

@@ -365,11 +365,11 @@ def fit_rotor_coefficients(
     if not (math.isfinite(radius_m) and radius_m > 0):
         raise ArgumentError("radius_m", "", f"{radius_m:g} m is out of range", "give the rotor's radius in metres")
     loads, doubts = _resolve_speed_unit(loads, radius_m)
-    density, words = resolve_air_density(loads.table, density_kg_m3)
-    if len(loads.table) > 0:
+    density, words = resolve_air_density(loads.turning_lines, density_kg_m3)
+    if len(loads.turning_lines) > 0:
         loads, more_words = _resolve_load_units(loads, radius_m, float(density.mean()))
         doubts += more_words
-    table = loads.table
+    table = loads.turning_lines
     coaxial = any(name.endswith(("_upper", "_lower")) for name in (*table.columns, *loads.values))
     computed = math.isfinite(table.diameter_m)  # computed data of a manufacturer: one point is sufficient
     if len(table) < (1 if computed else 2):
@@ -409,7 +409,7 @@ def fit_rotor_coefficients(
 
 def _resolve_speed_unit(loads: BenchLoads, radius: float) -> tuple[BenchLoads, list[str]]:
     """Choose rpm or rad/s for speeds without unit by the thrust coefficient; note implausible stated units."""
-    table, notes = loads.table, []
+    table, notes = loads.turning_lines, []
     quantity = next((c for c in loads.values if c.startswith("thrust") and c not in table.unitless), None)
     for name in [c for c in table.columns if c.startswith("speed")]:
         side = name.partition("_")[2]
@@ -431,17 +431,17 @@ def _resolve_speed_unit(loads: BenchLoads, radius: float) -> tuple[BenchLoads, l
                 f"{_ORDINARY_THRUST_COEFFICIENTS[0]} to "
                 f"{_ORDINARY_THRUST_COEFFICIENTS[1]}; check the units (rpm or rad/s), the radius and the thrust"
             )
-    return replace(loads, table=table), notes
+    return replace(loads, turning_lines=table), notes
 
 
 def _resolve_load_units(loads: BenchLoads, radius: float, density: float) -> tuple[BenchLoads, list[str]]:
     """Choose the units of loads without unit by the size of the coefficients, or raise an error."""
-    found = guess_load_units(loads.table, loads.values, radius, density)
-    table, values, by = loads.table, dict(loads.values), dict(loads.by_systematic)
+    found = guess_load_units(loads.turning_lines, loads.values, radius, density)
+    table, values, by = loads.turning_lines, dict(loads.values), dict(loads.by_systematic)
     for channel, (factor, words) in found.items():
         table = table.rescale_column(channel, factor, words)
         values[channel], by[channel] = factor * values[channel], factor * by[channel]
-    return replace(loads, table=table, values=values, by_systematic=by), [words for _, words in found.values()]
+    return replace(loads, turning_lines=table, values=values, by_systematic=by), [words for _, words in found.values()]
 
 
 def _describe_unphysical(estimates: Sequence[ParameterEstimate]) -> list[str]:
@@ -474,7 +474,7 @@ def _fit_channel(
         notes.append("the total torque of a coaxial pair is the difference of two and is not used; give torque_upper "
                      "and torque_lower, for example from the motors' currents")  # fmt: skip
         return None
-    table = loads.table
+    table = loads.turning_lines
     speeds = []
     for side in sides:
         name = f"speed_{side}" if side and f"speed_{side}" in table else "speed"

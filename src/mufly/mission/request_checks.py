@@ -90,7 +90,10 @@ class VehicleRequest(StrEnum):
 
 
 class RequestContext(Protocol):
-    """Facts for the decision: a :class:`MissionState`, or any record of a flight with these attributes."""
+    """Facts for the decision: a :class:`MissionState`, or any record of a flight with these attributes.
+
+    ``reason`` is that of the outcome, or of the last change of state.
+    """
 
     @property
     def state(self) -> str: ...

@@ -33,7 +33,7 @@ from mufly.rotor.rotor_pictures import (
     map_picture,
     plane_velocity,
     rotor_loads_picture,
-    stations_picture,
+    spanwise_picture,
     wake_picture,
 )
 from mufly.rotor.rotor_solver import MAX_TIP_SPEED_M_S, METHODS, solve_for_thrust, solve_system
@@ -137,8 +137,8 @@ __all__ = [
     "solve_rotor",
     "solve_rotor_batch",
     "solve_system",
+    "spanwise_picture",
     "stack_polars",
-    "stations_picture",
     "wake_picture",
     "warn_reynolds_range",
 ]

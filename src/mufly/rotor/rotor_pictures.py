@@ -86,7 +86,7 @@ def _load_per_radius(result: RotorResult, load: Array) -> Array:
     return out
 
 
-def stations_picture(result: RotorResult) -> Figure:
+def spanwise_picture(result: RotorResult) -> Figure:
     """Draw angle of attack, inflow, lift coefficient and Reynolds number along the blade, and thrust per radius."""
     r = 1e3 * result.r_m
     panels = (
@@ -483,7 +483,7 @@ def rotor_loads_picture(upper: RotorResult, lower: RotorResult, alone: Sequence[
 def result_picture(found: SystemSolution) -> Figure:
     """Draw the spanwise loads of a system of one rotor or a pair."""
     return (
-        stations_picture(found.rotors[0]) if len(found.rotors) == 1 else rotor_loads_picture(found.upper, found.lower)
+        spanwise_picture(found.rotors[0]) if len(found.rotors) == 1 else rotor_loads_picture(found.upper, found.lower)
     )
 
 

@@ -248,7 +248,7 @@ class OperatingCondition:
     air: Air = field(default_factory=Air)
 
 
-@result(eq=False, picture="mufly.rotor.rotor_pictures:stations_picture")
+@result(eq=False, picture="mufly.rotor.rotor_pictures:spanwise_picture")
 class RotorResult:
     """Loads of a rotor at an operating point, in total and along the blade.
 

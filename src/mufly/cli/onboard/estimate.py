@@ -310,7 +310,7 @@ def _print_aid_innovations(fore: AidInnovations) -> None:
     if fore.count:
         print_lines(
             f"NIS / n {fore.nis:.2f} of {fore.count} fixes (1 if consistent); rms innovation "
-            f"{100 * fore.off:.1f} cm"
+            f"{100 * fore.position_rms_m:.1f} cm"
         )  # fmt: skip
         if fore.nis > 5.0:
             print_lines(

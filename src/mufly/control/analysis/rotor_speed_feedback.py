@@ -25,7 +25,7 @@ from mufly.control.analysis.comparison import sensor_noise
 from mufly.control.analysis.loop_margins import disk_margin
 from mufly.control.implementation import discretise_controller
 from mufly.control.linear_systems import Array, analyse_loop, feedback_part, sample_plant
-from mufly.control.synthesis.lqg import LqgWeights, design_lqg, limit_recovery
+from mufly.control.synthesis.lqg import LqgWeights, design_lqg, largest_recovery
 from mufly.control.synthesis.weighting_schemes import (
     HEAVE_YAW_LQG,
     SignalScaling,
@@ -168,7 +168,7 @@ def _heave_yaw_row(
 ) -> HeaveYawRow | None:
     """Return the figures of a loop; None if it is not stable when sampled."""
     G = scale_plant(plant, scaling)
-    q = limit_recovery(G, weights, 2.0 * np.pi / period)
+    q = largest_recovery(G, weights, 2.0 * np.pi / period)
     try:
         found = design_lqg(G, (0, 1), weights, recovery=q)
     except MuflyError:

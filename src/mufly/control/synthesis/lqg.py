@@ -8,7 +8,7 @@ feedback minimises the integral of weighted squares of errors, rates, integrals 
 
 The loop of state feedback has S_u of at most 0 dB. As ``q`` grows the loop with the filter approaches it, if the plant
 has no zero in the right half plane (Doyle and Stein, IEEE Trans. Autom. Control 26, 1981). The filter's poles grow with
-``q``. The bilinear rule distorts poles beyond the sampling rate, so :func:`limit_recovery` bounds ``q`` by them.
+``q``. The bilinear rule distorts poles beyond the sampling rate, so :func:`largest_recovery` bounds ``q`` by them.
 
 ``N`` is the equilibrium of a referenced output, for a controller that reads references and errors apart. A controller
 that reads only errors applies filter and integrators to them.
@@ -121,7 +121,7 @@ def kalman_gain(plant: control.StateSpace, intensity: float, noise: Array) -> Ar
     return lqr_gain(plant.A.T, plant.C.T, process, np.diag(np.square(noise))).T
 
 
-def limit_recovery(plant: control.StateSpace, weights: LqgWeights, fastest: float) -> float:
+def largest_recovery(plant: control.StateSpace, weights: LqgWeights, fastest: float) -> float:
     """Return the recovery of the weights, or the largest one below with filter poles up to ``fastest`` (rad/s).
 
     Poles that the plant has itself (a fast servo) do not count: the filter leaves them where they are.

@@ -19,7 +19,7 @@ from mufly.control.robust.uncertain_plant import add_uncertainty
 from mufly.control.synthesis.h2 import h2syn
 from mufly.control.synthesis.hinf import close_loop, hinfsyn
 from mufly.control.synthesis.indi import IndiGains, design_indi
-from mufly.control.synthesis.lqg import LqgWeights, design_lqg, limit_recovery
+from mufly.control.synthesis.lqg import LqgWeights, design_lqg, largest_recovery
 from mufly.control.tuning.fixed_order import add_delay, aim_norms, flight_aims, reduced_starts, tune_controller
 from mufly.errors import MuflyError
 
@@ -220,7 +220,7 @@ def synthesise_controller(method: SynthesisMethod, problem: SynthesisProblem) ->
         norm = hinf_norm(optimal.closed_loop)[0]
         return SynthesisedController(optimal.controller, optimal.actuation, np.nan, np.nan, norm)
     if method in ("lqg", "ltr") and p.lqg is not None:
-        recovery = limit_recovery(p.plant, p.lqg, p.sampling_rate) if method == "ltr" else None
+        recovery = largest_recovery(p.plant, p.lqg, p.sampling_rate) if method == "ltr" else None
         lqg = design_lqg(p.plant, p.references, p.lqg, recovery=recovery, two_degrees=p.two_degrees)
         norm = hinf_norm(close_loop(p.generalised, lqg.controller))[0]
         return SynthesisedController(lqg.controller, lqg.actuation, np.nan, np.nan, norm)

@@ -39,7 +39,6 @@ from mufly.estimate.kalman_estimator import PUBLISHED_FIELDS, KalmanEstimator
 from mufly.firmware.quick.compiled_loop import (
     CALL_LISTENER,
     CONTACT,
-    FAULT_COMPONENT_INDEX,
     HEARD_ANGLES,
     HEARD_ATT,
     HEARD_FORCE,
@@ -73,8 +72,9 @@ from mufly.firmware.quick.compiled_loop import (
     SENSOR_STATUS_SIZE,
     SENSOR_STATUS_START,
     SIGMA_START,
+    STATUS_FAULT_COMPONENT,
     STATUS_ROW_SIZE,
-    TICK_INDEX,
+    STATUS_TICK,
     UPDATE_STATUS,
     FilterArrays,
     FittedPeriods,
@@ -101,13 +101,13 @@ _Array = NDArray[np.float64]
 
 def _unpack_status_row(row: _Array) -> dict[str, Any]:
     """Return the fields of a status row by the names of the filter's memory."""
-    of = row[SENSOR_STATUS_START:FAULT_COMPONENT_INDEX].reshape(SENSOR_COUNT, SENSOR_STATUS_SIZE)
+    of = row[SENSOR_STATUS_START:STATUS_FAULT_COMPONENT].reshape(SENSOR_COUNT, SENSOR_STATUS_SIZE)
     parts = (
         row[:SIGMA_START].reshape(EX_GYRO_BIAS, EX_GYRO_BIAS),
         row[SIGMA_START:SENSOR_STATUS_START],
         *of.T,
-        row[FAULT_COMPONENT_INDEX],
-        row[TICK_INDEX],
+        row[STATUS_FAULT_COMPONENT],
+        row[STATUS_TICK],
     )
     return dict(zip(PUBLISHED_FIELDS, parts, strict=True))
 

@@ -37,7 +37,7 @@ from mufly.estimate.filter.filter_records import (
 from mufly.estimate.filter.output_predictor import COVARIANCE_INTERVAL_TICKS
 from mufly.estimate.filter.sensor_checks import ACTUATOR_START, CLIPPING_START
 from mufly.estimate.kalman_estimator import filter_ring_scan
-from mufly.flight.period_stages import CONTINUE, DONE, FIRST_FREE_CODE, make_stepper
+from mufly.flight.period_stages import CONTINUE, FIRST_FREE_CODE, LOOP_DONE, make_stepper
 from mufly.flight.simulated_plant import advance_period, find_collision, true_attitude
 from mufly.sensors.imu import GYRO, sample_imu
 from mufly.sensors.periodic import FIRST_VALUE, IS_VALID, MEASURED_TIME
@@ -242,9 +242,9 @@ SENSOR_STATUS_START = SIGMA_START + ERROR_STATE_COUNT
     _CHECK_CAME,
     SENSOR_STATUS_SIZE,
 ) = range(8)
-FAULT_COMPONENT_INDEX = SENSOR_STATUS_START + SENSOR_STATUS_SIZE * SENSOR_COUNT
-TICK_INDEX = FAULT_COMPONENT_INDEX + 1
-STATUS_ROW_SIZE = TICK_INDEX + 1
+STATUS_FAULT_COMPONENT = SENSOR_STATUS_START + SENSOR_STATUS_SIZE * SENSOR_COUNT
+STATUS_TICK = STATUS_FAULT_COMPONENT + 1
+STATUS_ROW_SIZE = STATUS_TICK + 1
 # Listener row: period, validity, battery (V), index of the status row; wind, supply, accelerometer reading, state,
 # attitude, nominal state, rates, angles; the ranges follow
 HEARD_TICK, HEARD_VALID, HEARD_VOLTS, HEARD_TOLD, HEARD_WIND, HEARD_SUPPLY, HEARD_FORCE, HEARD_STATE = (
@@ -293,7 +293,7 @@ def _is_heard(p: Periods) -> bool:
 @cached_njit(error_model="numpy")
 def _begin_ideal_period(p: IdealPeriods) -> int:
     if _has_ended(p):
-        return DONE
+        return LOOP_DONE
     if _is_heard(p):
         return CALL_LISTENER
     return CONTINUE
@@ -302,7 +302,7 @@ def _begin_ideal_period(p: IdealPeriods) -> int:
 @cached_njit(error_model="numpy")
 def _begin_fitted_period(p: FittedPeriods) -> int:
     if _has_ended(p):
-        return DONE
+        return LOOP_DONE
     if _is_heard(p):
         c, f = p.clock, p.filter
         row = p.listener_rows[c.listener_rows]
@@ -468,7 +468,7 @@ def _write_filter_status(
             row[EX_GYRO_BIAS * j + k] = covariance[j, k]
     for k in range(ERROR_STATE_COUNT):
         row[SIGMA_START + k] = sigma[k]
-    row[FAULT_COMPONENT_INDEX], row[TICK_INDEX] = component[0], tick[0]
+    row[STATUS_FAULT_COMPONENT], row[STATUS_TICK] = component[0], tick[0]
     same = True
     for k in range(SENSOR_COUNT):
         start = SENSOR_STATUS_START + SENSOR_STATUS_SIZE * k
@@ -496,7 +496,7 @@ def _write_filter_status(
         else:
             same = same and of[_CHECK_STATUS] == was[_CHECK_STATUS] and of[_CHECK_REASON] == was[_CHECK_REASON]
             same = same and (text >= 0 or of[_CHECK_NUMBER] == was[_CHECK_NUMBER])
-            same = same and (text >= 0 or row[FAULT_COMPONENT_INDEX] == before[FAULT_COMPONENT_INDEX])
+            same = same and (text >= 0 or row[STATUS_FAULT_COMPONENT] == before[STATUS_FAULT_COMPONENT])
     return same
 
 

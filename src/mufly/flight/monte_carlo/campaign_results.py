@@ -141,7 +141,7 @@ class CampaignOutcome:
         Number of flights, and of successes confirmed by the truth.
     low, high : float
         95 % interval of the success rate (Wilson).
-    claimed : int
+    reported_successes : int
         Number of successes reported by the state machine.
     refused : int
         Number of impossible vehicles that were drawn again.
@@ -160,7 +160,7 @@ class CampaignOutcome:
     successes: int
     low: float
     high: float
-    claimed: int
+    reported_successes: int
     refused: int
     endings: tuple[tuple[FlightEnding, int, float, float], ...]
     reasons: tuple[tuple[str, int], ...]
@@ -181,8 +181,8 @@ class CampaignOutcome:
         blocks = [
             show_lines(f"{self.describe_success()}.", style="green" if self.successes == self.flights else "yellow")
         ]
-        if self.claimed != self.successes:
-            text = f"The state machine reports {self.claimed} successes."
+        if self.reported_successes != self.successes:
+            text = f"The state machine reports {self.reported_successes} successes."
             blocks.append(show_lines(text, style="yellow"))
         if self.refused:
             text = f"{self.refused} draws of impossible vehicles were repeated."
@@ -227,7 +227,8 @@ def summarise_outcome(flights: Sequence[FlightResult], tolerance_m: float) -> Ca
     reasons = Counter(_without_numbers(f.reason) for f in flights if not f.success)
     return CampaignOutcome(
         len(flights), len(good), low, high,
-        claimed=sum(f.told.startswith("succeeded") for f in flights), refused=sum(f.refused for f in flights),
+        reported_successes=sum(f.told.startswith("succeeded") for f in flights),
+        refused=sum(f.refused for f in flights),
         endings=tuple(
             (name, ended[name], *wilson_interval(ended[name], len(flights)))
             for name in ENDINGS

@@ -649,7 +649,7 @@ def _fisher_information(
     information = np.zeros((len(free), len(free)))
     for one in np.split(np.arange(len(record.time_s)), problem.window_starts[0][1:]):
         theta = linear.theta_jacobian[one].reshape(-1, len(free))
-        start = linear.state_jacobian[one].reshape(theta.shape[0], -1)
+        start = linear.initial_state_jacobian[one].reshape(theta.shape[0], -1)
         across = theta.T @ start
         information += theta.T @ theta - across @ np.linalg.solve(start.T @ start + wide, across.T)
     return information

@@ -99,7 +99,9 @@ class ReducedRecord:
         # Per window: first sample, sample after the last, and the factors Q, R, Q^T J of the initial state.
         self._window_factors: list[tuple[int, int, _Array, _Array, _Array]] = []
         for a, b in zip(problem.window_starts[i], [*problem.window_starts[i][1:], n], strict=True):
-            s = np.vstack([linear.state_jacobian[a:b].reshape((b - a) * m, -1), np.diag(1.0 / self._initial_state_std)])
+            s = np.vstack(
+                [linear.initial_state_jacobian[a:b].reshape((b - a) * m, -1), np.diag(1.0 / self._initial_state_std)]
+            )
             j = np.vstack([linear.theta_jacobian[a:b].reshape(-1, t), np.zeros((len(self._initial_state_std), t))])
             q, r = np.linalg.qr(s)
             qj = q.T @ j

@@ -120,13 +120,13 @@ class LinearisedRecord:
         (simulated - measured) / noise, zero without a measurement.
     theta_jacobian : (n, m, t) array
         Derivative with respect to ``theta``.
-    state_jacobian : (n, m, k) array
+    initial_state_jacobian : (n, m, k) array
         Derivative with respect to the ``k`` initial states of the sample's window.
     """
 
     whitened_residual: _Array
     theta_jacobian: _Array
-    state_jacobian: _Array
+    initial_state_jacobian: _Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -110,7 +110,7 @@ def blade_flap_band(
     """
     mode = compute_flap_mode(rotor, speed_rad_s, pitch_rad=pitch_rad)
     low, high = (blade_flap(rotor, max(ratio, 1.0), mass_kg=mass_kg) for ratio in (mode.ratio_low, mode.ratio_high))
-    return (low, high), f"band of the flap frequency: {mode.basis}"
+    return (low, high), f"band of the flap frequency: {mode.assumptions}"
 
 
 def lock_number(r_m: Array, dr_m: Array, chord_m: Array, flap: BladeFlap, air: Air) -> float:

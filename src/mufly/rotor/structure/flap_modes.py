@@ -226,7 +226,7 @@ class FlapMode:
         Mass per length of the blade at those radii (kg/m).
     known : bool
         True if the rotor file has a structure.
-    basis : str
+    assumptions : str
         Material and root on which the numbers rest.
     """
 
@@ -239,7 +239,7 @@ class FlapMode:
     shape: Array
     mass_kg_m: Array
     known: bool
-    basis: str
+    assumptions: str
 
 
 def lock_number(rotor: Rotor, beam: BladeBeam, air: Air | None = None) -> float:
@@ -249,7 +249,7 @@ def lock_number(rotor: Rotor, beam: BladeBeam, air: Air | None = None) -> float:
     return 4.0 * density * LIFT_SLOPE * moment / beam.flap_inertia_kg_m2
 
 
-def _describe_basis(structure: BladeStructure, known: bool) -> str:
+def _describe_assumptions(structure: BladeStructure, known: bool) -> str:
     plate = "" if structure.thickness is None else f", {1e3 * float(structure.thickness):g} mm thick"
     root = {
         "unknown": "root unknown: clamped, and a free hinge at the shaft as lower end",
@@ -307,7 +307,7 @@ def compute_flap_mode(
     mass = np.interp(beam.edges_m, beam.points_m.ravel(), beam.mass_kg_m.ravel())
     return FlapMode(
         speed_rad_s, float(value[0]), float(low[0]), float(high[0]), lock_number(rotor, beam, air), beam.edges_m,
-        shape / shape[-1], mass, known, _describe_basis(s, known),
+        shape / shape[-1], mass, known, _describe_assumptions(s, known),
     )  # fmt: skip
 
 
@@ -322,7 +322,7 @@ class CampbellDiagram:
     ----------
     rotor : str
         Name of the rotor.
-    basis : str
+    assumptions : str
         Material and root on which the numbers rest.
     speed_rad_s : (n,) array
         Rotor speeds.
@@ -347,7 +347,7 @@ class CampbellDiagram:
     """
 
     rotor: str
-    basis: str
+    assumptions: str
     speed_rad_s: Array
     modes: tuple[str, ...]
     frequency_rad_s: Array
@@ -365,7 +365,7 @@ class CampbellDiagram:
 
     def shown_blocks(self) -> tuple[ShownBlock, ...]:
         """Return the text of the result."""
-        head = ShownLines((self.basis,), head=f"{self.rotor}: ")
+        head = ShownLines((self.assumptions,), head=f"{self.rotor}: ")
         about = ShownLines((
             f"one blade: {1e3 * self.blade_mass_kg:.3g} g, {1e9 * self.flap_inertia_kg_m2:.4g} g mm2 about the "
             f"shaft, Lock number {self.lock_number:.2f} (lift slope {LIFT_SLOPE:g})",
@@ -443,8 +443,9 @@ def compute_campbell(
 
     axis = there(beam.axis_over_chord)
     return CampbellDiagram(
-        rotor.name, _describe_basis(s, True), speeds, tuple(f"{kind} {k}" for kind, k in _CAMPBELL_MODES), value, low,
-        high, beam.blade_mass_kg, beam.flap_inertia_kg_m2, there(beam.flap_EI), there(beam.torsion_GJ), axis,
+        rotor.name, _describe_assumptions(s, True), speeds,
+        tuple(f"{kind} {k}" for kind, k in _CAMPBELL_MODES), value, low, high,
+        beam.blade_mass_kg, beam.flap_inertia_kg_m2, there(beam.flap_EI), there(beam.torsion_GJ), axis,
         axis + there(beam.centroid_behind_m) / there(beam.chord_m), lock_number(rotor, beam, air), free,
         s.root != "unknown",
     )  # fmt: skip

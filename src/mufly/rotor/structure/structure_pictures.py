@@ -44,7 +44,7 @@ def campbell_picture(found: CampbellDiagram) -> Figure:
     axes.set_ylim(0.0, top)
     axes.set_xlabel("Rotor speed (rpm)")
     axes.set_ylabel("Frequency (Hz)")
-    axes.set_title(f"{found.rotor}: {found.basis}", fontsize="small", pad=14)
+    axes.set_title(f"{found.rotor}: {found.assumptions}", fontsize="small", pad=14)
     axes.legend(fontsize="small", loc="upper left")
     return figure
 

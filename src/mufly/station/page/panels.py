@@ -567,14 +567,14 @@ class StickPanel:
 
     def refresh(self) -> None:
         """Send the window its permission and whether it flies."""
-        if self._flown is not None and (why := self._end_reason()):
+        if self._flown is not None and (why := self._manual_end_reason()):
             self._release_sticks(why)
         now = (self._reason(), self._flown is not None)
         if now != self._shown:
             self._shown = now
             self._panel.call_method("show", {"reason": now[0], "held": now[1]})
 
-    def _end_reason(self) -> str:
+    def _manual_end_reason(self) -> str:
         vehicle = self._flown
         if vehicle is None:
             return ""
@@ -603,7 +603,7 @@ class StickPanel:
             return
         if content.get("begin"):
             self._start_flying(at)
-        elif self._flown is not None and not self._end_reason():
+        elif self._flown is not None and not self._manual_end_reason():
             self._flown.sticks.set_deflection(*map(float, at))
         self.refresh()
 

@@ -29,7 +29,7 @@ _MIN_ADVANCE_SHARE, _MAX_ADVANCE_SHARE = (
 
 
 @dataclass(frozen=True)
-class EfficiencyCurve:
+class EfficiencyFigures:
     """Greatest efficiency, its advance ratio, and the advance ratio of zero thrust; nan if not covered."""
 
     max_efficiency: float
@@ -44,8 +44,8 @@ class PropellerScore:
     code: str
     case: RotorCase
     speed_rad_s: float
-    measured: EfficiencyCurve
-    predicted: EfficiencyCurve
+    measured: EfficiencyFigures
+    predicted: EfficiencyFigures
     fault: str = ""
 
     @property
@@ -59,7 +59,7 @@ class PropellerScore:
         )
 
 
-def measure_efficiency_curve(advance: Array, thrust_N: Array, power_W: Array, airspeed_m_s: Array) -> EfficiencyCurve:
+def measure_efficiency_curve(advance: Array, thrust_N: Array, power_W: Array, airspeed_m_s: Array) -> EfficiencyFigures:
     """Return the efficiency curve of a run; all arrays (points,), in order of increasing advance ratio."""
     known = np.isfinite(thrust_N) & np.isfinite(power_W) & (power_W > 0.0)
     j, t = advance[known], thrust_N[known]
@@ -74,7 +74,7 @@ def measure_efficiency_curve(advance: Array, thrust_N: Array, power_W: Array, ai
     if ends.size:
         i = int(ends[0])
         zero = float(j[i] + t[i] * (j[i + 1] - j[i]) / (t[i] - t[i + 1]))
-    return EfficiencyCurve(efficiency, best, zero)
+    return EfficiencyFigures(efficiency, best, zero)
 
 
 def score_propellers(
@@ -107,7 +107,7 @@ def score_propellers(
             predicted = measure_efficiency_curve(grid, found.thrust_N, found.torque_Nm * speed, asked.climb_m_s)
             fault = found.fault
         except MuflyError as error:
-            predicted, fault = EfficiencyCurve(math.nan, math.nan, math.nan), str(error)
+            predicted, fault = EfficiencyFigures(math.nan, math.nan, math.nan), str(error)
         scores.append(PropellerScore(code.name, case, speed, measured, predicted, fault))
     if progress is not None:
         progress(len(runs), len(runs))
