@@ -393,8 +393,8 @@ def _thrust_to_weight(vehicle: Vehicle, charge: float) -> float:
 
 LINEAR_STATES = ["x", "y", "z", "u", "v", "w", "phi", "theta", "psi", "p", "q", "r", "a_dw", "b_dw"]
 LINEAR_STATES += ["bar_roll", "bar_pitch", "Omega_dw", "Omega_up", "charge"]
-LX_POS, LX_VEL, LX_ATT, LX_RATES, LX_TILT_PITCH, LX_TILT_ROLL = 0, 3, 6, 9, 12, 13
-LX_BAR_ROLL, LX_BAR_PITCH, LX_SPEED_LOWER, LX_SPEED_UPPER, LX_CHARGE = 14, 15, 16, 17, 18
+LINEAR_POS, LINEAR_VEL, LINEAR_ATT, LINEAR_RATES, LINEAR_TILT_PITCH, LINEAR_TILT_ROLL = 0, 3, 6, 9, 12, 13
+LINEAR_BAR_ROLL, LINEAR_BAR_PITCH, LINEAR_SPEED_LOWER, LINEAR_SPEED_UPPER, LINEAR_CHARGE = 14, 15, 16, 17, 18
 """Indices into :data:`LINEAR_STATES`; the first of three for position, velocity, angles and rates."""
 LINEAR_INPUTS = ["motor_lower", "motor_upper", "servo_1", "servo_2"]
 _STATE_SCALE = np.array([1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 400, 400, 1], dtype=np.float64)
@@ -547,13 +547,13 @@ def _to_minimal_state(x: NDArray[np.float64], heading: float) -> NDArray[np.floa
 
 def _to_full_state(m: NDArray[np.float64], heading: float) -> NDArray[np.float64]:
     x = np.empty(STATE_SIZE)
-    x[POSITION] = m[LX_POS:LX_VEL]
-    x[ATTITUDE] = quaternion_from_euler(*m[LX_ATT:LX_RATES])
-    x[VELOCITY] = body_to_ned_matrix(x[ATTITUDE]) @ m[LX_VEL:LX_ATT]
-    x[RATES] = m[LX_RATES:LX_TILT_PITCH]
-    x[RS_SWASH_ROLL], x[RS_SWASH_PITCH] = m[LX_TILT_ROLL], -m[LX_TILT_PITCH]
-    x[BAR_NORMAL] = -body_to_ned_matrix(quaternion_from_euler(m[LX_BAR_ROLL], m[LX_BAR_PITCH], heading))[:, 2]
-    x[RS_SPEED_UPPER], x[RS_SPEED_LOWER], x[RS_CHARGE] = m[LX_SPEED_UPPER], m[LX_SPEED_LOWER], m[LX_CHARGE]
+    x[POSITION] = m[LINEAR_POS:LINEAR_VEL]
+    x[ATTITUDE] = quaternion_from_euler(*m[LINEAR_ATT:LINEAR_RATES])
+    x[VELOCITY] = body_to_ned_matrix(x[ATTITUDE]) @ m[LINEAR_VEL:LINEAR_ATT]
+    x[RATES] = m[LINEAR_RATES:LINEAR_TILT_PITCH]
+    x[RS_SWASH_ROLL], x[RS_SWASH_PITCH] = m[LINEAR_TILT_ROLL], -m[LINEAR_TILT_PITCH]
+    x[BAR_NORMAL] = -body_to_ned_matrix(quaternion_from_euler(m[LINEAR_BAR_ROLL], m[LINEAR_BAR_PITCH], heading))[:, 2]
+    x[RS_SPEED_UPPER], x[RS_SPEED_LOWER], x[RS_CHARGE] = m[LINEAR_SPEED_UPPER], m[LINEAR_SPEED_LOWER], m[LINEAR_CHARGE]
     return x
 
 
@@ -567,20 +567,20 @@ def _minimal_rates(
     x, dx = _to_full_state(m, heading), np.empty(STATE_SIZE)
     state_derivative(x, u[MOTORS_SWAPPED], wind, p, dx)
     a = body_to_ned_matrix(x[ATTITUDE])
-    phi, theta = m[LX_ATT], m[LX_ATT + 1]
-    p_, q_, r_ = m[LX_RATES:LX_TILT_PITCH]
+    phi, theta = m[LINEAR_ATT], m[LINEAR_ATT + 1]
+    p_, q_, r_ = m[LINEAR_RATES:LINEAR_TILT_PITCH]
     turn = q_ * np.sin(phi) + r_ * np.cos(phi)
     euler_rates = [p_ + turn * np.tan(theta), q_ * np.cos(phi) - r_ * np.sin(phi), turn / np.cos(theta)]
     c, s = np.cos(heading), np.sin(heading)
     bar_n, bar_e = c * dx[RS_BAR] + s * dx[RS_BAR + 1], -s * dx[RS_BAR] + c * dx[RS_BAR + 1]
-    eta, zeta = m[LX_BAR_ROLL], m[LX_BAR_PITCH]
+    eta, zeta = m[LINEAR_BAR_ROLL], m[LINEAR_BAR_PITCH]
     # From s = (-sin zeta cos eta, sin eta, -cos zeta cos eta).
     eta_rate = bar_e / np.cos(eta)
     zeta_rate = (-bar_n * np.cos(zeta) + dx[RS_BAR + 2] * np.sin(zeta)) / np.cos(eta)
     return np.concatenate(
         [
             dx[POSITION],
-            a.T @ dx[VELOCITY] - np.cross(m[LX_RATES:LX_TILT_PITCH], m[LX_VEL:LX_ATT]),
+            a.T @ dx[VELOCITY] - np.cross(m[LINEAR_RATES:LINEAR_TILT_PITCH], m[LINEAR_VEL:LINEAR_ATT]),
             euler_rates,
             dx[RATES],
             [-dx[RS_SWASH_PITCH], dx[RS_SWASH_ROLL], eta_rate, zeta_rate],

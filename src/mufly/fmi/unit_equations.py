@@ -42,9 +42,9 @@ from mufly.rotations import quaternion_from_euler
 _Array = NDArray[np.float64]
 
 # Indices of the start values.
-SV_POSITION, SV_VELOCITY, SV_ATTITUDE, SV_RATES = 0, 3, 6, 9
-SV_SWASH_ROLL, SV_SWASH_PITCH, SV_BAR_ROLL, SV_BAR_PITCH = 12, 13, 14, 15
-SV_SPEED_UPPER, SV_SPEED_LOWER, SV_CHARGE = 16, 17, 18
+START_POSITION, START_VELOCITY, START_ATTITUDE, START_RATES = 0, 3, 6, 9
+START_SWASH_ROLL, START_SWASH_PITCH, START_BAR_ROLL, START_BAR_PITCH = 12, 13, 14, 15
+START_SPEED_UPPER, START_SPEED_LOWER, START_CHARGE = 16, 17, 18
 START_COUNT = 19
 # Indices of the outputs: the state, and then
 OUT_ROLL = STATE_SIZE
@@ -65,16 +65,20 @@ def write_start_state(start: _Array, x: _Array) -> None:
         Output: state.
     """
     for i in range(3):
-        x[RS_POS + i] = start[SV_POSITION + i]
-        x[RS_VEL + i] = start[SV_VELOCITY + i]
-        x[RS_RATES + i] = start[SV_RATES + i]
-    q = quaternion_from_euler(start[SV_ATTITUDE], start[SV_ATTITUDE + 1], start[SV_ATTITUDE + 2])
+        x[RS_POS + i] = start[START_POSITION + i]
+        x[RS_VEL + i] = start[START_VELOCITY + i]
+        x[RS_RATES + i] = start[START_RATES + i]
+    q = quaternion_from_euler(start[START_ATTITUDE], start[START_ATTITUDE + 1], start[START_ATTITUDE + 2])
     x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3] = q[0], q[1], q[2], q[3]
-    x[RS_SWASH_ROLL], x[RS_SWASH_PITCH] = start[SV_SWASH_ROLL], start[SV_SWASH_PITCH]
-    w, i, j, k = quaternion_from_euler(start[SV_BAR_ROLL], start[SV_BAR_PITCH], start[SV_ATTITUDE + 2])
+    x[RS_SWASH_ROLL], x[RS_SWASH_PITCH] = start[START_SWASH_ROLL], start[START_SWASH_PITCH]
+    w, i, j, k = quaternion_from_euler(start[START_BAR_ROLL], start[START_BAR_PITCH], start[START_ATTITUDE + 2])
     _, _, n, _, _, e, _, _, d = rotation_entries(w, i, j, k)
     x[RS_BAR], x[RS_BAR + 1], x[RS_BAR + 2] = -n, -e, -d
-    x[RS_SPEED_UPPER], x[RS_SPEED_LOWER], x[RS_CHARGE] = start[SV_SPEED_UPPER], start[SV_SPEED_LOWER], start[SV_CHARGE]
+    x[RS_SPEED_UPPER], x[RS_SPEED_LOWER], x[RS_CHARGE] = (
+        start[START_SPEED_UPPER],
+        start[START_SPEED_LOWER],
+        start[START_CHARGE],
+    )
 
 
 def write_outputs(x: _Array, u: _Array, wind: _Array, p: ModelParameters, out: _Array) -> None:

@@ -58,7 +58,7 @@ OUTPUT_UNITS |= {"voltage": _QUANTITY_UNITS["battery_voltage"]}
 FLIGHT_OUTPUTS = tuple(OUTPUT_UNITS)
 (
     OUT_NORTH, OUT_EAST, OUT_HEIGHT, OUT_V_NORTH, OUT_V_EAST, OUT_CLIMB, OUT_ROLL, OUT_PITCH, OUT_YAW, OUT_P, OUT_Q,
-    OUT_R, OUT_SPEED_UP, OUT_SPEED_DW, OUT_VOLTAGE,
+    OUT_R, OUT_SPEED_UPPER, OUT_SPEED_LOWER, OUT_VOLTAGE,
 ) = range(len(FLIGHT_OUTPUTS))  # fmt: skip
 _MIN_NOISE_STD = {
     "height": 1e-3,
@@ -266,7 +266,7 @@ def smooth_signal(y: Array, sample_s: float, span_s: float = 0.15, *, slope: boo
     return np.asarray(savgol_filter(y, width, 3, deriv=int(slope), delta=sample_s), dtype=np.float64)
 
 
-MO_POS, MO_VEL, MO_EULER, MO_RATES = 0, 3, 6, 9
+MOTION_POSITION, MOTION_VELOCITY, MOTION_EULER, MOTION_RATES = 0, 3, 6, 9
 """Indices in a row of motion: start of position N, E, D, of velocity N, E, D, of roll, pitch, yaw, and of p, q, r."""
 
 
@@ -286,12 +286,12 @@ def smooth_motion(r: FlightRecord) -> Array:
 
     # Columns of a value and of its rate, their names, and the smoothing spans of value, rate and slope (s).
     pairs = (
-        (MO_POS, MO_VEL, "north", "v_north", 0.3, 0.2, 0.5),
-        (MO_POS + 1, MO_VEL + 1, "east", "v_east", 0.3, 0.2, 0.5),
-        (MO_POS + 2, MO_VEL + 2, "height", "climb", 0.3, 0.2, 0.5),
-        (MO_EULER, MO_RATES, "roll", "p", 0.15, 0.1, 0.25),
-        (MO_EULER + 1, MO_RATES + 1, "pitch", "q", 0.15, 0.1, 0.25),
-        (MO_EULER + 2, MO_RATES + 2, "yaw", "r", 0.15, 0.1, 0.25),
+        (MOTION_POSITION, MOTION_VELOCITY, "north", "v_north", 0.3, 0.2, 0.5),
+        (MOTION_POSITION + 1, MOTION_VELOCITY + 1, "east", "v_east", 0.3, 0.2, 0.5),
+        (MOTION_POSITION + 2, MOTION_VELOCITY + 2, "height", "climb", 0.3, 0.2, 0.5),
+        (MOTION_EULER, MOTION_RATES, "roll", "p", 0.15, 0.1, 0.25),
+        (MOTION_EULER + 1, MOTION_RATES + 1, "pitch", "q", 0.15, 0.1, 0.25),
+        (MOTION_EULER + 2, MOTION_RATES + 2, "yaw", "r", 0.15, 0.1, 0.25),
     )
     for at, at_rate, name, rate_name, span_s, rate_span_s, slope_span_s in pairs:
         sign = -1.0 if name == "height" else 1.0

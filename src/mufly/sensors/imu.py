@@ -65,7 +65,7 @@ GYRO, _AXES = 3, 6  # index of the first gyroscope among the axes, and their num
     _ONCE, _TWICE, _PASSING, _RESONANCE, _DAMPING, _HOVER_UPPER, _HOVER_LOWER, _DRIFT_TIME, _WARMING, _WARMING_TIME,
 ) = range(10)  # fmt: skip
 _COS, _SIN, _PHASOR_STEP_COS, _PHASOR_STEP_SIN, _GROWTH_COS, _GROWTH_SIN = range(6)  # columns of a rotor's phasor
-_UP_TWICE, _DW_TWICE, _PASSES = 2, 6, 8  # first rows of the vibration lines; each has a cosine and a sine row
+_UPPER_TWICE, _LOWER_TWICE, _PASSES = 2, 6, 8  # first rows of the vibration lines; each has a cosine and a sine row
 
 
 class Imu(Sensor):
@@ -355,11 +355,11 @@ def simulate_imu_period(
             phasor[k, _COS], phasor[k, _SIN] = c, s
             phasor[k, _PHASOR_STEP_COS] = tc * phasor[k, _GROWTH_COS] - ts * phasor[k, _GROWTH_SIN]
             phasor[k, _PHASOR_STEP_SIN] = tc * phasor[k, _GROWTH_SIN] + ts * phasor[k, _GROWTH_COS]
-            once, twice = 4 * k, 4 * k + _UP_TWICE
+            once, twice = 4 * k, 4 * k + _UPPER_TWICE
             lines[once, i], lines[once + 1, i] = c, s
             lines[twice, i], lines[twice + 1, i] = c * c - s * s, 2.0 * c * s
-        up_c, up_s = lines[_UP_TWICE, i], lines[_UP_TWICE + 1, i]
-        dw_c, dw_s = lines[_DW_TWICE, i], lines[_DW_TWICE + 1, i]
+        up_c, up_s = lines[_UPPER_TWICE, i], lines[_UPPER_TWICE + 1, i]
+        dw_c, dw_s = lines[_LOWER_TWICE, i], lines[_LOWER_TWICE + 1, i]
         lines[_PASSES, i], lines[_PASSES + 1, i] = up_c * dw_c - up_s * dw_s, up_c * dw_s + up_s * dw_c
     # One axis after the other, all its samples together.
     for j in range(6):

@@ -46,7 +46,7 @@ from numpy.typing import NDArray
 from mufly.compiled.numba_cache import cached_njit
 
 _Array = NDArray[np.float64]
-PX_HEIGHT, PX_HEADING, PX_TILT, PX_KEYFRAME_TILT, POSE_SIZE = 2, 3, 4, 6, 8
+POSE_HEIGHT, POSE_HEADING, POSE_TILT, POSE_KEYFRAME_TILT, POSE_SIZE = 2, 3, 4, 6, 8
 """Indices of a pose: N, E, h, heading; tilt errors about x and y of the heading, then those of the keyframe."""
 SHAKE_SIZE = 8  # for each rotor cosine and sine along x, then along y
 _MAX_ITERATIONS = 6
@@ -144,22 +144,22 @@ class PoseEstimate:
     @property
     def height_m(self) -> float:
         """Height above the floor (m)."""
-        return float(self.state[PX_HEIGHT])
+        return float(self.state[POSE_HEIGHT])
 
     @property
     def heading_rad(self) -> float:
         """Heading from north to east (rad)."""
-        return float(self.state[PX_HEADING])
+        return float(self.state[POSE_HEADING])
 
     @property
     def tilt_error_rad(self) -> _Array:
         """Tilt error about x and y of the heading (2,) (rad)."""
-        return self.state[PX_TILT:PX_KEYFRAME_TILT]
+        return self.state[POSE_TILT:POSE_KEYFRAME_TILT]
 
     @property
     def keyframe_tilt_error_rad(self) -> _Array:
         """Tilt error of the keyframe about x and y of its own heading (2,) (rad)."""
-        return self.state[PX_KEYFRAME_TILT:POSE_SIZE]
+        return self.state[POSE_KEYFRAME_TILT:POSE_SIZE]
 
 
 def attitude_matrix(view: ViewPrior, tilt: _Array | None = None, heading: float = 0.0) -> _Array:
@@ -267,21 +267,21 @@ def solve_pose(
     shakes = SHAKE_SIZE if view.shake_sigma_px > 0.0 else 0
     size = POSE_SIZE + shakes
     x = np.zeros(size)
-    x[:PX_TILT] = start
+    x[:POSE_TILT] = start
     known = np.zeros(size)
-    known[:PX_TILT] = start
-    known[PX_HEIGHT], known[PX_TILT:PX_KEYFRAME_TILT] = view.height_m, view.tilt_error_rad
+    known[:POSE_TILT] = start
+    known[POSE_HEIGHT], known[POSE_TILT:POSE_KEYFRAME_TILT] = view.height_m, view.tilt_error_rad
     prior = np.zeros((size, size))
     odometry = np.zeros((POSE_SIZE, POSE_SIZE))
     if predicted is not None:
-        odometry[:PX_TILT, :PX_TILT] = predicted
+        odometry[:POSE_TILT, :POSE_TILT] = predicted
     prior[:POSE_SIZE, :POSE_SIZE] += odometry
-    prior[PX_HEIGHT, PX_HEIGHT] += view.height_sigma_m**-2
-    prior[PX_TILT:POSE_SIZE, PX_TILT:POSE_SIZE] = np.linalg.inv(tilts)
+    prior[POSE_HEIGHT, POSE_HEIGHT] += view.height_sigma_m**-2
+    prior[POSE_TILT:POSE_SIZE, POSE_TILT:POSE_SIZE] = np.linalg.inv(tilts)
     if shakes:
         known[POSE_SIZE:] = view.shake_amplitudes_px
         prior[POSE_SIZE:, POSE_SIZE:] = view.shake_sigma_px**-2 * np.eye(shakes)
-    x[PX_TILT:] = known[PX_TILT:]
+    x[POSE_TILT:] = known[POSE_TILT:]
     normal, off, weight = np.empty((size, size)), np.empty((len(points), 2)), np.empty(len(points))
     _minimise_residuals(
         x,
@@ -396,16 +396,16 @@ def _minimise_residuals(
     row = np.zeros((2, size))
     right = np.empty(size)
     for turn in range(rounds + 1):
-        r = _compute_attitude(roll, pitch, x[PX_HEADING], x[PX_TILT], x[PX_TILT + 1])
-        ch, sh = math.cos(x[PX_HEADING]), math.sin(x[PX_HEADING])
-        tilt_x, tilt_y = x[PX_KEYFRAME_TILT], x[PX_KEYFRAME_TILT + 1]
+        r = _compute_attitude(roll, pitch, x[POSE_HEADING], x[POSE_TILT], x[POSE_TILT + 1])
+        ch, sh = math.cos(x[POSE_HEADING]), math.sin(x[POSE_HEADING])
+        tilt_x, tilt_y = x[POSE_KEYFRAME_TILT], x[POSE_KEYFRAME_TILT + 1]
         normal[:] = 0.0
         right[:] = 0.0
         for i in range(n):
             s = seconds[i]
             wn = points[i, 0] + bend[i, 0, 0] * tilt_x + bend[i, 0, 1] * tilt_y - x[0] - velocity[0] * s
             we = points[i, 1] + bend[i, 1, 0] * tilt_x + bend[i, 1, 1] * tilt_y - x[1] - velocity[1] * s
-            wd = points[i, 2] + x[PX_HEIGHT] - velocity[2] * s
+            wd = points[i, 2] + x[POSE_HEIGHT] - velocity[2] * s
             # g = A^T exp([w s])^T R^T, row by row
             q = np.empty(3)
             g = np.empty((3, 3))
@@ -428,14 +428,14 @@ def _minimise_residuals(
                 a = fz * (g[k, 0] - ratio * g[2, 0])
                 b = fz * (g[k, 1] - ratio * g[2, 1])
                 c = fz * (g[k, 2] - ratio * g[2, 2])
-                row[k, 0], row[k, 1], row[k, PX_HEIGHT] = -a, -b, c
+                row[k, 0], row[k, 1], row[k, POSE_HEIGHT] = -a, -b, c
                 # a rotation t of the body: dw = w x t
-                row[k, PX_HEADING] = a * we - b * wn
+                row[k, POSE_HEADING] = a * we - b * wn
                 about_n, about_e = b * wd - c * we, c * wn - a * wd
-                row[k, PX_TILT] = ch * about_n + sh * about_e
-                row[k, PX_TILT + 1] = ch * about_e - sh * about_n
-                row[k, PX_KEYFRAME_TILT] = a * bend[i, 0, 0] + b * bend[i, 1, 0]
-                row[k, PX_KEYFRAME_TILT + 1] = a * bend[i, 0, 1] + b * bend[i, 1, 1]
+                row[k, POSE_TILT] = ch * about_n + sh * about_e
+                row[k, POSE_TILT + 1] = ch * about_e - sh * about_n
+                row[k, POSE_KEYFRAME_TILT] = a * bend[i, 0, 0] + b * bend[i, 1, 0]
+                row[k, POSE_KEYFRAME_TILT + 1] = a * bend[i, 0, 1] + b * bend[i, 1, 1]
             px, py = focal * u, focal * v
             if shakes:
                 for k in range(2):

@@ -16,7 +16,7 @@ from mufly.slam.camera_pose import d_rays_d_tilt
 from mufly.slam.image_tools import find_repeat_shifts
 from mufly.slam.pose_graph import (
     HEADING,
-    LN_HEIGHT,
+    LOG_HEIGHT,
     NODE_SIZE,
     PLACE,
     SENSOR_ERRORS,
@@ -289,7 +289,7 @@ class FloorMap:
 
 def compose_pose(a: _Array, b: _Array) -> _Array:
     """Return node ``b`` from node ``a`` and the relative pose (:func:`mufly.slam.pose_graph.relative_pose`)."""
-    c, s, h = math.cos(a[HEADING]), math.sin(a[HEADING]), math.exp(a[LN_HEIGHT])
+    c, s, h = math.cos(a[HEADING]), math.sin(a[HEADING]), math.exp(a[LOG_HEIGHT])
     return np.array([a[0] + h * (c * b[0] - s * b[1]), a[1] + h * (s * b[0] + c * b[1]), *(a[PLACE] + b)[HEADING:]])
 
 
@@ -323,7 +323,7 @@ def view_overlap(a: _Array, b: _Array, wide: float, high: float) -> float:
     length.
     """
     t = relative_pose(a, b)
-    size = min(math.exp(t[LN_HEIGHT]), math.exp(-t[LN_HEIGHT]))
+    size = min(math.exp(t[LOG_HEIGHT]), math.exp(-t[LOG_HEIGHT]))
     # The picture's rows are ordered along the nose.
     along, across = max(0.0, 1.0 - abs(t[0]) / high), max(0.0, 1.0 - abs(t[1]) / wide)
     return along * across * size * max(0.0, math.cos(1.5 * t[HEADING])) if abs(t[HEADING]) < 1.0 else 0.0

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from mufly.slam.camera_frame import HEADING_DRIFT_RAD_S, LOST_AFTER_S, CameraFrame, MotionPrior
 from mufly.slam.camera_pose import (
-    PX_HEADING,
-    PX_TILT,
+    POSE_HEADING,
+    POSE_TILT,
     PoseEstimate,
     ViewPrior,
     attitude_matrix,
@@ -38,7 +38,7 @@ from mufly.slam.images.direct_alignment import FloorPoints, add_point_errors, al
 from mufly.slam.images.patch_information import measure_patches, remove_background
 from mufly.slam.keyframe_map import FloorMap, view_overlap
 from mufly.slam.place_recognition import MIN_INLIERS, correlate_pictures, is_unambiguous
-from mufly.slam.pose_graph import HEADING, LN_HEIGHT, TILT
+from mufly.slam.pose_graph import HEADING, LOG_HEIGHT, TILT
 
 _Array = NDArray[np.float64]
 MIN_CORRELATION = 0.5
@@ -187,7 +187,7 @@ class KeyframeMatch:
         """Mean variance of N and E by the pixels for known tilts (m^2); infinite without texture in a direction."""
         if len(self.unknown) or not len(self.inlier_indices):
             return math.inf
-        return 0.5 * float(np.trace(np.linalg.inv(self.pose.pixel_information[:PX_TILT, :PX_TILT])[:2, :2]))
+        return 0.5 * float(np.trace(np.linalg.inv(self.pose.pixel_information[:POSE_TILT, :POSE_TILT])[:2, :2]))
 
     @property
     def variance_inflation(self) -> float:
@@ -251,7 +251,7 @@ def match_keyframe(
         floor_map.points_tilt_jacobian(k)[use],
         tilts,
         # In pixels of the present picture
-        np.sqrt(keyframe.variance[use]) * math.exp(at[LN_HEIGHT]) / view.height_m * view.focal_px,
+        np.sqrt(keyframe.variance[use]) * math.exp(at[LOG_HEIGHT]) / view.height_m * view.focal_px,
         there[use],
         straight.exposure_offsets(there[use]),
     )
@@ -310,7 +310,7 @@ def _match_points(
         return None
     information = add_point_errors(patches.information, np.hypot(own[keep], _MIN_TRACK_SIGMA_PX))
     pose = solve_pose(
-        view, pose.state[:PX_TILT], places[keep], bend[keep], points.tilt_covariance, pixels[keep], seconds[keep],
+        view, pose.state[:POSE_TILT], places[keep], bend[keep], points.tilt_covariance, pixels[keep], seconds[keep],
         information,
     )  # fmt: skip
     out = np.ones(len(use), bool)
@@ -367,7 +367,7 @@ def _unexplained_turn(match: KeyframeMatch, context: FrameContext, node: _Array)
         return 0.0
     off = match.pose.heading_rad - float(node[HEADING])
     off = abs((off + math.pi) % (2.0 * math.pi) - math.pi)
-    sigma = math.sqrt(float(match.pose.covariance[PX_HEADING, PX_HEADING]))
+    sigma = math.sqrt(float(match.pose.covariance[POSE_HEADING, POSE_HEADING]))
     return off if off > _MAX_TURN_RAD + 4.0 * (sigma + HEADING_DRIFT_RAD_S * latest.elapsed_s) else 0.0
 
 
@@ -379,7 +379,7 @@ def _floor_homography(floor_map: FloorMap, k: int, context: FrameContext, node: 
     tilt = np.array([[1.0, 0.0, y], [0.0, 1.0, -x], [-y, x, 1.0]])
     then = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ tilt @ keyframe.turn
     now = attitude_matrix(view, None, node[HEADING]) @ view.body_from_camera
-    h = math.exp(at[LN_HEIGHT])
+    h = math.exp(at[LOG_HEIGHT])
     way = np.array([at[0] - node[0], at[1] - node[1], view.height_m - h])
     plane = h * np.eye(3) + np.outer(way, [0.0, 0.0, 1.0])
     m = context.undistorter.camera_matrix

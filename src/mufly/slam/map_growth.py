@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.slam.camera_pose import (
+    POSE_HEIGHT,
+    POSE_KEYFRAME_TILT,
     POSE_SIZE,
-    PX_HEIGHT,
-    PX_KEYFRAME_TILT,
-    PX_TILT,
+    POSE_TILT,
     PoseEstimate,
     attitude_matrix,
     d_rays_d_tilt,
@@ -32,7 +32,7 @@ from mufly.slam.pose_graph import (
     EDGE_TILT_A,
     EDGE_TILT_B,
     HEADING,
-    LN_HEIGHT,
+    LOG_HEIGHT,
     TILT,
     GraphEdge,
     relative_pose,
@@ -116,9 +116,9 @@ def make_edge(floor_map: FloorMap, match: KeyframeMatch, second: int, closes: bo
     _, by_b = relative_pose_jacobians(at, match.pose_graph_node)
     # Jacobian of N, E, height, heading, tilt of the picture, tilt of the keyframe by the edge's eight numbers
     change = np.zeros((POSE_SIZE, EDGE_SIZE))
-    change[:4, :4] = np.linalg.inv(by_b)[[0, 1, LN_HEIGHT, HEADING]]
-    change[PX_HEIGHT] *= pose.height_m
-    change[PX_TILT:PX_KEYFRAME_TILT, EDGE_TILT_B] = change[PX_KEYFRAME_TILT:, EDGE_TILT_A] = np.eye(2)
+    change[:4, :4] = np.linalg.inv(by_b)[[0, 1, LOG_HEIGHT, HEADING]]
+    change[POSE_HEIGHT] *= pose.height_m
+    change[POSE_TILT:POSE_KEYFRAME_TILT, EDGE_TILT_B] = change[POSE_KEYFRAME_TILT:, EDGE_TILT_A] = np.eye(2)
     information, gradient = pose_information(match)
     return GraphEdge(
         match.keyframe,
@@ -146,8 +146,8 @@ def refine_keyframe(floor_map: FloorMap, context: FrameContext, match: KeyframeM
     seen = _level_rays(context, pose, match.inlier_pixels, match.exposure_offsets_s)
     z = pose.height_m * np.exp(1j * pose.heading_rad)
     c = complex(pose.state[0], pose.state[1])
-    to_keyframe = (c - complex(at[0], at[1]) + z * seen) / np.exp(at[LN_HEIGHT] + 1j * at[HEADING])
-    ratio = pose.height_m / math.exp(at[LN_HEIGHT])
+    to_keyframe = (c - complex(at[0], at[1]) + z * seen) / np.exp(at[LOG_HEIGHT] + 1j * at[HEADING])
+    ratio = pose.height_m / math.exp(at[LOG_HEIGHT])
     # Refer to the tilt error for which the slopes were computed
     tilt = at[TILT] + pose.keyframe_tilt_error_rad - keyframe.tilt
     move = d_rays_d_tilt(keyframe.slopes[match.inlier_indices]) @ tilt
@@ -188,7 +188,7 @@ class LoopSearch:
         near, may = {here, *floor_map.connected_keyframes(here)}, []
         for k in range(len(floor_map.keyframes)):
             t = relative_pose(floor_map.nodes[k], last_node)
-            way, h = math.hypot(t[0], t[1]), math.exp(floor_map.nodes[k, LN_HEIGHT])
+            way, h = math.hypot(t[0], t[1]), math.exp(floor_map.nodes[k, LOG_HEIGHT])
             if k in near or h * way > most + h * most_in_view:
                 continue
             sigma = math.sqrt(np.linalg.eigvalsh(floor_map.edge_covariance(k, here)[:2, :2])[-1])

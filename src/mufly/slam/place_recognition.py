@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from mufly.slam.camera_pose import ViewPrior, attitude_matrix, normalised_rays, ransac_two_points
 from mufly.slam.image_tools import Undistorter, find_repeat_shifts, load_opencv
 from mufly.slam.keyframe_map import FloorMap
-from mufly.slam.pose_graph import HEADING, LN_HEIGHT
+from mufly.slam.pose_graph import HEADING, LOG_HEIGHT
 
 _Array = NDArray[np.float64]
 MIN_INLIERS = 14
@@ -77,7 +77,9 @@ def relocalize_by_orb(
         if len(good) < MIN_INLIERS:
             continue
         at = floor_map.nodes[k]
-        places = complex(at[0], at[1]) + np.exp(at[LN_HEIGHT] + 1j * at[HEADING]) * theirs_m[[g.trainIdx for g in good]]
+        places = (
+            complex(at[0], at[1]) + np.exp(at[LOG_HEIGHT] + 1j * at[HEADING]) * theirs_m[[g.trainIdx for g in good]]
+        )
         rough = np.full(len(good), math.hypot(2.0, 1.5 * shake_rms) / view.focal_px)
         c, h, heading, fits = ransac_two_points(
             places, m[[g.queryIdx for g in good]], rough, view.height_m, view.height_sigma_m, rng, 200

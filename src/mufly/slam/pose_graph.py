@@ -40,7 +40,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.linalg import SuperLU, splu
 
 _Array = NDArray[np.float64]
-HEADING, LN_HEIGHT, SONAR, NODE_SIZE = 2, 3, 6, 7
+HEADING, LOG_HEIGHT, SONAR, NODE_SIZE = 2, 3, 6, 7
 PLACE, TILT, SENSOR_ERRORS = slice(0, 4), slice(4, SONAR), slice(4, NODE_SIZE)
 """Slices of a node: place (N, E, heading, ln h), tilt errors about x and y of the heading, errors of tilt and sonar."""
 EDGE_TILT_A, EDGE_TILT_B, EDGE_SIZE = slice(4, 6), slice(6, 8), 8
@@ -131,21 +131,21 @@ def gauss_markov_transition(
 
 def relative_pose(a: _Array, b: _Array) -> _Array:
     """Return node ``b`` relative to node ``a`` as four numbers (each node: N, E, heading, ln h)."""
-    c, s, h = math.cos(a[HEADING]), math.sin(a[HEADING]), math.exp(a[LN_HEIGHT])
+    c, s, h = math.cos(a[HEADING]), math.sin(a[HEADING]), math.exp(a[LOG_HEIGHT])
     n, e = b[0] - a[0], b[1] - a[1]
     turn = _wrap_angle(b[HEADING] - a[HEADING])
-    return np.array([(c * n + s * e) / h, (-s * n + c * e) / h, turn, b[LN_HEIGHT] - a[LN_HEIGHT]])
+    return np.array([(c * n + s * e) / h, (-s * n + c * e) / h, turn, b[LOG_HEIGHT] - a[LOG_HEIGHT]])
 
 
 def relative_pose_jacobians(a: _Array, b: _Array) -> tuple[_Array, _Array]:
     """Return the derivatives of :func:`relative_pose` by ``a`` and by ``b``, (4, 4) each."""
-    c, s, h = math.cos(a[HEADING]), math.sin(a[HEADING]), math.exp(a[LN_HEIGHT])
+    c, s, h = math.cos(a[HEADING]), math.sin(a[HEADING]), math.exp(a[LOG_HEIGHT])
     t = relative_pose(a, b)
     by_b = np.eye(4)
     by_b[:2, :2] = np.array([[c, s], [-s, c]]) / h
     by_a = -by_b.copy()
     by_a[0, HEADING], by_a[1, HEADING] = t[1], -t[0]
-    by_a[0, LN_HEIGHT], by_a[1, LN_HEIGHT] = -t[0], -t[1]
+    by_a[0, LOG_HEIGHT], by_a[1, LOG_HEIGHT] = -t[0], -t[1]
     return by_a, by_b
 
 
@@ -247,10 +247,10 @@ def solve_graph(
                 blocks += [(k - 1, k, a), (k, k - 1, a), (k - 1, k - 1, b)]
             else:
                 block[:3, :3] += np.diag(hold)
-                right[0, :LN_HEIGHT] += hold * (start[:LN_HEIGHT] - x[0, :LN_HEIGHT])
-            sonar = [LN_HEIGHT, SONAR]
+                right[0, :LOG_HEIGHT] += hold * (start[:LOG_HEIGHT] - x[0, :LOG_HEIGHT])
+            sonar = [LOG_HEIGHT, SONAR]
             block[np.ix_(sonar, sonar)] += 1.0 / _HEIGHT_CONSTRAINT_VARIANCE
-            right[k, sonar] += (known.log_height[k] - x[k, LN_HEIGHT] - x[k, SONAR]) / _HEIGHT_CONSTRAINT_VARIANCE
+            right[k, sonar] += (known.log_height[k] - x[k, LOG_HEIGHT] - x[k, SONAR]) / _HEIGHT_CONSTRAINT_VARIANCE
             blocks.append((k, k, block))
         at = np.array([(a, b) for a, b, _ in blocks])
         rows = NODE_SIZE * at[:, 0, None, None] + np.arange(NODE_SIZE)[None, :, None] + np.zeros((1, 1, NODE_SIZE), int)
@@ -299,8 +299,8 @@ def fuse_pose(
     # Slices of the unknowns: the keyframe's node and tilt, the picture's tilt, sonar and place
     keyframe, picture, sonar, place = slice(4, 6), slice(6, 8), 8, slice(9, 13)
     # The pixels give the picture's place relative to the keyframe: add the keyframe's error.
-    move = np.hstack([np.linalg.solve(by_b, by_a), np.eye(4)])[[0, 1, LN_HEIGHT, HEADING]]
-    move[2] *= math.exp(b[LN_HEIGHT])
+    move = np.hstack([np.linalg.solve(by_b, by_a), np.eye(4)])[[0, 1, LOG_HEIGHT, HEADING]]
+    move[2] *= math.exp(b[LOG_HEIGHT])
     to[:4, :4], to[:4, place] = np.split(move, 2, axis=1)
     to[EDGE_TILT_A, picture] = to[EDGE_TILT_B, keyframe] = np.eye(2)
     prior = np.zeros((13, 13))
@@ -309,8 +309,8 @@ def fuse_pose(
     begin[keyframe], begin[picture] = tilts[2:], tilts[:2]  # estimated minus expected values
     m = prior + to.T @ seen @ to
     right = to.T @ pull - prior @ begin
-    heights = [sonar, place.start + LN_HEIGHT]
+    heights = [sonar, place.start + LOG_HEIGHT]
     m[np.ix_(heights, heights)] += 1.0 / _HEIGHT_CONSTRAINT_VARIANCE
-    right[heights] += (log_height - b[LN_HEIGHT]) / _HEIGHT_CONSTRAINT_VARIANCE
+    right[heights] += (log_height - b[LOG_HEIGHT]) / _HEIGHT_CONSTRAINT_VARIANCE
     covariance = np.asarray(np.linalg.inv(m), np.float64)
     return b + (covariance @ right)[place], covariance[place, place]

@@ -36,7 +36,7 @@ from mufly.slam.map_growth import (
     refine_keyframe,
 )
 from mufly.slam.place_recognition import MIN_INLIERS, relocalize_by_orb
-from mufly.slam.pose_graph import HEADING, LN_HEIGHT, PLACE, TILT, GraphEdge, fuse_pose, relative_pose
+from mufly.slam.pose_graph import HEADING, LOG_HEIGHT, PLACE, TILT, GraphEdge, fuse_pose, relative_pose
 
 _Array = NDArray[np.float64]
 MIN_HEIGHT_M = 0.1  # least camera height for the start of a map
@@ -301,7 +301,7 @@ class SlamSystem:
         believed = 0.05 + 2.0 * estimate.place_sigma[0]
         if way.elapsed_s > LOST_AFTER_S and estimate.place is not None and believed < sigma_m:
             return make_node(context, self._pose_from_vehicle(context.view, *estimate.place))[PLACE], believed
-        return np.append(self._last_node[:LN_HEIGHT] + moved, math.log(context.view.height_m)), sigma_m
+        return np.append(self._last_node[:LOG_HEIGHT] + moved, math.log(context.view.height_m)), sigma_m
 
     def _pose_from_vehicle(self, view: ViewPrior, n: float, e: float, heading: float) -> PoseEstimate:
         """Return the pose of a vehicle at N, E (m) with a heading (rad), as far as it is known."""
@@ -418,11 +418,11 @@ class SlamSystem:
             free = context.motion.free_sigma[0] ** 2 - along @ known @ along
             known = known + max(0.0, free) * np.outer(along, along)
         lever = attitude_matrix(view, pose.tilt_error_rad, node[HEADING]) @ self._camera_position_m
-        h = math.exp(node[LN_HEIGHT])
+        h = math.exp(node[LOG_HEIGHT])
         position = np.array([node[0] - lever[0], node[1] - lever[1], -h - lever[2]])
         to = np.zeros((4, 4))  # derivatives of N, E, D, heading by N, E, heading, ln h
         to[0, 0] = to[1, 1] = to[-1, HEADING] = 1.0
-        to[2, LN_HEIGHT] = -h
+        to[2, LOG_HEIGHT] = -h
         heading = (node[HEADING] + math.pi) % (2 * math.pi) - math.pi
         return TrackingResult(
             context.frame.time_s, True, "", position, heading, to @ known @ to.T, here,
@@ -511,7 +511,7 @@ class SlamSystem:
         place, turn = frame.vehicle_estimate.place_sigma
         last, second = self._reference_index, len(self.floor_map.keyframes)
         node, before = make_node(context, pose), self.floor_map.nodes[last]
-        h = math.exp(before[LN_HEIGHT])
+        h = math.exp(before[LOG_HEIGHT])
         off = np.array([place / h, place / h, max(turn, 1e-3), 0.1])
         edge = GraphEdge(
             last, second, np.concatenate([relative_pose(before, node), before[TILT], node[TILT]]),

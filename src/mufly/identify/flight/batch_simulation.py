@@ -62,9 +62,9 @@ from mufly.dynamics.model_state import (
 )
 from mufly.dynamics.simulation import normalise_state
 from mufly.identify.flight_record import (
-    MO_EULER,
-    MO_RATES,
-    MO_VEL,
+    MOTION_EULER,
+    MOTION_RATES,
+    MOTION_VELOCITY,
     OUT_CLIMB,
     OUT_EAST,
     OUT_HEIGHT,
@@ -72,8 +72,8 @@ from mufly.identify.flight_record import (
     OUT_PITCH,
     OUT_R,
     OUT_ROLL,
-    OUT_SPEED_DW,
-    OUT_SPEED_UP,
+    OUT_SPEED_LOWER,
+    OUT_SPEED_UPPER,
     OUT_V_EAST,
     OUT_V_NORTH,
     OUT_YAW,
@@ -177,8 +177,8 @@ def _write_outputs(
             y[c] = yaw
         elif code <= OUT_R:
             y[c] = x[RS_RATES + code - OUT_P]
-        elif code <= OUT_SPEED_DW:
-            y[c] = x[RS_SPEED_UPPER + code - OUT_SPEED_UP]
+        elif code <= OUT_SPEED_LOWER:
+            y[c] = x[RS_SPEED_UPPER + code - OUT_SPEED_UPPER]
         else:
             upper, lower = min(max(u[U_MOTOR_UPPER], 0.0), 1.0), min(max(u[U_MOTOR_LOWER], 0.0), 1.0)
             y[c] = battery_state(x, upper, lower, p)[0]
@@ -220,11 +220,11 @@ def _simulate_one(
                 bar[i] += follow * (0.5 * (mast[k - 1, i] + mast[k, i]) - bar[i])
         if window < starts.shape[0] and starts[window] == k:
             s = motion[window]
-            for i in range(MO_EULER):
+            for i in range(MOTION_EULER):
                 x[i] = s[i]
-            _set_attitude(x, s[MO_EULER], s[MO_EULER + 1], s[MO_EULER + 2])
-            x[RS_RATES], x[RS_RATES + 1], x[RS_RATES + 2] = s[MO_RATES], s[MO_RATES + 1], s[MO_RATES + 2]
-            last_yaw = s[MO_EULER + 2]
+            _set_attitude(x, s[MOTION_EULER], s[MOTION_EULER + 1], s[MOTION_EULER + 2])
+            x[RS_RATES], x[RS_RATES + 1], x[RS_RATES + 2] = s[MOTION_RATES], s[MOTION_RATES + 1], s[MOTION_RATES + 2]
+            last_yaw = s[MOTION_EULER + 2]
             if k == 0:
                 v_n, v_e = x[RS_VEL], x[RS_VEL + 1]
             elif path.shape[0] > 0:
@@ -245,10 +245,10 @@ def _simulate_one(
         if path.shape[0] > 0:
             for i in range(STATE_SIZE):
                 there[i] = x[i]
-            there[RS_VEL], there[RS_VEL + 1], there[RS_VEL + 2] = v_n, v_e, path[k, MO_VEL + 2]
-            _set_attitude(there, path[k, MO_EULER], path[k, MO_EULER + 1], path[k, MO_EULER + 2])
+            there[RS_VEL], there[RS_VEL + 1], there[RS_VEL + 2] = v_n, v_e, path[k, MOTION_VELOCITY + 2]
+            _set_attitude(there, path[k, MOTION_EULER], path[k, MOTION_EULER + 1], path[k, MOTION_EULER + 2])
             for i in range(3):
-                there[RS_RATES + i], there[RS_BAR + i] = path[k, MO_RATES + i], bar[i]
+                there[RS_RATES + i], there[RS_BAR + i] = path[k, MOTION_RATES + i], bar[i]
             state_derivative(there, now, calm, p, slope)
             v_n += dt * slope[RS_VEL]
             v_e += dt * slope[RS_VEL + 1]

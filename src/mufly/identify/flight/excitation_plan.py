@@ -55,17 +55,17 @@ from mufly.dynamics import (
     model_parameters,
 )
 from mufly.dynamics.linearisation import (
-    LX_ATT,
-    LX_BAR_PITCH,
-    LX_BAR_ROLL,
-    LX_CHARGE,
-    LX_POS,
-    LX_RATES,
-    LX_SPEED_LOWER,
-    LX_SPEED_UPPER,
-    LX_TILT_PITCH,
-    LX_TILT_ROLL,
-    LX_VEL,
+    LINEAR_ATT,
+    LINEAR_BAR_PITCH,
+    LINEAR_BAR_ROLL,
+    LINEAR_CHARGE,
+    LINEAR_POS,
+    LINEAR_RATES,
+    LINEAR_SPEED_LOWER,
+    LINEAR_SPEED_UPPER,
+    LINEAR_TILT_PITCH,
+    LINEAR_TILT_ROLL,
+    LINEAR_VEL,
 )
 from mufly.dynamics.model_state import (
     ATTITUDE,
@@ -242,19 +242,19 @@ def _subtract_hover_state(x: _Floats, hover: _Floats, height: float, yaw: float,
     a = body_to_ned_matrix(x[ATTITUDE])
     roll, pitch = math.atan2(a[2, 1], a[2, 2]), math.asin(min(max(-a[2, 0], -1.0), 1.0))
     c, s = math.cos(yaw), math.sin(yaw)
-    off[LX_POS] = c * x[RS_POS] + s * x[RS_POS + 1]
-    off[LX_POS + 1] = c * x[RS_POS + 1] - s * x[RS_POS]
-    off[LX_POS + 2] = x[RS_POS + 2] + height
+    off[LINEAR_POS] = c * x[RS_POS] + s * x[RS_POS + 1]
+    off[LINEAR_POS + 1] = c * x[RS_POS + 1] - s * x[RS_POS]
+    off[LINEAR_POS + 2] = x[RS_POS + 2] + height
     for k in range(3):
-        off[LX_VEL + k] = a[0, k] * x[RS_VEL] + a[1, k] * x[RS_VEL + 1] + a[2, k] * x[RS_VEL + 2]
-        off[LX_RATES + k] = x[RS_RATES + k]
-    off[LX_ATT], off[LX_ATT + 1], off[LX_ATT + 2] = roll, pitch, yaw
-    off[LX_TILT_PITCH] = -x[RS_SWASH_PITCH] + hover[RS_SWASH_PITCH]
-    off[LX_TILT_ROLL] = x[RS_SWASH_ROLL] - hover[RS_SWASH_ROLL]
-    off[LX_BAR_ROLL] = math.asin(min(max(c * x[RS_BAR + 1] - s * x[RS_BAR], -1.0), 1.0))
-    off[LX_BAR_PITCH] = math.atan2(-(c * x[RS_BAR] + s * x[RS_BAR + 1]), -x[RS_BAR + 2])
-    off[LX_SPEED_LOWER] = x[RS_SPEED_LOWER] - hover[RS_SPEED_LOWER]
-    off[LX_SPEED_UPPER] = x[RS_SPEED_UPPER] - hover[RS_SPEED_UPPER]
+        off[LINEAR_VEL + k] = a[0, k] * x[RS_VEL] + a[1, k] * x[RS_VEL + 1] + a[2, k] * x[RS_VEL + 2]
+        off[LINEAR_RATES + k] = x[RS_RATES + k]
+    off[LINEAR_ATT], off[LINEAR_ATT + 1], off[LINEAR_ATT + 2] = roll, pitch, yaw
+    off[LINEAR_TILT_PITCH] = -x[RS_SWASH_PITCH] + hover[RS_SWASH_PITCH]
+    off[LINEAR_TILT_ROLL] = x[RS_SWASH_ROLL] - hover[RS_SWASH_ROLL]
+    off[LINEAR_BAR_ROLL] = math.asin(min(max(c * x[RS_BAR + 1] - s * x[RS_BAR], -1.0), 1.0))
+    off[LINEAR_BAR_PITCH] = math.atan2(-(c * x[RS_BAR] + s * x[RS_BAR + 1]), -x[RS_BAR + 2])
+    off[LINEAR_SPEED_LOWER] = x[RS_SPEED_LOWER] - hover[RS_SPEED_LOWER]
+    off[LINEAR_SPEED_UPPER] = x[RS_SPEED_UPPER] - hover[RS_SPEED_UPPER]
 
 
 @cached_njit(error_model="numpy")
@@ -282,7 +282,7 @@ def _fly_closed_loop(
         _subtract_hover_state(x, hover, height, yaw, off)
         for j in range(late):
             for i in range(4):
-                off[LX_CHARGE + 4 * j + i] = inputs[k - 1 - j, i] - trimmed[i] if k > j else 0.0
+                off[LINEAR_CHARGE + 4 * j + i] = inputs[k - 1 - j, i] - trimmed[i] if k > j else 0.0
         for i in range(4):
             u = trimmed[i] + added[k, i]
             for m in range(off.shape[0]):

@@ -48,8 +48,8 @@ from mufly.identify.flight.free_parameters import parameters_at_theta
 from mufly.identify.flight.output_error_problem import PreparedRecord, make_problem
 from mufly.identify.flight_record import (
     FLIGHT_OUTPUTS,
-    MO_EULER,
-    MO_RATES,
+    MOTION_EULER,
+    MOTION_RATES,
     FlightRecord,
     estimate_difference_noise,
 )
@@ -113,7 +113,7 @@ def estimate_input_gains(vehicle: Vehicle, r: FlightRecord) -> tuple[dict[str, I
     m = f.smoothed_motion
 
     found: dict[str, InputGain] = {}
-    turn = body_to_ned_matrices(m[:, MO_EULER:MO_RATES])
+    turn = body_to_ned_matrices(m[:, MOTION_EULER:MOTION_RATES])
     lagged = {"skip_s": _ROTOR_SETTLING_S, "longest_lag_s": _MAX_LAG_S}
 
     def gain(rate: str, angle: str, *made: Array, sign: float = 1.0, **options: Any) -> InputGain:

@@ -57,10 +57,10 @@ from mufly.identify.flight.free_parameters import (
 )
 from mufly.identify.flight_record import (
     FLIGHT_OUTPUTS,
-    MO_EULER,
-    MO_POS,
-    MO_RATES,
-    MO_VEL,
+    MOTION_EULER,
+    MOTION_POSITION,
+    MOTION_RATES,
+    MOTION_VELOCITY,
     FlightRecord,
     estimate_difference_noise,
     smooth_motion,
@@ -93,15 +93,17 @@ MOTION_STATES = (
     "r",
 )
 ACTUATOR_STATES = ("speed_up", "speed_dw", "bar_roll", "bar_pitch", "charge")
-AC_BAR, AC_CHARGE = 2, 4  # indices into ACTUATOR
+ACTUATOR_BAR, ACTUATOR_CHARGE = 2, 4  # indices into ACTUATOR
 # Prior standard deviation of a window's initial state (SI); rotor speeds relative to the steady speed.
 _INITIAL_STATE_STD = np.array([1, 1, 1, 2, 2, 2, 0.5, 0.5, 0.5, 3, 3, 3, 0.2, 0.2, 0.2, 0.2, 0.3])
 # Initial states that each output determines.
 _STATES_SEEN_BY_OUTPUT = {
-    "north": (MO_POS, MO_VEL), "east": (MO_POS + 1, MO_VEL + 1), "height": (MO_POS + 2, MO_VEL + 2),
-    "v_north": (MO_VEL,), "v_east": (MO_VEL + 1,), "climb": (MO_VEL + 2,),
-    "roll": (MO_EULER, MO_RATES), "pitch": (MO_EULER + 1, MO_RATES + 1), "yaw": (MO_EULER + 2, MO_RATES + 2),
-    "p": (MO_RATES,), "q": (MO_RATES + 1,), "r": (MO_RATES + 2,),
+    "north": (MOTION_POSITION, MOTION_VELOCITY), "east": (MOTION_POSITION + 1, MOTION_VELOCITY + 1),
+    "height": (MOTION_POSITION + 2, MOTION_VELOCITY + 2),
+    "v_north": (MOTION_VELOCITY,), "v_east": (MOTION_VELOCITY + 1,), "climb": (MOTION_VELOCITY + 2,),
+    "roll": (MOTION_EULER, MOTION_RATES), "pitch": (MOTION_EULER + 1, MOTION_RATES + 1),
+    "yaw": (MOTION_EULER + 2, MOTION_RATES + 2),
+    "p": (MOTION_RATES,), "q": (MOTION_RATES + 1,), "r": (MOTION_RATES + 2,),
 }  # fmt: skip
 # Difference steps: small against the curvature of the cost over a whole record, and far above round-off.
 _THETA_DIFFERENCE, _STATE_DIFFERENCE = 1e-7, 1e-6
@@ -319,9 +321,11 @@ class OutputErrorProblem:
         x[:, RS_SWASH_ROLL], x[:, RS_SWASH_PITCH] = swash_plate_target.py_func(
             *np.clip(f.inputs[0, [U_SERVO_1, U_SERVO_2]], -1.0, 1.0), p["swash_gain"], p["swash_phase"]
         )
-        x[:, BAR_NORMAL] = bar_normal(motion[:, 0, MO_EULER:MO_RATES], actuator[:, AC_BAR:AC_CHARGE])
-        x[:, ROTOR_SPEEDS] = speeds * np.maximum(1.0 + actuator[:, :AC_BAR], 0.01)
-        x[:, RS_CHARGE] = np.clip(f.initial_charge + actuator[:, AC_CHARGE], 0.0, 1.0)
+        x[:, BAR_NORMAL] = bar_normal(
+            motion[:, 0, MOTION_EULER:MOTION_RATES], actuator[:, ACTUATOR_BAR:ACTUATOR_CHARGE]
+        )
+        x[:, ROTOR_SPEEDS] = speeds * np.maximum(1.0 + actuator[:, :ACTUATOR_BAR], 0.01)
+        x[:, RS_CHARGE] = np.clip(f.initial_charge + actuator[:, ACTUATOR_CHARGE], 0.0, 1.0)
         codes = np.array([FLIGHT_OUTPUTS.index(o) for o in r.outputs], dtype=np.int64)
         y = simulate_batch(
             x,
@@ -464,7 +468,7 @@ def _prepare_record(
     u, motion, charge = r.inputs.copy(), smooth_motion(r), 1.0
     if part == "heave-yaw":
         u[:, 2:] = 0.0
-        motion[:, [MO_EULER, MO_EULER + 1, MO_RATES, MO_RATES + 1]] = 0.0
+        motion[:, [MOTION_EULER, MOTION_EULER + 1, MOTION_RATES, MOTION_RATES + 1]] = 0.0
     if volts is None:
         charge = _initial_charge(vehicle, r)
     elif np.ndim(volts) > 0:
@@ -474,7 +478,7 @@ def _prepare_record(
         volts = top
     if part == "roll-pitch":
         volts, charge = _ROLL_PITCH_VOLTAGE, 1.0
-        motion[:, [*range(MO_EULER), MO_EULER + 2, MO_RATES + 2]] = 0.0
+        motion[:, [*range(MOTION_EULER), MOTION_EULER + 2, MOTION_RATES + 2]] = 0.0
     if volts is None:
         known = np.full(2, float(vehicle.battery.nominal_voltage)) if r.voltage is None else r.voltage
         first = known[: max(1, round(0.3 / r.sample_s))]
@@ -483,7 +487,7 @@ def _prepare_record(
         constant = float(np.max(volts))
         held = (constant, constant)
     base, changes = scaled_parameters(vehicle, free, constant)
-    mast = bar_normal(motion[:, MO_EULER:MO_RATES], np.zeros((len(motion), 2)))
+    mast = bar_normal(motion[:, MOTION_EULER:MOTION_RATES], np.zeros((len(motion), 2)))
     none, begin = np.zeros(0, dtype=np.int64), np.zeros(len(MOTION_STATES) + len(ACTUATOR_STATES))
     return PreparedRecord(
         r,

@@ -55,12 +55,12 @@ Array = NDArray[np.float64]
 
 IMU_CHANNELS = ("p", "q", "r", "ax", "ay", "az")
 FLIGHT_PATH_STATES = ("phi", "theta", "psi", "v_north", "v_east", "v_down", "north", "east", "down")
-_FP_VELOCITY, _FP_POSITION = 3, 6
+_PATH_VELOCITY, _PATH_POSITION = 3, 6
 """First indices of velocity and position in ``FLIGHT_PATH_STATES``, after the attitude."""
-_VELOCITY_STATES = FLIGHT_PATH_STATES[_FP_VELOCITY:_FP_POSITION]
-_POSITION_STATES = FLIGHT_PATH_STATES[_FP_POSITION:]
+_VELOCITY_STATES = FLIGHT_PATH_STATES[_PATH_VELOCITY:_PATH_POSITION]
+_POSITION_STATES = FLIGHT_PATH_STATES[_PATH_POSITION:]
 STATE_UNITS = (
-    dict.fromkeys(FLIGHT_PATH_STATES[:_FP_VELOCITY], "rad")
+    dict.fromkeys(FLIGHT_PATH_STATES[:_PATH_VELOCITY], "rad")
     | dict.fromkeys(_VELOCITY_STATES, "m/s")
     | dict.fromkeys(_POSITION_STATES, "m")
 )
@@ -151,8 +151,10 @@ def flight_path_derivative(x: Array, m: Array) -> Array:
     s1, c1 = np.sin(x[:, 0]), np.cos(x[:, 0])
     turn = m[:, 1] * s1 + m[:, 2] * c1
     attitude = np.stack([m[:, 0] + turn * np.tan(x[:, 1]), m[:, 1] * c1 - m[:, 2] * s1, turn / np.cos(x[:, 1])], axis=1)
-    force = np.einsum("nij,nj->ni", body_to_ned_matrices(x[:, :_FP_VELOCITY]), m[:, _IMU_FORCE:])
-    return np.concatenate([attitude, force + np.array([0.0, 0.0, GRAVITY]), x[:, _FP_VELOCITY:_FP_POSITION]], axis=1)
+    force = np.einsum("nij,nj->ni", body_to_ned_matrices(x[:, :_PATH_VELOCITY]), m[:, _IMU_FORCE:])
+    return np.concatenate(
+        [attitude, force + np.array([0.0, 0.0, GRAVITY]), x[:, _PATH_VELOCITY:_PATH_POSITION]], axis=1
+    )
 
 
 def _runge_kutta_step(x: Array, m: Array, dt: float) -> Array:
@@ -168,10 +170,10 @@ def _step_jacobians(x: Array, m: Array, dt: float) -> tuple[Array, Array]:
     """Return the derivatives of a step by states (n, 9, 9) and by instruments (n, 9, 6), from central differences."""
     by_x, by_m = np.zeros((len(x), 9, 9)), np.zeros((len(x), 9, 6))
     for k in range(9):
-        if k >= _FP_VELOCITY:  # linear: velocity and position
+        if k >= _PATH_VELOCITY:  # linear: velocity and position
             by_x[:, k, k] = 1.0
-            if k < _FP_POSITION:
-                by_x[:, k + _FP_POSITION - _FP_VELOCITY, k] = dt
+            if k < _PATH_POSITION:
+                by_x[:, k + _PATH_POSITION - _PATH_VELOCITY, k] = dt
             continue
         step = np.zeros(9)
         step[k] = 1e-5
@@ -320,7 +322,7 @@ def _initial_path(z: Array, outs: tuple[str, ...], dt: float) -> Array:
     for k, name in enumerate(FLIGHT_PATH_STATES):
         if name in outs:
             x[:, k] = smooth_signal(z[:, outs.index(name)], dt)
-    for k, (speed, place) in enumerate(zip(_VELOCITY_STATES, _POSITION_STATES, strict=True), _FP_VELOCITY):
+    for k, (speed, place) in enumerate(zip(_VELOCITY_STATES, _POSITION_STATES, strict=True), _PATH_VELOCITY):
         if speed not in outs and place in outs:
             x[:, k] = smooth_signal(z[:, outs.index(place)], dt, 0.3, slope=True)
     return x

@@ -53,7 +53,7 @@ _ALPHA_GRID_RAD = np.deg2rad(np.arange(-MAX_ALPHA_DEG, MAX_ALPHA_DEG + 0.5, 1.0)
 _WEIGHTS_PER_SIDE = 8
 _UPPER, _LOWER, _NOSE, _SECTION_SIZE = slice(0, 8), slice(8, 16), 16, 18
 """Weights of the sides and of the nose among the numbers of a section, the last of which is the tail's thickness."""
-_CL, _LN_CD, _CM = 1, 2, 3  # outputs of the network, behind its confidence
+_CL, _LOG_CD, _CM = 1, 2, 3  # outputs of the network, behind its confidence
 _OUTPUT_COLUMNS = slice(0, 4)  # confidence, lift, drag, moment
 _MAX_FIT_ERROR = 0.01  # of chord
 _MAX_GURNEY_HEIGHT = (
@@ -206,7 +206,7 @@ def _evaluate_network(section: Floats, flows: Floats, model: str) -> Array:
             y[:, [_CL, _CM]] *= sign
             out[part] += 0.5 * y
     out[:, _CL] /= 2
-    out[:, _LN_CD] = (out[:, _LN_CD] - 2) * 2
+    out[:, _LOG_CD] = (out[:, _LOG_CD] - 2) * 2
     out[:, _CM] /= 20
     return out
 
@@ -267,7 +267,7 @@ def _compute_section_data(
     flows = np.column_stack((np.sin(2 * a), np.cos(a), np.sin(a) ** 2, (log_re - 12.5) / 3.5, *rest))
     y = _evaluate_network(section, flows.astype(np.float32), model).reshape(re.size, _ALPHA_GRID_RAD.size, 4)
     # The fit's chord differs from the contour's by a fraction of a per cent; the coefficients are scaled accordingly.
-    cl, cd, cm = y[..., _CL] * chord, np.exp(y[..., _LN_CD]) * chord, y[..., _CM] * chord**2
+    cl, cd, cm = y[..., _CL] * chord, np.exp(y[..., _LOG_CD]) * chord, y[..., _CM] * chord**2
     return SectionData(
         airfoil.name,
         _ALPHA_GRID_RAD.copy(),

@@ -39,7 +39,7 @@ GAUSS_POINTS: Array = 0.5 * (_NODES + 1.0)
 """Places of the Gauss points in an element, 0 to 1."""
 _GAUSS_WEIGHTS: Array = 0.5 * _WEIGHTS
 # Degrees of freedom of an element: v, v', w, w', phi of the inner node, phi of the middle, the same five outside.
-_V_FREEDOMS, _W_FREEDOMS, _TWIST_FREEDOMS, _SIZE = (0, 1, 6, 7), (2, 3, 8, 9), (4, 5, 10), 11
+_LAG_FREEDOMS, _FLAP_FREEDOMS, _TWIST_FREEDOMS, _SIZE = (0, 1, 6, 7), (2, 3, 8, 9), (4, 5, 10), 11
 # Those of the root's node.
 _ROOT_LAG, _ROOT_RISE, _ROOT_FLAP, _ROOT_PITCH, _ROOT_SIZE = 1, 2, 3, 4, 5
 
@@ -174,9 +174,9 @@ class BladeBeam:
         turn = np.stack(((4 * q - 3) / L, (4 - 8 * q) / L, (4 * q - 1) / L))
         out = {}
         for name, values, where in (
-            ("v", hermite, _V_FREEDOMS), ("w", hermite, _W_FREEDOMS), ("p", quad, _TWIST_FREEDOMS),
-            ("v1", slope, _V_FREEDOMS), ("w1", slope, _W_FREEDOMS), ("p1", turn, _TWIST_FREEDOMS),
-            ("v2", bend, _V_FREEDOMS), ("w2", bend, _W_FREEDOMS),
+            ("v", hermite, _LAG_FREEDOMS), ("w", hermite, _FLAP_FREEDOMS), ("p", quad, _TWIST_FREEDOMS),
+            ("v1", slope, _LAG_FREEDOMS), ("w1", slope, _FLAP_FREEDOMS), ("p1", turn, _TWIST_FREEDOMS),
+            ("v2", bend, _LAG_FREEDOMS), ("w2", bend, _FLAP_FREEDOMS),
         ):  # fmt: skip
             full = np.zeros((*self.points_m.shape, _SIZE))
             full[..., where] = np.moveaxis(values, 0, -1)

@@ -20,7 +20,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.slam.camera_pose import PX_HEADING, PX_HEIGHT, PX_TILT, PoseEstimate, ViewPrior, predict_pixels, solve_pose
+from mufly.slam.camera_pose import (
+    POSE_HEADING,
+    POSE_HEIGHT,
+    POSE_TILT,
+    PoseEstimate,
+    ViewPrior,
+    predict_pixels,
+    solve_pose,
+)
 from mufly.slam.image_tools import load_opencv
 from mufly.slam.images.patch_information import PatchInformation, measure_patches
 
@@ -89,7 +97,7 @@ def floor_axes(view: ViewPrior, state: _Array, shakes: _Array, points: _Array, b
 
     Arguments are those of :func:`mufly.slam.camera_pose.predict_pixels`.
     """
-    step = 1e-3 * state[PX_HEIGHT]
+    step = 1e-3 * state[POSE_HEIGHT]
     here = predict_pixels(view, state, shakes, points, bend, seconds)
     moved = [predict_pixels(view, state, shakes, points + step * np.eye(3)[k], bend, seconds) - here for k in (0, 1)]
     return np.stack(moved, axis=2) / (1e-3 * view.focal_px)
@@ -165,7 +173,7 @@ def _prediction(unknown: _Array, sigma: tuple[float, float]) -> _Array | None:
     """Return the information (4, 4) of the prediction, with the heading: vibration bends stripes like a turn."""
     if not len(unknown):
         return None
-    out = np.zeros((PX_TILT, PX_TILT))
-    out[:PX_HEIGHT, :PX_HEIGHT] = unknown.T @ unknown / sigma[0] ** 2
-    out[PX_HEADING, PX_HEADING] = sigma[1] ** -2
+    out = np.zeros((POSE_TILT, POSE_TILT))
+    out[:POSE_HEIGHT, :POSE_HEIGHT] = unknown.T @ unknown / sigma[0] ** 2
+    out[POSE_HEADING, POSE_HEADING] = sigma[1] ** -2
     return out
