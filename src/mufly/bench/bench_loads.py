@@ -106,6 +106,7 @@ class CellCalibration:
         Parameters
         ----------
         readings : (n, c) array
+            Readings of the cells, in their unit.
         zero : (n, c) or (c,) array, optional
             Readings without load at that time; by default the offsets of the calibration.
         """
@@ -253,6 +254,7 @@ def fit_zero_drift(time: Array, reading: Array, at_rest: NDArray[np.bool_]) -> Z
     time : (n,) array
         Time of all readings, in the order of measurement.
     reading : (n,) array
+        Readings of the sensor, in its unit.
     at_rest : (n,) array of bool
         Whether a reading is without load.
 

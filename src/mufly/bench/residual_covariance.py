@@ -43,6 +43,7 @@ class CovarianceEstimate:
     Attributes
     ----------
     covariance : (p, p) array
+        Covariance of the estimates, in products of their units.
     scale : float
         Ratio s of observed to expected residuals; 1 if the expected errors are correct.
     dof : float

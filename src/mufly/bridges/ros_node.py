@@ -104,7 +104,7 @@ class RosPublisher:
     ----------
     topics : list of str
     notes : list of str
-        Topics that are left out, with the reason.
+        Topics that are not published, with the reason.
     view : LiveView
         Set when the view starts; it carries the commands to the flight.
     """

@@ -97,7 +97,9 @@ class ClimbComparison:
     ----------
     solutions : tuple of CfdSolution
         Solutions in order of climb, including those that did not converge.
-    climb_m_s : (points,) array c_T : (points,) array
+    climb_m_s : (points,) array
+        Climb velocity of each solution.
+    c_T : (points,) array
         Thrust coefficients of the solutions: means of the last iterations.
     others : dict of (points,) arrays
         Coefficient by blade elements (``bemt``) and vortex wake (``wake``) at the same climbs; nan without a solution.
@@ -134,7 +136,7 @@ def compare_climbs(solutions: Sequence[CfdSolution], rotor: Rotor | None, flight
     solutions : sequence of CfdSolution
         Solutions that differ only in climb.
     rotor : Rotor, optional
-        Rotor for blade elements and the wake method; without it both methods are left out.
+        Rotor for blade elements and the wake method; without it both methods are skipped.
     flight : CoefficientMap
 
     Raises
@@ -177,7 +179,7 @@ def compare_climbs(solutions: Sequence[CfdSolution], rotor: Rotor | None, flight
 def predict_span_loads(
     rotor: Rotor, found: CfdSolution, other: ActuatorDisc | None = None, which: int = 0
 ) -> list[SpanLoads]:
-    """Return the loads of blade elements and the wake method at a solution's point; a method that fails is left out.
+    """Return the loads of blade elements and the wake method at a solution's point; a method that fails is skipped.
 
     Parameters
     ----------

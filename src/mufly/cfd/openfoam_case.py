@@ -66,7 +66,11 @@ class OperatingPoint:
     ----------
     rotor : str
         Name of the rotor.
-    blades : int radius_m : float pitch_rad, speed_rad_s, climb_m_s : float
+    blades : int
+        Number of blades.
+    radius_m : float
+        Radius of the rotor.
+    pitch_rad, speed_rad_s, climb_m_s : float
         Pitch setting, rotor speed and axial speed, positive in climb.
     model : str
         One of :data:`TURBULENCE_MODELS`.

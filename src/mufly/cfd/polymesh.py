@@ -50,7 +50,9 @@ class PolyMesh:
     faces : (faces, 4) array
         Point indices; the normal points out of the owner.
     owner : (faces,) array
+        Cell on the inner side of each face.
     neighbour : (inside faces,) array
+        Cell on the other side of each inside face.
     patches : dict of (start, count)
         First face and number of faces by patch name.
     cell_strip : (cells,) array

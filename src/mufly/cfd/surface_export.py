@@ -97,7 +97,9 @@ def extract_iso_surface(
     ----------
     mesh : PolyMesh
     values : (cells,) array
+        Quantity in the cells.
     level : float
+        Value of the quantity on the surface.
     among : (cells,) array of bool, optional
         Cells to be used; default: all.
 
@@ -249,7 +251,9 @@ def write_vtp(file: Path, points: Array, faces: Index, data: Mapping[str, NDArra
     points : (points, 3) array
         m.
     faces : (faces, corners) array
+        Point indices of each polygon.
     data : dict of (faces,) or (faces, 3) arrays
+        Data on the faces by name.
 
     Raises
     ------

@@ -517,6 +517,7 @@ def saturated_gain_limit(
     law : tuple of array
         A, B, C, D, M of the controller, B and D with the columns of the errors only.
     direction : array, shape (inputs,)
+        Direction d in which the actuators saturate together.
     points : int
         Number of frequencies, from 0.05 rad/s to the sampling rate's limit.
 

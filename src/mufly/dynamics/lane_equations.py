@@ -158,8 +158,11 @@ def integrate_lanes(
     before, now : (n, 4) array
         Inputs of the first ``delay`` steps, and of the others.
     delay : (n,) array
+        Number of steps with the inputs ``before``.
     wind : (n, 3) array
+        N-E-D (m/s).
     p : (k,) structured array of type :data:`~mufly.dynamics.PARAMETER_DTYPE`
+        Parameters of the vehicles.
     vehicle : (n,) array
         Index of each vehicle's record in ``p``.
     blocks : (b, 8) array

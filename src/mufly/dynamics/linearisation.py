@@ -415,7 +415,7 @@ class Linearisation:
         States ``z, w, psi, r, Omega_dw, Omega_up``; outputs ``z, psi, r`` (B.1 to B.8).
     roll_pitch : control.StateSpace
         States ``phi, theta, p, q, a_dw, b_dw, bar_roll, bar_pitch``; outputs ``phi, theta, p, q`` (B.9 to B.18).
-        Without a bar the last two states are left out.
+        Without a bar the last two states are absent.
     """
 
     trim: Trim

@@ -268,7 +268,9 @@ def state_dataset(
     ----------
     time_s : (n,) array
     states : (n, 21) array
+        States (:mod:`mufly.dynamics.model_state`).
     inputs : (n, 4) array
+        Motor upper, motor lower (0..1), servo 1, servo 2 (-1..1).
     p : record of :class:`~mufly.dynamics.ModelParameters`
 
     Returns
@@ -304,9 +306,11 @@ def dryden_filter(time_constant_s: float, step_s: float) -> tuple[NDArray[np.flo
     Returns
     -------
     transition : (2, 2) array
+        Transition of the filter's state over one step.
     noise : (2, 2) array
         Lower triangular: ``x[k+1] = transition x[k] + noise n[k]`` with unit white ``n``.
     output : (2,) array
+        The gust is ``output x``.
     start : (2, 2) array
         ``x[0] = start n`` makes the process stationary from the first sample.
     """

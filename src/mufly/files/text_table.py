@@ -7,8 +7,8 @@ The reader recognises:
 - a line of units below the header;
 - UTF-8, UTF-16, Windows-1252 and gzip.
 
-A repeated header among the rows is left out. A row with more cells than the header is an error, because the surplus
-cell is unknown. A row with fewer cells is an error or left out, as selected by the caller.
+A repeated header among the rows is skipped. A row with more cells than the header is an error, because the surplus
+cell is unknown. A row with fewer cells is an error or skipped, as selected by the caller.
 
 :meth:`TextTable.read_numbers` reads strict tables; its error names line, column and cell of the first fault.
 :meth:`TextTable.parse_columns` reads logs; cells that are no number count as missing values.
@@ -87,7 +87,7 @@ class TextTable:
     damage : str
         Description of missing parts of the file; ``""`` if complete.
     cut_line : int
-        Number of the last line, if it is incomplete and left out; else 0.
+        Number of the last line, if it is incomplete and skipped; else 0.
     """
 
     where: str
@@ -215,8 +215,8 @@ def read_text_table(path: str | Path, *, short_rows: Literal["refuse", "cut", "d
     ----------
     path : str or Path
     short_rows : {"refuse", "cut", "drop"}
-        Treatment of rows with fewer cells than the header: raise an error; leave out the last row only, as in a file
-        that is being written; or leave out all of them, up to half of the rows.
+        Treatment of rows with fewer cells than the header: raise an error; skip the last row only, as in a file
+        that is being written; or skip all of them, up to half of the rows.
 
     Returns
     -------

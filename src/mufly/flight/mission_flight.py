@@ -87,6 +87,7 @@ def fly_mission(
     on_tick : callable, optional
         Called with truth and estimate after every ``tick_every``-th period.
     tick_every : int
+        Number of periods between two calls of ``on_tick``.
     views : sequence of FlightView
         Live views.
 

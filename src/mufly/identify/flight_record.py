@@ -352,6 +352,7 @@ class EvenLogTable:
     time_s : (n,) array
         Time of the log (s), uniform to within 1 % of a sample or resampled.
     columns : dict of str to (n,) array
+        Columns by name, in the units of the log.
     notes : tuple of str
         Notes on the changes made to the log.
     empty_columns : tuple of str

@@ -216,7 +216,9 @@ class CoefficientFit:
     symbols : tuple of str
         ``cT``, ``cQ_up``, ...
     value : (p,) array
+        Coefficients (1).
     covariance : (p, p) array
+        Covariance of the coefficients.
     systematic_share : (p,) array
         Share of each variance caused by calibration, zeros, density and radius.
     speed_rad_s : (n, p) array
@@ -269,6 +271,7 @@ class RotorFit(EstimateLookup):
     fits : tuple of CoefficientFit
     loads : BenchLoads
     unseen, notes : tuple of str
+        Undetermined combinations and unphysical coefficients; guesses and findings.
     """
 
     source: str

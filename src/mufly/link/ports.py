@@ -178,8 +178,8 @@ def parse_endpoint(
     Parameters
     ----------
     text : str
-        ``KIND:HOST:PORT`` or ``serial:DEVICE[:BAUD]``; HOST left out means this machine, an IPv6 address stands in
-        brackets.
+        ``KIND:HOST:PORT`` or ``serial:DEVICE[:BAUD]``; an empty HOST means this machine, an IPv6 address is
+        written in brackets.
     role : str
         Side that opens the endpoint, which decides the meaning of plain ``udp``.
     where : str

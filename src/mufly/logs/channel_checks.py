@@ -48,6 +48,7 @@ class ChannelReport:
     outliers : tuple of float
         Times of the outliers (s).
     frozen : tuple of (begin_s, end_s)
+        Stretches of one repeated value (s).
     at_minimum, at_maximum : float
         Share of samples at the limits.
     """
@@ -106,6 +107,7 @@ def check_channel(time: _Array, x: _Array, name: str, units: str = "") -> Channe
     time : (n,) array
         Time (s).
     x : (n,) array
+        Values, in ``units``; NaN is missing.
     name, units : str
     """
     known = x[np.isfinite(x)]
@@ -272,6 +274,7 @@ def find_frozen(x: _Array, *, at_least: int = 8) -> NDArray[np.int64]:
     Parameters
     ----------
     x : (n,) array
+        Values of the channel.
     at_least : int
         Least length of a run.
 

@@ -302,6 +302,7 @@ def find_gaps(time: _Array, factor: float = MIN_GAP_STEPS) -> _Array:
     time : (n,) array
         Increasing time (s).
     factor : float
+        Number of median steps above which a step is a gap.
 
     Returns
     -------
@@ -361,6 +362,7 @@ def find_foreign_stamps(times: Mapping[str, NDArray[Any]]) -> tuple[dict[str, ND
     Returns
     -------
     foreign : dict of str to (n,) bool array
+        True for stamps in another epoch.
     words : list of str
         One sentence for each topic with foreign stamps.
     """
@@ -399,6 +401,7 @@ def select_usable_samples(time: _Array, where: str, key: str) -> tuple[NDArray[n
     Returns
     -------
     index : (m,) int array
+        Indices of the samples to keep, in order of time.
     words : list of str
         One sentence for each repair; empty for a sound clock.
 

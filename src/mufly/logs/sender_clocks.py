@@ -61,6 +61,7 @@ def repair_arrival_times(arrival: _Array, kept: NDArray[np.int64]) -> tuple[_Arr
     Returns
     -------
     arrival : (n,) array
+        Increasing times of arrival (s).
     set_back : (k,) int array
         Places at which the computer's clock was set back.
     words : list of str
@@ -239,6 +240,7 @@ def remove_arrival_leaps(
     Returns
     -------
     arrival : (n,) array
+        Times of arrival without the jumps (s).
     words : list of str
     """
     own = [key for key in clocks if key[:2] == vehicle and clocks[key][0] != "since 1970"]

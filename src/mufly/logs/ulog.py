@@ -496,8 +496,9 @@ def write_ulog(dataset: xr.Dataset, path: Path) -> None:
 
     Raises
     ------
-    If a time is negative (the clock of the format is unsigned), the dataset is too wide for one message, or the format
-    does not allow a name.
+    InputError
+        If a time is negative (the clock of the format is unsigned), the dataset is too wide for one message, or the
+        format does not allow a name.
     """
     columns = component_channels(dataset)
     time = dataset["time"].values.astype(np.float64)

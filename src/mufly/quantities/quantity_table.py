@@ -475,7 +475,9 @@ def split_signal_name(text: str, where: str) -> tuple[Quantity | None, str, str 
     -------
     quantity : Quantity or None
         Quantity of the variable, None if unknown.
-    variable : str label : str or None
+    variable : str
+        Name of the variable.
+    label : str or None
         Label of the component, None for the whole variable.
 
     Raises

@@ -258,7 +258,9 @@ def compute_panel_edges(cutout: float, stations: int) -> tuple[Array, Array]:
     Returns
     -------
     mid : (stations,) array
+        Radii of the middles over R.
     edges : (stations + 1,) array
+        Radii of the edges over R.
     """
     t = np.linspace(0.0, np.pi, stations + 1)
     span = 1.0 - cutout

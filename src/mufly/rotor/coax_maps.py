@@ -313,6 +313,7 @@ def interpolate_tables(
     upper_t, upper_q, lower_t, lower_q : (nodes,) arrays
         Thrust and torque of upper and lower rotor, in the order of C over (mean speed, ratio, climb).
     size : (3,) integer array
+        Number of values on each axis.
     start, per_step : (3,) arrays
         First value of each axis, and reciprocal of its step.
     mean, ratio, climb_ratio : float

@@ -138,8 +138,8 @@ def solve_system(
 
     Examples
     --------
-    >>> pair = System.coaxial(upper, lower, spacing_m=0.02)  # doctest: +SKIP
-    >>> solve(pair, Condition(0.24, thrust_N=0.9)).power_W  # doctest: +SKIP
+    >>> pair = RotorSystem.coaxial_pair(upper, lower, spacing_m=0.02)  # doctest: +SKIP
+    >>> solve_system(pair, OperatingCondition(0.24, thrust_N=0.9)).power_W  # doctest: +SKIP
 
     Thesis: Sec. 3.3.
     """

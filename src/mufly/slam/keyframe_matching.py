@@ -141,6 +141,7 @@ class KeyframeMatch:
     pixel_information : (n, 2, 2) array
         Information of the inliers with the points' own errors (1/pixels^2).
     tracked_count : int
+        Number of tracked points.
     unknown : (k, 2) array
         Unit vectors N, E of directions without texture.
     bound_px : (2,) array
@@ -214,6 +215,7 @@ def match_keyframe(
     ----------
     floor_map : FloorMap
     k : int
+        Index of the keyframe.
     context : FrameContext
     node : (4,) array
         Predicted N, E (m), heading (rad), ln h of the camera.

@@ -57,6 +57,7 @@ class GraphEdge:
     Attributes
     ----------
     first_index, second_index : int
+        Indices of the keyframes.
     measurement : (8,) array
         Re t, Im t, heading, ln h, as above; tilt errors of ``first_index`` and ``second_index``.
     information : (8, 8) array
@@ -168,6 +169,7 @@ class GraphSolution:
     Attributes
     ----------
     nodes : (n, 7) array
+        Place (N, E; m), heading (rad), ln h, tilt errors (rad) and sonar error of each keyframe.
     edge_chi2 : (e,) array
         Chi-squared of each edge.
     """

@@ -51,6 +51,7 @@ class PictureCounts:
     Attributes
     ----------
     taken_count : int
+        Pictures taken by the camera.
     lost_count : int
         Pictures lost by the radio.
     processed_count : int

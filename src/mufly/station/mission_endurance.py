@@ -195,7 +195,7 @@ def _avoidance_from_parameters(parameters: Mapping[str, TunableParameter]) -> tu
 def _mission_from_items(
     items: Sequence[MissionItem], base: Mission, origin: GlobalOrigin | None
 ) -> tuple[Mission, tuple[int, ...], list[str]]:
-    """Return the mission of items, each waypoint's item index, and the parts left out, in words."""
+    """Return the mission of items, each waypoint's item index, and the parts not flown, in words."""
     try:
         plan = mission_from_items(items, base, origin)
         return _replace_parts(base, waypoint=plan.mission.waypoint, take_off=plan.mission.take_off,

@@ -54,6 +54,7 @@ class FlightRecording:
     columns : dict of str to (n,) array
         Flat names as in :mod:`mufly.quantities.quantity_table` (``measured_attitude_roll``), SI units.
     units : dict of str to str
+        Unit of each column.
     mission_states : (n,) array of str
         State of the mission machine, or "".
     messages : tuple of StatusMessage

@@ -56,6 +56,7 @@ class StudyOutcome:
     Attributes
     ----------
     name, title : str
+        Name of the study (``fig-3.26``), and title of its figure or table.
     data : mapping
         Results by model; empty for a study that only draws a picture.
     verdicts : sequence of Verdict

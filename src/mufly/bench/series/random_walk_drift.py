@@ -42,6 +42,7 @@ class RandomWalkDrift:
     time_s, reading, reading_std : (n,) arrays
         Fitted readings with time and standard uncertainty.
     design_matrix : (n, p) array
+        Rows x_i of the linear model.
     start_time : float
         Time t_0 at which the drift is zero.
     grid_weights : (g,) array

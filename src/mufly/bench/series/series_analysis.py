@@ -126,11 +126,13 @@ class SeriesResult:
     points, settings : tuple of SettingResult
         Single points as mounted, and means over mountings.
     doubts : tuple of SeriesIssue
+        Issues that the checks of the series found.
     notes : tuple of str
         Corrections with their size.
     repeat : dict of str to float
         Relative repeatability tau of each load; NaN without repeated mountings.
     density_relative_std : float
+        Relative standard uncertainty of the air density (1).
     """
 
     name: str

@@ -47,12 +47,15 @@ class SeriesReadings:
     mounting_index : (n,) array of int
         Mounting in the plan, from 0.
     step_in_mounting : (n,) array of int
+        Step within the mounting, from 0.
     time_s : (n,) array
         Middle of the averaging (s).
     nominal_rpm : (n,) array
+        Planned speed (rpm).
     mean, std, dof : dict of str to (n,) array
         Block mean, its standard uncertainty and degrees of freedom by channel; NaN without a reading.
     settled, at_speed, saturated : (n,) arrays of bool
+        Whether the readings were steady, the speed was reached, and a channel was saturated.
     spike_share : (n,) array
         Largest share of outliers among the samples of the cells.
     record_lines : list of dict

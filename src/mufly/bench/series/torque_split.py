@@ -43,6 +43,7 @@ class TorqueSplit:
     torque_Nm : dict of str to (m,) array
         Torque of ``"upper"`` and ``"lower"``.
     covariance : dict of str to (m, m) array
+        Covariance of these torques ((N m)^2).
     motor_fits : dict of str to RandomWalkDrift
         Fit of k, c_0, c_1 of each axis.
     cell_mismatch : (m,) array

@@ -36,7 +36,7 @@ def load_cli_file(text: str, *, endpoint: Endpoint = CLI_ENDPOINT, clock: Callab
     Parameters
     ----------
     text : str
-        With ``save`` as its last command; empty lines and comments are left out.
+        With ``save`` as its last command; empty lines and comments are not sent.
     endpoint : Endpoint
     clock : callable
         Wall clock (s).

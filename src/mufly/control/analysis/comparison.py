@@ -83,6 +83,7 @@ class FlightFigures:
     Attributes
     ----------
     flights, successes : int
+        Number of flights, and of successes.
     low, high : float
         95 % interval of the success rate.
     overshoot_p95_m : float or None

@@ -57,6 +57,7 @@ class HeaveYawRow:
     ----------
     rotor_speeds : bool
     control_weight : float
+        Weight of the squared inputs (1).
     crossover_rad_s : float
         Lowest crossover of the loop gain's singular values: that of heave.
     sensitivity_peak_dB, disk_margin : float

@@ -220,7 +220,9 @@ def sweep_complex_mu(response: ComplexArray, channels: Sequence[Channel]) -> tup
     Returns
     -------
     bound : array, shape (n,)
+        Upper bound of mu.
     scalings : array, shape (n, channels)
+        Magnitude of each channel's scaling over that of the last channel.
     """
     sizes = [max(c) for c in channels]
     blocks = [Block(size, False) for size in sizes]
@@ -287,7 +289,7 @@ def iterate_dk(
     Raises
     ------
     ArgumentError
-        If the channels do not fill the plant.
+        If the channels do not cover all signals of the plant but the controller's.
     MuflyError
         If the first K step finds no controller.
     """

@@ -93,6 +93,7 @@ def factor_derivatives(derivatives: Sequence[Array], scale: float) -> list[tuple
     Parameters
     ----------
     derivatives : sequence of array
+        Derivatives E of the plant's matrix.
     scale : float
         Norm of the plant's matrix; a derivative below 1e-9 of it is negligible.
     """

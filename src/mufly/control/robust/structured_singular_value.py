@@ -150,6 +150,7 @@ def mu_upper_bound(
     Parameters
     ----------
     M : complex array, shape (n, n)
+        Matrix.
     blocks : sequence of Block
         Their sizes add up to n.
     start : array, optional
@@ -170,7 +171,7 @@ def mu_upper_bound(
     Raises
     ------
     ArgumentError
-        If the blocks do not fill the matrix.
+        If the sizes of the blocks do not add up to n.
     """
     size = float(np.linalg.norm(M, 2))
     scalings = _Scalings(M / (size or 1.0), blocks)
@@ -248,6 +249,7 @@ def mu_lower_bound(M: ComplexArray, blocks: Sequence[Block], *, starts: int = 6)
     Parameters
     ----------
     M : complex array, shape (n, n)
+        Matrix.
     blocks : sequence of Block
         Their sizes add up to n.
     starts : int
@@ -261,7 +263,7 @@ def mu_lower_bound(M: ComplexArray, blocks: Sequence[Block], *, starts: int = 6)
     Raises
     ------
     ArgumentError
-        If the blocks do not fill the matrix.
+        If the sizes of the blocks do not add up to n.
     """
     slices = _block_slices(M, blocks)
     real = [k for k, b in enumerate(blocks) if b.is_real]

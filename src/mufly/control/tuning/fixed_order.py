@@ -72,6 +72,7 @@ class Aim(NamedTuple):
     plant : PartitionedPlant
         From disturbance to error, with the controller's signals.
     level : float
+        Level of the norm.
     kind : str
         ``"hinf"``, ``"h2"`` (of a loop without feedthrough), or ``"disk"``: the structured singular value of one or two
         scalar complex blocks.
@@ -367,8 +368,8 @@ def flight_aims(
     noise : array, shape (outputs,)
         Noise of the scaled outputs.
     levels : mapping
-        Levels by name: ``weighted``, ``sensitivity``, ``complementary``, ``noise``, ``activity``, ``disk``; a name left
-        out is no aim.
+        Levels by name: ``weighted``, ``sensitivity``, ``complementary``, ``noise``, ``activity``, ``disk``; an absent
+        name sets no aim.
     period_s : float
         Sampling period, for ``activity``.
     """

@@ -46,7 +46,7 @@ _DELAY_PERIODS = 1.5
 
 @dataclass(frozen=True)
 class TuningGoals:
-    """Levels of a tuning; None is no aim.
+    """Levels of a tuning; None sets no goal.
 
     Attributes
     ----------

@@ -46,10 +46,12 @@ def minimise_nonsmooth(
     objective : callable
         Value and gradient at a point (n,); ``inf`` with any gradient outside the domain.
     start : array, shape (n,)
+        Start point.
     max_steps : int
     tolerance : float
         Relative decrease over ``window`` steps below which the search ends.
     window : int
+        Number of steps over which ``tolerance`` applies.
     first_step : float
         Length of the first trial step, relative to one; later ones scale themselves.
     budget_s : float

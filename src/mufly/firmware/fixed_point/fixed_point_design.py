@@ -77,6 +77,7 @@ class CoefficientRows:
     Attributes
     ----------
     coefficients, left_shift : arrays of int, shape (rows, inputs)
+        Integer coefficients, and left shift of each product (bits).
     right_shift : array of int, shape (rows,)
         Right shift of the sum (bits).
     quantised_values : array, shape (rows, inputs)
@@ -135,6 +136,7 @@ class QuantisationLoss:
     phase_dB, delay_dB : float
         Loss of the phase and delay margins, as ratios.
     worst_dB : float
+        Largest of these losses.
     """
 
     loop: str

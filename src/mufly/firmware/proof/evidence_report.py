@@ -518,7 +518,7 @@ def write_report(
 
     Returns
     -------
-    list of Section
+    list of EvidenceSection
     """
     out.mkdir(parents=True, exist_ok=True)
     wanted = [(title, make) for title, make in REPORT_SECTIONS if not only or title in only]

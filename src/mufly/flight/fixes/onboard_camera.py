@@ -85,6 +85,7 @@ class OnboardCamera:
         Its boxes are visible.
     seed : int
     spoils : tuple of CameraFault
+        Faults of the camera.
     """
 
     def __init__(

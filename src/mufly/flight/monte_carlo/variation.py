@@ -146,7 +146,7 @@ def _parse_text(text: str, vehicle: Vehicle) -> ParameterVariation:
 
 
 def _standard_variation(vehicle: Vehicle) -> ParameterVariation:
-    """Return the standard set as one variation of independent uniform parameters; absent sensors are left out."""
+    """Return the standard set as one variation of independent uniform parameters; absent sensors are skipped."""
     content = files(__package__).joinpath(f"{STANDARD_SET}.toml").read_text(encoding="utf-8")
     values = {p.key: p.value for p in list_parameters(vehicle)}
     parts = []

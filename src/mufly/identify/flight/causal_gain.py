@@ -78,7 +78,7 @@ def estimate_causal_gain(
     beside : (n, j) array, optional
         Further accelerations with a gain but no lag of their own.
     skip_s : float
-        Leading time that is left out (s).
+        Time at the start that is not used (s).
     longest_lag_s : float
         Longest lag of the motion behind the prediction (s).
     """

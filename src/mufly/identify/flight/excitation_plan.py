@@ -329,6 +329,7 @@ def fly_supported(
     Returns
     -------
     states : (b, n, 21) array
+        States (:mod:`mufly.dynamics.model_state`).
     inputs : (b, n, 4) array
         Commanded inputs, limited to the actuator ranges.
     voltage : (b, n) array

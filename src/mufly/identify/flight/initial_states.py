@@ -42,6 +42,7 @@ class InitialStates:
     Attributes
     ----------
     initial_states : list of (1, k) array
+        Unknown initial states of each record (SI).
     converged : tuple of bool
         Whether the search over the whole record ended in a minimum.
     simulation_count : int

@@ -60,6 +60,7 @@ class FitPoint:
     Attributes
     ----------
     theta : (t,) array
+        Scaled free parameters.
     states : list of (windows, k) array
         Initial states, one array per record.
     cost : float
@@ -82,6 +83,7 @@ class ReducedRecord:
     Attributes
     ----------
     whitened_residual : (n, m) array
+        (simulated - measured) / noise, zero without a measurement.
     jacobian : (rows, t) array
         ``(1 - Q Q^T) J``, window after window; each window has its samples in order, then its priors.
     window_rows : list of (rows,) array
@@ -330,6 +332,7 @@ def consider_sensitivity(linear: LinearisedProblem) -> tuple[_Array, OutputError
     Returns
     -------
     moved : (t, h) array
+        Change of each estimate (``theta``) per standard deviation of each held parameter.
     problem : OutputErrorProblem
         Problem with the held parameters appended to the free ones, in column order.
     """

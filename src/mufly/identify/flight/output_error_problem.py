@@ -143,6 +143,7 @@ class PreparedRecord:
     smoothed_motion, mast_direction : (n, 12), (n, 3) array
         Smoothed measurement (SI), and the mast direction from it.
     inputs : (n, 4) array
+        Upper motor, lower motor (0..1), servo 1, servo 2 (-1..1).
     base_parameters, parameter_changes
         Results of :func:`scaled_parameters`.
     initial_charge : float

@@ -78,7 +78,9 @@ class RegressionRecord:
         ``"fit"`` or ``"held out"``.
     time_s : (n,) array
     outputs : (n, outputs) array
+        Measured outputs (SI).
     inputs : (n, inputs) array
+        Recorded inputs, in the unit of the log.
     """
 
     name: str
@@ -204,6 +206,7 @@ def regress_rate_derivatives(
     Parameters
     ----------
     rates, u : (n, k), (n, m) array
+        Body rates (rad/s), and inputs in the unit of the log.
     dt : float
     rate_names, input_names : tuple of str
         ``("p", "q")``, ``("lat", "lon")``; p, q, r give symbols L_, M_, N_.

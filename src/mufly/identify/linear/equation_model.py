@@ -131,6 +131,7 @@ def simulate_equations(
     ----------
     model : EquationModel
     u : (n, inputs) array
+        Inputs, in the unit of the fitted records.
     dt : float
         Sample time (s).
     first : (b, outputs) array

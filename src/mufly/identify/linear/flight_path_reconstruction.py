@@ -97,12 +97,14 @@ class ReconstructedPath:
     std_white : (12,) array
         Standard deviations for white innovations.
     covariance : (12, 12) array
+        Covariance of the estimates, corrected for coloured innovations.
     time_s : (n,) array
     states, states_std : (n, 9) array
         Reconstructed states ``FLIGHT_PATH_STATES`` (SI), and their standard deviations.
     outputs : tuple of str
         Names of the measured states.
     measured : (n, m) array
+        Measured states (SI).
     innovations : (n, m) array
         Measurement less one-sample prediction, over the filter's standard deviation; 1 is consistent.
     imu_noise, output_noise : array

@@ -315,6 +315,7 @@ class FrequencyResponseFit:
     Attributes
     ----------
     values : (p,) array
+        Parameters of the structure (SI).
     value_std : (p,) array
         Standard deviations from curvature and size of the cost for independent frequencies: a lower bound.
     measured_response : FrequencyResponse

@@ -49,9 +49,13 @@ class LinearFit:
     covariance, bound : (p, p) array
         Covariance corrected for coloured residuals; Cramer-Rao bound for white residuals.
     at_bound : (p,) array of bool
+        Whether a parameter stopped at a bound.
     x0 : (states,) array
+        Initial state (SI).
     input_trim : (inputs,) array
+        Trim of each input, in its unit.
     output_bias : (outputs,) array
+        Bias of each output, in its unit.
     weight : (outputs,) array
         Inverse variance of the residuals.
     log_likelihood : float
@@ -349,7 +353,9 @@ def simulate_linear_fit(fit: LinearFit, u: Array, dt: float) -> tuple[Array, Arr
     Returns
     -------
     y : (n, outputs) array
+        Outputs, in their units.
     x : (n, states) array
+        States (SI).
     """
     y, x = simulate_linear_structure(fit.structure, fit.values, u - fit.input_trim, dt, x0=fit.x0, hold=fit.hold)
     # Delayed inputs before the record equal the first value, less the trim.

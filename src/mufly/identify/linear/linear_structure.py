@@ -145,6 +145,7 @@ class SearchCoordinates:
     low, high, linear_scale : (p,) array
         Bounds, and scale of linear parameters: the size of the value, or a fiftieth of the bounds' distance.
     is_logarithmic : (p,) array of bool
+        Whether the coordinate is the logarithm of the parameter.
     """
 
     def __init__(self, parameters: Sequence[ModelParameter], values: Array) -> None:
@@ -509,6 +510,7 @@ def simulate_linear_structure(
     ----------
     structure : LinearStructure
     values : (p,) array
+        Parameters of the structure (SI).
     u : (n, inputs) array
         Inputs as deviations from trim.
     dt : float
@@ -521,7 +523,9 @@ def simulate_linear_structure(
     Returns
     -------
     y : (n, outputs) array
+        Outputs, in their units.
     x : (n, states) array
+        States (SI).
     """
     a, b, c, d, delay = structure.state_space_matrices(values)
     phi, g1, g2 = discretise_first_order_hold(a, b, dt, hold=hold)

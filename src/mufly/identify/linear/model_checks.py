@@ -52,6 +52,7 @@ class CrossValidation:
     ----------
     name : str
     parameters : int
+        Number of free parameters.
     left_out : float
         Mean square residual in the omitted blocks over the variance of the output, averaged over the outputs;
         1 is as good as the mean.
@@ -83,6 +84,7 @@ def cross_validate_structure(
     u, y : (n, inputs), (n, outputs) array
     dt : float
     blocks : int
+        Number of blocks, each omitted once.
     starts, hold
         See :func:`mufly.identify.linear.linear_fit.fit_linear_model`; each fold starts at the fit to all blocks.
 
@@ -262,6 +264,7 @@ def estimate_noise_floor(
     Parameters
     ----------
     signal : (n,) array
+        Output, in its unit.
     u : (n, k) array
         All inputs.
     dt : float

@@ -34,6 +34,7 @@ def response_picture(
     ----------
     data : FrequencyResponse
     output : int
+        Index of the output.
     fits : sequence of TransferFunctionFit
         Transfer functions drawn over their pairs.
     read : Bandwidth, optional

@@ -129,7 +129,7 @@ def write_rosbag2(
     Returns
     -------
     tuple of str
-        Topics written. Signals without a topic are left out.
+        Topics written. Signals without a topic are not written.
 
     Raises
     ------
@@ -224,7 +224,7 @@ def read_rosbag2(path: str | Path) -> RawLog:
     """Read a bag of ROS 2: its topics with their fields, and signals in N-E-D and body axes beside them.
 
     A message counts at the time of its header, else of its arrival. Fields are named ``pose.pose.position.x`` and
-    ``covariance[0]``; lists above 64 elements (pictures, clouds) are left out. The signals of
+    ``covariance[0]``; lists above 64 elements (pictures, clouds) are skipped. The signals of
     :func:`mufly.logs.ros.ros_messages.decode_fields` are fields like ``estimated_position.N``.
 
     Parameters

@@ -391,6 +391,7 @@ def unwrap_counter(values: _Array, unit_s: float) -> tuple[_Array, list[str]]:
     Returns
     -------
     values : (n,) array
+        Unwrapped counts.
     words : list of str
         One sentence if it wrapped.
     """

@@ -56,7 +56,9 @@ def fence_margins(fence: Fence, places: ArrayLike) -> tuple[_Array, list[str]]:
     Returns
     -------
     margins : (bounds, n) array
+        Distance inside each bound (m), negative outside.
     names : list of str
+        Names of the bounds.
     """
     at = np.asarray(places, dtype=np.float64).reshape(-1, 3)
     rows: list[_Array] = []

@@ -366,7 +366,7 @@ class BladeSlice:
 def slice_blade(corners_m: Array, r_m: Sequence[float] | Array) -> list[BladeSlice]:
     """Cut a triangle surface, (n, 3, 3), at radii; see the module docstring.
 
-    Radii without a closed curve are left out.
+    Radii without a closed curve are skipped.
     """
     lines = [(float(r), loop) for r in r_m if (loop := _slice_contour(corners_m, float(r))) is not None]
     ends = [_farthest_points(loop) for _, loop in lines]
@@ -432,7 +432,7 @@ def rotor_from_body(
     ----------
     path : str or Path
         STL or STEP file; the shaft lies along z through the origin, thrust upwards. A body whose blades lie elsewhere
-        in the plane of the disc is turned; a hub is left out.
+        in the plane of the disc is turned; a hub is removed.
     stations : int
         Number of stations.
     unit_m : float, optional

@@ -30,6 +30,7 @@ class AzimuthBlade(NamedTuple):
         Grid of the tables.
     blade_count, radius_m, hub_radius_m : float
     has_tip_loss, has_hub_loss, has_swirl : int
+        1 if the correction is active.
     flap_inertia_kg_m2 : float
         Moment of inertia of a blade about the shaft.
     flap_ratio : float

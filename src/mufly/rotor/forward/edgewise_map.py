@@ -258,9 +258,11 @@ class FlightSplines(NamedTuple):
     start, per_step : (2,) arrays
         First value of climb ratio and e, and reciprocal of the step.
     size : (2,) integer array
+        Number of values of climb ratio and of e.
     table : (climbs + 2, edges, 12) array
         As for :func:`interpolate_flow_loads`.
     rates : (edges, 8) array
+        Spline coefficients over e of the loads per body rate, for both rotors.
     """
 
     ratio: float

@@ -43,6 +43,7 @@ def sum_flow_rows(
     first, later : int
         Place of the first row of the first three groups, which are ``stride`` apart, and of the other two.
     stride : int
+        Number of places between two groups of rows.
     ca, cb, cc, cd, ce : float
         Weights of the groups.
     ea, eb, ec : float

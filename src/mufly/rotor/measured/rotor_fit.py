@@ -80,6 +80,7 @@ class RotorFit:
         Estimate, posterior and prior deviation of :data:`FIT_PARAMETERS` (rad, logarithms, exponents), likeliest
         section.
     correlation : (5, 5) array
+        Posterior correlation of these parameters.
     undecided : tuple of str
         Parameters that the bench run does not determine.
     measured : RotorMeasurements

@@ -101,6 +101,7 @@ def align_contour(contour: Array) -> tuple[Array, str]:
     Returns
     -------
     placed : (n, 2) array
+        Contour with its chord line along x.
     words : str
         Description of the change; empty without any.
     """

@@ -110,7 +110,7 @@ def compute_polars(
     airfoils : iterable of str, Path or Airfoil
         Airfoils; the other parameters are those of :func:`compute_polar`.
     faults : dict, optional
-        If given, an airfoil that fails is left out of the result and its one-line message is stored here under its
+        If given, an airfoil that fails is omitted from the result and its one-line message is stored here under its
         name. Otherwise the first failure is raised.
     """
     re = _check_arguments(n_crit, engine, reynolds, xtr)

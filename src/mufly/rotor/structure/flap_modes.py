@@ -185,6 +185,7 @@ def vary_structure(
     Returns
     -------
     value, low, high : arrays
+        Result of the nominal beam, and ends of the band.
     """
     value = np.asarray(solve(make_blade_beam(rotor, structure)), dtype=np.float64)
     up, down = np.zeros_like(value), np.zeros_like(value)

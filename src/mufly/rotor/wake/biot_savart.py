@@ -156,6 +156,7 @@ def make_segments(paths: Array, core: Array, strength: Array) -> tuple[Array, Ar
     Returns
     -------
     start, end : (3, n) arrays
+        Ends of the segments (m).
     strength : (n,) array
         Circulation over 4 pi (m^2/s).
     core : (n,) array
@@ -218,7 +219,9 @@ def filament_influence(points: Array, paths: Array, core: Array) -> Array:
     Parameters
     ----------
     points : (m, 3) array
+        Evaluation points (m).
     paths : (filaments, points, 3) array
+        Points of each filament (m).
     core : (filaments, points - 1) array
         Core radii (m).
 

@@ -372,6 +372,7 @@ def extend_filaments(
     Returns
     -------
     paths : (n + 1, points, 3) array
+        Points of the filaments in the blade's frame (m).
     age : (points,) array
         0 at quarter chord and trailing edge.
     """

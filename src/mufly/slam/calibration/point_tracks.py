@@ -62,7 +62,7 @@ def track_segments(
     Returns
     -------
     PointTracks
-        Segments with fewer than 12 points are left out.
+        Segments with fewer than 12 points are omitted.
     """
     times: list[tuple[float, float]] = []
     owners: list[NDArray[np.int64]] = []

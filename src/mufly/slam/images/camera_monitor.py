@@ -462,6 +462,7 @@ def measure_shift(
     Parameters
     ----------
     before, now : (rows, columns) uint8 arrays
+        The two pictures (grey levels).
     smooth : float
         Their smoothing (pixels).
     dirt : (2 rows, 2 columns) uint8 array, optional

@@ -280,7 +280,7 @@ def judge_draft(
     mission : Mission
     battery : (hover_current_A, capacity_Ah), optional
         Battery of the vehicle; if given, its charge must suffice.
-    able : Limits, optional
+    able : TrajectoryLimits, optional
         Limits of the vehicle's controllers, if known; they bound the speeds.
     """
     try:
@@ -315,7 +315,7 @@ class SharedDraft:
     draft : MissionDraft
     vehicle_mission : Mission or None
         Mission in the vehicle before the upload, if known; the vehicle keeps the settings that items do not hold.
-    verdict : Verdict or None
+    verdict : DraftVerdict or None
         None while the draft is being checked.
     version : int
         Number of changes of draft or verdict.
@@ -411,7 +411,7 @@ def encode_draft(draft: MissionDraft, verdict: DraftVerdict | None, refused: str
     Parameters
     ----------
     draft : MissionDraft
-    verdict : Verdict or None
+    verdict : DraftVerdict or None
         None while it is being checked.
     refused : str
         Reason why the last edit was refused; "" if it was made.

@@ -87,7 +87,9 @@ class VehicleTelemetry:
         MAV_AUTOPILOT, MAV_TYPE.
     ranges : BeamRanges
     battery_left_s : float
+        Remaining battery time (s).
     mission_current : int or None
+        Sequence number of the current mission item.
     mission_state : int
         MISSION_STATE; 0 is unknown.
     commander_id : int or None

@@ -159,7 +159,7 @@ def score_held_out_points(
     Parameters
     ----------
     cases
-        Cases; those with fewer than four points are left out.
+        Cases; those with fewer than four points are skipped.
     share : 'one' or 'half'
         Fitted points: the middle point, or every other point.
     progress : callable, optional

@@ -136,7 +136,7 @@ def load_cases(folder: Path, only: str = "") -> tuple[list[RotorCase], list[str]
     -------
     cases : list of RotorCase
     missing : list of str
-        Missing data sets with their sources, and files that are left out with the reason.
+        Missing data sets with their sources, and skipped files with the reason.
 
     Raises
     ------
