@@ -118,7 +118,7 @@ def estimator_step(
         if m.status[R_RATES] < STATUS_MISSING:
             m.gyro_rates[k] = z[_Z[R_RATES] + k] - m.gyro_offset[k]
         elif s.has_rotor_model > 0 and m.flight_phase >= PHASE_LIGHT:
-            # What the model turns: the bar holds it to the rotors, so it does not drift but about the mast.
+            # Rates of the rotor model. The stabiliser bar keeps the rotors level, so only yaw drifts.
             m.gyro_rates[k] = (
                 m.gyro_rates_prev[k]
                 + s.dt * m.rotor_force[(m.tick - 1) % ROTOR_FORCE_HISTORY, RF_ANG_ACCEL + k]
@@ -126,7 +126,7 @@ def estimator_step(
             )
         else:
             m.gyro_rates[k] = m.x_output[SX_GYRO_BIAS + k]
-    # A floor below the room's, or a fix that is apart from the sonar: the height is off by as much
+    # The height may be wrong by the depth of a surface below the floor, or by the gap of fix and sonar
     doubt = m.fix_height_gap - min(m.x_output[SX_TERRAIN], 0.0)
     replace_gyro_spikes(
         m,
@@ -145,7 +145,7 @@ def estimator_step(
             m, s, kind, at, z, READING_STARTS[kind], READING_STARTS[kind + 1] - READING_STARTS[kind]
         ):
             m.late_count[kind] += 1
-            # One alone is no fault: jitter has a longer tail than the horizon waits for.
+            # A single late reading is no fault: some exceed the delay of the horizon.
             if (m.tick - m.last_fused_tick[kind]) * s.dt > s.timeout[kind]:
                 set_fault(m, s, kind, STATUS_FAULTY, REASON_LATE, age[kind])
     left = s.work_limit - (COST_COVARIANCE if m.tick % COVARIANCE_INTERVAL_TICKS == 0 else 0)

@@ -91,7 +91,7 @@ def queue_measurement(
     Returns False if the horizon has passed it by more than :data:`MAX_BACKDATE_S`, or the queue is full."""
     due = s.block_ticks * floor_int(at / s.block_ticks + 0.5)
     if due <= m.horizon_tick:
-        due = m.horizon_tick + s.block_ticks  # by what it moves and turns, the next end of a block will do
+        due = m.horizon_tick + s.block_ticks  # velocity and yaw rate move it to the next end of a block
     ahead = (at - due) * s.dt
     if -ahead > MAX_BACKDATE_S:
         return False
@@ -166,7 +166,7 @@ def predict_bias(m: FilterMemory, s: FilterSettings) -> None:
     elif k == EX_TERRAIN:
         q *= math.sqrt(
             m.x[SX_VEL] * m.x[SX_VEL] + m.x[SX_VEL + 1] * m.x[SX_VEL + 1]
-        )  # another floor lies elsewhere, not later
+        )  # the terrain changes with distance, not with time
     if k < EX_GYRO_BIAS + 3:
         i = k - EX_GYRO_BIAS
         turning = m.yaw_rate if abs(m.yaw_rate) > LEAK_RATE else 0.0
@@ -218,7 +218,7 @@ def _average_block_forces(m: FilterMemory, s: FilterSettings) -> None:
         m.gyro_mean[k] /= n
         m.thrust_slope[k] /= n
         m.velocity_slope[k] /= n
-        # Density of the whole difference at the horizon, from what was weighed there
+        # Noise density of the difference at the horizon, from the weights used there
         share = max(e[IN_SHARE + k], 1e-9)
         m.residual_density[k] = e[IN_NOISE + k] / share / max(1 - share, 1e-9) + m.accel_noise[k]
 

@@ -213,7 +213,7 @@ def sample_inputs(
                 a, RF_STATIC + 3 * g + k
             ] + s.imu_lag_share * m.rotor_force[b, RF_STATIC + 3 * g + k]
         clip = m.clip_share[k] * CLIPPING_ERROR_SHARE * s.accel_range
-        # Without what a shaking leaves; but whose attitude is not known knows the force of the air better.
+        # Without vibration; but if the attitude is unknown, the model's force is the better one.
         noise = m.accel_noise_slow[k] if m.status[R_RATES] < STATUS_MISSING else m.accel_noise[k]
         felt = (
             max(s.accel_density, noise) if s.has_rotor_model > 0 else s.accel_density
@@ -234,7 +234,7 @@ def sample_inputs(
                 made += _ground_force_noise(m, row[IN_STATIC + 2])
             row[IN_STATIC + k] = 0.0
         elif model:
-            # Until the thrust is known, which takes the delay and more, it flies by the accelerometers.
+            # Until the thrust is known, after more than the delay, the accelerometers have the higher weight.
             unknown = max(m.sigma_output[EX_THRUST_SCALE] - MODELLED_THRUST_SIGMA, 0.0) * row[IN_STATIC + k]
             made += THRUST_ERROR_TIME_S * unknown * unknown
         if not model and m.flight_phase > PHASE_RUNNING:
@@ -288,11 +288,11 @@ def estimate_accel_noise(m: FilterMemory, s: FilterSettings, z: _Array) -> None:
     if m.slow_count >= SLOW_NOISE_TICKS:
         half = float(SLOW_NOISE_TICKS // 2)
         span = 0.75 * SLOW_NOISE_TICKS * s.dt
-        # Off the floor the model has another force, and the thrust's scale is found.
+        # After lift-off the modelled force changes, and the thrust scale has to converge first.
         settled = m.flight_phase != PHASE_FLYING or m.tick - m.grounded_tick > 2 * SLOW_NOISE_TICKS
         for k in range(3):
             mean = m.slow_sum[k] / (half * (half + 1.0))
-            # What the model may be off by, at lift-off by much, is not the accelerometers'.
+            # The model's uncertainty, large at lift-off, is not noise of the accelerometers.
             unknown = 2.0 * m.sigma_output[EX_THRUST_SCALE] * abs(row[IN_STATIC + k])
             step = max(abs(mean - m.slow_mean_prev[k]) - unknown, 0.0)
             made = row[IN_NOISE + k] / max(1.0 - row[IN_SHARE + k], 1e-9)
@@ -340,7 +340,7 @@ def _turn_level(m: FilterMemory, v: _Array, start: int) -> None:
 
 @cached_njit(error_model="numpy")
 def _restart_level(m: FilterMemory, s: FilterSettings) -> None:
-    """Turn the inputs since the horizon level, and begin anew with level attitude and no bias of the accelerometers."""
+    """Rotate the inputs since the horizon level; reset to level attitude and no bias of the accelerometers."""
     for b in range(INPUT_BLOCK_COUNT):
         _turn_level(m, m.input_blocks[b], IN_RATES)
     clear_block_forces(m)
@@ -361,7 +361,7 @@ def _restart_level(m: FilterMemory, s: FilterSettings) -> None:
 
 @cached_njit(error_model="numpy")
 def _decide_level(m: FilterMemory, s: FilterSettings) -> None:
-    """Decide by the accelerometers' sum at rest whether the inertial unit is tilted, and begin anew if it is.
+    """Decide by the accelerometers' sum at rest whether the inertial unit is tilted; reset the filter if so.
 
     The smallest rotation that turns a / |a| to (0, 0, -1) has the axis (-a_y, a_x, 0) and the cosine -a_z / |a|."""
     x, y, d = m.level_sum[0], m.level_sum[1], m.level_sum[2]

@@ -251,7 +251,7 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
             if not down:
                 continue
         elif m.is_heading_aligned == 0 and abs(ratio) > INNOVATION_GATE:
-            # The place of the start is unknown: the first fix gives it.
+            # The initial position is unknown: the first fix sets it.
             inflate_variance(
                 m.u_transposed, m.ud_diagonal, EX_POS + i if i < FIX_HEADING else EX_ATT + 2, nu * nu, m.u_transposed_h
             )
@@ -272,7 +272,7 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
         and INNOVATION_GATE < abs(worst) < 2.0 * INNOVATION_GATE
     )
     if abs(worst) > INNOVATION_GATE and not led:
-        # A height off the sonar's accuses neither of the two.
+        # A height that differs from the sonar's does not show which of the two is wrong.
         apart = _is_height_alone_off(m) and m.status[R_SONAR] == STATUS_FUSED
         why = REASON_HEIGHT_CONFLICT if apart else REASON_INNOVATION
         near = 2.0 * s.sensor_period[k] + 8 * math.sqrt(_fix_variance(m, s, 0)) + 0.05
@@ -280,7 +280,7 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
         _clear_attitude_evidence(m)
         if not reset_timeout_expired(m, s, k):
             return
-        # What other sensors hold is not given up: the fix is off there.
+        # Components that other sensors hold are kept: there the bias of the fix is reset.
         held = m.status[R_SONAR] == STATUS_FUSED, m.status[R_RING] == STATUS_FUSED
         for i in range(3):
             nu = _fix_innovation(m, z, i, ahead)

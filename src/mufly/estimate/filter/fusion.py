@@ -165,7 +165,7 @@ def _reset_height(m: FilterMemory, s: FilterSettings, nu: float) -> None:
 
 @cached_njit(error_model="numpy")
 def _sonar_stuck(m: FilterMemory, s: FilterSettings, z: float, nu: float) -> bool:
-    """Whether the sonar repeats itself for longer than its noise and the vehicle's moving allow.
+    """Whether the sonar repeats a reading more often than its noise and the vehicle's motion allow.
 
     A reading in steps of h is the one before with a chance of about h / (sqrt(2 pi) sigma) exp(-nu^2 / (2 sigma^2)),
     sigma of the innovation nu; exp(-x) <= 1 / (1 + x). A vehicle that may stand on the floor, by the fix's height,
@@ -176,7 +176,7 @@ def _sonar_stuck(m: FilterMemory, s: FilterSettings, z: float, nu: float) -> boo
     if not same or height_above_ground(m.x, s) - m.fix_height_gap < LEG_CLEARANCE_HEIGHT:
         m.sonar_repeat_chance = 1.0
         return False
-    # A height that is hardly known has no part in it: it may be better than believed.
+    # The height's variance is not included: the height may be more accurate.
     sigma = 1.3 * math.sqrt(s.sonar_variance)
     likely = 0.399 * s.sonar_resolution / sigma / (1.0 + 0.5 * min(nu * nu / (sigma * sigma), 9.0))
     m.sonar_repeat_chance *= min(likely, 1.0)
@@ -194,11 +194,12 @@ def fuse_sonar_range(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
     said, r_ = z[0], s.sonar_variance * m.noise_scale[AID_SONAR]
     nearest, standing = s.sonar_min + 0.005, s.ground_clearance - s.sonar_position[2]
     if z[0] <= nearest and standing < nearest:
-        # Nearer than it can tell: anywhere between there and where it stands.
+        # Below the minimum range: uniform between that range and the range on the floor.
         said = 0.5 * (nearest + standing)
         r_ = (nearest - standing) * (nearest - standing) / 12.0
         if expect < nearest:
-            fuse_scalar(m, said - expect, 100.0 * r_)  # as so many that are off alike
+            # weight of a hundredth: the errors of such readings are correlated
+            fuse_scalar(m, said - expect, 100.0 * r_)
             mark_fused(m, k)
             return
     nu = said - expect
@@ -209,9 +210,8 @@ def fuse_sonar_range(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
         return
     floor = m.x[SX_TERRAIN] - nu
     over = m.terrain_edge_weight > 0.0 or abs(m.x[SX_TERRAIN]) > MAX_FLOOR_HEIGHT
-    # Always off to the same side: over an edge it is the surface, and nearer may be an object that comes into the cone
-    # from the side. Below the floor lies nothing, so else it is the height, which a force carries away that is not as
-    # it is believed: the accelerometers' or the model's.
+    # Innovations of one sign: over an edge, or for a shorter range, the surface has changed. Otherwise the height
+    # drifts, because no surface lies below the floor: the accelerometers or the model have an error.
     if abs(ratio) < INNOVATION_GATE:
         m.sonar_ratio_lp += 0.2 * (ratio - m.sonar_ratio_lp)
         if not over:
@@ -225,7 +225,7 @@ def fuse_sonar_range(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
             _reset_height(m, s, nu)
             _sonar_h_row(m, s, r)
     if over and abs(ratio) > TERRAIN_STEP_GATE and m.terrain_steps < MAX_TERRAIN_STEPS and floor > MIN_TERRAIN_HEIGHT:
-        # Over an object it is the surface that jumps.
+        # Over an object the surface steps.
         m.terrain_steps += 1
         m.terrain_edge_weight = 1.0
         inflate_variance(m.u_transposed, m.ud_diagonal, EX_TERRAIN, nu * nu, m.u_transposed_h)
@@ -234,13 +234,13 @@ def fuse_sonar_range(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
         reject_measurement(m, s, k, nu, z, 1, 0.02 + 1.5 * s.sensor_period[k], REASON_INNOVATION)
         step = m.agree_count[k] >= 2 and floor > MIN_TERRAIN_HEIGHT
         if step and m.terrain_steps >= MAX_TERRAIN_STEPS:
-            # Step after step: it is not the floor that goes, it is the height.
+            # Repeated steps: the height is wrong, not the terrain.
             inflate_variance(m.u_transposed, m.ud_diagonal, EX_POS + 2, nu * nu, m.u_transposed_h)
             inflate_variance(m.u_transposed, m.ud_diagonal, EX_VEL + 2, 0.1, m.u_transposed_h)
             inflate_variance(m.u_transposed, m.ud_diagonal, EX_THRUST_SCALE, 0.01, m.u_transposed_h)
             set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu)
         elif step and nu > 0.0:
-            # Lower than the floor nothing lies; over an edge it was the surface that jumped.
+            # No surface lies below the floor.
             _reset_height(m, s, nu)
             set_fault(m, s, k, STATUS_FUSED, REASON_TERRAIN_SLOPE, nu)
         elif step:
@@ -259,7 +259,7 @@ def fuse_sonar_range(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
             set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu)
         else:
             if m.agree_count[k] >= 2:
-                set_fault(m, s, k, STATUS_REJECTED, REASON_INNOVATION, nu)  # below the room's floor, and not by chance
+                set_fault(m, s, k, STATUS_REJECTED, REASON_INNOVATION, nu)  # a consistent range below the room's floor
             return
         _sonar_h_row(m, s, r)
     fuse_scalar(m, nu, r_)
@@ -335,7 +335,7 @@ def fuse_wall_ranges(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
                     best, axis, along = far, i, u
         if axis < 0 or axis == 2 or best > 1.1 * s.ring_max:
             continue
-        # l = (c - p_i) / u_i; of the heading they tell nothing, it is one more constant: du = t x u
+        # l = (c - p_i) / u_i; they contain no heading, whose error is one more constant: du = t x u
         h = -1.0 / along
         across = h * best * (e if axis == 0 else n) * m.sigma_output[EX_ATT + 2]
         slope = best * best + s.ring_baseline * s.ring_baseline
@@ -393,7 +393,7 @@ def _fuse_drifting_aid(
             return
         _reset_aid_bias(m, s, k, bias, nu)
     elif k == R_PRESSURE:
-        # A bias that grows faster than it may drags innovations of one sign behind it.
+        # A bias that drifts faster than modelled causes innovations of one sign.
         m.pressure_ratio_lp += 0.2 * (ratio - m.pressure_ratio_lp)
         if abs(m.pressure_ratio_lp) > PRESSURE_MEAN_GATE:
             m.pressure_ratio_lp = 0.0
@@ -491,12 +491,12 @@ def fuse_zero_motion(m: FilterMemory, s: FilterSettings, r: _Array, count: int, 
     h_row_begin(m, EX_VEL + i, 1.0)
     fuse_scalar(m, -m.x[SX_VEL + i], 4e-4)
     if mode == PHASE_COASTING:
-        return  # such rotors turn the vehicle on its legs: that is no noise, but a rate that lasts
+        return  # such rotors turn the vehicle on its legs at a lasting rate, which is no noise
     still = mode == PHASE_STANDING
     h_row_begin(m, EX_GYRO_BIAS + i, 1.0)
     calm = s.rest_gyro_sigma * s.rest_gyro_sigma / count if still else 2.5e-5
     off = m.gyro_mean[i] - m.x[SX_GYRO_BIAS + i]
-    # With its rotors running it may slide and turn on its legs.
+    # With running rotors the vehicle may slide and turn on its legs.
     if still or abs(innovation_ratio(m, off, calm * 2)) < INNOVATION_GATE:
         fuse_scalar(m, off, calm * 2)
     if still and s.is_fitted[R_ACCELERATION] > 0:

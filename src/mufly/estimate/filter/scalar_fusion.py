@@ -124,7 +124,7 @@ def reject_measurement(
         m.agree_count[k] = 0
         m.reject_since_tick[k] = m.horizon_tick
     if k != R_SONAR and abs(innovation) > 2.0 * INNOVATION_GATE * m.innovation_sigma[k]:
-        m.reject_score[k] += 1.0  # by so much nothing healthy is off, but for a sonar that hears a second surface
+        m.reject_score[k] += 1.0  # no healthy sensor but a sonar with a second surface deviates so much
     mark_rejected(m, s, k, why, innovation)
 
 

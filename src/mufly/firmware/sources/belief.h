@@ -5,7 +5,7 @@
 #include "avoid.h"
 #include "controllers.h"
 
-/* Sensors, in the order of CHECKED (layout.py of mufly.estimate). */
+/* Sensors, in the order of CHECKED_READINGS (quantity_table.py of mufly.quantities). */
 enum {
     SENSOR_ACCELERATION,
     SENSOR_RATES,

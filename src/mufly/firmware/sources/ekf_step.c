@@ -59,14 +59,14 @@ bool estimator_step(estimator_t *m, const estimator_settings_t *s, const flight_
         if (m->status[R_RATES] < STATUS_MISSING) {
             m->gyro_rates[k] = z[READING_STARTS[R_RATES] + k] - m->gyro_offset[k];
         } else if ((s->has_rotor_model > 0) && (m->flight_phase >= PHASE_LIGHT)) {
-            /* What the model turns: the bar holds it to the rotors, so it does not drift but about the mast. */
+            /* Rates of the rotor model. The stabiliser bar keeps the rotors level, so only yaw drifts. */
             m->gyro_rates[k] =
                 (m->gyro_rates_prev[k] + (s->dt * m->rotor_force[(m->tick - 1) % ROTOR_FORCE_HISTORY][RF_ANG_ACCEL + k])) + m->ang_accel_bias[k];
         } else {
             m->gyro_rates[k] = m->x_output[SX_GYRO_BIAS + k];
         }
     }
-    /* A floor below the room's, or a fix that is apart from the sonar: the height is off by as much. */
+    /* The height may be wrong by the depth of a surface below the floor, or by the gap of fix and sonar. */
     doubt = m->fix_height_gap - real_min(m->x_output[SX_TERRAIN], REAL(0.0));
     replace_gyro_spikes(m, s, (m->flight_phase == PHASE_FLYING) && (height_above_ground(m->x_output, s) > (LEG_CLEARANCE_HEIGHT + doubt)));
     rises = sample_inputs(m, s, p, z, fresh);
@@ -94,7 +94,7 @@ bool estimator_step(estimator_t *m, const estimator_settings_t *s, const flight_
     turns = (s->has_rotor_model > 0) && (m->flight_phase >= PHASE_LIGHT);
     seen = (m->status[R_RATES] < STATUS_MISSING) || turns || (((real_t)(m->tick - m->last_fused_tick[R_RATES]) * s->dt) < GYRO_OUTAGE_S);
     for (int32_t k = 0; k < 3; k++) {
-        /* Nonsense may have the model run away: what no gyroscope could say is no estimate. */
+        /* Invalid inputs may make the model diverge: rates beyond the gyroscopes' range are no estimate. */
         if (!(real_abs(m->rates_output[k]) < (REAL(2.0) * s->value_limit[R_RATES]))) {
             seen = false;
         }

@@ -10,7 +10,7 @@
 static bool queue_measurement(estimator_t *m, const estimator_settings_t *s, int32_t kind, real_t at, const real_t *z)
 {
     const int32_t nearest = s->block_ticks * real_floor_int((at / (real_t)s->block_ticks) + REAL(0.5));
-    /* By what it moves and turns, the next end of a block will do. */
+    /* Velocity and yaw rate move the measurement to the next end of a block. */
     const int32_t due = (nearest <= m->horizon_tick) ? (m->horizon_tick + s->block_ticks) : nearest;
     const real_t ahead = (at - (real_t)due) * s->dt;
     bool waits = false;
@@ -47,7 +47,7 @@ static void pass_terrain_edge(estimator_t *m, const estimator_settings_t *s, rea
     }
 }
 
-/* Move the horizon on by a block: state and covariance. */
+/* Advance the horizon by a block: state and covariance. */
 static void advance_horizon(estimator_t *m, const estimator_settings_t *s)
 {
     const real_t span = (real_t)s->block_ticks * s->dt;
@@ -94,7 +94,8 @@ void predict_bias(estimator_t *m, const estimator_settings_t *s)
     real_t q = s->process_variance[k] + (adrift ? ((may * may) * ((real_t)BIAS_CYCLE_TICKS * s->dt)) : REAL(0.0));
 
     if (k == EX_TERRAIN) {
-        q *= real_sqrt((m->x[SX_VEL] * m->x[SX_VEL]) + (m->x[SX_VEL + 1] * m->x[SX_VEL + 1])); /* another floor lies elsewhere, not later */
+        /* the terrain changes with distance, not with time */
+        q *= real_sqrt((m->x[SX_VEL] * m->x[SX_VEL]) + (m->x[SX_VEL + 1] * m->x[SX_VEL + 1]));
     }
     if (k < (EX_GYRO_BIAS + 3)) {
         const int32_t i = k - EX_GYRO_BIAS;
@@ -133,7 +134,7 @@ static int32_t next_measurement(estimator_t *m, const estimator_settings_t *s)
             } else if ((next < 0) || (m->queue_sensor[i] < m->queue_sensor[next])) {
                 next = i;
             } else {
-                /* its turn comes */
+                /* it is fused later */
             }
         }
     }
@@ -153,7 +154,7 @@ static int32_t fuse_next_measurement(estimator_t *m, const estimator_settings_t 
         } else if (fuse_measurement(m, s, i, cost)) {
             m->queue_due[i] = -1;
         } else {
-            /* more of it comes */
+            /* the rest follows */
         }
     }
     return cost;
@@ -166,7 +167,7 @@ static void average_block_forces(estimator_t *m, const estimator_settings_t *s)
     const real_t n = (real_t)(m->block_mean_ticks / s->block_ticks);
 
     for (int32_t k = 0; k < 3; k++) {
-        /* Density of the whole difference at the horizon, from what was weighed there */
+        /* Noise density of the difference at the horizon, from the weights used there */
         const real_t share = real_max(e[IN_SHARE + k], REAL(1e-9));
 
         m->accel_mean[k] /= n;
@@ -228,7 +229,7 @@ static int32_t fuse_block_axis(estimator_t *m, const estimator_settings_t *s, in
         fuse_accel_residual(m, s, m->block_mean_ticks, i);
         m->task_stage += 1;
     } else {
-        m->task_stage = STAGE_GROUND_CONTACT; /* light: neither stands nor flies */
+        m->task_stage = STAGE_GROUND_CONTACT; /* light: neither standing nor flying */
     }
     return cost;
 }
@@ -289,7 +290,7 @@ void queue_new_measurements(estimator_t *m, const estimator_settings_t *s, const
 
             if (!queue_measurement(m, s, kind, at, &z[READING_STARTS[kind]])) {
                 m->late_count[kind] += 1;
-                /* One alone is no fault: jitter has a longer tail than the horizon waits for. */
+                /* A single late reading is no fault: some exceed the delay of the horizon. */
                 if (((real_t)(m->tick - m->last_fused_tick[kind]) * s->dt) > s->timeout[kind]) {
                     set_fault(m, s, kind, STATUS_FAULTY, REASON_LATE, age[kind]);
                 }

@@ -153,7 +153,7 @@ real_t sample_inputs(estimator_t *m, const estimator_settings_t *s, const flight
     rises = update_flight_phase(m, s, z);
     for (int32_t k = 0; k < 3; k++) {
         const real_t clip = (m->clip_share[k] * CLIPPING_ERROR_SHARE) * s->accel_range;
-        /* Without what a shaking leaves; but whose attitude is not known knows the force of the air better. */
+        /* Without vibration; but if the attitude is unknown, the model's force is the better one. */
         const real_t noise = (m->status[R_RATES] < STATUS_MISSING) ? m->accel_noise_slow[k] : m->accel_noise[k];
         real_t felt = ((s->has_rotor_model > 0) ? real_max(s->accel_density, noise) : s->accel_density) + ((ERROR_TIME_TWICE_S * clip) * clip);
         real_t made = s->model_accel_density[k];
@@ -183,12 +183,12 @@ real_t sample_inputs(estimator_t *m, const estimator_settings_t *s, const flight
             }
             row[IN_STATIC + k] = REAL(0.0);
         } else if (s->has_rotor_model > 0) {
-            /* Until the thrust is known, which takes the delay and more, it flies by the accelerometers. */
+            /* Until the thrust is known, after more than the delay, the accelerometers have the higher weight. */
             const real_t unknown = real_max(m->sigma_output[EX_THRUST_SCALE] - MODELLED_THRUST_SIGMA, REAL(0.0)) * row[IN_STATIC + k];
 
             made += (THRUST_ERROR_TIME_S * unknown) * unknown;
         } else {
-            /* flies without a model */
+            /* flight without a model */
         }
         if ((s->has_rotor_model <= 0) && (m->flight_phase > PHASE_RUNNING)) {
             row[IN_STATIC + k] = REAL(0.0);
@@ -246,12 +246,12 @@ void estimate_accel_noise(estimator_t *m, const estimator_settings_t *s, const r
     if (m->slow_count >= SLOW_NOISE_TICKS) {
         const real_t half = (real_t)(SLOW_NOISE_TICKS / 2);
         const real_t span = (REAL(0.75) * (real_t)SLOW_NOISE_TICKS) * s->dt;
-        /* Off the floor the model has another force, and the thrust's scale is found. */
+        /* After lift-off the modelled force changes, and the thrust scale has to converge first. */
         const bool settled = (m->flight_phase != PHASE_FLYING) || ((m->tick - m->grounded_tick) > (2 * SLOW_NOISE_TICKS));
 
         for (int32_t k = 0; k < 3; k++) {
             const real_t mean = m->slow_sum[k] / (half * (half + REAL(1.0)));
-            /* What the model may be off by, at lift-off by much, is not the accelerometers'. */
+            /* The model's uncertainty, large at lift-off, is not noise of the accelerometers. */
             const real_t unknown = (REAL(2.0) * m->sigma_output[EX_THRUST_SCALE]) * real_abs(row[IN_STATIC + k]);
             const real_t step = real_max(real_abs(mean - m->slow_mean_prev[k]) - unknown, REAL(0.0));
             const real_t made = row[IN_NOISE + k] / real_max(REAL(1.0) - row[IN_SHARE + k], REAL(1e-9));
@@ -319,7 +319,7 @@ static void turn_level(const estimator_t *m, real_t v[6])
     }
 }
 
-/* Begin a state anew with level attitude and no bias of the accelerometers. */
+/* Reset a state to level attitude and no bias of the accelerometers. */
 static void restart_level_state(real_t x[STATE_COUNT])
 {
     const real_t turn = real_sqrt((x[SX_ATT] * x[SX_ATT]) + (x[SX_ATT + 3] * x[SX_ATT + 3]));
@@ -333,7 +333,7 @@ static void restart_level_state(real_t x[STATE_COUNT])
     x[SX_ATT + 2] = REAL(0.0);
 }
 
-/* Turn the inputs since the horizon level, and begin anew with level attitude and no bias of the accelerometers. */
+/* Rotate the inputs since the horizon level; reset to level attitude and no bias of the accelerometers. */
 static void restart_level(estimator_t *m, const estimator_settings_t *s)
 {
     real_t *const states[4] = {m->x, m->x_repropagating, m->x_now, m->x_output};
@@ -357,7 +357,7 @@ static void restart_level(estimator_t *m, const estimator_settings_t *s)
     }
 }
 
-/* Decide by the accelerometers' sum at rest whether the inertial unit is tilted, and begin anew if it is. */
+/* Decide by the accelerometers' sum at rest whether the inertial unit is tilted; reset the filter if so. */
 static void decide_level(estimator_t *m, const estimator_settings_t *s)
 {
     const real_t size = real_sqrt(((m->level_sum[0] * m->level_sum[0]) + (m->level_sum[1] * m->level_sum[1])) +

@@ -184,7 +184,7 @@ void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, const real
         if (i == FIX_DOWN) {
             down = fix_height_consistent(m, s, nu, ratio);
         } else if ((m->is_heading_aligned == 0) && (real_abs(ratio) > INNOVATION_GATE)) {
-            /* The place of the start is unknown: the first fix gives it. */
+            /* The initial position is unknown: the first fix sets it. */
             inflate_variance(m, (i < FIX_HEADING) ? (EX_POS + i) : (EX_ATT + 2), nu * nu);
             ratio = innovation_ratio(m, nu, fix_variance(m, s, i));
         } else {
@@ -206,7 +206,7 @@ void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, const real
     led = (s->has_rotor_model > 0) && lasting && (m->fix_ratio_lp > DIVERGENCE_MEAN_SQUARE) && (real_abs(worst) > INNOVATION_GATE) &&
           (real_abs(worst) < (REAL(2.0) * INNOVATION_GATE));
     if ((real_abs(worst) > INNOVATION_GATE) && !led) {
-        /* A height off the sonar's accuses neither of the two. */
+        /* A height that differs from the sonar's does not show which of the two is wrong. */
         reject_measurement(m, s, k, at, z, 3,
                   ((REAL(2.0) * s->sensor_period[k]) + (REAL(8.0) * real_sqrt(fix_variance(m, s, 0)))) + REAL(0.05),
                   (is_height_alone_off(m) && (m->status[R_SONAR] == STATUS_FUSED)) ? REASON_HEIGHT_CONFLICT : REASON_INNOVATION);

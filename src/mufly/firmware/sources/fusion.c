@@ -34,7 +34,7 @@ static void reset_height(estimator_t *m, const estimator_settings_t *s, real_t n
 {
     const int32_t before = m->height_reset_tick;
 
-    inflate_variance(m, EX_POS + 2, nu * nu); /* the foot of a wall in the cone may have been taken for the floor */
+    inflate_variance(m, EX_POS + 2, nu * nu); /* the sonar may have measured the foot of a wall in its cone */
     m->height_reset_tick = m->horizon_tick;
     if (!((before > 0) && (((real_t)(m->horizon_tick - before) * s->dt) < HEIGHT_RESET_WINDOW_S))) {
         return;
@@ -56,13 +56,13 @@ static bool reset_to_sonar(estimator_t *m, const estimator_settings_t *s, const 
     floor_height = m->x[SX_TERRAIN] - nu;
     step = (m->agree_count[k] >= 2) && (floor_height > MIN_TERRAIN_HEIGHT);
     if (step && (m->terrain_steps >= MAX_TERRAIN_STEPS)) {
-        /* Step after step: it is not the floor that goes, it is the height. */
+        /* Repeated steps: the height is wrong, not the terrain. */
         inflate_variance(m, EX_POS + 2, nu * nu);
         inflate_variance(m, EX_VEL + 2, REAL(0.1));
         inflate_variance(m, EX_THRUST_SCALE, REAL(0.01));
         set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu);
     } else if (step && (nu > REAL(0.0))) {
-        reset_height(m, s, nu); /* lower than the floor nothing lies; over an edge it was the surface that jumped */
+        reset_height(m, s, nu); /* no surface lies below the floor */
         set_fault(m, s, k, STATUS_FUSED, REASON_TERRAIN_SLOPE, nu);
     } else if (step) {
         inflate_variance(m, EX_TERRAIN, nu * nu);
@@ -79,14 +79,14 @@ static bool reset_to_sonar(estimator_t *m, const estimator_settings_t *s, const 
         set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu);
     } else {
         if (m->agree_count[k] >= 2) {
-            set_fault(m, s, k, STATUS_REJECTED, REASON_INNOVATION, nu); /* below the room's floor, and not by chance */
+            set_fault(m, s, k, STATUS_REJECTED, REASON_INNOVATION, nu); /* a consistent range below the room's floor */
         }
         taken = false;
     }
     return taken;
 }
 
-/* Whether the sonar repeats itself for longer than its noise and the vehicle's moving allow. */
+/* Whether the sonar repeats a reading more often than its noise and the vehicle's motion allow. */
 static bool sonar_stuck(estimator_t *m, const estimator_settings_t *s, real_t z, real_t nu)
 {
     const bool same = (z <= m->sonar_prev) && (z >= m->sonar_prev);
@@ -95,7 +95,7 @@ static bool sonar_stuck(estimator_t *m, const estimator_settings_t *s, real_t z,
     if ((!same) || ((height_above_ground(m->x, s) - m->fix_height_gap) < LEG_CLEARANCE_HEIGHT)) {
         m->sonar_repeat_chance = REAL(1.0);
     } else {
-        /* A height that is hardly known has no part in it: it may be better than believed. */
+        /* The height's variance is not included: the height may be more accurate. */
         const real_t sigma = REAL(1.3) * real_sqrt(s->sonar_variance);
         const real_t likely = ((REAL(0.399) * s->sonar_resolution) / sigma) /
                               (REAL(1.0) + (REAL(0.5) * real_min((nu * nu) / (sigma * sigma), REAL(9.0))));
@@ -125,11 +125,11 @@ static void fuse_sonar_range(estimator_t *m, const estimator_settings_t *s, cons
     }
     expect = (-(m->x[SX_POS + 2] + (ahead * m->x[SX_VEL + 2])) - down) - m->x[SX_TERRAIN];
     if ((z[0] <= nearest) && (standing < nearest)) {
-        /* Nearer than it can tell: anywhere between there and where it stands. */
+        /* Below the minimum range: uniform between that range and the range on the floor. */
         said = REAL(0.5) * (nearest + standing);
         variance = ((nearest - standing) * (nearest - standing)) / REAL(12.0);
         if (expect < nearest) {
-            fuse_scalar(m, said - expect, REAL(100.0) * variance); /* as so many that are off alike */
+            fuse_scalar(m, said - expect, REAL(100.0) * variance); /* weight of a hundredth: the errors of such readings are correlated */
             mark_fused(m, k);
             return;
         }
@@ -142,7 +142,7 @@ static void fuse_sonar_range(estimator_t *m, const estimator_settings_t *s, cons
         return;
     }
     over = (m->terrain_edge_weight > REAL(0.0)) || (real_abs(m->x[SX_TERRAIN]) > MAX_FLOOR_HEIGHT);
-    /* Always off to the same side: over an edge it is the surface. Tops are flat, so else it is the height. */
+    /* Innovations of one sign: over an edge the surface is wrong, else the height, since surfaces are level. */
     if (real_abs(ratio) < INNOVATION_GATE) {
         m->sonar_ratio_lp += REAL(0.2) * (ratio - m->sonar_ratio_lp);
         if (!over) {
@@ -160,7 +160,7 @@ static void fuse_sonar_range(estimator_t *m, const estimator_settings_t *s, cons
         }
     }
     if (over && (real_abs(ratio) > TERRAIN_STEP_GATE) && (m->terrain_steps < MAX_TERRAIN_STEPS) && ((m->x[SX_TERRAIN] - nu) > MIN_TERRAIN_HEIGHT)) {
-        /* Over an object it is the surface that jumps. */
+        /* Over an object the surface steps. */
         m->terrain_steps += 1;
         m->terrain_edge_weight = REAL(1.0);
         inflate_variance(m, EX_TERRAIN, nu * nu);
@@ -232,7 +232,7 @@ static real_t nearest_wall(const estimator_t *m, const estimator_settings_t *s, 
     return best;
 }
 
-/* Fuse at most this many beams; return whether that was the last. */
+/* Fuse at most this many beams; return whether all beams are fused. */
 static bool fuse_wall_ranges(estimator_t *m, const estimator_settings_t *s, const real_t z[MAX_FUSED_BEAMS], real_t ahead, int32_t most)
 {
     const int32_t k = R_RING;
@@ -244,7 +244,7 @@ static bool fuse_wall_ranges(estimator_t *m, const estimator_settings_t *s, cons
     if (m->next_beam == 0) {
         m->beams_seen = 0;
         m->beams_fused = 0;
-        /* no number of readings tells more than `told_most`: of that a picture brings what has been lost since */
+        /* all scans together hold at most wall_info_limit; a scan adds the information lost since the last one */
         for (int32_t i = 0; i < 2; i++) {
             const real_t told = m->wall_info_limit[i] * state_variance(m, EX_POS + i);
 
@@ -267,7 +267,7 @@ static bool fuse_wall_ranges(estimator_t *m, const estimator_settings_t *s, cons
         }
         best = nearest_wall(m, s, ahead, u, &axis);
         if ((axis >= 0) && (axis != 2) && !(best > (REAL(1.1) * s->ring_max))) {
-            /* l = (c - p_i) / u_i; of the heading they tell nothing, it is one more constant: du = t x u */
+            /* l = (c - p_i) / u_i; they contain no heading, whose error is one more constant: du = t x u */
             const real_t h = REAL(-1.0) / u[axis];
             const real_t across = ((h * best) * ((axis == 0) ? u[1] : u[0])) * m->sigma_output[EX_ATT + 2];
             const real_t slope = (best * best) + (s->ring_baseline * s->ring_baseline);
@@ -292,14 +292,14 @@ static bool fuse_wall_ranges(estimator_t *m, const estimator_settings_t *s, cons
     }
     m->next_beam = all ? 0 : last_beam;
     if (!all) {
-        /* the other beams come */
+        /* the other beams follow */
     } else if (m->beams_fused > 0) {
         mark_fused(m, k);
     } else if (m->tick >= m->fault_until_tick[k]) {
         m->status[k] = STATUS_WAITING;
         m->reason[k] = (m->beams_seen == 0) ? REASON_WALLS_TOO_FAR : REASON_NO_WALL;
     } else {
-        /* told of for a while yet */
+        /* the fault is still reported */
     }
     return all;
 }
@@ -326,14 +326,14 @@ static void fuse_drifting_aid(estimator_t *m, const estimator_settings_t *s, int
         }
         reset_aid_bias(m, s, k, bias, nu);
     } else if (k == R_PRESSURE) {
-        /* A bias that grows faster than it may drags innovations of one sign behind it. */
+        /* A bias that drifts faster than modelled causes innovations of one sign. */
         m->pressure_ratio_lp += REAL(0.2) * (ratio - m->pressure_ratio_lp);
         if (real_abs(m->pressure_ratio_lp) > PRESSURE_MEAN_GATE) {
             m->pressure_ratio_lp = REAL(0.0);
             reset_aid_bias(m, s, k, bias, nu);
         }
     } else {
-        /* the field of the motors keeps the mean of a magnetometer's ratio off zero */
+        /* the motors' field gives the magnetometer's ratios a mean other than zero */
     }
     fuse_scalar(m, nu, variance);
     mark_fused(m, k);
@@ -389,7 +389,7 @@ int32_t measurement_cost(const estimator_t *m, const estimator_settings_t *s, in
         cost = (beams < left) ? beams : left;
         cost = (cost > 1) ? cost : 1;
     } else {
-        /* a scalar one */
+        /* a scalar measurement */
     }
     return cost;
 }
@@ -463,11 +463,11 @@ void fuse_zero_motion(estimator_t *m, const estimator_settings_t *s, int32_t cou
     h_row_begin(m, EX_VEL + i, REAL(1.0));
     fuse_scalar(m, -m->x[SX_VEL + i], REAL(4e-4));
     if (mode == PHASE_COASTING) {
-        return; /* such rotors turn the vehicle on its legs: that is no noise, but a rate that lasts */
+        return; /* such rotors turn the vehicle on its legs at a lasting rate, which is no noise */
     }
     off = m->gyro_mean[i] - m->x[SX_GYRO_BIAS + i];
     h_row_begin(m, EX_GYRO_BIAS + i, REAL(1.0));
-    /* With its rotors running it may slide and turn on its legs. */
+    /* With running rotors the vehicle may slide and turn on its legs. */
     if (still || (real_abs(innovation_ratio(m, off, calm * REAL(2.0))) < INNOVATION_GATE)) {
         fuse_scalar(m, off, calm * REAL(2.0));
     }

@@ -4,9 +4,9 @@
 
 #include "records.h"
 
-/* Return the cost of a measurement in scalar ones; of the ring as many beams as there is time for. */
+/* Return the cost in scalar measurements; for the ring, the number of beams for which there is time. */
 int32_t measurement_cost(const estimator_t *m, const estimator_settings_t *s, int32_t kind, int32_t left);
-/* Fuse queued measurement i, or as much of it as cost pays for; return whether all of it is fused. */
+/* Fuse queued measurement i, as far as the budget cost permits; return whether all of it is fused. */
 bool fuse_measurement(estimator_t *m, const estimator_settings_t *s, int32_t i, int32_t cost);
 
 /* Fuse accelerometers less model along axis i, a mean over count periods: biases, thrust, wind, velocity. */

@@ -1,4 +1,4 @@
-/* Allocation of the available voltage to two motors that together request more. */
+/* Allocation of the available voltage to two motors that request more than it. */
 #ifndef MUFLY_MIXER_H
 #define MUFLY_MIXER_H
 

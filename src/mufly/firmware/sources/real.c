@@ -143,7 +143,7 @@ real_t real_wrap_angle(real_t angle)
 
         rest = (angle - (turns * FULL_TURN_1)) - (turns * FULL_TURN_2);
     } else {
-        /* a fault elsewhere */
+        /* NaN, caused elsewhere */
     }
     return rest;
 }

@@ -18,7 +18,7 @@ void h_row_add(estimator_t *m, int32_t state, real_t h)
     m->h_terms += 1;
 }
 
-/* Move a state by errors that it had a span (s) ago, since when `push` has changed its velocity, but for gravity. */
+/* Add an error to a state, propagated over span (s), in which push was added to the velocity without gravity. */
 static void shift_state(real_t x[STATE_COUNT], const real_t by[ERROR_STATE_COUNT], real_t span, const real_t push[3])
 {
     real_t v[3] = {by[EX_VEL], by[EX_VEL + 1], by[EX_VEL + 2]};
@@ -82,7 +82,7 @@ void reject_measurement(estimator_t *m, const estimator_settings_t *s, int32_t k
         m->reject_since_tick[k] = m->horizon_tick;
     }
     if ((k != R_SONAR) && (real_abs(innovation) > ((REAL(2.0) * INNOVATION_GATE) * m->innovation_sigma[k]))) {
-        m->reject_score[k] += REAL(1.0); /* by so much nothing healthy is off, but for a sonar that hears a second surface */
+        m->reject_score[k] += REAL(1.0); /* no healthy sensor but a sonar with a second surface deviates so much */
     }
     mark_rejected(m, s, k, why, innovation);
 }

@@ -268,7 +268,7 @@ void replace_gyro_spikes(estimator_t *m, const estimator_settings_t *s, bool fly
         small = small && (real_abs(m->gyro_offset[k] + (m->gyro_rates[k] - m->axis_work[k])) < MAX_GYRO_OFFSET);
     }
     if ((m->spike_repeats >= JUMP_REPEATS) && small) {
-        /* Twice the same: a sudden offset is no motion. It is subtracted from the following readings. */
+        /* A sudden offset is no motion. It is subtracted from the following readings. */
         for (int32_t k = 0; k < 3; k++) {
             const real_t off = m->gyro_rates[k] - m->axis_work[k];
 
@@ -426,7 +426,7 @@ void check_accel_model(estimator_t *m, const estimator_settings_t *s, const real
             code = (m->is_accel_distrusted == 1) ? STATUS_FAULTY : STATUS_REJECTED;
             why = (m->force_verdict == FORCE_UNDECIDED) ? REASON_FORCE_CONFLICT : REASON_INNOVATION;
         } else {
-            /* a floor that carries accuses nobody */
+            /* floor contact: neither is wrong */
         }
         rejected = (m->status[R_ACCELERATION] == STATUS_REJECTED) || (m->status[R_ACCELERATION] == STATUS_FAULTY);
         if ((m->force_verdict != FORCE_AGREES) && ((why != REASON_NONE) || rejected)) {

@@ -369,7 +369,7 @@ bool health_monitor_step(health_monitor_t *d, const estimate_t *m)
                 found.reason = make_message(SAY_NO_MESSAGE);
                 said = true;
             } else {
-                /* certain, but for too short a time */
+                /* certain, but not for long enough */
             }
         } else {
             /* no limitation */

@@ -48,7 +48,7 @@ static flight_setup_t present_setup(const board_t *b)
     return setup;
 }
 
-/* Median of the last three readings of each beam: a spot seen once is noise. */
+/* Median of the last three readings of each beam: it removes a single wrong reading. */
 static void filter_ranges(board_t *b, const real_t ranges[])
 {
     for (int32_t i = 0; i < mufly_plan.ring.count; i++) {
@@ -63,7 +63,7 @@ static void filter_ranges(board_t *b, const real_t ranges[])
     }
 }
 
-/* Covariance and sensor statuses, which the flight software gets as seldom as the covariance is computed. */
+/* Covariance and sensor statuses; the flight software gets them only when the covariance is computed. */
 static void publish_status(board_t *b)
 {
     const estimator_t *e = &b->estimator;

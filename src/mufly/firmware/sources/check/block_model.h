@@ -15,11 +15,11 @@ typedef struct {
     uint32_t cached[MODEL_CACHE][BLOCK_WORDS];
     int32_t cached_block[MODEL_CACHE];
     int32_t cached_count;
-    int32_t write_polls;   /* polls that a write or a flush takes */
+    int32_t write_polls;   /* polls until a write or a flush ends */
     int32_t polls_left, answer;
     uint32_t operations;   /* writes and flushes since the start */
     int32_t cut_after;     /* the power is cut in the operation after so many; negative: never */
-    uint32_t outside;      /* operations asked for on a block that the device has not */
+    uint32_t outside;      /* requested operations on blocks that do not exist */
     bool is_off, refuses, is_silent;
     uint32_t noise;        /* state of the random generator; not 0 */
 } block_model_t;

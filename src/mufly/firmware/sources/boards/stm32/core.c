@@ -3,7 +3,7 @@
 #include "pins.h"
 #include "stm32f405.h"
 
-#define PATIENCE 200000U /* turns of a wait; the crystal takes 2 ms of the 16 MHz at the start */
+#define PATIENCE 200000U /* iterations of a wait; the crystal takes 2 ms of the 16 MHz at the start */
 #define INTERNAL_HZ 16000000U
 #define INTERNAL_MHZ 16U
 #define WATCHDOG_TICKS 400U /* of 32 kHz / 4: 50 ms */
@@ -43,7 +43,7 @@ uint32_t clock_start(void)
     return runs ? FULL_SPEED_HZ : INTERNAL_HZ;
 }
 
-/* A reset sets PINRSTF in every case, and a power-up sets BORRSTF too: the more telling flag counts. */
+/* A reset sets PINRSTF in every case, and a power-up sets BORRSTF too: the more specific flag counts. */
 uint32_t reset_cause(void)
 {
     const uint32_t flags = register_get(RCC_CSR);

@@ -58,7 +58,7 @@ void adc_start(void)
     register_set(ADC_CR2, ADC_ADON);
 }
 
-/* Take the conversion that the call before has started. */
+/* Read the conversion that the previous call started. */
 uint32_t adc_read(void)
 {
     uint32_t count = 0xFFFFU;

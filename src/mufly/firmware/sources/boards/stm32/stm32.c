@@ -180,10 +180,10 @@ bool hal_block_read(int32_t block, uint32_t to[BLOCK_WORDS])
 
 bool hal_block_write(int32_t block, const uint32_t from[BLOCK_WORDS])
 {
-    return sd_card_begin(&card, block, (uint32_t *)(uintptr_t)from, true); /* which a write only reads */
+    return sd_card_begin(&card, block, (uint32_t *)(uintptr_t)from, true); /* a write does not change the memory */
 }
 
-/* A card that is no more busy holds nothing back. */
+/* A card that is not busy has written everything. */
 bool hal_block_flush(void)
 {
     const bool rests = card.result != (int32_t)BLOCK_BUSY;
@@ -225,7 +225,7 @@ void stm32_fault(uint32_t address)
     }
 }
 
-/* What the compiler calls for records; volatile keeps it from calling itself. */
+/* The compiler calls these functions for records; volatile keeps them from calling themselves. */
 void *memcpy(void *to, const void *from, size_t count)
 {
     size_t i = 0U;

@@ -83,7 +83,7 @@ void outputs_start(uint32_t clock_Hz);
 void motors_send(uint32_t first[], uint32_t second[], uint32_t count); /* compare values; the memory stays the timer's */
 void servos_set(uint32_t first_us, uint32_t second_us);
 
-/* Count of the battery's voltage, 12 bits; more: no new one. */
+/* Count of the battery's voltage, 12 bits; a larger value: no new conversion. */
 void adc_start(void);
 uint32_t adc_read(void);
 

@@ -1,6 +1,6 @@
 #include "actuator_outputs.h"
 
-#define DSHOT_LEAST 48 /* below it are commands, not throttles */
+#define DSHOT_LEAST 48 /* lower values are commands, not throttles */
 #define DSHOT_MOST 2047
 #define ADC_MOST 4095U
 
@@ -39,7 +39,7 @@ uint32_t servo_pulse_us(real_t deflection)
     } else if (deflection < REAL(-1.0)) {
         pulse = 1000U;
     } else {
-        /* no number */
+        /* not a number */
     }
     return pulse;
 }

@@ -13,7 +13,7 @@
 #define ODR_1KHZ 0x06U     /* with the largest full scale, whose bits are 0 */
 #define BANDWIDTH 0x44U    /* both: a tenth of the rate */
 #define SAMPLE_BYTES 14
-#define MAX_REPEATED 20    /* noise moves the last bit of one of seven channels far sooner */
+#define MAX_REPEATED 20    /* noise changes the last bit of one of seven channels far sooner */
 
 #define G_PER_COUNT (REAL(9.80665) / REAL(2048.0))
 #define RATE_PER_COUNT (REAL(0.017453292519943295) / REAL(16.4))

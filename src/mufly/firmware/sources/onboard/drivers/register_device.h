@@ -1,5 +1,5 @@
 /* A device behind registers, on SPI or I2C: identity, set-up and measurements as a table of steps, one after the other, without
- * waiting. Transfers are the board's, by DMA; each has 5 ms. After any fault the device starts again, 0.1 s later, for ever. */
+ * waiting. Transfers are the board's, by DMA; each has 5 ms. After any fault the device is initialised again, 0.1 s later. */
 #ifndef MUFLY_REGISTER_DEVICE_H
 #define MUFLY_REGISTER_DEVICE_H
 
@@ -40,7 +40,7 @@ typedef struct {
 #define DEVICE_SILENT 2U       /* a transfer took too long */
 #define DEVICE_UNKNOWN 4U      /* another identity */
 #define DEVICE_FORGETS 8U      /* a setting does not hold */
-#define DEVICE_IMPLAUSIBLE 16U /* data that the device cannot have measured: set by its driver */
+#define DEVICE_IMPLAUSIBLE 16U /* implausible data: set by its driver */
 
 typedef struct {
     int32_t number;
@@ -58,7 +58,7 @@ typedef struct {
 void register_device_start(register_device_t *d, int32_t number, const device_program_t *program, uint32_t now_us);
 
 /* Advance; return whether data of a STEP_READ are new in d->data. Call once a period or more often; a call ends and begins at most
- * one transfer. now_us: a clock that runs over. */
+ * one transfer. now_us: a clock that wraps around. */
 bool register_device_step(register_device_t *d, uint32_t now_us);
 
 /* Begin anew after a pause, because of a fault. */

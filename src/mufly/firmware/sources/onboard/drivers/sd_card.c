@@ -81,7 +81,7 @@ static bool begin_transfer(sd_card_t *c)
             count = WAKE_CLOCKS;
             selected = false;
         } else if (c->phase == (int32_t)RELEASES) {
-            count = 1; /* the card lets go of its line a byte after its deselection */
+            count = 1; /* the card releases its line a byte after its deselection */
             selected = false;
         } else if (c->phase == (int32_t)COMMANDS) {
             c->frame[0] = (uint8_t)(0x40U | commands[c->command].number);
@@ -159,7 +159,7 @@ static void conclude_start_command(sd_card_t *c, int32_t at, uint32_t now_us)
         if (answer == IDLE_BIT) {
             begin_command(c, (int32_t)SEND_IF_COND, commands[SEND_IF_COND].argument, now_us);
         } else {
-            c->tries++; /* it may still be in the middle of something */
+            c->tries++; /* the card may still be busy */
             if (c->tries > MOST_TRIES) {
                 give_up(c, (int32_t)SD_REFUSES, now_us);
             }

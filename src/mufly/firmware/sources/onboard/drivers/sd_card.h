@@ -14,7 +14,7 @@ bool sd_bus_begin(bool selected, const uint8_t out[], uint8_t in[], int32_t coun
 int32_t sd_bus_poll(void);
 void sd_bus_speed(bool fast);
 
-/* Faults: no answer, an error in an answer, another kind of card, time over. */
+/* Faults: no answer, an error in an answer, an unsupported card, timeout. */
 enum { SD_GOOD, SD_SILENT, SD_REFUSES, SD_UNKNOWN, SD_SLOW };
 
 typedef struct {

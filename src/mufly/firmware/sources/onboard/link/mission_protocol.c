@@ -204,6 +204,6 @@ void step_upload(link_t *k, const link_vehicle_t *v)
     } else if (k->loads && ((now_s - k->load_asked_s) > LOAD_RETRY_S)) {
         request_item(k, v);
     } else {
-        /* nothing is late */
+        /* no item is late */
     }
 }

@@ -16,7 +16,7 @@ void link_start(link_t *k)
 
     *k = none;
     for (int32_t i = 0; i < LINK_STREAMS; i++) {
-        k->due_s[i] = (real_t)i / (real_t)mufly_rate_Hz; /* a period apart, here and in all that follow */
+        k->due_s[i] = (real_t)i / (real_t)mufly_rate_Hz; /* all fall into different periods */
     }
 }
 
@@ -208,7 +208,7 @@ void link_step(link_t *k, const link_vehicle_t *v)
     }
     step_upload(k, v);
     step_settings(v);
-    /* At most one message a period, besides answers: that bounds its length. */
+    /* At most one message a period, besides answers, to bound the period's length. */
     sent = send_arming_fault(k, v);
     if (!sent) {
         sent = send_storage_fault(k, v);

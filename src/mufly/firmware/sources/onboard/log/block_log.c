@@ -5,10 +5,10 @@
 #define PAYLOAD_BITS 0xFFFFU
 #define MAX_BAD_IN_ROW 16     /* more than the blocks of a sector of flash that a cut left half-written */
 #define SPARE_PLACES 32       /* a session ends so many places before its own first block, which an erase must not reach */
-#define PATIENCE_S 2          /* without an answer for so long, the device has failed */
-#define FLUSHES_PER_S 4       /* after what is written; while more waits to be written, half as many */
+#define PATIENCE_S 2          /* silence after which the device counts as failed */
+#define FLUSHES_PER_S 4       /* while data are written; half as many while more data wait */
 
-#define SUM_WORDS 64          /* of a block's checksum in one period: that bounds the period's length */
+#define SUM_WORDS 64          /* words of a checksum in one period, to bound the period's length */
 
 enum { IDLE, READS, SUMS, WRITES, READS_BACK, FLUSHES };
 
@@ -28,7 +28,7 @@ void block_log_start(block_log_t *l)
 static void fail(block_log_t *l)
 {
     l->state = (int32_t)BLOCK_LOG_FAILED;
-    l->faults = LOG_FAILED; /* and that its blocks are worn is no news */
+    l->faults = LOG_FAILED; /* worn blocks are already reported */
 }
 
 static int32_t next_place(const block_log_t *l, int32_t place)
@@ -150,7 +150,7 @@ bool block_log_append(block_log_t *l, const uint8_t bytes[], int32_t count, bool
 
 /* Device */
 
-/* The block at this place holds the oldest buffer: release that; or it does not: go on to the next place. */
+/* Go on to the next place; if the block at this place holds the oldest buffer, release the buffer. */
 static void conclude_block(block_log_t *l, bool holds)
 {
     l->place = next_place(l, l->place);

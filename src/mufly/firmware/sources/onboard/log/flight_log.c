@@ -50,7 +50,7 @@ static void put_numbers(log_message_t *m, const real_t values[], int32_t count)
     }
 }
 
-/* Time in microseconds; zero for a time that is none. */
+/* Time in microseconds; zero for an invalid time. */
 static void put_stamp(log_message_t *m, real_t time_s)
 {
     const real_t time = ((time_s > REAL(0.0)) && (time_s < REAL(4e6))) ? time_s : REAL(0.0);
@@ -188,7 +188,7 @@ void flight_log_step(flight_log_t *g, const flight_log_vehicle_t *v)
         }
         g->periods_to_row--;
     }
-    if (!appended) { /* a period either appends or works on the device, which needs a checksum: that bounds its length */
+    if (!appended) { /* a period either appends or works on the device, to bound its length */
         block_log_step(&g->device);
     }
 }

@@ -2,7 +2,7 @@
  * middle and high end, of which 992 -+ 800 are 1000 and 2000 us.
  *
  * CRSF (https://github.com/crsf-wg/crsf/wiki): 0xC8 or 0xEE, length of the rest, type, payload, CRC-8 of type and payload.
- * SBUS: 0x0F, 22 bytes of channels, flags, an end byte; no checksum, hence a frame counts only right after another one. */
+ * SBUS: 0x0F, 22 bytes of channels, flags, an end byte; no checksum, so a frame is valid only directly after another one. */
 #ifndef MUFLY_RC_FRAMES_H
 #define MUFLY_RC_FRAMES_H
 

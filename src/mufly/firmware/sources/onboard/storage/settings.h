@@ -18,8 +18,8 @@ typedef struct {
     storage_t storage;
     calibration_t calibration;
     bool changed[PARAMETERS]; /* parameters that were set, here or before a restart; only these are stored */
-    bool owes_parameters, owes_calibration; /* what is not stored yet */
-    bool has_failed;          /* to store what is owed: tried again after the next change, or on request */
+    bool owes_parameters, owes_calibration; /* records that are not stored yet */
+    bool has_failed;          /* storing failed: tried again after the next change, or on request */
     uint32_t faults;          /* SETTINGS_..., until they are sent as text */
 } settings_t;
 
@@ -31,10 +31,10 @@ void settings_begin(settings_t *s, const tunables_t *t);
 /* Set a parameter; on the floor, with motors off, store it too. Return SETTING_... */
 int32_t settings_set(settings_t *s, const tunables_t *t, int32_t k, real_t value, bool on_floor);
 
-/* Store what is owed; return whether nothing is owed any more. Call on the floor only. */
+/* Store the records that are not stored yet; return whether all are stored. Call on the floor only. */
 bool settings_store(settings_t *s, const tunables_t *t);
 
-/* Whether something is owed that the last attempt did not fail to store. */
+/* Whether a record waits to be stored whose last attempt did not fail. */
 bool settings_are_due(const settings_t *s);
 
 /* Return parameters or calibration to the values of the image, without storing. */

@@ -1,7 +1,7 @@
-/* Arming, the user's requests with their timeouts, and the failsafe of a lost link: what stands between a link and the
- * flight software. The twin of Autopilot (autopilot.py of mufly.flight) and of the link failsafe (clients.py of mufly.link),
- * without what needs the map of the surroundings or the height of the floor: obstacles, geofence, battery needed for a mission,
- * height of the standing vehicle. */
+/* Arming, the user's requests with their timeouts, and the failsafe of a lost link: between a link and the flight software.
+ * The twin of Autopilot (autopilot.py of mufly.flight) and of the link failsafe (clients.py of mufly.link), without what
+ * needs the map of the surroundings or the height of the floor: obstacles, geofence, battery needed for a mission, height of
+ * the standing vehicle. */
 #ifndef MUFLY_SUPERVISOR_H
 #define MUFLY_SUPERVISOR_H
 
