@@ -38,7 +38,7 @@ GROUPS = {
     "firmware/sources/onboard/log/*.c": ["test_flight_log.py"],
     "firmware/sources/onboard/link/*.c": ["test_board_link.py", "test_board_bytes.py", "-k", "not emulated"],
     "firmware/sources/onboard/supervisor/*.c": [_SAFETY],
-    "firmware/sources/boards/stm32/*.c": ["test_stm32.py", "-k", "not image"],
+    "firmware/sources/boards/stm32/*.c": ["test_stm32.py", "test_i2c.py", "-k", "not image"],
     "firmware/sources/boards/board.c": ["test_emulated.py", _SAFETY, "-k", "loop or memories or reset or kept or lost"],
     "firmware/sources/*phases.c": [_MISSION],
     "firmware/sources/mission*.c": [_MISSION],

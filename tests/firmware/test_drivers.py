@@ -18,7 +18,7 @@ from mufly.sensors.pressure import STANDARD_PRESSURE_PA
 
 COMPILERS = [c for c in ("cc", "gcc", "clang") if shutil.which(c)]
 pytestmark = pytest.mark.skipif(not COMPILERS, reason="no C compiler: install gcc or clang")
-IMU, BAROMETER, SONAR = range(3)
+IMU, BAROMETER, SONAR, LASER = range(4)
 REFUSES, SILENT, UNKNOWN, FORGETS, IMPLAUSIBLE = 1, 2, 4, 8, 16  # of register_device.h
 PERIOD_US = 5000
 G = 9.80665
@@ -56,21 +56,24 @@ def _words(values, big=True) -> list[int]:
 class Bench:
     """The sensors of a board on models of their devices."""
 
-    def __init__(self, library, on_spi=True) -> None:
+    def __init__(self, library, on_spi=True, laser=False) -> None:
         self.ffi, self.lib = library
         self.buses = self.ffi.new("bus_model_t *", {"barometer_on_spi": on_spi})
         self.lib.bus_model_attach(self.buses)
-        for device in range(3):
+        for device in range(4):
             self.lib.bus_model_reset(self.buses, device)
         self.put(BAROMETER, 0x88, _words(CALIBRATION, big=False))
         self.put(BAROMETER, 0xF7, [*self.raw20(415148), *self.raw20(519888)])
         self.put(SONAR, 2, _words([2330]))
+        self.buses.devices[LASER].takes_us = 33_000
+        self.put_laser(9, 400)
         self.suite, self.readings = self.ffi.new("sensor_suite_t *"), self.ffi.new("hal_readings_t *")
         self.now_us = 2**32 - 300_000  # the clock runs over during the test
         self.rng = np.random.default_rng(1)
         self.imu_counts = [200, -100, 2048, 33, 164, -82]
         self.noise, self.fresh = True, dict.fromkeys(range(9), 0)
-        self.lib.sensor_suite_start(self.suite, on_spi, self.now_us)
+        ranging = self.lib.RANGING_VL53L1X if laser else self.lib.RANGING_SRF10
+        self.lib.sensor_suite_start(self.suite, on_spi, ranging, self.now_us)
 
     @staticmethod
     def raw20(value) -> list[int]:
@@ -79,6 +82,9 @@ class Bench:
     def put(self, device, address, data) -> None:
         for k, value in enumerate(data):
             self.buses.devices[device].registers[address + k] = value
+
+    def put_laser(self, status, range_mm) -> None:
+        self.put(LASER, 0x89, [0xE0 | status, *[0x55] * 12, *_words([range_mm])])
 
     def run(self, seconds, voltage=-1.0) -> None:
         self.fresh = dict.fromkeys(range(9), 0)
@@ -95,7 +101,7 @@ class Bench:
         return [self.readings.z[READING_STARTS[reading] + i] for i in range(width)]
 
     def device(self, number):
-        return (self.suite.imu, self.suite.barometer, self.suite.sonar)[number].device
+        return (self.suite.imu, self.suite.barometer, self.suite.sonar, self.suite.laser)[number].device
 
 
 @pytest.mark.parametrize("on_spi", [True, False])
@@ -117,14 +123,15 @@ def test_all_sensors_give_readings_in_body_axes_and_si_units(library, on_spi) ->
     assert [registers[k] for k in (0x4E, 0x4F, 0x50)] == [0x0F, 0x06, 0x06]
 
 
-@pytest.mark.parametrize("device", [IMU, BAROMETER, SONAR])
+@pytest.mark.parametrize("device", [IMU, BAROMETER, SONAR, LASER])
 @pytest.mark.parametrize(
     ("fault", "bit"),
     [("refuses", REFUSES), ("reports_error", REFUSES), ("is_silent", SILENT)],
 )
 def test_a_failing_bus_is_named_and_comes_back(library, device, fault, bit) -> None:
-    bench = Bench(library)
-    kinds = {IMU: R_ACCELERATION, BAROMETER: R_PRESSURE, SONAR: R_SONAR}
+    bench = Bench(library, laser=device == LASER)
+    ranging = LASER if device == LASER else SONAR
+    kinds = {IMU: R_ACCELERATION, BAROMETER: R_PRESSURE, ranging: R_SONAR}
     bench.run(0.5)
     setattr(bench.buses.devices[device], fault, True)
     bench.run(1.0)
@@ -137,7 +144,7 @@ def test_a_failing_bus_is_named_and_comes_back(library, device, fault, bit) -> N
     setattr(bench.buses.devices[device], fault, False)
     bench.run(1.0)
     assert bench.device(device).faults == 0
-    assert bench.fresh[{IMU: R_ACCELERATION, BAROMETER: R_PRESSURE, SONAR: R_SONAR}[device]] > 10
+    assert bench.fresh[{IMU: R_ACCELERATION, BAROMETER: R_PRESSURE}.get(device, R_SONAR)] > 6
 
 
 def test_a_stuck_bus_is_aborted_until_it_is_free(library) -> None:
@@ -151,19 +158,21 @@ def test_a_stuck_bus_is_aborted_until_it_is_free(library) -> None:
     assert bench.device(SONAR).faults == 0
 
 
-@pytest.mark.parametrize(("device", "address"), [(IMU, 0x75), (BAROMETER, 0xD0), (SONAR, 1)])
+@pytest.mark.parametrize(
+    ("device", "address"), [(IMU, 0x75), (BAROMETER, 0xD0), (SONAR, 1), (LASER, 0x10F), (LASER, 0x110)]
+)
 def test_another_device_is_not_used(library, device, address) -> None:
     bench = Bench(library)
     # A reset gives the model its own identity again: hold another one by a bus that floats.
     for value in (0x00, 0xFF, 0x12):
-        bench = Bench(library)
+        bench = Bench(library, laser=device == LASER)
         bench.buses.devices[device].registers[address] = value
         # The first transfers reset the device; the identity stays the other one.
         for _ in range(200):
             bench.run(0.005)
             bench.buses.devices[device].registers[address] = value
         assert bench.device(device).faults & UNKNOWN
-        assert bench.fresh[{IMU: R_ACCELERATION, BAROMETER: R_PRESSURE, SONAR: R_SONAR}[device]] == 0
+        assert bench.fresh[{IMU: R_ACCELERATION, BAROMETER: R_PRESSURE}.get(device, R_SONAR)] == 0
 
 
 def test_settings_that_do_not_hold_and_a_reset_in_flight_are_noticed(library) -> None:
@@ -212,6 +221,74 @@ def test_data_that_cannot_be_are_no_readings(library) -> None:
     bench.put(SONAR, 2, [0xFF, 0xFF])
     bench.run(0.5)
     assert bench.device(SONAR).faults == IMPLAUSIBLE
+
+
+def test_the_laser_measures_on_demand_and_judges_its_status(library) -> None:
+    bench = Bench(library, laser=True)
+    bench.run(1.0)
+    bench.run(1.0)
+    assert 14 <= bench.fresh[R_SONAR] <= 17
+    assert bench.value(R_SONAR)[0] == pytest.approx(0.4)
+    assert (bench.device(LASER).fault_count, bench.buses.devices[SONAR].transfers) == (0, 0)
+    registers = bench.buses.devices[LASER].registers
+    # Long distance in 33 ms, of ST's driver; ready is active high.
+    assert [registers[k] for k in (0x5E, 0x5F, 0x60, 0x61, 0x62, 0x63, 0x69)] == [0, 0x60, 15, 0, 0x6E, 13, 0xB8]
+    assert (registers[0x64] << 8 | registers[0x65]) / 4 == 90.0  # mm
+    assert (registers[0x66] << 8 | registers[0x67]) / 128 == 1.0  # million counts per second
+    # Statuses: complete; no target, phase, sigma, wrapped: invalid; broken: a fault; the first of a stream: nothing.
+    for status, expected in ((9, {0, 1}), (4, {0, 2}), (5, {0, 2}), (6, {0, 2}), (7, {0, 2}), (8, {0, 2}), (18, {0})):
+        bench.put_laser(status, 1234)
+        bench.run(0.2)
+        seen = set()
+        for _ in range(60):
+            bench.run(0.005)
+            seen.add(bench.readings.fresh[R_SONAR])
+        assert seen == expected, status
+        assert bench.device(LASER).faults == 0
+    for status in (0, 1, 2, 3, 17):
+        bench.put_laser(status, 1234)
+        bench.run(0.2)
+        assert bench.device(LASER).faults & IMPLAUSIBLE, status
+        bench.put_laser(9, 1234)
+        bench.run(1.0)
+        assert bench.device(LASER).faults == 0
+    for range_mm, expected in ((39, 2), (40, 1), (3600, 1), (3601, 2), (65535, 2)):
+        bench.put_laser(9, range_mm)
+        bench.run(0.2)
+        while not bench.readings.fresh[R_SONAR]:
+            bench.run(0.005)
+        assert bench.readings.fresh[R_SONAR] == expected, range_mm
+
+
+def test_a_slow_laser_is_waited_for_and_a_dead_one_starts_again(library) -> None:
+    bench = Bench(library, laser=True)
+    model = bench.buses.devices[LASER]
+    bench.run(1.0)
+    model.takes_us = 90_000
+    bench.run(1.0)
+    bench.run(1.0)
+    assert 7 <= bench.fresh[R_SONAR] <= 9
+    assert bench.device(LASER).fault_count == 0
+    model.takes_us = 10_000_000
+    bench.run(0.2)
+    resets = model.resets
+    bench.run(1.0)
+    assert bench.device(LASER).faults == SILENT
+    assert model.resets > resets
+    assert bench.fresh[R_SONAR] == 0
+    model.takes_us = 33_000
+    bench.run(1.5)
+    assert bench.device(LASER).faults == 0
+    for register, value in ((0x60, 0x0F), (0x81, 0x9B)):  # a setting that does not hold
+        bench = Bench(library, laser=True)
+        model = bench.buses.devices[LASER]
+        model.held = register
+        bench.run(1.5)
+        assert (bench.device(LASER).faults, bench.fresh[R_SONAR]) == (FORGETS, 0)
+        model.held = 0
+        bench.run(1.5)
+        assert model.registers[register] == value
+        assert bench.fresh[R_SONAR] > 5
 
 
 def test_slow_transfers_give_fewer_readings_and_no_fault(library) -> None:

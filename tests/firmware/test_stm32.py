@@ -247,7 +247,7 @@ def test_pins_have_their_functions_and_no_device_is_selected(library) -> None:
     a, b, c = 0x40020000, 0x40020400, 0x40020800
     functions = {
         (a, 9): 7, (a, 10): 7, (a, 3): 7, (a, 5): 5, (a, 6): 5, (a, 7): 5, (b, 0): 2, (b, 1): 2, (c, 6): 3, (c, 7): 3,
-        (c, 10): 6, (c, 11): 6, (c, 12): 6,
+        (c, 10): 6, (c, 11): 6, (c, 12): 6, (b, 8): 4, (b, 9): 4,
     }  # fmt: skip
     for (port, pin), function in functions.items():
         assert chip.values[port + 0x20 + 4 * (pin // 8)] >> 4 * (pin % 8) & 15 == function, (port, pin)

@@ -5,18 +5,20 @@
 #include "register_device.h"
 
 typedef struct {
-    uint8_t registers[256];
-    uint8_t held;           /* a register that takes no value; 0: none */
+    uint8_t registers[512];
+    uint16_t held;          /* a register that takes no value; 0: none */
     int32_t polls;          /* that a transfer takes */
     bool refuses, reports_error, is_silent;
     int32_t stuck_aborts;   /* aborts after which a silent bus works again; 0: never */
-    uint32_t busy_until_us; /* does not answer until then: reads give 0xFF (SRF10) */
+    uint32_t busy_until_us; /* does not answer until then: reads give 0xFF (SRF10); measures until then (VL53L1X) */
+    int32_t takes_us;       /* time of a measurement (VL53L1X) */
+    bool measures;
     uint32_t transfers, aborts, resets;
     /* the transfer under way */
     bool is_open;
     int32_t polls_left, in_count;
     uint8_t *in;
-    uint8_t address;
+    uint16_t address;
 } model_device_t;
 
 typedef struct {

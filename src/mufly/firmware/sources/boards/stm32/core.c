@@ -38,7 +38,7 @@ uint32_t clock_start(void)
         register_change(RCC_CFGR, 0xFCF3U, 0U);
     }
     register_change(RCC_AHB1ENR, 0U, AHB1_GPIO_ABC | AHB1_DMA_BOTH);
-    register_change(RCC_APB1ENR, 0U, APB1_TIM2 | APB1_TIM3 | APB1_TIM5 | APB1_SPI3 | APB1_USART2);
+    register_change(RCC_APB1ENR, 0U, APB1_TIM2 | APB1_TIM3 | APB1_TIM5 | APB1_SPI3 | APB1_USART2 | APB1_I2C1);
     register_change(RCC_APB2ENR, 0U, APB2_TIM8 | APB2_USART1 | APB2_ADC1 | APB2_SPI1);
     return runs ? FULL_SPEED_HZ : INTERNAL_HZ;
 }

@@ -78,6 +78,7 @@ static inline void register_change(uint32_t address, uint32_t clear, uint32_t se
 #define APB1_TIM5 8U
 #define APB1_SPI3 (1UL << 15U)
 #define APB1_USART2 (1UL << 17U)
+#define APB1_I2C1 (1UL << 21U)
 #define APB2_TIM8 2U
 #define APB2_USART1 (1UL << 4U)
 #define APB2_ADC1 (1UL << 8U)
@@ -113,6 +114,7 @@ static inline void register_change(uint32_t address, uint32_t clear, uint32_t se
 #define GPIO_B 0x40020400U
 #define GPIO_C 0x40020800U
 #define GPIO_MODER 0x00U
+#define GPIO_OTYPER 0x04U
 #define GPIO_OSPEEDR 0x08U
 #define GPIO_PUPDR 0x0CU
 #define GPIO_BSRR 0x18U
@@ -211,6 +213,32 @@ static inline void register_change(uint32_t address, uint32_t clear, uint32_t se
 #define SPI_SR_OVR (1UL << 6U)
 #define SPI_SR_BSY (1UL << 7U)
 
+/* I2C 1 */
+#define I2C1 0x40005400U
+#define I2C_CR1 0x00U
+#define I2C_CR2 0x04U
+#define I2C_DR 0x10U
+#define I2C_SR1 0x14U
+#define I2C_SR2 0x18U
+#define I2C_CCR 0x1CU
+#define I2C_TRISE 0x20U
+#define I2C_PE 1U
+#define I2C_START (1UL << 8U)
+#define I2C_STOP (1UL << 9U)
+#define I2C_ACK (1UL << 10U)
+#define I2C_POS (1UL << 11U)
+#define I2C_SWRST (1UL << 15U)
+#define I2C_ITERREN (1UL << 8U)
+#define I2C_ITEVTEN (1UL << 9U)
+#define I2C_ITBUFEN (1UL << 10U)
+#define I2C_SB 1U
+#define I2C_ADDR 2U
+#define I2C_BTF 4U
+#define I2C_RXNE (1UL << 6U)
+#define I2C_TXE (1UL << 7U)
+#define I2C_ERRORS 0xF00U /* OVR, AF, ARLO, BERR */
+#define I2C_BUSY 2U
+
 /* ADC 1 */
 #define ADC1 0x40012000U
 #define ADC_SR (ADC1 + 0x00U)
@@ -237,6 +265,8 @@ static inline void register_change(uint32_t address, uint32_t clear, uint32_t se
 #define SCB_CFSR 0xE000ED28U
 #define SCB_AIRCR 0xE000ED0CU
 #define AIRCR_RESET 0x05FA0004U
+#define IRQ_I2C1_EVENT 31U
+#define IRQ_I2C1_ERROR 32U
 #define IRQ_USART1 37U
 #define IRQ_USART2 38U
 #define IRQ_TIM5 50U

@@ -12,6 +12,8 @@ void stm32_period(void);
 void stm32_link_interrupt(void);
 void stm32_receiver_interrupt(void);
 void stm32_fault(uint32_t address);
+void i2c_event_interrupt(void);
+void i2c_error_interrupt(void);
 void start_processor(void);
 void handle_fault(void);
 void handle_unexpected(void);
@@ -56,5 +58,6 @@ __attribute__((section(".vectors"), used)) static const vectors_t vectors = {
     &stack_top,
     {start_processor, handle_unexpected, handle_fault, handle_fault, handle_fault, handle_fault, NULL, NULL, NULL, NULL,
      handle_unexpected, handle_unexpected, NULL, handle_unexpected, handle_unexpected},
-    {[IRQ_USART1] = stm32_link_interrupt, [IRQ_USART2] = stm32_receiver_interrupt, [IRQ_TIM5] = stm32_period},
+    {[IRQ_I2C1_EVENT] = i2c_event_interrupt, [IRQ_I2C1_ERROR] = i2c_error_interrupt, [IRQ_USART1] = stm32_link_interrupt,
+     [IRQ_USART2] = stm32_receiver_interrupt, [IRQ_TIM5] = stm32_period},
 };

@@ -13,6 +13,9 @@
 #define SBUS_BAUD 100000U
 #define CRSF_BAUD 420000U
 #define RECEIVER_KIND RC_CRSF
+#define RANGING RANGING_SRF10 /* or RANGING_VL53L1X */
+#define SRF10_ADDRESS 0x70U
+#define VL53L1X_ADDRESS 0x29U
 #define ADC_REFERENCE_V REAL(3.3)
 #define BATTERY_DIVIDER REAL(11.0)
 #define CALLS_OF_CARD 8
@@ -51,29 +54,37 @@ void stm32_receiver_interrupt(void)
     serial_interrupt(&receiver_port);
 }
 
-/* Sonar and other devices on I2C: TODO; their drivers report that the bus refuses. */
+static bool is_on_i2c(int32_t device)
+{
+    return (device == (int32_t)DEVICE_SONAR) || (device == (int32_t)DEVICE_LASER);
+}
+
 bool bus_begin(int32_t device, const uint8_t out[], int32_t out_count, uint8_t in[], int32_t in_count)
 {
     bool begun = false;
 
-    if (device == (int32_t)DEVICE_IMU) {
+    if (is_on_i2c(device)) {
+        begun = i2c_begin((device == (int32_t)DEVICE_SONAR) ? SRF10_ADDRESS : VL53L1X_ADDRESS, out, out_count, in, in_count);
+    } else if (device == (int32_t)DEVICE_IMU) {
         begun = spi_begin(IMU_SELECT_PORT, IMU_SELECT_PIN, out, out_count, in, in_count);
     } else if (device == (int32_t)DEVICE_BAROMETER) {
         begun = spi_begin(BAROMETER_SELECT_PORT, BAROMETER_SELECT_PIN, out, out_count, in, in_count);
     } else {
-        /* no such bus */
+        /* no such device */
     }
     return begun;
 }
 
 int32_t bus_poll(int32_t device)
 {
-    return (device != (int32_t)DEVICE_SONAR) ? spi_poll() : (int32_t)BUS_ERROR;
+    return is_on_i2c(device) ? i2c_poll() : spi_poll();
 }
 
 void bus_abort(int32_t device)
 {
-    if (device != (int32_t)DEVICE_SONAR) {
+    if (is_on_i2c(device)) {
+        i2c_abort();
+    } else {
         spi_abort();
     }
 }
@@ -266,7 +277,8 @@ int main(void)
     serial_start(&link_port, USART1, full_speed ? (clock_Hz / 2U) : clock_Hz, LINK_BAUD, false);
     serial_start(&receiver_port, USART2, full_speed ? (clock_Hz / 4U) : clock_Hz, crsf ? CRSF_BAUD : SBUS_BAUD, !crsf);
     timers_start(clock_Hz, (uint32_t)mufly_rate_Hz);
-    sensor_suite_start(&sensors, true, timer_us());
+    i2c_start(full_speed ? (clock_Hz / 4U) : clock_Hz);
+    sensor_suite_start(&sensors, true, RANGING, timer_us());
     start_card();
     if (full_speed) {
         fitted = (1UL << R_ACCELERATION) | (1UL << R_RATES) | (1UL << R_SONAR) | (1UL << R_PRESSURE) | (1UL << R_BATTERY);

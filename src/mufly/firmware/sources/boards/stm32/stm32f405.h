@@ -74,6 +74,16 @@ bool spi_begin(uint32_t port, uint32_t pin, const uint8_t out[], int32_t out_cou
 int32_t spi_poll(void);
 void spi_abort(void);
 
+/* I2C 1 by interrupts, one transfer at a time: bytes out, then bytes in after a repeated start. The memory belongs to the bus until
+ * i2c_poll returns another value than BUS_BUSY. bus_Hz: clock of its bus. false: a transfer is under way, or a line is held low, which
+ * nine clocks and a stop then free. */
+void i2c_start(uint32_t bus_Hz);
+bool i2c_begin(uint32_t address, const uint8_t out[], int32_t out_count, uint8_t in[], int32_t in_count);
+int32_t i2c_poll(void); /* BUS_... of register_device.h */
+void i2c_abort(void);
+void i2c_event_interrupt(void);
+void i2c_error_interrupt(void);
+
 /* SD card on SPI 3: functions of sd_card.h. */
 void card_bus_start(void);
 

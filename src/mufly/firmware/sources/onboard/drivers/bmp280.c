@@ -25,8 +25,8 @@
     }
 static const device_step_t steps_i2c[] = STEPS(0xFFU);
 static const device_step_t steps_spi[] = STEPS(SPI_WRITE_MASK);
-static const device_program_t program_i2c = {steps_i2c, 8, 5, 0x00U};
-static const device_program_t program_spi = {steps_spi, 8, 5, 0x80U};
+static const device_program_t program_i2c = {steps_i2c, 8, 5, 0x00U, 1};
+static const device_program_t program_spi = {steps_spi, 8, 5, 0x80U, 1};
 
 void bmp280_start(bmp280_t *b, bool on_spi, uint32_t now_us)
 {

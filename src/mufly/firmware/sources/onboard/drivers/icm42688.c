@@ -33,7 +33,7 @@ static const device_step_t steps[] = {
     {STEP_SETTING, PWR_MGMT0, LOW_NOISE_BOTH},
     {STEP_READ, TEMP_DATA1, SAMPLE_BYTES},
 };
-static const device_program_t program = {steps, 12, 11, 0x80U};
+static const device_program_t program = {steps, 12, 11, 0x80U, 1};
 
 void icm42688_start(icm42688_t *imu, uint32_t now_us)
 {

@@ -25,6 +25,14 @@ void register_device_fail(register_device_t *d, uint32_t fault, uint32_t now_us)
     d->pause_us = DEVICE_PAUSE_US;
 }
 
+void register_device_repeat(register_device_t *d, uint32_t pause_us, uint32_t now_us)
+{
+    d->step = (d->step > d->program->loop_from) ? (d->step - 1) : (d->program->count - 1);
+    d->waits = true;
+    d->since_us = now_us;
+    d->pause_us = pause_us;
+}
+
 int32_t read_big_endian(const uint8_t bytes[2])
 {
     const int32_t number = ((int32_t)bytes[0] * 256) + (int32_t)bytes[1];
@@ -48,13 +56,16 @@ static void begin_step(register_device_t *d, uint32_t now_us)
         d->pause_us = US_PER_MS * s->value;
         advance(d);
     } else {
+        const int32_t count = d->program->address_bytes;
+
+        d->out[0] = (uint8_t)(s->address >> 8U);
+        d->out[count - 1] = (uint8_t)(s->address & 0xFFU);
         if (s->kind == (uint8_t)STEP_WRITE) {
-            d->out[0] = s->address;
-            d->out[1] = s->value;
-            begun = bus_begin(d->number, d->out, 2, NULL, 0);
+            d->out[count] = s->value;
+            begun = bus_begin(d->number, d->out, count + 1, NULL, 0);
         } else {
-            d->out[0] = s->address | d->program->read_flag;
-            begun = bus_begin(d->number, d->out, 1, d->data, (s->kind == (uint8_t)STEP_READ) ? (int32_t)s->value : 1);
+            d->out[0] |= d->program->read_flag;
+            begun = bus_begin(d->number, d->out, count, d->data, (s->kind == (uint8_t)STEP_READ) ? (int32_t)s->value : 1);
         }
         d->is_running = begun;
         if (!begun) {

@@ -1,5 +1,5 @@
 /* A device behind registers, on SPI or I2C: identity, set-up and measurements as a table of steps, one after the other, without
- * waiting. Transfers are the board's, by DMA; each has 5 ms. After any fault the device is initialised again, 0.1 s later. */
+ * waiting. Transfers are the board's, by DMA or interrupts; each has 5 ms. After any fault the device is initialised again, 0.1 s later. */
 #ifndef MUFLY_REGISTER_DEVICE_H
 #define MUFLY_REGISTER_DEVICE_H
 
@@ -10,7 +10,7 @@
 #define DEVICE_PAUSE_US 100000U
 
 /* Numbers of the devices on the board's buses. */
-enum { DEVICE_IMU, DEVICE_BAROMETER, DEVICE_SONAR, DEVICE_COUNT };
+enum { DEVICE_IMU, DEVICE_BAROMETER, DEVICE_SONAR, DEVICE_LASER, DEVICE_COUNT };
 
 /* Begin to write so many bytes, then to read so many, in one transaction; the memory belongs to the bus until bus_poll returns another
  * value than BUS_BUSY. false: the bus refuses. Functions of the board. */
@@ -26,18 +26,21 @@ void bus_abort(int32_t device);
 enum { STEP_WRITE, STEP_IDENTITY, STEP_SETTING, STEP_READ, STEP_WAIT };
 
 typedef struct {
-    uint8_t kind, address, value;
+    uint8_t kind;
+    uint16_t address;
+    uint8_t value;
 } device_step_t;
 
 typedef struct {
     const device_step_t *steps;
     int32_t count, loop_from; /* after the last step follows this one */
     uint8_t read_flag;        /* set in the address of a read: 0x80 on SPI */
+    int32_t address_bytes;    /* 1, or 2: the more significant first */
 } device_program_t;
 
 /* Faults, as bits, since the latest data. */
 #define DEVICE_REFUSES 1U      /* the bus takes no transfer, or reports an error (I2C: no acknowledge) */
-#define DEVICE_SILENT 2U       /* a transfer took too long */
+#define DEVICE_SILENT 2U       /* a transfer or a measurement took too long */
 #define DEVICE_UNKNOWN 4U      /* another identity */
 #define DEVICE_FORGETS 8U      /* a setting does not hold */
 #define DEVICE_IMPLAUSIBLE 16U /* implausible data: set by its driver */
@@ -50,7 +53,7 @@ typedef struct {
     bool waits;
     uint32_t since_us, pause_us;
     uint32_t faults, fault_count;
-    uint8_t out[2];
+    uint8_t out[3];
     uint8_t data[DEVICE_DATA_BYTES];
     int32_t read_from; /* register of the data */
 } register_device_t;
@@ -60,6 +63,9 @@ void register_device_start(register_device_t *d, int32_t number, const device_pr
 /* Advance; return whether data of a STEP_READ are new in d->data. Call once a period or more often; a call ends and begins at most
  * one transfer. now_us: a clock that wraps around. */
 bool register_device_step(register_device_t *d, uint32_t now_us);
+
+/* Repeat the step that has just brought data, after a pause: its device is not ready. */
+void register_device_repeat(register_device_t *d, uint32_t pause_us, uint32_t now_us);
 
 /* Begin anew after a pause, because of a fault. */
 void register_device_fail(register_device_t *d, uint32_t fault, uint32_t now_us);

@@ -3,11 +3,13 @@
 #define STANDARD_PRESSURE REAL(101325.0) /* readings of pressure are differences to it (Pa) */
 #define CALLS_OF_IMU 3 /* begin a transfer and take its data within a period where the bus is fast enough */
 
-void sensor_suite_start(sensor_suite_t *s, bool barometer_on_spi, uint32_t now_us)
+void sensor_suite_start(sensor_suite_t *s, bool barometer_on_spi, int32_t ranging, uint32_t now_us)
 {
     icm42688_start(&s->imu, now_us);
     bmp280_start(&s->barometer, barometer_on_spi, now_us);
+    s->ranging = ranging;
     srf10_start(&s->sonar, now_us);
+    vl53l1x_start(&s->laser, now_us);
 }
 
 static void take(hal_readings_t *r, int32_t reading, const real_t values[], int32_t freshness)
@@ -41,8 +43,14 @@ void sensor_suite_read(sensor_suite_t *s, uint32_t now_us, real_t voltage_V, hal
 
         take(readings, R_PRESSURE, &pressure, 1);
     }
-    if (srf10_step(&s->sonar, now_us)) {
+    if (s->ranging == (int32_t)RANGING_VL53L1X) {
+        if (vl53l1x_step(&s->laser, now_us)) {
+            take(readings, R_SONAR, &s->laser.range, s->laser.has_echo ? 1 : 2);
+        }
+    } else if (srf10_step(&s->sonar, now_us)) {
         take(readings, R_SONAR, &s->sonar.range, s->sonar.has_echo ? 1 : 2);
+    } else {
+        /* no new range */
     }
     if (voltage_V >= REAL(0.0)) {
         readings->z[READING_STARTS[R_BATTERY]] = voltage_V;

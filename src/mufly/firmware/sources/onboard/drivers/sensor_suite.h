@@ -6,14 +6,20 @@
 #include "hal.h"
 #include "icm42688.h"
 #include "srf10.h"
+#include "vl53l1x.h"
+
+/* What measures the range downwards: R_SONAR of the readings. */
+enum { RANGING_SRF10, RANGING_VL53L1X };
 
 typedef struct {
     icm42688_t imu;
     bmp280_t barometer;
+    int32_t ranging;
     srf10_t sonar;
+    vl53l1x_t laser;
 } sensor_suite_t;
 
-void sensor_suite_start(sensor_suite_t *s, bool barometer_on_spi, uint32_t now_us);
+void sensor_suite_start(sensor_suite_t *s, bool barometer_on_spi, int32_t ranging, uint32_t now_us);
 
 /* Take new readings, without waiting. A sensor without an echo is invalid; one with a fault gives no reading, and the filter counts
  * the silence. voltage_V: of the battery; negative: no reading. */

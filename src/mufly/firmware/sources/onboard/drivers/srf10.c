@@ -17,7 +17,7 @@ static const device_step_t steps[] = {
     {STEP_IDENTITY, UNUSED, IDENTITY}, {STEP_WRITE, GAIN, GAIN_INDOORS}, {STEP_WRITE, RANGE, RANGE_3_M},
     {STEP_WRITE, COMMAND, IN_MICROSECONDS}, {STEP_WAIT, 0, 25}, {STEP_READ, RANGE, 2},
 };
-static const device_program_t program = {steps, 6, 3, 0x00U};
+static const device_program_t program = {steps, 6, 3, 0x00U, 1};
 
 void srf10_start(srf10_t *s, uint32_t now_us)
 {

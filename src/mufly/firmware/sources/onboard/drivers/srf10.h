@@ -1,5 +1,5 @@
 /* Ultrasonic ranging Devantech SRF10 on I2C, address 0x70 (robot-electronics.co.uk, SRF10 technical specification): range downwards,
- * 0.03 to 3 m, one value in 30 ms. Its registers are published, those of ST's VL53 series are not. */
+ * 0.03 to 3 m, one value in 30 ms. */
 #ifndef MUFLY_SRF10_H
 #define MUFLY_SRF10_H
 
