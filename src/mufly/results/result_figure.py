@@ -50,6 +50,22 @@ class PlotSeries(NamedTuple):
         return f"{self.label} ({self.unit})" if self.unit else self.label
 
 
+def blank_figure(width: float, height: float, *, dpi: float | None = None) -> Figure:
+    """Return an empty figure (inches)."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), dpi=dpi, layout="constrained")
+
+
+def label_axes(axes: Axes, x: str | None = None, y: str | None = None) -> None:
+    """Label axes, and draw a light grid."""
+    if x is not None:
+        axes.set_xlabel(x)
+    if y is not None:
+        axes.set_ylabel(y)
+    axes.grid(alpha=0.3)
+
+
 _LinePanel = tuple[PlotSeries | None, list[PlotSeries]]  # horizontal axis, and series drawn over it
 
 
@@ -76,7 +92,6 @@ def draw_series(title: str, found: Sequence[PlotSeries], table: Sequence[tuple[s
     table : sequence of (str, str)
         Names and values as text, drawn if there are no numbers.
     """
-    from matplotlib.figure import Figure
 
     curves: list[_LinePanel | list[PlotSeries]] = list(
         _line_panels([q for q in found if q.values.size > _MAX_BAR_VALUES])
@@ -90,7 +105,7 @@ def draw_series(title: str, found: Sequence[PlotSeries], table: Sequence[tuple[s
         return _draw_text_table(title, table)
     wide = min(len(panels), 3)
     high = math.ceil(len(panels) / wide)
-    figure = Figure(figsize=(4.2 * max(wide, 1.6), 3.0 * high + 0.4), layout="constrained")
+    figure = blank_figure(4.2 * max(wide, 1.6), 3.0 * high + 0.4)
     grid = figure.subplots(high, wide, squeeze=False)
     for axes, panel in zip(grid.flat, panels, strict=False):
         if isinstance(panel, tuple):
@@ -171,9 +186,7 @@ def _draw_bars(axes: Axes, drawn: Sequence[PlotSeries]) -> None:
 
 def _draw_text_table(title: str, table: Sequence[tuple[str, str]]) -> Figure:
     """Draw a table, for a result that contains texts only."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.0, 0.6 + 0.3 * max(len(table), 1)), layout="constrained")
+    figure = blank_figure(7.0, 0.6 + 0.3 * max(len(table), 1))
     axes = figure.subplots()
     axes.set_axis_off()
     axes.set_title(title, fontsize="medium")
