@@ -8,7 +8,8 @@ import pytest
 from mufly import load_vehicle
 from mufly.dynamics import DrydenWind, initial_state
 from mufly.flight import Actuators, SimulatedPlant
-from mufly.sensors import beam_angles, beam_directions, ideal_ranges, ideal_sensors, unwrap_near
+from mufly.sensors import beam_angles, beam_directions, ideal_sensors
+from mufly.sensors.readings import measure_ranges
 from mufly.vehicle import replace_parameters
 from mufly.world import Box, World
 
@@ -23,23 +24,25 @@ def test_a_beam_ahead_sees_the_wall_ahead_and_turns_with_the_heading() -> None:
     vehicle = replace_parameters(load_vehicle("mufly-2.0"), {"range_ring.first_angle": 0.0})
     directions = beam_directions(vehicle)
     world = World(boxes=(Box((1.5, 0.0, -1.0), (1.0, 10.0, 2.0)),))  # its face is at N = 1
-    limits = {"min_range_m": 0.3, "max_range_m": 1.5}
-    ahead = ideal_ranges(initial_state(position=(0, 0, -1)), world, directions, **limits)
+
+    def ranges(**state):
+        seen = np.empty(len(directions))
+        measure_ranges(initial_state(**state), directions, 0.3, 1.5, *world.packed_tables, seen)
+        return seen
+
+    ahead = ranges(position=(0, 0, -1))
     assert ahead[0] == pytest.approx(1.0)
     assert ahead[1] == pytest.approx(math.sqrt(2.0))
     assert ahead[4] == 1.5
-    turned = ideal_ranges(initial_state(position=(0, 0, -1), attitude=(0, 0, math.pi / 4)), world, directions, **limits)
+    turned = ranges(position=(0, 0, -1), attitude=(0, 0, math.pi / 4))
     assert turned[7] == pytest.approx(1.0)
-    tilted = ideal_ranges(
-        initial_state(position=(0, 0, -1), attitude=(0, math.radians(20), 0)), world, directions, **limits
-    )
+    tilted = ranges(position=(0, 0, -1), attitude=(0, math.radians(20), 0))
     assert tilted[0] == pytest.approx(1.0 / math.cos(math.radians(20)))
-    close = ideal_ranges(initial_state(position=(0.9, 0, -1)), world, directions, **limits)
+    close = ranges(position=(0.9, 0, -1))
     assert close[0] == 0.3
 
 
 def test_true_yaw_is_continuous_and_readings_do_not_change_afterwards() -> None:
-    assert unwrap_near(-3.1, 3.1) == pytest.approx(2 * math.pi - 3.1)
     vehicle = load_vehicle("mufly-2.0")
     plant = SimulatedPlant(vehicle, World(), DrydenWind(step_s=0.005), 200.0, initial_state(attitude=(0.0, 0.0, 3.1)))
     plant.state[6:10] = initial_state(attitude=(0.0, 0.0, -3.1))[6:10]

@@ -8,7 +8,7 @@ import pytest
 from mufly.dynamics import body_to_ned_matrix
 from mufly.quantities.units import GRAVITY
 from mufly.sensors import fitted_sensors
-from mufly.sensors.imu import board_resonance, butterworth_coefficients
+from mufly.sensors.imu import butterworth_coefficients, resonance_gain
 from mufly.vehicle import replace_parameters
 from mufly.world import World
 
@@ -80,10 +80,10 @@ def test_the_filter_passes_what_is_slow_and_halves_the_power_at_its_cut_off() ->
 
 def test_the_board_exaggerates_its_resonance(vehicle) -> None:
     v = vehicle.sensors.imu.vibration
-    w = float(v.resonance)
-    assert board_resonance(v, 0.0) == 1.0
-    assert board_resonance(v, w) == pytest.approx(0.5 / float(v.damping))
-    assert board_resonance(v, 10 * w) == pytest.approx(0.01, rel=0.05)
+    w, damping = float(v.resonance), float(v.damping)
+    assert resonance_gain(0.0, w, damping) == 1.0
+    assert resonance_gain(w, w, damping) == pytest.approx(0.5 / damping)
+    assert resonance_gain(10 * w, w, damping) == pytest.approx(0.01, rel=0.05)
 
 
 def false_tilt_deg(vehicle, at, hover, once, twice, seeds=7) -> float:

@@ -2,7 +2,7 @@
 
 from mufly.sensors.faults import FAULT_KINDS, FAULT_TARGETS, Fault, parse_fault
 from mufly.sensors.imu import Imu
-from mufly.sensors.periodic import GaussMarkov, PeriodicSensor
+from mufly.sensors.periodic import PeriodicSensor
 from mufly.sensors.readings import (
     IdealBattery,
     IdealMotion,
@@ -14,9 +14,7 @@ from mufly.sensors.readings import (
     Truth,
     beam_angles,
     beam_directions,
-    ideal_ranges,
     ideal_sensors,
-    unwrap_near,
 )
 from mufly.sensors.sensor_suite import (
     FittedSensors,
@@ -30,7 +28,6 @@ __all__ = [
     "FAULT_TARGETS",
     "Fault",
     "FittedSensors",
-    "GaussMarkov",
     "IdealBattery",
     "IdealMotion",
     "IdealRing",
@@ -46,8 +43,6 @@ __all__ = [
     "check_faults",
     "draw_leaning_vehicle",
     "fitted_sensors",
-    "ideal_ranges",
     "ideal_sensors",
     "parse_fault",
-    "unwrap_near",
 ]

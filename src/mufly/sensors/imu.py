@@ -52,7 +52,6 @@ from mufly.sensors.readings import Reading, Sensor, Truth
 from mufly.sensors.rng import draw_normals, make_source
 from mufly.vehicle import Vehicle
 from mufly.vehicle.sensor_schema import ImuParameters as ImuTable
-from mufly.vehicle.sensor_schema import VibrationParameters
 from mufly.world import World
 
 _Array = NDArray[np.float64]
@@ -202,11 +201,6 @@ class Imu(Sensor):
         return self._readings
 
 
-def board_resonance(vibration: VibrationParameters, speed_rad_s: float) -> float:
-    """Return the amplification |H| of a vibration by the board's resonance, at a frequency (rad/s)."""
-    return float(_resonance_gain(speed_rad_s, float(vibration.resonance), float(vibration.damping)))
-
-
 def butterworth_coefficients(cutoff_rad_s: float, step_s: float) -> _Array:
     """Return b0, b1, b2, a1, a2 of the second-order low pass, by the bilinear transform with matched cut-off."""
     k = math.tan(min(0.5 * cutoff_rad_s * step_s, 0.49 * math.pi))
@@ -237,7 +231,7 @@ def _axis_matrix(rng: np.random.Generator, scale: float, misalignment: float) ->
 
 
 @cached_njit(error_model="numpy")
-def _resonance_gain(speed: float, natural: float, damping: float) -> float:
+def resonance_gain(speed: float, natural: float, damping: float) -> float:
     x = speed / natural
     return 1.0 / math.sqrt((1.0 - x * x) ** 2 + (2.0 * damping * x) ** 2)
 
@@ -324,7 +318,7 @@ def simulate_imu_period(
             speed, hover, times, amplitude = up + dw, hover_up + hover_dw, 2.0, passing
         share = speed / hover
         amplitude *= share * share
-        amplitude *= _resonance_gain(times * speed, natural, damping) / _resonance_gain(times * hover, natural, damping)
+        amplitude *= resonance_gain(times * speed, natural, damping) / resonance_gain(times * hover, natural, damping)
         c, s = amplitude * phases[line, 0], amplitude * phases[line, 1]
         for j in range(3):
             a = w = 0.0

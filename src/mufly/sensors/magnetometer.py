@@ -100,12 +100,6 @@ class MagnetometerSensor(PeriodicSensor):
         ]
         super().__init__(float(m.period), rng, (np.array(numbers), self._waves, self._wave_phases))
 
-    def field_distortion(self, position: _Array) -> _Array:
-        """Return the field that steel in walls and floor adds at a position (T, N-E-D), shape (3,)."""
-        field = np.zeros(3)
-        _add_distortion(np.asarray(position, dtype=np.float64), self._waves, self._wave_phases, self._strength, field)
-        return field
-
     def true_readings(self, truth: Truth) -> dict[str, _Array]:
         return {"magnetic_field": body_to_ned_matrix(truth.state[ATTITUDE]).T @ self.earth_field_T}
 

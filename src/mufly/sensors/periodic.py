@@ -169,7 +169,10 @@ class PeriodicSensor(Sensor):
 
 @cached_njit(error_model="numpy")
 def gauss_markov_step(t: float, sigma: _Array, time_s: float, memory: _Array, source: NDArray[np.uint64]) -> None:
-    """Propagate Gauss-Markov errors to a time (s)."""
+    """Propagate errors, d x = -x dt / tau + sigma sqrt(2 dt / tau) n, to a time (s), which must not decrease.
+
+    Sampled exactly: x' = x phi + sigma sqrt(1 - phi^2) n with phi = exp(-dt / tau).
+    """
     elapsed = 0.0 if math.isnan(memory[0]) else max(0.0, t - memory[0])
     memory[0] = t
     if elapsed > 0.0:
@@ -183,28 +186,3 @@ def gauss_markov_step(t: float, sigma: _Array, time_s: float, memory: _Array, so
 def gauss_markov_reset(rng: np.random.Generator, sigma: _Array, memory: _Array) -> None:
     """Draw new errors; the next step sets the time to which they refer."""
     memory[0], memory[1:] = math.nan, sigma * rng.standard_normal(sigma.size)
-
-
-class GaussMarkov:
-    """Independent first-order Gauss-Markov errors: d x = -x dt / tau + sigma sqrt(2 dt / tau) n.
-
-    Sampled exactly: x' = x phi + sigma sqrt(1 - phi^2) n with phi = exp(-dt / tau).
-    """
-
-    def __init__(self, rng: np.random.Generator, sigma: float | _Array, time_s: float, size: int = 1) -> None:
-        self._source, self._rng, self._time_s = make_source(rng), rng, time_s
-        self._sigma, self._memory = (
-            np.array(np.broadcast_to(sigma, size), dtype=np.float64),
-            np.empty(1 + size),
-        )
-        gauss_markov_reset(rng, self._sigma, self._memory)
-
-    def step_to(self, time_s: float) -> _Array:
-        """Return the errors at a time (s), which must not decrease between calls."""
-        gauss_markov_step(time_s, self._sigma, self._time_s, self._memory, self._source)
-        return self.current_errors.copy()
-
-    @property
-    def current_errors(self) -> _Array:
-        """The errors at the time of the last step."""
-        return self._memory[1:]

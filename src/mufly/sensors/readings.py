@@ -241,36 +241,6 @@ def beam_directions(vehicle: Vehicle) -> NDArray[np.float64]:
     return np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
 
 
-def unwrap_near(angle: float, near: float) -> float:
-    """Return ``angle`` (rad) plus the multiple of 2 pi for which the sum is nearest to ``near`` (rad)."""
-    return angle + 2 * math.pi * round((near - angle) / (2 * math.pi))
-
-
-def ideal_ranges(
-    state: NDArray[np.float64],
-    world: World,
-    directions: NDArray[np.float64],
-    *,
-    min_range_m: float,
-    max_range_m: float,
-) -> NDArray[np.float64]:
-    """Return the distance to the nearest surface along every beam (m), shape (n,).
-
-    Parameters
-    ----------
-    state : (21,) array
-        State of the flight model.
-    world : World
-    directions : (n, 3) array
-        Unit vectors in body axes, see :func:`beam_directions`.
-    min_range_m, max_range_m : float
-        Limits of the readings (m).
-    """
-    seen = np.empty(len(directions))
-    measure_ranges(state, directions, min_range_m, max_range_m, *world.packed_tables, seen)
-    return seen
-
-
 @cached_njit(error_model="numpy")
 def measure_ranges(
     x: _Array,
