@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from saturated_gain import saturated_gain_limit
 from scipy import linalg
 
 from mufly.control import (
@@ -17,7 +18,6 @@ from mufly.control import (
     hinf_norm,
     loop_curves,
     sample_plant,
-    saturated_gain_limit,
 )
 from mufly.control.linear_systems import _tracked_eigenvalues, is_stable_loop, state_space
 from mufly.dynamics import linearise_vehicle

@@ -22,6 +22,7 @@ from mufly.control import (
 from mufly.control.designs import design_heave_yaw, design_roll_pitch, heave_acceleration
 from mufly.dynamics import linearise_vehicle
 from mufly.errors import InputError, MuflyError
+from mufly.results import to_plain_data
 from mufly.vehicle import Vehicle, list_parameters, load_vehicle, replace_parameters
 
 
@@ -307,7 +308,7 @@ def test_summaries(controller: FlightController) -> None:
     text = str(controller)
     for word in ("heave-yaw", "roll-pitch", "velocity", "gamma", "200 Hz", "cascade"):
         assert word in text
-    data = json.loads(json.dumps(controller.as_record(), allow_nan=False))
+    data = json.loads(json.dumps(to_plain_data(controller), allow_nan=False))
     assert data["rate_Hz"] == DEFAULT_RATE_HZ
     assert [d["name"] for d in data["designs"]] == ["heave-yaw", "roll-pitch", "velocity"]
     assert data["designs"][0]["thesis"]["gamma"] == 1.38

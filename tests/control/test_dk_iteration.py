@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import control
 import numpy as np
 import pytest
+from mu_lower_bound import mu_lower_bound
 
 from mufly.control import (
     DesignSettings,
@@ -21,7 +22,7 @@ from mufly.control import (
 )
 from mufly.control.designs import ControllerDesign, weight_roll_pitch
 from mufly.control.linear_systems import replace_matrices, state_space
-from mufly.control.robust import Block, mu_lower_bound, mu_upper_bound
+from mufly.control.robust import Block, mu_upper_bound
 from mufly.control.robust.dk_iteration import (
     Channel,
     ScalingFilter,

@@ -8,12 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mu_lower_bound import mu_lower_bound
 from typer.testing import CliRunner
 
 from mufly.cli.control import app
 from mufly.control import FlightController, sample_plant
 from mufly.control.linear_systems import is_stable_loop
-from mufly.control.robust import Block, analyse_parameter_robustness, mu_lower_bound, mu_upper_bound
+from mufly.control.robust import Block, analyse_parameter_robustness, mu_upper_bound
 from mufly.control.robust.structured_singular_value import _Scalings
 from mufly.control.tuning import minimise_nonsmooth
 from mufly.dynamics import linearise_vehicle

@@ -78,6 +78,11 @@ def test_two_degrees_of_freedom_is_equation_6_3(appendix_b: ModuleType) -> None:
     np.testing.assert_allclose(T[:, 2:], np.concatenate(expected_y, axis=2), rtol=1e-7, atol=1e-10)
 
 
+def magnitude(weight: TransferFunction, frequency: float) -> float:
+    s = 1j * frequency
+    return float(abs(np.polyval(weight.numerator, s) / np.polyval(weight.denominator, s)))
+
+
 @pytest.mark.parametrize(
     ("name", "printed"),
     [
@@ -93,7 +98,7 @@ def test_weights_are_those_of_equation_6_4(name: str, printed) -> None:
     """As printed; W_r without its factor 1e-4."""
     weight = getattr(TwoDegreeWeights(), name)
     for frequency in (1e-5, 0.3, 7.0, 60.0, 1e5):
-        assert weight.magnitude_at(frequency) == pytest.approx(abs(printed(1j * frequency)), rel=1e-12)
+        assert magnitude(weight, frequency) == pytest.approx(abs(printed(1j * frequency)), rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -107,9 +112,9 @@ def test_weights_are_those_of_equation_6_4(name: str, printed) -> None:
 )
 def test_weights_of_ours_do_what_docs_control_says(weight, low: float, high: float, one: float) -> None:
     """W_v asks for rejection up to ``one`` (rad/s) and no more beyond; W_r bounds T_e by 2, and by 1 near ``one``."""
-    assert weight.magnitude_at(1e-6) == pytest.approx(low, rel=1e-3)
-    assert weight.magnitude_at(1e7) == pytest.approx(high, rel=1e-3)
-    assert weight.magnitude_at(one) == pytest.approx(1.0, rel=0.12)
+    assert magnitude(weight, 1e-6) == pytest.approx(low, rel=1e-3)
+    assert magnitude(weight, 1e7) == pytest.approx(high, rel=1e-3)
+    assert magnitude(weight, one) == pytest.approx(1.0, rel=0.12)
 
 
 def test_one_degree_of_freedom_is_equation_6_5(appendix_b: ModuleType) -> None:
@@ -149,7 +154,6 @@ def test_scaling_and_its_inverse_leave_the_loop_alone(appendix_b: ModuleType) ->
 
 def test_a_pure_gain_is_that_gain() -> None:
     block = TransferFunction((3.0,)).to_block("k", "a", "b")
-    assert TransferFunction((3.0,)).magnitude_at(5.0) == 3.0
     assert (block.nstates, block.D[0, 0]) == (0, 3.0)
 
 

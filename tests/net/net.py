@@ -90,6 +90,7 @@ API = {
         "parse_endpoint": "link:parse_endpoint",
         "parse_origin": "link:parse_origin",
         "run_study": "thesis:run_study",
+        "to_plain_data": "results:to_plain_data",
     }.items()
 }
 
@@ -639,7 +640,7 @@ def _bemt_coaxial() -> Any:
 @case("design")
 def _design() -> Any:
     c = api("design")(api("load_vehicle")("mufly-1.1"))
-    out: dict[str, Any] = {"told": c.as_record()}
+    out: dict[str, Any] = {"told": api("to_plain_data")(c)}
     for name in ("heave_yaw", "roll_pitch", "velocity"):
         one = getattr(c, name)
         for label, system in (("controller", one.controller), ("reduced", one.reduced)):

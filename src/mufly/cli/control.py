@@ -12,6 +12,7 @@ from mufly.cli.options import CommandGroup, JsonOption, TunedOption, VehicleArgu
 from mufly.cli.output import make_console, print_answer, print_json, progress_bar
 from mufly.cli.station import GustOption, ShutdownHandler, WindOption, parse_wind
 from mufly.errors import InputError, report_write_errors
+from mufly.results import to_plain_data
 
 if TYPE_CHECKING:
     from mufly.control import DesignSettings, FlightController
@@ -497,7 +498,6 @@ installed. The verdict names the criterion that decides it. Designs, bounds of m
     from mufly.control.tuning.tuned_loop import load_tuned_settings
     from mufly.firmware.proof.sil_pil import law_instructions, missing_tools
     from mufly.logs.tables.columnar_files import write_netcdf
-    from mufly.results import to_plain_data
     from mufly.vehicle import load_vehicle
 
     wanted = tuple(dict.fromkeys(methods or METHODS))
@@ -561,5 +561,5 @@ def _write_designs(controller: FlightController, folder: Path) -> list[Path]:
     with report_write_errors("--out", "give a folder that can be written", str(folder)):
         target = folder / "design.json"
         written = [*draw_designs(controller, folder), target]
-        target.write_text(json.dumps(controller.as_record(), indent=2) + "\n", encoding="utf-8")
+        target.write_text(json.dumps(to_plain_data(controller), indent=2) + "\n", encoding="utf-8")
     return written

@@ -32,7 +32,6 @@ from mufly.control.linear_systems import (
     hinf_norm,
     loop_curves,
     sample_plant,
-    saturated_gain_limit,
     singular_values,
 )
 from mufly.control.synthesis.h2 import H2Result, h2_norm, h2syn
@@ -91,7 +90,6 @@ __all__ = [
     "roll_pitch_init",
     "roll_pitch_step",
     "sample_plant",
-    "saturated_gain_limit",
     "singular_values",
     "two_degree_plant",
 ]

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
 
 import control
 import numpy as np
@@ -71,7 +70,7 @@ from mufly.control.synthesis.weighting_schemes import (
 from mufly.dynamics import GRAVITY, Linearisation, battery_state, linearise_vehicle, model_parameters
 from mufly.dynamics.model_state import RS_CHARGE
 from mufly.errors import ArgumentError, MuflyError
-from mufly.results import ShownBlock, format_value, result, show_lines, show_table, to_plain_data
+from mufly.results import ShownBlock, format_value, result, show_lines, show_table
 from mufly.vehicle import Vehicle, battery_voltage_range
 
 DEFAULT_RATE_HZ = 200.0
@@ -119,7 +118,14 @@ ROLL_PITCH = PublishedFigures(crossover=36.0, complementary_peak_dB=1.9, resonan
 VELOCITY = PublishedFigures()
 
 
-@result(picture="mufly.control.analysis.plots:draw_loop")
+@result(
+    picture="mufly.control.analysis.plots:draw_loop",
+    json="name method gamma norm plant_crossovers_rad_s=plant_crossovers output_scale=scaling.outputs "
+    "input_scale=scaling.inputs order_full=controller.nstates order_reduced=reduced.nstates "
+    "reduction_method=reduction.chosen.method reduction_tolerance_dB=reduction.tolerance_dB rate_Hz=discrete.rate_Hz "
+    "form=discrete.form anti_windup=discrete.anti_windup full=full_loop reduced=reduced_loop "
+    "sampled_with_one_sample_of_delay=sampled_loop thesis=published",
+)
 class ControllerDesign:
     """One controller, from synthesis to difference equations.
 
@@ -185,29 +191,6 @@ class ControllerDesign:
         """Return K of ``u = -K y``, for the full controller or another one with the same inputs."""
         return feedback_part(self.controller if controller is None else controller, self.plant, self.feedback_inputs)
 
-    def as_record(self) -> dict[str, Any]:
-        """Return the figures as JSON data: units in the keys, None for infinite values."""
-        return {
-            "name": self.name,
-            "method": self.method,
-            "gamma": self.gamma if np.isfinite(self.gamma) else None,
-            "norm": self.norm,
-            "plant_crossovers_rad_s": list(self.plant_crossovers),
-            "output_scale": list(self.scaling.outputs),
-            "input_scale": list(self.scaling.inputs),
-            "order_full": self.controller.nstates,
-            "order_reduced": self.reduced.nstates,
-            "reduction_method": self.reduction.chosen.method,
-            "reduction_tolerance_dB": self.reduction.tolerance_dB,
-            "rate_Hz": 1 / self.discrete.period_s,
-            "form": self.discrete.form,
-            "anti_windup": self.discrete.anti_windup,
-            "full": to_plain_data(self.full_loop),
-            "reduced": to_plain_data(self.reduced_loop),
-            "sampled_with_one_sample_of_delay": to_plain_data(self.sampled_loop),
-            "thesis": to_plain_data(self.published),
-        }
-
     def shown_blocks(self) -> list[ShownBlock]:
         """Return a table of the figures of the three controllers beside those of the thesis."""
         thesis = self.published
@@ -238,12 +221,17 @@ class ControllerDesign:
             loop_row("phase margin (deg)", "phase_margin_deg", ".1f"),
             loop_row("delay margin (ms)", "delay_margin_s", ".0f", factor=1e3),
         ]
-        heads = ("", "full order", "reduced", f"{1 / self.discrete.period_s:g} Hz*", "thesis")
+        heads = ("", "full order", "reduced", f"{self.discrete.rate_Hz:g} Hz*", "thesis")
         title = self.name if self.method == "hinf" else f"{self.name}, {METHOD_NAMES[self.method]}"
         return [show_table(heads, rows, title=title)]
 
 
-@result(picture="mufly.control.analysis.plots:draw_sensitivities")
+@result(
+    picture="mufly.control.analysis.plots:draw_sensitivities",
+    json="warnings=design_warnings vehicle=vehicle_name method=settings.method rate_Hz position_rate_Hz "
+    "design_voltage_V=voltage_V motor_trim_upper_lower=motor_trim position_gain_1_s=settings.position_gain "
+    "designs=all_designs cascade",
+)
 class FlightController:
     """All designs of a vehicle and the gains of the law on board.
 
@@ -288,6 +276,11 @@ class FlightController:
         return self.heave_yaw, self.roll_pitch, self.velocity
 
     @property
+    def position_rate_Hz(self) -> float:
+        """Rate of the position cascade (Hz)."""
+        return self.rate_Hz / self.position_divider
+
+    @property
     def design_warnings(self) -> tuple[str, ...]:
         """Warnings for the user before a flight: sampled loops with peaks above 6 dB, and remedies."""
         found = []
@@ -296,26 +289,11 @@ class FlightController:
             peak = max(loop.sensitivity_peak_dB, loop.complementary_peak_dB)
             if peak > 6.0:
                 found.append(
-                    f"{d.name}: sampled at {1 / d.discrete.period_s:g} Hz with one sample of delay its sensitivities "
+                    f"{d.name}: sampled at {d.discrete.rate_Hz:g} Hz with one sample of delay its sensitivities "
                     f"peak at {peak:.1f} dB (continuous: {d.reduced_loop.sensitivity_peak_dB:.1f} and "
                     f"{d.reduced_loop.complementary_peak_dB:.1f} dB); raise the rate"
                 )
         return tuple(found)
-
-    def as_record(self) -> dict[str, Any]:
-        """Return the figures of all designs as JSON data."""
-        return {
-            "warnings": list(self.design_warnings),
-            "vehicle": self.vehicle_name,
-            "method": self.settings.method,
-            "rate_Hz": self.rate_Hz,
-            "position_rate_Hz": self.rate_Hz / self.position_divider,
-            "design_voltage_V": self.voltage_V,
-            "motor_trim_upper_lower": [float(v) for v in self.motor_trim],
-            "position_gain_1_s": self.settings.position_gain,
-            "designs": [d.as_record() for d in self.all_designs],
-            "cascade": to_plain_data(self.cascade),
-        }
 
     def shown_blocks(self) -> list[ShownBlock]:
         """Return trim and rates, the figures of all designs, and the warnings."""
@@ -324,7 +302,7 @@ class FlightController:
             show_lines(
                 f" at {self.voltage_V:g} V: hover motor inputs {self.motor_trim[0]:.2f} upper, "
                 f"{self.motor_trim[1]:.2f} lower; law at {self.rate_Hz:g} Hz, position at "
-                f"{self.rate_Hz / self.position_divider:g} Hz",
+                f"{self.position_rate_Hz:g} Hz",
                 head=self.vehicle_name,
             ),
             *(block for design in self.all_designs for block in design.shown_blocks()),

@@ -416,6 +416,11 @@ class DiscreteController:
         """Number of states."""
         return self.A.shape[0]
 
+    @property
+    def rate_Hz(self) -> float:
+        """Number of periods in a second (Hz)."""
+        return 1 / self.period_s
+
     def to_state_space(self) -> control.StateSpace:
         """Return the controller as ``control.StateSpace``, without the anti-windup input."""
         return state_space(self.A, self.B, self.C, self.D, inputs=self.inputs, outputs=self.outputs, dt=self.period_s)

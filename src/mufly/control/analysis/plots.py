@@ -20,6 +20,7 @@ from mufly.control.analysis.servo_map import SAFE_DISK_MARGIN, ServoMap
 from mufly.control.designs import ControllerDesign, FlightController
 from mufly.control.linear_systems import Array, LoopCurves, loop_curves, sample_plant, singular_values
 from mufly.control.robust.parameter_robustness import ParameterRobustness
+from mufly.results.result_figure import blank_figure
 
 if TYPE_CHECKING:
     from mufly.control.tuning.tuned_loop import TunedLoop
@@ -78,7 +79,7 @@ def _thesis_figure(design: ControllerDesign, which: int) -> str:
 
 def draw_plant(design: ControllerDesign) -> Figure:
     """Draw singular values of the unscaled plant (Figs 6.3 and 6.7), its 0 dB crossings and the thesis's marked."""
-    figure = Figure(figsize=(7.0, 3.6), dpi=150, layout="constrained")
+    figure = blank_figure(7.0, 3.6, dpi=150)
     axes = figure.add_subplot()
     values = singular_values(design.plant, _FREQUENCY_GRID)
     shown = _to_decibel(values)
@@ -110,9 +111,9 @@ def _design_curves(design: ControllerDesign, controller: control.StateSpace) -> 
 
 def draw_loop(design: ControllerDesign) -> Figure:
     """Draw loop gain and sensitivities (Figs 6.5 and 6.8): full order, reduced, and sampled with delay."""
-    figure = Figure(figsize=(7.0, 6.6), dpi=150, layout="constrained")
+    figure = blank_figure(7.0, 6.6, dpi=150)
     upper, lower = figure.subplots(2, 1, sharex=True)
-    rate = 1 / design.discrete.period_s
+    rate = design.discrete.rate_Hz
     cases = (
         (design.controller, "continuous", "-", 1.6),
         (design.reduced, "continuous", "--", 1.2),
@@ -164,7 +165,7 @@ def draw_tuned_loop(tuned: TunedLoop) -> Figure:
 
 def draw_sensitivities(controller: FlightController) -> Figure:
     """Draw sensitivity and complementary sensitivity of every design, sampled with one sample of delay."""
-    figure = Figure(figsize=(10.5, 3.4), layout="constrained")
+    figure = blank_figure(10.5, 3.4)
     for axes, design in zip(figure.subplots(1, 3, sharey=True), controller.all_designs, strict=True):
         curves, loop = _design_curves(design, design.discrete.to_state_space()), design.sampled_loop
         _set_up_axes(axes, design.name, -60, 12)
@@ -191,7 +192,7 @@ def draw_sensitivities(controller: FlightController) -> Figure:
 
 def draw_mu_bounds(robustness: ParameterRobustness) -> Figure:
     """Draw the bounds of mu of heave-yaw and roll-pitch over frequency."""
-    figure = Figure(figsize=(7.0, 3.6), layout="constrained")
+    figure = blank_figure(7.0, 3.6)
     axes = figure.add_subplot()
     for loop, colour in zip(robustness.loops, (BLUE, ORANGE), strict=True):
         axes.semilogx(loop.frequency, loop.upper, color=colour, label=f"{loop.name}, upper bound")
@@ -209,7 +210,7 @@ def draw_mu_bounds(robustness: ParameterRobustness) -> Figure:
 def draw_servo_map(found: ServoMap) -> Figure:
     """Draw disk margin and speed of the swash plate over servo lag, a line for each control rate."""
     t = found.table
-    figure = Figure(figsize=(4.5 * t.frame_s.size, 5.6), layout="constrained")
+    figure = blank_figure(4.5 * t.frame_s.size, 5.6)
     axes = figure.subplots(2, t.frame_s.size, sharex=True, sharey="row", squeeze=False)
     for column, frame in zip(axes.T, t.frame_s.values, strict=True):
         for rate in t.rate_Hz.values:
@@ -229,7 +230,7 @@ def draw_servo_map(found: ServoMap) -> Figure:
 
 def draw_comparison(comparison: ControllerComparison) -> Figure:
     """Draw peaks, disk margin, mu and input noise of every method, for both loops."""
-    figure = Figure(figsize=(9.0, 5.0), layout="constrained")
+    figure = blank_figure(9.0, 5.0)
     axes = figure.subplots(2, 2).ravel()
     methods = comparison.methods
     place = np.arange(len(methods), dtype=float)
@@ -250,22 +251,18 @@ def draw_comparison(comparison: ControllerComparison) -> Figure:
     return figure
 
 
-def draw_designs(
-    controller: FlightController, folder: Path | str, *, formats: tuple[str, ...] = ("png",)
-) -> list[Path]:
+def draw_designs(controller: FlightController, folder: Path | str) -> list[Path]:
     """Draw all designs into a folder, which is created if necessary.
 
     Parameters
     ----------
     controller : FlightController
     folder : Path or str
-    formats : tuple of str
-        File formats that matplotlib knows.
 
     Returns
     -------
     list of Path
-        ``<design>-plant`` and ``<design>-loop`` for heave-yaw, roll-pitch and velocity.
+        ``<design>-plant.png`` and ``<design>-loop.png`` for heave-yaw, roll-pitch and velocity.
 
     Thesis: Figs 6.3, 6.5, 6.7, 6.8.
     """
@@ -274,9 +271,6 @@ def draw_designs(
     written = []
     for design in controller.all_designs:
         for what, draw in (("plant", draw_plant), ("loop", draw_loop)):
-            figure = draw(design)
-            for suffix in formats:
-                path = target / f"{design.name}-{what}.{suffix}"
-                figure.savefig(path)
-                written.append(path)
+            written.append(target / f"{design.name}-{what}.png")
+            draw(design).savefig(written[-1])
     return written

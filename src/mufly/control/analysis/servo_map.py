@@ -122,7 +122,6 @@ def map_servos(
     lags_s: Sequence[float] = LAGS_s,
     rates_Hz: Sequence[float] = RATES_Hz,
     frames_s: Sequence[float] = FRAMES_s,
-    settings: DesignSettings | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> ServoMap:
     """Design and assess roll-pitch for servos and control rates.
@@ -132,7 +131,6 @@ def map_servos(
     vehicle : Vehicle
     lags_s, rates_Hz, frames_s : sequence of float
         Servo lags, control rates and servo frames.
-    settings : DesignSettings, optional
     progress : callable, optional
         Called with (lags done, all lags).
 
@@ -141,7 +139,7 @@ def map_servos(
     MuflyError
         If the vehicle cannot hover.
     """
-    s = complete_settings(DesignSettings() if settings is None else settings, vehicle)
+    s = complete_settings(DesignSettings(), vehicle)
     shape = len(frames_s), len(rates_Hz), len(lags_s)
     values = {name: np.full(shape, np.nan) for name in _FIGURES}
     best = dict.fromkeys(np.ndindex(shape), (0.0, 0.0))

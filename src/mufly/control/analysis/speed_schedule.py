@@ -100,8 +100,6 @@ def compare_schedules(
     methods: Sequence[SynthesisMethod] = SCHEDULED_METHODS,
     *,
     speeds_m_s: Sequence[float] = SPEEDS_m_s,
-    rate_Hz: float = DEFAULT_RATE_HZ,
-    settings: DesignSettings | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> ScheduleComparison:
     """Design roll-pitch at forward speeds by several methods, and assess every design at every speed.
@@ -112,9 +110,6 @@ def compare_schedules(
     methods : sequence of str
     speeds_m_s : sequence of float
         Forward speeds, rising; the first is that of the single design.
-    rate_Hz : float
-    settings : DesignSettings, optional
-        Settings but for the method.
     progress : callable, optional
         Called with (methods done, all methods).
 
@@ -123,8 +118,8 @@ def compare_schedules(
     MuflyError
         If there is no steady flight at a speed, or a design fails.
     """
-    base = complete_settings(DesignSettings() if settings is None else settings, vehicle)
-    period, n = 1.0 / rate_Hz, len(speeds_m_s)
+    base = complete_settings(DesignSettings(), vehicle)
+    period, n = 1.0 / DEFAULT_RATE_HZ, len(speeds_m_s)
     plants = [linearise_vehicle(vehicle, find_trim(vehicle, velocity=(v, 0.0, 0.0))).roll_pitch for v in speeds_m_s]
     held = [sample_plant(plant, period, 1) for plant in plants]
     found = []

@@ -8,20 +8,16 @@ from mufly.control.robust.parameter_robustness import (
 from mufly.control.robust.parameter_spreads import default_spreads
 from mufly.control.robust.structured_singular_value import (
     Block,
-    LowerBound,
     UpperBound,
-    mu_lower_bound,
     mu_upper_bound,
 )
 
 __all__ = [
     "Block",
     "LoopRobustness",
-    "LowerBound",
     "ParameterRobustness",
     "UpperBound",
     "analyse_parameter_robustness",
     "default_spreads",
-    "mu_lower_bound",
     "mu_upper_bound",
 ]

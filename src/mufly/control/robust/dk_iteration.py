@@ -15,7 +15,7 @@ Neither step raises the bound but for the error of the filters. The iteration ma
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import control
@@ -253,7 +253,6 @@ def iterate_dk(
     order_max: int = 4,
     fit_tolerance: float = 0.01,
     relaxation: float = 1.002,
-    progress: Callable[[int, int], None] | None = None,
 ) -> DkResult:
     """Synthesise a controller by D-K iteration.
 
@@ -279,8 +278,6 @@ def iterate_dk(
         Error of a filter's logarithm; see :func:`fit_magnitude`.
     relaxation : float
         Factor on the smallest level; see ``hinfsyn``.
-    progress : callable, optional
-        Called with (rounds done, all rounds).
 
     Returns
     -------
@@ -329,8 +326,6 @@ def iterate_dk(
         poor = poor + 1 if best is not None and peak > 0.999 * best.mu else 0
         if best is None or peak < best.mu:
             best = DkResult(found.controller, found.actuation, found.gamma, peak, frequency, bound, ())
-        if progress is not None:
-            progress(k + 1, rounds)
         if poor == 2 or k + 1 == rounds:
             break
         filters = fit(bound, magnitudes)

@@ -77,7 +77,7 @@ def h2_norm(system: control.StateSpace) -> tuple[float, float]:
     return float(np.sqrt(np.trace(C @ P @ C.T))), float(np.sqrt(np.trace(B.T @ Q @ B)))
 
 
-def h2syn(P: control.StateSpace, n_measurements: int, n_controls: int, *, regularisation: float = 0.0) -> H2Result:
+def h2syn(P: control.StateSpace, n_measurements: int, n_controls: int) -> H2Result:
     """Synthesise the controller with the smallest H2 norm from ``w`` to ``z``.
 
     Parameters
@@ -87,8 +87,6 @@ def h2syn(P: control.StateSpace, n_measurements: int, n_controls: int, *, regula
         of the controller. Its part from ``w`` to ``z`` must have no feedthrough.
     n_measurements, n_controls : int
         Sizes of ``y`` and ``u``.
-    regularisation : float
-        Size of small weights and noises on states and signals, relative to the balanced plant; 0 adds none.
 
     Returns
     -------
@@ -105,21 +103,21 @@ def h2syn(P: control.StateSpace, n_measurements: int, n_controls: int, *, regula
     """
     even = balance_states(P)
     p = partition_plant(even.A, even.B, even.C, even.D, n_measurements, n_controls)
-    n, (ny, nu), eps2 = p.A.shape[0], p.D22.shape, regularisation**2
+    ny, nu = p.D22.shape
     if p.D11.size and np.abs(p.D11).max() > 1e-12:
         row, column = np.unravel_index(int(np.abs(p.D11).argmax()), p.D11.shape)
         raise MuflyError(
             f"H2 synthesis: {P.input_labels[column]!r} feeds through to {P.output_labels[row]!r}, so the norm is "
             "infinite; give one of their weights a roll-off"
         )
-    R, N = p.D12.T @ p.D12 + eps2 * np.eye(nu), p.D21 @ p.D21.T + eps2 * np.eye(ny)
+    R, N = p.D12.T @ p.D12, p.D21 @ p.D21.T
     try:
-        X = linalg.solve_continuous_are(p.A, p.B2, p.C1.T @ p.C1 + eps2 * np.eye(n), R, s=p.C1.T @ p.D12)
-        Y = linalg.solve_continuous_are(p.A.T, p.C2.T, p.B1 @ p.B1.T + eps2 * np.eye(n), N, s=p.B1 @ p.D21.T)
+        X = linalg.solve_continuous_are(p.A, p.B2, p.C1.T @ p.C1, R, s=p.C1.T @ p.D12)
+        Y = linalg.solve_continuous_are(p.A.T, p.C2.T, p.B1 @ p.B1.T, N, s=p.B1 @ p.D21.T)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise MuflyError(
-            f"H2 synthesis: a Riccati equation has no stabilising solution ({error}); weight every control, give every "
-            "measurement noise, or set regularisation"
+            f"H2 synthesis: a Riccati equation has no stabilising solution ({error}); weight every control, and give "
+            "every measurement noise"
         ) from None
     F = -np.linalg.solve(R, p.B2.T @ X + p.D12.T @ p.C1)
     L = -np.linalg.solve(N, (Y @ p.C2.T + p.B1 @ p.D21.T).T).T

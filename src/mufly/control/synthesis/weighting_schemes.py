@@ -65,11 +65,6 @@ class TransferFunction:
         labels = [f"{name}[{i}]" for i in range(order)]
         return state_space(A, B, C, D, inputs=[source], outputs=[sink], states=labels)
 
-    def magnitude_at(self, frequency: float) -> float:
-        """Return the magnitude at ``frequency`` (rad/s)."""
-        s = 1j * frequency
-        return float(abs(np.polyval(self.numerator, s) / np.polyval(self.denominator, s)))
-
 
 @dataclass(frozen=True)
 class SignalScaling:

@@ -237,7 +237,6 @@ def continue_tuning(
     *,
     rounds: int,
     steps: int,
-    lines: int = 2,
     state: TuningState | None = None,
     progress: Callable[[int, int, TuningState], None] | None = None,
 ) -> tuple[control.StateSpace, TuningState]:
@@ -247,11 +246,9 @@ def continue_tuning(
     ----------
     problem : LoopProblem
     starts : sequence of control.StateSpace
-        Starts of one order (scaled); the best ``lines`` of them are used.
+        Starts of one order (scaled); the best two of them are descended from.
     rounds, steps : int
         Rounds of a line, and steps of every descent in a round.
-    lines : int
-        Number of starts that are descended from.
     state : TuningState, optional
         State of an earlier tuning with the same starts.
     progress : callable, optional
@@ -280,7 +277,7 @@ def continue_tuning(
             (max(n / v for n, v in zip(aim_norms(quick, K).values(), levels, strict=True)), i)
             for i, K in enumerate(starts)
         )
-        picked = [starts[i] for value, i in ranked if np.isfinite(value)][:lines]
+        picked = [starts[i] for value, i in ranked if np.isfinite(value)][:2]
         if not picked:
             raise MuflyError(
                 f"{problem.name}: no starting controller of order {order} stabilises the loop; give a higher order"
