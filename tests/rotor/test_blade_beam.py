@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
+from uniform_beam import uniform_beam
 
 from mufly.cli import app
 from mufly.errors import InputError
@@ -19,7 +20,7 @@ from mufly.rotor import (
     load_rotor,
     rotor_from_tables,
 )
-from mufly.rotor.structure.blade_beam import compute_modes, mass_matrix, stiffness_matrices, uniform_beam
+from mufly.rotor.structure.blade_beam import compute_modes, mass_matrix, stiffness_matrices
 from mufly.rotor.structure.cross_section import contour_lines, section_constants, shear_centre
 from mufly.rotor.structure.flap_modes import free_hinge, make_blade_beam, select_modes
 from mufly.rotor.structure.materials import MATERIALS

@@ -6,12 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from typer.testing import CliRunner
+from uniform_beam import uniform_beam
 
 from mufly.cli import app
 from mufly.errors import MuflyError
 from mufly.quantities.units import RPM
 from mufly.rotor import BladeStructure, compute_polars, load_rotor, prepare_blading, solve_elastic_rotor, solve_rotor
-from mufly.rotor.structure.blade_beam import stiffness_matrices, uniform_beam
+from mufly.rotor.structure.blade_beam import stiffness_matrices
 from mufly.rotor.structure.elastic_rotor import SpanLoads, divergence_speed, load_derivative, solve_equilibrium
 from mufly.rotor.structure.flap_modes import make_blade_beam
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from mufly.errors import InputError, MuflyError
 from mufly.quantities.units import RPM
+from mufly.results.result_figure import blank_figure, label_axes
 from mufly.rotor.coax_maps import interpolate_map
 from mufly.rotor.measured.uncertainty import predict_interval
 from mufly.rotor.sections.airfoil import load_airfoil
@@ -34,17 +35,11 @@ _PAIR_NAMES = ("upper", "lower")
 _ROTOR_COLOURS = ("C0", "C3")
 
 
-def _new_figure(width: float, height: float) -> Figure:
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), layout="constrained")
-
-
 def blade_picture(rotor: Rotor) -> Figure:
     """Draw planform (quarter chord line straight), twist and sections of a blade, lengths in millimetres."""
     x = np.linspace(float(rotor.hub_cutout), 1.0, 101)
     r, chord = 1e3 * rotor.radius_m * x, 1e3 * rotor.chord_m(x)
-    figure = _new_figure(8.0, 6.0)
+    figure = blank_figure(8.0, 6.0)
     plan, twist, section = figure.subplots(3, 1, height_ratios=(1.2, 1.0, 1.2))
     plan.fill_between(r, -0.75 * chord, 0.25 * chord, alpha=0.5)
     plan.plot(r, 0 * r, color="0.3", linewidth=0.8, linestyle="-.", label="quarter chord")
@@ -55,9 +50,7 @@ def blade_picture(rotor: Rotor) -> Figure:
     plan.legend(fontsize="small", loc="upper left")
     twist.plot(r, np.degrees(rotor.twist_rad(x)))
     twist.set_xlim(plan.get_xlim())
-    twist.set_xlabel("Radius (mm)")
-    twist.set_ylabel("Twist (deg)")
-    twist.grid(alpha=0.3)
+    label_axes(twist, "Radius (mm)", "Twist (deg)")
     names = rotor.airfoil_names()
     for k, name in enumerate(names):
         try:
@@ -97,15 +90,14 @@ def spanwise_picture(result: RotorResult) -> Figure:
         ("Reynolds number", result.reynolds),
         ("Thrust per radius (N/m)", _load_per_radius(result, result.dT_N)),
     )
-    figure = _new_figure(9.0, 6.0)
+    figure = blank_figure(9.0, 6.0)
     grid = figure.subplots(2, 3, sharex=True)
     beyond = result.outside > 0
     for axes, (label, values) in zip(grid.flat, panels, strict=True):
         axes.plot(r, values)
         if beyond.any():
             axes.plot(r[beyond], values[beyond], "x", color="C3", label="beyond the polar")
-        axes.set_ylabel(label)
-        axes.grid(alpha=0.3)
+        label_axes(axes, y=label)
     for axes in grid[1]:
         axes.set_xlabel("Radius (mm)")
     if beyond.any():
@@ -125,7 +117,7 @@ def fit_picture(found: RotorFit) -> Figure:
     speed.
     """
     m = found.measured
-    figure = _new_figure(9.0, 4.0)
+    figure = blank_figure(9.0, 4.0)
     axes = figure.subplots(1, 2)
     over_J = 2.0 * math.pi * m.climb_m_s / (2.0 * found.rotor.radius_m * m.speed_rad_s)
     along = over_J if m.axial else m.speed_rad_s / RPM
@@ -183,7 +175,7 @@ def map_picture(coefficients: CoefficientMap) -> Figure:
     tip = mean * coefficients.radius_m
     hover = int(np.argmin(np.abs(t.climb_ratio)))
     even = int(np.argmin(np.abs(t.ratio - 1.0)))
-    figure = _new_figure(10.0, 7.0)
+    figure = blank_figure(10.0, 7.0)
     axes = figure.subplots(2, 2, sharey="row")
     tables = ((t.cT_upper, t.cT_lower), (t.cQ_upper, t.cQ_lower))
     for row in range(2):
@@ -226,7 +218,7 @@ def map_picture(coefficients: CoefficientMap) -> Figure:
 
 def section_picture(airfoil: Airfoil) -> Figure:
     """Draw the contour of a section."""
-    figure = _new_figure(7.0, 2.4)
+    figure = blank_figure(7.0, 2.4)
     axes = figure.subplots()
     axes.plot(*airfoil.coordinates.T)
     axes.set(xlabel="x / c", ylabel="y / c", aspect="equal")
@@ -243,7 +235,7 @@ def polar_picture(polar: PolarTable, reynolds: Sequence[float] = (1e4, 2e4, 5e4,
 
     Lines are solid where the engine computed the polar and dotted where it is extended.
     """
-    figure = _new_figure(9.0, 4.0)
+    figure = blank_figure(9.0, 4.0)
     left, right = figure.subplots(1, 2)
     alpha = np.degrees(polar.alpha_rad)
     for colour, k in enumerate(dict.fromkeys(int(np.argmin(np.abs(np.log(polar.reynolds / re)))) for re in reynolds)):
@@ -264,7 +256,7 @@ def polar_picture(polar: PolarTable, reynolds: Sequence[float] = (1e4, 2e4, 5e4,
 
 def comparison_picture(found: MeasurementComparison) -> Figure:
     """Draw measured and predicted loads over rotor speed, or over climb if there is any; a colour for each pitch."""
-    figure = _new_figure(9.0, 4.0)
+    figure = blank_figure(9.0, 4.0)
     m = found.measured
     panels = (
         ("Thrust (N)", m.thrust_N, found.thrust_N, 1.0),
@@ -301,22 +293,15 @@ def _rotor_names(count: int) -> Sequence[str]:
     return _PAIR_NAMES if count == 2 else ("rotor",)
 
 
-def wake_picture(solution: SystemSolution, *, turns: float = 2.0) -> Figure:
-    """Draw the trailing vortices of each rotor in 3-D, coloured by the magnitude of circulation, one panel per rotor.
-
-    Parameters
-    ----------
-    solution : SystemSolution
-    turns : float
-        Length of wake to draw, in turns of its rotor.
-    """
+def wake_picture(solution: SystemSolution) -> Figure:
+    """Draw two turns of the trailing vortices in 3-D, coloured by the magnitude of circulation, one panel per rotor."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
     from matplotlib.ticker import MaxNLocator
     from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
-    n = len(solution.wakes)
-    figure = _new_figure(5.5 * n, 6.5)
+    n, turns = len(solution.wakes), 2.0
+    figure = blank_figure(5.5 * n, 6.5)
     strengths = [1e3 * np.abs(w.filament_circulation_m2_s) for w in solution.wakes]
     most = max(float(s.max()) for s in strengths)
     norm = Normalize(0.0, most)
@@ -410,7 +395,7 @@ def field_picture(solution: SystemSolution, *, mean: bool = True, points: int = 
     x = np.linspace(-1.6 * radius, 1.6 * radius, points)
     z = np.linspace(bottom, top, max(10, round(points * (top - bottom) / (3.2 * radius))))
     u, _, w = plane_velocity(solution, x, z, phases=phases if mean else 1)
-    figure = _new_figure(7.0, 6.6)
+    figure = blank_figure(7.0, 6.6)
     axes = figure.subplots()
     mx, mz = 1e3 * x, 1e3 * z
     if mean:
@@ -447,7 +432,7 @@ def field_picture(solution: SystemSolution, *, mean: bool = True, points: int = 
 
 def rotor_loads_picture(upper: RotorResult, lower: RotorResult, alone: Sequence[RotorResult] | None = None) -> Figure:
     """Draw inflow, angle of attack, lift, thrust and torque along the blades of both rotors, isolated rotors dashed."""
-    figure = _new_figure(10.0, 6.0)
+    figure = blank_figure(10.0, 6.0)
     panels: tuple[tuple[str, Callable[[RotorResult], Array]], ...] = (
         ("Induced velocity down the shaft (m/s)", lambda r: r.inflow_m_s),
         ("Swirl (m/s)", lambda r: r.swirl_m_s),
@@ -464,8 +449,7 @@ def rotor_loads_picture(upper: RotorResult, lower: RotorResult, alone: Sequence[
                 note = "alone" if alone[1] is alone[0] else f"{_PAIR_NAMES[k]} alone"
                 colour = "0.4" if alone[1] is alone[0] else _ROTOR_COLOURS[k]
                 axes.plot(1e3 * alone[k].r_m, of(alone[k]), "--", color=colour, linewidth=1.0, label=note)
-        axes.set_ylabel(label)
-        axes.grid(alpha=0.3)
+        label_axes(axes, y=label)
     for axes in grid[1]:
         axes.set_xlabel("Radius (mm)")
     grid[0, 0].legend(fontsize="small")
@@ -499,7 +483,7 @@ def history_picture(history: Array, *, residual: float | None = None, note: str 
     note : str
         Title.
     """
-    figure = _new_figure(7.0, 6.0)
+    figure = blank_figure(7.0, 6.0)
     first, second, third = figure.subplots(3, 1, sharex=True)
     turn = np.arange(1, len(history) + 1)
     miss = history[:, 0]

@@ -58,7 +58,7 @@ class Air:
                 )
 
 
-def blade_stations(rotor: Rotor, speed_rad_s: float, air: Air | None = None) -> dict[str, Array]:
+def blade_stations(rotor: Rotor, speed_rad_s: float) -> dict[str, Array]:
     """Return the spanwise data of a blade at the stations of its file, its cut-out and every quarter of the radius.
 
     Parameters
@@ -66,14 +66,13 @@ def blade_stations(rotor: Rotor, speed_rad_s: float, air: Air | None = None) -> 
     rotor : Rotor
     speed_rad_s : float
         Rotor speed (rad/s) for the chord Reynolds numbers in still air.
-    air : Air, optional
 
     Returns
     -------
     dict of str to (stations,) array
         ``r_over_R``, ``chord_m``, ``twist_rad``, ``thickness_m`` and ``reynolds``.
     """
-    air, cutout = air or Air(), float(rotor.hub_cutout)
+    air, cutout = Air(), float(rotor.hub_cutout)
     x = np.unique(np.concatenate(([cutout], rotor.blade.r_over_R.array(), [0.25, 0.5, 0.75, 1.0])))
     x = x[x >= cutout]
     chord = rotor.chord_m(x)

@@ -223,8 +223,9 @@ def mirror_solid(solid: TriangleSolid) -> TriangleSolid:
     return TriangleSolid(solid.points_m * [1.0, -1.0, 1.0], solid.triangles[:, ::-1])
 
 
-def make_hub_solid(radius_m: float, bore_m: float, low_m: float, high_m: float, around: int = 96) -> TriangleSolid:
+def make_hub_solid(radius_m: float, bore_m: float, low_m: float, high_m: float) -> TriangleSolid:
     """Return a ring about the shaft, or a disc if the bore is 0."""
+    around = 96
     angle = 2.0 * math.pi * np.arange(around) / around
     rim = np.column_stack((np.cos(angle), np.sin(angle), np.zeros(around)))
     inner = bore_m if bore_m > 0.0 else 0.25 * radius_m
@@ -420,7 +421,6 @@ def _compare_end_thickness(loop: Array, i: int, j: int) -> float:
 def rotor_from_body(
     path: str | Path,
     *,
-    stations: int = 15,
     unit_m: float | None = None,
     folder: str | Path,
     blades: int | None = None,
@@ -433,8 +433,6 @@ def rotor_from_body(
     path : str or Path
         STL or STEP file; the shaft lies along z through the origin, thrust upwards. A body whose blades lie elsewhere
         in the plane of the disc is turned; a hub is removed.
-    stations : int
-        Number of stations.
     unit_m : float, optional
         Unit of length of an STL file (m); STEP files state it. Default: mm, if the radius is then plausible.
     folder : str or Path
@@ -486,7 +484,7 @@ def rotor_from_body(
             f"give its unit, as unit={' or '.join(likely) or 'mm'}",
         )  # fmt: skip
     first = good[0].r_m
-    wanted = first + (0.995 * radius - first) * 0.5 * (1.0 - np.cos(np.linspace(0.0, math.pi, stations)))
+    wanted = first + (0.995 * radius - first) * 0.5 * (1.0 - np.cos(np.linspace(0.0, math.pi, 15)))
     cut = slice_blade(corners, wanted)
     files = []
     for k, s in enumerate(cut):

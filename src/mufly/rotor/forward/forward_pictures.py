@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mufly.results.result_figure import blank_figure, label_axes
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -18,10 +20,9 @@ if TYPE_CHECKING:
 
 def disc_picture(result: ForwardResult) -> Figure:
     """Draw induced velocity, onset angle and load of a blade over the disc, seen from above, the air from the top."""
-    from matplotlib.figure import Figure
 
     disc = result.disc
-    figure = Figure(figsize=(12.0, 4.6), layout="constrained")
+    figure = blank_figure(12.0, 4.6)
     psi = np.append(disc.azimuth_rad, 2.0 * math.pi)
     hidden = np.abs(disc.alpha_rad) > math.radians(45.0)  # reversed flow
     onset = np.where(hidden, np.nan, np.degrees(disc.alpha_rad))
@@ -58,9 +59,7 @@ def disc_picture(result: ForwardResult) -> Figure:
 
 def sweep_picture(sweep: ForwardSweep) -> Figure:
     """Draw loads, moments, flapping and the response to cyclic pitch over airspeed, a line for each flap frequency."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(12.0, 7.5), layout="constrained")
+    figure = blank_figure(12.0, 7.5)
     axes = figure.subplots(2, 4).ravel()
     for line, answers in zip(sweep.points, sweep.responses, strict=True):
         speed = np.array([p.edgewise_m_s for p in line])
@@ -77,9 +76,7 @@ def sweep_picture(sweep: ForwardSweep) -> Figure:
         )
         for one, (name, values) in zip(axes, columns, strict=True):
             one.plot(speed, values, label=label, marker="." if speed.size < 30 else "")
-            one.set_ylabel(name)
-            one.set_xlabel("Edgewise airspeed (m/s)")
-            one.grid(alpha=0.3)
+            label_axes(one, "Edgewise airspeed (m/s)", name)
     axes[0].legend(title="Flap frequency", fontsize="small")
     figure.suptitle(f"{sweep.rotor}: {sweep.flap_basis}" if sweep.flap_basis else sweep.rotor, fontsize="medium")
     return figure
@@ -92,9 +89,7 @@ def pair_picture(pair: ForwardPair) -> Figure:
 
 def pair_sweep_picture(sweep: PairSweep) -> Figure:
     """Draw the loads of both rotors and their sums over airspeed, a colour for each flap frequency."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(12.0, 7.0), layout="constrained")
+    figure = blank_figure(12.0, 7.0)
     axes = figure.subplots(2, 3).ravel()
     for k, line in enumerate(sweep.points):
         speed = [p.upper.edgewise_m_s for p in line]
@@ -121,9 +116,7 @@ def pair_sweep_picture(sweep: PairSweep) -> Figure:
         "Hub moments, right side down (mN m)", "Stream on the lower disc (share)",
     )  # fmt: skip
     for one, name in zip(axes, labels, strict=True):
-        one.set_ylabel(name)
-        one.set_xlabel("Edgewise airspeed (m/s)")
-        one.grid(alpha=0.3)
+        label_axes(one, "Edgewise airspeed (m/s)", name)
     axes[0].legend(title="Flap frequency", fontsize="small")
     figure.suptitle(f"{' over '.join(sweep.rotors)}: {sweep.flap_basis}", fontsize="medium")
     return figure
@@ -131,9 +124,7 @@ def pair_sweep_picture(sweep: PairSweep) -> Figure:
 
 def flight_map_picture(flight_map: FlightMap, loads: MapLoads) -> Figure:
     """Draw the loads of a flight map over airspeed at its middle speed ratio without climb."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(12.0, 6.5), layout="constrained")
+    figure = blank_figure(12.0, 6.5)
     axes = figure.subplots(2, 3).ravel()
     columns = (
         ("Thrust over that of hover (%)", 100.0 * loads.thrust_excess + 100.0),
@@ -148,9 +139,7 @@ def flight_map_picture(flight_map: FlightMap, loads: MapLoads) -> Figure:
             one.plot(loads.airspeed_m_s, values[:, k], marker=".", label=side)
         if float(abs(values).max()) < 1e-6:  # rounding, as the hub moments of a free hinge
             one.set_ylim(-1.0, 1.0)
-        one.set_xlabel("Edgewise airspeed (m/s)")
-        one.set_ylabel(name)
-        one.grid(alpha=0.3)
+        label_axes(one, "Edgewise airspeed (m/s)", name)
     axes[0].legend(title="Rotor", fontsize="small")
     low, high = flight_map.level_speed_m_s
     figure.suptitle(

@@ -418,8 +418,6 @@ def sweep_forward(
     *,
     flap_basis: str = "",
     cyclic_rad: float = math.radians(1.0),
-    inflow: InflowModel = "annular",
-    which: int = 0,
 ) -> ForwardSweep:
     """Solve a rotor at several conditions for several flap modes, each point from its neighbour.
 
@@ -432,8 +430,6 @@ def sweep_forward(
         Origin of the flap modes, for the text.
     cyclic_rad : float
         Amplitude of cyclic pitch of the responses.
-    inflow, which
-        As for :func:`solve_forward`.
     """
     if not conditions or not flaps:
         raise InputError("rotor forward", "", "has no points", "give at least one airspeed and one flap frequency")
@@ -442,13 +438,12 @@ def sweep_forward(
     for flap in flaps:
         line: list[ForwardResult] = []
         for c in conditions:
-            line.append(solve_forward(blading, c, flap, inflow=inflow, start=line[-1] if line else None, which=which))
+            line.append(solve_forward(blading, c, flap, start=line[-1] if line else None))
         points.append(tuple(line))
         answers.append(
             tuple(
-                cyclic_response(blading, c, flap, amplitude_rad=cyclic_rad, inflow=inflow, start=at, which=which)
+                cyclic_response(blading, c, flap, amplitude_rad=cyclic_rad, start=at)
                 for c, at in zip(conditions, line, strict=True)
             )
         )
-    name = blading.rotors[which].name
-    return ForwardSweep(name, tuple(flaps), flap_basis, tuple(points), tuple(answers), cyclic_rad)
+    return ForwardSweep(blading.rotors[0].name, tuple(flaps), flap_basis, tuple(points), tuple(answers), cyclic_rad)

@@ -26,7 +26,7 @@ from mufly.rotor.bemt import drag_angular_momentum
 from mufly.rotor.blading import Blading, ensure_blading
 from mufly.rotor.forward.azimuth_kernel import UNKNOWN_INFLOW_COS, UNKNOWN_INFLOW_SIN
 from mufly.rotor.forward.forward_results import BladeFlap, ForwardCondition, ForwardResult
-from mufly.rotor.forward.forward_solver import AZIMUTH_COUNT, InflowModel, azimuth_grid, solve_forward
+from mufly.rotor.forward.forward_solver import AZIMUTH_COUNT, azimuth_grid, solve_forward
 from mufly.rotor.geometry import Rotor
 from mufly.rotor.vortex_tube import axial_influence, swirl_influence, tube_axis_speed
 
@@ -51,7 +51,12 @@ PAIR_COLUMNS = (
 )
 
 
-@result(eq=False, picture="mufly.rotor.forward.forward_pictures:pair_picture")
+@result(
+    eq=False,
+    picture="mufly.rotor.forward.forward_pictures:pair_picture",
+    json="upper lower spacing_m shift_m overlap thrust_N power_W h_force_N y_force_N roll_moment_Nm pitch_moment_Nm "
+    "yaw_torque_Nm",
+)
 class ForwardPair:
     """Coaxial pair in forward flight; forces and hub moments are sums of both rotors, each about its own hub.
 
@@ -115,14 +120,6 @@ class ForwardPair:
         """Return the text of the pair."""
         return show_pairs((self,))
 
-    def as_record(self) -> dict[str, object]:
-        """Return both rotors and the sums."""
-        sums = ("thrust_N", "power_W", "h_force_N", "y_force_N", "roll_moment_Nm", "pitch_moment_Nm", "yaw_torque_Nm")
-        return {
-            "upper": self.upper.as_record(), "lower": self.lower.as_record(), "spacing_m": self.spacing_m,
-            "shift_m": self.shift_m, "overlap": self.overlap, **{name: getattr(self, name) for name in sums},
-        }  # fmt: skip
-
 
 def show_pairs(pairs: tuple[ForwardPair, ...]) -> tuple[ShownBlock, ...]:
     """Return the text of pairs: a table, and the reasons of points outside the range of the method."""
@@ -184,7 +181,6 @@ def solve_forward_pair(
     flaps: tuple[BladeFlap | None, BladeFlap | None] = (None, None),
     *,
     spacing_m: float,
-    inflow: InflowModel = "annular",
     start: ForwardPair | None = None,
     tolerance: float = _TOLERANCE,
 ) -> ForwardPair:
@@ -199,7 +195,6 @@ def solve_forward_pair(
         Flap modes; None for blades that do not flap.
     spacing_m : float
         Distance of the discs.
-    inflow : 'annular', 'pitt-peters' or 'uniform'
     start : ForwardPair, optional
         Similar point to start from.
     tolerance : float
@@ -232,9 +227,7 @@ def solve_forward_pair(
     step, scale = math.inf, 1.0
     last_change, last_image = np.empty(0), np.empty(0)
     for turn in range(1, _MAX_TURNS + 1):
-        one = solve_forward(
-            above, first, flaps[0], inflow=inflow, start=one, stream_m_s=np.tile(met, (AZIMUTH_COUNT, 1))
-        )
+        one = solve_forward(above, first, flaps[0], start=one, stream_m_s=np.tile(met, (AZIMUTH_COUNT, 1)))
         mean = one.state.inflow_m_s + met
         through = first.climb_m_s + 2.0 * float(np.sum(mean * above.r_m[0] * above.dr_m[0])) / radii[0] ** 2
         slope = first.edgewise_m_s / max(through, 1e-3 * first.edgewise_m_s + 1e-9)
@@ -242,7 +235,7 @@ def solve_forward_pair(
         axial, around = _shifted_stream(
             one, met, shift, spacing_m, radii[0], below.r_m[0], below.dr_m[0], psi, first.air.density_kg_m3
         )
-        two = solve_forward(below, second, flaps[1], inflow=inflow, start=two, stream_m_s=axial, swirl_m_s=around)
+        two = solve_forward(below, second, flaps[1], start=two, stream_m_s=axial, swirl_m_s=around)
         image = upward @ two.state.inflow_m_s
         step, scale = float(np.max(np.abs(image - met))), float(np.max(np.abs(one.state.inflow_m_s))) + 1e-9
         change = image - met
@@ -292,7 +285,7 @@ class PairSweep:
         """Return the rotors and a row for each point."""
         return {
             "rotors": self.rotors, "flap_basis": self.flap_basis,
-            "points": [p.as_record() for line in self.points for p in line],
+            "points": [p for line in self.points for p in line],
         }  # fmt: skip
 
 

@@ -186,6 +186,7 @@ def _check_arguments(
 Array = NDArray[np.float64]
 
 XFOIL_SETTINGS = (-16.0, 22.0, 0.5, 160, 100)  # lowest, highest, step (deg); panels; iterations
+_TIME_LIMIT_S = 60.0  # of one process
 _MAX_BRIDGED_GAP_DEG = 2.0
 _FPE_STUB_SOURCE = "void _gfortran_set_fpe(int exceptions) { (void)exceptions; }\n"
 
@@ -197,7 +198,7 @@ def xfoil_unavailable_reason() -> str:
         return "xfoil is not installed (on Debian: apt install xfoil)"
     try:
         with tempfile.TemporaryDirectory(prefix="mufly-xfoil-") as folder:
-            found = _run_xfoil(load_airfoil("naca0012"), 1e5, 9.0, (1.0, 1.0), [2.0], Path(folder), 30.0)
+            found = _run_xfoil(load_airfoil("naca0012"), 1e5, 9.0, (1.0, 1.0), [2.0], Path(folder))
     except MuflyError as error:
         return str(error)
     return "" if found else "xfoil is installed but does not converge on a NACA 0012 at 2 degrees"
@@ -236,7 +237,6 @@ def _run_xfoil(
     xtr: tuple[float, float],
     angles_deg: list[float],
     folder: Path,
-    limit_s: float,
 ) -> dict[float, tuple[float, float, float]]:
     """Run one process over the angles in order (nan: fresh start); return (cl, cd, cm) by alpha_deg of converged
     angles."""
@@ -272,7 +272,7 @@ def _run_xfoil(
                 env=_xfoil_environment(_build_fpe_stub() if quiet else None),
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
-                timeout=limit_s,
+                timeout=_TIME_LIMIT_S,
                 text=True,
             )
             code = done.returncode
@@ -307,18 +307,17 @@ def _polar_at_reynolds(
     n_crit: float,
     xtr: tuple[float, float],
     alpha_deg: Array,
-    limit_s: float,
 ) -> Array:
     """Return the coefficients (na, 3) at a Reynolds number, nan where XFOIL does not converge."""
     upwards, downwards = alpha_deg[alpha_deg >= 0], alpha_deg[alpha_deg < 0][::-1]
     with tempfile.TemporaryDirectory(prefix="mufly-xfoil-") as name:
         folder = Path(name)
         order = [*upwards, np.nan, *downwards]
-        found = _run_xfoil(airfoil, reynolds, n_crit, xtr, order, folder, limit_s)
+        found = _run_xfoil(airfoil, reynolds, n_crit, xtr, order, folder)
         missing = [a for a in alpha_deg if round(float(a), 3) not in found]
         if missing:
             again = [v for a in missing for v in (np.nan, a)]
-            found = {**_run_xfoil(airfoil, reynolds, n_crit, xtr, again, folder, limit_s), **found}
+            found = {**_run_xfoil(airfoil, reynolds, n_crit, xtr, again, folder), **found}
     nothing = (np.nan, np.nan, np.nan)
     return np.array([found.get(round(float(a), 3), nothing) for a in alpha_deg])
 
@@ -348,7 +347,6 @@ def compute_xfoil_polars(
     n_crit: float = 0.1,
     xtr: tuple[float, float] = (1.0, 1.0),
     alpha_deg: ArrayLike | None = None,
-    limit_s: float = 60.0,
 ) -> SectionData:
     """Compute polars with XFOIL.
 
@@ -362,8 +360,6 @@ def compute_xfoil_polars(
         As for :func:`mufly.rotor.compute_polar`.
     alpha_deg : (na,) array_like, optional
         Angles, increasing; the default is -16 to 22 degrees in steps of 0.5.
-    limit_s : float
-        Time limit of one process.
 
     Raises
     ------
@@ -377,7 +373,7 @@ def compute_xfoil_polars(
     angles = np.arange(low, high + step / 2, step) if alpha_deg is None else np.asarray(alpha_deg, dtype=np.float64)
     re = np.atleast_1d(np.asarray(reynolds, dtype=np.float64))
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        tables = list(pool.map(lambda r: _polar_at_reynolds(airfoil, float(r), n_crit, xtr, angles, limit_s), re))
+        tables = list(pool.map(lambda r: _polar_at_reynolds(airfoil, float(r), n_crit, xtr, angles), re))
     values, known = zip(*(_bridge_gaps(angles, t) for t in tables), strict=True)
     for r, k in zip(re, known, strict=True):
         if not k.any():

@@ -169,7 +169,7 @@ def free_hinge(structure: BladeStructure) -> BladeStructure:
 
 
 def vary_structure(
-    rotor: Rotor, structure: BladeStructure, solve: Callable[[BladeBeam], Array], causes: Sequence[str] | None = None
+    rotor: Rotor, structure: BladeStructure, solve: Callable[[BladeBeam], Array]
 ) -> tuple[Array, Array, Array]:
     """Return a result of a blade's beam with its 90 % band.
 
@@ -179,8 +179,6 @@ def vary_structure(
     structure : BladeStructure
     solve : callable
         Function of a beam that returns an array.
-    causes : sequence of str, optional
-        Causes to vary, as in :func:`structure_deviations`; default all.
 
     Returns
     -------
@@ -190,8 +188,6 @@ def vary_structure(
     value = np.asarray(solve(make_blade_beam(rotor, structure)), dtype=np.float64)
     up, down = np.zeros_like(value), np.zeros_like(value)
     for name, std in structure_deviations(structure).items():
-        if causes is not None and name not in causes:
-            continue
         both = []
         for sign in (1.0, -1.0):
             change = sign * _SIGMAS_90 * std
@@ -261,14 +257,7 @@ def _describe_assumptions(structure: BladeStructure, known: bool) -> str:
     return f"{assumed}{structure.material}{plate}, {root}"
 
 
-def compute_flap_mode(
-    rotor: Rotor,
-    speed_rad_s: float,
-    *,
-    pitch_rad: float = 0.0,
-    air: Air | None = None,
-    structure: BladeStructure | None = None,
-) -> FlapMode:
+def compute_flap_mode(rotor: Rotor, speed_rad_s: float, *, pitch_rad: float = 0.0) -> FlapMode:
     """Return the first flap mode of a rotor file's blade at a rotor speed, with the band of its frequency.
 
     A file without ``[blade.structure]`` gets :data:`ASSUMED_STRUCTURE`, and ``known`` is false.
@@ -280,9 +269,6 @@ def compute_flap_mode(
         Rotor speed (rad/s), above 0.
     pitch_rad : float
         Pitch setting (rad).
-    air : Air, optional
-    structure : BladeStructure, optional
-        In place of the file's.
 
     Raises
     ------
@@ -291,8 +277,8 @@ def compute_flap_mode(
     """
     if not 0.0 < speed_rad_s < math.inf:
         raise InputError("rotor", "speed_rad_s", f"is {speed_rad_s:g}", "give a number above 0")
-    known = structure is not None or rotor.blade.structure is not None
-    s = structure or rotor.blade.structure or ASSUMED_STRUCTURE
+    known = rotor.blade.structure is not None
+    s = rotor.blade.structure or ASSUMED_STRUCTURE
 
     def solve(beam: BladeBeam) -> Array:
         found = compute_modes(beam, speed_rad_s, pitch_rad=pitch_rad, count=4)
@@ -307,7 +293,7 @@ def compute_flap_mode(
     shape = x[FLAP_AT_NODES]
     mass = np.interp(beam.edges_m, beam.points_m.ravel(), beam.mass_kg_m.ravel())
     return FlapMode(
-        speed_rad_s, float(value[0]), float(low[0]), float(high[0]), lock_number(rotor, beam, air), beam.edges_m,
+        speed_rad_s, float(value[0]), float(low[0]), float(high[0]), lock_number(rotor, beam), beam.edges_m,
         shape / shape[-1], mass, known, _describe_assumptions(s, known),
     )  # fmt: skip
 

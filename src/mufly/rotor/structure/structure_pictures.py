@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mufly.quantities.units import RPM
+from mufly.results.result_figure import blank_figure, label_axes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -22,9 +23,7 @@ _SHOWN_MODES = ("flap 1", "flap 2", "torsion 1")
 
 def campbell_picture(found: CampbellDiagram) -> Figure:
     """Draw the frequencies over rotor speed with their bands, and the harmonics of the rotor speed."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(8.0, 5.0), layout="constrained")
+    figure = blank_figure(8.0, 5.0)
     axes = figure.subplots()
     rpm = found.speed_rad_s / RPM
     shown = [found.modes.index(name) for name in _SHOWN_MODES]
@@ -51,9 +50,7 @@ def campbell_picture(found: CampbellDiagram) -> Figure:
 
 def elastic_picture(found: ElasticRotorResult) -> Figure:
     """Draw elastic twist with its band, deflection, and thrust per radius of the rigid and of the elastic blade."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(10.0, 3.6), layout="constrained")
+    figure = blank_figure(10.0, 3.6)
     twist, bend, load = figure.subplots(1, 3)
     r = 1e3 * found.r_m
     twist.plot(r, np.degrees(found.twist_rad), color="C3")
@@ -67,8 +64,7 @@ def elastic_picture(found: ElasticRotorResult) -> Figure:
     load.set_ylabel("Thrust per radius (N/m)")
     load.legend(fontsize="small")
     for axes in (twist, bend, load):
-        axes.set_xlabel("Radius (mm)")
-        axes.grid(alpha=0.3)
+        label_axes(axes, "Radius (mm)")
     figure.suptitle(
         f"{found.rigid.speed_rad_s / RPM:.0f} rpm, pitch {math.degrees(found.rigid.pitch_rad):.2f} deg: thrust "
         f"{found.rigid.thrust_N:.4g} N rigid, {found.elastic.thrust_N:.4g} N elastic",
