@@ -25,6 +25,7 @@ from mufly.identify.motor_fit import MotorFit
 from mufly.identify.residual_analysis import assess_record, input_cross_correlation, residual_autocorrelation
 from mufly.identify.rotor_fit import CoefficientFit, RotorFit
 from mufly.quantities.units import RPM
+from mufly.results.result_figure import blank_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -55,13 +56,6 @@ def report_style() -> Iterator[None]:
     }  # fmt: skip
     with rc_context(rc):
         yield
-
-
-def blank_figure(width: float, height: float) -> Figure:
-    """Return an empty figure of this size (inches)."""
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), layout="constrained")
 
 
 def text_colour() -> str:

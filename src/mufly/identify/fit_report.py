@@ -37,6 +37,7 @@ from mufly.identify.residual_analysis import (
     residual_determinant,
 )
 from mufly.results.report_page import render_page
+from mufly.results.result_figure import blank_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -362,7 +363,7 @@ def bode_comparison_picture(r: LinearResult, s: FrequencyResponseFit) -> Figure:
     data: FrequencyResponse = s.measured_response
     fitted = structure_response(r.linear.structure, r.linear.values, data.frequency_hz)
     m, k = len(data.outputs), len(data.inputs)
-    figure = fit_pictures.blank_figure(min(11.0, 1.5 + 3.0 * k), 2.9 * m)
+    figure = blank_figure(min(11.0, 1.5 + 3.0 * k), 2.9 * m)
     panels = figure.subplots(2 * m, k, squeeze=False, sharex=True)
     for j in range(m):
         for i in range(k):
@@ -407,7 +408,7 @@ def format_pole(p: complex) -> str:
 def slow_motion_picture(r: LinearResult) -> Figure:
     """Draw measured and simulated outputs, both low-passed, over the fitted and the held-out part."""
     m, ink = len(r.linear.structure.outputs), fit_pictures.text_colour()
-    figure = fit_pictures.blank_figure(9.5, 0.8 + 1.7 * m)
+    figure = blank_figure(9.5, 0.8 + 1.7 * m)
     panels = figure.subplots(m, 1, squeeze=False, sharex=True)[:, 0]
     for record in r.fit.records:
         t, dt = record.time_s, float(np.median(np.diff(record.time_s)))

@@ -74,11 +74,6 @@ class LagCorrelation:
     value: Array
     confidence_bound: float
 
-    @property
-    def share_outside_bound(self) -> float:
-        """Share of the lags whose value is outside the bound."""
-        return float(np.mean(np.abs(self.value) > self.confidence_bound))
-
 
 @dataclass(frozen=True)
 class WhitenessTest:
@@ -139,10 +134,8 @@ def _lagged_products(a: Array, b: Array, lags: int) -> Array:
     return np.asarray(full[middle - lags : middle + lags + 1])
 
 
-def residual_autocorrelation(
-    residual: Array, dt: float, *, max_lag_s: float, confidence: float = 0.95
-) -> LagCorrelation:
-    """Return the autocorrelation of a residual at lags 0 to ``max_lag_s``.
+def residual_autocorrelation(residual: Array, dt: float, *, max_lag_s: float) -> LagCorrelation:
+    """Return the autocorrelation of a residual at lags 0 to ``max_lag_s``, with the 95 % bound for white noise.
 
     Parameters
     ----------
@@ -152,14 +145,12 @@ def residual_autocorrelation(
         Sample time (s).
     max_lag_s : float
         Largest lag (s), limited by the record.
-    confidence : float
-        Confidence of the bound for white noise at one lag.
     """
     e = _remove_mean(np.asarray(residual, dtype=np.float64))
     lags = _lag_count(e.size, dt, max_lag_s)
     r = _lagged_products(e, e, lags)[lags:]
     power = r[0] if r[0] > 0.0 else 1.0
-    bound = float(norm.ppf(0.5 + 0.5 * confidence)) / np.sqrt(max(np.isfinite(residual).sum(), 1))
+    bound = float(norm.ppf(0.975)) / np.sqrt(max(np.isfinite(residual).sum(), 1))
     return LagCorrelation(np.asarray(dt * np.arange(lags + 1), dtype=np.float64), r / power, float(bound))
 
 
@@ -306,14 +297,14 @@ def estimate_high_frequency_noise(signal: Array, dt: float, *, above_hz: float) 
     return float(np.std(sosfiltfilt(butter(4, above_hz, "highpass", fs=1.0 / dt, output="sos"), signal)))
 
 
+_CONFIDENCE = 0.99  # of the bound of the largest correlation, widened for the number of independent lags (Bonferroni)
+_MIN_CORRELATION = 0.1  # least correlation that is reported
 _MAX_DIRECT_LAG_S = 0.05
 _MIN_VIBRATION_HZ = 3.0
 _LINE_DENSITY_RATIO = 25.0  # least ratio of a line's density to the density around it
 
 
-def describe_residuals(
-    record: RecordPrediction, *, max_lag_s: float = 2.0, confidence: float = 0.99, least: float = 0.1
-) -> tuple[str, ...]:
+def describe_residuals(record: RecordPrediction, *, max_lag_s: float = 2.0) -> tuple[str, ...]:
     """Describe the model deficiencies visible in the residuals of a record.
 
     Parameters
@@ -322,11 +313,6 @@ def describe_residuals(
         Uniformly sampled record.
     max_lag_s : float
         Largest lag of correlations (s).
-    confidence : float
-        Confidence of the bounds; the bound of the largest correlation over all lags is widened for the number of
-        independent lags (Bonferroni).
-    least : float
-        Least correlation that is reported.
 
     Returns
     -------
@@ -340,7 +326,7 @@ def describe_residuals(
         if np.isfinite(e).sum() < 20 or np.nanstd(e) == 0.0:
             continue
         for j, name in enumerate(record.input_names):
-            found += _describe_input_correlation(name, record.inputs[:, j], output, e, dt, max_lag_s, confidence, least)
+            found += _describe_input_correlation(name, record.inputs[:, j], output, e, dt, max_lag_s)
         found += _describe_colour(output, e, dt, max_lag_s)
         found += _describe_spectral_lines(output, e, dt)
     found += _describe_error_size(record)
@@ -348,20 +334,20 @@ def describe_residuals(
 
 
 def _describe_input_correlation(
-    name: str, u: Array, output: str, e: Array, dt: float, max_lag_s: float, confidence: float, least: float
+    name: str, u: Array, output: str, e: Array, dt: float, max_lag_s: float
 ) -> list[tuple[float, str]]:
     if np.std(u) == 0.0:
         return [
             (0.05, f"{name} never moved in this record, so the record holds no information about the response to it")
         ]
     looks = max(1.0, 2.0 * max_lag_s / _correlation_time(u, dt))
-    c = input_cross_correlation(u, e, dt, max_lag_s=max_lag_s, confidence=1.0 - (1.0 - confidence) / looks)
+    c = input_cross_correlation(u, e, dt, max_lag_s=max_lag_s, confidence=1.0 - (1.0 - _CONFIDENCE) / looks)
     middle = c.lag_s.size // 2
     ahead, behind = np.abs(c.value[middle:]), np.abs(c.value[:middle])
-    if max(ahead.max(), behind.max(initial=0.0)) < max(c.confidence_bound, least):
+    if max(ahead.max(), behind.max(initial=0.0)) < max(c.confidence_bound, _MIN_CORRELATION):
         return []
     # Feedback by a pilot appears at negative lags; its extension to positive lags is the colour of the disturbance.
-    if ahead.max() < max(c.confidence_bound, least) or behind.max(initial=0.0) > 1.5 * ahead.max():
+    if ahead.max() < max(c.confidence_bound, _MIN_CORRELATION) or behind.max(initial=0.0) > 1.5 * ahead.max():
         lag = -c.lag_s[int(behind.argmax())]
         return [
             (
@@ -372,7 +358,7 @@ def _describe_input_correlation(
         ]
     best = int(ahead.argmax())
     size, lag = float(c.value[middle + best]), float(c.lag_s[middle + best])
-    lasting = dt * float(np.sum(ahead > max(c.confidence_bound, least)))
+    lasting = dt * float(np.sum(ahead > max(c.confidence_bound, _MIN_CORRELATION)))
     own = _correlation_time(u, dt)
     if lag <= _MAX_DIRECT_LAG_S:
         cause = f"the gain, the direct path or the delay of {name} is off"

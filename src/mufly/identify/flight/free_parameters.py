@@ -97,10 +97,6 @@ class FreeParameter:
     prior_std: float
     provenance: str
 
-    def theta_to_value(self, theta: float) -> float:
-        """Return the SI value at the scaled value ``theta``."""
-        return self.start_value * math.exp(theta) if self.scale == 0.0 else self.start_value + self.scale * theta
-
     def value_to_theta(self, value: float) -> float:
         """Return the scaled value ``theta`` of an SI value."""
         return math.log(value / self.start_value) if self.scale == 0.0 else (value - self.start_value) / self.scale

@@ -12,6 +12,7 @@ from mufly.identify import fit_pictures
 from mufly.identify.linear.bandwidth import Bandwidth
 from mufly.identify.linear.frequency_response import FrequencyResponse
 from mufly.identify.linear.sweep_response import MIN_COHERENCE, TransferFunctionFit
+from mufly.results.result_figure import blank_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -41,7 +42,7 @@ def response_picture(
         Bandwidth marked in the first column.
     """
     k, f = len(data.inputs), data.frequency_hz
-    figure = fit_pictures.blank_figure(min(12.0, 1.6 + 3.6 * k), 6.6)
+    figure = blank_figure(min(12.0, 1.6 + 3.6 * k), 6.6)
     panels = figure.subplots(3, k, squeeze=False, sharex=True, height_ratios=(1.3, 1.3, 1.0))
     for i in range(k):
         top, middle, bottom = panels[:, i]
@@ -111,7 +112,7 @@ def reconstruction_picture(c: ReconstructedPath) -> Figure:
     from mufly.identify.linear.flight_path_reconstruction import FLIGHT_PATH_STATES, STATE_UNITS
 
     m = len(c.outputs)
-    figure = fit_pictures.blank_figure(11.0, 0.8 + 1.2 * m)
+    figure = blank_figure(11.0, 0.8 + 1.2 * m)
     panels = figure.subplots(m, 2, squeeze=False, sharex=True, width_ratios=(1.4, 1.0))
     for k, (name, (left, right)) in enumerate(zip(c.outputs, panels, strict=True)):
         j = FLIGHT_PATH_STATES.index(name)

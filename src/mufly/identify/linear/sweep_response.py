@@ -131,15 +131,15 @@ def estimate_composite_response(
     )  # fmt: skip
 
 
-def choose_window_lengths(record_s: float, low_hz: float, high_hz: float, count: int = 5) -> tuple[float, ...]:
-    """Return window lengths (s) for a record, longest first, spaced geometrically down to a tenth of the longest.
+def choose_window_lengths(record_s: float, low_hz: float, high_hz: float) -> tuple[float, ...]:
+    """Return five window lengths (s) for a record, longest first, spaced geometrically down to a tenth of the longest.
 
     The longest window suits ``low_hz`` and is at most half the record, so that at least three segments are averaged.
     The shortest holds at least ten periods of ``high_hz``.
     """
     longest = min(0.5 * record_s, max(3.0 / low_hz, 20.0 / high_hz))
     shortest = max(0.1 * longest, min(longest, 10.0 / high_hz))
-    return tuple(float(f"{w:.3g}") for w in np.geomspace(longest, shortest, count))
+    return tuple(float(f"{w:.3g}") for w in np.geomspace(longest, shortest, 5))
 
 
 @result(eq=False)
@@ -193,10 +193,9 @@ class TransferFunctionFit:
 
 
 def fit_transfer_function(
-    data: FrequencyResponse, output: int, input: int, *, zeros: int, poles: int, delay: bool = True,
-    least: float = MIN_COHERENCE,
-) -> TransferFunctionFit:  # fmt: skip
-    """Fit a transfer function to the response of one input-output pair.
+    data: FrequencyResponse, output: int, input: int, *, zeros: int, poles: int
+) -> TransferFunctionFit:
+    """Fit a transfer function with a delay to the response of one input-output pair.
 
     Parameters
     ----------
@@ -205,10 +204,6 @@ def fit_transfer_function(
         Indices of the pair.
     zeros, poles : int
         Numbers of zeros and poles, with no more zeros than poles.
-    delay : bool
-        Whether to fit a delay.
-    least : float
-        Least partial coherence of a point.
 
     Raises
     ------
@@ -218,11 +213,11 @@ def fit_transfer_function(
     if not 0 <= zeros <= poles or poles < 1:
         raise ArgumentError("zeros", "", f"{zeros} zeros and {poles} poles", "give 1 pole or more, and no more zeros")
     h, gamma = data.response[:, output, input], data.partial[:, output, input]
-    good = np.isfinite(h) & (gamma >= least) & (np.abs(np.nan_to_num(h)) > 0.0)
+    good = np.isfinite(h) & (gamma >= MIN_COHERENCE) & (np.abs(np.nan_to_num(h)) > 0.0)
     name = f"{_signal_name(data.inputs, input)} to {_signal_name(data.outputs, output)}"
     if good.sum() < zeros + poles + 3:
         raise InputError(
-            "transfer function", name, f"only {int(good.sum())} points have a coherence of {least:g} or more",
+            "transfer function", name, f"only {int(good.sum())} points have a coherence of {MIN_COHERENCE:g} or more",
             "give more excitation, longer records or fewer poles and zeros",
         )  # fmt: skip
     f, h, gamma = data.frequency_hz[good], h[good], gamma[good]
@@ -232,7 +227,7 @@ def fit_transfer_function(
     scale = np.sqrt(20.0 / len(f)) * weight
 
     def split_parameters(x: Array) -> tuple[Array, Array, float]:
-        return x[: zeros + 1], np.r_[1.0, x[zeros + 1 : zeros + 1 + poles]], float(x[-1]) if delay else 0.0
+        return x[: zeros + 1], np.r_[1.0, x[zeros + 1 : zeros + 1 + poles]], float(x[-1])
 
     def weighted_residual(x: Array) -> Array:
         b, a, tau = split_parameters(x)
@@ -241,16 +236,15 @@ def fit_transfer_function(
         return np.r_[scale * level, np.sqrt(_PHASE_WEIGHT) * scale * np.degrees(np.angle(ratio))]
 
     trials = []
-    for tau in _initial_delays(delay, s):
-        x = np.r_[_weighted_linear_fit(s, h * np.exp(tau * s), weight, zeros, poles), [tau] if delay else []]
+    for tau in np.r_[0.0, np.geomspace(0.02, 2.0, 9) / np.abs(s).max()]:
+        x = np.r_[_weighted_linear_fit(s, h * np.exp(tau * s), weight, zeros, poles), tau]
         trials.append((float((weighted_residual(x) ** 2).sum()), x.tolist()))
     best = None
     for _, start in sorted(trials)[:3]:
         x0 = np.array(start)
         low = np.full(len(x0), -np.inf)
-        if delay:
-            low[-1] = 0.0
-            x0[-1] = max(x0[-1], 1e-6)
+        low[-1] = 0.0
+        x0[-1] = max(x0[-1], 1e-6)
         solution = least_squares(weighted_residual, x0, bounds=(low, np.inf), x_scale="jac", max_nfev=300)
         if best is None or solution.cost < best.cost:
             best = solution
@@ -275,7 +269,7 @@ def fit_transfer_function(
         tau / middle,
         std[: zeros + 1] * up,
         np.r_[0.0, std[zeros + 1 : zeros + 1 + poles]] * down,
-        std[-1] / middle if delay else 0.0,
+        std[-1] / middle,
         2.0 * float(best.cost),
         (float(f[0]), float(f[-1])),
         len(f),
@@ -284,11 +278,6 @@ def fit_transfer_function(
 
 def _signal_name(names: tuple[str, ...], k: int) -> str:
     return names[k] if k < len(names) else str(k)
-
-
-def _initial_delays(delay: bool, s: ComplexArray) -> list[float]:
-    """Return trial delays (s) relative to the reciprocal of the largest angular frequency; only 0 without a delay."""
-    return [float(x) for x in np.r_[0.0, np.geomspace(0.02, 2.0, 9) / np.abs(s).max()]] if delay else [0.0]
 
 
 def _weighted_linear_fit(s: ComplexArray, h: ComplexArray, weight: Array, zeros: int, poles: int) -> Array:
