@@ -61,7 +61,7 @@ def test_between_two_exact_readings_the_drift_is_a_bridge():
     at = np.array([5.0, 13.0, 20.0])
     mean, cov = walk.predict(at, np.ones((3, 1)))
     assert_allclose(mean, np.interp(at, t, y), atol=1e-3)
-    assert cov[0, 0] == pytest.approx(walk.drift_per_hour**2 / 3600 * 5 * 5 / 10, rel=1e-3)
+    assert cov[0, 0] == pytest.approx(walk.grid_weights @ walk.grid_nodes[:, 0] * 5 * 5 / 10, rel=1e-3)
     assert cov[2, 2] < 1e-6
 
 

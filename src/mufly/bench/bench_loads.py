@@ -77,7 +77,7 @@ class CellCalibration:
     sensitivity : (c, c) array
         Reading (row) per load (column, N or N m).
     covariance : (c (c + 1), c (c + 1)) array
-        Covariance of ``parameter_vector``: row by row ``b_k, S_k1 ... S_kc``.
+        Covariance of offsets and sensitivities: row by row ``b_k, S_k1 ... S_kc``.
     spreads : tuple of CovarianceEstimate
         Covariance of the fit of every sensor; ``scale`` is the standard deviation of its readings.
     applied : (c, 2) array
@@ -94,11 +94,6 @@ class CellCalibration:
     applied: Array
     source: str
     notes: tuple[str, ...]
-
-    @property
-    def parameter_vector(self) -> Array:
-        """Offsets and sensitivities in the order of ``covariance``."""
-        return np.column_stack([self.offset, self.sensitivity]).ravel()
 
     def readings_to_loads(self, readings: Array, zero: Array | None = None) -> Array:
         """Return loads (n, c) of readings (n, c).

@@ -86,7 +86,7 @@ class BenchTable:
         """Return an error about a column, named by its header, or about the file (key "")."""
         return InputError(self.source, self.headers.get(key, key), problem, remedy)
 
-    def require_columns(self, names: Iterable[str], *, remedy: str = "") -> None:
+    def require_columns(self, names: Iterable[str]) -> None:
         """Check that columns exist and are filled in every line.
 
         Raises
@@ -100,7 +100,7 @@ class BenchTable:
                 known = f"known here: {', '.join(self.headers.values())}; map others with columns=NAME=COLUMN(unit)"
                 if name == "speed" and "electrical_speed" in self.columns:
                     known = f"divide {self.headers['electrical_speed']} by the number of pole pairs"
-                raise InputError(self.source, name, "is not among the columns", remedy or known)
+                raise InputError(self.source, name, "is not among the columns", known)
             empty = np.flatnonzero(~np.isfinite(self.columns[name]))
             if empty.size:
                 cell = f"line {self.line[empty[0]]}, {self.headers[name]}"

@@ -14,6 +14,7 @@ from mufly.cfd.cfd_solution import CfdSolution, FlowField, FlowProbe, WakeProfil
 from mufly.cfd.openfoam_case import OperatingPoint
 from mufly.cfd.polymesh import PolyMesh
 from mufly.quantities.units import RPM
+from mufly.results.result_figure import blank_figure, label_axes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,15 +23,9 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
-def _new_figure(width: float, height: float) -> Figure:
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), layout="constrained")
-
-
 def mesh_picture(mesh: PolyMesh) -> Figure:
     """Draw a mesh: blade surface from above, periodic plane, and section at mid-span."""
-    figure = _new_figure(11.0, 7.5)
+    figure = blank_figure(11.0, 7.5)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.2))
     blade, section = figure.add_subplot(grid[0, :]), figure.add_subplot(grid[1, 1])
     plane = figure.add_subplot(grid[1, 0])
@@ -67,7 +62,7 @@ def pressure_picture(mesh: PolyMesh, solution: CfdSolution) -> Figure:
     """
     from matplotlib.collections import PolyCollection
 
-    figure = _new_figure(9.0, 5.5)
+    figure = blank_figure(9.0, 5.5)
     faces = mesh.patch_faces("blade")
     quads, area = 1e3 * mesh.points[mesh.faces[faces]], mesh.face_areas[faces][:, 2]
     low, high = np.percentile(solution.pressure_Pa, (1, 99))
@@ -94,7 +89,7 @@ _METHOD_LABELS = {"bemt": "blade elements", "wake": "vortex wake"}
 
 def loads_picture(solution: CfdSolution, others: Sequence[SpanLoads] = ()) -> Figure:
     """Draw thrust and torque along the blade, with those of other methods."""
-    figure = _new_figure(9.0, 4.0)
+    figure = blank_figure(9.0, 4.0)
     axes = figure.subplots(1, 2)
     rows = [(solution.r_m, solution.thrust_N_m, solution.torque_Nm_m, f"CFD, {solution.point.model}")]
     rows += [(o.r_m, o.thrust_N_m, o.torque_Nm_m, _METHOD_LABELS.get(o.method, o.method)) for o in others]
@@ -124,7 +119,7 @@ def loads_picture(solution: CfdSolution, others: Sequence[SpanLoads] = ()) -> Fi
 
 def pair_picture(pair: PairSolution) -> Figure:
     """Draw thrust and torque along the blades of both rotors of a pair."""
-    figure = _new_figure(9.0, 4.0)
+    figure = blank_figure(9.0, 4.0)
     axes = figure.subplots(1, 2)
     for one, name in ((pair.upper, "upper rotor"), (pair.lower, "lower rotor")):
         axes[0].plot(1e3 * one.r_m, one.thrust_N_m, "o-", ms=3, label=name)
@@ -148,7 +143,7 @@ def climb_picture(found: ClimbComparison) -> Figure:
     The picture corresponds to Fig. 4.2 of the dissertation, which
     :func:`mufly.thesis.blade_element_studies.study_climb_inflow` assesses.
     """
-    figure = _new_figure(10.0, 4.4)
+    figure = blank_figure(10.0, 4.4)
     axes = figure.subplots(1, 2)
     w, hover = found.climb_m_s, np.flatnonzero(found.climb_m_s == 0.0)
     settled = np.array([s.verdict.settled for s in found.solutions])
@@ -170,8 +165,7 @@ def climb_picture(found: ClimbComparison) -> Figure:
     )
     axes[1].set(ylabel="thrust, change from hover (%)")
     for ax in axes:
-        ax.set_xlabel("climb (m/s); below 0 descent")
-        ax.grid(alpha=0.3)
+        label_axes(ax, "climb (m/s); below 0 descent")
         ax.legend(fontsize="small")
     p = found.solutions[0].point
     figure.suptitle(f"{p.rotor}, {np.degrees(p.pitch_rad):.3g}°, {abs(p.speed_rad_s) / RPM:.0f} rpm")
@@ -180,14 +174,13 @@ def climb_picture(found: ClimbComparison) -> Figure:
 
 def history_picture(history: Array) -> Figure:
     """Draw thrust and torque over the iterations, scaled to show false plateaus 3 to 4 % below the final values."""
-    figure = _new_figure(7.0, 4.0)
+    figure = blank_figure(7.0, 4.0)
     axes = figure.subplots(2, 1, sharex=True)
     for ax, column, label, factor in zip(axes, (1, 2), ("thrust (N)", "torque (mN m)"), (1.0, 1e3), strict=True):
         ax.plot(history[:, 0], factor * history[:, column])
         last = factor * float(history[-1, column])
         ax.set_ylim(*sorted((0.85 * last, 1.15 * last)))
-        ax.set_ylabel(label)
-        ax.grid(alpha=0.3)
+        label_axes(ax, y=label)
     axes[1].set_xlabel("iteration")
     return figure
 
@@ -201,7 +194,7 @@ def friction_picture(mesh: PolyMesh, solution: CfdSolution) -> Figure:
     from scipy.interpolate import LinearNDInterpolator
     from scipy.spatial import cKDTree
 
-    figure = _new_figure(9.0, 6.0)
+    figure = blank_figure(9.0, 6.0)
     faces = mesh.patch_faces("blade")
     sense = np.sign(solution.point.speed_rad_s)
     centre, normal = 1e3 * mesh.face_centres[faces], mesh.face_areas[faces]
@@ -238,7 +231,7 @@ def friction_picture(mesh: PolyMesh, solution: CfdSolution) -> Figure:
 
 def vorticity_picture(mesh: PolyMesh, flow: FlowField, point: OperatingPoint) -> Figure:
     """Draw the azimuthal vorticity in planes through the shaft, at the blade and behind it."""
-    figure = _new_figure(10.0, 6.5)
+    figure = blank_figure(10.0, 6.5)
     radius, probe = point.radius_m, FlowProbe(mesh, flow)
     sense = np.sign(point.speed_rad_s)
     r, z = np.linspace(0.0, 1.4, 211), np.linspace(-1.2, 0.35, 233)
@@ -281,7 +274,7 @@ def vortices_picture(
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
     points, triangles, data = surface
-    figure = _new_figure(8.0, 6.5)
+    figure = blank_figure(8.0, 6.5)
     axes = figure.add_subplot(projection="3d")
     walls = mesh.points[mesh.faces[mesh.patch_faces("blade")]]
     for i in range(mesh.blade_count):
@@ -311,7 +304,7 @@ def vortices_picture(
 
 def wake_picture(wake: WakeProfile) -> Figure:
     """Draw the azimuthally averaged velocity under the disc over radius, with that of momentum theory."""
-    figure = _new_figure(9.0, 4.4)
+    figure = blank_figure(9.0, 4.4)
     axes = figure.subplots(1, 2)
     for i, h in enumerate(wake.below_m):
         (line,) = axes[0].plot(1e3 * wake.r_m, wake.down_m_s[i], label=f"{1e3 * h:.3g} mm below")

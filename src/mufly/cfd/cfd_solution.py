@@ -373,14 +373,7 @@ class WakeProfile:
     mean_m_s: Array
 
 
-def compute_wake_profile(
-    mesh: PolyMesh,
-    flow: FlowField,
-    point: OperatingPoint,
-    thrust_N: float,
-    *,
-    below: tuple[float, ...] = WAKE_PROFILE_DEPTHS,
-) -> WakeProfile:
+def compute_wake_profile(mesh: PolyMesh, flow: FlowField, point: OperatingPoint, thrust_N: float) -> WakeProfile:
     """Average the velocity over a sector, at 40 radii up to 1.4 R and 72 azimuths in each plane.
 
     Parameters
@@ -390,11 +383,9 @@ def compute_wake_profile(
     point : OperatingPoint
     thrust_N : float
         Thrust of the whole rotor, or of both rotors of a pair, for momentum theory.
-    below : tuple of float
-        Distances under the disc in radii.
     """
     radius, probe = point.radius_m, FlowProbe(mesh, flow)
-    h = radius * np.array(below)
+    h = radius * np.array(WAKE_PROFILE_DEPTHS)
     r = radius * 1.4 * (np.arange(40) + 0.5) / 40
     around = 2.0 * math.pi / mesh.blade_count * (np.arange(72) + 0.5) / 72
     z, rr, psi = (x.ravel() for x in np.meshgrid(-h, r, around, indexing="ij"))

@@ -150,7 +150,6 @@ def find_gear_optima(
     thrust_N: float | None = None,
     duty: float = 1.0,
     supply_V: float | None = None,
-    limits: tuple[float, float] = (0.2, 30.0),
 ) -> GearOptima:
     """Find the optima of :func:`gear_curve` and the largest gear ratio that gives a thrust.
 
@@ -160,16 +159,14 @@ def find_gear_optima(
         As for :func:`gear_curve`.
     thrust_N : float, optional
         Required thrust.
-    limits : (float, float)
-        Range of gear ratios.
 
     Notes
     -----
-    The curve is sampled at 400 ratios in geometric progression; optima are the vertices of parabolas through
-    the three points around the greatest sample, and the crossing is interpolated. Both are accurate to 1e-4 of the
-    ratio.
+    The curve is sampled at 400 ratios from 0.2 to 30 in geometric progression; optima are the vertices of parabolas
+    through the three points around the greatest sample, and the crossing is interpolated. Both are accurate to 1e-4
+    of the ratio.
     """
-    ratio = np.geomspace(*limits, 400)
+    ratio = np.geomspace(0.2, 30.0, 400)
     curve = gear_curve(drive, load, ratio, duty=duty, supply_V=supply_V)
     x = np.log(ratio)
 

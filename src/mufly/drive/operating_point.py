@@ -148,7 +148,7 @@ def compute_operating_point(
 
 
 def find_speed_for_thrust(
-    load: RotorLoad, thrust_N: ArrayLike, *, guess: ArrayLike = 500.0, highest: ArrayLike = MAX_SPEED_rad_s
+    load: RotorLoad, thrust_N: ArrayLike, *, highest: ArrayLike = MAX_SPEED_rad_s
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Find the speed (rad/s) at which each case of a load gives its thrust.
 
@@ -157,8 +157,8 @@ def find_speed_for_thrust(
     load : RotorLoad
     thrust_N : (n,) array_like
         Thrust of each case, above 0.
-    guess, highest : float or (n,) array_like
-        First guess and upper limit of the speed (rad/s).
+    highest : float or (n,) array_like
+        Upper limit of the speed (rad/s).
 
     Returns
     -------
@@ -167,7 +167,7 @@ def find_speed_for_thrust(
     found : (n,) array of bool
     """
     wanted = np.atleast_1d(np.asarray(thrust_N, dtype=np.float64))
-    start = np.broadcast_to(np.asarray(guess, dtype=np.float64), wanted.shape)
+    start = np.full(wanted.shape, 500.0)
     top = np.broadcast_to(np.asarray(highest, dtype=np.float64), wanted.shape)
     thrust = load(np.minimum(start, top), np.arange(wanted.size))[0]
     # Thrust is nearly proportional to the square of the speed, which gives a good second guess.

@@ -31,6 +31,7 @@ from mufly.dynamics.linearisation import find_trim
 from mufly.errors import InputError, MuflyError
 from mufly.quantities.units import GRAVITY
 from mufly.results import ResultColumn, ShownBlock, result, show_lines, tabulate_results
+from mufly.results.result_figure import blank_figure, label_axes
 from mufly.rotor import Air, Blading, Rotor, prepare_blading
 from mufly.rotor.forward import BladeFlap, ForwardCondition, ForwardPair, blade_flap_band, solve_forward_pair
 from mufly.vehicle import Vehicle
@@ -331,7 +332,7 @@ def check_blade_radius(vehicle: Vehicle, rotor: Rotor) -> None:
         )  # fmt: skip
 
 
-def level_flight(vehicle: Vehicle, rotor: Rotor, airspeeds: Sequence[float], *, n_crit: float = 0.1) -> LevelFlight:
+def level_flight(vehicle: Vehicle, rotor: Rotor, airspeeds: Sequence[float]) -> LevelFlight:
     """Compute level flight over airspeed.
 
     Parameters
@@ -341,8 +342,6 @@ def level_flight(vehicle: Vehicle, rotor: Rotor, airspeeds: Sequence[float], *, 
         Blades of both rotors, with the vehicle's rotor radius.
     airspeeds : sequence of float
         Rising airspeeds (m/s); 0 is added.
-    n_crit : float
-        Amplification exponent of the polars.
 
     Raises
     ------
@@ -355,7 +354,7 @@ def level_flight(vehicle: Vehicle, rotor: Rotor, airspeeds: Sequence[float], *, 
     wanted = sorted({0.0, *map(float, airspeeds)})
     if not all(math.isfinite(v) and v >= 0.0 for v in wanted):
         raise InputError(vehicle.name, "airspeeds", "are not all 0 or more", "give finite airspeeds")
-    blading = prepare_blading(rotor, n_crit=n_crit)
+    blading = prepare_blading(rotor)
     hover = find_trim(vehicle, charge=_CHARGE)
     bands = [blade_flap_band(rotor, float(w)) for w in hover.rotor_speed]
     lines, greatest, best = [], [], []
@@ -405,9 +404,7 @@ def level_flight(vehicle: Vehicle, rotor: Rotor, airspeeds: Sequence[float], *, 
 
 def level_flight_picture(flight: LevelFlight) -> Figure:
     """Draw power, attitude, servo inputs and thrust margin over airspeed, a line for each flap frequency."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(10.0, 7.0), layout="constrained")
+    figure = blank_figure(10.0, 7.0)
     axes = power, attitude, servo, margin = figure.subplots(2, 2).ravel()
     for k, line in enumerate(flight.trims):
         speed = [t.airspeed_m_s for t in line]
@@ -421,9 +418,7 @@ def level_flight_picture(flight: LevelFlight) -> Figure:
     margin.axhline(0.0, color="0.4", linewidth=0.8, linestyle=":")
     names = ("Power at the battery (W)", "Attitude (deg)", "Larger servo input (1 is full)", "Thrust margin (1)")
     for one, name in zip(axes, names, strict=True):
-        one.set_xlabel("Airspeed (m/s)")
-        one.set_ylabel(name)
-        one.grid(alpha=0.3)
+        label_axes(one, "Airspeed (m/s)", name)
     axes[0].legend(title="Flap frequency", fontsize="small")
     axes[1].legend(fontsize="small")
     figure.suptitle(f"{flight.vehicle}, blades {flight.rotor}: {flight.flap_basis}", fontsize="medium")

@@ -60,7 +60,7 @@ from mufly.dynamics.simulation import fastest_mode_key
 from mufly.errors import InputError, MuflyError
 from mufly.quantities.units import GRAVITY, RPM
 from mufly.results import result
-from mufly.results.result_figure import enable_notebook_display
+from mufly.results.result_figure import blank_figure, enable_notebook_display
 from mufly.rotations import euler_from_quaternion, quaternion_from_euler
 from mufly.vehicle import Vehicle
 
@@ -425,9 +425,7 @@ class Linearisation:
 
     def plot(self) -> Figure:
         """Draw the poles of both parts in the complex plane; returns a matplotlib figure."""
-        from matplotlib.figure import Figure
-
-        figure = Figure(figsize=(8.0, 3.6), layout="constrained")
+        figure = blank_figure(8.0, 3.6)
         parts = (("heave and yaw", self.heave_yaw), ("roll and pitch", self.roll_pitch))
         for axes, (name, part) in zip(figure.subplots(1, 2), parts, strict=True):
             poles = part.poles()

@@ -73,7 +73,6 @@ def make_flight_map(
     rotor: Rotor,
     *,
     flap_frequency_ratio: float | None = None,
-    n_crit: float = 0.1,
     name: str = "",
     progress: Callable[[int, int], None] | None = None,
 ) -> FlightMap:
@@ -86,8 +85,6 @@ def make_flight_map(
         Blades of both rotors, with the vehicle's rotor radius.
     flap_frequency_ratio : float, optional
         Flap frequency over rotor speed, of both rotors. Default: the upper ends of their bands.
-    n_crit : float
-        Amplification exponent of the polars.
     name : str
         Name of the map; default: the vehicle's.
     progress : callable, optional
@@ -106,7 +103,7 @@ def make_flight_map(
     """
     check_blade_radius(vehicle, rotor)
     plain = replace_parameters(vehicle, {"rotors.flight_map": None})
-    blading = prepare_blading(rotor, n_crit=n_crit)
+    blading = prepare_blading(rotor)
     hover = find_trim(plain, charge=0.5)
     speeds = (float(hover.rotor_speed[0]), float(hover.rotor_speed[1]))
     bands = [blade_flap_band(rotor, w) for w in speeds]
@@ -174,7 +171,7 @@ def _level_speed_with(vehicle: Vehicle, flight_map: FlightMap) -> float:
     return find_level_speed(vehicle.model_copy(update={"rotors": rotors}))
 
 
-def check_map_blades(flight_map: FlightMap, rotor: Rotor, *, n_crit: float = 0.1) -> None:
+def check_map_blades(flight_map: FlightMap, rotor: Rotor) -> None:
     """Check that a map was computed with these blades.
 
     Raises
@@ -182,7 +179,7 @@ def check_map_blades(flight_map: FlightMap, rotor: Rotor, *, n_crit: float = 0.1
     InputError
         If blades or polars differ.
     """
-    if hash_bladings(prepare_blading(rotor, n_crit=n_crit)) != flight_map.blades:
+    if hash_bladings(prepare_blading(rotor)) != flight_map.blades:
         raise InputError(
             flight_map.name, "blades", f"is not the hash of the blades {rotor.name}",
             "make the map again: mufly coax flight-map",

@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 
 from mufly.errors import InputError
+from mufly.results.result_figure import blank_figure, label_axes
 from mufly.study.study_parameters import ROTOR_PARAMETERS, to_display_unit
 
 if TYPE_CHECKING:
@@ -24,12 +25,6 @@ def axis_label(attributes: dict[str, str], unit: str | None = None) -> str:
     name = unit if unit is not None else attributes.get("units", "")
     text = text[:1].upper() + text[1:]
     return text if name in ("", "1", "text") else f"{text} ({name})"
-
-
-def _new_figure(width: float = 7.0, height: float = 4.6) -> Figure:
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), layout="constrained")
 
 
 def sweep_picture(data: xr.Dataset, y: str, *, x: str | None = None, title: str = "") -> Figure:
@@ -59,16 +54,14 @@ def sweep_picture(data: xr.Dataset, y: str, *, x: str | None = None, title: str 
     count = int(np.prod([data.sizes[n] for n in others], dtype=int))
     if count > _MAX_LINES:
         raise InputError("picture", y, f"{count} lines", f"draw a part of the data ({_MAX_LINES} lines at most)")
-    figure = _new_figure()
+    figure = blank_figure(7.0, 4.6)
     axes = figure.subplots()
     horizontal, unit = to_display_unit(along, data[along].values.tolist())
     for index in np.ndindex(*(data.sizes[n] for n in others)):
         one = data[y].isel(dict(zip(others, index, strict=True)))
         label = ", ".join(_format_value(n, data[n].values[i]) for n, i in zip(others, index, strict=True))
         axes.plot(horizontal, one.values, marker="o", markersize=3, label=label)
-    axes.set_xlabel(axis_label(data[along].attrs, unit))
-    axes.set_ylabel(axis_label(data[y].attrs))
-    axes.grid(alpha=0.3)
+    label_axes(axes, axis_label(data[along].attrs, unit), axis_label(data[y].attrs))
     if others:
         axes.legend(title=", ".join(others), fontsize="small")
     if title:
@@ -81,21 +74,19 @@ def _format_value(name: str, value: object) -> str:
     return f"{shown[0]:g} {unit}".strip() if shown.dtype.kind == "f" else str(shown[0])
 
 
-def ranking_picture(ranking: xr.Dataset, *, ends: int = 20, title: str = "") -> Figure:
-    """Draw the best and the worst of a ranking as bars.
+def ranking_picture(ranking: xr.Dataset) -> Figure:
+    """Draw the best 20 and the worst 20 of a ranking as bars.
 
     Parameters
     ----------
     ranking : Dataset
         From :func:`mufly.study.rank_airfoils`.
-    ends : int
-        Number of airfoils from each end of the ranking.
     """
-    key = ranking.attrs["by"]
+    key, ends = ranking.attrs["by"], 20
     good = ranking.isel(airfoil=np.flatnonzero(np.isfinite(ranking[key].values)))
     n = good.sizes["airfoil"]
     shown = np.arange(n) if n <= 2 * ends else np.r_[0:ends, n - ends : n]
-    figure = _new_figure(height=1.2 + 0.2 * len(shown))
+    figure = blank_figure(7.0, 1.2 + 0.2 * len(shown))
     axes: Axes = figure.subplots()
     place = np.arange(len(shown)) + (np.arange(len(shown)) >= ends if n > 2 * ends else 0)
     axes.barh(place, good[key].values[shown], color=["C0" if k < n / 2 else "C3" for k in shown])
@@ -104,8 +95,6 @@ def ranking_picture(ranking: xr.Dataset, *, ends: int = 20, title: str = "") -> 
     axes.invert_yaxis()
     axes.set_xlabel(axis_label(good[key].attrs))
     axes.grid(axis="x", alpha=0.3)
-    if title:
-        axes.set_title(title, fontsize="medium")
     return figure
 
 
@@ -123,7 +112,7 @@ def gear_curve_picture(
     thrust_N : float, optional
         Required thrust, drawn as a line.
     """
-    figure = _new_figure(width=10.0)
+    figure = blank_figure(10.0, 4.6)
     left, right = figure.subplots(1, 2)
     ratio = curve.gear_ratio.values
     for name in ("input_power_W", "mechanical_power_W"):

@@ -104,11 +104,6 @@ class RandomWalkDrift:
         return self.predict(np.full(p, self.start_time), np.eye(p))
 
     @property
-    def drift_per_hour(self) -> float:
-        """Return the standard deviation of the drift over one hour, in units of the reading."""
-        return float(np.sqrt(3600.0 * (self.grid_weights @ self.grid_nodes[:, 0])))
-
-    @property
     def mean_variance_inflation(self) -> float:
         """Return the mean of kappa, the inflation of the stated variance of the readings."""
         return float(self.grid_weights @ self.grid_nodes[:, 1])

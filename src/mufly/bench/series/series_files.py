@@ -11,7 +11,7 @@ import csv
 import json
 import math
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +23,6 @@ from mufly.quantities.units import RPM
 from mufly.results import result, to_plain_data
 from mufly.rotor import (
     Air,
-    Blading,
     OperatingCondition,
     RotorSystem,
     load_rotor,
@@ -210,15 +209,12 @@ def compare_series(first: SeriesResult, second: SeriesResult) -> list[LoadDiffer
     return out
 
 
-def compare_with_theory(
-    series: SeriesResult, *, spacing_m: float = 0.04, prepare_rotor: Callable[[str], Blading] | None = None
-) -> list[LoadDifference]:
+def compare_with_theory(series: SeriesResult, *, spacing_m: float = 0.04) -> list[LoadDifference]:
     """Compare a series with untuned blade element momentum theory at its speeds, pitches and densities.
 
     E_n includes only the uncertainty of the series; above 1 the error of the theory exceeds it.
     """
-    make = prepare_rotor or (lambda name: prepare_blading(load_rotor(name)))
-    blades = {n: make(n) for s in series.settings for n in (s.rotor, s.lower_rotor) if n}
+    blades = {n: prepare_blading(load_rotor(n)) for s in series.settings for n in (s.rotor, s.lower_rotor) if n}
     out: list[LoadDifference] = []
     for s in series.settings:
         air = Air(density_kg_m3=s.density_kg_m3)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from mufly.results.result_figure import blank_figure
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -18,10 +20,9 @@ _LOAD_AXES = (
 
 def series_picture(series: SeriesResult) -> Figure:
     """Draw every setting with its 95 % intervals."""
-    from matplotlib.figure import Figure
 
     shown = [x for x in _LOAD_AXES if any(getattr(s, x[0]) is not None for s in series.settings)]
-    figure = Figure(figsize=(1.0 + 4.2 * len(shown), 4.0), layout="constrained")
+    figure = blank_figure(1.0 + 4.2 * len(shown), 4.0)
     for axes, (name, label, scale) in zip(figure.subplots(1, len(shown), squeeze=False).flat, shown, strict=True):
         for k, (blades, settings) in enumerate(_group_by_blades(series).items()):
             measured = [(s, load) for s in settings if (load := getattr(s, name)) is not None]

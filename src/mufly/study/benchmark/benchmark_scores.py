@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from mufly.errors import MuflyError
 from mufly.files.answer_store import hash_question, read_answer, write_answer
+from mufly.results.result_figure import blank_figure, label_axes
 from mufly.rotor import fit_rotor, predict_interval
 from mufly.rotor.measured.uncertainty import fit_interval_scale, interval_quantile
 from mufly.study.benchmark.prediction_codes import PredictionCode, RotorPrediction, describe_case
@@ -285,12 +286,11 @@ _MAX_ROTOR_LINES = 60
 
 def score_picture(scores: Sequence[RotorScore]) -> Figure:
     """Draw the errors: a line for each rotor, or for more than sixty rotors the fraction of rotors below an error."""
-    from matplotlib.figure import Figure
 
     names = list(dict.fromkeys(s.case.name for s in scores))
     codes = list(dict.fromkeys(s.code for s in scores))
     single = len(names) <= _MAX_ROTOR_LINES
-    figure = Figure(figsize=(9.0, max(3.2, 1.4 + 0.21 * len(names)) if single else 4.5), layout="constrained")
+    figure = blank_figure(9.0, max(3.2, 1.4 + 0.21 * len(names)) if single else 4.5)
     panels = figure.subplots(1, 2, sharey=True)
     for axes, of in zip(panels, ("thrust", "torque"), strict=True):
         for k, code in enumerate(codes):
@@ -311,9 +311,11 @@ def score_picture(scores: Sequence[RotorScore]) -> Figure:
             axes.set_ylim(len(names) - 0.4, -0.6)
         else:
             axes.set_xlim(0.0, 60.0)
-            axes.set_ylabel("rotors within it (%)")
-        axes.set_xlabel(f"error of the {of} (%)" + ("; line: all points, dot: mean" if single else ", mean size"))
-        axes.grid(alpha=0.3)
+            label_axes(
+                axes,
+                f"error of the {of} (%)" + ("; line: all points, dot: mean" if single else ", mean size"),
+                "rotors within it (%)",
+            )
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=min(len(labels), 4), fontsize="small")
     return figure
