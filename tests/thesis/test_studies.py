@@ -10,6 +10,7 @@ import pytest
 import xarray as xr
 
 from mufly.errors import InputError
+from mufly.results.result_figure import blank_figure
 from mufly.study import read_results
 from mufly.thesis import (
     CLAIMS,
@@ -28,7 +29,7 @@ from mufly.thesis import (
     run_study,
     study_runner,
 )
-from mufly.thesis.claims import TABLE_3_3_VALUES, Study, judge, meets_limits, new_figure
+from mufly.thesis.claims import TABLE_3_3_VALUES, Study, judge, meets_limits
 from mufly.thesis.figure_catalogue import FIGURE_COUNTS, TABLE_COUNTS
 from mufly.thesis.single_rotor_studies import SWEEP_STUDIES
 from mufly.thesis.study_runner import STUDIES
@@ -92,7 +93,7 @@ def test_results_that_are_no_one_table_are_written_too(tmp_path: Path) -> None:
         coords={"ns": ("t", np.array([2**40])), "utc": ("t", np.array(["2026-01-01"], "M8[ns]"))},
         attrs={"of": {"a": "flight"}},
     )
-    files = StudyOutcome("fig-6.10", "Step", {"run": data}, [], new_figure(2.0, 2.0)).write(tmp_path)
+    files = StudyOutcome("fig-6.10", "Step", {"run": data}, [], blank_figure(2.0, 2.0)).write(tmp_path)
     assert [f.name for f in files] == ["fig-6.10.png", "fig-6.10.json", "fig-6.10.nc"]
     np.testing.assert_array_equal(read_results(tmp_path / "fig-6.10.nc").y, data.y)
 

@@ -9,8 +9,9 @@ import xarray as xr
 
 from mufly.dynamics import find_trim, initial_state, simulate_open_loop
 from mufly.quantities.units import STANDARD_GRAVITY_M_S2
+from mufly.results.result_figure import blank_figure
 from mufly.sensors import Truth, beam_angles, fitted_sensors
-from mufly.thesis.claims import ProgressCallback, Study, StudyFindings, judge, new_figure
+from mufly.thesis.claims import ProgressCallback, Study, StudyFindings, judge
 from mufly.vehicle import Vehicle, load_vehicle, replace_parameters
 from mufly.world import World, make_wall
 
@@ -49,7 +50,7 @@ def study_mass_budget(progress: ProgressCallback | None = None) -> StudyFindings
             budgets_first=len(budgets[0]),
         ),
     ]
-    drawn = new_figure(6.0, 4.6)
+    drawn = blank_figure(6.0, 4.6)
     axes = drawn.subplots()
     base = np.zeros(2)
     for k, name in enumerate(("structure", "sensors", "electronics", "rotor_system", "actuators", "battery")):
@@ -130,7 +131,7 @@ def study_stabiliser_bar(progress: ProgressCallback | None = None) -> StudyFindi
             ends=ends[left],
         ),
     ]
-    drawn = new_figure(7.0, 3.8)
+    drawn = blank_figure(7.0, 3.8)
     axes = drawn.subplots()
     for name, v in roll.items():
         axes.plot(time, v, label=name)
@@ -175,7 +176,7 @@ def study_bar_lag(progress: ProgressCallback | None = None) -> StudyFindings:
         ),
         judge("fig-4.4/pitch-and-yaw-stay-at-rest", model, f"below {others:.2f} degrees", others=others),
     ]
-    drawn = new_figure(7.0, 3.8)
+    drawn = blank_figure(7.0, 3.8)
     axes = drawn.subplots()
     for t, style in ((0.2, "-"), (0.24, "--")):
         for k, name in enumerate(("roll", "pitch", "yaw")):
@@ -239,7 +240,7 @@ def study_imu_clipping(progress: ProgressCallback | None = None) -> StudyFinding
             middle_last=middle[-1],
         ),
     ]
-    drawn = new_figure(6.5, 3.8)
+    drawn = blank_figure(6.5, 3.8)
     axes = drawn.subplots()
     axes.boxplot(tilt.T, tick_labels=[f"{a:g} + {b:g}" for a, b in _VIBRATION_LEVELS])
     axes.axhline(20, color="C3", linestyle=":", label="source: up to 20 degrees")
@@ -316,7 +317,7 @@ def study_range_sensors(progress: ProgressCallback | None = None) -> StudyFindin
             within=within,
         ),
     ]
-    drawn = new_figure(10.0, 3.8)
+    drawn = blank_figure(10.0, 3.8)
     left, right = drawn.subplots(1, 2)
     left.plot(true_m, 100 * share, "o-")
     left.axvspan(0.3, 1.5, color="0.92", zorder=0, label="source: usable")

@@ -13,6 +13,7 @@ import xarray as xr
 
 from mufly.drive import DriveTrain, load_drive
 from mufly.quantities.units import RPM
+from mufly.results.result_figure import blank_figure
 from mufly.rotor import (
     OperatingCondition,
     RotorMeasurements,
@@ -30,7 +31,7 @@ from mufly.rotor import (
 )
 from mufly.rotor.coax_maps import interpolate_map as map_at
 from mufly.study import sweep_parameters
-from mufly.thesis.claims import TABLE_3_2_VALUES, ProgressCallback, Study, StudyFindings, judge, new_figure
+from mufly.thesis.claims import TABLE_3_2_VALUES, ProgressCallback, Study, StudyFindings, judge
 from mufly.thesis.single_rotor_studies import (
     RANKED_QUANTITY,
     blade_form_gain,
@@ -102,7 +103,7 @@ def study_reynolds_effect(progress: ProgressCallback | None = None) -> StudyFind
             holds=less,
         ),
     ]
-    drawn = new_figure(6.5, 4.4)
+    drawn = blank_figure(6.5, 4.4)
     axes = drawn.subplots()
     for (name, surface), v in best.items():
         axes.loglog(
@@ -139,7 +140,7 @@ def study_transition(progress: ProgressCallback | None = None) -> StudyFindings:
             holds=both[0] < both[quiet],
         )
     ]
-    drawn = new_figure(6.0, 4.0)
+    drawn = blank_figure(6.0, 4.0)
     axes = drawn.subplots()
     axes.plot(N_CRIT_VALUES, thrust, "o-", label="thrust")
     axes.plot(N_CRIT_VALUES, torque, "s-", label="torque")
@@ -202,7 +203,7 @@ def study_current_and_torque(progress: ProgressCallback | None = None) -> StudyF
             worst=worst,
         )
     ]
-    drawn = new_figure(8.0, 3.8)
+    drawn = blank_figure(8.0, 3.8)
     left, right = drawn.subplots(1, 2)
     left.plot(1e3 * torque, current, "o", markersize=4, label="motor equations")
     left.plot(1e3 * torque, line(torque), "k-", linewidth=1, label="straight line")
@@ -264,7 +265,7 @@ def study_bench_blades(progress: ProgressCallback | None = None) -> StudyFinding
             most_max=most.max() * 1.03,
         ),
     ]
-    drawn = new_figure(10.0, 4.4)
+    drawn = blank_figure(10.0, 4.4)
     for axes, values, scale, label, printed in zip(
         drawn.subplots(1, 2),
         (thrust, torque),
@@ -326,7 +327,7 @@ def study_blade_tips(progress: ProgressCallback | None = None) -> StudyFindings:
         ),
         judge_blade_forms(("thesis-1", "thesis-2"), "fig-3.38/tips-by-cfd"),
     ]
-    drawn = new_figure(9.5, 4.0)
+    drawn = blank_figure(9.5, 4.0)
     left, right = drawn.subplots(1, 2, width_ratios=(1, 1.3))
     for k, (name, (x, chord)) in enumerate(TIP_SHAPES.items()):
         left.plot(60 * np.array(x), np.array(chord), color=f"C{k}", label=name)
@@ -384,7 +385,7 @@ def study_gurney_flaps(progress: ProgressCallback | None = None) -> StudyFinding
             gain=blade_form_gain("gurney 1 %"),
         ),
     ]
-    drawn = new_figure(9.5, 4.0)
+    drawn = blank_figure(9.5, 4.0)
     left, right = drawn.subplots(1, 2, width_ratios=(1, 1.3))
     for k, name in enumerate(names):
         left.plot(*load_airfoil(name).coordinates.T, color=f"C{k}", linewidth=1, label=name)
@@ -454,7 +455,7 @@ def study_climb_inflow(progress: ProgressCallback | None = None) -> StudyFinding
             c_q_max=c_Q.max(),
         )
     ]
-    drawn = new_figure(9.5, 3.9)
+    drawn = blank_figure(9.5, 3.9)
     for axes, ours, k, label, top in zip(
         drawn.subplots(1, 2), (c_T, c_Q), (0, 1), ("c_T", "c_Q"), (0.015, 0.003), strict=True
     ):

@@ -28,9 +28,10 @@ from mufly.cfd.polymesh import measure_mesh_quality
 from mufly.cfd.solver_process import list_complete_states
 from mufly.errors import InputError
 from mufly.quantities.units import RPM
+from mufly.results.result_figure import blank_figure
 from mufly.rotor import field_picture, load_rotor
 from mufly.study import sweep_parameters
-from mufly.thesis.claims import ProgressCallback, Study, StudyFindings, Verdict, judge, new_figure
+from mufly.thesis.claims import ProgressCallback, Study, StudyFindings, Verdict, judge
 from mufly.thesis.single_rotor_studies import (
     RANKED_QUANTITY,
     blade_form_gain,
@@ -109,7 +110,7 @@ def study_mesh_convergence(progress: ProgressCallback | None = None, case: Path 
 
     Thesis: Fig. 3.22.
     """
-    drawn = new_figure(6.0, 4.0)
+    drawn = blank_figure(6.0, 4.0)
     axes = drawn.subplots()
     axes.axhspan(0.126, 0.140, color="0.93", label="printed axis, mesh study")
     axes.set(xlabel="Cells in 1000", ylabel="Thrust (N)", title="Fig. 3.22: thrust over the mesh")
@@ -190,7 +191,7 @@ def study_surface_pressure(progress: ProgressCallback | None = None, case: Path 
             holds=(outer[0] > 1.2 * outer[1]) and (inner[0] < inner[1]),
         ),
     ]
-    drawn = new_figure(6.5, 4.0)
+    drawn = blank_figure(6.5, 4.0)
     axes = drawn.subplots()
     at = np.arange(len(SPAN_LOADS_MN))
     for k, name in enumerate(("CFD, laminar, coarse mesh", "blade elements")):
@@ -254,7 +255,7 @@ def study_downwash(progress: ProgressCallback | None = None, case: Path | None =
             near=abs(near / far - 1),
         )
     )
-    drawn = new_figure(6.5, 5.5)
+    drawn = blank_figure(6.5, 5.5)
     axes = drawn.subplots()
     speed = np.linalg.norm(velocity, axis=1)
     shown = (radius < 2.5) & (height > -4) & (height < 2)
@@ -286,7 +287,7 @@ def study_winglets(progress: ProgressCallback | None = None) -> StudyFindings:
             for which in (2, 3)
         ),
     ]
-    drawn = new_figure(6.5, 4.0)
+    drawn = blank_figure(6.5, 4.0)
     axes = drawn.subplots()
     axes.plot(pitch, values, ".-", label="standard blade, blade elements")
     axes.axvline(18, color="0.5", linestyle=":", label="source: best pitch of the standard blade")

@@ -126,13 +126,6 @@ class Study:
     cost_s: float
 
 
-def new_figure(width: float, height: float) -> Figure:
-    """Return an empty figure (inches)."""
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), layout="constrained")
-
-
 def _load_rows() -> dict[str, dict[str, Any]]:
     return tomllib.loads(VERDICTS_FILE.read_text(encoding="utf-8"))
 

@@ -22,7 +22,8 @@ from mufly.errors import MuflyError
 from mufly.flight import ControllerReference, Flight, simulate_response
 from mufly.flight.mission_flight import align_and_start
 from mufly.mission import parse_mission
-from mufly.thesis.claims import CLAIMS, ProgressCallback, Study, StudyFindings, judge, new_figure
+from mufly.results.result_figure import blank_figure
+from mufly.thesis.claims import CLAIMS, ProgressCallback, Study, StudyFindings, judge
 from mufly.vehicle import load_vehicle
 
 Array = NDArray[np.float64]
@@ -193,7 +194,7 @@ def study_heave_step(progress: ProgressCallback | None = None) -> StudyFindings:
             motor_max=motor.max(),
         ),
     ]
-    drawn = new_figure(7.0, 6.8)
+    drawn = blank_figure(7.0, 6.8)
     top, middle, bottom = drawn.subplots(3, 1, sharex=True)
     top.plot(time, d.reference_position.sel(axis="D"), "k--", linewidth=1, label="reference")
     top.plot(time, z, label="nonlinear model")
@@ -271,7 +272,7 @@ def study_pitch_tracking(progress: ProgressCallback | None = None) -> StudyFindi
             servo_max=servo.max(),
         ),
     ]
-    drawn = new_figure(7.0, 5.0)
+    drawn = blank_figure(7.0, 5.0)
     top, bottom = drawn.subplots(2, 1, sharex=True)
     top.plot(time, wanted, "k--", linewidth=1, label="reference")
     top.plot(time, pitch, label="nonlinear model")
@@ -376,7 +377,7 @@ def study_heave_step_flown(progress: ProgressCallback | None = None) -> StudyFin
             motor_mean=motor[time < -0.5].mean(),
         ),
     ]
-    drawn = new_figure(7.0, 6.8)
+    drawn = blank_figure(7.0, 6.8)
     top, middle, bottom = drawn.subplots(3, 1, sharex=True)
     top.plot(time, goal, "k--", linewidth=1, label="reference")
     top.plot(time, z, label="true")
@@ -424,7 +425,7 @@ def study_pitch_tracking_flown(progress: ProgressCallback | None = None) -> Stud
             servo_max=servo.max(),
         ),
     ]
-    drawn = new_figure(7.0, 5.0)
+    drawn = blank_figure(7.0, 5.0)
     top, bottom = drawn.subplots(2, 1, sharex=True)
     top.plot(time, wanted, "k--", linewidth=1, label="stick")
     top.plot(time, pitch, label="true")

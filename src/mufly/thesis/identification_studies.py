@@ -21,7 +21,8 @@ from mufly.identify.fit_pictures import motor_picture, prediction_picture
 from mufly.identify.flight.identification_demo import SENSOR_NOISE_STD
 from mufly.identify.residual_analysis import assess_record
 from mufly.quantities.units import RPM
-from mufly.thesis.claims import CLAIMS, TABLE_5_3_VALUES, ProgressCallback, Study, StudyFindings, judge, new_figure
+from mufly.results.result_figure import blank_figure
+from mufly.thesis.claims import CLAIMS, TABLE_5_3_VALUES, ProgressCallback, Study, StudyFindings, judge
 from mufly.vehicle import list_parameters, load_vehicle
 
 if TYPE_CHECKING:
@@ -60,7 +61,7 @@ _IDENTIFIED_LATER = {"rotors.lower.drive_inertia", "rotors.upper.drive_inertia"}
 def _draw_table(
     title: str, heads: tuple[str, ...], rows: Sequence[tuple[str, ...]], widths: tuple[float, ...]
 ) -> Figure:
-    drawn = new_figure(9.0, 0.9 + 0.24 * len(rows))
+    drawn = blank_figure(9.0, 0.9 + 0.24 * len(rows))
     axes = drawn.subplots()
     axes.axis("off")
     table = axes.table(
@@ -101,8 +102,8 @@ def study_ground_parameters(progress: ProgressCallback | None = None) -> StudyFi
     return StudyFindings(verdicts, drawn)
 
 
-def simulate_motor_bench(seed: int = 0, noise: float = 0.01) -> BenchTable:
-    """Simulate the readings of a motor bench at 7.2 V with Table 5.3's constants and relative noise ``noise``."""
+def simulate_motor_bench() -> BenchTable:
+    """Simulate the readings of a motor bench at 7.2 V with Table 5.3's constants and 1 % of noise."""
     m = load_vehicle("mufly-1.1").motor
     kE, kM, R, dR = (float(v) for v in (m.back_emf_constant, m.torque_constant, m.resistance, m.friction))
     u = np.repeat([4.5, 6.0, 7.2], 16)
@@ -111,7 +112,7 @@ def simulate_motor_bench(seed: int = 0, noise: float = 0.01) -> BenchTable:
     turning = speed > 400.0
     u, torque, speed = u[turning], torque[turning], speed[turning]
     y = np.column_stack([u, (u - kE * speed) / R, speed, torque])
-    y *= 1 + noise * np.random.default_rng(seed).standard_normal(y.shape)
+    y *= 1 + 0.01 * np.random.default_rng(0).standard_normal(y.shape)
     names = ("voltage", "current", "speed", "torque")
     return BenchTable(
         "simulated with Table 5.3", dict(zip(names, y.T, strict=True)), {k: k for k in names}, np.arange(len(y))

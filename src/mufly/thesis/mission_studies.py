@@ -29,8 +29,9 @@ from mufly.mission import (
     update_obstacle_map,
 )
 from mufly.mission.avoidance import make_beam_ring, repulsive_force
+from mufly.results.result_figure import blank_figure, label_axes
 from mufly.sensors import beam_angles
-from mufly.thesis.claims import ProgressCallback, Study, StudyFindings, judge, new_figure
+from mufly.thesis.claims import ProgressCallback, Study, StudyFindings, judge
 from mufly.vehicle import load_vehicle
 from mufly.world import Box, World, cast_ranges
 
@@ -174,7 +175,7 @@ def study_state_machine(progress: ProgressCallback | None = None) -> StudyFindin
             holds=signals_right,
         ),
     ]
-    drawn = new_figure(9.0, 5.2)
+    drawn = blank_figure(9.0, 5.2)
     axes = drawn.subplots()
     places = {
         "init": (0, 1),
@@ -248,7 +249,7 @@ def study_cubic_spline(progress: ProgressCallback | None = None) -> StudyFinding
             off_printed=off_printed,
         ),
     ]
-    drawn = new_figure(6.0, 5.0)
+    drawn = blank_figure(6.0, 5.0)
     axes = drawn.add_subplot(projection="3d")
     axes.plot(p[:, 1], p[:, 0], -p[:, 2])
     for k in (0, 50, 100, 150, 200):
@@ -304,7 +305,7 @@ def study_waypoints(progress: ProgressCallback | None = None) -> StudyFindings:
             apart=max(apart),
         ),
     ]
-    drawn = new_figure(8.0, 6.4)
+    drawn = blank_figure(8.0, 6.4)
     time = d.time.values
     rows = drawn.subplots(4, 1, sharex=True)
     for axes, name, values, wanted in zip(
@@ -321,8 +322,7 @@ def study_waypoints(progress: ProgressCallback | None = None) -> StudyFindings:
     ):
         axes.plot(time, wanted, "k--", linewidth=1, label="trajectory")
         axes.plot(time, values, label="nonlinear model")
-        axes.set_ylabel(name)
-        axes.grid(alpha=0.3)
+        label_axes(axes, y=name)
     rows[0].legend(fontsize="small")
     rows[-1].set_xlabel("Time (s)")
     drawn.suptitle("Fig. 6.17: following waypoints")
@@ -356,7 +356,7 @@ def study_beam_directions(progress: ProgressCallback | None = None) -> StudyFind
             off=off,
         ),
     ]
-    drawn = new_figure(5.0, 5.2)
+    drawn = blank_figure(5.0, 5.2)
     axes = drawn.subplots()
     for k, a in enumerate(np.radians(angles)):
         axes.annotate("", (math.sin(a), math.cos(a)), (0, 0), arrowprops={"arrowstyle": "-|>", "color": "C3"})
@@ -418,7 +418,7 @@ def study_repulsive_forces(progress: ProgressCallback | None = None) -> StudyFin
             holds=away.all(),
         ),
     ]
-    drawn = new_figure(6.0, 5.6)
+    drawn = blank_figure(6.0, 5.6)
     axes = drawn.subplots()
     length = np.log1p(size)
     axes.quiver(
@@ -478,7 +478,7 @@ def study_square_track(progress: ProgressCallback | None = None) -> StudyFinding
             holds=found.outcome == "succeeded",
         ),
     ]
-    drawn = new_figure(6.6, 5.6)
+    drawn = blank_figure(6.6, 5.6)
     axes = drawn.add_subplot(projection="3d")
     x = d.truth_position.values
     axes.plot(x[:, 1], x[:, 0], -x[:, 2], label="nonlinear model")

@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 
 from mufly.quantities.units import RPM
+from mufly.results.result_figure import blank_figure, label_axes
 from mufly.rotor import load_airfoil
 from mufly.thesis.claims import TABLE_3_4_VALUES
 
@@ -19,16 +20,10 @@ if TYPE_CHECKING:
 PANEL_TITLES = {"full": "all corrections", "thesis": "theory as in the dissertation"}
 
 
-def _new_figure(width: float, height: float) -> Figure:
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), layout="constrained")
-
-
 def draw_pitch_sweep(data: Mapping[str, xr.Dataset], title: str) -> Figure:
     """Draw thrust per electrical power over the pitch: a line for each value of the parameter, a panel for each
     model."""
-    figure = _new_figure(10.0, 4.4)
+    figure = blank_figure(10.0, 4.4)
     panels = figure.subplots(1, len(data), sharey=True, squeeze=False)[0]
     for axes, (model, one) in zip(panels, data.items(), strict=True):
         pitch = np.degrees(one.pitch.values)
@@ -46,7 +41,7 @@ def draw_pitch_sweep(data: Mapping[str, xr.Dataset], title: str) -> Figure:
 
 def draw_gear_ratio(data: xr.Dataset, title: str) -> Figure:
     """Draw powers, thrust, efficiency and thrust per power over gear ratio, a row a voltage, lower rotor dashed."""
-    figure = _new_figure(11.0, 4.2 * data.sizes["voltage"])
+    figure = blank_figure(11.0, 4.2 * data.sizes["voltage"])
     rows = figure.subplots(data.sizes["voltage"], 2, squeeze=False)
     for (left, right), volt in zip(rows, data.voltage.values, strict=True):
         for which, style in (("upper", "-"), ("lower", "--")):
@@ -75,7 +70,7 @@ def draw_gear_ratio(data: xr.Dataset, title: str) -> Figure:
 
 def draw_coefficients(data: Mapping[str, xr.Dataset], title: str) -> Figure:
     """Draw torque and thrust coefficient over the speed, a row for each model."""
-    figure = _new_figure(10.0, 3.6 * len(data))
+    figure = blank_figure(10.0, 3.6 * len(data))
     rows = figure.subplots(len(data), 2, squeeze=False)
     for panels, (model, one) in zip(rows, data.items(), strict=True):
         rpm = one.speed.values / RPM
@@ -94,7 +89,7 @@ def draw_coefficients(data: Mapping[str, xr.Dataset], title: str) -> Figure:
 
 def draw_airfoil_ranking(data: Mapping[str, xr.Dataset], named: Mapping[str, str], title: str) -> Figure:
     """Draw thrust per electrical power of all airfoils in order, the named ones marked."""
-    figure = _new_figure(11.0, 4.8)
+    figure = blank_figure(11.0, 4.8)
     panels = figure.subplots(1, len(data), sharey=True, squeeze=False)[0]
     for axes, (model, one) in zip(panels, data.items(), strict=True):
         axes.plot(one["rank"].values, one.thrust_per_power_N_W.values, ".", color="0.6", markersize=3)
@@ -115,7 +110,7 @@ def draw_sections(names: Sequence[str], title: str) -> Figure:
 
     Thesis: Figs 3.29, 3.33, 3.34.
     """
-    figure = _new_figure(9.0, 4.0)
+    figure = blank_figure(9.0, 4.0)
     for axes, name in zip(figure.subplots(2, 2).flat, names, strict=True):
         section = load_airfoil(name)
         axes.plot(*section.coordinates.T)
@@ -137,17 +132,9 @@ ROTOR_COLOURS = {"upper": "C0", "lower": "C1", "single": "C2"}
 
 
 def _new_coaxial_figure(rows: int, columns: int, title: str) -> tuple[Figure, list[list[Axes]]]:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(5.2 * columns, 3.7 * rows + 0.4), layout="constrained")
+    figure = blank_figure(5.2 * columns, 3.7 * rows + 0.4)
     figure.suptitle(title)
     return figure, [list(row) for row in figure.subplots(rows, columns, squeeze=False)]
-
-
-def _finish_axes(axes: Axes, x: str, y: str) -> None:
-    axes.set_xlabel(x)
-    axes.set_ylabel(y)
-    axes.grid(alpha=0.3)
 
 
 def draw_equal_speeds(data: Mapping[str, xr.Dataset], title: str) -> Figure:
@@ -165,7 +152,7 @@ def draw_equal_speeds(data: Mapping[str, xr.Dataset], title: str) -> Figure:
                   label=f"source: lower = {share:g} upper")  # fmt: skip
         axes.set_ylim(bottom=0)
         axes.legend(fontsize="x-small")
-        _finish_axes(axes, "Speed of both rotors (rev/min)", label)
+        label_axes(axes, "Speed of both rotors (rev/min)", label)
     for axes, field, label, top in zip(
         rows[1], ("c_T", "c_Q"), ("Lower rotor's c_T", "Lower rotor's c_Q"), (0.012, 0.003), strict=True
     ):
@@ -180,7 +167,7 @@ def draw_equal_speeds(data: Mapping[str, xr.Dataset], title: str) -> Figure:
             )
         axes.set_ylim(0, top)
         axes.legend(fontsize="small")
-        _finish_axes(axes, "Speed of both rotors (rev/min)", label)
+        label_axes(axes, "Speed of both rotors (rev/min)", label)
     return figure
 
 
@@ -202,7 +189,7 @@ def draw_one_speed_fixed(data: Mapping[str, xr.Dataset], title: str) -> Figure:
             axes.set_ylim(low, top)
             kept = "lower" if varied == "upper" else "upper"
             axes.set_title(f"{kept} rotor at 6000 rev/min", fontsize="medium")
-            _finish_axes(axes, f"Speed of the {varied} rotor (rev/min)", f"Lower rotor's {field}")
+            label_axes(axes, f"Speed of the {varied} rotor (rev/min)", f"Lower rotor's {field}")
     rows[0][0].legend(fontsize="small")
     return figure
 
@@ -223,7 +210,7 @@ def draw_torque_balance(data: Mapping[str, xr.Dataset], title: str) -> Figure:
             axes.plot(one.lower_pitch_deg, one[f"lower_{field}"], METHOD_LINE_STYLES[model], color="C1", marker=".",
                       label=METHOD_LABELS[model])  # fmt: skip
         axes.set_ylim(0, 1.08 * max(theirs[:, k].max(), axes.dataLim.y1))
-        _finish_axes(axes, "Pitch of the lower rotor (deg)", label)
+        label_axes(axes, "Pitch of the lower rotor (deg)", label)
     row[0].legend(fontsize="small")
     return figure
 
@@ -243,6 +230,6 @@ def draw_rotor_spacing(data: Mapping[str, xr.Dataset], title: str) -> Figure:
                 axes.plot(one.rpm, scale * one[f"lower_{field}"].sel(spacing_mm=spacing), marker=".",
                           label=f"{spacing:.0f} mm")  # fmt: skip
             axes.set_title(METHOD_LABELS[model], fontsize="medium")
-            _finish_axes(axes, "Speed of both rotors (rev/min)", label)
+            label_axes(axes, "Speed of both rotors (rev/min)", label)
         row[0].legend(fontsize="small")
     return figure

@@ -63,14 +63,14 @@ class SweepStudy:
     judge: JudgeFunction
 
 
-def standard_setup(model: str, rotor: str | Rotor = "naca4412-r60-c20", *, flags: bool = False) -> StudySetup:
+def standard_setup(model: str, rotor: str | Rotor = "naca4412-r60-c20") -> StudySetup:
     """Return the standard blade, or another rotor, on muFly's drive at 0.4 N with adapted gear."""
     return StudySetup(
         load_rotor(rotor) if isinstance(rotor, str) else rotor,
         load_drive("mufly"),
         {"thrust": STUDY_THRUST_N, "gear": "adapted"},
         corrections=BEMT_MODELS[model],
-        with_outside_share=flags,
+        with_outside_share=False,
     )
 
 

@@ -16,6 +16,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from mufly.quantities.units import RPM
+from mufly.results.result_figure import blank_figure
 from mufly.rotor import (
     Blading,
     OperatingCondition,
@@ -36,7 +37,7 @@ from mufly.rotor.wake.biot_savart import segment_velocity
 from mufly.rotor.wake.induced_flow import momentum_thrust
 from mufly.study import BEMT_MODELS
 from mufly.thesis.blade_element_studies import load_bench_points
-from mufly.thesis.claims import TABLE_3_2_VALUES, ProgressCallback, Study, StudyFindings, judge, new_figure
+from mufly.thesis.claims import TABLE_3_2_VALUES, ProgressCallback, Study, StudyFindings, judge
 from mufly.thesis.coaxial_studies import solve_equal_speed_pair
 
 Array = NDArray[np.float64]
@@ -58,13 +59,13 @@ def solve_single_rotor(model: str = "free") -> SystemSolution:
     )
 
 
-def tip_vortex_path(solution: SystemSolution, rotor: int = 0) -> tuple[Array, Array]:
-    """Return radius over R and height (m, above the rotor's disc) of the centre of the tip vortex, over its points.
+def tip_vortex_path(solution: SystemSolution) -> tuple[Array, Array]:
+    """Return radius over R and height (m, above the disc) of the centre of the first rotor's tip vortex.
 
     All vorticity shed outboard of the blade's greatest circulation rolls up into the tip vortex, around which the
     outermost filament spirals.
     """
-    wake = solution.wakes[rotor]
+    wake = solution.wakes[0]
     begin = int(np.argmax(np.abs(wake.bound_circulation_m2_s))) + 1
     share = np.abs(wake.filament_circulation_m2_s[begin:])
     paths = wake.filament_paths_m[begin:]
@@ -145,7 +146,7 @@ def study_straight_vortex(progress: ProgressCallback | None = None) -> StudyFind
             off_ours=max(off_ours, off_closed),
         ),
     ]
-    drawn = new_figure(6.0, 4.0)
+    drawn = blank_figure(6.0, 4.0)
     axes = drawn.subplots()
     h = np.geomspace(0.01, 2.0, 80)
     speed = [np.linalg.norm(_straight_vortex_velocity(np.array([x, 0.0, 0.0]), a, b)) for x in h]
@@ -284,7 +285,7 @@ def study_bench_pair(progress: ProgressCallback | None = None) -> StudyFindings:
             torque=greatest_torque,
         ),
     ]
-    drawn = new_figure(10.0, 4.2)
+    drawn = blank_figure(10.0, 4.2)
     for axes, values, scale, label, k in zip(
         drawn.subplots(1, 2),
         (thrust, torque),
@@ -375,7 +376,7 @@ def study_methods(progress: ProgressCallback | None = None) -> StudyFindings:
             and (np.all(ours["CFD, laminar"][:, 1] > truth[:, 1])),
         )
     )
-    drawn = new_figure(11.0, 4.6)
+    drawn = blank_figure(11.0, 4.6)
     names = ["measured", *(f"source: {m}" for m in theirs), *(f"ours: {m}" for m in ours)]
     rows = [truth, *theirs.values(), *ours.values()]
     for k, (axes, label, scale) in enumerate(
