@@ -49,14 +49,14 @@ print(recording.attrs["outcome"], f"after {float(recording.time[-1]):.0f} s")
 # The axes are north, east and **down** (N, E, D): a height of 2 m is D = -2.
 
 # %%
-position, asked = recording.truth_position, recording.reference_position
+position, reference = recording.truth_position, recording.reference_position
 figure, (plan, height) = plt.subplots(1, 2, figsize=(9, 3.6))
 plan.plot(position.sel(axis="E"), position.sel(axis="N"), label="true")
-plan.plot(asked.sel(axis="E"), asked.sel(axis="N"), "--", label="reference")
+plan.plot(reference.sel(axis="E"), reference.sel(axis="N"), "--", label="reference")
 plan.legend()
 plan.set(xlabel="east (m)", ylabel="north (m)", aspect="equal", title="seen from above")
 height.plot(recording.time, -position.sel(axis="D"), label="true")
-height.plot(recording.time, -asked.sel(axis="D"), "--", label="reference")
+height.plot(recording.time, -reference.sel(axis="D"), "--", label="reference")
 height.set(xlabel="time (s)", ylabel="height (m)", title="height")
 height.legend()
 figure.tight_layout()
@@ -111,18 +111,18 @@ figure.savefig(folder / "wind.png")
 # position measurements that arrive 0.2 s late. `mufly fly` uses these sensors by default.
 
 # %%
-felt = flight.fly_mission(
+sensed = flight.fly_mission(
     vehicle, "demonstration", controller=controller, wind=(1.8, 0.0, 0.0), gust=0.3, seed=1, sensors="fitted"
 )
-error = felt.estimated_position - felt.truth_position
+error = sensed.estimated_position - sensed.truth_position
 figure, axes = plt.subplots(figsize=(9, 3))
 for axis in "NED":
-    axes.plot(felt.time, 100.0 * error.sel(axis=axis), label=axis)
+    axes.plot(sensed.time, 100.0 * error.sel(axis=axis), label=axis)
 axes.set(xlabel="time (s)", ylabel="estimated minus true (cm)")
 axes.legend(title="axis")
 figure.tight_layout()
 figure.savefig(folder / "estimate.png")
-print(felt.attrs["outcome"])
+print(sensed.attrs["outcome"])
 
 # %% [markdown]
 # If you run the lesson as a script (`python 1_first_flight.py`), windows show its pictures. The folder `lesson-1`

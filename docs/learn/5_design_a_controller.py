@@ -66,7 +66,7 @@ picture
 # ## A vehicle with other parameters
 #
 # In each of forty flights every parameter of the vehicle differs by up to 10 % from the file, independently, and wind
-# blows. The controllers stay designed for the file's vehicle. The success rate has Wilson's 95 % interval.
+# blows. The controllers are designed for the file's vehicle. The success rate has Wilson's 95 % interval.
 
 # %%
 mission = load_mission("demonstration")

@@ -74,13 +74,13 @@ print("\n".join(format_vehicle_toml(mine).splitlines()[:14]))
 # ## Flight with simulated sensor errors
 
 # %%
-felt = flight.fly_mission(
+sensed = flight.fly_mission(
     mine, "demonstration", controller=controller, sensors="fitted", wind=(0.3, 0.0, 0.0), gust=0.2, seed=2
 )
 figure, axes = plt.subplots(figsize=(5, 4))
-axes.plot(felt.truth_position.sel(axis="E"), felt.truth_position.sel(axis="N"), label="true")
-axes.plot(felt.estimated_position.sel(axis="E"), felt.estimated_position.sel(axis="N"), lw=0.8, label="estimated")
-axes.set(xlabel="east (m)", ylabel="north (m)", aspect="equal", title=felt.attrs["outcome"])
+axes.plot(sensed.truth_position.sel(axis="E"), sensed.truth_position.sel(axis="N"), label="true")
+axes.plot(sensed.estimated_position.sel(axis="E"), sensed.estimated_position.sel(axis="N"), lw=0.8, label="estimated")
+axes.set(xlabel="east (m)", ylabel="north (m)", aspect="equal", title=sensed.attrs["outcome"])
 axes.legend()
 figure.tight_layout()
 figure.savefig(folder / "way.png")

@@ -253,7 +253,7 @@ def rotor_speeds(
     rate: Annotated[float, define_option("--rate", "Control rate.", unit="Hz", min=20.0, max=5e3)] = 200.0,
     as_json: JsonOption = False,
 ) -> None:
-    """Show what measured rotor speeds (back-EMF) bring to heave-yaw.
+    """Compare heave-yaw with and without measured rotor speeds (back-EMF).
 
     Both loops are LQG/LTR with the same weights, swept over the weight of the inputs.
 
@@ -283,7 +283,7 @@ def schedule(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Show what gains scheduled over forward speed would bring to roll-pitch.
+    """Assess gain scheduling of roll-pitch over forward speed.
 
     Every design is closed around the model at every speed. A schedule has at best the diagonal's margins.
 

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 
 app = CommandGroup(
-    help="Find a vehicle's parameters: from bench data, from flights, and plan the flights that show them.",
+    help="Identify a vehicle's parameters from bench and flight data, and plan flights that determine them.",
     no_args_is_help=True,
 )
 

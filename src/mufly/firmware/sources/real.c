@@ -143,7 +143,7 @@ real_t real_wrap_angle(real_t angle)
 
         rest = (angle - (turns * FULL_TURN_1)) - (turns * FULL_TURN_2);
     } else {
-        /* NaN, caused elsewhere */
+        /* NaN or beyond MAX_ANGLE: the angle counts as zero */
     }
     return rest;
 }
