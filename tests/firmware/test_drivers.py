@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from mufly.estimate.filter.filter_records import R_ACCELERATION, R_BATTERY, R_PRESSURE, R_RATES, R_SONAR, READING_STARTS
-from mufly.firmware.export.source_export import BOARD_INCLUDE_FLAGS, copy_sources
+from mufly.firmware.export.source_export import copy_sources
 from mufly.sensors.pressure import STANDARD_PRESSURE_PA
 
 COMPILERS = [c for c in ("cc", "gcc", "clang") if shutil.which(c)]
@@ -30,16 +30,19 @@ CALIBRATION = (27504, 26435, -1000, 36477, -10685, 3024, 2855, 140, -7, 15500, -
 def library(tmp_path_factory):
     tree = tmp_path_factory.mktemp("drivers")
     copy_sources(tree)
-    flags = [*BOARD_INCLUDE_FLAGS, "-Icheck", "-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror"]
+    flags = ["-I.", "-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror"]
     sources = [
         *(f"onboard/drivers/{p.name}" for p in (tree / "onboard/drivers").glob("*.c")),
-        "check/bus_model.c",
-        "check/sd_bus_model.c",
+        "check/models/bus_model.c",
+        "check/models/sd_bus_model.c",
     ]
     build = [COMPILERS[0], *flags, "-O1", "-shared", "-fPIC", *sources, "-o", "drivers.so"]
     done = subprocess.run(build, cwd=tree, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    headers = '#include "sensor_suite.h"\n#include "actuator_outputs.h"\n#include "bus_model.h"\n'
+    headers = "".join(
+        f'#include "{name}.h"\n'
+        for name in ("onboard/drivers/sensor_suite", "onboard/drivers/actuator_outputs", "check/models/bus_model")
+    )
     said = subprocess.run(
         [COMPILERS[0], "-E", "-P", "-DMUFLY_DECLARATIONS", *flags[:-5], "-x", "c", "-"],
         cwd=tree, input=headers, capture_output=True, text=True, check=True,

@@ -30,6 +30,7 @@ from mufly.firmware import (
     run_pil,
     run_sil,
 )
+from mufly.firmware.export.source_export import find_sources
 from mufly.flight.controllers import Controllers
 from mufly.vehicle import load_vehicle
 
@@ -193,7 +194,8 @@ def test_any_optimisation_gives_the_same_and_no_warning(tree) -> None:
             "-Wshadow",
             "-pedantic",
         ]
-        sources = [*sorted(p.name for p in tree.glob("*.c")), "check/selftest.c", "check/platform_host.c"]
+        software = [str(p.relative_to(tree)) for p in find_sources(tree)]
+        sources = [*software, "check/programs/selftest.c", "check/platforms/platform_host.c"]
         command = [find_compiler(), *flags, "-Werror", "-I.", *sources, "-o", "try", "-lm"]
         done = subprocess.run(command, cwd=tree, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
@@ -243,7 +245,7 @@ def test_without_a_compiler_one_line_says_what_to_install(monkeypatch, tmp_path)
 @needs_cc
 def test_what_the_compiler_says_first_is_told(tmp_path, tree) -> None:
     shutil.copytree(tree, tmp_path / "fw", ignore=shutil.ignore_patterns("*.c"))
-    (tmp_path / "fw" / "law.c").write_text("nonsense\n")
+    (tmp_path / "fw" / "control" / "law.c").write_text("nonsense\n")
     with pytest.raises(MuflyError, match=r"could not build .*law\.c:1"):
         build_library(tmp_path / "fw")
 
@@ -289,7 +291,15 @@ def test_the_command_writes_a_tree_that_says_what_it_is(tmp_path) -> None:
     result = CliRunner().invoke(app, ["firmware", "export", "--vehicle", "mufly-2.0", "--out", str(tmp_path / "fw")])
     assert result.exit_code == 0, result.output
     assert "mufly-2.0" in result.output
-    for name in ("law.c", "cascade.c", "mixer.c", "tables.c", "Makefile", "CMakeLists.txt", "README.md"):
+    for name in (
+        "control/law.c",
+        "control/cascade.c",
+        "control/mixer.c",
+        "tables.c",
+        "Makefile",
+        "CMakeLists.txt",
+        "README.md",
+    ):
         assert (tmp_path / "fw" / name).exists()
     if COMPILERS and shutil.which("make"):
         done = subprocess.run(["make", "-C", str(tmp_path / "fw"), "check"], capture_output=True, text=True)

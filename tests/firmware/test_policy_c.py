@@ -64,7 +64,7 @@ def compile_policy(policy: LearnedPolicy, folder: Path, *flags: str) -> tuple[cf
     export_policy(policy, folder)
     library = folder / f"policy{''.join(flags)}.so"
     strict = ("-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-pedantic", "-Werror")
-    compile_library(sorted(folder.glob("*.c")), library, flags=(*COMPILER_FLAGS, *strict, *flags))
+    compile_library(sorted(folder.rglob("*.c")), library, flags=(*COMPILER_FLAGS, *strict, *flags, f"-I{folder}"))
     ffi = cffi.FFI()
     ffi.cdef(f"typedef {'float' if flags else 'double'} real_t;{_DECLARATIONS}")
     return ffi, ffi.dlopen(str(library))

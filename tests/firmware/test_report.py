@@ -62,13 +62,13 @@ def test_any_bytes_are_borne_and_a_fault_is_found(tree) -> None:
 
 def test_findings_have_a_written_reason_or_are_told() -> None:
     said = (
-        "a.c:3: misra-c2012-10.8: x\na.c:9: misra-c2012-10.8: x\nfixed/b.c:1: misra-c2012-10.8: x\n"
+        "a.c:3: misra-c2012-10.8: x\na.c:9: misra-c2012-10.8: x\nfixed_point/b.c:1: misra-c2012-10.8: x\n"
         "a.c:4: misra-c2012-15.5: x\na.c:5: uninitvar: y\n"
     )
-    reasons = parse_deviations("# words\n\n10.8 | fixed/*.c c.c | It fits.\n")
+    reasons = parse_deviations("# words\n\n10.8 | fixed_point/*.c c.c | It fits.\n")
     required, advice = judge_findings(said, reasons)
     assert [(f.rule, f.place, f.reason) for f in required] == [
-        ("10.8", "a.c:3", ""), ("10.8", "a.c:9", ""), ("10.8", "fixed/b.c:1", "It fits.")
+        ("10.8", "a.c:3", ""), ("10.8", "a.c:9", ""), ("10.8", "fixed_point/b.c:1", "It fits.")
     ]  # fmt: skip
     assert advice == {"15.5": 1}
 

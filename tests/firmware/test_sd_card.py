@@ -12,7 +12,7 @@ import cffi
 import numpy as np
 import pytest
 
-from mufly.firmware.export.source_export import BOARD_INCLUDE_FLAGS, copy_sources
+from mufly.firmware.export.source_export import copy_sources
 
 COMPILERS = [c for c in ("cc", "gcc", "clang") if shutil.which(c)]
 pytestmark = pytest.mark.skipif(not COMPILERS, reason="no C compiler: install gcc or clang")
@@ -25,13 +25,21 @@ CSD_BLOCKS = 1024 * 60
 def library(tmp_path_factory):
     tree = tmp_path_factory.mktemp("card")
     copy_sources(tree)
-    flags = [*BOARD_INCLUDE_FLAGS, "-Icheck", "-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Werror"]
-    build = [COMPILERS[0], *flags, "-O1", "-shared", "-fPIC", "onboard/drivers/sd_card.c", "check/sd_bus_model.c"]
+    flags = ["-I.", "-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Werror"]
+    build = [
+        COMPILERS[0],
+        *flags,
+        "-O1",
+        "-shared",
+        "-fPIC",
+        "onboard/drivers/sd_card.c",
+        "check/models/sd_bus_model.c",
+    ]
     done = subprocess.run([*build, "-o", "card.so"], cwd=tree, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     said = subprocess.run(
         [COMPILERS[0], "-E", "-P", "-DMUFLY_DECLARATIONS", *flags[:-5], "-x", "c", "-"],
-        cwd=tree, input='#include "sd_bus_model.h"\n', capture_output=True, text=True, check=True,
+        cwd=tree, input='#include "check/models/sd_bus_model.h"\n', capture_output=True, text=True, check=True,
     ).stdout  # fmt: skip
     ffi = cffi.FFI()
     ffi.cdef(said.replace("extern const ", "extern "))

@@ -65,7 +65,7 @@ def build_cached_library(name: str, files: Mapping[str, str], *, flags: Sequence
     name : str
         First part of the file name.
     files : mapping
-        Text of every source and header by name; names in ``.c`` are compiled.
+        Text of every source and header by its path in a folder, the include folder; paths in ``.c`` are compiled.
     flags : sequence of str
         Compiler flags.
 
@@ -83,8 +83,9 @@ def build_cached_library(name: str, files: Mapping[str, str], *, flags: Sequence
         with tempfile.TemporaryDirectory(prefix="mufly-c-", dir=library.parent) as temporary:
             folder = Path(temporary)
             for file, text in files.items():
+                (folder / file).parent.mkdir(parents=True, exist_ok=True)
                 (folder / file).write_text(text, encoding="utf-8")
             made = folder / library.name
-            compile_library(sorted(folder.glob("*.c")), made, flags=flags, cc=cc)
+            compile_library(sorted(folder.rglob("*.c")), made, flags=(*flags, f"-I{folder}"), cc=cc)
             os.replace(made, library)
     return library

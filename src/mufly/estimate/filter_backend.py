@@ -40,7 +40,7 @@ from mufly.estimate.filter import (
     strapdown,
     ud_filter,
 )
-from mufly.estimate.filter.c_records import model_record, render_records_header
+from mufly.estimate.filter.c_records import RECORDS_HEADER, model_record, render_records_header
 from mufly.rotor import coax_maps
 from mufly.vehicle import Vehicle
 
@@ -48,20 +48,20 @@ VERIFIED_STAMP = "241aa56fb5928140"
 """Stamp (:func:`source_stamp`) of the Python sources that the C code is verified to equal."""
 
 FILTER_SOURCES = (
-    "ekf_step",
-    "filter_inputs",
-    "filter_horizon",
-    "output_predictor",
-    "fusion",
-    "fix_fusion",
-    "scalar_fusion",
-    "sensor_checks",
-    "ud_filter",
-    "strapdown",
-    "flight_model",
+    "estimate/filter/ekf_step",
+    "estimate/filter/filter_inputs",
+    "estimate/filter/filter_horizon",
+    "estimate/filter/output_predictor",
+    "estimate/filter/measurements/fusion",
+    "estimate/filter/measurements/fix_fusion",
+    "estimate/filter/measurements/scalar_fusion",
+    "estimate/filter/measurements/sensor_checks",
+    "estimate/filter/ud_filter",
+    "estimate/filter/strapdown",
+    "dynamics/flight_model",
     "real",
 )
-"""C source files of the filter, in ``firmware/sources``."""
+"""C source files of the filter with a header each, in ``firmware/sources``."""
 _SOURCE_FOLDER = Path(__file__).resolve().parents[1] / "firmware" / "sources"
 _BACKEND_VARIABLE = "MUFLY_ESTIMATOR"
 _C_DECLARATIONS = """
@@ -214,10 +214,9 @@ def _load_filter_library(records: str, flags: tuple[str, ...] = COMPILER_FLAGS) 
 
 
 def collect_sources(records: str) -> dict[str, str]:
-    """Return the text of the filter's C sources and headers by file name."""
-    files = {path.name: path.read_text(encoding="utf-8") for path in sorted(_SOURCE_FOLDER.glob("*.h"))}
-    files |= {f"{name}.c": (_SOURCE_FOLDER / f"{name}.c").read_text(encoding="utf-8") for name in FILTER_SOURCES}
-    return {**files, "records.h": records}
+    """Return the text of the filter's C sources and headers by their path in a tree."""
+    names = [f"{name}.{suffix}" for name in FILTER_SOURCES for suffix in "ch"]
+    return {RECORDS_HEADER: records} | {n: (_SOURCE_FOLDER / n).read_text(encoding="utf-8") for n in names}
 
 
 _TRANSLATED_MODULES: tuple[tuple[types.ModuleType, tuple[str, ...]], ...] = (

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import subprocess
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,16 +18,27 @@ from mufly.control import FlightController
 from mufly.estimate import Estimate
 from mufly.files.answer_store import replace_file
 from mufly.firmware.export.plan_tables import HOST_MAX_WAYPOINTS, MAX_WAYPOINTS
-from mufly.firmware.export.source_export import copy_sources, render_gains_source, write_tree
+from mufly.firmware.export.source_export import (
+    SOFTWARE_SOURCES,
+    copy_sources,
+    find_sources,
+    render_gains_source,
+    write_tree,
+)
 from mufly.flight.controllers import Actuators, Controllers
 
 _Array = NDArray[np.floating[Any]]
 
 
 def build_library(
-    folder: Path, *, single: bool = False, flags: tuple[str, ...] = COMPILER_FLAGS, cc: str | None = None
+    folder: Path,
+    *,
+    single: bool = False,
+    flags: tuple[str, ...] = COMPILER_FLAGS,
+    cc: str | None = None,
+    patterns: Sequence[str] = SOFTWARE_SOURCES,
 ) -> Path:
-    """Build the exported sources in a folder as a shared library and return it.
+    """Build the sources of an exported tree that match the patterns as a shared library and return it.
 
     Raises
     ------
@@ -34,16 +46,22 @@ def build_library(
         If there is no compiler, or compilation fails; the message contains the first error.
     """
     library = folder / ("mufly_single.so" if single else "mufly.so")
-    sources = sorted(folder.glob("*.c"))
     extra = ("-DMUFLY_FLOAT",) if single else ()
-    compile_library(sources, library, flags=(*flags, *extra), cc=cc)
+    compile_library(find_sources(folder, patterns), library, flags=(*flags, *extra, f"-I{folder}"), cc=cc)
     return library
 
 
-def cffi_declarations(folder: Path, single: bool = False) -> str:
-    """Return the declarations of the headers for cffi."""
+def read_sources(tree: Path, patterns: Sequence[str] = SOFTWARE_SOURCES) -> dict[str, str]:
+    """Return the text of the sources that match the patterns and of the headers beside them, by path in the tree."""
+    both = [pattern.removesuffix("c") + suffix for pattern in patterns for suffix in "ch"]
+    return {str(path.relative_to(tree)): path.read_text(encoding="utf-8") for path in find_sources(tree, both)}
+
+
+def cffi_declarations(folder: Path, single: bool = False, patterns: Sequence[str] = SOFTWARE_SOURCES) -> str:
+    """Return the declarations, for cffi, of the headers beside the sources that match the patterns."""
     command = [find_compiler(), "-E", "-P", "-DMUFLY_DECLARATIONS", *(("-DMUFLY_FLOAT",) if single else ())]
-    headers = "".join(f'#include "{h.name}"\n' for h in sorted(folder.glob("*.h")))
+    found = find_sources(folder, [pattern.removesuffix("c") + "h" for pattern in patterns])
+    headers = "".join(f'#include "{header.relative_to(folder)}"\n' for header in found)
     done = subprocess.run(
         [*command, f"-I{folder}", "-x", "c", "-"], input=headers, capture_output=True, text=True, check=True
     )
@@ -52,7 +70,7 @@ def cffi_declarations(folder: Path, single: bool = False) -> str:
 
 def _make_room(folder: Path) -> None:
     """Give the sources in a folder room for :data:`HOST_MAX_WAYPOINTS` waypoints: memory is scarce on boards only."""
-    header = folder / "mission_state.h"
+    header = folder / "mission/machine/mission_state.h"
     board = f"#define MISSION_WAYPOINTS {MAX_WAYPOINTS} "
     text = header.read_text(encoding="utf-8")
     assert board in text
@@ -78,7 +96,7 @@ def _load_generic_firmware() -> tuple[cffi.FFI, Any]:
         tree = Path(folder) / "fw"
         copy_sources(tree)
         _make_room(tree)
-        files = {p.name: p.read_text(encoding="utf-8") for p in sorted(tree.glob("*.[ch]"))}
+        files = read_sources(tree)
         library = build_cached_library("firmware", {**files, "tables.c": _GENERIC_TABLES})
         words = library.with_suffix(".h")
         if not words.exists():
@@ -89,7 +107,7 @@ def _load_generic_firmware() -> tuple[cffi.FFI, Any]:
     return ffi, ffi.dlopen(str(library))
 
 
-_GENERIC_TABLES = """#include "controllers.h"
+_GENERIC_TABLES = """#include "flight/controllers.h"
 const int32_t mufly_rate_Hz = 0;
 const int32_t mufly_position_divider = 0;
 const gains_t mufly_gains;

@@ -22,8 +22,8 @@ periods between two mission steps (:func:`check_map_part`): an eighth of the bea
 time. A :class:`PathCheck` keeps the points that matter: those on the path, and the nearest point in each of sixteen
 directions. The next step uses it, with distances from the position at that time.
 
-The same code runs on board in C (``avoid.c`` of :mod:`mufly.firmware`), equal to the last bit: sums keep their order,
-and lengths are square roots of sums.
+The same code runs on board in C (``avoidance.c`` of :mod:`mufly.firmware`), equal to the last bit: sums keep their
+order, and lengths are square roots of sums.
 """
 
 from __future__ import annotations

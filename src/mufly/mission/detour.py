@@ -21,7 +21,7 @@ Kamon, Rimon and Rivlin 1998):
 The reference is a point whose velocity follows the desired one with limited acceleration and jerk, in the horizontal
 plane; the height is held. Own derivation.
 
-The same code runs on board in C (``avoid.c`` of :mod:`mufly.firmware`), equal to the last bit.
+The same code runs on board in C (``avoidance.c`` of :mod:`mufly.firmware`), equal to the last bit.
 """
 
 from __future__ import annotations

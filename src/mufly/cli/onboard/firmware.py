@@ -77,8 +77,8 @@ def export(
     """Write the flight software of a vehicle as C99, with Makefile, CMake file, self-tests and a README.
 
     The algorithms are the same for every vehicle; tables.c, estimate_tables.c and plan.c hold the numbers of vehicle
-    and mission. With --fixed-point the folder fixed/ holds the control law in fixed point; the command prints its cost
-    in margins, and the bounds that exclude overflow.
+    and mission. With --fixed-point the folder fixed_point/ holds the control law in fixed point; the command prints its
+    cost in margins, and the bounds that exclude overflow.
 
     Example: mufly firmware export --vehicle mine.toml --mission m.toml --out fw, then make -C fw check
     """

@@ -1,4 +1,4 @@
-"""Generate the filter's records and constants in C (``firmware/sources/records.h``) from those in Python.
+"""Generate the filter's records and constants in C (``records.h``) from those in Python.
 
 A C struct has the fields of the Python record in equal order and size, so both languages work on the same bytes in
 double precision. Fields and constants added in Python appear in C with the next build.
@@ -30,6 +30,8 @@ from mufly.estimate.filter import (
 )
 from mufly.quantities.units import GRAVITY
 
+RECORDS_HEADER = "estimate/filter/records.h"
+"""Path of the generated header in a tree of C sources."""
 PYTHON_ONLY_FIELDS = (
     "rotation_work", "accel_work", "transition_work", "q_work", "w_work", "derivative_work", "no_wind",
 )  # fmt: skip

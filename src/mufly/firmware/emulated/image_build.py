@@ -20,20 +20,18 @@ from mufly.compiled.toolchain import COMPILER_FLAGS, build_cached_library
 from mufly.control import FlightController
 from mufly.errors import MuflyError
 from mufly.files.answer_store import hash_question, replace_file
-from mufly.firmware.export.source_export import BOARD_INCLUDE_FLAGS, export_firmware
-from mufly.firmware.host_build import cffi_declarations
+from mufly.firmware.export.source_export import ONBOARD_SOURCES, SOFTWARE_SOURCES, export_firmware, find_sources
+from mufly.firmware.host_build import cffi_declarations, read_sources
 from mufly.firmware.proof.sil_pil import CORTEX_M4_FLAGS, SINGLE_PRECISION_BUILD, SPEED_OPTIMISED_SOURCES, missing_tools
 from mufly.mission import Mission
 from mufly.vehicle import Vehicle
 
-_HOST_BOARD_FILES = (
-    "boards/board.c",
-    "boards/board.h",
-    "boards/qemu/exchange.[ch]",
-    "onboard/*/*.[ch]",
-    "check/*_model.[ch]",
-)
-_IMAGE_FILES = ("boards/board_loop.c", "boards/qemu/exchange.c", "boards/qemu/qemu.c", "check/platform_cortex_m4.c")
+_HOST_BOARD_SOURCES = (
+    *SOFTWARE_SOURCES, *ONBOARD_SOURCES, "boards/board.c", "boards/qemu/exchange.c", "check/models/*_model.c",
+)  # fmt: skip
+_IMAGE_SOURCES = (
+    *SOFTWARE_SOURCES, *ONBOARD_SOURCES, "boards/*.c", "boards/qemu/*.c", "check/platforms/platform_cortex_m4.c",
+)  # fmt: skip
 _IMAGE_FLAGS = (*COMPILER_FLAGS, *CORTEX_M4_FLAGS, "-mthumb", "-ffreestanding", "-nostdlib", "-DMUFLY_FLOAT")
 
 
@@ -50,16 +48,15 @@ def build_host_board(
     with tempfile.TemporaryDirectory(prefix="mufly-board-") as temporary:
         tree = Path(temporary) / "fw"
         export_firmware(controller, tree, vehicle, mission.world, mission)
-        for path in [p for pattern in _HOST_BOARD_FILES for p in tree.glob(pattern)]:
-            shutil.copy(path, tree)
-        files = {p.name: p.read_text(encoding="utf-8") for p in sorted(tree.glob("*.[ch]"))}
         library = build_cached_library(
-            "board", files, flags=(*COMPILER_FLAGS, *(SINGLE_PRECISION_BUILD.compiler_flags if single else ()))
+            "board",
+            read_sources(tree, _HOST_BOARD_SOURCES),
+            flags=(*COMPILER_FLAGS, *(SINGLE_PRECISION_BUILD.compiler_flags if single else ())),
         )
         declarations = library.with_suffix(".h")
         if not declarations.exists():
             with replace_file(declarations) as made:
-                made.write_text(cffi_declarations(tree, single), encoding="utf-8")
+                made.write_text(cffi_declarations(tree, single, _HOST_BOARD_SOURCES), encoding="utf-8")
     ffi = cffi.FFI()
     ffi.cdef(declarations.read_text(encoding="utf-8"))
     return ffi, ffi.dlopen(str(library))
@@ -93,14 +90,13 @@ def build_image(vehicle: Vehicle, controller: FlightController, mission: Mission
 
 def _link_image(tree: Path) -> Path:
     """Compile and link the image in a tree."""
-    command = ["arm-none-eabi-gcc", *_IMAGE_FLAGS, *BOARD_INCLUDE_FLAGS]
-    sources = sorted(p.name for p in tree.glob("*.c") if p.name not in SPEED_OPTIMISED_SOURCES)
+    command = ["arm-none-eabi-gcc", *_IMAGE_FLAGS, "-I."]
     _run_compiler([*command, "-O2", "-c", *SPEED_OPTIMISED_SOURCES], tree)
-    objects = [name.replace(".c", ".o") for name in SPEED_OPTIMISED_SOURCES]
+    objects = [Path(name).with_suffix(".o").name for name in SPEED_OPTIMISED_SOURCES]
     # The simulation takes the place of the sensors and their drivers.
-    onboard = [str(p.relative_to(tree)) for p in sorted(tree.glob("onboard/*/*.c")) if p.parent.name != "drivers"]
-    others = [*sources, *onboard, "boards/board.c", *_IMAGE_FILES, *objects]
-    _run_compiler([*command, *others, "-T", "check/cortex_m4.ld", "-o", "board.elf", "-lgcc"], tree)
+    sources = [str(p.relative_to(tree)) for p in find_sources(tree, _IMAGE_SOURCES) if p.parent.name != "drivers"]
+    others = [*(name for name in sources if name not in SPEED_OPTIMISED_SOURCES), *objects]
+    _run_compiler([*command, *others, "-T", "check/platforms/cortex_m4.ld", "-o", "board.elf", "-lgcc"], tree)
     return tree / "board.elf"
 
 

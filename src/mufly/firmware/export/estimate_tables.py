@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from mufly.dynamics import model_parameters
-from mufly.estimate.filter.c_records import FIELD_UNITS, model_record, render_records_header
+from mufly.estimate.filter.c_records import FIELD_UNITS, RECORDS_HEADER, model_record, render_records_header
 from mufly.estimate.filter.filter_records import (
     INPUT_BLOCK_COUNT,
     MAX_LAG_BLOCKS,
@@ -37,12 +37,12 @@ def render_estimator_files(vehicle: Vehicle | None, world: World | None, rate_Hz
         Rate of the flight software.
     """
     if vehicle is None:
-        return {"records.h": render_records_header(NO_VEHICLE_PARAMETERS)}
+        return {RECORDS_HEADER: render_records_header(NO_VEHICLE_PARAMETERS)}
     settings = np.array([filter_settings(vehicle, world or World(), rate_Hz)])
     p = model_parameters(vehicle)
     lines = [
         f"/* What the estimator of {vehicle.name.replace('*/', '* /')} knows, made by mufly {__version__}. */",
-        '#include "ekf_step.h"',
+        '#include "estimate/filter/ekf_step.h"',
         "",
         "const estimator_settings_t mufly_settings = {",
         *_initialiser_lines(settings),
@@ -54,7 +54,7 @@ def render_estimator_files(vehicle: Vehicle | None, world: World | None, rate_Hz
         "",
     ]
     return {
-        "records.h": render_records_header(p, *_buffer_sizes(settings[0])),
+        RECORDS_HEADER: render_records_header(p, *_buffer_sizes(settings[0])),
         "estimate_tables.c": "\n".join(lines),
     }
 

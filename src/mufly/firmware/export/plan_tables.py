@@ -97,7 +97,7 @@ def render_plan_source(plan: MissionPlan, controller: FlightController) -> str:
     lines = [
         f"/* The mission {(plan.mission.name or 'without a name').replace('*/', '* /')}, made by mufly {__version__}; "
         "do not edit. */",
-        '#include "software.h"',
+        '#include "flight/flight_software.h"',
         "",
         "const plan_t mufly_plan = {",
         *render_initialiser(plan_numbers(plan)),
@@ -117,7 +117,7 @@ def render_supervisor_source() -> str:
     """Return the text of ``onboard/supervisor/supervisor_settings.c``."""
     lines = [
         f"/* Settings of the supervisor, made by mufly {__version__}; do not edit. */",
-        '#include "supervisor.h"',
+        '#include "onboard/supervisor/supervisor.h"',
         "",
         "const supervisor_settings_t mufly_supervisor = {",
         *render_initialiser(supervisor_numbers()),
@@ -131,7 +131,7 @@ def render_texts_source() -> str:
     """Return the text of ``onboard/link/texts.c``: the templates of the log."""
     rows = [f"    {json.dumps(message.value, ensure_ascii=True)}," for message in LogMessage]
     return "\n".join(
-        ["/* Templates of the log, made from those of Python; do not edit. */", '#include "text.h"', "",
+        ["/* Templates of the log, made from those of Python; do not edit. */", '#include "onboard/link/text.h"', "",
          "const char *const mufly_texts[SAY_COUNT] = {", *rows, "};", ""]
     )  # fmt: skip
 
@@ -166,7 +166,7 @@ def render_log_source() -> str:
     )
     rows = [f"    {', '.join(map(str, head[k : k + _BYTES_PER_LINE]))}," for k in range(0, len(head), _BYTES_PER_LINE)]
     lines = [
-        f"/* Begin of a log, made by mufly {__version__}; do not edit. */", '#include "flight_log.h"', "",
+        f"/* Begin of a log, made by mufly {__version__}; do not edit. */", '#include "onboard/log/flight_log.h"', "",
         f"const int32_t mufly_log_head_size = {len(head)};", f"const uint8_t mufly_log_head[{len(head)}] = {{",
         *rows, "};", "",
     ]  # fmt: skip

@@ -16,7 +16,10 @@ from mufly.firmware.export.source_export import SOURCE_FOLDER, escape_comment, t
 from mufly.flight.policy import LearnedPolicy
 from mufly.version import __version__
 
-_COPIED = ("policy/policy.c", "policy/policy.h", "real.c", "real.h", "controllers.h", "cascade.h", "law.h")
+_COPIED = (
+    "policy/policy.c", "policy/policy.h", "real.c", "real.h", "flight/controllers.h", "control/cascade.h",
+    "control/law.h",
+)  # fmt: skip
 
 
 def export_policy(policy: LearnedPolicy, out: str | Path) -> list[Path]:
@@ -39,19 +42,22 @@ def export_policy(policy: LearnedPolicy, out: str | Path) -> list[Path]:
         If the folder holds other files.
     """
     folder = Path(out)
-    if folder.exists() and (not folder.is_dir() or (any(folder.iterdir()) and not (folder / "policy.c").exists())):
+    if folder.exists() and (
+        not folder.is_dir() or (any(folder.iterdir()) and not (folder / "policy/policy.c").exists())
+    ):
         raise InputError("out", str(out), "holds something else", "name a new or empty folder")
     folder.mkdir(parents=True, exist_ok=True)
     texts = render_policy_files(policy)
     for name, text in texts.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(text, encoding="utf-8")
     return sorted(folder / name for name in texts)
 
 
 def render_policy_files(policy: LearnedPolicy) -> dict[str, str]:
-    """Return the text of each file of an exported policy by its name."""
+    """Return the text of each file of an exported policy by its path."""
     with resources.as_file(SOURCE_FOLDER) as sources:
-        texts = {Path(name).name: (sources / name).read_text(encoding="utf-8") for name in _COPIED}
+        texts = {name: (sources / name).read_text(encoding="utf-8") for name in _COPIED}
     p = policy.packed
     sizes = {
         "LAYERS": len(policy.layers), "INPUTS": policy.input_count, "WIDEST": int(p.sizes.max()),
@@ -59,7 +65,7 @@ def render_policy_files(policy: LearnedPolicy) -> dict[str, str]:
     }  # fmt: skip
     title = f"{escape_comment(policy.task)} of {escape_comment(policy.vehicle_name)}"
     head = f"/* The policy {title}, made by mufly {__version__}; do not edit. */"
-    texts["policy_numbers.h"] = "\n".join([
+    texts["policy/policy_numbers.h"] = "\n".join([
         head, "#ifndef MUFLY_POLICY_NUMBERS_H", "#define MUFLY_POLICY_NUMBERS_H", "",
         *(f"#define POLICY_{name} {n}" for name, n in sizes.items()), "", "#endif", "",
     ])  # fmt: skip
@@ -69,8 +75,8 @@ def render_policy_files(policy: LearnedPolicy) -> dict[str, str]:
         "trim[POLICY_ACTION_SIZE]": policy.trim,
     }  # fmt: skip
     numbers = {"limit": p.limit, "nominal_voltage": policy.nominal_voltage_V, "period": policy.period_s}
-    texts["policy_numbers.c"] = "\n".join([
-        head, '#include "policy.h"', "",
+    texts["policy/policy_numbers.c"] = "\n".join([
+        head, '#include "policy/policy.h"', "",
         *_table("int32_t policy_sizes[POLICY_LAYERS + 1]", map(str, p.sizes)),
         *_table("int32_t policy_activations[POLICY_LAYERS]", map(str, p.activations)),
         *(f"const real_t policy_{name} = {to_hexadecimal(float(x))};" for name, x in numbers.items()),

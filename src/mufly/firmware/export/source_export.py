@@ -7,7 +7,7 @@ every number as a hexadecimal float, which no compiler rounds, with its decimal 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -31,11 +31,15 @@ from mufly.version import __version__
 from mufly.world import World
 
 SOURCE_FOLDER = resources.files("mufly.firmware") / "sources"
-BOARD_INCLUDE_FLAGS = (
-    "-I.", "-Iboards", "-Ionboard/drivers", "-Ionboard/link", "-Ionboard/log", "-Ionboard/receiver",
-    "-Ionboard/storage", "-Ionboard/supervisor",
-)  # fmt: skip
-"""Include folders of a board's code, within an exported tree."""
+SOFTWARE_SOURCES = ("*.c", "control/*.c", "dynamics/*.c", "estimate/**/*.c", "flight/*.c", "mission/**/*.c")
+"""Patterns of the flight software in an exported tree, which the Makefile and the CMake file repeat. Files include each
+other by their path in the tree, so that its root is the only include folder."""
+ONBOARD_SOURCES = ("onboard/**/*.c",)
+"""Patterns of a board's drivers, link, log, receiver, storage and supervisor."""
+FIXED_POINT_SOURCES = ("fixed_point/*.c",)
+"""Pattern of the fixed-point law."""
+FIXED_POINT_TABLES = "fixed_point/tables_fixed.c"
+"""Path of the fixed-point law's numbers, which an export without that law lacks."""
 _GAIN_GROUPS = ("heave_yaw", "roll_pitch", "position")
 
 
@@ -92,6 +96,11 @@ def write_tree(tables: str, out: Path, others: Mapping[str, str] | None = None) 
         (out / name).write_text(text, encoding="utf-8")
 
 
+def find_sources(tree: Path, patterns: Iterable[str] = SOFTWARE_SOURCES) -> list[Path]:
+    """Return the files of a tree that match any of the patterns, sorted."""
+    return sorted(path for pattern in patterns for path in tree.glob(pattern))
+
+
 def copy_sources(out: Path) -> None:
     """Copy the sources into a folder, without tables, fixed-point code and learned policy."""
     with resources.as_file(SOURCE_FOLDER) as sources:
@@ -103,9 +112,8 @@ def copy_sources(out: Path) -> None:
 def copy_fixed_point(out: Path) -> None:
     """Copy the fixed-point sources into a tree."""
     with resources.as_file(SOURCE_FOLDER) as sources:
-        shutil.copytree(sources / "fixed", out / "fixed", dirs_exist_ok=True)
-        (out / "check").mkdir(exist_ok=True)
-        shutil.copy(sources / "check" / "selftest_fixed.c", out / "check")
+        for name in ("fixed_point", "check/programs"):
+            shutil.copytree(sources / name, out / name, dirs_exist_ok=True)
 
 
 def render_gains_source(controller: FlightController) -> str:
@@ -115,7 +123,7 @@ def render_gains_source(controller: FlightController) -> str:
         raise InputError("rate_Hz", f"{rate:g}", "is not a whole number", "design for a whole rate")
     lines = [
         f"/* The numbers of {escape_comment(controller.vehicle_name)}, made by mufly {__version__}; do not edit. */",
-        '#include "controllers.h"',
+        '#include "flight/controllers.h"',
         "",
         f"const int32_t mufly_rate_Hz = {round(rate)};",
         f"const int32_t mufly_position_divider = {controller.position_divider};",

@@ -1,4 +1,4 @@
-"""Tables of the fixed-point control law, and controllers that the exported code (``fixed/fixed_law.c``) computes.
+"""Tables of the fixed-point control law, and controllers that the exported code (``fixed_point_law.c``) computes.
 
 :mod:`mufly.firmware.fixed_point.fixed_point_design` defines coefficients, rows and bounds; :mod:`mufly.control.law`
 defines the law. Its reference in Python, equal bit for bit, is ``tests/firmware/fixed_law_reference.py``.
@@ -20,7 +20,12 @@ from mufly.compiled.toolchain import find_compiler
 from mufly.control import FlightController
 from mufly.errors import InputError
 from mufly.estimate import Estimate
-from mufly.firmware.export.source_export import copy_fixed_point, escape_comment
+from mufly.firmware.export.source_export import (
+    FIXED_POINT_SOURCES,
+    FIXED_POINT_TABLES,
+    copy_fixed_point,
+    escape_comment,
+)
 from mufly.firmware.fixed_point.fixed_point_design import (
     ERROR_LIMITS,
     FRACTION_BITS,
@@ -40,7 +45,7 @@ _INT32_RANGE = (-(1 << 31), (1 << 31) - 1)
 
 
 # ----------------------------------------------------------------------------
-# Tables with the fields of the C structs in fixed_law.h.
+# Tables with the fields of the C structs in fixed_point_law.h.
 
 
 def fixed_point_gains(controller: FlightController, law: FixedPointLaw) -> _GainsTable:
@@ -141,7 +146,8 @@ def render_fixed_point_tables(controller: FlightController, law: FixedPointLaw) 
             f"{proof.sums.max():.2f} of 64."
         )
     lines += [
-        " */", '#include "fixed_law.h"', "", f"const int32_t mufly_fixed_rate_Hz = {round(controller.rate_Hz)};",
+        " */", '#include "fixed_point/fixed_point_law.h"', "",
+        f"const int32_t mufly_fixed_rate_Hz = {round(controller.rate_Hz)};",
         f"const int32_t mufly_fixed_position_divider = {controller.position_divider};", "",
         f"const fixed_gains_t mufly_fixed_gains = {_c_initialiser(fixed_point_gains(controller, law), 0)};", "",
     ]  # fmt: skip
@@ -164,10 +170,10 @@ def _c_initialiser(value: Any, depth: int) -> str:
 
 
 def export_fixed_point(controller: FlightController, out: Path) -> FixedPointLaw:
-    """Write the fixed-point law with its tables into ``fixed/`` of an exported tree, and return the law."""
+    """Write the fixed-point law with its tables into ``fixed_point/`` of an exported tree, and return the law."""
     law = quantise_law(controller)
     copy_fixed_point(out)
-    (out / "fixed" / "tables_fixed.c").write_text(render_fixed_point_tables(controller, law), encoding="utf-8")
+    (out / FIXED_POINT_TABLES).write_text(render_fixed_point_tables(controller, law), encoding="utf-8")
     return law
 
 
@@ -181,9 +187,9 @@ def _load_fixed_library(text: str, cc: str) -> tuple[cffi.FFI, Any]:
     with tempfile.TemporaryDirectory(prefix="mufly-fixed-") as folder:
         tree = Path(folder) / "fw"
         copy_fixed_point(tree)
-        (tree / "fixed" / "tables_fixed.c").write_text(text, encoding="utf-8")
-        library = build_library(tree / "fixed", cc=cc)
-        ffi.cdef(cffi_declarations(tree / "fixed"))
+        (tree / FIXED_POINT_TABLES).write_text(text, encoding="utf-8")
+        library = build_library(tree, cc=cc, patterns=FIXED_POINT_SOURCES)
+        ffi.cdef(cffi_declarations(tree, patterns=FIXED_POINT_SOURCES))
         return ffi, ffi.dlopen(str(library))
 
 

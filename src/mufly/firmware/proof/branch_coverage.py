@@ -18,7 +18,9 @@ import numpy as np
 from mufly.compiled.toolchain import COMPILER_FLAGS
 from mufly.control import FlightController, design_flight_controller
 from mufly.estimate import filter_backend
+from mufly.estimate.filter.c_records import RECORDS_HEADER
 from mufly.firmware.compiled_software import FirmwareSoftware
+from mufly.firmware.export.source_export import FIXED_POINT_SOURCES, SOFTWARE_SOURCES, find_sources
 from mufly.firmware.fixed_point import fixed_point_law
 from mufly.firmware.fixed_point.fixed_point_design import quantise_law
 from mufly.firmware.host_build import Firmware, cffi_declarations
@@ -62,13 +64,11 @@ def build_instrumented(folder: Path) -> Path:
         "--coverage",
         "-fPIC",
         "-I.",
-        "-Ifixed",
-        "-Icheck",
         "-DFUZZ_FIXED",
         "-DFUZZ_MISSION",
     ]
     objects = []
-    for source in (*folder.glob("*.c"), *folder.glob("fixed/*.c"), folder / "check" / "fuzz.c"):
+    for source in find_sources(folder, (*SOFTWARE_SOURCES, *FIXED_POINT_SOURCES, "check/programs/fuzz.c")):
         name = source.relative_to(folder).with_suffix("")
         run_compiler([*flags, "-DFUZZ_ESTIMATE", "-c", f"{name}.c", "-o", f"{name}.o"], folder)
         objects.append(f"{name}.o")
@@ -87,7 +87,7 @@ def run_coverage_workload(folder: Path, vehicle: Vehicle) -> None:
     firmware.ffi.cdef("int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);")
     firmware.lib = firmware.ffi.dlopen(library)
     fixed_ffi = cffi.FFI()
-    fixed_ffi.cdef(cffi_declarations(folder / "fixed"))
+    fixed_ffi.cdef(cffi_declarations(folder, patterns=FIXED_POINT_SOURCES))
     whole = quantise_law(controller)
 
     class Flown(FirmwareSoftware):
@@ -101,7 +101,7 @@ def run_coverage_workload(folder: Path, vehicle: Vehicle) -> None:
     changed: Any = fixed_point_law
     changed._loaded = lambda text, cc: (fixed_ffi, fixed_ffi.dlopen(library))
     kept: Any = filter_backend._load_filter_library
-    records = (folder / "records.h").read_text(encoding="utf-8")
+    records = (folder / RECORDS_HEADER).read_text(encoding="utf-8")
 
     def load_instrumented_filter(asked: str, flags: Any = COMPILER_FLAGS) -> Any:
         ffi, lib = kept(asked, flags)

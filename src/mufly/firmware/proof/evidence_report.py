@@ -14,7 +14,7 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,13 @@ from mufly.compiled.toolchain import COMPILER_FLAGS
 from mufly.control import design_flight_controller
 from mufly.errors import MuflyError
 from mufly.firmware.export.estimate_tables import render_estimator_files
-from mufly.firmware.export.source_export import export_firmware
+from mufly.firmware.export.source_export import (
+    FIXED_POINT_SOURCES,
+    ONBOARD_SOURCES,
+    SOFTWARE_SOURCES,
+    export_firmware,
+    find_sources,
+)
 from mufly.firmware.fixed_point.fixed_point_design import measure_cascade_loss, quantise_law
 from mufly.firmware.fixed_point.fixed_point_flights import fly_fixed_point
 from mufly.firmware.fixed_point.fixed_point_law import export_fixed_point
@@ -168,11 +174,8 @@ def measure_board_image(vehicle: Vehicle) -> dict[str, int]:
         folder = Path(temporary) / "fw"
         mission = load_mission("demonstration")
         export_firmware(design_flight_controller(vehicle), folder, vehicle, mission.world, mission)
-        for pattern in ("onboard/*/*.[ch]", "boards/*.[ch]", "boards/stm32/*.[ch]"):
-            for source in folder.glob(pattern):
-                text = source.read_text(encoding="utf-8").replace('"../board.h"', '"board.h"')
-                (folder / source.name).write_text(text, encoding="utf-8")
-        objects = compile_objects(folder, SINGLE_PRECISION_BUILD, CORTEX_M4_FLAGS)
+        board = (*SOFTWARE_SOURCES, *ONBOARD_SOURCES, "boards/*.c", "boards/stm32/*.c")
+        objects = compile_objects(folder, replace(SINGLE_PRECISION_BUILD, source_patterns=board), CORTEX_M4_FLAGS)
         flash, ram = measure_code_size(objects)
         return {"flash": flash, "ram": ram, "stack": find_deepest_stack(objects, "main")}
 
@@ -185,7 +188,7 @@ def _report_memory(vehicle: Vehicle, out: Path) -> EvidenceSection:
         objects = compile_objects(folder, SINGLE_PRECISION_BUILD, CORTEX_M4_FLAGS)
         flash, _ = measure_code_size(objects)
         (folder / "sizes.c").write_text(
-            '#include "software.h"\n#include "ekf_step.h"\n'
+            '#include "flight/flight_software.h"\n#include "estimate/filter/ekf_step.h"\n'
             "software_t software; estimator_t estimator; estimate_t belief;\n",
             encoding="utf-8",
         )
@@ -292,7 +295,7 @@ def _export_tree(vehicle: Vehicle, folder: Path) -> list[str]:
     controller = design_flight_controller(vehicle)
     export_firmware(controller, folder, vehicle)
     export_fixed_point(controller, folder)
-    return sorted(str(p.relative_to(folder)) for p in (*folder.glob("*.c"), *folder.glob("fixed/*.c")))
+    return [str(p.relative_to(folder)) for p in find_sources(folder, (*SOFTWARE_SOURCES, *FIXED_POINT_SOURCES))]
 
 
 def _report_misra(vehicle: Vehicle, out: Path) -> EvidenceSection:
@@ -303,7 +306,7 @@ def _report_misra(vehicle: Vehicle, out: Path) -> EvidenceSection:
         command = [
             "cppcheck", "--addon=misra", "--std=c99", "--platform=unix32", "-DMUFLY_FLOAT",
             "-UMUFLY_DECLARATIONS", "-I.",
-            "-Ifixed", "--suppress=missingIncludeSystem", "--template={file}:{line}: {id}: {message}", "-q", *sources,
+            "--suppress=missingIncludeSystem", "--template={file}:{line}: {id}: {message}", "-q", *sources,
         ]  # fmt: skip
         said = subprocess.run(command, cwd=folder, capture_output=True, text=True).stderr
         reasons = parse_deviations((folder / "check" / "deviations.txt").read_text(encoding="utf-8"))
@@ -347,7 +350,6 @@ def _report_compilers(vehicle: Vehicle, out: Path) -> EvidenceSection:
             "-Wdouble-promotion",
             "-fanalyzer",
             "-I.",
-            "-Ifixed",
         ]
         warnings: dict[str, list[str]] = {}
         for kind, more in (("double", []), ("single", ["-DMUFLY_FLOAT"])):
@@ -437,8 +439,7 @@ def explain_gaps(folder: Path, files: dict[str, list[tuple[int, int, int]]]) -> 
     known = parse_deviations((folder / "check" / "branches.txt").read_text(encoding="utf-8"))
     gaps = []
     for name, lines in sorted(files.items()):
-        place = next((p for p in (folder / name, folder / "check" / name) if p.exists()), None)
-        text = place.read_text(encoding="utf-8").splitlines() if place else []
+        text = (folder / name).read_text(encoding="utf-8").splitlines()
         for line, n, k in lines:
             if k < n:
                 said = text[line - 1] if line <= len(text) else ""

@@ -1,8 +1,8 @@
 """Fuzz the exported code: libFuzzer searches for inputs that crash the code or cause undefined behaviour.
 
-The harness (``check/fuzz.c``) converts bytes to readings, estimates, commands, missions, flash contents and bytes of
-link and receiver. Clang's address and undefined-behaviour sanitizers end the run at faults that would go unnoticed on a
-board.
+The harness (``check/programs/fuzz.c``) converts bytes to readings, estimates, commands, missions, flash contents and
+bytes of link and receiver. Clang's address and undefined-behaviour sanitizers end the run at faults that would go
+unnoticed on a board.
 """
 
 from __future__ import annotations
@@ -16,7 +16,14 @@ from pathlib import Path
 
 from mufly.control import design_flight_controller
 from mufly.errors import MuflyError
-from mufly.firmware.export.source_export import BOARD_INCLUDE_FLAGS, export_firmware
+from mufly.firmware.export.source_export import (
+    FIXED_POINT_SOURCES,
+    FIXED_POINT_TABLES,
+    ONBOARD_SOURCES,
+    SOFTWARE_SOURCES,
+    export_firmware,
+    find_sources,
+)
 from mufly.firmware.fixed_point.fixed_point_law import export_fixed_point
 from mufly.firmware.proof.sil_pil import run_compiler
 from mufly.mission import load_mission
@@ -26,7 +33,7 @@ from mufly.vehicle import Vehicle
 _FUZZER_FLAGS = (
     "-std=gnu99", "-g", "-O1", "-ffp-contract=off", "-fno-math-errno",
     "-fsanitize=fuzzer,address,undefined,float-cast-overflow", "-fno-sanitize-recover=all",
-    *BOARD_INCLUDE_FLAGS, "-Icheck", "-Ifixed",
+    "-I.",
 )  # fmt: skip
 
 
@@ -110,8 +117,8 @@ def run_fuzzer(folder: Path, *, seconds: float, seed: int = 1, link_only: bool =
     """Build and run the harness with the parts present in an exported tree; store new inputs in its ``corpus/``."""
     (folder / "corpus").mkdir(exist_ok=True)
     there = {
-        "controllers": True, "avoidance": True, "whole numbers": (folder / "fixed" / "tables_fixed.c").exists(),
-        "flight software": (folder / "software.c").exists(),
+        "controllers": True, "avoidance": True, "whole numbers": (folder / FIXED_POINT_TABLES).exists(),
+        "flight software": (folder / "flight" / "flight_software.c").exists(),
         "estimator": (folder / "estimate_tables.c").exists(),
         "link": (folder / "plan.c").exists(),
     }  # fmt: skip
@@ -126,9 +133,8 @@ def run_fuzzer(folder: Path, *, seconds: float, seed: int = 1, link_only: bool =
     flags = ["clang", *_FUZZER_FLAGS, *(flag for part, flag in define.items() if there[part])]
     flags += ["-DFUZZ_ONLY=fuzz_link"] if link_only else []
     objects = []
-    parts = (folder / "boards" / "board.c", *folder.glob("check/*_model.c"))
-    board = (*folder.glob("onboard/*/*.c"), *parts) if there["link"] else ()
-    for source in sorted((*folder.glob("*.c"), *folder.glob("fixed/*.c"), *board, folder / "check" / "fuzz.c")):
+    board = (*ONBOARD_SOURCES, "boards/board.c", "check/models/*_model.c") if there["link"] else ()
+    for source in find_sources(folder, (*SOFTWARE_SOURCES, *FIXED_POINT_SOURCES, *board, "check/programs/fuzz.c")):
         made = source.with_suffix(".fuzz.o")
         if source.stem == "fuzz" or not made.exists() or made.stat().st_mtime_ns < source.stat().st_mtime_ns:
             run_compiler([*flags, "-c", str(source), "-o", str(made)], folder)

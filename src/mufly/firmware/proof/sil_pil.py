@@ -29,7 +29,12 @@ from mufly.errors import MuflyError
 from mufly.estimate import Estimate, Estimator, KalmanEstimator
 from mufly.estimate.filter.c_records import PYTHON_ONLY_FIELDS
 from mufly.firmware.compiled_software import ComparedSoftware, make_compared_software
-from mufly.firmware.export.source_export import export_firmware
+from mufly.firmware.export.source_export import (
+    FIXED_POINT_SOURCES,
+    SOFTWARE_SOURCES,
+    export_firmware,
+    find_sources,
+)
 from mufly.firmware.fixed_point.fixed_point_law import export_fixed_point
 from mufly.firmware.host_build import Firmware, FirmwareControllers
 from mufly.firmware.proof.proof_flights import add_random_obstacle, draw_conditions, resume_flights
@@ -51,23 +56,20 @@ class ArithmeticBuild:
 
     Attributes
     ----------
-    source_pattern : str
-        Pattern of its C files in the tree.
+    source_patterns : tuple of str
+        Patterns of its C files in the tree.
     compiler_flags : tuple of str
         Flags for every compiler.
-    include_folders : tuple of str
-        Include folders within the tree.
     ram_size : str
         RAM of the smallest board, as the linker limit of all boards.
     self_tests : dict
-        Programs of ``check/``, and name prefixes of the measured functions.
+        Programs of ``check/programs/``, and name prefixes of the measured functions.
     emulated_boards : dict
         Processor flags and instructions per tick of the board's clock, by board.
     """
 
-    source_pattern: str
+    source_patterns: tuple[str, ...]
     compiler_flags: tuple[str, ...]
-    include_folders: tuple[str, ...]
     ram_size: str
     self_tests: Mapping[str, tuple[str, str]]
     emulated_boards: Mapping[str, tuple[tuple[str, ...], float]]
@@ -78,16 +80,15 @@ CORTEX_M4_FLAGS = (
     "-Os", "-fno-move-loop-invariants", "-fno-schedule-insns2", "-fno-expensive-optimizations", "-fno-reorder-blocks",
 )  # fmt: skip
 """Target and optimisation: without these four passes, GCC's code takes 1.8 % less flash and no more instructions."""
-SPEED_OPTIMISED_SOURCES = ("linear.c",)
+SPEED_OPTIMISED_SOURCES = ("control/linear.c",)
 """Sources built with ``-O2``, which saves instructions there. Elsewhere ``-Os`` needs no more, in 80 % of the flash."""
 SINGLE_PRECISION_BUILD = ArithmeticBuild(
-    source_pattern="*.c",
+    source_patterns=SOFTWARE_SOURCES,
     compiler_flags=("-DMUFLY_FLOAT",),
-    include_folders=(".",),
     ram_size="64K",
     self_tests={
         "law": ("selftest", "controllers_"),
-        "flight": ("flight", "software_"),
+        "flight": ("selftest_flight", "software_"),
         "estimator": ("selftest_estimate", "estimator_"),
     },
     emulated_boards={
@@ -98,9 +99,8 @@ SINGLE_PRECISION_BUILD = ArithmeticBuild(
 """Build in single precision, for processors with a floating-point unit."""
 
 FIXED_POINT_BUILD = ArithmeticBuild(
-    source_pattern="fixed/*.c",
+    source_patterns=FIXED_POINT_SOURCES,
     compiler_flags=(),
-    include_folders=("fixed", "check"),
     ram_size="16K",
     self_tests={"law": ("selftest_fixed", "fixed_")},
     emulated_boards={
@@ -418,7 +418,7 @@ def law_instructions(
         for k, controller in enumerate(controllers):
             folder = Path(temporary) / str(k)
             export_firmware(controller, folder, vehicle)
-            for source in folder.glob("*.c"):
+            for source in find_sources(folder):
                 if source.name not in _LAW_SOURCES:
                     source.unlink()
             compile_objects(folder, how, cpu)
@@ -478,17 +478,16 @@ def _compiler_command(folder: Path, how: ArithmeticBuild, cpu: tuple[str, ...], 
     """Return the compiler command for the emulated ``cpu``; for this machine if empty."""
     there = ("arm-none-eabi-gcc", *COMPILER_FLAGS, *cpu, "-mthumb", "-ffreestanding", "-nostdlib")
     cc = there if cpu else (find_compiler(), *COMPILER_FLAGS)
-    return [
-        *cc,
-        *how.compiler_flags,
-        *(f"-I{folder / name}" for name in how.include_folders),
-        *map(str, more),
-    ]
+    return [*cc, *how.compiler_flags, f"-I{folder}", *map(str, more)]
+
+
+def _selftest_sources(test: str, platform: str) -> tuple[str, str]:
+    return f"check/programs/{test}.c", f"check/platforms/platform_{platform}.c"
 
 
 def _build_host_selftest(folder: Path, how: ArithmeticBuild, test: str) -> Path:
     out = folder / test
-    parts = (*sorted(folder.glob(how.source_pattern)), f"check/{test}.c", "check/platform_host.c")
+    parts = (*find_sources(folder, how.source_patterns), *_selftest_sources(test, "host"))
     run_compiler(_compiler_command(folder, how, (), *parts, "-o", out, "-lm"), folder)
     return out
 
@@ -498,8 +497,8 @@ def compile_objects(folder: Path, how: ArithmeticBuild, cpu: tuple[str, ...]) ->
     objects = folder / cpu[0].removeprefix("-mcpu=")
     objects.mkdir()
     told = ("-fstack-usage", "-fdump-rtl-expand", "-c")
-    sources = sorted(folder.glob(how.source_pattern))
-    quick = [c for c in sources if c.name in SPEED_OPTIMISED_SOURCES]
+    sources = find_sources(folder, how.source_patterns)
+    quick = [c for c in sources if str(c.relative_to(folder)) in SPEED_OPTIMISED_SOURCES]
     run_compiler(_compiler_command(folder, how, cpu, *told, *(c for c in sources if c not in quick)), objects)
     if quick:
         run_compiler(_compiler_command(folder, how, cpu, "-O2", *told, *quick), objects)
@@ -509,13 +508,13 @@ def compile_objects(folder: Path, how: ArithmeticBuild, cpu: tuple[str, ...]) ->
 def _link_selftest(folder: Path, how: ArithmeticBuild, cpu: tuple[str, ...], test: str) -> Path:
     objects = folder / cpu[0].removeprefix("-mcpu=")
     script = (
-        (folder / "check" / "cortex_m4.ld")
+        (folder / "check" / "platforms" / "cortex_m4.ld")
         .read_text(encoding="utf-8")
         .replace("LENGTH = 64K", f"LENGTH = {how.ram_size}")
     )
     (objects / "board.ld").write_text(script, encoding="utf-8")
     out = objects / f"{test}.elf"
-    parts = (*sorted(objects.glob("*.o")), f"check/{test}.c", "check/platform_cortex_m4.c")
+    parts = (*sorted(objects.glob("*.o")), *_selftest_sources(test, "cortex_m4"))
     run_compiler(_compiler_command(folder, how, cpu, *parts, "-T", objects / "board.ld", "-o", out, "-lgcc"), folder)
     return out
 

@@ -3,8 +3,8 @@
 #ifndef MUFLY_HAL_H
 #define MUFLY_HAL_H
 
-#include "ekf_step.h"
-#include "software.h"
+#include "estimate/filter/ekf_step.h"
+#include "flight/flight_software.h"
 
 /* Readings since the previous period, in sequence at the offsets STARTS of records.h. Readings that are not new are
  * ignored. */
@@ -46,14 +46,14 @@ int32_t hal_read_bytes(uint8_t *to, int32_t most);
 /* Hand bytes to the link's UART; return how many it takes, without waiting. */
 int32_t hal_write_bytes(const uint8_t *from, int32_t count);
 
-/* Receiver of a pilot's transmitter, RC_... of onboard/rc_frames.h: RC_CRSF at 420000 baud, 8N1; RC_SBUS at 100000 baud, 8E2,
+/* Receiver of a pilot's transmitter, RC_... of onboard/receiver/rc_frames.h: RC_CRSF at 420000 baud, 8N1; RC_SBUS at 100000 baud, 8E2,
  * inverted. */
 int32_t hal_rc_kind(void);
 
 /* Take up to most bytes that the receiver's UART has received; return their number, without waiting. */
 int32_t hal_read_rc(uint8_t *to, int32_t most);
 
-/* Two sectors of flash for settings (onboard/storage.h). Words in a sector; 0: the board has no such storage. */
+/* Two sectors of flash for settings (onboard/storage/storage.h). Words in a sector; 0: the board has no such storage. */
 int32_t hal_flash_words(void);
 
 /* Word of sector 0 or 1. */

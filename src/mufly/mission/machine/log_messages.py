@@ -1,7 +1,7 @@
 """Templates of the mission's log messages, with numbers to fill in.
 
 On board (:mod:`mufly.firmware`) a log entry is the index of its template here and the numbers; the ground station
-formats the same text from them. The order is that of ``words.h``.
+formats the same text from them. The order is that of ``log_messages.h``.
 """
 
 from __future__ import annotations

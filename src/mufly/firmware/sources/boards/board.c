@@ -1,4 +1,4 @@
-#include "board.h"
+#include "boards/board.h"
 
 #include <stddef.h>
 

@@ -2,13 +2,13 @@
 #ifndef MUFLY_BOARD_H
 #define MUFLY_BOARD_H
 
-#include "fault_record.h"
-#include "flight_log.h"
 #include "hal.h"
-#include "rc.h"
-#include "settings.h"
-#include "supervisor.h"
-#include "vehicle_link.h"
+#include "onboard/link/vehicle_link.h"
+#include "onboard/log/flight_log.h"
+#include "onboard/receiver/rc.h"
+#include "onboard/storage/fault_record.h"
+#include "onboard/storage/settings.h"
+#include "onboard/supervisor/supervisor.h"
 
 typedef struct {
     estimator_t estimator;

@@ -1,4 +1,4 @@
-#include "policy.h"
+#include "policy/policy.h"
 
 #define COLLECTIVE_SPAN REAL(0.3)
 #define TURN_SPAN REAL(0.15)

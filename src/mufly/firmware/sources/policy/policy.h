@@ -5,8 +5,8 @@
 #ifndef MUFLY_POLICY_H
 #define MUFLY_POLICY_H
 
-#include "controllers.h"
-#include "policy_numbers.h"
+#include "flight/controllers.h"
+#include "policy/policy_numbers.h"
 
 #define POLICY_ACTION_SIZE 4
 

@@ -1,4 +1,4 @@
-#include "four_motors.h"
+#include "boards/crazyflie/four_motors.h"
 
 void four_motors_mix(const four_motors_t *g, const actuators_t *in, real_t out[4])
 {

@@ -2,7 +2,7 @@
 #ifndef MUFLY_FOUR_MOTORS_H
 #define MUFLY_FOUR_MOTORS_H
 
-#include "controllers.h"
+#include "flight/controllers.h"
 
 /* Change of a motor's input by full yaw (the difference of both motors is 1), pitch and roll. */
 typedef struct {

@@ -1,4 +1,4 @@
-#include "exchange.h"
+#include "boards/qemu/exchange.h"
 
 void merge_readings(hal_readings_t *to, const hal_readings_t *from)
 {

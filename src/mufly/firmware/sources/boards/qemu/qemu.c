@@ -4,10 +4,10 @@
  *
  * The exchange goes through semihosting, on the standard input and output of QEMU: one call moves a whole record, while a
  * UART of the emulated board takes one byte per turn of QEMU's main loop. The program ends when its input ends. */
-#include "../../check/platform.h"
-#include "../../check/semihosting.h"
-#include "../board.h"
-#include "exchange.h"
+#include "boards/board.h"
+#include "boards/qemu/exchange.h"
+#include "check/platforms/platform.h"
+#include "check/platforms/semihosting.h"
 
 #define HANDLE_NONE 0xFFFFFFFFU
 #define MODE_READ 1U  /* "rb" */

@@ -1,7 +1,7 @@
 /* Clock, resets, watchdog, timers, pins. */
-#include "fault_record.h"
-#include "pins.h"
-#include "stm32f405.h"
+#include "boards/stm32/pins.h"
+#include "boards/stm32/stm32f405.h"
+#include "onboard/storage/fault_record.h"
 
 #define PATIENCE 200000U /* iterations of a wait; the crystal takes 2 ms of the 16 MHz at the start */
 #define INTERNAL_HZ 16000000U

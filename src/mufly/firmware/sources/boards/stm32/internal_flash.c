@@ -1,6 +1,6 @@
 /* Two sectors of the internal flash. While the flash programs or erases, up to 0.8 s, the processor cannot read it: the code that
  * waits and feeds the watchdog lies in RAM (.fast), and interrupts, whose code lies in flash, are held. */
-#include "stm32f405.h"
+#include "boards/stm32/stm32f405.h"
 
 #define FIRST_SECTOR 2U
 #define FIRST_ADDRESS (FLASH_MEMORY + 0x8000U)

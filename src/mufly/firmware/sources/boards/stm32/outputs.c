@@ -1,6 +1,6 @@
 /* Motors by DShot300 (timer 8 with DMA 2, streams 2 and 3), servos (timer 3), battery (ADC 1). */
-#include "pins.h"
-#include "stm32f405.h"
+#include "boards/stm32/pins.h"
+#include "boards/stm32/stm32f405.h"
 
 #define SERVO_FRAME_US 20000U
 #define SERVO_MIDDLE_US 1500U

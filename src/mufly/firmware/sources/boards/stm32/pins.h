@@ -2,7 +2,7 @@
 #ifndef MUFLY_PINS_H
 #define MUFLY_PINS_H
 
-#include "registers.h"
+#include "boards/stm32/registers.h"
 
 #define IMU_SELECT_PORT GPIO_C /* chip selects, active low */
 #define IMU_SELECT_PIN 2U

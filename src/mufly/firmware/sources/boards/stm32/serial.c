@@ -1,5 +1,5 @@
 /* Serial ports, by interrupts: QEMU's STM32F405 has no DMA, and the same driver runs there. */
-#include "stm32f405.h"
+#include "boards/stm32/stm32f405.h"
 
 static void enable_interrupt(uint32_t number)
 {

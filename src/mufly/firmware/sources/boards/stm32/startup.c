@@ -1,7 +1,7 @@
 /* Vector table, start and faults of the STM32F405. */
 #include <stddef.h>
 
-#include "registers.h"
+#include "boards/stm32/registers.h"
 
 #define INTERRUPTS 82
 

@@ -1,11 +1,11 @@
 /* hal.h for a flight controller with an STM32F405, without any vendor's code: the drivers of onboard/drivers on its buses and
  * timers. What is left to the board is marked TODO; what nobody connects answers as absent. */
-#include "../board.h"
-#include "actuator_outputs.h"
-#include "pins.h"
-#include "sd_card.h"
-#include "sensor_suite.h"
-#include "stm32f405.h"
+#include "boards/board.h"
+#include "boards/stm32/pins.h"
+#include "boards/stm32/stm32f405.h"
+#include "onboard/drivers/actuator_outputs.h"
+#include "onboard/drivers/sd_card.h"
+#include "onboard/drivers/sensor_suite.h"
 
 #include <stddef.h>
 

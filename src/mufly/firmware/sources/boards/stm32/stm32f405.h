@@ -2,7 +2,7 @@
 #ifndef MUFLY_STM32F405_H
 #define MUFLY_STM32F405_H
 
-#include "registers.h"
+#include "boards/stm32/registers.h"
 
 #define FULL_SPEED_HZ 168000000U
 #define SERIAL_RING 256U

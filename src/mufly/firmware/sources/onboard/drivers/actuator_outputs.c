@@ -1,4 +1,4 @@
-#include "actuator_outputs.h"
+#include "onboard/drivers/actuator_outputs.h"
 
 #define DSHOT_LEAST 48 /* lower values are commands, not throttles */
 #define DSHOT_MOST 2047

@@ -1,4 +1,4 @@
-#include "bmp280.h"
+#include "onboard/drivers/bmp280.h"
 
 #define CALIBRATION 0x88U
 #define CALIBRATION_BYTES 24

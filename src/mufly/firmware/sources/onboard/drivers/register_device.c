@@ -1,4 +1,4 @@
-#include "register_device.h"
+#include "onboard/drivers/register_device.h"
 
 #include <stddef.h>
 

@@ -1,4 +1,4 @@
-#include "sd_card.h"
+#include "onboard/drivers/sd_card.h"
 
 #include <stddef.h>
 

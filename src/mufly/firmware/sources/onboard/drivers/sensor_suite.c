@@ -1,4 +1,4 @@
-#include "sensor_suite.h"
+#include "onboard/drivers/sensor_suite.h"
 
 #define STANDARD_PRESSURE REAL(101325.0) /* readings of pressure are differences to it (Pa) */
 #define CALLS_OF_IMU 3 /* begin a transfer and take its data within a period where the bus is fast enough */

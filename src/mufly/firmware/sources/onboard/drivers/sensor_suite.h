@@ -2,11 +2,11 @@
 #ifndef MUFLY_SENSOR_SUITE_H
 #define MUFLY_SENSOR_SUITE_H
 
-#include "bmp280.h"
 #include "hal.h"
-#include "icm42688.h"
-#include "srf10.h"
-#include "vl53l1x.h"
+#include "onboard/drivers/bmp280.h"
+#include "onboard/drivers/icm42688.h"
+#include "onboard/drivers/srf10.h"
+#include "onboard/drivers/vl53l1x.h"
 
 /* What measures the range downwards: R_SONAR of the readings. */
 enum { RANGING_SRF10, RANGING_VL53L1X };

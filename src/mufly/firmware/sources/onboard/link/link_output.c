@@ -1,4 +1,4 @@
-#include "link_output.h"
+#include "onboard/link/link_output.h"
 
 #define TEXT_CHUNK 50
 

@@ -2,7 +2,7 @@
 #ifndef MUFLY_LINK_OUTPUT_H
 #define MUFLY_LINK_OUTPUT_H
 
-#include "vehicle_link.h"
+#include "onboard/link/vehicle_link.h"
 
 #define VEHICLE_SYSTEM 1U
 #define VEHICLE_COMPONENT 1U

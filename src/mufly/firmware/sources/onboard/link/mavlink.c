@@ -1,4 +1,4 @@
-#include "mavlink.h"
+#include "onboard/link/mavlink.h"
 
 #define START_OF_FRAME 0xFDU
 #define HEADER 10

@@ -1,8 +1,8 @@
-#include "steering_input.h"
+#include "onboard/link/steering_input.h"
 
-#include "command_protocol.h"
-#include "mission_protocol.h"
-#include "rc.h"
+#include "onboard/link/protocols/command_protocol.h"
+#include "onboard/link/protocols/mission_protocol.h"
+#include "onboard/receiver/rc.h"
 
 static const user_request_t no_request;
 

@@ -2,7 +2,7 @@
 #ifndef MUFLY_STEERING_INPUT_H
 #define MUFLY_STEERING_INPUT_H
 
-#include "vehicle_link.h"
+#include "onboard/link/vehicle_link.h"
 
 void handle_steering(const link_t *k, const link_vehicle_t *v, const mavlink_message_t *m);
 

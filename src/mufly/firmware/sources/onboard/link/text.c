@@ -1,4 +1,4 @@
-#include "text.h"
+#include "onboard/link/text.h"
 
 #define MAX_SHOWN REAL(1e6)
 

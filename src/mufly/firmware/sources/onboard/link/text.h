@@ -2,11 +2,11 @@
 #ifndef MUFLY_TEXT_H
 #define MUFLY_TEXT_H
 
-#include "mission_state.h"
+#include "mission/machine/mission_state.h"
 
 #define TEXT_LENGTH 100
 
-/* Templates of words.h, with numbers as {:g}, {:.2f} or {}: texts.c, made from log_messages.py of mufly.mission. */
+/* Templates of log_messages.h, with numbers as {:g}, {:.2f} or {}: texts.c, made from log_messages.py of mufly.mission. */
 extern const char *const mufly_texts[SAY_COUNT];
 
 /* Write the text of a message, ended by a zero; return its length. */

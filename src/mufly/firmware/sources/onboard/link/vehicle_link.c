@@ -1,12 +1,12 @@
-#include "vehicle_link.h"
+#include "onboard/link/vehicle_link.h"
 
-#include "command_protocol.h"
-#include "link_output.h"
-#include "mission_protocol.h"
-#include "parameter_protocol.h"
-#include "steering_input.h"
-#include "telemetry_streams.h"
-#include "text.h"
+#include "onboard/link/link_output.h"
+#include "onboard/link/protocols/command_protocol.h"
+#include "onboard/link/protocols/mission_protocol.h"
+#include "onboard/link/protocols/parameter_protocol.h"
+#include "onboard/link/protocols/telemetry_streams.h"
+#include "onboard/link/steering_input.h"
+#include "onboard/link/text.h"
 
 #define COMMANDER_TIMEOUT_S REAL(5.0)
 

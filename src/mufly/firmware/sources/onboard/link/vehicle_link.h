@@ -3,10 +3,10 @@
 #ifndef MUFLY_VEHICLE_LINK_H
 #define MUFLY_VEHICLE_LINK_H
 
-#include "ekf_step.h"
-#include "mavlink.h"
-#include "settings.h"
-#include "supervisor.h"
+#include "estimate/filter/ekf_step.h"
+#include "onboard/link/mavlink.h"
+#include "onboard/storage/settings.h"
+#include "onboard/supervisor/supervisor.h"
 
 #define LINK_INPUT 64   /* bytes taken in a period */
 #define LINK_OUTPUT 1024 /* bytes waiting to be sent */

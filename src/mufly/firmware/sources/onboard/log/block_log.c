@@ -1,6 +1,6 @@
-#include "block_log.h"
+#include "onboard/log/block_log.h"
 
-#include "storage.h"
+#include "onboard/storage/storage.h"
 
 #define PAYLOAD_BITS 0xFFFFU
 #define MAX_BAD_IN_ROW 16     /* more than the blocks of a sector of flash that a cut left half-written */

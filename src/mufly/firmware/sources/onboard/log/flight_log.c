@@ -1,6 +1,6 @@
-#include "flight_log.h"
+#include "onboard/log/flight_log.h"
 
-#include "text.h"
+#include "onboard/link/text.h"
 
 #define ROWS_PER_S 50
 #define MESSAGE_HEAD 3 /* bytes of size and type before each message */

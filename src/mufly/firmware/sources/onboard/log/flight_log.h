@@ -3,7 +3,7 @@
 #ifndef MUFLY_FLIGHT_LOG_H
 #define MUFLY_FLIGHT_LOG_H
 
-#include "block_log.h"
+#include "onboard/log/block_log.h"
 
 #define LOG_HEAD_PART 96 /* bytes of the definitions in a period */
 

@@ -1,4 +1,4 @@
-#include "rc.h"
+#include "onboard/receiver/rc.h"
 
 #define DEADBAND REAL(0.03)
 #define SWITCH_ON REAL(0.4)  /* deflection */

@@ -3,8 +3,8 @@
 #ifndef MUFLY_RC_H
 #define MUFLY_RC_H
 
-#include "rc_frames.h"
-#include "supervisor.h"
+#include "onboard/receiver/rc_frames.h"
+#include "onboard/supervisor/supervisor.h"
 
 #define RC_INPUT 192 /* bytes taken in a period */
 #define RC_SWITCHES 3

@@ -1,4 +1,4 @@
-#include "rc_frames.h"
+#include "onboard/receiver/rc_frames.h"
 
 #define CRSF_SYNC 0xC8U
 #define CRSF_SYNC_HANDSET 0xEEU

@@ -1,4 +1,4 @@
-#include "calibration.h"
+#include "onboard/storage/calibration.h"
 
 void calibration_reset(calibration_t *c)
 {

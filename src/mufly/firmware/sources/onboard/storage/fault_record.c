@@ -1,4 +1,4 @@
-#include "fault_record.h"
+#include "onboard/storage/fault_record.h"
 
 #define MAGIC 0x6D75466CU
 

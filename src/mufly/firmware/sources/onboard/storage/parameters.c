@@ -1,4 +1,4 @@
-#include "parameters.h"
+#include "onboard/storage/parameters.h"
 
 #include <stddef.h>
 

@@ -3,9 +3,9 @@
 #ifndef MUFLY_PARAMETERS_H
 #define MUFLY_PARAMETERS_H
 
-#include "calibration.h"
-#include "rc.h"
-#include "supervisor.h"
+#include "onboard/receiver/rc.h"
+#include "onboard/storage/calibration.h"
+#include "onboard/supervisor/supervisor.h"
 
 #define PARAMETER_NAME 16
 

@@ -1,4 +1,4 @@
-#include "settings.h"
+#include "onboard/storage/settings.h"
 
 #define VERSION 1U
 #define NAME_WORDS 4

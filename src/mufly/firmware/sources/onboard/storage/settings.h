@@ -1,10 +1,10 @@
-/* What a restart keeps: parameters, calibration and mission, each a record of onboard/storage.h. Flash is written on the
+/* What a restart keeps: parameters, calibration and mission, each a record of onboard/storage/storage.h. Flash is written on the
  * floor with motors off, since an erase stops the processor; what is set in flight is stored after the landing. */
 #ifndef MUFLY_SETTINGS_H
 #define MUFLY_SETTINGS_H
 
-#include "parameters.h"
-#include "storage.h"
+#include "onboard/storage/parameters.h"
+#include "onboard/storage/storage.h"
 
 #define MAX_EXTENT_M REAL(1e4) /* of a waypoint from the origin */
 

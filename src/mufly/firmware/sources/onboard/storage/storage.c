@@ -1,4 +1,4 @@
-#include "storage.h"
+#include "onboard/storage/storage.h"
 
 #include <stddef.h>
 

@@ -1,10 +1,10 @@
-#include "supervisor.h"
+#include "onboard/supervisor/supervisor.h"
 
 #include <stddef.h>
 
-#include "ground_phases.h"
-#include "request_checks.h"
-#include "user_requests.h"
+#include "mission/machine/ground_phases.h"
+#include "mission/request_checks.h"
+#include "mission/user_requests.h"
 
 #define BATTERY_MARGIN_V REAL(0.2)
 #define MAX_ARMING_SPEED_M_S REAL(0.1)

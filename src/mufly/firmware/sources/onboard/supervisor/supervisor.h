@@ -5,7 +5,7 @@
 #ifndef MUFLY_SUPERVISOR_H
 #define MUFLY_SUPERVISOR_H
 
-#include "software.h"
+#include "flight/flight_software.h"
 
 /* Reasons against arming, as bits. */
 #define ARMING_NOT_MEASURED 1U      /* position, velocity, attitude or rates are not finite */

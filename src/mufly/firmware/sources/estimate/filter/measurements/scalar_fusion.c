@@ -1,0 +1,103 @@
+#include "estimate/filter/measurements/scalar_fusion.h"
+
+#include "estimate/filter/measurements/sensor_checks.h"
+#include "estimate/filter/strapdown.h"
+#include "estimate/filter/ud_filter.h"
+
+void h_row_begin(estimator_t *m, int32_t state, real_t h)
+{
+    m->h_terms = 1;
+    m->h_state[0] = state;
+    m->h_value[0] = h;
+}
+
+void h_row_add(estimator_t *m, int32_t state, real_t h)
+{
+    m->h_state[m->h_terms] = state;
+    m->h_value[m->h_terms] = h;
+    m->h_terms += 1;
+}
+
+/* Add an error to a state, propagated over span (s), in which push was added to the velocity without gravity. */
+static void shift_state(real_t x[STATE_COUNT], const real_t by[ERROR_STATE_COUNT], real_t span, const real_t push[3])
+{
+    real_t v[3] = {by[EX_VEL], by[EX_VEL + 1], by[EX_VEL + 2]};
+
+    if (span > REAL(0.0)) {
+        v[0] += (by[EX_ATT + 1] * push[2]) - (by[EX_ATT + 2] * push[1]);
+        v[1] += (by[EX_ATT + 2] * push[0]) - (by[EX_ATT] * push[2]);
+        v[2] += (by[EX_ATT] * push[1]) - (by[EX_ATT + 1] * push[0]);
+    }
+    for (int32_t i = 0; i < 3; i++) {
+        x[i] += by[i] + ((REAL(0.5) * span) * (by[EX_VEL + i] + v[i]));
+        x[SX_VEL + i] += v[i];
+    }
+    rotate_attitude(x, by[EX_ATT], by[EX_ATT + 1], by[EX_ATT + 2], false);
+    for (int32_t i = EX_GYRO_BIAS; i < ERROR_STATE_COUNT; i++) {
+        x[i + 1] += by[i];
+    }
+}
+
+void apply_correction(estimator_t *m, real_t innovation, real_t variance)
+{
+    ud_measurement_update(m, variance);
+    for (int32_t i = 0; i < ERROR_STATE_COUNT; i++) {
+        m->gain[i] *= innovation;
+    }
+    shift_state(m->x, m->gain, REAL(0.0), m->repropagating_velocity_gain);
+    shift_state(m->x_repropagating, m->gain, m->repropagating_span, m->repropagating_velocity_gain);
+    shift_state(m->x_now, m->gain, m->now_span, m->now_velocity_gain);
+}
+
+void fuse_scalar(estimator_t *m, real_t innovation, real_t variance)
+{
+    (void)innovation_variance(m);
+    apply_correction(m, innovation, variance);
+}
+
+real_t innovation_ratio(estimator_t *m, real_t innovation, real_t variance)
+{
+    return innovation / real_sqrt(innovation_variance(m) + variance);
+}
+
+void log_innovation(estimator_t *m, int32_t k, real_t innovation, real_t ratio)
+{
+    m->innovation[k] = innovation;
+    m->innovation_sigma[k] = (ratio != REAL(0.0)) ? real_abs(innovation / ratio) : REAL(0.0);
+}
+
+void reject_measurement(estimator_t *m, const estimator_settings_t *s, int32_t k, real_t innovation, const real_t *z,
+                      int32_t count, real_t near, int32_t why)
+{
+    bool alike = m->reject_count[k] > 0;
+
+    for (int32_t j = 0; j < count; j++) {
+        alike = alike && (real_abs(z[j] - m->rejected_value[k][j]) < near);
+        m->rejected_value[k][j] = z[j];
+    }
+    if (alike) {
+        m->agree_count[k] += 1;
+    } else {
+        m->agree_count[k] = 0;
+        m->reject_since_tick[k] = m->horizon_tick;
+    }
+    if ((k != R_SONAR) && (real_abs(innovation) > ((REAL(2.0) * INNOVATION_GATE) * m->innovation_sigma[k]))) {
+        m->reject_score[k] += REAL(1.0); /* no healthy sensor but a sonar with a second surface deviates so much */
+    }
+    mark_rejected(m, s, k, why, innovation);
+}
+
+bool reset_timeout_expired(const estimator_t *m, const estimator_settings_t *s, int32_t k)
+{
+    return (m->agree_count[k] >= 3) && (((real_t)(m->horizon_tick - m->reject_since_tick[k]) * s->dt) >= RESET_TIMEOUT_S);
+}
+
+void scale_variance(real_t *scale, real_t gain, real_t change)
+{
+    *scale = real_max(real_min(*scale * (REAL(1.0) + (gain * change)), MAX_NOISE_SCALE), MIN_NOISE_SCALE);
+}
+
+void estimate_noise(estimator_t *m, int32_t aid, real_t ratio)
+{
+    scale_variance(&m->noise_scale[aid], NOISE_GAIN_AID, real_min(ratio * ratio, MAX_SQUARED_RATIO) - REAL(1.0));
+}

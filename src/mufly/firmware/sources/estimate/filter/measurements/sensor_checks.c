@@ -1,0 +1,438 @@
+#include "estimate/filter/measurements/sensor_checks.h"
+
+#include "estimate/filter/ud_filter.h"
+
+void set_fault(estimator_t *m, const estimator_settings_t *s, int32_t k, int32_t code, int32_t why, real_t number)
+{
+    m->status[k] = code;
+    m->reason[k] = why;
+    m->fault_number[k] = number;
+    m->fault_until_tick[k] = m->tick + (int32_t)(FAULT_HOLD_S / s->dt);
+    if (k == R_FIX) {
+        m->fault_component = m->fix_component;
+    }
+}
+
+void mark_fused(estimator_t *m, int32_t k)
+{
+    m->last_fused_tick[k] = m->tick;
+    m->reject_count[k] = 0;
+    m->agree_count[k] = 0;
+    m->reject_score[k] *= REJECT_DECAY;
+    if ((m->tick >= m->fault_until_tick[k]) && (m->reject_score[k] < REAL(1.0))) {
+        m->status[k] = STATUS_FUSED;
+        m->reason[k] = REASON_NONE;
+    } else if ((m->status[k] == STATUS_REJECTED) && (m->tick >= m->fault_until_tick[k])) {
+        m->status[k] = STATUS_FUSED;
+    } else {
+        /* reported for a minimum time */
+    }
+}
+
+void mark_rejected(estimator_t *m, const estimator_settings_t *s, int32_t k, int32_t why, real_t number)
+{
+    m->reject_count[k] += 1;
+    m->reject_score[k] += REAL(1.0);
+    if (m->reject_score[k] > ((k == R_SONAR) ? SONAR_REJECT_ALARM : REJECT_ALARM)) {
+        set_fault(m, s, k, STATUS_REJECTED, why, number);
+    }
+}
+
+/* Return whether a reading equals the last one to the last bit although the sensor has noise. */
+static bool is_repeated(const estimator_t *m, const estimator_settings_t *s, const real_t *z, int32_t k, int32_t count)
+{
+    bool same = (s->has_noise[k] != 0) && (m->last_new_tick[k] != 0);
+    bool told = false;
+
+    /* A frozen camera may still follow the gyroscopes in heading. */
+    for (int32_t j = 0; (j < ((k == R_FIX) ? 3 : count)) && same; j++) {
+        same = !(z[j] != m->last_value[READING_STARTS[k] + j]);
+        told = told || (((k != R_ROTOR) || (z[j] != REAL(0.0))) &&
+                        ((k != R_RING) || (z[j] < (REAL(0.995) * s->ring_max))));
+    }
+    return same && told;
+}
+
+/* Return whether a reading is new; the second of two equal readings must come after a full period. */
+static bool is_new_sample(estimator_t *m, const estimator_settings_t *s, const real_t *z, int32_t k, int32_t count)
+{
+    const bool early = ((real_t)(m->tick - m->last_new_tick[k]) * s->dt) < (REAL(0.6) * s->sensor_period[k]);
+    bool usable = true;
+
+    if (is_repeated(m, s, z, k, count)) {
+        usable = false;
+        if (early) {
+            m->double_count[k] += 1;
+            if (m->double_count[k] >= 2) {
+                set_fault(m, s, k, m->status[k], REASON_DUPLICATED, REAL(0.0));
+            }
+        } else {
+            m->repeat_count[k] += 1;
+            m->last_new_tick[k] = m->tick;
+            m->double_count[k] = 0;
+            if (m->repeat_count[k] >= 2) {
+                set_fault(m, s, k, STATUS_FAULTY, REASON_FROZEN, (real_t)m->repeat_count[k] * s->sensor_period[k]);
+            }
+        }
+    } else {
+        m->repeat_count[k] = 0;
+        if (((s->has_noise[k] == 0) || (k == R_RING)) && (m->last_new_tick[k] > 0) && early) {
+            usable = false;
+            m->double_count[k] += 1;
+            if (m->double_count[k] >= 3) {
+                set_fault(m, s, k, m->status[k], REASON_DUPLICATED, REAL(0.0));
+            }
+        }
+    }
+    return usable;
+}
+
+/* Accept a new reading; return whether it may be used. */
+static bool accept_sample(estimator_t *m, const estimator_settings_t *s, const real_t *z, int32_t k, int32_t count, real_t age)
+{
+    bool usable = true;
+
+    m->last_new_tick[k] = m->tick;
+    m->invalid_count[k] = 0;
+    bool again = (m->status[k] >= STATUS_MISSING) && (m->tick >= m->fault_until_tick[k]);
+    if (again || ((m->status[k] == STATUS_WAITING) && (k != R_RING))) {
+        /* The ring's readings decide about its use: in a large room it detects no wall. */
+        m->status[k] = (k == R_RING) ? STATUS_WAITING : STATUS_FUSED;
+        m->reason[k] = REASON_NONE;
+    }
+    if (age > (s->latency[k] + s->latency_slack[k])) {
+        /* The others wait for the horizon, which decides whether they can be fused. */
+        set_fault(m, s, k, m->status[k], REASON_LATE, age);
+        if ((k <= R_RATES) || (k == R_ROTOR) || (k == R_BATTERY)) {
+            set_fault(m, s, k, STATUS_FAULTY, REASON_LATE, age);
+            usable = false;
+        }
+    }
+    if (s->decimation[k] > 1) {
+        m->decimation_count[k] += 1;
+        m->is_decimated[k] = ((m->decimation_count[k] % s->decimation[k]) != 0) ? 1 : 0;
+    }
+    for (int32_t j = 0; j < count; j++) {
+        m->last_value[READING_STARTS[k] + j] = z[j];
+    }
+    if ((k <= R_RATES) || (k == R_RING)) {
+        m->last_fused_tick[k] = m->tick;
+    }
+    return usable;
+}
+
+/* Filter the share of clipped samples, and report it. */
+static void check_clipping(estimator_t *m, const estimator_settings_t *s, const real_t share[3])
+{
+    real_t clip = REAL(0.0);
+
+    for (int32_t k = 0; k < 3; k++) {
+        const bool possible = (share[k] >= REAL(0.0)) && (share[k] <= REAL(1.0));
+
+        m->clip_share[k] += REAL(0.1) * ((possible ? share[k] : REAL(1.0)) - m->clip_share[k]);
+        clip = real_max(clip, m->clip_share[k]);
+    }
+    if ((clip > MIN_CLIP_SHARE) && (m->status[R_ACCELERATION] == STATUS_FUSED)) {
+        set_fault(m, s, R_ACCELERATION, STATUS_FUSED, REASON_CLIPPING, clip);
+    }
+}
+
+void check_readings(estimator_t *m, const estimator_settings_t *s, real_t z[VALUE_COUNT], int32_t fresh[SENSOR_COUNT],
+             const real_t age[SENSOR_COUNT])
+{
+    for (int32_t k = 0; k < SENSOR_COUNT; k++) {
+        real_t *value = &z[READING_STARTS[k]];
+        const int32_t count = READING_STARTS[k + 1] - READING_STARTS[k];
+
+        if (s->is_fitted[k] == 0) {
+            fresh[k] = 0;
+            continue;
+        }
+        m->is_decimated[k] = 0;
+        if (fresh[k] == 2) {
+            m->invalid_count[k] += 1;
+            fresh[k] = 0;
+        }
+        if (fresh[k] == 1) {
+            for (int32_t j = 0; j < count; j++) {
+                if (!(real_abs(value[j]) < s->value_limit[k])) {
+                    fresh[k] = 0;
+                }
+            }
+            if (fresh[k] == 0) {
+                set_fault(m, s, k, STATUS_FAULTY, REASON_OUT_OF_RANGE, REAL(0.0));
+            } else if (!((age[k] >= -s->dt) && (age[k] <= MAX_READING_AGE_S))) {
+                fresh[k] = 0;
+                set_fault(m, s, k, STATUS_FAULTY, REASON_LATE, REAL(0.0));
+            } else {
+                /* evaluated below */
+            }
+        } else if (fresh[k] != 0) {
+            fresh[k] = 0;
+            set_fault(m, s, k, STATUS_FAULTY, REASON_OUT_OF_RANGE, REAL(0.0));
+        } else {
+            /* no new reading */
+        }
+        if (fresh[k] == 1) {
+            if (!is_new_sample(m, s, value, k, count)) {
+                fresh[k] = 0;
+            } else if (!accept_sample(m, s, value, k, count, age[k])) {
+                fresh[k] = 0;
+            } else {
+                /* usable */
+            }
+        }
+        if (fresh[k] == 0) {
+            const real_t since = (real_t)(m->tick - m->last_new_tick[k]) * s->dt;
+
+            for (int32_t j = 0; j < count; j++) {
+                value[j] = m->last_value[READING_STARTS[k] + j];
+            }
+            if ((m->last_new_tick[k] > 0) && (since > s->timeout[k])) {
+                m->status[k] = STATUS_MISSING;
+                m->reason[k] = (m->invalid_count[k] > 2) ? REASON_NO_ECHO : REASON_TIMEOUT;
+                m->fault_number[k] = since;
+            }
+        }
+    }
+    check_clipping(m, s, &z[CLIPPING_START]);
+}
+
+void reset_on_divergence(estimator_t *m, const estimator_settings_t *s)
+{
+    if (m->divergence_ticks <= 1) {
+        for (int32_t k = 0; k < 3; k++) {
+            inflate_variance(m, EX_GYRO_BIAS + k, DIVERGED_BIAS * DIVERGED_BIAS);
+            inflate_variance(m, EX_ATT + k, DIVERGED_ATTITUDE * DIVERGED_ATTITUDE);
+        }
+        inflate_variance(m, EX_VEL, DIVERGED_SPEED * DIVERGED_SPEED);
+        inflate_variance(m, EX_VEL + 1, DIVERGED_SPEED * DIVERGED_SPEED);
+    }
+    m->divergence_ticks = (int32_t)(DIVERGED_WALK_S / s->dt);
+}
+
+void replace_gyro_spikes(estimator_t *m, const estimator_settings_t *s, bool flying)
+{
+    const int32_t now = wrap_index(m->tick - 1, ROTOR_FORCE_HISTORY);
+    real_t worst = REAL(0.0);
+    real_t led = REAL(0.0);
+    real_t most;
+    bool alike = m->spike_repeats > 0;
+    bool small = true;
+    bool fine;
+
+    for (int32_t k = 0; k < 3; k++) {
+        real_t off;
+
+        m->axis_work[k] = (m->gyro_rates_prev[k] + (s->dt * m->rotor_force[now][RF_ANG_ACCEL + k])) + m->ang_accel_bias[k];
+        off = m->gyro_rates[k] - m->axis_work[k];
+        worst = real_max(worst, real_abs(off));
+        /* A spike may consist of two steps that would each pass. */
+        led = real_max(led, real_abs((SPIKE_CARRY_SHARE * m->spike_residual_carry[k]) + off));
+        /* Error of the model's moments, in flight and on the legs */
+        m->ang_accel_bias[k] += (m->flight_phase >= PHASE_LIGHT) ? (ANG_ACCEL_BIAS_GAIN * real_min(real_max(off, -SPIKE_RATE), SPIKE_RATE)) : REAL(0.0);
+    }
+    for (int32_t k = 0; k < 3; k++) {
+        alike = alike && (real_abs(m->gyro_rates[k] - m->rates_with_spikes[k]) < SPIKE_AGREEMENT);
+        m->rates_with_spikes[k] = m->gyro_rates[k];
+    }
+    /* A model with repeated errors cannot distinguish a spike from a motion. Agreeing spikes are one error. */
+    most = SPIKE_RATE + (ROUGHNESS_FACTOR * m->rate_residual_lp);
+    m->rate_residual_lp += alike ? REAL(0.0) : (REAL(0.1) * (real_min(worst, SPIKE_RATE) - m->rate_residual_lp));
+    m->divergence_ticks = (m->divergence_ticks > 1) ? (m->divergence_ticks - 1) : m->divergence_ticks; /* a past divergence is remembered */
+    if ((!flying) || (s->has_rotor_model == 0)) {
+        m->spike_repeats = 0;
+        return;
+    }
+    fine = real_max(worst, led) < most;
+    for (int32_t k = 0; k < 3; k++) {
+        m->spike_residual_carry[k] *= SPIKE_CARRY_SHARE;
+        if (fine) {
+            m->spike_residual_carry[k] += m->gyro_rates[k] - m->axis_work[k];
+        }
+    }
+    if (fine) {
+        m->spike_repeats = 0;
+        m->spike_count = 0;
+        return;
+    }
+    m->spike_count += 1;
+    m->spike_repeats = alike ? (m->spike_repeats + 1) : 1;
+    if (m->spike_count == 1) {
+        m->reject_score[R_RATES] = (m->reject_score[R_RATES] * REJECT_DECAY) + REAL(1.0);
+        if (m->reject_score[R_RATES] > REAL(3.0)) {
+            set_fault(m, s, R_RATES, STATUS_FUSED, REASON_SPIKES, worst);
+        }
+    }
+    for (int32_t k = 0; k < 3; k++) {
+        small = small && (real_abs(m->gyro_offset[k] + (m->gyro_rates[k] - m->axis_work[k])) < MAX_GYRO_OFFSET);
+    }
+    if ((m->spike_repeats >= JUMP_REPEATS) && small) {
+        /* A sudden offset is no motion. It is subtracted from the following readings. */
+        for (int32_t k = 0; k < 3; k++) {
+            const real_t off = m->gyro_rates[k] - m->axis_work[k];
+
+            m->gyro_offset[k] += off;
+            inflate_variance(m, EX_GYRO_BIAS + k, (REAL(0.1) * off) * (REAL(0.1) * off));
+        }
+        m->spike_repeats = 0;
+        m->spike_count = 0;
+        set_fault(m, s, R_RATES, STATUS_FUSED, REASON_JUMP, worst);
+    } else if (m->spike_count > 8) {
+        m->spike_count = 0;
+        return;
+    } else {
+        /* a spike */
+    }
+    for (int32_t k = 0; k < 3; k++) {
+        m->gyro_rates[k] = m->axis_work[k];
+    }
+}
+
+bool rotor_speed_consistent(estimator_t *m, const estimator_settings_t *s, const real_t speed[2])
+{
+    const real_t flown = (real_t)(m->tick - m->grounded_tick) * s->dt;
+    real_t *mean = m->motor_accel_mean; /* mean error of the motor equations */
+    real_t worst = REAL(0.0);
+    real_t away = REAL(0.0);
+    bool led;
+    bool off;
+
+    for (int32_t k = 0; k < 2; k++) {
+        worst = real_max(worst, real_abs(speed[k] - m->rotor_state[RS_SPEED_UPPER + k]) / s->hover_speed[k]);
+        away = real_max(away, real_abs(m->motor_accel_bias[k] - mean[k]) / s->hover_speed[k]);
+    }
+    /* On the floor the motor equations are adapted. */
+    led = (m->flight_phase == PHASE_FLYING) && (flown > ROTOR_ACCEL_SETTLING_S) && (away > ROTOR_ACCEL_LIMIT);
+    off = (m->flight_phase == PHASE_FLYING) && (worst > ((m->reject_score[R_ROTOR] > REAL(0.5)) ? ROTOR_SPEED_RECOVERY_GATE : ROTOR_SPEED_GATE));
+    if (led || off) {
+        if (led) {
+            m->motor_accel_bias[0] = mean[0];
+            m->motor_accel_bias[1] = mean[1];
+        }
+        mark_rejected(m, s, R_ROTOR, REASON_INNOVATION, worst * s->hover_speed[0]);
+    } else {
+        const real_t period = s->sensor_period[R_ROTOR];
+        const real_t share = period / real_max(real_min(flown, ROTOR_ACCEL_MEAN_S), period);
+
+        for (int32_t k = 0; k < 2; k++) {
+            mean[k] += share * (m->motor_accel_bias[k] - mean[k]);
+        }
+        mark_fused(m, R_ROTOR);
+    }
+    return !(led || off);
+}
+
+bool battery_voltage_consistent(estimator_t *m, const estimator_settings_t *s, real_t off)
+{
+    bool believed = true;
+
+    if ((real_abs(off) > VOLTAGE_GATE) && (((real_t)m->tick * s->dt) > REAL(1.0))) {
+        if ((s->is_fitted[R_ROTOR] == 0) || (m->status[R_ROTOR] == STATUS_FUSED)) {
+            mark_rejected(m, s, R_BATTERY, REASON_INNOVATION, off);
+        }
+        believed = false;
+    } else {
+        mark_fused(m, R_BATTERY);
+    }
+    return believed;
+}
+
+/* Return the mean innovation ratio of the fix along the difference of accelerometers and model: a positive value
+ * contradicts the model, a negative one the accelerometers. */
+static real_t force_evidence(const estimator_t *m, const real_t r[9], const real_t along[3])
+{
+    real_t dot = REAL(0.0);
+    real_t square = REAL(1e-12);
+
+    for (int32_t j = 0; j < 3; j++) {
+        const real_t part = ((r[3 * j] * along[0]) + (r[(3 * j) + 1] * along[1])) + (r[(3 * j) + 2] * along[2]);
+
+        dot += part * m->fix_ratio_mean[j];
+        square += part * part;
+    }
+    return dot / real_sqrt(square);
+}
+
+/* Decide which of accelerometers and rotor model is wrong, where worst deviations lie between them. */
+static void update_force_conflict(estimator_t *m, const estimator_settings_t *s, const real_t r[9], real_t height,
+                                  real_t worst)
+{
+    bool apart;
+
+    if ((m->is_accel_distrusted == 0) && (worst > FORCE_GATE)) {
+        m->is_accel_distrusted = 1;
+    } else if ((m->is_accel_distrusted == 1) && (worst < FORCE_AGREEMENT)) {
+        m->is_accel_distrusted = 0;
+    } else {
+        /* unchanged */
+    }
+    apart = (m->force_apart_tick > 0) && (((real_t)(m->tick - m->force_apart_tick) * s->dt) < FAULT_HOLD_S);
+    if ((m->is_accel_distrusted == 0) && !apart) {
+        m->force_verdict = FORCE_AGREES;
+    } else {
+        const bool has_fix = (m->status[R_FIX] == STATUS_FUSED) &&
+                             (((real_t)(m->tick - m->last_fused_tick[R_FIX]) * s->dt) < FORCE_FIX_AGE_S);
+        const real_t evidence = has_fix ? force_evidence(m, r, m->accel_residual_lp) : REAL(0.0);
+
+        if (m->force_verdict == FORCE_AGREES) {
+            m->force_verdict = FORCE_UNDECIDED;
+            m->force_conflict_tick = m->tick;
+        }
+        if ((m->accel_residual_lp[2] < REAL(0.0)) &&
+            (height < (FLOOR_CONTACT_HEIGHT + (REAL(3.0) * m->sigma_output[EX_POS + 2])))) {
+            m->force_verdict = FORCE_FLOOR;
+        } else if (((s->is_fitted[R_ROTOR] > 0) && (m->status[R_ROTOR] != STATUS_FUSED)) || (evidence > FORCE_EVIDENCE)) {
+            m->force_verdict = FORCE_MODEL_WRONG;
+        } else if (evidence < -FORCE_EVIDENCE) {
+            m->force_verdict = FORCE_ACCEL_WRONG;
+        } else if (m->force_verdict == FORCE_FLOOR) {
+            m->force_verdict = FORCE_UNDECIDED;
+            m->force_conflict_tick = m->tick;
+        } else if ((m->force_verdict == FORCE_UNDECIDED) && has_fix &&
+                   (((real_t)(m->tick - m->force_conflict_tick) * s->dt) > FORCE_DECISION_S)) {
+            m->force_verdict = FORCE_ACCEL_WRONG;
+        } else {
+            /* unchanged */
+        }
+    }
+}
+
+void check_accel_model(estimator_t *m, const estimator_settings_t *s, const real_t r[9], real_t height, real_t nu,
+                       real_t variance, real_t known, int32_t i)
+{
+    m->accel_residual_lp[i] += REAL(0.1) * (nu - m->accel_residual_lp[i]);
+    if (i == 2) {
+        real_t worst = REAL(0.0);
+        int32_t axis = 2;
+        int32_t code = STATUS_FUSED;
+        int32_t why = REASON_NONE;
+        bool rejected;
+
+        for (int32_t j = 0; j < 3; j++) {
+            if (m->accel_residual_sigma[j] > REAL(0.0)) {
+                const real_t ratio = real_abs(m->accel_residual_lp[j]) / m->accel_residual_sigma[j];
+
+                if (ratio > worst) {
+                    worst = ratio;
+                    axis = j;
+                }
+            }
+        }
+        update_force_conflict(m, s, r, height, worst);
+        if (m->force_verdict == FORCE_MODEL_WRONG) {
+            why = REASON_MODEL_WRONG;
+        } else if (m->force_verdict != FORCE_FLOOR) {
+            code = (m->is_accel_distrusted == 1) ? STATUS_FAULTY : STATUS_REJECTED;
+            why = (m->force_verdict == FORCE_UNDECIDED) ? REASON_FORCE_CONFLICT : REASON_INNOVATION;
+        } else {
+            /* floor contact: neither is wrong */
+        }
+        rejected = (m->status[R_ACCELERATION] == STATUS_REJECTED) || (m->status[R_ACCELERATION] == STATUS_FAULTY);
+        if ((m->force_verdict != FORCE_AGREES) && ((why != REASON_NONE) || rejected)) {
+            set_fault(m, s, R_ACCELERATION, code, why, m->accel_residual_lp[axis]);
+        }
+    }
+    /* The mean of 0.1-weighted blocks keeps 0.1 / (2 - 0.1) of their variance. */
+    m->accel_residual_sigma[i] = real_sqrt(((variance * REAL(0.0526)) + known) + REAL(0.04));
+}
