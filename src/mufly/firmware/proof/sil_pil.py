@@ -481,13 +481,13 @@ def _compiler_command(folder: Path, how: ArithmeticBuild, cpu: tuple[str, ...], 
     return [*cc, *how.compiler_flags, f"-I{folder}", *map(str, more)]
 
 
-def _selftest_sources(test: str, platform: str) -> tuple[str, str]:
-    return f"check/programs/{test}.c", f"check/platforms/platform_{platform}.c"
+def _selftest_sources(test: str, *platform: str) -> tuple[str, ...]:
+    return f"check/programs/{test}.c", *platform
 
 
 def _build_host_selftest(folder: Path, how: ArithmeticBuild, test: str) -> Path:
     out = folder / test
-    parts = (*find_sources(folder, how.source_patterns), *_selftest_sources(test, "host"))
+    parts = (*find_sources(folder, how.source_patterns), *_selftest_sources(test, "check/platforms/platform_host.c"))
     run_compiler(_compiler_command(folder, how, (), *parts, "-o", out, "-lm"), folder)
     return out
 
@@ -514,7 +514,7 @@ def _link_selftest(folder: Path, how: ArithmeticBuild, cpu: tuple[str, ...], tes
     )
     (objects / "board.ld").write_text(script, encoding="utf-8")
     out = objects / f"{test}.elf"
-    parts = (*sorted(objects.glob("*.o")), *_selftest_sources(test, "cortex_m4"))
+    parts = (*sorted(objects.glob("*.o")), *_selftest_sources(test, "check/platforms/platform_cortex_m4.c", "boards/memory.c"))
     run_compiler(_compiler_command(folder, how, cpu, *parts, "-T", objects / "board.ld", "-o", out, "-lgcc"), folder)
     return out
 

@@ -5,7 +5,8 @@
 #define MUFLY_FLIGHT_SOFTWARE_H
 
 #include "flight/controllers.h"
-#include "flight/watch.h"
+#include "flight/estimator_health.h"
+#include "flight/oscillation_detector.h"
 #include "mission/machine/mission_state.h"
 
 /* Constants of a flight. */

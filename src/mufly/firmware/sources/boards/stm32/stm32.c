@@ -7,8 +7,6 @@
 #include "onboard/drivers/sd_card.h"
 #include "onboard/drivers/sensor_suite.h"
 
-#include <stddef.h>
-
 #define LINK_BAUD 115200U
 #define SBUS_BAUD 100000U
 #define CRSF_BAUD 420000U
@@ -26,8 +24,6 @@ void stm32_period(void);
 void stm32_link_interrupt(void);
 void stm32_receiver_interrupt(void);
 void stm32_fault(uint32_t address);
-void *memcpy(void *to, const void *from, size_t count);
-void *memset(void *to, int value, size_t count);
 
 static volatile uint32_t periods; /* of the loop's timer */
 static serial_port_t link_port;
@@ -234,32 +230,6 @@ void stm32_fault(uint32_t address)
     reset_processor();
     for (;;) {
     }
-}
-
-/* The compiler calls these functions for records; volatile keeps them from calling themselves. */
-void *memcpy(void *to, const void *from, size_t count)
-{
-    size_t i = 0U;
-
-    if (((((uintptr_t)to) | ((uintptr_t)from)) & 3U) == 0U) {
-        while ((i + 4U) <= count) {
-            *(volatile uint32_t *)((uint8_t *)to + i) = *(const uint32_t *)((const uint8_t *)from + i);
-            i += 4U;
-        }
-    }
-    while (i < count) {
-        ((volatile uint8_t *)to)[i] = ((const uint8_t *)from)[i];
-        i++;
-    }
-    return to;
-}
-
-void *memset(void *to, int value, size_t count)
-{
-    for (size_t i = 0U; i < count; i++) {
-        ((volatile uint8_t *)to)[i] = (uint8_t)value;
-    }
-    return to;
 }
 
 int main(void)

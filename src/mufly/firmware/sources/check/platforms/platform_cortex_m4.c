@@ -1,5 +1,6 @@
 /* Cortex-M4 with floating-point unit, emulated by QEMU with -icount shift=0. An instruction takes a nanosecond, so SysTick
  * measures instructions: 40 a tick at the 25 MHz of mps2-an386. Output goes through semihosting. */
+#include "boards/memory.h"
 #include "check/platforms/platform.h"
 #include "check/platforms/semihosting.h"
 
@@ -14,8 +15,6 @@ void reset(void);
 void trap_fault(void);
 void interrupt_0(void) __attribute__((weak, alias("trap_fault"))); /* of the board, if it has one */
 void interrupt_2(void) __attribute__((weak, alias("trap_fault")));
-void *memcpy(void *to, const void *from, uint32_t count);
-void *memset(void *to, int32_t value, uint32_t count);
 
 uint32_t ask_host(uint32_t what, const void *with)
 {
@@ -24,32 +23,6 @@ uint32_t ask_host(uint32_t what, const void *with)
 
     __asm__ volatile("bkpt 0xAB" : "+r"(r0) : "r"(r1) : "memory");
     return r0;
-}
-
-/* Copy words where aligned, as a board's C library does; volatile prevents a call of memcpy. */
-void *memcpy(void *to, const void *from, uint32_t count)
-{
-    uint32_t i = 0U;
-
-    if (((((uint32_t)to) | ((uint32_t)from)) & 3U) == 0U) {
-        while ((i + 4U) <= count) {
-            *(volatile uint32_t *)((uint8_t *)to + i) = *(const uint32_t *)((const uint8_t *)from + i);
-            i += 4U;
-        }
-    }
-    while (i < count) {
-        ((volatile uint8_t *)to)[i] = ((const uint8_t *)from)[i];
-        i++;
-    }
-    return to;
-}
-
-void *memset(void *to, int32_t value, uint32_t count)
-{
-    for (uint32_t i = 0U; i < count; i++) {
-        ((volatile uint8_t *)to)[i] = (uint8_t)value;
-    }
-    return to;
 }
 
 void reset(void)

@@ -2,12 +2,10 @@
  *
  * Builds for this machine and for a board must print equal digests; the last lines give the cost of a period. A generator
  * of 32-bit integers makes the inputs independent of the platform's library. */
-#include "check/platforms/platform.h"
 #include "check/programs/made_up.h"
 #include "flight/controllers.h"
 
 #define PERIODS 4000
-#define DIGEST_LINES 40
 
 static void any_three(real_t size, real_t out[3])
 {
@@ -43,8 +41,7 @@ int main(void)
     real_t wanted[4];
     const real_t engaged[2] = {REAL(0.5), REAL(0.5)};
     uint64_t digest = DIGEST_START;
-    uint32_t spent = 0U;
-    uint32_t worst = 0U;
+    cost_t cost = {0U, 0U, 0U};
 
     platform_start();
     any_motion(&now);
@@ -52,7 +49,6 @@ int main(void)
     controllers_lift_off(&mufly_gains, &c, &now);
     for (int32_t k = 0; k < PERIODS; k++) {
         uint32_t before;
-        uint32_t took;
 
         any_motion(&now);
         any_three(REAL(1.0), path.position);
@@ -66,18 +62,11 @@ int main(void)
             controllers_tilt_for(&mufly_gains, &c, &now, &path, tilt);
         }
         controllers_step(&mufly_gains, &c, &now, wanted, true, tilt, &out);
-        took = platform_count() - before;
-        spent += took;
-        worst = (took > worst) ? took : worst;
+        add_cost(&cost, platform_count() - before);
         digest_actuators(&digest, &out);
-        if ((k % (PERIODS / DIGEST_LINES)) == 0) {
-            platform_print("outputs ", digest);
-        }
+        print_digest(digest, k, PERIODS);
     }
     platform_print("outputs ", digest);
-    platform_print("periods ", PERIODS);
-    platform_print("ticks ", spent);
-    platform_print("worst ", worst);
-    platform_end();
+    print_cost(&cost);
     return 0;
 }

@@ -1,13 +1,11 @@
 /* Self-test of the estimator on a simulated hop in the middle of a room: stand, lift off, hover. The digest covers all its
  * outputs; the last lines give the cost of a period in flight. */
-#include "check/platforms/platform.h"
 #include "check/programs/made_up.h"
 #include "dynamics/flight_model.h"
 #include "estimate/filter/ekf_step.h"
 
 #define PERIODS 2400
 #define STANDING_PERIODS 400
-#define DIGEST_LINES 40
 
 typedef struct {
     real_t height; /* height of the legs (m) */
@@ -105,9 +103,7 @@ int main(void)
     real_t age[SENSOR_COUNT];
     int32_t fresh[SENSOR_COUNT];
     uint64_t digest = DIGEST_START;
-    uint32_t spent = 0U;
-    uint32_t worst = 0U;
-    uint32_t flown = 0U;
+    cost_t cost = {0U, 0U, 0U};
 
     platform_start();
     estimator_reset(&m, &mufly_settings);
@@ -121,23 +117,16 @@ int main(void)
         (void)estimator_step(&m, &mufly_settings, &mufly_flight_model, z, fresh, age);
         took = platform_count() - before;
         if (m.flight_phase == PHASE_FLYING) {
-            flown += 1U;
-            spent += took;
-            worst = (took > worst) ? took : worst;
+            add_cost(&cost, took);
         }
         digest_all(&digest, m.x_output, STATE_COUNT);
         digest_all(&digest, m.angles_output, 3);
         digest_all(&digest, m.sigma_output, ERROR_STATE_COUNT);
         digest_all(&digest, m.innovation, SENSOR_COUNT);
-        if ((k % (PERIODS / DIGEST_LINES)) == 0) {
-            platform_print("outputs ", digest);
-        }
+        print_digest(digest, k, PERIODS);
     }
     platform_print("outputs ", digest);
     platform_print("memory ", sizeof(m));
-    platform_print("periods ", flown);
-    platform_print("ticks ", spent);
-    platform_print("worst ", worst);
-    platform_end();
+    print_cost(&cost);
     return 0;
 }

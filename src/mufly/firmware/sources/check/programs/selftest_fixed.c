@@ -1,19 +1,13 @@
 /* Self-test of the fixed-point law in fixed_point/, as selftest.c. */
-#include "check/platforms/platform.h"
+#include "check/programs/made_up.h"
 #include "fixed_point/fixed_point_law.h"
 
 #define PERIODS 4000
-#define DIGEST_LINES 40
 
-static uint32_t seed = 2463534242U;
-
-/* xorshift (Marsaglia 2003); within -size..size, size in 2^-20. */
+/* Within -size..size, size in 2^-20. */
 static int32_t random_int(int32_t size)
 {
-    seed ^= seed << 13;
-    seed ^= seed >> 17;
-    seed ^= seed << 5;
-    return (int32_t)((((int64_t)seed - 2147483648LL) * size) / 2147483648LL);
+    return (int32_t)((((int64_t)random_bits() - 2147483648LL) * size) / 2147483648LL);
 }
 
 static void any_three(int32_t size, int32_t out[3])
@@ -23,13 +17,12 @@ static void any_three(int32_t size, int32_t out[3])
     }
 }
 
-/* FNV-1a over every output so far */
 static void digest_actuators(uint64_t *digest, const fixed_actuators_t *out)
 {
     const int32_t all[4] = {out->motor_input[0], out->motor_input[1], out->servo_input[0], out->servo_input[1]};
 
     for (int32_t i = 0; i < 4; i++) {
-        *digest = (*digest ^ (uint32_t)all[i]) * 1099511628211ULL;
+        digest_bits(digest, (uint32_t)all[i]);
     }
 }
 
@@ -52,9 +45,8 @@ int main(void)
     int32_t tilt[2] = {0, 0};
     int32_t wanted[4];
     const int32_t engaged[2] = {FIXED_ONE / 2, FIXED_ONE / 2};
-    uint64_t digest = 14695981039346656037ULL;
-    uint32_t spent = 0U;
-    uint32_t worst = 0U;
+    uint64_t digest = DIGEST_START;
+    cost_t cost = {0U, 0U, 0U};
 
     platform_start();
     any_motion(&now);
@@ -62,7 +54,6 @@ int main(void)
     fixed_lift_off(&mufly_fixed_gains, &c, &now);
     for (int32_t k = 0; k < PERIODS; k++) {
         uint32_t before;
-        uint32_t took;
 
         any_motion(&now);
         any_three(FIXED_ONE, path.position);
@@ -76,19 +67,12 @@ int main(void)
             fixed_tilt_for(&mufly_fixed_gains, &c, &now, &path, tilt);
         }
         fixed_step(&mufly_fixed_gains, &c, &now, wanted, true, tilt, &out);
-        took = platform_count() - before;
-        spent += took;
-        worst = (took > worst) ? took : worst;
+        add_cost(&cost, platform_count() - before);
         digest_actuators(&digest, &out);
-        if ((k % (PERIODS / DIGEST_LINES)) == 0) {
-            platform_print("outputs ", digest);
-        }
+        print_digest(digest, k, PERIODS);
     }
     platform_print("outputs ", digest);
     platform_print("overflows ", c.overflows);
-    platform_print("periods ", PERIODS);
-    platform_print("ticks ", spent);
-    platform_print("worst ", worst);
-    platform_end();
+    print_cost(&cost);
     return 0;
 }

@@ -1,12 +1,10 @@
 /* Self-test of the flight software: plan.c is flown for a vehicle model that follows the references with a lag. Estimates
  * are sometimes bad, walls and user signals are random. The program prints digests of outputs and log, then the cost of a
  * period. */
-#include "check/platforms/platform.h"
 #include "check/programs/made_up.h"
 #include "flight/flight_software.h"
 
 #define PERIODS 16000
-#define DIGEST_LINES 40
 #define UNDISTURBED_PERIODS 8400 /* periods of the mission without user signals */
 
 static int32_t random_below(int32_t count)
@@ -95,8 +93,7 @@ int main(void)
     static command_t command;
     static actuators_t out;
     uint64_t digest = DIGEST_START;
-    uint32_t spent = 0U;
-    uint32_t worst = 0U;
+    cost_t cost = {0U, 0U, 0U};
     int32_t held = -1;
 
     platform_start();
@@ -110,7 +107,6 @@ int main(void)
     software_reset(&mufly_setup, &s);
     for (int32_t k = 0; k < PERIODS; k++) {
         uint32_t before;
-        uint32_t took;
 
         follow_reference(&s, &b);
         clear_command(&command);
@@ -127,25 +123,18 @@ int main(void)
         }
         before = platform_count();
         software_step(&mufly_setup, &s, &b, &command, &out);
-        took = platform_count() - before;
-        spent += took;
-        worst = (took > worst) ? took : worst;
+        add_cost(&cost, platform_count() - before);
         for (int32_t i = 0; i < 2; i++) {
             digest_bits(&digest, real_bits(out.motor_input[i]));
             digest_bits(&digest, real_bits(out.servo_input[i]));
         }
         digest_bits(&digest, (uint64_t)s.mission.logged_count);
         digest_bits(&digest, real_bits(s.reference.path.position[0]));
-        if ((k % (PERIODS / DIGEST_LINES)) == 0) {
-            platform_print("outputs ", digest);
-        }
+        print_digest(digest, k, PERIODS);
     }
     platform_print("outputs ", digest);
     platform_print("state ", sizeof(software_t));
     platform_print("entries ", (uint64_t)s.mission.logged_count);
-    platform_print("periods ", PERIODS);
-    platform_print("ticks ", spent);
-    platform_print("worst ", worst);
-    platform_end();
+    print_cost(&cost);
     return 0;
 }

@@ -89,7 +89,7 @@ enum { LEVEL_INFO, LEVEL_WARNING, LEVEL_ERROR };
 #define MESSAGE_NUMBERS 4
 #define MESSAGE_SENSORS 3
 
-/* Fault of a sensor: index, status and reason as in estimate.h. */
+/* Fault of a sensor: index, status and reason as in estimator.h. */
 typedef struct {
     int16_t sensor; /* -1: none */
     int16_t status;

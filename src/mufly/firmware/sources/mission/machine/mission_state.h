@@ -4,7 +4,7 @@
 #ifndef MUFLY_MISSION_STATE_H
 #define MUFLY_MISSION_STATE_H
 
-#include "estimate/estimate.h"
+#include "estimate/estimator.h"
 #include "mission/avoidance.h"
 #include "mission/machine/log_messages.h"
 #include "mission/machine/offboard.h"

@@ -1,6 +1,8 @@
-/* Estimate at one instant: output of the estimator and input of the flight software. */
-#ifndef MUFLY_ESTIMATE_H
-#define MUFLY_ESTIMATE_H
+/* Estimate at one instant, output of the estimator and input of the flight software, and its monitor: bridging of gaps.
+ *
+ * Explanation: estimator.py of mufly.estimate. */
+#ifndef MUFLY_ESTIMATOR_H
+#define MUFLY_ESTIMATOR_H
 
 #include "flight/controllers.h"
 #include "mission/avoidance.h"
@@ -42,5 +44,17 @@ typedef struct {
 
 /* Copy an estimate, with as many ranges as there are beams. */
 void copy_estimate(const estimate_t *from, int32_t beams, estimate_t *to);
+
+/* Bridge an implausible estimate for a moment, then report it as lost. */
+typedef struct {
+    bool begun;
+    real_t values[12]; /* last position, velocity, attitude and rates */
+    estimate_t good;     /* last estimate with finite values and an advancing clock */
+    real_t lost_s;     /* duration of the gap (s) */
+    int32_t what;      /* missing values: 1 position, 2 velocity, 4 attitude, 8 rates; 0: frozen */
+} estimate_monitor_t;
+
+void estimate_monitor_start(estimate_monitor_t *w);
+void check_estimate(estimate_monitor_t *w, const estimate_t *m, real_t period_s, const beam_ring_t *ring);
 
 #endif
