@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mufly.estimate.filter import fix_fusion, fusion, sensor_checks
 from mufly.estimate.filter.filter_records import (
     AID_COUNT,
     AID_PLACE,
@@ -23,7 +22,8 @@ from mufly.estimate.filter.filter_records import (
     SX_POS,
     filter_settings,
 )
-from mufly.estimate.filter.sensor_checks import STATUS_FAULTY, STATUS_REJECTED
+from mufly.estimate.filter.measurements import fix_fusion, fusion, sensor_checks
+from mufly.estimate.filter.measurements.sensor_checks import STATUS_FAULTY, STATUS_REJECTED
 from mufly.vehicle import load_vehicle
 from mufly.world import World
 

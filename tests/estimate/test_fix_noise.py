@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mufly.estimate.filter import fix_fusion, scalar_fusion
 from mufly.estimate.filter.filter_records import AID_COUNT, AID_PLACE, EX_ATT, MAX_H_TERMS, STATE_COUNT, SX_ATT
+from mufly.estimate.filter.measurements import fix_fusion, scalar_fusion
 
 NOISE_M, WANDER_M, TIME_S, PERIOD_S = 0.005, 0.03, 2.0, 0.0667
 estimate = fix_fusion._estimate_fix_noise.py_func

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mufly.estimate.filter import sensor_checks as checks
 from mufly.estimate.filter.filter_records import EX_POS, R_ACCELERATION, R_FIX, R_ROTOR, SENSOR_COUNT
+from mufly.estimate.filter.measurements import sensor_checks as checks
 
 check = checks.check_accel_model.py_func
 LEVEL, TURNED = np.eye(3).ravel(), np.array([0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0])

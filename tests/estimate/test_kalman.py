@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from mufly.control import design_flight_controller
 from mufly.estimate import Estimate, SensorStatus
-from mufly.estimate.filter import sensor_checks as g
 from mufly.estimate.filter.filter_records import AID_PRESSURE, EX_ATT, R_FIX
+from mufly.estimate.filter.measurements import sensor_checks as g
 from mufly.estimate.kalman_estimator import KalmanEstimator
 from mufly.estimate.nees import Consistency, measure_consistency
 from mufly.estimate.sensor_status import describe_reason

@@ -30,7 +30,7 @@ OF_EVERY_SENSOR = {
     "sensors/sensor_suite.py": "its class",
     "vehicle/sensor_schema.py": "its parameters",
     "estimate/filter/filter_records.py": "its noise in the filter's settings",
-    "estimate/filter/fusion.py": "its measurement model",
+    "estimate/filter/measurements/fusion.py": "its measurement model",
 }
 _PROOF = {"firmware/proof/proof_flights.py": "its faults in the flights by which C is proved equal"}
 OF_ONE_SENSOR = {
@@ -49,10 +49,10 @@ OF_ONE_SENSOR = {
         **_PROOF,
         "estimate/filter/filter_horizon.py": "the terrain is uncertain while its cone passes over an edge",
         "estimate/filter/filter_inputs.py": "it tells whether the vehicle has left the floor",
-        "estimate/filter/fix_fusion.py": "its height is compared with that of the fix",
-        "estimate/filter/scalar_fusion.py": "it hears second surfaces, so a large innovation is no fault",
+        "estimate/filter/measurements/fix_fusion.py": "its height is compared with that of the fix",
+        "estimate/filter/measurements/scalar_fusion.py": "it hears second surfaces, so a large innovation is no fault",
         "estimate/kalman_estimator.py": "lost periods repeat the rows before its own: those of the inertial unit",
-        "estimate/filter/sensor_checks.py": "it hears second surfaces, so more rejections are no alarm",
+        "estimate/filter/measurements/sensor_checks.py": "it hears second surfaces, so more rejections are no alarm",
         "flight/fixes/camera_sensor.py": "pictures tell no place on the floor, where the sonar reads its least",
         "flight/simulated_flight.py": "the same: the camera rests there",
         "vehicle/vehicle_schema.py": "its place is above the floor on which the legs stand",
@@ -61,12 +61,12 @@ OF_ONE_SENSOR = {
     },
     "position_fix": {
         "sensors/position_fix.py": "its model",
-        "estimate/filter/fix_fusion.py": "its measurement model, whose biases are estimated",
+        "estimate/filter/measurements/fix_fusion.py": "its measurement model, whose biases are estimated",
         "estimate/filter/ekf_step.py": "the heading is aligned by it; its biases step when it is fused",
         "estimate/inertial_log.py": "positions of a log are fused as fixes",
         "estimate/kalman_estimator.py": "it may come with a covariance",
         "estimate/nees.py": "the consistency of an estimate is judged by its innovations",
-        "estimate/filter/sensor_checks.py": "a fault is that of one component; its heading may repeat",
+        "estimate/filter/measurements/sensor_checks.py": "a fault is that of one component; its heading may repeat",
         "flight/fixes/camera_sensor.py": "stands in for it",
         "flight/fixes/external_fixes.py": "stands in for it",
         "flight/simulated_flight.py": "is told which sensor rests",

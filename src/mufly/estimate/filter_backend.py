@@ -32,15 +32,17 @@ from mufly.estimate.filter import (
     ekf_step,
     filter_horizon,
     filter_inputs,
-    fix_fusion,
-    fusion,
     output_predictor,
-    scalar_fusion,
-    sensor_checks,
     strapdown,
     ud_filter,
 )
 from mufly.estimate.filter.c_records import RECORDS_HEADER, model_record, render_records_header
+from mufly.estimate.filter.measurements import (
+    fix_fusion,
+    fusion,
+    scalar_fusion,
+    sensor_checks,
+)
 from mufly.rotor import coax_maps
 from mufly.vehicle import Vehicle
 

@@ -40,8 +40,8 @@ from mufly.estimate.filter.filter_records import (
     fused_beam_indices,
     memory_type,
 )
+from mufly.estimate.filter.measurements.sensor_checks import ACTUATOR_START, CLIPPING_START, VALUE_COUNT
 from mufly.estimate.filter.output_predictor import COVARIANCE_INTERVAL_TICKS
-from mufly.estimate.filter.sensor_checks import ACTUATOR_START, CLIPPING_START, VALUE_COUNT
 from mufly.estimate.filter_backend import BackendName, make_backend
 from mufly.estimate.sensor_status import AuxiliaryStates, LazySensorStatuses, SensorStatus
 from mufly.quantities.quantity_table import CHECKED_READINGS

@@ -10,7 +10,7 @@ from typing import Any, Literal, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.estimate.filter import sensor_checks as g
+from mufly.estimate.filter.measurements import sensor_checks as g
 from mufly.quantities.quantity_table import CHECKED_READINGS
 from mufly.quantities.sensor_table import CHECKED
 

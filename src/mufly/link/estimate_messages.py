@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from mufly.dynamics import body_to_ned_matrix
 from mufly.estimate import ERROR_STATES, AuxiliaryStates, SensorStatus
 from mufly.estimate.filter.filter_records import EX_ATT, EX_POS, EX_VEL
-from mufly.estimate.filter.scalar_fusion import INNOVATION_GATE
+from mufly.estimate.filter.measurements.scalar_fusion import INNOVATION_GATE
 from mufly.flight import FlightState
 from mufly.link.codec import MavMessage, mavlink, to_float32
 from mufly.quantities.quantity_table import CHECKED_READINGS, FUSION_STATUSES

@@ -4,7 +4,7 @@ Recordings (:mod:`mufly.quantities.quantity_table`), faults (:mod:`mufly.sensors
 (:mod:`mufly.estimate.filter.filter_records`), messages, MAVLink and the ground station's page read it. A sensor also
 has its model in a file of :mod:`mufly.sensors`, its class in :data:`mufly.sensors.sensor_suite.SENSOR_CLASSES`, its
 parameters in :mod:`mufly.vehicle.sensor_schema`, and, if it is fused, its noise in ``filter_records`` and its
-measurement model in :mod:`mufly.estimate.filter.fusion` (docs/how-to/add-a-sensor.md).
+measurement model in :mod:`mufly.estimate.filter.measurements.fusion` (docs/how-to/add-a-sensor.md).
 """
 
 from __future__ import annotations

@@ -20,13 +20,15 @@ from mufly.estimate.filter import (
     filter_horizon,
     filter_inputs,
     filter_records,
-    fix_fusion,
-    fusion,
     output_predictor,
-    scalar_fusion,
-    sensor_checks,
     strapdown,
     ud_filter,
+)
+from mufly.estimate.filter.measurements import (
+    fix_fusion,
+    fusion,
+    scalar_fusion,
+    sensor_checks,
 )
 from mufly.quantities.units import GRAVITY
 

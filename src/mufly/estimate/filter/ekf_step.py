@@ -45,14 +45,13 @@ from mufly.estimate.filter.filter_records import (
     FilterMemory,
     FilterSettings,
 )
-from mufly.estimate.filter.fusion import (
+from mufly.estimate.filter.measurements.fusion import (
     LEG_CLEARANCE_HEIGHT,
     LIFTOFF_THRUST_SIGMA,
     fuse_liftoff_thrust,
     height_above_ground,
 )
-from mufly.estimate.filter.output_predictor import COVARIANCE_INTERVAL_TICKS, predict_output
-from mufly.estimate.filter.sensor_checks import (
+from mufly.estimate.filter.measurements.sensor_checks import (
     REASON_LATE,
     STATUS_FAULTY,
     STATUS_MISSING,
@@ -60,6 +59,7 @@ from mufly.estimate.filter.sensor_checks import (
     replace_gyro_spikes,
     set_fault,
 )
+from mufly.estimate.filter.output_predictor import COVARIANCE_INTERVAL_TICKS, predict_output
 
 _Array = NDArray[np.float64]
 

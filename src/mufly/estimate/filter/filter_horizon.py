@@ -54,7 +54,7 @@ from mufly.estimate.filter.filter_records import (
     FilterMemory,
     FilterSettings,
 )
-from mufly.estimate.filter.fusion import (
+from mufly.estimate.filter.measurements.fusion import (
     fuse_accel_residual,
     fuse_ground_contact,
     fuse_measurement,
@@ -62,8 +62,8 @@ from mufly.estimate.filter.fusion import (
     measurement_cost,
     reset_terrain,
 )
+from mufly.estimate.filter.measurements.sensor_checks import DIVERGED_BIAS_WALK, LATER_BIAS_WALK, STATUS_MISSING
 from mufly.estimate.filter.output_predictor import FORCE_MEAN_TICKS, velocity_noise_density
-from mufly.estimate.filter.sensor_checks import DIVERGED_BIAS_WALK, LATER_BIAS_WALK, STATUS_MISSING
 from mufly.estimate.filter.strapdown import error_transition, predict_state
 from mufly.estimate.filter.ud_filter import gauss_markov_update, inflate_variance, state_variance, ud_time_update
 

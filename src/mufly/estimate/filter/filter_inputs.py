@@ -52,9 +52,8 @@ from mufly.estimate.filter.filter_records import (
     FilterMemory,
     FilterSettings,
 )
-from mufly.estimate.filter.fusion import MIN_TERRAIN_HEIGHT, height_above_ground
-from mufly.estimate.filter.output_predictor import FORCE_MEAN_TICKS
-from mufly.estimate.filter.sensor_checks import (
+from mufly.estimate.filter.measurements.fusion import MIN_TERRAIN_HEIGHT, height_above_ground
+from mufly.estimate.filter.measurements.sensor_checks import (
     ACTUATOR_START,
     FORCE_MODEL_WRONG,
     REASON_LEVELLED,
@@ -66,6 +65,7 @@ from mufly.estimate.filter.sensor_checks import (
     rotor_speed_consistent,
     set_fault,
 )
+from mufly.estimate.filter.output_predictor import FORCE_MEAN_TICKS
 from mufly.estimate.filter.strapdown import predict_rotor_force, predict_terminal_voltage, rotation_matrix
 from mufly.estimate.filter.ud_filter import inflate_variance
 from mufly.quantities.units import GRAVITY

@@ -17,7 +17,6 @@ from mufly.compiled.numba_cache import cached_njit
 from mufly.compiled.numba_intrinsics import call_c_function, refer_to
 from mufly.compiled.record_fields import int_field, real_field, record_type
 from mufly.dynamics.model_state import RS_POS, RS_RATES, RS_VEL, STATE_SIZE
-from mufly.estimate.filter import sensor_checks as g
 from mufly.estimate.filter.filter_records import (
     ERROR_STATE_COUNT,
     EX_ATT,
@@ -34,8 +33,9 @@ from mufly.estimate.filter.filter_records import (
     SX_POS,
     SX_VEL,
 )
+from mufly.estimate.filter.measurements import sensor_checks as g
+from mufly.estimate.filter.measurements.sensor_checks import ACTUATOR_START, CLIPPING_START
 from mufly.estimate.filter.output_predictor import COVARIANCE_INTERVAL_TICKS
-from mufly.estimate.filter.sensor_checks import ACTUATOR_START, CLIPPING_START
 from mufly.estimate.kalman_estimator import filter_ring_scan
 from mufly.flight.period_stages import CONTINUE, FIRST_FREE_CODE, LOOP_DONE, make_stepper
 from mufly.flight.simulated_plant import advance_period, find_collision, true_attitude

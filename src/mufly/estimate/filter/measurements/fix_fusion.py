@@ -39,7 +39,7 @@ from mufly.estimate.filter.filter_records import (
     FilterMemory,
     FilterSettings,
 )
-from mufly.estimate.filter.scalar_fusion import (
+from mufly.estimate.filter.measurements.scalar_fusion import (
     INNOVATION_GATE,
     MAX_NOISE_SCALE,
     MAX_RATIO_PRODUCT,
@@ -55,7 +55,7 @@ from mufly.estimate.filter.scalar_fusion import (
     reset_timeout_expired,
     scale_variance,
 )
-from mufly.estimate.filter.sensor_checks import (
+from mufly.estimate.filter.measurements.sensor_checks import (
     REASON_FUSED_THOUGH_OFFSET,
     REASON_HEIGHT_CONFLICT,
     REASON_INNOVATION,

@@ -24,7 +24,7 @@ from mufly.estimate.filter.filter_records import (
     FilterMemory,
     FilterSettings,
 )
-from mufly.estimate.filter.sensor_checks import mark_rejected
+from mufly.estimate.filter.measurements.sensor_checks import mark_rejected
 from mufly.estimate.filter.strapdown import rotate_attitude
 from mufly.estimate.filter.ud_filter import innovation_variance, ud_measurement_update
 

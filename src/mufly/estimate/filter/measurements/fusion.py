@@ -1,8 +1,8 @@
 """Fusion of each measurement: its model, its gate and its reset.
 
 A scalar measurement z = h(x) + n has an innovation of variance S = H P H^T + r. It is fused if the innovation lies
-within :data:`mufly.estimate.filter.scalar_fusion.INNOVATION_GATE` standard deviations; a measurement of several numbers
-if all of them do.
+within :data:`~mufly.estimate.filter.measurements.scalar_fusion.INNOVATION_GATE` standard deviations; a measurement of
+several numbers if all of them do.
 
 | measurement | h(x) | reset after rejections that agree with each other |
 |---|---|---|
@@ -59,8 +59,8 @@ from mufly.estimate.filter.filter_records import (
     FilterMemory,
     FilterSettings,
 )
-from mufly.estimate.filter.fix_fusion import fuse_position_fix, predict_fix_bias
-from mufly.estimate.filter.scalar_fusion import (
+from mufly.estimate.filter.measurements.fix_fusion import fuse_position_fix, predict_fix_bias
+from mufly.estimate.filter.measurements.scalar_fusion import (
     INNOVATION_GATE,
     RESET_TIMEOUT_S,
     apply_correction,
@@ -73,7 +73,7 @@ from mufly.estimate.filter.scalar_fusion import (
     reject_measurement,
     reset_timeout_expired,
 )
-from mufly.estimate.filter.sensor_checks import (
+from mufly.estimate.filter.measurements.sensor_checks import (
     REASON_INNOVATION,
     REASON_NO_WALL,
     REASON_OUT_OF_RANGE,

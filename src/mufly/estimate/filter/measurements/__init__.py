@@ -1,0 +1,1 @@
+"""Update of the filter by the measurement of each sensor, and checks of the sensors."""
