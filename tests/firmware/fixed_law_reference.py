@@ -1,4 +1,4 @@
-"""Reference in Python of the fixed-point control law, ``fixed/fixed_law.c``.
+"""Reference in Python of the fixed-point control law, ``fixed_point/fixed_point_law.c``.
 
 Python integers are unbounded; numbers beyond C's 32 or 64 bits are detected.
 """

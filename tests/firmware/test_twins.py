@@ -67,7 +67,8 @@ def test_makefile_and_cmake_file_build_the_same_sources(tree) -> None:
     cmake = (tree / "CMakeLists.txt").read_text()
     flat = re.search(r"file\(GLOB \w+ CONFIGURE_DEPENDS ([^)]+)\)", cmake)
     deep = re.search(r"file\(GLOB_RECURSE \w+ CONFIGURE_DEPENDS ([^)]+)\)", cmake)
-    assert flat and deep
+    assert flat
+    assert deep
     patterns = [*flat[1].split(), *(pattern.replace("/", "/**/") for pattern in deep[1].split())]
     assert {str(p.relative_to(tree)) for p in find_sources(tree, patterns)} == right
     assert len(right) > len(SOFTWARE_SOURCES)

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import os
 import sys
+import types
+from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -98,8 +100,7 @@ def run_coverage_workload(folder: Path, vehicle: Vehicle) -> None:
         return fixed_point_law.FixedPointFirmwareControllers(c, whole)
 
     # The instrumented library replaces the regular ones; the record layouts are equal.
-    changed: Any = fixed_point_law
-    changed._loaded = lambda text, cc: (fixed_ffi, fixed_ffi.dlopen(library))
+    _replace_loader(fixed_point_law, "_load_fixed_library", lambda text, cc: (fixed_ffi, fixed_ffi.dlopen(library)))
     kept: Any = filter_backend._load_filter_library
     records = (folder / RECORDS_HEADER).read_text(encoding="utf-8")
 
@@ -107,10 +108,9 @@ def run_coverage_workload(folder: Path, vehicle: Vehicle) -> None:
         ffi, lib = kept(asked, flags)
         return ffi, ffi.dlopen(library) if asked == records and flags == COMPILER_FLAGS else lib
 
-    changed = filter_backend
     counts: Any = load_instrumented_filter
     counts.cache_clear = kept.cache_clear
-    changed._library = counts
+    _replace_loader(filter_backend, "_load_filter_library", counts)
     for name in ("demonstration", "box-on-leg"):
         fly_mission(vehicle, load_mission(name), controller=controller, controllers=Flown, sensors="fitted", gust=0.3)
     fly_mission(vehicle, load_mission("box-on-leg"), controller=controller, controllers=make_fixed_point_controllers)
@@ -135,6 +135,12 @@ def run_coverage_workload(folder: Path, vehicle: Vehicle) -> None:
             130 if k % 4 == 0 else 0
         )  # 130 is a multiple of FUZZ_PARTS and selects plain numbers
         firmware.lib.LLVMFuzzerTestOneInput(firmware.ffi.from_buffer("uint8_t[]", data.tobytes()), len(data))
+
+
+def _replace_loader(module: types.ModuleType, name: str, loader: Callable[..., Any]) -> None:
+    """Replace a function that loads a library; raise AttributeError if the module has none of this name."""
+    getattr(module, name)
+    setattr(module, name, loader)
 
 
 def _run_comparison_tests(counted: Firmware) -> None:

@@ -514,7 +514,10 @@ def _link_selftest(folder: Path, how: ArithmeticBuild, cpu: tuple[str, ...], tes
     )
     (objects / "board.ld").write_text(script, encoding="utf-8")
     out = objects / f"{test}.elf"
-    parts = (*sorted(objects.glob("*.o")), *_selftest_sources(test, "check/platforms/platform_cortex_m4.c", "boards/memory.c"))
+    parts = (
+        *sorted(objects.glob("*.o")),
+        *_selftest_sources(test, "check/platforms/platform_cortex_m4.c", "boards/memory.c"),
+    )
     run_compiler(_compiler_command(folder, how, cpu, *parts, "-T", objects / "board.ld", "-o", out, "-lgcc"), folder)
     return out
 
