@@ -32,7 +32,7 @@ TIMEOUT_S = 900.0
 _SAFETY, _MISSION = "test_board_safety.py", "test_mission_c.py"
 # Folder or file pattern under src/mufly, and the tests that answer for it.
 GROUPS = {
-    "firmware/sources/onboard/drivers/*.c": ["test_drivers.py", "test_sd_card.py"],
+    "firmware/sources/onboard/drivers/**/*.c": ["test_drivers.py", "test_sd_card.py"],
     "firmware/sources/onboard/receiver/*.c": ["test_rc.py", "-k", "not emulated"],
     "firmware/sources/onboard/storage/*.c": ["test_storage.py", "test_settings.py", _SAFETY, "-k", "not supervisor"],
     "firmware/sources/onboard/log/*.c": ["test_flight_log.py"],

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from mufly.estimate.filter.filter_records import R_ACCELERATION, R_BATTERY, R_PRESSURE, R_RATES, R_SONAR, READING_STARTS
-from mufly.firmware.export.source_export import copy_sources
+from mufly.firmware.export.source_export import copy_sources, find_sources
 from mufly.sensors.pressure import STANDARD_PRESSURE_PA
 
 COMPILERS = [c for c in ("cc", "gcc", "clang") if shutil.which(c)]
@@ -32,7 +32,7 @@ def library(tmp_path_factory):
     copy_sources(tree)
     flags = ["-I.", "-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror"]
     sources = [
-        *(f"onboard/drivers/{p.name}" for p in (tree / "onboard/drivers").glob("*.c")),
+        *(str(p.relative_to(tree)) for p in find_sources(tree, ["onboard/drivers/**/*.c"])),
         "check/models/bus_model.c",
         "check/models/sd_bus_model.c",
     ]

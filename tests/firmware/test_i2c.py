@@ -13,7 +13,7 @@ import subprocess
 import cffi
 import pytest
 
-from mufly.firmware.export.source_export import BOARD_INCLUDE_FLAGS, copy_sources
+from mufly.firmware.export.source_export import copy_sources
 
 COMPILERS = [c for c in ("cc", "gcc", "clang") if shutil.which(c)]
 pytestmark = pytest.mark.skipif(not COMPILERS, reason="no C compiler: install gcc or clang")
@@ -31,12 +31,12 @@ def library(tmp_path_factory):
     tree = tmp_path_factory.mktemp("i2c")
     copy_sources(tree)
     flags = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-pedantic", "-Werror", "-DREGISTER_MODEL"]
-    flags += ["-DMUFLY_FLOAT", *BOARD_INCLUDE_FLAGS, "-Icheck", "-Iboards/stm32"]
-    sources = ["boards/stm32/i2c.c", "boards/stm32/core.c", "check/register_access.c"]
+    flags += ["-DMUFLY_FLOAT", "-I."]
+    sources = ["boards/stm32/i2c.c", "boards/stm32/core.c", "check/models/register_access.c"]
     build = [COMPILERS[0], *flags, "-shared", "-fPIC", *sources, "-o", "i2c.so"]
     done = subprocess.run(build, cwd=tree, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    headers = '#include "stm32f405.h"\n#include "register_access.h"\n'
+    headers = '#include "boards/stm32/stm32f405.h"\n#include "check/models/register_access.h"\n'
     said = subprocess.run(
         [COMPILERS[0], "-E", "-P", *flags, "-x", "c", "-"], cwd=tree, input=headers, capture_output=True, text=True
     ).stdout

@@ -94,8 +94,9 @@ def _link_image(tree: Path) -> Path:
     _run_compiler([*command, "-O2", "-c", *SPEED_OPTIMISED_SOURCES], tree)
     objects = [Path(name).with_suffix(".o").name for name in SPEED_OPTIMISED_SOURCES]
     # The simulation takes the place of the sensors and their drivers.
-    sources = [str(p.relative_to(tree)) for p in find_sources(tree, _IMAGE_SOURCES) if p.parent.name != "drivers"]
-    others = [*(name for name in sources if name not in SPEED_OPTIMISED_SOURCES), *objects]
+    sources = [str(p.relative_to(tree)) for p in find_sources(tree, _IMAGE_SOURCES)]
+    left_out = ("onboard/drivers/", *SPEED_OPTIMISED_SOURCES)
+    others = [*(name for name in sources if not name.startswith(left_out)), *objects]
     _run_compiler([*command, *others, "-T", "check/platforms/cortex_m4.ld", "-o", "board.elf", "-lgcc"], tree)
     return tree / "board.elf"
 

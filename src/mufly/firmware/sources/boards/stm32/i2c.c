@@ -1,7 +1,7 @@
 /* I2C 1 by interrupts, as its only controller, at 100 kHz (RM0090, section 27.3.3): ranging. */
 #include "boards/stm32/pins.h"
 #include "boards/stm32/stm32f405.h"
-#include "onboard/drivers/register_device.h"
+#include "onboard/drivers/sensors/register_device.h"
 
 #include <stddef.h>
 

@@ -1,8 +1,8 @@
 /* SPI by DMA: sensors on SPI 1, an SD card on SPI 3. */
 #include "boards/stm32/pins.h"
 #include "boards/stm32/stm32f405.h"
-#include "onboard/drivers/register_device.h"
 #include "onboard/drivers/sd_card.h"
+#include "onboard/drivers/sensors/register_device.h"
 
 #include <stddef.h>
 

@@ -2,7 +2,7 @@
 #ifndef MUFLY_BUS_MODEL_H
 #define MUFLY_BUS_MODEL_H
 
-#include "onboard/drivers/register_device.h"
+#include "onboard/drivers/sensors/register_device.h"
 
 typedef struct {
     uint8_t registers[512];

@@ -3,10 +3,10 @@
 #define MUFLY_SENSOR_SUITE_H
 
 #include "hal.h"
-#include "onboard/drivers/bmp280.h"
-#include "onboard/drivers/icm42688.h"
-#include "onboard/drivers/srf10.h"
-#include "onboard/drivers/vl53l1x.h"
+#include "onboard/drivers/sensors/bmp280.h"
+#include "onboard/drivers/sensors/icm42688.h"
+#include "onboard/drivers/sensors/srf10.h"
+#include "onboard/drivers/sensors/vl53l1x.h"
 
 /* What measures the range downwards: R_SONAR of the readings. */
 enum { RANGING_SRF10, RANGING_VL53L1X };

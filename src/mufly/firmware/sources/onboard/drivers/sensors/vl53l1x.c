@@ -1,4 +1,4 @@
-#include "onboard/drivers/vl53l1x.h"
+#include "onboard/drivers/sensors/vl53l1x.h"
 
 #define SOFT_RESET 0x0000U
 #define VHV_CONFIG_TIMEOUT_MACROP_LOOP_BOUND 0x0008U

@@ -1,4 +1,4 @@
-#include "onboard/drivers/register_device.h"
+#include "onboard/drivers/sensors/register_device.h"
 
 #include <stddef.h>
 

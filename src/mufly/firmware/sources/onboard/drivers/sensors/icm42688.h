@@ -3,7 +3,7 @@
 #ifndef MUFLY_ICM42688_H
 #define MUFLY_ICM42688_H
 
-#include "onboard/drivers/register_device.h"
+#include "onboard/drivers/sensors/register_device.h"
 
 typedef struct {
     register_device_t device;

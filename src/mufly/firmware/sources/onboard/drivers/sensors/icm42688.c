@@ -1,4 +1,4 @@
-#include "onboard/drivers/icm42688.h"
+#include "onboard/drivers/sensors/icm42688.h"
 
 #define TEMP_DATA1 0x1DU /* then acceleration x, y, z and rates x, y, z; 14 bytes */
 #define DEVICE_CONFIG 0x11U

@@ -1,4 +1,4 @@
-#include "onboard/drivers/bmp280.h"
+#include "onboard/drivers/sensors/bmp280.h"
 
 #define CALIBRATION 0x88U
 #define CALIBRATION_BYTES 24

@@ -3,7 +3,7 @@
 #ifndef MUFLY_SRF10_H
 #define MUFLY_SRF10_H
 
-#include "onboard/drivers/register_device.h"
+#include "onboard/drivers/sensors/register_device.h"
 
 typedef struct {
     register_device_t device;

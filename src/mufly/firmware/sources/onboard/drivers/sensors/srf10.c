@@ -1,4 +1,4 @@
-#include "onboard/drivers/srf10.h"
+#include "onboard/drivers/sensors/srf10.h"
 
 #define COMMAND 0x00U
 #define UNUSED 0x01U      /* reads 0x80 */
