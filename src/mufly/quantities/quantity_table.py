@@ -96,6 +96,16 @@ def _channel_fields(pattern: str) -> str:
     return " ".join(pattern.format(k) for k in range(1, 9))
 
 
+def _make_quantity(
+    name: str, dim: str | None, units: str, long_name: str, *mavlink_sources: MavlinkSource,
+    topic: str = "", kinds: str = "flight",
+) -> Quantity:  # fmt: skip
+    """Return a row; without a ``topic`` the first word of the name is the topic, and the rest the field."""
+    first, _, rest = name.partition("_")
+    where = (topic, name) if topic else (f"/{first}", rest)
+    return Quantity(name, *where, dim, units, long_name, kinds, mavlink_sources)
+
+
 def _measured_signals(row: ReadingRow) -> Iterator[Quantity]:
     """Return the signals of a sensor: reading, time of measurement, and validity; NaN without a new reading."""
     name, words = row.name, row.name.replace("_", " ")
@@ -128,43 +138,35 @@ FUSION_STATUSES = ("waiting", "fused", "rejected", "missing", "faulty")
 _CENTRE_OF_GRAVITY_TEXT = "of the centre of gravity"
 _RAW_CHANNEL_FIELDS = _channel_fields("chan{}_raw")
 QUANTITIES: tuple[Quantity, ...] = (
-    Quantity("truth_position", "/truth", "position", "axis", "m", f"true position {_CENTRE_OF_GRAVITY_TEXT}"),
-    Quantity("truth_velocity", "/truth", "velocity", "axis", "m/s", f"true velocity {_CENTRE_OF_GRAVITY_TEXT}"),
-    Quantity("truth_attitude", "/truth", "attitude", "angle", "rad", "true attitude"),
-    Quantity("truth_rates", "/truth", "rates", "rate", "rad/s", "true body rates"),
-    Quantity("truth_rotor_speed", "/truth", "rotor_speed", "rotor", "rad/s", "true rotor speed"),
-    Quantity("wind", "/truth", "wind", "axis", "m/s", "velocity of the air"),
-    Quantity(
+    _make_quantity("truth_position", "axis", "m", f"true position {_CENTRE_OF_GRAVITY_TEXT}"),
+    _make_quantity("truth_velocity", "axis", "m/s", f"true velocity {_CENTRE_OF_GRAVITY_TEXT}"),
+    _make_quantity("truth_attitude", "angle", "rad", "true attitude"),
+    _make_quantity("truth_rates", "rate", "rad/s", "true body rates"),
+    _make_quantity("truth_rotor_speed", "rotor", "rad/s", "true rotor speed"),
+    _make_quantity("wind", "axis", "m/s", "velocity of the air", topic="/truth"),
+    _make_quantity(
         "measured_position",
-        "/measured",
-        "position",
         "axis",
         "m",
         f"measured position {_CENTRE_OF_GRAVITY_TEXT}",
-        mavlink_sources=(MavlinkSource("VISION_POSITION_ESTIMATE", "x y z", "m"),),
+        MavlinkSource("VISION_POSITION_ESTIMATE", "x y z", "m"),
     ),
-    Quantity(
-        "measured_velocity", "/measured", "velocity", "axis", "m/s", f"measured velocity {_CENTRE_OF_GRAVITY_TEXT}"
-    ),
-    Quantity(
+    _make_quantity("measured_velocity", "axis", "m/s", f"measured velocity {_CENTRE_OF_GRAVITY_TEXT}"),
+    _make_quantity(
         "measured_attitude",
-        "/measured",
-        "attitude",
         "angle",
         "rad",
         "measured attitude",
-        mavlink_sources=(MavlinkSource("VISION_POSITION_ESTIMATE", "roll pitch yaw", "rad"),),
+        MavlinkSource("VISION_POSITION_ESTIMATE", "roll pitch yaw", "rad"),
     ),
-    Quantity("measured_rates", "/measured", "rates", "rate", "rad/s", "measured body rates"),
-    Quantity(
+    _make_quantity("measured_rates", "rate", "rad/s", "measured body rates"),
+    _make_quantity(
         "measured_rotor_speed",
-        "/measured",
-        "rotor_speed",
         "rotor",
         "rad/s",
         "measured rotor speed",
-        "sensors station",
-        (MavlinkSource("RAW_RPM", "frequency frequency", "rpm"),),
+        MavlinkSource("RAW_RPM", "frequency frequency", "rpm"),
+        kinds="sensors station",
     ),
     *(
         signal
@@ -172,221 +174,149 @@ QUANTITIES: tuple[Quantity, ...] = (
         for signal in _measured_signals(row)
         if signal.name not in ("measured_rates", "measured_rotor_speed")  # above
     ),
-    Quantity(
+    _make_quantity(
         "estimated_position",
-        "/estimated",
-        "position",
         "axis",
         "m",
         "position as estimated on board",
-        "sensors station",
-        (MavlinkSource("LOCAL_POSITION_NED", "x y z", "m"),),
+        MavlinkSource("LOCAL_POSITION_NED", "x y z", "m"),
+        kinds="sensors station",
     ),
-    Quantity(
+    _make_quantity(
         "estimated_velocity",
-        "/estimated",
-        "velocity",
         "axis",
         "m/s",
         "velocity as estimated on board",
-        "sensors station",
-        (MavlinkSource("LOCAL_POSITION_NED", "vx vy vz", "m/s"),),
+        MavlinkSource("LOCAL_POSITION_NED", "vx vy vz", "m/s"),
+        kinds="sensors station",
     ),
-    Quantity(
+    _make_quantity(
         "estimated_attitude",
-        "/estimated",
-        "attitude",
         "angle",
         "rad",
         "attitude as estimated on board",
-        "sensors station",
-        (MavlinkSource("ATTITUDE", "roll pitch yaw", "rad"),),
+        MavlinkSource("ATTITUDE", "roll pitch yaw", "rad"),
+        kinds="sensors station",
     ),
-    Quantity(
+    _make_quantity(
         "estimated_rates",
-        "/estimated",
-        "rates",
         "rate",
         "rad/s",
         "body rates as estimated on board",
-        "sensors station",
-        (MavlinkSource("ATTITUDE", "rollspeed pitchspeed yawspeed", "rad/s"),),
+        MavlinkSource("ATTITUDE", "rollspeed pitchspeed yawspeed", "rad/s"),
+        kinds="sensors station",
     ),
-    Quantity(
+    _make_quantity(
         "estimated_position_sigma",
-        "/estimated",
-        "position_sigma",
         "axis",
         "m",
         "standard deviation of the position as estimated on board",
-        "sensors station",
+        kinds="sensors station",
     ),
-    Quantity(
+    _make_quantity(
         "estimated_velocity_sigma",
-        "/estimated",
-        "velocity_sigma",
         "axis",
         "m/s",
         "standard deviation of the velocity as estimated on board",
-        "sensors station",
+        kinds="sensors station",
     ),
-    Quantity(
+    _make_quantity(
         "estimated_attitude_sigma",
-        "/estimated",
-        "attitude_sigma",
         "angle",
         "rad",
         "standard deviation of the attitude as estimated on board",
-        "sensors station",
+        kinds="sensors station",
     ),
-    Quantity(
+    _make_quantity(
         "estimated_rates_sigma",
-        "/estimated",
-        "rates_sigma",
         "rate",
         "rad/s",
         "standard deviation of the body rates as estimated on board",
-        "sensors",
+        kinds="sensors",
     ),
-    Quantity("estimated_gyro_bias", "/estimated", "gyro_bias", "rate", "rad/s", "bias of the gyroscopes", "sensors"),
-    Quantity(
-        "estimated_accelerometer_bias",
-        "/estimated",
-        "accelerometer_bias",
-        "body",
-        "m/s^2",
-        "bias of the accelerometers",
-        "sensors",
+    _make_quantity("estimated_gyro_bias", "rate", "rad/s", "bias of the gyroscopes", kinds="sensors"),
+    _make_quantity("estimated_accelerometer_bias", "body", "m/s^2", "bias of the accelerometers", kinds="sensors"),
+    _make_quantity("estimated_floor_height", None, "m", "height of what is below the helicopter", kinds="sensors"),
+    _make_quantity(
+        "estimated_fix_bias", "fix", "m", "what fixes are off by for the time being (heading: rad)", kinds="sensors"
     ),
-    Quantity(
-        "estimated_floor_height",
-        "/estimated",
-        "floor_height",
-        None,
-        "m",
-        "height of what is below the helicopter",
-        "sensors",
-    ),
-    Quantity(
-        "estimated_fix_bias",
-        "/estimated",
-        "fix_bias",
-        "fix",
-        "m",
-        "what fixes are off by for the time being (heading: rad)",
-        "sensors",
-    ),
-    Quantity("estimated_wind", "/estimated", "wind", "level", "m/s", "velocity of the air", "sensors station"),
-    Quantity(
-        "estimated_thrust_scale",
-        "/estimated",
-        "thrust_scale",
-        None,
-        "1",
-        "thrust in that of the rotor model",
-        "sensors",
-    ),
-    Quantity("estimated_valid", "/estimated", "valid", None, "1", "1 where the estimator stands by it", "sensors"),
-    Quantity(
+    _make_quantity("estimated_wind", "level", "m/s", "velocity of the air", kinds="sensors station"),
+    _make_quantity("estimated_thrust_scale", None, "1", "thrust in that of the rotor model", kinds="sensors"),
+    _make_quantity("estimated_valid", None, "1", "1 where the estimator stands by it", kinds="sensors"),
+    _make_quantity(
         "reference_position",
-        "/reference",
-        "position",
         "axis",
         "m",
         "reference position",
-        mavlink_sources=(MavlinkSource("POSITION_TARGET_LOCAL_NED", "x y z", "m"),),
+        MavlinkSource("POSITION_TARGET_LOCAL_NED", "x y z", "m"),
     ),
-    Quantity(
+    _make_quantity(
         "reference_velocity",
-        "/reference",
-        "velocity",
         "axis",
         "m/s",
         "reference velocity",
-        mavlink_sources=(MavlinkSource("POSITION_TARGET_LOCAL_NED", "vx vy vz", "m/s"),),
+        MavlinkSource("POSITION_TARGET_LOCAL_NED", "vx vy vz", "m/s"),
     ),
-    Quantity("reference_attitude", "/reference", "attitude", "angle", "rad", "commanded attitude"),
-    Quantity(
-        "motor_input",
-        "/actuators",
+    _make_quantity("reference_attitude", "angle", "rad", "commanded attitude"),
+    _make_quantity(
         "motor_input",
         "rotor",
         "1",
         "motor input, 0 to 1",
-        mavlink_sources=(MavlinkSource("ACTUATOR_OUTPUT_STATUS", "actuator[0] actuator[1]", "1"),),
+        MavlinkSource("ACTUATOR_OUTPUT_STATUS", "actuator[0] actuator[1]", "1"),
+        topic="/actuators",
     ),
-    Quantity(
-        "servo_input",
-        "/actuators",
+    _make_quantity(
         "servo_input",
         "servo",
         "1",
         "servo input, -1 to 1",
-        mavlink_sources=(MavlinkSource("ACTUATOR_OUTPUT_STATUS", "actuator[2] actuator[3]", "1"),),
+        MavlinkSource("ACTUATOR_OUTPUT_STATUS", "actuator[2] actuator[3]", "1"),
+        topic="/actuators",
     ),
-    Quantity(
-        "battery_voltage",
-        "/battery",
-        "voltage",
-        None,
-        "V",
-        "battery terminal voltage",
-        mavlink_sources=(MavlinkSource("SYS_STATUS", "voltage_battery", "mV"),),
+    _make_quantity(
+        "battery_voltage", None, "V", "battery terminal voltage", MavlinkSource("SYS_STATUS", "voltage_battery", "mV")
     ),
-    Quantity(
-        "battery_current",
-        "/battery",
-        "current",
-        None,
-        "A",
-        "battery current",
-        mavlink_sources=(MavlinkSource("SYS_STATUS", "current_battery", "cA"),),
+    _make_quantity(
+        "battery_current", None, "A", "battery current", MavlinkSource("SYS_STATUS", "current_battery", "cA")
     ),
-    Quantity(
+    _make_quantity(
         "battery_charge",
-        "/battery",
-        "charge",
         None,
         "1",
         "battery charge left, 0 to 1",
-        mavlink_sources=(MavlinkSource("SYS_STATUS", "battery_remaining", "%"),),
+        MavlinkSource("SYS_STATUS", "battery_remaining", "%"),
     ),
-    Quantity("range", "/ranges", "range", "beam", "m", "distance to the nearest obstacle along a beam"),
+    _make_quantity("range", "beam", "m", "distance to the nearest obstacle along a beam", topic="/ranges"),
     *(q for reading in CHECKED_READINGS for q in _innovation_signals(reading)),
-    Quantity(
+    _make_quantity(
         "pilot_input",
-        "/pilot",
-        "input",
         "channel",
         "us",
         "channel of the pilot's remote control, pulse length",
-        "station",
-        (
-            MavlinkSource("RC_CHANNELS", _RAW_CHANNEL_FIELDS, "us"),
-            MavlinkSource("RC_CHANNELS_RAW", _RAW_CHANNEL_FIELDS, "us"),
-        ),
+        MavlinkSource("RC_CHANNELS", _RAW_CHANNEL_FIELDS, "us"),
+        MavlinkSource("RC_CHANNELS_RAW", _RAW_CHANNEL_FIELDS, "us"),
+        kinds="station",
     ),
-    Quantity("link_loss", "/link", "loss", None, "1", "share of packets lost of late, 0 to 1", "station"),
-    Quantity("link_rate", "/link", "rate", None, "Hz", "messages a second", "station"),
-    Quantity("actuator_control", "/signals", "actuator_control", "control", "1", "control to the mixer, -1 to 1", ""),
-    Quantity(
-        "actuator_output",
-        "/signals",
+    _make_quantity("link_loss", None, "1", "share of packets lost of late, 0 to 1", kinds="station"),
+    _make_quantity("link_rate", None, "Hz", "messages a second", kinds="station"),
+    _make_quantity("actuator_control", "control", "1", "control to the mixer, -1 to 1", topic="/signals", kinds=""),
+    _make_quantity(
         "actuator_output",
         "channel",
         "us",
         "output to the actuators, pulse length",
-        "",
-        (MavlinkSource("SERVO_OUTPUT_RAW", _channel_fields("servo{}_raw"), "us"),),
+        MavlinkSource("SERVO_OUTPUT_RAW", _channel_fields("servo{}_raw"), "us"),
+        topic="/signals",
+        kinds="",
     ),
-    Quantity(
-        "actuator_command",
-        "/signals",
+    _make_quantity(
         "actuator_command",
         "actuator",
         "1",
         "command to each actuator, a share of its full range: 0 to 1, or -1 to 1",
-        "",
+        topic="/signals",
+        kinds="",
     ),
 )
 """Quantities by name; recorded quantities are in the order of columns (column 0 is the time)."""
