@@ -11,7 +11,7 @@ from mufly.dynamics import find_trim, initial_state, simulate_open_loop
 from mufly.quantities.units import STANDARD_GRAVITY_M_S2
 from mufly.results.result_figure import blank_figure
 from mufly.sensors import Truth, beam_angles, fitted_sensors
-from mufly.thesis.claims import ProgressCallback, Study, StudyFindings, judge
+from mufly.thesis.claims import ProgressCallback, Study, StudyFindings, judge, judge_item
 from mufly.vehicle import Vehicle, load_vehicle, replace_parameters
 from mufly.world import World, make_wall
 
@@ -25,6 +25,7 @@ def study_mass_budget(progress: ProgressCallback | None = None) -> StudyFindings
     budgets = [{k: 1e3 * float(q) for k, q in v.mass_budget} for v in vehicles if v.mass_budget is not None]
     total = [sum(b.values()) for b in budgets]
     ratio = budgets[0]["structure"] / budgets[1]["structure"]
+    assess = judge_item("fig-2.4", "both")
     verdicts = [
         judge(
             "fig-2.4/prototype-1.1-has-95-g", "mufly-1.1", f"groups add up to {total[0]:.1f} g", total_first=total[0]
@@ -35,16 +36,14 @@ def study_mass_budget(progress: ProgressCallback | None = None) -> StudyFindings
             f"groups add up to {total[1]:.1f} g",
             total_1=total[1],
         ),
-        judge("fig-2.4/its-structure-is-about-four-times", "both", f"{ratio:.1f} times", ratio=ratio),
-        judge(
-            "fig-2.4/the-battery-has-13-g",
-            "both",
+        assess("its-structure-is-about-four-times", f"{ratio:.1f} times", ratio=ratio),
+        assess(
+            "the-battery-has-13-g",
             ", ".join(f"{b['battery']:.0f} g" for b in budgets),
             holds=all(abs(b["battery"] - 13) < 0.5 for b in budgets),
         ),
-        judge(
-            "fig-2.4/both-bars-end-below-100-g",
-            "both",
+        assess(
+            "both-bars-end-below-100-g",
             f"{total[0]:.0f} and {total[1]:.0f} g in {len(budgets[0])} groups",
             total=max(total),
             budgets_first=len(budgets[0]),
@@ -113,18 +112,17 @@ def study_stabiliser_bar(progress: ProgressCallback | None = None) -> StudyFindi
     rate = {k: np.gradient(v, time)[np.searchsorted(time, 0.02)] / 0.02 for k, v in roll.items()}
     ends = {k: float(np.abs(v[time > 1.2]).max()) for k, v in roll.items()}
     left = "without its linkage"
+    assess = judge_item("fig-2.5", "flight model")
     verdicts = [
-        judge(
-            "fig-2.5/a-bar-that-lags-the-fuselage",
-            "flight model",
+        assess(
+            "a-bar-that-lags-the-fuselage",
             f"tilted by 20 degrees, roll accelerates by {rate['with the bar']:.0f} deg/s2 at first, "
             f"{rate[left]:.1f} without the linkage",
             rate_with_the_bar=rate["with the bar"],
             rate=abs(rate[left]),
         ),
-        judge(
-            "fig-2.5/without-the-bar-no-pilot-can",
-            "flight model",
+        assess(
+            "without-the-bar-no-pilot-can",
             f"from 1.2 s on the roll stays below {ends['with the bar']:.1f} degrees with it, at "
             f"{ends[left]:.1f} without",
             ends_with_the_bar=ends["with the bar"],
@@ -294,27 +292,23 @@ def study_range_sensors(progress: ProgressCallback | None = None) -> StudyFindin
             heights.append(float(one.value) - 1.0)
     within = 100 * float(np.mean(np.abs(heights) <= 0.01 + 1e-9))
     inside, outside = (true_m > 0.35) & (true_m < 1.35), (true_m < 0.25) | (true_m > 1.65)
+    assess = judge_item("fig-2.7", "sensor model")
     verdicts = [
-        judge(
-            "fig-2.7/the-ring-sees-obstacles-between-0.3",
-            "sensor model",
+        assess(
+            "the-ring-sees-obstacles-between-0.3",
             f"seen in {100 * share[inside].min():.0f} % or more of looks from 0.4 to 1.3 m, in "
             f"{100 * share[outside].max():.0f} % or less at 0.2 and beyond 1.6 m",
             share_min=share[inside].min(),
             share_max=share[outside].max(),
         ),
-        judge(
-            "fig-2.7/with-a-low-accuracy",
-            "sensor model",
+        assess(
+            "with-a-low-accuracy",
             f"error {off[true_m == 0.4][0]:.1f} cm at 0.4 m, {off[true_m == 1.3][0]:.1f} cm at "
             f"1.3 m (root mean square)",
             off_first=off[true_m == 1.3][0],
         ),
-        judge(
-            "fig-2.7/the-ultrasonic-sensor-is-accurate-to",
-            "sensor model",
-            f"{within:.1f} % of its readings lie within 1 cm",
-            within=within,
+        assess(
+            "the-ultrasonic-sensor-is-accurate-to", f"{within:.1f} % of its readings lie within 1 cm", within=within
         ),
     ]
     drawn = blank_figure(10.0, 3.8)

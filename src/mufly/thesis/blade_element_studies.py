@@ -31,7 +31,7 @@ from mufly.rotor import (
 )
 from mufly.rotor.coax_maps import interpolate_map as map_at
 from mufly.study import sweep_parameters
-from mufly.thesis.claims import TABLE_3_2_VALUES, ProgressCallback, Study, StudyFindings, judge
+from mufly.thesis.claims import TABLE_3_2_VALUES, ProgressCallback, Study, StudyFindings, judge, judge_item
 from mufly.thesis.single_rotor_studies import (
     RANKED_QUANTITY,
     blade_form_gain,
@@ -247,19 +247,18 @@ def study_bench_blades(progress: ProgressCallback | None = None) -> StudyFinding
     data["thrust_N"] = (("airfoil", "pitch_deg", "rpm"), thrust)
     data["torque_Nm"] = (("airfoil", "pitch_deg", "rpm"), torque)
     most = thrust[:, :, -1].max(axis=0)
+    assess = judge_item("fig-3.15", "full, calibrated")
     verdicts = [
-        judge(
-            "fig-3.15/tuned-on-one-rotor-blade-elements",
-            "full, calibrated",
+        assess(
+            "tuned-on-one-rotor-blade-elements",
             f"tuned on Table 3.2's first point, the other three are off by {rest_t:.1f} % in "
             f"thrust and {rest_q:.1f} % in "
             "torque at most",
             rest_t=rest_t,
             rest_q=rest_q,
         ),
-        judge(
-            "fig-3.15/the-greatest-thrust-at-8-000",
-            "full, calibrated",
+        assess(
+            "the-greatest-thrust-at-8-000",
             f"NACA 9412 has {most[0]:.2f} N at 12 degrees and {most[1]:.2f} N at 16",
             most_min=most.min() * 0.97,
             most_max=most.max() * 1.03,
@@ -369,15 +368,11 @@ def study_gurney_flaps(progress: ProgressCallback | None = None) -> StudyFinding
     best = np.nanmax(values, axis=1)
     gain = 100 * (best / best[0] - 1)
     numbers = ", ".join(f"{g:+.1f} % ({f:g} %)" for f, g in zip(GURNEY_HEIGHTS_PERCENT[1:], gain[1:], strict=True))
+    assess = judge_item("fig-3.42", "full")
     verdicts = [
-        judge("fig-3.42/all-flaps-of-1-3-and", "full", f"bests {numbers}", gain=gain[1:]),
-        judge("fig-3.42/a-flap-of-1-is", "full", f"bests {numbers}", gain_argmax=int(gain.argmax())),
-        judge(
-            "fig-3.42/it-brings-nearly-20",
-            "full",
-            f"{gain[1]:+.1f} % at 1 %, {gain.max():+.1f} % at most",
-            gain_max=gain.max(),
-        ),
+        assess("all-flaps-of-1-3-and", f"bests {numbers}", gain=gain[1:]),
+        assess("a-flap-of-1-is", f"bests {numbers}", gain_argmax=int(gain.argmax())),
+        assess("it-brings-nearly-20", f"{gain[1]:+.1f} % at 1 %, {gain.max():+.1f} % at most", gain_max=gain.max()),
         judge(
             "fig-3.42/it-brings-nearly-20-2",
             "CFD, laminar, medium mesh (docs/explanation/cfd.md)",
@@ -421,11 +416,9 @@ def study_climb_inflow(progress: ProgressCallback | None = None) -> StudyFinding
     Thesis: Fig. 4.2.
     """
     climb = np.linspace(-1.0, 1.0, 21)
-    system, pitch, speed = (
-        RotorSystem.single_rotor(load_rotor("naca0012-r60-c20")),
-        math.radians(14),
-        6000 * RPM,
-    )
+    system = RotorSystem.single_rotor(load_rotor("naca0012-r60-c20"))
+    pitch = math.radians(14)
+    speed = 6000 * RPM
     rows = [solve_system(system, OperatingCondition(pitch, speed, climb_m_s=float(v))).rotors[0] for v in climb]
     c_T, c_Q = np.array([r.c_T for r in rows]), np.array([r.c_Q for r in rows])
     table = load_coefficient_map("walkera-5g6-bemt")

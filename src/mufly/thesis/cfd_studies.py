@@ -158,11 +158,9 @@ def study_surface_pressure(progress: ProgressCallback | None = None, case: Path 
         def mean_pressure(where: np.ndarray) -> float:
             return float(np.sum(found.pressure_Pa[where] * size[where]) / np.sum(size[where]))
 
-        tip, middle, lower = (
-            mean_pressure(up & (r > 0.9 * R)),
-            mean_pressure(up & (r < 0.6 * R)),
-            mean_pressure(~up & (r > 0.9 * R)),
-        )
+        tip = mean_pressure(up & (r > 0.9 * R))
+        middle = mean_pressure(up & (r < 0.6 * R))
+        lower = mean_pressure(~up & (r > 0.9 * R))
         p = found.point
         where = f"CFD, {p.model}, {math.degrees(p.pitch_rad):g} deg, {p.speed_rad_s / RPM:.0f} rpm"
         verdicts = [
@@ -177,10 +175,8 @@ def study_surface_pressure(progress: ProgressCallback | None = None, case: Path 
         drawn = pressure_picture(mesh, found)
         drawn.suptitle(f"Fig. 3.23: pressure on the blade ({where})")
         return StudyFindings(verdicts, drawn, note=f"verdict of the run: {found.verdict}")
-    outer, inner = (
-        SPAN_LOADS_MN[_TIP_MM],
-        [sum(v[k] for (a, b), v in SPAN_LOADS_MN.items() if b <= _TIP_MM[0]) for k in (0, 1)],
-    )
+    outer = SPAN_LOADS_MN[_TIP_MM]
+    inner = [sum(v[k] for (a, b), v in SPAN_LOADS_MN.items() if b <= _TIP_MM[0]) for k in (0, 1)]
     verdicts = [
         judge(
             "fig-3.23/there-is-strong-suction-at-the",

@@ -126,13 +126,9 @@ class Study:
     cost_s: float
 
 
-def _load_rows() -> dict[str, dict[str, Any]]:
-    return tomllib.loads(VERDICTS_FILE.read_text(encoding="utf-8"))
-
-
 VERDICTS_FILE = Path(__file__).with_name("verdicts.toml")
 """File with one table for each verdict: claim, limits, rule in words, and the reason of a difference."""
-_ROWS = _load_rows()
+_ROWS: dict[str, dict[str, Any]] = tomllib.loads(VERDICTS_FILE.read_text(encoding="utf-8"))
 
 CLAIMS: dict[str, Claim] = {
     key: Claim(**{name: row[name] for name in ("where", "text", "value", "unit", "basis", "reason") if name in row})
@@ -165,6 +161,14 @@ def judge(key: str, model: str, ours: str, **quantities: Any) -> Verdict:
     agrees = all(meets_limits(value, limits[name]) for name, value in quantities.items())
     reason = row.get("reason_by_model", {}).get(model, CLAIMS[key].reason)
     return Verdict(replace(CLAIMS[key], reason=reason), model, ours, agrees, row["rule"])
+
+
+def judge_item(item: str, model: str) -> Callable[..., Verdict]:
+    """Return :func:`judge` for the claims of one figure or table, ``"fig-6.5"``, by one model.
+
+    Its arguments are the key of the claim after the item, the computed numbers as text, and the quantities.
+    """
+    return lambda claim, ours, **quantities: judge(f"{item}/{claim}", model, ours, **quantities)
 
 
 def meets_limits(value: Any, limits: Mapping[str, float] | bool) -> bool:

@@ -23,7 +23,7 @@ from mufly.flight import ControllerReference, Flight, simulate_response
 from mufly.flight.mission_flight import align_and_start
 from mufly.mission import parse_mission
 from mufly.results.result_figure import blank_figure
-from mufly.thesis.claims import CLAIMS, ProgressCallback, Study, StudyFindings, judge
+from mufly.thesis.claims import CLAIMS, ProgressCallback, Study, StudyFindings, judge, judge_item
 from mufly.vehicle import load_vehicle
 
 Array = NDArray[np.float64]
@@ -71,23 +71,17 @@ def study_heave_yaw_loop(progress: ProgressCallback | None = None) -> StudyFindi
     one = _design_controller().heave_yaw
     loop = one.full_loop
     near = min(loop.crossovers, key=lambda w: abs(w - 3.26))
+    assess = judge_item("fig-6.5", "continuous, full order")
     verdicts = [
-        judge("fig-6.5/gamma-is-1.38", "continuous, full order", f"{one.norm:.3f}", norm=one.norm),
-        judge(
-            "fig-6.5/the-crossover-is-at-3.26-rad-s",
-            "continuous, full order",
-            f"{', '.join(f'{w:.2f}' for w in loop.crossovers)} rad/s",
-            near=near,
-        ),
-        judge(
-            "fig-6.5/the-peak-of-s-u-is-3.74",
-            "continuous, full order",
+        assess("gamma-is-1.38", f"{one.norm:.3f}", norm=one.norm),
+        assess("the-crossover-is-at-3.26-rad-s", f"{', '.join(f'{w:.2f}' for w in loop.crossovers)} rad/s", near=near),
+        assess(
+            "the-peak-of-s-u-is-3.74",
             f"{loop.sensitivity_peak_dB:.2f} dB",
             sensitivity_peak_db=loop.sensitivity_peak_dB,
         ),
-        judge(
-            "fig-6.5/the-peak-of-t-u-is-3.93",
-            "continuous, full order",
+        assess(
+            "the-peak-of-t-u-is-3.93",
             f"{loop.complementary_peak_dB:.2f} dB",
             complementary_peak_db=loop.complementary_peak_dB,
         ),
@@ -126,16 +120,11 @@ def study_roll_pitch_loop(progress: ProgressCallback | None = None) -> StudyFind
     one = _design_controller().roll_pitch
     loop = one.full_loop
     near = min(loop.crossovers, key=lambda w: abs(w - 36))
+    assess = judge_item("fig-6.8", "continuous, full order")
     verdicts = [
-        judge(
-            "fig-6.8/the-crossover-is-at-36-rad-s",
-            "continuous, full order",
-            f"{', '.join(f'{w:.1f}' for w in loop.crossovers)} rad/s",
-            near=near,
-        ),
-        judge(
-            "fig-6.8/the-peak-of-t-u-is-1.9",
-            "continuous, full order",
+        assess("the-crossover-is-at-36-rad-s", f"{', '.join(f'{w:.1f}' for w in loop.crossovers)} rad/s", near=near),
+        assess(
+            "the-peak-of-t-u-is-1.9",
             f"{loop.complementary_peak_dB:.2f} dB",
             complementary_peak_db=loop.complementary_peak_dB,
         ),
@@ -167,32 +156,17 @@ def study_heave_step(progress: ProgressCallback | None = None) -> StudyFindings:
     overshoot = 100 * max(0.0, float(-z.min() - 0.5) / 0.5)
     late = np.flatnonzero(np.abs(z + 0.5) > 0.01)
     settled = float(time[late[-1]] - 1.0)
+    assess = judge_item("fig-6.10", "nonlinear model")
     verdicts = [
-        judge(
-            "fig-6.10/the-step-is-followed-without-overshoot",
-            "nonlinear model",
-            f"{overshoot:.2f} %",
-            overshoot=overshoot,
-        ),
-        judge(
-            "fig-6.10/it-has-settled-after-about-2",
-            "nonlinear model",
-            f"within 2 % after {settled:.2f} s",
-            settled=settled,
-        ),
-        judge(
-            "fig-6.10/yaw-stays-between-0.06-and-0.03",
-            "nonlinear model",
+        assess("the-step-is-followed-without-overshoot", f"{overshoot:.2f} %", overshoot=overshoot),
+        assess("it-has-settled-after-about-2", f"within 2 % after {settled:.2f} s", settled=settled),
+        assess(
+            "yaw-stays-between-0.06-and-0.03",
             f"{1e3 * yaw.min():.1f} to {1e3 * yaw.max():.1f} mrad",
             yaw_min=yaw.min(),
             yaw_max=yaw.max(),
         ),
-        judge(
-            "fig-6.10/motor-inputs-are-asked-for-up",
-            "nonlinear model",
-            f"at most {motor.max():.2f}",
-            motor_max=motor.max(),
-        ),
+        assess("motor-inputs-are-asked-for-up", f"at most {motor.max():.2f}", motor_max=motor.max()),
     ]
     drawn = blank_figure(7.0, 6.8)
     top, middle, bottom = drawn.subplots(3, 1, sharex=True)
@@ -256,17 +230,16 @@ def study_pitch_tracking(progress: ProgressCallback | None = None) -> StudyFindi
     begin = time >= 2.5
     half = time[begin][np.argmax(pitch[begin] < -0.03 - 0.9 * 0.07)] - 2.5
     railed = float(np.sum(np.abs(servo) > 1 - 1e-9) * (time[1] - time[0]))
+    assess = judge_item("fig-6.12", "nonlinear model")
     verdicts = [
-        judge(
-            "fig-6.12/the-reference-in-pitch-is-followed",
-            "nonlinear model",
+        assess(
+            "the-reference-in-pitch-is-followed",
             f"90 % of a step after {half:.2f} s; within {1e3 * rest:.1f} mrad at the end of each step",
             half=half,
             rest=rest,
         ),
-        judge(
-            "fig-6.12/the-servo-stays-between-0.8-and",
-            "nonlinear model",
+        assess(
+            "the-servo-stays-between-0.8-and",
             f"{servo.min():.2f} to {servo.max():.2f}, railed for {1e3 * railed:.0f} ms in all",
             servo_min=servo.min(),
             servo_max=servo.max(),
@@ -356,22 +329,18 @@ def study_heave_step_flown(progress: ProgressCallback | None = None) -> StudyFin
     still = np.abs(np.gradient(wanted, time)) < 1e-3
     worst = float(np.abs(yaw[still]).max())
     motor = part.motor_input.values
+    assess = judge_item("fig-6.11", "flown on sensors")
     verdicts = [
-        judge(
-            "fig-6.11/in-flight-it-overshoots-by-less",
-            "flown on sensors",
-            f"{overshoot:.1f} cm above the new height, of truth",
-            overshoot=overshoot,
+        assess(
+            "in-flight-it-overshoots-by-less", f"{overshoot:.1f} cm above the new height, of truth", overshoot=overshoot
         ),
-        judge(
-            "fig-6.11/yaw-is-not-held-as-tightly",
-            "flown on sensors",
+        assess(
+            "yaw-is-not-held-as-tightly",
             f"off the reference by up to {1e3 * worst:.0f} mrad while that stands still; 3 mrad in fig-6.10",
             worst=worst,
         ),
-        judge(
-            "fig-6.11/motor-inputs-of-simulation-and-flight",
-            "flown on sensors",
+        assess(
+            "motor-inputs-of-simulation-and-flight",
             f"mean of the motors in the wait {motor[time < -0.5].mean():.2f}, at most {motor.max():.2f}; hover of the "
             "model at this battery is 0.6 to 0.8",
             motor_mean=motor[time < -0.5].mean(),
@@ -408,18 +377,17 @@ def study_pitch_tracking_flown(progress: ProgressCallback | None = None) -> Stud
     shifts = np.arange(0, round(0.4 / step))
     left = [float(np.sqrt(np.mean((pitch[s:] - wanted[: wanted.size - s]) ** 2))) for s in shifts]
     best = int(np.argmin(left))
+    assess = judge_item("fig-6.13", "flown on sensors")
     verdicts = [
-        judge(
-            "fig-6.13/the-reference-is-followed-in-flight",
-            "flown on sensors",
+        assess(
+            "the-reference-is-followed-in-flight",
             f"{best * step:.2f} s late, off by {1e3 * left[best]:.0f} mrad then (root mean square; the reference has "
             f"{1e3 * wanted.std():.0f})",
             best=best * step,
             holds=left[best] < 0.5 * wanted.std(),
         ),
-        judge(
-            "fig-6.13/the-servo-stays-between-0.3-and",
-            "flown on sensors",
+        assess(
+            "the-servo-stays-between-0.3-and",
             f"{servo.min():.2f} to {servo.max():.2f}",
             servo_min=servo.min(),
             servo_max=servo.max(),

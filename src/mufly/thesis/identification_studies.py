@@ -22,7 +22,7 @@ from mufly.identify.flight.identification_demo import SENSOR_NOISE_STD
 from mufly.identify.residual_analysis import assess_record
 from mufly.quantities.units import RPM
 from mufly.results.result_figure import blank_figure
-from mufly.thesis.claims import CLAIMS, TABLE_5_3_VALUES, ProgressCallback, Study, StudyFindings, judge
+from mufly.thesis.claims import CLAIMS, TABLE_5_3_VALUES, ProgressCallback, Study, StudyFindings, judge, judge_item
 from mufly.vehicle import list_parameters, load_vehicle
 
 if TYPE_CHECKING:
@@ -166,6 +166,7 @@ def study_motor_fit(progress: ProgressCallback | None = None) -> StudyFindings:
     idle = 7.2 * kM / R / (kM * kE / R + dR)
     loaded = (7.2 * kM / R - 8e-3) / (kM * kE / R + dR)
     current = (7.2 - kE * loaded) / R
+    assess = judge_item("fig-5.1", "Table 5.3, 7.2 V")
     verdicts = [
         judge(
             "fig-5.1/the-constants-come-out-of-steady",
@@ -173,10 +174,9 @@ def study_motor_fit(progress: ProgressCallback | None = None) -> StudyFindings:
             f"{held} of 4 intervals hold the truth: {text}",
             held=held,
         ),
-        judge("fig-5.1/8-mn-m-take-less-than", "Table 5.3, 7.2 V", f"{current:.2f} A", current=current),
-        judge(
-            "fig-5.1/speeds-lie-between-6-000-and",
-            "Table 5.3, 7.2 V",
+        assess("8-mn-m-take-less-than", f"{current:.2f} A", current=current),
+        assess(
+            "speeds-lie-between-6-000-and",
             f"{loaded / RPM:.0f} rpm at 8 mN m, {idle / RPM:.0f} idle",
             loaded=loaded / RPM,
             idle=idle / RPM,

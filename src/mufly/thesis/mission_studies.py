@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
@@ -31,12 +30,9 @@ from mufly.mission import (
 from mufly.mission.avoidance import make_beam_ring, repulsive_force
 from mufly.results.result_figure import blank_figure, label_axes
 from mufly.sensors import beam_angles
-from mufly.thesis.claims import ProgressCallback, Study, StudyFindings, judge
+from mufly.thesis.claims import ProgressCallback, Study, StudyFindings, judge, judge_item
 from mufly.vehicle import load_vehicle
 from mufly.world import Box, World, cast_ranges
-
-if TYPE_CHECKING:
-    from matplotlib.patches import Rectangle
 
 Array = NDArray[np.float64]
 LASER_RING = make_beam_ring(8, math.pi / 8, 1.5)
@@ -291,16 +287,11 @@ def study_waypoints(progress: ProgressCallback | None = None) -> StudyFindings:
         going = np.hypot(*(leg[:, :2] - leg[0, :2]).T)
         moved = int(np.argmax(going > 0.1))
         apart.append(100 * abs(leg[moved, 2] - leg[-1, 2]) / abs(leg[-1, 2] - leg[0, 2]))
+    assess = judge_item("fig-6.17", "nonlinear model, ideal sensors")
     verdicts = [
-        judge(
-            "fig-6.17/waypoints-are-reached-without-overshoot",
-            "nonlinear model, ideal sensors",
-            f"{', '.join(f'{v:.1f}' for v in over)} cm",
-            over=max(over),
-        ),
-        judge(
-            "fig-6.17/first-heading-and-height-are-adapted",
-            "nonlinear model, ideal sensors",
+        assess("waypoints-are-reached-without-overshoot", f"{', '.join(f'{v:.1f}' for v in over)} cm", over=max(over)),
+        assess(
+            "first-heading-and-height-are-adapted",
             f"{max(apart):.0f} % of the climb or less is left when it has gone 10 cm",
             apart=max(apart),
         ),
@@ -372,6 +363,8 @@ def study_beam_directions(progress: ProgressCallback | None = None) -> StudyFind
 
 def study_repulsive_forces(progress: ProgressCallback | None = None) -> StudyFindings:
     """Fig. 6.19: the field of eqs 6.14 to 6.17 around a box, compared with a separate evaluation of the equations."""
+    from matplotlib.patches import Rectangle
+
     threshold = 1.0
     rng = np.random.default_rng(0)
     worst = 0.0
@@ -402,16 +395,13 @@ def study_repulsive_forces(progress: ProgressCallback | None = None) -> StudyFin
     acting = size > 1e-9
     away = (north * force_n + east * force_e)[acting] > 0
     seen_by_none = int(np.sum(~acting & (np.maximum(np.abs(north), np.abs(east)) < 0.8)))
+    assess = judge_item("fig-6.19", "mission/avoidance.py")
     verdicts = [
-        judge(
-            "fig-6.19/forces-from-eight-ranges",
-            "mission/avoidance.py",
-            f"off the equations by {worst:.0e} at 200 random sets of ranges",
-            worst=worst,
+        assess(
+            "forces-from-eight-ranges", f"off the equations by {worst:.0e} at 200 random sets of ranges", worst=worst
         ),
-        judge(
-            "fig-6.19/obstacles-repel",
-            "mission/avoidance.py",
+        assess(
+            "obstacles-repel",
             f"the force points away from the box at {100 * away.mean():.0f} % of "
             f"{int(acting.sum())} places where it acts"
             + (f"; at {seen_by_none} places near it no beam hits it" if seen_by_none else ""),
@@ -428,7 +418,7 @@ def study_repulsive_forces(progress: ProgressCallback | None = None) -> StudyFin
         (force_n / np.maximum(size, 1e-12) * length)[acting],
         color="C3",
     )
-    axes.add_patch(_obstacle_patch())
+    axes.add_patch(Rectangle((-0.3, -0.3), 0.6, 0.6, color="0.6"))
     axes.set(
         xlabel="east (m)",
         ylabel="north (m)",
@@ -438,12 +428,6 @@ def study_repulsive_forces(progress: ProgressCallback | None = None) -> StudyFin
     )
     axes.set_aspect("equal")
     return StudyFindings(verdicts, drawn)
-
-
-def _obstacle_patch() -> Rectangle:
-    from matplotlib.patches import Rectangle
-
-    return Rectangle((-0.3, -0.3), 0.6, 0.6, color="0.6")
 
 
 def study_square_track(progress: ProgressCallback | None = None) -> StudyFindings:
@@ -456,6 +440,7 @@ def study_square_track(progress: ProgressCallback | None = None) -> StudyFinding
     worst = max(100 * float(w.distance_at_reach_m or math.inf) for w in reached)
     places = [tuple(w.position_m) for w in mission.waypoint]
     printed = [(-3, 0, -1), (-3, 3, -2), (0, 3, -1), (0, 0, -2)]
+    assess = judge_item("fig-6.20", "nonlinear model, ideal sensors")
     verdicts = [
         judge(
             "fig-6.20/four-waypoints-2.5-s-of-waiting",
@@ -463,16 +448,14 @@ def study_square_track(progress: ProgressCallback | None = None) -> StudyFinding
             f"{places}",
             holds=(bool(np.allclose(places, printed))) and (all(w.wait_s == 2.5 for w in mission.waypoint)),
         ),
-        judge(
-            "fig-6.20/it-reaches-all-of-them-without",
-            "nonlinear model, ideal sensors",
+        assess(
+            "it-reaches-all-of-them-without",
             f"{found.waypoints_reached} of {found.waypoints_asked}, off by {worst:.1f} cm at most when the wait begins",
             waypoints_reached=found.waypoints_reached,
             worst=worst,
         ),
-        judge(
-            "fig-6.20/and-lands",
-            "nonlinear model, ideal sensors",
+        assess(
+            "and-lands",
             f"{found.outcome}; touches down at {found.touchdown_speed_m_s or math.nan:.2f} m/s",
             value=found.touchdown_speed_m_s or 9,
             holds=found.outcome == "succeeded",

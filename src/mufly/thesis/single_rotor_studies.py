@@ -193,10 +193,6 @@ def _judge_twist(model: str, pitch: Array, v: Array) -> list[Verdict]:
     ]
 
 
-def _degrees_to_radians(*values: float) -> list[float]:
-    return [float(x) for x in np.radians(values)]
-
-
 _THICKNESS_AIRFOILS = ["naca4406", "naca4409", "naca4412", "naca4415"]
 _CAMBER_AIRFOILS = ["naca0012", "naca2412", "naca4412", "naca9412"]
 _CAMBER_POSITION_AIRFOILS = ["naca4212", "naca4412", "naca4712", "naca4912"]
@@ -233,7 +229,7 @@ SWEEP_STUDIES: dict[str, SweepStudy] = {
     "fig-3.36": SweepStudy(
         "Twist",
         "twist",
-        _degrees_to_radians(0, 5, 10, 15),
+        [float(x) for x in np.radians((0, 5, 10, 15))],
         ["straight", "twist5", "twist10", "twist15"],
         _judge_twist,
     ),

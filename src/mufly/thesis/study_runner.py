@@ -11,7 +11,7 @@ import math
 import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import cache, partial
 from importlib.metadata import version
 from pathlib import Path
@@ -24,7 +24,7 @@ import xarray as xr
 from mufly.compiled.numba_cache import imported_sources
 from mufly.errors import InputError, report_write_errors
 from mufly.files.answer_store import cache_folder, hash_question, read_answer, write_answer
-from mufly.results import result
+from mufly.results import result, select_fields, to_plain_data
 from mufly.results.result_figure import enable_notebook_display
 from mufly.study import TABLE_3_3_AIRFOILS, write_results
 from mufly.thesis import (
@@ -108,18 +108,8 @@ class StudyOutcome:
 
     def to_dict(self) -> dict[str, Any]:
         """Return all results except data and picture; the value of a claim without a number is null."""
-        verdicts = []
-        for v in self.verdicts:
-            content = asdict(v) | {"agrees": bool(v.agrees)}  # may be a NumPy bool
-            if content["claim"]["value"] != content["claim"]["value"]:
-                content["claim"]["value"] = None
-            verdicts.append(content)
         return {
-            "name": self.name,
-            "title": self.title,
-            "verdicts": verdicts,
-            "note": self.note,
-            "lacking": self.lacking,
+            **to_plain_data(select_fields(self, "name title verdicts note lacking")),
             "seconds": None if math.isnan(self.seconds) else round(self.seconds, 2),
             "version": __version__,
         }

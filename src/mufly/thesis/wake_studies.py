@@ -37,7 +37,7 @@ from mufly.rotor.wake.biot_savart import segment_velocity
 from mufly.rotor.wake.induced_flow import momentum_thrust
 from mufly.study import BEMT_MODELS
 from mufly.thesis.blade_element_studies import load_bench_points
-from mufly.thesis.claims import TABLE_3_2_VALUES, ProgressCallback, Study, StudyFindings, judge
+from mufly.thesis.claims import TABLE_3_2_VALUES, ProgressCallback, Study, StudyFindings, judge, judge_item
 from mufly.thesis.coaxial_studies import solve_equal_speed_pair
 
 Array = NDArray[np.float64]
@@ -173,17 +173,16 @@ def study_wake_shapes(progress: ProgressCallback | None = None) -> StudyFindings
     at = {name: float(np.interp(depth, -z[np.argsort(-z)], r[np.argsort(-z)])) for name, (r, z) in radii.items()}
     thrust = 100 * (fixed.thrust_N / free.thrust_N - 1)
     torque = 100 * (fixed.rotors[0].torque_Nm / free.rotors[0].torque_Nm - 1)
+    assess = judge_item("fig-3.18", "wake")
     verdicts = [
-        judge(
-            "fig-3.18/the-wake-is-a-contracting-helix",
-            "wake",
+        assess(
+            "the-wake-is-a-contracting-helix",
             f"one radius below the disc the tip vortex is at {at['prescribed']:.2f} R (prescribed) and "
             f"{at['free']:.2f} R (free)",
             holds=all(0.7 < v < 0.95 for v in at.values()),
         ),
-        judge(
-            "fig-3.18/both-ways-of-giving-the-wake",
-            "wake",
+        assess(
+            "both-ways-of-giving-the-wake",
             f"prescribed over free: thrust {thrust:+.1f} %, torque {torque:+.1f} %",
             thrust=abs(thrust),
             torque=abs(torque),
@@ -208,15 +207,15 @@ def study_wake_velocities(progress: ProgressCallback | None = None) -> StudyFind
     down, up = float(w[1, core].mean()), float(w[:, around].max())
     ideal = math.sqrt(found.thrust_N / (2 * 1.2 * math.pi * R**2))
     momentum = momentum_thrust(found, -1.0 * R)
+    assess = judge_item("fig-3.19", "wake")
     verdicts = [
-        judge(
-            "fig-3.19/there-is-downwash-in-the-core",
-            "wake",
+        assess(
+            "there-is-downwash-in-the-core",
             f"mean {down:.1f} m/s within 0.7 R one radius below the disc; momentum theory has {-ideal:.1f} m/s in the "
             f"disc and {-2 * ideal:.1f} far below",
             holds=down < -ideal,
         ),
-        judge("fig-3.19/the-air-around-moves-up-more", "wake", f"up to {up:+.2f} m/s beyond 1.2 R", up=up),
+        assess("the-air-around-moves-up-more", f"up to {up:+.2f} m/s beyond 1.2 R", up=up),
     ]
     drawn = field_picture(found, mean=False, points=60)
     drawn.suptitle("Fig. 3.19: one rotor, 12 deg, 7 000 rpm", fontsize="medium")
@@ -265,6 +264,7 @@ def study_bench_pair(progress: ProgressCallback | None = None) -> StudyFindings:
     numbers = "; ".join(
         f"{k[0]} deg: thrust {100 * t:+.1f} %, lower torque {100 * q:+.1f} %" for k, (t, q) in ratio.items()
     )
+    assess = judge_item("fig-3.20", "full")
     verdicts = [
         judge(
             "fig-3.20/the-vortex-method-gives-the-pair-s",
@@ -272,18 +272,8 @@ def study_bench_pair(progress: ProgressCallback | None = None) -> StudyFindings:
             f"beside coaxial blade elements at 6 000 rpm: {numbers}",
             holds=(bool(ratio)) and (all(abs(t) < 0.10 for t, _ in ratio.values())),
         ),
-        judge(
-            "fig-3.20/the-greatest-thrust-of-the-pair",
-            "full",
-            f"{greatest_thrust:.2f} N at 18 degrees",
-            thrust=greatest_thrust,
-        ),
-        judge(
-            "fig-3.20/the-greatest-torque-of-the-lower",
-            "full",
-            f"{greatest_torque:.1f} mN m",
-            torque=greatest_torque,
-        ),
+        assess("the-greatest-thrust-of-the-pair", f"{greatest_thrust:.2f} N at 18 degrees", thrust=greatest_thrust),
+        assess("the-greatest-torque-of-the-lower", f"{greatest_torque:.1f} mN m", torque=greatest_torque),
     ]
     drawn = blank_figure(10.0, 4.2)
     for axes, values, scale, label, k in zip(
@@ -355,10 +345,10 @@ def study_methods(progress: ProgressCallback | None = None) -> StudyFindings:
         verdicts.append(judge(f"table-3.2/{name}", name, text, thrust=thrust, torque=torque))
     laminar = ours["CFD, laminar"] / theirs["laminar"] - 1
     known = laminar[np.isfinite(laminar[:, 0])]
+    assess = judge_item("table-3.2", "CFD, laminar")
     verdicts.append(
-        judge(
-            "table-3.2/laminar-cfd",
-            "CFD, laminar",
+        assess(
+            "laminar-cfd",
             f"thrust {format_errors(laminar[:, 0])} %, torque {format_errors(laminar[:, 1])} % of the source's "
             f"laminar CFD",
             known_max=np.abs(known[:, 0]).max(),
@@ -366,9 +356,8 @@ def study_methods(progress: ProgressCallback | None = None) -> StudyFindings:
     )
     below = all((v[:, 0] < truth[:, 0]).all() for m, v in theirs.items())
     verdicts.append(
-        judge(
-            "table-3.2/cfd-takes-thrust-too-small-and",
-            "CFD, laminar",
+        assess(
+            "cfd-takes-thrust-too-small-and",
             f"{format_errors(ours['CFD, laminar'][:, 0] / truth[:, 0] - 1)} % and "
             f"{format_errors(ours['CFD, laminar'][:, 1] / truth[:, 1] - 1)} %; of the source's own, thrust "
             f"{'always' if below else 'not always'} below",
