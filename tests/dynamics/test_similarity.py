@@ -145,7 +145,7 @@ def test_limits_beyond_the_model_are_told(
     known: Vehicle, mass: float, radius: float, changes: dict[str, float], keys: list[str]
 ) -> None:
     made = replace_parameters(similar_vehicle(known, "new", mass_kg=mass, radius_m=radius), changes)
-    found = judge_hover(made, hover_performance(made))
+    found = list(judge_hover(made, hover_performance(made)))
     assert [one.key for one in found] == keys
     if mass == 0.5:
         assert "the disc loading is 625 N/m2" in found[0].problem

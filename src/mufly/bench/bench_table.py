@@ -255,7 +255,8 @@ def _read_columns(written: TextTable, mapped: Mapping[int, list[tuple[str, float
                     misread.setdefault(doubt[0], (header, doubt[1]))
                 continue
             if column.base_quantity == "run":
-                values = _number_labels(written.read_texts(index))
+                known: dict[str, float] = {}
+                values = np.array([known.setdefault(c, float(len(known))) for c in written.read_texts(index)])
             else:
                 values = sign * _read_values(written, index, column) * column.factor + column.offset
             found.setdefault(column.name, []).append(_ColumnReading(header, column, values))
@@ -403,11 +404,6 @@ def _resolve_pitch_unit(table: BenchTable) -> BenchTable:
         )
     factor = math.pi / 180.0
     return table.rescale_column("pitch", factor, f"{table.headers['pitch']}: no unit is written, taken as degrees")
-
-
-def _number_labels(cells: list[str]) -> Array:
-    known: dict[str, float] = {}
-    return np.array([known.setdefault(c, float(len(known))) for c in cells])
 
 
 def _read_values(table: TextTable, index: int, column: ColumnMeaning) -> Array:

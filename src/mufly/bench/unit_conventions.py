@@ -37,10 +37,8 @@ LineMask = NDArray[np.bool_]
 TYPICAL_THRUST_COEFFICIENT = 0.01
 """Thrust coefficient c_T of a typical hovering rotor."""
 LOAD_QUANTITIES = ("thrust", "torque")
-_HOVER_THRUST_COEFFICIENTS, _HOVER_TORQUE_COEFFICIENTS = (
-    (0.0015, 0.045),
-    (1e-4, 6e-3),
-)  # ranges of c_T and c_Q of hovering rotors
+_HOVER_THRUST_COEFFICIENTS = 0.0015, 0.045  # range of c_T of hovering rotors
+_HOVER_TORQUE_COEFFICIENTS = 1e-4, 6e-3  # range of c_Q
 _HEAVY_THRUST_COEFFICIENT, _LIGHT_THRUST_COEFFICIENT = 0.025, 2e-4  # c_T at which newtons may be grams
 _HOVER_FIGURES_OF_MERIT = (0.15, 0.95)  # range of the figure of merit of hovering rotors
 _MIN_PROPELLER_CT = 0.02
@@ -149,10 +147,8 @@ def guess_speed_unit(speed: Array, thrust: Array, radius_m: float) -> tuple[str,
     """Return the unit of a speed, rpm or rad/s, that gives the more typical thrust coefficient, and its SI factor."""
     with np.errstate(divide="ignore", invalid="ignore"):
         typical = float(np.nanmedian(np.abs(thrust / (1.2 * math.pi * radius_m**4 * speed**2))))
-    off, off_rpm = (
-        abs(math.log(typical / TYPICAL_THRUST_COEFFICIENT)),
-        abs(math.log(typical / RPM**2 / TYPICAL_THRUST_COEFFICIENT)),
-    )
+    off = abs(math.log(typical / TYPICAL_THRUST_COEFFICIENT))
+    off_rpm = abs(math.log(typical / RPM**2 / TYPICAL_THRUST_COEFFICIENT))
     return ("rpm", RPM) if off_rpm < off else ("rad/s", 1.0)
 
 

@@ -139,7 +139,7 @@ def check(vehicle: VehicleArgument, as_json: JsonOption = False) -> None:
         h = hover_performance(v)
     except InputError as error:
         raise error.with_location(vehicle) from None
-    limits = judge_hover(v, h)
+    limits = list(judge_hover(v, h))
     unusual = [*find_unusual_parameters(v), *limits]
     p = model_parameters(v)
     step = longest_step(p)
@@ -409,7 +409,7 @@ def create_vehicle_project(
     for part, file in files.items():
         write_text_file(file, texts[part])
     hover = hover_performance(vehicle)
-    limits = judge_hover(vehicle, hover)
+    limits = list(judge_hover(vehicle, hover))
     _print_hover(vehicle, hover, is_credible=not limits)
     for one in (*find_unusual_parameters(vehicle), *limits):
         print_lines(f"{files['vehicle']}: {one}", style="yellow")

@@ -9,6 +9,7 @@ its value.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 from mufly.dynamics.linearisation import HoverPerformance
 from mufly.quantities.units import GRAVITY, RPM
@@ -30,59 +31,47 @@ def tip_mach_number(vehicle: Vehicle, hover: HoverPerformance) -> float:
     return max(hover.rotor_speed_rad_s) * float(vehicle.rotors.radius) / SPEED_OF_SOUND_M_S
 
 
-def judge_hover(vehicle: Vehicle, hover: HoverPerformance) -> list[UnusualParameter]:
-    """Return the limits that a vehicle exceeds in hover, each with its parameter and a remedy."""
-    out: list[UnusualParameter] = []
+def judge_hover(vehicle: Vehicle, hover: HoverPerformance) -> Iterator[UnusualParameter]:
+    """Yield the limits that a vehicle exceeds in hover, each with its parameter and a remedy."""
     radius, mass = float(vehicle.rotors.radius), float(vehicle.body.mass)
     mach, rpm = tip_mach_number(vehicle, hover), max(hover.rotor_speed_rad_s) / RPM
     if mach > _USUAL_TIP_MACH:
-        out.append(
-            UnusualParameter(
-                "rotors.radius",
-                f"the tips run at Mach {mach:.2f} in hover ({rpm:.0f} rpm), and constant coefficients hold up to "
-                f"Mach {_USUAL_TIP_MACH:g}",
-                "give larger rotors or less mass",
-            )
+        yield UnusualParameter(
+            "rotors.radius",
+            f"the tips run at Mach {mach:.2f} in hover ({rpm:.0f} rpm), and constant coefficients hold up to "
+            f"Mach {_USUAL_TIP_MACH:g}",
+            "give larger rotors or less mass",
         )
     disc = math.pi * radius**2
     loading, (low, high) = mass * GRAVITY / disc, _DISC_LOADING_RANGE
     if not low <= loading <= high:
-        out.append(
-            UnusualParameter(
-                "rotors.radius",
-                f"the disc loading is {loading:.3g} N/m2 ({1e3 * mass:.4g} g on rotors of {1e3 * radius:.4g} mm); "
-                f"helicopters up to 100 kg have {low:g} to {high:g} N/m2",
-                "give larger rotors or less mass" if loading > high else "give smaller rotors or more mass",
-            )
+        yield UnusualParameter(
+            "rotors.radius",
+            f"the disc loading is {loading:.3g} N/m2 ({1e3 * mass:.4g} g on rotors of {1e3 * radius:.4g} mm); "
+            f"helicopters up to 100 kg have {low:g} to {high:g} N/m2",
+            "give larger rotors or less mass" if loading > high else "give smaller rotors or more mass",
         )
     if vehicle.mass_budget is not None and float(vehicle.mass_budget.actuators) > 0.0:
         actuators = float(vehicle.mass_budget.actuators)
         power = hover.power_W - hover.voltage_V * float(vehicle.battery.electronics_current)
         if power > _MAX_ACTUATOR_POWER_W_KG * actuators:
-            out.append(
-                UnusualParameter(
-                    "mass_budget.actuators",
-                    f"{1e3 * actuators:.3g} g take {power:.3g} W in hover, {1e-3 * power / actuators:.2g} W/g; small "
-                    f"motors with controllers take up to {1e-3 * _MAX_ACTUATOR_POWER_W_KG:g} W/g",
-                    "give heavier motors, larger rotors or less mass",
-                )
+            yield UnusualParameter(
+                "mass_budget.actuators",
+                f"{1e3 * actuators:.3g} g take {power:.3g} W in hover, {1e-3 * power / actuators:.2g} W/g; small "
+                f"motors with controllers take up to {1e-3 * _MAX_ACTUATOR_POWER_W_KG:g} W/g",
+                "give heavier motors, larger rotors or less mass",
             )
     rate = hover.current_A * 3600.0 / float(vehicle.battery.capacity)
     if vehicle.battery.model != "constant" and rate > _MAX_DISCHARGE_RATE_PER_H:
-        out.append(
-            UnusualParameter(
-                "battery.capacity",
-                f"{float(vehicle.battery.capacity) / 3.6:.4g} mA h give {hover.current_A:.3g} A in hover, {rate:.0f} "
-                f"times the capacity an hour; cells give up to {_MAX_DISCHARGE_RATE_PER_H:g}",
-                "give more capacity or less mass",
-            )
+        yield UnusualParameter(
+            "battery.capacity",
+            f"{float(vehicle.battery.capacity) / 3.6:.4g} mA h give {hover.current_A:.3g} A in hover, {rate:.0f} "
+            f"times the capacity an hour; cells give up to {_MAX_DISCHARGE_RATE_PER_H:g}",
+            "give more capacity or less mass",
         )
     if hover.endurance_s < _MIN_ENDURANCE_S:
-        out.append(
-            UnusualParameter(
-                "battery.capacity",
-                f"hover lasts {hover.endurance_s:.0f} s from a full battery",
-                "give more capacity or less mass",
-            )
+        yield UnusualParameter(
+            "battery.capacity",
+            f"hover lasts {hover.endurance_s:.0f} s from a full battery",
+            "give more capacity or less mass",
         )
-    return out

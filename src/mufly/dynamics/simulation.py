@@ -472,10 +472,8 @@ class DrydenWind:
         along = self.steady * [1.0, 1.0, 0.0]
         along = along / np.linalg.norm(along) if np.linalg.norm(along) > 0 else np.array([1.0, 0.0, 0.0])
         self._axes = np.column_stack([along, [-along[1], along[0], 0.0], [0.0, 0.0, 1.0]])
-        self._longitudinal_state, self._lateral_state = (
-            self._rng.standard_normal(1),
-            self._rng.standard_normal(2),
-        )
+        self._longitudinal_state = self._rng.standard_normal(1)
+        self._lateral_state = self._rng.standard_normal(2)
         self._both = self._lateral_state + self._rng.standard_normal(2)
 
     def draw_wind_samples(self, n: int) -> NDArray[np.float64]:

@@ -327,10 +327,8 @@ def motor_picture(fit: MotorFit, *, title: str = "") -> Figure:
     for k, inside in enumerate(groups):
         colour = _LINE_COLOURS[k % len(_LINE_COLOURS)]
         u = float(data.voltage_V[inside].mean())
-        torque, dot = (
-            data.torque_Nm[inside],
-            {"color": colour, "marker": "o", "linestyle": "", "markersize": 4},
-        )
+        torque = data.torque_Nm[inside]
+        dot = {"color": colour, "marker": "o", "linestyle": "", "markersize": 4}
         name = f"{u:.2f} V" if lines else "all voltages"
         axes[0, 0].plot(1e3 * torque, data.current_A[inside], label=f"{name}, measured", **dot)
         axes[0, 1].plot(data.speed_rad_s[inside] / RPM, 1e3 * torque, label=f"{name}", **dot)

@@ -114,7 +114,8 @@ def write_report(
     folder = Path(directory)
     with report_write_errors("report", key=str(folder)):
         folder.mkdir(parents=True, exist_ok=True)
-        album = _ReportPictures(folder, _count_pictures(fit, sections), progress)
+        count = 3 + 4 * len(fit.records) + sum(s.draw_picture is not None for s in sections)
+        album = _ReportPictures(folder, count, progress)
         page = render_page(
             f"{fit.vehicle}: identification",
             _BODY,
@@ -156,11 +157,6 @@ class _ReportPictures:
             figure.savefig(buffer, format="png", dpi=130)
         (self._folder / f"{name}.png").write_bytes(buffer.getvalue())
         return buffer.getvalue()
-
-
-def _count_pictures(fit: FitResult, sections: Sequence[ReportSection]) -> int:
-    """Estimate the number of pictures in the report of a fit, for a progress bar."""
-    return 3 + 4 * len(fit.records) + sum(s.draw_picture is not None for s in sections)
 
 
 def _command_line() -> str:

@@ -69,10 +69,8 @@ _UNIT_MISTAKES = (
     ("speed", "rpm", RPM), ("speed", "revolutions a second", 2 * math.pi), ("torque", "mN m", 1e-3),
     ("torque", "N cm", 1e-2),
 )  # fmt: skip
-_MIN_EFFICIENCY, _MAX_EFFICIENCY = (
-    0.02,
-    1.02,
-)  # efficiencies below which units are doubtful, and above which they are wrong
+_MIN_EFFICIENCY = 0.02  # efficiency below which units are doubtful
+_MAX_EFFICIENCY = 1.02  # efficiency above which units are wrong
 _MAX_CONSTANT_RATIO = 1.05  # kM / kE
 _ERROR_SHAPES = ((1.0, 0.2), (1.0, 0.05), (1.0, 0.5), (1.0, 2.0), (0.0, 1.0))  # % of reading, % of full scale
 
@@ -254,10 +252,8 @@ def fit_motor(
             free[_DAMPING] = False
             notes.append("the friction dR would be below zero and was held at 0: torque or current may have an offset")
             continue
-        jacobian, white = (
-            same.whitened_sensitivities(effective, scales),
-            same.whitened_residuals(effective, scales),
-        )
+        jacobian = same.whitened_sensitivities(effective, scales)
+        white = same.whitened_residuals(effective, scales)
         found = estimate_covariance(
             jacobian[:, free], white.ravel(), channel=np.tile([0, 1], n), run=np.repeat(data.run, 2),
             group=np.repeat(_number_settings(data, std), 2),
@@ -347,10 +343,8 @@ def _check_physical(
         if effective[k] > 0.0:
             continue
         remedy = "check signs, units, and that voltage and current are the motor's"
-        supply, spread_ = (
-            data.voltage_V,
-            float(np.ptp(data.speed_rad_s)) / float(np.max(np.abs(data.speed_rad_s))),
-        )
+        supply = data.voltage_V
+        spread_ = float(np.ptp(data.speed_rad_s)) / float(np.max(np.abs(data.speed_rad_s)))
         if "duty" not in table and float(np.ptp(supply)) < 0.2 * float(np.max(np.abs(supply))) and spread_ > 0.3:
             remedy = (
                 f"{table.headers['voltage']} hardly changes while the speed changes, so it is the supply "

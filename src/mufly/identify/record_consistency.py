@@ -22,7 +22,7 @@ parameters and raises an error; smaller significant deviations are reported. Con
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,11 +36,9 @@ Array = NDArray[np.float64]
 
 _AVERAGING_SPAN_S = 0.2  # averaging time of both sides
 _MAX_LAG_S = 0.5  # largest lag of the search
-_MIN_CORRELATION, _MAX_UNRELATED_CORRELATION, _EXCHANGED_CORRELATION = (
-    0.6,
-    0.3,
-    0.8,
-)  # least correlation of a judged pair, largest of an unrelated pair, least with an exchanged axis
+_MIN_CORRELATION = 0.6  # least correlation of a judged pair
+_MAX_UNRELATED_CORRELATION = 0.3  # largest correlation of an unrelated pair
+_EXCHANGED_CORRELATION = 0.8  # least correlation with an exchanged axis
 _REPORTED_LAG_S, _REFUSED_LAG_S = 0.015, 0.05  # lags above which a warning, or an error, is issued
 _REPORTED_SCALE_ERROR, _REFUSED_SCALE_ERROR = 0.1, 0.2  # scale errors above which a warning, or an error, is issued
 _MAX_ACCELERATION_m_s2 = 20.0  # m/s2, RMS: two g, more than a rotorcraft with thrust to weight of 3 reaches
@@ -145,8 +143,8 @@ def rates_from_attitude(attitude: Array, sample_s: float) -> Array:
 
 def check_signals(
     names: Sequence[str], read: Array, made: Array, sample_s: float, *, kind: str, source: Sequence[str]
-) -> list[SignalFault]:
-    """Find faults of unit, sign, axis, scale and lag in signals that should be equal, column by column.
+) -> Iterator[SignalFault]:
+    """Yield faults of unit, sign, axis, scale and lag in signals that should be equal, column by column.
 
     Parameters
     ----------
@@ -160,7 +158,6 @@ def check_signals(
     source : sequence of str
         Name of the sensor behind each column of ``made``.
     """
-    found: list[SignalFault] = []
     own = [compare_signals(read[:, k], made[:, k], sample_s) for k in range(len(names))]
     for k, (name, a) in enumerate(zip(names, own, strict=True)):
         if abs(a.correlation) < _MIN_CORRELATION:
@@ -171,26 +168,21 @@ def check_signals(
                 and abs(_zero_lag_correlation(read[:, k], made[:, k])) < _MAX_UNRELATED_CORRELATION
             ):
                 sign = "the opposite of " if cross[j] < 0.0 else ""
-                found.append(
-                    SignalFault(
-                        name,
-                        f"does not follow {source[k]}, it follows {sign}{source[j]}: axes are exchanged "
-                        f"(correlation {cross[j]:+.2f})",
-                        "exchange them in the map",
-                    )
+                yield SignalFault(
+                    name,
+                    f"does not follow {source[k]}, it follows {sign}{source[j]}: axes are exchanged "
+                    f"(correlation {cross[j]:+.2f})",
+                    "exchange them in the map",
                 )
             continue
         if a.correlation < 0.0:
-            found.append(
-                SignalFault(
+            yield SignalFault(
                     name, f"has the opposite sign of the change of {source[k]}",
                     "invert the sign of one in the column map",
-                )
-            )  # fmt: skip
+                )  # fmt: skip
             continue
-        found += _check_scale(name, source[k], a, kind)
-        found += _check_lag(name, source[k], a, sample_s)
-    return found
+        yield from _check_scale(name, source[k], a, kind)
+        yield from _check_lag(name, source[k], a, sample_s)
 
 
 def _zero_lag_correlation(x: Array, y: Array) -> float:
@@ -337,9 +329,8 @@ def _check_angles(r: FlightRecord) -> list[SignalFault]:
     made = moving_average(rates_from_attitude(attitude, dt), samples)[:, [order[a] for a, _ in pairs]]
     rates = np.column_stack([known[w] for _, w in pairs])
     read = moving_average(0.5 * (rates[1:] + rates[:-1]), samples)
-    return check_signals(
-        [w for _, w in pairs], read, made, dt, kind="angle a second", source=[a for a, _ in pairs]
-    )  # fmt: skip
+    names, angles = [w for _, w in pairs], [a for a, _ in pairs]
+    return list(check_signals(names, read, made, dt, kind="angle a second", source=angles))
 
 
 def _check_velocities(r: FlightRecord) -> list[SignalFault]:

@@ -524,10 +524,8 @@ def _fit_channel(
         trends = (trend,)
         if trend.is_significant and at_speed is not None:
             value = np.array([float(trend.coefficient_at(at_speed))])
-            scatter, found = (
-                np.array([[float(trend.coefficient_std_at(at_speed)) ** 2]]),
-                trend.covariance_estimate,
-            )
+            scatter = np.array([[float(trend.coefficient_std_at(at_speed)) ** 2]])
+            found = trend.covariance_estimate
         elif trend.is_significant:
             # The interval of a constant coefficient includes its change with speed.
             over = a[:, 0] ** 2 / float(a[:, 0] @ a[:, 0])

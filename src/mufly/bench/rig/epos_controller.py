@@ -35,13 +35,11 @@ REQUEST_TRIES = 3
 _CODE_BYTES = 4  # the error code, first in an answer
 _READS_PER_STATUS_CHECK = 10  # readings between two checks of the status word
 
-CONTROL_WORD, STATUS_WORD, OPERATION_MODE, TARGET_VELOCITY, ERROR_CODE = (
-    (0x6040, 0),
-    (0x6041, 0),
-    (0x6060, 0),
-    (0x60FF, 0),
-    (0x603F, 0),
-)
+CONTROL_WORD = (0x6040, 0)
+STATUS_WORD = (0x6041, 0)
+OPERATION_MODE = (0x6060, 0)
+TARGET_VELOCITY = (0x60FF, 0)
+ERROR_CODE = (0x603F, 0)
 SHUTDOWN_COMMAND, ENABLE_COMMAND, QUICK_STOP_COMMAND, FAULT_RESET_COMMAND = 0x0006, 0x000F, 0x0002, 0x0080
 PROFILE_VELOCITY_MODE = 3
 
@@ -240,10 +238,8 @@ class EposController:
         if self._target and self._read_count % _READS_PER_STATUS_CHECK == 0:
             self._check_state()
         # EPOS2 returns the current as the low 16 bits.
-        rpm, milliampere = (
-            self.read_object(self._protocol.velocity_object),
-            self.read_object(self._protocol.current_object),
-        )
+        rpm = self.read_object(self._protocol.velocity_object)
+        milliampere = self.read_object(self._protocol.current_object)
         if not self._protocol.node_comes_first:
             milliampere = (milliampere & 0xFFFF) - (0x10000 if milliampere & 0x8000 else 0)
         return {

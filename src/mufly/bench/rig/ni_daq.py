@@ -88,10 +88,8 @@ class NiDaq:
         elif time.monotonic() - self._last_data_s > SILENCE_TIMEOUT_s:
             raise DeviceError(f"{self.name}: silent for {time.monotonic() - self._last_data_s:.1f} s")
         whole = data.shape[1] // self._samples_per_reading
-        used, self._leftover_samples = (
-            data[:, : whole * self._samples_per_reading],
-            data[:, whole * self._samples_per_reading :],
-        )
+        used = data[:, : whole * self._samples_per_reading]
+        self._leftover_samples = data[:, whole * self._samples_per_reading :]
         blocks = used.reshape(len(self._inputs), whole, self._samples_per_reading)
         out = {}
         for k, name in enumerate(self._inputs):

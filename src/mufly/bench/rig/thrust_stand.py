@@ -131,10 +131,8 @@ class ThrustStand:
         if self._target_speed <= 0.0 or now - self._last_pulse_s < 0.25:
             return
         if self._last_pulse_and_speed is not None:
-            moved, turned = (
-                self._pulse_us - self._last_pulse_and_speed[0],
-                speed - self._last_pulse_and_speed[1],
-            )
+            moved = self._pulse_us - self._last_pulse_and_speed[0]
+            turned = speed - self._last_pulse_and_speed[1]
             if abs(moved) > 2.0 and moved * turned > 0.0:
                 self._pulse_per_speed = min(max(0.5 * self._pulse_per_speed + 0.5 * moved / turned, 0.02), 2.0)
         self._last_pulse_and_speed, self._last_pulse_s = (self._pulse_us, speed), now

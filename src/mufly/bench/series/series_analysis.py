@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -179,7 +179,7 @@ def analyse_series(
     facts = BenchFacts.from_dict(rec.header_line["facts"])
     start = float(rec.header_line["time"])
     everything, zeros = readings_of_record(rec, "point"), readings_of_record(rec, "tare")
-    doubts = list(find_series_issues(plan, facts, rec, everything, zeros))
+    doubts = sorted(find_series_issues(plan, facts, rec, everything, zeros), key=lambda d: not d.is_fatal)
     good = everything.at_speed & everything.settled & ~everything.saturated & (everything.spike_share < 0.02)
     points = everything.select_readings(good)
     if not len(points):
@@ -239,31 +239,28 @@ def _parse_plan(record: SeriesRecord) -> dict[str, object]:
     return tomllib.loads(record.header_line["plan"])
 
 
-def _describe_drifts(loads: dict[str, LoadChannel], points: SeriesReadings) -> list[str]:
-    out = []
+def _describe_drifts(loads: dict[str, LoadChannel], points: SeriesReadings) -> Iterator[str]:
     span = max(float(np.ptp(points.time_s)), 1.0)
     for name, c in loads.items():
         zero, cov = c.zero_drift.predict(points.time_s, np.ones((len(points), 1)))
-        out.append(
+        yield (
             f"{name}: zero read {c.zero_drift.time_s.size} times, went {np.ptp(zero):.3g} of the reading's unit in "
             f"{span / 60:.0f} min; followed to {math.sqrt(float(np.mean(np.diag(cov)))):.2g}"
         )
         if c.gain_drift is None:
-            out.append(f"{name}: the reference was not mounted twice, so a drift of the gain is unknown")
+            yield f"{name}: the reference was not mounted twice, so a drift of the gain is unknown"
         else:
             gain, gcov = c.gain_drift.predict_drift(points.time_s)
-            out.append(
+            yield (
                 f"{name}: gain drifts by {100 * (gain[-1]):+.2f} % to the end, corrected to "
                 f"{100 * math.sqrt(float(np.mean(np.diag(gcov)))):.2f} % by {len(c.reference_visits)} "
                 "visits of "
                 f"the reference"
             )
-    return out
 
 
-def check_reference(name: str, channel: LoadChannel, plan: SeriesPlan) -> list[SeriesIssue]:
-    """Return issues about changes of the reference rotor between its visits, by axis."""
-    out: list[SeriesIssue] = []
+def check_reference(name: str, channel: LoadChannel, plan: SeriesPlan) -> Iterator[SeriesIssue]:
+    """Yield issues about changes of the reference rotor between its visits, by axis."""
     visits = channel.reference_visits
     for axis in ("upper", "lower"):
         mine = [
@@ -272,16 +269,13 @@ def check_reference(name: str, channel: LoadChannel, plan: SeriesPlan) -> list[S
         for k, ((before, before_sigma), (after, after_sigma)) in enumerate(itertools.pairwise(mine), 1):
             step, doubt = float(after - before), math.hypot(before_sigma, after_sigma)
             if abs(step) > REFERENCE_LIMIT and abs(step) > 4.0 * doubt:
-                out.append(
-                    SeriesIssue(
-                        "reference",
-                        f"the reference's {name} on the {axis} axis changed by {100 * step:+.1f} +- "
-                        f"{200 * doubt:.1f} % between its mountings {k} and {k + 1}: its blades or the cell "
-                        "have moved; the points in between are not reliable",
-                        True,
-                    )
+                yield SeriesIssue(
+                    "reference",
+                    f"the reference's {name} on the {axis} axis changed by {100 * step:+.1f} +- "
+                    f"{200 * doubt:.1f} % between its mountings {k} and {k + 1}: its blades or the cell "
+                    "have moved; the points in between are not reliable",
+                    True,
                 )
-    return out
 
 
 def find_outliers(
@@ -291,13 +285,12 @@ def find_outliers(
     plan: SeriesPlan,
     density: Array,
     speed: dict[str, Array],
-) -> list[SeriesIssue]:
-    """Return issues about points that deviate from the other points of their mounting.
+) -> Iterator[SeriesIssue]:
+    """Yield issues about points that deviate from the other points of their mounting.
 
     The logarithm of a load over ``rho W^2`` changes slowly with the logarithm of the speed (Reynolds number). A point
     is an outlier if it deviates from the line through the others by 2.5 % and five standard uncertainties.
     """
-    out: list[SeriesIssue] = []
     for k in sorted(set(points.mounting_index.tolist())):
         m = plan.mounting[k]
         at = np.flatnonzero((points.mounting_index == k) & (channel.value != 0))
@@ -317,15 +310,12 @@ def find_outliers(
         # An outlier also shifts the line of the other points, so only the worst point is reported.
         i = int(np.argmax(np.abs(off) / std))
         if abs(off[i]) > OUTLIER_LIMIT and abs(off[i]) > 5.0 * std[i]:
-            out.append(
-                SeriesIssue(
-                    "outlier",
-                    f"{name} of {m.describe_mounting()} at {points.nominal_rpm[at[i]]:g} rpm is {100 * off[i]:+.1f} +- "
-                    f"{200 * std[i]:.1f} % from the line through its other speeds: measure it again",
-                    False,
-                )
+            yield SeriesIssue(
+                "outlier",
+                f"{name} of {m.describe_mounting()} at {points.nominal_rpm[at[i]]:g} rpm is {100 * off[i]:+.1f} +- "
+                f"{200 * std[i]:.1f} % from the line through its other speeds: measure it again",
+                False,
             )
-    return out
 
 
 OUTLIER_LIMIT = 0.025
@@ -368,15 +358,13 @@ def _check_torque_split(split: TorqueSplit) -> list[SeriesIssue]:
     return []
 
 
-def _describe_torque_split(split: TorqueSplit) -> list[str]:
-    out = []
+def _describe_torque_split(split: TorqueSplit) -> Iterator[str]:
     for side, fit in split.motor_fits.items():
         b, cov = fit.estimate_coefficients()
-        out.append(
+        yield (
             f"{side} motor: torque constant {1e3 * b[0]:.2f} +- {2e3 * math.sqrt(cov[0, 0]):.2f} mN m/A, friction "
             f"{1e3 * b[1]:.2f} +- {2e3 * math.sqrt(cov[1, 1]):.2f} mN m, from {fit.time_s.size} points alone"
         )
-    return out
 
 
 def _loads_by_axis(

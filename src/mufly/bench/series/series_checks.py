@@ -19,6 +19,7 @@ broken          no       lines of the record are damaged
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -41,9 +42,8 @@ class SeriesIssue(NamedTuple):
 
 def find_series_issues(
     plan: SeriesPlan, facts: BenchFacts, record: SeriesRecord, points: SeriesReadings, zeros: SeriesReadings
-) -> list[SeriesIssue]:
-    """Return the issues visible in the record, fatal issues first."""
-    out: list[SeriesIssue] = []
+) -> Iterator[SeriesIssue]:
+    """Yield the issues visible in the record."""
 
     def describe_points(which: SeriesReadings) -> str:
         some = [f"{plan.mounting[k].rotor} {plan.mounting[k].pitch_deg:g} deg at {r:g} rpm" for k, r in
@@ -53,50 +53,42 @@ def find_series_issues(
     full = points.select_readings(points.saturated)
     if len(full) or zeros.saturated.any():
         where = describe_points(full) if len(full) else "a zero"
-        out.append(
-            SeriesIssue(
-                "saturated",
-                f"a cell met the end of its range at {where}: lower the amplification or the load",
-                True,
-            )
+        yield SeriesIssue(
+            "saturated",
+            f"a cell met the end of its range at {where}: lower the amplification or the load",
+            True,
         )
-    out += _check_zero_jumps(points, zeros)
+    yield from _check_zero_jumps(points, zeros)
     n = max(len(points), 1)
     slow = points.select_readings(~points.at_speed | ~points.settled)
     if len(slow):
         text = f"{len(slow)} of {n} points did not reach their speed or did not settle ({describe_points(slow)})"
-        out.append(SeriesIssue("speed", f"{text}: these points are omitted", len(slow) > MAX_BAD_POINT_SHARE * n))
+        yield SeriesIssue("speed", f"{text}: these points are omitted", len(slow) > MAX_BAD_POINT_SHARE * n)
     wild = points.select_readings(points.spike_share >= 0.02)
     if len(wild):
         text = f"more than 2 % of a cell's samples were invalid at {len(wild)} of {n} points ({describe_points(wild)})"
-        out.append(
-            SeriesIssue(
-                "nonsense",
-                f"{text}: check the wiring; these points are omitted",
-                len(wild) > MAX_BAD_POINT_SHARE * n,
-            )
+        yield SeriesIssue(
+            "nonsense",
+            f"{text}: check the wiring; these points are omitted",
+            len(wild) > MAX_BAD_POINT_SHARE * n,
         )
     done = record.completed_steps
     left = [s for s in plan.steps if s.kind != "warm-up" and (s.mounting_index, s.step_in_mounting) not in done]
     if left:
-        out.append(
-            SeriesIssue(
-                "incomplete",
-                f"{len(left)} of {len(plan.steps)} steps are not measured yet; run the plan again",
-                False,
-            )
+        yield SeriesIssue(
+            "incomplete",
+            f"{len(left)} of {len(plan.steps)} steps are not measured yet; run the plan again",
+            False,
         )
     events = [x for x in record.lines if x["kind"] == "event"]
     for x in events:
         if x["what"] not in ("mounted", "resumed"):
-            out.append(SeriesIssue("interrupted", f"{x['what']}: {x.get('why', '')}", False))
+            yield SeriesIssue("interrupted", f"{x['what']}: {x.get('why', '')}", False)
     if record.broken_lines:
-        out.append(SeriesIssue("broken", f"{record.broken_lines} lines of the record are damaged and skipped", False))
-    return sorted(out, key=lambda d: not d.is_fatal)
+        yield SeriesIssue("broken", f"{record.broken_lines} lines of the record are damaged and skipped", False)
 
 
-def _check_zero_jumps(points: SeriesReadings, zeros: SeriesReadings) -> list[SeriesIssue]:
-    out = []
+def _check_zero_jumps(points: SeriesReadings, zeros: SeriesReadings) -> Iterator[SeriesIssue]:
     for name in ("thrust_raw", "torque_raw", "thrust", "torque"):
         if name not in zeros.mean or name not in points.mean or len(zeros) < 2 or not len(points):
             continue
@@ -105,12 +97,9 @@ def _check_zero_jumps(points: SeriesReadings, zeros: SeriesReadings) -> list[Ser
         step = np.abs(np.diff(zero))
         k = int(np.argmax(step))
         if step[k] > ZERO_JUMP_LIMIT * largest:
-            out.append(
-                SeriesIssue(
-                    "zero",
-                    f"the zero of {name} jumped by {100 * step[k] / largest:.0f} % of the largest load at "
-                    f"{(zeros.time_s[k] - zeros.time_s[0]) / 60:.0f} min: the bench was touched or moved",
-                    True,
-                )
+            yield SeriesIssue(
+                "zero",
+                f"the zero of {name} jumped by {100 * step[k] / largest:.0f} % of the largest load at "
+                f"{(zeros.time_s[k] - zeros.time_s[0]) / 60:.0f} min: the bench was touched or moved",
+                True,
             )
-    return out

@@ -108,10 +108,8 @@ def _write_loads(path: Path, some: Sequence[SettingResult], *, points: bool) -> 
         thrust, thrust_u = value_and_interval(s.thrust)
         more = (s.time_s,) if points else (float(s.mountings),)
         if s.axis == "pair":
-            (up, up_u), (low, low_u) = (
-                value_and_interval(s.torque_upper, 1e3),
-                value_and_interval(s.torque_lower, 1e3),
-            )
+            up, up_u = value_and_interval(s.torque_upper, 1e3)
+            low, low_u = value_and_interval(s.torque_lower, 1e3)
             rows.append((s.pitch_deg, s.speed_upper_rpm, s.speed_lower_rpm, thrust, up, low, thrust_u, up_u, low_u,
                          s.density_kg_m3, *more))  # fmt: skip
         else:

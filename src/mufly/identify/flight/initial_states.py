@@ -58,11 +58,9 @@ def find_initial_states(problem: OutputErrorProblem, theta: _Array) -> InitialSt
     """Fit the initial state of every record at ``theta`` (t,); every record must be a single window."""
     states, converged, flown = [], [], 0.0
     for i, r in enumerate(problem.records):
-        state, horizon, whole = (
-            problem.zero_initial_states()[i],
-            _FIRST_HORIZON_S,
-            float(r.time_s[-1] - r.time_s[0]),
-        )
+        state = problem.zero_initial_states()[i]
+        horizon = _FIRST_HORIZON_S
+        whole = float(r.time_s[-1] - r.time_s[0])
         while True:
             last = horizon > 0.8 * whole
             state, ended, count = _find_record_start(

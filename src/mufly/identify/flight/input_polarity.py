@@ -24,7 +24,7 @@ height, which the response to thrust reveals.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from dataclasses import replace as dataclasses_replace
 from typing import Any
@@ -235,9 +235,9 @@ def check_flight_records(records: Sequence[FlightRecord], vehicle: Vehicle, *, a
             if g.sign and (axis not in told or g.std < told[axis].std):
                 told[axis] = g
     for r, found, load in seen:
-        wrong = judge_gains(r, found, load)
+        wrong = list(judge_gains(r, found, load))
         if any(f.is_fatal for f in wrong):
-            wrong = judge_gains(r, {**found, **{k: g for k, g in told.items() if k != "heave"}}, load)
+            wrong = list(judge_gains(r, {**found, **{k: g for k, g in told.items() if k != "heave"}}, load))
         warnings += refuse_fatal_faults(r, sorted(wrong, key=lambda f: not f.is_fatal), as_is=as_is)
     return tuple(warnings)
 
@@ -257,47 +257,37 @@ def _check_voltage_unit(r: FlightRecord, vehicle: Vehicle) -> list[SignalFault]:
     return [SignalFault("voltage", what, "correct or omit the signal, or set the battery in the vehicle file")]
 
 
-def judge_gains(r: FlightRecord, found: dict[str, InputGain], load: float) -> list[SignalFault]:
-    """Return the faults of a record, from its input gains and the mean ratio of thrust to weight ``load``."""
-    out: list[SignalFault] = []
+def judge_gains(r: FlightRecord, found: dict[str, InputGain], load: float) -> Iterator[SignalFault]:
+    """Yield the faults of a record, from its input gains and the mean ratio of thrust to weight ``load``."""
     if not _THRUST_TO_WEIGHT_RANGE[0] < load < _THRUST_TO_WEIGHT_RANGE[1]:
-        out.append(
-            SignalFault(
-                "motor_upper, motor_lower",
-                f"lift {load:.2g} times the weight on average, as the vehicle's numbers and the voltage have it",
-                "check their scale (0 to 1 of full), the voltage, and the vehicle's mass and thrust coefficients",
-            )
+        yield SignalFault(
+            "motor_upper, motor_lower",
+            f"lift {load:.2g} times the weight on average, as the vehicle's numbers and the voltage have it",
+            "check their scale (0 to 1 of full), the voltage, and the vehicle's mass and thrust coefficients",
         )
-    out += _check_height(r, found.get("heave"))
+    yield from _check_height(r, found.get("heave"))
     sign = {k: g.sign for k, g in found.items() if not g.is_exchanged}
     servos = [found[k] for k in ("roll", "pitch") if k in found and found[k].is_exchanged]
     if servos:
         turned = " and turned round" if any(g.sign < 0 for g in servos) else ""
-        out.append(
-            SignalFault(
-                "servo_1, servo_2",
-                f"act on each other's axis ({_describe_gains(found)}): they are exchanged{turned}, or roll and "
-                f"pitch are",
-                "exchange them in the column map",
-            )
+        yield SignalFault(
+            "servo_1, servo_2",
+            f"act on each other's axis ({_describe_gains(found)}): they are exchanged{turned}, or roll and pitch are",
+            "exchange them in the column map",
         )
     ground = [found[k] for k in ("north", "east") if k in found and found[k].is_exchanged]
     if ground:
-        out.append(
-            SignalFault(
-                "north, east", "follow each other's tilt: they are exchanged, or yaw counts from another axis (ENU)",
-                "give north first, and yaw from north, clockwise from above",
-            )
+        yield SignalFault(
+            "north, east", "follow each other's tilt: they are exchanged, or yaw counts from another axis (ENU)",
+            "give north first, and yaw from north, clockwise from above",
         )  # fmt: skip
     if sign.get("pitch") == -1 and sign.get("yaw") == -1:
-        out.append(
-            SignalFault(
-                "pitch, q, yaw, r",
-                "respond to servo_1 and the motors with the wrong sign: the record's axes seem to be forward, left, up",
-                "invert the signs of these four in the column map (or that of servo_1, and exchange the motors)",
-            )
+        yield SignalFault(
+            "pitch, q, yaw, r",
+            "respond to servo_1 and the motors with the wrong sign: the record's axes seem to be forward, left, up",
+            "invert the signs of these four in the column map (or that of servo_1, and exchange the motors)",
         )
-        return out
+        return
     tilts = {"roll": sign.get("east", 0), "pitch": sign.get("north", 0)}
     for axis, servo, rate in (("roll", "servo_2", "p"), ("pitch", "servo_1", "q")):
         if sign.get(axis) != -1:
@@ -306,31 +296,23 @@ def judge_gains(r: FlightRecord, found: dict[str, InputGain], load: float) -> li
         which = {1: servo, -1: f"{axis}, {rate}", 0: servo}[tilts[axis]]
         other = f" (or {axis} and {rate} are)" if tilts[axis] == 0 else ""
         goes = {"servo_2": "to the right", "servo_1": "nose down"}[servo]
-        out.append(
-            SignalFault(
-                which, f"inverted{other}: positive {servo} should accelerate {goes} ({_describe_gains(found)})",
-                "invert its sign in the column map",
-            )
+        yield SignalFault(
+            which, f"inverted{other}: positive {servo} should accelerate {goes} ({_describe_gains(found)})",
+            "invert its sign in the column map",
         )  # fmt: skip
     if sign.get("yaw") == -1:
-        out.append(
-            SignalFault(
-                "motor_upper, motor_lower",
-                "exchanged (or yaw and r count anticlockwise): a higher upper input should turn the nose "
-                "right "
-                f"({_describe_gains(found)})",
-                "exchange them in the column map",
-            )
+        yield SignalFault(
+            "motor_upper, motor_lower",
+            "exchanged (or yaw and r count anticlockwise): a higher upper input should turn the nose "
+            f"right ({_describe_gains(found)})",
+            "exchange them in the column map",
         )
     for axis in ("north", "east"):
         if sign.get(axis) == -1:
-            out.append(
-                SignalFault(
-                    axis, f"accelerates against the tilt ({_describe_gains(found)}): its sign is inverted",
-                    "invert its sign in the column map",
-                )
+            yield SignalFault(
+                axis, f"accelerates against the tilt ({_describe_gains(found)}): its sign is inverted",
+                "invert its sign in the column map",
             )  # fmt: skip
-    return out
 
 
 def _describe_gains(found: dict[str, InputGain]) -> str:

@@ -93,11 +93,9 @@ class ReducedRecord:
     def __init__(self, problem: OutputErrorProblem, i: int, point: FitPoint) -> None:
         linear = problem.linearise_record(i, point.theta, point.states[i])
         n, m, t = linear.theta_jacobian.shape
-        self._initial_state_std, self.whitened_residual, jacobians = (
-            problem.initial_state_std(i),
-            linear.whitened_residual,
-            [],
-        )
+        self._initial_state_std = problem.initial_state_std(i)
+        self.whitened_residual = linear.whitened_residual
+        jacobians = []
         # Per window: first sample, sample after the last, and the factors Q, R, Q^T J of the initial state.
         self._window_factors: list[tuple[int, int, _Array, _Array, _Array]] = []
         for a, b in zip(problem.window_starts[i], [*problem.window_starts[i][1:], n], strict=True):

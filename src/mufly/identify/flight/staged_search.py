@@ -190,11 +190,9 @@ class StagedSearch:
         if not pairs:
             return None
         low, high = self._final_problem.bounds
-        values, free, there = (
-            theta_to_values(self._final_problem.free_parameters, theta),
-            self._final_problem.free_parameters,
-            theta.copy(),
-        )
+        values = theta_to_values(self._final_problem.free_parameters, theta)
+        free = self._final_problem.free_parameters
+        there = theta.copy()
         for up, dw in pairs:
             there[up], there[dw] = free[up].value_to_theta(values[dw]), free[dw].value_to_theta(values[up])
         other = StagedSearch(

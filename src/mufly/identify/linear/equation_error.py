@@ -370,7 +370,8 @@ def fit_derivative_equation(
     at = _RegressionRows(used, outputs, inputs, domain, cut_hz, low_hz)
     k = outputs.index(output)
     response = [at.transform_derivative(r, r.outputs[:, [k]])[:, :, 0] for r in used]
-    constants = _bias_columns(at, used)
+    # The constant 1 in the regression domain, the regressor of a record's bias.
+    constants = [at.transform_signal(r, np.ones((len(r.time_s), 1)))[:, :, 0] for r in used]
     effective = sum(2.0 * (cut_hz - low_hz) * (r.time_s[-1] - r.time_s[0]) for r in used)
     plain = _remove_bias(constants, response)
     variance = float(np.mean(np.concatenate([b.ravel() for b in plain]) ** 2))
@@ -482,11 +483,6 @@ def find_coherent_band(records: Sequence[RegressionRecord], k: int, cut_hz: floa
     low, high = data.frequency_hz[start], data.frequency_hz[stop - 1]
     # If the coherence reaches down to the lowest frequency, there is no drift and the band starts at zero.
     return (0.0 if start == 0 else float(low)), float(max(high, min(cut_hz, 2.0 * low)))
-
-
-def _bias_columns(at: _RegressionRows, used: Sequence[RegressionRecord]) -> list[Array]:
-    """Return the constant 1 in the regression domain, the regressor of a record's bias."""
-    return [at.transform_signal(r, np.ones((len(r.time_s), 1)))[:, :, 0] for r in used]
 
 
 def _project_out(constant: Array, block: Array) -> Array:

@@ -221,10 +221,8 @@ def reconstruct_flight_path(
 
 
 def _reconstruct_path(record: EvenLogTable, imu: Mapping[str, str], outputs: Mapping[str, str]) -> ReconstructedPath:
-    raw, z = (
-        record.stack_columns({n: imu[n] for n in IMU_CHANNELS}, "imu"),
-        record.stack_columns(outputs, "measured"),
-    )
+    raw = record.stack_columns({n: imu[n] for n in IMU_CHANNELS}, "imu")
+    z = record.stack_columns(outputs, "measured")
     outs, dt = tuple(outputs), record.dt
     z[:, outs.index("psi")] = np.unwrap(z[:, outs.index("psi")])
     if np.abs(z[:, outs.index("theta")]).max() > _MAX_PITCH_rad:

@@ -54,10 +54,8 @@ from mufly.results import result
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-_MIN_PARTIAL_COHERENCE, _FIT_FREQUENCIES = (
-    0.5,
-    60,
-)  # of a fit: least partial coherence, and number of frequencies
+_MIN_PARTIAL_COHERENCE = 0.5  # of a fit
+_FIT_FREQUENCIES = 60  # number of frequencies of a fit
 _SEGMENT_INDEPENDENCE = 18.0 / 19.0  # independent segments per half-overlapping Hann segment
 
 

@@ -240,11 +240,9 @@ ANGULAR_MODELS = ("first-order", "second-order", "hybrid")
 MODEL_EXTRAS = ("coupled", "collective", "gyro", "speed", "skew")
 _MAX_SKEW_S = 0.3
 _MAX_DELAY_S = 0.3  # largest delay of an input
-_STICK_OF_RATE, _FLAPPING_OF_RATE, _MOMENT_LETTER = (
-    {"p": "lat", "q": "lon"},
-    {"p": "b", "q": "a"},
-    {"p": "L", "q": "M"},
-)
+_STICK_OF_RATE = {"p": "lat", "q": "lon"}
+_FLAPPING_OF_RATE = {"p": "b", "q": "a"}
+_MOMENT_LETTER = {"p": "L", "q": "M"}
 
 
 def helicopter_structure(
@@ -337,10 +335,8 @@ def _add_couplings(
     if angular != "hybrid":
         for s in sticks:
             if s == _STICK_OF_RATE[r] or coupled:
-                column, start = (
-                    f"{s}_f" if angular == "second-order" else s,
-                    3.0 if s == _STICK_OF_RATE[r] else 0.0,
-                )
+                column = f"{s}_f" if angular == "second-order" else s
+                start = 3.0 if s == _STICK_OF_RATE[r] else 0.0
                 b.add_free_entry(r, column, f"{big}_{s}", "1/s^2", start, 200.0, f"{s} into {r}")
     elif coupled and len(rates) == 2:
         b.add_free_entry(r, other, f"{big}_{other}", "1/s^2", 0.0, 1000.0, f"cross spring, {r}")
