@@ -272,7 +272,8 @@ def compute_blade_line(tip: BladeTip, s: Array, span: tuple[float, float], chord
     return BladeLine(y, aft * chord_m, up, cant, chord, bow)
 
 
-def _smooth_fade(t: Array) -> Array:
+def smooth_fade(t: Array) -> Array:
+    """Return a cubic that falls from 1 at 0 to 0 at 1, level at both ends."""
     u = np.clip(t, 0.0, 1.0)
     return (1.0 - u) ** 2 * (1.0 + 2.0 * u)
 
@@ -317,8 +318,8 @@ def place_sections(
     c, s = math.cos(angle_rad), math.sin(angle_rad)
     q, n = c * x - s * z, s * x + c * z  # along the chord, and above it
     near = 1.5 * chord_m
-    keep = _smooth_fade((np.abs(x) - near) / (half_m - near))
-    keep = keep * _smooth_fade((np.abs(z) - 0.5 * chord_m) / (min(_FADE_CHORDS * chord_m, level_m) - 0.5 * chord_m))
+    keep = smooth_fade((np.abs(x) - near) / (half_m - near))
+    keep = keep * smooth_fade((np.abs(z) - 0.5 * chord_m) / (min(_FADE_CHORDS * chord_m, level_m) - 0.5 * chord_m))
     reach = _UPRIGHT_BEND_RADII * tip.bend * chord_m
     h = reach * np.tanh(n / reach)
     y = line.radius_m[:, None] - np.sin(line.cant_rad)[:, None] * h * keep

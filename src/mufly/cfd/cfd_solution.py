@@ -272,11 +272,9 @@ def velocity_gradient(mesh: PolyMesh, velocity: Array, walls: dict[str, float]) 
     """
     inside = len(mesh.neighbour)
     a, b = mesh.owner[:inside], mesh.neighbour
-    cells, offset, change = (
-        [a, b],
-        [mesh.cell_centres[b] - mesh.cell_centres[a]] * 2,
-        [velocity[b] - velocity[a]] * 2,
-    )
+    cells = [a, b]
+    offset = [mesh.cell_centres[b] - mesh.cell_centres[a]] * 2
+    change = [velocity[b] - velocity[a]] * 2
     left, right = (mesh.owner[mesh.patch_faces(name)] for name in ("sector_left", "sector_right"))
     for here, there, sense in ((left, right, 1.0), (right, left, -1.0)):
         turn = _rotation_matrix(sense * 2.0 * math.pi / mesh.blade_count)

@@ -419,10 +419,8 @@ def read_poly_mesh(case: Path) -> PolyMesh:
             turning, middle = more["turning"], float(more["middle_m"]) if "middle_m" in more else -math.inf
         points = _decode_lists(data["points"], "<f8", 3)[0].reshape(-1, 3)
         faces = _decode_lists(data["faces"], "<i4", 1, 2)[1].reshape(-1, 4)
-        owner, neighbour = (
-            _decode_lists(data["owner"], "<i4", 1)[0],
-            _decode_lists(data["neighbour"], "<i4", 1)[0],
-        )
+        owner = _decode_lists(data["owner"], "<i4", 1)[0]
+        neighbour = _decode_lists(data["neighbour"], "<i4", 1)[0]
         text = data["boundary"].decode()
         patches = {
             name: (int(start), int(count))

@@ -388,11 +388,9 @@ def _adapt_row_counts(
     k: CellCounts, domain: MeshDomain, radius: float, chord: float, inside: float, size: float
 ) -> CellCounts:
     """Adapt the rows of cells to another domain so that cell sizes near the blade are unchanged."""
-    own, high, dz = (
-        MeshDomain(),
-        BLOCK_HALF_HEIGHT_CHORDS * chord,
-        2.0 * BLOCK_HALF_HEIGHT_CHORDS * chord / k.across,
-    )
+    own = MeshDomain()
+    high = BLOCK_HALF_HEIGHT_CHORDS * chord
+    dz = 2.0 * BLOCK_HALF_HEIGHT_CHORDS * chord / k.across
 
     def adapt_row_count(count: int, first: float, usual: float, length: float) -> int:
         if length == usual:

@@ -133,10 +133,8 @@ def extract_iso_surface(
     four: Array = place.reshape(n, 4, 3)
     four_values: Array = scalar.reshape(n, 4)
     order = np.argsort(-four_values, axis=1)  # the highest first
-    four, four_values = (
-        np.take_along_axis(four, order[..., None], 1),
-        np.take_along_axis(four_values, order, 1),
-    )
+    four = np.take_along_axis(four, order[..., None], 1)
+    four_values = np.take_along_axis(four_values, order, 1)
     above = (four_values > level).sum(axis=1)
 
     # Edges on which a tetrahedron is cut, by the number of its corners above the level.
@@ -201,10 +199,8 @@ def extract_vortex_surface(
     data : dict of (triangles,) arrays
         ``vorticity_1_s`` (its magnitude) and ``down_m_s``, of the cell whose centre is nearest, and ``blade``.
     """
-    speed, chord = (
-        point.radius_m * max(abs(speed) for speed in point.patch_speeds_rad_s.values()),
-        _middle_chord(mesh),
-    )
+    speed = point.radius_m * max(abs(speed) for speed in point.patch_speeds_rad_s.values())
+    chord = _middle_chord(mesh)
     wall = np.concatenate([mesh.face_centres[mesh.patch_faces(name)] for name in point.patch_speeds_rad_s])
     layer = 5.0 * chord / math.sqrt(speed * chord / point.kinematic_viscosity_m2_s)
     among = np.linalg.norm(mesh.cell_centres, axis=1) < 2.0 * point.radius_m

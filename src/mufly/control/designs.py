@@ -506,6 +506,7 @@ def _design_controller(
             )
     except MuflyError as error:
         raise MuflyError(f"{name} design, {scheme}: {error}") from None
+    frequency = np.geomspace(1e-2, 1e5, 1500)
     return ControllerDesign(
         name=name,
         method=method,
@@ -522,15 +523,10 @@ def _design_controller(
         full_loop=full_loop,
         reduced_loop=reduced_loop,
         sampled_loop=sampled_loop,
-        plant_crossovers=_plant_crossovers(plant),
+        plant_crossovers=find_crossovers(frequency, singular_values(plant, frequency)),
         feedback_inputs=rows,
         published=published,
     )
-
-
-def _plant_crossovers(plant: control.StateSpace) -> tuple[float, ...]:
-    frequency = np.geomspace(1e-2, 1e5, 1500)
-    return find_crossovers(frequency, singular_values(plant, frequency))
 
 
 def _given_orders(given: GivenController | None, highest: int) -> tuple[int, int] | None:

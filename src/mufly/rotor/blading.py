@@ -342,11 +342,9 @@ def prepare_blading(
         twist[k] = cut.twist_rad + effective_pitch_prior(rotor).mean_rad
         if rotor.fit is not None:
             twist[k] += rotor.fit.candidates[0].change[0]
-        first[k], second[k], weight[k] = (
-            index[cut.first_airfoil],
-            index[cut.second_airfoil],
-            cut.second_weight,
-        )
+        first[k] = index[cut.first_airfoil]
+        second[k] = index[cut.second_airfoil]
+        weight[k] = cut.second_weight
         if fixes.lifting_surface:
             e[k] = lifting_surface_chord_factor(mid, edges, cut.chord_m / big, rotor.chord_m(edges) / big)
         g[k] = stall_delay_strength(fixes.rotation, chord[k] / r[k])

@@ -415,10 +415,8 @@ def field_picture(solution: SystemSolution, *, mean: bool = True, points: int = 
             mx[::step], mz[::step], u[::step, ::step], w[::step, ::step], width=0.0022, color="0.2",
             scale=22.0 * max(float(np.quantile(np.hypot(u, w), 0.98)), 1e-9),
         )  # fmt: skip
-        label, title = (
-            "Vorticity through the plane (1/s)",
-            "an instant, blades a quarter period from the plane",
-        )
+        label = "Vorticity through the plane (1/s)"
+        title = "an instant, blades a quarter period from the plane"
     for wake in solution.wakes:
         s, h = wake.surface, 1e3 * wake.placed.height_m
         for sign in (-1.0, 1.0):

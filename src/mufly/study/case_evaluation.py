@@ -248,10 +248,8 @@ def _evaluate_group(
     if "speed" in first:
         speed, why = parameter_column("speed", 0.0), "the speed is not a number above 0"
     elif "thrust" in first:
-        speed, why = (
-            find_speed(load),
-            f"thrust out of reach of this rotor at any tip speed up to {MAX_TIP_SPEED_M_S:g} m/s",
-        )
+        speed = find_speed(load)
+        why = f"thrust out of reach of this rotor at any tip speed up to {MAX_TIP_SPEED_M_S:g} m/s"
     else:
         speed, why = find_speed(load), "rotor and motor have no common steady speed"
     good = np.isfinite(speed) & (speed > 0)

@@ -16,6 +16,7 @@ pitch is optimised again (to 0.25 degrees). The gains depend on this order; thei
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -168,27 +169,31 @@ def optimise_rotor(
     """
     problem = OptimisationProblem(setup, goal, tuple(free), tuple(limits), list(airfoils))
     names, low, high, whole = problem.search_space()
-    done = 0
 
     def evaluate_cost(x: Array) -> Array:
         return problem.evaluate_cost(names, np.atleast_2d(x.T))
-
-    def report_generation(*_: Any, **__: Any) -> None:
-        nonlocal done
-        done += 1
-        if progress is not None:
-            progress(min(done, generations), generations)
 
     search: Callable[..., Any] = differential_evolution  # its type stubs lack vectorised functions
     found = search(
         evaluate_cost, list(zip(low, high, strict=True)), integrality=whole, rng=np.random.default_rng(seed),
         maxiter=generations, popsize=_POPULATION, tol=1e-6, mutation=(0.4, 0.9), recombination=0.8, polish=False,
-        vectorized=True, updating="deferred", init="sobol", callback=report_generation,
+        vectorized=True, updating="deferred", init="sobol", callback=_count_generations(progress, generations),
     )  # fmt: skip
     best = problem.case_from_point(names, found.x)
     if found.fun >= problem.FAILURE_COST:
         raise MuflyError(f"no rotor within the limits was found; the best one breaks: {problem.explain_failure(best)}")
     return _explain_optimum(problem, best)
+
+
+def _count_generations(progress: Callable[[int, int], None] | None, total: int) -> Callable[..., None]:
+    """Return the callback of a search that reports every generation to ``progress``."""
+    done = itertools.count(1)
+
+    def report_generation(*_: Any, **__: Any) -> None:
+        if progress is not None:
+            progress(min(next(done), total), total)
+
+    return report_generation
 
 
 def _explain_optimum(problem: OptimisationProblem, best: dict[str, float | str]) -> RotorOptimum:
@@ -577,7 +582,7 @@ def optimise_pair(
     before = solve_case(fast)
     rough = replace(fast, station_count=min(_SEARCH_STATIONS, setup.station_count))
     bounds = [_search_bounds(n, limits) for n in names]
-    count, done = 0, 0
+    count = 0
     start = [before.upper.speed_rad_s, before.lower.speed_rad_s / before.upper.speed_rad_s]
     # The blades are prepared once if only pitches are free.
     still = build_system(rough) if all(n.endswith("pitch") for n in names) else None
@@ -599,18 +604,12 @@ def optimise_pair(
         tips = [p.speed_rad_s * b.rotors[0].radius_m for p, b in zip(r.rotors, system.bladings, strict=True)]
         return r.power_W if max(tips) <= MAX_TIP_SPEED_M_S else _FAILURE_COST
 
-    def report_generation(*_: Any, **__: Any) -> None:
-        nonlocal done
-        done += 1
-        if progress is not None:
-            progress(min(done, generations), generations)
-
     search: Callable[..., Any] = differential_evolution
     first = np.clip([_start_value(setup, n) for n in names], *np.transpose(bounds))
     found = search(
         evaluate_power, bounds, rng=np.random.default_rng(seed), maxiter=generations, popsize=_PAIR_POPULATION,
-        tol=1e-4, x0=first,
-        mutation=(0.4, 0.9), recombination=0.8, polish=False, init="sobol", callback=report_generation,
+        tol=1e-4, x0=first, mutation=(0.4, 0.9), recombination=0.8, polish=False, init="sobol",
+        callback=_count_generations(progress, generations),
     )  # fmt: skip
     effort = {"maxfev": 60 * len(names), "xatol": 1e-5, "fatol": 1e-5}
     simplex: Callable[..., Any] = minimize  # its type stubs reject a plain dictionary

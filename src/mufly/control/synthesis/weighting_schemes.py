@@ -130,15 +130,16 @@ def unscale_controller(controller: control.StateSpace, input_scale: Array, outpu
     )
 
 
-def _signal_names(name: str, signals: Sequence[str]) -> list[str]:
-    return [f"{name}[{i}]" for i in signals]
+def _signal_names(**signals: Sequence[str]) -> list[str]:
+    """Return the names of all signals: ``w_d=("z", "psi")`` gives ``w_d[z]`` and ``w_d[psi]``."""
+    return [f"{name}[{i}]" for name, over in signals.items() for i in over]
 
 
 class _WeightedDiagram:
     """A scaled plant with weights; signals are named ``name[signal of the plant]``."""
 
     def __init__(self, plant: control.StateSpace) -> None:
-        self.blocks = [replace_matrices(plant, inputs=_signal_names("plant", plant.input_labels))]
+        self.blocks = [replace_matrices(plant, inputs=_signal_names(plant=plant.input_labels))]
         self.wiring: dict[str, dict[str, float]] = {}
 
     def add_weight(self, weight: TransferFunction, name: str, sink: str, source: str, over: Sequence[str]) -> None:
@@ -194,19 +195,8 @@ def two_degree_plant(
     return connect_blocks(
         d.blocks,
         d.wiring,
-        [
-            *_signal_names("w_dbar", u),
-            *_signal_names("w_rbar", ref),
-            *_signal_names("w_r", ref),
-            *_signal_names("w_d", y),
-            *u,
-        ],
-        [
-            *_signal_names("z_u", u),
-            *_signal_names("z_y", shown),
-            *_signal_names("reference", ref),
-            *_signal_names("error", y),
-        ],
+        [*_signal_names(w_dbar=u, w_rbar=ref, w_r=ref, w_d=y), *u],
+        _signal_names(z_u=u, z_y=shown, reference=ref, error=y),
     )
 
 
@@ -243,8 +233,8 @@ def one_degree_plant(
     return connect_blocks(
         d.blocks,
         d.wiring,
-        [*_signal_names("w_v", u), *_signal_names("w_r", y), *u],
-        [*_signal_names("z_u", u), *_signal_names("z_y", shown), *_signal_names("error", y)],
+        [*_signal_names(w_v=u, w_r=y), *u],
+        _signal_names(z_u=u, z_y=shown, error=y),
     )
 
 

@@ -408,10 +408,8 @@ def _compare_end_thickness(loop: Array, i: int, j: int) -> float:
     front, back = (i, j) if loop[i, 0] > loop[j, 0] else (j, i)
     chord = loop[back] - loop[front]
     size = float(np.hypot(*chord))
-    along, across = (
-        (loop - loop[front]) @ chord / size**2,
-        (loop - loop[front]) @ [chord[1], -chord[0]] / size**2,
-    )
+    along = (loop - loop[front]) @ chord / size**2
+    across = (loop - loop[front]) @ [chord[1], -chord[0]] / size**2
     first, last = (float(np.ptp(across[part])) for part in (along < _END_REGION, along > 1.0 - _END_REGION))
     if abs(first - last) > _THICKNESS_TOLERANCE * max(first, last):
         return math.copysign(1.0, first - last)

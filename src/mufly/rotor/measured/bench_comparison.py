@@ -254,10 +254,8 @@ def calibrate_blading(
     """
     air = air or measurements.air
     pitch, speed = measurements.pitch_rad[point], measurements.speed_rad_s[point]
-    wanted, climb = (
-        (measurements.thrust_N[point], measurements.torque_Nm[point]),
-        measurements.climb_m_s[point],
-    )
+    wanted = (measurements.thrust_N[point], measurements.torque_Nm[point])
+    climb = measurements.climb_m_s[point]
     lift, drag = 1.0, 1.0
 
     def scale_blading(lift: float, drag: float) -> Blading:

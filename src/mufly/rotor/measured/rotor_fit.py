@@ -185,11 +185,9 @@ def fit_rotor(
     # Points without thrust say something in an airstream only; negative thrust alone is a sign taken the wrong way.
     if not np.any(thrust > 0.0) and (np.any(thrust < 0.0) or not measurements.axial):
         raise InputError(measurements.source, "thrust", "is nowhere above 0", "give points with thrust")
-    plain, gas, fixes = (
-        rotor.model_copy(update={"fit": None}),
-        air or measurements.air,
-        corrections or Corrections(),
-    )
+    plain = rotor.model_copy(update={"fit": None})
+    gas = air or measurements.air
+    fixes = corrections or Corrections()
     n = measurements.thrust_N.size
     chord = float(rotor.chord_m(0.75))
     wind = np.hypot(0.75 * rotor.radius_m * measurements.speed_rad_s, measurements.climb_m_s)

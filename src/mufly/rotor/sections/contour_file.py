@@ -43,10 +43,8 @@ _SCALE_WARNING_CHANGE = 0.02  # of chord; smaller changes of scale give no warni
 _MAX_KEPT_TILT_RAD = math.radians(4.0)
 _LEVEL_TILT_RAD = math.radians(0.6)  # below this tilt the tail, which is better defined than the nose, fixes the axis
 _TILT_WARNING_RAD = math.radians(1.5)  # greater tilts give a warning
-_NOSE_TAIL_REGION, _BLUNT_TAIL_TOLERANCE = (
-    0.05,
-    1e-3,
-)  # of chord: region in which nose and tail differ; distance of the corners of a blunt tail
+_NOSE_TAIL_REGION = 0.05  # of chord: region in which nose and tail differ
+_BLUNT_TAIL_TOLERANCE = 1e-3  # of chord: distance of the corners of a blunt tail
 _FORTRAN_EXPONENT = re.compile(r"(?<=[\d.])[dD](?=[+-]?\d)")
 
 

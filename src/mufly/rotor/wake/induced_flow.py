@@ -126,7 +126,8 @@ def momentum_thrust(solution: SystemSolution, height_m: float, *, reach: float =
     far = r[inner.size :]
     weight = np.concatenate([0.5 * split * w_in, 0.5 * math.log(reach / 1.3) * far * w_out])
     blades = solution.wakes[0].surface.blade_count
-    angle = 2.0 * math.pi / blades * (np.arange(24) + 0.5) / 24 if len(solution.wakes) == 1 else _midpoint_azimuths(48)
+    sectors, count = (blades, 24) if len(solution.wakes) == 1 else (1, 48)
+    angle = 2.0 * math.pi / sectors * (np.arange(count) + 0.5) / count
     c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
     points = np.stack([r * c, r * s, np.full_like(r * c, height_m)], axis=-1)
     rho = solution.air.density_kg_m3
@@ -141,10 +142,6 @@ def momentum_thrust(solution: SystemSolution, height_m: float, *, reach: float =
     outwards, around2 = c * total[..., 0] + s * total[..., 1], c * total[..., 1] - s * total[..., 0]
     flux = 0.5 * np.mean(down**2 - outwards**2 - around2**2, axis=0)
     return float(rho * 2.0 * math.pi * np.sum(weight * r * (swirl + flux)))
-
-
-def _midpoint_azimuths(n: int) -> Array:
-    return 2.0 * math.pi * (np.arange(n) + 0.5) / n
 
 
 @result(eq=False)

@@ -72,10 +72,8 @@ _PAIR_CORE_LIMITS = (0.2, 0.3, 0.4)
 _MEAN_WINDOW = 30  # iterations over which a fluctuating wake is averaged
 _MAX_LOAD_FLUCTUATION = 0.02  # of the loads; greatest fluctuation of a wake that counts as steady in the mean
 _DAMPING_RAD = 4.0 * math.pi
-_INITIAL_CORE_LIMIT, _CORE_LIMIT_DECAY_ITERATIONS = (
-    0.4,
-    15.0,
-)  # initial core limit (R); iterations until it has decreased
+_INITIAL_CORE_LIMIT = 0.4  # initial core limit (R)
+_CORE_LIMIT_DECAY_ITERATIONS = 15.0  # iterations until it has decreased
 _FLUCTUATING_RESIDUAL_FACTOR = 2.0  # factor on the permitted residual of a fluctuating wake
 _MUTUAL_UPDATE_INTERVAL = 4  # iterations between updates of the mutual influence on the wakes
 _SWIRL_RELAXATION = 0.3  # relaxation of the swirl at each update
@@ -447,10 +445,8 @@ class RotorState:
         piece = (self.free_ages_rad[1] - self.free_ages_rad[0]) / self.chords_per_step
         skip = max(round(_COARSE_CHORD_RAD / piece), 1)
         kept = np.concatenate([[0], np.arange(1, end, skip), far])
-        self.coarse_paths_m, self.coarse_ages_rad = (
-            self.filament_paths_m[:, kept],
-            self.filament_ages_rad[kept],
-        )
+        self.coarse_paths_m = self.filament_paths_m[:, kept]
+        self.coarse_ages_rad = self.filament_ages_rad[kept]
         chord, far_chord = skip * piece, math.radians(settings.far_step_deg)
         self.coarse_paths_m[:, 2:, :2] *= np.where(
             kept[2:, None] > end, 1.0 / math.sqrt(math.cos(far_chord)), math.sqrt(chord / math.sin(chord))

@@ -22,10 +22,8 @@ from mufly.study.benchmark.rotor_cases import RotorCase
 Array = NDArray[np.float64]
 
 _GRID_POINTS, _SLOW_GRID_POINTS = 45, 9
-_MIN_ADVANCE_SHARE, _MAX_ADVANCE_SHARE = (
-    0.25,
-    1.4,
-)  # of the advance ratio of zero thrust: range of the predicted points
+# Range of the predicted points, of the advance ratio of zero thrust.
+_MIN_ADVANCE_SHARE, _MAX_ADVANCE_SHARE = 0.25, 1.4
 
 
 @dataclass(frozen=True)

@@ -378,10 +378,8 @@ def load_tunnel_runs(folder: Path, case: RotorCase, left_out: list[str]) -> Iter
 def load_dji_9443(folder: Path) -> RotorCase:
     """Load the 240 mm rotor with one hover point: c_T 0.072 (propellers' convention) at 5400 rpm (Zawodny et al., AHS
     2016)."""
-    c, t = (
-        read_text_table(folder / "dji9443_chord.csv").read_matrix(),
-        read_text_table(folder / "dji9443_twist.csv").read_matrix(),
-    )
+    c = read_text_table(folder / "dji9443_chord.csv").read_matrix()
+    t = read_text_table(folder / "dji9443_twist.csv").read_matrix()
     family, section, _ = section_of_propeller("dji9443")
     twist = np.interp(c[:, 0], *t.T)
     rotor = _build_rotor("dji9443", 2, 0.12, 0.1, c[:, 0], c[:, 1] * 0.12, twist, section)
