@@ -217,7 +217,7 @@ def nanobench(asked: argparse.Namespace) -> None:
         began = float(f.log.time_s[f.log.is_flying.argmax()]) + 2.0
         found = measure_row_consistency(truth_rows(f), told, after_s=began)
         less = ""
-        if f.mounting is not None:
+        if f.mounting_rad is not None:
             mounted = measure_row_consistency(truth_rows(f, mounted=True), told, after_s=began)
             less = f"; less mounting: tilt {np.degrees(mounted.tilt_rms):.2f} NEES/n {mounted.nees:.2f}"
         print(

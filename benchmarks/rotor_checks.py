@@ -215,7 +215,7 @@ def report_caradonna_cfd(asked: argparse.Namespace) -> None:
     found = read_solution(case, mesh)
     p = found.point
     c_t = verdict.thrust_N / (p.density_kg_m3 * math.pi * radius**2 * (p.speed_rad_s * radius) ** 2)
-    print(f"{verdict.what} after {verdict.iterations} iterations (drift {100 * verdict.drift:.2f} %, swing "
+    print(f"{verdict.outcome} after {verdict.iterations} iterations (drift {100 * verdict.drift:.2f} %, swing "
           f"{100 * verdict.swing:.2f} %): c_T {c_t:.5f}, {percent(c_t, C_T[asked.pitch])} % of {C_T[asked.pitch]}; the "
           f"wake carries {100 * found.wake_torque:.0f} % of the torque\n")  # fmt: skip
     rows = []

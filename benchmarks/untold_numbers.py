@@ -88,7 +88,7 @@ def fly_row(campaign: Campaign, key: str, change: str, value: Any, flights: int)
         values = [getattr(r, name) for r in results if getattr(r, name) is not None]
         return f"{max(values):.3g}" if values else ""
 
-    told = [r.told for r in results if not r.told.startswith("succeeded")]
+    told = [r.reported_outcome for r in results if not r.reported_outcome.startswith("succeeded")]
     nees = [r.nees for r in results if r.nees is not None]
     return row | {
         "flights": flights,

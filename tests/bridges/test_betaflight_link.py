@@ -212,12 +212,12 @@ def test_gains_in_betaflights_units_give_the_same_input():
         gains = getattr(GAINS, axis)
         k = convert_rate_gains(axis, gains)
         integral = 0.244381 * (2.5 if axis == "yaw" else 1.0)
-        assert full * 0.032029 * k.P * deg == pytest.approx(gains.rate, rel=0.02)
+        assert full * 0.032029 * k.P * deg == pytest.approx(gains.rate_proportional, rel=0.02)
         assert full * integral * k.I * deg == pytest.approx(gains.rate_integral, rel=0.03)
     text = format_cli_file(load_vehicle("mufly-1.1"), GAINS)
     assert "mixer DUALCOPTER" in text
     assert text.rstrip().endswith("save")
-    weak = type(GAINS.roll)(rate=1.0)
+    weak = type(GAINS.roll)(rate_proportional=1.0)
     with pytest.raises(MuflyError, match="beyond its limit"):
         convert_rate_gains("roll", weak)
 

@@ -118,7 +118,7 @@ def test_oncoming_air_has_its_total_pressure_where_it_comes_from(
     assert f"tangentialVelocity uniform (0 0 {-climb:g})" in u
     # In descent air comes in through the bottom, and that is no fault.
     flows = judge_loads(loads(1300), -0.01, 1e-4, replace(POINT, climb_m_s=climb))
-    assert flows.what == ("blown back" if climb > 0 else "settled")
+    assert flows.outcome == ("blown back" if climb > 0 else "settled")
 
 
 def test_the_fluxes_of_the_start_leave_no_cell_with_more_than_the_mesh_blurs(tmp_path: Path) -> None:
@@ -160,7 +160,7 @@ def loads(count: int, drift: float = 0.0, swing: float = 0.0) -> np.ndarray:
 )  # fmt: skip
 def test_a_verdict_names_what_is_wrong(table: np.ndarray, outflow: float, leak: float, what: str) -> None:
     verdict = judge_loads(table, outflow, leak, POINT)
-    assert verdict.what == what
+    assert verdict.outcome == what
     assert verdict.settled == (what == "settled")
     if what == "settled":
         assert verdict.thrust_N == pytest.approx(0.15)
@@ -284,7 +284,7 @@ def test_cases_are_laid_beside_the_rows_of_a_table(tmp_path: Path) -> None:
     (found,) = compare_cases(table, [tmp_path])
     assert found.thrust == pytest.approx({"meas": 0.0, "laminar": 0.151 / 0.136 - 1})
     assert found.torque == pytest.approx({"meas": 0.0015 / 0.0016 - 1, "laminar": 0.0015 / 0.00174 - 1})
-    assert found.verdict.what == "not done"
+    assert found.verdict.outcome == "not done"
     table.write_text("pitch_deg,rpm,T_meas_N\n14,5000,0.2\n")
     with pytest.raises(InputError, match="no row at 12 degrees and 5000 rpm"):
         compare_cases(table, [tmp_path])
@@ -360,7 +360,7 @@ def test_a_run_goes_on_after_it_was_killed_and_our_loads_are_the_solvers(tmp_pat
     assert list_complete_states(tmp_path) == [0]  # states are written every 40
     save_case(tmp_path, rotor, **given)
     verdict = run_case(tmp_path, most=120)  # 80 of them at first order
-    assert verdict.what == "not done"
+    assert verdict.outcome == "not done"
     assert list_complete_states(tmp_path)[-1] == 120
     past = read_history(tmp_path)
     assert np.array_equal(past[:, 0], np.arange(1, 121))  # those told twice stand once

@@ -42,7 +42,7 @@ class StandIn:
         self.starts.append(neighbour)
         loads, n = self.strips(rotor), rotor.blades
         return SimpleNamespace(
-            verdict=SimpleNamespace(settled=self.settled, what="swings"), r_m=loads.r_m,
+            verdict=SimpleNamespace(settled=self.settled, outcome="swings"), r_m=loads.r_m,
             thrust_N_m=loads.axial_N_m * n, torque_Nm_m=-loads.inplane_N_m * n * loads.r_m, moment_Nm_m=loads.moment_N,
         )  # fmt: skip
 

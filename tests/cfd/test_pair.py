@@ -146,7 +146,7 @@ def test_no_verdict_before_the_air_knows_the_other_rotors_new_loads(tmp_path: Pa
         file = tmp_path / "postProcessing" / "loads" / "0" / name
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text("".join(f"{i} {row}\n" for i in range(1, 1801)))
-    assert judge_case(tmp_path).what == "not done"  # they stand still, but for 200 iterations only
+    assert judge_case(tmp_path).outcome == "not done"  # they stand still, but for 200 iterations only
     (tmp_path / "disc.json").write_text('{"r_m": [')
     with pytest.raises(InputError, match="not a complete disc"):
         read_actuator_disc(tmp_path)

@@ -44,7 +44,7 @@ def test_orders_and_loops_of_the_designs(controller: FlightController) -> None:
 def test_plain_truncation_ruins_what_matching_keeps(controller: FlightController) -> None:
     G, K, M, plant, rows = problem(controller)
     reduction = reduce_controller(G, K, M, plant, rows, order_min=10, order_max=10, tolerances=((1.0, 2.0),))
-    by_method = {c.method: c for c in reduction.candidates if c.kept == 2}
+    by_method = {c.method: c for c in reduction.candidates if c.kept_modes == 2}
     assert not by_method["open truncate"].norm < 5 * reduction.full_norm
     assert by_method["open match"].norm < 1.1 * reduction.full_norm
 

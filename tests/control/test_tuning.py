@@ -76,7 +76,7 @@ def test_gradient_is_exact(problem) -> None:
 
 def test_gradients_of_disk_activity_and_mu_are_exact(vehicle: Vehicle, controller: FlightController) -> None:
     spreads = {"body.inertia_xx": 2e-5, "swash_plate.linkage": 0.2, "stabiliser_bar.time_constant": 0.07}
-    goals = TuningGoals(disk=0.9, activity=1.0, mu=0.3)
+    goals = TuningGoals(disk_margin=0.9, activity=1.0, mu=0.3)
     noise = np.radians([0.1, 0.1, 0.3, 0.3])
     p = pose_loop_problem(vehicle, controller, "roll-pitch", goals, noise, spreads)
     assert [a.name for a in p.aims] == ["disk", "activity", "mu"]

@@ -130,7 +130,7 @@ def test_the_map_passes_through_its_points(clamped):
     tables, splines = flight_map.parse_tables(), fit_flight_splines(flight_map.parse_tables())
     climbs, edges = splines.size
     flow = tables.loads.reshape(*tables.loads.shape[:3], 2, 10)[..., :6].reshape(*tables.loads.shape[:3], 12)
-    at = partial(interpolate_flow_loads, splines.table.ravel(), int(climbs), int(edges))
+    at = partial(interpolate_flow_loads, splines.coefficient_table.ravel(), int(climbs), int(edges))
     middle = flow.mean(axis=0)
     for j in range(climbs):
         for k in range(edges):

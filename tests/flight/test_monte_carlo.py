@@ -276,7 +276,7 @@ def test_what_the_state_machine_says_is_not_enough(campaign: Campaign) -> None:
 
     def why(recording: xr.Dataset, mission: Mission = HOP, tolerance_m: float = 0.3) -> str:
         flown = judge_flight(recording, mission, tolerance_m, **common)
-        assert flown.told.startswith("succeeded")
+        assert flown.reported_outcome.startswith("succeeded")
         assert flown.success == (not flown.reason)
         return flown.reason
 
@@ -296,7 +296,7 @@ def test_a_flight_that_cannot_take_off_is_a_failure_with_a_reason(campaign: Camp
     case = replace(campaign.draw_case(0), parameter_values={"body.mass": 0.19})
     flown = fly_case(campaign, case)
     assert not flown.success
-    assert flown.told.startswith("failed")
+    assert flown.reported_outcome.startswith("failed")
     broken = replace(campaign, faults=("sonar.jump",))  # of sensors that ideal flights have not
     assert fly_case(broken, case).reason.startswith("did not fly: ")
 
@@ -328,7 +328,7 @@ def test_wilson_interval_holds_the_truth_as_often_as_it_says() -> None:
 
 def test_results_say_which_flight_is_the_worst(tmp_path: Path, campaign: Campaign, flights: list[FlightResult]) -> None:
     lost = replace(flights[0], index=6, success=False, reason="a rotor hit the wall 3 at [1.0, 2.0] m, 3.1 s")
-    lost = replace(lost, tilt_peak_deg=80.0, told="succeeded")
+    lost = replace(lost, tilt_peak_deg=80.0, reported_outcome="succeeded")
     told = summarise_outcome(
         [*flights, lost, replace(lost, index=7, reason="a rotor hit the wall 3 at [1.5, 2.0] m, 4 s")], 0.3
     )

@@ -180,13 +180,15 @@ def test_a_waypoint_is_followed_by_the_observed_next_one() -> None:
     env, zero = placed("waypoint")
     e = env.vector.episodes
     e.state[0, :3] = e.target[0] + [0.1, 0.0, 0.0]
-    after = e.after[0].copy()
+    after = e.next_target[0].copy()
     seen, reward, terminated, _, info = env.step(zero)
     assert info["success"]
     assert not terminated
     assert reward > 4.0
     assert (e.target[0] == after).all()
-    assert np.linalg.norm(seen[OBS_EXTRA:]) == pytest.approx(np.linalg.norm(e.after[0] - e.state[0, :3]), abs=1e-5)
+    assert np.linalg.norm(seen[OBS_EXTRA:]) == pytest.approx(
+        np.linalg.norm(e.next_target[0] - e.state[0, :3]), abs=1e-5
+    )
 
 
 def test_obstacle_measures_columns_and_ends_at_one() -> None:

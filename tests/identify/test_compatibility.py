@@ -68,7 +68,7 @@ def test_biases_scale_factors_and_the_path_lie_in_their_intervals():
     assert np.mean(inside) >= 0.86  # of 36; 94 % of 96 at twice the length
     assert 0.9 < np.mean(covered) < 0.99
     # At rest b_z and lambda_z are one number; here they are nearly.
-    assert any("b_az and lambda_az" in w for w in c.unseen)
+    assert any("b_az and lambda_az" in w for w in c.undetermined)
     assert c.corrected == pytest.approx(made(2)[3], abs=6.0 * 0.2 + 0.2)
 
 

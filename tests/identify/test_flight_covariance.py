@@ -8,7 +8,7 @@ from mufly.identify.fit_result import (
     coloured_covariance,
     correlation_reach,
     covariance_from_information,
-    describe_unseen_combinations,
+    describe_undetermined_combinations,
 )
 from mufly.identify.flight_record import low_pass
 from mufly.identify.linear.equation_error import regress_rate_derivatives
@@ -16,8 +16,8 @@ from mufly.identify.linear.linear_fit import fit_linear_model, simulate_linear_f
 from mufly.identify.linear.linear_structure import simulate_linear_structure, structure_by_name
 
 
-def unseen(names, jacobian, covariance):
-    return describe_unseen_combinations(names, covariance_from_information(jacobian.T @ jacobian), covariance)
+def undetermined(names, jacobian, covariance):
+    return describe_undetermined_combinations(names, covariance_from_information(jacobian.T @ jacobian), covariance)
 
 
 def linear(n, colour, rng, t=3):
@@ -77,7 +77,7 @@ def test_reach_of_white_and_of_coloured_noise():
 
 def test_a_parameter_without_effect_is_named():
     j = np.column_stack([np.ones(10), np.zeros(10)]) * 10
-    said = unseen(("a", "b"), j, np.diag([1e-3, 1.0]))
+    said = undetermined(("a", "b"), j, np.diag([1e-3, 1.0]))
     assert len(said) == 1
     assert said[0].startswith("b is not determined")
 
@@ -86,7 +86,7 @@ def test_a_parameter_without_effect_is_named():
 def test_two_that_act_together_are_named(sign, words):
     x = 100 * np.random.default_rng(0).standard_normal(50)
     j = np.column_stack([x, sign * x, 100 * np.ones(50)])
-    said = unseen(("a", "b", "c"), j, np.diag([1.0, 1.0, 1e-4]))
+    said = undetermined(("a", "b", "c"), j, np.diag([1.0, 1.0, 1e-4]))
     assert len(said) == 1
     assert words in said[0]
     assert "a" in said[0]
@@ -97,13 +97,13 @@ def test_three_in_one_direction_are_named_with_their_shares():
     rng = np.random.default_rng(0)
     j = 100 * rng.standard_normal((50, 3))
     v = np.array([1.0, 0.5, -0.5]) / np.sqrt(1.5)
-    said = unseen(("a", "b", "c"), j - np.outer(j @ v, v), np.eye(3))
+    said = undetermined(("a", "b", "c"), j - np.outer(j @ v, v), np.eye(3))
     assert "determined only in combination" in said[0]
 
 
 def test_a_close_pair_is_named_with_its_correlation():
     c = np.array([[1e-4, -0.9999e-4], [-0.9999e-4, 1e-4]])
-    said = unseen(("cT_up", "cT_dw"), 1e3 * np.eye(2), c)
+    said = undetermined(("cT_up", "cT_dw"), 1e3 * np.eye(2), c)
     assert len(said) == 1
     assert "correlation -0.9999" in said[0]
     assert "sum" in said[0]
@@ -111,7 +111,7 @@ def test_a_close_pair_is_named_with_its_correlation():
 
 def test_a_close_pair_that_is_known_well_anyway_is_not_worth_a_word():
     c = 1e-8 * np.array([[1.0, 0.999], [0.999, 1.0]])
-    assert unseen(("a", "b"), 1e5 * np.eye(2), c) == ()
+    assert undetermined(("a", "b"), 1e5 * np.eye(2), c) == ()
 
 
 def made(n=900, pole=0.9):
@@ -166,4 +166,4 @@ def test_a_parameter_that_nothing_knows_of_has_no_finite_deviation():
     c, bound, _ = coloured_covariance([s], [draw()])
     assert np.isfinite(np.diag(c)).tolist() == [True, False, True]
     assert bound[1, 1] == np.inf
-    assert describe_unseen_combinations(("a", "b", "c"), c) == ("b is not determined by the data",)
+    assert describe_undetermined_combinations(("a", "b", "c"), c) == ("b is not determined by the data",)

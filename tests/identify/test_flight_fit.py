@@ -106,7 +106,7 @@ def test_thrust_coefficients_from_height_and_yaw_rate_alone_are_not_returned_wit
         truth, free, [flights[n].slice_samples(0, 300) for n in ("yaw", "heave")], part="heave-yaw",
         outputs=["height", "r"], delay_s=RADIO_DELAY_S,
     )  # fmt: skip
-    assert any("cT_up" in said and "cT_dw" in said for said in fit.unseen)
+    assert any("cT_up" in said and "cT_dw" in said for said in fit.undetermined)
     assert fit.correlation[0, 1] < -0.98
 
 
@@ -114,13 +114,13 @@ def test_inertias_and_linkages_together_are_seen_only_in_ratio(truth, flights):
     symbols = ["Ixx", "Iyy", "l_up", "l_dw"]
     free = choose_free_parameters(replace_parameters(truth, {"body.inertia_xx": 1.12e-4}), symbols, ["roll", "p"])
     fit = fit_flight_records(truth, free, [flights["roll"], flights["pitch"]], part="roll-pitch", delay_s=RADIO_DELAY_S)
-    assert any(sum(s in said for s in symbols) >= 2 for said in fit.unseen)
+    assert any(sum(s in said for s in symbols) >= 2 for said in fit.undetermined)
 
 
 def test_a_parameter_that_the_data_do_not_move_keeps_its_start(truth, flights):
     free = choose_free_parameters(truth, ["Izz", "Ixx"], ["height", "r"])
     fit = fit_flight_records(truth, free, [flights["yaw"]], part="heave-yaw", delay_s=RADIO_DELAY_S)
-    assert any(said.startswith("Ixx is not determined") for said in fit.unseen)
+    assert any(said.startswith("Ixx is not determined") for said in fit.undetermined)
     assert fit.find_estimate("Ixx").value == pytest.approx(fit.find_estimate("Ixx").start, rel=1e-3)
     assert fit.find_estimate("Ixx").std > 0.1 * fit.find_estimate("Ixx").value
 

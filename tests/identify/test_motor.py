@@ -38,7 +38,7 @@ def test_exact_readings_give_the_exact_constants():
     fit = fit_motor(bench())
     assert_allclose(values(fit), TRUTH, rtol=1e-9)
     assert [e.symbol for e in fit.estimates] == ["kE", "kM", "Rohm", "dR"]
-    assert fit.unseen == ()
+    assert fit.undetermined == ()
     assert_allclose(fit.residual, 0, atol=1e-9)
 
 
@@ -71,11 +71,11 @@ def test_what_is_not_known_of_the_gear_is_not_invented():
     assert [e.symbol for e in fit.estimates] == ["kE", "kM*eta_gear", "Rohm", "dR*eta_gear"]
     assert [e.key for e in fit.estimates].count("") == 2
     assert fit.find_estimate("kM*eta_gear").value == pytest.approx(0.84 * TRUTH[1], rel=0.02)
-    assert any("kM*eta_gear" in u for u in fit.unseen)
+    assert any("kM*eta_gear" in u for u in fit.undetermined)
     both = fit_motor(table, gear=GearKnowledge(None, None))
     assert both.estimates[0].symbol == "kE*igear"
     assert both.estimates[3].value == pytest.approx(1.5**2 * 0.84 * TRUTH[3], rel=0.1)
-    assert len(both.unseen) == 2
+    assert len(both.undetermined) == 2
 
 
 def test_doubt_about_the_gear_is_passed_on():
@@ -162,7 +162,7 @@ def test_repeats_and_missing_physics_are_noticed():
     base = bench(5, 0.01)
     repeated = {k: np.repeat(v, 4) * (1 + 5e-4 * rng.standard_normal(144)) for k, v in base.columns.items()}
     fit = fit_motor(BenchTable("b.csv", repeated, base.headers, np.arange(2, 146)))
-    assert fit.spread.pattern != "white"
+    assert fit.covariance_estimate.pattern != "white"
     once = fit_motor(base)
     assert fit.find_estimate("kM").std == pytest.approx(
         once.find_estimate("kM").std, rel=0.4

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from mufly.errors import InputError
 from mufly.identify import FlightLimits, design_excitation
 from mufly.identify.fit_pictures import plan_picture
-from mufly.identify.fit_result import covariance_from_information, describe_unseen_combinations
+from mufly.identify.fit_result import covariance_from_information, describe_undetermined_combinations
 from mufly.identify.flight.excitation_plan import (
     SENSOR_NOISE_STD,
     combined_information,
@@ -102,7 +102,7 @@ def test_fits_scatter_by_what_the_plan_promises(vehicle, plan, window_s):
     c = plan.best_candidate
     if window_s is None:
         c = design_excitation(vehicle, SYMBOLS, "yaw", kinds=("chirp",), duration_s=6.0, window_s=None).best_candidate
-    problem = make_problem(vehicle, plan.free, [c.record], part="heave-yaw", delay_s=0.02, prior=False)
+    problem = make_problem(vehicle, plan.free_parameters, [c.record], part="heave-yaw", delay_s=0.02, prior=False)
     std = np.array([SENSOR_NOISE_STD[o] for o in problem.records[0].outputs])
     problem = problem.with_noise([std]).with_windows(window_s)
     linear = problem.linearise_record(0, np.zeros(3), problem.zero_initial_states()[0])
@@ -127,7 +127,7 @@ def test_a_real_fit_finds_a_changed_vehicle_within_the_promise(vehicle, plan):
             SENSOR_NOISE_STD[o] for o in flown.outputs
         ]
         record = type(flown)(flown.name, flown.time_s, flown.inputs, flown.outputs, noisy, flown.voltage)
-        problem = make_problem(vehicle, plan.free, [record], part="heave-yaw", delay_s=0.02, prior=False)
+        problem = make_problem(vehicle, plan.free_parameters, [record], part="heave-yaw", delay_s=0.02, prior=False)
         problem = problem.with_noise(
             [np.array([SENSOR_NOISE_STD[o] for o in problem.records[0].outputs])]
         ).with_windows(2.0)
@@ -162,19 +162,21 @@ def test_what_no_flight_shows_is_named(vehicle):
         duration_s=6.0,
     )
     assert roll.best_candidate.relative_std[3] == math.inf
-    _, unseen = combined_information([roll], [roll.best_candidate])
-    assert any("Whub is not determined by the data" in u for u in unseen)
-    assert any("Ixx" in u and "l_up" in u and "l_dw" in u for u in unseen)
+    _, undetermined = combined_information([roll], [roll.best_candidate])
+    assert any("Whub is not determined by the data" in u for u in undetermined)
+    assert any("Ixx" in u and "l_up" in u and "l_dw" in u for u in undetermined)
 
 
 def test_directions_in_words():
     information = np.array([[1.0, 1.0], [1.0, 1.0]]) * 1e4
-    words = describe_unseen_combinations(("a", "b"), covariance_from_information(information))
+    words = describe_undetermined_combinations(("a", "b"), covariance_from_information(information))
     assert words == ("only the product of b and a is seen (no bound along it)",) or "product of a and b" in words[0]
     difference = np.array([[1.0, -1.0], [-1.0, 1.0]]) * 1e4
-    assert "only the ratio" in describe_unseen_combinations(("a", "b"), covariance_from_information(difference))[0]
-    assert describe_unseen_combinations(("a", "b"), 1e-4 * np.eye(2)) == ()
-    assert "a is hardly seen" in describe_unseen_combinations(("a", "b"), np.diag([1.0, 1e-4]))[0]
+    assert (
+        "only the ratio" in describe_undetermined_combinations(("a", "b"), covariance_from_information(difference))[0]
+    )
+    assert describe_undetermined_combinations(("a", "b"), 1e-4 * np.eye(2)) == ()
+    assert "a is hardly seen" in describe_undetermined_combinations(("a", "b"), np.diag([1.0, 1e-4]))[0]
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from mufly.identify.fit_result import (
     coloured_covariance,
     correlation_reach,
     covariance_from_information,
-    describe_unseen_combinations,
+    describe_undetermined_combinations,
     divide_by_values,
     parzen_window,
 )
@@ -246,7 +246,7 @@ def test_parzen_window_has_no_negative_transform():
 
 def test_what_cannot_be_told_apart_is_said():
     cov = np.array([[1.0, 0.999, 0.0], [0.999, 1.0, 0.0], [0.0, 0.0, 100.0]])
-    words = describe_unseen_combinations(("a", "b", "c"), divide_by_values(cov, np.array([5.0, 5.0, 1.0])))
+    words = describe_undetermined_combinations(("a", "b", "c"), divide_by_values(cov, np.array([5.0, 5.0, 1.0])))
     assert any("a and b can hardly be separated" in w for w in words)
     assert any("c is hardly seen" in w for w in words)
 
@@ -279,11 +279,11 @@ def test_colour_that_swings_reaches_beyond_where_it_passes_zero():
 def test_directions_that_nothing_shows_are_told_with_the_shares_by_which_parameters_move():
     assert covariance_from_information(np.diag([4.0, 0.0, 16.0])) == pytest.approx(np.diag([0.25, np.inf, 0.0625]))
     along = np.array([1.0, 0.5, -0.5])
-    (words,) = describe_unseen_combinations(("a", "b"), 4.0 * np.outer(along, along)[:2, :2] + 1e-6 * np.eye(2))
+    (words,) = describe_undetermined_combinations(("a", "b"), 4.0 * np.outer(along, along)[:2, :2] + 1e-6 * np.eye(2))
     assert (
         "a +10 % with b +5 % has no effect on the measured outputs" in words
     )  # neither their ratio nor their product is seen
-    (words,) = describe_unseen_combinations(("a", "b", "c"), 4.0 * np.outer(along, along) + 1e-6 * np.eye(3))
+    (words,) = describe_undetermined_combinations(("a", "b", "c"), 4.0 * np.outer(along, along) + 1e-6 * np.eye(3))
     assert all(part in words for part in ("a +10 %", "b +5 %", "c -5 %"))
 
 

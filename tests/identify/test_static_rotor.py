@@ -178,7 +178,7 @@ def test_total_thrust_of_a_pair():
     assert [e.symbol for e in result.estimates] == ["cT_up", "cT_dw"]
     blind = fit(pair(1.18))
     assert all(math.isinf(e.std) for e in blind.estimates)
-    assert "only a weighted sum is determined" in blind.unseen[0]
+    assert "only a weighted sum is determined" in blind.undetermined[0]
 
 
 def test_pitch_settings_are_kept_apart():
@@ -413,11 +413,11 @@ def test_coefficients_that_no_rotor_has_are_remarked_and_not_written(tmp_path):
     thrust, torque = loads_of(WIDE)
     heads = "speed_rad_s,thrust_N,torque_Nm"
     down = found(written(tmp_path, rows(heads, WIDE, np.where(WIDE > 420, -3 * thrust, 0.1), torque)))
-    assert any("cT = " in u and "negative, which is not physical" in u for u in down.unseen)
+    assert any("cT = " in u and "negative, which is not physical" in u for u in down.undetermined)
     assert assign_rotor_side(down, "upper", None).estimates[0].symbol == "cT_up"
     light = found(written(tmp_path, rows(heads, WIDE, thrust, torque / 10)))
-    assert any("figure of merit of 4.59, above 1" in u for u in light.unseen)
-    assert not any("not physical" in u for u in found(table(single())).unseen)
+    assert any("figure of merit of 4.59, above 1" in u for u in light.undetermined)
+    assert not any("not physical" in u for u in found(table(single())).undetermined)
 
 
 def test_lines_in_axial_flight_are_left_out(tmp_path):
@@ -441,6 +441,6 @@ def test_one_static_line_of_a_maker_s_file_has_a_value_and_no_scatter():
     result = found(replace(made, diameter_m=2 * R), density_kg_m3=RHO)
     assert result.find_estimate("cT").value == pytest.approx(C_T)
     assert math.isnan(result.find_estimate("cT").std)
-    assert result.unseen == ()
+    assert result.undetermined == ()
     other = found(replace(made, diameter_m=R), density_kg_m3=RHO)
     assert any("the file's rotor has R 43.75 mm" in n for n in other.notes)

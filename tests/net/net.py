@@ -518,7 +518,8 @@ case("flight.box")(lambda: flown("box-on-leg", "mufly-1.1", wind=[0.2, -0.3, 0.0
 def _motor() -> Any:
     fit = api("fit_motor")(api("read_bench")("motor_bench.csv"), vehicle=api("load_vehicle")("mufly-1.1"))
     return {"estimates": [fields(e) for e in fit.estimates], "covariance": np.asarray(fit.covariance),
-            "residual": np.asarray(fit.residual), "unseen": list(fit.unseen), "notes": list(fit.notes)}  # fmt: skip
+            "residual": np.asarray(fit.residual), "undetermined": list(fit.undetermined),
+            "notes": list(fit.notes)}  # fmt: skip
 
 
 @case("fit.rotor", quick=True)
@@ -535,7 +536,7 @@ def _fit_demo() -> Any:
     return {
         "estimates": [fields(e) for e in fit.estimates],
         "correlation": np.asarray(fit.correlation),
-        "unseen": list(fit.unseen),
+        "undetermined": list(fit.undetermined),
         "cost": float(fit.cost),
         "simulations": fit.simulations,
         "held_out_over_noise": demo.held_out_over_noise,

@@ -107,10 +107,10 @@ def test_outside_codes_answer_or_say_why_not(data, tmp_path):
     assert_allclose((1 + scores[3].thrust_error[0]) * cases[0].measured.thrust_N[0], 1e-7 * 3000.0**2)
     assert "no wind" in scores[-1].fault
     rows = tabulate_by_group(scores)
-    assert [(r.code, r.group, r.rotors, r.without) for r in rows[:3]] == [
+    assert [(r.code, r.group, r.rotors, r.unpredicted) for r in rows[:3]] == [
         ("mine", "UIUC micro", 2, 0), ("mine", "own", 1, 0), ("run", "UIUC micro", 2, 0)
     ]  # fmt: skip
-    assert rows[-1].without == 1
+    assert rows[-1].unpredicted == 1
     assert len(tabulate_by_family(scores)) == 9
     assert len(score_picture(scores).axes) == 2
 

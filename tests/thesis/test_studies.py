@@ -99,12 +99,12 @@ def test_results_that_are_no_one_table_are_written_too(tmp_path: Path) -> None:
 
 
 def test_words_follow_from_the_verdicts() -> None:
-    def word(*agree: bool, lacking: str = "") -> str:
+    def word(*agree: bool, missing: str = "") -> str:
         verdicts = tuple(Verdict(Claim("Fig. 2.4", "x"), "m", "1", a, "r") for a in agree)
-        return StudyAnswer(THESIS_ITEMS["fig-2.4"], verdicts, lacking=lacking, known=True).verdict_word
+        return StudyAnswer(THESIS_ITEMS["fig-2.4"], verdicts, missing=missing, known=True).verdict_word
 
     assert [word(True, True), word(True, False), word(False)] == ["agrees", "in part", "DIFFERS"]
-    assert [word(), word(True, lacking="CFD")] == ["drawn", "needs CFD"]
+    assert [word(), word(True, missing="CFD")] == ["drawn", "needs CFD"]
 
 
 def test_the_report_holds_its_pictures_and_all_items(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -210,7 +210,7 @@ class ZeroDrift:
     ----------
     coefficients : (d + 1,) array
         a of the module docstring, in units of the reading.
-    spread : CovarianceEstimate
+    covariance_estimate : CovarianceEstimate
         Covariance of the coefficients; ``scale`` is the scatter of the zero readings.
     middle, half : float
         Middle and half span of the time of the zeros.
@@ -221,7 +221,7 @@ class ZeroDrift:
     """
 
     coefficients: Array
-    spread: CovarianceEstimate
+    covariance_estimate: CovarianceEstimate
     middle: float
     half: float
     blocks: int
@@ -238,7 +238,7 @@ class ZeroDrift:
     def zero_std_at(self, time: Array) -> Array:
         """Return the standard deviation (n,) of the zero."""
         b = self.time_powers(time)
-        return np.sqrt(np.einsum("ij,jk,ik->i", b, self.spread.covariance, b))
+        return np.sqrt(np.einsum("ij,jk,ik->i", b, self.covariance_estimate.covariance, b))
 
 
 def fit_zero_drift(time: Array, reading: Array, at_rest: NDArray[np.bool_]) -> ZeroDrift | None:
@@ -412,7 +412,7 @@ def compute_loads(
         inverse = join_covariances(np.linalg.inv(calibration.sensitivity), inverse)
         blocks = [calibration.covariance]
     k, start = len(known), sum(len(b) for b in blocks)
-    blocks += [drifts[c].spread.covariance for c in values if c in drifts]
+    blocks += [drifts[c].covariance_estimate.covariance for c in values if c in drifts]
     systematic = join_covariances(*blocks) if blocks else np.zeros((0, 0))
     by = {name: np.zeros((t.size, len(systematic))) for name in values}
     for j, name in enumerate(known):
@@ -437,7 +437,7 @@ def _describe_drift(table: BenchTable, channel: str, d: ZeroDrift, t: Array, *, 
     if d.blocks == 1:
         return f"{channel}: zero read once, {d.coefficients[0]:.4g} {unit}; its drift is assumed to be zero"
     kind = ("constant", "a straight line", "a parabola", "a cubic")[d.coefficients.size - 1]
-    doubt = f" +- {2 * float(np.max(d.zero_std_at(t))):.2g}" if d.spread.scale > 0 and t.size else ""
+    doubt = f" +- {2 * float(np.max(d.zero_std_at(t))):.2g}" if d.covariance_estimate.scale > 0 and t.size else ""
     return f"{channel}: zero read {d.blocks} times, followed as {kind}{doubt}, changes by {d.change:.3g} {unit}"
 
 

@@ -78,7 +78,7 @@ class CascadeGains:
         P_x (1/s), P_v (1/s), I_v (1/s^2), D_v (1).
     angle : float
         P_angle (1/s).
-    rate, rate_integral, rate_rate : float
+    rate_proportional, rate_integral, rate_derivative : float
         P, I, D of the rate: actuator input per rad/s, rad and rad/s^2.
     """
 
@@ -87,9 +87,9 @@ class CascadeGains:
     velocity_integral: float = 0.0
     velocity_rate: float = 0.0
     angle: float = 0.0
-    rate: float = 0.0
+    rate_proportional: float = 0.0
     rate_integral: float = 0.0
-    rate_rate: float = 0.0
+    rate_derivative: float = 0.0
 
 
 @result
@@ -273,8 +273,8 @@ def _controller_response(axis: _Axis, k: CascadeGains, w: _Array) -> tuple[_Comp
     gyro = np.ones_like(s)
     for cutoff in axis.rate_filters:
         gyro /= 1.0 + math.sqrt(2.0) * s / cutoff + (s / cutoff) ** 2
-    rate = k.rate + k.rate_integral / s
-    rate_rate = k.rate_rate * s / (1.0 + s / (2.0 * math.pi * GYRO_RATE_CUTOFF_HZ))
+    rate = k.rate_proportional + k.rate_integral / s
+    rate_rate = k.rate_derivative * s / (1.0 + s / (2.0 * math.pi * GYRO_RATE_CUTOFF_HZ))
     speed = k.velocity + k.velocity_integral / s
     speed_rate = k.velocity_rate * s / (1.0 + s / (2.0 * math.pi * VELOCITY_RATE_CUTOFF_HZ))
     inner = axis.thrust_per_acceleration * (1.0 if axis.name == "vertical" else k.angle * rate)
@@ -317,11 +317,15 @@ def _closed_loop(axis: _Axis, k: CascadeGains) -> tuple[_Array, _Array, _Array]:
     else:
         rate_error = k.angle * (axis.thrust_per_acceleration * acceleration - turned) - turning
         A[ri] = rate_error
-        command = k.rate * rate_error + k.rate_integral * unit[ri] - k.rate_rate * cut_r * (turning - unit[rl])
+        command = (
+            k.rate_proportional * rate_error
+            + k.rate_integral * unit[ri]
+            - k.rate_derivative * cut_r * (turning - unit[rl])
+        )
         rate_reference = k.angle * (
             1.0 if axis.name == "yaw" else axis.thrust_per_acceleration * k.velocity * k.position
         )
-        reference_gain = k.rate
+        reference_gain = k.rate_proportional
     A[d1] = (command - unit[d1]) * 2.0 / lag
     A[d2] = (unit[d1] - unit[d2]) * 2.0 / lag
     reference = np.zeros(n + 6)
@@ -391,7 +395,7 @@ def _loop_cost(axis: _Axis, k: CascadeGains, plant: _Complex, disturbance: _Comp
     if output == 0:
         over += max(0.0, float(np.max(np.abs(_outer_sensitivity(plant, feedback)))) / MAX_SENSITIVITY - 1.0)
     elif axis.name != "yaw":
-        over += max(0.0, k.angle * k.rate * math.radians(ANGLE_ERROR_DEG) / 0.5 - 1.0)
+        over += max(0.0, k.angle * k.rate_proportional * math.radians(ANGLE_ERROR_DEG) / 0.5 - 1.0)
     return math.log(ise) + _PENALTY * over + _PENALTY * (10.0 + excess) * (excess > 0.0)
 
 
@@ -422,7 +426,10 @@ def _design_angle(axis: _Axis) -> CascadeGains:
     def to_gains(x: _Array) -> CascadeGains:
         angle, rate, integral, slope = np.minimum(x, limits)
         return CascadeGains(
-            angle=float(angle), rate=float(rate), rate_integral=float(integral), rate_rate=_drop_small(slope)
+            angle=float(angle),
+            rate_proportional=float(rate),
+            rate_integral=float(integral),
+            rate_derivative=_drop_small(slope),
         )
 
     def cost(x: _Array) -> float:

@@ -269,7 +269,9 @@ def solve_elastic_blade(
             place, deformed, cores=cores, progress=progress, **{**given, "neighbour": start}
         )
         if not one.verdict.settled:
-            raise MuflyError(f"{place}: the loads are not steady, so no elastic twist is computed; {one.verdict.what}")
+            raise MuflyError(
+                f"{place}: the loads are not steady, so no elastic twist is computed; {one.verdict.outcome}"
+            )
         found.append(one)
         n = rotor.blades
         return StripLoads(one.r_m, one.thrust_N_m / n, -one.torque_Nm_m / (one.r_m * n), one.moment_Nm_m)
@@ -466,10 +468,10 @@ def solve_pair(
                 meshes[name] = read_poly_mesh(place)
             stands = read_actuator_disc(place)
             if stands is None or stands.load_difference(loads[1 - i]) > PAIR_LOAD_TOLERANCE:
-                stands = replace(loads[1 - i], since=max(list_complete_states(place), default=0))
+                stands = replace(loads[1 - i], set_iteration=max(list_complete_states(place), default=0))
                 write_actuator_disc(place, meshes[name], read_point(place), stands)
-            verdict = run_case(place, cores=cores, progress=progress, most=MAX_ITERATIONS + stands.since)
-            if verdict.what == "diverged":
+            verdict = run_case(place, cores=cores, progress=progress, most=MAX_ITERATIONS + stands.set_iteration)
+            if verdict.outcome == "diverged":
                 raise MuflyError(f"{place}: the {name} rotor's solution diverged; see its log")
             loads[i] = _make_disc(read_solution(place, meshes[name]), theta, speed)
         if _is_pair_consistent(folder, loads):

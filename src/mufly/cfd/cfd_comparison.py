@@ -70,7 +70,7 @@ def compare_cases(table: Path, cases: Sequence[Path]) -> list[CaseComparison]:
         point = read_point(case)
         pitch, rpm = math.degrees(point.pitch_rad), point.speed_rad_s / RPM
         verdict = judge_case(case)
-        if verdict.what == "not begun":
+        if verdict.outcome == "not begun":
             raise InputError(str(case), "", "has not been run", "run it first: `mufly cfd run --out` its folder")
         at = np.flatnonzero((np.abs(pitches - pitch) < 0.05) & (np.abs(speeds / rpm - 1.0) < 5e-3))
         if not at.size:
@@ -101,7 +101,7 @@ class ClimbComparison:
         Climb velocity of each solution.
     c_T : (points,) array
         Thrust coefficients of the solutions: means of the last iterations.
-    others : dict of (points,) arrays
+    other_methods : dict of (points,) arrays
         Coefficient by blade elements (``bemt``) and vortex wake (``wake``) at the same climbs; nan without a solution.
     map_name : str
         Name of the flight model's coefficient map.
@@ -113,7 +113,7 @@ class ClimbComparison:
     solutions: tuple[CfdSolution, ...]
     climb_m_s: Array
     c_T: Array
-    others: dict[str, Array]
+    other_methods: dict[str, Array]
     map_name: str
     map_part: Array
 

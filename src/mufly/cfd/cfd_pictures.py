@@ -112,7 +112,7 @@ def loads_picture(solution: CfdSolution, others: Sequence[SpanLoads] = ()) -> Fi
     if p.geometry_note:
         title += f", with {p.geometry_note}" + (" (the others: plain blade)" if others else "")
     if not solution.verdict.settled:
-        title += f"\nnot settled ({solution.verdict.what})"
+        title += f"\nnot settled ({solution.verdict.outcome})"
     figure.suptitle(title)
     return figure
 
@@ -148,7 +148,7 @@ def climb_picture(found: ClimbComparison) -> Figure:
     w, hover = found.climb_m_s, np.flatnonzero(found.climb_m_s == 0.0)
     settled = np.array([s.verdict.settled for s in found.solutions])
     rows = [(found.c_T, f"CFD, {found.solutions[0].point.model}", "o-")]
-    rows += [(values, _METHOD_LABELS.get(name, name), ".-") for name, values in found.others.items()]
+    rows += [(values, _METHOD_LABELS.get(name, name), ".-") for name, values in found.other_methods.items()]
     for values, name, style in rows:
         axes[0].plot(w, values, style, label=name)
         if hover.size:

@@ -134,7 +134,7 @@ def study_grid_convergence(cases: Sequence[Path]) -> tuple[GridConvergence, Grid
     verdicts = [judge_case(case) for case in cases]
     for case, verdict in zip(cases, verdicts, strict=True):
         if not verdict.settled:
-            raise InputError(str(case), "", f"is not steady: {verdict.what}", "continue its run, or omit it")
+            raise InputError(str(case), "", f"is not steady: {verdict.outcome}", "continue its run, or omit it")
     cells = [read_poly_mesh(case).cell_count for case in cases]
     return (
         estimate_grid_convergence("thrust", cells, [v.thrust_N for v in verdicts]),

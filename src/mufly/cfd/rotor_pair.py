@@ -121,7 +121,7 @@ class ActuatorDisc:
         Thrust and torque of the whole rotor, equal to those of the disc.
     pitch_rad, speed_rad_s : float
         Pitch setting and speed of the rotor.
-    since : int
+    set_iteration : int
         Iteration of the case at which these loads were set.
     """
 
@@ -132,7 +132,7 @@ class ActuatorDisc:
     torque_Nm: float
     pitch_rad: float
     speed_rad_s: float
-    since: int = 0
+    set_iteration: int = 0
 
     def scale_loads(self, ratio: float) -> ActuatorDisc:
         """Return the loads times a ratio."""

@@ -87,7 +87,7 @@ class ConvergenceVerdict:
     ----------
     settled : bool
         True if the solution has converged.
-    what : str
+    outcome : str
         'settled', or the name of the fault.
     iterations : int
         Number of iterations.
@@ -106,7 +106,7 @@ class ConvergenceVerdict:
     """
 
     settled: bool
-    what: str
+    outcome: str
     iterations: int
     thrust_N: float
     torque_Nm: float
@@ -230,7 +230,7 @@ def _judge_rotors(folder: Path, point: OperatingPoint) -> tuple[ConvergenceVerdi
 
 
 def _is_finished(verdict: ConvergenceVerdict, done: int, most: int) -> bool:
-    return verdict.settled or done >= most or verdict.what == "diverged"
+    return verdict.settled or done >= most or verdict.outcome == "diverged"
 
 
 def _lock_case(log: IO[str], folder: Path) -> None:
@@ -414,7 +414,7 @@ def judge_case(folder: Path, *, patch: str = "blade") -> ConvergenceVerdict:
 def _point_for_verdict(folder: Path) -> OperatingPoint:
     """Return the operating point of a case; after a change of the actuator disc a whole window precedes the verdict."""
     point, disc = read_point(folder), read_actuator_disc(folder)
-    return point if disc is None else replace(point, least=max(point.least, disc.since + VERDICT_WINDOW))
+    return point if disc is None else replace(point, least=max(point.least, disc.set_iteration + VERDICT_WINDOW))
 
 
 def judge_loads(loads: Array, outflow_m3_s: float, continuity: float, point: OperatingPoint) -> ConvergenceVerdict:

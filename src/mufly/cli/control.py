@@ -421,7 +421,7 @@ tuning that has had fewer.
             raise InputError("--start", start, "is no start", f"give one of {', '.join(known)}, or a file")
     goals = (TuningGoals() if only else DEFAULT_GOALS[loop]).merge_goals(
         {
-            "gamma": gamma, "sensitivity_dB": sensitivity, "complementary_dB": complementary, "disk": disk,
+            "gamma": gamma, "sensitivity_dB": sensitivity, "complementary_dB": complementary, "disk_margin": disk,
             "activity": activity, "mu": mu,
         }
     )  # fmt: skip

@@ -54,7 +54,7 @@ def recall_controller(
     Only :data:`STORED_METHODS` are stored.
     """
     folder = cache_folder("control")
-    if folder is None or problem.given is not None or method not in STORED_METHODS:
+    if folder is None or problem.given_controller is not None or method not in STORED_METHODS:
         return compute(method, problem)
     question = synthesis_question(method, problem)
     path = folder / f"{method}-{question[:24]}.npz"

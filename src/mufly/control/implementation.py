@@ -65,7 +65,7 @@ class ReducedCandidate:
     order : int
     method : str
         ``"loop match"``, ``"loop truncate"``, ``"open match"`` or ``"open truncate"``.
-    kept : int
+    kept_modes : int
         Number of slow modes kept exactly.
     sensitivity_peak_dB, complementary_peak_dB : float
         Peaks of S_u and T_u; inf if unstable.
@@ -76,7 +76,7 @@ class ReducedCandidate:
 
     order: int
     method: str
-    kept: int
+    kept_modes: int
     sensitivity_peak_dB: float
     complementary_peak_dB: float
     norm: float

@@ -370,7 +370,7 @@ def _flight_map_fields(vehicle: Vehicle) -> dict[str, Any]:
     splines = fit_flight_splines(m.parse_tables())
     padded = {}
     for name, values, room in (
-        ("flight_table", splines.table, 12 * (MAP_CLIMBS + 2) * MAP_EDGES),
+        ("flight_table", splines.coefficient_table, 12 * (MAP_CLIMBS + 2) * MAP_EDGES),
         ("flight_rates", splines.rates, 8 * MAP_EDGES),
     ):
         padded[name] = np.zeros(room)

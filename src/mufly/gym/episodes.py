@@ -83,7 +83,7 @@ class EpisodeArrays(NamedTuple):
         States of the flight model.
     source : (n,) array
         Sources of random numbers (:mod:`mufly.sensors.rng`).
-    target, after : (n, 3) array
+    target, next_target : (n, 3) array
         Target and the target after it (m).
     heading : (n, 2) array
         Cosine and sine of the target heading.
@@ -91,7 +91,7 @@ class EpisodeArrays(NamedTuple):
         Action, and inputs of the flight model in the preceding step and in this one.
     wind : (n, 3) array
         Velocity of the air (m/s).
-    vehicle, series, sample : (n,) array
+    vehicle, wind_series, wind_sample : (n,) array
         Index of the vehicle in the fleet, of the wind, and of the wind's sample.
     delay, steps, reached : (n,) array
         Delay in integration steps, steps of the episode, number of reached targets.
@@ -106,15 +106,15 @@ class EpisodeArrays(NamedTuple):
     state: _Array
     source: NDArray[np.uint64]
     target: _Array
-    after: _Array
+    next_target: _Array
     heading: _Array
     action: _Array
     inputs_before: _Array
     inputs: _Array
     wind: _Array
     vehicle: _Ints
-    series: _Ints
-    sample: _Ints
+    wind_series: _Ints
+    wind_sample: _Ints
     delay: _Ints
     steps: _Ints
     distance: _Array
@@ -177,9 +177,9 @@ def make_episodes(count: int) -> EpisodeArrays:
 
     return EpisodeArrays(
         state=np.zeros((n, STATE_SIZE)), source=np.zeros(n, dtype=np.uint64), target=np.zeros((n, 3)),
-        after=np.zeros((n, 3)), heading=np.zeros((n, 2)), action=np.zeros((n, ACTION_SIZE)),
+        next_target=np.zeros((n, 3)), heading=np.zeros((n, 2)), action=np.zeros((n, ACTION_SIZE)),
         inputs_before=np.zeros((n, 4)), inputs=np.zeros((n, 4)), wind=np.zeros((n, 3)), vehicle=whole(),
-        series=whole(), sample=whole(), delay=whole(), steps=whole(), distance=np.zeros(n),
+        wind_series=whole(), wind_sample=whole(), delay=whole(), steps=whole(), distance=np.zeros(n),
         speed=np.zeros(n), change=np.zeros(n), error=np.zeros((n, ERROR_SIZE)),
         columns=np.zeros((n, COLUMN_COUNT, COLUMN_SIZE)), reached=whole(),
     )  # fmt: skip
@@ -207,13 +207,13 @@ def start_episodes(
         if not which[k]:
             continue
         draw_uniforms(e.source[k : k + 1], r)
-        e.vehicle[k], e.series[k] = int(r[0] * states.shape[0]), int(r[1] * winds.shape[0])
-        e.sample[k], e.delay[k] = int(r[2] * winds.shape[1]), int(r[3] * (s.delay + 1))
+        e.vehicle[k], e.wind_series[k] = int(r[0] * states.shape[0]), int(r[1] * winds.shape[0])
+        e.wind_sample[k], e.delay[k] = int(r[2] * winds.shape[1]), int(r[3] * (s.delay + 1))
         x = e.state[k]
         if series[e.vehicle[k]] >= 0:
-            e.series[k] = series[e.vehicle[k]]
+            e.wind_series[k] = series[e.vehicle[k]]
         copy_numbers(states[e.vehicle[k]], x)
-        place_task(s.kind, r[14:], start, e.target[k], e.after[k], e.columns[k])
+        place_task(s.kind, r[14:], start, e.target[k], e.next_target[k], e.columns[k])
         # Start heading, and target heading within a quarter turn of it; no heading to hold on the way to a target.
         yaw = math.pi * (2.0 * r[4] - 1.0)
         if s.in_hover:
@@ -232,7 +232,7 @@ def start_episodes(
                 x[RS_RATES + i] = _START_RATE_rad_s * (2.0 * r[11 + i] - 1.0)
             x[RS_CHARGE] = LEAST_CHARGE + (1.0 - LEAST_CHARGE) * r[39]
         copy_numbers(inputs[e.vehicle[k]], e.inputs[k])
-        copy_numbers(winds[e.series[k], e.sample[k]], e.wind[k])
+        copy_numbers(winds[e.wind_series[k], e.wind_sample[k]], e.wind[k])
         for i in range(ACTION_SIZE):
             e.action[k, i] = 0.0
         e.steps[k], e.reached[k], e.change[k] = 0, 0, 0.0
@@ -283,8 +283,8 @@ def command_episodes(
         e.change[k] = change
         copy_numbers(e.inputs[k], e.inputs_before[k])
         map_action(e.action[k], s.trim, e.inputs[k])
-        e.sample[k] = (e.sample[k] + 1) % winds.shape[1]
-        copy_numbers(winds[e.series[k], e.sample[k]], e.wind[k])
+        e.wind_sample[k] = (e.wind_sample[k] + 1) % winds.shape[1]
+        copy_numbers(winds[e.wind_series[k], e.wind_sample[k]], e.wind[k])
 
 
 def move_episodes(
@@ -331,9 +331,9 @@ def judge_episodes(
         if success[k]:
             e.reached[k] += 1
             if s.kind == WAYPOINT:
-                copy_numbers(e.after[k], e.target[k])
+                copy_numbers(e.next_target[k], e.target[k])
                 draw_uniforms(e.source[k : k + 1], r)
-                draw_waypoint(r, e.after[k])
+                draw_waypoint(r, e.next_target[k])
                 now = _distance(x, e.target[k])
         e.distance[k] = now
         e.steps[k] += 1
@@ -390,9 +390,12 @@ def observe_episodes(
             voltage / s.nominal_V, e.action[k], -e.target[k, 2] + error[2],
         )  # fmt: skip
         if s.kind == WAYPOINT:
-            north, east = e.after[k, 0] - e.target[k, 0] + error[0], e.after[k, 1] - e.target[k, 1] + error[1]
+            north, east = (
+                e.next_target[k, 0] - e.target[k, 0] + error[0],
+                e.next_target[k, 1] - e.target[k, 1] + error[1],
+            )
             row[OBS_EXTRA], row[OBS_EXTRA + 1] = c * north + sn * east, c * east - sn * north
-            row[OBS_EXTRA + 2] = e.after[k, 2] - e.target[k, 2] + error[2]
+            row[OBS_EXTRA + 2] = e.next_target[k, 2] - e.target[k, 2] + error[2]
         elif s.kind == OBSTACLE:
             for i in range(RANGE_COUNT):
                 sa, ca = sine_cosine(i * 2.0 * math.pi / RANGE_COUNT)

@@ -103,7 +103,7 @@ class UnitStarts:
         Parameters, states and inputs of the units; ``fleet.series`` is the wind that each has flown in.
     period_s : float
         Period of the flight software.
-    kept : tuple
+    keep_alive : tuple
         Objects that own the memory of the filter's settings.
     """
 
@@ -111,7 +111,7 @@ class UnitStarts:
     like: UnitPeriods
     fleet: Fleet
     period_s: float
-    kept: tuple[Any, ...]
+    keep_alive: tuple[Any, ...]
 
 
 # ----------------------------------------------------------------------------

@@ -460,8 +460,8 @@ def plan_picture(plan: ExcitationPlan, chosen: ExcitationCandidate | None = None
     _draw_flight(axes[1, 0], plan, c)
     _draw_accuracy(axes[1, 1], plan)
     figure.suptitle(
-        f"{plan.vehicle}, {plan.channel}: {c.signal.kind}, {c.signal.words}; amplitude {100 * c.amplitude:.1f} % of "
-        f"the input's range ({c.binding_limit})",
+        f"{plan.vehicle}, {plan.channel}: {c.signal.kind}, {c.signal.description}; amplitude {100 * c.amplitude:.1f} % "
+        f"of the input's range ({c.binding_limit})",
         fontsize="medium",
     )
     return figure
@@ -526,7 +526,7 @@ def _draw_flight(ax: Axes, plan: ExcitationPlan, c: ExcitationCandidate) -> None
 
 
 def _draw_accuracy(ax: Axes, plan: ExcitationPlan) -> None:
-    symbols = [f.symbol for f in plan.free]
+    symbols = [f.symbol for f in plan.free_parameters]
     at, width = np.arange(len(symbols)), 0.8 / len(plan.candidates)
     for k, c in enumerate(plan.candidates):
         value = np.minimum(100 * c.relative_std, _MAX_SHOWN_STD_PERCENT)

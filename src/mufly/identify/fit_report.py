@@ -178,7 +178,7 @@ _BODY = """
 {{ listed(fit.held) }}
 {% endif %}
 <h2>Parameters that the data cannot separate</h2>
-{{ listed(fit.unseen, "Nothing stands out: every parameter is determined by these records.") }}
+{{ listed(fit.undetermined, "Nothing stands out: every parameter is determined by these records.") }}
 {% if fit.records %}
 <h2>Prediction from inputs alone</h2>
 {{ table(*sizes, numbers=range(3, 10)) }}
@@ -343,7 +343,7 @@ def prediction_table(r: LinearResult) -> ReportTable:
 
 def cross_check_table(r: LinearResult) -> ReportTable:
     """Return heads and rows that compare the parameters from output error, equation error and frequency response."""
-    s, spectral = r.spectral, {}
+    s, spectral = r.spectral_fit, {}
     if s is not None:
         spectral = dict(zip(r.linear.structure.symbols, zip(s.values, s.value_std, strict=True), strict=True))
     rows = []
@@ -478,7 +478,7 @@ def _cross_check_section(r: LinearResult) -> ReportSection:
             percents = zip(r.linear.structure.outputs, r.subspace_percent, strict=True)
             shown = ", ".join(f"{o} {p:.1f} %" for o, p in percents)
             text.append(f"Its pure simulation on the held-out part, below {r.slow_hz:g} Hz: {shown}.")
-    if r.spectral is None:
+    if r.spectral_fit is None:
         text.append("Too few frequencies are coherent with the inputs for a fit to frequency responses.")
         return ReportSection("Cross-check by other methods", tuple(text), heads, rows)
     text.append("J is Tischler and Remple's misfit of the output-error model; below 100 is good.")
@@ -487,6 +487,6 @@ def _cross_check_section(r: LinearResult) -> ReportSection:
         tuple(text),
         heads,
         rows,
-        partial(bode_comparison_picture, r, r.spectral),
+        partial(bode_comparison_picture, r, r.spectral_fit),
         "bode",
     )

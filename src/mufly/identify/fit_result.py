@@ -151,7 +151,7 @@ class RecordPrediction:
 @result(
     eq=False,
     picture="mufly.identify.fit_pictures:fit_picture",
-    json="vehicle method converged message parameters=estimates correlation unseen held records cost "
+    json="vehicle method converged message parameters=estimates correlation undetermined held records cost "
     "simulations seconds",
 )
 class FitResult(EstimateLookup):
@@ -165,7 +165,7 @@ class FitResult(EstimateLookup):
         Estimates of the ``n`` free parameters.
     covariance, correlation : (n, n) array
         Covariance (SI units) and correlation of the estimates, in the order of ``estimates``.
-    unseen : tuple of str
+    undetermined : tuple of str
         Descriptions of the directions that the data do not determine; empty if there is none.
     cost : float
         Cost function at the estimates.
@@ -190,7 +190,7 @@ class FitResult(EstimateLookup):
     estimates: tuple[ParameterEstimate, ...]
     covariance: _Array
     correlation: _Array
-    unseen: tuple[str, ...]
+    undetermined: tuple[str, ...]
     cost: float
     history: tuple[dict[str, Any], ...]
     method: str
@@ -405,7 +405,7 @@ def covariance_from_information(information: Array) -> Array:
     return covariance
 
 
-def describe_unseen_combinations(
+def describe_undetermined_combinations(
     symbols: Sequence[str], covariance: Array, within: Array | None = None
 ) -> tuple[str, ...]:
     """Describe the parameters, and combinations of parameters, that the data do not determine.

@@ -44,7 +44,7 @@ from mufly.identify.fit_result import (
     EstimateLookup,
     ParameterEstimate,
     choose_error_shape,
-    describe_unseen_combinations,
+    describe_undetermined_combinations,
     divide_by_values,
 )
 from mufly.quantities.units import RPM
@@ -173,7 +173,8 @@ class GearKnowledge:
 @result(
     eq=False,
     picture="mufly.identify.fit_pictures:motor_picture",
-    json="points=data.voltage_V.size estimates covariance scales pattern=spread.pattern unseen notes",
+    json="points=data.voltage_V.size estimates covariance scales pattern=covariance_estimate.pattern undetermined "
+    "notes",
 )
 class MotorFit(EstimateLookup):
     """Motor constants with the data and residuals of their fit.
@@ -194,8 +195,8 @@ class MotorFit(EstimateLookup):
         Standard deviations of the residuals after the fit.
     scales : (2,) array
         Ratio of observed to expected errors of the two equations.
-    spread : CovarianceEstimate
-    unseen, notes : tuple of str
+    covariance_estimate : CovarianceEstimate
+    undetermined, notes : tuple of str
         Undetermined combinations of constants; assumptions, guesses and findings.
     """
 
@@ -207,8 +208,8 @@ class MotorFit(EstimateLookup):
     residual: Array
     expected: Array
     scales: Array
-    spread: CovarianceEstimate
-    unseen: tuple[str, ...]
+    covariance_estimate: CovarianceEstimate
+    undetermined: tuple[str, ...]
     notes: tuple[str, ...]
 
 
@@ -273,11 +274,13 @@ def fit_motor(
     _check_physical(table, data, effective, found.covariance, free, found.t_quantile_95)
     covariance = np.zeros((5, 5))
     covariance[np.ix_(free, free)] = found.covariance
-    estimates, cov, unseen = _estimates_of_constants(effective, covariance, gear, found.t_quantile_95, free, vehicle)
+    estimates, cov, undetermined = _estimates_of_constants(
+        effective, covariance, gear, found.t_quantile_95, free, vehicle
+    )
     notes += _check_energy_balance(effective, gear)
     return MotorFit(
         estimates, cov, effective, data, same.adjust_readings(effective), same.equation_residuals(effective),
-        same.residual_std(effective, scales) * found.scale, scales, found, unseen, tuple(notes),
+        same.residual_std(effective, scales) * found.scale, scales, found, undetermined, tuple(notes),
     )  # fmt: skip
 
 
@@ -621,16 +624,16 @@ def _estimates_of_constants(
     whole[efficiency, efficiency] = gear.efficiency_std**2 if eta is not None else 0.0
     cov = jacobian @ whole @ jacobian.T
     tails = dict.fromkeys(VEHICLE_KEYS, "")
-    unseen: list[str] = []
+    undetermined: list[str] = []
     if i is None:
         tails |= {"kE": "*igear", "kM": "*igear", "dR": "*igear^2", "Mf": "*igear"}
-        unseen.append(
+        undetermined.append(
             "kE, kM and dR cannot be separated from the gear ratio: only kE*igear, kM*igear and dR*igear^2 are "
             "observable"
         )
     if eta is None:
         tails |= {k: tails[k] + "*eta_gear" for k in ("kM", "dR", "Mf")}
-        unseen.append(
+        undetermined.append(
             "kM and dR cannot be separated from the gear's efficiency: only kM*eta_gear and dR*eta_gear are observable"
         )
     estimates = []
@@ -646,5 +649,5 @@ def _estimates_of_constants(
     return (
         tuple(estimates),
         cov,
-        (*unseen, *describe_unseen_combinations([estimates[k].symbol for k in seen], of_seen)),
+        (*undetermined, *describe_undetermined_combinations([estimates[k].symbol for k in seen], of_seen)),
     )

@@ -37,7 +37,7 @@ from mufly.identify.fit_result import (
     EstimateLookup,
     ParameterEstimate,
     choose_error_shape,
-    describe_unseen_combinations,
+    describe_undetermined_combinations,
     divide_by_values,
 )
 from mufly.quantities.units import RPM
@@ -253,7 +253,7 @@ class CoefficientFit:
     eq=False,
     picture="mufly.identify.fit_pictures:rotor_picture",
     json="source coaxial pitch_rad radius_m density_kg_m3=density_kg_m3.mean estimates "
-    "trends=describe_trends unseen notes",
+    "trends=describe_trends undetermined notes",
 )
 class RotorFit(EstimateLookup):
     """Coefficients of the rotors of one bench file at one blade pitch setting.
@@ -270,7 +270,7 @@ class RotorFit(EstimateLookup):
         Estimates in the order of the fits.
     fits : tuple of CoefficientFit
     loads : BenchLoads
-    unseen, notes : tuple of str
+    undetermined, notes : tuple of str
         Undetermined combinations and unphysical coefficients; guesses and findings.
     """
 
@@ -282,7 +282,7 @@ class RotorFit(EstimateLookup):
     estimates: tuple[ParameterEstimate, ...]
     fits: tuple[CoefficientFit, ...]
     loads: BenchLoads
-    unseen: tuple[str, ...]
+    undetermined: tuple[str, ...]
     notes: tuple[str, ...] = field(default=())
 
     def describe_trends(self) -> list[str]:
@@ -404,7 +404,7 @@ def fit_rotor_coefficients(
         results.append(
             RotorFit(
                 table.source, coaxial, float(pitch[chosen][0]), radius_m, density[chosen], estimates, tuple(fits),
-                loads, (*impossible, *(u for fit in fits for u in _describe_unseen(fit))), (*notes, *more),
+                loads, (*impossible, *(u for fit in fits for u in _describe_undetermined(fit))), (*notes, *more),
             )
         )  # fmt: skip
     return tuple(results)
@@ -566,7 +566,7 @@ def _number_settings(speed: Array, run: NDArray[np.int64] | None) -> NDArray[np.
     return np.unique(whole, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
 
 
-def _describe_unseen(fit: CoefficientFit) -> tuple[str, ...]:
+def _describe_undetermined(fit: CoefficientFit) -> tuple[str, ...]:
     if np.isnan(fit.covariance).any():  # one line
         return ()
     if not np.all(np.isfinite(fit.covariance)):
@@ -574,4 +574,4 @@ def _describe_unseen(fit: CoefficientFit) -> tuple[str, ...]:
             f"{' and '.join(fit.symbols)}: both rotors turn at one ratio of speeds, so only a weighted sum "
             "is determined",
         )
-    return describe_unseen_combinations(fit.symbols, divide_by_values(fit.covariance, fit.value))
+    return describe_undetermined_combinations(fit.symbols, divide_by_values(fit.covariance, fit.value))

@@ -47,7 +47,7 @@ class PitchPrior(NamedTuple):
 
     mean_rad: float
     std_rad: float
-    basis: str
+    origin: str
 
 
 def effective_pitch_prior(rotor: Rotor) -> PitchPrior:

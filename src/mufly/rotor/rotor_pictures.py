@@ -138,7 +138,7 @@ def fit_picture(found: RotorFit) -> Figure:
             (m.thrust_N, band.thrust_N, band.thrust_low_N, band.thrust_high_N, 1.0),
             (m.torque_Nm, band.torque_Nm, band.torque_low_Nm, band.torque_high_Nm, 1e3),
         )
-        given = np.stack((m.thrust_N, m.torque_Nm)) + found.before * found.size
+        given = np.stack((m.thrust_N, m.torque_Nm)) + found.errors_before * found.size
         order = here[np.argsort(along[here])]
         for ax, (measured, mean, below, above, scale), before in zip(axes, rows, given, strict=True):
             colour, first = f"C{k % 10}", k == 0

@@ -141,7 +141,7 @@ def study_mesh_convergence(progress: ProgressCallback | None = None, case: Path 
         "then `mufly thesis run fig-3.22 --case DIR`; each limit of the domain 1.5 times as far, alone or all at once, "
         "moves thrust by 0.1 % at most"
     )
-    return StudyFindings(verdicts, drawn, note=note, lacking="" if verdicts else "CFD")
+    return StudyFindings(verdicts, drawn, note=note, missing="" if verdicts else "CFD")
 
 
 def study_surface_pressure(progress: ProgressCallback | None = None, case: Path | None = None) -> StudyFindings:
@@ -226,7 +226,7 @@ def study_downwash(progress: ProgressCallback | None = None, case: Path | None =
         drawn = field_picture(found, mean=True, points=60, phases=6)
         drawn.suptitle("Fig. 3.24: air around the rotor by the wake method, 12 deg, 7 000 rpm", fontsize="medium")
         return StudyFindings(
-            verdicts, drawn, lacking="CFD", note="`mufly thesis run fig-3.24 --case DIR` with a solved case"
+            verdicts, drawn, missing="CFD", note="`mufly thesis run fig-3.24 --case DIR` with a solved case"
         )
     folder = _find_solved_cases(case)[0]
     mesh = read_poly_mesh(folder)

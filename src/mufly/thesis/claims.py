@@ -96,7 +96,7 @@ class StudyFindings:
         Results by name (mostly of a model); empty for a study that only draws a picture.
     note : str
         Note on all results.
-    lacking : str
+    missing : str
         Missing requirement of a verdict, such as ``"CFD"``.
     """
 
@@ -104,7 +104,7 @@ class StudyFindings:
     figure: Figure
     data: Mapping[str, xr.Dataset] = field(default_factory=dict)
     note: str = ""
-    lacking: str = ""
+    missing: str = ""
 
 
 ProgressCallback = Callable[[int, int], None]

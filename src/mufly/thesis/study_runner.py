@@ -61,7 +61,7 @@ class StudyOutcome:
         Results by model; empty for a study that only draws a picture.
     verdicts : sequence of Verdict
     figure : Figure
-    note, lacking : str
+    note, missing : str
         As in :class:`mufly.thesis.claims.StudyFindings`.
     seconds : float
         Computing time (s).
@@ -73,7 +73,7 @@ class StudyOutcome:
     verdicts: Sequence[Verdict]
     figure: Figure
     note: str = ""
-    lacking: str = ""
+    missing: str = ""
     seconds: float = math.nan
 
     def plot(self) -> Figure:
@@ -109,7 +109,7 @@ class StudyOutcome:
     def to_dict(self) -> dict[str, Any]:
         """Return all results except data and picture; the value of a claim without a number is null."""
         return {
-            **to_plain_data(select_fields(self, "name title verdicts note lacking")),
+            **to_plain_data(select_fields(self, "name title verdicts note missing")),
             "seconds": None if math.isnan(self.seconds) else round(self.seconds, 2),
             "version": __version__,
         }
@@ -134,7 +134,7 @@ class StudyAnswer:
     ----------
     item : ThesisItem
     verdicts : tuple of Verdict
-    note, lacking : str
+    note, missing : str
     seconds : float
         Computing time (s); nan if the study has not run.
     picture : Path or None
@@ -146,7 +146,7 @@ class StudyAnswer:
     item: ThesisItem
     verdicts: tuple[Verdict, ...] = ()
     note: str = ""
-    lacking: str = ""
+    missing: str = ""
     seconds: float = math.nan
     picture: Path | None = None
     known: bool = False
@@ -158,8 +158,8 @@ class StudyAnswer:
             return "counterpart"
         if not self.known:
             return "not run"
-        if self.lacking:
-            return f"needs {self.lacking}"
+        if self.missing:
+            return f"needs {self.missing}"
         agree = sum(v.agrees for v in self.verdicts)
         if not self.verdicts:
             return "drawn"
@@ -375,7 +375,7 @@ def run_study(name: str, progress: ProgressCallback | None = None, *, case: Path
     began = time.perf_counter()
     found = STUDIES[of.name].compute(progress) if case is None else cfd_studies.run_study_with_case(of.name, case)
     return StudyOutcome(
-        of.name, of.title, found.data, found.verdicts, found.figure, found.note, found.lacking,
+        of.name, of.title, found.data, found.verdicts, found.figure, found.note, found.missing,
         time.perf_counter() - began,
     )  # fmt: skip
 
@@ -424,9 +424,9 @@ def load_cached_answer(name: str, folder: Path | None = None) -> StudyAnswer:
         for v in content["verdicts"]
     )  # fmt: skip
     seconds = math.nan if content.get("seconds") is None else float(content["seconds"])
-    note, lacking = str(content.get("note", "")), str(content.get("lacking", ""))
+    note, missing = str(content.get("note", "")), str(content.get("missing", ""))
     picture = place / f"{of.name}.png"
-    return StudyAnswer(of, verdicts, note, lacking, seconds, picture if picture.is_file() else None, True)
+    return StudyAnswer(of, verdicts, note, missing, seconds, picture if picture.is_file() else None, True)
 
 
 def answer_study(
@@ -472,4 +472,4 @@ def answer_study(
         if folder is not None and cached is not None and case is None:
             outcome.write(cached)
         return load_cached_answer(of.name, place)
-    return StudyAnswer(of, tuple(outcome.verdicts), outcome.note, outcome.lacking, outcome.seconds, None, True)
+    return StudyAnswer(of, tuple(outcome.verdicts), outcome.note, outcome.missing, outcome.seconds, None, True)

@@ -131,7 +131,7 @@ class LoadDifference:
 
     Attributes
     ----------
-    what : str
+    measured_point : str
         Blades, speed and load.
     first, second : float
         Values of the load (N or N m).
@@ -141,7 +141,7 @@ class LoadDifference:
         E_n: difference over the expanded uncertainty of the difference (ISO 13528); beyond 1 the two disagree.
     """
 
-    what: str
+    measured_point: str
     first: float
     second: float
     relative: float

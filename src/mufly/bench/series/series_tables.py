@@ -105,7 +105,7 @@ def _format_load(load: LoadInterval | None, scale: float = 1.0) -> str:
 def difference_blocks(found: Sequence[LoadDifference], first: str, second: str) -> list[ShownBlock]:
     """Return a table that compares two series, or a series and theory, under these names."""
     rows = [
-        (d.what, f"{d.first:.4g}", f"{d.second:.4g}", f"{100 * d.relative:+.1f} %", f"{d.normalised:+.2f}")
+        (d.measured_point, f"{d.first:.4g}", f"{d.second:.4g}", f"{100 * d.relative:+.1f} %", f"{d.normalised:+.2f}")
         for d in found
     ]
     beyond = sum(abs(d.normalised) > 1 for d in found)

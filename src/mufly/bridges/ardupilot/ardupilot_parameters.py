@@ -76,9 +76,9 @@ def _gain_parameters(gains: AutopilotGains) -> Iterator[ArduPilotParameter]:
     ):
         k = getattr(gains, axis)
         yield ArduPilotParameter(f"ATC_ANG_{word}_P", k.angle, f"{axis} angle (1/s)")
-        yield ArduPilotParameter(f"ATC_RAT_{word}_P", scale * k.rate, f"{axis} rate")
+        yield ArduPilotParameter(f"ATC_RAT_{word}_P", scale * k.rate_proportional, f"{axis} rate")
         yield ArduPilotParameter(f"ATC_RAT_{word}_I", scale * k.rate_integral, "")
-        yield ArduPilotParameter(f"ATC_RAT_{word}_D", scale * k.rate_rate, "")
+        yield ArduPilotParameter(f"ATC_RAT_{word}_D", scale * k.rate_derivative, "")
         yield ArduPilotParameter(f"ATC_RAT_{word}_IMAX", 0.15, "")
         yield ArduPilotParameter(f"ATC_RAT_{word}_FLTT", 0, "")
         yield ArduPilotParameter(f"ATC_RAT_{word}_FLTE", 0, "")

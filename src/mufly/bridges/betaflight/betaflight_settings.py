@@ -94,8 +94,8 @@ def convert_rate_gains(axis: str, gains: CascadeGains) -> RateIntegers:
     per_error = per_sum * 180.0 / math.pi
     integral = _I_SCALE * (_YAW_I_FACTOR if axis == "yaw" else 1.0)
     values = (
-        gains.rate / (per_error * _P_SCALE), gains.rate_integral / (per_error * integral),
-        gains.rate_rate / (per_error * _D_SCALE),
+        gains.rate_proportional / (per_error * _P_SCALE), gains.rate_integral / (per_error * integral),
+        gains.rate_derivative / (per_error * _D_SCALE),
     )  # fmt: skip
     for name, value in zip(RateIntegers._fields, values, strict=True):
         if value > _MOST_RATE_GAIN + 0.5:

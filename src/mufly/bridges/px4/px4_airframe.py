@@ -84,9 +84,9 @@ def _gain_parameters(gains: AutopilotGains) -> Iterator[Px4Parameter]:
     for axis, limit in (("roll", "RR"), ("pitch", "PR"), ("yaw", "YR")):
         k, name = getattr(gains, axis), axis.upper()
         yield Px4Parameter(f"MC_{name}_P", k.angle, f"{axis} angle (1/s)")
-        yield Px4Parameter(f"MC_{name}RATE_P", k.rate, f"{axis} rate")
+        yield Px4Parameter(f"MC_{name}RATE_P", k.rate_proportional, f"{axis} rate")
         yield Px4Parameter(f"MC_{name}RATE_I", k.rate_integral, "")
-        yield Px4Parameter(f"MC_{name}RATE_D", k.rate_rate, "")
+        yield Px4Parameter(f"MC_{name}RATE_D", k.rate_derivative, "")
         yield Px4Parameter(f"MC_{limit}_INT_LIM", INTEGRAL_LIMIT, "trim; limits the wind-up on the floor")
     for name, k in (("XY", gains.roll), ("Z", gains.vertical)):
         yield Px4Parameter(f"MPC_{name}_P", k.position, "position (1/s)")

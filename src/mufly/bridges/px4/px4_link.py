@@ -96,7 +96,7 @@ class Px4Simulator:
     # Of the present PX4; _forget_autopilot sets them
     _time_us: int
     _periods: int
-    _answers: int
+    _answer_count: int
     _skip_count: int
     _streak: int
     _truth_periods: int
@@ -270,7 +270,7 @@ class Px4Simulator:
         self._command: ActuatorCommand | None = None
         self._time_us = 0
         self._periods = 0
-        self._answers = 0
+        self._answer_count = 0
         self._skip_count = 0
         self._streak = 0
         self._truth_periods = _TRUTH_PERIODS
@@ -282,7 +282,7 @@ class Px4Simulator:
     def _handle_message(self, message: MavMessage) -> None:
         kind = message.get_type()
         if kind == "HIL_ACTUATOR_CONTROLS":
-            self._answers += 1
+            self._answer_count += 1
             self._command = read_actuator_command(message)
             if self.state == "starting" and not self._command.has_lockstep:
                 self.state = "free-running"
@@ -296,14 +296,14 @@ class Px4Simulator:
             self._truth_periods = max(1, math.ceil(message.param2 * 1e-6 / self.vehicle.period_s - 1e-6))
 
     def _begin_lockstep(self) -> None:
-        self.state, self._answers, self._was_answered = "lockstep", 0, True
+        self.state, self._answer_count, self._was_answered = "lockstep", 0, True
         self.vehicle.log_event("PX4 runs in lockstep")
         self.pace.restart()
 
     # Checks of its outputs
 
     def _check_outputs(self) -> None:
-        answers, self._answers = self._answers, 0
+        answers, self._answer_count = self._answer_count, 0
         command = self._command
         if command is None:
             return

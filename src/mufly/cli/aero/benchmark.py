@@ -129,7 +129,7 @@ def benchmark(
     for text in missing:
         c.print(f"not scored or with an assumption: {text}", style="dim", highlight=False)
     print_files(files)
-    silent = sorted({r.code for r in rows} - {r.code for r in rows if r.without < r.points})
+    silent = sorted({r.code for r in rows} - {r.code for r in rows if r.unpredicted < r.points})
     if silent:
         raise MuflyError(f"{', '.join(silent)}: has no prediction for any point; see the lines above")
 
@@ -159,7 +159,8 @@ def _print_scores(rows: list[ScoreRow], title: str) -> None:
         ("code", "of", "rotors", "points", "thrust (bias)", "torque (bias)", "inside 90 % (%)"),
         [
             (
-                r.code, r.group, f"{r.rotors}", f"{r.points}" + (f" ({r.without} without answer)" if r.without else ""),
+                r.code, r.group, f"{r.rotors}",
+                f"{r.points}" + (f" ({r.unpredicted} without answer)" if r.unpredicted else ""),
                 _format_error_and_bias(r.thrust, r.thrust_bias), _format_error_and_bias(r.torque, r.torque_bias),
                 f"{format_share(r.thrust_inside)}, {format_share(r.torque_inside)}",
             )

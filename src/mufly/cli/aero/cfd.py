@@ -345,7 +345,7 @@ def sweep(
             report_inflow(out, r, found, as_json)
             return
         found = cfd.sweep_speed(out, r, speeds, progress=tell, **given)
-    names = "thrust_N=verdict.thrust_N torque_Nm=verdict.torque_Nm c_T c_Q figure_of_merit verdict=verdict.what"
+    names = "thrust_N=verdict.thrust_N torque_Nm=verdict.torque_Nm c_T c_Q figure_of_merit verdict=verdict.outcome"
     rows = [{"rpm": s.point.speed_rad_s / RPM, **select_fields(s, names)} for s in found]
     files = [write_records(out / "sweep.csv", rows)]
     print_answer(as_json, {"points": rows}, lambda: print_result_table(rows, list(rows[0])), files)
@@ -384,7 +384,7 @@ def study(
         {
             "case": name, "thrust_N": s.verdict.thrust_N, "thrust_change": s.verdict.thrust_N / first.thrust_N - 1.0,
             "torque_Nm": s.verdict.torque_Nm, "torque_change": s.verdict.torque_Nm / first.torque_Nm - 1.0,
-            "wake_torque": s.wake_torque, "eddy_ratio": s.eddy_ratio, "verdict": s.verdict.what,
+            "wake_torque": s.wake_torque, "eddy_ratio": s.eddy_ratio, "verdict": s.verdict.outcome,
         }
         for name, s in found.items()
     ]  # fmt: skip
@@ -458,7 +458,7 @@ def compare(
                 (
                     Path(c.case).name + (f" ({c.point.geometry_note})" if c.point.geometry_note else ""),
                     f"{math.degrees(c.point.pitch_rad):.4g}°, {c.point.speed_rad_s / RPM:.0f}",
-                    c.verdict.what,
+                    c.verdict.outcome,
                     f"{ours:.4g}",
                     *(f"{100 * beside[n]:+.1f} %" if n in beside else "" for n in names),
                 )

@@ -78,13 +78,13 @@ def report_inflow(folder: Path, rotor: Rotor | None, solutions: list[CfdSolution
     from mufly.vehicle import load_coefficient_map
 
     found = compare_climbs(solutions, rotor, load_coefficient_map("walkera-5g6-bemt"))
-    columns = {"cfd": found.c_T, **found.others, "map_over_hover": found.map_part}
+    columns = {"cfd": found.c_T, **found.other_methods, "map_over_hover": found.map_part}
     coefficients = {name if "map" in name else f"c_T_{name}": values for name, values in columns.items()}
     rows = to_records(
         {
             "climb_m_s": found.climb_m_s, **coefficients,
             "torque_Nm": [s.verdict.torque_Nm for s in found.solutions],
-            "verdict": [s.verdict.what for s in found.solutions],
+            "verdict": [s.verdict.outcome for s in found.solutions],
         }
     )  # fmt: skip
     files = [write_records(folder / "inflow.csv", rows), save_figure(climb_picture(found), folder, "inflow")]
@@ -210,7 +210,7 @@ def _print_solution(found: CfdSolution, others: list[SpanLoads], p: OperatingPoi
     c.print(
         f"{what}[bold]{p.rotor}[/bold]  {math.degrees(p.pitch_rad):.4g}°, "
         f"{p.speed_rad_s / RPM:.0f} rpm, {p.model}, "
-        f"{p.level} mesh, {v.iterations} iterations: {v.what}",
+        f"{p.level} mesh, {v.iterations} iterations: {v.outcome}",
         highlight=False,
     )
     if p.geometry_note:
@@ -241,4 +241,4 @@ def _print_solution(found: CfdSolution, others: list[SpanLoads], p: OperatingPoi
         f"The flow is separated on {left:.0f} % of the upper side (friction towards the leading edge).", highlight=False
     )
     if not v.settled:
-        c.print(f"Not settled ({v.what}): do not rely on these numbers.", style="yellow", highlight=False)
+        c.print(f"Not settled ({v.outcome}): do not rely on these numbers.", style="yellow", highlight=False)

@@ -121,7 +121,7 @@ def measure(
     for note in found.notes:
         c.print(f"Note: {note}", style="yellow", highlight=False)
     c.print(
-        f"angles as a whole: ± {math.degrees(found.pitch_std_rad):.2f}°; effective pitch {prior.basis}: "
+        f"angles as a whole: ± {math.degrees(found.pitch_std_rad):.2f}°; effective pitch {prior.origin}: "
         f"{math.degrees(prior.mean_rad):+.2f} ± {math.degrees(prior.std_rad):.2f}°",
         highlight=False,
     )

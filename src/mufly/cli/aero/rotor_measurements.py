@@ -185,7 +185,7 @@ def fit(
             "rotor": r.name, "measurements": bench.source, "names": FIT_PARAMETERS,
             **select_fields(found, "change std prior_std correlation undecided"),
             "sections": [{"airfoils": name, "probability": share} for name, share in found.fit.list_sections()],
-            **select_fields(found, "error_before=before error_after=after held_out_error=held_out"),
+            **select_fields(found, "error_before=errors_before error_after=errors_after held_out_error=held_out"),
             "held_out": found.held_out_note, "notes": bench.notes,
         }  # fmt: skip
         return print_answer(as_json, content, None, files)
@@ -210,7 +210,7 @@ def fit(
     )
     for line in found.undecided:
         c.print(line, style="dim", highlight=False)
-    rows = [("as given", found.before), ("fitted", found.after)]
+    rows = [("as given", found.errors_before), ("fitted", found.errors_after)]
     print_table(
         ("mean absolute error", "thrust", "torque"),
         [

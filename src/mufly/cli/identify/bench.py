@@ -194,7 +194,7 @@ def rotor(
                 {"systematic": {e.symbol: f"{100 * shares.get(e.symbol, 0.0):.0f} %" for e in fit.estimates}},
             )  # fmt: skip
             print_lines(*fit.describe_trends())
-            print_lines(*fit.unseen, mark="not observable")
+            print_lines(*fit.undetermined, mark="not observable")
         print_lines(*dict.fromkeys(n for f in fits for n in f.notes), mark="note")
         print_lines(*effects)
         print_lines(*(f"{source}: {line}" for source, p in predictions.items() for line in p.describe_errors()))
@@ -307,7 +307,7 @@ def plan(
                 )
             )  # fmt: skip
     chosen = [p.best_candidate for p in plans]
-    relative, unseen = combined_information(plans, chosen)
+    relative, undetermined = combined_information(plans, chosen)
     files = []
     if out is not None:
         for p, c in zip(plans, chosen, strict=True):
@@ -322,7 +322,7 @@ def plan(
                 ["", *symbols], [["all flights", *(_format_percent(s) for s in relative)]],
                 title="Expected standard deviation, together",
             )  # fmt: skip
-        print_lines(*unseen, mark="not observable")
+        print_lines(*undetermined, mark="not observable")
         print_lines(
             "These are lower bounds for this model with white sensor noise; unmodelled effects make real fits "
             "worse, often several times.",
@@ -330,7 +330,13 @@ def plan(
         )
 
     together = dict(zip(symbols, relative, strict=True))
-    content = {"vehicle": v.name, "free": symbols, "channels": plans, "together": together, "unseen": unseen}
+    content = {
+        "vehicle": v.name,
+        "free": symbols,
+        "channels": plans,
+        "together": together,
+        "undetermined": undetermined,
+    }
     print_answer(as_json, content, print_plans, files)
 
 
@@ -409,7 +415,7 @@ def _format_percent(share: float) -> str:
 
 
 def _print_plan(p: ExcitationPlan) -> None:
-    symbols = [f.symbol for f in p.free]
+    symbols = [f.symbol for f in p.free_parameters]
     low, high = p.band_Hz
     rows = [
         [
@@ -424,7 +430,7 @@ def _print_plan(p: ExcitationPlan) -> None:
         ["kind", "amplitude", "bound by", "crest", *symbols, "mean"], rows,
         title=f"{p.vehicle}, {p.channel}: expected standard deviations; {frequencies}, modes at {modes} Hz",
     )  # fmt: skip
-    print_lines(f"{p.best_candidate.signal.kind}: {p.best_candidate.signal.words}")
+    print_lines(f"{p.best_candidate.signal.kind}: {p.best_candidate.signal.description}")
 
 
 def _write_signal(path: Path, c: ExcitationCandidate) -> Path:
@@ -432,7 +438,7 @@ def _write_signal(path: Path, c: ExcitationCandidate) -> Path:
     values = zip(c.signal.time_s, c.amplitude * c.signal.value, c.added_inputs, strict=True)
     rows = ([f"{x + 0.0:.6g}" for x in (t, s, *row)] for t, s, row in values)
     return write_csv(
-        path, heads, rows, f"{c.channel}, {c.signal.kind}: {c.signal.words}; add the columns to the inputs"
+        path, heads, rows, f"{c.channel}, {c.signal.kind}: {c.signal.description}; add the columns to the inputs"
     )
 
 
@@ -521,6 +527,6 @@ def motor(
             f"residuals: {1e3 * rms[0]:.3g} mV in the voltage's balance, {1e3 * rms[1]:.3g} mN m in the torque's"
         )
         print_lines(*fit.notes, mark="note")
-        print_lines(*fit.unseen, mark="not observable")
+        print_lines(*fit.undetermined, mark="not observable")
 
     print_answer(as_json, {"source": table.source, **to_plain_data(fit)}, print_results, files)

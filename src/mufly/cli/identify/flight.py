@@ -277,7 +277,7 @@ def _write_report(fit: FitResult, folder: Path | None, shown: bool) -> list[Path
 
 def _print_fit_remarks(fit: FitResult) -> None:
     """Print below the table: parameters not observed, errors by record, and the end of the fit."""
-    print_lines(*(f"{text}." for text in fit.unseen), mark="Not distinguishable", style="yellow")
+    print_lines(*(f"{text}." for text in fit.undetermined), mark="Not distinguishable", style="yellow")
     print_lines(*(f"{text}." for text in fit.held), mark="Uncertainty from held parameters")
     rows = []
     for r in fit.records:

@@ -261,7 +261,7 @@ def _print_linear(r: LinearResult) -> None:
         )
     for title, words in (
         ("Effects in the residuals of the fitted part:", r.missing),
-        ("Parameters that the data do not determine:", r.fit.unseen),
+        ("Parameters that the data do not determine:", r.fit.undetermined),
     ):
         if words:
             print_lines(title, *(f"- {w}" for w in words))
@@ -568,8 +568,8 @@ def compatibility(
     lines = zip(found.outputs, *figures, strict=True)
     below = ("", "rms residual", "its noise", "innovation over expected")
     print_table(below, [(o, f"{r:.2g}", f"{s:.2g}", f"{i:.2f}") for o, r, s, i in lines], title="The path, SI")
-    if found.unseen:
-        print_lines("Parameters that the flight does not determine:", *(f"- {w}" for w in found.unseen))
+    if found.undetermined:
+        print_lines("Parameters that the flight does not determine:", *(f"- {w}" for w in found.undetermined))
     print_lines("Converged" if found.converged else "NOT converged", style="green" if found.converged else "red")
     print_files(files)
 

@@ -98,7 +98,15 @@ file, with a limited sensitivity at the actuators and at the commanded accelerat
             files[0].write_text(text, encoding="utf-8")
 
     def show() -> None:
-        fields = ("position", "velocity", "velocity_integral", "velocity_rate", "angle", "rate", "rate_integral")
+        fields = (
+            "position",
+            "velocity",
+            "velocity_integral",
+            "velocity_rate",
+            "angle",
+            "rate_proportional",
+            "rate_integral",
+        )
         heads = ("axis", "P_x 1/s", "P_v 1/s", "I_v 1/s^2", "D_v", "P_angle 1/s", "P", "I")
         rows = [(axis, *(f"{getattr(getattr(designed, axis), f):.3g}" for f in fields)) for axis in AXIS_NAMES]
         print_table(heads, rows, title=f"Gains of {_NAMES[autopilot]}'s cascades for {loaded.name}")

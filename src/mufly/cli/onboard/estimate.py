@@ -219,10 +219,10 @@ def _estimate_foreign_log(
     mounted: Consistency | None = None
     if f.truth:
         figures = measure_row_consistency(truth_rows(f), told, after_s=after - float(time[0]))
-        if f.mounting is not None:
+        if f.mounting_rad is not None:
             mounted = measure_row_consistency(truth_rows(f, mounted=True), told, after_s=after - float(time[0]))
     content = {
-        "said": f.notes, "noise_at_rest": rest, "noise": noise, "from_s": after, "mounting_rad": f.mounting,
+        "said": f.notes, "noise_at_rest": rest, "noise": noise, "from_s": after, "mounting_rad": f.mounting_rad,
         "aids": fore, "errors": figures, "errors_without_mounting": mounted,
     }  # fmt: skip
 
@@ -230,8 +230,8 @@ def _estimate_foreign_log(
         _print_noise(rest, noise, given)
         if figures is not None:
             _print_consistency(figures, f"from {after:.1f} s")
-        if mounted is not None and f.mounting is not None:
-            roll, pitch = (math.degrees(x) for x in f.mounting)
+        if mounted is not None and f.mounting_rad is not None:
+            roll, pitch = (math.degrees(x) for x in f.mounting_rad)
             print_lines(
                 f"The true attitude and the accelerometers differ by {roll:+.2f} and {pitch:+.2f} degrees (roll, "
                 "pitch) at rest: a mounting angle, or accelerometer bias.",

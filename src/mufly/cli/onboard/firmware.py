@@ -216,7 +216,7 @@ def _print_sil(results: list[SilResult]) -> None:
         "mission", "seed", "outcome", ResultColumn("periods", form="d", head="law"),
         ResultColumn("different", form="d", head="differ"), ResultColumn("beliefs", form="d", head="estimator"),
         ResultColumn("beliefs_different", form="d", head="differ"), ResultColumn("steps", form="d", head="flight"),
-        ResultColumn("steps_different", form="d", head="differ"), ResultColumn("entries", form="d", head="log"),
+        ResultColumn("steps_different", form="d", head="differ"), ResultColumn("log_entry_count", form="d", head="log"),
         ResultColumn("worst_single", form=".1e", head="single"),
     )  # fmt: skip
     print_result_table(results, columns)
@@ -232,8 +232,8 @@ def _print_sil(results: list[SilResult]) -> None:
     else:
         print_lines(
             f"No bit differs in {law} periods of the law, {estimator} of the estimator and {steps} of the flight "
-            f"(actuators, reference, mission), and no word in {sum(r.entries for r in results)} lines of the log. "
-            "Single: the law's greatest difference in single precision, over an actuator's range."
+            f"(actuators, reference, mission), and no word in {sum(r.log_entry_count for r in results)} lines of the "
+            "log. Single: the law's greatest difference in single precision, over an actuator's range."
         )
 
 
@@ -483,12 +483,12 @@ def fuzz(
 
     def print_result() -> None:
         print_lines(f"Fed: {', '.join(result.parts)}. {result.runs} inputs, {result.covered} code locations reached.")
-        if result.found:
-            print_lines(result.found, style="red")
+        if result.sanitizer_message:
+            print_lines(result.sanitizer_message, style="red")
             print_lines(f"Bytes: {result.input_hex}")
         else:
             print_lines("No crash, no undefined behaviour, no output out of range.")
 
     print_answer(as_json, {"fuzz": result}, print_result)
-    if result.found:
+    if result.sanitizer_message:
         raise typer.Exit(1)

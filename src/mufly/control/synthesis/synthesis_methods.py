@@ -157,7 +157,7 @@ class SynthesisProblem(NamedTuple):
         Function from the scaled plant to the plant with weights.
     sampling_rate : float
         Sampling rate of the controller (rad/s).
-    given : control.StateSpace or None
+    given_controller : control.StateSpace or None
         Controller that exists, in place of a synthesis.
     derivatives : tuple of array
         Derivatives ``[dA dB]`` of the plant by uncertain parameters, one spread each, for ``mu``.
@@ -177,7 +177,7 @@ class SynthesisProblem(NamedTuple):
     fixed: FixedOrderAims | None
     generalise: Callable[[control.StateSpace], control.StateSpace]
     sampling_rate: float
-    given: control.StateSpace | None = None
+    given_controller: control.StateSpace | None = None
     derivatives: tuple[Array, ...] = ()
     robust: RobustAims = RobustAims()
     indi: IndiGains | None = None
@@ -213,8 +213,8 @@ def synthesise_controller(method: SynthesisMethod, problem: SynthesisProblem) ->
         If the method finds no controller; the message names what is in the way.
     """
     p, n_controls = problem, problem.plant.ninputs
-    if p.given is not None:
-        return _describe_controller(p, p.given)
+    if p.given_controller is not None:
+        return _describe_controller(p, p.given_controller)
     if method == "h2":
         optimal = h2syn(p.generalised, p.n_measurements, n_controls)
         norm = hinf_norm(optimal.closed_loop)[0]

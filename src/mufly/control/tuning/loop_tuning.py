@@ -54,7 +54,7 @@ class TuningGoals:
         Norm of the weighted loop, with the delay.
     sensitivity_dB, complementary_dB : float or None
         Peaks of S_u and T_u.
-    disk : float or None
+    disk_margin : float or None
         Disk margin with a disturbance of its own on each input.
     activity : float or None
         Deviation of the inputs by sensor noise (root of the sum of squares), relative to the H-infinity design.
@@ -65,7 +65,7 @@ class TuningGoals:
     gamma: float | None = None
     sensitivity_dB: float | None = None
     complementary_dB: float | None = None
-    disk: float | None = None
+    disk_margin: float | None = None
     activity: float | None = None
     mu: float | None = None
 
@@ -75,7 +75,7 @@ class TuningGoals:
             "weighted": self.gamma,
             "sensitivity": None if self.sensitivity_dB is None else 10 ** (self.sensitivity_dB / 20),
             "complementary": None if self.complementary_dB is None else 10 ** (self.complementary_dB / 20),
-            "disk": None if self.disk is None else 1.0 / self.disk,
+            "disk": None if self.disk_margin is None else 1.0 / self.disk_margin,
             "activity": self.activity,
         }
         return {name: level for name, level in found.items() if level is not None}
@@ -88,7 +88,9 @@ class TuningGoals:
 
 DEFAULT_GOALS: dict[LoopName, TuningGoals] = {
     "heave-yaw": TuningGoals(gamma=1.05, sensitivity_dB=3.2, complementary_dB=3.1, activity=1.2),
-    "roll-pitch": TuningGoals(gamma=0.66, sensitivity_dB=2.5, complementary_dB=2.4, disk=0.97, activity=1.0, mu=0.6),
+    "roll-pitch": TuningGoals(
+        gamma=0.66, sensitivity_dB=2.5, complementary_dB=2.4, disk_margin=0.97, activity=1.0, mu=0.6
+    ),
 }
 """Goals of a tuning by the name of the loop."""
 DEFAULT_ORDERS: dict[LoopName, int] = {"heave-yaw": 6, "roll-pitch": 4}

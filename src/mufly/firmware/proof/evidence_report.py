@@ -131,7 +131,7 @@ def _report_emulated(vehicle: Vehicle, out: Path) -> EvidenceSection:
 
     figure = Figure(figsize=(7, 3.2), layout="constrained")
     axes = figure.subplots()
-    names = [f"{r.what}: {r.machine}, {kind}" for kind, r in boards]
+    names = [f"{r.tested_part}: {r.machine}, {kind}" for kind, r in boards]
     axes.barh(names, [r.worst_instructions for _, r in boards], color="#9db8d2", label="worst")
     axes.barh(names, [r.mean_instructions for _, r in boards], color="#31587a", height=0.5, label="mean")
     axes.invert_yaxis()
@@ -140,7 +140,7 @@ def _report_emulated(vehicle: Vehicle, out: Path) -> EvidenceSection:
     figure.savefig(out / "instructions.png", dpi=130)
     rows = [
         (
-            r.what, r.machine, kind, "the same" if r.same else "**differ**", f"{r.mean_instructions:.0f}",
+            r.tested_part, r.machine, kind, "the same" if r.same else "**differ**", f"{r.mean_instructions:.0f}",
             f"{r.worst_instructions:.0f}",
         )
         for kind, r in boards
@@ -477,7 +477,11 @@ def read_branches(folder: Path) -> dict[str, list[tuple[int, int, int]]]:
 
 def _report_fuzzing(vehicle: Vehicle, out: Path) -> EvidenceSection:
     r = fuzz_firmware(vehicle, seconds=30.0)
-    ended = f"**{r.found}** by {r.input_hex}" if r.found else "Nothing crashed, was undefined or out of range"
+    ended = (
+        f"**{r.sanitizer_message}** by {r.input_hex}"
+        if r.sanitizer_message
+        else "Nothing crashed, was undefined or out of range"
+    )
     return EvidenceSection(
         "Any bytes",
         f"{ended} in {r.runs} inputs of {r.seconds:g} s, fed to: {', '.join(r.parts)}. Longer: "

@@ -51,7 +51,7 @@ class FuzzResult:
         Number of code edges reached, as counted by the fuzzer.
     parts : tuple of str
         Names of the fuzzed parts.
-    found : str
+    sanitizer_message : str
         Sanitizer message that ended the run early; "" without a fault.
     input_hex : str
         Input that caused the fault, in hexadecimal.
@@ -61,7 +61,7 @@ class FuzzResult:
     runs: int
     covered: int
     parts: tuple[str, ...]
-    found: str
+    sanitizer_message: str
     input_hex: str
 
 
@@ -157,6 +157,6 @@ def run_fuzzer(folder: Path, *, seconds: float, seed: int = 1, link_only: bool =
     covered = re.findall(r"cov: (\d+)", said)
     return FuzzResult(
         seconds=seconds, runs=int(executed[1]) if executed else 0, covered=int(covered[-1]) if covered else 0,
-        parts=tuple(part for part, is_there in there.items() if is_there), found=found,
+        parts=tuple(part for part, is_there in there.items() if is_there), sanitizer_message=found,
         input_hex=broken.read_bytes().hex() if broken else "",
     )  # fmt: skip

@@ -151,7 +151,7 @@ class SilResult:
         Number of compared periods of the whole flight software: actuators, reference, mission state and log.
     steps_different : int
         Number of these with a difference in any bit or text.
-    entries : int
+    log_entry_count : int
         Number of log entries, compared as texts.
     worst_single : float
         Largest actuator difference in single precision, over the full range (1).
@@ -167,7 +167,7 @@ class SilResult:
     beliefs_different: int
     steps: int
     steps_different: int
-    entries: int
+    log_entry_count: int
     worst_single: float
 
 
@@ -178,7 +178,7 @@ class PilResult:
     Attributes
     ----------
     machine : str
-    what : str
+    tested_part : str
         ``"law"``: controllers; ``"flight"``: controllers, mission and monitors; ``"estimator"``.
     same : bool
         Whether all output digests equal those of this machine in single precision.
@@ -191,7 +191,7 @@ class PilResult:
     """
 
     machine: str
-    what: str
+    tested_part: str
     same: bool
     mean_instructions: float
     worst_instructions: float
@@ -341,7 +341,7 @@ def run_sil(
             beliefs=0 if believing is None else believing.period_count,
             beliefs_different=0 if believing is None else believing.mismatch_count,
             steps=sum(f.period_count for f in flown), steps_different=sum(f.mismatch_count for f in flown),
-            entries=sum(f.log_entry_count for f in flown), worst_single=max(t.worst_single for t in twins),
+            log_entry_count=sum(f.log_entry_count for f in flown), worst_single=max(t.worst_single for t in twins),
         )  # fmt: skip
 
     asked = [(name, seed) for seed in range(flights) for name in missions]
@@ -382,7 +382,7 @@ def run_pil(vehicle: Vehicle, *, fixed_point: bool = False, timeout_s: float = 1
                 found.append(
                     PilResult(
                         machine=board,
-                        what=what,
+                        tested_part=what,
                         **run_emulated(board.split()[0], per_tick, programs[cpu], right, timeout_s),
                         flash_bytes=flash,
                         ram_bytes=ram,

@@ -104,7 +104,7 @@ class FlightResult:
         Class of :data:`mufly.flight.monte_carlo.flight_ending.ENDINGS`, by the truth.
     reason : str
         Reason of a failure; empty for a success.
-    told : str
+    reported_outcome : str
         Outcome reported by the state machine.
     refused : int
         Number of impossible vehicles drawn before this one.
@@ -143,7 +143,7 @@ class FlightResult:
     success: bool
     ending: FlightEnding
     reason: str
-    told: str
+    reported_outcome: str
     refused: int
     wind: tuple[float, float, float] | None
     values: dict[str, float]
@@ -439,10 +439,12 @@ def fly_case(campaign: Campaign, case: FlightCase, path: Path | None = None) -> 
                 tick_every=NEES_INTERVAL_PERIODS,
             )  # fmt: skip
     except MuflyError as error:
-        return FlightResult(**same, success=False, ending="not started", reason=f"did not fly: {error}", told="")
+        return FlightResult(
+            **same, success=False, ending="not started", reason=f"did not fly: {error}", reported_outcome=""
+        )
     except Exception as error:  # a program error must not end the campaign
         why = f"raised {type(error).__name__}: {error}"
-        return FlightResult(**same, success=False, ending="lost", reason=why, told="")
+        return FlightResult(**same, success=False, ending="lost", reason=why, reported_outcome="")
     return judge_flight(
         data, campaign.mission, campaign.tolerance_m, nees=heard.mean_nees, wrong=campaign.wrong_sources(case), **same
     )
@@ -513,7 +515,7 @@ def judge_flight(
         success=not reason,
         ending=classify_ending(data, s, not reason, wrong),
         reason=reason,
-        told=f"{s.outcome}: {s.reason}" if s.reason else s.outcome,
+        reported_outcome=f"{s.outcome}: {s.reason}" if s.reason else s.outcome,
         duration_s=s.duration_s,
         overshoot_m=worst_waypoint_value("overshoot_m"),
         waypoint_error_m=worst_waypoint_value("distance_at_reach_m"),

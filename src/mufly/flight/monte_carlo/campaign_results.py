@@ -117,7 +117,7 @@ class MetricSummary:
         Statistics of the values; ``percentile_95`` is on the bad side.
     flight : int
         Index of the worst flight.
-    beyond : int or None
+    beyond_limit_count : int or None
         Number of flights beyond the limit; None without a limit.
     """
 
@@ -128,7 +128,7 @@ class MetricSummary:
     percentile_95: float
     worst: float
     flight: int
-    beyond: int | None
+    beyond_limit_count: int | None
 
 
 @result(picture="mufly.flight.monte_carlo.campaign_pictures:draw_outcome")
@@ -189,7 +189,7 @@ class CampaignOutcome:
             blocks.append(show_lines(text))
         rows = [
             (w.label, f"{w.median:.3g}", f"{w.percentile_95:.3g}", f"{w.worst:.3g}", "" if w.unit == "1" else w.unit,
-             f"{w.flight}", "" if w.beyond is None else f"{w.beyond}")
+             f"{w.flight}", "" if w.beyond_limit_count is None else f"{w.beyond_limit_count}")
             for w in self.worst
         ]  # fmt: skip
         endings = [
@@ -227,7 +227,7 @@ def summarise_outcome(flights: Sequence[FlightResult], tolerance_m: float) -> Ca
     reasons = Counter(_without_numbers(f.reason) for f in flights if not f.success)
     return CampaignOutcome(
         len(flights), len(good), low, high,
-        reported_successes=sum(f.told.startswith("succeeded") for f in flights),
+        reported_successes=sum(f.reported_outcome.startswith("succeeded") for f in flights),
         refused=sum(f.refused for f in flights),
         endings=tuple(
             (name, ended[name], *wilson_interval(ended[name], len(flights)))
@@ -284,9 +284,9 @@ def results_dataset(flights: Sequence[FlightResult], campaign: Campaign) -> xr.D
             np.array([f.reason for f in flights], dtype=np.str_),
             {"long_name": "why it failed"},
         ),
-        "told": (
+        "reported_outcome": (
             "flight",
-            np.array([f.told for f in flights], dtype=np.str_),
+            np.array([f.reported_outcome for f in flights], dtype=np.str_),
             {"long_name": "by the state machine"},
         ),
         # Text, because netCDF's classic format has no 64-bit integers.

@@ -68,7 +68,7 @@ class ForeignLog:
     aids : PositionAids
     truth : dict of str to (n, 3) array
         True ``position`` (m), ``velocity`` (m/s) and ``attitude`` (rad), if logged, at the times of ``log``.
-    mounting : (2,) array or None
+    mounting_rad : (2,) array or None
         Roll and pitch (rad) of the true attitude minus those of the accelerometers at rest.
     notes : list of str
         Findings, as text.
@@ -77,7 +77,7 @@ class ForeignLog:
     log: InertialLog
     aids: PositionAids
     truth: dict[str, _Array]
-    mounting: _Array | None
+    mounting_rad: _Array | None
     notes: list[str]
 
 
@@ -277,8 +277,8 @@ def truth_rows(f: ForeignLog, *, mounted: bool = False) -> _Array:
     if "position" in f.truth and "velocity" not in f.truth:
         parts["velocity"] = np.gradient(parts["position"], f.log.step_s, axis=0)
     rows = np.hstack(list(parts.values()))
-    if mounted and f.mounting is not None:
-        rows[:, _ROLL_PITCH] -= f.mounting
+    if mounted and f.mounting_rad is not None:
+        rows[:, _ROLL_PITCH] -= f.mounting_rad
     return rows
 
 

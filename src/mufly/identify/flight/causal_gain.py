@@ -41,7 +41,7 @@ class CausalGain:
     ----------
     value, std : (k,) array
         Gain of each prediction and its standard deviation.
-    lead : int
+    lead_samples : int
         Prediction that explains most.
     evidence : float
         Logarithm of the likelihood ratio of the best fit to the best one whose leading gain has the other sign or is 0.
@@ -49,7 +49,7 @@ class CausalGain:
 
     value: Array
     std: Array
-    lead: int
+    lead_samples: int
     evidence: float
 
 

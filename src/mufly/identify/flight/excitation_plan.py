@@ -87,7 +87,7 @@ from mufly.dynamics.model_state import (
     ModelParameters,
 )
 from mufly.errors import ArgumentError, InputError, MuflyError
-from mufly.identify.fit_result import covariance_from_information, describe_unseen_combinations
+from mufly.identify.fit_result import covariance_from_information, describe_undetermined_combinations
 from mufly.identify.flight.excitation_signals import (
     SIGNAL_KINDS,
     ExcitationSignal,
@@ -410,7 +410,7 @@ class ExcitationCandidate:
 
 _CANDIDATE_FIGURES = (
     "kind=signal.kind amplitude bound_by=binding_limit limit_used=limit_share crest_factor=signal.crest "
-    "signal=signal.words mean=geometric_mean_std"
+    "signal=signal.description mean=geometric_mean_std"
 )
 
 
@@ -426,7 +426,7 @@ class ExcitationPlan:
     ----------
     vehicle : str
     channel : str
-    free : tuple of FreeParameter
+    free_parameters : tuple of FreeParameter
     band_rad_s : (float, float)
     modes_rad_s : (k,) array
         Natural frequencies of the channel's dynamics.
@@ -439,7 +439,7 @@ class ExcitationPlan:
 
     vehicle: str
     channel: str
-    free: tuple[FreeParameter, ...]
+    free_parameters: tuple[FreeParameter, ...]
     band_rad_s: tuple[float, float]
     modes_rad_s: Array
     limits: FlightLimits
@@ -459,7 +459,7 @@ class ExcitationPlan:
 
     def candidate_records(self) -> list[dict[str, Any]]:
         """Return the numbers of all candidates as dictionaries, with standard deviations by symbol."""
-        symbols = [f.symbol for f in self.free]
+        symbols = [f.symbol for f in self.free_parameters]
         return [
             {**select_fields(c, _CANDIDATE_FIGURES), "relative_std": dict(zip(symbols, c.relative_std, strict=True))}
             for c in self.candidates
@@ -565,8 +565,10 @@ def combined_information(
 ) -> tuple[Array, tuple[str, ...]]:
     """Return the relative standard deviations (p,) from several flights, and the directions that stay undetermined."""
     information = np.sum([c.fisher_information for c in candidates], axis=0)
-    unseen = describe_unseen_combinations([f.symbol for f in plans[0].free], covariance_from_information(information))
-    return _relative_std_and_mean(information)[0], unseen
+    undetermined = describe_undetermined_combinations(
+        [f.symbol for f in plans[0].free_parameters], covariance_from_information(information)
+    )
+    return _relative_std_and_mean(information)[0], undetermined
 
 
 def _natural_frequencies(vehicle: Vehicle, support: PilotSupport, part: DynamicsPart, sample_s: float) -> Array:

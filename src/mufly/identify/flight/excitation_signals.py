@@ -46,7 +46,7 @@ class ExcitationSignal:
         Uniform time (s) and value, constant between samples; largest absolute value 1.
     crest : float
         Crest factor of the part between the rests.
-    words : str
+    description : str
         Description of the construction with its numbers.
     """
 
@@ -54,7 +54,7 @@ class ExcitationSignal:
     time_s: NDArray[np.float64]
     value: Array
     crest: float
-    words: str
+    description: str
 
 
 def crest_factor(value: Array) -> float:

@@ -28,7 +28,7 @@ from mufly.identify.fit_result import (
     coloured_covariance,
     correlation_matrix,
     covariance_from_information,
-    describe_unseen_combinations,
+    describe_undetermined_combinations,
 )
 from mufly.identify.flight.estimate_notes import describe_held_parameters, estimate_notes, residual_over_noise
 from mufly.identify.flight.free_parameters import (
@@ -202,7 +202,7 @@ def _make_fit_result(
         estimates=estimates,
         covariance=covariance * np.outer(slope, slope),
         correlation=correlation_matrix(covariance) * np.sign(np.outer(slope, slope)),
-        unseen=describe_unseen_combinations(
+        undetermined=describe_undetermined_combinations(
             [f.symbol for f in free], covariance_from_information(data.T @ data), covariance
         ),
         cost=point.cost,
@@ -334,7 +334,7 @@ def _combine_fits(fits: Sequence[FitResult]) -> FitResult:
         estimates=tuple(e for f in fits for e in f.estimates),
         covariance=block_diag(*[f.covariance for f in fits]),
         correlation=block_diag(*[f.correlation for f in fits]),
-        unseen=tuple(u for f in fits for u in f.unseen),
+        undetermined=tuple(u for f in fits for u in f.undetermined),
         held=tuple(h for f in fits for h in f.held),
         cost=sum(f.cost for f in fits),
         history=tuple({**row, "iteration": k + 1} for k, row in enumerate(history)),

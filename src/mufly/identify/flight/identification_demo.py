@@ -271,7 +271,7 @@ class IdentificationDemo:
                 }
                 for e in fit.estimates
             ],
-            "unseen": list(fit.unseen), "held_out_error_over_noise_floor": self.held_out_over_noise,
+            "undetermined": list(fit.undetermined), "held_out_error_over_noise_floor": self.held_out_over_noise,
             **select_fields(fit, "cost simulations seconds"),
         }  # fmt: skip
 

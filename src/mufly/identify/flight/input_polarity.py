@@ -188,7 +188,7 @@ def _judge_gain(found: CausalGain | None, is_crossed: bool) -> InputGain:
     """Accept a sign that the record determines: significant, of size, and far likelier than the other."""
     if found is None:
         return InputGain(0.0, np.inf)
-    g, std, lead = found.value, found.std, found.lead
+    g, std, lead = found.value, found.std, found.lead_samples
     sure = abs(g[lead]) > max(_MIN_GAIN, _MIN_SIGNIFICANCE * std[lead]) and found.evidence > _MIN_EVIDENCE
     # The other servo counts only if the own servo has little effect in comparison.
     sure = bool(sure and (lead == 0 or abs(g[0]) < 0.4 * abs(g[1])))

@@ -437,7 +437,7 @@ def _follow_valley_floor(linear: LinearisedProblem, sides: _Array, chords: int) 
 class EvolutionHistory:
     """History of a CMA-ES run: costs of every generation, by restart, and the reference point."""
 
-    told: list[list[list[float]]] = field(default_factory=lambda: [[]])
+    costs: list[list[list[float]]] = field(default_factory=lambda: [[]])
     reference: FitPoint | None = None
     origin: FitPoint | None = None
 
@@ -490,12 +490,12 @@ def run_cma_es(
     size = max(16, 4 + int(3 * np.log(t)))  # trials per generation
     converged = False
     for restart in range(restarts + 1):
-        if restart == len(course.told):
-            course.told.append([])
+        if restart == len(course.costs):
+            course.costs.append([])
             course.origin = best
-        if restart < len(course.told) - 1:
+        if restart < len(course.costs) - 1:
             continue
-        told = course.told[restart]
+        told = course.costs[restart]
         # One unit row per parameter limits the first step to about a factor of e.
         first = np.vstack([LinearisedProblem(problem, course.origin).jacobian, np.eye(t)])
         spread = np.linalg.inv(np.linalg.qr(first, mode="r"))

@@ -161,7 +161,7 @@ class StagedSearch:
                 self.state.initial_offsets = [np.array(b) for b in kept["initial_offsets"]]
             if (c := kept["evolution"]) is not None:
                 self.state.evolution = EvolutionHistory(
-                    c["told"], _point_from_json(c["reference"]), _point_from_json(c["origin"])
+                    c["costs"], _point_from_json(c["reference"]), _point_from_json(c["origin"])
                 )
 
     def search_minimum(self) -> tuple[FitPoint, OutputErrorProblem, bool, tuple[str, ...]]:

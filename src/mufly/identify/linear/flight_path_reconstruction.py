@@ -43,7 +43,7 @@ from mufly.errors import ArgumentError, InputError
 from mufly.identify.fit_result import (
     ParameterEstimate,
     coloured_covariance,
-    describe_unseen_combinations,
+    describe_undetermined_combinations,
     divide_by_values,
 )
 from mufly.identify.flight_record import EvenLogTable, low_pass, smooth_signal
@@ -84,8 +84,8 @@ _MOTION_BANDWIDTH_HZ = 5.0  # separates vehicle motion (below) from rotor vibrat
 
 @result(
     eq=False,
-    json="estimates std_white converged unseen notes outputs residual_rms innovation_over_expected=innovation_rms "
-    "noise_std=output_noise imu_noise_std=imu_noise",
+    json="estimates std_white converged undetermined notes outputs residual_rms "
+    "innovation_over_expected=innovation_rms noise_std=output_noise imu_noise_std=imu_noise",
 )
 class ReconstructedPath:
     """Flight path and instrument errors reconstructed from a record.
@@ -112,7 +112,7 @@ class ReconstructedPath:
     corrected : (n, 6) array
         Rates and specific force, corrected for bias and scale factor (SI).
     converged : bool
-    unseen, notes : tuple of str
+    undetermined, notes : tuple of str
         Undetermined directions, and notes on the record.
     """
 
@@ -129,7 +129,7 @@ class ReconstructedPath:
     output_noise: Array
     corrected: Array
     converged: bool
-    unseen: tuple[str, ...]
+    undetermined: tuple[str, ...]
     notes: tuple[str, ...]
 
     @property
@@ -288,10 +288,10 @@ def _reconstruct_path(record: EvenLogTable, imu: Mapping[str, str], outputs: Map
         for n, unit, v, s in zip(IMU_ERROR_SYMBOLS, ["rad/s"] * 3 + ["m/s^2"] * 3 + ["1"] * 6, theta, std, strict=True)
     )
     # Relative to the prior deviations, because the values are near zero.
-    unseen = describe_unseen_combinations(IMU_ERROR_SYMBOLS, divide_by_values(covariance, _PRIOR_STD))
+    undetermined = describe_undetermined_combinations(IMU_ERROR_SYMBOLS, divide_by_values(covariance, _PRIOR_STD))
     return ReconstructedPath(
         estimates, np.sqrt(np.diag(bound)), covariance, record.time_s, smooth_x, np.sqrt(smooth_p), outs, z, whitened,
-        imu_noise, noise, _correct_imu(raw, theta, dt)[0], converged, unseen, tuple(notes),
+        imu_noise, noise, _correct_imu(raw, theta, dt)[0], converged, undetermined, tuple(notes),
     )  # fmt: skip
 
 

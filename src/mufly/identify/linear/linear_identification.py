@@ -22,7 +22,7 @@ from mufly.identify.fit_result import (
     ParameterEstimate,
     RecordPrediction,
     correlation_matrix,
-    describe_unseen_combinations,
+    describe_undetermined_combinations,
     divide_by_values,
 )
 from mufly.identify.flight_record import EvenLogTable, low_pass
@@ -130,7 +130,7 @@ class LinearResult:
         Cross-check by a subspace model of the same order, fitted to the same samples.
     subspace_percent : tuple of float
         Fit (per cent) of the subspace model's pure simulation on the held-out part, low-passed.
-    spectral : FrequencyResponseFit or None
+    spectral_fit : FrequencyResponseFit or None
         Cross-check by a fit to frequency responses; None without sufficient coherence.
     notes : tuple of str
         Notes on the record.
@@ -147,7 +147,7 @@ class LinearResult:
     equation_error: Mapping[str, tuple[float, float]]
     subspace: SubspaceModel | None
     subspace_percent: tuple[float, ...]
-    spectral: FrequencyResponseFit | None
+    spectral_fit: FrequencyResponseFit | None
     notes: tuple[str, ...]
 
     def as_record(self) -> dict[str, Any]:
@@ -159,7 +159,7 @@ class LinearResult:
         return {
             **select_fields(
                 self, "model=fit.vehicle estimates=fit.estimates poles_rad_s=linear.poles candidates "
-                "outputs=linear.structure.outputs slow_hz ahead missing unseen=fit.unseen notes "
+                "outputs=linear.structure.outputs slow_hz ahead missing undetermined=fit.undetermined notes "
                 "subspace_fit_percent=subspace_percent message=linear.message",
             ), **checks,
         }  # fmt: skip
@@ -291,7 +291,7 @@ def identify_linear_model(
         equation_error=regressed,
         subspace=model_2,
         subspace_percent=percent,
-        spectral=_cross_check_spectral(linear, uf, yf, dtf, slow),
+        spectral_fit=_cross_check_spectral(linear, uf, yf, dtf, slow),
         notes=tuple(notes),
     )
 
@@ -455,10 +455,10 @@ def _make_fit_result(linear: LinearFit, records: tuple[RecordPrediction, ...], n
     )
     free = np.flatnonzero(~linear.at_bound)
     seen = divide_by_values(linear.covariance, linear.values)[np.ix_(free, free)]
-    unseen = describe_unseen_combinations([linear.structure.symbols[k] for k in free], seen)
+    undetermined = describe_undetermined_combinations([linear.structure.symbols[k] for k in free], seen)
     return FitResult(
         linear.structure.name, estimates, linear.covariance, correlation_matrix(linear.covariance),
-        unseen + tuple(n for n in notes if "never moved" in n), linear.history[-1]["cost"], linear.history,
+        undetermined + tuple(n for n in notes if "never moved" in n), linear.history[-1]["cost"], linear.history,
         "output error, maximum likelihood, pure simulation of the whole record, "
         f"{len(linear.costs)} starts; initial state, trims and biases eliminated",
         linear.simulations, linear.seconds, linear.converged, linear.message, records,

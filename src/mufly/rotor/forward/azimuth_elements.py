@@ -24,7 +24,7 @@ class AzimuthBlade(NamedTuple):
     Attributes
     ----------
     r_m, dr_m, chord_m, twist_rad : (stations,) arrays
-    table : (stations, Reynolds numbers, 723, 2) array
+    section_table : (stations, Reynolds numbers, 723, 2) array
         :func:`mufly.rotor.forward.section_tables.station_tables`.
     log_reynolds_min, per_log_reynolds : float
         Grid of the tables.
@@ -41,7 +41,7 @@ class AzimuthBlade(NamedTuple):
     dr_m: Array
     chord_m: Array
     twist_rad: Array
-    table: Array
+    section_table: Array
     log_reynolds_min: float
     per_log_reynolds: float
     blade_count: float

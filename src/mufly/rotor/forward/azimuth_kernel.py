@@ -183,7 +183,7 @@ def _sum_stations(
             )  # fmt: skip
             theta = blade.twist_rad[i] + point.collective_rad + point.cyclic_cos_rad * c + point.cyclic_sin_rad * s
             force, _, lift, _, _, slope, lift_slope, force_t, lift_t = element_forces(
-                blade.table[i], theta, across, down, half, row_zero, row_scale, lift_share
+                blade.section_table[i], theta, across, down, half, row_zero, row_scale, lift_share
             )
             for h in range(5):
                 sums[i, h] += (1.0 if h == 0 else 2.0) * trig[n, h] / count * force
@@ -532,7 +532,7 @@ def integrate_loads(
             )  # fmt: skip
             theta = blade.twist_rad[i] + point.collective_rad + point.cyclic_cos_rad * c + point.cyclic_sin_rad * s
             force, turn, _, radial, cd, _, _, _, _ = element_forces(
-                blade.table[i], theta, across, down, half, row_zero, row_scale, lift_share
+                blade.section_table[i], theta, across, down, half, row_zero, row_scale, lift_share
             )
             outward = radial * along - force * flap
             wind = math.sqrt(across * across + down * down)

@@ -259,7 +259,7 @@ class FlightSplines(NamedTuple):
         First value of climb ratio and e, and reciprocal of the step.
     size : (2,) integer array
         Number of values of climb ratio and of e.
-    table : (climbs + 2, edges, 12) array
+    coefficient_table : (climbs + 2, edges, 12) array
         As for :func:`interpolate_flow_loads`.
     rates : (edges, 8) array
         Spline coefficients over e of the loads per body rate, for both rotors.
@@ -271,7 +271,7 @@ class FlightSplines(NamedTuple):
     start: Array
     per_step: Array
     size: NDArray[np.int64]
-    table: Array
+    coefficient_table: Array
     rates: Array
 
 
@@ -348,7 +348,8 @@ def evaluate_flight_map(flight_map: FlightMap) -> MapLoads:
     rest = float(-splines.start[0] * splines.per_step[0])
     climbs, edges = (int(n) for n in splines.size)
     flow = np.array([
-        interpolate_flow_loads(splines.table.ravel(), climbs, edges, 0.0, rest, float(k)) for k in range(edges)
+        interpolate_flow_loads(splines.coefficient_table.ravel(), climbs, edges, 0.0, rest, float(k))
+        for k in range(edges)
     ]).reshape(edges, 2, FLOW_COUNT)  # fmt: skip
     thrust, torque, drag, side, roll, pitch = np.moveaxis(flow, -1, 0)
     scale = flight_map.density_kg_m3 * math.pi * radius**3 * speeds

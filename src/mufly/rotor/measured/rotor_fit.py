@@ -84,7 +84,7 @@ class RotorFit:
     undecided : tuple of str
         Parameters that the bench run does not determine.
     measured : RotorMeasurements
-    before, after : (2, n) arrays
+    errors_before, errors_after : (2, n) arrays
         Errors of thrust and torque over ``load_scales``, without and with the fit.
     size : (2, n) array
         T_s (N) and Q_s (N m) of the module docstring.
@@ -103,8 +103,8 @@ class RotorFit:
     correlation: Array
     undecided: tuple[str, ...]
     measured: RotorMeasurements
-    before: Array
-    after: Array
+    errors_before: Array
+    errors_after: Array
     size: Array
     held_out: Array
     held_out_note: str

@@ -32,14 +32,16 @@ class LensCalibration:
     deviations: dict[str, float] = field(metadata={"unit": "1", "meaning": "one sigma of each"})
     residual_px: float = field(metadata={"unit": "1", "meaning": "rms of the corners' residuals (pixels)"})
     used: int = field(metadata={"unit": "1", "meaning": "pictures with a board in them"})
-    of: int = field(metadata={"unit": "1", "meaning": "pictures"})
+    picture_count: int = field(metadata={"unit": "1", "meaning": "pictures"})
     camera: Camera = field(repr=False, metadata={"unit": "", "meaning": "the file's camera with this lens"})
 
     def shown_blocks(self) -> list[ShownBlock]:
         """Return the calibration as a sentence and a table."""
         rows = [(n, f"{self.values[n]:.4g}", f"{self.deviations[n]:.2g}") for n in self.values]
         return [
-            show_lines(f"{self.used} of {self.of} pictures show the board; residual {self.residual_px:.2f} pixels"),
+            show_lines(
+                f"{self.used} of {self.picture_count} pictures show the board; residual {self.residual_px:.2f} pixels"
+            ),
             show_table(("", "found", "sigma"), rows),
         ]
 

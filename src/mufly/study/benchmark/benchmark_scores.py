@@ -250,7 +250,7 @@ class ScoreRow:
     torque_bias: float
     thrust_inside: float
     torque_inside: float
-    without: int
+    unpredicted: int
     """Number of points without a prediction."""
 
 
