@@ -28,8 +28,8 @@ correlation r from picture to picture. A fault is reported if a steady estimate 
 flipped along x or y or both have y = -conj(p), conj(p) or -p. These have no unknown number, so a sequential test of
 each axis against y = p finds them first (Wald, *Sequential Analysis*, 1947). Own derivation.
 
-**Tilt.** Tracking estimates the errors of the reported tilt from the shear of the floor
-(:mod:`mufly.slam.camera_pose`). An error that stays beyond the filter's deviation shows a tilted mount.
+**Tilt.** The perspective of the floor shows the tilt of the camera against the attitude
+(:mod:`mufly.slam.images.mount_tilt`). A tilt beyond the filter's deviation shows a tilted mount.
 
 **Copies.** Noise makes any two new pictures differ, so identical pictures are copies.
 
@@ -53,8 +53,10 @@ from numpy.typing import NDArray
 from mufly.camera import Camera, body_from_camera_rotation
 from mufly.dynamics import GRAVITY
 from mufly.slam.camera_frame import CameraFrame, FrameInfo
+from mufly.slam.camera_pose import PoseEstimate, ViewPrior
 from mufly.slam.image_tools import correlate_patches, is_in_mask, load_opencv
 from mufly.slam.images.direct_alignment import add_point_errors
+from mufly.slam.images.mount_tilt import MountTilt
 from mufly.slam.images.patch_information import measure_patches, remove_background
 
 _Array = NDArray[np.float64]
@@ -69,7 +71,9 @@ _CONFIRM_COUNT, _GROSS_CONFIRM_COUNT, _HOLD_S = 10, 6, 10.0
 seen (s)."""
 _BACKGROUND_PX = 25  # side of the mean that is subtracted, at half the resolution
 _MIN_HEIGHT_M = 0.2  # below which the height is known too poorly
-_TILT_AVERAGE_S, _TILT_SIGMAS, _MIN_TILT_RAD = 1.5, 2.5, math.radians(1.2)
+_TILT_SIGMAS, _MIN_TILT_RAD, _TILTED_COUNT = 4.0, math.radians(2.0), 5
+"""Least deviations of the mount's tilt from zero, least tilt (rad), and number of measurements in a row that confirm
+it."""
 _DIRT_REDUCTION, _DIRT_BACKGROUND_PX, _DIRT_STEP_PX, _DIRT_MIN_COUNT, _DIRT_COUNT = 4, 8.0, 40.0, 7, 9
 """Reduction of the picture, smoothing of the surroundings (reduced pixels), motion between pictures that count
 (pixels), and their least and largest number."""
@@ -137,7 +141,7 @@ class CameraMonitor:
         self._latest: deque[NDArray[np.complex128]] = deque(maxlen=_CONFIRM_COUNT)  # estimates
         self._candidate, self._candidate_count = _HEALTHY, 0
         self._verdict, self._held_until_s = _HEALTHY, -math.inf
-        self._tilt, self._tilt_weight, self._tilt_time_s = np.zeros(2), 0.0, math.nan
+        self.mount_tilt, self._tilted_count = MountTilt(), 0
         self._dirt = DirtMask()
         self._moved_px = 0.0
 
@@ -191,18 +195,18 @@ class CameraMonitor:
         """Return the verdict that holds at a time (s)."""
         return self._verdict if time_s < self._held_until_s else _HEALTHY
 
-    def check_tilt(self, time_s: float, tilt_error_rad: _Array, sigma_rad: float) -> None:
-        """Update by the tilt error (2,) that tracking estimates, with the filter's standard deviation (rad)."""
-        dt = time_s - self._tilt_time_s if self._tilt_time_s < time_s else 0.0
-        self._tilt_time_s = time_s
-        keep = math.exp(-dt / _TILT_AVERAGE_S)
-        self._tilt = keep * self._tilt + (1.0 - keep) * tilt_error_rad
-        self._tilt_weight = keep * self._tilt_weight + 1.0 - keep
-        size = math.hypot(*self._tilt) / max(self._tilt_weight, 1e-9)
-        if self._tilt_weight > 0.7 and size > max(_MIN_TILT_RAD, _TILT_SIGMAS * sigma_rad):
+    def check_tilt(
+        self, frame: CameraFrame, pose: PoseEstimate, keyframe_tilt_rad: _Array, view: ViewPrior, inflation: float
+    ) -> None:
+        """Add a tracked picture to :attr:`mount_tilt` (:meth:`MountTilt.add_picture`), and judge the tilt."""
+        self.mount_tilt.add_picture(frame.time_s, pose, keyframe_tilt_rad, view, inflation)
+        size = math.hypot(*self.mount_tilt.tilt_rad)
+        deviations = self.mount_tilt.deviations(frame.vehicle_estimate.tilt_sigma)
+        is_tilted = size > _MIN_TILT_RAD and deviations > _TILT_SIGMAS
+        self._tilted_count = self._tilted_count + 1 if is_tilted else 0
+        if self._tilted_count >= _TILTED_COUNT:
             message = f"the floor is seen {math.degrees(size):.1f} degrees off the attitude: check the camera's mount"
-            self._verdict, self._held_until_s = CameraVerdict("tilted", message), time_s + _HOLD_S
-            self._tilt, self._tilt_weight = np.zeros(2), 0.0
+            self._verdict, self._held_until_s = CameraVerdict("tilted", message), frame.time_s + _HOLD_S
 
     def _measure_motion(self, frame: CameraFrame, picture: NDArray[np.uint8]) -> None:
         small = load_opencv().pyrDown(picture)
