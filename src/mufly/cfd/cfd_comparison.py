@@ -120,9 +120,8 @@ class ClimbComparison:
     def thrust_slope(self, values: Array, reach_m_s: float) -> float:
         """Return the change of thrust per 1 m/s of climb over the thrust in hover, from -reach to reach (m/s); nan if
         unknown."""
-        at_zero, ends = np.flatnonzero(self.climb_m_s == 0.0), []
-        for climb in (-reach_m_s, reach_m_s):
-            ends.append(np.flatnonzero(np.abs(self.climb_m_s - climb) < 1e-9))
+        at_zero = np.flatnonzero(self.climb_m_s == 0.0)
+        ends = [np.flatnonzero(np.abs(self.climb_m_s - climb) < 1e-9) for climb in (-reach_m_s, reach_m_s)]
         if not (at_zero.size and ends[0].size and ends[1].size):
             return math.nan
         return float((values[ends[1][0]] - values[ends[0][0]]) / values[at_zero[0]] / (2.0 * reach_m_s))

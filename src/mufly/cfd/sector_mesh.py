@@ -70,11 +70,8 @@ _MEDIUM_COUNTS = CellCounts(
 
 
 def _scale_counts(factor: float) -> CellCounts:
-    def scale_count(name: str) -> int:
-        return max(2, round(factor * getattr(_MEDIUM_COUNTS, name)))
-
     numbers = {
-        name: scale_count(name)
+        name: max(2, round(factor * getattr(_MEDIUM_COUNTS, name)))
         for name in ("ring", "side", "above", "below", "gap", "blade", "beyond", "inner", "outer")
     }
     even = {name: 2 * max(2, round(factor * getattr(_MEDIUM_COUNTS, name) / 2)) for name in ("along", "across")}

@@ -170,14 +170,12 @@ def optimise_rotor(
     problem = OptimisationProblem(setup, goal, tuple(free), tuple(limits), list(airfoils))
     names, low, high, whole = problem.search_space()
 
-    def evaluate_cost(x: Array) -> Array:
-        return problem.evaluate_cost(names, np.atleast_2d(x.T))
-
     search: Callable[..., Any] = differential_evolution  # its type stubs lack vectorised functions
     found = search(
-        evaluate_cost, list(zip(low, high, strict=True)), integrality=whole, rng=np.random.default_rng(seed),
-        maxiter=generations, popsize=_POPULATION, tol=1e-6, mutation=(0.4, 0.9), recombination=0.8, polish=False,
-        vectorized=True, updating="deferred", init="sobol", callback=_count_generations(progress, generations),
+        lambda x: problem.evaluate_cost(names, np.atleast_2d(x.T)), list(zip(low, high, strict=True)),
+        integrality=whole, rng=np.random.default_rng(seed), maxiter=generations, popsize=_POPULATION, tol=1e-6,
+        mutation=(0.4, 0.9), recombination=0.8, polish=False, vectorized=True, updating="deferred", init="sobol",
+        callback=_count_generations(progress, generations),
     )  # fmt: skip
     best = problem.case_from_point(names, found.x)
     if found.fun >= problem.FAILURE_COST:

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import xarray as xr
@@ -213,9 +214,7 @@ def compute_torque_balance(
     Thesis: Table 3.4; Sec. 3.4.7.
     """
 
-    def make_point(lower_pitch_deg: float) -> _PairPoint:
-        return _PairPoint(lower_pitch_deg=lower_pitch_deg, balances_torque=True)
-
+    make_point = partial(_PairPoint, balances_torque=True)
     return _solve_grid(model, {"lower_pitch_deg": list(lower_pitch_deg)}, make_point, settings, progress)
 
 

@@ -377,20 +377,10 @@ def study_repulsive_forces(progress: ProgressCallback | None = None) -> StudyFin
     box = World(boxes=(Box((0.0, 0.0, -1.0), (0.6, 0.6, 2.0), 0.0, "box"),))
     directions = np.stack([LASER_RING.cos, LASER_RING.sin, np.zeros(8)], axis=1)
     grid = np.linspace(-1.4, 1.4, 15)
-    arrows = []
-    for n in grid:
-        for e in grid:
-            if max(abs(n), abs(e)) > 0.38:
-                arrows.append(
-                    (
-                        n,
-                        e,
-                        *repulsive_force(
-                            cast_ranges(box, (n, e, -1.0), directions, 1.5).tolist(), LASER_RING, threshold
-                        ),
-                    )
-                )
-    north, east, force_n, force_e = np.array(arrows).T
+    places = [(n, e) for n in grid for e in grid if max(abs(n), abs(e)) > 0.38]
+    ranges = [cast_ranges(box, (n, e, -1.0), directions, 1.5).tolist() for n, e in places]
+    north, east = np.array(places).T
+    force_n, force_e = np.array([repulsive_force(seen, LASER_RING, threshold) for seen in ranges]).T
     size = np.hypot(force_n, force_e)
     acting = size > 1e-9
     away = (north * force_n + east * force_e)[acting] > 0

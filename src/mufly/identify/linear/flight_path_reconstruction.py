@@ -31,7 +31,7 @@ scale factor. Inverted signs, wrong units and exchanged axes are detected first 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,6 +47,7 @@ from mufly.identify.fit_result import (
     divide_by_values,
 )
 from mufly.identify.flight_record import EvenLogTable, low_pass, smooth_signal
+from mufly.identify.record_consistency import SignalFault
 from mufly.quantities.units import GRAVITY
 from mufly.results import result
 from mufly.rotations import body_to_ned_matrices
@@ -231,8 +232,8 @@ def _reconstruct_path(record: EvenLogTable, imu: Mapping[str, str], outputs: Map
             record.name, "theta", f"reaches {peak:.3g} rad; a pitch angle is at most 1.57",
             "convert it to radians, or cut the record",
         )  # fmt: skip
-    problems, notes = check_sensor_axes(raw, z, outs, dt)
-    notes = record.column_notes(imu, outputs) + notes
+    faults = list(check_sensor_axes(raw, z, outs, dt))
+    notes = record.column_notes(imu, outputs) + [f"{f.signal} {f.problem}" for f in faults if not f.is_fatal]
     standing = {o: record.full_column_name(o, "measured") for o, text in outputs.items() if text == o}
     for source, word in (
         ("truth", "the simulation's truth"),
@@ -241,8 +242,9 @@ def _reconstruct_path(record: EvenLogTable, imu: Mapping[str, str], outputs: Map
         used = [o for o, column in standing.items() if column.startswith(f"{source}_")]
         if used:
             notes.append(f"{', '.join(used)}: not measured; replaced by {word}")
-    if problems:
-        raise InputError(record.name, problems[0][0], problems[0][1], problems[0][2])
+    for fault in faults:
+        if fault.is_fatal:
+            raise InputError(record.name, fault.signal, fault.problem, fault.remedy)
     at = [FLIGHT_PATH_STATES.index(o) for o in outs]
     x = _initial_path(z, outs, dt)
     noise = np.array([max(_third_difference_noise(z[:, k]), _MIN_OUTPUT_NOISE[o]) for k, o in enumerate(outs)])
@@ -390,69 +392,45 @@ def _run_rts_smoother(x: Array, f: _FilterPass) -> tuple[Array, Array]:
     return path, variance
 
 
-def check_sensor_axes(
-    raw: Array, z: Array, outs: tuple[str, ...], dt: float
-) -> tuple[list[tuple[str, str, str]], list[str]]:
+def check_sensor_axes(raw: Array, z: Array, outs: tuple[str, ...], dt: float) -> Iterator[SignalFault]:
     """Check units, signs and axes: compare every channel with the kinematic prediction from the others.
 
-    Returns
-    -------
-    problems : list of (name, problem, remedy)
-        Faults that no bias or scale factor explains.
-    notes : list of str
+    Yields
+    ------
+    SignalFault
+        Fatal if neither a bias nor a scale factor explains it.
     """
     known = {o: z[:, k] for k, o in enumerate(outs)}
     angle = np.column_stack([smooth_signal(known[n], dt) for n in FLIGHT_PATH_STATES[:3]])
     turn = np.column_stack([smooth_signal(known[n], dt, 0.25, slope=True) for n in FLIGHT_PATH_STATES[:3]])
     s1, c1, s2, c2 = np.sin(angle[:, 0]), np.cos(angle[:, 0]), np.sin(angle[:, 1]), np.cos(angle[:, 1])
-    rates = np.column_stack(
-        [
-            turn[:, 0] - turn[:, 2] * s2,
-            turn[:, 1] * c1 + turn[:, 2] * c2 * s1,
-            -turn[:, 1] * s1 + turn[:, 2] * c2 * c1,
-        ]
-    )
+    p = turn[:, 0] - turn[:, 2] * s2
+    q = turn[:, 1] * c1 + turn[:, 2] * c2 * s1
+    rates = np.column_stack([p, q, -turn[:, 1] * s1 + turn[:, 2] * c2 * c1])
     seen = np.column_stack([smooth_signal(raw[:, k], dt, 0.25) for k in range(6)])
-    problems, notes = _compare_axes(IMU_CHANNELS[:3], seen[:, :3], rates, "the derivative of the attitude", "deg/s")
+    yield from _compare_axes(IMU_CHANNELS[:3], seen[:, :3], rates, "the derivative of the attitude", "deg/s")
     for speed, place in zip(_VELOCITY_STATES, _POSITION_STATES, strict=True):
         if speed in known and place in known:
             slope = smooth_signal(known[place], dt, 0.3, slope=True)
-            more, said = _compare_axes((speed,), known[speed][:, None], slope[:, None], place, "")
-            problems, notes = problems + more, notes + said
+            yield from _compare_axes((speed,), known[speed][:, None], slope[:, None], place, "")
     mean = float(np.linalg.norm(raw[:, _IMU_FORCE:], axis=1).mean())
     if 0.5 < mean < 2.0:
-        problems.append(
-            (
-                "ax, ay, az",
-                f"have a mean size of {mean:.3g}: they seem to be in g, not m/s^2",
-                "write ax=9.80665*COLUMN",
-            )
-        )
+        what = f"have a mean size of {mean:.3g}: they seem to be in g, not m/s^2"
+        yield SignalFault("ax, ay, az", what, "write ax=9.80665*COLUMN")
     elif float(seen[:, -1].mean()) > 0.5 * mean:
-        problems.append(
-            (
-                "az",
-                f"reads {seen[:, -1].mean():+.3g} m/s^2 on average, where z down reads -9.8",
-                "invert its sign: az=-COLUMN",
-            )
-        )
+        what = f"reads {seen[:, -1].mean():+.3g} m/s^2 on average, where z down reads -9.8"
+        yield SignalFault("az", what, "invert its sign: az=-COLUMN")
     elif not 0.7 * GRAVITY < mean < 1.5 * GRAVITY:
-        problems.append(("ax, ay, az", f"have a mean size of {mean:.3g} m/s^2, not 9.8", "give m/s^2"))
-    else:
-        if all(name in known for name in _VELOCITY_STATES):
-            changes = [smooth_signal(known[name], dt, 0.3, slope=True) for name in _VELOCITY_STATES]
-            pull = np.column_stack(changes) - [0.0, 0.0, GRAVITY]
-            force = np.einsum("nji,nj->ni", body_to_ned_matrices(angle), pull)
-            wide = np.column_stack([smooth_signal(column, dt, 0.3) for column in raw[:, _IMU_FORCE:].T])
-            more, said = _compare_axes(IMU_CHANNELS[_IMU_FORCE:], wide, force, "the change of velocity", "")
-            problems, notes = problems + more, notes + said
-    return problems, notes
+        yield SignalFault("ax, ay, az", f"have a mean size of {mean:.3g} m/s^2, not 9.8", "give m/s^2")
+    elif all(name in known for name in _VELOCITY_STATES):
+        changes = [smooth_signal(known[name], dt, 0.3, slope=True) for name in _VELOCITY_STATES]
+        pull = np.column_stack(changes) - [0.0, 0.0, GRAVITY]
+        force = np.einsum("nji,nj->ni", body_to_ned_matrices(angle), pull)
+        wide = np.column_stack([smooth_signal(column, dt, 0.3) for column in raw[:, _IMU_FORCE:].T])
+        yield from _compare_axes(IMU_CHANNELS[_IMU_FORCE:], wide, force, "the change of velocity", "")
 
 
-def _compare_axes(
-    names: tuple[str, ...], seen: Array, made: Array, source: str, degrees: str
-) -> tuple[list[tuple[str, str, str]], list[str]]:
-    problems, notes = [], []
+def _compare_axes(names: tuple[str, ...], seen: Array, made: Array, source: str, degrees: str) -> Iterator[SignalFault]:
     a, b = seen - seen.mean(0), made - made.mean(0)
     size_a, size_b = np.maximum(a.std(0), 1e-12), np.maximum(b.std(0), 1e-12)
     correlation = a.T @ b / len(a) / np.outer(size_a, size_b)
@@ -464,27 +442,15 @@ def _compare_axes(
             if other != k and abs(correlation[k, other]) > 0.8:
                 sign = "-" if correlation[k, other] < 0.0 else ""
                 what = f"follows {sign}{names[other]} of {source} (correlation {correlation[k, other]:+.2f})"
-                problems.append((name, f"{what}, not its own ({own:+.2f})", "give the column of the right axis"))
+                yield SignalFault(name, f"{what}, not its own ({own:+.2f})", "give the column of the right axis")
             else:
-                notes.append(
-                    f"{name} and {source} hardly agree (correlation {own:+.2f}): too little motion, or a delay"
-                )
+                what = f"and {source} hardly agree (correlation {own:+.2f}): too little motion, or a delay"
+                yield SignalFault(name, what, "", is_fatal=False)
         elif degrees and 30.0 < ratio < 110.0:
-            problems.append(
-                (
-                    name,
-                    f"is {ratio:.0f} times {source}: it seems to be in {degrees}",
-                    "write 0.0174533*COLUMN",
-                )
-            )
+            what = f"is {ratio:.0f} times {source}: it seems to be in {degrees}"
+            yield SignalFault(name, what, "write 0.0174533*COLUMN")
         elif own < 0.0:
-            problems.append(
-                (
-                    name,
-                    f"has the opposite sign of {source} (correlation {own:+.2f})",
-                    f"turn it: {name}=-COLUMN",
-                )
-            )
+            what = f"has the opposite sign of {source} (correlation {own:+.2f})"
+            yield SignalFault(name, what, f"turn it: {name}=-COLUMN")
         elif not 0.5 < ratio < 2.0:
-            notes.append(f"{name} is {ratio:.2f} times {source}: another unit?")
-    return problems, notes
+            yield SignalFault(name, f"is {ratio:.2f} times {source}: another unit?", "", is_fatal=False)

@@ -8,7 +8,7 @@ Low-pass and decimation for the fit apply to inputs and outputs alike, and to th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -262,7 +262,7 @@ def identify_linear_model(
     else:
         notes += _describe_outputs_still_when_held_out(outs, y, cut, dt, slow)
     checks = {
-        role: _check_outputs(y[s], simulated[s], u[s], dt, slow, [None if a is None else a[s] for a in angles])
+        role: tuple(_check_outputs(y[s], simulated[s], u[s], dt, slow, [None if a is None else a[s] for a in angles]))
         for role, s in parts.items()
     }
     disturbance = fit_disturbance_model(linear, (y - simulated)[:cut], dt)
@@ -285,7 +285,9 @@ def identify_linear_model(
         candidates=tuple(_relative_criteria([t for t, _, _ in tried])),
         checks=checks,
         disturbance=disturbance,
-        ahead=_predict_ahead_scores(linear, disturbance, y, simulated, dt, cut, slow, checks.get("held out", ())),
+        ahead=tuple(
+            _predict_ahead_scores(linear, disturbance, y, simulated, dt, cut, slow, checks.get("held out", ()))
+        ),
         slow_hz=slow,
         missing=describe_residuals(records[0]),
         equation_error=regressed,
@@ -332,25 +334,22 @@ def _filter_and_decimate(
 
 def _describe_outputs_still_when_held_out(
     outs: tuple[str, ...], y: Array, cut: int, dt: float, slow: float
-) -> list[str]:
+) -> Iterator[str]:
     """Name the outputs with little motion in the held-out part."""
-    said = []
     for k, name in enumerate(outs):
         fitted, held = (float(low_pass(part[:, [k]], dt, slow).std()) for part in (y[:cut], y[cut:]))
         if held < 0.05 * fitted:
-            said.append(
+            yield (
                 f"{name} hardly moves in the held-out part ({held:.2g} against {fitted:.2g} rms): its fit "
                 "there is meaningless; choose the split so that it moves in both parts"
             )
-    return said
 
 
 def _check_outputs(
     y: Array, simulated: Array, u: Array, dt: float, slow: float, angles: Sequence[Array | None]
-) -> tuple[OutputCheck, ...]:
+) -> Iterator[OutputCheck]:
     """Compare every output of a part with its simulation."""
     y_slow, simulated_slow = low_pass(y, dt, slow), low_pass(simulated, dt, slow)
-    made = []
     for k, angle in enumerate(angles):
         floor = estimate_noise_floor(y[:, k], u, dt, split_hz=slow, angle=angle)
         against = ceiling_slow = float("nan")
@@ -359,14 +358,11 @@ def _check_outputs(
         if angle is not None:
             both = low_pass(np.column_stack([np.gradient(angle, dt), simulated[:, k]]), dt, slow)
             against = assess_prediction(both[:, 0], both[:, 1]).fit_percent
-        made.append(
-            OutputCheck(
-                floor, assess_prediction(y[:, k], simulated[:, k], max(floor.total, 1e-12)),
-                assess_prediction(y_slow[:, k], simulated_slow[:, k], floor.below),
-                100.0 * (1.0 - floor.total / float(y.std(axis=0)[k])), ceiling_slow, against,
-            )
+        yield OutputCheck(
+            floor, assess_prediction(y[:, k], simulated[:, k], max(floor.total, 1e-12)),
+            assess_prediction(y_slow[:, k], simulated_slow[:, k], floor.below),
+            100.0 * (1.0 - floor.total / float(y.std(axis=0)[k])), ceiling_slow, against,
         )  # fmt: skip
-    return tuple(made)
 
 
 def _predict_record_part(
@@ -383,10 +379,9 @@ def _predict_record_part(
 def _predict_ahead_scores(
     linear: LinearFit, disturbance: DisturbanceModel, y: Array, simulated: Array, dt: float, cut: int, slow: float,
     checks: Sequence[OutputCheck],
-) -> tuple[AheadPrediction, ...]:  # fmt: skip
+) -> Iterator[AheadPrediction]:  # fmt: skip
     if not checks:
-        return ()
-    found = []
+        return
     target, m = low_pass(y[cut:], dt, slow), y.shape[1]
     # A causal low-pass removes vibration from the persistence without using future samples.
     causal = np.asarray(sosfilt(butter(1, slow, fs=1.0 / dt, output="sos"), y, axis=0))
@@ -399,16 +394,13 @@ def _predict_ahead_scores(
         smooth = low_pass(predicted, dt, slow)
         kept = causal[cut - steps : len(y) - steps] if steps else np.full_like(target, np.nan)
         as_recorded = [assess_prediction(y[cut:, k], predicted[:, k], c.floor.total) for k, c in enumerate(checks)]
-        found.append(
-            AheadPrediction(
-                horizon,
-                tuple(q.fit_percent for q in as_recorded),
-                tuple(assess_prediction(target[:, k], smooth[:, k]).fit_percent for k in range(m)),
-                tuple(q.rms_over_noise for q in as_recorded),
-                tuple(assess_prediction(target[:, k], kept[:, k]).fit_percent for k in range(m)),
-            )
+        yield AheadPrediction(
+            horizon,
+            tuple(q.fit_percent for q in as_recorded),
+            tuple(assess_prediction(target[:, k], smooth[:, k]).fit_percent for k in range(m)),
+            tuple(q.rms_over_noise for q in as_recorded),
+            tuple(assess_prediction(target[:, k], kept[:, k]).fit_percent for k in range(m)),
         )
-    return tuple(found)
 
 
 def _cross_check_subspace(

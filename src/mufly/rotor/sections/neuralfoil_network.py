@@ -248,12 +248,9 @@ def compute_neuralfoil_polars(
     source = f"NeuralFoil {neuralfoil_version()} {model}, n_crit {n_crit:g}, transition at {xtr[0]:g}, {xtr[1]:g}"
     _load_network(model)
 
-    def compute_section(airfoil: Airfoil) -> SectionData:
-        return _compute_section_data(airfoil, re, n_crit, xtr, model, source)
-
     # Products this small are slower on several BLAS threads than on one; the airfoils are distributed instead.
     with threadpool_limits(1, "blas"), ThreadPoolExecutor(os.cpu_count()) as pool:
-        return list(pool.map(compute_section, airfoils))
+        return list(pool.map(lambda airfoil: _compute_section_data(airfoil, re, n_crit, xtr, model, source), airfoils))
 
 
 def _compute_section_data(
