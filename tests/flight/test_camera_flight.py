@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 import sys
 from collections.abc import Callable
@@ -230,8 +231,9 @@ def test_what_the_map_is_unsure_of_wanders_in_the_filter() -> None:
 
 
 def _hover_on_results(
-    monkeypatch: pytest.MonkeyPatch, make_result: Callable[[float], TrackingResult], fault: str = ""
-) -> tuple[list[tuple[float, Reading]], list[tuple[float, str]]]:
+    monkeypatch: pytest.MonkeyPatch, make_result: Callable[[float], TrackingResult], fault: str = "",
+    long_fit: tuple[complex, float] = (1.0 + 0.0j, math.inf),
+) -> tuple[list[tuple[float, Reading]], list[tuple[float, str]]]:  # fmt: skip
     """Hover for 2 s on the results that a stand-in gives for the pictures; return the fixes, and what is reported."""
     answers = []
 
@@ -255,6 +257,7 @@ def _hover_on_results(
         (0.2, -0.1, 0.3),
         1,
     )
+    sensor._monitor.long_fit = long_fit
     state = initial_state(position=(0.2, -0.1, -0.8), attitude=(0.0, 0.0, 0.3), rotor_speed=(380.0, 420.0))
     seen: list[tuple[float, Reading]] = []
     news, now = [], 0.0
@@ -313,6 +316,17 @@ def test_a_fault_that_leaves_a_position_is_reported_once(monkeypatch: pytest.Mon
         monkeypatch, lambda t: replace(_good_result(t), camera_fault="dirt" if 0.3 < t < 0.9 else "")
     )
     assert [text for _, text in news] == ["camera: dirt"]
+
+
+def test_a_path_that_contradicts_the_accelerometers_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    fixes, news = _hover_on_results(monkeypatch, _good_result, long_fit=(cmath.exp(0.2j), 0.03))
+    assert not fixes
+    assert [text for _, text in news] == [
+        "no position from the camera: the camera is turned against the accelerometers: check mount.turn"
+    ]
+    fixes, news = _hover_on_results(monkeypatch, _good_result, long_fit=(cmath.exp(0.2j), 0.05))
+    assert fixes
+    assert not news
 
 
 def test_who_wants_a_camera_gets_one_line_without_opencv(monkeypatch: pytest.MonkeyPatch) -> None:

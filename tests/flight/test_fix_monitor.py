@@ -11,6 +11,7 @@ import pytest
 from mufly.dynamics import GRAVITY
 from mufly.estimate import Estimate
 from mufly.flight import Flight
+from mufly.flight.fixes.camera_sensor import judge_camera_path
 from mufly.flight.fixes.external_fixes import ExternalFixes
 from mufly.flight.fixes.fix_monitor import FixMonitor
 from mufly.flight.mission_flight import align_and_start
@@ -151,6 +152,17 @@ def test_a_small_error_of_scale_is_named_after_a_while() -> None:
     reasons = [why for _, why in run_hover(40.0, sway_m=0.08, scale=1.3) if why]
     assert "times as far" in reasons[-1]
     assert float(reasons[-1].split()[2]) == pytest.approx(1.3, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [(same, ""), (rotate(math.radians(-12.0)), "is turned"), (lambda p, t: p * [1.2, 1.2, 1.0], "is longer")],
+)
+def test_a_camera_that_is_turned_or_scaled_shows_in_the_long_fit(change: Change, fault: str) -> None:
+    monitor = FixMonitor(DRIFT_M)
+    run_source(change, 16.0, monitor=monitor)
+    assert fault in judge_camera_path(*monitor.long_fit)
+    assert fault or not judge_camera_path(*monitor.long_fit)
 
 
 def test_a_refused_source_returns_when_it_agrees_for_long() -> None:

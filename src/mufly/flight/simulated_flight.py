@@ -368,9 +368,8 @@ class Flight:
         if not self._is_estimated:
             self._estimate = self.estimator.update(self.readings, self._acted.astype(np.float64, copy=False))
         self.is_first_period = self._is_estimated = False
-        if self.outside_fixes is not None:
-            is_resting = self.autopilot.software.motors in ("off", "spin_up")
-            self.outside_fixes.observe(self.readings, self._estimate, is_resting)
+        if (fixes := self.camera or self.outside_fixes) is not None:
+            fixes.observe(self.readings, self._estimate, self.autopilot.software.motors == "off")
         if self.camera is not None and (news := self.camera.tracking_message()):
             self.log_event(news, "info" if news.endswith("again") else "warning")
         return CONTINUE

@@ -19,6 +19,7 @@ from 10 cm above the floor, at the estimated position.
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
@@ -41,9 +42,10 @@ from mufly.dynamics import standing_height
 from mufly.errors import MuflyError
 from mufly.estimate import Estimate
 from mufly.estimate.filter.filter_records import EX_FIX_BIAS, EX_FIX_HEADING, EX_GYRO_BIAS
+from mufly.flight.fixes.fix_monitor import FixMonitor
 from mufly.flight.fixes.onboard_camera import SHOWN_JPEG_QUALITY, CameraFault, OnboardCamera, PictureStream
 from mufly.mission import Mission
-from mufly.sensors import Reading, Sensor, Truth
+from mufly.sensors import Reading, Readings, Sensor, Truth
 from mufly.sensors.sonar import max_grounded_range
 from mufly.slam import (
     PHASE_SIGMA_RAD,
@@ -73,6 +75,9 @@ _TILT_CORRELATION_S, _HEIGHT_CORRELATION_S = 20.0, 2.0
 """Correlation times of the filter's errors of tilt and height (s)."""
 MAX_FIX_SIGMA_M = 0.2
 """Largest standard deviation of an accepted external fix (m)."""
+_MIN_TURN_RAD, _MIN_SCALE, _MOTION_SIGMAS = math.radians(10.0), 0.1, 5.0
+"""Least turn (rad) and error of scale of the motion against the accelerometers that are reported, and least number of
+deviations."""
 _MAX_SENT_SIGMA_M = 0.6
 """Largest standard deviation of a sent fix (m): a mission would land with a larger one."""
 
@@ -227,6 +232,7 @@ class CameraSensor(Sensor):
         self.fix_drift_time_s = float(self._fixes.wander_time)
         self.estimate_source: Callable[[], tuple[Estimate | None, float]] = lambda: (None, math.nan)
         self.on_map_view: Callable[[TrackedPicture], None] | None = None
+        self._monitor = FixMonitor(float(self._fixes.wander))
         self._process: SlamProcess | None = None
         self.stream_server = None if eye.stream_address is None else StreamServer(*eye.stream_address)
         self._record: PictureRecorder | None = None
@@ -248,6 +254,8 @@ class CameraSensor(Sensor):
         self.last_picture: NDArray[np.uint8] | None = None
         self._fix: dict[str, Reading] = {}
         self._wrong, self._trusted_s, self._since_s = "", math.nan, math.nan
+        self._monitor.reset()
+        self._compared_s = -math.inf  # time of the latest result that was compared with the accelerometers
         self._fault = ""  # the latest defect of the camera that was reported
 
     def close(self) -> None:
@@ -282,6 +290,18 @@ class CameraSensor(Sensor):
         while self._queue and self._queue[0][0] <= t + 1e-9:
             self._receive_result(self._queue.pop(0)[1])
         return self._fix
+
+    def observe(self, readings: Readings, estimate: Estimate, is_resting: bool) -> None:
+        """Pass the latest readings to the comparison with the accelerometers (:class:`FixMonitor`)."""
+        self._monitor.observe(readings, estimate, is_resting)
+
+    def _check_path(self, known: TrackingResult) -> TrackingResult:
+        """Return a trusted result, or without trust if its path contradicts the accelerometers."""
+        if known.time_s - self._compared_s > MIN_FIX_INTERVAL_S - 1e-3:
+            self._compared_s = known.time_s
+            self._monitor.check_fix(known.time_s, np.append(known.position, known.heading))
+        fault = judge_camera_path(*self._monitor.long_fit)
+        return replace(known, trusted=False, reason=fault, camera_fault=fault) if fault else known
 
     def tracking_message(self) -> str:
         """Return a new report of a faulty camera, of missing fixes with the reason, or of their recovery, or "".
@@ -413,6 +433,7 @@ class CameraSensor(Sensor):
         if not isinstance(known, TrackingResult):
             assert self._process is not None
             jpeg, known = known, _reject_uncertain(self._process.receive_result())
+            known = self._check_path(known) if known.trusted else known
             self.answered_count += 1
             self.trusted_count += known.trusted
             if self.on_map_view is not None:
@@ -447,6 +468,25 @@ class CameraSensor(Sensor):
             np.array(path, np.float32).reshape(-1, 2),
             self._stood,
         )
+
+
+def judge_camera_path(factor: complex, sigma: float) -> str:
+    """Return the fault of a camera whose path is that of the accelerometers times a factor, or "".
+
+    Parameters
+    ----------
+    factor : complex
+        Path by the camera over that by the accelerometers, as N + i E (:attr:`FixMonitor.long_fit`).
+    sigma : float
+        Its standard deviation along one axis.
+    """
+    turn, scale = abs(cmath.phase(factor)), abs(factor)
+    if turn > max(_MIN_TURN_RAD, _MOTION_SIGMAS * sigma / max(scale, 0.2)):
+        return "the camera is turned against the accelerometers: check mount.turn"
+    if abs(scale - 1.0) > max(_MIN_SCALE, _MOTION_SIGMAS * sigma):
+        how = "shorter" if scale < 1.0 else "longer"
+        return f"the path is {how} than by the accelerometers: check the focal length"
+    return ""
 
 
 def _reject_uncertain(answer: TrackingResult) -> TrackingResult:

@@ -70,6 +70,7 @@ _APART_RAD = math.radians(3.0)
 """Change of the heading against the gyroscopes within a second from which fixes are withheld (rad)."""
 _LONG_STEP_S, _LONG_MEMORY_S, _LONG_CORRELATION, _LONG_SIGMAS = 2.5, 60.0, 30.0, 3.5
 """Long fit: step between windows and memory (s), number of fixes with correlated errors, deviations until a report."""
+_LONG_LEAST_SHARE = 0.15  # least rms residual of the long fit, over the usual drift
 _LONG_SCALE, _LONG_TURN_RAD = 0.2, math.radians(20.0)
 """Least error of scale that the long fit reports, and largest turn of the axes (rad) at which the fault is a scale."""
 _REST_WINDOW_S, _REST_SPEED_M_S = 4.0, 0.04
@@ -144,12 +145,15 @@ class FixMonitor:
     ----------
     path_fit : PathFit
         Fit of the latest window.
+    long_fit : (complex, float) tuple
+        m over many windows, and its standard deviation along one axis.
     fault : str
         Fault for which the source is refused, or "".
     """
 
     def __init__(self, drift_m: float) -> None:
         self._withhold_m, self._report_m = _WITHHOLD_RATIO * drift_m, _REPORT_RATIO * drift_m
+        self._least_variance_m2 = (_LONG_LEAST_SHARE * drift_m) ** 2
         self.reset()
 
     def reset(self) -> None:
@@ -433,7 +437,7 @@ class FixMonitor:
         self._long_sums += [np.vdot(a, a), np.vdot(a, y), np.vdot(y, y), len(a)]
         square, product, total, count = self._long_sums
         m = complex(product / square)
-        noise = max(0.0, float((total - abs(product) ** 2 / square).real)) / float(count.real)
+        noise = max(self._least_variance_m2, float((total - abs(product) ** 2 / square).real) / float(count.real))
         self.long_fit = m, math.sqrt(_LONG_CORRELATION * noise / (2.0 * float(square.real)))
 
     def _judge_long_fit(self) -> str:
