@@ -1,6 +1,7 @@
 """Environments on simulated sensors and filter: equal to a flight to the last bit; starts, errors and refusals."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -29,24 +30,24 @@ def filter_in_c() -> None:
 
 def test_a_unit_equals_a_flight_to_the_last_bit() -> None:
     vehicle = filter_units.without_ring(load_vehicle("mufly-1.1"))
-    mission = filter_units._hover_mission(0, 1.0, 30.0)
-    flight = filter_units._fly_to_hover(
+    mission = filter_units.hover_mission(0, 1.0, 30.0)
+    flight = filter_units.fly_to_hover(
         vehicle, vehicle, design_flight_controller(vehicle), mission, np.array([0.3, -0.2, 0.0]), 0.8, 5
     )
     assert flight is not None
-    unit, memory = filter_units._read_flight(flight, 4)
+    unit, memory = filter_units.read_flight(flight, 4)
     room = filter_units.UnitRoom(unit, memory, flight.estimator)
     row = np.zeros((1, room.size), np.uint8)
     room.write_row(unit, memory, row[0])
     starts = filter_units.UnitStarts(row, unit, None, 0.005, (flight,))
     units = filter_units.FilterUnits(starts, room, 1, 4, 1)
     before, state = np.zeros((1, 4)), np.zeros((1, 21))
-    rng, delay = np.random.default_rng(0), np.array([1])
+    rng = np.random.default_rng(0)
     for _ in range(30):
         inputs = flight.sent_actuators.input_array + rng.uniform(-0.02, 0.02, (1, 4))
         wind = rng.uniform(-0.5, 0.5, (1, 3))
-        filter_units._step_units(
-            units._addresses, unit, before, inputs, delay, wind, 4, state, units.estimate, units.volts
+        units.move_units(
+            SimpleNamespace(inputs_before=before, inputs=inputs, delay=np.array([1]), wind=wind, state=state)
         )
         # The same in objects: one period of computing time and one of delay before the inputs act.
         sent = [before[0], inputs[0], inputs[0], inputs[0], inputs[0]]
@@ -54,7 +55,7 @@ def test_a_unit_equals_a_flight_to_the_last_bit() -> None:
         for j in range(4):
             plant = flight.plant
             acted = flight.acting_actuators
-            plant._coming[plant._blown] = wind[0]
+            plant.upcoming_wind(1)[:] = wind
             plant.advance_period(acted)
             flight.acting_actuators = flight.sent_actuators
             estimate = flight.estimator.update(flight.sensors.read(plant.truth), acted.input_array)
@@ -100,15 +101,15 @@ def test_observation_is_the_estimate_and_starts_are_hovers_of_flights() -> None:
     assert (np.abs(env.episodes.target - state[:, POSITION])[:, :2] <= 0.5 + 1e-9).all()
     for _ in range(25):
         env.step(np.zeros((12, 4)))
-    errors = env._units.estimate[:, POSITION] - state[:, POSITION]
+    errors = env.units.estimate[:, POSITION] - state[:, POSITION]
     assert 1e-4 < np.abs(errors).max() < 0.4  # wanders of the fix of 6 cm, not a copy of the truth
-    turned = np.abs(np.sum(env._units.estimate[:, ATTITUDE] * state[:, ATTITUDE], axis=1))
+    turned = np.abs(np.sum(env.units.estimate[:, ATTITUDE] * state[:, ATTITUDE], axis=1))
     assert 2.0 * np.arccos(np.minimum(turned, 1.0)).max() < math.radians(12.0)
     # Units of one stored start differ: their random numbers are new.
     same = [np.flatnonzero(env.episodes.vehicle == v) for v in range(8)]
     pairs = [s[:2] for s in same if len(s) > 1]
     assert pairs
-    assert all(env._units.volts[a] != env._units.volts[b] or (errors[a] != errors[b]).any() for a, b in pairs)
+    assert all(env.units.volts[a] != env.units.volts[b] or (errors[a] != errors[b]).any() for a, b in pairs)
 
 
 def test_refusals_name_the_remedy() -> None:

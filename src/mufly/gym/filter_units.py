@@ -295,7 +295,8 @@ def without_ring(vehicle: Vehicle) -> Vehicle:
     return vehicle.model_copy(update={"sensors": vehicle.sensors.model_copy(update={"ring_camera": None})})
 
 
-def _hover_mission(kind: int, height_m: float, heading_deg: float) -> Mission:
+def hover_mission(kind: int, height_m: float, heading_deg: float) -> Mission:
+    """Return the mission that hovers at the start of a task, given by its index."""
     north = OBSTACLE_START_NORTH_M if kind == OBSTACLE else 0.0
     return Mission.model_validate({
         "name": "hover", "start_m": [north, 0.0], "start_heading_deg": heading_deg,
@@ -304,7 +305,7 @@ def _hover_mission(kind: int, height_m: float, heading_deg: float) -> Mission:
     })  # fmt: skip
 
 
-def _read_flight(flight: Flight, steps_per_period: int) -> tuple[UnitPeriods, NDArray[np.void]]:
+def read_flight(flight: Flight, steps_per_period: int) -> tuple[UnitPeriods, NDArray[np.void]]:
     """Return the arrays of a flight as a unit's, and the memory of its filter."""
     plant, filtered, sensors = flight.plant, flight.estimator, flight.sensors
     assert isinstance(filtered, KalmanEstimator)
@@ -340,7 +341,7 @@ def _read_flight(flight: Flight, steps_per_period: int) -> tuple[UnitPeriods, ND
     return unit, filtered.memory_array
 
 
-def _fly_to_hover(
+def fly_to_hover(
     vehicle: Vehicle, believed: Vehicle, controller: FlightController, mission: Mission, wind: _Array, charge: float,
     seed: int,
 ) -> Flight | None:  # fmt: skip
@@ -416,21 +417,14 @@ def prepare_starts(
             raise MuflyError(f"only {flights} of {count} vehicles reach hover on their sensors; vary less")
         vehicle = without_ring(fleet.vehicles[flights % len(fleet.vehicles)])
         height = HEIGHT_M if kind == OBSTACLE else float(rng.uniform(*HEIGHTS_M))
-        mission = _hover_mission(kind, height, float(rng.uniform(-180.0, 180.0)))
+        mission = hover_mission(kind, height, float(rng.uniform(-180.0, 180.0)))
         charge = LEAST_CHARGE + (1.0 - LEAST_CHARGE) * float(rng.random())
-        flight = _fly_to_hover(
-            vehicle,
-            nominal,
-            controller,
-            mission,
-            winds[flights % len(winds)].mean(axis=0),
-            charge,
-            int(rng.integers(2**31)),
-        )
+        wind = winds[flights % len(winds)].mean(axis=0)
+        flight = fly_to_hover(vehicle, nominal, controller, mission, wind, charge, int(rng.integers(2**31)))
         if flight is None:
             continue
         for k in range(STARTS_PER_FLIGHT):
-            unit, memory = _read_flight(flight, periods)
+            unit, memory = read_flight(flight, periods)
             if room is None:
                 room, like, kept = UnitRoom(unit, memory, cast(KalmanEstimator, flight.estimator)), unit, flight
             row = np.zeros(room.size, np.uint8)

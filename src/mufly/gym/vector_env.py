@@ -125,7 +125,7 @@ class MuflyVectorEnv(gymnasium.vector.VectorEnv):
         self.vehicle, self.task, self.period_s = nominal, task, period_s
         self.fleet = draw_fleet(nominal, vary, fleet_size, fleet_seed)
         self._winds = draw_winds(wind_m_s, gust_m_s, period_s, fleet_size, fleet_seed)
-        self._units = None
+        self.units = None
         if sensors == "fitted":
             from mufly.gym.filter_units import FilterUnits, prepare_starts  # the filter takes a second to load
 
@@ -133,7 +133,7 @@ class MuflyVectorEnv(gymnasium.vector.VectorEnv):
                 nominal, self.fleet, TASKS.index(task), self._winds, period_s, fleet_size, fleet_seed
             )
             self.fleet = starts.fleet
-            self._units = FilterUnits(starts, room, num_envs, round(period_s / starts.period_s), threads)
+            self.units = FilterUnits(starts, room, num_envs, round(period_s / starts.period_s), threads)
         self._group, self._threads = group_vehicles(self.fleet.parameters), threads
         self._step_s, self._step_count = common_step(self.fleet, period_s)
         kind = TASKS.index(task)
@@ -142,7 +142,7 @@ class MuflyVectorEnv(gymnasium.vector.VectorEnv):
         errors = (
             _estimate_errors(nominal, period_s) if sensors == "noisy" else (np.zeros(ERROR_SIZE),) * 2 + (np.zeros(4),)
         )
-        delay_unit_s = self._step_s if self._units is None else starts.period_s
+        delay_unit_s = self._step_s if self.units is None else starts.period_s
         self._settings = EpisodeSettings(
             kind, max(1, round(length / period_s)), round(delay_s / delay_unit_s), self.fleet.trim,
             self.fleet.nominal_voltage_V, float(nominal.rotors.radius), OBSTACLE_WORLD.packed_tables[2], low, high,
@@ -227,10 +227,10 @@ class MuflyVectorEnv(gymnasium.vector.VectorEnv):
                 raise ArgumentError("step", "", "an episode has ended", "reset it with options={'reset_mask': ...}")
             which = ~self._ended
         command_episodes(e, s, given, which, self._winds)
-        if self._units is None:
+        if self.units is None:
             move_episodes(e, fleet.parameters, self._group, self._step_s, self._step_count, self._threads)
         else:
-            self._units.move_units(e)
+            self.units.move_units(e)
         judge_episodes(e, s, which, fleet.parameters, rewards, terminated, truncated, success)
         if next_step and self._ended.any():
             self._start(self._ended)
@@ -250,12 +250,12 @@ class MuflyVectorEnv(gymnasium.vector.VectorEnv):
         start_episodes(
             self.episodes, self._settings, which, fleet.states, fleet.inputs, fleet.series, self._winds
         )  # fmt: skip
-        if self._units is not None:
-            self._units.start_units(self.episodes, which)
+        if self.units is not None:
+            self.units.start_units(self.episodes, which)
 
     def _observe(self, which: _Flags, observations: Observation) -> None:
-        seen, volts = (self.episodes.state, self._no_volts) if self._units is None else (
-            self._units.estimate, self._units.volts
+        seen, volts = (self.episodes.state, self._no_volts) if self.units is None else (
+            self.units.estimate, self.units.volts
         )  # fmt: skip
         observe_episodes(
             self.episodes, self._settings, which, self.fleet.parameters, seen, volts, observations
