@@ -1,17 +1,22 @@
-"""Pace and state of a simulation that an autopilot steps: real time, faster, or as slow as the machine is."""
+"""Loop, pace and state of a simulation that an autopilot steps: real time, faster, or as slow as the machine is."""
 
 from __future__ import annotations
 
 import math
+import select
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from mufly.bridges.autopilot_plant import AutopilotPlant
 from mufly.errors import InputError
+from mufly.link.ports import Port
 from mufly.link.real_time.real_time_loop import RealTimePacer
 
 MAX_SPEED = 100.0
 REPORT_PERIOD_S = 0.5
+SILENCE_S = 2.0
+"""Wall-clock time without an answer after which an autopilot counts as silent (s)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,10 +97,11 @@ class SimulatorPace:
             return 0.0
         return self._pacer.sleep_time_s(self._clock())
 
-    def record_period(self) -> str:
-        """Count a period; return a warning when the wanted speed is not reached, or is reached again; else ""."""
+    def record_period(self) -> None:
+        """Count a period; log when real time is not kept, or is kept again."""
         self._pacer.record_tick(self._clock())
-        return self._pacer.take_pace_warning(self._clock()) if self.speed == 1.0 else ""
+        if self.speed == 1.0 and (notice := self._pacer.take_pace_warning(self._clock())):
+            self._vehicle.log_event(notice, "warning" if "slower" in notice else "info")
 
     def take_report(self, state: str, step_count: int, unanswered_count: int) -> SimulatorReport | None:
         """Return the state of the simulation every :data:`REPORT_PERIOD_S`; None between."""
@@ -108,3 +114,65 @@ class SimulatorPace:
             vehicle.time_s, state, vehicle.is_armed, vehicle.height_m, float(vehicle.truth.voltage), step_count,
             unanswered_count, speed if math.isfinite(speed) else 0.0,
         )  # fmt: skip
+
+
+class AutopilotSimulator(ABC):
+    """Simulator that one autopilot flies.
+
+    Parameters
+    ----------
+    vehicle : AutopilotPlant
+    port : Port
+        Port where the autopilot's messages arrive.
+    speed : float
+        Simulated seconds per second of wall-clock time; 0: as fast as possible.
+    clock : callable
+        Wall clock (s).
+
+    Attributes
+    ----------
+    state : str
+        As in :class:`SimulatorReport`.
+    step_count, unanswered_count : int
+        Periods, and those without an answer.
+    on_period : callable
+        Called after every period; a program that commands the autopilot in simulated time uses it.
+    """
+
+    def __init__(self, vehicle: AutopilotPlant, port: Port, speed: float, clock: Callable[[], float]) -> None:
+        self.vehicle, self.port, self._clock = vehicle, port, clock
+        self.pace = SimulatorPace(vehicle, speed, clock)
+        self.state = "waiting"
+        self.step_count = self.unanswered_count = 0
+        self.on_period: Callable[[], None] = lambda: None
+
+    def run(
+        self,
+        stop: Callable[[], bool],
+        on_report: Callable[[SimulatorReport], None] = lambda report: None,
+    ) -> None:
+        """Simulate until ``stop()``; the ports are closed at the end."""
+        self._announce()
+        try:
+            while not stop():
+                self._advance(stop)
+                report = self.pace.take_report(self.state, self.step_count, self.unanswered_count)
+                if report is not None:
+                    on_report(report)
+        finally:
+            self._close()
+
+    @abstractmethod
+    def _announce(self) -> None:
+        """Log that the simulator waits for its autopilot."""
+
+    @abstractmethod
+    def _advance(self, stop: Callable[[], bool]) -> None:
+        """Receive and simulate for a period, or wait for a moment."""
+
+    def _close(self) -> None:
+        self.port.close()
+
+    def _wait(self, timeout_s: float) -> None:
+        """Sleep until a message has come, for ``timeout_s`` at most."""
+        select.select([self.port.fileno()], [], [], max(0.0, timeout_s))

@@ -191,8 +191,8 @@ def write_text_file(path: Path, text: str, remedy: str = "give another folder", 
     return path
 
 
-def save_figure(figure: Figure, folder: Path, name: str, endings: Sequence[str] = (".png",)) -> Path:
-    """Write a picture into a folder, which is created if needed; return the first file.
+def save_figure(figure: Figure, folder: Path, name: str) -> Path:
+    """Write a picture (PNG) into a folder, which is created if needed; return the file.
 
     Raises
     ------
@@ -201,9 +201,8 @@ def save_figure(figure: Figure, folder: Path, name: str, endings: Sequence[str] 
     """
     with report_write_errors("--out", key=str(folder)):
         folder.mkdir(parents=True, exist_ok=True)
-        for ending in endings:
-            figure.savefig(folder / f"{name}{ending}", dpi=150)
-    return folder / f"{name}{endings[0]}"
+        figure.savefig(folder / f"{name}.png", dpi=150)
+    return folder / f"{name}.png"
 
 
 def write_csv(path: Path, heads: Sequence[str], rows: Iterable[Iterable[float | str]], first: str = "") -> Path:

@@ -331,9 +331,8 @@ def simulate_response(
     duration_s: float,
     controller: FlightController | None = None,
     charge: float = 0.8,
-    wind: DrydenWind | None = None,
 ) -> xr.Dataset:
-    """Simulate the low-level controllers on a reference, on the full nonlinear model, from hover.
+    """Simulate the low-level controllers on a reference, on the full nonlinear model, from hover in still air.
 
     Inputs saturate, the battery voltage drops, and inputs act one period after the measurement, as in flight.
 
@@ -348,8 +347,6 @@ def simulate_response(
         Control design; default ``mufly.control.design_flight_controller(vehicle)``.
     charge : float
         Battery charge at the start (fraction).
-    wind : DrydenWind, optional
-        Wind, sampled at the controller's rate; default still air.
 
     Returns
     -------
@@ -367,8 +364,7 @@ def simulate_response(
     hover = find_trim(vehicle, charge=charge)
     start = hover.state.copy()
     start[2] = -START_HEIGHT_M
-    air = DrydenWind(step_s=controller.period_s) if wind is None else wind
-    plant = SimulatedPlant(vehicle, World(), air, controller.rate_Hz, start)
+    plant = SimulatedPlant(vehicle, World(), DrydenWind(step_s=controller.period_s), controller.rate_Hz, start)
     plant.voltage, plant.current = hover.voltage_V, hover.current_A
     controllers = Controllers(controller)
     recorder = FlightRecorder(None, {"vehicle": vehicle.name, "rate_Hz": controller.rate_Hz})

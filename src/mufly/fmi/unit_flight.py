@@ -182,7 +182,7 @@ class UnitComparison:
     largest_difference: float
 
 
-def compare_unit(unit: UnitLibrary, p: np.void, *, duration_s: float = 5.0, seed: int = 0) -> UnitComparison:
+def compare_unit(unit: UnitLibrary, p: np.void, *, duration_s: float = 5.0) -> UnitComparison:
     """Fly a unit and the Python model with the same inputs and wind, which change at every communication step.
 
     The flight begins in motion and ends on the floor. The communication steps have five sizes, 0.7 to 20 ms.
@@ -194,15 +194,13 @@ def compare_unit(unit: UnitLibrary, p: np.void, *, duration_s: float = 5.0, seed
         Parameters of the Python model.
     duration_s : float
         Simulated time (s).
-    seed : int
-        Seed of inputs and wind.
 
     Raises
     ------
     MuflyError
         If the unit reports an error.
     """
-    instance, rng = UnitInstance(unit).initialise(_MOTION_START), np.random.default_rng(seed)
+    instance, rng = UnitInstance(unit).initialise(_MOTION_START), np.random.default_rng(0)
     state = unit.outputs[:STATE_SIZE]
     hover = np.array([unit.starts[name] for name in unit.inputs[:INPUT_SIZE]])
     x, u, wind = instance.get_values(state), hover.copy(), np.zeros(3)

@@ -266,7 +266,7 @@ def differentiate_attitude(time: _Array, attitude: _Array) -> _Array:
     return out
 
 
-_MIN_DELAY_SAMPLES = 30
+_MIN_DELAY_SAMPLES, _MIN_PAIR_CORRELATION = 30, 0.3
 
 
 @result
@@ -282,7 +282,7 @@ class DelayReport:
         return f"{self.response} after {self.reference}: {self.delay.describe_delay()}"
 
 
-def check_delays(data: xr.Dataset, *, least_correlation: float = 0.3) -> list[DelayReport]:
+def check_delays(data: xr.Dataset) -> list[DelayReport]:
     """Estimate the delays that a flight record determines.
 
     Delays are estimated from references to measurements, component by component, and from the derivative of the
@@ -293,8 +293,6 @@ def check_delays(data: xr.Dataset, *, least_correlation: float = 0.3) -> list[De
     ----------
     data : xarray.Dataset
         Dataset on a uniform clock.
-    least_correlation : float
-        Least correlation after removal of the delay; pairs below it are omitted.
     """
     time = data["time"].values
     if len(time) < _MIN_DELAY_SAMPLES:
@@ -322,6 +320,6 @@ def check_delays(data: xr.Dataset, *, least_correlation: float = 0.3) -> list[De
             found = estimate_delay(time, x.astype(np.float64), y.astype(np.float64), causal=causal)
         except InputError:  # constant or too short
             continue
-        if abs(found.correlation) >= least_correlation and not found.at_limit:
+        if abs(found.correlation) >= _MIN_PAIR_CORRELATION and not found.at_limit:
             out.append(DelayReport(reference, response, found))
     return out

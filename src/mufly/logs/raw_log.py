@@ -315,15 +315,13 @@ def find_gaps(time: _Array, factor: float = MIN_GAP_STEPS) -> _Array:
     return np.column_stack((time[wide], time[wide + 1]))
 
 
-def check_clock(time: _Array, gap_factor: float = MIN_GAP_STEPS) -> ClockReport:
+def check_clock(time: _Array) -> ClockReport:
     """Check time stamps.
 
     Parameters
     ----------
     time : (n,) array
         Stamps as written (s).
-    gap_factor : float
-        Number of median steps above which a step is a gap.
     """
     finite = time[np.isfinite(time)]
     steps = np.diff(finite)
@@ -331,7 +329,7 @@ def check_clock(time: _Array, gap_factor: float = MIN_GAP_STEPS) -> ClockReport:
     forward = np.unique(finite)
     ticks = np.diff(forward)
     median = float(np.median(ticks)) if len(ticks) else float("nan")
-    even = ticks[ticks <= gap_factor * median]
+    even = ticks[ticks <= MIN_GAP_STEPS * median]
     return ClockReport(
         samples=len(time),
         rate_hz=1 / median if len(ticks) else float("nan"),
@@ -341,7 +339,7 @@ def check_clock(time: _Array, gap_factor: float = MIN_GAP_STEPS) -> ClockReport:
         backward=int(back.sum()),
         back_s=float(-steps.min()) if back.any() else 0.0,
         first_back=int(back.argmax()) + 1 if back.any() else -1,
-        gaps=find_gaps(forward, gap_factor),
+        gaps=find_gaps(forward, MIN_GAP_STEPS),
     )
 
 

@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import json
 import math
-import select
 import struct
 import time
 from collections.abc import Callable
@@ -31,15 +30,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.bridges.autopilot_plant import AutopilotPlant
-from mufly.bridges.simulator_pace import SimulatorPace, SimulatorReport
+from mufly.bridges.simulator_pace import SILENCE_S, AutopilotSimulator
 from mufly.link.ports import Endpoint, Peer, open_port
 
 ARDUPILOT_ENDPOINT = Endpoint("udpin", "127.0.0.1", 9002)
 """Address where ArduPilot sends to its simulator."""
 ARDUPILOT_RATE_HZ = 400.0
 """Rate of the simulation: the loop rate of ArduPilot's copters."""
-SILENCE_S = 2.0
-"""Wall-clock time without a packet after which ArduPilot counts as silent (s)."""
 ROLL_CHANNEL, PITCH_CHANNEL, ROLL_MIRROR, PITCH_MIRROR, UPPER_CHANNEL, LOWER_CHANNEL = range(6)
 """Outputs of ArduPilot's CoaxCopter; the fifth one is the motor that yaws right."""
 _CHANNELS_BY_MAGIC = {18458: 16, 29569: 32}
@@ -120,7 +117,7 @@ def encode_state(vehicle: AutopilotPlant, start_s: float) -> bytes:
     return (json.dumps(state) + "\n").encode()
 
 
-class ArduPilotSimulator:
+class ArduPilotSimulator(AutopilotSimulator):
     """Simulator that one ArduPilot flies.
 
     Parameters
@@ -135,15 +132,6 @@ class ArduPilotSimulator:
         Source of the endpoint, for error messages.
     clock : callable
         Wall clock (s).
-
-    Attributes
-    ----------
-    state : str
-        "waiting", "lockstep" or "silent".
-    step_count, unanswered_count : int
-        Periods, and packets that were lost.
-    on_period : callable
-        Called after every period.
 
     Raises
     ------
@@ -160,46 +148,27 @@ class ArduPilotSimulator:
         where: str = "endpoint",
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.vehicle, self._clock = vehicle, clock
-        self.port = open_port(endpoint, where)
-        self.pace = SimulatorPace(vehicle, speed, clock)
-        self.state = "waiting"
-        self.step_count = self.unanswered_count = 0
-        self.on_period: Callable[[], None] = lambda: None
+        super().__init__(vehicle, open_port(endpoint, where), speed, clock)
         self._heard_s = clock()
         self._start_s = 0.0
         self._last: ServoPacket | None = None
         self._reply = b""
 
-    def run(
-        self,
-        stop: Callable[[], bool],
-        on_report: Callable[[SimulatorReport], None] = lambda report: None,
-    ) -> None:
-        """Simulate until ``stop()``; the port is closed at the end."""
+    def _announce(self) -> None:
         self.vehicle.log_event(f"waiting for ArduPilot at {self.port.endpoint}")
         self.vehicle.warn_of_unseen_faults(
             lambda name: name not in _UNSEEN_SENSORS, "ArduPilot simulates this sensor itself"
         )
-        try:
-            while not stop():
-                self._wait(_WAIT_S)
-                for peer, data in self.port.receive():
-                    self._answer(peer, data, stop)
-                if self.state == "lockstep" and self._clock() - self._heard_s > SILENCE_S:
-                    self.state = "silent"
-                    self.vehicle.log_event(
-                        f"ArduPilot has sent nothing for {SILENCE_S:g} s of wall-clock time; the simulation waits",
-                        "warning",
-                    )
-                report = self.pace.take_report(self.state, self.step_count, self.unanswered_count)
-                if report is not None:
-                    on_report(report)
-        finally:
-            self.port.close()
 
-    def _wait(self, timeout_s: float) -> None:
-        select.select([self.port.fileno()], [], [], max(0.0, timeout_s))
+    def _advance(self, stop: Callable[[], bool]) -> None:
+        self._wait(_WAIT_S)
+        for peer, data in self.port.receive():
+            self._answer(peer, data, stop)
+        if self.state == "lockstep" and self._clock() - self._heard_s > SILENCE_S:
+            self.state = "silent"
+            self.vehicle.log_event(
+                f"ArduPilot has sent nothing for {SILENCE_S:g} s of wall-clock time; the simulation waits", "warning"
+            )
 
     def _answer(self, peer: Peer, data: bytes, stop: Callable[[], bool]) -> None:
         packet = read_servo_packet(data)
@@ -224,8 +193,7 @@ class ArduPilotSimulator:
         self._check(packet)
         while (rest_s := self.pace.rest_s()) > 0.0 and not stop():
             time.sleep(min(rest_s, _WAIT_S))
-        if notice := self.pace.record_period():
-            self.vehicle.log_event(notice, "warning" if "slower" in notice else "info")
+        self.pace.record_period()
         inputs = packet.inputs if packet.is_started else np.zeros(4)
         self.vehicle.advance_period(inputs, bool(np.any(inputs[:2] > _SPINNING)))
         self.step_count += 1

@@ -12,7 +12,7 @@ import shutil
 import socket
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
@@ -30,7 +30,7 @@ _STARTS, _START_S = 3, 10.0
 _ERROR_MARK = b"###ERROR"
 
 
-def load_cli_file(text: str, *, endpoint: Endpoint = CLI_ENDPOINT, clock: Callable[[], float] = time.monotonic) -> None:
+def load_cli_file(text: str, *, endpoint: Endpoint = CLI_ENDPOINT) -> None:
     """Send the lines of a CLI file and wait until Betaflight has saved them and ended.
 
     Parameters
@@ -38,8 +38,6 @@ def load_cli_file(text: str, *, endpoint: Endpoint = CLI_ENDPOINT, clock: Callab
     text : str
         With ``save`` as its last command; empty lines and comments are not sent.
     endpoint : Endpoint
-    clock : callable
-        Wall clock (s).
 
     Raises
     ------
@@ -47,7 +45,7 @@ def load_cli_file(text: str, *, endpoint: Endpoint = CLI_ENDPOINT, clock: Callab
         If Betaflight does not answer, or refuses a line.
     """
     lines = [line.strip() for line in text.splitlines() if line.strip() and not line.startswith("#")]
-    with _call(endpoint, clock) as line:
+    with _call(endpoint) as line:
         _converse(line, b"#", endpoint)
         for command in lines[:-1] if lines and lines[-1] == "save" else lines:
             answer = _converse(line, command.encode() + b"\r\n", endpoint)
@@ -58,13 +56,13 @@ def load_cli_file(text: str, *, endpoint: Endpoint = CLI_ENDPOINT, clock: Callab
         _wait_for_end(line, endpoint)
 
 
-def _call(endpoint: Endpoint, clock: Callable[[], float]) -> socket.socket:
-    end_s = clock() + _CALL_S
+def _call(endpoint: Endpoint) -> socket.socket:
+    end_s = time.monotonic() + _CALL_S
     while True:
         try:
             return socket.create_connection((endpoint.host, endpoint.port), timeout=_ANSWER_S)
         except OSError as error:
-            if clock() > end_s:
+            if time.monotonic() > end_s:
                 raise MuflyError(
                     f"no Betaflight answers at {endpoint} ({error.strerror or error}); start its SITL"
                 ) from None

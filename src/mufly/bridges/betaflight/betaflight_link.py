@@ -13,7 +13,7 @@ state                  condition
 ====================== ========================================================================================
 waiting                no Betaflight has answered; the simulated time stands
 running                every period waits for its answer
-silent                 Betaflight has not answered for :data:`SILENCE_S`; the simulated time stands
+silent                 Betaflight has not answered for SILENCE_S; the simulated time stands
 ====================== ========================================================================================
 
 Inertial readings and pressure are those of the vehicle's sensors, with their faults. The SITL takes the attitude from
@@ -28,7 +28,6 @@ assumes 6 ms.
 from __future__ import annotations
 
 import math
-import select
 import socket
 import time
 from collections.abc import Callable
@@ -49,7 +48,7 @@ from mufly.bridges.betaflight.betaflight_messages import (
 )
 from mufly.bridges.betaflight.betaflight_pilot import REST_PULSES_US, BetaflightPilot
 from mufly.bridges.betaflight.betaflight_settings import MOTOR_IDLE, PILOT_RATE_HZ
-from mufly.bridges.simulator_pace import SimulatorPace, SimulatorReport
+from mufly.bridges.simulator_pace import SILENCE_S, AutopilotSimulator
 from mufly.errors import InputError
 from mufly.link.ports import Endpoint, Peer, Port, UdpPort, open_port
 
@@ -57,8 +56,6 @@ BETAFLIGHT_ENDPOINT = Endpoint("udpout", "127.0.0.1", 9003)
 """Address where Betaflight receives the state of the vehicle."""
 BETAFLIGHT_RATE_HZ = 500.0
 """Rate of the simulation."""
-SILENCE_S = 2.0
-"""Wall-clock time without an answer after which Betaflight counts as silent (s)."""
 READY_S = 0.5
 """Wall-clock time that Betaflight's serial port has been open before it receives states (s)."""
 START_S = 10.0
@@ -81,7 +78,7 @@ class BetaflightPorts(NamedTuple):
     msp: int = 5761
 
 
-class BetaflightSimulator:
+class BetaflightSimulator(AutopilotSimulator):
     """Simulator that one Betaflight flies.
 
     Parameters
@@ -102,14 +99,8 @@ class BetaflightSimulator:
 
     Attributes
     ----------
-    state : str
-        "waiting", "running" or "silent".
-    step_count, unanswered_count : int
-        Periods, and states that were sent again.
     output_port : int
         Number of the UDP port where the outputs arrive.
-    on_period : callable
-        Called after every period.
 
     Raises
     ------
@@ -132,53 +123,42 @@ class BetaflightSimulator:
             raise InputError(
                 "speed", "", f"{speed:g} is too fast for Betaflight's loop", f"give a speed up to {_MAX_SPEED:g}"
             )  # fmt: skip
-        self.vehicle, self.pilot, self._clock = vehicle, pilot, clock
         ports = ports or BetaflightPorts()
         listens = "127.0.0.1" if endpoint.host in ("127.0.0.1", "localhost") else "0.0.0.0"
-        self._outputs = open_port(Endpoint("udpin", listens, ports.outputs), where)
-        assert isinstance(self._outputs, UdpPort)
-        self.output_port = self._outputs.port
+        outputs = open_port(Endpoint("udpin", listens, ports.outputs), where)
+        assert isinstance(outputs, UdpPort)
+        super().__init__(vehicle, outputs, speed, clock)
+        self.pilot, self.output_port = pilot, outputs.port
         self._state_port = open_port(endpoint, where)
         self._channel_port = open_port(Endpoint("udpout", endpoint.host, ports.channels), where)
         self._msp_endpoint = Endpoint("tcp", endpoint.host, ports.msp)
         self._msp: Port | None = None
         self._msp_data = b""
-        self.pace = SimulatorPace(vehicle, speed, clock)
         self._interval_s = vehicle.period_s / speed
-        self.state = "waiting"
-        self.step_count = self.unanswered_count = 0
-        self.on_period: Callable[[], None] = lambda: None
         self._peer: Peer | None = None
         self._command: BetaflightOutputs | None = None
         self._is_answered = False
         self._refused_s = 0.0
         self._open_s = self._probed_s = math.nan
 
-    def run(
-        self,
-        stop: Callable[[], bool],
-        on_report: Callable[[SimulatorReport], None] = lambda report: None,
-    ) -> None:
-        """Simulate until ``stop()``; the ports are closed at the end."""
+    def _announce(self) -> None:
         self.vehicle.log_event(f"waiting for Betaflight at {self._state_port.endpoint}")
         self.vehicle.warn_of_unseen_faults(_SEEN_SENSORS.__contains__, "Betaflight does not receive this sensor")
-        try:
-            while not stop():
-                if self.state == "waiting":
-                    if self._is_ready():
-                        self._send()
-                        self._check_start()
-                    self._wait(_WAIT_S)
-                    self._receive()
-                else:
-                    self._run_period(stop)
-                report = self.pace.take_report(self.state, self.step_count, self.unanswered_count)
-                if report is not None:
-                    on_report(report)
-        finally:
-            for port in (self._outputs, self._state_port, self._channel_port, self._msp):
-                if port is not None:
-                    port.close()
+
+    def _advance(self, stop: Callable[[], bool]) -> None:
+        if self.state == "waiting":
+            if self._is_ready():
+                self._send()
+                self._check_start()
+            self._wait(_WAIT_S)
+            self._receive()
+        else:
+            self._run_period(stop)
+
+    def _close(self) -> None:
+        for port in (self.port, self._state_port, self._channel_port, self._msp):
+            if port is not None:
+                port.close()
 
     # One period
 
@@ -193,8 +173,7 @@ class BetaflightSimulator:
             time.sleep(min(rest_s, _WAIT_S))
         if stop() or self.state != "running" or self._command is None:
             return
-        if notice := self.pace.record_period():
-            vehicle.log_event(notice, "warning" if "slower" in notice else "info")
+        self.pace.record_period()
         problem = describe_wrong_outputs(self._command)
         if problem:
             self.vehicle.warn_once("outputs", problem)
@@ -259,13 +238,10 @@ class BetaflightSimulator:
                 "start", f"Betaflight's port is open, but it answers no state for {START_S:g} s; start it again"
             )
 
-    def _wait(self, timeout_s: float) -> None:
-        select.select([self._outputs.fileno()], [], [], timeout_s)
-
     # Packets of Betaflight
 
     def _receive(self) -> None:
-        for peer, data in self._outputs.receive():
+        for peer, data in self.port.receive():
             outputs = read_outputs(data)
             if outputs is None:
                 what = (

@@ -11,7 +11,7 @@ waiting                no PX4 is connected; the simulated time stands
 starting               PX4 is connected and does not answer every period yet; real time
 lockstep               every period waits for its answer
 free-running           PX4 has no lockstep; real time
-silent                 PX4 has not answered for :data:`SILENCE_S`; the simulated time stands
+silent                 PX4 has not answered for SILENCE_S; the simulated time stands
 ====================== ========================================================================================
 
 A PX4 that hangs up and calls again is a new one: the vehicle returns to the start. PX4 itself does not call again after
@@ -21,7 +21,6 @@ it has lost its simulator: it must be restarted.
 from __future__ import annotations
 
 import math
-import select
 import time
 from collections.abc import Callable
 from typing import Any
@@ -36,7 +35,7 @@ from mufly.bridges.px4.px4_messages import (
     SensorMessages,
     read_actuator_command,
 )
-from mufly.bridges.simulator_pace import SimulatorPace, SimulatorReport
+from mufly.bridges.simulator_pace import SILENCE_S, AutopilotSimulator
 from mufly.link.codec import FrameDecoder, FrameEncoder, GlobalOrigin, MavMessage, mavlink
 from mufly.link.ports import Endpoint, Peer, open_port
 
@@ -46,8 +45,6 @@ PX4_RATE_HZ = 250.0
 """Rate of HIL_SENSOR, which PX4's start-up script for simulators expects (IMU_INTEG_RATE)."""
 DEFAULT_ORIGIN = GlobalOrigin(47.3977, 8.5456, 488.0)
 """Global position of N = E = D = 0 (deg, m): the start that PX4's own simulators use."""
-SILENCE_S = 2.0
-"""Wall-clock time without an answer after which PX4 counts as silent (s)."""
 SKIP_S = 1.0
 """Wall-clock time without an answer after which one further period is sent (s)."""
 _WAIT_S = 0.05
@@ -61,7 +58,7 @@ _NOISE_BYTES = 500
 _ALIKE, _SPINNING = 0.02, 0.05  # of outputs
 
 
-class Px4Simulator:
+class Px4Simulator(AutopilotSimulator):
     """Simulator that one PX4 flies.
 
     Parameters
@@ -78,14 +75,6 @@ class Px4Simulator:
         Source of the endpoint, for error messages.
     clock : callable
         Wall clock (s).
-
-    Attributes
-    ----------
-    state : str
-    step_count, unanswered_count : int
-        Periods in lockstep, and those that PX4 did not answer.
-    on_period : callable
-        Called after every period; a program that commands PX4 in simulated time uses it.
 
     Raises
     ------
@@ -115,37 +104,22 @@ class Px4Simulator:
         where: str = "endpoint",
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.vehicle, self._clock = vehicle, clock
+        super().__init__(vehicle, open_port(endpoint, where), speed, clock)
         self._settings = (vehicle.vehicle, position, origin)
-        self.port = open_port(endpoint, where)
-        self.pace = SimulatorPace(vehicle, speed, clock)
-        self.state = "waiting"
-        self.step_count = self.unanswered_count = 0
-        self.on_period: Callable[[], None] = lambda: None
         self._decoder, self._encode = FrameDecoder(keep_duplicates=True), FrameEncoder(1, 200)
         self._peer: Peer | None = None
         self._waits_s = clock()
         self._forget_autopilot()
 
-    def run(
-        self,
-        stop: Callable[[], bool],
-        on_report: Callable[[SimulatorReport], None] = lambda report: None,
-    ) -> None:
-        """Simulate until ``stop()``; the port is closed at the end."""
+    def _announce(self) -> None:
         self.vehicle.log_event(f"waiting for PX4 at {self.port.endpoint}")
-        try:
-            while not stop():
-                self._receive()
-                if self._peer is None:
-                    self._wait(_WAIT_S)
-                else:
-                    self._run_period(stop)
-                report = self.pace.take_report(self.state, self.step_count, self.unanswered_count)
-                if report is not None:
-                    on_report(report)
-        finally:
-            self.port.close()
+
+    def _advance(self, stop: Callable[[], bool]) -> None:
+        self._receive()
+        if self._peer is None:
+            self._wait(_WAIT_S)
+        else:
+            self._run_period(stop)
 
     # One period
 
@@ -170,8 +144,7 @@ class Px4Simulator:
             self._streak = self._streak + 1 if self._is_answered else 0
             if self._streak >= _FIRST_PERIODS:
                 self._begin_lockstep()
-        if notice := self.pace.record_period():
-            vehicle.log_event(notice, "warning" if "slower" in notice else "info")
+        self.pace.record_period()
         self._periods += 1
         self.step_count += self.state == "lockstep"
         vehicle.advance_period(
@@ -229,10 +202,6 @@ class Px4Simulator:
     @property
     def _is_answered(self) -> bool:
         return self._command is not None and self._command.time_us >= self._time_us
-
-    def _wait(self, timeout_s: float) -> None:
-        """Sleep until PX4 has sent something, for ``timeout_s`` at most."""
-        select.select([self.port.fileno()], [], [], max(0.0, timeout_s))
 
     # Messages of PX4
 

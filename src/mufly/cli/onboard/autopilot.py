@@ -173,7 +173,7 @@ def run_simulator(
     from mufly.bridges.ardupilot.ardupilot_link import ARDUPILOT_ENDPOINT
     from mufly.bridges.betaflight.betaflight_link import BETAFLIGHT_ENDPOINT
     from mufly.bridges.px4.px4_link import PX4_ENDPOINT
-    from mufly.bridges.simulator_pace import check_speed
+    from mufly.bridges.simulator_pace import AutopilotSimulator, check_speed
     from mufly.link.codec import parse_origin
     from mufly.link.ports import parse_endpoint
 
@@ -222,7 +222,7 @@ def run_simulator(
     )  # fmt: skip
     with plant, over, LiveDisplay(terminal) as display:
         plant.listeners.append(display.show_event)
-        simulator: Px4Simulator | ArduPilotSimulator | BetaflightSimulator
+        simulator: AutopilotSimulator
         if autopilot == "px4":
             simulator = Px4Simulator(
                 plant, endpoint=endpoint, position=position, origin=place or DEFAULT_ORIGIN, speed=speed, where="--link"

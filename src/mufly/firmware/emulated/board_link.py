@@ -24,7 +24,6 @@ def run_linked_board(
     mission: Mission,
     *,
     port: int,
-    host: str = "127.0.0.1",
     wind: Sequence[float] | None = None,
     gust: float | None = None,
     seed: int = 0,
@@ -44,8 +43,8 @@ def run_linked_board(
     ----------
     vehicle, mission, wind, gust, seed, faults, path
         As for :func:`mufly.firmware.emulated.fly_board`; the mission is that of the image, and waits for its start.
-    port, host
-        Address at which the UART of the board listens (TCP).
+    port : int
+        Port of this machine at which the UART of the board listens (TCP).
     pace : float
         Flight time over wall-clock time; 0: as fast as possible.
     counts_instructions : bool
@@ -63,7 +62,7 @@ def run_linked_board(
         If a tool is missing, or the emulation ends by itself.
     """
     controller = design_flight_controller(vehicle)
-    uart, receiver_uart = (f"tcp:{host}:{p},server=on,wait=off,nodelay=on" for p in (port, receiver_port))
+    uart, receiver_uart = (f"tcp:127.0.0.1:{p},server=on,wait=off,nodelay=on" for p in (port, receiver_port))
     twin = HostBoard(*build_host_board(vehicle, controller, mission))
     board = EmulatedBoard(
         build_image(vehicle, controller, mission),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -50,7 +50,6 @@ def fly_fixed_point(
     *,
     flights: int = 1,
     law: FixedPointLaw | None = None,
-    sensors: Literal["ideal", "fitted"] = "ideal",
     keep: Path | None = None,
     on_flight: Callable[[FixedPointFlight], None] | None = None,
 ) -> list[FixedPointFlight]:
@@ -63,8 +62,6 @@ def fly_fixed_point(
     flights : int
         Number of flights of each mission, with seeds from 0; all but the first in random wind and gusts.
     law : FixedPointLaw, optional
-    sensors : str
-        ``"ideal"`` or ``"fitted"``.
     keep : path, optional
         File of results; stored flights are not repeated.
     on_flight : callable, optional
@@ -90,10 +87,7 @@ def fly_fixed_point(
         wind, gust = ([met.wind, 0.0, 0.0], met.gust) if seed else (None, None)
 
         def flown(by: Any) -> xr.Dataset:
-            return fly_mission(
-                vehicle, mission, controller=controller, seed=seed, wind=wind, gust=gust, sensors=sensors,
-                controllers=by,
-            )  # fmt: skip
+            return fly_mission(vehicle, mission, controller=controller, seed=seed, wind=wind, gust=gust, controllers=by)
 
         record, other = flown(make), flown(GenericFirmwareSoftware)
         n = min(record.sizes["time"], other.sizes["time"])

@@ -124,6 +124,7 @@ _SELFTEST_MISSION: dict[str, Any] = {
     ],
 }
 """Mission of the flight self-test: curves, nose scans and a full obstacle map, the case of the most computation."""
+_TIMEOUT_S = 120.0  # of a self-test
 _REQUIRED_TOOLS = {"arm-none-eabi-gcc": "gcc-arm-none-eabi", "qemu-system-arm": "qemu-system-arm"}
 
 
@@ -354,7 +355,7 @@ def missing_tools() -> str:
     return f"install {' and '.join(absent)} (Debian, Ubuntu: apt-get install {' '.join(absent)})" if absent else ""
 
 
-def run_pil(vehicle: Vehicle, *, fixed_point: bool = False, timeout_s: float = 120.0) -> list[PilResult]:
+def run_pil(vehicle: Vehicle, *, fixed_point: bool = False) -> list[PilResult]:
     """Run self-tests on emulated Cortex-M processors: of the flight software, or of the fixed-point law.
 
     Raises
@@ -375,7 +376,7 @@ def run_pil(vehicle: Vehicle, *, fixed_point: bool = False, timeout_s: float = 1
         objects = {cpu: compile_objects(folder, how, cpu) for cpu in {cpu for cpu, _ in how.emulated_boards.values()}}
         found = []
         for what, (test, entry) in how.self_tests.items():
-            right = parse_digests(run_program([str(_build_host_selftest(folder, how, test))], timeout_s))
+            right = parse_digests(run_program([str(_build_host_selftest(folder, how, test))]))
             programs = {cpu: _link_selftest(folder, how, cpu, test) for cpu in objects}
             for board, (cpu, per_tick) in how.emulated_boards.items():
                 flash, ram = measure_code_size(objects[cpu])
@@ -383,7 +384,7 @@ def run_pil(vehicle: Vehicle, *, fixed_point: bool = False, timeout_s: float = 1
                     PilResult(
                         machine=board,
                         tested_part=what,
-                        **run_emulated(board.split()[0], per_tick, programs[cpu], right, timeout_s),
+                        **run_emulated(board.split()[0], per_tick, programs[cpu], right),
                         flash_bytes=flash,
                         ram_bytes=ram,
                         stack_bytes=find_deepest_stack(objects[cpu], entry),
@@ -395,9 +396,7 @@ def run_pil(vehicle: Vehicle, *, fixed_point: bool = False, timeout_s: float = 1
 _LAW_SOURCES = ("controllers.c", "law.c", "linear.c", "cascade.c", "mixer.c", "real.c", "tables.c")
 
 
-def law_instructions(
-    vehicle: Vehicle, controllers: Sequence[FlightController], *, timeout_s: float = 120.0
-) -> list[float]:
+def law_instructions(vehicle: Vehicle, controllers: Sequence[FlightController]) -> list[float]:
     """Return the mean instructions of the law in a period on a Cortex-M4, for every controller.
 
     The law computes with arrays of the largest order, whatever a controller's, so counts differ only by what saturates
@@ -423,11 +422,11 @@ def law_instructions(
                     source.unlink()
             compile_objects(folder, how, cpu)
             elf = _link_selftest(folder, how, cpu, "selftest")
-            counts.append(run_emulated(machine, per_tick, elf, [], timeout_s)["mean_instructions"])
+            counts.append(run_emulated(machine, per_tick, elf, [])["mean_instructions"])
     return counts
 
 
-def run_emulated(machine: str, per_tick: float, elf: Path, right: list[str], timeout_s: float) -> dict[str, Any]:
+def run_emulated(machine: str, per_tick: float, elf: Path, right: list[str]) -> dict[str, Any]:
     """Run a self-test on an emulated board; return whether its digests are right, and the instructions per period.
 
     Raises
@@ -439,8 +438,7 @@ def run_emulated(machine: str, per_tick: float, elf: Path, right: list[str], tim
         [
             "qemu-system-arm", "-M", machine, "-nographic", "-monitor", "none", "-serial", "none",
             "-semihosting-config", "enable=on,target=native", "-icount", "shift=0", "-kernel", str(elf),
-        ],
-        timeout_s,
+        ]
     )  # fmt: skip
     numbers = {k: int(v, 16) for k, v in re.findall(r"^(periods|ticks|worst) ([0-9a-f]{16})$", said, re.M)}
     if len(numbers) < 3:
@@ -457,12 +455,12 @@ def parse_digests(said: str) -> list[str]:
     return re.findall(r"^outputs ([0-9a-f]{16})$", said, re.M)
 
 
-def run_program(command: list[str], timeout_s: float) -> str:
+def run_program(command: list[str]) -> str:
     """Run a program and return its output, including standard error."""
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=timeout_s)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=_TIMEOUT_S)
     except subprocess.TimeoutExpired:
-        raise MuflyError(f"{command[0]} did not end within {timeout_s:g} s") from None
+        raise MuflyError(f"{command[0]} did not end within {_TIMEOUT_S:g} s") from None
     return done.stdout + done.stderr  # semihosting output appears on standard error
 
 

@@ -84,11 +84,7 @@ class DestinationCheck:
 
 
 def check_destination(
-    s: VehicleSnapshot,
-    fence: Fence | None,
-    limits: Mission,
-    place: tuple[float, float, float],
-    far_m: float = FAR_DISTANCE_M,
+    s: VehicleSnapshot, fence: Fence | None, limits: Mission, place: tuple[float, float, float]
 ) -> DestinationCheck:
     """Check a destination of a vehicle.
 
@@ -102,8 +98,6 @@ def check_destination(
         Mission with the vehicle's limits.
     place : (3,) tuple
         N, E, D (m).
-    far_m : float
-        Distance from the vehicle beyond which a destination without a fence needs confirmation (m).
     """
     if fault := fence_fault(fence, place, FENCE_MARGIN_M):
         return DestinationCheck(refusal_reason=f"destination is {fault}")
@@ -126,7 +120,7 @@ def check_destination(
                 f"flight takes {format_clock(needed)}, battery time left is {format_clock(s.battery_left_s)}"
             )
         )
-    if fence is None and away > far_m:
+    if fence is None and away > FAR_DISTANCE_M:
         return DestinationCheck(caution_reason=f"{away:.0f} m away, no geofence")
     return DestinationCheck()
 
