@@ -51,11 +51,6 @@ def _method_settings(method: SynthesisMethod, order: int | None, tuned: list[str
 app = CommandGroup(help="Design and analyse the controllers of a vehicle.", no_args_is_help=True)
 
 
-@app.callback()
-def _accept_group_options() -> None:
-    pass
-
-
 @app.command()
 def design(
     vehicle: VehicleArgument = "mufly-1.1",

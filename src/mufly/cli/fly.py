@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from mufly.cli.onboard.camera_options import FlightCameraOption, FloorOption, FloorWidthOption, make_flight_camera
+from mufly.cli.onboard.camera_options import FlightCameraOption, FloorOption, FloorWidthOption, make_position_camera
 from mufly.cli.onboard.view_options import FoxgloveOption, RosOption, make_views
 from mufly.cli.options import (
     JsonOption,
@@ -183,41 +183,6 @@ Examples:
 """
 
 
-def _make_camera(
-    position: str, sensors: str, camera: str, floor: str, floor_width: float | None, faults: Sequence[str] | None,
-    stream: str, mission: Mission, mission_file: str,
-) -> CameraConfig | None:  # fmt: skip
-    """Return the camera of ``--position`` and the camera options; None without a camera."""
-    if position == "link" and sensors == "ideal":
-        raise InputError("--position", "", "the true state needs no position fixes", "leave out --sensors ideal")
-    # Behind a link an external program processes the pictures, if they are sent.
-    lacking = {"fix": "needs --position camera", "camera": ""}.get(
-        position, "" if stream else "pictures are sent only with --stream"
-    )
-    given = {
-        "--camera": camera, "--floor": floor, "--floor-width": floor_width, "--camera-fault": faults,
-        "--stream": stream,
-    }  # fmt: skip
-    for name, one in given.items():
-        if one and lacking:
-            raise InputError(name, "", lacking, "add that option, or leave this one out")
-    if position != "camera" and not stream:
-        return None
-    if sensors == "ideal":
-        raise InputError("--position", "", "the true state needs no camera", "leave out --sensors ideal")
-    from mufly.camera import parse_address
-    from mufly.flight.fixes.onboard_camera import parse_camera_fault
-    from mufly.slam import load_opencv
-
-    if position == "camera":
-        load_opencv()
-    return replace(
-        make_flight_camera(camera, floor, floor_width, mission, mission_file),
-        camera_faults=tuple(parse_camera_fault(f) for f in faults or ()),
-        stream_address=parse_address(stream) if stream else None,
-    )
-
-
 def fly_mission(
     mission: MissionArgument = "demonstration",
     vehicle: VehicleOption = "mufly-1.1",
@@ -325,7 +290,7 @@ def fly_mission(
             helicopter, flown, recording, steady, gust, seed, tuple(ends), start, realtime, sensors,
             faults, select_flight_software(firmware, fixed_point, policy, (design_vehicle or helicopter).name),
             design_vehicle,
-            _make_camera(position, sensors, camera, floor, floor_width, camera_fault, stream, flown, mission),
+            make_position_camera(position, sensors, camera, floor, floor_width, flown, mission, camera_fault, stream),
             position == "link", views=make_views(foxglove, ros),
         )  # fmt: skip
         if ros and not order.extra_links and show.page_address is None:

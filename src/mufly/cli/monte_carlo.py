@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from mufly.cli.onboard.camera_options import FlightCameraOption, FloorOption, FloorWidthOption, make_flight_camera
+from mufly.cli.onboard.camera_options import FlightCameraOption, FloorOption, FloorWidthOption, make_position_camera
 from mufly.cli.options import ClusterOption, JsonOption, MissionArgument, TunedOption, VehicleOption, define_option
 from mufly.cli.output import (
     check_place,
@@ -41,9 +41,7 @@ from mufly.cli.station import (
 from mufly.errors import InputError
 
 if TYPE_CHECKING:
-    from mufly.flight.fixes.camera_sensor import CameraConfig
     from mufly.flight.monte_carlo import Campaign, FlightResult, RecordedFlights
-    from mufly.mission import Mission
 
 _MAX_PRINTED_COMMANDS = 10  # commands printed; all are in commands.txt
 
@@ -199,7 +197,7 @@ def run_monte_carlo(
         gust=gust, sensors=sensors, faults=tuple(fault or ()), seed=seed,
         tolerance_m=tolerance, redesign=not untold, controllers=controllers, fast_controllers=GenericFirmwareSoftware,
         computed_by=by, vehicle_name=vehicle, mission_name=mission, camera_name=camera or "mufly-2.0",
-        camera=_make_camera(position, sensors, camera, floor, floor_width, flown_mission, mission),
+        camera=make_position_camera(position, sensors, camera, floor, floor_width, flown_mission, mission),
         controller=controller,
     )  # fmt: skip
     if search and not campaign.search_dimension:
@@ -234,24 +232,6 @@ def run_monte_carlo(
         make_console(stderr=True).print(f"Stopped: {done} are in {out}; the same command resumes", highlight=False)
         raise typer.Exit(ending.exit_status)
     _write_and_print_results(campaign, flown, sought, out, recorded, as_json)
-
-
-def _make_camera(
-    position: str, sensors: str, camera: str, floor: str, floor_width: float | None, mission: Mission,
-    mission_file: str,
-) -> CameraConfig | None:  # fmt: skip
-    """Return the camera of a campaign; None without one."""
-    if position == "camera":
-        if sensors == "ideal":
-            raise InputError("--position", "", "the true state needs no camera", "leave out --sensors ideal")
-        from mufly.slam import load_opencv
-
-        load_opencv()
-        return make_flight_camera(camera, floor, floor_width, mission, mission_file)
-    for name, given in (("--camera", camera), ("--floor", floor), ("--floor-width", floor_width)):
-        if given:
-            raise InputError(name, "", "needs --position camera", "add that option")
-    return None
 
 
 def _print_campaign(campaign: Campaign) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from mufly.cli.options import (
     SPEED_RANGE,
@@ -39,10 +39,6 @@ from mufly.cli.output import (
 )
 from mufly.quantities.units import RPM, compatible_units
 from mufly.results import ResultColumn, select_fields, to_records
-
-if TYPE_CHECKING:
-    pass
-
 
 FamilyOption = Annotated[
     str,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from mufly.cli.aero.elastic_hover import choose_structure
 from mufly.cli.options import (
@@ -18,9 +18,6 @@ from mufly.cli.options import (
 from mufly.cli.output import print_answer, print_table, save_figure, write_csv
 from mufly.cli.rotor import MaterialOption, app
 from mufly.quantities.units import RPM
-
-if TYPE_CHECKING:
-    pass
 
 _PLATE_RANGE = OptionRange(1e-5, 0.05, "m", "no blade of a small rotor has such a thickness; write 0.8 mm as 0.8mm")
 _BEAM_SPEED_RANGE = OptionRange(0.0, 1e6, "rpm", "no rotor has such a speed")

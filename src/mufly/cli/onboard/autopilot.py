@@ -30,11 +30,6 @@ app = CommandGroup(
 )
 
 
-@app.callback()
-def _accept_group_options() -> None:
-    pass
-
-
 @app.command()
 def gains(
     autopilot: Annotated[Autopilot, define_argument("px4|ardupilot|betaflight", "Autopilot that flies the vehicle.")],

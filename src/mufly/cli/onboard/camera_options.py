@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated
 
 from mufly.cli.options import define_option
@@ -61,3 +63,38 @@ def make_flight_camera(
         named = "floor.texture" if error.argument == "floor" else "floor.width_m"
         raise InputError(mission_file, named, f"{error.key}: {error.problem}", error.remedy) from error
     return config
+
+
+def make_position_camera(
+    position: str, sensors: str, camera: str, floor: str, floor_width: float | None, mission: Mission,
+    mission_file: str, faults: Sequence[str] | None = None, stream: str = "",
+) -> CameraConfig | None:  # fmt: skip
+    """Return the camera of ``--position`` and the camera options; None without a camera."""
+    if position == "link" and sensors == "ideal":
+        raise InputError("--position", "", "the true state needs no position fixes", "leave out --sensors ideal")
+    # Behind a link an external program processes the pictures, if they are sent.
+    lacking = {"fix": "needs --position camera", "camera": ""}.get(
+        position, "" if stream else "pictures are sent only with --stream"
+    )
+    given = {
+        "--camera": camera, "--floor": floor, "--floor-width": floor_width, "--camera-fault": faults,
+        "--stream": stream,
+    }  # fmt: skip
+    for name, one in given.items():
+        if one and lacking:
+            raise InputError(name, "", lacking, "add that option, or leave this one out")
+    if position != "camera" and not stream:
+        return None
+    if sensors == "ideal":
+        raise InputError("--position", "", "the true state needs no camera", "leave out --sensors ideal")
+    from mufly.camera import parse_address
+    from mufly.flight.fixes.onboard_camera import parse_camera_fault
+    from mufly.slam import load_opencv
+
+    if position == "camera":
+        load_opencv()
+    return replace(
+        make_flight_camera(camera, floor, floor_width, mission, mission_file),
+        camera_faults=tuple(parse_camera_fault(f) for f in faults or ()),
+        stream_address=parse_address(stream) if stream else None,
+    )

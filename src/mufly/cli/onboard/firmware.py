@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import shlex
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -193,22 +195,21 @@ def sil(
     steady = resolve_wind(wind, gust, 0)
     helicopter = load_vehicle(vehicle)
     faults = check_sensor_options(helicopter, sensors, fault)
-    done = 0
     with progress_bar("flights", not as_json) as progress:
-
-        def count_flight(_: SilResult) -> None:
-            nonlocal done
-            done += 1
-            if progress is not None:
-                progress(done, len(names) * flights)
-
         results = compare(
-            helicopter, names, flights=flights, wind=steady, gust=gust, faults=faults, on_flight=count_flight,
+            helicopter, names, flights=flights, wind=steady, gust=gust, faults=faults,
+            on_flight=_count_flights(progress, len(names) * flights),
             sensors=sensors, drawn=drawn, keep=keep,
         )  # fmt: skip
     print_answer(as_json, {"flights": results}, lambda: _print_sil(results))
     if any(r.different + r.beliefs_different + r.steps_different for r in results):
         raise typer.Exit(1)
+
+
+def _count_flights(progress: Callable[[int, int], None] | None, total: int) -> Callable[[object], None]:
+    """Return a function to be called with every flight, which moves a progress bar."""
+    numbers = itertools.count(1)
+    return lambda _: None if progress is None else progress(next(numbers), total)
 
 
 def _print_sil(results: list[SilResult]) -> None:
@@ -240,16 +241,9 @@ def _print_sil(results: list[SilResult]) -> None:
 def _compare_fixed_point(vehicle: Vehicle, names: list[str], flights: int, keep: Path | None, as_json: bool) -> None:
     from mufly.firmware import fly_fixed_point
 
-    done = 0
     with progress_bar("flights", not as_json) as progress:
-
-        def count_flight(_: FixedPointFlight) -> None:
-            nonlocal done
-            done += 1
-            if progress is not None:
-                progress(done, len(names) * flights)
-
-        results = fly_fixed_point(vehicle, names, flights=flights, keep=keep, on_flight=count_flight)
+        on_flight = _count_flights(progress, len(names) * flights)
+        results = fly_fixed_point(vehicle, names, flights=flights, keep=keep, on_flight=on_flight)
     print_answer(as_json, {"flights": results}, lambda: _print_fixed_flights(results))
     if any(r.overflows for r in results):
         raise typer.Exit(1)
