@@ -25,7 +25,6 @@ from mufly.estimate import (
     KalmanEstimator,
     estimate_flight_noise,
     estimate_rest_noise,
-    fitted_estimator,
     measure_row_consistency,
     run_log,
 )
@@ -124,7 +123,7 @@ def felt(vehicle: Vehicle, mission: Mission, seed: int, scenario: Scenario, leve
     flight = flown(true, mission, seed if scenario.off else 77, vehicle)
     faults = [parse_fault(f) for f in scenario.faults]
     sensors = fitted_sensors(true, mission.world, seed=seed, faults=faults)
-    estimator = fitted_estimator(vehicle, mission.world, 200.0)
+    estimator = KalmanEstimator(vehicle, mission.world, 200.0)
     told = [estimator.update(sensors.read(t), a) for t, a in zip(*flight, strict=True)]
     return measure_consistency(flight[0], told, after_s=scenario.after_s)
 
@@ -179,7 +178,7 @@ def cost(asked: argparse.Namespace) -> None:
     flight = flown(vehicle, mission, 77)
     sensors = fitted_sensors(vehicle, mission.world, seed=10_000)
     read = [sensors.read(t) for t in flight[0]]
-    estimator = fitted_estimator(vehicle, mission.world, 200.0)
+    estimator = KalmanEstimator(vehicle, mission.world, 200.0)
     whole = []
     for r, a in zip(read, flight[1], strict=True):
         began = time.perf_counter()

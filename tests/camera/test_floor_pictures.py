@@ -11,8 +11,7 @@ import pytest
 from PIL import Image
 
 from mufly.camera import FloorSource, find_floor, load_camera, write_floor_set
-from mufly.cli.monte_carlo import _make_camera as make_campaign_camera
-from mufly.cli.onboard.camera_options import make_flight_camera
+from mufly.cli.onboard.camera_options import make_flight_camera, make_position_camera
 from mufly.dynamics import initial_state
 from mufly.errors import InputError
 from mufly.flight.fixes.camera_sensor import CameraConfig, make_camera, with_mission_floor
@@ -138,7 +137,7 @@ def test_a_campaign_flies_over_the_floor_and_its_commands_name_it(tmp_path: Path
     pytest.importorskip("cv2")
     picture = save_picture(tmp_path / "wood.png")
     mission, vehicle = load_mission("demonstration"), load_vehicle("mufly-1.1")
-    camera = make_campaign_camera("camera", "fitted", "webcam", str(picture), 0.8, mission, "demonstration")
+    camera = make_position_camera("camera", "fitted", "webcam", str(picture), 0.8, mission, "demonstration")
     campaign = Campaign(vehicle, mission, camera=camera, camera_name="webcam")
     case = FlightCase(0, 7, {}, None, 0)
     assert campaign.flight_options(case)["eye"] == camera
@@ -147,4 +146,4 @@ def test_a_campaign_flies_over_the_floor_and_its_commands_name_it(tmp_path: Path
     assert campaign.settings_hash != Campaign(vehicle, mission).settings_hash
     for options in (("fix", "fitted", "", "rich", None), ("camera", "ideal", "", "", None)):
         with pytest.raises(InputError, match="--position"):
-            make_campaign_camera(*options, mission, "demonstration")
+            make_position_camera(*options, mission, "demonstration")

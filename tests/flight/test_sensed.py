@@ -13,7 +13,7 @@ from mufly.cli import app
 from mufly.control import FlightController, design_flight_controller
 from mufly.dynamics import standing_attitude, standing_height
 from mufly.errors import InputError
-from mufly.estimate import ERROR_STATES, AuxiliaryStates, Estimate, Estimator, SensorStatus, fitted_estimator
+from mufly.estimate import ERROR_STATES, AuxiliaryStates, Estimate, Estimator, KalmanEstimator, SensorStatus
 from mufly.flight import Flight, fly_mission, read_recording, replace_estimates, replay_estimator
 from mufly.flight.estimator_health import (
     FAULT_REPORT_DELAY_S,
@@ -399,7 +399,7 @@ def test_readings_are_in_the_rows_in_which_they_came(sensed) -> None:
 
 def test_the_estimate_can_be_made_again_from_the_recording_to_the_bit(sensed, vehicle) -> None:
     folder, data, _ = sensed
-    again = replace_estimates(data, replay_estimator(data, fitted_estimator(vehicle, World(), 200.0)))
+    again = replace_estimates(data, replay_estimator(data, KalmanEstimator(vehicle, World(), 200.0)))
     for name in ("position", "velocity", "attitude", "rates", "position_sigma", "gyro_bias"):
         assert np.array_equal(again[f"estimated_{name}"], data[f"estimated_{name}"], equal_nan=True), name
     result = CliRunner().invoke(app, ["estimate", "run", str(folder / "flight.mcap"), "--out", str(folder / "again")])

@@ -13,7 +13,7 @@ from mufly.dynamics import (
     standing_attitude,
     standing_height,
 )
-from mufly.estimate import fitted_estimator
+from mufly.estimate import KalmanEstimator
 from mufly.estimate.filter.filter_records import EX_ACCEL_BIAS, filter_settings
 from mufly.flight import Flight
 from mufly.quantities.units import GRAVITY
@@ -84,7 +84,7 @@ def test_ideal_flights_stand_upright():
 
 def test_a_tilt_on_the_floor_is_off_by_the_lean_and_told_to_be() -> None:
     """The floor alone knows how it leans: that it does not move, however long, tells nothing of the tilt."""
-    filter_, off, told = fitted_estimator(VEHICLE, World(), 200.0), [], []
+    filter_, off, told = KalmanEstimator(VEHICLE, World(), 200.0), [], []
     for seed in range(16):
         unit = draw_leaning_vehicle(VEHICLE, seed=seed)
         attitude = np.array([*standing_attitude(unit), 0.3])

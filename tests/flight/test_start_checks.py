@@ -134,7 +134,8 @@ def test_a_mission_is_judged_by_the_charge_that_the_battery_has(vehicle, control
 
 def test_after_a_drop_arming_asks_for_an_acknowledgement(vehicle, controller):
     with Flight(vehicle, Mission(name="none"), controller=controller, keep=False) as flight:
-        autopilot = flight.autopilot
+        autopilot, told = flight.autopilot, []
+        autopilot.listeners.append(lambda e: told.append(e.text))
 
         def run(seconds):
             for _ in range(round(seconds / flight.period_s)):
@@ -154,7 +155,7 @@ def test_after_a_drop_arming_asks_for_an_acknowledgement(vehicle, controller):
         assert not autopilot.arm(repeated=True)  # a copy of a message is no second request
         run(0.1)
         assert autopilot.arm()
-        assert "acknowledged: emergency stop" in " ".join(e.text for e in autopilot.take_events())
+        assert "acknowledged: emergency stop" in " ".join(told)
 
 
 def test_a_landing_needs_no_acknowledgement(vehicle, controller):

@@ -177,12 +177,13 @@ def test_a_clock_of_measurements_that_was_set_back_is_no_reason_not_to_arm(fligh
 
 
 def test_a_pilot_by_hand_is_told_of_a_low_battery(flight: Flight) -> None:
-    a = hovering(flight)
+    a, events = hovering(flight), []
+    a.listeners.append(events.append)
     run(flight, 0.2, each=lambda: a.set_sticks(0.0, 0.0, 0.0, 0.0))
     flight.plant.state[20] = 0.04
     run(flight, 3.0, each=lambda: a.set_sticks(0.0, 0.0, 0.0, 0.0))
     assert a.status.state == "rc"
-    assert sum("battery low" in e.text and e.level == "warning" for e in a.take_events()) == 1
+    assert sum("battery low" in e.text and e.level == "warning" for e in events) == 1
     assert run(flight, 3.0, until=lambda: a.status.state == "landing")
 
 

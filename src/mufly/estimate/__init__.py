@@ -22,7 +22,7 @@ from mufly.estimate.inertial_log import (
     estimate_rest_noise,
     run_log,
 )
-from mufly.estimate.kalman_estimator import KalmanEstimator, fitted_estimator
+from mufly.estimate.kalman_estimator import KalmanEstimator
 from mufly.estimate.nees import Consistency, measure_consistency, measure_row_consistency
 from mufly.estimate.sensor_status import AuxiliaryStates, FusionStatus, SensorStatus
 
@@ -48,7 +48,6 @@ __all__ = [
     "detect_flight",
     "estimate_flight_noise",
     "estimate_rest_noise",
-    "fitted_estimator",
     "measure_consistency",
     "measure_row_consistency",
     "measured_tilt",

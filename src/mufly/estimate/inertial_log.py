@@ -313,36 +313,23 @@ def _make_log_estimator(log: InertialLog, aids: PositionAids, noise: InertialNoi
             f"is more than the {MAX_DELAY_BLOCKS * max(INPUT_BLOCK_S, step):.2g} s of inputs that the filter stores",
             "give aids with less delay, or a lower --rate",
         )
-    v = load_vehicle("mufly-2.0")
-    standard = "sensors.imu.", "sensors.position_fix."
+    period_s = float(np.clip(np.median(np.diff(aids.measured_s)), 0.001, 100.0)) if len(aids.measured_s) > 1 else 0.1
     v = replace_parameters(
-        v,
+        load_vehicle("mufly-2.0"),
         {
-            **{
-                standard[0] + key: value
-                for key, value in {
-                    "bandwidth": 1e4,
-                    "gyro_noise": noise.gyro,
-                    "accelerometer_noise": noise.accelerometer,
-                    "accelerometer_bias": ACCEL_BIAS_SIGMA,
-                    "accelerometer_range": 200.0,
-                    "gyro_range": 70.0,
-                }.items()
-            },
-            **{
-                standard[1] + key: value
-                for key, value in {
-                    "period": float(np.clip(np.median(np.diff(aids.measured_s)), 0.001, 100.0))
-                    if len(aids.measured_s) > 1
-                    else 0.1,
-                    "latency": late,
-                    "jitter": 0.0,
-                    "noise": aids.std_m,
-                    "wander": 0.1 * aids.std_m,
-                    "heading_noise": aids.heading_std_rad,
-                    "heading_wander": 0.05 * aids.heading_std_rad,
-                }.items()
-            },
+            "sensors.imu.bandwidth": 1e4,
+            "sensors.imu.gyro_noise": noise.gyro,
+            "sensors.imu.accelerometer_noise": noise.accelerometer,
+            "sensors.imu.accelerometer_bias": ACCEL_BIAS_SIGMA,
+            "sensors.imu.accelerometer_range": 200.0,
+            "sensors.imu.gyro_range": 70.0,
+            "sensors.position_fix.period": period_s,
+            "sensors.position_fix.latency": late,
+            "sensors.position_fix.jitter": 0.0,
+            "sensors.position_fix.noise": aids.std_m,
+            "sensors.position_fix.wander": 0.1 * aids.std_m,
+            "sensors.position_fix.heading_noise": aids.heading_std_rad,
+            "sensors.position_fix.heading_wander": 0.05 * aids.heading_std_rad,
         },
     )
     assert v.sensors is not None

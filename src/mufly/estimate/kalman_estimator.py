@@ -61,21 +61,6 @@ PUBLISHED_FIELDS = (
 """Memory fields published every :data:`mufly.estimate.filter.output_predictor.COVARIANCE_INTERVAL_TICKS` periods."""
 
 
-def fitted_estimator(vehicle: Vehicle, world: World, rate_Hz: float) -> Estimator:
-    """Return the estimator for a vehicle's sensors.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        Vehicle with the table ``sensors``.
-    world : World
-        World whose room the filter knows in advance.
-    rate_Hz : float
-        Rate of the flight software (Hz).
-    """
-    return KalmanEstimator(vehicle, world, rate_Hz)
-
-
 @cached_njit(error_model="numpy")
 def filter_ring_scan(scan: _Array, max_range_m: float, scans: _Array, ranges: _Array) -> None:
     """Process a scan of the ring (n,): compute the median of each beam's last three readings.
@@ -105,8 +90,12 @@ class KalmanEstimator(Estimator):
 
     Parameters
     ----------
-    vehicle, world, rate_Hz
-        As for :func:`fitted_estimator`.
+    vehicle : Vehicle
+        Vehicle with the table ``sensors``.
+    world : World
+        World whose room the filter knows in advance.
+    rate_Hz : float
+        Rate of the flight software (Hz).
     kind : type
         Type of the filter's numbers; processors on board use ``numpy.float32``.
     code : "", "c" or "numba"

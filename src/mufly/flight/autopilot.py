@@ -15,7 +15,6 @@ take-off. Sticks time out after a second and set-points after half a second; the
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
@@ -75,7 +74,6 @@ _FALL_HEIGHT_M = 0.1  # height above the standing position from which stopped mo
 _INTERRUPTIONS = (LogMessage.TIPPED_MOTORS_OFF(), LogMessage.MOTORS_OFF_AFTER_DESCENT())
 
 SOURCE_REFUSED = "position by link refused: "
-EVENT_CAPACITY = 1000
 _IDLE_ACTUATORS = Actuators.idle()
 
 
@@ -117,7 +115,6 @@ class Autopilot:
         self._standing_m = standing_height(vehicle)
         self._period_s = 1.0 / controller.rate_Hz
         self._parameters = TunableParameters(vehicle, controller, self.software)
-        self._outbox: deque[FlightEvent] = deque(maxlen=EVENT_CAPACITY)
         self._reset_flight()
 
     def _reset_flight(self) -> None:
@@ -490,12 +487,6 @@ class Autopilot:
         """Append an event to the log; ``level`` is "info", "warning" or "error"."""
         self._emit_event(FlightEvent(self._now, str(self.software.mission_state.state), text, level))
 
-    def take_events(self) -> list[FlightEvent]:
-        """Return the events since the last call, at most the latest :data:`EVENT_CAPACITY`."""
-        out = list(self._outbox)
-        self._outbox.clear()
-        return out
-
     def _forward_mission_events(self) -> None:
         events, logged = self.software.mission_state.events, self.software.mission_state.logged_count
         fresh = min(logged - self._logged, len(events)) if logged > self._logged else len(events)
@@ -504,7 +495,6 @@ class Autopilot:
             self._emit_event(e)
 
     def _emit_event(self, event: FlightEvent) -> None:
-        self._outbox.append(event)
         for listener in self.listeners:
             listener(event)
 

@@ -31,7 +31,7 @@ from mufly.control import FlightController, design_flight_controller
 from mufly.dynamics import DrydenWind, describe_level_speed, describe_model_excess, model_air_limits, standing_state
 from mufly.dynamics.model_state import RS_CHARGE
 from mufly.errors import InputError
-from mufly.estimate import Estimate, Estimator, IdealEstimator, KalmanEstimator, fitted_estimator
+from mufly.estimate import Estimate, Estimator, IdealEstimator, KalmanEstimator
 from mufly.flight.autopilot import SOURCE_REFUSED, Autopilot
 from mufly.flight.controllers import Actuators, Controllers
 from mufly.flight.fixes.camera_sensor import (
@@ -195,7 +195,7 @@ class Flight:
         sensed = self.uses_fitted_sensors = isinstance(self.sensors, FittedSensors)
         full = sensed and not brief
         if estimator is None:
-            estimator = fitted_estimator(believed, mission.world, controller.rate_Hz) if sensed else IdealEstimator()
+            estimator = KalmanEstimator(believed, mission.world, controller.rate_Hz) if sensed else IdealEstimator()
         self.estimator = estimator
         if self.camera is not None:
             self.camera.estimate_source = self._estimate_and_sonar

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import zipfile
-from dataclasses import dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -34,22 +34,6 @@ from mufly.slam.pose_graph import (
 _Array = NDArray[np.float64]
 MAP_FORMAT = 2
 _MIN_POINT_SIGMA_PX = 0.04  # lower bound of a point's standard deviation
-_SAVED_FIELDS = (
-    "time_s",
-    "picture",
-    "turn",
-    "pixels",
-    "slopes",
-    "variance",
-    "missed",
-    "tilt",
-    "log_height",
-    "height_sigma",
-    "height_time_s",
-    "tilt_sigma",
-    "tilt_time_s",
-    "tilt_white",
-)
 
 
 @dataclass
@@ -103,6 +87,9 @@ class Keyframe:
         gain = self.variance[which] / (self.variance[which] + variance)
         self.slopes[which] += gain * (seen - self.slopes[which])
         self.variance[which] = np.maximum((1.0 - gain) * self.variance[which], (_MIN_POINT_SIGMA_PX / focal) ** 2)
+
+
+_SAVED_FIELDS = tuple(f.name for f in fields(Keyframe) if f.default is MISSING)
 
 
 class FloorMap:

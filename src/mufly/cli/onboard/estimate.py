@@ -169,13 +169,13 @@ def run(
 
 def _estimate_own_flight(log: Path, data: xr.Dataset, vehicle: str | None, out: Path | None, as_json: bool) -> None:
     """Estimate a flight of ``mufly fly``."""
-    from mufly.estimate import fitted_estimator
+    from mufly.estimate import KalmanEstimator
     from mufly.estimate.nees import measure_consistency
     from mufly.flight import list_truths, replace_estimates, replay_estimator
 
     flown, world = _read_attached_vehicle(log, vehicle)
     with progress_bar("estimating", not as_json):
-        estimates = replay_estimator(data, fitted_estimator(flown, world, float(data.attrs["rate_Hz"])))
+        estimates = replay_estimator(data, KalmanEstimator(flown, world, float(data.attrs["rate_Hz"])))
     again = replace_estimates(data, estimates)
     figures = measure_consistency(list_truths(data), estimates, after_s=_lift_off_time_s(data))
     print_answer(as_json, figures, lambda: _print_consistency(figures), _write_results(again, estimates, out))

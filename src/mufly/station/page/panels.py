@@ -19,6 +19,7 @@ from mufly.link.command_protocol import FAILURE_NAMES
 from mufly.link.ports import read_boot_clock
 from mufly.mission import FILE_ENDINGS, Mission, dump_mission, parse_mission, read_mission_tables
 from mufly.sensors import FAULT_TARGETS
+from mufly.station.page.command_checks import Confirmation
 from mufly.station.page.mission_draft import find_untransmitted_keys, mission_from_vehicle
 from mufly.station.page.page_session import (
     ANSWER_DISPLAY_S,
@@ -38,7 +39,6 @@ MAX_UPLOAD_BYTES, MAX_RECORDING_BYTES = 2_000_000, 1_000_000_000
 REQUEST_WATCH_S = 30.0
 _POLL_PERIOD_S = 0.05
 _THREE_JS_FOLDER = Path(nicegui.__file__).parent / "elements" / "scene" / "dist"
-CONFIRM_TIMEOUT_S = 3.0
 CENTRE_TOLERANCE = 0.15
 """Largest deflection at which sticks are taken up (share of full), so that nothing jumps."""
 _STOP_OUTCOME_TEXTS = {
@@ -494,8 +494,7 @@ class FlightStrip:
 
     def __init__(self, view: WindowView) -> None:
         self._view = view
-        self._aimed_s = self._asked_s = -math.inf
-        self._aim: RemoteVehicle | None = None
+        self._confirmation, self._asked_s = Confirmation(read_boot_clock), -math.inf
         self._request: OperatorRequest | None = None
         with make_element("section", classes="mf-flightbar").props('aria-label="flight and emergency stop"'):
             BrowserPanel("strip")
@@ -510,26 +509,19 @@ class FlightStrip:
         self.refresh()
 
     def _press_stop(self) -> None:
-        now, vehicle = read_boot_clock(), self._view.selected_vehicle()
-        if not self._is_confirmed(now, vehicle):
-            self._aim, self._aimed_s = vehicle, now
-        elif vehicle is not None:
-            self._aim, self._asked_s = None, now
-            self._request = vehicle.emergency_stop()
+        vehicle = self._view.selected_vehicle()
+        if self._confirmation.register_press(vehicle) and vehicle is not None:
+            self._asked_s, self._request = read_boot_clock(), vehicle.emergency_stop()
             self._view.keep_request(self._request)
         self.refresh()
 
-    def _is_confirmed(self, now: float, vehicle: RemoteVehicle | None) -> bool:
-        """Return whether a press is the second one for this vehicle."""
-        return vehicle is self._aim is not None and now - self._aimed_s < CONFIRM_TIMEOUT_S
-
     def refresh(self) -> None:
         """Update the button."""
-        vehicle, now = self._view.selected_vehicle(), read_boot_clock()
+        vehicle = self._view.selected_vehicle()
         label, note = "EMERGENCY STOP", ""
-        if self._is_confirmed(now, vehicle):
+        if vehicle is not None and self._confirmation.is_second_press(vehicle):
             label = "PRESS AGAIN TO STOP"
-        elif self._request is not None and now - self._asked_s < ANSWER_DISPLAY_S:
+        elif self._request is not None and read_boot_clock() - self._asked_s < ANSWER_DISPLAY_S:
             note = _STOP_OUTCOME_TEXTS[self._request.outcome]
         reasons = find_refusal_reasons(
             None if vehicle is None else vehicle.snapshot,
