@@ -12,6 +12,7 @@ import re
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from itertools import takewhile
 
 from mufly.station.signal_history import (
     MissionRow,
@@ -132,11 +133,7 @@ class AlertWatch:
 
     def _check_messages(self, messages: Sequence[StatusMessage]) -> list[SpokenAlert]:
         """Return the vehicle's warnings and errors: failsafes, limit cycles, refusals."""
-        fresh: list[StatusMessage] = []
-        for message in reversed(messages):
-            if message is self._last_message:
-                break
-            fresh.append(message)
+        fresh = list(takewhile(lambda message: message is not self._last_message, reversed(messages)))
         if fresh:
             self._last_message = fresh[0]
         if not self._has_begun:

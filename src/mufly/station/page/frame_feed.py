@@ -13,7 +13,7 @@ import time
 from base64 import b64encode
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import islice
+from itertools import islice, takewhile
 from typing import Any
 
 import numpy as np
@@ -237,15 +237,10 @@ class FrameFeed:
         return out | {"names": names} if fill else out
 
     def _add_messages(self, source: PanelSource, out: dict[str, Any]) -> None:
-        known = source.messages
-        fresh: list[StatusMessage] = []
         if "messages" not in self._tables:
             self._tables["messages"] = out["messages_new"] = True
             self._said = None
-        for message in reversed(known):
-            if message is self._said:
-                break
-            fresh.append(message)
+        fresh = list(takewhile(lambda message: message is not self._said, reversed(source.messages)))
         if fresh:
             self._said = fresh[0]
             out["messages"] = [(m.time_s, m.level, m.text[:MAX_TEXT_LENGTH]) for m in reversed(fresh)]
