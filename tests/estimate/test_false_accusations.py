@@ -14,7 +14,7 @@ from mufly.estimate.filter.filter_records import (
     PHASE_FLYING,
     R_FIX,
     R_MAGNET,
-    RF_ANG_ACCEL,
+    ROTOR_FORCE_ANG_ACCEL,
     ROTOR_FORCE_HISTORY,
     SENSOR_COUNT,
     STATE_COUNT,
@@ -87,7 +87,7 @@ def spiking_memory() -> SimpleNamespace:
         )
     }  # fmt: skip
     return SimpleNamespace(
-        **three, tick=1, rotor_force=np.zeros((ROTOR_FORCE_HISTORY, RF_ANG_ACCEL + 3)), rate_residual_lp=0.01,
+        **three, tick=1, rotor_force=np.zeros((ROTOR_FORCE_HISTORY, ROTOR_FORCE_ANG_ACCEL + 3)), rate_residual_lp=0.01,
         divergence_ticks=0, spike_repeats=0, spike_count=0, flight_phase=PHASE_FLYING, u_transposed=None,
         ud_diagonal=None, u_transposed_h=None, reject_score=np.zeros(SENSOR_COUNT),
     )  # fmt: skip

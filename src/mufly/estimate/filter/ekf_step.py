@@ -36,7 +36,7 @@ from mufly.estimate.filter.filter_records import (
     R_FIX,
     R_RATES,
     READING_STARTS,
-    RF_ANG_ACCEL,
+    ROTOR_FORCE_ANG_ACCEL,
     ROTOR_FORCE_HISTORY,
     STATE_COUNT,
     SX_ATT,
@@ -121,7 +121,7 @@ def estimator_step(
             # Rates of the rotor model. The stabiliser bar keeps the rotors level, so only yaw drifts.
             m.gyro_rates[k] = (
                 m.gyro_rates_prev[k]
-                + s.dt * m.rotor_force[(m.tick - 1) % ROTOR_FORCE_HISTORY, RF_ANG_ACCEL + k]
+                + s.dt * m.rotor_force[(m.tick - 1) % ROTOR_FORCE_HISTORY, ROTOR_FORCE_ANG_ACCEL + k]
                 + m.ang_accel_bias[k]
             )
         else:

@@ -229,7 +229,7 @@ def clear_block_forces(m: FilterMemory) -> None:
     for k in range(3):
         m.accel_mean[k] = m.model_accel_mean[k] = m.gyro_mean[k] = 0.0
         m.thrust_slope[k] = m.velocity_slope[k] = 0.0
-    m.residual_ratio = 0.0
+    m.max_innovation_ratio = 0.0
     m.block_mean_ticks = 0
 
 

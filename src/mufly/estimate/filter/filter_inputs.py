@@ -40,8 +40,8 @@ from mufly.estimate.filter.filter_records import (
     R_ROTOR,
     R_SONAR,
     READING_STARTS,
-    RF_STATIC,
     ROTOR_FORCE_HISTORY,
+    ROTOR_FORCE_STATIC,
     SX_ACCEL_BIAS,
     SX_ATT,
     SX_GYRO_BIAS,
@@ -106,7 +106,7 @@ def _update_flight_phase(m: FilterMemory, s: FilterSettings, z: _Array) -> float
     Returns the model's lift over the weight in the period in which the sonar sees it leave the floor, else 0.
     """
     lift = (
-        -m.rotor_force[m.tick % ROTOR_FORCE_HISTORY, RF_STATIC + 2] * m.x[SX_THRUST_SCALE] / GRAVITY
+        -m.rotor_force[m.tick % ROTOR_FORCE_HISTORY, ROTOR_FORCE_STATIC + 2] * m.x[SX_THRUST_SCALE] / GRAVITY
         if s.has_rotor_model > 0
         else 1.0
     )
@@ -209,9 +209,9 @@ def sample_inputs(
         row[k] = 0.5 * (m.gyro_rates[k] + m.gyro_rates_prev[k])
         row[IN_ACCEL + k] = z[k]
         for g in range(3):
-            row[IN_STATIC + 3 * g + k] = (1 - s.imu_lag_share) * m.rotor_force[
-                a, RF_STATIC + 3 * g + k
-            ] + s.imu_lag_share * m.rotor_force[b, RF_STATIC + 3 * g + k]
+            row[IN_STATIC + 3 * g + k] = (1 - s.imu_lag_remainder) * m.rotor_force[
+                a, ROTOR_FORCE_STATIC + 3 * g + k
+            ] + s.imu_lag_remainder * m.rotor_force[b, ROTOR_FORCE_STATIC + 3 * g + k]
         clip = m.clip_share[k] * CLIPPING_ERROR_SHARE * s.accel_range
         # Without vibration; but if the attitude is unknown, the model's force is the better one.
         noise = m.accel_noise_slow[k] if m.status[R_RATES] < STATUS_MISSING else m.accel_noise[k]

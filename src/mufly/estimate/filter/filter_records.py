@@ -70,7 +70,7 @@ EX_POS, EX_VEL, EX_ATT, EX_GYRO_BIAS, EX_ACCEL_BIAS, EX_TERRAIN = 0, 3, 6, 9, 12
 EX_FIX_BIAS, EX_FIX_HEADING, EX_WIND, EX_THRUST_SCALE, EX_PRESSURE_BIAS, EX_MAG_BIAS = 16, 19, 20, 22, 23, 24
 MODEL_ACCEL = 3
 """Index of the model's acceleration in ``accel_work``."""
-RF_STATIC, RF_REST, RF_SLOPE, RF_ANG_ACCEL = 0, 3, 6, 9
+ROTOR_FORCE_STATIC, ROTOR_FORCE_REST, ROTOR_FORCE_SLOPE, ROTOR_FORCE_ANG_ACCEL = 0, 3, 6, 9
 ROTOR_FORCE_SIZE = 12
 """A row of the rotor model, three numbers each: force per mass without motion through the air (m/s^2), the rest of the
 force (m/s^2), its slope over the velocity through the air (1/s), angular acceleration (rad/s^2); body axes."""
@@ -110,7 +110,7 @@ MAX_LAG_BLOCKS = 4  # blocks by which the filter may be behind when much has com
 MAX_DELAY_BLOCKS = INPUT_BLOCK_COUNT - 2 * MAX_LAG_BLOCKS  # blocks by which the horizon may be behind now
 QUEUE_SIZE = 64  # measurements that wait for the horizon
 MAX_WORK_LIMIT = 4  # scalar measurements, or what costs as much, for which there is time in a period of 5 ms
-TR_GYRO, TR_ACCEL, TR_AIR, TR_THRUST, TR_TURN = 0, 9, 18, 27, 30
+TRANSITION_GYRO, TRANSITION_ACCEL, TRANSITION_AIR, TRANSITION_THRUST, TRANSITION_TURN = 0, 9, 18, 27, 30
 TRANSITION_SIZE = 33
 """Numbers of :func:`mufly.estimate.filter.strapdown.error_transition`, and where its parts start."""
 AID_PLACE, AID_HEADING, AID_SONAR, AID_PRESSURE, AID_MAGNETIC = range(5)
@@ -180,7 +180,7 @@ class FilterMemory:
         "derivative of the modelled acceleration with respect to the velocity through the air", 3, unit="1/s"
     )
     residual_density: _Array = _real("noise density of measured minus modelled acceleration", 3, unit="m2/s3")
-    residual_ratio: float = _real("largest innovation ratio of the axes so far")
+    max_innovation_ratio: float = _real("largest innovation ratio of the axes so far")
     block_mean_ticks: int = _int("periods in these means")
     # Flight phase, terrain, faults
     terrain_edge_weight: float = _real("weight of terrain noise: 1 at an edge in the sonar's cone, then decaying to 0")
@@ -297,7 +297,7 @@ class FilterSettings:
     work_limit: int = _int("scalar measurements fused per period at most")
     imu_lag: float = _real("delay of the inertial unit's filter", unit="s")
     imu_lag_ticks: int = _int("whole periods of imu_lag")
-    imu_lag_share: float = _real("rest of imu_lag as a fraction of the period")
+    imu_lag_remainder: float = _real("rest of imu_lag as a fraction of the period")
     delay_ticks: int = _int("periods by which the horizon is behind")
     has_rotor_model: int = _int("1: the rotor model is used")
     swash_decay: float = _real("decay factor of the swash plate lag per period")
@@ -447,7 +447,7 @@ def filter_settings(
         lag = math.sqrt(2.0) / float(imu.bandwidth)  # of a second-order Butterworth filter at low frequencies
         noisy[R_ACCELERATION], noisy[R_RATES] = float(imu.accelerometer_noise) > 0, float(imu.gyro_noise) > 0
         slack[[R_ACCELERATION, R_RATES]] = 1.5 * dt
-        s["imu_lag"], s["imu_lag_ticks"], s["imu_lag_share"] = lag, int(lag / dt), lag / dt - int(lag / dt)
+        s["imu_lag"], s["imu_lag_ticks"], s["imu_lag_remainder"] = lag, int(lag / dt), lag / dt - int(lag / dt)
         s["imu_position"] = imu.place.to_array()[0]
         s["gyro_density"], s["accel_density"] = (
             float(imu.gyro_noise) ** 2,
@@ -475,7 +475,7 @@ def filter_settings(
         s["rest_accel_sigma"] = max(float(imu.accelerometer_noise) * math.sqrt(1.1 * band), 0.02)
         s["rest_gyro_sigma"] = max(float(imu.gyro_noise) * math.sqrt(1.1 * band), 1e-4)
     else:
-        s["imu_lag_share"] = 0.0
+        s["imu_lag_remainder"] = 0.0
     if (sonar := sensing.sonar) is not None:
         fitted[R_SONAR], period[R_SONAR] = 1, float(sonar.period)
         s["sonar_position"] = sonar.place.to_array()[0]

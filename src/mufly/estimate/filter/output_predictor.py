@@ -22,7 +22,7 @@ from mufly.estimate.filter.filter_records import (
     INPUT_BLOCK_COUNT,
     MAX_FLOOR_HEIGHT,
     PHASE_FLYING,
-    RF_ANG_ACCEL,
+    ROTOR_FORCE_ANG_ACCEL,
     ROTOR_FORCE_HISTORY,
     STATE_COUNT,
     SX_ATT,
@@ -185,7 +185,7 @@ def predict_output(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array) -> 
         x[SX_VEL + k] += s.imu_lag * a[k]
         m.rates_output[k] = m.gyro_rates[k] - x[SX_GYRO_BIAS + k]
         if s.has_rotor_model > 0 and m.flight_phase == PHASE_FLYING:
-            m.rates_output[k] += s.imu_lag * m.rotor_force[m.tick % ROTOR_FORCE_HISTORY, RF_ANG_ACCEL + k]
+            m.rates_output[k] += s.imu_lag * m.rotor_force[m.tick % ROTOR_FORCE_HISTORY, ROTOR_FORCE_ANG_ACCEL + k]
     rotate_attitude(
         x, s.imu_lag * m.rates_output[0], s.imu_lag * m.rates_output[1], s.imu_lag * m.rates_output[2], True
     )

@@ -57,20 +57,20 @@ from mufly.estimate.filter.filter_records import (
     IN_STATIC,
     MODEL_ACCEL,
     PHASE_RUNNING,
-    RF_ANG_ACCEL,
-    RF_REST,
-    RF_SLOPE,
-    RF_STATIC,
+    ROTOR_FORCE_ANG_ACCEL,
+    ROTOR_FORCE_REST,
+    ROTOR_FORCE_SLOPE,
+    ROTOR_FORCE_STATIC,
     SX_ACCEL_BIAS,
     SX_ATT,
     SX_GYRO_BIAS,
     SX_THRUST_SCALE,
     SX_VEL,
     SX_WIND,
-    TR_ACCEL,
-    TR_AIR,
-    TR_THRUST,
-    TR_TURN,
+    TRANSITION_ACCEL,
+    TRANSITION_AIR,
+    TRANSITION_THRUST,
+    TRANSITION_TURN,
     FilterMemory,
     FilterSettings,
 )
@@ -178,17 +178,17 @@ def error_transition(e: _Array, span: float, r: _Array, push: _Array, out: _Arra
         for j in range(3):
             own = span * r[3 * i + j]
             out[3 * i + j] = own
-            out[TR_ACCEL + 3 * i + j] = -own * e[IN_SHARE + j]
+            out[TRANSITION_ACCEL + 3 * i + j] = -own * e[IN_SHARE + j]
             k_ += own * ((1 - e[IN_SHARE + j]) * e[IN_STATIC + j])
-        out[TR_THRUST + i] = k_
-        out[TR_TURN + i] = 0.0 if e[IN_PHASE] <= PHASE_RUNNING else span * push[i]
+        out[TRANSITION_THRUST + i] = k_
+        out[TRANSITION_TURN + i] = 0.0 if e[IN_PHASE] <= PHASE_RUNNING else span * push[i]
     for i in range(3):
         for j in range(i, 3):
             s = 0.0
             for k in range(3):
                 s += out[3 * i + k] * ((1 - e[IN_SHARE + k]) * e[IN_SLOPE + k]) * r[3 * j + k]
-            out[TR_AIR + 3 * i + j] = s
-            out[TR_AIR + 3 * j + i] = s
+            out[TRANSITION_AIR + 3 * i + j] = s
+            out[TRANSITION_AIR + 3 * j + i] = s
 
 
 @cached_njit(error_model="numpy", inline="never")
@@ -246,22 +246,22 @@ def predict_rotor_force(m: FilterMemory, s: FilterSettings, p: ModelParameters, 
     x[RS_BAR], x[RS_BAR + 1], x[RS_BAR + 2] = 0.5 * (b_x + s_x), 0.5 * (b_y + s_y), 0.5 * (b_z + s_z)
     _model_derivative(x, u, m.no_wind, p, sin_a, cos_a, sin_b, cos_b, dx)
     f_x, f_y, f_z = dx[RS_VEL], dx[RS_VEL + 1], dx[RS_VEL + 2] - GRAVITY
-    out[RF_STATIC], out[RF_STATIC + 1], out[RF_STATIC + 2] = f_x, f_y, f_z
+    out[ROTOR_FORCE_STATIC], out[ROTOR_FORCE_STATIC + 1], out[ROTOR_FORCE_STATIC + 2] = f_x, f_y, f_z
     for k in range(3):
         x[RS_VEL + k] = air[k]
     _model_derivative(x, u, m.no_wind, p, sin_a, cos_a, sin_b, cos_b, dx)
     for k in range(3):
-        out[RF_ANG_ACCEL + k] = dx[RS_RATES + k]
+        out[ROTOR_FORCE_ANG_ACCEL + k] = dx[RS_RATES + k]
     d_x, d_y, d_z = dx[RS_VEL], dx[RS_VEL + 1], dx[RS_VEL + 2] - GRAVITY
     for k in range(3):
         x[RS_VEL + k] = air[k] + _DRAG_SLOPE_STEP
     _model_derivative(x, u, m.no_wind, p, sin_a, cos_a, sin_b, cos_b, dx)
-    out[RF_SLOPE] = min((dx[RS_VEL] - d_x) / _DRAG_SLOPE_STEP, 0.0)
-    out[RF_SLOPE + 1] = min((dx[RS_VEL + 1] - d_y) / _DRAG_SLOPE_STEP, 0.0)
-    out[RF_SLOPE + 2] = min((dx[RS_VEL + 2] - GRAVITY - d_z) / _DRAG_SLOPE_STEP, 0.0)
-    out[RF_REST] = d_x - f_x - out[RF_SLOPE] * air[0]
-    out[RF_REST + 1] = d_y - f_y - out[RF_SLOPE + 1] * air[1]
-    out[RF_REST + 2] = d_z - f_z - out[RF_SLOPE + 2] * air[2]
+    out[ROTOR_FORCE_SLOPE] = min((dx[RS_VEL] - d_x) / _DRAG_SLOPE_STEP, 0.0)
+    out[ROTOR_FORCE_SLOPE + 1] = min((dx[RS_VEL + 1] - d_y) / _DRAG_SLOPE_STEP, 0.0)
+    out[ROTOR_FORCE_SLOPE + 2] = min((dx[RS_VEL + 2] - GRAVITY - d_z) / _DRAG_SLOPE_STEP, 0.0)
+    out[ROTOR_FORCE_REST] = d_x - f_x - out[ROTOR_FORCE_SLOPE] * air[0]
+    out[ROTOR_FORCE_REST + 1] = d_y - f_y - out[ROTOR_FORCE_SLOPE + 1] * air[1]
+    out[ROTOR_FORCE_REST + 2] = d_z - f_z - out[ROTOR_FORCE_SLOPE + 2] * air[2]
     x[RS_SWASH_ROLL] = to_roll + (roll - to_roll) * settled
     x[RS_SWASH_PITCH] = to_pitch + (pitch - to_pitch) * settled
     x[RS_BAR], x[RS_BAR + 1], x[RS_BAR + 2] = s_x * size, s_y * size, s_z * size

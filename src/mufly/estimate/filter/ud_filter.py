@@ -36,11 +36,11 @@ from mufly.estimate.filter.filter_records import (
     EX_THRUST_SCALE,
     EX_VEL,
     EX_WIND,
-    TR_ACCEL,
-    TR_AIR,
-    TR_GYRO,
-    TR_THRUST,
-    TR_TURN,
+    TRANSITION_ACCEL,
+    TRANSITION_AIR,
+    TRANSITION_GYRO,
+    TRANSITION_THRUST,
+    TRANSITION_TURN,
 )
 
 _Array = NDArray[np.float64]
@@ -102,43 +102,43 @@ def _rank_one_update(ut: _Array, d: _Array, last: int, c: float, v: _Array) -> N
 def propagate_column(u: _Array, span: float, a: _Array, out: _Array) -> None:
     """Write the first nine errors of column ``u`` (n,) after a step; ``out`` may be ``u``."""
     g_x, g_y, g_z = u[EX_GYRO_BIAS], u[EX_GYRO_BIAS + 1], u[EX_GYRO_BIAS + 2]
-    r_x = a[TR_GYRO] * g_x + a[TR_GYRO + 1] * g_y + a[TR_GYRO + 2] * g_z
-    r_y = a[TR_GYRO + 3] * g_x + a[TR_GYRO + 4] * g_y + a[TR_GYRO + 5] * g_z
-    r_z = a[TR_GYRO + 6] * g_x + a[TR_GYRO + 7] * g_y + a[TR_GYRO + 8] * g_z
+    r_x = a[TRANSITION_GYRO] * g_x + a[TRANSITION_GYRO + 1] * g_y + a[TRANSITION_GYRO + 2] * g_z
+    r_y = a[TRANSITION_GYRO + 3] * g_x + a[TRANSITION_GYRO + 4] * g_y + a[TRANSITION_GYRO + 5] * g_z
+    r_z = a[TRANSITION_GYRO + 6] * g_x + a[TRANSITION_GYRO + 7] * g_y + a[TRANSITION_GYRO + 8] * g_z
     t_x, t_y, t_z = u[EX_ATT] - 0.5 * r_x, u[EX_ATT + 1] - 0.5 * r_y, u[EX_ATT + 2] - 0.5 * r_z
     b_x, b_y, b_z = u[EX_ACCEL_BIAS], u[EX_ACCEL_BIAS + 1], u[EX_ACCEL_BIAS + 2]
     n, e, o = u[EX_VEL] - u[EX_WIND], u[EX_VEL + 1] - u[EX_WIND + 1], u[EX_VEL + 2]
     k = u[EX_THRUST_SCALE]
     x = (
-        a[TR_ACCEL] * b_x
-        + a[TR_ACCEL + 1] * b_y
-        + a[TR_ACCEL + 2] * b_z
-        + a[TR_AIR] * n
-        + a[TR_AIR + 1] * e
-        + a[TR_AIR + 2] * o
-        + a[TR_THRUST] * k
+        a[TRANSITION_ACCEL] * b_x
+        + a[TRANSITION_ACCEL + 1] * b_y
+        + a[TRANSITION_ACCEL + 2] * b_z
+        + a[TRANSITION_AIR] * n
+        + a[TRANSITION_AIR + 1] * e
+        + a[TRANSITION_AIR + 2] * o
+        + a[TRANSITION_THRUST] * k
     )
     y = (
-        a[TR_ACCEL + 3] * b_x
-        + a[TR_ACCEL + 4] * b_y
-        + a[TR_ACCEL + 5] * b_z
-        + a[TR_AIR + 3] * n
-        + a[TR_AIR + 4] * e
-        + a[TR_AIR + 5] * o
-        + a[TR_THRUST + 1] * k
+        a[TRANSITION_ACCEL + 3] * b_x
+        + a[TRANSITION_ACCEL + 4] * b_y
+        + a[TRANSITION_ACCEL + 5] * b_z
+        + a[TRANSITION_AIR + 3] * n
+        + a[TRANSITION_AIR + 4] * e
+        + a[TRANSITION_AIR + 5] * o
+        + a[TRANSITION_THRUST + 1] * k
     )
     z = (
-        a[TR_ACCEL + 6] * b_x
-        + a[TR_ACCEL + 7] * b_y
-        + a[TR_ACCEL + 8] * b_z
-        + a[TR_AIR + 6] * n
-        + a[TR_AIR + 7] * e
-        + a[TR_AIR + 8] * o
-        + a[TR_THRUST + 2] * k
+        a[TRANSITION_ACCEL + 6] * b_x
+        + a[TRANSITION_ACCEL + 7] * b_y
+        + a[TRANSITION_ACCEL + 8] * b_z
+        + a[TRANSITION_AIR + 6] * n
+        + a[TRANSITION_AIR + 7] * e
+        + a[TRANSITION_AIR + 8] * o
+        + a[TRANSITION_THRUST + 2] * k
     )
-    x += a[TR_TURN + 2] * t_y - a[TR_TURN + 1] * t_z
-    y += a[TR_TURN] * t_z - a[TR_TURN + 2] * t_x
-    z += a[TR_TURN + 1] * t_x - a[TR_TURN] * t_y
+    x += a[TRANSITION_TURN + 2] * t_y - a[TRANSITION_TURN + 1] * t_z
+    y += a[TRANSITION_TURN] * t_z - a[TRANSITION_TURN + 2] * t_x
+    z += a[TRANSITION_TURN + 1] * t_x - a[TRANSITION_TURN] * t_y
     out[EX_POS] = u[EX_POS] + span * (u[EX_VEL] + 0.5 * x)
     out[EX_POS + 1] = u[EX_POS + 1] + span * (u[EX_VEL + 1] + 0.5 * y)
     out[EX_POS + 2] = u[EX_POS + 2] + span * (u[EX_VEL + 2] + 0.5 * z)
@@ -154,12 +154,12 @@ def propagate_column(u: _Array, span: float, a: _Array, out: _Array) -> None:
 def _propagate_moving_column(u: _Array, span: float, a: _Array) -> None:
     """Propagate a column without biases in place, as :func:`propagate_column`."""
     n, e, o = u[EX_VEL], u[EX_VEL + 1], u[EX_VEL + 2]
-    x = a[TR_AIR] * n + a[TR_AIR + 1] * e + a[TR_AIR + 2] * o
-    y = a[TR_AIR + 3] * n + a[TR_AIR + 4] * e + a[TR_AIR + 5] * o
-    z = a[TR_AIR + 6] * n + a[TR_AIR + 7] * e + a[TR_AIR + 8] * o
-    x += a[TR_TURN + 2] * u[EX_ATT + 1] - a[TR_TURN + 1] * u[EX_ATT + 2]
-    y += a[TR_TURN] * u[EX_ATT + 2] - a[TR_TURN + 2] * u[EX_ATT]
-    z += a[TR_TURN + 1] * u[EX_ATT] - a[TR_TURN] * u[EX_ATT + 1]
+    x = a[TRANSITION_AIR] * n + a[TRANSITION_AIR + 1] * e + a[TRANSITION_AIR + 2] * o
+    y = a[TRANSITION_AIR + 3] * n + a[TRANSITION_AIR + 4] * e + a[TRANSITION_AIR + 5] * o
+    z = a[TRANSITION_AIR + 6] * n + a[TRANSITION_AIR + 7] * e + a[TRANSITION_AIR + 8] * o
+    x += a[TRANSITION_TURN + 2] * u[EX_ATT + 1] - a[TRANSITION_TURN + 1] * u[EX_ATT + 2]
+    y += a[TRANSITION_TURN] * u[EX_ATT + 2] - a[TRANSITION_TURN + 2] * u[EX_ATT]
+    z += a[TRANSITION_TURN + 1] * u[EX_ATT] - a[TRANSITION_TURN] * u[EX_ATT + 1]
     u[EX_POS] += span * (n + 0.5 * x)
     u[EX_POS + 1] += span * (e + 0.5 * y)
     u[EX_POS + 2] += span * (o + 0.5 * z)

@@ -480,9 +480,9 @@ def fuse_accel_residual(m: FilterMemory, s: FilterSettings, r: _Array, count: in
     check_accel_model(m, s, r, height_above_ground(m.x_output, s), nu, r_, known, i)
     if abs(ratio) < INNOVATION_GATE and m.is_accel_distrusted == 0:
         fuse_scalar(m, nu, r_)
-    if i == 0 or abs(ratio) > m.residual_ratio:
+    if i == 0 or abs(ratio) > m.max_innovation_ratio:
         log_innovation(m, R_ACCELERATION, nu, ratio)
-        m.residual_ratio = abs(ratio)
+        m.max_innovation_ratio = abs(ratio)
 
 
 @cached_njit(error_model="numpy")

@@ -40,7 +40,7 @@ from mufly.estimate.filter.filter_records import (
     R_ROTOR,
     R_SONAR,
     READING_STARTS,
-    RF_ANG_ACCEL,
+    ROTOR_FORCE_ANG_ACCEL,
     ROTOR_FORCE_HISTORY,
     SENSOR_COUNT,
     FilterMemory,
@@ -96,7 +96,7 @@ _SPIKE_CARRY_SHARE = 0.7  # share of the residual of the previous period
 _ROUGHNESS_FACTOR = 3.0  # of the mean residual over some 50 ms
 _ANG_ACCEL_BIAS_GAIN = 0.02  # share of a residual that is attributed to the model's moments
 _MIN_CLIP_SHARE = 0.02  # share of clipped samples that is reported
-DIVERGED_BIAS_WALK, DIVERGED_WALK_S, LATER_BIAS_WALK = 0.1, 3.0, 0.03
+DIVERGED_BIAS_WALK, FREE_BIAS_DURATION_S, LATER_BIAS_WALK = 0.1, 3.0, 0.03
 """Random walk of the gyroscopes' bias after a divergence of the filter (rad/s in a second), its duration (s), and the
 random walk afterwards, since a drift may continue."""
 DIVERGED_BIAS, DIVERGED_ATTITUDE, DIVERGED_SPEED = 0.15, 0.06, 0.3
@@ -265,7 +265,7 @@ def reset_on_divergence(m: FilterMemory, s: FilterSettings) -> None:
             inflate_variance(
                 m.u_transposed, m.ud_diagonal, EX_VEL + k, DIVERGED_SPEED * DIVERGED_SPEED, m.u_transposed_h
             )
-    m.divergence_ticks = int(DIVERGED_WALK_S / s.dt)
+    m.divergence_ticks = int(FREE_BIAS_DURATION_S / s.dt)
 
 
 @cached_njit(error_model="numpy")
@@ -276,7 +276,9 @@ def replace_gyro_spikes(m: FilterMemory, s: FilterSettings, flying: bool) -> Non
     now = (m.tick - 1) % ROTOR_FORCE_HISTORY
     worst, led = 0.0, 0.0
     for k in range(3):
-        m.axis_work[k] = m.gyro_rates_prev[k] + s.dt * m.rotor_force[now, RF_ANG_ACCEL + k] + m.ang_accel_bias[k]
+        m.axis_work[k] = (
+            m.gyro_rates_prev[k] + s.dt * m.rotor_force[now, ROTOR_FORCE_ANG_ACCEL + k] + m.ang_accel_bias[k]
+        )
         off = m.gyro_rates[k] - m.axis_work[k]
         worst = max(worst, abs(off))
         # A spike may consist of two steps that would each pass.

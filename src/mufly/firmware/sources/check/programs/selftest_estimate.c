@@ -25,7 +25,7 @@ static void move_along_hop(hop_t *hop, const estimator_t *m, int32_t k)
 
         hop->motor[i] = (k < STANDING_PERIODS) ? REAL(0.0) : real_clip(REAL(0.75) + (REAL(4.0) * off), REAL(0.0), REAL(1.0));
     }
-    hop->force = m->rotor_force[wrap_index(m->tick, ROTOR_FORCE_HISTORY)][RF_STATIC + 2];
+    hop->force = m->rotor_force[wrap_index(m->tick, ROTOR_FORCE_HISTORY)][ROTOR_FORCE_STATIC + 2];
     gain = -hop->force - GRAVITY;
     if ((hop->height <= REAL(0.0)) && (gain < REAL(0.0))) {
         hop->climb = REAL(0.0);

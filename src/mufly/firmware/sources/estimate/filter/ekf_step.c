@@ -61,7 +61,7 @@ bool estimator_step(estimator_t *m, const estimator_settings_t *s, const flight_
         } else if ((s->has_rotor_model > 0) && (m->flight_phase >= PHASE_LIGHT)) {
             /* Rates of the rotor model. The stabiliser bar keeps the rotors level, so only yaw drifts. */
             m->gyro_rates[k] =
-                (m->gyro_rates_prev[k] + (s->dt * m->rotor_force[(m->tick - 1) % ROTOR_FORCE_HISTORY][RF_ANG_ACCEL + k])) + m->ang_accel_bias[k];
+                (m->gyro_rates_prev[k] + (s->dt * m->rotor_force[(m->tick - 1) % ROTOR_FORCE_HISTORY][ROTOR_FORCE_ANG_ACCEL + k])) + m->ang_accel_bias[k];
         } else {
             m->gyro_rates[k] = m->x_output[SX_GYRO_BIAS + k];
         }

@@ -189,7 +189,7 @@ void clear_block_forces(estimator_t *m)
         m->thrust_slope[k] = REAL(0.0);
         m->velocity_slope[k] = REAL(0.0);
     }
-    m->residual_ratio = REAL(0.0);
+    m->max_innovation_ratio = REAL(0.0);
     m->block_mean_ticks = 0;
 }
 

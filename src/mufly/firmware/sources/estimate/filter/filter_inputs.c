@@ -12,7 +12,7 @@
 static real_t update_flight_phase(estimator_t *m, const estimator_settings_t *s, const real_t z[VALUE_COUNT])
 {
     const real_t lift =
-        (s->has_rotor_model > 0) ? ((-m->rotor_force[wrap_index(m->tick, ROTOR_FORCE_HISTORY)][RF_STATIC + 2] * m->x[SX_THRUST_SCALE]) / GRAVITY) : REAL(1.0);
+        (s->has_rotor_model > 0) ? ((-m->rotor_force[wrap_index(m->tick, ROTOR_FORCE_HISTORY)][ROTOR_FORCE_STATIC + 2] * m->x[SX_THRUST_SCALE]) / GRAVITY) : REAL(1.0);
     const real_t height = height_above_ground(m->x_output, s);
     const bool off = (z[ACTUATOR_START] + z[ACTUATOR_START + 1]) < REAL(0.02);
     /* Rotors with more lift than modelled leave the floor earlier, others later. */
@@ -162,8 +162,8 @@ real_t sample_inputs(estimator_t *m, const estimator_settings_t *s, const flight
         row[k] = REAL(0.5) * (m->gyro_rates[k] + m->gyro_rates_prev[k]);
         row[IN_ACCEL + k] = z[k];
         for (int32_t g = 0; g < 3; g++) {
-            row[IN_STATIC + (3 * g) + k] = ((REAL(1.0) - s->imu_lag_share) * m->rotor_force[a][RF_STATIC + (3 * g) + k]) +
-                                   (s->imu_lag_share * m->rotor_force[b][RF_STATIC + (3 * g) + k]);
+            row[IN_STATIC + (3 * g) + k] = ((REAL(1.0) - s->imu_lag_remainder) * m->rotor_force[a][ROTOR_FORCE_STATIC + (3 * g) + k]) +
+                                   (s->imu_lag_remainder * m->rotor_force[b][ROTOR_FORCE_STATIC + (3 * g) + k]);
         }
         if (m->flight_phase <= PHASE_RUNNING) {
             row[IN_STATIC + k] = REAL(0.0);

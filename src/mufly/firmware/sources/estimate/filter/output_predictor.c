@@ -198,7 +198,7 @@ void predict_output(estimator_t *m, const estimator_settings_t *s)
         x[SX_VEL + k] += s->imu_lag * a[k];
         m->rates_output[k] = m->gyro_rates[k] - x[SX_GYRO_BIAS + k];
         if ((s->has_rotor_model > 0) && (m->flight_phase == PHASE_FLYING)) {
-            m->rates_output[k] += s->imu_lag * m->rotor_force[wrap_index(m->tick, ROTOR_FORCE_HISTORY)][RF_ANG_ACCEL + k];
+            m->rates_output[k] += s->imu_lag * m->rotor_force[wrap_index(m->tick, ROTOR_FORCE_HISTORY)][ROTOR_FORCE_ANG_ACCEL + k];
         }
     }
     rotate_attitude(x, s->imu_lag * m->rates_output[0], s->imu_lag * m->rates_output[1], s->imu_lag * m->rates_output[2], true);

@@ -124,11 +124,11 @@ void error_transition(const real_t e[INPUT_ROW_SIZE], real_t span, const real_t 
             const real_t own = span * r[(3 * i) + j];
 
             out[(3 * i) + j] = own;
-            out[TR_ACCEL + (3 * i) + j] = -own * e[IN_SHARE + j];
+            out[TRANSITION_ACCEL + (3 * i) + j] = -own * e[IN_SHARE + j];
             thrust += own * (rest[j] * e[IN_STATIC + j]);
         }
-        out[TR_THRUST + i] = thrust;
-        out[TR_TURN + i] = stands ? REAL(0.0) : (span * a[i]); /* the floor's force is vertical at any tilt */
+        out[TRANSITION_THRUST + i] = thrust;
+        out[TRANSITION_TURN + i] = stands ? REAL(0.0) : (span * a[i]); /* the floor's force is vertical at any tilt */
     }
     for (int32_t i = 0; i < 3; i++) {
         for (int32_t j = i; j < 3; j++) {
@@ -137,8 +137,8 @@ void error_transition(const real_t e[INPUT_ROW_SIZE], real_t span, const real_t 
             for (int32_t k = 0; k < 3; k++) {
                 drag += (out[(3 * i) + k] * slope[k]) * r[(3 * j) + k];
             }
-            out[TR_AIR + (3 * i) + j] = drag;
-            out[TR_AIR + (3 * j) + i] = drag;
+            out[TRANSITION_AIR + (3 * i) + j] = drag;
+            out[TRANSITION_AIR + (3 * j) + i] = drag;
         }
     }
 }
@@ -195,7 +195,7 @@ void predict_rotor_force(estimator_t *m, const estimator_settings_t *s, const fl
     }
     flight_model(x, m->actuators, no_wind, p, &swash, dx);
     for (int32_t k = 0; k < 3; k++) {
-        out[RF_ANG_ACCEL + k] = dx[RS_RATES + k];
+        out[ROTOR_FORCE_ANG_ACCEL + k] = dx[RS_RATES + k];
     }
     moving[0] = dx[RS_VEL];
     moving[1] = dx[RS_VEL + 1];
@@ -204,11 +204,11 @@ void predict_rotor_force(estimator_t *m, const estimator_settings_t *s, const fl
         x[RS_VEL + k] = air[k] + DRAG_SLOPE_STEP;
     }
     flight_model(x, m->actuators, no_wind, p, &swash, dx);
-    out[RF_SLOPE] = real_min((dx[RS_VEL] - moving[0]) / DRAG_SLOPE_STEP, REAL(0.0));
-    out[RF_SLOPE + 1] = real_min((dx[RS_VEL + 1] - moving[1]) / DRAG_SLOPE_STEP, REAL(0.0));
-    out[RF_SLOPE + 2] = real_min(((dx[RS_VEL + 2] - GRAVITY) - moving[2]) / DRAG_SLOPE_STEP, REAL(0.0));
+    out[ROTOR_FORCE_SLOPE] = real_min((dx[RS_VEL] - moving[0]) / DRAG_SLOPE_STEP, REAL(0.0));
+    out[ROTOR_FORCE_SLOPE + 1] = real_min((dx[RS_VEL + 1] - moving[1]) / DRAG_SLOPE_STEP, REAL(0.0));
+    out[ROTOR_FORCE_SLOPE + 2] = real_min(((dx[RS_VEL + 2] - GRAVITY) - moving[2]) / DRAG_SLOPE_STEP, REAL(0.0));
     for (int32_t k = 0; k < 3; k++) {
-        out[RF_REST + k] = (moving[k] - still[k]) - (out[RF_SLOPE + k] * air[k]);
+        out[ROTOR_FORCE_REST + k] = (moving[k] - still[k]) - (out[ROTOR_FORCE_SLOPE + k] * air[k]);
         x[RS_BAR + k] = normal[k] * size;
     }
     x[RS_SWASH_ROLL] = to_roll + ((roll - to_roll) * s->swash_decay);

@@ -186,7 +186,7 @@ static void rank_one_update(estimator_t *m, int32_t last, real_t much)
 void propagate_column(const real_t u[ERROR_STATE_COUNT], real_t span, const real_t transition[TRANSITION_SIZE], real_t out[MOTION_STATE_COUNT])
 {
     const real_t *a = transition;
-    const real_t *turning = &a[TR_TURN];
+    const real_t *turning = &a[TRANSITION_TURN];
     const real_t air[3] = {u[EX_VEL] - u[EX_WIND], u[EX_VEL + 1] - u[EX_WIND + 1], u[EX_VEL + 2]};
     real_t turn[3];
     real_t half[3];
@@ -199,11 +199,11 @@ void propagate_column(const real_t u[ERROR_STATE_COUNT], real_t span, const real
         half[i] = u[EX_ATT + i] - (REAL(0.5) * turn[i]);
     }
     for (int32_t i = 0; i < 3; i++) {
-        const real_t *b = &a[TR_ACCEL + (3 * i)];
-        const real_t *w = &a[TR_AIR + (3 * i)];
+        const real_t *b = &a[TRANSITION_ACCEL + (3 * i)];
+        const real_t *w = &a[TRANSITION_AIR + (3 * i)];
 
         gain[i] = ((((((b[0] * u[EX_ACCEL_BIAS]) + (b[1] * u[EX_ACCEL_BIAS + 1])) + (b[2] * u[EX_ACCEL_BIAS + 2])) + (w[0] * air[0])) + (w[1] * air[1])) +
-                   (w[2] * air[2])) + (a[TR_THRUST + i] * u[EX_THRUST_SCALE]);
+                   (w[2] * air[2])) + (a[TRANSITION_THRUST + i] * u[EX_THRUST_SCALE]);
     }
     gain[0] += (turning[2] * half[1]) - (turning[1] * half[2]);
     gain[1] += (turning[0] * half[2]) - (turning[2] * half[0]);
@@ -218,12 +218,12 @@ void propagate_column(const real_t u[ERROR_STATE_COUNT], real_t span, const real
 /* Do the same as propagate_column, in place, for a column without biases. */
 static void propagate_moving_column(real_t u[MOTION_STATE_COUNT], real_t span, const real_t transition[TRANSITION_SIZE])
 {
-    const real_t *turning = &transition[TR_TURN];
+    const real_t *turning = &transition[TRANSITION_TURN];
     const real_t velocity[3] = {u[EX_VEL], u[EX_VEL + 1], u[EX_VEL + 2]};
     real_t gain[3];
 
     for (int32_t i = 0; i < 3; i++) {
-        const real_t *w = &transition[TR_AIR + (3 * i)];
+        const real_t *w = &transition[TRANSITION_AIR + (3 * i)];
 
         gain[i] = ((w[0] * velocity[0]) + (w[1] * velocity[1])) + (w[2] * velocity[2]);
     }

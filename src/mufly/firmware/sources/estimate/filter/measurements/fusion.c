@@ -448,9 +448,9 @@ void fuse_accel_residual(estimator_t *m, const estimator_settings_t *s, int32_t 
     if ((real_abs(ratio) < INNOVATION_GATE) && (m->is_accel_distrusted == 0)) {
         apply_correction(m, nu, variance);
     }
-    if ((i == 0) || (real_abs(ratio) > m->residual_ratio)) {
+    if ((i == 0) || (real_abs(ratio) > m->max_innovation_ratio)) {
         log_innovation(m, R_ACCELERATION, nu, ratio);
-        m->residual_ratio = real_abs(ratio);
+        m->max_innovation_ratio = real_abs(ratio);
     }
 }
 

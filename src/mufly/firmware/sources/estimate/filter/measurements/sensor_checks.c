@@ -208,7 +208,7 @@ void reset_on_divergence(estimator_t *m, const estimator_settings_t *s)
         inflate_variance(m, EX_VEL, DIVERGED_SPEED * DIVERGED_SPEED);
         inflate_variance(m, EX_VEL + 1, DIVERGED_SPEED * DIVERGED_SPEED);
     }
-    m->divergence_ticks = (int32_t)(DIVERGED_WALK_S / s->dt);
+    m->divergence_ticks = (int32_t)(FREE_BIAS_DURATION_S / s->dt);
 }
 
 void replace_gyro_spikes(estimator_t *m, const estimator_settings_t *s, bool flying)
@@ -224,7 +224,7 @@ void replace_gyro_spikes(estimator_t *m, const estimator_settings_t *s, bool fly
     for (int32_t k = 0; k < 3; k++) {
         real_t off;
 
-        m->axis_work[k] = (m->gyro_rates_prev[k] + (s->dt * m->rotor_force[now][RF_ANG_ACCEL + k])) + m->ang_accel_bias[k];
+        m->axis_work[k] = (m->gyro_rates_prev[k] + (s->dt * m->rotor_force[now][ROTOR_FORCE_ANG_ACCEL + k])) + m->ang_accel_bias[k];
         off = m->gyro_rates[k] - m->axis_work[k];
         worst = real_max(worst, real_abs(off));
         /* A spike may consist of two steps that would each pass. */
