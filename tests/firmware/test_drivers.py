@@ -17,6 +17,7 @@ from mufly.firmware.export.source_export import copy_sources, find_sources
 from mufly.sensors.pressure import STANDARD_PRESSURE_PA
 
 COMPILERS = [c for c in ("cc", "gcc", "clang") if shutil.which(c)]
+TRAPS = ("-fsanitize=bounds", "-fsanitize-undefined-trap-on-error")  # an index beyond its array ends the process
 pytestmark = pytest.mark.skipif(not COMPILERS, reason="no C compiler: install gcc or clang")
 IMU, BAROMETER, SONAR, LASER = range(4)
 REFUSES, SILENT, UNKNOWN, FORGETS, IMPLAUSIBLE = 1, 2, 4, 8, 16  # of register_device.h
@@ -36,7 +37,7 @@ def library(tmp_path_factory):
         "check/models/bus_model.c",
         "check/models/sd_bus_model.c",
     ]
-    build = [COMPILERS[0], *flags, "-O1", "-shared", "-fPIC", *sources, "-o", "drivers.so"]
+    build = [COMPILERS[0], *flags, *TRAPS, "-O1", "-shared", "-fPIC", *sources, "-o", "drivers.so"]
     done = subprocess.run(build, cwd=tree, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     headers = "".join(

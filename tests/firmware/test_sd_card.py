@@ -15,6 +15,7 @@ import pytest
 from mufly.firmware.export.source_export import copy_sources
 
 COMPILERS = [c for c in ("cc", "gcc", "clang") if shutil.which(c)]
+TRAPS = ("-fsanitize=bounds", "-fsanitize-undefined-trap-on-error")  # an index beyond its array ends the process
 pytestmark = pytest.mark.skipif(not COMPILERS, reason="no C compiler: install gcc or clang")
 DONE, BUSY, ERROR = range(3)
 GOOD, SILENT, REFUSES, UNKNOWN, SLOW = range(5)
@@ -29,6 +30,7 @@ def library(tmp_path_factory):
     build = [
         COMPILERS[0],
         *flags,
+        *TRAPS,
         "-O1",
         "-shared",
         "-fPIC",
