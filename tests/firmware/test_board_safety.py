@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from mufly.control import design_flight_controller
+from mufly.dynamics import standing_height
 from mufly.estimate import KalmanEstimator
 from mufly.firmware import FirmwareSoftware, GenericFirmwareSoftware
 from mufly.firmware.compiled_software import diff_fields
@@ -28,7 +29,8 @@ from mufly.vehicle import load_vehicle
 pytestmark = pytest.mark.skipif(
     not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="no C compiler: install gcc or clang"
 )
-NOT_MEASURED, STALE, NO_VOLTAGE, BATTERY_LOW, NOT_VALID, TILTED, MOVED = (1 << k for k in range(7))  # supervisor.h
+NOT_MEASURED, STALE, NO_VOLTAGE, BATTERY_LOW, NOT_VALID, TILTED, MOVED = (1 << k for k in range(7))
+NOT_STANDING = 512  # bits of supervisor.h
 AROUND = 24
 """Periods before and after the first valid estimate in which a start is asked for."""
 
@@ -163,7 +165,8 @@ class BoardSupervisor:
         lib, s, command = self.lib, self.supervisor, self.instance.command_record
         setup, software, belief = self.parts
         self.instance.write_estimate(estimate)
-        lib.supervisor_observe(s, setup, belief)
+        more = estimate.auxiliary_states
+        lib.supervisor_observe(s, setup, belief, float("nan") if more is None else more.floor_height)
         due = software.tick == 0
         lib.supervisor_collect(s, software, command)
         out = self.instance.actuators_record
@@ -241,7 +244,8 @@ def supervised(board):
         ffi.memmove(m, ffi.new("estimate_t *"), ffi.sizeof("estimate_t"))
         m.valid, m.time_s, m.motion.voltage, m.specific_force[2] = True, 2.0, 8.0, -9.81
         lib.supervisor_start(s, ffi.addressof(lib, "mufly_supervisor"), lib.INTERRUPTION_NONE)
-        lib.supervisor_observe(s, setup, m)
+        m.motion.position[2] = -0.3 - s.settings.standing_m
+        lib.supervisor_observe(s, setup, m, 0.3)
         return lib, s, setup, m
 
     return begin
@@ -272,17 +276,25 @@ def test_each_reason_against_arming_has_its_bit(supervised) -> None:
             assert lib.supervisor_arming_faults(s, setup, m) == reason, (name, value)
 
 
+def test_a_height_other_than_that_of_standing_refuses_arming(supervised, vehicle) -> None:
+    lib, s, setup, m = supervised()
+    assert s.settings.standing_m == standing_height(vehicle)
+    for floor_m, refused in ((0.251, False), (0.349, False), (0.249, True), (0.351, True), (float("nan"), False)):
+        lib.supervisor_observe(s, setup, m, floor_m)
+        assert lib.supervisor_arming_faults(s, setup, m) == (NOT_STANDING if refused else 0), floor_m
+
+
 def test_an_estimate_whose_clock_stands_still_refuses_arming_until_it_runs(supervised) -> None:
     lib, s, setup, m = supervised()
     for _ in range(round(0.5 / setup.period_s) - 1):
-        lib.supervisor_observe(s, setup, m)
+        lib.supervisor_observe(s, setup, m, 0.3)
     assert lib.supervisor_arming_faults(s, setup, m) == 0
     for _ in range(2):
-        lib.supervisor_observe(s, setup, m)
+        lib.supervisor_observe(s, setup, m, 0.3)
     assert lib.supervisor_arming_faults(s, setup, m) == STALE
     assert s.now_s == pytest.approx(2.0 + 0.5 + setup.period_s)  # its own clock runs on
     m.time_s = 2.6
-    lib.supervisor_observe(s, setup, m)
+    lib.supervisor_observe(s, setup, m, 0.3)
     assert lib.supervisor_arming_faults(s, setup, m) == 0
 
 
@@ -334,6 +346,7 @@ def test_motors_stay_off_after_a_reset_in_flight_until_it_is_acknowledged(board,
             assert list(b.sent.motor_input) + list(b.sent.servo_input) == [0.0] * 4
         m = ffi.new("estimate_t *")
         m.motion.voltage, m.valid, m.time_s = 8.0, True, 2.0
+        m.motion.position[2] = -b.supervisor.floor_m - b.supervisor.settings.standing_m
         m.specific_force[2] = -9.81
         ask = ffi.new("user_request_t *", {"kind": lib.USER_ARM})
         answers = [

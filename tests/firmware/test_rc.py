@@ -169,6 +169,8 @@ class Pilot(Station):
             m.valid, m.motion.voltage, m.specific_force = True, 8.0, [0.0, 0.0, -9.81]
             for quantity in (m.motion.position, m.motion.velocity, m.motion.attitude, m.motion.rates):
                 quantity[0:3] = [0.0, 0.0, 0.0]
+            s = self.board.record.supervisor
+            m.motion.position[2] = -s.floor_m - s.settings.standing_m
             original(request)
 
         self.board.compute_control = compute_control

@@ -7,6 +7,7 @@ import math
 from typing import Any
 
 from mufly.control import FlightController
+from mufly.dynamics import standing_height
 from mufly.errors import InputError
 from mufly.flight.controllers import controller_limits
 from mufly.flight.tunable_parameters import StickRanges
@@ -113,14 +114,14 @@ def render_plan_source(plan: MissionPlan, controller: FlightController) -> str:
     return "\n".join(lines)
 
 
-def render_supervisor_source() -> str:
+def render_supervisor_source(vehicle: Vehicle) -> str:
     """Return the text of ``onboard/supervisor/supervisor_settings.c``."""
     lines = [
         f"/* Settings of the supervisor, made by mufly {__version__}; do not edit. */",
         '#include "onboard/supervisor/supervisor.h"',
         "",
         "const supervisor_settings_t mufly_supervisor = {",
-        *render_initialiser(supervisor_numbers()),
+        *render_initialiser(supervisor_numbers(vehicle)),
         "};",
         "",
     ]
@@ -173,8 +174,8 @@ def render_log_source() -> str:
     return "\n".join(lines)
 
 
-def supervisor_numbers() -> dict[str, Any]:
-    """Return the fields of ``supervisor_settings_t`` by name: limits of the sticks, times of the link failsafe."""
+def supervisor_numbers(vehicle: Vehicle) -> dict[str, Any]:
+    """Return the fields of ``supervisor_settings_t`` by name: sticks, times of the link failsafe, standing height."""
     most = StickRanges()
     return {
         "stick_tilt": most.tilt,
@@ -182,6 +183,7 @@ def supervisor_numbers() -> dict[str, Any]:
         "stick_climb": most.climb,
         "link_loss_s": LINK_LOSS_S,
         "link_land_s": LINK_LAND_S,
+        "standing_m": standing_height(vehicle),
     }
 
 

@@ -82,7 +82,7 @@ def export_firmware(
     others = dict(render_estimator_files(vehicle, known, controller.rate_Hz))
     if vehicle is not None and mission is not None:
         others["plan.c"] = render_plan_source(make_plan(vehicle, controller, mission), controller)
-        others["onboard/supervisor/supervisor_settings.c"] = render_supervisor_source()
+        others["onboard/supervisor/supervisor_settings.c"] = render_supervisor_source(vehicle)
         others["onboard/link/texts.c"] = render_texts_source()
         others["onboard/log/flight_log_head.c"] = render_log_source()
     write_tree(render_gains_source(controller), out, others)

@@ -160,7 +160,7 @@ void board_estimate(board_t *b, real_t time_s, int32_t missed)
     }
     valid = step_filter(b);
     fill_estimate(b, valid, time_s);
-    supervisor_observe(&b->supervisor, &mufly_setup, &b->belief);
+    supervisor_observe(&b->supervisor, &mufly_setup, &b->belief, b->estimator.x_output[SX_TERRAIN]);
 }
 
 void board_control(board_t *b, const hal_command_t *given)

@@ -127,19 +127,19 @@ static bool send_one_fault(link_t *k, uint32_t *faults, const char *const words[
 
 static bool send_arming_fault(link_t *k, const link_vehicle_t *v)
 {
-    static const char *const words[9] = {
+    static const char *const words[10] = {
         "position, velocity, attitude, rates not measured", "measurements are old; check the sensors",
         "battery voltage not measured; check its monitor", "battery low; charge it",
         "estimate not valid; leave the vehicle at rest", "vehicle tilted; set it on level ground",
         "vehicle moves; set it down and wait", "last flight interrupted; inspect it, arm again",
-        "the climb stick is up; lower it first",
+        "the climb stick is up; lower it first", "height is not that of standing; check the sonar",
     };
 
     if (k->tells_faults) {
         k->tells_faults = false;
         k->untold_faults = v->supervisor->arming_faults;
     }
-    return send_one_fault(k, &k->untold_faults, words, 9U);
+    return send_one_fault(k, &k->untold_faults, words, 10U);
 }
 
 /* Store what was set in flight. */

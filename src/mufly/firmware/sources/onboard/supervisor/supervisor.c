@@ -10,6 +10,7 @@
 #define MAX_ARMING_SPEED_M_S REAL(0.1)
 #define MAX_ARMING_RATE_RAD_S REAL(0.2)
 #define MAX_ESTIMATE_AGE_S REAL(0.5)
+#define MAX_STANDING_ERROR_M REAL(0.05)
 #define AUTO_DISARM_S REAL(10.0)
 #define SET_POINT_TIMEOUT_S REAL(0.5)
 #define STICKS_TIMEOUT_S REAL(1.0)
@@ -29,7 +30,7 @@ void supervisor_start(supervisor_t *s, const supervisor_settings_t *settings, in
     s->interruption = interruption;
 }
 
-void supervisor_observe(supervisor_t *s, const flight_setup_t *setup, const estimate_t *m)
+void supervisor_observe(supervisor_t *s, const flight_setup_t *setup, const estimate_t *m, real_t floor_m)
 {
     const real_t t = m->time_s;
     const bool alive = real_is_finite(t) && ((t < s->heard_s) || (t > s->heard_s));
@@ -39,6 +40,7 @@ void supervisor_observe(supervisor_t *s, const flight_setup_t *setup, const esti
     if (alive) {
         s->heard_s = t;
     }
+    s->floor_m = floor_m;
     s->begun = true;
 }
 
@@ -68,11 +70,13 @@ uint32_t supervisor_arming_faults(const supervisor_t *s, const flight_setup_t *s
         /* charged */
     }
     if (known) {
+        const real_t height = -now->position[2] - s->floor_m;
         real_t fastest = REAL(0.0);
 
         for (int32_t i = 0; i < 3; i++) {
             fastest = real_max(fastest, real_abs(now->rates[i]));
         }
+        why |= (real_abs(height - s->settings.standing_m) > MAX_STANDING_ERROR_M) ? ARMING_NOT_STANDING : 0U; /* NaN: unchecked */
         why |= m->valid ? 0U : ARMING_NOT_VALID;
         why |= stands_tilted(m) ? ARMING_TILTED : 0U;
         why |= ((real_vector_length(now->velocity) > MAX_ARMING_SPEED_M_S) || (fastest > MAX_ARMING_RATE_RAD_S)) ? ARMING_MOVED

@@ -1,7 +1,6 @@
 /* Arming, the user's requests with their timeouts, and the failsafe of a lost link: between a link and the flight software.
  * The twin of Autopilot (autopilot.py of mufly.flight) and of the link failsafe (clients.py of mufly.link), without what
- * needs the map of the surroundings or the height of the floor: obstacles, geofence, battery needed for a mission, height of
- * the standing vehicle. */
+ * needs the map of the surroundings: obstacles, geofence, battery needed for a mission. */
 #ifndef MUFLY_SUPERVISOR_H
 #define MUFLY_SUPERVISOR_H
 
@@ -17,6 +16,7 @@
 #define ARMING_MOVED 64U
 #define ARMING_INTERRUPTED 128U     /* the last flight was interrupted; the next request acknowledges it */
 #define ARMING_CLIMB_STICK 256U
+#define ARMING_NOT_STANDING 512U    /* the estimate is at another height above the floor than the standing vehicle */
 
 /* Reasons of an interrupted flight. */
 enum { INTERRUPTION_NONE, INTERRUPTION_TIPPED, INTERRUPTION_BLIND, INTERRUPTION_STOPPED, INTERRUPTION_RESET };
@@ -50,6 +50,7 @@ typedef struct {
 typedef struct {
     real_t stick_tilt, stick_yaw_rate, stick_climb; /* commands at full deflection (rad, rad/s, m/s) */
     real_t link_loss_s, link_land_s;                /* COM_DL_LOSS_T and COM_DL_LAND_T (s) */
+    real_t standing_m;                              /* height of the standing vehicle's centre of gravity above the floor (m) */
 } supervisor_settings_t;
 
 enum { LINK_HEARD, LINK_HOVER, LINK_LAND };
@@ -57,6 +58,7 @@ enum { LINK_HEARD, LINK_HOVER, LINK_LAND };
 typedef struct {
     supervisor_settings_t settings;
     real_t now_s, heard_s, stale_s; /* clock, last time of the estimate, time since it advanced */
+    real_t floor_m; /* estimated height of the floor (m); NaN: unknown */
     bool begun, ran;
     bool armed;
     real_t armed_s;
@@ -82,8 +84,8 @@ extern const supervisor_settings_t mufly_supervisor;
 /* interruption: reason of an interrupted flight before the start (INTERRUPTION_RESET after a reset in flight). */
 void supervisor_start(supervisor_t *s, const supervisor_settings_t *settings, int32_t interruption);
 
-/* Update the clock with the estimate of a period. */
-void supervisor_observe(supervisor_t *s, const flight_setup_t *setup, const estimate_t *m);
+/* Update the clock with the estimate of a period. floor_m: estimated height of the floor (m); NaN: unknown. */
+void supervisor_observe(supervisor_t *s, const flight_setup_t *setup, const estimate_t *m, real_t floor_m);
 
 /* Answer a request at once; it takes effect in the next step of the mission logic. */
 int32_t supervisor_request(supervisor_t *s, const flight_setup_t *setup, const software_t *software, const estimate_t *m,
