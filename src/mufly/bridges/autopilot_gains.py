@@ -357,7 +357,7 @@ def _damping_excess(axis: _Axis, k: CascadeGains) -> float:
 # Design
 
 
-def _optimise(cost: Callable[[_Array], float], starts: Sequence[Sequence[float]]) -> _Array:
+def _search_gains(cost: Callable[[_Array], float], starts: Sequence[Sequence[float]]) -> _Array:
     """Return the gains of least cost; they are searched as logarithms, from each start."""
     best: tuple[float, _Array] | None = None
     options: Any = {"maxfev": _EVALUATIONS, "xatol": 1e-3, "fatol": 1e-4}
@@ -437,7 +437,7 @@ def _design_angle(axis: _Axis) -> CascadeGains:
 
     scale = 0.02 if axis.name == "yaw" else 0.2
     slope = 1e-9 if axis.name == "yaw" else 3e-3
-    k = to_gains(_optimise(cost, [(a, scale * r, scale, slope) for a, r in ((4.0, 1.0), (8.0, 1.5))]))
+    k = to_gains(_search_gains(cost, [(a, scale * r, scale, slope) for a, r in ((4.0, 1.0), (8.0, 1.5))]))
     if _damping_excess(axis, k) > 0.0:
         raise MuflyError(f"no gains of PX4 stabilise {axis.name}; check the vehicle with `mufly vehicle check`")
     return k
@@ -461,7 +461,7 @@ def _design_position(axes: Sequence[_Axis], inner: Sequence[CascadeGains]) -> Ca
         return sum(_loop_cost(a, to_gains(x, k), p, d, 0, MAX_REFERENCE_PEAK) for a, k, p, d in parts)
 
     starts = [(0.5, 2.5, 1.0, 0.2), (1.0, 4.0, 1.0, 0.3)] if vertical else [(0.5, 1.4, 0.3, 0.2), (0.9, 2.0, 0.6, 0.3)]
-    x = _optimise(cost, starts)
+    x = _search_gains(cost, starts)
     for axis, k in zip(axes, inner, strict=True):
         if _damping_excess(axis, to_gains(x, k)) > 0.0:
             raise MuflyError(f"no gains of PX4 hold a position ({axis.name}); check it with `mufly vehicle check`")

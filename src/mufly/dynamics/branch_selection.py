@@ -112,11 +112,11 @@ def _call(name: str, *arguments: ast.expr) -> ast.Call:
     return ast.Call(ast.Name(name, ast.Load()), list(arguments), [])
 
 
-def _store(name: str, value: ast.expr) -> ast.Assign:
+def _assign_name(name: str, value: ast.expr) -> ast.Assign:
     return ast.Assign([ast.Name(name, ast.Store())], value)
 
 
-def _load(name: str) -> ast.Name:
+def _load_name(name: str) -> ast.Name:
     return ast.Name(name, ast.Load())
 
 
@@ -175,7 +175,7 @@ class _Selection:
         left = test.left if isinstance(test, ast.Compare) else None
         return isinstance(left, ast.Attribute) and ast.unparse(left.value) == _PARAMETER and left.attr in self._absent
 
-    def _fresh(self, kind: str) -> str:
+    def _unused_name(self, kind: str) -> str:
         self._count += 1
         return f"{kind}_{self._count}"
 
@@ -185,21 +185,24 @@ class _Selection:
         if stores or any(isinstance(s, ast.Expr) for s in body):  # writes to arrays: the same for all vehicles
             return [ast.If(_call("uniform", test), self.block(body, defined), [])]
         merged = [name for name in _assigned_names(body) if name in defined]
-        test_name = self._fresh("test")
-        kept = {name: self._fresh("kept") for name in merged}
-        inside: list[ast.stmt] = [_store(kept[name], _load(name)) for name in merged]
+        test_name = self._unused_name("test")
+        kept = {name: self._unused_name("kept") for name in merged}
+        inside: list[ast.stmt] = [_assign_name(kept[name], _load_name(name)) for name in merged]
         inside += self.block(body, set(defined))
-        inside += [_store(n, _call("select", _load(test_name), _load(n), _load(kept[n]))) for n in merged]
-        return [_store(test_name, test), ast.If(_call("any_of", _load(test_name)), inside, [])]
+        inside += [
+            _assign_name(n, _call("select", _load_name(test_name), _load_name(n), _load_name(kept[n]))) for n in merged
+        ]
+        return [_assign_name(test_name, test), ast.If(_call("any_of", _load_name(test_name)), inside, [])]
 
     def _guard(self, guard: ast.If, value: ast.expr, rest: list[ast.stmt], defined: set[str]) -> list[ast.stmt]:
         """Return the statements after ``if test: return value``, with a selection in the last ``return``."""
         if len(guard.body) > 1 or not isinstance(rest[-1], ast.Return) or rest[-1].value is None:
             raise NotImplementedError("`if test: return value` with further statements, or without a last return")
-        test_name, value_name = self._fresh("test"), self._fresh("value")
+        test_name, value_name = self._unused_name("test"), self._unused_name("value")
         out: list[ast.stmt] = [
-            _store(test_name, _Expressions().visit(guard.test)), _store(value_name, _Expressions().visit(value)),
+            _assign_name(test_name, _Expressions().visit(guard.test)),
+            _assign_name(value_name, _Expressions().visit(value)),
         ]  # fmt: skip
         out += self.block(rest[:-1], defined)
         last = _Expressions().visit(rest[-1].value)
-        return [*out, ast.Return(_call("select", _load(test_name), _load(value_name), last))]
+        return [*out, ast.Return(_call("select", _load_name(test_name), _load_name(value_name), last))]

@@ -147,7 +147,7 @@ def _select(test: Any, a: Any, b: Any) -> Any:
     return _apply("if_else", test, a, b)
 
 
-def _whole(number: Any) -> Any:
+def _integer_part(number: Any) -> Any:
     """Return the integer part, as ``int`` of a number that is not negative or an index below."""
     if not isinstance(number, _Symbol):
         return int(number)
@@ -178,7 +178,7 @@ _NAMESPACE: dict[str, Any] = {
     "cosine_of": lambda x: _apply("cos", x),
     "min": _least,
     "max": _greatest,
-    "int": _whole,
+    "int": _integer_part,
     "select": _select,
     "any_of": lambda test: isinstance(test, _Symbol) or bool(test),
     "both_of": lambda a, b: b if a is True else _select(a, b, False),
@@ -215,9 +215,9 @@ class _Table:
             if self._looked_up is None:
                 self._looked_up = casadi.MX(casadi.DM(self._numbers))
             return _Symbol(self._looked_up[index.value])
-        return _Symbol(self._halved(index.value, 0, len(self._numbers)))
+        return _Symbol(self._bisect_table(index.value, 0, len(self._numbers)))
 
-    def _halved(self, index: Any, first: int, end: int) -> Any:
+    def _bisect_table(self, index: Any, first: int, end: int) -> Any:
         """Return the entry of a table at a symbolic index, by bisection."""
         import casadi
 
@@ -226,4 +226,6 @@ class _Table:
         middle = (first + end) // 2
         if np.ptp(self._numbers[first:end]) == 0.0:
             return casadi.SX(float(self._numbers[first]))
-        return casadi.if_else(index < middle, self._halved(index, first, middle), self._halved(index, middle, end))
+        return casadi.if_else(
+            index < middle, self._bisect_table(index, first, middle), self._bisect_table(index, middle, end)
+        )

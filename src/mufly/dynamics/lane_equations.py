@@ -180,7 +180,7 @@ def integrate_lanes(
     if len(parts) == 1:
         integrate(*shared, blocks, dt, steps)
         return
-    submit: Any = _workers(threads - 1).submit
+    submit: Any = _thread_pool(threads - 1).submit
     work = [submit(integrate, *shared, part, dt, steps) for part in parts[1:]]
     integrate(*shared, parts[0], dt, steps)
     for one in work:
@@ -188,5 +188,5 @@ def integrate_lanes(
 
 
 @cache
-def _workers(count: int) -> ThreadPoolExecutor:
+def _thread_pool(count: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(count, thread_name_prefix="mufly-lanes")

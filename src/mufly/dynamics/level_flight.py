@@ -305,7 +305,7 @@ class LevelFlightModel:
         return low**2 - 1.0
 
 
-def _crossing(speeds: list[float], values: list[float], level: float) -> float:
+def _crossing_speed(speeds: list[float], values: list[float], level: float) -> float:
     """Return the first speed at which values rise to a level; infinite if they do not."""
     for k, value in enumerate(values):
         if value >= level:
@@ -390,7 +390,8 @@ def level_flight(vehicle: Vehicle, rotor: Rotor, airspeeds: Sequence[float]) -> 
                 break
         flown = [t.airspeed_m_s for t in line]
         limit = min(
-            _crossing(flown, [t.servo for t in line], 1.0), _crossing(flown, [-t.thrust_margin for t in line], 0.0),
+            _crossing_speed(flown, [t.servo for t in line], 1.0),
+            _crossing_speed(flown, [-t.thrust_margin for t in line], 0.0),
             stopped,
         )  # fmt: skip
         able = [t for t in line if t.airspeed_m_s <= limit]

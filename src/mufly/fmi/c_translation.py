@@ -235,7 +235,7 @@ class _FunctionTranslation:
         for statement in statements:
             self._statement(statement)
 
-    def _nested(self, statements: Sequence[ast.stmt]) -> None:
+    def _nested_block(self, statements: Sequence[ast.stmt]) -> None:
         self._depth += 1
         self._block(statements)
         self._depth -= 1
@@ -260,10 +260,10 @@ class _FunctionTranslation:
                 self._emit(f"{self._target(node.target)} {sign}= {self._expression(node.value).text};")
             case ast.If():
                 self._emit(f"if ({self._expression(node.test).text}) {{")
-                self._nested(node.body)
+                self._nested_block(node.body)
                 if node.orelse:
                     self._emit("} else {")
-                    self._nested(node.orelse)
+                    self._nested_block(node.orelse)
                 self._emit("}")
             case ast.For(target=ast.Name(id=name), iter=ast.Call(func=ast.Name(id="range"), args=bounds), orelse=[]):
                 limits = [self._expression(b).text for b in bounds]
@@ -273,7 +273,7 @@ class _FunctionTranslation:
                     raise self._refuse(node.target)
                 self._kinds[name] = WHOLE
                 self._emit(f"for (int64_t {c_name} = {first}; {c_name} < {end}; {c_name}++) {{")
-                self._nested(node.body)
+                self._nested_block(node.body)
                 self._emit("}")
                 del self._kinds[name]
             case ast.Continue():
@@ -301,20 +301,20 @@ class _FunctionTranslation:
             names = [ast.unparse(t.value if isinstance(t, ast.Subscript) else t) for t in target.elts]
             read = [{n.id for n in ast.walk(v) if isinstance(n, ast.Name)} for v in value.elts]
             if any(names[k] in read[j] for j in range(len(names)) for k in range(j)):
-                values = [self._keep(v) for v in values]
+                values = [self._store_constant(v) for v in values]
         else:
             whole = self._expression(value)
             if not isinstance(whole.kind, TupleType) or len(whole.kind.parts) != len(target.elts):
                 raise self._refuse(value)
             if all(isinstance(t, ast.Name) and t.id == "_" for t in target.elts):
                 return
-            name = self._keep(whole).text
+            name = self._store_constant(whole).text
             values = [Expression(f"{name}.f{k}", _ATOM, part) for k, part in enumerate(whole.kind.parts)]
         for one, number in zip(target.elts, values, strict=True):
             if not (isinstance(one, ast.Name) and one.id == "_"):
                 self._assign(one, number)
 
-    def _keep(self, value: Expression) -> Expression:
+    def _store_constant(self, value: Expression) -> Expression:
         """Store a value in a constant of its own."""
         self._count += 1
         name = f"t{self._count}_"

@@ -131,7 +131,7 @@ def write_report(
             correlated=len(fit.estimates) > 1 and np.isfinite(fit.correlation).any(),
             enough=_MIN_RESIDUAL_SAMPLES,
             what_is_missing=describe_residuals,
-            determinants=_determinants(fit),
+            determinants=_determinant_ratio(fit),
         )
         path = folder / "report.html"
         path.write_text(page, encoding="utf-8")
@@ -279,7 +279,7 @@ def _residual_rows(fit: FitResult) -> ReportTable:
     return heads, tuple(rows)
 
 
-def _determinants(fit: FitResult) -> str:
+def _determinant_ratio(fit: FitResult) -> str:
     """Return the ratio of residual covariance determinants, held out over fitted; "" if they are not comparable."""
     used, unused = fit.records_with_role("fit"), fit.records_with_role("held out")
     if not used or not unused or len({r.output_names for r in fit.records}) > 1:

@@ -45,10 +45,10 @@ def load_cli_file(text: str, *, endpoint: Endpoint = CLI_ENDPOINT) -> None:
         If Betaflight does not answer, or refuses a line.
     """
     lines = [line.strip() for line in text.splitlines() if line.strip() and not line.startswith("#")]
-    with _call(endpoint) as line:
-        _converse(line, b"#", endpoint)
+    with _open_connection(endpoint) as line:
+        _send_and_receive(line, b"#", endpoint)
         for command in lines[:-1] if lines and lines[-1] == "save" else lines:
-            answer = _converse(line, command.encode() + b"\r\n", endpoint)
+            answer = _send_and_receive(line, command.encode() + b"\r\n", endpoint)
             if _ERROR_MARK in answer:
                 reason = answer[answer.index(_ERROR_MARK) :].splitlines()[0].decode("ascii", "replace").strip("# ")
                 raise MuflyError(f"Betaflight refuses {command!r}: {reason}; is it version 4.6 with servos?")
@@ -56,7 +56,7 @@ def load_cli_file(text: str, *, endpoint: Endpoint = CLI_ENDPOINT) -> None:
         _wait_for_end(line, endpoint)
 
 
-def _call(endpoint: Endpoint) -> socket.socket:
+def _open_connection(endpoint: Endpoint) -> socket.socket:
     end_s = time.monotonic() + _CALL_S
     while True:
         try:
@@ -69,7 +69,7 @@ def _call(endpoint: Endpoint) -> socket.socket:
             time.sleep(_RETRY_S)
 
 
-def _converse(line: socket.socket, data: bytes, endpoint: Endpoint) -> bytes:
+def _send_and_receive(line: socket.socket, data: bytes, endpoint: Endpoint) -> bytes:
     """Send bytes; return the answer up to the next prompt."""
     line.sendall(data)
     answer = b""

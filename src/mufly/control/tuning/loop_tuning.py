@@ -181,7 +181,7 @@ def pose_loop_problem(
     levels = goals.norm_levels()
     norms = flight_aims(generalised, delayed, read.size, noise / output_scale, levels, base.period_s)
     if "activity" in levels:
-        reached = aim_norms([a for a in norms if a.name == "activity"], _scaled(d.reduced, read, input_scale))
+        reached = aim_norms([a for a in norms if a.name == "activity"], _scale_controller(d.reduced, read, input_scale))
         norms = [a._replace(level=a.level * reached["activity"]) if a.name == "activity" else a for a in norms]
     aims: list[TuningAim] = [*norms]
     mu = None
@@ -198,7 +198,7 @@ def pose_loop_problem(
     return LoopProblem(name, d, generalised, aims, mu, read, input_scale, synthesis)
 
 
-def _scaled(K: control.StateSpace, read: Array, input_scale: Array) -> control.StateSpace:
+def _scale_controller(K: control.StateSpace, read: Array, input_scale: Array) -> control.StateSpace:
     out = input_scale[:, None]
     return replace_matrices(K, B=K.B * read, C=K.C / out, D=K.D * read / out)
 
@@ -284,7 +284,9 @@ def continue_tuning(
             raise MuflyError(
                 f"{problem.name}: no starting controller of order {order} stabilises the loop; give a higher order"
             )
-        state = TuningState(tuple((_rows(controller_gain(K)), (_evaluate(problem, K),)) for K in picked))
+        state = TuningState(
+            tuple((_matrix_rows(controller_gain(K)), (_largest_relative_aim(problem, K),)) for K in picked)
+        )
     every = list(state.lines)
     total = rounds * len(every)
     for i in range(len(every)):
@@ -293,11 +295,11 @@ def continue_tuning(
             if problem.mu is not None:
                 problem.mu.rescale(controller_gain(K), order)
             found = tune_controller(problem.aims, [K], descents=1, max_steps=steps, budget_s=np.inf)
-            value = _evaluate(problem, found.controller)
+            value = _largest_relative_aim(problem, found.controller)
             history = every[i][1]
             better = value < history[-1]
             every[i] = (
-                _rows(controller_gain(found.controller)) if better else every[i][0],
+                _matrix_rows(controller_gain(found.controller)) if better else every[i][0],
                 (*history, min(value, history[-1])),
             )
             if not better or value > history[-1] - 1e-4:  # nothing is left to gain on this line
@@ -309,14 +311,14 @@ def continue_tuning(
     return _controller(starts[0], np.array(best[0])), TuningState(tuple(every))
 
 
-def _evaluate(problem: LoopProblem, K: control.StateSpace) -> float:
+def _largest_relative_aim(problem: LoopProblem, K: control.StateSpace) -> float:
     """Return the largest aim over its level, mu with scalings of its own."""
     if problem.mu is not None:
         problem.mu.rescale(controller_gain(K), K.nstates)
     return max(norm / aim.level for aim, norm in zip(problem.aims, aim_norms(problem.aims, K).values(), strict=True))
 
 
-def _rows(K: Array) -> tuple[tuple[float, ...], ...]:
+def _matrix_rows(K: Array) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(float(v) for v in row) for row in K)
 
 

@@ -52,12 +52,12 @@ class MemoryLayout:
             return ""
         for at in np.flatnonzero((ours != theirs) & self._used).tolist():
             name, start, kind = self._field_at(at)
-            pair = [self._value(memory, start, kind) for memory in (ours, theirs)]
+            pair = [self._read_value(memory, start, kind) for memory in (ours, theirs)]
             if not (start in self._floats and pair[0] != pair[0] and pair[1] != pair[1]):
                 return f"{name}: {pair[0]!r} and {pair[1]!r}"
         return ""
 
-    def _value(self, memory: _Bytes, start: int, kind: Any) -> Any:
+    def _read_value(self, memory: _Bytes, start: int, kind: Any) -> Any:
         part = memory[start : start + self._ffi.sizeof(kind)].tobytes()
         return self._ffi.from_buffer(f"{kind.cname} *", part)[0]
 

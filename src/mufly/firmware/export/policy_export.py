@@ -77,14 +77,14 @@ def render_policy_files(policy: LearnedPolicy) -> dict[str, str]:
     numbers = {"limit": p.limit, "nominal_voltage": policy.nominal_voltage_V, "period": policy.period_s}
     texts["policy/policy_numbers.c"] = "\n".join([
         head, '#include "policy/policy.h"', "",
-        *_table("int32_t policy_sizes[POLICY_LAYERS + 1]", map(str, p.sizes)),
-        *_table("int32_t policy_activations[POLICY_LAYERS]", map(str, p.activations)),
+        *_format_table("int32_t policy_sizes[POLICY_LAYERS + 1]", map(str, p.sizes)),
+        *_format_table("int32_t policy_activations[POLICY_LAYERS]", map(str, p.activations)),
         *(f"const real_t policy_{name} = {to_hexadecimal(float(x))};" for name, x in numbers.items()),
         *(line for name, row in reals.items()
-          for line in _table(f"real_t policy_{name}", (to_hexadecimal(float(x)) for x in row))), "",
+          for line in _format_table(f"real_t policy_{name}", (to_hexadecimal(float(x)) for x in row))), "",
     ])  # fmt: skip
     return texts
 
 
-def _table(declaration: str, numbers: Iterable[str]) -> list[str]:
+def _format_table(declaration: str, numbers: Iterable[str]) -> list[str]:
     return [f"const {declaration} = {{", *(f"    {x}," for x in numbers), "};"]

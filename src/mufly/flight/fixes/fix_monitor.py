@@ -200,7 +200,7 @@ class FixMonitor:
         if is_resting:
             if not self._is_resting:
                 self._fixes.clear()
-            self._rest(force.value, rates.value, dt, float(estimate.attitude[2]))
+            self._average_rest(force.value, rates.value, dt, float(estimate.attitude[2]))
         else:
             w = (rates.value - self._rest_rates) * dt
             cross = np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
@@ -220,7 +220,7 @@ class FixMonitor:
         while self._history[0][0] < t - 1.5:
             self._history.popleft()
 
-    def _rest(self, force: _Array, rates: _Array, dt: float, heading: float) -> None:
+    def _average_rest(self, force: _Array, rates: _Array, dt: float, heading: float) -> None:
         """Average the readings at rest; they give the tilt and the gyroscopes' bias."""
         share = dt / _REST_AVERAGE_S
         self._rest_weight += share * (1.0 - self._rest_weight)
@@ -260,7 +260,7 @@ class FixMonitor:
             self._sure_count = self._sure_count + 1 if is_sure else 0
             self._candidate, self._agreed_s = fault, 0.0
             if self._sure_count >= _CONFIRM_COUNT:
-                self._refuse(time_s, complex(*place[:2]), fault)
+                self._refuse_source(time_s, complex(*place[:2]), fault)
         else:
             self._candidate, self._count, self._sure_count = "", 0, 0
             if self.fault and is_known and 0.0 < gap < 0.5:
@@ -274,7 +274,7 @@ class FixMonitor:
             return f"{_WITHHELD}it has jumped"
         return f"{_WITHHELD}{self._candidate}" if self._count > 2 or fault == _LAGGING else ""
 
-    def _refuse(self, time_s: float, place: complex, fault: str) -> None:
+    def _refuse_source(self, time_s: float, place: complex, fault: str) -> None:
         """Refuse the source; its corrected motion continues from the filter's present position."""
         if self._correction is None:
             now, velocity = self._estimate
@@ -310,7 +310,7 @@ class FixMonitor:
         return time_s - max(c.delay_s, 0.0), np.array([self._corrected.real, self._corrected.imag, *place[2:]])
 
     @staticmethod
-    def _kind(fault: str) -> str:
+    def _fault_kind(fault: str) -> str:
         return "".join(c for c in fault if c.isalpha())
 
     def _assess(self, time_s: float, place: _Array) -> tuple[str, bool, bool]:
@@ -322,7 +322,11 @@ class FixMonitor:
             fault = self._check_rest(time_s, complex(north, east))
             *_, own_heading = self._history[-1]
             self._heading_offset = heading - own_heading
-            return fault, True, bool(self._rest_fixes) and self._kind(self.fault) == self._kind(_moving_text(0.0))
+            return (
+                fault,
+                True,
+                bool(self._rest_fixes) and self._fault_kind(self.fault) == self._fault_kind(_moving_text(0.0)),
+            )
         self._rest_fixes.clear()
         k = len(self._history) - 1
         while k > 0 and self._history[k][0] > time_s:
@@ -417,7 +421,7 @@ class FixMonitor:
             y, a, v = (c - b * (np.vdot(b, c) / size) for c in (y, a, v))
         if t[-1] > self._long_s + _LONG_STEP_S and span > 0.9 * WINDOW_S:
             self._long_s = float(t[-1])
-            self._accumulate(y, a)
+            self._add_window(y, a)
         off = y - a
         square = float(np.vdot(a, a).real) + 1e-9
         turn, mirror = complex(np.vdot(a, y)) / square, complex(np.vdot(a.conj(), mirror_y)) / square
@@ -431,7 +435,7 @@ class FixMonitor:
         rms = {name: _rms(r) for name, r in each.items()}
         self.path_fit = PathFit(_rms(off), _rms(a), rms, turn, mirror, delay)
 
-    def _accumulate(self, y: NDArray[np.complexfloating], a: NDArray[np.complexfloating]) -> None:
+    def _add_window(self, y: NDArray[np.complexfloating], a: NDArray[np.complexfloating]) -> None:
         """Add a window to the long fit y = m a, with its deviation."""
         self._long_sums *= math.exp(-_LONG_STEP_S / _LONG_MEMORY_S)
         self._long_sums += [np.vdot(a, a), np.vdot(a, y), np.vdot(y, y), len(a)]

@@ -106,7 +106,7 @@ def estimate_causal_gain(
 
     k = predicted.shape[1]
     still = powers if beside is None else np.column_stack([integrate(beside, 0), powers])
-    none = _fit(y, still, order, np.zeros(still.shape[1]))[2]
+    none = _fit_gains(y, still, order, np.zeros(still.shape[1]))[2]
     best: tuple[float, Array, Array, int] | None = None
     other = {1: none, -1: none}
     step = max(1, round(0.5 * _BLOCK_S / sample_s))
@@ -115,7 +115,7 @@ def estimate_causal_gain(
         spread = x[:, :k].std(axis=0)
         ordinary = np.asarray(np.linalg.lstsq(x, y, rcond=None)[0], dtype=np.float64)
         for start in (ordinary, np.zeros_like(ordinary)):
-            g, std, variance = _fit(y, x, order, start)
+            g, std, variance = _fit_gains(y, x, order, start)
             lead = int(np.argmax(np.abs(g[:k]) * spread))
             side = 1 if g[lead] > 0.0 else -1
             other[side] = min(other[side], variance)
@@ -128,7 +128,7 @@ def estimate_causal_gain(
     return CausalGain(g, std, lead, evidence)
 
 
-def _fit(y: Array, x: Array, order: int, start: Array) -> tuple[Array, Array, float]:
+def _fit_gains(y: Array, x: Array, order: int, start: Array) -> tuple[Array, Array, float]:
     """Return gains, their standard deviations and the variance of the innovations, with autoregressive noise."""
     g = start
     for _ in range(_ITERATIONS):

@@ -123,7 +123,7 @@ def _header(frame: str) -> Columns:
     return {"frame_id": frame}
 
 
-def _get(blocks: Blocks, name: str, like: _Array) -> _Array:
+def _signal_or_nan(blocks: Blocks, name: str, like: _Array) -> _Array:
     """Return a signal; NaN in the shape of ``like`` if the recording does not contain the signal."""
     return blocks[name] if name in blocks else np.full(like.shape, math.nan)
 
@@ -139,9 +139,11 @@ def _diagonal(variances: _Array) -> _Array:
 def _make_odometry(prefix: str) -> Callable[[Blocks, RangeLimits], Columns]:
     def encode(blocks: Blocks, _: RangeLimits) -> Columns:
         position = blocks[f"{prefix}_position"]
-        velocity, attitude, rates = (_get(blocks, f"{prefix}_{n}", position) for n in ("velocity", "attitude", "rates"))
+        velocity, attitude, rates = (
+            _signal_or_nan(blocks, f"{prefix}_{n}", position) for n in ("velocity", "attitude", "rates")
+        )
         sigma = {
-            n: np.nan_to_num(_get(blocks, f"{prefix}_{n}_sigma", position), nan=0.0)
+            n: np.nan_to_num(_signal_or_nan(blocks, f"{prefix}_{n}_sigma", position), nan=0.0)
             for n in ("position", "velocity", "attitude", "rates")
         }
         turn = body_to_ned_matrices(np.nan_to_num(attitude, nan=0.0))
@@ -177,7 +179,7 @@ def _make_transform(prefix: str) -> Callable[[Blocks, RangeLimits], Columns]:
             "child_frame_id": BODY_FRAME,
             "transform": {
                 "translation": _vector(ned_to_enu(position)),
-                "rotation": _orientation(_get(blocks, f"{prefix}_attitude", position)),
+                "rotation": _orientation(_signal_or_nan(blocks, f"{prefix}_attitude", position)),
             },
         }
         return {"transforms": [transform]}
@@ -193,7 +195,7 @@ def _encode_imu(blocks: Blocks, _: RangeLimits) -> Columns:
         "header": _header(BODY_FRAME),
         "orientation": {"w": 1.0},
         "orientation_covariance": np.tile(unknown, (len(force), 1)),
-        "angular_velocity": _vector(body_to_flu(_get(blocks, "measured_rates", force))),
+        "angular_velocity": _vector(body_to_flu(_signal_or_nan(blocks, "measured_rates", force))),
         "linear_acceleration": _vector(body_to_flu(force)),
     }
 
@@ -238,8 +240,8 @@ def _encode_battery(blocks: Blocks, _: RangeLimits) -> Columns:
     return {
         "header": _header(BODY_FRAME),
         "voltage": voltage[:, 0],
-        "current": -_get(blocks, "battery_current", voltage)[:, 0],  # negative when discharging
-        "percentage": _get(blocks, "battery_charge", voltage)[:, 0],
+        "current": -_signal_or_nan(blocks, "battery_current", voltage)[:, 0],  # negative when discharging
+        "percentage": _signal_or_nan(blocks, "battery_charge", voltage)[:, 0],
         "power_supply_status": _DISCHARGING,
         "power_supply_technology": _LITHIUM_POLYMER,
         "present": True,
@@ -249,7 +251,7 @@ def _encode_battery(blocks: Blocks, _: RangeLimits) -> Columns:
 
 def _encode_pose_setpoint(blocks: Blocks, _: RangeLimits) -> Columns:
     position = blocks["reference_position"]
-    attitude = _get(blocks, "reference_attitude", position)
+    attitude = _signal_or_nan(blocks, "reference_attitude", position)
     return {
         "header": _header(MAP_FRAME),
         "pose": {"position": _vector(ned_to_enu(position)), "orientation": _orientation(attitude)},
@@ -263,7 +265,7 @@ def _encode_velocity_setpoint(blocks: Blocks, _: RangeLimits) -> Columns:
 def _encode_fix(blocks: Blocks, _: RangeLimits) -> Columns:
     fix = blocks["measured_position_fix"]
     level = np.zeros((len(fix), 2))
-    variance = _get(blocks, "measured_position_fix_variance", fix)[:, _ENU_VARIANCES]
+    variance = _signal_or_nan(blocks, "measured_position_fix_variance", fix)[:, _ENU_VARIANCES]
     return {
         "header": _header(MAP_FRAME),
         "pose": {

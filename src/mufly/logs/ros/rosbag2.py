@@ -78,9 +78,9 @@ class _MessageMaker:
         self._makers: dict[str, Callable[[Mapping[str, Any]], Any]] = {}
 
     def serialize(self, message_type: str, content: Mapping[str, Any]) -> bytes:
-        return bytes(self._store.serialize_cdr(self._maker(message_type)(content), message_type))
+        return bytes(self._store.serialize_cdr(self._message_maker(message_type)(content), message_type))
 
-    def _maker(self, message_type: str) -> Callable[[Mapping[str, Any]], Any]:
+    def _message_maker(self, message_type: str) -> Callable[[Mapping[str, Any]], Any]:
         if message_type not in self._makers:
             cls = self._store.types[message_type]
             fields = [(name, self._converter(kind)) for name, kind in self._store.fielddefs[message_type][1]]
@@ -94,11 +94,11 @@ class _MessageMaker:
             zero: Any = "" if about[0] == "string" else 0
             return lambda value: zero if value is None else value
         if kind == _NAME:
-            make = self._maker(about)
+            make = self._message_maker(about)
             return lambda value: make(value or {})
         (inner_kind, inner), length = about
         if int(inner_kind) == _NAME:
-            one = self._maker(inner)
+            one = self._message_maker(inner)
             return lambda value: [one(v) for v in value or ()]
         if inner[0] == "string":
             return lambda value: list(value or ())

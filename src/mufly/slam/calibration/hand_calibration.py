@@ -329,7 +329,9 @@ class _Problem:
     def point_residuals(self, shared: _Array, segment_states: _Array, att: IntegratedMotion) -> _Array:
         """Return the pixel residuals (n, 2) of the tracks."""
         tr = self.tracks
-        return self._transfer(shared, segment_states, att, tr.segment, tr.first_px, tr.last_px, True) - tr.last_px
+        return (
+            self._transfer_points(shared, segment_states, att, tr.segment, tr.first_px, tr.last_px, True) - tr.last_px
+        )
 
     def predict_first_pixels(
         self, shared: _Array, segment_states: _Array, att: IntegratedMotion, segment: int, last_px: _Array
@@ -337,10 +339,10 @@ class _Problem:
         """Return the pixels (n, 2) of the first picture that show the floor points at pixels of the last one."""
         k, first_px = np.full(len(last_px), segment), last_px
         for _ in range(_ROW_ITERATIONS):
-            first_px = self._transfer(shared, segment_states, att, k, last_px, first_px, False)
+            first_px = self._transfer_points(shared, segment_states, att, k, last_px, first_px, False)
         return first_px
 
-    def _transfer(
+    def _transfer_points(
         self, shared: _Array, segment_states: _Array, att: IntegratedMotion, k: NDArray[np.int64], pixels: _Array,
         rows_of: _Array, is_forward: bool,
     ) -> _Array:  # fmt: skip

@@ -57,24 +57,24 @@ class IntegratedMotion:
 
     def rotation_at(self, t: _Array) -> _Array:
         """Return rotation matrices (n, 3, 3) from body axes to N-E-D."""
-        k, dt = self._locate(t)
+        k, dt = self._locate_samples(t)
         return rotation_matrices(
             multiply_quaternions(self.quaternion[k], quaternion_exponential(self.rates[k] * dt[:, None]))
         )
 
     def speed_at(self, t: _Array) -> _Array:
-        k, dt = self._locate(t)
+        k, dt = self._locate_samples(t)
         return self.speed[k] + (self.speed[k + 1] - self.speed[k]) * (dt / self._step(k))[:, None]
 
     def way_at(self, t: _Array) -> _Array:
-        k, dt = self._locate(t)
+        k, dt = self._locate_samples(t)
         share = (dt / self._step(k))[:, None]
         return self.displacement[k] + dt[:, None] * (self.speed[k] + 0.5 * share * (self.speed[k + 1] - self.speed[k]))
 
     def _step(self, k: NDArray[np.int64]) -> _Array:
         return np.asarray(self.time_s[k + 1] - self.time_s[k])
 
-    def _locate(self, t: _Array) -> tuple[NDArray[np.int64], _Array]:
+    def _locate_samples(self, t: _Array) -> tuple[NDArray[np.int64], _Array]:
         k = np.clip(np.searchsorted(self.time_s, t) - 1, 0, len(self.time_s) - 2)
         return k, t - self.time_s[k]
 

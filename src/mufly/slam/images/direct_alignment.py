@@ -162,14 +162,14 @@ def align_picture(
         unknown = patches.directions[~patches.known]
         pose = solve_pose(
             view, start, points.positions_m, points.tilt_jacobian, points.tilt_covariance, pixels - principal_point,
-            seconds, information, _prediction(unknown, free_sigma),
+            seconds, information, _prediction_information(unknown, free_sigma),
         )  # fmt: skip
         expected = pixels - pose.pixel_residuals
         out = AlignedPicture(pose, pixels, information, patches, unknown)
     return out
 
 
-def _prediction(unknown: _Array, sigma: tuple[float, float]) -> _Array | None:
+def _prediction_information(unknown: _Array, sigma: tuple[float, float]) -> _Array | None:
     """Return the information (4, 4) of the prediction, with the heading: vibration bends stripes like a turn."""
     if not len(unknown):
         return None

@@ -196,18 +196,18 @@ def _make_handler(address: PageAddress, startup: Startup, asked: Callable[[], No
         def do_GET(self) -> None:
             place = urlsplit(self.path)
             if not address.token and not is_loopback(host_name(self.headers.get("Host", ""))):
-                self._answer(403, "text/plain", "host name not allowed; open the address that the station printed")
+                self._send_answer(403, "text/plain", "host name not allowed; open the address that the station printed")
             elif not self._known(place.query):
-                self._answer(401, "text/plain", "the station is starting; token required")
+                self._send_answer(401, "text/plain", "the station is starting; token required")
             elif place.path == "/starting":
                 asked()
-                self._answer(200, "application/json", json.dumps(startup.encode_status()))
+                self._send_answer(200, "application/json", json.dumps(startup.encode_status()))
             elif place.path == "/":
                 asked()
                 startup.visit_count += 1
-                self._answer(200, "text/html", _START_PAGE_HTML)
+                self._send_answer(200, "text/html", _START_PAGE_HTML)
             else:
-                self._answer(503, "text/plain", "the station is starting")
+                self._send_answer(503, "text/plain", "the station is starting")
 
         def _known(self, query: str) -> bool:
             if not address.token:
@@ -221,7 +221,7 @@ def _make_handler(address: PageAddress, startup: Startup, asked: Callable[[], No
                 kept is not None and hmac.compare_digest(kept.value, cookie_for_token(address.token))
             )
 
-        def _answer(self, status: int, kind: str, text: str) -> None:
+        def _send_answer(self, status: int, kind: str, text: str) -> None:
             content = text.encode()
             self.send_response(status)
             for name, value in (

@@ -250,7 +250,7 @@ def load_uiuc_propellers(folder: Path) -> list[RotorCase]:
         foils = _airfoils_by_station(section, g[:, 0])
         rotor = _build_rotor(name, int(blades), radius, 0.15, g[:, 0], g[:, 1] * radius, g[:, 2], *foils)
         rotor = replace_rotor(
-            rotor, {"trailing_edge": TRAILING_EDGE_M, **_photographed(name, radius)}, source="estimated"
+            rotor, {"trailing_edge": TRAILING_EDGE_M, **_photographed_geometry(name, radius)}, source="estimated"
         )
         n, d = m[:, 0] / 60, 2 * radius
         rho = BENCHMARK_AIR.density_kg_m3
@@ -271,7 +271,7 @@ def load_uiuc_propellers(folder: Path) -> list[RotorCase]:
 _STATED_PITCH_IN_NAME = re.compile(r"_(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)|_(?P<deg>\d+(?:\.\d+)?)deg")
 
 
-def _photographed(name: str, radius_m: float) -> dict[str, object]:
+def _photographed_geometry(name: str, radius_m: float) -> dict[str, object]:
     """Return the values of a rotor file about UIUC's geometry: photographs, and the pitch that the name states.
 
     A name as 5x3 or 96x70 states diameter and pitch in the same unit, 15deg the blade angle at 0.75 R.
@@ -337,7 +337,7 @@ def _read_best_geometry(photographed: Path, name: str, diameter_m: float, blades
     """
     beside = {p.suffix.lower(): p for p in photographed.parent.glob(f"{name}.*")}
     values: dict[str, object] = {"hub_cutout": 0.15, "trailing_edge": TRAILING_EDGE_M}
-    values |= _photographed(name, 0.5 * diameter_m)
+    values |= _photographed_geometry(name, 0.5 * diameter_m)
     if ".stl" in beside:
         with tempfile.TemporaryDirectory() as contours:  # chord and twist alone are used
             rotor = rotor_from_body(beside[".stl"], folder=contours, blades=blades, name=name)[0]
