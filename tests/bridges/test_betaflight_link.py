@@ -177,7 +177,7 @@ def test_silence_and_a_restart_are_named(session, monkeypatch):
         (lambda peer: peer.answer((1000,) * 4, motors=4), "4 motors"),
         (lambda peer: peer.answer((1000, 1000, 0, 0)), "no servos"),
         (lambda peer: peer.send(struct.pack("<4f", 0, 0, 0, 0)), "port 9002"),
-        (lambda peer: peer.send(b"hello"), "another program"),
+        (lambda peer: peer.send(b"hello"), "close that program"),
     ],
 )
 def test_a_wrong_mixer_and_a_wrong_port_are_named_once(session, send, word):

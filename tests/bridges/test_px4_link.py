@@ -176,7 +176,7 @@ def test_other_rates_are_named(monkeypatch, settings, word):
         ((0.5, 0.5, 0.5, 0.5), "as a quadrotor"),
         ((0.5, 0.5, 0.0, 0.0, 0.5, 0.5), "more than 4 outputs"),
         ((0.0, 0.0, 0.5, -0.5), "outputs 1 and 2 are off"),
-        ((math.nan, 0.0, 0.0, 0.0), "no numbers"),
+        ((math.nan, 0.0, 0.0, 0.0), "not finite numbers"),
     ],
 )
 def test_another_airframe_is_named(monkeypatch, outputs, word):

@@ -342,7 +342,7 @@ def test_who_computes_is_chosen_and_told(vehicle, monkeypatch) -> None:
     assert KalmanEstimator(vehicle, World(), 200.0, np.float32).backend.selection_reason == "single precision"
     monkeypatch.setattr(filter_backend, "VERIFIED_STAMP", "of other sources")
     assert chosen()[0] == "Numba"
-    assert "have changed" in chosen()[1]
+    assert "differ from those" in chosen()[1]
     monkeypatch.undo()
     monkeypatch.setenv("PATH", "")
     monkeypatch.delenv("CC", raising=False)

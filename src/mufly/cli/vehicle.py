@@ -215,7 +215,7 @@ def _describe_coefficients(v: Vehicle) -> str:
 def _print_hover(v: Vehicle, h: HoverPerformance, is_credible: bool) -> None:
     both = ("upper", "lower")
     words = "is valid and hovers" if is_credible else "is valid but hovers beyond usual limits (below)"
-    make_console().print(f"[bold]{v.name}[/bold] {words}, here with the battery half full:", highlight=False)
+    make_console().print(f"[bold]{v.name}[/bold] {words}. In hover with the battery half full:", highlight=False)
     print_blocks(
         tabulate_fields(
             h,
@@ -417,8 +417,8 @@ def create_vehicle_project(
     place = f"gear {float(vehicle.gear.ratio):.3g}, battery {float(vehicle.battery.capacity) / 3.6:.0f} mA h"
     print_lines(
         f"  {place}",
-        f"\n{guesses} of its {len(list_parameters(vehicle))} values are estimates, each with its rule in the file:",
-        f"  {files['vehicle']}    replace estimates by measured values",
+        f"\n{guesses} of its {len(list_parameters(vehicle))} values are guesses, each with its rule in the file:",
+        f"  {files['vehicle']}    replace guesses by measured values",
         f"  {files['rotor']}      blades of mufly-1.1's shape",
         f"  {files['mission']}    a square; change it",
         "\nNext:",

@@ -212,7 +212,7 @@ def identify_linear_model(
     for name, moves in zip(inputs, moving, strict=True):
         if not moves:
             notes.append(
-                f"{name} is constant in the fitted part and is not used: the data contain no information about it"
+                f"{name} never moved in the fitted part and is not used: the data contain no information about it"
             )
     if not moving.any():
         raise ArgumentError("inputs", ",".join(inputs), "never move in the fitted part", "use another part or record")
