@@ -11,7 +11,10 @@ import pytest
 from mufly.estimate.filter.filter_records import (
     AID_COUNT,
     AID_PLACE,
+    EX_GYRO_BIAS,
     PHASE_FLYING,
+    PHASE_RUNNING,
+    PHASE_STANDING,
     R_FIX,
     R_MAGNET,
     ROTOR_FORCE_ANG_ACCEL,
@@ -143,3 +146,23 @@ def test_a_fix_off_in_height_alone_does_not_contradict_the_attitude(component: i
     ratios[0], m.status[R_FIX] = 6.0, STATUS_REJECTED  # a jump on several axes
     fix_fusion._clear_attitude_evidence.py_func(m)
     assert m.status[R_FIX] == STATUS_REJECTED
+
+
+@pytest.mark.parametrize(
+    ("phase", "axis", "learnt"), [(PHASE_STANDING, 2, True), (PHASE_RUNNING, 0, True), (PHASE_RUNNING, 2, False)]
+)
+def test_a_turn_on_the_legs_under_running_rotors_is_no_gyroscope_bias(
+    settings: Any, monkeypatch: pytest.MonkeyPatch, phase: int, axis: int, learnt: bool
+) -> None:
+    """Torque turns the vehicle about the mast; the legs hold roll and pitch."""
+    rows: list[int] = []
+    monkeypatch.setattr(fusion, "h_row_begin", lambda m, i, h: rows.append(i))
+    monkeypatch.setattr(fusion, "h_row_add", lambda *of: None)
+    monkeypatch.setattr(fusion, "fuse_error_state", lambda *of: None)
+    monkeypatch.setattr(fusion, "innovation_ratio", lambda *of: 1.0)
+    monkeypatch.setattr(fusion, "fuse_scalar", lambda *of: None)
+    x = np.zeros(STATE_COUNT)
+    x[SX_ATT] = 1.0
+    m = SimpleNamespace(x=x, gyro_mean=np.full(3, 0.01), accel_mean=np.array([0.0, 0.0, -9.81]))
+    fusion.fuse_zero_motion.py_func(m, settings, np.empty(9), 8, phase, axis)
+    assert (EX_GYRO_BIAS + axis in rows) == learnt

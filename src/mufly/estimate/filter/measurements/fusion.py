@@ -65,6 +65,7 @@ from mufly.estimate.filter.measurements.scalar_fusion import (
     RESET_TIMEOUT_S,
     apply_correction,
     estimate_noise,
+    fuse_error_state,
     fuse_scalar,
     h_row_add,
     h_row_begin,
@@ -269,8 +270,7 @@ def fuse_sonar_range(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
 @cached_njit(error_model="numpy")
 def reset_terrain(m: FilterMemory) -> None:
     """Reset the terrain to the floor's height."""
-    h_row_begin(m, EX_TERRAIN, 1.0)
-    fuse_scalar(m, -m.x[SX_TERRAIN], 2.5e-5)
+    fuse_error_state(m, EX_TERRAIN, -m.x[SX_TERRAIN], 2.5e-5)
 
 
 @cached_njit(error_model="numpy")
@@ -278,8 +278,7 @@ def fuse_liftoff_thrust(m: FilterMemory, lift: float) -> None:
     """Fuse the thrust's scale at lift-off, where thrust equals weight; ``lift``: the model's thrust over the weight."""
     scale = LIFTOFF_THRUST_RATIO / lift
     spread = LIFTOFF_THRUST_SIGMA * scale
-    h_row_begin(m, EX_THRUST_SCALE, 1.0)
-    fuse_scalar(m, scale - m.x[SX_THRUST_SCALE], spread * spread)
+    fuse_error_state(m, EX_THRUST_SCALE, scale - m.x[SX_THRUST_SCALE], spread * spread)
 
 
 @cached_njit(error_model="numpy")
@@ -296,8 +295,7 @@ def fuse_ground_contact(m: FilterMemory, s: FilterSettings) -> bool:
         h_row_add(m, EX_TERRAIN, -1.0)
     fuse_scalar(m, -height, 2.5e-5)
     if m.x[SX_VEL + 2] > 0.0:
-        h_row_begin(m, EX_VEL + 2, 1.0)
-        fuse_scalar(m, -m.x[SX_VEL + 2], 1e-3)
+        fuse_error_state(m, EX_VEL + 2, -m.x[SX_VEL + 2], 1e-3)
     return True
 
 
@@ -487,18 +485,21 @@ def fuse_accel_residual(m: FilterMemory, s: FilterSettings, r: _Array, count: in
 
 @cached_njit(error_model="numpy")
 def fuse_zero_motion(m: FilterMemory, s: FilterSettings, r: _Array, count: int, mode: int, i: int) -> None:
-    """Fuse on the floor zero velocity along axis ``i``, zero rate unless rotors run down, and gravity at rest."""
-    h_row_begin(m, EX_VEL + i, 1.0)
-    fuse_scalar(m, -m.x[SX_VEL + i], 4e-4)
-    if mode == PHASE_COASTING:
-        return  # such rotors turn the vehicle on its legs at a lasting rate, which is no noise
+    """Fuse on the floor zero velocity along axis ``i``, zero rate about axes that the legs hold, and gravity at rest.
+
+    The torque of running rotors turns the vehicle on its legs about the mast for seconds, and rotors that run down turn
+    it too. Such a rate is no noise: fused as zero it becomes a bias of the gyroscope, of one sign at each take-off.
+    """
+    fuse_error_state(m, EX_VEL + i, -m.x[SX_VEL + i], 4e-4)
     still = mode == PHASE_STANDING
+    if mode == PHASE_COASTING or (i == 2 and not still):
+        return
     h_row_begin(m, EX_GYRO_BIAS + i, 1.0)
-    calm = s.rest_gyro_sigma * s.rest_gyro_sigma / count if still else 2.5e-5
+    calm = 2.0 * s.rest_gyro_sigma * s.rest_gyro_sigma / count if still else 5e-5
     off = m.gyro_mean[i] - m.x[SX_GYRO_BIAS + i]
-    # With running rotors the vehicle may slide and turn on its legs.
-    if still or abs(innovation_ratio(m, off, calm * 2)) < INNOVATION_GATE:
-        fuse_scalar(m, off, calm * 2)
+    # With running rotors the vehicle may slide on its legs.
+    if still or abs(innovation_ratio(m, off, calm)) < INNOVATION_GATE:
+        fuse_scalar(m, off, calm)
     if still and s.is_fitted[R_ACCELERATION] > 0:
         rotation_matrix(m.x[SX_ATT : SX_ATT + 4], r)
         # R^T (-g e_D), and d(R^T u) = R^T (u x t)

@@ -95,6 +95,13 @@ def fuse_scalar(m: FilterMemory, innovation: float, r: float) -> None:
 
 
 @cached_njit(error_model="numpy")
+def fuse_error_state(m: FilterMemory, i: int, innovation: float, r: float) -> None:
+    """Fuse a measurement of error state ``i`` itself, of variance ``r``, without a gate."""
+    h_row_begin(m, i, 1.0)
+    fuse_scalar(m, innovation, r)
+
+
+@cached_njit(error_model="numpy")
 def innovation_ratio(m: FilterMemory, innovation: float, r: float) -> float:
     """Return the innovation over its standard deviation."""
     return innovation / math.sqrt(

@@ -179,8 +179,7 @@ static void fuse_sonar_range(estimator_t *m, const estimator_settings_t *s, cons
 
 void reset_terrain(estimator_t *m)
 {
-    h_row_begin(m, EX_TERRAIN, REAL(1.0));
-    fuse_scalar(m, -m->x[SX_TERRAIN], REAL(2.5e-5));
+    fuse_error_state(m, EX_TERRAIN, -m->x[SX_TERRAIN], REAL(2.5e-5));
 }
 
 void fuse_liftoff_thrust(estimator_t *m, real_t lift)
@@ -188,8 +187,7 @@ void fuse_liftoff_thrust(estimator_t *m, real_t lift)
     const real_t scale = LIFTOFF_THRUST_RATIO / lift;
     const real_t spread = LIFTOFF_THRUST_SIGMA * scale;
 
-    h_row_begin(m, EX_THRUST_SCALE, REAL(1.0));
-    fuse_scalar(m, scale - m->x[SX_THRUST_SCALE], spread * spread);
+    fuse_error_state(m, EX_THRUST_SCALE, scale - m->x[SX_THRUST_SCALE], spread * spread);
 }
 
 bool fuse_ground_contact(estimator_t *m, const estimator_settings_t *s)
@@ -204,8 +202,7 @@ bool fuse_ground_contact(estimator_t *m, const estimator_settings_t *s)
         }
         fuse_scalar(m, -height, REAL(2.5e-5));
         if (m->x[SX_VEL + 2] > REAL(0.0)) {
-            h_row_begin(m, EX_VEL + 2, REAL(1.0));
-            fuse_scalar(m, -m->x[SX_VEL + 2], REAL(1e-3));
+            fuse_error_state(m, EX_VEL + 2, -m->x[SX_VEL + 2], REAL(1e-3));
         }
     }
     return below;
@@ -457,19 +454,18 @@ void fuse_accel_residual(estimator_t *m, const estimator_settings_t *s, int32_t 
 void fuse_zero_motion(estimator_t *m, const estimator_settings_t *s, int32_t count, int32_t mode, int32_t i)
 {
     const bool still = mode == PHASE_STANDING;
-    const real_t calm = still ? ((s->rest_gyro_sigma * s->rest_gyro_sigma) / (real_t)count) : REAL(2.5e-5);
+    const real_t calm = still ? (((REAL(2.0) * s->rest_gyro_sigma) * s->rest_gyro_sigma) / (real_t)count) : REAL(5e-5);
     real_t off;
 
-    h_row_begin(m, EX_VEL + i, REAL(1.0));
-    fuse_scalar(m, -m->x[SX_VEL + i], REAL(4e-4));
-    if (mode == PHASE_COASTING) {
-        return; /* such rotors turn the vehicle on its legs at a lasting rate, which is no noise */
+    fuse_error_state(m, EX_VEL + i, -m->x[SX_VEL + i], REAL(4e-4));
+    if ((mode == PHASE_COASTING) || ((i == 2) && !still)) {
+        return; /* rotors turn the vehicle on its legs at a lasting rate, which is no noise */
     }
     off = m->gyro_mean[i] - m->x[SX_GYRO_BIAS + i];
     h_row_begin(m, EX_GYRO_BIAS + i, REAL(1.0));
-    /* With running rotors the vehicle may slide and turn on its legs. */
-    if (still || (real_abs(innovation_ratio(m, off, calm * REAL(2.0))) < INNOVATION_GATE)) {
-        fuse_scalar(m, off, calm * REAL(2.0));
+    /* With running rotors the vehicle may slide on its legs. */
+    if (still || (real_abs(innovation_ratio(m, off, calm)) < INNOVATION_GATE)) {
+        fuse_scalar(m, off, calm);
     }
     if (still && (s->is_fitted[R_ACCELERATION] > 0)) {
         const real_t variance = ((REAL(2.0) * s->rest_accel_sigma) * s->rest_accel_sigma) / (real_t)count;

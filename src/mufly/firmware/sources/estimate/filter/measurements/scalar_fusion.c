@@ -55,6 +55,12 @@ void fuse_scalar(estimator_t *m, real_t innovation, real_t variance)
     apply_correction(m, innovation, variance);
 }
 
+void fuse_error_state(estimator_t *m, int32_t i, real_t innovation, real_t variance)
+{
+    h_row_begin(m, i, REAL(1.0));
+    fuse_scalar(m, innovation, variance);
+}
+
 real_t innovation_ratio(estimator_t *m, real_t innovation, real_t variance)
 {
     return innovation / real_sqrt(innovation_variance(m) + variance);

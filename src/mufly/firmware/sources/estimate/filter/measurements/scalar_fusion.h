@@ -16,6 +16,9 @@ void apply_correction(estimator_t *m, real_t innovation, real_t variance);
 /* Fuse a scalar measurement of variance r without a gate; its row is in m->h_value. */
 void fuse_scalar(estimator_t *m, real_t innovation, real_t variance);
 
+/* Fuse a measurement of error state i itself, of variance r, without a gate. */
+void fuse_error_state(estimator_t *m, int32_t i, real_t innovation, real_t variance);
+
 /* Return the innovation over its standard deviation. */
 real_t innovation_ratio(estimator_t *m, real_t innovation, real_t variance);
 
