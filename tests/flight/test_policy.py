@@ -80,9 +80,9 @@ def test_policy_of_another_vehicle_is_refused(monkeypatch, capsys, tmp_path, fil
 def test_command_writes_the_policy_as_c(monkeypatch, capsys, tmp_path, file) -> None:
     assert run(monkeypatch, "firmware", "policy", file, "--out", tmp_path / "c") == 0
     assert "network 20 x 4, 84 numbers" in " ".join(capsys.readouterr().out.split())
-    text = (tmp_path / "c" / "policy_numbers.c").read_text()
+    text = (tmp_path / "c" / "policy" / "policy_numbers.c").read_text()
     assert text.count("REAL(") == 4 * 20 + 80 + 4 + 4 + 3
-    assert "malloc" not in "".join(p.read_text() for p in (tmp_path / "c").iterdir())
+    assert "malloc" not in "".join(p.read_text() for p in (tmp_path / "c").rglob("*.[ch]"))
 
 
 def test_control_law_reaches_another_process_and_its_name_follows_the_numbers() -> None:

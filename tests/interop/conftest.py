@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -19,19 +18,13 @@ from pathlib import Path
 
 import pytest
 import xarray as xr
+from free_ports import free_port
 
 from mufly.flight import read_recording
 
 ROOT = Path(__file__).resolve().parents[2]
 START_S = 180.0  # the first time ever everything is compiled
 STOP_S = 30.0
-
-
-def free_port() -> int:
-    """A UDP port that nobody has just now."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 @dataclass

@@ -8,18 +8,13 @@ import socket
 import time
 
 import pytest
+from free_ports import free_port
 from mock_vehicle import MockVehicle
 
 from mufly.errors import InputError
 from mufly.link import Endpoint, parse_endpoint
 from mufly.station import GroundStation, ground_station
 from mufly.station.ground_station import choose_telemetry_rate
-
-
-def free_port():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as s:
-        s.bind(("127.0.0.1", 0))
-        return s.getsockname()[1]
 
 
 class Caller:

@@ -16,6 +16,7 @@ from typing import Any
 import matplotlib.image
 import numpy as np
 import pytest
+from free_ports import free_port
 
 from mufly.mission import load_mission
 from mufly.station.replay import open_recording
@@ -44,12 +45,6 @@ SIZES = ((1366, 768), (1024, 768), (820, 1180), (390, 844))
 STOP = "[data-testid=emergency-stop]"
 
 
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 def wait(condition: Callable[[], Any], what: str, seconds: float = 120.0) -> Any:
     end = time.monotonic() + seconds
     while time.monotonic() < end:
@@ -65,7 +60,7 @@ class Fly:
     def __init__(self, folder: Path) -> None:
         self.folder = folder / "out"
         (folder / "hop.toml").write_text(MISSION)
-        self.port = free_port()
+        self.port = free_port(socket.SOCK_STREAM)
         self.url = f"http://127.0.0.1:{self.port}/"
         words = [
             "fly",

@@ -11,14 +11,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from free_ports import free_port
 
 TOKEN = "a-token-for-tests"
-
-
-def free_port(kind: int = socket.SOCK_STREAM) -> int:
-    with socket.socket(socket.AF_INET, kind) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def served(port: int) -> bool:
@@ -32,9 +27,9 @@ def served(port: int) -> bool:
 @pytest.fixture(scope="module", params=["open", "with token"])
 def station(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[int, bool]]:
     """A running `mufly station` on the loopback address; its port, and whether it wants a token."""
-    folder, port = tmp_path_factory.mktemp("server"), free_port()
+    folder, port = tmp_path_factory.mktemp("server"), free_port(socket.SOCK_STREAM)
     closed = request.param == "with token"
-    link = f"udpin:127.0.0.1:{free_port(socket.SOCK_DGRAM)}"
+    link = f"udpin:127.0.0.1:{free_port()}"
     words = [
         "station",
         "--no-browser",
