@@ -356,18 +356,6 @@ def _match_directly(
     )  # fmt: skip
 
 
-def solve_free_tilt(floor_map: FloorMap, match: KeyframeMatch, context: FrameContext, sigma_rad: float) -> PoseEstimate:
-    """Return the pose of a match if picture and keyframe share a tilt of this deviation, as by a tilted mount."""
-    points, view, straight = match.inlier_indices, context.view, context.undistorter
-    tilts = floor_map.predict_covariance(match.keyframe, *context.error_transition)[_BOTH_TILTS]
-    return solve_pose(
-        view, match.pose.state[:POSE_TILT], floor_map.locate_points(match.keyframe)[points],
-        floor_map.points_tilt_jacobian(match.keyframe)[points],
-        tilts + sigma_rad**2 * np.tile(np.eye(2), (2, 2)), match.inlier_pixels - straight.principal_point,
-        match.exposure_offsets_s, match.pixel_information,
-    )  # fmt: skip
-
-
 def _common_variance(context: FrameContext) -> float:
     """Return the variance of a place by errors that all points of a picture share (m^2)."""
     common_px = math.hypot(_COMMON_SHAKE_SHARE * context.shake_rms_px, _COMMON_SIGMA_PX)

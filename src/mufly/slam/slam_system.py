@@ -25,7 +25,7 @@ from mufly.slam.camera_pose import POSE_SIZE, SHAKE_SIZE, PoseEstimate, ViewPrio
 from mufly.slam.image_tools import Undistorter
 from mufly.slam.images.camera_monitor import CameraMonitor, CameraVerdict
 from mufly.slam.keyframe_map import FloorMap
-from mufly.slam.keyframe_matching import FrameContext, KeyframeMatch, match_keyframe, rejection_reason, solve_free_tilt
+from mufly.slam.keyframe_matching import FrameContext, KeyframeMatch, match_keyframe, rejection_reason
 from mufly.slam.map_growth import (
     NEWEST_TRANSITION,
     LoopSearch,
@@ -47,8 +47,6 @@ FEW_INLIERS = 30  # below this number of inliers a new keyframe may help
 NEW_KEYFRAME_OVERLAP = 0.55  # least overlap of a keyframe and the picture
 LOOP_CHECK_INTERVAL = 8
 _RELOCALIZE_INTERVAL = 4
-_MOUNT_INTERVAL, _MOUNT_SIGMA_RAD = 3, math.radians(5.0)
-"""Pictures between measurements of the mount's tilt, and its usual size if the mount is wrong."""
 _WEAK_SIGNIFICANCE = 1.7  # of the texture, below which a new keyframe follows earlier
 MAX_KNOWN_SIGMA = (0.5, 0.5, 0.5, 0.5)
 """Standard deviations of N, E, D (m) and heading (rad) from which an axis counts as unknown."""
@@ -351,7 +349,7 @@ class SlamSystem:
         context = replace(context, motion=self._motion)
         self._last_node, self._reference_index = node, match.keyframe
         self._found_poses = []
-        self._check_mount(context, match)
+        self.monitor.check_tilt(frame.time_s, match.pose.tilt_error_rad, frame.vehicle_estimate.tilt_sigma)
         self._learn_vibration(context.view, match.pose)
         refine_keyframe(self.floor_map, context, match)
         made = closed = False
@@ -365,14 +363,6 @@ class SlamSystem:
             self._frames_since_loop_check = 0
             made, closed = self._try_loop_closure(context, match, made)
         return self._make_result(context, match, made, closed)
-
-    def _check_mount(self, context: FrameContext, match: KeyframeMatch) -> None:
-        """Measure the tilt of the mount at every third picture; the pictures between share its errors."""
-        if self._frame_count % _MOUNT_INTERVAL == 0 and not len(match.unknown):
-            pose = solve_free_tilt(self.floor_map, match, context, _MOUNT_SIGMA_RAD)
-            self.monitor.check_tilt(
-                context.frame, pose, self.floor_map.nodes[match.keyframe, TILT], context.view, match.variance_inflation
-            )
 
     def _learn_vibration(self, view: ViewPrior, pose: PoseEstimate) -> None:
         """Average the amplitudes of the vibration over pictures.

@@ -28,8 +28,8 @@ correlation r from picture to picture. A fault is reported if a steady estimate 
 flipped along x or y or both have y = -conj(p), conj(p) or -p. These have no unknown number, so a sequential test of
 each axis against y = p finds them first (Wald, *Sequential Analysis*, 1947). Own derivation.
 
-**Tilt.** The perspective of the floor shows the tilt of the camera against the attitude
-(:mod:`mufly.slam.images.mount_tilt`). A tilt beyond the filter's deviation shows a tilted mount.
+**Tilt.** Tracking estimates the errors of the reported tilt from the shear of the floor
+(:mod:`mufly.slam.camera_pose`). An error that stays beyond the filter's deviation shows a tilted mount.
 
 **Copies.** Noise makes any two new pictures differ, so identical pictures are copies.
 
@@ -53,10 +53,8 @@ from numpy.typing import NDArray
 from mufly.camera import Camera, body_from_camera_rotation
 from mufly.dynamics import GRAVITY
 from mufly.slam.camera_frame import CameraFrame, FrameInfo
-from mufly.slam.camera_pose import PoseEstimate, ViewPrior
 from mufly.slam.image_tools import correlate_patches, is_in_mask, load_opencv
 from mufly.slam.images.direct_alignment import add_point_errors
-from mufly.slam.images.mount_tilt import MountTilt
 from mufly.slam.images.patch_information import measure_patches, remove_background
 
 _Array = NDArray[np.float64]
@@ -71,9 +69,7 @@ _CONFIRM_COUNT, _GROSS_CONFIRM_COUNT, _HOLD_S = 10, 6, 10.0
 seen (s)."""
 _BACKGROUND_PX = 25  # side of the mean that is subtracted, at half the resolution
 _MIN_HEIGHT_M = 0.2  # below which the height is known too poorly
-_TILT_SIGMAS, _MIN_TILT_RAD, _TILTED_COUNT = 4.0, math.radians(2.0), 5
-"""Least deviations of the mount's tilt from zero, least tilt (rad), and number of measurements in a row that confirm
-it."""
+_TILT_AVERAGE_S, _TILT_SIGMAS, _MIN_TILT_RAD = 1.5, 2.5, math.radians(1.2)
 _DIRT_REDUCTION, _DIRT_BACKGROUND_PX, _DIRT_STEP_PX, _DIRT_MIN_COUNT, _DIRT_COUNT = 4, 8.0, 40.0, 7, 9
 """Reduction of the picture, smoothing of the surroundings (reduced pixels), motion between pictures that count
 (pixels), and their least and largest number."""
@@ -141,7 +137,7 @@ class CameraMonitor:
         self._latest: deque[NDArray[np.complex128]] = deque(maxlen=_CONFIRM_COUNT)  # estimates
         self._candidate, self._candidate_count = _HEALTHY, 0
         self._verdict, self._held_until_s = _HEALTHY, -math.inf
-        self.mount_tilt, self._tilted_count = MountTilt(), 0
+        self._tilt, self._tilt_weight, self._tilt_time_s = np.zeros(2), 0.0, math.nan
         self._dirt = DirtMask()
         self._moved_px = 0.0
 
@@ -195,18 +191,18 @@ class CameraMonitor:
         """Return the verdict that holds at a time (s)."""
         return self._verdict if time_s < self._held_until_s else _HEALTHY
 
-    def check_tilt(
-        self, frame: CameraFrame, pose: PoseEstimate, keyframe_tilt_rad: _Array, view: ViewPrior, inflation: float
-    ) -> None:
-        """Add a tracked picture to :attr:`mount_tilt` (:meth:`MountTilt.add_picture`), and judge the tilt."""
-        self.mount_tilt.add_picture(frame.time_s, pose, keyframe_tilt_rad, view, inflation)
-        size = math.hypot(*self.mount_tilt.tilt_rad)
-        deviations = self.mount_tilt.deviations(frame.vehicle_estimate.tilt_sigma)
-        is_tilted = size > _MIN_TILT_RAD and deviations > _TILT_SIGMAS
-        self._tilted_count = self._tilted_count + 1 if is_tilted else 0
-        if self._tilted_count >= _TILTED_COUNT:
+    def check_tilt(self, time_s: float, tilt_error_rad: _Array, sigma_rad: float) -> None:
+        """Update by the tilt error (2,) that tracking estimates, with the filter's standard deviation (rad)."""
+        dt = time_s - self._tilt_time_s if self._tilt_time_s < time_s else 0.0
+        self._tilt_time_s = time_s
+        keep = math.exp(-dt / _TILT_AVERAGE_S)
+        self._tilt = keep * self._tilt + (1.0 - keep) * tilt_error_rad
+        self._tilt_weight = keep * self._tilt_weight + 1.0 - keep
+        size = math.hypot(*self._tilt) / max(self._tilt_weight, 1e-9)
+        if self._tilt_weight > 0.7 and size > max(_MIN_TILT_RAD, _TILT_SIGMAS * sigma_rad):
             message = f"the floor is seen {math.degrees(size):.1f} degrees off the attitude: check the camera's mount"
-            self._verdict, self._held_until_s = CameraVerdict("tilted", message), frame.time_s + _HOLD_S
+            self._verdict, self._held_until_s = CameraVerdict("tilted", message), time_s + _HOLD_S
+            self._tilt, self._tilt_weight = np.zeros(2), 0.0
 
     def _measure_motion(self, frame: CameraFrame, picture: NDArray[np.uint8]) -> None:
         small = load_opencv().pyrDown(picture)
@@ -234,15 +230,15 @@ class CameraMonitor:
         y = 2.0 * moved / dt
         velocity = 0.5 * (velocity + self._last_level_velocity)
         p = self._predict_motion(last.vehicle_estimate, frame.vehicle_estimate, velocity)
-        keep = math.exp(-dt / _HIGH_PASS_S)
-        self._slow = keep * self._slow + (1.0 - keep) * np.array([y, p])
+        yaw_rate = 0.5 * (last.vehicle_estimate.heading_rate_rad_s + frame.vehicle_estimate.heading_rate_rad_s)
+        self._slow = advance_slow_part(self._slow, np.array([y, p]), dt, yaw_rate)
         self._past = [*self._past[-2:], (y - self._slow[0], p - self._slow[1])]
         if len(self._past) == 3:
             (_, p0), (y, p), (_, p2) = self._past
             row = np.array([p, p.conjugate(), (p2 - p0) / (2.0 * dt)])
             driven = bool(frame.vehicle_estimate.rotor_speed.any())
             for fit in (self._fit, self._quick_fit):
-                fit.add_picture(dt, row, y, is_correlated=not driven)
+                fit.add_picture(dt, row, y)
             self._flips.add_picture(dt, p, y, _FLIP_SIGMA_PX_S if driven else _CARRIED_SIGMA_PX_S)
             self._latest.append(self.estimate[:2].copy())
             self._confirm(frame.time_s)
@@ -293,6 +289,19 @@ class CameraMonitor:
         v = self._camera_from_body @ (np.append(velocity, 0.0) + lever)
         flow = np.array([-w[1], w[0]]) - v[:2] / max(0.1, now.height_m - place[2])
         return self._focal_px * complex(flow[0], flow[1])
+
+
+def advance_slow_part(
+    slow: NDArray[np.complex128], motion: NDArray[np.complex128], dt: float, yaw_rate_rad_s: float
+) -> NDArray[np.complex128]:
+    """Return the slow part of motions in the picture, ``dt`` (s) later.
+
+    A velocity that is steady towards north and east, as that by a steady tilt against the wind, turns in the picture
+    as the nose turns. The slow part turns with it, so that no turn passes for a motion.
+    """
+    keep = math.exp(-dt / _HIGH_PASS_S)
+    turned: NDArray[np.complex128] = keep * cmath.exp(-1j * yaw_rate_rad_s * dt) * slow + (1.0 - keep) * motion
+    return turned
 
 
 class FlipTest:
@@ -354,10 +363,10 @@ class MotionFit:
         self._square = self._lagged = self.weight = 0.0
         self._last_off = 0j
 
-    def add_picture(self, dt: float, row: NDArray[np.complex128], y: complex, *, is_correlated: bool = False) -> None:
+    def add_picture(self, dt: float, row: NDArray[np.complex128], y: complex) -> None:
         """Update by the motion ``y`` of a picture and its regressors (3,), ``dt`` (s) after the one before.
 
-        ``is_correlated`` states whether the deviations allow for correlated residuals.
+        The deviations allow for the correlation of successive residuals.
         """
         keep = math.exp(-dt / self._memory_s)
         off = y - row @ self.estimate
@@ -373,7 +382,7 @@ class MotionFit:
         inverse = np.linalg.inv(self._normal + 1e-6 * np.eye(3))
         self.estimate = inverse @ self._right
         rho = min(max(self._lagged / max(self._square, 1e-9), 0.0), _MAX_CORRELATION)
-        alike = (1.0 + rho) / (1.0 - rho) if is_correlated else 1.0
+        alike = (1.0 + rho) / (1.0 - rho)
         self.sigma = np.sqrt(np.abs(np.diag(inverse)) * alike * self._square / max(self.weight - 3.0, 1.0) / 2.0)
 
 
