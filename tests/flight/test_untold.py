@@ -217,12 +217,14 @@ def test_a_turn_shows_the_axis_error_of_the_inertial_unit(roll: float, pitch: fl
         VEHICLE, half_turn, variations=(STANDARD,), wind=0.2, gust=0.1, seed=5, fast_controllers=GenericFirmwareSoftware
     )
     mount = {"sensors.imu.mount_roll": roll, "sensors.imu.mount_pitch": pitch}
-    flown = fly_mission(**turning.flight_options(replace(NO_CASE, parameter_values=mount)))
-    turned = np.flatnonzero(np.abs(flown.truth_rates[:, 2].to_numpy()) > 0.5)
-    flown = flown.isel(time=slice(turned[0], turned[-1] + 200))
-    error = (flown.estimated_attitude - flown.truth_attitude).to_numpy()[:, :2]
-    deviations = error / flown.estimated_attitude_sigma.to_numpy()[:, :2]
-    assert np.square(deviations).mean() < 2.0
+    squares = []  # of a single flight 0.3 to 4
+    for seed in range(6):
+        flown = fly_mission(**turning.flight_options(replace(NO_CASE, seed=seed, parameter_values=mount)))
+        turned = np.flatnonzero(np.abs(flown.truth_rates[:, 2].to_numpy()) > 0.5)
+        flown = flown.isel(time=slice(turned[0], turned[-1] + 200))
+        error = (flown.estimated_attitude - flown.truth_attitude).to_numpy()[:, :2]
+        squares.append(np.square(error / flown.estimated_attitude_sigma.to_numpy()[:, :2]).mean())
+    assert np.mean(squares) < 1.5
 
 
 def test_endings_are_classed_by_the_truth(campaign: Campaign) -> None:
