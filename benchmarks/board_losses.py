@@ -32,7 +32,13 @@ from pymavlink.dialects.v20 import common as mavlink
 from pyulog import ULog
 
 from mufly.control import design_flight_controller
-from mufly.estimate.filter.filter_records import R_ACCELERATION, R_FIX, R_PRESSURE, R_RATES, R_SONAR
+from mufly.estimate.filter.filter_records import (
+    READING_ACCELERATION,
+    READING_FIX,
+    READING_PRESSURE,
+    READING_RATES,
+    READING_SONAR,
+)
 from mufly.firmware.emulated import HostBoard, make_board
 from mufly.firmware.emulated.board_flight import BoardEstimator, make_board_software
 from mufly.flight import Flight
@@ -40,7 +46,7 @@ from mufly.logs.block_log import split_sessions
 from mufly.mission import load_mission
 from mufly.vehicle import load_vehicle
 
-BUSES = {"SPI": (R_ACCELERATION, R_RATES, R_PRESSURE), "I2C": (R_SONAR,), "fix": (R_FIX,)}
+BUSES = {"SPI": (READING_ACCELERATION, READING_RATES, READING_PRESSURE), "I2C": (READING_SONAR,), "fix": (READING_FIX,)}
 LONGEST_S = 90.0  # after the loss
 FLOWN_S = 60.0  # instants are drawn from the first minute after arming
 LOW, MIDDLE, HIGH = 172, 992, 1811

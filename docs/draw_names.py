@@ -72,8 +72,8 @@ def drawn_names(seed: int) -> list[Name]:
 def places_in(index: ast.expr) -> int:
     """Count the whole numbers above 2 that stand for a place in an index: ``x[17]``, ``x[17 + i]``, ``x[10:13]``.
 
-    An offset to a named index (``x[SX_ATT + 3]``) has its name; strides (``r[3 * i + j]``) and cuts off the front or
-    the back (``text[:9]``, ``y[-9:]``) are no places.
+    An offset to a named index (``x[NOMINAL_ATTITUDE + 3]``) has its name; strides (``r[3 * i + j]``) and cuts
+    off the front or the back (``text[:9]``, ``y[-9:]``) are no places.
     """
     if isinstance(index, ast.Constant):
         return int(isinstance(index.value, int) and index.value > 2)

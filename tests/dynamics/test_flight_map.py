@@ -17,12 +17,12 @@ from mufly.dynamics import (
 from mufly.dynamics.edgewise_loads import inside_flight_map
 from mufly.dynamics.equations_of_motion import state_derivative_tilted
 from mufly.dynamics.model_state import (
+    MODEL_POSITION,
+    MODEL_RATES,
+    MODEL_SWASH_PITCH,
+    MODEL_SWASH_ROLL,
+    MODEL_VELOCITY,
     ROTOR_SPEEDS,
-    RS_POS,
-    RS_RATES,
-    RS_SWASH_PITCH,
-    RS_SWASH_ROLL,
-    RS_VEL,
     STATE_SIZE,
 )
 from mufly.dynamics.vehicle_flight_map import find_level_speed
@@ -161,10 +161,10 @@ def test_trim_in_wind_is_steady_with_a_phase(clamped):
     turned = replace_parameters(clamped, {"swash_plate.phase": 0.5})
     trim = find_trim(turned, wind=(0.4, 0.2, 0.0), charge=0.9)
     state = trim.state.copy()
-    state[RS_POS + 2] = -5.0  # above the floor
+    state[MODEL_POSITION + 2] = -5.0  # above the floor
     rates = derivative(turned, state, (0.4, 0.2, 0.0), trim.input)
     assert np.hypot(*trim.input[2:]) > 0.3
-    assert np.abs(rates[RS_VEL : STATE_SIZE - 1]).max() < 1e-6
+    assert np.abs(rates[MODEL_VELOCITY : STATE_SIZE - 1]).max() < 1e-6
 
 
 def test_phase_turns_the_cyclic_input_along_the_rotation(vehicle):
@@ -175,7 +175,9 @@ def test_phase_turns_the_cyclic_input_along_the_rotation(vehicle):
     # The lower rotor turns clockwise from above: an input forward acts to the right, one to the right acts aft.
     assert derivative(quarter, x, u=(0.7, 0.7, 0.6, 0.0)) == pytest.approx(side, abs=1e-9)
     back = derivative(quarter, x, u=(0.7, 0.7, 0.0, 0.6))
-    assert back[[RS_SWASH_ROLL, RS_SWASH_PITCH]] == pytest.approx(-ahead[[RS_SWASH_ROLL, RS_SWASH_PITCH]], abs=1e-9)
+    assert back[[MODEL_SWASH_ROLL, MODEL_SWASH_PITCH]] == pytest.approx(
+        -ahead[[MODEL_SWASH_ROLL, MODEL_SWASH_PITCH]], abs=1e-9
+    )
     small = replace_parameters(vehicle, {"swash_plate.phase": 0.1})
     gain = linearise_vehicle(small).full.B[[12, 13]][:, 2:]
     assert math.atan2(gain[1, 0], gain[0, 0]) == pytest.approx(0.1, abs=1e-6)
@@ -232,10 +234,10 @@ def test_rate_derivative_matches_the_table(clamped, hinged):
     for v in (clamped, hinged):
         x, p = hovering(v), model_parameters(v)
         turning = x.copy()
-        turning[RS_RATES] = 1e-3
-        slope = (derivative(v, turning) - derivative(v, x))[RS_RATES] / 1e-3
+        turning[MODEL_RATES] = 1e-3
+        slope = (derivative(v, turning) - derivative(v, x))[MODEL_RATES] / 1e-3
         bare = replace_parameters(v, {"rotors.flight_map": None})
-        without = (derivative(bare, turning) - derivative(bare, x))[RS_RATES] / 1e-3
+        without = (derivative(bare, turning) - derivative(bare, x))[MODEL_RATES] / 1e-3
         tables = v.rotors.flight_map.parse_tables()
         loads = tables.loads.mean(axis=0)[int(np.argmin(np.abs(tables.climb_ratio))), 0].reshape(2, 10)
         speeds, z = x[ROTOR_SPEEDS], np.array([p["z_up"], p["z_dw"]])

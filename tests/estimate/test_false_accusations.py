@@ -11,18 +11,18 @@ import pytest
 from mufly.estimate.filter.filter_records import (
     AID_COUNT,
     AID_PLACE,
-    EX_GYRO_BIAS,
+    ERROR_GYRO_BIAS,
+    NOMINAL_ATTITUDE,
+    NOMINAL_POSITION,
     PHASE_FLYING,
     PHASE_RUNNING,
     PHASE_STANDING,
-    R_FIX,
-    R_MAGNET,
+    READING_FIX,
+    READING_MAGNET,
     ROTOR_FORCE_ANG_ACCEL,
     ROTOR_FORCE_HISTORY,
     SENSOR_COUNT,
     STATE_COUNT,
-    SX_ATT,
-    SX_POS,
     filter_settings,
 )
 from mufly.estimate.filter.measurements import fix_fusion, fusion, sensor_checks
@@ -69,7 +69,7 @@ def test_white_ratios_of_unit_variance_change_no_estimated_noise() -> None:
 
 def sonar_memory(height_m: float) -> SimpleNamespace:
     x = np.zeros(STATE_COUNT)
-    x[SX_POS + 2] = -height_m
+    x[NOMINAL_POSITION + 2] = -height_m
     return SimpleNamespace(x=x, sonar_prev=0.0, sonar_repeat_chance=1.0, fix_height_gap=0.0)
 
 
@@ -130,10 +130,10 @@ def test_a_field_of_another_strength_than_the_earth_s_is_no_heading(
     for name in ("h_row_begin", "h_row_add"):
         monkeypatch.setattr(fusion, name, lambda *of: None)
     x = np.zeros(STATE_COUNT)
-    x[SX_ATT] = 1.0
+    x[NOMINAL_ATTITUDE] = 1.0
     m = SimpleNamespace(x=x, noise_scale=np.ones(AID_COUNT), yaw_rate=0.0)
     fusion.fuse_magnetic_heading.py_func(m, settings, factor * settings.earth_field, 0.0, np.zeros(9))
-    assert (faults == [R_MAGNET], bool(fused)) == (told, not told)
+    assert (faults == [READING_MAGNET], bool(fused)) == (told, not told)
 
 
 @pytest.mark.parametrize(("component", "status"), [(0, STATUS_REJECTED), (2, STATUS_FAULTY), (3, STATUS_REJECTED)])
@@ -142,10 +142,10 @@ def test_a_fix_off_in_height_alone_does_not_contradict_the_attitude(component: i
     ratios[component] = 9.0
     m = SimpleNamespace(status=np.full(SENSOR_COUNT, STATUS_REJECTED), fix_component=component, fix_ratio=ratios)
     fix_fusion._clear_attitude_evidence.py_func(m)
-    assert m.status[R_FIX] == status
-    ratios[0], m.status[R_FIX] = 6.0, STATUS_REJECTED  # a jump on several axes
+    assert m.status[READING_FIX] == status
+    ratios[0], m.status[READING_FIX] = 6.0, STATUS_REJECTED  # a jump on several axes
     fix_fusion._clear_attitude_evidence.py_func(m)
-    assert m.status[R_FIX] == STATUS_REJECTED
+    assert m.status[READING_FIX] == STATUS_REJECTED
 
 
 @pytest.mark.parametrize(
@@ -162,7 +162,7 @@ def test_a_turn_on_the_legs_under_running_rotors_is_no_gyroscope_bias(
     monkeypatch.setattr(fusion, "innovation_ratio", lambda *of: 1.0)
     monkeypatch.setattr(fusion, "fuse_scalar", lambda *of: None)
     x = np.zeros(STATE_COUNT)
-    x[SX_ATT] = 1.0
+    x[NOMINAL_ATTITUDE] = 1.0
     m = SimpleNamespace(x=x, gyro_mean=np.full(3, 0.01), accel_mean=np.array([0.0, 0.0, -9.81]))
     fusion.fuse_zero_motion.py_func(m, settings, np.empty(9), 8, phase, axis)
-    assert (EX_GYRO_BIAS + axis in rows) == learnt
+    assert (ERROR_GYRO_BIAS + axis in rows) == learnt

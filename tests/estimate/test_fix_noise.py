@@ -7,7 +7,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mufly.estimate.filter.filter_records import AID_COUNT, AID_PLACE, EX_ATT, MAX_H_TERMS, STATE_COUNT, SX_ATT
+from mufly.estimate.filter.filter_records import (
+    AID_COUNT,
+    AID_PLACE,
+    ERROR_ATTITUDE,
+    MAX_H_TERMS,
+    NOMINAL_ATTITUDE,
+    STATE_COUNT,
+)
 from mufly.estimate.filter.measurements import fix_fusion, scalar_fusion
 
 NOISE_M, WANDER_M, TIME_S, PERIOD_S = 0.005, 0.03, 2.0, 0.0667
@@ -59,15 +66,15 @@ def test_the_row_of_a_late_fix_is_the_slope_of_its_prediction(monkeypatch: pytes
         h_value=np.zeros(MAX_H_TERMS), h_state=np.zeros(MAX_H_TERMS, int), x=np.zeros(STATE_COUNT), yaw_rate=0.5
     )
     m.x[:] = np.random.default_rng(4).normal(0.0, 0.5, STATE_COUNT)
-    m.x[SX_ATT : SX_ATT + 4] = 1.0, 0.0, 0.0, 0.0
+    m.x[NOMINAL_ATTITUDE : NOMINAL_ATTITUDE + 4] = 1.0, 0.0, 0.0, 0.0
     innovation = fix_fusion._fix_innovation.py_func
-    linear = [k for k in range(STATE_COUNT) if not SX_ATT <= k < SX_ATT + 4]
+    linear = [k for k in range(STATE_COUNT) if not NOMINAL_ATTITUDE <= k < NOMINAL_ATTITUDE + 4]
     for i in range(2):
         fix_fusion._fix_h_row.py_func(m, i, ahead_s)
         row = np.zeros(STATE_COUNT)
         for state, h in zip(m.h_state[: m.h_terms], m.h_value[: m.h_terms], strict=True):
-            assert not EX_ATT <= state < EX_ATT + 3
-            row[state + (state >= EX_ATT)] = h
+            assert not ERROR_ATTITUDE <= state < ERROR_ATTITUDE + 3
+            row[state + (state >= ERROR_ATTITUDE)] = h
         before = innovation(m, np.zeros(4), i, ahead_s)
         for k in linear:
             m.x[k] += 1.0

@@ -7,7 +7,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mufly.estimate.filter.filter_records import EX_POS, R_ACCELERATION, R_FIX, R_ROTOR, SENSOR_COUNT
+from mufly.estimate.filter.filter_records import (
+    ERROR_POSITION,
+    READING_ACCELERATION,
+    READING_FIX,
+    READING_ROTOR,
+    SENSOR_COUNT,
+)
 from mufly.estimate.filter.measurements import sensor_checks as checks
 
 check = checks.check_accel_model.py_func
@@ -33,21 +39,21 @@ class Flight:
             fix_ratio_mean=np.zeros(4), last_fused_tick=np.full(SENSOR_COUNT, 1000),
             status=np.full(SENSOR_COUNT, checks.STATUS_FUSED), reason=np.zeros(SENSOR_COUNT, int),
             fault_number=np.zeros(SENSOR_COUNT), fault_until_tick=np.zeros(SENSOR_COUNT, int),
-            sigma_output=np.full(EX_POS + 3, 0.02),
+            sigma_output=np.full(ERROR_POSITION + 3, 0.02),
         )  # fmt: skip
 
     def pass_time(self, residual: tuple[float, float, float], time_s: float, height: float = 1.0, r=LEVEL) -> int:
         """Return the code of the conflict after so long."""
         for _ in range(round(time_s / (PERIOD_S * BLOCK_TICKS))):
             self.m.tick += BLOCK_TICKS
-            self.m.last_fused_tick[R_FIX] = self.m.tick
+            self.m.last_fused_tick[READING_FIX] = self.m.tick
             for i in range(3):
                 check(self.m, self.s, r, height, residual[i], 0.01, 0.0, i)
         return int(self.m.force_verdict)
 
     @property
     def accused(self) -> tuple[int, int]:
-        return int(self.m.status[R_ACCELERATION]), int(self.m.reason[R_ACCELERATION])
+        return int(self.m.status[READING_ACCELERATION]), int(self.m.reason[READING_ACCELERATION])
 
 
 def test_a_residual_within_six_deviations_is_no_conflict() -> None:
@@ -60,7 +66,7 @@ def test_both_are_reported_until_a_fix_without_a_lasting_ratio_clears_the_model(
     flight = Flight()
     assert flight.pass_time((2.5, 0.0, 0.0), 1.0) == checks.FORCE_UNDECIDED
     assert flight.accused == (checks.STATUS_FAULTY, checks.REASON_FORCE_CONFLICT)
-    assert flight.m.fault_number[R_ACCELERATION] == flight.m.accel_residual_lp[0] > 1.0  # the axis that differs
+    assert flight.m.fault_number[READING_ACCELERATION] == flight.m.accel_residual_lp[0] > 1.0  # the axis that differs
     assert flight.pass_time((2.5, 0.0, 0.0), 1.5) == checks.FORCE_ACCEL_WRONG
     assert flight.accused == (checks.STATUS_FAULTY, checks.REASON_INNOVATION)
     assert flight.pass_time((0.0, 0.0, 0.0), 2.0) == checks.FORCE_AGREES
@@ -68,7 +74,7 @@ def test_both_are_reported_until_a_fix_without_a_lasting_ratio_clears_the_model(
 
 def test_without_a_fix_nothing_is_decided() -> None:
     flight = Flight()
-    flight.m.status[R_FIX] = checks.STATUS_MISSING
+    flight.m.status[READING_FIX] = checks.STATUS_MISSING
     assert flight.pass_time((2.5, 0.0, 0.0), 5.0) == checks.FORCE_UNDECIDED
 
 
@@ -81,14 +87,14 @@ def test_a_lasting_ratio_of_the_fix_along_the_difference_decides(r, axis: int, s
     flight = Flight()
     flight.m.fix_ratio_mean[axis] = sign * 1.5
     assert flight.pass_time((2.5, 0.0, 0.0), 1.0, r=r) == code
-    assert (flight.m.status[R_ACCELERATION] == checks.STATUS_FUSED) == (code == checks.FORCE_MODEL_WRONG)
+    assert (flight.m.status[READING_ACCELERATION] == checks.STATUS_FUSED) == (code == checks.FORCE_MODEL_WRONG)
 
 
 def test_rotor_speeds_that_are_not_fused_explain_a_wrong_model() -> None:
     flight = Flight()
-    flight.m.status[R_ROTOR] = checks.STATUS_REJECTED
+    flight.m.status[READING_ROTOR] = checks.STATUS_REJECTED
     assert flight.pass_time((0.0, 0.0, 2.5), 1.0) == checks.FORCE_MODEL_WRONG
-    flight.s.is_fitted[R_ROTOR] = 0
+    flight.s.is_fitted[READING_ROTOR] = 0
     assert flight.pass_time((0.0, 0.0, 0.0), 2.0) == checks.FORCE_AGREES
     assert flight.pass_time((0.0, 0.0, 2.5), 0.6) == checks.FORCE_UNDECIDED
 

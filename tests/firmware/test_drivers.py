@@ -12,7 +12,14 @@ import cffi
 import numpy as np
 import pytest
 
-from mufly.estimate.filter.filter_records import R_ACCELERATION, R_BATTERY, R_PRESSURE, R_RATES, R_SONAR, READING_STARTS
+from mufly.estimate.filter.filter_records import (
+    READING_ACCELERATION,
+    READING_BATTERY,
+    READING_PRESSURE,
+    READING_RATES,
+    READING_SONAR,
+    READING_STARTS,
+)
 from mufly.firmware.export.source_export import copy_sources, find_sources
 from mufly.sensors.pressure import STANDARD_PRESSURE_PA
 
@@ -113,14 +120,14 @@ def test_all_sensors_give_readings_in_body_axes_and_si_units(library, on_spi) ->
     bench = Bench(library, on_spi)
     bench.run(1.0, voltage=7.4)
     bench.run(1.0, voltage=7.4)
-    assert bench.fresh[R_ACCELERATION] == bench.fresh[R_RATES] == bench.fresh[R_BATTERY] == 200
-    assert 15 <= bench.fresh[R_PRESSURE] <= 20
-    assert 25 <= bench.fresh[R_SONAR] <= 34
-    assert bench.value(R_ACCELERATION, 3) == pytest.approx([200 * G / 2048, 100 * G / 2048, -G])
-    assert bench.value(R_RATES, 3) == pytest.approx(np.radians([33 / 16.4, -10.0, 5.0]))
+    assert bench.fresh[READING_ACCELERATION] == bench.fresh[READING_RATES] == bench.fresh[READING_BATTERY] == 200
+    assert 15 <= bench.fresh[READING_PRESSURE] <= 20
+    assert 25 <= bench.fresh[READING_SONAR] <= 34
+    assert bench.value(READING_ACCELERATION, 3) == pytest.approx([200 * G / 2048, 100 * G / 2048, -G])
+    assert bench.value(READING_RATES, 3) == pytest.approx(np.radians([33 / 16.4, -10.0, 5.0]))
     assert bench.suite.barometer.temperature == pytest.approx(25.08, abs=0.005)
-    assert bench.value(R_PRESSURE)[0] + STANDARD_PRESSURE_PA == pytest.approx(100653.27, abs=0.1)
-    assert bench.value(R_SONAR)[0] == pytest.approx(0.4, abs=1e-3)  # 2330 us there and back at 343.4 m/s
+    assert bench.value(READING_PRESSURE)[0] + STANDARD_PRESSURE_PA == pytest.approx(100653.27, abs=0.1)
+    assert bench.value(READING_SONAR)[0] == pytest.approx(0.4, abs=1e-3)  # 2330 us there and back at 343.4 m/s
     assert bench.suite.imu.temperature == pytest.approx(298.15 + 1329 / 132.48, abs=0.1)
     assert not any(bench.device(k).fault_count for k in range(3))
     registers = bench.buses.devices[IMU].registers
@@ -135,7 +142,7 @@ def test_all_sensors_give_readings_in_body_axes_and_si_units(library, on_spi) ->
 def test_a_failing_bus_is_named_and_comes_back(library, device, fault, bit) -> None:
     bench = Bench(library, laser=device == LASER)
     ranging = LASER if device == LASER else SONAR
-    kinds = {IMU: R_ACCELERATION, BAROMETER: R_PRESSURE, ranging: R_SONAR}
+    kinds = {IMU: READING_ACCELERATION, BAROMETER: READING_PRESSURE, ranging: READING_SONAR}
     bench.run(0.5)
     setattr(bench.buses.devices[device], fault, True)
     bench.run(1.0)
@@ -148,7 +155,7 @@ def test_a_failing_bus_is_named_and_comes_back(library, device, fault, bit) -> N
     setattr(bench.buses.devices[device], fault, False)
     bench.run(1.0)
     assert bench.device(device).faults == 0
-    assert bench.fresh[{IMU: R_ACCELERATION, BAROMETER: R_PRESSURE}.get(device, R_SONAR)] > 6
+    assert bench.fresh[{IMU: READING_ACCELERATION, BAROMETER: READING_PRESSURE}.get(device, READING_SONAR)] > 6
 
 
 def test_a_stuck_bus_is_aborted_until_it_is_free(library) -> None:
@@ -158,7 +165,7 @@ def test_a_stuck_bus_is_aborted_until_it_is_free(library) -> None:
     model.is_silent, model.stuck_aborts = True, 3
     bench.run(1.5)
     assert model.aborts == 3
-    assert bench.fresh[R_SONAR] > 20
+    assert bench.fresh[READING_SONAR] > 20
     assert bench.device(SONAR).faults == 0
 
 
@@ -176,7 +183,7 @@ def test_another_device_is_not_used(library, device, address) -> None:
             bench.run(0.005)
             bench.buses.devices[device].registers[address] = value
         assert bench.device(device).faults & UNKNOWN
-        assert bench.fresh[{IMU: R_ACCELERATION, BAROMETER: R_PRESSURE}.get(device, R_SONAR)] == 0
+        assert bench.fresh[{IMU: READING_ACCELERATION, BAROMETER: READING_PRESSURE}.get(device, READING_SONAR)] == 0
 
 
 def test_settings_that_do_not_hold_and_a_reset_in_flight_are_noticed(library) -> None:
@@ -184,7 +191,7 @@ def test_settings_that_do_not_hold_and_a_reset_in_flight_are_noticed(library) ->
     bench.buses.devices[IMU].held = 0x50
     bench.run(1.0)
     assert bench.device(IMU).faults == FORGETS
-    assert bench.fresh[R_ACCELERATION] == 0
+    assert bench.fresh[READING_ACCELERATION] == 0
     # A brown-out of the unit alone: it sleeps, its registers hold the last sample.
     bench = Bench(library)
     bench.run(0.5)
@@ -194,7 +201,7 @@ def test_settings_that_do_not_hold_and_a_reset_in_flight_are_noticed(library) ->
     bench.noise = True
     bench.run(1.0)
     assert bench.device(IMU).faults == 0
-    assert bench.fresh[R_ACCELERATION] > 150
+    assert bench.fresh[READING_ACCELERATION] > 150
 
 
 def test_data_that_cannot_be_are_no_readings(library) -> None:
@@ -213,14 +220,14 @@ def test_data_that_cannot_be_are_no_readings(library) -> None:
     bench.put(BAROMETER, 0x88, [0] * 24)
     bench.run(1.0)
     assert bench.device(BAROMETER).faults == IMPLAUSIBLE
-    assert bench.fresh[R_PRESSURE] == 0
+    assert bench.fresh[READING_PRESSURE] == 0
     # Nothing within range is an invalid reading, not silence; a device that still listens is a fault.
     bench = Bench(library)
     bench.put(SONAR, 2, _words([0]))
     seen = set()
     for _ in range(100):
         bench.run(0.005)
-        seen.add(bench.readings.fresh[R_SONAR])
+        seen.add(bench.readings.fresh[READING_SONAR])
     assert seen == {0, 2}
     bench.put(SONAR, 2, [0xFF, 0xFF])
     bench.run(0.5)
@@ -231,8 +238,8 @@ def test_the_laser_measures_on_demand_and_judges_its_status(library) -> None:
     bench = Bench(library, laser=True)
     bench.run(1.0)
     bench.run(1.0)
-    assert 14 <= bench.fresh[R_SONAR] <= 17
-    assert bench.value(R_SONAR)[0] == pytest.approx(0.4)
+    assert 14 <= bench.fresh[READING_SONAR] <= 17
+    assert bench.value(READING_SONAR)[0] == pytest.approx(0.4)
     assert (bench.device(LASER).fault_count, bench.buses.devices[SONAR].transfers) == (0, 0)
     registers = bench.buses.devices[LASER].registers
     # Long distance in 33 ms, of ST's driver; ready is active high.
@@ -246,7 +253,7 @@ def test_the_laser_measures_on_demand_and_judges_its_status(library) -> None:
         seen = set()
         for _ in range(60):
             bench.run(0.005)
-            seen.add(bench.readings.fresh[R_SONAR])
+            seen.add(bench.readings.fresh[READING_SONAR])
         assert seen == expected, status
         assert bench.device(LASER).faults == 0
     for status in (0, 1, 2, 3, 17):
@@ -259,9 +266,9 @@ def test_the_laser_measures_on_demand_and_judges_its_status(library) -> None:
     for range_mm, expected in ((39, 2), (40, 1), (3600, 1), (3601, 2), (65535, 2)):
         bench.put_laser(9, range_mm)
         bench.run(0.2)
-        while not bench.readings.fresh[R_SONAR]:
+        while not bench.readings.fresh[READING_SONAR]:
             bench.run(0.005)
-        assert bench.readings.fresh[R_SONAR] == expected, range_mm
+        assert bench.readings.fresh[READING_SONAR] == expected, range_mm
 
 
 def test_a_slow_laser_is_waited_for_and_a_dead_one_starts_again(library) -> None:
@@ -271,7 +278,7 @@ def test_a_slow_laser_is_waited_for_and_a_dead_one_starts_again(library) -> None
     model.takes_us = 90_000
     bench.run(1.0)
     bench.run(1.0)
-    assert 7 <= bench.fresh[R_SONAR] <= 9
+    assert 7 <= bench.fresh[READING_SONAR] <= 9
     assert bench.device(LASER).fault_count == 0
     model.takes_us = 10_000_000
     bench.run(0.2)
@@ -279,7 +286,7 @@ def test_a_slow_laser_is_waited_for_and_a_dead_one_starts_again(library) -> None
     bench.run(1.0)
     assert bench.device(LASER).faults == SILENT
     assert model.resets > resets
-    assert bench.fresh[R_SONAR] == 0
+    assert bench.fresh[READING_SONAR] == 0
     model.takes_us = 33_000
     bench.run(1.5)
     assert bench.device(LASER).faults == 0
@@ -288,11 +295,11 @@ def test_a_slow_laser_is_waited_for_and_a_dead_one_starts_again(library) -> None
         model = bench.buses.devices[LASER]
         model.held = register
         bench.run(1.5)
-        assert (bench.device(LASER).faults, bench.fresh[R_SONAR]) == (FORGETS, 0)
+        assert (bench.device(LASER).faults, bench.fresh[READING_SONAR]) == (FORGETS, 0)
         model.held = 0
         bench.run(1.5)
         assert model.registers[register] == value
-        assert bench.fresh[R_SONAR] > 5
+        assert bench.fresh[READING_SONAR] > 5
 
 
 def test_slow_transfers_give_fewer_readings_and_no_fault(library) -> None:
@@ -302,8 +309,8 @@ def test_slow_transfers_give_fewer_readings_and_no_fault(library) -> None:
     bench.buses.devices[BAROMETER].polls = bench.buses.devices[SONAR].polls = 1
     bench.run(1.0)
     bench.run(1.0)
-    assert 60 <= bench.fresh[R_ACCELERATION] <= 101
-    assert bench.fresh[R_PRESSURE] > 10
+    assert 60 <= bench.fresh[READING_ACCELERATION] <= 101
+    assert bench.fresh[READING_PRESSURE] > 10
     assert not any(bench.device(k).fault_count for k in range(3))
 
 
@@ -317,7 +324,7 @@ def test_random_faults_of_all_buses_never_stop_a_period(library) -> None:
                 model.refuses, model.reports_error, model.is_silent = (bool(b) for b in rng.random(3) < 0.3)
                 model.registers[int(rng.integers(256))] = int(rng.integers(256))
         bench.run(0.005)
-        assert np.isfinite(bench.value(R_ACCELERATION, 3)).all()
+        assert np.isfinite(bench.value(READING_ACCELERATION, 3)).all()
     for device in range(3):
         model = bench.buses.devices[device]
         model.refuses = model.reports_error = model.is_silent = False
@@ -327,7 +334,7 @@ def test_random_faults_of_all_buses_never_stop_a_period(library) -> None:
     bench.put(SONAR, 2, _words([2330]))
     bench.run(2.0)
     bench.run(1.0)
-    assert min(bench.fresh[k] for k in (R_ACCELERATION, R_PRESSURE, R_SONAR)) > 10
+    assert min(bench.fresh[k] for k in (READING_ACCELERATION, READING_PRESSURE, READING_SONAR)) > 10
 
 
 def test_dshot_frames_servo_pulses_and_battery(library) -> None:

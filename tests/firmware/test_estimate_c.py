@@ -11,22 +11,22 @@ import numpy as np
 import pytest
 
 from mufly.control import design_flight_controller
-from mufly.dynamics.model_state import RS_SPEED_UPPER
+from mufly.dynamics.model_state import MODEL_SPEED_UPPER
 from mufly.errors import MuflyError
 from mufly.estimate import KalmanEstimator, filter_backend
 from mufly.estimate.filter.c_records import PYTHON_ONLY_FIELDS
 from mufly.estimate.filter.filter_records import (
-    EX_TERRAIN,
+    ERROR_TERRAIN,
+    NOMINAL_ATTITUDE,
+    NOMINAL_FIX_BIAS,
+    NOMINAL_TERRAIN,
     PHASE_COASTING,
     PHASE_FLYING,
     PHASE_LIGHT,
     PHASE_RUNNING,
     PHASE_STANDING,
-    R_RING,
-    R_SONAR,
-    SX_ATT,
-    SX_FIX_BIAS,
-    SX_TERRAIN,
+    READING_RING,
+    READING_SONAR,
 )
 from mufly.estimate.filter.ud_filter import inflate_variance, state_variance
 from mufly.estimate.filter_backend import BackendName
@@ -116,7 +116,7 @@ def test_c_remembers_what_python_remembers_to_the_last_bit(vehicle, felt, faults
     assert (disowned > 0) == faults.startswith("accelerometer.drift")  # forces apart by six deviations
     if not faults:
         assert c.memory["flight_phase"] == PHASE_FLYING
-        c.memory["x"][SX_TERRAIN] += 1e-15
+        c.memory["x"][NOMINAL_TERRAIN] += 1e-15
         assert not same(c._memory_array, python._memory_array)  # the comparison can fail
 
 
@@ -192,13 +192,13 @@ def test_a_floor_that_may_be_the_room_s_is_taken_for_it_in_both(vehicle, felt, f
             m = e.memory
             if k == 1600:
                 assert m["terrain_edge_weight"] == 0.0
-                m["x"][SX_TERRAIN] = floor_m
-                less = sigma_m**2 - state_variance(m["u_transposed"], m["ud_diagonal"], EX_TERRAIN)
-                inflate_variance(m["u_transposed"], m["ud_diagonal"], EX_TERRAIN, less, m["u_transposed_h"])
-                assert state_variance(m["u_transposed"], m["ud_diagonal"], EX_TERRAIN) == pytest.approx(sigma_m**2)
+                m["x"][NOMINAL_TERRAIN] = floor_m
+                less = sigma_m**2 - state_variance(m["u_transposed"], m["ud_diagonal"], ERROR_TERRAIN)
+                inflate_variance(m["u_transposed"], m["ud_diagonal"], ERROR_TERRAIN, less, m["u_transposed_h"])
+                assert state_variance(m["u_transposed"], m["ud_diagonal"], ERROR_TERRAIN) == pytest.approx(sigma_m**2)
             e.update(r, a)
     assert same(c._memory_array, python._memory_array)
-    assert (abs(c.memory["x"][SX_TERRAIN]) < 0.2 * floor_m) == settles
+    assert (abs(c.memory["x"][NOMINAL_TERRAIN]) < 0.2 * floor_m) == settles
 
 
 def told(r: Readings, name: str, value: np.ndarray) -> Readings:
@@ -215,11 +215,11 @@ def test_lasers_of_who_believes_to_be_outside_of_the_room_meet_no_wall_in_both(v
             if k == 1500:
                 e.memory["x"][:2] = 40.0, 40.0
             if k == 1600:  # lies on its side: what its beams meet first is the floor
-                e.memory["x"][SX_ATT : SX_ATT + 4] = np.cos(0.7), np.sin(0.7), 0.0, 0.0
+                e.memory["x"][NOMINAL_ATTITUDE : NOMINAL_ATTITUDE + 4] = np.cos(0.7), np.sin(0.7), 0.0, 0.0
             e.update(near if k >= 1500 else r, a)
     assert same(c._memory_array, python._memory_array)
     assert c.memory["beams_seen"] == len(near.latest["ranges"].value)
-    assert c.memory["status"][R_RING] != 1  # FUSED
+    assert c.memory["status"][READING_RING] != 1  # FUSED
 
 
 @needs_cc
@@ -233,7 +233,7 @@ def test_a_fix_apart_from_the_sonar_in_height_is_told_in_both(vehicle, felt, rem
             r = told(r, "position_fix", r.latest["position_fix"].value - np.array([0.0, 0.0, 0.8, 0.0]))
         for e in (c, python):
             if remembers and k == 1500:
-                e.memory["x"][SX_FIX_BIAS + 2] = 2.0
+                e.memory["x"][NOMINAL_FIX_BIAS + 2] = 2.0
             e.update(r, a)
         most = max(most, c.memory["fix_height_gap"])
     assert same(c._memory_array, python._memory_array)
@@ -252,11 +252,11 @@ def test_whatever_they_remember_both_go_on_alike(vehicle, felt) -> None:
                 x = np.zeros(c.memory["x"].size)
                 x[0:3] = rng.normal(0.0, [2.0, 2.0, 0.1]) * (rng.random(3) < 0.3)
                 x[5] = rng.normal(0.0, 0.5) * (rng.random() < 0.3)
-                x[SX_TERRAIN] = rng.normal(0.0, 0.1) * (rng.random() < 0.3)
+                x[NOMINAL_TERRAIN] = rng.normal(0.0, 0.1) * (rng.random() < 0.3)
                 shift = rng.normal(0.0, 4.0, 3) * (rng.random() < 0.2)
                 mode, sensor, code = (
                     rng.integers(0, PHASE_FLYING + 1),
-                    rng.integers(0, R_RING + 1),
+                    rng.integers(0, READING_RING + 1),
                     rng.integers(0, 5),
                 )
                 edge, apart, ago = rng.choice([0.0, 0.5]), rng.choice([0.0, 0.3]), rng.integers(0, 200)
@@ -265,11 +265,11 @@ def test_whatever_they_remember_both_go_on_alike(vehicle, felt) -> None:
                     m["x"][:] += x
                     m["gyro_offset"][:] += shift
                     m["flight_phase"], m["terrain_edge_weight"], m["fix_height_gap"] = mode, edge, apart
-                    m["status"][sensor], m["last_fused_tick"][R_SONAR] = (
+                    m["status"][sensor], m["last_fused_tick"][READING_SONAR] = (
                         code,
                         max(int(m["tick"]) - int(ago), 0),
                     )
-                    m["rotor_state"][RS_SPEED_UPPER] += 200.0 if k < 200 else 0.0  # on the floor: it runs down
+                    m["rotor_state"][MODEL_SPEED_UPPER] += 200.0 if k < 200 else 0.0  # on the floor: it runs down
             told, right = c.update(r, a), python.update(r, a)
             assert told.valid == right.valid
             assert c.memory["x_output"].tobytes() == python.memory["x_output"].tobytes(), k

@@ -11,7 +11,13 @@ from board_station import mission_item as _item
 from pymavlink.dialects.v20 import common as mavlink
 
 from mufly.control import design_flight_controller
-from mufly.estimate.filter.filter_records import R_ACCELERATION, R_RATES, R_RING, R_SONAR, READING_STARTS
+from mufly.estimate.filter.filter_records import (
+    READING_ACCELERATION,
+    READING_RATES,
+    READING_RING,
+    READING_SONAR,
+    READING_STARTS,
+)
 from mufly.firmware import missing_tools
 from mufly.firmware.emulated import HostBoard, make_board
 from mufly.firmware.emulated.image_build import build_host_board
@@ -140,9 +146,13 @@ def test_readings_are_calibrated_once(library) -> None:
     s.restart()
     for fresh in (1, 0):
         r = s.period.readings
-        for k in (R_ACCELERATION, R_RATES, R_SONAR, R_RING):
+        for k in (READING_ACCELERATION, READING_RATES, READING_SONAR, READING_RING):
             r.fresh[k] = fresh
-        r.z[READING_STARTS[R_ACCELERATION] + 1], r.z[READING_STARTS[R_RATES] + 2], r.z[READING_STARTS[R_SONAR]] = (
+        (
+            r.z[READING_STARTS[READING_ACCELERATION] + 1],
+            r.z[READING_STARTS[READING_RATES] + 2],
+            r.z[READING_STARTS[READING_SONAR]],
+        ) = (
             2.0,
             0.1,
             0.4,
@@ -150,9 +160,9 @@ def test_readings_are_calibrated_once(library) -> None:
         r.ranges[3] = 1.5
         s.board.compute_estimate(s.period)
         z = s.board.record.readings
-        assert z.z[READING_STARTS[R_ACCELERATION] + 1] == pytest.approx(1.65)
-        assert z.z[READING_STARTS[R_RATES] + 2] == pytest.approx(0.12)
-        assert z.z[READING_STARTS[R_SONAR]] == pytest.approx(0.35)
+        assert z.z[READING_STARTS[READING_ACCELERATION] + 1] == pytest.approx(1.65)
+        assert z.z[READING_STARTS[READING_RATES] + 2] == pytest.approx(0.12)
+        assert z.z[READING_STARTS[READING_SONAR]] == pytest.approx(0.35)
         assert z.ranges[3] == pytest.approx(1.44)
 
 

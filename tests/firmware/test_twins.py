@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 from collections import Counter
 from pathlib import Path
@@ -49,6 +50,22 @@ def test_c_stands_where_its_python_stands(tree) -> None:
     assert len(names) > 25
     assert [n for n in names if not (PACKAGE / f"{PARTS.get(n, n)}.py").exists()] == []
     assert sorted(PARTS) == [n for n in names if not (PACKAGE / f"{n}.py").exists()]
+
+
+def test_functions_of_twins_stand_in_the_same_order(tree) -> None:
+    shared = 0
+    for path in find_sources(tree):
+        name = str(path.relative_to(tree).with_suffix(""))
+        twin = PACKAGE / f"{PARTS.get(name, name)}.py"
+        if not twin.exists():
+            continue
+        in_c = re.findall(r"^(?!typedef|#|\s|return)[A-Za-z_][\w *]*?\b(\w+)\([^;{]*\)\s*\{", path.read_text(), re.M)
+        nodes = ast.parse(twin.read_text()).body
+        in_python = [node.name.lstrip("_") for node in nodes if isinstance(node, ast.FunctionDef)]
+        common = [f for f in in_c if f in in_python]
+        shared += len(common)
+        assert [f for f in in_python if f in common] == common, name
+    assert shared > 150
 
 
 def test_files_include_each_other_by_their_path_and_objects_do_not_collide(tree) -> None:

@@ -18,7 +18,7 @@ from mufly.camera import Camera, decode_picture, load_camera, parse_camera, read
 from mufly.dynamics import initial_state
 from mufly.errors import MuflyError
 from mufly.estimate import Estimate, KalmanEstimator
-from mufly.estimate.filter.filter_records import EX_FIX_BIAS
+from mufly.estimate.filter.filter_records import ERROR_FIX_BIAS
 from mufly.flight import Flight, FlightEvent, fly_mission, read_recording, replay_estimator
 from mufly.flight.fixes.camera_sensor import CameraConfig, CameraSensor, make_camera, replace_fix_by_camera
 from mufly.flight.fixes.external_fixes import ExternalFixes
@@ -215,7 +215,7 @@ def test_what_the_map_is_unsure_of_wanders_in_the_filter() -> None:
     def hear(time_s: float, sigma: float) -> tuple[float, float]:
         fix = Reading(np.zeros(4), time_s, True, np.diag([sigma**2] * 4))
         filter_.fill_readings({"position_fix": fix}, time_s + 0.2)
-        return math.sqrt(settings["fix_variance"]), float(settings["initial_sigma"][EX_FIX_BIAS])
+        return math.sqrt(settings["fix_variance"]), float(settings["initial_sigma"][ERROR_FIX_BIAS])
 
     assert hear(1.0, 0.02) == pytest.approx((math.sqrt(of_file), 0.03))
     noise, wander = hear(6.0, 0.3)  # found again after five seconds, where it believes to be

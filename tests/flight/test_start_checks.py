@@ -9,7 +9,7 @@ import pytest
 from mufly.control import FlightController, design_flight_controller
 from mufly.drive import charge_at_rest, open_circuit_voltage
 from mufly.dynamics import body_to_ned_matrix, quaternion_from_euler
-from mufly.dynamics.model_state import RS_CHARGE
+from mufly.dynamics.model_state import MODEL_CHARGE
 from mufly.estimate import AuxiliaryStates, Estimate, measured_tilt
 from mufly.firmware import FirmwareSoftware, GenericFirmwareSoftware
 from mufly.flight import Flight
@@ -122,7 +122,7 @@ def test_a_mission_is_judged_by_the_charge_that_the_battery_has(vehicle, control
     mission = parse_mission({"name": "long", "waypoint": [{"position_m": [0.4, 0.0, -0.6], "wait_s": 240.0}]})
     for charge, armed in ((1.0, True), (0.6, False)):
         with Flight(vehicle, mission, controller=controller, keep=False) as flight:
-            flight.plant.state[RS_CHARGE] = charge
+            flight.plant.state[MODEL_CHARGE] = charge
             for _ in range(600):
                 flight.step_period()
             answer = flight.autopilot.arm()

@@ -9,7 +9,7 @@ import pytest
 gymnasium = pytest.importorskip("gymnasium", reason="Gymnasium is not installed")
 
 from mufly.control import design_flight_controller  # noqa: E402
-from mufly.dynamics.model_state import ATTITUDE, POSITION, RATES, RS_CHARGE, VELOCITY  # noqa: E402
+from mufly.dynamics.model_state import ATTITUDE, MODEL_CHARGE, POSITION, RATES, VELOCITY  # noqa: E402
 from mufly.errors import ArgumentError, MuflyError  # noqa: E402
 from mufly.firmware import find_compiler  # noqa: E402
 from mufly.flight.controllers import Actuators  # noqa: E402
@@ -96,7 +96,7 @@ def test_observation_is_the_estimate_and_starts_are_hovers_of_flights() -> None:
     env.reset(seed=1)
     state = env.episodes.state
     assert np.linalg.norm(state[:, VELOCITY], axis=1).max() < 0.3
-    assert len({float(c) for c in state[:, RS_CHARGE]}) in range(5, 9)  # of two flights at four instants each
+    assert len({float(c) for c in state[:, MODEL_CHARGE]}) in range(5, 9)  # of two flights at four instants each
     assert ((env.episodes.target[:, 2] <= -0.2) & (env.episodes.target[:, 2] >= -2.0)).all()
     assert (np.abs(env.episodes.target - state[:, POSITION])[:, :2] <= 0.5 + 1e-9).all()
     for _ in range(25):

@@ -14,10 +14,10 @@ import mufly
 
 SOURCE = Path(mufly.__file__).parent
 NAMES = {
-    "magnetometer": "magnetometer magnetic_field R_MAGNET MagnetometerSensor MagnetometerParameters",
-    "pressure": "pressure R_PRESSURE PressureSensor PressureSensorParameters",
-    "sonar": "sonar ground_distance R_SONAR UltrasonicSensor SonarParameters",
-    "position_fix": "position_fix R_FIX PositionFixSensor PositionFixParameters",
+    "magnetometer": "magnetometer magnetic_field READING_MAGNET MagnetometerSensor MagnetometerParameters",
+    "pressure": "pressure READING_PRESSURE PressureSensor PressureSensorParameters",
+    "sonar": "sonar ground_distance READING_SONAR UltrasonicSensor SonarParameters",
+    "position_fix": "position_fix READING_FIX PositionFixSensor PositionFixParameters",
 }
 """Table, reading, index in the filter, model and parameters of each."""
 ROOMS = (

@@ -68,7 +68,7 @@ from mufly.control.synthesis.weighting_schemes import (
     unscale_controller,
 )
 from mufly.dynamics import GRAVITY, Linearisation, battery_state, linearise_vehicle, model_parameters
-from mufly.dynamics.model_state import RS_CHARGE
+from mufly.dynamics.model_state import MODEL_CHARGE
 from mufly.errors import ArgumentError, MuflyError
 from mufly.results import ShownBlock, format_value, result, show_lines, show_table
 from mufly.vehicle import Vehicle, battery_voltage_range
@@ -660,7 +660,7 @@ def heave_acceleration(vehicle: Vehicle, linear: Linearisation, settings: Design
     its steady input, hence ``heave_share``.
     """
     state = linear.trim.state.copy()
-    state[RS_CHARGE] = settings.planning_charge
+    state[MODEL_CHARGE] = settings.planning_charge
     sagged = float(battery_state(state, 1.0, 1.0, model_parameters(vehicle))[0])
     lower_upper = linear.trim.motor_input[::-1]
     headroom = np.maximum(sagged / linear.trim.voltage_V - lower_upper, 0.0)

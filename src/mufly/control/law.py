@@ -64,11 +64,11 @@ def _clip_value(value: float, low: float, high: float) -> float:
 
 
 @cached_njit
-def _limit_lead_rate(rate: float, whole: float) -> float:
-    """Return ``rate`` limited to the range between zero and ``whole``."""
-    if whole > 0.0:
-        return _clip_value(rate, 0.0, whole)
-    return _clip_value(rate, whole, 0.0)
+def _add_compensated(value: float, change: float, dropped: float) -> tuple[float, float]:
+    """Return the sum and its rounding error, which is added the next time."""
+    more = change + dropped
+    total = value + more
+    return total, more - (total - value)
 
 
 @cached_njit
@@ -102,14 +102,6 @@ def _update_state(g: Any, x: Array, e: Array, excess: Array, new: Array) -> None
 
 
 @cached_njit
-def _add_compensated(value: float, change: float, dropped: float) -> tuple[float, float]:
-    """Return the sum and its rounding error, which is added the next time."""
-    more = change + dropped
-    total = value + more
-    return total, more - (total - value)
-
-
-@cached_njit
 def _filter_reference(
     value: float,
     dropped: float,
@@ -133,6 +125,49 @@ def _filter_reference(
     rate += period * _clip_value(2.0 * bandwidth * (wanted - rate), -acceleration, acceleration)
     value, dropped = _add_compensated(value, period * rate, dropped)
     return value, dropped, rate
+
+
+@cached_njit
+def _limit_lead_rate(rate: float, whole: float) -> float:
+    """Return ``rate`` limited to the range between zero and ``whole``."""
+    if whole > 0.0:
+        return _clip_value(rate, 0.0, whole)
+    return _clip_value(rate, whole, 0.0)
+
+
+@cached_njit
+def heave_yaw_init(gains: Any, measurement: Array, motor_input: Array, voltage: float) -> Array:
+    """Return a state that engages heave-yaw bumplessly.
+
+    Parameters
+    ----------
+    gains : record of type ``HEAVE_YAW_GAINS``
+    measurement : (3,) array
+        Present z (m), psi (rad), r (rad/s); the references start from there.
+    motor_input : (2,) array
+        Present inputs of the upper and lower motor (0..1), for example on the ground.
+    voltage : float
+        Measured battery voltage (V).
+
+    Returns
+    -------
+    (29,) array
+        State for the first ``heave_yaw_step``; with the reference at the measurement its output is ``motor_input``.
+    """
+    believed = _clip_value(voltage, 0.5 * gains.design_voltage, 1.5 * gains.design_voltage)
+    e, output, state = np.zeros(5), np.empty(2), np.zeros(HEAVE_YAW_STATE_SIZE)
+    e[-1] = -measurement[2]
+    for i in range(2):  # lower, upper
+        output[i] = motor_input[1 - i] * believed / gains.design_voltage - gains.trim[i]
+    _initialise_state(gains, e, output, state)
+    state[FILTERED_Z], state[FILTERED_W], state[FILTERED_PSI], state[FILTERED_R] = (
+        measurement[0],
+        0.0,
+        measurement[1],
+        0.0,
+    )
+    state[ORIGIN_Z], state[ORIGIN_PSI], state[FILTERED_VOLTAGE] = measurement[0], measurement[1], believed
+    return state
 
 
 @cached_njit
@@ -250,91 +285,14 @@ def heave_yaw_step(
     return motor_input, new
 
 
-@cached_njit
-def roll_pitch_step(gains: Any, state: Array, reference: Array, measurement: Array) -> tuple[Array, Array]:
-    """Run one period of the roll-pitch controller.
-
-    Parameters
-    ----------
-    gains : record of type ``ROLL_PITCH_GAINS``
-    state : (8,) array
-        State from ``roll_pitch_init`` or the previous call; not changed.
-    reference : (2,) array
-        phi, theta (rad).
-    measurement : (4,) array
-        phi, theta (rad), p, q (rad/s).
+def position_init(gains: np.void) -> Array:
+    """Return the state of the position cascade at rest.
 
     Returns
     -------
-    servo_input : (2,) array
-        Servo 1 (pitch), servo 2 (roll); -1..1.
-    state : (8,) array
+    (6,) array
     """
-    e = np.empty(4)
-    for i in range(2):
-        e[i] = _clip_value(reference[i], -gains.tilt_limit, gains.tilt_limit) - measurement[i]
-        e[i + 2] = -measurement[i + 2]
-    servo, excess, new = np.empty(2), np.empty(2), np.empty(ROLL_PITCH_ORDER)
-    _compute_output(gains, state, e, servo)
-    for i in range(2):
-        wanted = servo[i] + gains.trim[i]
-        servo[i] = _clip_value(wanted, -1.0, 1.0)
-        excess[i] = servo[i] - wanted
-    _update_state(gains, state, e, excess, new)
-    return servo, new
-
-
-@cached_njit
-def position_step(
-    gains: Any,
-    state: Array,
-    position_reference: Array,
-    velocity_reference: Array,
-    acceleration_reference: Array,
-    position: Array,
-    velocity: Array,
-    heading: float,
-) -> tuple[Array, Array]:
-    """Run one period of the position cascade: proportional position control, velocity H-infinity, tilt references.
-
-    Parameters
-    ----------
-    gains : record of type ``POSITION_GAINS``
-    state : (6,) array
-        State from ``position_init`` or the previous call; not changed.
-    position_reference, velocity_reference, acceleration_reference : (3,) array
-        N, E, D (m, m/s, m/s2); zero velocity and acceleration mean no feedforward. D is not used.
-    position, velocity : (3,) array
-        Measured N, E, D (m, m/s).
-    heading : float
-        psi (rad).
-
-    Returns
-    -------
-    tilt_reference : (2,) array
-        phi, theta (rad).
-    state : (6,) array
-
-    Thesis: Fig. 6.9.
-    """
-    v_n = velocity_reference[0] + gains.position_gain * (position_reference[0] - position[0])
-    v_e = velocity_reference[1] + gains.position_gain * (position_reference[1] - position[1])
-    speed = math.sqrt(v_n * v_n + v_e * v_e)
-    if speed > gains.speed_limit:
-        v_n, v_e = v_n * gains.speed_limit / speed, v_e * gains.speed_limit / speed
-    e, tilt, excess, new = np.empty(2), np.empty(2), np.empty(2), np.empty(VELOCITY_ORDER)
-    e[0], e[1] = v_n - velocity[0], v_e - velocity[1]
-    _compute_output(gains, state, e, tilt)
-    phi = tilt[0] + acceleration_reference[1] / gains.gravity
-    theta = tilt[1] - acceleration_reference[0] / gains.gravity
-    size = math.sqrt(phi * phi + theta * theta)
-    factor = gains.tilt_limit / size if size > gains.tilt_limit else 1.0
-    excess[0], excess[1] = (factor - 1.0) * phi, (factor - 1.0) * theta
-    sine, cosine = sine_cosine(heading)
-    c, s = factor * cosine, factor * sine
-    tilt[0], tilt[1] = c * phi + s * theta, c * theta - s * phi
-    _update_state(gains, state, e, excess, new)
-    return tilt, new
+    return np.zeros(gains["F"].shape[0])
 
 
 HEAVE_YAW_ORDER, ROLL_PITCH_ORDER, VELOCITY_ORDER = 10, 8, 6
@@ -457,41 +415,6 @@ def _initialise_state(g: Any, e: Array, output: Array, x: Array) -> None:
 
 
 @cached_njit
-def heave_yaw_init(gains: Any, measurement: Array, motor_input: Array, voltage: float) -> Array:
-    """Return a state that engages heave-yaw bumplessly.
-
-    Parameters
-    ----------
-    gains : record of type ``HEAVE_YAW_GAINS``
-    measurement : (3,) array
-        Present z (m), psi (rad), r (rad/s); the references start from there.
-    motor_input : (2,) array
-        Present inputs of the upper and lower motor (0..1), for example on the ground.
-    voltage : float
-        Measured battery voltage (V).
-
-    Returns
-    -------
-    (29,) array
-        State for the first ``heave_yaw_step``; with the reference at the measurement its output is ``motor_input``.
-    """
-    believed = _clip_value(voltage, 0.5 * gains.design_voltage, 1.5 * gains.design_voltage)
-    e, output, state = np.zeros(5), np.empty(2), np.zeros(HEAVE_YAW_STATE_SIZE)
-    e[-1] = -measurement[2]
-    for i in range(2):  # lower, upper
-        output[i] = motor_input[1 - i] * believed / gains.design_voltage - gains.trim[i]
-    _initialise_state(gains, e, output, state)
-    state[FILTERED_Z], state[FILTERED_W], state[FILTERED_PSI], state[FILTERED_R] = (
-        measurement[0],
-        0.0,
-        measurement[1],
-        0.0,
-    )
-    state[ORIGIN_Z], state[ORIGIN_PSI], state[FILTERED_VOLTAGE] = measurement[0], measurement[1], believed
-    return state
-
-
-@cached_njit
 def roll_pitch_init(gains: Any, measurement: Array) -> Array:
     """Return a state that engages roll-pitch bumplessly: servos at trim, level reference.
 
@@ -512,11 +435,88 @@ def roll_pitch_init(gains: Any, measurement: Array) -> Array:
     return state
 
 
-def position_init(gains: np.void) -> Array:
-    """Return the state of the position cascade at rest.
+@cached_njit
+def roll_pitch_step(gains: Any, state: Array, reference: Array, measurement: Array) -> tuple[Array, Array]:
+    """Run one period of the roll-pitch controller.
+
+    Parameters
+    ----------
+    gains : record of type ``ROLL_PITCH_GAINS``
+    state : (8,) array
+        State from ``roll_pitch_init`` or the previous call; not changed.
+    reference : (2,) array
+        phi, theta (rad).
+    measurement : (4,) array
+        phi, theta (rad), p, q (rad/s).
 
     Returns
     -------
-    (6,) array
+    servo_input : (2,) array
+        Servo 1 (pitch), servo 2 (roll); -1..1.
+    state : (8,) array
     """
-    return np.zeros(gains["F"].shape[0])
+    e = np.empty(4)
+    for i in range(2):
+        e[i] = _clip_value(reference[i], -gains.tilt_limit, gains.tilt_limit) - measurement[i]
+        e[i + 2] = -measurement[i + 2]
+    servo, excess, new = np.empty(2), np.empty(2), np.empty(ROLL_PITCH_ORDER)
+    _compute_output(gains, state, e, servo)
+    for i in range(2):
+        wanted = servo[i] + gains.trim[i]
+        servo[i] = _clip_value(wanted, -1.0, 1.0)
+        excess[i] = servo[i] - wanted
+    _update_state(gains, state, e, excess, new)
+    return servo, new
+
+
+@cached_njit
+def position_step(
+    gains: Any,
+    state: Array,
+    position_reference: Array,
+    velocity_reference: Array,
+    acceleration_reference: Array,
+    position: Array,
+    velocity: Array,
+    heading: float,
+) -> tuple[Array, Array]:
+    """Run one period of the position cascade: proportional position control, velocity H-infinity, tilt references.
+
+    Parameters
+    ----------
+    gains : record of type ``POSITION_GAINS``
+    state : (6,) array
+        State from ``position_init`` or the previous call; not changed.
+    position_reference, velocity_reference, acceleration_reference : (3,) array
+        N, E, D (m, m/s, m/s2); zero velocity and acceleration mean no feedforward. D is not used.
+    position, velocity : (3,) array
+        Measured N, E, D (m, m/s).
+    heading : float
+        psi (rad).
+
+    Returns
+    -------
+    tilt_reference : (2,) array
+        phi, theta (rad).
+    state : (6,) array
+
+    Thesis: Fig. 6.9.
+    """
+    v_n = velocity_reference[0] + gains.position_gain * (position_reference[0] - position[0])
+    v_e = velocity_reference[1] + gains.position_gain * (position_reference[1] - position[1])
+    speed = math.sqrt(v_n * v_n + v_e * v_e)
+    if speed > gains.speed_limit:
+        v_n, v_e = v_n * gains.speed_limit / speed, v_e * gains.speed_limit / speed
+    e, tilt, excess, new = np.empty(2), np.empty(2), np.empty(2), np.empty(VELOCITY_ORDER)
+    e[0], e[1] = v_n - velocity[0], v_e - velocity[1]
+    _compute_output(gains, state, e, tilt)
+    phi = tilt[0] + acceleration_reference[1] / gains.gravity
+    theta = tilt[1] - acceleration_reference[0] / gains.gravity
+    size = math.sqrt(phi * phi + theta * theta)
+    factor = gains.tilt_limit / size if size > gains.tilt_limit else 1.0
+    excess[0], excess[1] = (factor - 1.0) * phi, (factor - 1.0) * theta
+    sine, cosine = sine_cosine(heading)
+    c, s = factor * cosine, factor * sine
+    tilt[0], tilt[1] = c * phi + s * theta, c * theta - s * phi
+    _update_state(gains, state, e, excess, new)
+    return tilt, new

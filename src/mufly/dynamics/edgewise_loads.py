@@ -34,14 +34,14 @@ from numpy.typing import NDArray
 
 from mufly.compiled.numba_cache import cached_njit
 from mufly.dynamics.model_state import (
-    RS_ATT,
-    RS_BAR,
-    RS_RATES,
-    RS_SPEED_LOWER,
-    RS_SPEED_UPPER,
-    RS_SWASH_PITCH,
-    RS_SWASH_ROLL,
-    RS_VEL,
+    MODEL_ATTITUDE,
+    MODEL_BAR,
+    MODEL_RATES,
+    MODEL_SPEED_LOWER,
+    MODEL_SPEED_UPPER,
+    MODEL_SWASH_PITCH,
+    MODEL_SWASH_ROLL,
+    MODEL_VELOCITY,
     U_SERVO_1,
     U_SERVO_2,
     ModelParameters,
@@ -60,8 +60,8 @@ _LOWER_RATES = 4  # first load of rates of the lower rotor
 @cached_njit(error_model="numpy", forceinline=True)
 def _air_velocity(x: _Array, wind: _Array) -> tuple[float, float, float]:
     """Return the velocity of the centre of gravity through the air, body axes (m/s)."""
-    w, i, j, k = x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
-    n, e, d = x[RS_VEL] - wind[0], x[RS_VEL + 1] - wind[1], x[RS_VEL + 2] - wind[2]
+    w, i, j, k = x[MODEL_ATTITUDE], x[MODEL_ATTITUDE + 1], x[MODEL_ATTITUDE + 2], x[MODEL_ATTITUDE + 3]
+    n, e, d = x[MODEL_VELOCITY] - wind[0], x[MODEL_VELOCITY + 1] - wind[1], x[MODEL_VELOCITY + 2] - wind[2]
     return (
         (1 - 2 * (j * j + k * k)) * n + 2 * (i * j + w * k) * e + 2 * (i * k - w * j) * d,
         2 * (i * j - w * k) * n + (1 - 2 * (i * i + k * k)) * e + 2 * (j * k + w * i) * d,
@@ -82,10 +82,10 @@ def find_map_point(x: _Array, wind: _Array, p: ModelParameters) -> tuple[float, 
     p : record of :class:`ModelParameters`
     """
     air_x, air_y, air_z = _air_velocity(x, wind)
-    up, dw = abs(x[RS_SPEED_UPPER]), abs(x[RS_SPEED_LOWER])
+    up, dw = abs(x[MODEL_SPEED_UPPER]), abs(x[MODEL_SPEED_LOWER])
     tip = max(0.5 * (up + dw), _MIN_ROTOR_SPEED) * p.flight_radius
     z = 0.5 * (p.z_up + p.z_dw)
-    v_x, v_y = air_x + x[RS_RATES + 1] * z, air_y - x[RS_RATES] * z
+    v_x, v_y = air_x + x[MODEL_RATES + 1] * z, air_y - x[MODEL_RATES] * z
     square = v_x * v_x + v_y * v_y
     edge = square / (square + p.flight_knee2 * tip * tip)
     climb = (-air_z / tip - p.flight_start[0]) * p.flight_per_step[0]
@@ -144,13 +144,13 @@ def add_flight_map(
         dx/dt; changed.
     """
     kT_up, kT_dw, kQ_up, kQ_dw = coefficients
-    w, i, j, k = x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
+    w, i, j, k = x[MODEL_ATTITUDE], x[MODEL_ATTITUDE + 1], x[MODEL_ATTITUDE + 2], x[MODEL_ATTITUDE + 3]
     a00, a01, a02 = 1 - 2 * (j * j + k * k), 2 * (i * j - w * k), 2 * (i * k + w * j)
     a10, a11, a12 = 2 * (i * j + w * k), 1 - 2 * (i * i + k * k), 2 * (j * k - w * i)
     a20, a21, a22 = 2 * (i * k - w * j), 2 * (j * k + w * i), 1 - 2 * (i * i + j * j)
     air_x, air_y, _ = _air_velocity(x, wind)
-    roll, pitch = x[RS_RATES], x[RS_RATES + 1]
-    speed_up, speed_dw = x[RS_SPEED_UPPER], x[RS_SPEED_LOWER]
+    roll, pitch = x[MODEL_RATES], x[MODEL_RATES + 1]
+    speed_up, speed_dw = x[MODEL_SPEED_UPPER], x[MODEL_SPEED_LOWER]
     point = find_map_point(x, wind, p)
     flow = _flow_loads(p, point)
     turning = interpolate_rate_loads(p.flight_rates, p.flight_size[1], point[2])
@@ -168,25 +168,25 @@ def add_flight_map(
     )  # fmt: skip
     # Thrust along the tilted normals, as in the flight model.
     more = flow[_THRUST] * kT_up * speed_up * speed_up
-    bar_n, bar_e, bar_d = x[RS_BAR], x[RS_BAR + 1], x[RS_BAR + 2]
+    bar_n, bar_e, bar_d = x[MODEL_BAR], x[MODEL_BAR + 1], x[MODEL_BAR + 2]
     nx = p.bar_gain * (a00 * bar_n + a10 * bar_e + a20 * bar_d)
     ny = p.bar_gain * (a01 * bar_n + a11 * bar_e + a21 * bar_d)
     ux, uy, uz = ux + more * nx, uy + more * ny, -more * math.sqrt(max(1.0 - nx * nx - ny * ny, 0.0))
     more = flow[_LOWER_THRUST] * kT_dw * speed_dw * speed_dw
     lx, ly = lx + more * tilt[0], ly + more * tilt[1]
     fx, fy, fz = ux + lx, uy + ly, uz + more * tilt[2]
-    dx[RS_VEL] += (a00 * fx + a01 * fy + a02 * fz) / p.mass
-    dx[RS_VEL + 1] += (a10 * fx + a11 * fy + a12 * fz) / p.mass
-    dx[RS_VEL + 2] += (a20 * fx + a21 * fy + a22 * fz) / p.mass
+    dx[MODEL_VELOCITY] += (a00 * fx + a01 * fy + a02 * fz) / p.mass
+    dx[MODEL_VELOCITY + 1] += (a10 * fx + a11 * fy + a12 * fz) / p.mass
+    dx[MODEL_VELOCITY + 2] += (a20 * fx + a21 * fy + a22 * fz) / p.mass
     torque_up = flow[_TORQUE] * kQ_up * speed_up * abs(speed_up)
     torque_dw = flow[_LOWER_TORQUE] * kQ_dw * speed_dw * abs(speed_dw)
     gear = p.gear_ratio * p.gear_ratio * p.gear_efficiency
     slow_up, slow_dw = torque_up / (gear * p.J_up), torque_dw / (gear * p.J_dw)
-    dx[RS_SPEED_UPPER] -= slow_up
-    dx[RS_SPEED_LOWER] -= slow_dw
-    dx[RS_RATES] += (mx_up + mx_dw - p.z_up * uy - p.z_dw * ly) / p.Ixx
-    dx[RS_RATES + 1] += (my_up + my_dw + p.z_up * ux + p.z_dw * lx) / p.Iyy
-    dx[RS_RATES + 2] += (torque_up - p.Jreact_up * slow_up - torque_dw + p.Jreact_dw * slow_dw) / p.Izz
+    dx[MODEL_SPEED_UPPER] -= slow_up
+    dx[MODEL_SPEED_LOWER] -= slow_dw
+    dx[MODEL_RATES] += (mx_up + mx_dw - p.z_up * uy - p.z_dw * ly) / p.Ixx
+    dx[MODEL_RATES + 1] += (my_up + my_dw + p.z_up * ux + p.z_dw * lx) / p.Iyy
+    dx[MODEL_RATES + 2] += (torque_up - p.Jreact_up * slow_up - torque_dw + p.Jreact_dw * slow_dw) / p.Izz
 
 
 @cached_njit(error_model="numpy")
@@ -213,8 +213,8 @@ def add_swash_phase(u: _Array, p: ModelParameters, dx: _Array) -> None:
     less, sine = math.cos(p.swash_phase) - 1.0, math.sin(p.swash_phase)
     full = p.swash_rate * p.swash_gain
     # The thrust leans forward with servo 1 and to the right with servo 2; positive turns forward to the right.
-    dx[RS_SWASH_ROLL] += full * (less * servo_2 + sine * servo_1)
-    dx[RS_SWASH_PITCH] -= full * (less * servo_1 - sine * servo_2)
+    dx[MODEL_SWASH_ROLL] += full * (less * servo_2 + sine * servo_1)
+    dx[MODEL_SWASH_PITCH] -= full * (less * servo_1 - sine * servo_2)
 
 
 def edgewise_factors(

@@ -79,16 +79,16 @@ from mufly.drive.drive_train import armature_current, interpolate_table, rotor_a
 from mufly.dynamics.edgewise_loads import add_flight_map, add_swash_phase
 from mufly.dynamics.model_state import (
     ATTITUDE,
-    RS_ATT,
-    RS_BAR,
-    RS_CHARGE,
-    RS_POS,
-    RS_RATES,
-    RS_SPEED_LOWER,
-    RS_SPEED_UPPER,
-    RS_SWASH_PITCH,
-    RS_SWASH_ROLL,
-    RS_VEL,
+    MODEL_ATTITUDE,
+    MODEL_BAR,
+    MODEL_CHARGE,
+    MODEL_POSITION,
+    MODEL_RATES,
+    MODEL_SPEED_LOWER,
+    MODEL_SPEED_UPPER,
+    MODEL_SWASH_PITCH,
+    MODEL_SWASH_ROLL,
+    MODEL_VELOCITY,
     U_MOTOR_LOWER,
     U_MOTOR_UPPER,
     U_SERVO_1,
@@ -116,8 +116,8 @@ def battery_state(x: _Array, motor_up: float, motor_dw: float, p: ModelParameter
     """Return terminal voltage (V) and supply current (A) for motor inputs 0..1 at state ``x``."""
     emf = p.kE * p.gear_ratio
     conductance = (motor_up * motor_up + motor_dw * motor_dw) / p.R_ohm
-    source = (motor_up * emf * x[RS_SPEED_UPPER] + motor_dw * emf * x[RS_SPEED_LOWER]) / p.R_ohm
-    open_circuit = interpolate_table(p.battery_curve, x[RS_CHARGE])
+    source = (motor_up * emf * x[MODEL_SPEED_UPPER] + motor_dw * emf * x[MODEL_SPEED_LOWER]) / p.R_ohm
+    open_circuit = interpolate_table(p.battery_curve, x[MODEL_CHARGE])
     voltage = terminal_voltage(open_circuit, p.battery_resistance, conductance, source, p.electronics_current)
     return voltage, p.electronics_current + conductance * voltage - source
 
@@ -163,7 +163,7 @@ def state_derivative(x: _Array, u: _Array, wind: _Array, p: ModelParameters, dx:
 
     Thesis: eqs 4.5 to 4.10, 4.13 to 4.23, 4.31.
     """
-    a, b = x[RS_SWASH_ROLL], x[RS_SWASH_PITCH]
+    a, b = x[MODEL_SWASH_ROLL], x[MODEL_SWASH_PITCH]
     sin_a, cos_a, sin_b, cos_b = math.sin(a), math.cos(a), math.sin(b), math.cos(b)
     state_derivative_tilted(x, u, wind, p, sin_a, cos_a, sin_b, cos_b, True, dx)
     if p.ground_effect > 0.0:
@@ -196,14 +196,16 @@ def state_derivative_tilted(
     # here on costs 3 % of a step.
     kT_up, kT_dw, kQ_up, kQ_dw = p.thrust_up, p.thrust_dw, p.torque_up, p.torque_dw
     if p.map_nodes > 0:
-        kT_up, kT_dw, kQ_up, kQ_dw = map_coefficients(x[RS_SPEED_UPPER], x[RS_SPEED_LOWER], climb_velocity(x, wind), p)
+        kT_up, kT_dw, kQ_up, kQ_dw = map_coefficients(
+            x[MODEL_SPEED_UPPER], x[MODEL_SPEED_LOWER], climb_velocity(x, wind), p
+        )
     motor_up, motor_dw = _clip_value(u[U_MOTOR_UPPER], 0.0, 1.0), _clip_value(u[U_MOTOR_LOWER], 0.0, 1.0)
     servo_1, servo_2 = _clip_value(u[U_SERVO_1], -1.0, 1.0), _clip_value(u[U_SERVO_2], -1.0, 1.0)
-    qw, qx, qy, qz = x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
-    wx, wy, wz = x[RS_RATES], x[RS_RATES + 1], x[RS_RATES + 2]
-    alpha, beta = x[RS_SWASH_ROLL], x[RS_SWASH_PITCH]
-    bar_n, bar_e, bar_d = x[RS_BAR], x[RS_BAR + 1], x[RS_BAR + 2]
-    speed_up, speed_dw = x[RS_SPEED_UPPER], x[RS_SPEED_LOWER]
+    qw, qx, qy, qz = x[MODEL_ATTITUDE], x[MODEL_ATTITUDE + 1], x[MODEL_ATTITUDE + 2], x[MODEL_ATTITUDE + 3]
+    wx, wy, wz = x[MODEL_RATES], x[MODEL_RATES + 1], x[MODEL_RATES + 2]
+    alpha, beta = x[MODEL_SWASH_ROLL], x[MODEL_SWASH_PITCH]
+    bar_n, bar_e, bar_d = x[MODEL_BAR], x[MODEL_BAR + 1], x[MODEL_BAR + 2]
+    speed_up, speed_dw = x[MODEL_SPEED_UPPER], x[MODEL_SPEED_LOWER]
 
     # Attitude: columns are the body axes in N-E-D.
     a00, a01, a02 = 1 - 2 * (qy * qy + qz * qz), 2 * (qx * qy - qw * qz), 2 * (qx * qz + qw * qy)
@@ -237,7 +239,7 @@ def state_derivative_tilted(
     fz_up = nz * thrust_up
 
     # Fuselage: velocity through the air in body axes.
-    air_n, air_e, air_d = x[RS_VEL] - wind[0], x[RS_VEL + 1] - wind[1], x[RS_VEL + 2] - wind[2]
+    air_n, air_e, air_d = x[MODEL_VELOCITY] - wind[0], x[MODEL_VELOCITY + 1] - wind[1], x[MODEL_VELOCITY + 2] - wind[2]
     air_x = a00 * air_n + a10 * air_e + a20 * air_d
     air_y = a01 * air_n + a11 * air_e + a21 * air_d
     air_z = a02 * air_n + a12 * air_e + a22 * air_d
@@ -260,7 +262,7 @@ def state_derivative_tilted(
     f_n = a00 * fx + a01 * fy + a02 * fz
     f_e = a10 * fx + a11 * fy + a12 * fz
     f_d = a20 * fx + a21 * fy + a22 * fz
-    if floor and x[RS_POS + 2] + p.contact_reach > 0.0:
+    if floor and x[MODEL_POSITION + 2] + p.contact_reach > 0.0:
         c_n, c_e, c_d, c_mx, c_my, c_mz = contact_wrench(x, p)
         f_n += c_n
         f_e += c_e
@@ -269,24 +271,32 @@ def state_derivative_tilted(
         my += c_my
         mz += c_mz
 
-    dx[RS_POS], dx[RS_POS + 1], dx[RS_POS + 2] = x[RS_VEL], x[RS_VEL + 1], x[RS_VEL + 2]
-    dx[RS_VEL], dx[RS_VEL + 1], dx[RS_VEL + 2] = f_n / p.mass, f_e / p.mass, f_d / p.mass + GRAVITY
-    dx[RS_ATT] = 0.5 * (-qx * wx - qy * wy - qz * wz)
-    dx[RS_ATT + 1] = 0.5 * (qw * wx + qy * wz - qz * wy)
-    dx[RS_ATT + 2] = 0.5 * (qw * wy - qx * wz + qz * wx)
-    dx[RS_ATT + 3] = 0.5 * (qw * wz + qx * wy - qy * wx)
-    dx[RS_RATES] = (mx - (p.Izz - p.Iyy) * wy * wz) / p.Ixx
-    dx[RS_RATES + 1] = (my - (p.Ixx - p.Izz) * wz * wx) / p.Iyy
-    dx[RS_RATES + 2] = (mz - (p.Iyy - p.Ixx) * wx * wy) / p.Izz
+    dx[MODEL_POSITION], dx[MODEL_POSITION + 1], dx[MODEL_POSITION + 2] = (
+        x[MODEL_VELOCITY],
+        x[MODEL_VELOCITY + 1],
+        x[MODEL_VELOCITY + 2],
+    )
+    dx[MODEL_VELOCITY], dx[MODEL_VELOCITY + 1], dx[MODEL_VELOCITY + 2] = (
+        f_n / p.mass,
+        f_e / p.mass,
+        f_d / p.mass + GRAVITY,
+    )
+    dx[MODEL_ATTITUDE] = 0.5 * (-qx * wx - qy * wy - qz * wz)
+    dx[MODEL_ATTITUDE + 1] = 0.5 * (qw * wx + qy * wz - qz * wy)
+    dx[MODEL_ATTITUDE + 2] = 0.5 * (qw * wy - qx * wz + qz * wx)
+    dx[MODEL_ATTITUDE + 3] = 0.5 * (qw * wz + qx * wy - qy * wx)
+    dx[MODEL_RATES] = (mx - (p.Izz - p.Iyy) * wy * wz) / p.Ixx
+    dx[MODEL_RATES + 1] = (my - (p.Ixx - p.Izz) * wz * wx) / p.Iyy
+    dx[MODEL_RATES + 2] = (mz - (p.Iyy - p.Ixx) * wx * wy) / p.Izz
     # z_dw < 0: the tilt that pitches the nose down is negative in beta.
-    dx[RS_SWASH_ROLL] = p.swash_rate * (p.swash_gain * servo_2 - alpha)
-    dx[RS_SWASH_PITCH] = p.swash_rate * (-p.swash_gain * servo_1 - beta)
+    dx[MODEL_SWASH_ROLL] = p.swash_rate * (p.swash_gain * servo_2 - alpha)
+    dx[MODEL_SWASH_PITCH] = p.swash_rate * (-p.swash_gain * servo_1 - beta)
     along = -(a02 * bar_n + a12 * bar_e + a22 * bar_d)
-    dx[RS_BAR] = p.bar_rate * (-a02 - along * bar_n)
-    dx[RS_BAR + 1] = p.bar_rate * (-a12 - along * bar_e)
-    dx[RS_BAR + 2] = p.bar_rate * (-a22 - along * bar_d)
-    dx[RS_SPEED_UPPER], dx[RS_SPEED_LOWER] = accel_up, accel_dw
-    dx[RS_CHARGE] = -supply_current / p.battery_capacity
+    dx[MODEL_BAR] = p.bar_rate * (-a02 - along * bar_n)
+    dx[MODEL_BAR + 1] = p.bar_rate * (-a12 - along * bar_e)
+    dx[MODEL_BAR + 2] = p.bar_rate * (-a22 - along * bar_d)
+    dx[MODEL_SPEED_UPPER], dx[MODEL_SPEED_LOWER] = accel_up, accel_dw
+    dx[MODEL_CHARGE] = -supply_current / p.battery_capacity
 
 
 _MIN_GROUND_HEIGHT_RATIO = 0.5  # least height over R in the ground effect model
@@ -306,29 +316,29 @@ def ground_effect_thrust(thrust: float, height: float, across_squared: float, p:
 @cached_njit(error_model="numpy")
 def _add_ground_effect(x: _Array, wind: _Array, p: ModelParameters, dx: _Array) -> None:
     """Add the ground effect on the rotors' thrust to the time derivative; see the module docstring."""
-    speed_up, speed_dw, height = x[RS_SPEED_UPPER], x[RS_SPEED_LOWER], -x[RS_POS + 2]
+    speed_up, speed_dw, height = x[MODEL_SPEED_UPPER], x[MODEL_SPEED_LOWER], -x[MODEL_POSITION + 2]
     kT_up, kT_dw = p.thrust_up, p.thrust_dw
     if p.map_nodes > 0:
         kT_up, kT_dw, _, _ = map_coefficients(speed_up, speed_dw, climb_velocity(x, wind), p)
     a00, a01, a02, a10, a11, a12, a20, a21, a22 = rotation_entries(
-        x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
+        x[MODEL_ATTITUDE], x[MODEL_ATTITUDE + 1], x[MODEL_ATTITUDE + 2], x[MODEL_ATTITUDE + 3]
     )
-    v_n, v_e = x[RS_VEL] - wind[0], x[RS_VEL + 1] - wind[1]
+    v_n, v_e = x[MODEL_VELOCITY] - wind[0], x[MODEL_VELOCITY + 1] - wind[1]
     across = v_n * v_n + v_e * v_e
     up = ground_effect_thrust(kT_up * speed_up * speed_up, height - a22 * p.z_up, across, p)
     dw = ground_effect_thrust(kT_dw * speed_dw * speed_dw, height - a22 * p.z_dw, across, p)
-    nx = p.bar_gain * (a00 * x[RS_BAR] + a10 * x[RS_BAR + 1] + a20 * x[RS_BAR + 2])
-    ny = p.bar_gain * (a01 * x[RS_BAR] + a11 * x[RS_BAR + 1] + a21 * x[RS_BAR + 2])
-    alpha, beta = x[RS_SWASH_ROLL], x[RS_SWASH_PITCH]
+    nx = p.bar_gain * (a00 * x[MODEL_BAR] + a10 * x[MODEL_BAR + 1] + a20 * x[MODEL_BAR + 2])
+    ny = p.bar_gain * (a01 * x[MODEL_BAR] + a11 * x[MODEL_BAR + 1] + a21 * x[MODEL_BAR + 2])
+    alpha, beta = x[MODEL_SWASH_ROLL], x[MODEL_SWASH_PITCH]
     sin_b, cos_b = math.sin(beta), math.cos(beta)
     fx_up, fy_up, fz_up = up * nx, up * ny, -up * math.sqrt(max(1.0 - nx * nx - ny * ny, 0.0))
     fx_dw, fy_dw, fz_dw = -dw * sin_b, dw * cos_b * math.sin(alpha), -dw * cos_b * math.cos(alpha)
     fx, fy, fz = fx_up + fx_dw, fy_up + fy_dw, fz_up + fz_dw
-    dx[RS_VEL] += (a00 * fx + a01 * fy + a02 * fz) / p.mass
-    dx[RS_VEL + 1] += (a10 * fx + a11 * fy + a12 * fz) / p.mass
-    dx[RS_VEL + 2] += (a20 * fx + a21 * fy + a22 * fz) / p.mass
-    dx[RS_RATES] -= (p.z_up * fy_up + p.z_dw * fy_dw) / p.Ixx
-    dx[RS_RATES + 1] += (p.z_up * fx_up + p.z_dw * fx_dw) / p.Iyy
+    dx[MODEL_VELOCITY] += (a00 * fx + a01 * fy + a02 * fz) / p.mass
+    dx[MODEL_VELOCITY + 1] += (a10 * fx + a11 * fy + a12 * fz) / p.mass
+    dx[MODEL_VELOCITY + 2] += (a20 * fx + a21 * fy + a22 * fz) / p.mass
+    dx[MODEL_RATES] -= (p.z_up * fy_up + p.z_dw * fy_dw) / p.Ixx
+    dx[MODEL_RATES + 1] += (p.z_up * fx_up + p.z_dw * fx_dw) / p.Iyy
 
 
 @cached_njit(error_model="numpy")
@@ -337,7 +347,9 @@ def _add_flight_map(x: _Array, wind: _Array, p: ModelParameters, tilt: tuple[flo
     :mod:`mufly.dynamics.edgewise_loads`."""
     kT_up, kT_dw, kQ_up, kQ_dw = p.thrust_up, p.thrust_dw, p.torque_up, p.torque_dw
     if p.map_nodes > 0:
-        kT_up, kT_dw, kQ_up, kQ_dw = map_coefficients(x[RS_SPEED_UPPER], x[RS_SPEED_LOWER], climb_velocity(x, wind), p)
+        kT_up, kT_dw, kQ_up, kQ_dw = map_coefficients(
+            x[MODEL_SPEED_UPPER], x[MODEL_SPEED_LOWER], climb_velocity(x, wind), p
+        )
     add_flight_map(x, wind, p, (kT_up, kT_dw, kQ_up, kQ_dw), tilt, dx)
 
 
@@ -347,9 +359,13 @@ _MIN_ROTOR_SPEED = 1e-3  # rad/s; below this speed rotor forces are negligible
 @cached_njit(error_model="numpy")
 def climb_velocity(x: _Array, wind: _Array) -> float:
     """Return the velocity through the air along the mast, positive upwards (m/s), at state ``x``."""
-    qw, qx, qy, qz = x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
+    qw, qx, qy, qz = x[MODEL_ATTITUDE], x[MODEL_ATTITUDE + 1], x[MODEL_ATTITUDE + 2], x[MODEL_ATTITUDE + 3]
     up_n, up_e, up_d = -2 * (qx * qz + qw * qy), -2 * (qy * qz - qw * qx), 2 * (qx * qx + qy * qy) - 1
-    return up_n * (x[RS_VEL] - wind[0]) + up_e * (x[RS_VEL + 1] - wind[1]) + up_d * (x[RS_VEL + 2] - wind[2])
+    return (
+        up_n * (x[MODEL_VELOCITY] - wind[0])
+        + up_e * (x[MODEL_VELOCITY + 1] - wind[1])
+        + up_d * (x[MODEL_VELOCITY + 2] - wind[2])
+    )
 
 
 @cached_njit(error_model="numpy")
@@ -442,21 +458,21 @@ def coefficient_bounds(p: np.void, name: str) -> tuple[float, float, float]:
 def contact_wrench(x: _Array, p: ModelParameters) -> tuple[float, float, float, float, float, float]:
     """Return the contact force of the floor (N-E-D, N) and its moment (body axes, N m) as six numbers."""
     a00, a01, a02, a10, a11, a12, a20, a21, a22 = rotation_entries(
-        x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
+        x[MODEL_ATTITUDE], x[MODEL_ATTITUDE + 1], x[MODEL_ATTITUDE + 2], x[MODEL_ATTITUDE + 3]
     )
     f_n = f_e = f_d = m_x = m_y = m_z = 0.0
     for k in range(p.contact_count):
         rx, ry, rz = p.contact_points[k, 0], p.contact_points[k, 1], p.contact_points[k, 2]
-        depth = x[RS_POS + 2] + a20 * rx + a21 * ry + a22 * rz
+        depth = x[MODEL_POSITION + 2] + a20 * rx + a21 * ry + a22 * rz
         if depth <= 0.0:
             continue
         # Velocity of the point: body v + W x r, in N-E-D.
-        vx = x[RS_RATES + 1] * rz - x[RS_RATES + 2] * ry
-        vy = x[RS_RATES + 2] * rx - x[RS_RATES] * rz
-        vz = x[RS_RATES] * ry - x[RS_RATES + 1] * rx
-        v_n = x[RS_VEL] + a00 * vx + a01 * vy + a02 * vz
-        v_e = x[RS_VEL + 1] + a10 * vx + a11 * vy + a12 * vz
-        v_d = x[RS_VEL + 2] + a20 * vx + a21 * vy + a22 * vz
+        vx = x[MODEL_RATES + 1] * rz - x[MODEL_RATES + 2] * ry
+        vy = x[MODEL_RATES + 2] * rx - x[MODEL_RATES] * rz
+        vz = x[MODEL_RATES] * ry - x[MODEL_RATES + 1] * rx
+        v_n = x[MODEL_VELOCITY] + a00 * vx + a01 * vy + a02 * vz
+        v_e = x[MODEL_VELOCITY + 1] + a10 * vx + a11 * vy + a12 * vz
+        v_d = x[MODEL_VELOCITY + 2] + a20 * vx + a21 * vy + a22 * vz
         normal = max(0.0, p.leg_stiffness * depth + p.leg_damping * v_d)
         rub = p.leg_friction * normal / math.sqrt(v_n * v_n + v_e * v_e + p.slip_speed * p.slip_speed)
         rub = min(rub, p.friction_bound[k])
@@ -480,7 +496,7 @@ def lowest_point(x: _Array, p: ModelParameters) -> tuple[float, int]:
     depth, index = -math.inf, 0
     for k in range(p.contact_count):
         c = p.contact_points[k]
-        d = x[RS_POS + 2] + a[2, 0] * c[0] + a[2, 1] * c[1] + a[2, 2] * c[2]
+        d = x[MODEL_POSITION + 2] + a[2, 0] * c[0] + a[2, 1] * c[1] + a[2, 2] * c[2]
         if d > depth:
             depth, index = d, k
     return depth, index

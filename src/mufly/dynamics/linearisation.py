@@ -36,18 +36,18 @@ from mufly.dynamics.equations_of_motion import (
 from mufly.dynamics.model_state import (
     ATTITUDE,
     BAR_NORMAL,
+    MODEL_BAR,
+    MODEL_CHARGE,
+    MODEL_POSITION,
+    MODEL_SPEED_LOWER,
+    MODEL_SPEED_UPPER,
+    MODEL_SWASH_PITCH,
+    MODEL_SWASH_ROLL,
     MOTORS,
     MOTORS_SWAPPED,
     POSITION,
     RATES,
     ROTOR_SPEEDS,
-    RS_BAR,
-    RS_CHARGE,
-    RS_POS,
-    RS_SPEED_LOWER,
-    RS_SPEED_UPPER,
-    RS_SWASH_PITCH,
-    RS_SWASH_ROLL,
     SERVOS,
     STATE_SIZE,
     VELOCITY,
@@ -197,7 +197,9 @@ def find_trim(
             rotor_speed=np.array([upper, lower]) * speed,
             charge=charge_,
         )
-        x[RS_SWASH_ROLL], x[RS_SWASH_PITCH] = swash_plate_target(servo_1, servo_2, p["swash_gain"], p["swash_phase"])
+        x[MODEL_SWASH_ROLL], x[MODEL_SWASH_PITCH] = swash_plate_target(
+            servo_1, servo_2, p["swash_gain"], p["swash_phase"]
+        )
         return x, np.array([motor_up, motor_dw, servo_1, servo_2])
 
     rates = np.empty(STATE_SIZE)
@@ -225,7 +227,7 @@ def find_trim(
             f"{wind_.tolist()} m/s "
             f"within the inputs' range (motors {motor_up:.2f}, {motor_dw:.2f}); ask for a lower speed or less wind"
         )
-    x[RS_POS + 2] = 0.0
+    x[MODEL_POSITION + 2] = 0.0
     volts, current = battery_state(x, motor_up, motor_dw, p)
     climb = float(climb_velocity(x, wind_))
     speed_up, speed_dw = x[ROTOR_SPEEDS]
@@ -393,7 +395,14 @@ def _thrust_to_weight(vehicle: Vehicle, charge: float) -> float:
 
 LINEAR_STATES = ["x", "y", "z", "u", "v", "w", "phi", "theta", "psi", "p", "q", "r", "a_dw", "b_dw"]
 LINEAR_STATES += ["bar_roll", "bar_pitch", "Omega_dw", "Omega_up", "charge"]
-LINEAR_POS, LINEAR_VEL, LINEAR_ATT, LINEAR_RATES, LINEAR_TILT_PITCH, LINEAR_TILT_ROLL = 0, 3, 6, 9, 12, 13
+LINEAR_POSITION, LINEAR_VELOCITY, LINEAR_ATTITUDE, LINEAR_RATES, LINEAR_TILT_PITCH, LINEAR_TILT_ROLL = (
+    0,
+    3,
+    6,
+    9,
+    12,
+    13,
+)
 LINEAR_BAR_ROLL, LINEAR_BAR_PITCH, LINEAR_SPEED_LOWER, LINEAR_SPEED_UPPER, LINEAR_CHARGE = 14, 15, 16, 17, 18
 """Indices into :data:`LINEAR_STATES`; the first of three for position, velocity, angles and rates."""
 LINEAR_INPUTS = ["motor_lower", "motor_upper", "servo_1", "servo_2"]
@@ -463,7 +472,7 @@ def linearise_vehicle(vehicle: Vehicle, at: Trim | None = None, *, voltage: floa
     point = find_trim(vehicle, voltage=voltage) if at is None else at
     p = model_parameters(vehicle, point.constant_voltage_V)
     full_state = point.state.copy()
-    full_state[RS_POS + 2] = -1e3  # far from the floor; nothing else depends on the position
+    full_state[MODEL_POSITION + 2] = -1e3  # far from the floor; nothing else depends on the position
     heading = float(euler_from_quaternion(full_state[ATTITUDE])[2])
     x0 = _to_minimal_state(full_state, heading)
     u0 = point.input[MOTORS_SWAPPED]
@@ -537,21 +546,25 @@ def _to_minimal_state(x: NDArray[np.float64], heading: float) -> NDArray[np.floa
             a.T @ x[VELOCITY],
             euler_from_quaternion(x[ATTITUDE]),
             x[RATES],
-            [-x[RS_SWASH_PITCH], x[RS_SWASH_ROLL], np.arcsin(aside), np.arctan2(-ahead, -bar_d)],
-            [x[RS_SPEED_LOWER], x[RS_SPEED_UPPER], x[RS_CHARGE]],
+            [-x[MODEL_SWASH_PITCH], x[MODEL_SWASH_ROLL], np.arcsin(aside), np.arctan2(-ahead, -bar_d)],
+            [x[MODEL_SPEED_LOWER], x[MODEL_SPEED_UPPER], x[MODEL_CHARGE]],
         ]
     )
 
 
 def _to_full_state(m: NDArray[np.float64], heading: float) -> NDArray[np.float64]:
     x = np.empty(STATE_SIZE)
-    x[POSITION] = m[LINEAR_POS:LINEAR_VEL]
-    x[ATTITUDE] = quaternion_from_euler(*m[LINEAR_ATT:LINEAR_RATES])
-    x[VELOCITY] = body_to_ned_matrix(x[ATTITUDE]) @ m[LINEAR_VEL:LINEAR_ATT]
+    x[POSITION] = m[LINEAR_POSITION:LINEAR_VELOCITY]
+    x[ATTITUDE] = quaternion_from_euler(*m[LINEAR_ATTITUDE:LINEAR_RATES])
+    x[VELOCITY] = body_to_ned_matrix(x[ATTITUDE]) @ m[LINEAR_VELOCITY:LINEAR_ATTITUDE]
     x[RATES] = m[LINEAR_RATES:LINEAR_TILT_PITCH]
-    x[RS_SWASH_ROLL], x[RS_SWASH_PITCH] = m[LINEAR_TILT_ROLL], -m[LINEAR_TILT_PITCH]
+    x[MODEL_SWASH_ROLL], x[MODEL_SWASH_PITCH] = m[LINEAR_TILT_ROLL], -m[LINEAR_TILT_PITCH]
     x[BAR_NORMAL] = -body_to_ned_matrix(quaternion_from_euler(m[LINEAR_BAR_ROLL], m[LINEAR_BAR_PITCH], heading))[:, 2]
-    x[RS_SPEED_UPPER], x[RS_SPEED_LOWER], x[RS_CHARGE] = m[LINEAR_SPEED_UPPER], m[LINEAR_SPEED_LOWER], m[LINEAR_CHARGE]
+    x[MODEL_SPEED_UPPER], x[MODEL_SPEED_LOWER], x[MODEL_CHARGE] = (
+        m[LINEAR_SPEED_UPPER],
+        m[LINEAR_SPEED_LOWER],
+        m[LINEAR_CHARGE],
+    )
     return x
 
 
@@ -565,23 +578,23 @@ def _minimal_rates(
     x, dx = _to_full_state(m, heading), np.empty(STATE_SIZE)
     state_derivative(x, u[MOTORS_SWAPPED], wind, p, dx)
     a = body_to_ned_matrix(x[ATTITUDE])
-    phi, theta = m[LINEAR_ATT], m[LINEAR_ATT + 1]
+    phi, theta = m[LINEAR_ATTITUDE], m[LINEAR_ATTITUDE + 1]
     p_, q_, r_ = m[LINEAR_RATES:LINEAR_TILT_PITCH]
     turn = q_ * np.sin(phi) + r_ * np.cos(phi)
     euler_rates = [p_ + turn * np.tan(theta), q_ * np.cos(phi) - r_ * np.sin(phi), turn / np.cos(theta)]
     c, s = np.cos(heading), np.sin(heading)
-    bar_n, bar_e = c * dx[RS_BAR] + s * dx[RS_BAR + 1], -s * dx[RS_BAR] + c * dx[RS_BAR + 1]
+    bar_n, bar_e = c * dx[MODEL_BAR] + s * dx[MODEL_BAR + 1], -s * dx[MODEL_BAR] + c * dx[MODEL_BAR + 1]
     eta, zeta = m[LINEAR_BAR_ROLL], m[LINEAR_BAR_PITCH]
     # From s = (-sin zeta cos eta, sin eta, -cos zeta cos eta).
     eta_rate = bar_e / np.cos(eta)
-    zeta_rate = (-bar_n * np.cos(zeta) + dx[RS_BAR + 2] * np.sin(zeta)) / np.cos(eta)
+    zeta_rate = (-bar_n * np.cos(zeta) + dx[MODEL_BAR + 2] * np.sin(zeta)) / np.cos(eta)
     return np.concatenate(
         [
             dx[POSITION],
-            a.T @ dx[VELOCITY] - np.cross(m[LINEAR_RATES:LINEAR_TILT_PITCH], m[LINEAR_VEL:LINEAR_ATT]),
+            a.T @ dx[VELOCITY] - np.cross(m[LINEAR_RATES:LINEAR_TILT_PITCH], m[LINEAR_VELOCITY:LINEAR_ATTITUDE]),
             euler_rates,
             dx[RATES],
-            [-dx[RS_SWASH_PITCH], dx[RS_SWASH_ROLL], eta_rate, zeta_rate],
-            [dx[RS_SPEED_LOWER], dx[RS_SPEED_UPPER], dx[RS_CHARGE]],
+            [-dx[MODEL_SWASH_PITCH], dx[MODEL_SWASH_ROLL], eta_rate, zeta_rate],
+            [dx[MODEL_SPEED_LOWER], dx[MODEL_SPEED_UPPER], dx[MODEL_CHARGE]],
         ]
     )

@@ -5,15 +5,15 @@ The state is a flat array (21,) with the indices ``RS_...``; vectors in it also 
 ==================  ================  =======================================================================
 first index         slice             meaning
 ==================  ================  =======================================================================
-``RS_POS``          ``POSITION``      N, E, D of the centre of gravity (m)
-``RS_VEL``          ``VELOCITY``      N, E, D (m/s)
-``RS_ATT``          ``ATTITUDE``      quaternion w, x, y, z: rotates body vectors to N-E-D, unit length
-``RS_RATES``        ``RATES``         p, q, r (rad/s), body axes
-``RS_SWASH_ROLL``                     alpha_dw, tilt of the lower tip-path plane about x (rad)
-``RS_SWASH_PITCH``                    beta_dw, tilt of the lower tip-path plane about y (rad)
-``RS_BAR``          ``BAR_NORMAL``    upward normal of the stabiliser bar's disc in N-E-D, unit length
-``RS_SPEED_UPPER``  ``ROTOR_SPEEDS``  speeds of upper and, at ``RS_SPEED_LOWER``, lower rotor (rad/s)
-``RS_CHARGE``                         remaining fraction of the battery's charge
+``MODEL_POSITION``          ``POSITION``      N, E, D of the centre of gravity (m)
+``MODEL_VELOCITY``          ``VELOCITY``      N, E, D (m/s)
+``MODEL_ATTITUDE``          ``ATTITUDE``      quaternion w, x, y, z: rotates body vectors to N-E-D, unit length
+``MODEL_RATES``        ``RATES``         p, q, r (rad/s), body axes
+``MODEL_SWASH_ROLL``                     alpha_dw, tilt of the lower tip-path plane about x (rad)
+``MODEL_SWASH_PITCH``                    beta_dw, tilt of the lower tip-path plane about y (rad)
+``MODEL_BAR``          ``BAR_NORMAL``    upward normal of the stabiliser bar's disc in N-E-D, unit length
+``MODEL_SPEED_UPPER``  ``ROTOR_SPEEDS``  speeds of upper and, at ``MODEL_SPEED_LOWER``, lower rotor (rad/s)
+``MODEL_CHARGE``                         remaining fraction of the battery's charge
 ==================  ================  =======================================================================
 
 The input is ``[motor upper, motor lower, servo 1, servo 2]``, with the indices ``U_...``: motors 0..1, servos -1..1.
@@ -47,11 +47,15 @@ _Array = NDArray[np.float64]
 
 STATE_SIZE = 21
 INPUT_SIZE = 4
-RS_POS, RS_VEL, RS_ATT, RS_RATES, RS_SWASH_ROLL, RS_SWASH_PITCH = 0, 3, 6, 10, 13, 14
-RS_BAR, RS_SPEED_UPPER, RS_SPEED_LOWER, RS_CHARGE = 15, 18, 19, 20
-POSITION, VELOCITY, ATTITUDE = slice(RS_POS, RS_VEL), slice(RS_VEL, RS_ATT), slice(RS_ATT, RS_RATES)
-RATES, BAR_NORMAL = slice(RS_RATES, RS_SWASH_ROLL), slice(RS_BAR, RS_SPEED_UPPER)
-ROTOR_SPEEDS = slice(RS_SPEED_UPPER, RS_CHARGE)
+MODEL_POSITION, MODEL_VELOCITY, MODEL_ATTITUDE, MODEL_RATES, MODEL_SWASH_ROLL, MODEL_SWASH_PITCH = 0, 3, 6, 10, 13, 14
+MODEL_BAR, MODEL_SPEED_UPPER, MODEL_SPEED_LOWER, MODEL_CHARGE = 15, 18, 19, 20
+POSITION, VELOCITY, ATTITUDE = (
+    slice(MODEL_POSITION, MODEL_VELOCITY),
+    slice(MODEL_VELOCITY, MODEL_ATTITUDE),
+    slice(MODEL_ATTITUDE, MODEL_RATES),
+)
+RATES, BAR_NORMAL = slice(MODEL_RATES, MODEL_SWASH_ROLL), slice(MODEL_BAR, MODEL_SPEED_UPPER)
+ROTOR_SPEEDS = slice(MODEL_SPEED_UPPER, MODEL_CHARGE)
 U_MOTOR_UPPER, U_MOTOR_LOWER, U_SERVO_1, U_SERVO_2 = range(INPUT_SIZE)
 MOTORS, SERVOS = slice(U_MOTOR_UPPER, U_SERVO_1), slice(U_SERVO_1, INPUT_SIZE)
 MOTORS_SWAPPED = [U_MOTOR_LOWER, U_MOTOR_UPPER, U_SERVO_1, U_SERVO_2]  # the order of the linear models
@@ -124,7 +128,7 @@ def initial_state(
     bar_roll, bar_pitch = (roll, pitch) if bar_attitude is None else np.asarray(bar_attitude, np.float64)
     state[BAR_NORMAL] = -body_to_ned_matrix(quaternion_from_euler(float(bar_roll), float(bar_pitch), yaw))[:, 2]
     state[ROTOR_SPEEDS] = rotor_speed
-    state[RS_CHARGE] = charge
+    state[MODEL_CHARGE] = charge
     return state
 
 

@@ -45,15 +45,15 @@ from mufly.dynamics.equations_of_motion import battery_state, coefficient_bounds
 from mufly.dynamics.model_state import (
     ATTITUDE,
     INPUT_SIZE,
+    MODEL_ATTITUDE,
+    MODEL_BAR,
+    MODEL_CHARGE,
+    MODEL_RATES,
+    MODEL_SPEED_UPPER,
     MOTORS,
     POSITION,
     RATES,
     ROTOR_SPEEDS,
-    RS_ATT,
-    RS_BAR,
-    RS_CHARGE,
-    RS_RATES,
-    RS_SPEED_UPPER,
     SERVOS,
     STATE_SIZE,
     VELOCITY,
@@ -76,15 +76,15 @@ DEFAULT_STEP_S = 1e-3
 @cached_njit(error_model="numpy")
 def normalise_state(x: _Array) -> None:
     """Normalise attitude quaternion and bar's normal in place; limit the charge to zero."""
-    w, a, b, c = x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
+    w, a, b, c = x[MODEL_ATTITUDE], x[MODEL_ATTITUDE + 1], x[MODEL_ATTITUDE + 2], x[MODEL_ATTITUDE + 3]
     q = 1.0 / math.sqrt(w * w + a * a + b * b + c * c)
-    for i in range(RS_ATT, RS_RATES):
+    for i in range(MODEL_ATTITUDE, MODEL_RATES):
         x[i] *= q
-    n, e, d = x[RS_BAR], x[RS_BAR + 1], x[RS_BAR + 2]
+    n, e, d = x[MODEL_BAR], x[MODEL_BAR + 1], x[MODEL_BAR + 2]
     s = 1.0 / math.sqrt(n * n + e * e + d * d)
-    for i in range(RS_BAR, RS_SPEED_UPPER):
+    for i in range(MODEL_BAR, MODEL_SPEED_UPPER):
         x[i] *= s
-    x[RS_CHARGE] = max(x[RS_CHARGE], 0.0)
+    x[MODEL_CHARGE] = max(x[MODEL_CHARGE], 0.0)
 
 
 _SLOPE_1, _SLOPE_2, _SLOPE_3, _SLOPE_4, _STAGE_STATE = range(5)  # rows of the work of a Runge-Kutta step
@@ -292,7 +292,7 @@ def state_dataset(
         "motor_input": inputs[:, MOTORS],
         "servo_input": inputs[:, SERVOS],
         "battery_voltage": voltage,
-        "battery_charge": states[:, RS_CHARGE],
+        "battery_charge": states[:, MODEL_CHARGE],
     }
     return make_dataset(time_s, values)
 

@@ -163,6 +163,28 @@ class EstimateMonitor:
     lost_quantities: str = ""
 
 
+def _replace_bad_values(
+    before: EstimateMonitor | None, m: Estimate, bad: list[str], period_s: float, max_range_m: float
+) -> Estimate:
+    """Return the estimate with bad values replaced by the last good ones; zero if none exist.
+
+    An estimate with replaced values is not valid: motors do not start with it.
+    """
+    replaced: dict[str, Any] = {
+        name: np.zeros(3) if before is None else getattr(before.last_good, name) for name in bad
+    }
+    if bad:
+        replaced["valid"] = False
+    last_s = 0.0 if before is None else before.last_good.time_s
+    if not math.isfinite(m.time_s) or (before is not None and m.time_s <= last_s):
+        replaced["time_s"] = last_s + period_s
+    if not np.all(np.isfinite(m.ranges)):
+        replaced["ranges"] = np.where(np.isfinite(m.ranges), m.ranges, max_range_m)
+    if not 0.0 < m.battery_voltage < math.inf:
+        replaced["battery_voltage"] = 1.0 if before is None else before.last_good.battery_voltage
+    return replace(m, **replaced)
+
+
 def check_estimate(before: EstimateMonitor | None, m: Estimate, period_s: float, max_range_m: float) -> EstimateMonitor:
     """Check an estimate and replace implausible values.
 
@@ -196,25 +218,3 @@ def check_estimate(before: EstimateMonitor | None, m: Estimate, period_s: float,
         return EstimateMonitor(values, good)
     lost_s = 0.0 if before is None else before.lost_s
     return EstimateMonitor(values, good, lost_s + period_s, " and ".join(bad) or "all, which is frozen")
-
-
-def _replace_bad_values(
-    before: EstimateMonitor | None, m: Estimate, bad: list[str], period_s: float, max_range_m: float
-) -> Estimate:
-    """Return the estimate with bad values replaced by the last good ones; zero if none exist.
-
-    An estimate with replaced values is not valid: motors do not start with it.
-    """
-    replaced: dict[str, Any] = {
-        name: np.zeros(3) if before is None else getattr(before.last_good, name) for name in bad
-    }
-    if bad:
-        replaced["valid"] = False
-    last_s = 0.0 if before is None else before.last_good.time_s
-    if not math.isfinite(m.time_s) or (before is not None and m.time_s <= last_s):
-        replaced["time_s"] = last_s + period_s
-    if not np.all(np.isfinite(m.ranges)):
-        replaced["ranges"] = np.where(np.isfinite(m.ranges), m.ranges, max_range_m)
-    if not 0.0 < m.battery_voltage < math.inf:
-        replaced["battery_voltage"] = 1.0 if before is None else before.last_good.battery_voltage
-    return replace(m, **replaced)

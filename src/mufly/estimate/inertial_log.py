@@ -32,23 +32,23 @@ from scipy.optimize import minimize
 from mufly.errors import InputError
 from mufly.estimate.estimator import Estimate
 from mufly.estimate.filter.filter_records import (
-    EX_ACCEL_BIAS,
-    EX_ATT,
-    EX_FIX_HEADING,
-    EX_GYRO_BIAS,
-    EX_POS,
-    EX_TERRAIN,
-    EX_VEL,
+    ERROR_ACCEL_BIAS,
+    ERROR_ATTITUDE,
+    ERROR_FIX_HEADING,
+    ERROR_GYRO_BIAS,
+    ERROR_POSITION,
+    ERROR_TERRAIN,
+    ERROR_VELOCITY,
     INPUT_BLOCK_S,
     MAX_DELAY_BLOCKS,
-    R_FIX,
+    NOMINAL_ACCEL_BIAS,
+    NOMINAL_ATTITUDE,
+    NOMINAL_GYRO_BIAS,
+    NOMINAL_POSITION,
+    NOMINAL_THRUST_SCALE,
+    NOMINAL_VELOCITY,
+    READING_FIX,
     STATE_COUNT,
-    SX_ACCEL_BIAS,
-    SX_ATT,
-    SX_GYRO_BIAS,
-    SX_POS,
-    SX_THRUST_SCALE,
-    SX_VEL,
 )
 from mufly.estimate.kalman_estimator import KalmanEstimator
 from mufly.estimate.nees import normalised_errors
@@ -339,32 +339,32 @@ def _make_log_estimator(log: InertialLog, aids: PositionAids, noise: InertialNoi
     s: Any = e._settings.copy()
     s["has_rotor_model"] = 0
     s["ground_clearance"] = -1e6  # unknown floor
-    s["has_noise"][R_FIX] = 0  # aids may repeat values
+    s["has_noise"][READING_FIX] = 0  # aids may repeat values
     start, sigma = np.zeros(STATE_COUNT), s["initial_sigma"]
-    start[SX_THRUST_SCALE] = 1.0
-    start[SX_POS:SX_VEL] = aids.position[0]
-    sigma[EX_POS:EX_VEL] = 3 * aids.std_m + 1e-3
+    start[NOMINAL_THRUST_SCALE] = 1.0
+    start[NOMINAL_POSITION:NOMINAL_VELOCITY] = aids.position[0]
+    sigma[ERROR_POSITION:ERROR_VELOCITY] = 3 * aids.std_m + 1e-3
     yaw = 0.0 if aids.heading is None else float(aids.heading[0])
-    sigma[EX_ATT + 2] = math.pi if aids.heading is None else 3 * aids.heading_std_rad
+    sigma[ERROR_ATTITUDE + 2] = math.pi if aids.heading is None else 3 * aids.heading_std_rad
     rest = log.rest_rows
     roll = pitch = 0.0
     if rest.stop:
         felt = np.nanmean(log.acceleration[rest], axis=0)
         roll, pitch = math.atan2(-felt[1], -felt[2]), math.atan2(felt[0], math.hypot(felt[1], felt[2]))
-        start[SX_GYRO_BIAS:SX_ACCEL_BIAS] = np.nanmean(log.rates[rest], axis=0)
+        start[NOMINAL_GYRO_BIAS:NOMINAL_ACCEL_BIAS] = np.nanmean(log.rates[rest], axis=0)
         s["rest_tilt_sigma"] = math.hypot(_TILT_SIGMA_AT_REST, ACCEL_BIAS_SIGMA / GRAVITY)
         s["rest_accel_sigma"] = max(float(np.nanstd(log.acceleration[rest], axis=0).max()), 0.02)
         s["rest_gyro_sigma"] = max(float(np.nanstd(log.rates[rest], axis=0).max()), 1e-4)
-        sigma[EX_VEL:EX_ATT] = 0.01
+        sigma[ERROR_VELOCITY:ERROR_ATTITUDE] = 0.01
     else:
-        s["rest_tilt_sigma"], sigma[EX_VEL:EX_ATT] = _TILT_SIGMA_IN_FLIGHT, _SPEED_SIGMA
-        sigma[EX_POS:EX_VEL] += _SPEED_SIGMA * (float(aids.measured_s[0]) - float(log.time_s[0]))
-    start[SX_ATT:SX_GYRO_BIAS] = quaternion_from_euler(roll, pitch, yaw)
-    sigma[EX_ATT : EX_ATT + 2] = s["rest_tilt_sigma"]
-    sigma[EX_GYRO_BIAS:EX_ACCEL_BIAS] = _GYRO_BIAS_SIGMAS[1 if rest.stop else 0]
-    sigma[EX_ACCEL_BIAS:EX_TERRAIN] = ACCEL_BIAS_SIGMA
+        s["rest_tilt_sigma"], sigma[ERROR_VELOCITY:ERROR_ATTITUDE] = _TILT_SIGMA_IN_FLIGHT, _SPEED_SIGMA
+        sigma[ERROR_POSITION:ERROR_VELOCITY] += _SPEED_SIGMA * (float(aids.measured_s[0]) - float(log.time_s[0]))
+    start[NOMINAL_ATTITUDE:NOMINAL_GYRO_BIAS] = quaternion_from_euler(roll, pitch, yaw)
+    sigma[ERROR_ATTITUDE : ERROR_ATTITUDE + 2] = s["rest_tilt_sigma"]
+    sigma[ERROR_GYRO_BIAS:ERROR_ACCEL_BIAS] = _GYRO_BIAS_SIGMAS[1 if rest.stop else 0]
+    sigma[ERROR_ACCEL_BIAS:ERROR_TERRAIN] = ACCEL_BIAS_SIGMA
     if aids.heading is None:
-        s["heading_variance"], sigma[EX_FIX_HEADING] = 1e6, 1e-6
+        s["heading_variance"], sigma[ERROR_FIX_HEADING] = 1e6, 1e-6
     s["initial_state"] = start
     e.set_settings(s)
     return e
@@ -390,7 +390,7 @@ def aid_innovations(
         e = told[k]
         ahead = float(aids.measured_s[i] - log.time_s[k])
         nu[j] = aids.position[i] - e.position - ahead * e.velocity
-        s[j] = e.covariance[:EX_VEL, :EX_VEL] + aids.std_m**2 * np.eye(3)
+        s[j] = e.covariance[:ERROR_VELOCITY, :ERROR_VELOCITY] + aids.std_m**2 * np.eye(3)
     square = normalised_errors(nu, s)
     return AidInnovations(
         count=len(use), nis=float(square.mean()) / 3, position_rms_m=float(np.sqrt(np.square(nu).sum(axis=1).mean())),

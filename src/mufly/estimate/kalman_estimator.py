@@ -13,29 +13,29 @@ from mufly.compiled.numba_cache import cached_njit
 from mufly.dynamics import model_parameters
 from mufly.estimate.estimator import Estimate, Estimator
 from mufly.estimate.filter.filter_records import (
-    EX_ACCEL_BIAS,
-    EX_FIX_BIAS,
-    EX_FIX_HEADING,
-    EX_GYRO_BIAS,
+    ERROR_ACCEL_BIAS,
+    ERROR_FIX_BIAS,
+    ERROR_FIX_HEADING,
+    ERROR_GYRO_BIAS,
     INPUT_BLOCK_S,
-    R_ACCELERATION,
-    R_BATTERY,
-    R_FIX,
-    R_RING,
-    R_SONAR,
+    NOMINAL_ACCEL_BIAS,
+    NOMINAL_ATTITUDE,
+    NOMINAL_FIX_BIAS,
+    NOMINAL_GYRO_BIAS,
+    NOMINAL_POSITION,
+    NOMINAL_TERRAIN,
+    NOMINAL_THRUST_SCALE,
+    NOMINAL_VELOCITY,
+    NOMINAL_WIND,
+    READING_ACCELERATION,
+    READING_BATTERY,
+    READING_FIX,
     READING_OFFSETS,
+    READING_RING,
+    READING_SONAR,
     READING_STARTS,
     READING_WIDTHS,
     SENSOR_COUNT,
-    SX_ACCEL_BIAS,
-    SX_ATT,
-    SX_FIX_BIAS,
-    SX_GYRO_BIAS,
-    SX_POS,
-    SX_TERRAIN,
-    SX_THRUST_SCALE,
-    SX_VEL,
-    SX_WIND,
     filter_settings,
     fused_beam_indices,
     memory_type,
@@ -50,8 +50,8 @@ from mufly.vehicle import Vehicle
 from mufly.world import World
 
 _Array = NDArray[np.float64]
-_VOLTAGE_START = READING_STARTS[R_BATTERY]
-_ACCELERATION = slice(READING_STARTS[R_ACCELERATION], READING_STARTS[R_ACCELERATION] + 3)
+_VOLTAGE_START = READING_STARTS[READING_BATTERY]
+_ACCELERATION = slice(READING_STARTS[READING_ACCELERATION], READING_STARTS[READING_ACCELERATION] + 3)
 MAX_MISSED_PERIODS = 10
 """Lost periods that the filter makes up at once; a board's watchdog allows no more (50 ms at 200 Hz)."""
 PUBLISHED_FIELDS = (
@@ -177,7 +177,7 @@ class KalmanEstimator(Estimator):
         for name, own in self._vehicle_noise.items():
             self.backend.settings[name] = own
         self._fix_bias_variance = self._fix_bias_variance_target = (
-            self._vehicle_noise["initial_sigma"][EX_FIX_BIAS : EX_FIX_HEADING + 1] ** 2
+            self._vehicle_noise["initial_sigma"][ERROR_FIX_BIAS : ERROR_FIX_HEADING + 1] ** 2
         )
         self.backend.reset_memory(self._memory_array)
         self._period_count = 0
@@ -205,7 +205,7 @@ class KalmanEstimator(Estimator):
         values, is_new, age = (row.copy() for row in rows)
         for _ in range(min(count, MAX_MISSED_PERIODS)):
             self._input_is_new[:] = 0
-            self._input_is_new[:R_SONAR] = is_new[:R_SONAR]
+            self._input_is_new[:READING_SONAR] = is_new[:READING_SONAR]
             self.backend.step_filter(self._memory_array)
             self._period_count += 1
             if self._period_count % COVARIANCE_INTERVAL_TICKS == 0 or not self._published:
@@ -233,9 +233,9 @@ class KalmanEstimator(Estimator):
         """Publish covariance and sensor statuses of a memory, or of its :data:`PUBLISHED_FIELDS`, which must not change
         afterwards."""
         self._sensor_statuses = LazySensorStatuses(m, self._settings, self._fitted_indices)
-        sigma, covariance = m["sigma_output"].astype(np.float64), np.zeros((EX_ACCEL_BIAS, EX_ACCEL_BIAS))
-        bias = range(EX_GYRO_BIAS, EX_ACCEL_BIAS)
-        covariance[:EX_GYRO_BIAS, :EX_GYRO_BIAS] = m["covariance_output"]
+        sigma, covariance = m["sigma_output"].astype(np.float64), np.zeros((ERROR_ACCEL_BIAS, ERROR_ACCEL_BIAS))
+        bias = range(ERROR_GYRO_BIAS, ERROR_ACCEL_BIAS)
+        covariance[:ERROR_GYRO_BIAS, :ERROR_GYRO_BIAS] = m["covariance_output"]
         covariance[bias, bias] = sigma[bias] ** 2 + self._settings["rest_gyro_sigma"] ** 2
         self._published = (covariance, sigma)
 
@@ -246,11 +246,13 @@ class KalmanEstimator(Estimator):
         """Return the estimate of these numbers with the latest published covariance and statuses."""
         x = out.astype(np.float64)
         return Estimate(
-            time_s, x[SX_POS:SX_VEL], x[SX_VEL:SX_ATT], angles.astype(np.float64), rates.astype(np.float64), ranges,
+            time_s, x[NOMINAL_POSITION:NOMINAL_VELOCITY], x[NOMINAL_VELOCITY:NOMINAL_ATTITUDE],
+            angles.astype(np.float64), rates.astype(np.float64), ranges,
             volts or math.nan, self._published[0], valid,
             AuxiliaryStates(
-                x[SX_GYRO_BIAS:SX_ACCEL_BIAS], x[SX_ACCEL_BIAS:SX_TERRAIN], float(x[SX_TERRAIN]),
-                x[SX_FIX_BIAS:SX_WIND], x[SX_WIND:SX_THRUST_SCALE], float(x[SX_THRUST_SCALE]),
+                x[NOMINAL_GYRO_BIAS:NOMINAL_ACCEL_BIAS], x[NOMINAL_ACCEL_BIAS:NOMINAL_TERRAIN],
+                float(x[NOMINAL_TERRAIN]),
+                x[NOMINAL_FIX_BIAS:NOMINAL_WIND], x[NOMINAL_WIND:NOMINAL_THRUST_SCALE], float(x[NOMINAL_THRUST_SCALE]),
                 self._published[1], self._sensor_statuses, specific_force.astype(np.float64),
             ),
         )  # fmt: skip
@@ -281,19 +283,19 @@ class KalmanEstimator(Estimator):
         self._input_age[k] = t - r.time_s
         self._input_is_new[k] = 1 if r.valid else 2
         start = READING_STARTS[k]
-        if k == R_RING:
+        if k == READING_RING:
             seen = np.asarray(r.value, dtype=np.float64)
             filter_ring_scan(seen, self._max_range_m, self.ring_scans, self.ranges)
             z[start : start + len(self._beam_indices)] = seen[self._beam_indices]
         else:
-            if k == R_FIX and self.uses_fix_covariance:
+            if k == READING_FIX and self.uses_fix_covariance:
                 self._set_fix_noise(r, 0.0 if math.isnan(before_s) else r.time_s - before_s)
             offset = READING_OFFSETS[k]
             z[start : start + READING_WIDTHS[k]] = r.value - offset if offset else r.value
 
     def _set_fix_noise(self, fix: Reading, since_s: float) -> None:
         """Set the accuracy of a fix from its own covariance, or else from the vehicle's file."""
-        s, file, four = self.backend.settings, self._vehicle_noise, slice(EX_FIX_BIAS, EX_FIX_HEADING + 1)
+        s, file, four = self.backend.settings, self._vehicle_noise, slice(ERROR_FIX_BIAS, ERROR_FIX_HEADING + 1)
         noise = np.array([file["fix_variance"], file["heading_variance"]])
         own = None if fix.covariance is None else np.diag(fix.covariance)
         wander = file["initial_sigma"][four] ** 2
@@ -306,7 +308,7 @@ class KalmanEstimator(Estimator):
             self._fix_bias_variance_target = wander = np.maximum(wander, own)
             self._fix_bias_variance = np.minimum(self._fix_bias_variance, wander)
             rest = np.maximum(own - self._fix_bias_variance, 0.0) * (
-                1.0 + 2.0 * self.fix_correlation_s / float(s["sensor_period"][R_FIX])
+                1.0 + 2.0 * self.fix_correlation_s / float(s["sensor_period"][READING_FIX])
             )
             noise += [rest[:-1].max(), rest[-1]]
         elif own is not None:

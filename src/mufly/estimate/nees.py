@@ -18,17 +18,17 @@ from scipy import stats
 
 from mufly.errors import InputError
 from mufly.estimate.estimator import Estimate
-from mufly.estimate.filter.filter_records import EX_ATT, EX_GYRO_BIAS, EX_POS, EX_VEL
+from mufly.estimate.filter.filter_records import ERROR_ATTITUDE, ERROR_GYRO_BIAS, ERROR_POSITION, ERROR_VELOCITY
 from mufly.results import result
 from mufly.sensors import Truth
 
 _Array = NDArray[np.float64]
 
 ERROR_BLOCKS = {
-    "position": slice(EX_POS, EX_VEL),
-    "velocity": slice(EX_VEL, EX_ATT),
-    "tilt": slice(EX_ATT, EX_ATT + 2),
-    "heading": slice(EX_ATT + 2, EX_GYRO_BIAS),
+    "position": slice(ERROR_POSITION, ERROR_VELOCITY),
+    "velocity": slice(ERROR_VELOCITY, ERROR_ATTITUDE),
+    "tilt": slice(ERROR_ATTITUDE, ERROR_ATTITUDE + 2),
+    "heading": slice(ERROR_ATTITUDE + 2, ERROR_GYRO_BIAS),
 }
 """Blocks of the error that are consistent one by one; an ellipsoid of all nine components hides a narrow block."""
 _NO_BLOCK = (math.nan, math.nan)
@@ -152,16 +152,16 @@ def measure_row_consistency(
         )
     said = np.array([np.concatenate([told[k].position, told[k].velocity, told[k].attitude]) for k in use])
     e = said - true[use]
-    e[:, EX_ATT:] = np.angle(np.exp(1j * e[:, EX_ATT:]))
+    e[:, ERROR_ATTITUDE:] = np.angle(np.exp(1j * e[:, ERROR_ATTITUDE:]))
     some = e[::every]
-    p = np.array([told[k].covariance[:EX_GYRO_BIAS, :EX_GYRO_BIAS] for k in use[::every]])
+    p = np.array([told[k].covariance[:ERROR_GYRO_BIAS, :ERROR_GYRO_BIAS] for k in use[::every]])
     nees = normalised_errors(some[:, known], p[:, known][:, :, known])
     blocks = [_measure_block(some[:, b], p[:, b, b]) if known[b].all() else _NO_BLOCK for b in ERROR_BLOCKS.values()]
     ratios = []
     for k in use[::every]:
         b = told[k].auxiliary_states
         ratios += [c.ratio for c in b.checks if c.name == "position_fix"] if b else []
-    xy, z, tilt = np.hypot(e[:, 0], e[:, 1]), np.abs(e[:, 2]), np.hypot(e[:, EX_ATT], e[:, EX_ATT + 1])
+    xy, z, tilt = np.hypot(e[:, 0], e[:, 1]), np.abs(e[:, 2]), np.hypot(e[:, ERROR_ATTITUDE], e[:, ERROR_ATTITUDE + 1])
     count = int(known.sum())
     return Consistency(
         count=len(use),
@@ -176,7 +176,7 @@ def measure_row_consistency(
         z_peak=float(z.max()),
         tilt_rms=_root_mean_square(tilt),
         tilt_peak=float(tilt.max()),
-        yaw_rms=_root_mean_square(e[:, EX_ATT + 2]),
+        yaw_rms=_root_mean_square(e[:, ERROR_ATTITUDE + 2]),
     )
 
 

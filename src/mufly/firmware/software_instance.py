@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from mufly.control import FlightController
 from mufly.estimate import Estimate, SensorStatus
-from mufly.estimate.filter.filter_records import EX_ATT, EX_GYRO_BIAS, EX_POS, EX_VEL
+from mufly.estimate.filter.filter_records import ERROR_ATTITUDE, ERROR_GYRO_BIAS, ERROR_POSITION, ERROR_VELOCITY
 from mufly.estimate.sensor_status import REASON_COUNT, SUSPICIOUS_REASONS, describe_reason
 from mufly.firmware.export.plan_tables import HOST_MAX_WAYPOINTS, plan_numbers, setup_numbers
 from mufly.firmware.host_build import Firmware, FirmwareControllers
@@ -156,7 +156,10 @@ class SoftwareInstance:
             return
         b.specific_force = m.auxiliary_states.specific_force.tolist()
         variance = m.covariance.diagonal().tolist()
-        b.position_variance, b.attitude_variance = variance[EX_POS:EX_VEL], variance[EX_ATT:EX_GYRO_BIAS]
+        b.position_variance, b.attitude_variance = (
+            variance[ERROR_POSITION:ERROR_VELOCITY],
+            variance[ERROR_ATTITUDE:ERROR_GYRO_BIAS],
+        )
         for one in b.checks:
             one.status = _NOT_FITTED
         for check in m.auxiliary_states.checks:

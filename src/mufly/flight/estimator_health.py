@@ -42,7 +42,7 @@ from numpy.typing import NDArray
 from mufly.compiled.numba_cache import cached_njit
 from mufly.compiled.portable_math import sine_cosine
 from mufly.estimate import Estimate, SensorStatus
-from mufly.estimate.filter.filter_records import EX_ATT, EX_POS
+from mufly.estimate.filter.filter_records import ERROR_ATTITUDE, ERROR_POSITION
 from mufly.estimate.sensor_status import NAMED_CAUSES
 from mufly.quantities.sensor_table import CHECKED
 
@@ -96,9 +96,13 @@ def sensor_checks(m: Estimate) -> Sequence[SensorStatus]:
     return () if m.auxiliary_states is None else m.auxiliary_states.checks
 
 
-def gyro_unavailable(m: Estimate) -> bool:
-    """Whether the gyroscopes are unusable, so that the angular rates come from the rotor model."""
-    return any(c.name == "rates" and c.status in ("missing", "faulty", "rejected") for c in sensor_checks(m))
+def position_std_growth(m: Estimate, stood: float = 0.0) -> float:
+    """Return the growth (m) of the position's standard deviation over the variance ``stood`` (m2) on the floor.
+
+    ``stood`` is the variance on the floor.
+    """
+    variance = m.covariance.diagonal()
+    return math.sqrt(max(float(variance[0]), float(variance[1]), stood) - stood)
 
 
 def describe_check(check: SensorStatus) -> str:
@@ -123,15 +127,6 @@ def _fault_note(m: Estimate, sources: tuple[str, ...]) -> str:
     return f" ({'; '.join(wrong)})" if wrong else ""
 
 
-def position_std_growth(m: Estimate, stood: float = 0.0) -> float:
-    """Return the growth (m) of the position's standard deviation over the variance ``stood`` (m2) on the floor.
-
-    ``stood`` is the variance on the floor.
-    """
-    variance = m.covariance.diagonal()
-    return math.sqrt(max(float(variance[0]), float(variance[1]), stood) - stood)
-
-
 def judge_estimate(m: Estimate, stood: float = 0.0, *, height_counts: bool = True) -> HealthVerdict:
     """Return the failsafe action on an estimate, without hysteresis.
 
@@ -147,9 +142,9 @@ def judge_estimate(m: Estimate, stood: float = 0.0, *, height_counts: bool = Tru
     if m.auxiliary_states is None:
         return HEALTHY_VERDICT
     variance = m.covariance.diagonal()
-    place, height = position_std_growth(m, stood), math.sqrt(variance[EX_POS + 2])
-    tilt = math.sqrt(max(variance[EX_ATT], variance[EX_ATT + 1]))
-    heading = math.sqrt(variance[EX_ATT + 2])
+    place, height = position_std_growth(m, stood), math.sqrt(variance[ERROR_POSITION + 2])
+    tilt = math.sqrt(max(variance[ERROR_ATTITUDE], variance[ERROR_ATTITUDE + 1]))
+    heading = math.sqrt(variance[ERROR_ATTITUDE + 2])
     if tilt > MAX_TILT_SIGMA:
         return HealthVerdict(
             "sink", f"attitude uncertain by {math.degrees(tilt):.0f} deg{_fault_note(m, _TILT_READINGS)}"
@@ -167,6 +162,11 @@ def judge_estimate(m: Estimate, stood: float = 0.0, *, height_counts: bool = Tru
         why = f"position uncertain by {place:.2f} m{_fault_note(m, _POSITION_READINGS)}"
         return HealthVerdict("land" if place > LAND_SIGMA_M else "hold", why)
     return HEALTHY_VERDICT
+
+
+def gyro_unavailable(m: Estimate) -> bool:
+    """Whether the gyroscopes are unusable, so that the angular rates come from the rotor model."""
+    return any(c.name == "rates" and c.status in ("missing", "faulty", "rejected") for c in sensor_checks(m))
 
 
 @dataclass

@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike, NDArray
 from mufly.camera import CAMERA_FILE_NAME
 from mufly.control import FlightController, design_flight_controller
 from mufly.dynamics import DrydenWind, describe_level_speed, describe_model_excess, model_air_limits, standing_state
-from mufly.dynamics.model_state import RS_CHARGE
+from mufly.dynamics.model_state import MODEL_CHARGE
 from mufly.errors import InputError
 from mufly.estimate import Estimate, Estimator, IdealEstimator, KalmanEstimator
 from mufly.flight.autopilot import SOURCE_REFUSED, Autopilot
@@ -463,7 +463,7 @@ class Flight:
         low = self.autopilot.software.plan.low_battery_V + float(p["battery_resistance"]) * current
         curve = np.asarray(p["battery_curve"], dtype=np.float64)
         empty = float(np.interp(low, curve, np.linspace(0.0, 1.0, len(curve))))
-        left = max(0.0, float(self.plant.state[RS_CHARGE]) - empty)
+        left = max(0.0, float(self.plant.state[MODEL_CHARGE]) - empty)
         return left * float(self.vehicle.battery.capacity) / current
 
     def reset(self) -> None:

@@ -26,12 +26,12 @@ from mufly.dynamics import (
     model_parameters,
 )
 from mufly.dynamics.model_state import (
+    MODEL_ATTITUDE,
+    MODEL_CHARGE,
+    MODEL_POSITION,
     POSITION,
     RATES,
     ROTOR_SPEEDS,
-    RS_ATT,
-    RS_CHARGE,
-    RS_POS,
     U_MOTOR_LOWER,
     U_MOTOR_UPPER,
     VELOCITY,
@@ -64,7 +64,7 @@ def true_attitude(x: _Array, attitude: _Array) -> None:
 
     :mod:`mufly.compiled.portable_math` gives equal results on every processor.
     """
-    w, i, j, k = x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
+    w, i, j, k = x[MODEL_ATTITUDE], x[MODEL_ATTITUDE + 1], x[MODEL_ATTITUDE + 2], x[MODEL_ATTITUDE + 3]
     sine = min(max(2.0 * (w * j - k * i), -1.0), 1.0)
     yaw = portable_atan2(2.0 * (w * k + i * j), 1.0 - 2.0 * (j * j + k * k))
     attitude[0] = portable_atan2(2.0 * (w * i + j * k), 1.0 - 2.0 * (i * i + j * j))
@@ -87,7 +87,7 @@ def find_collision(
     p = parameters[0]
     if obstacles and nearest_obstacles(x[POSITION].reshape(1, 3), boxes, cylinders, limits)[0][0] < radius:
         return 1
-    if x[RS_POS + 2] + p.contact_reach > 0.0:
+    if x[MODEL_POSITION + 2] + p.contact_reach > 0.0:
         depth, point = lowest_point(x, p)
         if depth > 0.0 and point >= legs:
             return 2
@@ -211,7 +211,7 @@ class SimulatedPlant:
         """Advance the clock by some periods, after the state; store the battery's voltage and current."""
         self.voltage, self.current = self.battery_output.tolist()
         self.period_count += periods
-        if not math.isfinite(self.state[RS_POS + 2]):
+        if not math.isfinite(self.state[MODEL_POSITION + 2]):
             raise MuflyError(
                 f"the simulation became unstable at {self.time_s:.3f} s with steps of {self.step_s * 1e3:g} ms; "
                 "check the vehicle's parameters with `mufly vehicle check`"
@@ -302,7 +302,7 @@ def make_common_writer(
         )
         place[:], way[:], turned[:] = reference
         wind[:], motor[:], servo[:] = truth.wind, actuators.motor_input, actuators.servo_input
-        charge[..., 0], voltage[..., 0], current[..., 0] = x[..., RS_CHARGE], truth.voltage, truth.current
+        charge[..., 0], voltage[..., 0], current[..., 0] = x[..., MODEL_CHARGE], truth.voltage, truth.current
 
     return fill_row
 

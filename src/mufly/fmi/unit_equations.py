@@ -20,16 +20,16 @@ from mufly.dynamics.equations_of_motion import (
     state_derivative,
 )
 from mufly.dynamics.model_state import (
-    RS_ATT,
-    RS_BAR,
-    RS_CHARGE,
-    RS_POS,
-    RS_RATES,
-    RS_SPEED_LOWER,
-    RS_SPEED_UPPER,
-    RS_SWASH_PITCH,
-    RS_SWASH_ROLL,
-    RS_VEL,
+    MODEL_ATTITUDE,
+    MODEL_BAR,
+    MODEL_CHARGE,
+    MODEL_POSITION,
+    MODEL_RATES,
+    MODEL_SPEED_LOWER,
+    MODEL_SPEED_UPPER,
+    MODEL_SWASH_PITCH,
+    MODEL_SWASH_ROLL,
+    MODEL_VELOCITY,
     STATE_SIZE,
     U_MOTOR_LOWER,
     U_MOTOR_UPPER,
@@ -65,16 +65,16 @@ def write_start_state(start: _Array, x: _Array) -> None:
         Output: state.
     """
     for i in range(3):
-        x[RS_POS + i] = start[START_POSITION + i]
-        x[RS_VEL + i] = start[START_VELOCITY + i]
-        x[RS_RATES + i] = start[START_RATES + i]
+        x[MODEL_POSITION + i] = start[START_POSITION + i]
+        x[MODEL_VELOCITY + i] = start[START_VELOCITY + i]
+        x[MODEL_RATES + i] = start[START_RATES + i]
     q = quaternion_from_euler(start[START_ATTITUDE], start[START_ATTITUDE + 1], start[START_ATTITUDE + 2])
-    x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3] = q[0], q[1], q[2], q[3]
-    x[RS_SWASH_ROLL], x[RS_SWASH_PITCH] = start[START_SWASH_ROLL], start[START_SWASH_PITCH]
+    x[MODEL_ATTITUDE], x[MODEL_ATTITUDE + 1], x[MODEL_ATTITUDE + 2], x[MODEL_ATTITUDE + 3] = q[0], q[1], q[2], q[3]
+    x[MODEL_SWASH_ROLL], x[MODEL_SWASH_PITCH] = start[START_SWASH_ROLL], start[START_SWASH_PITCH]
     w, i, j, k = quaternion_from_euler(start[START_BAR_ROLL], start[START_BAR_PITCH], start[START_ATTITUDE + 2])
     _, _, n, _, _, e, _, _, d = rotation_entries(w, i, j, k)
-    x[RS_BAR], x[RS_BAR + 1], x[RS_BAR + 2] = -n, -e, -d
-    x[RS_SPEED_UPPER], x[RS_SPEED_LOWER], x[RS_CHARGE] = (
+    x[MODEL_BAR], x[MODEL_BAR + 1], x[MODEL_BAR + 2] = -n, -e, -d
+    x[MODEL_SPEED_UPPER], x[MODEL_SPEED_LOWER], x[MODEL_CHARGE] = (
         start[START_SPEED_UPPER],
         start[START_SPEED_LOWER],
         start[START_CHARGE],
@@ -100,13 +100,13 @@ def write_outputs(x: _Array, u: _Array, wind: _Array, p: ModelParameters, out: _
     """
     for i in range(STATE_SIZE):
         out[i] = x[i]
-    qw, qx, qy, qz = x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
+    qw, qx, qy, qz = x[MODEL_ATTITUDE], x[MODEL_ATTITUDE + 1], x[MODEL_ATTITUDE + 2], x[MODEL_ATTITUDE + 3]
     out[OUT_ROLL] = math.atan2(2 * (qw * qx + qy * qz), 1 - 2 * (qx * qx + qy * qy))
     out[OUT_PITCH] = math.asin(min(max(2 * (qw * qy - qz * qx), -1.0), 1.0))
     out[OUT_YAW] = math.atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
 
     a00, a01, a02, a10, a11, a12, a20, a21, a22 = rotation_entries(qw, qx, qy, qz)
-    speed_up, speed_dw = x[RS_SPEED_UPPER], x[RS_SPEED_LOWER]
+    speed_up, speed_dw = x[MODEL_SPEED_UPPER], x[MODEL_SPEED_LOWER]
     kT_up, kT_dw = p.thrust_up, p.thrust_dw
     if p.map_nodes > 0:
         kT_up, kT_dw, _, _ = map_coefficients(speed_up, speed_dw, climb_velocity(x, wind), p)
@@ -116,8 +116,8 @@ def write_outputs(x: _Array, u: _Array, wind: _Array, p: ModelParameters, out: _
         factors = edgewise_factors(x, wind, p)
         thrust_up, thrust_dw = factors[0][0] * free_up, factors[1][0] * free_dw
     if p.ground_effect > 0.0:
-        v_n, v_e = x[RS_VEL] - wind[0], x[RS_VEL + 1] - wind[1]
-        across, height = v_n * v_n + v_e * v_e, -x[RS_POS + 2]
+        v_n, v_e = x[MODEL_VELOCITY] - wind[0], x[MODEL_VELOCITY + 1] - wind[1]
+        across, height = v_n * v_n + v_e * v_e, -x[MODEL_POSITION + 2]
         thrust_up += ground_effect_thrust(free_up, height - a22 * p.z_up, across, p)
         thrust_dw += ground_effect_thrust(free_dw, height - a22 * p.z_dw, across, p)
     out[OUT_THRUST_UPPER], out[OUT_THRUST_LOWER] = thrust_up, thrust_dw
@@ -128,7 +128,7 @@ def write_outputs(x: _Array, u: _Array, wind: _Array, p: ModelParameters, out: _
 
     dx = np.empty(x.shape[0])
     state_derivative(x, u, wind, p, dx)
-    f_n, f_e, f_d = dx[RS_VEL], dx[RS_VEL + 1], dx[RS_VEL + 2] - GRAVITY
+    f_n, f_e, f_d = dx[MODEL_VELOCITY], dx[MODEL_VELOCITY + 1], dx[MODEL_VELOCITY + 2] - GRAVITY
     out[OUT_FORCE] = a00 * f_n + a10 * f_e + a20 * f_d
     out[OUT_FORCE + 1] = a01 * f_n + a11 * f_e + a21 * f_d
     out[OUT_FORCE + 2] = a02 * f_n + a12 * f_e + a22 * f_d

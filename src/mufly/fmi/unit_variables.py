@@ -15,10 +15,10 @@ from mufly.dynamics import DEFAULT_STEP_S, find_trim, longest_step, model_parame
 from mufly.dynamics.model_state import (
     ATTITUDE,
     INPUT_SIZE,
+    MODEL_SWASH_PITCH,
+    MODEL_SWASH_ROLL,
     RATES,
     ROTOR_SPEEDS,
-    RS_SWASH_PITCH,
-    RS_SWASH_ROLL,
     VELOCITY,
 )
 from mufly.fmi.unit_equations import OUTPUT_COUNT, START_COUNT
@@ -162,8 +162,8 @@ def list_unit_variables(vehicle: Vehicle) -> UnitInterface:
     roll, pitch, _ = euler_from_quaternion(x[ATTITUDE])
     height = max(1.0, _HEIGHT_RADII * float(vehicle.rotors.radius))
     starts = [
-        0.0, 0.0, -height, *x[VELOCITY], roll, pitch, 0.0, *x[RATES], x[RS_SWASH_ROLL], x[RS_SWASH_PITCH], roll, pitch,
-        *x[ROTOR_SPEEDS], 1.0,
+        0.0, 0.0, -height, *x[VELOCITY], roll, pitch, 0.0, *x[RATES], x[MODEL_SWASH_ROLL], x[MODEL_SWASH_PITCH],
+        roll, pitch, *x[ROTOR_SPEEDS], 1.0,
     ]  # fmt: skip
     step = DEFAULT_STEP_S
     while step > longest_step(model_parameters(vehicle)):

@@ -27,13 +27,13 @@ from mufly.compiled.portable_math import portable_atan2, sine_cosine
 from mufly.dynamics.equations_of_motion import battery_state, lowest_point
 from mufly.dynamics.lane_equations import integrate_lanes, lay_out_blocks
 from mufly.dynamics.model_state import (
+    MODEL_ATTITUDE,
+    MODEL_BAR,
+    MODEL_CHARGE,
+    MODEL_POSITION,
+    MODEL_RATES,
+    MODEL_VELOCITY,
     POSITION,
-    RS_ATT,
-    RS_BAR,
-    RS_CHARGE,
-    RS_POS,
-    RS_RATES,
-    RS_VEL,
     STATE_SIZE,
     U_MOTOR_LOWER,
     U_MOTOR_UPPER,
@@ -218,7 +218,9 @@ def start_episodes(
         yaw = math.pi * (2.0 * r[4] - 1.0)
         if s.in_hover:
             shift_task(s.kind, start, x[POSITION], e.target[k])
-            c, sn = heading_direction(x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3])
+            c, sn = heading_direction(
+                x[MODEL_ATTITUDE], x[MODEL_ATTITUDE + 1], x[MODEL_ATTITUDE + 2], x[MODEL_ATTITUDE + 3]
+            )
             yaw = portable_atan2(sn, c)
         else:
             copy_numbers(start, x[POSITION])
@@ -228,9 +230,9 @@ def start_episodes(
             roll, pitch = _START_TILT_RAD * (2.0 * r[6] - 1.0), _START_TILT_RAD * (2.0 * r[7] - 1.0)
             _set_attitude(x, roll, pitch, yaw)
             for i in range(3):
-                x[RS_VEL + i] = _START_SPEED_M_S * (2.0 * r[8 + i] - 1.0)
-                x[RS_RATES + i] = _START_RATE_rad_s * (2.0 * r[11 + i] - 1.0)
-            x[RS_CHARGE] = LEAST_CHARGE + (1.0 - LEAST_CHARGE) * r[39]
+                x[MODEL_VELOCITY + i] = _START_SPEED_M_S * (2.0 * r[8 + i] - 1.0)
+                x[MODEL_RATES + i] = _START_RATE_rad_s * (2.0 * r[11 + i] - 1.0)
+            x[MODEL_CHARGE] = LEAST_CHARGE + (1.0 - LEAST_CHARGE) * r[39]
         copy_numbers(inputs[e.vehicle[k]], e.inputs[k])
         copy_numbers(winds[e.wind_series[k], e.wind_sample[k]], e.wind[k])
         for i in range(ACTION_SIZE):
@@ -247,24 +249,28 @@ def _set_attitude(x: _Array, roll: float, pitch: float, yaw: float) -> None:
     s1, c1 = sine_cosine(0.5 * roll)
     s2, c2 = sine_cosine(0.5 * pitch)
     s3, c3 = sine_cosine(0.5 * yaw)
-    x[RS_ATT] = c1 * c2 * c3 + s1 * s2 * s3
-    x[RS_ATT + 1] = s1 * c2 * c3 - c1 * s2 * s3
-    x[RS_ATT + 2] = c1 * s2 * c3 + s1 * c2 * s3
-    x[RS_ATT + 3] = c1 * c2 * s3 - s1 * s2 * c3
-    w, i, j, k = x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
-    x[RS_BAR], x[RS_BAR + 1] = -2.0 * (i * k + w * j), -2.0 * (j * k - w * i)
-    x[RS_BAR + 2] = 2.0 * (i * i + j * j) - 1.0
+    x[MODEL_ATTITUDE] = c1 * c2 * c3 + s1 * s2 * s3
+    x[MODEL_ATTITUDE + 1] = s1 * c2 * c3 - c1 * s2 * s3
+    x[MODEL_ATTITUDE + 2] = c1 * s2 * c3 + s1 * c2 * s3
+    x[MODEL_ATTITUDE + 3] = c1 * c2 * s3 - s1 * s2 * c3
+    w, i, j, k = x[MODEL_ATTITUDE], x[MODEL_ATTITUDE + 1], x[MODEL_ATTITUDE + 2], x[MODEL_ATTITUDE + 3]
+    x[MODEL_BAR], x[MODEL_BAR + 1] = -2.0 * (i * k + w * j), -2.0 * (j * k - w * i)
+    x[MODEL_BAR + 2] = 2.0 * (i * i + j * j) - 1.0
 
 
 @cached_njit(error_model="numpy")
 def _distance(x: _Array, target: _Array) -> float:
-    n, e, d = target[0] - x[RS_POS], target[1] - x[RS_POS + 1], target[2] - x[RS_POS + 2]
+    n, e, d = target[0] - x[MODEL_POSITION], target[1] - x[MODEL_POSITION + 1], target[2] - x[MODEL_POSITION + 2]
     return math.sqrt(n * n + e * e + d * d)
 
 
 @cached_njit(error_model="numpy")
 def _speed(x: _Array) -> float:
-    return math.sqrt(x[RS_VEL] * x[RS_VEL] + x[RS_VEL + 1] * x[RS_VEL + 1] + x[RS_VEL + 2] * x[RS_VEL + 2])
+    return math.sqrt(
+        x[MODEL_VELOCITY] * x[MODEL_VELOCITY]
+        + x[MODEL_VELOCITY + 1] * x[MODEL_VELOCITY + 1]
+        + x[MODEL_VELOCITY + 2] * x[MODEL_VELOCITY + 2]
+    )
 
 
 @cached_njit(error_model="numpy", nogil=True)
@@ -314,16 +320,16 @@ def judge_episodes(
         x = e.state[k]
         p = fleet[e.vehicle[k]]
         now = _distance(x, e.target[k])
-        touches = x[RS_POS + 2] + p.contact_reach > 0.0 and lowest_point(x, p)[0] > 0.0
+        touches = x[MODEL_POSITION + 2] + p.contact_reach > 0.0 and lowest_point(x, p)[0] > 0.0
         collides = False
         if s.kind == OBSTACLE:
             near = nearest_obstacles(x[POSITION].reshape(1, 3), boxes, e.columns[k], s.limits)[0][0]
             collides = not near > s.radius
-        w, i, j, z = x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
+        w, i, j, z = x[MODEL_ATTITUDE], x[MODEL_ATTITUDE + 1], x[MODEL_ATTITUDE + 2], x[MODEL_ATTITUDE + 3]
         c, sn = heading_direction(w, i, j, z)
         speed = max(_speed(x), e.speed[k])  # legs stop a vehicle within a step
         e.speed[k] = _speed(x)
-        rates = x[RS_RATES] ** 2 + x[RS_RATES + 1] ** 2 + x[RS_RATES + 2] ** 2
+        rates = x[MODEL_RATES] ** 2 + x[MODEL_RATES + 1] ** 2 + x[MODEL_RATES + 2] ** 2
         reward[k], terminated[k], success[k] = judge_step(
             s.kind, e.distance[k], now, e.heading[k, 0] * c + e.heading[k, 1] * sn, rates, e.change[k],
             1.0 - 2.0 * (i * i + j * j), speed, touches, collides,
@@ -358,10 +364,10 @@ def observe_episodes(
         x = estimate[k]
         p = fleet[e.vehicle[k]]
         for i in range(3):
-            error[i] = e.target[k, i] - x[RS_POS + i]
-            velocity[i] = x[RS_VEL + i]
-            rates[i] = x[RS_RATES + i]
-        w, qx, qy, qz = x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
+            error[i] = e.target[k, i] - x[MODEL_POSITION + i]
+            velocity[i] = x[MODEL_VELOCITY + i]
+            rates[i] = x[MODEL_RATES + i]
+        w, qx, qy, qz = x[MODEL_ATTITUDE], x[MODEL_ATTITUDE + 1], x[MODEL_ATTITUDE + 2], x[MODEL_ATTITUDE + 3]
         down_x, down_y = 2.0 * (qx * qz - w * qy), 2.0 * (qy * qz + w * qx)
         down_z = 1.0 - 2.0 * (qx * qx + qy * qy)
         c, sn = heading_direction(w, qx, qy, qz)

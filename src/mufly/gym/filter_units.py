@@ -30,10 +30,16 @@ from mufly.compiled.numba_cache import cached_njit
 from mufly.compiled.numba_intrinsics import call_c_function, refer_at, store_tuple, tuple_size
 from mufly.control import FlightController, design_flight_controller
 from mufly.dynamics import PARAMETER_DTYPE, STATE_SIZE
-from mufly.dynamics.model_state import RS_ATT, RS_CHARGE, RS_POS, RS_RATES, RS_VEL
+from mufly.dynamics.model_state import MODEL_ATTITUDE, MODEL_CHARGE, MODEL_POSITION, MODEL_RATES, MODEL_VELOCITY
 from mufly.errors import ArgumentError, MuflyError
 from mufly.estimate import KalmanEstimator
-from mufly.estimate.filter.filter_records import R_BATTERY, READING_STARTS, SX_ATT, SX_POS, SX_VEL
+from mufly.estimate.filter.filter_records import (
+    NOMINAL_ATTITUDE,
+    NOMINAL_POSITION,
+    NOMINAL_VELOCITY,
+    READING_BATTERY,
+    READING_STARTS,
+)
 from mufly.estimate.filter_backend import explain_numba_choice
 from mufly.firmware import GenericFirmwareSoftware
 from mufly.firmware.quick.compiled_flight import make_filter_arrays
@@ -72,7 +78,7 @@ _SETTLING_S, _FLIGHT_TIMEOUT_S = 3.0, 40.0
 _MOST_ATTEMPTS = 20
 _NO_TEXTS = np.zeros(1, np.int64)  # nobody reads the reasons of a unit's sensor checks
 _ALIGNMENT = 64  # bytes, of every array
-_VOLTAGE = READING_STARTS[R_BATTERY]
+_VOLTAGE = READING_STARTS[READING_BATTERY]
 _BITS, _SHIFT, _STRIDE = 2.0**53, np.uint64(11), np.uint64(0x9E3779B97F4A7C15)
 
 
@@ -159,10 +165,13 @@ def _read_unit(p: UnitPeriods, state: _Array, estimate: _Array) -> float:
     for i in range(state.size):
         state[i] = p.plant.state[i]
     for i in range(3):
-        estimate[RS_POS + i], estimate[RS_VEL + i] = f.state[SX_POS + i], f.state[SX_VEL + i]
-        estimate[RS_RATES + i] = f.rates[i]
+        estimate[MODEL_POSITION + i], estimate[MODEL_VELOCITY + i] = (
+            f.state[NOMINAL_POSITION + i],
+            f.state[NOMINAL_VELOCITY + i],
+        )
+        estimate[MODEL_RATES + i] = f.rates[i]
     for i in range(4):
-        estimate[RS_ATT + i] = f.state[SX_ATT + i]
+        estimate[MODEL_ATTITUDE + i] = f.state[NOMINAL_ATTITUDE + i]
     volts = f.values[_VOLTAGE]
     return volts if volts > 0.0 else math.nan
 
@@ -350,7 +359,7 @@ def fly_to_hover(
         vehicle, mission, controller=controller, wind=wind, gust=0.0, seed=seed, keep=False, sensors="fitted",
         controllers=GenericFirmwareSoftware, designed_for=believed, brief=True,
     )  # fmt: skip
-    flight.plant.state[RS_CHARGE] = charge
+    flight.plant.state[MODEL_CHARGE] = charge
     if align_and_start(flight):
         return None
     while flight.time_s < _FLIGHT_TIMEOUT_S and not flight.plant.crash_cause:

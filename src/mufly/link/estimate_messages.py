@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from mufly.dynamics import body_to_ned_matrix
 from mufly.estimate import ERROR_STATES, AuxiliaryStates, SensorStatus
-from mufly.estimate.filter.filter_records import EX_ATT, EX_POS, EX_VEL
+from mufly.estimate.filter.filter_records import ERROR_ATTITUDE, ERROR_POSITION, ERROR_VELOCITY
 from mufly.estimate.filter.measurements.scalar_fusion import INNOVATION_GATE
 from mufly.flight import FlightState
 from mufly.link.codec import MavMessage, mavlink, to_float32
@@ -85,17 +85,17 @@ def estimator_status_message(state: FlightState, usec: int) -> MavMessage:
     """Return ESTIMATOR_STATUS: flags of the estimate's quality, and test ratios of the measurements."""
     m, beliefs = state.estimate, state.estimate.auxiliary_states
     sigma = np.sqrt(np.maximum(np.diag(m.covariance), 0.0))
-    level, height = math.hypot(sigma[EX_POS], sigma[EX_POS + 1]), float(sigma[EX_POS + 2])
+    level, height = math.hypot(sigma[ERROR_POSITION], sigma[ERROR_POSITION + 1]), float(sigma[ERROR_POSITION + 2])
     checks = {} if beliefs is None else {c.name: c for c in beliefs.checks}
     good = m.valid and bool(np.all(np.isfinite(m.position)))
     flags = 0
     for holds, flag in (
-        (max(sigma[EX_ATT], sigma[EX_ATT + 1]) < GOOD_TILT_SIGMA_RAD, mavlink.ESTIMATOR_ATTITUDE),
+        (max(sigma[ERROR_ATTITUDE], sigma[ERROR_ATTITUDE + 1]) < GOOD_TILT_SIGMA_RAD, mavlink.ESTIMATOR_ATTITUDE),
         (
-            math.hypot(sigma[EX_VEL], sigma[EX_VEL + 1]) < GOOD_VELOCITY_SIGMA_M_S,
+            math.hypot(sigma[ERROR_VELOCITY], sigma[ERROR_VELOCITY + 1]) < GOOD_VELOCITY_SIGMA_M_S,
             mavlink.ESTIMATOR_VELOCITY_HORIZ,
         ),
-        (sigma[EX_VEL + 2] < GOOD_VELOCITY_SIGMA_M_S, mavlink.ESTIMATOR_VELOCITY_VERT),
+        (sigma[ERROR_VELOCITY + 2] < GOOD_VELOCITY_SIGMA_M_S, mavlink.ESTIMATOR_VELOCITY_VERT),
         (
             level < GOOD_POSITION_SIGMA_M,
             mavlink.ESTIMATOR_POS_HORIZ_REL | mavlink.ESTIMATOR_PRED_POS_HORIZ_REL,

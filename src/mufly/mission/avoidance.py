@@ -88,32 +88,48 @@ def make_beam_ring(count: int, first_angle: float, max_range: float) -> BeamRing
     return BeamRing(np.cos(angles), np.sin(angles), max_range)
 
 
-def repulsive_force(ranges: Sequence[float], beams: BeamRing, threshold: float) -> tuple[float, float]:
-    """Return the sum of the repulsive forces (eqs 6.14 to 6.17).
+def insert_beam_hits(
+    memory: ObstacleMap,
+    beams: BeamRing,
+    time_s: float,
+    position: _Array,
+    attitude: _Array,
+    ranges: _Array,
+    first: int = 0,
+    count: int | None = None,
+) -> ObstacleMap:
+    """Add the beams' present hits to the map.
 
     Parameters
     ----------
-    ranges : (n,) sequence
-        Measured ranges (m).
+    memory : ObstacleMap
+        Map before the hits.
     beams : BeamRing
-        Directions of the beams.
-    threshold : float
-        Range l_t below which obstacles repel (m).
-
-    Returns
-    -------
-    (2,) tuple
-        F along body x and y (1/m), away from obstacles; a range below 1 cm counts as 1 cm.
-
-    Thesis: eqs 6.14 to 6.17; Fig. 6.19.
+        The range ring.
+    time_s : float
+        Present time (s).
+    position, attitude : (3,) arrays
+        N-E-D (m) and roll, pitch, yaw (rad).
+    ranges : (n,) array
+        Measured ranges (m).
+    first, count : int
+        First beam and number of beams to add, in cyclic order. All by default.
     """
-    fx = fy = 0.0
-    for i, reach in enumerate(ranges):
-        if reach < threshold:
-            f = 1.0 / max(reach, 0.01) - 1.0 / threshold
-            fx -= f * beams.cos[i]
-            fy -= f * beams.sin[i]
-    return float(fx), float(fy)
+    known = _insert_hits(
+        memory.points,
+        memory.point_count,
+        memory.replace_index,
+        time_s,
+        position,
+        attitude,
+        ranges,
+        beams.cos,
+        beams.sin,
+        beams.max_range,
+        first,
+        len(beams.cos) if count is None else count,
+    )
+    return ObstacleMap(*known)
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,48 +205,12 @@ def _insert_hits(
     return points, used, turn
 
 
-def insert_beam_hits(
-    memory: ObstacleMap,
-    beams: BeamRing,
-    time_s: float,
-    position: _Array,
-    attitude: _Array,
-    ranges: _Array,
-    first: int = 0,
-    count: int | None = None,
-) -> ObstacleMap:
-    """Add the beams' present hits to the map.
-
-    Parameters
-    ----------
-    memory : ObstacleMap
-        Map before the hits.
-    beams : BeamRing
-        The range ring.
-    time_s : float
-        Present time (s).
-    position, attitude : (3,) arrays
-        N-E-D (m) and roll, pitch, yaw (rad).
-    ranges : (n,) array
-        Measured ranges (m).
-    first, count : int
-        First beam and number of beams to add, in cyclic order. All by default.
-    """
-    known = _insert_hits(
-        memory.points,
-        memory.point_count,
-        memory.replace_index,
-        time_s,
-        position,
-        attitude,
-        ranges,
-        beams.cos,
-        beams.sin,
-        beams.max_range,
-        first,
-        len(beams.cos) if count is None else count,
-    )
-    return ObstacleMap(*known)
+@cached_njit
+def _distance_beyond(along: float, stretch: float) -> float:
+    """Return the signed distance before or after a stretch; 0 within it."""
+    if along < 0.0:
+        return along
+    return along - stretch if along > stretch else 0.0
 
 
 # ----------------------------------------------------------------------------
@@ -332,12 +312,14 @@ EMPTY_PATH_CHECK = begin_path_check((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
 @cached_njit
-def _direction_from(pn: float, pe: float, n: float, e: float) -> tuple[float, float, float]:
-    dn, de = n - pn, e - pe
-    far = _planar_length(dn, de)
-    if far > 1e-9:
-        return far, dn / far, de / far
-    return far, 0.0, 0.0
+def _sector_index(n: float, e: float) -> int:
+    """Return the index of one of sixteen directions, in arbitrary order."""
+    an, ae = abs(n), abs(e)
+    steep = an < ae
+    long, short = (ae, an) if steep else (an, ae)
+    return (
+        (1 if n < 0.0 else 0) + (2 if e < 0.0 else 0) + (4 if steep else 0) + (8 if short > _SECTOR_SLOPE * long else 0)
+    )
 
 
 @cached_njit
@@ -353,23 +335,33 @@ def _find_nearest(near: _Array, n: float, e: float) -> tuple[float, float, float
     return _direction_from(near[row, 0], near[row, 1], n, e)
 
 
-@cached_njit
-def _distance_beyond(along: float, stretch: float) -> float:
-    """Return the signed distance before or after a stretch; 0 within it."""
-    if along < 0.0:
-        return along
-    return along - stretch if along > stretch else 0.0
+def check_map_part(
+    memory: ObstacleMap, sight: PathCheck, time_s: float, clearance: float, part: int = 1, parts: int = 1
+) -> tuple[ObstacleMap, PathCheck]:
+    """Check a part of the points: remove expired ones, and evaluate the others for the path.
 
-
-@cached_njit
-def _sector_index(n: float, e: float) -> int:
-    """Return the index of one of sixteen directions, in arbitrary order."""
-    an, ae = abs(n), abs(e)
-    steep = an < ae
-    long, short = (ae, an) if steep else (an, ae)
-    return (
-        (1 if n < 0.0 else 0) + (2 if e < 0.0 else 0) + (4 if steep else 0) + (8 if short > _SECTOR_SLOPE * long else 0)
+    Parameters
+    ----------
+    memory : ObstacleMap
+    sight : PathCheck
+        Check so far.
+    time_s : float
+        Present time (s).
+    clearance : float
+        Distance to keep (m).
+    part, parts : int
+        Number of this part (from 1) and of all parts; after the last part all points are checked.
+    """
+    points, used, seen = _check_points(
+        memory.points, memory.point_count, sight, time_s, clearance + BLOCKED_MARGIN_M, part, parts
     )
+    return ObstacleMap(points, used, memory.replace_index), seen
+
+
+def is_path_blocked(sight: PathCheck, clearance: float) -> bool:
+    """Return whether a point blocks the path."""
+    at = clearance + BLOCKED_MARGIN_M
+    return sight.path_distance_sq < at * at
 
 
 @cached_njit
@@ -452,27 +444,13 @@ def _check_points(
     return points, used, seen
 
 
-def check_map_part(
-    memory: ObstacleMap, sight: PathCheck, time_s: float, clearance: float, part: int = 1, parts: int = 1
-) -> tuple[ObstacleMap, PathCheck]:
-    """Check a part of the points: remove expired ones, and evaluate the others for the path.
-
-    Parameters
-    ----------
-    memory : ObstacleMap
-    sight : PathCheck
-        Check so far.
-    time_s : float
-        Present time (s).
-    clearance : float
-        Distance to keep (m).
-    part, parts : int
-        Number of this part (from 1) and of all parts; after the last part all points are checked.
-    """
-    points, used, seen = _check_points(
-        memory.points, memory.point_count, sight, time_s, clearance + BLOCKED_MARGIN_M, part, parts
-    )
-    return ObstacleMap(points, used, memory.replace_index), seen
+@cached_njit
+def _direction_from(pn: float, pe: float, n: float, e: float) -> tuple[float, float, float]:
+    dn, de = n - pn, e - pe
+    far = _planar_length(dn, de)
+    if far > 1e-9:
+        return far, dn / far, de / far
+    return far, 0.0, 0.0
 
 
 def check_path(
@@ -486,10 +464,12 @@ def check_path(
     return check_map_part(memory, begin_path_check(position, goal, ahead), -math.inf, clearance)[1]
 
 
-def is_path_blocked(sight: PathCheck, clearance: float) -> bool:
-    """Return whether a point blocks the path."""
-    at = clearance + BLOCKED_MARGIN_M
-    return sight.path_distance_sq < at * at
+def limit_approach_velocity(
+    sight: PathCheck, position: tuple[float, ...], velocity: tuple[float, float], keep: float
+) -> tuple[float, float]:
+    """Limit a velocity N, E (m/s) so that the distance to each point falls to ``keep`` (m) at most exponentially."""
+    vn, ve = velocity
+    return _limit_approach(sight.nearest_points, position[0], position[1], vn, ve, keep)
 
 
 @cached_njit
@@ -512,9 +492,29 @@ def _limit_approach(near: _Array, n: float, e: float, vn: float, ve: float, keep
     return vn, ve
 
 
-def limit_approach_velocity(
-    sight: PathCheck, position: tuple[float, ...], velocity: tuple[float, float], keep: float
-) -> tuple[float, float]:
-    """Limit a velocity N, E (m/s) so that the distance to each point falls to ``keep`` (m) at most exponentially."""
-    vn, ve = velocity
-    return _limit_approach(sight.nearest_points, position[0], position[1], vn, ve, keep)
+def repulsive_force(ranges: Sequence[float], beams: BeamRing, threshold: float) -> tuple[float, float]:
+    """Return the sum of the repulsive forces (eqs 6.14 to 6.17).
+
+    Parameters
+    ----------
+    ranges : (n,) sequence
+        Measured ranges (m).
+    beams : BeamRing
+        Directions of the beams.
+    threshold : float
+        Range l_t below which obstacles repel (m).
+
+    Returns
+    -------
+    (2,) tuple
+        F along body x and y (1/m), away from obstacles; a range below 1 cm counts as 1 cm.
+
+    Thesis: eqs 6.14 to 6.17; Fig. 6.19.
+    """
+    fx = fy = 0.0
+    for i, reach in enumerate(ranges):
+        if reach < threshold:
+            f = 1.0 / max(reach, 0.01) - 1.0 / threshold
+            fx -= f * beams.cos[i]
+            fy -= f * beams.sin[i]
+    return float(fx), float(fy)

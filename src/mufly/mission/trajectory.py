@@ -209,6 +209,25 @@ class TimedSpline(NamedTuple):
         return self.arc_lengths[k] + _arc_length(self.coefficients, start, 0.5 * (u - start))
 
 
+def plan_stop(
+    position: ArrayLike,
+    velocity: ArrayLike,
+    heading: float,
+    acceleration: float,
+    *,
+    heading_rate: float = 0.0,
+    yaw_acceleration: float = math.inf,
+) -> BrakingMotion:
+    """Plan braking from ``velocity`` (3,) at ``position`` (3,) with at most ``acceleration`` (m/s2).
+
+    A ``heading_rate`` (rad/s) is reduced to zero with at most ``yaw_acceleration`` (rad/s2).
+    """
+    v = _to_triple(velocity)
+    duration, _ = smooth_stop_distance(vector_length(*v), acceleration)
+    turn_s, _ = smooth_stop_distance(heading_rate, yaw_acceleration)
+    return BrakingMotion(_to_triple(position), v, heading, duration, heading_rate, turn_s)
+
+
 def _cubic_derivative(c: _CubicCoefficients, u: float) -> float:
     return (3.0 * c[0] * u + 2.0 * c[1]) * u + c[2]
 
@@ -241,31 +260,6 @@ def _curve_demands(cubics: tuple[_CubicCoefficients, ...], u: float) -> tuple[fl
     sink = d * abs(d) / square
     bend = (an * an + ae * ae + ad * ad) / (square * square * square)
     return square, ((n * n + e * e) / square, -sink, sink, bend)
-
-
-def _find_extreme_demands(cubics: tuple[_CubicCoefficients, ...]) -> tuple[float, list[float]]:
-    """Return the least squared tangent and the greatest demands over a curve.
-
-    Each maximum is searched in equal steps, then by halving the step around the best point.
-    """
-    least, worst, where = math.inf, [0.0] * 4, [0.0] * 4
-    for k in range(_ARC_PIECES + 1):
-        u = k / _ARC_PIECES
-        square, asks = _curve_demands(cubics, u)
-        least = min(least, square)
-        for j in range(4):
-            if asks[j] > worst[j]:
-                worst[j], where[j] = asks[j], u
-    for j in range(4):
-        step = 1.0 / _ARC_PIECES
-        for _ in range(_REFINE_HALVINGS if worst[j] > 0.0 else 0):
-            step, middle = 0.5 * step, where[j]
-            for u in (middle - step, middle + step):
-                square, asks = _curve_demands(cubics, u)
-                if 0.0 <= u <= 1.0 and asks[j] > worst[j]:
-                    least = min(least, square)
-                    worst[j], where[j] = asks[j], u
-    return least, worst
 
 
 class PendingCurve(NamedTuple):
@@ -453,6 +447,31 @@ def wrap_turn(angle: float) -> float:
     return float(wrap_angle(angle))
 
 
+def _find_extreme_demands(cubics: tuple[_CubicCoefficients, ...]) -> tuple[float, list[float]]:
+    """Return the least squared tangent and the greatest demands over a curve.
+
+    Each maximum is searched in equal steps, then by halving the step around the best point.
+    """
+    least, worst, where = math.inf, [0.0] * 4, [0.0] * 4
+    for k in range(_ARC_PIECES + 1):
+        u = k / _ARC_PIECES
+        square, asks = _curve_demands(cubics, u)
+        least = min(least, square)
+        for j in range(4):
+            if asks[j] > worst[j]:
+                worst[j], where[j] = asks[j], u
+    for j in range(4):
+        step = 1.0 / _ARC_PIECES
+        for _ in range(_REFINE_HALVINGS if worst[j] > 0.0 else 0):
+            step, middle = 0.5 * step, where[j]
+            for u in (middle - step, middle + step):
+                square, asks = _curve_demands(cubics, u)
+                if 0.0 <= u <= 1.0 and asks[j] > worst[j]:
+                    least = min(least, square)
+                    worst[j], where[j] = asks[j], u
+    return least, worst
+
+
 def plan_straight(
     start: ArrayLike,
     goal: ArrayLike,
@@ -489,6 +508,41 @@ def plan_straight(
     gate = max(rise.duration_s, yaw.duration_s)
     line = make_profile(way, limits.speed, limits.acceleration)
     return Trajectory(a, b, heading, turn, rise, yaw, line, gate, gate + line.duration_s)
+
+
+@dataclass(frozen=True, slots=True)
+class BrakingMotion:
+    """Braking to rest along the velocity's own direction: v(t) = v0 (1 - S(t / T)); likewise for the yaw rate."""
+
+    start: Triple
+    velocity: Triple
+    heading: float
+    duration_s: float
+    heading_rate: float = 0.0
+    turn_duration_s: float = 0.0
+
+    @property
+    def rest_time_s(self) -> float:
+        """Time at which velocity and yaw rate are zero (s)."""
+        return max(self.duration_s, self.turn_duration_s)
+
+    def evaluate(self, t: float) -> TrajectoryPoint:
+        """Return the point at time ``t`` (s) after the start; at rest after `rest_time_s`."""
+        span = self.duration_s
+        value, slope, way = smooth_step_down(t / span) if span > 0.0 else (0.0, 0.0, 0.0)
+        (n, e, d), (u, v, w) = self.start, self.velocity
+        s, a = way * span, slope / span if span > 0.0 else 0.0
+        psi, rate = self.heading, 0.0
+        if self.turn_duration_s > 0.0:
+            slower, _, turned = smooth_step_down(t / self.turn_duration_s)
+            psi, rate = psi + self.heading_rate * self.turn_duration_s * turned, self.heading_rate * slower
+        return TrajectoryPoint(
+            (n + u * s, e + v * s, d + w * s),
+            (u * value, v * value, w * value),
+            (u * a, v * a, w * a),
+            psi,
+            rate,
+        )
 
 
 def plan_pending_curve(
@@ -534,60 +588,6 @@ def plan_pending_curve(
     acceleration = limits.acceleration if level else min(limits.acceleration, limits.climb_acceleration)
     curve = make_spline(a, b, *ends).axis_cubics
     return replace(plain, pending_curve=PendingCurve(curve, limits.speed, limits.climb, limits.descent, acceleration))
-
-
-@dataclass(frozen=True, slots=True)
-class BrakingMotion:
-    """Braking to rest along the velocity's own direction: v(t) = v0 (1 - S(t / T)); likewise for the yaw rate."""
-
-    start: Triple
-    velocity: Triple
-    heading: float
-    duration_s: float
-    heading_rate: float = 0.0
-    turn_duration_s: float = 0.0
-
-    @property
-    def rest_time_s(self) -> float:
-        """Time at which velocity and yaw rate are zero (s)."""
-        return max(self.duration_s, self.turn_duration_s)
-
-    def evaluate(self, t: float) -> TrajectoryPoint:
-        """Return the point at time ``t`` (s) after the start; at rest after `rest_time_s`."""
-        span = self.duration_s
-        value, slope, way = smooth_step_down(t / span) if span > 0.0 else (0.0, 0.0, 0.0)
-        (n, e, d), (u, v, w) = self.start, self.velocity
-        s, a = way * span, slope / span if span > 0.0 else 0.0
-        psi, rate = self.heading, 0.0
-        if self.turn_duration_s > 0.0:
-            slower, _, turned = smooth_step_down(t / self.turn_duration_s)
-            psi, rate = psi + self.heading_rate * self.turn_duration_s * turned, self.heading_rate * slower
-        return TrajectoryPoint(
-            (n + u * s, e + v * s, d + w * s),
-            (u * value, v * value, w * value),
-            (u * a, v * a, w * a),
-            psi,
-            rate,
-        )
-
-
-def plan_stop(
-    position: ArrayLike,
-    velocity: ArrayLike,
-    heading: float,
-    acceleration: float,
-    *,
-    heading_rate: float = 0.0,
-    yaw_acceleration: float = math.inf,
-) -> BrakingMotion:
-    """Plan braking from ``velocity`` (3,) at ``position`` (3,) with at most ``acceleration`` (m/s2).
-
-    A ``heading_rate`` (rad/s) is reduced to zero with at most ``yaw_acceleration`` (rad/s2).
-    """
-    v = _to_triple(velocity)
-    duration, _ = smooth_stop_distance(vector_length(*v), acceleration)
-    turn_s, _ = smooth_stop_distance(heading_rate, yaw_acceleration)
-    return BrakingMotion(_to_triple(position), v, heading, duration, heading_rate, turn_s)
 
 
 def _to_triple(x: ArrayLike) -> Triple:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.compiled.numba_cache import cached_njit
-from mufly.dynamics.model_state import RS_SPEED_UPPER
+from mufly.dynamics.model_state import MODEL_SPEED_UPPER
 from mufly.sensors.periodic import FIRST_VALUE, IS_VALID, PeriodicSensor
 from mufly.sensors.readings import Truth
 from mufly.sensors.rng import draw_normals
@@ -48,7 +48,7 @@ def _sample_rotor_speeds(
     row[IS_VALID] = 1.0
     for k in range(2):
         row[FIRST_VALUE + k] = max(
-            x[RS_SPEED_UPPER + k] * numbers[_SPEED_SCALE + k] + numbers[_SPEED_NOISE] * n[k], 0.0
+            x[MODEL_SPEED_UPPER + k] * numbers[_SPEED_SCALE + k] + numbers[_SPEED_NOISE] * n[k], 0.0
         )
     return 0.0
 

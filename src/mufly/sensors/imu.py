@@ -39,11 +39,11 @@ from mufly.compiled.numba_intrinsics import borrow_arrays
 from mufly.dynamics import body_to_ned_matrix, find_trim
 from mufly.dynamics.model_state import (
     ATTITUDE,
+    MODEL_RATES,
+    MODEL_SPEED_LOWER,
+    MODEL_SPEED_UPPER,
+    MODEL_VELOCITY,
     ROTOR_SPEEDS,
-    RS_RATES,
-    RS_SPEED_LOWER,
-    RS_SPEED_UPPER,
-    RS_VEL,
     STATE_SIZE,
 )
 from mufly.quantities.units import GRAVITY
@@ -245,11 +245,14 @@ def _warming_K(t: float, numbers: _Array) -> float:
 def _mean_specific_force(was: _Array, now: _Array, elapsed: float, place: _Array, force: _Array) -> None:
     """Compute the mean specific force of a period at the element (m/s^2) into ``force``."""
     turn = body_to_ned_matrix(now[ATTITUDE])
-    wx, wy, wz = now[RS_RATES], now[RS_RATES + 1], now[RS_RATES + 2]
-    px, py = (wx - was[RS_RATES]) / elapsed, (wy - was[RS_RATES + 1]) / elapsed
-    pz = (wz - was[RS_RATES + 2]) / elapsed
-    a, b = (now[RS_VEL] - was[RS_VEL]) / elapsed, (now[RS_VEL + 1] - was[RS_VEL + 1]) / elapsed
-    c = (now[RS_VEL + 2] - was[RS_VEL + 2]) / elapsed - GRAVITY
+    wx, wy, wz = now[MODEL_RATES], now[MODEL_RATES + 1], now[MODEL_RATES + 2]
+    px, py = (wx - was[MODEL_RATES]) / elapsed, (wy - was[MODEL_RATES + 1]) / elapsed
+    pz = (wz - was[MODEL_RATES + 2]) / elapsed
+    a, b = (
+        (now[MODEL_VELOCITY] - was[MODEL_VELOCITY]) / elapsed,
+        (now[MODEL_VELOCITY + 1] - was[MODEL_VELOCITY + 1]) / elapsed,
+    )
+    c = (now[MODEL_VELOCITY + 2] - was[MODEL_VELOCITY + 2]) / elapsed - GRAVITY
     x, y, z = place[0], place[1], place[2]
     vx, vy, vz = wy * z - wz * y, wz * x - wx * z, wx * y - wy * x
     force[0] = turn[0, 0] * a + turn[1, 0] * b + turn[2, 0] * c + py * z - pz * y + wy * vz - wz * vy
@@ -304,11 +307,11 @@ def simulate_imu_period(
         a = w = more = 0.0
         for m in range(3):
             a += axes[0, j, m] * force[m]
-            w += axes[1, j, m] * was[RS_RATES + m] + feigned[j, m] * force[m]
-            more += axes[1, j, m] * (now[RS_RATES + m] - was[RS_RATES + m])
+            w += axes[1, j, m] * was[MODEL_RATES + m] + feigned[j, m] * force[m]
+            more += axes[1, j, m] * (now[MODEL_RATES + m] - was[MODEL_RATES + m])
         begin[j], begin[GYRO + j], slope[j], slope[GYRO + j] = a, w, 0.0, more
-    up = 0.5 * (was[RS_SPEED_UPPER] + now[RS_SPEED_UPPER])
-    dw = 0.5 * (was[RS_SPEED_LOWER] + now[RS_SPEED_LOWER])
+    up = 0.5 * (was[MODEL_SPEED_UPPER] + now[MODEL_SPEED_UPPER])
+    dw = 0.5 * (was[MODEL_SPEED_LOWER] + now[MODEL_SPEED_LOWER])
     for line in range(5):
         if line < 4:
             speed, hover = (up, hover_up) if line < 2 else (dw, hover_dw)
@@ -334,7 +337,7 @@ def simulate_imu_period(
     dt = elapsed / n
     phasor = np.empty((2, 6))
     for k in range(2):
-        first, last = was[RS_SPEED_UPPER + k], now[RS_SPEED_UPPER + k]
+        first, last = was[MODEL_SPEED_UPPER + k], now[MODEL_SPEED_UPPER + k]
         growth = (last - first) / n
         angle, turn, more = azimuth[k], dt * (first + 0.5 * growth), dt * growth
         phasor[k, _COS], phasor[k, _SIN] = math.cos(angle), math.sin(angle)

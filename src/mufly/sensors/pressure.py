@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.compiled.numba_cache import cached_njit
-from mufly.dynamics.model_state import RS_POS, RS_SPEED_LOWER, RS_SPEED_UPPER
+from mufly.dynamics.model_state import MODEL_POSITION, MODEL_SPEED_LOWER, MODEL_SPEED_UPPER
 from mufly.quantities.sensor_table import READINGS
 from mufly.quantities.units import GRAVITY
 from mufly.sensors.periodic import (
@@ -58,9 +58,9 @@ def _sample_pressure(
     delay, n = numbers[_DELAY], np.empty(1)
     gauss_markov_step(t, sigma, numbers[_DRIFT_TIME], memory, source)
     draw_normals(source, n)
-    upper, lower = x[RS_SPEED_UPPER], x[RS_SPEED_LOWER]
+    upper, lower = x[MODEL_SPEED_UPPER], x[MODEL_SPEED_LOWER]
     loading = numbers[_LOADING_UPPER] * (upper * upper) + numbers[_LOADING_LOWER] * (lower * lower)
-    true = STANDARD_PRESSURE_PA + numbers[_WEIGHT] * x[RS_POS + 2] + numbers[_DOWNWASH] * loading + memory[1]
+    true = STANDARD_PRESSURE_PA + numbers[_WEIGHT] * x[MODEL_POSITION + 2] + numbers[_DOWNWASH] * loading + memory[1]
     if math.isnan(felt[0]) or delay == 0.0:
         felt[0] = true
     else:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from mufly.compiled.numba_cache import cached_njit
 from mufly.dynamics import body_to_ned_matrix
-from mufly.dynamics.model_state import ATTITUDE, POSITION, RATES, ROTOR_SPEEDS, RS_CHARGE, VELOCITY
+from mufly.dynamics.model_state import ATTITUDE, MODEL_CHARGE, POSITION, RATES, ROTOR_SPEEDS, VELOCITY
 from mufly.vehicle import Vehicle
 from mufly.world import World, first_hit
 
@@ -78,7 +78,7 @@ class Truth:
     @property
     def battery_charge(self) -> float:
         """State of charge of the battery (0..1)."""
-        return float(self.state[RS_CHARGE])
+        return float(self.state[MODEL_CHARGE])
 
 
 class Reading(NamedTuple):

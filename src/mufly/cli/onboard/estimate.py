@@ -265,12 +265,12 @@ def _add_bias_std(data: xr.Dataset, told: Sequence[Estimate]) -> xr.Dataset:
     """Return the data with standard deviations of the biases, which recordings do not hold."""
     import numpy as np
 
-    from mufly.estimate.filter.filter_records import EX_ACCEL_BIAS, EX_GYRO_BIAS, EX_TERRAIN
+    from mufly.estimate.filter.filter_records import ERROR_ACCEL_BIAS, ERROR_GYRO_BIAS, ERROR_TERRAIN
 
     out = {}
     for name, axes in (
-        ("gyro_bias", slice(EX_GYRO_BIAS, EX_ACCEL_BIAS)),
-        ("accelerometer_bias", slice(EX_ACCEL_BIAS, EX_TERRAIN)),
+        ("gyro_bias", slice(ERROR_GYRO_BIAS, ERROR_ACCEL_BIAS)),
+        ("accelerometer_bias", slice(ERROR_ACCEL_BIAS, ERROR_TERRAIN)),
     ):
         block = np.array(
             [np.full(3, math.nan) if e.auxiliary_states is None else e.auxiliary_states.sigma[axes] for e in told]

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.compiled.numba_cache import cached_njit
-from mufly.dynamics.model_state import RS_ATT, RS_BAR, RS_CHARGE, RS_POS, ModelParameters
+from mufly.dynamics.model_state import MODEL_ATTITUDE, MODEL_BAR, MODEL_CHARGE, MODEL_POSITION, ModelParameters
 from mufly.estimate.filter.filter_horizon import (
     COST_COVARIANCE,
     STAGE_DONE,
@@ -26,22 +26,22 @@ from mufly.estimate.filter.filter_inputs import estimate_accel_noise, level_iner
 from mufly.estimate.filter.filter_records import (
     AID_COUNT,
     ERROR_STATE_COUNT,
-    EX_THRUST_SCALE,
+    ERROR_THRUST_SCALE,
+    NOMINAL_ATTITUDE,
+    NOMINAL_GYRO_BIAS,
+    NOMINAL_TERRAIN,
     PHASE_FLYING,
     PHASE_LIGHT,
     PHASE_RUNNING,
     QUEUE_SIZE,
     QUEUED_READINGS,
-    R_ACCELERATION,
-    R_FIX,
-    R_RATES,
+    READING_ACCELERATION,
+    READING_FIX,
+    READING_RATES,
     READING_STARTS,
     ROTOR_FORCE_ANG_ACCEL,
     ROTOR_FORCE_HISTORY,
     STATE_COUNT,
-    SX_ATT,
-    SX_GYRO_BIAS,
-    SX_TERRAIN,
     FilterMemory,
     FilterSettings,
 )
@@ -84,9 +84,9 @@ def estimator_reset(m: FilterMemory, s: FilterSettings) -> None:
     for i in range(AID_COUNT):
         m.noise_scale[i] = m.bias_walk_scale[i] = 1.0
     m.task_stage = STAGE_DONE
-    m.x_output[SX_ATT] = m.rotor_state[RS_ATT] = m.rotor_state[RS_CHARGE] = 1.0
-    m.rotor_state[RS_POS + 2] = -1000.0  # far above the floor
-    m.rotor_state[RS_BAR + 2] = -1.0
+    m.x_output[NOMINAL_ATTITUDE] = m.rotor_state[MODEL_ATTITUDE] = m.rotor_state[MODEL_CHARGE] = 1.0
+    m.rotor_state[MODEL_POSITION + 2] = -1000.0  # far above the floor
+    m.rotor_state[MODEL_BAR + 2] = -1.0
     for k in range(3):
         m.accel_noise[k] = m.accel_noise_slow[k] = INITIAL_ACCEL_DENSITY
 
@@ -115,8 +115,8 @@ def estimator_step(
     r, a = m.rotation_work, m.accel_work
     for k in range(3):
         m.gyro_rates_prev[k] = m.gyro_rates[k]
-        if m.status[R_RATES] < STATUS_MISSING:
-            m.gyro_rates[k] = z[_Z[R_RATES] + k] - m.gyro_offset[k]
+        if m.status[READING_RATES] < STATUS_MISSING:
+            m.gyro_rates[k] = z[_Z[READING_RATES] + k] - m.gyro_offset[k]
         elif s.has_rotor_model > 0 and m.flight_phase >= PHASE_LIGHT:
             # Rates of the rotor model. The stabiliser bar keeps the rotors level, so only yaw drifts.
             m.gyro_rates[k] = (
@@ -125,16 +125,16 @@ def estimator_step(
                 + m.ang_accel_bias[k]
             )
         else:
-            m.gyro_rates[k] = m.x_output[SX_GYRO_BIAS + k]
+            m.gyro_rates[k] = m.x_output[NOMINAL_GYRO_BIAS + k]
     # The height may be wrong by the depth of a surface below the floor, or by the gap of fix and sonar
-    doubt = m.fix_height_gap - min(m.x_output[SX_TERRAIN], 0.0)
+    doubt = m.fix_height_gap - min(m.x_output[NOMINAL_TERRAIN], 0.0)
     replace_gyro_spikes(
         m,
         s,
         m.flight_phase == PHASE_FLYING and height_above_ground(m.x_output, s) > LEG_CLEARANCE_HEIGHT + doubt,
     )
     rises = sample_inputs(m, s, p, z, new, r)
-    if s.has_rotor_model > 0 and m.flight_phase >= PHASE_RUNNING and m.status[R_ACCELERATION] < STATUS_MISSING:
+    if s.has_rotor_model > 0 and m.flight_phase >= PHASE_RUNNING and m.status[READING_ACCELERATION] < STATUS_MISSING:
         estimate_accel_noise(m, s, z)
     for kind in QUEUED_READINGS:
         if new[kind] != 1 or m.is_decimated[kind] > 0:
@@ -150,7 +150,7 @@ def estimator_step(
                 set_fault(m, s, kind, STATUS_FAULTY, REASON_LATE, age[kind])
     left = s.work_limit - (COST_COVARIANCE if m.tick % COVARIANCE_INTERVAL_TICKS == 0 else 0)
     predict_bias(m, s)
-    if rises > 0.0 and m.sigma_output[EX_THRUST_SCALE] > LIFTOFF_THRUST_SIGMA:
+    if rises > 0.0 and m.sigma_output[ERROR_THRUST_SCALE] > LIFTOFF_THRUST_SIGMA:
         fuse_liftoff_thrust(m, rises)
         left -= 1
     while left > 0:
@@ -159,16 +159,20 @@ def estimator_step(
             break
         left -= cost
     predict_output(m, s, r, a)
-    found = s.is_fitted[R_FIX] == 0 or m.is_heading_aligned > 0
+    found = s.is_fitted[READING_FIX] == 0 or m.is_heading_aligned > 0
     if m.is_initialised == 0 and found and (m.standing_ticks * s.dt >= _INITIAL_REST_S or m.tick * s.dt > 3.0):
         m.is_initialised = 1
     turns = s.has_rotor_model > 0 and m.flight_phase >= PHASE_LIGHT
-    seen = m.status[R_RATES] < STATUS_MISSING or turns or (m.tick - m.last_fused_tick[R_RATES]) * s.dt < _GYRO_OUTAGE_S
+    seen = (
+        m.status[READING_RATES] < STATUS_MISSING
+        or turns
+        or (m.tick - m.last_fused_tick[READING_RATES]) * s.dt < _GYRO_OUTAGE_S
+    )
     for k in range(3):
         # Invalid inputs may make the model diverge: rates beyond the gyroscopes' range are no estimate.
-        if not abs(m.rates_output[k]) < 2.0 * s.value_limit[R_RATES]:
+        if not abs(m.rates_output[k]) < 2.0 * s.value_limit[READING_RATES]:
             seen = False
     if m.is_levelled == 1:
-        for k in range(_Z[R_ACCELERATION], _Z[R_RATES] + 3):
+        for k in range(_Z[READING_ACCELERATION], _Z[READING_RATES] + 3):
             z[k] = m.last_value[k]
     return m.is_initialised > 0 and seen

@@ -23,33 +23,33 @@ from mufly.compiled.numba_cache import cached_njit
 from mufly.compiled.portable_math import floor_int
 from mufly.estimate.filter.filter_records import (
     BIAS_CYCLE_TICKS,
-    EX_ATT,
-    EX_FIX_BIAS,
-    EX_FIX_HEADING,
-    EX_GYRO_BIAS,
-    EX_TERRAIN,
-    EX_VEL,
+    ERROR_ATTITUDE,
+    ERROR_FIX_BIAS,
+    ERROR_FIX_HEADING,
+    ERROR_GYRO_BIAS,
+    ERROR_TERRAIN,
+    ERROR_VELOCITY,
     FLOOR_SETTLED_SIGMA,
-    IN_ACCEL,
-    IN_NOISE,
-    IN_PHASE,
-    IN_SHARE,
-    IN_SLOPE,
-    IN_STATIC,
+    INPUT_ACCEL,
     INPUT_BLOCK_COUNT,
+    INPUT_NOISE,
+    INPUT_PHASE,
+    INPUT_SHARE,
+    INPUT_SLOPE,
+    INPUT_STATIC,
     MAX_FLOOR_HEIGHT,
     MAX_LAG_BLOCKS,
     MODEL_ACCEL,
+    NOMINAL_GYRO_BIAS,
+    NOMINAL_POSITION,
+    NOMINAL_TERRAIN,
+    NOMINAL_VELOCITY,
     PHASE_FLYING,
     PHASE_RUNNING,
     PHASE_STANDING,
     QUEUE_SIZE,
-    R_ACCELERATION,
-    R_RATES,
-    SX_GYRO_BIAS,
-    SX_POS,
-    SX_TERRAIN,
-    SX_VEL,
+    READING_ACCELERATION,
+    READING_RATES,
     TERRAIN_EDGE_S,
     FilterMemory,
     FilterSettings,
@@ -110,11 +110,13 @@ def queue_measurement(
 def _pass_terrain_edge(m: FilterMemory, s: FilterSettings, span: float) -> None:
     """Inflate the terrain's variance while the sonar's cone passes over an edge: the nearest point moves along an
     arc."""
-    away = max(-m.x[SX_POS + 2] - m.x[SX_TERRAIN], 0.1)
-    speed = math.sqrt(m.x[SX_VEL] * m.x[SX_VEL] + m.x[SX_VEL + 1] * m.x[SX_VEL + 1])
+    away = max(-m.x[NOMINAL_POSITION + 2] - m.x[NOMINAL_TERRAIN], 0.1)
+    speed = math.sqrt(
+        m.x[NOMINAL_VELOCITY] * m.x[NOMINAL_VELOCITY] + m.x[NOMINAL_VELOCITY + 1] * m.x[NOMINAL_VELOCITY + 1]
+    )
     arc = s.sonar_arc * away
     passed = span * max(speed / max(s.sonar_cone_slope * away, 0.05), 1.0 / TERRAIN_EDGE_S)
-    inflate_variance(m.u_transposed, m.ud_diagonal, EX_TERRAIN, arc * arc * passed, m.u_transposed_h)
+    inflate_variance(m.u_transposed, m.ud_diagonal, ERROR_TERRAIN, arc * arc * passed, m.u_transposed_h)
     m.terrain_edge_weight = max(m.terrain_edge_weight - passed, 0.0)
     if not m.terrain_edge_weight > 0.0:
         m.terrain_steps = 0
@@ -129,18 +131,18 @@ def _advance_horizon(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array) -
     m.task_stage = 0
     predict_state(m.x, e, span, r, a)
     for k in range(3):
-        m.accel_mean[k] += e[IN_ACCEL + k]
+        m.accel_mean[k] += e[INPUT_ACCEL + k]
         m.model_accel_mean[k] += a[MODEL_ACCEL + k]
         m.gyro_mean[k] += e[k]
-        m.thrust_slope[k] += e[IN_STATIC + k]
-        m.velocity_slope[k] += e[IN_SLOPE + k]
-    spread = s.gyro_density + (GYRO_OUTAGE_DENSITY if m.status[R_RATES] >= STATUS_MISSING else 0.0)
+        m.thrust_slope[k] += e[INPUT_STATIC + k]
+        m.velocity_slope[k] += e[INPUT_SLOPE + k]
+    spread = s.gyro_density + (GYRO_OUTAGE_DENSITY if m.status[READING_RATES] >= STATUS_MISSING else 0.0)
     m.yaw_rate = 0.0
     for k in range(3):
-        m.yaw_rate += r[6 + k] * (e[k] - m.x[SX_GYRO_BIAS + k])
+        m.yaw_rate += r[6 + k] * (e[k] - m.x[NOMINAL_GYRO_BIAS + k])
         m.q_work[k] = s.process_variance[k]
-        m.q_work[EX_VEL + k] = velocity_noise_density(r, k, e) * span
-        m.q_work[EX_ATT + k] = spread * span
+        m.q_work[ERROR_VELOCITY + k] = velocity_noise_density(r, k, e) * span
+        m.q_work[ERROR_ATTITUDE + k] = spread * span
     error_transition(e, span, r, a, m.transition_work)
     ud_time_update(m.u_transposed, m.ud_diagonal, span, m.transition_work, m.q_work, m.w_work, m.u_transposed_h)
     if m.terrain_edge_weight > 0.0:
@@ -156,19 +158,19 @@ def predict_bias(m: FilterMemory, s: FilterSettings) -> None:
     into that of pitch, and a scale error into that of yaw. Accelerometers at rest tell e and their own bias only
     together. In a turn the bias of the gyroscopes carries the leak: its deviation and its variance follow the yaw rate
     and return to their values when the turn ends."""
-    k = EX_GYRO_BIAS + m.tick % BIAS_CYCLE_TICKS
-    if k >= EX_FIX_BIAS:
-        k += EX_FIX_HEADING + 1 - EX_FIX_BIAS
+    k = ERROR_GYRO_BIAS + m.tick % BIAS_CYCLE_TICKS
+    if k >= ERROR_FIX_BIAS:
+        k += ERROR_FIX_HEADING + 1 - ERROR_FIX_BIAS
     origin, keep, q = s.initial_state[k + 1], s.decay[k], s.process_variance[k]
-    if k < EX_GYRO_BIAS + 3 and m.divergence_ticks > 0:
+    if k < ERROR_GYRO_BIAS + 3 and m.divergence_ticks > 0:
         may = DIVERGED_BIAS_WALK if m.divergence_ticks > 1 else LATER_BIAS_WALK
         q += may * may * (BIAS_CYCLE_TICKS * s.dt)
-    elif k == EX_TERRAIN:
+    elif k == ERROR_TERRAIN:
         q *= math.sqrt(
-            m.x[SX_VEL] * m.x[SX_VEL] + m.x[SX_VEL + 1] * m.x[SX_VEL + 1]
+            m.x[NOMINAL_VELOCITY] * m.x[NOMINAL_VELOCITY] + m.x[NOMINAL_VELOCITY + 1] * m.x[NOMINAL_VELOCITY + 1]
         )  # the terrain changes with distance, not with time
-    if k < EX_GYRO_BIAS + 3:
-        i = k - EX_GYRO_BIAS
+    if k < ERROR_GYRO_BIAS + 3:
+        i = k - ERROR_GYRO_BIAS
         turning = m.yaw_rate if abs(m.yaw_rate) > LEAK_RATE else 0.0
         if m.leaked_yaw_rate[i] != 0.0:
             keep = turning / m.leaked_yaw_rate[i]
@@ -219,8 +221,8 @@ def _average_block_forces(m: FilterMemory, s: FilterSettings) -> None:
         m.thrust_slope[k] /= n
         m.velocity_slope[k] /= n
         # Noise density of the difference at the horizon, from the weights used there
-        share = max(e[IN_SHARE + k], 1e-9)
-        m.residual_density[k] = e[IN_NOISE + k] / share / max(1 - share, 1e-9) + m.accel_noise[k]
+        share = max(e[INPUT_SHARE + k], 1e-9)
+        m.residual_density[k] = e[INPUT_NOISE + k] / share / max(1 - share, 1e-9) + m.accel_noise[k]
 
 
 @cached_njit(error_model="numpy")
@@ -243,9 +245,12 @@ def run_next_task(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array, left
         m.task_stage = STAGE_TERRAIN
     if m.task_stage == STAGE_TERRAIN:
         m.task_stage = STAGE_FORCE_MEANS
-        if not m.terrain_edge_weight > 0.0 and abs(m.x[SX_TERRAIN]) < MAX_FLOOR_HEIGHT:
-            sure = state_variance(m.u_transposed, m.ud_diagonal, EX_TERRAIN)
-            if sure > FLOOR_SETTLED_SIGMA * FLOOR_SETTLED_SIGMA and m.x[SX_TERRAIN] * m.x[SX_TERRAIN] < 9.0 * sure:
+        if not m.terrain_edge_weight > 0.0 and abs(m.x[NOMINAL_TERRAIN]) < MAX_FLOOR_HEIGHT:
+            sure = state_variance(m.u_transposed, m.ud_diagonal, ERROR_TERRAIN)
+            if (
+                sure > FLOOR_SETTLED_SIGMA * FLOOR_SETTLED_SIGMA
+                and m.x[NOMINAL_TERRAIN] * m.x[NOMINAL_TERRAIN] < 9.0 * sure
+            ):
                 reset_terrain(m)
                 return 1
     if m.task_stage == STAGE_FORCE_MEANS:
@@ -253,7 +258,7 @@ def run_next_task(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array, left
         if m.block_mean_ticks >= FORCE_MEAN_TICKS:
             _average_block_forces(m, s)
             m.task_stage = STAGE_AXES
-    mode = int(m.input_blocks[(m.horizon_tick // s.block_ticks - 1) % INPUT_BLOCK_COUNT, IN_PHASE])
+    mode = int(m.input_blocks[(m.horizon_tick // s.block_ticks - 1) % INPUT_BLOCK_COUNT, INPUT_PHASE])
     while STAGE_AXES <= m.task_stage < STAGE_GROUND_CONTACT:
         i = m.task_stage - STAGE_AXES
         cost = 0
@@ -263,7 +268,7 @@ def run_next_task(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array, left
                 return 0
             fuse_zero_motion(m, s, r, m.block_mean_ticks, mode, i)
             m.standing_ticks += m.block_mean_ticks if mode == PHASE_STANDING and i == 0 else 0
-        elif mode == PHASE_FLYING and s.has_rotor_model > 0 and s.is_fitted[R_ACCELERATION] > 0:
+        elif mode == PHASE_FLYING and s.has_rotor_model > 0 and s.is_fitted[READING_ACCELERATION] > 0:
             cost = 1
             fuse_accel_residual(m, s, r, m.block_mean_ticks, i)
         m.task_stage += 1

@@ -12,43 +12,43 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.compiled.numba_cache import cached_njit
-from mufly.dynamics.model_state import RS_CHARGE, RS_RATES, RS_SPEED_LOWER, RS_SPEED_UPPER, ModelParameters
+from mufly.dynamics.model_state import MODEL_CHARGE, MODEL_RATES, MODEL_SPEED_LOWER, MODEL_SPEED_UPPER, ModelParameters
 from mufly.estimate.filter.filter_horizon import STAGE_DONE, clear_block_forces
 from mufly.estimate.filter.filter_records import (
-    EX_ACCEL_BIAS,
-    EX_ATT,
-    EX_POS,
-    EX_THRUST_SCALE,
-    IN_ACCEL,
-    IN_NOISE,
-    IN_PHASE,
-    IN_RATES,
-    IN_REST,
-    IN_SHARE,
-    IN_SLOPE,
-    IN_STATIC,
+    ERROR_ACCEL_BIAS,
+    ERROR_ATTITUDE,
+    ERROR_POSITION,
+    ERROR_THRUST_SCALE,
+    INPUT_ACCEL,
     INPUT_BLOCK_COUNT,
+    INPUT_NOISE,
+    INPUT_PHASE,
+    INPUT_RATES,
+    INPUT_REST,
     INPUT_ROW_SIZE,
+    INPUT_SHARE,
+    INPUT_SLOPE,
+    INPUT_STATIC,
+    NOMINAL_ACCEL_BIAS,
+    NOMINAL_ATTITUDE,
+    NOMINAL_GYRO_BIAS,
+    NOMINAL_TERRAIN,
+    NOMINAL_THRUST_SCALE,
+    NOMINAL_VELOCITY,
+    NOMINAL_WIND,
     PHASE_COASTING,
     PHASE_FLYING,
     PHASE_LIGHT,
     PHASE_RUNNING,
     PHASE_STANDING,
-    R_ACCELERATION,
-    R_BATTERY,
-    R_RATES,
-    R_ROTOR,
-    R_SONAR,
+    READING_ACCELERATION,
+    READING_BATTERY,
+    READING_RATES,
+    READING_ROTOR,
+    READING_SONAR,
     READING_STARTS,
     ROTOR_FORCE_HISTORY,
     ROTOR_FORCE_STATIC,
-    SX_ACCEL_BIAS,
-    SX_ATT,
-    SX_GYRO_BIAS,
-    SX_TERRAIN,
-    SX_THRUST_SCALE,
-    SX_VEL,
-    SX_WIND,
     FilterMemory,
     FilterSettings,
 )
@@ -106,33 +106,37 @@ def _update_flight_phase(m: FilterMemory, s: FilterSettings, z: _Array) -> float
     Returns the model's lift over the weight in the period in which the sonar sees it leave the floor, else 0.
     """
     lift = (
-        -m.rotor_force[m.tick % ROTOR_FORCE_HISTORY, ROTOR_FORCE_STATIC + 2] * m.x[SX_THRUST_SCALE] / GRAVITY
+        -m.rotor_force[m.tick % ROTOR_FORCE_HISTORY, ROTOR_FORCE_STATIC + 2] * m.x[NOMINAL_THRUST_SCALE] / GRAVITY
         if s.has_rotor_model > 0
         else 1.0
     )
     height = height_above_ground(m.x_output, s)
     off = z[ACTUATOR_START] + z[ACTUATOR_START + 1] < 0.02
     # Rotors with more lift than modelled leave the floor earlier, others later.
-    doubt = LIFTOFF_SIGMA_LIMIT * m.sigma_output[EX_THRUST_SCALE] if s.has_rotor_model > 0 else 0.0
+    doubt = LIFTOFF_SIGMA_LIMIT * m.sigma_output[ERROR_THRUST_SCALE] if s.has_rotor_model > 0 else 0.0
     # The sonar is newer than the estimated height, except below the floor.
-    says = m.status[R_SONAR] == STATUS_FUSED and height < SONAR_LIFTOFF_HEIGHT and m.x[SX_TERRAIN] > MIN_TERRAIN_HEIGHT
-    near = says and m.last_value[_Z[R_SONAR]] <= s.sonar_min + 0.5 * s.sonar_resolution
-    clear = says and m.last_value[_Z[R_SONAR]] > s.sonar_min + LIFTOFF_CLEARANCE
+    says = (
+        m.status[READING_SONAR] == STATUS_FUSED
+        and height < SONAR_LIFTOFF_HEIGHT
+        and m.x[NOMINAL_TERRAIN] > MIN_TERRAIN_HEIGHT
+    )
+    near = says and m.last_value[_Z[READING_SONAR]] <= s.sonar_min + 0.5 * s.sonar_resolution
+    clear = says and m.last_value[_Z[READING_SONAR]] > s.sonar_min + LIFTOFF_CLEARANCE
     rises = 0.0
     m.is_sonar_at_minimum = 1 if near else 0
     if m.flight_phase <= PHASE_RUNNING:
-        turning = m.rotor_state[RS_SPEED_UPPER] + m.rotor_state[RS_SPEED_LOWER]
+        turning = m.rotor_state[MODEL_SPEED_UPPER] + m.rotor_state[MODEL_SPEED_LOWER]
         stands = turning <= STOPPED_SPEED_SHARE * (s.hover_speed[0] + s.hover_speed[1])
         m.flight_phase = PHASE_RUNNING if not off else PHASE_STANDING if stands else PHASE_COASTING
         if lift * (1.0 + doubt) > 0.9 and m.flight_phase == PHASE_RUNNING:
             m.flight_phase = PHASE_LIGHT
             m.is_initialised = 1
     elif m.flight_phase == PHASE_LIGHT:
-        up = height > 0.03 + min(2.0 * m.sigma_output[EX_POS + 2], 0.1) and not near
+        up = height > 0.03 + min(2.0 * m.sigma_output[ERROR_POSITION + 2], 0.1) and not near
         if up or clear or lift > 1.1 + doubt:
             m.flight_phase = PHASE_FLYING
             if says and not near and s.has_rotor_model > 0:
-                rises = lift / m.x[SX_THRUST_SCALE]
+                rises = lift / m.x[NOMINAL_THRUST_SCALE]
         elif lift * (1.0 + doubt) < 0.85 and height < 0.02:
             m.flight_phase = PHASE_RUNNING
     elif (height < 0.015 and lift < 0.9 and not clear) or (near and lift < 1.1 + doubt):
@@ -141,7 +145,7 @@ def _update_flight_phase(m: FilterMemory, s: FilterSettings, z: _Array) -> float
         off
         and m.flight_phase >= PHASE_LIGHT
         and height < 0.05
-        and m.rotor_state[RS_SPEED_UPPER] < 0.3 * s.hover_speed[0]
+        and m.rotor_state[MODEL_SPEED_UPPER] < 0.3 * s.hover_speed[0]
     ):
         m.flight_phase = PHASE_RUNNING
     if m.flight_phase != PHASE_FLYING:
@@ -158,9 +162,9 @@ def _ground_force_noise(m: FilterMemory, force: float) -> float:
     spread = (
         GROUND_FORCE_ERROR
         if m.is_sonar_at_minimum == 1
-        else max(m.sigma_output[EX_THRUST_SCALE] * -force, GROUND_FORCE_ERROR)
+        else max(m.sigma_output[ERROR_THRUST_SCALE] * -force, GROUND_FORCE_ERROR)
     )
-    over = (-m.x_output[SX_THRUST_SCALE] * force - GRAVITY) / spread
+    over = (-m.x_output[NOMINAL_THRUST_SCALE] * force - GRAVITY) / spread
     may = min(max(1.0 + over / LIFTOFF_SIGMA_LIMIT, 0.0), 1.0) * spread
     return ERROR_TIME_TWICE_S * may * may
 
@@ -176,86 +180,86 @@ def sample_inputs(
     for j in range(4):
         sent = z[ACTUATOR_START + j]
         m.actuators[j] = min(max(sent, -1.0), 1.0) if sent == sent else 0.0
-    rotation_matrix(m.x_output[SX_ATT : SX_ATT + 4], r)
+    rotation_matrix(m.x_output[NOMINAL_ATTITUDE : NOMINAL_ATTITUDE + 4], r)
     n, e, d = (
-        m.x_output[SX_VEL] - m.x_output[SX_WIND],
-        m.x_output[SX_VEL + 1] - m.x_output[SX_WIND + 1],
-        m.x_output[SX_VEL + 2],
+        m.x_output[NOMINAL_VELOCITY] - m.x_output[NOMINAL_WIND],
+        m.x_output[NOMINAL_VELOCITY + 1] - m.x_output[NOMINAL_WIND + 1],
+        m.x_output[NOMINAL_VELOCITY + 2],
     )
     for k in range(3):
         m.axis_work[k] = r[k] * n + r[3 + k] * e + r[6 + k] * d
-        m.rotor_state[RS_RATES + k] = m.gyro_rates[k] - m.x_output[SX_GYRO_BIAS + k]
+        m.rotor_state[MODEL_RATES + k] = m.gyro_rates[k] - m.x_output[NOMINAL_GYRO_BIAS + k]
     if s.has_rotor_model > 0:
         predict_rotor_force(m, s, p, m.axis_work, m.rotor_force[now])
         for k in range(2):
-            m.rotor_state[RS_SPEED_UPPER + k] += s.dt * m.motor_accel_bias[k]
-        if new[R_ROTOR] == 1:
-            a = _Z[R_ROTOR]
+            m.rotor_state[MODEL_SPEED_UPPER + k] += s.dt * m.motor_accel_bias[k]
+        if new[READING_ROTOR] == 1:
+            a = _Z[READING_ROTOR]
             if rotor_speed_consistent(m, s, z, a):
                 for k in range(2):
-                    off = z[a + k] - m.rotor_state[RS_SPEED_UPPER + k]
-                    m.rotor_state[RS_SPEED_UPPER + k] += s.rotor_speed_gain * off
+                    off = z[a + k] - m.rotor_state[MODEL_SPEED_UPPER + k]
+                    m.rotor_state[MODEL_SPEED_UPPER + k] += s.rotor_speed_gain * off
                     m.motor_accel_bias[k] += s.motor_error_gain * off
-        if new[R_BATTERY] == 1:
-            off = z[_Z[R_BATTERY]] - predict_terminal_voltage(m, p)
+        if new[READING_BATTERY] == 1:
+            off = z[_Z[READING_BATTERY]] - predict_terminal_voltage(m, p)
             if battery_voltage_consistent(m, s, off):
                 fast = 0.2 if m.tick * s.dt < 1.0 else 0.02
-                m.rotor_state[RS_CHARGE] = min(max(m.rotor_state[RS_CHARGE] + fast * off, 0.0), 1.0)
+                m.rotor_state[MODEL_CHARGE] = min(max(m.rotor_state[MODEL_CHARGE] + fast * off, 0.0), 1.0)
     rises = _update_flight_phase(m, s, z)
     a, b = (now - s.imu_lag_ticks) % ROTOR_FORCE_HISTORY, (now - s.imu_lag_ticks - 1) % ROTOR_FORCE_HISTORY
     row = m.inputs_now
     model = s.has_rotor_model > 0
     for k in range(3):
         row[k] = 0.5 * (m.gyro_rates[k] + m.gyro_rates_prev[k])
-        row[IN_ACCEL + k] = z[k]
+        row[INPUT_ACCEL + k] = z[k]
         for g in range(3):
-            row[IN_STATIC + 3 * g + k] = (1 - s.imu_lag_remainder) * m.rotor_force[
+            row[INPUT_STATIC + 3 * g + k] = (1 - s.imu_lag_remainder) * m.rotor_force[
                 a, ROTOR_FORCE_STATIC + 3 * g + k
             ] + s.imu_lag_remainder * m.rotor_force[b, ROTOR_FORCE_STATIC + 3 * g + k]
         clip = m.clip_share[k] * CLIPPING_ERROR_SHARE * s.accel_range
         # Without vibration; but if the attitude is unknown, the model's force is the better one.
-        noise = m.accel_noise_slow[k] if m.status[R_RATES] < STATUS_MISSING else m.accel_noise[k]
+        noise = m.accel_noise_slow[k] if m.status[READING_RATES] < STATUS_MISSING else m.accel_noise[k]
         felt = (
             max(s.accel_density, noise) if s.has_rotor_model > 0 else s.accel_density
         ) + ERROR_TIME_TWICE_S * clip * clip
         made = s.model_accel_density[k]
         if m.flight_phase <= PHASE_RUNNING:
-            row[IN_STATIC + k], row[IN_REST + k], row[IN_SLOPE + k] = 0.0, -GRAVITY * r[6 + k], 0.0
+            row[INPUT_STATIC + k], row[INPUT_REST + k], row[INPUT_SLOPE + k] = 0.0, -GRAVITY * r[6 + k], 0.0
             felt, made = 1e6, 1e-3
         elif m.flight_phase == PHASE_LIGHT:
             # Legs may support the weight that the rotors do not: no thrust is estimated.
-            row[IN_REST + k] += m.x_output[SX_THRUST_SCALE] * row[IN_STATIC + k]
+            row[INPUT_REST + k] += m.x_output[NOMINAL_THRUST_SCALE] * row[INPUT_STATIC + k]
             if k == 2:
-                row[IN_REST + 2] = (
-                    -GRAVITY * r[8] if m.is_sonar_at_minimum == 1 else min(row[IN_REST + 2], -GRAVITY * r[8])
+                row[INPUT_REST + 2] = (
+                    -GRAVITY * r[8] if m.is_sonar_at_minimum == 1 else min(row[INPUT_REST + 2], -GRAVITY * r[8])
                 )
             made = 0.05
             if k == 2:
-                made += _ground_force_noise(m, row[IN_STATIC + 2])
-            row[IN_STATIC + k] = 0.0
+                made += _ground_force_noise(m, row[INPUT_STATIC + 2])
+            row[INPUT_STATIC + k] = 0.0
         elif model:
             # Until the thrust is known, after more than the delay, the accelerometers have the higher weight.
-            unknown = max(m.sigma_output[EX_THRUST_SCALE] - MODELLED_THRUST_SIGMA, 0.0) * row[IN_STATIC + k]
+            unknown = max(m.sigma_output[ERROR_THRUST_SCALE] - MODELLED_THRUST_SIGMA, 0.0) * row[INPUT_STATIC + k]
             made += THRUST_ERROR_TIME_S * unknown * unknown
         if not model and m.flight_phase > PHASE_RUNNING:
-            row[IN_STATIC + k], row[IN_REST + k], row[IN_SLOPE + k] = 0.0, -GRAVITY if k == 2 else 0.0, 0.0
+            row[INPUT_STATIC + k], row[INPUT_REST + k], row[INPUT_SLOPE + k] = 0.0, -GRAVITY if k == 2 else 0.0, 0.0
             made = 10.0
         if m.force_verdict == FORCE_MODEL_WRONG:
             made = max(made, WRONG_MODEL_DENSITY)
         elif m.is_accel_distrusted == 1:
             felt = 1e6
-        if m.status[R_ACCELERATION] >= STATUS_MISSING or s.is_fitted[R_ACCELERATION] == 0:
+        if m.status[READING_ACCELERATION] >= STATUS_MISSING or s.is_fitted[READING_ACCELERATION] == 0:
             felt = 1e6
         share = made / (felt + made)
-        row[IN_SHARE + k] = share
-        row[IN_NOISE + k] = felt * share
-    row[IN_PHASE] = m.flight_phase
+        row[INPUT_SHARE + k] = share
+        row[INPUT_NOISE + k] = felt * share
+    row[INPUT_PHASE] = m.flight_phase
     # Mean over the block so far
     into = m.input_blocks[(m.tick - 1) // s.block_ticks % INPUT_BLOCK_COUNT]
     share = 1.0 / ((m.tick - 1) % s.block_ticks + 1)
     for j in range(INPUT_ROW_SIZE - 1):
         into[j] = row[j] if share == 1.0 else into[j] + share * (row[j] - into[j])
-    into[IN_PHASE] = m.flight_phase
+    into[INPUT_PHASE] = m.flight_phase
     return rises
 
 
@@ -264,11 +268,11 @@ def _backdate_accel_noise(m: FilterMemory, s: FilterSettings, k: int) -> None:
     """Apply the new noise of an accelerometer to buffered inputs that the horizon has not reached."""
     for at in range(m.horizon_tick, m.tick, s.block_ticks):
         e = m.input_blocks[at // s.block_ticks % INPUT_BLOCK_COUNT]
-        share = max(e[IN_SHARE + k], 1e-9)
-        felt = max(e[IN_NOISE + k] / share, m.accel_noise_slow[k])
-        made = e[IN_NOISE + k] / max(1.0 - share, 1e-9)
-        e[IN_SHARE + k] = made / (felt + made)
-        e[IN_NOISE + k] = felt * e[IN_SHARE + k]
+        share = max(e[INPUT_SHARE + k], 1e-9)
+        felt = max(e[INPUT_NOISE + k] / share, m.accel_noise_slow[k])
+        made = e[INPUT_NOISE + k] / max(1.0 - share, 1e-9)
+        e[INPUT_SHARE + k] = made / (felt + made)
+        e[INPUT_NOISE + k] = felt * e[INPUT_SHARE + k]
 
 
 @cached_njit(error_model="numpy")
@@ -282,9 +286,9 @@ def estimate_accel_noise(m: FilterMemory, s: FilterSettings, z: _Array) -> None:
     m.slow_count += 1
     weight = m.slow_count if m.slow_count <= SLOW_NOISE_TICKS // 2 else SLOW_NOISE_TICKS + 1 - m.slow_count
     for k in range(3):
-        off = z[k] - (m.x[SX_THRUST_SCALE] * row[IN_STATIC + k] + row[IN_REST + k])
+        off = z[k] - (m.x[NOMINAL_THRUST_SCALE] * row[INPUT_STATIC + k] + row[INPUT_REST + k])
         m.accel_noise_sum[k] += off
-        m.slow_sum[k] += weight * (off - row[IN_SLOPE + k] * m.axis_work[k])
+        m.slow_sum[k] += weight * (off - row[INPUT_SLOPE + k] * m.axis_work[k])
     if m.slow_count >= SLOW_NOISE_TICKS:
         half = float(SLOW_NOISE_TICKS // 2)
         span = 0.75 * SLOW_NOISE_TICKS * s.dt
@@ -293,13 +297,13 @@ def estimate_accel_noise(m: FilterMemory, s: FilterSettings, z: _Array) -> None:
         for k in range(3):
             mean = m.slow_sum[k] / (half * (half + 1.0))
             # The model's uncertainty, large at lift-off, is not noise of the accelerometers.
-            unknown = 2.0 * m.sigma_output[EX_THRUST_SCALE] * abs(row[IN_STATIC + k])
+            unknown = 2.0 * m.sigma_output[ERROR_THRUST_SCALE] * abs(row[INPUT_STATIC + k])
             step = max(abs(mean - m.slow_mean_prev[k]) - unknown, 0.0)
-            made = row[IN_NOISE + k] / max(1.0 - row[IN_SHARE + k], 1e-9)
+            made = row[INPUT_NOISE + k] / max(1.0 - row[INPUT_SHARE + k], 1e-9)
             density = max(0.5 * step * step * span - made, 0.0)
             if m.flight_phase == PHASE_FLYING and settled:
-                unknown += 2.0 * m.sigma_output[EX_ACCEL_BIAS + k]
-                apart = abs(mean - m.x[SX_ACCEL_BIAS + k]) - (MAX_MODEL_DISAGREEMENT + unknown)
+                unknown += 2.0 * m.sigma_output[ERROR_ACCEL_BIAS + k]
+                apart = abs(mean - m.x[NOMINAL_ACCEL_BIAS + k]) - (MAX_MODEL_DISAGREEMENT + unknown)
                 density += max(apart, 0.0) * max(apart, 0.0)
                 if apart > (m.clip_share[0] + m.clip_share[1] + m.clip_share[2]) * CLIPPING_ERROR_SHARE * s.accel_range:
                     m.force_apart_tick = m.tick
@@ -313,8 +317,8 @@ def estimate_accel_noise(m: FilterMemory, s: FilterSettings, z: _Array) -> None:
                     _backdate_accel_noise(m, s, k)
         m.slow_count = 0
         m.slow_mean_count += 1
-        if m.status[R_ACCELERATION] == STATUS_REJECTED and m.tick >= m.fault_until_tick[R_ACCELERATION]:
-            m.status[R_ACCELERATION], m.reason[R_ACCELERATION] = STATUS_FUSED, REASON_NONE
+        if m.status[READING_ACCELERATION] == STATUS_REJECTED and m.tick >= m.fault_until_tick[READING_ACCELERATION]:
+            m.status[READING_ACCELERATION], m.reason[READING_ACCELERATION] = STATUS_FUSED, REASON_NONE
     if m.accel_noise_count >= FORCE_MEAN_TICKS:
         span = m.accel_noise_count * s.dt
         for k in range(3):
@@ -342,21 +346,21 @@ def _turn_level(m: FilterMemory, v: _Array, start: int) -> None:
 def _restart_level(m: FilterMemory, s: FilterSettings) -> None:
     """Rotate the inputs since the horizon level; reset to level attitude and no bias of the accelerometers."""
     for b in range(INPUT_BLOCK_COUNT):
-        _turn_level(m, m.input_blocks[b], IN_RATES)
+        _turn_level(m, m.input_blocks[b], INPUT_RATES)
     clear_block_forces(m)
     m.task_stage = STAGE_DONE
     for x in (m.x, m.x_repropagating, m.x_now, m.x_output):
-        turn = math.sqrt(x[SX_ATT] * x[SX_ATT] + x[SX_ATT + 3] * x[SX_ATT + 3])
-        x[SX_ATT] /= turn
-        x[SX_ATT + 3] /= turn
-        x[SX_ATT + 1] = x[SX_ATT + 2] = 0.0
+        turn = math.sqrt(x[NOMINAL_ATTITUDE] * x[NOMINAL_ATTITUDE] + x[NOMINAL_ATTITUDE + 3] * x[NOMINAL_ATTITUDE + 3])
+        x[NOMINAL_ATTITUDE] /= turn
+        x[NOMINAL_ATTITUDE + 3] /= turn
+        x[NOMINAL_ATTITUDE + 1] = x[NOMINAL_ATTITUDE + 2] = 0.0
         for k in range(3):
-            x[SX_ACCEL_BIAS + k] = 0.0
+            x[NOMINAL_ACCEL_BIAS + k] = 0.0
     for k in range(3):
-        tilt, bias = s.initial_sigma[EX_ATT + k], s.initial_sigma[EX_ACCEL_BIAS + k]
+        tilt, bias = s.initial_sigma[ERROR_ATTITUDE + k], s.initial_sigma[ERROR_ACCEL_BIAS + k]
         if k < 2:
-            inflate_variance(m.u_transposed, m.ud_diagonal, EX_ATT + k, tilt * tilt, m.u_transposed_h)
-        inflate_variance(m.u_transposed, m.ud_diagonal, EX_ACCEL_BIAS + k, bias * bias, m.u_transposed_h)
+            inflate_variance(m.u_transposed, m.ud_diagonal, ERROR_ATTITUDE + k, tilt * tilt, m.u_transposed_h)
+        inflate_variance(m.u_transposed, m.ud_diagonal, ERROR_ACCEL_BIAS + k, bias * bias, m.u_transposed_h)
 
 
 @cached_njit(error_model="numpy")
@@ -367,7 +371,7 @@ def _decide_level(m: FilterMemory, s: FilterSettings) -> None:
     x, y, d = m.level_sum[0], m.level_sum[1], m.level_sum[2]
     size = math.sqrt(x * x + y * y + d * d)
     x, y, d = -y / size, x / size, -d / size
-    tilt = s.initial_sigma[EX_ACCEL_BIAS] / GRAVITY
+    tilt = s.initial_sigma[ERROR_ACCEL_BIAS] / GRAVITY
     q = x * x + y * y
     m.mount_variance[0] = m.mount_variance[1] = 0.5 * q  # the tilt may be a bias, a lean or the unit's
     if q > LEVEL_GATE * LEVEL_GATE * (s.rest_tilt_sigma * s.rest_tilt_sigma + tilt * tilt) and d > 0.875:
@@ -376,7 +380,7 @@ def _decide_level(m: FilterMemory, s: FilterSettings) -> None:
         rotation_matrix(turn, m.level_rotation)
         m.is_levelled = 1
         _restart_level(m, s)
-        set_fault(m, s, R_ACCELERATION, STATUS_FUSED, REASON_LEVELLED, math.sqrt(q))
+        set_fault(m, s, READING_ACCELERATION, STATUS_FUSED, REASON_LEVELLED, math.sqrt(q))
 
 
 @cached_njit(error_model="numpy")
@@ -387,9 +391,9 @@ def level_inertial_unit(m: FilterMemory, s: FilterSettings, z: _Array) -> None:
     explain shows a tilted unit, whose attitude would err by twice the tilt after half a turn about the mast."""
     needed = int(LEVEL_TIME_S / s.dt)
     if m.level_ticks < needed:
-        still = m.flight_phase == PHASE_STANDING and m.status[R_ACCELERATION] == STATUS_FUSED
+        still = m.flight_phase == PHASE_STANDING and m.status[READING_ACCELERATION] == STATUS_FUSED
         for k in range(3):
-            still = still and abs(z[_Z[R_RATES] + k]) < LEVEL_RATE
+            still = still and abs(z[_Z[READING_RATES] + k]) < LEVEL_RATE
         if m.flight_phase > PHASE_STANDING or s.has_rotor_model == 0:
             m.level_ticks = needed
         elif not still:
@@ -398,8 +402,8 @@ def level_inertial_unit(m: FilterMemory, s: FilterSettings, z: _Array) -> None:
         else:
             m.level_ticks += 1
             for k in range(3):
-                m.level_sum[k] += z[_Z[R_ACCELERATION] + k]
+                m.level_sum[k] += z[_Z[READING_ACCELERATION] + k]
             if m.level_ticks == needed:
                 _decide_level(m, s)
     if m.is_levelled == 1:
-        _turn_level(m, z, _Z[R_ACCELERATION])
+        _turn_level(m, z, _Z[READING_ACCELERATION])

@@ -3,18 +3,18 @@
 The nominal state ``x`` has the indices ``SX_...``, in SI units:
 
 ====================== ======================================================================================
-``SX_POS``             position N, E, D of the centre of gravity
-``SX_VEL``             velocity N, E, D
-``SX_ATT``             attitude, quaternion w x y z
-``SX_GYRO_BIAS``       bias of the gyroscopes, body axes
-``SX_ACCEL_BIAS``      bias of the accelerometers, body axes
-``SX_TERRAIN``         height of the surface under the sonar above D = 0, up
-``SX_FIX_BIAS``        bias of the position fix, N, E, D
-``SX_FIX_HEADING``     bias of the position fix's heading
-``SX_WIND``            wind N, E
-``SX_THRUST_SCALE``    true thrust over the model's
-``SX_PRESSURE_BIAS``   bias of the pressure (Pa)
-``SX_MAG_BIAS``        bias of the magnetic heading (rad)
+``NOMINAL_POSITION``             position N, E, D of the centre of gravity
+``NOMINAL_VELOCITY``             velocity N, E, D
+``NOMINAL_ATTITUDE``             attitude, quaternion w x y z
+``NOMINAL_GYRO_BIAS``       bias of the gyroscopes, body axes
+``NOMINAL_ACCEL_BIAS``      bias of the accelerometers, body axes
+``NOMINAL_TERRAIN``         height of the surface under the sonar above D = 0, up
+``NOMINAL_FIX_BIAS``        bias of the position fix, N, E, D
+``NOMINAL_FIX_HEADING``     bias of the position fix's heading
+``NOMINAL_WIND``            wind N, E
+``NOMINAL_THRUST_SCALE``    true thrust over the model's
+``NOMINAL_PRESSURE_BIAS``   bias of the pressure (Pa)
+``NOMINAL_MAG_BIAS``        bias of the magnetic heading (rad)
 ====================== ======================================================================================
 
 The error state has one number less, with the indices ``EX_...``: the attitude errs by a small turn about N, E and D
@@ -64,23 +64,53 @@ ERROR_STATES: tuple[str, ...] = (
 
 ERROR_STATE_COUNT = len(ERROR_STATES)
 STATE_COUNT = ERROR_STATE_COUNT + 1
-SX_POS, SX_VEL, SX_ATT, SX_GYRO_BIAS, SX_ACCEL_BIAS, SX_TERRAIN = 0, 3, 6, 10, 13, 16
-SX_FIX_BIAS, SX_FIX_HEADING, SX_WIND, SX_THRUST_SCALE, SX_PRESSURE_BIAS, SX_MAG_BIAS = 17, 20, 21, 23, 24, 25
-EX_POS, EX_VEL, EX_ATT, EX_GYRO_BIAS, EX_ACCEL_BIAS, EX_TERRAIN = 0, 3, 6, 9, 12, 15
-EX_FIX_BIAS, EX_FIX_HEADING, EX_WIND, EX_THRUST_SCALE, EX_PRESSURE_BIAS, EX_MAG_BIAS = 16, 19, 20, 22, 23, 24
+NOMINAL_POSITION, NOMINAL_VELOCITY, NOMINAL_ATTITUDE, NOMINAL_GYRO_BIAS, NOMINAL_ACCEL_BIAS, NOMINAL_TERRAIN = (
+    0,
+    3,
+    6,
+    10,
+    13,
+    16,
+)
+NOMINAL_FIX_BIAS, NOMINAL_FIX_HEADING, NOMINAL_WIND, NOMINAL_THRUST_SCALE, NOMINAL_PRESSURE_BIAS, NOMINAL_MAG_BIAS = (
+    17,
+    20,
+    21,
+    23,
+    24,
+    25,
+)
+ERROR_POSITION, ERROR_VELOCITY, ERROR_ATTITUDE, ERROR_GYRO_BIAS, ERROR_ACCEL_BIAS, ERROR_TERRAIN = 0, 3, 6, 9, 12, 15
+ERROR_FIX_BIAS, ERROR_FIX_HEADING, ERROR_WIND, ERROR_THRUST_SCALE, ERROR_PRESSURE_BIAS, ERROR_MAG_BIAS = (
+    16,
+    19,
+    20,
+    22,
+    23,
+    24,
+)
 MODEL_ACCEL = 3
 """Index of the model's acceleration in ``accel_work``."""
 ROTOR_FORCE_STATIC, ROTOR_FORCE_REST, ROTOR_FORCE_SLOPE, ROTOR_FORCE_ANG_ACCEL = 0, 3, 6, 9
 ROTOR_FORCE_SIZE = 12
 """A row of the rotor model, three numbers each: force per mass without motion through the air (m/s^2), the rest of the
 force (m/s^2), its slope over the velocity through the air (1/s), angular acceleration (rad/s^2); body axes."""
-IN_RATES, IN_ACCEL, IN_STATIC, IN_REST, IN_SLOPE, IN_SHARE, IN_NOISE, IN_PHASE = 0, 3, 6, 9, 12, 15, 18, 21
+INPUT_RATES, INPUT_ACCEL, INPUT_STATIC, INPUT_REST, INPUT_SLOPE, INPUT_SHARE, INPUT_NOISE, INPUT_PHASE = (
+    0,
+    3,
+    6,
+    9,
+    12,
+    15,
+    18,
+    21,
+)
 INPUT_ROW_SIZE = 22
 """Size of a row of inputs, which are means over a block. Seven parts have three numbers each: rates (rad/s),
 acceleration (m/s^2), three forces of the rotor model, accelerometer weight and noise density (m^2/s^3). The flight
 phase is the last."""
 
-BIAS_CYCLE_TICKS = ERROR_STATE_COUNT - EX_GYRO_BIAS - 4
+BIAS_CYCLE_TICKS = ERROR_STATE_COUNT - ERROR_GYRO_BIAS - 4
 """Periods in which each bias steps once, but for those of the fix, which step with it."""
 
 MAX_FUSED_BEAMS = 8
@@ -98,7 +128,17 @@ QUEUED_COUNT = len(QUEUED_READINGS)
 FIX_NORTH, FIX_EAST, FIX_DOWN, FIX_HEADING = range(4)
 FIX_COMPONENT_COUNT = 4
 """Components of a position fix (m, rad)."""
-R_ACCELERATION, R_RATES, R_SONAR, R_RING, R_PRESSURE, R_MAGNET, R_ROTOR, R_FIX, R_BATTERY = range(9)
+(
+    READING_ACCELERATION,
+    READING_RATES,
+    READING_SONAR,
+    READING_RING,
+    READING_PRESSURE,
+    READING_MAGNET,
+    READING_ROTOR,
+    READING_FIX,
+    READING_BATTERY,
+) = range(9)
 """Places of the readings in these tables, as :data:`mufly.quantities.sensor_table.SENSORS` gives them."""
 PHASE_STANDING, PHASE_COASTING, PHASE_RUNNING, PHASE_LIGHT, PHASE_FLYING = range(5)
 """On the floor with motors off, with motors on, perhaps just off it, in the air."""
@@ -414,19 +454,23 @@ def filter_settings(
     sigma, tau = np.zeros(ERROR_STATE_COUNT), np.full(ERROR_STATE_COUNT, np.inf)
     walk = np.zeros(ERROR_STATE_COUNT)  # random walk on top (unit per sqrt(s))
     start = np.zeros(STATE_COUNT)
-    start[SX_ATT] = start[SX_THRUST_SCALE] = 1.0
+    start[NOMINAL_ATTITUDE] = start[NOMINAL_THRUST_SCALE] = 1.0
     stands = standing_height(vehicle)
-    start[SX_POS + 2] = -stands
-    sigma[EX_POS : EX_POS + 2], sigma[EX_POS + 2], sigma[EX_VEL:EX_ATT] = INITIAL_POSITION_SIGMA_M, 3e-3, 0.01
+    start[NOMINAL_POSITION + 2] = -stands
+    sigma[ERROR_POSITION : ERROR_POSITION + 2], sigma[ERROR_POSITION + 2], sigma[ERROR_VELOCITY:ERROR_ATTITUDE] = (
+        INITIAL_POSITION_SIGMA_M,
+        3e-3,
+        0.01,
+    )
     level = DEFAULT_LEVEL_ERROR_RAD if sensing.imu is None else float(sensing.imu.level)
-    sigma[EX_ATT : EX_ATT + 2], sigma[EX_ATT + 2] = level, math.pi
-    sigma[EX_TERRAIN], walk[EX_TERRAIN] = (
+    sigma[ERROR_ATTITUDE : ERROR_ATTITUDE + 2], sigma[ERROR_ATTITUDE + 2] = level, math.pi
+    sigma[ERROR_TERRAIN], walk[ERROR_TERRAIN] = (
         INITIAL_TERRAIN_SIGMA,
         TERRAIN_WALK,
     )  # the last times the root of the speed
-    sigma[EX_WIND : EX_WIND + 2], tau[EX_WIND : EX_WIND + 2] = WIND_SIGMA_AND_TIME
-    sigma[EX_THRUST_SCALE], walk[EX_THRUST_SCALE] = THRUST_SCALE_SIGMA, THRUST_SCALE_WALK
-    walk[EX_POS:EX_VEL] = 1e-4
+    sigma[ERROR_WIND : ERROR_WIND + 2], tau[ERROR_WIND : ERROR_WIND + 2] = WIND_SIGMA_AND_TIME
+    sigma[ERROR_THRUST_SCALE], walk[ERROR_THRUST_SCALE] = THRUST_SCALE_SIGMA, THRUST_SCALE_WALK
+    walk[ERROR_POSITION:ERROR_VELOCITY] = 1e-4
     s["dt"] = dt
     s["ground_clearance"], s["weight"], s["rest_tilt_sigma"] = stands, p["mass"] * GRAVITY, level
     s["thrust_coefficients"] = p["thrust_up"], p["thrust_dw"]
@@ -443,10 +487,13 @@ def filter_settings(
     every, noisy, slack = np.ones(SENSOR_COUNT), np.zeros(SENSOR_COUNT), np.full(SENSOR_COUNT, 0.05)
     delay_s = 0.0
     if (imu := sensing.imu) is not None:
-        fitted[[R_ACCELERATION, R_RATES]] = 1
+        fitted[[READING_ACCELERATION, READING_RATES]] = 1
         lag = math.sqrt(2.0) / float(imu.bandwidth)  # of a second-order Butterworth filter at low frequencies
-        noisy[R_ACCELERATION], noisy[R_RATES] = float(imu.accelerometer_noise) > 0, float(imu.gyro_noise) > 0
-        slack[[R_ACCELERATION, R_RATES]] = 1.5 * dt
+        noisy[READING_ACCELERATION], noisy[READING_RATES] = (
+            float(imu.accelerometer_noise) > 0,
+            float(imu.gyro_noise) > 0,
+        )
+        slack[[READING_ACCELERATION, READING_RATES]] = 1.5 * dt
         s["imu_lag"], s["imu_lag_ticks"], s["imu_lag_remainder"] = lag, int(lag / dt), lag / dt - int(lag / dt)
         s["imu_position"] = imu.place.to_array()[0]
         s["gyro_density"], s["accel_density"] = (
@@ -455,17 +502,19 @@ def filter_settings(
         )
         s["gyro_axis_variance"] = np.square([float(imu.misalignment)] * 2 + [float(imu.scale_error)])
         s["accel_range"], s["gyro_range"] = float(imu.accelerometer_range), float(imu.gyro_range)
-        bound[R_ACCELERATION], bound[R_RATES] = 1.2 * s["accel_range"], 1.2 * s["gyro_range"]
+        bound[READING_ACCELERATION], bound[READING_RATES] = 1.2 * s["accel_range"], 1.2 * s["gyro_range"]
         heat = float(imu.warming)
         band = float(imu.bandwidth) / (2 * math.pi)
         # Scale and misalignment of axes that stand level are a bias; so is what gyroscopes feel of gravity.
         off = math.hypot(float(imu.scale_error), float(imu.misalignment)) * GRAVITY
-        sigma[EX_ACCEL_BIAS:EX_TERRAIN] = math.hypot(float(imu.accelerometer_bias), off)
-        sigma[EX_GYRO_BIAS:EX_ACCEL_BIAS] = math.hypot(float(imu.gyro_bias), float(imu.gyro_g_sensitivity) * GRAVITY)
+        sigma[ERROR_ACCEL_BIAS:ERROR_TERRAIN] = math.hypot(float(imu.accelerometer_bias), off)
+        sigma[ERROR_GYRO_BIAS:ERROR_ACCEL_BIAS] = math.hypot(
+            float(imu.gyro_bias), float(imu.gyro_g_sensitivity) * GRAVITY
+        )
         time = float(imu.drift_time)
         for axes, drift, warm in (
-            (slice(EX_ACCEL_BIAS, EX_TERRAIN), imu.accelerometer_drift, imu.accelerometer_temperature),
-            (slice(EX_GYRO_BIAS, EX_ACCEL_BIAS), imu.gyro_drift, imu.gyro_temperature),
+            (slice(ERROR_ACCEL_BIAS, ERROR_TERRAIN), imu.accelerometer_drift, imu.accelerometer_temperature),
+            (slice(ERROR_GYRO_BIAS, ERROR_ACCEL_BIAS), imu.gyro_drift, imu.gyro_temperature),
         ):
             # Wandering, and warming taken as a random walk that reaches as far in the warming's time
             walk[axes] = math.hypot(
@@ -477,7 +526,7 @@ def filter_settings(
     else:
         s["imu_lag_remainder"] = 0.0
     if (sonar := sensing.sonar) is not None:
-        fitted[R_SONAR], period[R_SONAR] = 1, float(sonar.period)
+        fitted[READING_SONAR], period[READING_SONAR] = 1, float(sonar.period)
         s["sonar_position"] = sonar.place.to_array()[0]
         s["sonar_variance"] = float(sonar.noise) ** 2 + float(sonar.resolution) ** 2 / 12 + 1e-6
         s["sonar_resolution"] = float(sonar.resolution)
@@ -485,12 +534,12 @@ def filter_settings(
         # Of an edge that comes into the cone: how much farther than its top it is, and how far ahead
         s["sonar_arc"], s["sonar_cone_slope"] = 1.0 / s["sonar_cone"] - 1.0, math.tan(0.5 * float(sonar.cone))
         s["sonar_min"], s["sonar_max"] = max_grounded_range(vehicle), float(sonar.max_range)
-        bound[R_SONAR] = 1.01 * s["sonar_max"]
-        latency[R_SONAR] = 2 * float(sonar.max_range) / 340.0
-        delay_s = max(delay_s, latency[R_SONAR])
+        bound[READING_SONAR] = 1.01 * s["sonar_max"]
+        latency[READING_SONAR] = 2 * float(sonar.max_range) / 340.0
+        delay_s = max(delay_s, latency[READING_SONAR])
     ring = sensing.ring_camera
     if ring is not None:
-        fitted[R_RING], period[R_RING] = 1, float(ring.period)
+        fitted[READING_RING], period[READING_RING] = 1, float(ring.period)
         directions = beam_directions(vehicle)
         count = min(len(directions), MAX_FUSED_BEAMS)
         pick = fused_beam_indices(len(directions))
@@ -508,28 +557,28 @@ def filter_settings(
         rows /= float(ring.brightness) * columns * math.sqrt(2 * math.pi) * blur
         s["ring_constant_variance"] = max(row * float(ring.calibration), _MIN_BEAM_ERROR) ** 2
         s["ring_noise_variance"] = (row * rows) ** 2
-        bound[R_RING] = 1.01 * max(float(vehicle.range_ring.max_range), float(ring.max_range))
-        noisy[R_RING] = 1
+        bound[READING_RING] = 1.01 * max(float(vehicle.range_ring.max_range), float(ring.max_range))
+        noisy[READING_RING] = 1
     north, east, up = ((-1e6, 1e6), (-1e6, 1e6), -1e6)
     if world.room is not None:
         north, east = world.room.north, world.room.east
         up = -min(world.room.height, 1e6)
     s["wall_planes"] = (*north, *east, up, 0.0)
     if (air := sensing.pressure) is not None:
-        fitted[R_PRESSURE], period[R_PRESSURE], latency[R_PRESSURE] = 1, float(air.period), 0.0
-        every[R_PRESSURE] = max(1, round(0.1 / float(air.period)))
-        noisy[R_PRESSURE] = float(air.noise) > 0
+        fitted[READING_PRESSURE], period[READING_PRESSURE], latency[READING_PRESSURE] = 1, float(air.period), 0.0
+        every[READING_PRESSURE] = max(1, round(0.1 / float(air.period)))
+        noisy[READING_PRESSURE] = float(air.noise) > 0
         s["pressure_variance"] = float(air.noise) ** 2
         density = float(vehicle.air.density)
         s["pressure_slope"] = density * GRAVITY
         area = math.pi * float(vehicle.rotors.radius) ** 2
         s["pressure_thrust"] = float(air.downwash) * np.array([p["thrust_up"], p["thrust_dw"]]) / area
-        sigma[EX_PRESSURE_BIAS], tau[EX_PRESSURE_BIAS] = float(air.drift), float(air.drift_time)
-        bound[R_PRESSURE] = 2e5
+        sigma[ERROR_PRESSURE_BIAS], tau[ERROR_PRESSURE_BIAS] = float(air.drift), float(air.drift_time)
+        bound[READING_PRESSURE] = 2e5
     if (compass := sensing.magnetometer) is not None:
-        fitted[R_MAGNET], period[R_MAGNET] = 1, float(compass.period)
-        every[R_MAGNET] = max(1, round(0.1 / float(compass.period)))
-        noisy[R_MAGNET] = float(compass.noise) > 0
+        fitted[READING_MAGNET], period[READING_MAGNET] = 1, float(compass.period)
+        every[READING_MAGNET] = max(1, round(0.1 / float(compass.period)))
+        noisy[READING_MAGNET] = float(compass.noise) > 0
         s["earth_field"] = earth_field(float(compass.field), float(compass.inclination))
         field = max(float(s["earth_field"][0]), 1e-9)
         # Heave control swings the current by half of a hover's, and its field with it
@@ -539,39 +588,39 @@ def filter_settings(
         wrong = math.hypot(float(compass.distortion), float(compass.hard_iron), float(compass.motor_field) * current)
         off = math.hypot(wrong, swing, float(compass.noise), EARTH_FIELD_ERROR * float(compass.field))
         s["mag_field_variance"] = off**2
-        sigma[EX_MAG_BIAS], tau[EX_MAG_BIAS] = min(wrong / field, 2.0), float(compass.distortion_length) / 0.3
-        bound[R_MAGNET] = 1e-3
+        sigma[ERROR_MAG_BIAS], tau[ERROR_MAG_BIAS] = min(wrong / field, 2.0), float(compass.distortion_length) / 0.3
+        bound[READING_MAGNET] = 1e-3
     if (rotor := sensing.rotor_speed) is not None:
-        fitted[R_ROTOR], period[R_ROTOR] = 1, float(rotor.period)
+        fitted[READING_ROTOR], period[READING_ROTOR] = 1, float(rotor.period)
         noise = float(rotor.noise) / (float(vehicle.motor.back_emf_constant) * float(vehicle.gear.ratio))
-        noisy[R_ROTOR] = noise > 0
+        noisy[READING_ROTOR] = noise > 0
         # Steady Kalman filter of a random walk of these steps, read with this noise
         s["rotor_speed_gain"] = 2.0 / (
             1.0 + math.sqrt(1.0 + 4.0 * (noise / (MOTOR_SPEED_NOISE * s["hover_speed"][0])) ** 2)
         )
         # What the equations are off by for long: learnt in some 0.7 s
         s["motor_error_gain"] = 0.06 * s["rotor_speed_gain"] ** 2 / float(rotor.period)
-        bound[R_ROTOR] = 5 * float(s["hover_speed"].max())
+        bound[READING_ROTOR] = 5 * float(s["hover_speed"].max())
     if sensing.battery is not None:
-        fitted[R_BATTERY], period[R_BATTERY] = 1, float(sensing.battery.period)
-        bound[R_BATTERY] = 5 * float(vehicle.battery.nominal_voltage)
+        fitted[READING_BATTERY], period[READING_BATTERY] = 1, float(sensing.battery.period)
+        bound[READING_BATTERY] = 5 * float(vehicle.battery.nominal_voltage)
     if (fix := sensing.position_fix) is not None:
-        fitted[R_FIX], period[R_FIX], latency[R_FIX] = 1, float(fix.period), float(fix.latency)
+        fitted[READING_FIX], period[READING_FIX], latency[READING_FIX] = 1, float(fix.period), float(fix.latency)
         delay_s = max(delay_s, float(fix.latency))
         s["fix_variance"], s["heading_variance"] = float(fix.noise) ** 2, float(fix.heading_noise) ** 2
-        sigma[EX_FIX_BIAS : EX_FIX_BIAS + 3], sigma[EX_FIX_HEADING] = (
+        sigma[ERROR_FIX_BIAS : ERROR_FIX_BIAS + 3], sigma[ERROR_FIX_HEADING] = (
             float(fix.wander),
             float(fix.heading_wander),
         )
-        tau[EX_FIX_BIAS : EX_FIX_BIAS + 4] = float(fix.wander_time)
-        bound[R_FIX] = 1e4
-        noisy[R_FIX] = float(fix.noise) > 0
-        slack[R_FIX] = 6 * float(fix.jitter) + dt
+        tau[ERROR_FIX_BIAS : ERROR_FIX_BIAS + 4] = float(fix.wander_time)
+        bound[READING_FIX] = 1e4
+        noisy[READING_FIX] = float(fix.noise) > 0
+        slack[READING_FIX] = 6 * float(fix.jitter) + dt
     # What moves steps by blocks, what the fix is off by so many of them; of other biases one a period, in turn.
     block = max(1, round(block_s / dt))
     state = np.arange(ERROR_STATE_COUNT)
     span = np.where(
-        (state < EX_GYRO_BIAS) | ((state >= EX_FIX_BIAS) & (state <= EX_FIX_HEADING)),
+        (state < ERROR_GYRO_BIAS) | ((state >= ERROR_FIX_BIAS) & (state <= ERROR_FIX_HEADING)),
         block * dt,
         BIAS_CYCLE_TICKS * dt,
     )

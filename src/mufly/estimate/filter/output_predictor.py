@@ -13,23 +13,23 @@ from numpy.typing import NDArray
 from mufly.compiled.numba_cache import cached_njit
 from mufly.compiled.portable_math import floor_int, portable_atan2, sine_cosine
 from mufly.estimate.filter.filter_records import (
+    ERROR_ATTITUDE,
     ERROR_STATE_COUNT,
-    EX_ATT,
-    EX_VEL,
+    ERROR_VELOCITY,
     FULL_TURN_RAD,
-    IN_NOISE,
-    IN_SHARE,
     INPUT_BLOCK_COUNT,
+    INPUT_NOISE,
+    INPUT_SHARE,
     MAX_FLOOR_HEIGHT,
+    NOMINAL_ATTITUDE,
+    NOMINAL_GYRO_BIAS,
+    NOMINAL_POSITION,
+    NOMINAL_TERRAIN,
+    NOMINAL_VELOCITY,
     PHASE_FLYING,
     ROTOR_FORCE_ANG_ACCEL,
     ROTOR_FORCE_HISTORY,
     STATE_COUNT,
-    SX_ATT,
-    SX_GYRO_BIAS,
-    SX_POS,
-    SX_TERRAIN,
-    SX_VEL,
     FilterMemory,
     FilterSettings,
 )
@@ -52,7 +52,7 @@ def velocity_noise_density(r: _Array, k: int, e: _Array) -> float:
     """Return the spectral density of the velocity noise along axis ``k`` of N-E-D (m^2/s^3)."""
     spread = 0.0
     for i in range(3):
-        spread += r[3 * k + i] * r[3 * k + i] * e[IN_NOISE + i]
+        spread += r[3 * k + i] * r[3 * k + i] * e[INPUT_NOISE + i]
     return spread
 
 
@@ -63,7 +63,7 @@ def _smooth_output(m: FilterMemory, s: FilterSettings) -> None:
     The removed share grows steadily with the jump, so that small differences have small effects."""
     x = m.x_output
     for k in range(3):
-        jump = x[k] - (m.position_prev[k] + s.dt * x[SX_VEL + k])
+        jump = x[k] - (m.position_prev[k] + s.dt * x[NOMINAL_VELOCITY + k])
         if m.is_initialised > 0 and abs(jump) > OUTPUT_JUMP_M:
             m.position_slip[k] -= jump * min(abs(jump) / OUTPUT_JUMP_M - 1.0, 1.0)
         m.position_prev[k] = x[k]
@@ -74,7 +74,12 @@ def _smooth_output(m: FilterMemory, s: FilterSettings) -> None:
 @cached_njit(error_model="numpy")
 def _output_angles(m: FilterMemory) -> None:
     """Write roll, pitch and yaw of the output."""
-    w, x, y, z = m.x_output[SX_ATT], m.x_output[SX_ATT + 1], m.x_output[SX_ATT + 2], m.x_output[SX_ATT + 3]
+    w, x, y, z = (
+        m.x_output[NOMINAL_ATTITUDE],
+        m.x_output[NOMINAL_ATTITUDE + 1],
+        m.x_output[NOMINAL_ATTITUDE + 2],
+        m.x_output[NOMINAL_ATTITUDE + 3],
+    )
     sine = min(max(2 * (w * y - z * x), -1.0), 1.0)
     m.angles_output[0] = portable_atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
     m.angles_output[1] = portable_atan2(sine, math.sqrt((1 - sine) * (1 + sine)))
@@ -100,14 +105,16 @@ def _propagate_covariance(m: FilterMemory, s: FilterSettings, r: _Array) -> None
                 m.covariance_output[i, j] += c * m.gain[j]
     for k in range(3):
         m.covariance_output[k, k] += m.now_velocity_variance[k] * span * span / 3.0
-        m.covariance_output[k, EX_VEL + k] += m.now_velocity_variance[k] * span / 2.0
-        m.covariance_output[EX_VEL + k, EX_VEL + k] += m.now_velocity_variance[k]
+        m.covariance_output[k, ERROR_VELOCITY + k] += m.now_velocity_variance[k] * span / 2.0
+        m.covariance_output[ERROR_VELOCITY + k, ERROR_VELOCITY + k] += m.now_velocity_variance[k]
         for i in range(3):
             # Vibration affects the velocity for half a revolution; block means measure its size.
-            share = r[3 * k + i] * m.inputs_now[IN_SHARE + i]
+            share = r[3 * k + i] * m.inputs_now[INPUT_SHARE + i]
             shaking = max(m.accel_noise[i] - m.accel_noise_slow[i], 0.0)
-            m.covariance_output[EX_VEL + k, EX_VEL + k] += share * share * ((FORCE_MEAN_TICKS * s.dt) * shaking)
-        m.covariance_output[EX_ATT + k, EX_ATT + k] += s.gyro_density * span
+            m.covariance_output[ERROR_VELOCITY + k, ERROR_VELOCITY + k] += (
+                share * share * ((FORCE_MEAN_TICKS * s.dt) * shaking)
+            )
+        m.covariance_output[ERROR_ATTITUDE + k, ERROR_ATTITUDE + k] += s.gyro_density * span
 
 
 @cached_njit(error_model="numpy")
@@ -125,19 +132,25 @@ def _output_covariance(m: FilterMemory) -> None:
         m.sigma_output[i] = math.sqrt(m.covariance_output[i, i])
     # Turns about N, E, D to roll, pitch and yaw
     x = m.x_output
-    sine = min(max(2 * (x[SX_ATT] * x[SX_ATT + 2] - x[SX_ATT + 3] * x[SX_ATT + 1]), -1.0), 1.0)
+    sine = min(
+        max(
+            2 * (x[NOMINAL_ATTITUDE] * x[NOMINAL_ATTITUDE + 2] - x[NOMINAL_ATTITUDE + 3] * x[NOMINAL_ATTITUDE + 1]),
+            -1.0,
+        ),
+        1.0,
+    )
     cosine = max(math.sqrt(1 - sine * sine), 0.05)
     t, c = sine_cosine(m.angles_output[2])
     for j in range(9):
-        n_, e_ = m.covariance_output[EX_ATT, j], m.covariance_output[EX_ATT + 1, j]
-        m.covariance_output[EX_ATT, j] = (c * n_ + t * e_) / cosine
-        m.covariance_output[EX_ATT + 1, j] = -t * n_ + c * e_
-        m.covariance_output[EX_ATT + 2, j] += sine / cosine * (c * n_ + t * e_)
+        n_, e_ = m.covariance_output[ERROR_ATTITUDE, j], m.covariance_output[ERROR_ATTITUDE + 1, j]
+        m.covariance_output[ERROR_ATTITUDE, j] = (c * n_ + t * e_) / cosine
+        m.covariance_output[ERROR_ATTITUDE + 1, j] = -t * n_ + c * e_
+        m.covariance_output[ERROR_ATTITUDE + 2, j] += sine / cosine * (c * n_ + t * e_)
     for j in range(9):
-        n_, e_ = m.covariance_output[j, EX_ATT], m.covariance_output[j, EX_ATT + 1]
-        m.covariance_output[j, EX_ATT] = (c * n_ + t * e_) / cosine
-        m.covariance_output[j, EX_ATT + 1] = -t * n_ + c * e_
-        m.covariance_output[j, EX_ATT + 2] += sine / cosine * (c * n_ + t * e_)
+        n_, e_ = m.covariance_output[j, ERROR_ATTITUDE], m.covariance_output[j, ERROR_ATTITUDE + 1]
+        m.covariance_output[j, ERROR_ATTITUDE] = (c * n_ + t * e_) / cosine
+        m.covariance_output[j, ERROR_ATTITUDE + 1] = -t * n_ + c * e_
+        m.covariance_output[j, ERROR_ATTITUDE + 2] += sine / cosine * (c * n_ + t * e_)
 
 
 @cached_njit(error_model="numpy")
@@ -181,20 +194,20 @@ def predict_output(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array) -> 
     # The states lag the tick by `imu_lag`: the last rates and acceleration bridge the difference.
     a[2] += GRAVITY
     for k in range(3):
-        x[k] += s.imu_lag * (x[SX_VEL + k] + 0.5 * s.imu_lag * a[k])
-        x[SX_VEL + k] += s.imu_lag * a[k]
-        m.rates_output[k] = m.gyro_rates[k] - x[SX_GYRO_BIAS + k]
+        x[k] += s.imu_lag * (x[NOMINAL_VELOCITY + k] + 0.5 * s.imu_lag * a[k])
+        x[NOMINAL_VELOCITY + k] += s.imu_lag * a[k]
+        m.rates_output[k] = m.gyro_rates[k] - x[NOMINAL_GYRO_BIAS + k]
         if s.has_rotor_model > 0 and m.flight_phase == PHASE_FLYING:
             m.rates_output[k] += s.imu_lag * m.rotor_force[m.tick % ROTOR_FORCE_HISTORY, ROTOR_FORCE_ANG_ACCEL + k]
     rotate_attitude(
         x, s.imu_lag * m.rates_output[0], s.imu_lag * m.rates_output[1], s.imu_lag * m.rates_output[2], True
     )
-    if s.has_rotor_model > 0 and x[SX_TERRAIN] < MAX_FLOOR_HEIGHT:
+    if s.has_rotor_model > 0 and x[NOMINAL_TERRAIN] < MAX_FLOOR_HEIGHT:
         # The legs must not enter the floor during or after the propagation.
-        lowest = -(max(x[SX_TERRAIN], 0.0) + s.ground_clearance)
-        if x[SX_POS + 2] >= lowest:
-            x[SX_POS + 2] = lowest
-            x[SX_VEL + 2] = min(x[SX_VEL + 2], 0.0)
+        lowest = -(max(x[NOMINAL_TERRAIN], 0.0) + s.ground_clearance)
+        if x[NOMINAL_POSITION + 2] >= lowest:
+            x[NOMINAL_POSITION + 2] = lowest
+            x[NOMINAL_VELOCITY + 2] = min(x[NOMINAL_VELOCITY + 2], 0.0)
     _smooth_output(m, s)
     _output_angles(m)
     if much:

@@ -33,14 +33,14 @@ from mufly.compiled.portable_math import sine_cosine
 from mufly.dynamics import battery_state
 from mufly.dynamics.equations_of_motion import _clip_value, state_derivative_tilted
 from mufly.dynamics.model_state import (
-    RS_BAR,
-    RS_CHARGE,
-    RS_RATES,
-    RS_SPEED_LOWER,
-    RS_SPEED_UPPER,
-    RS_SWASH_PITCH,
-    RS_SWASH_ROLL,
-    RS_VEL,
+    MODEL_BAR,
+    MODEL_CHARGE,
+    MODEL_RATES,
+    MODEL_SPEED_LOWER,
+    MODEL_SPEED_UPPER,
+    MODEL_SWASH_PITCH,
+    MODEL_SWASH_ROLL,
+    MODEL_VELOCITY,
     U_MOTOR_LOWER,
     U_MOTOR_UPPER,
     U_SERVO_1,
@@ -48,25 +48,25 @@ from mufly.dynamics.model_state import (
     ModelParameters,
 )
 from mufly.estimate.filter.filter_records import (
-    IN_ACCEL,
-    IN_PHASE,
-    IN_RATES,
-    IN_REST,
-    IN_SHARE,
-    IN_SLOPE,
-    IN_STATIC,
+    INPUT_ACCEL,
+    INPUT_PHASE,
+    INPUT_RATES,
+    INPUT_REST,
+    INPUT_SHARE,
+    INPUT_SLOPE,
+    INPUT_STATIC,
     MODEL_ACCEL,
+    NOMINAL_ACCEL_BIAS,
+    NOMINAL_ATTITUDE,
+    NOMINAL_GYRO_BIAS,
+    NOMINAL_THRUST_SCALE,
+    NOMINAL_VELOCITY,
+    NOMINAL_WIND,
     PHASE_RUNNING,
     ROTOR_FORCE_ANG_ACCEL,
     ROTOR_FORCE_REST,
     ROTOR_FORCE_SLOPE,
     ROTOR_FORCE_STATIC,
-    SX_ACCEL_BIAS,
-    SX_ATT,
-    SX_GYRO_BIAS,
-    SX_THRUST_SCALE,
-    SX_VEL,
-    SX_WIND,
     TRANSITION_ACCEL,
     TRANSITION_AIR,
     TRANSITION_THRUST,
@@ -101,14 +101,19 @@ def rotate_attitude(x: _Array, t_x: float, t_y: float, t_z: float, own: bool) ->
         k, c = sine_cosine(0.5 * angle)
         k = k / angle
     a, b, d = k * t_x, k * t_y, k * t_z
-    w, q_x, q_y, q_z = x[SX_ATT], x[SX_ATT + 1], x[SX_ATT + 2], x[SX_ATT + 3]
+    w, q_x, q_y, q_z = x[NOMINAL_ATTITUDE], x[NOMINAL_ATTITUDE + 1], x[NOMINAL_ATTITUDE + 2], x[NOMINAL_ATTITUDE + 3]
     s = 1.0 if own else -1.0
     n_w = w * c - q_x * a - q_y * b - q_z * d
     n_x = q_x * c + w * a + s * (q_y * d - q_z * b)
     n_y = q_y * c + w * b + s * (q_z * a - q_x * d)
     n_z = q_z * c + w * d + s * (q_x * b - q_y * a)
     size = 1.0 / math.sqrt(n_w * n_w + n_x * n_x + n_y * n_y + n_z * n_z)
-    x[SX_ATT], x[SX_ATT + 1], x[SX_ATT + 2], x[SX_ATT + 3] = n_w * size, n_x * size, n_y * size, n_z * size
+    x[NOMINAL_ATTITUDE], x[NOMINAL_ATTITUDE + 1], x[NOMINAL_ATTITUDE + 2], x[NOMINAL_ATTITUDE + 3] = (
+        n_w * size,
+        n_x * size,
+        n_y * size,
+        n_z * size,
+    )
 
 
 @cached_njit(error_model="numpy")
@@ -118,20 +123,24 @@ def predict_state(x: _Array, e: _Array, dt: float, r: _Array, a: _Array) -> None
     ``r`` (9,) returns the attitude in the middle of the step, ``a`` (6,) the acceleration without gravity in N-E-D
     and the model's force per mass in body axes."""
     t_x, t_y, t_z = (
-        dt * (e[IN_RATES] - x[SX_GYRO_BIAS]),
-        dt * (e[IN_RATES + 1] - x[SX_GYRO_BIAS + 1]),
-        dt * (e[IN_RATES + 2] - x[SX_GYRO_BIAS + 2]),
+        dt * (e[INPUT_RATES] - x[NOMINAL_GYRO_BIAS]),
+        dt * (e[INPUT_RATES + 1] - x[NOMINAL_GYRO_BIAS + 1]),
+        dt * (e[INPUT_RATES + 2] - x[NOMINAL_GYRO_BIAS + 2]),
     )
     rotate_attitude(x, 0.5 * t_x, 0.5 * t_y, 0.5 * t_z, True)
-    rotation_matrix(x[SX_ATT : SX_ATT + 4], r)
+    rotation_matrix(x[NOMINAL_ATTITUDE : NOMINAL_ATTITUDE + 4], r)
     rotate_attitude(x, 0.5 * t_x, 0.5 * t_y, 0.5 * t_z, True)
-    n, o, d = x[SX_VEL] - x[SX_WIND], x[SX_VEL + 1] - x[SX_WIND + 1], x[SX_VEL + 2]
+    n, o, d = (
+        x[NOMINAL_VELOCITY] - x[NOMINAL_WIND],
+        x[NOMINAL_VELOCITY + 1] - x[NOMINAL_WIND + 1],
+        x[NOMINAL_VELOCITY + 2],
+    )
     for k in range(3):
         along = r[k] * n + r[3 + k] * o + r[6 + k] * d
-        made = x[SX_THRUST_SCALE] * e[IN_STATIC + k] + e[IN_REST + k] + e[IN_SLOPE + k] * along
-        share = e[IN_SHARE + k]
+        made = x[NOMINAL_THRUST_SCALE] * e[INPUT_STATIC + k] + e[INPUT_REST + k] + e[INPUT_SLOPE + k] * along
+        share = e[INPUT_SHARE + k]
         a[MODEL_ACCEL + k] = made
-        r_f = share * (e[IN_ACCEL + k] - x[SX_ACCEL_BIAS + k]) + (1 - share) * made
+        r_f = share * (e[INPUT_ACCEL + k] - x[NOMINAL_ACCEL_BIAS + k]) + (1 - share) * made
         if k == 0:
             f_x = r_f
         elif k == 1:
@@ -141,8 +150,8 @@ def predict_state(x: _Array, e: _Array, dt: float, r: _Array, a: _Array) -> None
     for k in range(3):
         a[k] = r[3 * k] * f_x + r[3 * k + 1] * f_y + r[3 * k + 2] * f_z
         gain = a[k] + (GRAVITY if k == 2 else 0.0)
-        x[k] += dt * (x[SX_VEL + k] + 0.5 * dt * gain)
-        x[SX_VEL + k] += dt * gain
+        x[k] += dt * (x[NOMINAL_VELOCITY + k] + 0.5 * dt * gain)
+        x[NOMINAL_VELOCITY + k] += dt * gain
 
 
 @cached_njit(error_model="numpy")
@@ -178,15 +187,15 @@ def error_transition(e: _Array, span: float, r: _Array, push: _Array, out: _Arra
         for j in range(3):
             own = span * r[3 * i + j]
             out[3 * i + j] = own
-            out[TRANSITION_ACCEL + 3 * i + j] = -own * e[IN_SHARE + j]
-            k_ += own * ((1 - e[IN_SHARE + j]) * e[IN_STATIC + j])
+            out[TRANSITION_ACCEL + 3 * i + j] = -own * e[INPUT_SHARE + j]
+            k_ += own * ((1 - e[INPUT_SHARE + j]) * e[INPUT_STATIC + j])
         out[TRANSITION_THRUST + i] = k_
-        out[TRANSITION_TURN + i] = 0.0 if e[IN_PHASE] <= PHASE_RUNNING else span * push[i]
+        out[TRANSITION_TURN + i] = 0.0 if e[INPUT_PHASE] <= PHASE_RUNNING else span * push[i]
     for i in range(3):
         for j in range(i, 3):
             s = 0.0
             for k in range(3):
-                s += out[3 * i + k] * ((1 - e[IN_SHARE + k]) * e[IN_SLOPE + k]) * r[3 * j + k]
+                s += out[3 * i + k] * ((1 - e[INPUT_SHARE + k]) * e[INPUT_SLOPE + k]) * r[3 * j + k]
             out[TRANSITION_AIR + 3 * i + j] = s
             out[TRANSITION_AIR + 3 * j + i] = s
 
@@ -227,47 +236,47 @@ def predict_rotor_force(m: FilterMemory, s: FilterSettings, p: ModelParameters, 
     settled, mean = s.swash_decay, s.swash_decay_mean
     to_roll = p.swash_gain * _clip_value(u[U_SERVO_2], -1.0, 1.0)
     to_pitch = -p.swash_gain * _clip_value(u[U_SERVO_1], -1.0, 1.0)
-    roll, pitch = x[RS_SWASH_ROLL], x[RS_SWASH_PITCH]
-    x[RS_SWASH_ROLL] = to_roll + (roll - to_roll) * mean
-    x[RS_SWASH_PITCH] = to_pitch + (pitch - to_pitch) * mean
-    x[RS_VEL] = x[RS_VEL + 1] = x[RS_VEL + 2] = 0.0
-    sin_a, cos_a = sine_cosine(x[RS_SWASH_ROLL])
-    sin_b, cos_b = sine_cosine(x[RS_SWASH_PITCH])
+    roll, pitch = x[MODEL_SWASH_ROLL], x[MODEL_SWASH_PITCH]
+    x[MODEL_SWASH_ROLL] = to_roll + (roll - to_roll) * mean
+    x[MODEL_SWASH_PITCH] = to_pitch + (pitch - to_pitch) * mean
+    x[MODEL_VELOCITY] = x[MODEL_VELOCITY + 1] = x[MODEL_VELOCITY + 2] = 0.0
+    sin_a, cos_a = sine_cosine(x[MODEL_SWASH_ROLL])
+    sin_b, cos_b = sine_cosine(x[MODEL_SWASH_PITCH])
     _model_derivative(x, u, m.no_wind, p, sin_a, cos_a, sin_b, cos_b, dx)
-    up, dw = dx[RS_SPEED_UPPER], dx[RS_SPEED_LOWER]
-    x[RS_SPEED_UPPER] += 0.5 * dt * up
-    x[RS_SPEED_LOWER] += 0.5 * dt * dw
-    b_x, b_y, b_z = x[RS_BAR], x[RS_BAR + 1], x[RS_BAR + 2]
+    up, dw = dx[MODEL_SPEED_UPPER], dx[MODEL_SPEED_LOWER]
+    x[MODEL_SPEED_UPPER] += 0.5 * dt * up
+    x[MODEL_SPEED_LOWER] += 0.5 * dt * dw
+    b_x, b_y, b_z = x[MODEL_BAR], x[MODEL_BAR + 1], x[MODEL_BAR + 2]
     # The bar in rotating body axes: minus the rotation of the fuselage.
-    s_x = b_x + dt * (dx[RS_BAR] - (x[RS_RATES + 1] * b_z - x[RS_RATES + 2] * b_y))
-    s_y = b_y + dt * (dx[RS_BAR + 1] - (x[RS_RATES + 2] * b_x - x[RS_RATES] * b_z))
-    s_z = b_z + dt * (dx[RS_BAR + 2] - (x[RS_RATES] * b_y - x[RS_RATES + 1] * b_x))
+    s_x = b_x + dt * (dx[MODEL_BAR] - (x[MODEL_RATES + 1] * b_z - x[MODEL_RATES + 2] * b_y))
+    s_y = b_y + dt * (dx[MODEL_BAR + 1] - (x[MODEL_RATES + 2] * b_x - x[MODEL_RATES] * b_z))
+    s_z = b_z + dt * (dx[MODEL_BAR + 2] - (x[MODEL_RATES] * b_y - x[MODEL_RATES + 1] * b_x))
     size = 1.0 / math.sqrt(s_x * s_x + s_y * s_y + s_z * s_z)
-    x[RS_BAR], x[RS_BAR + 1], x[RS_BAR + 2] = 0.5 * (b_x + s_x), 0.5 * (b_y + s_y), 0.5 * (b_z + s_z)
+    x[MODEL_BAR], x[MODEL_BAR + 1], x[MODEL_BAR + 2] = 0.5 * (b_x + s_x), 0.5 * (b_y + s_y), 0.5 * (b_z + s_z)
     _model_derivative(x, u, m.no_wind, p, sin_a, cos_a, sin_b, cos_b, dx)
-    f_x, f_y, f_z = dx[RS_VEL], dx[RS_VEL + 1], dx[RS_VEL + 2] - GRAVITY
+    f_x, f_y, f_z = dx[MODEL_VELOCITY], dx[MODEL_VELOCITY + 1], dx[MODEL_VELOCITY + 2] - GRAVITY
     out[ROTOR_FORCE_STATIC], out[ROTOR_FORCE_STATIC + 1], out[ROTOR_FORCE_STATIC + 2] = f_x, f_y, f_z
     for k in range(3):
-        x[RS_VEL + k] = air[k]
+        x[MODEL_VELOCITY + k] = air[k]
     _model_derivative(x, u, m.no_wind, p, sin_a, cos_a, sin_b, cos_b, dx)
     for k in range(3):
-        out[ROTOR_FORCE_ANG_ACCEL + k] = dx[RS_RATES + k]
-    d_x, d_y, d_z = dx[RS_VEL], dx[RS_VEL + 1], dx[RS_VEL + 2] - GRAVITY
+        out[ROTOR_FORCE_ANG_ACCEL + k] = dx[MODEL_RATES + k]
+    d_x, d_y, d_z = dx[MODEL_VELOCITY], dx[MODEL_VELOCITY + 1], dx[MODEL_VELOCITY + 2] - GRAVITY
     for k in range(3):
-        x[RS_VEL + k] = air[k] + _DRAG_SLOPE_STEP
+        x[MODEL_VELOCITY + k] = air[k] + _DRAG_SLOPE_STEP
     _model_derivative(x, u, m.no_wind, p, sin_a, cos_a, sin_b, cos_b, dx)
-    out[ROTOR_FORCE_SLOPE] = min((dx[RS_VEL] - d_x) / _DRAG_SLOPE_STEP, 0.0)
-    out[ROTOR_FORCE_SLOPE + 1] = min((dx[RS_VEL + 1] - d_y) / _DRAG_SLOPE_STEP, 0.0)
-    out[ROTOR_FORCE_SLOPE + 2] = min((dx[RS_VEL + 2] - GRAVITY - d_z) / _DRAG_SLOPE_STEP, 0.0)
+    out[ROTOR_FORCE_SLOPE] = min((dx[MODEL_VELOCITY] - d_x) / _DRAG_SLOPE_STEP, 0.0)
+    out[ROTOR_FORCE_SLOPE + 1] = min((dx[MODEL_VELOCITY + 1] - d_y) / _DRAG_SLOPE_STEP, 0.0)
+    out[ROTOR_FORCE_SLOPE + 2] = min((dx[MODEL_VELOCITY + 2] - GRAVITY - d_z) / _DRAG_SLOPE_STEP, 0.0)
     out[ROTOR_FORCE_REST] = d_x - f_x - out[ROTOR_FORCE_SLOPE] * air[0]
     out[ROTOR_FORCE_REST + 1] = d_y - f_y - out[ROTOR_FORCE_SLOPE + 1] * air[1]
     out[ROTOR_FORCE_REST + 2] = d_z - f_z - out[ROTOR_FORCE_SLOPE + 2] * air[2]
-    x[RS_SWASH_ROLL] = to_roll + (roll - to_roll) * settled
-    x[RS_SWASH_PITCH] = to_pitch + (pitch - to_pitch) * settled
-    x[RS_BAR], x[RS_BAR + 1], x[RS_BAR + 2] = s_x * size, s_y * size, s_z * size
-    x[RS_SPEED_UPPER] = max(x[RS_SPEED_UPPER] + 0.5 * dt * up, 0.0)
-    x[RS_SPEED_LOWER] = max(x[RS_SPEED_LOWER] + 0.5 * dt * dw, 0.0)
-    x[RS_CHARGE] = min(max(x[RS_CHARGE] + dt * dx[RS_CHARGE], 0.0), 1.0)
+    x[MODEL_SWASH_ROLL] = to_roll + (roll - to_roll) * settled
+    x[MODEL_SWASH_PITCH] = to_pitch + (pitch - to_pitch) * settled
+    x[MODEL_BAR], x[MODEL_BAR + 1], x[MODEL_BAR + 2] = s_x * size, s_y * size, s_z * size
+    x[MODEL_SPEED_UPPER] = max(x[MODEL_SPEED_UPPER] + 0.5 * dt * up, 0.0)
+    x[MODEL_SPEED_LOWER] = max(x[MODEL_SPEED_LOWER] + 0.5 * dt * dw, 0.0)
+    x[MODEL_CHARGE] = min(max(x[MODEL_CHARGE] + dt * dx[MODEL_CHARGE], 0.0), 1.0)
 
 
 @cached_njit(error_model="numpy")

@@ -29,13 +29,13 @@ from numpy.typing import NDArray
 
 from mufly.compiled.numba_cache import cached_njit
 from mufly.estimate.filter.filter_records import (
-    EX_ACCEL_BIAS,
-    EX_ATT,
-    EX_GYRO_BIAS,
-    EX_POS,
-    EX_THRUST_SCALE,
-    EX_VEL,
-    EX_WIND,
+    ERROR_ACCEL_BIAS,
+    ERROR_ATTITUDE,
+    ERROR_GYRO_BIAS,
+    ERROR_POSITION,
+    ERROR_THRUST_SCALE,
+    ERROR_VELOCITY,
+    ERROR_WIND,
     TRANSITION_ACCEL,
     TRANSITION_AIR,
     TRANSITION_GYRO,
@@ -101,14 +101,14 @@ def _rank_one_update(ut: _Array, d: _Array, last: int, c: float, v: _Array) -> N
 @cached_njit(error_model="numpy")
 def propagate_column(u: _Array, span: float, a: _Array, out: _Array) -> None:
     """Write the first nine errors of column ``u`` (n,) after a step; ``out`` may be ``u``."""
-    g_x, g_y, g_z = u[EX_GYRO_BIAS], u[EX_GYRO_BIAS + 1], u[EX_GYRO_BIAS + 2]
+    g_x, g_y, g_z = u[ERROR_GYRO_BIAS], u[ERROR_GYRO_BIAS + 1], u[ERROR_GYRO_BIAS + 2]
     r_x = a[TRANSITION_GYRO] * g_x + a[TRANSITION_GYRO + 1] * g_y + a[TRANSITION_GYRO + 2] * g_z
     r_y = a[TRANSITION_GYRO + 3] * g_x + a[TRANSITION_GYRO + 4] * g_y + a[TRANSITION_GYRO + 5] * g_z
     r_z = a[TRANSITION_GYRO + 6] * g_x + a[TRANSITION_GYRO + 7] * g_y + a[TRANSITION_GYRO + 8] * g_z
-    t_x, t_y, t_z = u[EX_ATT] - 0.5 * r_x, u[EX_ATT + 1] - 0.5 * r_y, u[EX_ATT + 2] - 0.5 * r_z
-    b_x, b_y, b_z = u[EX_ACCEL_BIAS], u[EX_ACCEL_BIAS + 1], u[EX_ACCEL_BIAS + 2]
-    n, e, o = u[EX_VEL] - u[EX_WIND], u[EX_VEL + 1] - u[EX_WIND + 1], u[EX_VEL + 2]
-    k = u[EX_THRUST_SCALE]
+    t_x, t_y, t_z = u[ERROR_ATTITUDE] - 0.5 * r_x, u[ERROR_ATTITUDE + 1] - 0.5 * r_y, u[ERROR_ATTITUDE + 2] - 0.5 * r_z
+    b_x, b_y, b_z = u[ERROR_ACCEL_BIAS], u[ERROR_ACCEL_BIAS + 1], u[ERROR_ACCEL_BIAS + 2]
+    n, e, o = u[ERROR_VELOCITY] - u[ERROR_WIND], u[ERROR_VELOCITY + 1] - u[ERROR_WIND + 1], u[ERROR_VELOCITY + 2]
+    k = u[ERROR_THRUST_SCALE]
     x = (
         a[TRANSITION_ACCEL] * b_x
         + a[TRANSITION_ACCEL + 1] * b_y
@@ -139,33 +139,33 @@ def propagate_column(u: _Array, span: float, a: _Array, out: _Array) -> None:
     x += a[TRANSITION_TURN + 2] * t_y - a[TRANSITION_TURN + 1] * t_z
     y += a[TRANSITION_TURN] * t_z - a[TRANSITION_TURN + 2] * t_x
     z += a[TRANSITION_TURN + 1] * t_x - a[TRANSITION_TURN] * t_y
-    out[EX_POS] = u[EX_POS] + span * (u[EX_VEL] + 0.5 * x)
-    out[EX_POS + 1] = u[EX_POS + 1] + span * (u[EX_VEL + 1] + 0.5 * y)
-    out[EX_POS + 2] = u[EX_POS + 2] + span * (u[EX_VEL + 2] + 0.5 * z)
-    out[EX_VEL] = u[EX_VEL] + x
-    out[EX_VEL + 1] = u[EX_VEL + 1] + y
-    out[EX_VEL + 2] = u[EX_VEL + 2] + z
-    out[EX_ATT] = u[EX_ATT] - r_x
-    out[EX_ATT + 1] = u[EX_ATT + 1] - r_y
-    out[EX_ATT + 2] = u[EX_ATT + 2] - r_z
+    out[ERROR_POSITION] = u[ERROR_POSITION] + span * (u[ERROR_VELOCITY] + 0.5 * x)
+    out[ERROR_POSITION + 1] = u[ERROR_POSITION + 1] + span * (u[ERROR_VELOCITY + 1] + 0.5 * y)
+    out[ERROR_POSITION + 2] = u[ERROR_POSITION + 2] + span * (u[ERROR_VELOCITY + 2] + 0.5 * z)
+    out[ERROR_VELOCITY] = u[ERROR_VELOCITY] + x
+    out[ERROR_VELOCITY + 1] = u[ERROR_VELOCITY + 1] + y
+    out[ERROR_VELOCITY + 2] = u[ERROR_VELOCITY + 2] + z
+    out[ERROR_ATTITUDE] = u[ERROR_ATTITUDE] - r_x
+    out[ERROR_ATTITUDE + 1] = u[ERROR_ATTITUDE + 1] - r_y
+    out[ERROR_ATTITUDE + 2] = u[ERROR_ATTITUDE + 2] - r_z
 
 
 @cached_njit(error_model="numpy")
 def _propagate_moving_column(u: _Array, span: float, a: _Array) -> None:
     """Propagate a column without biases in place, as :func:`propagate_column`."""
-    n, e, o = u[EX_VEL], u[EX_VEL + 1], u[EX_VEL + 2]
+    n, e, o = u[ERROR_VELOCITY], u[ERROR_VELOCITY + 1], u[ERROR_VELOCITY + 2]
     x = a[TRANSITION_AIR] * n + a[TRANSITION_AIR + 1] * e + a[TRANSITION_AIR + 2] * o
     y = a[TRANSITION_AIR + 3] * n + a[TRANSITION_AIR + 4] * e + a[TRANSITION_AIR + 5] * o
     z = a[TRANSITION_AIR + 6] * n + a[TRANSITION_AIR + 7] * e + a[TRANSITION_AIR + 8] * o
-    x += a[TRANSITION_TURN + 2] * u[EX_ATT + 1] - a[TRANSITION_TURN + 1] * u[EX_ATT + 2]
-    y += a[TRANSITION_TURN] * u[EX_ATT + 2] - a[TRANSITION_TURN + 2] * u[EX_ATT]
-    z += a[TRANSITION_TURN + 1] * u[EX_ATT] - a[TRANSITION_TURN] * u[EX_ATT + 1]
-    u[EX_POS] += span * (n + 0.5 * x)
-    u[EX_POS + 1] += span * (e + 0.5 * y)
-    u[EX_POS + 2] += span * (o + 0.5 * z)
-    u[EX_VEL] = n + x
-    u[EX_VEL + 1] = e + y
-    u[EX_VEL + 2] = o + z
+    x += a[TRANSITION_TURN + 2] * u[ERROR_ATTITUDE + 1] - a[TRANSITION_TURN + 1] * u[ERROR_ATTITUDE + 2]
+    y += a[TRANSITION_TURN] * u[ERROR_ATTITUDE + 2] - a[TRANSITION_TURN + 2] * u[ERROR_ATTITUDE]
+    z += a[TRANSITION_TURN + 1] * u[ERROR_ATTITUDE] - a[TRANSITION_TURN] * u[ERROR_ATTITUDE + 1]
+    u[ERROR_POSITION] += span * (n + 0.5 * x)
+    u[ERROR_POSITION + 1] += span * (e + 0.5 * y)
+    u[ERROR_POSITION + 2] += span * (o + 0.5 * z)
+    u[ERROR_VELOCITY] = n + x
+    u[ERROR_VELOCITY + 1] = e + y
+    u[ERROR_VELOCITY + 2] = o + z
 
 
 @cached_njit(error_model="numpy")
@@ -185,38 +185,38 @@ def ud_time_update(ut: _Array, d: _Array, span: float, transition: _Array, q: _A
     w, v : (3, 6), (n,) arrays
         Work arrays.
     """
-    for k in range(EX_VEL, MOTION_STATE_COUNT):
+    for k in range(ERROR_VELOCITY, MOTION_STATE_COUNT):
         _propagate_moving_column(ut[k], span, transition)
     for k in range(MOTION_STATE_COUNT, d.shape[0]):
         propagate_column(ut[k], span, transition, ut[k])
     for k in range(3):
-        for i in range(EX_ATT):
-            w[k, i] = ut[EX_VEL + k, i]
-    for j in range(EX_ATT - 1, EX_VEL - 1, -1):
+        for i in range(ERROR_ATTITUDE):
+            w[k, i] = ut[ERROR_VELOCITY + k, i]
+    for j in range(ERROR_ATTITUDE - 1, ERROR_VELOCITY - 1, -1):
         total = 0.0
         for k in range(3):
-            total += d[EX_VEL + k] * w[k, j] * w[k, j]
+            total += d[ERROR_VELOCITY + k] * w[k, j] * w[k, j]
         size = total if total > _MIN_DIAGONAL else _MIN_DIAGONAL
         v[j] = size
         for i in range(j):
             s = 0.0
             for k in range(3):
-                s += d[EX_VEL + k] * w[k, j] * w[k, i]
+                s += d[ERROR_VELOCITY + k] * w[k, j] * w[k, i]
             s /= size
             ut[j, i] = s
             for k in range(3):
                 w[k, i] -= w[k, j] * s
         ut[j, j] = 1.0
-        for i in range(j + 1, EX_ATT):
+        for i in range(j + 1, ERROR_ATTITUDE):
             ut[j, i] = 0.0
-    for j in range(EX_VEL, EX_ATT):
+    for j in range(ERROR_VELOCITY, ERROR_ATTITUDE):
         d[j] = v[j]
     for j in range(MOTION_STATE_COUNT):
         for i in range(j):
             v[i] = 0.0
         v[j] = 1.0
-        if EX_VEL <= j < EX_ATT:
-            v[j - EX_VEL] = 0.5 * span
+        if ERROR_VELOCITY <= j < ERROR_ATTITUDE:
+            v[j - ERROR_VELOCITY] = 0.5 * span
         _rank_one_update(ut, d, j, q[j], v)
 
 

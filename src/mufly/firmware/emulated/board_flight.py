@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from mufly.control import FlightController, design_flight_controller
 from mufly.errors import InputError
 from mufly.estimate import Estimate, KalmanEstimator
-from mufly.estimate.filter.filter_records import R_RING, memory_type
+from mufly.estimate.filter.filter_records import READING_RING, memory_type
 from mufly.estimate.filter_backend import FilterBackend
 from mufly.estimate.sensor_status import describe_reason
 from mufly.firmware.compiled_software import FirmwareSoftware
@@ -151,7 +151,7 @@ class BoardEstimator(KalmanEstimator):
         self._sent_values[:] = self._input_values
         self._sent_flags[:] = self._input_is_new
         self._sent_ages[:] = self._input_age
-        if self._input_is_new[R_RING] == 1:
+        if self._input_is_new[READING_RING] == 1:
             self._sent_ranges[: self.ranges.size] = self.ring_scans[2]
         self._board.compute_estimate(self._period)
         # The board's copy of the readings: its filter overwrites some of them.

@@ -31,9 +31,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.dynamics.model_state import MOTORS, POSITION, RATES, RS_ATT, SERVOS, VELOCITY
+from mufly.dynamics.model_state import MODEL_ATTITUDE, MOTORS, POSITION, RATES, SERVOS, VELOCITY
 from mufly.estimate import Estimate, IdealEstimator
-from mufly.estimate.filter.filter_records import EX_GYRO_BIAS, R_RING, SENSOR_COUNT, SX_ATT
+from mufly.estimate.filter.filter_records import ERROR_GYRO_BIAS, NOMINAL_ATTITUDE, READING_RING, SENSOR_COUNT
 from mufly.estimate.filter.output_predictor import COVARIANCE_INTERVAL_TICKS
 from mufly.estimate.kalman_estimator import PUBLISHED_FIELDS, KalmanEstimator
 from mufly.firmware.quick.compiled_loop import (
@@ -103,7 +103,7 @@ def _unpack_status_row(row: _Array) -> dict[str, Any]:
     """Return the fields of a status row by the names of the filter's memory."""
     of = row[SENSOR_STATUS_START:STATUS_FAULT_COMPONENT].reshape(SENSOR_COUNT, SENSOR_STATUS_SIZE)
     parts = (
-        row[:SIGMA_START].reshape(EX_GYRO_BIAS, EX_GYRO_BIAS),
+        row[:SIGMA_START].reshape(ERROR_GYRO_BIAS, ERROR_GYRO_BIAS),
         row[SIGMA_START:SENSOR_STATUS_START],
         *of.T,
         row[STATUS_FAULT_COMPONENT],
@@ -267,13 +267,13 @@ class CompiledFlight:
         """Sample the due sensors that Python handles."""
         truth, filtered = self._current_truth(), self._filter
         assert filtered is not None
-        t, scanned_s = truth.time_s, filtered.reading_times[R_RING]
+        t, scanned_s = truth.time_s, filtered.reading_times[READING_RING]
         for k, sensor in enumerate(self._faulty):
             if self._next_sample_times[k] <= t:
                 filtered.fill_readings(sensor.read(truth), t)
                 self._next_sample_times[k] = _next_sample_time(sensor, t)
         self._clock.next_python_sample_s = min(self._next_sample_times, default=math.inf)
-        if filtered.reading_times[R_RING] != scanned_s:
+        if filtered.reading_times[READING_RING] != scanned_s:
             self._board.write_ranges(filtered.ranges)
 
     def _assign_sensors(self) -> Any:
@@ -312,12 +312,12 @@ class CompiledFlight:
         c.listener_rows = 0
         together: Any = getattr(flight.listener, "add_estimates", None)
         if together is not None and len(rows):
-            told, nine = rows[:, HEARD_TOLD].astype(int), EX_GYRO_BIAS
+            told, nine = rows[:, HEARD_TOLD].astype(int), ERROR_GYRO_BIAS
             covariances = self._status_rows[told, :SIGMA_START].reshape(-1, nine, nine)
             covariances[told == 0] = filtered.covariance[:nine, :nine]
-            moving = rows[:, HEARD_STATE : HEARD_STATE + RS_ATT]
+            moving = rows[:, HEARD_STATE : HEARD_STATE + MODEL_ATTITUDE]
             true = np.hstack([moving, rows[:, HEARD_ATT:HEARD_OUT]])
-            moving = rows[:, HEARD_OUT : HEARD_OUT + SX_ATT]
+            moving = rows[:, HEARD_OUT : HEARD_OUT + NOMINAL_ATTITUDE]
             estimated = np.hstack([moving, rows[:, HEARD_ANGLES:LISTENER_ROW_SIZE]])
             together(true, estimated, covariances, rows[:, HEARD_VALID] != 0.0)
             return

@@ -16,22 +16,22 @@ from numpy.typing import NDArray
 from mufly.compiled.numba_cache import cached_njit
 from mufly.compiled.numba_intrinsics import call_c_function, refer_to
 from mufly.compiled.record_fields import int_field, real_field, record_type
-from mufly.dynamics.model_state import RS_POS, RS_RATES, RS_VEL, STATE_SIZE
+from mufly.dynamics.model_state import MODEL_POSITION, MODEL_RATES, MODEL_VELOCITY, STATE_SIZE
 from mufly.estimate.filter.filter_records import (
+    ERROR_ATTITUDE,
+    ERROR_GYRO_BIAS,
     ERROR_STATE_COUNT,
-    EX_ATT,
-    EX_GYRO_BIAS,
-    R_ACCELERATION,
-    R_BATTERY,
-    R_RATES,
-    R_RING,
+    NOMINAL_POSITION,
+    NOMINAL_VELOCITY,
+    READING_ACCELERATION,
+    READING_BATTERY,
     READING_OFFSETS,
+    READING_RATES,
+    READING_RING,
     READING_STARTS,
     READING_WIDTHS,
     SENSOR_COUNT,
     STATE_COUNT,
-    SX_POS,
-    SX_VEL,
 )
 from mufly.estimate.filter.measurements import sensor_checks as g
 from mufly.estimate.filter.measurements.sensor_checks import ACTUATOR_START, CLIPPING_START
@@ -224,13 +224,13 @@ ROW_REF_POS, ROW_REF_VEL, ROW_REF_ATT, ROW_MISSION, LOG_ROW_SIZE = 34, 37, 40, 4
 # Offsets in the C record of motion (controllers.h)
 _MOTION_POS, _MOTION_VEL, _MOTION_ATT, _MOTION_RATES, _MOTION_VOLTAGE = 0, 3, 6, 9, 12
 _ACCEL_START, _RATES_START, _VOLTAGE_START = (
-    READING_STARTS[R_ACCELERATION],
-    READING_STARTS[R_RATES],
-    READING_STARTS[R_BATTERY],
+    READING_STARTS[READING_ACCELERATION],
+    READING_STARTS[READING_RATES],
+    READING_STARTS[READING_BATTERY],
 )
 # Status row (:data:`mufly.estimate.kalman_estimator.PUBLISHED_FIELDS`): covariance (9, 9), standard deviations, seven
 # numbers of each sensor, the faulty component of the position fix, and the period
-SIGMA_START = EX_GYRO_BIAS**2
+SIGMA_START = ERROR_GYRO_BIAS**2
 SENSOR_STATUS_START = SIGMA_START + ERROR_STATE_COUNT
 (
     _CHECK_STATUS,
@@ -326,7 +326,7 @@ def advance_plant(p: Periods) -> int:
     c.tick += 1
     for k in range(4):
         acting[0, k], acting[1, k] = acting[1, k], acting[2, k]
-    if not math.isfinite(q.state[RS_POS + 2]):
+    if not math.isfinite(q.state[MODEL_POSITION + 2]):
         return NOT_FINITE
     return CONTINUE
 
@@ -377,7 +377,7 @@ def _fill_readings(t: float, has_come: NDArray[np.uint8], rows: _Array, f: Filte
         f.reading_times[r] = row[MEASURED_TIME]
         f.age[r], f.is_new[r] = t - row[MEASURED_TIME], 1 if row[IS_VALID] != 0.0 else 2
         start = READING_STARTS[r]
-        if r == R_RING:
+        if r == READING_RING:
             is_ring = True
             for j in range(f.beams.size):
                 f.values[start + j] = row[FIRST_VALUE + f.beams[j]]
@@ -402,9 +402,9 @@ def sample_sensors(p: FittedPeriods) -> int:
     for k in range(3):
         f.values[_ACCEL_START + k], f.values[_RATES_START + k] = read[0, k], read[0, GYRO + k]
         f.values[CLIPPING_START + k] = read[1, k]
-    f.is_new[R_ACCELERATION] = f.is_new[R_RATES] = 1
-    f.age[R_ACCELERATION] = f.age[R_RATES] = 0.0
-    f.reading_times[R_ACCELERATION] = f.reading_times[R_RATES] = t
+    f.is_new[READING_ACCELERATION] = f.is_new[READING_RATES] = 1
+    f.age[READING_ACCELERATION] = f.age[READING_RATES] = 0.0
+    f.reading_times[READING_ACCELERATION] = f.reading_times[READING_RATES] = t
     if t >= c.next_sample_s:
         c.next_sample_s = sample_all(t, q.state, q.attitude, q.supply, s.quiet_until, s.has_come, s.rows, s.parts)
         if _fill_readings(t, s.has_come, s.rows, f, p.ranges):
@@ -419,8 +419,11 @@ def _publish_truth(p: IdealPeriods) -> int:
     c, q, b, at = p.clock, p.plant, p.software.estimate_reals, p.software.offsets
     b[at.time] = c.tick / c.rate_Hz
     for k in range(3):
-        b[at.motion + _MOTION_POS + k], b[at.motion + _MOTION_VEL + k] = q.state[RS_POS + k], q.state[RS_VEL + k]
-        b[at.motion + _MOTION_ATT + k], b[at.motion + _MOTION_RATES + k] = q.attitude[k], q.state[RS_RATES + k]
+        b[at.motion + _MOTION_POS + k], b[at.motion + _MOTION_VEL + k] = (
+            q.state[MODEL_POSITION + k],
+            q.state[MODEL_VELOCITY + k],
+        )
+        b[at.motion + _MOTION_ATT + k], b[at.motion + _MOTION_RATES + k] = q.attitude[k], q.state[MODEL_RATES + k]
     b[at.motion + _MOTION_VOLTAGE] = q.supply[0]
     return CONTINUE
 
@@ -431,7 +434,10 @@ def _step_filter(p: FittedPeriods) -> int:
     b[at.time] = c.tick / c.rate_Hz
     valid = call_c_function(f.addresses[0], f.addresses[1:]) & 1
     for k in range(3):
-        b[at.motion + _MOTION_POS + k], b[at.motion + _MOTION_VEL + k] = f.state[SX_POS + k], f.state[SX_VEL + k]
+        b[at.motion + _MOTION_POS + k], b[at.motion + _MOTION_VEL + k] = (
+            f.state[NOMINAL_POSITION + k],
+            f.state[NOMINAL_VELOCITY + k],
+        )
         b[at.motion + _MOTION_ATT + k], b[at.motion + _MOTION_RATES + k] = f.angles[k], f.rates[k]
         b[at.specific_force + k] = f.values[_ACCEL_START + k]
     volts = f.values[_VOLTAGE_START]
@@ -449,7 +455,7 @@ def _step_filter(p: FittedPeriods) -> int:
         covariance = f.status[0]
         for k in range(3):
             b[at.position_variance + k] = covariance[k, k]
-            b[at.attitude_variance + k] = covariance[EX_ATT + k, EX_ATT + k]
+            b[at.attitude_variance + k] = covariance[ERROR_ATTITUDE + k, ERROR_ATTITUDE + k]
     return CONTINUE
 
 
@@ -463,9 +469,9 @@ def _write_filter_status(
     sensors need no report.
     """
     covariance, sigma, code, why, number, innovation, spread, used, came, component, tick = f.status
-    for j in range(EX_GYRO_BIAS):
-        for k in range(EX_GYRO_BIAS):
-            row[EX_GYRO_BIAS * j + k] = covariance[j, k]
+    for j in range(ERROR_GYRO_BIAS):
+        for k in range(ERROR_GYRO_BIAS):
+            row[ERROR_GYRO_BIAS * j + k] = covariance[j, k]
     for k in range(ERROR_STATE_COUNT):
         row[SIGMA_START + k] = sigma[k]
     row[STATUS_FAULT_COMPONENT], row[STATUS_TICK] = component[0], tick[0]

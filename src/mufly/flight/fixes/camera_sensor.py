@@ -41,7 +41,7 @@ from mufly.camera import (
 from mufly.dynamics import standing_height
 from mufly.errors import MuflyError
 from mufly.estimate import Estimate
-from mufly.estimate.filter.filter_records import EX_FIX_BIAS, EX_FIX_HEADING, EX_GYRO_BIAS
+from mufly.estimate.filter.filter_records import ERROR_FIX_BIAS, ERROR_FIX_HEADING, ERROR_GYRO_BIAS
 from mufly.flight.fixes.fix_monitor import FixMonitor
 from mufly.flight.fixes.onboard_camera import SHOWN_JPEG_QUALITY, CameraFault, OnboardCamera, PictureStream
 from mufly.mission import Mission
@@ -416,7 +416,7 @@ class CameraSensor(Sensor):
         x = estimate.position + dt * estimate.velocity
         # Map coordinates are those of the fixes: the estimated fix bias is added, and its uncertainty is left out.
         bias = np.zeros(4) if estimate.auxiliary_states is None else estimate.auxiliary_states.fix_bias
-        north, east, height, v_north, v_east, _, roll_off, pitch_off, yaw_off = sigma[:EX_GYRO_BIAS].tolist()
+        north, east, height, v_north, v_east, _, roll_off, pitch_off, yaw_off = sigma[:ERROR_GYRO_BIAS].tolist()
         place = math.sqrt(max(max(north, east) ** 2 - float(self._fixes.wander) ** 2, 0.01**2))
         heading = math.sqrt(max(yaw_off**2 - float(self._fixes.heading_wander) ** 2, 0.005**2))
         return FrameInfo(
@@ -425,7 +425,7 @@ class CameraSensor(Sensor):
             tilt_sigma=max(math.radians(0.15), roll_off, pitch_off), height_sigma=max(0.006, height),
             tilt_time_s=_TILT_CORRELATION_S, height_time_s=_HEIGHT_CORRELATION_S,
             velocity=estimate.velocity.copy(), standing=not sonar > self._least_m,
-            place=np.array([x[0] + bias[0], x[1] + bias[1], yaw + bias[EX_FIX_HEADING - EX_FIX_BIAS]]),
+            place=np.array([x[0] + bias[0], x[1] + bias[1], yaw + bias[ERROR_FIX_HEADING - ERROR_FIX_BIAS]]),
             place_sigma=(place, heading), velocity_sigma=max(0.01, v_north, v_east),
         )  # fmt: skip
 

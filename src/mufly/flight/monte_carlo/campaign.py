@@ -29,7 +29,7 @@ from mufly.control import DesignSettings, FlightController, design_flight_contro
 from mufly.control.synthesis.weighting_schemes import complete_settings
 from mufly.errors import ArgumentError, InputError, MuflyError
 from mufly.estimate import Estimate
-from mufly.estimate.filter.filter_records import EX_ATT, EX_GYRO_BIAS
+from mufly.estimate.filter.filter_records import ERROR_ATTITUDE, ERROR_GYRO_BIAS
 from mufly.estimate.nees import normalised_errors
 from mufly.files.answer_store import hash_question
 from mufly.flight.fixes.camera_sensor import CameraConfig
@@ -465,7 +465,7 @@ class _EstimateScore:
     def __call__(self, truth: Truth, told: Estimate) -> None:
         true = np.concatenate([truth.position, truth.velocity, truth.attitude])
         estimated = np.concatenate([told.position, told.velocity, told.attitude])
-        covariance = told.covariance[None, :EX_GYRO_BIAS, :EX_GYRO_BIAS]
+        covariance = told.covariance[None, :ERROR_GYRO_BIAS, :ERROR_GYRO_BIAS]
         self.add_estimates(true[None], estimated[None], covariance, np.array([told.valid]))
 
     def add_estimates(self, true: _Array, told: _Array, covariances: _Array, valid: NDArray[np.bool_]) -> None:
@@ -479,7 +479,7 @@ class _EstimateScore:
             return None
         true, told, covariances = (np.concatenate(p) for p in zip(*self._parts, strict=True))
         error = told - true
-        error[:, EX_ATT:] = np.angle(np.exp(1j * error[:, EX_ATT:]))
+        error[:, ERROR_ATTITUDE:] = np.angle(np.exp(1j * error[:, ERROR_ATTITUDE:]))
         return float(normalised_errors(error, covariances).mean()) / error.shape[1]
 
 

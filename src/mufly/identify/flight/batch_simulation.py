@@ -43,15 +43,15 @@ from mufly.dynamics.edgewise_loads import swash_plate_target
 from mufly.dynamics.equations_of_motion import battery_state, state_derivative
 from mufly.dynamics.model_state import (
     BAR_NORMAL,
-    RS_ATT,
-    RS_BAR,
-    RS_POS,
-    RS_RATES,
-    RS_SPEED_LOWER,
-    RS_SPEED_UPPER,
-    RS_SWASH_PITCH,
-    RS_SWASH_ROLL,
-    RS_VEL,
+    MODEL_ATTITUDE,
+    MODEL_BAR,
+    MODEL_POSITION,
+    MODEL_RATES,
+    MODEL_SPEED_LOWER,
+    MODEL_SPEED_UPPER,
+    MODEL_SWASH_PITCH,
+    MODEL_SWASH_ROLL,
+    MODEL_VELOCITY,
     STATE_SIZE,
     U_MOTOR_LOWER,
     U_MOTOR_UPPER,
@@ -116,27 +116,27 @@ def _integrate_state(
         min(max(u[U_SERVO_1], -1.0), 1.0), min(max(u[U_SERVO_2], -1.0), 1.0), p.swash_gain, p.swash_phase
     )
     for _ in range(steps):
-        roll_off, pitch_off = x[RS_SWASH_ROLL] - roll_in, x[RS_SWASH_PITCH] - pitch_in
-        x[RS_SWASH_ROLL], x[RS_SWASH_PITCH] = roll_in + line * roll_off, pitch_in + line * pitch_off
+        roll_off, pitch_off = x[MODEL_SWASH_ROLL] - roll_in, x[MODEL_SWASH_PITCH] - pitch_in
+        x[MODEL_SWASH_ROLL], x[MODEL_SWASH_PITCH] = roll_in + line * roll_off, pitch_in + line * pitch_off
         state_derivative(x, u, calm, p, k1)
         for i in range(STATE_SIZE):
             y[i] = x[i] + 0.5 * h * k1[i]
-        y[RS_SWASH_ROLL] = roll_in + (line + 0.5 * slope) * roll_off
-        y[RS_SWASH_PITCH] = pitch_in + (line + 0.5 * slope) * pitch_off
+        y[MODEL_SWASH_ROLL] = roll_in + (line + 0.5 * slope) * roll_off
+        y[MODEL_SWASH_PITCH] = pitch_in + (line + 0.5 * slope) * pitch_off
         state_derivative(y, u, calm, p, k2)
         for i in range(STATE_SIZE):
             y[i] = x[i] + 0.5 * h * k2[i]
-        y[RS_SWASH_ROLL] = roll_in + (line + 0.5 * slope) * roll_off
-        y[RS_SWASH_PITCH] = pitch_in + (line + 0.5 * slope) * pitch_off
+        y[MODEL_SWASH_ROLL] = roll_in + (line + 0.5 * slope) * roll_off
+        y[MODEL_SWASH_PITCH] = pitch_in + (line + 0.5 * slope) * pitch_off
         state_derivative(y, u, calm, p, k3)
         for i in range(STATE_SIZE):
             y[i] = x[i] + h * k3[i]
-        y[RS_SWASH_ROLL] = roll_in + (line + slope) * roll_off
-        y[RS_SWASH_PITCH] = pitch_in + (line + slope) * pitch_off
+        y[MODEL_SWASH_ROLL] = roll_in + (line + slope) * roll_off
+        y[MODEL_SWASH_PITCH] = pitch_in + (line + slope) * pitch_off
         state_derivative(y, u, calm, p, k4)
         for i in range(STATE_SIZE):
             x[i] += h / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i])
-        x[RS_SWASH_ROLL], x[RS_SWASH_PITCH] = roll_in + decay * roll_off, pitch_in + decay * pitch_off
+        x[MODEL_SWASH_ROLL], x[MODEL_SWASH_PITCH] = roll_in + decay * roll_off, pitch_in + decay * pitch_off
         normalise_state(x)
 
 
@@ -145,10 +145,10 @@ def _set_attitude(x: _Array, roll: float, pitch: float, yaw: float) -> None:
     cr, sr = math.cos(0.5 * roll), math.sin(0.5 * roll)
     cp, sp = math.cos(0.5 * pitch), math.sin(0.5 * pitch)
     cy, sy = math.cos(0.5 * yaw), math.sin(0.5 * yaw)
-    x[RS_ATT] = cr * cp * cy + sr * sp * sy
-    x[RS_ATT + 1] = sr * cp * cy - cr * sp * sy
-    x[RS_ATT + 2] = cr * sp * cy + sr * cp * sy
-    x[RS_ATT + 3] = cr * cp * sy - sr * sp * cy
+    x[MODEL_ATTITUDE] = cr * cp * cy + sr * sp * sy
+    x[MODEL_ATTITUDE + 1] = sr * cp * cy - cr * sp * sy
+    x[MODEL_ATTITUDE + 2] = cr * sp * cy + sr * cp * sy
+    x[MODEL_ATTITUDE + 3] = cr * cp * sy - sr * sp * cy
 
 
 @cached_njit(error_model="numpy")
@@ -156,19 +156,19 @@ def _write_outputs(
     x: _Array, u: _Array, p: ModelParameters, codes: NDArray[np.int64], last_yaw: float, y: _Array
 ) -> float:
     """Write the outputs with these codes (positions in ``OUTPUTS``) into ``y``; return the continuous yaw."""
-    w, i, j, k = x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
+    w, i, j, k = x[MODEL_ATTITUDE], x[MODEL_ATTITUDE + 1], x[MODEL_ATTITUDE + 2], x[MODEL_ATTITUDE + 3]
     yaw = math.atan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k))
     yaw += 2 * math.pi * round((last_yaw - yaw) / (2 * math.pi))
     for c in range(codes.shape[0]):
         code = codes[c]
         if code <= OUT_EAST:
-            y[c] = x[RS_POS + code]
+            y[c] = x[MODEL_POSITION + code]
         elif code == OUT_HEIGHT:
-            y[c] = -x[RS_POS + 2]
+            y[c] = -x[MODEL_POSITION + 2]
         elif code <= OUT_V_EAST:
-            y[c] = x[RS_VEL + code - OUT_V_NORTH]
+            y[c] = x[MODEL_VELOCITY + code - OUT_V_NORTH]
         elif code == OUT_CLIMB:
-            y[c] = -x[RS_VEL + 2]
+            y[c] = -x[MODEL_VELOCITY + 2]
         elif code == OUT_ROLL:
             y[c] = math.atan2(2 * (w * i + j * k), 1 - 2 * (i * i + j * j))
         elif code == OUT_PITCH:
@@ -176,9 +176,9 @@ def _write_outputs(
         elif code == OUT_YAW:
             y[c] = yaw
         elif code <= OUT_R:
-            y[c] = x[RS_RATES + code - OUT_P]
+            y[c] = x[MODEL_RATES + code - OUT_P]
         elif code <= OUT_SPEED_LOWER:
-            y[c] = x[RS_SPEED_UPPER + code - OUT_SPEED_UPPER]
+            y[c] = x[MODEL_SPEED_UPPER + code - OUT_SPEED_UPPER]
         else:
             upper, lower = min(max(u[U_MOTOR_UPPER], 0.0), 1.0), min(max(u[U_MOTOR_LOWER], 0.0), 1.0)
             y[c] = battery_state(x, upper, lower, p)[0]
@@ -223,16 +223,20 @@ def _simulate_one(
             for i in range(MOTION_EULER):
                 x[i] = s[i]
             _set_attitude(x, s[MOTION_EULER], s[MOTION_EULER + 1], s[MOTION_EULER + 2])
-            x[RS_RATES], x[RS_RATES + 1], x[RS_RATES + 2] = s[MOTION_RATES], s[MOTION_RATES + 1], s[MOTION_RATES + 2]
+            x[MODEL_RATES], x[MODEL_RATES + 1], x[MODEL_RATES + 2] = (
+                s[MOTION_RATES],
+                s[MOTION_RATES + 1],
+                s[MOTION_RATES + 2],
+            )
             last_yaw = s[MOTION_EULER + 2]
             if k == 0:
-                v_n, v_e = x[RS_VEL], x[RS_VEL + 1]
+                v_n, v_e = x[MODEL_VELOCITY], x[MODEL_VELOCITY + 1]
             elif path.shape[0] > 0:
-                x[RS_VEL], x[RS_VEL + 1] = v_n, v_e
+                x[MODEL_VELOCITY], x[MODEL_VELOCITY + 1] = v_n, v_e
             if k > 0:
                 length = 1.0 / math.sqrt(bar[0] ** 2 + bar[1] ** 2 + bar[2] ** 2)
                 for i in range(3):
-                    x[RS_BAR + i] = length * bar[i]
+                    x[MODEL_BAR + i] = length * bar[i]
             window += 1
         for i in range(4):
             now[i], before[i] = u[max(k - whole, 0), i], u[max(k - whole - 1, 0), i]
@@ -245,19 +249,25 @@ def _simulate_one(
         if path.shape[0] > 0:
             for i in range(STATE_SIZE):
                 there[i] = x[i]
-            there[RS_VEL], there[RS_VEL + 1], there[RS_VEL + 2] = v_n, v_e, path[k, MOTION_VELOCITY + 2]
+            there[MODEL_VELOCITY], there[MODEL_VELOCITY + 1], there[MODEL_VELOCITY + 2] = (
+                v_n,
+                v_e,
+                path[k, MOTION_VELOCITY + 2],
+            )
             _set_attitude(there, path[k, MOTION_EULER], path[k, MOTION_EULER + 1], path[k, MOTION_EULER + 2])
             for i in range(3):
-                there[RS_RATES + i], there[RS_BAR + i] = path[k, MOTION_RATES + i], bar[i]
+                there[MODEL_RATES + i], there[MODEL_BAR + i] = path[k, MOTION_RATES + i], bar[i]
             state_derivative(there, now, calm, p, slope)
-            v_n += dt * slope[RS_VEL]
-            v_e += dt * slope[RS_VEL + 1]
+            v_n += dt * slope[MODEL_VELOCITY]
+            v_e += dt * slope[MODEL_VELOCITY + 1]
         if part > 0.0:
             _integrate_state(x, before, p, part, longest, calm, work)
         _integrate_state(x, now, p, dt - part, longest, calm, work)
         # Comparisons with NaN are false, so this test also detects NaN.
-        turning = abs(x[RS_RATES]) + abs(x[RS_RATES + 1]) + abs(x[RS_RATES + 2])
-        if not (turning < 1e3 and abs(x[RS_VEL + 2]) < 1e4 and x[RS_SPEED_UPPER] + x[RS_SPEED_LOWER] < 1e5):
+        turning = abs(x[MODEL_RATES]) + abs(x[MODEL_RATES + 1]) + abs(x[MODEL_RATES + 2])
+        if not (
+            turning < 1e3 and abs(x[MODEL_VELOCITY + 2]) < 1e4 and x[MODEL_SPEED_UPPER] + x[MODEL_SPEED_LOWER] < 1e5
+        ):
             y[k + 1 :, :] = _DIVERGED_OUTPUT
             return
 

@@ -55,35 +55,36 @@ from mufly.dynamics import (
     model_parameters,
 )
 from mufly.dynamics.linearisation import (
-    LINEAR_ATT,
+    LINEAR_ATTITUDE,
     LINEAR_BAR_PITCH,
     LINEAR_BAR_ROLL,
     LINEAR_CHARGE,
-    LINEAR_POS,
+    LINEAR_POSITION,
     LINEAR_RATES,
     LINEAR_SPEED_LOWER,
     LINEAR_SPEED_UPPER,
     LINEAR_TILT_PITCH,
     LINEAR_TILT_ROLL,
-    LINEAR_VEL,
+    LINEAR_VELOCITY,
 )
 from mufly.dynamics.model_state import (
     ATTITUDE,
     INPUT_SIZE,
+    MODEL_ATTITUDE,
+    MODEL_BAR,
+    MODEL_POSITION,
+    MODEL_RATES,
+    MODEL_SPEED_LOWER,
+    MODEL_SPEED_UPPER,
+    MODEL_SWASH_PITCH,
+    MODEL_SWASH_ROLL,
+    MODEL_VELOCITY,
     MOTORS,
     MOTORS_SWAPPED,
     POSITION,
     RATES,
-    RS_ATT,
-    RS_BAR,
-    RS_POS,
-    RS_RATES,
-    RS_SPEED_LOWER,
-    RS_SPEED_UPPER,
-    RS_SWASH_PITCH,
-    RS_SWASH_ROLL,
-    RS_VEL,
     SERVOS,
+    VELOCITY,
     ModelParameters,
 )
 from mufly.errors import ArgumentError, InputError, MuflyError
@@ -242,19 +243,21 @@ def _subtract_hover_state(x: _Floats, hover: _Floats, height: float, yaw: float,
     a = body_to_ned_matrix(x[ATTITUDE])
     roll, pitch = math.atan2(a[2, 1], a[2, 2]), math.asin(min(max(-a[2, 0], -1.0), 1.0))
     c, s = math.cos(yaw), math.sin(yaw)
-    off[LINEAR_POS] = c * x[RS_POS] + s * x[RS_POS + 1]
-    off[LINEAR_POS + 1] = c * x[RS_POS + 1] - s * x[RS_POS]
-    off[LINEAR_POS + 2] = x[RS_POS + 2] + height
+    off[LINEAR_POSITION] = c * x[MODEL_POSITION] + s * x[MODEL_POSITION + 1]
+    off[LINEAR_POSITION + 1] = c * x[MODEL_POSITION + 1] - s * x[MODEL_POSITION]
+    off[LINEAR_POSITION + 2] = x[MODEL_POSITION + 2] + height
     for k in range(3):
-        off[LINEAR_VEL + k] = a[0, k] * x[RS_VEL] + a[1, k] * x[RS_VEL + 1] + a[2, k] * x[RS_VEL + 2]
-        off[LINEAR_RATES + k] = x[RS_RATES + k]
-    off[LINEAR_ATT], off[LINEAR_ATT + 1], off[LINEAR_ATT + 2] = roll, pitch, yaw
-    off[LINEAR_TILT_PITCH] = -x[RS_SWASH_PITCH] + hover[RS_SWASH_PITCH]
-    off[LINEAR_TILT_ROLL] = x[RS_SWASH_ROLL] - hover[RS_SWASH_ROLL]
-    off[LINEAR_BAR_ROLL] = math.asin(min(max(c * x[RS_BAR + 1] - s * x[RS_BAR], -1.0), 1.0))
-    off[LINEAR_BAR_PITCH] = math.atan2(-(c * x[RS_BAR] + s * x[RS_BAR + 1]), -x[RS_BAR + 2])
-    off[LINEAR_SPEED_LOWER] = x[RS_SPEED_LOWER] - hover[RS_SPEED_LOWER]
-    off[LINEAR_SPEED_UPPER] = x[RS_SPEED_UPPER] - hover[RS_SPEED_UPPER]
+        off[LINEAR_VELOCITY + k] = (
+            a[0, k] * x[MODEL_VELOCITY] + a[1, k] * x[MODEL_VELOCITY + 1] + a[2, k] * x[MODEL_VELOCITY + 2]
+        )
+        off[LINEAR_RATES + k] = x[MODEL_RATES + k]
+    off[LINEAR_ATTITUDE], off[LINEAR_ATTITUDE + 1], off[LINEAR_ATTITUDE + 2] = roll, pitch, yaw
+    off[LINEAR_TILT_PITCH] = -x[MODEL_SWASH_PITCH] + hover[MODEL_SWASH_PITCH]
+    off[LINEAR_TILT_ROLL] = x[MODEL_SWASH_ROLL] - hover[MODEL_SWASH_ROLL]
+    off[LINEAR_BAR_ROLL] = math.asin(min(max(c * x[MODEL_BAR + 1] - s * x[MODEL_BAR], -1.0), 1.0))
+    off[LINEAR_BAR_PITCH] = math.atan2(-(c * x[MODEL_BAR] + s * x[MODEL_BAR + 1]), -x[MODEL_BAR + 2])
+    off[LINEAR_SPEED_LOWER] = x[MODEL_SPEED_LOWER] - hover[MODEL_SPEED_LOWER]
+    off[LINEAR_SPEED_UPPER] = x[MODEL_SPEED_UPPER] - hover[MODEL_SPEED_UPPER]
 
 
 @cached_njit(error_model="numpy")
@@ -276,7 +279,7 @@ def _fly_closed_loop(
     n, calm, off, yaw = added.shape[0], np.zeros(3), np.zeros(gain.shape[1]), 0.0
     for k in range(n):
         states[k] = x
-        qw, qx, qy, qz = x[RS_ATT], x[RS_ATT + 1], x[RS_ATT + 2], x[RS_ATT + 3]
+        qw, qx, qy, qz = x[MODEL_ATTITUDE], x[MODEL_ATTITUDE + 1], x[MODEL_ATTITUDE + 2], x[MODEL_ATTITUDE + 3]
         heading = math.atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
         yaw = heading + 2 * math.pi * round((yaw - heading) / (2 * math.pi))
         _subtract_hover_state(x, hover, height, yaw, off)
@@ -624,12 +627,12 @@ def _record_from_states(
     states: _Floats, inputs: _Floats, voltage: _Floats, time: _Floats, outputs: Sequence[str], name: str
 ) -> FlightRecord:
     angle = euler_from_quaternion(states[:, ATTITUDE])
+    (north, east, down), (v_north, v_east, v_down) = states[:, POSITION].T, states[:, VELOCITY].T
     table = {
-        "north": states[:, RS_POS], "east": states[:, RS_POS + 1], "height": -states[:, RS_POS + 2],
-        "v_north": states[:, RS_VEL], "v_east": states[:, RS_VEL + 1], "climb": -states[:, RS_VEL + 2],
+        "north": north, "east": east, "height": -down, "v_north": v_north, "v_east": v_east, "climb": -v_down,
         "roll": angle[:, 0], "pitch": angle[:, 1], "yaw": np.unwrap(angle[:, 2]),
-        "p": states[:, RS_RATES], "q": states[:, RS_RATES + 1], "r": states[:, RS_RATES + 2],
-        "speed_up": states[:, RS_SPEED_UPPER], "speed_dw": states[:, RS_SPEED_LOWER], "voltage": voltage,
+        "p": states[:, MODEL_RATES], "q": states[:, MODEL_RATES + 1], "r": states[:, MODEL_RATES + 2],
+        "speed_up": states[:, MODEL_SPEED_UPPER], "speed_dw": states[:, MODEL_SPEED_LOWER], "voltage": voltage,
     }  # fmt: skip
     return FlightRecord(name, time, inputs, tuple(outputs), np.column_stack([table[o] for o in outputs]), voltage)
 

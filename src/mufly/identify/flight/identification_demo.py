@@ -33,7 +33,7 @@ from mufly.dynamics import (
     integrate_state,
     model_parameters,
 )
-from mufly.dynamics.model_state import ATTITUDE, MOTORS, RS_POS, RS_RATES
+from mufly.dynamics.model_state import ATTITUDE, MODEL_POSITION, MODEL_RATES, MOTORS
 from mufly.identify.fit_result import FitResult, RecordPrediction
 from mufly.identify.flight.flight_fit import fit_flight_records
 from mufly.identify.flight.free_parameters import choose_free_parameters
@@ -128,7 +128,7 @@ def fly_demo_record(
     p, n = model_parameters(vehicle), len(excitation.motor_input)
     hover = find_trim(vehicle, charge=_INITIAL_CHARGE)
     x, wind = hover.state.copy(), np.zeros((n, 3)) if air is None else air.draw_wind_samples(n)
-    x[RS_POS + 2] = -_FLIGHT_HEIGHT_M
+    x[MODEL_POSITION + 2] = -_FLIGHT_HEIGHT_M
     std = np.array([SENSOR_NOISE_STD[o] for o in _LOGGED_OUTPUTS])
     inputs, measured = np.empty((n, 4)), np.empty((n, len(_LOGGED_OUTPUTS)))
     controller = _PilotPid(hover.input)
@@ -142,7 +142,9 @@ def fly_demo_record(
         yaw += math.remainder(heading - yaw, 2 * math.pi)
         duty = np.clip(before[:2], 0.0, 1.0)
         volts = battery_state(x, duty[0], duty[1], p)[0]
-        truth = np.array([-x[RS_POS + 2], roll, pitch, yaw, x[RS_RATES], x[RS_RATES + 1], x[RS_RATES + 2], volts])
+        truth = np.array(
+            [-x[MODEL_POSITION + 2], roll, pitch, yaw, x[MODEL_RATES], x[MODEL_RATES + 1], x[MODEL_RATES + 2], volts]
+        )
         measured[k] = truth + std * rng.standard_normal(len(std))
         set_point = excitation.set_point[k] + [_FLIGHT_HEIGHT_M, 0.0, 0.0, 0.0]
         inputs[k] = controller.step(measured[k], set_point, excitation.motor_input[k])

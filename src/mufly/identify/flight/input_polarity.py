@@ -34,11 +34,11 @@ from numpy.typing import NDArray
 
 from mufly.dynamics.edgewise_loads import swash_plate_target
 from mufly.dynamics.model_state import (
+    MODEL_ATTITUDE,
+    MODEL_BAR,
     MOTORS,
     MOTORS_SWAPPED,
     ROTOR_SPEEDS,
-    RS_ATT,
-    RS_BAR,
     SERVOS,
     STATE_SIZE,
 )
@@ -156,7 +156,7 @@ def _simulate_rotors(f: PreparedRecord, dt: float) -> tuple[np.void, Array, Arra
     p = parameters_at_theta(f.base_parameters, f.parameter_changes, np.zeros((1, 0)))
     starts = np.arange(0, len(f.inputs), max(1, round(0.5 / dt)))  # restarts limit the body motion
     x = np.zeros((1, STATE_SIZE))
-    x[:, RS_ATT], x[:, RS_BAR + 2] = 1.0, -1.0
+    x[:, MODEL_ATTITUDE], x[:, MODEL_BAR + 2] = 1.0, -1.0
     first = f.inputs[: max(1, round(0.3 / dt)), MOTORS].mean(axis=0)
     x[:, ROTOR_SPEEDS] = steady_rotor_speeds(p, np.clip(first, 0.0, 1.0), f.first_and_mean_voltage[0])
     codes = np.array([FLIGHT_OUTPUTS.index("speed_up"), FLIGHT_OUTPUTS.index("speed_dw")], dtype=np.int64)

@@ -30,12 +30,12 @@ from numpy.typing import NDArray
 from mufly.dynamics.edgewise_loads import swash_plate_target
 from mufly.dynamics.model_state import (
     BAR_NORMAL,
+    MODEL_ATTITUDE,
+    MODEL_CHARGE,
+    MODEL_SWASH_PITCH,
+    MODEL_SWASH_ROLL,
     MOTORS,
     ROTOR_SPEEDS,
-    RS_ATT,
-    RS_CHARGE,
-    RS_SWASH_PITCH,
-    RS_SWASH_ROLL,
     STATE_SIZE,
     U_SERVO_1,
     U_SERVO_2,
@@ -318,15 +318,15 @@ class OutputErrorProblem:
             first = f.inputs[: max(1, round(0.3 / r.sample_s)), MOTORS].mean(axis=0)
             speeds = steady_rotor_speeds(p, np.clip(first, 0.0, 1.0), f.first_and_mean_voltage[0])
         x = np.zeros((b, STATE_SIZE))
-        x[:, RS_ATT] = 1.0
-        x[:, RS_SWASH_ROLL], x[:, RS_SWASH_PITCH] = swash_plate_target.py_func(
+        x[:, MODEL_ATTITUDE] = 1.0
+        x[:, MODEL_SWASH_ROLL], x[:, MODEL_SWASH_PITCH] = swash_plate_target.py_func(
             *np.clip(f.inputs[0, [U_SERVO_1, U_SERVO_2]], -1.0, 1.0), p["swash_gain"], p["swash_phase"]
         )
         x[:, BAR_NORMAL] = bar_normal(
             motion[:, 0, MOTION_EULER:MOTION_RATES], actuator[:, ACTUATOR_BAR:ACTUATOR_CHARGE]
         )
         x[:, ROTOR_SPEEDS] = speeds * np.maximum(1.0 + actuator[:, :ACTUATOR_BAR], 0.01)
-        x[:, RS_CHARGE] = np.clip(f.initial_charge + actuator[:, ACTUATOR_CHARGE], 0.0, 1.0)
+        x[:, MODEL_CHARGE] = np.clip(f.initial_charge + actuator[:, ACTUATOR_CHARGE], 0.0, 1.0)
         codes = np.array([FLIGHT_OUTPUTS.index(o) for o in r.outputs], dtype=np.int64)
         y = simulate_batch(
             x,

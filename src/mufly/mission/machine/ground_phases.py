@@ -65,6 +65,25 @@ def start_landing(s: MissionState, why: str, *, level: str = "info") -> MissionS
     )
 
 
+def _handle_touchdown(s: MissionState) -> MissionState:
+    if s.touchdown_speed <= HARD_TOUCHDOWN_M_S:
+        return log_event(s, LogMessage.TOUCHDOWN())
+    return log_event(s, LogMessage.HARD_TOUCHDOWN(s.touchdown_speed, HARD_TOUCHDOWN_M_S), level="warning")
+
+
+def _judge_outcome(s: MissionState) -> MissionState:
+    """Set the outcome of the flight after landing."""
+    if s.outcome != "":
+        return s
+    if s.abort_reason:
+        return fail_mission(s, s.abort_reason)
+    return replace(
+        s,
+        outcome="succeeded",
+        reason=(LogMessage.MISSION_COMPLETE if s.mission_begun else LogMessage.LANDED)(),
+    )
+
+
 def step_landing(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionState:
     """Descend, slower near the floor, then press down until the legs carry the weight, and stop the rotors.
 
@@ -116,25 +135,6 @@ def step_landing(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> 
     return replace(_handle_touchdown(s), motors="ramp_down", motion_clock_s=0.0) if still > lasts else s
 
 
-def _handle_touchdown(s: MissionState) -> MissionState:
-    if s.touchdown_speed <= HARD_TOUCHDOWN_M_S:
-        return log_event(s, LogMessage.TOUCHDOWN())
-    return log_event(s, LogMessage.HARD_TOUCHDOWN(s.touchdown_speed, HARD_TOUCHDOWN_M_S), level="warning")
-
-
-def _judge_outcome(s: MissionState) -> MissionState:
-    """Set the outcome of the flight after landing."""
-    if s.outcome != "":
-        return s
-    if s.abort_reason:
-        return fail_mission(s, s.abort_reason)
-    return replace(
-        s,
-        outcome="succeeded",
-        reason=(LogMessage.MISSION_COMPLETE if s.mission_begun else LogMessage.LANDED)(),
-    )
-
-
 def enter_blind_descent(s: MissionState, time_s: float, why: str) -> MissionState:
     """Enter the descent without measurements, which the flight software controls by itself."""
     s = fail_mission(replace(s, time_s=time_s), why)
@@ -161,6 +161,16 @@ def measured_position(m: Estimate) -> Triple:
     return n, e, d
 
 
+def has_lifted_off(s: MissionState, m: Estimate) -> bool:
+    """Return whether the vehicle is off the floor."""
+    return bool(m.position[2] < s.home_position[2] - LIFT_OFF_HEIGHT_M)
+
+
+def is_tipping(m: Estimate) -> bool:
+    """Return whether the vehicle, nearly lifted, rotates on its legs and needs attitude control."""
+    return bool(max(abs(m.rates[0]), abs(m.rates[1])) > TIPPING_RATE_RAD_S)
+
+
 def start_fault(m: Estimate) -> str:
     """Return the reason why the motors may not be started with this estimate; "" if they may."""
     if not m.valid:
@@ -174,16 +184,6 @@ def refuse_start(s: MissionState, why: str) -> MissionState:
     head = LogMessage.STANDS_TILTED.value.partition("{")[0]
     last = s.events[-1].text
     return s if last == why or (last.startswith(head) and why.startswith(head)) else log_event(s, why, level="warning")
-
-
-def has_lifted_off(s: MissionState, m: Estimate) -> bool:
-    """Return whether the vehicle is off the floor."""
-    return bool(m.position[2] < s.home_position[2] - LIFT_OFF_HEIGHT_M)
-
-
-def is_tipping(m: Estimate) -> bool:
-    """Return whether the vehicle, nearly lifted, rotates on its legs and needs attitude control."""
-    return bool(max(abs(m.rates[0]), abs(m.rates[1])) > TIPPING_RATE_RAD_S)
 
 
 def has_spun_up(s: MissionState, m: Estimate) -> bool:

@@ -306,37 +306,14 @@ class MissionState:
     hover_after_take_off: bool = False
 
 
-def initial_mission_state(plan: MissionPlan, estimate: Estimate) -> MissionState:
-    """Return the state before the start signal: on the floor, motors off.
-
-    Parameters
-    ----------
-    plan : MissionPlan
-        From `prepare_plan`.
-    estimate : Estimate
-        Present position.
-    """
-    n, e, d = estimate.position.tolist()
-    return MissionState(
-        time_s=estimate.time_s,
-        state_entered_s=estimate.time_s,
-        hold_position=(n, e, d),
-        home_position=(n, e, d),
-        hold_heading=float(estimate.attitude[2]),
-        battery_V=float(estimate.battery_voltage),
-        events=(FlightEvent(estimate.time_s, str(State.INIT), LogMessage.READY_FOR_MISSION(plan.mission.name)),),
-        logged_count=1,
-    )
-
-
-LOG_CAPACITY = 256
-"""Number of log entries kept, also on flights of hours."""
-
-
 def log_event(s: MissionState, text: str, state: State | None = None, level: str = "info") -> MissionState:
     """Return the state with a new log entry."""
     entry = FlightEvent(s.time_s, str(state or s.state), text, level)
     return replace(s, events=(*s.events[1 - LOG_CAPACITY :], entry), logged_count=s.logged_count + 1)
+
+
+LOG_CAPACITY = 256
+"""Number of log entries kept, also on flights of hours."""
 
 
 def enter_state(s: MissionState, state: State, why: str, *, level: str = "info", **changes: object) -> MissionState:
@@ -362,3 +339,26 @@ def enter_hover(
 def fail_mission(s: MissionState, why: str) -> MissionState:
     """Mark the mission as failed; the first reason stays."""
     return s if s.outcome == "failed" else replace(s, outcome="failed", reason=why)
+
+
+def initial_mission_state(plan: MissionPlan, estimate: Estimate) -> MissionState:
+    """Return the state before the start signal: on the floor, motors off.
+
+    Parameters
+    ----------
+    plan : MissionPlan
+        From `prepare_plan`.
+    estimate : Estimate
+        Present position.
+    """
+    n, e, d = estimate.position.tolist()
+    return MissionState(
+        time_s=estimate.time_s,
+        state_entered_s=estimate.time_s,
+        hold_position=(n, e, d),
+        home_position=(n, e, d),
+        hold_heading=float(estimate.attitude[2]),
+        battery_V=float(estimate.battery_voltage),
+        events=(FlightEvent(estimate.time_s, str(State.INIT), LogMessage.READY_FOR_MISSION(plan.mission.name)),),
+        logged_count=1,
+    )

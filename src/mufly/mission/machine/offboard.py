@@ -94,35 +94,24 @@ def needs_lift_off(s: SetPoint, standing: Triple) -> bool:
     return higher or (s.velocity_m_s is not None and s.velocity_m_s[2] < -0.01)
 
 
-def follow_set_point(
-    tracker: TrajectoryPoint,
-    wanted: SetPoint,
-    limits: TrajectoryLimits,
-    measured: tuple[float, ...],
-    dt: float,
-    hold_off: Callable[[float, float], tuple[float, float]] | None = None,
-) -> TrajectoryPoint:
-    """Propagate the reference by one time step.
+def _or_zero(x: float) -> float:
+    return 0.0 if math.isnan(x) else x
 
-    Parameters
-    ----------
-    tracker : TrajectoryPoint
-        Previous reference; its acceleration is smoothed, for feedforward.
-    wanted : SetPoint
-        Set-point without fault.
-    limits : TrajectoryLimits
-        Limits of the reference.
-    measured : (3,) tuple
-        Position of the helicopter, N, E, D (m).
-    dt : float
-        Time step (s); long steps are divided.
-    hold_off : callable, optional
-        Changes a desired velocity N, E (m/s) to one that avoids obstacles.
-    """
-    parts = max(1, math.ceil(dt / _MAX_STEP_S - 1e-9))
-    for _ in range(parts if dt > 0.0 else 0):
-        tracker = _step_set_point(tracker, wanted, limits, measured, dt / parts, hold_off)
-    return tracker
+
+def _gap_to(target: float, at: float) -> float:
+    return 0.0 if math.isnan(target) else target - at
+
+
+def _approach_speed(gap: float, acceleration: float) -> float:
+    """Return s(g): the speed from which half the acceleration brakes in time."""
+    half, slope = 0.5 * acceleration, 0.5 * TRACKER_BANDWIDTH_RAD_S
+    linear = half / (slope * slope)
+    return slope * gap if gap < linear else math.sqrt(2.0 * half * (gap - 0.5 * linear))
+
+
+def _bound_velocity(gap: float, limits: TrajectoryLimits) -> float:
+    """Return the permitted velocity towards a bound at ``gap`` (m, down), or the velocity back to it."""
+    return math.copysign(_approach_speed(abs(gap), limits.climb_acceleration), gap)
 
 
 def _step_set_point(
@@ -178,24 +167,35 @@ def _step_set_point(
     )
 
 
-def _gap_to(target: float, at: float) -> float:
-    return 0.0 if math.isnan(target) else target - at
+def follow_set_point(
+    tracker: TrajectoryPoint,
+    wanted: SetPoint,
+    limits: TrajectoryLimits,
+    measured: tuple[float, ...],
+    dt: float,
+    hold_off: Callable[[float, float], tuple[float, float]] | None = None,
+) -> TrajectoryPoint:
+    """Propagate the reference by one time step.
 
-
-def _or_zero(x: float) -> float:
-    return 0.0 if math.isnan(x) else x
-
-
-def _approach_speed(gap: float, acceleration: float) -> float:
-    """Return s(g): the speed from which half the acceleration brakes in time."""
-    half, slope = 0.5 * acceleration, 0.5 * TRACKER_BANDWIDTH_RAD_S
-    linear = half / (slope * slope)
-    return slope * gap if gap < linear else math.sqrt(2.0 * half * (gap - 0.5 * linear))
-
-
-def _bound_velocity(gap: float, limits: TrajectoryLimits) -> float:
-    """Return the permitted velocity towards a bound at ``gap`` (m, down), or the velocity back to it."""
-    return math.copysign(_approach_speed(abs(gap), limits.climb_acceleration), gap)
+    Parameters
+    ----------
+    tracker : TrajectoryPoint
+        Previous reference; its acceleration is smoothed, for feedforward.
+    wanted : SetPoint
+        Set-point without fault.
+    limits : TrajectoryLimits
+        Limits of the reference.
+    measured : (3,) tuple
+        Position of the helicopter, N, E, D (m).
+    dt : float
+        Time step (s); long steps are divided.
+    hold_off : callable, optional
+        Changes a desired velocity N, E (m/s) to one that avoids obstacles.
+    """
+    parts = max(1, math.ceil(dt / _MAX_STEP_S - 1e-9))
+    for _ in range(parts if dt > 0.0 else 0):
+        tracker = _step_set_point(tracker, wanted, limits, measured, dt / parts, hold_off)
+    return tracker
 
 
 def _limited_acceleration(dx: float, dy: float, most: float, dt: float) -> tuple[float, float]:

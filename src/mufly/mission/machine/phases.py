@@ -65,6 +65,10 @@ def start_flight(
     return enter_state(fresh, State.TAKE_OFF, why, motors="spin_up", goal=goal, motion=motion)
 
 
+def _hover_until(s: MissionState, why: str, at: Triple, ready_s: float) -> MissionState:
+    return enter_hover(s, why, at, current_reference(s).heading, hover_until_s=ready_s)
+
+
 def _is_at_goal(plan: MissionPlan, s: MissionState, m: Estimate) -> bool:
     """Whether the vehicle is as near its goal, and as slow, as a reached waypoint asks."""
     q = plan.mission.limits
@@ -96,38 +100,9 @@ def step_take_off(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) ->
     return _detect_obstacle(plan, s) if m.position[2] < s.home_position[2] - 0.2 else s
 
 
-def step_hover(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionState:
-    """Step a hover: wait, then start the next leg or the landing."""
-    if s.outcome == "failed":
-        return start_landing(s, s.reason, level="warning") if s.time_s >= s.hover_until_s else s
-    s = _detect_obstacle(plan, s)
-    if s.state is not State.HOVER or s.manual or s.time_s < s.hover_until_s:
-        return s
-    if s.waypoint_index >= len(plan.mission.waypoint):
-        return _complete_mission(plan, s)
-
-    def plan_leg(at: Triple, heading: float) -> Trajectory:
-        offset = nose_offset(plan)
-        return plan_leg_trajectory(
-            plan.mission, s.waypoint_index, np.array(at), heading, nose_offset=offset, made=False
-        )
-
-    return start_leg(plan, s, LogMessage.TO_WAYPOINT(s.waypoint_index + 1), plan_leg)
-
-
 def nose_offset(plan: MissionPlan) -> float:
     """Return the angle of the nose from the direction of flight (rad), which points a beam along it when scanning."""
     return math.remainder(-plan.ring.first_angle, plan.ring.spacing) if plan.scans_with_nose else 0.0
-
-
-def _complete_mission(plan: MissionPlan, s: MissionState) -> MissionState:
-    """Finish the mission after the last wait, as its file states."""
-    if plan.mission.at_end == "hover":
-        s = log_event(s, LogMessage.MISSION_COMPLETE_HOLDING())
-        return replace(s, manual=True, outcome="succeeded", reason=LogMessage.MISSION_COMPLETE())
-    if plan.mission.at_end == "return":
-        return start_leg_home(plan, s, LogMessage.MISSION_COMPLETE_RETURNING())
-    return start_landing(s, LogMessage.MISSION_COMPLETE())
 
 
 def plan_braking(plan: MissionPlan, s: MissionState) -> BrakingMotion:
@@ -180,6 +155,118 @@ def start_leg_home(plan: MissionPlan, s: MissionState, why: str) -> MissionState
     return start_leg(plan, s, why, plan_way_home, manual=True, returning_home=True)
 
 
+def _complete_mission(plan: MissionPlan, s: MissionState) -> MissionState:
+    """Finish the mission after the last wait, as its file states."""
+    if plan.mission.at_end == "hover":
+        s = log_event(s, LogMessage.MISSION_COMPLETE_HOLDING())
+        return replace(s, manual=True, outcome="succeeded", reason=LogMessage.MISSION_COMPLETE())
+    if plan.mission.at_end == "return":
+        return start_leg_home(plan, s, LogMessage.MISSION_COMPLETE_RETURNING())
+    return start_landing(s, LogMessage.MISSION_COMPLETE())
+
+
+def step_hover(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionState:
+    """Step a hover: wait, then start the next leg or the landing."""
+    if s.outcome == "failed":
+        return start_landing(s, s.reason, level="warning") if s.time_s >= s.hover_until_s else s
+    s = _detect_obstacle(plan, s)
+    if s.state is not State.HOVER or s.manual or s.time_s < s.hover_until_s:
+        return s
+    if s.waypoint_index >= len(plan.mission.waypoint):
+        return _complete_mission(plan, s)
+
+    def plan_leg(at: Triple, heading: float) -> Trajectory:
+        offset = nose_offset(plan)
+        return plan_leg_trajectory(
+            plan.mission, s.waypoint_index, np.array(at), heading, nose_offset=offset, made=False
+        )
+
+    return start_leg(plan, s, LogMessage.TO_WAYPOINT(s.waypoint_index + 1), plan_leg)
+
+
+def _fail_and_hover(s: MissionState, why: str) -> MissionState:
+    """Brake to a hover, from which the vehicle lands."""
+    now = current_reference(s)
+    brake = plan_stop(now.position, now.velocity, now.heading, DETOUR_ACCELERATION_M_S2)
+    at = brake.evaluate(math.inf).position
+    ready = s.time_s + brake.duration_s + _SETTLE_BEFORE_LANDING_S
+    s = fail_mission(s, why)
+    return enter_hover(s, why, at, now.heading, level="warning", motion=brake, hover_until_s=ready)
+
+
+def change_leg_goal(
+    plan: MissionPlan, s: MissionState, why: str, goal: Triple, heading: float | None, *, quiet: bool
+) -> MissionState:
+    """Redirect the user's present leg to another goal without a stop, from the present motion of the reference.
+
+    The reference follows the goal as that of a program (:mod:`mufly.mission.machine.offboard`), height and way
+    together. Without a ``heading`` the nose turns along the way to the goal, unless that is short.
+    """
+    known = s.set_point_reference
+    now = predict_reference(s) if known is None else known
+    (n, e, _), aim = now.position, heading
+    if aim is None and vector_length(goal[0] - n, goal[1] - e) < SHORT_WAY_M:
+        aim = now.heading
+    way = plan_straight(now.position, goal, now.heading, plan.trajectory_limits, final_heading=aim)
+    changes: dict[str, Any] = {
+        "motion": way,
+        "goal": goal,
+        "set_point_reference": now,
+        "requested_heading": heading,
+        "state_entered_s": s.time_s,
+    }
+    if known is not None:
+        return replace(s if quiet else log_event(s, why), **changes)
+    return enter_state(
+        s, State.WAYPOINT, why, detour=None, detour_duration_s=0.0, resumed_after_detour=False, **changes
+    )
+
+
+def track_set_point(
+    plan: MissionPlan, s: MissionState, at: TrajectoryPoint, wanted: SetPoint, m: Estimate, dt: float
+) -> TrajectoryPoint:
+    """Follow a set-point within the mission's limits, away from obstacles that the beams have hit."""
+    here = measured_position(m)
+
+    def limit_velocity(vn: float, ve: float) -> tuple[float, float]:
+        return limit_approach_velocity(s.path_check, here, (vn, ve), plan.mission.avoidance.clearance_m)
+
+    guard = limit_velocity if plan.avoids_obstacles and s.obstacle_map.point_count else None
+    return follow_set_point(at, wanted, plan.trajectory_limits, here, dt, guard)
+
+
+def _track_goal(plan: MissionPlan, s: MissionState, m: Estimate, way: Trajectory, dt: float) -> MissionState:
+    """Move the reference towards a changed goal. The step in which the goal changes has moved it already."""
+    if s.set_point_reference is None or s.motion_clock_s == 0.0:
+        return s
+    wanted = SetPoint(position_m=s.goal, heading_rad=way.start_heading + way.turn_angle)
+    return replace(s, set_point_reference=track_set_point(plan, s, s.set_point_reference, wanted, m, dt))
+
+
+def _leg_message(s: MissionState, mission: LogMessage, users: LogMessage, home: LogMessage, *numbers: float) -> str:
+    if s.returning_home or s.manual:
+        return (home if s.returning_home else users)(*numbers)
+    return mission(s.waypoint_index + 1, *numbers)
+
+
+def _distance_to_goal(m: Estimate, goal: Triple) -> float:
+    n, e, d = measured_position(m)
+    return float(vector_length(n - goal[0], e - goal[1], d - goal[2]))
+
+
+def _has_settled(s: MissionState, way: Trajectory) -> bool:
+    """Return whether the reference rests at the changed goal of a leg."""
+    at = s.set_point_reference
+    assert at is not None
+    (n, e, d), (gn, ge, gd) = at.position, s.goal
+    return bool(
+        vector_length(n - gn, e - ge, d - gd) < _SETTLED_M
+        and vector_length(*at.velocity) < _SETTLED_M_S
+        and abs(wrap_turn(way.start_heading + way.turn_angle - at.heading)) < _SETTLED_RAD
+        and abs(at.heading_rate) < _SETTLED_RAD
+    )
+
+
 def step_leg(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> MissionState:
     """Step a leg and check whether the goal is reached."""
     way = s.motion
@@ -211,93 +298,6 @@ def step_leg(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> Miss
         )
         return _fail_and_hover(s, why)
     return _detect_obstacle(plan, s)
-
-
-def change_leg_goal(
-    plan: MissionPlan, s: MissionState, why: str, goal: Triple, heading: float | None, *, quiet: bool
-) -> MissionState:
-    """Redirect the user's present leg to another goal without a stop, from the present motion of the reference.
-
-    The reference follows the goal as that of a program (:mod:`mufly.mission.machine.offboard`), height and way
-    together. Without a ``heading`` the nose turns along the way to the goal, unless that is short.
-    """
-    known = s.set_point_reference
-    now = predict_reference(s) if known is None else known
-    (n, e, _), aim = now.position, heading
-    if aim is None and vector_length(goal[0] - n, goal[1] - e) < SHORT_WAY_M:
-        aim = now.heading
-    way = plan_straight(now.position, goal, now.heading, plan.trajectory_limits, final_heading=aim)
-    changes: dict[str, Any] = {
-        "motion": way,
-        "goal": goal,
-        "set_point_reference": now,
-        "requested_heading": heading,
-        "state_entered_s": s.time_s,
-    }
-    if known is not None:
-        return replace(s if quiet else log_event(s, why), **changes)
-    return enter_state(
-        s, State.WAYPOINT, why, detour=None, detour_duration_s=0.0, resumed_after_detour=False, **changes
-    )
-
-
-def _track_goal(plan: MissionPlan, s: MissionState, m: Estimate, way: Trajectory, dt: float) -> MissionState:
-    """Move the reference towards a changed goal. The step in which the goal changes has moved it already."""
-    if s.set_point_reference is None or s.motion_clock_s == 0.0:
-        return s
-    wanted = SetPoint(position_m=s.goal, heading_rad=way.start_heading + way.turn_angle)
-    return replace(s, set_point_reference=track_set_point(plan, s, s.set_point_reference, wanted, m, dt))
-
-
-def track_set_point(
-    plan: MissionPlan, s: MissionState, at: TrajectoryPoint, wanted: SetPoint, m: Estimate, dt: float
-) -> TrajectoryPoint:
-    """Follow a set-point within the mission's limits, away from obstacles that the beams have hit."""
-    here = measured_position(m)
-
-    def limit_velocity(vn: float, ve: float) -> tuple[float, float]:
-        return limit_approach_velocity(s.path_check, here, (vn, ve), plan.mission.avoidance.clearance_m)
-
-    guard = limit_velocity if plan.avoids_obstacles and s.obstacle_map.point_count else None
-    return follow_set_point(at, wanted, plan.trajectory_limits, here, dt, guard)
-
-
-def _has_settled(s: MissionState, way: Trajectory) -> bool:
-    """Return whether the reference rests at the changed goal of a leg."""
-    at = s.set_point_reference
-    assert at is not None
-    (n, e, d), (gn, ge, gd) = at.position, s.goal
-    return bool(
-        vector_length(n - gn, e - ge, d - gd) < _SETTLED_M
-        and vector_length(*at.velocity) < _SETTLED_M_S
-        and abs(wrap_turn(way.start_heading + way.turn_angle - at.heading)) < _SETTLED_RAD
-        and abs(at.heading_rate) < _SETTLED_RAD
-    )
-
-
-def _leg_message(s: MissionState, mission: LogMessage, users: LogMessage, home: LogMessage, *numbers: float) -> str:
-    if s.returning_home or s.manual:
-        return (home if s.returning_home else users)(*numbers)
-    return mission(s.waypoint_index + 1, *numbers)
-
-
-def _distance_to_goal(m: Estimate, goal: Triple) -> float:
-    n, e, d = measured_position(m)
-    return float(vector_length(n - goal[0], e - goal[1], d - goal[2]))
-
-
-def _hover_until(s: MissionState, why: str, at: Triple, ready_s: float) -> MissionState:
-    return enter_hover(s, why, at, current_reference(s).heading, hover_until_s=ready_s)
-
-
-def _fail_and_hover(s: MissionState, why: str) -> MissionState:
-    """Brake to a hover, from which the vehicle lands."""
-    now = current_reference(s)
-    brake = plan_stop(now.position, now.velocity, now.heading, DETOUR_ACCELERATION_M_S2)
-    at = brake.evaluate(math.inf).position
-    ready = s.time_s + brake.duration_s + _SETTLE_BEFORE_LANDING_S
-    s = fail_mission(s, why)
-    return enter_hover(s, why, at, now.heading, level="warning", motion=brake, hover_until_s=ready)
 
 
 def _detect_obstacle(plan: MissionPlan, s: MissionState) -> MissionState:

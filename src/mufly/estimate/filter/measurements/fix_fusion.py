@@ -16,26 +16,26 @@ from mufly.compiled.portable_math import portable_atan2, wrap_angle
 from mufly.estimate.filter.filter_records import (
     AID_HEADING,
     AID_PLACE,
-    EX_ATT,
-    EX_FIX_BIAS,
-    EX_FIX_HEADING,
-    EX_GYRO_BIAS,
-    EX_POS,
-    EX_VEL,
+    ERROR_ATTITUDE,
+    ERROR_FIX_BIAS,
+    ERROR_FIX_HEADING,
+    ERROR_GYRO_BIAS,
+    ERROR_POSITION,
+    ERROR_VELOCITY,
     FIX_COMPONENT_COUNT,
     FIX_DOWN,
     FIX_EAST,
     FIX_HEADING,
     FIX_NORTH,
+    NOMINAL_ATTITUDE,
+    NOMINAL_FIX_BIAS,
+    NOMINAL_FIX_HEADING,
+    NOMINAL_VELOCITY,
     PHASE_LIGHT,
-    R_FIX,
-    R_RATES,
-    R_RING,
-    R_SONAR,
-    SX_ATT,
-    SX_FIX_BIAS,
-    SX_FIX_HEADING,
-    SX_VEL,
+    READING_FIX,
+    READING_RATES,
+    READING_RING,
+    READING_SONAR,
     FilterMemory,
     FilterSettings,
 )
@@ -98,13 +98,13 @@ def _fix_h_row(m: FilterMemory, i: int, ahead: float) -> None:
     Without the term of the velocity a late fix corrects the present error with a past one. A filter whose attitude is
     uncertain, as in a turn, then oscillates. The sonar knows the vertical velocity, so the height needs no term."""
     if i < FIX_HEADING:
-        h_row_begin(m, EX_POS + i, 1.0)
-        h_row_add(m, EX_FIX_BIAS + i, 1.0)
+        h_row_begin(m, ERROR_POSITION + i, 1.0)
+        h_row_add(m, ERROR_FIX_BIAS + i, 1.0)
         if i < FIX_DOWN:
-            h_row_add(m, EX_VEL + i, ahead)
+            h_row_add(m, ERROR_VELOCITY + i, ahead)
     else:
-        h_row_begin(m, EX_ATT + 2, 1.0)
-        h_row_add(m, EX_FIX_HEADING, 1.0)
+        h_row_begin(m, ERROR_ATTITUDE + 2, 1.0)
+        h_row_add(m, ERROR_FIX_HEADING, 1.0)
 
 
 @cached_njit(error_model="numpy")
@@ -112,12 +112,12 @@ def _fix_innovation(m: FilterMemory, z: _Array, i: int, ahead: float) -> float:
     """Return the innovation of component ``i`` of the fix."""
     x = m.x
     if i < FIX_HEADING:
-        return z[i] - x[i] - ahead * x[SX_VEL + i] - x[SX_FIX_BIAS + i]
+        return z[i] - x[i] - ahead * x[NOMINAL_VELOCITY + i] - x[NOMINAL_FIX_BIAS + i]
     yaw = portable_atan2(
-        2 * (x[SX_ATT] * x[SX_ATT + 3] + x[SX_ATT + 1] * x[SX_ATT + 2]),
-        1 - 2 * (x[SX_ATT + 2] * x[SX_ATT + 2] + x[SX_ATT + 3] * x[SX_ATT + 3]),
+        2 * (x[NOMINAL_ATTITUDE] * x[NOMINAL_ATTITUDE + 3] + x[NOMINAL_ATTITUDE + 1] * x[NOMINAL_ATTITUDE + 2]),
+        1 - 2 * (x[NOMINAL_ATTITUDE + 2] * x[NOMINAL_ATTITUDE + 2] + x[NOMINAL_ATTITUDE + 3] * x[NOMINAL_ATTITUDE + 3]),
     )
-    off = z[FIX_HEADING] - yaw - ahead * m.yaw_rate - x[SX_FIX_HEADING]
+    off = z[FIX_HEADING] - yaw - ahead * m.yaw_rate - x[NOMINAL_FIX_HEADING]
     return wrap_angle(off)
 
 
@@ -134,7 +134,7 @@ def _fix_variance(m: FilterMemory, s: FilterSettings, i: int) -> float:
 @cached_njit(error_model="numpy")
 def _fix_bias_variance(m: FilterMemory, s: FilterSettings, i: int) -> float:
     """Return the estimated variance of the bias of component ``i`` of the fix."""
-    sigma = s.initial_sigma[EX_FIX_BIAS + i]
+    sigma = s.initial_sigma[ERROR_FIX_BIAS + i]
     return sigma * sigma * m.bias_walk_scale[AID_PLACE if i < FIX_HEADING else AID_HEADING]
 
 
@@ -172,7 +172,7 @@ def _fix_bias_ratio(m: FilterMemory, s: FilterSettings, i: int) -> float:
 
     A Gauss-Markov process of deviation sigma exceeds 5 sigma once in two million correlation times. Innovations do
     not show such an error, because the bias follows it."""
-    return abs(m.x[SX_FIX_BIAS + i]) / (
+    return abs(m.x[NOMINAL_FIX_BIAS + i]) / (
         BIAS_RANGE_SIGMAS * math.sqrt(_fix_bias_variance(m, s, i) + _fix_variance(m, s, i))
     )
 
@@ -183,21 +183,21 @@ def _widen_fix_bias(m: FilterMemory, s: FilterSettings, i: int, nu: float, ratio
 
     A vehicle at rest knows its velocity, so that an innovation beyond the gate is an error of the fix. One beyond
     the largest random walk remains a jump."""
-    sigma = s.initial_sigma[EX_FIX_BIAS + i]
+    sigma = s.initial_sigma[ERROR_FIX_BIAS + i]
     spread = nu / WIDENED_SIGMAS
     scale = spread * spread / (sigma * sigma)
     aid = AID_PLACE if i < FIX_HEADING else AID_HEADING
     if not scale < MAX_NOISE_SCALE:
         return ratio
     m.bias_walk_scale[aid] = max(m.bias_walk_scale[aid], scale)
-    inflate_variance(m.u_transposed, m.ud_diagonal, EX_FIX_BIAS + i, spread * spread, m.u_transposed_h)
+    inflate_variance(m.u_transposed, m.ud_diagonal, ERROR_FIX_BIAS + i, spread * spread, m.u_transposed_h)
     return innovation_ratio(m, nu, _fix_variance(m, s, i))
 
 
 @cached_njit(error_model="numpy")
 def _sonar_height_valid(m: FilterMemory, s: FilterSettings) -> bool:
     """Return whether the sonar measures the height, over a known floor."""
-    k = R_SONAR
+    k = READING_SONAR
     fresh = m.last_fused_tick[k] > 0 and (m.tick - m.last_fused_tick[k]) * s.dt < 0.3
     return fresh and m.status[k] == STATUS_FUSED and m.reason[k] == REASON_NONE and not m.terrain_edge_weight > 0.0
 
@@ -208,11 +208,11 @@ def _fix_height_consistent(m: FilterMemory, s: FilterSettings, nu: float, ratio:
 
     The faulty one of the two is unknown: the pressure drifts by as much. The height follows the sonar, and the gap is
     added to the standard deviation of the position."""
-    k = R_FIX
+    k = READING_FIX
     off = abs(ratio)
-    whole = abs(nu + m.x[SX_FIX_BIAS + 2])
+    whole = abs(nu + m.x[NOMINAL_FIX_BIAS + 2])
     if m.fix_height_gap > 0.0:
-        blind = (m.tick - m.last_fused_tick[R_SONAR]) * s.dt > 0.3
+        blind = (m.tick - m.last_fused_tick[READING_SONAR]) * s.dt > 0.3
         m.fix_height_gap = 0.0 if blind or off < 2.5 else whole
     elif _sonar_height_valid(m, s) and (
         _fix_bias_ratio(m, s, 2) > 1.0 or (off > INNOVATION_GATE and reset_timeout_expired(m, s, k))
@@ -231,14 +231,14 @@ def _is_height_alone_off(m: FilterMemory) -> bool:
 @cached_njit(error_model="numpy")
 def _clear_attitude_evidence(m: FilterMemory) -> None:
     """Mark a fix that is rejected for its height alone as faulty: a height does not contradict the attitude."""
-    if m.status[R_FIX] == STATUS_REJECTED and _is_height_alone_off(m):
-        m.status[R_FIX] = STATUS_FAULTY
+    if m.status[READING_FIX] == STATUS_REJECTED and _is_height_alone_off(m):
+        m.status[READING_FIX] = STATUS_FAULTY
 
 
 @cached_njit(error_model="numpy")
 def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float) -> None:
     """Fuse position and heading of a fix; no height while it disagrees with the sonar."""
-    k, worst, at = R_FIX, 0.0, 0.0
+    k, worst, at = READING_FIX, 0.0, 0.0
     down = True
     for i in range(FIX_COMPONENT_COUNT):
         _fix_h_row(m, i, ahead)
@@ -253,7 +253,11 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
         elif m.is_heading_aligned == 0 and abs(ratio) > INNOVATION_GATE:
             # The initial position is unknown: the first fix sets it.
             inflate_variance(
-                m.u_transposed, m.ud_diagonal, EX_POS + i if i < FIX_HEADING else EX_ATT + 2, nu * nu, m.u_transposed_h
+                m.u_transposed,
+                m.ud_diagonal,
+                ERROR_POSITION + i if i < FIX_HEADING else ERROR_ATTITUDE + 2,
+                nu * nu,
+                m.u_transposed_h,
             )
             ratio = innovation_ratio(m, nu, _fix_variance(m, s, i))
         m.fix_ratio[i] = ratio
@@ -273,7 +277,7 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
     )
     if abs(worst) > INNOVATION_GATE and not led:
         # A height that differs from the sonar's does not show which of the two is wrong.
-        apart = _is_height_alone_off(m) and m.status[R_SONAR] == STATUS_FUSED
+        apart = _is_height_alone_off(m) and m.status[READING_SONAR] == STATUS_FUSED
         why = REASON_HEIGHT_CONFLICT if apart else REASON_INNOVATION
         near = 2.0 * s.sensor_period[k] + 8 * math.sqrt(_fix_variance(m, s, 0)) + 0.05
         reject_measurement(m, s, k, at, z, 3, near, why)
@@ -281,16 +285,18 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
         if not reset_timeout_expired(m, s, k):
             return
         # Components that other sensors hold are kept: there the bias of the fix is reset.
-        held = m.status[R_SONAR] == STATUS_FUSED, m.status[R_RING] == STATUS_FUSED
+        held = m.status[READING_SONAR] == STATUS_FUSED, m.status[READING_RING] == STATUS_FUSED
         for i in range(3):
             nu = _fix_innovation(m, z, i, ahead)
             if held[0] if i == FIX_DOWN else held[1]:
-                inflate_variance(m.u_transposed, m.ud_diagonal, EX_FIX_BIAS + i, nu * nu, m.u_transposed_h)
+                inflate_variance(m.u_transposed, m.ud_diagonal, ERROR_FIX_BIAS + i, nu * nu, m.u_transposed_h)
             else:
-                inflate_variance(m.u_transposed, m.ud_diagonal, EX_POS + i, nu * nu, m.u_transposed_h)
-                inflate_variance(m.u_transposed, m.ud_diagonal, EX_VEL + i, 0.01 + 0.1 * nu * nu, m.u_transposed_h)
+                inflate_variance(m.u_transposed, m.ud_diagonal, ERROR_POSITION + i, nu * nu, m.u_transposed_h)
+                inflate_variance(
+                    m.u_transposed, m.ud_diagonal, ERROR_VELOCITY + i, 0.01 + 0.1 * nu * nu, m.u_transposed_h
+                )
         nu = _fix_innovation(m, z, FIX_HEADING, ahead)
-        inflate_variance(m.u_transposed, m.ud_diagonal, EX_ATT + 2, nu * nu, m.u_transposed_h)
+        inflate_variance(m.u_transposed, m.ud_diagonal, ERROR_ATTITUDE + 2, nu * nu, m.u_transposed_h)
         nu = at
         set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu)
         _clear_attitude_evidence(m)
@@ -309,9 +315,9 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
         _fix_h_row(m, i, ahead)
         fuse_scalar(m, _fix_innovation(m, z, i, ahead), _fix_variance(m, s, i))
     for i in range(3):
-        most = GYRO_BIAS_RANGE_SIGMAS * s.initial_sigma[EX_GYRO_BIAS + i] + 2.0 * m.sigma_output[EX_GYRO_BIAS + i]
-        if abs(m.leak_origin[i]) > most and m.status[R_RATES] == STATUS_FUSED and down:
-            set_fault(m, s, R_RATES, STATUS_REJECTED, REASON_LARGE_BIAS, m.leak_origin[i])
+        most = GYRO_BIAS_RANGE_SIGMAS * s.initial_sigma[ERROR_GYRO_BIAS + i] + 2.0 * m.sigma_output[ERROR_GYRO_BIAS + i]
+        if abs(m.leak_origin[i]) > most and m.status[READING_RATES] == STATUS_FUSED and down:
+            set_fault(m, s, READING_RATES, STATUS_REJECTED, REASON_LARGE_BIAS, m.leak_origin[i])
     mark_fused(m, k)
     if not down:
         set_fault(m, s, k, STATUS_FAULTY, REASON_HEIGHT_CONFLICT, m.fix_height_gap)
@@ -321,7 +327,7 @@ def fuse_position_fix(m: FilterMemory, s: FilterSettings, z: _Array, ahead: floa
 @cached_njit(error_model="numpy")
 def predict_fix_bias(m: FilterMemory, s: FilterSettings) -> None:
     """Predict the bias of the fix to the horizon; N and E over the same time."""
-    for k in range(EX_FIX_BIAS, EX_FIX_HEADING + 1):
+    for k in range(ERROR_FIX_BIAS, ERROR_FIX_HEADING + 1):
         keep, by = 1.0, s.decay[k]
         blocks = (m.horizon_tick - m.fix_bias_tick) // s.block_ticks
         while blocks > 0:
@@ -330,7 +336,7 @@ def predict_fix_bias(m: FilterMemory, s: FilterSettings) -> None:
             by *= by
             blocks //= 2
         m.x[k + 1] *= keep
-        q = _fix_bias_variance(m, s, k - EX_FIX_BIAS) * (1.0 - keep * keep)
+        q = _fix_bias_variance(m, s, k - ERROR_FIX_BIAS) * (1.0 - keep * keep)
         if q > 0.0:
             gauss_markov_update(m.u_transposed, m.ud_diagonal, k, keep, q, m.u_transposed_h)
     m.fix_bias_tick = m.horizon_tick

@@ -28,34 +28,34 @@ from mufly.estimate.filter.filter_records import (
     AID_MAGNETIC,
     AID_PRESSURE,
     AID_SONAR,
-    EX_ACCEL_BIAS,
-    EX_ATT,
-    EX_GYRO_BIAS,
-    EX_MAG_BIAS,
-    EX_POS,
-    EX_PRESSURE_BIAS,
-    EX_TERRAIN,
-    EX_THRUST_SCALE,
-    EX_VEL,
-    EX_WIND,
+    ERROR_ACCEL_BIAS,
+    ERROR_ATTITUDE,
+    ERROR_GYRO_BIAS,
+    ERROR_MAG_BIAS,
+    ERROR_POSITION,
+    ERROR_PRESSURE_BIAS,
+    ERROR_TERRAIN,
+    ERROR_THRUST_SCALE,
+    ERROR_VELOCITY,
+    ERROR_WIND,
     MAX_FLOOR_HEIGHT,
+    NOMINAL_ACCEL_BIAS,
+    NOMINAL_ATTITUDE,
+    NOMINAL_GYRO_BIAS,
+    NOMINAL_MAG_BIAS,
+    NOMINAL_POSITION,
+    NOMINAL_PRESSURE_BIAS,
+    NOMINAL_TERRAIN,
+    NOMINAL_THRUST_SCALE,
+    NOMINAL_VELOCITY,
     PHASE_COASTING,
     PHASE_STANDING,
-    R_ACCELERATION,
-    R_FIX,
-    R_MAGNET,
-    R_PRESSURE,
-    R_RING,
-    R_SONAR,
-    SX_ACCEL_BIAS,
-    SX_ATT,
-    SX_GYRO_BIAS,
-    SX_MAG_BIAS,
-    SX_POS,
-    SX_PRESSURE_BIAS,
-    SX_TERRAIN,
-    SX_THRUST_SCALE,
-    SX_VEL,
+    READING_ACCELERATION,
+    READING_FIX,
+    READING_MAGNET,
+    READING_PRESSURE,
+    READING_RING,
+    READING_SONAR,
     FilterMemory,
     FilterSettings,
 )
@@ -123,21 +123,21 @@ MIN_TERRAIN_HEIGHT = -0.1
 @cached_njit(error_model="numpy")
 def height_above_ground(x: _Array, s: FilterSettings) -> float:
     """Return the height of the legs above the surface below (m); the surface is at least as high as the floor."""
-    return -x[SX_POS + 2] - max(x[SX_TERRAIN], 0.0) - s.ground_clearance
+    return -x[NOMINAL_POSITION + 2] - max(x[NOMINAL_TERRAIN], 0.0) - s.ground_clearance
 
 
 @cached_njit(error_model="numpy")
 def _sonar_h_row(m: FilterMemory, s: FilterSettings, r: _Array) -> float:
     """Write the row H of the sonar; return the sonar's place below the centre of gravity (m)."""
-    rotation_matrix(m.x[SX_ATT : SX_ATT + 4], r)
-    h_row_begin(m, EX_POS + 2, -1.0)
-    h_row_add(m, EX_TERRAIN, -1.0)
+    rotation_matrix(m.x[NOMINAL_ATTITUDE : NOMINAL_ATTITUDE + 4], r)
+    h_row_begin(m, ERROR_POSITION + 2, -1.0)
+    h_row_add(m, ERROR_TERRAIN, -1.0)
     # (exp(t) R r)_D = (R r)_D + t_N (R r)_E - t_E (R r)_N
     n = r[0] * s.sonar_position[0] + r[1] * s.sonar_position[1] + r[2] * s.sonar_position[2]
     e = r[3] * s.sonar_position[0] + r[4] * s.sonar_position[1] + r[5] * s.sonar_position[2]
     d = r[6] * s.sonar_position[0] + r[7] * s.sonar_position[1] + r[8] * s.sonar_position[2]
-    h_row_add(m, EX_ATT, -e)
-    h_row_add(m, EX_ATT + 1, n)
+    h_row_add(m, ERROR_ATTITUDE, -e)
+    h_row_add(m, ERROR_ATTITUDE + 1, n)
     return d
 
 
@@ -148,19 +148,19 @@ def _reset_height(m: FilterMemory, s: FilterSettings, nu: float) -> None:
     The foot of a wall in the sonar's cone gives a wrong height once. A second reset within
     :data:`HEIGHT_RESET_WINDOW_S` says that a force is wrong: then the vertical speed, the accelerometer's bias and the
     thrust's scale are freed too."""
-    inflate_variance(m.u_transposed, m.ud_diagonal, EX_POS + 2, nu * nu, m.u_transposed_h)
+    inflate_variance(m.u_transposed, m.ud_diagonal, ERROR_POSITION + 2, nu * nu, m.u_transposed_h)
     before = m.height_reset_tick
     m.height_reset_tick = m.horizon_tick
     if not (before > 0 and (m.horizon_tick - before) * s.dt < HEIGHT_RESET_WINDOW_S):
         return
     inflate_variance(
-        m.u_transposed, m.ud_diagonal, EX_VEL + 2, HEIGHT_RESET_SPEED * HEIGHT_RESET_SPEED, m.u_transposed_h
+        m.u_transposed, m.ud_diagonal, ERROR_VELOCITY + 2, HEIGHT_RESET_SPEED * HEIGHT_RESET_SPEED, m.u_transposed_h
     )
     inflate_variance(
-        m.u_transposed, m.ud_diagonal, EX_ACCEL_BIAS + 2, HEIGHT_RESET_ACCEL * HEIGHT_RESET_ACCEL, m.u_transposed_h
+        m.u_transposed, m.ud_diagonal, ERROR_ACCEL_BIAS + 2, HEIGHT_RESET_ACCEL * HEIGHT_RESET_ACCEL, m.u_transposed_h
     )
     inflate_variance(
-        m.u_transposed, m.ud_diagonal, EX_THRUST_SCALE, HEIGHT_RESET_THRUST * HEIGHT_RESET_THRUST, m.u_transposed_h
+        m.u_transposed, m.ud_diagonal, ERROR_THRUST_SCALE, HEIGHT_RESET_THRUST * HEIGHT_RESET_THRUST, m.u_transposed_h
     )
 
 
@@ -187,11 +187,11 @@ def _sonar_stuck(m: FilterMemory, s: FilterSettings, z: float, nu: float) -> boo
 @cached_njit(error_model="numpy")
 def fuse_sonar_range(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float, r: _Array) -> None:
     """Fuse the range to the surface below; a step that no other sensor sees belongs to the terrain."""
-    k = R_SONAR
+    k = READING_SONAR
     down = _sonar_h_row(m, s, r)
     if r[8] < s.sonar_cone or z[0] >= s.sonar_max:
         return
-    expect = -(m.x[SX_POS + 2] + ahead * m.x[SX_VEL + 2]) - down - m.x[SX_TERRAIN]
+    expect = -(m.x[NOMINAL_POSITION + 2] + ahead * m.x[NOMINAL_VELOCITY + 2]) - down - m.x[NOMINAL_TERRAIN]
     said, r_ = z[0], s.sonar_variance * m.noise_scale[AID_SONAR]
     nearest, standing = s.sonar_min + 0.005, s.ground_clearance - s.sonar_position[2]
     if z[0] <= nearest and standing < nearest:
@@ -209,8 +209,8 @@ def fuse_sonar_range(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
     if _sonar_stuck(m, s, z[0], nu):
         set_fault(m, s, k, STATUS_FAULTY, REASON_STUCK, z[0])
         return
-    floor = m.x[SX_TERRAIN] - nu
-    over = m.terrain_edge_weight > 0.0 or abs(m.x[SX_TERRAIN]) > MAX_FLOOR_HEIGHT
+    floor = m.x[NOMINAL_TERRAIN] - nu
+    over = m.terrain_edge_weight > 0.0 or abs(m.x[NOMINAL_TERRAIN]) > MAX_FLOOR_HEIGHT
     # Innovations of one sign: over an edge, or for a shorter range, the surface has changed. Otherwise the height
     # drifts, because no surface lies below the floor: the accelerometers or the model have an error.
     if abs(ratio) < INNOVATION_GATE:
@@ -229,34 +229,36 @@ def fuse_sonar_range(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
         # Over an object the surface steps.
         m.terrain_steps += 1
         m.terrain_edge_weight = 1.0
-        inflate_variance(m.u_transposed, m.ud_diagonal, EX_TERRAIN, nu * nu, m.u_transposed_h)
+        inflate_variance(m.u_transposed, m.ud_diagonal, ERROR_TERRAIN, nu * nu, m.u_transposed_h)
         _sonar_h_row(m, s, r)
     elif abs(ratio) > INNOVATION_GATE:
         reject_measurement(m, s, k, nu, z, 1, 0.02 + 1.5 * s.sensor_period[k], REASON_INNOVATION)
         step = m.agree_count[k] >= 2 and floor > MIN_TERRAIN_HEIGHT
         if step and m.terrain_steps >= MAX_TERRAIN_STEPS:
             # Repeated steps: the height is wrong, not the terrain.
-            inflate_variance(m.u_transposed, m.ud_diagonal, EX_POS + 2, nu * nu, m.u_transposed_h)
-            inflate_variance(m.u_transposed, m.ud_diagonal, EX_VEL + 2, 0.1, m.u_transposed_h)
-            inflate_variance(m.u_transposed, m.ud_diagonal, EX_THRUST_SCALE, 0.01, m.u_transposed_h)
+            inflate_variance(m.u_transposed, m.ud_diagonal, ERROR_POSITION + 2, nu * nu, m.u_transposed_h)
+            inflate_variance(m.u_transposed, m.ud_diagonal, ERROR_VELOCITY + 2, 0.1, m.u_transposed_h)
+            inflate_variance(m.u_transposed, m.ud_diagonal, ERROR_THRUST_SCALE, 0.01, m.u_transposed_h)
             set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu)
         elif step and nu > 0.0:
             # No surface lies below the floor.
             _reset_height(m, s, nu)
             set_fault(m, s, k, STATUS_FUSED, REASON_TERRAIN_SLOPE, nu)
         elif step:
-            inflate_variance(m.u_transposed, m.ud_diagonal, EX_TERRAIN, nu * nu, m.u_transposed_h)
+            inflate_variance(m.u_transposed, m.ud_diagonal, ERROR_TERRAIN, nu * nu, m.u_transposed_h)
             m.reject_score[k] = 0.0
             set_fault(m, s, k, STATUS_FUSED, REASON_TERRAIN_STEP, floor)
             m.terrain_edge_weight = 1.0
         elif reset_timeout_expired(m, s, k):
-            if (m.tick - m.last_fused_tick[R_FIX]) * s.dt < RESET_TIMEOUT_S and m.last_fused_tick[R_FIX] > 0:
+            if (m.tick - m.last_fused_tick[READING_FIX]) * s.dt < RESET_TIMEOUT_S and m.last_fused_tick[
+                READING_FIX
+            ] > 0:
                 inflate_variance(
-                    m.u_transposed, m.ud_diagonal, EX_TERRAIN, nu * nu, m.u_transposed_h
+                    m.u_transposed, m.ud_diagonal, ERROR_TERRAIN, nu * nu, m.u_transposed_h
                 )  # the fix holds the height
             else:
-                inflate_variance(m.u_transposed, m.ud_diagonal, EX_POS + 2, nu * nu, m.u_transposed_h)
-                inflate_variance(m.u_transposed, m.ud_diagonal, EX_VEL + 2, 0.1 + nu * nu, m.u_transposed_h)
+                inflate_variance(m.u_transposed, m.ud_diagonal, ERROR_POSITION + 2, nu * nu, m.u_transposed_h)
+                inflate_variance(m.u_transposed, m.ud_diagonal, ERROR_VELOCITY + 2, 0.1 + nu * nu, m.u_transposed_h)
             set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu)
         else:
             if m.agree_count[k] >= 2:
@@ -270,7 +272,7 @@ def fuse_sonar_range(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
 @cached_njit(error_model="numpy")
 def reset_terrain(m: FilterMemory) -> None:
     """Reset the terrain to the floor's height."""
-    fuse_error_state(m, EX_TERRAIN, -m.x[SX_TERRAIN], 2.5e-5)
+    fuse_error_state(m, ERROR_TERRAIN, -m.x[NOMINAL_TERRAIN], 2.5e-5)
 
 
 @cached_njit(error_model="numpy")
@@ -278,7 +280,7 @@ def fuse_liftoff_thrust(m: FilterMemory, lift: float) -> None:
     """Fuse the thrust's scale at lift-off, where thrust equals weight; ``lift``: the model's thrust over the weight."""
     scale = LIFTOFF_THRUST_RATIO / lift
     spread = LIFTOFF_THRUST_SIGMA * scale
-    fuse_error_state(m, EX_THRUST_SCALE, scale - m.x[SX_THRUST_SCALE], spread * spread)
+    fuse_error_state(m, ERROR_THRUST_SCALE, scale - m.x[NOMINAL_THRUST_SCALE], spread * spread)
 
 
 @cached_njit(error_model="numpy")
@@ -290,12 +292,12 @@ def fuse_ground_contact(m: FilterMemory, s: FilterSettings) -> bool:
     height = height_above_ground(m.x, s)
     if height >= 0.0:
         return False
-    h_row_begin(m, EX_POS + 2, -1.0)
-    if m.x[SX_TERRAIN] > 0.0:
-        h_row_add(m, EX_TERRAIN, -1.0)
+    h_row_begin(m, ERROR_POSITION + 2, -1.0)
+    if m.x[NOMINAL_TERRAIN] > 0.0:
+        h_row_add(m, ERROR_TERRAIN, -1.0)
     fuse_scalar(m, -height, 2.5e-5)
-    if m.x[SX_VEL + 2] > 0.0:
-        fuse_error_state(m, EX_VEL + 2, -m.x[SX_VEL + 2], 1e-3)
+    if m.x[NOMINAL_VELOCITY + 2] > 0.0:
+        fuse_error_state(m, ERROR_VELOCITY + 2, -m.x[NOMINAL_VELOCITY + 2], 1e-3)
     return True
 
 
@@ -307,12 +309,12 @@ def fuse_wall_ranges(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
     bounded by J, the sum of h^2 / C over the beams. A picture adds the information lost since the preceding picture,
     J - 1 / P. Each beam has its share, a variance of C J / (J - 1 / P) besides its noise.
     """
-    k = R_RING
-    rotation_matrix(m.x[SX_ATT : SX_ATT + 4], r)
+    k = READING_RING
+    rotation_matrix(m.x[NOMINAL_ATTITUDE : NOMINAL_ATTITUDE + 4], r)
     if m.next_beam == 0:
         m.beams_seen = m.beams_fused = 0
         for i in range(2):
-            told = m.wall_info_limit[i] * state_variance(m.u_transposed, m.ud_diagonal, EX_POS + i)
+            told = m.wall_info_limit[i] * state_variance(m.u_transposed, m.ud_diagonal, ERROR_POSITION + i)
             m.wall_info_share[i] = 1.0 - 1.0 / told if told > 1.0 else 0.0
             m.wall_info_limit[i] = 0.0
     last = min(m.next_beam + most, s.beam_count)
@@ -328,19 +330,19 @@ def fuse_wall_ranges(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
             u = n if i == 0 else (e if i == 1 else d)
             if abs(u) > 0.3:
                 plane = s.wall_planes[2 * i + 1] if u > 0.0 else s.wall_planes[2 * i]
-                far = (plane - (m.x[i] + ahead * m.x[SX_VEL + i])) / u
+                far = (plane - (m.x[i] + ahead * m.x[NOMINAL_VELOCITY + i])) / u
                 if 0.0 < far < best:
                     best, axis, along = far, i, u
         if axis < 0 or axis == 2 or best > 1.1 * s.ring_max:
             continue
         # l = (c - p_i) / u_i; they contain no heading, whose error is one more constant: du = t x u
         h = -1.0 / along
-        across = h * best * (e if axis == 0 else n) * m.sigma_output[EX_ATT + 2]
+        across = h * best * (e if axis == 0 else n) * m.sigma_output[ERROR_ATTITUDE + 2]
         slope = best * best + s.ring_baseline * s.ring_baseline
         lasts = slope * slope * s.ring_constant_variance + across * across
         scatters = slope * best * best
         scatters *= scatters * s.ring_noise_variance
-        h_row_begin(m, EX_POS + axis, h)
+        h_row_begin(m, ERROR_POSITION + axis, h)
         nu = z[b] - best
         ratio = innovation_ratio(m, nu, scatters + lasts)
         if abs(ratio) < _BEAM_GATE:
@@ -349,7 +351,7 @@ def fuse_wall_ranges(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
             m.wall_info_limit[axis] += h * h / lasts
             if m.wall_info_share[axis] > 0.0:
                 apply_correction(m, nu, scatters + lasts / m.wall_info_share[axis])
-                rotation_matrix(m.x[SX_ATT : SX_ATT + 4], r)
+                rotation_matrix(m.x[NOMINAL_ATTITUDE : NOMINAL_ATTITUDE + 4], r)
     m.next_beam = last
     if last < s.beam_count:
         return False
@@ -384,13 +386,13 @@ def _fuse_drifting_aid(
     """Fuse an aid with one bias; free that bias after a second of consistent rejections."""
     ratio = innovation_ratio(m, nu, variance)
     log_innovation(m, k, nu, ratio)
-    estimate_noise(m, AID_PRESSURE if k == R_PRESSURE else AID_MAGNETIC, ratio)
+    estimate_noise(m, AID_PRESSURE if k == READING_PRESSURE else AID_MAGNETIC, ratio)
     if abs(ratio) > INNOVATION_GATE:
         reject_measurement(m, s, k, nu, z, count, near, REASON_INNOVATION)
         if not reset_timeout_expired(m, s, k):
             return
         _reset_aid_bias(m, s, k, bias, nu)
-    elif k == R_PRESSURE:
+    elif k == READING_PRESSURE:
         # A bias that drifts faster than modelled causes innovations of one sign.
         m.pressure_ratio_lp += 0.2 * (ratio - m.pressure_ratio_lp)
         if abs(m.pressure_ratio_lp) > PRESSURE_MEAN_GATE:
@@ -404,10 +406,14 @@ def _fuse_drifting_aid(
 def fuse_pressure_height(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float) -> None:
     """Fuse the pressure less the standard one and less the rotors' part."""
     variance = s.pressure_variance * m.noise_scale[AID_PRESSURE]
-    h_row_begin(m, EX_POS + 2, s.pressure_slope)
-    h_row_add(m, EX_PRESSURE_BIAS, 1.0)
-    nu = z[0] - s.pressure_slope * (m.x[SX_POS + 2] + ahead * m.x[SX_VEL + 2]) - m.x[SX_PRESSURE_BIAS]
-    _fuse_drifting_aid(m, s, R_PRESSURE, EX_PRESSURE_BIAS, nu, variance, z, 1, 10 * math.sqrt(variance))
+    h_row_begin(m, ERROR_POSITION + 2, s.pressure_slope)
+    h_row_add(m, ERROR_PRESSURE_BIAS, 1.0)
+    nu = (
+        z[0]
+        - s.pressure_slope * (m.x[NOMINAL_POSITION + 2] + ahead * m.x[NOMINAL_VELOCITY + 2])
+        - m.x[NOMINAL_PRESSURE_BIAS]
+    )
+    _fuse_drifting_aid(m, s, READING_PRESSURE, ERROR_PRESSURE_BIAS, nu, variance, z, 1, 10 * math.sqrt(variance))
 
 
 @cached_njit(error_model="numpy")
@@ -415,44 +421,44 @@ def fuse_magnetic_heading(m: FilterMemory, s: FilterSettings, z: _Array, ahead: 
     """Fuse the heading by the direction of a magnetic field that has the earth's strength across and along the
     vertical."""
     variance = s.mag_heading_variance * m.noise_scale[AID_MAGNETIC]
-    rotation_matrix(m.x[SX_ATT : SX_ATT + 4], r)
+    rotation_matrix(m.x[NOMINAL_ATTITUDE : NOMINAL_ATTITUDE + 4], r)
     north = r[0] * z[0] + r[1] * z[1] + r[2] * z[2]
     east = r[3] * z[0] + r[4] * z[1] + r[5] * z[2]
     across = math.sqrt(north * north + east * east) - s.earth_field[0]
     along = r[6] * z[0] + r[7] * z[1] + r[8] * z[2] - s.earth_field[2]
     if across * across + along * along > FIELD_GATE * FIELD_GATE * s.mag_field_variance:
-        set_fault(m, s, R_MAGNET, STATUS_FAULTY, REASON_OUT_OF_RANGE, 0.0)
+        set_fault(m, s, READING_MAGNET, STATUS_FAULTY, REASON_OUT_OF_RANGE, 0.0)
         return
-    h_row_begin(m, EX_ATT + 2, 1.0)
-    h_row_add(m, EX_ATT, -s.earth_field[2] / s.earth_field[0])
-    h_row_add(m, EX_MAG_BIAS, 1.0)
-    off = -portable_atan2(east, north) - ahead * m.yaw_rate - m.x[SX_MAG_BIAS]
+    h_row_begin(m, ERROR_ATTITUDE + 2, 1.0)
+    h_row_add(m, ERROR_ATTITUDE, -s.earth_field[2] / s.earth_field[0])
+    h_row_add(m, ERROR_MAG_BIAS, 1.0)
+    off = -portable_atan2(east, north) - ahead * m.yaw_rate - m.x[NOMINAL_MAG_BIAS]
     nu = wrap_angle(off)
-    _fuse_drifting_aid(m, s, R_MAGNET, EX_MAG_BIAS, nu, variance, z, 3, 1e-5)
+    _fuse_drifting_aid(m, s, READING_MAGNET, ERROR_MAG_BIAS, nu, variance, z, 3, 1e-5)
 
 
 @cached_njit(error_model="numpy")
 def measurement_cost(m: FilterMemory, s: FilterSettings, kind: int, left: int) -> int:
     """Return the cost in scalar measurements; for the ring, the number of beams for which there is time."""
-    if kind == R_FIX:
+    if kind == READING_FIX:
         return COST_FIX_BIAS if m.fix_bias_tick < m.horizon_tick else COST_FIX
-    return max(min(s.beam_count - m.next_beam, left), 1) if kind == R_RING else 1
+    return max(min(s.beam_count - m.next_beam, left), 1) if kind == READING_RING else 1
 
 
 @cached_njit(error_model="numpy")
 def fuse_measurement(m: FilterMemory, s: FilterSettings, i: int, r: _Array, cost: int) -> bool:
     """Fuse queued measurement ``i``, as far as the budget ``cost`` permits; return whether all of it is fused."""
     kind, z, ahead = m.queue_sensor[i], m.queue_value[i], m.queue_ahead[i]
-    if kind == R_FIX and m.fix_bias_tick < m.horizon_tick:
+    if kind == READING_FIX and m.fix_bias_tick < m.horizon_tick:
         predict_fix_bias(m, s)
         return False
-    if kind == R_FIX:
+    if kind == READING_FIX:
         fuse_position_fix(m, s, z, ahead)
-    elif kind == R_SONAR:
+    elif kind == READING_SONAR:
         fuse_sonar_range(m, s, z, ahead, r)
-    elif kind == R_RING:
+    elif kind == READING_RING:
         return bool(fuse_wall_ranges(m, s, z, ahead, r, cost))
-    elif kind == R_PRESSURE:
+    elif kind == READING_PRESSURE:
         fuse_pressure_height(m, s, z, ahead)
     else:
         fuse_magnetic_heading(m, s, z, ahead, r)
@@ -463,15 +469,15 @@ def fuse_measurement(m: FilterMemory, s: FilterSettings, i: int, r: _Array, cost
 def fuse_accel_residual(m: FilterMemory, s: FilterSettings, r: _Array, count: int, i: int) -> None:
     """Fuse accelerometers less model along axis ``i``, a mean over ``count`` periods: biases, thrust, wind,
     velocity."""
-    rotation_matrix(m.x[SX_ATT : SX_ATT + 4], r)
+    rotation_matrix(m.x[NOMINAL_ATTITUDE : NOMINAL_ATTITUDE + 4], r)
     slope = m.velocity_slope[i]
-    h_row_begin(m, EX_ACCEL_BIAS + i, 1.0)
-    h_row_add(m, EX_THRUST_SCALE, m.thrust_slope[i])
+    h_row_begin(m, ERROR_ACCEL_BIAS + i, 1.0)
+    h_row_add(m, ERROR_THRUST_SCALE, m.thrust_slope[i])
     for j in range(3):
-        h_row_add(m, EX_VEL + j, slope * r[3 * j + i])
-    h_row_add(m, EX_WIND, -slope * r[i])
-    h_row_add(m, EX_WIND + 1, -slope * r[3 + i])
-    nu = m.accel_mean[i] - m.model_accel_mean[i] - m.x[SX_ACCEL_BIAS + i]
+        h_row_add(m, ERROR_VELOCITY + j, slope * r[3 * j + i])
+    h_row_add(m, ERROR_WIND, -slope * r[i])
+    h_row_add(m, ERROR_WIND + 1, -slope * r[3 + i])
+    nu = m.accel_mean[i] - m.model_accel_mean[i] - m.x[NOMINAL_ACCEL_BIAS + i]
     r_ = m.residual_density[i] / (count * s.dt)
     known = innovation_variance(m.u_transposed, m.ud_diagonal, m.h_state, m.h_value, m.h_terms, m.u_transposed_h)
     ratio = nu / math.sqrt(known + r_)
@@ -479,7 +485,7 @@ def fuse_accel_residual(m: FilterMemory, s: FilterSettings, r: _Array, count: in
     if abs(ratio) < INNOVATION_GATE and m.is_accel_distrusted == 0:
         fuse_scalar(m, nu, r_)
     if i == 0 or abs(ratio) > m.max_innovation_ratio:
-        log_innovation(m, R_ACCELERATION, nu, ratio)
+        log_innovation(m, READING_ACCELERATION, nu, ratio)
         m.max_innovation_ratio = abs(ratio)
 
 
@@ -490,23 +496,23 @@ def fuse_zero_motion(m: FilterMemory, s: FilterSettings, r: _Array, count: int, 
     The torque of running rotors turns the vehicle on its legs about the mast for seconds, and rotors that run down turn
     it too. Such a rate is no noise: fused as zero it becomes a bias of the gyroscope, of one sign at each take-off.
     """
-    fuse_error_state(m, EX_VEL + i, -m.x[SX_VEL + i], 4e-4)
+    fuse_error_state(m, ERROR_VELOCITY + i, -m.x[NOMINAL_VELOCITY + i], 4e-4)
     still = mode == PHASE_STANDING
     if mode == PHASE_COASTING or (i == 2 and not still):
         return
-    h_row_begin(m, EX_GYRO_BIAS + i, 1.0)
+    h_row_begin(m, ERROR_GYRO_BIAS + i, 1.0)
     calm = 2.0 * s.rest_gyro_sigma * s.rest_gyro_sigma / count if still else 5e-5
-    off = m.gyro_mean[i] - m.x[SX_GYRO_BIAS + i]
+    off = m.gyro_mean[i] - m.x[NOMINAL_GYRO_BIAS + i]
     # With running rotors the vehicle may slide on its legs.
     if still or abs(innovation_ratio(m, off, calm)) < INNOVATION_GATE:
         fuse_scalar(m, off, calm)
-    if still and s.is_fitted[R_ACCELERATION] > 0:
-        rotation_matrix(m.x[SX_ATT : SX_ATT + 4], r)
+    if still and s.is_fitted[READING_ACCELERATION] > 0:
+        rotation_matrix(m.x[NOMINAL_ATTITUDE : NOMINAL_ATTITUDE + 4], r)
         # R^T (-g e_D), and d(R^T u) = R^T (u x t)
-        h_row_begin(m, EX_ACCEL_BIAS + i, 1.0)
-        h_row_add(m, EX_ATT, -r[3 + i] * GRAVITY)
-        h_row_add(m, EX_ATT + 1, r[i] * GRAVITY)
-        nu = m.accel_mean[i] + GRAVITY * r[6 + i] - m.x[SX_ACCEL_BIAS + i]
+        h_row_begin(m, ERROR_ACCEL_BIAS + i, 1.0)
+        h_row_add(m, ERROR_ATTITUDE, -r[3 + i] * GRAVITY)
+        h_row_add(m, ERROR_ATTITUDE + 1, r[i] * GRAVITY)
+        nu = m.accel_mean[i] + GRAVITY * r[6 + i] - m.x[NOMINAL_ACCEL_BIAS + i]
         r_ = 2 * s.rest_accel_sigma * s.rest_accel_sigma / count
         if abs(innovation_ratio(m, nu, r_)) < 2 * INNOVATION_GATE:
             fuse_scalar(m, nu, r_)

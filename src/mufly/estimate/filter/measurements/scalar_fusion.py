@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from mufly.compiled.numba_cache import cached_njit
 from mufly.estimate.filter.filter_records import (
+    ERROR_ATTITUDE,
+    ERROR_POSITION,
     ERROR_STATE_COUNT,
-    EX_ATT,
-    EX_POS,
-    EX_VEL,
-    R_SONAR,
-    SX_POS,
-    SX_VEL,
+    ERROR_VELOCITY,
+    NOMINAL_POSITION,
+    NOMINAL_VELOCITY,
+    READING_SONAR,
     FilterMemory,
     FilterSettings,
 )
@@ -62,16 +62,22 @@ def h_row_add(m: FilterMemory, i: int, h: float) -> None:
 def _shift_state(x: _Array, by: _Array, span: float, push: _Array) -> None:
     """Add an error to a state, propagated over ``span`` (s), in which ``push`` (3,) was added to the velocity without
     gravity."""
-    v_x = by[EX_VEL] + (by[EX_ATT + 1] * push[2] - by[EX_ATT + 2] * push[1] if span > 0.0 else 0.0)
-    v_y = by[EX_VEL + 1] + (by[EX_ATT + 2] * push[0] - by[EX_ATT] * push[2] if span > 0.0 else 0.0)
-    v_z = by[EX_VEL + 2] + (by[EX_ATT] * push[1] - by[EX_ATT + 1] * push[0] if span > 0.0 else 0.0)
-    x[SX_POS] += by[EX_POS] + 0.5 * span * (by[EX_VEL] + v_x)
-    x[SX_POS + 1] += by[EX_POS + 1] + 0.5 * span * (by[EX_VEL + 1] + v_y)
-    x[SX_POS + 2] += by[EX_POS + 2] + 0.5 * span * (by[EX_VEL + 2] + v_z)
-    x[SX_VEL] += v_x
-    x[SX_VEL + 1] += v_y
-    x[SX_VEL + 2] += v_z
-    rotate_attitude(x, by[EX_ATT], by[EX_ATT + 1], by[EX_ATT + 2], False)
+    v_x = by[ERROR_VELOCITY] + (
+        by[ERROR_ATTITUDE + 1] * push[2] - by[ERROR_ATTITUDE + 2] * push[1] if span > 0.0 else 0.0
+    )
+    v_y = by[ERROR_VELOCITY + 1] + (
+        by[ERROR_ATTITUDE + 2] * push[0] - by[ERROR_ATTITUDE] * push[2] if span > 0.0 else 0.0
+    )
+    v_z = by[ERROR_VELOCITY + 2] + (
+        by[ERROR_ATTITUDE] * push[1] - by[ERROR_ATTITUDE + 1] * push[0] if span > 0.0 else 0.0
+    )
+    x[NOMINAL_POSITION] += by[ERROR_POSITION] + 0.5 * span * (by[ERROR_VELOCITY] + v_x)
+    x[NOMINAL_POSITION + 1] += by[ERROR_POSITION + 1] + 0.5 * span * (by[ERROR_VELOCITY + 1] + v_y)
+    x[NOMINAL_POSITION + 2] += by[ERROR_POSITION + 2] + 0.5 * span * (by[ERROR_VELOCITY + 2] + v_z)
+    x[NOMINAL_VELOCITY] += v_x
+    x[NOMINAL_VELOCITY + 1] += v_y
+    x[NOMINAL_VELOCITY + 2] += v_z
+    rotate_attitude(x, by[ERROR_ATTITUDE], by[ERROR_ATTITUDE + 1], by[ERROR_ATTITUDE + 2], False)
     for i in range(9, ERROR_STATE_COUNT):
         x[i + 1] += by[i]
 
@@ -130,7 +136,7 @@ def reject_measurement(
     else:
         m.agree_count[k] = 0
         m.reject_since_tick[k] = m.horizon_tick
-    if k != R_SONAR and abs(innovation) > 2.0 * INNOVATION_GATE * m.innovation_sigma[k]:
+    if k != READING_SONAR and abs(innovation) > 2.0 * INNOVATION_GATE * m.innovation_sigma[k]:
         m.reject_score[k] += 1.0  # no healthy sensor but a sonar with a second surface deviates so much
     mark_rejected(m, s, k, why, innovation)
 

@@ -24,21 +24,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.compiled.numba_cache import cached_njit
-from mufly.dynamics.model_state import RS_SPEED_UPPER
+from mufly.dynamics.model_state import MODEL_SPEED_UPPER
 from mufly.estimate.filter.filter_records import (
-    EX_ATT,
-    EX_GYRO_BIAS,
-    EX_POS,
-    EX_VEL,
+    ERROR_ATTITUDE,
+    ERROR_GYRO_BIAS,
+    ERROR_POSITION,
+    ERROR_VELOCITY,
     PHASE_FLYING,
     PHASE_LIGHT,
-    R_ACCELERATION,
-    R_BATTERY,
-    R_FIX,
-    R_RATES,
-    R_RING,
-    R_ROTOR,
-    R_SONAR,
+    READING_ACCELERATION,
+    READING_BATTERY,
+    READING_FIX,
+    READING_RATES,
+    READING_RING,
+    READING_ROTOR,
+    READING_SONAR,
     READING_STARTS,
     ROTOR_FORCE_ANG_ACCEL,
     ROTOR_FORCE_HISTORY,
@@ -124,7 +124,7 @@ def set_fault(m: FilterMemory, s: FilterSettings, k: int, code: int, why: int, n
     m.reason[k] = why
     m.fault_number[k] = number
     m.fault_until_tick[k] = m.tick + int(FAULT_HOLD_S / s.dt)
-    if k == R_FIX:
+    if k == READING_FIX:
         m.fault_component = m.fix_component
 
 
@@ -147,7 +147,7 @@ def mark_rejected(m: FilterMemory, s: FilterSettings, k: int, why: int, number: 
     """Mark a reading as rejected; report it when the rejections reach the alarm."""
     m.reject_count[k] += 1
     m.reject_score[k] += 1.0
-    if m.reject_score[k] > (SONAR_REJECT_ALARM if k == R_SONAR else REJECT_ALARM):
+    if m.reject_score[k] > (SONAR_REJECT_ALARM if k == READING_SONAR else REJECT_ALARM):
         set_fault(m, s, k, STATUS_REJECTED, why, number)
 
 
@@ -157,10 +157,12 @@ def _is_repeated(m: FilterMemory, s: FilterSettings, z: _Array, k: int, start: i
     if s.has_noise[k] == 0 or m.last_new_tick[k] == 0:
         return False
     told = False
-    for j in range(3 if k == R_FIX else count):  # a frozen camera may follow the gyroscopes in heading
+    for j in range(3 if k == READING_FIX else count):  # a frozen camera may follow the gyroscopes in heading
         if z[start + j] != m.last_value[start + j]:
             return False
-        told = told or ((k != R_ROTOR or z[start + j] != 0.0) and (k != R_RING or z[start + j] < 0.995 * s.ring_max))
+        told = told or (
+            (k != READING_ROTOR or z[start + j] != 0.0) and (k != READING_RING or z[start + j] < 0.995 * s.ring_max)
+        )
     return told
 
 
@@ -206,7 +208,7 @@ def check_readings(m: FilterMemory, s: FilterSettings, z: _Array, new: NDArray[n
         elif new[k] == 1:
             m.repeat_count[k] = 0
             if (
-                (s.has_noise[k] == 0 or k == R_RING)
+                (s.has_noise[k] == 0 or k == READING_RING)
                 and m.last_new_tick[k] > 0
                 and (m.tick - m.last_new_tick[k]) * s.dt < 0.6 * s.sensor_period[k]
             ):
@@ -218,13 +220,13 @@ def check_readings(m: FilterMemory, s: FilterSettings, z: _Array, new: NDArray[n
             m.last_new_tick[k] = m.tick
             m.invalid_count[k] = 0
             again = m.status[k] >= STATUS_MISSING and m.tick >= m.fault_until_tick[k]
-            if again or (m.status[k] == STATUS_WAITING and k != R_RING):
+            if again or (m.status[k] == STATUS_WAITING and k != READING_RING):
                 # The ring's readings decide about its use: in a large room it detects no wall.
-                m.status[k], m.reason[k] = STATUS_WAITING if k == R_RING else STATUS_FUSED, REASON_NONE
+                m.status[k], m.reason[k] = STATUS_WAITING if k == READING_RING else STATUS_FUSED, REASON_NONE
             if age[k] > s.latency[k] + s.latency_slack[k]:
                 # The others wait for the horizon, which decides whether they can be fused.
                 set_fault(m, s, k, m.status[k], REASON_LATE, age[k])
-                if k <= R_RATES or k in (R_ROTOR, R_BATTERY):
+                if k <= READING_RATES or k in (READING_ROTOR, READING_BATTERY):
                     set_fault(m, s, k, STATUS_FAULTY, REASON_LATE, age[k])
                     new[k] = 0
             if s.decimation[k] > 1:
@@ -232,7 +234,7 @@ def check_readings(m: FilterMemory, s: FilterSettings, z: _Array, new: NDArray[n
                 m.is_decimated[k] = 1 if m.decimation_count[k] % s.decimation[k] else 0
             for j in range(count):
                 m.last_value[start + j] = z[start + j]
-            if k <= R_RATES or k == R_RING:
+            if k <= READING_RATES or k == READING_RING:
                 m.last_fused_tick[k] = m.tick
         if new[k] == 0:
             for j in range(count):
@@ -246,8 +248,8 @@ def check_readings(m: FilterMemory, s: FilterSettings, z: _Array, new: NDArray[n
         share = z[CLIPPING_START + k]
         m.clip_share[k] += 0.1 * ((share if 0.0 <= share <= 1.0 else 1.0) - m.clip_share[k])
         clip = max(clip, m.clip_share[k])
-    if clip > _MIN_CLIP_SHARE and m.status[R_ACCELERATION] == STATUS_FUSED:
-        set_fault(m, s, R_ACCELERATION, STATUS_FUSED, REASON_CLIPPING, clip)
+    if clip > _MIN_CLIP_SHARE and m.status[READING_ACCELERATION] == STATUS_FUSED:
+        set_fault(m, s, READING_ACCELERATION, STATUS_FUSED, REASON_CLIPPING, clip)
 
 
 @cached_njit(error_model="numpy")
@@ -256,14 +258,18 @@ def reset_on_divergence(m: FilterMemory, s: FilterSettings) -> None:
     if m.divergence_ticks <= 1:
         for k in range(3):
             inflate_variance(
-                m.u_transposed, m.ud_diagonal, EX_GYRO_BIAS + k, DIVERGED_BIAS * DIVERGED_BIAS, m.u_transposed_h
+                m.u_transposed, m.ud_diagonal, ERROR_GYRO_BIAS + k, DIVERGED_BIAS * DIVERGED_BIAS, m.u_transposed_h
             )
             inflate_variance(
-                m.u_transposed, m.ud_diagonal, EX_ATT + k, DIVERGED_ATTITUDE * DIVERGED_ATTITUDE, m.u_transposed_h
+                m.u_transposed,
+                m.ud_diagonal,
+                ERROR_ATTITUDE + k,
+                DIVERGED_ATTITUDE * DIVERGED_ATTITUDE,
+                m.u_transposed_h,
             )
         for k in range(2):
             inflate_variance(
-                m.u_transposed, m.ud_diagonal, EX_VEL + k, DIVERGED_SPEED * DIVERGED_SPEED, m.u_transposed_h
+                m.u_transposed, m.ud_diagonal, ERROR_VELOCITY + k, DIVERGED_SPEED * DIVERGED_SPEED, m.u_transposed_h
             )
     m.divergence_ticks = int(FREE_BIAS_DURATION_S / s.dt)
 
@@ -309,9 +315,9 @@ def replace_gyro_spikes(m: FilterMemory, s: FilterSettings, flying: bool) -> Non
     m.spike_count += 1
     m.spike_repeats = m.spike_repeats + 1 if alike else 1
     if m.spike_count == 1:
-        m.reject_score[R_RATES] = m.reject_score[R_RATES] * REJECT_DECAY + 1.0
-        if m.reject_score[R_RATES] > 3.0:
-            set_fault(m, s, R_RATES, STATUS_FUSED, REASON_SPIKES, worst)
+        m.reject_score[READING_RATES] = m.reject_score[READING_RATES] * REJECT_DECAY + 1.0
+        if m.reject_score[READING_RATES] > 3.0:
+            set_fault(m, s, READING_RATES, STATUS_FUSED, REASON_SPIKES, worst)
     small = True
     for k in range(3):
         small = small and abs(m.gyro_offset[k] + (m.gyro_rates[k] - m.axis_work[k])) < _MAX_GYRO_OFFSET
@@ -320,9 +326,11 @@ def replace_gyro_spikes(m: FilterMemory, s: FilterSettings, flying: bool) -> Non
         for k in range(3):
             off = m.gyro_rates[k] - m.axis_work[k]
             m.gyro_offset[k] += off
-            inflate_variance(m.u_transposed, m.ud_diagonal, EX_GYRO_BIAS + k, 0.1 * off * (0.1 * off), m.u_transposed_h)
+            inflate_variance(
+                m.u_transposed, m.ud_diagonal, ERROR_GYRO_BIAS + k, 0.1 * off * (0.1 * off), m.u_transposed_h
+            )
         m.spike_repeats = m.spike_count = 0
-        set_fault(m, s, R_RATES, STATUS_FUSED, REASON_JUMP, worst)
+        set_fault(m, s, READING_RATES, STATUS_FUSED, REASON_JUMP, worst)
     elif m.spike_count > 8:
         m.spike_count = 0
         return
@@ -337,10 +345,10 @@ def rotor_speed_consistent(m: FilterMemory, s: FilterSettings, z: _Array, start:
     The filter estimates the error of these equations, including a slow sensor drift, within a second. In flight the
     error is nearly constant: ``m.motor_accel_mean`` is its mean over some seconds."""
     worst, away = 0.0, 0.0
-    k = R_ROTOR
+    k = READING_ROTOR
     flown = (m.tick - m.grounded_tick) * s.dt
     for j in range(2):
-        worst = max(worst, abs(z[start + j] - m.rotor_state[RS_SPEED_UPPER + j]) / s.hover_speed[j])
+        worst = max(worst, abs(z[start + j] - m.rotor_state[MODEL_SPEED_UPPER + j]) / s.hover_speed[j])
         away = max(away, abs(m.motor_accel_bias[j] - m.motor_accel_mean[j]) / s.hover_speed[j])
     # On the floor the motor equations are adapted.
     if m.flight_phase == PHASE_FLYING:
@@ -365,10 +373,10 @@ def battery_voltage_consistent(m: FilterMemory, s: FilterSettings, off: float) -
 
     Without rotor speeds the model's current is unknown, and a difference is no fault."""
     if abs(off) > _VOLTAGE_GATE and m.tick * s.dt > 1.0:
-        if s.is_fitted[R_ROTOR] == 0 or m.status[R_ROTOR] == STATUS_FUSED:
-            mark_rejected(m, s, R_BATTERY, REASON_INNOVATION, off)
+        if s.is_fitted[READING_ROTOR] == 0 or m.status[READING_ROTOR] == STATUS_FUSED:
+            mark_rejected(m, s, READING_BATTERY, REASON_INNOVATION, off)
         return False
-    mark_fused(m, R_BATTERY)
+    mark_fused(m, READING_BATTERY)
     return True
 
 
@@ -406,11 +414,13 @@ def _update_force_conflict(m: FilterMemory, s: FilterSettings, r: _Array, height
     if m.force_verdict == FORCE_AGREES:
         m.force_verdict = FORCE_UNDECIDED
         m.force_conflict_tick = m.tick
-    has_fix = m.status[R_FIX] == STATUS_FUSED and (m.tick - m.last_fused_tick[R_FIX]) * s.dt < _FORCE_FIX_AGE_S
+    has_fix = (
+        m.status[READING_FIX] == STATUS_FUSED and (m.tick - m.last_fused_tick[READING_FIX]) * s.dt < _FORCE_FIX_AGE_S
+    )
     evidence = _force_evidence(m, r, m.accel_residual_lp) if has_fix else 0.0
-    if m.accel_residual_lp[2] < 0.0 and height < _FLOOR_CONTACT_HEIGHT + 3.0 * m.sigma_output[EX_POS + 2]:
+    if m.accel_residual_lp[2] < 0.0 and height < _FLOOR_CONTACT_HEIGHT + 3.0 * m.sigma_output[ERROR_POSITION + 2]:
         m.force_verdict = FORCE_FLOOR
-    elif (s.is_fitted[R_ROTOR] > 0 and m.status[R_ROTOR] != STATUS_FUSED) or evidence > _FORCE_EVIDENCE:
+    elif (s.is_fitted[READING_ROTOR] > 0 and m.status[READING_ROTOR] != STATUS_FUSED) or evidence > _FORCE_EVIDENCE:
         m.force_verdict = FORCE_MODEL_WRONG
     elif evidence < -_FORCE_EVIDENCE:
         m.force_verdict = FORCE_ACCEL_WRONG
@@ -445,8 +455,8 @@ def check_accel_model(
         elif m.force_verdict != FORCE_FLOOR:
             code = STATUS_FAULTY if m.is_accel_distrusted == 1 else STATUS_REJECTED
             why = REASON_FORCE_CONFLICT if m.force_verdict == FORCE_UNDECIDED else REASON_INNOVATION
-        rejected = m.status[R_ACCELERATION] in (STATUS_REJECTED, STATUS_FAULTY)
+        rejected = m.status[READING_ACCELERATION] in (STATUS_REJECTED, STATUS_FAULTY)
         if m.force_verdict != FORCE_AGREES and (why != REASON_NONE or rejected):
-            set_fault(m, s, R_ACCELERATION, code, why, m.accel_residual_lp[axis])
+            set_fault(m, s, READING_ACCELERATION, code, why, m.accel_residual_lp[axis])
     # The mean of 0.1-weighted blocks keeps 0.1 / (2 - 0.1) of their variance.
     m.accel_residual_sigma[i] = math.sqrt(variance * 0.0526 + known + 0.04)

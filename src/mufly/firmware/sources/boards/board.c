@@ -85,7 +85,7 @@ static void publish_status(board_t *b)
 static void fill_estimate(board_t *b, bool valid, real_t time_s)
 {
     const estimator_t *e = &b->estimator;
-    const real_t voltage = b->readings.z[READING_STARTS[R_BATTERY]];
+    const real_t voltage = b->readings.z[READING_STARTS[READING_BATTERY]];
     estimate_t *m = &b->belief;
 
     m->time_s = time_s;
@@ -97,7 +97,7 @@ static void fill_estimate(board_t *b, bool valid, real_t time_s)
         m->motion.velocity[i] = e->x_output[3 + i];
         m->motion.attitude[i] = e->angles_output[i];
         m->motion.rates[i] = e->rates_output[i];
-        m->specific_force[i] = b->readings.z[READING_STARTS[R_ACCELERATION] + i];
+        m->specific_force[i] = b->readings.z[READING_STARTS[READING_ACCELERATION] + i];
     }
 }
 
@@ -135,7 +135,7 @@ static void make_up_periods(board_t *b, int32_t missed)
     }
     for (int32_t n = 0; n < count; n++) {
         for (int32_t k = 0; k < SENSOR_COUNT; k++) {
-            r->fresh[k] = (k < R_SONAR) ? fresh[k] : 0;
+            r->fresh[k] = (k < READING_SONAR) ? fresh[k] : 0;
         }
         (void)step_filter(b);
         for (int32_t i = 0; i < VALUE_COUNT; i++) {
@@ -152,7 +152,7 @@ void board_estimate(board_t *b, real_t time_s, int32_t missed)
     bool valid;
 
     calibrate_readings(&b->settings.calibration, &b->readings);
-    if (b->readings.fresh[R_RING] == 1) {
+    if (b->readings.fresh[READING_RING] == 1) {
         filter_ranges(b, b->readings.ranges);
     }
     if (missed > 0) {
@@ -160,7 +160,7 @@ void board_estimate(board_t *b, real_t time_s, int32_t missed)
     }
     valid = step_filter(b);
     fill_estimate(b, valid, time_s);
-    supervisor_observe(&b->supervisor, &mufly_setup, &b->belief, b->estimator.x_output[SX_TERRAIN]);
+    supervisor_observe(&b->supervisor, &mufly_setup, &b->belief, b->estimator.x_output[NOMINAL_TERRAIN]);
 }
 
 void board_control(board_t *b, const hal_command_t *given)

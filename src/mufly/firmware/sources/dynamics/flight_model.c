@@ -70,12 +70,12 @@ static real_t interpolate_climb(const real_t table[MAP_NODES], const int32_t at[
 /* Coefficient map over mean speed, speed ratio and climb. */
 static void loads_from_map(const real_t x[MODEL_STATES], const real_t wind[3], const flight_model_t *p, rotor_loads_t *out)
 {
-    const real_t up_n = REAL(-2.0) * ((x[RS_ATT + 1] * x[RS_ATT + 3]) + (x[RS_ATT] * x[RS_ATT + 2]));
-    const real_t up_e = REAL(-2.0) * ((x[RS_ATT + 2] * x[RS_ATT + 3]) - (x[RS_ATT] * x[RS_ATT + 1]));
-    const real_t up_d = (REAL(2.0) * ((x[RS_ATT + 1] * x[RS_ATT + 1]) + (x[RS_ATT + 2] * x[RS_ATT + 2]))) - REAL(1.0);
-    const real_t climb = ((up_n * (x[RS_VEL] - wind[0])) + (up_e * (x[RS_VEL + 1] - wind[1]))) + (up_d * (x[RS_VEL + 2] - wind[2]));
-    const real_t up = real_abs(x[RS_SPEED_UPPER]);
-    const real_t dw = real_abs(x[RS_SPEED_LOWER]);
+    const real_t up_n = REAL(-2.0) * ((x[MODEL_ATTITUDE + 1] * x[MODEL_ATTITUDE + 3]) + (x[MODEL_ATTITUDE] * x[MODEL_ATTITUDE + 2]));
+    const real_t up_e = REAL(-2.0) * ((x[MODEL_ATTITUDE + 2] * x[MODEL_ATTITUDE + 3]) - (x[MODEL_ATTITUDE] * x[MODEL_ATTITUDE + 1]));
+    const real_t up_d = (REAL(2.0) * ((x[MODEL_ATTITUDE + 1] * x[MODEL_ATTITUDE + 1]) + (x[MODEL_ATTITUDE + 2] * x[MODEL_ATTITUDE + 2]))) - REAL(1.0);
+    const real_t climb = ((up_n * (x[MODEL_VELOCITY] - wind[0])) + (up_e * (x[MODEL_VELOCITY + 1] - wind[1]))) + (up_d * (x[MODEL_VELOCITY + 2] - wind[2]));
+    const real_t up = real_abs(x[MODEL_SPEED_UPPER]);
+    const real_t dw = real_abs(x[MODEL_SPEED_LOWER]);
     const real_t mean = REAL(0.5) * (up + dw);
     const real_t ratio = dw / real_max(up, FULL_FRICTION_SPEED);
     const real_t climb_ratio = climb / (real_max(mean, FULL_FRICTION_SPEED) * p->map_radius);
@@ -121,8 +121,8 @@ void battery_state(const real_t x[MODEL_STATES], real_t motor_up, real_t motor_d
     const int32_t last = CURVE_POINTS - 1;
     const real_t emf = p->kE * p->gear_ratio;
     const real_t conductance = ((motor_up * motor_up) + (motor_dw * motor_dw)) / p->R_ohm;
-    const real_t source = (((motor_up * emf) * x[RS_SPEED_UPPER]) + ((motor_dw * emf) * x[RS_SPEED_LOWER])) / p->R_ohm;
-    const real_t position = clip_with_nan(x[RS_CHARGE], REAL(0.0), REAL(1.0)) * (real_t)last;
+    const real_t source = (((motor_up * emf) * x[MODEL_SPEED_UPPER]) + ((motor_dw * emf) * x[MODEL_SPEED_LOWER])) / p->R_ohm;
+    const real_t position = clip_with_nan(x[MODEL_CHARGE], REAL(0.0), REAL(1.0)) * (real_t)last;
     const int32_t k = min_int(real_floor_int(position), last - 1);
     const real_t open = p->battery_curve[k] +
                         ((position - (real_t)k) * (p->battery_curve[k + 1] - p->battery_curve[k]));
@@ -149,8 +149,8 @@ static void add_inplane_drag(const real_t n[3], const real_t air[3], const real_
                         real_t force[3])
 {
     const real_t much = real_abs(slope);
-    const real_t forward = air[0] + (x[RS_RATES + 1] * hub_z);
-    const real_t right = air[1] - (x[RS_RATES] * hub_z);
+    const real_t forward = air[0] + (x[MODEL_RATES + 1] * hub_z);
+    const real_t right = air[1] - (x[MODEL_RATES] * hub_z);
     const real_t along = ((n[0] * forward) + (n[1] * right)) + (n[2] * air[2]);
 
     force[0] = force[0] + (much * ((along * n[0]) - forward));
@@ -165,18 +165,18 @@ void flight_model(const real_t x[MODEL_STATES], const real_t u[4], const real_t 
     const real_t motor_dw = clip_with_nan(u[U_MOTOR_LOWER], REAL(0.0), REAL(1.0));
     const real_t servo_1 = clip_with_nan(u[U_SERVO_1], REAL(-1.0), REAL(1.0));
     const real_t servo_2 = clip_with_nan(u[U_SERVO_2], REAL(-1.0), REAL(1.0));
-    const real_t qw = x[RS_ATT];
-    const real_t qx = x[RS_ATT + 1];
-    const real_t qy = x[RS_ATT + 2];
-    const real_t qz = x[RS_ATT + 3];
-    const real_t wx = x[RS_RATES];
-    const real_t wy = x[RS_RATES + 1];
-    const real_t wz = x[RS_RATES + 2];
-    const real_t bar_n = x[RS_BAR];
-    const real_t bar_e = x[RS_BAR + 1];
-    const real_t bar_d = x[RS_BAR + 2];
-    const real_t speed_up = x[RS_SPEED_UPPER];
-    const real_t speed_dw = x[RS_SPEED_LOWER];
+    const real_t qw = x[MODEL_ATTITUDE];
+    const real_t qx = x[MODEL_ATTITUDE + 1];
+    const real_t qy = x[MODEL_ATTITUDE + 2];
+    const real_t qz = x[MODEL_ATTITUDE + 3];
+    const real_t wx = x[MODEL_RATES];
+    const real_t wy = x[MODEL_RATES + 1];
+    const real_t wz = x[MODEL_RATES + 2];
+    const real_t bar_n = x[MODEL_BAR];
+    const real_t bar_e = x[MODEL_BAR + 1];
+    const real_t bar_d = x[MODEL_BAR + 2];
+    const real_t speed_up = x[MODEL_SPEED_UPPER];
+    const real_t speed_dw = x[MODEL_SPEED_LOWER];
     const real_t a00 = REAL(1.0) - (REAL(2.0) * ((qy * qy) + (qz * qz)));
     const real_t a01 = REAL(2.0) * ((qx * qy) - (qw * qz));
     const real_t a02 = REAL(2.0) * ((qx * qz) + (qw * qy));
@@ -241,9 +241,9 @@ void flight_model(const real_t x[MODEL_STATES], const real_t u[4], const real_t 
     f_up[2] = n_up[2] * thrust_up;
 
     /* Velocity through the air, body axes. */
-    air_n = x[RS_VEL] - wind[0];
-    air_e = x[RS_VEL + 1] - wind[1];
-    air_d = x[RS_VEL + 2] - wind[2];
+    air_n = x[MODEL_VELOCITY] - wind[0];
+    air_e = x[MODEL_VELOCITY + 1] - wind[1];
+    air_d = x[MODEL_VELOCITY + 2] - wind[2];
     air[0] = ((a00 * air_n) + (a10 * air_e)) + (a20 * air_d);
     air[1] = ((a01 * air_n) + (a11 * air_e)) + (a21 * air_d);
     air[2] = ((a02 * air_n) + (a12 * air_e)) + (a22 * air_d);
@@ -265,26 +265,26 @@ void flight_model(const real_t x[MODEL_STATES], const real_t u[4], const real_t 
     f_e = ((a10 * fx) + (a11 * fy)) + (a12 * fz);
     f_d = ((a20 * fx) + (a21 * fy)) + (a22 * fz);
 
-    dx[RS_POS] = x[RS_VEL];
-    dx[RS_POS + 1] = x[RS_VEL + 1];
-    dx[RS_POS + 2] = x[RS_VEL + 2];
-    dx[RS_VEL] = f_n / p->mass;
-    dx[RS_VEL + 1] = f_e / p->mass;
-    dx[RS_VEL + 2] = (f_d / p->mass) + GRAVITY;
-    dx[RS_ATT] = REAL(0.5) * (((-qx * wx) - (qy * wy)) - (qz * wz));
-    dx[RS_ATT + 1] = REAL(0.5) * (((qw * wx) + (qy * wz)) - (qz * wy));
-    dx[RS_ATT + 2] = REAL(0.5) * (((qw * wy) - (qx * wz)) + (qz * wx));
-    dx[RS_ATT + 3] = REAL(0.5) * (((qw * wz) + (qx * wy)) - (qy * wx));
-    dx[RS_RATES] = (mx - (((p->Izz - p->Iyy) * wy) * wz)) / p->Ixx;
-    dx[RS_RATES + 1] = (my - (((p->Ixx - p->Izz) * wz) * wx)) / p->Iyy;
-    dx[RS_RATES + 2] = (mz - (((p->Iyy - p->Ixx) * wx) * wy)) / p->Izz;
-    dx[RS_SWASH_ROLL] = p->swash_rate * ((p->swash_gain * servo_2) - x[RS_SWASH_ROLL]);
-    dx[RS_SWASH_PITCH] = p->swash_rate * ((-p->swash_gain * servo_1) - x[RS_SWASH_PITCH]);
+    dx[MODEL_POSITION] = x[MODEL_VELOCITY];
+    dx[MODEL_POSITION + 1] = x[MODEL_VELOCITY + 1];
+    dx[MODEL_POSITION + 2] = x[MODEL_VELOCITY + 2];
+    dx[MODEL_VELOCITY] = f_n / p->mass;
+    dx[MODEL_VELOCITY + 1] = f_e / p->mass;
+    dx[MODEL_VELOCITY + 2] = (f_d / p->mass) + GRAVITY;
+    dx[MODEL_ATTITUDE] = REAL(0.5) * (((-qx * wx) - (qy * wy)) - (qz * wz));
+    dx[MODEL_ATTITUDE + 1] = REAL(0.5) * (((qw * wx) + (qy * wz)) - (qz * wy));
+    dx[MODEL_ATTITUDE + 2] = REAL(0.5) * (((qw * wy) - (qx * wz)) + (qz * wx));
+    dx[MODEL_ATTITUDE + 3] = REAL(0.5) * (((qw * wz) + (qx * wy)) - (qy * wx));
+    dx[MODEL_RATES] = (mx - (((p->Izz - p->Iyy) * wy) * wz)) / p->Ixx;
+    dx[MODEL_RATES + 1] = (my - (((p->Ixx - p->Izz) * wz) * wx)) / p->Iyy;
+    dx[MODEL_RATES + 2] = (mz - (((p->Iyy - p->Ixx) * wx) * wy)) / p->Izz;
+    dx[MODEL_SWASH_ROLL] = p->swash_rate * ((p->swash_gain * servo_2) - x[MODEL_SWASH_ROLL]);
+    dx[MODEL_SWASH_PITCH] = p->swash_rate * ((-p->swash_gain * servo_1) - x[MODEL_SWASH_PITCH]);
     along = -(((a02 * bar_n) + (a12 * bar_e)) + (a22 * bar_d));
-    dx[RS_BAR] = p->bar_rate * (-a02 - (along * bar_n));
-    dx[RS_BAR + 1] = p->bar_rate * (-a12 - (along * bar_e));
-    dx[RS_BAR + 2] = p->bar_rate * (-a22 - (along * bar_d));
-    dx[RS_SPEED_UPPER] = accel_up;
-    dx[RS_SPEED_LOWER] = accel_dw;
-    dx[RS_CHARGE] = -current / p->battery_capacity;
+    dx[MODEL_BAR] = p->bar_rate * (-a02 - (along * bar_n));
+    dx[MODEL_BAR + 1] = p->bar_rate * (-a12 - (along * bar_e));
+    dx[MODEL_BAR + 2] = p->bar_rate * (-a22 - (along * bar_d));
+    dx[MODEL_SPEED_UPPER] = accel_up;
+    dx[MODEL_SPEED_LOWER] = accel_dw;
+    dx[MODEL_CHARGE] = -current / p->battery_capacity;
 }

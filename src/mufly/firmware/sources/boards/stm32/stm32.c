@@ -251,7 +251,7 @@ int main(void)
     sensor_suite_start(&sensors, true, RANGING, timer_us());
     start_card();
     if (full_speed) {
-        fitted = (1UL << R_ACCELERATION) | (1UL << R_RATES) | (1UL << R_SONAR) | (1UL << R_PRESSURE) | (1UL << R_BATTERY);
+        fitted = (1UL << READING_ACCELERATION) | (1UL << READING_RATES) | (1UL << READING_SONAR) | (1UL << READING_PRESSURE) | (1UL << READING_BATTERY);
     }
     board_start(&board, fitted, fault_record_begin(&kept, reset_cause()));
     watchdog_start();

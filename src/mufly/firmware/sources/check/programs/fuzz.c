@@ -518,7 +518,7 @@ static void fuzz_link(void)
 
     (void)memset(&board, 0, sizeof board);
     any_flash();
-    board_start(&board, 1U << R_ACCELERATION, (int32_t)(next_byte() % 3U));
+    board_start(&board, 1U << READING_ACCELERATION, (int32_t)(next_byte() % 3U));
     rc_start(&board.rc, (int32_t)(next_byte() % 3U));
     while (left > 0U) {
         const uint8_t how = next_byte();

@@ -21,7 +21,7 @@ static void move_along_hop(hop_t *hop, const estimator_t *m, int32_t k)
     real_t gain;
 
     for (int32_t i = 0; i < 2; i++) {
-        const real_t off = ((wanted * s->hover_speed[i]) - m->rotor_state[RS_SPEED_UPPER + i]) / s->hover_speed[i];
+        const real_t off = ((wanted * s->hover_speed[i]) - m->rotor_state[MODEL_SPEED_UPPER + i]) / s->hover_speed[i];
 
         hop->motor[i] = (k < STANDING_PERIODS) ? REAL(0.0) : real_clip(REAL(0.75) + (REAL(4.0) * off), REAL(0.0), REAL(1.0));
     }
@@ -70,26 +70,26 @@ static void make_readings(const hop_t *hop, const estimator_t *m, int32_t k, rea
         fresh[i] = is_due(i, k) ? 1 : 0;
         age[i] = s->latency[i];
     }
-    age[R_SONAR] = REAL(0.02);
+    age[READING_SONAR] = REAL(0.02);
     for (int32_t i = 0; i < 3; i++) {
-        z[READING_STARTS[R_ACCELERATION] + i] = random_number(REAL(0.1));
-        z[READING_STARTS[R_RATES] + i] = random_number(REAL(0.005));
-        z[READING_STARTS[R_MAGNET] + i] = s->earth_field[i] + random_number(REAL(1e-7));
-        z[READING_STARTS[R_FIX] + i] = random_number(REAL(0.02));
+        z[READING_STARTS[READING_ACCELERATION] + i] = random_number(REAL(0.1));
+        z[READING_STARTS[READING_RATES] + i] = random_number(REAL(0.005));
+        z[READING_STARTS[READING_MAGNET] + i] = s->earth_field[i] + random_number(REAL(1e-7));
+        z[READING_STARTS[READING_FIX] + i] = random_number(REAL(0.02));
         z[CLIPPING_START + i] = REAL(0.0);
     }
     z[2] += hop->force;
-    z[READING_STARTS[R_SONAR]] = real_max(s->sonar_min, -down - s->sonar_position[2]) + random_number(REAL(0.01));
+    z[READING_STARTS[READING_SONAR]] = real_max(s->sonar_min, -down - s->sonar_position[2]) + random_number(REAL(0.01));
     for (int32_t b = 0; b < MAX_FUSED_BEAMS; b++) {
-        z[READING_STARTS[R_RING] + b] = wall_range(s->beam_directions[b]) + random_number(REAL(0.02));
+        z[READING_STARTS[READING_RING] + b] = wall_range(s->beam_directions[b]) + random_number(REAL(0.02));
     }
-    z[READING_STARTS[R_PRESSURE]] = (s->pressure_slope * down) + random_number(REAL(2.0));
-    z[READING_STARTS[R_FIX] + 2] += down;
-    z[READING_STARTS[R_FIX] + 3] = random_number(REAL(0.02));
+    z[READING_STARTS[READING_PRESSURE]] = (s->pressure_slope * down) + random_number(REAL(2.0));
+    z[READING_STARTS[READING_FIX] + 2] += down;
+    z[READING_STARTS[READING_FIX] + 3] = random_number(REAL(0.02));
     battery_state(m->rotor_state, hop->motor[0], hop->motor[1], &mufly_flight_model, &voltage, &current);
-    z[READING_STARTS[R_BATTERY]] = voltage + random_number(REAL(0.05));
+    z[READING_STARTS[READING_BATTERY]] = voltage + random_number(REAL(0.05));
     for (int32_t i = 0; i < 2; i++) {
-        z[READING_STARTS[R_ROTOR] + i] = m->rotor_state[RS_SPEED_UPPER + i] + random_number(REAL(2.0));
+        z[READING_STARTS[READING_ROTOR] + i] = m->rotor_state[MODEL_SPEED_UPPER + i] + random_number(REAL(2.0));
         z[ACTUATOR_START + i] = hop->motor[i];
         z[ACTUATOR_START + 2 + i] = random_number(REAL(0.05));
     }

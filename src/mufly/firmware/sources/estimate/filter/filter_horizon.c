@@ -34,13 +34,13 @@ static bool queue_measurement(estimator_t *m, const estimator_settings_t *s, int
 /* Inflate the terrain's variance while the sonar's cone passes over an edge: the nearest point moves along an arc. */
 static void pass_terrain_edge(estimator_t *m, const estimator_settings_t *s, real_t span)
 {
-    const real_t away = real_max(-m->x[SX_POS + 2] - m->x[SX_TERRAIN], REAL(0.1));
-    const real_t speed = real_sqrt((m->x[SX_VEL] * m->x[SX_VEL]) + (m->x[SX_VEL + 1] * m->x[SX_VEL + 1]));
+    const real_t away = real_max(-m->x[NOMINAL_POSITION + 2] - m->x[NOMINAL_TERRAIN], REAL(0.1));
+    const real_t speed = real_sqrt((m->x[NOMINAL_VELOCITY] * m->x[NOMINAL_VELOCITY]) + (m->x[NOMINAL_VELOCITY + 1] * m->x[NOMINAL_VELOCITY + 1]));
     const real_t arc = s->sonar_arc * away;
     const real_t passed =
         span * real_max(speed / real_max(s->sonar_cone_slope * away, REAL(0.05)), REAL(1.0) / TERRAIN_EDGE_S);
 
-    inflate_variance(m, EX_TERRAIN, (arc * arc) * passed);
+    inflate_variance(m, ERROR_TERRAIN, (arc * arc) * passed);
     m->terrain_edge_weight = real_max(m->terrain_edge_weight - passed, REAL(0.0));
     if (!(m->terrain_edge_weight > REAL(0.0))) {
         m->terrain_steps = 0;
@@ -52,7 +52,7 @@ static void advance_horizon(estimator_t *m, const estimator_settings_t *s)
 {
     const real_t span = (real_t)s->block_ticks * s->dt;
     const real_t *e = input_block(m, s, m->horizon_tick);
-    const real_t spread = s->gyro_density + ((m->status[R_RATES] >= STATUS_MISSING) ? GYRO_OUTAGE_DENSITY : REAL(0.0));
+    const real_t spread = s->gyro_density + ((m->status[READING_RATES] >= STATUS_MISSING) ? GYRO_OUTAGE_DENSITY : REAL(0.0));
     real_t r[9];
     real_t a[6];
     real_t q[MOTION_STATE_COUNT];
@@ -62,18 +62,18 @@ static void advance_horizon(estimator_t *m, const estimator_settings_t *s)
     m->task_stage = 0;
     predict_state(m->x, e, span, r, a);
     for (int32_t k = 0; k < 3; k++) {
-        m->accel_mean[k] += e[IN_ACCEL + k];
+        m->accel_mean[k] += e[INPUT_ACCEL + k];
         m->model_accel_mean[k] += a[MODEL_ACCEL + k];
         m->gyro_mean[k] += e[k];
-        m->thrust_slope[k] += e[IN_STATIC + k];
-        m->velocity_slope[k] += e[IN_SLOPE + k];
+        m->thrust_slope[k] += e[INPUT_STATIC + k];
+        m->velocity_slope[k] += e[INPUT_SLOPE + k];
     }
     m->yaw_rate = REAL(0.0);
     for (int32_t k = 0; k < 3; k++) {
-        m->yaw_rate += r[6 + k] * (e[k] - m->x[SX_GYRO_BIAS + k]);
+        m->yaw_rate += r[6 + k] * (e[k] - m->x[NOMINAL_GYRO_BIAS + k]);
         q[k] = s->process_variance[k];
-        q[EX_VEL + k] = velocity_noise_density(r, k, e) * span;
-        q[EX_ATT + k] = spread * span;
+        q[ERROR_VELOCITY + k] = velocity_noise_density(r, k, e) * span;
+        q[ERROR_ATTITUDE + k] = spread * span;
     }
     error_transition(e, span, r, a, transition);
     ud_time_update(m, span, transition, q);
@@ -85,20 +85,20 @@ static void advance_horizon(estimator_t *m, const estimator_settings_t *s)
 
 void predict_bias(estimator_t *m, const estimator_settings_t *s)
 {
-    const int32_t turn = EX_GYRO_BIAS + wrap_index(m->tick, BIAS_CYCLE_TICKS);
-    const int32_t k = (turn >= EX_FIX_BIAS) ? (turn + ((EX_FIX_HEADING + 1) - EX_FIX_BIAS)) : turn;
-    const bool adrift = (k < (EX_GYRO_BIAS + 3)) && (m->divergence_ticks > 0);
+    const int32_t turn = ERROR_GYRO_BIAS + wrap_index(m->tick, BIAS_CYCLE_TICKS);
+    const int32_t k = (turn >= ERROR_FIX_BIAS) ? (turn + ((ERROR_FIX_HEADING + 1) - ERROR_FIX_BIAS)) : turn;
+    const bool adrift = (k < (ERROR_GYRO_BIAS + 3)) && (m->divergence_ticks > 0);
     const real_t may = (m->divergence_ticks > 1) ? DIVERGED_BIAS_WALK : LATER_BIAS_WALK;
     real_t origin = s->initial_state[k + 1];
     real_t keep = s->decay[k];
     real_t q = s->process_variance[k] + (adrift ? ((may * may) * ((real_t)BIAS_CYCLE_TICKS * s->dt)) : REAL(0.0));
 
-    if (k == EX_TERRAIN) {
+    if (k == ERROR_TERRAIN) {
         /* the terrain changes with distance, not with time */
-        q *= real_sqrt((m->x[SX_VEL] * m->x[SX_VEL]) + (m->x[SX_VEL + 1] * m->x[SX_VEL + 1]));
+        q *= real_sqrt((m->x[NOMINAL_VELOCITY] * m->x[NOMINAL_VELOCITY]) + (m->x[NOMINAL_VELOCITY + 1] * m->x[NOMINAL_VELOCITY + 1]));
     }
-    if (k < (EX_GYRO_BIAS + 3)) {
-        const int32_t i = k - EX_GYRO_BIAS;
+    if (k < (ERROR_GYRO_BIAS + 3)) {
+        const int32_t i = k - ERROR_GYRO_BIAS;
         const real_t turning = (real_abs(m->yaw_rate) > LEAK_RATE) ? m->yaw_rate : REAL(0.0);
 
         if (m->leaked_yaw_rate[i] != REAL(0.0)) {
@@ -168,7 +168,7 @@ static void average_block_forces(estimator_t *m, const estimator_settings_t *s)
 
     for (int32_t k = 0; k < 3; k++) {
         /* Noise density of the difference at the horizon, from the weights used there */
-        const real_t share = real_max(e[IN_SHARE + k], REAL(1e-9));
+        const real_t share = real_max(e[INPUT_SHARE + k], REAL(1e-9));
 
         m->accel_mean[k] /= n;
         m->model_accel_mean[k] /= n;
@@ -176,7 +176,7 @@ static void average_block_forces(estimator_t *m, const estimator_settings_t *s)
         m->thrust_slope[k] /= n;
         m->velocity_slope[k] /= n;
         m->residual_density[k] =
-            ((e[IN_NOISE + k] / share) / real_max(REAL(1.0) - share, REAL(1e-9))) + m->accel_noise[k];
+            ((e[INPUT_NOISE + k] / share) / real_max(REAL(1.0) - share, REAL(1e-9))) + m->accel_noise[k];
     }
 }
 
@@ -198,10 +198,10 @@ static int32_t settle_terrain(estimator_t *m)
 {
     int32_t cost = 0;
 
-    if (!(m->terrain_edge_weight > REAL(0.0)) && (real_abs(m->x[SX_TERRAIN]) < MAX_FLOOR_HEIGHT)) {
-        const real_t sure = state_variance(m, EX_TERRAIN);
+    if (!(m->terrain_edge_weight > REAL(0.0)) && (real_abs(m->x[NOMINAL_TERRAIN]) < MAX_FLOOR_HEIGHT)) {
+        const real_t sure = state_variance(m, ERROR_TERRAIN);
 
-        if ((sure > (FLOOR_SETTLED_SIGMA * FLOOR_SETTLED_SIGMA)) && ((m->x[SX_TERRAIN] * m->x[SX_TERRAIN]) < (REAL(9.0) * sure))) {
+        if ((sure > (FLOOR_SETTLED_SIGMA * FLOOR_SETTLED_SIGMA)) && ((m->x[NOMINAL_TERRAIN] * m->x[NOMINAL_TERRAIN]) < (REAL(9.0) * sure))) {
             reset_terrain(m);
             cost = 1;
         }
@@ -224,7 +224,7 @@ static int32_t fuse_block_axis(estimator_t *m, const estimator_settings_t *s, in
             }
             m->task_stage += 1;
         }
-    } else if ((mode == PHASE_FLYING) && (s->has_rotor_model > 0) && (s->is_fitted[R_ACCELERATION] > 0)) {
+    } else if ((mode == PHASE_FLYING) && (s->has_rotor_model > 0) && (s->is_fitted[READING_ACCELERATION] > 0)) {
         cost = 1;
         fuse_accel_residual(m, s, m->block_mean_ticks, i);
         m->task_stage += 1;

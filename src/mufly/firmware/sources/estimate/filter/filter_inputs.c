@@ -12,21 +12,21 @@
 static real_t update_flight_phase(estimator_t *m, const estimator_settings_t *s, const real_t z[VALUE_COUNT])
 {
     const real_t lift =
-        (s->has_rotor_model > 0) ? ((-m->rotor_force[wrap_index(m->tick, ROTOR_FORCE_HISTORY)][ROTOR_FORCE_STATIC + 2] * m->x[SX_THRUST_SCALE]) / GRAVITY) : REAL(1.0);
+        (s->has_rotor_model > 0) ? ((-m->rotor_force[wrap_index(m->tick, ROTOR_FORCE_HISTORY)][ROTOR_FORCE_STATIC + 2] * m->x[NOMINAL_THRUST_SCALE]) / GRAVITY) : REAL(1.0);
     const real_t height = height_above_ground(m->x_output, s);
     const bool off = (z[ACTUATOR_START] + z[ACTUATOR_START + 1]) < REAL(0.02);
     /* Rotors with more lift than modelled leave the floor earlier, others later. */
-    const real_t doubt = (s->has_rotor_model > 0) ? (LIFTOFF_SIGMA_LIMIT * m->sigma_output[EX_THRUST_SCALE]) : REAL(0.0);
+    const real_t doubt = (s->has_rotor_model > 0) ? (LIFTOFF_SIGMA_LIMIT * m->sigma_output[ERROR_THRUST_SCALE]) : REAL(0.0);
     /* The sonar is newer than the estimated height, except below the floor. */
-    const bool says = (m->status[R_SONAR] == STATUS_FUSED) && (height < SONAR_LIFTOFF_HEIGHT) && (m->x[SX_TERRAIN] > MIN_TERRAIN_HEIGHT);
-    const bool near = says && (m->last_value[READING_STARTS[R_SONAR]] <= (s->sonar_min + (REAL(0.5) * s->sonar_resolution)));
-    const bool clear = says && (m->last_value[READING_STARTS[R_SONAR]] > (s->sonar_min + LIFTOFF_CLEARANCE));
+    const bool says = (m->status[READING_SONAR] == STATUS_FUSED) && (height < SONAR_LIFTOFF_HEIGHT) && (m->x[NOMINAL_TERRAIN] > MIN_TERRAIN_HEIGHT);
+    const bool near = says && (m->last_value[READING_STARTS[READING_SONAR]] <= (s->sonar_min + (REAL(0.5) * s->sonar_resolution)));
+    const bool clear = says && (m->last_value[READING_STARTS[READING_SONAR]] > (s->sonar_min + LIFTOFF_CLEARANCE));
 
     real_t rises = REAL(0.0);
 
     m->is_sonar_at_minimum = near ? 1 : 0;
     if (m->flight_phase <= PHASE_RUNNING) {
-        const real_t turning = m->rotor_state[RS_SPEED_UPPER] + m->rotor_state[RS_SPEED_LOWER];
+        const real_t turning = m->rotor_state[MODEL_SPEED_UPPER] + m->rotor_state[MODEL_SPEED_LOWER];
         const bool stands = turning <= (STOPPED_SPEED_SHARE * (s->hover_speed[0] + s->hover_speed[1]));
 
         m->flight_phase = stands ? PHASE_STANDING : PHASE_COASTING;
@@ -38,10 +38,10 @@ static real_t update_flight_phase(estimator_t *m, const estimator_settings_t *s,
             m->is_initialised = 1;
         }
     } else if (m->flight_phase == PHASE_LIGHT) {
-        if (((height > (REAL(0.03) + real_min(REAL(2.0) * m->sigma_output[EX_POS + 2], REAL(0.1)))) && !near) || clear ||
+        if (((height > (REAL(0.03) + real_min(REAL(2.0) * m->sigma_output[ERROR_POSITION + 2], REAL(0.1)))) && !near) || clear ||
             (lift > (REAL(1.1) + doubt))) {
             m->flight_phase = PHASE_FLYING;
-            rises = (says && !near && (s->has_rotor_model > 0)) ? (lift / m->x[SX_THRUST_SCALE]) : REAL(0.0);
+            rises = (says && !near && (s->has_rotor_model > 0)) ? (lift / m->x[NOMINAL_THRUST_SCALE]) : REAL(0.0);
         } else if (((lift * (REAL(1.0) + doubt)) < REAL(0.85)) && (height < REAL(0.02))) {
             m->flight_phase = PHASE_RUNNING;
         } else {
@@ -52,7 +52,7 @@ static real_t update_flight_phase(estimator_t *m, const estimator_settings_t *s,
     } else {
         /* flies on */
     }
-    if (off && (m->flight_phase >= PHASE_LIGHT) && (height < REAL(0.05)) && (m->rotor_state[RS_SPEED_UPPER] < (REAL(0.3) * s->hover_speed[0]))) {
+    if (off && (m->flight_phase >= PHASE_LIGHT) && (height < REAL(0.05)) && (m->rotor_state[MODEL_SPEED_UPPER] < (REAL(0.3) * s->hover_speed[0]))) {
         m->flight_phase = PHASE_RUNNING;
     }
     if (m->flight_phase != PHASE_FLYING) {
@@ -67,32 +67,32 @@ static void update_rotor_model(estimator_t *m, const estimator_settings_t *s, co
 {
     predict_rotor_force(m, s, p, m->axis_work, m->rotor_force[wrap_index(m->tick, ROTOR_FORCE_HISTORY)]);
     for (int32_t k = 0; k < 2; k++) {
-        m->rotor_state[RS_SPEED_UPPER + k] += s->dt * m->motor_accel_bias[k];
+        m->rotor_state[MODEL_SPEED_UPPER + k] += s->dt * m->motor_accel_bias[k];
     }
-    if (fresh[R_ROTOR] == 1) {
-        const real_t *speed = &z[READING_STARTS[R_ROTOR]];
+    if (fresh[READING_ROTOR] == 1) {
+        const real_t *speed = &z[READING_STARTS[READING_ROTOR]];
 
         if (rotor_speed_consistent(m, s, speed)) {
             for (int32_t k = 0; k < 2; k++) {
-                const real_t off = speed[k] - m->rotor_state[RS_SPEED_UPPER + k];
+                const real_t off = speed[k] - m->rotor_state[MODEL_SPEED_UPPER + k];
 
-                m->rotor_state[RS_SPEED_UPPER + k] += s->rotor_speed_gain * off;
+                m->rotor_state[MODEL_SPEED_UPPER + k] += s->rotor_speed_gain * off;
                 m->motor_accel_bias[k] += s->motor_error_gain * off;
             }
         }
     }
-    if (fresh[R_BATTERY] == 1) {
+    if (fresh[READING_BATTERY] == 1) {
         real_t voltage;
         real_t current;
         real_t off;
 
         battery_state(m->rotor_state, m->actuators[0], m->actuators[1], p, &voltage, &current);
-        off = z[READING_STARTS[R_BATTERY]] - voltage;
+        off = z[READING_STARTS[READING_BATTERY]] - voltage;
         if (battery_voltage_consistent(m, s, off)) {
             const real_t fast = (((real_t)m->tick * s->dt) < REAL(1.0)) ? REAL(0.2) : REAL(0.02);
 
-            m->rotor_state[RS_CHARGE] =
-                real_min(real_max(m->rotor_state[RS_CHARGE] + (fast * off), REAL(0.0)), REAL(1.0));
+            m->rotor_state[MODEL_CHARGE] =
+                real_min(real_max(m->rotor_state[MODEL_CHARGE] + (fast * off), REAL(0.0)), REAL(1.0));
         }
     }
 }
@@ -114,8 +114,8 @@ static void average_inputs(estimator_t *m, const estimator_settings_t *s)
 static real_t ground_force_noise(const estimator_t *m, real_t force)
 {
     const real_t spread =
-        (m->is_sonar_at_minimum == 1) ? GROUND_FORCE_ERROR : real_max(m->sigma_output[EX_THRUST_SCALE] * -force, GROUND_FORCE_ERROR);
-    const real_t over = (((-m->x_output[SX_THRUST_SCALE]) * force) - GRAVITY) / spread;
+        (m->is_sonar_at_minimum == 1) ? GROUND_FORCE_ERROR : real_max(m->sigma_output[ERROR_THRUST_SCALE] * -force, GROUND_FORCE_ERROR);
+    const real_t over = (((-m->x_output[NOMINAL_THRUST_SCALE]) * force) - GRAVITY) / spread;
     const real_t may = real_min(real_max(REAL(1.0) + (over / LIFTOFF_SIGMA_LIMIT), REAL(0.0)), REAL(1.0)) * spread;
 
     return (ERROR_TIME_TWICE_S * may) * may;
@@ -139,13 +139,13 @@ real_t sample_inputs(estimator_t *m, const estimator_settings_t *s, const flight
 
         m->actuators[j] = (sent == sent) ? real_min(real_max(sent, REAL(-1.0)), REAL(1.0)) : REAL(0.0);
     }
-    rotation_matrix(&m->x_output[SX_ATT], r);
-    n = m->x_output[SX_VEL] - m->x_output[SX_WIND];
-    e = m->x_output[SX_VEL + 1] - m->x_output[SX_WIND + 1];
-    d = m->x_output[SX_VEL + 2];
+    rotation_matrix(&m->x_output[NOMINAL_ATTITUDE], r);
+    n = m->x_output[NOMINAL_VELOCITY] - m->x_output[NOMINAL_WIND];
+    e = m->x_output[NOMINAL_VELOCITY + 1] - m->x_output[NOMINAL_WIND + 1];
+    d = m->x_output[NOMINAL_VELOCITY + 2];
     for (int32_t k = 0; k < 3; k++) {
         m->axis_work[k] = ((r[k] * n) + (r[3 + k] * e)) + (r[6 + k] * d);
-        m->rotor_state[RS_RATES + k] = m->gyro_rates[k] - m->x_output[SX_GYRO_BIAS + k];
+        m->rotor_state[MODEL_RATES + k] = m->gyro_rates[k] - m->x_output[NOMINAL_GYRO_BIAS + k];
     }
     if (s->has_rotor_model > 0) {
         update_rotor_model(m, s, p, z, fresh);
@@ -154,46 +154,46 @@ real_t sample_inputs(estimator_t *m, const estimator_settings_t *s, const flight
     for (int32_t k = 0; k < 3; k++) {
         const real_t clip = (m->clip_share[k] * CLIPPING_ERROR_SHARE) * s->accel_range;
         /* Without vibration; but if the attitude is unknown, the model's force is the better one. */
-        const real_t noise = (m->status[R_RATES] < STATUS_MISSING) ? m->accel_noise_slow[k] : m->accel_noise[k];
+        const real_t noise = (m->status[READING_RATES] < STATUS_MISSING) ? m->accel_noise_slow[k] : m->accel_noise[k];
         real_t felt = ((s->has_rotor_model > 0) ? real_max(s->accel_density, noise) : s->accel_density) + ((ERROR_TIME_TWICE_S * clip) * clip);
         real_t made = s->model_accel_density[k];
         real_t share;
 
         row[k] = REAL(0.5) * (m->gyro_rates[k] + m->gyro_rates_prev[k]);
-        row[IN_ACCEL + k] = z[k];
+        row[INPUT_ACCEL + k] = z[k];
         for (int32_t g = 0; g < 3; g++) {
-            row[IN_STATIC + (3 * g) + k] = ((REAL(1.0) - s->imu_lag_remainder) * m->rotor_force[a][ROTOR_FORCE_STATIC + (3 * g) + k]) +
+            row[INPUT_STATIC + (3 * g) + k] = ((REAL(1.0) - s->imu_lag_remainder) * m->rotor_force[a][ROTOR_FORCE_STATIC + (3 * g) + k]) +
                                    (s->imu_lag_remainder * m->rotor_force[b][ROTOR_FORCE_STATIC + (3 * g) + k]);
         }
         if (m->flight_phase <= PHASE_RUNNING) {
-            row[IN_STATIC + k] = REAL(0.0);
-            row[IN_REST + k] = -GRAVITY * r[6 + k];
-            row[IN_SLOPE + k] = REAL(0.0);
+            row[INPUT_STATIC + k] = REAL(0.0);
+            row[INPUT_REST + k] = -GRAVITY * r[6 + k];
+            row[INPUT_SLOPE + k] = REAL(0.0);
             felt = REAL(1e6);
             made = REAL(1e-3);
         } else if (m->flight_phase == PHASE_LIGHT) {
             /* Legs may support the weight that the rotors do not: no thrust is estimated. */
-            row[IN_REST + k] += m->x_output[SX_THRUST_SCALE] * row[IN_STATIC + k];
+            row[INPUT_REST + k] += m->x_output[NOMINAL_THRUST_SCALE] * row[INPUT_STATIC + k];
             if (k == 2) {
-                row[IN_REST + 2] = (m->is_sonar_at_minimum == 1) ? (-GRAVITY * r[8]) : real_min(row[IN_REST + 2], -GRAVITY * r[8]);
+                row[INPUT_REST + 2] = (m->is_sonar_at_minimum == 1) ? (-GRAVITY * r[8]) : real_min(row[INPUT_REST + 2], -GRAVITY * r[8]);
             }
             made = REAL(0.05);
             if (k == 2) {
-                made += ground_force_noise(m, row[IN_STATIC + 2]);
+                made += ground_force_noise(m, row[INPUT_STATIC + 2]);
             }
-            row[IN_STATIC + k] = REAL(0.0);
+            row[INPUT_STATIC + k] = REAL(0.0);
         } else if (s->has_rotor_model > 0) {
             /* Until the thrust is known, after more than the delay, the accelerometers have the higher weight. */
-            const real_t unknown = real_max(m->sigma_output[EX_THRUST_SCALE] - MODELLED_THRUST_SIGMA, REAL(0.0)) * row[IN_STATIC + k];
+            const real_t unknown = real_max(m->sigma_output[ERROR_THRUST_SCALE] - MODELLED_THRUST_SIGMA, REAL(0.0)) * row[INPUT_STATIC + k];
 
             made += (THRUST_ERROR_TIME_S * unknown) * unknown;
         } else {
             /* flight without a model */
         }
         if ((s->has_rotor_model <= 0) && (m->flight_phase > PHASE_RUNNING)) {
-            row[IN_STATIC + k] = REAL(0.0);
-            row[IN_REST + k] = (k == 2) ? -GRAVITY : REAL(0.0);
-            row[IN_SLOPE + k] = REAL(0.0);
+            row[INPUT_STATIC + k] = REAL(0.0);
+            row[INPUT_REST + k] = (k == 2) ? -GRAVITY : REAL(0.0);
+            row[INPUT_SLOPE + k] = REAL(0.0);
             made = REAL(10.0);
         }
         if (m->force_verdict == FORCE_MODEL_WRONG) {
@@ -203,12 +203,12 @@ real_t sample_inputs(estimator_t *m, const estimator_settings_t *s, const flight
         } else {
             /* both are used */
         }
-        if ((m->status[R_ACCELERATION] >= STATUS_MISSING) || (s->is_fitted[R_ACCELERATION] == 0)) {
+        if ((m->status[READING_ACCELERATION] >= STATUS_MISSING) || (s->is_fitted[READING_ACCELERATION] == 0)) {
             felt = REAL(1e6);
         }
         share = made / (felt + made);
-        row[IN_SHARE + k] = share;
-        row[IN_NOISE + k] = felt * share;
+        row[INPUT_SHARE + k] = share;
+        row[INPUT_NOISE + k] = felt * share;
     }
     row[INPUT_ROW_SIZE - 1] = (real_t)m->flight_phase;
     average_inputs(m, s);
@@ -220,12 +220,12 @@ static void backdate_accel_noise(estimator_t *m, const estimator_settings_t *s, 
 {
     for (int32_t at = m->horizon_tick; at < m->tick; at += s->block_ticks) {
         real_t *e = input_block(m, s, at);
-        const real_t share = real_max(e[IN_SHARE + k], REAL(1e-9));
-        const real_t felt = real_max(e[IN_NOISE + k] / share, m->accel_noise_slow[k]);
-        const real_t made = e[IN_NOISE + k] / real_max(REAL(1.0) - share, REAL(1e-9));
+        const real_t share = real_max(e[INPUT_SHARE + k], REAL(1e-9));
+        const real_t felt = real_max(e[INPUT_NOISE + k] / share, m->accel_noise_slow[k]);
+        const real_t made = e[INPUT_NOISE + k] / real_max(REAL(1.0) - share, REAL(1e-9));
 
-        e[IN_SHARE + k] = made / (felt + made);
-        e[IN_NOISE + k] = felt * e[IN_SHARE + k];
+        e[INPUT_SHARE + k] = made / (felt + made);
+        e[INPUT_NOISE + k] = felt * e[INPUT_SHARE + k];
     }
 }
 
@@ -238,10 +238,10 @@ void estimate_accel_noise(estimator_t *m, const estimator_settings_t *s, const r
     m->slow_count += 1;
     weight = (real_t)((m->slow_count <= (SLOW_NOISE_TICKS / 2)) ? m->slow_count : ((SLOW_NOISE_TICKS + 1) - m->slow_count));
     for (int32_t k = 0; k < 3; k++) {
-        const real_t off = z[k] - ((m->x[SX_THRUST_SCALE] * row[IN_STATIC + k]) + row[IN_REST + k]);
+        const real_t off = z[k] - ((m->x[NOMINAL_THRUST_SCALE] * row[INPUT_STATIC + k]) + row[INPUT_REST + k]);
 
         m->accel_noise_sum[k] += off;
-        m->slow_sum[k] += weight * (off - (row[IN_SLOPE + k] * m->axis_work[k]));
+        m->slow_sum[k] += weight * (off - (row[INPUT_SLOPE + k] * m->axis_work[k]));
     }
     if (m->slow_count >= SLOW_NOISE_TICKS) {
         const real_t half = (real_t)(SLOW_NOISE_TICKS / 2);
@@ -252,14 +252,14 @@ void estimate_accel_noise(estimator_t *m, const estimator_settings_t *s, const r
         for (int32_t k = 0; k < 3; k++) {
             const real_t mean = m->slow_sum[k] / (half * (half + REAL(1.0)));
             /* The model's uncertainty, large at lift-off, is not noise of the accelerometers. */
-            const real_t unknown = (REAL(2.0) * m->sigma_output[EX_THRUST_SCALE]) * real_abs(row[IN_STATIC + k]);
+            const real_t unknown = (REAL(2.0) * m->sigma_output[ERROR_THRUST_SCALE]) * real_abs(row[INPUT_STATIC + k]);
             const real_t step = real_max(real_abs(mean - m->slow_mean_prev[k]) - unknown, REAL(0.0));
-            const real_t made = row[IN_NOISE + k] / real_max(REAL(1.0) - row[IN_SHARE + k], REAL(1e-9));
+            const real_t made = row[INPUT_NOISE + k] / real_max(REAL(1.0) - row[INPUT_SHARE + k], REAL(1e-9));
             real_t density = real_max((((REAL(0.5) * step) * step) * span) - made, REAL(0.0));
             real_t most;
 
             if ((m->flight_phase == PHASE_FLYING) && settled) {
-                const real_t apart = real_abs(mean - m->x[SX_ACCEL_BIAS + k]) - (MAX_MODEL_DISAGREEMENT + (unknown + (REAL(2.0) * m->sigma_output[EX_ACCEL_BIAS + k])));
+                const real_t apart = real_abs(mean - m->x[NOMINAL_ACCEL_BIAS + k]) - (MAX_MODEL_DISAGREEMENT + (unknown + (REAL(2.0) * m->sigma_output[ERROR_ACCEL_BIAS + k])));
 
                 density += real_max(apart, REAL(0.0)) * real_max(apart, REAL(0.0));
                 if (apart > ((((m->clip_share[0] + m->clip_share[1]) + m->clip_share[2]) * CLIPPING_ERROR_SHARE) * s->accel_range)) {
@@ -280,9 +280,9 @@ void estimate_accel_noise(estimator_t *m, const estimator_settings_t *s, const r
         }
         m->slow_count = 0;
         m->slow_mean_count += 1;
-        if ((m->status[R_ACCELERATION] == STATUS_REJECTED) && (m->tick >= m->fault_until_tick[R_ACCELERATION])) {
-            m->status[R_ACCELERATION] = STATUS_FUSED;
-            m->reason[R_ACCELERATION] = REASON_NONE;
+        if ((m->status[READING_ACCELERATION] == STATUS_REJECTED) && (m->tick >= m->fault_until_tick[READING_ACCELERATION])) {
+            m->status[READING_ACCELERATION] = STATUS_FUSED;
+            m->reason[READING_ACCELERATION] = REASON_NONE;
         }
     }
     if (m->accel_noise_count >= FORCE_MEAN_TICKS) {
@@ -322,15 +322,15 @@ static void turn_level(const estimator_t *m, real_t v[6])
 /* Reset a state to level attitude and no bias of the accelerometers. */
 static void restart_level_state(real_t x[STATE_COUNT])
 {
-    const real_t turn = real_sqrt((x[SX_ATT] * x[SX_ATT]) + (x[SX_ATT + 3] * x[SX_ATT + 3]));
+    const real_t turn = real_sqrt((x[NOMINAL_ATTITUDE] * x[NOMINAL_ATTITUDE]) + (x[NOMINAL_ATTITUDE + 3] * x[NOMINAL_ATTITUDE + 3]));
 
-    x[SX_ATT] /= turn;
-    x[SX_ATT + 3] /= turn;
+    x[NOMINAL_ATTITUDE] /= turn;
+    x[NOMINAL_ATTITUDE + 3] /= turn;
     for (int32_t k = 0; k < 3; k++) {
-        x[SX_ACCEL_BIAS + k] = REAL(0.0);
+        x[NOMINAL_ACCEL_BIAS + k] = REAL(0.0);
     }
-    x[SX_ATT + 1] = REAL(0.0);
-    x[SX_ATT + 2] = REAL(0.0);
+    x[NOMINAL_ATTITUDE + 1] = REAL(0.0);
+    x[NOMINAL_ATTITUDE + 2] = REAL(0.0);
 }
 
 /* Rotate the inputs since the horizon level; reset to level attitude and no bias of the accelerometers. */
@@ -339,7 +339,7 @@ static void restart_level(estimator_t *m, const estimator_settings_t *s)
     real_t *const states[4] = {m->x, m->x_repropagating, m->x_now, m->x_output};
 
     for (int32_t b = 0; b < INPUT_BLOCK_COUNT; b++) {
-        turn_level(m, &m->input_blocks[b][IN_RATES]);
+        turn_level(m, &m->input_blocks[b][INPUT_RATES]);
     }
     clear_block_forces(m);
     m->task_stage = STAGE_DONE;
@@ -347,13 +347,13 @@ static void restart_level(estimator_t *m, const estimator_settings_t *s)
         restart_level_state(states[i]);
     }
     for (int32_t k = 0; k < 3; k++) {
-        const real_t tilt = s->initial_sigma[EX_ATT + k];
-        const real_t bias = s->initial_sigma[EX_ACCEL_BIAS + k];
+        const real_t tilt = s->initial_sigma[ERROR_ATTITUDE + k];
+        const real_t bias = s->initial_sigma[ERROR_ACCEL_BIAS + k];
 
         if (k < 2) {
-            inflate_variance(m, EX_ATT + k, tilt * tilt);
+            inflate_variance(m, ERROR_ATTITUDE + k, tilt * tilt);
         }
-        inflate_variance(m, EX_ACCEL_BIAS + k, bias * bias);
+        inflate_variance(m, ERROR_ACCEL_BIAS + k, bias * bias);
     }
 }
 
@@ -365,7 +365,7 @@ static void decide_level(estimator_t *m, const estimator_settings_t *s)
     const real_t x = -m->level_sum[1] / size;
     const real_t y = m->level_sum[0] / size;
     const real_t d = -m->level_sum[2] / size;
-    const real_t tilt = s->initial_sigma[EX_ACCEL_BIAS] / GRAVITY;
+    const real_t tilt = s->initial_sigma[ERROR_ACCEL_BIAS] / GRAVITY;
     const real_t q = (x * x) + (y * y);
 
     m->mount_variance[0] = REAL(0.5) * q;
@@ -377,7 +377,7 @@ static void decide_level(estimator_t *m, const estimator_settings_t *s)
         rotation_matrix(turn, m->level_rotation);
         m->is_levelled = 1;
         restart_level(m, s);
-        set_fault(m, s, R_ACCELERATION, STATUS_FUSED, REASON_LEVELLED, real_sqrt(q));
+        set_fault(m, s, READING_ACCELERATION, STATUS_FUSED, REASON_LEVELLED, real_sqrt(q));
     }
 }
 
@@ -386,10 +386,10 @@ void level_inertial_unit(estimator_t *m, const estimator_settings_t *s, real_t z
     const int32_t needed = (int32_t)(LEVEL_TIME_S / s->dt);
 
     if (m->level_ticks < needed) {
-        bool still = (m->flight_phase == PHASE_STANDING) && (m->status[R_ACCELERATION] == STATUS_FUSED);
+        bool still = (m->flight_phase == PHASE_STANDING) && (m->status[READING_ACCELERATION] == STATUS_FUSED);
 
         for (int32_t k = 0; k < 3; k++) {
-            still = still && (real_abs(z[READING_STARTS[R_RATES] + k]) < LEVEL_RATE);
+            still = still && (real_abs(z[READING_STARTS[READING_RATES] + k]) < LEVEL_RATE);
         }
         if ((m->flight_phase > PHASE_STANDING) || (s->has_rotor_model == 0)) {
             m->level_ticks = needed;
@@ -401,7 +401,7 @@ void level_inertial_unit(estimator_t *m, const estimator_settings_t *s, real_t z
         } else {
             m->level_ticks += 1;
             for (int32_t k = 0; k < 3; k++) {
-                m->level_sum[k] += z[READING_STARTS[R_ACCELERATION] + k];
+                m->level_sum[k] += z[READING_STARTS[READING_ACCELERATION] + k];
             }
             if (m->level_ticks == needed) {
                 decide_level(m, s);
@@ -409,6 +409,6 @@ void level_inertial_unit(estimator_t *m, const estimator_settings_t *s, real_t z
         }
     }
     if (m->is_levelled == 1) {
-        turn_level(m, &z[READING_STARTS[R_ACCELERATION]]);
+        turn_level(m, &z[READING_STARTS[READING_ACCELERATION]]);
     }
 }

@@ -13,7 +13,7 @@ real_t velocity_noise_density(const real_t r[9], int32_t k, const real_t e[INPUT
     real_t spread = REAL(0.0);
 
     for (int32_t i = 0; i < 3; i++) {
-        spread += (r[(3 * k) + i] * r[(3 * k) + i]) * e[IN_NOISE + i];
+        spread += (r[(3 * k) + i] * r[(3 * k) + i]) * e[INPUT_NOISE + i];
     }
     return spread;
 }
@@ -24,7 +24,7 @@ static void smooth_output(estimator_t *m, const estimator_settings_t *s)
     real_t *x = m->x_output;
 
     for (int32_t k = 0; k < 3; k++) {
-        const real_t jump = x[k] - (m->position_prev[k] + (s->dt * x[SX_VEL + k]));
+        const real_t jump = x[k] - (m->position_prev[k] + (s->dt * x[NOMINAL_VELOCITY + k]));
 
         if ((m->is_initialised > 0) && (real_abs(jump) > OUTPUT_JUMP_M)) {
             m->position_slip[k] -= jump * real_min((real_abs(jump) / OUTPUT_JUMP_M) - REAL(1.0), REAL(1.0));
@@ -38,10 +38,10 @@ static void smooth_output(estimator_t *m, const estimator_settings_t *s)
 /* Write roll, pitch and yaw of the output. */
 static void output_angles(estimator_t *m)
 {
-    const real_t w = m->x_output[SX_ATT];
-    const real_t x = m->x_output[SX_ATT + 1];
-    const real_t y = m->x_output[SX_ATT + 2];
-    const real_t z = m->x_output[SX_ATT + 3];
+    const real_t w = m->x_output[NOMINAL_ATTITUDE];
+    const real_t x = m->x_output[NOMINAL_ATTITUDE + 1];
+    const real_t y = m->x_output[NOMINAL_ATTITUDE + 2];
+    const real_t z = m->x_output[NOMINAL_ATTITUDE + 3];
     const real_t sine =
         real_min(real_max(REAL(2.0) * ((w * y) - (z * x)), REAL(-1.0)), REAL(1.0));
     const real_t yaw = real_atan2(REAL(2.0) * ((w * z) + (x * y)),
@@ -91,16 +91,16 @@ static void propagate_covariance(estimator_t *m, const estimator_settings_t *s, 
     }
     for (int32_t k = 0; k < 3; k++) {
         m->covariance_output[k][k] += ((m->now_velocity_variance[k] * span) * span) / REAL(3.0);
-        m->covariance_output[k][EX_VEL + k] += (m->now_velocity_variance[k] * span) / REAL(2.0);
-        m->covariance_output[EX_VEL + k][EX_VEL + k] += m->now_velocity_variance[k];
+        m->covariance_output[k][ERROR_VELOCITY + k] += (m->now_velocity_variance[k] * span) / REAL(2.0);
+        m->covariance_output[ERROR_VELOCITY + k][ERROR_VELOCITY + k] += m->now_velocity_variance[k];
         for (int32_t i = 0; i < 3; i++) {
             /* Vibration affects the velocity for half a revolution; block means measure its size. */
-            const real_t share = r[(3 * k) + i] * m->inputs_now[IN_SHARE + i];
+            const real_t share = r[(3 * k) + i] * m->inputs_now[INPUT_SHARE + i];
             const real_t shaking = real_max(m->accel_noise[i] - m->accel_noise_slow[i], REAL(0.0));
 
-            m->covariance_output[EX_VEL + k][EX_VEL + k] += (share * share) * (((real_t)FORCE_MEAN_TICKS * s->dt) * shaking);
+            m->covariance_output[ERROR_VELOCITY + k][ERROR_VELOCITY + k] += (share * share) * (((real_t)FORCE_MEAN_TICKS * s->dt) * shaking);
         }
-        m->covariance_output[EX_ATT + k][EX_ATT + k] += s->gyro_density * span;
+        m->covariance_output[ERROR_ATTITUDE + k][ERROR_ATTITUDE + k] += s->gyro_density * span;
     }
 }
 
@@ -109,7 +109,7 @@ static void output_covariance(estimator_t *m)
 {
     const real_t *x = m->x_output;
     const real_t sine =
-        real_min(real_max(REAL(2.0) * ((x[SX_ATT] * x[SX_ATT + 2]) - (x[SX_ATT + 3] * x[SX_ATT + 1])), REAL(-1.0)), REAL(1.0));
+        real_min(real_max(REAL(2.0) * ((x[NOMINAL_ATTITUDE] * x[NOMINAL_ATTITUDE + 2]) - (x[NOMINAL_ATTITUDE + 3] * x[NOMINAL_ATTITUDE + 1])), REAL(-1.0)), REAL(1.0));
     const real_t cosine = real_max(real_sqrt(REAL(1.0) - (sine * sine)), REAL(0.05));
     real_t c;
     real_t t;
@@ -131,10 +131,10 @@ static void output_covariance(estimator_t *m)
     }
     sine_cosine(m->angles_output[2], &t, &c);
     for (int32_t j = 0; j < MOTION_STATE_COUNT; j++) {
-        turns_to_angles(&m->covariance_output[EX_ATT][j], &m->covariance_output[EX_ATT + 1][j], &m->covariance_output[EX_ATT + 2][j], c, t, sine, cosine);
+        turns_to_angles(&m->covariance_output[ERROR_ATTITUDE][j], &m->covariance_output[ERROR_ATTITUDE + 1][j], &m->covariance_output[ERROR_ATTITUDE + 2][j], c, t, sine, cosine);
     }
     for (int32_t j = 0; j < MOTION_STATE_COUNT; j++) {
-        turns_to_angles(&m->covariance_output[j][EX_ATT], &m->covariance_output[j][EX_ATT + 1], &m->covariance_output[j][EX_ATT + 2], c, t, sine, cosine);
+        turns_to_angles(&m->covariance_output[j][ERROR_ATTITUDE], &m->covariance_output[j][ERROR_ATTITUDE + 1], &m->covariance_output[j][ERROR_ATTITUDE + 2], c, t, sine, cosine);
     }
 }
 
@@ -194,21 +194,21 @@ void predict_output(estimator_t *m, const estimator_settings_t *s)
     /* The states lag the tick by `lag`: the last rates and acceleration bridge the difference. */
     a[2] += GRAVITY;
     for (int32_t k = 0; k < 3; k++) {
-        x[k] += s->imu_lag * (x[SX_VEL + k] + ((REAL(0.5) * s->imu_lag) * a[k]));
-        x[SX_VEL + k] += s->imu_lag * a[k];
-        m->rates_output[k] = m->gyro_rates[k] - x[SX_GYRO_BIAS + k];
+        x[k] += s->imu_lag * (x[NOMINAL_VELOCITY + k] + ((REAL(0.5) * s->imu_lag) * a[k]));
+        x[NOMINAL_VELOCITY + k] += s->imu_lag * a[k];
+        m->rates_output[k] = m->gyro_rates[k] - x[NOMINAL_GYRO_BIAS + k];
         if ((s->has_rotor_model > 0) && (m->flight_phase == PHASE_FLYING)) {
             m->rates_output[k] += s->imu_lag * m->rotor_force[wrap_index(m->tick, ROTOR_FORCE_HISTORY)][ROTOR_FORCE_ANG_ACCEL + k];
         }
     }
     rotate_attitude(x, s->imu_lag * m->rates_output[0], s->imu_lag * m->rates_output[1], s->imu_lag * m->rates_output[2], true);
-    if ((s->has_rotor_model > 0) && (x[SX_TERRAIN] < MAX_FLOOR_HEIGHT)) {
+    if ((s->has_rotor_model > 0) && (x[NOMINAL_TERRAIN] < MAX_FLOOR_HEIGHT)) {
         /* The legs must not enter the floor during or after the propagation. */
-        const real_t lowest = -(real_max(x[SX_TERRAIN], REAL(0.0)) + s->ground_clearance);
+        const real_t lowest = -(real_max(x[NOMINAL_TERRAIN], REAL(0.0)) + s->ground_clearance);
 
-        if (x[SX_POS + 2] >= lowest) {
-            x[SX_POS + 2] = lowest;
-            x[SX_VEL + 2] = real_min(x[SX_VEL + 2], REAL(0.0));
+        if (x[NOMINAL_POSITION + 2] >= lowest) {
+            x[NOMINAL_POSITION + 2] = lowest;
+            x[NOMINAL_VELOCITY + 2] = real_min(x[NOMINAL_VELOCITY + 2], REAL(0.0));
         }
     }
     smooth_output(m, s);

@@ -72,50 +72,50 @@ void rotate_attitude(real_t x[STATE_COUNT], real_t t_x, real_t t_y, real_t t_z, 
 {
     const delta_quaternion_t by = half_angle_quaternion(t_x, t_y, t_z);
 
-    multiply_quaternion(&x[SX_ATT], &by, own ? REAL(1.0) : REAL(-1.0));
+    multiply_quaternion(&x[NOMINAL_ATTITUDE], &by, own ? REAL(1.0) : REAL(-1.0));
 }
 
 void predict_state(real_t x[STATE_COUNT], const real_t e[INPUT_ROW_SIZE], real_t dt, real_t r[9], real_t a[6])
 {
-    const real_t t_x = dt * (e[IN_RATES] - x[SX_GYRO_BIAS]);
-    const real_t t_y = dt * (e[IN_RATES + 1] - x[SX_GYRO_BIAS + 1]);
-    const real_t t_z = dt * (e[IN_RATES + 2] - x[SX_GYRO_BIAS + 2]);
+    const real_t t_x = dt * (e[INPUT_RATES] - x[NOMINAL_GYRO_BIAS]);
+    const real_t t_y = dt * (e[INPUT_RATES + 1] - x[NOMINAL_GYRO_BIAS + 1]);
+    const real_t t_z = dt * (e[INPUT_RATES + 2] - x[NOMINAL_GYRO_BIAS + 2]);
     const delta_quaternion_t half = half_angle_quaternion(REAL(0.5) * t_x, REAL(0.5) * t_y, REAL(0.5) * t_z);
     real_t n;
     real_t o;
     real_t d;
     real_t f[3];
 
-    multiply_quaternion(&x[SX_ATT], &half, REAL(1.0));
-    rotation_matrix(&x[SX_ATT], r);
-    multiply_quaternion(&x[SX_ATT], &half, REAL(1.0));
-    n = x[SX_VEL] - x[SX_WIND];
-    o = x[SX_VEL + 1] - x[SX_WIND + 1];
-    d = x[SX_VEL + 2];
+    multiply_quaternion(&x[NOMINAL_ATTITUDE], &half, REAL(1.0));
+    rotation_matrix(&x[NOMINAL_ATTITUDE], r);
+    multiply_quaternion(&x[NOMINAL_ATTITUDE], &half, REAL(1.0));
+    n = x[NOMINAL_VELOCITY] - x[NOMINAL_WIND];
+    o = x[NOMINAL_VELOCITY + 1] - x[NOMINAL_WIND + 1];
+    d = x[NOMINAL_VELOCITY + 2];
     for (int32_t k = 0; k < 3; k++) {
         const real_t along = ((r[k] * n) + (r[3 + k] * o)) + (r[6 + k] * d);
-        const real_t made = ((x[SX_THRUST_SCALE] * e[IN_STATIC + k]) + e[IN_REST + k]) + (e[IN_SLOPE + k] * along);
-        const real_t share = e[IN_SHARE + k];
+        const real_t made = ((x[NOMINAL_THRUST_SCALE] * e[INPUT_STATIC + k]) + e[INPUT_REST + k]) + (e[INPUT_SLOPE + k] * along);
+        const real_t share = e[INPUT_SHARE + k];
 
         a[MODEL_ACCEL + k] = made;
-        f[k] = (share * (e[IN_ACCEL + k] - x[SX_ACCEL_BIAS + k])) + ((REAL(1.0) - share) * made);
+        f[k] = (share * (e[INPUT_ACCEL + k] - x[NOMINAL_ACCEL_BIAS + k])) + ((REAL(1.0) - share) * made);
     }
     for (int32_t k = 0; k < 3; k++) {
         real_t gain;
 
         a[k] = ((r[3 * k] * f[0]) + (r[(3 * k) + 1] * f[1])) + (r[(3 * k) + 2] * f[2]);
         gain = a[k] + ((k == 2) ? GRAVITY : REAL(0.0));
-        x[k] += dt * (x[SX_VEL + k] + ((REAL(0.5) * dt) * gain));
-        x[SX_VEL + k] += dt * gain;
+        x[k] += dt * (x[NOMINAL_VELOCITY + k] + ((REAL(0.5) * dt) * gain));
+        x[NOMINAL_VELOCITY + k] += dt * gain;
     }
 }
 
 void error_transition(const real_t e[INPUT_ROW_SIZE], real_t span, const real_t r[9], const real_t a[3],
                    real_t out[TRANSITION_SIZE])
 {
-    const real_t rest[3] = {REAL(1.0) - e[IN_SHARE], REAL(1.0) - e[IN_SHARE + 1], REAL(1.0) - e[IN_SHARE + 2]};
-    const real_t slope[3] = {rest[0] * e[IN_SLOPE], rest[1] * e[IN_SLOPE + 1], rest[2] * e[IN_SLOPE + 2]};
-    const bool stands = (int32_t)e[IN_PHASE] <= PHASE_RUNNING;
+    const real_t rest[3] = {REAL(1.0) - e[INPUT_SHARE], REAL(1.0) - e[INPUT_SHARE + 1], REAL(1.0) - e[INPUT_SHARE + 2]};
+    const real_t slope[3] = {rest[0] * e[INPUT_SLOPE], rest[1] * e[INPUT_SLOPE + 1], rest[2] * e[INPUT_SLOPE + 2]};
+    const bool stands = (int32_t)e[INPUT_PHASE] <= PHASE_RUNNING;
 
     for (int32_t i = 0; i < 3; i++) {
         real_t thrust = REAL(0.0);
@@ -124,8 +124,8 @@ void error_transition(const real_t e[INPUT_ROW_SIZE], real_t span, const real_t 
             const real_t own = span * r[(3 * i) + j];
 
             out[(3 * i) + j] = own;
-            out[TRANSITION_ACCEL + (3 * i) + j] = -own * e[IN_SHARE + j];
-            thrust += own * (rest[j] * e[IN_STATIC + j]);
+            out[TRANSITION_ACCEL + (3 * i) + j] = -own * e[INPUT_SHARE + j];
+            thrust += own * (rest[j] * e[INPUT_STATIC + j]);
         }
         out[TRANSITION_THRUST + i] = thrust;
         out[TRANSITION_TURN + i] = stands ? REAL(0.0) : (span * a[i]); /* the floor's force is vertical at any tilt */
@@ -152,9 +152,9 @@ void predict_rotor_force(estimator_t *m, const estimator_settings_t *s, const fl
     const real_t dt = s->dt;
     const real_t to_roll = p->swash_gain * real_min(real_max(m->actuators[U_SERVO_2], REAL(-1.0)), REAL(1.0));
     const real_t to_pitch = -p->swash_gain * real_min(real_max(m->actuators[U_SERVO_1], REAL(-1.0)), REAL(1.0));
-    const real_t roll = x[RS_SWASH_ROLL];
-    const real_t pitch = x[RS_SWASH_PITCH];
-    const real_t bar[3] = {x[RS_BAR], x[RS_BAR + 1], x[RS_BAR + 2]};
+    const real_t roll = x[MODEL_SWASH_ROLL];
+    const real_t pitch = x[MODEL_SWASH_PITCH];
+    const real_t bar[3] = {x[MODEL_BAR], x[MODEL_BAR + 1], x[MODEL_BAR + 2]};
     swash_t swash;
     real_t up;
     real_t dw;
@@ -164,56 +164,56 @@ void predict_rotor_force(estimator_t *m, const estimator_settings_t *s, const fl
     real_t moving[3];
 
     /* The swash plate settles within the period; its mean is used. */
-    x[RS_SWASH_ROLL] = to_roll + ((roll - to_roll) * s->swash_decay_mean);
-    x[RS_SWASH_PITCH] = to_pitch + ((pitch - to_pitch) * s->swash_decay_mean);
-    x[RS_VEL] = REAL(0.0);
-    x[RS_VEL + 1] = REAL(0.0);
-    x[RS_VEL + 2] = REAL(0.0);
-    sine_cosine(x[RS_SWASH_ROLL], &swash.sin_a, &swash.cos_a);
-    sine_cosine(x[RS_SWASH_PITCH], &swash.sin_b, &swash.cos_b);
+    x[MODEL_SWASH_ROLL] = to_roll + ((roll - to_roll) * s->swash_decay_mean);
+    x[MODEL_SWASH_PITCH] = to_pitch + ((pitch - to_pitch) * s->swash_decay_mean);
+    x[MODEL_VELOCITY] = REAL(0.0);
+    x[MODEL_VELOCITY + 1] = REAL(0.0);
+    x[MODEL_VELOCITY + 2] = REAL(0.0);
+    sine_cosine(x[MODEL_SWASH_ROLL], &swash.sin_a, &swash.cos_a);
+    sine_cosine(x[MODEL_SWASH_PITCH], &swash.sin_b, &swash.cos_b);
     flight_model(x, m->actuators, no_wind, p, &swash, dx);
-    up = dx[RS_SPEED_UPPER];
-    dw = dx[RS_SPEED_LOWER];
-    x[RS_SPEED_UPPER] += (REAL(0.5) * dt) * up;
-    x[RS_SPEED_LOWER] += (REAL(0.5) * dt) * dw;
+    up = dx[MODEL_SPEED_UPPER];
+    dw = dx[MODEL_SPEED_LOWER];
+    x[MODEL_SPEED_UPPER] += (REAL(0.5) * dt) * up;
+    x[MODEL_SPEED_LOWER] += (REAL(0.5) * dt) * dw;
     /* The bar in rotating body axes: minus the rotation of the fuselage. */
-    normal[0] = bar[0] + (dt * (dx[RS_BAR] - ((x[RS_RATES + 1] * bar[2]) - (x[RS_RATES + 2] * bar[1]))));
-    normal[1] = bar[1] + (dt * (dx[RS_BAR + 1] - ((x[RS_RATES + 2] * bar[0]) - (x[RS_RATES] * bar[2]))));
-    normal[2] = bar[2] + (dt * (dx[RS_BAR + 2] - ((x[RS_RATES] * bar[1]) - (x[RS_RATES + 1] * bar[0]))));
+    normal[0] = bar[0] + (dt * (dx[MODEL_BAR] - ((x[MODEL_RATES + 1] * bar[2]) - (x[MODEL_RATES + 2] * bar[1]))));
+    normal[1] = bar[1] + (dt * (dx[MODEL_BAR + 1] - ((x[MODEL_RATES + 2] * bar[0]) - (x[MODEL_RATES] * bar[2]))));
+    normal[2] = bar[2] + (dt * (dx[MODEL_BAR + 2] - ((x[MODEL_RATES] * bar[1]) - (x[MODEL_RATES + 1] * bar[0]))));
     size = REAL(1.0) /
            real_sqrt(((normal[0] * normal[0]) + (normal[1] * normal[1])) + (normal[2] * normal[2]));
     for (int32_t k = 0; k < 3; k++) {
-        x[RS_BAR + k] = REAL(0.5) * (bar[k] + normal[k]);
+        x[MODEL_BAR + k] = REAL(0.5) * (bar[k] + normal[k]);
     }
     flight_model(x, m->actuators, no_wind, p, &swash, dx);
-    still[0] = dx[RS_VEL];
-    still[1] = dx[RS_VEL + 1];
-    still[2] = dx[RS_VEL + 2] - GRAVITY;
+    still[0] = dx[MODEL_VELOCITY];
+    still[1] = dx[MODEL_VELOCITY + 1];
+    still[2] = dx[MODEL_VELOCITY + 2] - GRAVITY;
     for (int32_t k = 0; k < 3; k++) {
         out[k] = still[k];
-        x[RS_VEL + k] = air[k];
+        x[MODEL_VELOCITY + k] = air[k];
     }
     flight_model(x, m->actuators, no_wind, p, &swash, dx);
     for (int32_t k = 0; k < 3; k++) {
-        out[ROTOR_FORCE_ANG_ACCEL + k] = dx[RS_RATES + k];
+        out[ROTOR_FORCE_ANG_ACCEL + k] = dx[MODEL_RATES + k];
     }
-    moving[0] = dx[RS_VEL];
-    moving[1] = dx[RS_VEL + 1];
-    moving[2] = dx[RS_VEL + 2] - GRAVITY;
+    moving[0] = dx[MODEL_VELOCITY];
+    moving[1] = dx[MODEL_VELOCITY + 1];
+    moving[2] = dx[MODEL_VELOCITY + 2] - GRAVITY;
     for (int32_t k = 0; k < 3; k++) {
-        x[RS_VEL + k] = air[k] + DRAG_SLOPE_STEP;
+        x[MODEL_VELOCITY + k] = air[k] + DRAG_SLOPE_STEP;
     }
     flight_model(x, m->actuators, no_wind, p, &swash, dx);
-    out[ROTOR_FORCE_SLOPE] = real_min((dx[RS_VEL] - moving[0]) / DRAG_SLOPE_STEP, REAL(0.0));
-    out[ROTOR_FORCE_SLOPE + 1] = real_min((dx[RS_VEL + 1] - moving[1]) / DRAG_SLOPE_STEP, REAL(0.0));
-    out[ROTOR_FORCE_SLOPE + 2] = real_min(((dx[RS_VEL + 2] - GRAVITY) - moving[2]) / DRAG_SLOPE_STEP, REAL(0.0));
+    out[ROTOR_FORCE_SLOPE] = real_min((dx[MODEL_VELOCITY] - moving[0]) / DRAG_SLOPE_STEP, REAL(0.0));
+    out[ROTOR_FORCE_SLOPE + 1] = real_min((dx[MODEL_VELOCITY + 1] - moving[1]) / DRAG_SLOPE_STEP, REAL(0.0));
+    out[ROTOR_FORCE_SLOPE + 2] = real_min(((dx[MODEL_VELOCITY + 2] - GRAVITY) - moving[2]) / DRAG_SLOPE_STEP, REAL(0.0));
     for (int32_t k = 0; k < 3; k++) {
         out[ROTOR_FORCE_REST + k] = (moving[k] - still[k]) - (out[ROTOR_FORCE_SLOPE + k] * air[k]);
-        x[RS_BAR + k] = normal[k] * size;
+        x[MODEL_BAR + k] = normal[k] * size;
     }
-    x[RS_SWASH_ROLL] = to_roll + ((roll - to_roll) * s->swash_decay);
-    x[RS_SWASH_PITCH] = to_pitch + ((pitch - to_pitch) * s->swash_decay);
-    x[RS_SPEED_UPPER] = real_max(x[RS_SPEED_UPPER] + ((REAL(0.5) * dt) * up), REAL(0.0));
-    x[RS_SPEED_LOWER] = real_max(x[RS_SPEED_LOWER] + ((REAL(0.5) * dt) * dw), REAL(0.0));
-    x[RS_CHARGE] = real_min(real_max(x[RS_CHARGE] + (dt * dx[RS_CHARGE]), REAL(0.0)), REAL(1.0));
+    x[MODEL_SWASH_ROLL] = to_roll + ((roll - to_roll) * s->swash_decay);
+    x[MODEL_SWASH_PITCH] = to_pitch + ((pitch - to_pitch) * s->swash_decay);
+    x[MODEL_SPEED_UPPER] = real_max(x[MODEL_SPEED_UPPER] + ((REAL(0.5) * dt) * up), REAL(0.0));
+    x[MODEL_SPEED_LOWER] = real_max(x[MODEL_SPEED_LOWER] + ((REAL(0.5) * dt) * dw), REAL(0.0));
+    x[MODEL_CHARGE] = real_min(real_max(x[MODEL_CHARGE] + (dt * dx[MODEL_CHARGE]), REAL(0.0)), REAL(1.0));
 }

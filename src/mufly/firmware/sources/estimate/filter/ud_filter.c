@@ -187,7 +187,7 @@ void propagate_column(const real_t u[ERROR_STATE_COUNT], real_t span, const real
 {
     const real_t *a = transition;
     const real_t *turning = &a[TRANSITION_TURN];
-    const real_t air[3] = {u[EX_VEL] - u[EX_WIND], u[EX_VEL + 1] - u[EX_WIND + 1], u[EX_VEL + 2]};
+    const real_t air[3] = {u[ERROR_VELOCITY] - u[ERROR_WIND], u[ERROR_VELOCITY + 1] - u[ERROR_WIND + 1], u[ERROR_VELOCITY + 2]};
     real_t turn[3];
     real_t half[3];
     real_t gain[3];
@@ -195,23 +195,23 @@ void propagate_column(const real_t u[ERROR_STATE_COUNT], real_t span, const real
     for (int32_t i = 0; i < 3; i++) {
         const real_t *g = &a[3 * i];
 
-        turn[i] = ((g[0] * u[EX_GYRO_BIAS]) + (g[1] * u[EX_GYRO_BIAS + 1])) + (g[2] * u[EX_GYRO_BIAS + 2]);
-        half[i] = u[EX_ATT + i] - (REAL(0.5) * turn[i]);
+        turn[i] = ((g[0] * u[ERROR_GYRO_BIAS]) + (g[1] * u[ERROR_GYRO_BIAS + 1])) + (g[2] * u[ERROR_GYRO_BIAS + 2]);
+        half[i] = u[ERROR_ATTITUDE + i] - (REAL(0.5) * turn[i]);
     }
     for (int32_t i = 0; i < 3; i++) {
         const real_t *b = &a[TRANSITION_ACCEL + (3 * i)];
         const real_t *w = &a[TRANSITION_AIR + (3 * i)];
 
-        gain[i] = ((((((b[0] * u[EX_ACCEL_BIAS]) + (b[1] * u[EX_ACCEL_BIAS + 1])) + (b[2] * u[EX_ACCEL_BIAS + 2])) + (w[0] * air[0])) + (w[1] * air[1])) +
-                   (w[2] * air[2])) + (a[TRANSITION_THRUST + i] * u[EX_THRUST_SCALE]);
+        gain[i] = ((((((b[0] * u[ERROR_ACCEL_BIAS]) + (b[1] * u[ERROR_ACCEL_BIAS + 1])) + (b[2] * u[ERROR_ACCEL_BIAS + 2])) + (w[0] * air[0])) + (w[1] * air[1])) +
+                   (w[2] * air[2])) + (a[TRANSITION_THRUST + i] * u[ERROR_THRUST_SCALE]);
     }
     gain[0] += (turning[2] * half[1]) - (turning[1] * half[2]);
     gain[1] += (turning[0] * half[2]) - (turning[2] * half[0]);
     gain[2] += (turning[1] * half[0]) - (turning[0] * half[1]);
     for (int32_t i = 0; i < 3; i++) {
-        out[i] = u[i] + (span * (u[EX_VEL + i] + (REAL(0.5) * gain[i])));
-        out[EX_VEL + i] = u[EX_VEL + i] + gain[i];
-        out[EX_ATT + i] = u[EX_ATT + i] - turn[i];
+        out[i] = u[i] + (span * (u[ERROR_VELOCITY + i] + (REAL(0.5) * gain[i])));
+        out[ERROR_VELOCITY + i] = u[ERROR_VELOCITY + i] + gain[i];
+        out[ERROR_ATTITUDE + i] = u[ERROR_ATTITUDE + i] - turn[i];
     }
 }
 
@@ -219,7 +219,7 @@ void propagate_column(const real_t u[ERROR_STATE_COUNT], real_t span, const real
 static void propagate_moving_column(real_t u[MOTION_STATE_COUNT], real_t span, const real_t transition[TRANSITION_SIZE])
 {
     const real_t *turning = &transition[TRANSITION_TURN];
-    const real_t velocity[3] = {u[EX_VEL], u[EX_VEL + 1], u[EX_VEL + 2]};
+    const real_t velocity[3] = {u[ERROR_VELOCITY], u[ERROR_VELOCITY + 1], u[ERROR_VELOCITY + 2]};
     real_t gain[3];
 
     for (int32_t i = 0; i < 3; i++) {
@@ -227,12 +227,12 @@ static void propagate_moving_column(real_t u[MOTION_STATE_COUNT], real_t span, c
 
         gain[i] = ((w[0] * velocity[0]) + (w[1] * velocity[1])) + (w[2] * velocity[2]);
     }
-    gain[0] += (turning[2] * u[EX_ATT + 1]) - (turning[1] * u[EX_ATT + 2]);
-    gain[1] += (turning[0] * u[EX_ATT + 2]) - (turning[2] * u[EX_ATT]);
-    gain[2] += (turning[1] * u[EX_ATT]) - (turning[0] * u[EX_ATT + 1]);
+    gain[0] += (turning[2] * u[ERROR_ATTITUDE + 1]) - (turning[1] * u[ERROR_ATTITUDE + 2]);
+    gain[1] += (turning[0] * u[ERROR_ATTITUDE + 2]) - (turning[2] * u[ERROR_ATTITUDE]);
+    gain[2] += (turning[1] * u[ERROR_ATTITUDE]) - (turning[0] * u[ERROR_ATTITUDE + 1]);
     for (int32_t i = 0; i < 3; i++) {
         u[i] += span * (velocity[i] + (REAL(0.5) * gain[i]));
-        u[EX_VEL + i] = velocity[i] + gain[i];
+        u[ERROR_VELOCITY + i] = velocity[i] + gain[i];
     }
 }
 
@@ -243,24 +243,24 @@ static void orthogonalise_velocity(estimator_t *m)
     real_t size[3];
 
     for (int32_t i = 0; i < 6; i++) {
-        w[0][i] = m->u_transposed[EX_VEL][i];
-        w[1][i] = m->u_transposed[EX_VEL + 1][i];
-        w[2][i] = m->u_transposed[EX_VEL + 2][i];
+        w[0][i] = m->u_transposed[ERROR_VELOCITY][i];
+        w[1][i] = m->u_transposed[ERROR_VELOCITY + 1][i];
+        w[2][i] = m->u_transposed[ERROR_VELOCITY + 2][i];
     }
-    for (int32_t j = 5; j >= EX_VEL; j--) {
+    for (int32_t j = 5; j >= ERROR_VELOCITY; j--) {
         real_t total = REAL(0.0);
 
         for (int32_t k = 0; k < 3; k++) {
-            total += (m->ud_diagonal[EX_VEL + k] * w[k][j]) * w[k][j];
+            total += (m->ud_diagonal[ERROR_VELOCITY + k] * w[k][j]) * w[k][j];
         }
-        size[j - EX_VEL] = (total > MIN_DIAGONAL) ? total : MIN_DIAGONAL;
+        size[j - ERROR_VELOCITY] = (total > MIN_DIAGONAL) ? total : MIN_DIAGONAL;
         for (int32_t i = 0; i < j; i++) {
             real_t s = REAL(0.0);
 
             for (int32_t k = 0; k < 3; k++) {
-                s += (m->ud_diagonal[EX_VEL + k] * w[k][j]) * w[k][i];
+                s += (m->ud_diagonal[ERROR_VELOCITY + k] * w[k][j]) * w[k][i];
             }
-            s /= size[j - EX_VEL];
+            s /= size[j - ERROR_VELOCITY];
             m->u_transposed[j][i] = s;
             for (int32_t k = 0; k < 3; k++) {
                 w[k][i] -= w[k][j] * s;
@@ -272,13 +272,13 @@ static void orthogonalise_velocity(estimator_t *m)
         }
     }
     for (int32_t k = 0; k < 3; k++) {
-        m->ud_diagonal[EX_VEL + k] = size[k];
+        m->ud_diagonal[ERROR_VELOCITY + k] = size[k];
     }
 }
 
 void ud_time_update(estimator_t *m, real_t span, const real_t transition[TRANSITION_SIZE], const real_t q[MOTION_STATE_COUNT])
 {
-    for (int32_t k = EX_VEL; k < MOTION_STATE_COUNT; k++) {
+    for (int32_t k = ERROR_VELOCITY; k < MOTION_STATE_COUNT; k++) {
         propagate_moving_column(m->u_transposed[k], span, transition);
     }
     for (int32_t k = MOTION_STATE_COUNT; k < ERROR_STATE_COUNT; k++) {
@@ -290,8 +290,8 @@ void ud_time_update(estimator_t *m, real_t span, const real_t transition[TRANSIT
             m->u_transposed_h[i] = REAL(0.0);
         }
         m->u_transposed_h[j] = REAL(1.0);
-        if ((j >= EX_VEL) && (j < EX_ATT)) {
-            m->u_transposed_h[j - EX_VEL] = REAL(0.5) * span;
+        if ((j >= ERROR_VELOCITY) && (j < ERROR_ATTITUDE)) {
+            m->u_transposed_h[j - ERROR_VELOCITY] = REAL(0.5) * span;
         }
         rank_one_update(m, j, q[j]);
     }

@@ -32,8 +32,8 @@ void sensor_suite_read(sensor_suite_t *s, uint32_t now_us, real_t voltage_V, hal
         fresh = icm42688_step(&s->imu, now_us);
     }
     if (fresh) {
-        take(readings, R_ACCELERATION, s->imu.acceleration, 1);
-        take(readings, R_RATES, s->imu.rates, 1);
+        take(readings, READING_ACCELERATION, s->imu.acceleration, 1);
+        take(readings, READING_RATES, s->imu.rates, 1);
     }
     for (int32_t i = 0; i < 3; i++) {
         readings->z[CLIPPING_START + i] = fresh ? s->imu.clipping[i] : REAL(0.0);
@@ -41,19 +41,19 @@ void sensor_suite_read(sensor_suite_t *s, uint32_t now_us, real_t voltage_V, hal
     if (bmp280_step(&s->barometer, now_us)) {
         const real_t pressure = s->barometer.pressure - STANDARD_PRESSURE;
 
-        take(readings, R_PRESSURE, &pressure, 1);
+        take(readings, READING_PRESSURE, &pressure, 1);
     }
     if (s->ranging == (int32_t)RANGING_VL53L1X) {
         if (vl53l1x_step(&s->laser, now_us)) {
-            take(readings, R_SONAR, &s->laser.range, s->laser.has_echo ? 1 : 2);
+            take(readings, READING_SONAR, &s->laser.range, s->laser.has_echo ? 1 : 2);
         }
     } else if (srf10_step(&s->sonar, now_us)) {
-        take(readings, R_SONAR, &s->sonar.range, s->sonar.has_echo ? 1 : 2);
+        take(readings, READING_SONAR, &s->sonar.range, s->sonar.has_echo ? 1 : 2);
     } else {
         /* no new range */
     }
     if (voltage_V >= REAL(0.0)) {
-        readings->z[READING_STARTS[R_BATTERY]] = voltage_V;
-        readings->fresh[R_BATTERY] = 1;
+        readings->z[READING_STARTS[READING_BATTERY]] = voltage_V;
+        readings->fresh[READING_BATTERY] = 1;
     }
 }

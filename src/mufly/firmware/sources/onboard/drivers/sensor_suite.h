@@ -8,7 +8,7 @@
 #include "onboard/drivers/sensors/srf10.h"
 #include "onboard/drivers/sensors/vl53l1x.h"
 
-/* What measures the range downwards: R_SONAR of the readings. */
+/* What measures the range downwards: READING_SONAR of the readings. */
 enum { RANGING_SRF10, RANGING_VL53L1X };
 
 typedef struct {

@@ -15,26 +15,26 @@ void calibration_reset(calibration_t *c)
 
 void calibrate_readings(const calibration_t *c, hal_readings_t *r)
 {
-    if (r->fresh[R_ACCELERATION] != 0) {
-        real_t *z = &r->z[READING_STARTS[R_ACCELERATION]];
+    if (r->fresh[READING_ACCELERATION] != 0) {
+        real_t *z = &r->z[READING_STARTS[READING_ACCELERATION]];
 
         for (int32_t i = 0; i < 3; i++) {
             z[i] = (z[i] - c->acceleration_offset[i]) * c->acceleration_scale[i];
         }
     }
-    if (r->fresh[R_RATES] != 0) {
-        real_t *z = &r->z[READING_STARTS[R_RATES]];
+    if (r->fresh[READING_RATES] != 0) {
+        real_t *z = &r->z[READING_STARTS[READING_RATES]];
 
         for (int32_t i = 0; i < 3; i++) {
             z[i] = z[i] - c->rate_offset[i];
         }
     }
-    if (r->fresh[R_SONAR] != 0) {
-        real_t *z = &r->z[READING_STARTS[R_SONAR]];
+    if (r->fresh[READING_SONAR] != 0) {
+        real_t *z = &r->z[READING_STARTS[READING_SONAR]];
 
         z[0] = (z[0] - c->sonar_offset) * c->sonar_scale;
     }
-    if (r->fresh[R_RING] == 1) {
+    if (r->fresh[READING_RING] == 1) {
         for (int32_t i = 0; i < MAX_BEAMS; i++) {
             r->ranges[i] = (r->ranges[i] - c->ring_offset) * c->ring_scale;
         }

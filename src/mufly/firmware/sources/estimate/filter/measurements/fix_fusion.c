@@ -8,14 +8,14 @@
 static void fix_h_row(estimator_t *m, int32_t i, real_t ahead)
 {
     if (i < FIX_HEADING) {
-        h_row_begin(m, EX_POS + i, REAL(1.0));
-        h_row_add(m, EX_FIX_BIAS + i, REAL(1.0));
+        h_row_begin(m, ERROR_POSITION + i, REAL(1.0));
+        h_row_add(m, ERROR_FIX_BIAS + i, REAL(1.0));
         if (i < FIX_DOWN) {
-            h_row_add(m, EX_VEL + i, ahead);
+            h_row_add(m, ERROR_VELOCITY + i, ahead);
         }
     } else {
-        h_row_begin(m, EX_ATT + 2, REAL(1.0));
-        h_row_add(m, EX_FIX_HEADING, REAL(1.0));
+        h_row_begin(m, ERROR_ATTITUDE + 2, REAL(1.0));
+        h_row_add(m, ERROR_FIX_HEADING, REAL(1.0));
     }
 }
 
@@ -26,12 +26,12 @@ static real_t fix_innovation(const estimator_t *m, const real_t z[4], int32_t i,
     real_t off;
 
     if (i < FIX_HEADING) {
-        off = ((z[i] - x[i]) - (ahead * x[SX_VEL + i])) - x[SX_FIX_BIAS + i];
+        off = ((z[i] - x[i]) - (ahead * x[NOMINAL_VELOCITY + i])) - x[NOMINAL_FIX_BIAS + i];
     } else {
-        const real_t yaw = real_atan2(REAL(2.0) * ((x[SX_ATT] * x[SX_ATT + 3]) + (x[SX_ATT + 1] * x[SX_ATT + 2])),
-                                       REAL(1.0) - (REAL(2.0) * ((x[SX_ATT + 2] * x[SX_ATT + 2]) + (x[SX_ATT + 3] * x[SX_ATT + 3]))));
+        const real_t yaw = real_atan2(REAL(2.0) * ((x[NOMINAL_ATTITUDE] * x[NOMINAL_ATTITUDE + 3]) + (x[NOMINAL_ATTITUDE + 1] * x[NOMINAL_ATTITUDE + 2])),
+                                       REAL(1.0) - (REAL(2.0) * ((x[NOMINAL_ATTITUDE + 2] * x[NOMINAL_ATTITUDE + 2]) + (x[NOMINAL_ATTITUDE + 3] * x[NOMINAL_ATTITUDE + 3]))));
 
-        off = real_wrap_angle(((z[FIX_HEADING] - yaw) - (ahead * m->yaw_rate)) - x[SX_FIX_HEADING]);
+        off = real_wrap_angle(((z[FIX_HEADING] - yaw) - (ahead * m->yaw_rate)) - x[NOMINAL_FIX_HEADING]);
     }
     return off;
 }
@@ -45,7 +45,7 @@ static real_t fix_variance(const estimator_t *m, const estimator_settings_t *s, 
 /* Return the estimated variance of the bias of component i of the fix. */
 static real_t fix_bias_variance(const estimator_t *m, const estimator_settings_t *s, int32_t i)
 {
-    const real_t sigma = s->initial_sigma[EX_FIX_BIAS + i];
+    const real_t sigma = s->initial_sigma[ERROR_FIX_BIAS + i];
 
     return (sigma * sigma) * m->bias_walk_scale[(i < FIX_HEADING) ? AID_PLACE : AID_HEADING];
 }
@@ -76,13 +76,13 @@ static real_t largest_mean_ratio(const estimator_t *m)
 /* Return the estimated bias of component i of the fix over the largest that its model allows. */
 static real_t fix_bias_ratio(const estimator_t *m, const estimator_settings_t *s, int32_t i)
 {
-    return real_abs(m->x[SX_FIX_BIAS + i]) / (BIAS_RANGE_SIGMAS * real_sqrt(fix_bias_variance(m, s, i) + fix_variance(m, s, i)));
+    return real_abs(m->x[NOMINAL_FIX_BIAS + i]) / (BIAS_RANGE_SIGMAS * real_sqrt(fix_bias_variance(m, s, i) + fix_variance(m, s, i)));
 }
 
 /* Raise the random walk of the fix until it explains an innovation of the vehicle at rest; return the new ratio. */
 static real_t widen_fix_bias(estimator_t *m, const estimator_settings_t *s, int32_t i, real_t nu, real_t ratio)
 {
-    const real_t sigma = s->initial_sigma[EX_FIX_BIAS + i];
+    const real_t sigma = s->initial_sigma[ERROR_FIX_BIAS + i];
     const real_t spread = nu / WIDENED_SIGMAS;
     const real_t scale = (spread * spread) / (sigma * sigma);
     const int32_t aid = (i < FIX_HEADING) ? AID_PLACE : AID_HEADING;
@@ -91,14 +91,14 @@ static real_t widen_fix_bias(estimator_t *m, const estimator_settings_t *s, int3
         return ratio;
     }
     m->bias_walk_scale[aid] = real_max(m->bias_walk_scale[aid], scale);
-    inflate_variance(m, EX_FIX_BIAS + i, spread * spread);
+    inflate_variance(m, ERROR_FIX_BIAS + i, spread * spread);
     return innovation_ratio(m, nu, fix_variance(m, s, i));
 }
 
 /* Return whether the sonar measures the height, over a known floor. */
 static bool sonar_height_valid(const estimator_t *m, const estimator_settings_t *s)
 {
-    const int32_t k = R_SONAR;
+    const int32_t k = READING_SONAR;
     const bool fresh = (m->last_fused_tick[k] > 0) && (((real_t)(m->tick - m->last_fused_tick[k]) * s->dt) < REAL(0.3));
 
     return fresh && (m->status[k] == STATUS_FUSED) && (m->reason[k] == REASON_NONE) && !(m->terrain_edge_weight > REAL(0.0));
@@ -107,12 +107,12 @@ static bool sonar_height_valid(const estimator_t *m, const estimator_settings_t 
 /* Return whether fix and sonar agree on the height; if not, write the gap to m->fix_height_gap. */
 static bool fix_height_consistent(estimator_t *m, const estimator_settings_t *s, real_t nu, real_t ratio)
 {
-    const int32_t k = R_FIX;
-    const real_t apart = real_abs(nu + m->x[SX_FIX_BIAS + 2]);
+    const int32_t k = READING_FIX;
+    const real_t apart = real_abs(nu + m->x[NOMINAL_FIX_BIAS + 2]);
     const real_t off = real_abs(ratio);
 
     if (m->fix_height_gap > REAL(0.0)) {
-        const bool blind = ((real_t)(m->tick - m->last_fused_tick[R_SONAR]) * s->dt) > REAL(0.3);
+        const bool blind = ((real_t)(m->tick - m->last_fused_tick[READING_SONAR]) * s->dt) > REAL(0.3);
 
         m->fix_height_gap = (blind || (off < REAL(2.5))) ? REAL(0.0) : apart;
     } else if (sonar_height_valid(m, s) &&
@@ -127,21 +127,21 @@ static bool fix_height_consistent(estimator_t *m, const estimator_settings_t *s,
 /* Reset the position to the fix; where other sensors hold it, reset the bias of the fix instead. */
 static void reset_to_fix(estimator_t *m, const real_t z[4], real_t ahead)
 {
-    const bool height_held = m->status[R_SONAR] == STATUS_FUSED;
-    const bool place_held = m->status[R_RING] == STATUS_FUSED;
+    const bool height_held = m->status[READING_SONAR] == STATUS_FUSED;
+    const bool place_held = m->status[READING_RING] == STATUS_FUSED;
     real_t nu;
 
     for (int32_t i = 0; i < 3; i++) {
         nu = fix_innovation(m, z, i, ahead);
         if ((i == FIX_DOWN) ? height_held : place_held) {
-            inflate_variance(m, EX_FIX_BIAS + i, nu * nu);
+            inflate_variance(m, ERROR_FIX_BIAS + i, nu * nu);
         } else {
-            inflate_variance(m, EX_POS + i, nu * nu);
-            inflate_variance(m, EX_VEL + i, REAL(0.01) + ((REAL(0.1) * nu) * nu));
+            inflate_variance(m, ERROR_POSITION + i, nu * nu);
+            inflate_variance(m, ERROR_VELOCITY + i, REAL(0.01) + ((REAL(0.1) * nu) * nu));
         }
     }
     nu = fix_innovation(m, z, FIX_HEADING, ahead);
-    inflate_variance(m, EX_ATT + 2, nu * nu);
+    inflate_variance(m, ERROR_ATTITUDE + 2, nu * nu);
 }
 
 /* Return whether the height is the one component of the fix that lies outside the gate. */
@@ -155,14 +155,14 @@ static bool is_height_alone_off(const estimator_t *m)
 /* Mark a fix that is rejected for its height alone as faulty: a height does not contradict the attitude. */
 static void clear_attitude_evidence(estimator_t *m)
 {
-    if ((m->status[R_FIX] == STATUS_REJECTED) && is_height_alone_off(m)) {
-        m->status[R_FIX] = STATUS_FAULTY;
+    if ((m->status[READING_FIX] == STATUS_REJECTED) && is_height_alone_off(m)) {
+        m->status[READING_FIX] = STATUS_FAULTY;
     }
 }
 
 void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, const real_t z[4], real_t ahead)
 {
-    const int32_t k = R_FIX;
+    const int32_t k = READING_FIX;
     bool down = true;
     real_t worst = REAL(0.0);
     real_t at = REAL(0.0);
@@ -185,7 +185,7 @@ void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, const real
             down = fix_height_consistent(m, s, nu, ratio);
         } else if ((m->is_heading_aligned == 0) && (real_abs(ratio) > INNOVATION_GATE)) {
             /* The initial position is unknown: the first fix sets it. */
-            inflate_variance(m, (i < FIX_HEADING) ? (EX_POS + i) : (EX_ATT + 2), nu * nu);
+            inflate_variance(m, (i < FIX_HEADING) ? (ERROR_POSITION + i) : (ERROR_ATTITUDE + 2), nu * nu);
             ratio = innovation_ratio(m, nu, fix_variance(m, s, i));
         } else {
             /* within the gate, or judged below */
@@ -209,7 +209,7 @@ void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, const real
         /* A height that differs from the sonar's does not show which of the two is wrong. */
         reject_measurement(m, s, k, at, z, 3,
                   ((REAL(2.0) * s->sensor_period[k]) + (REAL(8.0) * real_sqrt(fix_variance(m, s, 0)))) + REAL(0.05),
-                  (is_height_alone_off(m) && (m->status[R_SONAR] == STATUS_FUSED)) ? REASON_HEIGHT_CONFLICT : REASON_INNOVATION);
+                  (is_height_alone_off(m) && (m->status[READING_SONAR] == STATUS_FUSED)) ? REASON_HEIGHT_CONFLICT : REASON_INNOVATION);
         clear_attitude_evidence(m);
         if (!reset_timeout_expired(m, s, k)) {
             return;
@@ -237,10 +237,10 @@ void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, const real
         }
     }
     for (int32_t i = 0; i < 3; i++) {
-        const real_t most = (GYRO_BIAS_RANGE_SIGMAS * s->initial_sigma[EX_GYRO_BIAS + i]) + (REAL(2.0) * m->sigma_output[EX_GYRO_BIAS + i]);
+        const real_t most = (GYRO_BIAS_RANGE_SIGMAS * s->initial_sigma[ERROR_GYRO_BIAS + i]) + (REAL(2.0) * m->sigma_output[ERROR_GYRO_BIAS + i]);
 
-        if ((real_abs(m->leak_origin[i]) > most) && (m->status[R_RATES] == STATUS_FUSED) && down) {
-            set_fault(m, s, R_RATES, STATUS_REJECTED, REASON_LARGE_BIAS, m->leak_origin[i]);
+        if ((real_abs(m->leak_origin[i]) > most) && (m->status[READING_RATES] == STATUS_FUSED) && down) {
+            set_fault(m, s, READING_RATES, STATUS_REJECTED, REASON_LARGE_BIAS, m->leak_origin[i]);
         }
     }
     mark_fused(m, k);
@@ -252,7 +252,7 @@ void fuse_position_fix(estimator_t *m, const estimator_settings_t *s, const real
 
 void predict_fix_bias(estimator_t *m, const estimator_settings_t *s)
 {
-    for (int32_t k = EX_FIX_BIAS; k <= EX_FIX_HEADING; k++) {
+    for (int32_t k = ERROR_FIX_BIAS; k <= ERROR_FIX_HEADING; k++) {
         real_t keep = REAL(1.0);
         real_t by = s->decay[k];
         real_t q;
@@ -264,7 +264,7 @@ void predict_fix_bias(estimator_t *m, const estimator_settings_t *s)
             by *= by;
         }
         m->x[k + 1] *= keep;
-        q = fix_bias_variance(m, s, k - EX_FIX_BIAS) * (REAL(1.0) - (keep * keep));
+        q = fix_bias_variance(m, s, k - ERROR_FIX_BIAS) * (REAL(1.0) - (keep * keep));
         if (q > REAL(0.0)) {
             gauss_markov_update(m, k, keep, q);
         }

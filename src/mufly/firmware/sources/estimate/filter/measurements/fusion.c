@@ -8,7 +8,7 @@
 
 real_t height_above_ground(const real_t x[STATE_COUNT], const estimator_settings_t *s)
 {
-    return (-x[SX_POS + 2] - real_max(x[SX_TERRAIN], REAL(0.0))) - s->ground_clearance;
+    return (-x[NOMINAL_POSITION + 2] - real_max(x[NOMINAL_TERRAIN], REAL(0.0))) - s->ground_clearance;
 }
 
 /* Write the row H of the sonar; return the sonar's place below the centre of gravity (m). */
@@ -18,14 +18,14 @@ static real_t sonar_h_row(estimator_t *m, const estimator_settings_t *s, real_t 
     real_t n;
     real_t e;
 
-    rotation_matrix(&m->x[SX_ATT], r);
-    h_row_begin(m, EX_POS + 2, REAL(-1.0));
-    h_row_add(m, EX_TERRAIN, REAL(-1.0));
+    rotation_matrix(&m->x[NOMINAL_ATTITUDE], r);
+    h_row_begin(m, ERROR_POSITION + 2, REAL(-1.0));
+    h_row_add(m, ERROR_TERRAIN, REAL(-1.0));
     /* (exp(t) R r)_D = (R r)_D + t_N (R r)_E - t_E (R r)_N */
     n = ((r[0] * at[0]) + (r[1] * at[1])) + (r[2] * at[2]);
     e = ((r[3] * at[0]) + (r[4] * at[1])) + (r[5] * at[2]);
-    h_row_add(m, EX_ATT, -e);
-    h_row_add(m, EX_ATT + 1, n);
+    h_row_add(m, ERROR_ATTITUDE, -e);
+    h_row_add(m, ERROR_ATTITUDE + 1, n);
     return ((r[6] * at[0]) + (r[7] * at[1])) + (r[8] * at[2]);
 }
 
@@ -34,47 +34,47 @@ static void reset_height(estimator_t *m, const estimator_settings_t *s, real_t n
 {
     const int32_t before = m->height_reset_tick;
 
-    inflate_variance(m, EX_POS + 2, nu * nu); /* the sonar may have measured the foot of a wall in its cone */
+    inflate_variance(m, ERROR_POSITION + 2, nu * nu); /* the sonar may have measured the foot of a wall in its cone */
     m->height_reset_tick = m->horizon_tick;
     if (!((before > 0) && (((real_t)(m->horizon_tick - before) * s->dt) < HEIGHT_RESET_WINDOW_S))) {
         return;
     }
-    inflate_variance(m, EX_VEL + 2, HEIGHT_RESET_SPEED * HEIGHT_RESET_SPEED);
-    inflate_variance(m, EX_ACCEL_BIAS + 2, HEIGHT_RESET_ACCEL * HEIGHT_RESET_ACCEL);
-    inflate_variance(m, EX_THRUST_SCALE, HEIGHT_RESET_THRUST * HEIGHT_RESET_THRUST);
+    inflate_variance(m, ERROR_VELOCITY + 2, HEIGHT_RESET_SPEED * HEIGHT_RESET_SPEED);
+    inflate_variance(m, ERROR_ACCEL_BIAS + 2, HEIGHT_RESET_ACCEL * HEIGHT_RESET_ACCEL);
+    inflate_variance(m, ERROR_THRUST_SCALE, HEIGHT_RESET_THRUST * HEIGHT_RESET_THRUST);
 }
 
 /* Decide whether terrain or height is wrong after rejected ranges; return whether the range may be fused. */
 static bool reset_to_sonar(estimator_t *m, const estimator_settings_t *s, const real_t z[1], real_t nu)
 {
-    const int32_t k = R_SONAR;
+    const int32_t k = READING_SONAR;
     bool taken = true;
     real_t floor_height;
     bool step;
 
     reject_measurement(m, s, k, nu, z, 1, REAL(0.02) + (REAL(1.5) * s->sensor_period[k]), REASON_INNOVATION);
-    floor_height = m->x[SX_TERRAIN] - nu;
+    floor_height = m->x[NOMINAL_TERRAIN] - nu;
     step = (m->agree_count[k] >= 2) && (floor_height > MIN_TERRAIN_HEIGHT);
     if (step && (m->terrain_steps >= MAX_TERRAIN_STEPS)) {
         /* Repeated steps: the height is wrong, not the terrain. */
-        inflate_variance(m, EX_POS + 2, nu * nu);
-        inflate_variance(m, EX_VEL + 2, REAL(0.1));
-        inflate_variance(m, EX_THRUST_SCALE, REAL(0.01));
+        inflate_variance(m, ERROR_POSITION + 2, nu * nu);
+        inflate_variance(m, ERROR_VELOCITY + 2, REAL(0.1));
+        inflate_variance(m, ERROR_THRUST_SCALE, REAL(0.01));
         set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu);
     } else if (step && (nu > REAL(0.0))) {
         reset_height(m, s, nu); /* no surface lies below the floor */
         set_fault(m, s, k, STATUS_FUSED, REASON_TERRAIN_SLOPE, nu);
     } else if (step) {
-        inflate_variance(m, EX_TERRAIN, nu * nu);
+        inflate_variance(m, ERROR_TERRAIN, nu * nu);
         m->reject_score[k] = REAL(0.0);
         set_fault(m, s, k, STATUS_FUSED, REASON_TERRAIN_STEP, floor_height);
         m->terrain_edge_weight = REAL(1.0);
     } else if (reset_timeout_expired(m, s, k)) {
-        if ((((real_t)(m->tick - m->last_fused_tick[R_FIX]) * s->dt) < RESET_TIMEOUT_S) && (m->last_fused_tick[R_FIX] > 0)) {
-            inflate_variance(m, EX_TERRAIN, nu * nu); /* the fix holds the height */
+        if ((((real_t)(m->tick - m->last_fused_tick[READING_FIX]) * s->dt) < RESET_TIMEOUT_S) && (m->last_fused_tick[READING_FIX] > 0)) {
+            inflate_variance(m, ERROR_TERRAIN, nu * nu); /* the fix holds the height */
         } else {
-            inflate_variance(m, EX_POS + 2, nu * nu);
-            inflate_variance(m, EX_VEL + 2, REAL(0.1) + (nu * nu));
+            inflate_variance(m, ERROR_POSITION + 2, nu * nu);
+            inflate_variance(m, ERROR_VELOCITY + 2, REAL(0.1) + (nu * nu));
         }
         set_fault(m, s, k, STATUS_REJECTED, REASON_RESET, nu);
     } else {
@@ -108,7 +108,7 @@ static bool sonar_stuck(estimator_t *m, const estimator_settings_t *s, real_t z,
 /* Fuse the range to the surface below; a step that no other sensor sees belongs to the terrain. */
 static void fuse_sonar_range(estimator_t *m, const estimator_settings_t *s, const real_t z[1], real_t ahead)
 {
-    const int32_t k = R_SONAR;
+    const int32_t k = READING_SONAR;
     real_t r[9];
     const real_t down = sonar_h_row(m, s, r);
     const real_t nearest = s->sonar_min + REAL(0.005);
@@ -123,7 +123,7 @@ static void fuse_sonar_range(estimator_t *m, const estimator_settings_t *s, cons
     if ((r[8] < s->sonar_cone) || (z[0] >= s->sonar_max)) {
         return;
     }
-    expect = (-(m->x[SX_POS + 2] + (ahead * m->x[SX_VEL + 2])) - down) - m->x[SX_TERRAIN];
+    expect = (-(m->x[NOMINAL_POSITION + 2] + (ahead * m->x[NOMINAL_VELOCITY + 2])) - down) - m->x[NOMINAL_TERRAIN];
     if ((z[0] <= nearest) && (standing < nearest)) {
         /* Below the minimum range: uniform between that range and the range on the floor. */
         said = REAL(0.5) * (nearest + standing);
@@ -141,7 +141,7 @@ static void fuse_sonar_range(estimator_t *m, const estimator_settings_t *s, cons
         set_fault(m, s, k, STATUS_FAULTY, REASON_STUCK, z[0]);
         return;
     }
-    over = (m->terrain_edge_weight > REAL(0.0)) || (real_abs(m->x[SX_TERRAIN]) > MAX_FLOOR_HEIGHT);
+    over = (m->terrain_edge_weight > REAL(0.0)) || (real_abs(m->x[NOMINAL_TERRAIN]) > MAX_FLOOR_HEIGHT);
     /* Innovations of one sign: over an edge the surface is wrong, else the height, since surfaces are level. */
     if (real_abs(ratio) < INNOVATION_GATE) {
         m->sonar_ratio_lp += REAL(0.2) * (ratio - m->sonar_ratio_lp);
@@ -159,11 +159,11 @@ static void fuse_sonar_range(estimator_t *m, const estimator_settings_t *s, cons
             (void)sonar_h_row(m, s, r);
         }
     }
-    if (over && (real_abs(ratio) > TERRAIN_STEP_GATE) && (m->terrain_steps < MAX_TERRAIN_STEPS) && ((m->x[SX_TERRAIN] - nu) > MIN_TERRAIN_HEIGHT)) {
+    if (over && (real_abs(ratio) > TERRAIN_STEP_GATE) && (m->terrain_steps < MAX_TERRAIN_STEPS) && ((m->x[NOMINAL_TERRAIN] - nu) > MIN_TERRAIN_HEIGHT)) {
         /* Over an object the surface steps. */
         m->terrain_steps += 1;
         m->terrain_edge_weight = REAL(1.0);
-        inflate_variance(m, EX_TERRAIN, nu * nu);
+        inflate_variance(m, ERROR_TERRAIN, nu * nu);
         (void)sonar_h_row(m, s, r);
     } else if (real_abs(ratio) > INNOVATION_GATE) {
         if (!reset_to_sonar(m, s, z, nu)) {
@@ -179,7 +179,7 @@ static void fuse_sonar_range(estimator_t *m, const estimator_settings_t *s, cons
 
 void reset_terrain(estimator_t *m)
 {
-    fuse_error_state(m, EX_TERRAIN, -m->x[SX_TERRAIN], REAL(2.5e-5));
+    fuse_error_state(m, ERROR_TERRAIN, -m->x[NOMINAL_TERRAIN], REAL(2.5e-5));
 }
 
 void fuse_liftoff_thrust(estimator_t *m, real_t lift)
@@ -187,7 +187,7 @@ void fuse_liftoff_thrust(estimator_t *m, real_t lift)
     const real_t scale = LIFTOFF_THRUST_RATIO / lift;
     const real_t spread = LIFTOFF_THRUST_SIGMA * scale;
 
-    fuse_error_state(m, EX_THRUST_SCALE, scale - m->x[SX_THRUST_SCALE], spread * spread);
+    fuse_error_state(m, ERROR_THRUST_SCALE, scale - m->x[NOMINAL_THRUST_SCALE], spread * spread);
 }
 
 bool fuse_ground_contact(estimator_t *m, const estimator_settings_t *s)
@@ -196,13 +196,13 @@ bool fuse_ground_contact(estimator_t *m, const estimator_settings_t *s)
     const bool below = height < REAL(0.0);
 
     if (below) {
-        h_row_begin(m, EX_POS + 2, REAL(-1.0));
-        if (m->x[SX_TERRAIN] > REAL(0.0)) {
-            h_row_add(m, EX_TERRAIN, REAL(-1.0));
+        h_row_begin(m, ERROR_POSITION + 2, REAL(-1.0));
+        if (m->x[NOMINAL_TERRAIN] > REAL(0.0)) {
+            h_row_add(m, ERROR_TERRAIN, REAL(-1.0));
         }
         fuse_scalar(m, -height, REAL(2.5e-5));
-        if (m->x[SX_VEL + 2] > REAL(0.0)) {
-            fuse_error_state(m, EX_VEL + 2, -m->x[SX_VEL + 2], REAL(1e-3));
+        if (m->x[NOMINAL_VELOCITY + 2] > REAL(0.0)) {
+            fuse_error_state(m, ERROR_VELOCITY + 2, -m->x[NOMINAL_VELOCITY + 2], REAL(1e-3));
         }
     }
     return below;
@@ -218,7 +218,7 @@ static real_t nearest_wall(const estimator_t *m, const estimator_settings_t *s, 
     for (int32_t i = 0; i < 3; i++) {
         if (real_abs(u[i]) > REAL(0.3)) {
             const real_t plane = (u[i] > REAL(0.0)) ? s->wall_planes[(2 * i) + 1] : s->wall_planes[2 * i];
-            const real_t far = (plane - (m->x[i] + (ahead * m->x[SX_VEL + i]))) / u[i];
+            const real_t far = (plane - (m->x[i] + (ahead * m->x[NOMINAL_VELOCITY + i]))) / u[i];
 
             if ((far > REAL(0.0)) && (far < best)) {
                 best = far;
@@ -232,18 +232,18 @@ static real_t nearest_wall(const estimator_t *m, const estimator_settings_t *s, 
 /* Fuse at most this many beams; return whether all beams are fused. */
 static bool fuse_wall_ranges(estimator_t *m, const estimator_settings_t *s, const real_t z[MAX_FUSED_BEAMS], real_t ahead, int32_t most)
 {
-    const int32_t k = R_RING;
+    const int32_t k = READING_RING;
     const int32_t last_beam = ((m->next_beam + most) < s->beam_count) ? (m->next_beam + most) : s->beam_count;
     const bool all = last_beam >= s->beam_count;
     real_t r[9];
 
-    rotation_matrix(&m->x[SX_ATT], r);
+    rotation_matrix(&m->x[NOMINAL_ATTITUDE], r);
     if (m->next_beam == 0) {
         m->beams_seen = 0;
         m->beams_fused = 0;
         /* all scans together hold at most wall_info_limit; a scan adds the information lost since the last one */
         for (int32_t i = 0; i < 2; i++) {
-            const real_t told = m->wall_info_limit[i] * state_variance(m, EX_POS + i);
+            const real_t told = m->wall_info_limit[i] * state_variance(m, ERROR_POSITION + i);
 
             m->wall_info_share[i] = (told > REAL(1.0)) ? (REAL(1.0) - (REAL(1.0) / told)) : REAL(0.0);
             m->wall_info_limit[i] = REAL(0.0);
@@ -266,7 +266,7 @@ static bool fuse_wall_ranges(estimator_t *m, const estimator_settings_t *s, cons
         if ((axis >= 0) && (axis != 2) && !(best > (REAL(1.1) * s->ring_max))) {
             /* l = (c - p_i) / u_i; they contain no heading, whose error is one more constant: du = t x u */
             const real_t h = REAL(-1.0) / u[axis];
-            const real_t across = ((h * best) * ((axis == 0) ? u[1] : u[0])) * m->sigma_output[EX_ATT + 2];
+            const real_t across = ((h * best) * ((axis == 0) ? u[1] : u[0])) * m->sigma_output[ERROR_ATTITUDE + 2];
             const real_t slope = (best * best) + (s->ring_baseline * s->ring_baseline);
             const real_t lasts = ((slope * slope) * s->ring_constant_variance) + (across * across);
             const real_t away = (slope * best) * best;
@@ -274,7 +274,7 @@ static bool fuse_wall_ranges(estimator_t *m, const estimator_settings_t *s, cons
             const real_t nu = z[b] - best;
             real_t ratio;
 
-            h_row_begin(m, EX_POS + axis, h);
+            h_row_begin(m, ERROR_POSITION + axis, h);
             ratio = innovation_ratio(m, nu, scatters + lasts);
             if (real_abs(ratio) < BEAM_GATE) {
                 log_innovation(m, k, nu, ratio);
@@ -282,7 +282,7 @@ static bool fuse_wall_ranges(estimator_t *m, const estimator_settings_t *s, cons
                 m->wall_info_limit[axis] += (h * h) / lasts;
                 if (m->wall_info_share[axis] > REAL(0.0)) {
                     apply_correction(m, nu, scatters + (lasts / m->wall_info_share[axis]));
-                    rotation_matrix(&m->x[SX_ATT], r);
+                    rotation_matrix(&m->x[NOMINAL_ATTITUDE], r);
                 }
             }
         }
@@ -315,14 +315,14 @@ static void fuse_drifting_aid(estimator_t *m, const estimator_settings_t *s, int
     const real_t ratio = innovation_ratio(m, nu, variance);
 
     log_innovation(m, k, nu, ratio);
-    estimate_noise(m, (k == R_PRESSURE) ? AID_PRESSURE : AID_MAGNETIC, ratio);
+    estimate_noise(m, (k == READING_PRESSURE) ? AID_PRESSURE : AID_MAGNETIC, ratio);
     if (real_abs(ratio) > INNOVATION_GATE) {
         reject_measurement(m, s, k, nu, z, count, near, REASON_INNOVATION);
         if (!reset_timeout_expired(m, s, k)) {
             return;
         }
         reset_aid_bias(m, s, k, bias, nu);
-    } else if (k == R_PRESSURE) {
+    } else if (k == READING_PRESSURE) {
         /* A bias that drifts faster than modelled causes innovations of one sign. */
         m->pressure_ratio_lp += REAL(0.2) * (ratio - m->pressure_ratio_lp);
         if (real_abs(m->pressure_ratio_lp) > PRESSURE_MEAN_GATE) {
@@ -342,10 +342,10 @@ static void fuse_pressure_height(estimator_t *m, const estimator_settings_t *s, 
     const real_t variance = s->pressure_variance * m->noise_scale[AID_PRESSURE];
     real_t nu;
 
-    h_row_begin(m, EX_POS + 2, s->pressure_slope);
-    h_row_add(m, EX_PRESSURE_BIAS, REAL(1.0));
-    nu = (z[0] - (s->pressure_slope * (m->x[SX_POS + 2] + (ahead * m->x[SX_VEL + 2])))) - m->x[SX_PRESSURE_BIAS];
-    fuse_drifting_aid(m, s, R_PRESSURE, EX_PRESSURE_BIAS, nu, variance, z, 1, REAL(10.0) * real_sqrt(variance));
+    h_row_begin(m, ERROR_POSITION + 2, s->pressure_slope);
+    h_row_add(m, ERROR_PRESSURE_BIAS, REAL(1.0));
+    nu = (z[0] - (s->pressure_slope * (m->x[NOMINAL_POSITION + 2] + (ahead * m->x[NOMINAL_VELOCITY + 2])))) - m->x[NOMINAL_PRESSURE_BIAS];
+    fuse_drifting_aid(m, s, READING_PRESSURE, ERROR_PRESSURE_BIAS, nu, variance, z, 1, REAL(10.0) * real_sqrt(variance));
 }
 
 /* Fuse the heading by the direction of the magnetic field. */
@@ -359,20 +359,20 @@ static void fuse_magnetic_heading(estimator_t *m, const estimator_settings_t *s,
     real_t along;
     real_t nu;
 
-    rotation_matrix(&m->x[SX_ATT], r);
+    rotation_matrix(&m->x[NOMINAL_ATTITUDE], r);
     north = ((r[0] * z[0]) + (r[1] * z[1])) + (r[2] * z[2]);
     east = ((r[3] * z[0]) + (r[4] * z[1])) + (r[5] * z[2]);
     across = real_sqrt((north * north) + (east * east)) - s->earth_field[0];
     along = (((r[6] * z[0]) + (r[7] * z[1])) + (r[8] * z[2])) - s->earth_field[2];
     if (((across * across) + (along * along)) > ((FIELD_GATE * FIELD_GATE) * s->mag_field_variance)) {
-        set_fault(m, s, R_MAGNET, STATUS_FAULTY, REASON_OUT_OF_RANGE, REAL(0.0));
+        set_fault(m, s, READING_MAGNET, STATUS_FAULTY, REASON_OUT_OF_RANGE, REAL(0.0));
         return;
     }
-    h_row_begin(m, EX_ATT + 2, REAL(1.0));
-    h_row_add(m, EX_ATT, -s->earth_field[2] / s->earth_field[0]);
-    h_row_add(m, EX_MAG_BIAS, REAL(1.0));
-    nu = real_wrap_angle((-real_atan2(east, north) - (ahead * m->yaw_rate)) - m->x[SX_MAG_BIAS]);
-    fuse_drifting_aid(m, s, R_MAGNET, EX_MAG_BIAS, nu, variance, z, 3, REAL(1e-5));
+    h_row_begin(m, ERROR_ATTITUDE + 2, REAL(1.0));
+    h_row_add(m, ERROR_ATTITUDE, -s->earth_field[2] / s->earth_field[0]);
+    h_row_add(m, ERROR_MAG_BIAS, REAL(1.0));
+    nu = real_wrap_angle((-real_atan2(east, north) - (ahead * m->yaw_rate)) - m->x[NOMINAL_MAG_BIAS]);
+    fuse_drifting_aid(m, s, READING_MAGNET, ERROR_MAG_BIAS, nu, variance, z, 3, REAL(1e-5));
 }
 
 int32_t measurement_cost(const estimator_t *m, const estimator_settings_t *s, int32_t kind, int32_t left)
@@ -380,9 +380,9 @@ int32_t measurement_cost(const estimator_t *m, const estimator_settings_t *s, in
     const int32_t beams = s->beam_count - m->next_beam;
     int32_t cost = 1;
 
-    if (kind == R_FIX) {
+    if (kind == READING_FIX) {
         cost = (m->fix_bias_tick < m->horizon_tick) ? COST_FIX_BIAS : COST_FIX;
-    } else if (kind == R_RING) {
+    } else if (kind == READING_RING) {
         cost = (beams < left) ? beams : left;
         cost = (cost > 1) ? cost : 1;
     } else {
@@ -398,7 +398,7 @@ bool fuse_measurement(estimator_t *m, const estimator_settings_t *s, int32_t i, 
     bool all = true;
 
     switch (m->queue_sensor[i]) {
-    case R_FIX:
+    case READING_FIX:
         if (m->fix_bias_tick < m->horizon_tick) {
             predict_fix_bias(m, s);
             all = false;
@@ -406,13 +406,13 @@ bool fuse_measurement(estimator_t *m, const estimator_settings_t *s, int32_t i, 
             fuse_position_fix(m, s, z, ahead);
         }
         break;
-    case R_SONAR:
+    case READING_SONAR:
         fuse_sonar_range(m, s, z, ahead);
         break;
-    case R_RING:
+    case READING_RING:
         all = fuse_wall_ranges(m, s, z, ahead, cost);
         break;
-    case R_PRESSURE:
+    case READING_PRESSURE:
         fuse_pressure_height(m, s, z, ahead);
         break;
     default:
@@ -425,20 +425,20 @@ bool fuse_measurement(estimator_t *m, const estimator_settings_t *s, int32_t i, 
 void fuse_accel_residual(estimator_t *m, const estimator_settings_t *s, int32_t count, int32_t i)
 {
     const real_t slope = m->velocity_slope[i];
-    const real_t nu = (m->accel_mean[i] - m->model_accel_mean[i]) - m->x[SX_ACCEL_BIAS + i];
+    const real_t nu = (m->accel_mean[i] - m->model_accel_mean[i]) - m->x[NOMINAL_ACCEL_BIAS + i];
     const real_t variance = m->residual_density[i] / ((real_t)count * s->dt);
     real_t r[9];
     real_t known;
     real_t ratio;
 
-    rotation_matrix(&m->x[SX_ATT], r);
-    h_row_begin(m, EX_ACCEL_BIAS + i, REAL(1.0));
-    h_row_add(m, EX_THRUST_SCALE, m->thrust_slope[i]);
+    rotation_matrix(&m->x[NOMINAL_ATTITUDE], r);
+    h_row_begin(m, ERROR_ACCEL_BIAS + i, REAL(1.0));
+    h_row_add(m, ERROR_THRUST_SCALE, m->thrust_slope[i]);
     for (int32_t j = 0; j < 3; j++) {
-        h_row_add(m, EX_VEL + j, slope * r[(3 * j) + i]);
+        h_row_add(m, ERROR_VELOCITY + j, slope * r[(3 * j) + i]);
     }
-    h_row_add(m, EX_WIND, -slope * r[i]);
-    h_row_add(m, EX_WIND + 1, -slope * r[3 + i]);
+    h_row_add(m, ERROR_WIND, -slope * r[i]);
+    h_row_add(m, ERROR_WIND + 1, -slope * r[3 + i]);
     known = innovation_variance(m);
     ratio = nu / real_sqrt(known + variance);
     check_accel_model(m, s, r, height_above_ground(m->x_output, s), nu, variance, known, i);
@@ -446,7 +446,7 @@ void fuse_accel_residual(estimator_t *m, const estimator_settings_t *s, int32_t 
         apply_correction(m, nu, variance);
     }
     if ((i == 0) || (real_abs(ratio) > m->max_innovation_ratio)) {
-        log_innovation(m, R_ACCELERATION, nu, ratio);
+        log_innovation(m, READING_ACCELERATION, nu, ratio);
         m->max_innovation_ratio = real_abs(ratio);
     }
 }
@@ -457,27 +457,27 @@ void fuse_zero_motion(estimator_t *m, const estimator_settings_t *s, int32_t cou
     const real_t calm = still ? (((REAL(2.0) * s->rest_gyro_sigma) * s->rest_gyro_sigma) / (real_t)count) : REAL(5e-5);
     real_t off;
 
-    fuse_error_state(m, EX_VEL + i, -m->x[SX_VEL + i], REAL(4e-4));
+    fuse_error_state(m, ERROR_VELOCITY + i, -m->x[NOMINAL_VELOCITY + i], REAL(4e-4));
     if ((mode == PHASE_COASTING) || ((i == 2) && !still)) {
         return; /* rotors turn the vehicle on its legs at a lasting rate, which is no noise */
     }
-    off = m->gyro_mean[i] - m->x[SX_GYRO_BIAS + i];
-    h_row_begin(m, EX_GYRO_BIAS + i, REAL(1.0));
+    off = m->gyro_mean[i] - m->x[NOMINAL_GYRO_BIAS + i];
+    h_row_begin(m, ERROR_GYRO_BIAS + i, REAL(1.0));
     /* With running rotors the vehicle may slide on its legs. */
     if (still || (real_abs(innovation_ratio(m, off, calm)) < INNOVATION_GATE)) {
         fuse_scalar(m, off, calm);
     }
-    if (still && (s->is_fitted[R_ACCELERATION] > 0)) {
+    if (still && (s->is_fitted[READING_ACCELERATION] > 0)) {
         const real_t variance = ((REAL(2.0) * s->rest_accel_sigma) * s->rest_accel_sigma) / (real_t)count;
         real_t r[9];
         real_t nu;
 
-        rotation_matrix(&m->x[SX_ATT], r);
-        nu = (m->accel_mean[i] + (GRAVITY * r[6 + i])) - m->x[SX_ACCEL_BIAS + i];
-        h_row_begin(m, EX_ACCEL_BIAS + i, REAL(1.0));
+        rotation_matrix(&m->x[NOMINAL_ATTITUDE], r);
+        nu = (m->accel_mean[i] + (GRAVITY * r[6 + i])) - m->x[NOMINAL_ACCEL_BIAS + i];
+        h_row_begin(m, ERROR_ACCEL_BIAS + i, REAL(1.0));
         /* R^T (-g e_D), and d(R^T u) = R^T (u x t) */
-        h_row_add(m, EX_ATT, -r[3 + i] * GRAVITY);
-        h_row_add(m, EX_ATT + 1, r[i] * GRAVITY);
+        h_row_add(m, ERROR_ATTITUDE, -r[3 + i] * GRAVITY);
+        h_row_add(m, ERROR_ATTITUDE + 1, r[i] * GRAVITY);
         if (real_abs(innovation_ratio(m, nu, variance)) < (REAL(2.0) * INNOVATION_GATE)) {
             apply_correction(m, nu, variance);
         }

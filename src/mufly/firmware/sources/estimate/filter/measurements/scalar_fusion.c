@@ -21,19 +21,19 @@ void h_row_add(estimator_t *m, int32_t state, real_t h)
 /* Add an error to a state, propagated over span (s), in which push was added to the velocity without gravity. */
 static void shift_state(real_t x[STATE_COUNT], const real_t by[ERROR_STATE_COUNT], real_t span, const real_t push[3])
 {
-    real_t v[3] = {by[EX_VEL], by[EX_VEL + 1], by[EX_VEL + 2]};
+    real_t v[3] = {by[ERROR_VELOCITY], by[ERROR_VELOCITY + 1], by[ERROR_VELOCITY + 2]};
 
     if (span > REAL(0.0)) {
-        v[0] += (by[EX_ATT + 1] * push[2]) - (by[EX_ATT + 2] * push[1]);
-        v[1] += (by[EX_ATT + 2] * push[0]) - (by[EX_ATT] * push[2]);
-        v[2] += (by[EX_ATT] * push[1]) - (by[EX_ATT + 1] * push[0]);
+        v[0] += (by[ERROR_ATTITUDE + 1] * push[2]) - (by[ERROR_ATTITUDE + 2] * push[1]);
+        v[1] += (by[ERROR_ATTITUDE + 2] * push[0]) - (by[ERROR_ATTITUDE] * push[2]);
+        v[2] += (by[ERROR_ATTITUDE] * push[1]) - (by[ERROR_ATTITUDE + 1] * push[0]);
     }
     for (int32_t i = 0; i < 3; i++) {
-        x[i] += by[i] + ((REAL(0.5) * span) * (by[EX_VEL + i] + v[i]));
-        x[SX_VEL + i] += v[i];
+        x[i] += by[i] + ((REAL(0.5) * span) * (by[ERROR_VELOCITY + i] + v[i]));
+        x[NOMINAL_VELOCITY + i] += v[i];
     }
-    rotate_attitude(x, by[EX_ATT], by[EX_ATT + 1], by[EX_ATT + 2], false);
-    for (int32_t i = EX_GYRO_BIAS; i < ERROR_STATE_COUNT; i++) {
+    rotate_attitude(x, by[ERROR_ATTITUDE], by[ERROR_ATTITUDE + 1], by[ERROR_ATTITUDE + 2], false);
+    for (int32_t i = ERROR_GYRO_BIAS; i < ERROR_STATE_COUNT; i++) {
         x[i + 1] += by[i];
     }
 }
@@ -87,7 +87,7 @@ void reject_measurement(estimator_t *m, const estimator_settings_t *s, int32_t k
         m->agree_count[k] = 0;
         m->reject_since_tick[k] = m->horizon_tick;
     }
-    if ((k != R_SONAR) && (real_abs(innovation) > ((REAL(2.0) * INNOVATION_GATE) * m->innovation_sigma[k]))) {
+    if ((k != READING_SONAR) && (real_abs(innovation) > ((REAL(2.0) * INNOVATION_GATE) * m->innovation_sigma[k]))) {
         m->reject_score[k] += REAL(1.0); /* no healthy sensor but a sonar with a second surface deviates so much */
     }
     mark_rejected(m, s, k, why, innovation);

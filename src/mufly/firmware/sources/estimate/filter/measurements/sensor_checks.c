@@ -8,7 +8,7 @@ void set_fault(estimator_t *m, const estimator_settings_t *s, int32_t k, int32_t
     m->reason[k] = why;
     m->fault_number[k] = number;
     m->fault_until_tick[k] = m->tick + (int32_t)(FAULT_HOLD_S / s->dt);
-    if (k == R_FIX) {
+    if (k == READING_FIX) {
         m->fault_component = m->fix_component;
     }
 }
@@ -33,7 +33,7 @@ void mark_rejected(estimator_t *m, const estimator_settings_t *s, int32_t k, int
 {
     m->reject_count[k] += 1;
     m->reject_score[k] += REAL(1.0);
-    if (m->reject_score[k] > ((k == R_SONAR) ? SONAR_REJECT_ALARM : REJECT_ALARM)) {
+    if (m->reject_score[k] > ((k == READING_SONAR) ? SONAR_REJECT_ALARM : REJECT_ALARM)) {
         set_fault(m, s, k, STATUS_REJECTED, why, number);
     }
 }
@@ -45,10 +45,10 @@ static bool is_repeated(const estimator_t *m, const estimator_settings_t *s, con
     bool told = false;
 
     /* A frozen camera may still follow the gyroscopes in heading. */
-    for (int32_t j = 0; (j < ((k == R_FIX) ? 3 : count)) && same; j++) {
+    for (int32_t j = 0; (j < ((k == READING_FIX) ? 3 : count)) && same; j++) {
         same = !(z[j] != m->last_value[READING_STARTS[k] + j]);
-        told = told || (((k != R_ROTOR) || (z[j] != REAL(0.0))) &&
-                        ((k != R_RING) || (z[j] < (REAL(0.995) * s->ring_max))));
+        told = told || (((k != READING_ROTOR) || (z[j] != REAL(0.0))) &&
+                        ((k != READING_RING) || (z[j] < (REAL(0.995) * s->ring_max))));
     }
     return same && told;
 }
@@ -76,7 +76,7 @@ static bool is_new_sample(estimator_t *m, const estimator_settings_t *s, const r
         }
     } else {
         m->repeat_count[k] = 0;
-        if (((s->has_noise[k] == 0) || (k == R_RING)) && (m->last_new_tick[k] > 0) && early) {
+        if (((s->has_noise[k] == 0) || (k == READING_RING)) && (m->last_new_tick[k] > 0) && early) {
             usable = false;
             m->double_count[k] += 1;
             if (m->double_count[k] >= 3) {
@@ -95,15 +95,15 @@ static bool accept_sample(estimator_t *m, const estimator_settings_t *s, const r
     m->last_new_tick[k] = m->tick;
     m->invalid_count[k] = 0;
     bool again = (m->status[k] >= STATUS_MISSING) && (m->tick >= m->fault_until_tick[k]);
-    if (again || ((m->status[k] == STATUS_WAITING) && (k != R_RING))) {
+    if (again || ((m->status[k] == STATUS_WAITING) && (k != READING_RING))) {
         /* The ring's readings decide about its use: in a large room it detects no wall. */
-        m->status[k] = (k == R_RING) ? STATUS_WAITING : STATUS_FUSED;
+        m->status[k] = (k == READING_RING) ? STATUS_WAITING : STATUS_FUSED;
         m->reason[k] = REASON_NONE;
     }
     if (age > (s->latency[k] + s->latency_slack[k])) {
         /* The others wait for the horizon, which decides whether they can be fused. */
         set_fault(m, s, k, m->status[k], REASON_LATE, age);
-        if ((k <= R_RATES) || (k == R_ROTOR) || (k == R_BATTERY)) {
+        if ((k <= READING_RATES) || (k == READING_ROTOR) || (k == READING_BATTERY)) {
             set_fault(m, s, k, STATUS_FAULTY, REASON_LATE, age);
             usable = false;
         }
@@ -115,7 +115,7 @@ static bool accept_sample(estimator_t *m, const estimator_settings_t *s, const r
     for (int32_t j = 0; j < count; j++) {
         m->last_value[READING_STARTS[k] + j] = z[j];
     }
-    if ((k <= R_RATES) || (k == R_RING)) {
+    if ((k <= READING_RATES) || (k == READING_RING)) {
         m->last_fused_tick[k] = m->tick;
     }
     return usable;
@@ -132,8 +132,8 @@ static void check_clipping(estimator_t *m, const estimator_settings_t *s, const 
         m->clip_share[k] += REAL(0.1) * ((possible ? share[k] : REAL(1.0)) - m->clip_share[k]);
         clip = real_max(clip, m->clip_share[k]);
     }
-    if ((clip > MIN_CLIP_SHARE) && (m->status[R_ACCELERATION] == STATUS_FUSED)) {
-        set_fault(m, s, R_ACCELERATION, STATUS_FUSED, REASON_CLIPPING, clip);
+    if ((clip > MIN_CLIP_SHARE) && (m->status[READING_ACCELERATION] == STATUS_FUSED)) {
+        set_fault(m, s, READING_ACCELERATION, STATUS_FUSED, REASON_CLIPPING, clip);
     }
 }
 
@@ -202,11 +202,11 @@ void reset_on_divergence(estimator_t *m, const estimator_settings_t *s)
 {
     if (m->divergence_ticks <= 1) {
         for (int32_t k = 0; k < 3; k++) {
-            inflate_variance(m, EX_GYRO_BIAS + k, DIVERGED_BIAS * DIVERGED_BIAS);
-            inflate_variance(m, EX_ATT + k, DIVERGED_ATTITUDE * DIVERGED_ATTITUDE);
+            inflate_variance(m, ERROR_GYRO_BIAS + k, DIVERGED_BIAS * DIVERGED_BIAS);
+            inflate_variance(m, ERROR_ATTITUDE + k, DIVERGED_ATTITUDE * DIVERGED_ATTITUDE);
         }
-        inflate_variance(m, EX_VEL, DIVERGED_SPEED * DIVERGED_SPEED);
-        inflate_variance(m, EX_VEL + 1, DIVERGED_SPEED * DIVERGED_SPEED);
+        inflate_variance(m, ERROR_VELOCITY, DIVERGED_SPEED * DIVERGED_SPEED);
+        inflate_variance(m, ERROR_VELOCITY + 1, DIVERGED_SPEED * DIVERGED_SPEED);
     }
     m->divergence_ticks = (int32_t)(FREE_BIAS_DURATION_S / s->dt);
 }
@@ -259,9 +259,9 @@ void replace_gyro_spikes(estimator_t *m, const estimator_settings_t *s, bool fly
     m->spike_count += 1;
     m->spike_repeats = alike ? (m->spike_repeats + 1) : 1;
     if (m->spike_count == 1) {
-        m->reject_score[R_RATES] = (m->reject_score[R_RATES] * REJECT_DECAY) + REAL(1.0);
-        if (m->reject_score[R_RATES] > REAL(3.0)) {
-            set_fault(m, s, R_RATES, STATUS_FUSED, REASON_SPIKES, worst);
+        m->reject_score[READING_RATES] = (m->reject_score[READING_RATES] * REJECT_DECAY) + REAL(1.0);
+        if (m->reject_score[READING_RATES] > REAL(3.0)) {
+            set_fault(m, s, READING_RATES, STATUS_FUSED, REASON_SPIKES, worst);
         }
     }
     for (int32_t k = 0; k < 3; k++) {
@@ -273,11 +273,11 @@ void replace_gyro_spikes(estimator_t *m, const estimator_settings_t *s, bool fly
             const real_t off = m->gyro_rates[k] - m->axis_work[k];
 
             m->gyro_offset[k] += off;
-            inflate_variance(m, EX_GYRO_BIAS + k, (REAL(0.1) * off) * (REAL(0.1) * off));
+            inflate_variance(m, ERROR_GYRO_BIAS + k, (REAL(0.1) * off) * (REAL(0.1) * off));
         }
         m->spike_repeats = 0;
         m->spike_count = 0;
-        set_fault(m, s, R_RATES, STATUS_FUSED, REASON_JUMP, worst);
+        set_fault(m, s, READING_RATES, STATUS_FUSED, REASON_JUMP, worst);
     } else if (m->spike_count > 8) {
         m->spike_count = 0;
         return;
@@ -299,26 +299,26 @@ bool rotor_speed_consistent(estimator_t *m, const estimator_settings_t *s, const
     bool off;
 
     for (int32_t k = 0; k < 2; k++) {
-        worst = real_max(worst, real_abs(speed[k] - m->rotor_state[RS_SPEED_UPPER + k]) / s->hover_speed[k]);
+        worst = real_max(worst, real_abs(speed[k] - m->rotor_state[MODEL_SPEED_UPPER + k]) / s->hover_speed[k]);
         away = real_max(away, real_abs(m->motor_accel_bias[k] - mean[k]) / s->hover_speed[k]);
     }
     /* On the floor the motor equations are adapted. */
     led = (m->flight_phase == PHASE_FLYING) && (flown > ROTOR_ACCEL_SETTLING_S) && (away > ROTOR_ACCEL_LIMIT);
-    off = (m->flight_phase == PHASE_FLYING) && (worst > ((m->reject_score[R_ROTOR] > REAL(0.5)) ? ROTOR_SPEED_RECOVERY_GATE : ROTOR_SPEED_GATE));
+    off = (m->flight_phase == PHASE_FLYING) && (worst > ((m->reject_score[READING_ROTOR] > REAL(0.5)) ? ROTOR_SPEED_RECOVERY_GATE : ROTOR_SPEED_GATE));
     if (led || off) {
         if (led) {
             m->motor_accel_bias[0] = mean[0];
             m->motor_accel_bias[1] = mean[1];
         }
-        mark_rejected(m, s, R_ROTOR, REASON_INNOVATION, worst * s->hover_speed[0]);
+        mark_rejected(m, s, READING_ROTOR, REASON_INNOVATION, worst * s->hover_speed[0]);
     } else {
-        const real_t period = s->sensor_period[R_ROTOR];
+        const real_t period = s->sensor_period[READING_ROTOR];
         const real_t share = period / real_max(real_min(flown, ROTOR_ACCEL_MEAN_S), period);
 
         for (int32_t k = 0; k < 2; k++) {
             mean[k] += share * (m->motor_accel_bias[k] - mean[k]);
         }
-        mark_fused(m, R_ROTOR);
+        mark_fused(m, READING_ROTOR);
     }
     return !(led || off);
 }
@@ -328,12 +328,12 @@ bool battery_voltage_consistent(estimator_t *m, const estimator_settings_t *s, r
     bool believed = true;
 
     if ((real_abs(off) > VOLTAGE_GATE) && (((real_t)m->tick * s->dt) > REAL(1.0))) {
-        if ((s->is_fitted[R_ROTOR] == 0) || (m->status[R_ROTOR] == STATUS_FUSED)) {
-            mark_rejected(m, s, R_BATTERY, REASON_INNOVATION, off);
+        if ((s->is_fitted[READING_ROTOR] == 0) || (m->status[READING_ROTOR] == STATUS_FUSED)) {
+            mark_rejected(m, s, READING_BATTERY, REASON_INNOVATION, off);
         }
         believed = false;
     } else {
-        mark_fused(m, R_BATTERY);
+        mark_fused(m, READING_BATTERY);
     }
     return believed;
 }
@@ -371,8 +371,8 @@ static void update_force_conflict(estimator_t *m, const estimator_settings_t *s,
     if ((m->is_accel_distrusted == 0) && !apart) {
         m->force_verdict = FORCE_AGREES;
     } else {
-        const bool has_fix = (m->status[R_FIX] == STATUS_FUSED) &&
-                             (((real_t)(m->tick - m->last_fused_tick[R_FIX]) * s->dt) < FORCE_FIX_AGE_S);
+        const bool has_fix = (m->status[READING_FIX] == STATUS_FUSED) &&
+                             (((real_t)(m->tick - m->last_fused_tick[READING_FIX]) * s->dt) < FORCE_FIX_AGE_S);
         const real_t evidence = has_fix ? force_evidence(m, r, m->accel_residual_lp) : REAL(0.0);
 
         if (m->force_verdict == FORCE_AGREES) {
@@ -380,9 +380,9 @@ static void update_force_conflict(estimator_t *m, const estimator_settings_t *s,
             m->force_conflict_tick = m->tick;
         }
         if ((m->accel_residual_lp[2] < REAL(0.0)) &&
-            (height < (FLOOR_CONTACT_HEIGHT + (REAL(3.0) * m->sigma_output[EX_POS + 2])))) {
+            (height < (FLOOR_CONTACT_HEIGHT + (REAL(3.0) * m->sigma_output[ERROR_POSITION + 2])))) {
             m->force_verdict = FORCE_FLOOR;
-        } else if (((s->is_fitted[R_ROTOR] > 0) && (m->status[R_ROTOR] != STATUS_FUSED)) || (evidence > FORCE_EVIDENCE)) {
+        } else if (((s->is_fitted[READING_ROTOR] > 0) && (m->status[READING_ROTOR] != STATUS_FUSED)) || (evidence > FORCE_EVIDENCE)) {
             m->force_verdict = FORCE_MODEL_WRONG;
         } else if (evidence < -FORCE_EVIDENCE) {
             m->force_verdict = FORCE_ACCEL_WRONG;
@@ -428,9 +428,9 @@ void check_accel_model(estimator_t *m, const estimator_settings_t *s, const real
         } else {
             /* floor contact: neither is wrong */
         }
-        rejected = (m->status[R_ACCELERATION] == STATUS_REJECTED) || (m->status[R_ACCELERATION] == STATUS_FAULTY);
+        rejected = (m->status[READING_ACCELERATION] == STATUS_REJECTED) || (m->status[READING_ACCELERATION] == STATUS_FAULTY);
         if ((m->force_verdict != FORCE_AGREES) && ((why != REASON_NONE) || rejected)) {
-            set_fault(m, s, R_ACCELERATION, code, why, m->accel_residual_lp[axis]);
+            set_fault(m, s, READING_ACCELERATION, code, why, m->accel_residual_lp[axis]);
         }
     }
     /* The mean of 0.1-weighted blocks keeps 0.1 / (2 - 0.1) of their variance. */
