@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -33,6 +33,9 @@ from mufly.dynamics import linearise_vehicle
 from mufly.files.answer_store import hash_question, read_answer, write_answer
 from mufly.results import ShownBlock, result, show_lines, show_table
 from mufly.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 ATTITUDE_NOISE_RAD = float(np.radians(0.1))
 """Deviation of the estimated attitude from sample to sample."""
@@ -136,7 +139,7 @@ class MethodFigures:
         return ""
 
 
-@result(picture="mufly.control.analysis.plots:draw_comparison")
+@result
 class ControllerComparison:
     """Methods on one vehicle.
 
@@ -193,6 +196,12 @@ class ControllerComparison:
             blocks.append(show_table(("flights", "succeeded", "95 % interval", "overshoot (m), 95 %"), rows))
         blocks.append(show_lines(self.verdict))
         return blocks
+
+    def plot(self) -> Figure:
+        """Return the picture of the result."""
+        from mufly.control.analysis.plots import draw_comparison
+
+        return draw_comparison(self)
 
 
 def sensor_noise(vehicle: Vehicle, outputs: Sequence[str]) -> Array:
