@@ -7,6 +7,7 @@ import pkgutil
 import subprocess
 import sys
 import tomllib
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -100,3 +101,8 @@ def test_hover_is_solved_once():
     batch["mass"][1] *= 4.0
     batch["downwash"][1] *= 4.0
     assert mufly.dynamics.hover_speeds(batch) == pytest.approx(np.array([speeds, 2.0 * speeds]), rel=1e-14)
+
+
+def test_each_file_name_stands_once() -> None:
+    names = Counter(p.name for p in Path(mufly.__file__).parent.rglob("*.py") if p.name != "__init__.py")
+    assert [name for name, count in names.items() if count > 1] == []

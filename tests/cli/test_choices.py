@@ -12,7 +12,7 @@ from mufly.camera.live_pictures import PictureClock
 from mufly.cfd.openfoam_case import TURBULENCE_MODELS
 from mufly.cfd.sector_mesh import MESH_LEVELS
 from mufly.cli import coax, fly, log, monte_carlo, options, rotor
-from mufly.cli.aero import bench, cfd, rotor_measurements
+from mufly.cli.aero import bench_series, cfd, measured_rotors
 from mufly.cli.identify import flight as identify
 from mufly.cli.onboard import link, slam
 from mufly.identify.flight.output_error_problem import DynamicsPart
@@ -27,8 +27,8 @@ from mufly.study import BEMT_MODELS
 
 SOLVERS = get_args(SolverMethod)
 CASES: list[tuple[Any, str, Iterable[str]]] = [
-    (bench.plan, "axis", SIDES_BY_AXIS),
-    (bench.run, "fault", SIMULATED_FAULTS),
+    (bench_series.plan, "axis", SIDES_BY_AXIS),
+    (bench_series.run, "fault", SIMULATED_FAULTS),
     (cfd.BladeOptions, "level", MESH_LEVELS),
     (cfd.CaseOptions, "model", TURBULENCE_MODELS),
     (coax.MapOptions, "method", set(SOLVERS) - {"tubes"}),  # a map has no tubes
@@ -45,7 +45,7 @@ CASES: list[tuple[Any, str, Iterable[str]]] = [
     (options.TheoryOptions, "method", SOLVERS),
     (rotor.HoverOptions, "method", (*SOLVERS, "cfd")),
     (rotor.hover, "section", SECTION_KNOWLEDGE_LEVELS),
-    (rotor_measurements.fit, "section", set(SECTION_KNOWLEDGE_LEVELS) - {"measured"}),  # what a fit writes
+    (measured_rotors.fit, "section", set(SECTION_KNOWLEDGE_LEVELS) - {"measured"}),  # what a fit writes
     (slam.render, "layout", DATASET_LAYOUTS),
     (slam.run, "clock", get_args(PictureClock)),
 ]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from mufly.cli.identify.bench import register_bench_commands
+from mufly.cli.identify.rotor_bench import register_bench_commands
 from mufly.cli.options import CommandGroup, read_optional_with_std
 from mufly.errors import InputError
 from mufly.vehicle import load_vehicle

@@ -19,7 +19,7 @@ from mufly.bench import (
 from mufly.errors import InputError
 from mufly.identify import fit_rotor_coefficients
 from mufly.identify.fit_pictures import rotor_picture
-from mufly.identify.rotor_fit import assign_rotor_side, describe_interference
+from mufly.identify.rotor_coefficients import assign_rotor_side, describe_interference
 from mufly.rotor import load_rotor, prepare_blading, solve_rotor_batch
 from mufly.vehicle import load_vehicle
 

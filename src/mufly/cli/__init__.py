@@ -12,15 +12,15 @@ import typer
 
 from mufly.cli import coax, control, drive, fly, log, mission, monte_carlo, rotor, station, study, vehicle
 from mufly.cli import optimise as _optimise  # noqa: F401  adds to the commands of rotor and coax, as study does
-from mufly.cli.aero import bench, cfd, export
+from mufly.cli.aero import bench_series, cfd, export
 from mufly.cli.aero import benchmark as _benchmark  # noqa: F401  adds to the commands of rotor
-from mufly.cli.aero import flight_map as _flight_map  # noqa: F401  adds to the commands of coax
+from mufly.cli.aero import coax_flight_map as _coax_flight_map  # noqa: F401  adds to the commands of coax
 from mufly.cli.aero import forward as _forward  # noqa: F401  adds to the commands of rotor
 from mufly.cli.aero import measure as _measure  # noqa: F401  adds to the commands of rotor
-from mufly.cli.aero import rotor_measurements as _rotor_measurements  # noqa: F401  adds to the commands of rotor
+from mufly.cli.aero import measured_rotors as _measured_rotors  # noqa: F401  adds to the commands of rotor
 from mufly.cli.aero import structure as _structure  # noqa: F401  adds to the commands of rotor
 from mufly.cli.identify import flight as identify
-from mufly.cli.onboard import autopilot, estimate, firmware, link, sensors, slam
+from mufly.cli.onboard import estimate, external_autopilots, firmware, link, sensors, slam
 from mufly.cli.onboard import fmu as _fmu  # noqa: F401  adds to the commands of vehicle
 from mufly.cli.options import CommandGroup
 from mufly.errors import MuflyError
@@ -45,11 +45,11 @@ rotor.app.command()(export.export)
 app.add_typer(rotor.app, name="rotor")
 app.add_typer(coax.app, name="coax")
 app.add_typer(cfd.app, name="cfd")
-app.add_typer(bench.app, name="bench")
+app.add_typer(bench_series.app, name="bench")
 app.add_typer(drive.app, name="drive")
 app.add_typer(vehicle.app, name="vehicle")
 app.add_typer(control.app, name="control")
-app.add_typer(autopilot.app, name="autopilot")
+app.add_typer(external_autopilots.app, name="autopilot")
 app.add_typer(mission.app, name="mission")
 app.add_typer(identify.app, name="identify")
 app.add_typer(log.app, name="log")

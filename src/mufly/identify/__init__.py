@@ -20,7 +20,7 @@ from mufly.identify.residual_analysis import (
     assess_record,
     describe_residuals,
 )
-from mufly.identify.rotor_fit import RotorFit, fit_rotor_coefficients
+from mufly.identify.rotor_coefficients import RotorFit, fit_rotor_coefficients
 
 __all__ = [
     "EvenLogTable",

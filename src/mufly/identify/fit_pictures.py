@@ -23,7 +23,7 @@ from mufly.identify.flight_record import OUTPUT_UNITS
 from mufly.identify.linear.frequency_response import FrequencyResponse, estimate_frequency_response
 from mufly.identify.motor_fit import MotorFit
 from mufly.identify.residual_analysis import assess_record, input_cross_correlation, residual_autocorrelation
-from mufly.identify.rotor_fit import CoefficientFit, RotorFit
+from mufly.identify.rotor_coefficients import CoefficientFit, RotorFit
 from mufly.quantities.units import RPM
 from mufly.results.result_figure import blank_figure
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from mufly.cli.identify import bench, linear
+from mufly.cli.identify import linear, rotor_bench
 from mufly.cli.options import (
     ClusterOption,
     CommandGroup,
@@ -351,5 +351,5 @@ def _print_demo(shown: IdentificationDemo) -> None:
     )
 
 
-bench.register_bench_commands(app)
+rotor_bench.register_bench_commands(app)
 linear.register_linear_commands(app)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from mufly.cli.onboard.autopilot import PositionOption, run_simulator
+from mufly.cli.onboard.external_autopilots import PositionOption, run_simulator
 from mufly.cli.onboard.view_options import FoxgloveOption, RosOption, make_views
 from mufly.cli.options import OptionalMissionArgument, SeedOption, VehicleOption, define_option
 from mufly.cli.output import LiveDisplay, check_place, make_console, print_lines

@@ -128,7 +128,7 @@ def rotor(
     """
     from mufly.bench import calibrate_cells, compute_loads, predict_loads, read_bench_files
     from mufly.identify.fit_pictures import rotor_picture
-    from mufly.identify.rotor_fit import (
+    from mufly.identify.rotor_coefficients import (
         RotorFit,
         assign_rotor_side,
         describe_interference,
