@@ -7,6 +7,7 @@ import shutil
 import socket
 import subprocess
 import threading
+import time
 
 os.environ.setdefault("MAVLINK20", "1")
 
@@ -270,6 +271,35 @@ def test_a_station_flies_the_emulated_board_through_its_uart(vehicle) -> None:
     assert max(peak) > 0.32
     assert flown.different == 0, flown.first_difference
     assert flown.periods > 1500
+
+
+@needs_qemu
+def test_a_fast_emulation_waits_for_the_heartbeats_of_a_station(vehicle) -> None:
+    """Heartbeats come once a second of the wall clock, COM_DL_LOSS_T counts seconds of flight."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    over, silence, loss_s = threading.Event(), [0.0], 5.0
+
+    def command() -> None:
+        c = mavutil.mavlink_connection(f"tcp:127.0.0.1:{port}", source_system=255, retries=100)
+        c.wait_heartbeat(timeout=30)
+        c.mav.param_set_send(1, 1, b"COM_DL_LOSS_T", loss_s, 9)
+        for _ in range(3):
+            c.mav.heartbeat_send(6, 8, 0, 0, 4)
+            time.sleep(1.0)
+        over.set()
+
+    def stop(flight) -> bool:
+        s = flight.autopilot.software.board.record.supervisor
+        if s.has_commander and s.settings.link_loss_s == loss_s:
+            silence.append(s.now_s - s.commander_heard_s)
+        return over.is_set()
+
+    station = threading.Thread(target=command, daemon=True)
+    run_linked_board(vehicle, load_mission("demonstration"), port=port, pace=0.0, on_open=station.start, stop=stop)
+    assert len(silence) > 100
+    assert max(silence) < loss_s
 
 
 def test_the_fuzzing_harness_fits_the_sources(vehicle, tmp_path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from mufly.control import design_flight_controller
 from mufly.firmware.emulated.board_flight import BoardEstimator, BoardFlightResult, make_board_software
@@ -17,6 +18,19 @@ from mufly.sensors import Fault
 from mufly.vehicle import Vehicle
 
 _MAX_LAG_S = 0.2  # of the flight behind the clock; a longer delay is dropped
+_FAST_SILENCE_SHARE = 0.5  # of COM_DL_LOSS_T that a silent commander's flight may exceed real time
+
+
+def _limit_pace(pace: float, supervisor: Any) -> float:
+    """Return the pace, at most real time while the commander of a board (``supervisor_t``) has been silent for long.
+
+    Heartbeats follow the wall clock (one a second), the timeout COM_DL_LOSS_T follows the flight's. At ten times real
+    time a heartbeat comes every 10 s of flight, and the board would hold for a lost link.
+    """
+    silent_s = supervisor.now_s - supervisor.commander_heard_s if supervisor.has_commander else 0.0
+    if silent_s <= _FAST_SILENCE_SHARE * supervisor.settings.link_loss_s:
+        return pace
+    return min(pace, 1.0) if pace > 0.0 else 1.0
 
 
 def run_linked_board(
@@ -46,7 +60,8 @@ def run_linked_board(
     port : int
         Port of this machine at which the UART of the board listens (TCP).
     pace : float
-        Flight time over wall-clock time; 0: as fast as possible.
+        Flight time over wall-clock time; 0: as fast as possible. A commander's silence of half COM_DL_LOSS_T limits
+        it to real time, because stations send heartbeats by the wall clock.
     counts_instructions : bool
         Count the instructions of each period; slower.
     receiver, receiver_port
@@ -85,11 +100,12 @@ def run_linked_board(
             began = ahead = time.perf_counter()
             while not stop(flight):
                 flight.step_period()
-                if pace > 0.0:
-                    ahead += flight.period_s / pace
-                    now = time.perf_counter()
-                    ahead = max(ahead, now - _MAX_LAG_S)
+                now, limit = time.perf_counter(), _limit_pace(pace, board.record.supervisor)
+                if limit > 0.0:
+                    ahead = max(ahead + flight.period_s / limit, now - _MAX_LAG_S)
                     time.sleep(max(0.0, ahead - now))
+                else:
+                    ahead = now
             wall_s = max(time.perf_counter() - began, 1e-9)
             flown_s = flight.time_s
     finally:
