@@ -241,8 +241,9 @@ void change_leg_goal(const plan_t *plan, mission_t *s, const message_t *why, con
 {
     const bool known = s->has_set_point_reference;
     const real_t *aim = heading;
-    trajectory_point_t now = s->set_point_reference;
+    trajectory_point_t now;
 
+    now = s->set_point_reference;
     if (!known) {
         predict_reference(s, &now);
         enter_state(s, STATE_WAYPOINT, why, LEVEL_INFO);
