@@ -5,12 +5,9 @@ No driver has met its device; registers and formulas are those of the data sheet
 
 from __future__ import annotations
 
-import shutil
-import subprocess
-
-import cffi
 import numpy as np
 import pytest
+from driver_library import load_drivers, needs_cc
 
 from mufly.estimate.filter.filter_records import (
     READING_ACCELERATION,
@@ -20,12 +17,9 @@ from mufly.estimate.filter.filter_records import (
     READING_SONAR,
     READING_STARTS,
 )
-from mufly.firmware.export.source_export import copy_sources, find_sources
 from mufly.sensors.pressure import STANDARD_PRESSURE_PA
 
-COMPILERS = [c for c in ("cc", "gcc", "clang") if shutil.which(c)]
-TRAPS = ("-fsanitize=bounds", "-fsanitize-undefined-trap-on-error")  # an index beyond its array ends the process
-pytestmark = pytest.mark.skipif(not COMPILERS, reason="no C compiler: install gcc or clang")
+pytestmark = needs_cc
 IMU, BAROMETER, SONAR, LASER = range(4)
 REFUSES, SILENT, UNKNOWN, FORGETS, IMPLAUSIBLE = 1, 2, 4, 8, 16  # of register_device.h
 PERIOD_US = 5000
@@ -36,28 +30,9 @@ CALIBRATION = (27504, 26435, -1000, 36477, -10685, 3024, 2855, 140, -7, 15500, -
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory):
-    tree = tmp_path_factory.mktemp("drivers")
-    copy_sources(tree)
-    flags = ["-I.", "-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror"]
-    sources = [
-        *(str(p.relative_to(tree)) for p in find_sources(tree, ["onboard/drivers/**/*.c"])),
-        "check/models/bus_model.c",
-        "check/models/sd_bus_model.c",
-    ]
-    build = [COMPILERS[0], *flags, *TRAPS, "-O1", "-shared", "-fPIC", *sources, "-o", "drivers.so"]
-    done = subprocess.run(build, cwd=tree, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    headers = "".join(
-        f'#include "{name}.h"\n'
-        for name in ("onboard/drivers/sensor_suite", "onboard/drivers/actuator_outputs", "check/models/bus_model")
-    )
-    said = subprocess.run(
-        [COMPILERS[0], "-E", "-P", "-DMUFLY_DECLARATIONS", *flags[:-5], "-x", "c", "-"],
-        cwd=tree, input=headers, capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    ffi = cffi.FFI()
-    ffi.cdef(said.stdout.replace("extern const ", "extern "))
-    return ffi, ffi.dlopen(str(tree / "drivers.so"))
+    sources = ["onboard/drivers/**/*.c", "check/models/bus_model.c", "check/models/sd_bus_model.c"]
+    headers = ["onboard/drivers/sensor_suite", "onboard/drivers/actuator_outputs", "check/models/bus_model"]
+    return load_drivers(tmp_path_factory.mktemp("drivers"), sources, headers)
 
 
 def _words(values, big=True) -> list[int]:

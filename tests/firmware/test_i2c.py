@@ -6,17 +6,10 @@ when an acknowledge or a stop comes too late. No board has run this code.
 
 from __future__ import annotations
 
-import re
-import shutil
-import subprocess
-
-import cffi
 import pytest
+from driver_library import load_drivers, needs_cc
 
-from mufly.firmware.export.source_export import copy_sources
-
-COMPILERS = [c for c in ("cc", "gcc", "clang") if shutil.which(c)]
-pytestmark = pytest.mark.skipif(not COMPILERS, reason="no C compiler: install gcc or clang")
+pytestmark = needs_cc
 I2C1, GPIO_B, TIM2 = 0x40005400, 0x40020400, 0x40000000
 CR1, CR2, DR, SR1, SR2, CCR, TRISE = 0x00, 0x04, 0x10, 0x14, 0x18, 0x1C, 0x20
 PE, START, STOP, ACK, POS, SWRST = 1, 1 << 8, 1 << 9, 1 << 10, 1 << 11, 1 << 15
@@ -28,22 +21,9 @@ DONE, BUSY, ERROR = range(3)
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory):
-    tree = tmp_path_factory.mktemp("i2c")
-    copy_sources(tree)
-    flags = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-pedantic", "-Werror", "-DREGISTER_MODEL"]
-    flags += ["-DMUFLY_FLOAT", "-I."]
     sources = ["boards/stm32/i2c.c", "boards/stm32/core.c", "check/models/register_access.c"]
-    build = [COMPILERS[0], *flags, "-shared", "-fPIC", *sources, "-o", "i2c.so"]
-    done = subprocess.run(build, cwd=tree, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    headers = '#include "boards/stm32/stm32f405.h"\n#include "check/models/register_access.h"\n'
-    said = subprocess.run(
-        [COMPILERS[0], "-E", "-P", *flags, "-x", "c", "-"], cwd=tree, input=headers, capture_output=True, text=True
-    ).stdout
-    ffi = cffi.FFI()
-    begin = said.index("uint32_t register_get")  # after the types of this machine
-    ffi.cdef(re.sub(r"static inline[^{]*{.*?\n}", "", said[begin:], flags=re.DOTALL))
-    return ffi, ffi.dlopen(str(tree / "i2c.so"))
+    headers = ["boards/stm32/stm32f405", "check/models/register_access"]
+    return load_drivers(tmp_path_factory.mktemp("i2c"), sources, headers, "-DREGISTER_MODEL", "-DMUFLY_FLOAT")
 
 
 class Peripheral:

@@ -5,18 +5,11 @@ No real card has met it.
 
 from __future__ import annotations
 
-import shutil
-import subprocess
-
-import cffi
 import numpy as np
 import pytest
+from driver_library import load_drivers, needs_cc
 
-from mufly.firmware.export.source_export import copy_sources
-
-COMPILERS = [c for c in ("cc", "gcc", "clang") if shutil.which(c)]
-TRAPS = ("-fsanitize=bounds", "-fsanitize-undefined-trap-on-error")  # an index beyond its array ends the process
-pytestmark = pytest.mark.skipif(not COMPILERS, reason="no C compiler: install gcc or clang")
+pytestmark = needs_cc
 DONE, BUSY, ERROR = range(3)
 GOOD, SILENT, REFUSES, UNKNOWN, SLOW = range(5)
 CSD_BLOCKS = 1024 * 60
@@ -24,28 +17,8 @@ CSD_BLOCKS = 1024 * 60
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory):
-    tree = tmp_path_factory.mktemp("card")
-    copy_sources(tree)
-    flags = ["-I.", "-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Werror"]
-    build = [
-        COMPILERS[0],
-        *flags,
-        *TRAPS,
-        "-O1",
-        "-shared",
-        "-fPIC",
-        "onboard/drivers/sd_card.c",
-        "check/models/sd_bus_model.c",
-    ]
-    done = subprocess.run([*build, "-o", "card.so"], cwd=tree, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    said = subprocess.run(
-        [COMPILERS[0], "-E", "-P", "-DMUFLY_DECLARATIONS", *flags[:-5], "-x", "c", "-"],
-        cwd=tree, input='#include "check/models/sd_bus_model.h"\n', capture_output=True, text=True, check=True,
-    ).stdout  # fmt: skip
-    ffi = cffi.FFI()
-    ffi.cdef(said.replace("extern const ", "extern "))
-    return ffi, ffi.dlopen(str(tree / "card.so"))
+    sources = ["onboard/drivers/sd_card.c", "check/models/sd_bus_model.c"]
+    return load_drivers(tmp_path_factory.mktemp("card"), sources, ["check/models/sd_bus_model"])
 
 
 def _crc7(data) -> int:

@@ -6,32 +6,25 @@ The model follows the reference manual RM0090: what hardware sets, clears and re
 from __future__ import annotations
 
 import os
-import re
 import shutil
 import socket
 import subprocess
 import time
 
-import cffi
 import numpy as np
 import pytest
+from driver_library import STRICT, load_drivers, needs_cc
 
 os.environ.setdefault("MAVLINK20", "1")
 
 from pymavlink import mavutil
 
 from mufly.control import design_flight_controller
-from mufly.firmware.export.source_export import copy_sources, export_firmware
+from mufly.firmware.export.source_export import export_firmware
 from mufly.mission import load_mission
 from mufly.vehicle import load_vehicle
 
-COMPILERS = [c for c in ("cc", "gcc", "clang") if shutil.which(c)]
-STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-pedantic", "-Werror")
-CARD_BUS = (
-    "bool sd_bus_begin(bool, const uint8_t *, uint8_t *, int32_t);int32_t sd_bus_poll(void);void sd_bus_speed(bool);\n"
-)
 DRIVERS = ("core", "serial", "internal_flash", "spi", "outputs")
-needs_cc = pytest.mark.skipif(not COMPILERS, reason="no C compiler: install gcc or clang")
 needs_arm = pytest.mark.skipif(
     not (shutil.which("arm-none-eabi-gcc") and shutil.which("make")),
     reason="no compiler for the Cortex-M4: install gcc-arm-none-eabi and make",
@@ -40,21 +33,9 @@ needs_arm = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory):
-    tree = tmp_path_factory.mktemp("stm32")
-    copy_sources(tree)
-    flags = [*STRICT, "-DREGISTER_MODEL", "-DMUFLY_FLOAT", "-I."]
     sources = [*(f"boards/stm32/{name}.c" for name in DRIVERS), "check/models/register_access.c"]
-    build = [COMPILERS[0], *flags, "-shared", "-fPIC", *sources, "-o", "stm32.so"]
-    done = subprocess.run(build, cwd=tree, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    headers = '#include "boards/stm32/stm32f405.h"\n#include "check/models/register_access.h"\n' + CARD_BUS
-    said = subprocess.run(
-        [COMPILERS[0], "-E", "-P", *flags, "-x", "c", "-"], cwd=tree, input=headers, capture_output=True, text=True
-    ).stdout
-    ffi = cffi.FFI()
-    begin = said.index("uint32_t register_get")  # after the types of this machine
-    ffi.cdef(re.sub(r"static inline[^{]*{.*?\n}", "", said[begin:], flags=re.DOTALL))
-    return ffi, ffi.dlopen(str(tree / "stm32.so"))
+    headers = ["boards/stm32/stm32f405", "check/models/register_access", "onboard/drivers/sd_card"]
+    return load_drivers(tmp_path_factory.mktemp("stm32"), sources, headers, "-DREGISTER_MODEL", "-DMUFLY_FLOAT")
 
 
 RCC, FLASH, USART1, SPI1, ADC1, DMA2 = 0x40023800, 0x40023C00, 0x40011000, 0x40013000, 0x40012000, 0x40026400
