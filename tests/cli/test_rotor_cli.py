@@ -123,8 +123,8 @@ def test_compare_says_whether_it_is_calibrated(tmp_path) -> None:
     assert answer["points"][0]["thrust_error"] == pytest.approx(0.0, abs=1e-5)
     told = output("compare", "naca0012-r60-c20", str(bench), "--calibrate", "1")
     assert f"lift is scaled by {answer['lift_factor']:.4f}" in told
-    assert "count from 1 to 1" in fault("compare", "naca0012-r60-c20", str(bench), "--calibrate", "2")
-    assert "count from 1 to 1" in fault("fit", "naca0012-r60-c20", str(bench), "--point", "0")
+    assert "give a number from 1 to 1" in fault("compare", "naca0012-r60-c20", str(bench), "--calibrate", "2")
+    assert "give a number from 1 to 1" in fault("fit", "naca0012-r60-c20", str(bench), "--point", "0")
 
 
 def test_a_bench_without_pitch_is_told_of_or_given_one(tmp_path) -> None:

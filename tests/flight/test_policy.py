@@ -66,7 +66,7 @@ def test_policy_flies_a_mission_and_the_summary_is_the_same(monkeypatch, capsys,
 
 @pytest.mark.parametrize(("words", "line"), [
     (("fly", "--vehicle", "mufly-2.0"), "vehicle: trained for mufly-1.1, not for mufly-2.0; fly mufly-1.1, or train"),
-    (("fly", "--firmware"), "--policy: is another control law than --firmware; leave out one of them"),
+    (("fly", "--firmware"), "--policy: cannot be combined with --firmware; give one of the two"),
     (("monte-carlo", "--vehicle", "mufly-2.0"), "vehicle: trained for mufly-1.1, not for mufly-2.0"),
 ])  # fmt: skip
 def test_policy_of_another_vehicle_is_refused(monkeypatch, capsys, tmp_path, file, words, line) -> None:

@@ -101,6 +101,9 @@ def test_duty_and_supply_current():
     assert_allclose(values(fit_motor(BenchTable("b.csv", columns, headers, table.line))), TRUTH, rtol=1e-9)
     with pytest.raises(InputError, match=r"line 2, duty: 50 is not a share"):
         fit_motor(BenchTable("b.csv", {**columns, "duty": 100 * duty}, headers, table.line))
+    idle = {**columns, "duty": np.where(np.arange(36) == 3, 0.0, duty)}
+    with pytest.raises(InputError, match=r"line 5, duty: is 0 while the rotor turns"):
+        fit_motor(BenchTable("b.csv", idle, headers, table.line))
     del columns["duty"]
     with pytest.raises(InputError, match="add the column duty"):
         fit_motor(BenchTable("b.csv", columns, headers, table.line))

@@ -167,7 +167,7 @@ def calibrate_cells(table: BenchTable) -> CellCalibration:
     a = np.column_stack([np.ones(len(table)), loads])
     n, p = a.shape
     if n < p + 2:
-        raise table.column_error("", f"{n} lines are too few for {p} numbers of each sensor", f"give {p + 2} or more")
+        raise table.column_error("", f"{n} lines are too few to fit {p} coefficients per cell", f"give {p + 2} or more")
     size = np.abs(loads).max(axis=0)
     if np.linalg.matrix_rank(a / np.r_[1.0, size], tol=1e-6) < p:
         problem = "vary together, so cross-talk and gain cannot be separated"

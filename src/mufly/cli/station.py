@@ -77,7 +77,7 @@ def parse_wind(text: str | None) -> float | tuple[float, float, float] | None:
     if not all(least <= n <= MAX_WIND_M_S for n in numbers):
         raise InputError(
             "--wind", "", f"{text!r} is not a wind speed",
-            f"give a speed of 0 to {MAX_WIND_M_S:g} m/s, or N,E,D as in 0.5,0,0, each that much at most",
+            f"give a speed of 0 to {MAX_WIND_M_S:g} m/s, or N,E,D as in 0.5,0,0, each of size {MAX_WIND_M_S:g} at most",
         )  # fmt: skip
     return numbers[0] if len(numbers) == 1 else (numbers[0], numbers[1], numbers[2])
 
@@ -139,14 +139,14 @@ def select_flight_software(
     """
     if policy:
         if wanted:
-            raise InputError("--policy", "", "is another control law than --firmware", "leave out one of them")
+            raise InputError("--policy", "", "cannot be combined with --firmware", "give one of the two")
         from mufly.flight.policy import PolicyControlLaw, check_policy, load_policy
 
         learned = load_policy(policy)
         check_policy(learned, vehicle_name, policy)
         return PolicyControlLaw(learned)
     if fixed_point and not wanted:
-        raise InputError("--fixed-point", "", "is a way of computing the exported code", "give --firmware, too")
+        raise InputError("--fixed-point", "", "applies to the exported code only", "also give --firmware")
     if not wanted:
         return None
     from mufly.firmware import FirmwareSoftware, FixedPointFirmwareControllers, find_compiler

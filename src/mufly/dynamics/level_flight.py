@@ -6,10 +6,10 @@ both servo inputs and both rotor speeds; equations are the balances of force and
 
     0 = F_rotors + F_fuselage + A^T m g,    0 = M_hub + r_hub x F_rotors,    0 = Q_up - Q_dw
 
-Of the swash plate only a product is identified: linkage and tilt give the moment l_dw theta_max T_dw z_dw at full input
+Linkage and tilt of the swash plate are identified as a product only: the moment l_dw theta_max T_dw z_dw at full input
 in hover. The cyclic pitch of the lower blades is therefore scaled such that full input gives that moment, and the plate
-is turned such that in hover each servo acts on one axis. The stabiliser bar of the upper rotor is square to the
-mast in steady flight.
+is turned such that in hover each servo acts on one axis. In steady flight the stabiliser bar of the upper rotor is
+perpendicular to the mast.
 
 The result depends strongly on the flap frequency, so two trims are computed, one for each end of its band
 (:func:`mufly.rotor.forward.blade_flap_band`).
@@ -270,7 +270,7 @@ class LevelFlightModel:
         return np.concatenate((force / weight, moments)), pair
 
     def trim(self, airspeed: float, start: Array) -> tuple[Array, ForwardPair] | None:
-        """Return unknowns and loads of a trim, or None if there is none."""
+        """Solve level flight at an airspeed (m/s): return the unknowns of :meth:`wrench` and the loads, or None."""
 
         def miss_of(x: Array) -> Array:
             return self.wrench(x, airspeed)[0]

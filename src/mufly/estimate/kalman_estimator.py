@@ -112,9 +112,9 @@ class KalmanEstimator(Estimator):
     ring_scans, ranges : (3, n), (n,) arrays
         The last three scans of the range ring, and their median, which is published (m).
     fix_correlation_s : float
-        Correlation time of the errors of such fixes (s). With 0 the errors are white noise, and the random walk of the
-        bias is that of the vehicle's file. Otherwise the covariance sets the size of the random walk, if larger than in
-        the file, since a map's drift persists; the noise is that of the file. A small bias grows to this size only over
+        Correlation time of the errors of fixes with a covariance (s). With 0 the errors are white noise, and the bias
+        walks as in the vehicle file. Otherwise the noise is that of the file, and the covariance sets the size of the
+        random walk, if larger than in the file, since a map's drift persists. A small bias grows to this size only over
         the correlation time. Until then the remaining variance r is represented by noise of variance
         r (1 + 2 fix_correlation_s / period), which has the same effect over a long time.
     """
@@ -230,8 +230,11 @@ class KalmanEstimator(Estimator):
         )
 
     def publish_status(self, m: Mapping[str, Any] | np.void) -> None:
-        """Publish covariance and sensor statuses of a memory, or of its :data:`PUBLISHED_FIELDS`, which must not change
-        afterwards."""
+        """Publish the covariance and sensor statuses of a filter memory.
+
+        ``m`` is a copy of the memory, or of its :data:`PUBLISHED_FIELDS`; statuses are computed from it later, so its
+        values must not change.
+        """
         self._sensor_statuses = LazySensorStatuses(m, self._settings, self._fitted_indices)
         sigma, covariance = m["sigma_output"].astype(np.float64), np.zeros((ERROR_ACCEL_BIAS, ERROR_ACCEL_BIAS))
         bias = range(ERROR_GYRO_BIAS, ERROR_ACCEL_BIAS)
@@ -243,7 +246,7 @@ class KalmanEstimator(Estimator):
         self, time_s: float, valid: bool, out: _Array, rates: _Array, angles: _Array, volts: float, ranges: _Array,
         specific_force: _Array,
     ) -> Estimate:  # fmt: skip
-        """Return the estimate of these numbers with the latest published covariance and statuses."""
+        """Return an estimate: the given state, with the latest published covariance and statuses."""
         x = out.astype(np.float64)
         return Estimate(
             time_s, x[NOMINAL_POSITION:NOMINAL_VELOCITY], x[NOMINAL_VELOCITY:NOMINAL_ATTITUDE],

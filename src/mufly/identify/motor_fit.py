@@ -322,8 +322,10 @@ def extract_motor_data(table: BenchTable) -> tuple[MotorData, list[str]]:
     elif "duty" in table:
         table.require_columns(("supply_current",))
         idle = table["duty"] == 0
-        if np.any(idle & (table["speed"] != 0)):
-            raise InputError(table.source, table.headers["duty"], "is 0 in a line", "leave that line out")
+        turning_idle = np.flatnonzero(idle & (table["speed"] != 0))
+        if turning_idle.size:
+            where = f"line {table.line[turning_idle[0]]}, {table.headers['duty']}"
+            raise InputError(table.source, where, "is 0 while the rotor turns", "delete the line, or correct the duty")
         current = np.where(idle, 0.0, table["supply_current"]) / np.where(idle, 1.0, table["duty"])
         notes.append("motor current = supply current / duty (mean of the chopped current)")
     else:

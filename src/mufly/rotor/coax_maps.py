@@ -206,7 +206,10 @@ def compute_coax_map(
 
 
 def _describe_vortex_ring(tables: MapTables) -> str:
-    """Report the number of points in vortex ring state; both thrusts act on one disc (Leishman 2006, Sec. 2.13.6)."""
+    """Report the number of points in vortex ring state (Leishman 2006, Sec. 2.13.6).
+
+    The hover induced velocity that scales the descent is that of one disc with the thrust of both rotors.
+    """
     ratio = tables.ratio[None, :, None]
     up = 2.0 / (1.0 + ratio)  # upper speed over the mean
     thrust = np.maximum(tables.cT_upper * up**2 + tables.cT_lower * (ratio * up) ** 2, 0.0)

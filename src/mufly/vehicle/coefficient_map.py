@@ -160,7 +160,7 @@ def _parse_table(text: str) -> MapTables:
 
 
 def format_table(tables: MapTables) -> str:
-    """Return the text of a map's ``table``."""
+    """Return the tables of a map as the text of the key ``table`` in a map file: a header, then a line per point."""
     grid = np.meshgrid(*tables[:_AXIS_COUNT], indexing="ij")
     columns = [np.ravel(a) for a in (*grid, *tables[_AXIS_COUNT:])]
     lines = [" ".join(f"{v:.7g}" for v in row[:-1]) + f" {int(row[-1])}" for row in zip(*columns, strict=True)]

@@ -431,7 +431,7 @@ class Vehicle(ParameterGroup):
             if away > MAX_PLACE_TO_REACH_RATIO * reach:
                 raise model_error(
                     f"{away:.3g} m from the centre of gravity; rotors and legs reach {reach:.3g} m",
-                    "correct the place or its unit",
+                    "correct the coordinates or their unit",
                     f"sensors.{name}.place",
                 )
         lowest = max(z for _, _, z in self.contact.legs.value)

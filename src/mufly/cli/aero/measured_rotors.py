@@ -76,7 +76,7 @@ def _point_index(name: str, line: int, bench: RotorMeasurements) -> int:
 
     n = bench.thrust_N.size
     if not 1 <= line <= n:
-        raise InputError(name, str(line), f"is not a point: there are {n}", f"count from 1 to {n}")
+        raise InputError(name, str(line), f"is not a point: there are {n}", f"give a number from 1 to {n}")
     return line - 1
 
 
@@ -271,7 +271,7 @@ def compare(
     air = bench.air
     settings, stations = theory.wake_settings()
     if calibrate is not None and theory.method == "wake":
-        raise InputError("--calibrate", "", "scales blade element theory", "leave it or --method wake out")
+        raise InputError("--calibrate", "", "scales blade element theory", "leave out --calibrate or --method wake")
     blading = theory.prepare_blading(r, stations)
     if calibrate is not None:
         blading = scale(blading, bench, _point_index("--calibrate", calibrate, bench), air=air)

@@ -297,9 +297,9 @@ class FixMonitor:
         return FixCorrection(1.0 / abs(self.long_fit[0]) + 0j) if self._judge_long_fit() else None
 
     def correct_fix(self, time_s: float, place: _Array) -> tuple[float, _Array] | None:
-        """Return time and position of a refused source's fix with the fault removed; None if the fault is not known.
+        """Return time and position of a refused source's fix with the fault removed; None for an unknown fault.
 
-        The corrected position begins at the filter's estimate at the time of the refusal.
+        The first corrected position equals the filter's estimate at the refusal; later ones add the corrected motion.
         """
         if not self.fault or self._correction is None or self._is_resting:
             return None
@@ -314,7 +314,7 @@ class FixMonitor:
         return "".join(c for c in fault if c.isalpha())
 
     def _assess(self, time_s: float, place: _Array) -> tuple[str, bool, bool]:
-        """Return the fault of a fix, or "", whether it is sure, and whether the source is known to agree."""
+        """Return the fault of a fix ("" if none), whether it is certain, and whether the source is known to agree."""
         if not self._history or time_s < self._history[0][0]:
             return "", False, False
         north, east, _, heading = place

@@ -333,7 +333,7 @@ def is_global(item: MissionItem) -> bool:
 
 
 def scale_coordinate(number: int, factor: float) -> float:
-    """Return an x or y of an integer message, ``number`` times ``factor``; NaN if it is not given."""
+    """Return a coordinate of MISSION_ITEM_INT: ``number`` times ``factor``, or NaN for the number of a missing one."""
     return math.nan if number == COORDINATE_NOT_GIVEN else number * factor
 
 

@@ -65,9 +65,10 @@ def is_scanning(plan: MissionPlan, s: MissionState) -> bool:
 
 
 def scan_yaw(plan: MissionPlan, s: MissionState) -> tuple[float, float]:
-    """Return angle and rate of the nose swing (rad, rad/s), with an amplitude of half the gap between two beams.
+    """Return angle and rate of the nose swing (rad, rad/s).
 
-    The amplitude grows and decays within a second.
+    The amplitude is half the angle between two beams. It rises over the first second of a scan and falls over a second
+    after its end.
     """
     if s.scan_duration_s <= 0.0:
         return 0.0, 0.0

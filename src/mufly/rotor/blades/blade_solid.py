@@ -118,8 +118,8 @@ def blade_contours(
         raise InputError(
             "blade",
             "stations",
-            f"{along} stations of 2 x {per_side} points are too few",
-            "give 2 and 8 at least",
+            f"{along} stations with {per_side} points on each side are too few",
+            "give 2 stations and 8 points or more",
         )
     check_pitch("blade", "pitch_rad", pitch_rad)
     if not 0.0 <= tail_m < 0.5 * float(np.min(rotor.blade.chord.array())):
