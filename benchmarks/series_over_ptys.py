@@ -1,15 +1,15 @@
-"""A series of 100 points over pseudo-terminals, faster than real time, with a kill in the middle.
+"""Series of bench points over pseudo-terminals, faster than real time, stopped in the middle and resumed.
 
-    python benchmarks/series_over_ptys.py [points [pace]]
+    python benchmarks/series_over_ptys.py [POINTS [PACE]]
 
 The emulated devices of the tests (two EPOS, load cells with sensors of the air) run in a process of their own on one
-simulated bench, at ``pace`` times real time; the program speaks to them through their drivers as it would to the real
-ones. Printed: how long it took, what the bench's clock says, lines that were damaged, and how many intervals hold the
-truth.
+simulated bench, at PACE times real time. The program uses the drivers of the real devices. It prints the run time, the
+time of the bench's clock, the number of damaged lines, and the share of intervals that contain the truth.
 """
 
 from __future__ import annotations
 
+import argparse
 import importlib.util
 import multiprocessing
 import sys
@@ -113,4 +113,8 @@ def main(points: int, pace: float) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 100, float(sys.argv[2]) if len(sys.argv) > 2 else 10.0)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("points", type=int, nargs="?", default=100, help="number of points (default: 100)")
+    parser.add_argument("pace", type=float, nargs="?", default=10.0, help="bench time over real time (default: 10)")
+    options = parser.parse_args()
+    main(options.points, options.pace)

@@ -39,6 +39,15 @@ def test_show_says_when_the_battery_cannot() -> None:
     assert "kE 4.5 mV s, kM 3.5 mN m/A" in text
 
 
+def test_tables_break_no_word_of_a_head_in_80_columns(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    text = output("show", "--duty", "0.5")
+    words = text.split()
+    for word in ("thrust", "efficiency", "current", "endurance*", "(min)", "(N/W)"):
+        assert word in words
+    assert max(map(len, text.splitlines()[3:-1])) <= 80
+
+
 def test_show_with_a_rotor_file() -> None:
     answer = json.loads(output("show", "--rotor", "naca4412-r60-c20", "--pitch", "12", "--thrust", "0.3", "--json"))
     assert answer["points"]["thrust_N"] == pytest.approx([0.3])

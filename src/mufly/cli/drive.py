@@ -64,7 +64,7 @@ _POINT_COLUMNS = (
     ResultColumn("speed_rad_s", "rpm", ".0f", "rotor speed"),
     ResultColumn("duty", form=".3f"),
     ResultColumn("input_power_W", form=".2f"),
-    ResultColumn("mechanical_power_W", form=".2f"),
+    ResultColumn("mechanical_power_W", form=".2f", head="rotor power"),
     ResultColumn("efficiency", "%", ".1f"),
     ResultColumn("thrust_per_power_N_W", form=".4f"),
     ResultColumn("motor_current_A", form=".2f"),
@@ -168,11 +168,11 @@ def show(
     rows = [
         {
             **{key: float(v[k]) for key, v in vars(point).items() if np.ndim(v)},
-            "endurance*": "-" if e is None else f"{e.time_s / 60:.1f} min",
+            "endurance* (min)": "-" if e is None else f"{e.time_s / 60:.1f}",
         }
         for k, e in enumerate(lasts)
     ]
-    print_result_table(rows, [*_POINT_COLUMNS, "endurance*"], title=name)
+    print_result_table(rows, [*_POINT_COLUMNS, "endurance* (min)"], title=name)
     print_lines(
         "* from a full battery, all rotors at this thrust, with electronics; -: beyond the battery's power",
         style="dim",

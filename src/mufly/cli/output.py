@@ -74,7 +74,7 @@ def print_json(content: Any) -> None:
 def print_table(heads: Sequence[str], rows: Iterable[TableRow], *, title: str = "", text: Sequence[int] = (0,)) -> None:
     """Print a table; the columns with an index in ``text`` are text, the others numbers.
 
-    If the terminal is too narrow, a last column of text is printed below its row.
+    If the terminal is too narrow, a last column of text is printed below its row, and heads are folded between words.
     """
     from rich.padding import Padding
     from rich.table import Table
@@ -89,6 +89,10 @@ def print_table(heads: Sequence[str], rows: Iterable[TableRow], *, title: str = 
     taken = sum(max(w, h) + 2 for w, h in zip(cells[:last], heading[:last], strict=True))
     below = last in text and make_console().width - _MIN_TEXT_WIDTH < taken <= make_console().width
     shown = last if below else len(heads)
+    foldable = [k in text and (k == last or words[k] > _MIN_TEXT_WIDTH) for k in range(len(heads))]
+    least = [max(heading[k], 0 if foldable[k] else words[k] if k in text else cells[k]) for k in range(len(heads))]
+    natural = [max(c, *map(len, head.split("\n"))) for c, head in zip(cells, heads, strict=True)]
+    fitted = [None] * len(heads) if below else _fit_widths(natural, least, make_console().width - 2 * len(heads))
 
     def build_table(members: Sequence[Sequence[Text]], *, head: bool) -> Table:
         made = Table(
@@ -98,8 +102,8 @@ def print_table(heads: Sequence[str], rows: Iterable[TableRow], *, title: str = 
         for k, name in enumerate(heads[:shown]):
             made.add_column(
                 name, justify="left" if k in text else "right", overflow="fold",
-                width=max(cells[k], heading[k]) if below else None,
-                min_width=0 if k in text and (k == last or words[k] > _MIN_TEXT_WIDTH) else words[k],
+                width=max(cells[k], heading[k]) if below else fitted[k],
+                min_width=0 if foldable[k] else words[k],
             )  # fmt: skip
         for row in members:
             made.add_row(*row[:shown])
@@ -109,6 +113,16 @@ def print_table(heads: Sequence[str], rows: Iterable[TableRow], *, title: str = 
     out.print(build_table([] if below else marked, head=True), highlight=False)
     for row in marked if below else ():
         out.print(build_table([row], head=False), Padding(row[last], (0, 0, 0, 5)), highlight=False)
+
+
+def _fit_widths(natural: Sequence[int], least: Sequence[int], room: int) -> list[int | None]:
+    """Return widths of columns with the sum ``room``; None for each if they need no more, or more even at the least."""
+    if not sum(least) <= room < sum(natural):
+        return [None] * len(natural)
+    widths = list(natural)
+    for _ in range(sum(natural) - room):
+        widths[max(range(len(widths)), key=lambda k: widths[k] - least[k])] -= 1
+    return list(widths)
 
 
 def print_result_table(
