@@ -76,8 +76,8 @@ def main(points: int, pace: float) -> None:
     began, from_s = time.perf_counter(), clock.now()
     stops = 0
     while True:
-        devices = [EposController(upper, "upper"), EposController(lower, "lower"), SerialLoadCells(cells)]
-        rig = DeviceRig(devices, facts, clock, poll_Hz=10.0)
+        motors, load_cells = [EposController(upper, "upper"), EposController(lower, "lower")], SerialLoadCells(cells)
+        rig = DeviceRig([*motors, load_cells], facts, clock, poll_Hz=10.0)
         record = SeriesRecord(folder)
 
         def asked(record=record, first=stops == 0) -> bool:
@@ -105,9 +105,9 @@ def main(points: int, pace: float) -> None:
     print(
         f"{len(series.points)} points of {plan.point_count} in {took:.0f} s; the bench's clock: {clocked:.0f} s, "
         f"{clocked / took:.1f} times real time; stopped and resumed {stops} times; damaged: "
-        f"{sum(d.broken for d in devices)} frames and lines; devices failed {len(failed)} times; "
-        f"{100 * np.mean(held):.1f} % of {len(held)} intervals hold the truth; doubts: "
-        f"{[d.kind for d in series.doubts]}"
+        f"{sum(m.broken_frames for m in motors)} frames, {load_cells.broken_lines} lines; "
+        f"devices failed {len(failed)} times; {100 * np.mean(held):.1f} % of {len(held)} intervals hold the truth; "
+        f"doubts: {[d.kind for d in series.doubts]}"
     )
     print("\n".join(failed))
 
