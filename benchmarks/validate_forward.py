@@ -10,16 +10,16 @@ are skipped. Nothing is fitted but the pitch setting of each table of TR 515, wh
 
 from __future__ import annotations
 
+import argparse
 import csv
 import math
 import re
-import sys
 import warnings
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from figure_record import take_record_option
+from figure_record import RECORD_HELP, make_recorder
 from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import brentq, fsolve
 
@@ -179,8 +179,11 @@ def compare_autogyro(folder: Path, record: Callable[..., None]) -> None:
 def main() -> None:
     """Compare all parts that the folder has."""
     warnings.simplefilter("ignore")
-    record = take_record_option(sys.argv)
-    folder = Path(sys.argv[1])
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, metavar="FOLDER")
+    parser.add_argument("--record", action="store_true", help=RECORD_HELP)
+    options = parser.parse_args()
+    record, folder = make_recorder(options.record), options.folder
     for part, compare in (("inflow", compare_inflow), ("dynbem", compare_descent), ("dynbem", compare_autogyro)):
         if (folder / part).is_dir():
             compare(folder / part, record)
