@@ -131,7 +131,7 @@ COUNTS = {
     "--frequencies", "--generations", "--jobs", "--order",
     "--point", "--points", "--port", "--record", "--reference-every", "--repeat",
     "--restarts", "--rounds", "--search", "--seed", "--starts", "--stations", "--steps", "--system", "--top",
-    "--uart",
+    "--sensor-seeds", "--uart",
 }  # fmt: skip
 PLAIN = {
     "--activity", "--complementary", "--disk", "--gamma", "--gear", "--mu", "--n-crit", "--sensitivity", "--speed",

@@ -10,7 +10,7 @@ import pytest
 from mufly.compiled.toolchain import compile_library, find_compiler
 from mufly.dynamics import PARAMETER_DTYPE
 from mufly.errors import MuflyError
-from mufly.fmi.c_translation import REAL, WHOLE, CTranslation, TableType
+from mufly.fmi.c_translation import REAL, WHOLE, CTranslation, TablesType, TableType
 from mufly.fmi.unit_sources import render_flight_model
 
 _WEIGHT = 0.3
@@ -55,6 +55,34 @@ def fill(x: np.ndarray, out: np.ndarray) -> None:
     out[6], out[7] = int(x[1] * 10.0) + k, max(x[2], 0.0)
 
 
+def turn_matrix(angle: float) -> np.ndarray:
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[c, -s], [s, c]])
+
+
+def walk(rows: np.ndarray, parts: tuple[np.ndarray, np.ndarray], out: np.ndarray) -> None:
+    first, second = parts
+    turn, n = turn_matrix(rows[0, 1]), rows.size // 4 - 1
+    work = np.empty(n)
+    work[0], work[1] = turn[0, 0] * rows[1, 0] + turn[0, 1] * rows[1, 1], n / 4
+    for row in rows:
+        part = row[1:]
+        part[0] += first[0] ** 2
+    k, total = 0, 0.0
+    while True:
+        k += 3
+        if k & 4 == 4 or k // 2 > 7:
+            total += (k - 11) % 4
+        if not k < 20:
+            break
+    second[1] = (rows[1, 0] - 5.0) % 1.5 if 0.0 <= rows[1, 0] <= 1e9 and not math.isnan(total) else math.exp(-total)
+    half = second[1:]
+    for j in range(2):
+        line = rows[j + 1 : j + 2]
+        total += math.ceil(line[0, 1]) + np.rint(half[0])
+    out[0], out[1], out[2], out[3] = work[0], work[1], total, second[1]
+
+
 @pytest.fixture(scope="module")
 def compiled(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
     try:
@@ -65,8 +93,15 @@ def compiled(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
     made = translation.add_function(fill, [TableType(REAL, (5,)), TableType(REAL, (8,))])
     assert made.written == (False, True)
     folder: Path = tmp_path_factory.mktemp("c")
+    translation.add_function(
+        walk,
+        [TableType(REAL, (4, 3)), TablesType((TableType(REAL, (1,)), TableType(REAL, (2,)))), TableType(REAL, (4,))],
+    )
     text = "#include <math.h>\n#include <stdbool.h>\n#include <stdint.h>\n" + translation.source()
-    (folder / "f.c").write_text(f"{text}\nvoid call_fill(const double *x, double *out) {{ fill(x, out); }}\n")
+    (folder / "f.c").write_text(
+        f"{text}\nvoid call_fill(const double *x, double *out) {{ fill(x, out); }}\n"
+        "void call_walk(double (*x)[3], const double *a, double *b, double *out) { walk(x, a, b, out); }\n"
+    )
     compile_library([folder / "f.c"], folder / "f.so")
     return ctypes.CDLL(str(folder / "f.so"))
 
@@ -85,6 +120,18 @@ def test_c_gives_the_numbers_of_python(compiled: ctypes.CDLL) -> None:
         assert np.array_equal(in_c(compiled, x), out)
 
 
+def test_loops_parts_and_matrices_give_the_numbers_of_python(compiled: ctypes.CDLL) -> None:
+    rng = np.random.default_rng(1)
+    for _ in range(50):
+        x, b, out = rng.normal(1.0, 2.0, (4, 3)), rng.normal(0.0, 1.0, 2), np.empty(4)
+        a = rng.normal(0.0, 1.0, 1)
+        others = [v.copy() for v in (x, a, b, out)]
+        walk(x, (a, b), out)
+        compiled.call_walk(*(ctypes.c_void_p(v.ctypes.data) for v in others))
+        for mine, other in zip((x, a, b, out), others, strict=True):
+            assert np.array_equal(mine, other)
+
+
 def test_numbers_that_are_none_leave_no_table(compiled: ctypes.CDLL) -> None:
     """As Numba, ``max`` keeps the first of two if one is not a number; an index that is none is 0."""
     out = in_c(compiled, np.array([1.0, math.nan, math.nan, 1.0, 1.0]))
@@ -93,14 +140,12 @@ def test_numbers_that_are_none_leave_no_table(compiled: ctypes.CDLL) -> None:
     assert in_c(compiled, np.array([1.0, 1e300, -0.0, 1.0, 1.0]))[6] == 2.0
 
 
-def _with_while(a: float) -> float:
-    while a > 1.0:
-        a = 0.5 * a
-    return a
+def _with_list(a: float) -> float:
+    return [a, a][0]
 
 
 def _with_power(a: float) -> float:
-    return a**2
+    return a**3
 
 
 def _with_two_kinds(a: float) -> float:
@@ -109,13 +154,13 @@ def _with_two_kinds(a: float) -> float:
     return n
 
 
-def _with_whole_division(n: int) -> float:
-    return n / 2
+def _with_whole_power(n: int) -> float:
+    return n**2
 
 
-@pytest.mark.parametrize("function", [_with_while, _with_power, _with_two_kinds, _with_whole_division])
+@pytest.mark.parametrize("function", [_with_list, _with_power, _with_two_kinds, _with_whole_power])
 def test_other_forms_are_refused(function: object) -> None:
-    kind = WHOLE if function is _with_whole_division else REAL
+    kind = WHOLE if function is _with_whole_power else REAL
     with pytest.raises(NotImplementedError, match="no C form of"):
         CTranslation(PARAMETER_DTYPE, "record").add_function(function, [kind])
 

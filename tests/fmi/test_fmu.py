@@ -25,7 +25,7 @@ from mufly.dynamics import (
 from mufly.dynamics.edgewise_loads import edgewise_factors
 from mufly.dynamics.equations_of_motion import climb_velocity, ground_effect_thrust, rotor_loads
 from mufly.errors import InputError, MuflyError
-from mufly.fmi import UnitInstance, UnitLibrary, compare_unit, export_fmu
+from mufly.fmi import UnitInstance, UnitLibrary, compare_sensed_unit, compare_unit, export_fmu
 from mufly.fmi.fmu_export import SOURCE_FOLDER
 from mufly.fmi.model_description import unit_exponents
 from mufly.vehicle import Vehicle, builtin_coefficient_maps, builtin_flight_maps, replace_parameters
@@ -273,6 +273,60 @@ def test_fmpy_validates_and_simulates_it(unit: UnitLibrary) -> None:
         )
         instance.do_step(0.01 * k, 0.01)
     assert recorded["position_down"][-1] == pytest.approx(instance.get_values(["position_down"])[0], abs=1e-12)
+
+
+@pytest.fixture(scope="module")
+def sensed(tmp_path_factory: pytest.TempPathFactory) -> UnitLibrary:
+    folder = tmp_path_factory.mktemp("sensed")
+    made = export_fmu(KNOWN, folder / "unit.fmu", seeds=2)
+    assert made.seeds == 2
+    return UnitLibrary(folder / "unit.fmu", folder / "extracted")
+
+
+def test_readings_and_estimate_equal_those_of_python_to_the_last_bit(sensed: UnitLibrary) -> None:
+    for seed in (0, 1):
+        compared = compare_sensed_unit(sensed, KNOWN, seed=seed, duration_s=1.5)
+        assert (compared.steps, compared.different) == (300, 0)
+    heavier = replace_parameters(KNOWN, {"sensors.imu.accelerometer_bias": 0.3})
+    assert compare_sensed_unit(sensed, heavier, duration_s=0.05).different == 11, "every reading has another bias"
+
+
+def test_sensors_keep_their_period_in_any_communication_step(sensed: UnitLibrary) -> None:
+    hover = {"motor_input_upper": 0.7, "motor_input_lower": 0.75}
+    one, two, three = (UnitInstance(sensed).initialise({"sensors.seed": 1.0, **hover}) for _ in range(3))
+    for k in range(40):
+        assert one.do_step(0.01 * k, 0.01) == 0
+        assert two.do_step(0.01 * k, 0.005) == two.do_step(0.01 * k + 0.005, 0.005) == 0
+    assert np.array_equal(one.get_values(), two.get_values(), equal_nan=True)
+    steps = [0.0007] * 500 + [0.05]
+    for k, step in enumerate(steps):
+        assert three.do_step(sum(steps[:k]), step) == 0
+    readings = [name for name in sensed.outputs if name.startswith("sensor.")]
+    assert three.get_values(readings) == pytest.approx(one.get_values(readings), rel=1e-6, abs=1e-6, nan_ok=True)
+
+
+def test_a_unit_with_sensors_keeps_its_state_and_its_seed(sensed: UnitLibrary) -> None:
+    one, other = UnitInstance(sensed), UnitInstance(sensed).initialise()
+    assert one.set_values({"sensors.seed": 0.5}) == one.set_values({"sensors.seed": 2.0}) == 3
+    assert "sensors.seed: 0.5 is no whole number" in one.messages[0]
+    one.initialise({"sensors.seed": 1.0, "start.roll": 0.01})
+    assert one.get_values(["roll", "pitch"])[0] == pytest.approx(0.01)
+    assert one.get_values(["pitch"])[0] != other.get_values(["pitch"])[0], "legs of another length"
+    one.do_step(0.0, 0.3)
+    kept = c.c_void_p()
+    assert one.call("fmi3GetFMUState", c.byref(kept)) == 0
+    one.do_step(0.3, 0.2)
+    assert other.call("fmi3SetFMUState", kept) == 0
+    other.do_step(0.3, 0.2)
+    assert np.array_equal(one.get_values(), other.get_values(), equal_nan=True)
+    assert one.call("fmi3Reset") == other.call("fmi3FreeFMUState", c.byref(kept)) == 0
+    again, fresh = one.initialise().get_values(), UnitInstance(sensed).initialise().get_values()
+    assert np.array_equal(again, fresh, equal_nan=True)
+
+
+def test_a_vehicle_without_sensors_has_no_unit_with_them(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="sensors: there is no such table"):
+        export_fmu(KNOWN.model_copy(update={"sensors": None}), tmp_path / "unit.fmu", seeds=1)
 
 
 def test_types_and_functions_are_those_of_the_standard_headers(unit: UnitLibrary, tmp_path: Path) -> None:

@@ -1,11 +1,19 @@
 """Functional Mock-up Interface: a vehicle as a co-simulation unit (FMU) in C for other simulators.
 
 The C functions of the flight model are translations of the Python source of the equations of motion
-(:mod:`mufly.fmi.c_translation`); :mod:`mufly.fmi.unit_variables` lists inputs, outputs and parameters.
+(:mod:`mufly.fmi.c_translation`), and so are those of the sensors (:mod:`mufly.fmi.unit_sensors`);
+:mod:`mufly.fmi.unit_variables` lists inputs, outputs and parameters.
 """
 
 from mufly.fmi.fmu_export import ExportedUnit, export_fmu
-from mufly.fmi.unit_flight import UnitComparison, UnitInstance, UnitLibrary, check_unit, compare_unit
+from mufly.fmi.unit_flight import (
+    UnitComparison,
+    UnitInstance,
+    UnitLibrary,
+    check_unit,
+    compare_sensed_unit,
+    compare_unit,
+)
 
 __all__ = [
     "ExportedUnit",
@@ -13,6 +21,7 @@ __all__ = [
     "UnitInstance",
     "UnitLibrary",
     "check_unit",
+    "compare_sensed_unit",
     "compare_unit",
     "export_fmu",
 ]

@@ -4,16 +4,24 @@ The equations of motion are Python functions that Numba compiles. Here each of t
 names, the same branches and the same operations in the same order. There is no second derivation: an edited equation is
 in the C code. With ``-ffp-contract=off`` both give the same numbers, to the last bit.
 
-The types come from the arguments: ``double``, ``int64_t``, ``bool``, tables of known shape, a record of parameters, and
-tuples of numbers (structs in C). The translated forms are those that the equations need: assignments, also of tuples
-and to elements; ``if``; ``for`` over a range; ``return`` of a number or a tuple; arithmetic, comparisons and ``a and
-b``; calls of functions that are translated, too. Other forms raise :class:`NotImplementedError`.
+The types come from the arguments: ``double``, ``int64_t``, ``bool``, tables of known shape, tuples of tables, a record
+of parameters, and tuples of numbers (structs in C). The translated forms are those that equations and sensors need:
 
-Three rules keep the results equal:
+- assignments, also of tuples, to elements, and of parts of tables;
+- ``if``, ``while``, ``for`` over a range or over the rows of a table;
+- ``return`` of a number, a tuple or a matrix;
+- arithmetic, comparisons, ``and``, ``or``, ``not``;
+- calls of functions that are translated, too.
+
+Other forms raise :class:`NotImplementedError`.
+
+Four rules keep the results equal:
 
 - ``min`` and ``max`` keep the first number if both are equal or one is not a number, as Numba's do;
+- ``%`` and ``//`` round down, as Python's do;
 - ``int`` of a number that is no index, such as NaN, gives 0: Numba leaves that open, and a table must not be left;
-- sine, cosine, arc sine and arc tangent are those of the C library, which compiled Python calls, too.
+- sine, cosine, tangent, their inverses and the exponential function are those of the C library, which compiled Python
+  calls, too.
 """
 
 from __future__ import annotations
@@ -21,8 +29,11 @@ from __future__ import annotations
 import ast
 import inspect
 import math
+import operator
+import re
 import textwrap
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,15 +47,32 @@ static inline double greater(double a, double b) { return b > a ? b : a; }
 static inline int64_t smaller_int(int64_t a, int64_t b) { return b < a ? b : a; }
 static inline int64_t greater_int(int64_t a, int64_t b) { return b > a ? b : a; }
 static inline int64_t whole_part(double x) { return x > -1e15 && x < 1e15 ? (int64_t)x : 0; }
+static inline double squared(double x) { return x * x; }
+static inline int64_t quotient(int64_t a, int64_t b) { return a / b - (a % b != 0 && (a < 0) != (b < 0)); }
+static inline int64_t remainder_int(int64_t a, int64_t b) { return a - quotient(a, b) * b; }
+static inline double remainder_real(double a, double b)
+{
+    const double rest = fmod(a, b);
+    return rest == 0.0 ? copysign(0.0, b) : (rest < 0.0) != (b < 0.0) ? rest + b : rest;
+}
 """
 _C_WORDS = frozenset((
-    "auto", "bool", "case", "char", "const", "default", "do", "double", "enum", "extern", "float", "goto", "inline",
-    "int", "long", "register", "restrict", "short", "signed", "sizeof", "static", "struct", "switch", "typedef",
-    "union", "unsigned", "void", "volatile",
+    "auto", "bool", "case", "char", "const", "default", "do", "double", "enum", "extern", "false", "float", "goto",
+    "inline", "int", "long", "register", "restrict", "short", "signed", "sizeof", "static", "struct", "switch", "true",
+    "typedef", "union", "unsigned", "void", "volatile",
 ))  # fmt: skip
-_MATH_FUNCTIONS = ("sqrt", "sin", "cos", "asin", "atan2")
-_TERNARY, _AND, _COMPARE, _ADD, _MULTIPLY, _UNARY, _ATOM = range(7)  # precedences
+_MATH_FUNCTIONS = ("sqrt", "sin", "cos", "tan", "asin", "atan2", "exp", "copysign", "ceil")
+_TESTS = ("isnan", "isfinite")
+_TERNARY, _OR, _AND, _COMPARE, _ADD, _MULTIPLY, _UNARY, _ATOM = range(8)  # precedences
 _ARITHMETIC = {ast.Add: ("+", _ADD), ast.Sub: ("-", _ADD), ast.Mult: ("*", _MULTIPLY), ast.Div: ("/", _MULTIPLY)}
+_FOLDED: dict[type[ast.operator], Callable[[int, int], int]] = {
+    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.FloorDiv: operator.floordiv,
+    ast.Mod: operator.mod,
+}  # fmt: skip
+_RESULT_PLACE, _CONST_MARK = (
+    "\1",
+    "\2",
+)  # in C text: place of a matrix; whether a table is written
 _COMPARISONS = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
 
 
@@ -54,6 +82,13 @@ class TableType:
 
     element: str
     shape: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class TablesType:
+    """Type of a tuple of arrays, which are separate arguments in C."""
+
+    parts: tuple[TableType, ...]
 
 
 @dataclass(frozen=True)
@@ -79,7 +114,7 @@ class TupleType:
         )
 
 
-CType = str | TableType | RecordType | TupleType
+CType = str | TableType | TablesType | RecordType | TupleType
 
 
 @dataclass(frozen=True)
@@ -97,7 +132,10 @@ class Expression:
 
 @dataclass(frozen=True)
 class Function:
-    """A translated function: its C name, the type of its result, and which arguments it writes to."""
+    """A translated function: its C name, the type of its result, and which arguments it writes to.
+
+    A function that returns a matrix writes it to a last argument in C.
+    """
 
     name: str
     result: CType
@@ -113,13 +151,17 @@ class CTranslation:
         Type of the record of parameters.
     record_name : str
         Name of its C struct.
+    written_in_c : mapping, optional
+        Functions without translation, and their C functions, which take the size of the last array as one more
+        argument and write to all arrays.
     """
 
-    def __init__(self, record: np.dtype[Any], record_name: str) -> None:
+    def __init__(self, record: np.dtype[Any], record_name: str, written_in_c: Mapping[Any, str] | None = None) -> None:
         self.record = RecordType(record_name, record)
-        self._functions: dict[Any, tuple[tuple[CType, ...], Function]] = {}
+        self.written_in_c = dict(written_in_c or {})
+        self._functions: dict[Any, Function] = {}
         self._names: dict[str, object] = {}
-        self._constants: dict[str, float | int] = {}
+        self._constants: dict[str, float | int | tuple[float, ...]] = {}
         self._tuples: dict[str, TupleType] = {}
         self._bodies: list[str] = []
 
@@ -129,17 +171,17 @@ class CTranslation:
         Raises
         ------
         NotImplementedError
-            If the source has a form that has no translation, or a function is called with other types than before.
+            If the source has a form that has no translation.
         """
         plain = getattr(function, "py_func", function)
-        found = self._functions.get(plain)
-        if found is not None:
-            if found[0] != tuple(kinds):
-                raise NotImplementedError(f"{plain.__name__} is called with two sets of argument types; split it")
-            return found[1]
+        key = plain, tuple(kinds)
+        if key in self._functions:
+            return self._functions[key]
         name = self._unique_name(plain.__name__, plain, plain.__module__)
+        again = sum(known is plain for known, _ in self._functions)  # with other types
+        name += f"_{again + 1}" if again else ""
         made, body = _FunctionTranslation(self, plain, name, kinds).translate()
-        self._functions[plain] = tuple(kinds), made
+        self._functions[key] = made
         self._bodies.append(body)
         return made
 
@@ -147,6 +189,11 @@ class CTranslation:
         """Return the C text: helpers, constants, tuples and functions, each after what it uses."""
         whole = [f"    {n} = {v}," for n, v in self._constants.items() if isinstance(v, int)]
         real = [f"static const double {n} = {v!r};" for n, v in self._constants.items() if isinstance(v, float)]
+        real += [
+            f"static const double {n}[{len(v)}] = {{{', '.join(map(repr, v))}}};"
+            for n, v in self._constants.items()
+            if isinstance(v, tuple)
+        ]
         structs = []
         for name, kind in self._tuples.items():
             members = " ".join(f"{_type_name(part)} f{k};" for k, part in enumerate(kind.parts))
@@ -166,6 +213,12 @@ class CTranslation:
         c_name = self._unique_name(name, number, module)
         self._constants[c_name] = number
         return Expression(c_name, _ATOM, WHOLE if isinstance(number, int) else REAL)
+
+    def use_table(self, name: str, values: tuple[float, ...], module: str) -> Expression:
+        """Return a tuple of numbers of a module as a constant table, which is then declared."""
+        c_name = self._unique_name(name, values, module)
+        self._constants[c_name] = values
+        return Expression(c_name, _ATOM, TableType(REAL, (len(values),)))
 
     def _unique_name(self, name: str, what: object, module: str) -> str:
         """Return a C name: without leading underscores, and with the module's name if another thing has it already."""
@@ -190,6 +243,10 @@ class _FunctionTranslation:
             raise NotImplementedError(f"{function.__name__}: {len(kinds)} arguments")
         self._kinds: dict[str, CType] = dict(zip(self._arguments, kinds, strict=True))
         self._globals = function.__globals__
+        self._roots = {name: name for name in self._arguments}  # argument that a table is part of
+        stores = (n.id for n in ast.walk(tree) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store))
+        self._store_counts = Counter([*stores, *self._arguments])
+        self._known_integers: dict[str, str] = {}
         self._written: set[str] = set()
         self._result: CType | None = None
         self._lines: list[str] = []
@@ -204,13 +261,17 @@ class _FunctionTranslation:
             kind = self._kinds[argument]
             constant = "" if argument in self._written else "const "
             if isinstance(kind, TableType):
-                inner = "".join(f"[{n}]" for n in kind.shape[1:])
-                text = f"(*{argument}){inner}" if inner else f"*{argument}"
-                arguments.append(f"{constant}{kind.element} {text}")
+                arguments.append(constant + _pointer_declaration(kind, _c_name(argument)))
+            elif isinstance(kind, TablesType):
+                arguments += [
+                    constant + _pointer_declaration(part, f"{argument}_{k}") for k, part in enumerate(kind.parts)
+                ]
             elif isinstance(kind, RecordType):
                 arguments.append(f"const {kind.name} *{argument}")
             else:
                 arguments.append(f"{_type_name(kind)} {_c_name(argument)}")
+        if isinstance(result, TableType):
+            arguments.append(_pointer_declaration(result, "result_"))
         head = f"static {_type_name(result)} {self._name}({', '.join(arguments)})"
         about = (inspect.getdoc(self._function) or "").partition("\n\n")[0].replace("*/", "* /").split()
         place = f"{self._function.__module__}.{self._function.__name__}"
@@ -221,6 +282,8 @@ class _FunctionTranslation:
         text = "\n".join(
             [*comment[:-1], f"{comment[-1]} */", *_wrap_code(head), "{", *self._hoisted, *self._lines, "}", ""]
         )
+        mark = f"{_CONST_MARK}(.*?){_CONST_MARK}"
+        text = re.sub(mark, lambda found: "" if found[1] in (*self._written, "") else "const ", text)
         return Function(self._name, result, written), text
 
     # Statements
@@ -248,6 +311,8 @@ class _FunctionTranslation:
                 self._emit(f"{self._expression(node.value).text};")
             case ast.Assign(targets=[ast.Tuple() as targets]):
                 self._assign_tuple(targets, node.value)
+            case ast.Assign(targets=[ast.Name(id=name)]) if self._is_alias(node.value):
+                self._point_to(name, self._expression(node.value), self._root(node.value))
             case ast.Assign():
                 value = self._expression(node.value) if not _is_new_array(node.value) else None
                 for target in node.targets:
@@ -256,8 +321,13 @@ class _FunctionTranslation:
                     else:
                         self._assign(target, value)
             case ast.AugAssign():
-                sign = _ARITHMETIC[type(node.op)][0]
-                self._emit(f"{self._target(node.target)} {sign}= {self._expression(node.value).text};")
+                place = self._target(node.target)
+                if type(node.op) in _ARITHMETIC:
+                    sign = _ARITHMETIC[type(node.op)][0]
+                    self._emit(f"{place} {sign}= {self._expression(node.value).text};")
+                else:
+                    read = ast.parse(ast.unparse(node.target), mode="eval").body
+                    self._emit(f"{place} = {self._arithmetic(ast.BinOp(read, node.op, node.value)).text};")
             case ast.If():
                 self._emit(f"if ({self._expression(node.test).text}) {{")
                 self._nested_block(node.body)
@@ -276,8 +346,27 @@ class _FunctionTranslation:
                 self._nested_block(node.body)
                 self._emit("}")
                 del self._kinds[name]
+            case ast.For(target=ast.Name(id=name), iter=ast.Name(id=looped), orelse=[]):
+                rows = self._expression(node.iter)
+                if not isinstance(rows.kind, TableType) or name in self._kinds:
+                    raise self._refuse(node.target)
+                row = TableType(rows.kind.element, rows.kind.shape[1:])
+                index = f"{name}_row"
+                self._emit(f"for (int64_t {index} = 0; {index} < {rows.kind.shape[0]}; {index}++) {{")
+                self._kinds[name], self._roots[name] = row, self._roots.get(looped, "")
+                mark = f"{_CONST_MARK}{self._roots[name]}{_CONST_MARK}"
+                self._emit(f"    {mark}{_pointer_declaration(row, _c_name(name))} = {rows.text}[{index}];")
+                self._nested_block(node.body)
+                self._emit("}")
+                del self._kinds[name]
+            case ast.While(orelse=[]):
+                self._emit(f"while ({self._expression(node.test).text}) {{")
+                self._nested_block(node.body)
+                self._emit("}")
             case ast.Continue():
                 self._emit("continue;")
+            case ast.Break():
+                self._emit("break;")
             case ast.Return(value=None):
                 self._emit("return;")
             case ast.Return(value=ast.expr() as value):
@@ -285,8 +374,55 @@ class _FunctionTranslation:
             case _:
                 raise self._refuse(node)
 
+    def _is_alias(self, node: ast.expr) -> bool:
+        """Return whether an expression is a table, or a part of one, that exists already."""
+        match node:
+            case ast.Call(func=ast.Name(id="borrow_arrays"), args=[ast.Subscript() | ast.Name() as inner]):
+                return self._is_alias(inner)
+            case ast.Name(id=name):
+                return isinstance(self._kinds.get(name), TableType)
+            case ast.Subscript():
+                return isinstance(self._expression(node).kind, TableType)
+            case ast.Attribute(value=ast.Name(id=name)) if isinstance(self._kinds.get(name), RecordType):
+                return isinstance(self._expression(node).kind, TableType)
+        return False
+
+    def _root(self, node: ast.expr) -> str:
+        """Return the argument that a table is part of; "" for a local one."""
+        match node:
+            case ast.Call(args=[inner]) | ast.Subscript(value=inner) | ast.Attribute(value=inner):
+                return self._root(inner)
+            case ast.Name(id=name):
+                return self._roots.get(name, "")
+        return ""
+
+    def _point_to(self, name: str, value: Expression, root: str) -> None:
+        """Let a name stand for a table, or a part of one."""
+        assert isinstance(value.kind, TableType)
+        if value.text == _c_name(name):  # the same array under the same name
+            return
+        declared = f"{_CONST_MARK}{root}{_CONST_MARK}{_pointer_declaration(value.kind, _c_name(name))}"
+        known = self._kinds.get(name)
+        if known is not None and (known, self._roots.get(name)) != (value.kind, root):
+            raise NotImplementedError(f"{self._function.__name__}: {name} is another table before")
+        if known is not None:
+            self._emit(f"{_c_name(name)} = {value.text};")
+        elif self._depth > 1:
+            self._hoisted.append(f"    {declared};")
+            self._emit(f"{_c_name(name)} = {value.text};")
+        else:
+            self._emit(f"{declared} = {value.text};")
+        self._kinds[name], self._roots[name] = value.kind, root
+
     def _return(self, node: ast.expr) -> None:
         if isinstance(node, ast.Call) and ast.unparse(node.func) == "np.array" and isinstance(node.args[0], ast.List):
+            rows = [row.elts for row in node.args[0].elts if isinstance(row, ast.List)]
+            if rows:
+                self._result = TableType(REAL, (len(rows), len(rows[0])))
+                for i, row in enumerate(rows):
+                    for k, entry in enumerate(row):
+                        self._emit(f"result_[{i}][{k}] = {self._expression(entry).text};")
+                return
             value = self._expression(ast.Tuple(node.args[0].elts, ast.Load()))
         else:
             value = self._expression(node)
@@ -296,6 +432,13 @@ class _FunctionTranslation:
         self._emit(f"return {value.text};")
 
     def _assign_tuple(self, target: ast.Tuple, value: ast.expr) -> None:
+        if isinstance(value, ast.Tuple) and any(self._makes_table(v) for v in value.elts):
+            stored = [t.id if isinstance(t, ast.Name) else "" for t in target.elts]
+            for j, (one, part) in enumerate(zip(target.elts, value.elts, strict=True)):
+                if {n.id for n in ast.walk(part) if isinstance(n, ast.Name)} & {*stored[:j]}:
+                    raise self._refuse(value)
+                self._statement(ast.Assign([one], part))
+            return
         if isinstance(value, ast.Tuple):
             values = [self._expression(v) for v in value.elts]
             names = [ast.unparse(t.value if isinstance(t, ast.Subscript) else t) for t in target.elts]
@@ -304,6 +447,15 @@ class _FunctionTranslation:
                 values = [self._store_constant(v) for v in values]
         else:
             whole = self._expression(value)
+            if isinstance(whole.kind, TablesType) and isinstance(value, ast.Name):
+                for k, (one, table) in enumerate(zip(target.elts, whole.kind.parts, strict=True)):
+                    assert isinstance(one, ast.Name)
+                    self._point_to(one.id, Expression(f"{value.id}_{k}", _ATOM, table), value.id)
+                return
+            if isinstance(whole.kind, TableType) and whole.kind.shape == (len(target.elts),):
+                for k, one in enumerate(target.elts):
+                    self._assign(one, Expression(f"{whole.inside(_ATOM)}[{k}]", _ATOM, whole.kind.element))
+                return
             if not isinstance(whole.kind, TupleType) or len(whole.kind.parts) != len(target.elts):
                 raise self._refuse(value)
             if all(isinstance(t, ast.Name) and t.id == "_" for t in target.elts):
@@ -313,6 +465,12 @@ class _FunctionTranslation:
         for one, number in zip(target.elts, values, strict=True):
             if not (isinstance(one, ast.Name) and one.id == "_"):
                 self._assign(one, number)
+
+    def _makes_table(self, node: ast.expr) -> bool:
+        """Return whether an expression is a table: a new one, one that exists, or a matrix that a function returns."""
+        if _is_new_array(node) or self._is_alias(node):
+            return True
+        return isinstance(node, ast.Call) and isinstance(self._expression(node).kind, TableType)
 
     def _store_constant(self, value: Expression) -> Expression:
         """Store a value in a constant of its own."""
@@ -327,11 +485,12 @@ class _FunctionTranslation:
             return
         name, known = _c_name(target.id), self._kinds.get(target.id)
         if isinstance(value.kind, TableType):
-            if value.text == name:  # the same array under the same name
-                return
-            if known is not None or self._depth > 1:
+            if _RESULT_PLACE not in value.text or known is not None or self._depth > 1:
                 raise self._refuse(target)
-            self._emit(f"{value.kind.element} *{name} = {value.text};")
+            self._emit(f"{value.kind.element} {name}{''.join(f'[{n}]' for n in value.kind.shape)};")
+            self._emit(value.text.replace(_RESULT_PLACE, name) + ";")
+        elif value.kind == WHOLE and value.text.isdecimal() and self._store_counts[target.id] == 1:
+            self._known_integers[target.id] = value.text
         elif known is not None:
             if known != value.kind and (known, value.kind) != (REAL, WHOLE):
                 raise self._refuse(target)
@@ -355,7 +514,7 @@ class _FunctionTranslation:
 
     def _target(self, target: ast.expr) -> str:
         if isinstance(target, ast.Subscript) and isinstance(target.value, ast.Name):
-            self._written.add(target.value.id)
+            self._written.add(self._roots.get(target.value.id, ""))
         return self._expression(target).text
 
     # Expressions
@@ -366,12 +525,22 @@ class _FunctionTranslation:
                 return Expression(str(value).lower(), _ATOM, TRUTH)
             case ast.Constant(value=int(value) | float(value)):
                 return Expression(repr(value), _ATOM, WHOLE if isinstance(value, int) else REAL)
+            case ast.Name(id=name) if name in self._known_integers:
+                return Expression(self._known_integers[name], _ATOM, WHOLE)
+            case ast.Name(id=name) if isinstance(tables := self._kinds.get(name), TablesType):
+                return Expression(", ".join(f"{name}_{k}" for k in range(len(tables.parts))), _ATOM, tables)
             case ast.Name(id=name) if name in self._kinds:
                 return Expression(_c_name(name), _ATOM, self._kinds[name])
             case ast.Name(id=name) if isinstance(self._globals.get(name), int | float):
                 return self._owner.use_constant(name, self._globals[name], self._function.__module__)
+            case ast.Name(id=name) if isinstance(values := self._globals.get(name), tuple):
+                return self._owner.use_table(name, values, self._function.__module__)
+            case ast.Attribute(value=array, attr="size") if (
+                isinstance(table := self._expression(array).kind, TableType) and -1 not in table.shape
+            ):
+                return Expression(str(math.prod(table.shape)), _ATOM, WHOLE)
             case ast.Attribute(value=ast.Name(id="math"), attr=name):
-                return Expression({"inf": "INFINITY"}.get(name) or repr(getattr(math, name)), _ATOM, REAL)
+                return Expression({"inf": "INFINITY", "nan": "NAN"}.get(name) or repr(getattr(math, name)), _ATOM, REAL)
             case ast.Attribute(value=ast.Name(id=name), attr=field):
                 return self._field(node, name, field)
             case ast.Subscript():
@@ -380,14 +549,20 @@ class _FunctionTranslation:
                 operand = self._expression(node.operand)
                 text = operand.inside(_UNARY)
                 return Expression(f"-{text if not text.startswith('-') else f'({text})'}", _UNARY, operand.kind)
-            case ast.BinOp() if type(node.op) in _ARITHMETIC:
+            case ast.UnaryOp(op=ast.Not()):
+                return Expression(f"!({self._expression(node.operand).text})", _UNARY, TRUTH)
+            case ast.BinOp():
                 return self._arithmetic(node)
-            case ast.BoolOp(op=ast.And()):
+            case ast.BoolOp():
+                sign, level = ("&&", _AND) if isinstance(node.op, ast.And) else ("||", _OR)
                 parts = [self._expression(v).inside(_COMPARE) for v in node.values]
-                return Expression(" && ".join(parts), _AND, TRUTH)
-            case ast.Compare(ops=[op], comparators=[other]):
-                left, right = self._expression(node.left).inside(_ADD), self._expression(other).inside(_ADD)
-                return Expression(f"{left} {_COMPARISONS[type(op)]} {right}", _COMPARE, TRUTH)
+                return Expression(f" {sign} ".join(parts), level, TRUTH)
+            case ast.Compare():
+                sides = [self._expression(v).inside(_ADD) for v in (node.left, *node.comparators)]
+                parts = [
+                    f"{a} {_COMPARISONS[type(o)]} {b}" for o, a, b in zip(node.ops, sides, sides[1:], strict=False)
+                ]
+                return Expression(" && ".join(parts), _COMPARE if len(parts) == 1 else _AND, TRUTH)
             case ast.IfExp():
                 test, a, b = (self._expression(v) for v in (node.test, node.body, node.orelse))
                 kind = a.kind if a.kind == b.kind else REAL
@@ -430,21 +605,52 @@ class _FunctionTranslation:
                 bounds = (None if b is None else self._fixed_index(b) for b in (node.slice.lower, node.slice.upper))
                 return self._tuple(parts[slice(*bounds)], node)
             return parts[self._fixed_index(node.slice)]
+        if isinstance(held.kind, TablesType) and isinstance(node.value, ast.Name):
+            k = self._fixed_index(node.slice)
+            return Expression(f"{node.value.id}_{k}", _ATOM, held.kind.parts[k])
         if not isinstance(held.kind, TableType):
             raise self._refuse(node)
+        if isinstance(node.slice, ast.Name) and isinstance(part := self._globals.get(node.slice.id), slice):
+            return self._part(held, str(part.start), str(part.stop))
+        if isinstance(node.slice, ast.Slice):
+            lower, upper = node.slice.lower, node.slice.upper
+            first = "0" if lower is None else self._expression(lower).inside(_ADD)
+            return self._part(held, first, str(held.kind.shape[0]) if upper is None else self._expression(upper).text)
         index = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
         inner = held.kind.shape[len(index) :]
-        text = held.text + "".join(f"[{self._expression(i).text}]" for i in index)
+        text = held.inside(_ATOM) + "".join(f"[{self._expression(i).text}]" for i in index)
         return Expression(text, _ATOM, TableType(held.kind.element, inner) if inner else held.kind.element)
 
+    def _part(self, held: Expression, first: str, stop: str) -> Expression:
+        """Return the rows of a table from the first one up to another."""
+        assert isinstance(held.kind, TableType)
+        is_known = first.isdecimal() and stop.isdecimal()
+        kind = TableType(held.kind.element, (int(stop) - int(first) if is_known else -1, *held.kind.shape[1:]))
+        return Expression(held.text if first == "0" else f"{held.inside(_ADD)} + {first}", _ADD, kind)
+
     def _arithmetic(self, node: ast.BinOp) -> Expression:
-        sign, level = _ARITHMETIC[type(node.op)]
         left, right = self._expression(node.left), self._expression(node.right)
         if not {left.kind, right.kind} <= {REAL, WHOLE}:
             raise self._refuse(node)
         kind = WHOLE if left.kind == right.kind == WHOLE else REAL
-        if sign == "/" and kind == WHOLE:
+        form, texts = type(node.op), (left.text, right.text)
+        if kind == WHOLE and form in _FOLDED and left.text.isdecimal() and right.text.isdecimal():
+            folded = _FOLDED[form](int(left.text), int(right.text))
+            if folded >= 0:
+                return Expression(str(folded), _ATOM, WHOLE)
+        if form is ast.Pow and right.text == "2" and left.kind == REAL:
+            return Expression(f"squared({left.text})", _ATOM, REAL)
+        if form is ast.BitAnd and kind == WHOLE:
+            return Expression(f"({left.inside(_ADD)} & {right.inside(_ADD)})", _ATOM, WHOLE)
+        if form is ast.FloorDiv and kind == WHOLE:
+            return Expression(f"quotient({', '.join(texts)})", _ATOM, WHOLE)
+        if form is ast.Mod:
+            return Expression(f"remainder_{'int' if kind == WHOLE else 'real'}({', '.join(texts)})", _ATOM, kind)
+        if form not in _ARITHMETIC:
             raise self._refuse(node)
+        sign, level = _ARITHMETIC[form]
+        if sign == "/" and kind == WHOLE:
+            return Expression(f"(double){left.inside(_ATOM)} / (double){right.inside(_ATOM)}", level, REAL)
         # C groups from the left, as Python does: an operand on the right of the same precedence needs brackets.
         return Expression(f"{left.inside(level)} {sign} {right.inside(level + 1)}", level, kind)
 
@@ -459,11 +665,19 @@ class _FunctionTranslation:
         name = ast.unparse(node.func)
         if name in ("np.uint64", "borrow_arrays"):
             return self._expression(node.args[0])
-        arguments = [self._expression(a) for a in node.args]
+        values = [a.value if isinstance(a, ast.Starred) else a for a in node.args]
+        arguments = [self._expression(a) for a in values]
         texts = ", ".join(a.text for a in arguments)
-        function = name.removeprefix("math.")
-        if function != name and function in _MATH_FUNCTIONS:
-            return Expression(f"{function}({texts})", _ATOM, REAL)
+        function = name.removeprefix("math.").removeprefix("np.")
+        if name.startswith("math.") and function in _MATH_FUNCTIONS:
+            text = f"{function}({texts})"
+            return Expression(
+                f"whole_part({text})" if function == "ceil" else text, _ATOM, WHOLE if function == "ceil" else REAL
+            )
+        if name.startswith("math.") and function in _TESTS:
+            return Expression(f"({function}({texts}) != 0)", _ATOM, TRUTH)
+        if name == "np.rint":
+            return Expression(f"rint({texts})", _ATOM, REAL)
         if name == "abs" and arguments[0].kind == REAL:
             return Expression(f"fabs({texts})", _ATOM, REAL)
         if name == "int":
@@ -475,15 +689,41 @@ class _FunctionTranslation:
         called = self._globals.get(name)
         if not callable(called) or node.keywords:
             raise self._refuse(node)
-        made = self._owner.add_function(called, [a.kind for a in arguments])
-        for argument, is_written in zip(node.args, made.written, strict=True):
-            if is_written and isinstance(argument, ast.Name):
-                self._written.add(argument.id)
+        if (in_c := self._owner.written_in_c.get(called)) is not None:
+            self._written.update(map(self._root, values))
+            last = arguments[-1].kind
+            assert isinstance(last, TableType)
+            return Expression(f"{in_c}({texts}, {math.prod(last.shape)})", _ATOM, NOTHING)
+        kinds: list[CType] = []
+        written_to: list[ast.expr] = []
+        for value, argument in zip(values, arguments, strict=True):
+            tables = argument.kind.parts if isinstance(argument.kind, TablesType) else None
+            is_spread = tables is not None and len(values) != len(inspect.signature(_plain(called)).parameters)
+            kinds += tables if tables is not None and is_spread else [argument.kind]
+            written_to += [value] * (len(tables) if tables is not None and is_spread else 1)
+        made = self._owner.add_function(called, kinds)
+        for value, is_written in zip(written_to, made.written, strict=True):
+            if is_written:
+                self._written.add(self._root(value))
+        if isinstance(made.result, TableType):
+            return Expression(f"{made.name}({texts}, {_RESULT_PLACE})", _ATOM, made.result)
         return Expression(f"{made.name}({texts})", _ATOM, made.result)
 
 
+def _plain(function: Any) -> Callable[..., Any]:
+    return getattr(function, "py_func", function)
+
+
 def _type_name(kind: CType) -> str:
+    if isinstance(kind, TableType):
+        return NOTHING
     return kind.name if isinstance(kind, TupleType) else str(kind)
+
+
+def _pointer_declaration(kind: TableType, name: str) -> str:
+    """Return the declaration of a pointer to the first row of a table."""
+    inner = "".join(f"[{n}]" for n in kind.shape[1:])
+    return f"{kind.element} (*{name}){inner}" if inner else f"{kind.element} *{name}"
 
 
 def _c_name(name: str) -> str:

@@ -12,7 +12,7 @@ import tempfile
 import zipfile
 from pathlib import Path
 
-from mufly.compiled.toolchain import compile_library, find_compiler
+from mufly.compiled.toolchain import COMPILER_FLAGS, compile_library, find_compiler
 from mufly.errors import MuflyError, report_write_errors
 from mufly.files.answer_store import replace_file
 from mufly.fmi.model_description import (
@@ -21,7 +21,14 @@ from mufly.fmi.model_description import (
     render_model_description,
     render_page,
 )
-from mufly.fmi.unit_sources import SOURCE_FOLDER, UNIT_SOURCE, render_flight_model, render_vehicle_data
+from mufly.fmi.unit_sensors import UnitSensors
+from mufly.fmi.unit_sources import (
+    SOURCE_FOLDER,
+    UNIT_SOURCE,
+    render_flight_model,
+    render_sensor_sources,
+    render_vehicle_data,
+)
 from mufly.fmi.unit_variables import list_unit_variables
 from mufly.results import result
 from mufly.vehicle import Vehicle, format_vehicle_toml
@@ -48,6 +55,8 @@ class ExportedUnit:
         Platform of the library in the archive; "" without one.
     inputs, outputs, start_values, parameters : int
         Numbers of variables.
+    seeds : int
+        Number of seeds of the sensors; 0 without sensors.
     fixed : tuple of str
         Keys of the vehicle file that the unit cannot change.
     """
@@ -60,6 +69,7 @@ class ExportedUnit:
     outputs: int
     start_values: int
     parameters: int
+    seeds: int
     fixed: tuple[str, ...]
 
 
@@ -69,7 +79,7 @@ def platform_tuple() -> tuple[str, str]:
     return ("", "") if machine is None or system is None else (f"{machine}-{system[0]}", system[1])
 
 
-def export_fmu(vehicle: Vehicle, out: Path, *, binary: bool = True) -> ExportedUnit:
+def export_fmu(vehicle: Vehicle, out: Path, *, binary: bool = True, seeds: int = 0) -> ExportedUnit:
     """Write a vehicle as an FMI 3.0 co-simulation unit.
 
     Parameters
@@ -79,6 +89,8 @@ def export_fmu(vehicle: Vehicle, out: Path, *, binary: bool = True) -> ExportedU
         File to write, ``.fmu``.
     binary : bool
         Compile a library for this machine, if it has a C compiler.
+    seeds : int
+        Number of seeds of the vehicle's sensors and filter; with 0 the unit has neither.
 
     Returns
     -------
@@ -87,18 +99,20 @@ def export_fmu(vehicle: Vehicle, out: Path, *, binary: bool = True) -> ExportedU
     Raises
     ------
     InputError
-        If the vehicle is too heavy to hover, or the file cannot be written.
+        If the vehicle is too heavy to hover, has no sensors although the unit has, or the file cannot be written.
     MuflyError
         If the vehicle has no trim in hover, or compilation fails.
     """
-    interface, name = list_unit_variables(vehicle), model_identifier(vehicle)
-    data, token = render_vehicle_data(vehicle, interface)
+    sensors = UnitSensors(vehicle, seeds) if seeds else None
+    interface, name = list_unit_variables(vehicle, sensors), model_identifier(vehicle)
+    data, token = render_vehicle_data(vehicle, interface, sensors)
     sources = {file: (SOURCE_FOLDER / file).read_text(encoding="utf-8") for file in _COPIED_SOURCES}
-    sources |= {"flight_model.h": render_flight_model(), "vehicle_data.h": data}
+    sources |= {"flight_model.h": render_flight_model(sensors), "vehicle_data.h": data}
+    sources |= {} if sensors is None else render_sensor_sources(sensors)
     files: dict[str, str | bytes] = {f"sources/{file}": text for file, text in sources.items()}
     files |= {
         "modelDescription.xml": render_model_description(vehicle, interface, token),
-        "sources/buildDescription.xml": render_build_description(vehicle),
+        "sources/buildDescription.xml": render_build_description(vehicle, sensors is not None),
         "documentation/index.html": render_page(vehicle, interface),
         "documentation/licenses/license.txt": (SOURCE_FOLDER / "license.txt").read_text(encoding="utf-8"),
         "resources/vehicle.toml": format_vehicle_toml(vehicle),
@@ -120,7 +134,7 @@ def export_fmu(vehicle: Vehicle, out: Path, *, binary: bool = True) -> ExportedU
     return ExportedUnit(
         file=str(out), model=name, token=token, platform=place, inputs=interface.count("input"),
         outputs=interface.count("output"), start_values=interface.count("start", "step"),
-        parameters=interface.count("parameter"), fixed=tuple(interface.fixed),
+        parameters=interface.count("parameter"), seeds=seeds, fixed=tuple(interface.fixed),
     )  # fmt: skip
 
 
@@ -136,6 +150,7 @@ def _compile_unit(sources: dict[str, str], library: str) -> bytes:
     with tempfile.TemporaryDirectory(prefix="mufly-fmu-") as temporary:
         folder = Path(temporary)
         for file, text in sources.items():
+            (folder / file).parent.mkdir(parents=True, exist_ok=True)
             (folder / file).write_text(text, encoding="utf-8")
-        compile_library([folder / UNIT_SOURCE], folder / library)
+        compile_library(sorted(folder.rglob("*.c")), folder / library, flags=(*COMPILER_FLAGS, f"-I{folder}"))
         return (folder / library).read_bytes()

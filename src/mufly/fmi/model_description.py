@@ -11,7 +11,8 @@ from xml.etree import ElementTree
 
 from mufly.compiled.toolchain import COMPILER_FLAGS
 from mufly.errors import MuflyError
-from mufly.fmi.unit_sources import UNIT_SOURCE
+from mufly.fmi.unit_sensors import RATE_HZ
+from mufly.fmi.unit_sources import FILTER_SOURCES, UNIT_SOURCE
 from mufly.fmi.unit_variables import UnitInterface, UnitVariable
 from mufly.quantities.units import unit_conversion
 from mufly.vehicle import Vehicle
@@ -21,7 +22,7 @@ _FMI_VERSION = "3.0"
 _BASE_UNITS: dict[str, dict[str, int]] = {
     "kg": {"kg": 1}, "m": {"m": 1}, "s": {"s": 1}, "A": {"A": 1}, "rad": {"rad": 1}, "m2": {"m": 2}, "s^2": {"s": 2},
     "N": {"kg": 1, "m": 1, "s": -2}, "V": {"kg": 1, "m": 2, "s": -3, "A": -1}, "m3": {"m": 3},
-    "ohm": {"kg": 1, "m": 2, "s": -3, "A": -2},
+    "ohm": {"kg": 1, "m": 2, "s": -3, "A": -2}, "Pa": {"kg": 1, "m": -1, "s": -2}, "T": {"kg": 1, "s": -2, "A": -1},
 }  # fmt: skip
 """Exponents of FMI's base units in the units of vehicle files."""
 _STOP_TIME_S, _STEP_SIZE_S = 10.0, 0.01  # of the default experiment
@@ -105,7 +106,7 @@ def _add_units(parent: ElementTree.Element, interface: UnitInterface) -> None:
 
 def _variable_attributes(reference: int, v: UnitVariable) -> dict[str, str]:
     causality = v.role if v.role in ("input", "output") else "parameter"
-    variability = {"parameter": "tunable", "start": "fixed", "step": "fixed"}.get(v.role, "continuous")
+    variability = {"parameter": "tunable", "start": "fixed", "step": "fixed", "seed": "fixed"}.get(v.role, "continuous")
     out = {
         "name": v.name, "valueReference": str(reference), "causality": causality, "variability": variability,
         "description": v.description,
@@ -122,7 +123,7 @@ def _variable_attributes(reference: int, v: UnitVariable) -> dict[str, str]:
     return {**out, "start": repr(v.start)}
 
 
-def render_build_description(vehicle: Vehicle) -> str:
+def render_build_description(vehicle: Vehicle, has_sensors: bool = False) -> str:
     """Return the text of ``sources/buildDescription.xml``."""
     root = ElementTree.Element("fmiBuildDescription", {"fmiVersion": _FMI_VERSION})
     configuration = ElementTree.SubElement(root, "BuildConfiguration", {
@@ -133,7 +134,10 @@ def render_build_description(vehicle: Vehicle) -> str:
     files = ElementTree.SubElement(configuration, "SourceFileSet", {
         "language": "C99", "compiler": "gcc", "compilerOptions": " ".join(COMPILER_FLAGS),
     })  # fmt: skip
-    ElementTree.SubElement(files, "SourceFile", {"name": UNIT_SOURCE})
+    for name in (UNIT_SOURCE, *(FILTER_SOURCES if has_sensors else ())):
+        ElementTree.SubElement(files, "SourceFile", {"name": name})
+    if has_sensors:
+        ElementTree.SubElement(files, "IncludeDirectory", {"name": "."})
     about = "mathematics of the C library, where that is a library of its own"
     ElementTree.SubElement(configuration, "Library", {"name": "m", "external": "true", "description": about})
     return _to_text(root)
@@ -154,7 +158,7 @@ padding:.1em .8em .1em 0;vertical-align:top}}code{{white-space:nowrap}}</style><
 swash plate, stabiliser bar, wind, and contact with the floor at position_down = 0. Axes: north, east, down; body x
 forward, y right, z down. Between two communication points the inputs are constant. The state is integrated by
 Runge-Kutta's method of fourth order with steps of at most <code>solver.step</code>.</p>
-<p>The start values are those of hover. The unit has no autopilot: with constant inputs the helicopter drifts away.</p>
+<p>{start} The unit has no autopilot: with constant inputs the helicopter drifts away.</p>
 <p>Results equal those of <code>mufly.dynamics.integrate_state</code>, to the last bit, if the unit is compiled without
 contraction of multiplications and additions, and sine and cosine come from the same C library.
 <code>resources/vehicle.toml</code> is the vehicle file. <code>sources/buildDescription.xml</code> describes the
@@ -164,9 +168,15 @@ compilation for other platforms.</p>
 <p>A change of these keys of the vehicle file needs a new export: {fixed}.</p>
 </body></html>
 """
+_SENSED_START = (
+    f"At the start the helicopter stands on the floor. Sensors and filter run at {RATE_HZ:g} Hz. Parameters act on the "
+    "flight model, while sensors and filter keep the vehicle file's. The filter's C sources are those that fly on "
+    "board. The sonar reads NaN without an echo."
+)
 _TITLES = {
     "input": "Inputs", "output": "Outputs", "start": "Start values, until the end of initialisation",
-    "step": "Integration, until the end of initialisation", "parameter": "Parameters, at any time",
+    "step": "Integration, until the end of initialisation", "seed": "Sensors, until the end of initialisation",
+    "parameter": "Parameters, at any time",
 }  # fmt: skip
 
 
@@ -183,6 +193,7 @@ def render_page(vehicle: Vehicle, interface: UnitInterface) -> str:
         head = "<tr><th>name</th><th>start</th><th>unit</th><th>meaning</th></tr>"
         tables.append(f"<h2>{title}</h2>\n<table>{head}\n{rows}</table>")
     return _PAGE.format(
+        start=_SENSED_START if interface.count("seed") else "The start values are those of hover.",
         name=html.escape(vehicle.name), description=html.escape(vehicle.description), version=__version__,
         tables="\n".join(tables), fixed=", ".join(f"<code>{html.escape(k)}</code>" for k in interface.fixed),
     )  # fmt: skip

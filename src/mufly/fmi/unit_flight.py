@@ -17,12 +17,27 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.dynamics import STATE_SIZE, integrate_state, model_parameters
+from mufly.dynamics import STATE_SIZE, DrydenWind, find_trim, integrate_state, model_parameters, standing_state
 from mufly.dynamics.model_state import INPUT_SIZE
 from mufly.errors import MuflyError
+from mufly.estimate import Estimate, KalmanEstimator
+from mufly.estimate.filter.filter_records import (
+    ERROR_ACCEL_BIAS,
+    ERROR_ATTITUDE,
+    ERROR_GYRO_BIAS,
+    ERROR_POSITION,
+    ERROR_THRUST_SCALE,
+    ERROR_VELOCITY,
+    ERROR_WIND,
+)
+from mufly.flight.simulated_plant import SimulatedPlant, advance_period
 from mufly.fmi.fmu_export import platform_tuple
+from mufly.fmi.unit_sensors import RATE_HZ
+from mufly.quantities.sensor_table import SENSORS
 from mufly.results import result
+from mufly.sensors import Readings, Truth, draw_leaning_vehicle, fitted_sensors
 from mufly.vehicle import Vehicle
+from mufly.world import World
 
 _LOG_TYPE = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_char_p)
 _OK = 0
@@ -54,6 +69,8 @@ class UnitLibrary:
         Names of the variables.
     starts : dict
         Start values of all variables that have one.
+    seed_count : int
+        Number of seeds of the sensors; 0 without sensors.
 
     Raises
     ------
@@ -72,6 +89,7 @@ class UnitLibrary:
         self.inputs = [v["name"] for v in variables if v["causality"] == "input"]
         self.outputs = [v["name"] for v in variables if v["causality"] == "output"]
         self.starts = {v["name"]: float(v["start"]) for v in variables if "start" in v}
+        self.seed_count = sum(int(float(v["max"])) + 1 for v in variables if v["name"] == "sensors.seed")
         found = list((folder / "binaries" / platform_tuple()[0]).glob("*.*"))
         if len(found) != 1:
             raise MuflyError(
@@ -169,11 +187,11 @@ class UnitComparison:
     Attributes
     ----------
     steps, different : int
-        Communication steps, and those after which a bit of the state differs.
+        Communication steps, and those after which a bit of the state, or of a reading or the estimate, differs.
     on_floor : int
         Communication steps in contact with the floor, or close to it.
     largest_difference : float
-        Largest difference of an entry of the state.
+        Largest difference of an entry.
     """
 
     steps: int
@@ -222,8 +240,94 @@ def compare_unit(unit: UnitLibrary, p: np.void, *, duration_s: float = 5.0) -> U
     return UnitComparison(steps=steps, different=different, on_floor=on_floor, largest_difference=largest)
 
 
+def compare_sensed_unit(
+    unit: UnitLibrary, vehicle: Vehicle, *, seed: int = 0, duration_s: float = 5.0
+) -> UnitComparison:
+    """Fly a unit with sensors, and the model, sensors and filter of Python, as :func:`compare_unit` does.
+
+    The flight begins on the floor. The communication step is the period of the sensors.
+
+    Parameters
+    ----------
+    unit : UnitLibrary
+    vehicle : Vehicle
+    seed : int
+        Seed of the sensors.
+    duration_s : float
+        Simulated time (s).
+
+    Raises
+    ------
+    MuflyError
+        If the unit reports an error.
+    """
+    instance, rng = UnitInstance(unit).initialise({"sensors.seed": float(seed)}), np.random.default_rng(seed)
+    own = draw_leaning_vehicle(vehicle, seed=seed)
+    plant = SimulatedPlant(
+        own, World(), DrydenWind(step_s=1.0 / RATE_HZ), RATE_HZ, standing_state(own, (0.0, 0.0), 0.0)
+    )
+    sensors, estimator = (
+        fitted_sensors(vehicle, World(), seed=seed),
+        KalmanEstimator(vehicle, World(), RATE_HZ, code="c"),
+    )
+    sensors.reset()
+    hover = find_trim(vehicle).input
+    u, wind, largest, different, on_floor = np.zeros(4), np.zeros(3), 0.0, 0, 0
+    steps = round(duration_s * RATE_HZ)
+    for k in range(steps + 1):
+        if k:
+            u = np.clip(u + rng.normal(0.0, [0.02, 0.02, 0.1, 0.1]) + 0.1 * (hover - u), [0.0, 0.0, -1.0, -1.0], 1.0)
+            wind = 0.95 * wind + rng.normal(0.0, 0.2, 3)
+            plant.wind = wind
+            advance_period(
+                plant.state, u, wind, plant.packed_parameters, plant.step_s, plant.step_count, plant.battery_output
+            )
+            plant.count_periods(1)
+            instance.check_status(instance.set_values(dict(zip(unit.inputs, (*u, *wind), strict=True))))
+            instance.check_status(instance.do_step((k - 1) / RATE_HZ, 1.0 / RATE_HZ))
+        truth = plant.truth
+        readings = sensors.read(truth)
+        here = _sensed_values(unit.outputs, truth, readings, estimator.update(readings, u))
+        there = instance.get_values(list(here))
+        values = np.array(list(here.values()))
+        different += not np.array_equal(there, values, equal_nan=True)
+        largest = max(largest, float(np.nanmax(np.abs(there - values))))
+        on_floor += bool(truth.state[2] + plant.parameters["contact_reach"] > 0.0)
+    instance.free()
+    return UnitComparison(steps=steps, different=different, on_floor=on_floor, largest_difference=largest)
+
+
+def _sensed_values(outputs: Sequence[str], truth: Truth, readings: Readings, estimate: Estimate) -> dict[str, float]:
+    """Return state, readings and estimate of Python by the names of a unit's outputs."""
+    values = dict(zip(outputs[:STATE_SIZE], truth.state.tolist(), strict=True))
+    for sensor, rows in SENSORS.items():
+        for reading in (readings.latest.get(row.name) for row in rows[:1]):
+            if reading is not None and f"sensor.{sensor}.time" in outputs:
+                values |= {f"sensor.{sensor}.time": reading.time_s, f"sensor.{sensor}.valid": float(reading.valid)}
+    for name, reading in readings.latest.items():
+        places = [o for o in outputs if o == f"sensor.{name}" or o.startswith(f"sensor.{name}_")]
+        values |= dict(zip(places, np.atleast_1d(reading.value).tolist(), strict=bool(places)))
+    more = estimate.auxiliary_states
+    assert more is not None
+    ned, body, angles = ("north", "east", "down"), ("x", "y", "z"), ("roll", "pitch", "yaw")
+    groups = (
+        (estimate.position, "position_", ned, ERROR_POSITION), (estimate.velocity, "velocity_", ned, ERROR_VELOCITY),
+        (estimate.attitude, "", angles, ERROR_ATTITUDE), (more.gyro_bias, "gyro_bias_", body, ERROR_GYRO_BIAS),
+        (more.accelerometer_bias, "accelerometer_bias_", body, ERROR_ACCEL_BIAS),
+        (more.wind, "wind_", ned[:2], ERROR_WIND), ([more.thrust_scale], "thrust_scale", ("",), ERROR_THRUST_SCALE),
+    )  # fmt: skip
+    for numbers, prefix, ends, error in groups:
+        for k, end in enumerate(ends):
+            values[f"estimate.{prefix}{end}"] = float(numbers[k])
+            values[f"estimate.sigma.{prefix}{end}"] = float(more.sigma[error + k])
+    values |= {f"estimate.{axis}_rate": float(rate) for axis, rate in zip(angles, estimate.rates, strict=True)}
+    return {**values, "estimate.valid": float(estimate.valid)}
+
+
 def check_unit(file: Path, vehicle: Vehicle) -> UnitComparison:
     """Compare the library in an archive with the Python model of a vehicle; see :func:`compare_unit`.
+
+    A unit with sensors is compared for its last seed.
 
     Parameters
     ----------
@@ -232,4 +336,7 @@ def check_unit(file: Path, vehicle: Vehicle) -> UnitComparison:
     vehicle : Vehicle
     """
     with tempfile.TemporaryDirectory(prefix="mufly-fmu-") as folder:
-        return compare_unit(UnitLibrary(file, Path(folder)), model_parameters(vehicle))
+        unit = UnitLibrary(file, Path(folder))
+        if unit.seed_count:
+            return compare_sensed_unit(unit, vehicle, seed=unit.seed_count - 1)
+        return compare_unit(unit, model_parameters(vehicle))

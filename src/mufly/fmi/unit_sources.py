@@ -18,21 +18,29 @@ import numpy as np
 from mufly.compiled.record_fields import record_fields
 from mufly.dynamics import INPUT_SIZE, PARAMETER_DTYPE, STATE_SIZE, ModelParameters, model_parameters
 from mufly.dynamics.simulation import integrate_state
+from mufly.estimate.filter.c_records import RECORDS_HEADER
+from mufly.estimate.filter_backend import FILTER_SOURCES as TRANSLATED_FILTER
+from mufly.estimate.filter_backend import collect_sources
 from mufly.files.answer_store import hash_question
+from mufly.firmware.export.estimate_tables import render_estimator_files
 from mufly.fmi.c_translation import REAL, WHOLE, CTranslation, TableType
 from mufly.fmi.unit_equations import OUTPUT_COUNT, START_COUNT, write_outputs, write_start_state
+from mufly.fmi.unit_sensors import RATE_HZ, SEEDED_STARTS, WRITTEN_IN_C, UnitSensors
 from mufly.fmi.unit_variables import UnitInterface
 from mufly.vehicle import Vehicle
 
 SOURCE_FOLDER = resources.files("mufly.fmi") / "sources"
 UNIT_SOURCE = "cosimulation_unit.c"
 """The only file that is compiled; it includes the others."""
+FILTER_SOURCES = ("filter_unit.c", "estimate_tables.c", *(f"{name}.c" for name in TRANSLATED_FILTER))
+"""Further files that are compiled for a unit with sensors."""
+_SENSOR_SOURCES = ("filter_unit.c", "filter_unit.h", "random_numbers.h")
 _RECORD = "model_parameters"
 
 
 @cache
-def render_flight_model() -> str:
-    """Return the text of ``flight_model.h``: record of parameters and functions of the flight model.
+def render_flight_model(sensors: UnitSensors | None = None) -> str:
+    """Return the text of ``flight_model.h``: record of parameters, functions of the flight model and of sensors.
 
     Raises
     ------
@@ -40,13 +48,14 @@ def render_flight_model() -> str:
         If the equations have a form without a translation.
     """
     state, inputs, wind = (TableType(REAL, (n,)) for n in (STATE_SIZE, INPUT_SIZE, 3))
-    translation = CTranslation(PARAMETER_DTYPE, _RECORD)
+    translation = CTranslation(PARAMETER_DTYPE, _RECORD, WRITTEN_IN_C)
     p = translation.record
     translation.add_function(integrate_state, [state, inputs, wind, p, REAL, WHOLE])
     translation.add_function(write_start_state, [TableType(REAL, (START_COUNT,)), state])
     translation.add_function(write_outputs, [state, inputs, wind, p, TableType(REAL, (OUTPUT_COUNT,))])
+    sampling = "" if sensors is None else sensors.add_functions(translation)
     head = "/* Equations of motion, translated by mufly from Python (docs/explanation/dynamics.md); do not edit. */"
-    return "\n".join([head, "", *_record_lines(), "", translation.source()])
+    return "\n".join([head, "", *_record_lines(), "", translation.source(), sampling])
 
 
 def _record_lines() -> Iterator[str]:
@@ -58,17 +67,32 @@ def _record_lines() -> Iterator[str]:
     yield f"}} {_RECORD};"
 
 
-def render_vehicle_data(vehicle: Vehicle, interface: UnitInterface) -> tuple[str, str]:
+def render_sensor_sources(sensors: UnitSensors) -> dict[str, str]:
+    """Return the text of the filter's files by their path among the sources of a unit with sensors."""
+    generated = render_estimator_files(sensors.vehicle, sensors.world, RATE_HZ)
+    files = {name: (SOURCE_FOLDER / name).read_text(encoding="utf-8") for name in _SENSOR_SOURCES}
+    return {
+        **files,
+        "filter_sizes.h": sensors.render_sizes(),
+        **collect_sources(generated[RECORDS_HEADER]),
+        **generated,
+    }
+
+
+def render_vehicle_data(
+    vehicle: Vehicle, interface: UnitInterface, sensors: UnitSensors | None = None
+) -> tuple[str, str]:
     """Return the text of ``vehicle_data.h`` and the instantiation token, a hash of all sources.
 
     Parameters
     ----------
     vehicle : Vehicle
     interface : UnitInterface
+    sensors : UnitSensors, optional
     """
     settable = [v for v in interface.variables if v.role != "output"]
     index = {v.name: k for k, v in enumerate(settable)}
-    inputs, starts = interface.count("input"), interface.count("start")
+    inputs, starts, others = interface.count("input"), interface.count("start"), interface.count("step", "seed")
     # Ratios apply to fields that other parameters have set.
     effects = [(p.key, e) for p in interface.parameters for e in p.effects]
     effects.sort(key=lambda pair: pair[1].kind == "RATIO")
@@ -83,8 +107,9 @@ def render_vehicle_data(vehicle: Vehicle, interface: UnitInterface) -> tuple[str
         f"    WIND_FIRST = {INPUT_SIZE}, /* after the inputs of the actuators */",
         f"    START_FIRST = {inputs},",
         f"    STEP_VARIABLE = {inputs + starts},",
-        f"    PARAMETER_FIRST = {inputs + starts + 1},",
-        f"    OUTPUT_COUNT = {OUTPUT_COUNT},",
+        f"    PARAMETER_FIRST = {inputs + starts + others},",
+        f"    MODEL_OUTPUT_COUNT = {OUTPUT_COUNT},",
+        f"    OUTPUT_COUNT = {interface.count('output')},",
         "};",
         "",
         "typedef enum { EFFECT_EQUAL, EFFECT_INVERSE, EFFECT_SCALED, EFFECT_RATIO } effect_kind;",
@@ -97,13 +122,26 @@ def render_vehicle_data(vehicle: Vehicle, interface: UnitInterface) -> tuple[str
         *_array_lines("const parameter_effect PARAMETER_EFFECTS[]", rows),
         *_array_lines(f"const {_RECORD} NOMINAL_PARAMETERS", _parameter_lines(model_parameters(vehicle))),
     ]
+    if sensors is not None:
+        seeded = ", ".join(str(index[f"start.{name}"] - inputs) for name in SEEDED_STARTS)
+        body += [
+            f"enum {{ SEED_VARIABLE = {inputs + starts + 1} }};",
+            f"static const size_t SEEDED_START_PLACES[] = {{{seeded}}}; /* among the start values */",
+            *sensors.data_lines(), "",
+        ]  # fmt: skip
     unit = (SOURCE_FOLDER / UNIT_SOURCE).read_text(encoding="utf-8")
-    token = f"{{{uuid.UUID(hex=hash_question(vehicle.name, body, render_flight_model(), unit)[:32])}}}"
+    further = {} if sensors is None else render_sensor_sources(sensors)
+    question = (vehicle.name, body, render_flight_model(sensors), unit, *sorted(further.items()))
+    token = f"{{{uuid.UUID(hex=hash_question(*question)[:32])}}}"
     head = [
         "/* Numbers of one vehicle, generated by mufly; do not edit. */",
         "#include <stddef.h>",
         "",
         f'#define INSTANTIATION_TOKEN "{token}"',
+        f"#define HAS_SENSORS {int(sensors is not None)}",
+        "",
+        *(('#include "random_numbers.h"', '#include "filter_unit.h"') if sensors is not None else ()),
+        '#include "flight_model.h"',
         "",
     ]
     return "\n".join([*head, *body, ""]), token

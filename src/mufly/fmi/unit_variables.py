@@ -23,10 +23,11 @@ from mufly.dynamics.model_state import (
 )
 from mufly.fmi.unit_equations import OUTPUT_COUNT, START_COUNT
 from mufly.fmi.unit_parameters import UnitParameter, list_unit_parameters
+from mufly.fmi.unit_sensors import UnitSensors
 from mufly.rotations import euler_from_quaternion
 from mufly.vehicle import Vehicle
 
-Role = Literal["input", "start", "step", "parameter", "output"]
+Role = Literal["input", "start", "step", "seed", "parameter", "output"]
 
 _HEIGHT_RADII = 10.0
 """Start height over the rotor radius, 1 m at least; there the ground effect is below a thousandth."""
@@ -109,7 +110,7 @@ class UnitVariable:
     name : str
         Parameters have their key in the vehicle file.
     role : str
-        ``"input"``, ``"start"``, ``"step"``, ``"parameter"`` or ``"output"``.
+        ``"input"``, ``"start"``, ``"step"``, ``"seed"``, ``"parameter"`` or ``"output"``.
     unit, display_unit, description : str
     start : float
         Start value; NaN of an output.
@@ -143,12 +144,14 @@ class UnitInterface:
         return sum(v.role in roles for v in self.variables)
 
 
-def list_unit_variables(vehicle: Vehicle) -> UnitInterface:
+def list_unit_variables(vehicle: Vehicle, sensors: UnitSensors | None = None) -> UnitInterface:
     """Return the variables of a vehicle's unit.
 
     Parameters
     ----------
     vehicle : Vehicle
+    sensors : UnitSensors, optional
+        Sensors and filter of the unit. Such a unit starts on the floor with resting rotors, as its filter assumes.
 
     Raises
     ------
@@ -165,29 +168,43 @@ def list_unit_variables(vehicle: Vehicle) -> UnitInterface:
         0.0, 0.0, -height, *x[VELOCITY], roll, pitch, 0.0, *x[RATES], x[MODEL_SWASH_ROLL], x[MODEL_SWASH_PITCH],
         roll, pitch, *x[ROTOR_SPEEDS], 1.0,
     ]  # fmt: skip
+    inputs = [*hover.input, 0.0, 0.0, 0.0]
+    if sensors is not None:
+        down, *angles = sensors.seeded_starts[0].tolist()
+        starts = [0.0, 0.0, down, 0.0, 0.0, 0.0, *angles[:2], *[0.0] * 6, *angles[2:], 0.0, 0.0, 1.0]
+        inputs = [0.0] * len(inputs)
     step = DEFAULT_STEP_S
     while step > longest_step(model_parameters(vehicle)):
         step *= 0.5
     parameters, fixed = list_unit_parameters(vehicle)
 
     def display(name: str, unit: str) -> str:
-        return "rpm" if "rotor_speed" in name else _DISPLAY_UNITS.get(unit, "")
+        return "rpm" if "rotor_speed" in name and unit == "rad/s" else _DISPLAY_UNITS.get(unit, "")
 
     def tidy(value: float) -> float:
         return 0.0 if abs(value) < _ROUNDING else float(value)
 
     variables = [
         UnitVariable(name, "input", unit, "", description, tidy(start))
-        for (name, unit, description), start in zip(_INPUTS, [*hover.input, 0.0, 0.0, 0.0], strict=True)
+        for (name, unit, description), start in zip(_INPUTS, inputs, strict=True)
     ]
     variables += [
-        UnitVariable(f"start.{name}", "start", unit, display(name, unit), description, tidy(start))
+        UnitVariable(
+            f"start.{name}", "start", unit, display(name, unit), description, tidy(start) if sensors is None else start
+        )
         for (name, unit, description), start in zip(_STARTS, starts, strict=True)
     ]
     variables[-1] = replace(variables[-1], lowest=0.0, highest=1.0)
     variables.append(
         UnitVariable("solver.step", "step", "s", "", "longest integration step (Runge-Kutta 4)", step, 1e-7, 1.0)
     )
+    if sensors is not None:
+        variables.append(
+            UnitVariable(
+                "sensors.seed", "seed", "", "", "seed of the sensors' errors and of the lengths of the legs", 0.0, 0.0,
+                float(sensors.seed_count - 1),
+            )
+        )  # fmt: skip
     variables += [
         UnitVariable(
             p.key, "parameter", "" if p.unit == "1" else p.unit, display(p.key, p.unit), p.description, p.value,
@@ -199,8 +216,10 @@ def list_unit_variables(vehicle: Vehicle) -> UnitInterface:
         UnitVariable(name, "output", unit, display(name, unit), description, inputs=inputs)
         for name, unit, description, inputs in _OUTPUTS
     ]
+    sensed = [] if sensors is None else sensors.list_outputs()
+    variables += [UnitVariable(o.name, "output", o.unit, display(o.name, o.unit), o.description) for o in sensed]
     found = UnitInterface(variables, parameters, fixed)
     assert (found.count("input"), found.count("start"), found.count("output")) == (
-        INPUT_SIZE + 3, START_COUNT, OUTPUT_COUNT,
+        INPUT_SIZE + 3, START_COUNT, OUTPUT_COUNT + len(sensed),
     )  # fmt: skip
     return found

@@ -64,6 +64,7 @@ GYRO, _AXES = 3, 6  # index of the first gyroscope among the axes, and their num
     _ONCE, _TWICE, _PASSING, _RESONANCE, _DAMPING, _HOVER_UPPER, _HOVER_LOWER, _DRIFT_TIME, _WARMING, _WARMING_TIME,
 ) = range(10)  # fmt: skip
 _COS, _SIN, _PHASOR_STEP_COS, _PHASOR_STEP_SIN, _GROWTH_COS, _GROWTH_SIN = range(6)  # columns of a rotor's phasor
+_PLACE, _TURN_ON, _WANDER, _MEMORY, _FORCE = 1, 7, 13, 14, 15  # places among the arrays of the unit
 _UPPER_TWICE, _LOWER_TWICE, _PASSES = 2, 6, 8  # first rows of the vibration lines; each has a cosine and a sine row
 
 
@@ -107,9 +108,10 @@ class Imu(Sensor):
         self.turn_on_bias = on * rng.standard_normal(6)
         self._temperature_bias = heat * rng.standard_normal(6)
         self._g_sensitivity = float(imu.gyro_g_sensitivity) * rng.standard_normal((3, 3))
-        self._mounting = mounting_matrix(imu)
-        if self._mounting is not None:
-            self._axes, self._g_sensitivity = self._axes @ self._mounting, self._g_sensitivity @ self._mounting
+        turned = mounting_matrix(imu)
+        self.mounting = np.eye(3) if turned is None else turned
+        if turned is not None:
+            self._axes, self._g_sensitivity = self._axes @ turned, self._g_sensitivity @ turned
         azimuth = rng.uniform(0.0, 2 * math.pi, 3)
         level = math.cos(_TRIPOD_ELEVATION)
         e = np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), np.full(3, math.sin(_TRIPOD_ELEVATION))])
@@ -143,12 +145,8 @@ class Imu(Sensor):
         if t <= last:
             return self.latest_readings
         if math.isnan(last):
-            self._clock[0], self._last_state[:] = t, truth.state
-            _mean_specific_force(self._last_state, self._last_state, 1.0, self._place, self._current_force)
-            sensed = np.stack([self._current_force, truth.rates])
-            sensed = sensed if self._mounting is None else sensed @ self._mounting.T
-            self._filter_memory[:] = sensed.reshape(6, 1)
-            self._output[0], self._output[1] = self._filter_memory[:, 0] + self.current_bias, 0.0
+            _, _, *arrays, unit = self.sampling_arguments(1.0)
+            begin_imu(truth.state, t, *arrays, self.mounting, unit)
         else:
             sample_imu(truth.state, t, *self.sampling_arguments(t - last))
         return self.latest_readings
@@ -157,7 +155,7 @@ class Imu(Sensor):
         """Return the arguments of :func:`sample_imu` after the time, for periods of ``elapsed_s`` (s)."""
         size = 6 + 6 * max(1, round(elapsed_s / self._dt))
         if self._normals.size != size:
-            self._normals = np.empty(size)
+            self._normals = np.zeros(size)
         unit = (
             self._vibration_numbers,
             self._place,
@@ -352,15 +350,15 @@ def simulate_imu_period(
             phasor[k, _COS], phasor[k, _SIN] = c, s
             phasor[k, _PHASOR_STEP_COS] = tc * phasor[k, _GROWTH_COS] - ts * phasor[k, _GROWTH_SIN]
             phasor[k, _PHASOR_STEP_SIN] = tc * phasor[k, _GROWTH_SIN] + ts * phasor[k, _GROWTH_COS]
-            once, twice = 4 * k, 4 * k + _UPPER_TWICE
-            lines[once, i], lines[once + 1, i] = c, s
-            lines[twice, i], lines[twice + 1, i] = c * c - s * s, 2.0 * c * s
+            first_row, second_row = 4 * k, 4 * k + _UPPER_TWICE
+            lines[first_row, i], lines[first_row + 1, i] = c, s
+            lines[second_row, i], lines[second_row + 1, i] = c * c - s * s, 2.0 * c * s
         up_c, up_s = lines[_UPPER_TWICE, i], lines[_UPPER_TWICE + 1, i]
         dw_c, dw_s = lines[_LOWER_TWICE, i], lines[_LOWER_TWICE + 1, i]
         lines[_PASSES, i], lines[_PASSES + 1, i] = up_c * dw_c - up_s * dw_s, up_c * dw_s + up_s * dw_c
     # One axis after the other, all its samples together.
     for j in range(6):
-        x, noise, w = (
+        x, noise, weights = (
             borrow_arrays(felt[j]),
             borrow_arrays(normal[_AXES + n * j : _AXES + n * (j + 1)]),
             borrow_arrays(wave[j]),
@@ -369,7 +367,7 @@ def simulate_imu_period(
         for i in range(n):
             x[i] = start + (i + 0.5) / n * more + loud * noise[i]
         for m in range(10):
-            line, weight = borrow_arrays(lines[m]), w[m]
+            line, weight = borrow_arrays(lines[m]), weights[m]
             for i in range(n):
                 x[i] += weight * line[i]
         for i in range(n):
@@ -388,6 +386,30 @@ def simulate_imu_period(
         memory[j, 0], memory[j, 1] = s, first
     # This use keeps the borrowed arrays alive up to here.
     lines[0, 0], felt[0, 0], wave[0, 0] = 0.0, 0.0, 0.0
+
+
+@cached_njit(error_model="numpy")
+def begin_imu(
+    x: _Array, t: float, clock: _Array, last_state: _Array, output: _Array, mounting: _Array, unit: tuple[_Array, ...]
+) -> None:
+    """Make the first reading, of a vehicle at rest: without noise and vibration.
+
+    ``mounting`` (3, 3) is the rotation matrix from body axes to the element's; the others as in :func:`sample_imu`.
+    """
+    place, switched_on, wander, memory, force = unit[_PLACE], unit[_TURN_ON], unit[_WANDER], unit[_MEMORY], unit[_FORCE]
+    clock[0] = t
+    for k in range(x.size):
+        last_state[k] = x[k]
+    _mean_specific_force(x, x, 1.0, place, force)
+    for j in range(3):
+        felt = turned = 0.0
+        for k in range(3):
+            felt += mounting[j, k] * force[k]
+            turned += mounting[j, k] * x[MODEL_RATES + k]
+        for k in range(2):
+            memory[j, k], memory[GYRO + j, k] = felt, turned
+    for j in range(6):
+        output[0, j], output[1, j] = memory[j, 0] + (switched_on[j] + wander[j]), 0.0
 
 
 @cached_njit(error_model="numpy")

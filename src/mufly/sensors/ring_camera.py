@@ -220,8 +220,8 @@ class RingCamera(PeriodicSensor):
             self._ambient_light.ravel(),
             self._column_weights.ravel(),
             self._calibration_offset,
-            np.empty((2, count)),
-            np.empty((2, self._rows.size * self._column_profile.size)),
+            np.zeros((2, count)),
+            np.zeros((2, self._rows.size * self._column_profile.size)),
         )
         self.published_readings = {"ranges": slice(0, count)}
         super().__init__(float(c.period), rng, parts)

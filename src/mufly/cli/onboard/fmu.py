@@ -20,6 +20,15 @@ if TYPE_CHECKING:
 def export_vehicle(
     vehicle: VehicleArgument,
     out: Annotated[Path, define_option("--out FILE", "File to write: name.fmu.")],
+    seeds: Annotated[
+        int,
+        define_option(
+            "--sensor-seeds N",
+            "Include sensors and filter, with the sensors' errors for seeds 0 to N - 1.",
+            min=0,
+            max=256,
+        ),
+    ] = 0,
     sources_only: Annotated[
         bool, define_option("--sources-only", "Omit the library for this machine; importers compile the sources.")
     ] = False,
@@ -31,8 +40,9 @@ def export_vehicle(
 ) -> None:
     """Write the flight model as an FMI 3.0 co-simulation unit in C, for Dymola, SimulationX, Simulink and others.
 
-    Inputs are the four actuators and the wind; outputs are motion, rotor speeds, thrusts and battery. Parameters have
-    the names of the vehicle file. Use: docs/how-to/use-in-other-simulators.md. With --check the command ends with
+    Inputs are the four actuators and the wind; outputs are motion, rotor speeds, thrusts and battery. With
+    --sensor-seeds the outputs include all readings of the vehicle's sensors and the estimate of the filter. Parameters
+    have the names of the vehicle file. Use: docs/how-to/use-in-other-simulators.md. With --check the command ends with
     status 1 if a bit differs.
 
     Example: mufly vehicle export mine.toml --out mine.fmu --check
@@ -47,7 +57,7 @@ def export_vehicle(
 
     loaded = load_vehicle(vehicle)
     try:
-        made = export_fmu(loaded, out, binary=not sources_only)
+        made = export_fmu(loaded, out, binary=not sources_only, seeds=seeds)
     except InputError as error:
         raise error.with_location(vehicle) if error.where == loaded.name else error from None
     compared = check_unit(out, loaded) if check else None
@@ -60,7 +70,7 @@ def export_vehicle(
 def _print_unit(made: ExportedUnit, compared: UnitComparison | None, sources_only: bool) -> None:
     print_lines(
         f"Unit {made.model}: {made.inputs} inputs, {made.outputs} outputs, {made.parameters} parameters, "
-        f"{made.start_values} start values of hover.",
+        f"{made.start_values} start values" + (f", {made.seeds} seeds of the sensors." if made.seeds else " of hover."),
         f"Fixed in it: {', '.join(made.fixed)}.",
         f"Library for {made.platform}, and C sources for other platforms." if made.platform else "C sources only.",
     )
@@ -76,4 +86,7 @@ def _print_unit(made: ExportedUnit, compared: UnitComparison | None, sources_onl
             style="red",
         )  # fmt: skip
     elif compared is not None:
-        print_lines(f"No bit of the state differs from the Python model in {compared.steps} communication steps.")
+        print_lines(
+            f"No bit of the state{', the readings and the estimate' if made.seeds else ''} differs from the Python "
+            f"model in {compared.steps} communication steps."
+        )

@@ -54,12 +54,12 @@ def render_estimator_files(vehicle: Vehicle | None, world: World | None, rate_Hz
         "",
     ]
     return {
-        RECORDS_HEADER: render_records_header(p, *_buffer_sizes(settings[0])),
+        RECORDS_HEADER: render_records_header(p, *filter_buffer_sizes(settings[0])),
         "estimate_tables.c": "\n".join(lines),
     }
 
 
-def _buffer_sizes(s: np.void) -> tuple[int, int]:
+def filter_buffer_sizes(s: np.void) -> tuple[int, int]:
     """Return the numbers of input blocks and queued measurements between the latest horizon and the present."""
     blocks = int(s["delay_ticks"]) // int(s["block_ticks"]) + MAX_LAG_BLOCKS + 4
     span = (int(s["delay_ticks"]) + (MAX_LAG_BLOCKS + 1) * int(s["block_ticks"])) * float(s["dt"])

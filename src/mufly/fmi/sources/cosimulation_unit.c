@@ -4,6 +4,9 @@
    one vehicle. This file is the same for all vehicles. An instance is one block of memory; nothing else is allocated but states
    that the importer asks for. There are no variables outside instances, so that any number of instances can run at once.
 
+   With sensors (HAS_SENSORS) the unit samples them and steps the filter at the end of every period of the flight software,
+   1 / SENSOR_RATE_HZ, whatever the communication steps are. The filter is the flight software's (filter_unit.c).
+
    The numbers equal those of mufly.dynamics.integrate_state, to the last bit, where sin and cos are those of the same C library
    and the compiler does not contract multiplication and addition (-ffp-contract=off). */
 
@@ -22,7 +25,6 @@
 
 #include "fmi3.h"
 
-#include "flight_model.h"
 #include "vehicle_data.h"
 
 /* Phases of an instance. */
@@ -34,6 +36,13 @@ typedef struct {
     double time;
     double values[SETTABLE_COUNT]; /* inputs, start of the state, step, parameters */
     double state[STATE_SIZE];
+#if HAS_SENSORS
+    int64_t periods;        /* since the start */
+    double since_period;    /* time since the end of the last one (s) */
+    double attitude[3];     /* roll, pitch, continuous yaw (rad) */
+    sensor_set sensors;
+    filter_unit filter;
+#endif
 } unit_state;
 
 typedef struct {
@@ -67,11 +76,20 @@ static fmi3Status refuse_call(fmi3Instance instance, const char *function)
     return fmi3Error;
 }
 
+#if HAS_SENSORS
+static size_t unit_seed(const unit_instance *unit) { return (size_t)unit->now.values[SEED_VARIABLE]; }
+#endif
+
 /* Compute the model's parameters from the values of the unit's parameters. */
 static void apply_parameters(unit_instance *unit)
 {
     model_parameters *p = &unit->parameters;
     *p = NOMINAL_PARAMETERS;
+#if HAS_SENSORS
+    for (size_t k = 0; k < SEEDED_PARAMETER_COUNT; k++) {
+        memcpy((char *)p + 8 * SEEDED_PARAMETER_PLACES[k], &SEEDED_PARAMETERS[unit_seed(unit)][k], 8);
+    }
+#endif
     for (size_t k = 0; k < sizeof PARAMETER_EFFECTS / sizeof PARAMETER_EFFECTS[0]; k++) {
         const parameter_effect *effect = &PARAMETER_EFFECTS[k];
         const double value = unit->now.values[effect->variable], start = START_VALUES[effect->variable];
@@ -90,14 +108,73 @@ static void apply_parameters(unit_instance *unit)
     }
 }
 
+/* Compute the state from the start values. Start values that depend on the seed are those of the seed, unless they are set. */
+static void apply_start(unit_instance *unit)
+{
+    double start[PARAMETER_FIRST - START_FIRST];
+    memcpy(start, unit->now.values + START_FIRST, sizeof start);
+#if HAS_SENSORS
+    for (size_t k = 0; k < SEEDED_START_COUNT; k++) {
+        const size_t at = SEEDED_START_PLACES[k];
+        if (start[at] == START_VALUES[START_FIRST + at]) {
+            start[at] = SEEDED_STARTS[unit_seed(unit)][k];
+        }
+    }
+#endif
+    write_start_state(start, unit->now.state);
+}
+
+#if HAS_SENSORS
+/* Set the sensors to their state at the start. */
+static void reset_sensors(unit_instance *unit)
+{
+    sensor_set *sensors = &unit->now.sensors;
+    memset(sensors, 0, sizeof *sensors);
+    for (size_t k = 0; k < sizeof SENSOR_WORDS / sizeof SENSOR_WORDS[0]; k++) {
+        memcpy((char *)sensors + 8 * (size_t)SENSOR_WORDS[k].place, &SENSOR_WORDS[k].bits, 8);
+    }
+    for (size_t k = 0; k < SEEDED_WORD_COUNT; k++) {
+        memcpy((char *)sensors + 8 * (size_t)SEEDED_WORD_PLACES[k], &SEEDED_WORDS[unit_seed(unit)][k], 8);
+    }
+    reset_filter(&unit->now.filter);
+    unit->now.periods = 0;
+    unit->now.since_period = 0.0;
+    memset(unit->now.attitude, 0, sizeof unit->now.attitude);
+}
+
+/* Sample the sensors and step the filter at the end of a period in which these inputs of the actuators acted. */
+static void run_sensors(unit_instance *unit, const double *actuators)
+{
+    unit_state *now = &unit->now;
+    const double up = smaller(greater(actuators[0], 0.0), 1.0), down = smaller(greater(actuators[1], 0.0), 1.0);
+    const tuple_rr battery = battery_state(now->state, up, down, &unit->parameters);
+    const double supply[2] = {battery.f0, battery.f1};
+    true_attitude(now->state, now->attitude);
+    sample_sensors((double)now->periods / SENSOR_RATE_HZ, now->state, now->attitude, supply, &now->sensors, &now->filter);
+    step_filter(&now->filter, actuators);
+}
+#endif
+
 static void reset_unit(unit_instance *unit)
 {
     unit->now.phase = INSTANTIATED;
     unit->now.time = 0.0;
     memcpy(unit->now.values, START_VALUES, sizeof START_VALUES);
-    write_start_state(unit->now.values + START_FIRST, unit->now.state);
+    apply_start(unit);
     apply_parameters(unit);
+#if HAS_SENSORS
+    reset_sensors(unit); /* outputs of sensors and filter are zero until the end of initialisation */
+#endif
     unit->is_output_valid = false;
+}
+
+/* Integrate the state over a part of a communication step (s). */
+static void integrate_span(unit_instance *unit, double span)
+{
+    const double *in = unit->now.values;
+    const double count = ceil(span / in[STEP_VARIABLE] - 1e-9);
+    const int64_t steps = count < 1.0 ? 1 : (int64_t)count;
+    integrate_state(unit->now.state, in, in + WIND_FIRST, &unit->parameters, span / (double)steps, steps);
 }
 
 FMI3_EXPORT const char *fmi3GetVersion(void) { return fmi3Version; }
@@ -190,7 +267,17 @@ FMI3_EXPORT fmi3Status fmi3EnterInitializationMode(
 
 FMI3_EXPORT fmi3Status fmi3ExitInitializationMode(fmi3Instance instance)
 {
-    return change_phase(instance, INITIALISATION, STEPPING, "fmi3ExitInitializationMode");
+    const fmi3Status status = change_phase(instance, INITIALISATION, STEPPING, "fmi3ExitInitializationMode");
+#if HAS_SENSORS
+    if (status == fmi3OK) {
+        static const double NO_INPUT[WIND_FIRST] = {0.0};
+        unit_instance *unit = instance;
+        reset_sensors(unit);
+        run_sensors(unit, NO_INPUT);
+        unit->is_output_valid = false;
+    }
+#endif
+    return status;
 }
 
 FMI3_EXPORT fmi3Status fmi3Terminate(fmi3Instance instance)
@@ -219,6 +306,9 @@ FMI3_EXPORT fmi3Status fmi3GetFloat64(
             if (!unit->is_output_valid) {
                 const double *in = unit->now.values;
                 write_outputs(unit->now.state, in, in + WIND_FIRST, &unit->parameters, unit->outputs);
+#if HAS_SENSORS
+                write_sensed_outputs(&unit->now.sensors, &unit->now.filter, unit->outputs + MODEL_OUTPUT_COUNT);
+#endif
                 unit->is_output_valid = true;
             }
             values[k] = unit->outputs[reference - 1 - SETTABLE_COUNT];
@@ -261,14 +351,20 @@ FMI3_EXPORT fmi3Status fmi3SetFloat64(
                 HIGHEST_VALUES[at]);
             return fmi3Error;
         }
+#if HAS_SENSORS
+        if (at == SEED_VARIABLE && values[k] != floor(values[k])) {
+            report_error(unit, "%s: %g is no whole number", VARIABLE_NAMES[at], values[k]);
+            return fmi3Error;
+        }
+#endif
         unit->now.values[at] = values[k];
         changes_start |= is_fixed;
         changes_parameters |= at >= PARAMETER_FIRST;
     }
     if (changes_start) {
-        write_start_state(unit->now.values + START_FIRST, unit->now.state);
+        apply_start(unit);
     }
-    if (changes_parameters) {
+    if (changes_parameters || changes_start) { /* the seed is among the start values */
         apply_parameters(unit);
     }
     unit->is_output_valid = false;
@@ -291,9 +387,25 @@ FMI3_EXPORT fmi3Status fmi3DoStep(
         report_error(unit, "fmi3DoStep: a communication step of %g s is out of range", step_size);
         return fmi3Error;
     }
-    const int64_t steps = count < 1.0 ? 1 : (int64_t)count;
-    const double *in = unit->now.values;
-    integrate_state(unit->now.state, in, in + WIND_FIRST, &unit->parameters, step_size / (double)steps, steps);
+#if HAS_SENSORS
+    const double period = 1.0 / SENSOR_RATE_HZ, rounding = 1e-9 * period;
+    for (double rest = step_size; rest > rounding;) {
+        const double to_period = unit->now.since_period == 0.0 ? period : period - unit->now.since_period;
+        if (rest >= to_period - rounding) {
+            integrate_span(unit, to_period);
+            unit->now.periods += 1;
+            unit->now.since_period = 0.0;
+            run_sensors(unit, unit->now.values);
+            rest -= to_period;
+        } else {
+            integrate_span(unit, rest);
+            unit->now.since_period += rest;
+            rest = 0.0;
+        }
+    }
+#else
+    integrate_span(unit, step_size);
+#endif
     unit->now.time = time + step_size;
     unit->is_output_valid = false;
     *last_time = unit->now.time;
