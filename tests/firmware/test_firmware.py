@@ -16,7 +16,10 @@ from typer.testing import CliRunner
 from mufly.cli import app
 from mufly.compiled.portable_math import sine_cosine
 from mufly.control import DesignSettings, design_flight_controller
+from mufly.control.designs import pack_schedule
+from mufly.control.law import SCHEDULE_FIELDS
 from mufly.control.synthesis.synthesis_methods import GivenController, RobustAims
+from mufly.control.tuning.output_schedule import OutputSchedule
 from mufly.errors import InputError, MuflyError
 from mufly.estimate import Estimate
 from mufly.firmware import (
@@ -30,8 +33,9 @@ from mufly.firmware import (
     run_pil,
     run_sil,
 )
-from mufly.firmware.export.source_export import find_sources
-from mufly.flight.controllers import Controllers
+from mufly.firmware.export.source_export import find_sources, render_gains_files
+from mufly.firmware.fixed_point.fixed_point_design import quantise_law
+from mufly.flight.controllers import Controllers, copy_record
 from mufly.vehicle import load_vehicle
 
 COMPILERS = [path for name in ("cc", "clang") if (path := shutil.which(name))]  # what is built by cc is built once
@@ -112,9 +116,33 @@ def test_designs_of_other_methods_are_the_same_law(method) -> None:
 
 
 @needs_cc
-def test_numbers_that_change_in_flight_change_in_the_exported_code_too(controller) -> None:
-    from mufly.flight.controllers import copy_record
+def test_a_schedule_over_speed_is_the_same_law_and_costs_other_designs_nothing(tmp_path) -> None:
+    """Speeds of the flights reach beyond the scheduled one; any difference of the outputs serves as a schedule."""
+    plain = design_flight_controller(load_vehicle("mufly-1.1"), settings=_settings_of("tuned"))
+    K = plain.roll_pitch.discrete
+    schedule = OutputSchedule(2.0, 0.3 * K.C, -0.2 * K.D, True, (), 0.9, 1.0, 30.0)
+    gains = copy_record(plain.roll_pitch_gains)
+    for name, value in pack_schedule(schedule).items():
+        gains[name] = value
+    other = replace(plain, roll_pitch_gains=gains, schedule=schedule)
+    firmware = Firmware(other)
+    for seed, size in ((0, 0.1), (1, 3.0)):
+        pairs = list(_fly_both(Controllers(other), FirmwareControllers(other, firmware), seed, 200, size))
+        assert all(a.tobytes() == b.tobytes() for a, b in pairs)
+        unscheduled = list(_fly_both(Controllers(other), Controllers(plain), seed, 200, size))
+        assert any(a.tobytes() != b.tobytes() for a, b in unscheduled)
+    exports = [render_gains_files(c) for c in (plain, other)]
+    assert [set(files) for files in exports] == [{"tables.c"}, {"tables.c", "control/schedule.h"}]
+    assert ["C_forward" in files["tables.c"] for files in exports] == [False, True]
+    assert "#define ROLL_PITCH_SCHEDULED 1" in exports[1]["control/schedule.h"]
+    export_firmware(plain, tmp_path / "fw")
+    assert "#define ROLL_PITCH_SCHEDULED 0" in (tmp_path / "fw/control/schedule.h").read_text()
+    with pytest.raises(MuflyError, match="no schedule over speed"):
+        quantise_law(other)
 
+
+@needs_cc
+def test_numbers_that_change_in_flight_change_in_the_exported_code_too(controller) -> None:
     gains = copy_record(controller.position_gains)
     gains["position_gain"] *= 1.3
     other = replace(controller, position_gains=gains)
@@ -212,8 +240,10 @@ def test_every_number_in_the_tables_is_the_controllers(tree) -> None:
     c = design_flight_controller(load_vehicle("mufly-1.1"))
     right = np.concatenate(
         [
-            np.frombuffer(r.tobytes(), dtype=np.float64)
+            np.ravel(r[name])
             for r in (c.heave_yaw_gains, c.roll_pitch_gains, c.position_gains)
+            for name in r.dtype.names
+            if name not in SCHEDULE_FIELDS
         ]
     )
     assert np.array_equal(told, right)

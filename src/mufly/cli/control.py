@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from mufly.cli.options import CommandGroup, JsonOption, TunedOption, VehicleArgument, define_option
+from mufly.cli.options import (
+    CommandGroup,
+    JsonOption,
+    MethodOption,
+    OrderOption,
+    TunedOption,
+    VehicleArgument,
+    define_option,
+)
 from mufly.cli.output import make_console, print_answer, print_json, progress_bar
 from mufly.cli.station import GustOption, ShutdownHandler, WindOption, parse_wind
 from mufly.errors import InputError, report_write_errors
@@ -18,22 +26,8 @@ if TYPE_CHECKING:
     from mufly.control import DesignSettings, FlightController
     from mufly.control.synthesis.synthesis_methods import SynthesisMethod
 
-MethodOption = Annotated[
-    Literal["hinf", "h2", "lqg", "ltr", "mu", "fixed", "indi"],
-    define_option(
-        "--method WHICH",
-        "Method of synthesis: hinf, h2 (the same weights), lqg or ltr (LQG with loop transfer recovery). Of roll-pitch "
-        "alone, with heave-yaw by hinf: mu (D-K iteration over the vehicle's parameters), fixed (--order, tuned for "
-        "several aims) or indi (incremental inversion).",
-    ),
-]
-OrderOption = Annotated[
-    int | None,
-    define_option("--order N", "Order of roll-pitch with --method fixed. Default: 4.", min=2, max=8),
-]
 
-
-def _method_settings(method: SynthesisMethod, order: int | None, tuned: list[str] | None) -> DesignSettings:
+def parse_design_settings(method: SynthesisMethod, order: int | None, tuned: list[str] | None) -> DesignSettings:
     """Return the settings of a method and of tuned loops; an order without --method fixed is refused."""
     from dataclasses import replace
 
@@ -43,8 +37,8 @@ def _method_settings(method: SynthesisMethod, order: int | None, tuned: list[str
     settings = load_tuned_settings(tuned or [], DesignSettings(method=method))
     if order is None:
         return settings
-    if method != "fixed":
-        raise InputError("--order", "", f"--method {method} chooses its order", "add --method fixed")
+    if method not in ("fixed", "scheduled"):
+        raise InputError("--order", "", f"--method {method} chooses its order", "add --method fixed or scheduled")
     return replace(settings, roll_pitch_aims=replace(settings.roll_pitch_aims, order=order))
 
 
@@ -105,7 +99,7 @@ Peaks are given for the controller of full order, of reduced order, and sampled 
     loaded = load_vehicle(vehicle)
     try:
         controller = design_controllers(
-            loaded, rate_Hz=rate, voltage=voltage, settings=_method_settings(method, order, tuned)
+            loaded, rate_Hz=rate, voltage=voltage, settings=parse_design_settings(method, order, tuned)
         )
     except InputError as error:
         if error.where != loaded.name:
@@ -158,7 +152,7 @@ from an example: parameters with a pole on the axis. worst.toml is that vehicle,
     from mufly.vehicle import format_vehicle_toml, load_vehicle, replace_parameters
 
     loaded = load_vehicle(vehicle)
-    controller = design_flight_controller(loaded, settings=_method_settings(method, order, tuned))
+    controller = design_flight_controller(loaded, settings=parse_design_settings(method, order, tuned))
     given = parse_variations(vary or [], loaded)
     if given:
         wide = [(1.0 if v.distribution == "uniform" else 2.0) * v.spread_matrix for v in given]
@@ -410,7 +404,7 @@ tuning that has had fewer.
     from mufly.vehicle import load_vehicle
 
     loaded = load_vehicle(vehicle)
-    known = [m for m in METHODS if m not in ("mu", "fixed", "indi")] + ["delay"]
+    known = [m for m in METHODS if m not in ("mu", "fixed", "scheduled", "indi")] + ["delay"]
     for start in starts or ():
         if start not in known and not start.endswith(".json"):
             raise InputError("--start", start, "is no start", f"give one of {', '.join(known)}, or a file")
@@ -449,6 +443,14 @@ def compare(
         define_option("--tuned LOOP", "A further row: file of a loop by `mufly control tune`; repeat it."),
     ] = None,
     points: Annotated[int, define_option("--frequencies N", "Number of frequencies of mu.", min=5)] = 30,
+    speed: Annotated[
+        list[float] | None,
+        define_option(
+            "--speed",
+            "Forward speed at which roll-pitch is assessed. Repeat it for more. Default: 0, 1, 2.",
+            unit="m/s",
+        ),
+    ] = None,
     flights: Annotated[
         int, define_option("--flights -n N", "Flights of each method on simulated sensors; 0: none.", min=0)
     ] = 0,
@@ -473,8 +475,9 @@ def compare(
     Figures are those of the controllers as they fly: reduced, sampled, with one sample of delay. gamma is the norm of \
 the weighted loop. GM, PM and DM are gain, phase and delay margin. mu is an upper bound over the parameters, \
 noise the largest input by sensor noise, gust the tilt in gusts of 0.5 m/s, n the order, \
-MAC the multiply-adds in a period. Instructions are those on a Cortex-M4, where its compiler and emulator are \
-installed. The verdict names the criterion that decides it. Designs, bounds of mu and flights resume.
+MAC the multiply-adds in a period. A third table has roll-pitch at forward speeds. Instructions are those on a \
+Cortex-M4, where its compiler and emulator are installed. The verdict names the criterion that decides it. Designs, \
+bounds of mu and flights resume.
 
     Examples:
 
@@ -489,6 +492,7 @@ installed. The verdict names the criterion that decides it. Designs, bounds of m
     from mufly.control import DesignSettings
     from mufly.control.analysis.comparison import FlightFigures, compare_methods, comparison_dataset, judge_comparison
     from mufly.control.analysis.plots import draw_comparison
+    from mufly.control.analysis.speed_schedule import SPEEDS_m_s
     from mufly.control.synthesis.synthesis_methods import METHODS
     from mufly.control.tuning.tuned_loop import load_tuned_settings
     from mufly.firmware.proof.sil_pil import law_instructions, missing_tools
@@ -500,13 +504,21 @@ installed. The verdict names the criterion that decides it. Designs, bounds of m
         if name not in METHODS:
             raise InputError("--methods", name, "is not a method", f"give one of {', '.join(METHODS)}")
     loaded = load_vehicle(vehicle)
+    speeds = check_grid("--speed", speed, 0.0, 50.0, "m/s") or SPEEDS_m_s
     settings = DesignSettings()
     settings = replace(settings, roll_pitch_aims=replace(settings.roll_pitch_aims, order=order))
     chosen = [method for method in METHODS if method in wanted]
     given = [load_tuned_settings([one], DesignSettings()) for one in tuned or ()]
     with progress_bar("Designing", not as_json) as progress:
         found, controllers = compare_methods(
-            loaded, chosen, settings=settings, tuned=given, points=points, folder=out, progress=progress
+            loaded,
+            chosen,
+            settings=settings,
+            tuned=given,
+            points=points,
+            speeds_m_s=speeds,
+            folder=out,
+            progress=progress,
         )
     counts: list[float | None] = [None] * len(controllers)
     if not missing_tools():

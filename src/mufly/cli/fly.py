@@ -15,11 +15,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from mufly.cli.control import parse_design_settings
 from mufly.cli.onboard.camera_options import FlightCameraOption, FloorOption, FloorWidthOption, make_position_camera
 from mufly.cli.onboard.view_options import FoxgloveOption, RosOption, make_views
 from mufly.cli.options import (
     JsonOption,
+    MethodOption,
     MissionArgument,
+    OrderOption,
     SeedOption,
     TunedOption,
     VehicleOption,
@@ -208,6 +211,8 @@ def fly_mission(
             "Vehicle for which the controllers and the filter are designed, while --vehicle flies. Default: --vehicle.",
         ),
     ] = None,
+    method: MethodOption = "hinf",
+    controller_order: OrderOption = None,
     tuned: TunedOption = None,
     position: Annotated[
         Literal["fix", "camera", "link"],
@@ -295,13 +300,13 @@ def fly_mission(
         )  # fmt: skip
         if ros and not order.extra_links and show.page_address is None:
             raise InputError("--ros", "", "needs a flight in real time", "leave --headless out, or add --link")
-        if tuned:
+        if tuned or method != "hinf" or controller_order is not None:
             if order.extra_links or show.page_address is not None:
-                raise InputError("--tuned", "", "is for flights in the terminal", "add --headless, without --link")
+                named = "--tuned" if tuned else "--method"
+                raise InputError(named, "", "is for flights in the terminal", "add --headless, without --link")
             from mufly.control import design_flight_controller
-            from mufly.control.tuning.tuned_loop import load_tuned_settings
 
-            settings = load_tuned_settings(tuned)
+            settings = parse_design_settings(method, controller_order, tuned)
             order = replace(
                 order, controller=design_flight_controller(order.design_vehicle or order.vehicle, settings=settings)
             )

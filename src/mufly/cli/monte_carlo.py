@@ -12,8 +12,18 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from mufly.cli.control import parse_design_settings
 from mufly.cli.onboard.camera_options import FlightCameraOption, FloorOption, FloorWidthOption, make_position_camera
-from mufly.cli.options import ClusterOption, JsonOption, MissionArgument, TunedOption, VehicleOption, define_option
+from mufly.cli.options import (
+    ClusterOption,
+    JsonOption,
+    MethodOption,
+    MissionArgument,
+    OrderOption,
+    TunedOption,
+    VehicleOption,
+    define_option,
+)
 from mufly.cli.output import (
     check_place,
     make_console,
@@ -121,6 +131,8 @@ def run_monte_carlo(
             "vehicle of each flight.",
         ),
     ] = True,
+    method: MethodOption = "hinf",
+    order: OrderOption = None,
     tuned: TunedOption = None,
     tolerance: Annotated[
         float,
@@ -185,13 +197,14 @@ def run_monte_carlo(
 
     flown_mission = load_mission(mission)
     controller = None
-    if tuned:
+    if tuned or method != "hinf" or order is not None:
         from mufly.control import design_flight_controller
-        from mufly.control.tuning.tuned_loop import load_tuned_settings
 
         if not untold:
-            raise InputError("--tuned", "", "is one design for all flights", "leave out --redesign")
-        controller = design_flight_controller(helicopter, settings=load_tuned_settings(tuned))
+            raise InputError(
+                "--tuned" if tuned else "--method", "", "is one design for all flights", "leave out --redesign"
+            )
+        controller = design_flight_controller(helicopter, settings=parse_design_settings(method, order, tuned))
     campaign = Campaign.create_checked(
         helicopter, flown_mission, variations=parse_variations(vary or [], helicopter), wind=towards,
         gust=gust, sensors=sensors, faults=tuple(fault or ()), seed=seed,

@@ -311,6 +311,19 @@ VehicleOption = Annotated[
     str,
     define_option("--vehicle -v NAME|FILE", "Built-in vehicle (`mufly vehicle list`), or vehicle file (TOML)."),
 ]
+MethodOption = Annotated[
+    Literal["hinf", "h2", "lqg", "ltr", "mu", "fixed", "scheduled", "indi"],
+    define_option(
+        "--method WHICH",
+        "Method of synthesis: hinf, h2 (the same weights), lqg or ltr (LQG with loop transfer recovery). Of roll-pitch "
+        "alone, with heave-yaw by hinf: mu (D-K iteration over the vehicle's parameters), fixed (--order, tuned for "
+        "several aims), scheduled (fixed, with outputs over forward speed) or indi (incremental inversion).",
+    ),
+]
+OrderOption = Annotated[
+    int | None,
+    define_option("--order N", "Order of roll-pitch with --method fixed or scheduled. Default: 4.", min=2, max=8),
+]
 TunedOption = Annotated[
     list[str] | None,
     define_option(

@@ -18,7 +18,7 @@ from mufly.control.linear_systems import state_space
 from mufly.control.synthesis.synthesis_methods import SynthesisedController, SynthesisMethod, SynthesisProblem
 from mufly.files.answer_store import cache_folder, hash_question, read_answer, write_answer
 
-STORED_METHODS: tuple[SynthesisMethod, ...] = ("mu", "fixed")
+STORED_METHODS: tuple[SynthesisMethod, ...] = ("mu", "fixed", "scheduled")
 """Methods that take seconds to minutes."""
 _NUMBERS = ("gamma", "gamma_optimal", "norm")
 
@@ -41,6 +41,7 @@ def synthesis_question(method: SynthesisMethod, problem: SynthesisProblem) -> st
         _source_digest(), method, *matrices(p.generalised), *matrices(p.plant), p.references, p.two_degrees,
         p.n_measurements, p.relaxation, repr(p.lqg), repr(p.fixed), p.sampling_rate, repr(p.robust),
         *(np.ascontiguousarray(E) for E in p.derivatives),
+        *(() if p.given_controller is None else matrices(p.given_controller)),
     )  # fmt: skip
 
 
@@ -54,7 +55,8 @@ def recall_controller(
     Only :data:`STORED_METHODS` are stored.
     """
     folder = cache_folder("control")
-    if folder is None or problem.given_controller is not None or method not in STORED_METHODS:
+    taken = problem.given_controller is not None and method != "scheduled"
+    if folder is None or taken or method not in STORED_METHODS:
         return compute(method, problem)
     question = synthesis_question(method, problem)
     path = folder / f"{method}-{question[:24]}.npz"

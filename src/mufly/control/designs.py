@@ -68,6 +68,7 @@ from mufly.control.synthesis.weighting_schemes import (
     two_degree_plant,
     unscale_controller,
 )
+from mufly.control.tuning.output_schedule import OutputSchedule, ScheduledLoop, schedule_outputs
 from mufly.dynamics import GRAVITY, Linearisation, battery_state, linearise_vehicle, model_parameters
 from mufly.dynamics.model_state import MODEL_CHARGE
 from mufly.errors import ArgumentError, MuflyError
@@ -238,7 +239,7 @@ class ControllerDesign:
 @result(
     json="warnings=design_warnings vehicle=vehicle_name method=settings.method rate_Hz position_rate_Hz "
     "design_voltage_V=voltage_V motor_trim_upper_lower=motor_trim position_gain_1_s=settings.position_gain "
-    "designs=all_designs cascade",
+    "designs=all_designs cascade schedule",
 )
 class FlightController:
     """All designs of a vehicle and the gains of the law on board.
@@ -261,6 +262,8 @@ class FlightController:
     heave_yaw_gains, roll_pitch_gains, position_gains : record
         Gains for :mod:`mufly.control.law`.
     settings : DesignSettings
+    schedule : OutputSchedule or None
+        Roll-pitch over forward speed, by the method ``scheduled``; ``roll_pitch`` is its controller at hover.
     """
 
     vehicle_name: str
@@ -277,6 +280,7 @@ class FlightController:
     roll_pitch_gains: np.void
     position_gains: np.void
     settings: DesignSettings
+    schedule: OutputSchedule | None = None
 
     @property
     def all_designs(self) -> tuple[ControllerDesign, ControllerDesign, ControllerDesign]:
@@ -314,6 +318,7 @@ class FlightController:
                 head=self.vehicle_name,
             ),
             *(block for design in self.all_designs for block in design.shown_blocks()),
+            *(self.schedule.shown_blocks() if self.schedule is not None else ()),
             show_lines("* with one sample of delay", style="dim"),
             show_lines(
                 f"Position cascade with the real attitude loop: S {c.sensitivity_peak_dB:.2f} dB, "
@@ -388,6 +393,7 @@ def design_flight_controller(
         heave_yaw = design_heave_yaw(linear.heave_yaw, s, period)
         roll_pitch = design_roll_pitch(linear.roll_pitch, s, period, derivatives)
         velocity = design_velocity(s, POSITION_DIVIDER * period)
+        schedule = _schedule_roll_pitch(vehicle, roll_pitch, s, linear) if s.method == "scheduled" else None
         cascade = analyse_cascade(
             linear.full, roll_pitch.discrete, velocity.discrete, s.position_gain, POSITION_DIVIDER
         )
@@ -437,6 +443,7 @@ def design_flight_controller(
             roll_pitch.discrete,
             trim=np.asarray(linear.trim.servo_input, dtype=float),
             tilt_limit=s.command_tilt_limit,
+            **({} if schedule is None else pack_schedule(schedule)),
         ),
         position_gains=pack_gains(
             POSITION_GAINS,
@@ -447,7 +454,35 @@ def design_flight_controller(
             gravity=GRAVITY,
         ),
         settings=s,
+        schedule=schedule,
     )
+
+
+def _schedule_roll_pitch(
+    vehicle: Vehicle, hover: ControllerDesign, settings: DesignSettings, linear: Linearisation
+) -> OutputSchedule:
+    """Return the schedule of a roll-pitch design over forward speed."""
+    loop = ScheduledLoop(
+        hover.discrete,
+        hover.scaling,
+        lambda scaled: weight_roll_pitch(scaled, settings),
+        settings.roll_pitch_relaxation,
+        settings.roll_pitch_aims,
+    )
+    return schedule_outputs(
+        vehicle,
+        loop,
+        speed_m_s=settings.schedule_speed,
+        voltage=float(linear.trim.voltage_V),
+        tilt_limit=settings.tilt_limit,
+    )
+
+
+def pack_schedule(schedule: OutputSchedule) -> dict[str, object]:
+    """Return the fields of ``ROLL_PITCH_GAINS`` that hold a schedule."""
+    C = np.zeros((2, ROLL_PITCH_ORDER))
+    C[:, : schedule.C_forward.shape[1]] = schedule.C_forward
+    return {"C_forward": C, "D_forward": schedule.D_forward, "schedule": schedule.inverse_square}
 
 
 def _design_controller(
@@ -565,7 +600,7 @@ def weight_roll_pitch(scaled: control.StateSpace, settings: DesignSettings) -> c
 def design_heave_yaw(plant: control.StateSpace, settings: DesignSettings, period_s: float) -> ControllerDesign:
     """Design heave-yaw: two degrees of freedom (Sec. 6.1.4). Controller inputs: z, psi references, then errors.
 
-    The methods ``fixed``, ``mu`` and ``indi`` design roll-pitch alone; heave-yaw is H-infinity then.
+    The methods ``fixed``, ``scheduled``, ``mu`` and ``indi`` design roll-pitch alone; heave-yaw is H-infinity then.
     """
     given = settings.heave_yaw_given
     return _design_controller(
@@ -578,7 +613,7 @@ def design_heave_yaw(plant: control.StateSpace, settings: DesignSettings, period
         method="fixed"
         if given is not None
         else "hinf"
-        if settings.method in ("fixed", "mu", "indi")
+        if settings.method in ("fixed", "scheduled", "mu", "indi")
         else settings.method,
         lqg=settings.heave_yaw_lqg,
         given=given,
@@ -599,7 +634,8 @@ def design_roll_pitch(
 ) -> ControllerDesign:
     """Design roll-pitch: one degree of freedom (Sec. 6.1.5). Controller inputs: errors of phi, theta, p, q."""
     given = settings.roll_pitch_given
-    tuned = settings.method == "fixed" and given is None
+    fixed = settings.method in ("fixed", "scheduled") or given is not None
+    tuned = fixed and given is None
     indi = settings.method == "indi" and given is None
     return _design_controller(
         "roll-pitch",
@@ -608,7 +644,7 @@ def design_roll_pitch(
         lambda scaled: weight_roll_pitch(scaled, settings),
         settings.roll_pitch_relaxation,
         period_s,
-        method=settings.method if given is None else "fixed",
+        method="fixed" if fixed else settings.method,
         lqg=settings.roll_pitch_lqg,
         given=given,
         derivatives=derivatives,

@@ -19,7 +19,8 @@ capability). Then the reference slows down and stays within the slack of the hei
 that stopped at once would cost a heavy vehicle thrust that it needs. On the ground the error may grow, which starts
 the motors.
 
-Roll-pitch. Tilt references are limited; servos saturate one by one.
+Roll-pitch. Tilt references are limited; servos saturate one by one. A schedule adds outputs in proportion to the square
+of the forward speed (:mod:`mufly.control.tuning.output_schedule`); the states are those of the unscheduled law.
 
 Position. ``v_ref = K_p (P_ref - P) + v_ff`` in N-E, limited in length; velocity controller; acceleration feedforward
 ``theta = -a_x / g``, ``phi = a_y / g``; tilt limited in length, the excess fed to the controller's anti-windup; at last
@@ -80,6 +81,22 @@ def _compute_output(g: Any, x: Array, e: Array, u: Array) -> None:
         for j in range(e.shape[0]):
             s += g.D[i, j] * e[j]
         u[i] = s
+
+
+@cached_njit
+def _add_scheduled_output(g: Any, x: Array, e: Array, speed: float, u: Array) -> None:
+    """Add the share of the outputs that belong to the scheduled speed; none of it for a speed that is no number."""
+    share = g.schedule * (speed * speed)
+    if not share > 0.0:
+        return
+    share = 1.0 if share > 1.0 else share
+    for i in range(u.shape[0]):
+        s = 0.0
+        for j in range(g.F.shape[0]):
+            s += g.C_forward[i, j] * x[j]
+        for j in range(e.shape[0]):
+            s += g.D_forward[i, j] * e[j]
+        u[i] += share * s
 
 
 @cached_njit
@@ -326,6 +343,7 @@ GAIN_UNITS = {
     "yaw_rate": "rad/s",
     "yaw_lead": "s",
     "tilt_limit": "rad",
+    "schedule": "s2/m2",  # inverse square of the scheduled speed; 0 without a schedule
     "position_gain": "1/s",
     "speed_limit": "m/s",
     "gravity": "m/s2",
@@ -343,7 +361,18 @@ HEAVE_YAW_GAINS = np.dtype(
         *((name, _f8) for name in _HEAVE_YAW_FIELDS),
     ]
 )
-ROLL_PITCH_GAINS = np.dtype([*_matrix_fields(ROLL_PITCH_ORDER, 4, 2), ("trim", _f8, (2,)), ("tilt_limit", _f8)])
+SCHEDULE_FIELDS = ("C_forward", "D_forward", "schedule")
+"""Last fields of the roll-pitch gains, which the code on board has only for a scheduled design."""
+ROLL_PITCH_GAINS = np.dtype(
+    [
+        *_matrix_fields(ROLL_PITCH_ORDER, 4, 2),
+        ("trim", _f8, (2,)),
+        ("tilt_limit", _f8),
+        ("C_forward", _f8, (2, ROLL_PITCH_ORDER)),
+        ("D_forward", _f8, (2, 4)),
+        ("schedule", _f8),
+    ]
+)
 POSITION_GAINS = np.dtype(
     [
         *_matrix_fields(VELOCITY_ORDER, 2, 2),
@@ -446,8 +475,8 @@ def roll_pitch_step(gains: Any, state: Array, reference: Array, measurement: Arr
         State from ``roll_pitch_init`` or the previous call; not changed.
     reference : (2,) array
         phi, theta (rad).
-    measurement : (4,) array
-        phi, theta (rad), p, q (rad/s).
+    measurement : (4,) or (5,) array
+        phi, theta (rad), p, q (rad/s); with a schedule also the forward speed (m/s).
 
     Returns
     -------
@@ -461,6 +490,8 @@ def roll_pitch_step(gains: Any, state: Array, reference: Array, measurement: Arr
         e[i + 2] = -measurement[i + 2]
     servo, excess, new = np.empty(2), np.empty(2), np.empty(ROLL_PITCH_ORDER)
     _compute_output(gains, state, e, servo)
+    if gains.schedule > 0.0:
+        _add_scheduled_output(gains, state, e, measurement[4], servo)
     for i in range(2):
         wanted = servo[i] + gains.trim[i]
         servo[i] = _clip_value(wanted, -1.0, 1.0)

@@ -19,10 +19,12 @@ from mufly.estimate import Estimate
 from mufly.files.answer_store import replace_file
 from mufly.firmware.export.plan_tables import HOST_MAX_WAYPOINTS, MAX_WAYPOINTS
 from mufly.firmware.export.source_export import (
+    SCHEDULE_HEADER,
     SOFTWARE_SOURCES,
     copy_sources,
+    enable_schedule,
     find_sources,
-    render_gains_source,
+    render_gains_files,
     write_tree,
 )
 from mufly.flight.controllers import Actuators, Controllers
@@ -78,11 +80,11 @@ def _make_room(folder: Path) -> None:
 
 
 @functools.lru_cache(maxsize=8)
-def _load_firmware(tables: str, single: bool, cc: str) -> tuple[cffi.FFI, Any]:
+def _load_firmware(gains: tuple[tuple[str, str], ...], single: bool, cc: str) -> tuple[cffi.FFI, Any]:
     ffi = cffi.FFI()
     with tempfile.TemporaryDirectory(prefix="mufly-firmware-") as folder:
         tree = Path(folder) / "fw"
-        write_tree(tables, tree)
+        write_tree(dict(gains), tree)
         _make_room(tree)
         library = build_library(tree, single=single, cc=cc)
         ffi.cdef(cffi_declarations(tree, single))
@@ -95,6 +97,7 @@ def _load_generic_firmware() -> tuple[cffi.FFI, Any]:
     with tempfile.TemporaryDirectory(prefix="mufly-firmware-") as folder:
         tree = Path(folder) / "fw"
         copy_sources(tree)
+        (tree / SCHEDULE_HEADER).write_text(enable_schedule(), encoding="utf-8")
         _make_room(tree)
         files = read_sources(tree)
         library = build_cached_library("firmware", {**files, "tables.c": _GENERIC_TABLES})
@@ -138,7 +141,9 @@ class Firmware:
         if controller is None:
             self.ffi, self.lib = _load_generic_firmware()
         else:
-            self.ffi, self.lib = _load_firmware(render_gains_source(controller), single, cc or find_compiler())
+            self.ffi, self.lib = _load_firmware(
+                tuple(render_gains_files(controller).items()), single, cc or find_compiler()
+            )
 
     def make_gains(self, controller: FlightController) -> Any:
         """Return a ``gains_t`` with the gains of a controller, which may differ from the exported one."""
@@ -146,7 +151,9 @@ class Firmware:
         for group in ("heave_yaw", "roll_pitch", "position"):
             record = getattr(controller, f"{group}_gains")
             numbers = np.frombuffer(record.tobytes(), dtype=np.float64).astype(self.real_dtype)
-            self.ffi.memmove(self.ffi.addressof(g, group), numbers.tobytes(), numbers.nbytes)
+            # Code without a schedule has no room for the last fields of roll-pitch.
+            size = min(numbers.nbytes, self.ffi.sizeof(getattr(g, group)))
+            self.ffi.memmove(self.ffi.addressof(g, group), numbers.tobytes(), size)
         return g
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mufly.compiled.numba_cache import cached_njit, record_as_array
+from mufly.compiled.portable_math import sine_cosine
 from mufly.control import (
     FlightController,
     heave_yaw_init,
@@ -203,6 +204,7 @@ class Controllers:
             _LEVEL_TILT if tilt is None else tilt,
             tilt is not None,
             estimate.position,
+            estimate.velocity,
             estimate.attitude,
             estimate.rates,
             estimate.battery_voltage,
@@ -223,6 +225,7 @@ def _step_control_law(
     tilt: _Array,
     tilts: bool,
     position: _Array,
+    velocity: _Array,
     attitude: _Array,
     rates: _Array,
     voltage: float,
@@ -231,7 +234,11 @@ def _step_control_law(
     servo = np.zeros(2)
     if tilts:
         heave_yaw = limit_heave_reference(heave_yaw_gains[0], heave_yaw, position[2])
-        measured = np.array([attitude[0], attitude[1], rates[0], rates[1]])
+        forward = 0.0
+        if roll_pitch_gains[0].schedule > 0.0:
+            sine, cosine = sine_cosine(attitude[2])
+            forward = cosine * velocity[0] + sine * velocity[1]
+        measured = np.array([attitude[0], attitude[1], rates[0], rates[1], forward])
         servo, roll_pitch = roll_pitch_step(roll_pitch_gains[0], roll_pitch, tilt, measured)
     seen = np.array([position[2], attitude[2], rates[2]])
     motor, heave_yaw = heave_yaw_step(heave_yaw_gains[0], heave_yaw, reference, seen, voltage)

@@ -11,10 +11,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mufly.cli.control import parse_design_settings
 from mufly.cli.options import (
     CommandGroup,
     JsonOption,
+    MethodOption,
     MissionArgument,
+    OrderOption,
     SeedOption,
     TunedOption,
     VehicleOption,
@@ -73,6 +76,8 @@ def export(
         str, define_option("--mission NAME|FILE", "Built-in mission (`mufly mission list`), or mission file.")
     ] = "demonstration",
     fixed_point: _FixedOption = False,
+    method: MethodOption = "hinf",
+    order: OrderOption = None,
     tuned: TunedOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -86,13 +91,12 @@ def export(
     """
     from mufly import firmware
     from mufly.control import design_flight_controller
-    from mufly.control.tuning.tuned_loop import load_tuned_settings
     from mufly.mission import load_mission
     from mufly.vehicle import load_vehicle
 
     helicopter = load_vehicle(vehicle)
     flown = load_mission(mission)
-    controller = design_flight_controller(helicopter, settings=load_tuned_settings(tuned or []))
+    controller = design_flight_controller(helicopter, settings=parse_design_settings(method, order, tuned))
     law = None
     with report_write_errors("--out", key=str(out)):
         files = firmware.export_firmware(controller, out, helicopter, flown.world, flown)

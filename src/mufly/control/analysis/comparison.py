@@ -12,11 +12,12 @@ criteria in turn; each keeps the methods that are as good as the best by it, unt
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import control
 import numpy as np
 import xarray as xr
 
@@ -24,12 +25,13 @@ from mufly.compiled.numba_cache import imported_sources
 from mufly.control.analysis.gust_response import gust_response
 from mufly.control.analysis.loop_margins import DiskMargin, disk_margin, input_noise
 from mufly.control.designs import ControllerDesign, FlightController, design_flight_controller
-from mufly.control.linear_systems import Array, LoopAnalysis, sample_plant
+from mufly.control.linear_systems import Array, LoopAnalysis, analyse_loop, sample_plant
 from mufly.control.robust import parameter_robustness
 from mufly.control.robust.parameter_robustness import analyse_parameter_robustness
 from mufly.control.synthesis.synthesis_methods import METHOD_NAMES, SynthesisMethod
 from mufly.control.synthesis.weighting_schemes import DesignSettings
-from mufly.dynamics import linearise_vehicle
+from mufly.dynamics import find_trim, linearise_vehicle
+from mufly.errors import MuflyError
 from mufly.files.answer_store import hash_question, read_answer, write_answer
 from mufly.results import ShownBlock, result, show_lines, show_table
 from mufly.vehicle import Vehicle
@@ -101,11 +103,28 @@ class FlightFigures:
 
 
 @result
+class ForwardFigures:
+    """Sampled roll-pitch loop in forward flight, its model linearised at that speed.
+
+    Attributes
+    ----------
+    speed_m_s : float
+    disk_margin, sensitivity_peak_dB, complementary_peak_dB : float
+        Zero and ``inf`` for an unstable loop.
+    """
+
+    speed_m_s: float
+    disk_margin: float
+    sensitivity_peak_dB: float
+    complementary_peak_dB: float
+
+
+@result
 class MethodFigures:
     """One method: its two loops, its cascade's peak, its tilt in gusts, instructions and flights (None if not known).
 
     ``method`` is a method of synthesis, or the name of a tuned loop (:data:`TUNED`). ``instructions`` are those of the
-    whole law in a period on a Cortex-M4, mean over a self-test.
+    whole law in a period on a Cortex-M4, mean over a self-test. ``forward`` is roll-pitch at forward speeds.
     """
 
     method: str
@@ -115,12 +134,15 @@ class MethodFigures:
     gust_tilt_rad: float
     flights: FlightFigures | None = None
     instructions: float | None = None
+    forward: tuple[ForwardFigures, ...] = ()
 
     @property
     def label(self) -> str:
         """Name of the method, with the order of a tuned controller."""
         name = next((text for key, text in METHOD_NAMES.items() if key == self.method), self.method)
-        return f"{name} {self.roll_pitch.order}" if name == self.method or self.method == "fixed" else name
+        return (
+            f"{name} {self.roll_pitch.order}" if name == self.method or self.method in ("fixed", "scheduled") else name
+        )
 
     @property
     def weaker_disk_margin(self) -> float:
@@ -179,6 +201,20 @@ class ControllerComparison:
                     )
                 )  # fmt: skip
             blocks.append(show_table(heads, rows, title=f"{self.vehicle_name}, {title}, {self.rate_Hz:g} Hz"))
+        if all(m.forward for m in self.methods):
+            speeds = (f"{f.speed_m_s:g} m/s" for f in self.methods[0].forward)
+            rows = [
+                (
+                    m.label,
+                    *(
+                        f"{f.disk_margin:.2f}, {f.sensitivity_peak_dB:.2f}, {f.complementary_peak_dB:.2f}"
+                        for f in m.forward
+                    ),
+                )
+                for m in self.methods
+            ]
+            title = "roll-pitch in forward flight: disk margin, peaks of S_u and T_u (dB)"
+            blocks.append(show_table(("", *speeds), rows, title=title))
         counted = [f"{m.label} {m.instructions:.0f}" for m in self.methods if m.instructions is not None]
         if counted:
             blocks.append(show_lines(f"Instructions of the law in a period on a Cortex-M4: {', '.join(counted)}"))
@@ -215,15 +251,17 @@ def sensor_noise(vehicle: Vehicle, outputs: Sequence[str]) -> Array:
     return np.array([kinds.get(name, ATTITUDE_NOISE_RAD) for name in outputs])
 
 
-def loop_figures(vehicle: Vehicle, design: ControllerDesign, mu: tuple[float, float]) -> LoopFigures:
-    """Return the figures of a design; ``mu`` are its upper and lower bound."""
+def loop_figures(
+    vehicle: Vehicle, design: ControllerDesign, mu: tuple[float, float], *, scheduled: bool = False
+) -> LoopFigures:
+    """Return the figures of a design at hover; ``mu`` are its upper and lower bound."""
     plant = sample_plant(design.plant, design.discrete.period_s, 1)
     feedback = design.feedback_controller(design.discrete.to_state_space())
     n, (outputs, inputs) = design.discrete.order, design.discrete.D.shape
     noise = sensor_noise(vehicle, design.plant.output_labels)
     return LoopFigures(
         order=n,
-        multiply_adds=n * (inputs + outputs) + 2 * n + inputs * outputs,
+        multiply_adds=n * (inputs + outputs) + 2 * n + inputs * outputs + (outputs * (n + inputs) if scheduled else 0),
         norm=design.reduction.chosen.norm,
         sampled=design.sampled_loop,
         disk=disk_margin(plant, feedback),
@@ -240,6 +278,7 @@ def compare_methods(
     settings: DesignSettings | None = None,
     tuned: Sequence[DesignSettings] = (),
     points: int = 30,
+    speeds_m_s: Sequence[float] = (),
     folder: Path | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[ControllerComparison, dict[str, FlightController]]:
@@ -256,6 +295,8 @@ def compare_methods(
         Settings with tuned loops (``mufly control tune``), further rows of the comparison.
     points : int
         Frequencies of the bounds of mu.
+    speeds_m_s : sequence of float
+        Forward speeds at which roll-pitch is assessed; those without steady flight are left out.
     folder : Path, optional
         Folder that keeps the bounds of every method, for an interrupted comparison to resume.
     progress : callable, optional
@@ -277,19 +318,23 @@ def compare_methods(
     wanted |= {f"{TUNED}-{k}" if k > 1 else TUNED: given for k, given in enumerate(tuned, 1)}
     rows: list[MethodFigures] = []
     controllers: dict[str, FlightController] = {}
+    plants: dict[float, control.StateSpace] | None = None
     for k, (method, chosen) in enumerate(wanted.items()):
         if progress is not None:
             progress(k, len(wanted))
         c = design_flight_controller(vehicle, settings=chosen)
         linear = linearise_vehicle(vehicle, voltage=c.voltage_V)
+        if plants is None:
+            plants = roll_pitch_over_speed(vehicle, speeds_m_s, c.voltage_V)
         bounds = recall_bounds(vehicle, c, points, None if folder is None else folder / f"mu-{method}.json")
         rows.append(
             MethodFigures(
                 method,
                 loop_figures(vehicle, c.heave_yaw, bounds[0]),
-                loop_figures(vehicle, c.roll_pitch, bounds[1]),
+                loop_figures(vehicle, c.roll_pitch, bounds[1], scheduled=c.schedule is not None),
                 c.cascade.sensitivity_peak_dB,
                 gust_response(linear, c),
+                forward=forward_figures(c, plants),
             )
         )
         controllers[method] = c
@@ -297,6 +342,34 @@ def compare_methods(
             progress(k + 1, len(wanted))
     rate = next(iter(controllers.values())).rate_Hz
     return judge_comparison(vehicle.name, rate, rows), controllers
+
+
+def roll_pitch_over_speed(
+    vehicle: Vehicle, speeds_m_s: Sequence[float], voltage: float
+) -> dict[float, control.StateSpace]:
+    """Return the plants of roll-pitch by forward speed; speeds without steady flight are left out."""
+    found: dict[float, control.StateSpace] = {}
+    for speed in speeds_m_s:
+        try:
+            at = find_trim(vehicle, velocity=(speed, 0.0, 0.0), voltage=voltage)
+        except MuflyError:
+            continue
+        found[float(speed)] = linearise_vehicle(vehicle, at).roll_pitch
+    return found
+
+
+def forward_figures(c: FlightController, plants: Mapping[float, control.StateSpace]) -> tuple[ForwardFigures, ...]:
+    """Return the figures of roll-pitch, scheduled if it is, with the plants by speed."""
+    found = []
+    for speed, plant in plants.items():
+        K = c.roll_pitch.discrete.to_state_space()
+        if c.schedule is not None:
+            K = c.schedule.controller_at(c.roll_pitch.discrete, c.schedule.share_at(speed))
+        feedback, held = c.roll_pitch.feedback_controller(K), sample_plant(plant, c.period_s, 1)
+        loop, disk = analyse_loop(held, feedback), disk_margin(held, feedback).margin
+        peaks = (loop.sensitivity_peak_dB, loop.complementary_peak_dB) if loop.stable else (np.inf, np.inf)
+        found.append(ForwardFigures(speed, disk, *peaks))
+    return tuple(found)
 
 
 def recall_bounds(
@@ -345,6 +418,12 @@ def comparison_dataset(comparison: ControllerComparison) -> xr.Dataset:
             [np.nan if m.instructions is None else m.instructions for m in comparison.methods],
         ),
     }
+    coordinates: dict[str, Any] = {"controller": [m.method for m in comparison.methods], "loop": list(loops)}
+    if all(m.forward for m in comparison.methods):
+        coordinates["speed_m_s"] = [f.speed_m_s for f in comparison.methods[0].forward]
+        for name in ("disk_margin", "sensitivity_peak_dB", "complementary_peak_dB"):
+            over_speed = [[float(getattr(f, name)) for f in m.forward] for m in comparison.methods]
+            variables[f"forward_{name}"] = ("controller", "speed_m_s"), over_speed
     flown = [m.flights for m in comparison.methods]
     if any(f is not None for f in flown):
         variables["flights"] = "controller", [0.0 if f is None else float(f.flights) for f in flown]
@@ -355,7 +434,7 @@ def comparison_dataset(comparison: ControllerComparison) -> xr.Dataset:
         )
     return xr.Dataset(
         variables,
-        {"controller": [m.method for m in comparison.methods], "loop": list(loops)},
+        coordinates,
         {
             "vehicle": comparison.vehicle_name, "rate_Hz": comparison.rate_Hz,
             "recommended": comparison.recommended, "verdict": comparison.verdict,

@@ -20,6 +20,7 @@ from mufly.control.analysis.servo_map import SAFE_DISK_MARGIN, ServoMap
 from mufly.control.designs import ControllerDesign, FlightController
 from mufly.control.linear_systems import Array, LoopCurves, loop_curves, sample_plant, singular_values
 from mufly.control.robust.parameter_robustness import ParameterRobustness
+from mufly.control.tuning.output_schedule import OutputSchedule
 from mufly.results.result_figure import blank_figure
 
 if TYPE_CHECKING:
@@ -251,6 +252,27 @@ def draw_comparison(comparison: ControllerComparison) -> Figure:
     return figure
 
 
+def draw_schedule(schedule: OutputSchedule) -> Figure:
+    """Draw disk margin and peaks of a scheduled roll-pitch loop over forward speed."""
+    figure = blank_figure(7.0, 4.6)
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    ahead = [f for f in schedule.frozen if not f.sideways]
+    speed = [f.speed_m_s for f in ahead]
+    upper.plot(speed, [f.disk_margin for f in ahead], "o-", color=BLUE, markersize=3, label="scheduled")
+    upper.plot(speed, [f.hover_disk_margin for f in ahead], color=ORANGE, label="hover's outputs")
+    upper.plot(speed, [f.least_disk_margin for f in ahead], "--", color=GREY, label="least over all shares")
+    upper.set_ylim(0.0, None)
+    upper.set_ylabel("disk margin")
+    lower.plot(speed, [f.sensitivity_peak_dB for f in ahead], color=BLUE, label="peak of S_u")
+    lower.plot(speed, [f.complementary_peak_dB for f in ahead], color=GREEN, label="peak of T_u")
+    lower.set_ylim(0.0, None)
+    lower.set_ylabel("peak (dB)")
+    lower.set_xlabel("forward speed (m/s)")
+    for axes in (upper, lower):
+        axes.legend(fontsize=8, frameon=False, ncols=3, loc="lower left")
+    return figure
+
+
 def draw_designs(controller: FlightController, folder: Path | str) -> list[Path]:
     """Draw all designs into a folder, which is created if necessary.
 
@@ -262,7 +284,8 @@ def draw_designs(controller: FlightController, folder: Path | str) -> list[Path]
     Returns
     -------
     list of Path
-        ``<design>-plant.png`` and ``<design>-loop.png`` for heave-yaw, roll-pitch and velocity.
+        ``<design>-plant.png`` and ``<design>-loop.png`` for heave-yaw, roll-pitch and velocity; for a schedule over
+        speed also ``roll-pitch-schedule.png``.
 
     Thesis: Figs 6.3, 6.5, 6.7, 6.8.
     """
@@ -273,4 +296,7 @@ def draw_designs(controller: FlightController, folder: Path | str) -> list[Path]
         for what, draw in (("plant", draw_plant), ("loop", draw_loop)):
             written.append(target / f"{design.name}-{what}.png")
             draw(design).savefig(written[-1])
+    if controller.schedule is not None:
+        written.append(target / "roll-pitch-schedule.png")
+        draw_schedule(controller.schedule).savefig(written[-1])
     return written

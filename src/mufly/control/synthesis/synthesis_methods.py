@@ -20,10 +20,10 @@ from mufly.control.synthesis.h2 import h2syn
 from mufly.control.synthesis.hinf import close_loop, hinfsyn
 from mufly.control.synthesis.indi import IndiGains, design_indi
 from mufly.control.synthesis.lqg import LqgWeights, design_lqg, largest_recovery
-from mufly.control.tuning.fixed_order import add_delay, aim_norms, flight_aims, reduced_starts, tune_controller
+from mufly.control.tuning.fixed_order import Aim, add_delay, aim_norms, flight_aims, reduced_starts, tune_controller
 from mufly.errors import MuflyError
 
-SynthesisMethod = Literal["hinf", "h2", "lqg", "ltr", "mu", "fixed", "indi"]
+SynthesisMethod = Literal["hinf", "h2", "lqg", "ltr", "mu", "fixed", "scheduled", "indi"]
 METHODS: tuple[SynthesisMethod, ...] = get_args(SynthesisMethod)
 METHOD_NAMES: dict[SynthesisMethod, str] = {
     "hinf": "H-infinity",
@@ -32,6 +32,7 @@ METHOD_NAMES: dict[SynthesisMethod, str] = {
     "ltr": "LQG/LTR",
     "mu": "mu (D-K)",
     "fixed": "fixed order",
+    "scheduled": "scheduled",
     "indi": "INDI",
 }
 
@@ -158,7 +159,7 @@ class SynthesisProblem(NamedTuple):
     sampling_rate : float
         Sampling rate of the controller (rad/s).
     given_controller : control.StateSpace or None
-        Controller that exists, in place of a synthesis.
+        Controller that exists, in place of a synthesis; for ``scheduled`` the one whose states are kept.
     derivatives : tuple of array
         Derivatives ``[dA dB]`` of the plant by uncertain parameters, one spread each, for ``mu``.
     robust : RobustAims
@@ -207,12 +208,18 @@ class SynthesisedController(NamedTuple):
 def synthesise_controller(method: SynthesisMethod, problem: SynthesisProblem) -> SynthesisedController:
     """Return a controller by a method, of full order but for ``fixed``; without its weights it is H-infinity.
 
+    ``scheduled`` tunes C and D of the given controller; see :mod:`mufly.control.tuning.output_schedule`.
+
     Raises
     ------
     MuflyError
         If the method finds no controller; the message names what is in the way.
     """
     p, n_controls = problem, problem.plant.ninputs
+    if method == "scheduled" and p.fixed is not None and p.given_controller is not None:
+        aims, _ = _fixed_order_aims(p, p.fixed, _delayed_plants(p))
+        tuned = tune_controller(aims, [p.given_controller], outputs_only=True)
+        return _describe_controller(p, tuned.controller)
     if p.given_controller is not None:
         return _describe_controller(p, p.given_controller)
     if method == "h2":
@@ -259,13 +266,27 @@ def _iterate_dk(p: SynthesisProblem, aims: RobustAims) -> SynthesisedController:
 
 def _tune(p: SynthesisProblem, fixed: FixedOrderAims) -> SynthesisedController:
     """Return a tuned controller that starts from H-infinity with and without the delay, and from LTR."""
-    n_controls = p.plant.ninputs
-    delayed = add_delay(p.plant, 1.5 * 2 * np.pi / p.sampling_rate)
-    generalised = p.generalise(delayed)
-    plain = hinfsyn(p.generalised, p.n_measurements, n_controls, relaxation=p.relaxation)
-    starts = [plain.controller, hinfsyn(generalised, p.n_measurements, n_controls, relaxation=p.relaxation).controller]
+    delayed = _delayed_plants(p)
+    aims, plain = _fixed_order_aims(p, fixed, delayed)
+    generalised = delayed[0]
+    starts = [plain, hinfsyn(generalised, p.n_measurements, p.plant.ninputs, relaxation=p.relaxation).controller]
     if p.lqg is not None:
         starts.append(synthesise_controller("ltr", p).controller)
+    tuned = tune_controller(aims, reduced_starts(generalised, starts, fixed.order), descents=fixed.descents)
+    return _describe_controller(p, tuned.controller)
+
+
+def _delayed_plants(p: SynthesisProblem) -> tuple[control.StateSpace, control.StateSpace]:
+    """Return the plants with and without weights, with 1.5 periods of delay."""
+    delayed = add_delay(p.plant, 1.5 * 2 * np.pi / p.sampling_rate)
+    return p.generalise(delayed), delayed
+
+
+def _fixed_order_aims(
+    p: SynthesisProblem, fixed: FixedOrderAims, delayed: tuple[control.StateSpace, control.StateSpace]
+) -> tuple[list[Aim], control.StateSpace]:
+    """Return the aims on the plants with delay, and the H-infinity controller that their levels refer to."""
+    plain = hinfsyn(p.generalised, p.n_measurements, p.plant.ninputs, relaxation=p.relaxation)
     levels = {
         "weighted": fixed.weighted * plain.norm,
         "sensitivity": 10 ** (fixed.sensitivity_dB / 20),
@@ -273,11 +294,10 @@ def _tune(p: SynthesisProblem, fixed: FixedOrderAims) -> SynthesisedController:
         "noise": 1.0,
     }
     noise = np.array(fixed.noise_outputs)
-    aims = flight_aims(generalised, delayed, p.n_measurements, noise, levels)
+    aims = flight_aims(*delayed, p.n_measurements, noise, levels)
     reached = aim_norms(aims, plain.controller)["noise"]
     aims = [aim._replace(level=fixed.noise * reached) if aim.name == "noise" else aim for aim in aims]
-    tuned = tune_controller(aims, reduced_starts(generalised, starts, fixed.order), descents=fixed.descents)
-    return _describe_controller(p, tuned.controller)
+    return aims, plain.controller
 
 
 def _describe_controller(p: SynthesisProblem, K: control.StateSpace) -> SynthesisedController:

@@ -307,6 +307,9 @@ class DesignSettings:
         Weights of LQG and LTR, in scaled units.
     roll_pitch_aims : FixedOrderAims
         Order and aims of the method ``fixed``, which tunes roll-pitch; heave-yaw is H-infinity then.
+    schedule_speed : float
+        Forward speed to which the method ``scheduled`` schedules roll-pitch (m/s); its order and aims are those of
+        ``fixed``.
     indi_gains : IndiGains
         Gains of the method ``indi``, which designs roll-pitch; heave-yaw is H-infinity then.
     robust_aims : RobustAims
@@ -354,6 +357,7 @@ class DesignSettings:
     heave_yaw_lqg: LqgWeights = HEAVE_YAW_LQG
     roll_pitch_lqg: LqgWeights = ROLL_PITCH_LQG
     roll_pitch_aims: FixedOrderAims = ROLL_PITCH_AIMS
+    schedule_speed: float = 2.0
     indi_gains: IndiGains = INDI_GAINS
     robust_aims: RobustAims = ROBUST_AIMS
     heave_yaw_given: GivenController | None = None

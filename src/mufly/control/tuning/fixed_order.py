@@ -272,6 +272,7 @@ def tune_controller(
     descents: int = 2,
     max_steps: int = 400,
     budget_s: float = 30.0,
+    outputs_only: bool = False,
 ) -> TunedController:
     """Tune a controller of fixed order for several aims.
 
@@ -286,6 +287,8 @@ def tune_controller(
         Steps of one descent.
     budget_s : float
         Time for one descent (s).
+    outputs_only : bool
+        Whether A and B of the controller stay as they are, so that only C and D are tuned.
 
     Returns
     -------
@@ -311,6 +314,8 @@ def tune_controller(
             if not np.isfinite(norm):
                 return np.inf, np.zeros(shape)
             shares[i], slopes[i] = norm / aim.level, gradient / aim.level
+        if outputs_only:
+            slopes[:, :order] = 0.0
         worst = int(np.argmax(shares))
         if not np.isfinite(power):
             return float(shares[worst]), slopes[worst]

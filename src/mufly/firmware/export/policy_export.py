@@ -18,7 +18,7 @@ from mufly.version import __version__
 
 _COPIED = (
     "policy/policy.c", "policy/policy.h", "real.c", "real.h", "flight/controllers.h", "control/cascade.h",
-    "control/law.h",
+    "control/law.h", "control/schedule.h",
 )  # fmt: skip
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from mufly.control import FlightController
-from mufly.control.law import GAIN_UNITS
+from mufly.control.law import GAIN_UNITS, SCHEDULE_FIELDS
 from mufly.errors import InputError
 from mufly.firmware.export.estimate_tables import render_estimator_files
 from mufly.firmware.export.plan_tables import (
@@ -40,6 +40,8 @@ FIXED_POINT_SOURCES = ("fixed_point/*.c",)
 """Pattern of the fixed-point law."""
 FIXED_POINT_TABLES = "fixed_point/tables_fixed.c"
 """Path of the fixed-point law's numbers, which an export without that law lacks."""
+SCHEDULE_HEADER = "control/schedule.h"
+"""Path of the header that an export of a scheduled design replaces."""
 _GAIN_GROUPS = ("heave_yaw", "roll_pitch", "position")
 
 
@@ -85,14 +87,14 @@ def export_firmware(
         others["onboard/supervisor/supervisor_settings.c"] = render_supervisor_source(vehicle)
         others["onboard/link/texts.c"] = render_texts_source()
         others["onboard/log/flight_log_head.c"] = render_log_source()
-    write_tree(render_gains_source(controller), out, others)
+    write_tree(render_gains_files(controller), out, others)
     return sorted(p for p in out.rglob("*") if p.is_file())
 
 
-def write_tree(tables: str, out: Path, others: Mapping[str, str] | None = None) -> None:
-    """Write the sources, the tables and other generated files (text by name) into a folder."""
+def write_tree(gains: Mapping[str, str], out: Path, others: Mapping[str, str] | None = None) -> None:
+    """Write the sources, the gains' files and other generated files (text by name) into a folder."""
     copy_sources(out)
-    for name, text in {"tables.c": tables, **(others or {})}.items():
+    for name, text in {**gains, **(others or {})}.items():
         (out / name).write_text(text, encoding="utf-8")
 
 
@@ -116,6 +118,21 @@ def copy_fixed_point(out: Path) -> None:
             shutil.copytree(sources / name, out / name, dirs_exist_ok=True)
 
 
+def render_gains_files(controller: FlightController) -> dict[str, str]:
+    """Return the texts of the files that hold a vehicle's controllers, by name."""
+    files = {"tables.c": render_gains_source(controller)}
+    if controller.schedule is not None:
+        files[SCHEDULE_HEADER] = enable_schedule()
+    return files
+
+
+def enable_schedule() -> str:
+    """Return the text of the header by which the law schedules roll-pitch."""
+    text = (SOURCE_FOLDER / SCHEDULE_HEADER).read_text(encoding="utf-8")
+    assert "ROLL_PITCH_SCHEDULED 0" in text
+    return text.replace("ROLL_PITCH_SCHEDULED 0", "ROLL_PITCH_SCHEDULED 1")
+
+
 def render_gains_source(controller: FlightController) -> str:
     """Return the text of ``tables.c``: all gains of a vehicle's controllers."""
     rate = controller.rate_Hz
@@ -134,6 +151,8 @@ def render_gains_source(controller: FlightController) -> str:
         record = getattr(controller, f"{group}_gains")
         lines += [f"    .{group} =", "        {"]
         for name in record.dtype.names:
+            if name in SCHEDULE_FIELDS and controller.schedule is None:
+                continue
             lines += _gains_field_lines(name, record[name])
         lines += ["        },"]
     return "\n".join([*lines, "};", ""])

@@ -452,8 +452,10 @@ def quantise_law(controller: FlightController) -> FixedPointLaw:
     Raises
     ------
     MuflyError
-        If no form of a controller is bounded and stable.
+        If no form of a controller is bounded and stable, or roll-pitch is scheduled over speed.
     """
+    if controller.schedule is not None:
+        raise MuflyError("fixed point: the law has no schedule over speed; design by another method, such as fixed")
     found: dict[str, FixedPointController] = {}
     losses: list[QuantisationLoss] = []
     for name in _LOOP_DESIGNS:

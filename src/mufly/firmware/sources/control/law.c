@@ -13,6 +13,25 @@ static void add_compensated(real_t *value, real_t *dropped, real_t change)
     *value = total;
 }
 
+#if ROLL_PITCH_SCHEDULED
+/* Add the share of the outputs that belong to the scheduled speed; none of it for a speed that is no number. */
+static void add_scheduled_output(const roll_pitch_gains_t *g, const real_t x[ROLL_PITCH_ORDER],
+                                 const real_t e[ROLL_PITCH_ERRORS], real_t speed, real_t u[OUTPUT_PAIR])
+{
+    real_t share = g->schedule * (speed * speed);
+
+    if (share > REAL(0.0)) {
+        real_t forward[OUTPUT_PAIR];
+
+        share = (share > REAL(1.0)) ? REAL(1.0) : share;
+        linear_output(ROLL_PITCH_ORDER, ROLL_PITCH_ERRORS, &g->C_forward[0][0], &g->D_forward[0][0], x, e, forward);
+        for (int32_t i = 0; i < OUTPUT_PAIR; i++) {
+            u[i] += share * forward[i];
+        }
+    }
+}
+#endif
+
 /* Step a reference filter: critically damped near the target, on a braking parabola far from it. */
 static void filter_reference(real_t *value, real_t *dropped, real_t *rate, real_t target, real_t target_rate,
                   real_t bandwidth, real_t acceleration, real_t speed, real_t period)
@@ -140,7 +159,7 @@ void roll_pitch_init(const roll_pitch_gains_t *g, roll_pitch_state_t *state,
 }
 
 void roll_pitch_step(const roll_pitch_gains_t *g, roll_pitch_state_t *state, const real_t reference[OUTPUT_PAIR],
-                     const real_t measured[ROLL_PITCH_ERRORS], real_t servo_input[OUTPUT_PAIR])
+                     const real_t measured[ROLL_PITCH_MEASURED], real_t servo_input[OUTPUT_PAIR])
 {
     real_t e[ROLL_PITCH_ERRORS];
     real_t excess[OUTPUT_PAIR];
@@ -151,6 +170,9 @@ void roll_pitch_step(const roll_pitch_gains_t *g, roll_pitch_state_t *state, con
         e[i + 2] = -measured[i + 2];
     }
     linear_output(ROLL_PITCH_ORDER, ROLL_PITCH_ERRORS, &g->C[0][0], &g->D[0][0], state->x, e, servo_input);
+#if ROLL_PITCH_SCHEDULED
+    add_scheduled_output(g, state->x, e, measured[ROLL_PITCH_ERRORS], servo_input);
+#endif
     for (int32_t i = 0; i < OUTPUT_PAIR; i++) {
         const real_t wanted = servo_input[i] + g->trim[i];
         servo_input[i] = real_clip(wanted, REAL(-1.0), REAL(1.0));

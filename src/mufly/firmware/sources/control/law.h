@@ -5,12 +5,14 @@
 #ifndef MUFLY_LAW_H
 #define MUFLY_LAW_H
 
+#include "control/schedule.h"
 #include "real.h"
 
 #define HEAVE_YAW_ORDER 10
 #define HEAVE_YAW_ERRORS 5
 #define ROLL_PITCH_ORDER 8
 #define ROLL_PITCH_ERRORS 4
+#define ROLL_PITCH_MEASURED (ROLL_PITCH_ERRORS + ROLL_PITCH_SCHEDULED)
 #define OUTPUT_PAIR 2 /* both motors, both servos */
 
 typedef struct {
@@ -55,6 +57,11 @@ typedef struct {
     real_t U[ROLL_PITCH_ORDER][OUTPUT_PAIR];
     real_t trim[OUTPUT_PAIR]; /* servo 1, servo 2 */
     real_t tilt_limit;
+#if ROLL_PITCH_SCHEDULED
+    real_t C_forward[OUTPUT_PAIR][ROLL_PITCH_ORDER]; /* change of C and D from hover to the scheduled speed */
+    real_t D_forward[OUTPUT_PAIR][ROLL_PITCH_ERRORS];
+    real_t schedule; /* inverse square of that speed (s2/m2); 0: none */
+#endif
 } roll_pitch_gains_t;
 
 typedef struct {
@@ -76,8 +83,8 @@ void heave_yaw_step(const heave_yaw_gains_t *g, heave_yaw_state_t *state, const 
 void roll_pitch_init(const roll_pitch_gains_t *g, roll_pitch_state_t *state,
                       const real_t measured[ROLL_PITCH_ERRORS]);
 
-/* Run one period. reference: phi, theta; measured: phi, theta, p, q. */
+/* Run one period. reference: phi, theta; measured: phi, theta, p, q, and with a schedule the forward speed (m/s). */
 void roll_pitch_step(const roll_pitch_gains_t *g, roll_pitch_state_t *state, const real_t reference[OUTPUT_PAIR],
-                     const real_t measured[ROLL_PITCH_ERRORS], real_t servo_input[OUTPUT_PAIR]);
+                     const real_t measured[ROLL_PITCH_MEASURED], real_t servo_input[OUTPUT_PAIR]);
 
 #endif

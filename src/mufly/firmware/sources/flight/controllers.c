@@ -7,8 +7,15 @@ static void measure_heave_yaw(const motion_estimate_t *now, real_t measured[3])
     measured[2] = now->rates[2];
 }
 
-static void measure_roll_pitch(const motion_estimate_t *now, real_t measured[ROLL_PITCH_ERRORS])
+static void measure_roll_pitch(const motion_estimate_t *now, real_t measured[ROLL_PITCH_MEASURED])
 {
+#if ROLL_PITCH_SCHEDULED
+    real_t sine;
+    real_t cosine;
+
+    sine_cosine(now->attitude[2], &sine, &cosine);
+    measured[ROLL_PITCH_ERRORS] = (cosine * now->velocity[0]) + (sine * now->velocity[1]);
+#endif
     measured[0] = now->attitude[0];
     measured[1] = now->attitude[1];
     measured[2] = now->rates[0];
@@ -25,7 +32,7 @@ void controllers_engage(const gains_t *g, controllers_t *c, const motion_estimat
 
 void controllers_lift_off(const gains_t *g, controllers_t *c, const motion_estimate_t *now)
 {
-    real_t measured[ROLL_PITCH_ERRORS];
+    real_t measured[ROLL_PITCH_MEASURED];
 
     measure_roll_pitch(now, measured);
     roll_pitch_init(&g->roll_pitch, &c->roll_pitch, measured);
@@ -42,7 +49,7 @@ void controllers_step(const gains_t *g, controllers_t *c, const motion_estimate_
                       bool flying, const real_t tilt[2], actuators_t *out)
 {
     real_t measured[3];
-    real_t tilted[ROLL_PITCH_ERRORS];
+    real_t tilted[ROLL_PITCH_MEASURED];
 
     out->servo_input[0] = REAL(0.0);
     out->servo_input[1] = REAL(0.0);

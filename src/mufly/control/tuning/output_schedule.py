@@ -1,0 +1,290 @@
+"""Roll-pitch scheduled over forward speed: one controller's states, with outputs that follow the speed.
+
+The law on board is that of :mod:`mufly.control.law` with a second pair of output matrices::
+
+    u = (C + s C_f) x + (D + s D_f) e,      s = min((v_x / V)^2, 1)
+
+``v_x`` is the forward speed in the heading's direction and ``V`` the scheduled speed. The states ``x`` do not depend on
+speed, so no modes can change places between two designs, and nothing is handed over when the speed changes: ``u`` is
+continuous in ``s``. The share ``s`` is even in ``v_x`` because the plant is: half a turn about the vertical maps flight
+forwards to flight backwards, and leaves the rotors and a body without products of inertia as they are.
+
+A and B are those of the hover design. C and D at ``V`` are tuned for the plant there, with the aims of the method
+``fixed`` (:mod:`mufly.control.tuning.fixed_order`). Between the two the loop is verified on a grid of frozen speeds,
+with the model linearised at each of them. In wind the speed over ground is not the airspeed, so every plant is also
+closed with every share. In sideways flight the law is that of hover.
+
+Margins at frozen speeds hold as long as the speed changes slowly against the loop (Shamma and Athans, IEEE Trans.
+Autom. Control 35, 1990). :attr:`OutputSchedule.fastest_change` is the bound of the change of ``s`` by the largest tilt.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import control
+import numpy as np
+
+from mufly.control.analysis.loop_margins import disk_margin
+from mufly.control.design_store import recall_controller
+from mufly.control.implementation import DiscreteController
+from mufly.control.linear_systems import Array, analyse_loop, feedback_part, sample_plant, state_space
+from mufly.control.synthesis.synthesis_methods import FixedOrderAims, SynthesisProblem, synthesise_controller
+from mufly.control.synthesis.weighting_schemes import SignalScaling, scale_plant
+from mufly.dynamics import GRAVITY, find_trim, linearise_vehicle
+from mufly.errors import MuflyError
+from mufly.results import ShownBlock, result, show_lines, show_table
+from mufly.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SPEED_STEP_m_s = 0.25
+"""Step of the search for the largest speed of steady flight."""
+GRID_INTERVALS = 8
+"""Intervals between hover and the scheduled speed in the verification; an even number."""
+
+
+@dataclass(frozen=True)
+class ScheduledLoop:
+    """Hover controller, scaling and aims from which the outputs of a schedule are tuned.
+
+    Attributes
+    ----------
+    controller : DiscreteController
+        Roll-pitch controller at hover.
+    scaling : SignalScaling
+    generalise : callable
+        Function from the scaled plant to the plant with weights.
+    relaxation : float
+        Factor on the smallest H-infinity level, to which the aims refer.
+    aims : FixedOrderAims
+        Aims at the scheduled speed, with the noise in SI.
+    """
+
+    controller: DiscreteController
+    scaling: SignalScaling
+    generalise: Callable[[control.StateSpace], control.StateSpace]
+    relaxation: float
+    aims: FixedOrderAims
+
+
+@result
+class FrozenSpeed:
+    """Sampled loop at one frozen velocity, with one sample of delay.
+
+    Attributes
+    ----------
+    speed_m_s : float
+    sideways : bool
+        Whether the vehicle flies to the right instead of forwards.
+    share : float
+        Share ``s`` of the schedule.
+    disk_margin, sensitivity_peak_dB, complementary_peak_dB : float
+        Margin and peaks with this share.
+    hover_disk_margin : float
+        Disk margin with the outputs of hover.
+    least_disk_margin : float
+        Least disk margin with any share of the grid; 0 if a loop is unstable.
+    """
+
+    speed_m_s: float
+    sideways: bool
+    share: float
+    disk_margin: float
+    sensitivity_peak_dB: float
+    complementary_peak_dB: float
+    hover_disk_margin: float
+    least_disk_margin: float
+
+
+@result
+class OutputSchedule:
+    """Outputs of roll-pitch over forward speed, and the loops at frozen speeds.
+
+    Attributes
+    ----------
+    speed_m_s : float
+        Scheduled speed V.
+    C_forward, D_forward : array, shapes (2, n) and (2, 4)
+        Change of C and D of the discrete controller from hover to V.
+    has_flight_map : bool
+    frozen : tuple of FrozenSpeed
+    slowest_saturated : float
+        Largest modulus of the poles of the saturated controller ``A - M C`` over the shares.
+    fastest_change : float
+        Largest change of the share (1/s), by a tilt at its limit: ``2 g tan(tilt) / V``.
+    crossover : float
+        Slowest crossover of the loop at hover (rad/s).
+    """
+
+    speed_m_s: float
+    C_forward: Array
+    D_forward: Array
+    has_flight_map: bool
+    frozen: tuple[FrozenSpeed, ...]
+    slowest_saturated: float
+    fastest_change: float
+    crossover: float
+
+    @property
+    def inverse_square(self) -> float:
+        """Factor from the square of the speed to the share (s2/m2)."""
+        return 1.0 / self.speed_m_s**2
+
+    def controller_at(self, hover: DiscreteController, share: float) -> control.StateSpace:
+        """Return the discrete controller with a share of the schedule, from that at hover."""
+        return blend_outputs(hover, self.C_forward, self.D_forward, share)
+
+    def share_at(self, speed_m_s: float) -> float:
+        """Return the share of the schedule at a forward speed."""
+        return min(self.inverse_square * speed_m_s**2, 1.0)
+
+    def shown_blocks(self) -> list[ShownBlock]:
+        """Return the table of frozen speeds and its limits."""
+        heads = ("speed (m/s)", "share", "disk margin", "S_u (dB)", "T_u (dB)", "unscheduled", "any share")
+        rows = [
+            (
+                f"{f.speed_m_s:.2f}{' sideways' if f.sideways else ''}", f"{f.share:.2f}", f"{f.disk_margin:.3f}",
+                f"{f.sensitivity_peak_dB:.2f}", f"{f.complementary_peak_dB:.2f}", f"{f.hover_disk_margin:.3f}",
+                f"{f.least_disk_margin:.3f}",
+            )
+            for f in self.frozen
+        ]  # fmt: skip
+        lines = [
+            f"Margins hold at frozen speed: the share changes by at most {self.fastest_change:.2f} 1/s, the loop "
+            f"crosses over at {self.crossover:.0f} rad/s."
+        ]
+        if not self.has_flight_map:
+            lines.append("The vehicle has no flight map, so only its drag changes with speed.")
+        return [
+            show_table(heads, rows, title=f"roll-pitch scheduled over 0 to {self.speed_m_s:g} m/s"),
+            show_lines(*lines),
+        ]
+
+    def plot(self) -> Figure:
+        """Return the picture of the result."""
+        from mufly.control.analysis.plots import draw_schedule
+
+        return draw_schedule(self)
+
+
+def blend_outputs(hover: DiscreteController, C_forward: Array, D_forward: Array, share: float) -> control.StateSpace:
+    """Return a controller with a share of changed outputs added to its own."""
+    return state_space(
+        hover.A, hover.B, hover.C + share * C_forward, hover.D + share * D_forward,
+        inputs=hover.inputs, outputs=hover.outputs, dt=hover.period_s,
+    )  # fmt: skip
+
+
+def continuous_matrices(controller: DiscreteController) -> tuple[Array, Array, Array, Array]:
+    """Return the matrices of continuous time that Tustin's rule turns into the discrete ones, with the same states.
+
+    The inverse of the rule in :mod:`mufly.control.implementation`: with ``L = 2 (A + I)^-1``,
+    ``A_c = (A - I) L / T``, ``B_c = L B / T``, ``C_c = C L``, ``D_c = D - C B_c T / 2``.
+    """
+    T, one = controller.period_s, np.eye(controller.order)
+    L = 2.0 * np.linalg.inv(controller.A + one)
+    B = L @ controller.B / T
+    return (controller.A - one) @ L / T, B, controller.C @ L, controller.D - controller.C @ B * (T / 2)
+
+
+def schedule_outputs(
+    vehicle: Vehicle, loop: ScheduledLoop, *, speed_m_s: float, voltage: float, tilt_limit: float
+) -> OutputSchedule:
+    """Tune the outputs of roll-pitch at a forward speed, and verify the loop at frozen speeds.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    loop : ScheduledLoop
+    speed_m_s : float
+        Scheduled speed; lowered in steps of :data:`SPEED_STEP_m_s` to one with steady flight.
+    voltage : float
+        Battery voltage of the linear models (V).
+    tilt_limit : float
+        Largest tilt of the position loop (rad).
+
+    Raises
+    ------
+    MuflyError
+        If no step has steady flight, the tuning fails, or a loop is unstable at a frozen speed.
+    """
+    fastest, plant = _fastest_plant(vehicle, speed_m_s, voltage)
+    hover = loop.controller
+    T = hover.period_s
+    C_forward, D_forward = _tune_outputs(plant, loop)
+    speeds = fastest * np.arange(GRID_INTERVALS + 1) / GRID_INTERVALS
+    controllers = [blend_outputs(hover, C_forward, D_forward, float((v / fastest) ** 2)) for v in speeds]
+    feedbacks = [feedback_part(K, plant, range(plant.noutputs)) for K in controllers]
+    saturated = max(float(np.abs(np.linalg.eigvals(K.A - hover.M @ K.C)).max()) for K in controllers)
+    if saturated >= 1.0:
+        raise MuflyError("schedule: the anti-windup is unstable at a speed; choose another order")
+    frozen: list[FrozenSpeed] = []
+    sideways = [(v, 1) for v in (0.5 * fastest, fastest) if _has_trim(vehicle, (0.0, v, 0.0), voltage)]
+    for v, axis in [(float(v), 0) for v in speeds] + sideways:
+        held = sample_plant(_plant_at(vehicle, (v, 0.0, 0.0) if axis == 0 else (0.0, v, 0.0), voltage), T, 1)
+        share = (v / fastest) ** 2 if axis == 0 else 0.0
+        k = int(np.argmin(np.abs(speeds - v))) if axis == 0 else 0
+        found = analyse_loop(held, feedbacks[k])
+        if not found.stable:
+            raise MuflyError(f"schedule: roll-pitch is unstable at {v:g} m/s; lower the scheduled speed")
+        margins = [disk_margin(held, K).margin for K in feedbacks]
+        frozen.append(
+            FrozenSpeed(
+                v, axis == 1, share, margins[k], found.sensitivity_peak_dB, found.complementary_peak_dB, margins[0],
+                min(margins),
+            )
+        )  # fmt: skip
+    still = sample_plant(_plant_at(vehicle, (0.0, 0.0, 0.0), voltage), T, 1)
+    slowest = min(analyse_loop(still, feedbacks[0]).crossovers)
+    return OutputSchedule(
+        fastest, C_forward, D_forward, vehicle.rotors.flight_map is not None, tuple(frozen), saturated,
+        2.0 * GRAVITY * float(np.tan(tilt_limit)) / fastest, float(slowest),
+    )  # fmt: skip
+
+
+def _plant_at(vehicle: Vehicle, velocity: tuple[float, float, float], voltage: float) -> control.StateSpace:
+    return linearise_vehicle(vehicle, find_trim(vehicle, velocity=velocity, voltage=voltage)).roll_pitch
+
+
+def _has_trim(vehicle: Vehicle, velocity: tuple[float, float, float], voltage: float) -> bool:
+    try:
+        find_trim(vehicle, velocity=velocity, voltage=voltage)
+    except MuflyError:
+        return False
+    return True
+
+
+def _fastest_plant(vehicle: Vehicle, speed_m_s: float, voltage: float) -> tuple[float, control.StateSpace]:
+    """Return the largest speed with steady flight, and the plant there."""
+    for v in np.arange(speed_m_s, 0.5 * SPEED_STEP_m_s, -SPEED_STEP_m_s):
+        if _has_trim(vehicle, (float(v), 0.0, 0.0), voltage):
+            return float(v), _plant_at(vehicle, (float(v), 0.0, 0.0), voltage)
+    raise MuflyError(f"schedule: there is no steady flight at {SPEED_STEP_m_s:g} m/s; use the method fixed")
+
+
+def _tune_outputs(plant: control.StateSpace, loop: ScheduledLoop) -> tuple[Array, Array]:
+    """Return the changes of C and D of the discrete controller from hover to the plant's speed."""
+    K, T = loop.controller, loop.controller.period_s
+    output_scale, input_scale = np.array(loop.scaling.outputs), np.array(loop.scaling.inputs)
+    scaled = scale_plant(plant, loop.scaling)
+    generalised = loop.generalise(scaled)
+    A, B, C, D = continuous_matrices(K)
+    n, out = plant.noutputs, input_scale[:, None]
+    given = state_space(
+        A, B * output_scale, C / out, D * output_scale / out,
+        inputs=generalised.output_labels[-n:], outputs=generalised.input_labels[-plant.ninputs:],
+    )  # fmt: skip
+    noise = tuple(float(v) for v in np.array(loop.aims.noise_outputs) / output_scale)
+    aims = FixedOrderAims(**{**vars(loop.aims), "noise_outputs": noise})
+    problem = SynthesisProblem(
+        generalised, scaled, (0, 1), False, n, loop.relaxation, None, aims, loop.generalise, 2 * np.pi / T, given
+    )
+    tuned = recall_controller("scheduled", problem, synthesise_controller).controller
+    C_fast, D_fast = out * tuned.C, out * tuned.D / output_scale
+    discrete_C = C_fast @ (K.A + np.eye(K.order)) / 2.0
+    discrete_D = D_fast + discrete_C @ B * (T / 2)
+    return discrete_C - K.C, discrete_D - K.D
