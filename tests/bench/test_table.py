@@ -121,6 +121,19 @@ def test_a_packed_file_with_a_title_and_a_line_of_units_is_read(tmp_path):
     assert table.headers["thrust"] == "thrust"
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "My bench\nspeed_rpm,thrust_g\n6000,20\n",
+        "My bench\n3 May\nspeed_rpm,thrust_g,torque_mNm\n6000,20,2\n",
+        "My bench\nspeed_rpm;thrust_g\n6000;20,0\n",
+        "My bench\nspeed_rpm\tthrust_g\n6000\t20\n",
+    ],
+)
+def test_one_point_below_a_title_is_read(tmp_path, text):
+    assert read_bench_file(write(tmp_path, text))["thrust"] == pytest.approx([0.1961], rel=1e-3)
+
+
 def test_a_last_line_that_is_cut_is_left_out_and_told(tmp_path):
     with pytest.warns(match="line 3, the last, is incomplete"):
         table = read_bench_file(write(tmp_path, "RPM,T(N),Q(Nm)\n1000,0.1,0.01\n2000,0.2"))

@@ -83,6 +83,7 @@ def test_hover_by_blade_elements_prints_a_table() -> None:
     assert "upper alone" not in output(*arguments, "--no-isolated")
     climbing = json.loads(output(*arguments, "--climb", "2", "--json"))
     assert climbing["thrust_N"] < answer["thrust_N"]
+    assert "upper thrust -, torque +0.0%" in output("hover", "--pitch", "0", "--rpm", "6000", "--method", "bemt")
 
 
 def test_trim_cancels_torques_by_speed_and_by_pitch() -> None:

@@ -84,7 +84,9 @@ def test_what_turns_the_stream_is_the_torque_of_the_blades():
     alone = solve_rotor(case, pitch_rad=PITCH, speed_rad_s=SPEED, climb_m_s=3.0, air=air)
     u, loss, turning = compute_slipstream(PlacedRotor(case, PITCH, SPEED), 3.0, air, still)
     push = np.hypot(alone.dT_N, alone.dQ_Nm / alone.r_m) / np.hypot(alone.cl, alone.cd) / alone.dr_m
-    drag = drag_angular_momentum(push * alone.cd * np.cos(alone.phi_rad), 3.0 + loss * u, air.density_kg_m3)
+    drag = drag_angular_momentum(
+        push * alone.cd * np.cos(alone.phi_rad), 3.0 + loss * u, air.density_kg_m3, alone.r_m, alone.dr_m
+    )
     ring = air.density_kg_m3 * 2.0 * math.pi * alone.r_m * alone.dr_m
     torque = ring * ((3.0 + u) * (turning - drag) + (3.0 + loss * u) * drag)
     assert_allclose(torque, alone.dQ_Nm, rtol=1e-6)
@@ -97,6 +99,24 @@ def test_what_turns_the_stream_is_the_torque_of_the_blades():
     kept = np.interp(alone.r_m / s, alone.r_m, turning)
     assert_allclose(below[inside] * alone.r_m[inside], kept[inside])
     assert not below[outside].any()
+
+
+def test_a_rotor_without_thrust_leaves_no_swirl_below_it():
+    # A symmetric blade at pitch 0 moves no air down: the lower rotor meets still air and needs the same torque.
+    still = pair(pitch=0.0)
+    assert still.upper.thrust_N == still.lower.thrust_N == 0.0
+    assert_allclose(still.lower.torque_Nm, still.upper.torque_Nm, rtol=1e-12)
+    changes = still.interference_losses([still.upper, still.lower])
+    assert math.isnan(changes["upper_thrust"])
+    assert changes["lower_torque"] == 0.0
+    # Near it, no stream carries more swirl than a jet can: its number stays at 0.6 or below, in full above.
+    r, dr, drag = np.linspace(0.01, 0.0575, 20), np.full(20, 0.0025), np.full(20, 0.4)
+    for v in (0.0, 1e-6, 0.5, 1.5, 1.6, 5.0):
+        turning = drag_angular_momentum(drag, np.full(20, v), 1.2, r, dr)
+        axial = 1.2 * 2 * math.pi * float(np.sum(v**2 * r * dr))
+        swirl = 1.2 * 2 * math.pi * float(np.sum(v * turning * r * dr))
+        assert_allclose(swirl, min(float(np.sum(drag * r * dr)), 0.6 * (r[-1] + 0.5 * dr[-1]) * axial), rtol=1e-9)
+    assert not drag_angular_momentum(drag, np.full(20, -3.0), 1.2, r, dr).any()
 
 
 def test_touching_rotors_share_one_stream():

@@ -138,11 +138,11 @@ def print_pair(setup: StudySetup, point: SystemSolution, alone: tuple[RotorResul
         f"speed {ratio['speed']:.3f}; {point.thrust_N / point.power_W:.4g} N/W",
     ]
     if alone is not None:
-        x = point.interference_losses(alone)
+        x = {k: f"{v:+.1%}" if math.isfinite(v) else "-" for k, v in point.interference_losses(alone).items()}
         lines.append(
-            f"against the rotors alone at these speeds: upper thrust {x['upper_thrust']:+.1%}, torque "
-            f"{x['upper_torque']:+.1%}; lower thrust {x['lower_thrust']:+.1%}, torque {x['lower_torque']:+.1%}; the "
-            f"pair's thrust {x['thrust']:+.1%}, power {x['power']:+.1%}, thrust per power {x['thrust_per_power']:+.1%}"
+            f"against the rotors alone at these speeds: upper thrust {x['upper_thrust']}, torque {x['upper_torque']}; "
+            f"lower thrust {x['lower_thrust']}, torque {x['lower_torque']}; the pair's thrust {x['thrust']}, power "
+            f"{x['power']}, thrust per power {x['thrust_per_power']}"
         )
     for line in lines:
         c.print(line, highlight=False)

@@ -59,6 +59,7 @@ _MIN_TRAILING_ZEROS = 16  # at least this number of trailing zero bytes is no te
 _MAX_SHORT_ROW_SHARE = 0.5
 _MAX_PREAMBLE_LINES = 2000
 _SAMPLED_ROWS = 50
+_MIN_USUAL_WIDTH_SHARE = 0.65  # of the rows below a table's first line
 _MISSING_VALUES = {"", "nan", "na", "n/a", "null", "none", "-", "inf", "-inf", "+inf", "infinity"}
 
 
@@ -490,11 +491,13 @@ def _is_content_line(line: str) -> bool:
 
 def _find_header_line(lines: Sequence[str], first: int) -> int:
     """Return the line of the header: the first line, or a later line of names as wide as the last rows."""
-    tail = [s for s in lines[-2 * _SAMPLED_ROWS :] if _is_content_line(s)][-_SAMPLED_ROWS:]
+    tail = [s for s in lines[first + 1 :][-2 * _SAMPLED_ROWS :] if _is_content_line(s)][-_SAMPLED_ROWS:]
+    if not tail:
+        return first
     for separator in (";", "\t", ","):
         widths = count_cells(tail, separator)
         usual = max(set(widths), key=widths.count)
-        if usual < 3 or widths.count(usual) < 0.7 * len(widths):
+        if usual < 2 or widths.count(usual) < _MIN_USUAL_WIDTH_SHARE * len(widths):
             continue
         if count_cells([lines[first]], separator)[0] >= usual:
             return first

@@ -302,9 +302,10 @@ def build_rotor_result(
 
 
 _MIN_THROUGHFLOW_RATIO = 0.2  # of the greatest axial velocity through a disc: least that convects swirl of drag
+_MAX_SWIRL_NUMBER = 0.6  # of the swirl of drag; beyond it a jet breaks down
 
 
-def drag_angular_momentum(pull_N_m: Array, down_m_s: Array, density_kg_m3: float) -> Array:
+def drag_angular_momentum(pull_N_m: Array, down_m_s: Array, density_kg_m3: float, r_m: Array, dr_m: Array) -> Array:
     """Return the moment of momentum r u (m^2/s) of the slipstream due to profile drag of the blades, (stations,).
 
     Vortices represent only the swirl that comes with lift. The torque of the profile drag also adds angular momentum to
@@ -313,11 +314,19 @@ def drag_angular_momentum(pull_N_m: Array, down_m_s: Array, density_kg_m3: float
 
         rho v 2 pi r dr  r u = D' r dr                                        (moment of momentum; own derivation)
 
-    Annuli with little axial flow, as at the root, convect no swirl downstream.
+    Annuli with little axial flow, as at the root, convect no swirl downstream. The swirl number of the whole stream is
+
+        S = sum D' r dr / (R sum rho v^2 2 pi r dr)                                            (v > 0; R: the tip)
+
+    A jet with S above 0.6 breaks down (Gupta, Lilley, Syred, Swirl Flows, 1984, ch. 1), and mixing consumes its swirl.
+    Then r u is multiplied by 0.6 / S: a rotor that moves no air down leaves no swirl below it (own assumption).
     """
     least = _MIN_THROUGHFLOW_RATIO * float(np.max(np.abs(down_m_s))) + 1e-9
     turning: Array = pull_N_m / (2.0 * math.pi * density_kg_m3 * np.maximum(down_m_s, least))
-    return turning
+    momentum = 2.0 * math.pi * density_kg_m3 * float(np.sum(np.maximum(down_m_s, 0.0) ** 2 * r_m * dr_m))
+    torque = float(np.sum(pull_N_m * r_m * dr_m))
+    allowed = _MAX_SWIRL_NUMBER * float(np.max(r_m + 0.5 * dr_m)) * momentum
+    return turning if torque <= allowed else turning * (allowed / torque)
 
 
 def compute_slipstream(
@@ -337,7 +346,7 @@ def compute_slipstream(
         force = np.hypot(thrust, torque / r) / np.hypot(cl, cd)  # force per unit coefficient
         pull = force / dr * cd * np.cos(phi)
         turning = 2.0 * loss * swirl * r + drag_angular_momentum(
-            pull, climb_m_s + stream[0] + loss * inflow, air.density_kg_m3
+            pull, climb_m_s + stream[0] + loss * inflow, air.density_kg_m3, r, dr
         )
     return inflow, loss, turning
 

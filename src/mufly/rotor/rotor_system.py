@@ -557,15 +557,19 @@ class SystemSolution:
         """Return the relative changes of the loads of a pair against its isolated rotors at the same pitch and speed.
 
         Keys are ``upper_thrust``, ``upper_torque``, those of the lower rotor, and ``thrust``, ``power`` and
-        ``thrust_per_power`` of the pair.
+        ``thrust_per_power`` of the pair; nan where the isolated rotors have none, as a symmetric blade at pitch 0.
         """
+
+        def change(value: float, reference: float) -> float:
+            return value / reference - 1.0 if reference else math.nan
+
         thrust, power = sum(r.thrust_N for r in isolated), sum(r.power_W for r in isolated)
         losses = {}
         for side, r, alone in zip(("upper", "lower"), (self.upper, self.lower), isolated, strict=True):
-            losses[f"{side}_thrust"] = r.thrust_N / alone.thrust_N - 1.0
-            losses[f"{side}_torque"] = r.torque_Nm / alone.torque_Nm - 1.0
-        losses |= {"thrust": self.thrust_N / thrust - 1.0, "power": self.power_W / power - 1.0}
-        losses["thrust_per_power"] = (self.thrust_N / self.power_W) / (thrust / power) - 1.0
+            losses[f"{side}_thrust"] = change(r.thrust_N, alone.thrust_N)
+            losses[f"{side}_torque"] = change(r.torque_Nm, alone.torque_Nm)
+        losses |= {"thrust": change(self.thrust_N, thrust), "power": change(self.power_W, power)}
+        losses["thrust_per_power"] = change(self.thrust_N / self.power_W, thrust / power)
         return losses
 
     @property

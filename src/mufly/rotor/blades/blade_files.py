@@ -48,7 +48,7 @@ _DEFAULT_AIRFOIL = "naca4412"
 _DEFAULT_AIRFOIL_NOTE = f"airfoil {_DEFAULT_AIRFOIL}"
 _SUSPECTED_RADIANS_DEG = 1.6  # angles all below this value may be radians
 _MAX_RELATIVE_RADIUS = 1.5  # of the radius
-_MIN_RADIUS_M = 5e-3  # m
+_MIN_RADIUS_M, _MAX_RADIUS_M = 5e-3, 20.0  # m; the greatest helicopter's is 16 m
 _MIN_CHORD_RATIO = 1e-3  # of the radius
 
 
@@ -97,7 +97,7 @@ def read_blade(
         table = _read_station_table(path, radius_m, notes)
     r, chord, twist, foils, thick, radius, count = table
     radius = radius_m or radius
-    if radius < _MIN_RADIUS_M:
+    if not _MIN_RADIUS_M <= radius <= _MAX_RADIUS_M:
         raise InputError(
             where, "", f"the radius would be {1e3 * radius:.3g} mm", "correct the unit of the radii"
         )  # fmt: skip
@@ -110,9 +110,13 @@ def read_blade(
         notes = [n for n in notes if not n.startswith(_DEFAULT_AIRFOIL_NOTE)]
     for foil in dict.fromkeys(foils):
         load_airfoil(foil)
-    keep = (r <= radius * (1 + 1e-6)) & (chord > _MIN_CHORD_RATIO * radius)
+    inside, wide = r <= radius * (1 + 1e-6), chord > _MIN_CHORD_RATIO * radius
+    keep = inside & wide
     if not keep.all():
         notes.append(f"{int((~keep).sum())} station(s) beyond the tip or without chord omitted")
+    if keep.sum() < 2 <= inside.sum():
+        problem = f"is {1e3 * float(chord[inside].max()):.3g} mm at most, no blade of a radius of {1e3 * radius:.3g} mm"
+        raise InputError(where, "chord", problem, "check both, and their units")
     if keep.sum() < 2:
         raise InputError(where, "", "has fewer than two stations within the radius", "check radius and units")
     r, chord, twist = r[keep], chord[keep], twist[keep]

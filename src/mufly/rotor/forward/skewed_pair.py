@@ -158,8 +158,8 @@ def _disc_overlap(shift_m: float, inner_m: float, outer_m: float) -> float:
 
 
 def _shifted_stream(
-    upper: ForwardResult, met: Array, shift_m: float, spacing_m: float, radius_m: float, lower_r: Array,
-    lower_dr: Array, psi: Array, density: float,
+    upper: ForwardResult, upper_dr: Array, met: Array, shift_m: float, spacing_m: float, radius_m: float,
+    lower_r: Array, lower_dr: Array, psi: Array, density: float,
 ) -> tuple[Array, Array]:  # fmt: skip
     """Return the axial stream of the upper rotor and its swirl at the stations of the lower, (azimuths, stations)."""
     along = lower_r * np.cos(psi)[:, None] - shift_m
@@ -177,7 +177,7 @@ def _shifted_stream(
     axial = k * (mean + gradient * (lc * along - ls * across) / safe)
     swirl, loss, drag = state.annuli.T
     down = upper.climb_m_s + met + loss * state.inflow_m_s
-    turning = 2.0 * loss * swirl * own_r + drag_angular_momentum(drag, down, density)
+    turning = 2.0 * loss * swirl * own_r + drag_angular_momentum(drag, down, density, own_r, upper_dr)
     around = (swirl_influence(own_r, radius_m, spacing_m, safe.ravel(), width) @ turning).reshape(r.shape)
     facing = (lower_r - shift_m * np.cos(psi)[:, None]) / safe
     return axial, around * facing
@@ -242,8 +242,9 @@ def solve_forward_pair(
         slope = first.edgewise_m_s / max(through, 1e-3 * first.edgewise_m_s + 1e-9)
         shift = min(spacing_m * slope, _MAX_SHIFT * radii[0])
         axial, around = _shifted_stream(
-            one, met, shift, spacing_m, radii[0], below.r_m[0], below.dr_m[0], psi, first.air.density_kg_m3
-        )
+            one, above.dr_m[0], met, shift, spacing_m, radii[0], below.r_m[0], below.dr_m[0], psi,
+            first.air.density_kg_m3,
+        )  # fmt: skip
         two = solve_forward(below, second, flaps[1], start=two, stream_m_s=axial, swirl_m_s=around)
         image = upward @ two.state.inflow_m_s
         step, scale = float(np.max(np.abs(image - met))), float(np.max(np.abs(one.state.inflow_m_s))) + 1e-9

@@ -550,8 +550,8 @@ def drag_swirl_velocity(target: RotorState, source: RotorState, climb: float, ph
     if target.blade_state is not None:
         through += mutual_inflow(source, target, s.quarter_chord_m, phases)[:, 2]
     pull = 0.5 * s.blade_count * state.speed_m_s**2 * s.chord_m * state.cd * np.cos(s.pitch_rad - state.alpha_rad)
-    moment = drag_angular_momentum(pull, -through, 1.0)  # drag over density
     r = np.hypot(s.quarter_chord_m[:, 0], s.quarter_chord_m[:, 1])
+    moment = drag_angular_momentum(pull, -through, 1.0, r, s.panel_width_m)  # drag over density
     x, y = target.evaluation_points_m[:, 0], target.evaluation_points_m[:, 1]
     at = np.hypot(x, y)
     width = np.interp(at, target.surface.quarter_chord_m[:, 0], target.surface.panel_width_m)
