@@ -38,3 +38,18 @@ def sizes(errors: np.ndarray) -> str:
         return "none"
     each = ", ".join(f"{v:+.1f}" for v in 100 * errors) + ": " if errors.size <= 5 else ""
     return f"{each}{np.abs(known).mean():.1f} ({known.mean():+.1f})"
+
+
+def bootstrap_share(inside: list[np.ndarray], groups: list[str], *, draws: int = 5000) -> tuple[float, float]:
+    """Return the 5 and 95 % quantiles of the share of points inside, over groups drawn with replacement.
+
+    The points of a group share its error; the share of all points is as uncertain as that of so many groups (Efron,
+    Ann. Stat. 7, 1979). ``inside``: 1 or 0 by point of each rotor, ``groups``: the group of each rotor.
+    """
+    names = list(dict.fromkeys(groups))
+    held = np.zeros((len(names), 2))
+    for values, group in zip(inside, groups, strict=True):
+        held[names.index(group)] += values.sum(), values.size
+    drawn = held[np.random.default_rng(0).integers(0, len(names), (draws, len(names)))].sum(axis=1)
+    low, high = np.percentile(drawn[:, 0] / drawn[:, 1], (5, 95)).tolist()
+    return low, high

@@ -54,7 +54,7 @@ from rotor_checks import (
     report_polars,
     report_sections,
 )
-from rotor_tables import LIFT, percent, show_table, sizes
+from rotor_tables import LIFT, bootstrap_share, percent, show_table, sizes
 
 from mufly.errors import MuflyError
 from mufly.files.answer_store import hash_question, read_answer, write_answer
@@ -264,24 +264,33 @@ def report_variants(asked: argparse.Namespace) -> None:
 
 
 def report_intervals(asked: argparse.Namespace) -> None:
-    """Share of measurements inside 90 % intervals whose scales are fitted to the other families of rotors."""
+    """Share of measurements inside 90 % intervals whose scales are fitted to the other families of rotors.
+
+    The two ranges are 90 % of bootstrap samples of the share of points, over rotors and over families.
+    """
     rows, scores = [], score_cross_validated(load_singles(asked.data))
     for section in ("known", "guessed"):
-        part, cells, shares = [s for s in scores if s.code.endswith(section)], [], []
-        for k in (0, 1):
-            inside = [s.inside_interval[k] for s in part if s.inside_interval is not None]
-            half = [s.half_width[k] for s in part if s.half_width is not None]
-            held = [(i[np.isfinite(i)], h) for i, h in zip(inside, half, strict=True) if np.isfinite(i).any()]
-            points = np.concatenate([i for i, _ in held])
-            means, widths = np.mean([i.mean() for i, _ in held]), np.mean([h.mean() for _, h in held])
+        part, shares = [s for s in scores if s.code.endswith(section)], []
+        for k, quantity in enumerate(("thrust", "torque")):
+            held = [
+                (s.case, s.inside_interval[k][known], s.half_width[k])
+                for s in part
+                if s.inside_interval is not None
+                and s.half_width is not None
+                and (known := np.isfinite(s.inside_interval[k])).any()
+            ]
+            inside = [i for _, i, _ in held]
+            points = np.concatenate(inside)
+            means, widths = np.mean([i.mean() for i in inside]), np.mean([h.mean() for _, _, h in held])
             shares.append(100 * points.mean())
-            cells += [f"{shares[-1]:.0f} % of {points.size}", f"{100 * means:.0f} % of {len(held)}"]
-            cells.append(f"{100 * widths:.0f} %")
-        rows.append([section, *cells])
+            cells = [f"{shares[-1]:.0f} % of {points.size}", f"{100 * means:.0f} % of {len(held)}"]
+            for groups in ([c.name for c, _, _ in held], [c.family for c, _, _ in held]):
+                low, high = bootstrap_share(inside, groups)
+                cells.append(f"{100 * low:.0f} to {100 * high:.0f} % ({len(set(groups))})")
+            rows.append([f"{section}, {quantity}", *cells, f"{100 * widths:.0f} %"])
         asked.record(f"bemt_intervals_{section}", *shares)
-    words = ("points inside", "mean of rotors", "half width")
-    head = [f"{of}: {word}" for of in ("thrust", "torque") for word in words]
-    show_table("90 % intervals, scales fitted to the other families", ["section", *head], rows)
+    head = ["section", "points inside", "mean of rotors", "range over rotors", "over families", "half width"]
+    show_table("90 % intervals, scales fitted to the other families", head, rows)
     errors = [s.standard_error for s in scores if s.standard_error is not None]
     fitted, shipped = [fit_interval_scale([e[k] for e in errors]) for k in (0, 1)], INTERVAL_SCALES
     print(f"scales fitted to all rotors: {fitted[0]:.3f}, {fitted[1]:.3f}; in mufly: {shipped[0]:g}, {shipped[1]:g}")
