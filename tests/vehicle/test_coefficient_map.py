@@ -79,10 +79,11 @@ def squeezed(text):
         (without_row, "no full grid"),
         (squeezed, "evenly spaced"),
         (lambda t: t.replace("cT_upper", "CT"), "does not name the columns"),
-        (lambda t: t + "1 2 3\n", "a line is not 8"),
-        (lambda t: t.replace(" 1\n", " x\n", 1), "a line is not 8"),
+        (lambda t: t + "1 2 3\n", "is not 8 finite numbers: 1 2 3"),
+        (lambda t: t.replace(" 1\n", " x\n", 1), "line 2 is not 8"),
         (lambda t: t.replace(" 1\n", " nan\n", 1), "finite"),
         (lambda t: "", "does not name the columns"),
+        (lambda t: t.splitlines()[0], "has no line of numbers"),
     ],
 )
 def test_a_damaged_map_is_refused(vehicle, tmp_path, change, words) -> None:

@@ -12,6 +12,7 @@ recordings and copied vehicle files need no other file.
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache, partial
 from importlib import resources
 from pathlib import Path
@@ -110,16 +111,21 @@ def parse_table_rows(text: str, columns: tuple[str, ...]) -> NDArray[np.float64]
     PydanticCustomError
         If a line is wrong.
     """
-    lines = [line.split() for line in text.strip().splitlines() if line.strip()]
-    if not lines or tuple(lines[0]) != columns:
+    lines = [(k, line.split()) for k, line in enumerate(text.strip().splitlines(), 1) if line.strip()]
+    if not lines or tuple(lines[0][1]) != columns:
         raise _table_error("the first line does not name the columns", f"begin with: {' '.join(columns)}")
-    try:
-        rows = np.array([[float(v) for v in line] for line in lines[1:]], dtype=np.float64)
-    except ValueError as error:
-        raise _table_error(f"a line is not {len(columns)} numbers ({error})", "correct that line") from None
-    if rows.ndim != 2 or rows.shape[1] != len(columns) or not np.all(np.isfinite(rows)):
-        raise _table_error(f"a line is not {len(columns)} finite numbers", "correct that line")
-    return rows
+    if len(lines) == 1:
+        raise _table_error("has no line of numbers", "give a line for each point")
+    rows = []
+    for k, cells in lines[1:]:
+        try:
+            row = [float(cell) for cell in cells]
+        except ValueError:
+            row = []
+        if len(row) != len(columns) or not all(map(math.isfinite, row)):
+            raise _table_error(f"line {k} is not {len(columns)} finite numbers: {' '.join(cells)}", "correct that line")
+        rows.append(row)
+    return np.array(rows, dtype=np.float64)
 
 
 @lru_cache(maxsize=32)
