@@ -167,6 +167,10 @@ def test_other_forms_are_refused(function: object) -> None:
 
 def test_flight_model_names_its_sources() -> None:
     text = render_flight_model()
-    for name in ("equations_of_motion.state_derivative", "simulation.integrate_state", "edgewise_loads.add_flight_map"):
+    for name in (
+        "equations_of_motion.state_derivative",
+        "simulation.integrate_state",
+        "edgewise_loads.flight_map_loads",
+    ):
         assert f"mufly.dynamics.{name}." in " ".join(text.split())
     assert "malloc" not in text

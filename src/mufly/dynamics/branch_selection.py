@@ -172,6 +172,8 @@ class _Selection:
         return out
 
     def _is_absent(self, test: ast.expr) -> bool:
+        if isinstance(test, ast.BoolOp) and isinstance(test.op, ast.And):
+            return any(self._is_absent(part) for part in test.values)
         left = test.left if isinstance(test, ast.Compare) else None
         return isinstance(left, ast.Attribute) and ast.unparse(left.value) == _PARAMETER and left.attr in self._absent
 

@@ -1,8 +1,8 @@
 """Loads of a flight map in the equations of motion, and the phase of the swash plate.
 
-:func:`mufly.dynamics.equations_of_motion.state_derivative` adds them to the derivative of
-:func:`~mufly.dynamics.equations_of_motion.state_derivative_tilted`, which the estimator uses and which contains
-neither. State and inputs are unchanged.
+:func:`mufly.dynamics.equations_of_motion.state_derivative` includes them.
+:func:`~mufly.dynamics.equations_of_motion.state_derivative_tilted`, which the estimator uses, contains neither. State
+and inputs are unchanged.
 
 Map. With w the velocity of a hub through the air, (w_x, w_y) its part across the mast, K = rho pi R^3 and Omega the
 speed of the rotor, a rotor adds, in body axes (columns: :mod:`mufly.vehicle.flight_map`)
@@ -35,7 +35,6 @@ from numpy.typing import NDArray
 from mufly.compiled.numba_cache import cached_njit
 from mufly.dynamics.model_state import (
     MODEL_ATTITUDE,
-    MODEL_BAR,
     MODEL_RATES,
     MODEL_SPEED_LOWER,
     MODEL_SPEED_UPPER,
@@ -45,6 +44,7 @@ from mufly.dynamics.model_state import (
     U_SERVO_1,
     U_SERVO_2,
     ModelParameters,
+    rotation_entries,
 )
 from mufly.rotor.forward.edgewise_map import interpolate_flow_loads, interpolate_rate_loads
 
@@ -57,16 +57,17 @@ _THRUST, _TORQUE, _DRAG, _SIDE, _ROLL_MOMENT, _PITCH_MOMENT, _LOWER_THRUST, _LOW
 _LOWER_RATES = 4  # first load of rates of the lower rotor
 
 
+MapWrench = tuple[float, float, float, float, float, float, float, float, float, float]
+
+
 @cached_njit(error_model="numpy", forceinline=True)
-def _air_velocity(x: _Array, wind: _Array) -> tuple[float, float, float]:
+def air_velocity(x: _Array, wind: _Array) -> tuple[float, float, float]:
     """Return the velocity of the centre of gravity through the air, body axes (m/s)."""
-    w, i, j, k = x[MODEL_ATTITUDE], x[MODEL_ATTITUDE + 1], x[MODEL_ATTITUDE + 2], x[MODEL_ATTITUDE + 3]
-    n, e, d = x[MODEL_VELOCITY] - wind[0], x[MODEL_VELOCITY + 1] - wind[1], x[MODEL_VELOCITY + 2] - wind[2]
-    return (
-        (1 - 2 * (j * j + k * k)) * n + 2 * (i * j + w * k) * e + 2 * (i * k - w * j) * d,
-        2 * (i * j - w * k) * n + (1 - 2 * (i * i + k * k)) * e + 2 * (j * k + w * i) * d,
-        2 * (i * k + w * j) * n + 2 * (j * k - w * i) * e + (1 - 2 * (i * i + j * j)) * d,
+    a00, a01, a02, a10, a11, a12, a20, a21, a22 = rotation_entries(
+        x[MODEL_ATTITUDE], x[MODEL_ATTITUDE + 1], x[MODEL_ATTITUDE + 2], x[MODEL_ATTITUDE + 3]
     )
+    n, e, d = x[MODEL_VELOCITY] - wind[0], x[MODEL_VELOCITY + 1] - wind[1], x[MODEL_VELOCITY + 2] - wind[2]
+    return a00 * n + a10 * e + a20 * d, a01 * n + a11 * e + a21 * d, a02 * n + a12 * e + a22 * d
 
 
 @cached_njit(error_model="numpy", forceinline=True)
@@ -81,15 +82,18 @@ def find_map_point(x: _Array, wind: _Array, p: ModelParameters) -> tuple[float, 
         N-E-D (m/s).
     p : record of :class:`ModelParameters`
     """
-    air_x, air_y, air_z = _air_velocity(x, wind)
+    air_x, air_y, air_z = air_velocity(x, wind)
     up, dw = abs(x[MODEL_SPEED_UPPER]), abs(x[MODEL_SPEED_LOWER])
     tip = max(0.5 * (up + dw), _MIN_ROTOR_SPEED) * p.flight_radius
     z = 0.5 * (p.z_up + p.z_dw)
     v_x, v_y = air_x + x[MODEL_RATES + 1] * z, air_y - x[MODEL_RATES] * z
     square = v_x * v_x + v_y * v_y
     edge = square / (square + p.flight_knee2 * tip * tip)
-    climb = (-air_z / tip - p.flight_start[0]) * p.flight_per_step[0]
-    return dw / max(up, _MIN_ROTOR_SPEED), climb, (edge - p.flight_start[1]) * p.flight_per_step[1]
+    # One division instead of two, which a processor does one after the other.
+    least_up = max(up, _MIN_ROTOR_SPEED)
+    each = 1.0 / (tip * least_up)
+    climb = (-air_z * (each * least_up) - p.flight_start[0]) * p.flight_per_step[0]
+    return dw * (each * tip), climb, edge * p.flight_per_step[1]
 
 
 @cached_njit(error_model="numpy", forceinline=True)
@@ -122,71 +126,45 @@ def _hub_wrench(
     return f_x, f_y, m_x, m_y
 
 
-@cached_njit(error_model="numpy")
-def add_flight_map(
-    x: _Array, wind: _Array, p: ModelParameters, coefficients: tuple[float, float, float, float],
-    tilt: tuple[float, float, float], dx: _Array,
-) -> None:  # fmt: skip
-    """Add the loads of the map to the time derivative.
+@cached_njit(error_model="numpy", forceinline=True)
+def flight_map_loads(
+    x: _Array, air: tuple[float, float], point: tuple[float, float, float], p: ModelParameters
+) -> MapWrench:
+    """Return the loads of the map in body axes.
 
     Parameters
     ----------
     x : (21,) array
         State.
-    wind : (3,) array
-        N-E-D (m/s).
+    air : (float, float)
+        Velocity through the air across the mast, body axes (m/s).
+    point : (float, float, float)
+        From :func:`find_map_point`.
     p : record of :class:`ModelParameters`
-    coefficients : (float, float, float, float)
-        Thrust (N s^2) of upper and lower rotor, then torque (N m s^2), over the squares of the speeds.
-    tilt : (float, float, float)
-        Normal of the lower disc, body axes.
-    dx : (21,) array
-        dx/dt; changed.
+
+    Returns
+    -------
+    tuple of 10 floats
+        In-plane force along x and y of the upper, then of the lower rotor (N); hub moments of both rotors about x and
+        y (N m); factors of thrust, then of torque, of upper and lower rotor.
     """
-    kT_up, kT_dw, kQ_up, kQ_dw = coefficients
-    w, i, j, k = x[MODEL_ATTITUDE], x[MODEL_ATTITUDE + 1], x[MODEL_ATTITUDE + 2], x[MODEL_ATTITUDE + 3]
-    a00, a01, a02 = 1 - 2 * (j * j + k * k), 2 * (i * j - w * k), 2 * (i * k + w * j)
-    a10, a11, a12 = 2 * (i * j + w * k), 1 - 2 * (i * i + k * k), 2 * (j * k - w * i)
-    a20, a21, a22 = 2 * (i * k - w * j), 2 * (j * k + w * i), 1 - 2 * (i * i + j * j)
-    air_x, air_y, _ = _air_velocity(x, wind)
+    air_x, air_y = air
     roll, pitch = x[MODEL_RATES], x[MODEL_RATES + 1]
-    speed_up, speed_dw = x[MODEL_SPEED_UPPER], x[MODEL_SPEED_LOWER]
-    point = find_map_point(x, wind, p)
+    speed_up, speed_dw = abs(x[MODEL_SPEED_UPPER]), abs(x[MODEL_SPEED_LOWER])
     flow = _flow_loads(p, point)
     turning = interpolate_rate_loads(p.flight_rates, p.flight_size[1], point[2])
-    radius = p.flight_radius
-    scale_up, scale_dw = p.flight_scale * abs(speed_up), p.flight_scale * abs(speed_dw)
     ux, uy, mx_up, my_up = _hub_wrench(
         flow[_DRAG:_LOWER_THRUST], turning[:_LOWER_RATES], air_x + pitch * p.z_up, air_y - roll * p.z_up, roll, pitch,
-        scale_up, radius,
-        p.inplane * abs(speed_up),
+        p.flight_scale * speed_up, p.flight_radius, p.inplane * speed_up,
     )  # fmt: skip
     lx, ly, mx_dw, my_dw = _hub_wrench(
         flow[_LOWER_DRAG:], turning[_LOWER_RATES:], air_x + pitch * p.z_dw, air_y - roll * p.z_dw, roll, pitch,
-        scale_dw, radius,
-        p.inplane * abs(speed_dw),
+        p.flight_scale * speed_dw, p.flight_radius, p.inplane * speed_dw,
     )  # fmt: skip
-    # Thrust along the tilted normals, as in the flight model.
-    more = flow[_THRUST] * kT_up * speed_up * speed_up
-    bar_n, bar_e, bar_d = x[MODEL_BAR], x[MODEL_BAR + 1], x[MODEL_BAR + 2]
-    nx = p.bar_gain * (a00 * bar_n + a10 * bar_e + a20 * bar_d)
-    ny = p.bar_gain * (a01 * bar_n + a11 * bar_e + a21 * bar_d)
-    ux, uy, uz = ux + more * nx, uy + more * ny, -more * math.sqrt(max(1.0 - nx * nx - ny * ny, 0.0))
-    more = flow[_LOWER_THRUST] * kT_dw * speed_dw * speed_dw
-    lx, ly = lx + more * tilt[0], ly + more * tilt[1]
-    fx, fy, fz = ux + lx, uy + ly, uz + more * tilt[2]
-    dx[MODEL_VELOCITY] += (a00 * fx + a01 * fy + a02 * fz) / p.mass
-    dx[MODEL_VELOCITY + 1] += (a10 * fx + a11 * fy + a12 * fz) / p.mass
-    dx[MODEL_VELOCITY + 2] += (a20 * fx + a21 * fy + a22 * fz) / p.mass
-    torque_up = flow[_TORQUE] * kQ_up * speed_up * abs(speed_up)
-    torque_dw = flow[_LOWER_TORQUE] * kQ_dw * speed_dw * abs(speed_dw)
-    gear = p.gear_ratio * p.gear_ratio * p.gear_efficiency
-    slow_up, slow_dw = torque_up / (gear * p.J_up), torque_dw / (gear * p.J_dw)
-    dx[MODEL_SPEED_UPPER] -= slow_up
-    dx[MODEL_SPEED_LOWER] -= slow_dw
-    dx[MODEL_RATES] += (mx_up + mx_dw - p.z_up * uy - p.z_dw * ly) / p.Ixx
-    dx[MODEL_RATES + 1] += (my_up + my_dw + p.z_up * ux + p.z_dw * lx) / p.Iyy
-    dx[MODEL_RATES + 2] += (torque_up - p.Jreact_up * slow_up - torque_dw + p.Jreact_dw * slow_dw) / p.Izz
+    return (
+        ux, uy, lx, ly, mx_up + mx_dw, my_up + my_dw,
+        1.0 + flow[_THRUST], 1.0 + flow[_LOWER_THRUST], 1.0 + flow[_TORQUE], 1.0 + flow[_LOWER_TORQUE],
+    )  # fmt: skip
 
 
 @cached_njit(error_model="numpy")

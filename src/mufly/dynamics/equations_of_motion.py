@@ -76,7 +76,7 @@ from numpy.typing import NDArray
 
 from mufly.compiled.numba_cache import cached_njit
 from mufly.drive.drive_train import armature_current, interpolate_table, rotor_acceleration, terminal_voltage
-from mufly.dynamics.edgewise_loads import add_flight_map, add_swash_phase
+from mufly.dynamics.edgewise_loads import add_swash_phase, find_map_point, flight_map_loads
 from mufly.dynamics.model_state import (
     ATTITUDE,
     MODEL_ATTITUDE,
@@ -163,15 +163,17 @@ def state_derivative(x: _Array, u: _Array, wind: _Array, p: ModelParameters, dx:
 
     Thesis: eqs 4.5 to 4.10, 4.13 to 4.23, 4.31.
     """
+    ratio = climb = edge = 0.0
+    # The place in the map comes first, so that a processor does the rest while it waits for the division.
+    if p.flight_nodes > 0:
+        ratio, climb, edge = find_map_point(x, wind, p)
     a, b = x[MODEL_SWASH_ROLL], x[MODEL_SWASH_PITCH]
     sin_a, cos_a, sin_b, cos_b = math.sin(a), math.cos(a), math.sin(b), math.cos(b)
-    state_derivative_tilted(x, u, wind, p, sin_a, cos_a, sin_b, cos_b, True, dx)
+    _derivative_with_map(x, u, wind, p, sin_a, cos_a, sin_b, cos_b, True, True, (ratio, climb, edge), dx)
     if p.ground_effect > 0.0:
         _add_ground_effect(x, wind, p, dx)
     if p.swash_phase != 0.0:
         add_swash_phase(u, p, dx)
-    if p.flight_nodes > 0:
-        _add_flight_map(x, wind, p, (-sin_b, cos_b * sin_a, -cos_a * cos_b), dx)
 
 
 # Inlining is forced: with a map LLVM would not inline the function, which slows single flights by a tenth.
@@ -191,6 +193,19 @@ def state_derivative_tilted(
     """Compute :func:`state_derivative` with given sine and cosine of the swash plate's tilt about x and y.
 
     On-board code uses those of :mod:`mufly.compiled.portable_math`. Without ``floor`` ground contact is left out.
+    """
+    _derivative_with_map(x, u, wind, p, sin_a, cos_a, sin_b, cos_b, floor, False, (0.0, 0.0, 0.0), dx)
+
+
+@cached_njit(error_model="numpy", forceinline=True)
+def _derivative_with_map(
+    x: _Array, u: _Array, wind: _Array, p: ModelParameters, sin_a: float, cos_a: float, sin_b: float, cos_b: float,
+    floor: bool, mapped: bool, point: tuple[float, float, float], dx: _Array,
+) -> None:  # fmt: skip
+    """Compute :func:`state_derivative_tilted`; if ``mapped``, with the loads of the vehicle's flight map.
+
+    ``point`` is from :func:`mufly.dynamics.edgewise_loads.find_map_point`. The estimator's function has no map: the
+    compiler removes it.
     """
     # Called first, because a later call would spill the registers. The speeds are read twice: a local variable from
     # here on costs 3 % of a step.
@@ -215,6 +230,28 @@ def state_derivative_tilted(
     # Motors and battery.
     voltage, supply_current = battery_state(x, motor_up, motor_dw, p)
     drag_up, drag_dw = kQ_up * speed_up * abs(speed_up), kQ_dw * speed_dw * abs(speed_dw)
+
+    # Thrust directions. Lower rotor: tilted by the swash plate.
+    thrust_dw = kT_dw * speed_dw * speed_dw
+    # Upper rotor: tilted against the mast as the bar's disc is, times l_up.
+    nx = p.bar_gain * (a00 * bar_n + a10 * bar_e + a20 * bar_d)
+    ny = p.bar_gain * (a01 * bar_n + a11 * bar_e + a21 * bar_d)
+    nz = -math.sqrt(max(1.0 - nx * nx - ny * ny, 0.0))
+    thrust_up = kT_up * speed_up * speed_up
+
+    # Fuselage: velocity through the air in body axes.
+    air_n, air_e, air_d = x[MODEL_VELOCITY] - wind[0], x[MODEL_VELOCITY + 1] - wind[1], x[MODEL_VELOCITY + 2] - wind[2]
+    air_x = a00 * air_n + a10 * air_e + a20 * air_d
+    air_y = a01 * air_n + a11 * air_e + a21 * air_d
+    air_z = a02 * air_n + a12 * air_e + a22 * air_d
+    lift_up, lift_dw = thrust_up, thrust_dw
+    ux = uy = lx = ly = hub_x = hub_y = 0.0
+    if p.flight_nodes > 0 and mapped:
+        ux, uy, lx, ly, hub_x, hub_y, more_up, more_dw, torque_up, torque_dw = flight_map_loads(
+            x, (air_x, air_y), point, p
+        )
+        lift_up, lift_dw = more_up * thrust_up, more_dw * thrust_dw
+        drag_up, drag_dw = torque_up * drag_up, torque_dw * drag_dw
     current_up = armature_current(motor_up, voltage, speed_up, p.kE, p.R_ohm, p.gear_ratio)
     current_dw = armature_current(motor_dw, voltage, speed_dw, p.kE, p.R_ohm, p.gear_ratio)
     accel_up = rotor_acceleration(
@@ -223,32 +260,20 @@ def state_derivative_tilted(
     accel_dw = rotor_acceleration(
         current_dw, speed_dw, drag_dw, p.kM, p.dR, p.Mf, p.gear_ratio, p.gear_efficiency, p.J_dw
     )
-
-    # Thrust directions. Lower rotor: tilted by the swash plate.
-    thrust_dw = kT_dw * speed_dw * speed_dw
-    fx_dw = -sin_b * thrust_dw
-    fy_dw = cos_b * sin_a * thrust_dw
-    fz_dw = -cos_a * cos_b * thrust_dw
-    # Upper rotor: tilted against the mast as the bar's disc is, times l_up.
-    nx = p.bar_gain * (a00 * bar_n + a10 * bar_e + a20 * bar_d)
-    ny = p.bar_gain * (a01 * bar_n + a11 * bar_e + a21 * bar_d)
-    nz = -math.sqrt(max(1.0 - nx * nx - ny * ny, 0.0))
-    thrust_up = kT_up * speed_up * speed_up
-    fx_up = nx * thrust_up
-    fy_up = ny * thrust_up
-    fz_up = nz * thrust_up
-
-    # Fuselage: velocity through the air in body axes.
-    air_n, air_e, air_d = x[MODEL_VELOCITY] - wind[0], x[MODEL_VELOCITY + 1] - wind[1], x[MODEL_VELOCITY + 2] - wind[2]
-    air_x = a00 * air_n + a10 * air_e + a20 * air_d
-    air_y = a01 * air_n + a11 * air_e + a21 * air_d
-    air_z = a02 * air_n + a12 * air_e + a22 * air_d
+    fx_dw = -sin_b * lift_dw
+    fy_dw = cos_b * sin_a * lift_dw
+    fz_dw = -cos_a * cos_b * lift_dw
+    fx_up = nx * lift_up
+    fy_up = ny * lift_up
+    fz_up = nz * lift_up
     if p.inplane > 0.0:
         h_x, h_y, h_z = _inplane_drag(nx, ny, nz, air_x, air_y, air_z, wx, wy, p.z_up, p.inplane * speed_up)
         fx_up, fy_up, fz_up = fx_up + h_x, fy_up + h_y, fz_up + h_z
         nx, ny, nz = -sin_b, cos_b * sin_a, -cos_a * cos_b
         h_x, h_y, h_z = _inplane_drag(nx, ny, nz, air_x, air_y, air_z, wx, wy, p.z_dw, p.inplane * speed_dw)
         fx_dw, fy_dw, fz_dw = fx_dw + h_x, fy_dw + h_y, fz_dw + h_z
+    if p.flight_nodes > 0 and mapped:
+        fx_up, fy_up, fx_dw, fy_dw = fx_up + ux, fy_up + uy, fx_dw + lx, fy_dw + ly
     fx = fx_up + fx_dw - p.drag_over_speed2_x * abs(air_x) * air_x
     fy = fy_up + fy_dw - p.drag_over_speed2_y * abs(air_y) * air_y
     # Without thrust there is no downwash: a helicopter at rest or on its side has no downwash drag.
@@ -257,6 +282,8 @@ def state_derivative_tilted(
 
     mx = -p.z_up * fy_up - p.z_dw * fy_dw
     my = p.z_up * fx_up + p.z_dw * fx_dw
+    if p.flight_nodes > 0 and mapped:
+        mx, my = mx + hub_x, my + hub_y
     mz = (drag_up + p.Jreact_up * accel_up) - (drag_dw + p.Jreact_dw * accel_dw)
 
     f_n = a00 * fx + a01 * fy + a02 * fz
@@ -339,18 +366,6 @@ def _add_ground_effect(x: _Array, wind: _Array, p: ModelParameters, dx: _Array) 
     dx[MODEL_VELOCITY + 2] += (a20 * fx + a21 * fy + a22 * fz) / p.mass
     dx[MODEL_RATES] -= (p.z_up * fy_up + p.z_dw * fy_dw) / p.Ixx
     dx[MODEL_RATES + 1] += (p.z_up * fx_up + p.z_dw * fx_dw) / p.Iyy
-
-
-@cached_njit(error_model="numpy")
-def _add_flight_map(x: _Array, wind: _Array, p: ModelParameters, tilt: tuple[float, float, float], dx: _Array) -> None:
-    """Add the loads of the flight map with the lower disc's normal ``tilt``; see
-    :mod:`mufly.dynamics.edgewise_loads`."""
-    kT_up, kT_dw, kQ_up, kQ_dw = p.thrust_up, p.thrust_dw, p.torque_up, p.torque_dw
-    if p.map_nodes > 0:
-        kT_up, kT_dw, kQ_up, kQ_dw = map_coefficients(
-            x[MODEL_SPEED_UPPER], x[MODEL_SPEED_LOWER], climb_velocity(x, wind), p
-        )
-    add_flight_map(x, wind, p, (kT_up, kT_dw, kQ_up, kQ_dw), tilt, dx)
 
 
 _MIN_ROTOR_SPEED = 1e-3  # rad/s; below this speed rotor forces are negligible

@@ -9,14 +9,21 @@ distributed to the lanes. This needs a quarter of the memory loads of a gather o
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from llvmlite import ir
 from numba import types
 
 from mufly.dynamics.numba_lanes import LANES, VECTOR, intrinsic
-from mufly.rotor.forward.row_sums import FLOW_COLUMNS, RATE_COLUMNS, emit_flow_sum, emit_rate_sum
+from mufly.rotor.forward.row_sums import (
+    FLOW_COLUMNS,
+    RATE_COLUMNS,
+    emit_flow_sum,
+    emit_rate_sum,
+    pick_numbers,
+    spread_number,
+)
 
 _types: Any = types
 _DOUBLE, _WORD = ir.DoubleType(), ir.IntType(64)
@@ -30,16 +37,34 @@ def _lane_form(table: Any, places: tuple[Any, ...], weights: int, columns: int, 
     made = _types.UniTuple(VECTOR, columns)(table, *kinds)
 
     def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-        values = [_whole_places(builder, v) for v in given[1 : 1 + len(places)]] + list(given[1 + len(places) :])
-        sums = [ir.Constant(_VECTOR, ir.Undefined)] * columns
-        for lane in (ir.Constant(ir.IntType(32), k) for k in range(LANES)):
-            pointer = builder.inttoptr(builder.extract_element(given[0], lane), _DOUBLE.as_pointer())
-            own = [v if v.type == _WORD else builder.extract_element(v, lane) for v in values]
-            for c, total in enumerate(emit(builder, pointer, *own)):
-                sums[c] = builder.insert_element(sums[c], total, lane)
-        return context.make_tuple(builder, signature.return_type, sums)
+        indices = [_whole_places(builder, v) for v in given[1 : 1 + len(places)]]
+        weights, quartets = given[1 + len(places) :], []
+        for lane in range(LANES):
+
+            def spread(k: int, count: int, lane: int = lane) -> Any:
+                return spread_number(builder, weights[k], count, lane)
+
+            k = ir.Constant(ir.IntType(32), lane)
+            pointer = builder.inttoptr(builder.extract_element(given[0], k), _DOUBLE.as_pointer())
+            own = [v if v.type == _WORD else builder.extract_element(v, k) for v in indices]
+            quartets.append(emit(builder, pointer, own, spread, LANES))
+        numbers = [n for of_lanes in zip(*quartets, strict=True) for n in _transpose(builder, of_lanes)]
+        return context.make_tuple(builder, signature.return_type, numbers)
 
     return made, generate
+
+
+def _transpose(builder: Any, quartets: Sequence[Any]) -> list[Any]:
+    """Return four vectors of eight lanes from the eight lanes' vectors of four numbers."""
+    pairs = [pick_numbers(builder, quartets[k], range(8), quartets[k + 2]) for k in (0, 1, 4, 5)]
+    out = []
+    for column in range(4):
+        near, far = (
+            pick_numbers(builder, a, (column, 8 + column, 4 + column, 12 + column), b)
+            for a, b in (pairs[:2], pairs[2:])
+        )
+        out.append(pick_numbers(builder, near, range(8), far))
+    return out
 
 
 def _whole_places(builder: Any, place: Any) -> Any:

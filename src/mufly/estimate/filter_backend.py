@@ -46,7 +46,7 @@ from mufly.estimate.filter.measurements import (
 from mufly.rotor import coax_maps
 from mufly.vehicle import Vehicle
 
-VERIFIED_STAMP = "341ee41d7a4d7520"
+VERIFIED_STAMP = "07ed688198c80f48"
 """Stamp (:func:`source_stamp`) of the Python sources that the C code is verified to equal."""
 
 FILTER_SOURCES = (
@@ -242,6 +242,7 @@ _TRANSLATED_MODULES: tuple[tuple[types.ModuleType, tuple[str, ...]], ...] = (
         equations_of_motion,
         (
             "state_derivative_tilted",
+            "_derivative_with_map",
             "battery_state",
             "map_coefficients",
             "climb_velocity",

@@ -198,9 +198,8 @@ def spline_weights(x: float, n: int) -> tuple[int, float, float, float]:
 
     ``x`` is the position in steps from the first of ``n`` points, 3 or more; beyond an edge it is held.
     """
-    x = min(max(x, 0.0), n - 1.0)
-    i = min(max(int(x + 0.5), 1), n - 2)
-    t = x - i
+    i = int(min(n - 2.0, max(1.0, x + 0.5)))  # in this order an index also if x is not a number
+    t = min(max(x, 0.0), n - 1.0) - i
     return i - 1, 0.5 * (0.5 - t) * (0.5 - t), 0.75 - t * t, 0.5 * (0.5 + t) * (0.5 + t)
 
 

@@ -10,7 +10,7 @@ for lanes of vehicles. The sources here are what is translated to C and to symbo
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -26,15 +26,36 @@ _overload: Any = extending.overload
 _types: Any = types
 
 FLOW_COLUMNS, RATE_COLUMNS = 12, 8
-_GROUPS = 5  # of rows of the flow's loads
+_GROUPS, _ROWS = 5, 3  # groups of rows of the flow's loads, and rows of a group
 _WORD, _QUARTET = ir.IntType(64), ir.VectorType(ir.DoubleType(), 4)
+Spread = Callable[[int, int], Any]
+
+
+def _sum_groups(
+    table: Array, first: int, later: int, stride: int, ca: float, cb: float, cc: float, cd: float, ce: float
+) -> float:
+    """Return the weighted sum of three numbers that are ``stride`` apart, and of two more."""
+    n, m = np.uint64(first), np.uint64(later)
+    s, t = np.uint64(first + stride), np.uint64(first + 2 * stride)
+    return ca * table[n] + cb * table[s] + cc * table[t] + cd * table[m] + ce * table[np.uint64(later + stride)]
+
+
+def _sum_column(
+    table: Array, first: int, later: int, stride: int, ca: float, cb: float, cc: float, cd: float, ce: float,
+    ea: float, eb: float, ec: float,
+) -> float:  # fmt: skip
+    """Return one column of :func:`sum_flow_rows`."""
+    a = _sum_groups(table, first, later, stride, ca, cb, cc, cd, ce)
+    b = _sum_groups(table, first + 12, later + 12, stride, ca, cb, cc, cd, ce)
+    c = _sum_groups(table, first + 24, later + 24, stride, ca, cb, cc, cd, ce)
+    return ea * a + eb * b + ec * c
 
 
 def sum_flow_rows(
     table: Array, first: int, later: int, stride: int, ca: float, cb: float, cc: float, cd: float, ce: float,
     ea: float, eb: float, ec: float,
 ) -> tuple[float, float, float, float, float, float, float, float, float, float, float, float]:  # fmt: skip
-    """Return the weighted sum of five times three neighbouring rows of 12 columns.
+    """Return the weighted sum of five times three neighbouring rows of 12 columns, over the groups first.
 
     Parameters
     ----------
@@ -49,90 +70,122 @@ def sum_flow_rows(
     ea, eb, ec : float
         Weights of the rows of a group.
     """
-    t0 = t1 = t2 = t3 = t4 = t5 = t6 = t7 = t8 = t9 = t10 = t11 = 0.0
-    for j in range(5):
-        v = ca if j == 0 else cb if j == 1 else cc if j == 2 else cd if j == 3 else ce
-        row = first + stride * j if j < 3 else later + stride * (j - 3)
-        for i in range(3):
-            f = v * (ea if i == 0 else eb if i == 1 else ec)
-            n = np.uint64(row + 12 * i)
-            t0 += f * table[n]
-            t1 += f * table[n + np.uint64(1)]
-            t2 += f * table[n + np.uint64(2)]
-            t3 += f * table[n + np.uint64(3)]
-            t4 += f * table[n + np.uint64(4)]
-            t5 += f * table[n + np.uint64(5)]
-            t6 += f * table[n + np.uint64(6)]
-            t7 += f * table[n + np.uint64(7)]
-            t8 += f * table[n + np.uint64(8)]
-            t9 += f * table[n + np.uint64(9)]
-            t10 += f * table[n + np.uint64(10)]
-            t11 += f * table[n + np.uint64(11)]
-    return t0, t1, t2, t3, t4, t5, t6, t7, t8, t9, t10, t11
+    return (
+        _sum_column(table, first, later, stride, ca, cb, cc, cd, ce, ea, eb, ec),
+        _sum_column(table, first + 1, later + 1, stride, ca, cb, cc, cd, ce, ea, eb, ec),
+        _sum_column(table, first + 2, later + 2, stride, ca, cb, cc, cd, ce, ea, eb, ec),
+        _sum_column(table, first + 3, later + 3, stride, ca, cb, cc, cd, ce, ea, eb, ec),
+        _sum_column(table, first + 4, later + 4, stride, ca, cb, cc, cd, ce, ea, eb, ec),
+        _sum_column(table, first + 5, later + 5, stride, ca, cb, cc, cd, ce, ea, eb, ec),
+        _sum_column(table, first + 6, later + 6, stride, ca, cb, cc, cd, ce, ea, eb, ec),
+        _sum_column(table, first + 7, later + 7, stride, ca, cb, cc, cd, ce, ea, eb, ec),
+        _sum_column(table, first + 8, later + 8, stride, ca, cb, cc, cd, ce, ea, eb, ec),
+        _sum_column(table, first + 9, later + 9, stride, ca, cb, cc, cd, ce, ea, eb, ec),
+        _sum_column(table, first + 10, later + 10, stride, ca, cb, cc, cd, ce, ea, eb, ec),
+        _sum_column(table, first + 11, later + 11, stride, ca, cb, cc, cd, ce, ea, eb, ec),
+    )
 
 
 def sum_rate_rows(
     table: Array, first: int, ea: float, eb: float, ec: float
 ) -> tuple[float, float, float, float, float, float, float, float]:
     """Return the weighted sum of three neighbouring rows of 8 columns; ``first`` is the place of the first."""
-    t0 = t1 = t2 = t3 = t4 = t5 = t6 = t7 = 0.0
-    for i in range(3):
-        f = ea if i == 0 else eb if i == 1 else ec
-        n = np.uint64(first + 8 * i)
-        t0 += f * table[n]
-        t1 += f * table[n + np.uint64(1)]
-        t2 += f * table[n + np.uint64(2)]
-        t3 += f * table[n + np.uint64(3)]
-        t4 += f * table[n + np.uint64(4)]
-        t5 += f * table[n + np.uint64(5)]
-        t6 += f * table[n + np.uint64(6)]
-        t7 += f * table[n + np.uint64(7)]
-    return t0, t1, t2, t3, t4, t5, t6, t7
+    return (
+        _sum_rows(table, first, ea, eb, ec),
+        _sum_rows(table, first + 1, ea, eb, ec),
+        _sum_rows(table, first + 2, ea, eb, ec),
+        _sum_rows(table, first + 3, ea, eb, ec),
+        _sum_rows(table, first + 4, ea, eb, ec),
+        _sum_rows(table, first + 5, ea, eb, ec),
+        _sum_rows(table, first + 6, ea, eb, ec),
+        _sum_rows(table, first + 7, ea, eb, ec),
+    )
 
 
-def emit_row_sum(builder: Any, table: Any, rows: Iterable[tuple[Any, Any]], columns: int) -> list[Any]:
-    """Write the weighted sum of rows in the language of LLVM; return its numbers.
+def _sum_rows(table: Array, first: int, ea: float, eb: float, ec: float) -> float:
+    """Return one column of :func:`sum_rate_rows`."""
+    return ea * table[np.uint64(first)] + eb * table[np.uint64(first + 8)] + ec * table[np.uint64(first + 16)]
+
+
+def spread_number(builder: Any, number: Any, count: int, lane: int = 0) -> Any:
+    """Write a vector of ``count`` times a number, or a number of a vector."""
+    if not isinstance(number.type, ir.VectorType):
+        number = builder.insert_element(ir.Constant(_QUARTET, ir.Undefined), number, _index(lane))
+    return pick_numbers(builder, number, [lane] * count)
+
+
+def pick_numbers(builder: Any, vector: Any, places: Sequence[int], other: Any = None) -> Any:
+    """Write a vector of numbers of a vector; places beyond its length are those of another vector."""
+    mask = ir.Constant(ir.VectorType(ir.IntType(32), len(places)), list(places))
+    return builder.shuffle_vector(vector, ir.Constant(vector.type, ir.Undefined) if other is None else other, mask)
+
+
+def _index(k: int) -> Any:
+    return ir.Constant(ir.IntType(32), k)
+
+
+def _weighted_sum(builder: Any, weights: Iterable[Any], values: Iterable[Any]) -> Any:
+    total = None
+    for weight, value in zip(weights, values, strict=True):
+        part = builder.fmul(weight, value)
+        total = part if total is None else builder.fadd(total, part)
+    return total
+
+
+def _load_numbers(builder: Any, table: Any, place: Any, offset: int, count: int) -> Any:
+    at = builder.gep(builder.gep(table, [place]), [ir.Constant(_WORD, offset)])
+    values = builder.load(builder.bitcast(at, ir.VectorType(ir.DoubleType(), count).as_pointer()))
+    values.align = 8
+    return values
+
+
+def _split_quartets(builder: Any, vector: Any) -> list[Any]:
+    if vector.type.count == 4:
+        return [vector]
+    return [pick_numbers(builder, vector, range(k, k + 4)) for k in range(0, vector.type.count, 4)]
+
+
+def emit_flow_sum(builder: Any, table: Any, places: Sequence[Any], spread: Spread, width: int) -> list[Any]:
+    """Write :func:`sum_flow_rows`.
 
     Parameters
     ----------
     builder : llvmlite.ir.IRBuilder
     table : llvmlite value
         Pointer to the first number.
-    rows : iterable of (place, weight)
-        Place of the first number of each row, and its weight.
-    columns : int
-        Multiple of 4.
+    places : sequence of llvmlite values
+        ``first``, ``later`` and ``stride``.
+    spread : callable
+        ``spread(k, count)`` writes a vector of ``count`` times the weight ``k``.
+    width : int
+        Numbers in a vector of the sum over the groups: 4, or 8.
+
+    Returns
+    -------
+    list of llvmlite values
+        Vectors of four columns.
     """
-    lanes = [ir.Constant(ir.IntType(32), k) for k in range(4)]
-    sums: list[Any] = [ir.Constant(_QUARTET, [0.0] * 4)] * (columns // 4)
-    for place, weight in rows:
-        vector = ir.Constant(_QUARTET, ir.Undefined)
-        for lane in lanes:
-            vector = builder.insert_element(vector, weight, lane)
-        for c in range(len(sums)):
-            at = builder.gep(table, [builder.add(place, ir.Constant(_WORD, 4 * c))])
-            values = builder.load(builder.bitcast(at, _QUARTET.as_pointer()))
-            values.align = 8
-            sums[c] = builder.fadd(sums[c], builder.fmul(vector, values))
-    return [builder.extract_element(total, lane) for total in sums for lane in lanes]
+    first, later, stride = places
+    starts = [first, *(builder.add(first, builder.mul(stride, ir.Constant(_WORD, k))) for k in (1, 2))]
+    starts += [later, builder.add(later, stride)]
+    quartets, whole = [], _ROWS * FLOW_COLUMNS
+    for c in range(0, whole, width):  # the three rows lie one after the other
+        count = min(width, whole - c)
+        weights = [spread(k, count) for k in range(_GROUPS)]
+        parts = [_load_numbers(builder, table, start, c, count) for start in starts]
+        quartets += _split_quartets(builder, _weighted_sum(builder, weights, parts))
+    along = [spread(_GROUPS + k, 4) for k in range(_ROWS)]
+    step = FLOW_COLUMNS // 4
+    return [_weighted_sum(builder, along, quartets[c::step]) for c in range(step)]
 
 
-def emit_flow_sum(builder: Any, table: Any, first: Any, later: Any, stride: Any, *weights: Any) -> list[Any]:
-    """Write :func:`sum_flow_rows`; arguments and results are llvmlite values."""
-    rows = []
-    groups, along = weights[:_GROUPS], weights[_GROUPS:]
-    for j, v in enumerate(groups):
-        start, k = (first, j) if j < 3 else (later, j - 3)
-        row = builder.add(start, builder.mul(stride, ir.Constant(_WORD, k)))
-        for i, w in enumerate(along):
-            rows.append((builder.add(row, ir.Constant(_WORD, FLOW_COLUMNS * i)), builder.fmul(v, w)))
-    return emit_row_sum(builder, table, rows, FLOW_COLUMNS)
-
-
-def emit_rate_sum(builder: Any, table: Any, first: Any, *weights: Any) -> list[Any]:
-    """Write :func:`sum_rate_rows`; arguments and results are llvmlite values."""
-    rows = [(builder.add(first, ir.Constant(_WORD, RATE_COLUMNS * i)), w) for i, w in enumerate(weights)]
-    return emit_row_sum(builder, table, rows, RATE_COLUMNS)
+def emit_rate_sum(builder: Any, table: Any, places: Sequence[Any], spread: Spread, width: int) -> list[Any]:
+    """Write :func:`sum_rate_rows`, as :func:`emit_flow_sum`."""
+    out = []
+    for c in range(0, RATE_COLUMNS, width):
+        rows = [_load_numbers(builder, table, places[0], RATE_COLUMNS * i + c, width) for i in range(_ROWS)]
+        out += _split_quartets(builder, _weighted_sum(builder, [spread(k, width) for k in range(_ROWS)], rows))
+    return out
 
 
 def _make_intrinsic(columns: int, arguments: str, emit: Any) -> Any:
@@ -143,8 +196,9 @@ def _make_intrinsic(columns: int, arguments: str, emit: Any) -> Any:
         made = _types.UniTuple(_types.float64, columns)(table, *kinds)
 
         def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-            data = context.make_array(table)(context, builder, given[0]).data
-            numbers = emit(builder, data, *given[1:])
+            data, whole = context.make_array(table)(context, builder, given[0]).data, 1 + arguments.count("i")
+            quartets = emit(builder, data, given[1:whole], lambda k, n: spread_number(builder, given[whole + k], n), 4)
+            numbers = [builder.extract_element(q, _index(k)) for q in quartets for k in range(4)]
             return context.make_tuple(builder, signature.return_type, numbers)
 
         return made, generate
