@@ -92,12 +92,15 @@ def compare_descent(folder: Path, record: Callable[..., None]) -> None:
     rotor = make_rotor(name="c", radius_m=radius, chord_m=0.0479, airfoils="naca0015", blades=3, hub_cutout=0.15)
     blading, flap = prepare_blading(rotor), BladeFlap(1.0, 0.05)
     groups: dict[str, list[tuple[float, float]]] = {}
+    hovers: dict[tuple[float, float], list[float]] = {}
+    changes: dict[str, list[float]] = {}
     failed = 0
     for path in sorted(folder.glob("Castles*table_i__run*")) + sorted(folder.glob("Castles*table_v__run*")):
         rpm = float(re.search(r"_(\d+)_rpm", path.name)[1])
         omega = rpm * math.pi / 30
         bare = solve_forward(blading, ForwardCondition(0.0, omega), flap).c_Q
         hover = "table_v__" in path.name
+        own_hover = math.nan
         nominal = math.nan if hover else 1e-3 * int(re.search(r"ct_0_00(\d)", path.name)[1])
         for row in read_numbers(path, 3 if hover else 4):
             if hover:
@@ -124,7 +127,14 @@ def compare_descent(folder: Path, record: Callable[..., None]) -> None:
                 if share < 2.0
                 else "above 2"
             )
-            groups.setdefault(name, []).append((got.c_T / c_t - 1.0, (got.c_Q - bare - c_q) / 3e-4))
+            torque_error = (got.c_Q - bare - c_q) / 3e-4
+            groups.setdefault(name, []).append((got.c_T / c_t - 1.0, torque_error))
+            if name == "hover":
+                own_hover = torque_error
+                if abs(1e3 * c_t - round(1e3 * c_t)) < 0.04 * 1e3 * c_t:
+                    hovers.setdefault((round(1e3 * c_t), rpm), []).append(c_q)
+            else:
+                changes.setdefault(name, []).append(torque_error - own_hover)
     for name, errors in groups.items():
         thrust, torque = np.array(errors).T
         torque = torque[np.isfinite(torque)]
@@ -133,6 +143,16 @@ def compare_descent(folder: Path, record: Callable[..., None]) -> None:
             f"{np.mean(np.abs(thrust)):.1%}; torque over 3e-4 {np.mean(torque):+.1%}, absolute "
             f"{np.mean(np.abs(torque)):.1%}"
         )
+    for name, change in changes.items():
+        kept = np.array(change)[np.isfinite(change)]
+        print(
+            f"descent {name:15s} of v_h, {kept.size} points: torque less that of the run's own hover "
+            f"{np.mean(kept):+.1%}, absolute {np.mean(np.abs(kept)):.1%}"
+        )
+    for (c_t, rpm), measured in sorted(hovers.items()):
+        if len(measured) > 2:
+            spread = f"{np.nanmin(measured):.2e} to {np.nanmax(measured):.2e}"
+            print(f"descent: measured hover torque of the runs at c_T {1e-3 * c_t:.3f}, {rpm:.0f} rpm: {spread}")
     for name, key in (("0 to 0.5", "slow"), ("0.5 to 2 (ring)", "ring"), ("above 2", "windmill")):
         thrust, torque = np.array(groups[name]).T
         record(f"forward_descent_{key}", *(100.0 * np.nanmean(np.abs(e)) for e in (thrust, torque)))
