@@ -143,6 +143,7 @@ def test_diverging_blade_is_named_in_one_line(walkera):
 
 def test_command_prints_both_rotors_and_warns_near_divergence(tmp_path):
     ask = ["rotor", "hover", "walkera-5g6", "--pitch", "13", "--rpm", "7000", "--elastic", "--material", "spruce"]
+    ask += ["--thickness", "0.5mm"]
     told = CliRunner().invoke(app, [*ask, "--out", str(tmp_path)])
     assert told.exit_code == 0
     assert "near divergence: " in told.output
@@ -150,6 +151,7 @@ def test_command_prints_both_rotors_and_warns_near_divergence(tmp_path):
     for more, words in (
         (["--pitch", "13", "--thrust", "1", "--elastic"], "give --pitch and --rpm"),
         (["--pitch", "13", "--rpm", "6000", "--material", "abs"], "add --elastic"),
+        (["--pitch", "13", "--rpm", "6000", "--thickness", "0.5mm"], "add --elastic"),
         (["--pitch", "13", "--rpm", "6000", "--elastic", "--method", "wake"], "leave --method"),
     ):
         wrong = CliRunner().invoke(app, ["rotor", "hover", "walkera-5g6", *more])

@@ -53,6 +53,18 @@ MaterialOption = Annotated[
     define_option("--material NAME", "Material of elastic blades, as abs, in place of the file's."),
 ]
 
+_PLATE_RANGE = OptionRange(1e-5, 0.05, "m", "no blade of a small rotor has such a thickness; write 0.8 mm as 0.8mm")
+
+PlateOption = Annotated[
+    float | None,
+    define_option(
+        "--thickness",
+        "Thickness of a plate on the camber line, as 0.8mm, in place of the file's.",
+        unit="m",
+        within=_PLATE_RANGE,
+    ),
+]
+
 _DIAMETER_RANGE = OptionRange(1e-3, 10.0, "m", "no small rotor has such a diameter; write 127 mm as 127mm")
 _EDGE_THICKNESS_RANGE = OptionRange(0.0, 0.1, "m", "no trailing edge has such a thickness; write 0.3 mm as 0.3mm")
 
@@ -283,6 +295,7 @@ def hover(
         bool, define_option("--elastic", "Let the blades twist and bend; print the rigid rotor beside them.")
     ] = False,
     material: MaterialOption = None,
+    thickness: PlateOption = None,
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -315,6 +328,8 @@ def hover(
         raise InputError("rotor hover", "", "needs two of --pitch, --rpm and --thrust", "give two; the third is found")
     if material is not None and not elastic:
         raise InputError("--material", material, "applies to elastic blades only", "add --elastic")
+    if thickness is not None and not elastic:
+        raise InputError("--thickness", f"{thickness * 1e3:g} mm", "applies to elastic blades only", "add --elastic")
     if elastic:
         from mufly.cli.aero.elastic_hover import solve_elastic_point
 
@@ -323,7 +338,16 @@ def hover(
         if theory.method != "bemt" or band is not None or drive is not None:
             raise InputError("--elastic", "", "is for blade elements alone", "leave --method, --band and --drive out")
         return solve_elastic_point(
-            rotor, theory, pitch, rpm, climb=climb, density=density, material=material, out=out, as_json=as_json
+            rotor,
+            theory,
+            pitch,
+            rpm,
+            climb=climb,
+            density=density,
+            material=material,
+            thickness=thickness,
+            out=out,
+            as_json=as_json,
         )
     if theory.method == "cfd":
         from mufly.cli.aero.cfd import CaseOptions, solve_point

@@ -53,6 +53,7 @@ def solve_elastic_point(
     climb: float,
     density: float,
     material: str | None,
+    thickness: float | None,
     out: Path | None,
     as_json: bool,
 ) -> None:
@@ -65,7 +66,7 @@ def solve_elastic_point(
     r = load_rotor(name)
     found = solve_elastic_rotor(
         r, pitch_rad=math.radians(pitch_deg), speed_rad_s=speed_rpm * RPM, climb_m_s=climb,
-        air=Air(density_kg_m3=density), structure=choose_structure(r, material, None), n_crit=theory.n_crit,
+        air=Air(density_kg_m3=density), structure=choose_structure(r, material, thickness), n_crit=theory.n_crit,
         engine=theory.engine, corrections=theory.select_corrections(),
     )  # fmt: skip
     files = [] if out is None else [save_figure(elastic_picture(found), out, "elastic")]

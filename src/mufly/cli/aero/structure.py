@@ -16,21 +16,10 @@ from mufly.cli.options import (
     define_option,
 )
 from mufly.cli.output import print_answer, print_table, save_figure, write_csv
-from mufly.cli.rotor import MaterialOption, app
+from mufly.cli.rotor import MaterialOption, PlateOption, app
 from mufly.quantities.units import RPM
 
-_PLATE_RANGE = OptionRange(1e-5, 0.05, "m", "no blade of a small rotor has such a thickness; write 0.8 mm as 0.8mm")
 _BEAM_SPEED_RANGE = OptionRange(0.0, 1e6, "rpm", "no rotor has such a speed")
-
-PlateOption = Annotated[
-    float | None,
-    define_option(
-        "--thickness",
-        "Thickness of a plate on the camber line, as 0.8mm, in place of the file's.",
-        unit="m",
-        within=_PLATE_RANGE,
-    ),
-]
 
 
 @app.command("beam")
