@@ -8,6 +8,7 @@ the number of points; a coaxial pair and its trim quick enough for design loops.
 
 from __future__ import annotations
 
+import argparse
 import math
 import os
 import sys
@@ -99,4 +100,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     main()

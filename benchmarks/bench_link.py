@@ -7,6 +7,7 @@ The second part starts a vehicle in a process of its own and a station here that
 
 from __future__ import annotations
 
+import argparse
 import os
 import time
 from pathlib import Path
@@ -91,5 +92,6 @@ def vehicle() -> None:
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     messages()
     vehicle()

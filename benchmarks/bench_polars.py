@@ -1,13 +1,13 @@
-"""Time polars: one airfoil, 247 at once, fresh and from the cache, and reading a table.
+"""Time polars: one airfoil, 247 at once, fresh and from the cache, and reading a table."""
 
-python benchmarks/bench_polars.py
-"""
-
+import argparse
 import os
 import tempfile
 import time
 
 import numpy as np
+
+argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
 
 with tempfile.TemporaryDirectory() as folder:
     os.environ["MUFLY_CACHE"] = folder
