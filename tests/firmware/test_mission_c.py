@@ -25,7 +25,7 @@ from mufly.firmware import Firmware, export_firmware, find_compiler
 from mufly.firmware.compiled_software import diff_fields
 from mufly.firmware.export.source_export import ONBOARD_SOURCES, find_sources
 from mufly.firmware.software_instance import SoftwareInstance, read_course, read_point
-from mufly.flight.flight_software import FlightSoftware
+from mufly.flight.flight_software import FlightSoftware, descent_voltage_share
 from mufly.flight.oscillation_detector import INPUT_NAMES, OscillationDetector
 from mufly.mission import (
     Command,
@@ -112,6 +112,19 @@ def test_angles_and_lengths_are_the_same_in_both_languages(firmware) -> None:
         assert math.copysign(1.0, ours) == math.copysign(1.0, lib.real_atan2(y, x))
         assert ours == lib.real_atan2(y, x)
     assert lib.real_wrap_angle(math.pi) == portable_math.wrap_angle(math.pi) == math.pi
+
+
+def test_a_blind_descent_holds_its_rate_alike_in_both_languages(firmware) -> None:
+    """Hover voltage at the wanted rate of 0.5 to 0.9 m/s, in proportion between the limits of 0.92 and 1.08."""
+    for height, wanted in ((-0.1, 0.5), (0.3, 0.5), (0.7, 0.7), (5.0, 0.9)):
+        rates = wanted + np.linspace(-1.0, 1.0, 41)
+        shares = [descent_voltage_share(height, rate) for rate in rates.tolist()]
+        assert shares == [firmware.lib.descent_voltage_share(height, rate) for rate in rates.tolist()]
+        assert shares[20] == 1.0
+        inside = np.abs(rates - wanted) < 0.6
+        slopes = np.diff(np.array(shares)[inside]) / np.diff(rates[inside])
+        np.testing.assert_allclose(slopes, 1.0 / (2.0 * 9.81 * 0.4), rtol=1e-9)
+        assert (shares[0], shares[-1]) == (0.92, 1.08)
 
 
 def test_words_stand_in_the_same_order_in_both_languages() -> None:
