@@ -19,6 +19,7 @@ from mufly.firmware.emulated.board_flight import _BoardFirmware
 from mufly.firmware.emulated.image_build import build_host_board
 from mufly.firmware.software_instance import SoftwareInstance
 from mufly.flight import Flight
+from mufly.flight.autopilot import AUTO_DISARM_S
 from mufly.flight.flight_software import FlightSoftware
 from mufly.link.clients import Clients, CommandAuthority
 from mufly.link.parameter_protocol import LINK_PARAMETERS
@@ -282,6 +283,22 @@ def test_a_height_other_than_that_of_standing_refuses_arming(supervised, vehicle
     for floor_m, refused in ((0.251, False), (0.349, False), (0.249, True), (0.351, True), (float("nan"), False)):
         lib.supervisor_observe(s, setup, m, floor_m)
         assert lib.supervisor_arming_faults(s, setup, m) == (NOT_STANDING if refused else 0), floor_m
+
+
+def test_an_armed_vehicle_disarms_without_a_take_off(supervised, board) -> None:
+    software = board.ffi.new("software_t *")
+    for motors, stays in ((board.lib.MOTORS_OFF, False), (board.lib.MOTORS_FLY, True)):
+        lib, s, setup, m = supervised()
+        assert not s.armed
+        lib.supervisor_conclude(s, software, True)
+        s.armed, s.armed_s, software.motors = True, s.now_s, motors
+        count = round(AUTO_DISARM_S / setup.period_s)
+        for k in range(count + 1):
+            assert s.armed or k == count, k
+            m.time_s += setup.period_s
+            lib.supervisor_observe(s, setup, m, 0.3)
+            lib.supervisor_conclude(s, software, k % 4 == 0)
+        assert bool(s.armed) == stays
 
 
 def test_an_estimate_whose_clock_stands_still_refuses_arming_until_it_runs(supervised) -> None:
