@@ -324,6 +324,21 @@ def test_a_unit_with_sensors_keeps_its_state_and_its_seed(sensed: UnitLibrary) -
     assert np.array_equal(again, fresh, equal_nan=True)
 
 
+def test_fmpy_validates_a_unit_with_sensors(sensed: UnitLibrary) -> None:
+    fmpy = pytest.importorskip("fmpy", reason="fmpy is not installed: pip install 'mufly[fmi]'")
+    from fmpy.validation import validate_fmu
+
+    archive = str(sensed.folder.parent / "unit.fmu")
+    assert validate_fmu(archive) == []
+    values = {"sensors.seed": 1.0, "motor_input_upper": 0.5, "motor_input_lower": 0.5}
+    outputs = ["sensor.acceleration_z", "estimate.position_down"]
+    flown = fmpy.simulate_fmu(archive, stop_time=0.5, output_interval=0.01, start_values=values, output=outputs)
+    instance = UnitInstance(sensed).initialise(values)
+    for k in range(50):
+        instance.do_step(0.01 * k, 0.01)
+    assert [flown[name][-1] for name in outputs] == pytest.approx(instance.get_values(outputs), abs=1e-12)
+
+
 def test_a_vehicle_without_sensors_has_no_unit_with_them(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="sensors: there is no such table"):
         export_fmu(KNOWN.model_copy(update={"sensors": None}), tmp_path / "unit.fmu", seeds=1)
