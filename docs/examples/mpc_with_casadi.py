@@ -55,7 +55,7 @@ def main() -> None:
     vehicle = mufly.load_vehicle("mufly-1.1")
     hover = find_trim(vehicle, charge=0.8)
     slow = replace_parameters(vehicle, {"swash_plate.time_constant": 0.02})
-    solver = make_controller(predict_interval(casadi_model(slow, hover.voltage_V)), hover.input)
+    solver = make_controller(predict_interval(casadi_model(slow, hover.battery_voltage_V)), hover.input)
     p, x, target = model_parameters(vehicle), hover.state.copy(), np.array([1.0, 0.0, -1.0])
     x[2] = -1.0
     guess = np.tile(hover.input, HORIZON)

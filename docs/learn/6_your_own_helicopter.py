@@ -26,7 +26,7 @@ for row in guesses[:4]:
 # %%
 for one in (known, mine):
     hover = dynamics.hover_performance(one)
-    print(f"{one.name:16s} hovers on {hover.power_W:5.1f} W at {hover.current_A:.2f} A")
+    print(f"{one.name:16s} hovers on {hover.battery_power_W:5.1f} W at {hover.battery_current_A:.2f} A")
 controller = control.design_flight_controller(mine)
 recording = flight.fly_mission(mine, "demonstration", controller=controller)
 print(recording.attrs["outcome"], recording.attrs["reason"])

@@ -15,7 +15,7 @@ from mufly.logs import read_mcap
 pytest.importorskip("foxglove", reason="foxglove-sdk is not installed: pip install 'mufly[foxglove]'")
 websockets = pytest.importorskip("websockets", reason="websockets is not installed")
 
-from mufly.bridges.foxglove_live import FoxglovePublisher, FoxgloveView  # noqa: E402
+from mufly.bridges.foxglove_live import FoxglovePublisher, FoxgloveViewConfig  # noqa: E402
 
 
 def make_rows(layout, count):
@@ -70,5 +70,5 @@ def test_a_port_in_use_is_named():
     first = FoxglovePublisher(recorder, "127.0.0.1", 0)
     flight = SimpleNamespace(recorder=recorder, log_event=lambda text: None)
     with pytest.raises(InputError, match="cannot be opened"):
-        FoxgloveView(port=first.port).open_view(flight)
+        FoxgloveViewConfig(port=first.port).open_view(flight)
     first.close()

@@ -58,7 +58,7 @@ def test_without_ros_the_remedy_is_named(monkeypatch):
 
 def test_a_stock_subscriber_reads_and_commands_the_flight():
     pytest.importorskip("rclpy", reason="rclpy is not installed: pip install 'mufly[ros]'")
-    from mufly.bridges.ros_node import RosView
+    from mufly.bridges.ros_node import RosViewConfig
 
     layout = flight_layout(8, sensors=True)
     recorder, events, calls = FlightRecorder(None, layout=layout), [], []
@@ -74,7 +74,7 @@ def test_a_stock_subscriber_reads_and_commands_the_flight():
         log_event=lambda text, level="info": events.append(text),
         estimate=SimpleNamespace(attitude=np.array([0.0, 0.0, np.pi / 2]), position=np.array([0.0, 0.0, -1.0])),
     )  # fmt: skip
-    view = RosView("mufly_test").open_view(flight)
+    view = RosViewConfig("mufly_test").open_view(flight)
     row = np.ones(layout.column_count)
     columns = layout.column_slices
     row[columns["estimated_position"]] = (3.0, 4.0, -1.0)

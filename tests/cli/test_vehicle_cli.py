@@ -100,9 +100,9 @@ def test_check_prints_the_hover_point() -> None:
 def test_check_as_json() -> None:
     hover = json.loads(output("check", "mufly-1.1", "--json"))["hover"]
     assert sum(hover["thrust_N"]) == pytest.approx(0.095 * 9.81 + 0.009)
-    assert hover["power_W"] == pytest.approx(hover["voltage_V"] * hover["current_A"])
+    assert hover["battery_power_W"] == pytest.approx(hover["battery_voltage_V"] * hover["battery_current_A"])
     # Half the charge at the current of a half-full battery, roughly: 250 mA h at 2.9 A.
-    assert hover["endurance_s"] == pytest.approx(900 / hover["current_A"], rel=0.1)
+    assert hover["endurance_s"] == pytest.approx(900 / hover["battery_current_A"], rel=0.1)
     assert hover["thrust_to_weight_full"] > hover["thrust_to_weight_half"] > 1.2
 
 

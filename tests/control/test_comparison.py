@@ -39,7 +39,7 @@ from mufly.control.synthesis.synthesis_methods import (
 )
 from mufly.dynamics import dryden_filter, linearise_vehicle
 from mufly.errors import InputError
-from mufly.firmware import missing_tools
+from mufly.firmware import describe_missing_tools
 from mufly.flight.monte_carlo import Campaign
 from mufly.mission import load_mission
 from mufly.vehicle import Vehicle
@@ -159,7 +159,7 @@ def test_command_compares_and_writes(
         assert disk == pytest.approx(method["roll_pitch"]["disk"]["margin"])
         assert float(table.gust_tilt_rad.sel(controller="ltr")) == pytest.approx(method["gust_tilt_rad"])
     assert json.loads((tmp_path / "compare.json").read_text())["verdict"] == content["verdict"]
-    if not missing_tools():
+    if not describe_missing_tools():
         assert 2500 < method["instructions"] < 4500
     # Bounds of mu come from the folder; those at other frequencies are not there.
     monkeypatch.setattr(comparison, "analyse_parameter_robustness", lambda *_, **__: pytest.fail("computed again"))

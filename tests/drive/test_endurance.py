@@ -90,8 +90,8 @@ def test_agrees_with_the_flight_models_hover() -> None:
     e = hover_endurance(BATTERY, power_W=power, motor_voltage_V=voltage)
     # There the end is looked for on 21 charges and rounded up to one of them.
     assert e.time_s == pytest.approx(flown.endurance_s, rel=0.05)
-    current = power / flown.voltage_V + float(BATTERY.electronics_current)
-    assert current == pytest.approx(flown.current_A, rel=1e-3)
+    current = power / flown.battery_voltage_V + float(BATTERY.electronics_current)
+    assert current == pytest.approx(flown.battery_current_A, rel=1e-3)
 
 
 def test_constant_power_and_given_duty_see_the_same_terminal_voltage() -> None:

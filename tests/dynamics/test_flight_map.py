@@ -241,7 +241,7 @@ def test_rate_derivative_matches_the_table(clamped, hinged):
         tables = v.rotors.flight_map.parse_tables()
         loads = tables.loads.mean(axis=0)[int(np.argmin(np.abs(tables.climb_ratio))), 0].reshape(2, 10)
         speeds, z = x[ROTOR_SPEEDS], np.array([p["z_up"], p["z_dw"]])
-        scale, radius = p["flight_scale"] * speeds, float(p["flight_radius"])
+        scale, radius = p["flight_map_scale"] * speeds, float(p["flight_map_radius"])
         moment = scale * radius**2 * loads[:, 8] - scale * radius * z * loads[:, 7]
         drag = scale * loads[:, 2] - p["inplane"] * speeds
         moment -= drag * z**2

@@ -25,7 +25,7 @@ def test_at_rest_it_is_the_hover_of_the_vehicle(flight):
         rest = line[0]
         assert rest.airspeed_m_s == 0.0
         assert rest.rotor_speed_rad_s == pytest.approx(tuple(hover.rotor_speed), rel=1e-3)
-        assert rest.power_W == pytest.approx(hover.power_W, rel=2e-3)
+        assert rest.power_W == pytest.approx(hover.battery_power_W, rel=2e-3)
         assert rest.motor_input == pytest.approx(tuple(hover.motor_input), rel=2e-3)
         assert max(abs(rest.pitch_rad), abs(rest.roll_rad), rest.servo) < 1e-3
 

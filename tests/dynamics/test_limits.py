@@ -148,7 +148,7 @@ def test_hovering_time_at_constant_voltage(vehicle) -> None:
     x[2] = -5.0
     flight = simulate_open_loop(small, x, t.input, duration_s=5.0, voltage=7.2)
     used = 1.0 - float(flight.battery_charge[-1])
-    assert used == pytest.approx(t.current_A * 5.0 / 20.0, rel=1e-6)
+    assert used == pytest.approx(t.battery_current_A * 5.0 / 20.0, rel=1e-6)
 
 
 def test_full_input_lifts_about_one_and_a_half_weights(vehicle) -> None:

@@ -222,7 +222,9 @@ def test_linear_model_predicts_small_motions(vehicle, velocity, charge) -> None:
 
 def test_a_sagging_battery_couples_the_rotors(vehicle) -> None:
     # The source resistance acts like more armature resistance: less back-EMF damping, and both rotors couple.
-    stiff = linearise_vehicle(vehicle, find_trim(vehicle, voltage=find_trim(vehicle, charge=0.5).voltage_V)).full
+    stiff = linearise_vehicle(
+        vehicle, find_trim(vehicle, voltage=find_trim(vehicle, charge=0.5).battery_voltage_V)
+    ).full
     sagging = linearise_vehicle(vehicle, find_trim(vehicle, charge=0.5)).full
     names = stiff.state_labels
     i, j = names.index("Omega_up"), names.index("Omega_dw")

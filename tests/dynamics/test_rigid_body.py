@@ -113,7 +113,7 @@ def test_forces_balance_in_steady_flight(published, velocity) -> None:
 
 def test_climbing_costs_more_than_hovering(vehicle) -> None:
     climb, hover = find_trim(vehicle, velocity=(0, 0, -3)), find_trim(vehicle)
-    assert climb.power_W > hover.power_W
+    assert climb.battery_power_W > hover.battery_power_W
     assert np.all(climb.motor_input > hover.motor_input)
 
 

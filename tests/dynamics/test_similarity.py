@@ -78,7 +78,7 @@ def test_the_gear_that_is_chosen_needs_the_least_power(known: Vehicle) -> None:
             known, "own", mass_kg=0.12, radius_m=0.09, speed_constant_rad_Vs=3000 * RPM, resistance_ohm=0.2,
             gear_ratio=gear,
         )  # fmt: skip
-        return float(v.gear.ratio), hover_performance(v).power_W
+        return float(v.gear.ratio), hover_performance(v).battery_power_W
 
     ratio, least = power(None)
     assert ratio > 1.0

@@ -23,7 +23,7 @@ def test_hover_in_numbers(vehicle) -> None:
     assert_allclose(at_6_4.motor_input, [0.750, 0.824], atol=5e-4)
     assert_allclose(at_7_2.servo_input, 0.0, atol=1e-12)
     assert at_7_2.thrust_N.sum() == pytest.approx(0.095 * 9.81 + 0.009, rel=1e-10)
-    assert at_7_2.power_W == pytest.approx(19.46, abs=0.01)  # with 2.9 W for the electronics
+    assert at_7_2.battery_power_W == pytest.approx(19.46, abs=0.01)  # with 2.9 W for the electronics
 
 
 VELOCITIES = [(0, 0, 0), (0, 0, -0.5), (0, 0, 1.0), (1, 0, 0), (0, -2, 0), (3, 1, -1), (4, 0, 0)]
@@ -78,13 +78,13 @@ def test_hovering_in_wind_is_flying_in_still_air(vehicle) -> None:
 
 def test_an_emptier_battery_takes_more_input(vehicle) -> None:
     full, half = find_trim(vehicle, charge=1.0), find_trim(vehicle, charge=0.5)
-    assert half.voltage_V < full.voltage_V
+    assert half.battery_voltage_V < full.battery_voltage_V
     assert np.all(half.motor_input > full.motor_input)
-    assert half.power_W == pytest.approx(half.voltage_V * half.current_A, rel=1e-12)
-    constant = find_trim(vehicle, voltage=half.voltage_V)
+    assert half.battery_power_W == pytest.approx(half.battery_voltage_V * half.battery_current_A, rel=1e-12)
+    constant = find_trim(vehicle, voltage=half.battery_voltage_V)
     assert_allclose(constant.input, half.input, atol=1e-9)
     # A fifth of the charge left: the 6.4 V at which the thesis's linear model was made (errata, point 6).
-    assert find_trim(vehicle, charge=0.2).voltage_V == pytest.approx(6.4, abs=0.03)
+    assert find_trim(vehicle, charge=0.2).battery_voltage_V == pytest.approx(6.4, abs=0.03)
 
 
 @pytest.mark.parametrize(

@@ -89,11 +89,11 @@ class Twin:
     def sight(self, s: avoidance.PathCheck):
         c = self.ffi.new("path_check_t *")
         names = ("look_ahead_m", "points_checked", "path_distance_sq", "onward_distance_sq", "lateral_offset_sum",
-                 "blocker_count", "blocker_distance_sq")  # fmt: skip
+                 "blocking_point_count", "nearest_blocking_distance_sq")  # fmt: skip
         for name in names:
             setattr(c, name, getattr(s, name))
         c.from_point, c.goal_point, c.goal_distance_sq = s[:3], s[3:5], s.goal_distance_sq
-        c.blocker_point = (s.blocker_north, s.blocker_east)
+        c.nearest_blocking_point = (s.nearest_blocking_north, s.nearest_blocking_east)
         self.ffi.memmove(c.nearest_points, s.nearest_points.tobytes(), s.nearest_points.nbytes)
         return c
 

@@ -18,7 +18,7 @@ from pymavlink import mavutil
 from pymavlink.dialects.v20 import common as mavlink
 
 from mufly.control import design_flight_controller
-from mufly.firmware import export_firmware, missing_tools
+from mufly.firmware import describe_missing_tools, export_firmware
 from mufly.firmware.emulated.board_link import run_linked_board
 from mufly.firmware.emulated.image_build import build_host_board
 from mufly.flight.tunable_parameters import PARAMETERS
@@ -29,7 +29,7 @@ from mufly.vehicle import load_vehicle
 
 COMPILERS = [c for c in ("cc", "gcc", "clang") if shutil.which(c)]
 pytestmark = pytest.mark.skipif(not COMPILERS, reason="no C compiler: install gcc or clang")
-needs_qemu = pytest.mark.skipif(bool(missing_tools()), reason=missing_tools())
+needs_qemu = pytest.mark.skipif(bool(describe_missing_tools()), reason=describe_missing_tools())
 _NAMES = (
     "HEARTBEAT SYS_STATUS PARAM_REQUEST_READ PARAM_REQUEST_LIST PARAM_VALUE PARAM_SET ATTITUDE LOCAL_POSITION_NED "
     "MISSION_CURRENT MISSION_REQUEST_LIST MISSION_COUNT MISSION_CLEAR_ALL MISSION_ACK MISSION_REQUEST_INT "

@@ -13,7 +13,7 @@ from mufly.cli import app
 from mufly.control import design_flight_controller
 from mufly.errors import MuflyError
 from mufly.estimate import KalmanEstimator
-from mufly.firmware import GenericFirmwareSoftware, missing_tools
+from mufly.firmware import GenericFirmwareSoftware, describe_missing_tools
 from mufly.firmware.emulated import fly_board, make_board
 from mufly.firmware.emulated.board_flight import BoardEstimator, make_board_software
 from mufly.firmware.emulated.board_memory import MemoryLayout
@@ -26,7 +26,9 @@ from mufly.vehicle import load_vehicle
 
 COMPILERS = [c for c in ("cc", "gcc", "clang") if shutil.which(c)]
 needs_cc = pytest.mark.skipif(not COMPILERS, reason="no C compiler")
-needs_qemu = pytest.mark.skipif(bool(missing_tools()) or not COMPILERS, reason=missing_tools() or "no C compiler")
+needs_qemu = pytest.mark.skipif(
+    bool(describe_missing_tools()) or not COMPILERS, reason=describe_missing_tools() or "no C compiler"
+)
 
 HOP = """
 name = "hop"

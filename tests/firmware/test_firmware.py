@@ -26,10 +26,10 @@ from mufly.firmware import (
     Firmware,
     FirmwareControllers,
     build_library,
+    describe_missing_tools,
     export_firmware,
     find_compiler,
     find_deepest_stack,
-    missing_tools,
     run_pil,
     run_sil,
 )
@@ -193,7 +193,7 @@ def test_it_flies_the_mission_as_python_does(tmp_path) -> None:
         assert np.array_equal(python[name].values, flown[name].values), name
 
 
-@pytest.mark.skipif(bool(missing_tools()) or not COMPILERS, reason=missing_tools() or "no C compiler")
+@pytest.mark.skipif(bool(describe_missing_tools()) or not COMPILERS, reason=describe_missing_tools() or "no C compiler")
 def test_an_emulated_processor_computes_the_same() -> None:
     results = run_pil(load_vehicle("mufly-1.1"))
     assert {r.machine for r in results} == {"mps2-an386", "netduinoplus2"}

@@ -17,7 +17,7 @@ from mufly.estimate import Estimate
 from mufly.firmware.fixed_point.fixed_point_design import measure_cascade_loss, quantise_controller, quantise_law
 from mufly.firmware.fixed_point.fixed_point_flights import fly_fixed_point
 from mufly.firmware.fixed_point.fixed_point_law import FixedPointFirmwareControllers
-from mufly.firmware.proof.sil_pil import missing_tools, run_pil
+from mufly.firmware.proof.sil_pil import describe_missing_tools, run_pil
 from mufly.flight.controllers import Controllers, copy_record
 from mufly.vehicle import load_vehicle
 
@@ -167,7 +167,7 @@ def test_rounded_numbers_are_those_analysed(made) -> None:
     assert system.A.shape == (n, n)
 
 
-@pytest.mark.skipif(bool(missing_tools()) or not COMPILERS, reason=missing_tools() or "no C compiler")
+@pytest.mark.skipif(bool(describe_missing_tools()) or not COMPILERS, reason=describe_missing_tools() or "no C compiler")
 def test_processors_without_a_floating_unit_compute_the_same() -> None:
     results = run_pil(load_vehicle("mufly-1.1"), fixed_point=True)
     assert [r.machine for r in results] == [

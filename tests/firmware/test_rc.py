@@ -11,7 +11,7 @@ from board_station import Station
 from pymavlink.dialects.v20 import common as mavlink
 
 from mufly.control import design_flight_controller
-from mufly.firmware import missing_tools
+from mufly.firmware import describe_missing_tools
 from mufly.firmware.emulated import HostBoard
 from mufly.firmware.emulated.board_flight import BoardEstimator, make_board_software
 from mufly.firmware.emulated.board_link import run_linked_board
@@ -318,7 +318,7 @@ def test_a_pilot_flies_and_a_lost_receiver_makes_it_hover_and_land(vehicle, libr
     assert heights[-1] < 0.12
 
 
-@pytest.mark.skipif(bool(missing_tools()), reason=missing_tools() or "-")
+@pytest.mark.skipif(bool(describe_missing_tools()), reason=describe_missing_tools() or "-")
 @pytest.mark.parametrize(("name", "encode"), [("crsf", lambda c: _crsf(_pack(c))), ("sbus", _sbus)])
 def test_a_pilot_at_the_uart_of_the_emulated_board(vehicle, name, encode) -> None:
     """Switches arm and kill; a cut wire counts as a lost receiver; no byte of memory differs from this machine's."""

@@ -18,7 +18,7 @@ from mufly.estimate.filter.filter_records import (
     READING_SONAR,
     READING_STARTS,
 )
-from mufly.firmware import missing_tools
+from mufly.firmware import describe_missing_tools
 from mufly.firmware.emulated import HostBoard, make_board
 from mufly.firmware.emulated.image_build import build_host_board
 from mufly.firmware.proof.evidence_report import BOARD_TARGETS, measure_board_image
@@ -27,7 +27,7 @@ from mufly.vehicle import load_vehicle
 
 COMPILERS = [c for c in ("cc", "gcc", "clang") if shutil.which(c)]
 pytestmark = pytest.mark.skipif(not COMPILERS, reason="no C compiler: install gcc or clang")
-needs_qemu = pytest.mark.skipif(bool(missing_tools()), reason=missing_tools())
+needs_qemu = pytest.mark.skipif(bool(describe_missing_tools()), reason=describe_missing_tools())
 OTHER_VERSION, REFUSED, OTHER_MISSION = 2, 4, 8  # bits of SETTINGS_... in settings.h
 STORAGE = mavlink.MAV_CMD_PREFLIGHT_STORAGE
 

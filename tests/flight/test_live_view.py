@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from mufly.flight import FlightRecorder
-from mufly.flight.record.live_view import QUEUED_ROWS, LiveView
+from mufly.flight.record.live_view import QUEUED_ROWS, LiveViewThread
 
 
 class Viewer:
@@ -50,7 +50,7 @@ def wait_for(condition, timeout_s=10.0):
 def test_rows_come_in_order_at_the_rate_of_the_view():
     flight, _ = make_flight()
     viewer = Viewer()
-    view = LiveView(flight, viewer, rate_Hz=50.0, name="viewer")
+    view = LiveViewThread(flight, viewer, rate_Hz=50.0, name="viewer")
     fly(flight, 200)
     flight.recorder.add_event(0.5, "hover", "half")
     view.close()
@@ -63,7 +63,7 @@ def test_rows_come_in_order_at_the_rate_of_the_view():
 def test_a_slow_viewer_loses_the_oldest_rows_and_delays_nothing():
     flight, _ = make_flight()
     viewer = Viewer(pause_s=0.3)
-    view = LiveView(flight, viewer, rate_Hz=200.0, name="viewer")
+    view = LiveViewThread(flight, viewer, rate_Hz=200.0, name="viewer")
     began = time.monotonic()
     fly(flight, 5000)
     assert time.monotonic() - began < 5000 * 0.005 / 4  # 25 s of flight, while the viewer takes 0.3 s a batch
@@ -76,7 +76,7 @@ def test_a_slow_viewer_loses_the_oldest_rows_and_delays_nothing():
 def test_a_viewer_that_vanishes_ends_its_view_alone():
     flight, events = make_flight()
     viewer = Viewer(fails=True)
-    view = LiveView(flight, viewer, rate_Hz=200.0, name="the view")
+    view = LiveViewThread(flight, viewer, rate_Hz=200.0, name="the view")
     fly(flight, 10)
     wait_for(lambda: viewer.closed)
     view.serve_requests()
@@ -94,7 +94,7 @@ def test_requests_run_in_the_loop_of_the_flight():
             if not answers:
                 answers.append(view.request(lambda f: f is flight, wait=True))
 
-    view = LiveView(flight, Asker(), rate_Hz=50.0, name="viewer")
+    view = LiveViewThread(flight, Asker(), rate_Hz=50.0, name="viewer")
 
     def serve():
         view.serve_requests()

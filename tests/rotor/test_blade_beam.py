@@ -21,7 +21,7 @@ from mufly.rotor import (
     rotor_from_tables,
 )
 from mufly.rotor.structure.blade_beam import compute_modes, mass_matrix, stiffness_matrices
-from mufly.rotor.structure.cross_section import contour_lines, section_constants, shear_centre
+from mufly.rotor.structure.cross_section import contour_lines, section_geometry, shear_centre
 from mufly.rotor.structure.flap_modes import free_hinge, make_blade_beam, select_modes
 from mufly.rotor.structure.materials import MATERIALS
 
@@ -139,7 +139,7 @@ def test_shear_centre_of_a_semicircle_and_of_flat_sections():
 def test_section_constants_of_a_flat_plate():
     chord, t = np.array([0.02]), 0.001
     flat = np.zeros((1, contour_lines("naca0012")[0].size))
-    k = section_constants(chord, flat, flat, t)
+    k = section_geometry(chord, flat, flat, t)
     assert k.area_m2[0] == pytest.approx(2e-5)
     assert k.flap_inertia_m4[0] == pytest.approx(0.02 * t**3 / 12)
     assert k.lag_inertia_m4[0] == pytest.approx(t * 0.02**3 / 12, rel=1e-3)

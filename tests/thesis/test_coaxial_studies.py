@@ -51,7 +51,7 @@ def test_verdicts_follow_from_the_numbers(pairs: dict[str, xr.Dataset]) -> None:
 
 
 def test_balance_is_a_balance_and_is_judged_by_table_3_4() -> None:
-    data = coaxial_studies.compute_torque_balance("full", (14, 16, 18))
+    data = coaxial_studies.compute_equal_torques("full", (14, 16, 18))
     np.testing.assert_allclose(data.lower_torque_Nm, data.upper_torque_Nm, rtol=1e-6)
     assert (np.diff(data.lower_rpm) < 0).all()
     verdicts = {v.claim.text: v for v in coaxial_verdicts.judge_balance("full", data)}

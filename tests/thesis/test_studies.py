@@ -48,10 +48,10 @@ def test_every_figure_and_table_is_in_the_catalogue_once() -> None:
 def test_each_result_has_a_study_and_all_else_a_line() -> None:
     assert {i.name for i in list_studies()} == set(STUDIES)
     for i in THESIS_ITEMS.values():
-        assert bool(i.substitute) == (i.kind != "result"), i.name
+        assert bool(i.counterpart) == (i.kind != "result"), i.name
         assert i.section[0] == i.name.partition("-")[2][0]
     for i in THESIS_ITEMS.values():
-        for page in re.findall(r"docs/([\w-]+\.md)", i.substitute):
+        for page in re.findall(r"docs/([\w-]+\.md)", i.counterpart):
             assert (DOCS / page).is_file(), f"{i.name} names {page}"
 
 

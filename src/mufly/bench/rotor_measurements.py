@@ -103,10 +103,10 @@ def read_measurements(
     table = _fix_signs(table)
     if not {"airspeed", "advance_ratio"} & set(table.columns):
         # In a tunnel the thrust may vanish or become negative (windmilling).
-        _require_column(table, "thrust", table["thrust"] != 0.0, "not be 0; delete the line")
+        _require_column_values(table, "thrust", table["thrust"] != 0.0, "not be 0; delete the line")
         if "torque" in table:  # an empty cell is a point without torque
             must = "be above 0 for either sense of rotation: it loads the motor"
-            _require_column(table, "torque", ~(table["torque"] <= 0.0), must)
+            _require_column_values(table, "torque", ~(table["torque"] <= 0.0), must)
     speed = table["speed"]
     thinner = {n: 1.0 if n in made or not math.isfinite(density) else density / each for n in ("thrust", "torque")}
     if density_kg_m3 is not None:
@@ -133,8 +133,8 @@ def _check_pitch_and_speed(table: BenchTable, pitch_rad: float | None) -> None:
         if pitch_rad is not None:
             raise table.column_error("pitch", "is a column of the file", "omit the pitch given in addition")
         within = np.abs(table["pitch"]) <= _PITCH_LIMIT_RAD
-        _require_column(table, "pitch", within, "lie within 90 degrees; check its unit")
-    _require_column(table, "speed", table["speed"] > 0.0, "be above 0")
+        _require_column_values(table, "pitch", within, "lie within 90 degrees; check its unit")
+    _require_column_values(table, "speed", table["speed"] > 0.0, "be above 0")
     table.require_columns([n for n in ("airspeed", "advance_ratio") if n in table])
 
 
@@ -163,7 +163,9 @@ def _fix_signs(table: BenchTable) -> BenchTable:
     return table
 
 
-def _require_column(table: BenchTable, name: str, good: np.ndarray[tuple[int], np.dtype[np.bool_]], must: str) -> None:
+def _require_column_values(
+    table: BenchTable, name: str, good: np.ndarray[tuple[int], np.dtype[np.bool_]], must: str
+) -> None:
     bad = np.flatnonzero(~good)
     if bad.size:
         where = f"line {table.line[bad[0]]}, {table.headers[name]}"

@@ -14,10 +14,10 @@ thrust with two possible units, gives a figure of merit within :data:`_HOVER_FIG
 units are possible, an error is raised.
 
 **Rest.** A line gives the zero of the load cells under three conditions: the speed is 0, the throttle is below
-:data:`_IDLE_DUTY`, and the load differs from the adjacent turning lines. The difference must exceed
-:data:`_LOST_READING_TOLERANCE` of ``c W^2``, with c from ``load = zero + c W^2`` at the turning lines. Other lines
-without speed are omitted as failed speed readings. Loads ``c W^2`` below :data:`_MIN_LOAD_SHARE` of the largest are
-not used for this decision.
+:data:`_MAX_REST_DUTY`, and the load differs from the adjacent turning lines. The difference must exceed
+:data:`_LOST_SPEED_LOAD_TOLERANCE` of ``c W^2``, with c from ``load = zero + c W^2`` at the turning lines. Other lines
+without speed are omitted as failed speed readings. Loads ``c W^2`` below :data:`_MIN_COMPARED_LOAD_SHARE` of the
+largest are not used for this decision.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ _HEAVY_THRUST_COEFFICIENT, _LIGHT_THRUST_COEFFICIENT = 0.025, 2e-4  # c_T at whi
 _HOVER_FIGURES_OF_MERIT = (0.15, 0.95)  # range of the figure of merit of hovering rotors
 _MIN_PROPELLER_CT = 0.02
 _CANDIDATE_THRUST_UNITS, _CANDIDATE_TORQUE_UNITS = ("N", "gf", "kgf"), ("N m", "mN m", "N cm", "kgf cm")
-_FASTEST_TIP_M_S = 300.0
-_IDLE_DUTY, _LOST_READING_TOLERANCE, _MIN_LOAD_SHARE = 0.05, 0.4, 0.05
+_MAX_TIP_SPEED_M_S = 300.0
+_MAX_REST_DUTY, _LOST_SPEED_LOAD_TOLERANCE, _MIN_COMPARED_LOAD_SHARE = 0.05, 0.4, 0.05
 _MAX_HOVER_ADVANCE_RATIO = 0.02  # advance ratio V / (n D) below which a rotor hovers
 _ELECTRICAL_POWER_TOLERANCE = 0.03  # relative tolerance of power to voltage times current
 
@@ -136,7 +136,7 @@ def resolve_speed_unit(table: BenchTable, radius_m: float) -> BenchTable:
     if "thrust" in table and "thrust" not in table.unitless:
         unit, factor = guess_speed_unit(speed, table["thrust"], radius_m)
         return table.rescale_column("speed", factor, f"{header} has no unit: taken as {unit}")
-    if float(np.nanmax(np.abs(speed))) * radius_m > _FASTEST_TIP_M_S:
+    if float(np.nanmax(np.abs(speed))) * radius_m > _MAX_TIP_SPEED_M_S:
         return table.rescale_column(
             "speed", RPM, f"{header} has no unit: taken as rpm, as rad/s beyond the speed of sound"
         )
@@ -264,7 +264,7 @@ def select_rest_lines(table: BenchTable, speeds: list[str]) -> tuple[LineMask, L
         return still, np.zeros_like(still)
     lost = np.zeros_like(still)
     if "duty" in table:
-        lost |= still & (np.nan_to_num(table["duty"]) > _IDLE_DUTY)
+        lost |= still & (np.nan_to_num(table["duty"]) > _MAX_REST_DUTY)
     for channel in (c for c in table.columns if base_quantity_of(c) in LOAD_QUANTITIES):
         side = channel.removesuffix("_raw").partition("_")[2]
         own = [c for c in speeds if not side or c.endswith(side)] or speeds
@@ -278,6 +278,6 @@ def select_rest_lines(table: BenchTable, speeds: list[str]) -> tuple[LineMask, L
         load = np.abs(np.linalg.lstsq(a, y[turning], rcond=None)[0][1]) * squares / top
         after = np.searchsorted(rows, np.flatnonzero(resting))
         for beside in (rows[np.maximum(after - 1, 0)], rows[np.minimum(after, rows.size - 1)]):
-            alike = np.abs(y[resting] - y[beside]) < _LOST_READING_TOLERANCE * load[beside]
-            lost[resting] |= alike & (load[beside] > _MIN_LOAD_SHARE * load[turning].max())
+            alike = np.abs(y[resting] - y[beside]) < _LOST_SPEED_LOAD_TOLERANCE * load[beside]
+            lost[resting] |= alike & (load[beside] > _MIN_COMPARED_LOAD_SHARE * load[turning].max())
     return still & ~lost, lost

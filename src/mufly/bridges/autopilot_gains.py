@@ -202,7 +202,7 @@ def design_autopilot_gains(vehicle: Vehicle, *, angle_delay_s: float = 0.0) -> A
         gains[name] = _with_position_gains(gains[name], shared)
     gains["vertical"] = vertical
     return AutopilotGains(
-        vehicle.name, hover, trim.voltage_V, 0.5 * (upper - lower), gains["roll"], gains["pitch"], gains["yaw"],
+        vehicle.name, hover, trim.battery_voltage_V, 0.5 * (upper - lower), gains["roll"], gains["pitch"], gains["yaw"],
         vertical, tuple(predict_margins(axes[name], gains[name]) for name in AXIS_NAMES),
     )  # fmt: skip
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from mufly.errors import InputError
 from mufly.flight import Flight
-from mufly.flight.record.live_view import LiveView
+from mufly.flight.record.live_view import LiveViewThread
 from mufly.flight.record.recorder import FlightRecorder, RecordingEncoder
 from mufly.logs.mcap import FlightEvent
 
@@ -45,7 +45,7 @@ def load_foxglove() -> ModuleType:
 
 
 @dataclass(frozen=True)
-class FoxgloveView:
+class FoxgloveViewConfig:
     """Live view for Foxglove.
 
     Attributes
@@ -58,7 +58,7 @@ class FoxgloveView:
     host: str = "127.0.0.1"
     port: int = DEFAULT_PORT
 
-    def open_view(self, flight: Flight) -> LiveView:
+    def open_view(self, flight: Flight) -> LiveViewThread:
         """Start the server.
 
         Raises
@@ -68,7 +68,7 @@ class FoxgloveView:
         """
         publisher = FoxglovePublisher(flight.recorder, self.host, self.port)
         flight.log_event(f"Foxglove can connect to ws://{self.host}:{publisher.port}")
-        return LiveView(flight, publisher, rate_Hz=_RATE_HZ, name="the view of Foxglove")
+        return LiveViewThread(flight, publisher, rate_Hz=_RATE_HZ, name="the view of Foxglove")
 
 
 class FoxglovePublisher:

@@ -10,7 +10,7 @@ event, where its message package is not installed (PyPI has no ``tf2_msgs``). Co
 - services ``/arm``, ``/take_off``, ``/start_mission``, ``/land``, ``/stop_motors`` (std_srvs/Trigger), with the reason
   of a refusal.
 
-The node runs in the thread of a :class:`mufly.flight.record.live_view.LiveView`; the flight never waits for it.
+The node runs in the thread of a :class:`mufly.flight.record.live_view.LiveViewThread`; the flight never waits for it.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from mufly.bridges.ros_geometry import vehicle_range_limits
 from mufly.errors import InputError
 from mufly.flight import Flight, RequestAnswer, SetPoint
-from mufly.flight.record.live_view import LiveView
+from mufly.flight.record.live_view import LiveViewThread
 from mufly.logs.mcap import FlightEvent
 from mufly.logs.ros.ros_messages import (
     STATE_TOPIC,
@@ -69,7 +69,7 @@ def load_rclpy() -> ModuleType:
 
 
 @dataclass(frozen=True)
-class RosView:
+class RosViewConfig:
     """Node of ROS 2.
 
     Attributes
@@ -80,7 +80,7 @@ class RosView:
 
     name: str = "mufly"
 
-    def open_view(self, flight: Flight) -> LiveView:
+    def open_view(self, flight: Flight) -> LiveViewThread:
         """Start the node.
 
         Raises
@@ -89,7 +89,7 @@ class RosView:
             If rclpy is missing.
         """
         node = RosPublisher(flight, self.name)
-        view = LiveView(flight, node, rate_Hz=_ROW_RATE_HZ, name="the node of ROS 2")
+        view = LiveViewThread(flight, node, rate_Hz=_ROW_RATE_HZ, name="the node of ROS 2")
         node.view = view
         flight.log_event(f"node {self.name} of ROS 2 publishes {len(node.topics)} topics")
         for line in node.notes:
@@ -105,11 +105,11 @@ class RosPublisher:
     topics : list of str
     notes : list of str
         Topics that are not published, with the reason.
-    view : LiveView
+    view : LiveViewThread
         Set when the view starts; it carries the commands to the flight.
     """
 
-    view: LiveView
+    view: LiveViewThread
 
     def __init__(self, flight: Flight, name: str) -> None:
         self._rclpy = load_rclpy()

@@ -59,7 +59,7 @@ def convert_calibration(text: str, where: str, rest: Mapping[str, Any]) -> tuple
     if (line := _find_colmap_line(text)) is not None:
         whose, size, focus, distortion, rate = "COLMAP's cameras", *_parse_colmap_line(line, where), 0.0
     else:
-        whose, size, focus, distortion, rate = _parse_calibration(dict(_parse_key_values(text, where)), where)
+        whose, size, focus, distortion, rate = _parse_calibration(dict(_flatten_calibration_text(text, where)), where)
     lens = dict(zip(("focal_x", "focal_y", "centre_x", "centre_y"), focus, strict=True))
     lens |= dict(zip(_DISTORTION_NAMES, distortion, strict=False))
     known = {"unit": "1", "source": "measured"}
@@ -95,7 +95,7 @@ def _parse_colmap_line(line: list[str], where: str) -> tuple[tuple[int, int], li
     return size, [f_x, f_y, c_x - 0.5, c_y - 0.5], coefficients
 
 
-def _parse_key_values(text: str, where: str) -> Iterator[tuple[str, Any]]:
+def _flatten_calibration_text(text: str, where: str) -> Iterator[tuple[str, Any]]:
     """Yield dotted keys and values (text, or a list of texts) of YAML, JSON or XML."""
     head = text.lstrip("\ufeff \t\r\n")
     try:

@@ -62,7 +62,7 @@ if TYPE_CHECKING:
     from mufly.flight import FlightProgress, FlightSummary
     from mufly.flight.fixes.camera_sensor import CameraConfig
     from mufly.flight.flight_software import ControlImplementation
-    from mufly.flight.record.live_view import FlightView
+    from mufly.flight.record.live_view import LiveViewConfig
     from mufly.link import Endpoint, VehicleProcess
     from mufly.mission import Mission
     from mufly.sensors import Fault
@@ -93,7 +93,7 @@ class FlightOrder:
     camera: CameraConfig | None
     has_external_position: bool = False
     controller: FlightController | None = None
-    views: tuple[FlightView, ...] = ()
+    views: tuple[LiveViewConfig, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -95,11 +95,11 @@ def _steady_wind(wind: float | tuple[float, float, float] | None, seed: int) -> 
 
 def resolve_wind(wind: str | None, gust: float | None, seed: int) -> list[float] | None:
     """Return the wind N, E, D (m/s) of ``--wind``; InputError for invalid gusts and seeds."""
-    from mufly.mission import MAX_GUST_M_S
+    from mufly.mission import MAX_GUST_RMS_M_S
 
     given = parse_wind(wind)
-    if gust is not None and not 0.0 <= gust <= MAX_GUST_M_S:
-        raise InputError("--gust", "", f"{gust:g} m/s is out of range", f"give 0 to {MAX_GUST_M_S:g} m/s")
+    if gust is not None and not 0.0 <= gust <= MAX_GUST_RMS_M_S:
+        raise InputError("--gust", "", f"{gust:g} m/s is out of range", f"give 0 to {MAX_GUST_RMS_M_S:g} m/s")
     if not 0 <= seed < 2**63:
         raise InputError("--seed", "", f"{seed} is not a seed", "give a whole number from 0 to 2^63 - 1")
     return _steady_wind(given, seed)

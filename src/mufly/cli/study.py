@@ -562,7 +562,7 @@ def _print_answer(found: StudyAnswer) -> None:
     share = f" ({found.agreement_share})" if found.agreement_share else ""
     c.print(f"[bold]{i.name}[/bold]  {i.title}  [bold]{found.verdict_word}{share}[/bold]", highlight=False)
     if i.kind != "result":
-        c.print(f"  A {i.kind}; counterpart in mufly: {i.substitute}.", highlight=False, markup=False)
+        c.print(f"  A {i.kind}; counterpart in mufly: {i.counterpart}.", highlight=False, markup=False)
     for verdict in found.verdicts:
         style = None if verdict.agrees else "yellow"
         c.print(f"  {verdict.format_line()}", style=style, highlight=False, markup=False)

@@ -223,7 +223,11 @@ def _print_hover(v: Vehicle, h: HoverPerformance, is_credible: bool) -> None:
                 ResultColumn("rotor_speed_rad_s", "rpm", ".0f", entry_names=both),
                 ResultColumn("motor_input", form=".3f", entry_names=both),
                 ResultColumn("thrust_N", form=".3f", entry_names=both),
-                ("battery", f"{h.voltage_V:.2f} V, {h.current_A:.2f} A, {h.power_W:.1f} W with electronics"),
+                (
+                    "battery",
+                    f"{h.battery_voltage_V:.2f} V, {h.battery_current_A:.2f} A, "
+                    f"{h.battery_power_W:.1f} W with electronics",
+                ),
                 ("endurance", f"{h.endurance_s / 60:.1f} min of hover from a full battery"),
                 (
                     "thrust to weight",

@@ -1,8 +1,8 @@
 """Declaration of records by classes with typed, documented fields, the source of NumPy types and C structs.
 
-A class declares its fields with :func:`real_field` and :func:`int_field` and annotates them for editors and type
-checkers; it is never instantiated. Compiled functions take a NumPy record of :func:`record_type` in its place, whose
-fields Numba reads as fast as those of a C struct.
+A class declares its fields with :func:`real_or_array_field` and :func:`int_or_array_field` and annotates them for
+editors and type checkers; it is never instantiated. Compiled functions take a NumPy record of :func:`record_type` in
+its place, whose fields Numba reads as fast as those of a C struct.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ class Field:
     source: str = ""
 
 
-def real_field(meaning: str, *shape: int | str, unit: str = "", source: str = "") -> Any:
+def real_or_array_field(meaning: str, *shape: int | str, unit: str = "", source: str = "") -> Any:
     """Declare a real number, or an array of them."""
     return Field(shape, False, meaning, unit, source)
 
 
-def int_field(meaning: str, *shape: int | str) -> Any:
+def int_or_array_field(meaning: str, *shape: int | str) -> Any:
     """Declare an integer, or an array of them."""
     return Field(shape, True, meaning)
 

@@ -387,7 +387,7 @@ def design_flight_controller(
     if s.method == "mu":
         spreads = default_spreads(vehicle)
         derivatives = spread_derivatives(
-            vehicle, float(linear.trim.voltage_V), list(spreads), np.diag(list(spreads.values()))
+            vehicle, float(linear.trim.battery_voltage_V), list(spreads), np.diag(list(spreads.values()))
         )["roll-pitch"]
     try:
         heave_yaw = design_heave_yaw(linear.heave_yaw, s, period)
@@ -406,7 +406,7 @@ def design_flight_controller(
     except MuflyError as error:
         raise MuflyError(f"{vehicle.name}: {error}") from None
     motor = np.asarray(linear.trim.motor_input, dtype=float)
-    volts = float(linear.trim.voltage_V)
+    volts = float(linear.trim.battery_voltage_V)
     lower_upper = motor[::-1].copy()
     lags = reference_lags(heave_yaw)
     acceleration = heave_acceleration(vehicle, linear, s)
@@ -473,7 +473,7 @@ def _schedule_roll_pitch(
         vehicle,
         loop,
         speed_m_s=settings.schedule_speed,
-        voltage=float(linear.trim.voltage_V),
+        voltage=float(linear.trim.battery_voltage_V),
         tilt_limit=settings.tilt_limit,
     )
 
@@ -713,6 +713,6 @@ def heave_acceleration(vehicle: Vehicle, linear: Linearisation, settings: Design
     state[MODEL_CHARGE] = settings.planning_charge
     sagged = float(battery_state(state, 1.0, 1.0, model_parameters(vehicle))[0])
     lower_upper = linear.trim.motor_input[::-1]
-    headroom = np.maximum(sagged / linear.trim.voltage_V - lower_upper, 0.0)
+    headroom = np.maximum(sagged / linear.trim.battery_voltage_V - lower_upper, 0.0)
     available = abs(float(heave_acceleration_per_input(linear.heave_yaw) @ headroom))
     return float(np.clip(settings.heave_share * available, 0.1, settings.heave_acceleration_max))

@@ -50,7 +50,7 @@ def casadi_model(vehicle: Vehicle, voltage: float | None = None) -> Any:
     >>> vehicle = mufly.load_vehicle("mufly-1.1")
     >>> hover = find_trim(vehicle)
     >>> high = hover.state - np.eye(21)[2]  # 1 m above the floor
-    >>> abs(float(casadi_model(vehicle, hover.voltage_V)(high, hover.input, [0, 0, 0])[5])) < 1e-6
+    >>> abs(float(casadi_model(vehicle, hover.battery_voltage_V)(high, hover.input, [0, 0, 0])[5])) < 1e-6
     True
     """
     try:
@@ -58,7 +58,7 @@ def casadi_model(vehicle: Vehicle, voltage: float | None = None) -> Any:
     except ImportError:
         raise MuflyError("CasADi is not installed; run: pip install casadi") from None
     p = model_parameters(vehicle, voltage)
-    kind = casadi.SX if p["map_nodes"] == 0 and p["flight_nodes"] == 0 else casadi.MX
+    kind = casadi.SX if p["map_nodes"] == 0 and p["flight_map_nodes"] == 0 else casadi.MX
     names = {"state": STATE_SIZE, "inputs": INPUT_SIZE, "wind": 3}
     symbols: dict[str, Any] = {name: kind.sym(name, size) for name, size in names.items()}
     arguments = [[_Symbol(symbols[name][k]) for k in range(size)] for name, size in names.items()]

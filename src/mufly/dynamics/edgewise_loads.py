@@ -84,16 +84,16 @@ def find_map_point(x: _Array, wind: _Array, p: ModelParameters) -> tuple[float, 
     """
     air_x, air_y, air_z = air_velocity(x, wind)
     up, dw = abs(x[MODEL_SPEED_UPPER]), abs(x[MODEL_SPEED_LOWER])
-    tip = max(0.5 * (up + dw), _MIN_ROTOR_SPEED) * p.flight_radius
+    tip = max(0.5 * (up + dw), _MIN_ROTOR_SPEED) * p.flight_map_radius
     z = 0.5 * (p.z_up + p.z_dw)
     v_x, v_y = air_x + x[MODEL_RATES + 1] * z, air_y - x[MODEL_RATES] * z
     square = v_x * v_x + v_y * v_y
-    edge = square / (square + p.flight_knee2 * tip * tip)
+    edge = square / (square + p.flight_map_knee2 * tip * tip)
     # One division instead of two, which a processor does one after the other.
     least_up = max(up, _MIN_ROTOR_SPEED)
     each = 1.0 / (tip * least_up)
-    climb = (-air_z * (each * least_up) - p.flight_start[0]) * p.flight_per_step[0]
-    return dw * (each * tip), climb, edge * p.flight_per_step[1]
+    climb = (-air_z * (each * least_up) - p.flight_map_start[0]) * p.flight_map_per_step[0]
+    return dw * (each * tip), climb, edge * p.flight_map_per_step[1]
 
 
 @cached_njit(error_model="numpy", forceinline=True)
@@ -101,8 +101,10 @@ def _flow_loads(
     p: ModelParameters, point: tuple[float, float, float]
 ) -> tuple[float, float, float, float, float, float, float, float, float, float, float, float]:
     """Return the six first columns of both rotors at a point of the map."""
-    away = min(max(point[0], p.flight_ratio[1]), p.flight_ratio[2]) - p.flight_ratio[0]
-    return interpolate_flow_loads(p.flight_table, p.flight_size[0], p.flight_size[1], away, point[1], point[2])
+    away = min(max(point[0], p.flight_map_ratio[1]), p.flight_map_ratio[2]) - p.flight_map_ratio[0]
+    return interpolate_flow_loads(
+        p.flight_map_table, p.flight_map_size[0], p.flight_map_size[1], away, point[1], point[2]
+    )
 
 
 @cached_njit(error_model="numpy", forceinline=True)
@@ -152,14 +154,14 @@ def flight_map_loads(
     roll, pitch = x[MODEL_RATES], x[MODEL_RATES + 1]
     speed_up, speed_dw = abs(x[MODEL_SPEED_UPPER]), abs(x[MODEL_SPEED_LOWER])
     flow = _flow_loads(p, point)
-    turning = interpolate_rate_loads(p.flight_rates, p.flight_size[1], point[2])
+    turning = interpolate_rate_loads(p.flight_map_rate_loads, p.flight_map_size[1], point[2])
     ux, uy, mx_up, my_up = _hub_wrench(
         flow[_DRAG:_LOWER_THRUST], turning[:_LOWER_RATES], air_x + pitch * p.z_up, air_y - roll * p.z_up, roll, pitch,
-        p.flight_scale * speed_up, p.flight_radius, p.inplane * speed_up,
+        p.flight_map_scale * speed_up, p.flight_map_radius, p.inplane * speed_up,
     )  # fmt: skip
     lx, ly, mx_dw, my_dw = _hub_wrench(
         flow[_LOWER_DRAG:], turning[_LOWER_RATES:], air_x + pitch * p.z_dw, air_y - roll * p.z_dw, roll, pitch,
-        p.flight_scale * speed_dw, p.flight_radius, p.inplane * speed_dw,
+        p.flight_map_scale * speed_dw, p.flight_map_radius, p.inplane * speed_dw,
     )  # fmt: skip
     return (
         ux, uy, lx, ly, mx_up + mx_dw, my_up + my_dw,
@@ -168,7 +170,7 @@ def flight_map_loads(
 
 
 @cached_njit(error_model="numpy")
-def swash_plate_target(servo_1: Any, servo_2: Any, gain: Any, phase: Any) -> tuple[Any, Any]:
+def tip_path_tilt_target(servo_1: Any, servo_2: Any, gain: Any, phase: Any) -> tuple[Any, Any]:
     """Return the tilt (rad) about x and y that the lower tip-path plane follows.
 
     Parameters
@@ -206,9 +208,9 @@ def edgewise_factors(
 def inside_flight_map(x: _Array, wind: _Array, p: np.void) -> bool:
     """Return True if a state lies within the vehicle's flight map; beyond its edges the values at the edge hold."""
     ratio, climb, edge = find_map_point(x, wind, p)
-    last = p["flight_size"] - 1
+    last = p["flight_map_size"] - 1
     return bool(
-        p["flight_ratio"][1] <= ratio <= p["flight_ratio"][2]
+        p["flight_map_ratio"][1] <= ratio <= p["flight_map_ratio"][2]
         and -_EDGE_SLACK <= climb <= last[0] + _EDGE_SLACK
         and edge <= last[1] + _EDGE_SLACK
     )
@@ -223,12 +225,12 @@ def flight_map_rates(p: np.void, speed: float) -> float:
     speed : float
         Greatest rotor speed (rad/s).
     """
-    if p["flight_nodes"] == 0:
+    if p["flight_map_nodes"] == 0:
         return 0.0
-    scale, radius = float(p["flight_scale"]) * speed, float(p["flight_radius"])
-    used = 12 * int(p["flight_nodes"])
-    flow = np.abs(p["flight_table"][:used]).reshape(-1, 6).max(axis=0)
-    rates = np.abs(p["flight_rates"]).reshape(-1, 4).max(axis=0)
+    scale, radius = float(p["flight_map_scale"]) * speed, float(p["flight_map_radius"])
+    used = 12 * int(p["flight_map_nodes"])
+    flow = np.abs(p["flight_map_table"][:used]).reshape(-1, 6).max(axis=0)
+    rates = np.abs(p["flight_map_rate_loads"]).reshape(-1, 4).max(axis=0)
     arm, inertia = max(abs(float(p["z_up"])), radius), float(min(p["Ixx"], p["Iyy"]))
     linear = (flow[_DRAG] + flow[_SIDE]) * (1.0 / float(p["mass"]) + arm**2 / inertia)
     moment = (flow[_ROLL_MOMENT] + flow[_PITCH_MOMENT]) * radius * arm / inertia

@@ -165,7 +165,7 @@ def state_derivative(x: _Array, u: _Array, wind: _Array, p: ModelParameters, dx:
     """
     ratio = climb = edge = 0.0
     # The place in the map comes first, so that a processor does the rest while it waits for the division.
-    if p.flight_nodes > 0:
+    if p.flight_map_nodes > 0:
         ratio, climb, edge = find_map_point(x, wind, p)
     a, b = x[MODEL_SWASH_ROLL], x[MODEL_SWASH_PITCH]
     sin_a, cos_a, sin_b, cos_b = math.sin(a), math.cos(a), math.sin(b), math.cos(b)
@@ -246,7 +246,7 @@ def _derivative_with_map(
     air_z = a02 * air_n + a12 * air_e + a22 * air_d
     lift_up, lift_dw = thrust_up, thrust_dw
     ux = uy = lx = ly = hub_x = hub_y = 0.0
-    if p.flight_nodes > 0 and mapped:
+    if p.flight_map_nodes > 0 and mapped:
         ux, uy, lx, ly, hub_x, hub_y, more_up, more_dw, torque_up, torque_dw = flight_map_loads(
             x, (air_x, air_y), point, p
         )
@@ -272,7 +272,7 @@ def _derivative_with_map(
         nx, ny, nz = -sin_b, cos_b * sin_a, -cos_a * cos_b
         h_x, h_y, h_z = _inplane_drag(nx, ny, nz, air_x, air_y, air_z, wx, wy, p.z_dw, p.inplane * speed_dw)
         fx_dw, fy_dw, fz_dw = fx_dw + h_x, fy_dw + h_y, fz_dw + h_z
-    if p.flight_nodes > 0 and mapped:
+    if p.flight_map_nodes > 0 and mapped:
         fx_up, fy_up, fx_dw, fy_dw = fx_up + ux, fy_up + uy, fx_dw + lx, fy_dw + ly
     fx = fx_up + fx_dw - p.drag_over_speed2_x * abs(air_x) * air_x
     fy = fy_up + fy_dw - p.drag_over_speed2_y * abs(air_y) * air_y
@@ -282,7 +282,7 @@ def _derivative_with_map(
 
     mx = -p.z_up * fy_up - p.z_dw * fy_dw
     my = p.z_up * fx_up + p.z_dw * fx_dw
-    if p.flight_nodes > 0 and mapped:
+    if p.flight_map_nodes > 0 and mapped:
         mx, my = mx + hub_x, my + hub_y
     mz = (drag_up + p.Jreact_up * accel_up) - (drag_dw + p.Jreact_dw * accel_dw)
 

@@ -53,7 +53,7 @@ def judge_hover(vehicle: Vehicle, hover: HoverPerformance) -> Iterator[UnusualPa
         )
     if vehicle.mass_budget is not None and float(vehicle.mass_budget.actuators) > 0.0:
         actuators = float(vehicle.mass_budget.actuators)
-        power = hover.power_W - hover.voltage_V * float(vehicle.battery.electronics_current)
+        power = hover.battery_power_W - hover.battery_voltage_V * float(vehicle.battery.electronics_current)
         if power > _MAX_ACTUATOR_POWER_W_KG * actuators:
             yield UnusualParameter(
                 "mass_budget.actuators",
@@ -61,12 +61,12 @@ def judge_hover(vehicle: Vehicle, hover: HoverPerformance) -> Iterator[UnusualPa
                 f"motors with controllers take up to {1e-3 * _MAX_ACTUATOR_POWER_W_KG:g} W/g",
                 "give heavier motors, larger rotors or less mass",
             )
-    rate = hover.current_A * 3600.0 / float(vehicle.battery.capacity)
+    rate = hover.battery_current_A * 3600.0 / float(vehicle.battery.capacity)
     if vehicle.battery.model != "constant" and rate > _MAX_DISCHARGE_RATE_PER_H:
         yield UnusualParameter(
             "battery.capacity",
-            f"{float(vehicle.battery.capacity) / 3.6:.4g} mA h give {hover.current_A:.3g} A in hover, {rate:.0f} "
-            f"times the capacity an hour; cells give up to {_MAX_DISCHARGE_RATE_PER_H:g}",
+            f"{float(vehicle.battery.capacity) / 3.6:.4g} mA h give {hover.battery_current_A:.3g} A in hover, "
+            f"{rate:.0f} times the capacity an hour; cells give up to {_MAX_DISCHARGE_RATE_PER_H:g}",
             "give more capacity or less mass",
         )
     if hover.endurance_s < _MIN_ENDURANCE_S:

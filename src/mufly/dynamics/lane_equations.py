@@ -31,13 +31,13 @@ from mufly.dynamics.simulation import normalise_state
 _Array = NDArray[np.float64]
 _Ints = NDArray[np.int64]
 
-_MAP_PARAMETERS = ("map_nodes", "flight_nodes")
+_MAP_PARAMETERS = ("map_nodes", "flight_map_nodes")
 
 
 def group_vehicles(p: NDArray[np.void]) -> _Ints:
     """Return the group (k,) of each record of :class:`ModelParameters`; vehicles of one group may share a block."""
     traits = np.column_stack([
-        p["map_nodes"], p["map_size"], p["flight_nodes"], p["flight_size"], p["contact_count"],
+        p["map_nodes"], p["map_size"], p["flight_map_nodes"], p["flight_map_size"], p["contact_count"],
         p["ground_effect"] > 0.0, p["swash_phase"] != 0.0,
     ])  # fmt: skip
     return np.unique(traits, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)

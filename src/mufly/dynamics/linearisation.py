@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import root
 
-from mufly.dynamics.edgewise_loads import edgewise_factors, inside_flight_map, swash_plate_target
+from mufly.dynamics.edgewise_loads import edgewise_factors, inside_flight_map, tip_path_tilt_target
 from mufly.dynamics.equations_of_motion import (
     battery_state,
     climb_velocity,
@@ -84,7 +84,7 @@ class Trim:
         Wind velocity, N-E-D (m/s).
     thrust_N, torque_Nm : (2,) array
         Thrust and torque of upper and lower rotor.
-    voltage_V, current_A, power_W : float
+    battery_voltage_V, battery_current_A, battery_power_W : float
         Voltage, current and power at the battery's terminals.
     constant_voltage_V : float or None
         Constant voltage of the model; None with the vehicle's battery model.
@@ -97,9 +97,9 @@ class Trim:
     wind: NDArray[np.float64]
     thrust_N: NDArray[np.float64]
     torque_Nm: NDArray[np.float64]
-    voltage_V: float
-    current_A: float
-    power_W: float
+    battery_voltage_V: float
+    battery_current_A: float
+    battery_power_W: float
     constant_voltage_V: float | None
     inside_map: bool = True
 
@@ -113,7 +113,7 @@ class Trim:
             f"  motor input {motor_up:.3f} upper, {motor_dw:.3f} lower; servo input {servo_1:.3f}, {servo_2:.3f}\n"
             f"  rotor speed {rpm[0]:.0f} upper, {rpm[1]:.0f} lower rpm; "
             f"thrust {self.thrust_N[0]:.3f}, {self.thrust_N[1]:.3f} N\n"
-            f"  battery {self.voltage_V:.2f} V, {self.current_A:.2f} A, {self.power_W:.1f} W"
+            f"  battery {self.battery_voltage_V:.2f} V, {self.battery_current_A:.2f} A, {self.battery_power_W:.1f} W"
             + ("" if self.inside_map else "\n  beyond the vehicle's flight map: values at its edge are used")
         )
 
@@ -197,7 +197,7 @@ def find_trim(
             rotor_speed=np.array([upper, lower]) * speed,
             charge=charge_,
         )
-        x[MODEL_SWASH_ROLL], x[MODEL_SWASH_PITCH] = swash_plate_target(
+        x[MODEL_SWASH_ROLL], x[MODEL_SWASH_PITCH] = tip_path_tilt_target(
             servo_1, servo_2, p["swash_gain"], p["swash_phase"]
         )
         return x, np.array([motor_up, motor_dw, servo_1, servo_2])
@@ -233,7 +233,7 @@ def find_trim(
     speed_up, speed_dw = x[ROTOR_SPEEDS]
     t_up, t_dw, q_up, q_dw = rotor_loads(p, speed_up, speed_dw, climb)
     inside = inside_map(vehicle, speed_up, speed_dw, climb)
-    if p["flight_nodes"] > 0:
+    if p["flight_map_nodes"] > 0:
         f_up, f_dw = edgewise_factors(x, wind_, p)
         t_up, q_up, t_dw, q_dw = t_up * f_up[0], q_up * f_up[1], t_dw * f_dw[0], q_dw * f_dw[1]
         inside = inside and inside_flight_map(x, wind_, p)
@@ -243,9 +243,9 @@ def find_trim(
         wind=wind_,
         thrust_N=np.array([t_up, t_dw]),
         torque_Nm=np.array([q_up, q_dw]),
-        voltage_V=float(volts),
-        current_A=float(current),
-        power_W=float(volts * current),
+        battery_voltage_V=float(volts),
+        battery_current_A=float(current),
+        battery_power_W=float(volts * current),
         constant_voltage_V=constant,
         inside_map=inside,
     )
@@ -296,7 +296,7 @@ class HoverPerformance:
     ----------
     rotor_speed_rad_s, motor_input, thrust_N : (float, float)
         Speed, motor input and thrust of upper and lower rotor.
-    voltage_V, current_A, power_W : float
+    battery_voltage_V, battery_current_A, battery_power_W : float
         Voltage, current and power at the battery's terminals, including electronics.
     endurance_s : float
         Hovering time from a full battery.
@@ -307,9 +307,9 @@ class HoverPerformance:
     rotor_speed_rad_s: tuple[float, float]
     motor_input: tuple[float, float]
     thrust_N: tuple[float, float]
-    voltage_V: float
-    current_A: float
-    power_W: float
+    battery_voltage_V: float
+    battery_current_A: float
+    battery_power_W: float
     endurance_s: float
     thrust_to_weight_full: float
     thrust_to_weight_half: float
@@ -323,7 +323,7 @@ def hover_current_A(vehicle: Vehicle) -> float:
     MuflyError
         If the vehicle is too heavy to hover.
     """
-    return find_trim(vehicle, charge=0.5).current_A
+    return find_trim(vehicle, charge=0.5).battery_current_A
 
 
 def hover_performance(vehicle: Vehicle) -> HoverPerformance:
@@ -339,9 +339,9 @@ def hover_performance(vehicle: Vehicle) -> HoverPerformance:
         rotor_speed_rad_s=(float(t.rotor_speed[0]), float(t.rotor_speed[1])),
         motor_input=(float(t.motor_input[0]), float(t.motor_input[1])),
         thrust_N=(float(t.thrust_N[0]), float(t.thrust_N[1])),
-        voltage_V=t.voltage_V,
-        current_A=t.current_A,
-        power_W=t.power_W,
+        battery_voltage_V=t.battery_voltage_V,
+        battery_current_A=t.battery_current_A,
+        battery_power_W=t.battery_power_W,
         endurance_s=_hover_endurance(vehicle),
         thrust_to_weight_full=_thrust_to_weight(vehicle, 1.0),
         thrust_to_weight_half=_thrust_to_weight(vehicle, 0.5),
@@ -356,9 +356,9 @@ def _hover_endurance(vehicle: Vehicle) -> float:
             t = find_trim(vehicle, charge=float(charge))
         except MuflyError:
             break
-        if t.voltage_V < float(vehicle.battery.low_voltage):
+        if t.battery_voltage_V < float(vehicle.battery.low_voltage):
             break
-        seconds_per_charge.append(float(vehicle.battery.capacity) / t.current_A)
+        seconds_per_charge.append(float(vehicle.battery.capacity) / t.battery_current_A)
     y = np.array(seconds_per_charge)
     return float(np.sum((y[1:] + y[:-1]) / 2) / (_CHARGE_POINTS - 1))
 

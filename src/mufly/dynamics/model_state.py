@@ -30,8 +30,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mufly.compiled.numba_cache import cached_njit
-from mufly.compiled.record_fields import int_field as _int
-from mufly.compiled.record_fields import real_field as _real
+from mufly.compiled.record_fields import int_or_array_field as _int
+from mufly.compiled.record_fields import real_or_array_field as _real
 from mufly.compiled.record_fields import record_fields, record_type
 from mufly.errors import InputError
 from mufly.quantities.units import GRAVITY
@@ -207,16 +207,18 @@ class ModelParameters:
     swash_phase: float = _real(
         "lag of the lower disc's tilt behind the plate's", unit="rad", source="swash_plate.phase"
     )
-    flight_nodes: int = _int("climbs times edgewise velocities of the flight map; 0: no map")
-    flight_size: NDArray[np.int64] = _int("climbs and edgewise velocities of the map", 2)
-    flight_start: _Array = _real("first of each", 2)
-    flight_per_step: _Array = _real("inverse of the step of each", 2)
-    flight_ratio: _Array = _real("middle, lowest and highest speed ratio of the map", 3)
-    flight_knee2: float = _real("k^2 of the edgewise axis")
-    flight_scale: float = _real("rho pi R^3", unit="kg")
-    flight_radius: float = _real("rotor radius", unit="m", source="rotors.radius")
-    flight_table: _Array = _real("spline coefficients of the loads of both rotors", 12 * (MAP_CLIMBS + 2) * MAP_EDGES)
-    flight_rates: _Array = _real("loads of roll and pitch rate", 8 * MAP_EDGES)
+    flight_map_nodes: int = _int("climbs times edgewise velocities of the flight map; 0: no map")
+    flight_map_size: NDArray[np.int64] = _int("climbs and edgewise velocities of the map", 2)
+    flight_map_start: _Array = _real("first of each", 2)
+    flight_map_per_step: _Array = _real("inverse of the step of each", 2)
+    flight_map_ratio: _Array = _real("middle, lowest and highest speed ratio of the map", 3)
+    flight_map_knee2: float = _real("k^2 of the edgewise axis")
+    flight_map_scale: float = _real("rho pi R^3", unit="kg")
+    flight_map_radius: float = _real("rotor radius", unit="m", source="rotors.radius")
+    flight_map_table: _Array = _real(
+        "spline coefficients of the loads of both rotors", 12 * (MAP_CLIMBS + 2) * MAP_EDGES
+    )
+    flight_map_rate_loads: _Array = _real("loads of roll and pitch rate", 8 * MAP_EDGES)
 
 
 _PARAMETER_GETTERS = {
@@ -374,17 +376,17 @@ def _flight_map_fields(vehicle: Vehicle) -> dict[str, Any]:
     splines = fit_flight_splines(m.parse_tables())
     padded = {}
     for name, values, room in (
-        ("flight_table", splines.coefficient_table, 12 * (MAP_CLIMBS + 2) * MAP_EDGES),
-        ("flight_rates", splines.rates, 8 * MAP_EDGES),
+        ("flight_map_table", splines.coefficient_table, 12 * (MAP_CLIMBS + 2) * MAP_EDGES),
+        ("flight_map_rate_loads", splines.rates, 8 * MAP_EDGES),
     ):
         padded[name] = np.zeros(room)
         padded[name][: values.size] = values.ravel()
     return padded | {
-        "flight_nodes": int(np.prod(splines.size)),
-        "flight_size": splines.size,
-        "flight_start": splines.start,
-        "flight_per_step": splines.per_step,
-        "flight_ratio": [splines.ratio, splines.ratio_low, splines.ratio_high],
-        "flight_knee2": m.knee**2,
-        "flight_scale": np.pi * float(vehicle.air.density) * float(vehicle.rotors.radius) ** 3,
+        "flight_map_nodes": int(np.prod(splines.size)),
+        "flight_map_size": splines.size,
+        "flight_map_start": splines.start,
+        "flight_map_per_step": splines.per_step,
+        "flight_map_ratio": [splines.ratio, splines.ratio_low, splines.ratio_high],
+        "flight_map_knee2": m.knee**2,
+        "flight_map_scale": np.pi * float(vehicle.air.density) * float(vehicle.rotors.radius) ** 3,
     }

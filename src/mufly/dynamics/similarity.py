@@ -222,7 +222,7 @@ def _build_similar(
     speed, power = math.sqrt(mu) / la**2, mu**1.5 / la
     volts = (cells or 2) / 2
     hover = find_trim(k, charge=0.5)
-    electronics = float(k.battery.electronics_current) * hover.voltage_V / hover.power_W
+    electronics = float(k.battery.electronics_current) * hover.battery_voltage_V / hover.battery_power_W
     energy = (1.0 - electronics) * power + electronics
     charge = energy / volts if capacity_As is None else capacity_As / float(k.battery.capacity)
 

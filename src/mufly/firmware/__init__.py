@@ -19,7 +19,14 @@ from mufly.firmware.fixed_point.fixed_point_law import (
 from mufly.firmware.host_build import Firmware, FirmwareControllers, build_library
 from mufly.firmware.proof.evidence_report import write_report
 from mufly.firmware.proof.fuzzing import FuzzResult, fuzz_firmware, missing_fuzzer_tools, run_fuzzer
-from mufly.firmware.proof.sil_pil import PilResult, SilResult, find_deepest_stack, missing_tools, run_pil, run_sil
+from mufly.firmware.proof.sil_pil import (
+    PilResult,
+    SilResult,
+    describe_missing_tools,
+    find_deepest_stack,
+    run_pil,
+    run_sil,
+)
 
 __all__ = [
     "Firmware",
@@ -35,6 +42,7 @@ __all__ = [
     "QuantisationLoss",
     "SilResult",
     "build_library",
+    "describe_missing_tools",
     "export_firmware",
     "export_fixed_point",
     "export_policy",
@@ -44,7 +52,6 @@ __all__ = [
     "fuzz_firmware",
     "measure_cascade_loss",
     "missing_fuzzer_tools",
-    "missing_tools",
     "quantise_law",
     "render_gains_source",
     "run_fuzzer",

@@ -398,7 +398,7 @@ def read_course(c: FFI.CData) -> Trajectory | BrakingMotion | None:
 def read_path_check(s: FFI.CData) -> PathCheck:
     n, e, d = s.from_point
     goal_n, goal_e = s.goal_point
-    block_n, block_e = s.blocker_point
+    block_n, block_e = s.nearest_blocking_point
     return PathCheck(
         n,
         e,
@@ -411,8 +411,8 @@ def read_path_check(s: FFI.CData) -> PathCheck:
         s.onward_distance_sq,
         s.goal_distance_sq,
         s.lateral_offset_sum,
-        s.blocker_count,
-        s.blocker_distance_sq,
+        s.blocking_point_count,
+        s.nearest_blocking_distance_sq,
         block_n,
         block_e,
         np.array([list(row) for row in s.nearest_points]),

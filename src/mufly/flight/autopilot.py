@@ -203,7 +203,7 @@ class Autopilot:
     # many periods of the compiled loop (mufly.firmware.quick)
 
     @property
-    def has_pending_request(self) -> bool:
+    def has_pending_input(self) -> bool:
         """Whether the next period has to handle a request, sticks, set-points or a fence."""
         fenced = self.software.requested_mission.fence is not None
         return self._command is not NO_COMMAND or self._sticks is not None or self._offboard or fenced

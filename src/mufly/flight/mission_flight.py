@@ -18,7 +18,7 @@ from mufly.dynamics.model_state import MODEL_CHARGE, POSITION
 from mufly.estimate import Estimate, Estimator
 from mufly.flight.fixes.camera_sensor import CameraConfig
 from mufly.flight.flight_software import ControlImplementation
-from mufly.flight.record.live_view import FlightView
+from mufly.flight.record.live_view import LiveViewConfig
 from mufly.flight.simulated_flight import Flight
 from mufly.logs.mcap import FlightEvent
 from mufly.mission import Mission, MissionEstimate, check_preflight, load_mission
@@ -66,7 +66,7 @@ def fly_mission(
     eye: CameraConfig | None = None,
     on_tick: Callable[[Truth, Estimate], None] | None = None,
     tick_every: int = 1,
-    views: Sequence[FlightView] = (),
+    views: Sequence[LiveViewConfig] = (),
 ) -> xr.Dataset:
     """Fly a mission on the full nonlinear model.
 
@@ -88,7 +88,7 @@ def fly_mission(
         Called with truth and estimate after every ``tick_every``-th period.
     tick_every : int
         Number of periods between two calls of ``on_tick``.
-    views : sequence of FlightView
+    views : sequence of LiveViewConfig
         Live views.
 
     Returns

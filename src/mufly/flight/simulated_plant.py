@@ -365,7 +365,7 @@ def simulate_response(
     start = hover.state.copy()
     start[2] = -START_HEIGHT_M
     plant = SimulatedPlant(vehicle, World(), DrydenWind(step_s=controller.period_s), controller.rate_Hz, start)
-    plant.voltage, plant.current = hover.voltage_V, hover.current_A
+    plant.voltage, plant.current = hover.battery_voltage_V, hover.battery_current_A
     controllers = Controllers(controller)
     recorder = FlightRecorder(None, {"vehicle": vehicle.name, "rate_Hz": controller.rate_Hz})
     write = make_row_writer(recorder)

@@ -112,7 +112,7 @@ def write_outputs(x: _Array, u: _Array, wind: _Array, p: ModelParameters, out: _
         kT_up, kT_dw, _, _ = map_coefficients(speed_up, speed_dw, climb_velocity(x, wind), p)
     free_up, free_dw = kT_up * speed_up * speed_up, kT_dw * speed_dw * speed_dw
     thrust_up, thrust_dw = free_up, free_dw
-    if p.flight_nodes > 0:
+    if p.flight_map_nodes > 0:
         factors = edgewise_factors(x, wind, p)
         thrust_up, thrust_dw = factors[0][0] * free_up, factors[1][0] * free_dw
     if p.ground_effect > 0.0:

@@ -25,7 +25,7 @@ EffectKind = Literal["EQUAL", "INVERSE", "SCALED", "RATIO"]
 _MODEL_TABLES = (
     "body", "air", "rotors", "swash_plate", "stabiliser_bar", "motor", "gear", "battery", "contact",
 )  # fmt: skip
-_RATIO_TOLERANCE = 1e-13
+_RATIO_EFFECT_TOLERANCE = 1e-13
 _ZERO_PROBE = 2.0**-4
 
 
@@ -144,7 +144,7 @@ def _effect_kind(field: str, base: float, points: list[tuple[float, NDArray[Any]
     finite = np.isfinite(before)
     if all(
         np.array_equal(np.isfinite(after), finite)
-        and np.allclose(after[finite], before[finite] * (at / value), rtol=_RATIO_TOLERANCE, atol=0.0)
+        and np.allclose(after[finite], before[finite] * (at / value), rtol=_RATIO_EFFECT_TOLERANCE, atol=0.0)
         for at, after in points
     ):
         return ParameterEffect(field, "RATIO")

@@ -263,7 +263,7 @@ class Port(ABC):
         """Return the bytes received since the last call, up to a bound; reconnect where a connection failed."""
 
     @abstractmethod
-    def _send_frame(self, peer: Peer, data: bytes) -> None:
+    def _send_to_peer(self, peer: Peer, data: bytes) -> None:
         """Send a frame to a peer that can be sent to; raises OSError."""
 
     @abstractmethod
@@ -275,7 +275,7 @@ class Port(ABC):
         for name in self.peers if peer is None else [peer]:
             if name in self._lines:
                 try:
-                    self._send_frame(name, data)
+                    self._send_to_peer(name, data)
                 except OSError as error:
                     self._handle_send_error(name, error)
 
@@ -402,7 +402,7 @@ class UdpPort(Port):
             out.append((peer, data))
         return out
 
-    def _send_frame(self, peer: Peer, data: bytes) -> None:
+    def _send_to_peer(self, peer: Peer, data: bytes) -> None:
         self._socket.sendto(data, self._lines[peer])
 
     def _handle_send_error(self, peer: Peer, error: OSError) -> None:
@@ -487,7 +487,7 @@ class TcpServer(Port):
         for peer in self.peers:
             self._drop_peer(peer)
 
-    def _send_frame(self, peer: Peer, data: bytes) -> None:
+    def _send_to_peer(self, peer: Peer, data: bytes) -> None:
         self._lines[peer][1].send(data)
 
     def _handle_send_error(self, peer: Peer, error: OSError) -> None:
@@ -524,7 +524,7 @@ class ReconnectingPort(Port):
         self._retry_s = -RECONNECT_PERIOD_S
 
     @abstractmethod
-    def _open_connection(self) -> None:
+    def _try_to_connect(self) -> None:
         """Try to connect; raise OSError on failure. Set the socket, and the stream once connected."""
 
     @property
@@ -541,7 +541,7 @@ class ReconnectingPort(Port):
             self._drop_connection(_CONNECTION_LOST_TEXT)
         return [(self._peer, data)] if data else []
 
-    def _send_frame(self, peer: Peer, data: bytes) -> None:
+    def _send_to_peer(self, peer: Peer, data: bytes) -> None:
         self._lines[peer].send(data)
 
     def _handle_send_error(self, peer: Peer, error: OSError) -> None:
@@ -554,7 +554,7 @@ class ReconnectingPort(Port):
         try:
             if self._line is None:
                 self._retry_s = now_s
-            self._open_connection()
+            self._try_to_connect()
         except OSError as error:
             self._drop_connection(f"cannot connect ({error.strerror or error}); trying again")
 
@@ -583,7 +583,7 @@ class TcpClient(ReconnectingPort):
         if self.peers:
             self._drop_connection(_STALE_INPUT_TEXT)
 
-    def _open_connection(self) -> None:
+    def _try_to_connect(self) -> None:
         if self._line is None:
             self._line = socket.socket(self._family, socket.SOCK_STREAM)
             _configure_socket(self._line)
@@ -599,7 +599,7 @@ class TcpClient(ReconnectingPort):
 
 
 class SerialPort(ReconnectingPort):
-    def _open_connection(self) -> None:
+    def _try_to_connect(self) -> None:
         import serial
 
         try:

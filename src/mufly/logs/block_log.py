@@ -23,7 +23,7 @@ from mufly.logs.ulog import parse_ulog
 BLOCK_LOG_FORMAT = "mufly block log"
 BLOCK_BYTES = 512
 _MAGIC = b"mlog"
-_HEADER = struct.Struct("<4s3IHH")
+_HEADER_STRUCT = struct.Struct("<4s3IHH")
 _NO_START = 0xFFFF
 
 
@@ -62,10 +62,10 @@ def split_sessions(image: bytes) -> list[BlockLogSession]:
     for k in np.flatnonzero((blocks[:, :4] == np.frombuffer(_MAGIC, np.uint8)).all(axis=1)):
         block = blocks[k].tobytes()
         if struct.pack("<I", zlib.crc32(block[:-4])) == block[-4:]:
-            _, session, index, sequence, used, first = _HEADER.unpack_from(block)
+            _, session, index, sequence, used, first = _HEADER_STRUCT.unpack_from(block)
             known = sessions.setdefault(session, {}).get(index)
             if known is None or known[0] < sequence:
-                payload = block[_HEADER.size : _HEADER.size + used]
+                payload = block[_HEADER_STRUCT.size : _HEADER_STRUCT.size + used]
                 sessions[session][index] = (sequence, first, payload)
     latest = sorted(sessions, key=lambda number: max(b[0] for b in sessions[number].values()))
     return [_join_blocks(number, sessions[number]) for number in latest]

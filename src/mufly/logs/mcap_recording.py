@@ -224,8 +224,8 @@ def read_recording_summary(path: str | Path) -> dict[str, Any]:
     return {"start_time_ns": first} | facts | {"duration_s": (last - first) * 1e-9}
 
 
-_RECORD_HEAD = struct.Struct("<BQ")  # opcode, length
-_TIME_RANGE = struct.Struct("<QQ")
+_RECORD_HEAD_STRUCT = struct.Struct("<BQ")  # opcode, length
+_TIME_RANGE_STRUCT = struct.Struct("<QQ")
 _MAGIC_BYTES = 8
 _MESSAGE_OPCODE, _CHUNK_OPCODE, _METADATA_OPCODE, _LAST_OPCODE = 0x05, 0x06, 0x0C, 0x0F
 
@@ -239,10 +239,10 @@ def _scan_records(path: str | Path) -> tuple[int, int, int, dict[str, Any]]:
     with open(path, "rb") as stream:
         size = stream.seek(0, 2)
         at = _MAGIC_BYTES
-        while at + _RECORD_HEAD.size <= size:
+        while at + _RECORD_HEAD_STRUCT.size <= size:
             stream.seek(at)
-            opcode, length = _RECORD_HEAD.unpack(stream.read(_RECORD_HEAD.size))
-            at += _RECORD_HEAD.size + length
+            opcode, length = _RECORD_HEAD_STRUCT.unpack(stream.read(_RECORD_HEAD_STRUCT.size))
+            at += _RECORD_HEAD_STRUCT.size + length
             if not 0 < opcode <= _LAST_OPCODE:
                 return 0, 0, 0, {}
             if at > size:
@@ -253,7 +253,7 @@ def _scan_records(path: str | Path) -> tuple[int, int, int, dict[str, Any]]:
             elif opcode in (_CHUNK_OPCODE, _MESSAGE_OPCODE):
                 if opcode == _MESSAGE_OPCODE:
                     stream.seek(6, 1)  # channel, sequence
-                begin, end = _TIME_RANGE.unpack(stream.read(_TIME_RANGE.size))
+                begin, end = _TIME_RANGE_STRUCT.unpack(stream.read(_TIME_RANGE_STRUCT.size))
                 first, last = (
                     min(first, begin) if count else begin,
                     max(last, end if opcode == _CHUNK_OPCODE else begin),

@@ -8,7 +8,7 @@ from mufly.mission.files.geofence import (
     fence_path_fault,
     fence_to_items,
 )
-from mufly.mission.files.ground_files import FILE_ENDINGS, GROUND_FILE_DESCRIPTION, is_ground_file
+from mufly.mission.files.ground_files import FILE_ENDINGS, GROUND_FILE_DESCRIPTION, is_ground_station_text
 from mufly.mission.files.mission_checks import (
     USABLE_LIMIT_SHARE,
     MissionEstimate,
@@ -23,7 +23,7 @@ from mufly.mission.files.mission_checks import (
     reduce_limits,
 )
 from mufly.mission.files.mission_schema import (
-    MAX_GUST_M_S,
+    MAX_GUST_RMS_M_S,
     MAX_WIND_M_S,
     MIN_WAYPOINT_HEIGHT_M,
     SPIN_UP_S,
@@ -88,7 +88,7 @@ __all__ = [
     "GO_AROUND_HEIGHT_M",
     "GROUND_FILE_DESCRIPTION",
     "HARD_TOUCHDOWN_M_S",
-    "MAX_GUST_M_S",
+    "MAX_GUST_RMS_M_S",
     "MAX_HEIGHT_M",
     "MAX_WIND_M_S",
     "MIN_WAYPOINT_HEIGHT_M",
@@ -136,7 +136,7 @@ __all__ = [
     "finish_blind_descent",
     "has_lifted_off",
     "initial_mission_state",
-    "is_ground_file",
+    "is_ground_station_text",
     "is_tipping",
     "limits_to_file_units",
     "list_builtin_missions",

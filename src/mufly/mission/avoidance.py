@@ -257,9 +257,9 @@ class PathCheck(NamedTuple):
         Square of the least distance of any point from the goal (m2).
     lateral_offset_sum : float
         Sum of the lateral offsets of blocking points from the path, positive to the right (m).
-    blocker_count : int
+    blocking_point_count : int
         Number of blocking points.
-    blocker_distance_sq, blocker_north, blocker_east : float
+    nearest_blocking_distance_sq, nearest_blocking_north, nearest_blocking_east : float
         Nearest blocking point: square of its distance (m2), position (m).
     nearest_points : (16, 2) array
         Nearest point within 2 m at about this height in each of sixteen directions, N and E (m); infinite without a
@@ -277,26 +277,26 @@ class PathCheck(NamedTuple):
     onward_distance_sq: float
     goal_distance_sq: float
     lateral_offset_sum: float
-    blocker_count: int
-    blocker_distance_sq: float
-    blocker_north: float
-    blocker_east: float
+    blocking_point_count: int
+    nearest_blocking_distance_sq: float
+    nearest_blocking_north: float
+    nearest_blocking_east: float
     nearest_points: _Array
 
     @property
-    def mean_blocker_offset(self) -> float:
+    def mean_blocking_offset(self) -> float:
         """Mean lateral offset of the blocking points from the path, positive to the right (m)."""
-        return self.lateral_offset_sum / self.blocker_count if self.blocker_count > 0 else 0.0
+        return self.lateral_offset_sum / self.blocking_point_count if self.blocking_point_count > 0 else 0.0
 
     def nearest_point(self, place: tuple[float, ...]) -> tuple[float, float, float]:
         """Return the distance of the nearest point from a place N, E (m), and the unit vector N, E to the place."""
         return _find_nearest(self.nearest_points, place[0], place[1])
 
-    def nearest_blocker(self, place: tuple[float, ...]) -> tuple[float, float, float]:
+    def nearest_blocking_point(self, place: tuple[float, ...]) -> tuple[float, float, float]:
         """Return the same as :meth:`nearest_point`, for the blocking point."""
-        if self.blocker_distance_sq == math.inf:
+        if self.nearest_blocking_distance_sq == math.inf:
             return math.inf, 0.0, 0.0
-        return _direction_from(self.blocker_north, self.blocker_east, place[0], place[1])
+        return _direction_from(self.nearest_blocking_north, self.nearest_blocking_east, place[0], place[1])
 
 
 def begin_path_check(position: Sequence[float], goal: Sequence[float], ahead: float = LOOK_AHEAD_M) -> PathCheck:
@@ -384,9 +384,9 @@ def _check_points(
         s.onward_distance_sq,
         s.goal_distance_sq,
         s.lateral_offset_sum,
-        s.blocker_count,
+        s.blocking_point_count,
     )
-    block, bn, be = s.blocker_distance_sq, s.blocker_north, s.blocker_east
+    block, bn, be = s.nearest_blocking_distance_sq, s.nearest_blocking_north, s.nearest_blocking_east
     k = s.points_checked
     end = used * part // parts
     while k < end and k < used:

@@ -134,7 +134,7 @@ def begin_detour(
     """Start a detour at the reference; ``before`` is the last one on this leg, or None."""
     here = (position[0], position[1])
     far = _planar_distance(goal, here)
-    side = -1.0 if sight.mean_blocker_offset > 0.0 else 1.0
+    side = -1.0 if sight.mean_blocking_offset > 0.0 else 1.0
     count, stray = 1, _MAX_STRAY_M
     if before is not None:
         count, stray = before.obstacle_count + 1, before.max_stray
@@ -224,7 +224,7 @@ def follow_contour(
     elif distance < LOOK_AHEAD_M + 0.5:
         far, n, e = distance, north, east
         # Off any contour, or at a wrong contour's nearest point to the goal: head for the blocking point.
-        block = sight.nearest_blocker(at)
+        block = sight.nearest_blocking_point(at)
         lost = detour.lap_count > 0 and nearer_goal and block[0] > follow + 0.05
         if (lost or not touching) and block[0] < math.inf:
             far, n, e = block

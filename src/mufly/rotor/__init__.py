@@ -1,7 +1,7 @@
 """Aerodynamics of rotors: airfoils, polars, blade geometry, blade element momentum theory, wakes, the coaxial pair."""
 
 from mufly.rotor.bemt import BatchResult, solve_rotor, solve_rotor_batch, warn_reynolds_range
-from mufly.rotor.blades.blade_families import BLADE_FAMILIES
+from mufly.rotor.blades.blade_families import BLADE_FAMILY_PRIORS
 from mufly.rotor.blades.blade_files import read_blade
 from mufly.rotor.blading import TEXTBOOK_CORRECTIONS, Blading, Corrections, prepare_blading
 from mufly.rotor.coax_maps import compute_coax_map, map_climb_ratios
@@ -65,7 +65,7 @@ from mufly.rotor.structure.flap_modes import CampbellDiagram, FlapMode, compute_
 from mufly.rotor.structure.materials import MATERIALS, Material
 
 __all__ = [
-    "BLADE_FAMILIES",
+    "BLADE_FAMILY_PRIORS",
     "MATERIALS",
     "MAX_TIP_SPEED_M_S",
     "METHODS",

@@ -120,16 +120,16 @@ def fit_picture(found: RotorFit) -> Figure:
     figure = blank_figure(9.0, 4.0)
     axes = figure.subplots(1, 2)
     over_J = 2.0 * math.pi * m.climb_m_s / (2.0 * found.rotor.radius_m * m.speed_rad_s)
-    along = over_J if m.axial else m.speed_rad_s / RPM
-    kinds = np.round(m.pitch_rad, 6), np.round(np.log(m.speed_rad_s) / 0.05) * m.axial
+    along = over_J if m.has_axial_flow else m.speed_rad_s / RPM
+    kinds = np.round(m.pitch_rad, 6), np.round(np.log(m.speed_rad_s) / 0.05) * m.has_axial_flow
     groups, member = np.unique(np.stack(kinds), axis=1, return_inverse=True)
     for k in range(groups.shape[1]):
         here = np.flatnonzero(member.ravel() == k)
         pitch, mean_speed = m.pitch_rad[here[0]], float(m.speed_rad_s[here].mean())
         low, high = along[here].min(), along[here].max()
-        x = np.linspace(low, high, 25) if m.axial else np.linspace(0.9 * low, 1.1 * high, 25)
-        speed = np.full(25, mean_speed) if m.axial else x * RPM
-        climb = x * found.rotor.radius_m * speed / math.pi if m.axial else np.zeros(25)
+        x = np.linspace(low, high, 25) if m.has_axial_flow else np.linspace(0.9 * low, 1.1 * high, 25)
+        speed = np.full(25, mean_speed) if m.has_axial_flow else x * RPM
+        climb = x * found.rotor.radius_m * speed / math.pi if m.has_axial_flow else np.zeros(25)
         band = predict_interval(
             found.rotor, pitch_rad=pitch, speed_rad_s=speed, climb_m_s=climb, air=found.air,
             n_crit=found.fit.n_crit,
@@ -150,10 +150,10 @@ def fit_picture(found: RotorFit) -> Figure:
             )  # fmt: skip
             label = "measured" if first else None
             ax.plot(along[here], scale * measured[here], "o", color=colour, mfc="none", label=label)
-            text = f"{mean_speed / RPM:.0f} rpm" if m.axial else f"{math.degrees(pitch):.3g}°"
+            text = f"{mean_speed / RPM:.0f} rpm" if m.has_axial_flow else f"{math.degrees(pitch):.3g}°"
             ax.annotate(text, (x[-1], scale * mean[-1]), color=colour, fontsize="small")
     for ax, label in zip(axes, ("Thrust (N)", "Torque (mN m)"), strict=True):
-        ax.set_xlabel("Advance ratio V / (n D)" if m.axial else "Speed (rpm)")
+        ax.set_xlabel("Advance ratio V / (n D)" if m.has_axial_flow else "Speed (rpm)")
         ax.set_ylabel(label)
         ax.margins(x=0.1)
         ax.grid(alpha=0.3)
@@ -262,12 +262,12 @@ def comparison_picture(found: MeasurementComparison) -> Figure:
         ("Thrust (N)", m.thrust_N, found.thrust_N, 1.0),
         ("Torque (mN m)", m.torque_Nm, found.torque_Nm, 1e3),
     )
-    over, label = (m.climb_m_s, "Axial speed (m/s)") if m.axial else (m.speed_rad_s / RPM, "Speed (rpm)")
+    over, label = (m.climb_m_s, "Axial speed (m/s)") if m.has_axial_flow else (m.speed_rad_s / RPM, "Speed (rpm)")
     for axes, (load, measured, predicted, scale) in zip(figure.subplots(1, 2), panels, strict=True):
         for k, pitch in enumerate(np.unique(np.round(m.pitch_rad, 5))):
             here = np.flatnonzero(np.abs(m.pitch_rad - pitch) < 1e-4)
             here = here[np.argsort(over[here])]
-            line = "none" if m.axial else "-"  # each climb has several rotor speeds
+            line = "none" if m.has_axial_flow else "-"  # each climb has several rotor speeds
             name, colour = f"{math.degrees(pitch):.3g}°", f"C{k % 10}"
             axes.plot(over[here], scale * measured[here], "o", mfc="none", color=colour, label=f"{name}, measured")
             axes.plot(

@@ -23,7 +23,7 @@ _Array = NDArray[np.float64]
 # Indices of a clock: time of the next measurement, earliest time of the next sample, period (s)
 NEXT_MEASUREMENT, NEXT_SAMPLE, CLOCK_PERIOD = range(3)
 # Indices of the counts: pending measurements, published samples
-PENDING, PUBLISHED_COUNT = range(2)
+PENDING_COUNT, PUBLISHED_COUNT = range(2)
 # Columns of a row: time of publishing, time of measurement (s), validity; the values follow
 PUBLISH_TIME, MEASURED_TIME, IS_VALID, FIRST_VALUE = range(4)
 NO_MEASUREMENT = -1.0
@@ -52,7 +52,7 @@ def publish_if_due(t: float, wait: float, clock: _Array, counts: NDArray[np.int6
     A measurement with the delay ``wait`` (s) is appended to the pending rows. Of several samples due at once, the last
     counts.
     """
-    n = counts[PENDING]
+    n = counts[PENDING_COUNT]
     if wait >= 0.0 and n < rows.shape[0] - 2:  # the last row is scratch space
         n += 1
         rows[n, PUBLISH_TIME], rows[n, MEASURED_TIME] = t + wait, t
@@ -69,7 +69,7 @@ def publish_if_due(t: float, wait: float, clock: _Array, counts: NDArray[np.int6
             quiet = min(quiet, rows[k, PUBLISH_TIME])
             for j in range(rows.shape[1]):
                 rows[kept, j] = rows[k, j]
-    counts[PENDING] = kept
+    counts[PENDING_COUNT] = kept
     clock[NEXT_SAMPLE] = quiet - 2.0 * _TIME_TOLERANCE_S  # nothing happens earlier, by more than a rounding error
     if latest == 0:
         return False
@@ -142,7 +142,7 @@ class PeriodicSensor(Sensor):
             return self._readings if is_current else self.latest_readings
         wait = NO_MEASUREMENT
         if advance_if_due(t, self.clock):
-            row = self.pending_rows[1 + self.counts[PENDING]]
+            row = self.pending_rows[1 + self.counts[PENDING_COUNT]]
             self._supply[:] = truth.voltage, truth.current
             wait = type(self).sample_function(
                 t, truth.state, truth.attitude, self._supply, self.source, self.sample_arguments, row

@@ -18,7 +18,7 @@ from mufly.quantities.sensor_table import SENSORS
 from mufly.sensors.periodic import (
     NEXT_SAMPLE,
     NO_MEASUREMENT,
-    PENDING,
+    PENDING_COUNT,
     PeriodicSensor,
     advance_if_due,
     publish_if_due,
@@ -90,7 +90,7 @@ def _append_sensor(sample_others: Any, k: int, sample: Any) -> Any:
             clock, counts, rows, source, parts = all_parts[k]
             wait = NO_MEASUREMENT
             if advance_if_due(t, clock):
-                wait = sample(t, x, attitude, supply, source, parts, rows[1 + counts[PENDING]])
+                wait = sample(t, x, attitude, supply, source, parts, rows[1 + counts[PENDING_COUNT]])
             came[k], quiet[k] = _publish_to(t, wait, clock, counts, rows, told[k]), clock[NEXT_SAMPLE]
 
     return sample_in_turn

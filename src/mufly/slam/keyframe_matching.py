@@ -57,7 +57,7 @@ A compromise over twelve floors (docs/log/2026-11-24-slam-accuracy.md): edges wi
 _COMMON_SHAKE_SHARE, _COMMON_SIGMA_PX = 0.1, 0.05
 """Deviation of a place that no number of points reduces: share of the vibration's rms that remains unmodelled, and part
 without vibration (pixels)."""
-_MIN_TRACKED_SHARE = 0.75  # of the points in view, below which all patches are aligned together
+_JOINT_ALIGNMENT_BELOW_SHARE = 0.75  # of the points in view, below which all patches are aligned together
 _NO_DIRECTION = np.zeros((0, 2))
 _BOTH_TILTS = np.ix_([6, 7, 4, 5], [6, 7, 4, 5])  # tilt errors of the picture, then of the keyframe
 
@@ -260,7 +260,7 @@ def match_keyframe(
     match = None
     if good.sum() >= MIN_INLIERS:
         match = _match_points(floor_map, k, context, node, flat, points, use, good, seen, sigma)
-    if match is not None and len(match.inlier_indices) >= _MIN_TRACKED_SHARE * len(use):
+    if match is not None and len(match.inlier_indices) >= _JOINT_ALIGNMENT_BELOW_SHARE * len(use):
         return match
     # Few points of a weak floor are tracked, while all its patches together are known well. Where many points are
     # tracked, all patches may disagree instead: neighbouring bricks look alike.

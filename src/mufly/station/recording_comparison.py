@@ -97,7 +97,7 @@ class RecordingComparison:
             raise ArgumentError("offset", f"{self.manual_offset_s:g}", "is not a time", "give seconds")
 
     @cached_property
-    def _alignment(self) -> tuple[float, str]:
+    def _shift_and_note(self) -> tuple[float, str]:
         times = [find_event_time(r, self.alignment_event) for r in (self.first_recording, self.second_recording)]
         if all(map(math.isfinite, times)):
             return times[0] - times[1], ""
@@ -110,12 +110,12 @@ class RecordingComparison:
     @property
     def total_shift_s(self) -> float:
         """Return the shift added to the second recording's times (s)."""
-        return self._alignment[0] + self.manual_offset_s
+        return self._shift_and_note[0] + self.manual_offset_s
 
     @property
     def alignment_note(self) -> str:
         """Return the reason for an alignment other than requested; "" if as requested."""
-        return self._alignment[1]
+        return self._shift_and_note[1]
 
     def find_counterpart(self, name: str) -> str:
         """Return the second's counterpart of a signal of the first: the same or from another source; "" if none."""

@@ -93,7 +93,9 @@ def _simulate_tilted_release(vehicle: Vehicle, seconds: float = 2.0) -> xr.Datas
         bar_attitude=(0, 0),
         rotor_speed=hover.rotor_speed,
     )
-    return simulate_open_loop(vehicle, tilted, hover.input, duration_s=seconds, sample_s=0.005, voltage=hover.voltage_V)
+    return simulate_open_loop(
+        vehicle, tilted, hover.input, duration_s=seconds, sample_s=0.005, voltage=hover.battery_voltage_V
+    )
 
 
 def study_stabiliser_bar(progress: ProgressCallback | None = None) -> StudyFindings:

@@ -203,7 +203,7 @@ def compute_one_speed_fixed(
     return _solve_grid(model, {"varied": ["upper", "lower"], "rpm": list(rpm)}, make_point, settings, progress)
 
 
-def compute_torque_balance(
+def compute_equal_torques(
     model: str,
     lower_pitch_deg: Sequence[float] = (14, 16, 18),
     settings: WakeSettings | None = None,

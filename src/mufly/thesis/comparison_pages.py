@@ -155,7 +155,7 @@ No curve was digitised, and no parameter is tuned to the claims.</p>
 <table><tr><th></th><th>what</th><th>verdict</th></tr>
 {% for a in answers %}
 <tr><td class="k"><a href='#{{ a.item.name }}'>{{ a.item.citation }}</a></td><td>{{ a.item.title }}</td>
-<td>{% if a.item.kind == "result" %}{{ word(a) }}{% else %}{{ code(a.item.substitute) }}{% endif %}</td></tr>
+<td>{% if a.item.kind == "result" %}{{ word(a) }}{% else %}{{ code(a.item.counterpart) }}{% endif %}</td></tr>
 {% endfor %}
 </table>
 {% for a in answers %}
@@ -163,7 +163,7 @@ No curve was digitised, and no parameter is tuned to the claims.</p>
 {% if loop.changed(chapter(i)) %}<h2>Chapter {{ chapter(i) }}</h2>{% endif %}
 <section id='{{ i.name }}'><h3>{{ i.citation }}: {{ i.title }} {{ word(a) }}</h3>
 {% if i.kind != "result" %}
-<p>A {{ i.kind }}. Counterpart in mufly: {{ code(i.substitute) }}.</p>
+<p>A {{ i.kind }}. Counterpart in mufly: {{ code(i.counterpart) }}.</p>
 {% else %}
 {% if a.picture %}{{ figure(a.picture.read_bytes(), i.title) }}{% endif %}
 {% if a.verdicts %}

@@ -1,4 +1,4 @@
-"""Catalogue of the dissertation's 91 figures and 7 tables, each with its kind and, if it is no result, its substitute.
+"""Catalogue of the dissertation's 91 figures and 7 tables, each with its kind and, if it is no result, its counterpart.
 
 :data:`OUTLOOK_SENTENCES` are the sentences of its outlook (Sec. 7.2), each with what came of it.
 
@@ -35,7 +35,7 @@ class ThesisItem:
         Section of the dissertation.
     title : str
     kind : str
-    substitute : str
+    counterpart : str
         Part of mufly that takes the place of a photograph, sketch or diagram; "" for a result.
     """
 
@@ -43,7 +43,7 @@ class ThesisItem:
     section: str
     title: str
     kind: ItemKind = "result"
-    substitute: str = ""
+    counterpart: str = ""
 
     @property
     def citation(self) -> str:

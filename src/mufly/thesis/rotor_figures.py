@@ -194,7 +194,7 @@ def draw_one_speed_fixed(data: Mapping[str, xr.Dataset], title: str) -> Figure:
     return figure
 
 
-def draw_torque_balance(data: Mapping[str, xr.Dataset], title: str) -> Figure:
+def draw_equal_torques(data: Mapping[str, xr.Dataset], title: str) -> Figure:
     """Draw speed, thrust and power of the lower rotor at equal torques over its pitch, beside Table 3.4."""
     figure, (row,) = _new_coaxial_figure(1, 3, title)
     pitch = np.array(list(TABLE_3_4_VALUES))

@@ -174,7 +174,7 @@ class StudyAnswer:
         """Return the answer as plain numbers and text."""
         i = self.item
         return {
-            "name": i.name, "kind": i.kind, "section": i.section, "title": i.title, "stands": i.substitute,
+            "name": i.name, "kind": i.kind, "section": i.section, "title": i.title, "stands": i.counterpart,
             "word": self.verdict_word, "agree": sum(v.agrees for v in self.verdicts),
             "verdicts": [v.format_line() for v in self.verdicts],
             "note": self.note, "seconds": None if math.isnan(self.seconds) else self.seconds, "command": i.cli_command,
@@ -281,9 +281,9 @@ _PAIR_STUDIES = {
         250,
     ),
     "table-3.4": _PairStudy(
-        coaxial_studies.compute_torque_balance,
+        coaxial_studies.compute_equal_torques,
         coaxial_studies.judge_balance,
-        rotor_figures.draw_torque_balance,
+        rotor_figures.draw_equal_torques,
         300,
     ),
     "fig-3.45": _PairStudy(

@@ -27,7 +27,7 @@ from mufly.station.page.page_session import (
     find_recordings,
     find_refusal_reasons,
     format_parameter_file,
-    mission_label,
+    mission_button_label,
     read_parameter_file,
 )
 from mufly.station.remote.remote_transfers import refusal_reason
@@ -204,7 +204,7 @@ def test_the_main_button_says_what_the_mission_does(
     s: VehicleSnapshot, runs: bool, begun: bool, label: str, open_: bool
 ) -> None:
     now = replace(s, mission_running=runs, mission_begun=begun)
-    assert mission_label(now) == label
+    assert mission_button_label(now) == label
     assert (not ask(now)["mission"]) is open_
 
 

@@ -40,7 +40,7 @@ ARDUPILOT_RATE_HZ = 400.0
 ROLL_CHANNEL, PITCH_CHANNEL, ROLL_MIRROR, PITCH_MIRROR, UPPER_CHANNEL, LOWER_CHANNEL = range(6)
 """Outputs of ArduPilot's CoaxCopter; the fifth one is the motor that yaws right."""
 _CHANNELS_BY_MAGIC = {18458: 16, 29569: 32}
-_HEAD = struct.Struct("<HHI")
+_SERVO_HEAD_STRUCT = struct.Struct("<HHI")
 _CENTRE_US, _HALF_US, _LEAST_US = 1500.0, 500.0, 1000.0
 _MIRROR_US = 40.0  # largest difference of mirrored outputs from their mean
 _SPINNING = 0.01
@@ -83,13 +83,13 @@ class ServoPacket:
 
 def read_servo_packet(data: bytes) -> ServoPacket | None:
     """Return the content of a packet; None if it is no packet of ArduPilot."""
-    if len(data) < _HEAD.size:
+    if len(data) < _SERVO_HEAD_STRUCT.size:
         return None
-    magic, rate, frame = _HEAD.unpack_from(data)
+    magic, rate, frame = _SERVO_HEAD_STRUCT.unpack_from(data)
     count = _CHANNELS_BY_MAGIC.get(magic)
-    if count is None or len(data) != _HEAD.size + 2 * count:
+    if count is None or len(data) != _SERVO_HEAD_STRUCT.size + 2 * count:
         return None
-    return ServoPacket(rate, frame, np.frombuffer(data, "<u2", count, _HEAD.size).astype(np.float64))
+    return ServoPacket(rate, frame, np.frombuffer(data, "<u2", count, _SERVO_HEAD_STRUCT.size).astype(np.float64))
 
 
 def encode_state(vehicle: AutopilotPlant, start_s: float) -> bytes:

@@ -32,9 +32,9 @@ from mufly.dynamics.model_state import ATTITUDE
 from mufly.sensors import Readings, Truth
 from mufly.sensors.pressure import STANDARD_PRESSURE_PA
 
-_STATE = struct.Struct("<d3d3d4d3d3dd")
-_CHANNELS = struct.Struct("<d16H")
-_OUTPUTS = struct.Struct("<H2x16f")
+_STATE_STRUCT = struct.Struct("<d3d3d4d3d3dd")
+_CHANNELS_STRUCT = struct.Struct("<d16H")
+_OUTPUTS_STRUCT = struct.Struct("<H2x16f")
 GAZEBO_BYTES = 16
 """Size of the packets that Betaflight sends to port 9002, which carry four motors and no servo."""
 CENTRE_US, HALF_US, LEAST_US, MOST_US = 1500.0, 500.0, 1000.0, 2000.0
@@ -83,9 +83,9 @@ class BetaflightOutputs:
 
 def read_outputs(data: bytes) -> BetaflightOutputs | None:
     """Return the content of a packet of outputs; None if it is another packet."""
-    if len(data) != _OUTPUTS.size:
+    if len(data) != _OUTPUTS_STRUCT.size:
         return None
-    count, *pulses = _OUTPUTS.unpack(data)
+    count, *pulses = _OUTPUTS_STRUCT.unpack(data)
     return BetaflightOutputs(count, np.nan_to_num(np.asarray(pulses, dtype=np.float64)))
 
 
@@ -102,7 +102,7 @@ def encode_state(time_s: float, truth: Truth, readings: Readings) -> bytes:
     """
     ax, ay, az = readings["acceleration"].value
     pressure = readings.latest.get("pressure")
-    return _STATE.pack(
+    return _STATE_STRUCT.pack(
         time_s, *readings["rates"].value, -ax, ay, az, *truth.state[ATTITUDE], *[0.0] * 6,
         STANDARD_PRESSURE_PA if pressure is None or not pressure.valid else float(pressure.value),
     )  # fmt: skip
@@ -112,7 +112,7 @@ def encode_channels(time_s: float, pulse_us: NDArray[np.float64]) -> bytes:
     """Return the packet of the transmitter's channels (us), at most 16: roll, pitch, throttle, yaw, auxiliary ones."""
     pulses = np.full(_CHANNEL_COUNT, LEAST_US)
     pulses[: len(pulse_us)] = pulse_us
-    return _CHANNELS.pack(time_s, *np.clip(np.rint(pulses), LEAST_US, MOST_US).astype(int).tolist())
+    return _CHANNELS_STRUCT.pack(time_s, *np.clip(np.rint(pulses), LEAST_US, MOST_US).astype(int).tolist())
 
 
 def encode_status_request() -> bytes:

@@ -144,7 +144,7 @@ def _ask_readings(radius_m: float, tip_height_m: float | None) -> tuple[Any, Any
     def ask(question: str, what: str, unit: str, low: float, high: float, optional: bool = False) -> float:
         """Ask until the answer is a number within the limits; nan for Enter at an optional question."""
 
-        def read(text: str) -> float:
+        def parse_answer(text: str) -> float:
             if optional and not text.strip():
                 return math.nan
             try:
@@ -158,7 +158,9 @@ def _ask_readings(radius_m: float, tip_height_m: float | None) -> tuple[Any, Any
         hint = " (Enter: not measured)" if optional else ""
         default = "" if optional else None
         return float(
-            typer.prompt(f"{question}: {what} ({unit}){hint}", default=default, show_default=False, value_proc=read)
+            typer.prompt(
+                f"{question}: {what} ({unit}){hint}", default=default, show_default=False, value_proc=parse_answer
+            )
         )
 
     for text in MEASUREMENT_STEPS:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 from mufly.cli.options import define_option
 
 if TYPE_CHECKING:
-    from mufly.flight.record.live_view import FlightView
+    from mufly.flight.record.live_view import LiveViewConfig
 
 FoxgloveOption = Annotated[
     str,
@@ -24,7 +24,7 @@ RosOption = Annotated[
 ]
 
 
-def make_views(foxglove: str, ros: bool) -> tuple[FlightView, ...]:
+def make_views(foxglove: str, ros: bool) -> tuple[LiveViewConfig, ...]:
     """Return the live views of the options.
 
     Raises
@@ -32,16 +32,16 @@ def make_views(foxglove: str, ros: bool) -> tuple[FlightView, ...]:
     InputError
         If an address is wrong or a package is missing.
     """
-    views: list[FlightView] = []
+    views: list[LiveViewConfig] = []
     if foxglove:
-        from mufly.bridges.foxglove_live import FoxgloveView, load_foxglove
+        from mufly.bridges.foxglove_live import FoxgloveViewConfig, load_foxglove
         from mufly.camera import parse_address
 
         load_foxglove()
-        views.append(FoxgloveView(*parse_address(foxglove, "--foxglove")))
+        views.append(FoxgloveViewConfig(*parse_address(foxglove, "--foxglove")))
     if ros:
-        from mufly.bridges.ros_node import RosView, load_rclpy
+        from mufly.bridges.ros_node import RosViewConfig, load_rclpy
 
         load_rclpy()
-        views.append(RosView())
+        views.append(RosViewConfig())
     return tuple(views)

@@ -29,8 +29,8 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.compiled.record_fields import int_field as _int
-from mufly.compiled.record_fields import real_field as _real
+from mufly.compiled.record_fields import int_or_array_field as _int
+from mufly.compiled.record_fields import real_or_array_field as _real
 from mufly.compiled.record_fields import record_type
 from mufly.dynamics import GRAVITY, model_parameters, standing_height
 from mufly.dynamics.model_state import hover_speeds

@@ -212,7 +212,7 @@ class EmulatedBoard:
         names = [f"{name}_t" for name in ("board", "board_period", "board_request", "estimator", "software")]
         ours = np.array([self.ffi.sizeof(name) for name in names], np.uint32)
         theirs = np.zeros_like(ours)
-        self._receive(process, theirs.view(np.uint8))
+        self._read_output_into(process, theirs.view(np.uint8))
         if ours.tolist() != theirs.tolist():
             raise MuflyError(
                 f"emulated board: its records have {theirs.tolist()} bytes, here they have {ours.tolist()}"
@@ -231,7 +231,7 @@ class EmulatedBoard:
     def _conclude_period(self) -> None:
         """Take the time of the period; give the twin the bytes that the emulated UARTs have received and sent."""
         assert self._process is not None
-        self._receive(self._process, self._ticks.view(np.uint8))
+        self._read_output_into(self._process, self._ticks.view(np.uint8))
         spent = int(self._ticks[0]) * self._instructions_per_tick
         self.worst_instructions = max(self.worst_instructions, spent)
         for ours, theirs in ((self.record.link, self._twin.record.link), (self.record.rc, self._twin.record.rc)):
@@ -249,14 +249,14 @@ class EmulatedBoard:
         except BrokenPipeError:
             self._fail(process)
         compute(record)  # at the same time
-        self._receive(process, self.memory)
+        self._read_output_into(process, self.memory)
         conclude()
         wrong = self._layout.first_difference(self.memory, self._twin.memory)
         if wrong:
             self.mismatch_count += 1
             self.first_mismatch = self.first_mismatch or f"period {self._twin.record.period_count}: {wrong}"
 
-    def _receive(self, process: subprocess.Popen[bytes], into: NDArray[np.uint8]) -> None:
+    def _read_output_into(self, process: subprocess.Popen[bytes], into: NDArray[np.uint8]) -> None:
         assert process.stdout is not None
         view, filled = memoryview(into.data), 0
         while filled < len(view):

@@ -22,7 +22,12 @@ from mufly.errors import MuflyError
 from mufly.files.answer_store import hash_question, replace_file
 from mufly.firmware.export.source_export import ONBOARD_SOURCES, SOFTWARE_SOURCES, export_firmware, find_sources
 from mufly.firmware.host_build import cffi_declarations, read_sources
-from mufly.firmware.proof.sil_pil import CORTEX_M4_FLAGS, SINGLE_PRECISION_BUILD, SPEED_OPTIMISED_SOURCES, missing_tools
+from mufly.firmware.proof.sil_pil import (
+    CORTEX_M4_FLAGS,
+    SINGLE_PRECISION_BUILD,
+    SPEED_OPTIMISED_SOURCES,
+    describe_missing_tools,
+)
 from mufly.mission import Mission
 from mufly.vehicle import Vehicle
 
@@ -70,7 +75,7 @@ def build_image(vehicle: Vehicle, controller: FlightController, mission: Mission
     MuflyError
         If a tool is missing, the mission is too long for a board, or the compiler fails.
     """
-    absent = missing_tools()
+    absent = describe_missing_tools()
     if absent:
         raise MuflyError(f"emulated board: {absent}")
     with tempfile.TemporaryDirectory(prefix="mufly-image-") as temporary:

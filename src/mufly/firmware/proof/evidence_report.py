@@ -38,9 +38,9 @@ from mufly.firmware.proof.sil_pil import (
     CORTEX_M4_FLAGS,
     SINGLE_PRECISION_BUILD,
     compile_objects,
+    describe_missing_tools,
     find_deepest_stack,
     measure_code_size,
-    missing_tools,
     run_pil,
     run_sil,
 )
@@ -121,7 +121,7 @@ def _report_equality(vehicle: Vehicle, out: Path) -> EvidenceSection:
 
 
 def _report_emulated(vehicle: Vehicle, out: Path) -> EvidenceSection:
-    absent = missing_tools()
+    absent = describe_missing_tools()
     if absent:
         raise MuflyError(f"not measured: {absent}")
     boards = [("single precision", r) for r in run_pil(vehicle)] + [

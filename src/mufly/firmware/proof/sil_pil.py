@@ -349,7 +349,7 @@ def run_sil(
     return resume_flights(SilResult, keep, asked, fly_compared, on_flight)
 
 
-def missing_tools() -> str:
+def describe_missing_tools() -> str:
     """Return the tools missing for :func:`run_pil` as one line; "" if all are installed."""
     absent = [package for tool, package in _REQUIRED_TOOLS.items() if shutil.which(tool) is None]
     return f"install {' and '.join(absent)} (Debian, Ubuntu: apt-get install {' '.join(absent)})" if absent else ""
@@ -363,7 +363,7 @@ def run_pil(vehicle: Vehicle, *, fixed_point: bool = False) -> list[PilResult]:
     MuflyError
         If a tool is missing, or an emulated program does not end.
     """
-    absent = missing_tools()
+    absent = describe_missing_tools()
     if absent:
         raise MuflyError(f"processor in the loop: {absent}")
     how = FIXED_POINT_BUILD if fixed_point else SINGLE_PRECISION_BUILD
@@ -407,7 +407,7 @@ def law_instructions(vehicle: Vehicle, controllers: Sequence[FlightController]) 
     MuflyError
         If a tool is missing, or a program does not end.
     """
-    absent = missing_tools()
+    absent = describe_missing_tools()
     if absent:
         raise MuflyError(f"instructions of the law: {absent}")
     how, machine = SINGLE_PRECISION_BUILD, "mps2-an386"

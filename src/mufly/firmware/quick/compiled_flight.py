@@ -250,7 +250,7 @@ class CompiledFlight:
             not flight.plant.crash_cause
             and not flight.is_first_period
             and self._software.law.is_settled
-            and not auto.has_pending_request
+            and not auto.has_pending_input
             and (motors != "off" or not auto.armed)
             and (self._faulty_imu is None or not any(t.start_s <= now < t.stop_s for t in self._faulty_imu.faults))
         )

@@ -84,7 +84,7 @@ def draw_outcome(outcome: CampaignOutcome) -> Figure:
 def _split_by_success(flights: Sequence[FlightResult], m: FlightMetric) -> tuple[np.ndarray, np.ndarray] | None:
     """Split the values of a metric into successes and failures; None if all values are equal or unknown."""
     parts = [
-        m.factor * np.array([v for f in flights if f.success is kind and (v := getattr(f, m.name)) is not None])
+        m.factor * np.array([v for f in flights if f.success is kind and (v := getattr(f, m.field_name)) is not None])
         for kind in (True, False)
     ]
     both = np.concatenate(parts)
@@ -99,7 +99,7 @@ def draw_influences(flights: Sequence[FlightResult], campaign: Campaign) -> Figu
     shown = [
         m
         for m in list_metrics(campaign.tolerance_m)
-        if m.name in _INFLUENCED_METRICS and _split_by_success(flights, m) is not None
+        if m.field_name in _INFLUENCED_METRICS and _split_by_success(flights, m) is not None
     ]
     if not shown:
         return None
@@ -107,8 +107,8 @@ def draw_influences(flights: Sequence[FlightResult], campaign: Campaign) -> Figu
         figure = Figure(figsize=(5.0 * min(2, len(shown)), 3.2 * math.ceil(len(shown) / 2)), layout="constrained")
         for k, m in enumerate(shown):
             axes = figure.add_subplot(math.ceil(len(shown) / 2), min(2, len(shown)), k + 1)
-            use = [f for f in flights if getattr(f, m.name) is not None]
-            target = np.array([getattr(f, m.name) for f in use])
+            use = [f for f in flights if getattr(f, m.field_name) is not None]
+            target = np.array([getattr(f, m.field_name) for f in use])
             rho = {key: _rank_correlation(np.array([f.values[key] for f in use]), target) for key in keys}
             names = sorted(keys, key=lambda key: -abs(rho[key]))[:_MAX_PARAMETERS][::-1]
             axes.barh(names, [rho[n] for n in names], color=[VERMILION if rho[n] > 0 else BLUE for n in names])

@@ -41,7 +41,7 @@ class FlightMetric(NamedTuple):
 
     Attributes
     ----------
-    name : str
+    field_name : str
         Field of :class:`FlightResult`.
     label : str
     unit : str
@@ -53,7 +53,7 @@ class FlightMetric(NamedTuple):
         Largest allowed value (smallest if high is good), in the field's unit; NaN: no limit.
     """
 
-    name: str
+    field_name: str
     label: str
     unit: str
     factor: float = 1.0
@@ -254,7 +254,7 @@ def _without_numbers(reason: str) -> str:
 
 
 def _summarise_metric(flights: Sequence[FlightResult], m: FlightMetric) -> MetricSummary | None:
-    found = [(float(v), f.index) for f in flights if (v := getattr(f, m.name)) is not None]
+    found = [(float(v), f.index) for f in flights if (v := getattr(f, m.field_name)) is not None]
     if not found:
         return None
     values = np.array([v for v, _ in found])
@@ -295,7 +295,7 @@ def results_dataset(flights: Sequence[FlightResult], campaign: Campaign) -> xr.D
         variables[f"wind_{axis}"] = ("flight", values, {"units": "m/s", "long_name": f"steady wind, {axis}"})
     for m in list_metrics(campaign.tolerance_m):
         unit = {"cm": "m", "%": "1"}.get(m.unit, m.unit)
-        variables[m.name] = make_column(m.name, unit, m.label)
+        variables[m.field_name] = make_column(m.field_name, unit, m.label)
     keys = [key for v in campaign.variations for key in v.keys]
     units = {p.key: (p.unit, p.description) for p in list_parameters(campaign.vehicle)}
     for key in keys:

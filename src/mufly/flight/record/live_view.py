@@ -3,7 +3,7 @@
 The flight appends a copy of a row to a queue of limited length and never waits. A thread of the view removes the rows
 and publishes them. If a viewer is slow, the oldest rows are dropped. If a viewer fails, the view ends with an event and
 the flight continues. Requests of a viewer wait until the loop of the flight calls
-:meth:`LiveView.serve_requests`.
+:meth:`LiveViewThread.serve_requests`.
 """
 
 from __future__ import annotations
@@ -41,14 +41,14 @@ class Publisher(Protocol):
         """Close the connection."""
 
 
-class FlightView(Protocol):
+class LiveViewConfig(Protocol):
     """Description of a live view, which can be sent to the process of the vehicle."""
 
-    def open_view(self, flight: Flight) -> LiveView:
+    def open_view(self, flight: Flight) -> LiveViewThread:
         """Open the view of a flight."""
 
 
-class LiveView:
+class LiveViewThread:
     """Thread that publishes the rows of a flight.
 
     Parameters

@@ -395,7 +395,7 @@ BLOCK_ROWS = 1024
 
 
 class RowViewer(Protocol):
-    """Receiver of rows and events as they are recorded, such as :class:`mufly.flight.record.live_view.LiveView`."""
+    """Receiver of rows and events as recorded, such as :class:`mufly.flight.record.live_view.LiveViewThread`."""
 
     def show_row(self, row: NDArray[np.float64], state: str) -> None:
         """Receive the row of one instant; the receiver has to copy it."""

@@ -39,7 +39,7 @@ from numba import prange
 from numpy.typing import NDArray
 
 from mufly.compiled.numba_cache import cached_njit
-from mufly.dynamics.edgewise_loads import swash_plate_target
+from mufly.dynamics.edgewise_loads import tip_path_tilt_target
 from mufly.dynamics.equations_of_motion import battery_state, state_derivative
 from mufly.dynamics.model_state import (
     BAR_NORMAL,
@@ -112,7 +112,7 @@ def _integrate_state(
     h = length / steps
     decay = math.exp(-h * p.swash_rate)
     line, slope = _lag_line_coefficients(h * p.swash_rate)
-    roll_in, pitch_in = swash_plate_target(
+    roll_in, pitch_in = tip_path_tilt_target(
         min(max(u[U_SERVO_1], -1.0), 1.0), min(max(u[U_SERVO_2], -1.0), 1.0), p.swash_gain, p.swash_phase
     )
     for _ in range(steps):

@@ -32,7 +32,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.dynamics.edgewise_loads import swash_plate_target
+from mufly.dynamics.edgewise_loads import tip_path_tilt_target
 from mufly.dynamics.model_state import (
     MODEL_ATTITUDE,
     MODEL_BAR,
@@ -132,7 +132,7 @@ def estimate_input_gains(vehicle: Vehicle, r: FlightRecord) -> tuple[dict[str, I
             _, _, other = _simulate_rotors(dataclasses_replace(f, inputs=f.inputs[:, MOTORS_SWAPPED]), dt)
             if gain("r", "yaw", (other[:, 0] - other[:, 1]) / p["Izz"], **lagged).sign == 1:
                 found["yaw"] = dataclasses_replace(found["yaw"], sign=-1)
-    tilt = swash_plate_target.py_func(*np.clip(f.inputs[:, SERVOS], -1.0, 1.0).T, p["swash_gain"], p["swash_phase"])
+    tilt = tip_path_tilt_target.py_func(*np.clip(f.inputs[:, SERVOS], -1.0, 1.0).T, p["swash_gain"], p["swash_phase"])
     arm = -p["z_dw"] * thrust[:, 1, None] * np.sin(np.column_stack((-tilt[1], tilt[0])))
     bar = np.einsum("nji,nj->ni", turn, _bar_normal(f.mast_direction, -np.expm1(-dt * p["bar_rate"])))
     lean = -p["z_up"] * p["bar_gain"] * thrust[:, :1] * bar[:, :2]

@@ -27,7 +27,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from mufly.dynamics.edgewise_loads import swash_plate_target
+from mufly.dynamics.edgewise_loads import tip_path_tilt_target
 from mufly.dynamics.model_state import (
     BAR_NORMAL,
     MODEL_ATTITUDE,
@@ -319,7 +319,7 @@ class OutputErrorProblem:
             speeds = steady_rotor_speeds(p, np.clip(first, 0.0, 1.0), f.first_and_mean_voltage[0])
         x = np.zeros((b, STATE_SIZE))
         x[:, MODEL_ATTITUDE] = 1.0
-        x[:, MODEL_SWASH_ROLL], x[:, MODEL_SWASH_PITCH] = swash_plate_target.py_func(
+        x[:, MODEL_SWASH_ROLL], x[:, MODEL_SWASH_PITCH] = tip_path_tilt_target.py_func(
             *np.clip(f.inputs[0, [U_SERVO_1, U_SERVO_2]], -1.0, 1.0), p["swash_gain"], p["swash_phase"]
         )
         x[:, BAR_NORMAL] = bar_normal(

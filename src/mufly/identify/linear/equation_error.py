@@ -412,7 +412,7 @@ def fit_derivative_equation(
             weights = _whitening_weights(left)
     terms = [candidates[j] for j in chosen]
     driven = any(set(t) & set(inputs) for t in terms)
-    value, cov, bound, actuator, doubt = _refine_actuator(
+    value, cov, bound, actuator, doubt = _fit_coefficients_and_actuator(
         regression_columns,
         remove_biases,
         plain,
@@ -599,7 +599,7 @@ def _select_terms_stepwise(
     return chosen, steps
 
 
-def _refine_actuator(
+def _fit_coefficients_and_actuator(
     columns: RegressorFunction, cleared: BiasRemover, plain: Sequence[Array], weights: Sequence[Array],
     terms: Sequence[tuple[str, ...]], actuator: Array, most: float, dt: float,
 ) -> tuple[Array, Array, Array, Array, Array]:  # fmt: skip

@@ -22,7 +22,7 @@ from typing import Any, Literal
 
 from mufly.control import FlightController
 from mufly.flight import ALIGNMENT_TIMEOUT_S, Flight, FlightEvent, FlightState
-from mufly.flight.record.live_view import FlightView
+from mufly.flight.record.live_view import LiveViewConfig
 from mufly.link.ports import MAX_STALL_S, Endpoint, Peer, Port, open_port, read_boot_clock, wait_readable
 from mufly.link.telemetry_streams import SLOW_REAL_TIME_FACTOR
 from mufly.link.vehicle_link import VehicleLink
@@ -254,7 +254,7 @@ def run_real_time(
     on_report: Callable[[LoopReport], None] | None = None,
     autostart: bool = False,
     where: str = "endpoint",
-    views: Sequence[FlightView] = (),
+    views: Sequence[LiveViewConfig] = (),
     clock: Callable[[], float] = read_boot_clock,
 ) -> RealTimePacer:
     """Fly in real time behind a MAVLink link, until a stop is requested.
@@ -281,7 +281,7 @@ def run_real_time(
         Arm and fly the mission by itself, as soon as it is ready.
     where : str
         Source of the endpoints, for error messages.
-    views : sequence of FlightView
+    views : sequence of LiveViewConfig
         Live views; their requests are carried out before a tick.
     clock : callable
         Wall clock (s).

@@ -26,7 +26,7 @@ from mufly.errors import MuflyError
 from mufly.flight import Flight, FlightEvent
 from mufly.flight.fixes.camera_sensor import CameraConfig
 from mufly.flight.flight_software import ControlImplementation
-from mufly.flight.record.live_view import FlightView
+from mufly.flight.record.live_view import LiveViewConfig
 from mufly.link.codec import GlobalOrigin
 from mufly.link.ports import Endpoint
 from mufly.link.real_time.real_time_loop import LoopReport, SensorMode, run_real_time, warm_up
@@ -209,7 +209,7 @@ def start_vehicle(
     system: int = 1,
     origin: GlobalOrigin | None = None,
     where: str = "endpoint",
-    views: Sequence[FlightView] = (),
+    views: Sequence[LiveViewConfig] = (),
     on_stage: Callable[[str], None] | None = None,
 ) -> VehicleProcess:
     """Start a simulated vehicle in a process of its own, behind a MAVLink link, in real time.
@@ -230,7 +230,7 @@ def start_vehicle(
         Global position of N = E = D = 0.
     where : str
         Source of the endpoints, for error messages.
-    views : sequence of FlightView
+    views : sequence of LiveViewConfig
         Live views.
     on_stage : callable, optional
         Called from another thread with every stage of the start as it begins ("compiling the model").

@@ -25,12 +25,12 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 
 from mufly.errors import InputError
-from mufly.logs.mcap.mcap_writer import MAGIC, MESSAGE_FIELDS_SIZE, MESSAGE_HEAD, UNFINISHED_METADATA
+from mufly.logs.mcap.mcap_writer import MAGIC, MESSAGE_FIELDS_SIZE, MESSAGE_HEAD_STRUCT, UNFINISHED_METADATA
 
-_RECORD_HEAD = struct.Struct("<BQ")
-_CHUNK_HEAD = struct.Struct("<QQQII")  # start, end, uncompressed size, CRC, length of the compression's name
-_FOOTER_SIZE = _RECORD_HEAD.size + 20
-_MESSAGE_SIZE = _RECORD_HEAD.size + MESSAGE_FIELDS_SIZE
+_RECORD_HEAD_STRUCT = struct.Struct("<BQ")
+_CHUNK_HEAD_STRUCT = struct.Struct("<QQQII")  # start, end, uncompressed size, CRC, length of the compression's name
+_FOOTER_SIZE = _RECORD_HEAD_STRUCT.size + 20
+_MESSAGE_SIZE = _RECORD_HEAD_STRUCT.size + MESSAGE_FIELDS_SIZE
 _FIRST_PRIVATE_OPCODE = 0x80
 _IGNORED_OPCODES = (Opcode.MESSAGE_INDEX, Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX,
                 Opcode.STATISTICS, Opcode.SUMMARY_OFFSET, *range(_FIRST_PRIVATE_OPCODE, 256))  # fmt: skip
@@ -158,9 +158,9 @@ def _read_summary(data: bytes) -> _IndexSummary | None:
     """Return the index; None for a file without end mark, an empty index if its checksum is wrong."""
     mark = data.rfind(MAGIC, len(MAGIC))
     at = mark - _FOOTER_SIZE
-    if mark < 0 or at < len(MAGIC) or _RECORD_HEAD.unpack_from(data, at) != (Opcode.FOOTER, 20):
+    if mark < 0 or at < len(MAGIC) or _RECORD_HEAD_STRUCT.unpack_from(data, at) != (Opcode.FOOTER, 20):
         return None
-    start, _, crc = struct.unpack_from("<QQI", data, at + _RECORD_HEAD.size)
+    start, _, crc = struct.unpack_from("<QQI", data, at + _RECORD_HEAD_STRUCT.size)
     end = mark + len(MAGIC)
     if not start:
         return _IndexSummary(end_offset=end)
@@ -169,9 +169,9 @@ def _read_summary(data: bytes) -> _IndexSummary | None:
     channels, places, expected = [], [start], 0
     try:
         while start < at:
-            opcode, length = _RECORD_HEAD.unpack_from(data, start)
-            content = data[start + _RECORD_HEAD.size : start + _RECORD_HEAD.size + length]
-            start += _RECORD_HEAD.size + length
+            opcode, length = _RECORD_HEAD_STRUCT.unpack_from(data, start)
+            content = data[start + _RECORD_HEAD_STRUCT.size : start + _RECORD_HEAD_STRUCT.size + length]
+            start += _RECORD_HEAD_STRUCT.size + length
             if opcode == Opcode.CHANNEL:
                 channel = records.Channel.read(_to_stream(content))
                 channels.append((channel.id, channel.topic))
@@ -207,9 +207,9 @@ class _McapScanner:
         data, contents, end = self._data, self._contents, len(self._data)
         at, finished = len(MAGIC), False
         passed = at  # start of a run of skipped records, whose lengths are not confirmed
-        while at + _RECORD_HEAD.size <= end and not finished:
-            opcode, length = _RECORD_HEAD.unpack_from(data, at)
-            stop = at + _RECORD_HEAD.size + length
+        while at + _RECORD_HEAD_STRUCT.size <= end and not finished:
+            opcode, length = _RECORD_HEAD_STRUCT.unpack_from(data, at)
+            stop = at + _RECORD_HEAD_STRUCT.size + length
             if opcode == Opcode.FOOTER and length == 20:
                 finished = True
             elif stop > end or not (Opcode.HEADER <= opcode <= Opcode.DATA_END or opcode >= _FIRST_PRIVATE_OPCODE):
@@ -232,7 +232,7 @@ class _McapScanner:
 
     def _read_record(self, opcode: int, at: int, stop: int) -> str:
         """Process a chunk or another top-level record; return its fault, ``""`` without one."""
-        start = at + _RECORD_HEAD.size
+        start = at + _RECORD_HEAD_STRUCT.size
         try:
             if opcode == Opcode.CHUNK:
                 self._chunked = True
@@ -260,7 +260,7 @@ class _McapScanner:
         """Process the records of a chunk; return the number of valid bytes."""
         at, end = 0, len(plain)
         unpack, topics, counts, numbered = (
-            MESSAGE_HEAD.unpack_from,
+            MESSAGE_HEAD_STRUCT.unpack_from,
             self._topics,
             self._counts,
             self._numbered,
@@ -281,13 +281,13 @@ class _McapScanner:
                         self._skipped += (count - expected) & 0xFFFFFFFF
                     counts[number] = (count + 1) & 0xFFFFFFFF
             else:
-                if at + _RECORD_HEAD.size > end:
+                if at + _RECORD_HEAD_STRUCT.size > end:
                     return at
-                opcode, size = _RECORD_HEAD.unpack_from(plain, at)
-                stop = at + _RECORD_HEAD.size + size
+                opcode, size = _RECORD_HEAD_STRUCT.unpack_from(plain, at)
+                stop = at + _RECORD_HEAD_STRUCT.size + size
                 if stop > end or opcode == Opcode.MESSAGE:
                     return at
-                self._read_other_record(opcode, plain[at + _RECORD_HEAD.size : stop])
+                self._read_other_record(opcode, plain[at + _RECORD_HEAD_STRUCT.size : stop])
             at = stop
         return at
 
@@ -313,7 +313,7 @@ class _McapScanner:
     def _skip_damaged(self, problem: str, opcode: int, at: int, stop: int) -> int:
         """Register a damaged record and return the offset at which to continue."""
         after = stop if self._is_record_at(stop) else self._find_next_record(at + 1)
-        messages, first_ns, last_ns = self._read_message_indexes(stop) if opcode == Opcode.CHUNK else (0, 0, 0)
+        messages, first_ns, last_ns = self._summarise_message_indexes(stop) if opcode == Opcode.CHUNK else (0, 0, 0)
         self._contents.lost_parts.append(LostPart(problem, at, after - at, messages, first_ns, last_ns))
         return after
 
@@ -330,10 +330,10 @@ class _McapScanner:
             self._contents.lost_parts.append(LostPart(what, at, after - at))
             return after
         self._chunked = True
-        first_ns, last_ns = struct.unpack_from("<QQ", data.ljust(at + 25, b"\0"), at + _RECORD_HEAD.size)
+        first_ns, last_ns = struct.unpack_from("<QQ", data.ljust(at + 25, b"\0"), at + _RECORD_HEAD_STRUCT.size)
         before = sum(len(m) for m in self._contents.messages_by_topic.values())
         try:
-            self._read_chunk_records(_unpack_truncated_chunk(data, at + _RECORD_HEAD.size))
+            self._read_chunk_records(_unpack_truncated_chunk(data, at + _RECORD_HEAD_STRUCT.size))
         except Exception:  # No part can be unpacked.
             before = -1
         kept = sum(len(m) for m in self._contents.messages_by_topic.values()) - before if before >= 0 else 0
@@ -347,12 +347,12 @@ class _McapScanner:
         """Return whether a record begins at an offset and is followed by another record or the end mark."""
         data, end = self._data, len(self._data)
         for _ in range(2):
-            if at + _RECORD_HEAD.size > end:
+            if at + _RECORD_HEAD_STRUCT.size > end:
                 return False
-            opcode, length = _RECORD_HEAD.unpack_from(data, at)
+            opcode, length = _RECORD_HEAD_STRUCT.unpack_from(data, at)
             if not (Opcode.HEADER <= opcode <= Opcode.DATA_END or opcode >= _FIRST_PRIVATE_OPCODE):
                 return False
-            at += _RECORD_HEAD.size + length
+            at += _RECORD_HEAD_STRUCT.size + length
             if at > end:
                 return False
             if at == end or (opcode == Opcode.FOOTER and data.startswith(MAGIC, at)):
@@ -382,15 +382,15 @@ class _McapScanner:
                     break
         return best
 
-    def _read_message_indexes(self, at: int) -> tuple[int, int, int]:
+    def _summarise_message_indexes(self, at: int) -> tuple[int, int, int]:
         """Return number and first and last time of the messages in the indexes at an offset; zeros without an index."""
         data, end, times = self._data, len(self._data), list[int]()
-        while at + _RECORD_HEAD.size + 6 <= end and data[at] == Opcode.MESSAGE_INDEX:
-            length = _RECORD_HEAD.unpack_from(data, at)[1]
-            stop = at + _RECORD_HEAD.size + length
+        while at + _RECORD_HEAD_STRUCT.size + 6 <= end and data[at] == Opcode.MESSAGE_INDEX:
+            length = _RECORD_HEAD_STRUCT.unpack_from(data, at)[1]
+            stop = at + _RECORD_HEAD_STRUCT.size + length
             if stop > end or length < 6 or (length - 6) % 16:
                 break
-            values = struct.unpack_from(f"<{(length - 6) // 8}Q", data, at + _RECORD_HEAD.size + 6)
+            values = struct.unpack_from(f"<{(length - 6) // 8}Q", data, at + _RECORD_HEAD_STRUCT.size + 6)
             times += values[::2]
             at = stop
         return len(times), min(times, default=0), max(times, default=0)
@@ -414,8 +414,8 @@ class _McapScanner:
 
 def _parse_chunk_head(data: bytes, start: int) -> tuple[str, int, int, int, int]:
     """Return compression, uncompressed size, CRC, and begin and expected end of the packed records."""
-    _, _, size, crc, name_length = _CHUNK_HEAD.unpack_from(data, start)
-    at = start + _CHUNK_HEAD.size
+    _, _, size, crc, name_length = _CHUNK_HEAD_STRUCT.unpack_from(data, start)
+    at = start + _CHUNK_HEAD_STRUCT.size
     name = data[at : at + name_length].decode("ascii", "replace") if name_length <= 32 else "?"
     (packed,) = struct.unpack_from("<Q", data, at + name_length)
     at += name_length + 8

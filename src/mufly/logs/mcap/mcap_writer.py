@@ -25,7 +25,7 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 
 MAGIC = b"\x89MCAP0\r\n"
-MESSAGE_HEAD = struct.Struct("<BQHIQQ")
+MESSAGE_HEAD_STRUCT = struct.Struct("<BQHIQQ")
 """Head of a message: opcode, length, channel, sequence, log time, publish time."""
 MESSAGE_FIELDS_SIZE = 2 + 4 + 8 + 8
 """Bytes of a message before its content, without opcode and length."""
@@ -127,7 +127,7 @@ class McapWriter:
         head = b"".join(_encode_record(r) for r in [*self._schemas, *self._channels]) if not self._introduced else b""
         parts, offset, counts = [head], len(head), dict(self._counts)
         entries: defaultdict[int, array[int]] = defaultdict(lambda: array("Q"))
-        pack = MESSAGE_HEAD.pack
+        pack = MESSAGE_HEAD_STRUCT.pack
         for channel, time_ns, content in messages:
             count = counts.get(channel, 0)
             counts[channel] = count + 1

@@ -75,13 +75,13 @@ class GroundFile:
     fence_items: tuple[MissionItem, ...] = ()
 
 
-def is_ground_file(text: str) -> bool:
+def is_ground_station_text(text: str) -> bool:
     """Return whether a text is a file of another ground station, not TOML."""
     head = text.lstrip("\ufeff \t\r\n")
     return head.startswith((_WAYPOINT_FILE_HEADER, "{"))
 
 
-def read_ground_file(text: str, where: str) -> dict[str, Any]:
+def parse_ground_station_text(text: str, where: str) -> dict[str, Any]:
     """Return the tables of a mission file for a ground station's file.
 
     Parameters

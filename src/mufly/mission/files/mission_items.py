@@ -231,20 +231,22 @@ def mission_from_items(items: Sequence[MissionItem], base: Mission, origin: Glob
             MissionCommand.NAV_LOITER_UNLIM,
         ):
             headed = item.command != MissionCommand.NAV_LOITER_TIME
-            own = _read_heading(item, 3, MissionResult.INVALID_PARAM4) if headed else None
+            own = _read_heading_deg(item, 3, MissionResult.INVALID_PARAM4) if headed else None
             place = _read_flight_place(item, origin)
-            wait = 0.0 if item.command == MissionCommand.NAV_LOITER_UNLIM else _read_wait(item)
+            wait = 0.0 if item.command == MissionCommand.NAV_LOITER_UNLIM else _read_wait_s(item)
             waypoints.append(_make_waypoint(item, place, wait, heading if own is None else own, speed))
             came_from.append(item.seq)
             heading = None
         elif item.command == MissionCommand.NAV_DELAY and waypoints:
             w = waypoints[-1]
-            longer = w.wait_s + _read_wait(item)
+            longer = w.wait_s + _read_wait_s(item)
             waypoints[-1] = _make_waypoint(item, w.position_m, longer, w.heading_deg, w.speed_m_s)
         elif item.command == MissionCommand.NAV_DELAY:
-            take_off = _make_table(item, TakeOff, height_m=take_off.height_m, wait_s=take_off.wait_s + _read_wait(item))
+            take_off = _make_table(
+                item, TakeOff, height_m=take_off.height_m, wait_s=take_off.wait_s + _read_wait_s(item)
+            )
         elif item.command == MissionCommand.DO_CHANGE_SPEED:
-            speed = _read_speed(item, speed)
+            speed = _read_speed_m_s(item, speed)
         elif item.command == MissionCommand.CONDITION_YAW:
             *_, is_relative = item.params
             if is_relative == 1.0:
@@ -252,13 +254,13 @@ def mission_from_items(items: Sequence[MissionItem], base: Mission, origin: Glob
             if is_relative != 0.0 and not math.isnan(is_relative):
                 why = f"parameter 4 is {is_relative:g}; give 0, an absolute heading"
                 raise _make_refusal(item, MissionResult.INVALID_PARAM4, why)
-            heading = _read_heading(item, 0, MissionResult.INVALID_PARAM1)
+            heading = _read_heading_deg(item, 0, MissionResult.INVALID_PARAM1)
         elif item.command not in (MissionCommand.NAV_LAND, MissionCommand.NAV_RETURN_TO_LAUNCH):
             raise _make_refusal(item, MissionResult.UNSUPPORTED, f"{_command_name(item.command)} cannot be flown")
         if item.command == MissionCommand.NAV_LAND and waypoints:
             over = _place_before_landing(item, origin, waypoints[-1])
             if over is not None:
-                own = _read_heading(item, 3, MissionResult.INVALID_PARAM4)
+                own = _read_heading_deg(item, 3, MissionResult.INVALID_PARAM4)
                 waypoints.append(_make_waypoint(item, over, 0.0, heading if own is None else own, speed))
                 came_from.append(item.seq)
                 heading = None
@@ -388,7 +390,7 @@ def _make_waypoint(
     return made
 
 
-def _read_wait(item: MissionItem) -> float:
+def _read_wait_s(item: MissionItem) -> float:
     wait = item.params[0]
     if math.isnan(wait):
         return 0.0
@@ -400,7 +402,7 @@ def _read_wait(item: MissionItem) -> float:
     return wait
 
 
-def _read_heading(item: MissionItem, k: int, blame: MissionResult) -> float | None:
+def _read_heading_deg(item: MissionItem, k: int, blame: MissionResult) -> float | None:
     deg = item.params[k]
     if math.isnan(deg):
         return None
@@ -409,7 +411,7 @@ def _read_heading(item: MissionItem, k: int, blame: MissionResult) -> float | No
     return deg
 
 
-def _read_speed(item: MissionItem, before: float | None) -> float | None:
+def _read_speed_m_s(item: MissionItem, before: float | None) -> float | None:
     kind, speed = item.params[0], item.params[1]
     if kind not in (0.0, 1.0):
         raise _make_refusal(item, MissionResult.INVALID_PARAM1, "only the horizontal speed (0, 1) can be changed")

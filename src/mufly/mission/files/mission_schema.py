@@ -21,7 +21,7 @@ from mufly.world import Box, Cylinder, Room, World, make_wall
 
 MAX_EXTENT_M = 10_000.0
 """Largest coordinate or length in a mission (m): flights are indoors, over a flat floor."""
-MAX_WIND_M_S, MAX_GUST_M_S = 50.0, 5.0
+MAX_WIND_M_S, MAX_GUST_RMS_M_S = 50.0, 5.0
 """Bounds of each component of the steady wind (a hurricane's) and of the gusts' rms (m/s).
 
 The model's own range of validity is far smaller."""
@@ -128,7 +128,7 @@ class Wind(_MissionTable):
     steady_m_s: tuple[WindSpeed, WindSpeed, WindSpeed] = Field(
         default=(0.0, 0.0, 0.0), description="velocity of the air, N, E, D"
     )
-    gust_m_s: float = _strict_field(0.0, "intensity of the gusts (rms)", ge=0.0, le=MAX_GUST_M_S)
+    gust_m_s: float = _strict_field(0.0, "intensity of the gusts (rms)", ge=0.0, le=MAX_GUST_RMS_M_S)
 
 
 class Fence(_MissionTable):
@@ -150,7 +150,7 @@ class Fence(_MissionTable):
     )
 
     @model_validator(mode="after")
-    def _check_bounds(self) -> Fence:
+    def _check_geometry(self) -> Fence:
         if (self.centre_m is None) != (self.radius_m is None):
             raise model_error("a circle needs both centre_m and radius_m", "give both")
         for name, corners in (("polygon_m", self.polygon_m), *(("keep_out_m", z) for z in self.keep_out_m)):

@@ -240,7 +240,7 @@ def _distance_between(a: _Array, b: _Array) -> float:
     return float(np.linalg.norm(a - b))
 
 
-def _single_obstacle_world(world: World, k: int) -> World:
+def _isolate_obstacle(world: World, k: int) -> World:
     n = len(world.boxes)
     return World((world.boxes[k],)) if k < n else World((), (world.cylinders[k - n],))
 
@@ -251,7 +251,7 @@ def _first_obstacle(world: World, at: _Array, goal: _Array, clear: float) -> tup
     line = at + np.linspace(0.0, 1.0, count)[:, None] * (goal - at)
     met: tuple[int, int] | None = None
     for k in range(len(world.boxes) + len(world.cylinders)):
-        away, _ = obstacle_distances(_single_obstacle_world(world, k), line)
+        away, _ = obstacle_distances(_isolate_obstacle(world, k), line)
         if float(away.min()) >= clear + BLOCKED_MARGIN_M:
             continue
         first = int(np.argmax(away < clear + FOLLOW_MARGIN_M))
@@ -277,7 +277,7 @@ def _contour_detour(world: World, k: int, entry: _Array, goal: _Array, clear: fl
     """Return the length along the contour of obstacle ``k`` on the shorter side (m), and the point of departure."""
     n = len(world.boxes)
     obstacle = world.boxes[k] if k < n else world.cylinders[k - n]
-    outline, alone = _outline_around_obstacle(obstacle, clear + FOLLOW_MARGIN_M), _single_obstacle_world(world, k)
+    outline, alone = _outline_around_obstacle(obstacle, clear + FOLLOW_MARGIN_M), _isolate_obstacle(world, k)
     first = int(np.argmin(np.linalg.norm(outline - entry[:2], axis=1)))
     found: list[tuple[float, float, _Array]] = []
     share = np.linspace(0.0, 1.0, 60)[:, None]

@@ -97,7 +97,7 @@ def step_take_off(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) ->
             why = LogMessage.TAKE_OFF_SHORT(-m.position[2], -s.goal[2])
             return start_landing(fail_mission(s, why), why, level="warning")
     # On its legs the vehicle cannot avoid obstacles.
-    return _detect_obstacle(plan, s) if m.position[2] < s.home_position[2] - 0.2 else s
+    return _start_detour_at_obstacle(plan, s) if m.position[2] < s.home_position[2] - 0.2 else s
 
 
 def nose_offset(plan: MissionPlan) -> float:
@@ -169,7 +169,7 @@ def step_hover(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> Mi
     """Step a hover: wait, then start the next leg or the landing."""
     if s.outcome == "failed":
         return start_landing(s, s.reason, level="warning") if s.time_s >= s.hover_until_s else s
-    s = _detect_obstacle(plan, s)
+    s = _start_detour_at_obstacle(plan, s)
     if s.state is not State.HOVER or s.manual or s.time_s < s.hover_until_s:
         return s
     if s.waypoint_index >= len(plan.mission.waypoint):
@@ -297,10 +297,10 @@ def step_leg(plan: MissionPlan, s: MissionState, m: Estimate, dt: float) -> Miss
             s, LogMessage.WAYPOINT_MISSED, LogMessage.USER_WAYPOINT_MISSED, LogMessage.HOME_MISSED, spent, off
         )
         return _fail_and_hover(s, why)
-    return _detect_obstacle(plan, s)
+    return _start_detour_at_obstacle(plan, s)
 
 
-def _detect_obstacle(plan: MissionPlan, s: MissionState) -> MissionState:
+def _start_detour_at_obstacle(plan: MissionPlan, s: MissionState) -> MissionState:
     """Start a detour if an obstacle is detected."""
     if not plan.avoids_obstacles or not s.obstacle_map.point_count:
         return s

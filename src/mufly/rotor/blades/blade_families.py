@@ -32,7 +32,7 @@ ZERO_LIFT_PER_CAMBER = 2.0  # rad per chord: thin-airfoil theory, parabolic camb
 DRAG_PER_THICKNESS = 2.0  # skin friction of a section of thickness t: 1 + 2 t (Hoerner, 1965, ch. II)
 
 
-class BladeFamily(NamedTuple):
+class BladeFamilyPrior(NamedTuple):
     """Prior of a family: probability, mean and standard deviation of camber and thickness (% of the chord), reason."""
 
     probability: float
@@ -41,17 +41,21 @@ class BladeFamily(NamedTuple):
     rationale: str
 
 
-BLADE_FAMILIES: dict[str, BladeFamily] = {
-    "apc": BladeFamily(
+BLADE_FAMILY_PRIORS: dict[str, BladeFamilyPrior] = {
+    "apc": BladeFamilyPrior(
         0.20, (4.0, 1.0), (11.0, 2.0), "APC's sport and electric blades: NACA 4412 and Clark Y, as APC says"
     ),
-    "slow-flyer": BladeFamily(0.15, (5.0, 1.5), (5.0, 2.0), "wide, thin blades at low speed: E63 and similar sections"),
-    "gws": BladeFamily(0.15, (4.0, 2.0), (6.0, 2.5), "GWS's moulded blades: a cambered plate, flat below"),
-    "hobby": BladeFamily(0.25, (4.5, 2.5), (5.0, 2.5), "other moulded blades, and thin shells of toys"),
-    "printed": BladeFamily(
+    "slow-flyer": BladeFamilyPrior(
+        0.15, (5.0, 1.5), (5.0, 2.0), "wide, thin blades at low speed: E63 and similar sections"
+    ),
+    "gws": BladeFamilyPrior(0.15, (4.0, 2.0), (6.0, 2.5), "GWS's moulded blades: a cambered plate, flat below"),
+    "hobby": BladeFamilyPrior(0.25, (4.5, 2.5), (5.0, 2.5), "other moulded blades, and thin shells of toys"),
+    "printed": BladeFamilyPrior(
         0.10, (3.5, 2.0), (8.0, 3.0), "printed blades: a named section with the steps of print layers"
     ),
-    "machined": BladeFamily(0.15, (3.0, 2.0), (9.0, 3.0), "machined blades, or laminates from moulds: a named section"),
+    "machined": BladeFamilyPrior(
+        0.15, (3.0, 2.0), (9.0, 3.0), "machined blades, or laminates from moulds: a named section"
+    ),
 }
 
 
@@ -62,16 +66,16 @@ def section_probabilities(rotor: Rotor, family: str = "") -> list[tuple[tuple[st
     ----------
     rotor : Rotor
     family : str
-        One of :data:`BLADE_FAMILIES`; empty: all families by their probabilities.
+        One of :data:`BLADE_FAMILY_PRIORS`; empty: all families by their probabilities.
 
     Raises
     ------
     InputError
         If there is no such family.
     """
-    if family and family not in BLADE_FAMILIES:
-        raise InputError("section", "family", f"{family!r} is unknown", f"use one of: {', '.join(BLADE_FAMILIES)}")
-    chosen = [BLADE_FAMILIES[family]] if family else list(BLADE_FAMILIES.values())
+    if family and family not in BLADE_FAMILY_PRIORS:
+        raise InputError("section", "family", f"{family!r} is unknown", f"use one of: {', '.join(BLADE_FAMILY_PRIORS)}")
+    chosen = [BLADE_FAMILY_PRIORS[family]] if family else list(BLADE_FAMILY_PRIORS.values())
     camber, thickness = np.meshgrid(CAMBER_GRID_PERCENT, THICKNESS_GRID_PERCENT, indexing="ij")
     total = np.zeros(camber.shape)
     for one in chosen:

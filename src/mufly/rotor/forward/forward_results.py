@@ -249,7 +249,7 @@ _FLAP_COLUMNS = (
 
 
 @dataclass(frozen=True)
-class _PointResponse:
+class _SweepRow:
     """Point with its response, as a row of a table."""
 
     point: ForwardResult
@@ -288,7 +288,7 @@ class ForwardSweep:
         first = self.points[0][0]
         rows = [p for line in self.points for p in line]
         answers = [r for line in self.responses for r in line]
-        both = [_PointResponse(p, r) for p, r in zip(rows, answers, strict=True)]
+        both = [_SweepRow(p, r) for p, r in zip(rows, answers, strict=True)]
         blocks: list[ShownBlock] = [
             show_lines(
                 f" at {math.degrees(first.pitch_rad):.2f}° and {first.speed_rad_s * 30.0 / math.pi:.0f} rpm, "

@@ -67,7 +67,7 @@ class RotorMeasurements:
         object.__setattr__(self, "climb_m_s", np.broadcast_to(self.climb_m_s, self.thrust_N.shape).copy())
 
     @property
-    def axial(self) -> bool:
+    def has_axial_flow(self) -> bool:
         """True if any point has axial flow."""
         return bool(np.any(self.climb_m_s != 0.0))
 
@@ -128,7 +128,7 @@ class MeasurementComparison:
         lines = [
             f"{m.source}: {head}",
             "pitch_deg speed_rpm  thrust_N measured  error   torque_Nm measured  error"
-            + ("  axial_m_s" if m.axial else ""),
+            + ("  axial_m_s" if m.has_axial_flow else ""),
         ]
         for i in range(m.thrust_N.size):
             torque = f"{self.torque_Nm[i]:9.5f}"
@@ -137,7 +137,7 @@ class MeasurementComparison:
             lines.append(
                 f"{math.degrees(m.pitch_rad[i]):9.2f} {m.speed_rad_s[i] / RPM:9.0f} {self.thrust_N[i]:9.4f} "
                 f"{m.thrust_N[i]:8.4f} {100 * self.thrust_error[i]:+5.1f}% {torque}"
-                + (f" {m.climb_m_s[i]:8.2f}" if m.axial else "")
+                + (f" {m.climb_m_s[i]:8.2f}" if m.has_axial_flow else "")
             )
         mean = f"mean absolute error: thrust {100 * self.mean_thrust_error:.1f} %"
         if math.isfinite(self.mean_torque_error):

@@ -175,7 +175,7 @@ def fit_rotor(
     section : 'guessed' or 'known'
         Whether the airfoils of the rotor file are a guess among other candidates, or known.
     family : str
-        Family of a guessed section, if known: one of :data:`mufly.rotor.blades.blade_families.BLADE_FAMILIES`.
+        Family of a guessed section, if known: one of :data:`mufly.rotor.blades.blade_families.BLADE_FAMILY_PRIORS`.
     air, n_crit, engine, corrections
         As for :func:`mufly.rotor.prepare_blading` and :func:`mufly.rotor.solve_rotor`.
     progress : callable, optional
@@ -192,7 +192,7 @@ def fit_rotor(
         raise InputError("fit", "section", f"{section!r} is unknown", "use 'guessed' or 'known'")
     thrust = measurements.thrust_N
     # Points without thrust say something in an airstream only; negative thrust alone is a sign taken the wrong way.
-    if not np.any(thrust > 0.0) and (np.any(thrust < 0.0) or not measurements.axial):
+    if not np.any(thrust > 0.0) and (np.any(thrust < 0.0) or not measurements.has_axial_flow):
         raise InputError(measurements.source, "thrust", "is nowhere above 0", "give points with thrust")
     plain = rotor.model_copy(update={"fit": None})
     gas = air or measurements.air
@@ -203,7 +203,7 @@ def fit_rotor(
     re = chord * wind * gas.density_kg_m3 / gas.viscosity_Pa_s
     load = np.stack((measurements.thrust_N, measurements.torque_Nm))
     hover = np.zeros((2, 0))
-    if measurements.axial:
+    if measurements.has_axial_flow:
         still = prepare_blading(plain, n_crit=n_crit, engine=engine, corrections=fixes)
         out = solve_rotor_batch(still, pitch_rad=measurements.pitch_rad, speed_rad_s=measurements.speed_rad_s, air=gas)
         hover = np.stack((out.thrust_N, out.torque_Nm))

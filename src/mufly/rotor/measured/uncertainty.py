@@ -162,7 +162,7 @@ def predict_interval(
     section : 'known', 'guessed' or 'measured'
         Status of the rotor file's airfoils; for a fitted rotor always 'measured'.
     family : str
-        Family of a guessed section, if known: one of :data:`mufly.rotor.blades.blade_families.BLADE_FAMILIES`.
+        Family of a guessed section, if known: one of :data:`mufly.rotor.blades.blade_families.BLADE_FAMILY_PRIORS`.
     doubt : InputUncertainty, optional
         Standard deviations of the causes; default: those of a known or guessed section.
     level : float

@@ -35,7 +35,7 @@ _POINTS = 121
 _CHORD_POINTS: Array = 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, _POINTS)))
 
 
-class SectionConstants(NamedTuple):
+class SectionGeometry(NamedTuple):
     """Constants of sections, (n,) arrays.
 
     Attributes
@@ -74,9 +74,9 @@ def contour_lines(name: str) -> tuple[Array, Array]:
     return np.maximum(high - low, 0.0), 0.5 * (high + low)
 
 
-def section_constants(
+def section_geometry(
     chord_m: Array, thickness: Array, camber: Array, plate_m: Array | float | None = None, scale: float = 1.0
-) -> SectionConstants:
+) -> SectionGeometry:
     """Return the constants of sections.
 
     Parameters
@@ -104,7 +104,7 @@ def section_constants(
     bending = integrate(t**3) / 12.0
     slender = 4.0 * bending
     arc = np.sum(np.hypot(np.diff(x, axis=1), np.diff(y, axis=1)), axis=1)
-    return SectionConstants(
+    return SectionGeometry(
         area,
         integrate(t * dy**2) + bending,
         integrate(t * dx**2),

@@ -30,7 +30,7 @@ from mufly.rotor.geometry import Rotor
 from mufly.rotor.rotor_system import Air
 from mufly.rotor.structure.blade_beam import FLAP_AT_NODES, GAUSS_POINTS, BeamModes, BladeBeam, compute_modes
 from mufly.rotor.structure.blade_structure import BladeStructure, structure_deviations
-from mufly.rotor.structure.cross_section import contour_lines, section_constants
+from mufly.rotor.structure.cross_section import contour_lines, section_geometry
 from mufly.rotor.structure.materials import find_material
 
 if TYPE_CHECKING:
@@ -119,7 +119,7 @@ def make_blade_beam(
         for k in (0, 1)
     )
     plate = None if s.thickness is None else np.full(chord.size, float(s.thickness))
-    k = section_constants(chord, thickness, camber, plate, f["thickness"])
+    k = section_geometry(chord, thickness, camber, plate, f["thickness"])
     young, shear = material.young_modulus_Pa * f["young"], material.shear_modulus_Pa * f["shear"]
     density = material.density_kg_m3 * f["density"]
     flap = np.full(chord.size, young)

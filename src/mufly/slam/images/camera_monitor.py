@@ -85,7 +85,7 @@ _CARRIED_SIGMA_PX_S = 60.0
 """The same by hand, where the place moves by an unknown velocity."""
 _FLIP_MEMORY_S, _FLIP_SHARE = 0.5, 0.25
 """Memory of the residuals (s), and largest share of the motion that a flip leaves; other faults leave more."""
-_STEADY_SHARE, _STEADY_LEAST = 0.3, 0.05
+_MAX_STEADY_CHANGE_SHARE, _MAX_STEADY_CHANGE = 0.3, 0.05
 """Largest change of a steady estimate over the confirming pictures: share of its deviation, and absolute."""
 _MIRRORED = "the picture moves mirrored against the gyroscopes: check the camera's driver"
 _MIN_POINTS, _WINDOW_PX, _MIN_CORRELATION, _STRONG_CORRELATION = 24, 21, 0.5, 0.85
@@ -266,7 +266,7 @@ class CameraMonitor:
         """Whether m and n are steady; after a change of the camera they pass through meaningless values."""
         first, last = self._latest[0], self._latest[-1]
         off = float(np.abs(last - [1.0, 0.0]).max())
-        return float(np.abs(last - first).max()) < max(_STEADY_LEAST, _STEADY_SHARE * off)
+        return float(np.abs(last - first).max()) < max(_MAX_STEADY_CHANGE, _MAX_STEADY_CHANGE_SHARE * off)
 
     def _advance_velocity(self, before: FrameInfo, now: FrameInfo, dt: float) -> None:
         """Integrate the velocity forward and to the right from the tilt; it decays, so that errors do not add up.

@@ -176,7 +176,7 @@ def fly_with_page(flight: PageFlight, address: PageAddress, page: StartPage) -> 
         session = StationSession(
             lambda: ground.vehicles, folder, mission=flight.mission, recorder=ground.recorder,
             rotor_radius_m=float(vehicle.rotors.radius),
-            battery_data=(hover_performance(vehicle).current_A, float(vehicle.battery.capacity) / 3600.0),
+            battery_data=(hover_performance(vehicle).battery_current_A, float(vehicle.battery.capacity) / 3600.0),
             title=f"mufly: {flight.mission.name}",
             latest_sight=(lambda: process.sight) if flight.has_camera else None,
             startup=flight.startup,

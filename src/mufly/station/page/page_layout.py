@@ -22,7 +22,7 @@ from mufly.station.page.command_checks import (
 )
 from mufly.station.page.flight_list import FlightList
 from mufly.station.page.mission_editor import MissionEditor
-from mufly.station.page.page_session import WindowView, find_refusal_reasons, mission_label
+from mufly.station.page.page_session import WindowView, find_refusal_reasons, mission_button_label
 from mufly.station.page.panels import (
     ActionButton,
     BrowserPanel,
@@ -539,7 +539,7 @@ class CommandBar:
         vehicle = self._view.shown_vehicle()
         snapshot = vehicle.snapshot if vehicle is not None else None
         why = self.refusal_reasons()
-        labels = {"mission": mission_label(snapshot)}
+        labels = {"mission": mission_button_label(snapshot)}
         if snapshot is not None and snapshot.armed:
             labels["arm"], why["arm"] = "Disarm", why["disarm"]
         failed = [] if vehicle is None or vehicle.snapshot.flying else failed_check_names(vehicle.checks)

@@ -504,7 +504,7 @@ def find_refusal_reasons(
     return why if rows else why | {"mission": "no mission in the vehicle"}
 
 
-def mission_label(s: VehicleSnapshot | None) -> str:
+def mission_button_label(s: VehicleSnapshot | None) -> str:
     """Return the label of the mission button."""
     if s is None or not s.mission_begun:
         return "Start mission"

@@ -123,7 +123,7 @@ void begin_path_check(const real_t position[3], const real_t goal[2], real_t ahe
     }
     for (int32_t i = 0; i < 2; i++) {
         out->goal_point[i] = goal[i];
-        out->blocker_point[i] = REAL(0.0);
+        out->nearest_blocking_point[i] = REAL(0.0);
     }
     out->look_ahead_m = ahead;
     out->points_checked = 0;
@@ -131,8 +131,8 @@ void begin_path_check(const real_t position[3], const real_t goal[2], real_t ahe
     out->onward_distance_sq = REAL_INFINITY;
     out->goal_distance_sq = REAL_INFINITY;
     out->lateral_offset_sum = REAL(0.0);
-    out->blocker_count = 0;
-    out->blocker_distance_sq = REAL_INFINITY;
+    out->blocking_point_count = 0;
+    out->nearest_blocking_distance_sq = REAL_INFINITY;
     for (int32_t k = 0; k < SECTOR_COUNT; k++) {
         out->nearest_points[k][0] = REAL_INFINITY;
         out->nearest_points[k][1] = REAL_INFINITY;
@@ -180,7 +180,7 @@ void check_map_part(obstacle_map_t *memory, path_check_t *sight, real_t time_s, 
     real_t onward = sight->onward_distance_sq;
     real_t from_goal = sight->goal_distance_sq;
     real_t sideways = sight->lateral_offset_sum;
-    int32_t blockers = sight->blocker_count;
+    int32_t blockers = sight->blocking_point_count;
 
     if (far > REAL(1e-9)) {
         wn = (goal[0] - place[0]) / far;
@@ -216,10 +216,10 @@ void check_map_part(obstacle_map_t *memory, path_check_t *sight, real_t time_s, 
 
                     least = real_min(least, off);
                     onward = real_min(onward, (past_first * past_first) + (across * across));
-                    if ((off < (blocked_at * blocked_at)) && (square < sight->blocker_distance_sq)) {
-                        sight->blocker_distance_sq = square;
-                        sight->blocker_point[0] = p[0];
-                        sight->blocker_point[1] = p[1];
+                    if ((off < (blocked_at * blocked_at)) && (square < sight->nearest_blocking_distance_sq)) {
+                        sight->nearest_blocking_distance_sq = square;
+                        sight->nearest_blocking_point[0] = p[0];
+                        sight->nearest_blocking_point[1] = p[1];
                     }
                     /* The whole visible width of a blocker decides the side, not only the part inside the corridor. */
                     if ((along > -blocked_at) && (along < (stretch + blocked_at))) {
@@ -235,7 +235,7 @@ void check_map_part(obstacle_map_t *memory, path_check_t *sight, real_t time_s, 
     sight->onward_distance_sq = onward;
     sight->goal_distance_sq = from_goal;
     sight->lateral_offset_sum = sideways;
-    sight->blocker_count = blockers;
+    sight->blocking_point_count = blockers;
 }
 
 bool is_path_blocked(const path_check_t *sight, real_t clearance)
@@ -453,8 +453,9 @@ static void contour_velocity(const detour_t *d, const path_check_t *sight, const
     real_t n = near->from[0];
     real_t e = near->from[1];
     real_t block_from[2] = {REAL(0.0), REAL(0.0)};
-    const real_t block =
-        (sight->blocker_distance_sq < REAL_INFINITY) ? direction_from(sight->blocker_point, near->at, block_from) : REAL_INFINITY;
+    const real_t block = (sight->nearest_blocking_distance_sq < REAL_INFINITY)
+                             ? direction_from(sight->nearest_blocking_point, near->at, block_from)
+                             : REAL_INFINITY;
     real_t error;
     real_t slant;
     real_t along;

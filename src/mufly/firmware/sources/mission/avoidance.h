@@ -37,9 +37,9 @@ typedef struct {
     real_t onward_distance_sq;    /* likewise for the first 1.5 m */
     real_t goal_distance_sq; /* least squared distance of any point from the goal */
     real_t lateral_offset_sum;    /* sum of the lateral offsets of blocking points, positive to the right (m) */
-    int32_t blocker_count; /* number of blocking points */
-    real_t blocker_distance_sq;     /* squared distance of the nearest blocking point */
-    real_t blocker_point[2];                /* its position (m) */
+    int32_t blocking_point_count;         /* number of blocking points */
+    real_t nearest_blocking_distance_sq;  /* squared distance of the nearest blocking point */
+    real_t nearest_blocking_point[2];     /* its position (m) */
     real_t nearest_points[SECTOR_COUNT][2]; /* nearest point in each direction, infinite without a point (m) */
 } path_check_t;
 
