@@ -47,6 +47,8 @@ def test_failed_flights_are_recorded_and_their_command_flies_them_again(monkeypa
         "0.1",
         "--tolerance",
         "1e-4",
+        "--method",
+        "ltr",
     )
     assert run(monkeypatch, *words) == 0
     shown = capsys.readouterr().out
@@ -56,6 +58,7 @@ def test_failed_flights_are_recorded_and_their_command_flies_them_again(monkeypa
         assert (out / name).stat().st_size > 0
     command = shlex.split((out / "failed" / "00001" / "command.txt").read_text())
     assert command[0] == "mufly"
+    assert command[command.index("--method") + 1] == "ltr"
     command[command.index("--out") + 1] = str(tmp_path / "again")
     assert run(monkeypatch, *command[1:], "--json") == 0
     told = json.loads(capsys.readouterr().out)

@@ -182,6 +182,8 @@ def run_monte_carlo(
     controllers = select_flight_software(firmware, fixed_point, policy, helicopter.name)
     by = tuple(word for word, wanted in (("--firmware", firmware), ("--fixed-point", fixed_point)) if wanted)
     by += ("--policy", policy) if policy else ()
+    by += () if method == "hinf" else ("--method", method)
+    by += () if order is None else ("--order", str(order))
     by += tuple(word for file in tuned or () for word in ("--tuned", file))
 
     from mufly.firmware import GenericFirmwareSoftware
