@@ -126,6 +126,10 @@ def test_what_cannot_be_is_said():
     bench = made_by(rotor, [4000.0], pitch_deg=12.0)
     with pytest.raises(MuflyError, match="units, pitch, radius"):
         fit_rotor(rotor, replace(bench, thrust_N=30 * bench.thrust_N), section="known")
+    # Four times the torque at half the thrust takes more than 4.5 times the drag.
+    draggy = replace(bench, thrust_N=0.5 * bench.thrust_N, torque_Nm=4 * bench.torque_Nm)
+    with pytest.raises(MuflyError, match="no section with plausible corrections"):
+        fit_rotor(rotor, draggy, section="known")
     with pytest.raises(InputError, match="section"):
         fit_rotor(rotor, bench, section="maybe")
 

@@ -176,6 +176,10 @@ class Blade(ParameterGroup):
         return self
 
 
+FIT_CHANGE_LIMITS = (0.3, 1.5, 1.5, 1.0, 2.0)
+"""Greatest changes that a fit may make to a rotor: :attr:`SectionCandidate.change`."""
+
+
 class SectionCandidate(ParameterGroup):
     """Candidate section of a fit to a bench run, with its probability and fitted changes."""
 
@@ -188,7 +192,7 @@ class SectionCandidate(ParameterGroup):
 
     @model_validator(mode="after")
     def _check_change_limits(self) -> SectionCandidate:
-        if any(abs(v) > most for v, most in zip(self.change, (0.3, 1.5, 1.5, 1.0, 2.0), strict=True)):
+        if any(abs(v) > most for v, most in zip(self.change, FIT_CHANGE_LIMITS, strict=True)):
             raise _make_validation_error(
                 "fit.candidates.change", f"{self.change} is not a small correction", "fit the rotor again"
             )

@@ -51,7 +51,7 @@ from mufly.rotor.bemt import solve_rotor_batch
 from mufly.rotor.blades.blade_families import GRID_STEP_STD, ZERO_LIFT_PER_CAMBER, section_probabilities
 from mufly.rotor.blading import Blading, Corrections, apply_section_fit, compute_rotor_polars, prepare_blading
 from mufly.rotor.effective_pitch import effective_pitch_prior
-from mufly.rotor.geometry import Rotor, SectionCandidate, SectionFit, replace_rotor
+from mufly.rotor.geometry import FIT_CHANGE_LIMITS, Rotor, SectionCandidate, SectionFit, replace_rotor
 from mufly.rotor.measured.bench_comparison import RotorMeasurements
 from mufly.rotor.rotor_system import Air
 from mufly.rotor.sections.polar_engines import PolarEngine
@@ -433,6 +433,8 @@ def _fit_sections(
                 again = least_squares(weighted_residuals, ended / wide, jac=residual_jacobian, max_nfev=100)
                 solved = again if again.cost < solved.cost else solved
             ended = solved.x * wide
+            if np.any(np.abs(ended) > FIT_CHANGE_LIMITS):  # the rotor file would refuse them
+                continue
             jacobian = np.asarray(solved.jac, dtype=np.float64)
             curvature, data = jacobian.T @ jacobian, jacobian[:-5]
             inverse = np.linalg.inv(curvature)
