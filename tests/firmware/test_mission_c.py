@@ -562,6 +562,9 @@ STORIES = (
     ),
     (PATIENT, True, [*FLIES, "pause * 20", "spread place 0.3 * 30", "clear"], "MISSION_PAUSED POSITION_UNCERTAIN"),
     (PATIENT, True, [*FLIES, "spread place 0.3 * 30", "start", "clear"], "WAITING_FOR_POSITION MISSION_BEGINS"),
+    (CURVES, False, [*FLIES, *["first"] * 6], "ON_TO_WAYPOINT"),
+    (SQUARE, False, [*["points"] * 6], "OFFBOARD_ON"),
+    (SQUARE, False, [*UP, "asked 0.1 0 -3 * 90", "asked 0.1 0 -1 * 20", *["wait"] * 3], "USER_WAYPOINT_REACHED"),
     (
         SCANNED,
         True,

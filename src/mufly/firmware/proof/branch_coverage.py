@@ -33,11 +33,11 @@ from mufly.mission import Mission, load_mission, parse_mission
 from mufly.sensors.faults import parse_fault
 from mufly.vehicle import Vehicle, load_vehicle
 
-FUZZ_PARTS, FUZZ_INPUT_COUNT = 5, 3000
+FUZZ_PARTS, FUZZ_INPUT_COUNT = 5, 60_000
 """Number of parts of the fuzzing harness, and number of random inputs."""
 
 
-FLIGHT_COUNT, COMMAND_EXAMPLE_COUNT = 8, 150
+FLIGHT_COUNT, COMMAND_EXAMPLE_COUNT = 8, 400
 SENSOR_FAULTS = (
     "sonar.jump=0.3@14s+2s gyro.jump=0.3@16s position.dropout@14s+3s ring.insane@13s pressure.doubled@11s",
     "sonar.stuck=1.0@14s accelerometer.clip=12@15s ring.doubled@13s battery.jump@14s magnetometer.insane@15s",

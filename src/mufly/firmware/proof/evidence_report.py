@@ -410,7 +410,7 @@ def _report_coverage(vehicle: Vehicle, out: Path) -> EvidenceSection:
         "Branches reached",
         f"{taken} of {total} branches ({100 * taken / max(total, 1):.1f} %), by both missions flown by the C code "
         "on sensors, by eight drawn flights with faults, by the law in whole numbers, by what the fuzzer finds in 40 s "
-        "and 3000 random inputs, and by the tests that compare the languages, where they are at hand. "
+        "and by random inputs, and by the tests that compare the languages, where they are at hand. "
         f"Of the {total - taken} others {sum(g.missing for g in gaps if g.reason)} have a written reason.\n\n"
         + _markdown_table(("file", "taken", "share", "not taken", "of these lines without a reason"), rows)
         + "\n\n"
