@@ -317,7 +317,8 @@ def _solve_bemt(
     else:
         raise MuflyError(
             f"coaxial: the two rotors do not converge at {climb_m_s:g} m/s climb; "
-            f"the inflow still changes by {np.max(np.abs(step)) / size:.1e} of its value per iteration"
+            f"the inflow still changes by {np.max(np.abs(step)) / size:.1e} of its value per iteration; "
+            "raise the pitch, or climb faster"
         )
     found = tuple(solve_placed_rotor(p, climb_m_s, air, (*m, m[0])) for p, m in zip(rotors, met, strict=True))
     return SystemSolution(
