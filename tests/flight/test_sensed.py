@@ -328,13 +328,33 @@ def test_gyroscopes_that_are_gone_and_aids_that_contradict_bring_it_down(doubtin
     assert flight.status.motors == "fly"
     run(flight, 0.1)
     assert flight.status.motors == "blind"
-    assert flight.status.reason == "attitude contradicted by position fix and magnetometer"
+    said = "attitude contradicted by magnetometer and position fix: gyroscopes, rotor model or both aids are wrong"
+    assert flight.status.reason == said
     doubts = HealthMonitor()
     for k in range(8):
         doubts.step(believing(still(0.02 * k), rates="missing"))
     assert doubts.verdict == ("land", "gyroscope is missing: so it is")
     doubts.step(believing(still(0.2), rates="missing", tilt=0.3))
     assert doubts.verdict.action == "sink"
+
+
+def test_a_rejected_sensor_is_accused_alone_only_while_nothing_else_contradicts_the_estimate() -> None:
+    def said(**statuses: str) -> list[str]:
+        checks = [SensorStatus(name, status, reason="why") for name, status in statuses.items()]  # type: ignore[arg-type]
+        return [text for text, _ in SensorEventReporter().step(checks, 2.0 * FAULT_REPORT_DELAY_S)]
+
+    assert said(position_fix="rejected", rates="fused", magnetic_field="fused") == ["position fix is rejected: why"]
+    assert said(ranges="rejected", position_fix="rejected")[1] == "position fix is rejected: why"  # no attitude aid
+    assert said(magnetic_field="rejected", position_fix="rejected") == [
+        "magnetometer, inertial unit or rotor model: why",
+        "position fix, inertial unit or rotor model: why",
+    ]
+    assert said(acceleration="faulty", ground_distance="rejected") == [
+        "accelerometer is faulty: why",
+        "sonar, inertial unit or rotor model: why",
+    ]
+    assert said(rates="rejected", position_fix="rejected")[0] == "gyroscope is rejected: why"
+    assert said(acceleration="faulty", rates="rejected")[1] == "gyroscope or rotor model: why"
 
 
 def test_without_gyroscopes_it_lands_and_lets_go_above_the_floor(doubting) -> None:

@@ -44,6 +44,7 @@ from mufly.compiled.portable_math import sine_cosine
 from mufly.estimate import Estimate, SensorStatus
 from mufly.estimate.filter.filter_records import ERROR_ATTITUDE, ERROR_POSITION
 from mufly.estimate.sensor_status import NAMED_CAUSES
+from mufly.mission.machine.log_messages import LogMessage
 from mufly.quantities.sensor_table import CHECKED
 
 _Array = NDArray[np.float64]
@@ -81,9 +82,8 @@ _POSITION_READINGS, _HEIGHT_READINGS, _TILT_READINGS, _HEADING_READINGS = (
     tuple(row.name for row in CHECKED if estimate in row.supports)
     for estimate in ("position", "height", "tilt", "heading")
 )
-_ATTITUDE_AIDS = tuple(
-    row.name for row in sorted(CHECKED, key=lambda row: row.attitude_aid or 0) if row.attitude_aid is not None
-)
+_INERTIAL_READINGS = ("acceleration", "rates")
+_ATTITUDE_AIDS = tuple(row.name for row in CHECKED if row.is_attitude_aid)
 
 
 def describe_sensor(reading: str) -> str:
@@ -105,10 +105,33 @@ def position_std_growth(m: Estimate, stood: float = 0.0) -> float:
     return math.sqrt(max(float(variance[0]), float(variance[1]), stood) - stood)
 
 
-def describe_check(check: SensorStatus) -> str:
-    """Return a sensor's name, status and reason as text, or the possible causes if no single sensor is at fault."""
+def is_estimate_doubted(check: SensorStatus, checks: Sequence[SensorStatus]) -> bool:
+    """Whether others than a rejected sensor contradict the estimate that it differs from.
+
+    A rejected reading differs from the estimate, which rests on the inertial unit and the rotor model. The difference
+    does not show which of them is wrong while another attitude aid is rejected too, or while the inertial unit has a
+    fault or differs from the rotor model.
+    """
+    return check.status == "rejected" and any(
+        c.is_suspicious or c.status in ("rejected", "missing", "faulty")
+        if c.name in _INERTIAL_READINGS
+        else c.status == "rejected" and c.name in _ATTITUDE_AIDS and check.name not in _INERTIAL_READINGS
+        for c in checks
+        if c.name != check.name
+    )
+
+
+def describe_check(check: SensorStatus, checks: Sequence[SensorStatus] = ()) -> str:
+    """Return a sensor's name, status and reason as text, or the possible causes if no single sensor is at fault.
+
+    ``checks`` are the statuses of all sensors at that time.
+    """
     if check.reason.startswith(NAMED_CAUSES):
         return check.reason
+    if is_estimate_doubted(check, checks):
+        others = "rotor model" if check.name in _INERTIAL_READINGS else "inertial unit or rotor model"
+        joint = " or " if check.name in _INERTIAL_READINGS else ", "
+        return f"{describe_sensor(check.name)}{joint}{others}: {check.reason}"
     state = {"missing": "is missing", "rejected": "is rejected", "faulty": "is faulty"}
     if check.is_suspicious:
         state["fused"] = "is used despite a fault"
@@ -234,8 +257,8 @@ class HealthMonitor:
         lasting = {n: m.time_s - since for n, since in self._fault_since_s.items()}
         against = [n for n in _ATTITUDE_AIDS if lasting.get(n, 0.0) > CONTRADICTION_DELAY_S]
         if len(against) > 1:
-            why = f"attitude contradicted by {' and '.join(describe_sensor(n) for n in against)}"
-            return HealthVerdict("sink", why)
+            aids = " and ".join(describe_sensor(n) for n in against)
+            return HealthVerdict("sink", LogMessage.ATTITUDE_CONTRADICTED(aids))
         if lasting.get("rates", 0.0) > GYRO_LOSS_DELAY_S:
             return HealthVerdict("land", next(describe_check(c) for c in sensor_checks(m) if c.name == "rates"))
         return HEALTHY_VERDICT
@@ -360,7 +383,7 @@ class SensorEventReporter:
                 )
                 if level >= FAULT_REPORT_DELAY_S and name not in self.reported_status:
                     self.reported_status[name] = check.status
-                    said.append((describe_check(check), "warning"))
+                    said.append((describe_check(check, checks), "warning"))
             elif check.status == "fused":
                 level = self._fault_level.get(name, 0.0)
                 if level > 0.0:

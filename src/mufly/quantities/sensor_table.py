@@ -42,8 +42,8 @@ class ReadingRow:
         Number of leading components in the unit, the rest are angles (rad); None for all.
     supports : tuple of str
         Estimates supported by the reading: ``position``, ``height``, ``tilt``, ``heading``.
-    attitude_aid : int or None
-        Index among the independent attitude aids; rejection of two aids indicates a wrong attitude.
+    is_attitude_aid : bool
+        Whether the reading is an independent attitude aid; rejection of two aids indicates a wrong attitude.
     innovation_unit : str
         Unit of the innovation, if different from that of the reading.
     failure_unit, status_bit : str
@@ -67,7 +67,7 @@ class ReadingRow:
     source: str = ""
     unit_components: int | None = None
     supports: tuple[str, ...] = ()
-    attitude_aid: int | None = None
+    is_attitude_aid: bool = False
     innovation_unit: str = ""
     failure_unit: str = ""
     status_bit: str = ""
@@ -98,7 +98,7 @@ SENSORS: dict[str, tuple[ReadingRow, ...]] = {
         ReadingRow(
             name="ground_distance", unit="m", meaning="distance to what is below, by ultrasound",
             fault="sonar", fault_amounts=(0.3, 0.05, 0.5, 1.0), column_words="sonar",
-            filter_index=2, is_queued=True, source="sonar", supports=("height",), attitude_aid=1,
+            filter_index=2, is_queued=True, source="sonar", supports=("height",), is_attitude_aid=True,
             failure_unit="SENSOR_DISTANCE_SENSOR", test_ratios=(("hagl_ratio", "height above ground"),),
         ),
     ),
@@ -123,7 +123,7 @@ SENSORS: dict[str, tuple[ReadingRow, ...]] = {
             name="magnetic_field", unit="T", dim="body", meaning="magnetic field along the body axes",
             fault="magnetometer", fault_amounts=(2e-5, 1e-6, 2e-5, 0.0),
             column_words="mag magnetometer magnetic compass",
-            filter_index=5, is_queued=True, source="magnetometer", supports=("heading",), attitude_aid=2,
+            filter_index=5, is_queued=True, source="magnetometer", supports=("heading",), is_attitude_aid=True,
             innovation_unit="rad",
             failure_unit="SENSOR_MAG", status_bit="SENSOR_3D_MAG", test_ratios=(("mag_ratio", "magnetometer"),),
         ),
@@ -149,7 +149,7 @@ SENSORS: dict[str, tuple[ReadingRow, ...]] = {
             variance=("m^2", "variance in the message of the position fix, if given (heading: rad^2)"),
             fault="position", fault_amounts=(0.5, 0.1, 0.5, 0.0),
             filter_index=7, is_queued=True, source="position fix", supports=("position", "height", "heading"),
-            unit_components=3, attitude_aid=0,
+            unit_components=3, is_attitude_aid=True,
             failure_unit="SENSOR_VIO", status_bit="SENSOR_VISION_POSITION",
             test_ratios=(("vel_ratio", "velocity"), ("pos_horiz_ratio", "position")),
         ),

@@ -88,7 +88,7 @@ class LogMessage(Enum):
     HEIGHT_UNCERTAIN = "height uncertain by {:.2f} m"
     POSITION_UNCERTAIN = "position uncertain by {:.2f} m"
     POSITION_UNCERTAIN_TOO_LONG = "position uncertain by {:.2f} m{}, for {:g} s"
-    ATTITUDE_CONTRADICTED = "attitude contradicted by {}"
+    ATTITUDE_CONTRADICTED = "attitude contradicted by {}: gyroscopes, rotor model or both aids are wrong"
     ESTIMATE_NOT_VALID = "estimate is not valid; leave the vehicle at rest"
     STANDS_TILTED = "stands tilted {:.1f} degrees; limit {:g}"
 

@@ -71,14 +71,18 @@ void correction_smoother_step(correction_smoother_t *s, estimate_t *m, bool anew
 #define MAX_TILT_SIGMA (REAL(8.0) * DEGREE)
 #define MAX_HEADING_SIGMA (REAL(30.0) * DEGREE)
 #define PER_DEGREE (REAL(180.0) / REAL_PI)
-#define ATTITUDE_AID_COUNT 3
+#define SENSOR_BIT(k) (1UL << (uint32_t)(k))
+#define ATTITUDE_AIDS (uint32_t)(SENSOR_BIT(SENSOR_FIX) | SENSOR_BIT(SENSOR_SONAR) | SENSOR_BIT(SENSOR_MAGNETIC))
 
-static const int32_t attitude_aids[ATTITUDE_AID_COUNT] = {SENSOR_FIX, SENSOR_SONAR, SENSOR_MAGNETIC};
+static void set_verdict(health_verdict_t *found, int32_t action, int32_t code, real_t number)
+{
+    found->action = action;
+    found->reason = make_message_1(code, number);
+}
 
 void health_monitor_reset(health_monitor_t *d, real_t stood)
 {
-    d->verdict.action = FAILSAFE_NONE;
-    d->verdict.reason = make_message(SAY_NO_MESSAGE);
+    set_verdict(&d->verdict, FAILSAFE_NONE, SAY_NO_MESSAGE, REAL(0.0));
     d->floor_variance_m2 = stood;
     d->hold_since_s = REAL(0.0);
     d->is_certain = false;
@@ -112,22 +116,16 @@ static bool is_sensor_faulty(const sensor_status_t *check)
            (check->status == SENSOR_FAULTY);
 }
 
-/* Message with the faults of the sensors that measure the quantity; sensors: their bits. */
-static health_verdict_t make_verdict(int32_t demand, int32_t code, real_t number, const estimate_t *m, uint32_t sensors)
+/* Set a verdict with the faults of sensors that concern it; sensors: their bits. */
+static void set_explained_verdict(health_verdict_t *found, int32_t action, int32_t code, real_t number, const estimate_t *m, uint32_t sensors)
 {
-    health_verdict_t found;
-
-    found.action = demand;
-    found.reason = make_message_1(code, number);
+    set_verdict(found, action, code, number);
     for (int32_t k = 0; k < ESTIMATE_SENSORS; k++) {
-        if (((sensors & (1UL << (uint32_t)k)) != 0U) && is_sensor_faulty(&m->checks[k])) {
-            add_faulty_sensor(&found.reason, k, &m->checks[k]);
+        if (((sensors & SENSOR_BIT(k)) != 0U) && is_sensor_faulty(&m->checks[k])) {
+            add_faulty_sensor(&found->reason, k, &m->checks[k]);
         }
     }
-    return found;
 }
-
-#define SENSOR_BIT(k) (1UL << (uint32_t)(k))
 
 static real_t position_std_growth(const estimate_t *m, real_t stood)
 {
@@ -137,36 +135,30 @@ static real_t position_std_growth(const estimate_t *m, real_t stood)
 }
 
 /* height_counts: whether the height has been uncertain long enough to require landing. */
-static health_verdict_t judge_estimate(const estimate_t *m, real_t stood, bool height_counts)
+static void judge_estimate(health_verdict_t *found, const estimate_t *m, real_t stood, bool height_counts)
 {
     const real_t place = position_std_growth(m, stood);
     const real_t height = real_sqrt(m->position_variance[2]);
     const real_t tilt = real_sqrt(real_max(m->attitude_variance[0], m->attitude_variance[1]));
     const real_t heading = real_sqrt(m->attitude_variance[2]);
-    health_verdict_t found;
 
-    found.action = FAILSAFE_NONE;
-    found.reason = make_message(SAY_NO_MESSAGE);
     if (tilt > MAX_TILT_SIGMA) {
-        found = make_verdict(FAILSAFE_SINK, SAY_ATTITUDE_UNCERTAIN, tilt * PER_DEGREE, m,
-                      (uint32_t)(SENSOR_BIT(SENSOR_RATES) | SENSOR_BIT(SENSOR_ACCELERATION)));
+        set_explained_verdict(found, FAILSAFE_SINK, SAY_ATTITUDE_UNCERTAIN, tilt * PER_DEGREE, m,
+                              (uint32_t)(SENSOR_BIT(SENSOR_RATES) | SENSOR_BIT(SENSOR_ACCELERATION)));
     } else if (heading > MAX_HEADING_SIGMA) {
-        found = make_verdict(FAILSAFE_LAND, SAY_HEADING_UNCERTAIN, heading * PER_DEGREE, m,
-                      (uint32_t)(SENSOR_BIT(SENSOR_FIX) | SENSOR_BIT(SENSOR_MAGNETIC) | SENSOR_BIT(SENSOR_RATES)));
+        set_explained_verdict(found, FAILSAFE_LAND, SAY_HEADING_UNCERTAIN, heading * PER_DEGREE, m,
+                              (uint32_t)(SENSOR_BIT(SENSOR_FIX) | SENSOR_BIT(SENSOR_MAGNETIC) | SENSOR_BIT(SENSOR_RATES)));
     } else if (m->checks[SENSOR_RATES].status == SENSOR_REJECTED) { /* bias beyond the range of the gyroscopes */
-        found.action = FAILSAFE_LAND;
-        found.reason = make_message(SAY_GIVEN_TEXT);
-        add_faulty_sensor(&found.reason, SENSOR_RATES, &m->checks[SENSOR_RATES]);
+        set_explained_verdict(found, FAILSAFE_LAND, SAY_GIVEN_TEXT, REAL(0.0), m, SENSOR_BIT(SENSOR_RATES));
     } else if ((height > MAX_HEIGHT_SIGMA_M) && height_counts) {
-        found = make_verdict(FAILSAFE_LAND, SAY_HEIGHT_UNCERTAIN, height, m,
-                      (uint32_t)(SENSOR_BIT(SENSOR_SONAR) | SENSOR_BIT(SENSOR_FIX) | SENSOR_BIT(SENSOR_PRESSURE)));
+        set_explained_verdict(found, FAILSAFE_LAND, SAY_HEIGHT_UNCERTAIN, height, m,
+                              (uint32_t)(SENSOR_BIT(SENSOR_SONAR) | SENSOR_BIT(SENSOR_FIX) | SENSOR_BIT(SENSOR_PRESSURE)));
     } else if (place > HOLD_SIGMA_M) {
-        found = make_verdict((place > LAND_SIGMA_M) ? FAILSAFE_LAND : FAILSAFE_HOLD, SAY_POSITION_UNCERTAIN, place, m,
-                      (uint32_t)(SENSOR_BIT(SENSOR_FIX) | SENSOR_BIT(SENSOR_RANGES)));
+        set_explained_verdict(found, (place > LAND_SIGMA_M) ? FAILSAFE_LAND : FAILSAFE_HOLD, SAY_POSITION_UNCERTAIN, place, m,
+                              (uint32_t)(SENSOR_BIT(SENSOR_FIX) | SENSOR_BIT(SENSOR_RANGES)));
     } else {
-        /* sufficient for all actions */
+        set_verdict(found, FAILSAFE_NONE, SAY_NO_MESSAGE, REAL(0.0)); /* sufficient for all actions */
     }
-    return found;
 }
 
 bool gyro_unavailable(const estimate_t *m)
@@ -176,50 +168,33 @@ bool gyro_unavailable(const estimate_t *m)
     return (status == SENSOR_MISSING) || (status == SENSOR_FAULTY) || (status == SENSOR_REJECTED);
 }
 
-/* Status of the sensors that determine the attitude: contradicted, or replaced by the model. */
-static health_verdict_t judge_attitude_sensors(health_monitor_t *d, const estimate_t *m)
+/* Judge the sensors that determine the attitude: contradicted, or replaced by the model. */
+static void judge_attitude_sensors(health_verdict_t *found, health_monitor_t *d, const estimate_t *m)
 {
-    message_t both = make_message(SAY_ATTITUDE_CONTRADICTED);
-    health_verdict_t found;
-    int32_t against = 0;
-
-    found.action = FAILSAFE_NONE;
-    found.reason = make_message(SAY_NO_MESSAGE);
+    uint32_t against = 0U;
 
     for (int32_t k = 0; k < ESTIMATE_SENSORS; k++) {
         const int32_t status = m->checks[k].status;
-        const bool counts = (k == SENSOR_RATES) || (k == SENSOR_FIX) || (k == SENSOR_SONAR) || (k == SENSOR_MAGNETIC);
         const bool bad = (k == SENSOR_RATES) ? ((status == SENSOR_MISSING) || (status == SENSOR_FAULTY))
                                              : (status == SENSOR_REJECTED);
 
-        if (!bad) {
-            d->has_fault[k] = false;
-        } else if (counts && !d->has_fault[k]) {
-            d->has_fault[k] = true;
+        if (!bad || !d->has_fault[k]) {
             d->fault_since_s[k] = m->time_s;
-        } else {
-            /* unchanged */
+        }
+        d->has_fault[k] = bad;
+        if (((ATTITUDE_AIDS & SENSOR_BIT(k)) != 0U) && ((m->time_s - d->fault_since_s[k]) > CONTRADICTION_DELAY_S)) {
+            against |= SENSOR_BIT(k);
         }
     }
-    for (int32_t i = 0; i < ATTITUDE_AID_COUNT; i++) {
-        const int32_t k = attitude_aids[i];
-
-        if (d->has_fault[k] && ((m->time_s - d->fault_since_s[k]) > CONTRADICTION_DELAY_S)) {
-            add_faulty_sensor(&both, k, &m->checks[k]);
-            against++;
-        }
-    }
-    if (against > 1) {
-        found.action = FAILSAFE_SINK;
-        found.reason = both;
-    } else if (d->has_fault[SENSOR_RATES] && ((m->time_s - d->fault_since_s[SENSOR_RATES]) > GYRO_LOSS_DELAY_S)) {
-        found.action = FAILSAFE_LAND;
-        found.reason = make_message(SAY_GIVEN_TEXT);
-        add_faulty_sensor(&found.reason, SENSOR_RATES, &m->checks[SENSOR_RATES]);
+    if (found->action == FAILSAFE_SINK) {
+        /* an uncertain attitude explains more */
+    } else if ((against & (against - 1U)) != 0U) { /* two or more */
+        set_explained_verdict(found, FAILSAFE_SINK, SAY_ATTITUDE_CONTRADICTED, REAL(0.0), m, against);
+    } else if ((m->time_s - d->fault_since_s[SENSOR_RATES]) > GYRO_LOSS_DELAY_S) {
+        set_explained_verdict(found, FAILSAFE_LAND, SAY_GIVEN_TEXT, REAL(0.0), m, SENSOR_BIT(SENSOR_RATES));
     } else {
         /* no such fault */
     }
-    return found;
 }
 
 bool health_monitor_step(health_monitor_t *d, const estimate_t *m)
@@ -227,15 +202,13 @@ bool health_monitor_step(health_monitor_t *d, const estimate_t *m)
     const real_t t = m->time_s;
     const bool high = real_sqrt(m->position_variance[2]) > MAX_HEIGHT_SIGMA_M;
     const real_t high_s = d->height_uncertain ? d->height_uncertain_since_s : t;
-    health_verdict_t found = judge_estimate(m, d->floor_variance_m2, high && ((t - high_s) >= HEIGHT_DELAY_S));
-    const health_verdict_t contrary = judge_attitude_sensors(d, m);
+    health_verdict_t found;
     bool said = false;
 
+    judge_estimate(&found, m, d->floor_variance_m2, high && ((t - high_s) >= HEIGHT_DELAY_S));
+    judge_attitude_sensors(&found, d, m);
     d->height_uncertain = high;
     d->height_uncertain_since_s = high_s;
-    if ((contrary.action != FAILSAFE_NONE) && (found.action != FAILSAFE_SINK)) {
-        found = contrary;
-    }
     if (d->verdict.action == FAILSAFE_LAND) {
         said = found.action == FAILSAFE_SINK;
     } else if ((found.action == FAILSAFE_LAND) || (found.action == FAILSAFE_SINK)) {
@@ -254,8 +227,7 @@ bool health_monitor_step(health_monitor_t *d, const estimate_t *m)
                 d->is_certain = true;
                 d->certain_since_s = t;
             } else if ((t - d->certain_since_s) >= RESUME_DELAY_S) {
-                found.action = FAILSAFE_NONE;
-                found.reason = make_message(SAY_NO_MESSAGE);
+                set_verdict(&found, FAILSAFE_NONE, SAY_NO_MESSAGE, REAL(0.0));
                 said = true;
             } else {
                 /* certain, but not for long enough */
