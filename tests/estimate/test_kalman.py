@@ -338,6 +338,26 @@ def test_the_foot_of_a_wall_in_the_sonars_cone_is_no_climb(vehicle: Vehicle, flo
         assert not any(c.name == "rates" and c.reason for e in told for c in e.auxiliary_states.checks)
 
 
+def test_a_longer_least_range_of_the_sonar_is_no_pit_under_the_legs(vehicle: Vehicle, flown, felt) -> None:
+    """On the floor the sonar reads its least range; one longer than filed lowered the terrain and raised the thrust."""
+
+    def at_least(r: Readings, least_m: float) -> Readings:
+        heard = r.latest.get("ground_distance")
+        if heard is None:
+            return r
+        return Readings(r.time_s, {**r.latest, "ground_distance": heard._replace(value=max(heard.value, least_m))})
+
+    for least_m in (0.12, 0.16):
+        _, told = run(vehicle, [at_least(r, least_m) for r in felt(10_000)], flown[1])
+        states = [e.auxiliary_states for e in told[200:]]
+        assert max(abs(a.floor_height) for a in states) < 0.02
+        assert 0.85 < min(a.thrust_scale for a in states) < max(a.thrust_scale for a in states) < 1.15
+        off = max(abs(e.position[2] - t.position[2]) for e, t in zip(told[400:], flown[0][400:], strict=True))
+        assert off < 0.055 + least_m - 0.06  # 0.052 m as filed, and in the range that is blind for longer
+        checks = [c for a in states[200:] for c in a.checks if c.name == "ground_distance"]
+        assert {c.status for c in checks} == {"fused"}
+
+
 def test_legs_do_not_go_into_the_floor(vehicle: Vehicle, flown, felt) -> None:
     """Rotors that lift less than the weight make no fall where it stands, before lift-off as after touchdown."""
     _, told = run(vehicle, felt(10_000), flown[1])

@@ -48,7 +48,8 @@ HOP = parse_mission(
 FAULTS = (
     "",
     "sonar.jump=0.3@4s+2s gyro.jump=0.3@6s position.dropout@4s+3s ring.insane@3s pressure.doubled@1s",
-    "sonar.stuck=1.0@4s accelerometer.clip=12@5s ring.doubled@3s battery.jump@4s magnetometer.insane@5s",
+    "sonar.jump=0.1@0.5s+1s sonar.stuck=1.0@4s accelerometer.clip=12@5s ring.doubled@3s battery.jump@4s "
+    "magnetometer.insane@5s",
     "position.late@4s pressure.drift@4s gyro.insane@6s+0.5s ring.outliers@3s gyro.outliers@7s sonar.outliers@5s",
     "position.drift=0.3@4s magnetometer.jump@4s pressure.jump@5s rotor_speed.jump@5s sonar.drift@4s",
     "accelerometer.drift=2@4s",
@@ -114,6 +115,8 @@ def test_c_remembers_what_python_remembers_to_the_last_bit(vehicle, felt, faults
             assert same(c._memory_array, python._memory_array), k
     assert same(c._memory_array, python._memory_array)
     assert (disowned > 0) == faults.startswith("accelerometer.drift")  # forces apart by six deviations
+    longer_least = float(c.memory["sonar_least"]) > float(c._settings["sonar_min"])
+    assert longer_least == faults.startswith("sonar.jump=0.1@")  # on the floor
     if not faults:
         assert c.memory["flight_phase"] == PHASE_FLYING
         c.memory["x"][NOMINAL_TERRAIN] += 1e-15

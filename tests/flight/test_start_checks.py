@@ -8,16 +8,18 @@ import pytest
 
 from mufly.control import FlightController, design_flight_controller
 from mufly.drive import charge_at_rest, open_circuit_voltage
-from mufly.dynamics import body_to_ned_matrix, quaternion_from_euler
+from mufly.dynamics import body_to_ned_matrix, quaternion_from_euler, standing_height
 from mufly.dynamics.model_state import MODEL_CHARGE
 from mufly.estimate import AuxiliaryStates, Estimate, measured_tilt
 from mufly.firmware import FirmwareSoftware, GenericFirmwareSoftware
 from mufly.flight import Flight
+from mufly.flight.arming import find_arming_faults
 from mufly.flight.flight_software import FlightSoftware
 from mufly.flight.mission_flight import align_and_start
 from mufly.mission import Command, Mission, SetPoint, parse_mission
 from mufly.sensors import parse_fault
 from mufly.vehicle import Vehicle, load_vehicle
+from mufly.world import World
 
 HOP = parse_mission({"name": "hop", "waypoint": [{"position_m": [0.4, 0.0, -0.6]}]})
 STARTS = (
@@ -94,19 +96,21 @@ def test_a_vehicle_that_leans_is_not_armed(vehicle, controller, lean_deg):
         assert not flight.autopilot.armed
 
 
-@pytest.mark.parametrize(
-    ("fault", "words"),
-    [("", ""), ("sonar.bias=0.15@0s", "m above the floor, where the standing vehicle is 0.07 m above it")],
-)
-def test_the_sonar_on_the_floor_is_judged_by_its_place(vehicle, controller, fault, words):
-    """A sonar that reads 0.17 m on the floor lifts the estimate, and the flight would begin 0.2 m too low."""
+@pytest.mark.parametrize("fault", ["", "sonar.bias=0.15@0s"])
+def test_the_height_on_the_floor_is_that_of_the_legs(vehicle, controller, fault):
+    """A sonar that reads 0.17 m on the floor does not lift the estimate; an estimate that is lifted does not arm."""
     options = {"controller": controller, "sensors": "fitted", "seed": 13, "keep": False}
     with Flight(vehicle, HOP, faults=[parse_fault(fault)] if fault else [], **options) as flight:
         while flight.time_s < 3.0:
             flight.step_period()
+        m, legs_m = flight.status.estimate, standing_height(vehicle)
+        assert -m.position[2] - m.auxiliary_states.floor_height == pytest.approx(legs_m, abs=0.01)
         answer = flight.autopilot.arm()
-        assert bool(answer) is not bool(fault), answer.reason
-        assert words in answer.reason
+        assert answer, answer.reason
+    lifted = replace(m, position=m.position - np.array([0.0, 0.0, 0.15]))
+    told = [find_arming_faults(e, 0.0, 0.0, World(), 0.1, "", standing_m=legs_m) for e in (m, lifted)]
+    assert told[0] == []
+    assert f"m above the floor, where the standing vehicle is {legs_m:.2f} m above it" in told[1][0]
 
 
 @pytest.mark.parametrize("charge", [1.0, 0.93, 0.5, 0.12])

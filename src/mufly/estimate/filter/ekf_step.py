@@ -84,6 +84,7 @@ def estimator_reset(m: FilterMemory, s: FilterSettings) -> None:
     for i in range(AID_COUNT):
         m.noise_scale[i] = m.bias_walk_scale[i] = 1.0
     m.task_stage = STAGE_DONE
+    m.sonar_least = s.sonar_min
     m.x_output[NOMINAL_ATTITUDE] = m.rotor_state[MODEL_ATTITUDE] = m.rotor_state[MODEL_CHARGE] = 1.0
     m.rotor_state[MODEL_POSITION + 2] = -1000.0  # far above the floor
     m.rotor_state[MODEL_BAR + 2] = -1.0

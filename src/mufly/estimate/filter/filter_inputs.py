@@ -120,8 +120,8 @@ def _update_flight_phase(m: FilterMemory, s: FilterSettings, z: _Array) -> float
         and height < SONAR_LIFTOFF_HEIGHT
         and m.x[NOMINAL_TERRAIN] > MIN_TERRAIN_HEIGHT
     )
-    near = says and m.last_value[_Z[READING_SONAR]] <= s.sonar_min + 0.5 * s.sonar_resolution
-    clear = says and m.last_value[_Z[READING_SONAR]] > s.sonar_min + LIFTOFF_CLEARANCE
+    near = says and m.last_value[_Z[READING_SONAR]] <= m.sonar_least + 0.5 * s.sonar_resolution
+    clear = says and m.last_value[_Z[READING_SONAR]] > m.sonar_least + LIFTOFF_CLEARANCE
     rises = 0.0
     m.is_sonar_at_minimum = 1 if near else 0
     if m.flight_phase <= PHASE_RUNNING:

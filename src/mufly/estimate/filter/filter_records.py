@@ -307,6 +307,9 @@ class FilterMemory:
     decimation_count: _Ints = _int("number of readings, for decimation", SENSOR_COUNT)
     fix_height_gap: float = _real("height of the fix minus that of the sonar during a conflict, else 0", unit="m")
     sonar_prev: float = _real("last range of the sonar", unit="m")
+    sonar_least: float = _real(
+        "least range of the sonar: that of the vehicle file, or a longer one shown at rest", unit="m"
+    )
     sonar_repeat_chance: float = _real("probability of so many equal readings of a working sonar")
     height_reset_tick: int = _int("period of the last reset of the height by the sonar")
     spike_residual_carry: _Array = _real("gyroscope residuals carried to the next period", 3, unit="rad/s")

@@ -49,6 +49,7 @@ from mufly.estimate.filter.filter_records import (
     NOMINAL_THRUST_SCALE,
     NOMINAL_VELOCITY,
     PHASE_COASTING,
+    PHASE_RUNNING,
     PHASE_STANDING,
     READING_ACCELERATION,
     READING_FIX,
@@ -193,7 +194,7 @@ def fuse_sonar_range(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
         return
     expect = -(m.x[NOMINAL_POSITION + 2] + ahead * m.x[NOMINAL_VELOCITY + 2]) - down - m.x[NOMINAL_TERRAIN]
     said, r_ = z[0], s.sonar_variance * m.noise_scale[AID_SONAR]
-    nearest, standing = s.sonar_min + 0.005, s.ground_clearance - s.sonar_position[2]
+    nearest, standing = m.sonar_least + 0.005, s.ground_clearance - s.sonar_position[2]
     if z[0] <= nearest and standing < nearest:
         # Below the minimum range: uniform between that range and the range on the floor.
         said = 0.5 * (nearest + standing)
@@ -233,6 +234,10 @@ def fuse_sonar_range(m: FilterMemory, s: FilterSettings, z: _Array, ahead: float
         _sonar_h_row(m, s, r)
     elif abs(ratio) > INNOVATION_GATE:
         reject_measurement(m, s, k, nu, z, 1, 0.02 + 1.5 * s.sensor_period[k], REASON_INNOVATION)
+        if m.flight_phase <= PHASE_RUNNING and nu > 0.0 and z[0] > nearest:
+            # On its legs the vehicle is at a known height: the sonar cannot measure ranges below this one.
+            m.sonar_least = z[0] if m.agree_count[k] >= 2 else m.sonar_least
+            return
         step = m.agree_count[k] >= 2 and floor > MIN_TERRAIN_HEIGHT
         if step and m.terrain_steps >= MAX_TERRAIN_STEPS:
             # Repeated steps: the height is wrong, not the terrain.

@@ -30,6 +30,7 @@ void estimator_reset(estimator_t *m, const estimator_settings_t *s)
         m->bias_walk_scale[i] = REAL(1.0);
     }
     m->task_stage = STAGE_DONE;
+    m->sonar_least = s->sonar_min;
     m->x_output[NOMINAL_ATTITUDE] = REAL(1.0);
     m->rotor_state[MODEL_ATTITUDE] = REAL(1.0);
     m->rotor_state[MODEL_CHARGE] = REAL(1.0);

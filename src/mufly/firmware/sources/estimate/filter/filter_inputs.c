@@ -19,8 +19,8 @@ static real_t update_flight_phase(estimator_t *m, const estimator_settings_t *s,
     const real_t doubt = (s->has_rotor_model > 0) ? (LIFTOFF_SIGMA_LIMIT * m->sigma_output[ERROR_THRUST_SCALE]) : REAL(0.0);
     /* The sonar is newer than the estimated height, except below the floor. */
     const bool says = (m->status[READING_SONAR] == STATUS_FUSED) && (height < SONAR_LIFTOFF_HEIGHT) && (m->x[NOMINAL_TERRAIN] > MIN_TERRAIN_HEIGHT);
-    const bool near = says && (m->last_value[READING_STARTS[READING_SONAR]] <= (s->sonar_min + (REAL(0.5) * s->sonar_resolution)));
-    const bool clear = says && (m->last_value[READING_STARTS[READING_SONAR]] > (s->sonar_min + LIFTOFF_CLEARANCE));
+    const bool near = says && (m->last_value[READING_STARTS[READING_SONAR]] <= (m->sonar_least + (REAL(0.5) * s->sonar_resolution)));
+    const bool clear = says && (m->last_value[READING_STARTS[READING_SONAR]] > (m->sonar_least + LIFTOFF_CLEARANCE));
 
     real_t rises = REAL(0.0);
 

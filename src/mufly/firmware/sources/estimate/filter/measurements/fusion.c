@@ -45,7 +45,7 @@ static void reset_height(estimator_t *m, const estimator_settings_t *s, real_t n
 }
 
 /* Decide whether terrain or height is wrong after rejected ranges; return whether the range may be fused. */
-static bool reset_to_sonar(estimator_t *m, const estimator_settings_t *s, const real_t z[1], real_t nu)
+static bool reset_to_sonar(estimator_t *m, const estimator_settings_t *s, const real_t z[1], real_t nu, real_t nearest)
 {
     const int32_t k = READING_SONAR;
     bool taken = true;
@@ -55,7 +55,13 @@ static bool reset_to_sonar(estimator_t *m, const estimator_settings_t *s, const 
     reject_measurement(m, s, k, nu, z, 1, REAL(0.02) + (REAL(1.5) * s->sensor_period[k]), REASON_INNOVATION);
     floor_height = m->x[NOMINAL_TERRAIN] - nu;
     step = (m->agree_count[k] >= 2) && (floor_height > MIN_TERRAIN_HEIGHT);
-    if (step && (m->terrain_steps >= MAX_TERRAIN_STEPS)) {
+    if ((m->flight_phase <= PHASE_RUNNING) && (nu > REAL(0.0)) && (z[0] > nearest)) {
+        /* On its legs the vehicle is at a known height: the sonar cannot measure ranges below this one. */
+        if (m->agree_count[k] >= 2) {
+            m->sonar_least = z[0];
+        }
+        taken = false;
+    } else if (step && (m->terrain_steps >= MAX_TERRAIN_STEPS)) {
         /* Repeated steps: the height is wrong, not the terrain. */
         inflate_variance(m, ERROR_POSITION + 2, nu * nu);
         inflate_variance(m, ERROR_VELOCITY + 2, REAL(0.1));
@@ -111,7 +117,7 @@ static void fuse_sonar_range(estimator_t *m, const estimator_settings_t *s, cons
     const int32_t k = READING_SONAR;
     real_t r[9];
     const real_t down = sonar_h_row(m, s, r);
-    const real_t nearest = s->sonar_min + REAL(0.005);
+    const real_t nearest = m->sonar_least + REAL(0.005);
     const real_t standing = s->ground_clearance - s->sonar_position[2];
     real_t said = z[0];
     real_t variance = s->sonar_variance * m->noise_scale[AID_SONAR];
@@ -166,7 +172,7 @@ static void fuse_sonar_range(estimator_t *m, const estimator_settings_t *s, cons
         inflate_variance(m, ERROR_TERRAIN, nu * nu);
         (void)sonar_h_row(m, s, r);
     } else if (real_abs(ratio) > INNOVATION_GATE) {
-        if (!reset_to_sonar(m, s, z, nu)) {
+        if (!reset_to_sonar(m, s, z, nu, nearest)) {
             return;
         }
         (void)sonar_h_row(m, s, r);
