@@ -115,7 +115,7 @@ def flown(
 def told(data: xr.Dataset, mission: Mission) -> dict[str, Any]:
     """What every kind of flight is judged by."""
     s = summarise_flight(data, [w.position_m for w in mission.waypoint], world=mission.world)
-    inputs = np.hstack([data.motor_input.values, data.servo_input.values])
+    inputs = inputs_of(data)
     down = data.truth_position.values[:, 2]
     airborne = (down[1:] < down[0] - 0.05) & (inputs[1:, 0] > 0.0)  # an emergency stop is a step, and meant
     return {
@@ -173,8 +173,21 @@ def strayed(data: xr.Dataset, start_s: float, stop_s: float) -> float:
     return float(np.hypot(off[:, 0], off[:, 1]).max()) if len(off) else 0.0
 
 
+def inputs_of(data: xr.Dataset) -> np.ndarray:
+    return np.hstack([data.motor_input.values, data.servo_input.values])
+
+
+@cache
+def faultless_inputs(seed: int) -> np.ndarray:
+    return inputs_of(flown(HOLD, seed))
+
+
 def one_with(faults: tuple[str, ...], seed: int) -> dict[str, Any]:
-    """A hover of which something goes wrong: noticed when, how far it went, how it came down."""
+    """A hover of which something goes wrong: noticed when, how far it went, how it came down.
+
+    A fault whose flight equals the faultless one to the last bit changes nothing that the software receives, as a
+    clip beyond all rates, or a ring frozen where no wall is in reach.
+    """
     data = flown(HOLD, seed, faults)
     out = told(data, HOLD)
     wrong = {READINGS[FAULT_TARGETS[parse_fault(f).name].reading].source for f in faults}
@@ -188,6 +201,7 @@ def one_with(faults: tuple[str, ...], seed: int) -> dict[str, Any]:
     return out | {
         "noticed_s": min(after, default=None),
         "blamed": blamed,
+        "takes_effect": not np.array_equal(inputs_of(data), faultless_inputs(seed)),
         "strayed_m": strayed(data, FAULT_S, last_s),
         "sink_m_s": sink,
         "tilt_deg": float(tilt),
@@ -319,6 +333,8 @@ def report(what: str, found: dict[str, dict[str, Any]]) -> None:
             "noticed within 0.5 s, or down safely and told why",
             share([a or b for a, b in zip(told_, said, strict=True)]),
         )
+        felt = [a or b for r, a, b in zip(rows, told_, said, strict=True) if r["takes_effect"] or a or b]
+        print("the same, of faults that take effect or are told", share(felt))
         print("never told, down safely", share([r["safe"] and r["noticed_s"] is None for r in rows]))
         print("mission flown to its end", share(fine))
         print("healthy sensor accused", share([bool(r["blamed"]) for r in rows]))
