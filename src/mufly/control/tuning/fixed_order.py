@@ -286,7 +286,7 @@ def tune_controller(
     max_steps : int
         Steps of one descent.
     budget_s : float
-        Time for one descent (s).
+        Processor time for one descent (s).
     outputs_only : bool
         Whether A and B of the controller stay as they are, so that only C and D are tuned.
 
@@ -329,7 +329,7 @@ def tune_controller(
         raise MuflyError(f"tuning: no starting controller of order {order} stabilises the loop; choose a higher order")
     best, best_K, first, steps = np.inf, controller_gain(starts[0]), ranked[0][0], 0
     for _, i in ranked:
-        K, value, done, began = controller_gain(starts[i]), np.inf, 0, time.perf_counter()
+        K, value, done, began = controller_gain(starts[i]), np.inf, 0, time.process_time()
         for power in _POWERS:
             K0 = K
             row, column = np.abs(K0).max(axis=1, keepdims=True), np.abs(K0).max(axis=0, keepdims=True)
@@ -339,7 +339,7 @@ def tune_controller(
                 mean, slope = objective(K0 + unit * x.reshape(shape), power)
                 return mean, (slope * unit).ravel()
 
-            left = budget_s - (time.perf_counter() - began)
+            left = budget_s - (time.process_time() - began)
             found = minimise_nonsmooth(
                 scaled, np.zeros(K0.size), max_steps=max_steps, tolerance=1e-4, window=20, first_step=0.1, budget_s=left
             )

@@ -55,7 +55,7 @@ def minimise_nonsmooth(
     first_step : float
         Length of the first trial step, relative to one; later ones scale themselves.
     budget_s : float
-        Time after which the search ends (s).
+        Processor time after which the search ends (s).
     enough : float
         Value at which the search ends.
 
@@ -70,7 +70,7 @@ def minimise_nonsmooth(
         return Minimum(x, float(f), 0)
     eye = np.eye(x.size)
     H = eye * min(1.0, first_step / max(float(np.linalg.norm(g)), 1e-300))
-    history, began, fresh = [f], time.perf_counter(), True
+    history, began, fresh = [f], time.process_time(), True
     for step in range(1, max_steps + 1):
         d = -H @ g
         slope = float(g @ d)
@@ -107,6 +107,6 @@ def minimise_nonsmooth(
         history.append(f)
         if len(history) > window and history[-window - 1] - f < tolerance * abs(f):
             break
-        if f <= enough or time.perf_counter() - began > budget_s:
+        if f <= enough or time.process_time() - began > budget_s:
             break
     return Minimum(x, f, step)
