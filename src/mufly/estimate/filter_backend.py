@@ -46,7 +46,7 @@ from mufly.estimate.filter.measurements import (
 from mufly.rotor import coax_maps
 from mufly.vehicle import Vehicle
 
-VERIFIED_STAMP = "0c56e188708b2c9d"
+VERIFIED_STAMP = "411a0902f193be2d"
 """Stamp (:func:`source_stamp`) of the Python sources that the C code is verified to equal."""
 
 FILTER_SOURCES = (

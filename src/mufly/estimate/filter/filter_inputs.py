@@ -55,12 +55,12 @@ from mufly.estimate.filter.filter_records import (
 from mufly.estimate.filter.measurements.fusion import MIN_TERRAIN_HEIGHT, height_above_ground
 from mufly.estimate.filter.measurements.sensor_checks import (
     ACTUATOR_START,
-    FORCE_MODEL_WRONG,
     REASON_LEVELLED,
     REASON_NONE,
     STATUS_FUSED,
     STATUS_MISSING,
     STATUS_REJECTED,
+    VERDICT_MODEL_WRONG,
     battery_voltage_consistent,
     rotor_speed_consistent,
     set_fault,
@@ -244,7 +244,7 @@ def sample_inputs(
         if not model and m.flight_phase > PHASE_RUNNING:
             row[INPUT_STATIC + k], row[INPUT_REST + k], row[INPUT_SLOPE + k] = 0.0, -GRAVITY if k == 2 else 0.0, 0.0
             made = 10.0
-        if m.force_verdict == FORCE_MODEL_WRONG:
+        if m.accel_model_verdict == VERDICT_MODEL_WRONG:
             made = max(made, WRONG_MODEL_DENSITY)
         elif m.is_accel_distrusted == 1:
             felt = 1e6
@@ -306,7 +306,7 @@ def estimate_accel_noise(m: FilterMemory, s: FilterSettings, z: _Array) -> None:
                 apart = abs(mean - m.x[NOMINAL_ACCEL_BIAS + k]) - (MAX_MODEL_DISAGREEMENT + unknown)
                 density += max(apart, 0.0) * max(apart, 0.0)
                 if apart > (m.clip_share[0] + m.clip_share[1] + m.clip_share[2]) * CLIPPING_ERROR_SHARE * s.accel_range:
-                    m.force_apart_tick = m.tick
+                    m.accel_model_apart_tick = m.tick
             density = min(density, 100.0)
             most = max(0.6 if density > m.accel_noise_slow[k] else 0.2, 1.0 / (m.slow_mean_count + 1))
             m.slow_mean_prev[k] = mean

@@ -107,9 +107,10 @@ MAX_STUCK_CHANCE = 1e-14
 """Probability that a healthy sonar repeats a reading for so long."""
 LEG_CLEARANCE_HEIGHT = 0.15
 """Height (m) above which no leg touches the floor; angular accelerations are then in the flight model."""
-HEIGHT_RESET_SPEED, HEIGHT_RESET_ACCEL, HEIGHT_RESET_THRUST, HEIGHT_RESET_WINDOW_S = 0.3, 0.3, 0.1, 1.0
-"""Standard deviations of speed (m/s), accelerometer bias (m/s^2) and thrust scale (1) set by a second height reset
-within ``HEIGHT_RESET_WINDOW_S`` (s)."""
+SECOND_RESET_SPEED_SIGMA, SECOND_RESET_ACCEL_BIAS_SIGMA, SECOND_RESET_THRUST_SCALE_SIGMA = 0.3, 0.3, 0.1
+"""Standard deviations of speed (m/s), accelerometer bias (m/s^2) and thrust scale (1) set by a second height reset."""
+SECOND_RESET_WINDOW_S = 1.0
+"""Time after a height reset within which the next one counts as the second (s)."""
 TERRAIN_STEP_GATE, MAX_TERRAIN_STEPS = 3.0, 8
 """Innovation ratio of the sonar above which the surface below steps at an edge (1); largest number of such steps."""
 LIFTOFF_THRUST_RATIO, LIFTOFF_THRUST_SIGMA = 1.08, 0.08
@@ -147,21 +148,33 @@ def _reset_height(m: FilterMemory, s: FilterSettings, nu: float) -> None:
     """Reset the height after innovations ``nu`` of the sonar.
 
     The foot of a wall in the sonar's cone gives a wrong height once. A second reset within
-    :data:`HEIGHT_RESET_WINDOW_S` says that a force is wrong: then the vertical speed, the accelerometer's bias and the
+    :data:`SECOND_RESET_WINDOW_S` says that a force is wrong: then the vertical speed, the accelerometer's bias and the
     thrust's scale are freed too."""
     inflate_variance(m.u_transposed, m.ud_diagonal, ERROR_POSITION + 2, nu * nu, m.u_transposed_h)
     before = m.height_reset_tick
     m.height_reset_tick = m.horizon_tick
-    if not (before > 0 and (m.horizon_tick - before) * s.dt < HEIGHT_RESET_WINDOW_S):
+    if not (before > 0 and (m.horizon_tick - before) * s.dt < SECOND_RESET_WINDOW_S):
         return
     inflate_variance(
-        m.u_transposed, m.ud_diagonal, ERROR_VELOCITY + 2, HEIGHT_RESET_SPEED * HEIGHT_RESET_SPEED, m.u_transposed_h
+        m.u_transposed,
+        m.ud_diagonal,
+        ERROR_VELOCITY + 2,
+        SECOND_RESET_SPEED_SIGMA * SECOND_RESET_SPEED_SIGMA,
+        m.u_transposed_h,
     )
     inflate_variance(
-        m.u_transposed, m.ud_diagonal, ERROR_ACCEL_BIAS + 2, HEIGHT_RESET_ACCEL * HEIGHT_RESET_ACCEL, m.u_transposed_h
+        m.u_transposed,
+        m.ud_diagonal,
+        ERROR_ACCEL_BIAS + 2,
+        SECOND_RESET_ACCEL_BIAS_SIGMA * SECOND_RESET_ACCEL_BIAS_SIGMA,
+        m.u_transposed_h,
     )
     inflate_variance(
-        m.u_transposed, m.ud_diagonal, ERROR_THRUST_SCALE, HEIGHT_RESET_THRUST * HEIGHT_RESET_THRUST, m.u_transposed_h
+        m.u_transposed,
+        m.ud_diagonal,
+        ERROR_THRUST_SCALE,
+        SECOND_RESET_THRUST_SCALE_SIGMA * SECOND_RESET_THRUST_SCALE_SIGMA,
+        m.u_transposed_h,
     )
 
 

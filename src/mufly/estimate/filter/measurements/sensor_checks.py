@@ -106,11 +106,11 @@ _ROTOR_ACCEL_LIMIT, _ROTOR_ACCEL_MEAN_S, _ROTOR_ACCEL_SETTLING_S = 0.03, 4.0, 1.
 """Permitted deviation of the motor equations' error from its mean (fraction of the hover speed per second), averaging
 time (s), and settling time after lift-off (s); flights in gusts need a fifth of the limit."""
 _VOLTAGE_GATE = 0.6
-FORCE_AGREES, FORCE_UNDECIDED, FORCE_ACCEL_WRONG, FORCE_MODEL_WRONG, FORCE_FLOOR = range(5)
+VERDICT_AGREE, VERDICT_UNDECIDED, VERDICT_ACCEL_WRONG, VERDICT_MODEL_WRONG, VERDICT_FLOOR_CONTACT = range(5)
 """Codes of a conflict between accelerometers and rotor model: none, not decided, which is wrong, floor contact."""
-_FORCE_GATE, _FORCE_AGREEMENT = 6.0, 2.0
+_CONFLICT_GATE, _CONFLICT_END_GATE = 6.0, 2.0
 """Deviations between accelerometers and model at which a conflict begins and ends."""
-_FORCE_EVIDENCE, _FORCE_FIX_AGE_S, _FORCE_DECISION_S = 1.0, 0.5, 1.0
+_CONFLICT_EVIDENCE, _CONFLICT_FIX_AGE_S, _CONFLICT_DECISION_S = 1.0, 0.5, 1.0
 """Mean ratio of the fix that decides a conflict (1), largest age of the fix (s), and the time without such a ratio
 after which the model, which the filter follows, is right (s)."""
 _FLOOR_CONTACT_HEIGHT = 0.03
@@ -403,32 +403,36 @@ def _update_force_conflict(m: FilterMemory, s: FilterSettings, r: _Array, height
     is reported. Otherwise the fix decides (:func:`_force_evidence`). While nothing is decided the filter follows the
     model, and both are reported.
     ``height`` is that above the surface below (m)."""
-    if m.is_accel_distrusted == 0 and worst > _FORCE_GATE:
+    if m.is_accel_distrusted == 0 and worst > _CONFLICT_GATE:
         m.is_accel_distrusted = 1
-    elif m.is_accel_distrusted == 1 and worst < _FORCE_AGREEMENT:
+    elif m.is_accel_distrusted == 1 and worst < _CONFLICT_END_GATE:
         m.is_accel_distrusted = 0
-    apart = m.force_apart_tick > 0 and (m.tick - m.force_apart_tick) * s.dt < FAULT_HOLD_S
+    apart = m.accel_model_apart_tick > 0 and (m.tick - m.accel_model_apart_tick) * s.dt < FAULT_HOLD_S
     if m.is_accel_distrusted == 0 and not apart:
-        m.force_verdict = FORCE_AGREES
+        m.accel_model_verdict = VERDICT_AGREE
         return
-    if m.force_verdict == FORCE_AGREES:
-        m.force_verdict = FORCE_UNDECIDED
-        m.force_conflict_tick = m.tick
+    if m.accel_model_verdict == VERDICT_AGREE:
+        m.accel_model_verdict = VERDICT_UNDECIDED
+        m.accel_model_conflict_start_tick = m.tick
     has_fix = (
-        m.status[READING_FIX] == STATUS_FUSED and (m.tick - m.last_fused_tick[READING_FIX]) * s.dt < _FORCE_FIX_AGE_S
+        m.status[READING_FIX] == STATUS_FUSED and (m.tick - m.last_fused_tick[READING_FIX]) * s.dt < _CONFLICT_FIX_AGE_S
     )
     evidence = _force_evidence(m, r, m.accel_residual_lp) if has_fix else 0.0
     if m.accel_residual_lp[2] < 0.0 and height < _FLOOR_CONTACT_HEIGHT + 3.0 * m.sigma_output[ERROR_POSITION + 2]:
-        m.force_verdict = FORCE_FLOOR
-    elif (s.is_fitted[READING_ROTOR] > 0 and m.status[READING_ROTOR] != STATUS_FUSED) or evidence > _FORCE_EVIDENCE:
-        m.force_verdict = FORCE_MODEL_WRONG
-    elif evidence < -_FORCE_EVIDENCE:
-        m.force_verdict = FORCE_ACCEL_WRONG
-    elif m.force_verdict == FORCE_FLOOR:
-        m.force_verdict = FORCE_UNDECIDED
-        m.force_conflict_tick = m.tick
-    elif m.force_verdict == FORCE_UNDECIDED and has_fix and (m.tick - m.force_conflict_tick) * s.dt > _FORCE_DECISION_S:
-        m.force_verdict = FORCE_ACCEL_WRONG
+        m.accel_model_verdict = VERDICT_FLOOR_CONTACT
+    elif (s.is_fitted[READING_ROTOR] > 0 and m.status[READING_ROTOR] != STATUS_FUSED) or evidence > _CONFLICT_EVIDENCE:
+        m.accel_model_verdict = VERDICT_MODEL_WRONG
+    elif evidence < -_CONFLICT_EVIDENCE:
+        m.accel_model_verdict = VERDICT_ACCEL_WRONG
+    elif m.accel_model_verdict == VERDICT_FLOOR_CONTACT:
+        m.accel_model_verdict = VERDICT_UNDECIDED
+        m.accel_model_conflict_start_tick = m.tick
+    elif (
+        m.accel_model_verdict == VERDICT_UNDECIDED
+        and has_fix
+        and (m.tick - m.accel_model_conflict_start_tick) * s.dt > _CONFLICT_DECISION_S
+    ):
+        m.accel_model_verdict = VERDICT_ACCEL_WRONG
 
 
 @cached_njit(error_model="numpy")
@@ -450,13 +454,13 @@ def check_accel_model(
                     worst, axis = ratio, j
         _update_force_conflict(m, s, r, height, worst)
         code, why = STATUS_FUSED, REASON_NONE
-        if m.force_verdict == FORCE_MODEL_WRONG:
+        if m.accel_model_verdict == VERDICT_MODEL_WRONG:
             why = REASON_MODEL_WRONG
-        elif m.force_verdict != FORCE_FLOOR:
+        elif m.accel_model_verdict != VERDICT_FLOOR_CONTACT:
             code = STATUS_FAULTY if m.is_accel_distrusted == 1 else STATUS_REJECTED
-            why = REASON_FORCE_CONFLICT if m.force_verdict == FORCE_UNDECIDED else REASON_INNOVATION
+            why = REASON_FORCE_CONFLICT if m.accel_model_verdict == VERDICT_UNDECIDED else REASON_INNOVATION
         rejected = m.status[READING_ACCELERATION] in (STATUS_REJECTED, STATUS_FAULTY)
-        if m.force_verdict != FORCE_AGREES and (why != REASON_NONE or rejected):
+        if m.accel_model_verdict != VERDICT_AGREE and (why != REASON_NONE or rejected):
             set_fault(m, s, READING_ACCELERATION, code, why, m.accel_residual_lp[axis])
     # The mean of 0.1-weighted blocks keeps 0.1 / (2 - 0.1) of their variance.
     m.accel_residual_sigma[i] = math.sqrt(variance * 0.0526 + known + 0.04)

@@ -196,7 +196,7 @@ real_t sample_inputs(estimator_t *m, const estimator_settings_t *s, const flight
             row[INPUT_SLOPE + k] = REAL(0.0);
             made = REAL(10.0);
         }
-        if (m->force_verdict == FORCE_MODEL_WRONG) {
+        if (m->accel_model_verdict == VERDICT_MODEL_WRONG) {
             made = real_max(made, WRONG_MODEL_DENSITY);
         } else if (m->is_accel_distrusted == 1) {
             felt = REAL(1e6);
@@ -263,7 +263,7 @@ void estimate_accel_noise(estimator_t *m, const estimator_settings_t *s, const r
 
                 density += real_max(apart, REAL(0.0)) * real_max(apart, REAL(0.0));
                 if (apart > ((((m->clip_share[0] + m->clip_share[1]) + m->clip_share[2]) * CLIPPING_ERROR_SHARE) * s->accel_range)) {
-                    m->force_apart_tick = m->tick;
+                    m->accel_model_apart_tick = m->tick;
                 }
             }
             density = real_min(density, REAL(100.0));

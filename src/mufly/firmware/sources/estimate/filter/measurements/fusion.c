@@ -36,12 +36,12 @@ static void reset_height(estimator_t *m, const estimator_settings_t *s, real_t n
 
     inflate_variance(m, ERROR_POSITION + 2, nu * nu); /* the sonar may have measured the foot of a wall in its cone */
     m->height_reset_tick = m->horizon_tick;
-    if (!((before > 0) && (((real_t)(m->horizon_tick - before) * s->dt) < HEIGHT_RESET_WINDOW_S))) {
+    if (!((before > 0) && (((real_t)(m->horizon_tick - before) * s->dt) < SECOND_RESET_WINDOW_S))) {
         return;
     }
-    inflate_variance(m, ERROR_VELOCITY + 2, HEIGHT_RESET_SPEED * HEIGHT_RESET_SPEED);
-    inflate_variance(m, ERROR_ACCEL_BIAS + 2, HEIGHT_RESET_ACCEL * HEIGHT_RESET_ACCEL);
-    inflate_variance(m, ERROR_THRUST_SCALE, HEIGHT_RESET_THRUST * HEIGHT_RESET_THRUST);
+    inflate_variance(m, ERROR_VELOCITY + 2, SECOND_RESET_SPEED_SIGMA * SECOND_RESET_SPEED_SIGMA);
+    inflate_variance(m, ERROR_ACCEL_BIAS + 2, SECOND_RESET_ACCEL_BIAS_SIGMA * SECOND_RESET_ACCEL_BIAS_SIGMA);
+    inflate_variance(m, ERROR_THRUST_SCALE, SECOND_RESET_THRUST_SCALE_SIGMA * SECOND_RESET_THRUST_SCALE_SIGMA);
 }
 
 /* Decide whether terrain or height is wrong after rejected ranges; return whether the range may be fused. */

@@ -360,38 +360,38 @@ static void update_force_conflict(estimator_t *m, const estimator_settings_t *s,
 {
     bool apart;
 
-    if ((m->is_accel_distrusted == 0) && (worst > FORCE_GATE)) {
+    if ((m->is_accel_distrusted == 0) && (worst > CONFLICT_GATE)) {
         m->is_accel_distrusted = 1;
-    } else if ((m->is_accel_distrusted == 1) && (worst < FORCE_AGREEMENT)) {
+    } else if ((m->is_accel_distrusted == 1) && (worst < CONFLICT_END_GATE)) {
         m->is_accel_distrusted = 0;
     } else {
         /* unchanged */
     }
-    apart = (m->force_apart_tick > 0) && (((real_t)(m->tick - m->force_apart_tick) * s->dt) < FAULT_HOLD_S);
+    apart = (m->accel_model_apart_tick > 0) && (((real_t)(m->tick - m->accel_model_apart_tick) * s->dt) < FAULT_HOLD_S);
     if ((m->is_accel_distrusted == 0) && !apart) {
-        m->force_verdict = FORCE_AGREES;
+        m->accel_model_verdict = VERDICT_AGREE;
     } else {
         const bool has_fix = (m->status[READING_FIX] == STATUS_FUSED) &&
-                             (((real_t)(m->tick - m->last_fused_tick[READING_FIX]) * s->dt) < FORCE_FIX_AGE_S);
+                             (((real_t)(m->tick - m->last_fused_tick[READING_FIX]) * s->dt) < CONFLICT_FIX_AGE_S);
         const real_t evidence = has_fix ? force_evidence(m, r, m->accel_residual_lp) : REAL(0.0);
 
-        if (m->force_verdict == FORCE_AGREES) {
-            m->force_verdict = FORCE_UNDECIDED;
-            m->force_conflict_tick = m->tick;
+        if (m->accel_model_verdict == VERDICT_AGREE) {
+            m->accel_model_verdict = VERDICT_UNDECIDED;
+            m->accel_model_conflict_start_tick = m->tick;
         }
         if ((m->accel_residual_lp[2] < REAL(0.0)) &&
             (height < (FLOOR_CONTACT_HEIGHT + (REAL(3.0) * m->sigma_output[ERROR_POSITION + 2])))) {
-            m->force_verdict = FORCE_FLOOR;
-        } else if (((s->is_fitted[READING_ROTOR] > 0) && (m->status[READING_ROTOR] != STATUS_FUSED)) || (evidence > FORCE_EVIDENCE)) {
-            m->force_verdict = FORCE_MODEL_WRONG;
-        } else if (evidence < -FORCE_EVIDENCE) {
-            m->force_verdict = FORCE_ACCEL_WRONG;
-        } else if (m->force_verdict == FORCE_FLOOR) {
-            m->force_verdict = FORCE_UNDECIDED;
-            m->force_conflict_tick = m->tick;
-        } else if ((m->force_verdict == FORCE_UNDECIDED) && has_fix &&
-                   (((real_t)(m->tick - m->force_conflict_tick) * s->dt) > FORCE_DECISION_S)) {
-            m->force_verdict = FORCE_ACCEL_WRONG;
+            m->accel_model_verdict = VERDICT_FLOOR_CONTACT;
+        } else if (((s->is_fitted[READING_ROTOR] > 0) && (m->status[READING_ROTOR] != STATUS_FUSED)) || (evidence > CONFLICT_EVIDENCE)) {
+            m->accel_model_verdict = VERDICT_MODEL_WRONG;
+        } else if (evidence < -CONFLICT_EVIDENCE) {
+            m->accel_model_verdict = VERDICT_ACCEL_WRONG;
+        } else if (m->accel_model_verdict == VERDICT_FLOOR_CONTACT) {
+            m->accel_model_verdict = VERDICT_UNDECIDED;
+            m->accel_model_conflict_start_tick = m->tick;
+        } else if ((m->accel_model_verdict == VERDICT_UNDECIDED) && has_fix &&
+                   (((real_t)(m->tick - m->accel_model_conflict_start_tick) * s->dt) > CONFLICT_DECISION_S)) {
+            m->accel_model_verdict = VERDICT_ACCEL_WRONG;
         } else {
             /* unchanged */
         }
@@ -420,16 +420,16 @@ void check_accel_model(estimator_t *m, const estimator_settings_t *s, const real
             }
         }
         update_force_conflict(m, s, r, height, worst);
-        if (m->force_verdict == FORCE_MODEL_WRONG) {
+        if (m->accel_model_verdict == VERDICT_MODEL_WRONG) {
             why = REASON_MODEL_WRONG;
-        } else if (m->force_verdict != FORCE_FLOOR) {
+        } else if (m->accel_model_verdict != VERDICT_FLOOR_CONTACT) {
             code = (m->is_accel_distrusted == 1) ? STATUS_FAULTY : STATUS_REJECTED;
-            why = (m->force_verdict == FORCE_UNDECIDED) ? REASON_FORCE_CONFLICT : REASON_INNOVATION;
+            why = (m->accel_model_verdict == VERDICT_UNDECIDED) ? REASON_FORCE_CONFLICT : REASON_INNOVATION;
         } else {
             /* floor contact: neither is wrong */
         }
         rejected = (m->status[READING_ACCELERATION] == STATUS_REJECTED) || (m->status[READING_ACCELERATION] == STATUS_FAULTY);
-        if ((m->force_verdict != FORCE_AGREES) && ((why != REASON_NONE) || rejected)) {
+        if ((m->accel_model_verdict != VERDICT_AGREE) && ((why != REASON_NONE) || rejected)) {
             set_fault(m, s, READING_ACCELERATION, code, why, m->accel_residual_lp[axis]);
         }
     }
