@@ -59,7 +59,7 @@ from mufly.sensors.periodic import (
     IS_VALID,
     MEASURED_TIME,
     NEXT_SAMPLE,
-    PENDING,
+    PENDING_COUNT,
     advance_if_due,
     publish_if_due,
 )
@@ -394,7 +394,7 @@ static bool sample_{name}_sensor(
     }}
     if ({due.name}(t, s->clock)) {{
         wait = {measure.name}(t, x, attitude, supply, s->source,
-            {places}, s->rows[1 + s->counts[{PENDING}]]);
+            {places}, s->rows[1 + s->counts[{PENDING_COUNT}]]);
     }}
     return {publish.name}(t, wait, s->clock, s->counts, s->rows);
 }}
