@@ -81,7 +81,7 @@ def run(
     e = KalmanEstimator(vehicle, World(), 200.0)
     if delay is not None:
         slow = e._settings.copy()
-        slow["delay_ticks"] = delay
+        slow["horizon_delay_ticks"] = delay
         e.set_settings(slow)
     return e, [e.update(r, a) for r, a in zip(readings, acted, strict=False)]
 
@@ -224,7 +224,7 @@ def test_what_comes_late_but_before_the_horizon_counts_as_if_it_had_come_at_once
     now, later = KalmanEstimator(vehicle, World(), 200.0), KalmanEstimator(vehicle, World(), 200.0)
     for e in (now, later):
         slow = now._settings.copy()
-        slow["delay_ticks"] = 100
+        slow["horizon_delay_ticks"] = 100
         slow["latency_slack"] = 1.0
         e.set_settings(slow)
     for k, (a, b) in enumerate(zip(held, late, strict=True)):

@@ -48,7 +48,7 @@ def test_faults_of_the_camera_are_read_or_refused_in_a_line() -> None:
     for text, words in (
         ("blind@3s", "use one of: covered, dark, unplugged"),
         ("dark@x", "'x' is not a number"),
-        ("dark@3s+0s", "is not a time"),
+        ("dark@3s+0s", "is not a time span"),
     ):
         with pytest.raises(MuflyError, match=words):
             parse_camera_fault(text)

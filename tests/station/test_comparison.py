@@ -101,7 +101,7 @@ def test_a_window_gets_the_second_on_the_first_ones_clock(tmp_path) -> None:
     times, values = view.replay.history.recent_rows(30.0, ["estimated_position_N", "compared/estimated_position_N"])
     k = int(np.searchsorted(times, 5.0))
     assert values[k, 0] - values[k, 1] == pytest.approx(0.1, abs=0.02)
-    told = view.encode_status()["compared"]
+    told = view.status_fields()["compared"]
     assert (told["name"], told["by"], told["offset"], told["note"]) == ("b.ulg", "arming", 0.5, "")
     view.close_recording()
-    assert view.encode_status()["compared"] is None
+    assert view.status_fields()["compared"] is None

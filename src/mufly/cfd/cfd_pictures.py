@@ -141,7 +141,7 @@ def climb_picture(found: ClimbComparison) -> Figure:
     map.
 
     The picture corresponds to Fig. 4.2 of the dissertation, which
-    :func:`mufly.thesis.blade_element_studies.study_climb_inflow` assesses.
+    :func:`mufly.thesis.blade_element_studies.study_coefficients_in_climb` assesses.
     """
     figure = blank_figure(10.0, 4.4)
     axes = figure.subplots(1, 2)

@@ -214,7 +214,9 @@ def read_point(folder: Path) -> OperatingPoint:
         told = json.loads(file.read_text(encoding="utf-8"))
         return OperatingPoint(**{**told, "domain": MeshDomain(**told.get("domain", {}))})
     except (OSError, ValueError, TypeError) as error:
-        raise InputError(str(folder), "", "is not a case of mufly cfd", "give the folder of --out") from error
+        raise InputError(
+            str(folder), "", "is not a case of mufly cfd", "give a folder written by mufly cfd run --out"
+        ) from error
 
 
 def set_solver_phase(folder: Path, *, upwind: bool, end: int) -> None:

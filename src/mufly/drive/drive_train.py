@@ -463,8 +463,9 @@ def hover_endurance(battery: Battery, *, power_W: float, motor_voltage_V: float)
         rest = np.array(battery.open_circuit_voltage.value)
     if rest[-1] < rest_end - 1e-12:
         raise MuflyError(
-            f"the full battery cannot hold this hover: it needs {end:.3g} V under {power_W:.3g} W and "
-            f"{electronics:.2g} A ({by}), so {rest_end:.3g} V at rest, but has {rest[-1]:.3g} V"
+            f"the full battery cannot hold this hover: with {power_W:.3g} W for the motors and {electronics:.2g} A "
+            f"for the electronics it must keep {end:.3g} V ({by}), so {rest_end:.3g} V without load, "
+            f"but has {rest[-1]:.3g} V; take more cells or less resistance, or lower the power"
         )
     below = np.flatnonzero(rest < rest_end)
     if below.size:

@@ -25,7 +25,7 @@ import textwrap
 from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
-_PARAMETER = "p"
+_PARAMETERS_VARIABLE = "p"
 _RENAMED = {"np.uint64": "whole_number", "math.sin": "sine_of", "math.cos": "cosine_of"}
 
 
@@ -175,7 +175,11 @@ class _Selection:
         if isinstance(test, ast.BoolOp) and isinstance(test.op, ast.And):
             return any(self._is_absent(part) for part in test.values)
         left = test.left if isinstance(test, ast.Compare) else None
-        return isinstance(left, ast.Attribute) and ast.unparse(left.value) == _PARAMETER and left.attr in self._absent
+        return (
+            isinstance(left, ast.Attribute)
+            and ast.unparse(left.value) == _PARAMETERS_VARIABLE
+            and left.attr in self._absent
+        )
 
     def _unused_name(self, kind: str) -> str:
         self._count += 1

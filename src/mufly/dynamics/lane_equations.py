@@ -25,7 +25,15 @@ from mufly.dynamics.branch_selection import select_branches
 from mufly.dynamics.equations_of_motion import state_derivative
 from mufly.dynamics.lane_row_sums import LANE_ROW_SUMS
 from mufly.dynamics.model_state import INPUT_SIZE, STATE_SIZE
-from mufly.dynamics.numba_lanes import LANE_NAMES, LANES, make_record, make_rows, put_number, put_record, take_number
+from mufly.dynamics.numba_lanes import (
+    LANE_NAMES,
+    LANES,
+    allocate_lane_record,
+    make_rows,
+    put_number,
+    put_record,
+    take_number,
+)
 from mufly.dynamics.simulation import normalise_state
 
 _Array = NDArray[np.float64]
@@ -70,7 +78,7 @@ def _integrate_mapped(
     """Integrate the vehicles of blocks (b, 8) in place; ``address`` is that of ``p``. See :func:`integrate_lanes`."""
     state, stage, inputs, air = make_rows(STATE_SIZE), make_rows(STATE_SIZE), make_rows(INPUT_SIZE), make_rows(3)
     k1, k2, k3, k4 = make_rows(STATE_SIZE), make_rows(STATE_SIZE), make_rows(STATE_SIZE), make_rows(STATE_SIZE)
-    record = make_record(p)
+    record = allocate_lane_record(p)
     for b in range(blocks.shape[0]):
         latest = 0
         for lane in range(LANES):

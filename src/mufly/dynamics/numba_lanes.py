@@ -487,8 +487,8 @@ def take_number(context: Any, rows: Any, row: Any, lane: Any) -> Any:
 
 
 @intrinsic
-def make_record(context: Any, like: Any) -> Any:
-    """``make_record(array)``: empty records of eight vehicles, of the type of a structured array."""
+def allocate_lane_record(context: Any, like: Any) -> Any:
+    """``allocate_lane_record(array)``: empty records of eight vehicles, of the type of a structured array."""
     from numba.np.numpy_support import as_dtype
 
     record = LaneRecord(as_dtype(like.dtype))

@@ -46,7 +46,7 @@ from mufly.estimate.filter.measurements import (
 from mufly.rotor import coax_maps
 from mufly.vehicle import Vehicle
 
-VERIFIED_STAMP = "411a0902f193be2d"
+VERIFIED_STAMP = "cf9b16ee7e791f1a"
 """Stamp (:func:`source_stamp`) of the Python sources that the C code is verified to equal."""
 
 FILTER_SOURCES = (

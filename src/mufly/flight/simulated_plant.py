@@ -42,7 +42,7 @@ from mufly.flight.controllers import Actuators, Controllers
 from mufly.flight.record.recorder import FlightRecorder
 from mufly.sensors import Readings, Truth, ideal_sensors
 from mufly.vehicle import Vehicle
-from mufly.world import World, nearest_obstacles, obstacle_distance
+from mufly.world import World, obstacle_distance, packed_obstacle_distances
 
 MIN_STEP_S = 1e-5
 COLLISION_TEXT, TIP_OVER_TEXT = "a rotor hit the", "tipped over"
@@ -85,7 +85,7 @@ def find_collision(
 ) -> int:
     """Return the kind of a collision: 0 none, 1 with an obstacle, 2 of a rotor with the floor."""
     p = parameters[0]
-    if obstacles and nearest_obstacles(x[POSITION].reshape(1, 3), boxes, cylinders, limits)[0][0] < radius:
+    if obstacles and packed_obstacle_distances(x[POSITION].reshape(1, 3), boxes, cylinders, limits)[0][0] < radius:
         return 1
     if x[MODEL_POSITION + 2] + p.contact_reach > 0.0:
         depth, point = lowest_point(x, p)
@@ -311,7 +311,7 @@ def make_common_writer(
 # Step responses of the low-level controllers on the nonlinear model (Figs 6.10 and 6.12).
 
 
-START_HEIGHT_M = 5.0  # out of ground effect for any sensible step
+STEP_RESPONSE_HEIGHT_M = 5.0  # out of ground effect for any sensible step
 
 
 @dataclass(frozen=True, slots=True)
@@ -363,7 +363,7 @@ def simulate_response(
     controller = design_flight_controller(vehicle) if controller is None else controller
     hover = find_trim(vehicle, charge=charge)
     start = hover.state.copy()
-    start[2] = -START_HEIGHT_M
+    start[2] = -STEP_RESPONSE_HEIGHT_M
     plant = SimulatedPlant(vehicle, World(), DrydenWind(step_s=controller.period_s), controller.rate_Hz, start)
     plant.voltage, plant.current = hover.battery_voltage_V, hover.battery_current_A
     controllers = Controllers(controller)
@@ -379,7 +379,7 @@ def simulate_response(
         truth = plant.truth
         readings = sensors.read(truth)
         s = demand(truth.time_s)
-        z = s.down_m - START_HEIGHT_M
+        z = s.down_m - STEP_RESPONSE_HEIGHT_M
         actuators = controllers.step(
             estimator.update(readings), np.array([z, s.heading, 0.0, 0.0]), np.array([s.roll, s.pitch])
         )
@@ -391,5 +391,5 @@ def simulate_response(
     recorder.close()
     dataset = recorder.to_dataset()
     for name in ("truth_position", "measured_position", "reference_position"):
-        dataset[name][:, 2] += START_HEIGHT_M
+        dataset[name][:, 2] += STEP_RESPONSE_HEIGHT_M
     return dataset

@@ -1,4 +1,4 @@
-"""``modelDescription.xml``, ``buildDescription.xml`` and the page of a co-simulation unit.
+"""``modelDescription.xml``, ``buildDescription.xml`` and ``documentation/index.html`` of a unit (FMU).
 
 Source: Functional Mock-up Interface Specification 3.0.
 """

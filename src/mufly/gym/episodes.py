@@ -59,7 +59,7 @@ from mufly.gym.tasks import (
     shift_task,
 )
 from mufly.sensors.rng import draw_normals, draw_uniforms
-from mufly.world.obstacles import first_hit, nearest_obstacles
+from mufly.world.obstacles import first_hit, packed_obstacle_distances
 
 _Array = NDArray[np.float64]
 _Ints = NDArray[np.int64]
@@ -133,7 +133,7 @@ class EpisodeSettings(NamedTuple):
     kind, most_steps : int
         Index of the task, and steps of an episode.
     delay : int
-        Greatest delay in integration steps.
+        Greatest delay of an action, in integration steps.
     trim : (4,) array
         Inputs for an action of zero.
     nominal_V, radius : float
@@ -323,7 +323,7 @@ def judge_episodes(
         touches = x[MODEL_POSITION + 2] + p.contact_reach > 0.0 and lowest_point(x, p)[0] > 0.0
         collides = False
         if s.kind == OBSTACLE:
-            near = nearest_obstacles(x[POSITION].reshape(1, 3), boxes, e.columns[k], s.limits)[0][0]
+            near = packed_obstacle_distances(x[POSITION].reshape(1, 3), boxes, e.columns[k], s.limits)[0][0]
             collides = not near > s.radius
         w, i, j, z = x[MODEL_ATTITUDE], x[MODEL_ATTITUDE + 1], x[MODEL_ATTITUDE + 2], x[MODEL_ATTITUDE + 3]
         c, sn = heading_direction(w, i, j, z)

@@ -58,7 +58,7 @@ from mufly.flight.mission_flight import align_and_start
 from mufly.flight.period_stages import CONTINUE, LOOP_DONE, make_stepper
 from mufly.flight.simulated_flight import Flight
 from mufly.gym.fleet import LEAST_CHARGE, Fleet
-from mufly.gym.tasks import HEIGHT_M, OBSTACLE, OBSTACLE_START_NORTH_M
+from mufly.gym.tasks import OBSTACLE, OBSTACLE_START_NORTH_M, OBSTACLE_TARGET_HEIGHT_M
 from mufly.mission import Mission, State
 from mufly.sensors import FittedSensors, Imu
 from mufly.sensors.faults import FaultySensor
@@ -425,7 +425,7 @@ def prepare_starts(
         if (attempts_left := attempts_left - 1) < 0:
             raise MuflyError(f"only {flights} of {count} vehicles reach hover on their sensors; vary less")
         vehicle = without_ring(fleet.vehicles[flights % len(fleet.vehicles)])
-        height = HEIGHT_M if kind == OBSTACLE else float(rng.uniform(*HEIGHTS_M))
+        height = OBSTACLE_TARGET_HEIGHT_M if kind == OBSTACLE else float(rng.uniform(*HEIGHTS_M))
         mission = hover_mission(kind, height, float(rng.uniform(-180.0, 180.0)))
         charge = LEAST_CHARGE + (1.0 - LEAST_CHARGE) * float(rng.random())
         wind = winds[flights % len(winds)].mean(axis=0)

@@ -47,7 +47,7 @@ OBSTACLE_WORLD = World(room=Room((-3.0, 3.0), (-2.0, 2.0), 2.5))
 REACHED_M = 0.2
 MOST_DISTANCE_M, MOST_DISTANCE_OBSTACLE_M = 3.0, 6.0
 LEAST_UPRIGHT = 0.5  # cosine of the tilt
-HEIGHT_M = 1.0
+OBSTACLE_TARGET_HEIGHT_M = 1.0
 OBSTACLE_START_NORTH_M = -2.0
 HOVER_HEIGHTS_M = (0.2, 2.0)
 START_SPREAD_M = 0.5
@@ -61,7 +61,7 @@ def place_task(kind: int, r: _Array, start: _Array, target: _Array, after: _Arra
 
     ``r`` are uniform numbers; ``columns`` has the layout of a packed :class:`mufly.world.World`.
     """
-    target[0], target[1], target[2] = 0.0, 0.0, -HEIGHT_M
+    target[0], target[1], target[2] = 0.0, 0.0, -OBSTACLE_TARGET_HEIGHT_M
     if kind == HOVER:  # a height that differs from episode to episode is no measure of the error
         target[2] = -(HOVER_HEIGHTS_M[0] + (HOVER_HEIGHTS_M[1] - HOVER_HEIGHTS_M[0]) * r[3])
     for i in range(3):

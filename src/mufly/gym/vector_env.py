@@ -140,7 +140,9 @@ class MuflyVectorEnv(gymnasium.vector.VectorEnv):
         low, high = observation_limits(task)
         length = DURATIONS_S[kind] if duration_s is None else duration_s
         errors = (
-            _estimate_errors(nominal, period_s) if sensors == "noisy" else (np.zeros(ERROR_SIZE),) * 2 + (np.zeros(4),)
+            _error_process_parameters(nominal, period_s)
+            if sensors == "noisy"
+            else (np.zeros(ERROR_SIZE),) * 2 + (np.zeros(4),)
         )
         delay_unit_s = self._step_s if self.units is None else starts.period_s
         self._settings = EpisodeSettings(
@@ -327,7 +329,7 @@ def _check_options(
     check("duration_s", duration_s, duration_s is None or 0.0 < duration_s <= 3600.0, "give up to 3600 s")
 
 
-def _estimate_errors(vehicle: Vehicle, period_s: float) -> tuple[_Array, _Array, _Array]:
+def _error_process_parameters(vehicle: Vehicle, period_s: float) -> tuple[_Array, _Array, _Array]:
     """Return decay (6,) and deviation (6,) of the correlated errors, and the white deviations (4,)."""
     fitted = vehicle.sensors
     fix, imu = (None, None) if fitted is None else (fitted.position_fix, fitted.imu)

@@ -296,7 +296,7 @@ class PathCheck(NamedTuple):
         """Return the same as :meth:`nearest_point`, for the blocking point."""
         if self.nearest_blocking_distance_sq == math.inf:
             return math.inf, 0.0, 0.0
-        return _direction_from(self.nearest_blocking_north, self.nearest_blocking_east, place[0], place[1])
+        return _distance_and_direction(self.nearest_blocking_north, self.nearest_blocking_east, place[0], place[1])
 
 
 def begin_path_check(position: Sequence[float], goal: Sequence[float], ahead: float = LOOK_AHEAD_M) -> PathCheck:
@@ -332,7 +332,7 @@ def _find_nearest(near: _Array, n: float, e: float) -> tuple[float, float, float
             least, row = square, k
     if row < 0:
         return np.inf, 0.0, 0.0
-    return _direction_from(near[row, 0], near[row, 1], n, e)
+    return _distance_and_direction(near[row, 0], near[row, 1], n, e)
 
 
 def check_map_part(
@@ -445,7 +445,7 @@ def _check_points(
 
 
 @cached_njit
-def _direction_from(pn: float, pe: float, n: float, e: float) -> tuple[float, float, float]:
+def _distance_and_direction(pn: float, pe: float, n: float, e: float) -> tuple[float, float, float]:
     dn, de = n - pn, e - pe
     far = _planar_length(dn, de)
     if far > 1e-9:

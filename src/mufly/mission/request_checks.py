@@ -139,17 +139,17 @@ def _allow_grounded(f: _RequestFacts) -> RequestAnswer:
     )
 
 
-def _deny_in_air(f: _RequestFacts) -> RequestAnswer:
+def _deny_as_in_air(f: _RequestFacts) -> RequestAnswer:
     return reject_temporarily(f"the vehicle is already in state {str(f.context.state)!r}", "in the air")
 
 
 def _allow_armed(f: _RequestFacts) -> RequestAnswer:
     if f.motors != "off":
-        return _deny_in_air(f)
+        return _deny_as_in_air(f)
     return REQUEST_ACCEPTED if f.armed else reject_temporarily("not armed; arm first", "not armed")
 
 
-def _deny_on_floor(f: _RequestFacts) -> RequestAnswer:
+def _deny_as_on_floor(f: _RequestFacts) -> RequestAnswer:
     return reject_temporarily("the vehicle does not fly; take off first", "on the floor")
 
 
@@ -157,7 +157,7 @@ def _allow_unless_blind(f: _RequestFacts) -> RequestAnswer:
     return _MEASUREMENTS_LOST if f.motors == "blind" else REQUEST_ACCEPTED
 
 
-def _deny_manual(f: _RequestFacts) -> RequestAnswer:
+def _deny_as_manual(f: _RequestFacts) -> RequestAnswer:
     return _allow_unless_blind(f) and reject_temporarily("the pilot flies; release the sticks first", "flown by hand")
 
 
@@ -169,7 +169,7 @@ def _allow_unless_failed(f: _RequestFacts) -> RequestAnswer:
     )
 
 
-def _deny_landing(f: _RequestFacts) -> RequestAnswer:
+def _deny_as_landing(f: _RequestFacts) -> RequestAnswer:
     return _allow_unless_failed(f) and reject_temporarily(
         f"the vehicle lands; pause first (above {GO_AROUND_HEIGHT_M:g} m)", "landing"
     )
@@ -178,7 +178,7 @@ def _deny_landing(f: _RequestFacts) -> RequestAnswer:
 def _allow_go_around(f: _RequestFacts) -> RequestAnswer:
     """Accept if the height suffices to abort a landing."""
     if f.context.outcome == "failed" or f.motors != "fly":
-        return _deny_landing(f)
+        return _deny_as_landing(f)
     low = f.height_m <= GO_AROUND_HEIGHT_M
     return (
         reject_temporarily(f"landing below {GO_AROUND_HEIGHT_M:g} m, too low to abort", "landing")
@@ -196,20 +196,20 @@ def _allow_lifted(f: _RequestFacts) -> RequestAnswer:
     return _allow_unless_failed(f)
 
 
-def _deny_busy(f: _RequestFacts) -> RequestAnswer:
+def _deny_as_busy(f: _RequestFacts) -> RequestAnswer:
     return reject_temporarily(
         f"in state {str(f.context.state)!r} no mission can be loaded; pause or land first", "in flight"
     )
 
 
 def _allow_motors_off(f: _RequestFacts) -> RequestAnswer:
-    return REQUEST_ACCEPTED if f.motors == "off" else _deny_busy(f)
+    return REQUEST_ACCEPTED if f.motors == "off" else _deny_as_busy(f)
 
 
 def _allow_mission_waiting(f: _RequestFacts) -> RequestAnswer:
     """Accept if the vehicle takes off, hovers or flies by user signals, and no mission is in progress."""
     if f.motors not in ("spin_up", "fly"):
-        return _deny_busy(f)
+        return _deny_as_busy(f)
     return (
         _allow_unless_failed(f)
         if f.context.manual
@@ -221,16 +221,16 @@ _BY_WORD: dict[str, Callable[[_RequestFacts], RequestAnswer]] = {
     "yes": _allow_always,
     "at-rest": _allow_at_rest,
     "grounded": _allow_grounded,
-    "up": _deny_in_air,
+    "up": _deny_as_in_air,
     "armed": _allow_armed,
-    "floor": _deny_on_floor,
+    "floor": _deny_as_on_floor,
     "seen": _allow_unless_blind,
-    "by-hand": _deny_manual,
+    "by-hand": _deny_as_manual,
     "knows": _allow_unless_failed,
-    "lands": _deny_landing,
+    "lands": _deny_as_landing,
     "high": _allow_go_around,
     "lifted": _allow_lifted,
-    "busy": _deny_busy,
+    "busy": _deny_as_busy,
     "still": _allow_motors_off,
     "waits": _allow_mission_waiting,
 }

@@ -136,7 +136,7 @@ def resume_mission(plan: MissionPlan, s: MissionState, first: int | None) -> Mis
     return replace(s, manual=False, mission_begun=True, waypoint_index=index, outcome="", reason="", abort_reason="")
 
 
-def resume_after_take_off(s: MissionState, first: int | None) -> MissionState:
+def queue_mission_after_take_off(s: MissionState, first: int | None) -> MissionState:
     """Let the mission follow the take-off, from waypoint ``first`` (from 0) if given."""
     s = log_event(
         s, LogMessage.MISSION_AFTER_TAKE_OFF_FROM(first + 1) if first else LogMessage.MISSION_AFTER_TAKE_OFF()

@@ -255,7 +255,9 @@ def read_time_span(where: str, text: str) -> tuple[float, float]:
     begin = read_quantity(where, start, "s") if start.strip() else 0.0
     end = begin + read_quantity(where, duration, "s") if sign else math.inf
     if not 0.0 <= begin < end:
-        raise InputError(where, "", f"{text!r} is not a time", "write STARTs+DURATIONs, as 15s+2s")
+        raise InputError(
+            where, "", f"{text!r} is not a time span", "give a start of 0 or more and a duration above 0, as 15s+2s"
+        )
     return begin, end
 
 

@@ -38,7 +38,7 @@ from mufly.world import World
 _Array = NDArray[np.float64]
 SPOT_THRESHOLD = 5.0
 """Detection threshold of a spot in standard deviations of the noise: one false spot in some million windows."""
-_SPOT_HALF_WIDTH = 3.0  # half width of the decoder's columns, in radii of a spot
+_WINDOW_HALF_WIDTH_RADII = 3.0  # half width of the decoder's columns, in radii of a spot
 ELEVATION_MARGIN = 1.25  # rows reach up to this multiple of the elevation of the shortest distance
 
 
@@ -191,7 +191,7 @@ class RingCamera(PeriodicSensor):
         self._row_elevation = self._max_elevation / c.radial_pixels  # elevation of a row
         column = 2 * math.pi / c.angular_pixels
         self._centres = np.mod(beam_angles(vehicle), 2 * math.pi) / column  # of the beams, in columns
-        half = max(1, math.ceil(_SPOT_HALF_WIDTH * self._blur))
+        half = max(1, math.ceil(_WINDOW_HALF_WIDTH_RADII * self._blur))
         self._columns = np.floor(self._centres)[:, None].astype(int) + np.arange(-half, half + 1)  # (n, w), not wrapped
         self._rows = np.arange(c.radial_pixels) + 0.5
         self._calibration_offset = float(c.calibration) * rng.standard_normal(len(self._centres))

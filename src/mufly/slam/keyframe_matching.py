@@ -139,13 +139,14 @@ class KeyframeMatch:
     exposure_offsets_s : (n,) array
         Exposure times of the inliers, from the middle of the picture (s).
     pixel_information : (n, 2, 2) array
-        Information of the inliers with the points' own errors (1/pixels^2).
+        Information matrices of the inliers' pixels, reduced by the errors of the keyframe's points (1/pixels^2).
     tracked_count : int
         Number of tracked points.
     unknown : (k, 2) array
         Unit vectors N, E of directions without texture.
     bound_px : (2,) array
-        Cramer-Rao bound of the shift of all patches in two directions (pixels).
+        Cramer-Rao bound of the common shift of all patches along the directions of least and of most texture
+        (pixels).
     significance : float
         Significance of the texture along the least known direction, 1 at the least.
     common_variance_m2 : float

@@ -140,13 +140,13 @@ def read_trajectory(file: Path) -> SlamTrajectory:
             covariance[k] = covariance[k] + np.triu(covariance[k], 1).T - np.tril(covariance[k], -1)
         low = np.tril_indices(4, -1)
         covariance[:, low[0], low[1]] = covariance[:, low[1], low[0]]
-    lost = poses.row_count - len(poses.time_s)
+    lost = poses.file_pose_count - len(poses.time_s)
     return SlamTrajectory(
         poses.time_s,
         poses.position,
         poses.heading,
         covariance,
-        poses.row_count,
+        poses.file_pose_count,
         {"left out": lost} if lost else {},
     )
 

@@ -68,7 +68,7 @@ class PoseTable(NamedTuple):
         Times, positions N-E-D and headings (s, m, rad).
     extra_cells : list of n lists of str
         Further cells of each row.
-    row_count : int
+    file_pose_count : int
         Number of poses in the file, including skipped ones.
     """
 
@@ -76,7 +76,7 @@ class PoseTable(NamedTuple):
     position: _Array
     heading: _Array
     extra_cells: list[list[str]]
-    row_count: int
+    file_pose_count: int
 
 
 def read_poses(file: Path) -> PoseTable:

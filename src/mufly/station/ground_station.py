@@ -108,7 +108,7 @@ class GroundLink:
             self.unread_bytes = 0
             if self._on_packet is not None:
                 self._on_packet(bytes(message.get_msgbuf()))
-            heard = self._find_sender(now_s, peer, message)
+            heard = self._find_or_add_sender(now_s, peer, message)
             if heard is None:
                 continue
             if message.get_srcComponent() == heard.vehicle.component:
@@ -165,7 +165,7 @@ class GroundLink:
             self._on_packet(data)
         return OutgoingFrame(peer, data)
 
-    def _find_sender(self, now_s: float, peer: Hashable, message: MavMessage) -> _HeardVehicle | None:
+    def _find_or_add_sender(self, now_s: float, peer: Hashable, message: MavMessage) -> _HeardVehicle | None:
         """Return the vehicle of the message's sender; a vehicle's heartbeat adds a new vehicle."""
         system = message.get_srcSystem()
         heard = self._heard.get((peer, system))

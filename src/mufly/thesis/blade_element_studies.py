@@ -407,7 +407,7 @@ def study_gurney_flaps(progress: ProgressCallback | None = None) -> StudyFinding
     )
 
 
-def study_climb_inflow(progress: ProgressCallback | None = None) -> StudyFindings:
+def study_coefficients_in_climb(progress: ProgressCallback | None = None) -> StudyFindings:
     """Fig. 4.2: thrust and torque coefficient over the climb, by blade elements and by the flight model's map.
 
     The rotor of the source's CFD is not stated. Here: NACA 0012 of Table 3.2 at 14 degrees and 6 000 rpm, and the upper
@@ -480,5 +480,5 @@ STUDIES: dict[str, Study] = {
     "fig-3.15": Study(study_bench_blades, 2),
     "fig-3.38": Study(study_blade_tips, 2),
     "fig-3.42": Study(study_gurney_flaps, 3),
-    "fig-4.2": Study(study_climb_inflow, 2),
+    "fig-4.2": Study(study_coefficients_in_climb, 2),
 }

@@ -257,7 +257,7 @@ def study_pitch_flight(progress: ProgressCallback | None = None) -> StudyFinding
 
 
 def study_all_parameters(progress: ProgressCallback | None = None) -> StudyFindings:
-    """Table 5.3: the vehicle file beside the print, and the parameters identified from flights beside both."""
+    """Table 5.3: compare the printed parameters with the vehicle file, and both with a fit of simulated flights."""
     rows = {p.key: p for p in list_parameters(load_vehicle("mufly-1.1"))}
     printed = {k: math.radians(v) if k == "swash_plate.max_tilt" else v for k, v in TABLE_5_3_VALUES.items()}
     other = [k for k, v in printed.items() if abs(float(np.ravel(rows[k].value)[0]) / v - 1) > 1e-6]

@@ -8,9 +8,9 @@ from mufly.world.obstacles import (
     cast_ranges,
     first_hit,
     make_wall,
-    nearest_obstacles,
     obstacle_distance,
     obstacle_distances,
+    packed_obstacle_distances,
 )
 
 __all__ = [
@@ -21,7 +21,7 @@ __all__ = [
     "cast_ranges",
     "first_hit",
     "make_wall",
-    "nearest_obstacles",
     "obstacle_distance",
     "obstacle_distances",
+    "packed_obstacle_distances",
 ]

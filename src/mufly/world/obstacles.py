@@ -282,7 +282,7 @@ def _cast_beams(
 
 
 @cached_njit
-def nearest_obstacles(
+def packed_obstacle_distances(
     points: _Array, boxes: _Array, cylinders: _Array, limits: _Array
 ) -> tuple[_Array, NDArray[np.int64]]:
     """Return signed distance and index of the nearest obstacle of a packed world to points (n, 3)."""
@@ -361,7 +361,9 @@ def obstacle_distances(world: World, points: ArrayLike) -> tuple[_Array, NDArray
     which : (n,) array of int
         Index of the nearest obstacle in ``world.names``, -1 in an empty world.
     """
-    return nearest_obstacles(np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 3), *world.packed_tables)
+    return packed_obstacle_distances(
+        np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 3), *world.packed_tables
+    )
 
 
 def obstacle_distance(world: World, point: ArrayLike) -> tuple[float, str]:

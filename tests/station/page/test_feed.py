@@ -400,11 +400,11 @@ def test_a_window_that_is_loaded_anew_shows_the_vehicle_that_it_showed() -> None
     session, vehicles = two_windows()
     first = session.open_view("first")
     assert first.selected_vehicle() is vehicles[0]
-    key = first.encode_status()["selected"]
+    key = first.status_fields()["selected"]
     vehicles.reverse()
     assert first.selected_vehicle() is vehicles[1]
     assert session.open_view("again", key).selected_vehicle() is vehicles[1]
-    names = dict(first.encode_status()["vehicles"])
+    names = dict(first.status_fields()["vehicles"])
     assert names[vehicles[0].key] == "test vehicle (serial:/dev/ttyUSB0:57600)"
     assert first.encode_flight()["name"] == "test vehicle (udpin:0.0.0.0:14550)"  # type: ignore[index]
 
@@ -428,4 +428,4 @@ def test_a_window_without_a_vehicle_says_what_is_wrong_with_the_link() -> None:
     session = StationSession(list, Path(), link_problems=lambda: ["serial:/dev/ttyUSB9:57600: there is no such device"])
     view = session.open_view("window")
     assert "there is no such device" in session.describe_waiting(view.selected)
-    assert "there is no such device" in view.encode_status()["trouble"]
+    assert "there is no such device" in view.status_fields()["trouble"]

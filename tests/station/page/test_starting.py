@@ -60,7 +60,7 @@ def get(address: PageAddress, path: str, **headers: str) -> tuple[int, str]:
 
 def test_every_stage_has_its_seconds(startup: Startup, clock: Clock) -> None:
     startup.begin_stage("compiling the model")  # said twice, it goes on
-    told = startup.encode_status()
+    told = startup.status_fields()
     assert [text for text, _, _ in told["stages"]] == [
         "loading the libraries",
         "designing the controllers",
@@ -90,11 +90,11 @@ def test_a_stage_is_said_once_and_the_end_of_all(clock: Clock) -> None:
 def test_a_window_is_told_until_the_vehicle_stands_and_why_it_does_not(startup: Startup) -> None:
     session = StationSession(lambda: [], Path(), startup=startup)
     view = session.open_view("one")
-    assert view.encode_status()["start"]["stages"][-1][0] == "compiling the model"
+    assert view.status_fields()["start"]["stages"][-1][0] == "compiling the model"
     startup.finish()
-    assert view.encode_status()["start"] is None
+    assert view.status_fields()["start"] is None
     startup.fail("the vehicle's process ended while it flew")  # later than the start
-    assert view.encode_status()["start"]["fault"] == "the vehicle's process ended while it flew"
+    assert view.status_fields()["start"]["fault"] == "the vehicle's process ended while it flew"
     session.close_view("one")
     assert session.opened_count == 1  # one that was opened and closed was opened
 

@@ -107,7 +107,7 @@ def convert_rate_gains(axis: str, gains: CascadeGains) -> RateIntegers:
 
 
 def list_betaflight_settings(gains: AutopilotGains) -> list[BetaflightLine]:
-    """Return the lines of the CLI file, without those that open and save it.
+    """Return the settings of the CLI file, without the commands that begin and save the batch.
 
     Parameters
     ----------

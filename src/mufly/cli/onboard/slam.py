@@ -346,7 +346,7 @@ def run(
             except MuflyError as error:
                 failed.append(error)
 
-        def handle_answer(k: int, a: TrackingResult) -> None:
+        def pass_on_result(k: int, a: TrackingResult) -> None:
             if port is not None:
                 port.send_position(
                     port.companion.stationary_result(a.time_s, seen[0].vehicle_estimate)
@@ -356,7 +356,7 @@ def run(
             if bar is not None:
                 bar(k + 1, source.frame_count)
 
-        found = run_slam(slam, iterate_frames(), handle_answer)
+        found = run_slam(slam, iterate_frames(), pass_on_result)
     if port is not None and not found.pictures and not failed:
         raise InputError("--link", str(link), "received no attitude and height", "check both ends of the link")
     if failed and len(found.time) < 3:

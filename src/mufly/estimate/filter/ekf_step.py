@@ -1,7 +1,7 @@
 """One period of the filter, compiled: readings in, the state of now out, with a bounded amount of work.
 
-The filter runs ``delay_ticks`` periods behind now, at the *horizon* (:mod:`filter_horizon`), as PX4's EKF2 does. The
-output is the state of the horizon, propagated to now (:mod:`output_predictor`) through the inputs since
+The filter runs ``horizon_delay_ticks`` periods behind now, at the *horizon* (:mod:`filter_horizon`), as PX4's EKF2
+does. The output is the state of the horizon, propagated to now (:mod:`output_predictor`) through the inputs since
 (:mod:`filter_inputs`).
 
 A period has time for ``work_limit`` scalar measurements; with more work the horizon falls behind.

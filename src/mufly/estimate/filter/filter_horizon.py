@@ -1,8 +1,9 @@
 """Horizon of the filter: its queue of measurements, its steps, and its tasks within the work of a period.
 
-The horizon lies ``delay_ticks`` periods behind now. The delay is the usual latency of the slowest sensor. A measurement
-waits in a queue until the horizon reaches the time at which it was taken, so measurements are fused in the order of
-their time. A measurement that comes later than that is moved to the next end of a block by velocity and yaw rate.
+The horizon lies ``horizon_delay_ticks`` periods behind now. The delay is the usual latency of the slowest sensor. A
+measurement waits in a queue until the horizon reaches the time at which it was taken, so measurements are fused in
+the order of their time. A measurement that comes later than that is moved to the next end of a block by velocity and
+yaw rate.
 
 The horizon moves from the end of one block of averaged inputs to the end of the next. A measurement counts at the
 nearest end of a block (10 ms away at most).
@@ -189,7 +190,7 @@ def predict_bias(m: FilterMemory, s: FilterSettings) -> None:
 @cached_njit(error_model="numpy")
 def _fuse_next_measurement(m: FilterMemory, s: FilterSettings, r: _Array, left: int) -> int:
     """Fuse the next queued measurement of the horizon; return its cost, 0 without time for it, -1 without any."""
-    behind = m.tick - s.delay_ticks - m.horizon_tick >= MAX_LAG_BLOCKS * s.block_ticks
+    behind = m.tick - s.horizon_delay_ticks - m.horizon_tick >= MAX_LAG_BLOCKS * s.block_ticks
     i = -1
     for j in range(QUEUE_SIZE if m.task_stage == 0 else 0):
         if m.queue_due[j] == m.horizon_tick:
@@ -280,7 +281,7 @@ def run_next_task(m: FilterMemory, s: FilterSettings, r: _Array, a: _Array, left
         clear_block_forces(m)
         if cost > 0:
             return cost
-    if m.horizon_tick + s.block_ticks > m.tick - s.delay_ticks or left < COST_HORIZON_STEP:
+    if m.horizon_tick + s.block_ticks > m.tick - s.horizon_delay_ticks or left < COST_HORIZON_STEP:
         return 0
     _advance_horizon(m, s, r, a)
     return COST_HORIZON_STEP

@@ -341,7 +341,7 @@ class FilterSettings:
     imu_lag: float = _real("delay of the inertial unit's filter", unit="s")
     imu_lag_ticks: int = _int("whole periods of imu_lag")
     imu_lag_remainder: float = _real("rest of imu_lag as a fraction of the period")
-    delay_ticks: int = _int("periods by which the horizon is behind")
+    horizon_delay_ticks: int = _int("periods by which the horizon is behind")
     has_rotor_model: int = _int("1: the rotor model is used")
     swash_decay: float = _real("decay factor of the swash plate lag per period")
     swash_decay_mean: float = _real("mean of the decay over the period")
@@ -641,7 +641,7 @@ def filter_settings(
     s["latency_slack"], s["has_noise"] = slack, noisy
     s["timeout"] = np.maximum(6 * period, 3.5 * dt)
     # What comes later than usual is carried to the horizon; all that is fresher would wait for it.
-    s["delay_ticks"] = min(round(delay_s / dt), MAX_DELAY_BLOCKS * block)
+    s["horizon_delay_ticks"] = min(round(delay_s / dt), MAX_DELAY_BLOCKS * block)
     return cast(np.void, s[()])
 
 

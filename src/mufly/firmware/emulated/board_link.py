@@ -21,7 +21,7 @@ _MAX_LAG_S = 0.2  # of the flight behind the clock; a longer delay is dropped
 _FAST_SILENCE_SHARE = 0.5  # of COM_DL_LOSS_T that a silent commander's flight may exceed real time
 
 
-def _limit_pace(pace: float, supervisor: Any) -> float:
+def _pace_for_commander(pace: float, supervisor: Any) -> float:
     """Return the pace, at most real time while the commander of a board (``supervisor_t``) has been silent for long.
 
     Heartbeats follow the wall clock (one a second), the timeout COM_DL_LOSS_T follows the flight's. At ten times real
@@ -100,7 +100,7 @@ def run_linked_board(
             began = ahead = time.perf_counter()
             while not stop(flight):
                 flight.step_period()
-                now, limit = time.perf_counter(), _limit_pace(pace, board.record.supervisor)
+                now, limit = time.perf_counter(), _pace_for_commander(pace, board.record.supervisor)
                 if limit > 0.0:
                     ahead = max(ahead + flight.period_s / limit, now - _MAX_LAG_S)
                     time.sleep(max(0.0, ahead - now))

@@ -61,8 +61,8 @@ def render_estimator_files(vehicle: Vehicle | None, world: World | None, rate_Hz
 
 def filter_buffer_sizes(s: np.void) -> tuple[int, int]:
     """Return the numbers of input blocks and queued measurements between the latest horizon and the present."""
-    blocks = int(s["delay_ticks"]) // int(s["block_ticks"]) + MAX_LAG_BLOCKS + 4
-    span = (int(s["delay_ticks"]) + (MAX_LAG_BLOCKS + 1) * int(s["block_ticks"])) * float(s["dt"])
+    blocks = int(s["horizon_delay_ticks"]) // int(s["block_ticks"]) + MAX_LAG_BLOCKS + 4
+    span = (int(s["horizon_delay_ticks"]) + (MAX_LAG_BLOCKS + 1) * int(s["block_ticks"])) * float(s["dt"])
     waiting = sum(
         math.ceil((span - s["latency"][k]) / (s["sensor_period"][k] * s["decimation"][k])) + 1
         for k in QUEUED_READINGS

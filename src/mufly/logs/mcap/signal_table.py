@@ -60,14 +60,14 @@ class RecordingLayout:
         Quantities in the order of the columns; those of one topic are adjacent.
     beam_count : int
         Number of range beams.
-    other_labels : tuple of (dim, labels)
+    foreign_labels : tuple of (dim, labels)
         Labels of dimensions that :mod:`mufly.quantities.quantity_table` does not have, in recordings made from foreign
         logs.
     """
 
     quantities: tuple[Quantity, ...]
     beam_count: int
-    other_labels: tuple[tuple[str, tuple[str, ...] | tuple[int, ...]], ...] = ()
+    foreign_labels: tuple[tuple[str, tuple[str, ...] | tuple[int, ...]], ...] = ()
 
     def __post_init__(self) -> None:
         if list(self.quantities_by_topic) != [topic for topic, _ in groupby(q.topic for q in self.quantities)]:
@@ -79,7 +79,7 @@ class RecordingLayout:
             return ()
         if quantity.dim == "beam":
             return tuple(range(self.beam_count))
-        return dict(self.other_labels).get(quantity.dim) or DIMENSION_LABELS[quantity.dim]
+        return dict(self.foreign_labels).get(quantity.dim) or DIMENSION_LABELS[quantity.dim]
 
     @cached_property
     def column_slices(self) -> dict[str, slice]:
@@ -109,8 +109,8 @@ class RecordingLayout:
             "beams": self.beam_count,
             "quantities": [{k: getattr(q, k) for k in _LAYOUT_FIELDS} for q in self.quantities],
         }
-        if self.other_labels:
-            content["labels"] = dict(self.other_labels)
+        if self.foreign_labels:
+            content["labels"] = dict(self.foreign_labels)
         return orjson.dumps(content).decode()
 
     @classmethod

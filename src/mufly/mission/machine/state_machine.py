@@ -63,7 +63,7 @@ from mufly.mission.user_requests import (
     fly_to_user_waypoint,
     land_on_request,
     pause_mission,
-    resume_after_take_off,
+    queue_mission_after_take_off,
     resume_mission,
     return_on_request,
     stop_motors,
@@ -147,7 +147,7 @@ def _handle_request(plan: MissionPlan, s: MissionState, m: Estimate, c: Command)
     if c.start and s.state is State.INIT and is_granted(VehicleRequest.START, s, m):
         return phases.start_flight(plan, s, m, first=c.first_waypoint)
     if c.start and s.state is State.TAKE_OFF and fresh and is_granted(VehicleRequest.START, s, m):
-        return resume_after_take_off(s, c.first_waypoint)
+        return queue_mission_after_take_off(s, c.first_waypoint)
     if c.take_off_height is not None and is_granted(VehicleRequest.TAKE_OFF, s, m):
         return phases.start_flight(plan, s, m, height=c.take_off_height)
     if (c.pause or s.hover_after_take_off) and is_granted(VehicleRequest.PAUSE, s, m):

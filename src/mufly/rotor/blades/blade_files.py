@@ -89,7 +89,7 @@ def read_blade(
     where = Path(path).name
     geometry = "maker" if Path(path).suffix.lower() == ".pe0" else None
     if radius_m is not None and not 0.0 < radius_m < 100.0:
-        raise ArgumentError("radius", f"{radius_m:g} m", "is out of range", "give a length above 0")
+        raise ArgumentError("radius", f"{radius_m:g} m", "is out of range", "give metres, above 0 and below 100")
     notes: list[str] = []
     if Path(path).suffix.lower() == ".pe0":
         table = _read_apc_file(Path(path), notes)

@@ -222,7 +222,7 @@ def _sum_rates(context, table, first, ea, eb, ec):
 
 # Numba compares the names of the arguments, and takes an annotation for a part of the name.
 @_overload(sum_flow_rows)
-def _choose_flow_form(table, first, later, stride, ca, cb, cc, cd, ce, ea, eb, ec):
+def _overload_sum_flow_rows(table, first, later, stride, ca, cb, cc, cd, ce, ea, eb, ec):
     def in_vectors(table, first, later, stride, ca, cb, cc, cd, ce, ea, eb, ec):
         return _sum_flow(table, first, later, stride, ca, cb, cc, cd, ce, ea, eb, ec)
 

@@ -183,7 +183,7 @@ class FrameFeed:
         out: dict[str, Any] = {
             "n": self.sent_frame,
             "wall": time.time() * 1e3,
-            "about": self._view.encode_status(),
+            "about": self._view.status_fields(),
         }
         source, epoch = self._view.shown_source(), self._view.display_epoch()
         if epoch != self._epoch:

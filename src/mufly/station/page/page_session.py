@@ -126,7 +126,7 @@ class StationSession:
     def startup_status(self) -> dict[str, Any] | None:
         """Return the progress of the start; None when done or if no vehicle is started."""
         start = self.startup
-        return None if start is None or (start.is_done and not start.fault) else start.encode_status()
+        return None if start is None or (start.is_done and not start.fault) else start.status_fields()
 
     def settle_controls(self) -> None:
         """Give the controls to the only window, one second after their holder is gone."""
@@ -285,7 +285,7 @@ class WindowView:
             "shape": scene_shape(self.shown_vehicle()),
         }  # fmt: skip
 
-    def encode_status(self) -> dict[str, Any]:
+    def status_fields(self) -> dict[str, Any]:
         """Return the state of replay and recorder, for every frame."""
         r, v, recorder, c = self.replay, self.shown_vehicle(), self.session.recorder, self.shown_comparison()
         return {

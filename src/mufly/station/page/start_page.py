@@ -126,7 +126,7 @@ class Startup:
         parts = "; ".join(f"{text} {seconds:.0f} s" for text, seconds in long)
         return f"{self.duration_s:.0f} s" + (f" ({parts})" if len(long) > 1 else "")
 
-    def encode_status(self) -> dict[str, Any]:
+    def status_fields(self) -> dict[str, Any]:
         """Return the content of the start page: ``stages`` are ``[text, seconds, whether it has ended]``."""
         now = self._clock()
         return {
@@ -201,7 +201,7 @@ def _make_handler(address: PageAddress, startup: Startup, asked: Callable[[], No
                 self._send_answer(401, "text/plain", "the station is starting; token required")
             elif place.path == "/starting":
                 asked()
-                self._send_answer(200, "application/json", json.dumps(startup.encode_status()))
+                self._send_answer(200, "application/json", json.dumps(startup.status_fields()))
             elif place.path == "/":
                 asked()
                 startup.visit_count += 1

@@ -246,7 +246,7 @@ bool is_path_blocked(const path_check_t *sight, real_t clearance)
 }
 
 /* Distance of a point from a place (m), and the unit vector towards the place. */
-static real_t direction_from(const real_t point[], const real_t place[], real_t from[2])
+static real_t distance_and_direction(const real_t point[], const real_t place[], real_t from[2])
 {
     const real_t n = place[0] - point[0];
     const real_t e = place[1] - point[1];
@@ -279,7 +279,7 @@ real_t nearest_point(const path_check_t *sight, const real_t place[], real_t fro
     from[0] = REAL(0.0);
     from[1] = REAL(0.0);
     if (row >= 0) {
-        far = direction_from(sight->nearest_points[row], place, from);
+        far = distance_and_direction(sight->nearest_points[row], place, from);
     }
     return far;
 }
@@ -454,7 +454,7 @@ static void contour_velocity(const detour_t *d, const path_check_t *sight, const
     real_t e = near->from[1];
     real_t block_from[2] = {REAL(0.0), REAL(0.0)};
     const real_t block = (sight->nearest_blocking_distance_sq < REAL_INFINITY)
-                             ? direction_from(sight->nearest_blocking_point, near->at, block_from)
+                             ? distance_and_direction(sight->nearest_blocking_point, near->at, block_from)
                              : REAL_INFINITY;
     real_t error;
     real_t slant;

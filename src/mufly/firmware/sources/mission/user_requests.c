@@ -206,7 +206,7 @@ void reset_for_loaded_mission(const plan_t *plan, mission_t *s)
     }
 }
 
-void resume_after_take_off(mission_t *s, int32_t first)
+void queue_mission_after_take_off(mission_t *s, int32_t first)
 {
     const message_t what = (first > 0) ? make_message_1(SAY_MISSION_AFTER_TAKE_OFF_FROM, (real_t)(first + 1)) : make_message(SAY_MISSION_AFTER_TAKE_OFF);
 

@@ -21,7 +21,7 @@ void resume_mission(const plan_t *plan, mission_t *s, const int32_t *first);
 void reset_for_loaded_mission(const plan_t *plan, mission_t *s);
 
 /* Let the mission follow the take-off, from waypoint first (from 0). */
-void resume_after_take_off(mission_t *s, int32_t first);
+void queue_mission_after_take_off(mission_t *s, int32_t first);
 
 /* Fly to above the take-off position and land; or land here. */
 void return_on_request(const plan_t *plan, mission_t *s);

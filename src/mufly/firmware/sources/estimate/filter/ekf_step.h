@@ -1,5 +1,5 @@
 /* Estimator: from readings to the present state, once a period. An error-state Kalman filter runs at a horizon,
- * `delay_ticks` periods behind the present, so that late measurements are fused in the order of their time. The output is
+ * `horizon_delay_ticks` periods behind the present, so that late measurements are fused in the order of their time. The output is
  * the state at the horizon, propagated to the present. */
 #ifndef MUFLY_EKF_STEP_H
 #define MUFLY_EKF_STEP_H

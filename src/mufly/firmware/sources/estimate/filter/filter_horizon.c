@@ -122,7 +122,7 @@ void predict_bias(estimator_t *m, const estimator_settings_t *s)
  * far. */
 static int32_t next_measurement(estimator_t *m, const estimator_settings_t *s)
 {
-    const bool behind = ((m->tick - s->delay_ticks) - m->horizon_tick) >= (MAX_LAG_BLOCKS * s->block_ticks);
+    const bool behind = ((m->tick - s->horizon_delay_ticks) - m->horizon_tick) >= (MAX_LAG_BLOCKS * s->block_ticks);
     int32_t next = -1;
 
     for (int32_t i = 0; i < QUEUE_SIZE; i++) {
@@ -270,7 +270,7 @@ int32_t run_next_task(estimator_t *m, const estimator_settings_t *s, int32_t lef
     }
     if (!decided) {
         cost = 0;
-        if (((m->horizon_tick + s->block_ticks) <= (m->tick - s->delay_ticks)) && (left >= COST_HORIZON_STEP)) {
+        if (((m->horizon_tick + s->block_ticks) <= (m->tick - s->horizon_delay_ticks)) && (left >= COST_HORIZON_STEP)) {
             advance_horizon(m, s);
             cost = COST_HORIZON_STEP;
         }

@@ -120,7 +120,7 @@ static void handle_request(const plan_t *plan, mission_t *s, const estimate_t *m
     } else if (c->start && (s->state == STATE_INIT) && is_granted(REQUEST_START, s, m)) {
         start_flight(plan, s, m, NULL, first);
     } else if (c->start && (s->state == STATE_TAKE_OFF) && fresh && is_granted(REQUEST_START, s, m)) {
-        resume_after_take_off(s, first);
+        queue_mission_after_take_off(s, first);
     } else if (c->has_take_off_height && is_granted(REQUEST_TAKE_OFF, s, m)) {
         start_flight(plan, s, m, &c->take_off_height, 0);
     } else if ((c->pause || s->hover_after_take_off) && is_granted(REQUEST_PAUSE, s, m)) {
