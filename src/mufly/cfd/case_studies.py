@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,9 +53,6 @@ from mufly.rotor import (
 )
 from mufly.rotor.structure.coupled_rounds import CoupledRounds, StripLoads, solve_coupled_rounds
 from mufly.rotor.structure.flap_modes import make_blade_beam
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 SCALED_START_ITERATIONS = 400
@@ -348,7 +345,7 @@ def sweep_climb(
     ]
 
 
-@result(eq=False)
+@result(eq=False, picture="mufly.cfd.cfd_pictures:pair_picture")
 class PairSolution:
     """Solution of a counter-rotating pair, each rotor with the other as an actuator disc.
 
@@ -376,12 +373,6 @@ class PairSolution:
     def torque_ratio(self) -> float:
         """Lower over upper."""
         return self.lower.verdict.torque_Nm / self.upper.verdict.torque_Nm
-
-    def plot(self) -> Figure:
-        """Return the picture of the result."""
-        from mufly.cfd.cfd_pictures import pair_picture
-
-        return pair_picture(self)
 
 
 PAIR_FOLDERS = ("upper", "lower")

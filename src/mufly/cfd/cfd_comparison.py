@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,9 +21,6 @@ from mufly.results import result
 from mufly.rotor import OperatingCondition, Rotor, RotorSystem, SolverMethod, prepare_blading, solve_system
 from mufly.rotor.coax_maps import interpolate_map
 from mufly.vehicle import CoefficientMap
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -93,7 +89,7 @@ def compare_cases(table: Path, cases: Sequence[Path]) -> list[CaseComparison]:
     return out
 
 
-@result(eq=False)
+@result(eq=False, picture="mufly.cfd.cfd_pictures:climb_picture")
 class ClimbComparison:
     """Thrust over the climb velocity, relative to the thrust of the same method in hover.
 
@@ -129,12 +125,6 @@ class ClimbComparison:
         if not (at_zero.size and ends[0].size and ends[1].size):
             return math.nan
         return float((values[ends[1][0]] - values[ends[0][0]]) / values[at_zero[0]] / (2.0 * reach_m_s))
-
-    def plot(self) -> Figure:
-        """Return the picture of the result."""
-        from mufly.cfd.cfd_pictures import climb_picture
-
-        return climb_picture(self)
 
 
 def compare_climbs(solutions: Sequence[CfdSolution], rotor: Rotor | None, flight: CoefficientMap) -> ClimbComparison:

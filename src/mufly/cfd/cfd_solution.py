@@ -16,7 +16,6 @@ import re
 from collections.abc import Iterable
 from dataclasses import field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,13 +28,10 @@ from mufly.cfd.solver_process import ConvergenceVerdict, judge_case, list_comple
 from mufly.errors import InputError
 from mufly.results import result
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 Array = NDArray[np.float64]
 
 
-@result(eq=False)
+@result(eq=False, picture="mufly.cfd.cfd_pictures:loads_picture")
 class CfdSolution:
     """Solution of a case.
 
@@ -94,12 +90,6 @@ class CfdSolution:
     wake_thrust: float = math.nan
     reversed_share: Array = field(default_factory=lambda: np.empty(0))
     moment_Nm_m: Array = field(default_factory=lambda: np.empty(0))
-
-    def plot(self) -> Figure:
-        """Return the picture of the result."""
-        from mufly.cfd.cfd_pictures import loads_picture
-
-        return loads_picture(self)
 
 
 def read_solution(folder: Path, mesh: PolyMesh | None = None, *, patch: str = "blade") -> CfdSolution:
@@ -358,7 +348,7 @@ WAKE_PROFILE_DEPTHS = (0.25, 0.5, 1.0)
 """Distances below the disc, in radii, of the wake profiles."""
 
 
-@result(eq=False)
+@result(eq=False, picture="mufly.cfd.cfd_pictures:wake_picture")
 class WakeProfile:
     """Azimuthally averaged velocity in horizontal planes under the disc.
 
@@ -379,12 +369,6 @@ class WakeProfile:
     swirl_m_s: Array
     edge_m: Array
     mean_m_s: Array
-
-    def plot(self) -> Figure:
-        """Return the picture of the result."""
-        from mufly.cfd.cfd_pictures import wake_picture
-
-        return wake_picture(self)
 
 
 def compute_wake_profile(mesh: PolyMesh, flow: FlowField, point: OperatingPoint, thrust_N: float) -> WakeProfile:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import control
 import numpy as np
@@ -75,9 +74,6 @@ from mufly.errors import ArgumentError, MuflyError
 from mufly.results import ShownBlock, format_value, result, show_lines, show_table
 from mufly.vehicle import Vehicle, battery_voltage_range
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 DEFAULT_RATE_HZ = 200.0
 POSITION_DIVIDER = 4  # the position cascade runs in every fourth period
 
@@ -124,6 +120,7 @@ VELOCITY = PublishedFigures()
 
 
 @result(
+    picture="mufly.control.analysis.plots:draw_loop",
     json="name method gamma norm plant_crossovers_rad_s=plant_crossovers output_scale=scaling.outputs "
     "input_scale=scaling.inputs order_full=controller.nstates order_reduced=reduced.nstates "
     "reduction_method=reduction.chosen.method reduction_tolerance_dB=reduction.tolerance_dB rate_Hz=discrete.rate_Hz "
@@ -229,14 +226,9 @@ class ControllerDesign:
         title = self.name if self.method == "hinf" else f"{self.name}, {METHOD_NAMES[self.method]}"
         return [show_table(heads, rows, title=title)]
 
-    def plot(self) -> Figure:
-        """Return the picture of the result."""
-        from mufly.control.analysis.plots import draw_loop
-
-        return draw_loop(self)
-
 
 @result(
+    picture="mufly.control.analysis.plots:draw_sensitivities",
     json="warnings=design_warnings vehicle=vehicle_name method=settings.method rate_Hz position_rate_Hz "
     "design_voltage_V=voltage_V motor_trim_upper_lower=motor_trim position_gain_1_s=settings.position_gain "
     "designs=all_designs cascade schedule",
@@ -327,12 +319,6 @@ class FlightController:
             ),
             show_lines(*self.design_warnings, mark="Warning", style="yellow"),
         ]
-
-    def plot(self) -> Figure:
-        """Return the picture of the result."""
-        from mufly.control.analysis.plots import draw_sensitivities
-
-        return draw_sensitivities(self)
 
 
 def design_flight_controller(

@@ -106,7 +106,7 @@ _COLUMNS = (
 )
 
 
-@result(eq=False)
+@result(eq=False, picture="mufly.dynamics.level_flight:level_flight_picture")
 class LevelFlight:
     """Level flight over airspeed for both ends of the band of the flap frequency.
 
@@ -157,10 +157,6 @@ class LevelFlight:
                 show_lines(f"{at} m/s: a rotor is outside the range of its method", mark="Warning", style="yellow")
             )
         return tuple(blocks)
-
-    def plot(self) -> Figure:
-        """Return the picture of the result."""
-        return level_flight_picture(self)
 
 
 _PITCH, _ROLL, _SERVO_ROLL, _SERVO_PITCH, _UPPER_FACTOR, _LOWER_FACTOR = range(6)  # unknowns of a trim

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +21,6 @@ from mufly.errors import ArgumentError
 from mufly.files.input_files import validate_model
 from mufly.results import result
 from mufly.vehicle import Vehicle
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _Array = NDArray[np.float64]
 
@@ -97,6 +94,7 @@ class EstimateLookup:
 
 @result(
     eq=False,
+    picture="mufly.identify.fit_pictures:prediction_picture",
     json="name role outputs=output_names noise_std error_over_noise=rms_over_noise converged doubt",
 )
 class RecordPrediction:
@@ -149,15 +147,10 @@ class RecordPrediction:
         """Return the RMS residual of every output divided by its noise, (m,); 1 is the noise floor."""
         return np.sqrt(np.nanmean(self.residual**2, axis=0)) / self.noise_std
 
-    def plot(self) -> Figure:
-        """Return the picture of the result."""
-        from mufly.identify.fit_pictures import prediction_picture
-
-        return prediction_picture(self)
-
 
 @result(
     eq=False,
+    picture="mufly.identify.fit_pictures:fit_picture",
     json="vehicle method converged message parameters=estimates correlation undetermined held records cost "
     "simulations seconds",
 )
@@ -211,12 +204,6 @@ class FitResult(EstimateLookup):
     def records_with_role(self, role: Literal["fit", "held out"]) -> tuple[RecordPrediction, ...]:
         """Return the records with this role, fitted or held out."""
         return tuple(r for r in self.records if r.role == role)
-
-    def plot(self) -> Figure:
-        """Return the picture of the result."""
-        from mufly.identify.fit_pictures import fit_picture
-
-        return fit_picture(self)
 
 
 # ----------------------------------------------------------------------------

@@ -33,7 +33,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,9 +50,6 @@ from mufly.identify.fit_result import (
 from mufly.quantities.units import RPM
 from mufly.results import result
 from mufly.vehicle import Vehicle
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -176,6 +172,7 @@ class GearKnowledge:
 
 @result(
     eq=False,
+    picture="mufly.identify.fit_pictures:motor_picture",
     json="points=data.voltage_V.size estimates covariance scales pattern=covariance_estimate.pattern undetermined "
     "notes",
 )
@@ -214,12 +211,6 @@ class MotorFit(EstimateLookup):
     covariance_estimate: CovarianceEstimate
     undetermined: tuple[str, ...]
     notes: tuple[str, ...]
-
-    def plot(self) -> Figure:
-        """Return the picture of the result."""
-        from mufly.identify.fit_pictures import motor_picture
-
-        return motor_picture(self)
 
 
 def fit_motor(

@@ -20,7 +20,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,9 +43,6 @@ from mufly.identify.fit_result import (
 from mufly.quantities.units import RPM
 from mufly.results import result
 from mufly.vehicle import Vehicle
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -255,6 +251,7 @@ class CoefficientFit:
 
 @result(
     eq=False,
+    picture="mufly.identify.fit_pictures:rotor_picture",
     json="source coaxial pitch_rad radius_m density_kg_m3=density_kg_m3.mean estimates "
     "trends=describe_trends undetermined notes",
 )
@@ -295,12 +292,6 @@ class RotorFit(EstimateLookup):
     def systematic_variance_shares(self) -> dict[str, float]:
         """Return by symbol the share of the variance caused by calibration, zeros, density and radius."""
         return {s: float(v) for f in self.fits for s, v in zip(f.symbols, f.systematic_share, strict=True)}
-
-    def plot(self) -> Figure:
-        """Return the picture of the result."""
-        from mufly.identify.fit_pictures import rotor_picture
-
-        return rotor_picture(self)
 
 
 def estimates_of_coefficients(fit: CoefficientFit, vehicle: Vehicle | None) -> list[ParameterEstimate]:

@@ -3,8 +3,8 @@
 A class marked with :func:`result` is a frozen dataclass with described fields. The unit is part of a field's name
 (``thrust_N``, ``speed_rad_s``) or of the docstring. The meaning comes from the docstring's Attributes section, which is
 parsed on first use. This module writes results as text (``print(result)``), in notebooks, as JSON
-(:func:`to_plain_data`) or as a report's table (:func:`result_rows`). ``plot()`` draws the picture of the class, or its
-numbers by :mod:`mufly.results.result_figure`.
+(:func:`to_plain_data`) or as a report's table (:func:`result_rows`). ``plot_result()`` draws the picture named by the
+class, or its numbers by :mod:`mufly.results.result_figure`.
 
 A class with a method ``shown_blocks()`` returns its own text as blocks, lines and tables (:class:`ShownLines`,
 :class:`ShownTable`). ``print(result)`` shows them as plain text, the command line in colour at the terminal's width.
@@ -14,13 +14,13 @@ Fields become columns by their names (:class:`ResultColumn`).
 from __future__ import annotations
 
 import html
+import importlib
 import inspect
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
-from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, dataclass_transform, overload
 
@@ -80,9 +80,9 @@ class ResultRow(NamedTuple):
 @overload
 def result(cls: type[_ResultT], /) -> type[_ResultT]: ...
 @overload
-def result(*, eq: bool = True, json: str = "") -> Callable[[type[_ResultT]], type[_ResultT]]: ...
+def result(*, eq: bool = True, picture: str = "", json: str = "") -> Callable[[type[_ResultT]], type[_ResultT]]: ...
 @dataclass_transform(frozen_default=True)
-def result(cls: type[Any] | None = None, /, *, eq: bool = True, json: str = "") -> Any:
+def result(cls: type[Any] | None = None, /, *, eq: bool = True, picture: str = "", json: str = "") -> Any:
     """Make a class a frozen dataclass with units and meanings of its fields, printing and drawing.
 
     Parameters
@@ -91,6 +91,8 @@ def result(cls: type[Any] | None = None, /, *, eq: bool = True, json: str = "") 
         Class whose docstring describes the fields in an Attributes section (NumPy style).
     eq : bool
         As for :func:`dataclasses.dataclass`; False for classes with arrays.
+    picture : str
+        ``"module:function"`` that draws a result and returns a matplotlib figure; by default its numbers are drawn.
     json : str
         Keys of the JSON, as for :func:`select_fields`; by default all fields.
 
@@ -108,8 +110,9 @@ def result(cls: type[Any] | None = None, /, *, eq: bool = True, json: str = "") 
             new.__repr__ = new.__str__
         if "_repr_html_" not in one.__dict__:
             new._repr_html_ = html_table
-        new.plot = _displayed_plot(one.__dict__.get("plot", draw_result_numbers))
-        new._json = json
+        if "plot" not in one.__dict__:
+            new.plot = plot_result
+        new._picture, new._json = picture, json
         have = {*new.__dataclass_fields__, *dir(new)}
         wanted = [entry.rpartition("=")[2].partition(".")[0] for entry in json.split()]
         if unknown := [name for name in wanted if name not in have]:
@@ -304,14 +307,12 @@ def html_table(value: Any) -> str:
     return f"<table>{''.join(f'<tr>{line}</tr>' for line in cells)}</table>"
 
 
-def _displayed_plot(draw: Callable[[Any], Figure]) -> Callable[[Any], Figure]:
-    """Return a ``plot`` method whose figure a notebook shows; ``.savefig("name.png")`` stores it."""
-
-    @wraps(draw)
-    def plot(self: Any) -> Figure:
-        return enable_notebook_display(draw(self))
-
-    return plot
+def plot_result(self: Any) -> Figure:
+    """Draw a result; return a matplotlib figure, stored by ``.savefig("name.png")``."""
+    room, _, name = type(self)._picture.partition(":")
+    return enable_notebook_display(
+        getattr(importlib.import_module(room), name)(self) if name else draw_result_numbers(self)
+    )
 
 
 def draw_result_numbers(value: Any) -> Figure:

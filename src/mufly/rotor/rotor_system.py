@@ -10,7 +10,7 @@ import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,9 +20,6 @@ from mufly.quantities.units import RPM
 from mufly.results import result
 from mufly.rotor.blading import Blading, ensure_blading
 from mufly.rotor.geometry import Rotor, blade_thickness_m
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 SolverMethod = Literal["bemt", "tubes", "wake"]
@@ -250,7 +247,7 @@ class OperatingCondition:
     air: Air = field(default_factory=Air)
 
 
-@result(eq=False)
+@result(eq=False, picture="mufly.rotor.rotor_pictures:spanwise_picture")
 class RotorResult:
     """Loads of a rotor at an operating point, in total and along the blade.
 
@@ -315,12 +312,6 @@ class RotorResult:
         """Return the scalars, and the spanwise arrays as a table ``stations``."""
         stations = {k: v for k, v in vars(self).items() if getattr(v, "ndim", 0) == 1}
         return {**{k: v for k, v in vars(self).items() if k not in stations}, "stations": stations}
-
-    def plot(self) -> Figure:
-        """Return the picture of the result."""
-        from mufly.rotor.rotor_pictures import spanwise_picture
-
-        return spanwise_picture(self)
 
 
 @dataclass(frozen=True)
@@ -475,7 +466,7 @@ class RotorWake:
     chords_per_step: int = 1
 
 
-@result(eq=False)
+@result(eq=False, picture="mufly.rotor.rotor_pictures:result_picture")
 class SystemSolution:
     """Solution of a rotor system at an operating point.
 
@@ -601,12 +592,6 @@ class SystemSolution:
             return math.nan
         area = math.pi * max(p.blading.rotors[p.rotor_index].radius_m for p in self.placed) ** 2
         return thrust * math.sqrt(thrust / (2.0 * self.air.density_kg_m3 * area)) / power
-
-    def plot(self) -> Figure:
-        """Return the picture of the result."""
-        from mufly.rotor.rotor_pictures import result_picture
-
-        return result_picture(self)
 
 
 def check_rotors(rotors: Sequence[PlacedRotor], climb: float) -> None:

@@ -25,7 +25,7 @@ _EPOCH_TIME_LIMIT_S = 1e6
 """Limit (s) above which times count from 1970; plots show them relative to the first one."""
 
 
-@result(eq=False)
+@result(eq=False, picture="mufly.slam.slam_trajectory:plot_trajectory")
 class SlamTrajectory:
     """Trajectory of SLAM results.
 
@@ -79,10 +79,6 @@ class SlamTrajectory:
         """Write the trajectory as TUM's text, with covariance."""
         attitude = np.column_stack([np.zeros((len(self.time), 2)), self.heading])
         write_tum(file, self.time, self.position, attitude, "N-E-D, metres; heading alone", self.covariance)
-
-    def plot(self) -> Figure:
-        """Return the picture of the result."""
-        return plot_trajectory(self)
 
 
 def collect_results(answers: Iterable[TrackingResult]) -> SlamTrajectory:

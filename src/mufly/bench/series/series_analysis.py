@@ -17,7 +17,6 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,9 +41,6 @@ from mufly.errors import InputError
 from mufly.files.input_files import validate_model
 from mufly.results import result
 from mufly.rotor import RotorMeasurements
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -120,7 +116,7 @@ class SettingResult:
         return self.torque_lower if self.axis == "lower" else self.torque_upper
 
 
-@result(eq=False)
+@result(eq=False, picture="mufly.bench.series.series_pictures:series_picture")
 class SeriesResult:
     """Result of the analysis of a series.
 
@@ -151,12 +147,6 @@ class SeriesResult:
     def fatal_issues(self) -> tuple[SeriesIssue, ...]:
         """Issues that make the series invalid."""
         return tuple(d for d in self.doubts if d.is_fatal)
-
-    def plot(self) -> Figure:
-        """Return the picture of the result."""
-        from mufly.bench.series.series_pictures import series_picture
-
-        return series_picture(self)
 
 
 def analyse_series(

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import control
 import numpy as np
@@ -35,9 +35,6 @@ from mufly.errors import MuflyError
 from mufly.files.answer_store import hash_question, read_answer, write_answer
 from mufly.results import ShownBlock, result, show_lines, show_table
 from mufly.vehicle import Vehicle
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 ATTITUDE_NOISE_RAD = float(np.radians(0.1))
 """Deviation of the estimated attitude from sample to sample."""
@@ -161,7 +158,7 @@ class MethodFigures:
         return ""
 
 
-@result
+@result(picture="mufly.control.analysis.plots:draw_comparison")
 class ControllerComparison:
     """Methods on one vehicle.
 
@@ -232,12 +229,6 @@ class ControllerComparison:
             blocks.append(show_table(("flights", "succeeded", "95 % interval", "overshoot (m), 95 %"), rows))
         blocks.append(show_lines(self.verdict))
         return blocks
-
-    def plot(self) -> Figure:
-        """Return the picture of the result."""
-        from mufly.control.analysis.plots import draw_comparison
-
-        return draw_comparison(self)
 
 
 def sensor_noise(vehicle: Vehicle, outputs: Sequence[str]) -> Array:

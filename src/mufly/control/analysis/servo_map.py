@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -34,9 +34,6 @@ from mufly.dynamics import linearise_vehicle
 from mufly.errors import MuflyError
 from mufly.results import ShownBlock, result, show_lines, show_table
 from mufly.vehicle import Vehicle, replace_parameters
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 LAGS_s = (0.001, 0.01, 0.03, 0.05, 0.08, 0.12)
 RATES_Hz = (50.0, 100.0, 200.0, 400.0)
@@ -53,7 +50,7 @@ _FIGURES = {
 }  # fmt: skip
 
 
-@result
+@result(picture="mufly.control.analysis.plots:draw_servo_map")
 class ServoMap:
     """Figures of roll-pitch over servo frame, control rate and servo lag.
 
@@ -117,12 +114,6 @@ class ServoMap:
                 said.append(f"{cell}: {up_to} with a disk margin of {SAFE_DISK_MARGIN:g}")
         blocks.append(show_lines(*said))
         return blocks
-
-    def plot(self) -> Figure:
-        """Return the picture of the result."""
-        from mufly.control.analysis.plots import draw_servo_map
-
-        return draw_servo_map(self)
 
 
 def map_servos(

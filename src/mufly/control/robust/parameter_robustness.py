@@ -32,8 +32,6 @@ from mufly.results import ShownBlock, result, show_lines, show_table
 from mufly.vehicle import Vehicle, replace_parameters
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from mufly.control.designs import ControllerDesign, FlightController
 
 _DELAY_PERIODS = 1.5
@@ -76,7 +74,7 @@ class LoopRobustness:
     seconds: float
 
 
-@result
+@result(picture="mufly.control.analysis.plots:draw_mu_bounds")
 class ParameterRobustness:
     """Bounds of mu of heave-yaw and roll-pitch over a vehicle's parameters.
 
@@ -159,12 +157,6 @@ class ParameterRobustness:
                 )
             ),
         ]
-
-    def plot(self) -> Figure:
-        """Return the picture of the result."""
-        from mufly.control.analysis.plots import draw_mu_bounds
-
-        return draw_mu_bounds(self)
 
 
 class UncertainLoop:

@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -34,16 +34,13 @@ from mufly.errors import ArgumentError, InputError
 from mufly.results import ShownBlock, result, show_lines, show_table
 from mufly.vehicle import Vehicle
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 DEFAULT_STARTS = ("hinf", "delay", "ltr")
 _FORMAT = "mufly tuned controller 1"
 _KEYS = {"heave-yaw": "heave_yaw_given", "roll-pitch": "roll_pitch_given"}
 _UNITS = {"weighted": "", "sensitivity": "dB", "complementary": "dB", "disk": "", "activity": "%", "mu": ""}
 
 
-@result
+@result(picture="mufly.control.analysis.plots:draw_tuned_loop")
 class TunedLoop:
     """Tuned controller of one loop, with its figures.
 
@@ -118,12 +115,6 @@ class TunedLoop:
                 "All aims are reached" if self.objective <= 1.0 else "Not all aims are reached: shares above 1",
             ),
         ]
-
-    def plot(self) -> Figure:
-        """Return the picture of the result."""
-        from mufly.control.analysis.plots import draw_tuned_loop
-
-        return draw_tuned_loop(self)
 
 
 def tune_loop(

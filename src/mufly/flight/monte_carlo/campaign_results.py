@@ -15,7 +15,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -29,9 +29,6 @@ from mufly.mission import HARD_TOUCHDOWN_M_S
 from mufly.results import ShownBlock, result, show_lines, show_table
 from mufly.vehicle import list_parameters
 from mufly.version import __version__
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _Z95 = 1.959963984540054
 
@@ -134,7 +131,7 @@ class MetricSummary:
     beyond_limit_count: int | None
 
 
-@result
+@result(picture="mufly.flight.monte_carlo.campaign_pictures:draw_outcome")
 class CampaignOutcome:
     """The outcome of a campaign.
 
@@ -210,12 +207,6 @@ class CampaignOutcome:
             show_lines(*(f"{count} x {reason}" for reason, count in self.reasons), mark="Failed"),
             show_table(("", "median", "95 %", "worst", "unit", "flight", "beyond limit"), rows),
         ]
-
-    def plot(self) -> Figure:
-        """Return the picture of the result."""
-        from mufly.flight.monte_carlo.campaign_pictures import draw_outcome
-
-        return draw_outcome(self)
 
 
 def _format_percent(share: float) -> str:

@@ -36,7 +36,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numba import prange
@@ -101,9 +101,6 @@ from mufly.identify.flight_record import FlightRecord
 from mufly.results import result, select_fields
 from mufly.rotations import euler_from_quaternion
 from mufly.vehicle import Vehicle
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Array = NDArray[np.floating[Any]]
 
@@ -422,6 +419,7 @@ _CANDIDATE_FIGURES = (
 
 @result(
     eq=False,
+    picture="mufly.identify.fit_pictures:plan_picture",
     json="channel band_Hz modes_Hz noise limits candidates=candidate_records",
 )
 class ExcitationPlan:
@@ -474,12 +472,6 @@ class ExcitationPlan:
     def best_candidate(self) -> ExcitationCandidate:
         """Candidate with the smallest geometric mean of relative standard deviations."""
         return self.candidates[0]
-
-    def plot(self) -> Figure:
-        """Return the picture of the result."""
-        from mufly.identify.fit_pictures import plan_picture
-
-        return plan_picture(self)
 
 
 def design_excitation(

@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,9 +42,6 @@ from mufly.identify.flight_record import FlightRecord
 from mufly.results import result, select_fields
 from mufly.rotations import euler_from_quaternion
 from mufly.vehicle import Vehicle, list_parameters, load_vehicle, replace_parameters
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _Array = NDArray[np.float64]
 
@@ -237,7 +234,7 @@ DEMO_FREE_SYMBOLS = (
 _START_ERROR = 0.5
 
 
-@result(eq=False)
+@result(eq=False, picture="mufly.identify.fit_pictures:fit_picture")
 class IdentificationDemo:
     """Fit of the demonstration with the true parameters.
 
@@ -279,12 +276,6 @@ class IdentificationDemo:
             "undetermined": list(fit.undetermined), "held_out_error_over_noise_floor": self.held_out_over_noise,
             **select_fields(fit, "cost simulations seconds"),
         }  # fmt: skip
-
-    def plot(self) -> Figure:
-        """Return the picture of the result."""
-        from mufly.identify.fit_pictures import fit_picture
-
-        return fit_picture(self)
 
 
 def run_identification_demo(

@@ -40,7 +40,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,9 +51,6 @@ from mufly.errors import InputError
 from mufly.identify.linear.linear_structure import LinearStructure, SearchCoordinates, scale_structure
 from mufly.results import result
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
@@ -65,6 +61,7 @@ _SEGMENT_INDEPENDENCE = 18.0 / 19.0  # independent segments per half-overlapping
 
 @result(
     eq=False,
+    picture="mufly.identify.linear.response_pictures:response_picture",
     json="frequency_hz responses=tabulate_pairs coherence",
 )
 class FrequencyResponse:
@@ -116,12 +113,6 @@ class FrequencyResponse:
     def relative_interval(self) -> Array:
         """Return half the relative 95 % interval of the magnitude; its arcsine is that of the phase (rad)."""
         return np.asarray(stdtrit(self.degrees_of_freedom, 0.975) * self.error)
-
-    def plot(self) -> Figure:
-        """Return the picture of the result."""
-        from mufly.identify.linear.response_pictures import response_picture
-
-        return response_picture(self)
 
 
 def estimate_frequency_response(

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,9 +44,6 @@ from mufly.identify.linear.model_checks import (
 from mufly.identify.residual_analysis import PredictionQuality, assess_prediction, describe_residuals
 from mufly.logs import guess_angle_units
 from mufly.results import result, select_fields
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -107,7 +104,7 @@ _RECORDED_CHECKS = {
 }  # fmt: skip
 
 
-@result(eq=False)
+@result(eq=False, picture="mufly.identify.fit_pictures:fit_picture")
 class LinearResult:
     """Result of a linear identification.
 
@@ -166,12 +163,6 @@ class LinearResult:
                 "subspace_fit_percent=subspace_percent message=linear.message",
             ), **checks,
         }  # fmt: skip
-
-    def plot(self) -> Figure:
-        """Return the picture of the result."""
-        from mufly.identify.fit_pictures import fit_picture
-
-        return fit_picture(self)
 
 
 def identify_linear_model(

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mufly.results import ResultColumn, ShownBlock, result, show_lines, tabulate_results
 from mufly.rotor.rotor_system import Air
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -107,7 +103,7 @@ class SolverState:
     annuli: Array
 
 
-@result(eq=False)
+@result(eq=False, picture="mufly.rotor.forward.forward_pictures:disc_picture")
 class ForwardResult:
     """Loads of a rotor in forward flight; forces and moments of the hub in axes forward, right, with the shaft up.
 
@@ -190,12 +186,6 @@ class ForwardResult:
         """Return the scalars; arrays over the disc are left out."""
         return {k: v for k, v in vars(self).items() if k not in ("disc", "state")}
 
-    def plot(self) -> Figure:
-        """Return the picture of the result."""
-        from mufly.rotor.forward.forward_pictures import disc_picture
-
-        return disc_picture(self)
-
 
 @result
 class CyclicResponse:
@@ -256,7 +246,7 @@ class _SweepRow:
     response: CyclicResponse
 
 
-@result(eq=False)
+@result(eq=False, picture="mufly.rotor.forward.forward_pictures:sweep_picture")
 class ForwardSweep:
     """Rotor over airspeed for one or several flap frequencies.
 
@@ -313,9 +303,3 @@ class ForwardSweep:
             for p, r in zip(line, answers, strict=True):
                 rows.append({**p.as_record(), "cyclic": r})
         return {"rotor": self.rotor, "flap": self.flaps, "flap_basis": self.flap_basis, "points": rows}
-
-    def plot(self) -> Figure:
-        """Return the picture of the result."""
-        from mufly.rotor.forward.forward_pictures import sweep_picture
-
-        return sweep_picture(self)

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,9 +29,6 @@ from mufly.rotor.forward.forward_results import BladeFlap, ForwardCondition, For
 from mufly.rotor.forward.forward_solver import AZIMUTH_COUNT, azimuth_grid, solve_forward
 from mufly.rotor.geometry import Rotor
 from mufly.rotor.vortex_tube import axial_influence, swirl_influence, tube_axis_speed
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -57,6 +53,7 @@ PAIR_COLUMNS = (
 
 @result(
     eq=False,
+    picture="mufly.rotor.forward.forward_pictures:pair_picture",
     json="upper lower spacing_m shift_m overlap thrust_N power_W h_force_N y_force_N roll_moment_Nm pitch_moment_Nm "
     "yaw_torque_Nm",
 )
@@ -122,12 +119,6 @@ class ForwardPair:
     def shown_blocks(self) -> tuple[ShownBlock, ...]:
         """Return the text of the pair."""
         return show_pairs((self,))
-
-    def plot(self) -> Figure:
-        """Return the picture of the result."""
-        from mufly.rotor.forward.forward_pictures import pair_picture
-
-        return pair_picture(self)
 
 
 def show_pairs(pairs: tuple[ForwardPair, ...]) -> tuple[ShownBlock, ...]:
@@ -266,7 +257,7 @@ def solve_forward_pair(
     )
 
 
-@result(eq=False)
+@result(eq=False, picture="mufly.rotor.forward.forward_pictures:pair_sweep_picture")
 class PairSweep:
     """Pairs over airspeed for one or several flap frequencies.
 
@@ -297,12 +288,6 @@ class PairSweep:
             "rotors": self.rotors, "flap_basis": self.flap_basis,
             "points": [p for line in self.points for p in line],
         }  # fmt: skip
-
-    def plot(self) -> Figure:
-        """Return the picture of the result."""
-        from mufly.rotor.forward.forward_pictures import pair_sweep_picture
-
-        return pair_sweep_picture(self)
 
 
 def sweep_forward_pair(

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,9 +28,6 @@ from mufly.rotor.rotor_system import (
     SystemSolution,
     WakeSettings,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -84,7 +80,7 @@ class RotorMeasurements:
         )  # fmt: skip
 
 
-@result(eq=False)
+@result(eq=False, picture="mufly.rotor.rotor_pictures:comparison_picture")
 class MeasurementComparison:
     """Predicted and measured loads of the points of a bench run.
 
@@ -143,12 +139,6 @@ class MeasurementComparison:
         if math.isfinite(self.mean_torque_error):
             mean += f", torque {100 * self.mean_torque_error:.1f} %"
         return "\n".join([*lines, mean])
-
-    def plot(self) -> Figure:
-        """Return the picture of the result."""
-        from mufly.rotor.rotor_pictures import comparison_picture
-
-        return comparison_picture(self)
 
 
 def compare_measurements(

@@ -39,7 +39,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,9 +57,6 @@ from mufly.rotor.rotor_system import Air
 from mufly.rotor.sections.polar_engines import PolarEngine
 from mufly.rotor.sections.polar_table import PolarTable, stack_polars
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 Array = NDArray[np.float64]
 
 FIT_PARAMETERS = ("pitch", "lift", "drag", "lift over Re", "drag over Re")
@@ -71,7 +68,7 @@ _MIN_CANDIDATE_PROBABILITY = 0.01  # candidates below this probability are left 
 _UNINFORMED_STD_RATIO, _HIGH_CORRELATION = 0.8, 0.9
 
 
-@result(eq=False)
+@result(eq=False, picture="mufly.rotor.rotor_pictures:fit_picture")
 class RotorFit:
     """Result of a fit to a bench run.
 
@@ -118,12 +115,6 @@ class RotorFit:
         """Fit as stored in the rotor file."""
         assert self.rotor.fit is not None
         return self.rotor.fit
-
-    def plot(self) -> Figure:
-        """Return the picture of the result."""
-        from mufly.rotor.rotor_pictures import fit_picture
-
-        return fit_picture(self)
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,6 @@ from dataclasses import field
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,9 +41,6 @@ from mufly.files.answer_store import hash_question
 from mufly.results import result
 from mufly.rotor.sections.contour_file import read_contour, read_custom_contour
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 Array = NDArray[np.float64]
 
 MAX_THICKNESS_RATIO = 0.4
@@ -52,7 +48,7 @@ MAX_THICKNESS_RATIO = 0.4
 _SAME_THICKNESS = 5e-4  # of chord: a contour and its designation differ by less
 
 
-@result(eq=False)
+@result(eq=False, picture="mufly.rotor.rotor_pictures:section_picture")
 class Airfoil:
     """Airfoil section.
 
@@ -100,12 +96,6 @@ class Airfoil:
         """Return a hash of the contour, to a ten-millionth of the chord."""
         rounded = np.round(self.coordinates * 1e7).astype(np.int64)
         return hash_question(rounded)
-
-    def plot(self) -> Figure:
-        """Return the picture of the result."""
-        from mufly.rotor.rotor_pictures import section_picture
-
-        return section_picture(self)
 
 
 def split_sides(coordinates: Array) -> tuple[Array, Array]:

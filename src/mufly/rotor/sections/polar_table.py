@@ -40,7 +40,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -50,9 +50,6 @@ from mufly.compiled.numba_cache import cached_njit
 from mufly.errors import InputError, MuflyError
 from mufly.results import result
 from mufly.rotor.sections.section_data import SectionData
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -66,7 +63,7 @@ _FULL_TURN_RAD = 2.0 * math.pi
 _RANGE_TOLERANCE = 1e-9
 
 
-@result(eq=False)
+@result(eq=False, picture="mufly.rotor.rotor_pictures:polar_picture")
 class PolarTable:
     """Lift, drag and moment coefficients of a section.
 
@@ -111,12 +108,6 @@ class PolarTable:
         steps = np.diff(np.log(self.reynolds))
         if not (np.all(self.reynolds > 0) and np.all(steps > 0) and np.allclose(steps, steps[:1], rtol=1e-6)):
             raise MuflyError(f"polar {self.name}: Reynolds numbers do not rise in geometric progression")
-
-    def plot(self) -> Figure:
-        """Return the picture of the result."""
-        from mufly.rotor.rotor_pictures import polar_picture
-
-        return polar_picture(self)
 
 
 class PolarStack(NamedTuple):

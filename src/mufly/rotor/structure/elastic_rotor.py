@@ -23,7 +23,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,9 +46,6 @@ from mufly.rotor.structure.blade_beam import (
 )
 from mufly.rotor.structure.blade_structure import BladeStructure
 from mufly.rotor.structure.flap_modes import blade_structure, vary_structure
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -272,7 +268,7 @@ def solve_equilibrium(
     )
 
 
-@result(eq=False)
+@result(eq=False, picture="mufly.rotor.structure.structure_pictures:elastic_picture")
 class ElasticRotorResult:
     """Rotor with elastic blades beside the same rotor with rigid blades, with 90 % bands.
 
@@ -360,12 +356,6 @@ class ElasticRotorResult:
                 "blade.structure.elastic_axis narrows it"
             )
         return (table, ShownLines(tuple(lines), style="yellow")) if lines else (table,)
-
-    def plot(self) -> Figure:
-        """Return the picture of the result."""
-        from mufly.rotor.structure.structure_pictures import elastic_picture
-
-        return elastic_picture(self)
 
 
 def solve_elastic_rotor(

@@ -18,7 +18,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,9 +31,6 @@ from mufly.rotor.structure.blade_beam import FLAP_AT_NODES, GAUSS_POINTS, BeamMo
 from mufly.rotor.structure.blade_structure import BladeStructure, structure_deviations
 from mufly.rotor.structure.cross_section import contour_lines, section_geometry
 from mufly.rotor.structure.materials import find_material
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -305,7 +301,7 @@ def compute_flap_mode(rotor: Rotor, speed_rad_s: float, *, pitch_rad: float = 0.
 _CAMPBELL_MODES = (("flap", 1), ("flap", 2), ("lag", 1), ("torsion", 1))
 
 
-@result(eq=False)
+@result(eq=False, picture="mufly.rotor.structure.structure_pictures:campbell_picture")
 class CampbellDiagram:
     """Natural frequencies of a blade over rotor speed.
 
@@ -385,12 +381,6 @@ class CampbellDiagram:
             )),
         )  # fmt: skip
         return (head, about, table, *tail)
-
-    def plot(self) -> Figure:
-        """Return the picture of the result."""
-        from mufly.rotor.structure.structure_pictures import campbell_picture
-
-        return campbell_picture(self)
 
 
 def compute_campbell(
