@@ -47,6 +47,7 @@ OF_ONE_SENSOR = {
     "sonar": {
         "sensors/sonar.py": "its model",
         **_PROOF,
+        "estimate/filter/ekf_step.py": "its least range, learned on the floor, begins as that of the file",
         "estimate/filter/filter_horizon.py": "the terrain is uncertain while its cone passes over an edge",
         "estimate/filter/filter_inputs.py": "it tells whether the vehicle has left the floor",
         "estimate/filter/measurements/fix_fusion.py": "its height is compared with that of the fix",
