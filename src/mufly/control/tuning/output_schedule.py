@@ -22,7 +22,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import control
 import numpy as np
@@ -37,9 +36,6 @@ from mufly.dynamics import GRAVITY, find_trim, linearise_vehicle
 from mufly.errors import MuflyError
 from mufly.results import ShownBlock, result, show_lines, show_table
 from mufly.vehicle import Vehicle
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 SPEED_STEP_m_s = 0.25
 """Step of the search for the largest speed of steady flight."""
@@ -100,7 +96,7 @@ class FrozenSpeed:
     least_disk_margin: float
 
 
-@result
+@result(picture="mufly.control.analysis.plots:draw_schedule")
 class OutputSchedule:
     """Outputs of roll-pitch over forward speed, and the loops at frozen speeds.
 
@@ -163,12 +159,6 @@ class OutputSchedule:
             show_table(heads, rows, title=f"roll-pitch scheduled over 0 to {self.speed_m_s:g} m/s"),
             show_lines(*lines),
         ]
-
-    def plot(self) -> Figure:
-        """Return the picture of the result."""
-        from mufly.control.analysis.plots import draw_schedule
-
-        return draw_schedule(self)
 
 
 def blend_outputs(hover: DiscreteController, C_forward: Array, D_forward: Array, share: float) -> control.StateSpace:
