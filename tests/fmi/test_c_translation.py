@@ -10,7 +10,8 @@ import pytest
 from mufly.compiled.toolchain import compile_library, find_compiler
 from mufly.dynamics import PARAMETER_DTYPE
 from mufly.errors import MuflyError
-from mufly.fmi.c_translation import REAL, WHOLE, CTranslation, TablesType, TableType
+from mufly.fmi.c_translation import CTranslation
+from mufly.fmi.c_types import REAL, WHOLE, TablesType, TableType
 from mufly.fmi.unit_sources import render_flight_model
 
 _WEIGHT = 0.3

@@ -97,10 +97,7 @@ def sensor_checks(m: Estimate) -> Sequence[SensorStatus]:
 
 
 def position_std_growth(m: Estimate, stood: float = 0.0) -> float:
-    """Return the growth (m) of the position's standard deviation over the variance ``stood`` (m2) on the floor.
-
-    ``stood`` is the variance on the floor.
-    """
+    """Return the growth (m) of the position's standard deviation over the variance ``stood`` (m2) on the floor."""
     variance = m.covariance.diagonal()
     return math.sqrt(max(float(variance[0]), float(variance[1]), stood) - stood)
 

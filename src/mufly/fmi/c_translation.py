@@ -39,7 +39,19 @@ from typing import Any
 
 import numpy as np
 
-REAL, WHOLE, TRUTH, NOTHING = "double", "int64_t", "bool", "void"
+from mufly.fmi.c_types import (
+    NOTHING,
+    REAL,
+    TRUTH,
+    WHOLE,
+    CType,
+    RecordType,
+    TablesType,
+    TableType,
+    TupleType,
+    pointer_declaration,
+    type_name,
+)
 
 HELPERS = """\
 static inline double smaller(double a, double b) { return b < a ? b : a; }
@@ -69,52 +81,9 @@ _FOLDED: dict[type[ast.operator], Callable[[int, int], int]] = {
     ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.FloorDiv: operator.floordiv,
     ast.Mod: operator.mod,
 }  # fmt: skip
-_RESULT_PLACE, _CONST_MARK = (
-    "\1",
-    "\2",
-)  # in C text: place of a matrix; whether a table is written
+_RESULT_PLACE, _CONST_MARK = "\1", "\2"
+"""Marks in C text, replaced later: the place of a returned matrix; ``const``, unless a table is written."""
 _COMPARISONS = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
-
-
-@dataclass(frozen=True)
-class TableType:
-    """Type of an array of numbers."""
-
-    element: str
-    shape: tuple[int, ...]
-
-
-@dataclass(frozen=True)
-class TablesType:
-    """Type of a tuple of arrays, which are separate arguments in C."""
-
-    parts: tuple[TableType, ...]
-
-
-@dataclass(frozen=True)
-class RecordType:
-    """Type of a pointer to a C struct that stands for a NumPy record."""
-
-    name: str
-    fields: np.dtype[Any]
-
-
-@dataclass(frozen=True)
-class TupleType:
-    """Type of a tuple of numbers."""
-
-    parts: tuple[Any, ...]
-
-    @property
-    def name(self) -> str:
-        """Name of its C struct, with a letter or a number of letters for each member."""
-        letters = {REAL: "r", WHOLE: "i", TRUTH: "b"}
-        return "tuple_" + "".join(
-            letters[p] if isinstance(p, str) else f"{len(p.parts)}{p.name.removeprefix('tuple_')}" for p in self.parts
-        )
-
-
-CType = str | TableType | TablesType | RecordType | TupleType
 
 
 @dataclass(frozen=True)
@@ -196,7 +165,7 @@ class CTranslation:
         ]
         structs = []
         for name, kind in self._tuples.items():
-            members = " ".join(f"{_type_name(part)} f{k};" for k, part in enumerate(kind.parts))
+            members = " ".join(f"{type_name(part)} f{k};" for k, part in enumerate(kind.parts))
             structs.append(f"typedef struct {{ {members} }} {name};")
         enum = ["enum {", *whole, "};"] if whole else []
         return "\n".join([HELPERS, *enum, "", *real, "", *structs, "", *self._bodies])
@@ -261,18 +230,18 @@ class _FunctionTranslation:
             kind = self._kinds[argument]
             constant = "" if argument in self._written else "const "
             if isinstance(kind, TableType):
-                arguments.append(constant + _pointer_declaration(kind, _c_name(argument)))
+                arguments.append(constant + pointer_declaration(kind, _c_name(argument)))
             elif isinstance(kind, TablesType):
                 arguments += [
-                    constant + _pointer_declaration(part, f"{argument}_{k}") for k, part in enumerate(kind.parts)
+                    constant + pointer_declaration(part, f"{argument}_{k}") for k, part in enumerate(kind.parts)
                 ]
             elif isinstance(kind, RecordType):
                 arguments.append(f"const {kind.name} *{argument}")
             else:
-                arguments.append(f"{_type_name(kind)} {_c_name(argument)}")
+                arguments.append(f"{type_name(kind)} {_c_name(argument)}")
         if isinstance(result, TableType):
-            arguments.append(_pointer_declaration(result, "result_"))
-        head = f"static {_type_name(result)} {self._name}({', '.join(arguments)})"
+            arguments.append(pointer_declaration(result, "result_"))
+        head = f"static {type_name(result)} {self._name}({', '.join(arguments)})"
         about = (inspect.getdoc(self._function) or "").partition("\n\n")[0].replace("*/", "* /").split()
         place = f"{self._function.__module__}.{self._function.__name__}"
         comment = textwrap.wrap(
@@ -355,7 +324,7 @@ class _FunctionTranslation:
                 self._emit(f"for (int64_t {index} = 0; {index} < {rows.kind.shape[0]}; {index}++) {{")
                 self._kinds[name], self._roots[name] = row, self._roots.get(looped, "")
                 mark = f"{_CONST_MARK}{self._roots[name]}{_CONST_MARK}"
-                self._emit(f"    {mark}{_pointer_declaration(row, _c_name(name))} = {rows.text}[{index}];")
+                self._emit(f"    {mark}{pointer_declaration(row, _c_name(name))} = {rows.text}[{index}];")
                 self._nested_block(node.body)
                 self._emit("}")
                 del self._kinds[name]
@@ -401,7 +370,7 @@ class _FunctionTranslation:
         assert isinstance(value.kind, TableType)
         if value.text == _c_name(name):  # the same array under the same name
             return
-        declared = f"{_CONST_MARK}{root}{_CONST_MARK}{_pointer_declaration(value.kind, _c_name(name))}"
+        declared = f"{_CONST_MARK}{root}{_CONST_MARK}{pointer_declaration(value.kind, _c_name(name))}"
         known = self._kinds.get(name)
         if known is not None and (known, self._roots.get(name)) != (value.kind, root):
             raise NotImplementedError(f"{self._function.__name__}: {name} is another table before")
@@ -476,7 +445,7 @@ class _FunctionTranslation:
         """Store a value in a constant of its own."""
         self._count += 1
         name = f"t{self._count}_"
-        self._emit(f"const {_type_name(value.kind)} {name} = {value.text};")
+        self._emit(f"const {type_name(value.kind)} {name} = {value.text};")
         return Expression(name, _ATOM, value.kind)
 
     def _assign(self, target: ast.expr, value: Expression) -> None:
@@ -497,10 +466,10 @@ class _FunctionTranslation:
             self._emit(f"{name} = {value.text};")
             return
         elif self._depth > 1:
-            self._hoisted.append(f"    {_type_name(value.kind)} {name};")
+            self._hoisted.append(f"    {type_name(value.kind)} {name};")
             self._emit(f"{name} = {value.text};")
         else:
-            self._emit(f"{_type_name(value.kind)} {name} = {value.text};")
+            self._emit(f"{type_name(value.kind)} {name} = {value.text};")
         self._kinds[target.id] = value.kind
 
     def _declare_array(self, target: ast.expr, value: ast.expr) -> None:
@@ -712,18 +681,6 @@ class _FunctionTranslation:
 
 def _plain(function: Any) -> Callable[..., Any]:
     return getattr(function, "py_func", function)
-
-
-def _type_name(kind: CType) -> str:
-    if isinstance(kind, TableType):
-        return NOTHING
-    return kind.name if isinstance(kind, TupleType) else str(kind)
-
-
-def _pointer_declaration(kind: TableType, name: str) -> str:
-    """Return the declaration of a pointer to the first row of a table."""
-    inner = "".join(f"[{n}]" for n in kind.shape[1:])
-    return f"{kind.element} (*{name}){inner}" if inner else f"{kind.element} *{name}"
 
 
 def _c_name(name: str) -> str:

@@ -49,10 +49,12 @@ from mufly.estimate.filter.output_predictor import COVARIANCE_INTERVAL_TICKS
 from mufly.estimate.kalman_estimator import filter_ring_scan
 from mufly.firmware.export.estimate_tables import filter_buffer_sizes
 from mufly.flight.simulated_plant import true_attitude
-from mufly.fmi.c_translation import REAL, CTranslation, TablesType, TableType
+from mufly.fmi.c_translation import CTranslation
+from mufly.fmi.c_types import REAL, TablesType, TableType
 from mufly.quantities.quantity_table import DIMENSION_LABELS
 from mufly.quantities.sensor_table import READINGS, SENSORS
 from mufly.sensors import FittedSensors, Imu, PeriodicSensor, draw_leaning_vehicle, fitted_sensors
+from mufly.sensors.faults import FaultySensor
 from mufly.sensors.imu import begin_imu, sample_imu
 from mufly.sensors.periodic import (
     FIRST_VALUE,
@@ -293,7 +295,8 @@ class UnitSensors:
 
 
 def _named_sensors(sensors: FittedSensors) -> Iterator[tuple[str, Any]]:
-    present = {type(one.sensor).__name__: one.sensor for one in sensors.sensors}  # type: ignore[attr-defined]
+    faulty = [one for one in sensors.sensors if isinstance(one, FaultySensor)]  # each sensor, with its faults
+    present = {type(one.sensor).__name__: one.sensor for one in faulty}
     for name in SENSORS:
         sensor = present.get(SENSOR_CLASSES[name].__name__)
         if sensor is not None:

@@ -23,7 +23,8 @@ from mufly.estimate.filter_backend import FILTER_SOURCES as TRANSLATED_FILTER
 from mufly.estimate.filter_backend import collect_sources
 from mufly.files.answer_store import hash_question
 from mufly.firmware.export.estimate_tables import render_estimator_files
-from mufly.fmi.c_translation import REAL, WHOLE, CTranslation, TableType
+from mufly.fmi.c_translation import CTranslation
+from mufly.fmi.c_types import REAL, WHOLE, TableType
 from mufly.fmi.unit_equations import OUTPUT_COUNT, START_COUNT, write_outputs, write_start_state
 from mufly.fmi.unit_sensors import RATE_HZ, SEEDED_STARTS, WRITTEN_IN_C, UnitSensors
 from mufly.fmi.unit_variables import UnitInterface

@@ -1,0 +1,64 @@
+"""Types of translated functions: numbers, tables, records and tuples, and their names in C."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+REAL, WHOLE, TRUTH, NOTHING = "double", "int64_t", "bool", "void"
+
+
+@dataclass(frozen=True)
+class TableType:
+    """Type of an array of numbers."""
+
+    element: str
+    shape: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class TablesType:
+    """Type of a tuple of arrays, which are separate arguments in C."""
+
+    parts: tuple[TableType, ...]
+
+
+@dataclass(frozen=True)
+class RecordType:
+    """Type of a pointer to a C struct that stands for a NumPy record."""
+
+    name: str
+    fields: np.dtype[Any]
+
+
+@dataclass(frozen=True)
+class TupleType:
+    """Type of a tuple of numbers."""
+
+    parts: tuple[Any, ...]
+
+    @property
+    def name(self) -> str:
+        """Name of its C struct, with a letter or a number of letters for each member."""
+        letters = {REAL: "r", WHOLE: "i", TRUTH: "b"}
+        return "tuple_" + "".join(
+            letters[p] if isinstance(p, str) else f"{len(p.parts)}{p.name.removeprefix('tuple_')}" for p in self.parts
+        )
+
+
+CType = str | TableType | TablesType | RecordType | TupleType
+
+
+def type_name(kind: CType) -> str:
+    """Return the C name of a type; a function that returns a table writes to an argument instead."""
+    if isinstance(kind, TableType):
+        return NOTHING
+    return kind.name if isinstance(kind, TupleType) else str(kind)
+
+
+def pointer_declaration(kind: TableType, name: str) -> str:
+    """Return the declaration of a pointer to the first row of a table."""
+    inner = "".join(f"[{n}]" for n in kind.shape[1:])
+    return f"{kind.element} (*{name}){inner}" if inner else f"{kind.element} *{name}"
